@@ -1,0 +1,2 @@
+//! mocad.
+fn main() {}

@@ -1,0 +1,2 @@
+//! moca-monitor.
+fn main() {}

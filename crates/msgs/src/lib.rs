@@ -1,0 +1,36 @@
+//! The shared vocabulary of MOCA-S: what one part may say to another, and nothing that any part does.
+//!
+//! Read in this order:
+//! 1. [`robot`]: plain constant tables: arms, the base, the arm's mount, the taxels of the cover.
+//! 2. [`state`]: what a plant measures ([`RobotState`]) and what it is told ([`Actuation`]).
+//! 3. [`taxel`]: what the cover feels, with its age and its health.
+//! 4. [`params`]: the controllers' parameters and their defaults.
+//! 5. [`mode`]: modes, faults, how each is cleared.
+//! 6. [`request`] and [`sample`]: what an observer may ask and what it is shown.
+//!
+//! # Conventions
+//! SI units and radians. Frames: **W** world; **B** mobile base (x forward, y left, z up, origin on the floor at
+//! the base's centre); **A** arm base (link 0); **E** flange. The suffix of a name says frame or unit where a
+//! mix-up is possible: `wrench_base`, `age_s`. A wrench is \[force; moment\] **on the robot**; a planar wrench is
+//! \[f_x N, f_y N, m_z N·m\] about the origin of its frame. Twists are \[linear; angular\].
+//! Joint torques are what the motors give **including** gravity compensation: M q̈ + C q̇ + g = τ + τ_ext.
+//!
+//! This crate refuses to know: a clock, an allocator, linear algebra, and every other crate of the workspace.
+#![no_std]
+#![forbid(unsafe_code)]
+
+pub mod mode;
+pub mod params;
+pub mod request;
+pub mod robot;
+pub mod sample;
+pub mod state;
+pub mod taxel;
+
+pub use mode::{Fault, Law, Mode, Reaction};
+pub use params::{Corrections, ImpedanceGains, Limits, ParameterError, Parameters};
+pub use request::{Outcome, Refusal, Request};
+pub use robot::{ArmTable, BaseTable, Mount, Payload, TaxelPlacement};
+pub use sample::{MAX_JOINTS, MAX_TAXELS, Sample};
+pub use state::{Actuation, RobotCommand, RobotState};
+pub use taxel::{CoverReading, TaxelReading, TaxelStatus};

@@ -1,0 +1,51 @@
+//! What an operator may ask of the loop, and the answer.
+
+use crate::{Law, Mode};
+
+/// A request to the loop. One commander at a time; `Stop` is taken from anyone.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum Request {
+    /// Measure the cover's zero: in [`Mode::Ready`] or [`Mode::ProtectiveStop`], nobody touching.
+    Tare,
+    /// Hand the robot to the selected law: in [`Mode::Ready`].
+    Arm,
+    /// Back to [`Mode::Ready`] from a law.
+    Disarm,
+    /// Choose the law; while armed, switch to it.
+    SelectLaw(Law),
+    /// Protective stop, from any mode.
+    Stop,
+    /// Leave [`Mode::ProtectiveStop`] for [`Mode::Ready`] once the cause is gone and the zero is valid.
+    Resume,
+    /// Simulation only: press a taxel with a steady force until told otherwise.
+    PressTaxel {
+        /// 0 is T1.
+        taxel: u8,
+        /// 0 lets go; N, 0 to 200.
+        force_n: f64,
+    },
+}
+
+/// Why a request was not carried out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum Refusal {
+    /// Not allowed in this mode.
+    Mode(Mode),
+    /// The cause of the stop is still there.
+    CauseRemains(crate::Fault),
+    /// No valid zero: tare first.
+    ZeroInvalid,
+    /// Only a simulated robot can be pressed by request.
+    NotSimulated,
+    /// A number outside its range (taxel 0 to the cover's last, force 0 to 200 N).
+    OutOfRange,
+    /// Another client holds the command.
+    NotCommander,
+    /// The loop did not answer in time.
+    NoAnswer,
+}
+
+/// The loop's answer.
+pub type Outcome = Result<(), Refusal>;

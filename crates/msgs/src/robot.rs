@@ -1,0 +1,198 @@
+//! Robot tables: plain constant data. `wbc` and `sim` each compute their own kinematics from them, and a test
+//! compares the two.
+//!
+//! Sources: Panda kinematics from `franka_description`, Panda inertials from Gaz et al., RA-L 2019 (as published in
+//! `franka_ros`), limits from `libfranka`'s documentation. Base and cover: see each table.
+
+use core::f64::consts::{FRAC_PI_2, PI};
+
+/// Inertia of one rigid link in its own link frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LinkInertial {
+    /// Mass, kg.
+    pub mass_kg: f64,
+    /// Centre of mass in the link frame, m.
+    pub com_m: [f64; 3],
+    /// Inertia about the centre of mass, link axes: xx, xy, xz, yy, yz, zz, kg·m².
+    pub inertia_com: [f64; 6],
+}
+
+/// A serial arm of `N` revolute joints, each turning about the z axis of its own link frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmTable<const N: usize> {
+    /// Name shown to users.
+    pub name: &'static str,
+    /// Joint frame in its parent link frame: x, y, z m; roll, pitch, yaw rad (fixed axes, R = Rz·Ry·Rx).
+    pub joint_origin: [[f64; 6]; N],
+    /// Flange in the last link frame: x, y, z m; roll, pitch, yaw rad.
+    pub flange_origin: [f64; 6],
+    /// Inertia of link i + 1, the one that joint i moves.
+    pub links: [LinkInertial; N],
+    /// Inertia of link 0, which stands on the base.
+    pub link0: LinkInertial,
+    /// Lower joint limits, rad.
+    pub q_min_rad: [f64; N],
+    /// Upper joint limits, rad.
+    pub q_max_rad: [f64; N],
+    /// Joint speed limits, rad/s.
+    pub dq_max_rad_s: [f64; N],
+    /// Joint torque limits, N·m.
+    pub torque_max_nm: [f64; N],
+    /// Posture in which the arm starts and to which the null space returns, rad.
+    pub home_rad: [f64; N],
+}
+
+/// Pose of the arm's base (A) in the mobile base's frame (B).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mount {
+    /// Origin of A in B, m.
+    pub position_base_m: [f64; 3],
+    /// Roll, pitch, yaw of A in B, rad (fixed axes, R = Rz·Ry·Rx).
+    pub rpy_rad: [f64; 3],
+}
+
+/// A tool fixed to the flange: its inertia, and the tool frame that the controllers hold.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Payload {
+    /// Inertia in flange axes; a mass of 0 is no payload.
+    pub inertial: LinkInertial,
+    /// Tool frame in the flange frame: x, y, z m; roll, pitch, yaw rad.
+    pub tool_origin: [f64; 6],
+}
+
+impl Payload {
+    /// Bare flange: no mass, tool frame = flange frame.
+    pub const NONE: Self = Self {
+        inertial: LinkInertial { mass_kg: 0.0, com_m: [0.0; 3], inertia_com: [0.0; 6] },
+        tool_origin: [0.0; 6],
+    };
+}
+
+/// An omnidirectional, velocity-controlled mobile base.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BaseTable {
+    /// Length (x), width (y), height (z), m.
+    pub size_m: [f64; 3],
+    /// Mass, kg.
+    pub mass_kg: f64,
+    /// Centre of mass in B, m.
+    pub com_m: [f64; 3],
+    /// Inertia about the centre of mass: xx, yy, zz, kg·m².
+    pub inertia_com_diagonal: [f64; 3],
+    /// Time constant of the velocity servo, s (first order).
+    pub servo_time_constant_s: f64,
+    /// Largest linear acceleration of each axis, m/s².
+    pub acceleration_max_m_s2: f64,
+    /// Largest yaw acceleration, rad/s².
+    pub yaw_acceleration_max_rad_s2: f64,
+}
+
+/// Where one taxel sits on the cover and which way it is pressed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TaxelPlacement {
+    /// Centre in B, m (x, y).
+    pub position_base_m: [f64; 2],
+    /// Direction of the sensor's x axis, which points inwards, in B, rad. A press pushes the robot this way.
+    pub inward_angle_base_rad: f64,
+}
+
+/// Franka Emika Panda.
+pub const PANDA: ArmTable<7> = ArmTable {
+    name: "Franka Emika Panda",
+    joint_origin: [
+        [0.0, 0.0, 0.333, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, -FRAC_PI_2, 0.0, 0.0],
+        [0.0, -0.316, 0.0, FRAC_PI_2, 0.0, 0.0],
+        [0.0825, 0.0, 0.0, FRAC_PI_2, 0.0, 0.0],
+        [-0.0825, 0.384, 0.0, -FRAC_PI_2, 0.0, 0.0],
+        [0.0, 0.0, 0.0, FRAC_PI_2, 0.0, 0.0],
+        [0.088, 0.0, 0.0, FRAC_PI_2, 0.0, 0.0],
+    ],
+    flange_origin: [0.0, 0.0, 0.107, 0.0, 0.0, 0.0],
+    links: [
+        link(
+            4.970684,
+            [0.003875, 0.002081, -0.04762],
+            [0.70337, -0.000139, 0.006772, 0.70661, 0.019169, 0.009117],
+        ),
+        link(
+            0.646926,
+            [-0.003141, -0.02872, 0.003495],
+            [0.007962, -0.003925, 0.010254, 0.02811, 0.000704, 0.025995],
+        ),
+        link(
+            3.228604,
+            [0.027518, 0.039252, -0.066502],
+            [0.037242, -0.004761, -0.011396, 0.036155, -0.012805, 0.01083],
+        ),
+        link(
+            3.587895,
+            [-0.05317, 0.104419, 0.027454],
+            [0.025853, 0.007796, -0.001332, 0.019552, 0.008641, 0.028323],
+        ),
+        link(
+            1.225946,
+            [-0.011953, 0.041065, -0.038437],
+            [0.035549, -0.002117, -0.004037, 0.029474, 0.000229, 0.008627],
+        ),
+        link(
+            1.666555,
+            [0.060149, -0.014117, -0.010517],
+            [0.001964, 0.000109, -0.001158, 0.004354, 0.000341, 0.005433],
+        ),
+        link(
+            0.735522,
+            [0.010517, -0.004252, 0.061597],
+            [0.012516, -0.000428, -0.001196, 0.010027, -0.000741, 0.004815],
+        ),
+    ],
+    link0: link(
+        0.629769,
+        [-0.041018, -0.00014, 0.049974],
+        [0.00315, 8.2904e-7, 0.00015, 0.00388, 8.2299e-6, 0.004285],
+    ),
+    q_min_rad: [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
+    q_max_rad: [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973],
+    dq_max_rad_s: [2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61],
+    torque_max_nm: [87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0],
+    home_rad: [0.0, -PI / 4.0, 0.0, -3.0 * PI / 4.0, 0.0, PI / 2.0, PI / 4.0],
+};
+
+/// Arm mount of MOCA-S. ASSUMED: the paper does not give it.
+pub const MOCA_MOUNT: Mount = Mount { position_base_m: [0.20, 0.0, 0.51], rpy_rad: [0.0; 3] };
+
+/// Robotnik SUMMIT-XL with its cover. ASSUMED (public sources disagree): 105 kg box with its centre of mass 0.2 m up;
+/// servo and limits as the collision experiment needs them.
+pub const SUMMIT_XL: BaseTable = BaseTable {
+    size_m: [0.978, 0.776, 0.510],
+    mass_kg: 105.0,
+    com_m: [0.0, 0.0, 0.2],
+    inertia_com_diagonal: [7.5449150000000005, 10.64511, 13.638275000000002],
+    servo_time_constant_s: 0.015,
+    acceleration_max_m_s2: 3.0,
+    yaw_acceleration_max_rad_s2: 6.0,
+};
+
+/// The paper's 11 taxels, T1 first (Fig. 2e): T1–T4 left side rear to front, T5–T7 front left to right, T8–T11 right
+/// side **rear to front**. ASSUMED: only so are T4 + T8 and T1 + T11 opposite pure yaw torques (section IV-B).
+pub const PAPER_COVER: [TaxelPlacement; 11] = [
+    taxel(-0.36675, 0.388, -FRAC_PI_2),
+    taxel(-0.12225, 0.388, -FRAC_PI_2),
+    taxel(0.12225, 0.388, -FRAC_PI_2),
+    taxel(0.36675, 0.388, -FRAC_PI_2),
+    taxel(0.489, 0.776 / 3.0, PI),
+    taxel(0.489, 0.0, PI),
+    taxel(0.489, -0.776 / 3.0, PI),
+    taxel(-0.36675, -0.388, FRAC_PI_2),
+    taxel(-0.12225, -0.388, FRAC_PI_2),
+    taxel(0.12225, -0.388, FRAC_PI_2),
+    taxel(0.36675, -0.388, FRAC_PI_2),
+];
+
+const fn link(mass_kg: f64, com_m: [f64; 3], inertia_com: [f64; 6]) -> LinkInertial {
+    LinkInertial { mass_kg, com_m, inertia_com }
+}
+
+const fn taxel(x: f64, y: f64, inward_angle_base_rad: f64) -> TaxelPlacement {
+    TaxelPlacement { position_base_m: [x, y], inward_angle_base_rad }
+}

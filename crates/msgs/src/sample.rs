@@ -1,0 +1,63 @@
+//! One tick as an observer sees it.
+
+use crate::{Fault, Mode, TaxelReading};
+use heapless::Vec;
+
+/// Most arm joints a sample can carry.
+pub const MAX_JOINTS: usize = 8;
+/// Most taxels a sample can carry (two boards of 12).
+pub const MAX_TAXELS: usize = 24;
+
+/// Everything about one tick. Fixed size, no pointers: it crosses threads through a bounded ring.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct Sample {
+    /// Tick count since the loop started.
+    pub tick: u64,
+    /// Loop time of this tick, ns.
+    pub time_ns: u64,
+    /// Mode after this tick.
+    pub mode: Mode,
+    /// Why the robot is stopped, if it is.
+    pub fault: Option<Fault>,
+    /// Pose of B in W: m, m, rad.
+    pub base_pose_world: [f64; 3],
+    /// Rate of the pose: m/s, m/s, rad/s.
+    pub base_velocity_world: [f64; 3],
+    /// Commanded base velocity in the axes of B: m/s, m/s, rad/s.
+    pub base_velocity_command_body: [f64; 3],
+    /// Joint angles, rad.
+    pub q_rad: Vec<f64, MAX_JOINTS>,
+    /// Joint rates, rad/s.
+    pub dq_rad_s: Vec<f64, MAX_JOINTS>,
+    /// Commanded joint torques, gravity included, N·m.
+    pub arm_torque_nm: Vec<f64, MAX_JOINTS>,
+    /// Flange position in W, m.
+    pub flange_position_world: [f64; 3],
+    /// Flange orientation in W as a unit quaternion x, y, z, w.
+    pub flange_quaternion_world: [f64; 4],
+    /// Desired flange position in W, m.
+    pub flange_desired_position_world: [f64; 3],
+    /// Desired flange orientation in W as a unit quaternion x, y, z, w.
+    pub flange_desired_quaternion_world: [f64; 4],
+    /// External wrench on the robot about the flange origin, world axes \[N; N·m\]; zero where none is known.
+    pub flange_wrench_world: [f64; 6],
+    /// Cover wrench, eq. (4): \[N, N, N·m\] in B about its origin.
+    pub cover_wrench_base: [f64; 3],
+    /// Cover, T1 first.
+    pub taxels: Vec<TaxelReading, MAX_TAXELS>,
+    /// Raw FDAT counts, T1 first.
+    pub counts: Vec<u16, MAX_TAXELS>,
+    /// Age of the cover's data at this tick, s; negative before the first good frame.
+    pub frame_age_s: f64,
+    /// Measured frame rate, Hz; 0 before it is known.
+    pub frame_rate_hz: f64,
+    /// Good frames so far.
+    pub frames_good: u64,
+    /// Rejected frames so far.
+    pub frames_bad: u64,
+    /// How late this tick woke, s; 0 in lock-step.
+    pub lateness_s: f64,
+    /// Missed slots so far.
+    pub overruns: u64,
+}

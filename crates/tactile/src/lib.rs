@@ -1,0 +1,2 @@
+//! The cover.
+#![no_std]

@@ -1,0 +1,2 @@
+//! Whole-body control.
+#![no_std]
