@@ -1,1 +1,4 @@
 //! The simulated robot.
+
+pub mod foam;
+pub mod sensor;
