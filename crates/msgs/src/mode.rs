@@ -86,6 +86,8 @@ pub enum Fault {
     BoardReset,
     /// Threshold registers changed: another configuration, or bus garbage.
     BoardThresholds,
+    /// Every taxel of a board shifted alike: supply voltage or ground, not hands.
+    BoardCommonMode,
     /// One taxel is unusable.
     TaxelInvalid {
         /// 0 is T1.
@@ -113,6 +115,7 @@ impl Fault {
             Self::BoardFrozen => "board-frozen",
             Self::BoardReset => "board-reset",
             Self::BoardThresholds => "board-thresholds",
+            Self::BoardCommonMode => "board-common-mode",
             Self::TaxelInvalid { .. } => "taxel-invalid",
             Self::ZeroInvalid => "zero-invalid",
             Self::StateInvalid => "state-invalid",
@@ -127,9 +130,16 @@ impl Fault {
             Self::OperatorStop => "Stopped by the operator.",
             Self::BoardSilent => "No good frame from the Touch Board within its deadline.",
             Self::BoardLost => "The Touch Board's port closed: unplugged, or it lost power.",
-            Self::BoardFrozen => "The Touch Board sends frames, but its data is frozen: I2C to the sensor chip lost.",
+            Self::BoardFrozen => {
+                "The Touch Board sends frames, but its data is frozen: I2C to the sensor chip lost."
+            }
             Self::BoardReset => "Every value of the Touch Board is 0: the sensor chip was reset.",
-            Self::BoardThresholds => "The Touch Board's threshold registers changed: bus garbage or a new sketch.",
+            Self::BoardThresholds => {
+                "The Touch Board's threshold registers changed: bus garbage or a new sketch."
+            }
+            Self::BoardCommonMode => {
+                "Every taxel of a Touch Board shifted alike: its supply or ground, not hands."
+            }
             Self::TaxelInvalid { .. } => "A taxel is unusable.",
             Self::ZeroInvalid => "The cover has no valid zero.",
             Self::StateInvalid => "The robot's state holds a value that is not a number or not possible.",
@@ -156,6 +166,7 @@ impl Fault {
             Self::BoardFrozen | Self::BoardReset | Self::BoardThresholds => {
                 "Power-cycle the board; when frames are good: tare, then resume."
             }
+            Self::BoardCommonMode => "Check the board's supply and ground; then tare and resume.",
             Self::TaxelInvalid { .. } => "Check the taxel's plate and wire; then tare and resume.",
             Self::ZeroInvalid => "Step away from the cover and tare, then resume.",
             Self::StateInvalid | Self::PlantLost | Self::ControlRefused => {

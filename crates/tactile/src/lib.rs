@@ -1,2 +1,28 @@
-//! The cover.
+//! The cover: bytes of Touch Boards in, forces with an age and a health out.
+//!
+//! The layers, from bytes to newtons; each uses only those above it:
+//! 1. [`datastream`]: text of the stock sketch to checked [`datastream::Frame`]s and back. A virtual board needs
+//!    only this one.
+//! 2. [`board`]: events of one port, and a [`board::BoardMonitor`] that finds faults of the stream.
+//! 3. [`zero`]: tare and slow drift. [`health`]: faults of one taxel. [`model`]: counts below zero to newtons.
+//! 4. [`cover`]: a [`Cover`] of `K` taxels on one or more boards. **The control loop needs this one.**
+//!
+//! The core is no_std, allocates nothing and never reads a clock or opens a port: bytes and time (ns of loop time)
+//! are arguments, so a serial port, a lock-step board in memory and a replayed recording are the same to it.
 #![no_std]
+#![forbid(unsafe_code)]
+
+#[cfg(any(feature = "serial", test))]
+extern crate std;
+
+pub mod board;
+pub mod cover;
+pub mod datastream;
+pub mod health;
+pub mod model;
+pub mod zero;
+
+pub use board::{BoardEvent, Chunk, CloseReason, OpenFailure};
+pub use cover::{Cover, CoverConfig, Electrode, Poll};
+pub use model::TaxelModel;
+pub use zero::{TareRefusal, TareStatus};

@@ -1,0 +1,473 @@
+//! A cover of `K` taxels on one or more boards: events in, a reading with age and health out.
+//!
+//! ```
+//! use moca_tactile::{Cover, CoverConfig};
+//!
+//! let mut cover = Cover::<11>::new(CoverConfig::default())?;
+//! cover.push(0, b"TOUCH: 0 0", 1_000_000); // bytes of board 0 in any chunking, with their arrival time
+//! let poll = cover.poll(2_000_000); // every tick
+//! assert!(poll.forces.is_err(), "no zero yet: never 'no contact'");
+//! # Ok::<(), moca_tactile::cover::CoverConfigError>(())
+//! ```
+
+use crate::board::{BoardEvent, BoardMonitor, SILENT_AFTER_NS, SampledFrame};
+use crate::datastream::ELECTRODES;
+use crate::health::TaxelHealth;
+use crate::model::TaxelModel;
+use crate::zero::{TARE_FRAMES, TARE_TIMEOUT_NS, TareQuality, TareRefusal, TareStatus, TareSum, TaxelZero};
+use moca_msgs::{CoverReading, Fault, TaxelReading, TaxelStatus};
+
+/// Most boards under one cover.
+pub const MAX_BOARDS: usize = 2;
+/// Contact begins at this many counts below zero. ASSUMED: about 5 N for PU and 5 σ of the stock noise.
+pub const CONTACT_ON_COUNTS: f64 = 4.0;
+/// Contact ends below this many counts below zero. ASSUMED.
+pub const CONTACT_OFF_COUNTS: f64 = 2.0;
+/// Drift is not followed for this long after the last contact, ns: the foam is still recovering.
+const SETTLE_NS: u64 = 2_000_000_000;
+/// Taxels needed to tell a common-mode shift from hands.
+const COMMON_MODE_TAXELS: usize = 3;
+/// Shift of every taxel that makes a common-mode fault, counts.
+const COMMON_MODE_COUNTS: f64 = 3.0;
+/// Consecutive frames with such a shift.
+pub const COMMON_MODE_FRAMES: u32 = 3;
+
+/// Where a taxel is wired.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Electrode {
+    /// 0 is the first board.
+    pub board: u8,
+    /// 0–11.
+    pub electrode: u8,
+}
+
+/// What the reading does about a taxel that the operator masked.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum MaskPolicy {
+    /// A masked taxel is a fault: the robot does not move.
+    #[default]
+    Stop,
+    /// The robot moves without feeling there. The taxel still reports [`TaxelStatus::Masked`].
+    Unfelt,
+}
+
+/// Constant configuration of a cover.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoverConfig<const K: usize> {
+    /// T1 first. Default: twelve to a board, in order.
+    pub wiring: [Electrode; K],
+    /// Calibration, T1 first.
+    pub models: [TaxelModel; K],
+    /// Taxels out of use.
+    pub masked: [bool; K],
+    /// What a masked taxel means.
+    pub mask_policy: MaskPolicy,
+    /// Counts below zero at which contact begins.
+    pub contact_on_counts: f64,
+    /// Counts below zero under which contact ends.
+    pub contact_off_counts: f64,
+}
+
+impl<const K: usize> Default for CoverConfig<K> {
+    fn default() -> Self {
+        let electrode = |i: usize| Electrode {
+            board: u8::try_from(i / ELECTRODES).unwrap_or(u8::MAX),
+            electrode: u8::try_from(i % ELECTRODES).unwrap_or(u8::MAX),
+        };
+        Self {
+            wiring: core::array::from_fn(electrode),
+            models: [TaxelModel::PAPER; K],
+            masked: [false; K],
+            mask_policy: MaskPolicy::Stop,
+            contact_on_counts: CONTACT_ON_COUNTS,
+            contact_off_counts: CONTACT_OFF_COUNTS,
+        }
+    }
+}
+
+/// Why a configuration makes no cover.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CoverConfigError {
+    /// A taxel (0 = T1) on a board or electrode that does not exist, or on one that another taxel has.
+    Wiring {
+        /// 0 is T1.
+        taxel: usize,
+    },
+    /// Thresholds must satisfy 0 < off ≤ on, in counts.
+    Thresholds {
+        /// As configured.
+        on_counts: f64,
+        /// As configured.
+        off_counts: f64,
+    },
+}
+
+impl core::fmt::Display for CoverConfigError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Wiring { taxel } => write!(
+                f,
+                "T{} must have a board (0 to {}) and an electrode (0 to {}) of its own",
+                taxel + 1,
+                MAX_BOARDS - 1,
+                ELECTRODES - 1
+            ),
+            Self::Thresholds { on_counts, off_counts } => {
+                write!(f, "contact thresholds: 0 < off ≤ on counts, got on {on_counts} and off {off_counts}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for CoverConfigError {}
+
+/// One tick's answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Poll<const K: usize> {
+    /// Every taxel with its status, and when the data was sampled (the oldest of several boards).
+    pub reading: CoverReading<K>,
+    /// Forces for the controller, N; or the first taxel (0 = T1) that has none. Follows the mask policy.
+    pub forces: Result<[f64; K], (usize, TaxelStatus)>,
+    /// The gravest fault, if any.
+    pub fault: Option<Fault>,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Taxel {
+    fdat: u16,
+    force_n: f64,
+    in_contact: bool,
+    zero: Option<TaxelZero>,
+    health: TaxelHealth,
+    tare: TareSum,
+}
+
+#[derive(Clone, Debug)]
+struct Board {
+    monitor: BoardMonitor,
+    sampled_at_ns: Option<u64>,
+    complete_ns: u64,
+    common_mode: u32,
+}
+
+/// The cover. Allocates nothing; every method returns in bounded time.
+#[derive(Clone, Debug)]
+pub struct Cover<const K: usize> {
+    config: CoverConfig<K>,
+    taxels: [Taxel; K],
+    boards: heapless::Vec<Board, MAX_BOARDS>,
+    tare: TareStatus,
+    tare_started_ns: u64,
+    last_contact_ns: u64,
+}
+
+impl<const K: usize> Cover<K> {
+    /// A cover that knows nothing yet.
+    pub fn new(config: CoverConfig<K>) -> Result<Self, CoverConfigError> {
+        let (on_counts, off_counts) = (config.contact_on_counts, config.contact_off_counts);
+        if !(off_counts > 0.0 && off_counts <= on_counts && on_counts.is_finite()) {
+            return Err(CoverConfigError::Thresholds { on_counts, off_counts });
+        }
+        let mut used = [[false; ELECTRODES]; MAX_BOARDS];
+        let mut board_count = 1;
+        for (taxel, wire) in config.wiring.iter().enumerate() {
+            let board = usize::from(wire.board);
+            let slot = used.get_mut(board).and_then(|b| b.get_mut(usize::from(wire.electrode)));
+            match slot {
+                Some(slot) if !*slot => *slot = true,
+                _ => return Err(CoverConfigError::Wiring { taxel }),
+            }
+            board_count = board_count.max(board + 1);
+        }
+        let boards = used
+            .into_iter()
+            .take(board_count)
+            .map(|used| Board {
+                monitor: BoardMonitor::new(used),
+                sampled_at_ns: None,
+                complete_ns: 0,
+                common_mode: 0,
+            })
+            .collect();
+        Ok(Self {
+            config,
+            taxels: [Taxel::default(); K],
+            boards,
+            tare: TareStatus::None,
+            tare_started_ns: 0,
+            last_contact_ns: 0,
+        })
+    }
+
+    /// Takes an event of `board` (0 is the first; others than the configured are ignored).
+    pub fn event(&mut self, board: usize, event: &BoardEvent) {
+        if let BoardEvent::Bytes(chunk) = event {
+            return self.push(board, chunk.bytes(), chunk.arrival_ns);
+        }
+        let Some(entry) = self.boards.get_mut(board) else { return };
+        match *event {
+            BoardEvent::Opened { .. } => entry.monitor.opened(),
+            BoardEvent::Closed { .. } => entry.monitor.closed(),
+            BoardEvent::OpenFailed { why, .. } => entry.monitor.open_failed(why),
+            BoardEvent::Gap { bytes_lost, .. } => return entry.monitor.gap(bytes_lost),
+            BoardEvent::Bytes(_) => {}
+        }
+        self.invalidate(board);
+    }
+
+    /// Takes bytes of `board` that arrived at `arrival_ns`, in any chunking.
+    pub fn push(&mut self, board: usize, bytes: &[u8], arrival_ns: u64) {
+        let mut rest = bytes;
+        loop {
+            let Some(entry) = self.boards.get_mut(board) else { return };
+            let Some(frame) = entry.monitor.next_frame(&mut rest, arrival_ns) else { break };
+            self.frame(board, &frame);
+        }
+        self.void_zero_on_stream_fault(board, arrival_ns);
+    }
+
+    /// Begins a tare. Nobody may touch the cover for about a second; the old zero holds until the new one is done.
+    pub fn start_tare(&mut self, now_ns: u64) {
+        self.tare_started_ns = now_ns;
+        self.tare = TareStatus::InProgress { frames: 0 };
+        for taxel in &mut self.taxels {
+            taxel.tare = TareSum::default();
+        }
+    }
+
+    /// Progress or outcome of the last tare.
+    pub fn tare_status(&self) -> TareStatus {
+        self.tare
+    }
+
+    /// Whether every taxel in use has a valid zero.
+    pub fn zero_valid(&self) -> bool {
+        self.taxels.iter().zip(&self.config.masked).all(|(taxel, &masked)| masked || taxel.zero.is_some())
+    }
+
+    /// Voids zero and gain of one board's taxels, as after re-enumeration.
+    pub fn invalidate(&mut self, board: usize) {
+        for (taxel, wire) in self.taxels.iter_mut().zip(&self.config.wiring) {
+            if usize::from(wire.board) == board {
+                *taxel = Taxel { fdat: taxel.fdat, ..Taxel::default() };
+            }
+        }
+        if let Some(entry) = self.boards.get_mut(board) {
+            entry.common_mode = 0;
+        }
+        self.tare = match self.tare {
+            TareStatus::InProgress { .. } => TareStatus::Refused(TareRefusal::StreamFault),
+            TareStatus::Done(_) => TareStatus::None,
+            other => other,
+        };
+    }
+
+    /// Reading, forces and fault at `now_ns`.
+    pub fn poll(&mut self, now_ns: u64) -> Poll<K> {
+        for board in 0..self.boards.len() {
+            self.void_zero_on_stream_fault(board, now_ns);
+        }
+        if matches!(self.tare, TareStatus::InProgress { .. })
+            && now_ns.saturating_sub(self.tare_started_ns) > TARE_TIMEOUT_NS
+        {
+            self.tare = TareStatus::Refused(TareRefusal::NoFrames);
+        }
+        let mut reading = CoverReading::UNKNOWN;
+        for (i, slot) in reading.taxels.iter_mut().enumerate() {
+            let status = self.status(i, now_ns);
+            let force_n = if status == TaxelStatus::Ok { self.taxels[i].force_n } else { 0.0 };
+            *slot = TaxelReading { force_n, status };
+        }
+        reading.sampled_at_ns =
+            self.boards.iter().map(|b| b.sampled_at_ns).try_fold(u64::MAX, |oldest, t| Some(oldest.min(t?)));
+        let forces = self.forces(&reading);
+        Poll { reading, forces, fault: self.fault(&forces, now_ns) }
+    }
+
+    /// FDAT of the last usable frame, T1 first; 0 before one came.
+    pub fn counts(&self) -> [u16; K] {
+        core::array::from_fn(|i| self.taxels[i].fdat)
+    }
+
+    /// Zero of each taxel, T1 first.
+    pub fn zeros(&self) -> [Option<TaxelZero>; K] {
+        core::array::from_fn(|i| self.taxels[i].zero)
+    }
+
+    /// Stream statistics, rate, generation and diagnosis of each board.
+    pub fn boards(&self) -> impl ExactSizeIterator<Item = &BoardMonitor> {
+        self.boards.iter().map(|b| &b.monitor)
+    }
+
+    /// Noise estimate of each taxel, counts.
+    pub fn deviations(&self) -> [f64; K] {
+        core::array::from_fn(|i| self.taxels[i].health.deviation())
+    }
+
+    fn forces(&self, reading: &CoverReading<K>) -> Result<[f64; K], (usize, TaxelStatus)> {
+        let mut forces = [0.0; K];
+        for (i, taxel) in reading.taxels.iter().enumerate() {
+            match taxel.status {
+                TaxelStatus::Ok => forces[i] = taxel.force_n,
+                TaxelStatus::Masked if self.config.mask_policy == MaskPolicy::Unfelt => {}
+                status => return Err((i, status)),
+            }
+        }
+        Ok(forces)
+    }
+
+    fn fault(&self, forces: &Result<[f64; K], (usize, TaxelStatus)>, now_ns: u64) -> Option<Fault> {
+        let stream = self.boards.iter().find_map(|b| b.monitor.fault(now_ns));
+        let common =
+            self.boards.iter().any(|b| b.common_mode >= COMMON_MODE_FRAMES).then_some(Fault::BoardCommonMode);
+        let taxel = || match *forces {
+            Ok(_) => None,
+            Err((_, TaxelStatus::NoZero)) => Some(Fault::ZeroInvalid),
+            Err((i, status)) => {
+                Some(Fault::TaxelInvalid { taxel: u8::try_from(i).unwrap_or(u8::MAX), status })
+            }
+        };
+        stream.or(common).or_else(taxel)
+    }
+
+    fn status(&self, i: usize, now_ns: u64) -> TaxelStatus {
+        if self.config.masked[i] {
+            return TaxelStatus::Masked;
+        }
+        let taxel = &self.taxels[i];
+        let board = self.boards.get(usize::from(self.config.wiring[i].board));
+        let Some(board) = board.filter(|b| b.sampled_at_ns.is_some()) else {
+            return TaxelStatus::NoZero;
+        };
+        match board.monitor.fault(now_ns) {
+            Some(Fault::BoardSilent | Fault::BoardLost | Fault::BoardFrozen) => return TaxelStatus::Stale,
+            _ if now_ns.saturating_sub(board.complete_ns) > SILENT_AFTER_NS => return TaxelStatus::Stale,
+            _ => {}
+        }
+        match (taxel.health.status(taxel.zero.as_ref()), taxel.zero) {
+            (Some(status), _) => status,
+            (None, None) => TaxelStatus::NoZero,
+            (None, Some(_)) => TaxelStatus::Ok,
+        }
+    }
+
+    fn void_zero_on_stream_fault(&mut self, board: usize, now_ns: u64) {
+        let fault = self.boards.get(board).and_then(|b| b.monitor.fault(now_ns));
+        let zeroed = self
+            .taxels
+            .iter()
+            .zip(&self.config.wiring)
+            .any(|(taxel, wire)| usize::from(wire.board) == board && taxel.zero.is_some());
+        let taring = matches!(self.tare, TareStatus::InProgress { .. });
+        if (zeroed || taring) && fault.is_some_and(BoardMonitor::voids_zero) {
+            self.invalidate(board);
+        }
+    }
+
+    fn frame(&mut self, board: usize, frame: &SampledFrame) {
+        let Some(entry) = self.boards.get_mut(board) else { return };
+        let dt_ns = frame.complete_ns.saturating_sub(entry.complete_ns).min(SILENT_AFTER_NS);
+        entry.sampled_at_ns = Some(frame.sampled_at_ns);
+        entry.complete_ns = frame.complete_ns;
+        let taring = matches!(self.tare, TareStatus::InProgress { .. });
+        for (i, wire) in self.config.wiring.iter().enumerate() {
+            if usize::from(wire.board) == board {
+                let electrode = usize::from(wire.electrode);
+                self.taxels[i].update(
+                    frame.fdat[electrode],
+                    &self.config.models[i],
+                    [self.config.contact_on_counts, self.config.contact_off_counts],
+                );
+                if taring {
+                    self.taxels[i].tare.add(frame.fdat[electrode], frame.baseline[electrode]);
+                }
+            }
+        }
+        self.watch_common_mode(board);
+        self.follow_drift(board, frame.complete_ns, dt_ns);
+        self.advance_tare(frame.complete_ns);
+    }
+
+    fn follow_drift(&mut self, board: usize, now_ns: u64, dt_ns: u64) {
+        if self.taxels.iter().any(|taxel| taxel.in_contact) {
+            self.last_contact_ns = now_ns;
+        }
+        if now_ns.saturating_sub(self.last_contact_ns) < SETTLE_NS {
+            return;
+        }
+        #[expect(clippy::cast_precision_loss, reason = "at most 120 ms")]
+        let dt_s = dt_ns as f64 * 1e-9;
+        for (taxel, wire) in self.taxels.iter_mut().zip(&self.config.wiring) {
+            if usize::from(wire.board) == board
+                && let Some(zero) = &mut taxel.zero
+            {
+                zero.follow(taxel.fdat, dt_s);
+            }
+        }
+    }
+
+    fn watch_common_mode(&mut self, board: usize) {
+        let (mut count, mut least, mut most) = (0, f64::INFINITY, f64::NEG_INFINITY);
+        for (i, taxel) in self.taxels.iter().enumerate() {
+            if usize::from(self.config.wiring[i].board) == board
+                && !self.config.masked[i]
+                && let Some(zero) = &taxel.zero
+            {
+                let drop = zero.drop(taxel.fdat);
+                count += 1;
+                least = least.min(drop);
+                most = most.max(drop);
+            }
+        }
+        let mean = libm::fabs(most + least) / 2.0;
+        let shifted = count >= COMMON_MODE_TAXELS
+            && (least > COMMON_MODE_COUNTS || most < -COMMON_MODE_COUNTS)
+            && most - least <= 0.5 * mean + 2.0;
+        if let Some(entry) = self.boards.get_mut(board) {
+            entry.common_mode = if shifted { entry.common_mode.saturating_add(1) } else { 0 };
+        }
+    }
+
+    fn advance_tare(&mut self, now_ns: u64) {
+        if !matches!(self.tare, TareStatus::InProgress { .. }) {
+            return;
+        }
+        let in_use = || self.taxels.iter().enumerate().filter(|(i, _)| !self.config.masked[*i]);
+        let frames = in_use().map(|(_, taxel)| taxel.tare.frames).min().unwrap_or(TARE_FRAMES);
+        if frames < TARE_FRAMES {
+            self.tare = TareStatus::InProgress { frames };
+            return;
+        }
+        let mut zeros = [None; K];
+        let mut worst_deviation: f64 = 0.0;
+        for (i, taxel) in in_use() {
+            match taxel.tare.finish(i, taxel.zero.as_ref()) {
+                Ok(zero) => {
+                    worst_deviation = worst_deviation.max(zero.deviation);
+                    zeros[i] = Some(zero);
+                }
+                Err(refusal) => {
+                    self.tare = TareStatus::Refused(refusal);
+                    return;
+                }
+            }
+        }
+        for (taxel, zero) in self.taxels.iter_mut().zip(zeros) {
+            taxel.zero = zero;
+            taxel.in_contact = false;
+            taxel.force_n = 0.0;
+        }
+        self.tare = TareStatus::Done(TareQuality { frames, worst_deviation, finished_ns: now_ns });
+    }
+}
+
+impl Taxel {
+    fn update(&mut self, fdat: u16, model: &TaxelModel, [on, off]: [f64; 2]) {
+        self.fdat = fdat;
+        self.health.update(fdat, self.zero.as_ref());
+        let Some(zero) = &self.zero else { return };
+        let drop = zero.drop(fdat);
+        self.in_contact = drop >= if self.in_contact { off } else { on };
+        self.force_n = if self.in_contact { model.force_n(drop) } else { 0.0 };
+    }
+}

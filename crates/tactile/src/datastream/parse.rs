@@ -1,0 +1,309 @@
+//! Bytes to checked frames.
+
+use super::{BASELINE_MAX, Dialect, FDAT_MAX, Frame, Line, MAX_COLUMNS, MAX_LINE_BYTES};
+
+/// A good frame and when its lines arrived, ns of loop time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StampedFrame {
+    /// The registers.
+    pub frame: Frame,
+    /// End of the `TOUCH` line, the first after the board read the chip.
+    pub touch_line_ns: u64,
+    /// End of the `RTHS` line.
+    pub thresholds_line_ns: u64,
+    /// End of the `FDAT` line.
+    pub filtered_line_ns: u64,
+    /// End of the `DIFF` line: the frame is complete.
+    pub complete_ns: u64,
+}
+
+/// Why a frame was rejected.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BadFrame {
+    /// A line other than the expected one, or numbers that are not 12 or 13 plain decimal integers.
+    Torn {
+        /// The line that should have come.
+        expected: Line,
+    },
+    /// A value outside its register's range.
+    OutOfRange {
+        /// In this line.
+        line: Line,
+    },
+    /// Lines of one frame differ in column count, trailing space or line end.
+    MixedDialect {
+        /// The first line that differs.
+        line: Line,
+    },
+    /// BVAL − FDAT ≠ DIFF.
+    Inconsistent {
+        /// In this column.
+        column: u8,
+    },
+    /// A line longer than [`MAX_LINE_BYTES`].
+    LineTooLong,
+}
+
+/// Text that is no DataStream line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ForeignText {
+    /// `pin 3 was just touched`: the factory sketch Touch_MP3 or a relative.
+    TouchEvents,
+    /// `error setting up MPR121`: the sketch runs, its sensor chip does not answer.
+    ChipInitFailed,
+    /// Anything else.
+    Other,
+}
+
+/// What the bytes said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// All six lines and every check passed.
+    Frame(StampedFrame),
+    /// A check failed. Counted once; the rest is dropped up to the next `TOUCH` line.
+    Bad(BadFrame),
+    /// A line of text while waiting for the first `TOUCH`.
+    Foreign(ForeignText),
+}
+
+/// Incremental parser. Bounded memory; the same bytes give the same events in whatever chunks they come.
+#[derive(Clone, Debug)]
+pub struct Parser {
+    partial: [u8; MAX_LINE_BYTES],
+    partial_len: usize,
+    too_long: bool,
+    /// The line that must come next; `None` while dropping lines until a `TOUCH`.
+    expected: Option<Line>,
+    frame: Frame,
+    touch_line_ns: u64,
+    thresholds_line_ns: u64,
+    filtered_line_ns: u64,
+}
+
+impl Default for Parser {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Parser {
+    /// A parser at the start of a stream.
+    pub const fn new() -> Self {
+        Self {
+            partial: [0; MAX_LINE_BYTES],
+            partial_len: 0,
+            too_long: false,
+            expected: None,
+            frame: Frame {
+                dialect: Dialect::TOUCH_BOARD,
+                touched: [false; MAX_COLUMNS],
+                touch_threshold: [0; MAX_COLUMNS],
+                release_threshold: [0; MAX_COLUMNS],
+                filtered: [0; MAX_COLUMNS],
+                baseline: [0; MAX_COLUMNS],
+            },
+            touch_line_ns: 0,
+            thresholds_line_ns: 0,
+            filtered_line_ns: 0,
+        }
+    }
+
+    /// Forgets a partial line and frame, as after bytes known to be lost. What is dropped is not counted as bad.
+    pub fn resynchronise(&mut self) {
+        self.partial_len = 0;
+        self.too_long = false;
+        self.expected = None;
+    }
+
+    /// Consumes `bytes`, which arrived at `arrival_ns`, up to the next event; `None` when all are consumed.
+    pub fn next_event(&mut self, bytes: &mut &[u8], arrival_ns: u64) -> Option<Event> {
+        while !bytes.is_empty() {
+            let Some(end) = bytes.iter().position(|&b| b == b'\n') else {
+                self.keep(bytes);
+                *bytes = &[];
+                return None;
+            };
+            let (line, rest) = (&bytes[..end], &bytes[end + 1..]);
+            *bytes = rest;
+            if let Some(event) = self.end_line(line, arrival_ns) {
+                return Some(event);
+            }
+        }
+        None
+    }
+
+    /// Keeps the start of a line whose end has not come yet, up to the longest line allowed.
+    fn keep(&mut self, bytes: &[u8]) {
+        let room = MAX_LINE_BYTES - self.partial_len;
+        if bytes.len() > room {
+            self.too_long = true;
+        }
+        let taken = &bytes[..bytes.len().min(room)];
+        self.partial[self.partial_len..self.partial_len + taken.len()].copy_from_slice(taken);
+        self.partial_len += taken.len();
+    }
+
+    fn end_line(&mut self, end: &[u8], arrival_ns: u64) -> Option<Event> {
+        let event = if self.partial_len == 0 && !self.too_long {
+            self.line(end, end.len() > MAX_LINE_BYTES, arrival_ns)
+        } else {
+            self.keep(end);
+            let line = self.partial;
+            self.line(&line[..self.partial_len], self.too_long, arrival_ns)
+        };
+        self.partial_len = 0;
+        self.too_long = false;
+        event
+    }
+
+    fn line(&mut self, line: &[u8], too_long: bool, arrival_ns: u64) -> Option<Event> {
+        let outcome = if too_long {
+            Err(BadFrame::LineTooLong)
+        } else if line.starts_with(Line::Touch.key()) {
+            return self.touch_line(line, arrival_ns);
+        } else {
+            match self.expected {
+                None => return foreign(line).map(Event::Foreign),
+                Some(expected) => self.register_line(expected, line, arrival_ns).map(|()| expected),
+            }
+        };
+        match outcome {
+            Ok(Line::Difference) => {
+                self.expected = Some(Line::Touch);
+                Some(Event::Frame(self.stamped(arrival_ns)))
+            }
+            Ok(line) => {
+                self.expected = Some(line.next());
+                None
+            }
+            Err(why) => self.reject(why),
+        }
+    }
+
+    /// A `TOUCH` line starts a frame whatever came before; a frame it cuts short is bad.
+    fn touch_line(&mut self, line: &[u8], arrival_ns: u64) -> Option<Event> {
+        let interrupted = self.expected.filter(|&expected| expected != Line::Touch);
+        if let Err(why) = self.register_line(Line::Touch, line, arrival_ns) {
+            return self.reject(why);
+        }
+        self.expected = Some(Line::TouchThreshold);
+        interrupted.map(|expected| Event::Bad(BadFrame::Torn { expected }))
+    }
+
+    fn reject(&mut self, why: BadFrame) -> Option<Event> {
+        let counted = self.expected.take().is_some();
+        counted.then_some(Event::Bad(why))
+    }
+
+    fn stamped(&self, complete_ns: u64) -> StampedFrame {
+        StampedFrame {
+            frame: self.frame,
+            touch_line_ns: self.touch_line_ns,
+            thresholds_line_ns: self.thresholds_line_ns,
+            filtered_line_ns: self.filtered_line_ns,
+            complete_ns,
+        }
+    }
+
+    fn register_line(&mut self, expected: Line, line: &[u8], arrival_ns: u64) -> Result<(), BadFrame> {
+        let torn = BadFrame::Torn { expected };
+        let body = line.strip_prefix(expected.key()).ok_or(torn)?;
+        let (values, dialect) = integers(body).ok_or(torn)?;
+        if expected == Line::Touch {
+            self.frame = Frame { dialect, ..Frame::default() };
+            self.touch_line_ns = arrival_ns;
+        } else if dialect != self.frame.dialect {
+            return Err(BadFrame::MixedDialect { line: expected });
+        }
+        let out_of_range = BadFrame::OutOfRange { line: expected };
+        for (column, &value) in values[..usize::from(dialect.columns)].iter().enumerate() {
+            self.store(expected, column, value).ok_or(out_of_range).and_then(|consistent| {
+                if consistent {
+                    Ok(())
+                } else {
+                    Err(BadFrame::Inconsistent { column: u8::try_from(column).unwrap_or(u8::MAX) })
+                }
+            })?;
+        }
+        match expected {
+            Line::ReleaseThreshold => self.thresholds_line_ns = arrival_ns,
+            Line::Filtered => self.filtered_line_ns = arrival_ns,
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// `None` for a value outside its register's range, `Some(false)` for a DIFF that does not fit.
+    fn store(&mut self, line: Line, column: usize, value: i16) -> Option<bool> {
+        let frame = &mut self.frame;
+        match line {
+            Line::Touch => frame.touched[column] = matches!(value, 0 | 1).then_some(value == 1)?,
+            Line::TouchThreshold => frame.touch_threshold[column] = u8::try_from(value).ok()?,
+            Line::ReleaseThreshold => frame.release_threshold[column] = u8::try_from(value).ok()?,
+            Line::Filtered => {
+                frame.filtered[column] = u16::try_from(value).ok().filter(|&v| v <= FDAT_MAX)?;
+            }
+            Line::Baseline => {
+                frame.baseline[column] =
+                    u16::try_from(value).ok().filter(|&v| v <= BASELINE_MAX && v % 4 == 0)?;
+            }
+            Line::Difference => return Some(frame.difference(column) == value),
+        }
+        Some(true)
+    }
+}
+
+/// Reads a line's 12 or 13 plain decimal integers. Anything that [`super::emit`] would print differently (a sign on
+/// zero, leading zeros, doubled spaces) is not accepted.
+fn integers(body: &[u8]) -> Option<([i16; MAX_COLUMNS], Dialect)> {
+    let (body, carriage_return) = match body.strip_suffix(b"\r") {
+        Some(body) => (body, true),
+        None => (body, false),
+    };
+    let (body, trailing_space) = match body.strip_suffix(b" ") {
+        Some(body) => (body, true),
+        None => (body, false),
+    };
+    let mut values = [0; MAX_COLUMNS];
+    let mut columns = 0u8;
+    for field in body.split(|&b| b == b' ') {
+        *values.get_mut(usize::from(columns))? = integer(field)?;
+        columns += 1;
+    }
+    matches!(columns, 12 | 13).then_some((values, Dialect { columns, trailing_space, carriage_return }))
+}
+
+fn integer(field: &[u8]) -> Option<i16> {
+    let (digits, negative) = match field.strip_prefix(b"-") {
+        Some(digits) => (digits, true),
+        None => (field, false),
+    };
+    let leading_zero = digits.len() > 1 && digits[0] == b'0';
+    if digits.is_empty() || digits.len() > 4 || leading_zero || (negative && digits == b"0") {
+        return None;
+    }
+    let mut value: i16 = 0;
+    for &digit in digits {
+        if !digit.is_ascii_digit() {
+            return None;
+        }
+        value = value * 10 + i16::from(digit - b'0');
+    }
+    Some(if negative { -value } else { value })
+}
+
+/// Names text that no DataStream sketch prints; `None` for the tail of a frame.
+fn foreign(line: &[u8]) -> Option<ForeignText> {
+    let text = line.strip_suffix(b"\r").unwrap_or(line);
+    if text.is_empty() || Line::ALL.iter().any(|l| text.starts_with(l.key())) {
+        return None;
+    }
+    let contains = |needle: &[u8]| text.windows(needle.len()).any(|w| w == needle);
+    Some(if contains(b"was just touched") || contains(b"was just released") || contains(b"playing track") {
+        ForeignText::TouchEvents
+    } else if contains(b"error setting up MPR121") {
+        ForeignText::ChipInitFailed
+    } else {
+        ForeignText::Other
+    })
+}

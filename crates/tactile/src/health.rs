@@ -1,0 +1,75 @@
+//! Faults of one taxel, from its counts frame by frame.
+
+use crate::datastream::FDAT_MAX;
+use crate::zero::{LINEAR_MIN, OPEN_MIN, TaxelZero};
+use moca_msgs::TaxelStatus;
+
+/// Consecutive identical values that make a taxel stuck while its neighbours move (1.5 s at 40 Hz).
+pub const STUCK_FRAMES: u32 = 60;
+/// Below this deviation at the tare an electrode is too quiet for [`STUCK_FRAMES`] to mean anything, counts.
+const STUCK_NEEDS_DEVIATION: f64 = 0.3;
+/// Counts above zero that only a lost plate can give.
+pub const DEAD_RISE_COUNTS: f64 = 40.0;
+/// Consecutive frames above [`DEAD_RISE_COUNTS`] that make a taxel dead.
+pub const DEAD_FRAMES: u32 = 3;
+/// Standard deviation that makes a taxel noisy, counts (stock noise is 0.7; a tare accepts 2). Found within
+/// 100 frames.
+pub const NOISY_DEVIATION: f64 = 4.0;
+/// Largest second difference that counts, so that one hard tap is not noise.
+const SECOND_DIFFERENCE_MAX: f64 = 24.0;
+/// Mean of |x₂ − 2x₁ + x₀| over σ for white noise: √6 · √(2/π). Slow motion cancels in it.
+const SECOND_DIFFERENCE_PER_DEVIATION: f64 = 1.954_410_047_6;
+/// Weight of one frame in the noise mean.
+const NOISE_WEIGHT: f64 = 1.0 / 32.0;
+
+/// Running health of one taxel.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct TaxelHealth {
+    previous: [u16; 2],
+    frames: u32,
+    same: u32,
+    risen: u32,
+    second_difference: f64,
+    latest: u16,
+}
+
+impl TaxelHealth {
+    /// Takes one frame's FDAT.
+    pub fn update(&mut self, fdat: u16, zero: Option<&TaxelZero>) {
+        self.same = if self.frames > 0 && fdat == self.previous[0] { self.same.saturating_add(1) } else { 0 };
+        if self.frames >= 2 {
+            let [one, two] = self.previous.map(f64::from);
+            let second = libm::fabs(f64::from(fdat) - 2.0 * one + two).min(SECOND_DIFFERENCE_MAX);
+            self.second_difference += NOISE_WEIGHT * (second - self.second_difference);
+        }
+        let rise = zero.map_or(0.0, |zero| -zero.drop(fdat));
+        self.risen = if rise > DEAD_RISE_COUNTS { self.risen.saturating_add(1) } else { 0 };
+        self.previous = [fdat, self.previous[0]];
+        self.latest = fdat;
+        self.frames = self.frames.saturating_add(1);
+    }
+
+    /// Estimated standard deviation of the noise, counts.
+    pub fn deviation(&self) -> f64 {
+        self.second_difference / SECOND_DIFFERENCE_PER_DEVIATION
+    }
+
+    /// The taxel's fault, if it has one.
+    pub fn status(&self, zero: Option<&TaxelZero>) -> Option<TaxelStatus> {
+        let fdat = f64::from(self.latest);
+        let lively = zero.is_some_and(|zero| zero.deviation > STUCK_NEEDS_DEVIATION);
+        if self.latest == 0 || self.latest == FDAT_MAX || fdat < LINEAR_MIN {
+            Some(TaxelStatus::Saturated)
+        } else if self.risen >= DEAD_FRAMES || fdat >= OPEN_MIN {
+            Some(TaxelStatus::Dead)
+        } else if lively && self.same >= STUCK_FRAMES {
+            Some(TaxelStatus::Stuck)
+        } else if self.deviation() > NOISY_DEVIATION {
+            Some(TaxelStatus::Noisy)
+        } else if zero.is_some_and(TaxelZero::drifted) {
+            Some(TaxelStatus::Drifted)
+        } else {
+            None
+        }
+    }
+}

@@ -1,0 +1,158 @@
+//! Zero of the taxels: tare, and slow drift that is followed only while nothing touches.
+//!
+//! Force comes from FDAT against this zero, never from the chip's DIFF or TOUCH: its baseline absorbs a sustained
+//! press.
+
+use crate::datastream::FDAT_MAX;
+use moca_msgs::TaxelStatus;
+
+/// Frames in one tare (about 1 s at 40 Hz).
+pub const TARE_FRAMES: u32 = 40;
+/// A tare that has not finished in this time is given up, ns.
+pub const TARE_TIMEOUT_NS: u64 = 5_000_000_000;
+/// Largest standard deviation a tare accepts, counts (stock noise is 0.7).
+pub const TARE_NOISE_MAX: f64 = 2.0;
+/// A taxel this far below the chip's own baseline, or below the zero it had, counts as touched at a tare, counts.
+pub const TARE_TOUCH_COUNTS: f64 = 8.0;
+/// Lowest FDAT at which an untouched electrode is still in the chip's linear window (217–807 counts), counts.
+pub const LINEAR_MIN: f64 = 217.0;
+/// An untouched electrode above this has no plate: an open wire, counts.
+pub const OPEN_MIN: f64 = 1000.0;
+/// Largest drift that is followed before the taxel is [`TaxelStatus::Drifted`], counts.
+pub const DRIFT_BUDGET: f64 = 10.0;
+/// Time constant of drift following, s: slow against any touch.
+const DRIFT_TIME_S: f64 = 30.0;
+/// Largest rate of drift following, counts/s (1.2 counts/min: a hand that leans gently is not followed away).
+const DRIFT_RATE_MAX: f64 = 0.02;
+
+/// Why a tare was refused. The old zero, if any, stays.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TareRefusal {
+    /// Someone touches this taxel (0 = T1); counts below its resting value.
+    Touched {
+        /// 0 is T1.
+        taxel: usize,
+        /// Counts below baseline or old zero.
+        counts: f64,
+    },
+    /// The reading does not stand still.
+    Noisy {
+        /// 0 is T1.
+        taxel: usize,
+        /// Standard deviation over the tare, counts.
+        deviation: f64,
+    },
+    /// The taxel cannot be used.
+    Unusable {
+        /// 0 is T1.
+        taxel: usize,
+        /// Why.
+        status: TaxelStatus,
+    },
+    /// Not enough good frames within [`TARE_TIMEOUT_NS`].
+    NoFrames,
+    /// A fault of the stream came up during the tare.
+    StreamFault,
+}
+
+/// How good a zero is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TareQuality {
+    /// Frames averaged.
+    pub frames: u32,
+    /// Largest standard deviation of a taxel, counts.
+    pub worst_deviation: f64,
+    /// When the tare finished, ns of loop time.
+    pub finished_ns: u64,
+}
+
+/// Progress of a tare.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum TareStatus {
+    /// Never asked for, or void since the board was re-enumerated.
+    #[default]
+    None,
+    /// Frames are being averaged.
+    InProgress {
+        /// Frames so far, of [`TARE_FRAMES`] per board.
+        frames: u32,
+    },
+    /// Done; the zero is valid.
+    Done(TareQuality),
+    /// Refused.
+    Refused(TareRefusal),
+}
+
+/// Zero of one taxel.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TaxelZero {
+    /// FDAT at rest, drift followed, counts.
+    pub counts: f64,
+    /// FDAT at rest when it was tared, counts.
+    pub tared_counts: f64,
+    /// Standard deviation at the tare, counts.
+    pub deviation: f64,
+}
+
+impl TaxelZero {
+    /// Counts below zero: positive under a press.
+    pub fn drop(&self, fdat: u16) -> f64 {
+        self.counts - f64::from(fdat)
+    }
+
+    /// Follows slow drift. Only for frames in which nothing touches the cover.
+    pub fn follow(&mut self, fdat: u16, dt_s: f64) {
+        let error = f64::from(fdat) - self.counts;
+        let limit = DRIFT_RATE_MAX * dt_s;
+        self.counts += (error * dt_s / DRIFT_TIME_S).clamp(-limit, limit);
+    }
+
+    /// Whether the zero has moved further than its budget since the tare.
+    pub fn drifted(&self) -> bool {
+        libm::fabs(self.counts - self.tared_counts) > DRIFT_BUDGET
+    }
+}
+
+/// Running mean and deviation of one taxel during a tare.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct TareSum {
+    pub(crate) frames: u32,
+    mean: f64,
+    squares: f64,
+    baseline_mean: f64,
+}
+
+impl TareSum {
+    pub(crate) fn add(&mut self, fdat: u16, baseline: u16) {
+        self.frames += 1;
+        let (value, weight) = (f64::from(fdat), 1.0 / f64::from(self.frames));
+        let delta = value - self.mean;
+        self.mean += delta * weight;
+        self.squares += delta * (value - self.mean);
+        self.baseline_mean += (f64::from(baseline) - self.baseline_mean) * weight;
+    }
+
+    /// The zero, or why it cannot be one. `old` is the zero so far, if it is valid.
+    pub(crate) fn finish(&self, taxel: usize, old: Option<&TaxelZero>) -> Result<TaxelZero, TareRefusal> {
+        let unusable = |status| Err(TareRefusal::Unusable { taxel, status });
+        if self.mean <= 0.0 || self.mean >= f64::from(FDAT_MAX) {
+            return unusable(TaxelStatus::Saturated);
+        }
+        if self.mean >= OPEN_MIN {
+            return unusable(TaxelStatus::Dead);
+        }
+        if self.mean < LINEAR_MIN {
+            return unusable(TaxelStatus::Saturated);
+        }
+        let deviation = libm::sqrt(self.squares / f64::from(self.frames.max(2) - 1));
+        if deviation > TARE_NOISE_MAX {
+            return Err(TareRefusal::Noisy { taxel, deviation });
+        }
+        let below_old = old.map_or(0.0, |zero| zero.counts - self.mean);
+        let counts = below_old.max(self.baseline_mean - self.mean);
+        if counts > TARE_TOUCH_COUNTS {
+            return Err(TareRefusal::Touched { taxel, counts });
+        }
+        Ok(TaxelZero { counts: self.mean, tared_counts: self.mean, deviation })
+    }
+}
