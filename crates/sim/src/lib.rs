@@ -1,9 +1,34 @@
-//! The simulated robot.
+//! The simulated robot: everything that `mocad` would otherwise find in the laboratory.
+//!
+//! Read in this order:
+//! 1. [`scene`]: what there is ([`Scene`], [`Person`]); the MuJoCo model follows from it and holds nothing else.
+//! 2. [`plant`]: [`SimPlant`], the Panda on its velocity-controlled base, stepped one control period at a time.
+//! 3. [`foam`] and [`sensor`]: how a force on a taxel becomes a plate gap, counts, and noise.
+//!
+//! This crate refuses to know: the controllers, the parser of the cover's bytes, and a clock.
 
+pub mod contact;
+mod error;
 pub mod foam;
+mod mjcf;
+pub mod plant;
+mod quiet;
+pub mod scene;
 pub mod sensor;
 
-/// Version of MuJoCo that is linked, e.g. `"3.17.0"`.
+pub use error::SimError;
+pub use plant::SimPlant;
+pub use scene::{Integrator, Mobility, Person, Robot, Scene};
+
+/// Version of the MuJoCo library that is linked.
 pub fn mujoco_version() -> &'static str {
     mujoco_rs::mujoco_version()
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn linked_mujoco_is_the_pinned_version() {
+        assert_eq!(super::mujoco_version(), "3.17.0");
+    }
 }

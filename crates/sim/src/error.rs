@@ -1,0 +1,61 @@
+//! Everything that can go wrong in a simulation.
+
+use thiserror::Error;
+
+/// Why a plant could not be built or stepped.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum SimError {
+    /// A number of the scene is outside its range.
+    #[error("scene: {name} = {value} {unit} is outside {min} to {max} {unit}")]
+    Scene {
+        /// Name of the field.
+        name: &'static str,
+        /// The offending value.
+        value: f64,
+        /// Its unit.
+        unit: &'static str,
+        /// Smallest allowed value.
+        min: f64,
+        /// Largest allowed value.
+        max: f64,
+    },
+    /// The control period is not a whole number of physics steps.
+    #[error("scene: control period {period_s} s is not a whole number of physics steps of {step_s} s")]
+    Period {
+        /// Control period, s.
+        period_s: f64,
+        /// Physics step, s.
+        step_s: f64,
+    },
+    /// MuJoCo refused the model.
+    #[error("MuJoCo refused the model: {0}")]
+    Model(String),
+    /// A command that is not a number; nothing of it was applied.
+    #[error("command: {name} = {value} is not finite")]
+    Command {
+        /// Which value.
+        name: &'static str,
+        /// The offending value.
+        value: f64,
+    },
+    /// A force or wrench from outside that is not usable.
+    #[error("{name} = {value} is outside {min} to {max}")]
+    Load {
+        /// Which value.
+        name: &'static str,
+        /// The offending value.
+        value: f64,
+        /// Smallest allowed value.
+        min: f64,
+        /// Largest allowed value.
+        max: f64,
+    },
+    /// MuJoCo raised a warning: the state is no longer to be trusted.
+    #[error("simulation failed at t = {time_s} s: {warning}")]
+    Unstable {
+        /// What MuJoCo says.
+        warning: &'static str,
+        /// Simulation time, s.
+        time_s: f64,
+    },
+}

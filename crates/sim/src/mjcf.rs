@@ -1,0 +1,116 @@
+//! MuJoCo's model of a scene, written from the robot tables. What the scene does not ask for is not in the text.
+//!
+//! There are no geoms: inertias come from the tables, and forces between people and cover are computed from the
+//! geometric gap (see `contact`), not by MuJoCo's collision detection.
+
+use crate::plant::{BASE_SERVO_DAMPING, YAW_SERVO_DAMPING};
+use crate::scene::{Integrator, Mobility, Robot, Scene};
+use moca_msgs::robot::{LinkInertial, MOCA_MOUNT, PANDA, SUMMIT_XL};
+use std::fmt::{self, Write};
+
+/// Name of the massless body that marks the flange.
+pub(crate) const FLANGE: &str = "flange";
+
+/// The scene as MJCF.
+pub(crate) fn mjcf(scene: &Scene) -> Result<String, fmt::Error> {
+    let mut xml = String::with_capacity(8192);
+    options(&mut xml, scene)?;
+    xml.push_str("<worldbody>\n");
+    match scene.robot {
+        Robot::MobileManipulator => {
+            base(&mut xml)?;
+            arm(&mut xml, scene, [0.0; 3])?;
+            xml.push_str("</body>\n");
+        }
+        Robot::BaseOnly => {
+            base(&mut xml)?;
+            xml.push_str("</body>\n");
+        }
+        Robot::ArmOnly => arm(&mut xml, scene, scene.base_pose_world)?,
+    }
+    for person in &scene.people {
+        if let Mobility::Standing { mass_kg, .. } = person.mobility {
+            let [x, y] = person.position_world;
+            write!(xml, "<body pos=\"{x} {y} 0\"><joint type=\"slide\" axis=\"1 0 0\"/>")?;
+            xml.push_str("<joint type=\"slide\" axis=\"0 1 0\"/>");
+            writeln!(xml, "<inertial pos=\"0 0 0\" mass=\"{mass_kg}\" diaginertia=\"1 1 1\"/></body>")?;
+        }
+    }
+    xml.push_str("</worldbody>\n</mujoco>\n");
+    Ok(xml)
+}
+
+fn options(xml: &mut String, scene: &Scene) -> fmt::Result {
+    let integrator = match scene.integrator {
+        Integrator::Euler => "Euler",
+        Integrator::RungeKutta4 => "RK4",
+        Integrator::Implicit => "implicit",
+        Integrator::ImplicitFast => "implicitfast",
+    };
+    let constraint = if scene.joint_limits { "enable" } else { "disable" };
+    writeln!(xml, "<mujoco model=\"moca\">")?;
+    // Upper-case axes are fixed axes: R = Rz·Ry·Rx, as in the tables.
+    writeln!(xml, "<compiler angle=\"radian\" autolimits=\"true\" eulerseq=\"XYZ\"/>")?;
+    writeln!(
+        xml,
+        "<option timestep=\"{}\" integrator=\"{integrator}\" gravity=\"0 0 -9.81\">",
+        scene.physics_step_s
+    )?;
+    // Without autoreset="disable" a NaN would silently become the start state at time 0.
+    writeln!(xml, "<flag autoreset=\"disable\" contact=\"disable\" constraint=\"{constraint}\"/></option>")
+}
+
+fn base(xml: &mut String) -> fmt::Result {
+    let [ix, iy, iz] = SUMMIT_XL.inertia_com_diagonal;
+    let [cx, cy, cz] = SUMMIT_XL.com_m;
+    xml.push_str("<body name=\"base\">\n");
+    for (kind, axis, damping) in [
+        ("slide", "1 0 0", BASE_SERVO_DAMPING),
+        ("slide", "0 1 0", BASE_SERVO_DAMPING),
+        ("hinge", "0 0 1", YAW_SERVO_DAMPING),
+    ] {
+        writeln!(xml, "<joint type=\"{kind}\" axis=\"{axis}\" damping=\"{damping}\"/>")?;
+    }
+    let mass = SUMMIT_XL.mass_kg;
+    writeln!(xml, "<inertial pos=\"{cx} {cy} {cz}\" mass=\"{mass}\" diaginertia=\"{ix} {iy} {iz}\"/>")
+}
+
+/// The arm on its mount, `stand` being the pose (x, y, yaw) of B in the parent body.
+fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
+    let [x, y, z] = MOCA_MOUNT.position_base_m;
+    let [roll, pitch, yaw] = MOCA_MOUNT.rpy_rad;
+    let (sin, cos) = stand[2].sin_cos();
+    let origin = [stand[0] + cos * x - sin * y, stand[1] + sin * x + cos * y, z, roll, pitch, stand[2] + yaw];
+    open_body(xml, "link0", &origin)?;
+    inertial(xml, &PANDA.link0)?;
+    for i in 0..PANDA.links.len() {
+        open_body(xml, &format!("link{}", i + 1), &PANDA.joint_origin[i])?;
+        xml.push_str("<joint type=\"hinge\" axis=\"0 0 1\"");
+        if scene.joint_limits {
+            write!(xml, " range=\"{} {}\"", PANDA.q_min_rad[i], PANDA.q_max_rad[i])?;
+        }
+        xml.push_str("/>\n");
+        inertial(xml, &PANDA.links[i])?;
+    }
+    open_body(xml, FLANGE, &PANDA.flange_origin)?;
+    for _ in 0..PANDA.links.len() + 2 {
+        xml.push_str("</body>");
+    }
+    xml.push('\n');
+    Ok(())
+}
+
+fn open_body(xml: &mut String, name: &str, [x, y, z, roll, pitch, yaw]: &[f64; 6]) -> fmt::Result {
+    writeln!(xml, "<body name=\"{name}\" pos=\"{x} {y} {z}\" euler=\"{roll} {pitch} {yaw}\">")
+}
+
+fn inertial(xml: &mut String, link: &LinkInertial) -> fmt::Result {
+    let [x, y, z] = link.com_m;
+    let [xx, xy, xz, yy, yz, zz] = link.inertia_com;
+    let mass = link.mass_kg;
+    // MuJoCo's order: xx yy zz xy xz yz.
+    writeln!(
+        xml,
+        "<inertial pos=\"{x} {y} {z}\" mass=\"{mass}\" fullinertia=\"{xx} {yy} {zz} {xy} {xz} {yz}\"/>"
+    )
+}

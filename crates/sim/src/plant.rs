@@ -1,0 +1,433 @@
+//! The plant: a Panda on a velocity-controlled base, one control period at a time.
+
+use crate::contact::{Zones, series_force_n};
+use crate::foam::FoamState;
+use crate::mjcf::{FLANGE, mjcf};
+use crate::scene::{Mobility, Person, Robot, Scene};
+use crate::{SimError, quiet};
+use moca_msgs::robot::{PAPER_COVER, SUMMIT_XL};
+use moca_msgs::{Actuation, RobotCommand, RobotState};
+use mujoco_rs::prelude::{MjData, MjModel, MjtWarning};
+
+/// Velocity gain of the inner base servo, N·s/m: 20 N push it back by 0.2 mm/s. ASSUMED.
+pub(crate) const BASE_SERVO_DAMPING: f64 = 1e5;
+/// The same about the vertical, N·m·s/rad. ASSUMED.
+pub(crate) const YAW_SERVO_DAMPING: f64 = 2.5e4;
+/// What the wheels can push before they slip: N, N, N·m (about 0.8 of the weight). ASSUMED.
+const TRACTION: [f64; 3] = [1000.0, 1000.0, 400.0];
+/// Time constant in which a braked joint comes to rest, s. ASSUMED.
+const BRAKE_TIME_S: f64 = 0.02;
+/// Largest force of a scripted hand, N.
+const PRESS_MAX_N: f64 = 1000.0;
+const K: usize = PAPER_COVER.len();
+
+/// What the plant was last told.
+#[derive(Clone, Copy, Debug)]
+enum Order {
+    Drive(RobotCommand<7>),
+    Brake,
+}
+
+/// One person in the running scene.
+#[derive(Clone, Debug)]
+struct Body {
+    person: Person,
+    /// First of two degrees of freedom, if the person can move.
+    dof: Option<usize>,
+    /// Memory of the foam in front of the person, and whose foam it is.
+    foam: FoamState,
+    zone: Option<usize>,
+    first_contact_s: Option<f64>,
+    /// Outward normal at first contact, world axes: the way the person steps away.
+    away_world: [f64; 2],
+}
+
+/// The simulated robot with everything that can push it.
+#[derive(Debug)]
+pub struct SimPlant {
+    data: MjData<Box<MjModel>>,
+    scene: Scene,
+    substeps: u32,
+    zones: Zones<K>,
+    /// First degree of freedom of base and arm, and the flange's body, where they exist.
+    base_dof: Option<usize>,
+    arm_dof: Option<usize>,
+    flange_body: Option<usize>,
+    bodies: Vec<Body>,
+    order: Order,
+    /// Velocity that the outer base servo asks of the wheels, axes of B.
+    servo_velocity_body: [f64; 3],
+    pressed_n: [f64; K],
+    taxel_force_n: [f64; K],
+    flange_wrench_world: [f64; 6],
+    torque_nm: [f64; 7],
+    /// Scratch for the dense mass matrix, nv × nv.
+    mass: Vec<f64>,
+}
+
+impl SimPlant {
+    /// Builds the model of `scene` and puts everything at its start.
+    ///
+    /// # Errors
+    /// A number of the scene outside its range, or a model that MuJoCo refuses.
+    pub fn new(scene: &Scene) -> Result<Self, SimError> {
+        scene.check()?;
+        quiet::install();
+        let xml = mjcf(scene).map_err(|error| SimError::Model(error.to_string()))?;
+        let refused = |error: &dyn std::fmt::Display| SimError::Model(error.to_string());
+        let model = MjModel::from_xml_string(&xml).map_err(|error| refused(&error))?;
+        let nv = usize::try_from(model.ffi().nv).unwrap_or(0);
+        let flange_body = model.body(FLANGE).map(|info| info.id);
+        let data = MjData::try_new(Box::new(model)).map_err(|error| refused(&error))?;
+        let has_base = scene.robot != Robot::ArmOnly;
+        let has_arm = scene.robot != Robot::BaseOnly;
+        let arm_dof = has_arm.then_some(if has_base { 3 } else { 0 });
+        let mut next_dof = if has_base { 3 } else { 0 } + if has_arm { 7 } else { 0 };
+        let bodies = scene
+            .people
+            .iter()
+            .map(|&person| {
+                let dof = matches!(person.mobility, Mobility::Standing { .. }).then_some(next_dof);
+                next_dof += if dof.is_some() { 2 } else { 0 };
+                Body {
+                    person,
+                    dof,
+                    foam: FoamState::default(),
+                    zone: None,
+                    first_contact_s: None,
+                    away_world: [0.0; 2],
+                }
+            })
+            .collect();
+        let mut plant = Self {
+            data,
+            scene: scene.clone(),
+            substeps: scene.substeps()?,
+            zones: Zones::new(PAPER_COVER),
+            base_dof: has_base.then_some(0),
+            arm_dof,
+            flange_body,
+            bodies,
+            order: Order::Brake,
+            servo_velocity_body: [0.0; 3],
+            pressed_n: [0.0; K],
+            taxel_force_n: [0.0; K],
+            flange_wrench_world: [0.0; 6],
+            torque_nm: [0.0; 7],
+            mass: vec![0.0; nv * nv],
+        };
+        plant.set_state(&scene.base_pose_world, &[0.0; 3], &scene.arm_posture_rad, &[0.0; 7]);
+        Ok(plant)
+    }
+
+    /// Measured state. The flange wrench is the true one if the scene has a sensor for it, else `None`.
+    pub fn state(&self) -> RobotState<7> {
+        let (qpos, qvel) = (self.data.qpos(), self.data.qvel());
+        let mut state = RobotState {
+            base_pose_world: self.scene.base_pose_world,
+            base_velocity_world: [0.0; 3],
+            q_rad: self.scene.arm_posture_rad,
+            dq_rad_s: [0.0; 7],
+            torque_measured_nm: self.torque_nm,
+            flange_wrench_world: self.scene.flange_sensor.then_some(self.flange_wrench_world),
+        };
+        if let Some(dof) = self.base_dof {
+            state.base_pose_world.copy_from_slice(&qpos[dof..dof + 3]);
+            state.base_velocity_world.copy_from_slice(&qvel[dof..dof + 3]);
+        }
+        if let Some(dof) = self.arm_dof {
+            state.q_rad.copy_from_slice(&qpos[dof..dof + 7]);
+            state.dq_rad_s.copy_from_slice(&qvel[dof..dof + 7]);
+        }
+        state
+    }
+
+    /// Takes an order for the following steps. Until the first one the plant brakes.
+    ///
+    /// # Errors
+    /// A value that is not finite; the plant then brakes.
+    pub fn apply(&mut self, actuation: &Actuation<7>) -> Result<(), SimError> {
+        self.order = Order::Brake;
+        if let Actuation::Drive(command) = actuation {
+            finite("base velocity", &command.base_velocity_body)?;
+            finite("arm torque", &command.arm_torque_nm)?;
+            self.order = Order::Drive(*command);
+        }
+        Ok(())
+    }
+
+    /// One control period: as many physics steps as the scene asks for.
+    ///
+    /// # Errors
+    /// Any MuJoCo warning (NaN, divergence, full buffers); the state is then no longer to be trusted.
+    pub fn step(&mut self) -> Result<(), SimError> {
+        self.advance_base_servo();
+        for _ in 0..self.substeps {
+            self.load();
+            self.data.step();
+            self.check()?;
+        }
+        Ok(())
+    }
+
+    /// A scripted hand: presses `taxel` (0 is T1) with a steady `force_n` along its inward normal until told otherwise.
+    ///
+    /// # Errors
+    /// A taxel that does not exist, or a force outside 0 to 1000 N.
+    pub fn press(&mut self, taxel: usize, force_n: f64) -> Result<(), SimError> {
+        let Some(pressed) = self.pressed_n.get_mut(taxel) else {
+            #[expect(clippy::cast_precision_loss, reason = "shown to a person")]
+            let value = taxel as f64 + 1.0;
+            return Err(SimError::Load { name: "taxel", value, min: 1.0, max: K as f64 });
+        };
+        if !(0.0..=PRESS_MAX_N).contains(&force_n) {
+            return Err(SimError::Load { name: "press, N", value: force_n, min: 0.0, max: PRESS_MAX_N });
+        }
+        *pressed = force_n;
+        Ok(())
+    }
+
+    /// A steady wrench on the robot about the flange origin, world axes \[N; N·m\].
+    ///
+    /// # Errors
+    /// A value that is not finite; the wrench before stays.
+    pub fn set_flange_wrench_world(&mut self, wrench: [f64; 6]) -> Result<(), SimError> {
+        finite("flange wrench", &wrench)?;
+        self.flange_wrench_world = wrench;
+        Ok(())
+    }
+
+    /// True force on each taxel over the last physics step, N, T1 first.
+    pub fn taxel_force_true_n(&self) -> [f64; K] {
+        self.taxel_force_n
+    }
+
+    /// True wrench of all taxel forces on the base, axes and origin of B: N, N, N·m.
+    pub fn cover_wrench_true_base(&self) -> [f64; 3] {
+        let mut wrench = [0.0; 3];
+        for (taxel, force_n) in self.taxel_force_n.iter().enumerate() {
+            let [nx, ny] = self.zones.outward(taxel);
+            let [x, y] = self.zones.position_base(taxel);
+            let (fx, fy) = (-force_n * nx, -force_n * ny);
+            wrench[0] += fx;
+            wrench[1] += fy;
+            wrench[2] += x * fy - y * fx;
+        }
+        wrench
+    }
+
+    /// Flange origin in W, m, as of the start of the last physics step; `None` without an arm.
+    pub fn flange_position_world(&self) -> Option<[f64; 3]> {
+        self.flange_body.and_then(|body| self.data.xpos().get(body).copied())
+    }
+
+    /// Centre of person `i` in W, m.
+    pub fn person_position_world(&self, i: usize) -> Option<[f64; 2]> {
+        self.bodies.get(i).map(|body| {
+            let [x, y] = body.person.position_world;
+            let offset = self.person_motion(body).0;
+            [x + offset[0], y + offset[1]]
+        })
+    }
+
+    /// Simulation time, s.
+    pub fn time_s(&self) -> f64 {
+        self.data.time()
+    }
+
+    /// Puts base and arm into a state and brings every derived quantity up to date.
+    pub fn set_state(&mut self, base: &[f64; 3], base_rate: &[f64; 3], q: &[f64; 7], dq: &[f64; 7]) {
+        if let Some(dof) = self.base_dof {
+            self.data.qpos_mut()[dof..dof + 3].copy_from_slice(base);
+            self.data.qvel_mut()[dof..dof + 3].copy_from_slice(base_rate);
+        }
+        if let Some(dof) = self.arm_dof {
+            self.data.qpos_mut()[dof..dof + 7].copy_from_slice(q);
+            self.data.qvel_mut()[dof..dof + 7].copy_from_slice(dq);
+        }
+        self.data.forward();
+    }
+
+    /// Joint-space inertia matrix of the whole plant (row-major, base then arm then people) as of the start of the
+    /// last physics step, and its side length.
+    pub fn full_mass_matrix(&mut self) -> (&[f64], usize) {
+        let nv = self.data.qvel().len();
+        if self.data.full_m(&mut self.mass).is_err() {
+            self.mass.fill(f64::NAN);
+        }
+        (&self.mass, nv)
+    }
+
+    /// Coriolis, centrifugal and gravity terms, same order.
+    pub fn bias(&self) -> &[f64] {
+        self.data.qfrc_bias()
+    }
+
+    /// Outer servo of the base: first order, limited in acceleration, in the axes of B, once per control period.
+    fn advance_base_servo(&mut self) {
+        let target = match &self.order {
+            Order::Drive(command) => command.base_velocity_body,
+            Order::Brake => [0.0; 3],
+        };
+        let dt_s = self.scene.control_period_s;
+        let gain = 1.0 - (-dt_s / SUMMIT_XL.servo_time_constant_s).exp();
+        let (linear, yaw) = (SUMMIT_XL.acceleration_max_m_s2, SUMMIT_XL.yaw_acceleration_max_rad_s2);
+        for (i, limit) in [linear, linear, yaw].into_iter().enumerate() {
+            let change = gain * (target[i] - self.servo_velocity_body[i]);
+            self.servo_velocity_body[i] += change.clamp(-limit * dt_s, limit * dt_s);
+        }
+    }
+
+    /// Writes every force of one physics step.
+    fn load(&mut self) {
+        let state = self.state();
+        let (sin, cos) = state.base_pose_world[2].sin_cos();
+        self.taxel_force_n = self.pressed_n;
+        let mut base_wrench = self.cover_wrench_true_base();
+        self.load_people(&state, (sin, cos), &mut base_wrench);
+        let [fx, fy, mz] = base_wrench;
+        let push_world = [cos * fx - sin * fy, sin * fx + cos * fy, mz];
+
+        if let Some(dof) = self.base_dof {
+            let [vx, vy, yaw_rate] = self.servo_velocity_body;
+            let velocity = [cos * vx - sin * vy, sin * vx + cos * vy, yaw_rate];
+            let damping = [BASE_SERVO_DAMPING, BASE_SERVO_DAMPING, YAW_SERVO_DAMPING];
+            let force = self.data.qfrc_applied_mut();
+            for i in 0..3 {
+                // The joint's own damping (implicit in the integrator) is the other half of the servo.
+                let held = damping[i] * state.base_velocity_world[i];
+                let servo = (damping[i] * velocity[i] - held).clamp(-TRACTION[i], TRACTION[i]) + held;
+                force[dof + i] = servo + push_world[i];
+            }
+        }
+        if let Some(dof) = self.arm_dof {
+            match self.order {
+                Order::Drive(command) => self.torque_nm = command.arm_torque_nm,
+                Order::Brake => self.torque_nm = self.brake_torque_nm(dof, &state.dq_rad_s),
+            }
+            self.data.qfrc_applied_mut()[dof..dof + 7].copy_from_slice(&self.torque_nm);
+        }
+        if let Some(body) = self.flange_body {
+            self.data.xfrc_applied_mut()[body] = self.flange_wrench_world;
+        }
+    }
+
+    /// Contact and posture forces of all people; adds the contact forces to the taxels and to `base_wrench` (in B).
+    fn load_people(&mut self, state: &RobotState<7>, (sin, cos): (f64, f64), base_wrench: &mut [f64; 3]) {
+        let time_s = self.data.time();
+        let [base_x, base_y, _] = state.base_pose_world;
+        for i in 0..self.bodies.len() {
+            let (offset, velocity) = self.person_motion(&self.bodies[i]);
+            let body = &mut self.bodies[i];
+            let person = body.person;
+            let centre = [person.position_world[0] + offset[0], person.position_world[1] + offset[1]];
+            let (dx, dy) = (centre[0] - base_x, centre[1] - base_y);
+            let centre_base = [cos * dx + sin * dy, -sin * dx + cos * dy];
+            let zone = self.zones.find(centre_base, 2.0 * person.radius_m + 0.1);
+            let mut force_world = [0.0; 2];
+            if body.zone != zone.map(|zone| zone.taxel) {
+                body.zone = zone.map(|zone| zone.taxel);
+                body.foam = FoamState::default();
+            }
+            if let Some(zone) = zone {
+                let overlap_m = person.radius_m - zone.distance_m;
+                let force_n = series_force_n(
+                    &mut body.foam,
+                    self.scene.foam,
+                    person.tissue_stiffness_n_per_m,
+                    overlap_m,
+                    self.scene.physics_step_s,
+                );
+                if force_n > 0.0 {
+                    let [nx, ny] = self.zones.outward(zone.taxel);
+                    let [x, y] = self.zones.position_base(zone.taxel);
+                    let point = [x - zone.offset_m * ny, y + zone.offset_m * nx];
+                    self.taxel_force_n[zone.taxel] += force_n;
+                    base_wrench[0] -= force_n * nx;
+                    base_wrench[1] -= force_n * ny;
+                    base_wrench[2] -= force_n * (point[0] * ny - point[1] * nx);
+                    let away = [cos * nx - sin * ny, sin * nx + cos * ny];
+                    force_world = [force_n * away[0], force_n * away[1]];
+                    if body.first_contact_s.is_none() {
+                        body.first_contact_s = Some(time_s);
+                        body.away_world = away;
+                    }
+                }
+            }
+            if let (Some(dof), Mobility::Standing { stiffness_n_per_m, damping_n_s_per_m, .. }) =
+                (body.dof, person.mobility)
+            {
+                let (anchor, anchor_velocity) = anchor(body, time_s);
+                let force = self.data.qfrc_applied_mut();
+                for axis in 0..2 {
+                    force[dof + axis] = force_world[axis]
+                        + stiffness_n_per_m * (anchor[axis] - offset[axis])
+                        + damping_n_s_per_m * (anchor_velocity[axis] - velocity[axis]);
+                }
+            }
+        }
+    }
+
+    /// Displacement of a person from the start, m, and velocity, m/s, in W.
+    fn person_motion(&self, body: &Body) -> ([f64; 2], [f64; 2]) {
+        match body.dof {
+            Some(dof) => {
+                let (qpos, qvel) = (self.data.qpos(), self.data.qvel());
+                ([qpos[dof], qpos[dof + 1]], [qvel[dof], qvel[dof + 1]])
+            }
+            None => anchor(body, self.data.time()),
+        }
+    }
+
+    /// Gravity compensation and a torque that takes the speed out of every joint in [`BRAKE_TIME_S`].
+    fn brake_torque_nm(&mut self, dof: usize, dq: &[f64; 7]) -> [f64; 7] {
+        let mut torque = [0.0; 7];
+        torque.copy_from_slice(&self.data.qfrc_bias()[dof..dof + 7]);
+        let (mass, nv) = self.full_mass_matrix();
+        for (i, torque) in torque.iter_mut().enumerate() {
+            let row = &mass[(dof + i) * nv + dof..(dof + i) * nv + dof + 7];
+            *torque -= row.iter().zip(dq).map(|(m, dq)| m * dq).sum::<f64>() / BRAKE_TIME_S;
+        }
+        torque
+    }
+
+    fn check(&self) -> Result<(), SimError> {
+        const WATCHED: [(MjtWarning, &str); 6] = [
+            (MjtWarning::mjWARN_BADQPOS, "a position is not a number or too large"),
+            (MjtWarning::mjWARN_BADQVEL, "a velocity is not a number or too large"),
+            (MjtWarning::mjWARN_BADQACC, "an acceleration is not a number or too large"),
+            (MjtWarning::mjWARN_INERTIA, "the inertia matrix is close to singular"),
+            (MjtWarning::mjWARN_CONTACTFULL, "the contact buffer is full"),
+            (MjtWarning::mjWARN_CNSTRFULL, "the constraint buffer is full"),
+        ];
+        let raised = self.data.warning();
+        match WATCHED.iter().find(|(kind, _)| raised[*kind as usize].number > 0) {
+            Some((_, warning)) => Err(SimError::Unstable { warning, time_s: self.data.time() }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Where a person's posture wants to be: displacement from the start, m, and its velocity, m/s, in W.
+fn anchor(body: &Body, time_s: f64) -> ([f64; 2], [f64; 2]) {
+    let [vx, vy] = body.person.velocity_world;
+    let (mut position, mut velocity) = ([vx * time_s, vy * time_s], [vx, vy]);
+    if let (Some(contact_s), Some(after_s)) = (body.first_contact_s, body.person.steps_away_after_s) {
+        let walked_s = (time_s - contact_s - after_s).max(0.0);
+        let (speed, length) = Person::STEP_AWAY;
+        let stride = (speed * walked_s).min(length);
+        let moving = if stride > 0.0 && stride < length { speed } else { 0.0 };
+        for axis in 0..2 {
+            position[axis] += stride * body.away_world[axis];
+            velocity[axis] += moving * body.away_world[axis];
+        }
+    }
+    (position, velocity)
+}
+
+fn finite(name: &'static str, values: &[f64]) -> Result<(), SimError> {
+    match values.iter().find(|value| !value.is_finite()) {
+        Some(&value) => Err(SimError::Command { name, value }),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,206 @@
+//! The plant against an independent model (Pinocchio's numbers), against what a velocity-controlled base promises,
+//! and against bad input.
+#![allow(clippy::unwrap_used, clippy::panic, missing_docs, reason = "tests fail by panicking")]
+
+use moca_msgs::robot::PANDA;
+use moca_msgs::{Actuation, RobotCommand};
+use moca_sim::{Integrator, Person, Robot, Scene, SimError, SimPlant};
+
+const STILL: [f64; 3] = [0.0; 3];
+const STIFFNESS: [f64; 7] = [90.0, 90.0, 90.0, 90.0, 45.0, 30.0, 15.0];
+const DAMPING: [f64; 7] = [10.0, 10.0, 10.0, 10.0, 5.0, 3.5, 1.7];
+
+/// Gravity torques of the home posture, held: read from the plant's own bias.
+fn hold(plant: &SimPlant) -> [f64; 7] {
+    plant.bias()[3..10].try_into().unwrap()
+}
+
+fn drive(plant: &mut SimPlant, base_velocity_body: [f64; 3], ticks: usize) {
+    for _ in 0..ticks {
+        let state = plant.state();
+        let mut arm_torque_nm = hold(plant);
+        for i in 0..7 {
+            arm_torque_nm[i] +=
+                STIFFNESS[i] * (PANDA.home_rad[i] - state.q_rad[i]) - DAMPING[i] * state.dq_rad_s[i];
+        }
+        plant.apply(&Actuation::Drive(RobotCommand { base_velocity_body, arm_torque_nm })).unwrap();
+        plant.step().unwrap();
+    }
+}
+
+#[test]
+fn mass_matrix_and_bias_agree_with_pinocchio() {
+    let text = include_str!("../../../tests/fixtures/wbc.json");
+    let json: serde_json::Value = serde_json::from_str(text).unwrap();
+    let numbers = |value: &serde_json::Value| -> Vec<f64> {
+        value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+    };
+    let mut plant = SimPlant::new(&Scene { joint_limits: false, ..Scene::default() }).unwrap();
+    let vectors = json["vectors"].as_array().unwrap();
+    assert!(!vectors.is_empty());
+    for vector in vectors {
+        let (q, qd) = (numbers(&vector["q"]), numbers(&vector["qd"]));
+        plant.set_state(
+            &q[..3].try_into().unwrap(),
+            &qd[..3].try_into().unwrap(),
+            &q[3..].try_into().unwrap(),
+            &qd[3..].try_into().unwrap(),
+        );
+        let bias = numbers(&vector["bias_full"]);
+        let scale = bias.iter().fold(1.0f64, |m, v| m.max(v.abs()));
+        for (a, b) in plant.bias().iter().zip(&bias) {
+            assert!((a - b).abs() < 1e-9 * scale, "bias {a} against {b}");
+        }
+        let flange = plant.flange_position_world().unwrap();
+        for (a, b) in flange.iter().zip(numbers(&vector["p_ee"])) {
+            assert!((a - b).abs() < 1e-12, "flange {a} against {b}");
+        }
+        let reference = vector["M_full"].as_array().unwrap();
+        let (mass, nv) = plant.full_mass_matrix();
+        assert_eq!(nv, 10);
+        for (row, expected) in reference.iter().enumerate() {
+            for (column, b) in numbers(expected).into_iter().enumerate() {
+                let a = mass[row * nv + column];
+                assert!((a - b).abs() < 1e-9 * 125.0, "M[{row}][{column}] {a} against {b}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_base_follows_cmd_vel_in_its_own_axes_within_its_servo() {
+    let start = [1.0, -2.0, std::f64::consts::FRAC_PI_2];
+    let mut plant = SimPlant::new(&Scene { base_pose_world: start, ..Scene::default() }).unwrap();
+    drive(&mut plant, [0.2, 0.0, 0.0], 1000);
+    let state = plant.state();
+    // Forward of a base that faces +y is +y; 3 m/s² takes 67 ms to 0.2 m/s, the 15 ms lag adds to it.
+    assert!((state.base_velocity_world[1] - 0.2).abs() < 1e-4, "{:?}", state.base_velocity_world);
+    assert!(state.base_velocity_world[0].abs() < 1e-4);
+    let travelled = state.base_pose_world[1] - start[1];
+    assert!((0.17..0.20).contains(&travelled), "{travelled}");
+}
+
+#[test]
+fn acceleration_stays_within_the_servo_limit() {
+    let mut plant = SimPlant::new(&Scene::default()).unwrap();
+    let mut last = STILL;
+    for _ in 0..300 {
+        drive(&mut plant, [0.5, -0.5, 0.8], 1);
+        let now = plant.state().base_velocity_world;
+        assert!((now[2] - last[2]).abs() < 1.1 * 6.0 * 1e-3, "yaw {} {}", now[2], last[2]);
+        let change = (now[0] - last[0]).hypot(now[1] - last[1]);
+        assert!(change < 1.1 * 2f64.sqrt() * 3.0 * 1e-3, "{change}");
+        last = now;
+    }
+}
+
+#[test]
+fn a_push_of_20_n_does_not_back_drive_the_base() {
+    let mut plant = SimPlant::new(&Scene::default()).unwrap();
+    plant.press(0, 20.0).unwrap();
+    drive(&mut plant, STILL, 3000);
+    let pose = plant.state().base_pose_world;
+    assert!(pose[0].abs() < 1e-3 && pose[1].abs() < 1e-3 && pose[2].abs() < 1e-3, "{pose:?}");
+    assert!(pose[1] < -1e-5, "the push is really there: {pose:?}");
+    let wrench = plant.cover_wrench_true_base();
+    assert!((wrench[1] + 20.0).abs() < 1e-12 && (wrench[2] - 0.36675 * 20.0).abs() < 1e-12, "{wrench:?}");
+}
+
+#[test]
+fn braking_stops_base_and_arm_and_holds_against_gravity() {
+    for integrator in
+        [Integrator::Euler, Integrator::RungeKutta4, Integrator::Implicit, Integrator::ImplicitFast]
+    {
+        let mut plant = SimPlant::new(&Scene { integrator, ..Scene::default() }).unwrap();
+        plant.set_state(&STILL, &STILL, &PANDA.home_rad, &[1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0]);
+        drive(&mut plant, [0.3, 0.0, 0.3], 5);
+        plant.apply(&Actuation::Brake).unwrap();
+        for _ in 0..500 {
+            plant.step().unwrap();
+        }
+        let state = plant.state();
+        assert!(state.base_velocity_world.iter().all(|v| v.abs() < 1e-4), "{integrator:?} {state:?}");
+        assert!(state.dq_rad_s.iter().all(|v| v.abs() < 1e-4), "{integrator:?} {state:?}");
+    }
+}
+
+#[test]
+fn nan_in_a_command_is_refused_and_the_plant_brakes() {
+    let mut plant = SimPlant::new(&Scene::default()).unwrap();
+    drive(&mut plant, [0.2, 0.0, 0.0], 200);
+    let bad = RobotCommand { base_velocity_body: [f64::NAN, 0.0, 0.0], arm_torque_nm: [0.0; 7] };
+    let refused = plant.apply(&Actuation::Drive(bad)).unwrap_err();
+    assert!(matches!(refused, SimError::Command { name: "base velocity", .. }), "{refused}");
+    for _ in 0..400 {
+        plant.step().unwrap();
+    }
+    assert!(plant.state().base_velocity_world[0].abs() < 1e-4);
+    assert!(plant.set_flange_wrench_world([0.0, 0.0, f64::INFINITY, 0.0, 0.0, 0.0]).is_err());
+    assert!(plant.press(11, 5.0).is_err());
+    assert!(plant.press(0, f64::NAN).is_err());
+    assert!(plant.press(0, -1.0).is_err());
+}
+
+#[test]
+fn nan_in_the_state_is_an_error_and_not_a_silent_restart() {
+    let mut plant = SimPlant::new(&Scene::default()).unwrap();
+    drive(&mut plant, [0.2, 0.0, 0.0], 100);
+    plant.set_state(&[f64::NAN, 0.0, 0.0], &STILL, &PANDA.home_rad, &[0.0; 7]);
+    let failed = plant.step().unwrap_err();
+    assert!(matches!(failed, SimError::Unstable { .. }), "{failed}");
+    assert!(plant.time_s() > 0.09, "time was not set back");
+}
+
+#[test]
+fn a_scene_with_a_bad_number_names_it() {
+    let error = SimPlant::new(&Scene { physics_step_s: f64::NAN, ..Scene::default() }).unwrap_err();
+    assert_eq!(error.to_string(), "scene: physics_step_s = NaN s is outside 0.000001 to 0.1 s");
+    let error = SimPlant::new(&Scene { physics_step_s: 3e-4, ..Scene::default() }).unwrap_err();
+    assert!(matches!(error, SimError::Period { .. }));
+}
+
+#[test]
+fn a_wrench_at_the_flange_moves_the_arm_and_is_reported_only_with_a_sensor() {
+    let mut plant = SimPlant::new(&Scene { flange_sensor: true, ..Scene::default() }).unwrap();
+    plant.set_flange_wrench_world([0.0, 0.0, 5.0, 0.0, 0.0, 0.0]).unwrap();
+    let before = plant.flange_position_world().unwrap();
+    drive(&mut plant, STILL, 500);
+    assert!(plant.flange_position_world().unwrap()[2] > before[2] + 1e-3);
+    assert_eq!(plant.state().flange_wrench_world, Some([0.0, 0.0, 5.0, 0.0, 0.0, 0.0]));
+    assert_eq!(SimPlant::new(&Scene::default()).unwrap().state().flange_wrench_world, None);
+}
+
+#[test]
+fn driving_into_a_person_gives_equal_and_opposite_forces() {
+    let person = Person::beside(5, 0.02).unwrap();
+    let mut plant = SimPlant::new(&Scene { people: vec![person], ..Scene::default() }).unwrap();
+    let mut peak: f64 = 0.0;
+    for _ in 0..1500 {
+        drive(&mut plant, [0.05, 0.0, 0.0], 1);
+        let force = plant.taxel_force_true_n();
+        peak = peak.max(force[5]);
+        assert!(force.iter().enumerate().all(|(i, f)| i == 5 || *f == 0.0), "{force:?}");
+        assert!((plant.cover_wrench_true_base()[0] + force[5]).abs() < 1e-12);
+    }
+    let pushed = plant.person_position_world(0).unwrap()[0] - person.position_world[0];
+    assert!(peak > 5.0 && pushed > 0.005, "peak {peak} N, person pushed {pushed} m");
+}
+
+#[test]
+fn base_only_and_arm_only_scenes_hold_only_their_own_joints() {
+    let dofs = |robot| SimPlant::new(&Scene { robot, ..Scene::default() }).unwrap().full_mass_matrix().1;
+    assert_eq!(dofs(Robot::BaseOnly), 3);
+    assert_eq!(dofs(Robot::ArmOnly), 7);
+    assert_eq!(dofs(Robot::MobileManipulator), 10);
+}
+
+#[test]
+fn the_same_commands_give_the_same_bits() {
+    let run = || {
+        let person = Person::beside(0, 0.01).unwrap();
+        let mut plant = SimPlant::new(&Scene { people: vec![person], ..Scene::default() }).unwrap();
+        drive(&mut plant, [0.0, 0.1, 0.1], 800);
+        (plant.state(), plant.taxel_force_true_n())
+    };
+    assert_eq!(run(), run());
+}
