@@ -6,6 +6,7 @@
 //! 2. [`board`]: events of one port, and a [`board::BoardMonitor`] that finds faults of the stream.
 //! 3. [`zero`]: tare and slow drift. [`health`]: faults of one taxel. [`model`]: counts below zero to newtons.
 //! 4. [`cover`]: a [`Cover`] of `K` taxels on one or more boards. **The control loop needs this one.**
+//! 5. `serial` (feature): the thread that moves bytes from a port into a ring.
 //!
 //! The core is no_std, allocates nothing and never reads a clock or opens a port: bytes and time (ns of loop time)
 //! are arguments, so a serial port, a lock-step board in memory and a replayed recording are the same to it.
@@ -20,6 +21,8 @@ pub mod cover;
 pub mod datastream;
 pub mod health;
 pub mod model;
+#[cfg(feature = "serial")]
+pub mod serial;
 pub mod zero;
 
 pub use board::{BoardEvent, Chunk, CloseReason, OpenFailure};
