@@ -2,6 +2,9 @@
 
 use crate::{Law, Mode};
 
+/// Largest force of a [`Request::PressTaxel`], N.
+pub const PRESS_FORCE_MAX_N: f64 = 200.0;
+
 /// A request to the loop. One commander at a time; `Stop` is taken from anyone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]

@@ -1,1 +1,18 @@
-//! Transport and log.
+//! The only place that knows a transport or a log format.
+//!
+//! - [`description`]: what an observer must know once to draw the robot and read its samples.
+//! - `net` (feature `net`): TCP server and client: batches of samples out, requests in.
+//! - `log` (feature `log`): MCAP writer and reader: every sample, every byte of the Touch Board.
+//!
+//! Neither touches the loop: samples come through a bounded `rtrb` ring that this crate drains on threads of its
+//! own. A program that only watches needs [`net::Connection`]; one that records needs [`log::Recorder`].
+//!
+//! This crate refuses to know: control laws, the Touch Board's format, and who draws.
+
+pub mod description;
+#[cfg(feature = "log")]
+pub mod log;
+#[cfg(feature = "net")]
+pub mod net;
+
+pub use description::RobotDescription;

@@ -1,0 +1,78 @@
+//! One connection to a daemon.
+
+use super::{
+    NetError,
+    wire::{self, FromClient, FromServer},
+};
+use crate::RobotDescription;
+use moca_msgs::Request;
+use std::net::SocketAddr;
+use tokio::{
+    io::AsyncWriteExt,
+    net::{
+        TcpStream,
+        tcp::{OwnedReadHalf, OwnedWriteHalf},
+    },
+};
+
+/// A greeted connection, in two halves that may be used at the same time.
+pub struct Client {
+    /// The robot on the other side.
+    pub description: RobotDescription,
+    /// What the daemon says.
+    pub incoming: Incoming,
+    /// What the daemon is asked.
+    pub outgoing: Outgoing,
+}
+
+/// The reading half.
+pub struct Incoming {
+    stream: OwnedReadHalf,
+    payload: Vec<u8>,
+}
+
+/// The writing half.
+pub struct Outgoing {
+    stream: OwnedWriteHalf,
+}
+
+impl Client {
+    /// Connects and reads the greeting.
+    pub async fn connect(address: SocketAddr) -> Result<Self, NetError> {
+        let stream = TcpStream::connect(address).await?;
+        stream.set_nodelay(true)?;
+        let (mut stream, outgoing) = stream.into_split();
+        let mut payload = Vec::new();
+        wire::read_frame(&mut stream, &mut payload, wire::MAX_SERVER_FRAME).await?;
+        let description = wire::parse_greeting(&payload)?;
+        Ok(Self {
+            description,
+            incoming: Incoming { stream, payload },
+            outgoing: Outgoing { stream: outgoing },
+        })
+    }
+}
+
+impl Incoming {
+    /// The next message. Not cancel-safe: a call that is dropped half-way loses the frame's boundary.
+    pub async fn next(&mut self) -> Result<FromServer, NetError> {
+        wire::read_frame(&mut self.stream, &mut self.payload, wire::MAX_SERVER_FRAME).await?;
+        Ok(postcard::from_bytes(&self.payload)?)
+    }
+}
+
+impl Outgoing {
+    /// Sends a request; the reply carries the same `id`.
+    pub async fn request(&mut self, id: u64, request: Request) -> Result<(), NetError> {
+        self.send(FromClient::Request { id, request }).await
+    }
+
+    /// Gives the command back.
+    pub async fn release(&mut self) -> Result<(), NetError> {
+        self.send(FromClient::Release).await
+    }
+
+    async fn send(&mut self, message: FromClient) -> Result<(), NetError> {
+        Ok(self.stream.write_all(&wire::frame(&message)?).await?)
+    }
+}

@@ -1,0 +1,133 @@
+//! Who may command, what is asked of the loop, and what it has not answered yet.
+
+use super::wire::Commander;
+use crate::RobotDescription;
+use moca_msgs::{Outcome, Refusal, Request, request::PRESS_FORCE_MAX_N};
+use rtrb::{Consumer, Producer};
+use std::{
+    collections::BTreeMap,
+    time::{Duration, Instant},
+};
+
+/// How long the loop may take to answer.
+pub(super) const ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// Number of a client, unique in a server's life.
+pub(super) type ClientId = u64;
+
+/// An answer for a client.
+#[derive(Debug, PartialEq)]
+pub(super) struct Answer {
+    pub(super) client: ClientId,
+    pub(super) id: u64,
+    pub(super) outcome: Outcome,
+}
+
+struct Pending {
+    client: ClientId,
+    id: u64,
+    deadline: Instant,
+}
+
+/// The way from many clients to one loop.
+pub(super) struct Desk {
+    requests: Producer<(u64, Request)>,
+    outcomes: Consumer<(u64, Outcome)>,
+    taxels: usize,
+    commander: Option<ClientId>,
+    /// Taxels the commander holds pressed, let go when it leaves.
+    pressed: Vec<u8>,
+    pending: BTreeMap<u64, Pending>,
+    next_ticket: u64,
+}
+
+impl Desk {
+    pub(super) fn new(
+        requests: Producer<(u64, Request)>,
+        outcomes: Consumer<(u64, Outcome)>,
+        description: &RobotDescription,
+    ) -> Self {
+        let taxels = description.taxels.len();
+        let pending = BTreeMap::new();
+        Self { requests, outcomes, taxels, commander: None, pressed: Vec::new(), pending, next_ticket: 0 }
+    }
+
+    /// Passes a request on to the loop, or refuses it at once.
+    pub(super) fn ask(
+        &mut self,
+        client: ClientId,
+        id: u64,
+        request: Request,
+        now: Instant,
+    ) -> Option<Answer> {
+        let refuse = |refusal| Some(Answer { client, id, outcome: Err(refusal) });
+        if request != Request::Stop {
+            match self.commander {
+                Some(other) if other != client => return refuse(Refusal::NotCommander),
+                _ => self.commander = Some(client),
+            }
+        }
+        if let Request::PressTaxel { taxel, force_n } = request {
+            if usize::from(taxel) >= self.taxels || !(0.0..=PRESS_FORCE_MAX_N).contains(&force_n) {
+                return refuse(Refusal::OutOfRange);
+            }
+            self.pressed.retain(|t| *t != taxel);
+            if force_n > 0.0 {
+                self.pressed.push(taxel);
+            }
+        }
+        if !self.submit(request) {
+            return refuse(Refusal::NoAnswer);
+        }
+        self.pending.insert(self.next_ticket, Pending { client, id, deadline: now + ANSWER_TIMEOUT });
+        None
+    }
+
+    /// Takes the command from a client that gives it back or has left.
+    pub(super) fn release(&mut self, client: ClientId) {
+        if self.commander == Some(client) {
+            self.commander = None;
+            for taxel in std::mem::take(&mut self.pressed) {
+                self.submit(Request::PressTaxel { taxel, force_n: 0.0 });
+            }
+        }
+    }
+
+    /// What the loop has answered, and what it has failed to answer in time.
+    pub(super) fn answers(&mut self, now: Instant) -> Vec<Answer> {
+        let mut answers = Vec::new();
+        while let Ok((ticket, outcome)) = self.outcomes.pop() {
+            if let Some(Pending { client, id, .. }) = self.pending.remove(&ticket) {
+                answers.push(Answer { client, id, outcome });
+            }
+        }
+        // Tickets rise with time, so the first that is not yet due ends the search.
+        while let Some(first) = self.pending.first_entry() {
+            if first.get().deadline > now {
+                break;
+            }
+            let Pending { client, id, .. } = first.remove();
+            answers.push(Answer { client, id, outcome: Err(Refusal::NoAnswer) });
+        }
+        answers
+    }
+
+    /// Whether an answer is awaited.
+    pub(super) fn waits(&self) -> bool {
+        !self.pending.is_empty()
+    }
+
+    /// Who holds the command, as `client` sees it.
+    pub(super) fn commander_seen_by(&self, client: ClientId) -> Commander {
+        match self.commander {
+            None => Commander::Nobody,
+            Some(c) if c == client => Commander::You,
+            Some(_) => Commander::Another,
+        }
+    }
+
+    fn submit(&mut self, request: Request) -> bool {
+        self.next_ticket += 1;
+        self.requests.push((self.next_ticket, request)).is_ok()
+    }
+}

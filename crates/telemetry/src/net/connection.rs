@@ -1,0 +1,265 @@
+//! A thread that keeps a connection alive: what a dashboard wants.
+
+use super::{
+    NetError,
+    client::{Client, Incoming, Outgoing},
+    wire::{FromServer, Status},
+};
+use crate::RobotDescription;
+use moca_msgs::{Outcome, Refusal, Request, Sample};
+use std::{
+    collections::{BTreeMap, VecDeque},
+    net::SocketAddr,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    thread::JoinHandle,
+    time::Duration,
+};
+use tokio::sync::mpsc;
+
+/// Most samples kept for a reader that does not poll: 10 s at 1 kHz. The oldest are dropped.
+const MAX_SAMPLES: usize = 10_000;
+/// Most requests on their way.
+const MAX_REQUESTS: usize = 64;
+/// Pause before the next attempt to connect.
+const RETRY: Duration = Duration::from_millis(250);
+/// How long connecting and greeting may take.
+const GREETING_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// State of the connection.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Link {
+    /// No daemon, and why the last attempt failed.
+    Down {
+        /// For the user.
+        reason: String,
+    },
+    /// Connected.
+    Up {
+        /// Counts connections: a change means that the daemon, its clock and its ticks may be new.
+        session: u64,
+        /// The robot on the other side.
+        description: Arc<RobotDescription>,
+    },
+}
+
+/// The answer to a request.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reply {
+    /// What was asked.
+    pub request: Request,
+    /// The answer.
+    pub outcome: Outcome,
+}
+
+/// What has come in since the last poll.
+#[derive(Clone, Debug)]
+pub struct Update {
+    /// State of the connection.
+    pub link: Link,
+    /// What the daemon says about this connection.
+    pub status: Status,
+    /// Samples of the present session, oldest first.
+    pub samples: Vec<Sample>,
+    /// Answers.
+    pub replies: Vec<Reply>,
+    /// Samples dropped because nobody polled, so far.
+    pub unread_dropped: u64,
+}
+
+/// A connection that comes back by itself. Dropping it closes it.
+pub struct Connection {
+    shared: Arc<Mutex<Shared>>,
+    orders: Option<mpsc::Sender<Order>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+#[derive(Clone, Copy)]
+enum Order {
+    Request(Request),
+    Release,
+}
+
+struct Shared {
+    link: Link,
+    session: u64,
+    status: Status,
+    samples: VecDeque<Sample>,
+    unread_dropped: u64,
+    replies: Vec<Reply>,
+    waiting: BTreeMap<u64, Request>,
+}
+
+impl Connection {
+    /// Starts to connect to `address`; `wake` is called from the connection's thread whenever there is news.
+    pub fn spawn(address: SocketAddr, wake: impl Fn() + Send + 'static) -> Result<Self, NetError> {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let (orders, from_user) = mpsc::channel(MAX_REQUESTS);
+        let shared = Arc::new(Mutex::new(Shared {
+            link: Link::Down { reason: "not connected yet".into() },
+            session: 0,
+            status: Status::default(),
+            samples: VecDeque::new(),
+            unread_dropped: 0,
+            replies: Vec::new(),
+            waiting: BTreeMap::new(),
+        }));
+        let thread_shared = Arc::clone(&shared);
+        let thread = std::thread::Builder::new().name("connection".into()).spawn(move || {
+            runtime.block_on(keep_alive(address, &thread_shared, from_user, &wake));
+        });
+        Ok(Self { shared, orders: Some(orders), thread: Some(thread.map_err(NetError::Thread)?) })
+    }
+
+    /// Everything new since the last call. Never waits for the network.
+    pub fn poll(&self) -> Update {
+        let mut s = lock(&self.shared);
+        Update {
+            link: s.link.clone(),
+            status: s.status,
+            samples: s.samples.drain(..).collect(),
+            replies: std::mem::take(&mut s.replies),
+            unread_dropped: s.unread_dropped,
+        }
+    }
+
+    /// Asks the loop; the answer comes with a later [`Self::poll`], [`Refusal::NoAnswer`] if there is no daemon.
+    pub fn request(&self, request: Request) {
+        if !self.order(Order::Request(request)) {
+            lock(&self.shared).replies.push(Reply { request, outcome: Err(Refusal::NoAnswer) });
+        }
+    }
+
+    /// Gives the command back, so that another client can take it.
+    pub fn release(&self) {
+        // Without a connection there is nothing to give back.
+        self.order(Order::Release);
+    }
+
+    fn order(&self, order: Order) -> bool {
+        let up = matches!(lock(&self.shared).link, Link::Up { .. });
+        up && self.orders.as_ref().is_some_and(|o| o.try_send(order).is_ok())
+    }
+}
+
+impl Drop for Connection {
+    fn drop(&mut self) {
+        self.orders = None;
+        if let Some(thread) = self.thread.take() {
+            // A panic there has been printed by its own thread.
+            let _ = thread.join();
+        }
+    }
+}
+
+fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+async fn keep_alive(
+    address: SocketAddr,
+    shared: &Mutex<Shared>,
+    mut orders: mpsc::Receiver<Order>,
+    wake: &impl Fn(),
+) {
+    loop {
+        let greeted = tokio::select! {
+            greeted = tokio::time::timeout(GREETING_TIMEOUT, Client::connect(address)) => greeted,
+            () = refuse_all(shared, &mut orders) => return,
+        };
+        let reason = match greeted {
+            Ok(Ok(Client { description, mut incoming, mut outgoing })) => {
+                greet(shared, description);
+                wake();
+                let end = tokio::select! {
+                    end = listen(&mut incoming, shared, wake) => Some(end),
+                    end = speak(&mut outgoing, shared, &mut orders) => end,
+                };
+                let Some(reason) = end else { return };
+                reason
+            }
+            Ok(Err(error)) => error.to_string(),
+            Err(_) => format!("{address} does not greet: not a MOCA-S daemon?"),
+        };
+        hang_up(shared, reason);
+        wake();
+        tokio::select! {
+            () = tokio::time::sleep(RETRY) => {}
+            () = refuse_all(shared, &mut orders) => return,
+        }
+    }
+}
+
+/// Reads until the connection breaks, and says why it did.
+async fn listen(incoming: &mut Incoming, shared: &Mutex<Shared>, wake: &impl Fn()) -> String {
+    loop {
+        let message = match incoming.next().await {
+            Ok(message) => message,
+            Err(error) => return error.to_string(),
+        };
+        let mut s = lock(shared);
+        match message {
+            FromServer::Batch(batch) => {
+                s.samples.extend(batch.samples);
+                let excess = s.samples.len().saturating_sub(MAX_SAMPLES);
+                s.samples.drain(..excess);
+                s.unread_dropped += excess as u64;
+            }
+            FromServer::Status(status) => s.status = status,
+            FromServer::Reply { id, outcome } => {
+                if let Some(request) = s.waiting.remove(&id) {
+                    s.replies.push(Reply { request, outcome });
+                }
+            }
+        }
+        drop(s);
+        wake();
+    }
+}
+
+/// Passes orders on; `None` once there will be no more.
+async fn speak(
+    outgoing: &mut Outgoing,
+    shared: &Mutex<Shared>,
+    orders: &mut mpsc::Receiver<Order>,
+) -> Option<String> {
+    let mut id = 0;
+    while let Some(order) = orders.recv().await {
+        let sent = match order {
+            Order::Request(request) => {
+                id += 1;
+                lock(shared).waiting.insert(id, request);
+                outgoing.request(id, request).await
+            }
+            Order::Release => outgoing.release().await,
+        };
+        if let Err(error) = sent {
+            return Some(error.to_string());
+        }
+    }
+    None
+}
+
+/// Answers orders while there is no daemon; ends when there will be no more orders.
+async fn refuse_all(shared: &Mutex<Shared>, orders: &mut mpsc::Receiver<Order>) {
+    while let Some(order) = orders.recv().await {
+        if let Order::Request(request) = order {
+            lock(shared).replies.push(Reply { request, outcome: Err(Refusal::NoAnswer) });
+        }
+    }
+}
+
+fn greet(shared: &Mutex<Shared>, description: RobotDescription) {
+    let mut s = lock(shared);
+    s.session += 1;
+    s.samples.clear();
+    s.status = Status::default();
+    s.link = Link::Up { session: s.session, description: Arc::new(description) };
+}
+
+fn hang_up(shared: &Mutex<Shared>, reason: String) {
+    let mut s = lock(shared);
+    let unanswered = std::mem::take(&mut s.waiting);
+    s.replies
+        .extend(unanswered.into_values().map(|request| Reply { request, outcome: Err(Refusal::NoAnswer) }));
+    s.link = Link::Down { reason };
+}

@@ -1,0 +1,82 @@
+//! Samples out, requests in, over TCP on loopback.
+//!
+//! Layers: [`wire`] (messages and frames) · `queue` (what waits for one client) · `command` (who may command) ·
+//! [`server`] (the daemon's side) · [`client`] (one connection) · [`connection`] (a thread that keeps one alive;
+//! what a dashboard wants).
+//!
+//! The transport has no authentication: a server binds loopback only, and another machine comes in through an
+//! SSH tunnel (`ssh -L 7611:127.0.0.1:7611 robot`).
+
+pub mod client;
+mod command;
+pub mod connection;
+mod queue;
+pub mod server;
+pub mod wire;
+
+pub use client::Client;
+pub use connection::{Connection, Link, Reply, Update};
+pub use server::{Ports, Server, serve};
+pub use wire::{Commander, SCHEMA_VERSION, Status};
+
+use std::net::SocketAddr;
+
+/// Where a daemon listens unless told otherwise.
+pub const DEFAULT_ADDRESS: &str = "127.0.0.1:7611";
+
+/// What can go wrong on the transport.
+#[derive(Debug, thiserror::Error)]
+pub enum NetError {
+    /// The transport has no authentication.
+    #[error("telemetry address {0} is not loopback: bind 127.0.0.1 and reach it through an SSH tunnel")]
+    NotLoopback(SocketAddr),
+    /// The socket could not be bound.
+    #[error("cannot listen on {address}: {source}")]
+    Bind {
+        /// Address asked for.
+        address: SocketAddr,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// The telemetry thread could not be started.
+    #[error("cannot start the telemetry thread: {0}")]
+    Thread(std::io::Error),
+    /// The other side went away.
+    #[error("the daemon closed the connection")]
+    Closed,
+    /// Connecting, reading or writing failed.
+    #[error("no connection: {0}")]
+    Io(std::io::Error),
+    /// The other side is not a MOCA-S daemon, or not of this version.
+    #[error("the daemon speaks telemetry schema {theirs}, this program speaks {ours}: use matching versions")]
+    Schema {
+        /// Version the daemon announced.
+        theirs: u32,
+        /// Version of this program.
+        ours: u32,
+    },
+    /// The first frame was not a MOCA-S greeting.
+    #[error("the other side is not a MOCA-S daemon")]
+    NotMoca,
+    /// A frame is longer than allowed.
+    #[error("frame of {bytes} bytes, allowed are at most {max}")]
+    FrameTooLong {
+        /// Announced length.
+        bytes: usize,
+        /// Allowed length.
+        max: usize,
+    },
+    /// A frame could not be decoded.
+    #[error("malformed frame: {0}")]
+    Malformed(#[from] postcard::Error),
+}
+
+impl From<std::io::Error> for NetError {
+    fn from(error: std::io::Error) -> Self {
+        use std::io::ErrorKind::{BrokenPipe, ConnectionReset, UnexpectedEof};
+        match error.kind() {
+            UnexpectedEof | ConnectionReset | BrokenPipe => Self::Closed,
+            _ => Self::Io(error),
+        }
+    }
+}

@@ -1,0 +1,77 @@
+//! What waits to be written to one client: bounded, oldest samples dropped first.
+
+use super::wire::{Commander, Status};
+use std::{collections::VecDeque, rc::Rc};
+
+/// Most batches that wait for one client: 0.64 s at 10 ms a batch.
+pub(super) const MAX_BATCHES: usize = 64;
+/// Most answers that wait for one client. One that asks without reading is cut off.
+const MAX_REPLIES: usize = 64;
+
+/// One encoded batch, shared by all clients.
+pub(super) struct EncodedBatch {
+    pub(super) frame: Vec<u8>,
+    pub(super) samples: u64,
+}
+
+/// What is to be written next.
+pub(super) enum Outgoing {
+    Batch(Rc<EncodedBatch>),
+    Reply(Vec<u8>),
+    Status(Status),
+}
+
+/// Queue of one client.
+#[derive(Default)]
+pub(super) struct Queue {
+    batches: VecDeque<Rc<EncodedBatch>>,
+    replies: VecDeque<Vec<u8>>,
+    status: Status,
+    status_sent: Option<Status>,
+}
+
+impl Queue {
+    /// Takes a batch, dropping the oldest one when full.
+    pub(super) fn push_batch(&mut self, batch: Rc<EncodedBatch>) {
+        if self.batches.len() >= MAX_BATCHES
+            && let Some(dropped) = self.batches.pop_front()
+        {
+            self.status.client_dropped += dropped.samples;
+        }
+        self.batches.push_back(batch);
+    }
+
+    /// Takes an answer; `false` when the client asks without reading.
+    pub(super) fn push_reply(&mut self, frame: Vec<u8>) -> bool {
+        self.replies.push_back(frame);
+        self.replies.len() <= MAX_REPLIES
+    }
+
+    /// Notes what the client should know besides its own drops.
+    pub(super) fn set_status(&mut self, ring_dropped: u64, commander: Commander) {
+        self.status.ring_dropped = ring_dropped;
+        self.status.commander = commander;
+    }
+
+    /// Samples dropped so far.
+    pub(super) fn dropped(&self) -> u64 {
+        self.status.client_dropped
+    }
+
+    /// Batches waiting.
+    pub(super) fn waiting(&self) -> usize {
+        self.batches.len()
+    }
+
+    /// What to write next: answers first, then news, then samples.
+    pub(super) fn pop(&mut self) -> Option<Outgoing> {
+        if let Some(frame) = self.replies.pop_front() {
+            return Some(Outgoing::Reply(frame));
+        }
+        if self.status_sent != Some(self.status) {
+            self.status_sent = Some(self.status);
+            return Some(Outgoing::Status(self.status));
+        }
+        self.batches.pop_front().map(Outgoing::Batch)
+    }
+}

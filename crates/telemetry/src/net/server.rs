@@ -1,0 +1,340 @@
+//! The daemon's side: one thread drains the loop's ring and serves every client.
+
+use super::{
+    NetError,
+    command::{ClientId, Desk},
+    queue::{EncodedBatch, Outgoing, Queue},
+    wire::{self, Batch, FromClient, FromServer, unix_now_ns},
+};
+use crate::RobotDescription;
+use moca_msgs::{Outcome, Request, Sample};
+use rtrb::{Consumer, Producer};
+use std::{
+    cell::RefCell,
+    collections::BTreeMap,
+    net::{SocketAddr, TcpListener as StdListener},
+    rc::Rc,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
+use tokio::{
+    io::AsyncWriteExt,
+    net::{
+        TcpListener, TcpStream,
+        tcp::{OwnedReadHalf, OwnedWriteHalf},
+    },
+    sync::Notify,
+    task::LocalSet,
+};
+
+/// How often samples are sent: 10 at 1 kHz.
+const BATCH_PERIOD: Duration = Duration::from_millis(10);
+/// How often the loop's answers are looked for while one is awaited.
+const ANSWER_POLL: Duration = Duration::from_millis(1);
+/// Most samples in one batch, when the loop runs faster than real time.
+const BATCH_MAX: usize = 100;
+/// Most clients at a time: memory is bounded by this times the queue of one.
+const MAX_CLIENTS: usize = 32;
+/// How long the last samples may wait for the recorder when the server stops.
+const SHUTDOWN_WAIT: Duration = Duration::from_secs(2);
+
+/// The ends of the loop's rings that belong to telemetry.
+pub struct Ports {
+    /// One sample for each tick.
+    pub samples: Consumer<Sample>,
+    /// Requests to the loop, each with a ticket.
+    pub requests: Producer<(u64, Request)>,
+    /// The loop's answers, each with the ticket of its request.
+    pub outcomes: Consumer<(u64, Outcome)>,
+    /// Samples the loop found no room for, counted by the loop.
+    pub ring_dropped: Arc<AtomicU64>,
+    /// Where every sample goes on to, if one records. A full recorder holds samples back in the loop's ring, so
+    /// that there is one place where samples are dropped and counted.
+    pub recorder: Option<Producer<Sample>>,
+}
+
+/// A running server. Dropping it stops it, after the last samples have gone to the recorder.
+pub struct Server {
+    address: SocketAddr,
+    stop: Arc<AtomicBool>,
+    counters: Arc<Counters>,
+    thread: Option<JoinHandle<()>>,
+}
+
+#[derive(Default)]
+struct Counters {
+    clients: AtomicU64,
+    samples: AtomicU64,
+    client_dropped: AtomicU64,
+    longest_queue: AtomicU64,
+}
+
+/// What a server has done so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ServerStats {
+    /// Clients connected now.
+    pub clients: u64,
+    /// Samples drained from the loop's ring.
+    pub samples: u64,
+    /// Samples dropped because a client read too slowly, over all clients.
+    pub client_dropped: u64,
+    /// Longest queue of any client so far, in batches; bounded by design.
+    pub longest_queue: u64,
+}
+
+/// Serves `description` and the samples of `ports` on `address` (port 0 picks a free one) from a thread of its own.
+pub fn serve(address: SocketAddr, description: RobotDescription, ports: Ports) -> Result<Server, NetError> {
+    if !address.ip().is_loopback() {
+        return Err(NetError::NotLoopback(address));
+    }
+    let bind = |source| NetError::Bind { address, source };
+    let listener = StdListener::bind(address).map_err(bind)?;
+    listener.set_nonblocking(true).map_err(bind)?;
+    let address = listener.local_addr().map_err(bind)?;
+    let greeting = wire::greeting(&description)?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let counters = Arc::new(Counters::default());
+    let (thread_stop, thread_counters) = (Arc::clone(&stop), Arc::clone(&counters));
+    let thread = std::thread::Builder::new().name("telemetry".into()).spawn(move || {
+        let hub = Rc::new(Hub {
+            clients: RefCell::default(),
+            desk: RefCell::new(Desk::new(ports.requests, ports.outcomes, &description)),
+            asked: Notify::new(),
+            counters: thread_counters,
+            greeting,
+        });
+        let pump =
+            Pump { samples: ports.samples, recorder: ports.recorder, ring_dropped: ports.ring_dropped };
+        LocalSet::new().block_on(&runtime, async move {
+            tokio::task::spawn_local(accept(listener, Rc::clone(&hub)));
+            pump.run(&hub, &thread_stop).await;
+        });
+    });
+    Ok(Server { address, stop, counters, thread: Some(thread.map_err(NetError::Thread)?) })
+}
+
+impl Server {
+    /// The address it listens on.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// What it has done so far.
+    pub fn stats(&self) -> ServerStats {
+        let c = &self.counters;
+        ServerStats {
+            clients: c.clients.load(Ordering::Relaxed),
+            samples: c.samples.load(Ordering::Relaxed),
+            client_dropped: c.client_dropped.load(Ordering::Relaxed),
+            longest_queue: c.longest_queue.load(Ordering::Relaxed),
+        }
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            // A panic there has been printed by its own thread, and there is nobody left to serve.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// What every task of the telemetry thread shares.
+struct Hub {
+    clients: RefCell<BTreeMap<ClientId, Rc<Client>>>,
+    desk: RefCell<Desk>,
+    /// Wakes the pump when a request has gone to the loop.
+    asked: Notify,
+    counters: Arc<Counters>,
+    greeting: Vec<u8>,
+}
+
+struct Client {
+    id: ClientId,
+    queue: RefCell<Queue>,
+    /// Wakes the task that writes.
+    filled: Notify,
+    /// Ends the client's tasks.
+    closed: Notify,
+}
+
+impl Hub {
+    fn publish(&self, samples: Vec<Sample>, ring_dropped: u64) {
+        let count = samples.len() as u64;
+        let message = FromServer::Batch(Batch { sent_unix_ns: unix_now_ns(), samples });
+        let Ok(frame) = wire::frame(&message) else {
+            return; // BATCH_MAX samples are far below the largest frame.
+        };
+        let batch = Rc::new(EncodedBatch { frame, samples: count });
+        let (mut dropped, mut longest) = (0, self.counters.longest_queue.load(Ordering::Relaxed));
+        let desk = self.desk.borrow();
+        for client in self.clients.borrow().values() {
+            let mut queue = client.queue.borrow_mut();
+            let before = queue.dropped();
+            queue.push_batch(Rc::clone(&batch));
+            queue.set_status(ring_dropped, desk.commander_seen_by(client.id));
+            dropped += queue.dropped() - before;
+            longest = longest.max(queue.waiting() as u64);
+            client.filled.notify_one();
+        }
+        self.counters.client_dropped.fetch_add(dropped, Ordering::Relaxed);
+        self.counters.longest_queue.store(longest, Ordering::Relaxed);
+    }
+
+    fn reply(&self, client: ClientId, id: u64, outcome: Outcome) {
+        let clients = self.clients.borrow();
+        let (Some(client), Ok(frame)) =
+            (clients.get(&client), wire::frame(&FromServer::Reply { id, outcome }))
+        else {
+            return; // It left before the answer came.
+        };
+        if !client.queue.borrow_mut().push_reply(frame) {
+            client.closed.notify_waiters();
+        }
+        client.filled.notify_one();
+    }
+
+    fn deliver_answers(&self) {
+        let answers = self.desk.borrow_mut().answers(Instant::now());
+        for answer in answers {
+            self.reply(answer.client, answer.id, answer.outcome);
+        }
+    }
+}
+
+/// The way of the samples: ring → clients and recorder.
+struct Pump {
+    samples: Consumer<Sample>,
+    recorder: Option<Producer<Sample>>,
+    ring_dropped: Arc<AtomicU64>,
+}
+
+impl Pump {
+    async fn run(mut self, hub: &Hub, stop: &AtomicBool) {
+        let mut next_batch = Instant::now() + BATCH_PERIOD;
+        while !stop.load(Ordering::Acquire) {
+            let wake = if hub.desk.borrow().waits() { Instant::now() + ANSWER_POLL } else { next_batch };
+            tokio::select! {
+                () = tokio::time::sleep_until(wake.min(next_batch).into()) => {}
+                () = hub.asked.notified() => continue,
+            }
+            hub.deliver_answers();
+            let now = Instant::now();
+            if now >= next_batch {
+                // A loop that runs faster than real time fills whole batches: those go out without waiting.
+                while self.pass_on(hub) >= BATCH_MAX {
+                    tokio::task::yield_now().await;
+                }
+                next_batch = now + BATCH_PERIOD;
+            }
+        }
+        let deadline = Instant::now() + SHUTDOWN_WAIT;
+        while !self.samples.is_empty() && Instant::now() < deadline {
+            if self.pass_on(hub) == 0 {
+                tokio::time::sleep(ANSWER_POLL).await;
+            }
+        }
+        // The writers get one more turn, so that observers see the last state.
+        tokio::time::sleep(BATCH_PERIOD).await;
+    }
+
+    /// Passes at most one batch on and returns its size.
+    fn pass_on(&mut self, hub: &Hub) -> usize {
+        if self.recorder.as_ref().is_some_and(Producer::is_abandoned) {
+            self.recorder = None;
+        }
+        let room = self.recorder.as_ref().map_or(BATCH_MAX, Producer::slots);
+        let count = self.samples.slots().min(room).min(BATCH_MAX);
+        let mut batch = Vec::with_capacity(count);
+        batch.extend(std::iter::from_fn(|| self.samples.pop().ok()).take(count));
+        if batch.is_empty() {
+            return 0;
+        }
+        if let Some(recorder) = &mut self.recorder {
+            for sample in &batch {
+                // Room was counted above and nobody else fills this ring.
+                let _ = recorder.push(sample.clone());
+            }
+        }
+        hub.counters.samples.fetch_add(count as u64, Ordering::Relaxed);
+        hub.publish(batch, self.ring_dropped.load(Ordering::Relaxed));
+        count
+    }
+}
+
+async fn accept(listener: StdListener, hub: Rc<Hub>) {
+    let Ok(listener) = TcpListener::from_std(listener) else {
+        return;
+    };
+    let mut next_id = 0;
+    loop {
+        let Ok((stream, _)) = listener.accept().await else {
+            // Out of descriptors: the others go on, and a later one may succeed.
+            tokio::time::sleep(BATCH_PERIOD).await;
+            continue;
+        };
+        if hub.clients.borrow().len() >= MAX_CLIENTS {
+            continue; // Dropping the stream closes it.
+        }
+        next_id += 1;
+        tokio::task::spawn_local(attend(next_id, stream, Rc::clone(&hub)));
+    }
+}
+
+/// One client from greeting to goodbye.
+async fn attend(id: ClientId, stream: TcpStream, hub: Rc<Hub>) {
+    // Without this, Nagle's algorithm holds small answers back for tens of milliseconds.
+    let _ = stream.set_nodelay(true);
+    let client =
+        Rc::new(Client { id, queue: RefCell::default(), filled: Notify::new(), closed: Notify::new() });
+    hub.clients.borrow_mut().insert(id, Rc::clone(&client));
+    hub.counters.clients.fetch_add(1, Ordering::Relaxed);
+    let (reader, writer) = stream.into_split();
+    tokio::select! {
+        _ = read_requests(reader, &client, &hub) => {}
+        _ = write_queue(writer, &client, &hub.greeting) => {}
+        () = client.closed.notified() => {}
+    }
+    hub.clients.borrow_mut().remove(&id);
+    hub.desk.borrow_mut().release(id);
+    hub.counters.clients.fetch_sub(1, Ordering::Relaxed);
+}
+
+async fn read_requests(mut reader: OwnedReadHalf, client: &Client, hub: &Hub) -> Result<(), NetError> {
+    let mut payload = Vec::new();
+    loop {
+        wire::read_frame(&mut reader, &mut payload, wire::MAX_CLIENT_FRAME).await?;
+        match postcard::from_bytes(&payload)? {
+            FromClient::Request { id, request } => {
+                let refused = hub.desk.borrow_mut().ask(client.id, id, request, Instant::now());
+                if let Some(answer) = refused {
+                    hub.reply(answer.client, answer.id, answer.outcome);
+                }
+                hub.asked.notify_one();
+            }
+            FromClient::Release => hub.desk.borrow_mut().release(client.id),
+        }
+    }
+}
+
+async fn write_queue(mut writer: OwnedWriteHalf, client: &Client, greeting: &[u8]) -> Result<(), NetError> {
+    writer.write_all(greeting).await?;
+    loop {
+        let next = client.queue.borrow_mut().pop();
+        match next {
+            Some(Outgoing::Batch(batch)) => writer.write_all(&batch.frame).await?,
+            Some(Outgoing::Reply(frame)) => writer.write_all(&frame).await?,
+            Some(Outgoing::Status(status)) => {
+                writer.write_all(&wire::frame(&FromServer::Status(status))?).await?;
+            }
+            None => client.filled.notified().await,
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! Messages, and frames around them: a big-endian `u32` length, then that many bytes of postcard.
+//!
+//! The first frame of a server is special, so that any version can read it: `MOCA`, the schema version as
+//! big-endian `u32`, then a [`RobotDescription`]. Every later frame is a [`FromServer`].
+
+use super::NetError;
+use crate::RobotDescription;
+use moca_msgs::{Outcome, Request, Sample};
+use serde::{Deserialize, Serialize};
+use tokio::io::{AsyncRead, AsyncReadExt};
+
+/// Version of everything below, [`Sample`] included. Raised with every change.
+pub const SCHEMA_VERSION: u32 = 1;
+/// Longest frame a server sends, bytes.
+pub const MAX_SERVER_FRAME: usize = 1 << 20;
+/// Longest frame a client sends, bytes.
+pub const MAX_CLIENT_FRAME: usize = 256;
+
+const MAGIC: [u8; 4] = *b"MOCA";
+
+/// What a server sends after its greeting.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum FromServer {
+    /// Consecutive samples.
+    Batch(Batch),
+    /// What this client should know about its own connection; sent when it changes.
+    Status(Status),
+    /// The answer to one request.
+    Reply {
+        /// The client's own number of the request.
+        id: u64,
+        /// The loop's answer.
+        outcome: Outcome,
+    },
+}
+
+/// Consecutive samples, oldest first.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Batch {
+    /// When the batch was sent, ns since the Unix epoch.
+    pub sent_unix_ns: u64,
+    /// The samples.
+    pub samples: Vec<Sample>,
+}
+
+/// What a client should know about its own connection.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Status {
+    /// Samples the loop could not put into its ring, so far.
+    pub ring_dropped: u64,
+    /// Samples dropped because this client read too slowly, so far.
+    pub client_dropped: u64,
+    /// Who holds the command.
+    pub commander: Commander,
+}
+
+/// Who holds the command, as one client sees it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Commander {
+    /// Nobody: the first to ask gets it.
+    #[default]
+    Nobody,
+    /// This client.
+    You,
+    /// Another client; only `Stop` is taken from this one.
+    Another,
+}
+
+/// What a client sends.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum FromClient {
+    /// Ask the loop. Anything but `Stop` also asks for the command.
+    Request {
+        /// Returned with the reply.
+        id: u64,
+        /// What is asked.
+        request: Request,
+    },
+    /// Give the command back.
+    Release,
+}
+
+/// A message as a whole frame, length included.
+pub(crate) fn frame<T: Serialize>(message: &T) -> Result<Vec<u8>, NetError> {
+    finish(postcard::to_extend(message, vec![0; 4])?)
+}
+
+/// The greeting as a whole frame.
+pub(crate) fn greeting(description: &RobotDescription) -> Result<Vec<u8>, NetError> {
+    let mut bytes = vec![0; 4];
+    bytes.extend_from_slice(&MAGIC);
+    bytes.extend_from_slice(&SCHEMA_VERSION.to_be_bytes());
+    finish(postcard::to_extend(description, bytes)?)
+}
+
+/// Reads a greeting's payload.
+pub(crate) fn parse_greeting(payload: &[u8]) -> Result<RobotDescription, NetError> {
+    let (magic, rest) = payload.split_first_chunk::<4>().ok_or(NetError::NotMoca)?;
+    let (version, rest) = rest.split_first_chunk::<4>().ok_or(NetError::NotMoca)?;
+    if *magic != MAGIC {
+        return Err(NetError::NotMoca);
+    }
+    let theirs = u32::from_be_bytes(*version);
+    if theirs != SCHEMA_VERSION {
+        return Err(NetError::Schema { theirs, ours: SCHEMA_VERSION });
+    }
+    Ok(postcard::from_bytes(rest)?)
+}
+
+/// Reads one frame's payload into `buffer`. Not cancel-safe: never the losing branch of a `select!`.
+pub(crate) async fn read_frame(
+    stream: &mut (impl AsyncRead + Unpin),
+    buffer: &mut Vec<u8>,
+    max: usize,
+) -> Result<(), NetError> {
+    let bytes = usize::try_from(stream.read_u32().await?).unwrap_or(usize::MAX);
+    if bytes > max {
+        return Err(NetError::FrameTooLong { bytes, max });
+    }
+    buffer.resize(bytes, 0);
+    stream.read_exact(buffer).await?;
+    Ok(())
+}
+
+fn finish(mut bytes: Vec<u8>) -> Result<Vec<u8>, NetError> {
+    let length = bytes.len() - 4;
+    let too_long = NetError::FrameTooLong { bytes: length, max: MAX_SERVER_FRAME };
+    match u32::try_from(length) {
+        Ok(prefix) if length <= MAX_SERVER_FRAME => {
+            bytes[..4].copy_from_slice(&prefix.to_be_bytes());
+            Ok(bytes)
+        }
+        _ => Err(too_long),
+    }
+}
+
+/// Now, ns since the Unix epoch.
+pub fn unix_now_ns() -> u64 {
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
+}

@@ -1,0 +1,329 @@
+//! The transport from ring to subscriber and from client to loop, over real sockets.
+#![cfg(feature = "net")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "test helpers fail by panicking")]
+
+use moca_msgs::{Mode, Outcome, Refusal, Request, Sample};
+use moca_telemetry::{
+    RobotDescription,
+    net::{
+        Client, Commander, Connection, Link, NetError, Ports, Reply, SCHEMA_VERSION, Server, Update, serve,
+        server::ServerStats, wire::FromServer,
+    },
+};
+use rtrb::{Consumer, Producer, RingBuffer};
+use std::{
+    io::{Read, Write},
+    net::{SocketAddr, TcpListener, TcpStream},
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+const ANY: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 0);
+/// Only to end a test that would hang: nothing is asserted about times.
+const HANG: Duration = Duration::from_secs(60);
+
+/// The loop's side of a server.
+struct Loop {
+    server: Server,
+    samples: Producer<Sample>,
+    requests: Consumer<(u64, Request)>,
+    outcomes: Producer<(u64, Outcome)>,
+    ring_dropped: Arc<AtomicU64>,
+}
+
+fn start(address: SocketAddr, recorder: Option<Producer<Sample>>) -> Loop {
+    let (samples, from_loop) = RingBuffer::new(4096);
+    let (to_loop, requests) = RingBuffer::new(64);
+    let (outcomes, answers) = RingBuffer::new(64);
+    let ring_dropped = Arc::new(AtomicU64::new(0));
+    let ports = Ports {
+        samples: from_loop,
+        requests: to_loop,
+        outcomes: answers,
+        ring_dropped: Arc::clone(&ring_dropped),
+        recorder,
+    };
+    let server = serve(address, RobotDescription::paper("test", true), ports).unwrap();
+    Loop { server, samples, requests, outcomes, ring_dropped }
+}
+
+impl Loop {
+    fn send(&mut self, ticks: std::ops::Range<u64>) {
+        for tick in ticks {
+            let mut sample = Sample { tick, mode: Mode::Ready, frame_age_s: 0.02, ..Sample::default() };
+            sample.taxels.extend([moca_msgs::TaxelReading::default(); 11]);
+            sample.q_rad.extend([0.1; 7]);
+            wait_for(|| self.samples.push(sample.clone()).is_ok());
+        }
+    }
+
+    /// Waits for one request and answers it.
+    fn answer(&mut self, outcome: Outcome) -> Request {
+        let mut asked = None;
+        wait_for(|| {
+            asked = self.requests.pop().ok();
+            asked.is_some()
+        });
+        let (ticket, request) = asked.unwrap();
+        self.outcomes.push((ticket, outcome)).unwrap();
+        request
+    }
+}
+
+fn wait_for(mut done: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !done() {
+        assert!(start.elapsed() < HANG, "waited {HANG:?} in vain");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+fn connect(address: SocketAddr) -> Connection {
+    let connection = Connection::spawn(address, || {}).unwrap();
+    wait_for(|| matches!(connection.poll().link, Link::Up { .. }));
+    connection
+}
+
+/// Polls until `count` samples are there.
+fn receive(connection: &Connection, count: usize) -> (Vec<u64>, Update) {
+    let mut ticks = Vec::new();
+    let mut last = connection.poll();
+    wait_for(|| {
+        ticks.extend(last.samples.iter().map(|s| s.tick));
+        ticks.len() >= count || {
+            last = connection.poll();
+            false
+        }
+    });
+    (ticks, last)
+}
+
+fn reply(connection: &Connection) -> Reply {
+    let mut reply = None;
+    wait_for(|| {
+        reply = connection.poll().replies.first().copied();
+        reply.is_some()
+    });
+    reply.unwrap()
+}
+
+#[test]
+fn every_subscriber_gets_every_sample_in_order_and_the_geometry_first() {
+    let mut robot = start(ANY, None);
+    let subscribers: Vec<_> = (0..3).map(|_| connect(robot.server.address())).collect();
+    robot.ring_dropped.store(7, Ordering::Relaxed);
+    robot.send(0..2000);
+    for subscriber in &subscribers {
+        let (ticks, update) = receive(subscriber, 2000);
+        assert!(ticks.iter().copied().eq(0..2000));
+        assert_eq!(update.status.ring_dropped, 7);
+        assert_eq!(update.status.client_dropped, 0);
+        let Link::Up { description, .. } = update.link else { panic!("link is down") };
+        assert_eq!(*description, RobotDescription::paper("test", true));
+    }
+}
+
+#[test]
+fn a_stopped_subscriber_costs_the_others_nothing_and_its_queue_is_bounded() {
+    let mut robot = start(ANY, None);
+    let healthy = connect(robot.server.address());
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let mut stopped = runtime.block_on(Client::connect(robot.server.address())).unwrap();
+    wait_for(|| robot.server.stats().clients == 2);
+    let mut next = 0;
+    // The kernel buffers a few megabytes for the stopped one before its queue starts to fill.
+    while robot.server.stats().client_dropped < 5000 {
+        assert!(next < 1_000_000, "a stopped subscriber never lost anything");
+        robot.send(next..next + 500);
+        let (ticks, update) = receive(&healthy, 500);
+        assert!(ticks.iter().copied().eq(next..next + 500), "the healthy subscriber lost samples");
+        assert_eq!(update.status.client_dropped, 0);
+        next += 500;
+    }
+    let ServerStats { clients, longest_queue, .. } = robot.server.stats();
+    assert_eq!((clients, longest_queue), (2, 64));
+
+    // When it reads again it is told how much it missed: every sample was either received or counted.
+    let (mut received, mut dropped) = (0, 0);
+    while received + dropped < next {
+        match runtime.block_on(stopped.incoming.next()).unwrap() {
+            FromServer::Batch(batch) => received += batch.samples.len() as u64,
+            FromServer::Status(status) => dropped = status.client_dropped,
+            FromServer::Reply { .. } => panic!("nothing was asked"),
+        }
+    }
+    assert_eq!(received + dropped, next);
+    assert_eq!(dropped, robot.server.stats().client_dropped);
+}
+
+#[test]
+fn one_commander_at_a_time_but_anyone_may_stop() {
+    let mut robot = start(ANY, None);
+    let first = connect(robot.server.address());
+    let second = connect(robot.server.address());
+
+    first.request(Request::Arm);
+    assert_eq!(robot.answer(Ok(())), Request::Arm);
+    assert_eq!(reply(&first), Reply { request: Request::Arm, outcome: Ok(()) });
+
+    second.request(Request::Disarm);
+    assert_eq!(reply(&second).outcome, Err(Refusal::NotCommander));
+    second.request(Request::Stop);
+    assert_eq!(robot.answer(Ok(())), Request::Stop);
+    assert_eq!(reply(&second), Reply { request: Request::Stop, outcome: Ok(()) });
+
+    robot.send(0..10);
+    assert_eq!(receive(&first, 10).1.status.commander, Commander::You);
+    assert_eq!(receive(&second, 10).1.status.commander, Commander::Another);
+
+    first.release();
+    wait_for(|| {
+        second.request(Request::Tare);
+        let mut taken = false;
+        wait_for(|| {
+            if let Ok((ticket, _)) = robot.requests.pop() {
+                robot.outcomes.push((ticket, Err(Refusal::Mode(Mode::Impedance)))).unwrap();
+            }
+            second.poll().replies.first().is_some_and(|r| {
+                taken = r.outcome == Err(Refusal::Mode(Mode::Impedance));
+                true
+            })
+        });
+        taken
+    });
+}
+
+#[test]
+fn a_commander_that_vanishes_lets_go_of_the_taxels_it_pressed() {
+    let mut robot = start(ANY, None);
+    let first = connect(robot.server.address());
+    let press = Request::PressTaxel { taxel: 5, force_n: 20.0 };
+    first.request(press);
+    assert_eq!(robot.answer(Ok(())), press);
+    assert_eq!(reply(&first).outcome, Ok(()));
+    drop(first);
+    assert_eq!(robot.answer(Ok(())), Request::PressTaxel { taxel: 5, force_n: 0.0 });
+    let second = connect(robot.server.address());
+    second.request(Request::Tare);
+    assert_eq!(robot.answer(Ok(())), Request::Tare);
+}
+
+#[test]
+fn numbers_out_of_range_do_not_reach_the_loop() {
+    let mut robot = start(ANY, None);
+    let client = connect(robot.server.address());
+    for (taxel, force_n) in [(11, 1.0), (0, f64::NAN), (0, f64::INFINITY), (0, -1.0), (0, 200.1)] {
+        client.request(Request::PressTaxel { taxel, force_n });
+        assert_eq!(reply(&client).outcome, Err(Refusal::OutOfRange), "T{} at {force_n} N", taxel + 1);
+    }
+    assert!(robot.requests.pop().is_err());
+}
+
+#[test]
+fn a_loop_that_does_not_answer_is_reported() {
+    let robot = start(ANY, None);
+    let client = connect(robot.server.address());
+    client.request(Request::Tare);
+    assert_eq!(reply(&client).outcome, Err(Refusal::NoAnswer));
+    drop(robot);
+    wait_for(|| matches!(client.poll().link, Link::Down { .. }));
+    client.request(Request::Stop);
+    assert_eq!(reply(&client), Reply { request: Request::Stop, outcome: Err(Refusal::NoAnswer) });
+}
+
+#[test]
+fn the_connection_comes_back_when_the_daemon_does() {
+    let mut robot = start(ANY, None);
+    let address = robot.server.address();
+    let connection = connect(address);
+    robot.send(0..100);
+    receive(&connection, 100);
+    let Link::Up { session, .. } = connection.poll().link else { panic!("link is down") };
+    drop(robot);
+    wait_for(|| matches!(connection.poll().link, Link::Down { .. }));
+    let mut robot = start(address, None);
+    wait_for(|| matches!(connection.poll().link, Link::Up { session: s, .. } if s == session + 1));
+    robot.send(0..100);
+    assert!(receive(&connection, 100).0.into_iter().eq(0..100));
+}
+
+#[test]
+fn the_recorder_gets_every_sample_even_those_of_the_last_moment() {
+    let (recorder, mut recorded) = RingBuffer::new(300);
+    let mut robot = start(ANY, Some(recorder));
+    let reader = std::thread::spawn(move || {
+        let mut ticks = Vec::new();
+        while !(recorded.is_empty() && recorded.is_abandoned()) {
+            match recorded.pop() {
+                Ok(sample) => ticks.push(sample.tick),
+                Err(_) => std::thread::sleep(Duration::from_micros(100)),
+            }
+        }
+        ticks
+    });
+    robot.send(0..10_000);
+    drop(robot.server);
+    assert!(reader.join().unwrap().into_iter().eq(0..10_000));
+}
+
+#[test]
+fn other_versions_and_other_programs_are_told_apart() {
+    let version = SCHEMA_VERSION + 1;
+    let mut other_version = b"\0\0\0\x08MOCA".to_vec();
+    other_version.extend(version.to_be_bytes());
+    let cases = [
+        (other_version, format!("speaks telemetry schema {version}")),
+        (b"\0\0\0\x08SSH-2.0-".to_vec(), "not a MOCA-S daemon".into()),
+        (b"HTTP/1.1 400".to_vec(), "allowed are at most".into()),
+        (b"".to_vec(), "the daemon closed the connection".into()),
+    ];
+    for (bytes, message) in cases {
+        let listener = TcpListener::bind(ANY).unwrap();
+        let address = listener.local_addr().unwrap();
+        let connection = Connection::spawn(address, || {}).unwrap();
+        let (mut stream, _) = listener.accept().unwrap();
+        stream.write_all(&bytes).unwrap();
+        drop(stream);
+        let mut reason = String::new();
+        wait_for(|| match connection.poll().link {
+            Link::Down { reason: r } if r != "not connected yet" => {
+                reason = r;
+                true
+            }
+            _ => false,
+        });
+        assert!(reason.contains(&message), "{reason}");
+    }
+}
+
+#[test]
+fn a_client_that_sends_garbage_is_cut_off_and_nobody_else_notices() {
+    let mut robot = start(ANY, None);
+    let healthy = connect(robot.server.address());
+    for garbage in [&b"GET / HTTP/1.1\r\n\r\n"[..], &[0, 0, 0, 3, 0xff, 0xff, 0xff]] {
+        let mut stream = TcpStream::connect(robot.server.address()).unwrap();
+        stream.write_all(garbage).unwrap();
+        let mut rest = Vec::new();
+        // The server closes; the reset that may come with it is as good an end as any.
+        let _ = stream.read_to_end(&mut rest);
+        assert!(rest.len() < 4096);
+    }
+    wait_for(|| robot.server.stats().clients == 1);
+    robot.send(0..10);
+    assert!(receive(&healthy, 10).0.into_iter().eq(0..10));
+    assert!(robot.requests.pop().is_err());
+}
+
+#[test]
+fn only_loopback_is_served() {
+    let (_, samples) = RingBuffer::new(1);
+    let (requests, _) = RingBuffer::new(1);
+    let (_, outcomes) = RingBuffer::new(1);
+    let ring_dropped = Arc::default();
+    let ports = Ports { samples, requests, outcomes, ring_dropped, recorder: None };
+    let refused = serve("0.0.0.0:0".parse().unwrap(), RobotDescription::default(), ports);
+    assert!(matches!(refused.err(), Some(NetError::NotLoopback(_))));
+}
