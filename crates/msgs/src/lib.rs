@@ -3,7 +3,7 @@
 //! Read in this order:
 //! 1. [`robot`]: plain constant tables: arms, the base, the arm's mount, the taxels of the cover.
 //! 2. [`state`]: what a plant measures ([`RobotState`]) and what it is told ([`Actuation`]).
-//! 3. [`taxel`]: what the cover feels, with its age and its health.
+//! 3. [`taxel`]: what the cover feels, with its age and its health; [`board`]: what is known of the board behind it.
 //! 4. [`params`]: the controllers' parameters and their defaults.
 //! 5. [`mode`]: modes, faults, how each is cleared.
 //! 6. [`request`] and [`sample`]: what an observer may ask and what it is shown.
@@ -19,6 +19,7 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod board;
 pub mod mode;
 pub mod params;
 pub mod request;

@@ -1,5 +1,6 @@
 //! One tick as an observer sees it.
 
+use crate::board::Diagnosis;
 use crate::{Fault, Mode, TaxelReading};
 use heapless::Vec;
 
@@ -56,6 +57,8 @@ pub struct Sample {
     pub frames_good: u64,
     /// Rejected frames so far.
     pub frames_bad: u64,
+    /// What the board's port and bytes say about it.
+    pub board: Diagnosis,
     /// How late this tick woke, s; 0 in lock-step.
     pub lateness_s: f64,
     /// Missed slots so far.
