@@ -1,5 +1,7 @@
 //! `moca-lab`: experiments and checks on the command line.
 
+mod stream;
+
 use clap::{Parser, Subcommand};
 
 /// Experiments and checks of MOCA-S.
@@ -11,8 +13,13 @@ struct Arguments {
 }
 
 #[derive(Subcommand)]
-enum Command {}
+enum Command {
+    /// Reads a recorded Touch Board stream: frames, rate, faults.
+    Stream(stream::Arguments),
+}
 
 fn main() -> anyhow::Result<()> {
-    match Arguments::parse().command {}
+    match Arguments::parse().command {
+        Command::Stream(arguments) => stream::run(&arguments),
+    }
 }

@@ -23,6 +23,8 @@ pub const TOUCH_LINE_AFTER_READ_NS: u64 = 2_000_000;
 pub const CHIP_FILTER_AGE_NS: u64 = 10_000_000;
 /// Between `TOUCH` and `RTHS` the newer sketch reads 26 thresholds over I²C (12 ms), the older one none (4 ms).
 const THRESHOLD_READ_NS: u64 = 8_000_000;
+/// This many bytes hold at least one whole frame, if they are DataStream's.
+const UNKNOWN_AFTER_BYTES: u32 = 1200;
 /// Intervals in the running mean of the frame period.
 const RATE_INTERVALS: f64 = 16.0;
 
@@ -100,6 +102,8 @@ pub enum BoardEvent {
 /// Counts since the start; never reset.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BoardStats {
+    /// Bytes taken.
+    pub bytes: u64,
     /// Frames that passed every check.
     pub frames_good: u64,
     /// Frames that failed one.
@@ -133,6 +137,8 @@ pub struct BoardMonitor {
     last: Option<Frame>,
     identical: u32,
     all_zero: bool,
+    last_bad: Option<BadFrame>,
+    bytes_without_frame: u32,
 }
 
 /// One good frame that may be used, and when its data was sampled.
@@ -156,6 +162,7 @@ impl BoardMonitor {
             parser: Parser::new(),
             used,
             stats: BoardStats {
+                bytes: 0,
                 frames_good: 0,
                 frames_bad: 0,
                 stalls: 0,
@@ -176,6 +183,8 @@ impl BoardMonitor {
             last: None,
             identical: 0,
             all_zero: false,
+            last_bad: None,
+            bytes_without_frame: 0,
         }
     }
 
@@ -188,6 +197,9 @@ impl BoardMonitor {
                 self.stalled = true;
             }
             self.last_byte_ns = Some(arrival_ns);
+            self.stats.bytes += u64::try_from(bytes.len()).unwrap_or(u64::MAX);
+            self.bytes_without_frame =
+                self.bytes_without_frame.saturating_add(u32::try_from(bytes.len()).unwrap_or(u32::MAX));
         }
         while let Some(event) = self.parser.next_event(bytes, arrival_ns) {
             match event {
@@ -236,9 +248,9 @@ impl BoardMonitor {
             Some(Fault::BoardLost)
         } else if now_ns.saturating_sub(self.last_good_ns.unwrap_or(0)) > SILENT_AFTER_NS {
             Some(Fault::BoardSilent)
-        } else if self.all_zero {
+        } else if self.is_all_zero() {
             Some(Fault::BoardReset)
-        } else if self.identical >= FROZEN_FRAMES - 1 {
+        } else if self.is_frozen() {
             Some(Fault::BoardFrozen)
         } else if self.thresholds_changed {
             Some(Fault::BoardThresholds)
@@ -259,7 +271,10 @@ impl BoardMonitor {
 
     /// What the bytes so far say about the board.
     pub const fn diagnosis(&self) -> Diagnosis {
-        self.diagnosis
+        match self.diagnosis {
+            Diagnosis::Silent if self.bytes_without_frame > UNKNOWN_AFTER_BYTES => Diagnosis::Unknown,
+            known => known,
+        }
     }
 
     /// Measured frame rate, Hz: running mean over good frames, gaps left out; 0 before two frames came.
@@ -272,6 +287,31 @@ impl BoardMonitor {
         self.generation
     }
 
+    /// Every FDAT of the last good frame is 0.
+    pub const fn is_all_zero(&self) -> bool {
+        self.all_zero
+    }
+
+    /// [`FROZEN_FRAMES`] frames in a row were identical in the used columns.
+    pub const fn is_frozen(&self) -> bool {
+        self.identical + 1 >= FROZEN_FRAMES
+    }
+
+    /// The last good frame's thresholds differ from the first one's.
+    pub const fn thresholds_changed(&self) -> bool {
+        self.thresholds_changed
+    }
+
+    /// Columns of a line, 12 or 13; `None` before the first good frame.
+    pub fn columns(&self) -> Option<u8> {
+        self.last.map(|frame| frame.dialect.columns)
+    }
+
+    /// Why the last bad frame was rejected.
+    pub const fn last_bad(&self) -> Option<BadFrame> {
+        self.last_bad
+    }
+
     /// Consecutive frames whose used FDAT columns equal their predecessor's.
     pub const fn identical_frames(&self) -> u32 {
         self.identical
@@ -280,6 +320,7 @@ impl BoardMonitor {
     fn good(&mut self, stamped: &StampedFrame) -> Option<SampledFrame> {
         self.stats.frames_good += 1;
         self.diagnosis = Diagnosis::Frames;
+        self.bytes_without_frame = 0;
         let frame = &stamped.frame;
         self.measure_rate(stamped);
         self.check_across_frames(frame);
@@ -331,11 +372,12 @@ impl BoardMonitor {
         let identical = self.last.is_some_and(|last| {
             (0..ELECTRODES).all(|e| !self.used[e] || last.filtered[e] == frame.filtered[e])
         });
-        self.identical = if identical { self.identical.saturating_add(1) } else { 0 };
+        self.identical = if identical { (self.identical + 1).min(u32::MAX / 2) } else { 0 };
     }
 
-    fn bad(&mut self, _why: BadFrame) {
+    fn bad(&mut self, why: BadFrame) {
         self.stats.frames_bad += 1;
+        self.last_bad = Some(why);
     }
 
     fn foreign(&mut self, text: ForeignText) {

@@ -1,6 +1,5 @@
 //! The reader thread against pseudo-terminals.
 #![cfg(all(unix, feature = "serial"))]
-#![expect(clippy::unwrap_used, reason = "tests")]
 
 use moca_tactile::serial::{PortSelection, SerialBoard};
 use moca_tactile::{BoardEvent, CloseReason, OpenFailure};

@@ -64,6 +64,18 @@ impl Line {
         }
     }
 
+    /// Name as printed, without the colon.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Touch => "TOUCH",
+            Self::TouchThreshold => "TTHS",
+            Self::ReleaseThreshold => "RTHS",
+            Self::Filtered => "FDAT",
+            Self::Baseline => "BVAL",
+            Self::Difference => "DIFF",
+        }
+    }
+
     const fn next(self) -> Self {
         match self {
             Self::Touch => Self::TouchThreshold,

@@ -44,6 +44,22 @@ pub enum BadFrame {
     LineTooLong,
 }
 
+impl core::fmt::Display for BadFrame {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Torn { expected } => {
+                write!(f, "torn: no line {} of 12 or 13 integers where one had to come", expected.name())
+            }
+            Self::OutOfRange { line } => write!(f, "a value of line {} is outside its register", line.name()),
+            Self::MixedDialect { line } => {
+                write!(f, "torn: line {} is laid out differently from its frame's first line", line.name())
+            }
+            Self::Inconsistent { column } => write!(f, "BVAL - FDAT is not DIFF in column {column}"),
+            Self::LineTooLong => write!(f, "a line longer than {MAX_LINE_BYTES} bytes"),
+        }
+    }
+}
+
 /// Text that is no DataStream line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ForeignText {
