@@ -1,6 +1,7 @@
 //! `moca-lab`: experiments and checks on the command line.
 
 mod stream;
+mod vectors;
 
 use clap::{Parser, Subcommand};
 
@@ -16,10 +17,12 @@ struct Arguments {
 enum Command {
     /// Reads a recorded Touch Board stream: frames, rate, faults.
     Stream(stream::Arguments),
+    Vectors(vectors::Arguments),
 }
 
 fn main() -> anyhow::Result<()> {
     match Arguments::parse().command {
         Command::Stream(arguments) => stream::run(&arguments),
+        Command::Vectors(arguments) => vectors::run(&arguments),
     }
 }

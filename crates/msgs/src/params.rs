@@ -71,6 +71,8 @@ pub struct Limits<const N: usize> {
     pub base_acceleration: [f64; 3],
     /// Largest force believed from one taxel, N.
     pub taxel_force_n: f64,
+    /// Nominal control period, s: rate limits credit no more time than this, however late a step is.
+    pub period_s: f64,
 }
 
 impl Limits<7> {
@@ -81,6 +83,7 @@ impl Limits<7> {
         base_velocity: [0.5, 0.5, 0.8],
         base_acceleration: [3.0, 3.0, 6.0],
         taxel_force_n: 200.0,
+        period_s: 1e-3,
     };
 }
 
@@ -154,5 +157,6 @@ impl<const N: usize> Parameters<N> {
         within("base_velocity", "m/s, m/s, rad/s", &l.base_velocity, 0.0, 3.0);
         within("base_acceleration", "m/s², m/s², rad/s²", &l.base_acceleration, 0.01, 50.0);
         within("taxel_force_n", "N", &[l.taxel_force_n], 1.0, 1e4);
+        within("period_s", "s", &[l.period_s], 1e-4, 1e-2);
     }
 }

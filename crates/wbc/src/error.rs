@@ -1,0 +1,49 @@
+//! Why a controller refused.
+
+/// An input that a controller refuses, or a state it cannot compute with. The caller's state is left as it was.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ControlError {
+    /// A value that is NaN or infinite.
+    NotFinite {
+        /// Which input or result.
+        what: &'static str,
+        /// Place in it, from 0.
+        index: usize,
+    },
+    /// Time since the last step not above 0 s.
+    Step {
+        /// What was given, s.
+        dt_s: f64,
+    },
+    /// Quaternion whose length is not 1.
+    NotUnit {
+        /// What was given.
+        norm: f64,
+    },
+    /// A matrix that must be positive definite is not: the model's inertias are impossible.
+    NotPositiveDefinite {
+        /// Which matrix.
+        what: &'static str,
+    },
+}
+
+impl core::fmt::Display for ControlError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::NotFinite { what, index } => write!(f, "{what}[{index}] is not a finite number"),
+            Self::Step { dt_s } => write!(f, "time since the last step = {dt_s} s is not above 0 s"),
+            Self::NotUnit { norm } => write!(f, "quaternion of length {norm} is outside 0.999 to 1.001"),
+            Self::NotPositiveDefinite { what } => write!(f, "{what} is not positive definite"),
+        }
+    }
+}
+
+impl core::error::Error for ControlError {}
+
+/// Errs on the first value that is NaN or infinite.
+pub(crate) fn finite<T: crate::Scalar>(what: &'static str, values: &[T]) -> Result<(), ControlError> {
+    match values.iter().position(|value| !value.is_finite()) {
+        None => Ok(()),
+        Some(index) => Err(ControlError::NotFinite { what, index }),
+    }
+}

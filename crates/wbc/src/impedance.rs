@@ -1,0 +1,71 @@
+//! Expanded Cartesian impedance, eqs. (10)–(11): the wrench at the tool and the null-space forces.
+
+use crate::error::ControlError;
+use crate::linalg::{Cholesky, inverse_square_root};
+use crate::rotation;
+use crate::scalar::{Scalar, of};
+use nalgebra::{Matrix3, SMatrix, Vector3};
+
+/// Pose error \[p_d − p; R·log(Rᵀ·R_d)\], m and rad, in the axes in which both poses are given. eq. (10)
+#[inline]
+pub fn pose_error<T: Scalar>(
+    (position, rotation): (&Vector3<T>, &Matrix3<T>),
+    (desired_position, desired_rotation): (&Vector3<T>, &Matrix3<T>),
+) -> [T; 6] {
+    let linear = desired_position - position;
+    let angular = rotation::error(rotation, desired_rotation);
+    [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
+}
+
+/// D_d = A√K + √K·A with A = ζ·Λ^½, from the mobility Λ⁻¹ and the stiffness (N/m, N·m/rad). eq. (10)
+///
+/// Near a singularity that sum can be indefinite: it would feed energy in. The symmetric product 2·K^¼·A·K^¼, which is
+/// the same wherever A and K commute, then stands in.
+///
+/// # Errors
+/// [`ControlError::NotPositiveDefinite`] if the mobility is not even semi-definite (NaN).
+#[inline]
+pub fn damping<T: Scalar>(
+    mobility: &SMatrix<T, 6, 6>,
+    stiffness: &[T; 6],
+    ratio: T,
+) -> Result<SMatrix<T, 6, 6>, ControlError> {
+    let root = inverse_square_root(mobility)
+        .ok_or(ControlError::NotPositiveDefinite { what: "mobility of the tool" })?;
+    let k = stiffness.map(nalgebra::ComplexField::sqrt);
+    let sum = SMatrix::<T, 6, 6>::from_fn(|i, j| ratio * root[(i, j)] * (k[i] + k[j]));
+    let mut shifted = sum;
+    let margin = sum.trace() * T::default_epsilon();
+    for i in 0..6 {
+        shifted[(i, i)] += margin;
+    }
+    if Cholesky::new(&shifted).is_some() {
+        return Ok(sum);
+    }
+    let q = k.map(nalgebra::ComplexField::sqrt);
+    Ok(SMatrix::from_fn(|i, j| of::<T>(2.0) * ratio * q[i] * root[(i, j)] * q[j]))
+}
+
+/// F = K·e + D·ė. eq. (10)
+#[inline]
+pub fn wrench<T: Scalar>(
+    stiffness: &[T; 6],
+    damping: &SMatrix<T, 6, 6>,
+    error: &[T; 6],
+    error_rate: &[T; 6],
+) -> [T; 6] {
+    let damped = crate::linalg::times(damping, error_rate);
+    core::array::from_fn(|i| stiffness[i] * error[i] + damped[i])
+}
+
+/// Arm part of τ_0: K_0·(q_0 − q) − D_0·q̇, N·m. eq. (11)
+#[inline]
+pub fn posture_torque<const N: usize, T: Scalar>(
+    stiffness: &[T; N],
+    damping: &[T; N],
+    posture: &[T; N],
+    q: &[T; N],
+    dq: &[T; N],
+) -> [T; N] {
+    core::array::from_fn(|i| stiffness[i] * (posture[i] - q[i]) - damping[i] * dq[i])
+}

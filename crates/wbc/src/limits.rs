@@ -1,0 +1,149 @@
+//! Limits on what leaves the controllers: pure functions, each with a property test that nothing gets past it.
+
+use crate::error::{ControlError, finite};
+use crate::scalar::{Scalar, all, of};
+use moca_msgs::{ArmTable, Limits};
+
+/// Share of the joint torque limit with which the repulsion pushes at the joint limit itself.
+const REPULSION_AT_LIMIT: f64 = 1.0;
+/// Distance from a joint limit at which the repulsion begins, rad.
+pub const REPULSION_BAND_RAD: f64 = 0.15;
+
+/// Which limits an output met.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LimitsHit {
+    /// A joint torque.
+    pub torque: bool,
+    /// A joint torque's rate.
+    pub torque_rate: bool,
+    /// The base's velocity along an axis of B.
+    pub base_velocity: bool,
+    /// The base's acceleration along an axis of B.
+    pub base_acceleration: bool,
+    /// A taxel's force: negative, or larger than is believed.
+    pub taxel_force: bool,
+    /// A joint is in the band before its limit and is pushed back.
+    pub joint_range: bool,
+    /// The pose error is longer than the leash.
+    pub leash: bool,
+}
+
+/// Limits in the scalar of the computation, units as in [`Limits`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct OutputLimits<const N: usize, T> {
+    torque: [T; N],
+    torque_rate: T,
+    base_velocity: [T; 3],
+    base_acceleration: [T; 3],
+    taxel_force: T,
+    period_s: T,
+}
+
+impl<const N: usize, T: Scalar> From<&Limits<N>> for OutputLimits<N, T> {
+    fn from(limits: &Limits<N>) -> Self {
+        Self {
+            torque: all(&limits.torque_nm),
+            torque_rate: of(limits.torque_rate_nm_s),
+            base_velocity: all(&limits.base_velocity),
+            base_acceleration: all(&limits.base_acceleration),
+            taxel_force: of(limits.taxel_force_n),
+            period_s: of(limits.period_s),
+        }
+    }
+}
+
+impl<const N: usize, T: Scalar> OutputLimits<N, T> {
+    /// Time that rate limits credit: a late step may not change more than a punctual one, because the robot sees one
+    /// change at one instant.
+    fn credited(&self, dt_s: T) -> T {
+        dt_s.min(self.period_s)
+    }
+
+    /// `wanted` inside the torque limits and no further from `last` than the rate allows.
+    pub(crate) fn torque(&self, wanted: &[T; N], last: &[T; N], dt_s: T, hit: &mut LimitsHit) -> [T; N] {
+        let change = self.torque_rate * self.credited(dt_s);
+        core::array::from_fn(|i| {
+            let inside = clamp(wanted[i], -self.torque[i], self.torque[i], &mut hit.torque);
+            let last = last[i].clamp(-self.torque[i], self.torque[i]);
+            clamp(inside, last - change, last + change, &mut hit.torque_rate)
+        })
+    }
+
+    /// `wanted` (axes of B) inside the base's limits and no further from `last` than its acceleration allows.
+    pub(crate) fn base_velocity(
+        &self,
+        wanted: &[T; 3],
+        last: &[T; 3],
+        dt_s: T,
+        hit: &mut LimitsHit,
+    ) -> [T; 3] {
+        core::array::from_fn(|i| {
+            let most = self.base_velocity[i];
+            let change = self.base_acceleration[i] * self.credited(dt_s);
+            let inside = clamp(wanted[i], -most, most, &mut hit.base_velocity);
+            // a limit that was lowered is approached with the allowed acceleration
+            clamp(inside, last[i] - change, last[i] + change, &mut hit.base_acceleration)
+        })
+    }
+
+    /// Taxel forces inside 0 to the largest that is believed, N.
+    pub(crate) fn taxel_forces<const K: usize>(&self, force_n: &[T; K], hit: &mut LimitsHit) -> [T; K] {
+        force_n.map(|force| clamp(force, T::zero(), self.taxel_force, &mut hit.taxel_force))
+    }
+}
+
+/// Push away from the ends of the joints' ranges: a one-sided spring with a damper, so that it stores and spends energy
+/// but never adds any.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointRepulsion<const N: usize, T> {
+    begin_low: [T; N],
+    begin_high: [T; N],
+    /// N·m/rad.
+    stiffness: [T; N],
+    band: [T; N],
+}
+
+impl<const N: usize, T: Scalar> JointRepulsion<N, T> {
+    /// From the ranges and torque limits of `arm`: it begins [`REPULSION_BAND_RAD`] before a limit and reaches the joint
+    /// torque limit there.
+    pub fn new(arm: &ArmTable<N>) -> Self {
+        // half the range at most, so that the two bands never overlap
+        let band = |i: usize| (0.5 * (arm.q_max_rad[i] - arm.q_min_rad[i])).clamp(0.01, REPULSION_BAND_RAD);
+        Self {
+            begin_low: core::array::from_fn(|i| of(arm.q_min_rad[i] + band(i))),
+            begin_high: core::array::from_fn(|i| of(arm.q_max_rad[i] - band(i))),
+            band: core::array::from_fn(|i| of(band(i))),
+            stiffness: core::array::from_fn(|i| of(REPULSION_AT_LIMIT * arm.torque_max_nm[i] / band(i))),
+        }
+    }
+
+    /// Joint torques, N·m. `inertia` is the diagonal of M_A: the damper is 0.7 of critical.
+    #[inline]
+    pub fn torque(&self, q: &[T; N], dq: &[T; N], inertia: impl Fn(usize) -> T) -> [T; N] {
+        core::array::from_fn(|i| {
+            let inside = q[i] - q[i].clamp(self.begin_low[i], self.begin_high[i]);
+            if inside == T::zero() {
+                return T::zero();
+            }
+            // the damper fades in over the band, or entering it would be a step of torque
+            let depth = (inside.abs() / self.band[i]).min(T::one());
+            let damping = of::<T>(1.4) * (self.stiffness[i] * inertia(i).max(T::zero())).sqrt() * depth;
+            -self.stiffness[i] * inside - damping * dq[i]
+        })
+    }
+}
+
+/// Checks one step's inputs that are plain numbers.
+pub(crate) fn check_step<T: Scalar>(dt_s: T) -> Result<(), ControlError> {
+    finite("dt_s", &[dt_s])?;
+    if dt_s > T::zero() {
+        Ok(())
+    } else {
+        Err(ControlError::Step { dt_s: nalgebra::try_convert(dt_s).unwrap_or(f64::NAN) })
+    }
+}
+
+fn clamp<T: Scalar>(value: T, min: T, max: T, hit: &mut bool) -> T {
+    *hit |= value < min || value > max;
+    value.clamp(min, max)
+}

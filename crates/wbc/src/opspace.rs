@@ -1,0 +1,250 @@
+//! Weighted operational space, eqs. (6)–(9): which torques of base and arm give the wrench F at the tool.
+//!
+//! Of all torques with J̄ᵀτ = F these are the ones nearest to τ_0 in (τ − τ_0)ᵀW(τ − τ_0), W = Hᵀ M⁻¹ H. The weight H
+//! comes as two types, [`BlockWeight`] (the paper's, one gain for the base and one for the arm) and [`AxisWeight`] (a
+//! gain per axis), because the short form that is exact for the first is wrong for the second.
+
+use crate::error::ControlError;
+use crate::linalg::{Cholesky, dot, times, transpose_times, weighted_outer};
+use crate::scalar::{Scalar, of};
+use moca_msgs::ParameterError;
+use nalgebra::SMatrix;
+
+/// Generalised forces of base and arm: τ_v (world \[N, N, N·m\]) and τ_A (N·m).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WholeBodyForce<const N: usize, T> {
+    /// Virtual force on the base, world x, y, yaw.
+    pub base: [T; 3],
+    /// Joint torques.
+    pub arm: [T; N],
+}
+
+/// The robot as the tool frame sees it: M = blkdiag(M_v, M_A) of eq. (3) and J = \[J_B J_A\].
+#[derive(Clone, Copy, Debug)]
+pub struct TaskDynamics<const N: usize, T> {
+    base_jacobian: SMatrix<T, 6, 3>,
+    arm_jacobian: SMatrix<T, 6, N>,
+    virtual_mass: [T; 3],
+    arm_factor: Cholesky<N, T>,
+    /// (L⁻¹·J_Aᵀ)ᵀ with M_A = L·Lᵀ.
+    whitened: SMatrix<T, 6, N>,
+    /// A_B = J_B M_v⁻¹ J_Bᵀ.
+    base_mobility: SMatrix<T, 6, 6>,
+    /// A_A = J_A M_A⁻¹ J_Aᵀ.
+    arm_mobility: SMatrix<T, 6, 6>,
+}
+
+impl<const N: usize, T: Scalar> TaskDynamics<N, T> {
+    /// From the Jacobians of base and arm, the virtual mass (> 0) and the arm's mass matrix.
+    ///
+    /// # Errors
+    /// [`ControlError::NotPositiveDefinite`] if the arm's mass matrix is not.
+    #[inline]
+    pub fn new(
+        base_jacobian: SMatrix<T, 6, 3>,
+        arm_jacobian: SMatrix<T, 6, N>,
+        virtual_mass: [T; 3],
+        arm_mass: &SMatrix<T, N, N>,
+    ) -> Result<Self, ControlError> {
+        let arm_factor = Cholesky::new(arm_mass).ok_or(ControlError::NotPositiveDefinite { what: "M_A" })?;
+        let whitened = SMatrix::from(arm_factor.solve_lower_rows(&arm_jacobian.data.0));
+        Ok(Self {
+            base_jacobian,
+            arm_jacobian,
+            virtual_mass,
+            arm_factor,
+            whitened,
+            base_mobility: weighted_outer(&base_jacobian, &virtual_mass.map(|m| T::one() / m)),
+            arm_mobility: weighted_outer(&whitened, &[T::one(); N]),
+        })
+    }
+
+    /// Λ⁻¹ = J M⁻¹ Jᵀ of base and arm together.
+    #[inline]
+    pub fn mobility(&self) -> SMatrix<T, 6, 6> {
+        self.base_mobility + self.arm_mobility
+    }
+
+    /// Λ⁻¹ = J_A M_A⁻¹ J_Aᵀ of the arm alone.
+    pub fn arm_mobility(&self) -> SMatrix<T, 6, 6> {
+        self.arm_mobility
+    }
+
+    /// J_A M_A⁻¹ τ of arm torques.
+    #[inline]
+    pub fn arm_acceleration(&self, torque: &[T; N]) -> [T; 6] {
+        times(&self.whitened, &self.arm_factor.solve_lower(torque))
+    }
+
+    /// J M⁻¹ τ: acceleration of the tool under generalised forces.
+    #[inline]
+    pub fn acceleration(&self, force: &WholeBodyForce<N, T>) -> [T; 6] {
+        let base = core::array::from_fn(|i| force.base[i] / self.virtual_mass[i]);
+        sum(&times(&self.base_jacobian, &base), &self.arm_acceleration(&force.arm))
+    }
+
+    /// τ_A = J_AᵀF + (I − J_AᵀΛ J_A M_A⁻¹)·τ_0 with the arm's own Λ: the wrench F by the arm alone. eq. (15)
+    ///
+    /// # Errors
+    /// [`ControlError::NotPositiveDefinite`] if the mobility is not even semi-definite (NaN).
+    #[inline]
+    pub fn arm_torque(&self, wrench: &[T; 6], null_torque: &[T; N]) -> Result<[T; N], ControlError> {
+        let factor = Cholesky::new_shifted(&self.arm_mobility).ok_or(SINGULAR)?;
+        let wanted = difference(&times(&self.arm_mobility, wrench), &self.arm_acceleration(null_torque));
+        let y = factor.solve(&wanted);
+        let task = transpose_times(&self.arm_jacobian, &y);
+        Ok(core::array::from_fn(|i| null_torque[i] + task[i]))
+    }
+
+    /// Wrench at the tool that moves it as the joint torques do: J̄ᵀτ of the arm alone.
+    ///
+    /// # Errors
+    /// [`ControlError::NotPositiveDefinite`] if the mobility is not even semi-definite (NaN).
+    pub fn arm_wrench(&self, torque: &[T; N]) -> Result<[T; 6], ControlError> {
+        let factor = Cholesky::new_shifted(&self.arm_mobility).ok_or(SINGULAR)?;
+        Ok(factor.solve(&self.arm_acceleration(torque)))
+    }
+
+    /// J̄ᵀτ of base and arm together.
+    ///
+    /// # Errors
+    /// [`ControlError::NotPositiveDefinite`] if the mobility is not even semi-definite (NaN).
+    pub fn wrench(&self, force: &WholeBodyForce<N, T>) -> Result<[T; 6], ControlError> {
+        let factor = Cholesky::new_shifted(&self.mobility()).ok_or(SINGULAR)?;
+        Ok(factor.solve(&self.acceleration(force)))
+    }
+}
+
+const SINGULAR: ControlError = ControlError::NotPositiveDefinite { what: "J M⁻¹ Jᵀ" };
+
+/// H = blkdiag(η_B·I, η_A·I), eq. (9). Only η_B/η_A matters. H commutes with M, so that W⁻¹M⁻¹ = H⁻²; with
+/// ρ = (η_B/η_A)² eq. (6) is (A_B + ρ A_A)·y = Λ⁻¹F − J M⁻¹τ_0, τ_v = τ_0B + J_Bᵀy, τ_A = τ_0A + ρ J_Aᵀy.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BlockWeight<T> {
+    /// Weights of base and arm, the larger one 1.
+    base: T,
+    arm: T,
+}
+
+impl<T: Scalar> BlockWeight<T> {
+    /// From η_B and η_A, both > 0: the block with the larger gain departs less from its τ_0.
+    #[inline]
+    pub fn new(eta_base: T, eta_arm: T) -> Self {
+        let (b, a) = (eta_base * eta_base, eta_arm * eta_arm);
+        if a >= b { Self { base: T::one(), arm: b / a } } else { Self { base: a / b, arm: T::one() } }
+    }
+
+    /// Factorises A_B + ρ A_A.
+    ///
+    /// # Errors
+    /// [`ControlError::NotPositiveDefinite`] if it is not even semi-definite (NaN).
+    #[inline]
+    pub fn factor<'a, const N: usize>(
+        &self,
+        task: &'a TaskDynamics<N, T>,
+    ) -> Result<BlockWeighted<'a, N, T>, ControlError> {
+        let weighted = task.base_mobility * self.base + task.arm_mobility * self.arm;
+        let factor = Cholesky::new_shifted(&weighted).ok_or(SINGULAR)?;
+        Ok(BlockWeighted { task, weight: *self, factor })
+    }
+}
+
+/// A robot and a block weight, factorised: eq. (6) for any F and τ_0.
+#[derive(Clone, Copy, Debug)]
+pub struct BlockWeighted<'a, const N: usize, T> {
+    task: &'a TaskDynamics<N, T>,
+    weight: BlockWeight<T>,
+    factor: Cholesky<6, T>,
+}
+
+impl<const N: usize, T: Scalar> BlockWeighted<'_, N, T> {
+    /// τ_c for the wrench F at the tool and the null-space forces τ_0. eq. (6)
+    #[inline]
+    pub fn force(&self, wrench: &[T; 6], null: &WholeBodyForce<N, T>) -> WholeBodyForce<N, T> {
+        let task = self.task;
+        let y = self.factor.solve(&difference(&times(&task.mobility(), wrench), &task.acceleration(null)));
+        let (base, arm) = (transpose_times(&task.base_jacobian, &y), transpose_times(&task.arm_jacobian, &y));
+        WholeBodyForce {
+            base: core::array::from_fn(|i| null.base[i] + self.weight.base * base[i]),
+            arm: core::array::from_fn(|i| null.arm[i] + self.weight.arm * arm[i]),
+        }
+    }
+
+    /// S = M_v − J_Bᵀ(A_B + ρ A_A)⁻¹J_B, symmetric: S·M_v⁻¹·f is what the null space leaves of a force f on the base.
+    #[inline]
+    pub fn free_base_mass(&self) -> SMatrix<T, 3, 3> {
+        let columns = self.task.base_jacobian.data.0.map(|column| self.factor.solve(&column));
+        let mut out = SMatrix::<T, 3, 3>::zeros();
+        for (i, column) in columns.iter().enumerate() {
+            for j in 0..=i {
+                let value = -self.weight.base * dot(column, &self.task.base_jacobian.data.0[j]);
+                out[(i, j)] = value;
+                out[(j, i)] = value;
+            }
+            out[(i, i)] += self.task.virtual_mass[i];
+        }
+        out
+    }
+}
+
+/// Any positive diagonal H: one gain per base axis and per joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisWeight<const N: usize, T> {
+    base: [T; 3],
+    arm: [T; N],
+}
+
+impl<const N: usize, T: Scalar> AxisWeight<N, T> {
+    /// From the gains of base (x, y, yaw) and arm.
+    ///
+    /// # Errors
+    /// The first gain outside 1e-3 to 1e3.
+    pub fn new(base: [f64; 3], arm: [f64; N]) -> Result<Self, ParameterError> {
+        let (min, max) = (1e-3, 1e3);
+        match base.iter().chain(&arm).find(|&&gain| !(gain >= min && gain <= max)) {
+            Some(&value) => Err(ParameterError { name: "eta", value, unit: "", min, max }),
+            None => Ok(Self { base: base.map(of), arm: arm.map(of) }),
+        }
+    }
+
+    /// τ_c for the wrench F at the tool and the null-space forces τ_0, by Z = H⁻¹M⁻¹Jᵀ, V = LᵀZ,
+    /// (VᵀV)·y = Λ⁻¹F − J M⁻¹τ_0, τ = τ_0 + H⁻¹M Z y. eq. (6)
+    ///
+    /// # Errors
+    /// [`ControlError::NotPositiveDefinite`] if the weighted mobility is not even semi-definite (NaN).
+    #[inline]
+    pub fn force(
+        &self,
+        task: &TaskDynamics<N, T>,
+        wrench: &[T; 6],
+        null: &WholeBodyForce<N, T>,
+    ) -> Result<WholeBodyForce<N, T>, ControlError> {
+        let mut z = task.arm_factor.solve_upper_rows(&task.whitened.data.0);
+        for (row, &gain) in z.iter_mut().zip(&self.arm) {
+            *row = row.map(|value| value / gain);
+        }
+        let v: SMatrix<T, 6, N> = SMatrix::from(task.arm_factor.transpose_times_rows(&z));
+        let base_weights =
+            core::array::from_fn(|i| T::one() / (self.base[i] * self.base[i] * task.virtual_mass[i]));
+        let weighted =
+            weighted_outer(&task.base_jacobian, &base_weights) + weighted_outer(&v, &[T::one(); N]);
+        let factor = Cholesky::new_shifted(&weighted).ok_or(SINGULAR)?;
+        let y = factor.solve(&difference(&times(&task.mobility(), wrench), &task.acceleration(null)));
+        let arm = task.arm_factor.times(&transpose_times(&v, &y));
+        let base = transpose_times(&task.base_jacobian, &y);
+        Ok(WholeBodyForce {
+            base: core::array::from_fn(|i| null.base[i] + base[i] / (self.base[i] * self.base[i])),
+            arm: core::array::from_fn(|i| null.arm[i] + arm[i] / self.arm[i]),
+        })
+    }
+}
+
+#[inline]
+fn difference<T: Scalar>(a: &[T; 6], b: &[T; 6]) -> [T; 6] {
+    core::array::from_fn(|i| a[i] - b[i])
+}
+
+#[inline]
+fn sum<T: Scalar>(a: &[T; 6], b: &[T; 6]) -> [T; 6] {
+    core::array::from_fn(|i| a[i] + b[i])
+}

@@ -1,0 +1,122 @@
+//! References: where the tool is wanted, and how far and fast that may pull.
+
+use crate::error::{ControlError, finite};
+use crate::rotation;
+use crate::scalar::{Scalar, all, of};
+use nalgebra::{Matrix3, Vector3};
+
+/// Largest position error the law acts on, m: the most a blocked or fleeing tool can build up.
+pub const LEASH_M: f64 = 0.1;
+/// Largest orientation error the law acts on, rad: a target half a turn away pulls no harder.
+pub const LEASH_RAD: f64 = 0.5;
+/// Speed at which the reference travels to a pose target, m/s, and largest linear twist target.
+pub const REFERENCE_SPEED_M_S: f64 = 0.25;
+/// Turning speed of the reference, rad/s, and largest angular twist target.
+pub const REFERENCE_SPEED_RAD_S: f64 = 1.0;
+/// Speed at which the null-space posture travels to the configured one, rad/s.
+pub const POSTURE_SPEED_RAD_S: f64 = 0.5;
+
+/// A pose: position, m, and axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Pose<T> {
+    pub position: Vector3<T>,
+    pub rotation: Matrix3<T>,
+}
+
+/// Target pose and twist of the tool frame, and the reference on its way there; in W for the impedance law, in B for
+/// follow-me.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Reference<T> {
+    target: Pose<T>,
+    twist: [T; 6],
+    /// What the law is given.
+    pub now: Pose<T>,
+}
+
+impl<T: Scalar> Reference<T> {
+    /// Holds `pose`.
+    pub(crate) fn hold(pose: Pose<T>) -> Self {
+        Self { target: pose, twist: [T::zero(); 6], now: pose }
+    }
+
+    pub(crate) fn set_pose(&mut self, position: [T; 3], quaternion: [T; 4]) -> Result<(), ControlError> {
+        finite("target position", &position)?;
+        finite("target quaternion", &quaternion)?;
+        let norm = crate::linalg::dot(&quaternion, &quaternion).sqrt();
+        if !(of::<T>(0.999)..=of(1.001)).contains(&norm) {
+            return Err(ControlError::NotUnit { norm: nalgebra::try_convert(norm).unwrap_or(f64::NAN) });
+        }
+        let rotation = rotation::from_quaternion(quaternion);
+        self.target = Pose { position: Vector3::from(position), rotation };
+        self.twist = [T::zero(); 6];
+        Ok(())
+    }
+
+    pub(crate) fn set_twist(&mut self, twist: [T; 6]) -> Result<(), ControlError> {
+        finite("target twist", &twist)?;
+        let (linear, angular) = split(&twist);
+        let linear = shortened(&linear, of(REFERENCE_SPEED_M_S));
+        let angular = shortened(&angular, of(REFERENCE_SPEED_RAD_S));
+        self.twist = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+        Ok(())
+    }
+
+    /// Twist the law is given, m/s and rad/s.
+    pub(crate) fn twist(&self) -> &[T; 6] {
+        &self.twist
+    }
+
+    /// Moves target and reference on by `dt_s`. A twist waits while the tool is a leash away.
+    pub(crate) fn advance(&mut self, actual: &Pose<T>, dt_s: T) {
+        if self.twist != [T::zero(); 6] {
+            let (linear, angular) = split(&self.twist);
+            if (self.now.position - actual.position).norm() < of(LEASH_M) {
+                self.target.position += linear * dt_s;
+            }
+            if rotation::error(&actual.rotation, &self.now.rotation).norm() < of(LEASH_RAD) {
+                self.target.rotation = turned(&self.target.rotation, &(angular * dt_s));
+            }
+        }
+        if self.now == self.target {
+            return;
+        }
+        let gap = self.target.position - self.now.position;
+        let step = shortened(&gap, of::<T>(REFERENCE_SPEED_M_S) * dt_s);
+        self.now.position = if step == gap { self.target.position } else { self.now.position + step };
+        let gap = rotation::error(&self.now.rotation, &self.target.rotation);
+        let step = shortened(&gap, of::<T>(REFERENCE_SPEED_RAD_S) * dt_s);
+        self.now.rotation =
+            if step == gap { self.target.rotation } else { turned(&self.now.rotation, &step) };
+    }
+}
+
+/// Shortens both halves of a pose error to the leash; whether it had to.
+#[inline]
+pub(crate) fn leashed<T: Scalar>(error: &[T; 6]) -> ([T; 6], bool) {
+    let (linear, angular) = split(error);
+    let (l, a) = (shortened(&linear, of(LEASH_M)), shortened(&angular, of(LEASH_RAD)));
+    ([l.x, l.y, l.z, a.x, a.y, a.z], l != linear || a != angular)
+}
+
+/// Moves `posture` towards `target` at no more than [`POSTURE_SPEED_RAD_S`].
+pub(crate) fn approach_posture<const N: usize, T: Scalar>(posture: &mut [T; N], target: &[f64; N], dt_s: T) {
+    let most = of::<T>(POSTURE_SPEED_RAD_S) * dt_s;
+    for (now, target) in posture.iter_mut().zip(all::<N, T>(target)) {
+        *now += (target - *now).clamp(-most, most);
+    }
+}
+
+fn split<T: Scalar>([vx, vy, vz, wx, wy, wz]: &[T; 6]) -> (Vector3<T>, Vector3<T>) {
+    (Vector3::new(*vx, *vy, *vz), Vector3::new(*wx, *wy, *wz))
+}
+
+/// `v`, or a vector of length `most` that points the same way.
+fn shortened<T: Scalar>(v: &Vector3<T>, most: T) -> Vector3<T> {
+    let length = v.norm();
+    if length > most { v * (most / length) } else { *v }
+}
+
+/// `rotation` turned by a rotation vector in the outer axes, and made orthonormal again.
+fn turned<T: Scalar>(rotation: &Matrix3<T>, by: &Vector3<T>) -> Matrix3<T> {
+    rotation::from_quaternion(rotation::to_quaternion(&(rotation::exp(by) * rotation)))
+}

@@ -1,0 +1,94 @@
+//! Rotations: matrices inside, unit quaternions (x, y, z, w) at the edge.
+
+use crate::scalar::{Scalar, of};
+use nalgebra::{Matrix3, Vector3};
+
+/// R = Rz(yaw)·Ry(pitch)·Rx(roll), angles in rad.
+pub fn from_rpy<T: Scalar>([roll, pitch, yaw]: [T; 3]) -> Matrix3<T> {
+    let ((sr, cr), (sp, cp), (sy, cy)) = (roll.sin_cos(), pitch.sin_cos(), yaw.sin_cos());
+    Matrix3::new(
+        cy * cp,
+        cy * sp * sr - sy * cr,
+        cy * sp * cr + sy * sr,
+        sy * cp,
+        sy * sp * sr + cy * cr,
+        sy * sp * cr - cy * sr,
+        -sp,
+        cp * sr,
+        cp * cr,
+    )
+}
+
+/// Rotation by `yaw` rad about z.
+pub fn about_z<T: Scalar>(yaw: T) -> Matrix3<T> {
+    let (s, c) = yaw.sin_cos();
+    Matrix3::new(c, -s, T::zero(), s, c, T::zero(), T::zero(), T::zero(), T::one())
+}
+
+/// Unit quaternion (x, y, z, w), w ≥ 0, of a rotation matrix (Shepperd's method: accurate at any angle).
+pub fn to_quaternion<T: Scalar>(r: &Matrix3<T>) -> [T; 4] {
+    let (one, two) = (T::one(), of::<T>(2.0));
+    let (d0, d1, d2) = (r[(0, 0)], r[(1, 1)], r[(2, 2)]);
+    let trace = d0 + d1 + d2;
+    let mut q = if trace >= d0.max(d1).max(d2) {
+        let s = two * (one + trace).max(T::zero()).sqrt();
+        [(r[(2, 1)] - r[(1, 2)]) / s, (r[(0, 2)] - r[(2, 0)]) / s, (r[(1, 0)] - r[(0, 1)]) / s, s / of(4.0)]
+    } else if d0 >= d1 && d0 >= d2 {
+        let s = two * (one + d0 - d1 - d2).max(T::zero()).sqrt();
+        [s / of(4.0), (r[(0, 1)] + r[(1, 0)]) / s, (r[(0, 2)] + r[(2, 0)]) / s, (r[(2, 1)] - r[(1, 2)]) / s]
+    } else if d1 >= d2 {
+        let s = two * (one + d1 - d0 - d2).max(T::zero()).sqrt();
+        [(r[(0, 1)] + r[(1, 0)]) / s, s / of(4.0), (r[(1, 2)] + r[(2, 1)]) / s, (r[(0, 2)] - r[(2, 0)]) / s]
+    } else {
+        let s = two * (one + d2 - d0 - d1).max(T::zero()).sqrt();
+        [(r[(0, 2)] + r[(2, 0)]) / s, (r[(1, 2)] + r[(2, 1)]) / s, s / of(4.0), (r[(1, 0)] - r[(0, 1)]) / s]
+    };
+    if q[3] < T::zero() {
+        q = q.map(|x| -x);
+    }
+    q
+}
+
+/// Rotation matrix of a quaternion (x, y, z, w) of any non-zero length; q and −q give the same matrix.
+pub fn from_quaternion<T: Scalar>([x, y, z, w]: [T; 4]) -> Matrix3<T> {
+    let two = of::<T>(2.0);
+    let s = two / (x * x + y * y + z * z + w * w);
+    Matrix3::new(
+        T::one() - s * (y * y + z * z),
+        s * (x * y - z * w),
+        s * (x * z + y * w),
+        s * (x * y + z * w),
+        T::one() - s * (x * x + z * z),
+        s * (y * z - x * w),
+        s * (x * z - y * w),
+        s * (y * z + x * w),
+        T::one() - s * (x * x + y * y),
+    )
+}
+
+/// Orientation error R·log(Rᵀ·R_d) = log(R_d·Rᵀ), rad, in the axes in which both are given, length in \[0, π\].
+/// At exactly π one of the two axes is taken; the result is finite for every pair. eq. (10)
+pub fn error<T: Scalar>(actual: &Matrix3<T>, desired: &Matrix3<T>) -> Vector3<T> {
+    log(&(desired * actual.transpose()))
+}
+
+/// Rotation vector of a rotation matrix, rad.
+pub fn log<T: Scalar>(r: &Matrix3<T>) -> Vector3<T> {
+    let [x, y, z, w] = to_quaternion(r);
+    let v = Vector3::new(x, y, z);
+    let sine = v.norm();
+    if sine < T::default_epsilon() {
+        return v * of::<T>(2.0);
+    }
+    v * (of::<T>(2.0) * sine.atan2(w) / sine)
+}
+
+/// Rotation matrix of a rotation vector, rad.
+pub fn exp<T: Scalar>(v: &Vector3<T>) -> Matrix3<T> {
+    let half = v * of::<T>(0.5);
+    let angle = half.norm();
+    let (s, c) = angle.sin_cos();
+    let sinc = if angle < T::default_epsilon() { T::one() } else { s / angle };
+    let q = half * sinc;
+    from_quaternion([q.x, q.y, q.z, c])
+}

@@ -1,0 +1,26 @@
+//! The two scalars the crate is offered in.
+
+use nalgebra::RealField;
+
+mod sealed {
+    pub trait Sealed {}
+    impl Sealed for f32 {}
+    impl Sealed for f64 {}
+}
+
+/// `f32` or `f64`.
+pub trait Scalar: RealField + Copy + sealed::Sealed {}
+impl Scalar for f32 {}
+impl Scalar for f64 {}
+
+/// A constant in the scalar of the computation.
+#[inline]
+pub(crate) fn of<T: Scalar>(value: f64) -> T {
+    nalgebra::convert(value)
+}
+
+/// `values` in the scalar of the computation.
+#[inline]
+pub(crate) fn all<const N: usize, T: Scalar>(values: &[f64; N]) -> [T; N] {
+    values.map(of)
+}
