@@ -50,6 +50,14 @@ pub enum SimError {
         /// Largest allowed value.
         max: f64,
     },
+    /// The operating system refused something.
+    #[error("cannot {action}: {reason}")]
+    Os {
+        /// What was tried.
+        action: String,
+        /// What the system says.
+        reason: String,
+    },
     /// MuJoCo raised a warning: the state is no longer to be trusted.
     #[error("simulation failed at t = {time_s} s: {warning}")]
     Unstable {
@@ -58,4 +66,9 @@ pub enum SimError {
         /// Simulation time, s.
         time_s: f64,
     },
+}
+
+/// An error of the operating system, with what was tried.
+pub(crate) fn os(action: &str, error: &std::io::Error) -> SimError {
+    SimError::Os { action: action.to_owned(), reason: error.to_string() }
 }

@@ -4,20 +4,26 @@
 //! 1. [`scene`]: what there is ([`Scene`], [`Person`]); the MuJoCo model follows from it and holds nothing else.
 //! 2. [`plant`]: [`SimPlant`], the Panda on its velocity-controlled base, stepped one control period at a time.
 //! 3. [`foam`] and [`sensor`]: how a force on a taxel becomes a plate gap, counts, and noise.
+//! 4. [`board`]: [`VirtualBoard`], which turns forces into the bytes of a Touch Board at its rate and age;
+//!    [`pty`]: [`PtyBoard`], the same on a pseudo-terminal in real time.
 //!
-//! This crate refuses to know: the controllers, the parser of the cover's bytes, and a clock.
+//! This crate refuses to know: the controllers, the parser of the bytes it emits, and (but for [`PtyBoard`]) a clock.
 
+pub mod board;
 pub mod contact;
 mod error;
 pub mod foam;
 mod mjcf;
 pub mod plant;
+pub mod pty;
 mod quiet;
 pub mod scene;
 pub mod sensor;
 
+pub use board::{BoardFault, VirtualBoard, VirtualBoardConfig};
 pub use error::SimError;
 pub use plant::SimPlant;
+pub use pty::{PtyBoard, SharedForces};
 pub use scene::{Integrator, Mobility, Person, Robot, Scene};
 
 /// Version of the MuJoCo library that is linked.

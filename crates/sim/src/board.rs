@@ -1,0 +1,241 @@
+//! A Touch Board that exists only in memory: true forces in, the bytes of the DataStream sketch out, at a real
+//! board's rate and age. Time is an argument, so a run is as deterministic as its seed.
+//!
+//! What ages the data, as traced from the firmware: foam → chip (a sample each millisecond, FDAT refreshed every
+//! 10 ms with their mean) → one I²C read a frame → six lines printed one after the other.
+
+use crate::SimError;
+use crate::foam::{FoamLaw, FoamState};
+use crate::sensor::{CoverSensor, Effects, SAMPLE_INTERVAL_NS};
+use moca_msgs::robot::PAPER_COVER;
+use moca_tactile::datastream::{
+    Dialect, ELECTRODES, Frame, Line, MAX_COLUMNS, MAX_LINE_BYTES, SketchGeneration, emit_line,
+};
+
+const TAXELS: usize = PAPER_COVER.len();
+/// Stock touch and release thresholds, counts.
+const THRESHOLDS: (u8, u8) = (40, 20);
+/// With the chip lost on I²C a frame takes this percentage of its normal time (17.8 ms for 24.7 ms, traced).
+const I2C_LOST_PERCENT: u64 = 72;
+
+/// What kind of board, and how it is disturbed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VirtualBoardConfig {
+    /// Sketch: frame rate and age follow from it.
+    pub sketch: SketchGeneration,
+    /// Foam under the plates; the scene's.
+    pub foam: FoamLaw,
+    /// Disturbances.
+    pub effects: Effects,
+    /// Standard deviation of one FDAT value, counts; `None` takes the foam's.
+    pub noise_counts: Option<f64>,
+    /// Seed of the noise.
+    pub seed: u64,
+    /// When the first frame is read, ns: the board's phase against the loop.
+    pub first_read_ns: u64,
+}
+
+impl Default for VirtualBoardConfig {
+    /// Stock sketch of 2020 over the paper's foam.
+    fn default() -> Self {
+        Self {
+            sketch: SketchGeneration::From2018,
+            foam: FoamLaw::default(),
+            effects: Effects::default(),
+            noise_counts: None,
+            seed: 1,
+            first_read_ns: 5_000_000,
+        }
+    }
+}
+
+/// How a board fails; each as the firmware was seen to fail.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BoardFault {
+    /// I²C to the chip lost: good frames go on a little faster, FDAT frozen, thresholds garbage (newer sketch).
+    I2cLost,
+    /// The chip reset: every value 0.
+    ChipReset,
+    /// The bus is stuck: no bytes, the port stays open.
+    Silent,
+}
+
+/// The board. `advance` allocates nothing.
+#[derive(Clone, Debug)]
+pub struct VirtualBoard {
+    sketch: SketchGeneration,
+    foam: FoamLaw,
+    foams: [FoamState; TAXELS],
+    sensor: CoverSensor<ELECTRODES>,
+    distance_m: [f64; ELECTRODES],
+    fault: Option<BoardFault>,
+    frame: Frame,
+    next_sample_ns: u64,
+    read_ns: u64,
+    /// Next line of the current frame to come out; 6 when the frame is done.
+    next_line: usize,
+}
+
+/// One line's bytes.
+struct LineBuffer {
+    bytes: [u8; MAX_LINE_BYTES + 2],
+    len: usize,
+}
+
+impl Extend<u8> for LineBuffer {
+    fn extend<I: IntoIterator<Item = u8>>(&mut self, bytes: I) {
+        for byte in bytes {
+            if let Some(place) = self.bytes.get_mut(self.len) {
+                *place = byte;
+                self.len += 1;
+            }
+        }
+    }
+}
+
+impl VirtualBoard {
+    /// A board with nobody touching the cover.
+    ///
+    /// # Errors
+    /// A noise or an effect outside its range.
+    pub fn new(config: VirtualBoardConfig) -> Result<Self, SimError> {
+        let noise_counts = config.noise_counts.unwrap_or(config.foam.table().noise_counts);
+        let effects = &config.effects;
+        for (name, value, unit, min, max) in [
+            ("noise_counts", noise_counts, "counts", 0.0, 100.0),
+            ("drift_counts_per_min", effects.drift_counts_per_min, "counts/min", -1000.0, 1000.0),
+            ("crosstalk", effects.crosstalk, "", 0.0, 1.0),
+            ("supply_noise", effects.supply_noise, "", 0.0, 0.1),
+        ] {
+            if !(value >= min && value <= max) {
+                return Err(SimError::Scene { name, value, unit, min, max });
+            }
+        }
+        let mut board = Self {
+            sketch: config.sketch,
+            foam: config.foam,
+            foams: [FoamState::default(); TAXELS],
+            sensor: CoverSensor::new(config.foam, config.effects, config.seed).with_noise(noise_counts),
+            distance_m: [f64::INFINITY; ELECTRODES],
+            fault: None,
+            frame: Frame { dialect: dialect(config.sketch), ..Frame::default() },
+            next_sample_ns: SAMPLE_INTERVAL_NS,
+            read_ns: config.first_read_ns,
+            next_line: 0,
+        };
+        // The chip has been running: its first value is there before the first read.
+        for _ in 0..crate::sensor::SAMPLES_PER_VALUE {
+            board.sensor.sample(&[0.0; ELECTRODES], &board.distance_m);
+        }
+        board.read_chip();
+        Ok(board)
+    }
+
+    /// Makes the board fail, or heals it.
+    pub fn set_fault(&mut self, fault: Option<BoardFault>) {
+        self.fault = fault;
+    }
+
+    /// Distance of the nearest body to each taxel, m, for boards that feel bodies before they touch.
+    pub fn set_distances(&mut self, distance_m: &[f64; TAXELS]) {
+        self.distance_m[..TAXELS].copy_from_slice(distance_m);
+    }
+
+    /// Lets the board run until `now_ns` with steady true forces (N, T1 first) and gives every line to `sink` once it
+    /// is completely out. A force that is not finite counts as none: a hand cannot press with NaN.
+    pub fn advance(&mut self, now_ns: u64, force_n: &[f64; TAXELS], sink: &mut impl FnMut(&[u8])) {
+        loop {
+            let line_ns = self.next_line_ns();
+            let next_ns = self.next_sample_ns.min(line_ns);
+            if next_ns > now_ns {
+                return;
+            }
+            if self.next_sample_ns <= line_ns {
+                self.sample(force_n);
+            } else {
+                self.print_line(sink);
+            }
+        }
+    }
+
+    /// When the next line is out, or the next frame is read if all lines are, ns.
+    fn next_line_ns(&self) -> u64 {
+        let after_read_ns = match self.sketch.line_offset_ns().get(self.next_line) {
+            Some(&offset_ns) => offset_ns,
+            None => self.sketch.frame_period_ns(),
+        };
+        self.read_ns + self.hurried(after_read_ns)
+    }
+
+    /// Without an answer from the chip every part of a frame is quicker.
+    fn hurried(&self, normal_ns: u64) -> u64 {
+        match self.fault {
+            Some(BoardFault::I2cLost) => normal_ns * I2C_LOST_PERCENT / 100,
+            _ => normal_ns,
+        }
+    }
+
+    fn sample(&mut self, force_n: &[f64; TAXELS]) {
+        const DT_S: f64 = 1e-3;
+        let mut deformation_m = [0.0; ELECTRODES];
+        for (i, foam) in self.foams.iter_mut().enumerate() {
+            let force_n = if force_n[i].is_finite() { force_n[i] } else { 0.0 };
+            deformation_m[i] = foam.step_force(self.foam, force_n, DT_S);
+        }
+        self.sensor.sample(&deformation_m, &self.distance_m);
+        self.next_sample_ns += SAMPLE_INTERVAL_NS;
+    }
+
+    fn print_line(&mut self, sink: &mut impl FnMut(&[u8])) {
+        let Some(&line) = Line::ALL.get(self.next_line) else {
+            self.read_ns += self.hurried(self.sketch.frame_period_ns());
+            self.next_line = 0;
+            self.read_chip();
+            return;
+        };
+        self.next_line += 1;
+        if self.fault == Some(BoardFault::Silent) {
+            return;
+        }
+        let mut buffer = LineBuffer { bytes: [0; MAX_LINE_BYTES + 2], len: 0 };
+        emit_line(&self.frame, line, &mut buffer);
+        sink(&buffer.bytes[..buffer.len]);
+    }
+
+    /// The sketch's I²C read of all registers.
+    fn read_chip(&mut self) {
+        match self.fault {
+            Some(BoardFault::ChipReset) => {
+                self.frame = Frame { dialect: self.frame.dialect, ..Frame::default() };
+            }
+            Some(BoardFault::I2cLost) => {
+                if self.sketch == SketchGeneration::From2018 {
+                    let garbage: [u8; MAX_COLUMNS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12];
+                    self.frame.touch_threshold = garbage;
+                    self.frame.release_threshold = garbage;
+                }
+            }
+            Some(BoardFault::Silent) | None => self.read_healthy_chip(),
+        }
+    }
+
+    fn read_healthy_chip(&mut self) {
+        let columns = usize::from(self.frame.dialect.columns);
+        let (touch, release) = THRESHOLDS;
+        self.frame.touch_threshold[..columns].fill(touch);
+        self.frame.release_threshold[..columns].fill(release);
+        self.frame.filtered[..ELECTRODES].copy_from_slice(self.sensor.fdat());
+        self.frame.baseline[..ELECTRODES].copy_from_slice(&self.sensor.baseline());
+        for column in 0..ELECTRODES {
+            let threshold = if self.frame.touched[column] { release } else { touch };
+            self.frame.touched[column] = self.frame.difference(column) >= i16::from(threshold);
+        }
+    }
+}
+
+const fn dialect(sketch: SketchGeneration) -> Dialect {
+    match sketch {
+        SketchGeneration::PiCap => Dialect::PI_CAP,
+        _ => Dialect::TOUCH_BOARD,
+    }
+}

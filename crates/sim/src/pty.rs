@@ -1,0 +1,202 @@
+//! The virtual Touch Board on a pseudo-terminal, in real time: a program opens it like a real one.
+
+use crate::board::{BoardFault, VirtualBoard, VirtualBoardConfig};
+use crate::{SimError, error::os};
+use moca_msgs::robot::PAPER_COVER;
+use nix::fcntl::{FcntlArg, OFlag, fcntl, open};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::pty::{PtyMaster, grantpt, posix_openpt, ptsname_r, unlockpt};
+use nix::sys::stat::Mode;
+use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
+use std::os::fd::AsFd;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+use std::{env, fs, process};
+
+/// True taxel forces, N, as the bits of an `f64`, T1 first.
+pub type SharedForces = Arc<[AtomicU64; PAPER_COVER.len()]>;
+
+/// How often the board's thread wakes.
+const WAKE: Duration = Duration::from_millis(1);
+
+/// What a test or a demonstration does to the board.
+enum Order {
+    Unplug,
+    Replug,
+    Fault(Option<BoardFault>),
+    Bytes(Vec<u8>),
+}
+
+/// A board that runs in a thread of its own until it is dropped.
+#[derive(Debug)]
+pub struct PtyBoard {
+    path: PathBuf,
+    orders: Option<Sender<Order>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl PtyBoard {
+    /// A path of this process's own in `$XDG_RUNTIME_DIR`, or else in the folder for temporary files.
+    pub fn default_path() -> PathBuf {
+        let folder = env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from).filter(|folder| folder.is_dir());
+        folder.unwrap_or_else(env::temp_dir).join(format!("moca-touch-board-{}", process::id()))
+    }
+
+    /// Starts the board and makes `path` a symbolic link to its port. The link keeps its name when the board is
+    /// unplugged and plugged in again, as `/dev/serial/by-path` does.
+    ///
+    /// # Errors
+    /// A configuration outside its range, no pseudo-terminal, or a path that cannot be linked.
+    pub fn spawn(config: VirtualBoardConfig, forces: SharedForces, path: &Path) -> Result<Self, SimError> {
+        let board = VirtualBoard::new(config)?;
+        let port = Port::open(path)?;
+        let (orders, received) = channel();
+        let thread = std::thread::Builder::new()
+            .name("touch-board".into())
+            .spawn(move || run(board, port, &forces, &received))
+            .map_err(|error| os("start the board's thread", &error))?;
+        Ok(Self { path: path.to_owned(), orders: Some(orders), thread: Some(thread) })
+    }
+
+    /// Where to open the port.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Pulls the cable: the port hangs up and its link vanishes.
+    pub fn unplug(&self) {
+        self.order(Order::Unplug);
+    }
+
+    /// Plugs it in again: a new port under the same link.
+    pub fn replug(&self) {
+        self.order(Order::Replug);
+    }
+
+    /// Makes the board fail, or heals it.
+    pub fn set_fault(&self, fault: Option<BoardFault>) {
+        self.order(Order::Fault(fault));
+    }
+
+    /// Puts `bytes` on the line as they are.
+    pub fn inject(&self, bytes: &[u8]) {
+        self.order(Order::Bytes(bytes.to_vec()));
+    }
+
+    fn order(&self, order: Order) {
+        if let Some(orders) = &self.orders {
+            // Fails only if the thread is gone, which ends every order anyway.
+            let _ = orders.send(order);
+        }
+    }
+}
+
+impl Drop for PtyBoard {
+    fn drop(&mut self) {
+        self.orders = None;
+        if let Some(thread) = self.thread.take() {
+            // The thread does not panic; if it did, there is nobody left to tell.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// The board's end of the cable.
+struct Port {
+    path: PathBuf,
+    master: Option<PtyMaster>,
+}
+
+impl Port {
+    fn open(path: &Path) -> Result<Self, SimError> {
+        let mut port = Self { path: path.to_owned(), master: None };
+        port.plug()?;
+        Ok(port)
+    }
+
+    fn plug(&mut self) -> Result<(), SimError> {
+        let failed = |error: nix::Error| os("open a pseudo-terminal", &error.into());
+        let master = posix_openpt(OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_CLOEXEC).map_err(failed)?;
+        grantpt(&master).map_err(failed)?;
+        unlockpt(&master).map_err(failed)?;
+        let name = ptsname_r(&master).map_err(failed)?;
+        // Opened once and closed: raw bytes for whoever opens it next, and from now on the master knows (POLLHUP)
+        // whether anybody has.
+        let slave = open(name.as_str(), OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_CLOEXEC, Mode::empty())
+            .map_err(failed)?;
+        let mut attributes = tcgetattr(&slave).map_err(failed)?;
+        cfmakeraw(&mut attributes);
+        tcsetattr(&slave, SetArg::TCSANOW, &attributes).map_err(failed)?;
+        drop(slave);
+        fcntl(&master, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).map_err(failed)?;
+        link(&self.path, Path::new(&name))?;
+        self.master = Some(master);
+        Ok(())
+    }
+
+    fn unplug(&mut self) {
+        if self.master.take().is_some() {
+            // Somebody else may have removed it: the cable is out either way.
+            let _ = fs::remove_file(&self.path);
+        }
+    }
+
+    /// A board sends nothing while nobody has opened its port, and loses what a stalled host does not take.
+    fn write(&self, bytes: &[u8]) {
+        let Some(master) = &self.master else { return };
+        let mut watched = [PollFd::new(master.as_fd(), PollFlags::POLLOUT)];
+        let listening = poll(&mut watched, PollTimeout::ZERO).is_ok()
+            && watched[0].revents().is_some_and(|events| {
+                events.contains(PollFlags::POLLOUT) && !events.contains(PollFlags::POLLHUP)
+            });
+        if listening {
+            let _ = nix::unistd::write(master, bytes);
+        }
+    }
+}
+
+impl Drop for Port {
+    fn drop(&mut self) {
+        self.unplug();
+    }
+}
+
+/// Points the link at the port in one step; refuses to replace anything but a link.
+fn link(path: &Path, port: &Path) -> Result<(), SimError> {
+    let action = format!("link '{}'", path.display());
+    let failed = |error: std::io::Error| os(&action, &error);
+    if fs::symlink_metadata(path).is_ok_and(|found| !found.is_symlink()) {
+        return Err(failed(std::io::ErrorKind::AlreadyExists.into()));
+    }
+    let fresh = path.with_extension(format!("{}.new", process::id()));
+    std::os::unix::fs::symlink(port, &fresh).map_err(failed)?;
+    fs::rename(&fresh, path).map_err(failed)
+}
+
+fn run(mut board: VirtualBoard, mut port: Port, forces: &SharedForces, orders: &Receiver<Order>) {
+    let start = Instant::now();
+    loop {
+        match orders.try_recv() {
+            Ok(Order::Unplug) => port.unplug(),
+            Ok(Order::Replug) => {
+                port.unplug();
+                if let Err(error) = port.plug() {
+                    eprintln!("virtual Touch Board: {error}");
+                }
+            }
+            Ok(Order::Fault(fault)) => board.set_fault(fault),
+            Ok(Order::Bytes(bytes)) => port.write(&bytes),
+            Err(TryRecvError::Empty) => {
+                let force_n = std::array::from_fn(|i| f64::from_bits(forces[i].load(Ordering::Relaxed)));
+                let now_ns = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
+                board.advance(now_ns, &force_n, &mut |bytes: &[u8]| port.write(bytes));
+                std::thread::sleep(WAKE);
+            }
+            Err(TryRecvError::Disconnected) => return,
+        }
+    }
+}
