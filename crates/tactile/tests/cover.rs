@@ -1,0 +1,349 @@
+//! A cover against a virtual board: tare, contact, drift, and every fault of a taxel with its detection time.
+#![expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "small positive test numbers")]
+
+use moca_msgs::{Fault, TaxelStatus};
+use moca_tactile::board::{BoardEvent, CloseReason, OpenFailure};
+use moca_tactile::cover::{COMMON_MODE_FRAMES, MaskPolicy};
+use moca_tactile::datastream::{Frame, emit};
+use moca_tactile::health::{DEAD_FRAMES, STUCK_FRAMES};
+use moca_tactile::zero::{DRIFT_BUDGET, TARE_FRAMES};
+use moca_tactile::{Cover, CoverConfig, TareRefusal, TareStatus};
+
+const PERIOD_NS: u64 = 24_700_000;
+const IDLE: f64 = 720.0;
+
+/// A board whose electrodes fall by `drop` counts, with normal noise of `sigma` counts.
+struct Bench {
+    cover: Cover<11>,
+    now_ns: u64,
+    drop: [f64; 12],
+    sigma: [f64; 12],
+    baseline: u16,
+    thresholds: u8,
+    random: u64,
+}
+
+impl Bench {
+    fn new(config: CoverConfig<11>) -> Self {
+        Self {
+            cover: Cover::new(config).unwrap(),
+            now_ns: 1_000_000_000,
+            drop: [0.0; 12],
+            sigma: [0.7; 12],
+            baseline: 720,
+            thresholds: 40,
+            random: 1,
+        }
+    }
+
+    fn tared() -> Self {
+        let mut bench = Self::new(CoverConfig::default());
+        bench.tare();
+        assert!(bench.cover.zero_valid(), "{:?}", bench.cover.tare_status());
+        bench
+    }
+
+    /// Sum of 12 uniform numbers: mean 0, deviation 1.
+    fn normal(&mut self) -> f64 {
+        let mut sum = -6.0;
+        for _ in 0..12 {
+            self.random =
+                self.random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            sum += f64::from((self.random >> 33) as u32) / f64::from(1u32 << 31);
+        }
+        sum
+    }
+
+    fn frame(&mut self) {
+        self.now_ns += PERIOD_NS;
+        let mut frame = Frame { touch_threshold: [self.thresholds; 13], ..Frame::default() };
+        for e in 0..12 {
+            let noise = self.sigma[e] * self.normal();
+            frame.filtered[e] = (IDLE - self.drop[e] + noise).round().clamp(0.0, 1023.0) as u16;
+            frame.baseline[e] = self.baseline;
+        }
+        let mut bytes = Vec::new();
+        emit(&frame, &mut bytes);
+        self.cover.push(0, &bytes, self.now_ns);
+    }
+
+    fn frames(&mut self, count: u32) {
+        for _ in 0..count {
+            self.frame();
+        }
+    }
+
+    fn tare(&mut self) {
+        self.cover.start_tare(self.now_ns);
+        self.frames(TARE_FRAMES);
+    }
+
+    fn fault(&mut self) -> Option<Fault> {
+        self.cover.poll(self.now_ns).fault
+    }
+
+    fn force_n(&mut self, taxel: usize) -> f64 {
+        let reading = self.cover.poll(self.now_ns).reading.taxels[taxel];
+        assert_eq!(reading.status, TaxelStatus::Ok);
+        reading.force_n
+    }
+
+    /// Frames until `fault` shows, at most `limit`.
+    fn frames_until(&mut self, fault: Fault, limit: u32) -> u32 {
+        for count in 1..=limit {
+            self.frame();
+            if self.fault() == Some(fault) {
+                return count;
+            }
+        }
+        panic!("{fault:?} not found within {limit} frames, but {:?}", self.fault());
+    }
+}
+
+#[test]
+fn without_a_zero_there_is_a_fault_and_no_force() {
+    let mut bench = Bench::new(CoverConfig::default());
+    assert_eq!(bench.cover.poll(0).reading.sampled_at_ns, None);
+    bench.frames(3);
+    let poll = bench.cover.poll(bench.now_ns);
+    assert_eq!(poll.forces, Err((0, TaxelStatus::NoZero)));
+    assert_eq!(poll.fault, Some(Fault::ZeroInvalid));
+}
+
+#[test]
+fn a_tare_gives_zero_quality_and_a_robot_that_does_not_feel_noise() {
+    let mut bench = Bench::tared();
+    let TareStatus::Done(quality) = bench.cover.tare_status() else { panic!() };
+    assert_eq!(quality.frames, TARE_FRAMES);
+    assert!((0.5..1.5).contains(&quality.worst_deviation), "{quality:?}");
+    for _ in 0..2400 {
+        bench.frame();
+        assert_eq!(bench.cover.poll(bench.now_ns).forces, Ok([0.0; 11]));
+    }
+}
+
+#[test]
+fn contact_begins_at_four_counts_and_ends_below_two() {
+    let mut bench = Bench::tared();
+    bench.sigma = [0.0; 12];
+    let zero = bench.cover.zeros()[4].unwrap().counts;
+    for (drop, felt) in [(3, false), (5, true), (3, true), (1, false), (3, false), (5, true), (1, false)] {
+        bench.drop[4] = f64::from(drop);
+        bench.frame();
+        let expected_n = if felt { (zero - (IDLE - f64::from(drop))) * 100.0 / 84.0 } else { 0.0 };
+        assert!((bench.force_n(4) - expected_n).abs() < 1e-9, "{drop} counts");
+    }
+}
+
+#[test]
+fn a_tare_is_refused_while_touched_noisy_or_without_frames() {
+    let mut bench = Bench::new(CoverConfig::default());
+    bench.drop[2] = 20.0;
+    bench.tare();
+    let status = bench.cover.tare_status();
+    assert!(
+        matches!(status, TareStatus::Refused(TareRefusal::Touched { taxel: 2, counts }) if counts > 15.0),
+        "{status:?}"
+    );
+
+    let mut bench = Bench::tared();
+    let zeros = bench.cover.zeros();
+    // the chip's baseline has followed the hand, so only the old zero can tell
+    bench.drop[5] = 30.0;
+    bench.baseline = 692;
+    bench.tare();
+    assert!(matches!(bench.cover.tare_status(), TareStatus::Refused(TareRefusal::Touched { taxel: 5, .. })));
+    assert_eq!(bench.cover.zeros(), zeros, "a refused tare leaves the old zero");
+
+    let mut bench = Bench::new(CoverConfig::default());
+    bench.sigma[7] = 3.0;
+    bench.tare();
+    let status = bench.cover.tare_status();
+    assert!(matches!(status, TareStatus::Refused(TareRefusal::Noisy { taxel: 7, .. })), "{status:?}");
+
+    let mut bench = Bench::new(CoverConfig::default());
+    bench.cover.start_tare(0);
+    bench.cover.poll(6_000_000_000);
+    assert_eq!(bench.cover.tare_status(), TareStatus::Refused(TareRefusal::NoFrames));
+
+    let mut bench = Bench::new(CoverConfig::default());
+    bench.drop[3] = -303.0;
+    bench.tare();
+    let status = bench.cover.tare_status();
+    let dead = TareRefusal::Unusable { taxel: 3, status: TaxelStatus::Dead };
+    assert_eq!(status, TareStatus::Refused(dead));
+}
+
+#[test]
+fn ten_minutes_of_leaning_are_not_followed_away() {
+    let mut bench = Bench::tared();
+    bench.drop[1] = 28.0;
+    bench.baseline = 692;
+    let mut mean_of = |frames: u32| {
+        let mut sum = 0.0;
+        for _ in 0..frames {
+            bench.frame();
+            sum += bench.force_n(1);
+        }
+        sum / f64::from(frames)
+    };
+    let first_minute = mean_of(2430);
+    mean_of(8 * 2430);
+    let last_minute = mean_of(2430);
+    assert!((last_minute / first_minute - 1.0).abs() < 0.01, "{first_minute} {last_minute}");
+}
+
+#[test]
+fn slow_drift_is_followed_and_beyond_its_budget_a_fault() {
+    let mut bench = Bench::tared();
+    let per_frame = 0.6 / 60.0 * 0.0247; // 0.6 counts a minute
+    let mut frames = 0;
+    while bench.fault().is_none() {
+        bench.drop = bench.drop.map(|drop| drop + per_frame);
+        bench.frame();
+        frames += 1;
+        assert!(frames < 100_000);
+    }
+    let drifted = Fault::TaxelInvalid { taxel: 0, status: TaxelStatus::Drifted };
+    assert!(
+        matches!(bench.fault(), Some(Fault::TaxelInvalid { status: TaxelStatus::Drifted, .. })),
+        "{drifted:?}"
+    );
+    assert!((bench.drop[0] - DRIFT_BUDGET).abs() < 1.5, "{}", bench.drop[0]);
+    bench.baseline = 708; // the chip's baseline follows too
+    bench.tare();
+    assert_eq!(bench.fault(), None, "a new tare starts a new budget");
+}
+
+#[test]
+fn silence_is_stale_within_120_ms_and_recovers_without_a_tare() {
+    let mut bench = Bench::tared();
+    let last_ns = bench.now_ns;
+    assert_eq!(bench.cover.poll(last_ns + 119_000_000).fault, None);
+    let poll = bench.cover.poll(last_ns + 121_000_000);
+    assert_eq!(poll.fault, Some(Fault::BoardSilent));
+    assert_eq!(poll.forces, Err((0, TaxelStatus::Stale)));
+    bench.now_ns += 300_000_000;
+    bench.frame();
+    assert_eq!(bench.cover.poll(bench.now_ns).forces, Err((0, TaxelStatus::Stale)), "as old as the gap");
+    bench.frame();
+    assert_eq!(bench.cover.poll(bench.now_ns).forces, Ok([0.0; 11]));
+}
+
+#[test]
+fn frozen_reset_and_changed_thresholds_void_the_zero() {
+    let mut bench = Bench::tared();
+    bench.sigma = [0.0; 12];
+    assert!(bench.frames_until(Fault::BoardFrozen, 15) > 10);
+    bench.sigma = [0.7; 12];
+    bench.frame();
+    assert_eq!(bench.fault(), Some(Fault::ZeroInvalid));
+
+    let mut bench = Bench::tared();
+    (bench.drop, bench.sigma) = ([IDLE; 12], [0.0; 12]);
+    assert_eq!(bench.frames_until(Fault::BoardReset, 1), 1);
+    assert!(!bench.cover.zero_valid());
+
+    let mut bench = Bench::tared();
+    bench.thresholds = 41;
+    assert_eq!(bench.frames_until(Fault::BoardThresholds, 1), 1);
+    assert!(!bench.cover.zero_valid());
+}
+
+#[test]
+fn re_enumeration_voids_zero_and_gain() {
+    let mut bench = Bench::tared();
+    let at_ns = bench.now_ns;
+    bench.cover.event(0, &BoardEvent::Closed { at_ns, why: CloseReason::Disconnected });
+    assert_eq!(bench.fault(), Some(Fault::BoardLost));
+    bench.cover.event(0, &BoardEvent::OpenFailed { at_ns, why: OpenFailure::NotFound });
+    assert_eq!(bench.fault(), Some(Fault::BoardLost));
+    bench.cover.event(0, &BoardEvent::Opened { at_ns });
+    bench.frames(2);
+    assert_eq!(bench.fault(), Some(Fault::ZeroInvalid));
+    bench.tare();
+    assert_eq!(bench.fault(), None);
+}
+
+#[test]
+fn faults_of_one_taxel_are_found_in_their_time() {
+    let invalid = |status| Fault::TaxelInvalid { taxel: 6, status };
+
+    let mut bench = Bench::tared();
+    bench.drop[6] = -IDLE;
+    assert_eq!(bench.frames_until(invalid(TaxelStatus::Saturated), 1), 1);
+
+    let mut bench = Bench::tared();
+    bench.drop[6] = -60.0;
+    assert_eq!(bench.frames_until(invalid(TaxelStatus::Dead), DEAD_FRAMES), DEAD_FRAMES);
+
+    let mut bench = Bench::tared();
+    bench.sigma[6] = 0.0;
+    bench.frames_until(invalid(TaxelStatus::Stuck), STUCK_FRAMES + 1);
+
+    let mut bench = Bench::tared();
+    bench.sigma[6] = 8.0;
+    bench.frames_until(invalid(TaxelStatus::Noisy), 100);
+
+    let mut bench = Bench::tared();
+    bench.drop = [6.0; 12];
+    assert_eq!(bench.frames_until(Fault::BoardCommonMode, COMMON_MODE_FRAMES + 3), COMMON_MODE_FRAMES);
+}
+
+#[test]
+fn pushing_hard_and_fast_is_no_fault() {
+    let mut bench = Bench::tared();
+    for i in 0..400 {
+        let force = 42.0 * (1.0 - (f64::from(i) * 0.0247 * 2.0 * core::f64::consts::TAU).cos());
+        bench.drop[6] = force;
+        bench.drop[5] = 0.5 * force;
+        bench.frame();
+        assert_eq!(bench.fault(), None, "frame {i}");
+    }
+}
+
+#[test]
+fn a_masked_taxel_is_reported_and_its_policy_is_chosen() {
+    let mut masked = [false; 11];
+    masked[3] = true;
+    let mut bench = Bench::new(CoverConfig { masked, ..CoverConfig::default() });
+    bench.drop[3] = -303.0; // its wire is broken
+    bench.tare();
+    let poll = bench.cover.poll(bench.now_ns);
+    assert_eq!(poll.forces, Err((3, TaxelStatus::Masked)));
+    assert_eq!(poll.fault, Some(Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Masked }));
+
+    let mut bench =
+        Bench::new(CoverConfig { masked, mask_policy: MaskPolicy::Unfelt, ..CoverConfig::default() });
+    bench.tare();
+    let poll = bench.cover.poll(bench.now_ns);
+    assert_eq!((poll.forces, poll.fault), (Ok([0.0; 11]), None));
+    assert_eq!(poll.reading.taxels[3].status, TaxelStatus::Masked);
+}
+
+#[test]
+fn bytes_lost_on_the_way_make_no_frame_of_two_halves() {
+    let mut bench = Bench::tared();
+    let good = bench.cover.boards().next().unwrap().stats().frames_good;
+    let mut bytes = Vec::new();
+    emit(&Frame { touch_threshold: [40; 13], ..Frame::default() }, &mut bytes);
+    bench.cover.push(0, &bytes[..100], bench.now_ns);
+    bench.cover.event(0, &BoardEvent::Gap { at_ns: bench.now_ns, bytes_lost: 300 });
+    bench.cover.push(0, &bytes[100..], bench.now_ns);
+    let stats = *bench.cover.boards().next().unwrap().stats();
+    assert_eq!((stats.frames_good, stats.bytes_lost), (good, 300));
+}
+
+#[test]
+fn two_boards_make_one_cover_as_old_as_the_older() {
+    let mut cover = Cover::<24>::new(CoverConfig::default()).unwrap();
+    let frame = Frame { filtered: [700; 13], baseline: [700; 13], ..Frame::default() };
+    let mut bytes = Vec::new();
+    emit(&frame, &mut bytes);
+    cover.push(0, &bytes, 50_000_000);
+    assert_eq!(cover.poll(50_000_000).reading.sampled_at_ns, None, "the second board has not spoken");
+    cover.push(1, &bytes, 60_000_000);
+    assert_eq!(cover.poll(60_000_000).reading.sampled_at_ns, Some(38_000_000));
+    cover.push(7, &bytes, 60_000_000);
+    assert_eq!(cover.boards().len(), 2);
+}
