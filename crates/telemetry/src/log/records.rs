@@ -1,0 +1,222 @@
+//! The messages of a log, one type for each channel. Units and frames as in [`moca_msgs::Sample`]; a value that is
+//! not finite is `null`, and read back as NaN.
+
+use moca_msgs::{Fault, Mode, TaxelStatus, board::Diagnosis};
+use schemars::{JsonSchema, generate::SchemaSettings};
+use serde::{Deserialize, Deserializer, Serialize, de::Error};
+
+/// A message with a channel of its own.
+pub trait Channel: Serialize + JsonSchema {
+    /// Topic of the channel.
+    const TOPIC: &'static str;
+
+    /// JSON schema without references, which viewers read best.
+    fn schema() -> Result<Vec<u8>, serde_json::Error> {
+        let settings = SchemaSettings::draft07().with(|s| s.inline_subschemas = true);
+        serde_json::to_vec(&settings.into_generator().into_root_schema_for::<Self>())
+    }
+}
+
+/// What the plant measured.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct State {
+    /// Tick count.
+    pub tick: u64,
+    /// Pose of the base in the world: m, m, rad.
+    #[serde(deserialize_with = "array")]
+    pub base_pose_world: [f64; 3],
+    /// Its rate: m/s, m/s, rad/s.
+    #[serde(deserialize_with = "array")]
+    pub base_velocity_world: [f64; 3],
+    /// Joint angles, rad.
+    #[serde(deserialize_with = "list")]
+    pub q_rad: Vec<f64>,
+    /// Joint rates, rad/s.
+    #[serde(deserialize_with = "list")]
+    pub dq_rad_s: Vec<f64>,
+    /// Flange position in the world, m.
+    #[serde(deserialize_with = "array")]
+    pub flange_position_world: [f64; 3],
+    /// Flange orientation in the world, quaternion x, y, z, w.
+    #[serde(deserialize_with = "array")]
+    pub flange_quaternion_world: [f64; 4],
+    /// Desired flange position in the world, m.
+    #[serde(deserialize_with = "array")]
+    pub flange_desired_position_world: [f64; 3],
+    /// Desired flange orientation in the world, quaternion x, y, z, w.
+    #[serde(deserialize_with = "array")]
+    pub flange_desired_quaternion_world: [f64; 4],
+    /// External wrench on the robot about the flange, world axes: N, N·m.
+    #[serde(deserialize_with = "array")]
+    pub flange_wrench_world: [f64; 6],
+}
+
+/// What the robot was told.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct Command {
+    /// Tick count.
+    pub tick: u64,
+    /// Base velocity in the base's own axes: m/s, m/s, rad/s.
+    #[serde(deserialize_with = "array")]
+    pub base_velocity_body: [f64; 3],
+    /// Joint torques, gravity included, N·m.
+    #[serde(deserialize_with = "list")]
+    pub arm_torque_nm: Vec<f64>,
+}
+
+/// What the cover felt, T1 first.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct Cover {
+    /// Tick count.
+    pub tick: u64,
+    /// Force of each taxel, N; meaningful only where the status is Ok.
+    #[serde(deserialize_with = "list")]
+    pub force_n: Vec<f64>,
+    /// Health of each taxel.
+    #[schemars(with = "Vec<String>")]
+    pub status: Vec<TaxelStatus>,
+    /// Raw FDAT counts.
+    pub counts: Vec<u16>,
+    /// Cover wrench in the base's own axes about its origin: N, N, N·m.
+    #[serde(deserialize_with = "array")]
+    pub wrench_base: [f64; 3],
+    /// Age of the data, s; negative before the first good frame.
+    #[serde(deserialize_with = "scalar")]
+    pub frame_age_s: f64,
+    /// Measured frame rate, Hz.
+    #[serde(deserialize_with = "scalar")]
+    pub frame_rate_hz: f64,
+}
+
+/// How well the loop kept time.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct Timing {
+    /// Tick count.
+    pub tick: u64,
+    /// How late the tick woke, s.
+    #[serde(deserialize_with = "scalar")]
+    pub lateness_s: f64,
+    /// Missed slots so far.
+    pub overruns: u64,
+    /// Good frames so far.
+    pub frames_good: u64,
+    /// Rejected frames so far.
+    pub frames_bad: u64,
+}
+
+/// A change of mode.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct ModeChange {
+    /// First tick in the new mode.
+    pub tick: u64,
+    /// The new mode.
+    #[schemars(with = "String")]
+    pub mode: Mode,
+}
+
+/// A fault that came up, or was cleared.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct FaultChange {
+    /// First tick of the change.
+    pub tick: u64,
+    /// Stable code; empty when the fault was cleared.
+    pub code: String,
+    /// What happened.
+    pub text: String,
+    /// What to do about it.
+    pub remedy: String,
+    /// The fault in the form this library reads back.
+    pub json: String,
+}
+
+impl FaultChange {
+    /// A change to `fault`, `None` when cleared.
+    pub fn new(tick: u64, fault: Option<Fault>) -> Result<Self, serde_json::Error> {
+        Ok(Self {
+            tick,
+            code: fault.map_or("", Fault::code).into(),
+            text: fault.map_or("", Fault::text).into(),
+            remedy: fault.map_or("", Fault::remedy).into(),
+            json: serde_json::to_string(&fault)?,
+        })
+    }
+
+    /// The fault, `None` when cleared.
+    pub fn fault(&self) -> Result<Option<Fault>, serde_json::Error> {
+        serde_json::from_str(&self.json)
+    }
+}
+
+/// A change of what is known of the Touch Board.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct BoardChange {
+    /// First tick of the change.
+    pub tick: u64,
+    /// What is known, and what to do about it.
+    pub text: String,
+    /// The diagnosis in the form this library reads back.
+    pub json: String,
+}
+
+impl BoardChange {
+    /// A change to `board`.
+    pub fn new(tick: u64, board: Diagnosis) -> Result<Self, serde_json::Error> {
+        Ok(Self { tick, text: board.text().into(), json: serde_json::to_string(&board)? })
+    }
+
+    /// The diagnosis.
+    pub fn board(&self) -> Result<Diagnosis, serde_json::Error> {
+        serde_json::from_str(&self.json)
+    }
+}
+
+/// Bytes of the Touch Board as they came in.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct Serial {
+    /// Arrival, ns of loop time.
+    pub arrival_ns: u64,
+    /// The bytes, two hexadecimal digits each.
+    pub hex: String,
+}
+
+/// The robot's description, once at the start.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct Robot {
+    /// Unix time of loop time 0, ns.
+    pub start_unix_ns: u64,
+    /// Name of the robot.
+    pub name: String,
+    /// The description in the form this library reads back.
+    pub json: String,
+}
+
+macro_rules! channels {
+    ($($record:ident => $topic:literal),* $(,)?) => {
+        $(impl Channel for $record { const TOPIC: &'static str = $topic; })*
+    };
+}
+
+channels! {
+    Robot => "/robot",
+    State => "/state",
+    Command => "/command",
+    Cover => "/cover",
+    Timing => "/timing",
+    ModeChange => "/mode",
+    FaultChange => "/fault",
+    BoardChange => "/board",
+    Serial => "/serial",
+}
+
+fn scalar<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(d)?.unwrap_or(f64::NAN))
+}
+
+fn list<'de, D: Deserializer<'de>>(d: D) -> Result<Vec<f64>, D::Error> {
+    let values = Vec::<Option<f64>>::deserialize(d)?;
+    Ok(values.into_iter().map(|v| v.unwrap_or(f64::NAN)).collect())
+}
+
+fn array<'de, D: Deserializer<'de>, const N: usize>(d: D) -> Result<[f64; N], D::Error> {
+    list(d)?.try_into().map_err(|v: Vec<f64>| Error::invalid_length(v.len(), &"an array of fixed length"))
+}
