@@ -25,6 +25,8 @@ pub struct VirtualBoardConfig {
     pub sketch: SketchGeneration,
     /// Foam under the plates; the scene's.
     pub foam: FoamLaw,
+    /// Stiffness of that foam over its law's.
+    pub foam_scale: f64,
     /// Disturbances.
     pub effects: Effects,
     /// Standard deviation of one FDAT value, counts; `None` takes the foam's.
@@ -41,6 +43,7 @@ impl Default for VirtualBoardConfig {
         Self {
             sketch: SketchGeneration::From2018,
             foam: FoamLaw::default(),
+            foam_scale: 1.0,
             effects: Effects::default(),
             noise_counts: None,
             seed: 1,
@@ -65,6 +68,7 @@ pub enum BoardFault {
 pub struct VirtualBoard {
     sketch: SketchGeneration,
     foam: FoamLaw,
+    foam_scale: f64,
     foams: [FoamState; TAXELS],
     sensor: CoverSensor<ELECTRODES>,
     distance_m: [f64; ELECTRODES],
@@ -102,6 +106,7 @@ impl VirtualBoard {
         let noise_counts = config.noise_counts.unwrap_or(config.foam.table().noise_counts);
         let effects = &config.effects;
         for (name, value, unit, min, max) in [
+            ("foam_scale", config.foam_scale, "", 1e-3, 1e5),
             ("noise_counts", noise_counts, "counts", 0.0, 100.0),
             ("drift_counts_per_min", effects.drift_counts_per_min, "counts/min", -1000.0, 1000.0),
             ("crosstalk", effects.crosstalk, "", 0.0, 1.0),
@@ -114,6 +119,7 @@ impl VirtualBoard {
         let mut board = Self {
             sketch: config.sketch,
             foam: config.foam,
+            foam_scale: config.foam_scale,
             foams: [FoamState::default(); TAXELS],
             sensor: CoverSensor::new(config.foam, config.effects, config.seed).with_noise(noise_counts),
             distance_m: [f64::INFINITY; ELECTRODES],
@@ -180,7 +186,7 @@ impl VirtualBoard {
         let mut deformation_m = [0.0; ELECTRODES];
         for (i, foam) in self.foams.iter_mut().enumerate() {
             let force_n = if force_n[i].is_finite() { force_n[i] } else { 0.0 };
-            deformation_m[i] = foam.step_force(self.foam, force_n, DT_S);
+            deformation_m[i] = foam.step_force(self.foam, force_n / self.foam_scale, DT_S);
         }
         self.sensor.sample(&deformation_m, &self.distance_m);
         self.next_sample_ns += SAMPLE_INTERVAL_NS;

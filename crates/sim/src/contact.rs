@@ -88,7 +88,8 @@ pub fn series_force_n(
     if overlap_m <= 0.0 {
         return foam.step(law, 0.0, dt_s);
     }
-    // Rising in x: negative at 0, not negative at the overlap. Illinois keeps the bracket and converges fast.
+    // Rising in x: negative at 0, not negative at the overlap. Illinois keeps the bracket and
+    // converges fast; every fourth step halves it, for foams that start infinitely stiff (an exponent below 1).
     let before = *foam;
     let residual = |x_m: f64| {
         let mut trial = before;
@@ -97,12 +98,13 @@ pub fn series_force_n(
     let (mut low, mut high) = (0.0, overlap_m);
     let (mut f_low, mut f_high) = (residual(low), residual(high));
     let mut x_m = high;
-    for _ in 0..60 {
+    for iteration in 0..100 {
         let slope = f_high - f_low;
         if slope.abs() < f64::MIN_POSITIVE {
             break;
         }
-        x_m = high - f_high * (high - low) / slope;
+        let halve = iteration % 4 == 3;
+        x_m = if halve { 0.5 * (low + high) } else { high - f_high * (high - low) / slope };
         let f = residual(x_m);
         if f.abs() < 1e-9 || (high - low).abs() < 1e-15 {
             break;
@@ -115,4 +117,48 @@ pub fn series_force_n(
         (high, f_high) = (x_m, f);
     }
     foam.step(law, x_m, dt_s)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use moca_msgs::robot::PAPER_COVER;
+
+    #[test]
+    fn tissue_and_foam_share_one_force() {
+        for law in [FoamLaw::PuLd30, FoamLaw::CollisionAssumed, FoamLaw::Cc] {
+            for tissue in [1e2, 5e4, 1e7] {
+                let mut foam = FoamState::default();
+                let mut alone = FoamState::default();
+                for step in 1..200 {
+                    let overlap_m = 1e-4 * f64::from(step.min(80));
+                    let force_n = series_force_n(&mut foam, law, tissue, overlap_m, 1e-3);
+                    // The foam alone, moved by what the tissue leaves, answers with the same force.
+                    let x_m = overlap_m - force_n / tissue;
+                    assert!(x_m >= -1e-12, "{law:?} {tissue} {x_m}");
+                    let expected_n = alone.step(law, x_m, 1e-3);
+                    assert!(
+                        (force_n - expected_n).abs() < 1e-6 * (1.0 + tissue * 1e-9 + force_n),
+                        "{law:?} {tissue} {force_n} {expected_n}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn every_point_before_a_panel_has_exactly_one_zone() {
+        let zones = Zones::new(PAPER_COVER);
+        for step in -48..=48 {
+            let x = 0.01 * f64::from(step);
+            let zone = zones.find([x, 0.4], 0.1).unwrap();
+            let nearest = (0..4).min_by(|a, b| {
+                let off = |i: &usize| (PAPER_COVER[*i].position_base_m[0] - x).abs();
+                off(a).total_cmp(&off(b))
+            });
+            assert_eq!(Some(zone.taxel), nearest);
+            assert!((zone.distance_m - 0.012).abs() < 1e-12);
+        }
+        assert_eq!(zones.find([0.0, 2.0], 0.1), None);
+    }
 }

@@ -331,13 +331,16 @@ impl SimPlant {
             }
             if let Some(zone) = zone {
                 let overlap_m = person.radius_m - zone.distance_m;
-                let force_n = series_force_n(
-                    &mut body.foam,
-                    self.scene.foam,
-                    person.tissue_stiffness_n_per_m,
-                    overlap_m,
-                    self.scene.physics_step_s,
-                );
+                // A foam of scaled stiffness is the plain one against a tissue scaled the other way.
+                let scale = self.scene.foam_scale;
+                let force_n = scale
+                    * series_force_n(
+                        &mut body.foam,
+                        self.scene.foam,
+                        person.tissue_stiffness_n_per_m / scale,
+                        overlap_m,
+                        self.scene.physics_step_s,
+                    );
                 if force_n > 0.0 {
                     let [nx, ny] = self.zones.outward(zone.taxel);
                     let [x, y] = self.zones.position_base(zone.taxel);

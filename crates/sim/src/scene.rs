@@ -65,7 +65,7 @@ pub struct Person {
 
 impl Person {
     /// Speed and length of the step away, m/s and m. ASSUMED.
-    pub const STEP_AWAY: (f64, f64) = (0.6, 0.4);
+    pub const STEP_AWAY: (f64, f64) = (1.0, 3.0);
 
     /// The collision scene's person (75 kg, 50 N/mm, leg of 0.07 m radius), `gap_m` in front of taxel `taxel`
     /// (0 is T1) of a robot at the world's origin. Mass after ISO/TS 15066, the rest ASSUMED.
@@ -105,6 +105,8 @@ pub struct Scene {
     pub flange_sensor: bool,
     /// Foam of the cover.
     pub foam: FoamLaw,
+    /// Stiffness of the foam over its law's.
+    pub foam_scale: f64,
     /// People and walls.
     pub people: Vec<Person>,
     /// Time between two commands, s.
@@ -125,6 +127,7 @@ impl Default for Scene {
             joint_limits: true,
             flange_sensor: false,
             foam: FoamLaw::default(),
+            foam_scale: 1.0,
             people: Vec::new(),
             control_period_s: 1e-3,
             physics_step_s: 1e-3,
@@ -150,6 +153,7 @@ impl Scene {
         within("arm_posture_rad", "rad", &self.arm_posture_rad, -7.0, 7.0)?;
         within("control_period_s", "s", &[self.control_period_s], 1e-5, 0.1)?;
         within("physics_step_s", "s", &[self.physics_step_s], 1e-6, 0.1)?;
+        within("foam_scale", "", &[self.foam_scale], 1e-3, 1e5)?;
         for person in &self.people {
             within("person.position_world", "m", &person.position_world, -1e3, 1e3)?;
             within("person.velocity_world", "m/s", &person.velocity_world, -5.0, 5.0)?;
