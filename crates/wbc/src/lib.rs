@@ -4,6 +4,7 @@
 #![expect(clippy::needless_range_loop, reason = "matrix algorithms read as in the books: by index")]
 
 pub mod admittance;
+pub mod contact_stability;
 mod controller;
 pub mod coupled;
 pub mod cover;

@@ -1,6 +1,12 @@
 //! A plant to close the loop with: the crate's own coupled dynamics, a base that follows its velocity command as a
 //! first-order servo with limited acceleration, taxels that are read every 10 ms.
-#![allow(clippy::unwrap_used, unreachable_pub, dead_code, reason = "shared by several tests")]
+#![allow(
+    clippy::unwrap_used,
+    unreachable_pub,
+    dead_code,
+    clippy::needless_range_loop,
+    reason = "shared by several tests"
+)]
 
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
 use moca_msgs::{Parameters, Payload, RobotState};
