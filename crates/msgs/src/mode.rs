@@ -88,6 +88,8 @@ pub enum Fault {
     BoardThresholds,
     /// Every taxel of a board shifted alike: supply voltage or ground, not hands.
     BoardCommonMode,
+    /// The board is not the one that the calibration was made with.
+    CalibrationMismatch,
     /// One taxel is unusable.
     TaxelInvalid {
         /// 0 is T1.
@@ -116,6 +118,7 @@ impl Fault {
             Self::BoardReset => "board-reset",
             Self::BoardThresholds => "board-thresholds",
             Self::BoardCommonMode => "board-common-mode",
+            Self::CalibrationMismatch => "calibration-mismatch",
             Self::TaxelInvalid { .. } => "taxel-invalid",
             Self::ZeroInvalid => "zero-invalid",
             Self::StateInvalid => "state-invalid",
@@ -140,6 +143,7 @@ impl Fault {
             Self::BoardCommonMode => {
                 "Every taxel of a Touch Board shifted alike: its supply or ground, not hands."
             }
+            Self::CalibrationMismatch => "The calibration was made with another sketch than the board runs.",
             Self::TaxelInvalid { .. } => "A taxel is unusable.",
             Self::ZeroInvalid => "The cover has no valid zero.",
             Self::StateInvalid => "The robot's state holds a value that is not a number or not possible.",
@@ -167,6 +171,9 @@ impl Fault {
                 "Power-cycle the board; when frames are good: tare, then resume."
             }
             Self::BoardCommonMode => "Check the board's supply and ground; then tare and resume.",
+            Self::CalibrationMismatch => {
+                "Flash the sketch named in the calibration file, or calibrate again."
+            }
             Self::TaxelInvalid { .. } => "Check the taxel's plate and wire; then tare and resume.",
             Self::ZeroInvalid => "Step away from the cover and tare, then resume.",
             Self::StateInvalid | Self::PlantLost | Self::ControlRefused => {

@@ -11,9 +11,9 @@
 //! ```
 
 use crate::board::{BoardEvent, BoardMonitor, SILENT_AFTER_NS, SampledFrame};
-use crate::datastream::ELECTRODES;
+use crate::datastream::{ELECTRODES, SketchGeneration};
 use crate::health::TaxelHealth;
-use crate::model::TaxelModel;
+use crate::model::{FoamMemory, TaxelModel};
 use crate::zero::{TARE_FRAMES, TARE_TIMEOUT_NS, TareQuality, TareRefusal, TareStatus, TareSum, TaxelZero};
 use moca_msgs::{CoverReading, Fault, TaxelReading, TaxelStatus};
 
@@ -62,6 +62,11 @@ pub struct CoverConfig<const K: usize> {
     pub masked: [bool; K],
     /// What a masked taxel means.
     pub mask_policy: MaskPolicy,
+    /// FDAT at rest when each taxel was calibrated, counts; `None` where the model was not measured. Counts scale
+    /// with FDAT at rest, so a board that comes up with another gain still reads newtons.
+    pub calibrated_at: [Option<f64>; K],
+    /// Sketch that the calibration was made with; another one is a fault.
+    pub calibrated_sketch: Option<SketchGeneration>,
     /// Counts below zero at which contact begins.
     pub contact_on_counts: f64,
     /// Counts below zero under which contact ends.
@@ -79,6 +84,8 @@ impl<const K: usize> Default for CoverConfig<K> {
             models: [TaxelModel::PAPER; K],
             masked: [false; K],
             mask_policy: MaskPolicy::Stop,
+            calibrated_at: [None; K],
+            calibrated_sketch: None,
             contact_on_counts: CONTACT_ON_COUNTS,
             contact_off_counts: CONTACT_OFF_COUNTS,
         }
@@ -139,6 +146,7 @@ struct Taxel {
     in_contact: bool,
     zero: Option<TaxelZero>,
     health: TaxelHealth,
+    memory: FoamMemory,
     tare: TareSum,
 }
 
@@ -327,7 +335,12 @@ impl<const K: usize> Cover<K> {
                 Some(Fault::TaxelInvalid { taxel: u8::try_from(i).unwrap_or(u8::MAX), status })
             }
         };
-        stream.or(common).or_else(taxel)
+        let other_sketch = |board: &Board| {
+            let expected = self.config.calibrated_sketch;
+            expected.zip(board.monitor.generation()).is_some_and(|(expected, found)| expected != found)
+        };
+        let mismatch = self.boards.iter().any(other_sketch).then_some(Fault::CalibrationMismatch);
+        stream.or(mismatch).or(common).or_else(taxel)
     }
 
     fn status(&self, i: usize, now_ns: u64) -> TaxelStatus {
@@ -369,6 +382,8 @@ impl<const K: usize> Cover<K> {
         let dt_ns = frame.complete_ns.saturating_sub(entry.complete_ns).min(SILENT_AFTER_NS);
         entry.sampled_at_ns = Some(frame.sampled_at_ns);
         entry.complete_ns = frame.complete_ns;
+        #[expect(clippy::cast_precision_loss, reason = "at most 120 ms")]
+        let dt_s = dt_ns as f64 * 1e-9;
         let taring = matches!(self.tare, TareStatus::InProgress { .. });
         for (i, wire) in self.config.wiring.iter().enumerate() {
             if usize::from(wire.board) == board {
@@ -377,6 +392,7 @@ impl<const K: usize> Cover<K> {
                     frame.fdat[electrode],
                     &self.config.models[i],
                     [self.config.contact_on_counts, self.config.contact_off_counts],
+                    dt_s,
                 );
                 if taring {
                     self.taxels[i].tare.add(frame.fdat[electrode], frame.baseline[electrode]);
@@ -384,19 +400,17 @@ impl<const K: usize> Cover<K> {
             }
         }
         self.watch_common_mode(board);
-        self.follow_drift(board, frame.complete_ns, dt_ns);
+        self.follow_drift(board, frame.complete_ns, dt_s);
         self.advance_tare(frame.complete_ns);
     }
 
-    fn follow_drift(&mut self, board: usize, now_ns: u64, dt_ns: u64) {
+    fn follow_drift(&mut self, board: usize, now_ns: u64, dt_s: f64) {
         if self.taxels.iter().any(|taxel| taxel.in_contact) {
             self.last_contact_ns = now_ns;
         }
         if now_ns.saturating_sub(self.last_contact_ns) < SETTLE_NS {
             return;
         }
-        #[expect(clippy::cast_precision_loss, reason = "at most 120 ms")]
-        let dt_s = dt_ns as f64 * 1e-9;
         for (taxel, wire) in self.taxels.iter_mut().zip(&self.config.wiring) {
             if usize::from(wire.board) == board
                 && let Some(zero) = &mut taxel.zero
@@ -441,7 +455,7 @@ impl<const K: usize> Cover<K> {
         let mut zeros = [None; K];
         let mut worst_deviation: f64 = 0.0;
         for (i, taxel) in in_use() {
-            match taxel.tare.finish(i, taxel.zero.as_ref()) {
+            match taxel.tare.finish(i, taxel.zero.as_ref(), self.config.calibrated_at[i]) {
                 Ok(zero) => {
                     worst_deviation = worst_deviation.max(zero.deviation);
                     zeros[i] = Some(zero);
@@ -455,6 +469,7 @@ impl<const K: usize> Cover<K> {
         for (taxel, zero) in self.taxels.iter_mut().zip(zeros) {
             taxel.zero = zero;
             taxel.in_contact = false;
+            taxel.memory = FoamMemory::default();
             taxel.force_n = 0.0;
         }
         self.tare = TareStatus::Done(TareQuality { frames, worst_deviation, finished_ns: now_ns });
@@ -462,12 +477,13 @@ impl<const K: usize> Cover<K> {
 }
 
 impl Taxel {
-    fn update(&mut self, fdat: u16, model: &TaxelModel, [on, off]: [f64; 2]) {
+    fn update(&mut self, fdat: u16, model: &TaxelModel, [on, off]: [f64; 2], dt_s: f64) {
         self.fdat = fdat;
         self.health.update(fdat, self.zero.as_ref());
         let Some(zero) = &self.zero else { return };
-        let drop = zero.drop(fdat);
+        let drop = zero.gain * zero.drop(fdat);
         self.in_contact = drop >= if self.in_contact { off } else { on };
-        self.force_n = if self.in_contact { model.force_n(drop) } else { 0.0 };
+        let force_n = model.force_n(&mut self.memory, if self.in_contact { drop } else { 0.0 }, dt_s);
+        self.force_n = if self.in_contact { force_n } else { 0.0 };
     }
 }

@@ -7,16 +7,19 @@
 //! 3. [`zero`]: tare and slow drift. [`health`]: faults of one taxel. [`model`]: counts below zero to newtons.
 //! 4. [`cover`]: a [`Cover`] of `K` taxels on one or more boards. **The control loop needs this one.**
 //! 5. `serial` (feature): the thread that moves bytes from a port into a ring.
+//! 6. `calibration` (feature): fits of a model to trials, calibration files, guided sessions.
 //!
 //! The core is no_std, allocates nothing and never reads a clock or opens a port: bytes and time (ns of loop time)
 //! are arguments, so a serial port, a lock-step board in memory and a replayed recording are the same to it.
 #![no_std]
 #![forbid(unsafe_code)]
 
-#[cfg(any(feature = "serial", test))]
+#[cfg(any(feature = "serial", feature = "calibration", test))]
 extern crate std;
 
 pub mod board;
+#[cfg(feature = "calibration")]
+pub mod calibration;
 pub mod cover;
 pub mod datastream;
 pub mod health;

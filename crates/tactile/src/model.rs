@@ -24,6 +24,11 @@ pub enum CurveError {
         /// Counted from 0.
         index: usize,
     },
+    /// Relaxing shares must each be at least 0 and together below 1.
+    Share {
+        /// Their sum.
+        sum: f64,
+    },
 }
 
 impl core::fmt::Display for CurveError {
@@ -32,6 +37,9 @@ impl core::fmt::Display for CurveError {
             Self::KnotCount(n) => write!(f, "a monotone curve has 1 to {MAX_KNOTS} knots, got {n}"),
             Self::NotRising { index } => {
                 write!(f, "knot {index} of a monotone curve must rise in counts and not fall in force (N)")
+            }
+            Self::Share { sum } => {
+                write!(f, "relaxing shares must each be at least 0 and together below 1, their sum is {sum}")
             }
         }
     }
@@ -79,9 +87,67 @@ impl MonotoneCurve {
     }
 }
 
+/// Time constants of the compensated foam memory, s: a decade apart, from a tap to a long lean.
+pub const MEMORY_TIME_S: [f64; 3] = [0.3, 3.0, 30.0];
+
+/// Quasi-linear viscoelasticity (Fung): counts give the gap, the gap gives the elastic force through a monotone
+/// curve, and a share of that force relaxes. F = (1 − Σg)·Fe + Σh, ḣ = g·Ḟe − h/τ, exact for a linear Fe.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CompensatedCurve {
+    elastic: MonotoneCurve,
+    share: [f64; 3],
+}
+
+/// What a foam remembers, N. All 0 at rest.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FoamMemory {
+    elastic_n: f64,
+    relaxing_n: [f64; 3],
+}
+
+impl CompensatedCurve {
+    /// `elastic`: counts to instantaneous force; `share`: parts of it that relax with [`MEMORY_TIME_S`], each ≥ 0,
+    /// together below 1.
+    pub fn new(elastic: MonotoneCurve, share: [f64; 3]) -> Result<Self, CurveError> {
+        let sum: f64 = share.iter().sum();
+        let valid = share.iter().all(|&g| g >= 0.0) && sum < 1.0;
+        if valid { Ok(Self { elastic, share }) } else { Err(CurveError::Share { sum }) }
+    }
+
+    /// The elastic curve.
+    pub const fn elastic(&self) -> &MonotoneCurve {
+        &self.elastic
+    }
+
+    /// Relaxing shares of the elastic force, for [`MEMORY_TIME_S`].
+    pub const fn share(&self) -> [f64; 3] {
+        self.share
+    }
+
+    fn force_n(&self, memory: &mut FoamMemory, drop: f64, dt_s: f64) -> f64 {
+        let elastic_n = self.elastic.force_n(drop);
+        let change_n = elastic_n - memory.elastic_n;
+        memory.elastic_n = elastic_n;
+        let mut force_n = elastic_n;
+        for ((relaxing_n, share), time_s) in memory.relaxing_n.iter_mut().zip(self.share).zip(MEMORY_TIME_S) {
+            *relaxing_n = relax(*relaxing_n, share * change_n, dt_s / time_s);
+            force_n += *relaxing_n - share * elastic_n;
+        }
+        force_n
+    }
+}
+
+/// h after a step in which its input rose linearly by `change` over `ratio` time constants.
+pub(crate) fn relax(h: f64, change: f64, ratio: f64) -> f64 {
+    if ratio <= 0.0 {
+        return h + change;
+    }
+    let decay = libm::exp(-ratio);
+    h * decay + change * -libm::expm1(-ratio) / ratio
+}
+
 /// Calibration of one taxel.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[expect(clippy::large_enum_variant, reason = "K fixed-size models live in the cover; boxing would allocate")]
 pub enum TaxelModel {
     /// F = slope · drop.
     LineThroughZero {
@@ -95,29 +161,89 @@ pub enum TaxelModel {
         /// N at zero counts.
         intercept_n: f64,
     },
-    /// Monotone curve.
+    /// Monotone curve, without memory: loading and unloading read the mean of both.
     Monotone(MonotoneCurve),
+    /// Monotone curve with hysteresis and creep of the foam compensated.
+    Compensated(CompensatedCurve),
 }
 
 impl TaxelModel {
     /// Line through the tared zero and 100 N at 84 counts (the paper's PU taxel): the default.
     pub const PAPER: Self = Self::LineThroughZero { newton_per_count: 100.0 / PAPER_COUNTS_AT_100N };
 
-    /// Force at `drop` counts below zero, N, ≥ 0.
-    pub fn force_n(&self, drop: f64) -> f64 {
+    /// Force at `drop` counts below zero after `dt_s` since the last call, N, ≥ 0. `memory` belongs to the taxel;
+    /// call it for every frame, with a drop of 0 while nothing touches.
+    pub fn force_n(&self, memory: &mut FoamMemory, drop: f64, dt_s: f64) -> f64 {
         let force_n = match self {
             Self::LineThroughZero { newton_per_count } => newton_per_count * drop,
             Self::LineWithIntercept { newton_per_count, intercept_n } => {
                 newton_per_count * drop + intercept_n
             }
             Self::Monotone(curve) => curve.force_n(drop),
+            Self::Compensated(curve) => curve.force_n(memory, drop, dt_s),
         };
         force_n.max(0.0)
+    }
+
+    /// Name as in calibration files and reports.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::LineThroughZero { .. } => "line-through-zero",
+            Self::LineWithIntercept { .. } => "line-with-intercept",
+            Self::Monotone(_) => "monotone",
+            Self::Compensated(_) => "compensated",
+        }
     }
 }
 
 impl Default for TaxelModel {
     fn default() -> Self {
         Self::PAPER
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn curve() -> MonotoneCurve {
+        MonotoneCurve::new(&[[4.0, 5.0], [28.0, 50.0], [84.0, 100.0]]).unwrap()
+    }
+
+    #[test]
+    fn a_curve_passes_its_knots_and_goes_on_with_its_last_slope() {
+        let curve = curve();
+        for (drop, force_n) in
+            [(-3.0, 0.0), (0.0, 0.0), (2.0, 2.5), (4.0, 5.0), (16.0, 27.5), (84.0, 100.0), (140.0, 150.0)]
+        {
+            assert!((curve.force_n(drop) - force_n).abs() < 1e-12, "{drop}");
+        }
+    }
+
+    #[test]
+    fn knots_that_fall_or_are_no_numbers_are_refused() {
+        assert_eq!(MonotoneCurve::new(&[]), Err(CurveError::KnotCount(0)));
+        assert_eq!(MonotoneCurve::new(&[[1.0, 1.0]; 17]), Err(CurveError::KnotCount(17)));
+        for bad in [[4.0, 6.0], [5.0, 4.9], [f64::NAN, 6.0], [6.0, f64::INFINITY]] {
+            assert_eq!(MonotoneCurve::new(&[[4.0, 5.0], bad]), Err(CurveError::NotRising { index: 1 }));
+        }
+        assert!(CompensatedCurve::new(curve(), [0.5, 0.3, 0.2]).is_err());
+        assert!(CompensatedCurve::new(curve(), [f64::NAN, 0.0, 0.0]).is_err());
+    }
+
+    #[test]
+    fn a_held_gap_reads_less_and_less_down_to_the_lasting_share() {
+        let model = TaxelModel::Compensated(CompensatedCurve::new(curve(), [0.1, 0.05, 0.05]).unwrap());
+        let mut memory = FoamMemory::default();
+        let first_n = model.force_n(&mut memory, 28.0, 1e-9);
+        assert!((first_n - 50.0).abs() < 1e-6);
+        let mut last_n = first_n;
+        for _ in 0..3000 {
+            let force_n = model.force_n(&mut memory, 28.0, 0.1);
+            assert!(force_n <= last_n);
+            last_n = force_n;
+        }
+        assert!((last_n - 40.0).abs() < 0.01, "{last_n}");
+        assert!(model.force_n(&mut memory, 0.0, 0.025) <= 0.0, "a foam never pulls");
     }
 }

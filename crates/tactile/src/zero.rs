@@ -18,6 +18,8 @@ pub const TARE_TOUCH_COUNTS: f64 = 8.0;
 pub const LINEAR_MIN: f64 = 217.0;
 /// An untouched electrode above this has no plate: an open wire, counts.
 pub const OPEN_MIN: f64 = 1000.0;
+/// Largest change of FDAT at rest since the calibration that is scaled away, as a ratio.
+pub const GAIN_RATIO_MAX: f64 = 1.25;
 /// Largest drift that is followed before the taxel is [`TaxelStatus::Drifted`], counts.
 pub const DRIFT_BUDGET: f64 = 10.0;
 /// Time constant of drift following, s: slow against any touch.
@@ -48,6 +50,13 @@ pub enum TareRefusal {
         taxel: usize,
         /// Why.
         status: TaxelStatus,
+    },
+    /// FDAT at rest is too far from where the taxel was calibrated: calibrate again.
+    Gain {
+        /// 0 is T1.
+        taxel: usize,
+        /// FDAT at rest at calibration over FDAT at rest now.
+        ratio: f64,
     },
     /// Not enough good frames within [`TARE_TIMEOUT_NS`].
     NoFrames,
@@ -84,7 +93,7 @@ pub enum TareStatus {
 }
 
 /// Zero of one taxel.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TaxelZero {
     /// FDAT at rest, drift followed, counts.
     pub counts: f64,
@@ -92,6 +101,8 @@ pub struct TaxelZero {
     pub tared_counts: f64,
     /// Standard deviation at the tare, counts.
     pub deviation: f64,
+    /// FDAT at rest when the taxel was calibrated over FDAT at rest now: scales counts to the calibration's.
+    pub gain: f64,
 }
 
 impl TaxelZero {
@@ -132,8 +143,14 @@ impl TareSum {
         self.baseline_mean += (f64::from(baseline) - self.baseline_mean) * weight;
     }
 
-    /// The zero, or why it cannot be one. `old` is the zero so far, if it is valid.
-    pub(crate) fn finish(&self, taxel: usize, old: Option<&TaxelZero>) -> Result<TaxelZero, TareRefusal> {
+    /// The zero, or why it cannot be one. `old` is the zero so far, if it is valid;
+    /// `calibrated_at` is FDAT at rest at the calibration, if there was one.
+    pub(crate) fn finish(
+        &self,
+        taxel: usize,
+        old: Option<&TaxelZero>,
+        calibrated_at: Option<f64>,
+    ) -> Result<TaxelZero, TareRefusal> {
         let unusable = |status| Err(TareRefusal::Unusable { taxel, status });
         if self.mean <= 0.0 || self.mean >= f64::from(FDAT_MAX) {
             return unusable(TaxelStatus::Saturated);
@@ -153,6 +170,10 @@ impl TareSum {
         if counts > TARE_TOUCH_COUNTS {
             return Err(TareRefusal::Touched { taxel, counts });
         }
-        Ok(TaxelZero { counts: self.mean, tared_counts: self.mean, deviation })
+        let gain = calibrated_at.map_or(1.0, |rest| rest / self.mean);
+        if !(1.0 / GAIN_RATIO_MAX..=GAIN_RATIO_MAX).contains(&gain) {
+            return Err(TareRefusal::Gain { taxel, ratio: gain });
+        }
+        Ok(TaxelZero { counts: self.mean, tared_counts: self.mean, deviation, gain })
     }
 }

@@ -1,0 +1,394 @@
+//! Calibration files: TOML that names its schema, board, sketch, date and material. Whatever does not fit the cover
+//! it is applied to is an error; nothing falls back to a default.
+
+use super::Quality;
+use crate::CoverConfig;
+use crate::datastream::SketchGeneration;
+use crate::model::{CompensatedCurve, CurveError, MonotoneCurve, TaxelModel};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::string::{String, ToString};
+use std::vec::Vec;
+
+/// Version of the file's layout; another one is refused.
+pub const SCHEMA_VERSION: u32 = 1;
+/// Steepest slope that is believed, N per count (100 N over a single count).
+const NEWTON_PER_COUNT_MAX: f64 = 100.0;
+
+/// A calibrated cover, or the part of it on one board.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CalibrationFile {
+    /// [`SCHEMA_VERSION`].
+    pub schema: u32,
+    /// Identity of the board as the daemon's configuration names it (its `/dev/serial/by-path`: serial numbers are
+    /// empty).
+    pub board: String,
+    /// Generation of the sketch: `2015-2018`, `2018-2020` or `pi-cap`.
+    pub sketch: String,
+    /// Day of the calibration, YYYY-MM-DD.
+    pub date: String,
+    /// Foam under the plates.
+    pub material: String,
+    /// One entry a taxel.
+    pub taxel: Vec<TaxelEntry>,
+}
+
+/// Calibration of one taxel and how good it was.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TaxelEntry {
+    /// 1 is T1.
+    pub number: usize,
+    /// FDAT at rest, counts.
+    pub rest_counts: f64,
+    /// Samples of the fit.
+    pub samples: usize,
+    /// RMSE over everything, N.
+    pub rmse_n: f64,
+    /// RMSE while the force rose, N.
+    pub rmse_loading_n: f64,
+    /// RMSE while it fell, N.
+    pub rmse_unloading_n: f64,
+    /// Valid up to these counts below rest.
+    pub counts_max: f64,
+    /// Valid up to this force, N.
+    pub force_max_n: f64,
+    /// The model.
+    pub model: StoredModel,
+}
+
+/// A [`TaxelModel`] as stored.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum StoredModel {
+    /// F = slope · counts.
+    LineThroughZero {
+        /// N per count.
+        newton_per_count: f64,
+    },
+    /// The paper's line; for reporting, and refused by [`CalibrationFile::apply`].
+    LineWithIntercept {
+        /// N per count.
+        newton_per_count: f64,
+        /// N at rest.
+        intercept_n: f64,
+    },
+    /// Monotone curve.
+    Monotone {
+        /// \[counts, N\] in rising order; (0, 0) is implied.
+        knots: Vec<[f64; 2]>,
+    },
+    /// Curve with foam memory.
+    Compensated {
+        /// \[counts, N\] of the elastic curve.
+        knots: Vec<[f64; 2]>,
+        /// Relaxing shares.
+        share: [f64; 3],
+    },
+}
+
+impl From<&TaxelModel> for StoredModel {
+    fn from(model: &TaxelModel) -> Self {
+        match *model {
+            TaxelModel::LineThroughZero { newton_per_count } => Self::LineThroughZero { newton_per_count },
+            TaxelModel::LineWithIntercept { newton_per_count, intercept_n } => {
+                Self::LineWithIntercept { newton_per_count, intercept_n }
+            }
+            TaxelModel::Monotone(curve) => Self::Monotone { knots: curve.knots().collect() },
+            TaxelModel::Compensated(curve) => {
+                Self::Compensated { knots: curve.elastic().knots().collect(), share: curve.share() }
+            }
+        }
+    }
+}
+
+/// Why a file cannot be used.
+#[derive(Debug)]
+pub enum FileError {
+    /// The operating system refused.
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Its answer.
+        error: std::io::Error,
+    },
+    /// Not the TOML that this module writes; the message has line and column.
+    Syntax(String),
+    /// Another [`SCHEMA_VERSION`].
+    Schema {
+        /// In the file.
+        found: u32,
+    },
+    /// A value that cannot be.
+    Value {
+        /// 1 is T1.
+        taxel: usize,
+        /// What and which range.
+        what: String,
+    },
+    /// The file belongs to something else.
+    Mismatch {
+        /// `board` or `sketch`.
+        what: &'static str,
+        /// Configured or measured.
+        expected: String,
+        /// In the file.
+        found: String,
+    },
+    /// The file lacks this taxel, has it twice, or has one that the cover has not (1 is T1).
+    Taxels(usize),
+}
+
+impl core::fmt::Display for FileError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Io { path, error } => write!(f, "calibration file {}: {error}", path.display()),
+            Self::Syntax(text) => write!(f, "calibration file: {text}"),
+            Self::Schema { found } => write!(
+                f,
+                "calibration file has schema {found}, this program reads schema {SCHEMA_VERSION}: calibrate again"
+            ),
+            Self::Value { taxel, what } => write!(f, "calibration of T{taxel}: {what}"),
+            Self::Mismatch { what, expected, found } => write!(
+                f,
+                "calibration was made for {what} {found:?}, but the cover has {expected:?}: use its own file or \
+                 calibrate again"
+            ),
+            Self::Taxels(taxel) => write!(
+                f,
+                "calibration must hold every taxel of the cover exactly once; T{taxel} is missing, double or \
+                 unknown"
+            ),
+        }
+    }
+}
+
+impl std::error::Error for FileError {}
+
+impl TaxelEntry {
+    /// What a fit gave, for taxel `number` (1 is T1).
+    pub fn new(number: usize, rest_counts: f64, model: &TaxelModel, quality: &Quality) -> Self {
+        Self {
+            number,
+            rest_counts,
+            samples: quality.samples,
+            rmse_n: quality.rmse_n,
+            rmse_loading_n: quality.rmse_loading_n,
+            rmse_unloading_n: quality.rmse_unloading_n,
+            counts_max: quality.counts_max,
+            force_max_n: quality.force_max_n,
+            model: model.into(),
+        }
+    }
+
+    /// The model, checked.
+    pub fn model(&self) -> Result<TaxelModel, FileError> {
+        let value = |what: String| FileError::Value { taxel: self.number, what };
+        let curve = |error: CurveError| value(error.to_string());
+        if !(self.rest_counts > 0.0 && self.rest_counts < 1023.0) {
+            return Err(value(std::format!(
+                "rest_counts must be 0 to 1023 counts, got {}",
+                self.rest_counts
+            )));
+        }
+        let slope = |newton_per_count: f64| {
+            if newton_per_count > 0.0 && newton_per_count <= NEWTON_PER_COUNT_MAX {
+                Ok(newton_per_count)
+            } else {
+                Err(value(std::format!(
+                    "newton_per_count must be above 0 and at most {NEWTON_PER_COUNT_MAX} N per count, got \
+                     {newton_per_count}"
+                )))
+            }
+        };
+        Ok(match &self.model {
+            StoredModel::LineThroughZero { newton_per_count } => {
+                TaxelModel::LineThroughZero { newton_per_count: slope(*newton_per_count)? }
+            }
+            StoredModel::LineWithIntercept { .. } => {
+                return Err(value(
+                    "a line with intercept reads its intercept when untouched; it is for reporting, choose \
+                     line-through-zero, monotone or compensated"
+                        .to_string(),
+                ));
+            }
+            StoredModel::Monotone { knots } => {
+                TaxelModel::Monotone(MonotoneCurve::new(knots).map_err(curve)?)
+            }
+            StoredModel::Compensated { knots, share } => {
+                let elastic = MonotoneCurve::new(knots).map_err(curve)?;
+                TaxelModel::Compensated(CompensatedCurve::new(elastic, *share).map_err(curve)?)
+            }
+        })
+    }
+}
+
+impl CalibrationFile {
+    /// An empty calibration of today's schema.
+    pub fn new(board: &str, sketch: SketchGeneration, date: &str, material: &str) -> Self {
+        Self {
+            schema: SCHEMA_VERSION,
+            board: board.to_string(),
+            sketch: sketch.name().to_string(),
+            date: date.to_string(),
+            material: material.to_string(),
+            taxel: Vec::new(),
+        }
+    }
+
+    /// Reads and checks the layout of a file.
+    pub fn read(path: &Path) -> Result<Self, FileError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| FileError::Io { path: path.to_path_buf(), error })?;
+        Self::parse(&text)
+    }
+
+    /// The same from text. The schema is looked at first, so that an old file is called old, not wrong.
+    pub fn parse(text: &str) -> Result<Self, FileError> {
+        #[derive(Deserialize)]
+        struct Schema {
+            schema: u32,
+        }
+        let syntax = |error: toml::de::Error| FileError::Syntax(error.to_string());
+        let Schema { schema } = toml::from_str(text).map_err(syntax)?;
+        if schema != SCHEMA_VERSION {
+            return Err(FileError::Schema { found: schema });
+        }
+        toml::from_str(text).map_err(syntax)
+    }
+
+    /// The file's text.
+    pub fn to_toml(&self) -> Result<String, FileError> {
+        toml::to_string(self).map_err(|error| FileError::Syntax(error.to_string()))
+    }
+
+    /// Writes the file whole: beside it first, then over it.
+    pub fn write(&self, path: &Path) -> Result<(), FileError> {
+        let io = |error| FileError::Io { path: path.to_path_buf(), error };
+        let beside = path.with_extension("toml.new");
+        std::fs::write(&beside, self.to_toml()?).map_err(io)?;
+        std::fs::rename(&beside, path).map_err(io)
+    }
+
+    /// The sketch that the calibration was made with.
+    pub fn generation(&self) -> Result<SketchGeneration, FileError> {
+        use SketchGeneration::{From2015, From2018, PiCap};
+        [From2015, From2018, PiCap].into_iter().find(|g| g.name() == self.sketch).ok_or_else(|| {
+            FileError::Mismatch {
+                what: "sketch",
+                expected: "2015-2018, 2018-2020 or pi-cap".to_string(),
+                found: self.sketch.clone(),
+            }
+        })
+    }
+
+    /// Puts the models into `config` for a cover whose board is called `board`. The sketch is compared when the
+    /// board has spoken: another one is then [`moca_msgs::Fault::CalibrationMismatch`].
+    pub fn apply<const K: usize>(&self, board: &str, config: &mut CoverConfig<K>) -> Result<(), FileError> {
+        if self.board != board {
+            return Err(FileError::Mismatch {
+                what: "board",
+                expected: board.to_string(),
+                found: self.board.clone(),
+            });
+        }
+        let mut models = [None; K];
+        for entry in &self.taxel {
+            let slot = entry.number.checked_sub(1).and_then(|i| models.get_mut(i));
+            match slot {
+                Some(slot) if slot.is_none() => *slot = Some((entry.model()?, entry.rest_counts)),
+                _ => return Err(FileError::Taxels(entry.number)),
+            }
+        }
+        if let Some(missing) = models.iter().position(Option::is_none) {
+            return Err(FileError::Taxels(missing + 1));
+        }
+        let generation = self.generation()?;
+        for (i, (model, rest_counts)) in models.into_iter().flatten().enumerate() {
+            config.models[i] = model;
+            config.calibrated_at[i] = Some(rest_counts);
+        }
+        config.calibrated_sketch = Some(generation);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file() -> CalibrationFile {
+        let quality = Quality {
+            samples: 700,
+            rmse_n: 2.5,
+            rmse_loading_n: 2.0,
+            rmse_unloading_n: 3.0,
+            worst_n: 9.0,
+            counts_max: 84.0,
+            force_max_n: 100.0,
+        };
+        let curve = MonotoneCurve::new(&[[4.0, 5.0], [84.0, 100.0]]).unwrap();
+        let models = [
+            TaxelModel::PAPER,
+            TaxelModel::Monotone(curve),
+            TaxelModel::Compensated(CompensatedCurve::new(curve, [0.1, 0.0, 0.05]).unwrap()),
+        ];
+        let mut file = CalibrationFile::new("left", SketchGeneration::From2018, "2026-11-21", "PU LD30");
+        for (i, model) in models.iter().enumerate() {
+            file.taxel.push(TaxelEntry::new(i + 1, 719.6, model, &quality));
+        }
+        file
+    }
+
+    #[test]
+    fn a_file_comes_back_as_it_was_written_and_configures_its_cover() {
+        let file = file();
+        let back = CalibrationFile::parse(&file.to_toml().unwrap()).unwrap();
+        assert_eq!(back, file);
+        let mut config = CoverConfig::<3>::default();
+        back.apply("left", &mut config).unwrap();
+        assert_eq!(StoredModel::from(&config.models[2]), file.taxel[2].model);
+        assert_eq!(config.calibrated_sketch, Some(SketchGeneration::From2018));
+    }
+
+    fn message<const K: usize>(file: &CalibrationFile, board: &str) -> String {
+        file.apply(board, &mut CoverConfig::<K>::default()).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn whatever_does_not_fit_is_an_error_that_says_so() {
+        let mut file = file();
+        assert!(message::<3>(&file, "right").contains("made for board \"left\""));
+        assert!(message::<4>(&file, "left").contains("T4 is missing"));
+        assert!(message::<2>(&file, "left").contains("T3"));
+        file.taxel[1].number = 1;
+        assert!(message::<3>(&file, "left").contains("T1"));
+        file.taxel[1].number = 2;
+        file.taxel[0].model = StoredModel::LineThroughZero { newton_per_count: f64::NAN };
+        assert!(message::<3>(&file, "left").contains("newton_per_count must be above 0"));
+        file.taxel[0].model = StoredModel::LineWithIntercept { newton_per_count: 1.29, intercept_n: 7.1 };
+        assert!(message::<3>(&file, "left").contains("for reporting"));
+        file.taxel[0].model = StoredModel::Monotone { knots: Vec::new() };
+        assert!(message::<3>(&file, "left").contains("1 to 16 knots"));
+    }
+
+    #[test]
+    fn other_schemas_unknown_keys_and_garbage_are_refused() {
+        let text = file().to_toml().unwrap();
+        let parse = |text: &str| CalibrationFile::parse(text).unwrap_err().to_string();
+        assert!(parse(&text.replace("schema = 1", "schema = 2")).contains("schema 2"));
+        assert!(parse(&text.replace("material", "materiel")).contains("materiel"));
+        assert!(parse("").contains("schema"));
+        assert!(parse("\u{0}").contains("calibration file"));
+        let mut file = file();
+        file.sketch = "2031".to_string();
+        assert!(message::<3>(&file, "left").contains("2031"));
+        assert!(
+            CalibrationFile::read(Path::new("/no/such.toml"))
+                .unwrap_err()
+                .to_string()
+                .contains("/no/such.toml")
+        );
+    }
+}
