@@ -1,1 +1,35 @@
-//! The daemon.
+//! The daemon of MOCA-S: the only place where its parts meet.
+//!
+//! From the inside out:
+//! 1. [`control_loop`]: one tick: read the plant, feel the cover, decide the mode, command, write.
+//! 2. [`supervisor`]: which mode, and why; [`motion`]: which law, and how it is entered.
+//! 3. [`live`] and [`lockstep`]: who calls the tick: the wall clock (with [`schedule`]) or a caller that wants every
+//!    tick now, deterministic.
+//! 4. [`plant`], [`cover_source`]: what a robot and a cover are to the loop; [`simulated`], [`byte_cover`],
+//!    [`ideal_cover`]: those there are.
+//! 5. [`config`], [`console`], [`run`]: what a user sees of it.
+//!
+//! The loop refuses to know who watches it: samples leave through a bounded ring, requests arrive through another.
+
+pub mod allocations;
+pub mod byte_cover;
+pub mod command_log;
+pub mod config;
+pub mod console;
+pub mod control_loop;
+pub mod cover_source;
+pub mod hand;
+#[cfg(feature = "sim")]
+pub mod ideal_cover;
+pub mod live;
+#[cfg(feature = "sim")]
+pub mod lockstep;
+pub mod motion;
+pub mod plant;
+pub mod realtime;
+pub mod run;
+pub mod schedule;
+#[cfg(feature = "sim")]
+pub mod simulated;
+pub mod supervisor;
+pub mod timing;

@@ -1,2 +1,95 @@
-//! mocad.
-fn main() {}
+//! `mocad`: the daemon of MOCA-S.
+
+use clap::{Args, Parser, Subcommand};
+use moca_daemon::allocations::CountingAllocator;
+use moca_daemon::config::Config;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
+
+/// Tactile whole-body control of MOCA-S: without arguments, a simulated robot with a virtual Touch Board.
+#[derive(Parser)]
+#[command(name = "mocad", version, args_conflicts_with_subcommands = true)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Option<Command>,
+    #[command(flatten)]
+    run: RunArguments,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Run the control loop (the default).
+    Run(RunArguments),
+    /// Print the default configuration with every field documented.
+    DefaultConfig,
+}
+
+#[derive(Args)]
+struct RunArguments {
+    /// Configuration file (TOML); without one the built-in default runs.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Only check the configuration and report every mistake in it.
+    #[arg(long)]
+    check: bool,
+    /// End after this much robot time, s.
+    #[arg(long, value_name = "SECONDS")]
+    duration: Option<f64>,
+    /// Lock-step instead of real time: deterministic, the board's bytes in memory.
+    #[arg(long)]
+    as_fast_as_possible: bool,
+    /// Write every command of a lock-step run as CSV.
+    #[arg(long, value_name = "FILE", requires = "as_fast_as_possible")]
+    command_log: Option<PathBuf>,
+    /// End at once if the operating system refuses a wish of `[realtime]`.
+    #[arg(long)]
+    require_realtime: bool,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let result = match arguments.command {
+        None => run(arguments.run),
+        Some(Command::Run(run_arguments)) => run(run_arguments),
+        Some(Command::DefaultConfig) => {
+            #[expect(clippy::print_stdout, reason = "this is what the command is for")]
+            {
+                print!("{}", moca_daemon::config::DEFAULT_TOML);
+            }
+            Ok(())
+        }
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            #[expect(clippy::print_stderr, reason = "the program's last words")]
+            {
+                eprintln!("mocad: {error:#}");
+            }
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: RunArguments) -> anyhow::Result<()> {
+    let config = match &arguments.config {
+        Some(path) => Config::load(path).map_err(|error| anyhow::anyhow!("{}:\n{error}", path.display()))?,
+        None => Config::default(),
+    };
+    if arguments.check {
+        return Ok(());
+    }
+    let duration = arguments.duration.map(std::time::Duration::try_from_secs_f64);
+    let duration = duration.transpose();
+    let duration = duration.map_err(|error| anyhow::anyhow!("--duration: {error}; allowed: 0 s or more"))?;
+    moca_daemon::run::run(&moca_daemon::run::Options {
+        config,
+        duration,
+        lock_step: arguments.as_fast_as_possible,
+        command_log: arguments.command_log,
+        require_realtime: arguments.require_realtime,
+    })
+}

@@ -125,7 +125,8 @@ pub struct ParameterError {
 impl core::fmt::Display for ParameterError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         let Self { name, value, unit, min, max } = self;
-        write!(f, "{name} = {value} {unit} is outside {min} to {max} {unit}")
+        let space = if unit.is_empty() { "" } else { " " };
+        write!(f, "{name} = {value}{space}{unit} is outside {min} to {max}{space}{unit}")
     }
 }
 

@@ -1,0 +1,431 @@
+//! Configuration: one documented TOML file, every mistake reported at once with its line, value, unit and range.
+
+use crate::realtime::Wishes;
+use moca_msgs::{Corrections, ImpedanceGains, Law, Limits, Parameters};
+use moca_tactile::serial::PortSelection;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::net::SocketAddr;
+use std::path::Path;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// Joints of the arm this daemon drives.
+pub const JOINTS: usize = 7;
+/// Taxels of the cover this daemon reads.
+pub const TAXELS: usize = 11;
+/// `board.port` of the virtual Touch Board.
+pub const VIRTUAL_PORT: &str = "virtual";
+/// `board.port` that looks for a Touch Board's USB id.
+const AUTO_PORT: &str = "auto";
+/// The documented default configuration.
+pub const DEFAULT_TOML: &str = include_str!("../config/mocad.toml");
+
+/// Everything that can be configured; see `config/mocad.toml` for units and ranges.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[expect(
+    missing_docs,
+    reason = "each field is documented once, in config/mocad.toml, and a test keeps the two together"
+)]
+pub struct Config {
+    pub robot: String,
+    #[serde(rename = "loop")]
+    pub control_loop: LoopConfig,
+    pub realtime: RealtimeConfig,
+    pub plant: PlantConfig,
+    pub board: BoardConfig,
+    pub startup: StartupConfig,
+    pub control: ControlConfig,
+    pub limits: LimitsConfig,
+    pub telemetry: TelemetryConfig,
+    pub simulation: SimulationConfig,
+}
+
+macro_rules! section {
+    ($(#[$doc:meta])* $name:ident { $($field:ident : $type:ty = $default:expr),* $(,)? }) => {
+        $(#[$doc])*
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        #[serde(default, deny_unknown_fields)]
+        #[expect(missing_docs, reason = "each field is documented once, in config/mocad.toml, and a test keeps the two together")]
+        pub struct $name { $(pub $field: $type),* }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self { $($field: $default),* }
+            }
+        }
+    };
+}
+
+section! {
+    /// `[loop]`
+    LoopConfig { rate_hz: u32 = 1000 }
+}
+section! {
+    /// `[realtime]`
+    RealtimeConfig { priority: u8 = 80, lock_memory: bool = true, cpu: i32 = -1, dma_latency: bool = true }
+}
+section! {
+    /// `[plant]`
+    PlantConfig { kind: PlantKind = PlantKind::Simulated }
+}
+section! {
+    /// `[board]`
+    BoardConfig { port: String = "virtual".into() }
+}
+section! {
+    /// `[telemetry]`
+    TelemetryConfig { listen: String = moca_telemetry::net::DEFAULT_ADDRESS.into() }
+}
+section! {
+    /// `[startup]`
+    StartupConfig { law: Law = Law::Impedance, tare: bool = true, arm: bool = true }
+}
+section! {
+    /// `[control]`
+    ControlConfig { gains: GainsConfig = GainsConfig::default(), corrections: CorrectionsConfig = CorrectionsConfig::default() }
+}
+section! {
+    /// `[control.gains]`
+    GainsConfig {
+        virtual_mass: [f64; 3] = ImpedanceGains::PAPER.virtual_mass,
+        virtual_damping: [f64; 3] = ImpedanceGains::PAPER.virtual_damping,
+        stiffness: [f64; 6] = ImpedanceGains::PAPER.stiffness,
+        damping_ratio: f64 = ImpedanceGains::PAPER.damping_ratio,
+        eta_base: f64 = ImpedanceGains::PAPER.eta_base,
+        eta_arm: f64 = ImpedanceGains::PAPER.eta_arm,
+        posture_stiffness: [f64; JOINTS] = ImpedanceGains::PAPER.posture_stiffness,
+        posture_damping: [f64; JOINTS] = ImpedanceGains::PAPER.posture_damping,
+        posture_rad: [f64; JOINTS] = ImpedanceGains::PAPER.posture_rad,
+        reactivity: f64 = ImpedanceGains::PAPER.reactivity,
+    }
+}
+section! {
+    /// `[control.corrections]`: on where a user is better served; the paper's experiments switch them off.
+    CorrectionsConfig { null_space_damping: bool = true, base_coupling: bool = true, flange_feed: bool = false }
+}
+section! {
+    /// `[limits]`
+    LimitsConfig {
+        torque_nm: [f64; JOINTS] = Limits::PANDA_ON_SUMMIT.torque_nm,
+        torque_rate_nm_s: f64 = Limits::PANDA_ON_SUMMIT.torque_rate_nm_s,
+        base_velocity: [f64; 3] = Limits::PANDA_ON_SUMMIT.base_velocity,
+        base_acceleration: [f64; 3] = Limits::PANDA_ON_SUMMIT.base_acceleration,
+        taxel_force_n: f64 = Limits::PANDA_ON_SUMMIT.taxel_force_n,
+    }
+}
+section! {
+    /// `[simulation]`
+    SimulationConfig { seed: u64 = 1, hand: HandConfig = HandConfig::default() }
+}
+section! {
+    /// `[simulation.hand]`
+    HandConfig { taxels: Vec<usize> = vec![6, 2, 10], force_n: f64 = 20.0, every_s: f64 = 6.0, hold_s: f64 = 2.0 }
+}
+
+impl HandConfig {
+    /// No scripted hand.
+    pub fn none() -> Self {
+        Self { taxels: Vec::new(), ..Self::default() }
+    }
+}
+
+/// Which robot is driven.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PlantKind {
+    /// MuJoCo.
+    Simulated,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            robot: "moca".into(),
+            control_loop: LoopConfig::default(),
+            realtime: RealtimeConfig::default(),
+            plant: PlantConfig::default(),
+            board: BoardConfig::default(),
+            startup: StartupConfig::default(),
+            control: ControlConfig::default(),
+            limits: LimitsConfig::default(),
+            telemetry: TelemetryConfig::default(),
+            simulation: SimulationConfig::default(),
+        }
+    }
+}
+
+impl Config {
+    /// Control period, ns.
+    pub fn period_ns(&self) -> u64 {
+        1_000_000_000 / u64::from(self.control_loop.rate_hz.max(1))
+    }
+
+    /// Which port the board's reader opens.
+    pub fn port_selection(&self) -> PortSelection {
+        match self.board.port.as_str() {
+            AUTO_PORT => PortSelection::default(),
+            path => PortSelection::Path(path.to_owned()),
+        }
+    }
+
+    /// Where telemetry listens, if anywhere; checked by [`Config::check`].
+    pub fn telemetry_address(&self) -> Option<SocketAddr> {
+        self.telemetry.listen.parse().ok()
+    }
+
+    /// What to ask of the operating system.
+    pub fn realtime(&self) -> Wishes {
+        let r = &self.realtime;
+        Wishes {
+            priority: r.priority,
+            lock_memory: r.lock_memory,
+            cpu: usize::try_from(r.cpu).ok(),
+            dma_latency: r.dma_latency,
+        }
+    }
+
+    /// The controllers' parameters.
+    pub fn parameters(&self) -> Parameters<JOINTS> {
+        let g = &self.control.gains;
+        let c = &self.control.corrections;
+        let l = &self.limits;
+        Parameters {
+            gains: ImpedanceGains {
+                virtual_mass: g.virtual_mass,
+                virtual_damping: g.virtual_damping,
+                stiffness: g.stiffness,
+                damping_ratio: g.damping_ratio,
+                eta_base: g.eta_base,
+                eta_arm: g.eta_arm,
+                posture_stiffness: g.posture_stiffness,
+                posture_damping: g.posture_damping,
+                posture_rad: g.posture_rad,
+                reactivity: g.reactivity,
+            },
+            corrections: Corrections {
+                null_space_damping: c.null_space_damping,
+                base_coupling: c.base_coupling,
+                flange_feed: c.flange_feed,
+            },
+            limits: Limits {
+                torque_nm: l.torque_nm,
+                torque_rate_nm_s: l.torque_rate_nm_s,
+                base_velocity: l.base_velocity,
+                base_acceleration: l.base_acceleration,
+                taxel_force_n: l.taxel_force_n,
+                period_s: 1.0 / f64::from(self.control_loop.rate_hz.max(1)),
+            },
+        }
+    }
+
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// Every mistake in it, or why it could not be read.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| ConfigError { mistakes: vec![format!("{}: {error}", path.display())] })?;
+        Self::parse(&text)
+    }
+
+    /// Parses and checks a configuration; what it does not name keeps its default.
+    ///
+    /// # Errors
+    /// Every mistake in it, each with its line.
+    pub fn parse(text: &str) -> Result<Self, ConfigError> {
+        let root = DeTable::parse(text).map_err(|error| ConfigError {
+            mistakes: vec![located(text, error.span().map(|s| s.start), error.message())],
+        })?;
+        let mut mistakes = Vec::new();
+        let known = toml::Table::try_from(Self::default())
+            .map_err(|error| ConfigError { mistakes: vec![error.to_string()] })?;
+        unknown_keys(text, root.get_ref(), &known, "", &mut mistakes);
+        if !mistakes.is_empty() {
+            return Err(ConfigError { mistakes });
+        }
+        let config: Self = toml::from_str(text).map_err(|error| ConfigError {
+            mistakes: vec![located(text, error.span().map(|s| s.start), error.message())],
+        })?;
+        config.check(|path, message| {
+            let position = position_of(root.get_ref(), path);
+            mistakes.push(located(text, position, &message));
+        });
+        if mistakes.is_empty() { Ok(config) } else { Err(ConfigError { mistakes }) }
+    }
+
+    /// Reports every value outside its range as (dotted path, message).
+    pub fn check(&self, mut report: impl FnMut(&str, String)) {
+        self.parameters().check(|error| {
+            if error.name == "period_s" {
+                return; // derived from loop.rate_hz, which is checked below
+            }
+            let section = if GAINS.contains(&error.name) { "control.gains" } else { "limits" };
+            report(&format!("{section}.{}", error.name), format!("{section}.{error}"));
+        });
+        let mut within = |path: &str, value: f64, unit: &str, min: f64, max: f64| {
+            if !(value >= min && value <= max) {
+                let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+                report(path, format!("{path} = {value}{unit} is outside {min} to {max}{unit}"));
+            }
+        };
+        within("loop.rate_hz", f64::from(self.control_loop.rate_hz), "Hz", 100.0, 10_000.0);
+        within("realtime.priority", f64::from(self.realtime.priority), "", 0.0, 98.0);
+        within("realtime.cpu", f64::from(self.realtime.cpu), "", -1.0, 1023.0);
+        let hand = &self.simulation.hand;
+        for &taxel in &hand.taxels {
+            #[expect(clippy::cast_precision_loss, reason = "only shown in a message")]
+            within("simulation.hand.taxels", taxel as f64, "(taxel number)", 1.0, TAXELS as f64);
+        }
+        within("simulation.hand.force_n", hand.force_n, "N", 0.0, 200.0);
+        within("simulation.hand.every_s", hand.every_s, "s", 1.0, 3600.0);
+        within("simulation.hand.hold_s", hand.hold_s, "s", 0.1, hand.every_s - 0.7);
+        let listen = &self.telemetry.listen;
+        if !listen.is_empty() && !listen.parse::<SocketAddr>().is_ok_and(|address| address.ip().is_loopback())
+        {
+            report(
+                "telemetry.listen",
+                format!(
+                    "telemetry.listen = {listen:?}; allowed: a loopback address with a port, or \"\" for none"
+                ),
+            );
+        }
+        if self.board.port.is_empty() {
+            report("board.port", "board.port is empty; allowed: \"virtual\", \"auto\" or a path".into());
+        }
+    }
+}
+
+const GAINS: [&str; 10] = [
+    "virtual_mass",
+    "virtual_damping",
+    "stiffness",
+    "damping_ratio",
+    "eta_base",
+    "eta_arm",
+    "posture_stiffness",
+    "posture_damping",
+    "posture_rad",
+    "reactivity",
+];
+
+/// Every mistake of one file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ConfigError {
+    /// One line each.
+    pub mistakes: Vec<String>,
+}
+
+impl fmt::Display for ConfigError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.mistakes.join("\n"))
+    }
+}
+
+impl std::error::Error for ConfigError {}
+
+fn unknown_keys(
+    text: &str,
+    table: &DeTable<'_>,
+    known: &toml::Table,
+    path: &str,
+    mistakes: &mut Vec<String>,
+) {
+    for (key, value) in table {
+        let name = key.get_ref().as_ref();
+        match (known.get(name), value.get_ref()) {
+            (None, _) => {
+                let allowed: Vec<&str> = known.keys().map(String::as_str).collect();
+                let message = format!("unknown key {path}{name}; allowed here: {}", allowed.join(", "));
+                mistakes.push(located(text, Some(key.span().start), &message));
+            }
+            (Some(toml::Value::Table(inner)), DeValue::Table(sub)) => {
+                unknown_keys(text, sub, inner, &format!("{path}{name}."), mistakes);
+            }
+            _ => {}
+        }
+    }
+}
+
+fn position_of(table: &DeTable<'_>, path: &str) -> Option<usize> {
+    let (first, rest) = path.split_once('.').map_or((path, None), |(first, rest)| (first, Some(rest)));
+    let (key, value): (_, &Spanned<DeValue<'_>>) =
+        table.iter().find(|(key, _)| key.get_ref().as_ref() == first)?;
+    match (rest, value.get_ref()) {
+        (Some(rest), DeValue::Table(sub)) => position_of(sub, rest),
+        _ => Some(key.span().start),
+    }
+}
+
+fn located(text: &str, position: Option<usize>, message: &str) -> String {
+    match position {
+        Some(position) => {
+            let line = 1 + text.bytes().take(position).filter(|&byte| byte == b'\n').count();
+            format!("line {line}: {message}")
+        }
+        None => message.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keys(table: &toml::Table, path: &str, out: &mut Vec<String>) {
+        for (key, value) in table {
+            match value {
+                toml::Value::Table(sub) => keys(sub, &format!("{path}{key}."), out),
+                _ => out.push(format!("{path}{key}")),
+            }
+        }
+    }
+
+    #[test]
+    fn the_documented_file_names_every_field_and_gives_the_defaults() {
+        assert_eq!(Config::parse(DEFAULT_TOML), Ok(Config::default()));
+        let (mut documented, mut known) = (Vec::new(), Vec::new());
+        keys(&DEFAULT_TOML.parse().unwrap(), "", &mut documented);
+        keys(&toml::Table::try_from(Config::default()).unwrap(), "", &mut known);
+        documented.sort();
+        known.sort();
+        assert_eq!(documented, known);
+    }
+
+    #[test]
+    fn every_mistake_is_reported_with_line_value_and_range() {
+        let text = "[loop]\nrate_hz = 5\n[control.gains]\nvirtual_mass = [4.0, nan, 2.0]\neta_base = inf\n";
+        let error = Config::parse(text).unwrap_err();
+        assert_eq!(
+            error.mistakes,
+            [
+                "line 4: control.gains.virtual_mass = NaN kg, kg, kg·m² is outside 0.01 to 1000 kg, kg, kg·m²",
+                "line 5: control.gains.eta_base = inf is outside 0.001 to 1000",
+                "line 2: loop.rate_hz = 5 Hz is outside 100 to 10000 Hz",
+            ]
+        );
+    }
+
+    #[test]
+    fn unknown_keys_are_all_named_with_what_is_allowed() {
+        let error = Config::parse("[board]\nprot = \"x\"\n[loops]\n").unwrap_err();
+        assert_eq!(error.mistakes.len(), 2);
+        assert!(error.mistakes[0].contains("line 2: unknown key board.prot; allowed here: port"), "{error}");
+        assert!(error.mistakes[1].contains("unknown key loops"), "{error}");
+    }
+
+    #[test]
+    fn a_wrong_type_and_broken_syntax_name_their_line() {
+        assert!(
+            Config::parse("\n[loop]\nrate_hz = \"fast\"\n").unwrap_err().mistakes[0].starts_with("line 3:")
+        );
+        assert!(Config::parse("[loop\n").unwrap_err().mistakes[0].starts_with("line 1:"));
+    }
+
+    #[test]
+    fn a_file_names_only_what_it_changes() {
+        let config = Config::parse("[board]\nport = \"/dev/ttyACM0\"\n").unwrap();
+        assert_eq!(config.board.port, "/dev/ttyACM0");
+        assert_eq!(config.control, ControlConfig::default());
+    }
+}

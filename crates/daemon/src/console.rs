@@ -1,0 +1,146 @@
+//! What the terminal shows of a run: one line a second, every change of mode, and the summary.
+
+use crate::control_loop::ControlLoop;
+use crate::timing::Stage;
+use moca_msgs::board::Diagnosis;
+use moca_msgs::{Fault, Mode, Sample};
+use std::fmt;
+use std::time::Duration;
+
+/// Turns samples into lines.
+#[derive(Debug, Default)]
+pub struct Console {
+    mode: Option<Mode>,
+    fault: Option<Fault>,
+    board: Option<Diagnosis>,
+    next_status_s: f64,
+}
+
+const STATUS_EVERY_S: f64 = 1.0;
+const BOARD_SETTLED_S: f64 = 1.0;
+
+impl Console {
+    /// Lines to print for this sample; usually none.
+    pub fn lines(&mut self, sample: &Sample) -> Vec<String> {
+        let time_s = seconds(sample.time_ns);
+        let mut lines = Vec::new();
+        if self.mode.replace(sample.mode) != Some(sample.mode) || self.fault != sample.fault {
+            self.fault = sample.fault;
+            lines.push(format!("[{time_s:7.2} s] mode: {}{}", sample.mode.name(), why(sample.fault)));
+        }
+        // A port takes a moment to open and a board to speak: only a state that lasts is worth a line.
+        let settled = time_s >= BOARD_SETTLED_S && sample.board != Diagnosis::Frames;
+        if settled && self.board.replace(sample.board) != Some(sample.board) {
+            lines.push(format!("[{time_s:7.2} s] board: {}", sample.board.text()));
+        }
+        if sample.board == Diagnosis::Frames {
+            self.board = None;
+        }
+        if time_s >= self.next_status_s {
+            self.next_status_s = (time_s / STATUS_EVERY_S).floor() * STATUS_EVERY_S + STATUS_EVERY_S;
+            lines.push(status(sample));
+        }
+        lines
+    }
+}
+
+fn why(fault: Option<Fault>) -> String {
+    match fault {
+        None => String::new(),
+        Some(Fault::TaxelInvalid { taxel, status }) => {
+            let fault = Fault::TaxelInvalid { taxel, status };
+            format!(" ({}: T{} {status:?}) {}", fault.code(), taxel + 1, fault.remedy())
+        }
+        Some(fault) => format!(" ({}) {} {}", fault.code(), fault.text(), fault.remedy()),
+    }
+}
+
+fn status(sample: &Sample) -> String {
+    let [x, y, yaw] = sample.base_pose_world;
+    let pressed: Vec<String> = sample
+        .taxels
+        .iter()
+        .enumerate()
+        .filter(|(_, taxel)| taxel.force_n > 0.0)
+        .map(|(i, taxel)| format!("T{} {:.1} N", i + 1, taxel.force_n))
+        .collect();
+    let cover = if pressed.is_empty() { "untouched".to_owned() } else { pressed.join(", ") };
+    let board = if sample.frame_age_s < 0.0 {
+        "no frame yet".to_owned()
+    } else {
+        format!("{:.1} Hz, {:.0} ms old", sample.frame_rate_hz, 1e3 * sample.frame_age_s)
+    };
+    format!(
+        "[{:7.2} s] base x {x:+.3} m, y {y:+.3} m, yaw {:+.1}° | flange off by {:.1} mm | cover: {cover} | board: {board} | late {:.2} ms",
+        seconds(sample.time_ns),
+        yaw.to_degrees(),
+        1e3 * distance(&sample.flange_position_world, &sample.flange_desired_position_world),
+        1e3 * sample.lateness_s,
+    )
+}
+
+fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
+#[expect(clippy::cast_precision_loss, reason = "loop times are far below 2^53 ns")]
+fn seconds(ns: u64) -> f64 {
+    ns as f64 * 1e-9
+}
+
+/// The one-screen summary at the end of a run.
+pub struct Summary<'a, P, S> {
+    /// The finished loop.
+    pub control: &'a ControlLoop<P, S>,
+    /// Its last sample.
+    pub last: &'a Sample,
+    /// Ticks run.
+    pub ticks: u64,
+    /// Missed slots by the stage they are charged to; `None` in lock-step.
+    pub overruns_by_stage: Option<[u64; 5]>,
+    /// Rust allocations on the loop thread after warm-up.
+    pub allocations: Option<u64>,
+    /// Samples that observers had no room for.
+    pub samples_dropped: u64,
+    /// Wall time of the run.
+    pub wall: Duration,
+}
+
+impl<P, S> fmt::Display for Summary<'_, P, S> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let last = self.last;
+        let [x, y, yaw] = last.base_pose_world;
+        writeln!(f, "summary")?;
+        writeln!(f, "  mode         {}{}", last.mode.name(), why(last.fault))?;
+        writeln!(
+            f,
+            "  ticks        {} in {:.2} s of robot time, {:.2} times real time",
+            self.ticks,
+            seconds(last.time_ns),
+            seconds(last.time_ns) / self.wall.as_secs_f64().max(1e-9)
+        )?;
+        writeln!(f, "  base         x {x:+.3} m, y {y:+.3} m, yaw {:+.1}°", yaw.to_degrees())?;
+        writeln!(
+            f,
+            "  board        {} good frames, {} bad, {:.1} Hz; age p50 {:.1} ms, p99 {:.1} ms",
+            last.frames_good,
+            last.frames_bad,
+            last.frame_rate_hz,
+            1e-3 * self.control.frame_age.quantile_us(0.5),
+            1e-3 * self.control.frame_age.quantile_us(0.99),
+        )?;
+        write!(f, "{}", self.control.timing)?;
+        if let Some(by_stage) = self.overruns_by_stage {
+            write!(f, "  overruns     {} slots skipped", by_stage.iter().sum::<u64>())?;
+            for (stage, count) in Stage::ALL.iter().zip(by_stage).filter(|(_, count)| *count > 0) {
+                write!(f, ", {count} after a long {}", stage.name())?;
+            }
+            writeln!(f)?;
+        }
+        match self.allocations {
+            Some(count) => writeln!(f, "  allocations  {count} on the loop thread after warm-up")?,
+            None => writeln!(f, "  allocations  not measured: the run ended before warm-up was over")?,
+        }
+        writeln!(f, "  observers    {} samples dropped", self.samples_dropped)
+    }
+}

@@ -1,0 +1,170 @@
+//! The loop: one tick of the robot, from state and bytes to a command.
+
+use crate::config::JOINTS;
+use crate::cover_source::{CoverSource, CoverState};
+use crate::motion::{self, Motion};
+use crate::plant::Plant;
+use crate::supervisor::{Facts, Supervisor};
+use crate::timing::{Distribution, Stage, Timing};
+use heapless::Vec;
+use moca_msgs::{Actuation, Fault, Mode, Outcome, Request, RobotState, Sample};
+use moca_wbc::ControlOutput;
+
+/// When a tick runs.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Slot {
+    /// Tick count since the loop started.
+    pub tick: u64,
+    /// Loop time, ns.
+    pub now_ns: u64,
+    /// Control periods since the last tick: 1, or more after missed slots.
+    pub ticks: u64,
+    /// How late the tick woke, s.
+    pub lateness_s: f64,
+    /// Missed slots so far.
+    pub overruns: u64,
+}
+
+/// The parts of a running robot, and nothing that knows how the tick is timed or who watches.
+pub struct ControlLoop<P, S> {
+    /// The robot.
+    pub plant: P,
+    /// Its cover.
+    pub cover: S,
+    /// How long the stages took.
+    pub timing: Timing,
+    /// Age of the cover's data at each tick.
+    pub frame_age: Distribution,
+    supervisor: Supervisor,
+    motion: Motion,
+    period_s: f64,
+    refused: Option<Fault>,
+}
+
+impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
+    /// A loop that has not ticked yet.
+    ///
+    /// # Errors
+    /// See [`Timing::new`].
+    pub fn new(
+        plant: P,
+        cover: S,
+        supervisor: Supervisor,
+        motion: Motion,
+        period_s: f64,
+    ) -> Result<Self, hdrhistogram::CreationError> {
+        let (timing, frame_age) = (Timing::new()?, Distribution::new()?);
+        Ok(Self { plant, cover, timing, frame_age, supervisor, motion, period_s, refused: None })
+    }
+
+    /// One tick: read, feel, decide, command, write; returns what an observer may see and the answer to `request`.
+    pub fn tick(&mut self, slot: &Slot, request: Option<Request>) -> (Sample, Option<Outcome>) {
+        self.timing.start();
+        let robot = self.plant.read();
+        self.timing.end(Stage::Read);
+
+        let cover = self.cover.read(slot.now_ns);
+        self.timing.end(Stage::Cover);
+
+        let (outcome, output) = self.decide(slot, &robot, &cover, request);
+        let actuation = motion::actuation(output.as_ref());
+        self.timing.end(Stage::Control);
+
+        self.refused = self.plant.write(&actuation, slot.ticks).err().or(self.refused);
+        self.timing.end(Stage::Write);
+
+        (self.sample(slot, robot.ok().as_ref(), &cover, &actuation, output.as_ref()), outcome)
+    }
+
+    fn decide(
+        &mut self,
+        slot: &Slot,
+        robot: &Result<RobotState<JOINTS>, Fault>,
+        cover: &CoverState,
+        request: Option<Request>,
+    ) -> (Option<Outcome>, Option<ControlOutput<JOINTS>>) {
+        let facts = Facts {
+            cover_seen: cover.frames_good > 0,
+            cover_fault: cover.fault,
+            zero: cover.zero,
+            plant_fault: robot.err().or(self.refused.take()),
+        };
+        let (asked, pressed) = match request {
+            Some(Request::PressTaxel { taxel, force_n }) => {
+                (None, Some(self.plant.press(usize::from(taxel), force_n)))
+            }
+            request => (request, None),
+        };
+        let decision = self.supervisor.step(&facts, asked);
+        if decision.start_tare {
+            self.cover.start_tare(slot.now_ns);
+        }
+        let outcome = decision.outcome.or(pressed);
+        let (Ok(robot), false) = (robot, decision.mode == Mode::Fault) else {
+            return (outcome, None);
+        };
+        #[expect(clippy::cast_precision_loss, reason = "a count of missed slots")]
+        let dt_s = self.period_s * slot.ticks as f64;
+        match self.motion.command(decision.mode, robot, &cover.forces, dt_s) {
+            Ok(output) => (outcome, Some(output)),
+            Err(fault) => {
+                self.refused = Some(fault);
+                (outcome, None)
+            }
+        }
+    }
+
+    fn sample(
+        &mut self,
+        slot: &Slot,
+        robot: Option<&RobotState<JOINTS>>,
+        cover: &CoverState,
+        actuation: &Actuation<JOINTS>,
+        output: Option<&ControlOutput<JOINTS>>,
+    ) -> Sample {
+        let age_s = cover.reading.age_s(slot.now_ns);
+        if let Some(age_s) = age_s {
+            self.frame_age.record(std::time::Duration::from_secs_f64(age_s));
+        }
+        let mut sample = Sample {
+            tick: slot.tick,
+            time_ns: slot.now_ns,
+            mode: self.supervisor.mode(),
+            fault: self.supervisor.cause(),
+            taxels: vec_of(&cover.reading.taxels),
+            counts: vec_of(&cover.counts),
+            frame_age_s: age_s.unwrap_or(-1.0),
+            frame_rate_hz: cover.rate_hz,
+            frames_good: cover.frames_good,
+            frames_bad: cover.frames_bad,
+            board: cover.board,
+            lateness_s: slot.lateness_s,
+            overruns: slot.overruns,
+            ..Sample::default()
+        };
+        if let Some(robot) = robot {
+            sample.base_pose_world = robot.base_pose_world;
+            sample.base_velocity_world = robot.base_velocity_world;
+            sample.q_rad = vec_of(&robot.q_rad);
+            sample.dq_rad_s = vec_of(&robot.dq_rad_s);
+        }
+        if let Actuation::Drive(command) = actuation {
+            sample.base_velocity_command_body = command.base_velocity_body;
+            sample.arm_torque_nm = vec_of(&command.arm_torque_nm);
+        }
+        if let Some(output) = output {
+            sample.cover_wrench_base = output.cover_wrench_base;
+            sample.flange_wrench_world = output.flange_wrench_world;
+            sample.flange_position_world = output.flange.position_world;
+            sample.flange_quaternion_world = output.flange.quaternion_world;
+            sample.flange_desired_position_world = output.flange_desired.position_world;
+            sample.flange_desired_quaternion_world = output.flange_desired.quaternion_world;
+        }
+        sample
+    }
+}
+
+fn vec_of<T: Clone, const N: usize>(values: &[T]) -> Vec<T, N> {
+    // The capacities of a sample exceed this robot's numbers of joints and taxels.
+    Vec::from_slice(&values[..values.len().min(N)]).unwrap_or_default()
+}

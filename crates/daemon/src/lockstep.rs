@@ -1,0 +1,142 @@
+//! The loop without a clock: every tick now, the board's bytes in memory; the same seed gives the same bits.
+
+use crate::byte_cover::ByteCover;
+use crate::config::{Config, TAXELS};
+use crate::control_loop::{ControlLoop, Slot};
+use crate::cover_source::CoverSource;
+use crate::ideal_cover::IdealCover;
+use crate::run::{motion, supervisor};
+use crate::simulated::SimulatedRobot;
+use anyhow::Result;
+use moca_msgs::{Outcome, Request, Sample};
+use moca_sim::{Scene, VirtualBoard, VirtualBoardConfig};
+use moca_tactile::board::Chunk;
+use moca_tactile::{BoardEvent, CloseReason, Cover, CoverConfig};
+
+/// Events the ring to the loop holds; a tick sees a handful.
+const RING_EVENTS: usize = 256;
+
+/// What feeds a lock-step cover at each tick.
+pub trait Feed<S> {
+    /// Lets `cover` have what the true forces, N, give it until `now_ns`.
+    fn feed(&mut self, cover: &mut S, now_ns: u64, true_force_n: &[f64; TAXELS]);
+}
+
+/// A virtual Touch Board on a cable of memory.
+pub struct MemoryBoard {
+    board: VirtualBoard,
+    cable: rtrb::Producer<BoardEvent>,
+    plugged: bool,
+    now_ns: u64,
+}
+
+impl MemoryBoard {
+    /// The board itself, to inject its faults.
+    pub fn board(&mut self) -> &mut VirtualBoard {
+        &mut self.board
+    }
+
+    /// Pulls the cable.
+    pub fn unplug(&mut self) {
+        self.plugged = false;
+        self.push(BoardEvent::Closed { at_ns: self.now_ns, why: CloseReason::Disconnected });
+    }
+
+    /// Puts it back: the board boots anew.
+    pub fn replug(&mut self) {
+        self.plugged = true;
+        self.push(BoardEvent::Opened { at_ns: self.now_ns });
+    }
+
+    /// Puts bytes on the cable as they are.
+    pub fn inject(&mut self, bytes: &[u8]) {
+        for part in bytes.chunks(Chunk::CAPACITY) {
+            self.push(BoardEvent::Bytes(Chunk::new(self.now_ns, part)));
+        }
+    }
+
+    fn push(&mut self, event: BoardEvent) {
+        // The loop drains the ring at every tick; a test that injects more than it holds loses the rest, as a port does.
+        let _ = self.cable.push(event);
+    }
+}
+
+impl Feed<ByteCover> for MemoryBoard {
+    fn feed(&mut self, _cover: &mut ByteCover, now_ns: u64, true_force_n: &[f64; TAXELS]) {
+        self.now_ns = now_ns;
+        let (plugged, cable) = (self.plugged, &mut self.cable);
+        self.board.advance(now_ns, true_force_n, &mut |bytes: &[u8]| {
+            if plugged {
+                for part in bytes.chunks(Chunk::CAPACITY) {
+                    let _ = cable.push(BoardEvent::Bytes(Chunk::new(now_ns, part)));
+                }
+            }
+        });
+    }
+}
+
+/// Feeds an [`IdealCover`] with the true forces.
+pub struct TrueForces;
+
+impl Feed<IdealCover> for TrueForces {
+    fn feed(&mut self, cover: &mut IdealCover, _now_ns: u64, true_force_n: &[f64; TAXELS]) {
+        cover.feel(*true_force_n);
+    }
+}
+
+/// A simulated robot whose ticks the caller makes.
+pub struct LockStep<S, F> {
+    /// The loop with its plant and cover.
+    pub control: ControlLoop<SimulatedRobot, S>,
+    /// What feeds the cover.
+    pub feed: F,
+    period_ns: u64,
+    tick: u64,
+}
+
+impl LockStep<ByteCover, MemoryBoard> {
+    /// With a virtual Touch Board, as the live daemon has.
+    ///
+    /// # Errors
+    /// A scene, board or parameter outside its range.
+    pub fn with_board(
+        config: &Config,
+        scene: &Scene,
+        board: VirtualBoardConfig,
+        copies: Option<rtrb::Producer<BoardEvent>>,
+    ) -> Result<Self> {
+        let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
+        let cover = ByteCover::new(Cover::new(CoverConfig::default())?, events, copies);
+        let feed = MemoryBoard { board: VirtualBoard::new(board)?, cable, plugged: true, now_ns: 0 };
+        Self::new(config, scene, cover, feed)
+    }
+}
+
+impl LockStep<IdealCover, TrueForces> {
+    /// With the true forces instead of a board.
+    ///
+    /// # Errors
+    /// A scene or parameter outside its range.
+    pub fn with_true_forces(config: &Config, scene: &Scene, cover: IdealCover) -> Result<Self> {
+        Self::new(config, scene, cover, TrueForces)
+    }
+}
+
+impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
+    fn new(config: &Config, scene: &Scene, cover: S, feed: F) -> Result<Self> {
+        let plant = SimulatedRobot::new(config, scene, None)?;
+        let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
+        let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
+        Ok(Self { control, feed, period_ns: config.period_ns(), tick: 0 })
+    }
+
+    /// One tick.
+    pub fn step(&mut self, request: Option<Request>) -> (Sample, Option<Outcome>) {
+        let now_ns = self.tick * self.period_ns;
+        let force_n = self.control.plant.world.taxel_force_true_n();
+        self.feed.feed(&mut self.control.cover, now_ns, &force_n);
+        let slot = Slot { tick: self.tick, now_ns, ticks: 1, lateness_s: 0.0, overruns: 0 };
+        self.tick += 1;
+        self.control.tick(&slot, request)
+    }
+}

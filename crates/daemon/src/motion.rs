@@ -1,0 +1,57 @@
+//! From mode and forces to a command: which law runs in which mode.
+
+use crate::config::{JOINTS, TAXELS};
+use moca_msgs::{Actuation, Fault, Mode, RobotState, TaxelStatus};
+use moca_wbc::{ControlInput, ControlLaw, ControlOutput, Controller, ControllerState};
+
+/// The controller with the state it carries from tick to tick.
+pub struct Motion {
+    controller: Controller<JOINTS, TAXELS>,
+    state: Option<ControllerState<JOINTS>>,
+}
+
+impl Motion {
+    /// Not yet entered: the first command starts from the measured state.
+    pub const fn new(controller: Controller<JOINTS, TAXELS>) -> Self {
+        Self { controller, state: None }
+    }
+
+    /// One tick's command in `mode`, `dt_s` after the last one.
+    ///
+    /// # Errors
+    /// The fault to stop with; the order of that tick must then be [`Actuation::Brake`].
+    pub fn command(
+        &mut self,
+        mode: Mode,
+        robot: &RobotState<JOINTS>,
+        forces: &Result<[f64; TAXELS], (usize, TaxelStatus)>,
+        dt_s: f64,
+    ) -> Result<ControlOutput<JOINTS>, Fault> {
+        let law = match mode {
+            Mode::Impedance => ControlLaw::Impedance,
+            Mode::FollowMe => ControlLaw::FollowMe,
+            Mode::Starting | Mode::Taring | Mode::Ready | Mode::ProtectiveStop | Mode::Fault => {
+                ControlLaw::Hold
+            }
+        };
+        // Standing still needs no cover; a law never runs on a force that is not there.
+        let taxel_force_n = match (law, *forces) {
+            (ControlLaw::Hold, _) => [0.0; TAXELS],
+            (_, Ok(forces)) => forces,
+            (_, Err((taxel, status))) => {
+                return Err(Fault::TaxelInvalid { taxel: u8::try_from(taxel).unwrap_or(u8::MAX), status });
+            }
+        };
+        let state = match &mut self.state {
+            Some(state) => state,
+            None => self.state.insert(self.controller.enter(law, robot).map_err(|_| Fault::StateInvalid)?),
+        };
+        let input = ControlInput { robot: *robot, taxel_force_n, flange_wrench_world: None, dt_s };
+        self.controller.step(law, state, &input).map_err(|_| Fault::ControlRefused)
+    }
+}
+
+/// The order that carries a controller's output, or the brake when there is none.
+pub fn actuation(output: Option<&ControlOutput<JOINTS>>) -> Actuation<JOINTS> {
+    output.map_or(Actuation::Brake, |output| Actuation::Drive(output.command))
+}

@@ -1,0 +1,27 @@
+//! The plant: whatever has a base and an arm. The only line that simulation and robot do not share.
+
+use crate::config::JOINTS;
+use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
+
+/// A robot, simulated or real.
+pub trait Plant {
+    /// The state measured at this tick.
+    ///
+    /// # Errors
+    /// The fault that the supervisor has to react to, [`Fault::PlantLost`] for one that no longer answers.
+    fn read(&mut self) -> Result<RobotState<JOINTS>, Fault>;
+
+    /// Carries out an order that stands for `ticks` control periods (more than 1 after missed slots).
+    ///
+    /// # Errors
+    /// As for [`Plant::read`].
+    fn write(&mut self, actuation: &Actuation<JOINTS>, ticks: u64) -> Result<(), Fault>;
+
+    /// Presses a taxel (0 is T1) with a steady force, N.
+    ///
+    /// # Errors
+    /// [`Refusal::NotSimulated`] on a real robot, [`Refusal::OutOfRange`] for a taxel or force that does not exist.
+    fn press(&mut self, _taxel: usize, _force_n: f64) -> Outcome {
+        Err(Refusal::NotSimulated)
+    }
+}

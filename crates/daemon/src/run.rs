@@ -1,0 +1,349 @@
+//! `mocad run`: puts the parts together, starts the loop, shows what runs.
+#![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
+
+use crate::config::{Config, PlantKind, VIRTUAL_PORT};
+use crate::console::{Console, Summary};
+use crate::control_loop::ControlLoop;
+use crate::cover_source::CoverSource;
+use crate::live::{self, Clock, LiveReport, Rings, Shared};
+use crate::motion::Motion;
+use crate::plant::Plant;
+use crate::realtime;
+use crate::supervisor::{Automatic, Supervisor};
+use anyhow::{Context, Result, anyhow};
+use moca_msgs::{Law, Outcome, Request, Sample, robot};
+use moca_tactile::serial::PortSelection;
+use moca_telemetry::net::{self, Ports};
+use moca_telemetry::{RobotDescription, net::Server};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+/// Samples a ring to observers holds: four seconds at 1 kHz.
+const RING_SAMPLES: usize = 4096;
+/// Requests and answers on their way.
+const RING_REQUESTS: usize = 64;
+/// How often the terminal looks into its ring.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// What the command line asks for.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// Checked configuration.
+    pub config: Config,
+    /// Robot time after which the run ends.
+    pub duration: Option<Duration>,
+    /// Lock-step instead of real time.
+    pub lock_step: bool,
+    /// Where the command log goes (lock-step only).
+    pub command_log: Option<PathBuf>,
+    /// Whether a refused wish to the operating system ends the run before it starts.
+    pub require_realtime: bool,
+}
+
+/// Runs the daemon until its duration is over or Ctrl-C.
+///
+/// # Errors
+/// A part could not be built: the scene, the board's port, a log file.
+pub fn run(options: &Options) -> Result<()> {
+    let shared = Arc::new(Shared::default());
+    let on_signal = Arc::clone(&shared);
+    ctrlc::set_handler(move || on_signal.stop.store(true, Ordering::Relaxed)).context("Ctrl-C handler")?;
+    introduce(options);
+    match (options.config.plant.kind, options.lock_step) {
+        #[cfg(feature = "sim")]
+        (PlantKind::Simulated, true) => lock_step(options, &shared),
+        #[cfg(feature = "sim")]
+        (PlantKind::Simulated, false) => live_simulated(options, &shared),
+        #[cfg(not(feature = "sim"))]
+        (PlantKind::Simulated, _) => Err(anyhow!(
+            "plant.kind = \"simulated\" needs a build with the feature `sim` (cargo run --release); \
+             this build has no simulation"
+        )),
+    }
+}
+
+/// The supervisor that the configuration asks for.
+pub fn supervisor(config: &Config) -> Supervisor {
+    let simulated = config.plant.kind == PlantKind::Simulated;
+    let automatic = Automatic { tare: config.startup.tare, arm: config.startup.arm && simulated };
+    Supervisor::new(config.startup.law, automatic)
+}
+
+/// The controller that the configuration asks for.
+///
+/// # Errors
+/// A parameter outside its range.
+pub fn motion(config: &Config) -> Result<Motion> {
+    let controller = moca_wbc::Controller::new(
+        &robot::PANDA,
+        &robot::MOCA_MOUNT,
+        &robot::Payload::NONE,
+        &robot::PAPER_COVER,
+        &config.parameters(),
+    )?;
+    Ok(Motion::new(controller))
+}
+
+fn introduce(options: &Options) {
+    let config = &options.config;
+    println!("mocad {}: robot {:?}", env!("CARGO_PKG_VERSION"), config.robot);
+    let law = match config.startup.law {
+        Law::Impedance => "expanded Cartesian impedance (the flange keeps its place, the base gives way)",
+        Law::FollowMe => "expanded follow-me (base and arm follow the hand)",
+    };
+    let pace = if options.lock_step { "in lock-step, as fast as possible" } else { "live" };
+    println!("  controller  {law}, {} Hz, {pace}", config.control_loop.rate_hz);
+}
+
+#[cfg(feature = "sim")]
+fn introduce_simulation(config: &Config) {
+    let (arm, mujoco) = (robot::PANDA.name, moca_sim::mujoco_version());
+    println!("  plant       simulated {arm} on SUMMIT-XL (MuJoCo {mujoco})");
+    let hand = &config.simulation.hand;
+    if !hand.taxels.is_empty() {
+        let taxels: Vec<String> = hand.taxels.iter().map(|taxel| format!("T{taxel}")).collect();
+        println!(
+            "  hand        presses {} with {} N, every {} s",
+            taxels.join(", "),
+            hand.force_n,
+            hand.every_s
+        );
+    }
+}
+
+#[cfg(feature = "sim")]
+fn board_config(config: &Config) -> moca_sim::VirtualBoardConfig {
+    moca_sim::VirtualBoardConfig { seed: config.simulation.seed, ..Default::default() }
+}
+
+#[cfg(feature = "sim")]
+fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<()> {
+    use crate::byte_cover::ByteCover;
+    use crate::simulated::SimulatedRobot;
+    use moca_sim::{PtyBoard, Scene};
+    use moca_tactile::serial::SerialBoard;
+    use moca_tactile::{Cover, CoverConfig};
+
+    let config = &options.config;
+    introduce_simulation(config);
+    let (mut forces, mut board) = (None, None);
+    let mut port = config.port_selection();
+    if config.board.port == VIRTUAL_PORT {
+        let true_forces = moca_sim::SharedForces::default();
+        let virtual_board =
+            PtyBoard::spawn(board_config(config), Arc::clone(&true_forces), &PtyBoard::default_path())?;
+        port = PortSelection::Path(virtual_board.path().display().to_string());
+        (forces, board) = (Some(true_forces), Some(virtual_board));
+    }
+    println!("  board       {}{}", shown(&port), if board.is_some() { " (virtual Touch Board)" } else { "" });
+    let clock = Clock::start()?;
+    let (_serial, events) = SerialBoard::spawn(port, clock.instant())?;
+    let cover = ByteCover::new(Cover::new(CoverConfig::default())?, events, None);
+    let plant = SimulatedRobot::new(config, &Scene::default(), forces)?;
+    let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
+    let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
+    live(options, control, clock, shared)
+}
+
+fn shown(port: &PortSelection) -> String {
+    match port {
+        PortSelection::Path(path) => path.clone(),
+        PortSelection::Usb(vendor, product) => format!("the port with USB id {vendor:04x}:{product:04x}"),
+    }
+}
+
+/// Runs a finished loop on a thread of its own and shows it on this one.
+fn live<P: Plant + Send, S: CoverSource + Send>(
+    options: &Options,
+    mut control: ControlLoop<P, S>,
+    clock: Clock,
+    shared: &Arc<Shared>,
+) -> Result<()> {
+    let config = &options.config;
+    let (mut rings, from_loop, request_ports) = rings(shared);
+    let (tap, mut watched) = rtrb::RingBuffer::new(RING_SAMPLES);
+    let _server = match config.telemetry_address() {
+        Some(address) => Some(serve(config, address, from_loop, Some(tap), request_ports)?),
+        None => {
+            watched = from_loop;
+            None
+        }
+    };
+    let done = AtomicBool::new(false);
+    let started = Instant::now();
+    let (report, last) = std::thread::scope(|scope| -> Result<(LiveReport, Sample)> {
+        let control = &mut control;
+        let done = &done;
+        let (steps_sender, steps) = std::sync::mpsc::channel();
+        let in_loop_thread = move || {
+            let (steps, _held) = realtime::apply(&config.realtime());
+            let refused = steps.iter().any(|step| step.result.is_err());
+            let run = !(refused && options.require_realtime);
+            // The receiver waits for exactly this.
+            let _ = steps_sender.send(steps);
+            let report = if run {
+                live::run(control, clock, config.period_ns(), options.duration, &mut rings, shared)
+            } else {
+                LiveReport::default()
+            };
+            done.store(true, Ordering::Release);
+            report
+        };
+        let thread =
+            std::thread::Builder::new().name("control-loop".into()).spawn_scoped(scope, in_loop_thread)?;
+        let refused = report_realtime(&steps.recv().unwrap_or_default());
+        println!("Ctrl-C stops it.");
+        let last = watch(&mut watched, done);
+        let report = thread.join().map_err(|_| anyhow!("the loop's thread panicked"))?;
+        if options.require_realtime && refused > 0 {
+            return Err(anyhow!("--require-realtime: {refused} of the steps above failed"));
+        }
+        Ok((report, last))
+    })?;
+    let summary = Summary {
+        control: &control,
+        last: &last,
+        ticks: report.ticks,
+        overruns_by_stage: Some(report.overruns_by_stage),
+        allocations: report.allocations_after_warm_up,
+        samples_dropped: shared.samples_dropped.load(Ordering::Relaxed),
+        wall: started.elapsed(),
+    };
+    println!("{summary}");
+    Ok(())
+}
+
+fn report_realtime(steps: &[realtime::Step]) -> usize {
+    for step in steps {
+        match &step.result {
+            Ok(()) => println!("  real time   {}: yes", step.what),
+            Err(error) => println!("  real time   {}: no ({error})", step.what),
+        }
+    }
+    steps.iter().filter(|step| step.result.is_err()).count()
+}
+
+/// The ends of the rings that belong to telemetry, besides the samples.
+struct RequestPorts {
+    requests: rtrb::Producer<(u64, Request)>,
+    outcomes: rtrb::Consumer<(u64, Outcome)>,
+    samples_dropped: Arc<AtomicU64>,
+}
+
+fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestPorts) {
+    let (samples, from_loop) = rtrb::RingBuffer::new(RING_SAMPLES);
+    let (request_in, requests) = rtrb::RingBuffer::new(RING_REQUESTS);
+    let (outcomes, outcome_out) = rtrb::RingBuffer::new(RING_REQUESTS);
+    let samples_dropped = Arc::clone(&shared.samples_dropped);
+    let ports = RequestPorts { requests: request_in, outcomes: outcome_out, samples_dropped };
+    (Rings { samples, requests, outcomes }, from_loop, ports)
+}
+
+fn serve(
+    config: &Config,
+    address: SocketAddr,
+    samples: rtrb::Consumer<Sample>,
+    recorder: Option<rtrb::Producer<Sample>>,
+    ports: RequestPorts,
+) -> Result<Server> {
+    let RequestPorts { requests, outcomes, samples_dropped } = ports;
+    let ports = Ports { samples, requests, outcomes, ring_dropped: samples_dropped, recorder };
+    let server = net::serve(address, description(config), ports).with_context(|| {
+        format!("telemetry.listen = \"{address}\" (if another mocad runs, choose another port, 0 for any, or \"\")")
+    })?;
+    println!("  telemetry   {} (dashboard: cargo run --release --bin moca-monitor)", server.address());
+    Ok(server)
+}
+
+fn description(config: &Config) -> RobotDescription {
+    RobotDescription::new(
+        &config.robot,
+        config.plant.kind == PlantKind::Simulated,
+        1.0 / f64::from(config.control_loop.rate_hz),
+        &robot::SUMMIT_XL,
+        &robot::MOCA_MOUNT,
+        &robot::PANDA,
+        &robot::PAPER_COVER,
+        &config.parameters().limits,
+        1e-9 * 120e6,
+    )
+}
+
+/// Shows samples on the terminal until `done` is set and the ring is empty; returns the last one.
+fn watch(samples: &mut rtrb::Consumer<Sample>, done: &AtomicBool) -> Sample {
+    let (mut console, mut last) = (Console::default(), Sample::default());
+    loop {
+        let finished = done.load(Ordering::Acquire);
+        while let Ok(sample) = samples.pop() {
+            for line in console.lines(&sample) {
+                println!("{line}");
+            }
+            last = sample;
+        }
+        if finished {
+            return last;
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+}
+
+#[cfg(feature = "sim")]
+fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
+    use crate::{allocations, command_log, lockstep::LockStep};
+    use std::fs::File;
+    use std::io::{BufWriter, Write};
+
+    let config = &options.config;
+    introduce_simulation(config);
+    println!("  board       virtual Touch Board in memory");
+    let mut world = LockStep::with_board(config, &moca_sim::Scene::default(), board_config(config), None)?;
+    let mut log = None;
+    if let Some(path) = &options.command_log {
+        let file = File::create(path).with_context(|| path.display().to_string())?;
+        let mut writer = BufWriter::new(file);
+        command_log::write_header(&mut writer)?;
+        log = Some(writer);
+    }
+    let (mut rings, from_loop, request_ports) = rings(shared);
+    let _server = match config.telemetry_address() {
+        Some(address) => Some(serve(config, address, from_loop, None, request_ports)?),
+        None => None,
+    };
+    let (mut console, mut last, mut ticks) = (Console::default(), Sample::default(), 0);
+    let (mut allocated, mut warm) = (0, false);
+    let end_ns = options.duration.map_or(u64::MAX, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX));
+    let started = Instant::now();
+    while ticks * config.period_ns() < end_ns && !shared.stop.load(Ordering::Relaxed) {
+        let before = allocations::on_this_thread();
+        let (id, request) = rings.next_request();
+        let (sample, outcome) = world.step(request);
+        last = sample;
+        rings.publish(&last, id, outcome, shared);
+        ticks += 1;
+        warm |= ticks > live::WARM_UP_TICKS;
+        allocated += if warm { allocations::on_this_thread() - before } else { 0 };
+        if let Some(log) = &mut log {
+            command_log::write_row(log, &last)?;
+        }
+        for line in console.lines(&last) {
+            println!("{line}");
+        }
+    }
+    if let Some(log) = &mut log {
+        log.flush()?;
+    }
+    let summary = Summary {
+        control: &world.control,
+        last: &last,
+        ticks,
+        overruns_by_stage: None,
+        allocations: warm.then_some(allocated),
+        samples_dropped: shared.samples_dropped.load(Ordering::Relaxed),
+        wall: started.elapsed(),
+    };
+    println!("{summary}");
+    Ok(())
+}

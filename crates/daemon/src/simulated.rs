@@ -1,0 +1,76 @@
+//! The simulated robot as a plant, and the shared forces its virtual board reads.
+
+use crate::config::{Config, HandConfig, JOINTS, TAXELS};
+use crate::hand::scripted_press;
+use crate::plant::Plant;
+use moca_msgs::request::PRESS_FORCE_MAX_N;
+use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
+use moca_sim::{Scene, SharedForces, SimError, SimPlant};
+use std::sync::atomic::Ordering;
+
+/// After a longer stall the simulation falls behind the wall clock instead of freezing the loop.
+const CATCH_UP_MAX_TICKS: u64 = 20;
+
+/// MuJoCo behind the [`Plant`] trait, with the hands that press it.
+pub struct SimulatedRobot {
+    /// The simulated world.
+    pub world: SimPlant,
+    hand: HandConfig,
+    asked_n: [f64; TAXELS],
+    shared: Option<SharedForces>,
+    period_s: f64,
+    ticks: u64,
+}
+
+impl SimulatedRobot {
+    /// Builds the scene.
+    ///
+    /// # Errors
+    /// MuJoCo refused the scene.
+    pub fn new(config: &Config, scene: &Scene, shared: Option<SharedForces>) -> Result<Self, SimError> {
+        let world = SimPlant::new(scene)?;
+        let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
+        let hand = config.simulation.hand.clone();
+        Ok(Self { world, hand, asked_n: [0.0; TAXELS], shared, period_s, ticks: 0 })
+    }
+
+    fn step(&mut self) -> Result<(), SimError> {
+        #[expect(clippy::cast_precision_loss, reason = "tick counts are far below 2^53")]
+        let scripted = scripted_press(&self.hand, self.ticks as f64 * self.period_s);
+        for (taxel, &asked_n) in self.asked_n.iter().enumerate() {
+            let scripted_n =
+                scripted.filter(|(pressed, _)| *pressed == taxel).map_or(0.0, |(_, force_n)| force_n);
+            self.world.press(taxel, asked_n + scripted_n)?;
+        }
+        self.ticks += 1;
+        self.world.step()
+    }
+}
+
+impl Plant for SimulatedRobot {
+    fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
+        Ok(self.world.state())
+    }
+
+    fn write(&mut self, actuation: &Actuation<JOINTS>, ticks: u64) -> Result<(), Fault> {
+        self.world.apply(actuation).map_err(|_| Fault::ControlRefused)?;
+        for _ in 0..ticks.min(CATCH_UP_MAX_TICKS) {
+            self.step().map_err(|_| Fault::PlantLost)?;
+        }
+        if let Some(shared) = &self.shared {
+            for (cell, force_n) in shared.iter().zip(self.world.taxel_force_true_n()) {
+                cell.store(force_n.to_bits(), Ordering::Relaxed);
+            }
+        }
+        Ok(())
+    }
+
+    fn press(&mut self, taxel: usize, force_n: f64) -> Outcome {
+        let asked = self.asked_n.get_mut(taxel).ok_or(Refusal::OutOfRange)?;
+        if !(0.0..=PRESS_FORCE_MAX_N).contains(&force_n) {
+            return Err(Refusal::OutOfRange);
+        }
+        *asked = force_n;
+        Ok(())
+    }
+}

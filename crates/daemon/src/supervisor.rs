@@ -1,0 +1,386 @@
+//! The supervisor: which mode the robot is in, and why. Pure: facts and at most one request in, a mode out.
+//!
+//! Its rules are the rows of [`EDGES`]; an edge that is not there cannot be taken.
+
+use moca_msgs::{Fault, Law, Mode, Outcome, Reaction, Refusal, Request};
+
+/// Every allowed change of mode. A law is reached only from `Ready` (or from the other law), `Ready` only through a
+/// finished tare, a disarm or an explicit resume, and nothing leaves `Fault`.
+pub const EDGES: &[(Mode, Mode)] = {
+    use Mode::{Fault, FollowMe, Impedance, ProtectiveStop, Ready, Starting, Taring};
+    &[
+        (Starting, Taring),
+        (Starting, ProtectiveStop),
+        (Starting, Fault),
+        (Taring, Starting),
+        (Taring, Ready),
+        (Taring, ProtectiveStop),
+        (Taring, Fault),
+        (Ready, Taring),
+        (Ready, Impedance),
+        (Ready, FollowMe),
+        (Ready, ProtectiveStop),
+        (Ready, Fault),
+        (Impedance, FollowMe),
+        (Impedance, Ready),
+        (Impedance, ProtectiveStop),
+        (Impedance, Fault),
+        (FollowMe, Impedance),
+        (FollowMe, Ready),
+        (FollowMe, ProtectiveStop),
+        (FollowMe, Fault),
+        (ProtectiveStop, Taring),
+        (ProtectiveStop, Ready),
+        (ProtectiveStop, Fault),
+    ]
+};
+
+/// State of the cover's zero.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Zero {
+    /// None, or no longer valid.
+    Invalid,
+    /// Being measured.
+    Taring,
+    /// The last tare was refused (touched or noisy); there is no valid zero.
+    Refused,
+    /// Valid.
+    Valid,
+}
+
+/// What is true at one tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Facts {
+    /// Whether the cover has ever given a good frame.
+    pub cover_seen: bool,
+    /// What is wrong with the cover now.
+    pub cover_fault: Option<Fault>,
+    /// The cover's zero.
+    pub zero: Zero,
+    /// What is wrong with the plant or the controller now.
+    pub plant_fault: Option<Fault>,
+}
+
+/// What the supervisor may do by itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Automatic {
+    /// Tare as soon as the first good frames arrive.
+    pub tare: bool,
+    /// Arm once after the first tare. Only ever set for a simulated robot.
+    pub arm: bool,
+}
+
+/// What one step decided.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Decision {
+    /// Mode of this tick.
+    pub mode: Mode,
+    /// Whether the tare has to be started now.
+    pub start_tare: bool,
+    /// Answer to the request, if there was one.
+    pub outcome: Option<Outcome>,
+}
+
+/// The mode and what led to it.
+#[derive(Clone, Copy, Debug)]
+pub struct Supervisor {
+    mode: Mode,
+    cause: Option<Fault>,
+    law: Law,
+    automatic: Automatic,
+    before_tare: Mode,
+    start_tare: bool,
+}
+
+impl Supervisor {
+    /// In [`Mode::Starting`].
+    pub const fn new(law: Law, automatic: Automatic) -> Self {
+        Self {
+            mode: Mode::Starting,
+            cause: None,
+            law,
+            automatic,
+            before_tare: Mode::Starting,
+            start_tare: false,
+        }
+    }
+
+    /// Current mode.
+    pub const fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// Why the robot is stopped, or what it is waiting for.
+    pub const fn cause(&self) -> Option<Fault> {
+        self.cause
+    }
+
+    /// One tick: faults first, then the operator, then what happens by itself.
+    pub fn step(&mut self, facts: &Facts, request: Option<Request>) -> Decision {
+        self.start_tare = false;
+        self.react(facts);
+        let outcome = request.map(|request| self.answer(request, facts));
+        self.proceed(facts);
+        Decision { mode: self.mode, start_tare: self.start_tare, outcome }
+    }
+
+    fn react(&mut self, facts: &Facts) {
+        if let Some(fault) = facts.plant_fault {
+            self.stop(fault);
+        }
+        match self.mode {
+            Mode::Fault => {}
+            // Nothing moves yet: say what is missing and wait for it.
+            Mode::Starting => {
+                let refused = (facts.zero == Zero::Refused).then_some(Fault::ZeroInvalid);
+                self.cause = facts.cover_fault.or(refused);
+            }
+            Mode::Taring | Mode::Ready | Mode::Impedance | Mode::FollowMe => {
+                if let Some(fault) = facts.cover_fault {
+                    self.stop(fault);
+                } else if self.mode != Mode::Taring && facts.zero != Zero::Valid {
+                    self.stop(Fault::ZeroInvalid);
+                }
+            }
+            // The first cause stays until resume, unless it was the operator's and a real one has come since.
+            Mode::ProtectiveStop => {
+                if matches!(self.cause, None | Some(Fault::OperatorStop)) && facts.cover_fault.is_some() {
+                    self.cause = facts.cover_fault;
+                }
+            }
+        }
+    }
+
+    fn answer(&mut self, request: Request, facts: &Facts) -> Outcome {
+        use Mode::{Fault as Faulted, FollowMe, Impedance, ProtectiveStop, Ready, Starting};
+        match (request, self.mode) {
+            (_, Faulted) => Err(Refusal::Mode(self.mode)),
+            (Request::Stop, ProtectiveStop) => Ok(()),
+            (Request::Stop, _) => {
+                self.stop(Fault::OperatorStop);
+                Ok(())
+            }
+            (Request::Tare, Starting | Ready | ProtectiveStop) => self.tare(facts),
+            (Request::Arm, Ready) => {
+                self.go(self.law.into());
+                Ok(())
+            }
+            (Request::Disarm, Impedance | FollowMe) => {
+                self.go(Ready);
+                Ok(())
+            }
+            (Request::SelectLaw(law), mode) => {
+                self.law = law;
+                if mode.moves() && mode != law.into() {
+                    self.go(law.into());
+                }
+                Ok(())
+            }
+            (Request::Resume, ProtectiveStop) => self.resume(facts),
+            _ => Err(Refusal::Mode(self.mode)),
+        }
+    }
+
+    fn resume(&mut self, facts: &Facts) -> Outcome {
+        if let Some(fault) = facts.cover_fault {
+            return Err(Refusal::CauseRemains(fault));
+        }
+        if facts.zero != Zero::Valid {
+            return Err(Refusal::ZeroInvalid);
+        }
+        self.go(Mode::Ready);
+        Ok(())
+    }
+
+    fn tare(&mut self, facts: &Facts) -> Outcome {
+        if let Some(fault) = facts.cover_fault {
+            return Err(Refusal::CauseRemains(fault));
+        }
+        if !facts.cover_seen {
+            return Err(Refusal::Mode(self.mode));
+        }
+        self.before_tare = self.mode;
+        self.go(Mode::Taring);
+        self.start_tare = true;
+        Ok(())
+    }
+
+    fn proceed(&mut self, facts: &Facts) {
+        match self.mode {
+            Mode::Starting if self.automatic.tare && facts.cover_seen => {
+                // A refusal here is an open cause (react has named it): try again at the next tick.
+                let _ = self.tare(facts);
+            }
+            Mode::Taring if !self.start_tare => match (facts.zero, self.before_tare) {
+                (Zero::Taring, _) => {}
+                (Zero::Valid, Mode::ProtectiveStop) => self.go(Mode::ProtectiveStop),
+                (Zero::Valid, _) => {
+                    self.go(Mode::Ready);
+                    if self.automatic.arm {
+                        self.automatic.arm = false;
+                        self.go(self.law.into());
+                    }
+                }
+                (Zero::Invalid | Zero::Refused, Mode::Starting) => {
+                    self.go(Mode::Starting);
+                }
+                (Zero::Invalid | Zero::Refused, _) => self.stop(Fault::ZeroInvalid),
+            },
+            _ => {}
+        }
+    }
+
+    fn stop(&mut self, fault: Fault) {
+        let target = match fault.reaction() {
+            Reaction::ProtectiveStop => Mode::ProtectiveStop,
+            Reaction::Fault => Mode::Fault,
+        };
+        if self.mode != target && self.mode != Mode::Fault {
+            self.go(target);
+            self.cause = Some(fault);
+        }
+    }
+
+    fn go(&mut self, to: Mode) {
+        if EDGES.contains(&(self.mode, to)) {
+            if matches!(to, Mode::Ready | Mode::Impedance | Mode::FollowMe) {
+                self.cause = None;
+            }
+            self.mode = to;
+        } else {
+            debug_assert!(false, "no edge from {:?} to {to:?}", self.mode);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: Facts = Facts { cover_seen: true, cover_fault: None, zero: Zero::Valid, plant_fault: None };
+    const REQUESTS: [Option<Request>; 8] = [
+        None,
+        Some(Request::Tare),
+        Some(Request::Arm),
+        Some(Request::Disarm),
+        Some(Request::SelectLaw(Law::FollowMe)),
+        Some(Request::SelectLaw(Law::Impedance)),
+        Some(Request::Stop),
+        Some(Request::Resume),
+    ];
+    const FACTS: [Facts; 7] = [
+        Facts { cover_seen: false, zero: Zero::Invalid, ..GOOD },
+        Facts { zero: Zero::Invalid, ..GOOD },
+        Facts { zero: Zero::Taring, ..GOOD },
+        Facts { zero: Zero::Refused, ..GOOD },
+        GOOD,
+        Facts { cover_fault: Some(Fault::BoardSilent), ..GOOD },
+        Facts { plant_fault: Some(Fault::StateInvalid), ..GOOD },
+    ];
+
+    fn manual() -> Supervisor {
+        Supervisor::new(Law::Impedance, Automatic::default())
+    }
+
+    fn run(supervisor: &mut Supervisor, steps: &[(Facts, Option<Request>)]) -> Decision {
+        let mut last = None;
+        for (facts, request) in steps {
+            last = Some(supervisor.step(facts, *request));
+        }
+        last.expect("at least one step")
+    }
+
+    fn armed() -> Supervisor {
+        let mut supervisor = manual();
+        let taring = Facts { zero: Zero::Taring, ..GOOD };
+        let steps = [
+            (Facts { zero: Zero::Invalid, ..GOOD }, Some(Request::Tare)),
+            (taring, None),
+            (GOOD, None),
+            (GOOD, Some(Request::Arm)),
+        ];
+        assert_eq!(run(&mut supervisor, &steps).mode, Mode::Impedance);
+        supervisor
+    }
+
+    fn walk(supervisor: Supervisor, arm_asked_since_stop: bool, depth: usize, visited: &mut u64) {
+        if depth == 0 {
+            return;
+        }
+        for facts in FACTS {
+            for request in REQUESTS {
+                *visited += 1;
+                let mut next = supervisor;
+                let before = next.mode();
+                let mode = next.step(&facts, request).mode;
+                let stopped = matches!(mode, Mode::ProtectiveStop | Mode::Fault);
+                let asked = !stopped && (arm_asked_since_stop || request == Some(Request::Arm));
+                if mode.moves() {
+                    assert!(asked, "motion that nobody asked for since the last stop");
+                    assert_eq!((facts.cover_fault, facts.plant_fault), (None, None), "motion under a fault");
+                    assert_eq!(facts.zero, Zero::Valid, "motion without a zero");
+                }
+                if before == Mode::Fault {
+                    assert_eq!(mode, Mode::Fault, "fault is left only by a restart");
+                }
+                if request == Some(Request::Stop) && before != Mode::Fault {
+                    assert!(!mode.moves(), "stop ignored");
+                }
+                if stopped {
+                    assert!(next.cause().is_some(), "a stop without a cause");
+                }
+                walk(next, asked, depth - 1, visited);
+            }
+        }
+    }
+
+    #[test]
+    fn no_sequence_of_four_steps_moves_without_zero_and_arming_or_skips_a_stop() {
+        // Facts are adversarial: any of them in any order. A valid zero comes only from a tare (crates/tactile).
+        let mut visited = 0;
+        walk(manual(), false, 4, &mut visited);
+        walk(armed(), true, 4, &mut visited);
+        let branches = (FACTS.len() * REQUESTS.len()) as u64;
+        assert_eq!(visited, 2 * (branches + branches.pow(2) + branches.pow(3) + branches.pow(4)));
+    }
+
+    #[test]
+    fn a_cover_fault_stops_and_resume_waits_for_cause_and_zero() {
+        let mut supervisor = armed();
+        let lost = Facts { cover_fault: Some(Fault::BoardLost), zero: Zero::Invalid, ..GOOD };
+        assert_eq!(supervisor.step(&lost, None).mode, Mode::ProtectiveStop);
+        assert_eq!(supervisor.cause(), Some(Fault::BoardLost));
+        let refused = supervisor.step(&lost, Some(Request::Resume)).outcome;
+        assert_eq!(refused, Some(Err(Refusal::CauseRemains(Fault::BoardLost))));
+        let back = Facts { zero: Zero::Invalid, ..GOOD };
+        assert_eq!(supervisor.step(&back, Some(Request::Resume)).outcome, Some(Err(Refusal::ZeroInvalid)));
+        let decision = supervisor.step(&back, Some(Request::Tare));
+        assert!(decision.start_tare && decision.mode == Mode::Taring);
+        let steps = [(Facts { zero: Zero::Taring, ..GOOD }, None), (GOOD, None)];
+        assert_eq!(run(&mut supervisor, &steps).mode, Mode::ProtectiveStop, "a tare alone does not resume");
+        assert_eq!(supervisor.step(&GOOD, Some(Request::Resume)).mode, Mode::Ready);
+        assert_eq!(supervisor.cause(), None);
+    }
+
+    #[test]
+    fn automatic_arming_happens_once() {
+        let mut supervisor = Supervisor::new(Law::Impedance, Automatic { tare: true, arm: true });
+        let zero = |zero| Facts { zero, ..GOOD };
+        let steps = [(zero(Zero::Invalid), None), (zero(Zero::Taring), None), (zero(Zero::Valid), None)];
+        assert_eq!(run(&mut supervisor, &steps).mode, Mode::Impedance);
+        supervisor.step(&GOOD, Some(Request::Stop));
+        assert_eq!(supervisor.step(&GOOD, Some(Request::Resume)).mode, Mode::Ready);
+        assert_eq!(supervisor.step(&GOOD, None).mode, Mode::Ready);
+    }
+
+    #[test]
+    fn a_refused_tare_at_start_is_named_and_tried_again() {
+        let mut supervisor = Supervisor::new(Law::Impedance, Automatic { tare: true, arm: false });
+        let zero = |zero| Facts { zero, ..GOOD };
+        run(&mut supervisor, &[(zero(Zero::Invalid), None), (zero(Zero::Taring), None)]);
+        assert_eq!(supervisor.step(&zero(Zero::Refused), None).mode, Mode::Starting);
+        let again = supervisor.step(&zero(Zero::Refused), None);
+        assert!(again.start_tare);
+        assert_eq!(supervisor.cause(), Some(Fault::ZeroInvalid));
+    }
+}

@@ -1,0 +1,160 @@
+//! How long each stage of a tick takes and how late the tick woke. Recording is bounded and does not allocate.
+
+use hdrhistogram::Histogram;
+use std::fmt;
+use std::time::{Duration, Instant};
+
+/// Stages of one tick, in the order in which the data flows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Plant → robot state.
+    Read,
+    /// Bytes → frames → forces.
+    Cover,
+    /// Mode and command.
+    Control,
+    /// Command → plant (in simulation this includes the physics step).
+    Write,
+    /// Sample → observers' ring.
+    Publish,
+}
+
+impl Stage {
+    /// All stages, in order.
+    pub const ALL: [Self; 5] = [Self::Read, Self::Cover, Self::Control, Self::Write, Self::Publish];
+
+    /// Name as shown to users.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Read => "read state",
+            Self::Cover => "cover",
+            Self::Control => "control",
+            Self::Write => "write plant",
+            Self::Publish => "publish",
+        }
+    }
+}
+
+/// A distribution of durations, ns.
+#[derive(Clone, Debug)]
+pub struct Distribution(Histogram<u64>);
+
+impl Distribution {
+    const LONGEST_NS: u64 = 60_000_000_000;
+
+    /// Covers 1 ns to 60 s with two significant digits; longer times count as 60 s.
+    ///
+    /// # Errors
+    /// Never for these constant bounds; the histogram library checks them at run time.
+    pub fn new() -> Result<Self, hdrhistogram::CreationError> {
+        Histogram::new_with_bounds(1, Self::LONGEST_NS, 2).map(Self)
+    }
+
+    /// Adds one duration.
+    pub fn record(&mut self, duration: Duration) {
+        let ns = u64::try_from(duration.as_nanos()).unwrap_or(Self::LONGEST_NS);
+        self.0.saturating_record(ns.max(1));
+    }
+
+    /// Value at a quantile (0 to 1), µs; 0 when empty.
+    pub fn quantile_us(&self, quantile: f64) -> f64 {
+        if self.0.is_empty() { 0.0 } else { micros(self.0.value_at_quantile(quantile)) }
+    }
+
+    /// Number of durations recorded.
+    pub fn len(&self) -> u64 {
+        self.0.len()
+    }
+
+    /// Whether nothing was recorded.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+}
+
+impl fmt::Display for Distribution {
+    /// `min / p50 / p99 / max`, µs.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.0.is_empty() {
+            return write!(f, "{:>9} {:>9} {:>9} {:>9}", "-", "-", "-", "-");
+        }
+        let [min, p50, p99, max] =
+            [self.0.min(), self.0.value_at_quantile(0.5), self.0.value_at_quantile(0.99), self.0.max()];
+        write!(f, "{:>9.1} {:>9.1} {:>9.1} {:>9.1}", micros(min), micros(p50), micros(p99), micros(max))
+    }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "durations are far below 2^53 ns")]
+fn micros(ns: u64) -> f64 {
+    ns as f64 * 1e-3
+}
+
+/// Distributions of a whole run.
+#[derive(Clone, Debug)]
+pub struct Timing {
+    /// Time between the starts of consecutive ticks.
+    pub period: Distribution,
+    /// How late a tick woke after its deadline.
+    pub lateness: Distribution,
+    /// Each stage, in the order of [`Stage::ALL`].
+    pub stages: [Distribution; 5],
+    last_start: Option<Instant>,
+    mark: Instant,
+    slowest: (Stage, Duration),
+}
+
+impl Timing {
+    /// Empty distributions.
+    ///
+    /// # Errors
+    /// See [`Distribution::new`].
+    pub fn new() -> Result<Self, hdrhistogram::CreationError> {
+        let empty = Distribution::new()?;
+        Ok(Self {
+            period: empty.clone(),
+            lateness: empty.clone(),
+            stages: [empty.clone(), empty.clone(), empty.clone(), empty.clone(), empty],
+            last_start: None,
+            mark: Instant::now(),
+            slowest: (Stage::Read, Duration::ZERO),
+        })
+    }
+
+    /// Marks the start of a tick.
+    pub fn start(&mut self) {
+        let now = Instant::now();
+        if let Some(last) = self.last_start.replace(now) {
+            self.period.record(now - last);
+        }
+        self.mark = now;
+        self.slowest = (Stage::Read, Duration::ZERO);
+    }
+
+    /// Marks the end of a stage; the next one starts here.
+    pub fn end(&mut self, stage: Stage) {
+        let now = Instant::now();
+        let took = now - self.mark;
+        self.mark = now;
+        self.stages[stage as usize].record(took);
+        if took > self.slowest.1 {
+            self.slowest = (stage, took);
+        }
+    }
+
+    /// The longest stage of the current tick: the one an overrun is charged to.
+    pub const fn slowest(&self) -> Stage {
+        self.slowest.0
+    }
+}
+
+impl fmt::Display for Timing {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "  {:<12} {:>9} {:>9} {:>9} {:>9}", "time, µs", "min", "p50", "p99", "max")?;
+        writeln!(f, "  {:<12} {}", "period", self.period)?;
+        writeln!(f, "  {:<12} {}", "lateness", self.lateness)?;
+        for stage in Stage::ALL {
+            writeln!(f, "  {:<12} {}", stage.name(), self.stages[stage as usize])?;
+        }
+        Ok(())
+    }
+}
