@@ -1,6 +1,7 @@
 //! `moca-lab`: experiments and checks on the command line.
 
 mod stream;
+mod tick;
 mod vectors;
 
 use clap::{Parser, Subcommand};
@@ -17,12 +18,14 @@ struct Arguments {
 enum Command {
     /// Reads a recorded Touch Board stream: frames, rate, faults.
     Stream(stream::Arguments),
+    Tick(tick::Arguments),
     Vectors(vectors::Arguments),
 }
 
 fn main() -> anyhow::Result<()> {
     match Arguments::parse().command {
         Command::Stream(arguments) => stream::run(&arguments),
+        Command::Tick(arguments) => tick::run(&arguments),
         Command::Vectors(arguments) => vectors::run(&arguments),
     }
 }

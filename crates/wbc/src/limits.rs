@@ -30,7 +30,7 @@ pub struct LimitsHit {
 
 /// Limits in the scalar of the computation, units as in [`Limits`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct OutputLimits<const N: usize, T> {
+pub struct OutputLimits<const N: usize, T> {
     torque: [T; N],
     torque_rate: T,
     base_velocity: [T; 3],
@@ -60,7 +60,7 @@ impl<const N: usize, T: Scalar> OutputLimits<N, T> {
     }
 
     /// `wanted` inside the torque limits and no further from `last` than the rate allows.
-    pub(crate) fn torque(&self, wanted: &[T; N], last: &[T; N], dt_s: T, hit: &mut LimitsHit) -> [T; N] {
+    pub fn torque(&self, wanted: &[T; N], last: &[T; N], dt_s: T, hit: &mut LimitsHit) -> [T; N] {
         let change = self.torque_rate * self.credited(dt_s);
         core::array::from_fn(|i| {
             let inside = clamp(wanted[i], -self.torque[i], self.torque[i], &mut hit.torque);
@@ -70,13 +70,7 @@ impl<const N: usize, T: Scalar> OutputLimits<N, T> {
     }
 
     /// `wanted` (axes of B) inside the base's limits and no further from `last` than its acceleration allows.
-    pub(crate) fn base_velocity(
-        &self,
-        wanted: &[T; 3],
-        last: &[T; 3],
-        dt_s: T,
-        hit: &mut LimitsHit,
-    ) -> [T; 3] {
+    pub fn base_velocity(&self, wanted: &[T; 3], last: &[T; 3], dt_s: T, hit: &mut LimitsHit) -> [T; 3] {
         core::array::from_fn(|i| {
             let most = self.base_velocity[i];
             let change = self.base_acceleration[i] * self.credited(dt_s);
@@ -87,7 +81,7 @@ impl<const N: usize, T: Scalar> OutputLimits<N, T> {
     }
 
     /// Taxel forces inside 0 to the largest that is believed, N.
-    pub(crate) fn taxel_forces<const K: usize>(&self, force_n: &[T; K], hit: &mut LimitsHit) -> [T; K] {
+    pub fn taxel_forces<const K: usize>(&self, force_n: &[T; K], hit: &mut LimitsHit) -> [T; K] {
         force_n.map(|force| clamp(force, T::zero(), self.taxel_force, &mut hit.taxel_force))
     }
 }
