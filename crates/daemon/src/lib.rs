@@ -13,6 +13,7 @@
 
 pub mod allocations;
 pub mod byte_cover;
+pub mod calibrate;
 pub mod command_log;
 pub mod config;
 pub mod console;

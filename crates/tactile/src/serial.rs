@@ -57,10 +57,19 @@ pub struct SerialBoard {
 impl SerialBoard {
     /// Starts reading. Times in events are nanoseconds since `start`. Fails only if no thread can be started.
     pub fn spawn(port: PortSelection, start: Instant) -> io::Result<(Self, rtrb::Consumer<BoardEvent>)> {
+        Self::spawn_with_baud(port, BAUD, start)
+    }
+
+    /// The same for another device, such as a force gauge behind a serial adapter.
+    pub fn spawn_with_baud(
+        port: PortSelection,
+        baud: u32,
+        start: Instant,
+    ) -> io::Result<(Self, rtrb::Consumer<BoardEvent>)> {
         let (producer, consumer) = rtrb::RingBuffer::new(RING_EVENTS);
         let stop = Arc::new(AtomicBool::new(false));
         let mut reader =
-            Reader { outbox: Outbox { producer, bytes_lost: 0, stop: Arc::clone(&stop) }, start };
+            Reader { outbox: Outbox { producer, bytes_lost: 0, stop: Arc::clone(&stop) }, baud, start };
         let thread =
             std::thread::Builder::new().name("touch-board".to_string()).spawn(move || reader.run(&port))?;
         Ok((Self { stop, thread: Some(thread) }, consumer))
@@ -117,6 +126,7 @@ impl Outbox {
 
 struct Reader {
     outbox: Outbox,
+    baud: u32,
     start: Instant,
 }
 
@@ -128,7 +138,7 @@ impl Reader {
     fn run(&mut self, selection: &PortSelection) {
         let mut failures = 0;
         while !self.outbox.stopped() {
-            match open(selection) {
+            match open(selection, self.baud) {
                 Ok(mut port) => {
                     let at_ns = self.now_ns();
                     self.outbox.connection(BoardEvent::Opened { at_ns });
@@ -187,7 +197,7 @@ impl Reader {
     }
 }
 
-fn open(selection: &PortSelection) -> Result<Box<dyn SerialPort>, OpenFailure> {
+fn open(selection: &PortSelection, baud: u32) -> Result<Box<dyn SerialPort>, OpenFailure> {
     let ports = usb_ports();
     let path = match selection {
         PortSelection::Path(path) => {
@@ -199,7 +209,7 @@ fn open(selection: &PortSelection) -> Result<Box<dyn SerialPort>, OpenFailure> {
         }
         PortSelection::Usb(vendor, product) => find(&ports, (*vendor, *product))?,
     };
-    serialport::new(path, BAUD)
+    serialport::new(path, baud)
         .timeout(READ_TIMEOUT)
         .dtr_on_open(true)
         .open()

@@ -11,6 +11,10 @@ use std::vec::Vec;
 const PRESS_COUNTS: f64 = 3.0;
 /// Counts below rest under which it ends.
 const RELEASE_COUNTS: f64 = 1.5;
+/// Share of the deepest press so far above which the next one begins, and under which it ends: a foam that has just
+/// been pressed has not come back to rest.
+const PRESS_SHARE: f64 = 0.3;
+const RELEASE_SHARE: f64 = 0.15;
 /// Frames below [`RELEASE_COUNTS`] that end a press, so that noise does not.
 const RELEASE_FRAMES: u32 = 10;
 
@@ -73,6 +77,7 @@ pub struct Session {
     counts: Vec<(f64, u16)>,
     force: Vec<(f64, f64)>,
     pressed: bool,
+    deepest: f64,
     released_frames: u32,
     presses: u32,
     measured: Vec<Measured>,
@@ -94,6 +99,7 @@ impl Session {
             counts: Vec::new(),
             force: Vec::new(),
             pressed: false,
+            deepest: 0.0,
             released_frames: 0,
             presses: 0,
             measured: Vec::new(),
@@ -154,9 +160,10 @@ impl Session {
         };
         self.counts.push((time_s, fdat));
         let drop = rest_counts - f64::from(fdat);
-        if drop >= PRESS_COUNTS {
+        self.deepest = self.deepest.max(drop);
+        if drop >= f64::max(PRESS_COUNTS, PRESS_SHARE * self.deepest) {
             (self.pressed, self.released_frames) = (true, 0);
-        } else if self.pressed && drop < RELEASE_COUNTS {
+        } else if self.pressed && drop < f64::max(RELEASE_COUNTS, RELEASE_SHARE * self.deepest) {
             self.released_frames += 1;
             if self.released_frames >= RELEASE_FRAMES {
                 self.pressed = false;
@@ -194,6 +201,7 @@ impl Session {
         self.rest_counts = None;
         self.counts.clear();
         self.presses = 0;
+        self.deepest = 0.0;
         self.released_frames = 0;
     }
 }
