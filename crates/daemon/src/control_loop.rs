@@ -8,7 +8,7 @@ use crate::supervisor::{Facts, Supervisor};
 use crate::timing::{Distribution, Stage, Timing};
 use heapless::Vec;
 use moca_msgs::{Actuation, Fault, Mode, Outcome, Request, RobotState, Sample};
-use moca_wbc::ControlOutput;
+use moca_wbc::{ControlError, ControlOutput};
 
 /// When a tick runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -74,6 +74,14 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         self.timing.end(Stage::Write);
 
         (self.sample(slot, robot.ok().as_ref(), &cover, &actuation, output.as_ref()), outcome)
+    }
+
+    /// See [`Motion::set_target_twist`].
+    ///
+    /// # Errors
+    /// A value that is not finite.
+    pub fn set_target_twist(&mut self, twist: [f64; 6]) -> Result<(), ControlError> {
+        self.motion.set_target_twist(twist)
     }
 
     fn decide(

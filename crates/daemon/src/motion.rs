@@ -2,7 +2,7 @@
 
 use crate::config::{JOINTS, TAXELS};
 use moca_msgs::{Actuation, Fault, Mode, RobotState, TaxelStatus};
-use moca_wbc::{ControlInput, ControlLaw, ControlOutput, Controller, ControllerState};
+use moca_wbc::{ControlError, ControlInput, ControlLaw, ControlOutput, Controller, ControllerState};
 
 /// The controller with the state it carries from tick to tick.
 pub struct Motion {
@@ -14,6 +14,15 @@ impl Motion {
     /// Not yet entered: the first command starts from the measured state.
     pub const fn new(controller: Controller<JOINTS, TAXELS>) -> Self {
         Self { controller, state: None }
+    }
+
+    /// Moves the target of the running law with `twist` \[m/s; rad/s\], axes of the law's reference, until told
+    /// otherwise. A law that has not been entered yet has no target to move.
+    ///
+    /// # Errors
+    /// A value that is not finite.
+    pub fn set_target_twist(&mut self, twist: [f64; 6]) -> Result<(), ControlError> {
+        self.state.as_mut().map_or(Ok(()), |state| state.set_target_twist(twist))
     }
 
     /// One tick's command in `mode`, `dt_s` after the last one.

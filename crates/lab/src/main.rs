@@ -1,5 +1,6 @@
 //! `moca-lab`: experiments and checks on the command line.
 
+mod experiment;
 mod stream;
 mod tick;
 mod vectors;
@@ -16,6 +17,8 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    /// The paper's experiments, deterministic and faster than real time.
+    Experiment(experiment::Arguments),
     /// Reads a recorded Touch Board stream: frames, rate, faults.
     Stream(stream::Arguments),
     Tick(tick::Arguments),
@@ -24,6 +27,7 @@ enum Command {
 
 fn main() -> anyhow::Result<()> {
     match Arguments::parse().command {
+        Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Stream(arguments) => stream::run(&arguments),
         Command::Tick(arguments) => tick::run(&arguments),
         Command::Vectors(arguments) => vectors::run(&arguments),

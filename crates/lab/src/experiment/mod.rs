@@ -1,0 +1,189 @@
+//! `moca-lab experiment`: the paper's experiments on the daemon's own loop, in lock-step: deterministic and faster than
+//! real time.
+
+mod collision;
+mod paper;
+mod push;
+mod rig;
+mod settings;
+#[cfg(test)]
+mod tests;
+
+use anyhow::{Result, ensure};
+use moca_msgs::Law;
+use serde::Serialize;
+use settings::Settings;
+use std::time::Instant;
+
+/// Arguments of `moca-lab experiment`.
+#[derive(clap::Args)]
+pub(crate) struct Arguments {
+    #[command(subcommand)]
+    experiment: Experiment,
+}
+
+#[derive(clap::Subcommand)]
+enum Experiment {
+    /// Presses taxels for 3 s with ramps of 0.3 s under expanded impedance.
+    Push {
+        /// Taxel, T1 to T11; may be repeated.
+        #[arg(long = "taxel", required = true, value_parser = parse_taxel)]
+        taxels: Vec<usize>,
+        /// Force on each, N.
+        #[arg(long, default_value_t = 20.0)]
+        newton: f64,
+        #[command(flatten)]
+        common: Common,
+    },
+    /// Section IV-B, Fig. 5: expanded impedance, the paper's four pushes and the mirror image of the fourth.
+    B1(Common),
+    /// Section IV-B, Fig. 6: expanded follow-me, the paper's four pushes.
+    B2(Common),
+    /// Section IV-C, Fig. 7: the flange is led sideways until the base meets a person.
+    Collision(Common),
+}
+
+/// What every experiment takes.
+#[derive(clap::Args, Clone)]
+pub(crate) struct Common {
+    /// Sets a parameter, e.g. sensor=ideal; may be repeated. A wrong key lists all.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Prints one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+fn parse_taxel(text: &str) -> Result<usize, String> {
+    settings::taxel(text).map_err(|error| format!("{error:#}"))
+}
+
+impl Common {
+    fn settings(&self, law: Law, adjust: impl Fn(&mut Settings)) -> Result<Settings> {
+        let mut settings = Settings::paper(law);
+        adjust(&mut settings);
+        for assignment in &self.set {
+            settings.set(assignment)?;
+        }
+        settings.check()?;
+        Ok(settings)
+    }
+}
+
+/// What every experiment says of its run.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct RunInfo {
+    experiment: &'static str,
+    sensor: &'static str,
+    foam: &'static str,
+    /// Frames of the stock board, Hz; null without one.
+    frame_rate_hz: Option<f64>,
+    /// Why the robot stopped; null if it did not.
+    stopped: Option<String>,
+    /// Simulated time, starting included, s.
+    sim_s: f64,
+    /// Wall-clock time of the run, s.
+    wall_s: f64,
+}
+
+impl RunInfo {
+    fn new(experiment: &'static str, settings: &Settings, rig: &rig::Rig, started: Instant) -> Self {
+        Self {
+            experiment,
+            sensor: settings.sensor.name(),
+            foam: settings.foam.table().name,
+            frame_rate_hz: (settings.sensor == settings::Sensor::Stock).then_some(rig.frame_rate_hz),
+            stopped: rig.stopped.clone(),
+            sim_s: rig.sim_s,
+            wall_s: started.elapsed().as_secs_f64(),
+        }
+    }
+}
+
+#[derive(Debug, Serialize)]
+struct PushReport {
+    #[serde(flatten)]
+    info: RunInfo,
+    taxels: Vec<String>,
+    newton: f64,
+    #[serde(flatten)]
+    outcome: Option<push::Outcome>,
+}
+
+/// Runs one experiment and prints what it shows.
+pub(crate) fn run(arguments: &Arguments) -> Result<()> {
+    match &arguments.experiment {
+        Experiment::Push { taxels, newton, common } => {
+            let report = push_report(taxels, *newton, &common.settings(Law::Impedance, |_| ())?)?;
+            print(common.json, &report, || push_text(&report))
+        }
+        Experiment::B1(common) => {
+            let report = paper::b1(&common.settings(Law::Impedance, |_| ())?)?.report;
+            print(common.json, &report, || report.text())
+        }
+        Experiment::B2(common) => {
+            let report = paper::b2(&common.settings(Law::FollowMe, |_| ())?)?.report;
+            print(common.json, &report, || report.text())
+        }
+        Experiment::Collision(common) => {
+            let settings = common.settings(Law::Impedance, collision::defaults)?;
+            let report = collision::run(&settings)?.report;
+            print(common.json, &report, || report.text())
+        }
+    }
+}
+
+fn push_report(taxels: &[usize], newton: f64, settings: &Settings) -> Result<PushReport> {
+    ensure!((0.0..=200.0).contains(&newton), "--newton {newton} N is outside 0 to 200 N");
+    let started = Instant::now();
+    let mut rig = rig::Rig::start(settings, &settings.free_scene())?;
+    let outcome = push::run(&mut rig, settings, &[push::single(taxels, newton)])?.pop();
+    Ok(PushReport {
+        info: RunInfo::new("push", settings, &rig, started),
+        taxels: taxels.iter().map(|taxel| format!("T{}", taxel + 1)).collect(),
+        newton,
+        outcome,
+    })
+}
+
+#[expect(clippy::print_stdout, reason = "the command's output")]
+fn print(json: bool, report: &impl Serialize, text: impl Fn() -> String) -> Result<()> {
+    if json {
+        println!("{}", serde_json::to_string_pretty(report)?);
+    } else {
+        println!("{}", text());
+    }
+    Ok(())
+}
+
+fn push_text(report: &PushReport) -> String {
+    let head = head(&report.info);
+    match &report.outcome {
+        Some(outcome) => format!("{head}\n{}", outcome_text(outcome)),
+        None => head,
+    }
+}
+
+fn head(info: &RunInfo) -> String {
+    let rate = info.frame_rate_hz.map_or(String::new(), |rate| format!(" at {rate:.1} frames/s"));
+    let stopped = info.stopped.as_ref().map_or(String::new(), |why| format!("\n  STOPPED: {why}"));
+    format!(
+        "{}: sensor {}{rate}, foam {}, {:.1} s simulated in {:.2} s{stopped}",
+        info.experiment, info.sensor, info.foam, info.sim_s, info.wall_s
+    )
+}
+
+fn outcome_text(outcome: &push::Outcome) -> String {
+    let [x, y, yaw] = outcome.base_displacement;
+    let triple = |[a, b, c]: [f64; 3]| format!("({a:8.3} N, {b:8.3} N, {c:8.3} N·m)");
+    format!(
+        "  {:24} base moved ({x:+.4} m, {y:+.4} m, {yaw:+.4} rad), flange off by {:.2} mm at most, {:.2} mm RMS\n  \
+         {:24} wrench on the base {} true, {} sensed",
+        outcome.name,
+        outcome.flange_max_mm,
+        outcome.flange_rms_mm,
+        "",
+        triple(outcome.wrench_true),
+        triple(outcome.wrench_sensed)
+    )
+}
