@@ -1,7 +1,6 @@
 //! What the terminal shows of a run: one line a second, every change of mode, and the summary.
 
-use crate::control_loop::ControlLoop;
-use crate::timing::Stage;
+use crate::timing::{Distribution, Stage, Timing};
 use moca_msgs::board::Diagnosis;
 use moca_msgs::{Fault, Mode, Sample};
 use std::fmt;
@@ -96,9 +95,11 @@ fn seconds(ns: u64) -> f64 {
 }
 
 /// The one-screen summary at the end of a run.
-pub struct Summary<'a, P, S> {
-    /// The finished loop.
-    pub control: &'a ControlLoop<P, S>,
+pub struct Summary<'a> {
+    /// How long the stages took.
+    pub timing: &'a Timing,
+    /// Age of the cover's data at each tick.
+    pub frame_age: &'a Distribution,
     /// Its last sample.
     pub last: &'a Sample,
     /// Ticks run.
@@ -113,7 +114,7 @@ pub struct Summary<'a, P, S> {
     pub wall: Duration,
 }
 
-impl<P, S> fmt::Display for Summary<'_, P, S> {
+impl fmt::Display for Summary<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let last = self.last;
         writeln!(f, "summary")?;
@@ -132,10 +133,10 @@ impl<P, S> fmt::Display for Summary<'_, P, S> {
             last.frames_good,
             last.frames_bad,
             last.frame_rate_hz,
-            1e-3 * self.control.frame_age.quantile_us(0.5),
-            1e-3 * self.control.frame_age.quantile_us(0.99),
+            1e-3 * self.frame_age.quantile_us(0.5),
+            1e-3 * self.frame_age.quantile_us(0.99),
         )?;
-        write!(f, "{}", self.control.timing)?;
+        write!(f, "{}", self.timing)?;
         if let Some(by_stage) = self.overruns_by_stage {
             write!(f, "  overruns     {} slots skipped", by_stage.iter().sum::<u64>())?;
             for (stage, count) in Stage::ALL.iter().zip(by_stage).filter(|(_, count)| *count > 0) {

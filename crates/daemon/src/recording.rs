@@ -30,7 +30,11 @@ impl Recording {
         description: RobotDescription,
         live: bool,
     ) -> Result<(Self, rtrb::Producer<BoardEvent>)> {
-        let start = if live { SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default() } else { Duration::ZERO };
+        let start = if live {
+            SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()
+        } else {
+            Duration::ZERO
+        };
         let start_unix_ns = u64::try_from(start.as_nanos()).unwrap_or(0);
         let (samples, from_here) = rtrb::RingBuffer::new(RING);
         let (copies_in, copies) = rtrb::RingBuffer::new(RING);

@@ -11,6 +11,7 @@ use crate::plant::Plant;
 use crate::realtime;
 use crate::recording::Recording;
 use crate::supervisor::{Automatic, Supervisor};
+use crate::timing::{Distribution, Timing};
 use anyhow::{Context, Result, anyhow};
 use moca_msgs::{Law, Outcome, Request, Sample, robot};
 use moca_tactile::BoardEvent;
@@ -60,7 +61,9 @@ pub fn run(options: &Options) -> Result<()> {
         #[cfg(feature = "sim")]
         (PlantKind::Simulated, true) => lock_step(options, &shared),
         #[cfg(feature = "sim")]
-        (PlantKind::Simulated, false) => live_simulated(options, &shared),
+        (PlantKind::Simulated, false) => {
+            live_simulated(options, &shared).map(|run| println!("{}", run.summary()))
+        }
         #[cfg(not(feature = "sim"))]
         (PlantKind::Simulated, _) => Err(anyhow!(
             "plant.kind = \"simulated\" needs a build with the feature `sim` (cargo run --release); \
@@ -123,8 +126,40 @@ fn board_config(config: &Config) -> moca_sim::VirtualBoardConfig {
     moca_sim::VirtualBoardConfig { seed: config.simulation.seed, ..Default::default() }
 }
 
+/// A finished live run.
+#[derive(Debug)]
+pub struct LiveRun {
+    /// How long the stages took.
+    pub timing: Timing,
+    /// Ticks, overruns, allocations.
+    pub report: LiveReport,
+    frame_age: Distribution,
+    last: Sample,
+    samples_dropped: u64,
+    wall: Duration,
+}
+
+impl LiveRun {
+    fn summary(&self) -> Summary<'_> {
+        Summary {
+            timing: &self.timing,
+            frame_age: &self.frame_age,
+            last: &self.last,
+            ticks: self.report.ticks,
+            overruns_by_stage: Some(self.report.overruns_by_stage),
+            allocations: self.report.allocations_after_warm_up,
+            samples_dropped: self.samples_dropped,
+            wall: self.wall,
+        }
+    }
+}
+
+/// Runs the simulated robot against the wall clock until `shared.stop` is set or the duration is over.
+///
+/// # Errors
+/// As for [`run`].
 #[cfg(feature = "sim")]
-fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<()> {
+pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     use crate::byte_cover::ByteCover;
     use crate::simulated::SimulatedRobot;
     use moca_sim::{PtyBoard, Scene};
@@ -167,7 +202,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     clock: Clock,
     mut recording: Option<Recording>,
     shared: &Arc<Shared>,
-) -> Result<()> {
+) -> Result<LiveRun> {
     let config = &options.config;
     let (mut rings, from_loop, request_ports) = rings(shared);
     let (tap, mut watched) = rtrb::RingBuffer::new(RING_SAMPLES);
@@ -209,17 +244,15 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
         }
         Ok((report, last))
     })?;
-    let summary = Summary {
-        control: &control,
-        last: &last,
-        ticks: report.ticks,
-        overruns_by_stage: Some(report.overruns_by_stage),
-        allocations: report.allocations_after_warm_up,
+    finish(recording, options)?;
+    Ok(LiveRun {
+        timing: control.timing,
+        frame_age: control.frame_age,
+        report,
+        last,
         samples_dropped: shared.samples_dropped.load(Ordering::Relaxed),
         wall: started.elapsed(),
-    };
-    println!("{summary}");
-    finish(recording, options)
+    })
 }
 
 fn report_realtime(steps: &[realtime::Step]) -> usize {
@@ -274,7 +307,7 @@ fn description(config: &Config) -> RobotDescription {
         &robot::PANDA,
         &robot::PAPER_COVER,
         &config.parameters().limits,
-        1e-9 * 120e6,
+        Duration::from_nanos(moca_tactile::board::SILENT_AFTER_NS).as_secs_f64(),
     )
 }
 
@@ -290,7 +323,10 @@ fn finish(recording: Option<Recording>, options: &Options) -> Result<()> {
         let summary = recording.finish().with_context(|| path.display().to_string())?;
         println!("recorded {} samples and {} bytes of the board", summary.samples, summary.serial_bytes);
         if summary.serial_dropped > 0 {
-            println!("  {} reads of the board found no room on their way to the disk", summary.serial_dropped);
+            println!(
+                "  {} reads of the board found no room on their way to the disk",
+                summary.serial_dropped
+            );
         }
     }
     Ok(())
@@ -371,7 +407,8 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
         log.flush()?;
     }
     let summary = Summary {
-        control: &world.control,
+        timing: &world.control.timing,
+        frame_age: &world.control.frame_age,
         last: &last,
         ticks,
         overruns_by_stage: None,

@@ -1,6 +1,7 @@
 //! `moca-lab`: experiments and checks on the command line.
 
 mod experiment;
+mod observers;
 mod stream;
 mod tick;
 mod vectors;
@@ -19,6 +20,8 @@ struct Arguments {
 enum Command {
     /// The paper's experiments, deterministic and faster than real time.
     Experiment(experiment::Arguments),
+    /// What watching costs the live loop: overruns and publish stage with and without observers.
+    Observers(observers::Arguments),
     /// Reads a recorded Touch Board stream: frames, rate, faults.
     Stream(stream::Arguments),
     Tick(tick::Arguments),
@@ -28,6 +31,7 @@ enum Command {
 fn main() -> anyhow::Result<()> {
     match Arguments::parse().command {
         Command::Experiment(arguments) => experiment::run(&arguments),
+        Command::Observers(arguments) => observers::run(&arguments),
         Command::Stream(arguments) => stream::run(&arguments),
         Command::Tick(arguments) => tick::run(&arguments),
         Command::Vectors(arguments) => vectors::run(&arguments),
