@@ -1,5 +1,6 @@
 //! `moca-lab`: experiments and checks on the command line.
 
+mod characterize;
 mod experiment;
 mod observers;
 mod stream;
@@ -18,6 +19,8 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Ten trials of four foams: Tables I and II, Figure 4, what better calibrations gain.
+    Characterize(characterize::Arguments),
     /// The paper's experiments, deterministic and faster than real time.
     Experiment(experiment::Arguments),
     /// What watching costs the live loop: overruns and publish stage with and without observers.
@@ -30,6 +33,7 @@ enum Command {
 
 fn main() -> anyhow::Result<()> {
     match Arguments::parse().command {
+        Command::Characterize(arguments) => characterize::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Observers(arguments) => observers::run(&arguments),
         Command::Stream(arguments) => stream::run(&arguments),
