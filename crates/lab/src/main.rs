@@ -4,6 +4,7 @@ mod characterize;
 mod experiment;
 mod observers;
 mod stream;
+mod threshold;
 mod tick;
 mod vectors;
 
@@ -27,6 +28,8 @@ enum Command {
     Observers(observers::Arguments),
     /// Reads a recorded Touch Board stream: frames, rate, faults.
     Stream(stream::Arguments),
+    /// The smallest force that is felt and its delay; how little an untouched robot creeps.
+    Threshold(threshold::Arguments),
     Tick(tick::Arguments),
     Vectors(vectors::Arguments),
 }
@@ -37,6 +40,7 @@ fn main() -> anyhow::Result<()> {
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Observers(arguments) => observers::run(&arguments),
         Command::Stream(arguments) => stream::run(&arguments),
+        Command::Threshold(arguments) => threshold::run(&arguments),
         Command::Tick(arguments) => tick::run(&arguments),
         Command::Vectors(arguments) => vectors::run(&arguments),
     }
