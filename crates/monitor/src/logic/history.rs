@@ -1,0 +1,180 @@
+//! A minute of every plotted signal, on one axis of time.
+
+use super::{Pyramid, Signal, pyramid::CAPACITY};
+use moca_msgs::Sample;
+use std::{collections::VecDeque, ops::Range};
+
+/// Signals over time. Missing ticks are gaps.
+#[derive(Clone, Debug, Default)]
+pub struct History {
+    signals: Vec<Signal>,
+    columns: Vec<Pyramid>,
+    /// Time of each sample, s of loop time, never falling.
+    times_s: VecDeque<f64>,
+    last_tick: Option<u64>,
+}
+
+/// What to draw of one signal.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Curve {
+    /// Unbroken pieces of (time s, value); a gap lies between two pieces.
+    pub pieces: Vec<Vec<[f64; 2]>>,
+    /// Least and greatest value, if there is any.
+    pub extremes: Option<(f64, f64)>,
+}
+
+impl History {
+    /// An empty history of `signals`.
+    pub fn new(signals: Vec<Signal>) -> Self {
+        let columns = signals.iter().map(|_| Pyramid::default()).collect();
+        Self { signals, columns, times_s: VecDeque::new(), last_tick: None }
+    }
+
+    /// Appends a sample. One that is older than the last, which no healthy daemon sends, is left out.
+    pub fn push(&mut self, sample: &Sample) {
+        let time_s = seconds(sample.time_ns);
+        let last = self.times_s.back().copied();
+        if last.is_some_and(|last| time_s <= last) {
+            return;
+        }
+        if let (Some(last), Some(tick)) = (last, self.last_tick)
+            && sample.tick != tick + 1
+        {
+            self.append(last.midpoint(time_s), |_| f64::NAN);
+        }
+        self.append(time_s, |signal| signal.value(sample));
+        self.last_tick = Some(sample.tick);
+    }
+
+    /// Time of the newest sample, s of loop time.
+    pub fn end_s(&self) -> Option<f64> {
+        self.times_s.back().copied()
+    }
+
+    /// Samples kept.
+    pub fn len(&self) -> usize {
+        self.times_s.len()
+    }
+
+    /// Whether nothing is kept.
+    pub fn is_empty(&self) -> bool {
+        self.times_s.is_empty()
+    }
+
+    /// What to draw of `signal` in `window_s` on `pixels` columns; times are relative to the window's end.
+    pub fn curve(&self, signal: Signal, window_s: Range<f64>, pixels: usize) -> Curve {
+        let mut curve = Curve::default();
+        let Some(column) = self.column(signal) else {
+            return curve;
+        };
+        let mut piece = Vec::new();
+        column.draw(self.indices(&window_s), pixels, |index, value| {
+            if value.is_finite() {
+                let value = f64::from(value);
+                let (min, max) = curve.extremes.unwrap_or((value, value));
+                curve.extremes = Some((min.min(value), max.max(value)));
+                piece.push([self.time_s(index) - window_s.end, value]);
+            } else if !piece.is_empty() {
+                curve.pieces.push(std::mem::take(&mut piece));
+            }
+        });
+        if !piece.is_empty() {
+            curve.pieces.push(piece);
+        }
+        curve
+    }
+
+    /// Value of `signal` at the last sample not after `time_s`; `None` in a gap or outside what is kept.
+    pub fn value_at(&self, signal: Signal, time_s: f64) -> Option<f64> {
+        let after = self.times_s.partition_point(|t| *t <= time_s);
+        let index = self.start() + (after.checked_sub(1)? as u64);
+        self.column(signal)?.get(index).map(f64::from).filter(|v| v.is_finite())
+    }
+
+    fn append(&mut self, time_s: f64, value: impl Fn(Signal) -> f64) {
+        for (column, signal) in self.columns.iter_mut().zip(&self.signals) {
+            #[expect(clippy::cast_possible_truncation, reason = "f32 resolves far more than a screen shows")]
+            column.push(value(*signal) as f32);
+        }
+        self.times_s.push_back(time_s);
+        if self.times_s.len() > CAPACITY {
+            self.times_s.pop_front();
+        }
+    }
+
+    fn column(&self, signal: Signal) -> Option<&Pyramid> {
+        self.columns.get(self.signals.iter().position(|s| *s == signal)?)
+    }
+
+    fn start(&self) -> u64 {
+        self.columns.first().map_or(0, Pyramid::start)
+    }
+
+    fn indices(&self, window_s: &Range<f64>) -> Range<u64> {
+        let from = self.times_s.partition_point(|t| *t < window_s.start) as u64;
+        let to = self.times_s.partition_point(|t| *t <= window_s.end) as u64;
+        self.start() + from..self.start() + to
+    }
+
+    fn time_s(&self, index: u64) -> f64 {
+        let at = usize::try_from(index - self.start()).unwrap_or(usize::MAX);
+        self.times_s.get(at).copied().unwrap_or(f64::NAN)
+    }
+}
+
+/// Nanoseconds as seconds.
+pub fn seconds(ns: u64) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "a loop runs for less than 2^53 ns, 104 days")]
+    let ns = ns as f64;
+    ns / 1e9
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(tick: u64, force_x: f64) -> Sample {
+        Sample {
+            tick,
+            time_ns: tick * 1_000_000,
+            cover_wrench_base: [force_x, 0.0, 0.0],
+            ..Sample::default()
+        }
+    }
+
+    const FORCE: Signal = Signal::CoverWrench(0);
+
+    #[test]
+    fn dropped_ticks_are_a_gap_and_not_a_straight_line() {
+        let mut history = History::new(vec![FORCE]);
+        for tick in (0..100).chain(200..300) {
+            history.push(&sample(tick, 1.0));
+        }
+        for pixels in [20, 50, 1000] {
+            let curve = history.curve(FORCE, 0.0..0.299, pixels);
+            assert_eq!(curve.pieces.len(), 2, "on {pixels} pixels");
+            assert_eq!(curve.extremes, Some((1.0, 1.0)));
+        }
+        assert_eq!(history.value_at(FORCE, 0.0505), Some(1.0));
+        assert_eq!(history.value_at(FORCE, 0.180), None, "inside the gap");
+    }
+
+    #[test]
+    fn times_are_relative_to_the_end_of_the_window() {
+        let mut history = History::new(vec![FORCE]);
+        (0..1000).for_each(|tick| history.push(&sample(tick, 2.0)));
+        let curve = history.curve(FORCE, 0.5..0.999, 10_000);
+        let piece = &curve.pieces[0];
+        assert!((piece[0][0] + 0.499).abs() < 1e-9 && piece[piece.len() - 1][0].abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_sample_from_the_past_is_left_out_and_memory_is_bounded() {
+        let mut history = History::new(vec![FORCE]);
+        (0..70_000).for_each(|tick| history.push(&sample(tick, 0.0)));
+        history.push(&sample(5, 9.0));
+        assert_eq!(history.len(), CAPACITY);
+        assert_eq!(history.end_s(), Some(69.999));
+        assert_eq!(history.curve(FORCE, 0.0..70.0, 100).extremes, Some((0.0, 0.0)));
+    }
+}

@@ -1,0 +1,308 @@
+//! Everything the dashboard knows.
+
+use super::{
+    History,
+    action::{Action, refusal_words, request_words},
+    history::seconds,
+    panel::{self, Panel},
+};
+use moca_msgs::{Fault, Law, Mode, Request, Sample};
+use moca_telemetry::{
+    RobotDescription,
+    net::{Commander, Connection, Link, Reply, Status, Update},
+};
+use std::{collections::VecDeque, sync::Arc};
+
+/// Events and messages kept.
+const MAX_REMEMBERED: usize = 200;
+/// Without a sample for this long, what is shown is old, s.
+const SILENCE_S: f64 = 0.5;
+/// How long the answer to a request stays on the screen, s.
+const MESSAGE_S: f64 = 8.0;
+
+/// Where samples come from and requests go to.
+pub trait Source {
+    /// Everything new.
+    fn poll(&mut self) -> Update;
+    /// Asks the loop.
+    fn request(&mut self, request: Request);
+}
+
+impl Source for Connection {
+    fn poll(&mut self) -> Update {
+        Connection::poll(self)
+    }
+
+    fn request(&mut self, request: Request) {
+        Connection::request(self, request);
+    }
+}
+
+/// Something worth a mark on the axis of time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Event {
+    /// When, s of loop time.
+    pub time_s: f64,
+    /// Mode from then on.
+    pub mode: Mode,
+    /// Fault from then on.
+    pub fault: Option<Fault>,
+}
+
+/// How fresh what is shown is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Freshness {
+    /// Samples come.
+    Live,
+    /// Connected, but no samples come.
+    Silent,
+    /// No daemon, and why.
+    Down(String),
+}
+
+/// Everything the dashboard knows. `now_s` is any clock that never runs backwards, s.
+pub struct Model {
+    /// The robot; the last one seen while the daemon is away.
+    pub robot: Arc<RobotDescription>,
+    /// The plots.
+    pub panels: Vec<Panel>,
+    /// The plotted signals.
+    pub history: History,
+    /// The newest sample.
+    pub latest: Option<Sample>,
+    /// Changes of mode and fault, oldest first.
+    pub events: VecDeque<Event>,
+    /// What the daemon says about this connection.
+    pub status: Status,
+    /// The law that arming leads to, as far as this dashboard knows.
+    pub law: Law,
+    link: Link,
+    session: u64,
+    latest_at_s: f64,
+    message: Option<(f64, String, bool)>,
+    pressed: Option<(u8, f64)>,
+}
+
+impl Default for Model {
+    fn default() -> Self {
+        Self {
+            robot: Arc::default(),
+            panels: Vec::new(),
+            history: History::default(),
+            latest: None,
+            events: VecDeque::new(),
+            status: Status::default(),
+            law: Law::default(),
+            link: Link::Down { reason: "not connected yet".into() },
+            session: 0,
+            latest_at_s: f64::NEG_INFINITY,
+            message: None,
+            pressed: None,
+        }
+    }
+}
+
+impl Model {
+    /// Takes in what a source delivered.
+    pub fn take(&mut self, update: Update, now_s: f64) {
+        if let Link::Up { session, description } = &update.link
+            && (*session != self.session || self.robot != *description)
+        {
+            self.begin(*session, Arc::clone(description));
+        }
+        if matches!(update.link, Link::Down { .. }) {
+            self.pressed = None;
+        }
+        self.link = update.link;
+        self.status = update.status;
+        for sample in &update.samples {
+            self.history.push(sample);
+            self.note_event(sample);
+        }
+        if let Some(last) = update.samples.into_iter().next_back() {
+            if last.mode.moves() {
+                self.law = if last.mode == Mode::FollowMe { Law::FollowMe } else { Law::Impedance };
+            }
+            self.latest = Some(last);
+            self.latest_at_s = now_s;
+        }
+        for reply in update.replies {
+            self.note_reply(reply, now_s);
+        }
+    }
+
+    /// How fresh what is shown is.
+    pub fn freshness(&self, now_s: f64) -> Freshness {
+        match &self.link {
+            Link::Down { reason } => Freshness::Down(reason.clone()),
+            Link::Up { .. } if now_s - self.latest_at_s > SILENCE_S => Freshness::Silent,
+            Link::Up { .. } => Freshness::Live,
+        }
+    }
+
+    /// The mode, unless what is known of it is old.
+    pub fn mode(&self, now_s: f64) -> Option<Mode> {
+        let live = self.freshness(now_s) == Freshness::Live;
+        self.latest.as_ref().filter(|_| live).map(|s| s.mode)
+    }
+
+    /// Whether a button can be pressed.
+    pub fn allows(&self, action: Action, now_s: f64) -> bool {
+        let connected = matches!(self.link, Link::Up { .. });
+        let commander = self.status.commander != Commander::Another || action == Action::Stop;
+        connected && commander && action.fits(self.mode(now_s))
+    }
+
+    /// Whether taxels can be pushed with the mouse.
+    pub fn can_push(&self) -> bool {
+        self.robot.simulated
+            && matches!(self.link, Link::Up { .. })
+            && self.status.commander != Commander::Another
+    }
+
+    /// Says which taxel the mouse holds pressed and how hard, and gives the requests that make it so.
+    pub fn push(&mut self, wanted: Option<(u8, f64)>) -> Vec<Request> {
+        let wanted = wanted.filter(|_| self.can_push());
+        if wanted == self.pressed {
+            return Vec::new();
+        }
+        let press = |(taxel, force_n)| Request::PressTaxel { taxel, force_n };
+        let released = self.pressed.filter(|(taxel, _)| wanted.is_none_or(|(t, _)| t != *taxel));
+        self.pressed = wanted;
+        released.map(|(taxel, _)| press((taxel, 0.0))).into_iter().chain(wanted.map(press)).collect()
+    }
+
+    /// The taxel that the mouse holds pressed.
+    pub fn pushed(&self) -> Option<u8> {
+        self.pressed.map(|(taxel, _)| taxel)
+    }
+
+    /// The answer to the last request and whether it was carried out, while it is fresh.
+    pub fn message(&self, now_s: f64) -> Option<(&str, bool)> {
+        let (at_s, text, done) = self.message.as_ref()?;
+        (now_s - at_s < MESSAGE_S).then_some((text.as_str(), *done))
+    }
+
+    /// A new daemon: its clock and its ticks start anew, so nothing of the old one can stay on the axes.
+    fn begin(&mut self, session: u64, robot: Arc<RobotDescription>) {
+        self.session = session;
+        self.panels = panel::panels(&robot);
+        let signals = self.panels.iter().flat_map(|p| p.traces.iter().map(|(_, signal)| *signal));
+        self.history = History::new(signals.collect());
+        self.robot = robot;
+        self.latest = None;
+        self.latest_at_s = f64::NEG_INFINITY;
+        self.events.clear();
+        self.law = Law::default();
+        self.pressed = None;
+    }
+
+    fn note_event(&mut self, sample: &Sample) {
+        let (mode, fault) = (sample.mode, sample.fault);
+        let changed = match self.events.back() {
+            Some(last) => last.mode != mode || last.fault != fault,
+            None => true,
+        };
+        if changed {
+            self.events.push_back(Event { time_s: seconds(sample.time_ns), mode, fault });
+            if self.events.len() > MAX_REMEMBERED {
+                self.events.pop_front();
+            }
+        }
+    }
+
+    fn note_reply(&mut self, reply: Reply, now_s: f64) {
+        let asked = request_words(reply.request);
+        let text = match reply.outcome {
+            Ok(()) => format!("{asked}: done"),
+            Err(refusal) => format!("{asked}: refused, {}", refusal_words(refusal)),
+        };
+        if let (Request::SelectLaw(law), Ok(())) = (reply.request, reply.outcome) {
+            self.law = law;
+        }
+        // Pushing with the mouse speaks for itself unless it fails.
+        if !matches!(reply, Reply { request: Request::PressTaxel { .. }, outcome: Ok(()) }) {
+            self.message = Some((now_s, text, reply.outcome.is_ok()));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use moca_msgs::Refusal;
+
+    fn up(session: u64) -> Link {
+        Link::Up { session, description: Arc::new(RobotDescription::paper("test", true)) }
+    }
+
+    fn update(link: Link, samples: Vec<Sample>) -> Update {
+        Update { link, status: Status::default(), samples, replies: Vec::new(), unread_dropped: 0 }
+    }
+
+    fn sample(tick: u64, mode: Mode) -> Sample {
+        Sample { tick, time_ns: tick * 1_000_000, mode, ..Sample::default() }
+    }
+
+    fn ready() -> Model {
+        let mut model = Model::default();
+        model.take(update(up(1), vec![sample(0, Mode::Ready), sample(1, Mode::Ready)]), 10.0);
+        model
+    }
+
+    #[test]
+    fn what_is_old_is_not_shown_as_new() {
+        let mut model = ready();
+        assert_eq!((model.freshness(10.1), model.mode(10.1)), (Freshness::Live, Some(Mode::Ready)));
+        assert_eq!((model.freshness(10.6), model.mode(10.6)), (Freshness::Silent, None));
+        assert!(!model.allows(Action::Arm, 10.6) && model.allows(Action::Stop, 10.6));
+        model.take(update(Link::Down { reason: "gone".into() }, vec![]), 10.7);
+        assert_eq!(model.freshness(10.7), Freshness::Down("gone".into()));
+        assert!(model.latest.is_some(), "the last picture stays");
+    }
+
+    #[test]
+    fn a_restarted_daemon_starts_a_new_history() {
+        let mut model = ready();
+        assert_eq!(model.history.len(), 2);
+        model.take(update(up(2), vec![sample(0, Mode::Starting)]), 11.0);
+        assert_eq!((model.history.len(), model.events.len()), (1, 1));
+        assert_eq!(model.mode(11.0), Some(Mode::Starting));
+    }
+
+    #[test]
+    fn each_change_of_mode_is_one_event() {
+        let mut model = ready();
+        let modes = [Mode::Impedance, Mode::Impedance, Mode::ProtectiveStop, Mode::ProtectiveStop];
+        model.take(update(up(1), (2..).zip(modes).map(|(t, m)| sample(t, m)).collect()), 10.2);
+        let seen: Vec<_> = model.events.iter().map(|e| (e.time_s, e.mode)).collect();
+        assert_eq!(seen, [(0.0, Mode::Ready), (0.002, Mode::Impedance), (0.004, Mode::ProtectiveStop)]);
+    }
+
+    #[test]
+    fn pushing_moves_from_taxel_to_taxel_and_always_lets_go() {
+        let press = |taxel, force_n| Request::PressTaxel { taxel, force_n };
+        let mut model = ready();
+        assert_eq!(model.push(Some((5, 20.0))), [press(5, 20.0)]);
+        assert_eq!(model.push(Some((5, 20.0))), [], "nothing new, nothing sent");
+        assert_eq!(model.push(Some((5, 30.0))), [press(5, 30.0)]);
+        assert_eq!(model.push(Some((6, 30.0))), [press(5, 0.0), press(6, 30.0)]);
+        assert_eq!(model.push(None), [press(6, 0.0)]);
+        assert_eq!(model.push(None), []);
+    }
+
+    #[test]
+    fn a_refusal_says_why_and_a_law_counts_once_it_is_accepted() {
+        let mut model = ready();
+        let reply =
+            |request, outcome| Update { replies: vec![Reply { request, outcome }], ..update(up(1), vec![]) };
+        let select = Request::SelectLaw(Law::FollowMe);
+        model.take(reply(select, Err(Refusal::NotCommander)), 10.1);
+        assert_eq!(model.law, Law::Impedance);
+        let (text, done) = model.message(10.2).unwrap();
+        assert!(text.starts_with("Select follow-me: refused, another dashboard") && !done, "{text}");
+        model.take(reply(select, Ok(())), 10.2);
+        assert_eq!(model.law, Law::FollowMe);
+        assert_eq!(model.message(30.0), None, "old answers go away");
+    }
+}

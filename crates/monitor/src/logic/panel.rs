@@ -1,0 +1,176 @@
+//! Which signals are plotted together, with their names and units.
+
+use moca_msgs::{Sample, TaxelStatus};
+use moca_telemetry::RobotDescription;
+
+/// One number of a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Signal {
+    /// Force of a taxel, N; missing unless its status is Ok.
+    Taxel(usize),
+    /// Cover wrench in B: N, N, N·m.
+    CoverWrench(usize),
+    /// Base pose in W: m, m, rad.
+    BasePose(usize),
+    /// Flange position in W, m.
+    Flange(usize),
+    /// Desired flange position in W, m.
+    FlangeDesired(usize),
+    /// How far the flange is from its desired position, mm.
+    FlangeErrorMm,
+    /// How late the loop woke, µs.
+    LatenessUs,
+    /// Age of the cover's data, ms; missing before the first good frame.
+    FrameAgeMs,
+}
+
+impl Signal {
+    /// The number, NaN where there is none.
+    pub fn value(self, s: &Sample) -> f64 {
+        let known = |value: Option<&f64>| value.copied().unwrap_or(f64::NAN);
+        match self {
+            Self::Taxel(i) => match s.taxels.get(i) {
+                Some(taxel) if taxel.status == TaxelStatus::Ok => taxel.force_n,
+                _ => f64::NAN,
+            },
+            Self::CoverWrench(i) => known(s.cover_wrench_base.get(i)),
+            Self::BasePose(i) => known(s.base_pose_world.get(i)),
+            Self::Flange(i) => known(s.flange_position_world.get(i)),
+            Self::FlangeDesired(i) => known(s.flange_desired_position_world.get(i)),
+            Self::FlangeErrorMm => 1e3 * distance(s.flange_position_world, s.flange_desired_position_world),
+            Self::LatenessUs => s.lateness_s * 1e6,
+            Self::FrameAgeMs if s.frame_age_s < 0.0 => f64::NAN,
+            Self::FrameAgeMs => s.frame_age_s * 1e3,
+        }
+    }
+}
+
+fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
+/// Signals that share a plot and its unit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Panel {
+    /// Heading.
+    pub title: &'static str,
+    /// Unit of the vertical axis.
+    pub unit: &'static str,
+    /// Digits after the point that are worth reading.
+    pub decimals: usize,
+    /// Least height of the vertical axis, in its unit: noise is not blown up to fill the plot.
+    pub least_span: f64,
+    /// Names and signals.
+    pub traces: Vec<(String, Signal)>,
+}
+
+/// The plots for a robot, in order of reading.
+pub fn panels(description: &RobotDescription) -> Vec<Panel> {
+    let taxels = (0..description.taxels.len()).map(|i| (format!("T{}", i + 1), Signal::Taxel(i)));
+    let panel = |title, unit, decimals, least_span, traces: &[(&str, Signal)]| Panel {
+        title,
+        unit,
+        decimals,
+        least_span,
+        traces: traces.iter().map(|(name, signal)| ((*name).to_owned(), *signal)).collect(),
+    };
+    vec![
+        Panel { traces: taxels.collect(), ..panel("Taxel forces", "N", 1, 10.0, &[]) },
+        panel("Base position", "m", 3, 0.02, &[("x", Signal::BasePose(0)), ("y", Signal::BasePose(1))]),
+        panel(
+            "Cover force on base",
+            "N",
+            1,
+            10.0,
+            &[("fx", Signal::CoverWrench(0)), ("fy", Signal::CoverWrench(1))],
+        ),
+        panel("Base yaw", "rad", 3, 0.02, &[("yaw", Signal::BasePose(2))]),
+        panel("Cover moment on base", "N·m", 1, 5.0, &[("mz", Signal::CoverWrench(2))]),
+        panel("Flange from its place", "mm", 1, 10.0, &[("error", Signal::FlangeErrorMm)]),
+        panel("Loop lateness", "µs", 0, 100.0, &[("late", Signal::LatenessUs)]),
+        panel("Age of cover data", "ms", 0, 50.0, &[("age", Signal::FrameAgeMs)]),
+    ]
+}
+
+/// Vertical range for values between `extremes`: at least `least_span` high, ends at round numbers.
+pub fn vertical_range(extremes: Option<(f64, f64)>, least_span: f64) -> (f64, f64) {
+    let (low, high) = extremes.unwrap_or((0.0, 0.0));
+    let missing = (least_span - (high - low)).max(0.0);
+    // A signal that never goes below zero keeps zero as its floor.
+    let (low, high) = if low >= 0.0 && low < missing {
+        (0.0, high.max(least_span))
+    } else {
+        (low - missing / 2.0, high + missing / 2.0)
+    };
+    let margin = 0.05 * (high - low);
+    let step = round_step((high - low) / 8.0);
+    let low = if low == 0.0 { 0.0 } else { ((low - margin) / step).floor() * step };
+    (low, ((high + margin) / step).ceil() * step)
+}
+
+/// Round values between `low` and `high`, and the step between them: at most eight.
+pub fn round_marks(low: f64, high: f64) -> (Vec<f64>, f64) {
+    let step = round_step((high - low) / 5.0);
+    let first = (low / step).ceil();
+    let marks = (0..8).map(|i| (first + f64::from(i)) * step);
+    (marks.take_while(|value| *value <= high + 1e-9 * step).collect(), step)
+}
+
+/// The nearest of 1, 2, 5 · 10ⁿ not below `step`.
+fn round_step(step: f64) -> f64 {
+    let decade = 10f64.powf(step.log10().floor());
+    let factor = [1.0, 2.0, 5.0, 10.0].into_iter().find(|f| f * decade >= step);
+    factor.unwrap_or(10.0) * decade
+}
+
+#[cfg(test)]
+#[expect(clippy::float_cmp, reason = "values are copied or round, not computed")]
+mod tests {
+    use super::*;
+    use moca_msgs::TaxelReading;
+
+    #[test]
+    fn every_axis_has_a_unit_and_every_taxel_a_trace() {
+        let panels = panels(&RobotDescription::paper("test", true));
+        assert!(panels.iter().all(|p| !p.unit.is_empty() && !p.traces.is_empty() && p.least_span > 0.0));
+        assert_eq!(panels[0].traces.len(), 11);
+        assert_eq!(panels[0].traces[10], ("T11".to_owned(), Signal::Taxel(10)));
+    }
+
+    #[test]
+    fn a_taxel_without_a_valid_reading_is_missing_and_not_zero() {
+        let mut sample = Sample::default();
+        sample.taxels.push(TaxelReading { force_n: 0.0, status: TaxelStatus::Stale }).unwrap();
+        sample.taxels.push(TaxelReading { force_n: 0.0, status: TaxelStatus::Ok }).unwrap();
+        assert!(Signal::Taxel(0).value(&sample).is_nan());
+        assert!(Signal::Taxel(1).value(&sample) == 0.0);
+        assert!(Signal::Taxel(2).value(&sample).is_nan());
+        sample.frame_age_s = -1.0;
+        assert!(Signal::FrameAgeMs.value(&sample).is_nan());
+    }
+
+    #[test]
+    fn the_vertical_range_holds_every_value() {
+        for (low, high) in
+            [(0.0, 0.0), (0.0, 57.3), (-3.0, 2.0), (1.2345, 1.2346), (-1e-9, 0.0), (900.0, 1e5)]
+        {
+            let (bottom, top) = vertical_range(Some((low, high)), 10.0);
+            assert!(
+                bottom <= low && high <= top && top - bottom >= 10.0 - 1e-9,
+                "{low}..{high}: {bottom}..{top}"
+            );
+        }
+        assert_eq!(vertical_range(None, 10.0).0, 0.0);
+    }
+
+    #[test]
+    fn marks_are_round_and_never_too_many() {
+        assert_eq!(round_marks(-10.0, 0.0), (vec![-10.0, -8.0, -6.0, -4.0, -2.0, 0.0], 2.0));
+        assert_eq!(round_marks(0.0, 16.0), (vec![0.0, 5.0, 10.0, 15.0], 5.0));
+        assert_eq!(round_marks(-60.0, 0.0).1, 20.0);
+        for span in [1e-3, 0.3, 7.0, 99.0, 12345.0] {
+            let (marks, _) = round_marks(-0.3 * span, span);
+            assert!((2..=7).contains(&marks.len()), "{marks:?}");
+        }
+    }
+}

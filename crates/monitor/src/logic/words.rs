@@ -1,0 +1,41 @@
+//! Numbers and states as text.
+
+use moca_msgs::TaxelStatus;
+
+/// A number with `decimals` digits after the point, without "-0.0"; a dash for what is not known.
+pub fn number(value: f64, decimals: usize) -> String {
+    if !value.is_finite() {
+        return "–".into();
+    }
+    let text = format!("{value:.decimals$}");
+    let is_zero = text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.'));
+    if is_zero { text.trim_start_matches('-').to_owned() } else { text.replace('-', "−") }
+}
+
+/// A taxel's health in one short word; empty when it is well.
+pub fn health(status: TaxelStatus) -> &'static str {
+    match status {
+        TaxelStatus::Ok => "",
+        TaxelStatus::NoZero => "no zero",
+        TaxelStatus::Stale => "stale",
+        TaxelStatus::Saturated => "at its end",
+        TaxelStatus::Stuck => "stuck",
+        TaxelStatus::Dead => "dead",
+        TaxelStatus::Noisy => "noisy",
+        TaxelStatus::Drifted => "drifted",
+        TaxelStatus::Masked => "masked",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_read_well() {
+        assert_eq!(number(-0.04, 1), "0.0");
+        assert_eq!(number(-1.25, 2), "−1.25");
+        assert_eq!(number(12.0, 0), "12");
+        assert_eq!(number(f64::NAN, 1), "–");
+    }
+}

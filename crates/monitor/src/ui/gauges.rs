@@ -1,0 +1,109 @@
+//! Numbers beside the robot: base wrench, and how healthy loop, board and connection are.
+
+use super::theme;
+use crate::logic::{Model, model::Freshness, words::number};
+use egui::{Align, Grid, Layout, RichText, Sense, Ui, pos2, vec2};
+
+/// Draws base wrench and gauges.
+pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64) {
+    let Some(sample) = &model.latest else { return };
+    let live = model.freshness(now_s) == Freshness::Live;
+    ui.add_enabled_ui(live, |ui| {
+        ui.separator();
+        Grid::new("wrench").num_columns(4).spacing([6.0, 3.0]).show(ui, |ui| {
+            let [fx, fy, mz] = sample.cover_wrench_base;
+            let [x, y, yaw] = sample.base_pose_world;
+            let rows = [
+                ("Base wrench", [("fx", fx, 1, "N"), ("fy", fy, 1, "N"), ("mz", mz, 1, "N·m")]),
+                ("Base pose", [("x", x, 3, "m"), ("y", y, 3, "m"), ("yaw", yaw, 3, "rad")]),
+            ];
+            for (name, values) in rows {
+                ui.strong(name);
+                for (axis, value, decimals, unit) in values {
+                    value_cell(ui, axis, &number(value, decimals), unit, 94.0);
+                }
+                ui.end_row();
+            }
+        });
+        ui.separator();
+        let deadline_ms = model.robot.frame_deadline_s * 1e3;
+        let period_us = model.robot.period_s * 1e6;
+        Grid::new("gauges").num_columns(3).spacing([10.0, 4.0]).show(ui, |ui| {
+            gauge(ui, "Loop lateness", sample.lateness_s * 1e6, period_us, "µs");
+            let age_ms = if sample.frame_age_s < 0.0 { f64::NAN } else { sample.frame_age_s * 1e3 };
+            gauge(ui, "Frame age", age_ms, deadline_ms, "ms");
+        });
+        ui.separator();
+        Grid::new("counters").num_columns(4).spacing([10.0, 3.0]).show(ui, |ui| {
+            counter(ui, "Frame rate", &number(sample.frame_rate_hz, 1), "Hz", false);
+            counter(ui, "Frames good", &sample.frames_good.to_string(), "", false);
+            ui.end_row();
+            counter(ui, "Loop overruns", &sample.overruns.to_string(), "", sample.overruns > 0);
+            counter(ui, "Frames bad", &sample.frames_bad.to_string(), "", sample.frames_bad > 0);
+            ui.end_row();
+            let dropped = model.status.ring_dropped + model.status.client_dropped;
+            counter(ui, "Samples lost", &dropped.to_string(), "", dropped > 0);
+            counter(ui, "Run time", &number(crate::logic::history::seconds(sample.time_ns), 0), "s", false);
+            ui.end_row();
+        });
+    });
+}
+
+/// Axis, right-aligned number, unit, in a cell of fixed width so that nothing jumps.
+fn value_cell(ui: &mut Ui, axis: &str, value: &str, unit: &str, width: f32) {
+    ui.allocate_ui_with_layout(vec2(width, 18.0), Layout::left_to_right(Align::Center), |ui| {
+        ui.spacing_mut().item_spacing.x = 3.0;
+        ui.weak(axis);
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+            ui.allocate_ui_with_layout(vec2(24.0, 18.0), Layout::left_to_right(Align::Center), |ui| {
+                ui.weak(unit)
+            });
+            ui.monospace(value);
+        });
+    });
+}
+
+fn counter(ui: &mut Ui, name: &str, value: &str, unit: &str, conspicuous: bool) {
+    ui.label(name);
+    ui.allocate_ui_with_layout(vec2(84.0, 18.0), Layout::right_to_left(Align::Center), |ui| {
+        ui.set_min_size(vec2(84.0, 18.0));
+        ui.spacing_mut().item_spacing.x = 3.0;
+        ui.allocate_ui_with_layout(vec2(16.0, 18.0), Layout::left_to_right(Align::Center), |ui| {
+            ui.weak(unit)
+        });
+        let text = RichText::new(value).monospace();
+        ui.label(if conspicuous { text.color(theme::WARNING) } else { text });
+    });
+}
+
+/// A bar from 0 to one and a half times `limit`, with a mark at `limit`.
+fn gauge(ui: &mut Ui, name: &str, value: f64, limit: f64, unit: &str) {
+    ui.label(name);
+    let (response, painter) = ui.allocate_painter(vec2(120.0, 12.0), Sense::hover());
+    let rect = response.rect;
+    #[expect(clippy::cast_possible_truncation, reason = "a fraction")]
+    let part = if value.is_finite() { (value / (1.5 * limit)).clamp(0.0, 1.0) as f32 } else { 0.0 };
+    let colour = match value / limit {
+        r if r < 0.5 => theme::GOOD,
+        r if r < 1.0 => theme::WARNING,
+        _ => theme::BAD,
+    };
+    painter.rect_filled(rect, 2.0, ui.visuals().extreme_bg_color);
+    let mut bar = rect;
+    bar.set_width(rect.width() * part);
+    painter.rect_filled(bar, 2.0, colour);
+    let mark = rect.left() + rect.width() / 1.5;
+    let stroke = (1.5, ui.visuals().text_color());
+    painter.line_segment([pos2(mark, rect.top()), pos2(mark, rect.bottom())], stroke);
+    response.on_hover_text(format!("limit {} {unit}", number(limit, 0)));
+    ui.allocate_ui_with_layout(vec2(130.0, 18.0), Layout::left_to_right(Align::Center), |ui| {
+        ui.spacing_mut().item_spacing.x = 3.0;
+        let width = 7 - number(value, 0).chars().count().min(6);
+        let text = format!("{:width$}{} {unit}", "", number(value, 0));
+        let over = value >= limit;
+        let text = RichText::new(text).monospace();
+        ui.label(if over { text.color(theme::BAD) } else { text });
+        ui.weak(format!("of {}", number(limit, 0)));
+    });
+    ui.end_row();
+}

@@ -1,0 +1,302 @@
+//! The dashboard without a display: every control, by its accessible label, sends its command.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "test helpers fail by panicking")]
+
+use egui::{Event, Key, Modifiers, PointerButton, Pos2, Vec2};
+use egui_kittest::{Harness, kittest::Queryable};
+use moca_monitor::{logic::Source, ui::App};
+use moca_msgs::{Fault, Law, Mode, Refusal, Request, Sample, TaxelReading, TaxelStatus, board::Diagnosis};
+use moca_telemetry::{
+    RobotDescription,
+    net::{Commander, Link, Reply, Status, Update},
+};
+use std::{cell::RefCell, collections::VecDeque, rc::Rc, sync::Arc};
+
+/// A daemon that exists only as what it says and what it was asked.
+#[derive(Default)]
+struct Daemon {
+    down: Option<String>,
+    simulated: bool,
+    commander: Commander,
+    samples: VecDeque<Sample>,
+    replies: Vec<Reply>,
+    asked: Vec<Request>,
+    session: u64,
+}
+
+#[derive(Clone)]
+struct Fake(Rc<RefCell<Daemon>>);
+
+impl Source for Fake {
+    fn poll(&mut self) -> Update {
+        let mut daemon = self.0.borrow_mut();
+        let description = Arc::new(RobotDescription::paper("test robot", daemon.simulated));
+        let link = match &daemon.down {
+            Some(reason) => Link::Down { reason: reason.clone() },
+            None => Link::Up { session: daemon.session, description },
+        };
+        let samples = daemon.samples.drain(..).collect();
+        let replies = std::mem::take(&mut daemon.replies);
+        Update {
+            link,
+            status: Status { commander: daemon.commander, ..Status::default() },
+            samples,
+            replies,
+            unread_dropped: 0,
+        }
+    }
+
+    fn request(&mut self, request: Request) {
+        self.0.borrow_mut().asked.push(request);
+    }
+}
+
+struct Bench {
+    daemon: Rc<RefCell<Daemon>>,
+    harness: Harness<'static, App>,
+    tick: u64,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let daemon = Rc::new(RefCell::new(Daemon { simulated: true, session: 1, ..Daemon::default() }));
+        let app =
+            App::new(&egui::Context::default(), Fake(Rc::clone(&daemon)), "127.0.0.1:7611".into(), None);
+        let harness = Harness::builder().with_size([1280.0, 800.0]).build_ui_state(
+            |ui, app: &mut App| {
+                app.update(&ui.ctx().clone());
+                app.show(ui);
+            },
+            app,
+        );
+        Self { daemon, harness, tick: 0 }
+    }
+
+    fn in_mode(mode: Mode) -> Self {
+        let mut bench = Self::new();
+        bench.frames(mode, None);
+        bench
+    }
+
+    /// A few frames, each with a fresh sample.
+    fn frames(&mut self, mode: Mode, fault: Option<Fault>) {
+        for _ in 0..3 {
+            let sample = sample(self.tick, mode, fault);
+            self.tick += 1;
+            self.daemon.borrow_mut().samples.push_back(sample);
+            self.harness.step();
+        }
+    }
+
+    fn asked(&self) -> Vec<Request> {
+        std::mem::take(&mut self.daemon.borrow_mut().asked)
+    }
+
+    fn click(&mut self, label: &str) {
+        self.harness.get_by_label(label).click();
+        let latest = self.harness.state().model().latest.clone();
+        let (mode, fault) = latest.map_or((Mode::Starting, None), |s| (s.mode, s.fault));
+        self.frames(mode, fault);
+    }
+
+    fn pointer(&mut self, pos: Pos2, pressed: bool) {
+        self.harness.hover_at(pos);
+        self.harness.event(Event::PointerButton {
+            pos,
+            button: PointerButton::Primary,
+            pressed,
+            modifiers: Modifiers::NONE,
+        });
+    }
+
+    fn shows(&self, text: &str) -> bool {
+        self.harness.query_all_by_label_contains(text).next().is_some()
+    }
+}
+
+fn sample(tick: u64, mode: Mode, fault: Option<Fault>) -> Sample {
+    let mut sample = Sample {
+        tick,
+        time_ns: tick * 1_000_000,
+        mode,
+        fault,
+        board: Diagnosis::Frames,
+        frame_age_s: 0.02,
+        ..Sample::default()
+    };
+    sample.q_rad.extend(moca_msgs::robot::PANDA.home_rad);
+    sample.taxels.extend([TaxelReading { force_n: 0.0, status: TaxelStatus::Ok }; 11]);
+    sample.counts.extend([720; 11]);
+    sample
+}
+
+#[test]
+fn each_button_sends_its_command_when_it_makes_sense() {
+    let cases = [
+        ("Tare", Mode::Ready, Request::Tare),
+        ("Tare", Mode::ProtectiveStop, Request::Tare),
+        ("Arm", Mode::Ready, Request::Arm),
+        ("Disarm", Mode::Impedance, Request::Disarm),
+        ("Resume", Mode::ProtectiveStop, Request::Resume),
+        ("Follow-me", Mode::Ready, Request::SelectLaw(Law::FollowMe)),
+        ("Impedance", Mode::FollowMe, Request::SelectLaw(Law::Impedance)),
+        ("STOP (space)", Mode::Impedance, Request::Stop),
+        ("STOP (space)", Mode::Starting, Request::Stop),
+    ];
+    for (label, mode, request) in cases {
+        let mut bench = Bench::in_mode(mode);
+        bench.click(label);
+        assert_eq!(bench.asked(), [request], "{label} in {}", mode.name());
+    }
+}
+
+#[test]
+fn a_button_that_makes_no_sense_does_nothing() {
+    for (label, mode) in [
+        ("Arm", Mode::Impedance),
+        ("Tare", Mode::Impedance),
+        ("Disarm", Mode::Ready),
+        ("Resume", Mode::Ready),
+    ] {
+        let mut bench = Bench::in_mode(mode);
+        bench.click(label);
+        assert_eq!(bench.asked(), [], "{label} in {}", mode.name());
+    }
+}
+
+#[test]
+fn the_space_bar_stops_from_everywhere_and_does_nothing_else() {
+    for mode in [Mode::Starting, Mode::Taring, Mode::Ready, Mode::Impedance, Mode::FollowMe] {
+        let mut bench = Bench::in_mode(mode);
+        bench.harness.key_press(Key::Space);
+        bench.frames(mode, None);
+        assert_eq!(bench.asked(), [Request::Stop], "in {}", mode.name());
+    }
+    // With the keyboard's focus on a button, space would press that button too.
+    let mut bench = Bench::in_mode(Mode::Ready);
+    bench.harness.get_by_label("Arm").focus();
+    bench.frames(Mode::Ready, None);
+    assert!(bench.harness.get_by_label("Arm").is_focused());
+    bench.harness.key_press(Key::Space);
+    bench.frames(Mode::Ready, None);
+    assert_eq!(bench.asked(), [Request::Stop]);
+    // Enter still presses it.
+    bench.harness.key_press(Key::Enter);
+    bench.frames(Mode::Ready, None);
+    assert_eq!(bench.asked(), [Request::Arm]);
+}
+
+#[test]
+fn a_taxel_is_pushed_while_the_mouse_holds_it() {
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    let at = bench.harness.get_by_label("Push T6").rect().center();
+    bench.pointer(at, true);
+    bench.frames(Mode::Impedance, None);
+    bench.frames(Mode::Impedance, None);
+    assert_eq!(
+        bench.asked(),
+        [Request::PressTaxel { taxel: 5, force_n: 20.0 }],
+        "one request, however long it is held"
+    );
+    bench.pointer(at, false);
+    bench.frames(Mode::Impedance, None);
+    assert_eq!(bench.asked(), [Request::PressTaxel { taxel: 5, force_n: 0.0 }]);
+}
+
+#[test]
+fn a_push_ends_when_the_mouse_leaves_the_window() {
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    let at = bench.harness.get_by_label("Push T1").rect().center();
+    bench.pointer(at, true);
+    bench.frames(Mode::Impedance, None);
+    assert_eq!(bench.asked().len(), 1);
+    bench.harness.remove_cursor();
+    bench.pointer(at + Vec2::new(5000.0, 0.0), false);
+    bench.frames(Mode::Impedance, None);
+    assert_eq!(bench.asked(), [Request::PressTaxel { taxel: 0, force_n: 0.0 }]);
+}
+
+#[test]
+fn a_real_robot_cannot_be_pushed_with_the_mouse() {
+    let mut bench = Bench::new();
+    bench.daemon.borrow_mut().simulated = false;
+    bench.frames(Mode::Impedance, None);
+    let at = bench.harness.get_by_label("Push T6").rect().center();
+    bench.pointer(at, true);
+    bench.frames(Mode::Impedance, None);
+    assert_eq!(bench.asked(), []);
+}
+
+#[test]
+fn it_works_without_a_daemon_and_when_one_comes_and_goes() {
+    let mut bench = Bench::new();
+    bench.daemon.borrow_mut().down = Some("nobody listens".into());
+    bench.harness.step();
+    assert!(bench.shows("no daemon") && bench.shows("nobody listens") && bench.shows("cargo run --release"));
+
+    bench.daemon.borrow_mut().down = None;
+    bench.frames(Mode::Impedance, None);
+    assert!(bench.shows("impedance") && bench.shows("test robot") && !bench.shows("no daemon"));
+
+    bench.daemon.borrow_mut().down = Some("the daemon closed the connection".into());
+    bench.harness.step();
+    assert!(bench.shows("no daemon"));
+    assert!(bench.harness.get_by_label("Push T6").rect().area() > 0.0, "the last picture stays");
+
+    bench.daemon.borrow_mut().down = None;
+    bench.daemon.borrow_mut().session += 1;
+    bench.tick = 0;
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("ready"));
+    assert_eq!(bench.harness.state().model().history.len(), 3, "a new daemon starts a new history");
+}
+
+#[test]
+fn samples_that_stop_coming_are_shown_as_old() {
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    bench.harness.run_steps(4);
+    assert!(bench.shows("no samples") && bench.shows("what is shown is old"));
+    bench.click("STOP (space)");
+    assert_eq!(bench.asked(), [Request::Stop], "stop works all the same");
+}
+
+#[test]
+fn a_fault_is_told_in_words_with_its_remedy_and_a_sick_taxel_is_named() {
+    let mut bench = Bench::new();
+    bench.frames(Mode::ProtectiveStop, Some(Fault::BoardLost));
+    assert!(bench.shows(Fault::BoardLost.text()) && bench.shows(Fault::BoardLost.remedy()));
+}
+
+#[test]
+fn a_refusal_and_another_commander_are_told() {
+    let mut bench = Bench::in_mode(Mode::Ready);
+    let refused = Reply { request: Request::Arm, outcome: Err(Refusal::ZeroInvalid) };
+    bench.daemon.borrow_mut().replies.push(refused);
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("Arm: refused, the cover has no valid zero"));
+
+    bench.daemon.borrow_mut().commander = Commander::Another;
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("another dashboard has the command"));
+    bench.click("Arm");
+    assert_eq!(bench.asked(), []);
+    bench.click("STOP (space)");
+    assert_eq!(bench.asked(), [Request::Stop], "anyone may stop");
+}
+
+#[test]
+fn plots_can_be_paused_and_their_window_chosen() {
+    let mut bench = Bench::in_mode(Mode::Ready);
+    bench.click("60 s");
+    bench.click("Pause plots");
+    assert!(bench.shows("paused, 0 s behind"));
+    for _ in 0..1500 {
+        let next = sample(bench.tick, Mode::Ready, None);
+        bench.tick += 1;
+        bench.daemon.borrow_mut().samples.push_back(next);
+    }
+    bench.harness.step();
+    assert!(bench.shows("paused, 2 s behind"));
+    bench.click("Pause plots");
+    assert!(!bench.shows("paused"));
+    assert_eq!(bench.asked(), []);
+}
