@@ -1,7 +1,6 @@
 //! What the terminal shows of a run: one line a second, every change of mode, and the summary.
 
-use crate::control_loop::ControlLoop;
-use crate::timing::Stage;
+use crate::timing::{Distribution, Stage, Timing};
 use moca_msgs::board::Diagnosis;
 use moca_msgs::{Fault, Mode, Sample};
 use std::fmt;
@@ -56,7 +55,6 @@ fn why(fault: Option<Fault>) -> String {
 }
 
 fn status(sample: &Sample) -> String {
-    let [x, y, yaw] = sample.base_pose_world;
     let pressed: Vec<String> = sample
         .taxels
         .iter()
@@ -71,9 +69,9 @@ fn status(sample: &Sample) -> String {
         format!("{:.1} Hz, {:.0} ms old", sample.frame_rate_hz, 1e3 * sample.frame_age_s)
     };
     format!(
-        "[{:7.2} s] base x {x:+.3} m, y {y:+.3} m, yaw {:+.1}° | flange off by {:.1} mm | cover: {cover} | board: {board} | late {:.2} ms",
+        "[{:7.2} s] base {} | flange off by {:.1} mm | cover: {cover} | board: {board} | late {:.2} ms",
         seconds(sample.time_ns),
-        yaw.to_degrees(),
+        pose(&sample.base_pose_world),
         1e3 * distance(&sample.flange_position_world, &sample.flange_desired_position_world),
         1e3 * sample.lateness_s,
     )
@@ -83,15 +81,25 @@ fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
+/// `x …, y …, yaw …` of a base pose, without a minus sign before zero.
+fn pose(base_pose_world: &[f64; 3]) -> String {
+    let rounded = |value: f64, digits: f64| (value * digits).round() / digits + 0.0;
+    let [x, y, yaw] = base_pose_world;
+    let (x, y, yaw) = (rounded(*x, 1e3), rounded(*y, 1e3), rounded(yaw.to_degrees(), 1e1));
+    format!("x {x:+.3} m, y {y:+.3} m, yaw {yaw:+.1}°")
+}
+
 #[expect(clippy::cast_precision_loss, reason = "loop times are far below 2^53 ns")]
 fn seconds(ns: u64) -> f64 {
     ns as f64 * 1e-9
 }
 
 /// The one-screen summary at the end of a run.
-pub struct Summary<'a, P, S> {
-    /// The finished loop.
-    pub control: &'a ControlLoop<P, S>,
+pub struct Summary<'a> {
+    /// How long the stages took.
+    pub timing: &'a Timing,
+    /// Age of the cover's data at each tick.
+    pub frame_age: &'a Distribution,
     /// Its last sample.
     pub last: &'a Sample,
     /// Ticks run.
@@ -106,10 +114,9 @@ pub struct Summary<'a, P, S> {
     pub wall: Duration,
 }
 
-impl<P, S> fmt::Display for Summary<'_, P, S> {
+impl fmt::Display for Summary<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let last = self.last;
-        let [x, y, yaw] = last.base_pose_world;
         writeln!(f, "summary")?;
         writeln!(f, "  mode         {}{}", last.mode.name(), why(last.fault))?;
         writeln!(
@@ -119,17 +126,17 @@ impl<P, S> fmt::Display for Summary<'_, P, S> {
             seconds(last.time_ns),
             seconds(last.time_ns) / self.wall.as_secs_f64().max(1e-9)
         )?;
-        writeln!(f, "  base         x {x:+.3} m, y {y:+.3} m, yaw {:+.1}°", yaw.to_degrees())?;
+        writeln!(f, "  base         {}", pose(&last.base_pose_world))?;
         writeln!(
             f,
             "  board        {} good frames, {} bad, {:.1} Hz; age p50 {:.1} ms, p99 {:.1} ms",
             last.frames_good,
             last.frames_bad,
             last.frame_rate_hz,
-            1e-3 * self.control.frame_age.quantile_us(0.5),
-            1e-3 * self.control.frame_age.quantile_us(0.99),
+            1e-3 * self.frame_age.quantile_us(0.5),
+            1e-3 * self.frame_age.quantile_us(0.99),
         )?;
-        write!(f, "{}", self.control.timing)?;
+        write!(f, "{}", self.timing)?;
         if let Some(by_stage) = self.overruns_by_stage {
             write!(f, "  overruns     {} slots skipped", by_stage.iter().sum::<u64>())?;
             for (stage, count) in Stage::ALL.iter().zip(by_stage).filter(|(_, count)| *count > 0) {

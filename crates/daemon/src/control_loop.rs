@@ -84,6 +84,12 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         self.motion.set_target_twist(twist)
     }
 
+    /// The last order of a run: nobody commands the robot from here on.
+    pub fn brake(&mut self) {
+        // Whether it still listens or not, there is nothing left to do about it.
+        let _ = self.plant.write(&Actuation::Brake, 1);
+    }
+
     fn decide(
         &mut self,
         slot: &Slot,

@@ -7,7 +7,7 @@
 //!    tick now, deterministic.
 //! 4. [`plant`], [`cover_source`]: what a robot and a cover are to the loop; [`simulated`], [`byte_cover`],
 //!    [`ideal_cover`]: those there are.
-//! 5. [`config`], [`console`], [`run`]: what a user sees of it.
+//! 5. [`config`], [`console`], [`recording`], [`run`]: what a user sees of it.
 //!
 //! The loop refuses to know who watches it: samples leave through a bounded ring, requests arrive through another.
 
@@ -28,6 +28,7 @@ pub mod lockstep;
 pub mod motion;
 pub mod plant;
 pub mod realtime;
+pub mod recording;
 pub mod run;
 pub mod schedule;
 #[cfg(feature = "sim")]

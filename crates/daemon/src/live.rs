@@ -148,6 +148,7 @@ pub fn run<P: Plant, S: CoverSource>(
             warm = Some(allocations::on_this_thread());
         }
     }
+    control.brake();
     report.allocations_after_warm_up = warm.map(|warm| allocations::on_this_thread() - warm);
     report
 }

@@ -44,6 +44,9 @@ struct RunArguments {
     /// Write every command of a lock-step run as CSV.
     #[arg(long, value_name = "FILE", requires = "as_fast_as_possible")]
     command_log: Option<PathBuf>,
+    /// Record every sample and every byte of the board as MCAP; the file must not exist yet.
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
     /// End at once if the operating system refuses a wish of `[realtime]`.
     #[arg(long)]
     require_realtime: bool,
@@ -90,6 +93,7 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
         duration,
         lock_step: arguments.as_fast_as_possible,
         command_log: arguments.command_log,
+        record: arguments.record,
         require_realtime: arguments.require_realtime,
     })
 }

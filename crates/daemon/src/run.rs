@@ -9,9 +9,12 @@ use crate::live::{self, Clock, LiveReport, Rings, Shared};
 use crate::motion::Motion;
 use crate::plant::Plant;
 use crate::realtime;
+use crate::recording::Recording;
 use crate::supervisor::{Automatic, Supervisor};
+use crate::timing::{Distribution, Timing};
 use anyhow::{Context, Result, anyhow};
 use moca_msgs::{Law, Outcome, Request, Sample, robot};
+use moca_tactile::BoardEvent;
 use moca_tactile::serial::PortSelection;
 use moca_telemetry::net::{self, Ports};
 use moca_telemetry::{RobotDescription, net::Server};
@@ -39,6 +42,8 @@ pub struct Options {
     pub lock_step: bool,
     /// Where the command log goes (lock-step only).
     pub command_log: Option<PathBuf>,
+    /// Where the MCAP log goes.
+    pub record: Option<PathBuf>,
     /// Whether a refused wish to the operating system ends the run before it starts.
     pub require_realtime: bool,
 }
@@ -56,7 +61,9 @@ pub fn run(options: &Options) -> Result<()> {
         #[cfg(feature = "sim")]
         (PlantKind::Simulated, true) => lock_step(options, &shared),
         #[cfg(feature = "sim")]
-        (PlantKind::Simulated, false) => live_simulated(options, &shared),
+        (PlantKind::Simulated, false) => {
+            live_simulated(options, &shared).map(|run| println!("{}", run.summary()))
+        }
         #[cfg(not(feature = "sim"))]
         (PlantKind::Simulated, _) => Err(anyhow!(
             "plant.kind = \"simulated\" needs a build with the feature `sim` (cargo run --release); \
@@ -119,8 +126,40 @@ fn board_config(config: &Config) -> moca_sim::VirtualBoardConfig {
     moca_sim::VirtualBoardConfig { seed: config.simulation.seed, ..Default::default() }
 }
 
+/// A finished live run.
+#[derive(Debug)]
+pub struct LiveRun {
+    /// How long the stages took.
+    pub timing: Timing,
+    /// Ticks, overruns, allocations.
+    pub report: LiveReport,
+    frame_age: Distribution,
+    last: Sample,
+    samples_dropped: u64,
+    wall: Duration,
+}
+
+impl LiveRun {
+    fn summary(&self) -> Summary<'_> {
+        Summary {
+            timing: &self.timing,
+            frame_age: &self.frame_age,
+            last: &self.last,
+            ticks: self.report.ticks,
+            overruns_by_stage: Some(self.report.overruns_by_stage),
+            allocations: self.report.allocations_after_warm_up,
+            samples_dropped: self.samples_dropped,
+            wall: self.wall,
+        }
+    }
+}
+
+/// Runs the simulated robot against the wall clock until `shared.stop` is set or the duration is over.
+///
+/// # Errors
+/// As for [`run`].
 #[cfg(feature = "sim")]
-fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<()> {
+pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     use crate::byte_cover::ByteCover;
     use crate::simulated::SimulatedRobot;
     use moca_sim::{PtyBoard, Scene};
@@ -141,11 +180,12 @@ fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<()> {
     println!("  board       {}{}", shown(&port), if board.is_some() { " (virtual Touch Board)" } else { "" });
     let clock = Clock::start()?;
     let (_serial, events) = SerialBoard::spawn(port, clock.instant())?;
-    let cover = ByteCover::new(Cover::new(CoverConfig::default())?, events, None);
+    let (recording, copies) = recording(options)?;
+    let cover = ByteCover::new(Cover::new(CoverConfig::default())?, events, copies);
     let plant = SimulatedRobot::new(config, &Scene::default(), forces)?;
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
-    live(options, control, clock, shared)
+    live(options, control, clock, recording, shared)
 }
 
 fn shown(port: &PortSelection) -> String {
@@ -160,8 +200,9 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     options: &Options,
     mut control: ControlLoop<P, S>,
     clock: Clock,
+    mut recording: Option<Recording>,
     shared: &Arc<Shared>,
-) -> Result<()> {
+) -> Result<LiveRun> {
     let config = &options.config;
     let (mut rings, from_loop, request_ports) = rings(shared);
     let (tap, mut watched) = rtrb::RingBuffer::new(RING_SAMPLES);
@@ -196,24 +237,22 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
             std::thread::Builder::new().name("control-loop".into()).spawn_scoped(scope, in_loop_thread)?;
         let refused = report_realtime(&steps.recv().unwrap_or_default());
         println!("Ctrl-C stops it.");
-        let last = watch(&mut watched, done);
+        let last = watch(&mut watched, &mut recording, done);
         let report = thread.join().map_err(|_| anyhow!("the loop's thread panicked"))?;
         if options.require_realtime && refused > 0 {
             return Err(anyhow!("--require-realtime: {refused} of the steps above failed"));
         }
         Ok((report, last))
     })?;
-    let summary = Summary {
-        control: &control,
-        last: &last,
-        ticks: report.ticks,
-        overruns_by_stage: Some(report.overruns_by_stage),
-        allocations: report.allocations_after_warm_up,
+    finish(recording, options)?;
+    Ok(LiveRun {
+        timing: control.timing,
+        frame_age: control.frame_age,
+        report,
+        last,
         samples_dropped: shared.samples_dropped.load(Ordering::Relaxed),
         wall: started.elapsed(),
-    };
-    println!("{summary}");
-    Ok(())
+    })
 }
 
 fn report_realtime(steps: &[realtime::Step]) -> usize {
@@ -268,18 +307,46 @@ fn description(config: &Config) -> RobotDescription {
         &robot::PANDA,
         &robot::PAPER_COVER,
         &config.parameters().limits,
-        1e-9 * 120e6,
+        Duration::from_nanos(moca_tactile::board::SILENT_AFTER_NS).as_secs_f64(),
     )
 }
 
+fn recording(options: &Options) -> Result<(Option<Recording>, Option<rtrb::Producer<BoardEvent>>)> {
+    let Some(path) = &options.record else { return Ok((None, None)) };
+    let (recording, copies) = Recording::create(path, description(&options.config), !options.lock_step)?;
+    println!("  record      {}", path.display());
+    Ok((Some(recording), Some(copies)))
+}
+
+fn finish(recording: Option<Recording>, options: &Options) -> Result<()> {
+    if let (Some(recording), Some(path)) = (recording, &options.record) {
+        let summary = recording.finish().with_context(|| path.display().to_string())?;
+        println!("recorded {} samples and {} bytes of the board", summary.samples, summary.serial_bytes);
+        if summary.serial_dropped > 0 {
+            println!(
+                "  {} reads of the board found no room on their way to the disk",
+                summary.serial_dropped
+            );
+        }
+    }
+    Ok(())
+}
+
 /// Shows samples on the terminal until `done` is set and the ring is empty; returns the last one.
-fn watch(samples: &mut rtrb::Consumer<Sample>, done: &AtomicBool) -> Sample {
+fn watch(
+    samples: &mut rtrb::Consumer<Sample>,
+    recording: &mut Option<Recording>,
+    done: &AtomicBool,
+) -> Sample {
     let (mut console, mut last) = (Console::default(), Sample::default());
     loop {
         let finished = done.load(Ordering::Acquire);
         while let Ok(sample) = samples.pop() {
             for line in console.lines(&sample) {
                 println!("{line}");
+            }
+            if let Some(recording) = recording {
+                recording.add(&sample);
             }
             last = sample;
         }
@@ -299,7 +366,8 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
     let config = &options.config;
     introduce_simulation(config);
     println!("  board       virtual Touch Board in memory");
-    let mut world = LockStep::with_board(config, &moca_sim::Scene::default(), board_config(config), None)?;
+    let (mut recording, copies) = recording(options)?;
+    let mut world = LockStep::with_board(config, &moca_sim::Scene::default(), board_config(config), copies)?;
     let mut log = None;
     if let Some(path) = &options.command_log {
         let file = File::create(path).with_context(|| path.display().to_string())?;
@@ -328,6 +396,9 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
         if let Some(log) = &mut log {
             command_log::write_row(log, &last)?;
         }
+        if let Some(recording) = &mut recording {
+            recording.add(&last);
+        }
         for line in console.lines(&last) {
             println!("{line}");
         }
@@ -336,7 +407,8 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
         log.flush()?;
     }
     let summary = Summary {
-        control: &world.control,
+        timing: &world.control.timing,
+        frame_age: &world.control.frame_age,
         last: &last,
         ticks,
         overruns_by_stage: None,
@@ -345,5 +417,5 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
         wall: started.elapsed(),
     };
     println!("{summary}");
-    Ok(())
+    finish(recording, options)
 }

@@ -1,7 +1,10 @@
 //! `moca-lab`: experiments and checks on the command line.
 
+mod characterize;
 mod experiment;
+mod observers;
 mod stream;
+mod threshold;
 mod tick;
 mod vectors;
 
@@ -17,18 +20,27 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Ten trials of four foams: Tables I and II, Figure 4, what better calibrations gain.
+    Characterize(characterize::Arguments),
     /// The paper's experiments, deterministic and faster than real time.
     Experiment(experiment::Arguments),
+    /// What watching costs the live loop: overruns and publish stage with and without observers.
+    Observers(observers::Arguments),
     /// Reads a recorded Touch Board stream: frames, rate, faults.
     Stream(stream::Arguments),
+    /// The smallest force that is felt and its delay; how little an untouched robot creeps.
+    Threshold(threshold::Arguments),
     Tick(tick::Arguments),
     Vectors(vectors::Arguments),
 }
 
 fn main() -> anyhow::Result<()> {
     match Arguments::parse().command {
+        Command::Characterize(arguments) => characterize::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
+        Command::Observers(arguments) => observers::run(&arguments),
         Command::Stream(arguments) => stream::run(&arguments),
+        Command::Threshold(arguments) => threshold::run(&arguments),
         Command::Tick(arguments) => tick::run(&arguments),
         Command::Vectors(arguments) => vectors::run(&arguments),
     }

@@ -121,11 +121,10 @@ impl Chart {
         text(out, (x0 + x1) / 2.0, HEIGHT - 12.0, "middle", "", &self.axes[0]);
         let y = (y0 + y1) / 2.0;
         text(out, 18.0, y, "middle", &format!(r#"transform="rotate(-90 18 {y})""#), &self.axes[1]);
-        for (row, (name, colour)) in (0u32..).zip(&self.legend) {
-            let y = TOP + 14.0 + 17.0 * f64::from(row);
-            let _ =
-                writeln!(out, r#"<path d="M{} {y}h22" stroke="{colour}" stroke-width="3"/>"#, LEFT + 12.0);
-            text(out, LEFT + 40.0, y + 4.0, "start", "", name);
+        for (row, (name, colour)) in (0u32..).zip(self.legend.iter().rev()) {
+            let y = y0 - 14.0 - 17.0 * f64::from(row);
+            let _ = writeln!(out, r#"<path d="M{} {y}h22" stroke="{colour}" stroke-width="3"/>"#, x1 - 34.0);
+            text(out, x1 - 42.0, y + 4.0, "end", "", name);
         }
     }
 }
@@ -167,7 +166,7 @@ fn non_empty([from, to]: [f64; 2]) -> [f64; 2] {
 
 /// Four to ten round values within the range.
 fn ticks([from, to]: [f64; 2]) -> Vec<f64> {
-    let rough = (to - from) / 5.0;
+    let rough = (to - from) / 6.0;
     let decade = libm::pow(10.0, libm::floor(libm::log10(rough)));
     let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * decade).into_iter().find(|&s| s >= rough).unwrap_or(rough);
     let first = libm::ceil(from / step - 1e-9);
@@ -191,7 +190,7 @@ mod tests {
     fn ticks_are_round_and_inside() {
         assert_eq!(ticks([0.0, 100.0]), [0.0, 20.0, 40.0, 60.0, 80.0, 100.0]);
         assert_eq!(ticks([-9.0, 11.0]), [-5.0, 0.0, 5.0, 10.0]);
-        assert_eq!(ticks([0.0, 0.0114]).len(), 3);
+        assert_eq!(ticks([0.0, 0.0114]).len(), 6);
     }
 
     #[test]

@@ -1,0 +1,208 @@
+//! `moca-lab characterize`: section IV-A on simulated foams. Table I with the paper's figures beside ours, Table II
+//! with its units put right, Figure 4, and what better models gain on trials they have not seen.
+
+mod figure;
+mod tables;
+mod trials;
+
+use anyhow::{Context, ensure};
+use moca_sim::foam::FoamLaw;
+use moca_tactile::calibration::quality::{evaluation_cost_ns, quality};
+use moca_tactile::calibration::{ModelKind, Trial, TrialSample, chart, fit};
+use moca_tactile::model::TaxelModel;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use trials::{Protocol, Recording};
+
+/// Arguments of `moca-lab characterize`.
+#[derive(clap::Args)]
+pub(crate) struct Arguments {
+    /// Trials of each material; the first half is fitted, the rest held out.
+    #[arg(long, default_value_t = 10)]
+    trials: usize,
+    /// Seed of the sensor's noise and of the ramps' spread.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Folder for the figures.
+    #[arg(long, default_value = "out/characterize")]
+    out: PathBuf,
+    /// Prints one JSON object instead of tables.
+    #[arg(long)]
+    json: bool,
+}
+
+/// One material's results.
+#[derive(Debug, Serialize)]
+struct Material {
+    name: &'static str,
+    /// Mean over trials.
+    table: TableRow,
+    /// Published figures of the same cells.
+    paper: TableRow,
+    held_out: Vec<HeldOut>,
+}
+
+/// One row of Table I.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct TableRow {
+    /// Largest deformation of a trial, mm; the paper prints none for CC.
+    deformation_mm: Option<f64>,
+    /// Counts at the largest deformation, before noise.
+    counts: f64,
+    /// RMSE of the line F(Δx), N.
+    rmse_deformation_n: f64,
+    /// RMSE of the line F(Δs), N.
+    rmse_counts_n: f64,
+}
+
+/// A model fitted to the first half of the trials, judged on what it has not seen.
+#[derive(Debug, Serialize)]
+struct HeldOut {
+    model: &'static str,
+    /// The other half of the trials, N.
+    rmse_n: f64,
+    rmse_loading_n: f64,
+    rmse_unloading_n: f64,
+    /// Ramps of 3 s with a pause of 10 s at 60 N, N.
+    rmse_other_protocol_n: f64,
+    /// What it reads untouched, N.
+    untouched_n: f64,
+    /// One evaluation, ns.
+    cost_ns: f64,
+}
+
+/// Simulates, fits, prints, draws.
+#[expect(clippy::print_stdout, reason = "the command's output")]
+pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    ensure!((2..=100).contains(&arguments.trials), "--trials must be 2 to 100, got {}", arguments.trials);
+    let recordings: Vec<Vec<Recording>> = FoamLaw::PAPER
+        .into_iter()
+        .map(|law| trials::record(law, Protocol::Ramps, arguments.trials, arguments.seed))
+        .collect();
+    let materials = FoamLaw::PAPER
+        .into_iter()
+        .zip(&recordings)
+        .map(|(law, recordings)| material(law, recordings, arguments.seed))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    std::fs::create_dir_all(&arguments.out)
+        .with_context(|| format!("cannot create {}", arguments.out.display()))?;
+    figure::write(&figure::figure_4(&recordings), &arguments.out.join("figure4"))?;
+    residual_plots(&recordings[0], &arguments.out)?;
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&materials)?);
+    } else {
+        print!("{}", tables::report(&materials, arguments.trials, &arguments.out));
+    }
+    Ok(())
+}
+
+fn material(law: FoamLaw, recordings: &[Recording], seed: u64) -> anyhow::Result<Material> {
+    let (fitted, held_out) = recordings.split_at(recordings.len() / 2);
+    let fitted: Vec<Trial> = fitted.iter().map(Recording::trial).collect();
+    let held_out: Vec<Trial> = held_out.iter().map(Recording::trial).collect();
+    let other: Vec<Trial> =
+        trials::record(law, Protocol::FastWithPause, 3, seed ^ 0x5eed).iter().map(Recording::trial).collect();
+    let judge = |kind| {
+        let (model, _) = fit(kind, &fitted).with_context(|| format!("{law:?}"))?;
+        let seen = quality(&model, &held_out);
+        Ok(HeldOut {
+            model: model.name(),
+            rmse_n: seen.rmse_n,
+            rmse_loading_n: seen.rmse_loading_n,
+            rmse_unloading_n: seen.rmse_unloading_n,
+            rmse_other_protocol_n: quality(&model, &other).rmse_n,
+            untouched_n: model.force_n(&mut moca_tactile::model::FoamMemory::default(), 0.0, 0.0),
+            cost_ns: evaluation_cost_ns(&model, &held_out),
+        })
+    };
+    Ok(Material {
+        name: law.table().name,
+        table: table_row(law, recordings)?,
+        paper: tables::paper(law),
+        held_out: ModelKind::ALL.into_iter().map(judge).collect::<anyhow::Result<_>>()?,
+    })
+}
+
+/// Means over trials; both lines are fitted to each trial as the paper does.
+fn table_row(law: FoamLaw, recordings: &[Recording]) -> anyhow::Result<TableRow> {
+    #[expect(clippy::cast_precision_loss, reason = "at most 100")]
+    let count = recordings.len() as f64;
+    let mut row =
+        TableRow { deformation_mm: Some(0.0), counts: 0.0, rmse_deformation_n: 0.0, rmse_counts_n: 0.0 };
+    for recording in recordings {
+        let deepest_m = recording.samples.iter().map(|s| s.deformation_m).fold(0.0, f64::max);
+        row.deformation_mm = row.deformation_mm.map(|sum| sum + 1e3 * deepest_m / count);
+        row.counts += law.counts_drop(deepest_m) / count;
+        row.rmse_deformation_n += line_rmse_n(&recording.deformation_trial())? / count;
+        row.rmse_counts_n += line_rmse_n(&recording.trial())? / count;
+    }
+    Ok(row)
+}
+
+/// RMSE of the least-squares line itself, N: a taxel's model never reads below zero, the paper's line does.
+fn line_rmse_n(trial: &Trial) -> anyhow::Result<f64> {
+    let (model, _) = fit(ModelKind::LineWithIntercept, std::slice::from_ref(trial))?;
+    let TaxelModel::LineWithIntercept { newton_per_count, intercept_n } = model else {
+        anyhow::bail!("a line was asked for");
+    };
+    let square = |s: &TrialSample| (newton_per_count * s.drop + intercept_n - s.force_n).powi(2);
+    #[expect(clippy::cast_precision_loss, reason = "some thousand samples")]
+    let count = trial.samples.len() as f64;
+    Ok((trial.samples.iter().map(square).sum::<f64>() / count).sqrt())
+}
+
+/// Residuals of every model on PU, the cover's foam.
+fn residual_plots(recordings: &[Recording], folder: &Path) -> anyhow::Result<()> {
+    let trials: Vec<Trial> = recordings.iter().map(Recording::trial).collect();
+    for kind in ModelKind::ALL {
+        let (model, quality) = fit(kind, &trials)?;
+        let title = format!("PU LD30, {}: RMSE {:.2} N", model.name(), quality.rmse_n);
+        let svg = chart::residual_plot(&title, &model, &trials);
+        figure::write(&svg, &folder.join(format!("residuals-{}", TaxelModel::name(&model))))?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn materials() -> Vec<Material> {
+        FoamLaw::PAPER
+            .into_iter()
+            .map(|law| material(law, &trials::record(law, Protocol::Ramps, 10, 1), 1).unwrap())
+            .collect()
+    }
+
+    #[test]
+    fn every_fitted_cell_is_within_3_percent_and_better_models_gain_on_unseen_trials() {
+        for material in materials() {
+            let (ours, paper) = (material.table, material.paper);
+            for (ours_n, paper_n) in [
+                (ours.rmse_deformation_n, paper.rmse_deformation_n),
+                (ours.rmse_counts_n, paper.rmse_counts_n),
+            ] {
+                assert!(
+                    (ours_n / paper_n - 1.0).abs() < 0.03,
+                    "{}: {ours_n} against {paper_n}",
+                    material.name
+                );
+            }
+            let rmse = |name: &str| material.held_out.iter().find(|h| h.model == name).unwrap().rmse_n;
+            if paper.counts > 10.0 {
+                assert!(rmse("monotone") < 0.6 * rmse("line-with-intercept"), "{material:?}");
+                assert!(rmse("compensated") < 0.8 * rmse("monotone"), "{material:?}");
+            } else {
+                assert!(rmse("monotone") < rmse("line-through-zero"), "{material:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn figure_4_becomes_a_picture() {
+        let recordings: Vec<_> =
+            FoamLaw::PAPER.into_iter().map(|law| trials::record(law, Protocol::Ramps, 2, 1)).collect();
+        let png = figure::png(&figure::figure_4(&recordings)).unwrap();
+        assert!(png.starts_with(b"\x89PNG") && png.len() > 10_000);
+    }
+}
