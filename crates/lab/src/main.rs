@@ -2,6 +2,7 @@
 
 mod characterize;
 mod experiment;
+mod latency;
 mod observers;
 mod stream;
 mod threshold;
@@ -24,6 +25,8 @@ enum Command {
     Characterize(characterize::Arguments),
     /// The paper's experiments, deterministic and faster than real time.
     Experiment(experiment::Arguments),
+    /// From touch to force, stage by stage; whether the contact is stable and how fast the base may go.
+    Latency(latency::Arguments),
     /// What watching costs the live loop: overruns and publish stage with and without observers.
     Observers(observers::Arguments),
     /// Reads a recorded Touch Board stream: frames, rate, faults.
@@ -38,6 +41,7 @@ fn main() -> anyhow::Result<()> {
     match Arguments::parse().command {
         Command::Characterize(arguments) => characterize::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
+        Command::Latency(arguments) => latency::run(&arguments),
         Command::Observers(arguments) => observers::run(&arguments),
         Command::Stream(arguments) => stream::run(&arguments),
         Command::Threshold(arguments) => threshold::run(&arguments),
