@@ -1,9 +1,13 @@
 //! `moca-lab`: experiments and checks on the command line.
 
 mod characterize;
+mod chart;
+mod drawing;
 mod experiment;
 mod latency;
 mod observers;
+mod parallel;
+mod stability;
 mod stream;
 mod threshold;
 mod tick;
@@ -29,6 +33,8 @@ enum Command {
     Latency(latency::Arguments),
     /// What watching costs the live loop: overruns and publish stage with and without observers.
     Observers(observers::Arguments),
+    /// The whole system at the stiff and extreme ends of its parameters.
+    Stability(stability::Arguments),
     /// Reads a recorded Touch Board stream: frames, rate, faults.
     Stream(stream::Arguments),
     /// The smallest force that is felt and its delay; how little an untouched robot creeps.
@@ -43,6 +49,7 @@ fn main() -> anyhow::Result<()> {
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Latency(arguments) => latency::run(&arguments),
         Command::Observers(arguments) => observers::run(&arguments),
+        Command::Stability(arguments) => stability::run(&arguments),
         Command::Stream(arguments) => stream::run(&arguments),
         Command::Threshold(arguments) => threshold::run(&arguments),
         Command::Tick(arguments) => tick::run(&arguments),

@@ -1,9 +1,11 @@
 //! Experiment C: the flange is led sideways, the base follows, and a person stands in its way.
 
+use super::figure::{self, Moment};
 use super::push::{difference, rms};
 use super::rig::{Loads, Rig, Row, TAXELS};
 use super::settings::{Sensor, Settings};
 use super::{RunInfo, head};
+use crate::chart::Panel;
 use anyhow::Result;
 use moca_sim::foam::FoamLaw;
 use serde::Serialize;
@@ -79,8 +81,8 @@ impl Report {
 /// A report with the trace of its worst phase.
 pub(crate) struct Run {
     pub report: Report,
-    #[expect(dead_code, reason = "the figures read it")]
     pub rows: Vec<Row>,
+    pub moments: Vec<Moment>,
 }
 
 /// One collision for each phase of the sensor; the worst is reported.
@@ -106,7 +108,7 @@ pub(crate) fn run(settings: &Settings) -> Result<Run> {
     let Some((_, rig)) = worst else { anyhow::bail!("no phase was run") };
     let info = RunInfo::new("collision", settings, &rig, started);
     let report = measure(info, settings, &rig.rows, peaks);
-    Ok(Run { report, rows: rig.rows })
+    Ok(Run { report, moments: moments(&rig.rows), rows: rig.rows })
 }
 
 /// One collision.
@@ -120,6 +122,37 @@ pub(crate) fn once(settings: &Settings) -> Result<Rig> {
 /// Largest force on any taxel, N.
 pub(crate) fn peak_force_n(rows: &[Row]) -> f64 {
     rows.iter().flat_map(|row| row.force_true).fold(0.0, f64::max)
+}
+
+/// The arm leads; first contact; the first peak; the base has resumed.
+fn moments(rows: &[Row]) -> Vec<Moment> {
+    let last = rows.len().saturating_sub(1);
+    let touching = |row: &Row| row.total_force_n() > 0.0;
+    let contact = rows.iter().position(touching).unwrap_or(last);
+    let end = rows.iter().rposition(touching).unwrap_or(last);
+    let peak = (contact..=end.min(last))
+        .max_by(|&a, &b| rows[a].total_force_n().total_cmp(&rows[b].total_force_n()))
+        .unwrap_or(last);
+    [
+        ("arm leads", last.min(500)),
+        ("contact", contact),
+        ("largest force", peak),
+        ("base resumes", last.min(end + 1000)),
+    ]
+    .map(|(name, row)| Moment { name: name.to_owned(), row })
+    .to_vec()
+}
+
+/// Panels of Fig. 7.
+pub(crate) fn panels(rows: &[Row]) -> Vec<Panel> {
+    vec![
+        figure::lead(rows),
+        figure::taxel_forces(rows),
+        figure::cover_wrench(rows),
+        figure::flange_error(rows),
+        figure::base_pose(rows),
+        figure::base_velocity(rows),
+    ]
 }
 
 fn measure(info: RunInfo, settings: &Settings, rows: &[Row], peak_by_phase_n: Vec<f64>) -> Report {

@@ -1,11 +1,12 @@
 //! `moca-lab experiment`: the paper's experiments on the daemon's own loop, in lock-step: deterministic and faster than
 //! real time.
 
-mod collision;
+pub(crate) mod collision;
+mod figure;
 mod paper;
 mod push;
-mod rig;
-mod settings;
+pub(crate) mod rig;
+pub(crate) mod settings;
 #[cfg(test)]
 mod tests;
 
@@ -13,6 +14,7 @@ use anyhow::{Result, ensure};
 use moca_msgs::Law;
 use serde::Serialize;
 use settings::Settings;
+use std::path::PathBuf;
 use std::time::Instant;
 
 /// Arguments of `moca-lab experiment`.
@@ -52,6 +54,9 @@ pub(crate) struct Common {
     /// Prints one JSON object.
     #[arg(long)]
     json: bool,
+    /// Writes figure (SVG, PNG), trace (CSV) and report (JSON) into this folder.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
 }
 
 fn parse_taxel(text: &str) -> Result<usize, String> {
@@ -110,40 +115,59 @@ struct PushReport {
     outcome: Option<push::Outcome>,
 }
 
-/// Runs one experiment and prints what it shows.
+/// Runs one experiment, prints what it shows, and writes its figure if a folder is given.
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     match &arguments.experiment {
         Experiment::Push { taxels, newton, common } => {
-            let report = push_report(taxels, *newton, &common.settings(Law::Impedance, |_| ())?)?;
-            print(common.json, &report, || push_text(&report))
+            let (report, rows) = push_report(taxels, *newton, &common.settings(Law::Impedance, |_| ())?)?;
+            let draw = || figure::draw(&rows, &paper::middles(&rows, 1, 0.0), paper::panels_b1(&rows));
+            finish(common, "push", &report, &rows, draw, || push_text(&report))
         }
         Experiment::B1(common) => {
-            let report = paper::b1(&common.settings(Law::Impedance, |_| ())?)?.report;
-            print(common.json, &report, || report.text())
+            let run = paper::b1(&common.settings(Law::Impedance, |_| ())?)?;
+            let draw = || figure::draw(&run.rows, &run.moments, paper::panels_b1(&run.rows));
+            finish(common, "b1", &run.report, &run.rows, draw, || run.report.text())
         }
         Experiment::B2(common) => {
-            let report = paper::b2(&common.settings(Law::FollowMe, |_| ())?)?.report;
-            print(common.json, &report, || report.text())
+            let run = paper::b2(&common.settings(Law::FollowMe, |_| ())?)?;
+            let draw = || figure::draw(&run.rows, &run.moments, paper::panels_b2(&run.rows));
+            finish(common, "b2", &run.report, &run.rows, draw, || run.report.text())
         }
         Experiment::Collision(common) => {
-            let settings = common.settings(Law::Impedance, collision::defaults)?;
-            let report = collision::run(&settings)?.report;
-            print(common.json, &report, || report.text())
+            let run = collision::run(&common.settings(Law::Impedance, collision::defaults)?)?;
+            let draw = || figure::draw(&run.rows, &run.moments, collision::panels(&run.rows));
+            finish(common, "collision", &run.report, &run.rows, draw, || run.report.text())
         }
     }
 }
 
-fn push_report(taxels: &[usize], newton: f64, settings: &Settings) -> Result<PushReport> {
+fn push_report(taxels: &[usize], newton: f64, settings: &Settings) -> Result<(PushReport, Vec<rig::Row>)> {
     ensure!((0.0..=200.0).contains(&newton), "--newton {newton} N is outside 0 to 200 N");
     let started = Instant::now();
     let mut rig = rig::Rig::start(settings, &settings.free_scene())?;
     let outcome = push::run(&mut rig, settings, &[push::single(taxels, newton)])?.pop();
-    Ok(PushReport {
+    let report = PushReport {
         info: RunInfo::new("push", settings, &rig, started),
         taxels: taxels.iter().map(|taxel| format!("T{}", taxel + 1)).collect(),
         newton,
         outcome,
-    })
+    };
+    Ok((report, rig.rows))
+}
+
+fn finish(
+    common: &Common,
+    name: &str,
+    report: &impl Serialize,
+    rows: &[rig::Row],
+    draw: impl Fn() -> crate::drawing::Drawing,
+    text: impl Fn() -> String,
+) -> Result<()> {
+    if let Some(folder) = &common.out {
+        ensure!(!rows.is_empty(), "nothing was recorded");
+        figure::write(folder, name, &draw(), rows, report)?;
+    }
+    print(common.json, report, text)
 }
 
 #[expect(clippy::print_stdout, reason = "the command's output")]

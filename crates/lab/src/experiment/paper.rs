@@ -1,9 +1,11 @@
 //! Experiments B1 and B2: the paper's pushes, in one continuous run each.
 
+use super::figure::{self, Moment};
 use super::push::{self, Outcome, Push};
 use super::rig::{Rig, Row};
 use super::settings::Settings;
 use super::{RunInfo, head, outcome_text};
+use crate::chart::Panel;
 use anyhow::Result;
 use serde::Serialize;
 use std::time::Instant;
@@ -42,8 +44,8 @@ impl Report {
 /// A report with the trace it was made from.
 pub(crate) struct Run {
     pub report: Report,
-    #[expect(dead_code, reason = "the figures read it")]
     pub rows: Vec<Row>,
+    pub moments: Vec<Moment>,
 }
 
 /// Fig. 5: flange +z 15 N; T1 20 N; T6 20 N; T4 + T8 15 N each; T1 + T11 15 N each.
@@ -106,5 +108,43 @@ fn continuous(
         pushes: outcomes,
         superposition_m_s,
     };
-    Ok(Run { report, rows: rig.rows })
+    let mut moments = middles(&rig.rows, pushes.len(), settings.rest_s);
+    for (moment, push) in moments.iter_mut().zip(pushes) {
+        moment.name = push.name.split(' ').next().unwrap_or_default().to_owned();
+    }
+    Ok(Run { report, rows: rig.rows, moments })
+}
+
+/// The middle of each of `count` equal pushes, each followed by a rest of `rest_s`.
+pub(crate) fn middles(rows: &[Row], count: usize, rest_s: f64) -> Vec<Moment> {
+    let each = rows.len() / count.max(1);
+    let length_s =
+        rows.last().map_or(0.0, |row| row.t_s) / f64::from(u32::try_from(count.max(1)).unwrap_or(1));
+    (0..count)
+        .map(|i| {
+            let middle_s =
+                length_s * f64::from(u32::try_from(i).unwrap_or(0)) + 0.5 * (length_s - rest_s).max(0.0);
+            let row = rows.partition_point(|row| row.t_s < middle_s).min(rows.len().saturating_sub(1));
+            Moment { name: format!("{}", i + 1), row: row.max(i * each) }
+        })
+        .collect()
+}
+
+/// Panels of Fig. 5.
+pub(crate) fn panels_b1(rows: &[Row]) -> Vec<Panel> {
+    vec![
+        figure::flange_force(rows, false),
+        figure::taxel_forces(rows),
+        figure::cover_wrench(rows),
+        figure::flange_error(rows),
+        figure::base_pose(rows),
+        figure::base_velocity(rows),
+    ]
+}
+
+/// Panels of Fig. 6.
+pub(crate) fn panels_b2(rows: &[Row]) -> Vec<Panel> {
+    let mut panels = panels_b1(rows);
+    panels.insert(1, figure::flange_force(rows, true));
+    panels
 }

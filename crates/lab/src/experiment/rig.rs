@@ -147,6 +147,14 @@ impl Rig {
         Ok(())
     }
 
+    /// Makes the plant's state not a number, as a bug in it would.
+    pub(crate) fn break_state(&mut self) {
+        let state = self.robot().world.state();
+        let mut base = state.base_pose_world;
+        base[0] = f64::NAN;
+        self.robot().world.set_state(&base, &state.base_velocity_world, &state.q_rad, &state.dq_rad_s);
+    }
+
     fn robot(&mut self) -> &mut SimulatedRobot {
         match &mut self.cover {
             Cover::Board(lock_step) => &mut lock_step.control.plant,

@@ -1,0 +1,258 @@
+//! Figures 5 to 7: the trace of a run in panels, the moments marked, a picture of the robot from above at each.
+
+use super::rig::{Row, TAXELS};
+use crate::chart::{Panel, Series};
+use crate::drawing::{Anchor, BLACK, Drawing, GREY, PALETTE, RED};
+use anyhow::{Context, Result};
+use moca_msgs::robot::{MOCA_MOUNT, PAPER_COVER, SUMMIT_XL};
+use std::fmt::Write as _;
+use std::path::Path;
+
+const WIDTH: f64 = 900.0;
+const PANEL_HEIGHT: f64 = 150.0;
+const PICTURE: f64 = 220.0;
+/// Pixels for a metre and for a newton in the pictures.
+const PX_PER_M: f64 = 75.0;
+const PX_PER_N: f64 = 1.6;
+
+/// A moment of a run that gets a mark and a picture.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Moment {
+    pub name: String,
+    pub row: usize,
+}
+
+/// Panels above each other, then one picture for each moment.
+pub(crate) fn draw(rows: &[Row], moments: &[Moment], panels: Vec<Panel>) -> Drawing {
+    let count = |n: usize| f64::from(u32::try_from(n).unwrap_or(u32::MAX));
+    let top = PANEL_HEIGHT * count(panels.len()) + 10.0;
+    let pictures_per_line = 4;
+    let lines = moments.len().div_ceil(pictures_per_line);
+    let mut drawing = Drawing::new(WIDTH, top + PICTURE * count(lines) + 10.0);
+    for (i, mut panel) in panels.into_iter().enumerate() {
+        panel.marks = moments.iter().map(|m| (rows[m.row].t_s, m.name.clone())).collect();
+        panel.draw(&mut drawing, [0.0, PANEL_HEIGHT * count(i) + 6.0], [WIDTH, PANEL_HEIGHT]);
+    }
+    for (i, moment) in moments.iter().enumerate() {
+        let column = count(i % pictures_per_line);
+        let line = count(i / pictures_per_line);
+        let centre = [(column + 0.5) * PICTURE, top + (line + 0.5) * PICTURE];
+        picture(&mut drawing, centre, &moment.name, &rows[0], &rows[moment.row]);
+    }
+    drawing
+}
+
+/// The robot from above, x of the world to the right, y up, the start in the middle (grey).
+fn picture(drawing: &mut Drawing, centre: [f64; 2], name: &str, start: &Row, row: &Row) {
+    let at = |[x, y]: [f64; 2]| [centre[0] + PX_PER_M * x, centre[1] - PX_PER_M * y];
+    drawing.text([centre[0], centre[1] - 0.5 * PICTURE + 14.0], Anchor::Middle, name, BLACK);
+    let outline = |pose: &[f64; 3]| -> Vec<[f64; 2]> {
+        let [hx, hy] = [0.5 * SUMMIT_XL.size_m[0], 0.5 * SUMMIT_XL.size_m[1]];
+        [[hx, hy], [-hx, hy], [-hx, -hy], [hx, -hy], [hx, hy]].map(|p| at(to_world(pose, p))).to_vec()
+    };
+    drawing.line(&outline(&start.base_pose_world), 1.0, GREY);
+    drawing.line(&outline(&row.base_pose_world), 2.0, BLACK);
+    let mount =
+        to_world(&row.base_pose_world, [MOCA_MOUNT.position_base_m[0], MOCA_MOUNT.position_base_m[1]]);
+    let flange = [row.flange_world[0], row.flange_world[1]];
+    drawing.line(&[at(mount), at(flange)], 3.0, PALETTE[0]);
+    drawing.circle(at(flange), 4.0, PALETTE[0]);
+    if let Some(person) = row.person_world {
+        drawing.circle(at(person), 0.07 * PX_PER_M, PALETTE[3]);
+    }
+    for (taxel, force_n) in PAPER_COVER.iter().zip(row.force_true) {
+        if force_n > 0.0 {
+            let (sin, cos) = taxel.inward_angle_base_rad.sin_cos();
+            let [x, y] = taxel.position_base_m;
+            let length = force_n * PX_PER_N / PX_PER_M;
+            let tail = to_world(&row.base_pose_world, [x - length * cos, y - length * sin]);
+            arrow(drawing, at(tail), at(to_world(&row.base_pose_world, [x, y])));
+        }
+    }
+    let [fx, fy, fz, ..] = row.flange_wrench_world;
+    if fx.hypot(fy) > 0.0 {
+        let head = at(flange);
+        arrow(drawing, [head[0] - fx * PX_PER_N, head[1] + fy * PX_PER_N], head);
+    } else if fz > 0.0 {
+        let [x, y] = at(flange);
+        drawing.text([x + 8.0, y + 4.0], Anchor::Start, "up", RED);
+    }
+}
+
+fn arrow(drawing: &mut Drawing, tail: [f64; 2], head: [f64; 2]) {
+    drawing.line(&[tail, head], 2.0, RED);
+    drawing.circle(head, 3.5, RED);
+}
+
+fn to_world([px, py, yaw]: &[f64; 3], [x, y]: [f64; 2]) -> [f64; 2] {
+    let (sin, cos) = yaw.sin_cos();
+    [px + cos * x - sin * y, py + sin * x + cos * y]
+}
+
+fn series(i: usize, name: &str, rows: &[Row], pick: impl Fn(&Row) -> f64) -> Series {
+    Series::line(i, name, rows.iter().map(|row| [row.t_s, pick(row)]).collect())
+}
+
+fn panel(title: &str, unit: &str, series: Vec<Series>) -> Panel {
+    Panel { series, ..Panel::new(title, "t [s]", unit) }
+}
+
+/// Forces of the taxels that are touched at all: true (line) and sensed.
+pub(crate) fn taxel_forces(rows: &[Row]) -> Panel {
+    let touched: Vec<usize> =
+        (0..TAXELS).filter(|&i| rows.iter().any(|row| row.force_true[i] > 0.0)).collect();
+    let mut lines = Vec::new();
+    for (n, &i) in touched.iter().enumerate() {
+        lines.push(series(n, &format!("T{} true", i + 1), rows, |row| row.force_true[i]));
+    }
+    if let [only] = touched[..] {
+        lines.push(series(1, &format!("T{} sensed", only + 1), rows, |row| row.force_sensed[only]));
+    }
+    panel("force on the cover", "N", lines)
+}
+
+/// τ_v,ext as the controller has it, axes of B.
+pub(crate) fn cover_wrench(rows: &[Row]) -> Panel {
+    panel(
+        "cover wrench, eq. (4), as sensed",
+        "N, N, N·m",
+        vec![
+            series(0, "f_x", rows, |row| row.wrench_sensed[0]),
+            series(1, "f_y", rows, |row| row.wrench_sensed[1]),
+            series(2, "m_z", rows, |row| row.wrench_sensed[2]),
+        ],
+    )
+}
+
+/// Force at the flange in its own axes.
+pub(crate) fn flange_force(rows: &[Row], own_axes: bool) -> Panel {
+    let pick = |axis: usize| {
+        move |row: &Row| {
+            let [x, y, z, ..] = row.flange_wrench_world;
+            if own_axes { to_own_axes(&row.flange_quaternion, [x, y, z])[axis] } else { [x, y, z][axis] }
+        }
+    };
+    let title = if own_axes { "force at the flange, flange axes" } else { "force at the flange, world axes" };
+    panel(
+        title,
+        "N",
+        vec![series(0, "x", rows, pick(0)), series(1, "y", rows, pick(1)), series(2, "z", rows, pick(2))],
+    )
+}
+
+/// v of the world's axes in those of a frame with orientation q (x, y, z, w).
+fn to_own_axes([qx, qy, qz, w]: &[f64; 4], v: [f64; 3]) -> [f64; 3] {
+    // v' = v + 2 w (u × v) + 2 u × (u × v), with the conjugate's u.
+    let u = [-qx, -qy, -qz];
+    let t = cross(&u, &v).map(|c| 2.0 * c);
+    let ut = cross(&u, &t);
+    std::array::from_fn(|i| v[i] + w * t[i] + ut[i])
+}
+
+fn cross(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// p − p_d of the flange.
+pub(crate) fn flange_error(rows: &[Row]) -> Panel {
+    let pick = |axis: usize| move |row: &Row| 1e3 * (row.flange_world[axis] - row.flange_desired_world[axis]);
+    panel(
+        "flange from where it is wanted, world axes",
+        "mm",
+        vec![series(0, "x", rows, pick(0)), series(1, "y", rows, pick(1)), series(2, "z", rows, pick(2))],
+    )
+}
+
+/// Displacement of flange and base along y: which leads.
+pub(crate) fn lead(rows: &[Row]) -> Panel {
+    let (flange, base) = (rows[0].flange_world[1], rows[0].base_pose_world[1]);
+    panel(
+        "who leads: displacement along y",
+        "m",
+        vec![
+            series(0, "flange", rows, |row| row.flange_world[1] - flange),
+            series(1, "base", rows, |row| row.base_pose_world[1] - base),
+        ],
+    )
+}
+
+/// Pose of the base from its start.
+pub(crate) fn base_pose(rows: &[Row]) -> Panel {
+    let start = rows[0].base_pose_world;
+    let pick = |axis: usize| move |row: &Row| row.base_pose_world[axis] - start[axis];
+    panel(
+        "base displacement, world axes",
+        "m, m, rad",
+        vec![series(0, "x", rows, pick(0)), series(1, "y", rows, pick(1)), series(2, "yaw", rows, pick(2))],
+    )
+}
+
+/// Velocity of the base.
+pub(crate) fn base_velocity(rows: &[Row]) -> Panel {
+    let pick = |axis: usize| move |row: &Row| row.base_velocity_world[axis];
+    panel(
+        "base velocity, world axes",
+        "m/s, m/s, rad/s",
+        vec![series(0, "x", rows, pick(0)), series(1, "y", rows, pick(1)), series(2, "yaw", rows, pick(2))],
+    )
+}
+
+/// Writes NAME.svg, NAME.png, NAME.csv and NAME.json into `folder`.
+pub(crate) fn write(
+    folder: &Path,
+    name: &str,
+    drawing: &Drawing,
+    rows: &[Row],
+    report: &impl serde::Serialize,
+) -> Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    for (ending, bytes) in [
+        ("svg", drawing.svg().into_bytes()),
+        ("png", drawing.png()?),
+        ("csv", csv(rows).into_bytes()),
+        ("json", serde_json::to_vec_pretty(report)?),
+    ] {
+        let path = folder.join(format!("{name}.{ending}"));
+        std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(())
+}
+
+/// The trace: one line a tick.
+fn csv(rows: &[Row]) -> String {
+    let mut out =
+        String::from("t_s,base_x_m,base_y_m,base_yaw_rad,base_vx_m_s,base_vy_m_s,base_yaw_rate_rad_s");
+    out.push_str(",flange_x_m,flange_y_m,flange_z_m,desired_x_m,desired_y_m,desired_z_m,flange_fx_n,flange_fy_n,flange_fz_n");
+    out.push_str(",fx_true_n,fy_true_n,mz_true_nm,fx_sensed_n,fy_sensed_n,mz_sensed_nm");
+    for kind in ["true", "sensed"] {
+        for taxel in 1..=TAXELS {
+            // Writing to a string cannot fail.
+            let _ = write!(out, ",t{taxel}_{kind}_n");
+        }
+    }
+    out.push('\n');
+    for row in rows {
+        let _ = write!(out, "{:.3}", row.t_s);
+        let values = row.base_pose_world.iter().chain(&row.base_velocity_world);
+        let values = values.chain(&row.flange_world).chain(&row.flange_desired_world);
+        let values = values.chain(&row.flange_wrench_world[..3]).chain(&row.wrench_true);
+        for value in values.chain(&row.wrench_sensed).chain(&row.force_true).chain(&row.force_sensed) {
+            let _ = write!(out, ",{value:.6}");
+        }
+        out.push('\n');
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::to_own_axes;
+
+    #[test]
+    fn a_force_is_turned_into_the_frame_and_not_out_of_it() {
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        // A frame turned by +90° about z has its x axis along the world's y.
+        let seen = to_own_axes(&[0.0, 0.0, half, half], [0.0, 2.0, 0.0]);
+        assert!((seen[0] - 2.0).abs() < 1e-12 && seen[1].abs() < 1e-12, "{seen:?}");
+    }
+}
