@@ -4,6 +4,7 @@ mod characterize;
 mod chart;
 mod drawing;
 mod experiment;
+mod extremes;
 mod latency;
 mod observers;
 mod parallel;
@@ -29,6 +30,7 @@ enum Command {
     Characterize(characterize::Arguments),
     /// The paper's experiments, deterministic and faster than real time.
     Experiment(experiment::Arguments),
+    Extremes(extremes::Arguments),
     /// From touch to force, stage by stage; whether the contact is stable and how fast the base may go.
     Latency(latency::Arguments),
     /// What watching costs the live loop: overruns and publish stage with and without observers.
@@ -47,6 +49,7 @@ fn main() -> anyhow::Result<()> {
     match Arguments::parse().command {
         Command::Characterize(arguments) => characterize::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
+        Command::Extremes(arguments) => extremes::run(&arguments),
         Command::Latency(arguments) => latency::run(&arguments),
         Command::Observers(arguments) => observers::run(&arguments),
         Command::Stability(arguments) => stability::run(&arguments),

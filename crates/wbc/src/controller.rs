@@ -25,6 +25,8 @@ use nalgebra::Vector3;
 pub const LONGEST_STEP_S: f64 = 0.01;
 /// Time constant with which the torque carried over a change of law fades, s.
 pub const CARRY_FADE_S: f64 = 0.2;
+/// Least virtual mass, kg or kg·m², with [`Corrections::null_space_damping`].
+pub const LIGHTEST_DAMPED_BASE: f64 = 0.5;
 
 /// Constant configuration of the controllers for an arm of `N` joints and a cover of `K` taxels.
 #[derive(Clone, Copy, Debug)]
@@ -98,6 +100,7 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
             }
         });
         first?;
+        check_light_base(parameters)?;
         self.gains = Gains::from(&parameters.gains);
         self.posture_rad = parameters.gains.posture_rad;
         self.corrections = parameters.corrections;
@@ -432,6 +435,22 @@ impl<const N: usize, T: Scalar> Tick<'_, N, T> {
         state.observer.update(&momentum, &gravity, &robot.torque_measured_nm, self.dt_s);
         let about_tool = task.arm_wrench(state.observer.external_torque())?;
         Ok(follow_me::moved(&about_tool, &(kinematics.tool_position - kinematics.flange_position)))
+    }
+}
+
+/// Null-space damping leaves a virtual base without damping of its own: a light one would chatter on the lag of any
+/// real base servo (15 ms: below 0.3 kg).
+fn check_light_base<const N: usize>(parameters: &Parameters<N>) -> Result<(), ParameterError> {
+    let light = parameters.gains.virtual_mass.iter().find(|mass| **mass < LIGHTEST_DAMPED_BASE);
+    match light {
+        Some(&value) if parameters.corrections.null_space_damping => Err(ParameterError {
+            name: "virtual_mass with null_space_damping",
+            value,
+            unit: "kg, kg, kg·m²",
+            min: LIGHTEST_DAMPED_BASE,
+            max: 1000.0,
+        }),
+        _ => Ok(()),
     }
 }
 

@@ -23,7 +23,7 @@ mod scalar;
 mod spatial;
 mod state;
 
-pub use controller::{CARRY_FADE_S, Controller, LONGEST_STEP_S};
+pub use controller::{CARRY_FADE_S, Controller, LIGHTEST_DAMPED_BASE, LONGEST_STEP_S};
 pub use cover::cover_wrench;
 pub use error::ControlError;
 pub use gains::{GAIN_FILTER_S, Gains};

@@ -16,6 +16,7 @@ use moca_wbc::model::ArmModel;
 use moca_wbc::{ControlInput, ControlLaw, ControlOutput, Controller, ControllerState};
 
 pub const DT_S: f64 = 1e-3;
+const SENSOR_PERIOD_S: f64 = 0.01;
 const SUBSTEPS: u32 = 2;
 
 pub fn controller(parameters: &Parameters<7>) -> Controller<7, 11> {
@@ -58,17 +59,22 @@ pub struct Loop {
     pub robot: RobotState<7>,
     pub law: ControlLaw,
     pub time_s: f64,
+    pub dt_s: f64,
     model: ArmModel<7, f64>,
     held: [f64; 11],
     sum: [f64; 11],
-    ticks: u32,
+    summed: f64,
 }
 
 impl Loop {
     pub fn new(law: ControlLaw, parameters: &Parameters<7>) -> Self {
+        Self::starting(law, parameters, at_home(), DT_S)
+    }
+
+    pub fn starting(law: ControlLaw, parameters: &Parameters<7>, robot: RobotState<7>, dt_s: f64) -> Self {
         let controller = controller(parameters);
-        let robot = at_home();
         Self {
+            dt_s,
             state: controller.enter(law, &robot).unwrap(),
             controller,
             robot,
@@ -77,31 +83,32 @@ impl Loop {
             model: ArmModel::new(&PANDA, &MOCA_MOUNT, &Payload::NONE).unwrap(),
             held: [0.0; 11],
             sum: [0.0; 11],
-            ticks: 0,
+            summed: 0.0,
         }
     }
 
     pub fn step(&mut self, push: &Push) -> ControlOutput<7> {
         for (sum, force) in self.sum.iter_mut().zip(push.taxel_n) {
-            *sum += 0.1 * force;
+            *sum += force;
         }
-        self.ticks += 1;
-        if self.ticks.is_multiple_of(10) {
-            self.held = core::mem::replace(&mut self.sum, [0.0; 11]);
+        self.summed += 1.0;
+        if self.summed * self.dt_s >= SENSOR_PERIOD_S - 1e-9 {
+            self.held = self.sum.map(|sum| sum / self.summed);
+            (self.sum, self.summed) = ([0.0; 11], 0.0);
         }
         let [fx, fy, fz] = push.flange_n;
         let input = ControlInput {
             robot: RobotState { flange_wrench_world: Some([fx, fy, fz, 0.0, 0.0, 0.0]), ..self.robot },
             taxel_force_n: self.held,
             flange_wrench_world: None,
-            dt_s: DT_S,
+            dt_s: self.dt_s,
         };
         let output = self.controller.step(self.law, &mut self.state, &input).unwrap();
         for _ in 0..SUBSTEPS {
-            self.integrate(&output, push.flange_n, DT_S / f64::from(SUBSTEPS));
+            self.integrate(&output, push.flange_n, self.dt_s / f64::from(SUBSTEPS));
         }
         self.robot.torque_measured_nm = output.command.arm_torque_nm;
-        self.time_s += DT_S;
+        self.time_s += self.dt_s;
         output
     }
 
