@@ -1,5 +1,6 @@
 //! A person who leans on the cover for ten minutes keeps being felt: the chip's own baseline follows the hand, the
 //! foam creeps, and neither may make the force fade.
+#![expect(clippy::expect_used, reason = "tests")]
 
 use moca_sim::board::{VirtualBoard, VirtualBoardConfig};
 use moca_tactile::{Cover, CoverConfig};
