@@ -48,7 +48,7 @@ impl Push {
         push
     }
 
-    fn scaled(&self, s: f64) -> Self {
+    pub fn scaled(&self, s: f64) -> Self {
         Self { taxel_n: self.taxel_n.map(|f| f * s), flange_n: self.flange_n.map(|f| f * s) }
     }
 }
@@ -60,6 +60,8 @@ pub struct Loop {
     pub law: ControlLaw,
     pub time_s: f64,
     pub dt_s: f64,
+    /// Whether the robot estimates the wrench at its flange by itself.
+    pub estimates: bool,
     model: ArmModel<7, f64>,
     held: [f64; 11],
     sum: [f64; 11],
@@ -75,6 +77,7 @@ impl Loop {
         let controller = controller(parameters);
         Self {
             dt_s,
+            estimates: true,
             state: controller.enter(law, &robot).unwrap(),
             controller,
             robot,
@@ -98,7 +101,10 @@ impl Loop {
         }
         let [fx, fy, fz] = push.flange_n;
         let input = ControlInput {
-            robot: RobotState { flange_wrench_world: Some([fx, fy, fz, 0.0, 0.0, 0.0]), ..self.robot },
+            robot: RobotState {
+                flange_wrench_world: self.estimates.then_some([fx, fy, fz, 0.0, 0.0, 0.0]),
+                ..self.robot
+            },
             taxel_force_n: self.held,
             flange_wrench_world: None,
             dt_s: self.dt_s,
