@@ -4,14 +4,16 @@ use super::{Pyramid, Signal, pyramid::CAPACITY};
 use moca_msgs::Sample;
 use std::{collections::VecDeque, ops::Range};
 
-/// Signals over time. Missing ticks are gaps.
+/// A longer time without a sample is a gap, s. A slot that the loop missed is none: nothing happened in it.
+const GAP_S: f64 = 0.02;
+
+/// Signals over time.
 #[derive(Clone, Debug, Default)]
 pub struct History {
     signals: Vec<Signal>,
     columns: Vec<Pyramid>,
     /// Time of each sample, s of loop time, never falling.
     times_s: VecDeque<f64>,
-    last_tick: Option<u64>,
 }
 
 /// What to draw of one signal.
@@ -27,23 +29,21 @@ impl History {
     /// An empty history of `signals`.
     pub fn new(signals: Vec<Signal>) -> Self {
         let columns = signals.iter().map(|_| Pyramid::default()).collect();
-        Self { signals, columns, times_s: VecDeque::new(), last_tick: None }
+        Self { signals, columns, times_s: VecDeque::new() }
     }
 
     /// Appends a sample. One that is older than the last, which no healthy daemon sends, is left out.
     pub fn push(&mut self, sample: &Sample) {
         let time_s = seconds(sample.time_ns);
-        let last = self.times_s.back().copied();
-        if last.is_some_and(|last| time_s <= last) {
-            return;
-        }
-        if let (Some(last), Some(tick)) = (last, self.last_tick)
-            && sample.tick != tick + 1
-        {
-            self.append(last.midpoint(time_s), |_| f64::NAN);
+        if let Some(last_s) = self.end_s() {
+            if time_s <= last_s {
+                return;
+            }
+            if time_s - last_s > GAP_S {
+                self.append(last_s.midpoint(time_s), |_| f64::NAN);
+            }
         }
         self.append(time_s, |signal| signal.value(sample));
-        self.last_tick = Some(sample.tick);
     }
 
     /// Time of the newest sample, s of loop time.
@@ -145,9 +145,9 @@ mod tests {
     const FORCE: Signal = Signal::CoverWrench(0);
 
     #[test]
-    fn dropped_ticks_are_a_gap_and_not_a_straight_line() {
+    fn lost_samples_are_a_gap_and_not_a_straight_line_but_a_missed_slot_is_none() {
         let mut history = History::new(vec![FORCE]);
-        for tick in (0..100).chain(200..300) {
+        for tick in (0..50).chain(52..100).chain(200..300) {
             history.push(&sample(tick, 1.0));
         }
         for pixels in [20, 50, 1000] {

@@ -10,7 +10,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64) {
     let live = model.freshness(now_s) == Freshness::Live;
     ui.add_enabled_ui(live, |ui| {
         ui.separator();
-        Grid::new("wrench").num_columns(4).spacing([6.0, 3.0]).show(ui, |ui| {
+        Grid::new("wrench").num_columns(4).spacing([4.0, 3.0]).show(ui, |ui| {
             let [fx, fy, mz] = sample.cover_wrench_base;
             let [x, y, yaw] = sample.base_pose_world;
             let rows = [
@@ -20,7 +20,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64) {
             for (name, values) in rows {
                 ui.strong(name);
                 for (axis, value, decimals, unit) in values {
-                    value_cell(ui, axis, &number(value, decimals), unit, 94.0);
+                    value_cell(ui, axis, &number(value, decimals), unit, 98.0);
                 }
                 ui.end_row();
             }
@@ -29,9 +29,13 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64) {
         let deadline_ms = model.robot.frame_deadline_s * 1e3;
         let period_us = model.robot.period_s * 1e6;
         Grid::new("gauges").num_columns(3).spacing([10.0, 4.0]).show(ui, |ui| {
-            gauge(ui, "Loop lateness", sample.lateness_s * 1e6, period_us, "µs");
+            gauge(ui, "Loop lateness", sample.lateness_s * 1e6, period_us, "µs", 0);
             let age_ms = if sample.frame_age_s < 0.0 { f64::NAN } else { sample.frame_age_s * 1e3 };
-            gauge(ui, "Frame age", age_ms, deadline_ms, "ms");
+            gauge(ui, "Frame age", age_ms, deadline_ms, "ms", 0);
+            let [x, y, yaw] = sample.base_velocity_world;
+            let [x_max, y_max, yaw_max] = model.robot.base_velocity_max;
+            gauge(ui, "Base speed", x.hypot(y), x_max.min(y_max), "m/s", 2);
+            gauge(ui, "Base turning", yaw.abs(), yaw_max, "rad/s", 2);
         });
         ui.separator();
         Grid::new("counters").num_columns(4).spacing([10.0, 3.0]).show(ui, |ui| {
@@ -55,7 +59,7 @@ fn value_cell(ui: &mut Ui, axis: &str, value: &str, unit: &str, width: f32) {
         ui.spacing_mut().item_spacing.x = 3.0;
         ui.weak(axis);
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            ui.allocate_ui_with_layout(vec2(24.0, 18.0), Layout::left_to_right(Align::Center), |ui| {
+            ui.allocate_ui_with_layout(vec2(22.0, 18.0), Layout::left_to_right(Align::Center), |ui| {
                 ui.weak(unit)
             });
             ui.monospace(value);
@@ -77,7 +81,7 @@ fn counter(ui: &mut Ui, name: &str, value: &str, unit: &str, conspicuous: bool) 
 }
 
 /// A bar from 0 to one and a half times `limit`, with a mark at `limit`.
-fn gauge(ui: &mut Ui, name: &str, value: f64, limit: f64, unit: &str) {
+fn gauge(ui: &mut Ui, name: &str, value: f64, limit: f64, unit: &str, decimals: usize) {
     ui.label(name);
     let (response, painter) = ui.allocate_painter(vec2(120.0, 12.0), Sense::hover());
     let rect = response.rect;
@@ -95,15 +99,13 @@ fn gauge(ui: &mut Ui, name: &str, value: f64, limit: f64, unit: &str) {
     let mark = rect.left() + rect.width() / 1.5;
     let stroke = (1.5, ui.visuals().text_color());
     painter.line_segment([pos2(mark, rect.top()), pos2(mark, rect.bottom())], stroke);
-    response.on_hover_text(format!("limit {} {unit}", number(limit, 0)));
-    ui.allocate_ui_with_layout(vec2(130.0, 18.0), Layout::left_to_right(Align::Center), |ui| {
+    response.on_hover_text(format!("limit {} {unit}", number(limit, decimals)));
+    ui.allocate_ui_with_layout(vec2(150.0, 18.0), Layout::left_to_right(Align::Center), |ui| {
         ui.spacing_mut().item_spacing.x = 3.0;
-        let width = 7 - number(value, 0).chars().count().min(6);
-        let text = format!("{:width$}{} {unit}", "", number(value, 0));
         let over = value >= limit;
-        let text = RichText::new(text).monospace();
+        let text = RichText::new(format!("{:>6} {unit:<5}", number(value, decimals))).monospace();
         ui.label(if over { text.color(theme::BAD) } else { text });
-        ui.weak(format!("of {}", number(limit, 0)));
+        ui.weak(format!("of {}", number(limit, decimals)));
     });
     ui.end_row();
 }

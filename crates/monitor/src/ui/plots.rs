@@ -164,7 +164,8 @@ impl Plotted<'_> {
                         let value = self.model.history.value_at(*signal, at_s).unwrap_or(f64::NAN);
                         let value = number(value, self.panel.decimals);
                         ui.label(RichText::new(name).color(colour).strong());
-                        ui.label(RichText::new(format!("{value:>7}")).monospace());
+                        ui.label(RichText::new(format!("{value:>6}")).monospace());
+                        ui.add_space(6.0);
                     } else {
                         ui.label(RichText::new(name).color(colour).strong().size(11.5));
                     }

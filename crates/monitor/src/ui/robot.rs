@@ -174,10 +174,13 @@ impl Taxel<'_> {
             words::health(reading.status).into()
         };
         let colour = if valid { theme::strong(ui.visuals()) } else { theme::BAD };
-        self.label(painter, number, &value, colour);
+        let [x, y, _] = sample.flange_position_world;
+        self.label(painter, self.camera.world([x, y]), number, &value, colour);
         let health = if valid { "well" } else { words::health(reading.status) };
         let counts = sample.counts.get(self.index).map_or("–".into(), u16::to_string);
-        response.on_hover_text(format!("T{number}: {health}, {counts} counts"));
+        if !pressed {
+            response.on_hover_text(format!("T{number}: {health}, {counts} counts"));
+        }
         pressed
     }
 
@@ -198,11 +201,14 @@ impl Taxel<'_> {
         Rect::from_points(&self.block(-2.0 * TAXEL_THICK_M, TAXEL_THICK_M))
     }
 
-    /// Number and value outside the cover, on the side that is free.
-    fn label(&self, painter: &Painter, number: usize, value: &str, colour: Color32) {
+    /// Number and value outside the cover, and outside the flange where that is in the way.
+    fn label(&self, painter: &Painter, flange: Pos2, number: usize, value: &str, colour: Color32) {
         let (sin, cos) = self.description.inward_angle_base_rad.sin_cos();
         let outward = self.camera.direction([-cos, -sin]).normalized();
-        let at = self.camera.base(self.description.position_base_m) + outward * 13.0;
+        let mut at = self.camera.base(self.description.position_base_m) + outward * 13.0;
+        if Rect::from_center_size(at + outward * 20.0, vec2(60.0, 60.0)).contains(flange) {
+            at += outward * ((flange - at).dot(outward) + 12.0);
+        }
         let font = FontId::proportional(13.0);
         if outward.x.abs() > outward.y.abs() {
             let (align, text) = if outward.x > 0.0 {
@@ -212,8 +218,11 @@ impl Taxel<'_> {
             };
             painter.text(at, align, text, font, colour);
         } else {
-            let align = if outward.y > 0.0 { Align2::CENTER_TOP } else { Align2::CENTER_BOTTOM };
-            painter.text(at, align, format!("T{number}\n{value}"), font, colour);
+            // Two texts, because the lines of one would not be centred on each other.
+            let (align, line) =
+                if outward.y > 0.0 { (Align2::CENTER_TOP, 15.0) } else { (Align2::CENTER_BOTTOM, -15.0) };
+            painter.text(at, align, value, font.clone(), colour);
+            painter.text(at + vec2(0.0, line), align, format!("T{number}"), font, colour);
         }
     }
 }
