@@ -3,6 +3,7 @@
 mod characterize;
 mod chart;
 mod drawing;
+mod economy;
 mod experiment;
 mod extremes;
 mod latency;
@@ -10,6 +11,7 @@ mod observers;
 mod parallel;
 mod stability;
 mod stream;
+mod sweep;
 mod threshold;
 mod tick;
 mod vectors;
@@ -37,6 +39,10 @@ enum Command {
     Observers(observers::Arguments),
     /// The whole system at the stiff and extreme ends of its parameters.
     Stability(stability::Arguments),
+    /// Many collisions over a grid or a random sample of settings, resumable and in shards.
+    Sweep(sweep::Arguments),
+    /// What a scene costs with everything in it and with only what it needs.
+    Economy(economy::Arguments),
     /// Reads a recorded Touch Board stream: frames, rate, faults.
     Stream(stream::Arguments),
     /// The smallest force that is felt and its delay; how little an untouched robot creeps.
@@ -53,6 +59,8 @@ fn main() -> anyhow::Result<()> {
         Command::Latency(arguments) => latency::run(&arguments),
         Command::Observers(arguments) => observers::run(&arguments),
         Command::Stability(arguments) => stability::run(&arguments),
+        Command::Sweep(arguments) => sweep::run(&arguments),
+        Command::Economy(arguments) => economy::run(&arguments),
         Command::Stream(arguments) => stream::run(&arguments),
         Command::Threshold(arguments) => threshold::run(&arguments),
         Command::Tick(arguments) => tick::run(&arguments),

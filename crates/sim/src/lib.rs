@@ -22,7 +22,7 @@ pub mod sensor;
 
 pub use board::{BoardFault, VirtualBoard, VirtualBoardConfig};
 pub use error::SimError;
-pub use plant::SimPlant;
+pub use plant::{ModelSize, SimPlant};
 pub use pty::{PtyBoard, SharedForces};
 pub use scene::{Integrator, Mobility, Person, Robot, Scene};
 

@@ -1,11 +1,11 @@
 //! MuJoCo's model of a scene, written from the robot tables. What the scene does not ask for is not in the text.
 //!
-//! There are no geoms: inertias come from the tables, and forces between people and cover are computed from the
+//! Unless a scene asks for everything, there are no geoms: inertias come from the tables, and forces between people and cover are computed from the
 //! geometric gap (see `contact`), not by MuJoCo's collision detection.
 
 use crate::plant::{BASE_SERVO_DAMPING, YAW_SERVO_DAMPING};
 use crate::scene::{Integrator, Mobility, Robot, Scene};
-use moca_msgs::robot::{LinkInertial, MOCA_MOUNT, PANDA, SUMMIT_XL};
+use moca_msgs::robot::{LinkInertial, MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
 use std::fmt::{self, Write};
 
 /// Name of the massless body that marks the flange.
@@ -18,25 +18,38 @@ pub(crate) fn mjcf(scene: &Scene) -> Result<String, fmt::Error> {
     xml.push_str("<worldbody>\n");
     match scene.robot {
         Robot::MobileManipulator => {
-            base(&mut xml)?;
+            base(&mut xml, scene)?;
             arm(&mut xml, scene, [0.0; 3])?;
             xml.push_str("</body>\n");
         }
         Robot::BaseOnly => {
-            base(&mut xml)?;
+            base(&mut xml, scene)?;
             xml.push_str("</body>\n");
         }
         Robot::ArmOnly => arm(&mut xml, scene, scene.base_pose_world)?,
     }
     for person in &scene.people {
+        let [x, y] = person.position_world;
         if let Mobility::Standing { mass_kg, .. } = person.mobility {
-            let [x, y] = person.position_world;
             write!(xml, "<body pos=\"{x} {y} 0\"><joint type=\"slide\" axis=\"1 0 0\"/>")?;
             xml.push_str("<joint type=\"slide\" axis=\"0 1 0\"/>");
-            writeln!(xml, "<inertial pos=\"0 0 0\" mass=\"{mass_kg}\" diaginertia=\"1 1 1\"/></body>")?;
+            writeln!(xml, "<inertial pos=\"0 0 0\" mass=\"{mass_kg}\" diaginertia=\"1 1 1\"/>")?;
+            if scene.everything {
+                // Smaller than the leg: hard bodies would meet only after the foam is crushed.
+                let radius = (person.radius_m - 0.03).max(0.005);
+                writeln!(xml, "<geom type=\"cylinder\" size=\"{radius} 0.4\" pos=\"0 0 0.45\"/>")?;
+            }
+            xml.push_str("</body>\n");
         }
     }
-    xml.push_str("</worldbody>\n</mujoco>\n");
+    if scene.everything {
+        xml.push_str("<geom type=\"plane\" size=\"20 20 1\" pos=\"0 0 -0.01\"/>\n");
+    }
+    xml.push_str("</worldbody>\n");
+    if scene.everything {
+        sensors(&mut xml, scene)?;
+    }
+    xml.push_str("</mujoco>\n");
     Ok(xml)
 }
 
@@ -47,6 +60,7 @@ fn options(xml: &mut String, scene: &Scene) -> fmt::Result {
         Integrator::Implicit => "implicit",
         Integrator::ImplicitFast => "implicitfast",
     };
+    let contact = if scene.everything { "enable" } else { "disable" };
     let constraint = if scene.joint_limits { "enable" } else { "disable" };
     writeln!(xml, "<mujoco model=\"moca\">")?;
     // Upper-case axes are fixed axes: R = Rz·Ry·Rx, as in the tables.
@@ -57,19 +71,24 @@ fn options(xml: &mut String, scene: &Scene) -> fmt::Result {
         scene.physics_step_s
     )?;
     // Without autoreset="disable" a NaN would silently become the start state at time 0.
-    writeln!(xml, "<flag autoreset=\"disable\" contact=\"disable\" constraint=\"{constraint}\"/></option>")
+    let energy = if scene.everything { " energy=\"enable\"" } else { "" };
+    write!(xml, "<flag autoreset=\"disable\" contact=\"{contact}\"{energy} ")?;
+    writeln!(xml, "constraint=\"{constraint}\"/></option>")
 }
 
-fn base(xml: &mut String) -> fmt::Result {
+fn base(xml: &mut String, scene: &Scene) -> fmt::Result {
     let [ix, iy, iz] = SUMMIT_XL.inertia_com_diagonal;
     let [cx, cy, cz] = SUMMIT_XL.com_m;
     xml.push_str("<body name=\"base\">\n");
-    for (kind, axis, damping) in [
-        ("slide", "1 0 0", BASE_SERVO_DAMPING),
-        ("slide", "0 1 0", BASE_SERVO_DAMPING),
-        ("hinge", "0 0 1", YAW_SERVO_DAMPING),
+    for (name, kind, axis, damping) in [
+        ("base_x", "slide", "1 0 0", BASE_SERVO_DAMPING),
+        ("base_y", "slide", "0 1 0", BASE_SERVO_DAMPING),
+        ("base_yaw", "hinge", "0 0 1", YAW_SERVO_DAMPING),
     ] {
-        writeln!(xml, "<joint type=\"{kind}\" axis=\"{axis}\" damping=\"{damping}\"/>")?;
+        writeln!(xml, "<joint name=\"{name}\" type=\"{kind}\" axis=\"{axis}\" damping=\"{damping}\"/>")?;
+    }
+    if scene.everything {
+        hull(xml)?;
     }
     let mass = SUMMIT_XL.mass_kg;
     writeln!(xml, "<inertial pos=\"{cx} {cy} {cz}\" mass=\"{mass}\" diaginertia=\"{ix} {iy} {iz}\"/>")
@@ -85,14 +104,21 @@ fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
     inertial(xml, &PANDA.link0)?;
     for i in 0..PANDA.links.len() {
         open_body(xml, &format!("link{}", i + 1), &PANDA.joint_origin[i])?;
-        xml.push_str("<joint type=\"hinge\" axis=\"0 0 1\"");
+        write!(xml, "<joint name=\"q{}\" type=\"hinge\" axis=\"0 0 1\"", i + 1)?;
         if scene.joint_limits {
             write!(xml, " range=\"{} {}\"", PANDA.q_min_rad[i], PANDA.q_max_rad[i])?;
         }
         xml.push_str("/>\n");
         inertial(xml, &PANDA.links[i])?;
+        if scene.everything {
+            let [x, y, z] = PANDA.links[i].com_m;
+            writeln!(xml, "<geom type=\"sphere\" size=\"0.02\" pos=\"{x} {y} {z}\"/>")?;
+        }
     }
     open_body(xml, FLANGE, &PANDA.flange_origin)?;
+    if scene.everything {
+        xml.push_str("<site name=\"flange\"/>\n");
+    }
     for _ in 0..PANDA.links.len() + 2 {
         xml.push_str("</body>");
     }
@@ -113,4 +139,46 @@ fn inertial(xml: &mut String, link: &LinkInertial) -> fmt::Result {
         xml,
         "<inertial pos=\"{x} {y} {z}\" mass=\"{mass}\" fullinertia=\"{xx} {yy} {zz} {xy} {xz} {yz}\"/>"
     )
+}
+
+/// The base as a hard body inside its foam, with a touch pad at every taxel.
+fn hull(xml: &mut String) -> fmt::Result {
+    let [x, y, z] = SUMMIT_XL.size_m.map(|length| 0.5 * length);
+    let (inner_x, inner_y, inner_z) = (x - 0.02, y - 0.02, z - 0.02);
+    writeln!(xml, "<geom type=\"box\" size=\"{inner_x} {inner_y} {inner_z}\" pos=\"0 0 {z}\"/>")?;
+    for (i, taxel) in PAPER_COVER.iter().enumerate() {
+        let [x, y] = taxel.position_base_m;
+        let yaw = taxel.inward_angle_base_rad;
+        writeln!(
+            xml,
+            "<site name=\"t{}\" type=\"box\" size=\"0.02 0.09 0.02\" pos=\"{x} {y} 0.3\" euler=\"0 0 {yaw}\"/>",
+            i + 1
+        )?;
+    }
+    writeln!(xml, "<site name=\"imu\" pos=\"0 0 0.2\"/>")
+}
+
+fn sensors(xml: &mut String, scene: &Scene) -> fmt::Result {
+    xml.push_str("<sensor>\n");
+    let base: &[&str] = if scene.robot == Robot::ArmOnly { &[] } else { &["base_x", "base_y", "base_yaw"] };
+    let arm: &[&str] =
+        if scene.robot == Robot::BaseOnly { &[] } else { &["q1", "q2", "q3", "q4", "q5", "q6", "q7"] };
+    for joint in base.iter().chain(arm) {
+        writeln!(xml, "<jointpos joint=\"{joint}\"/><jointvel joint=\"{joint}\"/>")?;
+    }
+    if !base.is_empty() {
+        for taxel in 1..=PAPER_COVER.len() {
+            writeln!(xml, "<touch site=\"t{taxel}\"/><framepos objtype=\"site\" objname=\"t{taxel}\"/>")?;
+        }
+        writeln!(xml, "<accelerometer site=\"imu\"/><gyro site=\"imu\"/><velocimeter site=\"imu\"/>")?;
+    }
+    if !arm.is_empty() {
+        for kind in ["force", "torque", "accelerometer", "gyro"] {
+            writeln!(xml, "<{kind} site=\"flange\"/>")?;
+        }
+        for kind in ["framepos", "framequat", "framelinvel", "frameangvel", "framelinacc"] {
+            writeln!(xml, "<{kind} objtype=\"site\" objname=\"flange\"/>")?;
+        }
+    }
+    writeln!(xml, "</sensor>")
 }

@@ -28,6 +28,23 @@ enum Order {
     Brake,
 }
 
+/// How large MuJoCo's model of a scene is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ModelSize {
+    /// Degrees of freedom.
+    pub dofs: usize,
+    /// Bodies, the world included.
+    pub bodies: usize,
+    /// Geoms.
+    pub geoms: usize,
+    /// Sensors.
+    pub sensors: usize,
+    /// `mjModel`'s buffer, bytes.
+    pub model_bytes: usize,
+    /// `mjData`'s buffer and arena, bytes.
+    pub data_bytes: usize,
+}
+
 /// One person in the running scene.
 #[derive(Clone, Debug)]
 struct Body {
@@ -168,6 +185,25 @@ impl SimPlant {
             self.check()?;
         }
         Ok(())
+    }
+
+    /// How large the model is.
+    pub fn model_size(&self) -> ModelSize {
+        let count = |n: i64| usize::try_from(n).unwrap_or(0);
+        let model = self.data.model().ffi();
+        ModelSize {
+            dofs: count(model.nv),
+            bodies: count(model.nbody),
+            geoms: count(model.ngeom),
+            sensors: count(model.nsensor),
+            model_bytes: count(model.nbuffer),
+            data_bytes: count(self.data.nbuffer()) + count(self.data.narena()),
+        }
+    }
+
+    /// One `mj_step` and nothing else: what MuJoCo alone costs on this model.
+    pub fn bare_step(&mut self) {
+        self.data.step();
     }
 
     /// A scripted hand: presses `taxel` (0 is T1) with a steady `force_n` along its inward normal until told otherwise.

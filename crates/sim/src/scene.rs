@@ -107,6 +107,9 @@ pub struct Scene {
     pub foam: FoamLaw,
     /// Stiffness of the foam over its law's.
     pub foam_scale: f64,
+    /// Everything a model of this robot could hold, needed or not: geoms with collision detection, sensors, energy.
+    /// It changes no trajectory; it is what scene economy is measured against.
+    pub everything: bool,
     /// People and walls.
     pub people: Vec<Person>,
     /// Time between two commands, s.
@@ -128,6 +131,7 @@ impl Default for Scene {
             flange_sensor: false,
             foam: FoamLaw::default(),
             foam_scale: 1.0,
+            everything: false,
             people: Vec::new(),
             control_period_s: 1e-3,
             physics_step_s: 1e-3,

@@ -53,6 +53,11 @@ pub(crate) struct Report {
 }
 
 impl Report {
+    /// Why the robot stopped, if it did.
+    pub(crate) fn stopped(&self) -> Option<&str> {
+        self.info.stopped.as_deref()
+    }
+
     pub(crate) fn text(&self) -> String {
         let list = |values: &[f64]| values.iter().map(|v| format!("{v:.1}")).collect::<Vec<_>>().join(" / ");
         format!(
@@ -109,6 +114,14 @@ pub(crate) fn run(settings: &Settings) -> Result<Run> {
     let info = RunInfo::new("collision", settings, &rig, started);
     let report = measure(info, settings, &rig.rows, peaks);
     Ok(Run { report, moments: moments(&rig.rows), rows: rig.rows })
+}
+
+/// One collision at the sensor's phase of the settings, measured.
+pub(crate) fn single(settings: &Settings) -> Result<Report> {
+    let started = Instant::now();
+    let rig = once(settings)?;
+    let peak_n = peak_force_n(&rig.rows);
+    Ok(measure(RunInfo::new("collision", settings, &rig, started), settings, &rig.rows, vec![peak_n]))
 }
 
 /// One collision.
