@@ -1,6 +1,11 @@
 //! The base's admittance, eq. (2): M_v·v̇_d + D_v·v_d = τ_v, per axis.
 
+use crate::error::ControlError;
+use crate::gains::Gains;
+use crate::linalg::{Cholesky, times};
+use crate::opspace::BlockWeighted;
 use crate::scalar::Scalar;
+use nalgebra::Matrix3;
 
 /// Velocity after `dt` s under a force that is held, exactly: v ← a·v + (1 − a)·τ/D with a = e^(−D·dt/M), and
 /// v + dt·τ/M at D = 0. Stable for every D/M and dt. eq. (2)
@@ -10,4 +15,40 @@ pub fn step<T: Scalar>(velocity: T, force: T, mass: T, damping: T, dt_s: T) -> T
     // (1 − e^(−x))/x keeps its digits as D → 0
     let mean = if x > T::default_epsilon() { -(-x).exp_m1() / x } else { T::one() };
     velocity + mean * dt_s / mass * (force - damping * velocity)
+}
+
+/// Exact zero-order hold of eq. (2) on all three axes.
+pub(crate) fn admitted<const N: usize, T: Scalar>(
+    gains: &Gains<N, T>,
+    velocity: &[T; 3],
+    force: &[T; 3],
+    dt_s: T,
+) -> [T; 3] {
+    core::array::from_fn(|i| {
+        step(velocity[i], force[i], gains.virtual_mass[i], gains.virtual_damping[i], dt_s)
+    })
+}
+
+/// eq. (2) with its damping moved into τ_0: M_v·v̇ = τ_v − S·M_v⁻¹·D_v·v, S the free base mass. Implicit in v, because
+/// S couples the axes: (M_v/dt + Q·S·Q)·Q·v⁺ = Q·(M_v·v/dt + τ_v) with Q = (M_v⁻¹D_v)^½ is symmetric and stable for
+/// every D/M and dt.
+pub(crate) fn damped_in_null_space<const N: usize, T: Scalar>(
+    weighted: &BlockWeighted<'_, N, T>,
+    gains: &Gains<N, T>,
+    velocity: &[T; 3],
+    force: &[T; 3],
+    dt_s: T,
+) -> Result<[T; 3], ControlError> {
+    let mass = &gains.virtual_mass;
+    let free = weighted.free_base_mass();
+    let q: [T; 3] = core::array::from_fn(|i| (gains.virtual_damping[i] / mass[i]).sqrt());
+    let system = Matrix3::from_fn(|i, j| {
+        let inertia = if i == j { mass[i] / dt_s } else { T::zero() };
+        inertia + q[i] * free[(i, j)] * q[j]
+    });
+    let factor =
+        Cholesky::new_shifted(&system).ok_or(ControlError::NotPositiveDefinite { what: "base damping" })?;
+    let z = factor.solve(&core::array::from_fn(|i| q[i] * (mass[i] / dt_s * velocity[i] + force[i])));
+    let drag = times(&free, &core::array::from_fn(|i| q[i] * z[i]));
+    Ok(core::array::from_fn(|i| velocity[i] + dt_s / mass[i] * (force[i] - drag[i])))
 }

@@ -1,20 +1,22 @@
 //! The controllers as one step function: measurements in, command out.
 
-use crate::admittance;
+use crate::admittance::{admitted, damped_in_null_space};
 use crate::cover::{Cover, rotate_planar};
+use crate::door::{check_input, check_robot};
 use crate::error::{ControlError, finite};
 use crate::follow_me;
 use crate::gains::Gains;
 use crate::impedance;
-use crate::limits::{JointRepulsion, LimitsHit, OutputLimits, check_step};
+use crate::limits::{JointRepulsion, LimitsHit, OutputLimits};
 use crate::linalg::times;
-use crate::model::{ArmModel, Kinematics, LinkInertias, MassMatrix};
+use crate::model::ArmModel;
 use crate::observer::MomentumObserver;
-use crate::opspace::{BlockWeight, BlockWeighted, TaskDynamics, WholeBodyForce};
-use crate::reference::{Pose, Reference, approach_posture, leashed};
+use crate::opspace::{BlockWeight, TaskDynamics, WholeBodyForce};
+use crate::reference::{Pose, Reference, approach_posture};
 use crate::rotation;
 use crate::scalar::{Scalar, of};
 use crate::state::{ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose};
+use crate::tick::{Tick, flange_pose, seen_from_base};
 use moca_msgs::{
     ArmTable, Corrections, Mount, ParameterError, Parameters, Payload, RobotCommand, RobotState,
     TaxelPlacement,
@@ -40,20 +42,6 @@ pub struct Controller<const N: usize, const K: usize, T = f64> {
     repulsion: JointRepulsion<N, T>,
     /// Joint stiffness of [`ControlLaw::Hold`], N·m/rad.
     hold_stiffness: [T; N],
-}
-
-/// One step's quantities, computed once and read by every law.
-struct Tick<'a, const N: usize, T> {
-    robot: &'a RobotState<N, T>,
-    dt_s: T,
-    kinematics: Kinematics<N, T>,
-    inertias: LinkInertias<N, T>,
-    mass: MassMatrix<N, T>,
-    bias: [T; N],
-    flange: Pose<T>,
-    cover_world: [T; 3],
-    /// v_d of eq. (2), world axes.
-    base_velocity: [T; 3],
 }
 
 /// What a law wants before any limit.
@@ -352,92 +340,6 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
     }
 }
 
-impl<const N: usize, T: Scalar> Tick<'_, N, T> {
-    /// F = K·e + D·ė with the leash on e. `base_twist` is what the base's motion gives the tool. eqs. (10), (16)
-    #[inline]
-    fn task_wrench(
-        &self,
-        state: &ControllerState<N, T>,
-        actual: &Pose<T>,
-        base_twist: &[T; 6],
-        mobility: &nalgebra::SMatrix<T, 6, 6>,
-        hit: &mut LimitsHit,
-    ) -> Result<[T; 6], ControlError> {
-        let gains = &state.gains;
-        let desired = self.desired(state);
-        let error = impedance::pose_error(
-            (&actual.position, &actual.rotation),
-            (&desired.position, &desired.rotation),
-        );
-        let (error, taut) = leashed(&error);
-        hit.leash = taut;
-        let arm_twist = times(&self.kinematics.arm_jacobian(), &self.robot.dq_rad_s);
-        let wanted = self.desired_twist(state);
-        let rate = core::array::from_fn(|i| wanted[i] - base_twist[i] - arm_twist[i]);
-        let damping = impedance::damping(mobility, &gains.stiffness, gains.damping_ratio)?;
-        Ok(impedance::wrench(&gains.stiffness, &damping, &error, &rate))
-    }
-
-    #[inline]
-    fn posture_torque(&self, state: &ControllerState<N, T>) -> [T; N] {
-        impedance::posture_torque(
-            &state.gains.posture_stiffness,
-            &state.gains.posture_damping,
-            &state.posture_rad,
-            &self.robot.q_rad,
-            &self.robot.dq_rad_s,
-        )
-    }
-
-    /// The reference in W.
-    fn desired(&self, state: &ControllerState<N, T>) -> Pose<T> {
-        match state.law {
-            ControlLaw::Hold => self.flange,
-            ControlLaw::Impedance => state.reference.now,
-            ControlLaw::FollowMe => {
-                let [x, y, yaw] = self.robot.base_pose_world;
-                let turn = rotation::about_z(yaw);
-                let reference = &state.reference.now;
-                Pose {
-                    position: turn * reference.position + Vector3::new(x, y, T::zero()),
-                    rotation: turn * reference.rotation,
-                }
-            }
-        }
-    }
-
-    /// The reference's twist, world axes.
-    fn desired_twist(&self, state: &ControllerState<N, T>) -> [T; 6] {
-        let twist = *state.reference.twist();
-        if state.law != ControlLaw::FollowMe {
-            return twist;
-        }
-        let [vx, vy, vz, wx, wy, wz] = twist;
-        let yaw = self.robot.base_pose_world[2];
-        let [v0, v1, v2] = rotate_planar(yaw, [vx, vy, vz]);
-        let [w0, w1, w2] = rotate_planar(yaw, [wx, wy, wz]);
-        [v0, v1, v2, w0, w1, w2]
-    }
-
-    /// The external wrench from the best source there is. The observer runs where the other two are missing.
-    fn flange_wrench<const K: usize>(
-        &self,
-        state: &mut ControllerState<N, T>,
-        input: &ControlInput<N, K, T>,
-        task: &TaskDynamics<N, T>,
-    ) -> Result<[T; 6], ControlError> {
-        if let Some(wrench) = input.flange_wrench_world.or(self.robot.flange_wrench_world) {
-            return Ok(wrench);
-        }
-        let (robot, kinematics) = (self.robot, &self.kinematics);
-        let momentum = kinematics.momentum(&self.inertias, &robot.base_velocity_world, &robot.dq_rad_s);
-        let gravity = kinematics.gravity(&self.inertias);
-        state.observer.update(&momentum, &gravity, &robot.torque_measured_nm, self.dt_s);
-        let about_tool = task.arm_wrench(state.observer.external_torque())?;
-        Ok(follow_me::moved(&about_tool, &(kinematics.tool_position - kinematics.flange_position)))
-    }
-}
-
 /// Null-space damping leaves a virtual base without damping of its own: a light one would chatter on the lag of any
 /// real base servo (15 ms: below 0.3 kg).
 fn check_light_base<const N: usize>(parameters: &Parameters<N>) -> Result<(), ParameterError> {
@@ -454,42 +356,6 @@ fn check_light_base<const N: usize>(parameters: &Parameters<N>) -> Result<(), Pa
     }
 }
 
-/// Exact zero-order hold of eq. (2) on all three axes.
-fn admitted<const N: usize, T: Scalar>(
-    gains: &Gains<N, T>,
-    velocity: &[T; 3],
-    force: &[T; 3],
-    dt_s: T,
-) -> [T; 3] {
-    core::array::from_fn(|i| {
-        admittance::step(velocity[i], force[i], gains.virtual_mass[i], gains.virtual_damping[i], dt_s)
-    })
-}
-
-/// eq. (2) with its damping moved into τ_0: M_v·v̇ = τ_v − S·M_v⁻¹·D_v·v, S the free base mass. Implicit in v, because
-/// S couples the axes: (M_v/dt + Q·S·Q)·Q·v⁺ = Q·(M_v·v/dt + τ_v) with Q = (M_v⁻¹D_v)^½ is symmetric and stable for
-/// every D/M and dt.
-fn damped_in_null_space<const N: usize, T: Scalar>(
-    weighted: &BlockWeighted<'_, N, T>,
-    gains: &Gains<N, T>,
-    velocity: &[T; 3],
-    force: &[T; 3],
-    dt_s: T,
-) -> Result<[T; 3], ControlError> {
-    let mass = &gains.virtual_mass;
-    let free = weighted.free_base_mass();
-    let q: [T; 3] = core::array::from_fn(|i| (gains.virtual_damping[i] / mass[i]).sqrt());
-    let system = nalgebra::Matrix3::from_fn(|i, j| {
-        let inertia = if i == j { mass[i] / dt_s } else { T::zero() };
-        inertia + q[i] * free[(i, j)] * q[j]
-    });
-    let factor = crate::linalg::Cholesky::new_shifted(&system)
-        .ok_or(ControlError::NotPositiveDefinite { what: "base damping" })?;
-    let z = factor.solve(&core::array::from_fn(|i| q[i] * (mass[i] / dt_s * velocity[i] + force[i])));
-    let drag = times(&free, &core::array::from_fn(|i| q[i] * z[i]));
-    Ok(core::array::from_fn(|i| velocity[i] + dt_s / mass[i] * (force[i] - drag[i])))
-}
-
 /// Makes the measured state the target.
 fn retarget<const N: usize, T: Scalar>(
     state: &mut ControllerState<N, T>,
@@ -503,44 +369,9 @@ fn retarget<const N: usize, T: Scalar>(
     });
 }
 
-fn seen_from_base<const N: usize, T: Scalar>(pose: &Pose<T>, robot: &RobotState<N, T>) -> Pose<T> {
-    let [x, y, yaw] = robot.base_pose_world;
-    let turn = rotation::about_z(-yaw);
-    Pose { position: turn * (pose.position - Vector3::new(x, y, T::zero())), rotation: turn * pose.rotation }
-}
-
-fn flange_pose<const N: usize, T: Scalar>(
-    kinematics: &Kinematics<N, T>,
-    robot: &RobotState<N, T>,
-) -> Pose<T> {
-    let [x, y, _] = robot.base_pose_world;
-    Pose {
-        position: kinematics.tool_from_base() + Vector3::new(x, y, T::zero()),
-        rotation: kinematics.tool_rotation,
-    }
-}
-
 fn shown<T: Scalar>(pose: &Pose<T>) -> FlangePose<T> {
     FlangePose {
         position_world: pose.position.into(),
         quaternion_world: rotation::to_quaternion(&pose.rotation),
     }
-}
-
-fn check_robot<const N: usize, T: Scalar>(robot: &RobotState<N, T>) -> Result<(), ControlError> {
-    finite("base_pose_world", &robot.base_pose_world)?;
-    finite("base_velocity_world", &robot.base_velocity_world)?;
-    finite("q_rad", &robot.q_rad)?;
-    finite("dq_rad_s", &robot.dq_rad_s)?;
-    finite("torque_measured_nm", &robot.torque_measured_nm)?;
-    finite("robot.flange_wrench_world", robot.flange_wrench_world.as_ref().map_or(&[], |w| &w[..]))
-}
-
-fn check_input<const N: usize, const K: usize, T: Scalar>(
-    input: &ControlInput<N, K, T>,
-) -> Result<(), ControlError> {
-    check_step(input.dt_s)?;
-    check_robot(&input.robot)?;
-    finite("taxel_force_n", &input.taxel_force_n)?;
-    finite("flange_wrench_world", input.flange_wrench_world.as_ref().map_or(&[], |w| &w[..]))
 }

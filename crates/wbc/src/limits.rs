@@ -1,6 +1,5 @@
 //! Limits on what leaves the controllers: pure functions, each with a property test that nothing gets past it.
 
-use crate::error::{ControlError, finite};
 use crate::scalar::{Scalar, all, of};
 use moca_msgs::{ArmTable, Limits};
 
@@ -124,16 +123,6 @@ impl<const N: usize, T: Scalar> JointRepulsion<N, T> {
             let damping = of::<T>(1.4) * (self.stiffness[i] * inertia(i).max(T::zero())).sqrt() * depth;
             -self.stiffness[i] * inside - damping * dq[i]
         })
-    }
-}
-
-/// Checks one step's inputs that are plain numbers.
-pub(crate) fn check_step<T: Scalar>(dt_s: T) -> Result<(), ControlError> {
-    finite("dt_s", &[dt_s])?;
-    if dt_s > T::zero() {
-        Ok(())
-    } else {
-        Err(ControlError::Step { dt_s: nalgebra::try_convert(dt_s).unwrap_or(f64::NAN) })
     }
 }
 

@@ -1,0 +1,135 @@
+//! One step's quantities: computed once, read by every law.
+
+use crate::cover::rotate_planar;
+use crate::error::ControlError;
+use crate::follow_me;
+use crate::impedance;
+use crate::limits::LimitsHit;
+use crate::linalg::times;
+use crate::model::{Kinematics, LinkInertias, MassMatrix};
+use crate::opspace::TaskDynamics;
+use crate::reference::{Pose, leashed};
+use crate::rotation;
+use crate::scalar::Scalar;
+use crate::state::{ControlInput, ControlLaw, ControllerState};
+use moca_msgs::RobotState;
+use nalgebra::{SMatrix, Vector3};
+
+/// One step's quantities, computed once and read by every law.
+pub(crate) struct Tick<'a, const N: usize, T> {
+    pub robot: &'a RobotState<N, T>,
+    pub dt_s: T,
+    pub kinematics: Kinematics<N, T>,
+    pub inertias: LinkInertias<N, T>,
+    pub mass: MassMatrix<N, T>,
+    pub bias: [T; N],
+    pub flange: Pose<T>,
+    pub cover_world: [T; 3],
+    /// v_d of eq. (2), world axes.
+    pub base_velocity: [T; 3],
+}
+
+impl<const N: usize, T: Scalar> Tick<'_, N, T> {
+    /// F = K·e + D·ė with the leash on e. `base_twist` is what the base's motion gives the tool. eqs. (10), (16)
+    #[inline]
+    pub(crate) fn task_wrench(
+        &self,
+        state: &ControllerState<N, T>,
+        actual: &Pose<T>,
+        base_twist: &[T; 6],
+        mobility: &SMatrix<T, 6, 6>,
+        hit: &mut LimitsHit,
+    ) -> Result<[T; 6], ControlError> {
+        let gains = &state.gains;
+        let desired = self.desired(state);
+        let error = impedance::pose_error(
+            (&actual.position, &actual.rotation),
+            (&desired.position, &desired.rotation),
+        );
+        let (error, taut) = leashed(&error);
+        hit.leash = taut;
+        let arm_twist = times(&self.kinematics.arm_jacobian(), &self.robot.dq_rad_s);
+        let wanted = self.desired_twist(state);
+        let rate = core::array::from_fn(|i| wanted[i] - base_twist[i] - arm_twist[i]);
+        let damping = impedance::damping(mobility, &gains.stiffness, gains.damping_ratio)?;
+        Ok(impedance::wrench(&gains.stiffness, &damping, &error, &rate))
+    }
+
+    #[inline]
+    pub(crate) fn posture_torque(&self, state: &ControllerState<N, T>) -> [T; N] {
+        impedance::posture_torque(
+            &state.gains.posture_stiffness,
+            &state.gains.posture_damping,
+            &state.posture_rad,
+            &self.robot.q_rad,
+            &self.robot.dq_rad_s,
+        )
+    }
+
+    /// The reference in W.
+    pub(crate) fn desired(&self, state: &ControllerState<N, T>) -> Pose<T> {
+        match state.law {
+            ControlLaw::Hold => self.flange,
+            ControlLaw::Impedance => state.reference.now,
+            ControlLaw::FollowMe => {
+                let [x, y, yaw] = self.robot.base_pose_world;
+                let turn = rotation::about_z(yaw);
+                let reference = &state.reference.now;
+                Pose {
+                    position: turn * reference.position + Vector3::new(x, y, T::zero()),
+                    rotation: turn * reference.rotation,
+                }
+            }
+        }
+    }
+
+    /// The reference's twist, world axes.
+    pub(crate) fn desired_twist(&self, state: &ControllerState<N, T>) -> [T; 6] {
+        let twist = *state.reference.twist();
+        if state.law != ControlLaw::FollowMe {
+            return twist;
+        }
+        let [vx, vy, vz, wx, wy, wz] = twist;
+        let yaw = self.robot.base_pose_world[2];
+        let [v0, v1, v2] = rotate_planar(yaw, [vx, vy, vz]);
+        let [w0, w1, w2] = rotate_planar(yaw, [wx, wy, wz]);
+        [v0, v1, v2, w0, w1, w2]
+    }
+
+    /// The external wrench from the best source there is. The observer runs where the other two are missing.
+    pub(crate) fn flange_wrench<const K: usize>(
+        &self,
+        state: &mut ControllerState<N, T>,
+        input: &ControlInput<N, K, T>,
+        task: &TaskDynamics<N, T>,
+    ) -> Result<[T; 6], ControlError> {
+        if let Some(wrench) = input.flange_wrench_world.or(self.robot.flange_wrench_world) {
+            return Ok(wrench);
+        }
+        let (robot, kinematics) = (self.robot, &self.kinematics);
+        let momentum = kinematics.momentum(&self.inertias, &robot.base_velocity_world, &robot.dq_rad_s);
+        let gravity = kinematics.gravity(&self.inertias);
+        state.observer.update(&momentum, &gravity, &robot.torque_measured_nm, self.dt_s);
+        let about_tool = task.arm_wrench(state.observer.external_torque())?;
+        Ok(follow_me::moved(&about_tool, &(kinematics.tool_position - kinematics.flange_position)))
+    }
+}
+
+/// `pose`, given in W, in B.
+pub(crate) fn seen_from_base<const N: usize, T: Scalar>(pose: &Pose<T>, robot: &RobotState<N, T>) -> Pose<T> {
+    let [x, y, yaw] = robot.base_pose_world;
+    let turn = rotation::about_z(-yaw);
+    Pose { position: turn * (pose.position - Vector3::new(x, y, T::zero())), rotation: turn * pose.rotation }
+}
+
+/// The controlled frame E in W.
+pub(crate) fn flange_pose<const N: usize, T: Scalar>(
+    kinematics: &Kinematics<N, T>,
+    robot: &RobotState<N, T>,
+) -> Pose<T> {
+    let [x, y, _] = robot.base_pose_world;
+    Pose {
+        position: kinematics.tool_from_base() + Vector3::new(x, y, T::zero()),
+        rotation: kinematics.tool_rotation,
+    }
+}
