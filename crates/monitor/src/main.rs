@@ -3,7 +3,10 @@
 use anyhow::{Context, anyhow};
 use clap::{Parser, ValueEnum};
 use eframe::egui;
-use moca_monitor::ui::{App, Screenshot};
+use moca_monitor::{
+    logic::Playback,
+    ui::{App, Screenshot},
+};
 use moca_telemetry::net::{Connection, DEFAULT_ADDRESS};
 use std::{net::SocketAddr, path::PathBuf, time::Duration};
 
@@ -14,6 +17,9 @@ struct Arguments {
     /// Where the daemon listens. Another machine's daemon comes in through an SSH tunnel.
     #[arg(long, default_value = DEFAULT_ADDRESS)]
     connect: SocketAddr,
+    /// Show a recorded run instead: an MCAP file of `mocad run --record`.
+    #[arg(long, value_name = "FILE", conflicts_with = "connect")]
+    log: Option<PathBuf>,
     /// Save a PNG of the window and quit.
     #[arg(long, value_name = "FILE")]
     screenshot: Option<PathBuf>,
@@ -75,9 +81,15 @@ fn main() -> anyhow::Result<()> {
                 });
             }
             let ctx = cc.egui_ctx.clone();
-            let connection =
-                Connection::spawn(arguments.connect, move || ctx.request_repaint_after(App::FRAME))?;
-            Ok(Box::new(App::new(&cc.egui_ctx, connection, arguments.connect.to_string(), screenshot)))
+            let wake = move || ctx.request_repaint_after(App::FRAME);
+            let address = arguments.connect.to_string();
+            Ok(Box::new(match arguments.log {
+                Some(path) => App::new(&cc.egui_ctx, Playback::open(path, wake)?, address, screenshot),
+                None => {
+                    let connection = Connection::spawn(arguments.connect, wake)?;
+                    App::new(&cc.egui_ctx, connection, address, screenshot)
+                }
+            }))
         }),
     );
     created.map_err(|error| anyhow!("cannot open a window: {error}"))?;

@@ -3,7 +3,10 @@
 
 use egui::{Event, Key, Modifiers, PointerButton, Pos2, Vec2};
 use egui_kittest::{Harness, kittest::Queryable};
-use moca_monitor::{logic::Source, ui::App};
+use moca_monitor::{
+    logic::{Playback, Source},
+    ui::App,
+};
 use moca_msgs::{Fault, Law, Mode, Refusal, Request, Sample, TaxelReading, TaxelStatus, board::Diagnosis};
 use moca_telemetry::{
     RobotDescription,
@@ -27,7 +30,7 @@ struct Daemon {
 struct Fake(Rc<RefCell<Daemon>>);
 
 impl Source for Fake {
-    fn poll(&mut self) -> Update {
+    fn poll(&mut self, _now_s: f64) -> Update {
         let mut daemon = self.0.borrow_mut();
         let description = Arc::new(RobotDescription::paper("test robot", daemon.simulated));
         let link = match &daemon.down {
@@ -299,4 +302,36 @@ fn plots_can_be_paused_and_their_window_chosen() {
     bench.click("Pause plots");
     assert!(!bench.shows("paused"));
     assert_eq!(bench.asked(), []);
+}
+
+#[test]
+fn a_recorded_run_can_be_held_scrubbed_and_never_commanded() {
+    let samples =
+        (0..30_000).map(|tick| sample(tick, if tick < 20_000 { Mode::Ready } else { Mode::Impedance }, None));
+    let log = Playback::of(RobotDescription::paper("logged robot", true), samples.collect());
+    let app = App::new(&egui::Context::default(), log, String::new(), None);
+    let mut harness = Harness::builder().with_size([1280.0, 800.0]).build_ui_state(
+        |ui, app: &mut App| {
+            app.update(&ui.ctx().clone());
+            app.show(ui);
+        },
+        app,
+    );
+    harness.run_steps(3);
+    assert!(harness.query_by_label_contains("A recorded run of logged robot").is_some());
+    harness.get_by_label("Next event").click();
+    harness.run_steps(3);
+    let shown = harness.state().model().latest.as_ref().map(|s| (s.tick, s.mode));
+    assert_eq!(shown, Some((20_200, Mode::Impedance)));
+    harness.run_steps(5);
+    assert_eq!(harness.state().model().latest.as_ref().map(|s| s.tick), Some(20_200), "it holds still");
+    harness.get_by_label("Play").click();
+    harness.run_steps(5);
+    assert!(harness.state().model().latest.as_ref().is_some_and(|s| s.tick > 20_200));
+    assert!(!harness.state().model().can_push());
+    for label in ["Disarm", "STOP (space)"] {
+        harness.get_by_label(label).click();
+        harness.run_steps(2);
+        assert!(harness.query_by_label_contains("refused").is_none(), "{label} is greyed out");
+    }
 }

@@ -91,6 +91,26 @@ impl History {
         self.column(signal)?.get(index).map(f64::from).filter(|v| v.is_finite())
     }
 
+    /// Every sample in `window_s` as a table: time in s, then each signal under the name that `name` gives it. What is
+    /// missing is an empty field.
+    pub fn csv(&self, window_s: Range<f64>, name: impl Fn(Signal) -> String) -> String {
+        let mut table = String::from("time_s");
+        for signal in &self.signals {
+            table.push(',');
+            table.push_str(&name(*signal));
+        }
+        table.push('\n');
+        for index in self.indices(&window_s) {
+            table.push_str(&format!("{:.6}", self.time_s(index)));
+            for column in &self.columns {
+                let value = column.get(index).filter(|v| v.is_finite());
+                table.push_str(&value.map_or(",".into(), |v| format!(",{v}")));
+            }
+            table.push('\n');
+        }
+        table
+    }
+
     fn append(&mut self, time_s: f64, value: impl Fn(Signal) -> f64) {
         for (column, signal) in self.columns.iter_mut().zip(&self.signals) {
             #[expect(clippy::cast_possible_truncation, reason = "f32 resolves far more than a screen shows")]
@@ -157,6 +177,17 @@ mod tests {
         }
         assert_eq!(history.value_at(FORCE, 0.0505), Some(1.0));
         assert_eq!(history.value_at(FORCE, 0.180), None, "inside the gap");
+    }
+
+    #[test]
+    fn a_table_has_every_sample_of_the_window_and_leaves_out_what_is_missing() {
+        let mut history = History::new(vec![FORCE, Signal::FrameAgeMs]);
+        for tick in 0..100 {
+            history.push(&Sample { frame_age_s: if tick == 51 { -1.0 } else { 0.025 }, ..sample(tick, 1.5) });
+        }
+        let table = history.csv(0.050..0.052, |signal| format!("{signal:?}"));
+        let expected = "time_s,CoverWrench(0),FrameAgeMs\n0.050000,1.5,25\n0.051000,1.5,\n0.052000,1.5,25\n";
+        assert_eq!(table, expected);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! What to show and what to ask, without a screen.
 //!
 //! [`Model`] takes in what a [`Source`] delivers · [`History`] keeps a minute of signals, each in a [`Pyramid`] that
-//! never loses a spike · [`panel`] says which signals are plotted together · [`action`] says what may be asked when ·
+//! never loses a spike · [`playback`] makes a log a source · [`panel`] says which signals are plotted together · [`action`] says what may be asked when ·
 //! [`arm`] finds where the arm's joints are · [`words`] turns numbers and states into text.
 
 pub mod action;
@@ -9,6 +9,7 @@ pub mod arm;
 pub mod history;
 pub mod model;
 pub mod panel;
+pub mod playback;
 pub mod pyramid;
 pub mod words;
 
@@ -16,4 +17,5 @@ pub use action::Action;
 pub use history::History;
 pub use model::{Model, Source};
 pub use panel::{Panel, Signal};
+pub use playback::Playback;
 pub use pyramid::Pyramid;

@@ -1,7 +1,7 @@
 //! Everything the dashboard knows.
 
 use super::{
-    History,
+    History, Playback,
     action::{Action, refusal_words, request_words},
     history::seconds,
     panel::{self, Panel},
@@ -22,14 +22,18 @@ const MESSAGE_S: f64 = 8.0;
 
 /// Where samples come from and requests go to.
 pub trait Source {
-    /// Everything new.
-    fn poll(&mut self) -> Update;
+    /// Everything new; `now_s` never runs backwards, s.
+    fn poll(&mut self, now_s: f64) -> Update;
     /// Asks the loop.
     fn request(&mut self, request: Request);
+    /// The recorded run, if it is one.
+    fn playback(&mut self) -> Option<&mut Playback> {
+        None
+    }
 }
 
 impl Source for Connection {
-    fn poll(&mut self) -> Update {
+    fn poll(&mut self, _now_s: f64) -> Update {
         Connection::poll(self)
     }
 
@@ -76,6 +80,8 @@ pub struct Model {
     pub status: Status,
     /// The law that arming leads to, as far as this dashboard knows.
     pub law: Law,
+    /// Whether a recorded run is shown: it is never old, and cannot be commanded.
+    pub recorded: bool,
     link: Link,
     session: u64,
     latest_at_s: f64,
@@ -93,6 +99,7 @@ impl Default for Model {
             events: VecDeque::new(),
             status: Status::default(),
             law: Law::default(),
+            recorded: false,
             link: Link::Down { reason: "not connected yet".into() },
             session: 0,
             latest_at_s: f64::NEG_INFINITY,
@@ -135,7 +142,7 @@ impl Model {
     pub fn freshness(&self, now_s: f64) -> Freshness {
         match &self.link {
             Link::Down { reason } => Freshness::Down(reason.clone()),
-            Link::Up { .. } if now_s - self.latest_at_s > SILENCE_S => Freshness::Silent,
+            Link::Up { .. } if !self.recorded && now_s - self.latest_at_s > SILENCE_S => Freshness::Silent,
             Link::Up { .. } => Freshness::Live,
         }
     }
@@ -150,12 +157,13 @@ impl Model {
     pub fn allows(&self, action: Action, now_s: f64) -> bool {
         let connected = matches!(self.link, Link::Up { .. });
         let commander = self.status.commander != Commander::Another || action == Action::Stop;
-        connected && commander && action.fits(self.mode(now_s))
+        !self.recorded && connected && commander && action.fits(self.mode(now_s))
     }
 
     /// Whether taxels can be pushed with the mouse.
     pub fn can_push(&self) -> bool {
-        self.robot.simulated
+        !self.recorded
+            && self.robot.simulated
             && matches!(self.link, Link::Up { .. })
             && self.status.commander != Commander::Another
     }

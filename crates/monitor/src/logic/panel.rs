@@ -92,6 +92,15 @@ pub fn panels(description: &RobotDescription) -> Vec<Panel> {
     ]
 }
 
+/// Name of a signal as the heading of a table's column: plot, curve and unit.
+pub fn column_name(panels: &[Panel], signal: Signal) -> String {
+    let in_panel = |panel: &Panel| {
+        let (name, _) = panel.traces.iter().find(|(_, s)| *s == signal)?;
+        Some(format!("{} {name} [{}]", panel.title, panel.unit))
+    };
+    panels.iter().find_map(in_panel).unwrap_or_default()
+}
+
 /// Vertical range for values between `extremes`: at least `least_span` high, ends at round numbers.
 pub fn vertical_range(extremes: Option<(f64, f64)>, least_span: f64) -> (f64, f64) {
     let (low, high) = extremes.unwrap_or((0.0, 0.0));

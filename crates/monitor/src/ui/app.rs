@@ -1,6 +1,6 @@
 //! The window: who gets which space, and what happens each frame.
 
-use super::{Screenshot, gauges, plots, robot, top};
+use super::{Screenshot, gauges, playback, plots, robot, top};
 use crate::logic::{Action, Model, Source};
 use egui::{CentralPanel, Context, Event, Key, Panel, ScrollArea, Ui};
 use std::time::Duration;
@@ -27,6 +27,8 @@ pub(super) struct View {
     pub(super) cursor_s: Option<f64>,
     /// Force of a push with the mouse, N.
     pub(super) push_n: f64,
+    /// What became of the last export.
+    pub(super) exported: Option<String>,
 }
 
 impl App {
@@ -44,8 +46,11 @@ impl App {
             style.spacing.item_spacing = egui::vec2(8.0, 5.0);
             style.spacing.button_padding = egui::vec2(9.0, 5.0);
         });
-        let view = View { window_s: 10.0, paused_at_s: None, cursor_s: None, push_n: 20.0 };
-        Self { source: Box::new(source), address, model: Model::default(), view, screenshot }
+        let mut source: Box<dyn Source> = Box::new(source);
+        let mut model = Model::default();
+        model.recorded = source.playback().is_some();
+        let view = View { window_s: 10.0, paused_at_s: None, cursor_s: None, push_n: 20.0, exported: None };
+        Self { source, address, model, view, screenshot }
     }
 
     /// What it knows.
@@ -56,12 +61,15 @@ impl App {
     /// Takes in what is new, and the space bar before any widget can have it.
     pub fn update(&mut self, ctx: &Context) {
         let now_s = ctx.input(|i| i.time);
-        self.model.take(self.source.poll(), now_s);
+        self.model.take(self.source.poll(now_s), now_s);
         if take_space_bar(ctx) {
             self.source.request(Action::Stop.request());
         }
         if let Some(screenshot) = &mut self.screenshot {
             screenshot.tick(ctx, now_s);
+        }
+        if self.source.playback().is_some_and(|p| p.playing()) {
+            ctx.request_repaint_after(Self::FRAME);
         }
         // Ages and the connection's state go on without samples.
         ctx.request_repaint_after(Duration::from_millis(250));
@@ -73,6 +81,9 @@ impl App {
         let Self { model, view, source, .. } = self;
         let mut asked = Vec::new();
         Panel::top("top").show(ui, |ui| top::show(ui, model, &self.address, now_s, &mut asked));
+        if let Some(recorded) = source.playback() {
+            Panel::bottom("playback").show(ui, |ui| playback::show(ui, recorded));
+        }
         let left = Panel::left("left").exact_size(LEFT_WIDTH).resizable(false);
         let pushed = left.show(ui, |ui| {
             ScrollArea::vertical().show(ui, |ui| {

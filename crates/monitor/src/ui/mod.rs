@@ -1,8 +1,10 @@
 //! How it looks: [`App`] lays out `top` (mode, reason, buttons), `robot` (from above, with its ring of taxels),
-//! `gauges` and `plots`.
+//! `gauges`, `plots`, and
+//! `playback` for a recorded run.
 
 mod app;
 mod gauges;
+mod playback;
 mod plots;
 mod robot;
 mod screenshot;

@@ -4,10 +4,10 @@ use super::{app::View, theme};
 use crate::logic::{
     Model, Panel,
     history::Curve,
-    panel::{round_marks, vertical_range},
+    panel::{column_name, round_marks, vertical_range},
     words::number,
 };
-use egui::{Align, Id, Layout, Rect, RichText, Ui, UiBuilder, Vec2, vec2};
+use egui::{Align, Button, Id, Layout, Rect, RichText, Ui, UiBuilder, Vec2, vec2};
 use egui_plot::{GridInput, GridMark, Line, Plot, PlotPoints, VLine};
 use moca_msgs::Mode;
 
@@ -70,7 +70,28 @@ fn toolbar(ui: &mut Ui, model: &Model, view: &mut View) {
             let behind_s = model.history.end_s().map_or(0.0, |end| (end - paused_s).max(0.0));
             ui.colored_label(theme::WARNING, format!("paused, {behind_s:.0} s behind"));
         }
+        ui.separator();
+        let export = Button::new("Export CSV");
+        let hint = "Save every sample of what is shown to a file in the current folder";
+        if ui.add_enabled(!model.history.is_empty(), export).on_hover_text(hint).clicked() {
+            view.exported = Some(self::export(model, view));
+        }
+        if let Some(exported) = &view.exported {
+            ui.weak(exported);
+        }
     });
+}
+
+/// Saves what is shown and says where, or why not.
+fn export(model: &Model, view: &View) -> String {
+    let end_s = view.paused_at_s.or(model.history.end_s()).unwrap_or(0.0);
+    let window_s = end_s - view.window_s..end_s;
+    let table = model.history.csv(window_s, |signal| column_name(&model.panels, signal));
+    let path = format!("{}-{end_s:.3}s.csv", model.robot.name.replace(|c: char| !c.is_alphanumeric(), "-"));
+    match std::fs::write(&path, table) {
+        Ok(()) => format!("saved {path}"),
+        Err(error) => format!("cannot save {path}: {error}"),
+    }
 }
 
 /// One plot of the page.

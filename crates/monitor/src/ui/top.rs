@@ -60,6 +60,7 @@ fn mode(ui: &mut Ui, model: &Model, now_s: f64) {
     let name = match model.freshness(now_s) {
         Freshness::Live => mode.map_or("–", moca_msgs::Mode::name),
         Freshness::Silent => "no samples",
+        Freshness::Down(_) if model.recorded => "log",
         Freshness::Down(_) => "no daemon",
     };
     Frame::new().fill(theme::mode(mode)).corner_radius(4).inner_margin(Margin::symmetric(12, 2)).show(
@@ -93,6 +94,9 @@ fn why(ui: &mut Ui, model: &Model, address: &str, now_s: f64) {
 fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String) {
     match model.freshness(now_s) {
         Freshness::Down(reason) => {
+            if model.recorded {
+                return (Some(theme::WARNING), reason);
+            }
             let text = format!(
                 "No daemon at {address} ({reason}). Start it with `cargo run --release`; trying again …"
             );
@@ -112,6 +116,10 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
     }
     if sample.board != Diagnosis::Frames {
         return (Some(theme::WARNING), sample.board.text().into());
+    }
+    if model.recorded {
+        let text = format!("A recorded run of {}: nothing here can be commanded.", model.robot.name);
+        return (Some(theme::WARNING), text);
     }
     let kind = if model.robot.simulated { ", simulated" } else { "" };
     let command = match model.status.commander {
