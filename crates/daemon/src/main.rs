@@ -23,6 +23,8 @@ struct Arguments {
 enum Command {
     /// Run the control loop (the default).
     Run(RunArguments),
+    /// Press every taxel beside a reference force and write a calibration file.
+    Calibrate(moca_daemon::calibrate::Arguments),
     /// Print the default configuration with every field documented.
     DefaultConfig,
 }
@@ -57,6 +59,7 @@ fn main() -> ExitCode {
     let result = match arguments.command {
         None => run(arguments.run),
         Some(Command::Run(run_arguments)) => run(run_arguments),
+        Some(Command::Calibrate(calibrate)) => moca_daemon::calibrate::run(&calibrate),
         Some(Command::DefaultConfig) => {
             #[expect(clippy::print_stdout, reason = "this is what the command is for")]
             {

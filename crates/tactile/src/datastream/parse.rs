@@ -282,30 +282,40 @@ fn integers(body: &[u8]) -> Option<([i16; MAX_COLUMNS], Dialect)> {
     };
     let mut values = [0; MAX_COLUMNS];
     let mut columns = 0u8;
-    for field in body.split(|&b| b == b' ') {
-        *values.get_mut(usize::from(columns))? = integer(field)?;
+    let mut rest = body;
+    loop {
+        let (value, after) = integer(rest)?;
+        *values.get_mut(usize::from(columns))? = value;
         columns += 1;
+        match after {
+            [] => break,
+            [b' ', next @ ..] => rest = next,
+            _ => return None,
+        }
     }
     matches!(columns, 12 | 13).then_some((values, Dialect { columns, trailing_space, carriage_return }))
 }
 
-fn integer(field: &[u8]) -> Option<i16> {
-    let (digits, negative) = match field.strip_prefix(b"-") {
-        Some(digits) => (digits, true),
-        None => (field, false),
+/// The integer at the start of `text`, at most 4 digits, and what follows it.
+fn integer(text: &[u8]) -> Option<(i16, &[u8])> {
+    let (digits, negative) = match text {
+        [b'-', digits @ ..] => (digits, true),
+        _ => (text, false),
     };
-    let leading_zero = digits.len() > 1 && digits[0] == b'0';
-    if digits.is_empty() || digits.len() > 4 || leading_zero || (negative && digits == b"0") {
-        return None;
-    }
     let mut value: i16 = 0;
-    for &digit in digits {
-        if !digit.is_ascii_digit() {
+    let mut length = 0;
+    while let Some(digit) = digits.get(length).filter(|b| b.is_ascii_digit()) {
+        if length == 4 {
             return None;
         }
         value = value * 10 + i16::from(digit - b'0');
+        length += 1;
     }
-    Some(if negative { -value } else { value })
+    let leading_zero = length > 1 && digits[0] == b'0';
+    if length == 0 || leading_zero || (negative && value == 0) {
+        return None;
+    }
+    Some((if negative { -value } else { value }, &digits[length..]))
 }
 
 /// Names text that no DataStream sketch prints; `None` for the tail of a frame.

@@ -1,0 +1,129 @@
+//! What a cover is made of: wiring, calibration, masks, thresholds.
+
+use crate::datastream::{ELECTRODES, SketchGeneration};
+use crate::model::TaxelModel;
+
+/// Most boards under one cover.
+pub const MAX_BOARDS: usize = 2;
+/// Contact begins at this many counts below zero. ASSUMED: about 5 N for PU and 5 σ of the stock noise.
+pub const CONTACT_ON_COUNTS: f64 = 4.0;
+/// Contact ends below this many counts below zero. ASSUMED.
+pub const CONTACT_OFF_COUNTS: f64 = 2.0;
+
+/// Where a taxel is wired.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Electrode {
+    /// 0 is the first board.
+    pub board: u8,
+    /// 0–11.
+    pub electrode: u8,
+}
+
+/// What the reading does about a taxel that the operator masked.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum MaskPolicy {
+    /// A masked taxel is a fault: the robot does not move.
+    #[default]
+    Stop,
+    /// The robot moves without feeling there. The taxel still reports [`TaxelStatus::Masked`].
+    Unfelt,
+}
+
+/// Constant configuration of a cover.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoverConfig<const K: usize> {
+    /// T1 first. Default: twelve to a board, in order.
+    pub wiring: [Electrode; K],
+    /// Calibration, T1 first.
+    pub models: [TaxelModel; K],
+    /// Taxels out of use.
+    pub masked: [bool; K],
+    /// What a masked taxel means.
+    pub mask_policy: MaskPolicy,
+    /// FDAT at rest when each taxel was calibrated, counts; `None` where the model was not measured. Counts scale
+    /// with FDAT at rest, so a board that comes up with another gain still reads newtons.
+    pub calibrated_at: [Option<f64>; K],
+    /// Sketch that the calibration was made with; another one is a fault.
+    pub calibrated_sketch: Option<SketchGeneration>,
+    /// Counts below zero at which contact begins.
+    pub contact_on_counts: f64,
+    /// Counts below zero under which contact ends.
+    pub contact_off_counts: f64,
+}
+
+impl<const K: usize> Default for CoverConfig<K> {
+    fn default() -> Self {
+        let electrode = |i: usize| Electrode {
+            board: u8::try_from(i / ELECTRODES).unwrap_or(u8::MAX),
+            electrode: u8::try_from(i % ELECTRODES).unwrap_or(u8::MAX),
+        };
+        Self {
+            wiring: core::array::from_fn(electrode),
+            models: [TaxelModel::PAPER; K],
+            masked: [false; K],
+            mask_policy: MaskPolicy::Stop,
+            calibrated_at: [None; K],
+            calibrated_sketch: None,
+            contact_on_counts: CONTACT_ON_COUNTS,
+            contact_off_counts: CONTACT_OFF_COUNTS,
+        }
+    }
+}
+
+/// Why a configuration makes no cover.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CoverConfigError {
+    /// A taxel (0 = T1) on a board or electrode that does not exist, or on one that another taxel has.
+    Wiring {
+        /// 0 is T1.
+        taxel: usize,
+    },
+    /// Thresholds must satisfy 0 < off ≤ on, in counts.
+    Thresholds {
+        /// As configured.
+        on_counts: f64,
+        /// As configured.
+        off_counts: f64,
+    },
+}
+
+impl core::fmt::Display for CoverConfigError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Wiring { taxel } => write!(
+                f,
+                "T{} must have a board (0 to {}) and an electrode (0 to {}) of its own",
+                taxel + 1,
+                MAX_BOARDS - 1,
+                ELECTRODES - 1
+            ),
+            Self::Thresholds { on_counts, off_counts } => {
+                write!(f, "contact thresholds: 0 < off ≤ on counts, got on {on_counts} and off {off_counts}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for CoverConfigError {}
+
+impl<const K: usize> CoverConfig<K> {
+    /// Which electrodes of which board carry taxels, and how many boards there are.
+    pub(super) fn check(&self) -> Result<([[bool; ELECTRODES]; MAX_BOARDS], usize), CoverConfigError> {
+        let (on_counts, off_counts) = (self.contact_on_counts, self.contact_off_counts);
+        if !(off_counts > 0.0 && off_counts <= on_counts && on_counts.is_finite()) {
+            return Err(CoverConfigError::Thresholds { on_counts, off_counts });
+        }
+        let mut used = [[false; ELECTRODES]; MAX_BOARDS];
+        let mut board_count = 1;
+        for (taxel, wire) in self.wiring.iter().enumerate() {
+            let board = usize::from(wire.board);
+            let slot = used.get_mut(board).and_then(|b| b.get_mut(usize::from(wire.electrode)));
+            match slot {
+                Some(slot) if !*slot => *slot = true,
+                _ => return Err(CoverConfigError::Wiring { taxel }),
+            }
+            board_count = board_count.max(board + 1);
+        }
+        Ok((used, board_count))
+    }
+}
