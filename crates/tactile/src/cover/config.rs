@@ -25,7 +25,7 @@ pub enum MaskPolicy {
     /// A masked taxel is a fault: the robot does not move.
     #[default]
     Stop,
-    /// The robot moves without feeling there. The taxel still reports [`TaxelStatus::Masked`].
+    /// The robot moves without feeling there. The taxel still reports [`moca_msgs::TaxelStatus::Masked`].
     Unfelt,
 }
 
