@@ -53,6 +53,11 @@ impl App {
         Self { source, address, model, view, screenshot }
     }
 
+    /// Sets the length of the plots' axis of time, s.
+    pub fn show_last_s(&mut self, window_s: f64) {
+        self.view.window_s = window_s;
+    }
+
     /// What it knows.
     pub fn model(&self) -> &Model {
         &self.model
