@@ -99,7 +99,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64) -> O
         arm_and_flange(&painter, &camera, model, sample, ui.visuals());
         wrench(&painter, &camera, sample.cover_wrench_base);
     });
-    if model.robot.simulated {
+    if model.robot.simulated && !model.recorded {
         ui.horizontal(|ui| {
             ui.label("Press and hold a taxel to push with");
             let slider =

@@ -72,6 +72,11 @@ impl Outgoing {
         self.send(FromClient::Release).await
     }
 
+    /// Shows that this client is alive, which keeps the command.
+    pub async fn alive(&mut self) -> Result<(), NetError> {
+        self.send(FromClient::Alive).await
+    }
+
     async fn send(&mut self, message: FromClient) -> Result<(), NetError> {
         Ok(self.stream.write_all(&wire::frame(&message)?).await?)
     }

@@ -1,6 +1,6 @@
 //! Who may command, what is asked of the loop, and what it has not answered yet.
 
-use super::wire::Commander;
+use super::wire::{COMMAND_LEASE, Commander};
 use crate::RobotDescription;
 use moca_msgs::{Outcome, Refusal, Request, request::PRESS_FORCE_MAX_N};
 use rtrb::{Consumer, Producer};
@@ -23,6 +23,12 @@ pub(super) struct Answer {
     pub(super) outcome: Outcome,
 }
 
+/// Who holds the command, and when it was last heard.
+struct Commanding {
+    client: ClientId,
+    heard: Instant,
+}
+
 struct Pending {
     client: ClientId,
     id: u64,
@@ -34,7 +40,7 @@ pub(super) struct Desk {
     requests: Producer<(u64, Request)>,
     outcomes: Consumer<(u64, Outcome)>,
     taxels: usize,
-    commander: Option<ClientId>,
+    commander: Option<Commanding>,
     /// Taxels the commander holds pressed, let go when it leaves.
     pressed: Vec<u8>,
     pending: BTreeMap<u64, Pending>,
@@ -62,9 +68,9 @@ impl Desk {
     ) -> Option<Answer> {
         let refuse = |refusal| Some(Answer { client, id, outcome: Err(refusal) });
         if request != Request::Stop {
-            match self.commander {
-                Some(other) if other != client => return refuse(Refusal::NotCommander),
-                _ => self.commander = Some(client),
+            match &self.commander {
+                Some(other) if other.client != client => return refuse(Refusal::NotCommander),
+                _ => self.commander = Some(Commanding { client, heard: now }),
             }
         }
         if let Request::PressTaxel { taxel, force_n } = request {
@@ -85,7 +91,7 @@ impl Desk {
 
     /// Takes the command from a client that gives it back or has left.
     pub(super) fn release(&mut self, client: ClientId) {
-        if self.commander == Some(client) {
+        if self.commander.as_ref().is_some_and(|c| c.client == client) {
             self.commander = None;
             for taxel in std::mem::take(&mut self.pressed) {
                 self.submit(Request::PressTaxel { taxel, force_n: 0.0 });
@@ -93,8 +99,20 @@ impl Desk {
         }
     }
 
-    /// What the loop has answered, and what it has failed to answer in time.
+    /// Notes a sign of life.
+    pub(super) fn hear(&mut self, client: ClientId, now: Instant) {
+        if let Some(commander) = self.commander.as_mut().filter(|c| c.client == client) {
+            commander.heard = now;
+        }
+    }
+
+    /// What the loop has answered, and what it has failed to answer in time. Takes the command from a silent client.
     pub(super) fn answers(&mut self, now: Instant) -> Vec<Answer> {
+        let silent =
+            self.commander.as_ref().filter(|c| now.saturating_duration_since(c.heard) > COMMAND_LEASE);
+        if let Some(client) = silent.map(|c| c.client) {
+            self.release(client);
+        }
         let mut answers = Vec::new();
         while let Ok((ticket, outcome)) = self.outcomes.pop() {
             if let Some(Pending { client, id, .. }) = self.pending.remove(&ticket) {
@@ -119,9 +137,9 @@ impl Desk {
 
     /// Who holds the command, as `client` sees it.
     pub(super) fn commander_seen_by(&self, client: ClientId) -> Commander {
-        match self.commander {
+        match &self.commander {
             None => Commander::Nobody,
-            Some(c) if c == client => Commander::You,
+            Some(c) if c.client == client => Commander::You,
             Some(_) => Commander::Another,
         }
     }
@@ -129,5 +147,32 @@ impl Desk {
     fn submit(&mut self, request: Request) -> bool {
         self.next_ticket += 1;
         self.requests.push((self.next_ticket, request)).is_ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rtrb::RingBuffer;
+
+    #[test]
+    fn a_commander_that_falls_silent_loses_the_command_and_lets_go() {
+        let (to_loop, mut requests) = RingBuffer::new(8);
+        let (_outcomes, answers) = RingBuffer::new(8);
+        let mut desk = Desk::new(to_loop, answers, &RobotDescription::paper("test", true));
+        let start = Instant::now();
+        let press = Request::PressTaxel { taxel: 2, force_n: 10.0 };
+        assert_eq!(desk.ask(1, 1, press, start), None);
+        assert_eq!(requests.pop().unwrap().1, press);
+
+        let alive = start + COMMAND_LEASE;
+        desk.hear(1, alive);
+        desk.answers(alive + COMMAND_LEASE);
+        assert_eq!(desk.commander_seen_by(1), Commander::You, "a sign of life keeps the command");
+        desk.hear(2, alive + COMMAND_LEASE);
+        desk.answers(alive + COMMAND_LEASE + Duration::from_millis(1));
+        assert_eq!(desk.commander_seen_by(1), Commander::Nobody);
+        assert_eq!(requests.pop().unwrap().1, Request::PressTaxel { taxel: 2, force_n: 0.0 });
+        assert_eq!(desk.ask(2, 1, Request::Tare, alive + COMMAND_LEASE), None);
     }
 }

@@ -3,7 +3,7 @@
 use super::{
     NetError,
     client::{Client, Incoming, Outgoing},
-    wire::{FromServer, Status},
+    wire::{COMMAND_LEASE, FromServer, Status},
 };
 use crate::RobotDescription;
 use moca_msgs::{Outcome, Refusal, Request, Sample};
@@ -223,20 +223,25 @@ async fn speak(
     orders: &mut mpsc::Receiver<Order>,
 ) -> Option<String> {
     let mut id = 0;
-    while let Some(order) = orders.recv().await {
+    let mut beat = tokio::time::interval(COMMAND_LEASE / 4);
+    loop {
+        let order = tokio::select! {
+            order = orders.recv() => Some(order?),
+            _ = beat.tick() => None,
+        };
         let sent = match order {
-            Order::Request(request) => {
+            None => outgoing.alive().await,
+            Some(Order::Request(request)) => {
                 id += 1;
                 lock(shared).waiting.insert(id, request);
                 outgoing.request(id, request).await
             }
-            Order::Release => outgoing.release().await,
+            Some(Order::Release) => outgoing.release().await,
         };
         if let Err(error) = sent {
             return Some(error.to_string());
         }
     }
-    None
 }
 
 /// Answers orders while there is no daemon; ends when there will be no more orders.

@@ -311,7 +311,9 @@ async fn read_requests(mut reader: OwnedReadHalf, client: &Client, hub: &Hub) ->
     let mut payload = Vec::new();
     loop {
         wire::read_frame(&mut reader, &mut payload, wire::MAX_CLIENT_FRAME).await?;
+        hub.desk.borrow_mut().hear(client.id, Instant::now());
         match postcard::from_bytes(&payload)? {
+            FromClient::Alive => {}
             FromClient::Request { id, request } => {
                 let refused = hub.desk.borrow_mut().ask(client.id, id, request, Instant::now());
                 if let Some(answer) = refused {

@@ -7,6 +7,7 @@ use super::NetError;
 use crate::RobotDescription;
 use moca_msgs::{Outcome, Request, Sample};
 use serde::{Deserialize, Serialize};
+use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncReadExt};
 
 /// Version of everything below, [`Sample`] included. Raised with every change.
@@ -15,6 +16,9 @@ pub const SCHEMA_VERSION: u32 = 1;
 pub const MAX_SERVER_FRAME: usize = 1 << 20;
 /// Longest frame a client sends, bytes.
 pub const MAX_CLIENT_FRAME: usize = 256;
+
+/// How long a commander may be silent: one that hangs must not keep others from the robot.
+pub const COMMAND_LEASE: Duration = Duration::from_secs(3);
 
 const MAGIC: [u8; 4] = *b"MOCA";
 
@@ -78,6 +82,8 @@ pub enum FromClient {
     },
     /// Give the command back.
     Release,
+    /// Nothing but a sign of life: a commander that is silent for [`COMMAND_LEASE`] loses the command.
+    Alive,
 }
 
 /// A message as a whole frame, length included.
