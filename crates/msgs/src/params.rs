@@ -22,7 +22,8 @@ pub struct ImpedanceGains<const N: usize> {
     pub posture_damping: [f64; N],
     /// Null-space posture, rad. eq. (11)
     pub posture_rad: [f64; N],
-    /// Scale of the cover's wrench on the base (end of section IV-A).
+    /// Scale of τ_v,ext, the external wrench on the base: the cover's, and in eq. (12) the flange's (end of section
+    /// IV-A).
     pub reactivity: f64,
 }
 

@@ -323,12 +323,12 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
             let coupling = times(&tick.mass.base_coupling, &acceleration);
             torque = core::array::from_fn(|i| torque[i] + coupling[i]);
         }
-        if state.entering {
-            state.entering = false;
-            state.carried_nm = core::array::from_fn(|i| state.torque_nm[i] - torque[i]);
-        }
         let repulsion =
             self.repulsion.torque(&tick.robot.q_rad, &tick.robot.dq_rad_s, |i| tick.mass.arm[(i, i)]);
+        if state.entering {
+            state.entering = false;
+            state.carried_nm = core::array::from_fn(|i| state.torque_nm[i] - torque[i] - repulsion[i]);
+        }
         hit.joint_range = repulsion.iter().any(|torque| *torque != T::zero());
         let total = core::array::from_fn(|i| torque[i] + state.carried_nm[i] + repulsion[i]);
         let arm_torque_nm = self.limits.torque(&total, &state.torque_nm, tick.dt_s, hit);

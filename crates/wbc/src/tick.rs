@@ -7,6 +7,7 @@ use crate::impedance;
 use crate::limits::LimitsHit;
 use crate::linalg::times;
 use crate::model::{Kinematics, LinkInertias, MassMatrix};
+use crate::observer::MomentumObserver;
 use crate::opspace::TaskDynamics;
 use crate::reference::{Pose, leashed};
 use crate::rotation;
@@ -104,6 +105,8 @@ impl<const N: usize, T: Scalar> Tick<'_, N, T> {
         task: &TaskDynamics<N, T>,
     ) -> Result<[T; 6], ControlError> {
         if let Some(wrench) = input.flange_wrench_world.or(self.robot.flange_wrench_world) {
+            // an observer that missed steps would take what happened in them for a push
+            state.observer = MomentumObserver::new();
             return Ok(wrench);
         }
         let (robot, kinematics) = (self.robot, &self.kinematics);

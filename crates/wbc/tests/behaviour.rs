@@ -14,8 +14,14 @@ const ALL: Corrections = Corrections { null_space_damping: true, base_coupling: 
 #[test]
 fn no_switch_of_law_meets_the_torque_rate_limit() {
     let laws = [ControlLaw::Impedance, ControlLaw::FollowMe, ControlLaw::Impedance, ControlLaw::Hold];
-    for corrections in [Corrections::LITERAL, ALL] {
-        let mut plant = Loop::new(ControlLaw::Hold, &Parameters { corrections, ..Parameters::PAPER });
+    // at home, and with a joint pushed back from the end of its range
+    let mut bent = at_home();
+    bent.q_rad[5] = PANDA.q_max_rad[5] - 0.05;
+    for (corrections, robot) in
+        [(Corrections::LITERAL, at_home()), (ALL, at_home()), (Corrections::LITERAL, bent)]
+    {
+        let parameters = Parameters { corrections, ..Parameters::PAPER };
+        let mut plant = Loop::starting(ControlLaw::Hold, &parameters, robot, 1e-3);
         let hand = Push { flange_n: [8.0, -6.0, 10.0], ..Push::taxels(&[1, 6], 10.0) };
         for tick in 0..4000_u32 {
             // a switch every 300 ms, pushed or not, moving or not
