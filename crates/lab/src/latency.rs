@@ -310,6 +310,12 @@ fn as_text(report: &Report) -> String {
             c.largest_speed_m_s
         );
     }
+    let _ = writeln!(
+        out,
+        "\nOne-dimensional and up to 16 % on the safe side of simulation; the paper's gains sit on its boundary. A \
+         speed is the\nsmaller of the small-signal bound F/(k(T + servo)) and of stopping within the way that foam \
+         and tissue yield."
+    );
     out
 }
 

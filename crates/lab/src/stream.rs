@@ -315,6 +315,8 @@ fn as_text(report: &Report) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use moca_sim::board::{BoardFault, VirtualBoard, VirtualBoardConfig};
+    use moca_tactile::datastream::SketchGeneration;
 
     fn report(name: &str, timed: bool) -> Report {
         let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/recordings");
@@ -370,5 +372,48 @@ mod tests {
         assert_eq!(kinds(&analyse(b"\x00\xff\x80hello\n", None)), ["no_frames"]);
         assert_eq!(kinds(&analyse(b"", None)), ["silent"]);
         assert_eq!(kinds(&analyse(&[b'7'; 100_000], None)), ["no_frames"]);
+    }
+
+    /// 4 s of a virtual board, read each millisecond; `fault` strikes after 2 s.
+    fn record(sketch: SketchGeneration, fault: Option<BoardFault>) -> (Vec<u8>, Vec<Read>) {
+        let mut board = VirtualBoard::new(VirtualBoardConfig { sketch, ..Default::default() }).unwrap();
+        let (mut bytes, mut reads) = (Vec::new(), Vec::new());
+        for millisecond in 1..4000 {
+            if millisecond == 2000 {
+                board.set_fault(fault);
+            }
+            let arrival_ns = millisecond * 1_000_000;
+            let before = bytes.len();
+            board.advance(arrival_ns, &[0.0; 11], &mut |line| bytes.extend_from_slice(line));
+            if bytes.len() > before {
+                reads.push(Read { arrival_ns, bytes: bytes.len() - before });
+            }
+        }
+        (bytes, reads)
+    }
+
+    #[test]
+    fn other_generations_are_recognised_and_fail_in_their_own_way() {
+        use SketchGeneration::{From2015, From2018, PiCap};
+        for (sketch, rate_hz, columns) in [(From2015, 67.5, 13), (From2018, 40.5, 13), (PiCap, 67.5, 12)] {
+            let (bytes, reads) = record(sketch, None);
+            let report = analyse(&bytes, Some(&reads));
+            assert!((report.rate_hz.unwrap() / rate_hz - 1.0).abs() < 0.02, "{report:?}");
+            assert_eq!((report.sketch, report.columns), (Some(sketch.name()), Some(columns)));
+            assert!(report.faults.is_empty() && report.frames_bad == 0, "{report:?}");
+            let untimed = analyse(&bytes, None);
+            assert_eq!(untimed.frames_good, report.frames_good);
+
+            let (bytes, reads) = record(sketch, Some(BoardFault::ChipReset));
+            assert!(kinds(&analyse(&bytes, Some(&reads))).contains(&"all_zero"));
+            let (bytes, reads) = record(sketch, Some(BoardFault::I2cLost));
+            let report = analyse(&bytes, Some(&reads));
+            assert!(kinds(&report).contains(&"frozen"), "{report:?}");
+            assert_eq!(
+                kinds(&report).contains(&"thresholds"),
+                sketch == From2018,
+                "older sketches keep theirs"
+            );
+        }
     }
 }
