@@ -75,15 +75,7 @@ struct HeldOut {
 #[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     ensure!((2..=100).contains(&arguments.trials), "--trials must be 2 to 100, got {}", arguments.trials);
-    let recordings: Vec<Vec<Recording>> = FoamLaw::PAPER
-        .into_iter()
-        .map(|law| trials::record(law, Protocol::Ramps, arguments.trials, arguments.seed))
-        .collect();
-    let materials = FoamLaw::PAPER
-        .into_iter()
-        .zip(&recordings)
-        .map(|(law, recordings)| material(law, recordings, arguments.seed))
-        .collect::<anyhow::Result<Vec<_>>>()?;
+    let (recordings, materials) = simulate(arguments.trials, arguments.seed)?;
     std::fs::create_dir_all(&arguments.out)
         .with_context(|| format!("cannot create {}", arguments.out.display()))?;
     figure::write(&figure::figure_4(&recordings), &arguments.out.join("figure4"))?;
@@ -94,6 +86,23 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         print!("{}", tables::report(&materials, arguments.trials, &arguments.out));
     }
     Ok(())
+}
+
+/// Tables I and II as text and Figure 4 as SVG, for a report that holds them.
+pub(crate) fn tables_and_figure_4(trials: usize, seed: u64) -> anyhow::Result<(String, String)> {
+    let (recordings, materials) = simulate(trials, seed)?;
+    Ok((tables::report(&materials, trials, Path::new("out/characterize")), figure::figure_4(&recordings)))
+}
+
+fn simulate(trials: usize, seed: u64) -> anyhow::Result<(Vec<Vec<Recording>>, Vec<Material>)> {
+    let recordings: Vec<Vec<Recording>> =
+        FoamLaw::PAPER.into_iter().map(|law| trials::record(law, Protocol::Ramps, trials, seed)).collect();
+    let materials = FoamLaw::PAPER
+        .into_iter()
+        .zip(&recordings)
+        .map(|(law, recordings)| material(law, recordings, seed))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    Ok((recordings, materials))
 }
 
 fn material(law: FoamLaw, recordings: &[Recording], seed: u64) -> anyhow::Result<Material> {

@@ -9,6 +9,8 @@ mod extremes;
 mod latency;
 mod observers;
 mod parallel;
+mod precision;
+mod report;
 mod stability;
 mod stream;
 mod sweep;
@@ -37,6 +39,10 @@ enum Command {
     Latency(latency::Arguments),
     /// What watching costs the live loop: overruns and publish stage with and without observers.
     Observers(observers::Arguments),
+    /// Error against run time: integrators and steps, control rate, single precision.
+    Precision(precision::Arguments),
+    /// One self-contained HTML page: tables, figures, what matches the paper and what does not.
+    Report(report::Arguments),
     /// The whole system at the stiff and extreme ends of its parameters.
     Stability(stability::Arguments),
     /// Many collisions over a grid or a random sample of settings, resumable and in shards.
@@ -58,6 +64,8 @@ fn main() -> anyhow::Result<()> {
         Command::Extremes(arguments) => extremes::run(&arguments),
         Command::Latency(arguments) => latency::run(&arguments),
         Command::Observers(arguments) => observers::run(&arguments),
+        Command::Precision(arguments) => precision::run(&arguments),
+        Command::Report(arguments) => report::run(&arguments),
         Command::Stability(arguments) => stability::run(&arguments),
         Command::Sweep(arguments) => sweep::run(&arguments),
         Command::Economy(arguments) => economy::run(&arguments),

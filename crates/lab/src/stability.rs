@@ -105,6 +105,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
+/// The map alone, for a report that holds it.
+pub(crate) fn map_figure() -> Result<Drawing> {
+    Ok(draw(&map()?))
+}
+
 fn text(report: &Report) -> String {
     let mut lines = vec![format!(
         "{:44} {:>7} {:>8} {:>9} {:>9} {:>9} {:>7}",

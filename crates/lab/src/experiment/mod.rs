@@ -2,9 +2,9 @@
 //! real time.
 
 pub(crate) mod collision;
-mod figure;
-mod paper;
-mod push;
+pub(crate) mod figure;
+pub(crate) mod paper;
+pub(crate) mod push;
 pub(crate) mod rig;
 pub(crate) mod settings;
 #[cfg(test)]
