@@ -1,0 +1,137 @@
+//! The running daemon as a dashboard meets it, and a board that goes away and comes back.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
+
+use moca_msgs::{Fault, Mode, Refusal, Request, Sample, TaxelStatus};
+use moca_sim::{PtyBoard, SharedForces, VirtualBoardConfig};
+use moca_tactile::serial::{PortSelection, SerialBoard};
+use moca_tactile::{Cover, CoverConfig};
+use moca_telemetry::net::Connection;
+use std::net::{SocketAddr, TcpListener};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Ends a test that would hang; no test passes or fails by how long something took before this.
+const HANGS_AFTER: Duration = Duration::from_secs(60);
+
+struct Daemon {
+    process: Child,
+    address: SocketAddr,
+}
+
+impl Daemon {
+    fn start(name: &str) -> Self {
+        let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let config = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
+        let text = format!("[telemetry]\nlisten = \"{address}\"\n[simulation.hand]\ntaxels = []\n");
+        std::fs::write(&config, text).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_mocad"));
+        command.args(["--config", config.to_str().unwrap()]).stdout(Stdio::null());
+        Self { process: command.spawn().unwrap(), address }
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// Polls until a sample satisfies `wanted`.
+fn wait_for(connection: &Connection, what: &str, wanted: impl Fn(&Sample) -> bool) -> Sample {
+    let until = Instant::now() + HANGS_AFTER;
+    let mut last = None;
+    while Instant::now() < until {
+        for sample in connection.poll().samples {
+            if wanted(&sample) {
+                return sample;
+            }
+            last = Some(sample);
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    panic!("never saw: {what}; last sample {last:?}");
+}
+
+fn answer(connection: &Connection, request: Request) -> moca_msgs::Outcome {
+    connection.request(request);
+    let until = Instant::now() + HANGS_AFTER;
+    while Instant::now() < until {
+        if let Some(reply) = connection.poll().replies.first() {
+            assert_eq!(reply.request, request);
+            return reply.outcome;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    panic!("no answer to {request:?}");
+}
+
+#[test]
+fn a_client_presses_a_taxel_stops_and_resumes_and_another_may_only_stop() {
+    let daemon = Daemon::start("remote.toml");
+    let one = Connection::spawn(daemon.address, || {}).unwrap();
+    let other = Connection::spawn(daemon.address, || {}).unwrap();
+    wait_for(&one, "armed after the automatic tare", |s| s.mode == Mode::Impedance);
+    wait_for(&other, "the same", |s| s.mode == Mode::Impedance);
+
+    assert_eq!(answer(&one, Request::PressTaxel { taxel: 5, force_n: 20.0 }), Ok(()));
+    wait_for(&one, "the base gives way", |s| s.taxels[5].force_n > 5.0 && s.base_pose_world[0] < -0.02);
+    assert_eq!(answer(&one, Request::PressTaxel { taxel: 11, force_n: 20.0 }), Err(Refusal::OutOfRange));
+    assert_eq!(answer(&one, Request::PressTaxel { taxel: 5, force_n: 1e9 }), Err(Refusal::OutOfRange));
+
+    assert_eq!(answer(&other, Request::Disarm), Err(Refusal::NotCommander));
+    assert_eq!(answer(&other, Request::Stop), Ok(()), "stop is taken from anyone");
+    let stopped = wait_for(&one, "protective stop", |s| s.mode == Mode::ProtectiveStop);
+    assert_eq!(stopped.fault, Some(Fault::OperatorStop));
+
+    assert_eq!(answer(&one, Request::PressTaxel { taxel: 5, force_n: 0.0 }), Ok(()));
+    assert_eq!(answer(&one, Request::Arm), Err(Refusal::Mode(Mode::ProtectiveStop)));
+    assert_eq!(answer(&one, Request::Resume), Ok(()));
+    assert_eq!(answer(&one, Request::Arm), Ok(()));
+    wait_for(&one, "armed again", |s| s.mode == Mode::Impedance);
+}
+
+#[test]
+fn a_board_that_is_plugged_in_again_is_found_and_needs_a_tare() {
+    let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("touch-board");
+    let board = PtyBoard::spawn(VirtualBoardConfig::default(), SharedForces::default(), &path).unwrap();
+    let start = Instant::now();
+    let port = PortSelection::Path(path.display().to_string());
+    let (_reader, mut events) = SerialBoard::spawn(port, start).unwrap();
+    let mut cover = Cover::<11>::new(CoverConfig::default()).unwrap();
+    let mut wait = |cover: &mut Cover<11>, what: &str, wanted: &dyn Fn(&Cover<11>, Option<Fault>) -> bool| {
+        while start.elapsed() < HANGS_AFTER {
+            while let Ok(event) = events.pop() {
+                cover.event(0, &event);
+            }
+            let now_ns = u64::try_from(start.elapsed().as_nanos()).unwrap();
+            let poll = cover.poll(now_ns);
+            if wanted(cover, poll.fault) {
+                return now_ns;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        panic!("never saw: {what}");
+    };
+    let frames = |cover: &Cover<11>| cover.boards().next().unwrap().stats().frames_good;
+
+    let now_ns = wait(&mut cover, "frames", &|cover, _| frames(cover) > 3);
+    cover.start_tare(now_ns);
+    wait(&mut cover, "a valid zero and no fault", &|cover, fault| cover.zero_valid() && fault.is_none());
+
+    board.unplug();
+    wait(&mut cover, "the port is lost", &|_, fault| fault == Some(Fault::BoardLost));
+    let link = std::fs::symlink_metadata(&path).map(|metadata| metadata.is_symlink());
+    board.replug();
+    let before = frames(&cover);
+    let now_ns = wait(&mut cover, "frames again", &|cover, _| frames(cover) > before + 3);
+    assert!(!cover.zero_valid(), "zero and gain are void after re-enumeration");
+    assert!(cover.poll(now_ns).reading.taxels.iter().all(|taxel| taxel.status == TaxelStatus::NoZero));
+    assert!(
+        std::fs::symlink_metadata(&path).unwrap().is_symlink(),
+        "the port kept its name; while away: {link:?}"
+    );
+    cover.start_tare(now_ns);
+    wait(&mut cover, "a valid zero and no fault", &|cover, fault| cover.zero_valid() && fault.is_none());
+}
