@@ -96,3 +96,10 @@ fn a_missing_port_is_named_with_what_to_check_and_nothing_moves() {
     assert!(shown.contains("  mode         starting"), "{shown}");
     assert!(shown.contains("  base         x +0.000 m, y +0.000 m, yaw +0.0°"), "{shown}");
 }
+
+#[test]
+fn a_calibration_that_is_missing_or_of_another_board_is_refused() {
+    let missing = file("no_calibration.toml", "[board]\ncalibration = \"/nowhere/cover.toml\"\n");
+    let output = mocad(&["--config", missing.to_str().unwrap()]);
+    assert!(!output.status.success() && text(&output.stderr).contains("/nowhere/cover.toml"));
+}

@@ -229,3 +229,20 @@ fn the_loop_does_not_allocate_in_any_mode() {
     world.feed.unplug();
     assert_eq!(count(&mut world, TICKS), 0, "unplugged");
 }
+
+#[test]
+fn a_masked_taxel_stops_the_robot_unless_it_is_told_to_move_unfeeling() {
+    let mut config = config();
+    config.board.masked = vec![6];
+    let mut world = world(&config);
+    let stopped = run(&mut world, TARED_TICKS);
+    let expected = Fault::TaxelInvalid { taxel: 5, status: moca_msgs::TaxelStatus::Masked };
+    assert_eq!((stopped.mode.moves(), stopped.fault), (false, Some(expected)));
+
+    config.board.mask_policy = moca_daemon::config::MaskPolicyConfig::Unfelt;
+    let mut world = armed(&config);
+    ask(&mut world, Request::PressTaxel { taxel: 5, force_n: 50.0 }).unwrap();
+    let pressed = run(&mut world, 1000);
+    assert_eq!(pressed.taxels[5].status, moca_msgs::TaxelStatus::Masked, "shown as masked, not as untouched");
+    assert!(pressed.base_pose_world[0].abs() < 1e-3);
+}

@@ -2,6 +2,10 @@
 
 use crate::realtime::Wishes;
 use moca_msgs::{Corrections, ImpedanceGains, Law, Limits, Parameters};
+use moca_tactile::CoverConfig;
+use moca_tactile::calibration::CalibrationFile;
+use moca_tactile::calibration::file::FileError;
+use moca_tactile::cover::MaskPolicy;
 use moca_tactile::serial::PortSelection;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -72,7 +76,13 @@ section! {
 }
 section! {
     /// `[board]`
-    BoardConfig { port: String = "virtual".into() }
+    BoardConfig {
+        port: String = VIRTUAL_PORT.into(),
+        name: String = String::new(),
+        calibration: String = String::new(),
+        masked: Vec<usize> = Vec::new(),
+        mask_policy: MaskPolicyConfig = MaskPolicyConfig::Stop,
+    }
 }
 section! {
     /// `[telemetry]`
@@ -131,6 +141,16 @@ impl HandConfig {
     }
 }
 
+/// What a masked taxel means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MaskPolicyConfig {
+    /// The robot does not move.
+    Stop,
+    /// The robot moves without feeling there.
+    Unfelt,
+}
+
 /// Which robot is driven.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -168,6 +188,29 @@ impl Config {
             AUTO_PORT => PortSelection::default(),
             path => PortSelection::Path(path.to_owned()),
         }
+    }
+
+    /// How the cover reads its board: calibration, masks.
+    ///
+    /// # Errors
+    /// A calibration file that cannot be read, is of another board, or does not name every taxel.
+    pub fn cover(&self) -> Result<CoverConfig<TAXELS>, FileError> {
+        let mut cover = CoverConfig {
+            mask_policy: match self.board.mask_policy {
+                MaskPolicyConfig::Stop => MaskPolicy::Stop,
+                MaskPolicyConfig::Unfelt => MaskPolicy::Unfelt,
+            },
+            ..CoverConfig::default()
+        };
+        for &taxel in &self.board.masked {
+            if let Some(masked) = taxel.checked_sub(1).and_then(|i| cover.masked.get_mut(i)) {
+                *masked = true;
+            }
+        }
+        if !self.board.calibration.is_empty() {
+            CalibrationFile::read(Path::new(&self.board.calibration))?.apply(&self.board.name, &mut cover)?;
+        }
+        Ok(cover)
     }
 
     /// Where telemetry listens, if anywhere; checked by [`Config::check`].
@@ -274,9 +317,12 @@ impl Config {
         within("realtime.priority", f64::from(self.realtime.priority), "", 0.0, 98.0);
         within("realtime.cpu", f64::from(self.realtime.cpu), "", -1.0, 1023.0);
         let hand = &self.simulation.hand;
-        for &taxel in &hand.taxels {
-            #[expect(clippy::cast_precision_loss, reason = "only shown in a message")]
-            within("simulation.hand.taxels", taxel as f64, "(taxel number)", 1.0, TAXELS as f64);
+        for (path, taxels) in [("simulation.hand.taxels", &hand.taxels), ("board.masked", &self.board.masked)]
+        {
+            for &taxel in taxels {
+                #[expect(clippy::cast_precision_loss, reason = "only shown in a message")]
+                within(path, taxel as f64, "(taxel number)", 1.0, TAXELS as f64);
+            }
         }
         within("simulation.hand.force_n", hand.force_n, "N", 0.0, 200.0);
         within("simulation.hand.every_s", hand.every_s, "s", 1.0, 3600.0);

@@ -5,13 +5,13 @@ use crate::config::{Config, TAXELS};
 use crate::control_loop::{ControlLoop, Slot};
 use crate::cover_source::CoverSource;
 use crate::ideal_cover::IdealCover;
-use crate::run::{motion, supervisor};
+use crate::run::{cover_config, motion, supervisor};
 use crate::simulated::SimulatedRobot;
 use anyhow::Result;
 use moca_msgs::{Outcome, Request, Sample};
 use moca_sim::{Scene, VirtualBoard, VirtualBoardConfig};
 use moca_tactile::board::Chunk;
-use moca_tactile::{BoardEvent, CloseReason, Cover, CoverConfig};
+use moca_tactile::{BoardEvent, CloseReason, Cover};
 
 /// Events the ring to the loop holds; a tick sees a handful.
 const RING_EVENTS: usize = 256;
@@ -106,7 +106,7 @@ impl LockStep<ByteCover, MemoryBoard> {
         copies: Option<rtrb::Producer<BoardEvent>>,
     ) -> Result<Self> {
         let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
-        let cover = ByteCover::new(Cover::new(CoverConfig::default())?, events, copies);
+        let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events, copies);
         let feed = MemoryBoard { board: VirtualBoard::new(board)?, cable, plugged: true, now_ns: 0 };
         Self::new(config, scene, cover, feed)
     }

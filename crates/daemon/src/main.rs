@@ -85,6 +85,7 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
         Some(path) => Config::load(path).map_err(|error| anyhow::anyhow!("{}:\n{error}", path.display()))?,
         None => Config::default(),
     };
+    moca_daemon::run::cover_config(&config)?;
     if arguments.check {
         return Ok(());
     }

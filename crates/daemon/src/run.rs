@@ -1,7 +1,7 @@
 //! `mocad run`: puts the parts together, starts the loop, shows what runs.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
-use crate::config::{Config, PlantKind, VIRTUAL_PORT};
+use crate::config::{Config, PlantKind, TAXELS, VIRTUAL_PORT};
 use crate::console::{Console, Summary};
 use crate::control_loop::ControlLoop;
 use crate::cover_source::CoverSource;
@@ -94,6 +94,14 @@ pub fn motion(config: &Config) -> Result<Motion> {
     Ok(Motion::new(controller))
 }
 
+/// The cover that the configuration asks for.
+///
+/// # Errors
+/// The calibration file cannot be used.
+pub fn cover_config(config: &Config) -> Result<moca_tactile::CoverConfig<TAXELS>> {
+    config.cover().with_context(|| format!("board.calibration = {:?}", config.board.calibration))
+}
+
 fn introduce(options: &Options) {
     let config = &options.config;
     println!("mocad {}: robot {:?}", env!("CARGO_PKG_VERSION"), config.robot);
@@ -163,8 +171,8 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
     use crate::byte_cover::ByteCover;
     use crate::simulated::SimulatedRobot;
     use moca_sim::{PtyBoard, Scene};
+    use moca_tactile::Cover;
     use moca_tactile::serial::SerialBoard;
-    use moca_tactile::{Cover, CoverConfig};
 
     let config = &options.config;
     introduce_simulation(config);
@@ -181,7 +189,7 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
     let clock = Clock::start()?;
     let (_serial, events) = SerialBoard::spawn(port, clock.instant())?;
     let (recording, copies) = recording(options)?;
-    let cover = ByteCover::new(Cover::new(CoverConfig::default())?, events, copies);
+    let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events, copies);
     let plant = SimulatedRobot::new(config, &Scene::default(), forces)?;
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
