@@ -1,5 +1,10 @@
 //! The running daemon as a dashboard meets it, and a board that goes away and comes back.
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot go on has to stop"
+)]
 
 use moca_msgs::{Fault, Mode, Refusal, Request, Sample, TaxelStatus};
 use moca_sim::{PtyBoard, SharedForces, VirtualBoardConfig};

@@ -456,7 +456,12 @@ mod tests {
     fn unknown_keys_are_all_named_with_what_is_allowed() {
         let error = Config::parse("[board]\nprot = \"x\"\n[loops]\n").unwrap_err();
         assert_eq!(error.mistakes.len(), 2);
-        assert!(error.mistakes[0].contains("line 2: unknown key board.prot; allowed here: port"), "{error}");
+        assert!(
+            error.mistakes[0].contains(
+                "line 2: unknown key board.prot; allowed here: calibration, mask_policy, masked, name, port"
+            ),
+            "{error}"
+        );
         assert!(error.mistakes[1].contains("unknown key loops"), "{error}");
     }
 
