@@ -6,7 +6,8 @@
 //! 3. [`taxel`]: what the cover feels, with its age and its health; [`board`]: what is known of the board behind it.
 //! 4. [`params`]: the controllers' parameters and their defaults.
 //! 5. [`mode`]: modes, faults, how each is cleared.
-//! 6. [`request`] and [`sample`]: what an observer may ask and what it is shown.
+//! 6. [`protection`]: speed limit and contact events.
+//! 7. [`request`] and [`sample`]: what an observer may ask and what it is shown.
 //!
 //! # Conventions
 //! SI units and radians. Frames: **W** world; **B** mobile base (x forward, y left, z up, origin on the floor at
@@ -22,6 +23,7 @@
 pub mod board;
 pub mod mode;
 pub mod params;
+pub mod protection;
 pub mod request;
 pub mod robot;
 pub mod sample;
@@ -30,6 +32,7 @@ pub mod taxel;
 
 pub use mode::{Fault, Law, Mode, Reaction};
 pub use params::{Corrections, ImpedanceGains, Limits, ParameterError, Parameters};
+pub use protection::{ContactEvent, ContactReaction, SpeedLimit, SpeedLimitReason};
 pub use request::{Outcome, Refusal, Request};
 pub use robot::{ArmTable, BaseTable, Mount, Payload, TaxelPlacement};
 pub use sample::{MAX_JOINTS, MAX_TAXELS, Sample};

@@ -1,7 +1,8 @@
 //! One tick as an observer sees it.
 
 use crate::board::Diagnosis;
-use crate::{Fault, Mode, TaxelReading};
+use crate::protection::MAX_CONTACT_EVENTS;
+use crate::{ContactEvent, ContactReaction, Fault, Mode, SpeedLimit, TaxelReading};
 use heapless::Vec;
 
 /// Most arm joints a sample can carry.
@@ -59,6 +60,12 @@ pub struct Sample {
     pub frames_bad: u64,
     /// What the board's port and bytes say about it.
     pub board: Diagnosis,
+    /// Speed limit in force.
+    pub speed_limit: SpeedLimit,
+    /// Reaction to a contact in force.
+    pub contact_reaction: Option<ContactReaction>,
+    /// What happened to contacts in this tick, oldest first.
+    pub contact_events: Vec<ContactEvent, MAX_CONTACT_EVENTS>,
     /// How late this tick woke, s; 0 in lock-step.
     pub lateness_s: f64,
     /// Missed slots so far.

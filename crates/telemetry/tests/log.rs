@@ -6,8 +6,10 @@
     reason = "test helpers fail by panicking; read back bit by bit"
 )]
 
+use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
-    Fault, Mode, Sample, TaxelReading, TaxelStatus,
+    ContactEvent, ContactReaction, Fault, Mode, Sample, SpeedLimit, SpeedLimitReason, TaxelReading,
+    TaxelStatus,
     board::{Diagnosis, OpenFailure},
 };
 use moca_telemetry::{
@@ -71,8 +73,26 @@ fn sample(tick: u32) -> Sample {
         frames_bad: u64::from(tick / 1000),
         lateness_s: value(),
         overruns: u64::from(tick / 700),
+        speed_limit: SpeedLimit { m_s: value(), reason: SpeedLimitReason::BoardRate },
+        contact_reaction: tick.is_multiple_of(7).then_some(ContactReaction::StopDirection),
         ..Sample::default()
     };
+    for taxel in 0..u8::try_from(tick % 50 % 4).unwrap() {
+        let event = ContactEvent {
+            taxel,
+            phase: ContactPhase::Finished,
+            kind: ContactKind::QuasiStatic,
+            started_ns: 7,
+            duration_s: value(),
+            peak_n: value(),
+            clamp_mean_n: value(),
+            clamp_max_n: value(),
+            impulse_n_s: value(),
+            crossed_n: (taxel > 0).then(|| value().abs() + 1.0),
+            reaction: (taxel > 0).then_some(ContactReaction::Retreat),
+        };
+        s.contact_events.push(event).unwrap();
+    }
     for _ in 0..7 {
         s.q_rad.push(value()).unwrap();
         s.dq_rad_s.push(value()).unwrap();

@@ -2,7 +2,9 @@
 
 use super::{
     LogError, SerialBytes,
-    records::{BoardChange, Channel, Command, Cover, FaultChange, ModeChange, Robot, Serial, State, Timing},
+    records::{
+        BoardChange, Channel, Command, Contact, Cover, FaultChange, ModeChange, Robot, Serial, State, Timing,
+    },
 };
 use crate::RobotDescription;
 use mcap::{McapResult, Message, io::MessageReader, sans_io::LinearReaderOptions};
@@ -57,6 +59,7 @@ struct Partial {
     state: Option<State>,
     command: Option<Command>,
     cover: Option<Cover>,
+    contacts: Vec<Contact>,
 }
 
 /// Reads all of a log. A log that was cut gives everything up to its last whole chunk, and says so in `cut`.
@@ -129,6 +132,7 @@ impl LogReader {
             State::TOPIC => self.partial.state = Some(parse(message)?),
             Command::TOPIC => self.partial.command = Some(parse(message)?),
             Cover::TOPIC => self.partial.cover = Some(parse(message)?),
+            Contact::TOPIC => self.partial.contacts.push(parse(message)?),
             Timing::TOPIC => return Ok(self.complete(message.log_time, &parse(message)?)),
             Serial::TOPIC => return Ok(Some(Record::Serial(serial(&parse(message)?)))),
             _ => {} // Channels that others have added are not ours to judge.
@@ -138,11 +142,13 @@ impl LogReader {
 
     /// The sample, if all messages of its tick are there; `Timing` is the last one written.
     fn complete(&mut self, log_time: u64, timing: &Timing) -> Option<Record> {
-        let Partial { state, command, cover } = std::mem::take(&mut self.partial);
+        let Partial { state, command, cover, contacts } = std::mem::take(&mut self.partial);
         let (state, command, cover) = (state?, command?, cover?);
         if [state.tick, command.tick, cover.tick] != [timing.tick; 3] {
             return None;
         }
+        let (speed_limit, contact_reaction) = (command.speed_limit(), command.contact_reaction());
+        let events = contacts.iter().filter(|contact| contact.tick == timing.tick).map(Contact::event);
         let readings = cover.force_n.iter().zip(&cover.status);
         Some(Record::Sample(Box::new(Sample {
             tick: timing.tick,
@@ -168,6 +174,9 @@ impl LogReader {
             frames_good: timing.frames_good,
             frames_bad: timing.frames_bad,
             board: self.board,
+            speed_limit,
+            contact_reaction,
+            contact_events: bounded(events),
             lateness_s: timing.lateness_s,
             overruns: timing.overruns,
         })))

@@ -1,7 +1,10 @@
 //! The messages of a log, one type for each channel. Units and frames as in [`moca_msgs::Sample`]; a value that is
 //! not finite is `null`, and read back as NaN.
 
-use moca_msgs::{Fault, Mode, TaxelStatus, board::Diagnosis};
+use moca_msgs::protection::{ContactKind, ContactPhase};
+use moca_msgs::{
+    ContactEvent, ContactReaction, Fault, Mode, SpeedLimit, SpeedLimitReason, TaxelStatus, board::Diagnosis,
+};
 use schemars::{JsonSchema, generate::SchemaSettings};
 use serde::{Deserialize, Deserializer, Serialize, de::Error};
 
@@ -62,6 +65,102 @@ pub struct Command {
     /// Joint torques, gravity included, N·m.
     #[serde(deserialize_with = "list")]
     pub arm_torque_nm: Vec<f64>,
+    /// Largest speed that any point of the cover was allowed, m/s.
+    #[serde(default, deserialize_with = "scalar")]
+    pub speed_limit_m_s: f64,
+    /// Why.
+    #[serde(default)]
+    #[schemars(with = "String")]
+    pub speed_limit_reason: SpeedLimitReason,
+    /// Reaction to a contact in force; empty without one.
+    #[serde(default)]
+    pub contact_reaction: String,
+}
+
+impl Command {
+    /// The speed limit.
+    pub fn speed_limit(&self) -> SpeedLimit {
+        SpeedLimit { m_s: self.speed_limit_m_s, reason: self.speed_limit_reason }
+    }
+
+    /// The reaction to a contact.
+    pub fn contact_reaction(&self) -> Option<ContactReaction> {
+        named(&self.contact_reaction)
+    }
+}
+
+/// Something that happened to a contact of one taxel.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct Contact {
+    /// Tick count.
+    pub tick: u64,
+    /// Taxel number; T1 is 1.
+    pub taxel: u8,
+    /// Started, LimitCrossed, Finished or Lost.
+    #[schemars(with = "String")]
+    pub phase: ContactPhase,
+    /// Transient up to 0.5 s, else QuasiStatic.
+    #[schemars(with = "String")]
+    pub kind: ContactKind,
+    /// Loop time at which it was first felt, ns.
+    pub started_ns: u64,
+    /// Time since then, s.
+    #[serde(deserialize_with = "scalar")]
+    pub duration_s: f64,
+    /// Largest force, N.
+    #[serde(deserialize_with = "scalar")]
+    pub peak_n: f64,
+    /// Mean force after the first 0.5 s, N.
+    #[serde(deserialize_with = "scalar")]
+    pub clamp_mean_n: f64,
+    /// Largest force after the first 0.5 s, N.
+    #[serde(deserialize_with = "scalar")]
+    pub clamp_max_n: f64,
+    /// Time integral of the force, N·s.
+    #[serde(deserialize_with = "scalar")]
+    pub impulse_n_s: f64,
+    /// The user's limit that it has crossed, N; 0 if none.
+    #[serde(deserialize_with = "scalar")]
+    pub crossed_n: f64,
+    /// Reaction to it; empty without one.
+    pub reaction: String,
+}
+
+impl Contact {
+    /// `event`, which a sample of `tick` carried.
+    pub fn new(tick: u64, event: &ContactEvent) -> Self {
+        Self {
+            tick,
+            taxel: event.taxel.saturating_add(1),
+            phase: event.phase,
+            kind: event.kind,
+            started_ns: event.started_ns,
+            duration_s: event.duration_s,
+            peak_n: event.peak_n,
+            clamp_mean_n: event.clamp_mean_n,
+            clamp_max_n: event.clamp_max_n,
+            impulse_n_s: event.impulse_n_s,
+            crossed_n: event.crossed_n.unwrap_or(0.0),
+            reaction: name_of(event.reaction),
+        }
+    }
+
+    /// The event.
+    pub fn event(&self) -> ContactEvent {
+        ContactEvent {
+            taxel: self.taxel.saturating_sub(1),
+            phase: self.phase,
+            kind: self.kind,
+            started_ns: self.started_ns,
+            duration_s: self.duration_s,
+            peak_n: self.peak_n,
+            clamp_mean_n: self.clamp_mean_n,
+            clamp_max_n: self.clamp_max_n,
+            impulse_n_s: self.impulse_n_s,
+            crossed_n: (self.crossed_n > 0.0).then_some(self.crossed_n),
+            reaction: named(&self.reaction),
+        }
+    }
 }
 
 /// What the cover felt, T1 first.
@@ -200,12 +299,22 @@ channels! {
     Robot => "/robot",
     State => "/state",
     Command => "/command",
+    Contact => "/contact",
     Cover => "/cover",
     Timing => "/timing",
     ModeChange => "/mode",
     FaultChange => "/fault",
     BoardChange => "/board",
     Serial => "/serial",
+}
+
+/// Name of a reaction as a log shows it.
+pub(super) fn name_of(reaction: Option<ContactReaction>) -> String {
+    reaction.map_or("", ContactReaction::name).into()
+}
+
+fn named(name: &str) -> Option<ContactReaction> {
+    ContactReaction::ALL.into_iter().find(|reaction| reaction.name() == name)
 }
 
 fn scalar<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {

@@ -2,7 +2,10 @@
 
 use super::{
     LogError, SerialBytes,
-    records::{BoardChange, Channel, Command, Cover, FaultChange, ModeChange, Robot, Serial, State, Timing},
+    records::{
+        BoardChange, Channel, Command, Contact, Cover, FaultChange, ModeChange, Robot, Serial, State, Timing,
+        name_of,
+    },
 };
 use crate::RobotDescription;
 use mcap::{
@@ -71,6 +74,7 @@ impl<W: Write> LogWriter<W> {
         log.add::<ModeChange>()?;
         log.add::<FaultChange>()?;
         log.add::<BoardChange>()?;
+        log.add::<Contact>()?;
         log.add::<Serial>()?;
         let json = serde_json::to_string(&meta.description)?;
         let name = meta.description.name.clone();
@@ -79,7 +83,7 @@ impl<W: Write> LogWriter<W> {
         Ok(log)
     }
 
-    /// Writes one sample: what changed, then state, command, cover and timing.
+    /// Writes one sample: what changed or happened, then state, command, cover and timing.
     pub fn sample(&mut self, sample: &Sample) -> Result<(), LogError> {
         let (tick, time_ns) = (sample.tick, sample.time_ns);
         let last = self.last.replace((sample.mode, sample.fault, sample.board));
@@ -92,6 +96,9 @@ impl<W: Write> LogWriter<W> {
         if last.is_none_or(|(.., board)| board != sample.board) {
             self.write(time_ns, &BoardChange::new(tick, sample.board)?)?;
         }
+        for event in &sample.contact_events {
+            self.write(time_ns, &Contact::new(tick, event))?;
+        }
         self.write(time_ns, &state(sample))?;
         self.write(
             time_ns,
@@ -99,6 +106,9 @@ impl<W: Write> LogWriter<W> {
                 tick,
                 base_velocity_body: sample.base_velocity_command_body,
                 arm_torque_nm: sample.arm_torque_nm.to_vec(),
+                speed_limit_m_s: sample.speed_limit.m_s,
+                speed_limit_reason: sample.speed_limit.reason,
+                contact_reaction: name_of(sample.contact_reaction),
             },
         )?;
         self.write(time_ns, &cover(sample))?;

@@ -1,0 +1,139 @@
+//! What protects the people around the robot, as an observer sees it: the speed limit in force, and contacts.
+
+/// Contacts up to this long are transient, longer ones quasi-static, s (ISO/TS 15066, 5.5.4).
+pub const TRANSIENT_S: f64 = 0.5;
+/// Most contact events a sample can carry; further ones wait for the next tick.
+pub const MAX_CONTACT_EVENTS: usize = 4;
+
+/// Largest speed of any point of the cover, and why.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct SpeedLimit {
+    /// m/s.
+    pub m_s: f64,
+    /// Why.
+    pub reason: SpeedLimitReason,
+}
+
+/// Why the speed limit is what it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum SpeedLimitReason {
+    /// The board is fast enough: `limits.base_velocity` allows less than it would.
+    Configured,
+    /// Force limit over contact stiffness and delay, for the measured rate and age of the board.
+    BoardRate,
+    /// The board's rate is unknown, or its data is older than one frame of it explains.
+    #[default]
+    Stale,
+    /// The configuration states another limit and why.
+    Overridden,
+    /// A contact crossed a limit of the user's and the reaction is to slow down.
+    Contact,
+}
+
+impl SpeedLimitReason {
+    /// Name as shown to users.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Configured => "configured",
+            Self::BoardRate => "board rate",
+            Self::Stale => "stale data",
+            Self::Overridden => "overridden",
+            Self::Contact => "contact",
+        }
+    }
+}
+
+/// What the robot does when a contact crosses a limit, until that contact ends.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "kebab-case"))]
+pub enum ContactReaction {
+    /// The base goes on at a lower speed.
+    Slow,
+    /// The touched part of the cover no longer moves outward; every other motion goes on.
+    #[default]
+    #[cfg_attr(feature = "serde", serde(alias = "stop_direction"))]
+    StopDirection,
+    /// The base moves away from the touched part of the cover, a stated way, then as `StopDirection`.
+    Retreat,
+}
+
+impl ContactReaction {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Slow, Self::StopDirection, Self::Retreat];
+
+    /// Name as in the configuration.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Slow => "slow",
+            Self::StopDirection => "stop-direction",
+            Self::Retreat => "retreat",
+        }
+    }
+}
+
+/// What happened to a contact.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum ContactPhase {
+    /// The taxel began to feel a force.
+    #[default]
+    Started,
+    /// The force crossed the limit of its kind.
+    LimitCrossed,
+    /// The taxel feels nothing any more.
+    Finished,
+    /// The taxel became unusable while in contact: how the contact ended is unknown.
+    Lost,
+}
+
+/// How long a contact has lasted, in classes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum ContactKind {
+    /// Up to [`TRANSIENT_S`].
+    #[default]
+    Transient,
+    /// Longer: a clamp, or somebody who leans.
+    QuasiStatic,
+}
+
+impl ContactKind {
+    /// Name as shown to users.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Transient => "transient",
+            Self::QuasiStatic => "quasi-static",
+        }
+    }
+}
+
+/// A contact of one taxel when something happened to it; forces as the board reads them, so later and coarser than
+/// they are.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct ContactEvent {
+    /// 0 is T1.
+    pub taxel: u8,
+    /// What happened.
+    pub phase: ContactPhase,
+    /// Class of the contact so far.
+    pub kind: ContactKind,
+    /// Loop time at which it was first felt, ns.
+    pub started_ns: u64,
+    /// Time since then, s.
+    pub duration_s: f64,
+    /// Largest force, N.
+    pub peak_n: f64,
+    /// Mean force after the first [`TRANSIENT_S`], N; 0 for a transient contact.
+    pub clamp_mean_n: f64,
+    /// Largest force after the first [`TRANSIENT_S`], N; 0 for a transient contact.
+    pub clamp_max_n: f64,
+    /// Time integral of the force, N·s.
+    pub impulse_n_s: f64,
+    /// The user's limit that the contact has crossed, N: the lower one if both.
+    pub crossed_n: Option<f64>,
+    /// What the robot does about it.
+    pub reaction: Option<ContactReaction>,
+}
