@@ -1,6 +1,10 @@
 //! Panels with axes, and maps of coloured cells, on a [`Drawing`].
 
-use crate::drawing::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE};
+use crate::drawing::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED};
+
+/// Room for the numbers and for the legend, px.
+const LEFT: f64 = 62.0;
+const RIGHT: f64 = 160.0;
 
 /// How an axis maps numbers to pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -12,19 +16,35 @@ pub(crate) enum Scale {
 /// One line of a panel.
 #[derive(Clone, Debug)]
 pub(crate) struct Series {
+    /// In the legend; not listed there if empty.
     pub name: String,
     pub points: Vec<[f64; 2]>,
     pub colour: Colour,
+    /// Every point gets a dot.
+    pub dots: bool,
 }
 
 impl Series {
     /// A line in the `i`th colour of the palette.
     pub(crate) fn line(i: usize, name: impl Into<String>, points: Vec<[f64; 2]>) -> Self {
-        Self { name: name.into(), points, colour: PALETTE[i % PALETTE.len()] }
+        Self { name: name.into(), points, colour: PALETTE[i % PALETTE.len()], dots: false }
+    }
+
+    /// The same with a dot at every point: few measured values and not a trace.
+    pub(crate) fn dots(i: usize, name: impl Into<String>, points: Vec<[f64; 2]>) -> Self {
+        Self { dots: true, ..Self::line(i, name, points) }
+    }
+
+    /// The same line in a paler colour and without a place in the legend.
+    #[must_use]
+    pub(crate) fn pale(mut self) -> Self {
+        self.name.clear();
+        self.colour = self.colour.map(|c| c / 2 + 127);
+        self
     }
 }
 
-/// One panel: title, axis labels, lines, vertical marks.
+/// One panel: title, axis labels, lines, marks.
 #[derive(Clone, Debug)]
 pub(crate) struct Panel {
     pub title: String,
@@ -33,7 +53,10 @@ pub(crate) struct Panel {
     pub x_scale: Scale,
     pub y_scale: Scale,
     pub series: Vec<Series>,
-    pub marks: Vec<(f64, String)>,
+    /// Where vertical lines go.
+    pub marks: Vec<f64>,
+    /// Horizontal lines with their names.
+    pub levels: Vec<(f64, &'static str)>,
 }
 
 impl Panel {
@@ -47,15 +70,16 @@ impl Panel {
             y_scale: Scale::Linear,
             series: Vec::new(),
             marks: Vec::new(),
+            levels: Vec::new(),
         }
     }
 
     /// Draws into the box at `origin` of `size` pixels.
     pub(crate) fn draw(&self, drawing: &mut Drawing, origin: [f64; 2], size: [f64; 2]) {
         let frame = Frame {
-            left: origin[0] + 62.0,
+            left: origin[0] + LEFT,
             top: origin[1] + 18.0,
-            width: size[0] - 62.0 - 160.0,
+            width: size[0] - LEFT - RIGHT,
             height: size[1] - 18.0 - 34.0,
             x: self.range(0, self.x_scale),
             y: self.range(1, self.y_scale),
@@ -63,22 +87,41 @@ impl Panel {
             y_scale: self.y_scale,
         };
         frame.grid(drawing, &self.x_label);
-        drawing.text([origin[0] + 62.0, origin[1] + 12.0], Anchor::Start, &self.title, BLACK);
+        drawing.text([origin[0] + LEFT, origin[1] + 12.0], Anchor::Start, &self.title, BLACK);
         drawing.text([frame.left + frame.width, origin[1] + 12.0], Anchor::End, &self.y_label, BLACK);
-        for (i, (x, name)) in (0u32..).zip(&self.marks) {
+        for x in &self.marks {
             let px = frame.px(*x);
-            drawing.line(&[[px, frame.top], [px, frame.top + frame.height]], 0.8, GREY);
-            drawing.text([px + 2.0, frame.top + 10.0 + 11.0 * f64::from(i % 2)], Anchor::Start, name, BLACK);
+            drawing.line(&[[px, frame.top], [px, frame.top + frame.height]], 1.0, GREY);
         }
-        for (i, series) in (0u32..).zip(&self.series) {
+        for (y, name) in &self.levels {
+            let py = frame.py(*y);
+            if (frame.top..=frame.top + frame.height).contains(&py) {
+                drawing.line(&[[frame.left, py], [frame.left + frame.width, py]], 1.0, RED);
+                drawing.text([frame.left + frame.width - 4.0, py - 3.0], Anchor::End, name, RED);
+            }
+        }
+        let mut listed = 0.0;
+        for series in &self.series {
             let points: Vec<[f64; 2]> =
                 series.points.iter().map(|&[x, y]| [frame.px(x), frame.py(y)]).collect();
             drawing.line(&thinned(&points), 1.4, series.colour);
-            let y = frame.top + 8.0 + 14.0 * f64::from(i);
+            for point in points.iter().filter(|_| series.dots) {
+                drawing.circle(*point, 2.6, series.colour);
+            }
+            if series.name.is_empty() {
+                continue;
+            }
+            let y = frame.top + 8.0 + 14.0 * listed;
             let x = frame.left + frame.width + 8.0;
             drawing.line(&[[x, y - 3.0], [x + 12.0, y - 3.0]], 2.0, series.colour);
             drawing.text([x + 16.0, y + 1.0], Anchor::Start, &series.name, BLACK);
+            listed += 1.0;
         }
+    }
+
+    /// Where `x` of a panel `size_x` pixels wide whose left edge is at 0 comes to lie, px.
+    pub(crate) fn place(&self, x: f64, size_x: f64) -> f64 {
+        LEFT + (size_x - LEFT - RIGHT) * share(x, self.range(0, self.x_scale), self.x_scale)
     }
 
     fn range(&self, axis: usize, scale: Scale) -> [f64; 2] {
@@ -176,26 +219,30 @@ pub(crate) fn number(value: f64) -> String {
     }
 }
 
-/// Leaves out points that share a pixel column's extremes already: a trace of a minute stays a small file.
+/// Keeps the extremes of each stretch of a long trace and leaves out what lies on a level line: a trace of a minute stays
+/// a small file.
 fn thinned(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
-    const MOST: usize = 1500;
-    if points.len() <= 2 * MOST {
-        return points.to_vec();
+    const MOST: usize = 600;
+    let mut kept: Vec<[f64; 2]> = Vec::new();
+    let mut keep = |point: [f64; 2]| {
+        let level = |a: [f64; 2], b: [f64; 2]| (a[1] - b[1]).abs() < 0.05;
+        if let [.., before, last] = kept[..]
+            && level(before, last)
+            && level(last, point)
+        {
+            kept.pop();
+        }
+        kept.push(point);
+    };
+    for chunk in points.chunks(points.len().div_ceil(MOST).max(1)) {
+        let by_y = |a: &&[f64; 2], b: &&[f64; 2]| a[1].total_cmp(&b[1]);
+        let ends = [chunk.iter().min_by(by_y), chunk.iter().max_by(by_y)];
+        let mut ends: Vec<[f64; 2]> = ends.into_iter().flatten().copied().collect();
+        ends.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        ends.dedup();
+        ends.into_iter().for_each(&mut keep);
     }
-    let group = points.len().div_ceil(MOST);
-    points
-        .chunks(group)
-        .flat_map(|chunk| {
-            let by_y = |a: &&[f64; 2], b: &&[f64; 2]| a[1].total_cmp(&b[1]);
-            let low = chunk.iter().min_by(by_y).copied();
-            let high = chunk.iter().max_by(by_y).copied();
-            match (low, high) {
-                (Some(a), Some(b)) if a[0] <= b[0] => vec![a, b],
-                (Some(a), Some(b)) => vec![b, a],
-                _ => Vec::new(),
-            }
-        })
-        .collect()
+    kept
 }
 
 /// A map: one coloured cell for each pair of an x and a y value, with an optional boundary curve in cell units.

@@ -19,6 +19,7 @@ mod tick;
 mod vectors;
 
 use clap::{Parser, Subcommand};
+use std::process::ExitCode;
 
 /// Experiments and checks of MOCA-S.
 #[derive(Parser)]
@@ -57,8 +58,21 @@ enum Command {
     Vectors(vectors::Arguments),
 }
 
-fn main() -> anyhow::Result<()> {
-    match Arguments::parse().command {
+fn main() -> ExitCode {
+    match run(Arguments::parse().command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            #[expect(clippy::print_stderr, reason = "the program's last words")]
+            {
+                eprintln!("moca-lab: {error:#}");
+            }
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(command: Command) -> anyhow::Result<()> {
+    match command {
         Command::Characterize(arguments) => characterize::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Extremes(arguments) => extremes::run(&arguments),

@@ -3,7 +3,7 @@
 use crate::chart::{Panel, Scale, Series};
 use crate::drawing::Drawing;
 use crate::experiment::settings::{Sensor, Settings};
-use crate::experiment::{collision, figure, paper};
+use crate::experiment::{collision, figure, measure, paper};
 use crate::{characterize, parallel, stability};
 use anyhow::{Context, Result};
 use moca_msgs::Law;
@@ -232,19 +232,19 @@ fn claims(b1: &paper::Run, b2: &paper::Run, c: &[collision::Run]) -> Vec<Claim> 
             ((a + b) / both - 1.0).abs() < 0.01,
         );
     }
-    let peak = ideal.report.peak_force_n;
+    let peak = ideal.report.measures.peak_force_n;
     claim("C peak force, 100 Hz sensor", "< 25 N", format!("{peak:.1} N"), peak < 25.0);
     claim(
         "C without the cover",
         "more than 4 times",
-        format!("{:.1} N", off.report.peak_force_n),
-        off.report.peak_force_n > 4.0 * peak,
+        format!("{:.1} N", off.report.measures.peak_force_n),
+        off.report.measures.peak_force_n > 4.0 * peak,
     );
     claim(
         "C with a stock Touch Board",
         "< 25 N (a stock board is outside the contact stability law)",
-        format!("{:.1} N", stock.report.peak_force_n),
-        stock.report.peak_force_n < 25.0,
+        format!("{:.1} N", stock.report.measures.peak_force_n),
+        stock.report.measures.peak_force_n < 25.0,
     );
     claims
 }
@@ -290,7 +290,7 @@ fn sweeps() -> Result<Drawing> {
     let peaks = parallel::run(
         "collisions",
         &inputs,
-        |(.., settings)| collision::once(settings).map(|rig| collision::peak_force_n(&rig.rows)),
+        |(.., settings)| collision::once(settings).map(|rig| measure::peak_force_n(&rig.rows)),
         |_| (),
     );
     let mut series = vec![[Vec::new(), Vec::new()]; AXES.len()];

@@ -2,7 +2,7 @@
 
 use crate::chart::{self, Map};
 use crate::drawing::{Colour, Drawing};
-use crate::experiment::collision;
+use crate::experiment::{collision, measure};
 use crate::experiment::rig::{Loads, Rig, Row};
 use crate::experiment::settings::Settings;
 use crate::parallel;
@@ -220,7 +220,7 @@ fn judge(name: &str, settings: &Settings, rig: &Rig, cpu_s: f64) -> Case {
         finite,
         contact: rows.iter().any(|row| row.total_force_n() > 0.0),
         bounded: finite && !swings_on(rows, dt_s),
-        peak_n: collision::peak_force_n(rows),
+        peak_n: measure::peak_force_n(rows),
         energy_out_j,
         budget_j,
         within_budget: energy_out_j <= budget_j,
@@ -358,7 +358,7 @@ fn least_linear_damping(period_ms: f64, settings: &Settings) -> Result<f64> {
     let taxel = &PAPER_COVER[settings.person.taxel];
     let stiffness = 1.0
         / (1.0 / settings.foam.stiffness_n_per_m(settings.foam.deformation_m(20.0))
-            + 1.0 / settings.person.stiffness);
+            + 1.0 / settings.person.tissue_stiffness());
     let contact = theory::Contact {
         stiffness_n_m: stiffness,
         damping_n_s_m: 0.005 * stiffness,

@@ -220,17 +220,17 @@ fn row(plan: &Plan, columns: &[String], id: usize) -> Result<String> {
 }
 
 fn results(report: &Report) -> String {
-    let [x, y, yaw] = report.base_displacement;
+    let [x, y, yaw] = report.measures.base_displacement;
     format!(
         "{:.6},{:.6},{},{:.3},{:.6},{:.6},{:.6},{x:.6},{y:.6},{yaw:.6},{:.4},{}",
-        report.peak_force_n,
-        report.peaks_n.first().copied().unwrap_or(0.0),
-        report.contact_s.map_or(String::new(), |t| format!("{t:.3}")),
-        report.contact_time_s,
+        report.measures.peak_force_n,
+        report.measures.peaks_n.first().copied().unwrap_or(0.0),
+        report.measures.contact_s.map_or(String::new(), |t| format!("{t:.3}")),
+        report.measures.contact_time_s,
         report.approach_m_s,
-        report.flange_rms_mm,
-        report.flange_max_mm,
-        report.yaw_in_contact_deg,
+        report.measures.flange_rms_mm,
+        report.measures.flange_max_mm,
+        report.measures.yaw_in_contact_deg,
         report.stopped().map_or("", |why| why.split(':').next().unwrap_or("stopped")),
     )
 }

@@ -62,6 +62,11 @@ impl<const K: usize> Zones<K> {
         self.cover[taxel].position_base_m
     }
 
+    /// Half of the panel length that a taxel answers for, m.
+    pub fn half_width_m(&self, taxel: usize) -> f64 {
+        self.half_width_m[taxel]
+    }
+
     /// The zone in front of which a point in B lies, if it is within `reach_m` of the surface on either side.
     pub fn find(&self, point_base: [f64; 2], reach_m: f64) -> Option<Zone> {
         (0..K).find_map(|taxel| {
@@ -75,28 +80,52 @@ impl<const K: usize> Zones<K> {
     }
 }
 
-/// Force of tissue (linear, no memory) and foam in series at `overlap_m` of their outer surfaces, N ≥ 0.
-///
-/// Solves foam(x) = k_t (overlap − x) for the foam's deformation x and moves the foam's memory there.
-pub fn series_force_n(
-    foam: &mut FoamState,
-    law: FoamLaw,
-    tissue_n_per_m: f64,
-    overlap_m: f64,
-    dt_s: f64,
-) -> f64 {
-    if overlap_m <= 0.0 {
-        return foam.step(law, 0.0, dt_s);
+/// What presses on the foam: a spring and a damper in parallel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tissue {
+    /// N/m.
+    pub stiffness_n_per_m: f64,
+    /// N·s/m.
+    pub damping_n_s_per_m: f64,
+}
+
+/// Memory of one contact: the foam's, and the tissue's deformation of the last step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ContactState {
+    foam: FoamState,
+    tissue_m: f64,
+}
+
+impl ContactState {
+    /// Force of tissue and foam in series at `overlap_m` of their outer surfaces, N ≥ 0.
+    ///
+    /// Solves foam(x) = tissue(overlap − x) for the foam's deformation x and moves both memories there.
+    pub fn step(&mut self, law: FoamLaw, tissue: Tissue, overlap_m: f64, dt_s: f64) -> f64 {
+        if overlap_m <= 0.0 {
+            self.tissue_m = 0.0;
+            return self.foam.step(law, 0.0, dt_s);
+        }
+        let before = *self;
+        let damping = tissue.damping_n_s_per_m / dt_s;
+        let tissue_n =
+            |deformation_m: f64| tissue.stiffness_n_per_m * deformation_m + damping * (deformation_m - before.tissue_m);
+        let residual = |x_m: f64| before.foam.clone().step(law, x_m, dt_s) - tissue_n(overlap_m - x_m);
+        let x_m = root(residual, overlap_m);
+        self.tissue_m = overlap_m - x_m;
+        self.foam.step(law, x_m, dt_s)
     }
-    // Rising in x: negative at 0, not negative at the overlap. Illinois keeps the bracket and
-    // converges fast; every fourth step halves it, for foams that start infinitely stiff (an exponent below 1).
-    let before = *foam;
-    let residual = |x_m: f64| {
-        let mut trial = before;
-        trial.step(law, x_m, dt_s) - tissue_n_per_m * (overlap_m - x_m)
-    };
-    let (mut low, mut high) = (0.0, overlap_m);
+}
+
+/// Zero of a rising function between 0 and `high`; 0 if it is positive there already.
+///
+/// Illinois keeps the bracket and converges fast; every fourth step halves it, for foams that start infinitely stiff
+/// (an exponent below 1).
+fn root(residual: impl Fn(f64) -> f64, high: f64) -> f64 {
+    let (mut low, mut high) = (0.0, high);
     let (mut f_low, mut f_high) = (residual(low), residual(high));
+    if f_low > 0.0 {
+        return low;
+    }
     let mut x_m = high;
     for iteration in 0..100 {
         let slope = f_high - f_low;
@@ -116,7 +145,7 @@ pub fn series_force_n(
         }
         (high, f_high) = (x_m, f);
     }
-    foam.step(law, x_m, dt_s)
+    x_m
 }
 
 #[cfg(test)]
@@ -128,11 +157,12 @@ mod tests {
     fn tissue_and_foam_share_one_force() {
         for law in [FoamLaw::PuLd30, FoamLaw::CollisionAssumed, FoamLaw::Cc] {
             for tissue in [1e2, 5e4, 1e7] {
-                let mut foam = FoamState::default();
+                let mut contact = ContactState::default();
                 let mut alone = FoamState::default();
+                let flesh = Tissue { stiffness_n_per_m: tissue, damping_n_s_per_m: 0.0 };
                 for step in 1..200 {
                     let overlap_m = 1e-4 * f64::from(step.min(80));
-                    let force_n = series_force_n(&mut foam, law, tissue, overlap_m, 1e-3);
+                    let force_n = contact.step(law, flesh, overlap_m, 1e-3);
                     // The foam alone, moved by what the tissue leaves, answers with the same force.
                     let x_m = overlap_m - force_n / tissue;
                     assert!(x_m >= -1e-12, "{law:?} {tissue} {x_m}");
@@ -144,6 +174,19 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn damping_of_the_tissue_adds_force_while_pressed_in_and_none_when_held() {
+        let press = |damping_n_s_per_m| {
+            let tissue = Tissue { stiffness_n_per_m: 2e4, damping_n_s_per_m };
+            let mut contact = ContactState::default();
+            let overlaps = (1..=400).map(|step: i32| 1e-4 * f64::from(step.min(60)));
+            overlaps.map(|x| contact.step(FoamLaw::CollisionAssumed, tissue, x, 1e-3)).collect::<Vec<_>>()
+        };
+        let (plain, damped) = (press(0.0), press(200.0));
+        assert!(damped[50] > 1.03 * plain[50], "{} {}", damped[50], plain[50]);
+        assert!((damped[399] - plain[399]).abs() < 1e-3, "{} {}", damped[399], plain[399]);
     }
 
     #[test]

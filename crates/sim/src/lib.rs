@@ -14,6 +14,7 @@ pub mod contact;
 mod error;
 pub mod foam;
 mod mjcf;
+mod people;
 pub mod plant;
 pub mod pty;
 mod quiet;
@@ -21,10 +22,11 @@ pub mod scene;
 pub mod sensor;
 
 pub use board::{BoardFault, VirtualBoard, VirtualBoardConfig};
+pub use contact::Tissue;
 pub use error::SimError;
 pub use plant::{ModelSize, SimPlant};
 pub use pty::{PtyBoard, SharedForces};
-pub use scene::{Integrator, Mobility, Person, Robot, Scene};
+pub use scene::{BaseServo, BodyPart, Integrator, Mobility, Person, Robot, Scene, Shape};
 
 /// Version of the MuJoCo library that is linked.
 pub fn mujoco_version() -> &'static str {

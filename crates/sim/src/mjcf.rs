@@ -4,7 +4,7 @@
 //! geometric gap (see `contact`), not by MuJoCo's collision detection.
 
 use crate::plant::{BASE_SERVO_DAMPING, YAW_SERVO_DAMPING};
-use crate::scene::{Integrator, Mobility, Robot, Scene};
+use crate::scene::{Integrator, Mobility, Robot, Scene, Shape};
 use moca_msgs::robot::{LinkInertial, MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
 use std::fmt::{self, Write};
 
@@ -34,9 +34,9 @@ pub(crate) fn mjcf(scene: &Scene) -> Result<String, fmt::Error> {
             write!(xml, "<body pos=\"{x} {y} 0\"><joint type=\"slide\" axis=\"1 0 0\"/>")?;
             xml.push_str("<joint type=\"slide\" axis=\"0 1 0\"/>");
             writeln!(xml, "<inertial pos=\"0 0 0\" mass=\"{mass_kg}\" diaginertia=\"1 1 1\"/>")?;
-            if scene.everything {
+            if let (true, Shape::Cylinder { radius_m }) = (scene.everything, person.shape) {
                 // Smaller than the leg: hard bodies would meet only after the foam is crushed.
-                let radius = (person.radius_m - 0.03).max(0.005);
+                let radius = (radius_m - 0.03).max(0.005);
                 writeln!(xml, "<geom type=\"cylinder\" size=\"{radius} 0.4\" pos=\"0 0 0.45\"/>")?;
             }
             xml.push_str("</body>\n");
@@ -54,7 +54,7 @@ pub(crate) fn mjcf(scene: &Scene) -> Result<String, fmt::Error> {
 }
 
 fn options(xml: &mut String, scene: &Scene) -> fmt::Result {
-    let integrator = match scene.integrator {
+    let integrator = match scene.chosen_integrator() {
         Integrator::Euler => "Euler",
         Integrator::RungeKutta4 => "RK4",
         Integrator::Implicit => "implicit",

@@ -1,11 +1,11 @@
 //! The plant: a Panda on a velocity-controlled base, one control period at a time.
 
-use crate::contact::{Zones, series_force_n};
-use crate::foam::FoamState;
+use crate::contact::Zones;
 use crate::mjcf::{FLANGE, mjcf};
-use crate::scene::{Mobility, Person, Robot, Scene};
+use crate::people::{Cover, People};
+use crate::scene::{Robot, Scene};
 use crate::{SimError, quiet};
-use moca_msgs::robot::{PAPER_COVER, SUMMIT_XL};
+use moca_msgs::robot::PAPER_COVER;
 use moca_msgs::{Actuation, RobotCommand, RobotState};
 use mujoco_rs::prelude::{MjData, MjModel, MjtWarning};
 
@@ -45,20 +45,6 @@ pub struct ModelSize {
     pub data_bytes: usize,
 }
 
-/// One person in the running scene.
-#[derive(Clone, Debug)]
-struct Body {
-    person: Person,
-    /// First of two degrees of freedom, if the person can move.
-    dof: Option<usize>,
-    /// Memory of the foam in front of the person, and whose foam it is.
-    foam: FoamState,
-    zone: Option<usize>,
-    first_contact_s: Option<f64>,
-    /// Outward normal at first contact, world axes: the way the person steps away.
-    away_world: [f64; 2],
-}
-
 /// The simulated robot with everything that can push it.
 #[derive(Debug)]
 pub struct SimPlant {
@@ -70,7 +56,7 @@ pub struct SimPlant {
     base_dof: Option<usize>,
     arm_dof: Option<usize>,
     flange_body: Option<usize>,
-    bodies: Vec<Body>,
+    people: People,
     order: Order,
     /// Velocity that the outer base servo asks of the wheels, axes of B.
     servo_velocity_body: [f64; 3],
@@ -99,23 +85,7 @@ impl SimPlant {
         let has_base = scene.robot != Robot::ArmOnly;
         let has_arm = scene.robot != Robot::BaseOnly;
         let arm_dof = has_arm.then_some(if has_base { 3 } else { 0 });
-        let mut next_dof = if has_base { 3 } else { 0 } + if has_arm { 7 } else { 0 };
-        let bodies = scene
-            .people
-            .iter()
-            .map(|&person| {
-                let dof = matches!(person.mobility, Mobility::Standing { .. }).then_some(next_dof);
-                next_dof += if dof.is_some() { 2 } else { 0 };
-                Body {
-                    person,
-                    dof,
-                    foam: FoamState::default(),
-                    zone: None,
-                    first_contact_s: None,
-                    away_world: [0.0; 2],
-                }
-            })
-            .collect();
+        let first_person_dof = if has_base { 3 } else { 0 } + if has_arm { 7 } else { 0 };
         let mut plant = Self {
             data,
             scene: scene.clone(),
@@ -124,7 +94,7 @@ impl SimPlant {
             base_dof: has_base.then_some(0),
             arm_dof,
             flange_body,
-            bodies,
+            people: People::new(&scene.people, first_person_dof),
             order: Order::Brake,
             servo_velocity_body: [0.0; 3],
             pressed_n: [0.0; K],
@@ -257,13 +227,14 @@ impl SimPlant {
         self.flange_body.and_then(|body| self.data.xpos().get(body).copied())
     }
 
-    /// Centre of person `i` in W, m.
+    /// Centre of person `i` (a point of a wall) in W, m.
     pub fn person_position_world(&self, i: usize) -> Option<[f64; 2]> {
-        self.bodies.get(i).map(|body| {
-            let [x, y] = body.person.position_world;
-            let offset = self.person_motion(body).0;
-            [x + offset[0], y + offset[1]]
-        })
+        self.people.position_world(i, self.data.time(), self.data.qpos())
+    }
+
+    /// Makes the people wait where they are, or lets their time begin now. Without a call it begins with the simulation.
+    pub fn set_people_waiting(&mut self, waiting: bool) {
+        self.people.begin((!waiting).then(|| self.data.time()));
     }
 
     /// Simulation time, s.
@@ -306,8 +277,9 @@ impl SimPlant {
             Order::Brake => [0.0; 3],
         };
         let dt_s = self.scene.control_period_s;
-        let gain = 1.0 - (-dt_s / SUMMIT_XL.servo_time_constant_s).exp();
-        let (linear, yaw) = (SUMMIT_XL.acceleration_max_m_s2, SUMMIT_XL.yaw_acceleration_max_rad_s2);
+        let servo = &self.scene.base_servo;
+        let gain = 1.0 - (-dt_s / servo.time_constant_s).exp();
+        let (linear, yaw) = (servo.acceleration_max_m_s2, servo.yaw_acceleration_max_rad_s2);
         for (i, limit) in [linear, linear, yaw].into_iter().enumerate() {
             let change = gain * (target[i] - self.servo_velocity_body[i]);
             self.servo_velocity_body[i] += change.clamp(-limit * dt_s, limit * dt_s);
@@ -320,7 +292,16 @@ impl SimPlant {
         let (sin, cos) = state.base_pose_world[2].sin_cos();
         self.taxel_force_n = self.pressed_n;
         let mut base_wrench = self.cover_wrench_true_base();
-        self.load_people(&state, (sin, cos), &mut base_wrench);
+        let cover = Cover {
+            zones: &self.zones,
+            foam: self.scene.foam,
+            foam_scale: self.scene.foam_scale,
+            dt_s: self.scene.physics_step_s,
+            pose_world: state.base_pose_world,
+        };
+        let (time_s, forces) = (self.data.time(), &mut self.taxel_force_n);
+        self.people.touch(&cover, time_s, self.data.qpos(), self.data.qvel(), forces, &mut base_wrench);
+        self.people.write_forces(self.data.qfrc_applied_mut());
         let [fx, fy, mz] = base_wrench;
         let push_world = [cos * fx - sin * fy, sin * fx + cos * fy, mz];
 
@@ -345,76 +326,6 @@ impl SimPlant {
         }
         if let Some(body) = self.flange_body {
             self.data.xfrc_applied_mut()[body] = self.flange_wrench_world;
-        }
-    }
-
-    /// Contact and posture forces of all people; adds the contact forces to the taxels and to `base_wrench` (in B).
-    fn load_people(&mut self, state: &RobotState<7>, (sin, cos): (f64, f64), base_wrench: &mut [f64; 3]) {
-        let time_s = self.data.time();
-        let [base_x, base_y, _] = state.base_pose_world;
-        for i in 0..self.bodies.len() {
-            let (offset, velocity) = self.person_motion(&self.bodies[i]);
-            let body = &mut self.bodies[i];
-            let person = body.person;
-            let centre = [person.position_world[0] + offset[0], person.position_world[1] + offset[1]];
-            let (dx, dy) = (centre[0] - base_x, centre[1] - base_y);
-            let centre_base = [cos * dx + sin * dy, -sin * dx + cos * dy];
-            let zone = self.zones.find(centre_base, 2.0 * person.radius_m + 0.1);
-            let mut force_world = [0.0; 2];
-            if body.zone != zone.map(|zone| zone.taxel) {
-                body.zone = zone.map(|zone| zone.taxel);
-                body.foam = FoamState::default();
-            }
-            if let Some(zone) = zone {
-                let overlap_m = person.radius_m - zone.distance_m;
-                // A foam of scaled stiffness is the plain one against a tissue scaled the other way.
-                let scale = self.scene.foam_scale;
-                let force_n = scale
-                    * series_force_n(
-                        &mut body.foam,
-                        self.scene.foam,
-                        person.tissue_stiffness_n_per_m / scale,
-                        overlap_m,
-                        self.scene.physics_step_s,
-                    );
-                if force_n > 0.0 {
-                    let [nx, ny] = self.zones.outward(zone.taxel);
-                    let [x, y] = self.zones.position_base(zone.taxel);
-                    let point = [x - zone.offset_m * ny, y + zone.offset_m * nx];
-                    self.taxel_force_n[zone.taxel] += force_n;
-                    base_wrench[0] -= force_n * nx;
-                    base_wrench[1] -= force_n * ny;
-                    base_wrench[2] -= force_n * (point[0] * ny - point[1] * nx);
-                    let away = [cos * nx - sin * ny, sin * nx + cos * ny];
-                    force_world = [force_n * away[0], force_n * away[1]];
-                    if body.first_contact_s.is_none() {
-                        body.first_contact_s = Some(time_s);
-                        body.away_world = away;
-                    }
-                }
-            }
-            if let (Some(dof), Mobility::Standing { stiffness_n_per_m, damping_n_s_per_m, .. }) =
-                (body.dof, person.mobility)
-            {
-                let (anchor, anchor_velocity) = anchor(body, time_s);
-                let force = self.data.qfrc_applied_mut();
-                for axis in 0..2 {
-                    force[dof + axis] = force_world[axis]
-                        + stiffness_n_per_m * (anchor[axis] - offset[axis])
-                        + damping_n_s_per_m * (anchor_velocity[axis] - velocity[axis]);
-                }
-            }
-        }
-    }
-
-    /// Displacement of a person from the start, m, and velocity, m/s, in W.
-    fn person_motion(&self, body: &Body) -> ([f64; 2], [f64; 2]) {
-        match body.dof {
-            Some(dof) => {
-                let (qpos, qvel) = (self.data.qpos(), self.data.qvel());
-                ([qpos[dof], qpos[dof + 1]], [qvel[dof], qvel[dof + 1]])
-            }
-            None => anchor(body, self.data.time()),
         }
     }
 
@@ -445,23 +356,6 @@ impl SimPlant {
             None => Ok(()),
         }
     }
-}
-
-/// Where a person's posture wants to be: displacement from the start, m, and its velocity, m/s, in W.
-fn anchor(body: &Body, time_s: f64) -> ([f64; 2], [f64; 2]) {
-    let [vx, vy] = body.person.velocity_world;
-    let (mut position, mut velocity) = ([vx * time_s, vy * time_s], [vx, vy]);
-    if let (Some(contact_s), Some(after_s)) = (body.first_contact_s, body.person.steps_away_after_s) {
-        let walked_s = (time_s - contact_s - after_s).max(0.0);
-        let (speed, length) = Person::STEP_AWAY;
-        let stride = (speed * walked_s).min(length);
-        let moving = if stride > 0.0 && stride < length { speed } else { 0.0 };
-        for axis in 0..2 {
-            position[axis] += stride * body.away_world[axis];
-            velocity[axis] += moving * body.away_world[axis];
-        }
-    }
-    (position, velocity)
 }
 
 fn finite(name: &'static str, values: &[f64]) -> Result<(), SimError> {

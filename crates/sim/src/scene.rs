@@ -1,8 +1,9 @@
 //! A scene as data. The model, its joints and the forces that are computed each step follow from it.
 
 use crate::SimError;
+use crate::contact::Tissue;
 use crate::foam::FoamLaw;
-use moca_msgs::robot::{PANDA, PAPER_COVER};
+use moca_msgs::robot::{PANDA, PAPER_COVER, SUMMIT_XL};
 
 /// Which parts of the robot exist.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -17,7 +18,7 @@ pub enum Robot {
 }
 
 /// MuJoCo's integrators.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Integrator {
     /// Semi-implicit Euler, joint damping implicit.
     Euler,
@@ -26,9 +27,11 @@ pub enum Integrator {
     /// All velocity derivatives implicit.
     Implicit,
     /// Velocity derivatives without Coriolis terms implicit.
-    #[default]
     ImplicitFast,
 }
+
+/// Largest step at which Runge–Kutta is stable against the base's inner servo, with a margin of 2, s.
+const RUNGE_KUTTA_STEP_MAX_S: f64 = 1e-3;
 
 /// How a person moves when pushed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,19 +49,72 @@ pub enum Mobility {
     },
 }
 
-/// An upright cylinder (a leg) that can touch the cover.
+/// Outline that meets the cover.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Shape {
+    /// An upright cylinder of this radius, m.
+    Cylinder {
+        /// m.
+        radius_m: f64,
+    },
+    /// An upright plane through the position, its face towards the robot.
+    Plane,
+}
+
+/// What stands beside the robot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BodyPart {
+    /// A leg, the collision scene's: 75 kg (ISO/TS 15066), 50 N/mm, 0.07 m.
+    #[default]
+    Leg,
+    /// A thigh: 75 kg and 50 N/mm (ISO/TS 15066), 0.09 m.
+    Thigh,
+    /// A hand on a loose arm: 0.6 kg and 75 N/mm (ISO/TS 15066), 0.03 m.
+    Hand,
+    /// A wall: a plane of 10 000 N/mm that does not move.
+    Wall,
+}
+
+impl BodyPart {
+    /// Outline, tissue and how it yields. Masses and spring constants after ISO/TS 15066, the rest ASSUMED.
+    pub const fn data(self) -> (Shape, Tissue, Mobility) {
+        let (radius_m, stiffness_n_per_m, mass_kg, posture_damping) = match self {
+            Self::Leg => (0.07, 50_000.0, 75.0, 300.0),
+            Self::Thigh => (0.09, 50_000.0, 75.0, 300.0),
+            Self::Hand => (0.03, 75_000.0, 0.6, 30.0),
+            Self::Wall => {
+                let hard = Tissue { stiffness_n_per_m: 1e7, damping_n_s_per_m: 0.0 };
+                return (Shape::Plane, hard, Mobility::Fixed);
+            }
+        };
+        let mobility = Mobility::Standing {
+            mass_kg,
+            stiffness_n_per_m: 800.0,
+            damping_n_s_per_m: posture_damping,
+        };
+        (Shape::Cylinder { radius_m }, Tissue { stiffness_n_per_m, damping_n_s_per_m: 0.0 }, mobility)
+    }
+}
+
+/// Somebody, or a wall, that can touch the cover.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Person {
-    /// Centre at the start in W: x, y m.
+    /// Centre (a point of a plane) at the start in W: x, y m.
     pub position_world: [f64; 2],
-    /// Velocity of the posture's anchor in W, m/s: 0 stands, more walks.
-    pub velocity_world: [f64; 2],
-    /// Radius, m.
-    pub radius_m: f64,
-    /// Stiffness of the tissue, in series with the foam, N/m.
-    pub tissue_stiffness_n_per_m: f64,
+    /// Unit vector from here to the robot: the way the person walks and leans, and a plane faces.
+    pub towards_robot_world: [f64; 2],
+    /// Outline.
+    pub shape: Shape,
+    /// Flesh, in series with the foam.
+    pub tissue: Tissue,
     /// How the person yields.
     pub mobility: Mobility,
+    /// When walking and leaning begin, s.
+    pub starts_after_s: f64,
+    /// Speed of the posture's anchor towards the robot, m/s: 0 stands, more walks.
+    pub walk_m_s: f64,
+    /// Weight leant towards the robot until the step away, N; nothing for a fixed body.
+    pub lean_n: f64,
     /// Time after first contact at which the person steps away from the robot, s; `None` never.
     pub steps_away_after_s: Option<f64>,
 }
@@ -67,26 +123,95 @@ impl Person {
     /// Speed and length of the step away, m/s and m. ASSUMED.
     pub const STEP_AWAY: (f64, f64) = (1.0, 3.0);
 
-    /// The collision scene's person (75 kg, 50 N/mm, leg of 0.07 m radius), `gap_m` in front of taxel `taxel`
-    /// (0 is T1) of a robot at the world's origin. Mass after ISO/TS 15066, the rest ASSUMED.
+    /// The collision scene's person, `gap_m` in front of taxel `taxel` (0 is T1) of a robot at the world's origin,
+    /// who steps away 1.5 s after first contact.
     pub fn beside(taxel: usize, gap_m: f64) -> Option<Self> {
+        Some(Self { steps_away_after_s: Some(1.5), ..Self::part(BodyPart::Leg, taxel, gap_m, 0.0)? })
+    }
+
+    /// A body part `gap_m` in front of taxel `taxel` (0 is T1), `offset_m` along the panel (the outward normal turned
+    /// by +90°) from the taxel's centre, of a robot at the world's origin; it stands there and stays.
+    pub fn part(part: BodyPart, taxel: usize, gap_m: f64, offset_m: f64) -> Option<Self> {
+        let (shape, tissue, mobility) = part.data();
+        Self::before(taxel, gap_m, offset_m, shape, tissue, mobility)
+    }
+
+    /// The same with outline, tissue and mobility of its own.
+    pub fn before(
+        taxel: usize,
+        gap_m: f64,
+        offset_m: f64,
+        shape: Shape,
+        tissue: Tissue,
+        mobility: Mobility,
+    ) -> Option<Self> {
         let placement = PAPER_COVER.get(taxel)?;
-        let radius_m = 0.07;
         let (sin, cos) = placement.inward_angle_base_rad.sin_cos();
         let [x, y] = placement.position_base_m;
+        let radius_m = match shape {
+            Shape::Cylinder { radius_m } => radius_m,
+            Shape::Plane => 0.0,
+        };
         let away = radius_m + gap_m;
         Some(Self {
-            position_world: [x - away * cos, y - away * sin],
-            velocity_world: [0.0; 2],
-            radius_m,
-            tissue_stiffness_n_per_m: 50_000.0,
-            mobility: Mobility::Standing {
-                mass_kg: 75.0,
-                stiffness_n_per_m: 800.0,
-                damping_n_s_per_m: 300.0,
-            },
-            steps_away_after_s: Some(1.5),
+            position_world: [x - away * cos + offset_m * sin, y - away * sin - offset_m * cos],
+            towards_robot_world: [cos, sin],
+            shape,
+            tissue,
+            mobility,
+            starts_after_s: 0.0,
+            walk_m_s: 0.0,
+            lean_n: 0.0,
+            steps_away_after_s: None,
         })
+    }
+
+    fn check(&self) -> Result<(), SimError> {
+        within("person.position_world", "m", &self.position_world, -1e3, 1e3)?;
+        within("person.towards_robot", "", &self.towards_robot_world, -1.0, 1.0)?;
+        if let Shape::Cylinder { radius_m } = self.shape {
+            within("person.radius", "m", &[radius_m], 0.005, 1e3)?;
+        }
+        within("person.stiffness", "N/m", &[self.tissue.stiffness_n_per_m], 1.0, 1e9)?;
+        within("person.damping", "N·s/m", &[self.tissue.damping_n_s_per_m], 0.0, 1e5)?;
+        within("person.starts_after", "s", &[self.starts_after_s], 0.0, 1e6)?;
+        within("person.walk", "m/s", &[self.walk_m_s], -5.0, 5.0)?;
+        within("person.lean", "N", &[self.lean_n], 0.0, 1e3)?;
+        if let Mobility::Standing { mass_kg, stiffness_n_per_m, damping_n_s_per_m } = self.mobility {
+            within("person.mass", "kg", &[mass_kg], 0.1, 1e4)?;
+            within("person.posture_stiffness", "N/m", &[stiffness_n_per_m], 0.0, 1e7)?;
+            within("person.posture_damping", "N·s/m", &[damping_n_s_per_m], 0.0, 1e5)?;
+        }
+        self.steps_away_after_s.map_or(Ok(()), |after_s| within("person.steps_away", "s", &[after_s], 0.0, 1e3))
+    }
+}
+
+/// The velocity servo of the base: first order, limited in acceleration, in the axes of B.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BaseServo {
+    /// s.
+    pub time_constant_s: f64,
+    /// Along x and along y, m/s².
+    pub acceleration_max_m_s2: f64,
+    /// rad/s².
+    pub yaw_acceleration_max_rad_s2: f64,
+}
+
+impl Default for BaseServo {
+    fn default() -> Self {
+        Self {
+            time_constant_s: SUMMIT_XL.servo_time_constant_s,
+            acceleration_max_m_s2: SUMMIT_XL.acceleration_max_m_s2,
+            yaw_acceleration_max_rad_s2: SUMMIT_XL.yaw_acceleration_max_rad_s2,
+        }
+    }
+}
+
+/// The first of `values` outside its range; NaN and infinity are outside every range.
+fn within(name: &'static str, unit: &'static str, values: &[f64], min: f64, max: f64) -> Result<(), SimError> {
+    match values.iter().find(|v| !(**v >= min && **v <= max)) {
+        Some(&value) => Err(SimError::Scene { name, value, unit, min, max }),
+        None => Ok(()),
     }
 }
 
@@ -110,14 +235,16 @@ pub struct Scene {
     /// Everything a model of this robot could hold, needed or not: geoms with collision detection, sensors, energy.
     /// It changes no trajectory; it is what scene economy is measured against.
     pub everything: bool,
+    /// The base's velocity servo.
+    pub base_servo: BaseServo,
     /// People and walls.
     pub people: Vec<Person>,
     /// Time between two commands, s.
     pub control_period_s: f64,
     /// Physics step, s; the control period is a whole number of them.
     pub physics_step_s: f64,
-    /// Integrator.
-    pub integrator: Integrator,
+    /// Integrator; `None` takes the cheapest that `moca-lab precision` finds accurate enough for such a scene.
+    pub integrator: Option<Integrator>,
 }
 
 impl Default for Scene {
@@ -132,10 +259,11 @@ impl Default for Scene {
             foam: FoamLaw::default(),
             foam_scale: 1.0,
             everything: false,
+            base_servo: BaseServo::default(),
             people: Vec::new(),
             control_period_s: 1e-3,
             physics_step_s: 1e-3,
-            integrator: Integrator::default(),
+            integrator: None,
         }
     }
 }
@@ -146,33 +274,25 @@ impl Scene {
     /// # Errors
     /// The first value outside its range, or a period that is not a whole number of steps.
     pub fn check(&self) -> Result<(), SimError> {
-        let within = |name, unit, values: &[f64], min: f64, max: f64| match values
-            .iter()
-            .find(|v| !(**v >= min && **v <= max))
-        {
-            Some(&value) => Err(SimError::Scene { name, value, unit, min, max }),
-            None => Ok(()),
-        };
         within("base_pose_world", "m, m, rad", &self.base_pose_world, -1e3, 1e3)?;
         within("arm_posture_rad", "rad", &self.arm_posture_rad, -7.0, 7.0)?;
         within("control_period_s", "s", &[self.control_period_s], 1e-5, 0.1)?;
         within("physics_step_s", "s", &[self.physics_step_s], 1e-6, 0.1)?;
         within("foam_scale", "", &[self.foam_scale], 1e-3, 1e5)?;
-        for person in &self.people {
-            within("person.position_world", "m", &person.position_world, -1e3, 1e3)?;
-            within("person.velocity_world", "m/s", &person.velocity_world, -5.0, 5.0)?;
-            within("person.radius_m", "m", &[person.radius_m], 0.005, 1e3)?;
-            within("person.tissue_stiffness", "N/m", &[person.tissue_stiffness_n_per_m], 1.0, 1e9)?;
-            if let Mobility::Standing { mass_kg, stiffness_n_per_m, damping_n_s_per_m } = person.mobility {
-                within("person.mass", "kg", &[mass_kg], 0.1, 1e4)?;
-                within("person.posture_stiffness", "N/m", &[stiffness_n_per_m], 0.0, 1e7)?;
-                within("person.posture_damping", "N·s/m", &[damping_n_s_per_m], 0.0, 1e5)?;
-            }
-            if let Some(after_s) = person.steps_away_after_s {
-                within("person.steps_away_after", "s", &[after_s], 0.0, 1e3)?;
-            }
-        }
+        let servo = &self.base_servo;
+        within("base_servo.time_constant_s", "s", &[servo.time_constant_s], 1e-4, 10.0)?;
+        let (linear, yaw) = (servo.acceleration_max_m_s2, servo.yaw_acceleration_max_rad_s2);
+        within("base_servo.acceleration", "m/s², rad/s²", &[linear, yaw], 1e-3, 1e4)?;
+        self.people.iter().try_for_each(Person::check)?;
         self.substeps().map(|_| ())
+    }
+
+    /// The integrator that the model gets. Free motion is smooth: Runge–Kutta. A stiff contact whose force is held over
+    /// a step gains energy with it, and semi-implicit steps do not: implicitfast.
+    pub fn chosen_integrator(&self) -> Integrator {
+        let smooth = self.people.is_empty() && self.physics_step_s <= RUNGE_KUTTA_STEP_MAX_S;
+        let recommended = if smooth { Integrator::RungeKutta4 } else { Integrator::ImplicitFast };
+        self.integrator.unwrap_or(recommended)
     }
 
     /// Physics steps in one control period.

@@ -4,7 +4,7 @@
 
 use moca_msgs::robot::PANDA;
 use moca_msgs::{Actuation, RobotCommand};
-use moca_sim::{Integrator, Person, Robot, Scene, SimError, SimPlant};
+use moca_sim::{BodyPart, Integrator, Person, Robot, Scene, SimError, SimPlant};
 
 const STILL: [f64; 3] = [0.0; 3];
 const STIFFNESS: [f64; 7] = [90.0, 90.0, 90.0, 90.0, 45.0, 30.0, 15.0];
@@ -111,7 +111,7 @@ fn braking_stops_base_and_arm_and_holds_against_gravity() {
     for integrator in
         [Integrator::Euler, Integrator::RungeKutta4, Integrator::Implicit, Integrator::ImplicitFast]
     {
-        let mut plant = SimPlant::new(&Scene { integrator, ..Scene::default() }).unwrap();
+        let mut plant = SimPlant::new(&Scene { integrator: Some(integrator), ..Scene::default() }).unwrap();
         plant.set_state(&STILL, &STILL, &PANDA.home_rad, &[1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0]);
         drive(&mut plant, [0.3, 0.0, 0.3], 5);
         plant.apply(&Actuation::Brake).unwrap();
@@ -203,4 +203,44 @@ fn the_same_commands_give_the_same_bits() {
         (plant.state(), plant.taxel_force_true_n())
     };
     assert_eq!(run(), run());
+}
+
+#[test]
+fn a_hand_that_walks_in_later_and_one_that_leans_are_felt_when_and_as_they_are_told() {
+    let mut comer = Person::part(BodyPart::Hand, 5, 0.02, 0.05).unwrap();
+    (comer.walk_m_s, comer.starts_after_s) = (0.1, 0.3);
+    let mut plant = SimPlant::new(&Scene { people: vec![comer], ..Scene::default() }).unwrap();
+    plant.set_people_waiting(true);
+    drive(&mut plant, STILL, 700);
+    plant.set_people_waiting(false);
+    let mut first_ms = None;
+    for ms in 0..700 {
+        drive(&mut plant, STILL, 1);
+        if plant.taxel_force_true_n()[5] > 0.0 {
+            first_ms = first_ms.or(Some(ms));
+        }
+    }
+    // 0.3 s of waiting and 20 mm at 0.1 m/s.
+    assert!((480..560).contains(&first_ms.unwrap()), "{first_ms:?}");
+    let [fx, _, mz] = plant.cover_wrench_true_base();
+    assert!(fx < -1.0 && mz.abs() < 1e-9, "the wrench that eq. (4) sees acts at the taxel's centre");
+
+    let mut leaning = Person::part(BodyPart::Thigh, 5, 0.0, 0.0).unwrap();
+    leaning.lean_n = 30.0;
+    let mut plant = SimPlant::new(&Scene { people: vec![leaning], ..Scene::default() }).unwrap();
+    drive(&mut plant, STILL, 3000);
+    // 800 N/m of posture hold back what the foam gives way.
+    assert!((20.0..30.0).contains(&plant.taxel_force_true_n()[5]), "{:?}", plant.taxel_force_true_n());
+}
+
+#[test]
+fn a_wall_presses_every_taxel_of_the_panel_that_meets_it_and_stops_the_base() {
+    let wall = Person::part(BodyPart::Wall, 5, 0.02, 0.0).unwrap();
+    let mut plant = SimPlant::new(&Scene { people: vec![wall], ..Scene::default() }).unwrap();
+    drive(&mut plant, [0.05, 0.0, 0.0], 2000);
+    let force = plant.taxel_force_true_n();
+    assert!(force[4] > 50.0 && (force[4] - force[6]).abs() < 1.0, "{force:?}");
+    assert!(force.iter().enumerate().all(|(i, f)| (4..=6).contains(&i) || *f == 0.0), "{force:?}");
+    let state = plant.state();
+    assert!(state.base_pose_world[0] < 0.06 && state.base_pose_world[2].abs() < 1e-3, "{state:?}");
 }

@@ -1,18 +1,16 @@
 //! Experiment C: the flange is led sideways, the base follows, and a person stands in its way.
 
 use super::figure::{self, Moment};
-use super::push::{difference, rms};
-use super::rig::{Loads, Rig, Row, TAXELS};
+use super::measure::{Measures, peak_force_n};
+use super::rig::{Loads, Rig, Row};
 use super::settings::{Sensor, Settings};
-use super::{RunInfo, head};
+use super::{RunInfo, head, wrench_text};
 use crate::chart::Panel;
 use anyhow::Result;
 use moca_sim::foam::FoamLaw;
 use serde::Serialize;
 use std::time::Instant;
 
-/// A peak lower than this is a graze, N.
-const PEAK_MIN_N: f64 = 2.0;
 /// Sensor phases over which the worst is reported, as shares of the sensor's period.
 const PHASES: [f64; 5] = [0.0, 0.2, 0.4, 0.6, 0.8];
 
@@ -26,26 +24,15 @@ pub(crate) fn defaults(settings: &mut Settings) {
 pub(crate) struct Report {
     #[serde(flatten)]
     info: RunInfo,
-    /// Largest force on any taxel, N.
-    pub peak_force_n: f64,
-    /// Local maxima of the total force from first contact on, N, in time order.
-    pub peaks_n: Vec<f64>,
-    /// Taxels that were touched, in the order of the cover.
-    pub contact_taxels: Vec<String>,
-    /// First contact, s after the motion's start; null without one.
-    pub contact_s: Option<f64>,
-    /// Time in contact, s.
-    pub contact_time_s: f64,
+    #[serde(flatten)]
+    pub measures: Measures,
     /// Speed of the touched part of the cover towards the person just before contact, m/s.
     pub approach_m_s: f64,
-    pub flange_rms_mm: f64,
-    pub flange_max_mm: f64,
-    pub base_displacement: [f64; 3],
-    /// Turn of the base from first to last contact, degrees.
-    pub yaw_in_contact_deg: f64,
-    /// Means while in contact, axes of B about its origin: N, N, N·m.
-    pub wrench_true: [f64; 3],
-    pub wrench_sensed: [f64; 3],
+    /// How far the flange is ahead of the base along y half a second after the start, m.
+    pub arm_leads_m: f64,
+    /// Speed of the base along y just before contact, at its least in contact, and a second after it, m/s; null
+    /// without contact.
+    pub base_y_m_s: Option<[f64; 3]>,
     /// Largest force for each phase of the sensor against the motion, N.
     pub peak_by_phase_n: Vec<f64>,
     /// A stock board is outside the bound of contact stability: label of the result.
@@ -60,25 +47,31 @@ impl Report {
 
     pub(crate) fn text(&self) -> String {
         let list = |values: &[f64]| values.iter().map(|v| format!("{v:.1}")).collect::<Vec<_>>().join(" / ");
+        let m = &self.measures;
+        let [x, y, yaw] = m.base_displacement;
+        let resumes = self.base_y_m_s.map_or(String::new(), |[before, least, after]| {
+            format!("; base along y {before:.3} m/s before contact, {least:.3} in it, {after:.3} a second after")
+        });
         format!(
             "{}\n  peak force {:.1} N ({}), peaks {} N, taxels {}, contact at {} s for {:.2} s, approach {:.3} m/s\n  \
-             peak by sensor phase {} N\n  flange off by {:.2} mm RMS, {:.2} mm at most; base moved ({:+.3} m, {:+.3} m, \
-             {:+.3} rad); yaw in contact {:+.1}°",
+             peak by sensor phase {} N\n  flange off by {:.2} mm RMS, {:.2} mm at most; base moved ({x:+.3} m, {y:+.3} m, \
+             {yaw:+.3} rad); yaw in contact {:+.1}°\n  wrench in contact {} true, {} sensed\n  \
+             arm {:.3} m ahead of the base after 0.5 s{resumes}",
             head(&self.info),
-            self.peak_force_n,
+            m.peak_force_n,
             self.verdict,
-            list(&self.peaks_n),
-            self.contact_taxels.join(", "),
-            self.contact_s.map_or("no".into(), |t| format!("{t:.2}")),
-            self.contact_time_s,
+            list(&m.peaks_n),
+            m.contact_taxels.join(", "),
+            m.contact_s.map_or("no".into(), |t| format!("{t:.2}")),
+            m.contact_time_s,
             self.approach_m_s,
             list(&self.peak_by_phase_n),
-            self.flange_rms_mm,
-            self.flange_max_mm,
-            self.base_displacement[0],
-            self.base_displacement[1],
-            self.base_displacement[2],
-            self.yaw_in_contact_deg,
+            m.flange_rms_mm,
+            m.flange_max_mm,
+            m.yaw_in_contact_deg,
+            wrench_text(&m.wrench_true),
+            wrench_text(&m.wrench_sensed),
+            self.arm_leads_m,
         )
     }
 }
@@ -132,11 +125,6 @@ pub(crate) fn once(settings: &Settings) -> Result<Rig> {
     Ok(rig)
 }
 
-/// Largest force on any taxel, N.
-pub(crate) fn peak_force_n(rows: &[Row]) -> f64 {
-    rows.iter().flat_map(|row| row.force_true).fold(0.0, f64::max)
-}
-
 /// The arm leads; first contact; the first peak; the base has resumed.
 fn moments(rows: &[Row]) -> Vec<Moment> {
     let last = rows.len().saturating_sub(1);
@@ -169,47 +157,27 @@ pub(crate) fn panels(rows: &[Row]) -> Vec<Panel> {
 }
 
 fn measure(info: RunInfo, settings: &Settings, rows: &[Row], peak_by_phase_n: Vec<f64>) -> Report {
-    let touching: Vec<usize> = (0..rows.len()).filter(|&i| rows[i].total_force_n() > 0.0).collect();
-    let first = touching.first().copied();
-    let last = touching.last().copied();
-    let mean = |pick: fn(&Row) -> [f64; 3]| {
-        let count = to_f64(touching.len() as u64).max(1.0);
-        let mut sum = [0.0; 3];
-        for &i in &touching {
-            let value = pick(&rows[i]);
-            sum = std::array::from_fn(|axis| sum[axis] + value[axis]);
-        }
-        sum.map(|s| s / count)
+    let measures = Measures::of(rows, 1.0 / f64::from(settings.config.control_loop.rate_hz));
+    let touching = |row: &Row| row.total_force_n() > 0.0;
+    let first = rows.iter().position(touching);
+    let last = rows.iter().rposition(touching);
+    let after = |i: usize, s: f64| rows.iter().skip(i).find(|row| row.t_s >= rows[i].t_s + s).or(rows.last());
+    let ahead = |row: &Row| {
+        (row.flange_world[1] - rows[0].flange_world[1]) - (row.base_pose_world[1] - rows[0].base_pose_world[1])
     };
-    let errors = || rows.iter().map(Row::flange_error_m);
-    let peak = peak_force_n(rows);
+    let safe = measures.peak_force_n < 25.0;
     Report {
         info,
-        peak_force_n: peak,
-        peaks_n: peaks(rows),
-        contact_taxels: (0..TAXELS)
-            .filter(|&taxel| rows.iter().any(|row| row.force_true[taxel] > 0.0))
-            .map(|taxel| format!("T{}", taxel + 1))
-            .collect(),
-        contact_s: first.map(|i| rows[i].t_s),
-        contact_time_s: 1e-3 * to_f64(touching.len() as u64),
+        measures,
         approach_m_s: first.map_or(0.0, |i| approach_m_s(&rows[i.saturating_sub(1)], settings)),
-        flange_rms_mm: 1e3 * rms(errors()),
-        flange_max_mm: 1e3 * errors().fold(0.0, f64::max),
-        base_displacement: match (rows.first(), rows.last()) {
-            (Some(first), Some(last)) => difference(&last.base_pose_world, &first.base_pose_world),
-            _ => [0.0; 3],
-        },
-        yaw_in_contact_deg: match (first, last) {
-            (Some(first), Some(last)) => {
-                (rows[last].base_pose_world[2] - rows[first].base_pose_world[2]).to_degrees()
-            }
-            _ => 0.0,
-        },
-        wrench_true: mean(|row| row.wrench_true),
-        wrench_sensed: mean(|row| row.wrench_sensed),
+        arm_leads_m: after(0, 0.5).map_or(0.0, ahead),
+        base_y_m_s: first.zip(last).map(|(first, last)| {
+            let speed = |row: &Row| row.base_velocity_world[1];
+            let least = rows[first..=last].iter().map(speed).fold(f64::INFINITY, f64::min);
+            [speed(&rows[first]), least, after(last, 1.0).map_or(0.0, speed)]
+        }),
         peak_by_phase_n,
-        verdict: if peak < 25.0 { "below 25 N" } else { "UNSAFE: above 25 N" },
+        verdict: if safe { "below 25 N" } else { "UNSAFE: above 25 N" },
     }
 }
 
@@ -223,28 +191,6 @@ fn approach_m_s(row: &Row, settings: &Settings) -> f64 {
     let (vx, vy) = (body_x - yaw_rate * y, body_y + yaw_rate * x);
     let (sin, cos) = placement.inward_angle_base_rad.sin_cos();
     -(vx * cos + vy * sin) + settings.person.walk_m_s
-}
-
-/// Local maxima of the total force above a graze, N, each the largest between two dips of a fifth of it.
-fn peaks(rows: &[Row]) -> Vec<f64> {
-    let mut found = Vec::new();
-    let (mut most, mut rising) = (0.0f64, true);
-    let mut least = f64::INFINITY;
-    for force_n in rows.iter().map(Row::total_force_n) {
-        if rising {
-            most = most.max(force_n);
-            if most > PEAK_MIN_N && force_n < 0.8 * most {
-                found.push(most);
-                (rising, least) = (false, force_n);
-            }
-        } else {
-            least = least.min(force_n);
-            if force_n > PEAK_MIN_N && force_n > 1.25 * least {
-                (rising, most) = (true, force_n);
-            }
-        }
-    }
-    found
 }
 
 fn to_f64(value: u64) -> f64 {

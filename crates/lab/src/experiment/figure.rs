@@ -10,10 +10,14 @@ use std::path::Path;
 
 const WIDTH: f64 = 900.0;
 const PANEL_HEIGHT: f64 = 150.0;
+/// Strip above the panels for the names of the moments.
+const HEADER: f64 = 34.0;
+/// Largest side of a picture.
 const PICTURE: f64 = 220.0;
-/// Pixels for a metre and for a newton in the pictures.
-const PX_PER_M: f64 = 75.0;
-const PX_PER_N: f64 = 1.6;
+/// Half of what a picture shows around the robot at least, m.
+const AROUND_M: f64 = 0.75;
+/// Length of an arrow, m/N.
+const ARROW_M_PER_N: f64 = 0.02;
 
 /// A moment of a run that gets a mark and a picture.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,60 +26,104 @@ pub(crate) struct Moment {
     pub row: usize,
 }
 
-/// Panels above each other, then one picture for each moment.
+/// Names of the moments, panels above each other, then one picture for each moment.
 pub(crate) fn draw(rows: &[Row], moments: &[Moment], panels: Vec<Panel>) -> Drawing {
     let count = |n: usize| f64::from(u32::try_from(n).unwrap_or(u32::MAX));
-    let top = PANEL_HEIGHT * count(panels.len()) + 10.0;
-    let pictures_per_line = 4;
-    let lines = moments.len().div_ceil(pictures_per_line);
-    let mut drawing = Drawing::new(WIDTH, top + PICTURE * count(lines) + 10.0);
-    for (i, mut panel) in panels.into_iter().enumerate() {
-        panel.marks = moments.iter().map(|m| (rows[m.row].t_s, m.name.clone())).collect();
-        panel.draw(&mut drawing, [0.0, PANEL_HEIGHT * count(i) + 6.0], [WIDTH, PANEL_HEIGHT]);
+    let top = HEADER + PANEL_HEIGHT * count(panels.len());
+    let side = (WIDTH / count(moments.len().max(1))).min(PICTURE);
+    let mut drawing = Drawing::new(WIDTH, top + side + 26.0);
+    let at = |moment: &Moment| panels.first().map_or(0.0, |panel| panel.place(rows[moment.row].t_s, WIDTH));
+    let mut taken = [f64::NEG_INFINITY; 2];
+    for moment in moments {
+        let x = at(moment);
+        // Names that would run into each other go into the second lane.
+        let lane = usize::from(x < taken[0]);
+        taken[lane] = x + 8.0 * count(moment.name.chars().count()) + 6.0;
+        drawing.text([x, 12.0 + 12.0 * count(lane)], Anchor::Start, &moment.name, BLACK);
+        drawing.line(&[[x, 16.0 + 12.0 * count(lane)], [x, HEADER + 16.0]], 1.0, GREY);
     }
+    for (i, mut panel) in panels.into_iter().enumerate() {
+        panel.marks = moments.iter().map(|m| rows[m.row].t_s).collect();
+        panel.draw(&mut drawing, [0.0, HEADER + PANEL_HEIGHT * count(i)], [WIDTH, PANEL_HEIGHT]);
+    }
+    let half_m = moments.iter().map(|m| half_extent_m(&rows[0], &rows[m.row])).fold(AROUND_M, f64::max);
     for (i, moment) in moments.iter().enumerate() {
-        let column = count(i % pictures_per_line);
-        let line = count(i / pictures_per_line);
-        let centre = [(column + 0.5) * PICTURE, top + (line + 0.5) * PICTURE];
-        picture(&mut drawing, centre, &moment.name, &rows[0], &rows[moment.row]);
+        let centre = [(count(i) + 0.5) * side, top + 20.0 + 0.5 * side];
+        drawing.text([centre[0], top + 14.0], Anchor::Middle, &moment.name, BLACK);
+        let picture = Picture::new(centre, 0.5 * side / half_m, half_m, &rows[0], &rows[moment.row]);
+        picture.draw(&mut drawing, &rows[0], &rows[moment.row]);
     }
     drawing
 }
 
-/// The robot from above, x of the world to the right, y up, the start in the middle (grey).
-fn picture(drawing: &mut Drawing, centre: [f64; 2], name: &str, start: &Row, row: &Row) {
-    let at = |[x, y]: [f64; 2]| [centre[0] + PX_PER_M * x, centre[1] - PX_PER_M * y];
-    drawing.text([centre[0], centre[1] - 0.5 * PICTURE + 14.0], Anchor::Middle, name, BLACK);
-    let outline = |pose: &[f64; 3]| -> Vec<[f64; 2]> {
+/// Half side of a square that holds the robot at its start and now, m.
+fn half_extent_m(start: &Row, now: &Row) -> f64 {
+    let way = |axis: usize| 0.5 * (now.base_pose_world[axis] - start.base_pose_world[axis]).abs();
+    AROUND_M + way(0).max(way(1))
+}
+
+/// The robot from above, x of the world to the right, y up; the start in grey.
+struct Picture {
+    centre_px: [f64; 2],
+    px_per_m: f64,
+    /// Place of the world in the middle, m, and half of what is shown.
+    middle_m: [f64; 2],
+    half_m: f64,
+}
+
+impl Picture {
+    fn new(centre_px: [f64; 2], px_per_m: f64, half_m: f64, start: &Row, now: &Row) -> Self {
+        let middle_m =
+            std::array::from_fn(|axis| 0.5 * (start.base_pose_world[axis] + now.base_pose_world[axis]));
+        Self { centre_px, px_per_m, middle_m, half_m }
+    }
+
+    fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        [
+            self.centre_px[0] + self.px_per_m * (x - self.middle_m[0]),
+            self.centre_px[1] - self.px_per_m * (y - self.middle_m[1]),
+        ]
+    }
+
+    fn draw(&self, drawing: &mut Drawing, start: &Row, row: &Row) {
         let [hx, hy] = [0.5 * SUMMIT_XL.size_m[0], 0.5 * SUMMIT_XL.size_m[1]];
-        [[hx, hy], [-hx, hy], [-hx, -hy], [hx, -hy], [hx, hy]].map(|p| at(to_world(pose, p))).to_vec()
-    };
-    drawing.line(&outline(&start.base_pose_world), 1.0, GREY);
-    drawing.line(&outline(&row.base_pose_world), 2.0, BLACK);
-    let mount =
-        to_world(&row.base_pose_world, [MOCA_MOUNT.position_base_m[0], MOCA_MOUNT.position_base_m[1]]);
-    let flange = [row.flange_world[0], row.flange_world[1]];
-    drawing.line(&[at(mount), at(flange)], 3.0, PALETTE[0]);
-    drawing.circle(at(flange), 4.0, PALETTE[0]);
-    if let Some(person) = row.person_world {
-        drawing.circle(at(person), 0.07 * PX_PER_M, PALETTE[3]);
-    }
-    for (taxel, force_n) in PAPER_COVER.iter().zip(row.force_true) {
-        if force_n > 0.0 {
-            let (sin, cos) = taxel.inward_angle_base_rad.sin_cos();
-            let [x, y] = taxel.position_base_m;
-            let length = force_n * PX_PER_N / PX_PER_M;
-            let tail = to_world(&row.base_pose_world, [x - length * cos, y - length * sin]);
-            arrow(drawing, at(tail), at(to_world(&row.base_pose_world, [x, y])));
+        let corners = [[hx, hy], [-hx, hy], [-hx, -hy], [hx, -hy], [hx, hy]];
+        for (pose, width, colour) in [(&start.base_pose_world, 1.0, GREY), (&row.base_pose_world, 2.0, BLACK)] {
+            drawing.line(&corners.map(|corner| self.at(to_world(pose, corner))), width, colour);
         }
+        let base = &row.base_pose_world;
+        let nose = [[hx, -0.06], [hx + 0.07, 0.0], [hx, 0.06]];
+        drawing.line(&nose.map(|point| self.at(to_world(base, point))), 1.5, BLACK);
+        let mount = to_world(base, [MOCA_MOUNT.position_base_m[0], MOCA_MOUNT.position_base_m[1]]);
+        let flange = [row.flange_world[0], row.flange_world[1]];
+        drawing.line(&[self.at(mount), self.at(flange)], 3.0, PALETTE[0]);
+        drawing.circle(self.at(flange), 4.0, PALETTE[0]);
+        let shown = |p: &[f64; 2]| (0..2).all(|i| (p[i] - self.middle_m[i]).abs() < self.half_m - 0.07);
+        if let Some(person) = row.person_world.filter(shown) {
+            drawing.circle(self.at(person), 0.07 * self.px_per_m, PALETTE[3]);
+        }
+        self.forces(drawing, row);
     }
-    let [fx, fy, fz, ..] = row.flange_wrench_world;
-    if fx.hypot(fy) > 0.0 {
-        let head = at(flange);
-        arrow(drawing, [head[0] - fx * PX_PER_N, head[1] + fy * PX_PER_N], head);
-    } else if fz > 0.0 {
-        let [x, y] = at(flange);
-        drawing.text([x + 8.0, y + 4.0], Anchor::Start, "up", RED);
+
+    fn forces(&self, drawing: &mut Drawing, row: &Row) {
+        let base = &row.base_pose_world;
+        for (taxel, force_n) in PAPER_COVER.iter().zip(row.force_true) {
+            if force_n > 0.0 {
+                let (sin, cos) = taxel.inward_angle_base_rad.sin_cos();
+                let [x, y] = taxel.position_base_m;
+                let length = force_n * ARROW_M_PER_N;
+                let tail = to_world(base, [x - length * cos, y - length * sin]);
+                arrow(drawing, self.at(tail), self.at(to_world(base, [x, y])));
+            }
+        }
+        let [fx, fy, fz, ..] = row.flange_wrench_world;
+        let flange = [row.flange_world[0], row.flange_world[1]];
+        let head = self.at(flange);
+        if fx.hypot(fy) > 0.0 {
+            arrow(drawing, self.at([flange[0] - fx * ARROW_M_PER_N, flange[1] - fy * ARROW_M_PER_N]), head);
+        } else if fz > 0.0 {
+            drawing.text([head[0] + 8.0, head[1] + 4.0], Anchor::Start, "up", RED);
+        }
     }
 }
 
@@ -97,18 +145,16 @@ fn panel(title: &str, unit: &str, series: Vec<Series>) -> Panel {
     Panel { series, ..Panel::new(title, "t [s]", unit) }
 }
 
-/// Forces of the taxels that are touched at all: true (line) and sensed.
+/// Forces of the taxels that are touched at all: true, and what is sensed in a paler colour.
 pub(crate) fn taxel_forces(rows: &[Row]) -> Panel {
-    let touched: Vec<usize> =
-        (0..TAXELS).filter(|&i| rows.iter().any(|row| row.force_true[i] > 0.0)).collect();
-    let mut lines = Vec::new();
-    for (n, &i) in touched.iter().enumerate() {
-        lines.push(series(n, &format!("T{} true", i + 1), rows, |row| row.force_true[i]));
+    let touched = (0..TAXELS).filter(|&i| rows.iter().any(|row| row.force_true[i] > 0.0));
+    let (mut sensed, mut lines) = (Vec::new(), Vec::new());
+    for (n, i) in touched.enumerate() {
+        sensed.push(series(n, "", rows, |row| row.force_sensed[i]).pale());
+        lines.push(series(n, &format!("T{}", i + 1), rows, |row| row.force_true[i]));
     }
-    if let [only] = touched[..] {
-        lines.push(series(1, &format!("T{} sensed", only + 1), rows, |row| row.force_sensed[only]));
-    }
-    panel("force on the cover", "N", lines)
+    sensed.append(&mut lines);
+    panel("force on the cover: true (strong) and sensed (pale)", "N", sensed)
 }
 
 /// τ_v,ext as the controller has it, axes of B.
@@ -163,15 +209,19 @@ pub(crate) fn flange_error(rows: &[Row]) -> Panel {
     )
 }
 
-/// Displacement of flange and base along y: which leads.
+/// Velocity of flange and base along y: which leads, and that the base resumes.
 pub(crate) fn lead(rows: &[Row]) -> Panel {
-    let (flange, base) = (rows[0].flange_world[1], rows[0].base_pose_world[1]);
+    /// Ticks over which the flange's velocity is taken.
+    const SPAN: usize = 20;
+    let flange = rows.iter().zip(rows.iter().skip(SPAN)).map(|(before, after)| {
+        [after.t_s, (after.flange_world[1] - before.flange_world[1]) / (after.t_s - before.t_s)]
+    });
     panel(
-        "who leads: displacement along y",
-        "m",
+        "who leads: velocity along y",
+        "m/s",
         vec![
-            series(0, "flange", rows, |row| row.flange_world[1] - flange),
-            series(1, "base", rows, |row| row.base_pose_world[1] - base),
+            Series::line(0, "flange", flange.collect()),
+            series(1, "base", rows, |row| row.base_velocity_world[1]),
         ],
     )
 }

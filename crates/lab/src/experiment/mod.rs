@@ -3,6 +3,7 @@
 
 pub(crate) mod collision;
 pub(crate) mod figure;
+pub(crate) mod measure;
 pub(crate) mod paper;
 pub(crate) mod push;
 pub(crate) mod rig;
@@ -111,7 +112,9 @@ struct PushReport {
     info: RunInfo,
     taxels: Vec<String>,
     newton: f64,
+    /// Of the push, the rest after it left out.
     #[serde(flatten)]
+    measures: measure::Measures,
     outcome: Option<push::Outcome>,
 }
 
@@ -146,10 +149,13 @@ fn push_report(taxels: &[usize], newton: f64, settings: &Settings) -> Result<(Pu
     let started = Instant::now();
     let mut rig = rig::Rig::start(settings, &settings.free_scene())?;
     let outcome = push::run(&mut rig, settings, &[push::single(taxels, newton)])?.pop();
+    let period_s = 1.0 / f64::from(settings.config.control_loop.rate_hz);
+    let pushed = rig.rows.partition_point(|row| row.t_s <= settings.push_s + 0.5 * period_s);
     let report = PushReport {
         info: RunInfo::new("push", settings, &rig, started),
         taxels: taxels.iter().map(|taxel| format!("T{}", taxel + 1)).collect(),
         newton,
+        measures: measure::Measures::of(&rig.rows[..pushed], period_s),
         outcome,
     };
     Ok((report, rig.rows))
@@ -199,7 +205,6 @@ fn head(info: &RunInfo) -> String {
 
 fn outcome_text(outcome: &push::Outcome) -> String {
     let [x, y, yaw] = outcome.base_displacement;
-    let triple = |[a, b, c]: [f64; 3]| format!("({a:8.3} N, {b:8.3} N, {c:8.3} N·m)");
     format!(
         "  {:24} base moved ({x:+.4} m, {y:+.4} m, {yaw:+.4} rad), flange off by {:.2} mm at most, {:.2} mm RMS\n  \
          {:24} wrench on the base {} true, {} sensed",
@@ -207,7 +212,11 @@ fn outcome_text(outcome: &push::Outcome) -> String {
         outcome.flange_max_mm,
         outcome.flange_rms_mm,
         "",
-        triple(outcome.wrench_true),
-        triple(outcome.wrench_sensed)
+        wrench_text(&outcome.wrench_true),
+        wrench_text(&outcome.wrench_sensed)
     )
+}
+
+fn wrench_text([fx, fy, mz]: &[f64; 3]) -> String {
+    format!("({fx:8.3} N, {fy:8.3} N, {mz:8.3} N·m)")
 }

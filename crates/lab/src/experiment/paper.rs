@@ -1,6 +1,7 @@
 //! Experiments B1 and B2: the paper's pushes, in one continuous run each.
 
 use super::figure::{self, Moment};
+use super::measure::Measures;
 use super::push::{self, Outcome, Push};
 use super::rig::{Rig, Row};
 use super::settings::Settings;
@@ -15,11 +16,9 @@ use std::time::Instant;
 pub(crate) struct Report {
     #[serde(flatten)]
     info: RunInfo,
-    /// Largest over the whole run.
-    flange_max_mm: f64,
-    flange_rms_mm: f64,
     /// Of the whole run.
-    base_displacement: [f64; 3],
+    #[serde(flatten)]
+    pub measures: Measures,
     /// Each push in its turn.
     pub pushes: Vec<Outcome>,
     /// B2-iii: speed of the base along y for the hand on the cover, the hand at the flange, and both, m/s.
@@ -31,6 +30,11 @@ impl Report {
     pub(crate) fn text(&self) -> String {
         let mut lines = vec![head(&self.info)];
         lines.extend(self.pushes.iter().map(outcome_text));
+        let m = &self.measures;
+        lines.push(format!(
+            "  whole run: peak force {:.1} N, in contact {:.1} s, flange off by {:.2} mm RMS, {:.2} mm at most",
+            m.peak_force_n, m.contact_time_s, m.flange_rms_mm, m.flange_max_mm
+        ));
         if let Some([taxel, flange, both]) = self.superposition_m_s {
             lines.push(format!(
                 "  superposition: {taxel:.4} m/s (cover) + {flange:.4} m/s (flange) = {:.4}, both together {both:.4} m/s",
@@ -96,15 +100,9 @@ fn continuous(
     let mut rig = Rig::start(settings, &settings.free_scene())?;
     let outcomes = push::run(&mut rig, settings, pushes)?;
     let rows = &rig.rows;
-    let moved = match (rows.first(), rows.last()) {
-        (Some(first), Some(last)) => push::difference(&last.base_pose_world, &first.base_pose_world),
-        _ => [0.0; 3],
-    };
     let report = Report {
         info: RunInfo::new(name, settings, &rig, started),
-        flange_max_mm: 1e3 * rows.iter().map(Row::flange_error_m).fold(0.0, f64::max),
-        flange_rms_mm: 1e3 * push::rms(rows.iter().map(Row::flange_error_m)),
-        base_displacement: moved,
+        measures: Measures::of(rows, 1.0 / f64::from(settings.config.control_loop.rate_hz)),
         pushes: outcomes,
         superposition_m_s,
     };

@@ -110,6 +110,7 @@ impl Rig {
         };
         let mut rig =
             Self { cover, period_s, rows: Vec::new(), stopped: None, frame_rate_hz: 0.0, sim_s: 0.0 };
+        rig.robot().world.set_people_waiting(true);
         while !rig.tick(&Loads::default())?.mode.moves() {
             if let Some(cause) = &rig.stopped {
                 bail!("the robot stopped before it was armed: {cause}");
@@ -118,6 +119,7 @@ impl Rig {
         }
         rig.run_for(1e-3 * settings.sensor_phase_ms, |_| Loads::default())?;
         rig.rows.clear();
+        rig.robot().world.set_people_waiting(false);
         Ok(rig)
     }
 

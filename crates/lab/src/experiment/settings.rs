@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail, ensure};
 use moca_daemon::config::{Config, HandConfig};
 use moca_msgs::Law;
 use moca_sim::foam::FoamLaw;
-use moca_sim::{Integrator, Mobility, Person, Scene, VirtualBoardConfig};
+use moca_sim::{BaseServo, BodyPart, Integrator, Mobility, Person, Scene, Shape, VirtualBoardConfig};
 use moca_tactile::datastream::SketchGeneration;
 
 /// What the controller feels the cover with.
@@ -28,21 +28,62 @@ impl Sensor {
     }
 }
 
-/// The person of the collision experiment.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Who stands beside the robot. What is `None` is as the body part has it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct PersonSettings {
+    pub part: BodyPart,
     /// 0 is T1.
     pub taxel: usize,
     pub gap_m: f64,
-    pub mass_kg: f64,
-    pub stiffness: f64,
-    pub posture_stiffness: f64,
-    pub posture_damping: f64,
-    pub radius_m: f64,
+    /// Along the panel from the taxel's centre, m.
+    pub offset_m: f64,
+    pub mass_kg: Option<f64>,
+    pub stiffness: Option<f64>,
+    pub damping: f64,
+    pub posture_stiffness: Option<f64>,
+    pub posture_damping: Option<f64>,
+    pub radius_m: Option<f64>,
     pub steps_away_s: f64,
+    /// When walking and leaning begin, s after the run's start.
+    pub at_s: f64,
     /// Walking speed towards the cover, m/s.
     pub walk_m_s: f64,
+    /// Weight leant on the cover, N.
+    pub lean_n: f64,
     pub fixed: bool,
+}
+
+impl PersonSettings {
+    /// Stiffness of the tissue, N/m.
+    pub(crate) fn tissue_stiffness(&self) -> f64 {
+        self.stiffness.unwrap_or(self.part.data().1.stiffness_n_per_m)
+    }
+
+    fn person(&self) -> Result<Person> {
+        let (mut shape, mut tissue, mut mobility) = self.part.data();
+        if let (Shape::Cylinder { radius_m }, Some(radius)) = (&mut shape, self.radius_m) {
+            *radius_m = radius;
+        }
+        tissue.stiffness_n_per_m = self.tissue_stiffness();
+        tissue.damping_n_s_per_m = self.damping;
+        if self.fixed {
+            mobility = Mobility::Fixed;
+        }
+        if let Mobility::Standing { mass_kg, stiffness_n_per_m, damping_n_s_per_m } = &mut mobility {
+            *mass_kg = self.mass_kg.unwrap_or(*mass_kg);
+            *stiffness_n_per_m = self.posture_stiffness.unwrap_or(*stiffness_n_per_m);
+            *damping_n_s_per_m = self.posture_damping.unwrap_or(*damping_n_s_per_m);
+        }
+        let person = Person::before(self.taxel, self.gap_m, self.offset_m, shape, tissue, mobility)
+            .context("no such taxel")?;
+        Ok(Person {
+            starts_after_s: self.at_s,
+            walk_m_s: self.walk_m_s,
+            lean_n: self.lean_n,
+            steps_away_after_s: (self.part != BodyPart::Wall).then_some(self.steps_away_s),
+            ..person
+        })
+    }
 }
 
 /// One run, completely described.
@@ -58,13 +99,14 @@ pub(crate) struct Settings {
     pub foam: FoamLaw,
     pub foam_scale: f64,
     pub person: PersonSettings,
+    pub base_servo: BaseServo,
     /// Speed of the flange's target, m/s.
     pub speed_m_s: f64,
     pub duration_s: f64,
     pub push_s: f64,
     pub rest_s: f64,
     pub step_ms: f64,
-    pub integrator: Integrator,
+    pub integrator: Option<Integrator>,
 }
 
 impl Settings {
@@ -86,24 +128,14 @@ impl Settings {
             sketch: SketchGeneration::From2018,
             foam: FoamLaw::default(),
             foam_scale: 1.0,
-            person: PersonSettings {
-                taxel: 0,
-                gap_m: 0.25,
-                mass_kg: 75.0,
-                stiffness: 50_000.0,
-                posture_stiffness: 800.0,
-                posture_damping: 300.0,
-                radius_m: 0.07,
-                steps_away_s: 1.5,
-                walk_m_s: 0.0,
-                fixed: false,
-            },
+            person: PersonSettings { gap_m: 0.25, steps_away_s: 1.5, ..PersonSettings::default() },
+            base_servo: BaseServo::default(),
             speed_m_s: 0.2,
             duration_s: 8.0,
             push_s: 3.0,
             rest_s: 2.0,
             step_ms: 1.0,
-            integrator: Integrator::default(),
+            integrator: None,
         }
     }
 
@@ -142,30 +174,15 @@ impl Settings {
             control_period_s: 1.0 / f64::from(self.config.control_loop.rate_hz),
             physics_step_s: 1e-3 * self.step_ms,
             integrator: self.integrator,
+            base_servo: self.base_servo,
+            arm_posture_rad: self.config.control.gains.posture_rad,
             ..Scene::default()
         }
     }
 
-    /// The same scene with the person standing beside the cover.
+    /// The same scene with the person beside the cover.
     pub(crate) fn collision_scene(&self) -> Result<Scene> {
-        let p = &self.person;
-        let mut person = Person::beside(p.taxel, p.gap_m + p.radius_m - 0.07).context("no such taxel")?;
-        let placement = moca_msgs::robot::PAPER_COVER[p.taxel];
-        let (sin, cos) = placement.inward_angle_base_rad.sin_cos();
-        person.velocity_world = [p.walk_m_s * cos, p.walk_m_s * sin];
-        person.radius_m = p.radius_m;
-        person.tissue_stiffness_n_per_m = p.stiffness;
-        person.steps_away_after_s = Some(p.steps_away_s);
-        person.mobility = if p.fixed {
-            Mobility::Fixed
-        } else {
-            Mobility::Standing {
-                mass_kg: p.mass_kg,
-                stiffness_n_per_m: p.posture_stiffness,
-                damping_n_s_per_m: p.posture_damping,
-            }
-        };
-        Ok(Scene { people: vec![person], ..self.free_scene() })
+        Ok(Scene { people: vec![self.person.person()?], ..self.free_scene() })
     }
 
     /// The virtual board of this run.
@@ -274,14 +291,15 @@ const KEYS: &[Key] = &[
         Ok(())
     }),
     key("step_ms", "ms", "physics step", |s, v| store(&mut s.step_ms, v, 1e-3, 100.0)),
-    key("integrator", "euler|rk4|implicit|implicitfast", "MuJoCo's integrator", |s, v| {
+    key("integrator", "recommended|euler|rk4|implicit|implicitfast", "MuJoCo's integrator", |s, v| {
         s.integrator = word(
             v,
             &[
-                ("euler", Integrator::Euler),
-                ("rk4", Integrator::RungeKutta4),
-                ("implicit", Integrator::Implicit),
-                ("implicitfast", Integrator::ImplicitFast),
+                ("recommended", None),
+                ("euler", Some(Integrator::Euler)),
+                ("rk4", Some(Integrator::RungeKutta4)),
+                ("implicit", Some(Integrator::Implicit)),
+                ("implicitfast", Some(Integrator::ImplicitFast)),
             ],
         )?;
         Ok(())
@@ -302,30 +320,75 @@ const KEYS: &[Key] = &[
     key("foam.scale", "", "stiffness of the foam over its law's", |s, v| {
         store(&mut s.foam_scale, v, 1e-3, 1e5)
     }),
+    key("person.kind", "leg|thigh|hand|wall", "who stands there; the keys below change single properties", |s, v| {
+        s.person.part = word(
+            v,
+            &[
+                ("leg", BodyPart::Leg),
+                ("thigh", BodyPart::Thigh),
+                ("hand", BodyPart::Hand),
+                ("wall", BodyPart::Wall),
+            ],
+        )?;
+        Ok(())
+    }),
     key("person.taxel", "T1…T11", "taxel the person stands before", |s, v| {
         s.person.taxel = taxel(v)?;
         Ok(())
     }),
     key("person.gap", "m", "gap to the cover at the start", |s, v| store(&mut s.person.gap_m, v, 0.0, 5.0)),
-    key("person.mass", "kg", "mass", |s, v| store(&mut s.person.mass_kg, v, 0.1, 1e4)),
-    key("person.stiffness", "N/m", "stiffness of the tissue", |s, v| {
-        store(&mut s.person.stiffness, v, 1.0, 1e9)
+    key("person.offset", "m", "how far along the panel from the taxel's centre", |s, v| {
+        store(&mut s.person.offset_m, v, -1.0, 1.0)
     }),
+    key("person.mass", "kg", "mass", |s, v| some(&mut s.person.mass_kg, v, 0.1, 1e4)),
+    key("person.stiffness", "N/m", "stiffness of the tissue", |s, v| {
+        some(&mut s.person.stiffness, v, 1.0, 1e9)
+    }),
+    key("person.damping", "N·s/m", "damping of the tissue", |s, v| store(&mut s.person.damping, v, 0.0, 1e5)),
     key("person.posture_stiffness", "N/m", "stiffness of the posture", |s, v| {
-        store(&mut s.person.posture_stiffness, v, 0.0, 1e7)
+        some(&mut s.person.posture_stiffness, v, 0.0, 1e7)
     }),
     key("person.posture_damping", "N·s/m", "damping of the posture", |s, v| {
-        store(&mut s.person.posture_damping, v, 0.0, 1e5)
+        some(&mut s.person.posture_damping, v, 0.0, 1e5)
     }),
-    key("person.radius", "m", "radius of the leg", |s, v| store(&mut s.person.radius_m, v, 0.005, 100.0)),
-    key("person.steps_away_s", "s", "time from first contact to the step away", |s, v| {
-        store(&mut s.person.steps_away_s, v, 0.0, 1000.0)
-    }),
+    key("person.radius", "m", "radius of leg, thigh or hand", |s, v| some(&mut s.person.radius_m, v, 0.005, 100.0)),
+    key("person.at_s", "s", "when walking and leaning begin", |s, v| store(&mut s.person.at_s, v, 0.0, 3600.0)),
     key("person.walk", "m/s", "walking speed towards the cover", |s, v| {
         store(&mut s.person.walk_m_s, v, 0.0, 5.0)
     }),
+    key("person.lean", "N", "weight leant on the cover until the step away", |s, v| {
+        store(&mut s.person.lean_n, v, 0.0, 1000.0)
+    }),
+    key("person.steps_away_s", "s", "time from first contact to the step away", |s, v| {
+        store(&mut s.person.steps_away_s, v, 0.0, 1000.0)
+    }),
     key("person.fixed", "true|false", "cannot move: held against a wall", |s, v| {
         flag(&mut s.person.fixed, v)
+    }),
+    key("base.servo_ms", "ms", "time constant of the base's velocity servo", |s, v| {
+        s.base_servo.time_constant_s = 1e-3 * number(v, 0.1, 1e4)?;
+        Ok(())
+    }),
+    key("base.acceleration", "m/s²[,rad/s²]", "what the base's servo can do: along x and y, yaw", |s, v| {
+        let values = numbers(v, 2, 1e-3, 1e4)?;
+        s.base_servo.acceleration_max_m_s2 = values[0];
+        if let Some(yaw) = values.get(1) {
+            s.base_servo.yaw_acceleration_max_rad_s2 = *yaw;
+        }
+        Ok(())
+    }),
+    key("q_0", "rad, 7 numbers", "posture of the arm, at the start and in eq. (11)", |s, v| {
+        match numbers(v, 7, -7.0, 7.0)?[..] {
+            [a, b, c, d, e, f, g] => s.config.control.gains.posture_rad = [a, b, c, d, e, f, g],
+            _ => bail!("expected seven numbers"),
+        }
+        Ok(())
+    }),
+    key("limit.torque", "N·m, 7 numbers or 1", "largest commanded joint torque", |s, v| {
+        joints(&mut s.config.limits.torque_nm, v, 1e3)
+    }),
+    key("limit.torque_rate", "N·m/s", "fastest change of a joint torque", |s, v| {
+        store(&mut s.config.limits.torque_rate_nm_s, v, 1.0, 1e5)
     }),
     key("speed", "m/s", "speed of the flange's target in y (collision)", |s, v| {
         store(&mut s.speed_m_s, v, 0.0, 0.25)
@@ -360,6 +423,11 @@ fn number(text: &str, min: f64, max: f64) -> Result<f64> {
 
 fn store(place: &mut f64, text: &str, min: f64, max: f64) -> Result<()> {
     *place = number(text, min, max)?;
+    Ok(())
+}
+
+fn some(place: &mut Option<f64>, text: &str, min: f64, max: f64) -> Result<()> {
+    *place = Some(number(text, min, max)?);
     Ok(())
 }
 
@@ -433,7 +501,7 @@ mod tests {
     fn every_parameter_of_the_table_can_be_set() {
         let mut settings = Settings::paper(Law::Impedance);
         for assignment in
-            ["m_v=2", "d_v=10,20,30", "k_d=500,20", "eta_b=2", "k_0=50", "person.taxel=T4", "foam=cc"]
+            ["m_v=2", "d_v=10,20,30", "k_d=500,20", "eta_b=2", "k_0=50", "person.taxel=T4", "foam=cc", "base.servo_ms=30"]
         {
             settings.set(assignment).unwrap();
         }

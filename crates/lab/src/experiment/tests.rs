@@ -144,16 +144,16 @@ fn the_collision_stays_below_25_n_with_a_100_hz_sensor_and_not_without() {
         collision::run(&settings).unwrap().report
     };
     let on = with(LITERAL);
-    assert!(on.peak_force_n < 25.0 && on.flange_rms_mm < 15.0, "{on:?}");
-    assert_eq!(on.contact_taxels, ["T1"]);
+    assert!(on.measures.peak_force_n < 25.0 && on.measures.flange_rms_mm < 15.0, "{on:?}");
+    assert_eq!(on.measures.contact_taxels, ["T1"]);
     assert!(
-        on.peaks_n.len() >= 3 && on.peaks_n[0] > on.peaks_n[1] && on.peaks_n[1] > on.peaks_n[2],
+        on.measures.peaks_n.len() >= 3 && on.measures.peaks_n[0] > on.measures.peaks_n[1] && on.measures.peaks_n[1] > on.measures.peaks_n[2],
         "{on:?}"
     );
     let damped = with(NULL_SPACE);
-    assert!(damped.peak_force_n < 25.0 && damped.flange_rms_mm < 2.0, "{damped:?}");
+    assert!(damped.measures.peak_force_n < 25.0 && damped.measures.flange_rms_mm < 2.0, "{damped:?}");
     let off = with(&["sensor=off"]);
-    assert!(off.peak_force_n > 4.0 * on.peak_force_n, "{off:?}");
+    assert!(off.measures.peak_force_n > 4.0 * on.measures.peak_force_n, "{off:?}");
 }
 
 #[test]
