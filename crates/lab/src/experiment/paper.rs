@@ -108,7 +108,9 @@ fn continuous(
     };
     let mut moments = middles(&rig.rows, pushes.len(), settings.rest_s);
     for (moment, push) in moments.iter_mut().zip(pushes) {
-        moment.name = push.name.split(' ').next().unwrap_or_default().to_owned();
+        // "B2-ii T2+T3 10 N" without the force.
+        let words = push.name.split(' ').take(2).filter(|word| !word.starts_with("flange"));
+        moment.name = words.collect::<Vec<_>>().join(" ");
     }
     Ok(Run { report, rows: rig.rows, moments })
 }
