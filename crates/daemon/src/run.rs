@@ -169,8 +169,8 @@ impl LiveRun {
 #[cfg(feature = "sim")]
 pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     use crate::byte_cover::ByteCover;
-    use crate::simulated::SimulatedRobot;
-    use moca_sim::{PtyBoard, Scene};
+    use crate::simulated::{SimulatedRobot, free_scene};
+    use moca_sim::PtyBoard;
     use moca_tactile::Cover;
     use moca_tactile::serial::SerialBoard;
 
@@ -190,7 +190,7 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
     let (_serial, events) = SerialBoard::spawn(port, clock.instant())?;
     let (recording, copies) = recording(options)?;
     let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events, copies);
-    let plant = SimulatedRobot::new(config, &Scene::default(), forces)?;
+    let plant = SimulatedRobot::new(config, &free_scene(config), forces)?;
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
     live(options, control, clock, recording, shared)
@@ -375,7 +375,8 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
     introduce_simulation(config);
     println!("  board       virtual Touch Board in memory");
     let (mut recording, copies) = recording(options)?;
-    let mut world = LockStep::with_board(config, &moca_sim::Scene::default(), board_config(config), copies)?;
+    let mut world =
+        LockStep::with_board(config, &crate::simulated::free_scene(config), board_config(config), copies)?;
     let mut log = None;
     if let Some(path) = &options.command_log {
         let file = File::create(path).with_context(|| path.display().to_string())?;

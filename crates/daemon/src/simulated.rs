@@ -11,6 +11,16 @@ use std::sync::atomic::Ordering;
 /// After a longer stall the simulation falls behind the wall clock instead of freezing the loop.
 const CATCH_UP_MAX_TICKS: u64 = 20;
 
+/// Longest physics step, s.
+const STEP_MAX_S: f64 = 1e-3;
+
+/// The free robot, stepped at the control rate of `config`.
+pub fn free_scene(config: &Config) -> Scene {
+    let control_period_s = 1.0 / f64::from(config.control_loop.rate_hz);
+    let substeps = (control_period_s / STEP_MAX_S - 1e-9).ceil().max(1.0);
+    Scene { control_period_s, physics_step_s: control_period_s / substeps, ..Scene::default() }
+}
+
 /// MuJoCo behind the [`Plant`] trait, with the hands that press it.
 pub struct SimulatedRobot {
     /// The simulated world.
@@ -72,5 +82,23 @@ impl Plant for SimulatedRobot {
         }
         *asked = force_n;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_tick_is_one_control_period_at_every_rate() {
+        for rate_hz in [100, 300, 1000, 4000] {
+            let mut config = Config::default();
+            config.control_loop.rate_hz = rate_hz;
+            let mut robot = SimulatedRobot::new(&config, &free_scene(&config), None).unwrap();
+            for _ in 0..rate_hz {
+                robot.step().unwrap();
+            }
+            assert!((robot.world.time_s() - 1.0).abs() < 1e-6, "{rate_hz} Hz: {} s", robot.world.time_s());
+        }
     }
 }

@@ -185,8 +185,11 @@ fn measure(quick: bool) -> Result<Report> {
 /// Commands of a closed loop on the scene at a fine step: a push on T3 moves base and arm; a given `base_velocity`
 /// replaces the base's own.
 fn record(scene: &Scene, base_velocity: Option<[f64; 3]>) -> Result<Recording> {
-    let mut plant =
-        SimPlant::new(&Scene { physics_step_s: 1e-4, integrator: Some(Integrator::RungeKutta4), ..scene.clone() })?;
+    let mut plant = SimPlant::new(&Scene {
+        physics_step_s: 1e-4,
+        integrator: Some(Integrator::RungeKutta4),
+        ..scene.clone()
+    })?;
     let controller = controller::<f64>()?;
     let mut state = controller.enter(ControlLaw::Impedance, &plant.state())?;
     let mut recording = Recording { commands: Vec::new(), states: Vec::new() };
@@ -212,7 +215,11 @@ fn controller<T: moca_wbc::Scalar>() -> Result<Controller<7, 11, T>> {
 }
 
 fn play(scene: &Scene, integrator: Integrator, step_ms: f64, recording: &Recording) -> Result<End> {
-    let mut plant = SimPlant::new(&Scene { integrator: Some(integrator), physics_step_s: 1e-3 * step_ms, ..scene.clone() })?;
+    let mut plant = SimPlant::new(&Scene {
+        integrator: Some(integrator),
+        physics_step_s: 1e-3 * step_ms,
+        ..scene.clone()
+    })?;
     let started = Instant::now();
     let mut peak_n: f64 = 0.0;
     for command in &recording.commands {

@@ -301,14 +301,15 @@ fn sweeps() -> Result<Drawing> {
     let mut drawing = Drawing::new(900.0, height * 8.0 + 20.0);
     let mut top = 10.0;
     for (axis, [ideal, stock]) in AXES.iter().zip(series) {
-        let mut lines = vec![Series::line(0, "ideal, 100 Hz", ideal)];
+        let mut lines = vec![Series::dots(0, "ideal, 100 Hz", ideal)];
         if !stock.is_empty() {
-            lines.push(Series::line(1, "stock board", stock));
+            lines.push(Series::dots(1, "stock: UNSAFE", stock));
         }
         Panel {
             x_scale: axis.scale,
             y_scale: Scale::Log,
             series: lines,
+            levels: vec![(25.0, "25 N")],
             ..Panel::new(axis.label, axis.label, "peak force [N]")
         }
         .draw(&mut drawing, [0.0, top], [900.0, height]);

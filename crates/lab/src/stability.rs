@@ -2,9 +2,9 @@
 
 use crate::chart::{self, Map};
 use crate::drawing::{Colour, Drawing};
-use crate::experiment::{collision, measure};
 use crate::experiment::rig::{Loads, Rig, Row};
 use crate::experiment::settings::Settings;
+use crate::experiment::{collision, measure};
 use crate::parallel;
 use anyhow::{Context, Result, ensure};
 use moca_msgs::Law;

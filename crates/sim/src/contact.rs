@@ -107,8 +107,9 @@ impl ContactState {
         }
         let before = *self;
         let damping = tissue.damping_n_s_per_m / dt_s;
-        let tissue_n =
-            |deformation_m: f64| tissue.stiffness_n_per_m * deformation_m + damping * (deformation_m - before.tissue_m);
+        let tissue_n = |deformation_m: f64| {
+            tissue.stiffness_n_per_m * deformation_m + damping * (deformation_m - before.tissue_m)
+        };
         let residual = |x_m: f64| before.foam.clone().step(law, x_m, dt_s) - tissue_n(overlap_m - x_m);
         let x_m = root(residual, overlap_m);
         self.tissue_m = overlap_m - x_m;

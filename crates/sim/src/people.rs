@@ -164,7 +164,8 @@ impl Body {
                 }
                 if let Some(zone) = zone {
                     let point_base = cover.on_panel(zone.taxel, zone.offset_m);
-                    let meeting = Meeting { taxel: zone.taxel, overlap_m: radius_m - zone.distance_m, point_base };
+                    let meeting =
+                        Meeting { taxel: zone.taxel, overlap_m: radius_m - zone.distance_m, point_base };
                     self.meet(cover, &meeting, time_s, taxel_force_n, base_wrench);
                 }
             }

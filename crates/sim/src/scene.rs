@@ -87,11 +87,8 @@ impl BodyPart {
                 return (Shape::Plane, hard, Mobility::Fixed);
             }
         };
-        let mobility = Mobility::Standing {
-            mass_kg,
-            stiffness_n_per_m: 800.0,
-            damping_n_s_per_m: posture_damping,
-        };
+        let mobility =
+            Mobility::Standing { mass_kg, stiffness_n_per_m: 800.0, damping_n_s_per_m: posture_damping };
         (Shape::Cylinder { radius_m }, Tissue { stiffness_n_per_m, damping_n_s_per_m: 0.0 }, mobility)
     }
 }
@@ -182,7 +179,8 @@ impl Person {
             within("person.posture_stiffness", "N/m", &[stiffness_n_per_m], 0.0, 1e7)?;
             within("person.posture_damping", "N·s/m", &[damping_n_s_per_m], 0.0, 1e5)?;
         }
-        self.steps_away_after_s.map_or(Ok(()), |after_s| within("person.steps_away", "s", &[after_s], 0.0, 1e3))
+        self.steps_away_after_s
+            .map_or(Ok(()), |after_s| within("person.steps_away", "s", &[after_s], 0.0, 1e3))
     }
 }
 
@@ -208,7 +206,13 @@ impl Default for BaseServo {
 }
 
 /// The first of `values` outside its range; NaN and infinity are outside every range.
-fn within(name: &'static str, unit: &'static str, values: &[f64], min: f64, max: f64) -> Result<(), SimError> {
+fn within(
+    name: &'static str,
+    unit: &'static str,
+    values: &[f64],
+    min: f64,
+    max: f64,
+) -> Result<(), SimError> {
     match values.iter().find(|v| !(**v >= min && **v <= max)) {
         Some(&value) => Err(SimError::Scene { name, value, unit, min, max }),
         None => Ok(()),

@@ -50,7 +50,9 @@ impl Report {
         let m = &self.measures;
         let [x, y, yaw] = m.base_displacement;
         let resumes = self.base_y_m_s.map_or(String::new(), |[before, least, after]| {
-            format!("; base along y {before:.3} m/s before contact, {least:.3} in it, {after:.3} a second after")
+            format!(
+                "; base along y {before:.3} m/s before contact, {least:.3} in it, {after:.3} a second after"
+            )
         });
         format!(
             "{}\n  peak force {:.1} N ({}), peaks {} N, taxels {}, contact at {} s for {:.2} s, approach {:.3} m/s\n  \
@@ -163,7 +165,8 @@ fn measure(info: RunInfo, settings: &Settings, rows: &[Row], peak_by_phase_n: Ve
     let last = rows.iter().rposition(touching);
     let after = |i: usize, s: f64| rows.iter().skip(i).find(|row| row.t_s >= rows[i].t_s + s).or(rows.last());
     let ahead = |row: &Row| {
-        (row.flange_world[1] - rows[0].flange_world[1]) - (row.base_pose_world[1] - rows[0].base_pose_world[1])
+        (row.flange_world[1] - rows[0].flange_world[1])
+            - (row.base_pose_world[1] - rows[0].base_pose_world[1])
     };
     let safe = measures.peak_force_n < 25.0;
     Report {

@@ -88,7 +88,8 @@ impl Picture {
     fn draw(&self, drawing: &mut Drawing, start: &Row, row: &Row) {
         let [hx, hy] = [0.5 * SUMMIT_XL.size_m[0], 0.5 * SUMMIT_XL.size_m[1]];
         let corners = [[hx, hy], [-hx, hy], [-hx, -hy], [hx, -hy], [hx, hy]];
-        for (pose, width, colour) in [(&start.base_pose_world, 1.0, GREY), (&row.base_pose_world, 2.0, BLACK)] {
+        for (pose, width, colour) in [(&start.base_pose_world, 1.0, GREY), (&row.base_pose_world, 2.0, BLACK)]
+        {
             drawing.line(&corners.map(|corner| self.at(to_world(pose, corner))), width, colour);
         }
         let base = &row.base_pose_world;

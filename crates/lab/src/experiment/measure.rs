@@ -52,7 +52,9 @@ impl Measures {
                 _ => [0.0; 3],
             },
             yaw_in_contact_deg: match (first, last) {
-                (Some(first), Some(last)) => (last.base_pose_world[2] - first.base_pose_world[2]).to_degrees(),
+                (Some(first), Some(last)) => {
+                    (last.base_pose_world[2] - first.base_pose_world[2]).to_degrees()
+                }
                 _ => 0.0,
             },
             wrench_true: mean(&touching, |row| row.wrench_true),

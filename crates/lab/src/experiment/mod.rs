@@ -3,6 +3,8 @@
 
 pub(crate) mod collision;
 pub(crate) mod figure;
+#[cfg(test)]
+mod golden;
 pub(crate) mod measure;
 pub(crate) mod paper;
 pub(crate) mod push;

@@ -320,18 +320,23 @@ const KEYS: &[Key] = &[
     key("foam.scale", "", "stiffness of the foam over its law's", |s, v| {
         store(&mut s.foam_scale, v, 1e-3, 1e5)
     }),
-    key("person.kind", "leg|thigh|hand|wall", "who stands there; the keys below change single properties", |s, v| {
-        s.person.part = word(
-            v,
-            &[
-                ("leg", BodyPart::Leg),
-                ("thigh", BodyPart::Thigh),
-                ("hand", BodyPart::Hand),
-                ("wall", BodyPart::Wall),
-            ],
-        )?;
-        Ok(())
-    }),
+    key(
+        "person.kind",
+        "leg|thigh|hand|wall",
+        "who stands there; the keys below change single properties",
+        |s, v| {
+            s.person.part = word(
+                v,
+                &[
+                    ("leg", BodyPart::Leg),
+                    ("thigh", BodyPart::Thigh),
+                    ("hand", BodyPart::Hand),
+                    ("wall", BodyPart::Wall),
+                ],
+            )?;
+            Ok(())
+        },
+    ),
     key("person.taxel", "T1…T11", "taxel the person stands before", |s, v| {
         s.person.taxel = taxel(v)?;
         Ok(())
@@ -344,15 +349,21 @@ const KEYS: &[Key] = &[
     key("person.stiffness", "N/m", "stiffness of the tissue", |s, v| {
         some(&mut s.person.stiffness, v, 1.0, 1e9)
     }),
-    key("person.damping", "N·s/m", "damping of the tissue", |s, v| store(&mut s.person.damping, v, 0.0, 1e5)),
+    key("person.damping", "N·s/m", "damping of the tissue", |s, v| {
+        store(&mut s.person.damping, v, 0.0, 1e5)
+    }),
     key("person.posture_stiffness", "N/m", "stiffness of the posture", |s, v| {
         some(&mut s.person.posture_stiffness, v, 0.0, 1e7)
     }),
     key("person.posture_damping", "N·s/m", "damping of the posture", |s, v| {
         some(&mut s.person.posture_damping, v, 0.0, 1e5)
     }),
-    key("person.radius", "m", "radius of leg, thigh or hand", |s, v| some(&mut s.person.radius_m, v, 0.005, 100.0)),
-    key("person.at_s", "s", "when walking and leaning begin", |s, v| store(&mut s.person.at_s, v, 0.0, 3600.0)),
+    key("person.radius", "m", "radius of leg, thigh or hand", |s, v| {
+        some(&mut s.person.radius_m, v, 0.005, 100.0)
+    }),
+    key("person.at_s", "s", "when walking and leaning begin", |s, v| {
+        store(&mut s.person.at_s, v, 0.0, 3600.0)
+    }),
     key("person.walk", "m/s", "walking speed towards the cover", |s, v| {
         store(&mut s.person.walk_m_s, v, 0.0, 5.0)
     }),
@@ -369,14 +380,19 @@ const KEYS: &[Key] = &[
         s.base_servo.time_constant_s = 1e-3 * number(v, 0.1, 1e4)?;
         Ok(())
     }),
-    key("base.acceleration", "m/s²[,rad/s²]", "what the base's servo can do: along x and y, yaw", |s, v| {
-        let values = numbers(v, 2, 1e-3, 1e4)?;
-        s.base_servo.acceleration_max_m_s2 = values[0];
-        if let Some(yaw) = values.get(1) {
-            s.base_servo.yaw_acceleration_max_rad_s2 = *yaw;
-        }
-        Ok(())
-    }),
+    key(
+        "base.acceleration",
+        "m/s²[,rad/s²]",
+        "what the base's servo can do: along x and y, yaw",
+        |s, v| {
+            let values = numbers(v, 2, 1e-3, 1e4)?;
+            s.base_servo.acceleration_max_m_s2 = values[0];
+            if let Some(yaw) = values.get(1) {
+                s.base_servo.yaw_acceleration_max_rad_s2 = *yaw;
+            }
+            Ok(())
+        },
+    ),
     key("q_0", "rad, 7 numbers", "posture of the arm, at the start and in eq. (11)", |s, v| {
         match numbers(v, 7, -7.0, 7.0)?[..] {
             [a, b, c, d, e, f, g] => s.config.control.gains.posture_rad = [a, b, c, d, e, f, g],
@@ -500,9 +516,16 @@ mod tests {
     #[expect(clippy::float_cmp, reason = "a set number is stored as it is")]
     fn every_parameter_of_the_table_can_be_set() {
         let mut settings = Settings::paper(Law::Impedance);
-        for assignment in
-            ["m_v=2", "d_v=10,20,30", "k_d=500,20", "eta_b=2", "k_0=50", "person.taxel=T4", "foam=cc", "base.servo_ms=30"]
-        {
+        for assignment in [
+            "m_v=2",
+            "d_v=10,20,30",
+            "k_d=500,20",
+            "eta_b=2",
+            "k_0=50",
+            "person.taxel=T4",
+            "foam=cc",
+            "base.servo_ms=30",
+        ] {
             settings.set(assignment).unwrap();
         }
         let gains = &settings.config.control.gains;

@@ -147,7 +147,9 @@ fn the_collision_stays_below_25_n_with_a_100_hz_sensor_and_not_without() {
     assert!(on.measures.peak_force_n < 25.0 && on.measures.flange_rms_mm < 15.0, "{on:?}");
     assert_eq!(on.measures.contact_taxels, ["T1"]);
     assert!(
-        on.measures.peaks_n.len() >= 3 && on.measures.peaks_n[0] > on.measures.peaks_n[1] && on.measures.peaks_n[1] > on.measures.peaks_n[2],
+        on.measures.peaks_n.len() >= 3
+            && on.measures.peaks_n[0] > on.measures.peaks_n[1]
+            && on.measures.peaks_n[1] > on.measures.peaks_n[2],
         "{on:?}"
     );
     let damped = with(NULL_SPACE);
