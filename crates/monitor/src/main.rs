@@ -4,8 +4,8 @@ use anyhow::{Context, anyhow};
 use clap::{Parser, ValueEnum};
 use eframe::egui;
 use moca_monitor::{
-    logic::Playback,
-    ui::{App, Screenshot},
+    logic::{Playback, Source},
+    ui::{App, Page, Screenshot},
 };
 use moca_telemetry::net::{Connection, DEFAULT_ADDRESS};
 use std::{net::SocketAddr, path::PathBuf, time::Duration};
@@ -14,18 +14,27 @@ use std::{net::SocketAddr, path::PathBuf, time::Duration};
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {
-    /// Where the daemon listens. Another machine's daemon comes in through an SSH tunnel.
-    #[arg(long, default_value = DEFAULT_ADDRESS)]
-    connect: SocketAddr,
-    /// Show a recorded run instead: an MCAP file of `mocad run --record`.
+    /// Where a daemon listens; may be given more than once. Another machine's comes in through an SSH tunnel.
+    #[arg(long, value_name = "ADDRESS", default_value = DEFAULT_ADDRESS)]
+    connect: Vec<SocketAddr>,
+    /// Show a recorded run instead: an MCAP file of `mocad run --record`. May be given more than once.
     #[arg(long, value_name = "FILE", conflicts_with = "connect")]
-    log: Option<PathBuf>,
+    log: Vec<PathBuf>,
+    /// Page to begin with; without it the last one.
+    #[arg(long, value_parser = page)]
+    page: Option<Page>,
+    /// Where to look for logs and write recordings.
+    #[arg(long, value_name = "FOLDER", default_value = ".")]
+    folder: PathBuf,
     /// Save a PNG of the window and quit.
     #[arg(long, value_name = "FILE")]
     screenshot: Option<PathBuf>,
     /// When to take the screenshot, s after the start.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0, requires = "screenshot")]
     after: f64,
+    /// Print what the frames until the screenshot cost the processor.
+    #[arg(long, requires = "screenshot")]
+    frame_times: bool,
     /// Colours; without it the last choice, or the desktop's.
     #[arg(long)]
     theme: Option<Theme>,
@@ -38,6 +47,11 @@ struct Arguments {
 enum Theme {
     Light,
     Dark,
+}
+
+fn page(text: &str) -> anyhow::Result<Page> {
+    let names = || Page::ALL.map(Page::name).join(", ");
+    Page::named(text).with_context(|| format!("{text:?} is no page: choose one of {}", names()))
 }
 
 fn size(text: &str) -> anyhow::Result<egui::Vec2> {
@@ -54,7 +68,9 @@ fn main() -> anyhow::Result<()> {
     let screenshot = match arguments.screenshot {
         Some(path) => {
             let after = Duration::try_from_secs_f64(arguments.after);
-            Some(Screenshot::new(path, after.with_context(|| format!("--after {} s", arguments.after))?))
+            let after = after.with_context(|| format!("--after {} s", arguments.after))?;
+            let screenshot = Screenshot::new(path, after);
+            Some(if arguments.frame_times { screenshot.with_frame_times() } else { screenshot })
         }
         None => None,
     };
@@ -63,9 +79,9 @@ fn main() -> anyhow::Result<()> {
         .with_title("MOCA-S monitor")
         .with_app_id("moca-monitor")
         .with_inner_size([1280.0, 800.0])
-        .with_min_inner_size([1000.0, 640.0]);
+        .with_min_inner_size([1160.0, 640.0]);
     if let Some(size) = arguments.size {
-        viewport = viewport.with_inner_size(size).with_min_inner_size(size.min(egui::vec2(1000.0, 640.0)));
+        viewport = viewport.with_inner_size(size).with_min_inner_size(size.min(egui::vec2(1160.0, 640.0)));
     }
     // A given size, or a picture, must not depend on how the last window was left.
     let persist_window = arguments.size.is_none() && screenshot.is_none();
@@ -80,16 +96,18 @@ fn main() -> anyhow::Result<()> {
                     Theme::Dark => egui::Theme::Dark,
                 });
             }
-            let ctx = cc.egui_ctx.clone();
-            let wake = move || ctx.request_repaint_after(App::FRAME);
-            let address = arguments.connect.to_string();
-            Ok(Box::new(match arguments.log {
-                Some(path) => App::new(&cc.egui_ctx, Playback::open(path, wake)?, address, screenshot),
-                None => {
-                    let connection = Connection::spawn(arguments.connect, wake)?;
-                    App::new(&cc.egui_ctx, connection, address, screenshot)
-                }
-            }))
+            let mut sources = sources(&arguments.connect, arguments.log, &cc.egui_ctx)?.into_iter();
+            let (first, name) = sources.next().context("nothing to show")?;
+            let mut app = App::new(&cc.egui_ctx, first, name, screenshot);
+            sources.for_each(|(source, name)| app.add(source, name));
+            app.set_folder(arguments.folder);
+            if let (Some(storage), true) = (cc.storage, persist_window) {
+                app.restore(storage);
+            }
+            if let Some(page) = arguments.page {
+                app.show_page(page);
+            }
+            Ok(Box::new(app))
         }),
     );
     created.map_err(|error| anyhow!("cannot open a window: {error}"))?;
@@ -97,4 +115,27 @@ fn main() -> anyhow::Result<()> {
         Some(error) => Err(anyhow!(error)),
         None => Ok(()),
     }
+}
+
+/// Logs, or else daemons, each with what it is called before it says its name.
+fn sources(
+    addresses: &[SocketAddr],
+    logs: Vec<PathBuf>,
+    ctx: &egui::Context,
+) -> anyhow::Result<Vec<(Box<dyn Source>, String)>> {
+    let wake = || {
+        let ctx = ctx.clone();
+        move || ctx.request_repaint_after(App::FRAME)
+    };
+    if logs.is_empty() {
+        let connect = |address: &SocketAddr| -> anyhow::Result<(Box<dyn Source>, String)> {
+            Ok((Box::new(Connection::spawn(*address, wake())?), address.to_string()))
+        };
+        return addresses.iter().map(connect).collect();
+    }
+    let open = |path: PathBuf| -> anyhow::Result<(Box<dyn Source>, String)> {
+        let name = path.display().to_string();
+        Ok((Box::new(Playback::open(path, wake())?), name))
+    };
+    logs.into_iter().map(open).collect()
 }

@@ -46,6 +46,11 @@ impl History {
         self.append(time_s, |signal| signal.value(sample));
     }
 
+    /// Time of the oldest sample kept, s of loop time.
+    pub fn start_s(&self) -> Option<f64> {
+        self.times_s.front().copied()
+    }
+
     /// Time of the newest sample, s of loop time.
     pub fn end_s(&self) -> Option<f64> {
         self.times_s.back().copied()

@@ -1,12 +1,16 @@
 //! Everything the dashboard knows.
 
 use super::{
-    History, Playback,
+    History, Playback, Timing,
     action::{Action, refusal_words, request_words},
     history::seconds,
     panel::{self, Panel},
+    words::contact_words,
 };
-use moca_msgs::{Fault, Law, Mode, Request, Sample};
+use moca_msgs::{
+    Fault, Law, Mode, Request, Sample,
+    protection::{ContactEvent, ContactPhase},
+};
 use moca_telemetry::{
     RobotDescription,
     net::{Commander, Connection, Link, Reply, Status, Update},
@@ -16,7 +20,7 @@ use std::{collections::VecDeque, sync::Arc};
 /// Events and messages kept.
 const MAX_REMEMBERED: usize = 200;
 /// Without a sample for this long, what is shown is old, s.
-const SILENCE_S: f64 = 0.5;
+pub const SILENCE_S: f64 = 0.5;
 /// How long the answer to a request stays on the screen, s.
 const MESSAGE_S: f64 = 8.0;
 
@@ -29,6 +33,12 @@ pub trait Source {
     /// The recorded run, if it is one.
     fn playback(&mut self) -> Option<&mut Playback> {
         None
+    }
+}
+
+impl<S: Source + 'static> From<S> for Box<dyn Source> {
+    fn from(source: S) -> Self {
+        Box::new(source)
     }
 }
 
@@ -51,6 +61,19 @@ pub struct Event {
     pub mode: Mode,
     /// Fault from then on.
     pub fault: Option<Fault>,
+    /// The contact that crossed a limit, if that is what happened.
+    pub contact: Option<ContactEvent>,
+}
+
+impl Event {
+    /// In a few words.
+    pub fn words(&self) -> String {
+        match (self.contact, self.fault) {
+            (Some(contact), _) => contact_words(&contact),
+            (None, Some(fault)) => format!("{}: {}", self.mode.name(), fault.text()),
+            (None, None) => self.mode.name().to_owned(),
+        }
+    }
 }
 
 /// How fresh what is shown is.
@@ -68,8 +91,12 @@ pub enum Freshness {
 pub struct Model {
     /// The robot; the last one seen while the daemon is away.
     pub robot: Arc<RobotDescription>,
-    /// The plots.
+    /// The paper's plots.
     pub panels: Vec<Panel>,
+    /// The plots of loop and board.
+    pub timing_panels: Vec<Panel>,
+    /// How well loop and board keep time.
+    pub timing: Timing,
     /// The plotted signals.
     pub history: History,
     /// The newest sample.
@@ -94,6 +121,8 @@ impl Default for Model {
         Self {
             robot: Arc::default(),
             panels: Vec::new(),
+            timing_panels: Vec::new(),
+            timing: Timing::default(),
             history: History::default(),
             latest: None,
             events: VecDeque::new(),
@@ -124,6 +153,7 @@ impl Model {
         self.status = update.status;
         for sample in &update.samples {
             self.history.push(sample);
+            self.timing.add(sample);
             self.note_event(sample);
         }
         if let Some(last) = update.samples.into_iter().next_back() {
@@ -145,6 +175,34 @@ impl Model {
             Link::Up { .. } if !self.recorded && now_s - self.latest_at_s > SILENCE_S => Freshness::Silent,
             Link::Up { .. } => Freshness::Live,
         }
+    }
+
+    /// Time since the last sample came, s; NaN before the first and without a connection.
+    pub fn silent_for_s(&self, now_s: f64) -> f64 {
+        match self.link {
+            Link::Up { .. } if self.latest_at_s.is_finite() => now_s - self.latest_at_s,
+            _ => f64::NAN,
+        }
+    }
+
+    /// Speed of the fastest corner of the base, m/s: what the speed limit limits. NaN before the first sample.
+    pub fn cover_speed_m_s(&self) -> f64 {
+        let Some(sample) = &self.latest else { return f64::NAN };
+        let [vx, vy, turning] = sample.base_velocity_world;
+        let (sin, cos) = sample.base_pose_world[2].sin_cos();
+        let [length, width, _] = self.robot.base_size_m.map(|side| side / 2.0);
+        [[length, width], [length, -width], [-length, width], [-length, -width]]
+            .map(|[x, y]| [cos * x - sin * y, sin * x + cos * y])
+            .map(|[x, y]| (vx - turning * y).hypot(vy + turning * x))
+            .into_iter()
+            .fold(0.0, f64::max)
+    }
+
+    /// The change of mode or fault nearest to `time_s`, if one is within `reach_s`.
+    pub fn event_near(&self, time_s: f64, reach_s: f64) -> Option<&Event> {
+        let distance = |event: &&Event| (event.time_s - time_s).abs();
+        let nearest = self.events.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+        (distance(&nearest) <= reach_s).then_some(nearest)
     }
 
     /// The mode, unless what is known of it is old.
@@ -195,8 +253,11 @@ impl Model {
     fn begin(&mut self, session: u64, robot: Arc<RobotDescription>) {
         self.session = session;
         self.panels = panel::panels(&robot);
-        let signals = self.panels.iter().flat_map(|p| p.traces.iter().map(|(_, signal)| *signal));
+        self.timing_panels = panel::timing_panels();
+        let panels = self.panels.iter().chain(&self.timing_panels);
+        let signals = panels.flat_map(|p| p.traces.iter().map(|(_, signal)| *signal));
         self.history = History::new(signals.collect());
+        self.timing = Timing::default();
         self.robot = robot;
         self.latest = None;
         self.latest_at_s = f64::NEG_INFINITY;
@@ -206,16 +267,15 @@ impl Model {
     }
 
     fn note_event(&mut self, sample: &Sample) {
-        let (mode, fault) = (sample.mode, sample.fault);
-        let changed = match self.events.back() {
-            Some(last) => last.mode != mode || last.fault != fault,
-            None => true,
-        };
-        if changed {
-            self.events.push_back(Event { time_s: seconds(sample.time_ns), mode, fault });
-            if self.events.len() > MAX_REMEMBERED {
-                self.events.pop_front();
-            }
+        let (mode, fault, time_s) = (sample.mode, sample.fault, seconds(sample.time_ns));
+        let last = self.events.iter().rev().find(|event| event.contact.is_none());
+        if last.is_none_or(|last| last.mode != mode || last.fault != fault) {
+            self.events.push_back(Event { time_s, mode, fault, contact: None });
+        }
+        let crossed = sample.contact_events.iter().filter(|c| c.phase == ContactPhase::LimitCrossed);
+        self.events.extend(crossed.map(|c| Event { time_s, mode, fault, contact: Some(*c) }));
+        while self.events.len() > MAX_REMEMBERED {
+            self.events.pop_front();
         }
     }
 
@@ -276,6 +336,19 @@ mod tests {
         model.take(update(up(2), vec![sample(0, Mode::Starting)]), 11.0);
         assert_eq!((model.history.len(), model.events.len()), (1, 1));
         assert_eq!(model.mode(11.0), Some(Mode::Starting));
+    }
+
+    #[test]
+    fn the_speed_of_the_cover_is_that_of_its_fastest_corner() {
+        let mut model = ready();
+        let corner_m = 0.489f64.hypot(0.388);
+        for (velocity, expected) in
+            [([0.3, 0.4, 0.0], 0.5), ([0.0, 0.0, -1.0], corner_m), ([1.0, 0.0, 1.0], 1.388f64.hypot(0.489))]
+        {
+            let moving = Sample { base_velocity_world: velocity, ..sample(9, Mode::Impedance) };
+            model.take(update(up(1), vec![moving]), 10.3);
+            assert!((model.cover_speed_m_s() - expected).abs() < 1e-9, "{velocity:?}");
+        }
     }
 
     #[test]

@@ -12,10 +12,14 @@ pub enum Signal {
     CoverWrench(usize),
     /// Base pose in W: m, m, rad.
     BasePose(usize),
+    /// Its rate: m/s, m/s, rad/s.
+    BaseVelocity(usize),
     /// Flange position in W, m.
     Flange(usize),
     /// Desired flange position in W, m.
     FlangeDesired(usize),
+    /// External wrench on the robot about the flange, world axes: N, N·m.
+    FlangeWrench(usize),
     /// How far the flange is from its desired position, mm.
     FlangeErrorMm,
     /// How late the loop woke, µs.
@@ -35,6 +39,8 @@ impl Signal {
             },
             Self::CoverWrench(i) => known(s.cover_wrench_base.get(i)),
             Self::BasePose(i) => known(s.base_pose_world.get(i)),
+            Self::BaseVelocity(i) => known(s.base_velocity_world.get(i)),
+            Self::FlangeWrench(i) => known(s.flange_wrench_world.get(i)),
             Self::Flange(i) => known(s.flange_position_world.get(i)),
             Self::FlangeDesired(i) => known(s.flange_desired_position_world.get(i)),
             Self::FlangeErrorMm => 1e3 * distance(s.flange_position_world, s.flange_desired_position_world),
@@ -47,6 +53,13 @@ impl Signal {
 
 fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
+impl Signal {
+    /// Whether it is drawn dashed: what should be, beside what is.
+    pub fn is_desired(self) -> bool {
+        matches!(self, Self::FlangeDesired(_))
+    }
 }
 
 /// Signals that share a plot and its unit.
@@ -64,7 +77,7 @@ pub struct Panel {
     pub traces: Vec<(String, Signal)>,
 }
 
-/// The plots for a robot, in order of reading.
+/// The paper's plots for a robot, in order of reading.
 pub fn panels(description: &RobotDescription) -> Vec<Panel> {
     let taxels = (0..description.taxels.len()).map(|i| (format!("T{}", i + 1), Signal::Taxel(i)));
     let panel = |title, unit, decimals, least_span, traces: &[(&str, Signal)]| Panel {
@@ -74,31 +87,52 @@ pub fn panels(description: &RobotDescription) -> Vec<Panel> {
         least_span,
         traces: traces.iter().map(|(name, signal)| ((*name).to_owned(), *signal)).collect(),
     };
+    use Signal::{BasePose, BaseVelocity, CoverWrench, Flange, FlangeDesired, FlangeErrorMm, FlangeWrench};
+    let flange = [
+        ("x", Flange(0)),
+        ("x desired", FlangeDesired(0)),
+        ("y", Flange(1)),
+        ("y desired", FlangeDesired(1)),
+        ("z", Flange(2)),
+        ("z desired", FlangeDesired(2)),
+    ];
+    let force = [("fx", FlangeWrench(0)), ("fy", FlangeWrench(1)), ("fz", FlangeWrench(2))];
     vec![
         Panel { traces: taxels.collect(), ..panel("Taxel forces", "N", 1, 10.0, &[]) },
-        panel("Base position", "m", 3, 0.02, &[("x", Signal::BasePose(0)), ("y", Signal::BasePose(1))]),
-        panel(
-            "Cover force on base",
-            "N",
-            1,
-            10.0,
-            &[("fx", Signal::CoverWrench(0)), ("fy", Signal::CoverWrench(1))],
-        ),
-        panel("Base yaw", "rad", 3, 0.02, &[("yaw", Signal::BasePose(2))]),
-        panel("Cover moment on base", "N·m", 1, 5.0, &[("mz", Signal::CoverWrench(2))]),
-        panel("Flange from its place", "mm", 1, 10.0, &[("error", Signal::FlangeErrorMm)]),
-        panel("Loop lateness", "µs", 0, 100.0, &[("late", Signal::LatenessUs)]),
-        panel("Age of cover data", "ms", 0, 50.0, &[("age", Signal::FrameAgeMs)]),
+        panel("Flange, desired dashed", "m", 3, 0.02, &flange),
+        panel("Base force", "N", 1, 10.0, &[("fx", CoverWrench(0)), ("fy", CoverWrench(1))]),
+        panel("Flange from its place", "mm", 1, 10.0, &[("error", FlangeErrorMm)]),
+        panel("Base moment", "N·m", 1, 5.0, &[("mz", CoverWrench(2))]),
+        panel("Flange force", "N", 1, 10.0, &force),
+        panel("Base position", "m", 3, 0.02, &[("x", BasePose(0)), ("y", BasePose(1))]),
+        panel("Base velocity", "m/s", 3, 0.02, &[("x", BaseVelocity(0)), ("y", BaseVelocity(1))]),
+        panel("Base yaw", "rad", 3, 0.02, &[("yaw", BasePose(2))]),
+        panel("Base turning", "rad/s", 3, 0.02, &[("yaw rate", BaseVelocity(2))]),
+    ]
+}
+
+/// The plots of how well loop and board keep time.
+pub fn timing_panels() -> Vec<Panel> {
+    let panel = |title, unit, least_span, name: &str, signal| Panel {
+        title,
+        unit,
+        decimals: 0,
+        least_span,
+        traces: vec![(name.to_owned(), signal)],
+    };
+    vec![
+        panel("Loop lateness", "µs", 100.0, "late", Signal::LatenessUs),
+        panel("Age of cover data", "ms", 50.0, "age", Signal::FrameAgeMs),
     ]
 }
 
 /// Name of a signal as the heading of a table's column: plot, curve and unit.
-pub fn column_name(panels: &[Panel], signal: Signal) -> String {
+pub fn column_name<'a>(panels: impl IntoIterator<Item = &'a Panel>, signal: Signal) -> String {
     let in_panel = |panel: &Panel| {
         let (name, _) = panel.traces.iter().find(|(_, s)| *s == signal)?;
         Some(format!("{} {name} [{}]", panel.title, panel.unit))
     };
-    panels.iter().find_map(in_panel).unwrap_or_default()
+    panels.into_iter().find_map(in_panel).unwrap_or_default()
 }
 
 /// Vertical range for values between `extremes`: at least `least_span` high, ends at round numbers.
@@ -117,9 +151,9 @@ pub fn vertical_range(extremes: Option<(f64, f64)>, least_span: f64) -> (f64, f6
     (low, ((high + margin) / step).ceil() * step)
 }
 
-/// Round values between `low` and `high`, and the step between them: at most eight.
-pub fn round_marks(low: f64, high: f64) -> (Vec<f64>, f64) {
-    let step = round_step((high - low) / 5.0);
+/// Round values between `low` and `high`, about `count` of them, and the step between them.
+pub fn round_marks(low: f64, high: f64, count: f64) -> (Vec<f64>, f64) {
+    let step = round_step((high - low) / count);
     let first = (low / step).ceil();
     let marks = (0..8).map(|i| (first + f64::from(i)) * step);
     (marks.take_while(|value| *value <= high + 1e-9 * step).collect(), step)
@@ -141,7 +175,12 @@ mod tests {
     #[test]
     fn every_axis_has_a_unit_and_every_taxel_a_trace() {
         let panels = panels(&RobotDescription::paper("test", true));
-        assert!(panels.iter().all(|p| !p.unit.is_empty() && !p.traces.is_empty() && p.least_span > 0.0));
+        assert!(
+            panels
+                .iter()
+                .chain(&timing_panels())
+                .all(|p| !p.unit.is_empty() && !p.traces.is_empty() && p.least_span > 0.0)
+        );
         assert_eq!(panels[0].traces.len(), 11);
         assert_eq!(panels[0].traces[10], ("T11".to_owned(), Signal::Taxel(10)));
     }
@@ -174,11 +213,11 @@ mod tests {
 
     #[test]
     fn marks_are_round_and_never_too_many() {
-        assert_eq!(round_marks(-10.0, 0.0), (vec![-10.0, -8.0, -6.0, -4.0, -2.0, 0.0], 2.0));
-        assert_eq!(round_marks(0.0, 16.0), (vec![0.0, 5.0, 10.0, 15.0], 5.0));
-        assert_eq!(round_marks(-60.0, 0.0).1, 20.0);
+        assert_eq!(round_marks(-10.0, 0.0, 5.0), (vec![-10.0, -8.0, -6.0, -4.0, -2.0, 0.0], 2.0));
+        assert_eq!(round_marks(0.0, 16.0, 5.0), (vec![0.0, 5.0, 10.0, 15.0], 5.0));
+        assert_eq!(round_marks(-60.0, 0.0, 5.0).1, 20.0);
         for span in [1e-3, 0.3, 7.0, 99.0, 12345.0] {
-            let (marks, _) = round_marks(-0.3 * span, span);
+            let (marks, _) = round_marks(-0.3 * span, span, 5.0);
             assert!((2..=7).contains(&marks.len()), "{marks:?}");
         }
     }

@@ -1,7 +1,7 @@
 //! A recorded run as a source: what was logged is shown as if it happened now.
 
 use super::{history::seconds, model::Source};
-use moca_msgs::{Refusal, Request, Sample};
+use moca_msgs::{Refusal, Request, Sample, TaxelStatus, protection::ContactPhase};
 use moca_telemetry::{
     RobotDescription,
     log::{LogReader, Record},
@@ -29,11 +29,48 @@ pub struct Playback {
     refused: Vec<Reply>,
 }
 
+/// What a log can be searched for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Landmark {
+    /// A change of mode or fault, or a contact that crossed a limit.
+    Event,
+    /// A hand on an untouched cover.
+    Touch,
+}
+
+impl Landmark {
+    fn is_between(self, a: &Sample, b: &Sample) -> bool {
+        let crossed = |s: &Sample| s.contact_events.iter().any(|c| c.phase == ContactPhase::LimitCrossed);
+        let felt = |s: &Sample| s.taxels.iter().any(|t| t.status == TaxelStatus::Ok && t.force_n > 0.0);
+        match self {
+            Self::Event => (a.mode, a.fault) != (b.mode, b.fault) || crossed(b),
+            Self::Touch => felt(b) && !felt(a),
+        }
+    }
+}
+
 #[derive(Default)]
 struct Loaded {
     robot: Arc<RobotDescription>,
     samples: Vec<Sample>,
+    /// When what happened, s of loop time, in order.
+    events_s: Vec<f64>,
+    touches_s: Vec<f64>,
     note: String,
+}
+
+impl Loaded {
+    fn new(robot: RobotDescription, samples: Vec<Sample>, note: String) -> Self {
+        let times = |what: Landmark| {
+            let found = samples.windows(2).filter_map(|pair| match pair {
+                [a, b] if what.is_between(a, b) => Some(seconds(b.time_ns)),
+                _ => None,
+            });
+            found.collect()
+        };
+        let (events_s, touches_s) = (times(Landmark::Event), times(Landmark::Touch));
+        Self { robot: Arc::new(robot), samples, events_s, touches_s, note }
+    }
 }
 
 struct State {
@@ -61,7 +98,7 @@ impl Playback {
 
     /// Plays samples that are already there.
     pub fn of(robot: RobotDescription, samples: Vec<Sample>) -> Self {
-        Self::new(PathBuf::new(), None, Loaded { robot: Arc::new(robot), samples, note: String::new() })
+        Self::new(PathBuf::new(), None, Loaded::new(robot, samples, String::new()))
     }
 
     fn new(path: PathBuf, loading: Option<Receiver<Result<Loaded, String>>>, log: Loaded) -> Self {
@@ -105,17 +142,16 @@ impl Playback {
         }
     }
 
-    /// The next change of mode or fault after what is shown (`forwards`), or the last one before it, s of loop time.
-    pub fn event(&self, forwards: bool) -> Option<f64> {
-        let changes = self.log.samples.windows(2).filter_map(|pair| match pair {
-            [a, b] if (a.mode, a.fault) != (b.mode, b.fault) => Some(seconds(b.time_ns)),
-            _ => None,
-        });
-        let mut times: Box<dyn Iterator<Item = f64>> = Box::new(changes);
+    /// The next `what` after the shown instant (`forwards`), or the last one before it, s of loop time.
+    pub fn find(&self, what: Landmark, forwards: bool) -> Option<f64> {
+        let times = match what {
+            Landmark::Event => &self.log.events_s,
+            Landmark::Touch => &self.log.touches_s,
+        };
         if forwards {
-            times.find(|t| *t > self.at_s() + 1e-6)
+            times.get(times.partition_point(|t| *t <= self.at_s() + 1e-6)).copied()
         } else {
-            times.take_while(|t| *t < self.at_s() - 1e-6).last()
+            times.get(times.partition_point(|t| *t < self.at_s() - 1e-6).checked_sub(1)?).copied()
         }
     }
 
@@ -200,7 +236,7 @@ fn load(path: &std::path::Path) -> Result<Loaded, String> {
     if samples.is_empty() {
         return Err(format!("{} holds no samples {note}", path.display()));
     }
-    Ok(Loaded { robot: Arc::new(reader.description().clone()), samples, note })
+    Ok(Loaded::new(reader.description().clone(), samples, note))
 }
 
 #[cfg(test)]
@@ -251,10 +287,29 @@ mod tests {
     #[test]
     fn events_are_found_in_both_directions() {
         let mut playback = log(200);
-        assert_eq!(playback.event(true), Some(50.0));
-        assert_eq!(playback.event(false), None);
+        assert_eq!(playback.find(Landmark::Event, true), Some(50.0));
+        assert_eq!(playback.find(Landmark::Event, false), None);
         playback.seek(120.0);
-        assert_eq!((playback.event(true), playback.event(false)), (None, Some(50.0)));
+        assert_eq!(playback.find(Landmark::Event, true), None);
+        assert_eq!(playback.find(Landmark::Event, false), Some(50.0));
+    }
+
+    #[test]
+    fn each_touch_of_an_untouched_cover_is_found_once() {
+        use moca_msgs::TaxelReading;
+        let touched = |tick: u64| (1000..1200).contains(&tick) || (3000..3001).contains(&tick);
+        let samples = (0..5000).map(|tick| {
+            let mut sample = Sample { tick, time_ns: tick * 1_000_000, ..Sample::default() };
+            let force_n = if touched(tick) { 12.0 } else { 0.0 };
+            sample.taxels.push(TaxelReading { force_n, status: TaxelStatus::Ok }).unwrap();
+            sample
+        });
+        let mut playback = Playback::of(RobotDescription::paper("logged", false), samples.collect());
+        assert_eq!(playback.find(Landmark::Touch, true), Some(1.0));
+        playback.seek(1.2);
+        assert_eq!(playback.find(Landmark::Touch, true), Some(3.0));
+        assert_eq!(playback.find(Landmark::Touch, false), Some(1.0));
+        assert_eq!(playback.find(Landmark::Event, true), None);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Numbers and states as text.
 
-use moca_msgs::TaxelStatus;
+use moca_msgs::{ContactEvent, SpeedLimitReason, TaxelStatus};
 
 /// A number with `decimals` digits after the point, without "-0.0"; a dash for what is not known.
 pub fn number(value: f64, decimals: usize) -> String {
@@ -25,6 +25,25 @@ pub fn health(status: TaxelStatus) -> &'static str {
         TaxelStatus::Drifted => "drifted",
         TaxelStatus::Masked => "masked",
     }
+}
+
+/// Why the speed limit is what it is.
+pub fn speed_limit(reason: SpeedLimitReason) -> &'static str {
+    match reason {
+        SpeedLimitReason::Configured => "as configured in limits.base_velocity",
+        SpeedLimitReason::BoardRate => "the board's rate and age allow no more",
+        SpeedLimitReason::Stale => "the board's rate is unknown or its data is old",
+        SpeedLimitReason::Overridden => "the configuration overrides what the board allows",
+        SpeedLimitReason::Contact => "a contact crossed a limit",
+    }
+}
+
+/// A contact that crossed a limit.
+pub fn contact_words(contact: &ContactEvent) -> String {
+    let taxel = u16::from(contact.taxel) + 1;
+    let limit = contact.crossed_n.map_or(String::new(), |n| format!(" over {} N", number(n, 0)));
+    let reaction = contact.reaction.map_or(String::new(), |r| format!(", {}", r.name()));
+    format!("T{taxel}: {} contact{limit}, {} N{reaction}", contact.kind.name(), number(contact.peak_n, 1))
 }
 
 #[cfg(test)]

@@ -1,34 +1,76 @@
 //! The window: who gets which space, and what happens each frame.
 
-use super::{Screenshot, gauges, playback, plots, robot, top};
-use crate::logic::{Action, Model, Source};
+use super::{Screenshot, View, files::Files, gauges, page::Page, playback, robot, top};
+use crate::logic::{Action, Model, Playback, Recording, Source, model::Freshness};
 use egui::{CentralPanel, Context, Event, Key, Panel, ScrollArea, Ui};
-use std::time::Duration;
+use moca_msgs::Request;
+use std::{path::Path, path::PathBuf, time::Duration};
 
-/// Width of the column with robot and gauges, points.
-const LEFT_WIDTH: f32 = 400.0;
+/// Narrowest and widest column with robot and gauges, points, and its share of the window.
+const LEFT_WIDTH: (f32, f32) = (400.0, 560.0);
+const LEFT_SHARE: f32 = 0.3;
+/// How often ages and silence are looked at while nothing new comes.
+const LOOK: Duration = Duration::from_millis(250);
 
-/// The dashboard of one robot.
+/// The dashboard: one robot or log in front, others behind it.
 pub struct App {
+    robots: Vec<Robot>,
+    shown: usize,
+    page: Page,
+    files: Files,
+    screenshot: Option<Screenshot>,
+}
+
+/// A robot or a log, and how it is looked at.
+struct Robot {
     source: Box<dyn Source>,
     address: String,
     model: Model,
     view: View,
-    screenshot: Option<Screenshot>,
+    recording: Option<Recording>,
 }
 
-/// What the user has chosen to look at.
-pub(super) struct View {
-    /// Length of the plots' axis of time, s.
-    pub(super) window_s: f64,
-    /// End of the axis while it is paused, s of loop time.
-    pub(super) paused_at_s: Option<f64>,
-    /// Where the mouse points on the axis of time, s of loop time.
-    pub(super) cursor_s: Option<f64>,
-    /// Force of a push with the mouse, N.
-    pub(super) push_n: f64,
-    /// What became of the last export.
-    pub(super) exported: Option<String>,
+impl Robot {
+    fn new(mut source: Box<dyn Source>, address: String) -> Self {
+        let mut model = Model::default();
+        model.recorded = source.playback().is_some();
+        Self { source, address, model, view: View::default(), recording: None }
+    }
+
+    /// What it is called on its button.
+    fn name(&self) -> String {
+        let name = &self.model.robot.name;
+        let what = if name.is_empty() { &self.address } else { name };
+        if self.model.recorded { format!("log of {what}") } else { what.clone() }
+    }
+
+    fn update(&mut self, now_s: f64) {
+        let update = self.source.poll(now_s);
+        if let Some(recording) = &mut self.recording {
+            update.samples.iter().for_each(|sample| recording.add(sample));
+        }
+        if self.recording.as_ref().is_some_and(|r| !r.is_writing()) {
+            self.stop_recording();
+        }
+        self.model.take(update, now_s);
+    }
+
+    fn record(&mut self, folder: &Path) {
+        if self.recording.is_some() {
+            return self.stop_recording();
+        }
+        let now_ns = self.model.latest.as_ref().map_or(0, |s| s.time_ns);
+        match Recording::start(folder, &self.model.robot, now_ns) {
+            Ok(recording) => self.recording = Some(recording),
+            Err(error) => self.view.note = Some(error.to_string()),
+        }
+    }
+
+    fn stop_recording(&mut self) {
+        if let Some(recording) = self.recording.take() {
+            self.view.note = Some(recording.finish().unwrap_or_else(|error| error));
+        }
+    }
 }
 
 impl App {
@@ -38,7 +80,7 @@ impl App {
     /// A dashboard for what `source` delivers; `address` is shown when it delivers nothing.
     pub fn new(
         ctx: &Context,
-        source: impl Source + 'static,
+        source: impl Into<Box<dyn Source>>,
         address: String,
         screenshot: Option<Screenshot>,
     ) -> Self {
@@ -46,80 +88,192 @@ impl App {
             style.spacing.item_spacing = egui::vec2(8.0, 5.0);
             style.spacing.button_padding = egui::vec2(9.0, 5.0);
         });
-        let mut source: Box<dyn Source> = Box::new(source);
-        let mut model = Model::default();
-        model.recorded = source.playback().is_some();
-        let view = View { window_s: 10.0, paused_at_s: None, cursor_s: None, push_n: 20.0, exported: None };
-        Self { source, address, model, view, screenshot }
+        let robots = vec![Robot::new(source.into(), address)];
+        Self { robots, shown: 0, page: Page::default(), files: Files::default(), screenshot }
+    }
+
+    /// One more robot or log, behind the others.
+    pub fn add(&mut self, source: impl Into<Box<dyn Source>>, address: String) {
+        self.robots.push(Robot::new(source.into(), address));
+    }
+
+    /// Where recordings go and logs are looked for; the current folder without it.
+    pub fn set_folder(&mut self, folder: PathBuf) {
+        self.files.folder = folder;
     }
 
     /// Sets the length of the plots' axis of time, s.
-    pub fn show_last_s(&mut self, window_s: f64) {
-        self.view.window_s = window_s;
+    pub fn show_last_s(&mut self, span_s: f64) {
+        self.front().view.axis.show(span_s);
     }
 
-    /// What it knows.
+    /// The page in the middle.
+    pub fn show_page(&mut self, page: Page) {
+        self.page = page;
+    }
+
+    /// What it knows of the robot in front.
     pub fn model(&self) -> &Model {
-        &self.model
+        &self.robots[self.shown].model
+    }
+
+    fn front(&mut self) -> &mut Robot {
+        &mut self.robots[self.shown]
     }
 
     /// Takes in what is new, and the space bar before any widget can have it.
     pub fn update(&mut self, ctx: &Context) {
         let now_s = ctx.input(|i| i.time);
-        self.model.take(self.source.poll(now_s), now_s);
+        for robot in &mut self.robots {
+            robot.update(now_s);
+            if robot.model.freshness(now_s) == Freshness::Live || robot.model.message(now_s).is_some() {
+                ctx.request_repaint_after(LOOK);
+            }
+            if robot.source.playback().is_some_and(|p| p.playing()) {
+                ctx.request_repaint_after(Self::FRAME);
+            }
+        }
         if take_space_bar(ctx) {
-            self.source.request(Action::Stop.request());
+            self.stop_all();
+        }
+        for path in self.files.dropped(ctx) {
+            self.open(ctx, path);
         }
         if let Some(screenshot) = &mut self.screenshot {
             screenshot.tick(ctx, now_s);
         }
-        if self.source.playback().is_some_and(|p| p.playing()) {
-            ctx.request_repaint_after(Self::FRAME);
+    }
+
+    /// Who presses stop in a hurry does not look which robot is in front.
+    fn stop_all(&mut self) {
+        for robot in self.robots.iter_mut().filter(|r| !r.model.recorded) {
+            robot.source.request(Action::Stop.request());
         }
-        // Ages and the connection's state go on without samples.
-        ctx.request_repaint_after(Duration::from_millis(250));
+    }
+
+    fn open(&mut self, ctx: &Context, path: PathBuf) {
+        let name = path.display().to_string();
+        let ctx = ctx.clone();
+        match Playback::open(path, move || ctx.request_repaint()) {
+            Ok(log) => {
+                self.add(log, name);
+                self.shown = self.robots.len() - 1;
+            }
+            Err(error) => self.front().view.note = Some(format!("cannot read {name}: {error}")),
+        }
+    }
+
+    fn close_front(&mut self) {
+        if self.robots.len() > 1 {
+            self.robots.remove(self.shown);
+            self.shown = self.shown.saturating_sub(1);
+        }
     }
 
     /// Draws everything and passes on what was pressed.
     pub fn show(&mut self, ui: &mut Ui) {
         let now_s = ui.input(|i| i.time);
-        let Self { model, view, source, .. } = self;
         let mut asked = Vec::new();
-        Panel::top("top").show(ui, |ui| top::show(ui, model, &self.address, now_s, &mut asked));
+        self.top(ui, now_s, &mut asked);
+        let closable = self.robots.len() > 1;
+        let Self { robots, shown, page, files, .. } = self;
+        let Robot { source, model, view, recording, .. } = &mut robots[*shown];
+        let mut close = false;
         if let Some(recorded) = source.playback() {
-            Panel::bottom("playback").show(ui, |ui| playback::show(ui, recorded));
+            close =
+                Panel::bottom("playback").show(ui, |ui| playback::show(ui, recorded, view, closable)).inner;
         }
-        let left = Panel::left("left").exact_size(LEFT_WIDTH).resizable(false);
+        let width = (ui.available_width() * LEFT_SHARE).clamp(LEFT_WIDTH.0, LEFT_WIDTH.1);
+        let left = Panel::left("left").exact_size(width).resizable(false);
         let pushed = left.show(ui, |ui| {
+            let height = ui.available_height();
             ScrollArea::vertical().show(ui, |ui| {
-                let pushed = robot::show(ui, model, view, now_s);
+                let pushed = robot::show(ui, model, view, now_s, height);
                 gauges::show(ui, model, now_s);
                 pushed
             })
         });
-        CentralPanel::default().show(ui, |ui| plots::show(ui, model, view));
-        for action in asked {
-            source.request(action.request());
-        }
-        for request in model.push(pushed.inner.inner) {
+        let mut requests: Vec<Request> = Vec::new();
+        let mut files_asked = files.show(ui.ctx());
+        CentralPanel::default().show(ui, |ui| {
+            page.tabs(ui, model, recording.as_ref(), view, &mut files_asked);
+            page.show(ui, model, view, now_s, &mut requests);
+        });
+        requests.extend(model.push(pushed.inner.inner));
+        requests.extend(asked.iter().filter(|a| **a != Action::Stop).map(|a| a.request()));
+        for request in requests {
             source.request(request);
         }
+        if asked.contains(&Action::Stop) {
+            self.stop_all();
+        }
+        if files_asked.choose {
+            self.files.choose();
+        }
+        if files_asked.record {
+            let folder = self.files.folder.clone();
+            self.front().record(&folder);
+        }
+        if let Some(path) = files_asked.open {
+            self.open(ui.ctx(), path);
+        }
+        if close {
+            self.close_front();
+        }
+    }
+
+    fn top(&mut self, ui: &mut Ui, now_s: f64, asked: &mut Vec<Action>) {
+        let Self { robots, shown, .. } = self;
+        Panel::top("top").show(ui, |ui| {
+            if robots.len() > 1 {
+                let names = robots.iter().map(|r| (r.name(), r.model.mode(now_s)));
+                top::robots(ui, names, shown);
+            }
+            let Robot { model, address, .. } = &robots[*shown];
+            top::show(ui, model, address, now_s, asked);
+        });
     }
 }
 
 impl eframe::App for App {
-    fn logic(&mut self, ctx: &Context, _frame: &mut eframe::Frame) {
+    fn logic(&mut self, ctx: &Context, frame: &mut eframe::Frame) {
         self.update(ctx);
+        if let (Some(screenshot), Some(seconds)) = (&mut self.screenshot, frame.info().cpu_usage) {
+            screenshot.note_frame(seconds);
+        }
     }
 
     fn ui(&mut self, ui: &mut Ui, _frame: &mut eframe::Frame) {
         self.show(ui);
     }
 
-    fn save(&mut self, _storage: &mut dyn eframe::Storage) {}
+    fn save(&mut self, storage: &mut dyn eframe::Storage) {
+        let View { axis, push_n, .. } = &self.robots[self.shown].view;
+        storage.set_string("page", self.page.name().to_owned());
+        storage.set_string("span_s", axis.span_s().to_string());
+        storage.set_string("push_n", push_n.to_string());
+    }
 }
 
-/// Whether the space bar was pressed. Nobody else gets to see it: on a focused button it would also be a click.
+impl App {
+    /// Takes up what was looked at when the last window was closed.
+    pub fn restore(&mut self, storage: &dyn eframe::Storage) {
+        let text = |key| storage.get_string(key);
+        let number = |key| text(key)?.parse::<f64>().ok().filter(|v| v.is_finite());
+        self.page = text("page").and_then(|name| Page::named(&name)).unwrap_or_default();
+        for robot in &mut self.robots {
+            if let Some(span_s) = number("span_s") {
+                robot.view.axis.show(span_s);
+            }
+            if let Some(push_n) = number("push_n") {
+                robot.view.push_n = push_n.clamp(1.0, moca_msgs::request::PRESS_FORCE_MAX_N);
+            }
+        }
+    }
+}
+
+/// Whether the space bar was pressed. Nobody else gets to see it: on a focused button it would also be a click, and a
+/// stop must not depend on where the keyboard's focus is.
 fn take_space_bar(ctx: &Context) -> bool {
     ctx.input_mut(|input| {
         let mut pressed = false;

@@ -1,8 +1,13 @@
-//! Numbers beside the robot: base wrench, and how healthy loop, board and connection are.
+//! Numbers beside the robot: wrenches and pose, and how healthy connection, loop and board are.
 
 use super::theme;
-use crate::logic::{Model, model::Freshness, words::number};
-use egui::{Align, Grid, Layout, RichText, Sense, Ui, pos2, vec2};
+use crate::logic::{
+    Model,
+    model::{Freshness, SILENCE_S},
+    words::{number, speed_limit},
+};
+use egui::{Align, Grid, Label, Layout, RichText, Role, Sense, Ui, WidgetInfo, pos2, vec2};
+use moca_msgs::SpeedLimit;
 
 /// Draws base wrench and gauges.
 pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64) {
@@ -13,14 +18,17 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64) {
         Grid::new("wrench").num_columns(4).spacing([4.0, 3.0]).show(ui, |ui| {
             let [fx, fy, mz] = sample.cover_wrench_base;
             let [x, y, yaw] = sample.base_pose_world;
+            let [ex, ey, ez, mx, my, flange_mz] = sample.flange_wrench_world;
             let rows = [
                 ("Base wrench", [("fx", fx, 1, "N"), ("fy", fy, 1, "N"), ("mz", mz, 1, "N·m")]),
                 ("Base pose", [("x", x, 3, "m"), ("y", y, 3, "m"), ("yaw", yaw, 3, "rad")]),
+                ("Flange force", [("fx", ex, 1, "N"), ("fy", ey, 1, "N"), ("fz", ez, 1, "N")]),
+                ("   moment", [("mx", mx, 1, "N·m"), ("my", my, 1, "N·m"), ("mz", flange_mz, 1, "N·m")]),
             ];
             for (name, values) in rows {
                 ui.strong(name);
                 for (axis, value, decimals, unit) in values {
-                    value_cell(ui, axis, &number(value, decimals), unit, 98.0);
+                    value_cell(ui, axis, &number(value, decimals), unit, 96.0);
                 }
                 ui.end_row();
             }
@@ -29,14 +37,22 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64) {
         let deadline_ms = model.robot.frame_deadline_s * 1e3;
         let period_us = model.robot.period_s * 1e6;
         Grid::new("gauges").num_columns(3).spacing([10.0, 4.0]).show(ui, |ui| {
+            let silent_ms = model.silent_for_s(now_s) * 1e3;
+            if !model.recorded {
+                gauge(ui, "Connection", silent_ms, SILENCE_S * 1e3, "ms", 0);
+            }
             gauge(ui, "Loop lateness", sample.lateness_s * 1e6, period_us, "µs", 0);
             let age_ms = if sample.frame_age_s < 0.0 { f64::NAN } else { sample.frame_age_s * 1e3 };
             gauge(ui, "Frame age", age_ms, deadline_ms, "ms", 0);
             let [x, y, yaw] = sample.base_velocity_world;
             let [x_max, y_max, yaw_max] = model.robot.base_velocity_max;
+            gauge(ui, "Cover speed", model.cover_speed_m_s(), sample.speed_limit.m_s, "m/s", 2);
             gauge(ui, "Base speed", x.hypot(y), x_max.min(y_max), "m/s", 2);
             gauge(ui, "Base turning", yaw.abs(), yaw_max, "rad/s", 2);
         });
+        let SpeedLimit { m_s, reason } = sample.speed_limit;
+        let text = format!("Speed limit {} m/s: {}", number(m_s, 2), speed_limit(reason));
+        ui.add(Label::new(text).truncate());
         ui.separator();
         Grid::new("counters").num_columns(4).spacing([10.0, 3.0]).show(ui, |ui| {
             counter(ui, "Frame rate", &number(sample.frame_rate_hz, 1), "Hz", false);
@@ -59,7 +75,7 @@ fn value_cell(ui: &mut Ui, axis: &str, value: &str, unit: &str, width: f32) {
         ui.spacing_mut().item_spacing.x = 3.0;
         ui.weak(axis);
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            ui.allocate_ui_with_layout(vec2(22.0, 18.0), Layout::left_to_right(Align::Center), |ui| {
+            ui.allocate_ui_with_layout(vec2(26.0, 18.0), Layout::left_to_right(Align::Center), |ui| {
                 ui.weak(unit)
             });
             ui.monospace(value);
@@ -86,12 +102,9 @@ fn gauge(ui: &mut Ui, name: &str, value: f64, limit: f64, unit: &str, decimals: 
     let (response, painter) = ui.allocate_painter(vec2(120.0, 12.0), Sense::hover());
     let rect = response.rect;
     #[expect(clippy::cast_possible_truncation, reason = "a fraction")]
-    let part = if value.is_finite() { (value / (1.5 * limit)).clamp(0.0, 1.0) as f32 } else { 0.0 };
-    let colour = match value / limit {
-        r if r < 0.5 => theme::GOOD,
-        r if r < 1.0 => theme::WARNING,
-        _ => theme::BAD,
-    };
+    let part =
+        if value.is_finite() && limit > 0.0 { (value / (1.5 * limit)).clamp(0.0, 1.0) as f32 } else { 0.0 };
+    let colour = theme::share(if limit > 0.0 { value / limit } else { f64::NAN });
     painter.rect_filled(rect, 2.0, ui.visuals().extreme_bg_color);
     let mut bar = rect;
     bar.set_width(rect.width() * part);
@@ -99,10 +112,12 @@ fn gauge(ui: &mut Ui, name: &str, value: f64, limit: f64, unit: &str, decimals: 
     let mark = rect.left() + rect.width() / 1.5;
     let stroke = (1.5, ui.visuals().text_color());
     painter.line_segment([pos2(mark, rect.top()), pos2(mark, rect.bottom())], stroke);
+    let said = format!("{name} {} {unit} of {}", number(value, decimals), number(limit, decimals));
+    response.widget_info(|| WidgetInfo::labeled(Role::Meter, true, &said));
     response.on_hover_text(format!("limit {} {unit}", number(limit, decimals)));
     ui.allocate_ui_with_layout(vec2(150.0, 18.0), Layout::left_to_right(Align::Center), |ui| {
         ui.spacing_mut().item_spacing.x = 3.0;
-        let over = value >= limit;
+        let over = value >= limit && limit > 0.0;
         let text = RichText::new(format!("{:>6} {unit:<5}", number(value, decimals))).monospace();
         ui.label(if over { text.color(theme::BAD) } else { text });
         ui.weak(format!("of {}", number(limit, decimals)));

@@ -1,15 +1,20 @@
 //! How it looks: [`App`] lays out `top` (mode, reason, buttons), `robot` (from above, with its ring of taxels),
-//! `gauges`, `plots`, and
-//! `playback` for a recorded run.
+//! `gauges`, the [`Page`] in the middle (`plots`, `timing`), and `playback` for a recorded run.
 
 mod app;
+mod files;
 mod gauges;
+mod page;
 mod playback;
 mod plots;
 mod robot;
 mod screenshot;
 mod theme;
+mod timing;
 mod top;
+mod view;
 
 pub use app::App;
+pub use page::Page;
 pub use screenshot::Screenshot;
+use view::View;

@@ -1,17 +1,18 @@
 //! The robot from above, to scale, on a floor with a grid of half a metre: base, ring of taxels, arm, flange, and the
 //! wrench on the base. x of the world points up.
 
-use super::{app::View, theme};
+use super::{View, theme};
 use crate::logic::{Model, arm, model::Freshness, words};
 use egui::{
-    Align2, Color32, FontId, Id, Painter, Pos2, Rect, Sense, Shape, Slider, Stroke, Ui, Vec2, WidgetInfo,
-    pos2, vec2,
+    Align2, Color32, FontId, Id, Key, Painter, Pos2, Rect, Sense, Shape, Slider, Stroke, Ui, Vec2,
+    WidgetInfo, pos2, vec2,
 };
 use moca_msgs::{Sample, TaxelStatus, request::PRESS_FORCE_MAX_N};
 use moca_telemetry::description::TaxelDescription;
 
-/// Height of the picture, points.
-const HEIGHT: f32 = 350.0;
+/// Least and greatest height of the picture, and what is left for the numbers below it, points.
+const HEIGHT: (f32, f32) = (290.0, 640.0);
+const NUMBERS: f32 = 404.0;
 /// Floor shown from top to bottom, m.
 const SPAN_M: f64 = 1.65;
 /// Half of a taxel's length along the cover, m.
@@ -28,6 +29,8 @@ const ARC_RAD_PER_NM: f64 = 0.15;
 const ARC_MAX_RAD: f64 = 5.0;
 const ARC_RADIUS_M: f64 = 0.17;
 
+/// Length of the arrow of the flange's force, m for each N.
+const FLANGE_M_PER_N: f64 = 0.01;
 /// A force that fills the colour scale, N.
 const FULL_COLOUR_N: f64 = 60.0;
 
@@ -61,9 +64,17 @@ impl Camera {
     }
 }
 
-/// Draws the robot and returns the taxel that the mouse presses, with the force chosen for it, N.
-pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64) -> Option<(u8, f64)> {
-    let (response, painter) = ui.allocate_painter(vec2(ui.available_width(), HEIGHT), Sense::hover());
+/// Draws the robot in a column `height` points high and returns the taxel that is pressed with mouse or keyboard, with
+/// the force chosen for it, N.
+pub(super) fn show(
+    ui: &mut Ui,
+    model: &Model,
+    view: &mut View,
+    now_s: f64,
+    height: f32,
+) -> Option<(u8, f64)> {
+    let size = vec2(ui.available_width(), (height - NUMBERS).clamp(HEIGHT.0, HEIGHT.1));
+    let (response, painter) = ui.allocate_painter(size, Sense::hover());
     let rect = response.rect;
     painter.rect_filled(rect, 4.0, ui.visuals().extreme_bg_color);
     let Some(sample) = &model.latest else {
@@ -78,7 +89,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64) -> O
         return None;
     };
     let camera = Camera {
-        centre: rect.center() + vec2(0.0, 14.0),
+        centre: rect.center() + vec2(0.0, 6.0),
         points_per_m: f64::from(rect.height()) / SPAN_M,
         base_world: sample.base_pose_world.map(|v| if v.is_finite() { v } else { 0.0 }),
     };
@@ -97,14 +108,17 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64) -> O
             }
         }
         arm_and_flange(&painter, &camera, model, sample, ui.visuals());
+        flange_force(&painter, &camera, sample);
         wrench(&painter, &camera, sample.cover_wrench_base);
+        age(&painter, rect, sample, model, ui.visuals());
     });
     if model.robot.simulated && !model.recorded {
         ui.horizontal(|ui| {
-            ui.label("Press and hold a taxel to push with");
+            let label = ui.label("Press and hold a taxel to push with");
             let slider =
                 Slider::new(&mut view.push_n, 1.0..=PRESS_FORCE_MAX_N).suffix(" N").fixed_decimals(0);
-            ui.add(slider.logarithmic(true)).on_hover_text("Force of a push with the mouse");
+            let hint = "Force of a push. With the keyboard: Tab to a taxel, then hold Enter";
+            ui.add(slider.logarithmic(true)).labelled_by(label.id).on_hover_text(hint);
         });
     }
     pushed
@@ -154,34 +168,57 @@ impl Taxel<'_> {
         let response = ui.interact(self.rect(), Id::unique(("taxel", self.index)), Sense::click_and_drag());
         let enabled = model.can_push();
         response.widget_info(|| WidgetInfo::labeled(egui::Role::Button, enabled, format!("Push T{number}")));
-        let pressed = enabled && response.is_pointer_button_down_on();
+        let by_key = response.has_focus() && ui.input(|i| i.key_down(Key::Enter));
+        let pressed = enabled && (response.is_pointer_button_down_on() || by_key);
 
         let colour =
             if valid { theme::force(force_n, FULL_COLOUR_N, ui.visuals()) } else { Color32::TRANSPARENT };
-        let outline = match (pressed, enabled && response.hovered(), valid) {
+        let marked = enabled && (response.hovered() || response.has_focus());
+        let outline = match (pressed, marked, valid) {
             (true, ..) => Stroke::new(2.5, theme::strong(ui.visuals())),
             (_, true, _) => Stroke::new(1.5, theme::strong(ui.visuals())),
+            (.., false) if reading.status == TaxelStatus::Masked => {
+                Stroke::new(1.5, ui.visuals().weak_text_color())
+            }
             (.., false) => Stroke::new(1.5, theme::BAD),
             _ => Stroke::new(0.5, ui.visuals().weak_text_color()),
         };
         let bar = (force_n * BAR_M_PER_N).min(0.3);
         painter.add(Shape::convex_polygon(self.block(0.0, bar), colour.gamma_multiply(0.6), Stroke::NONE));
         painter.add(Shape::convex_polygon(self.block(-TAXEL_THICK_M, 0.0), colour, outline));
+        self.age(painter, sample.frame_age_s / model.robot.frame_deadline_s);
 
         let value = if valid {
             format!("{} N", words::number(force_n, 1))
         } else {
             words::health(reading.status).into()
         };
-        let colour = if valid { theme::strong(ui.visuals()) } else { theme::BAD };
+        let masked = reading.status == TaxelStatus::Masked;
+        let colour = match (valid, masked) {
+            (true, _) => theme::strong(ui.visuals()),
+            (_, true) => ui.visuals().weak_text_color(),
+            _ => theme::BAD,
+        };
         let [x, y, _] = sample.flange_position_world;
-        self.label(painter, self.camera.world([x, y]), number, &value, colour);
+        self.label(painter, self.camera.world([x, y]), (number, &value), colour, force_n > 0.0);
         let health = if valid { "well" } else { words::health(reading.status) };
         let counts = sample.counts.get(self.index).map_or("–".into(), u16::to_string);
         if !pressed {
-            response.on_hover_text(format!("T{number}: {health}, {counts} counts"));
+            let age = words::number(sample.frame_age_s.max(0.0) * 1e3, 0);
+            response.on_hover_text(format!("T{number}: {health}, {counts} counts, {age} ms old"));
         }
         pressed
+    }
+
+    /// A line along the taxel as long as its data is old: the whole taxel is the deadline.
+    fn age(&self, painter: &Painter, part: f64) {
+        let colour = theme::share(part);
+        let ([x, y], angle) = (self.description.position_base_m, self.description.inward_angle_base_rad);
+        let (sin, cos) = angle.sin_cos();
+        let half = TAXEL_HALF_M * part.clamp(0.0, 1.0);
+        let out = TAXEL_THICK_M + 0.014;
+        let end = |along: f64| self.camera.base([x - out * cos - along * sin, y - out * sin + along * cos]);
+        painter.line_segment([end(-half), end(half)], Stroke::new(2.5, colour));
     }
 
     /// Corners of a block over the taxel's length, between two distances from the cover, inwards positive, m.
@@ -202,14 +239,22 @@ impl Taxel<'_> {
     }
 
     /// Number and value outside the cover, and outside the flange where that is in the way.
-    fn label(&self, painter: &Painter, flange: Pos2, number: usize, value: &str, colour: Color32) {
+    fn label(
+        &self,
+        painter: &Painter,
+        flange: Pos2,
+        (number, value): (usize, &str),
+        colour: Color32,
+        touched: bool,
+    ) {
         let (sin, cos) = self.description.inward_angle_base_rad.sin_cos();
         let outward = self.camera.direction([-cos, -sin]).normalized();
-        let mut at = self.camera.base(self.description.position_base_m) + outward * 13.0;
+        let mut at = self.camera.base(self.description.position_base_m) + outward * 18.0;
         if Rect::from_center_size(at + outward * 20.0, vec2(60.0, 60.0)).contains(flange) {
             at += outward * ((flange - at).dot(outward) + 12.0);
         }
-        let font = FontId::proportional(13.0);
+        // Who is touched is read from afar.
+        let font = FontId::proportional(if touched { 18.0 } else { 13.0 });
         if outward.x.abs() > outward.y.abs() {
             let (align, text) = if outward.x > 0.0 {
                 (Align2::LEFT_CENTER, format!("T{number}  {value}"))
@@ -219,8 +264,11 @@ impl Taxel<'_> {
             painter.text(at, align, text, font, colour);
         } else {
             // Two texts, because the lines of one would not be centred on each other.
-            let (align, line) =
-                if outward.y > 0.0 { (Align2::CENTER_TOP, 15.0) } else { (Align2::CENTER_BOTTOM, -15.0) };
+            let (align, line) = if outward.y > 0.0 {
+                (Align2::CENTER_TOP, font.size + 2.0)
+            } else {
+                (Align2::CENTER_BOTTOM, -font.size - 2.0)
+            };
             painter.text(at, align, value, font.clone(), colour);
             painter.text(at + vec2(0.0, line), align, format!("T{number}"), font, colour);
         }
@@ -252,6 +300,32 @@ fn arm_and_flange(
     for arm in [vec2(9.0, 0.0), vec2(0.0, 9.0)] {
         painter.line_segment([centre - arm, centre + arm], stroke);
     }
+}
+
+/// Arrow of the horizontal force on the flange.
+fn flange_force(painter: &Painter, camera: &Camera, sample: &Sample) {
+    let [fx, fy, ..] = sample.flange_wrench_world;
+    let force = fx.hypot(fy);
+    if force > 1.0 {
+        let length = (force * FLANGE_M_PER_N).min(ARROW_MAX_M) / force;
+        let [x, y, _] = sample.flange_position_world;
+        let stroke = Stroke::new(3.0, theme::FLANGE_WRENCH);
+        painter.arrow(camera.world([x, y]), camera.offset([fx * length, fy * length]), stroke);
+    }
+}
+
+/// How old what the cover says is, in words.
+fn age(painter: &Painter, rect: Rect, sample: &Sample, model: &Model, visuals: &egui::Visuals) {
+    let deadline_s = model.robot.frame_deadline_s;
+    let (text, colour) = match sample.frame_age_s {
+        age_s if age_s < 0.0 => ("no data from the cover yet".to_owned(), visuals.weak_text_color()),
+        age_s if age_s < deadline_s => {
+            (format!("cover {} ms old", words::number(age_s * 1e3, 0)), visuals.weak_text_color())
+        }
+        age_s => (format!("cover {} s old", words::number(age_s, 1)), theme::BAD),
+    };
+    let corner = rect.right_bottom() + vec2(-6.0, -4.0);
+    painter.text(corner, Align2::RIGHT_BOTTOM, text, FontId::proportional(11.0), colour);
 }
 
 /// Arrow of the force and arc of the moment that the cover exerts on the base.

@@ -32,6 +32,18 @@ pub(super) const BAD: Color32 = Color32::from_rgb(205, 45, 40);
 /// The arrow of the base's wrench.
 pub(super) const WRENCH: Color32 = Color32::from_rgb(213, 94, 0);
 
+/// The arrow of the force on the flange.
+pub(super) const FLANGE_WRENCH: Color32 = Color32::from_rgb(150, 90, 200);
+
+/// Colour of a share of a limit; one that is not known is as bad as one that is reached.
+pub(super) fn share(part: f64) -> Color32 {
+    match part {
+        r if r < 0.5 => GOOD,
+        r if r < 1.0 => WARNING,
+        _ => BAD,
+    }
+}
+
 /// Colour of a mode, dark enough for white text.
 pub(super) fn mode(mode: Option<Mode>) -> Color32 {
     match mode {

@@ -3,8 +3,22 @@
 use super::theme;
 use crate::logic::{Action, Model, model::Freshness};
 use egui::{Align, Button, Color32, Frame, Layout, Margin, RichText, Theme, Ui, vec2};
-use moca_msgs::{Law, board::Diagnosis};
+use moca_msgs::{Law, Mode, board::Diagnosis};
 use moca_telemetry::net::Commander;
+
+/// Which robot or log is in front.
+pub(super) fn robots(ui: &mut Ui, names: impl Iterator<Item = (String, Option<Mode>)>, shown: &mut usize) {
+    ui.add_space(4.0);
+    ui.horizontal_wrapped(|ui| {
+        for (index, (name, mode)) in names.enumerate() {
+            let (dot, _) = ui.allocate_exact_size(vec2(12.0, 12.0), egui::Sense::hover());
+            ui.painter().circle_filled(dot.center(), 6.0, theme::mode(mode));
+            if ui.selectable_label(*shown == index, RichText::new(name).size(15.0)).clicked() {
+                *shown = index;
+            }
+        }
+    });
+}
 
 /// Draws the top of the window and notes which buttons were pressed.
 pub(super) fn show(ui: &mut Ui, model: &Model, address: &str, now_s: f64, asked: &mut Vec<Action>) {
@@ -15,7 +29,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, address: &str, now_s: f64, asked:
         let mut button = |ui: &mut Ui, action: Action, selected: bool| {
             let widget = Button::selectable(selected, RichText::new(action.label()).size(15.0))
                 .frame_when_inactive(true)
-                .min_size(vec2(66.0, 36.0));
+                .min_size(vec2(66.0, 46.0));
             let response = ui.add_enabled(model.allows(action, now_s), widget);
             if response
                 .on_hover_text(action.explanation())
@@ -67,9 +81,9 @@ fn mode(ui: &mut Ui, model: &Model, now_s: f64) {
         ui,
         |ui| {
             ui.allocate_ui_with_layout(
-                vec2(190.0, 36.0),
+                vec2(286.0, 46.0),
                 Layout::centered_and_justified(egui::Direction::LeftToRight),
-                |ui| ui.label(RichText::new(name).size(24.0).strong().color(Color32::WHITE)),
+                |ui| ui.label(RichText::new(name).size(38.0).strong().color(Color32::WHITE)),
             );
         },
     );
@@ -78,7 +92,7 @@ fn mode(ui: &mut Ui, model: &Model, now_s: f64) {
 fn stop(ui: &mut Ui, model: &Model, now_s: f64, asked: &mut Vec<Action>) {
     let label = RichText::new(Action::Stop.label()).size(20.0).strong().color(Color32::WHITE);
     let enabled = model.allows(Action::Stop, now_s);
-    let button = Button::new(label).fill(theme::BAD).min_size(vec2(150.0, 40.0));
+    let button = Button::new(label).fill(theme::BAD).min_size(vec2(160.0, 50.0));
     if ui.add_enabled(enabled, button).on_hover_text(Action::Stop.explanation()).clicked() {
         asked.push(Action::Stop);
     }
@@ -88,7 +102,7 @@ fn stop(ui: &mut Ui, model: &Model, now_s: f64, asked: &mut Vec<Action>) {
 fn why(ui: &mut Ui, model: &Model, address: &str, now_s: f64) {
     let (colour, text) = reason(model, address, now_s);
     let colour = colour.unwrap_or_else(|| ui.visuals().text_color());
-    ui.label(RichText::new(text).size(15.0).color(colour));
+    ui.label(RichText::new(text).size(18.0).color(colour));
 }
 
 fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String) {

@@ -1,0 +1,89 @@
+//! The pages in the middle of the window.
+
+use super::{View, files::FilesAsked, plots, theme, timing};
+use crate::logic::{Model, Recording};
+use egui::{Align, Layout, RichText, Ui};
+use moca_msgs::Request;
+
+/// A page.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Page {
+    /// The paper's plots.
+    #[default]
+    Plots,
+    /// How well loop and board keep time.
+    Loop,
+}
+
+impl Page {
+    /// In the order of their tabs.
+    pub const ALL: [Self; 2] = [Self::Plots, Self::Loop];
+
+    /// What is written on its tab.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Plots => "Plots",
+            Self::Loop => "Loop",
+        }
+    }
+
+    /// The page whose tab says `name`.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|page| page.name().eq_ignore_ascii_case(name))
+    }
+
+    /// Draws the tabs, and what is done with files.
+    pub(super) fn tabs(
+        &mut self,
+        ui: &mut Ui,
+        model: &Model,
+        recording: Option<&Recording>,
+        view: &View,
+        asked: &mut FilesAsked,
+    ) {
+        ui.horizontal(|ui| {
+            for page in Self::ALL {
+                if ui.selectable_label(*self == page, RichText::new(page.name()).size(15.0)).clicked() {
+                    *self = page;
+                }
+            }
+            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                if ui.button("Open log").on_hover_text("Show a recorded run beside the robots").clicked() {
+                    asked.choose = true;
+                }
+                if !model.recorded {
+                    let label = if recording.is_some() { "Stop recording" } else { "Record" };
+                    let hint = "Write every sample this window receives to an MCAP file. \
+                                `mocad --record` also keeps the board's bytes.";
+                    let possible = recording.is_some() || model.latest.is_some();
+                    let button = ui.add_enabled(possible, egui::Button::new(label)).on_hover_text(hint);
+                    asked.record = button.clicked();
+                }
+                let (text, colour) = match (recording, &view.note) {
+                    (Some(recording), _) => (recording.progress(), theme::BAD),
+                    (None, Some(note)) => (note.clone(), ui.visuals().weak_text_color()),
+                    (None, None) => return,
+                };
+                ui.add(egui::Label::new(RichText::new(text).color(colour)).truncate());
+            });
+        });
+    }
+
+    /// Draws the page and notes what is to be asked of the daemon.
+    pub(super) fn show(
+        self,
+        ui: &mut Ui,
+        model: &Model,
+        view: &mut View,
+        _now_s: f64,
+        _requests: &mut Vec<Request>,
+    ) {
+        match self {
+            Self::Plots => {
+                plots::toolbar(ui, model, view);
+                plots::show(ui, model, &model.panels, 2, view);
+            }
+            Self::Loop => timing::show(ui, model, view),
+        }
+    }
+}
