@@ -2,6 +2,7 @@
 
 use crate::config::JOINTS;
 use crate::cover_source::{CoverSource, CoverState};
+use crate::door::StateDoor;
 use crate::motion::{self, Motion};
 use crate::plant::Plant;
 use crate::supervisor::{Facts, Supervisor};
@@ -35,6 +36,7 @@ pub struct ControlLoop<P, S> {
     pub timing: Timing,
     /// Age of the cover's data at each tick.
     pub frame_age: Distribution,
+    door: StateDoor,
     supervisor: Supervisor,
     motion: Motion,
     period_s: f64,
@@ -54,13 +56,14 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         period_s: f64,
     ) -> Result<Self, hdrhistogram::CreationError> {
         let (timing, frame_age) = (Timing::new()?, Distribution::new()?);
-        Ok(Self { plant, cover, timing, frame_age, supervisor, motion, period_s, refused: None })
+        let door = StateDoor::default();
+        Ok(Self { plant, cover, timing, frame_age, door, supervisor, motion, period_s, refused: None })
     }
 
     /// One tick: read, feel, decide, command, write; returns what an observer may see and the answer to `request`.
     pub fn tick(&mut self, slot: &Slot, request: Option<Request>) -> (Sample, Option<Outcome>) {
         self.timing.start();
-        let robot = self.plant.read();
+        let robot = self.read(slot);
         self.timing.end(Stage::Read);
 
         let cover = self.cover.read(slot.now_ns);
@@ -90,6 +93,17 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         let _ = self.plant.write(&Actuation::Brake, 1);
     }
 
+    fn read(&mut self, slot: &Slot) -> Result<RobotState<JOINTS>, Fault> {
+        let state = self.plant.read()?;
+        self.door.check(state, self.plant.age(), self.elapsed_s(slot))
+    }
+
+    fn elapsed_s(&self, slot: &Slot) -> f64 {
+        #[expect(clippy::cast_precision_loss, reason = "a count of missed slots")]
+        let ticks = slot.ticks as f64;
+        self.period_s * ticks
+    }
+
     fn decide(
         &mut self,
         slot: &Slot,
@@ -115,11 +129,11 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         }
         let outcome = decision.outcome.or(pressed);
         let (Ok(robot), false) = (robot, decision.mode == Mode::Fault) else {
+            // Whatever runs next starts from where the robot then is.
+            self.motion.leave();
             return (outcome, None);
         };
-        #[expect(clippy::cast_precision_loss, reason = "a count of missed slots")]
-        let dt_s = self.period_s * slot.ticks as f64;
-        match self.motion.command(decision.mode, robot, &cover.forces, dt_s) {
+        match self.motion.command(decision.mode, robot, &cover.forces, self.elapsed_s(slot)) {
             Ok(output) => (outcome, Some(output)),
             Err(fault) => {
                 self.refused = Some(fault);

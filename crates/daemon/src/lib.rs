@@ -7,7 +7,8 @@
 //!    tick now, deterministic.
 //! 4. [`plant`], [`cover_source`]: what a robot and a cover are to the loop; [`simulated`], [`byte_cover`],
 //!    [`ideal_cover`]: those there are.
-//! 5. [`config`], [`console`], [`recording`], [`run`]: what a user sees of it.
+//! 5. [`door`]: what of the robot's state is let in; [`inject`]: faults on purpose.
+//! 6. [`config`], [`console`], [`recording`], [`run`]: what a user sees of it.
 //!
 //! The loop refuses to know who watches it: samples leave through a bounded ring, requests arrive through another.
 
@@ -19,9 +20,11 @@ pub mod config;
 pub mod console;
 pub mod control_loop;
 pub mod cover_source;
+pub mod door;
 pub mod hand;
 #[cfg(feature = "sim")]
 pub mod ideal_cover;
+pub mod inject;
 pub mod live;
 #[cfg(feature = "sim")]
 pub mod lockstep;

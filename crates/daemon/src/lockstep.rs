@@ -5,6 +5,7 @@ use crate::config::{Config, TAXELS};
 use crate::control_loop::{ControlLoop, Slot};
 use crate::cover_source::CoverSource;
 use crate::ideal_cover::IdealCover;
+use crate::inject::{Cable, Injection, What};
 use crate::run::{cover_config, motion, supervisor};
 use crate::simulated::SimulatedRobot;
 use anyhow::Result;
@@ -27,6 +28,7 @@ pub struct MemoryBoard {
     board: VirtualBoard,
     cable: rtrb::Producer<BoardEvent>,
     plugged: bool,
+    spoiled: Option<Cable>,
     now_ns: u64,
 }
 
@@ -64,14 +66,22 @@ impl MemoryBoard {
 impl Feed<ByteCover> for MemoryBoard {
     fn feed(&mut self, _cover: &mut ByteCover, now_ns: u64, true_force_n: &[f64; TAXELS]) {
         self.now_ns = now_ns;
-        let (plugged, cable) = (self.plugged, &mut self.cable);
-        self.board.advance(now_ns, true_force_n, &mut |bytes: &[u8]| {
-            if plugged {
-                for part in bytes.chunks(Chunk::CAPACITY) {
-                    let _ = cable.push(BoardEvent::Bytes(Chunk::new(now_ns, part)));
+        let Self { board, cable, plugged, spoiled, .. } = self;
+        let mut arrive = |event| {
+            let _ = cable.push(event);
+        };
+        board.advance(now_ns, true_force_n, &mut |bytes: &[u8]| {
+            for part in bytes.chunks(Chunk::CAPACITY).filter(|_| *plugged) {
+                let event = BoardEvent::Bytes(Chunk::new(now_ns, part));
+                match spoiled {
+                    Some(spoiled) => spoiled.pass(event, &mut arrive),
+                    None => arrive(event),
                 }
             }
         });
+        if let Some(spoiled) = spoiled {
+            spoiled.wait(now_ns, &mut arrive);
+        }
     }
 }
 
@@ -92,6 +102,8 @@ pub struct LockStep<S, F> {
     pub feed: F,
     period_ns: u64,
     tick: u64,
+    overruns: u64,
+    skip: Option<(u64, u64)>,
 }
 
 impl LockStep<ByteCover, MemoryBoard> {
@@ -107,8 +119,20 @@ impl LockStep<ByteCover, MemoryBoard> {
     ) -> Result<Self> {
         let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
         let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events, copies);
-        let feed = MemoryBoard { board: VirtualBoard::new(board)?, cable, plugged: true, now_ns: 0 };
+        let feed =
+            MemoryBoard { board: VirtualBoard::new(board)?, cable, plugged: true, spoiled: None, now_ns: 0 };
         Self::new(config, scene, cover, feed)
+    }
+}
+
+impl LockStep<ByteCover, MemoryBoard> {
+    /// Lets `injection` strike; the same seed spoils the same bytes.
+    pub fn inject(&mut self, injection: &Injection, seed: u64) {
+        match injection.fault.what {
+            What::Cable(fault) => self.feed.spoiled = Some(Cable::new(fault, injection.at_ns, seed)),
+            What::Plant(_) => self.control.plant.inject(injection),
+            What::MissedSlots(slots) => self.skip = Some((injection.at_ns / self.period_ns, slots)),
+        }
     }
 }
 
@@ -127,15 +151,19 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
         let plant = SimulatedRobot::new(config, scene, None)?;
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
         let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
-        Ok(Self { control, feed, period_ns: config.period_ns(), tick: 0 })
+        Ok(Self { control, feed, period_ns: config.period_ns(), tick: 0, overruns: 0, skip: None })
     }
 
     /// One tick.
     pub fn step(&mut self, request: Option<Request>) -> (Sample, Option<Outcome>) {
+        let missed = self.skip.take_if(|(at, _)| self.tick >= *at).map_or(0, |(_, slots)| slots);
+        self.tick += missed;
+        self.overruns += missed;
         let now_ns = self.tick * self.period_ns;
         let force_n = self.control.plant.world.taxel_force_true_n();
         self.feed.feed(&mut self.control.cover, now_ns, &force_n);
-        let slot = Slot { tick: self.tick, now_ns, ticks: 1, lateness_s: 0.0, overruns: 0 };
+        let slot =
+            Slot { tick: self.tick, now_ns, ticks: 1 + missed, lateness_s: 0.0, overruns: self.overruns };
         self.tick += 1;
         self.control.tick(&slot, request)
     }

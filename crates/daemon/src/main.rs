@@ -49,6 +49,9 @@ struct RunArguments {
     /// Record every sample and every byte of the board as MCAP; the file must not exist yet.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+    /// Let a fault strike a simulated robot; a wrong NAME lists all there are.
+    #[arg(long, value_name = "NAME@SECONDS")]
+    inject: Option<moca_daemon::inject::Injection>,
     /// End at once if the operating system refuses a wish of `[realtime]`.
     #[arg(long)]
     require_realtime: bool,
@@ -98,6 +101,7 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
         lock_step: arguments.as_fast_as_possible,
         command_log: arguments.command_log,
         record: arguments.record,
+        inject: arguments.inject,
         require_realtime: arguments.require_realtime,
     })
 }

@@ -16,6 +16,11 @@ impl Motion {
         Self { controller, state: None }
     }
 
+    /// Forgets targets and controller state: the next command is entered anew from the measured state.
+    pub fn leave(&mut self) {
+        self.state = None;
+    }
+
     /// Moves the target of the running law with `twist` \[m/s; rad/s\], axes of the law's reference, until told
     /// otherwise. A law that has not been entered yet has no target to move.
     ///

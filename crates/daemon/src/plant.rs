@@ -3,6 +3,15 @@
 use crate::config::JOINTS;
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
 
+/// How old the parts of a measured state are.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SourceAge {
+    /// Age of the arm's part, s.
+    pub arm_s: f64,
+    /// Age of the base's part, s.
+    pub base_s: f64,
+}
+
 /// A robot, simulated or real.
 pub trait Plant {
     /// The state measured at this tick.
@@ -10,6 +19,11 @@ pub trait Plant {
     /// # Errors
     /// The fault that the supervisor has to react to, [`Fault::PlantLost`] for one that no longer answers.
     fn read(&mut self) -> Result<RobotState<JOINTS>, Fault>;
+
+    /// Age of the state that [`Plant::read`] last gave.
+    fn age(&self) -> SourceAge {
+        SourceAge::default()
+    }
 
     /// Carries out an order that stands for `ticks` control periods (more than 1 after missed slots).
     ///

@@ -5,6 +5,7 @@ use crate::config::{Config, PlantKind, TAXELS, VIRTUAL_PORT};
 use crate::console::{Console, Summary};
 use crate::control_loop::ControlLoop;
 use crate::cover_source::CoverSource;
+use crate::inject::Injection;
 use crate::live::{self, Clock, LiveReport, Rings, Shared};
 use crate::motion::Motion;
 use crate::plant::Plant;
@@ -44,6 +45,8 @@ pub struct Options {
     pub command_log: Option<PathBuf>,
     /// Where the MCAP log goes.
     pub record: Option<PathBuf>,
+    /// A fault on purpose (simulated robot only).
+    pub inject: Option<Injection>,
     /// Whether a refused wish to the operating system ends the run before it starts.
     pub require_realtime: bool,
 }
@@ -169,6 +172,7 @@ impl LiveRun {
 #[cfg(feature = "sim")]
 pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     use crate::byte_cover::ByteCover;
+    use crate::inject::{self, Cable, Named, What};
     use crate::simulated::{SimulatedRobot, free_scene};
     use moca_sim::PtyBoard;
     use moca_tactile::Cover;
@@ -187,10 +191,16 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
     }
     println!("  board       {}{}", shown(&port), if board.is_some() { " (virtual Touch Board)" } else { "" });
     let clock = Clock::start()?;
-    let (_serial, events) = SerialBoard::spawn(port, clock.instant())?;
+    let (_serial, mut events) = SerialBoard::spawn(port, clock.instant())?;
+    if let Some(Injection { fault: Named { what: What::Cable(fault), .. }, at_ns }) = options.inject {
+        events = inject::relay(Cable::new(fault, at_ns, config.simulation.seed), events, clock)?;
+    }
     let (recording, copies) = recording(options)?;
     let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events, copies);
-    let plant = SimulatedRobot::new(config, &free_scene(config), forces)?;
+    let mut plant = SimulatedRobot::new(config, &free_scene(config), forces)?;
+    if let Some(injection) = &options.inject {
+        plant.inject(injection);
+    }
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
     live(options, control, clock, recording, shared)
@@ -377,6 +387,9 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
     let (mut recording, copies) = recording(options)?;
     let mut world =
         LockStep::with_board(config, &crate::simulated::free_scene(config), board_config(config), copies)?;
+    if let Some(injection) = &options.inject {
+        world.inject(injection, config.simulation.seed);
+    }
     let mut log = None;
     if let Some(path) = &options.command_log {
         let file = File::create(path).with_context(|| path.display().to_string())?;

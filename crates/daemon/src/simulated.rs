@@ -2,11 +2,13 @@
 
 use crate::config::{Config, HandConfig, JOINTS, TAXELS};
 use crate::hand::scripted_press;
-use crate::plant::Plant;
+use crate::inject::{Injection, PlantSpoiler, What};
+use crate::plant::{Plant, SourceAge};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
 use moca_sim::{Scene, SharedForces, SimError, SimPlant};
 use std::sync::atomic::Ordering;
+use std::time::Duration;
 
 /// After a longer stall the simulation falls behind the wall clock instead of freezing the loop.
 const CATCH_UP_MAX_TICKS: u64 = 20;
@@ -27,6 +29,8 @@ pub struct SimulatedRobot {
     pub world: SimPlant,
     hand: HandConfig,
     asked_n: [f64; TAXELS],
+    spoiler: Option<PlantSpoiler>,
+    stall: Option<(u64, u64)>,
     shared: Option<SharedForces>,
     period_s: f64,
     ticks: u64,
@@ -41,7 +45,27 @@ impl SimulatedRobot {
         let world = SimPlant::new(scene)?;
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
         let hand = config.simulation.hand.clone();
-        Ok(Self { world, hand, asked_n: [0.0; TAXELS], shared, period_s, ticks: 0 })
+        Ok(Self {
+            world,
+            hand,
+            asked_n: [0.0; TAXELS],
+            spoiler: None,
+            stall: None,
+            shared,
+            period_s,
+            ticks: 0,
+        })
+    }
+
+    /// Lets the robot fail, or in real time stall the loop; a fault of the cable does nothing here.
+    pub fn inject(&mut self, injection: &Injection) {
+        let period = Duration::from_secs_f64(self.period_s).as_nanos().max(1);
+        let at_tick = u64::try_from(u128::from(injection.at_ns) / period).unwrap_or(u64::MAX);
+        match injection.fault.what {
+            What::Plant(fault) => self.spoiler = Some(PlantSpoiler::new(fault, at_tick)),
+            What::MissedSlots(slots) => self.stall = Some((at_tick, slots)),
+            What::Cable(_) => {}
+        }
     }
 
     fn step(&mut self) -> Result<(), SimError> {
@@ -59,7 +83,12 @@ impl SimulatedRobot {
 
 impl Plant for SimulatedRobot {
     fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
-        Ok(self.world.state())
+        let state = self.world.state();
+        self.spoiler.as_mut().map_or(Ok(state), |spoiler| spoiler.read(state))
+    }
+
+    fn age(&self) -> SourceAge {
+        self.spoiler.as_ref().map(PlantSpoiler::age).unwrap_or_default()
     }
 
     fn write(&mut self, actuation: &Actuation<JOINTS>, ticks: u64) -> Result<(), Fault> {
@@ -72,7 +101,11 @@ impl Plant for SimulatedRobot {
                 cell.store(force_n.to_bits(), Ordering::Relaxed);
             }
         }
-        Ok(())
+        if let Some((_, slots)) = self.stall.take_if(|(at, _)| self.ticks >= *at) {
+            #[expect(clippy::cast_precision_loss, reason = "a count of missed slots")]
+            std::thread::sleep(Duration::from_secs_f64(slots as f64 * self.period_s));
+        }
+        self.spoiler.as_mut().map_or(Ok(()), |spoiler| spoiler.write(ticks, self.period_s))
     }
 
     fn press(&mut self, taxel: usize, force_n: f64) -> Outcome {

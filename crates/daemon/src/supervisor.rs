@@ -155,9 +155,15 @@ impl Supervisor {
         use Mode::{Fault as Faulted, FollowMe, Impedance, ProtectiveStop, Ready, Starting};
         match (request, self.mode) {
             (_, Faulted) => Err(Refusal::Mode(self.mode)),
-            (Request::Stop, ProtectiveStop) => Ok(()),
+            (Request::Stop | Request::OperatorLost, ProtectiveStop) => Ok(()),
             (Request::Stop, _) => {
                 self.stop(Fault::OperatorStop);
+                Ok(())
+            }
+            (Request::OperatorLost, mode) => {
+                if mode.moves() {
+                    self.stop(Fault::OperatorLost);
+                }
                 Ok(())
             }
             (Request::Tare, Starting | Ready | ProtectiveStop) => self.tare(facts),
@@ -182,7 +188,7 @@ impl Supervisor {
     }
 
     fn resume(&mut self, facts: &Facts) -> Outcome {
-        if let Some(fault) = facts.cover_fault {
+        if let Some(fault) = facts.plant_fault.or(facts.cover_fault) {
             return Err(Refusal::CauseRemains(fault));
         }
         if facts.zero != Zero::Valid {
@@ -193,7 +199,7 @@ impl Supervisor {
     }
 
     fn tare(&mut self, facts: &Facts) -> Outcome {
-        if let Some(fault) = facts.cover_fault {
+        if let Some(fault) = facts.plant_fault.or(facts.cover_fault) {
             return Err(Refusal::CauseRemains(fault));
         }
         if !facts.cover_seen {
@@ -258,7 +264,7 @@ mod tests {
     use super::*;
 
     const GOOD: Facts = Facts { cover_seen: true, cover_fault: None, zero: Zero::Valid, plant_fault: None };
-    const REQUESTS: [Option<Request>; 8] = [
+    const REQUESTS: [Option<Request>; 9] = [
         None,
         Some(Request::Tare),
         Some(Request::Arm),
@@ -266,9 +272,10 @@ mod tests {
         Some(Request::SelectLaw(Law::FollowMe)),
         Some(Request::SelectLaw(Law::Impedance)),
         Some(Request::Stop),
+        Some(Request::OperatorLost),
         Some(Request::Resume),
     ];
-    const FACTS: [Facts; 7] = [
+    const FACTS: [Facts; 8] = [
         Facts { cover_seen: false, zero: Zero::Invalid, ..GOOD },
         Facts { zero: Zero::Invalid, ..GOOD },
         Facts { zero: Zero::Taring, ..GOOD },
@@ -276,6 +283,7 @@ mod tests {
         GOOD,
         Facts { cover_fault: Some(Fault::BoardSilent), ..GOOD },
         Facts { plant_fault: Some(Fault::StateInvalid), ..GOOD },
+        Facts { plant_fault: Some(Fault::BaseStale), ..GOOD },
     ];
 
     fn manual() -> Supervisor {
@@ -323,7 +331,7 @@ mod tests {
                 if before == Mode::Fault {
                     assert_eq!(mode, Mode::Fault, "fault is left only by a restart");
                 }
-                if request == Some(Request::Stop) && before != Mode::Fault {
+                if matches!(request, Some(Request::Stop | Request::OperatorLost)) && before != Mode::Fault {
                     assert!(!mode.moves(), "stop ignored");
                 }
                 if stopped {

@@ -6,6 +6,7 @@ mod drawing;
 mod economy;
 mod experiment;
 mod extremes;
+mod faults;
 mod latency;
 mod observers;
 mod parallel;
@@ -36,6 +37,7 @@ enum Command {
     /// The paper's experiments, deterministic and faster than real time.
     Experiment(experiment::Arguments),
     Extremes(extremes::Arguments),
+    Faults(faults::Arguments),
     /// From touch to force, stage by stage; whether the contact is stable and how fast the base may go.
     Latency(latency::Arguments),
     /// What watching costs the live loop: overruns and publish stage with and without observers.
@@ -76,6 +78,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Characterize(arguments) => characterize::run(&arguments),
         Command::Experiment(arguments) => experiment::run(&arguments),
         Command::Extremes(arguments) => extremes::run(&arguments),
+        Command::Faults(arguments) => faults::run(&arguments),
         Command::Latency(arguments) => latency::run(&arguments),
         Command::Observers(arguments) => observers::run(&arguments),
         Command::Precision(arguments) => precision::run(&arguments),

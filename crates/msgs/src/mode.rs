@@ -103,6 +103,12 @@ pub enum Fault {
     StateInvalid,
     /// The plant stopped answering.
     PlantLost,
+    /// The arm's state is older than its deadline.
+    ArmStale,
+    /// The base's state is older than its deadline.
+    BaseStale,
+    /// Whoever armed the robot from a panel is gone without giving the command back.
+    OperatorLost,
     /// A controller refused its input or gave a value outside its limits.
     ControlRefused,
 }
@@ -123,6 +129,9 @@ impl Fault {
             Self::ZeroInvalid => "zero-invalid",
             Self::StateInvalid => "state-invalid",
             Self::PlantLost => "plant-lost",
+            Self::ArmStale => "arm-stale",
+            Self::BaseStale => "base-stale",
+            Self::OperatorLost => "operator-lost",
             Self::ControlRefused => "control-refused",
         }
     }
@@ -148,6 +157,9 @@ impl Fault {
             Self::ZeroInvalid => "The cover has no valid zero.",
             Self::StateInvalid => "The robot's state holds a value that is not a number or not possible.",
             Self::PlantLost => "The robot stopped answering.",
+            Self::ArmStale => "The arm's state has not been renewed within its deadline.",
+            Self::BaseStale => "The base's state has not been renewed within its deadline.",
+            Self::OperatorLost => "The panel that armed the robot is gone.",
             Self::ControlRefused => "The controller refused its input.",
         }
     }
@@ -164,6 +176,10 @@ impl Fault {
     pub const fn remedy(self) -> &'static str {
         match self {
             Self::OperatorStop => "Resume when it is safe.",
+            Self::ArmStale | Self::BaseStale => {
+                "Check the robot's network and drives; when states come again: resume."
+            }
+            Self::OperatorLost => "Connect a panel; resume when it is safe.",
             Self::BoardSilent | Self::BoardLost => {
                 "Check cable and power; when frames come again: tare, then resume."
             }

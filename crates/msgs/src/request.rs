@@ -19,6 +19,8 @@ pub enum Request {
     SelectLaw(Law),
     /// Protective stop, from any mode.
     Stop,
+    /// Protective stop, because whoever armed the robot is gone; the daemon's own telemetry asks for it.
+    OperatorLost,
     /// Leave [`Mode::ProtectiveStop`] for [`Mode::Ready`] once the cause is gone and the zero is valid.
     Resume,
     /// Simulation only: press a taxel with a steady force until told otherwise.

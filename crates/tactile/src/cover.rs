@@ -310,22 +310,24 @@ impl<const K: usize> Cover<K> {
     }
 
     fn watch_common_mode(&mut self, board: usize) {
-        let (mut count, mut least, mut most) = (0, f64::INFINITY, f64::NEG_INFINITY);
+        let (mut drops, mut count) = ([0.0; K], 0);
         for (i, taxel) in self.taxels.iter().enumerate() {
             if usize::from(self.config.wiring[i].board) == board
                 && !self.config.masked[i]
                 && let Some(zero) = &taxel.zero
             {
-                let drop = zero.drop(taxel.fdat);
+                drops[count] = zero.drop(taxel.fdat);
                 count += 1;
-                least = least.min(drop);
-                most = most.max(drop);
             }
         }
-        let mean = libm::fabs(most + least) / 2.0;
-        let shifted = count >= COMMON_MODE_TAXELS
-            && (least > COMMON_MODE_COUNTS || most < -COMMON_MODE_COUNTS)
-            && most - least <= 0.5 * mean + 2.0;
+        let drops = &mut drops[..count];
+        drops.sort_unstable_by(f64::total_cmp);
+        let shifted = count >= COMMON_MODE_TAXELS && {
+            // Hands may be on up to a quarter of the taxels while the supply sags.
+            let (least, most) = (drops[0], drops[count * 3 / 4]);
+            let mean = libm::fabs(most + least) / 2.0;
+            (least > COMMON_MODE_COUNTS || most < -COMMON_MODE_COUNTS) && most - least <= 0.5 * mean + 2.0
+        };
         if let Some(entry) = self.boards.get_mut(board) {
             entry.common_mode = if shifted { entry.common_mode.saturating_add(1) } else { 0 };
         }

@@ -41,6 +41,8 @@ pub(super) struct Desk {
     outcomes: Consumer<(u64, Outcome)>,
     taxels: usize,
     commander: Option<Commanding>,
+    /// Who armed the robot, as long as it holds the command.
+    armed_by: Option<ClientId>,
     /// Taxels the commander holds pressed, let go when it leaves.
     pressed: Vec<u8>,
     pending: BTreeMap<u64, Pending>,
@@ -55,7 +57,16 @@ impl Desk {
     ) -> Self {
         let taxels = description.taxels.len();
         let pending = BTreeMap::new();
-        Self { requests, outcomes, taxels, commander: None, pressed: Vec::new(), pending, next_ticket: 0 }
+        Self {
+            requests,
+            outcomes,
+            taxels,
+            commander: None,
+            armed_by: None,
+            pressed: Vec::new(),
+            pending,
+            next_ticket: 0,
+        }
     }
 
     /// Passes a request on to the loop, or refuses it at once.
@@ -73,6 +84,9 @@ impl Desk {
                 _ => self.commander = Some(Commanding { client, heard: now }),
             }
         }
+        if request == Request::Arm {
+            self.armed_by = Some(client);
+        }
         if let Request::PressTaxel { taxel, force_n } = request {
             if usize::from(taxel) >= self.taxels || !(0.0..=PRESS_FORCE_MAX_N).contains(&force_n) {
                 return refuse(Refusal::OutOfRange);
@@ -89,10 +103,19 @@ impl Desk {
         None
     }
 
-    /// Takes the command from a client that gives it back or has left.
+    /// Takes the command from a client that has gone without giving it back; if it armed the robot, the robot stops.
+    pub(super) fn lose(&mut self, client: ClientId) {
+        if self.armed_by == Some(client) {
+            self.submit(Request::OperatorLost);
+        }
+        self.release(client);
+    }
+
+    /// Takes the command from a client that gives it back.
     pub(super) fn release(&mut self, client: ClientId) {
         if self.commander.as_ref().is_some_and(|c| c.client == client) {
             self.commander = None;
+            self.armed_by = None;
             for taxel in std::mem::take(&mut self.pressed) {
                 self.submit(Request::PressTaxel { taxel, force_n: 0.0 });
             }
@@ -111,7 +134,7 @@ impl Desk {
         let silent =
             self.commander.as_ref().filter(|c| now.saturating_duration_since(c.heard) > COMMAND_LEASE);
         if let Some(client) = silent.map(|c| c.client) {
-            self.release(client);
+            self.lose(client);
         }
         let mut answers = Vec::new();
         while let Ok((ticket, outcome)) = self.outcomes.pop() {

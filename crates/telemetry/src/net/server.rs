@@ -303,7 +303,7 @@ async fn attend(id: ClientId, stream: TcpStream, hub: Rc<Hub>) {
         () = client.closed.notified() => {}
     }
     hub.clients.borrow_mut().remove(&id);
-    hub.desk.borrow_mut().release(id);
+    hub.desk.borrow_mut().lose(id);
     hub.counters.clients.fetch_sub(1, Ordering::Relaxed);
 }
 

@@ -1,0 +1,178 @@
+//! Faults on purpose: a seeded injector for tests, for the fault table and for `mocad run --inject NAME@SECONDS`.
+
+mod cable;
+mod plant;
+#[cfg(feature = "sim")]
+pub mod trial;
+
+pub use cable::{Cable, CableFault, STRUCK_TAXEL};
+pub use plant::{PlantFault, PlantSpoiler};
+
+use crate::live::Clock;
+use moca_tactile::BoardEvent;
+use moca_tactile::serial::RING_EVENTS;
+use std::str::FromStr;
+use std::time::Duration;
+
+/// How often a live spoiled cable looks for bytes.
+const LOOK_EVERY: Duration = Duration::from_millis(1);
+
+/// A fault by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Named {
+    /// As on the command line.
+    pub name: &'static str,
+    /// Where it strikes and how.
+    pub what: What,
+    /// In words.
+    pub text: &'static str,
+}
+
+/// Where a fault strikes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum What {
+    /// Bytes or board, on the way to the loop.
+    Cable(CableFault),
+    /// The robot's state or its answer to a command.
+    Plant(PlantFault),
+    /// The clock: this many control periods are missed at once.
+    MissedSlots(u64),
+}
+
+macro_rules! named {
+    ($($name:literal $what:expr, $text:literal;)*) => {
+        /// Every fault that can be injected into a running loop.
+        pub const FAULTS: &[Named] = &[$(Named { name: $name, what: $what, text: $text }),*];
+    };
+}
+
+named! {
+    "garbage" What::Cable(CableFault::Garbage), "random bytes between all lines";
+    "torn-line" What::Cable(CableFault::TornLine), "every FDAT line loses its second half";
+    "byte-lost" What::Cable(CableFault::ByteLost), "a byte vanishes from one line in six";
+    "bit-flipped" What::Cable(CableFault::BitFlipped), "a bit flips in one line in six";
+    "nul-bytes" What::Cable(CableFault::NulBytes), "runs of zero bytes between lines";
+    "no-newline" What::Cable(CableFault::NoNewline), "digits without an end instead of lines";
+    "number-too-large" What::Cable(CableFault::NumberTooLarge), "FDAT holds 99999";
+    "not-a-number" What::Cable(CableFault::NotANumber), "FDAT holds NaN, inf and -1";
+    "column-missing" What::Cable(CableFault::ColumnMissing), "every line has a column too few";
+    "column-extra" What::Cable(CableFault::ColumnExtra), "every line has a column too many";
+    "line-repeated" What::Cable(CableFault::LineRepeated), "every line comes twice";
+    "line-missing" What::Cable(CableFault::LineMissing), "no BVAL line any more";
+    "touch-sketch" What::Cable(CableFault::TouchSketch), "the factory sketch's text instead of DataStream";
+    "silent" What::Cable(CableFault::Silent), "the port stays open, no bytes come";
+    "unplugged" What::Cable(CableFault::Unplugged), "the port closes";
+    "replugged" What::Cable(CableFault::Replugged), "the port closes and opens again after 1 s";
+    "port-refused" What::Cable(CableFault::PortRefused), "the port closes, opening it again is denied";
+    "host-stall" What::Cable(CableFault::HostStall), "400 ms of bytes arrive in one burst";
+    "frozen" What::Cable(CableFault::Frozen), "good frames whose values never change";
+    "chip-reset" What::Cable(CableFault::ChipReset), "good frames of zeros";
+    "thresholds" What::Cable(CableFault::Thresholds), "the touch thresholds change";
+    "slow-board" What::Cable(CableFault::SlowBoard), "every other frame is missing";
+    "taxel-stuck" What::Cable(CableFault::TaxelStuck), "T4 stays at one value";
+    "taxel-dead" What::Cable(CableFault::TaxelDead), "T4 reads as if its plate were gone";
+    "taxel-saturated" What::Cable(CableFault::TaxelSaturated), "T4 reads 0";
+    "taxel-noisy" What::Cable(CableFault::TaxelNoisy), "T4 jumps by up to 20 counts";
+    "taxel-drifting" What::Cable(CableFault::TaxelDrifting), "T4 drifts by 10 counts/s";
+    "common-mode" What::Cable(CableFault::CommonMode), "every electrode drops by 12 counts at once";
+    "joint-nan" What::Plant(PlantFault::JointNan), "a joint angle is NaN";
+    "joint-rate-infinite" What::Plant(PlantFault::JointRateInfinite), "a joint rate is infinite";
+    "joint-jump" What::Plant(PlantFault::JointJump), "a joint angle jumps by 0.5 rad within a tick";
+    "base-nan" What::Plant(PlantFault::BaseNan), "the base's pose is NaN";
+    "base-jump" What::Plant(PlantFault::BaseJump), "the base's pose jumps by 0.5 m within a tick";
+    "plant-lost" What::Plant(PlantFault::Lost), "the robot stops answering";
+    "command-refused" What::Plant(PlantFault::Refused), "the robot refuses every command";
+    "arm-stale" What::Plant(PlantFault::ArmStale), "the arm's state stops being renewed";
+    "base-stale" What::Plant(PlantFault::BaseStale), "the base's state stops being renewed";
+    "missed-slot" What::MissedSlots(1), "one control period is missed";
+    "missed-20-slots" What::MissedSlots(20), "20 control periods are missed at once";
+    "missed-500-slots" What::MissedSlots(500), "500 control periods are missed at once";
+}
+
+/// A fault and when it strikes: `NAME@SECONDS`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Injection {
+    /// The fault.
+    pub fault: Named,
+    /// Loop time of the strike, ns.
+    pub at_ns: u64,
+}
+
+impl FromStr for Injection {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (name, seconds) = text.split_once('@').ok_or("NAME@SECONDS, for example unplugged@10")?;
+        let fault = FAULTS.iter().find(|fault| fault.name == name).ok_or_else(|| {
+            let names: Vec<&str> = FAULTS.iter().map(|fault| fault.name).collect();
+            format!("no fault is called {name:?}; there are: {}", names.join(", "))
+        })?;
+        let at = seconds.parse().map_err(|error: std::num::ParseFloatError| error.to_string());
+        let at = at.and_then(|at| {
+            std::time::Duration::try_from_secs_f64(at).map_err(|error| format!("{seconds} s: {error}"))
+        })?;
+        Ok(Self { fault: *fault, at_ns: u64::try_from(at.as_nanos()).map_err(|error| error.to_string())? })
+    }
+}
+
+/// A small seeded generator (SplitMix64): the same seed spoils the same bytes.
+#[derive(Clone, Debug)]
+pub struct Random(u64);
+
+impl Random {
+    /// A generator of its own for each seed.
+    pub const fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    /// 64 random bits.
+    pub const fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// A random byte.
+    pub const fn byte(&mut self) -> u8 {
+        self.bits().to_le_bytes()[0]
+    }
+
+    /// A number below `limit`; 0 if that is 0.
+    pub fn below(&mut self, limit: usize) -> usize {
+        let limit = u64::try_from(limit).unwrap_or(u64::MAX).max(1);
+        usize::try_from(self.bits() % limit).unwrap_or(0)
+    }
+
+    /// True once in `n` times.
+    pub fn one_in(&mut self, n: usize) -> bool {
+        self.below(n) == 0
+    }
+}
+
+/// Lets a thread of its own pass everything from `events` through `cable`, as a spoiled cable would in real time.
+///
+/// # Errors
+/// The thread could not be started.
+pub fn relay(
+    mut cable: Cable,
+    mut events: rtrb::Consumer<BoardEvent>,
+    clock: Clock,
+) -> std::io::Result<rtrb::Consumer<BoardEvent>> {
+    let (mut out, relayed) = rtrb::RingBuffer::new(RING_EVENTS);
+    std::thread::Builder::new().name("spoiled-cable".into()).spawn(move || {
+        while !out.is_abandoned() {
+            // A full ring loses what follows, as a port does that nobody reads.
+            let mut arrive = |event| {
+                let _ = out.push(event);
+            };
+            while let Ok(event) = events.pop() {
+                cable.pass(event, &mut arrive);
+            }
+            cable.wait(clock.now_ns(), &mut arrive);
+            std::thread::sleep(LOOK_EVERY);
+        }
+    })?;
+    Ok(relayed)
+}

@@ -1,0 +1,110 @@
+//! One injected fault against the whole chain in lock-step: what the robot does about it, and how soon.
+
+use super::{FAULTS, Injection, Named};
+use crate::allocations;
+use crate::config::{Config, HandConfig};
+use crate::lockstep::LockStep;
+use anyhow::{Result, ensure};
+use moca_msgs::{Fault, Mode, Request, Sample};
+use moca_sim::{Scene, VirtualBoardConfig};
+
+/// The hand presses from here on, so that the robot moves when the fault strikes, ticks.
+const PRESS_TICK: u64 = 2000;
+const STRIKE_TICK: u64 = 3000;
+const END_TICK: u64 = 8000;
+/// How long after its stop the robot has to stand, ticks.
+const STAND_TICKS: u64 = 500;
+const PRESSED_TAXEL: u8 = 5;
+const PRESS_N: f64 = 20.0;
+
+/// What became of one fault.
+#[derive(Clone, Copy, Debug)]
+pub struct Trial {
+    /// The fault.
+    pub fault: Named,
+    /// Control periods from the strike to the stop; `None` if the robot went on.
+    pub reaction_ticks: Option<u64>,
+    /// Mode at the end.
+    pub mode: Mode,
+    /// Cause that was named first.
+    pub cause: Option<Fault>,
+    /// Largest base speed once the robot had time to stand, m/s; at the end if it never stopped.
+    pub speed_after_m_s: f64,
+    /// Way of the base from the strike to the end, m.
+    pub way_m: f64,
+    /// Frames rejected after the strike.
+    pub frames_bad: u64,
+    /// Missed slots after the strike.
+    pub overruns: u64,
+    /// Rust allocations on the loop's thread after the strike.
+    pub allocations: u64,
+}
+
+/// Runs `fault` with its bytes spoiled by `seed`.
+///
+/// # Errors
+/// The scene could not be built, or the robot did not move before the strike, which would show nothing.
+pub fn run(fault: Named, seed: u64) -> Result<Trial> {
+    let mut config = Config::default();
+    config.simulation.hand = HandConfig::none();
+    config.simulation.seed = seed;
+    let board = VirtualBoardConfig { seed, ..VirtualBoardConfig::default() };
+    let mut world = LockStep::with_board(&config, &Scene::default(), board, None)?;
+    world.inject(&Injection { fault, at_ns: STRIKE_TICK * config.period_ns() }, seed);
+
+    let mut before = Sample::default();
+    for tick in 0..STRIKE_TICK {
+        let press = Request::PressTaxel { taxel: PRESSED_TAXEL, force_n: PRESS_N };
+        before = world.step((tick == PRESS_TICK).then_some(press)).0;
+    }
+    ensure!(
+        before.mode == Mode::Impedance && speed(&before) > 0.01,
+        "the robot did not move before the strike"
+    );
+
+    let mut trial = Trial {
+        fault,
+        reaction_ticks: None,
+        mode: before.mode,
+        cause: None,
+        speed_after_m_s: 0.0,
+        way_m: 0.0,
+        frames_bad: 0,
+        overruns: 0,
+        allocations: 0,
+    };
+    let (mut last, counted) = (before.clone(), allocations::on_this_thread());
+    let mut pose = before.base_pose_world;
+    while last.tick < END_TICK {
+        last = world.step(None).0;
+        if trial.reaction_ticks.is_none() && !last.mode.moves() {
+            trial.reaction_ticks = Some(last.tick - STRIKE_TICK);
+            trial.cause = last.fault;
+        }
+        let stands_from = trial.reaction_ticks.map(|ticks| STRIKE_TICK + ticks + STAND_TICKS);
+        // The world itself, not the state that the fault may have spoiled.
+        let [vx, vy, _] = world.control.plant.world.state().base_velocity_world;
+        if stands_from.map_or(last.tick >= END_TICK, |from| last.tick >= from) {
+            trial.speed_after_m_s = trial.speed_after_m_s.max(vx.hypot(vy));
+        }
+        pose = world.control.plant.world.state().base_pose_world;
+    }
+    trial.allocations = allocations::on_this_thread() - counted;
+    trial.way_m = (pose[0] - before.base_pose_world[0]).hypot(pose[1] - before.base_pose_world[1]);
+    trial.mode = last.mode;
+    trial.frames_bad = last.frames_bad - before.frames_bad;
+    trial.overruns = last.overruns - before.overruns;
+    Ok(trial)
+}
+
+/// Every fault, one after the other.
+///
+/// # Errors
+/// As for [`run`].
+pub fn run_all(seed: u64) -> Result<Vec<Trial>> {
+    FAULTS.iter().map(|fault| run(*fault, seed)).collect()
+}
+
+fn speed(sample: &Sample) -> f64 {
+    sample.base_velocity_world[0].hypot(sample.base_velocity_world[1])
+}
