@@ -4,9 +4,9 @@
 use moca_daemon::allocations::{self, CountingAllocator};
 use moca_daemon::byte_cover::ByteCover;
 use moca_daemon::command_log;
-use moca_daemon::config::{Config, HandConfig};
+use moca_daemon::config::{Config, HandConfig, MaskPolicyConfig};
 use moca_daemon::lockstep::{LockStep, MemoryBoard};
-use moca_msgs::{Fault, Law, Mode, Refusal, Request, Sample};
+use moca_msgs::{Fault, Law, Mode, Refusal, Request, Sample, TaxelStatus};
 use moca_sim::board::BoardFault;
 use moca_sim::{Scene, VirtualBoardConfig};
 
@@ -231,18 +231,43 @@ fn the_loop_does_not_allocate_in_any_mode() {
 }
 
 #[test]
+fn a_taxel_is_masked_by_request_only_while_no_law_moves_the_robot() {
+    let mask = |masked| Request::MaskTaxel { taxel: 5, masked };
+    let mut config = config();
+    config.board.mask_policy = MaskPolicyConfig::Unfelt;
+    let mut world = armed(&config);
+    assert_eq!(ask(&mut world, mask(true)), Err(Refusal::Mode(Mode::Impedance)));
+    ask(&mut world, Request::Disarm).unwrap();
+    assert_eq!(ask(&mut world, Request::MaskTaxel { taxel: 11, masked: true }), Err(Refusal::OutOfRange));
+    ask(&mut world, mask(true)).unwrap();
+    assert_eq!(run(&mut world, 10).taxels[5].status, TaxelStatus::Masked);
+    ask(&mut world, Request::Arm).unwrap();
+    ask(&mut world, Request::PressTaxel { taxel: 5, force_n: 50.0 }).unwrap();
+    assert!(speed(&run(&mut world, 500)) < 1e-3, "what is masked is not felt");
+    ask(&mut world, Request::PressTaxel { taxel: 5, force_n: 0.0 }).unwrap();
+    ask(&mut world, Request::Disarm).unwrap();
+    // What happened to it meanwhile is not known, so it needs a zero of its own.
+    ask(&mut world, mask(false)).unwrap();
+    let back = run(&mut world, 10);
+    assert_eq!((back.taxels[5].status, back.fault), (TaxelStatus::NoZero, Some(Fault::ZeroInvalid)));
+    assert!(!back.mode.moves());
+    ask(&mut world, Request::Tare).unwrap();
+    assert_eq!(run(&mut world, TARED_TICKS).taxels[5].status, TaxelStatus::Ok);
+}
+
+#[test]
 fn a_masked_taxel_stops_the_robot_unless_it_is_told_to_move_unfeeling() {
     let mut config = config();
     config.board.masked = vec![6];
     let mut world = world(&config);
     let stopped = run(&mut world, TARED_TICKS);
-    let expected = Fault::TaxelInvalid { taxel: 5, status: moca_msgs::TaxelStatus::Masked };
+    let expected = Fault::TaxelInvalid { taxel: 5, status: TaxelStatus::Masked };
     assert_eq!((stopped.mode.moves(), stopped.fault), (false, Some(expected)));
 
-    config.board.mask_policy = moca_daemon::config::MaskPolicyConfig::Unfelt;
+    config.board.mask_policy = MaskPolicyConfig::Unfelt;
     let mut world = armed(&config);
     ask(&mut world, Request::PressTaxel { taxel: 5, force_n: 50.0 }).unwrap();
     let pressed = run(&mut world, 1000);
-    assert_eq!(pressed.taxels[5].status, moca_msgs::TaxelStatus::Masked, "shown as masked, not as untouched");
+    assert_eq!(pressed.taxels[5].status, TaxelStatus::Masked, "shown as masked, not as untouched");
     assert!(pressed.base_pose_world[0].abs() < 1e-3);
 }

@@ -4,7 +4,7 @@
 use crate::config::TAXELS;
 use crate::cover_source::{CoverSource, CoverState};
 use crate::supervisor::Zero;
-use moca_msgs::Fault;
+use moca_msgs::{Fault, Outcome, Refusal};
 use moca_tactile::{BoardEvent, Cover, TareStatus};
 
 /// Most events taken in one tick: a source that babbles cannot hold the loop up. At 1 kHz this is 4 MB/s.
@@ -65,5 +65,9 @@ impl CoverSource for ByteCover {
 
     fn start_tare(&mut self, now_ns: u64) {
         self.cover.start_tare(now_ns);
+    }
+
+    fn mask(&mut self, taxel: usize, masked: bool) -> Outcome {
+        if self.cover.set_masked(taxel, masked) { Ok(()) } else { Err(Refusal::OutOfRange) }
     }
 }

@@ -8,7 +8,7 @@ use crate::plant::Plant;
 use crate::supervisor::{Facts, Supervisor};
 use crate::timing::{Distribution, Stage, Timing};
 use heapless::Vec;
-use moca_msgs::{Actuation, Fault, Mode, Outcome, Request, RobotState, Sample};
+use moca_msgs::{Actuation, Fault, Mode, Outcome, Refusal, Request, RobotState, Sample};
 use moca_wbc::{ControlError, ControlOutput};
 
 /// When a tick runs.
@@ -120,6 +120,13 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         let (asked, pressed) = match request {
             Some(Request::PressTaxel { taxel, force_n }) => {
                 (None, Some(self.plant.press(usize::from(taxel), force_n)))
+            }
+            Some(Request::MaskTaxel { taxel, masked }) => {
+                let outcome = match self.supervisor.mode() {
+                    mode if mode.moves() => Err(Refusal::Mode(mode)),
+                    _ => self.cover.mask(usize::from(taxel), masked),
+                };
+                (None, Some(outcome))
             }
             request => (request, None),
         };

@@ -3,7 +3,7 @@
 use crate::config::TAXELS;
 use crate::supervisor::Zero;
 use moca_msgs::board::Diagnosis;
-use moca_msgs::{CoverReading, Fault, TaxelStatus};
+use moca_msgs::{CoverReading, Fault, Outcome, Refusal, TaxelStatus};
 
 /// The cover as the loop sees it at one tick.
 #[derive(Clone, Copy, Debug)]
@@ -35,4 +35,12 @@ pub trait CoverSource {
 
     /// Starts measuring the zero.
     fn start_tare(&mut self, now_ns: u64);
+
+    /// Takes a taxel (0 is T1) out of use, or back into it.
+    ///
+    /// # Errors
+    /// [`Refusal::OutOfRange`] where there is no such taxel, or no masks.
+    fn mask(&mut self, _taxel: usize, _masked: bool) -> Outcome {
+        Err(Refusal::OutOfRange)
+    }
 }

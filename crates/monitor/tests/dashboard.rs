@@ -57,6 +57,7 @@ struct Bench {
     daemon: Rc<RefCell<Daemon>>,
     harness: Harness<'static, App>,
     tick: u64,
+    masked: Option<usize>,
 }
 
 impl Bench {
@@ -71,7 +72,7 @@ impl Bench {
             },
             app,
         );
-        Self { daemon, harness, tick: 0 }
+        Self { daemon, harness, tick: 0, masked: None }
     }
 
     fn in_mode(mode: Mode) -> Self {
@@ -83,7 +84,10 @@ impl Bench {
     /// A few frames, each with a fresh sample.
     fn frames(&mut self, mode: Mode, fault: Option<Fault>) {
         for _ in 0..3 {
-            let sample = sample(self.tick, mode, fault);
+            let mut sample = sample(self.tick, mode, fault);
+            if let Some(taxel) = self.masked {
+                sample.taxels[taxel].status = TaxelStatus::Masked;
+            }
             self.tick += 1;
             self.daemon.borrow_mut().samples.push_back(sample);
             self.harness.step();
@@ -203,6 +207,37 @@ fn a_taxel_is_pushed_while_the_mouse_holds_it() {
     bench.pointer(at, false);
     bench.frames(Mode::Impedance, None);
     assert_eq!(bench.asked(), [Request::PressTaxel { taxel: 5, force_n: 0.0 }]);
+}
+
+#[test]
+fn each_taxel_is_masked_and_taken_back_by_its_button_unless_the_robot_moves() {
+    let mut bench = Bench::in_mode(Mode::Ready);
+    bench.click("Cover");
+    for taxel in 0..11 {
+        bench.click(&format!("Mask T{}", taxel + 1));
+        assert_eq!(bench.asked(), [Request::MaskTaxel { taxel, masked: true }]);
+    }
+    bench.masked = Some(3);
+    bench.frames(Mode::Ready, None);
+    bench.click("Use T4");
+    assert_eq!(bench.asked(), [Request::MaskTaxel { taxel: 3, masked: false }]);
+    bench.frames(Mode::Impedance, None);
+    bench.click("Mask T1");
+    assert_eq!(bench.asked(), [], "while a law moves the robot");
+    assert!(bench.shows("Disarm to change masks"));
+}
+
+#[test]
+fn a_taxel_is_pushed_with_the_keyboard_too() {
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    bench.harness.get_by_label("Push T3").focus();
+    bench.frames(Mode::Impedance, None);
+    bench.harness.key_down(Key::Enter);
+    bench.frames(Mode::Impedance, None);
+    assert_eq!(bench.asked(), [Request::PressTaxel { taxel: 2, force_n: 20.0 }]);
+    bench.harness.key_up(Key::Enter);
+    bench.frames(Mode::Impedance, None);
+    assert_eq!(bench.asked(), [Request::PressTaxel { taxel: 2, force_n: 0.0 }]);
 }
 
 #[test]

@@ -30,6 +30,14 @@ pub enum Request {
         /// 0 lets go; N, 0 to 200.
         force_n: f64,
     },
+    /// Take a taxel out of use, or back into it, while no law moves the robot. What a masked taxel means is
+    /// configuration (`board.mask_policy`); a restart brings the configured masks back.
+    MaskTaxel {
+        /// 0 is T1.
+        taxel: u8,
+        /// Whether it is out of use.
+        masked: bool,
+    },
 }
 
 /// Why a request was not carried out.

@@ -137,6 +137,20 @@ impl<const K: usize> Cover<K> {
         self.tare
     }
 
+    /// Takes a taxel (0 is T1) out of use, or back into it; `false` if there is none with that number. One that comes
+    /// back has no zero: what happened to it meanwhile is not known.
+    pub fn set_masked(&mut self, taxel: usize, masked: bool) -> bool {
+        let (Some(slot), Some(state)) = (self.config.masked.get_mut(taxel), self.taxels.get_mut(taxel))
+        else {
+            return false;
+        };
+        if *slot != masked {
+            *slot = masked;
+            *state = Taxel { fdat: state.fdat, health: state.health, ..Taxel::default() };
+        }
+        true
+    }
+
     /// Whether every taxel in use has a valid zero.
     pub fn zero_valid(&self) -> bool {
         self.taxels.iter().zip(&self.config.masked).all(|(taxel, &masked)| masked || taxel.zero.is_some())

@@ -84,6 +84,9 @@ pub fn request_words(request: Request) -> String {
             format!("Push T{} with {force_n:.0} N", u16::from(taxel) + 1)
         }
         Request::PressTaxel { taxel, .. } => format!("Let go of T{}", u16::from(taxel) + 1),
+        Request::MaskTaxel { taxel, masked } => {
+            format!("{} T{}", if masked { "Mask" } else { "Use" }, u16::from(taxel) + 1)
+        }
     }
 }
 

@@ -213,17 +213,19 @@ impl Model {
 
     /// Whether a button can be pressed.
     pub fn allows(&self, action: Action, now_s: f64) -> bool {
+        let connected = !self.recorded && matches!(self.link, Link::Up { .. });
+        (self.may_command() || (connected && action == Action::Stop)) && action.fits(self.mode(now_s))
+    }
+
+    /// Whether this dashboard has the command, or can take it.
+    pub fn may_command(&self) -> bool {
         let connected = matches!(self.link, Link::Up { .. });
-        let commander = self.status.commander != Commander::Another || action == Action::Stop;
-        !self.recorded && connected && commander && action.fits(self.mode(now_s))
+        !self.recorded && connected && self.status.commander != Commander::Another
     }
 
     /// Whether taxels can be pushed with the mouse.
     pub fn can_push(&self) -> bool {
-        !self.recorded
-            && self.robot.simulated
-            && matches!(self.link, Link::Up { .. })
-            && self.status.commander != Commander::Another
+        self.robot.simulated && self.may_command()
     }
 
     /// Says which taxel the mouse holds pressed and how hard, and gives the requests that make it so.

@@ -1,6 +1,6 @@
 //! The pages in the middle of the window.
 
-use super::{View, files::FilesAsked, plots, theme, timing};
+use super::{View, cover, files::FilesAsked, plots, theme, timing};
 use crate::logic::{Model, Recording};
 use egui::{Align, Layout, RichText, Ui};
 use moca_msgs::Request;
@@ -13,17 +13,20 @@ pub enum Page {
     Plots,
     /// How well loop and board keep time.
     Loop,
+    /// Taxels and masks.
+    Cover,
 }
 
 impl Page {
     /// In the order of their tabs.
-    pub const ALL: [Self; 2] = [Self::Plots, Self::Loop];
+    pub const ALL: [Self; 3] = [Self::Plots, Self::Loop, Self::Cover];
 
     /// What is written on its tab.
     pub fn name(self) -> &'static str {
         match self {
             Self::Plots => "Plots",
             Self::Loop => "Loop",
+            Self::Cover => "Cover",
         }
     }
 
@@ -75,8 +78,8 @@ impl Page {
         ui: &mut Ui,
         model: &Model,
         view: &mut View,
-        _now_s: f64,
-        _requests: &mut Vec<Request>,
+        now_s: f64,
+        requests: &mut Vec<Request>,
     ) {
         match self {
             Self::Plots => {
@@ -84,6 +87,7 @@ impl Page {
                 plots::show(ui, model, &model.panels, 2, view);
             }
             Self::Loop => timing::show(ui, model, view),
+            Self::Cover => cover::show(ui, model, now_s, requests),
         }
     }
 }
