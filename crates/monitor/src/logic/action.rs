@@ -79,6 +79,7 @@ pub fn request_words(request: Request) -> String {
         Request::Disarm => "Disarm".into(),
         Request::SelectLaw(law) => format!("Select {}", Mode::from(law).name()),
         Request::Stop => "Stop".into(),
+        Request::OperatorLost => "Stop, operator lost".into(),
         Request::Resume => "Resume".into(),
         Request::PressTaxel { taxel, force_n } if force_n > 0.0 => {
             format!("Push T{} with {force_n:.0} N", u16::from(taxel) + 1)
