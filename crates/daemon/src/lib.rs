@@ -20,6 +20,7 @@ pub mod config;
 pub mod console;
 pub mod control_loop;
 pub mod cover_source;
+pub mod doctor;
 pub mod door;
 pub mod hand;
 #[cfg(feature = "sim")]

@@ -44,7 +44,7 @@ impl Clock {
     }
 
     /// Sleeps until an absolute deadline; a signal does not end the sleep. Returns the loop time of waking, ns.
-    fn sleep_until(&self, deadline_ns: u64) -> u64 {
+    pub(crate) fn sleep_until(&self, deadline_ns: u64) -> u64 {
         let until = TimeSpec::from_duration(self.start + Duration::from_nanos(deadline_ns));
         while clock_nanosleep(ClockId::CLOCK_MONOTONIC, ClockNanosleepFlags::TIMER_ABSTIME, &until)
             == Err(nix::errno::Errno::EINTR)

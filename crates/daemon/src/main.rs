@@ -25,6 +25,8 @@ enum Command {
     Run(RunArguments),
     /// Press every taxel beside a reference force and write a calibration file.
     Calibrate(moca_daemon::calibrate::Arguments),
+    /// Say what is and is not real-time on this PC, beside an empty loop, and what to do about it.
+    Doctor(moca_daemon::doctor::Arguments),
     /// Print the default configuration with every field documented.
     DefaultConfig,
 }
@@ -63,6 +65,7 @@ fn main() -> ExitCode {
         None => run(arguments.run),
         Some(Command::Run(run_arguments)) => run(run_arguments),
         Some(Command::Calibrate(calibrate)) => moca_daemon::calibrate::run(&calibrate),
+        Some(Command::Doctor(doctor)) => moca_daemon::doctor::run(&doctor),
         Some(Command::DefaultConfig) => {
             #[expect(clippy::print_stdout, reason = "this is what the command is for")]
             {

@@ -171,6 +171,31 @@ impl LiveRun {
 /// As for [`run`].
 #[cfg(feature = "sim")]
 pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
+    introduce_simulation(&options.config);
+    let clock = Clock::start()?;
+    let (recording, copies) = recording(options)?;
+    let robot = assemble(&options.config, clock, options.inject.as_ref(), copies)?;
+    let virtual_board = if robot.virtual_board.is_some() { " (virtual Touch Board)" } else { "" };
+    println!("  board       {}{virtual_board}", shown(&robot.port));
+    live(options, robot.control, clock, recording, shared)
+}
+
+/// A simulated robot with everything that a live loop needs; the board and its reader end with it.
+#[cfg(feature = "sim")]
+pub(crate) struct Assembled {
+    pub(crate) control: ControlLoop<crate::simulated::SimulatedRobot, crate::byte_cover::ByteCover>,
+    port: PortSelection,
+    virtual_board: Option<moca_sim::PtyBoard>,
+    _serial: moca_tactile::serial::SerialBoard,
+}
+
+#[cfg(feature = "sim")]
+pub(crate) fn assemble(
+    config: &Config,
+    clock: Clock,
+    injection: Option<&Injection>,
+    copies: Option<rtrb::Producer<BoardEvent>>,
+) -> Result<Assembled> {
     use crate::byte_cover::ByteCover;
     use crate::inject::{self, Cable, Named, What};
     use crate::simulated::{SimulatedRobot, free_scene};
@@ -178,32 +203,27 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
     use moca_tactile::Cover;
     use moca_tactile::serial::SerialBoard;
 
-    let config = &options.config;
-    introduce_simulation(config);
-    let (mut forces, mut board) = (None, None);
+    let (mut forces, mut virtual_board) = (None, None);
     let mut port = config.port_selection();
     if config.board.port == VIRTUAL_PORT {
         let true_forces = moca_sim::SharedForces::default();
-        let virtual_board =
+        let board =
             PtyBoard::spawn(board_config(config), Arc::clone(&true_forces), &PtyBoard::default_path())?;
-        port = PortSelection::Path(virtual_board.path().display().to_string());
-        (forces, board) = (Some(true_forces), Some(virtual_board));
+        port = PortSelection::Path(board.path().display().to_string());
+        (forces, virtual_board) = (Some(true_forces), Some(board));
     }
-    println!("  board       {}{}", shown(&port), if board.is_some() { " (virtual Touch Board)" } else { "" });
-    let clock = Clock::start()?;
-    let (_serial, mut events) = SerialBoard::spawn(port, clock.instant())?;
-    if let Some(Injection { fault: Named { what: What::Cable(fault), .. }, at_ns }) = options.inject {
-        events = inject::relay(Cable::new(fault, at_ns, config.simulation.seed), events, clock)?;
+    let (serial, mut events) = SerialBoard::spawn(port.clone(), clock.instant())?;
+    if let Some(Injection { fault: Named { what: What::Cable(fault), .. }, at_ns }) = injection {
+        events = inject::relay(Cable::new(*fault, *at_ns, config.simulation.seed), events, clock)?;
     }
-    let (recording, copies) = recording(options)?;
     let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events, copies);
     let mut plant = SimulatedRobot::new(config, &free_scene(config), forces)?;
-    if let Some(injection) = &options.inject {
+    if let Some(injection) = injection {
         plant.inject(injection);
     }
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
-    live(options, control, clock, recording, shared)
+    Ok(Assembled { control, port, virtual_board, _serial: serial })
 }
 
 fn shown(port: &PortSelection) -> String {
@@ -284,13 +304,13 @@ fn report_realtime(steps: &[realtime::Step]) -> usize {
 }
 
 /// The ends of the rings that belong to telemetry, besides the samples.
-struct RequestPorts {
+pub(crate) struct RequestPorts {
     requests: rtrb::Producer<(u64, Request)>,
     outcomes: rtrb::Consumer<(u64, Outcome)>,
     samples_dropped: Arc<AtomicU64>,
 }
 
-fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestPorts) {
+pub(crate) fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestPorts) {
     let (samples, from_loop) = rtrb::RingBuffer::new(RING_SAMPLES);
     let (request_in, requests) = rtrb::RingBuffer::new(RING_REQUESTS);
     let (outcomes, outcome_out) = rtrb::RingBuffer::new(RING_REQUESTS);

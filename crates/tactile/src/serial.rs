@@ -197,6 +197,14 @@ impl Reader {
     }
 }
 
+/// The port of the only Touch Board there is, without opening it.
+///
+/// # Errors
+/// Why there is none, or which board there is instead.
+pub fn look_for_board() -> Result<String, OpenFailure> {
+    find(&usb_ports(), TOUCH_BOARD_USB)
+}
+
 fn open(selection: &PortSelection, baud: u32) -> Result<Box<dyn SerialPort>, OpenFailure> {
     let ports = usb_ports();
     let path = match selection {
