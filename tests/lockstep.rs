@@ -6,7 +6,8 @@ use moca_daemon::byte_cover::ByteCover;
 use moca_daemon::command_log;
 use moca_daemon::config::{Config, HandConfig, MaskPolicyConfig};
 use moca_daemon::lockstep::{LockStep, MemoryBoard};
-use moca_msgs::{Fault, Law, Mode, Refusal, Request, Sample, TaxelStatus};
+use moca_msgs::params::CONTROLLER;
+use moca_msgs::{Fault, Law, Mode, ParameterValues, Refusal, Request, Sample, TaxelStatus};
 use moca_sim::board::BoardFault;
 use moca_sim::{Scene, VirtualBoardConfig};
 
@@ -228,6 +229,75 @@ fn the_loop_does_not_allocate_in_any_mode() {
     assert_eq!(run(&mut world, 1).mode, Mode::ProtectiveStop);
     world.feed.unplug();
     assert_eq!(count(&mut world, TICKS), 0, "unplugged");
+}
+
+/// The number of a parameter, as an observer finds it in the description.
+fn set(name: &str, values: &[f64]) -> Request {
+    let number = CONTROLLER.iter().position(|spec| spec.name == name).expect("a parameter of that name");
+    let values = ParameterValues::new(values).expect("few elements");
+    Request::SetParameter { parameter: u8::try_from(number).unwrap(), values }
+}
+
+#[test]
+fn a_parameter_changes_while_the_robot_is_pressed_without_a_jump_and_without_allocating() {
+    let mut world = armed(&config());
+    ask(&mut world, Request::PressTaxel { taxel: 5, force_n: 20.0 }).unwrap();
+    let mut last = run(&mut world, 1000);
+    let changes = [
+        set("control.gains.stiffness", &[100.0, 100.0, 100.0, 10.0, 10.0, 10.0]),
+        set("control.gains.virtual_mass", &[20.0, 20.0, 8.0]),
+        set("control.corrections.null_space_damping", &[0.0]),
+        set("control.corrections.base_coupling", &[0.0]),
+        set("control.gains.posture_rad", &[0.3, -0.5, 0.2, -2.0, 0.1, 1.4, 0.6]),
+        set("limits.base_velocity", &[0.1, 0.1, 0.2]),
+        set("control.corrections.null_space_damping", &[1.0]),
+        set("control.gains.reactivity", &[2.0]),
+    ];
+    for change in changes {
+        let before = allocations::on_this_thread();
+        let (mut sample, outcome) = world.step(Some(change));
+        for tick in 0..500 {
+            let step = |i: usize| (sample.arm_torque_nm[i] - last.arm_torque_nm[i]).abs();
+            let worst = (0..7).map(step).fold(0.0, f64::max);
+            // later ticks carry the board's frames, each a step of force
+            assert!(tick > 0 || worst < 0.05, "{change:?}: torque jumps by {worst} N·m at the change");
+            last = sample;
+            sample = world.step(None).0;
+        }
+        assert_eq!(allocations::on_this_thread() - before, 0, "{change:?}");
+        assert_eq!(outcome, Some(Ok(())), "{change:?}");
+        last = sample;
+    }
+    assert_eq!(last.mode, Mode::Impedance);
+    assert!(last.base_velocity_command_body[0].abs() <= 0.1, "the lowered limit holds");
+}
+
+#[test]
+fn a_parameter_that_may_not_change_is_refused_and_nothing_moves() {
+    let twin = |request: Option<Request>| {
+        let mut world = armed(&config());
+        let outcome = world.step(request).1;
+        let mut log = Vec::new();
+        for _ in 0..200 {
+            command_log::write_row(&mut log, &world.step(None).0).unwrap();
+        }
+        (outcome, log)
+    };
+    let (_, untouched) = twin(None);
+    let beyond = Request::SetParameter { parameter: 200, values: ParameterValues::default() };
+    for (request, refusal) in [
+        (set("control.gains.damping_ratio", &[f64::NAN]), Refusal::OutOfRange),
+        (set("control.gains.damping_ratio", &[5.1]), Refusal::OutOfRange),
+        (set("control.gains.stiffness", &[100.0]), Refusal::OutOfRange),
+        (set("control.corrections.base_coupling", &[0.5]), Refusal::OutOfRange),
+        (set("control.gains.virtual_mass", &[0.1, 4.0, 2.0]), Refusal::Conflict),
+        (set("limits.torque_nm", &[10.0; 7]), Refusal::NotLive),
+        (beyond, Refusal::NoSuchParameter),
+    ] {
+        let (outcome, log) = twin(Some(request));
+        assert_eq!(outcome, Some(Err(refusal)), "{request:?}");
+        assert_eq!(log, untouched, "{request:?} was refused and moved the robot");
+    }
 }
 
 #[test]

@@ -10,7 +10,8 @@ use moca_msgs::{Fault, Mode, Refusal, Request, Sample, TaxelStatus};
 use moca_sim::{PtyBoard, SharedForces, VirtualBoardConfig};
 use moca_tactile::serial::{PortSelection, SerialBoard};
 use moca_tactile::{Cover, CoverConfig};
-use moca_telemetry::net::Connection;
+use moca_telemetry::net::{Connection, Link};
+use moca_telemetry::{ParameterDescription, ParameterValue};
 use std::net::{SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
@@ -70,6 +71,55 @@ fn answer(connection: &Connection, request: Request) -> moca_msgs::Outcome {
         std::thread::sleep(Duration::from_millis(2));
     }
     panic!("no answer to {request:?}");
+}
+
+fn mocad(arguments: &[&str]) -> std::process::Output {
+    Command::new(env!("CARGO_BIN_EXE_mocad")).args(arguments).output().unwrap()
+}
+
+#[test]
+fn a_parameter_is_listed_and_set_from_the_command_line_and_observers_see_it() {
+    let daemon = Daemon::start("parameters.toml");
+    let connection = Connection::spawn(daemon.address, || {}).unwrap();
+    wait_for(&connection, "a sample", |_| true);
+    let value = || match connection.poll().link {
+        Link::Up { description, .. } => {
+            let named = |p: &&ParameterDescription| p.name == "control.gains.virtual_mass";
+            description.parameters.iter().find(named).unwrap().value.clone()
+        }
+        Link::Down { reason } => panic!("{reason}"),
+    };
+    assert_eq!(value(), ParameterValue::Numbers(vec![4.0, 4.0, 2.0]));
+    let address = daemon.address.to_string();
+    let set = mocad(&["params", "set", "virtual_mass", "[8, 8, 4]", "--address", &address]);
+    assert!(set.status.success(), "{}", String::from_utf8_lossy(&set.stderr));
+    // A client that comes later is told as well.
+    let listed = mocad(&["params", "list", "virtual_mass", "--address", &address]);
+    let listed = String::from_utf8(listed.stdout).unwrap();
+    assert!(listed.contains("control.gains.virtual_mass = [8.0, 8.0, 4.0] kg, kg, kg·m²"), "{listed}");
+    assert!(listed.contains("(live; 0.01 to 1000; default [4.0, 4.0, 2.0])"), "{listed}");
+    let until = Instant::now() + HANGS_AFTER;
+    while value() != ParameterValue::Numbers(vec![8.0, 8.0, 4.0]) {
+        assert!(Instant::now() < until, "the observer never saw the new value");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    for (name, new, said) in [
+        ("damping_ratio", "7", "control.gains.damping_ratio = 7 is outside 0 to 5"),
+        (
+            "virtual_mass",
+            "[8, 8, 2000]",
+            "control.gains.virtual_mass = 2000 kg·m² is outside 0.01 to 1000 kg·m²",
+        ),
+        ("virtual_mass", "8", "control.gains.virtual_mass has 3 elements, not 1"),
+        ("virtual_mass", "[0.1, 8, 8]", "null_space_damping needs a virtual mass of 0.5 kg or more"),
+        ("torque_nm", "[1, 1, 1, 1, 1, 1, 1]", "limits.torque_nm is read at the start only"),
+        ("rate_hz", "500", "loop.rate_hz is read at the start only"),
+        ("nonsense", "1", "no parameter is called nonsense"),
+    ] {
+        let refused = mocad(&["params", "set", name, new, "--address", &address]);
+        let text = String::from_utf8(refused.stderr).unwrap();
+        assert!(!refused.status.success() && text.contains(said), "{name} = {new}: {text}");
+    }
 }
 
 #[test]

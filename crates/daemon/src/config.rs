@@ -300,33 +300,12 @@ impl Config {
 
     /// Reports every value outside its range as (dotted path, message).
     pub fn check(&self, mut report: impl FnMut(&str, String)) {
-        self.parameters().check(|error| {
-            if error.name == "period_s" {
-                return; // derived from loop.rate_hz, which is checked below
-            }
-            let section = if GAINS.contains(&error.name) { "control.gains" } else { "limits" };
-            report(&format!("{section}.{}", error.name), format!("{section}.{error}"));
-        });
-        let mut within = |path: &str, value: f64, unit: &str, min: f64, max: f64| {
-            if !(value >= min && value <= max) {
-                let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
-                report(path, format!("{path} = {value}{unit} is outside {min} to {max}{unit}"));
-            }
-        };
-        within("loop.rate_hz", f64::from(self.control_loop.rate_hz), "Hz", 100.0, 10_000.0);
-        within("realtime.priority", f64::from(self.realtime.priority), "", 0.0, 98.0);
-        within("realtime.cpu", f64::from(self.realtime.cpu), "", -1.0, 1023.0);
+        crate::parameters::check(self, |error| report(error.name, error.to_string()));
         let hand = &self.simulation.hand;
-        for (path, taxels) in [("simulation.hand.taxels", &hand.taxels), ("board.masked", &self.board.masked)]
-        {
-            for &taxel in taxels {
-                #[expect(clippy::cast_precision_loss, reason = "only shown in a message")]
-                within(path, taxel as f64, "(taxel number)", 1.0, TAXELS as f64);
-            }
+        if hand.hold_s > hand.every_s - PRESS_RAMPS_S {
+            let (path, most_s) = ("simulation.hand.hold_s", hand.every_s - PRESS_RAMPS_S);
+            report(path, format!("{path} = {} s is longer than every_s - 0.7 = {most_s} s", hand.hold_s));
         }
-        within("simulation.hand.force_n", hand.force_n, "N", 0.0, 200.0);
-        within("simulation.hand.every_s", hand.every_s, "s", 1.0, 3600.0);
-        within("simulation.hand.hold_s", hand.hold_s, "s", 0.1, hand.every_s - 0.7);
         let listen = &self.telemetry.listen;
         if !listen.is_empty() && !listen.parse::<SocketAddr>().is_ok_and(|address| address.ip().is_loopback())
         {
@@ -343,18 +322,8 @@ impl Config {
     }
 }
 
-const GAINS: [&str; 10] = [
-    "virtual_mass",
-    "virtual_damping",
-    "stiffness",
-    "damping_ratio",
-    "eta_base",
-    "eta_arm",
-    "posture_stiffness",
-    "posture_damping",
-    "posture_rad",
-    "reactivity",
-];
+/// What the ramps of a scripted press take, s, with a moment of rest.
+const PRESS_RAMPS_S: f64 = 0.7;
 
 /// Every mistake of one file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -445,7 +414,7 @@ mod tests {
         assert_eq!(
             error.mistakes,
             [
-                "line 4: control.gains.virtual_mass = NaN kg, kg, kg·m² is outside 0.01 to 1000 kg, kg, kg·m²",
+                "line 4: control.gains.virtual_mass = NaN kg is outside 0.01 to 1000 kg",
                 "line 5: control.gains.eta_base = inf is outside 0.001 to 1000",
                 "line 2: loop.rate_hz = 5 Hz is outside 100 to 10000 Hz",
             ]

@@ -128,6 +128,9 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
                 };
                 (None, Some(outcome))
             }
+            Some(Request::SetParameter { parameter, values }) => {
+                (None, Some(self.motion.set_parameter(usize::from(parameter), &values)))
+            }
             request => (request, None),
         };
         let decision = self.supervisor.step(&facts, asked);

@@ -27,6 +27,9 @@ enum Command {
     Calibrate(moca_daemon::calibrate::Arguments),
     /// Say what is and is not real-time on this PC, beside an empty loop, and what to do about it.
     Doctor(moca_daemon::doctor::Arguments),
+    /// List parameters, change them in a running daemon, or print their schema.
+    #[command(subcommand)]
+    Params(moca_daemon::params_command::Command),
     /// Print the default configuration with every field documented.
     DefaultConfig,
 }
@@ -66,6 +69,7 @@ fn main() -> ExitCode {
         Some(Command::Run(run_arguments)) => run(run_arguments),
         Some(Command::Calibrate(calibrate)) => moca_daemon::calibrate::run(&calibrate),
         Some(Command::Doctor(doctor)) => moca_daemon::doctor::run(&doctor),
+        Some(Command::Params(command)) => moca_daemon::params_command::run(&command),
         Some(Command::DefaultConfig) => {
             #[expect(clippy::print_stdout, reason = "this is what the command is for")]
             {

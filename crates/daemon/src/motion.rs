@@ -1,19 +1,40 @@
 //! From mode and forces to a command: which law runs in which mode.
 
 use crate::config::{JOINTS, TAXELS};
-use moca_msgs::{Actuation, Fault, Mode, RobotState, TaxelStatus};
+use moca_msgs::params::CONTROLLER;
+use moca_msgs::{
+    Actuation, Fault, Mode, Outcome, ParameterValues, Parameters, Refusal, RobotState, TaxelStatus,
+};
 use moca_wbc::{ControlError, ControlInput, ControlLaw, ControlOutput, Controller, ControllerState};
 
 /// The controller with the state it carries from tick to tick.
 pub struct Motion {
     controller: Controller<JOINTS, TAXELS>,
+    parameters: Parameters<JOINTS>,
     state: Option<ControllerState<JOINTS>>,
 }
 
 impl Motion {
-    /// Not yet entered: the first command starts from the measured state.
-    pub const fn new(controller: Controller<JOINTS, TAXELS>) -> Self {
-        Self { controller, state: None }
+    /// Not yet entered: the first command starts from the measured state. `parameters` are those of `controller`.
+    pub const fn new(controller: Controller<JOINTS, TAXELS>, parameters: Parameters<JOINTS>) -> Self {
+        Self { controller, parameters, state: None }
+    }
+
+    /// Changes a parameter (its number in [`CONTROLLER`]) from the next step on; gains reach the law through a filter.
+    ///
+    /// # Errors
+    /// No such parameter, not live, out of range, or at odds with another one; nothing is changed.
+    pub fn set_parameter(&mut self, number: usize, values: &ParameterValues) -> Outcome {
+        match CONTROLLER.get(number) {
+            Some(spec) if spec.live => {}
+            Some(_) => return Err(Refusal::NotLive),
+            None => return Err(Refusal::NoSuchParameter),
+        }
+        let mut wanted = self.parameters;
+        wanted.set(number, values)?;
+        self.controller.set_parameters(&wanted).map_err(|_| Refusal::Conflict)?;
+        self.parameters = wanted;
+        Ok(())
     }
 
     /// Forgets targets and controller state: the next command is entered anew from the measured state.

@@ -87,14 +87,15 @@ pub fn supervisor(config: &Config) -> Supervisor {
 /// # Errors
 /// A parameter outside its range.
 pub fn motion(config: &Config) -> Result<Motion> {
+    let parameters = config.parameters();
     let controller = moca_wbc::Controller::new(
         &robot::PANDA,
         &robot::MOCA_MOUNT,
         &robot::Payload::NONE,
         &robot::PAPER_COVER,
-        &config.parameters(),
+        &parameters,
     )?;
-    Ok(Motion::new(controller))
+    Ok(Motion::new(controller, parameters))
 }
 
 /// The cover that the configuration asks for.
@@ -336,7 +337,8 @@ fn serve(
 }
 
 fn description(config: &Config) -> RobotDescription {
-    RobotDescription::new(
+    let parameters = crate::parameters::describe(config);
+    let robot = RobotDescription::new(
         &config.robot,
         config.plant.kind == PlantKind::Simulated,
         1.0 / f64::from(config.control_loop.rate_hz),
@@ -346,7 +348,8 @@ fn description(config: &Config) -> RobotDescription {
         &robot::PAPER_COVER,
         &config.parameters().limits,
         Duration::from_nanos(moca_tactile::board::SILENT_AFTER_NS).as_secs_f64(),
-    )
+    );
+    RobotDescription { parameters, ..robot }
 }
 
 fn recording(options: &Options) -> Result<(Option<Recording>, Option<rtrb::Producer<BoardEvent>>)> {

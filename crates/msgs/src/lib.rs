@@ -31,7 +31,7 @@ pub mod state;
 pub mod taxel;
 
 pub use mode::{Fault, Law, Mode, Reaction};
-pub use params::{Corrections, ImpedanceGains, Limits, ParameterError, Parameters};
+pub use params::{Corrections, ImpedanceGains, Limits, ParameterError, ParameterValues, Parameters};
 pub use protection::{ContactEvent, ContactReaction, SpeedLimit, SpeedLimitReason};
 pub use request::{Outcome, Refusal, Request};
 pub use robot::{ArmTable, BaseTable, Mount, Payload, TaxelPlacement};

@@ -1,5 +1,6 @@
 //! What an operator may ask of the loop, and the answer.
 
+use crate::params::ParameterValues;
 use crate::{Law, Mode};
 
 /// Largest force of a [`Request::PressTaxel`], N.
@@ -38,6 +39,13 @@ pub enum Request {
         /// Whether it is out of use.
         masked: bool,
     },
+    /// Change a parameter while the loop runs.
+    SetParameter {
+        /// Its place in the robot's description, which begins with [`crate::params::CONTROLLER`].
+        parameter: u8,
+        /// All of its elements; a flag is 1 or 0.
+        values: ParameterValues,
+    },
 }
 
 /// Why a request was not carried out.
@@ -52,8 +60,14 @@ pub enum Refusal {
     ZeroInvalid,
     /// Only a simulated robot can be pressed by request.
     NotSimulated,
-    /// A number outside its range (taxel 0 to the cover's last, force 0 to 200 N).
+    /// A number outside its range (taxel 0 to the cover's last, force 0 to 200 N, a parameter's own).
     OutOfRange,
+    /// No parameter has this number.
+    NoSuchParameter,
+    /// The parameter is read at the start only.
+    NotLive,
+    /// In its range, but not beside another parameter's present value.
+    Conflict,
     /// Another client holds the command.
     NotCommander,
     /// The loop did not answer in time.

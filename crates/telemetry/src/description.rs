@@ -1,6 +1,7 @@
 //! What an observer must know once: who the robot is, its geometry, its limits.
 
-use moca_msgs::{ArmTable, BaseTable, Limits, Mount, TaxelPlacement};
+use crate::ParameterDescription;
+use moca_msgs::{ArmTable, BaseTable, Limits, Mount, ParameterValues, TaxelPlacement};
 use serde::{Deserialize, Serialize};
 
 /// A robot as an observer needs it: enough to draw base, arm and cover from a [`moca_msgs::Sample`].
@@ -24,6 +25,11 @@ pub struct RobotDescription {
     pub taxel_force_max_n: f64,
     /// Base speed limit along each axis of B: m/s, m/s, rad/s.
     pub base_velocity_max: [f64; 3],
+    /// The schema of parameters with present values; a parameter's place here is its number in
+    /// [`moca_msgs::Request::SetParameter`]. The controllers' come first, in the order of
+    /// [`moca_msgs::params::CONTROLLER`].
+    #[serde(default)]
+    pub parameters: Vec<ParameterDescription>,
 }
 
 /// A serial arm of revolute joints about their own z axes. Frames: x, y, z m; roll, pitch, yaw rad (R = Rz·Ry·Rx).
@@ -49,6 +55,13 @@ pub struct TaxelDescription {
 }
 
 impl RobotDescription {
+    /// Notes the present value of the parameter with this number; one that does not exist is left out.
+    pub fn note_parameter(&mut self, number: usize, values: &ParameterValues) {
+        if let Some(parameter) = self.parameters.get_mut(number) {
+            parameter.value = crate::ParameterValue::Numbers(values.as_slice().to_vec());
+        }
+    }
+
     /// Gathers the tables a robot is made of. The frame deadline is in s, the loop period in s.
     #[expect(clippy::too_many_arguments, reason = "one argument for each table; called once, by the daemon")]
     pub fn new<const N: usize>(
@@ -85,6 +98,7 @@ impl RobotDescription {
             frame_deadline_s,
             taxel_force_max_n: limits.taxel_force_n,
             base_velocity_max: limits.base_velocity,
+            parameters: Vec::new(),
         }
     }
 

@@ -1,6 +1,7 @@
 //! The only place that knows a transport or a log format.
 //!
 //! - [`description`]: what an observer must know once to draw the robot and read its samples.
+//! - [`parameter`]: the schema of parameters with present values.
 //! - `net` (feature `net`): TCP server and client: batches of samples out, requests in.
 //! - `log` (feature `log`): MCAP writer and reader: every sample, every byte of the Touch Board.
 //!
@@ -14,5 +15,7 @@ pub mod description;
 pub mod log;
 #[cfg(feature = "net")]
 pub mod net;
+pub mod parameter;
 
 pub use description::RobotDescription;
+pub use parameter::{ParameterDescription, ParameterForm, ParameterValue};

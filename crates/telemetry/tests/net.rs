@@ -152,7 +152,7 @@ fn a_stopped_subscriber_costs_the_others_nothing_and_its_queue_is_bounded() {
         match runtime.block_on(stopped.incoming.next()).unwrap() {
             FromServer::Batch(batch) => received += batch.samples.len() as u64,
             FromServer::Status(status) => dropped = status.client_dropped,
-            FromServer::Reply { .. } => panic!("nothing was asked"),
+            FromServer::Reply { .. } | FromServer::Parameters(_) => panic!("nothing was asked"),
         }
     }
     assert_eq!(received + dropped, next);

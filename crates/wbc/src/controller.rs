@@ -76,7 +76,7 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
     }
 
     /// Takes new parameters while running: gains reach the law through a first-order filter, the posture at its own
-    /// speed, corrections and limits at the next step.
+    /// speed, corrections at the next step with what the torque would jump by fading, limits at the next step.
     ///
     /// # Errors
     /// The first parameter out of range; nothing is changed.
@@ -120,6 +120,7 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
             reference: Reference::hold(flange),
             posture_rad: robot.q_rad,
             gains: self.gains,
+            corrections: self.corrections,
             base_velocity_body: [T::zero(); 3],
             torque_nm: kinematics.bias(&inertias, &robot.dq_rad_s),
             carried_nm: [T::zero(); N],
@@ -152,6 +153,10 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
             next.law = law;
             next.entering = true;
             retarget(&mut next, &tick.flange, tick.robot);
+        }
+        if next.corrections != self.corrections {
+            next.corrections = self.corrections;
+            next.entering = true;
         }
         next.gains.approach(&self.gains, tick.dt_s);
         let task = TaskDynamics::new(

@@ -7,7 +7,7 @@ use crate::limits::LimitsHit;
 use crate::observer::MomentumObserver;
 use crate::reference::Reference;
 use crate::scalar::Scalar;
-use moca_msgs::{Law, RobotCommand, RobotState};
+use moca_msgs::{Corrections, Law, RobotCommand, RobotState};
 
 /// What drives the robot in one step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -78,12 +78,14 @@ pub struct ControllerState<const N: usize, T = f64> {
     /// Null-space posture on its way to the configured one, rad; in [`ControlLaw::Hold`] the posture held.
     pub(crate) posture_rad: [T; N],
     pub(crate) gains: Gains<N, T>,
+    /// As of the last step: a change is entered like a change of law.
+    pub(crate) corrections: Corrections,
     /// v_d of eq. (2) as last commanded: axes of B.
     pub(crate) base_velocity_body: [T; 3],
     pub(crate) torque_nm: [T; N],
     /// What is left of the torque step that a change of law would have been, N·m.
     pub(crate) carried_nm: [T; N],
-    /// The law has changed and `carried_nm` is not known yet.
+    /// Law or corrections have changed and `carried_nm` is not known yet.
     pub(crate) entering: bool,
     pub(crate) observer: MomentumObserver<N, T>,
 }

@@ -1,5 +1,6 @@
 //! What an operator may ask, and when it makes sense. The daemon has the last word; this only greys out buttons.
 
+use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Law, Mode, Refusal, Request};
 
 /// A button.
@@ -88,6 +89,10 @@ pub fn request_words(request: Request) -> String {
         Request::MaskTaxel { taxel, masked } => {
             format!("{} T{}", if masked { "Mask" } else { "Use" }, u16::from(taxel) + 1)
         }
+        Request::SetParameter { parameter, .. } => match CONTROLLER.get(usize::from(parameter)) {
+            Some(spec) => format!("Set {}", spec.name),
+            None => format!("Set parameter {parameter}"),
+        },
     }
 }
 
@@ -99,6 +104,12 @@ pub fn refusal_words(refusal: Refusal) -> String {
         Refusal::ZeroInvalid => "the cover has no valid zero: tare first".into(),
         Refusal::NotSimulated => "only a simulated robot can be pushed with the mouse".into(),
         Refusal::OutOfRange => "a number is out of range".into(),
+        Refusal::NoSuchParameter => "the daemon has no such parameter".into(),
+        Refusal::NotLive => "it is read at the start only: change the configuration file".into(),
+        Refusal::Conflict => {
+            "it does not go with another parameter (null_space_damping needs a virtual mass of 0.5 or more)"
+                .into()
+        }
         Refusal::NotCommander => {
             "another dashboard has the command: close it, or let it give the command back".into()
         }

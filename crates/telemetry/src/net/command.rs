@@ -2,7 +2,7 @@
 
 use super::wire::{COMMAND_LEASE, Commander};
 use crate::RobotDescription;
-use moca_msgs::{Outcome, Refusal, Request, request::PRESS_FORCE_MAX_N};
+use moca_msgs::{Outcome, ParameterValues, Refusal, Request, request::PRESS_FORCE_MAX_N};
 use rtrb::{Consumer, Producer};
 use std::{
     collections::BTreeMap,
@@ -47,6 +47,11 @@ pub(super) struct Desk {
     pressed: Vec<u8>,
     pending: BTreeMap<u64, Pending>,
     next_ticket: u64,
+    /// Requests that the loop has not answered.
+    unanswered: usize,
+    /// Changes of parameters on their way: kept until the loop answers, however late.
+    changes: BTreeMap<u64, (u8, ParameterValues)>,
+    parameters: BTreeMap<u8, ParameterValues>,
 }
 
 impl Desk {
@@ -66,6 +71,9 @@ impl Desk {
             pressed: Vec::new(),
             pending,
             next_ticket: 0,
+            unanswered: 0,
+            changes: BTreeMap::new(),
+            parameters: BTreeMap::new(),
         }
     }
 
@@ -95,6 +103,11 @@ impl Desk {
             if force_n > 0.0 {
                 self.pressed.push(taxel);
             }
+        }
+        // The answer tells whether the value has changed: it must find room on its way back.
+        let changes = matches!(request, Request::SetParameter { .. });
+        if changes && 2 * self.unanswered >= self.outcomes.buffer().capacity() {
+            return refuse(Refusal::NoAnswer);
         }
         if !self.submit(request) {
             return refuse(Refusal::NoAnswer);
@@ -138,6 +151,10 @@ impl Desk {
         }
         let mut answers = Vec::new();
         while let Ok((ticket, outcome)) = self.outcomes.pop() {
+            self.unanswered = self.unanswered.saturating_sub(1);
+            if let (Some((number, values)), Ok(())) = (self.changes.remove(&ticket), outcome) {
+                self.parameters.insert(number, values);
+            }
             if let Some(Pending { client, id, .. }) = self.pending.remove(&ticket) {
                 answers.push(Answer { client, id, outcome });
             }
@@ -151,6 +168,11 @@ impl Desk {
             answers.push(Answer { client, id, outcome: Err(Refusal::NoAnswer) });
         }
         answers
+    }
+
+    /// Present values of the parameters that have been changed.
+    pub(super) fn parameters(&self) -> &BTreeMap<u8, ParameterValues> {
+        &self.parameters
     }
 
     /// Whether an answer is awaited.
@@ -169,7 +191,12 @@ impl Desk {
 
     fn submit(&mut self, request: Request) -> bool {
         self.next_ticket += 1;
-        self.requests.push((self.next_ticket, request)).is_ok()
+        let submitted = self.requests.push((self.next_ticket, request)).is_ok();
+        self.unanswered += usize::from(submitted);
+        if let (Request::SetParameter { parameter, values }, true) = (request, submitted) {
+            self.changes.insert(self.next_ticket, (parameter, values));
+        }
+        submitted
     }
 }
 

@@ -37,7 +37,7 @@ pub enum Link {
     Up {
         /// Counts connections: a change means that the daemon, its clock and its ticks may be new.
         session: u64,
-        /// The robot on the other side.
+        /// The robot on the other side, with the present values of its parameters.
         description: Arc<RobotDescription>,
     },
 }
@@ -205,6 +205,14 @@ async fn listen(incoming: &mut Incoming, shared: &Mutex<Shared>, wake: &impl Fn(
                 s.unread_dropped += excess as u64;
             }
             FromServer::Status(status) => s.status = status,
+            FromServer::Parameters(changed) => {
+                if let Link::Up { description, .. } = &mut s.link {
+                    let description = Arc::make_mut(description);
+                    for (number, values) in &changed {
+                        description.note_parameter(usize::from(*number), values);
+                    }
+                }
+            }
             FromServer::Reply { id, outcome } => {
                 if let Some(request) = s.waiting.remove(&id) {
                     s.replies.push(Reply { request, outcome });

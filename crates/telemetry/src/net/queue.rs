@@ -19,6 +19,7 @@ pub(super) enum Outgoing {
     Batch(Rc<EncodedBatch>),
     Reply(Vec<u8>),
     Status(Status),
+    Parameters(Rc<Vec<u8>>),
 }
 
 /// Queue of one client.
@@ -28,6 +29,8 @@ pub(super) struct Queue {
     replies: VecDeque<Vec<u8>>,
     status: Status,
     status_sent: Option<Status>,
+    /// Only the newest values matter.
+    parameters: Option<Rc<Vec<u8>>>,
 }
 
 impl Queue {
@@ -47,6 +50,11 @@ impl Queue {
         self.replies.len() <= MAX_REPLIES
     }
 
+    /// Takes the parameters' values, encoded.
+    pub(super) fn set_parameters(&mut self, frame: Rc<Vec<u8>>) {
+        self.parameters = Some(frame);
+    }
+
     /// Notes what the client should know besides its own drops.
     pub(super) fn set_status(&mut self, ring_dropped: u64, commander: Commander) {
         self.status.ring_dropped = ring_dropped;
@@ -63,8 +71,12 @@ impl Queue {
         self.batches.len()
     }
 
-    /// What to write next: answers first, then news, then samples.
+    /// What to write next: parameters and answers first, then news, then samples.
     pub(super) fn pop(&mut self) -> Option<Outgoing> {
+        // Before the answer to the change, so that whoever reads it knows the value.
+        if let Some(frame) = self.parameters.take() {
+            return Some(Outgoing::Parameters(frame));
+        }
         if let Some(frame) = self.replies.pop_front() {
             return Some(Outgoing::Reply(frame));
         }

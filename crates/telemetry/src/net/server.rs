@@ -7,7 +7,7 @@ use super::{
     wire::{self, Batch, FromClient, FromServer, unix_now_ns},
 };
 use crate::RobotDescription;
-use moca_msgs::{Outcome, Request, Sample};
+use moca_msgs::{Outcome, ParameterValues, Request, Sample};
 use rtrb::{Consumer, Producer};
 use std::{
     cell::RefCell,
@@ -107,6 +107,7 @@ pub fn serve(address: SocketAddr, description: RobotDescription, ports: Ports) -
             asked: Notify::new(),
             counters: thread_counters,
             greeting,
+            parameters: RefCell::default(),
         });
         let pump =
             Pump { samples: ports.samples, recorder: ports.recorder, ring_dropped: ports.ring_dropped };
@@ -154,6 +155,14 @@ struct Hub {
     asked: Notify,
     counters: Arc<Counters>,
     greeting: Vec<u8>,
+    parameters: RefCell<ToldParameters>,
+}
+
+/// The changed parameters, and the frame that tells them.
+#[derive(Default)]
+struct ToldParameters {
+    values: BTreeMap<u8, ParameterValues>,
+    frame: Option<Rc<Vec<u8>>>,
 }
 
 struct Client {
@@ -201,8 +210,28 @@ impl Hub {
         client.filled.notify_one();
     }
 
+    fn tell_parameters(&self) {
+        let desk = self.desk.borrow();
+        let mut told = self.parameters.borrow_mut();
+        if told.values == *desk.parameters() {
+            return;
+        }
+        told.values.clone_from(desk.parameters());
+        let message =
+            FromServer::Parameters(told.values.iter().map(|(number, values)| (*number, *values)).collect());
+        let Ok(frame) = wire::frame(&message).map(Rc::new) else {
+            return; // 256 parameters are far below the largest frame.
+        };
+        told.frame = Some(Rc::clone(&frame));
+        for client in self.clients.borrow().values() {
+            client.queue.borrow_mut().set_parameters(Rc::clone(&frame));
+            client.filled.notify_one();
+        }
+    }
+
     fn deliver_answers(&self) {
         let answers = self.desk.borrow_mut().answers(Instant::now());
+        self.tell_parameters();
         for answer in answers {
             self.reply(answer.client, answer.id, answer.outcome);
         }
@@ -294,6 +323,9 @@ async fn attend(id: ClientId, stream: TcpStream, hub: Rc<Hub>) {
     let _ = stream.set_nodelay(true);
     let client =
         Rc::new(Client { id, queue: RefCell::default(), filled: Notify::new(), closed: Notify::new() });
+    if let Some(frame) = &hub.parameters.borrow().frame {
+        client.queue.borrow_mut().set_parameters(Rc::clone(frame));
+    }
     hub.clients.borrow_mut().insert(id, Rc::clone(&client));
     hub.counters.clients.fetch_add(1, Ordering::Relaxed);
     let (reader, writer) = stream.into_split();
@@ -333,6 +365,7 @@ async fn write_queue(mut writer: OwnedWriteHalf, client: &Client, greeting: &[u8
         match next {
             Some(Outgoing::Batch(batch)) => writer.write_all(&batch.frame).await?,
             Some(Outgoing::Reply(frame)) => writer.write_all(&frame).await?,
+            Some(Outgoing::Parameters(frame)) => writer.write_all(&frame).await?,
             Some(Outgoing::Status(status)) => {
                 writer.write_all(&wire::frame(&FromServer::Status(status))?).await?;
             }

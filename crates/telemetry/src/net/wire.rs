@@ -5,7 +5,7 @@
 
 use super::NetError;
 use crate::RobotDescription;
-use moca_msgs::{Outcome, Request, Sample};
+use moca_msgs::{Outcome, ParameterValues, Request, Sample};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncReadExt};
@@ -36,6 +36,9 @@ pub enum FromServer {
         /// The loop's answer.
         outcome: Outcome,
     },
+    /// Present values of the parameters that have been changed since the start: number, elements. Sent on every change
+    /// and, if there has been one, to every new client.
+    Parameters(Vec<(u8, ParameterValues)>),
 }
 
 /// Consecutive samples, oldest first.
