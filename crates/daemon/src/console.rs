@@ -6,9 +6,44 @@ use moca_msgs::{Fault, Mode, Sample};
 use std::fmt;
 use std::time::Duration;
 
+/// How much a line matters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
+pub enum Level {
+    /// The robot needs a restart.
+    Error,
+    /// The robot stopped, or waits for something.
+    Warning,
+    /// Everything: changes of mode, and a line a second.
+    #[default]
+    Info,
+}
+
+/// One line for the terminal or the journal.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Line {
+    level: Level,
+    text: String,
+}
+
+impl fmt::Display for Line {
+    /// Under systemd with the journal's priority before it, sd-daemon(3).
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if std::env::var_os("JOURNAL_STREAM").is_some() {
+            let priority = match self.level {
+                Level::Error => 3,
+                Level::Warning => 4,
+                Level::Info => 6,
+            };
+            write!(f, "<{priority}>")?;
+        }
+        f.write_str(&self.text)
+    }
+}
+
 /// Turns samples into lines.
 #[derive(Debug, Default)]
 pub struct Console {
+    level: Level,
     mode: Option<Mode>,
     fault: Option<Fault>,
     board: Option<Diagnosis>,
@@ -19,26 +54,39 @@ const STATUS_EVERY_S: f64 = 1.0;
 const BOARD_SETTLED_S: f64 = 1.0;
 
 impl Console {
+    /// Shows what matters at least as much as `level`.
+    pub fn new(level: Level) -> Self {
+        Self { level, ..Self::default() }
+    }
+
     /// Lines to print for this sample; usually none.
-    pub fn lines(&mut self, sample: &Sample) -> Vec<String> {
+    pub fn lines(&mut self, sample: &Sample) -> Vec<Line> {
         let time_s = seconds(sample.time_ns);
         let mut lines = Vec::new();
         if self.mode.replace(sample.mode) != Some(sample.mode) || self.fault != sample.fault {
             self.fault = sample.fault;
-            lines.push(format!("[{time_s:7.2} s] mode: {}{}", sample.mode.name(), why(sample.fault)));
+            let level = match (sample.mode, sample.fault) {
+                (Mode::Fault, _) => Level::Error,
+                (_, Some(_)) => Level::Warning,
+                (_, None) => Level::Info,
+            };
+            let text = format!("[{time_s:7.2} s] mode: {}{}", sample.mode.name(), why(sample.fault));
+            lines.push(Line { level, text });
         }
         // A port takes a moment to open and a board to speak: only a state that lasts is worth a line.
         let settled = time_s >= BOARD_SETTLED_S && sample.board != Diagnosis::Frames;
         if settled && self.board.replace(sample.board) != Some(sample.board) {
-            lines.push(format!("[{time_s:7.2} s] board: {}", sample.board.text()));
+            let text = format!("[{time_s:7.2} s] board: {}", sample.board.text());
+            lines.push(Line { level: Level::Warning, text });
         }
         if sample.board == Diagnosis::Frames {
             self.board = None;
         }
         if time_s >= self.next_status_s {
             self.next_status_s = (time_s / STATUS_EVERY_S).floor() * STATUS_EVERY_S + STATUS_EVERY_S;
-            lines.push(status(sample));
+            lines.push(Line { level: Level::Info, text: status(sample) });
         }
+        lines.retain(|line| line.level <= self.level);
         lines
     }
 }

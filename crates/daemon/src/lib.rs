@@ -37,6 +37,7 @@ pub mod realtime;
 pub mod recording;
 pub mod run;
 pub mod schedule;
+pub mod service;
 #[cfg(feature = "sim")]
 pub mod simulated;
 pub mod supervisor;

@@ -9,9 +9,12 @@ use std::process::ExitCode;
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
+const EXIT_CODES: &str = "Exit codes: 0 ended as asked, 1 something failed, 2 wrong command line or configuration, \
+                          3 real time demanded and refused";
+
 /// Tactile whole-body control of MOCA-S: without arguments, a simulated robot with a virtual Touch Board.
 #[derive(Parser)]
-#[command(name = "mocad", version, args_conflicts_with_subcommands = true)]
+#[command(name = "mocad", version, args_conflicts_with_subcommands = true, after_help = EXIT_CODES)]
 struct Arguments {
     #[command(subcommand)]
     command: Option<Command>,
@@ -57,6 +60,9 @@ struct RunArguments {
     /// Let a fault strike a simulated robot; a wrong NAME lists all there are.
     #[arg(long, value_name = "NAME@SECONDS")]
     inject: Option<moca_daemon::inject::Injection>,
+    /// How much the terminal or the journal shows of a run.
+    #[arg(long, value_enum, default_value_t)]
+    log_level: moca_daemon::console::Level,
     /// End at once if the operating system refuses a wish of `[realtime]`.
     #[arg(long)]
     require_realtime: bool,
@@ -85,17 +91,41 @@ fn main() -> ExitCode {
             {
                 eprintln!("mocad: {error:#}");
             }
-            ExitCode::FAILURE
+            exit_code(&error)
         }
+    }
+}
+
+/// The configuration has mistakes; the same code as for a mistake on the command line.
+#[derive(Debug)]
+struct WrongConfiguration(String);
+
+impl std::fmt::Display for WrongConfiguration {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for WrongConfiguration {}
+
+fn exit_code(error: &anyhow::Error) -> ExitCode {
+    if error.is::<WrongConfiguration>() {
+        ExitCode::from(2)
+    } else if error.is::<moca_daemon::run::RealtimeRefused>() {
+        ExitCode::from(3)
+    } else {
+        ExitCode::FAILURE
     }
 }
 
 fn run(arguments: RunArguments) -> anyhow::Result<()> {
     let config = match &arguments.config {
-        Some(path) => Config::load(path).map_err(|error| anyhow::anyhow!("{}:\n{error}", path.display()))?,
+        Some(path) => {
+            Config::load(path).map_err(|error| WrongConfiguration(format!("{}:\n{error}", path.display())))?
+        }
         None => Config::default(),
     };
-    moca_daemon::run::cover_config(&config)?;
+    moca_daemon::run::cover_config(&config).map_err(|error| WrongConfiguration(format!("{error:#}")))?;
     if arguments.check {
         return Ok(());
     }
@@ -109,6 +139,7 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
         command_log: arguments.command_log,
         record: arguments.record,
         inject: arguments.inject,
+        log_level: arguments.log_level,
         require_realtime: arguments.require_realtime,
     })
 }

@@ -2,7 +2,7 @@
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
 use crate::config::{Config, PlantKind, TAXELS, VIRTUAL_PORT};
-use crate::console::{Console, Summary};
+use crate::console::{Console, Level, Summary};
 use crate::control_loop::ControlLoop;
 use crate::cover_source::CoverSource;
 use crate::inject::Injection;
@@ -11,6 +11,7 @@ use crate::motion::Motion;
 use crate::plant::Plant;
 use crate::realtime;
 use crate::recording::Recording;
+use crate::service::Heartbeat;
 use crate::supervisor::{Automatic, Supervisor};
 use crate::timing::{Distribution, Timing};
 use anyhow::{Context, Result, anyhow};
@@ -47,9 +48,23 @@ pub struct Options {
     pub record: Option<PathBuf>,
     /// A fault on purpose (simulated robot only).
     pub inject: Option<Injection>,
+    /// How much the terminal shows of a run.
+    pub log_level: Level,
     /// Whether a refused wish to the operating system ends the run before it starts.
     pub require_realtime: bool,
 }
+
+/// `--require-realtime` was given and the operating system refused this many wishes.
+#[derive(Debug)]
+pub struct RealtimeRefused(pub usize);
+
+impl std::fmt::Display for RealtimeRefused {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "--require-realtime: {} of the steps above failed", self.0)
+    }
+}
+
+impl std::error::Error for RealtimeRefused {}
 
 /// Runs the daemon until its duration is over or Ctrl-C.
 ///
@@ -276,10 +291,10 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
             std::thread::Builder::new().name("control-loop".into()).spawn_scoped(scope, in_loop_thread)?;
         let refused = report_realtime(&steps.recv().unwrap_or_default());
         println!("Ctrl-C stops it.");
-        let last = watch(&mut watched, &mut recording, done);
+        let last = watch(&mut watched, &mut recording, options.log_level, done);
         let report = thread.join().map_err(|_| anyhow!("the loop's thread panicked"))?;
         if options.require_realtime && refused > 0 {
-            return Err(anyhow!("--require-realtime: {refused} of the steps above failed"));
+            return Err(RealtimeRefused(refused).into());
         }
         Ok((report, last))
     })?;
@@ -377,10 +392,15 @@ fn finish(recording: Option<Recording>, options: &Options) -> Result<()> {
 fn watch(
     samples: &mut rtrb::Consumer<Sample>,
     recording: &mut Option<Recording>,
+    log_level: Level,
     done: &AtomicBool,
 ) -> Sample {
-    let (mut console, mut last) = (Console::default(), Sample::default());
+    let (mut console, mut last) = (Console::new(log_level), Sample::default());
+    let mut heartbeat = Heartbeat::new();
     loop {
+        if !samples.is_empty() {
+            heartbeat.beat();
+        }
         let finished = done.load(Ordering::Acquire);
         while let Ok(sample) = samples.pop() {
             for line in console.lines(&sample) {
@@ -425,7 +445,7 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
         Some(address) => Some(serve(config, address, from_loop, None, request_ports)?),
         None => None,
     };
-    let (mut console, mut last, mut ticks) = (Console::default(), Sample::default(), 0);
+    let (mut console, mut last, mut ticks) = (Console::new(options.log_level), Sample::default(), 0);
     let (mut allocated, mut warm) = (0, false);
     let end_ns = options.duration.map_or(u64::MAX, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX));
     let started = Instant::now();
