@@ -57,10 +57,10 @@ struct TableRow {
 
 /// A model fitted to the first half of the trials, judged on what it has not seen.
 #[derive(Debug, Serialize)]
-struct HeldOut {
-    model: &'static str,
+pub(crate) struct HeldOut {
+    pub model: &'static str,
     /// The other half of the trials, N.
-    rmse_n: f64,
+    pub rmse_n: f64,
     rmse_loading_n: f64,
     rmse_unloading_n: f64,
     /// Ramps of 3 s with a pause of 10 s at 60 N, N.
@@ -68,7 +68,7 @@ struct HeldOut {
     /// What it reads untouched, N.
     untouched_n: f64,
     /// One evaluation, ns.
-    cost_ns: f64,
+    pub cost_ns: f64,
 }
 
 /// Simulates, fits, prints, draws.
@@ -92,6 +92,12 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
 pub(crate) fn tables_and_figure_4(trials: usize, seed: u64) -> anyhow::Result<(String, String)> {
     let (recordings, materials) = simulate(trials, seed)?;
     Ok((tables::report(&materials, trials, Path::new("out/characterize")), figure::figure_4(&recordings)))
+}
+
+/// Every calibration model on the cover's own foam.
+pub(crate) fn models_on_the_cover(trials: usize, seed: u64) -> anyhow::Result<Vec<HeldOut>> {
+    let law = FoamLaw::default();
+    Ok(material(law, &trials::record(law, Protocol::Ramps, trials, seed), seed)?.held_out)
 }
 
 fn simulate(trials: usize, seed: u64) -> anyhow::Result<(Vec<Vec<Recording>>, Vec<Material>)> {

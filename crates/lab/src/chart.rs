@@ -4,7 +4,7 @@ use crate::drawing::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED};
 
 /// Room for the numbers and for the legend, px.
 const LEFT: f64 = 62.0;
-const RIGHT: f64 = 160.0;
+const RIGHT: f64 = 190.0;
 
 /// How an axis maps numbers to pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -179,7 +179,7 @@ impl Frame {
             drawing.text([x, bottom + 15.0], Anchor::Middle, &number(tick), BLACK);
         }
         drawing.line(&[[self.left, self.top], [self.left, bottom], [right, bottom]], 0.8, BLACK);
-        drawing.text([right + 8.0, bottom + 15.0], Anchor::Start, x_label, BLACK);
+        drawing.text([right + 26.0, bottom + 15.0], Anchor::Start, x_label, BLACK);
     }
 }
 
@@ -254,8 +254,8 @@ pub(crate) struct Map {
     pub y: Vec<String>,
     /// Row by row from the first y: colour and a short text.
     pub cells: Vec<(Colour, String)>,
-    /// Points in units of cells from the middle of the first one.
-    pub boundary: Vec<[f64; 2]>,
+    /// Which side of a line each cell is on; the line is drawn between cells that differ.
+    pub sides: Vec<bool>,
 }
 
 impl Map {
@@ -280,12 +280,25 @@ impl Map {
         }
         drawing.text([x0, bottom + 28.0], Anchor::Start, &self.x_label, BLACK);
         drawing.text([left, top + 24.0], Anchor::Start, &self.y_label, BLACK);
-        let points: Vec<[f64; 2]> = self
-            .boundary
-            .iter()
-            .map(|[u, v]| [x0 + cell[0] * (u + 0.5), bottom - cell[1] * (v + 0.5)])
-            .collect();
-        drawing.line(&points, 2.5, BLACK);
+        let side = |row: usize, column: usize| {
+            (row < self.y.len() && column < self.x.len())
+                .then(|| self.sides.get(row * self.x.len() + column))
+                .flatten()
+        };
+        let differ = |a: Option<&bool>, b: Option<&bool>| a.zip(b).is_some_and(|(a, b)| a != b);
+        for row in 0..self.y.len() {
+            for column in 0..self.x.len() {
+                let [left, bottom] =
+                    [x0 + cell[0] * count(column) - 0.5, bottom - cell[1] * count(row) - 0.5];
+                let [right, top] = [left + cell[0], bottom - cell[1]];
+                if differ(side(row, column), side(row, column + 1)) {
+                    drawing.line(&[[right, bottom], [right, top]], 3.0, BLACK);
+                }
+                if differ(side(row, column), side(row + 1, column)) {
+                    drawing.line(&[[left, top], [right, top]], 3.0, BLACK);
+                }
+            }
+        }
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod characterize;
 mod chart;
+mod cpu_time;
 mod drawing;
 mod economy;
 mod experiment;

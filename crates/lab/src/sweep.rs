@@ -6,10 +6,9 @@
 
 use crate::experiment::collision::{self, Report};
 use crate::experiment::settings::Settings;
-use crate::parallel;
+use crate::{cpu_time, economy, parallel};
 use anyhow::{Context, Result, bail, ensure};
 use moca_msgs::Law;
-use moca_sim::SimPlant;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -169,7 +168,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let range = all * (part - 1) / parts..all * part / parts;
     let header = (part == 1).then(|| header(&plan));
     let (mut file, done) = open(&arguments.out, header.as_deref(), &range)?;
-    let started = Instant::now();
+    let (started, cpu_before_s) = (Instant::now(), cpu_time::of_process_s());
     let todo: Vec<usize> = range.clone().skip(done).collect();
     let columns = plan.columns();
     let work = |id: &usize| row(&plan, &columns, *id);
@@ -185,14 +184,18 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             return Err(error.context(format!("cannot go on with {}", arguments.out.display())));
         }
     }
-    let wall_s = started.elapsed().as_secs_f64();
+    let (wall_s, cpu_s) = (started.elapsed().as_secs_f64(), cpu_time::of_process_s() - cpu_before_s);
     println!(
-        "{}: {} runs now, {done} before, {:.2} runs/s on {} cores; bare MuJoCo steps of the same scene would allow {:.2} runs/s",
+        "{}: {} runs now, {done} before, in {wall_s:.1} s on {} cores: {:.1} runs/s",
         arguments.out.display(),
         todo.len(),
-        todo.len() as f64 / wall_s.max(1e-9),
         std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
-        bare_runs_per_s(&plan)?,
+        todo.len() as f64 / wall_s.max(1e-9),
+    );
+    println!(
+        "{:.1} runs per second of CPU; bare mj_step of the same scene for the same simulated time would allow {:.1}",
+        todo.len() as f64 / cpu_s.max(1e-9),
+        bare_runs_per_cpu_s(&plan)?,
     );
     Ok(())
 }
@@ -271,19 +274,11 @@ fn open(path: &Path, header: Option<&str>, range: &std::ops::Range<usize>) -> Re
     Ok((file, done))
 }
 
-/// Runs per second if a run were nothing but MuJoCo's steps, on all cores.
-fn bare_runs_per_s(plan: &Plan) -> Result<f64> {
-    const STEPS: u32 = 2000;
+/// Runs per second of CPU time if a run were nothing but MuJoCo's steps.
+fn bare_runs_per_cpu_s(plan: &Plan) -> Result<f64> {
     let settings = plan.settings(&plan.columns(), &plan.values(0))?;
-    let mut plant = SimPlant::new(&settings.collision_scene()?)?;
-    let started = Instant::now();
-    for _ in 0..STEPS {
-        plant.bare_step();
-    }
-    let step_s = started.elapsed().as_secs_f64() / f64::from(STEPS);
-    let steps = 1e3 * settings.duration_s / settings.step_ms;
-    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    Ok(cores as f64 / (step_s * steps))
+    let step_s = 1e-6 * economy::bare_step_us(&settings.collision_scene()?)?;
+    Ok(settings.step_ms / (1e3 * settings.duration_s * step_s))
 }
 
 #[cfg(test)]

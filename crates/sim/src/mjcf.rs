@@ -54,7 +54,7 @@ pub(crate) fn mjcf(scene: &Scene) -> Result<String, fmt::Error> {
 }
 
 fn options(xml: &mut String, scene: &Scene) -> fmt::Result {
-    let integrator = match scene.chosen_integrator() {
+    let integrator = match scene.integrator {
         Integrator::Euler => "Euler",
         Integrator::RungeKutta4 => "RK4",
         Integrator::Implicit => "implicit",

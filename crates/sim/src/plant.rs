@@ -62,6 +62,7 @@ pub struct SimPlant {
     servo_velocity_body: [f64; 3],
     pressed_n: [f64; K],
     taxel_force_n: [f64; K],
+    taxel_peak_n: f64,
     flange_wrench_world: [f64; 6],
     torque_nm: [f64; 7],
     /// Scratch for the dense mass matrix, nv × nv.
@@ -99,6 +100,7 @@ impl SimPlant {
             servo_velocity_body: [0.0; 3],
             pressed_n: [0.0; K],
             taxel_force_n: [0.0; K],
+            taxel_peak_n: 0.0,
             flange_wrench_world: [0.0; 6],
             torque_nm: [0.0; 7],
             mass: vec![0.0; nv * nv],
@@ -208,6 +210,11 @@ impl SimPlant {
         self.taxel_force_n
     }
 
+    /// Largest true force on any taxel over every physics step so far, N.
+    pub fn taxel_peak_true_n(&self) -> f64 {
+        self.taxel_peak_n
+    }
+
     /// True wrench of all taxel forces on the base, axes and origin of B: N, N, N·m.
     pub fn cover_wrench_true_base(&self) -> [f64; 3] {
         let mut wrench = [0.0; 3];
@@ -302,6 +309,7 @@ impl SimPlant {
         let (time_s, forces) = (self.data.time(), &mut self.taxel_force_n);
         self.people.touch(&cover, time_s, self.data.qpos(), self.data.qvel(), forces, &mut base_wrench);
         self.people.write_forces(self.data.qfrc_applied_mut());
+        self.taxel_peak_n = self.taxel_force_n.into_iter().fold(self.taxel_peak_n, f64::max);
         let [fx, fy, mz] = base_wrench;
         let push_world = [cos * fx - sin * fy, sin * fx + cos * fy, mz];
 

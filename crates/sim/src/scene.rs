@@ -18,7 +18,7 @@ pub enum Robot {
 }
 
 /// MuJoCo's integrators.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Integrator {
     /// Semi-implicit Euler, joint damping implicit.
     Euler,
@@ -26,12 +26,11 @@ pub enum Integrator {
     RungeKutta4,
     /// All velocity derivatives implicit.
     Implicit,
-    /// Velocity derivatives without Coriolis terms implicit.
+    /// Velocity derivatives without Coriolis terms implicit: the cheapest that is accurate enough in free motion and in
+    /// contact (`moca-lab precision`).
+    #[default]
     ImplicitFast,
 }
-
-/// Largest step at which Runge–Kutta is stable against the base's inner servo, with a margin of 2, s.
-const RUNGE_KUTTA_STEP_MAX_S: f64 = 1e-3;
 
 /// How a person moves when pushed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -247,8 +246,8 @@ pub struct Scene {
     pub control_period_s: f64,
     /// Physics step, s; the control period is a whole number of them.
     pub physics_step_s: f64,
-    /// Integrator; `None` takes the cheapest that `moca-lab precision` finds accurate enough for such a scene.
-    pub integrator: Option<Integrator>,
+    /// Integrator.
+    pub integrator: Integrator,
 }
 
 impl Default for Scene {
@@ -267,7 +266,7 @@ impl Default for Scene {
             people: Vec::new(),
             control_period_s: 1e-3,
             physics_step_s: 1e-3,
-            integrator: None,
+            integrator: Integrator::default(),
         }
     }
 }
@@ -289,14 +288,6 @@ impl Scene {
         within("base_servo.acceleration", "m/s², rad/s²", &[linear, yaw], 1e-3, 1e4)?;
         self.people.iter().try_for_each(Person::check)?;
         self.substeps().map(|_| ())
-    }
-
-    /// The integrator that the model gets. Free motion is smooth: Runge–Kutta. A stiff contact whose force is held over
-    /// a step gains energy with it, and semi-implicit steps do not: implicitfast.
-    pub fn chosen_integrator(&self) -> Integrator {
-        let smooth = self.people.is_empty() && self.physics_step_s <= RUNGE_KUTTA_STEP_MAX_S;
-        let recommended = if smooth { Integrator::RungeKutta4 } else { Integrator::ImplicitFast };
-        self.integrator.unwrap_or(recommended)
     }
 
     /// Physics steps in one control period.

@@ -111,7 +111,7 @@ fn braking_stops_base_and_arm_and_holds_against_gravity() {
     for integrator in
         [Integrator::Euler, Integrator::RungeKutta4, Integrator::Implicit, Integrator::ImplicitFast]
     {
-        let mut plant = SimPlant::new(&Scene { integrator: Some(integrator), ..Scene::default() }).unwrap();
+        let mut plant = SimPlant::new(&Scene { integrator, ..Scene::default() }).unwrap();
         plant.set_state(&STILL, &STILL, &PANDA.home_rad, &[1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0]);
         drive(&mut plant, [0.3, 0.0, 0.3], 5);
         plant.apply(&Actuation::Brake).unwrap();

@@ -106,7 +106,7 @@ pub(crate) struct Settings {
     pub push_s: f64,
     pub rest_s: f64,
     pub step_ms: f64,
-    pub integrator: Option<Integrator>,
+    pub integrator: Integrator,
 }
 
 impl Settings {
@@ -135,7 +135,7 @@ impl Settings {
             push_s: 3.0,
             rest_s: 2.0,
             step_ms: 1.0,
-            integrator: None,
+            integrator: Integrator::default(),
         }
     }
 
@@ -291,15 +291,14 @@ const KEYS: &[Key] = &[
         Ok(())
     }),
     key("step_ms", "ms", "physics step", |s, v| store(&mut s.step_ms, v, 1e-3, 100.0)),
-    key("integrator", "recommended|euler|rk4|implicit|implicitfast", "MuJoCo's integrator", |s, v| {
+    key("integrator", "euler|rk4|implicit|implicitfast", "MuJoCo's integrator", |s, v| {
         s.integrator = word(
             v,
             &[
-                ("recommended", None),
-                ("euler", Some(Integrator::Euler)),
-                ("rk4", Some(Integrator::RungeKutta4)),
-                ("implicit", Some(Integrator::Implicit)),
-                ("implicitfast", Some(Integrator::ImplicitFast)),
+                ("euler", Integrator::Euler),
+                ("rk4", Integrator::RungeKutta4),
+                ("implicit", Integrator::Implicit),
+                ("implicitfast", Integrator::ImplicitFast),
             ],
         )?;
         Ok(())

@@ -1,4 +1,4 @@
-//! What the experiments must show: figures of an independent prototype, each with its bound.
+//! What the experiments must show: each with its bound.
 
 use super::push::{self, Outcome, Push};
 use super::rig::Rig;
