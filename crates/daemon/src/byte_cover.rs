@@ -15,6 +15,7 @@ pub struct ByteCover {
     cover: Cover<TAXELS>,
     events: rtrb::Consumer<BoardEvent>,
     copies: Option<rtrb::Producer<BoardEvent>>,
+    calibrator: Option<rtrb::Producer<BoardEvent>>,
 }
 
 impl ByteCover {
@@ -24,7 +25,13 @@ impl ByteCover {
         events: rtrb::Consumer<BoardEvent>,
         copies: Option<rtrb::Producer<BoardEvent>>,
     ) -> Self {
-        Self { cover, events, copies }
+        Self { cover, events, copies, calibrator: None }
+    }
+
+    /// Hands a copy of each event to a calibrator too.
+    #[must_use]
+    pub fn with_calibrator(self, events: rtrb::Producer<BoardEvent>) -> Self {
+        Self { calibrator: Some(events), ..self }
     }
 
     fn zero(&self) -> Zero {
@@ -42,8 +49,8 @@ impl CoverSource for ByteCover {
         for _ in 0..EVENTS_PER_TICK {
             let Ok(event) = self.events.pop() else { break };
             self.cover.event(0, &event);
-            if let Some(copies) = &mut self.copies {
-                // A recorder that cannot keep up loses copies, never the loop its time.
+            for copies in [&mut self.copies, &mut self.calibrator].into_iter().flatten() {
+                // Who cannot keep up loses copies, never the loop its time.
                 let _ = copies.push(event);
             }
         }

@@ -325,7 +325,7 @@ impl GaugeText {
 }
 
 /// Today in UTC, YYYY-MM-DD (proleptic Gregorian calendar, after H. Hinnant's `civil_from_days`).
-fn today() -> anyhow::Result<String> {
+pub(crate) fn today() -> anyhow::Result<String> {
     let days = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH)?.as_secs() / 86_400;
     Ok(civil_date(days))
 }

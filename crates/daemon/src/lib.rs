@@ -15,6 +15,7 @@
 pub mod allocations;
 pub mod byte_cover;
 pub mod calibrate;
+pub mod calibrator;
 pub mod command_log;
 pub mod config;
 pub mod console;

@@ -1,6 +1,7 @@
 //! `mocad run`: puts the parts together, starts the loop, shows what runs.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
+use crate::calibrator;
 use crate::config::{Config, PlantKind, TAXELS, VIRTUAL_PORT};
 use crate::console::{Console, Level, Summary};
 use crate::control_loop::ControlLoop;
@@ -18,7 +19,7 @@ use anyhow::{Context, Result, anyhow};
 use moca_msgs::{Law, Outcome, Request, Sample, robot};
 use moca_tactile::BoardEvent;
 use moca_tactile::serial::PortSelection;
-use moca_telemetry::net::{self, Ports};
+use moca_telemetry::net::{self, CalibrationPort, Ports};
 use moca_telemetry::{RobotDescription, net::Server};
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -30,6 +31,8 @@ use std::time::{Duration, Instant};
 const RING_SAMPLES: usize = 4096;
 /// Requests and answers on their way.
 const RING_REQUESTS: usize = 64;
+/// Events on their way to the calibrator: over ten seconds of a Touch Board.
+const RING_EVENTS: usize = 4096;
 /// How often the terminal looks into its ring.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
@@ -193,7 +196,8 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
     let robot = assemble(&options.config, clock, options.inject.as_ref(), copies)?;
     let virtual_board = if robot.virtual_board.is_some() { " (virtual Touch Board)" } else { "" };
     println!("  board       {}{virtual_board}", shown(&robot.port));
-    live(options, robot.control, clock, recording, shared)
+    let (_calibrator, calibration) = robot.calibrator;
+    live(options, robot.control, clock, (recording, calibration), shared)
 }
 
 /// A simulated robot with everything that a live loop needs; the board and its reader end with it.
@@ -202,6 +206,7 @@ pub(crate) struct Assembled {
     pub(crate) control: ControlLoop<crate::simulated::SimulatedRobot, crate::byte_cover::ByteCover>,
     port: PortSelection,
     virtual_board: Option<moca_sim::PtyBoard>,
+    calibrator: (calibrator::Calibrator, CalibrationPort),
     _serial: moca_tactile::serial::SerialBoard,
 }
 
@@ -232,14 +237,25 @@ pub(crate) fn assemble(
     if let Some(Injection { fault: Named { what: What::Cable(fault), .. }, at_ns }) = injection {
         events = inject::relay(Cable::new(*fault, *at_ns, config.simulation.seed), events, clock)?;
     }
-    let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events, copies);
+    let cover_config = cover_config(config)?;
+    let (to_calibrator, calibrator_events) = rtrb::RingBuffer::new(RING_EVENTS);
+    let settings = calibrator::Settings {
+        path: calibrator::file(config),
+        board: config.board.name.clone(),
+        wiring: cover_config.wiring,
+    };
+    let reference = forces.clone().map(|forces| -> calibrator::Reference {
+        Box::new(move |taxel| Some(f64::from_bits(forces.get(taxel)?.load(Ordering::Relaxed))))
+    });
+    let calibrator = calibrator::spawn(settings, calibrator_events, reference, move || clock.now_ns())?;
+    let cover = ByteCover::new(Cover::new(cover_config)?, events, copies).with_calibrator(to_calibrator);
     let mut plant = SimulatedRobot::new(config, &free_scene(config), forces)?;
     if let Some(injection) = injection {
         plant.inject(injection);
     }
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
-    Ok(Assembled { control, port, virtual_board, _serial: serial })
+    Ok(Assembled { control, port, virtual_board, calibrator, _serial: serial })
 }
 
 fn shown(port: &PortSelection) -> String {
@@ -254,11 +270,12 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     options: &Options,
     mut control: ControlLoop<P, S>,
     clock: Clock,
-    mut recording: Option<Recording>,
+    (mut recording, calibration): (Option<Recording>, CalibrationPort),
     shared: &Arc<Shared>,
 ) -> Result<LiveRun> {
     let config = &options.config;
-    let (mut rings, from_loop, request_ports) = rings(shared);
+    let (mut rings, from_loop, mut request_ports) = rings(shared);
+    request_ports.calibration = Some(calibration);
     let (tap, mut watched) = rtrb::RingBuffer::new(RING_SAMPLES);
     let _server = match config.telemetry_address() {
         Some(address) => Some(serve(config, address, from_loop, Some(tap), request_ports)?),
@@ -324,6 +341,7 @@ pub(crate) struct RequestPorts {
     requests: rtrb::Producer<(u64, Request)>,
     outcomes: rtrb::Consumer<(u64, Outcome)>,
     samples_dropped: Arc<AtomicU64>,
+    calibration: Option<CalibrationPort>,
 }
 
 pub(crate) fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestPorts) {
@@ -331,7 +349,8 @@ pub(crate) fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestP
     let (request_in, requests) = rtrb::RingBuffer::new(RING_REQUESTS);
     let (outcomes, outcome_out) = rtrb::RingBuffer::new(RING_REQUESTS);
     let samples_dropped = Arc::clone(&shared.samples_dropped);
-    let ports = RequestPorts { requests: request_in, outcomes: outcome_out, samples_dropped };
+    let ports =
+        RequestPorts { requests: request_in, outcomes: outcome_out, samples_dropped, calibration: None };
     (Rings { samples, requests, outcomes }, from_loop, ports)
 }
 
@@ -342,8 +361,8 @@ fn serve(
     recorder: Option<rtrb::Producer<Sample>>,
     ports: RequestPorts,
 ) -> Result<Server> {
-    let RequestPorts { requests, outcomes, samples_dropped } = ports;
-    let ports = Ports { samples, requests, outcomes, ring_dropped: samples_dropped, recorder };
+    let RequestPorts { requests, outcomes, samples_dropped, calibration } = ports;
+    let ports = Ports { samples, requests, outcomes, ring_dropped: samples_dropped, recorder, calibration };
     let server = net::serve(address, description(config), ports).with_context(|| {
         format!("telemetry.listen = \"{address}\" (if another mocad runs, choose another port, 0 for any, or \"\")")
     })?;

@@ -10,6 +10,7 @@ use moca_monitor::{
 use moca_msgs::{Fault, Law, Mode, Refusal, Request, Sample, TaxelReading, TaxelStatus, board::Diagnosis};
 use moca_telemetry::{
     RobotDescription,
+    calibration::{CalibrationFit, CalibrationProgress, CalibrationRequest, FittedModel},
     net::{Commander, Link, Reply, Status, Update},
 };
 use std::{cell::RefCell, collections::VecDeque, rc::Rc, sync::Arc};
@@ -23,6 +24,8 @@ struct Daemon {
     samples: VecDeque<Sample>,
     replies: Vec<Reply>,
     asked: Vec<Request>,
+    calibration: CalibrationProgress,
+    calibrate: Vec<CalibrationRequest>,
     session: u64,
 }
 
@@ -44,12 +47,17 @@ impl Source for Fake {
             status: Status { commander: daemon.commander, ..Status::default() },
             samples,
             replies,
+            calibration: daemon.calibration.clone(),
             unread_dropped: 0,
         }
     }
 
     fn request(&mut self, request: Request) {
         self.0.borrow_mut().asked.push(request);
+    }
+
+    fn calibrate(&mut self, request: CalibrationRequest) {
+        self.0.borrow_mut().calibrate.push(request);
     }
 }
 
@@ -369,4 +377,57 @@ fn a_recorded_run_can_be_held_scrubbed_and_never_commanded() {
         harness.run_steps(2);
         assert!(harness.query_by_label_contains("refused").is_none(), "{label} is greyed out");
     }
+}
+
+#[test]
+fn calibration_goes_step_by_step_and_asks_the_daemon() {
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    bench.click("Calibrate");
+    bench.click("Start calibration");
+    let asked = |bench: &Bench| std::mem::take(&mut bench.daemon.borrow_mut().calibrate);
+    assert_eq!(asked(&bench), [], "not while a law moves the robot");
+    bench.frames(Mode::Ready, None);
+    bench.click("Start calibration");
+    assert_eq!(asked(&bench), [CalibrationRequest::Start { taxel: 0, presses: 3 }]);
+
+    let press = CalibrationProgress::Press {
+        taxel: 0,
+        presses: 1,
+        presses_wanted: 3,
+        counts: 17.0,
+        force_n: Some(21.5),
+    };
+    bench.daemon.borrow_mut().calibration = press;
+    for _ in 0..30 {
+        bench.frames(Mode::Ready, None);
+    }
+    assert!(bench.shows("17 counts below rest") && bench.shows("21.5 N"));
+    let pushes = bench.asked();
+    let pushes_t1 = |r: &Request| matches!(r, Request::PressTaxel { taxel: 0, force_n } if *force_n <= 80.0);
+    assert!(pushes.len() > 1 && pushes.iter().all(pushes_t1), "the simulated hand presses: {pushes:?}");
+
+    let model = |name: &str, usable| FittedModel {
+        name: name.into(),
+        usable,
+        rmse_n: 1.23,
+        worst_n: 4.0,
+        force_max_n: 80.0,
+        residuals: vec![[10.0, 0.5], [70.0, -1.0]],
+        ..FittedModel::default()
+    };
+    let models = vec![model("line-with-intercept", false), model("line", true), model("monotone", true)];
+    bench.daemon.borrow_mut().calibration =
+        CalibrationProgress::Fitted(CalibrationFit { taxel: 0, rest_counts: 719.6, models });
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("719.6 counts at rest") && bench.shows("1.23"));
+    bench.click("line");
+    bench.click("Save calibration");
+    assert_eq!(asked(&bench), [CalibrationRequest::Save { model: 1 }]);
+    bench.click("Cancel calibration");
+    assert_eq!(asked(&bench), [CalibrationRequest::Cancel]);
+
+    bench.daemon.borrow_mut().calibration =
+        CalibrationProgress::Saved { path: "/lab/calibration.toml".into(), taxels: vec![1, 6] };
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("/lab/calibration.toml with T1, T6") && bench.shows("once all 11 taxels"));
 }

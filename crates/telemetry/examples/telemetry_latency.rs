@@ -41,6 +41,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         outcomes,
         ring_dropped: Arc::clone(&ring_dropped),
         recorder: None,
+        calibration: None,
     };
     let any = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), 0);
     let server = serve(any, RobotDescription::paper("latency", true), ports)?;

@@ -10,6 +10,7 @@
 //!
 //! This crate refuses to know: control laws, the Touch Board's format, and who draws.
 
+pub mod calibration;
 pub mod description;
 #[cfg(feature = "log")]
 pub mod log;

@@ -45,6 +45,7 @@ fn start(address: SocketAddr, recorder: Option<Producer<Sample>>) -> Loop {
         outcomes: answers,
         ring_dropped: Arc::clone(&ring_dropped),
         recorder,
+        calibration: None,
     };
     let server = serve(address, RobotDescription::paper("test", true), ports).unwrap();
     Loop { server, samples, requests, outcomes, ring_dropped }
@@ -151,6 +152,7 @@ fn a_stopped_subscriber_costs_the_others_nothing_and_its_queue_is_bounded() {
     while received + dropped < next {
         match runtime.block_on(stopped.incoming.next()).unwrap() {
             FromServer::Batch(batch) => received += batch.samples.len() as u64,
+            FromServer::Calibration(_) => {}
             FromServer::Status(status) => dropped = status.client_dropped,
             FromServer::Reply { .. } | FromServer::Parameters(_) => panic!("nothing was asked"),
         }
@@ -323,7 +325,7 @@ fn only_loopback_is_served() {
     let (requests, _) = RingBuffer::new(1);
     let (_, outcomes) = RingBuffer::new(1);
     let ring_dropped = Arc::default();
-    let ports = Ports { samples, requests, outcomes, ring_dropped, recorder: None };
+    let ports = Ports { samples, requests, outcomes, ring_dropped, recorder: None, calibration: None };
     let refused = serve("0.0.0.0:0".parse().unwrap(), RobotDescription::default(), ports);
     assert!(matches!(refused.err(), Some(NetError::NotLoopback(_))));
 }

@@ -13,6 +13,7 @@ use moca_msgs::{
 };
 use moca_telemetry::{
     RobotDescription,
+    calibration::{CalibrationProgress, CalibrationRequest},
     net::{Commander, Connection, Link, Reply, Status, Update},
 };
 use std::{collections::VecDeque, sync::Arc};
@@ -30,6 +31,8 @@ pub trait Source {
     fn poll(&mut self, now_s: f64) -> Update;
     /// Asks the loop.
     fn request(&mut self, request: Request);
+    /// Asks the daemon's calibrator.
+    fn calibrate(&mut self, _request: CalibrationRequest) {}
     /// The recorded run, if it is one.
     fn playback(&mut self) -> Option<&mut Playback> {
         None
@@ -49,6 +52,10 @@ impl Source for Connection {
 
     fn request(&mut self, request: Request) {
         Connection::request(self, request);
+    }
+
+    fn calibrate(&mut self, request: CalibrationRequest) {
+        Connection::calibrate(self, request);
     }
 }
 
@@ -105,6 +112,8 @@ pub struct Model {
     pub events: VecDeque<Event>,
     /// What the daemon says about this connection.
     pub status: Status,
+    /// How far the calibration has come.
+    pub calibration: CalibrationProgress,
     /// The law that arming leads to, as far as this dashboard knows.
     pub law: Law,
     /// Whether a recorded run is shown: it is never old, and cannot be commanded.
@@ -127,6 +136,7 @@ impl Default for Model {
             latest: None,
             events: VecDeque::new(),
             status: Status::default(),
+            calibration: CalibrationProgress::default(),
             law: Law::default(),
             recorded: false,
             link: Link::Down { reason: "not connected yet".into() },
@@ -141,16 +151,20 @@ impl Default for Model {
 impl Model {
     /// Takes in what a source delivered.
     pub fn take(&mut self, update: Update, now_s: f64) {
-        if let Link::Up { session, description } = &update.link
-            && (*session != self.session || self.robot != *description)
-        {
-            self.begin(*session, Arc::clone(description));
+        if let Link::Up { session, description } = &update.link {
+            if *session != self.session {
+                self.begin(*session, Arc::clone(description));
+            } else if !Arc::ptr_eq(&self.robot, description) {
+                // A changed parameter is no other robot.
+                self.robot = Arc::clone(description);
+            }
         }
         if matches!(update.link, Link::Down { .. }) {
             self.pressed = None;
         }
         self.link = update.link;
         self.status = update.status;
+        self.calibration = update.calibration;
         for sample in &update.samples {
             self.history.push(sample);
             self.timing.add(sample);
@@ -307,7 +321,14 @@ mod tests {
     }
 
     fn update(link: Link, samples: Vec<Sample>) -> Update {
-        Update { link, status: Status::default(), samples, replies: Vec::new(), unread_dropped: 0 }
+        Update {
+            link,
+            status: Status::default(),
+            samples,
+            replies: Vec::new(),
+            calibration: CalibrationProgress::Idle,
+            unread_dropped: 0,
+        }
     }
 
     fn sample(tick: u64, mode: Mode) -> Sample {

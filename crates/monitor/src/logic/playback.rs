@@ -4,6 +4,7 @@ use super::{history::seconds, model::Source};
 use moca_msgs::{Refusal, Request, Sample, TaxelStatus, protection::ContactPhase};
 use moca_telemetry::{
     RobotDescription,
+    calibration::CalibrationProgress,
     log::{LogReader, Record},
     net::{Link, Reply, Status, Update},
 };
@@ -204,6 +205,7 @@ impl Source for Playback {
             status: Status::default(),
             samples: samples.get(from..to).unwrap_or_default().to_vec(),
             replies: std::mem::take(&mut self.refused),
+            calibration: CalibrationProgress::Idle,
             unread_dropped: 0,
         }
     }

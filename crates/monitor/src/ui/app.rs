@@ -1,9 +1,14 @@
 //! The window: who gets which space, and what happens each frame.
 
-use super::{Screenshot, View, files::Files, gauges, page::Page, playback, robot, top};
+use super::{
+    Screenshot, View,
+    files::Files,
+    gauges,
+    page::{Asked, Page},
+    playback, robot, top,
+};
 use crate::logic::{Action, Model, Playback, Recording, Source, model::Freshness};
 use egui::{CentralPanel, Context, Event, Key, Panel, ScrollArea, Ui};
-use moca_msgs::Request;
 use std::{path::Path, path::PathBuf, time::Duration};
 
 /// Narrowest and widest column with robot and gauges, points, and its share of the window.
@@ -193,13 +198,17 @@ impl App {
                 pushed
             })
         });
-        let mut requests: Vec<Request> = Vec::new();
+        let mut of_page = Asked::default();
         let mut files_asked = files.show(ui.ctx());
         CentralPanel::default().show(ui, |ui| {
             page.tabs(ui, model, recording.as_ref(), view, &mut files_asked);
-            page.show(ui, model, view, now_s, &mut requests);
+            page.show(ui, model, view, now_s, &mut of_page);
         });
-        requests.extend(model.push(pushed.inner.inner));
+        let mut requests = of_page.requests;
+        requests.extend(model.push(pushed.inner.inner.or(of_page.push)));
+        if let Some(request) = of_page.calibrate {
+            source.calibrate(request);
+        }
         requests.extend(asked.iter().filter(|a| **a != Action::Stop).map(|a| a.request()));
         for request in requests {
             source.request(request);

@@ -1,7 +1,8 @@
 //! How it looks: [`App`] lays out `top` (mode, reason, buttons), `robot` (from above, with its ring of taxels),
-//! `gauges`, the [`Page`] in the middle (`plots`, `timing`, `cover`), and `playback` for a recorded run.
+//! `gauges`, the [`Page`] in the middle (`plots`, `timing`, `cover`, `calibrate`), and `playback` for a recorded run.
 
 mod app;
+mod calibrate;
 mod cover;
 mod files;
 mod gauges;

@@ -1,9 +1,10 @@
 //! The pages in the middle of the window.
 
-use super::{View, cover, files::FilesAsked, plots, theme, timing};
+use super::{View, calibrate, cover, files::FilesAsked, plots, theme, timing};
 use crate::logic::{Model, Recording};
 use egui::{Align, Layout, RichText, Ui};
 use moca_msgs::Request;
+use moca_telemetry::calibration::CalibrationRequest;
 
 /// A page.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -15,11 +16,24 @@ pub enum Page {
     Loop,
     /// Taxels and masks.
     Cover,
+    /// Calibration of a taxel.
+    Calibrate,
+}
+
+/// What a page wants of the daemon.
+#[derive(Default)]
+pub(super) struct Asked {
+    /// Of the loop.
+    pub(super) requests: Vec<Request>,
+    /// Of the calibrator.
+    pub(super) calibrate: Option<CalibrationRequest>,
+    /// A push of a simulated taxel (0 is T1), N.
+    pub(super) push: Option<(u8, f64)>,
 }
 
 impl Page {
     /// In the order of their tabs.
-    pub const ALL: [Self; 3] = [Self::Plots, Self::Loop, Self::Cover];
+    pub const ALL: [Self; 4] = [Self::Plots, Self::Loop, Self::Cover, Self::Calibrate];
 
     /// What is written on its tab.
     pub fn name(self) -> &'static str {
@@ -27,6 +41,7 @@ impl Page {
             Self::Plots => "Plots",
             Self::Loop => "Loop",
             Self::Cover => "Cover",
+            Self::Calibrate => "Calibrate",
         }
     }
 
@@ -73,21 +88,15 @@ impl Page {
     }
 
     /// Draws the page and notes what is to be asked of the daemon.
-    pub(super) fn show(
-        self,
-        ui: &mut Ui,
-        model: &Model,
-        view: &mut View,
-        now_s: f64,
-        requests: &mut Vec<Request>,
-    ) {
+    pub(super) fn show(self, ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, asked: &mut Asked) {
         match self {
             Self::Plots => {
                 plots::toolbar(ui, model, view);
                 plots::show(ui, model, &model.panels, 2, view);
             }
             Self::Loop => timing::show(ui, model, view),
-            Self::Cover => cover::show(ui, model, now_s, requests),
+            Self::Cover => cover::show(ui, model, now_s, &mut asked.requests),
+            Self::Calibrate => calibrate::show(ui, model, view, now_s, asked),
         }
     }
 }

@@ -1,5 +1,6 @@
 //! What the user has chosen to look at.
 
+use super::calibrate::Choice;
 use crate::logic::TimeAxis;
 
 /// How one robot is looked at.
@@ -12,10 +13,18 @@ pub(super) struct View {
     pub(super) push_n: f64,
     /// What became of the last export or recording.
     pub(super) note: Option<String>,
+    /// What is chosen on the page of the calibration.
+    pub(super) calibration: Choice,
 }
 
 impl Default for View {
     fn default() -> Self {
-        Self { axis: TimeAxis::default(), cursor_s: None, push_n: 20.0, note: None }
+        Self {
+            axis: TimeAxis::default(),
+            cursor_s: None,
+            push_n: 20.0,
+            note: None,
+            calibration: Choice::default(),
+        }
     }
 }

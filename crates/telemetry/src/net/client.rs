@@ -4,7 +4,7 @@ use super::{
     NetError,
     wire::{self, FromClient, FromServer},
 };
-use crate::RobotDescription;
+use crate::{RobotDescription, calibration::CalibrationRequest};
 use moca_msgs::Request;
 use std::net::SocketAddr;
 use tokio::{
@@ -65,6 +65,11 @@ impl Outgoing {
     /// Sends a request; the reply carries the same `id`.
     pub async fn request(&mut self, id: u64, request: Request) -> Result<(), NetError> {
         self.send(FromClient::Request { id, request }).await
+    }
+
+    /// Asks the calibrator.
+    pub async fn calibrate(&mut self, request: CalibrationRequest) -> Result<(), NetError> {
+        self.send(FromClient::Calibrate(request)).await
     }
 
     /// Gives the command back.

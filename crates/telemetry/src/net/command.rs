@@ -77,6 +77,15 @@ impl Desk {
         }
     }
 
+    /// Gives the command to a client unless another has it; whether this one has it now.
+    pub(super) fn claim(&mut self, client: ClientId, now: Instant) -> bool {
+        let free = self.commander.as_ref().is_none_or(|c| c.client == client);
+        if free {
+            self.commander = Some(Commanding { client, heard: now });
+        }
+        free
+    }
+
     /// Passes a request on to the loop, or refuses it at once.
     pub(super) fn ask(
         &mut self,
@@ -86,11 +95,8 @@ impl Desk {
         now: Instant,
     ) -> Option<Answer> {
         let refuse = |refusal| Some(Answer { client, id, outcome: Err(refusal) });
-        if request != Request::Stop {
-            match &self.commander {
-                Some(other) if other.client != client => return refuse(Refusal::NotCommander),
-                _ => self.commander = Some(Commanding { client, heard: now }),
-            }
+        if request != Request::Stop && !self.claim(client, now) {
+            return refuse(Refusal::NotCommander);
         }
         if request == Request::Arm {
             self.armed_by = Some(client);

@@ -5,7 +5,10 @@ use super::{
     client::{Client, Incoming, Outgoing},
     wire::{COMMAND_LEASE, FromServer, Status},
 };
-use crate::RobotDescription;
+use crate::{
+    RobotDescription,
+    calibration::{CalibrationProgress, CalibrationRequest},
+};
 use moca_msgs::{Outcome, Refusal, Request, Sample};
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -62,6 +65,8 @@ pub struct Update {
     pub samples: Vec<Sample>,
     /// Answers.
     pub replies: Vec<Reply>,
+    /// How far the calibration has come.
+    pub calibration: CalibrationProgress,
     /// Samples dropped because nobody polled, so far.
     pub unread_dropped: u64,
 }
@@ -76,6 +81,7 @@ pub struct Connection {
 #[derive(Clone, Copy)]
 enum Order {
     Request(Request),
+    Calibrate(CalibrationRequest),
     Release,
 }
 
@@ -86,6 +92,7 @@ struct Shared {
     samples: VecDeque<Sample>,
     unread_dropped: u64,
     replies: Vec<Reply>,
+    calibration: CalibrationProgress,
     waiting: BTreeMap<u64, Request>,
 }
 
@@ -101,6 +108,7 @@ impl Connection {
             samples: VecDeque::new(),
             unread_dropped: 0,
             replies: Vec::new(),
+            calibration: CalibrationProgress::default(),
             waiting: BTreeMap::new(),
         }));
         let thread_shared = Arc::clone(&shared);
@@ -118,6 +126,7 @@ impl Connection {
             status: s.status,
             samples: s.samples.drain(..).collect(),
             replies: std::mem::take(&mut s.replies),
+            calibration: s.calibration.clone(),
             unread_dropped: s.unread_dropped,
         }
     }
@@ -127,6 +136,12 @@ impl Connection {
         if !self.order(Order::Request(request)) {
             lock(&self.shared).replies.push(Reply { request, outcome: Err(Refusal::NoAnswer) });
         }
+    }
+
+    /// Asks the calibrator; its progress comes with later [`Self::poll`]s.
+    pub fn calibrate(&self, request: CalibrationRequest) {
+        // Without a connection there is nobody to calibrate, and the progress says so.
+        self.order(Order::Calibrate(request));
     }
 
     /// Gives the command back, so that another client can take it.
@@ -213,6 +228,7 @@ async fn listen(incoming: &mut Incoming, shared: &Mutex<Shared>, wake: &impl Fn(
                     }
                 }
             }
+            FromServer::Calibration(progress) => s.calibration = progress,
             FromServer::Reply { id, outcome } => {
                 if let Some(request) = s.waiting.remove(&id) {
                     s.replies.push(Reply { request, outcome });
@@ -244,6 +260,7 @@ async fn speak(
                 lock(shared).waiting.insert(id, request);
                 outgoing.request(id, request).await
             }
+            Some(Order::Calibrate(request)) => outgoing.calibrate(request).await,
             Some(Order::Release) => outgoing.release().await,
         };
         if let Err(error) = sent {
@@ -266,6 +283,7 @@ fn greet(shared: &Mutex<Shared>, description: RobotDescription) {
     s.session += 1;
     s.samples.clear();
     s.status = Status::default();
+    s.calibration = CalibrationProgress::default();
     s.link = Link::Up { session: s.session, description: Arc::new(description) };
 }
 

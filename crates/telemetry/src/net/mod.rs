@@ -16,7 +16,7 @@ pub mod wire;
 
 pub use client::Client;
 pub use connection::{Connection, Link, Reply, Update};
-pub use server::{Ports, Server, serve};
+pub use server::{CalibrationPort, Ports, Server, serve};
 pub use wire::{Commander, SCHEMA_VERSION, Status};
 
 use std::net::SocketAddr;

@@ -20,6 +20,7 @@ pub(super) enum Outgoing {
     Reply(Vec<u8>),
     Status(Status),
     Parameters(Rc<Vec<u8>>),
+    Calibration(Rc<Vec<u8>>),
 }
 
 /// Queue of one client.
@@ -31,6 +32,8 @@ pub(super) struct Queue {
     status_sent: Option<Status>,
     /// Only the newest values matter.
     parameters: Option<Rc<Vec<u8>>>,
+    /// Only the newest progress matters.
+    calibration: Option<Rc<Vec<u8>>>,
 }
 
 impl Queue {
@@ -53,6 +56,11 @@ impl Queue {
     /// Takes the parameters' values, encoded.
     pub(super) fn set_parameters(&mut self, frame: Rc<Vec<u8>>) {
         self.parameters = Some(frame);
+    }
+
+    /// Takes the calibration's progress, encoded.
+    pub(super) fn set_calibration(&mut self, frame: Rc<Vec<u8>>) {
+        self.calibration = Some(frame);
     }
 
     /// Notes what the client should know besides its own drops.
@@ -83,6 +91,9 @@ impl Queue {
         if self.status_sent != Some(self.status) {
             self.status_sent = Some(self.status);
             return Some(Outgoing::Status(self.status));
+        }
+        if let Some(frame) = self.calibration.take() {
+            return Some(Outgoing::Calibration(frame));
         }
         self.batches.pop_front().map(Outgoing::Batch)
     }

@@ -6,7 +6,10 @@ use super::{
     queue::{EncodedBatch, Outgoing, Queue},
     wire::{self, Batch, FromClient, FromServer, unix_now_ns},
 };
-use crate::RobotDescription;
+use crate::{
+    RobotDescription,
+    calibration::{CalibrationProgress, CalibrationRequest},
+};
 use moca_msgs::{Outcome, ParameterValues, Request, Sample};
 use rtrb::{Consumer, Producer};
 use std::{
@@ -17,6 +20,7 @@ use std::{
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicU64, Ordering},
+        mpsc::{Receiver, Sender},
     },
     thread::JoinHandle,
     time::{Duration, Instant},
@@ -55,6 +59,16 @@ pub struct Ports {
     /// Where every sample goes on to, if one records. A full recorder holds samples back in the loop's ring, so
     /// that there is one place where samples are dropped and counted.
     pub recorder: Option<Producer<Sample>>,
+    /// The calibrator, if there is one.
+    pub calibration: Option<CalibrationPort>,
+}
+
+/// The way to the calibrator, which is no part of the loop.
+pub struct CalibrationPort {
+    /// What is asked of it.
+    pub requests: Sender<CalibrationRequest>,
+    /// How far it has come, on every change.
+    pub progress: Receiver<CalibrationProgress>,
 }
 
 /// A running server. Dropping it stops it, after the last samples have gone to the recorder.
@@ -101,6 +115,8 @@ pub fn serve(address: SocketAddr, description: RobotDescription, ports: Ports) -
     let counters = Arc::new(Counters::default());
     let (thread_stop, thread_counters) = (Arc::clone(&stop), Arc::clone(&counters));
     let thread = std::thread::Builder::new().name("telemetry".into()).spawn(move || {
+        let (to_calibrator, from_calibrator) =
+            ports.calibration.map(|port| (port.requests, port.progress)).unzip();
         let hub = Rc::new(Hub {
             clients: RefCell::default(),
             desk: RefCell::new(Desk::new(ports.requests, ports.outcomes, &description)),
@@ -108,9 +124,14 @@ pub fn serve(address: SocketAddr, description: RobotDescription, ports: Ports) -
             counters: thread_counters,
             greeting,
             parameters: RefCell::default(),
+            calibration: RefCell::new(Calibration { requests: to_calibrator, frame: None }),
         });
-        let pump =
-            Pump { samples: ports.samples, recorder: ports.recorder, ring_dropped: ports.ring_dropped };
+        let pump = Pump {
+            samples: ports.samples,
+            recorder: ports.recorder,
+            ring_dropped: ports.ring_dropped,
+            calibrator: from_calibrator,
+        };
         LocalSet::new().block_on(&runtime, async move {
             tokio::task::spawn_local(accept(listener, Rc::clone(&hub)));
             pump.run(&hub, &thread_stop).await;
@@ -156,12 +177,20 @@ struct Hub {
     counters: Arc<Counters>,
     greeting: Vec<u8>,
     parameters: RefCell<ToldParameters>,
+    calibration: RefCell<Calibration>,
 }
 
 /// The changed parameters, and the frame that tells them.
 #[derive(Default)]
 struct ToldParameters {
     values: BTreeMap<u8, ParameterValues>,
+    frame: Option<Rc<Vec<u8>>>,
+}
+
+/// What there is to say about the calibration.
+#[derive(Default)]
+struct Calibration {
+    requests: Option<Sender<CalibrationRequest>>,
     frame: Option<Rc<Vec<u8>>>,
 }
 
@@ -229,6 +258,26 @@ impl Hub {
         }
     }
 
+    fn tell_calibration(&self, progress: CalibrationProgress) {
+        let Ok(frame) = wire::frame(&FromServer::Calibration(progress)).map(Rc::new) else {
+            return; // Some hundred residuals are far below the largest frame.
+        };
+        for client in self.clients.borrow().values() {
+            client.queue.borrow_mut().set_calibration(Rc::clone(&frame));
+            client.filled.notify_one();
+        }
+        self.calibration.borrow_mut().frame = Some(frame);
+    }
+
+    fn calibrate(&self, client: ClientId, request: CalibrationRequest) {
+        if self.desk.borrow_mut().claim(client, Instant::now())
+            && let Some(requests) = &self.calibration.borrow().requests
+        {
+            // A calibrator that has ended says nothing any more either.
+            let _ = requests.send(request);
+        }
+    }
+
     fn deliver_answers(&self) {
         let answers = self.desk.borrow_mut().answers(Instant::now());
         self.tell_parameters();
@@ -243,6 +292,7 @@ struct Pump {
     samples: Consumer<Sample>,
     recorder: Option<Producer<Sample>>,
     ring_dropped: Arc<AtomicU64>,
+    calibrator: Option<Receiver<CalibrationProgress>>,
 }
 
 impl Pump {
@@ -257,6 +307,9 @@ impl Pump {
             hub.deliver_answers();
             let now = Instant::now();
             if now >= next_batch {
+                if let Some(progress) = self.calibrator.as_ref().and_then(|c| c.try_iter().last()) {
+                    hub.tell_calibration(progress);
+                }
                 // A loop that runs faster than real time fills whole batches: those go out without waiting.
                 while self.pass_on(hub) >= BATCH_MAX {
                     tokio::task::yield_now().await;
@@ -326,6 +379,9 @@ async fn attend(id: ClientId, stream: TcpStream, hub: Rc<Hub>) {
     if let Some(frame) = &hub.parameters.borrow().frame {
         client.queue.borrow_mut().set_parameters(Rc::clone(frame));
     }
+    if let Some(frame) = &hub.calibration.borrow().frame {
+        client.queue.borrow_mut().set_calibration(Rc::clone(frame));
+    }
     hub.clients.borrow_mut().insert(id, Rc::clone(&client));
     hub.counters.clients.fetch_add(1, Ordering::Relaxed);
     let (reader, writer) = stream.into_split();
@@ -353,6 +409,7 @@ async fn read_requests(mut reader: OwnedReadHalf, client: &Client, hub: &Hub) ->
                 }
                 hub.asked.notify_one();
             }
+            FromClient::Calibrate(request) => hub.calibrate(client.id, request),
             FromClient::Release => hub.desk.borrow_mut().release(client.id),
         }
     }
@@ -366,6 +423,7 @@ async fn write_queue(mut writer: OwnedWriteHalf, client: &Client, greeting: &[u8
             Some(Outgoing::Batch(batch)) => writer.write_all(&batch.frame).await?,
             Some(Outgoing::Reply(frame)) => writer.write_all(&frame).await?,
             Some(Outgoing::Parameters(frame)) => writer.write_all(&frame).await?,
+            Some(Outgoing::Calibration(frame)) => writer.write_all(&frame).await?,
             Some(Outgoing::Status(status)) => {
                 writer.write_all(&wire::frame(&FromServer::Status(status))?).await?;
             }

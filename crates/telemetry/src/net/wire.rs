@@ -4,14 +4,17 @@
 //! big-endian `u32`, then a [`RobotDescription`]. Every later frame is a [`FromServer`].
 
 use super::NetError;
-use crate::RobotDescription;
+use crate::{
+    RobotDescription,
+    calibration::{CalibrationProgress, CalibrationRequest},
+};
 use moca_msgs::{Outcome, ParameterValues, Request, Sample};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncReadExt};
 
 /// Version of everything below, [`Sample`] included. Raised with every change.
-pub const SCHEMA_VERSION: u32 = 3;
+pub const SCHEMA_VERSION: u32 = 5;
 /// Longest frame a server sends, bytes.
 pub const MAX_SERVER_FRAME: usize = 1 << 20;
 /// Longest frame a client sends, bytes.
@@ -29,6 +32,8 @@ pub enum FromServer {
     Batch(Batch),
     /// What this client should know about its own connection; sent when it changes.
     Status(Status),
+    /// How far the calibration has come; sent on every change and to every new client.
+    Calibration(CalibrationProgress),
     /// The answer to one request.
     Reply {
         /// The client's own number of the request.
@@ -83,6 +88,8 @@ pub enum FromClient {
         /// What is asked.
         request: Request,
     },
+    /// Calibrate. Also asks for the command; from a client that does not get it, this is not heard.
+    Calibrate(CalibrationRequest),
     /// Give the command back.
     Release,
     /// Nothing but a sign of life: a commander that is silent for [`COMMAND_LEASE`] loses the command.
