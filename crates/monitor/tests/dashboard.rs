@@ -7,9 +7,11 @@ use moca_monitor::{
     logic::{Playback, Source},
     ui::App,
 };
-use moca_msgs::{Fault, Law, Mode, Refusal, Request, Sample, TaxelReading, TaxelStatus, board::Diagnosis};
+use moca_msgs::{
+    Fault, Law, Mode, ParameterValues, Refusal, Request, Sample, TaxelReading, TaxelStatus, board::Diagnosis,
+};
 use moca_telemetry::{
-    RobotDescription,
+    ParameterDescription, ParameterForm, ParameterValue, RobotDescription,
     calibration::{CalibrationFit, CalibrationProgress, CalibrationRequest, FittedModel},
     net::{Commander, Link, Reply, Status, Update},
 };
@@ -24,6 +26,7 @@ struct Daemon {
     samples: VecDeque<Sample>,
     replies: Vec<Reply>,
     asked: Vec<Request>,
+    parameters: Vec<ParameterDescription>,
     calibration: CalibrationProgress,
     calibrate: Vec<CalibrationRequest>,
     session: u64,
@@ -35,7 +38,9 @@ struct Fake(Rc<RefCell<Daemon>>);
 impl Source for Fake {
     fn poll(&mut self, _now_s: f64) -> Update {
         let mut daemon = self.0.borrow_mut();
-        let description = Arc::new(RobotDescription::paper("test robot", daemon.simulated));
+        let parameters = daemon.parameters.clone();
+        let robot = RobotDescription::paper("test robot", daemon.simulated);
+        let description = Arc::new(RobotDescription { parameters, ..robot });
         let link = match &daemon.down {
             Some(reason) => Link::Down { reason: reason.clone() },
             None => Link::Up { session: daemon.session, description },
@@ -430,4 +435,143 @@ fn calibration_goes_step_by_step_and_asks_the_daemon() {
         CalibrationProgress::Saved { path: "/lab/calibration.toml".into(), taxels: vec![1, 6] };
     bench.frames(Mode::Ready, None);
     assert!(bench.shows("/lab/calibration.toml with T1, T6") && bench.shows("once all 11 taxels"));
+}
+
+fn parameter(name: &str, form: ParameterForm, value: &[f64], live: bool) -> ParameterDescription {
+    ParameterDescription {
+        name: name.into(),
+        form,
+        units: vec!["N·s/m".into()],
+        min: 0.0,
+        max: 1000.0,
+        live,
+        description: "What it is for.".into(),
+        default: ParameterValue::Numbers(value.to_vec()),
+        value: ParameterValue::Numbers(value.to_vec()),
+    }
+}
+
+#[test]
+fn a_live_parameter_is_edited_checked_and_applied() {
+    let mut bench = Bench::new();
+    bench.daemon.borrow_mut().parameters = vec![
+        parameter("control.gains.virtual_damping", ParameterForm::Number, &[80.0, 80.0, 60.0], true),
+        parameter("control.corrections.base_coupling", ParameterForm::Flag, &[1.0], true),
+        parameter("limits.torque_nm", ParameterForm::Number, &[87.0], false),
+    ];
+    bench.frames(Mode::Impedance, None);
+    bench.click("Parameters");
+    assert!(bench.shows("0 to 1000 N·s/m") && bench.shows("What it is for."));
+    assert!(!bench.shows("Apply torque_nm"), "it is read at the start only");
+    bench.click("Apply virtual_damping");
+    assert_eq!(bench.asked(), [], "nothing is changed yet");
+
+    bench.harness.get_by_label("virtual_damping 2").focus();
+    bench.frames(Mode::Impedance, None);
+    bench.harness.get_by_label("virtual_damping 2").type_text("120");
+    bench.frames(Mode::Impedance, None);
+    bench.harness.key_press(Key::Enter);
+    bench.frames(Mode::Impedance, None);
+    assert_eq!(bench.asked(), [], "not before it is applied");
+    bench.click("Apply virtual_damping");
+    let values = ParameterValues::new(&[80.0, 120.0, 60.0]).unwrap();
+    assert_eq!(bench.asked(), [Request::SetParameter { parameter: 0, values }]);
+
+    bench.click("base_coupling 1");
+    bench.click("Apply base_coupling");
+    let values = ParameterValues::new(&[0.0]).unwrap();
+    assert_eq!(bench.asked(), [Request::SetParameter { parameter: 1, values }]);
+
+    // A change that the daemon tells, by whomever, is shown and starts no new history.
+    let before = bench.harness.state().model().history.len();
+    bench.daemon.borrow_mut().parameters[1].value = ParameterValue::Numbers(vec![0.0]);
+    bench.frames(Mode::Impedance, None);
+    assert!(bench.harness.state().model().history.len() > before);
+    assert_eq!(bench.harness.state().model().robot.parameters[1].value, ParameterValue::Numbers(vec![0.0]));
+}
+
+#[test]
+fn the_space_bar_stops_while_plots_are_paused_on_every_page_and_while_typing() {
+    for page in ["Plots", "Loop", "Parameters", "Cover", "Calibrate"] {
+        let mut bench = Bench::in_mode(Mode::Impedance);
+        bench.click("Pause plots");
+        bench.click(page);
+        bench.click("Open log");
+        bench.harness.get_by_label("Path").focus();
+        bench.frames(Mode::Impedance, None);
+        bench.harness.key_press(Key::Space);
+        bench.frames(Mode::Impedance, None);
+        assert_eq!(bench.asked(), [Request::Stop], "on page {page}");
+        assert!(bench.harness.query_by_label("STOP (space)").is_some(), "the button is there too");
+    }
+}
+
+#[test]
+fn several_robots_have_names_and_stop_stops_them_all() {
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    let other = Rc::new(RefCell::new(Daemon { simulated: true, session: 1, ..Daemon::default() }));
+    bench.harness.state_mut().add(Fake(Rc::clone(&other)), "127.0.0.1:7612".into());
+    bench.frames(Mode::Impedance, None);
+    let count = bench.harness.query_all_by_label("test robot").count();
+    assert_eq!(count, 2, "one button for each robot");
+    bench.harness.query_all_by_label("test robot").nth(1).unwrap().click();
+    let mut step = |bench: &mut Bench, tick| {
+        other.borrow_mut().samples.push_back(sample(tick, Mode::Ready, None));
+        bench.harness.step();
+    };
+    (0..3).for_each(|tick| step(&mut bench, tick));
+    assert!(bench.shows("ready"), "the second robot is in front");
+    bench.harness.get_by_label("Arm").click();
+    (3..6).for_each(|tick| step(&mut bench, tick));
+    assert_eq!(other.borrow_mut().asked, [Request::Arm]);
+    assert_eq!(bench.asked(), [], "the first robot is not armed with it");
+    other.borrow_mut().asked.clear();
+    bench.harness.get_by_label("STOP (space)").click();
+    bench.harness.step();
+    bench.harness.step();
+    assert_eq!((other.borrow().asked.clone(), bench.asked()), (vec![Request::Stop], vec![Request::Stop]));
+}
+
+#[test]
+fn the_window_records_and_opens_what_it_recorded() {
+    let folder = std::env::temp_dir().join(format!("moca-dashboard-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let mut bench = Bench::in_mode(Mode::Ready);
+    bench.harness.state_mut().set_folder(folder.clone());
+    bench.click("Record");
+    bench.frames(Mode::Impedance, None);
+    bench.click("Stop recording");
+    assert!(bench.shows("samples"));
+    let file = std::fs::read_dir(&folder).unwrap().next().unwrap().unwrap().file_name();
+    bench.click("Open log");
+    bench.click(file.to_str().unwrap());
+    let deadline = std::time::Instant::now() + std::time::Duration::from_secs(20);
+    while !bench.shows("A recorded run of test robot") {
+        assert!(std::time::Instant::now() < deadline, "the log was not read");
+        std::thread::sleep(std::time::Duration::from_millis(10));
+        bench.harness.step();
+    }
+    bench.click("Close log");
+    assert!(!bench.shows("A recorded run"));
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn plots_zoom_with_the_wheel_pan_with_the_mouse_and_show_values_under_the_cursor() {
+    let mut bench = Bench::in_mode(Mode::Ready);
+    bench.daemon.borrow_mut().samples.extend((10..2000).map(|tick| sample(tick, Mode::Ready, None)));
+    bench.tick = 2000;
+    bench.frames(Mode::Ready, None);
+    let at = bench.harness.get_by_label("Plot Base force in N").rect().center();
+    bench.click("Zoom in");
+    bench.click("Zoom in");
+    bench.harness.hover_at(at);
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("N fx") || bench.shows("fx"), "values under the cursor");
+    bench.pointer(at, true);
+    bench.harness.hover_at(at + Vec2::new(60.0, 0.0));
+    bench.frames(Mode::Ready, None);
+    bench.pointer(at + Vec2::new(60.0, 0.0), false);
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("paused"), "dragging holds the plots");
 }

@@ -1,5 +1,5 @@
 //! How it looks: [`App`] lays out `top` (mode, reason, buttons), `robot` (from above, with its ring of taxels),
-//! `gauges`, the [`Page`] in the middle (`plots`, `timing`, `cover`, `calibrate`), and `playback` for a recorded run.
+//! `gauges`, the [`Page`] in the middle (`plots`, `timing`, `parameters`, `cover`, `calibrate`), and `playback` for a recorded run.
 
 mod app;
 mod calibrate;
@@ -7,6 +7,7 @@ mod cover;
 mod files;
 mod gauges;
 mod page;
+mod parameters;
 mod playback;
 mod plots;
 mod robot;

@@ -1,6 +1,6 @@
 //! The pages in the middle of the window.
 
-use super::{View, calibrate, cover, files::FilesAsked, plots, theme, timing};
+use super::{View, calibrate, cover, files::FilesAsked, parameters, plots, theme, timing};
 use crate::logic::{Model, Recording};
 use egui::{Align, Layout, RichText, Ui};
 use moca_msgs::Request;
@@ -14,6 +14,8 @@ pub enum Page {
     Plots,
     /// How well loop and board keep time.
     Loop,
+    /// Parameters of the daemon.
+    Parameters,
     /// Taxels and masks.
     Cover,
     /// Calibration of a taxel.
@@ -33,13 +35,14 @@ pub(super) struct Asked {
 
 impl Page {
     /// In the order of their tabs.
-    pub const ALL: [Self; 4] = [Self::Plots, Self::Loop, Self::Cover, Self::Calibrate];
+    pub const ALL: [Self; 5] = [Self::Plots, Self::Loop, Self::Parameters, Self::Cover, Self::Calibrate];
 
     /// What is written on its tab.
     pub fn name(self) -> &'static str {
         match self {
             Self::Plots => "Plots",
             Self::Loop => "Loop",
+            Self::Parameters => "Parameters",
             Self::Cover => "Cover",
             Self::Calibrate => "Calibrate",
         }
@@ -95,6 +98,7 @@ impl Page {
                 plots::show(ui, model, &model.panels, 2, view);
             }
             Self::Loop => timing::show(ui, model, view),
+            Self::Parameters => parameters::show(ui, model, view, asked),
             Self::Cover => cover::show(ui, model, now_s, &mut asked.requests),
             Self::Calibrate => calibrate::show(ui, model, view, now_s, asked),
         }

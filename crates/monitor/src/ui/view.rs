@@ -2,6 +2,7 @@
 
 use super::calibrate::Choice;
 use crate::logic::TimeAxis;
+use std::collections::BTreeMap;
 
 /// How one robot is looked at.
 pub(super) struct View {
@@ -15,6 +16,8 @@ pub(super) struct View {
     pub(super) note: Option<String>,
     /// What is chosen on the page of the calibration.
     pub(super) calibration: Choice,
+    /// Parameters that were edited and not applied yet, by number.
+    pub(super) drafts: BTreeMap<usize, Vec<f64>>,
 }
 
 impl Default for View {
@@ -25,6 +28,7 @@ impl Default for View {
             push_n: 20.0,
             note: None,
             calibration: Choice::default(),
+            drafts: BTreeMap::new(),
         }
     }
 }
