@@ -1,7 +1,7 @@
 //! Configuration: one documented TOML file, every mistake reported at once with its line, value, unit and range.
 
 use crate::realtime::Wishes;
-use moca_msgs::{Corrections, ImpedanceGains, Law, Limits, Parameters};
+use moca_msgs::{ContactReaction, Corrections, ImpedanceGains, Law, Limits, Parameters};
 use moca_tactile::CoverConfig;
 use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
@@ -42,6 +42,7 @@ pub struct Config {
     pub startup: StartupConfig,
     pub control: ControlConfig,
     pub limits: LimitsConfig,
+    pub protection: ProtectionConfig,
     pub telemetry: TelemetryConfig,
     pub simulation: SimulationConfig,
 }
@@ -126,6 +127,22 @@ section! {
     }
 }
 section! {
+    /// `[protection]`
+    ProtectionConfig {
+        force_limit_n: f64 = 25.0,
+        unfelt_force_n: f64 = 5.2,
+        contact_stiffness_n_m: f64 = 7783.0,
+        contact_travel_m: f64 = 0.0031,
+        override_speed_limit_m_s: f64 = 0.0,
+        override_statement: String = String::new(),
+        thresholds: String = String::new(),
+        reaction: ContactReaction = ContactReaction::StopDirection,
+        slow_m_s: f64 = 0.01,
+        retreat_m_s: f64 = 0.05,
+        retreat_m: f64 = 0.10,
+    }
+}
+section! {
     /// `[simulation]`
     SimulationConfig { seed: u64 = 1, hand: HandConfig = HandConfig::default() }
 }
@@ -170,6 +187,7 @@ impl Default for Config {
             startup: StartupConfig::default(),
             control: ControlConfig::default(),
             limits: LimitsConfig::default(),
+            protection: ProtectionConfig::default(),
             telemetry: TelemetryConfig::default(),
             simulation: SimulationConfig::default(),
         }
@@ -306,6 +324,7 @@ impl Config {
             let (path, most_s) = ("simulation.hand.hold_s", hand.every_s - PRESS_RAMPS_S);
             report(path, format!("{path} = {} s is longer than every_s - 0.7 = {most_s} s", hand.hold_s));
         }
+        crate::protection::check(&self.protection, &mut report);
         let listen = &self.telemetry.listen;
         if !listen.is_empty() && !listen.parse::<SocketAddr>().is_ok_and(|address| address.ip().is_loopback())
         {
@@ -340,7 +359,7 @@ impl fmt::Display for ConfigError {
 
 impl std::error::Error for ConfigError {}
 
-fn unknown_keys(
+pub(crate) fn unknown_keys(
     text: &str,
     table: &DeTable<'_>,
     known: &toml::Table,
@@ -363,7 +382,7 @@ fn unknown_keys(
     }
 }
 
-fn position_of(table: &DeTable<'_>, path: &str) -> Option<usize> {
+pub(crate) fn position_of(table: &DeTable<'_>, path: &str) -> Option<usize> {
     let (first, rest) = path.split_once('.').map_or((path, None), |(first, rest)| (first, Some(rest)));
     let (key, value): (_, &Spanned<DeValue<'_>>) =
         table.iter().find(|(key, _)| key.get_ref().as_ref() == first)?;
@@ -373,7 +392,7 @@ fn position_of(table: &DeTable<'_>, path: &str) -> Option<usize> {
     }
 }
 
-fn located(text: &str, position: Option<usize>, message: &str) -> String {
+pub(crate) fn located(text: &str, position: Option<usize>, message: &str) -> String {
     match position {
         Some(position) => {
             let line = 1 + text.bytes().take(position).filter(|&byte| byte == b'\n').count();

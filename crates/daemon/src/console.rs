@@ -2,7 +2,8 @@
 
 use crate::timing::{Distribution, Stage, Timing};
 use moca_msgs::board::Diagnosis;
-use moca_msgs::{Fault, Mode, Sample};
+use moca_msgs::protection::{ContactKind, ContactPhase};
+use moca_msgs::{ContactEvent, Fault, Mode, Sample, SpeedLimit};
 use std::fmt;
 use std::time::Duration;
 
@@ -82,6 +83,7 @@ impl Console {
         if sample.board == Diagnosis::Frames {
             self.board = None;
         }
+        lines.extend(sample.contact_events.iter().filter_map(|event| contact(time_s, event)));
         if time_s >= self.next_status_s {
             self.next_status_s = (time_s / STATUS_EVERY_S).floor() * STATUS_EVERY_S + STATUS_EVERY_S;
             lines.push(Line { level: Level::Info, text: status(sample) });
@@ -102,6 +104,41 @@ fn why(fault: Option<Fault>) -> String {
     }
 }
 
+/// A contact worth a line: one that crossed a limit, or is over.
+fn contact(time_s: f64, event: &ContactEvent) -> Option<Line> {
+    let (level, end) = match event.phase {
+        ContactPhase::Started => return None,
+        ContactPhase::LimitCrossed => (Level::Warning, "crossed a limit"),
+        ContactPhase::Finished => (Level::Info, "over"),
+        ContactPhase::Lost => (Level::Warning, "taxel lost in contact"),
+    };
+    let clamp = match event.kind {
+        ContactKind::Transient => String::new(),
+        ContactKind::QuasiStatic => {
+            format!(", clamp {:.1} N mean, {:.1} N at most", event.clamp_mean_n, event.clamp_max_n)
+        }
+    };
+    let crossed = match (event.crossed_n, event.reaction) {
+        (Some(limit_n), Some(reaction)) => format!(" | above {limit_n} N: {}", reaction.name()),
+        _ => String::new(),
+    };
+    let text = format!(
+        "[{time_s:7.2} s] contact T{} {end}: {} {:.2} s, peak {:.1} N{clamp}, impulse {:.2} N·s{crossed}",
+        event.taxel + 1,
+        event.kind.name(),
+        event.duration_s,
+        event.peak_n,
+        event.impulse_n_s,
+    );
+    Some(Line { level, text })
+}
+
+/// `0.047 m/s (board rate)`
+fn limit(sample: &Sample) -> String {
+    let SpeedLimit { m_s, reason } = sample.speed_limit;
+    format!("{m_s:.3} m/s ({})", reason.name())
+}
+
 fn status(sample: &Sample) -> String {
     let pressed: Vec<String> = sample
         .taxels
@@ -117,9 +154,10 @@ fn status(sample: &Sample) -> String {
         format!("{:.1} Hz, {:.0} ms old", sample.frame_rate_hz, 1e3 * sample.frame_age_s)
     };
     format!(
-        "[{:7.2} s] base {} | flange off by {:.1} mm | cover: {cover} | board: {board} | late {:.2} ms",
+        "[{:7.2} s] base {} | limit {} | flange off by {:.1} mm | cover: {cover} | board: {board} | late {:.2} ms",
         seconds(sample.time_ns),
         pose(&sample.base_pose_world),
+        limit(sample),
         1e3 * distance(&sample.flange_position_world, &sample.flange_desired_position_world),
         1e3 * sample.lateness_s,
     )
@@ -175,6 +213,7 @@ impl fmt::Display for Summary<'_> {
             seconds(last.time_ns) / self.wall.as_secs_f64().max(1e-9)
         )?;
         writeln!(f, "  base         {}", pose(&last.base_pose_world))?;
+        writeln!(f, "  speed limit  {}", limit(last))?;
         writeln!(
             f,
             "  board        {} good frames, {} bad, {:.1} Hz; age p50 {:.1} ms, p99 {:.1} ms",

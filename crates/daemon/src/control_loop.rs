@@ -5,6 +5,7 @@ use crate::cover_source::{CoverSource, CoverState};
 use crate::door::StateDoor;
 use crate::motion::{self, Motion};
 use crate::plant::Plant;
+use crate::protection::Protected;
 use crate::supervisor::{Facts, Supervisor};
 use crate::timing::{Distribution, Stage, Timing};
 use heapless::Vec;
@@ -41,6 +42,7 @@ pub struct ControlLoop<P, S> {
     motion: Motion,
     period_s: f64,
     refused: Option<Fault>,
+    protected: Protected,
 }
 
 impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
@@ -56,8 +58,19 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         period_s: f64,
     ) -> Result<Self, hdrhistogram::CreationError> {
         let (timing, frame_age) = (Timing::new()?, Distribution::new()?);
-        let door = StateDoor::default();
-        Ok(Self { plant, cover, timing, frame_age, door, supervisor, motion, period_s, refused: None })
+        let (door, protected) = (StateDoor::default(), Protected::default());
+        Ok(Self {
+            plant,
+            cover,
+            timing,
+            frame_age,
+            door,
+            supervisor,
+            motion,
+            period_s,
+            refused: None,
+            protected,
+        })
     }
 
     /// One tick: read, feel, decide, command, write; returns what an observer may see and the answer to `request`.
@@ -138,6 +151,13 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             self.cover.start_tare(slot.now_ns);
         }
         let outcome = decision.outcome.or(pressed);
+        match self.motion.protect(slot.now_ns, cover, decision.mode) {
+            Ok(protected) => self.protected = protected,
+            Err(fault) => {
+                self.refused = Some(fault);
+                return (outcome, None);
+            }
+        }
         let (Ok(robot), false) = (robot, decision.mode == Mode::Fault) else {
             // Whatever runs next starts from where the robot then is.
             self.motion.leave();
@@ -178,6 +198,9 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             board: cover.board,
             lateness_s: slot.lateness_s,
             overruns: slot.overruns,
+            speed_limit: self.protected.speed_limit,
+            contact_reaction: self.protected.reaction,
+            contact_events: self.protected.events.clone(),
             ..Sample::default()
         };
         if let Some(robot) = robot {

@@ -2,7 +2,8 @@
 //!
 //! From the inside out:
 //! 1. [`control_loop`]: one tick: read the plant, feel the cover, decide the mode, command, write.
-//! 2. [`supervisor`]: which mode, and why; [`motion`]: which law, and how it is entered.
+//! 2. [`supervisor`]: which mode, and why; [`motion`]: which law, and how it is entered; [`protection`]: how fast the
+//!    base may go and what it does when touched too hard ([`contact_events`], [`contact_limits`]).
 //! 3. [`live`] and [`lockstep`]: who calls the tick: the wall clock (with [`schedule`]) or a caller that wants every
 //!    tick now, deterministic.
 //! 4. [`plant`], [`cover_source`]: what a robot and a cover are to the loop; [`simulated`], [`byte_cover`],
@@ -19,6 +20,8 @@ pub mod calibrator;
 pub mod command_log;
 pub mod config;
 pub mod console;
+pub mod contact_events;
+pub mod contact_limits;
 pub mod control_loop;
 pub mod cover_source;
 pub mod doctor;
@@ -34,6 +37,7 @@ pub mod motion;
 pub mod parameters;
 pub mod params_command;
 pub mod plant;
+pub mod protection;
 pub mod realtime;
 pub mod recording;
 pub mod run;

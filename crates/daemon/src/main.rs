@@ -126,6 +126,7 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
         None => Config::default(),
     };
     moca_daemon::run::cover_config(&config).map_err(|error| WrongConfiguration(format!("{error:#}")))?;
+    moca_daemon::run::motion(&config).map_err(|error| WrongConfiguration(format!("{error:#}")))?;
     if arguments.check {
         return Ok(());
     }

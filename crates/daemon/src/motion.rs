@@ -1,6 +1,8 @@
 //! From mode and forces to a command: which law runs in which mode.
 
 use crate::config::{JOINTS, TAXELS};
+use crate::cover_source::CoverState;
+use crate::protection::{Protected, Protection};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{
     Actuation, Fault, Mode, Outcome, ParameterValues, Parameters, Refusal, RobotState, TaxelStatus,
@@ -11,13 +13,28 @@ use moca_wbc::{ControlError, ControlInput, ControlLaw, ControlOutput, Controller
 pub struct Motion {
     controller: Controller<JOINTS, TAXELS>,
     parameters: Parameters<JOINTS>,
+    protection: Protection,
     state: Option<ControllerState<JOINTS>>,
 }
 
 impl Motion {
     /// Not yet entered: the first command starts from the measured state. `parameters` are those of `controller`.
-    pub const fn new(controller: Controller<JOINTS, TAXELS>, parameters: Parameters<JOINTS>) -> Self {
-        Self { controller, parameters, state: None }
+    pub const fn new(
+        controller: Controller<JOINTS, TAXELS>,
+        parameters: Parameters<JOINTS>,
+        protection: Protection,
+    ) -> Self {
+        Self { controller, parameters, protection, state: None }
+    }
+
+    /// What protects the people around the base in the tick at `now_ns`; once a tick, before [`Motion::command`].
+    ///
+    /// # Errors
+    /// [`Fault::ControlRefused`] for a speed that is none, which the configuration's check keeps away.
+    pub fn protect(&mut self, now_ns: u64, cover: &CoverState, mode: Mode) -> Result<Protected, Fault> {
+        let protected = self.protection.update(now_ns, cover, &self.parameters.limits, mode.moves());
+        self.controller.set_guard(protected.guard).map_err(|_| Fault::ControlRefused)?;
+        Ok(protected)
     }
 
     /// Changes a parameter (its number in [`CONTROLLER`]) from the next step on; gains reach the law through a filter.

@@ -2,6 +2,7 @@
 //! checks configuration files, describes the robot to observers, and is exported as JSON schema.
 
 use crate::config::{Config, TAXELS};
+use crate::protection::OVERRIDE_MAX_M_S;
 use moca_msgs::params::{CONTROLLER, ParameterKind, ParameterSpec};
 use moca_msgs::{ParameterError, request::PRESS_FORCE_MAX_N};
 use moca_telemetry::{ParameterDescription, ParameterForm, ParameterValue};
@@ -47,6 +48,47 @@ pub const SETTINGS: &[ParameterSpec] = {
         row("startup.law", Choice(&["impedance", "follow-me"]), &[], ANY, "What arming starts."),
         row("startup.tare", Flag, &[], EITHER, "Measure the cover's zero when the first frames arrive."),
         row("startup.arm", Flag, &[], EITHER, "Arm by itself after that tare (simulation only)."),
+        row(
+            "protection.force_limit_n",
+            Number,
+            &["N"],
+            (1.0, 500.0),
+            "Force of an impact that limits the speed of the cover's fastest point.",
+        ),
+        row("protection.unfelt_force_n", Number, &["N"], (0.0, 100.0), "Force that the cover does not feel."),
+        row(
+            "protection.contact_stiffness_n_m",
+            Number,
+            &["N/m"],
+            (100.0, 1e6),
+            "Stiffness of cover and body in series at the force limit.",
+        ),
+        row(
+            "protection.contact_travel_m",
+            Number,
+            &["m"],
+            (1e-4, 0.1),
+            "Way that cover and body yield from the unfelt force to the force limit.",
+        ),
+        row(
+            "protection.override_speed_limit_m_s",
+            Number,
+            &["m/s"],
+            (0.0, OVERRIDE_MAX_M_S),
+            "Another speed limit, whatever the board's rate; 0 is no override.",
+        ),
+        row("protection.override_statement", Text, &[], ANY, "Why the limit is overridden; logged."),
+        row("protection.thresholds", Text, &[], ANY, "File of contact limits; empty for none."),
+        row(
+            "protection.reaction",
+            Choice(&["slow", "stop-direction", "retreat"]),
+            &[],
+            ANY,
+            "Reaction to a crossed contact limit, until that contact ends.",
+        ),
+        row("protection.slow_m_s", Number, &["m/s"], (0.0, 1.0), "Speed limit of \"slow\"."),
+        row("protection.retreat_m_s", Number, &["m/s"], (0.001, 1.0), "Speed of \"retreat\"."),
+        row("protection.retreat_m", Number, &["m"], (0.0, 1.0), "Longest way of a retreat."),
         row("telemetry.listen", Text, &[], ANY, "Loopback address for dashboards; empty for none."),
         row("simulation.seed", Integer, &[], (0.0, 9e15), "Seed of the sensor's noise."),
         row("simulation.hand.taxels", Integer, &["(taxel number)"], TAXEL, "Taxels pressed in turn."),

@@ -4,12 +4,14 @@
 use crate::calibrator;
 use crate::config::{Config, PlantKind, TAXELS, VIRTUAL_PORT};
 use crate::console::{Console, Level, Summary};
+use crate::contact_limits;
 use crate::control_loop::ControlLoop;
 use crate::cover_source::CoverSource;
 use crate::inject::Injection;
 use crate::live::{self, Clock, LiveReport, Rings, Shared};
 use crate::motion::Motion;
 use crate::plant::Plant;
+use crate::protection::{self, Protection};
 use crate::realtime;
 use crate::recording::Recording;
 use crate::service::Heartbeat;
@@ -100,10 +102,10 @@ pub fn supervisor(config: &Config) -> Supervisor {
     Supervisor::new(config.startup.law, automatic)
 }
 
-/// The controller that the configuration asks for.
+/// The controller and the protection that the configuration asks for.
 ///
 /// # Errors
-/// A parameter outside its range.
+/// A parameter outside its range, every mistake in the file of contact limits.
 pub fn motion(config: &Config) -> Result<Motion> {
     let parameters = config.parameters();
     let controller = moca_wbc::Controller::new(
@@ -113,7 +115,10 @@ pub fn motion(config: &Config) -> Result<Motion> {
         &robot::PAPER_COVER,
         &parameters,
     )?;
-    Ok(Motion::new(controller, parameters))
+    let thresholds = &config.protection.thresholds;
+    let limits =
+        if thresholds.is_empty() { Default::default() } else { contact_limits::load(thresholds.as_ref())? };
+    Ok(Motion::new(controller, parameters, Protection::new(config, limits)))
 }
 
 /// The cover that the configuration asks for.
@@ -133,6 +138,7 @@ fn introduce(options: &Options) {
     };
     let pace = if options.lock_step { "in lock-step, as fast as possible" } else { "live" };
     println!("  controller  {law}, {} Hz, {pace}", config.control_loop.rate_hz);
+    println!("  protection  {}", protection::introduction(config));
 }
 
 #[cfg(feature = "sim")]
@@ -383,7 +389,8 @@ fn description(config: &Config) -> RobotDescription {
         &config.parameters().limits,
         Duration::from_nanos(moca_tactile::board::SILENT_AFTER_NS).as_secs_f64(),
     );
-    RobotDescription { parameters, ..robot }
+    let speed_override = config.protection.override_statement.clone();
+    RobotDescription { parameters, speed_override, ..robot }
 }
 
 fn recording(options: &Options) -> Result<(Option<Recording>, Option<rtrb::Producer<BoardEvent>>)> {

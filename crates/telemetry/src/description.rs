@@ -30,6 +30,9 @@ pub struct RobotDescription {
     /// [`moca_msgs::params::CONTROLLER`].
     #[serde(default)]
     pub parameters: Vec<ParameterDescription>,
+    /// Why the speed limit that the board's rate sets is overridden, in its owner's words; empty if it is not.
+    #[serde(default)]
+    pub speed_override: String,
 }
 
 /// A serial arm of revolute joints about their own z axes. Frames: x, y, z m; roll, pitch, yaw rad (R = Rz·Ry·Rx).
@@ -99,6 +102,7 @@ impl RobotDescription {
             taxel_force_max_n: limits.taxel_force_n,
             base_velocity_max: limits.base_velocity,
             parameters: Vec::new(),
+            speed_override: String::new(),
         }
     }
 

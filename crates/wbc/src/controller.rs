@@ -6,6 +6,7 @@ use crate::door::{check_input, check_robot};
 use crate::error::{ControlError, finite};
 use crate::follow_me;
 use crate::gains::Gains;
+use crate::guard::{BaseGuard, CoverOutline};
 use crate::impedance;
 use crate::limits::{JointRepulsion, LimitsHit, OutputLimits};
 use crate::linalg::times;
@@ -35,6 +36,8 @@ pub const LIGHTEST_DAMPED_BASE: f64 = 0.5;
 pub struct Controller<const N: usize, const K: usize, T = f64> {
     model: ArmModel<N, T>,
     cover: Cover<K, T>,
+    outline: CoverOutline<K, T>,
+    guard: BaseGuard<K, T>,
     gains: Gains<N, T>,
     posture_rad: [f64; N],
     corrections: Corrections,
@@ -64,6 +67,8 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         let mut controller = Self {
             model: ArmModel::new(arm, mount, payload)?,
             cover: Cover::new(taxels)?,
+            outline: CoverOutline::new(taxels),
+            guard: BaseGuard::NONE,
             gains: Gains::from(&parameters.gains),
             posture_rad: parameters.gains.posture_rad,
             corrections: parameters.corrections,
@@ -94,6 +99,22 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         self.corrections = parameters.corrections;
         self.limits = OutputLimits::from(&parameters.limits);
         Ok(())
+    }
+
+    /// What protects the people around the base, from the next step on. It holds for the laws that move the robot;
+    /// [`ControlLaw::Hold`] only ever brakes.
+    ///
+    /// # Errors
+    /// A speed that is negative or not finite; nothing is changed.
+    pub fn set_guard(&mut self, guard: BaseGuard<K, T>) -> Result<(), ParameterError> {
+        guard.check()?;
+        self.guard = guard;
+        Ok(())
+    }
+
+    /// The cover's geometry, to say what a guard has to.
+    pub fn outline(&self) -> &CoverOutline<K, T> {
+        &self.outline
     }
 
     /// The arm's model.
@@ -314,7 +335,10 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         hit: &mut LimitsHit,
     ) -> RobotCommand<N, T> {
         let yaw = tick.robot.base_pose_world[2];
-        let base_velocity_body = self.limits.base_velocity(
+        let none = BaseGuard::NONE;
+        let base_velocity_body = self.limits.guarded_base_velocity(
+            &self.outline,
+            if state.law == ControlLaw::Hold { &none } else { &self.guard },
             &rotate_planar(-yaw, wanted.base_velocity),
             &state.base_velocity_body,
             tick.dt_s,

@@ -7,7 +7,7 @@
 //! 1. **A controller** for a loop: [`Controller`] (constant configuration), [`ControllerState`] (what it remembers; it
 //!    is yours) and [`Controller::step`] (measurements in, command inside every limit out).
 //! 2. **The laws** alone, to build another controller: [`opspace`], [`impedance`], [`follow_me`], [`admittance`],
-//!    [`cover`], [`limits`], [`observer`].
+//!    [`cover`], [`limits`], [`guard`], [`observer`].
 //! 3. **The model** alone: [`ArmModel`] from a table of [`moca_msgs::robot`]; [`model::Kinematics`] gives poses,
 //!    Jacobians, mass matrix and bias in world axes; [`coupled`] adds the physical base.
 //! 4. **Analysis**: [`contact_stability`] answers whether a cover is stable against a body and how fast its base may go.
@@ -76,6 +76,7 @@ mod door;
 mod error;
 pub mod follow_me;
 mod gains;
+pub mod guard;
 pub mod impedance;
 pub mod limits;
 pub mod linalg;
@@ -93,6 +94,7 @@ pub use controller::{CARRY_FADE_S, Controller, LIGHTEST_DAMPED_BASE, LONGEST_STE
 pub use cover::cover_wrench;
 pub use error::ControlError;
 pub use gains::{GAIN_FILTER_S, Gains};
+pub use guard::BaseGuard;
 pub use limits::LimitsHit;
 pub use model::ArmModel;
 pub use scalar::Scalar;

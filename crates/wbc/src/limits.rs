@@ -1,5 +1,6 @@
 //! Limits on what leaves the controllers: pure functions, each with a property test that nothing gets past it.
 
+use crate::guard::{BaseGuard, CoverOutline};
 use crate::scalar::{Scalar, all, of};
 use moca_msgs::{ArmTable, Limits};
 
@@ -21,6 +22,8 @@ pub struct LimitsHit {
     pub base_acceleration: bool,
     /// A taxel's force: negative, or larger than is believed.
     pub taxel_force: bool,
+    /// The speed of the cover, or a touched taxel ([`crate::guard::BaseGuard`]).
+    pub guard: bool,
     /// A joint is in the band before its limit and is pushed back.
     pub joint_range: bool,
     /// The pose error is longer than the leash.
@@ -77,6 +80,45 @@ impl<const N: usize, T: Scalar> OutputLimits<N, T> {
             // a limit that was lowered is approached with the allowed acceleration
             clamp(inside, last[i] - change, last[i] + change, &mut hit.base_acceleration)
         })
+    }
+
+    /// As [`Self::base_velocity`], and inside `guard` as soon as the acceleration allows. A guard that has nothing to
+    /// object to changes no bit; else the velocity goes straight to what it permits, because only on the straight line
+    /// between two permitted velocities is every one permitted.
+    pub fn guarded_base_velocity<const K: usize>(
+        &self,
+        outline: &CoverOutline<K, T>,
+        guard: &BaseGuard<K, T>,
+        wanted: &[T; 3],
+        last: &[T; 3],
+        dt_s: T,
+        hit: &mut LimitsHit,
+    ) -> [T; 3] {
+        let mut unguarded_hit = *hit;
+        let unguarded = self.base_velocity(wanted, last, dt_s, &mut unguarded_hit);
+        if guard.instead_body.is_none() && outline.permits(guard, &unguarded) {
+            *hit = unguarded_hit;
+            return unguarded;
+        }
+        hit.guard = true;
+        let mut target = outline.guarded(guard, wanted);
+        for i in 0..3 {
+            let most = self.base_velocity[i];
+            if target[i].abs() > most {
+                hit.base_velocity = true;
+                target = target.map(|v| v * (most / target[i].abs()));
+            }
+        }
+        let mut share = T::one();
+        for i in 0..3 {
+            let change = self.base_acceleration[i] * self.credited(dt_s);
+            let distance = (target[i] - last[i]).abs();
+            if distance > change {
+                hit.base_acceleration = true;
+                share = share.min(change / distance);
+            }
+        }
+        core::array::from_fn(|i| last[i] + (target[i] - last[i]) * share)
     }
 
     /// Taxel forces inside 0 to the largest that is believed, N.

@@ -3,6 +3,7 @@
 
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_msgs::{Corrections, Limits, Parameters, Payload, RobotState};
+use moca_wbc::guard::{BaseGuard, CoverOutline};
 use moca_wbc::limits::{JointRepulsion, OutputLimits, REPULSION_BAND_RAD};
 use moca_wbc::linalg::inverse_square_root;
 use moca_wbc::opspace::{AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
@@ -73,6 +74,72 @@ prop_compose! {
 
 fn any_law() -> impl Strategy<Value = ControlLaw> {
     prop_oneof![Just(ControlLaw::Hold), Just(ControlLaw::Impedance), Just(ControlLaw::FollowMe)]
+}
+
+prop_compose! {
+    fn any_guard()(
+        speed in prop::option::of(0.0..0.6_f64),
+        blocked in prop::collection::vec(prop::bool::weighted(0.15), 11),
+        instead in prop::option::weighted(0.2, uniform3(ordinary(0.5))),
+    ) -> BaseGuard<11> {
+        BaseGuard { speed_m_s: speed, blocked: std::array::from_fn(|i| blocked[i]), instead_body: instead }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn no_velocity_gets_past_a_guard_or_the_limits_and_what_was_permitted_stays_so(
+        guard in any_guard(),
+        steps in prop::collection::vec(uniform3(ordinary(2.0)), 1..60),
+        start in uniform3(ordinary(0.5)),
+    ) {
+        let limits: OutputLimits<7, f64> = OutputLimits::from(&Limits::PANDA_ON_SUMMIT);
+        let outline = CoverOutline::new(&PAPER_COVER);
+        let most = Limits::PANDA_ON_SUMMIT;
+        let mut last = start;
+        let mut inside = outline.permits(&guard, &last);
+        for wanted in steps {
+            let mut hit = LimitsHit::default();
+            let next = limits.guarded_base_velocity(&outline, &guard, &wanted, &last, 1e-3, &mut hit);
+            for i in 0..3 {
+                prop_assert!(next[i].abs() <= most.base_velocity[i].max(last[i].abs()) + 1e-12);
+                prop_assert!((next[i] - last[i]).abs() <= most.base_acceleration[i] * 1e-3 + 1e-12);
+            }
+            if inside {
+                let speed = outline.fastest(&next);
+                prop_assert!(guard.speed_m_s.is_none_or(|limit| speed <= limit + 1e-9), "{speed}");
+                for taxel in (0..11).filter(|taxel| guard.blocked[*taxel]) {
+                    prop_assert!(outline.outward(taxel, &next) <= 1e-8, "T{} {next:?}", taxel + 1);
+                }
+            }
+            inside |= outline.permits(&guard, &next);
+            last = next;
+        }
+        // whatever it started from: half a second of the allowed acceleration is enough to be inside
+        let wanted = [2.0, -2.0, 2.0];
+        for _ in 0..600 {
+            last = limits.guarded_base_velocity(&outline, &guard, &wanted, &last, 1e-3, &mut LimitsHit::default());
+        }
+        let speed = outline.fastest(&last);
+        prop_assert!(guard.speed_m_s.is_none_or(|limit| speed <= limit + 1e-9), "{speed}");
+    }
+
+    #[test]
+    fn a_guard_with_nothing_to_object_to_changes_no_bit(
+        wanted in uniform3(ordinary(2.0)),
+        last in uniform3(ordinary(0.5)),
+    ) {
+        let limits: OutputLimits<7, f64> = OutputLimits::from(&Limits::PANDA_ON_SUMMIT);
+        let outline = CoverOutline::<11, f64>::new(&PAPER_COVER);
+        let (mut free, mut guarded) = (LimitsHit::default(), LimitsHit::default());
+        let without = limits.base_velocity(&wanted, &last, 1e-3, &mut free);
+        let guard = BaseGuard { speed_m_s: Some(3.0), ..BaseGuard::NONE };
+        let with = limits.guarded_base_velocity(&outline, &guard, &wanted, &last, 1e-3, &mut guarded);
+        prop_assert_eq!(with.map(f64::to_bits), without.map(f64::to_bits));
+        prop_assert_eq!(free, guarded);
+    }
 }
 
 proptest! {

@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Result, bail, ensure};
 use moca_daemon::config::{Config, HandConfig};
+use moca_daemon::protection::OVERRIDE_MAX_M_S;
 use moca_msgs::Law;
 use moca_sim::foam::FoamLaw;
 use moca_sim::{BaseServo, BodyPart, Integrator, Mobility, Person, Scene, Shape, VirtualBoardConfig};
@@ -115,6 +116,9 @@ impl Settings {
         let mut config = Config::default();
         config.startup.law = law;
         config.simulation.hand = HandConfig::none();
+        // The paper's robot has no speed limit but its own; a limit this high changes no bit.
+        config.protection.override_speed_limit_m_s = OVERRIDE_MAX_M_S;
+        config.protection.override_statement = "the paper's experiments, simulated, as published".into();
         config.control.corrections.null_space_damping = false;
         config.control.corrections.base_coupling = false;
         config.control.corrections.flange_feed = false;

@@ -1,0 +1,293 @@
+//! Contacts, taxel by taxel: how long, how hard, and whether a limit of the user's was crossed. Pure, no allocation.
+
+use crate::config::TAXELS;
+use heapless::Deque;
+use moca_msgs::protection::{ContactKind, ContactPhase, TRANSIENT_S};
+use moca_msgs::{ContactEvent, ContactReaction, TaxelReading, TaxelStatus};
+
+/// Events that wait for a sample with room. A frame makes at most three a taxel, and a tick takes four away: with 4 ms
+/// between frames, the sensor chip's fastest, they do not pile up.
+const WAITING: usize = 64;
+
+/// The user's limits for one taxel, N; `None` never reacts.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ContactLimits {
+    /// For the first [`TRANSIENT_S`].
+    pub transient_n: Option<f64>,
+    /// From then on.
+    pub quasi_static_n: Option<f64>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Contact {
+    started_ns: u64,
+    force_n: f64,
+    peak_n: f64,
+    impulse_n_s: f64,
+    clamp_n_s: f64,
+    clamp_s: f64,
+    clamp_max_n: f64,
+    crossed_n: Option<f64>,
+    /// Which limits have been crossed, in the order of [`ContactKind`].
+    crossed: [bool; 2],
+}
+
+/// Every taxel's contact, and the events that no sample has carried yet.
+#[derive(Debug)]
+pub struct ContactTracker {
+    limits: [ContactLimits; TAXELS],
+    reaction: ContactReaction,
+    contacts: [Option<Contact>; TAXELS],
+    waiting: Deque<ContactEvent, WAITING>,
+    last_ns: u64,
+}
+
+impl ContactTracker {
+    /// Nothing touched yet. `reaction` is what events say is done about a crossed limit.
+    pub const fn new(limits: [ContactLimits; TAXELS], reaction: ContactReaction) -> Self {
+        Self { limits, reaction, contacts: [None; TAXELS], waiting: Deque::new(), last_ns: 0 }
+    }
+
+    /// Takes the readings of the tick at `now_ns`; each stands until the next tick.
+    pub fn update(&mut self, now_ns: u64, taxels: &[TaxelReading; TAXELS]) {
+        let dt_s = seconds(now_ns.saturating_sub(self.last_ns));
+        self.last_ns = now_ns;
+        for (i, reading) in taxels.iter().enumerate() {
+            let valid = reading.status == TaxelStatus::Ok;
+            let touched = valid && reading.force_n > 0.0;
+            if let Some(contact) = &mut self.contacts[i] {
+                contact.stood_for(dt_s, now_ns);
+            }
+            match (&mut self.contacts[i], touched) {
+                (None, false) => {}
+                (None, true) => {
+                    self.contacts[i] = Some(Contact::new(now_ns));
+                    self.feel(i, now_ns, reading.force_n, Some(ContactPhase::Started));
+                }
+                (Some(_), true) => self.feel(i, now_ns, reading.force_n, None),
+                (Some(contact), false) => {
+                    let phase = if valid { ContactPhase::Finished } else { ContactPhase::Lost };
+                    let event = contact.event(i, phase, now_ns, self.reaction);
+                    self.contacts[i] = None;
+                    self.say(event);
+                }
+            }
+        }
+    }
+
+    /// Taxels in a contact that has crossed a limit.
+    pub fn crossed(&self) -> [bool; TAXELS] {
+        self.contacts.map(|contact| contact.is_some_and(|contact| contact.crossed_n.is_some()))
+    }
+
+    /// Taxels in contact.
+    pub fn touched(&self) -> [bool; TAXELS] {
+        self.contacts.map(|contact| contact.is_some())
+    }
+
+    /// The oldest events that no sample has carried.
+    pub fn take<const N: usize>(&mut self) -> heapless::Vec<ContactEvent, N> {
+        let mut taken = heapless::Vec::new();
+        while !taken.is_full()
+            && let Some(event) = self.waiting.pop_front()
+        {
+            // There is room: the loop has looked.
+            let _ = taken.push(event);
+        }
+        taken
+    }
+
+    fn feel(&mut self, taxel: usize, now_ns: u64, force_n: f64, phase: Option<ContactPhase>) {
+        let Some(contact) = &mut self.contacts[taxel] else { return };
+        contact.force_n = force_n;
+        contact.peak_n = contact.peak_n.max(force_n);
+        let kind = contact.kind(now_ns);
+        if kind == ContactKind::QuasiStatic {
+            contact.clamp_max_n = contact.clamp_max_n.max(force_n);
+        }
+        let started = phase.map(|phase| contact.event(taxel, phase, now_ns, self.reaction));
+        let limit_n = match kind {
+            ContactKind::Transient => self.limits[taxel].transient_n,
+            ContactKind::QuasiStatic => self.limits[taxel].quasi_static_n,
+        };
+        let newly = limit_n.filter(|limit_n| force_n > *limit_n && !contact.crossed[kind as usize]);
+        let crossed = newly.map(|limit_n| {
+            contact.crossed[kind as usize] = true;
+            contact.crossed_n = Some(contact.crossed_n.map_or(limit_n, |crossed_n| crossed_n.min(limit_n)));
+            contact.event(taxel, ContactPhase::LimitCrossed, now_ns, self.reaction)
+        });
+        for event in started.into_iter().chain(crossed) {
+            self.say(event);
+        }
+    }
+
+    fn say(&mut self, event: ContactEvent) {
+        // Full only behind a source that chatters faster than any board: the newest is dropped.
+        let _ = self.waiting.push_back(event);
+    }
+}
+
+impl Contact {
+    const fn new(started_ns: u64) -> Self {
+        Self {
+            started_ns,
+            force_n: 0.0,
+            peak_n: 0.0,
+            impulse_n_s: 0.0,
+            clamp_n_s: 0.0,
+            clamp_s: 0.0,
+            clamp_max_n: 0.0,
+            crossed_n: None,
+            crossed: [false; 2],
+        }
+    }
+
+    /// The last reading stood until `now_ns`, for `dt_s`.
+    fn stood_for(&mut self, dt_s: f64, now_ns: u64) {
+        self.impulse_n_s += self.force_n * dt_s;
+        if self.kind(now_ns) == ContactKind::QuasiStatic {
+            self.clamp_n_s += self.force_n * dt_s;
+            self.clamp_s += dt_s;
+        }
+    }
+
+    fn duration_s(&self, now_ns: u64) -> f64 {
+        seconds(now_ns.saturating_sub(self.started_ns))
+    }
+
+    fn kind(&self, now_ns: u64) -> ContactKind {
+        if self.duration_s(now_ns) > TRANSIENT_S { ContactKind::QuasiStatic } else { ContactKind::Transient }
+    }
+
+    fn event(
+        &self,
+        taxel: usize,
+        phase: ContactPhase,
+        now_ns: u64,
+        reaction: ContactReaction,
+    ) -> ContactEvent {
+        ContactEvent {
+            taxel: u8::try_from(taxel).unwrap_or(u8::MAX),
+            phase,
+            kind: self.kind(now_ns),
+            started_ns: self.started_ns,
+            duration_s: self.duration_s(now_ns),
+            peak_n: self.peak_n,
+            clamp_mean_n: if self.clamp_s > 0.0 { self.clamp_n_s / self.clamp_s } else { 0.0 },
+            clamp_max_n: self.clamp_max_n,
+            impulse_n_s: self.impulse_n_s,
+            crossed_n: self.crossed_n,
+            reaction: self.crossed_n.map(|_| reaction),
+        }
+    }
+}
+
+fn seconds(ns: u64) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "loop times are far below 2^53 ns")]
+    let ns = ns as f64;
+    ns * 1e-9
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    fn reading(taxel: usize, force_n: f64) -> [TaxelReading; TAXELS] {
+        let mut taxels = [TaxelReading { force_n: 0.0, status: TaxelStatus::Ok }; TAXELS];
+        taxels[taxel].force_n = force_n;
+        taxels
+    }
+
+    /// Feeds T3 a force for each millisecond; returns the events with the ms they came in.
+    fn feed(tracker: &mut ContactTracker, forces: impl IntoIterator<Item = f64>) -> Vec<(u64, ContactEvent)> {
+        let mut events = Vec::new();
+        for (ms, force_n) in (1..).zip(forces) {
+            tracker.update(ms * MS, &reading(2, force_n));
+            events.extend(tracker.take::<4>().into_iter().map(|event| (ms, event)));
+        }
+        events
+    }
+
+    fn limits(transient_n: f64, quasi_static_n: f64) -> [ContactLimits; TAXELS] {
+        [ContactLimits { transient_n: Some(transient_n), quasi_static_n: Some(quasi_static_n) }; TAXELS]
+    }
+
+    fn near(a: f64, b: f64) -> bool {
+        (a - b).abs() < 1e-9
+    }
+
+    #[test]
+    fn a_short_touch_is_transient_and_has_peak_and_impulse() {
+        let mut tracker = ContactTracker::new(Default::default(), ContactReaction::Slow);
+        let touch = [0.0, 10.0, 30.0, 20.0, 0.0, 0.0];
+        let events = feed(&mut tracker, touch);
+        assert_eq!(
+            events.iter().map(|(ms, e)| (*ms, e.phase)).collect::<Vec<_>>(),
+            [(2, ContactPhase::Started), (5, ContactPhase::Finished)]
+        );
+        let (_, end) = events[1];
+        assert_eq!((end.taxel, end.kind, end.started_ns), (2, ContactKind::Transient, 2 * MS));
+        assert!(near(end.duration_s, 0.003) && near(end.peak_n, 30.0) && near(end.impulse_n_s, 0.060));
+        assert!(near(end.clamp_mean_n, 0.0) && near(end.clamp_max_n, 0.0));
+        assert_eq!((end.crossed_n, end.reaction), (None, None));
+    }
+
+    #[test]
+    fn half_a_second_is_transient_and_a_tick_more_is_not() {
+        for (ms, kind) in [(500, ContactKind::Transient), (501, ContactKind::QuasiStatic)] {
+            let mut tracker = ContactTracker::new(Default::default(), ContactReaction::Slow);
+            let events = feed(&mut tracker, std::iter::repeat_n(10.0, ms).chain([0.0]));
+            assert_eq!(events[1].1.kind, kind, "{ms} ms");
+        }
+    }
+
+    #[test]
+    fn the_clamp_force_is_what_presses_after_half_a_second() {
+        let mut tracker = ContactTracker::new(Default::default(), ContactReaction::Slow);
+        let forces = std::iter::repeat_n(80.0, 500).chain(std::iter::repeat_n(20.0, 500)).chain([40.0, 0.0]);
+        let (_, end) = feed(&mut tracker, forces)[1];
+        assert!(near(end.peak_n, 80.0) && near(end.clamp_max_n, 40.0), "{end:?}");
+        // 1 ms of 40 N and 500 of 20 N
+        assert!(near(end.clamp_mean_n, (500.0 * 20.0 + 40.0) / 501.0), "{end:?}");
+        assert!(near(end.impulse_n_s, 40.0 + 10.0 + 0.040), "{end:?}");
+    }
+
+    #[test]
+    fn each_limit_is_crossed_in_its_own_time_and_once() {
+        let mut tracker = ContactTracker::new(limits(50.0, 15.0), ContactReaction::Retreat);
+        let forces = std::iter::repeat_n(20.0, 600).chain([60.0, 0.0]);
+        let events = feed(&mut tracker, forces);
+        let crossings: Vec<_> =
+            events.iter().filter(|(_, e)| e.phase == ContactPhase::LimitCrossed).collect();
+        assert_eq!(crossings.len(), 1, "60 N come after half a second: only the quasi-static limit counts");
+        let (ms, event) = crossings[0];
+        assert_eq!((*ms, event.kind, event.crossed_n), (502, ContactKind::QuasiStatic, Some(15.0)));
+        assert_eq!(event.reaction, Some(ContactReaction::Retreat));
+        assert!(tracker.crossed().iter().all(|crossed| !crossed), "over with the contact");
+
+        let mut tracker = ContactTracker::new(limits(50.0, 15.0), ContactReaction::Retreat);
+        let events = feed(&mut tracker, [0.0, 51.0]);
+        assert_eq!(events[1].1.crossed_n, Some(50.0));
+        assert_eq!(tracker.crossed(), core::array::from_fn(|i| i == 2));
+    }
+
+    #[test]
+    fn a_taxel_that_is_lost_in_contact_has_not_let_go() {
+        let mut tracker = ContactTracker::new(Default::default(), ContactReaction::Slow);
+        feed(&mut tracker, [10.0]);
+        let mut stale = reading(2, 10.0);
+        stale[2].status = TaxelStatus::Stale;
+        tracker.update(2 * MS, &stale);
+        assert_eq!(tracker.take::<4>()[0].phase, ContactPhase::Lost);
+    }
+
+    #[test]
+    fn more_events_than_a_sample_holds_wait_for_the_next() {
+        let mut tracker = ContactTracker::new(Default::default(), ContactReaction::Slow);
+        tracker.update(MS, &[TaxelReading { force_n: 9.0, status: TaxelStatus::Ok }; TAXELS]);
+        let counts = [4, 4, 3, 0].map(|expected| (tracker.take::<4>().len(), expected));
+        assert!(counts.iter().all(|(count, expected)| count == expected), "{counts:?}");
+    }
+}

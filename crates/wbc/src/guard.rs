@@ -1,0 +1,219 @@
+//! What protects the people around the base: a speed limit for every point of the cover, and touched taxels that must
+//! not move outward. Pure; a convex set of velocities that always holds standing still.
+
+use crate::scalar::{Scalar, of};
+use moca_msgs::{ParameterError, TaxelPlacement};
+
+/// Fastest motion outward that still counts as none, m/s and rad/s: rounding, not creep.
+pub const STANDSTILL: f64 = 1e-9;
+
+/// What the base may do, besides its [`moca_msgs::Limits`]. Velocities in the axes of B.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BaseGuard<const K: usize, T = f64> {
+    /// Largest speed of any point of the cover, m/s.
+    pub speed_m_s: Option<T>,
+    /// Taxels that must not move outward: neither by translation nor by yaw.
+    pub blocked: [bool; K],
+    /// What the base does instead of what the law wants: m/s, m/s, rad/s.
+    pub instead_body: Option<[T; 3]>,
+}
+
+impl<const K: usize, T: Scalar> BaseGuard<K, T> {
+    /// Everything that the limits allow.
+    pub const NONE: Self = Self { speed_m_s: None, blocked: [false; K], instead_body: None };
+
+    /// # Errors
+    /// A speed that is negative or not finite.
+    pub fn check(&self) -> Result<(), ParameterError> {
+        let numbers = self.instead_body.iter().flatten().map(|v| v.abs()).chain(self.speed_m_s);
+        for value in numbers {
+            let value = nalgebra::try_convert::<T, f64>(value).unwrap_or(f64::NAN);
+            if !(0.0..=100.0).contains(&value) {
+                return Err(ParameterError {
+                    name: "guarded speed",
+                    value,
+                    unit: "m/s",
+                    min: 0.0,
+                    max: 100.0,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Geometry of the cover: what a [`BaseGuard`] is measured against.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoverOutline<const K: usize, T> {
+    /// Corner of the rectangle round all taxels, x and y, m.
+    corner: [T; 2],
+    /// Inward direction (x, y) and lever arm about B's origin, m, of each taxel.
+    inward: [[T; 3]; K],
+}
+
+impl<const K: usize, T: Scalar> CoverOutline<K, T> {
+    /// The cover of `taxels`; a table that [`crate::cover::Cover::new`] has checked.
+    pub fn new(taxels: &[TaxelPlacement; K]) -> Self {
+        let most = |axis: usize| taxels.iter().fold(0.0_f64, |m, t| m.max(t.position_base_m[axis].abs()));
+        Self {
+            corner: [of(most(0)), of(most(1))],
+            inward: taxels.map(|taxel| {
+                let [x, y] = taxel.position_base_m;
+                let (s, c) = nalgebra::ComplexField::sin_cos(taxel.inward_angle_base_rad);
+                [of(c), of(s), of(x * s - y * c)]
+            }),
+        }
+    }
+
+    /// Speed of the fastest point of the cover at a base velocity \[m/s, m/s, rad/s\], m/s: always a corner.
+    pub fn fastest(&self, [vx, vy, yaw]: &[T; 3]) -> T {
+        let [x, y] = self.corner;
+        let [x, y] = [vx.abs() + yaw.abs() * y, vy.abs() + yaw.abs() * x];
+        (x * x + y * y).sqrt()
+    }
+
+    /// Speed of a taxel (0 is T1) outward, m/s; negative where it moves away from whoever touches it.
+    pub fn outward(&self, taxel: usize, [vx, vy, yaw]: &[T; 3]) -> T {
+        self.inward.get(taxel).map_or(T::zero(), |[x, y, lever]| -(*x * *vx + *y * *vy + *lever * *yaw))
+    }
+
+    /// Translation at `speed` away from all of `touched` together; none where they leave no way out.
+    pub fn away_from(&self, touched: &[bool; K], speed: T) -> [T; 3] {
+        let (mut x, mut y) = (T::zero(), T::zero());
+        for (inward, _) in self.inward.iter().zip(touched).filter(|(_, touched)| **touched) {
+            x += inward[0];
+            y += inward[1];
+        }
+        let length = (x * x + y * y).sqrt();
+        if length < of(1e-6) {
+            return [T::zero(); 3];
+        }
+        [x / length * speed, y / length * speed, T::zero()]
+    }
+
+    /// Whether `guard` lets the base move so.
+    pub fn permits(&self, guard: &BaseGuard<K, T>, velocity: &[T; 3]) -> bool {
+        let [vx, vy, yaw] = *velocity;
+        let least = -of::<T>(STANDSTILL);
+        let rounding = T::one() + of::<T>(4.0) * T::default_epsilon();
+        guard.speed_m_s.is_none_or(|most| self.fastest(velocity) <= most * rounding)
+            && self.blocked(guard).all(|[x, y, lever]| *x * vx + *y * vy >= least && *lever * yaw >= least)
+    }
+
+    /// The nearest translation, and the yaw rate or none, that `guard` permits; slowed down as one motion.
+    pub fn guarded(&self, guard: &BaseGuard<K, T>, wanted: &[T; 3]) -> [T; 3] {
+        let [vx, vy, yaw] = guard.instead_body.unwrap_or(*wanted);
+        let turns_out = self.blocked(guard).any(|[_, _, lever]| *lever * yaw < T::zero());
+        let [vx, vy] = self.nearest_translation(guard, [vx, vy]);
+        let velocity = [vx, vy, if turns_out { T::zero() } else { yaw }];
+        match guard.speed_m_s {
+            Some(most) => scaled_to(velocity, self.fastest(&velocity), most),
+            None => velocity,
+        }
+    }
+
+    /// The translation nearest to `wanted` that moves no blocked taxel outward. The permitted ones are a cone, so it is
+    /// `wanted` itself, or on one of the cone's two edges, or standing still.
+    fn nearest_translation(&self, guard: &BaseGuard<K, T>, wanted: [T; 2]) -> [T; 2] {
+        let inward_speed = |[x, y]: [T; 2], [ux, uy, _]: &[T; 3]| *ux * x + *uy * y;
+        let least = -of::<T>(STANDSTILL);
+        let permitted = |v: [T; 2]| self.blocked(guard).all(|u| inward_speed(v, u) >= least);
+        if permitted(wanted) {
+            return wanted;
+        }
+        let mut nearest = [T::zero(); 2];
+        let mut most = T::zero();
+        for u in self.blocked(guard) {
+            let outward = inward_speed(wanted, u);
+            let along = [wanted[0] - outward * u[0], wanted[1] - outward * u[1]];
+            let squared = along[0] * along[0] + along[1] * along[1];
+            if squared > most && permitted(along) {
+                (nearest, most) = (along, squared);
+            }
+        }
+        nearest
+    }
+
+    fn blocked<'a>(&'a self, guard: &'a BaseGuard<K, T>) -> impl Iterator<Item = &'a [T; 3]> {
+        self.inward.iter().zip(&guard.blocked).filter(|(_, blocked)| **blocked).map(|(inward, _)| inward)
+    }
+}
+
+fn scaled_to<T: Scalar>(velocity: [T; 3], speed: T, most: T) -> [T; 3] {
+    if speed <= most { velocity } else { velocity.map(|v| v * (most / speed)) }
+}
+
+#[cfg(test)]
+#[expect(clippy::float_cmp, reason = "what is not touched keeps its bits")]
+mod tests {
+    use super::*;
+    use moca_msgs::robot::PAPER_COVER;
+
+    fn outline() -> CoverOutline<11, f64> {
+        CoverOutline::new(&PAPER_COVER)
+    }
+
+    fn blocking(taxels: &[usize]) -> BaseGuard<11> {
+        BaseGuard { blocked: core::array::from_fn(|i| taxels.contains(&i)), ..BaseGuard::NONE }
+    }
+
+    #[test]
+    fn the_fastest_point_of_a_turning_base_is_a_corner() {
+        let corner = 0.489_f64.hypot(0.388);
+        assert!((outline().fastest(&[0.0, 0.0, -1.0]) - corner).abs() < 1e-12);
+        assert!((outline().fastest(&[0.3, -0.4, 0.0]) - 0.5).abs() < 1e-12);
+        assert!((outline().fastest(&[0.1, 0.0, 1.0]) - (0.1 + 0.388_f64).hypot(0.489)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_speed_limit_slows_a_motion_down_as_one() {
+        let guard = BaseGuard { speed_m_s: Some(0.05), ..BaseGuard::NONE };
+        let slowed = outline().guarded(&guard, &[0.3, -0.1, 0.4]);
+        assert!((outline().fastest(&slowed) - 0.05).abs() < 1e-12);
+        assert!(
+            (slowed[1] / slowed[0] + 1.0 / 3.0).abs() < 1e-12
+                && (slowed[2] / slowed[0] - 4.0 / 3.0).abs() < 1e-12
+        );
+    }
+
+    /// T6 is in front (inward is −x), T3 on the left and forward of the middle (inward is −y).
+    #[test]
+    fn a_blocked_taxel_stops_its_own_direction_only() {
+        let outline = outline();
+        let [vx, vy, yaw] = outline.guarded(&blocking(&[5]), &[0.2, 0.1, 0.3]);
+        assert!(vx.abs() < 1e-12 && (vy - 0.1).abs() < 1e-12 && (yaw - 0.3).abs() < 1e-12);
+        assert_eq!(outline.guarded(&blocking(&[5]), &[-0.2, 0.1, 0.0]), [-0.2, 0.1, 0.0]);
+        // to the left is into the hand at T3, and so is turning left
+        let [vx, vy, yaw] = outline.guarded(&blocking(&[2]), &[0.2, 0.1, 0.3]);
+        assert!((vx - 0.2).abs() < 1e-12 && vy.abs() < 1e-12 && yaw == 0.0);
+        let [.., yaw] = outline.guarded(&blocking(&[2]), &[0.0, 0.0, -0.3]);
+        assert_eq!(yaw, -0.3);
+    }
+
+    #[test]
+    fn hands_on_both_sides_leave_the_way_between_them() {
+        let [vx, vy, _] = outline().guarded(&blocking(&[1, 8]), &[0.1, 0.2, 0.0]);
+        assert!((vx - 0.1).abs() < 1e-12 && vy.abs() < 1e-12);
+        let still = outline().guarded(&blocking(&[1, 8, 5]), &[0.1, 0.2, 0.0]);
+        assert!(still.iter().all(|v| v.abs() < 1e-9), "{still:?}");
+    }
+
+    #[test]
+    fn the_way_out_is_away_from_all_of_them() {
+        let touched = |taxels: &[usize]| blocking(taxels).blocked;
+        let [vx, vy, yaw] = outline().away_from(&touched(&[2, 5]), 0.05);
+        assert!((vx + vy + 0.05 * 2.0_f64.sqrt()).abs() < 1e-12 && (vx - vy).abs() < 1e-12 && yaw == 0.0);
+        assert_eq!(outline().away_from(&touched(&[1, 8]), 0.05), [0.0; 3], "between two hands there is none");
+        assert_eq!(outline().away_from(&[false; 11], 0.05), [0.0; 3]);
+    }
+
+    #[test]
+    fn numbers_that_are_none_are_refused() {
+        for bad in [f64::NAN, f64::INFINITY, -1.0] {
+            assert!(BaseGuard { speed_m_s: Some(bad), ..BaseGuard::<11>::NONE }.check().is_err());
+        }
+        let guard = BaseGuard { instead_body: Some([0.0, f64::NAN, 0.0]), ..BaseGuard::<11>::NONE };
+        assert!(guard.check().is_err());
+        assert!(BaseGuard::<11>::NONE.check().is_ok());
+    }
+}
