@@ -13,6 +13,7 @@ mod observers;
 mod parallel;
 mod precision;
 mod report;
+mod soak;
 mod stability;
 mod stream;
 mod sweep;
@@ -53,6 +54,7 @@ enum Command {
     Sweep(sweep::Arguments),
     /// What a scene costs with everything in it and with only what it needs.
     Economy(economy::Arguments),
+    Soak(soak::Arguments),
     /// Reads a recorded Touch Board stream: frames, rate, faults.
     Stream(stream::Arguments),
     /// The smallest force that is felt and its delay; how little an untouched robot creeps.
@@ -87,6 +89,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Stability(arguments) => stability::run(&arguments),
         Command::Sweep(arguments) => sweep::run(&arguments),
         Command::Economy(arguments) => economy::run(&arguments),
+        Command::Soak(arguments) => soak::run(&arguments),
         Command::Stream(arguments) => stream::run(&arguments),
         Command::Threshold(arguments) => threshold::run(&arguments),
         Command::Tick(arguments) => tick::run(&arguments),

@@ -231,4 +231,20 @@ mod tests {
         assert_eq!(requests.pop().unwrap().1, Request::PressTaxel { taxel: 2, force_n: 0.0 });
         assert_eq!(desk.ask(2, 1, Request::Tare, alive + COMMAND_LEASE), None);
     }
+
+    #[test]
+    fn who_armed_the_robot_and_vanishes_stops_it_and_who_gives_it_back_does_not() {
+        for (gives_back, stops) in [(false, true), (true, false)] {
+            let (to_loop, mut requests) = RingBuffer::new(8);
+            let (_outcomes, answers) = RingBuffer::new(8);
+            let mut desk = Desk::new(to_loop, answers, &RobotDescription::paper("test", true));
+            desk.ask(1, 1, Request::Arm, Instant::now());
+            assert_eq!(requests.pop().unwrap().1, Request::Arm);
+            if gives_back {
+                desk.release(1);
+            }
+            desk.lose(1);
+            assert_eq!(requests.pop().is_ok_and(|(_, request)| request == Request::OperatorLost), stops);
+        }
+    }
 }
