@@ -49,6 +49,10 @@ fn sample(tick: u32) -> Sample {
         mode: Mode::Impedance,
         board: Diagnosis::Frames,
         base_pose_world: [t.sin(), t.cos(), 0.1 * t],
+        base_velocity_world: [t.cos(), -t.sin(), 0.1],
+        flange_position_world: [0.5 + 1e-3 * t.sin(), 1e-3 * t.cos(), 1.1],
+        flange_desired_position_world: [0.5, 0.0, 1.1],
+        flange_wrench_world: [t.sin(), t.cos(), (3.0 * t).sin(), 0.0, 0.0, 0.0],
         cover_wrench_base: [10.0 * t.sin(), 5.0 * t.cos(), t.sin()],
         frame_age_s: 0.03,
         lateness_s: 40e-6,
@@ -101,16 +105,22 @@ fn pictures(ctx: &Context, count: u32, mut draw: impl FnMut(&mut Ui)) -> Vec<f64
             time: Some(f64::from(i) * 0.033),
             ..RawInput::default()
         };
-        let start = Instant::now();
+        let start_ms = processor_ms();
         let mut output = ctx.run_ui(input, &mut draw);
         let triangles = ctx.tessellate(std::mem::take(&mut output.shapes), output.pixels_per_point);
         std::hint::black_box(triangles);
         if i >= 10 {
-            times.push(start.elapsed().as_secs_f64() * 1e3);
+            times.push(processor_ms() - start_ms);
         }
         output.drop_without_applying_deltas();
     }
     times
+}
+
+/// Time this thread has spent on a processor, ms: what other programs take is not counted.
+fn processor_ms() -> f64 {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
+    text.split_whitespace().next().and_then(|ns| ns.parse::<f64>().ok()).map_or(f64::NAN, |ns| ns * 1e-6)
 }
 
 fn print_row(name: &str, mut ms: Vec<f64>) {

@@ -515,7 +515,7 @@ fn several_robots_have_names_and_stop_stops_them_all() {
     let count = bench.harness.query_all_by_label("test robot").count();
     assert_eq!(count, 2, "one button for each robot");
     bench.harness.query_all_by_label("test robot").nth(1).unwrap().click();
-    let mut step = |bench: &mut Bench, tick| {
+    let step = |bench: &mut Bench, tick| {
         other.borrow_mut().samples.push_back(sample(tick, Mode::Ready, None));
         bench.harness.step();
     };

@@ -19,7 +19,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, asked: &mut Aske
     ui.weak("Drag a number or type it, then apply it: the loop takes it at its next tick. A restart brings back the file.");
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
         let listed = || model.robot.parameters.iter().enumerate();
-        Grid::new("live parameters").striped(true).num_columns(4).spacing([12.0, 4.0]).show(ui, |ui| {
+        Grid::new("live parameters").striped(true).num_columns(3).spacing([12.0, 4.0]).show(ui, |ui| {
             for (number, parameter) in listed().filter(|(_, p)| p.live) {
                 row(ui, number, parameter, may_change, view, asked);
             }
@@ -53,13 +53,6 @@ fn row(
     ui.label(if changed { name.color(theme::WARNING) } else { name }).on_hover_text(&parameter.name);
     let mut draft = view.drafts.get(&number).cloned().unwrap_or_else(|| present.clone());
     ui.add_enabled_ui(may_change, |ui| fields(ui, parameter, short, &mut draft));
-    let range = if parameter.form == ParameterForm::Flag {
-        String::new()
-    } else {
-        format!("{} to {} {}", parameter.min, parameter.max, units(parameter))
-    };
-    ui.add(Label::new(RichText::new(range).weak()).truncate())
-        .on_hover_text(format!("default {}", parameter.shown(&parameter.default)));
     let differs = draft != *present;
     ui.horizontal(|ui| {
         if ui.add_enabled(differs && may_change, Button::new(format!("Apply {short}"))).clicked() {
@@ -79,7 +72,9 @@ fn row(
     });
     ui.end_row();
     ui.label("");
-    ui.add(Label::new(RichText::new(&parameter.description).weak().size(11.5)).extend());
+    let text = format!("{}{}", range(parameter), parameter.description);
+    let hint = format!("{}, default {}", parameter.name, parameter.shown(&parameter.default));
+    ui.add(Label::new(RichText::new(text).weak().size(11.5)).extend()).on_hover_text(hint);
     ui.end_row();
 }
 
@@ -111,6 +106,13 @@ fn fields(ui: &mut Ui, parameter: &ParameterDescription, short: &str, draft: &mu
             ));
         }
     });
+}
+
+fn range(parameter: &ParameterDescription) -> String {
+    match parameter.form {
+        ParameterForm::Flag => String::new(),
+        _ => format!("{} to {} {} · ", parameter.min, parameter.max, units(parameter)),
+    }
 }
 
 fn units(parameter: &ParameterDescription) -> String {

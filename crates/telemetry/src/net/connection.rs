@@ -195,8 +195,9 @@ async fn keep_alive(
             Ok(Err(error)) => error.to_string(),
             Err(_) => format!("{address} does not greet: not a MOCA-S daemon?"),
         };
-        hang_up(shared, reason);
-        wake();
+        if hang_up(shared, reason) {
+            wake();
+        }
         tokio::select! {
             () = tokio::time::sleep(RETRY) => {}
             () = refuse_all(shared, &mut orders) => return,
@@ -287,10 +288,14 @@ fn greet(shared: &Mutex<Shared>, description: RobotDescription) {
     s.link = Link::Up { session: s.session, description: Arc::new(description) };
 }
 
-fn hang_up(shared: &Mutex<Shared>, reason: String) {
+/// Notes that there is no connection; whether that is news.
+fn hang_up(shared: &Mutex<Shared>, reason: String) -> bool {
     let mut s = lock(shared);
     let unanswered = std::mem::take(&mut s.waiting);
     s.replies
         .extend(unanswered.into_values().map(|request| Reply { request, outcome: Err(Refusal::NoAnswer) }));
-    s.link = Link::Down { reason };
+    let link = Link::Down { reason };
+    let news = s.link != link || !s.replies.is_empty();
+    s.link = link;
+    news
 }
