@@ -78,7 +78,7 @@ impl History {
                 let value = f64::from(value);
                 let (min, max) = curve.extremes.unwrap_or((value, value));
                 curve.extremes = Some((min.min(value), max.max(value)));
-                extend(&mut piece, [self.time_s(index) - window_s.end, value]);
+                piece.push([self.time_s(index) - window_s.end, value]);
             } else if !piece.is_empty() {
                 curve.pieces.push(std::mem::take(&mut piece));
             }
@@ -147,15 +147,6 @@ impl History {
     }
 }
 
-/// Appends a point. Inside a run of equal values only its ends are kept: the same line with fewer points.
-#[expect(clippy::float_cmp, reason = "equal values are copies of each other")]
-fn extend(piece: &mut Vec<[f64; 2]>, point: [f64; 2]) {
-    match piece.as_mut_slice() {
-        [.., before, last] if before[1] == point[1] && last[1] == point[1] => *last = point,
-        _ => piece.push(point),
-    }
-}
-
 /// Nanoseconds as seconds.
 pub fn seconds(ns: u64) -> f64 {
     #[expect(clippy::cast_precision_loss, reason = "a loop runs for less than 2^53 ns, 104 days")]
@@ -202,16 +193,6 @@ mod tests {
         let table = history.csv(0.050..0.052, |signal| format!("{signal:?}"));
         let expected = "time_s,CoverWrench(0),FrameAgeMs\n0.050000,1.5,25\n0.051000,1.5,\n0.052000,1.5,25\n";
         assert_eq!(table, expected);
-    }
-
-    #[test]
-    fn a_constant_is_drawn_with_its_two_ends_and_a_step_keeps_its_corners() {
-        let mut history = History::new(vec![FORCE]);
-        (0..1000).for_each(|tick| history.push(&sample(tick, if tick < 400 { 1.0 } else { 2.0 })));
-        let curve = history.curve(FORCE, 0.0..0.999, 10_000);
-        let corners: Vec<f64> =
-            curve.pieces[0].iter().map(|p| (p[0] + 0.999) * 1e3).map(f64::round).collect();
-        assert_eq!(corners, [0.0, 399.0, 400.0, 999.0]);
     }
 
     #[test]

@@ -117,7 +117,7 @@ fn gauge(ui: &mut Ui, name: &str, value: f64, limit: f64, unit: &str, decimals: 
     response.on_hover_text(format!("limit {} {unit}", number(limit, decimals)));
     ui.allocate_ui_with_layout(vec2(150.0, 18.0), Layout::left_to_right(Align::Center), |ui| {
         ui.spacing_mut().item_spacing.x = 3.0;
-        let over = value >= limit && limit > 0.0;
+        let over = limit > 0.0 && value >= theme::OVER * limit;
         let text = RichText::new(format!("{:>6} {unit:<5}", number(value, decimals))).monospace();
         ui.label(if over { text.color(theme::BAD) } else { text });
         ui.weak(format!("of {}", number(limit, decimals)));

@@ -9,8 +9,8 @@ use crate::logic::{
     words::number,
 };
 use egui::{
-    Align, Button, Id, Layout, PointerButton, Rangef, Rect, RichText, Role, Ui, UiBuilder, Vec2, WidgetInfo,
-    vec2,
+    Align, Button, Color32, Id, Layout, PointerButton, Rangef, Rect, RichText, Role, Ui, UiBuilder, Vec2,
+    WidgetInfo, vec2,
 };
 use egui_plot::{AxisHints, GridInput, GridMark, Line, LineStyle, Plot, PlotPoints, PlotResponse, VLine};
 use moca_msgs::Mode;
@@ -31,6 +31,8 @@ const MARKS: f32 = 18.0;
 const MARKS_X: f64 = 5.0;
 const MARKS_Y: f64 = 4.0;
 pub(super) const LABELS: Rangef = Rangef { min: 1.0, max: 12.0 };
+/// Strength of the grid beside weak text.
+pub(super) const GRID: f32 = 0.35;
 /// An event this near to the cursor is told, points.
 const EVENT_REACH: f64 = 6.0;
 
@@ -169,8 +171,9 @@ impl Plotted<'_> {
         let (low, high) = vertical_range(extremes, self.panel.least_span);
         let weak = ui.visuals().weak_text_color();
         let cursor = self.view.cursor_s.map(|at_s| at_s - self.end_s);
-        let shown =
-            self.frame(vec2(size.x, size.y - HEADING - ui.spacing().item_spacing.y)).show(ui, |plot| {
+        let shown = self
+            .frame(vec2(size.x, size.y - HEADING - ui.spacing().item_spacing.y), weak.gamma_multiply(GRID))
+            .show(ui, |plot| {
                 plot.set_plot_bounds_x(-span_s..=0.0);
                 plot.set_plot_bounds_y(low..=high);
                 for event in self.model.events.iter().filter(|e| window_s.contains(&e.time_s)) {
@@ -202,7 +205,7 @@ impl Plotted<'_> {
         self.gesture(ui, &shown)
     }
 
-    fn frame(&self, size: Vec2) -> Plot<'_> {
+    fn frame(&self, size: Vec2, grid: Color32) -> Plot<'_> {
         Plot::new("plot")
             .id(Id::unique(("plot", self.panel.title)))
             .width(size.x)
@@ -218,6 +221,7 @@ impl Plotted<'_> {
             .show_axes([self.lowest, true])
             // A few marks at round values, all of them as plain to read.
             .grid_spacing(LABELS)
+            .grid_color(grid)
             .x_grid_spacer(|input| marks(input, MARKS_X))
             .y_grid_spacer(|input| marks(input, MARKS_Y))
             .custom_x_axes(vec![AxisHints::new_x().label_spacing(LABELS).formatter(|mark, range| {
@@ -236,7 +240,7 @@ impl Plotted<'_> {
     }
 
     /// What is and what should be have one colour.
-    fn colour(&self, index: usize) -> egui::Color32 {
+    fn colour(&self, index: usize) -> Color32 {
         let desired_before = self.panel.traces.iter().take(index + 1).filter(|(_, s)| s.is_desired()).count();
         theme::curve(index - desired_before)
     }

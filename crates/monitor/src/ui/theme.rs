@@ -35,11 +35,14 @@ pub(super) const WRENCH: Color32 = Color32::from_rgb(213, 94, 0);
 /// The arrow of the force on the flange.
 pub(super) const FLANGE_WRENCH: Color32 = Color32::from_rgb(150, 90, 200);
 
-/// Colour of a share of a limit; one that is not known is as bad as one that is reached.
+/// What is held at its limit may be this much over it, as a share.
+pub(super) const OVER: f64 = 1.05;
+
+/// Colour of a share of a limit; one that is not known is as bad as one that is passed.
 pub(super) fn share(part: f64) -> Color32 {
     match part {
         r if r < 0.5 => GOOD,
-        r if r < 1.0 => WARNING,
+        r if r < OVER => WARNING,
         _ => BAD,
     }
 }

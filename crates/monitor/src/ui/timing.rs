@@ -67,6 +67,7 @@ fn chart(ui: &mut Ui, title: &str, histogram: &Histogram, limit: f64, width: f32
         .show_x(false)
         .show_y(false)
         .grid_spacing(plots::LABELS)
+        .grid_color(ui.visuals().weak_text_color().gamma_multiply(plots::GRID))
         .x_grid_spacer(decades)
         .y_grid_spacer(decades)
         .custom_x_axes(vec![AxisHints::new_x().label_spacing(plots::LABELS).formatter(|mark, range| {
