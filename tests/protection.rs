@@ -105,9 +105,20 @@ fn at_the_speed_limit_an_impact_stays_under_25_n_and_at_the_papers_speed_it_does
     for phase in 0..4 {
         let limited = collide(&config(), 0.04, phase);
         let paper = collide(&overridden(10.0), 0.2, phase);
+        let mut believing = config();
+        believing.protection.unfelt_force_n = 0.0;
+        believing.protection.contact_travel_m = 0.1;
+        let plain = collide(&believing, 0.05, phase);
         println!(
-            "phase {phase}: limited {:.4} m/s: impact {:.1} N, pressed on {:.1} N | 0.2 m/s led: {:.3} m/s: impact {:.1} N",
-            limited.approach_m_s, limited.impact_n, limited.pressed_n, paper.approach_m_s, paper.impact_n
+            "phase {phase}: limited {:.4} m/s: impact {:.1} N, pressed on {:.1} N | 25 N/(k (T + servo)) \
+             {:.4} m/s: impact {:.1} N | 0.2 m/s led: {:.3} m/s: impact {:.1} N",
+            limited.approach_m_s,
+            limited.impact_n,
+            limited.pressed_n,
+            plain.approach_m_s,
+            plain.impact_n,
+            paper.approach_m_s,
+            paper.impact_n
         );
         assert!(limited.approach_m_s > 0.035, "the base was at its limit");
         assert!(limited.impact_n < 25.0, "{} N", limited.impact_n);
