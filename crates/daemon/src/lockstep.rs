@@ -13,6 +13,7 @@ use moca_msgs::{Outcome, Request, Sample};
 use moca_sim::{Scene, VirtualBoard, VirtualBoardConfig};
 use moca_tactile::board::Chunk;
 use moca_tactile::{BoardEvent, CloseReason, Cover};
+use std::collections::VecDeque;
 
 /// Events the ring to the loop holds; a tick sees a handful.
 const RING_EVENTS: usize = 256;
@@ -30,9 +31,18 @@ pub struct MemoryBoard {
     plugged: bool,
     spoiled: Option<Cable>,
     now_ns: u64,
+    /// Forces on their way to the board, and how many ticks they take.
+    late: VecDeque<[f64; TAXELS]>,
+    delay_ticks: usize,
 }
 
 impl MemoryBoard {
+    /// Makes the board feel everything this much later.
+    pub fn set_delay(&mut self, ticks: usize) {
+        self.late = VecDeque::with_capacity(ticks + 1);
+        self.delay_ticks = ticks;
+    }
+
     /// The board itself, to inject its faults.
     pub fn board(&mut self) -> &mut VirtualBoard {
         &mut self.board
@@ -66,11 +76,14 @@ impl MemoryBoard {
 impl Feed<ByteCover> for MemoryBoard {
     fn feed(&mut self, _cover: &mut ByteCover, now_ns: u64, true_force_n: &[f64; TAXELS]) {
         self.now_ns = now_ns;
+        self.late.push_back(*true_force_n);
+        let ripe = self.late.len() > self.delay_ticks;
+        let felt_n = if ripe { self.late.pop_front().unwrap_or_default() } else { [0.0; TAXELS] };
         let Self { board, cable, plugged, spoiled, .. } = self;
         let mut arrive = |event| {
             let _ = cable.push(event);
         };
-        board.advance(now_ns, true_force_n, &mut |bytes: &[u8]| {
+        board.advance(now_ns, &felt_n, &mut |bytes: &[u8]| {
             for part in bytes.chunks(Chunk::CAPACITY).filter(|_| *plugged) {
                 let event = BoardEvent::Bytes(Chunk::new(now_ns, part));
                 match spoiled {
@@ -119,8 +132,15 @@ impl LockStep<ByteCover, MemoryBoard> {
     ) -> Result<Self> {
         let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
         let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events, copies);
-        let feed =
-            MemoryBoard { board: VirtualBoard::new(board)?, cable, plugged: true, spoiled: None, now_ns: 0 };
+        let feed = MemoryBoard {
+            board: VirtualBoard::new(board)?,
+            cable,
+            plugged: true,
+            spoiled: None,
+            now_ns: 0,
+            late: VecDeque::with_capacity(1),
+            delay_ticks: 0,
+        };
         Self::new(config, scene, cover, feed)
     }
 }

@@ -33,6 +33,8 @@ pub struct VirtualBoardConfig {
     pub noise_counts: Option<f64>,
     /// Seed of the noise.
     pub seed: u64,
+    /// Period of a frame if it is not the sketch's, ns, 1 ms to 1 s: every part of the frame takes its share.
+    pub frame_period_ns: Option<u64>,
     /// When the first frame is read, ns: the board's phase against the loop.
     pub first_read_ns: u64,
 }
@@ -47,6 +49,7 @@ impl Default for VirtualBoardConfig {
             effects: Effects::default(),
             noise_counts: None,
             seed: 1,
+            frame_period_ns: None,
             first_read_ns: 5_000_000,
         }
     }
@@ -67,6 +70,7 @@ pub enum BoardFault {
 #[derive(Clone, Debug)]
 pub struct VirtualBoard {
     sketch: SketchGeneration,
+    frame_period_ns: u64,
     foam: FoamLaw,
     foam_scale: f64,
     foams: [FoamState; TAXELS],
@@ -116,8 +120,17 @@ impl VirtualBoard {
                 return Err(SimError::Scene { name, value, unit, min, max });
             }
         }
+        if let Some(period_ns) = config.frame_period_ns {
+            let (name, unit, min, max) = ("frame_period_ns", "ns", 1e6, 1e9);
+            #[expect(clippy::cast_precision_loss, reason = "shown to a person")]
+            let value = period_ns as f64;
+            if !(min..=max).contains(&value) {
+                return Err(SimError::Scene { name, value, unit, min, max });
+            }
+        }
         let mut board = Self {
             sketch: config.sketch,
+            frame_period_ns: config.frame_period_ns.unwrap_or(config.sketch.frame_period_ns()),
             foam: config.foam,
             foam_scale: config.foam_scale,
             foams: [FoamState::default(); TAXELS],
@@ -173,8 +186,9 @@ impl VirtualBoard {
         self.read_ns + self.hurried(after_read_ns)
     }
 
-    /// Without an answer from the chip every part of a frame is quicker.
-    fn hurried(&self, normal_ns: u64) -> u64 {
+    /// A part of a frame as this board takes it; without an answer from the chip every part is quicker.
+    fn hurried(&self, of_sketch_ns: u64) -> u64 {
+        let normal_ns = of_sketch_ns * self.frame_period_ns / self.sketch.frame_period_ns();
         match self.fault {
             Some(BoardFault::I2cLost) => normal_ns * I2C_LOST_PERCENT / 100,
             _ => normal_ns,

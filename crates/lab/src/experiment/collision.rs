@@ -88,10 +88,7 @@ pub(crate) struct Run {
 /// One collision for each phase of the sensor; the worst is reported.
 pub(crate) fn run(settings: &Settings) -> Result<Run> {
     let started = Instant::now();
-    let period_ms = match settings.sensor {
-        Sensor::Stock => 1e-6 * to_f64(settings.sketch.frame_period_ns()),
-        Sensor::Ideal | Sensor::Off => settings.sensor_period_ms,
-    };
+    let period_ms = settings.period_ms();
     let phases: &[f64] = if settings.sensor == Sensor::Off { &PHASES[..1] } else { &PHASES };
     let mut worst: Option<(f64, Rig)> = None;
     let mut peaks = Vec::new();
@@ -194,10 +191,4 @@ fn approach_m_s(row: &Row, settings: &Settings) -> f64 {
     let (vx, vy) = (body_x - yaw_rate * y, body_y + yaw_rate * x);
     let (sin, cos) = placement.inward_angle_base_rad.sin_cos();
     -(vx * cos + vy * sin) + settings.person.walk_m_s
-}
-
-fn to_f64(value: u64) -> f64 {
-    #[expect(clippy::cast_precision_loss, reason = "counts and nanoseconds of one run")]
-    let value = value as f64;
-    value
 }

@@ -97,14 +97,16 @@ impl Rig {
         let ticks = |ms: f64| whole(ms * 1e-3 / period_s);
         let cover = match settings.sensor {
             Sensor::Stock => {
-                Cover::Board(Box::new(LockStep::with_board(&config, scene, settings.board(), None)?))
+                let mut lock_step = LockStep::with_board(&config, scene, settings.board(), None)?;
+                lock_step.feed.set_delay(usize::try_from(ticks(settings.sensor_delay_ms))?);
+                Cover::Board(Box::new(lock_step))
             }
             Sensor::Ideal | Sensor::Off => {
                 if settings.sensor == Sensor::Off {
                     config.control.gains.reactivity = 0.0;
                 }
                 let delay = usize::try_from(ticks(settings.sensor_delay_ms))?;
-                let ideal = IdealCover::new(ticks(settings.sensor_period_ms), delay);
+                let ideal = IdealCover::new(ticks(settings.period_ms()), delay);
                 Cover::True(Box::new(LockStep::with_true_forces(&config, scene, ideal)?))
             }
         };

@@ -8,6 +8,9 @@ use moca_sim::foam::FoamLaw;
 use moca_sim::{BaseServo, BodyPart, Integrator, Mobility, Person, Scene, Shape, VirtualBoardConfig};
 use moca_tactile::datastream::SketchGeneration;
 
+/// Averaging and holding period of the ideal sensor, ms.
+const IDEAL_PERIOD_MS: f64 = 10.0;
+
 /// What the controller feels the cover with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sensor {
@@ -92,7 +95,8 @@ impl PersonSettings {
 pub(crate) struct Settings {
     pub config: Config,
     pub sensor: Sensor,
-    pub sensor_period_ms: f64,
+    /// `None` is 10 ms for the ideal sensor and what the sketch takes for the stock board.
+    pub sensor_period_ms: Option<f64>,
     pub sensor_delay_ms: f64,
     pub sensor_phase_ms: f64,
     pub noise_counts: Option<f64>,
@@ -125,7 +129,7 @@ impl Settings {
         Self {
             config,
             sensor: Sensor::Stock,
-            sensor_period_ms: 10.0,
+            sensor_period_ms: None,
             sensor_delay_ms: 0.0,
             sensor_phase_ms: 0.0,
             noise_counts: None,
@@ -189,6 +193,14 @@ impl Settings {
         Ok(Scene { people: vec![self.person.person()?], ..self.free_scene() })
     }
 
+    /// Period of the sensor, ms.
+    pub(crate) fn period_ms(&self) -> f64 {
+        #[expect(clippy::cast_precision_loss, reason = "some milliseconds")]
+        let of_sketch_ms = 1e-6 * self.sketch.frame_period_ns() as f64;
+        let usual_ms = if self.sensor == Sensor::Stock { of_sketch_ms } else { IDEAL_PERIOD_MS };
+        self.sensor_period_ms.unwrap_or(usual_ms)
+    }
+
     /// The virtual board of this run.
     pub(crate) fn board(&self) -> VirtualBoardConfig {
         VirtualBoardConfig {
@@ -196,6 +208,8 @@ impl Settings {
             foam: self.foam,
             foam_scale: self.foam_scale,
             noise_counts: self.noise_counts,
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "1 to 1000 ms")]
+            frame_period_ns: self.sensor_period_ms.map(|ms| (1e6 * ms) as u64),
             seed: self.config.simulation.seed,
             ..VirtualBoardConfig::default()
         }
@@ -223,10 +237,13 @@ const KEYS: &[Key] = &[
         s.sensor = word(v, &[("stock", Sensor::Stock), ("ideal", Sensor::Ideal), ("off", Sensor::Off)])?;
         Ok(())
     }),
-    key("sensor.period_ms", "ms", "ideal sensor: averaging and holding period", |s, v| {
-        store(&mut s.sensor_period_ms, v, 1.0, 1000.0)
-    }),
-    key("sensor.delay_ms", "ms", "ideal sensor: further delay", |s, v| {
+    key(
+        "sensor.period_ms",
+        "ms",
+        "ideal sensor: averaging and holding period; stock board: period of a frame",
+        |s, v| some(&mut s.sensor_period_ms, v, 1.0, 1000.0),
+    ),
+    key("sensor.delay_ms", "ms", "further delay, either sensor", |s, v| {
         store(&mut s.sensor_delay_ms, v, 0.0, 1000.0)
     }),
     key("sensor.phase_ms", "ms", "how much later the motion starts against the sensor's clock", |s, v| {

@@ -168,3 +168,22 @@ fn two_runs_of_one_seed_are_the_same_bit_for_bit() {
     };
     assert_eq!(trace(), trace());
 }
+
+#[test]
+fn rate_and_age_of_a_stock_board_can_be_set_and_matter() {
+    let peak = |assignments: &[&str]| {
+        let mut settings = settings(&["duration=4", "sensor.noise=0"]);
+        collision::defaults(&mut settings);
+        for assignment in assignments {
+            settings.set(assignment).unwrap();
+        }
+        let rig = Rig::start(&settings, &settings.collision_scene().unwrap()).unwrap();
+        let rate_hz = rig.frame_rate_hz;
+        (collision::single(&settings).unwrap().measures.peak_force_n, rate_hz)
+    };
+    let (stock_n, stock_hz) = peak(&[]);
+    let (quick_n, quick_hz) = peak(&["sensor.period_ms=5"]);
+    let (late_n, _) = peak(&["sensor.delay_ms=40"]);
+    assert!((stock_hz - 40.5).abs() < 1.0 && (quick_hz - 200.0).abs() < 10.0, "{stock_hz} {quick_hz}");
+    assert!(quick_n < 0.8 * stock_n && stock_n < late_n, "{quick_n} {stock_n} {late_n}");
+}

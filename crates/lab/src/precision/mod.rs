@@ -133,10 +133,7 @@ fn write_text(out: &mut String, report: &Report) -> std::fmt::Result {
             p.method, p.step_ms, p.smooth_error_m_s, p.held_error_m_s, p.cpu_s_per_s
         )?;
     }
-    writeln!(
-        out,
-        "  recommended for a sensor's held reading: the exact hold, the only one without error; the default"
-    )?;
+    writeln!(out, "  {}", report.admittance_recommendation)?;
     writeln!(out, "calibration models on PU LD30, trials not seen: error, one evaluation")?;
     for model in &report.calibration {
         writeln!(out, "  {:22} {:6.2} N  {:6.1} ns", model.model, model.rmse_n, model.cost_ns)?;

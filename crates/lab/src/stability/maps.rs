@@ -127,7 +127,7 @@ pub(crate) fn stable_in_theory(settings: &Settings) -> Result<bool> {
         damping_n_s_m: damping,
         delay_s: theory::reading_delay_s(
             1e-3 * settings.sensor_delay_ms,
-            1e-3 * settings.sensor_period_ms,
+            1e-3 * settings.period_ms(),
             1.0 / f64::from(settings.config.control_loop.rate_hz),
         ),
         servo_s: settings.base_servo.time_constant_s,
