@@ -139,11 +139,28 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             finish(common, "b2", &run.report, &run.rows, draw, || run.report.text())
         }
         Experiment::Collision(common) => {
-            let run = collision::run(&common.settings(Law::Impedance, collision::defaults)?)?;
+            let settings = common.settings(Law::Impedance, collision::defaults)?;
+            let run = collision::run(&settings)?;
+            // The true force beside the stock board's bytes, and the other way: one without the other misleads.
+            let sensor = match settings.sensor {
+                settings::Sensor::Stock => settings::Sensor::Ideal,
+                settings::Sensor::Ideal | settings::Sensor::Off => settings::Sensor::Stock,
+            };
+            let beside = collision::run(&Settings { sensor, ..settings })?.report;
+            let report = CollisionReport { own: &run.report, beside: &beside };
             let draw = || figure::draw(&run.rows, &run.moments, collision::panels(&run.rows));
-            finish(common, "collision", &run.report, &run.rows, draw, || run.report.text())
+            let text = || format!("{}\nbeside it {}", run.report.text(), beside.text());
+            finish(common, "collision", &report, &run.rows, draw, text)
         }
     }
+}
+
+/// A collision, and the same one felt in the other way.
+#[derive(Debug, Serialize)]
+struct CollisionReport<'a> {
+    #[serde(flatten)]
+    own: &'a collision::Report,
+    beside: &'a collision::Report,
 }
 
 fn push_report(taxels: &[usize], newton: f64, settings: &Settings) -> Result<(PushReport, Vec<rig::Row>)> {
