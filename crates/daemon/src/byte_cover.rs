@@ -4,6 +4,7 @@
 use crate::config::TAXELS;
 use crate::cover_source::{CoverSource, CoverState};
 use crate::supervisor::Zero;
+use crate::tape::Copied;
 use moca_msgs::{Fault, Outcome, Refusal};
 use moca_tactile::{BoardEvent, Cover, TareStatus};
 
@@ -16,6 +17,7 @@ pub struct ByteCover {
     events: rtrb::Consumer<BoardEvent>,
     copies: Option<rtrb::Producer<BoardEvent>>,
     calibrator: Option<rtrb::Producer<BoardEvent>>,
+    copied: Copied,
 }
 
 impl ByteCover {
@@ -25,7 +27,7 @@ impl ByteCover {
         events: rtrb::Consumer<BoardEvent>,
         copies: Option<rtrb::Producer<BoardEvent>>,
     ) -> Self {
-        Self { cover, events, copies, calibrator: None }
+        Self { cover, events, copies, calibrator: None, copied: Copied { events: 0, lost: 0 } }
     }
 
     /// Hands a copy of each event to a calibrator too.
@@ -46,12 +48,19 @@ impl ByteCover {
 
 impl CoverSource for ByteCover {
     fn read(&mut self, now_ns: u64) -> CoverState {
+        self.copied.events = 0;
         for _ in 0..EVENTS_PER_TICK {
             let Ok(event) = self.events.pop() else { break };
             self.cover.event(0, &event);
-            for copies in [&mut self.copies, &mut self.calibrator].into_iter().flatten() {
+            if let Some(copies) = &mut self.copies {
+                match copies.push(event) {
+                    Ok(()) => self.copied.events += 1,
+                    Err(_) => self.copied.lost += 1,
+                }
+            }
+            if let Some(calibrator) = &mut self.calibrator {
                 // Who cannot keep up loses copies, never the loop its time.
-                let _ = copies.push(event);
+                let _ = calibrator.push(event);
             }
         }
         let poll = self.cover.poll(now_ns);
@@ -72,6 +81,10 @@ impl CoverSource for ByteCover {
 
     fn start_tare(&mut self, now_ns: u64) {
         self.cover.start_tare(now_ns);
+    }
+
+    fn copied(&self) -> Copied {
+        self.copied
     }
 
     fn mask(&mut self, taxel: usize, masked: bool) -> Outcome {

@@ -7,13 +7,15 @@ use crate::motion::{self, Motion};
 use crate::plant::Plant;
 use crate::protection::Protected;
 use crate::supervisor::{Facts, Supervisor};
+use crate::tape::{Tape, TickInput};
 use crate::timing::{Distribution, Stage, Timing};
 use heapless::Vec;
 use moca_msgs::{Actuation, Fault, Mode, Outcome, Refusal, Request, RobotState, Sample};
 use moca_wbc::{ControlError, ControlOutput};
+use serde::{Deserialize, Serialize};
 
 /// When a tick runs.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Slot {
     /// Tick count since the loop started.
     pub tick: u64,
@@ -37,6 +39,8 @@ pub struct ControlLoop<P, S> {
     pub timing: Timing,
     /// Age of the cover's data at each tick.
     pub frame_age: Distribution,
+    /// Where each tick's inputs go, if somebody records them.
+    pub tape: Option<Tape>,
     door: StateDoor,
     supervisor: Supervisor,
     motion: Motion,
@@ -64,6 +68,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             cover,
             timing,
             frame_age,
+            tape: None,
             door,
             supervisor,
             motion,
@@ -76,7 +81,9 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// One tick: read, feel, decide, command, write; returns what an observer may see and the answer to `request`.
     pub fn tick(&mut self, slot: &Slot, request: Option<Request>) -> (Sample, Option<Outcome>) {
         self.timing.start();
-        let robot = self.read(slot);
+        let measured = self.plant.read();
+        let age = self.plant.age();
+        let robot = measured.and_then(|state| self.door.check(state, age, self.elapsed_s(slot)));
         self.timing.end(Stage::Read);
 
         let cover = self.cover.read(slot.now_ns);
@@ -86,7 +93,23 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         let actuation = motion::actuation(output.as_ref());
         self.timing.end(Stage::Control);
 
-        self.refused = self.plant.write(&actuation, slot.ticks).err().or(self.refused);
+        let refused = self.plant.write(&actuation, slot.ticks).err();
+        self.refused = refused.or(self.refused);
+        if let Some(tape) = &mut self.tape {
+            let state = measured.map(Into::into);
+            let input = TickInput {
+                slot: *slot,
+                state,
+                age,
+                request,
+                outcome,
+                refused,
+                events: 0,
+                number: 0,
+                lost: 0,
+            };
+            tape.push(input, self.cover.copied());
+        }
         self.timing.end(Stage::Write);
 
         (self.sample(slot, robot.ok().as_ref(), &cover, &actuation, output.as_ref()), outcome)
@@ -104,11 +127,6 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     pub fn brake(&mut self) {
         // Whether it still listens or not, there is nothing left to do about it.
         let _ = self.plant.write(&Actuation::Brake, 1);
-    }
-
-    fn read(&mut self, slot: &Slot) -> Result<RobotState<JOINTS>, Fault> {
-        let state = self.plant.read()?;
-        self.door.check(state, self.plant.age(), self.elapsed_s(slot))
     }
 
     fn elapsed_s(&self, slot: &Slot) -> f64 {

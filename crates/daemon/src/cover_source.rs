@@ -2,6 +2,7 @@
 
 use crate::config::TAXELS;
 use crate::supervisor::Zero;
+use crate::tape::Copied;
 use moca_msgs::board::Diagnosis;
 use moca_msgs::{CoverReading, Fault, Outcome, Refusal, TaxelStatus};
 
@@ -35,6 +36,11 @@ pub trait CoverSource {
 
     /// Starts measuring the zero.
     fn start_tare(&mut self, now_ns: u64);
+
+    /// What the last [`CoverSource::read`] handed to a recorder.
+    fn copied(&self) -> Copied {
+        Copied::default()
+    }
 
     /// Takes a taxel (0 is T1) out of use, or back into it.
     ///

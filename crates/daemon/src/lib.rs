@@ -40,10 +40,12 @@ pub mod plant;
 pub mod protection;
 pub mod realtime;
 pub mod recording;
+pub mod replay;
 pub mod run;
 pub mod schedule;
 pub mod service;
 #[cfg(feature = "sim")]
 pub mod simulated;
 pub mod supervisor;
+pub mod tape;
 pub mod timing;

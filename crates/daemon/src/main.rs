@@ -30,6 +30,11 @@ enum Command {
     Calibrate(moca_daemon::calibrate::Arguments),
     /// Say what is and is not real-time on this PC, beside an empty loop, and what to do about it.
     Doctor(moca_daemon::doctor::Arguments),
+    /// Run a log again from its recorded states and bytes, and compare every command bit for bit.
+    Replay {
+        /// A log that `mocad --record` wrote.
+        log: PathBuf,
+    },
     /// List parameters, change them in a running daemon, or print their schema.
     #[command(subcommand)]
     Params(moca_daemon::params_command::Command),
@@ -75,6 +80,7 @@ fn main() -> ExitCode {
         Some(Command::Run(run_arguments)) => run(run_arguments),
         Some(Command::Calibrate(calibrate)) => moca_daemon::calibrate::run(&calibrate),
         Some(Command::Doctor(doctor)) => moca_daemon::doctor::run(&doctor),
+        Some(Command::Replay { log }) => replay(&log),
         Some(Command::Params(command)) => moca_daemon::params_command::run(&command),
         Some(Command::DefaultConfig) => {
             #[expect(clippy::print_stdout, reason = "this is what the command is for")]
@@ -116,6 +122,15 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
     } else {
         ExitCode::FAILURE
     }
+}
+
+fn replay(log: &std::path::Path) -> anyhow::Result<()> {
+    let report = moca_daemon::replay::run(log)?;
+    #[expect(clippy::print_stdout, reason = "the command's result")]
+    {
+        print!("{report}");
+    }
+    Ok(())
 }
 
 fn run(arguments: RunArguments) -> anyhow::Result<()> {

@@ -2,9 +2,10 @@
 
 use crate::config::JOINTS;
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
+use serde::{Deserialize, Serialize};
 
 /// How old the parts of a measured state are.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SourceAge {
     /// Age of the arm's part, s.
     pub arm_s: f64,

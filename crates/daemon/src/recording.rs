@@ -1,14 +1,17 @@
-//! `--record`: every sample and every byte of the board into a log, from the observers' side of the rings.
+//! `--record`: every sample, every byte of the board and what a replay needs into a log, from the observers' side of the
+//! rings.
 
+use crate::config::Config;
+use crate::tape::{PortEvent, TickRecord};
 use anyhow::Result;
-use moca_msgs::Sample;
-use moca_tactile::BoardEvent;
+use moca_msgs::{Request, Sample, params::CONTROLLER};
 use moca_telemetry::RobotDescription;
+use moca_telemetry::log::records::{Configuration, ParameterChange};
 use moca_telemetry::log::{LogSummary, Meta, Recorder, SerialBytes};
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// Samples and events on their way to the recorder.
+/// Samples on their way to the recorder.
 const RING: usize = 4096;
 /// How long to wait when the disk is behind.
 const WAIT: Duration = Duration::from_millis(1);
@@ -17,40 +20,41 @@ const WAIT: Duration = Duration::from_millis(1);
 pub struct Recording {
     recorder: Recorder,
     samples: rtrb::Producer<Sample>,
-    copies: rtrb::Consumer<BoardEvent>,
+    lost: u64,
 }
 
 impl Recording {
-    /// Creates `path`, which must not exist. The second value is where the loop puts copies of the board's events.
+    /// Creates `path`, which must not exist.
     ///
     /// # Errors
-    /// The file exists or cannot be created.
-    pub fn create(
-        path: &Path,
-        description: RobotDescription,
-        live: bool,
-    ) -> Result<(Self, rtrb::Producer<BoardEvent>)> {
-        let start = if live {
-            SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()
-        } else {
-            Duration::ZERO
-        };
-        let start_unix_ns = u64::try_from(start.as_nanos()).unwrap_or(0);
+    /// The file exists or cannot be created, or the calibration file cannot be read.
+    pub fn create(path: &Path, description: RobotDescription, config: &Config, live: bool) -> Result<Self> {
         let (samples, from_here) = rtrb::RingBuffer::new(RING);
-        let (copies_in, copies) = rtrb::RingBuffer::new(RING);
-        let recorder = Recorder::create(path, &Meta { description, start_unix_ns }, from_here)?;
-        Ok((Self { recorder, samples, copies }, copies_in))
+        let meta = Meta { description, start_unix_ns: if live { unix_now_ns() } else { 0 } };
+        let configuration = configuration(config)?;
+        let recorder = Recorder::create(path, &meta, from_here)?;
+        recorder.configuration(configuration);
+        Ok(Self { recorder, samples, lost: 0 })
     }
 
-    /// Adds one sample and the bytes that came before it; waits while the disk is behind (never on the loop's thread
-    /// of a live run).
-    pub fn add(&mut self, sample: &Sample) {
-        while let Ok(event) = self.copies.pop() {
-            if let BoardEvent::Bytes(chunk) = event {
-                let bytes = SerialBytes { arrival_ns: chunk.arrival_ns, bytes: chunk.bytes().to_vec() };
+    /// Adds what one tick was given; waits while the disk is behind (never on the loop's thread of a live run).
+    pub fn add_tick(&mut self, record: &TickRecord) {
+        let (tick, time_ns) = (record.input.slot.tick, record.input.slot.now_ns);
+        for event in &record.events {
+            if let PortEvent::Bytes(arrival_ns, bytes) = event {
+                let bytes = SerialBytes { arrival_ns: *arrival_ns, bytes: bytes.clone() };
                 self.recorder.serial().offer(bytes);
             }
         }
+        if let Some(change) = parameter_change(record) {
+            self.recorder.parameter(time_ns, change);
+        }
+        self.lost = record.input.lost;
+        self.recorder.replay(time_ns, tick, record.encode());
+    }
+
+    /// Adds one sample; waits like [`Recording::add_tick`].
+    pub fn add(&mut self, sample: &Sample) {
         while self.samples.is_full() && self.recorder.is_recording() {
             std::thread::sleep(WAIT);
         }
@@ -58,11 +62,40 @@ impl Recording {
         let _ = self.samples.push(sample.clone());
     }
 
-    /// Writes what waits, the index and the end mark.
+    /// Writes what waits, the index and the end mark. Ticks and board events that found no room count as dropped.
     ///
     /// # Errors
     /// The disk refused a write during the run or now.
     pub fn finish(self) -> Result<LogSummary> {
-        Ok(self.recorder.finish()?)
+        let summary = self.recorder.finish()?;
+        Ok(LogSummary { serial_dropped: summary.serial_dropped + self.lost, ..summary })
     }
+}
+
+/// Now, ns since the Unix epoch.
+pub(crate) fn unix_now_ns() -> u64 {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(now.as_nanos()).unwrap_or(0)
+}
+
+/// How a run is configured, with the text of its calibration file.
+///
+/// # Errors
+/// The calibration file cannot be read.
+pub fn configuration(config: &Config) -> Result<Configuration> {
+    let path = &config.board.calibration;
+    let calibration = if path.is_empty() { String::new() } else { std::fs::read_to_string(path)? };
+    let toml = toml::to_string(config)?;
+    Ok(Configuration { version: env!("CARGO_PKG_VERSION").into(), toml, calibration })
+}
+
+/// The change of a parameter that this tick accepted, if it did.
+pub fn parameter_change(record: &TickRecord) -> Option<ParameterChange> {
+    let (Some(Request::SetParameter { parameter, values }), Some(Ok(()))) =
+        (record.input.request, record.input.outcome)
+    else {
+        return None;
+    };
+    let name = CONTROLLER.get(usize::from(parameter))?.name.to_owned();
+    Some(ParameterChange { tick: record.input.slot.tick, name, values: values.as_slice().to_vec() })
 }

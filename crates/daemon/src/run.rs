@@ -13,9 +13,10 @@ use crate::motion::Motion;
 use crate::plant::Plant;
 use crate::protection::{self, Protection};
 use crate::realtime;
-use crate::recording::Recording;
+use crate::recording::{Recording, parameter_change};
 use crate::service::Heartbeat;
 use crate::supervisor::{Automatic, Supervisor};
+use crate::tape::{TapeReader, tape};
 use crate::timing::{Distribution, Timing};
 use anyhow::{Context, Result, anyhow};
 use moca_msgs::{Law, Outcome, Request, Sample, robot};
@@ -198,12 +199,15 @@ impl LiveRun {
 pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     introduce_simulation(&options.config);
     let clock = Clock::start()?;
-    let (recording, copies) = recording(options)?;
-    let robot = assemble(&options.config, clock, options.inject.as_ref(), copies)?;
+    let recording = recording(options)?;
+    let (tape, copies, tape_reader) = tape();
+    let mut robot = assemble(&options.config, clock, options.inject.as_ref(), Some(copies))?;
+    robot.control.tape = Some(tape);
     let virtual_board = if robot.virtual_board.is_some() { " (virtual Touch Board)" } else { "" };
     println!("  board       {}{virtual_board}", shown(&robot.port));
     let (_calibrator, calibration) = robot.calibrator;
-    live(options, robot.control, clock, (recording, calibration), shared)
+    let observers = Observers { recording, tape: tape_reader };
+    live(options, robot.control, clock, (observers, calibration), shared)
 }
 
 /// A simulated robot with everything that a live loop needs; the board and its reader end with it.
@@ -276,7 +280,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     options: &Options,
     mut control: ControlLoop<P, S>,
     clock: Clock,
-    (mut recording, calibration): (Option<Recording>, CalibrationPort),
+    (mut observers, calibration): (Observers, CalibrationPort),
     shared: &Arc<Shared>,
 ) -> Result<LiveRun> {
     let config = &options.config;
@@ -314,14 +318,14 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
             std::thread::Builder::new().name("control-loop".into()).spawn_scoped(scope, in_loop_thread)?;
         let refused = report_realtime(&steps.recv().unwrap_or_default());
         println!("Ctrl-C stops it.");
-        let last = watch(&mut watched, &mut recording, options.log_level, done);
+        let last = watch(&mut watched, &mut observers, options.log_level, done);
         let report = thread.join().map_err(|_| anyhow!("the loop's thread panicked"))?;
         if options.require_realtime && refused > 0 {
             return Err(RealtimeRefused(refused).into());
         }
         Ok((report, last))
     })?;
-    finish(recording, options)?;
+    finish(observers.recording, options)?;
     Ok(LiveRun {
         timing: control.timing,
         frame_age: control.frame_age,
@@ -393,11 +397,32 @@ fn description(config: &Config) -> RobotDescription {
     RobotDescription { parameters, speed_override, ..robot }
 }
 
-fn recording(options: &Options) -> Result<(Option<Recording>, Option<rtrb::Producer<BoardEvent>>)> {
-    let Some(path) = &options.record else { return Ok((None, None)) };
-    let (recording, copies) = Recording::create(path, description(&options.config), !options.lock_step)?;
+fn recording(options: &Options) -> Result<Option<Recording>> {
+    let Some(path) = &options.record else { return Ok(None) };
+    let config = &options.config;
+    let recording = Recording::create(path, description(config), config, !options.lock_step)?;
     println!("  record      {}", path.display());
-    Ok((Some(recording), Some(copies)))
+    Ok(Some(recording))
+}
+
+/// Who takes what the loop notes of each tick.
+struct Observers {
+    recording: Option<Recording>,
+    tape: TapeReader,
+}
+
+impl Observers {
+    /// Passes on what has been noted since the last call.
+    fn take_ticks(&mut self) {
+        while let Some(record) = self.tape.next_tick() {
+            if let Some(change) = parameter_change(&record) {
+                println!("[tick {}] parameter {} = {:?}", change.tick, change.name, change.values);
+            }
+            if let Some(recording) = &mut self.recording {
+                recording.add_tick(&record);
+            }
+        }
+    }
 }
 
 fn finish(recording: Option<Recording>, options: &Options) -> Result<()> {
@@ -406,7 +431,7 @@ fn finish(recording: Option<Recording>, options: &Options) -> Result<()> {
         println!("recorded {} samples and {} bytes of the board", summary.samples, summary.serial_bytes);
         if summary.serial_dropped > 0 {
             println!(
-                "  {} reads of the board found no room on their way to the disk",
+                "  {} ticks or reads of the board found no room on their way to the disk",
                 summary.serial_dropped
             );
         }
@@ -417,7 +442,7 @@ fn finish(recording: Option<Recording>, options: &Options) -> Result<()> {
 /// Shows samples on the terminal until `done` is set and the ring is empty; returns the last one.
 fn watch(
     samples: &mut rtrb::Consumer<Sample>,
-    recording: &mut Option<Recording>,
+    observers: &mut Observers,
     log_level: Level,
     done: &AtomicBool,
 ) -> Sample {
@@ -432,11 +457,13 @@ fn watch(
             for line in console.lines(&sample) {
                 println!("{line}");
             }
-            if let Some(recording) = recording {
+            observers.take_ticks();
+            if let Some(recording) = &mut observers.recording {
                 recording.add(&sample);
             }
             last = sample;
         }
+        observers.take_ticks();
         if finished {
             return last;
         }
@@ -453,9 +480,16 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
     let config = &options.config;
     introduce_simulation(config);
     println!("  board       virtual Touch Board in memory");
-    let (mut recording, copies) = recording(options)?;
-    let mut world =
-        LockStep::with_board(config, &crate::simulated::free_scene(config), board_config(config), copies)?;
+    let recording = recording(options)?;
+    let (tape, copies, tape_reader) = tape();
+    let mut observers = Observers { recording, tape: tape_reader };
+    let mut world = LockStep::with_board(
+        config,
+        &crate::simulated::free_scene(config),
+        board_config(config),
+        Some(copies),
+    )?;
+    world.control.tape = Some(tape);
     if let Some(injection) = &options.inject {
         world.inject(injection, config.simulation.seed);
     }
@@ -487,7 +521,8 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
         if let Some(log) = &mut log {
             command_log::write_row(log, &last)?;
         }
-        if let Some(recording) = &mut recording {
+        observers.take_ticks();
+        if let Some(recording) = &mut observers.recording {
             recording.add(&last);
         }
         for line in console.lines(&last) {
@@ -508,5 +543,5 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
         wall: started.elapsed(),
     };
     println!("{summary}");
-    finish(recording, options)
+    finish(observers.recording, options)
 }

@@ -3,7 +3,8 @@
 use super::{
     LogError, SerialBytes,
     records::{
-        BoardChange, Channel, Command, Contact, Cover, FaultChange, ModeChange, Robot, Serial, State, Timing,
+        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, ModeChange, Replay, Robot,
+        Serial, State, Timing,
     },
 };
 use crate::RobotDescription;
@@ -23,6 +24,15 @@ pub enum Record {
     Sample(Box<Sample>),
     /// One read of the Touch Board's port.
     Serial(SerialBytes),
+    /// What a replay needs of one tick.
+    Replay {
+        /// Tick count.
+        tick: u64,
+        /// The daemon's own record.
+        bytes: Vec<u8>,
+    },
+    /// How the run was configured.
+    Configuration(Box<Configuration>),
 }
 
 /// A whole log in memory: about 1.5 KB a sample.
@@ -70,6 +80,7 @@ pub fn read_log(path: &Path) -> Result<Log, LogError> {
         match record {
             Record::Sample(sample) => log.samples.push(*sample),
             Record::Serial(serial) => log.serial.push(serial),
+            Record::Replay { .. } | Record::Configuration(_) => {}
         }
     }
     log.description = reader.description;
@@ -135,6 +146,11 @@ impl LogReader {
             Contact::TOPIC => self.partial.contacts.push(parse(message)?),
             Timing::TOPIC => return Ok(self.complete(message.log_time, &parse(message)?)),
             Serial::TOPIC => return Ok(Some(Record::Serial(serial(&parse(message)?)))),
+            Replay::TOPIC => {
+                let replay: Replay = parse(message)?;
+                return Ok(Some(Record::Replay { tick: replay.tick, bytes: bytes(&replay.hex) }));
+            }
+            Configuration::TOPIC => return Ok(Some(Record::Configuration(Box::new(parse(message)?)))),
             _ => {} // Channels that others have added are not ours to judge.
         }
         Ok(None)
@@ -217,9 +233,13 @@ fn parse<C: DeserializeOwned>(message: &Message<'_>) -> Result<C, serde_json::Er
     serde_json::from_slice(&message.data)
 }
 
-/// Digits that are not hexadecimal, which this library never writes, end the bytes.
 fn serial(record: &Serial) -> SerialBytes {
-    let digits = record.hex.as_bytes().chunks_exact(2);
+    SerialBytes { arrival_ns: record.arrival_ns, bytes: bytes(&record.hex) }
+}
+
+/// Digits that are not hexadecimal, which this library never writes, end the bytes.
+fn bytes(hex: &str) -> Vec<u8> {
+    let digits = hex.as_bytes().chunks_exact(2);
     let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).ok()?, 16).ok();
-    SerialBytes { arrival_ns: record.arrival_ns, bytes: digits.map_while(byte).collect() }
+    digits.map_while(byte).collect()
 }

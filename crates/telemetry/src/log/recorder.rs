@@ -2,6 +2,7 @@
 
 use super::{
     LogError, SerialBytes,
+    records::{Configuration, ParameterChange},
     writer::{LogSummary, LogWriter, Meta},
 };
 use moca_msgs::Sample;
@@ -19,7 +20,15 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Most serial reads that wait for the recorder: over 10 s of a Touch Board.
+/// What reaches the recorder besides samples.
+enum Entry {
+    Serial(SerialBytes),
+    Replay { time_ns: u64, tick: u64, bytes: Vec<u8> },
+    Parameter { time_ns: u64, change: ParameterChange },
+    Configuration(Box<Configuration>),
+}
+
+/// Most entries that wait for the recorder: over 10 s of a Touch Board.
 const MAX_SERIAL: usize = 4096;
 /// How often the rings are looked at.
 const POLL: Duration = Duration::from_millis(5);
@@ -36,14 +45,14 @@ pub struct Recorder {
 /// Where the Touch Board's bytes go; never blocks.
 #[derive(Clone, Debug)]
 pub struct SerialInput {
-    sender: SyncSender<SerialBytes>,
+    sender: SyncSender<Entry>,
     dropped: Arc<AtomicU64>,
 }
 
 impl SerialInput {
     /// Hands one read over; without room it is dropped and counted.
     pub fn offer(&self, serial: SerialBytes) {
-        if self.sender.try_send(serial).is_err() {
+        if self.sender.try_send(Entry::Serial(serial)).is_err() {
             self.dropped.fetch_add(1, Ordering::Relaxed);
         }
     }
@@ -70,6 +79,26 @@ impl Recorder {
         self.serial.clone()
     }
 
+    /// Records how the run is configured; waits while the disk is behind, like the next two.
+    pub fn configuration(&self, configuration: Configuration) {
+        self.put(Entry::Configuration(Box::new(configuration)));
+    }
+
+    /// Records what a replay needs of one tick.
+    pub fn replay(&self, time_ns: u64, tick: u64, bytes: Vec<u8>) {
+        self.put(Entry::Replay { time_ns, tick, bytes });
+    }
+
+    /// Records a change of a parameter.
+    pub fn parameter(&self, time_ns: u64, change: ParameterChange) {
+        self.put(Entry::Parameter { time_ns, change });
+    }
+
+    fn put(&self, entry: Entry) {
+        // After an error of the disk nobody takes entries any more; `finish` tells it.
+        let _ = self.serial.sender.send(entry);
+    }
+
     /// Whether it still records; `false` after an error, which [`Self::finish`] tells.
     pub fn is_recording(&self) -> bool {
         !self.thread.is_finished()
@@ -85,7 +114,7 @@ impl Recorder {
 fn record<W: Write>(
     mut log: LogWriter<W>,
     mut samples: Consumer<Sample>,
-    serial: &Receiver<SerialBytes>,
+    entries: &Receiver<Entry>,
     serial_dropped: &AtomicU64,
     stop: &AtomicBool,
 ) -> Result<LogSummary, LogError> {
@@ -96,8 +125,13 @@ fn record<W: Write>(
         while let Ok(sample) = samples.pop() {
             log.sample(&sample)?;
         }
-        for bytes in serial.try_iter() {
-            log.serial(&bytes)?;
+        for entry in entries.try_iter() {
+            match entry {
+                Entry::Serial(bytes) => log.serial(&bytes)?,
+                Entry::Replay { time_ns, tick, bytes } => log.replay(time_ns, tick, &bytes)?,
+                Entry::Parameter { time_ns, change } => log.parameter(time_ns, &change)?,
+                Entry::Configuration(configuration) => log.configuration(&configuration)?,
+            }
         }
         if last_round {
             log.note_serial_dropped(serial_dropped.load(Ordering::Relaxed));

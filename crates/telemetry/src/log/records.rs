@@ -295,6 +295,38 @@ macro_rules! channels {
     };
 }
 
+/// What one tick was given and what it answered, for a replay.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct Replay {
+    /// Tick count.
+    pub tick: u64,
+    /// The daemon's own record, two hexadecimal digits a byte: every number with all its bits.
+    pub hex: String,
+}
+
+/// A parameter that was changed while the loop ran.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct ParameterChange {
+    /// First tick with the new value.
+    pub tick: u64,
+    /// Dotted name as in the configuration file.
+    pub name: String,
+    /// Its elements.
+    #[serde(deserialize_with = "list")]
+    pub values: Vec<f64>,
+}
+
+/// How the run was configured, once at the start.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Configuration {
+    /// Version of the daemon.
+    pub version: String,
+    /// The whole configuration as a file would have it.
+    pub toml: String,
+    /// The calibration file's text; empty where there is none.
+    pub calibration: String,
+}
+
 channels! {
     Robot => "/robot",
     State => "/state",
@@ -306,6 +338,9 @@ channels! {
     FaultChange => "/fault",
     BoardChange => "/board",
     Serial => "/serial",
+    Replay => "/replay",
+    ParameterChange => "/parameter",
+    Configuration => "/configuration",
 }
 
 /// Name of a reaction as a log shows it.

@@ -3,8 +3,8 @@
 use super::{
     LogError, SerialBytes,
     records::{
-        BoardChange, Channel, Command, Contact, Cover, FaultChange, ModeChange, Robot, Serial, State, Timing,
-        name_of,
+        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, ModeChange,
+        ParameterChange, Replay, Robot, Serial, State, Timing, name_of,
     },
 };
 use crate::RobotDescription;
@@ -14,7 +14,7 @@ use mcap::{
     write::{NoSeek, Writer},
 };
 use moca_msgs::{Fault, Mode, Sample, board::Diagnosis};
-use std::{collections::BTreeMap, fmt::Write as _, io::Write};
+use std::{collections::BTreeMap, io::Write};
 
 /// Messages of one chunk, bytes before compression: what a cut can lose, about 0.15 s at 1 kHz.
 const CHUNK_BYTES: u64 = 256 * 1024;
@@ -76,6 +76,9 @@ impl<W: Write> LogWriter<W> {
         log.add::<BoardChange>()?;
         log.add::<Contact>()?;
         log.add::<Serial>()?;
+        log.add::<Replay>()?;
+        log.add::<ParameterChange>()?;
+        log.add::<Configuration>()?;
         let json = serde_json::to_string(&meta.description)?;
         let name = meta.description.name.clone();
         log.write(0, &Robot { start_unix_ns: meta.start_unix_ns, name, json })?;
@@ -126,13 +129,25 @@ impl<W: Write> LogWriter<W> {
         Ok(())
     }
 
+    /// Writes how the run is configured.
+    pub fn configuration(&mut self, configuration: &Configuration) -> Result<(), LogError> {
+        self.write(0, configuration)?;
+        self.flush()
+    }
+
+    /// Writes what a replay needs of one tick.
+    pub fn replay(&mut self, time_ns: u64, tick: u64, bytes: &[u8]) -> Result<(), LogError> {
+        self.write(time_ns, &Replay { tick, hex: hex(bytes) })
+    }
+
+    /// Writes a change of a parameter.
+    pub fn parameter(&mut self, time_ns: u64, change: &ParameterChange) -> Result<(), LogError> {
+        self.write(time_ns, change)
+    }
+
     /// Writes one read of the Touch Board's port.
     pub fn serial(&mut self, serial: &SerialBytes) -> Result<(), LogError> {
-        let mut hex = String::with_capacity(2 * serial.bytes.len());
-        for byte in &serial.bytes {
-            // Writing to a String cannot fail.
-            let _ = write!(hex, "{byte:02x}");
-        }
+        let hex = hex(&serial.bytes);
         self.summary.serial_bytes += serial.bytes.len() as u64;
         self.write(serial.arrival_ns, &Serial { arrival_ns: serial.arrival_ns, hex })
     }
@@ -172,6 +187,12 @@ impl<W: Write> LogWriter<W> {
         let header = MessageHeader { channel_id, sequence: 0, log_time: time, publish_time: time };
         Ok(self.mcap.write_to_known_channel(&header, &self.json)?)
     }
+}
+
+/// Two digits a byte.
+fn hex(bytes: &[u8]) -> String {
+    let digit = |nibble: u8| char::from(b"0123456789abcdef"[usize::from(nibble & 15)]);
+    bytes.iter().flat_map(|byte| [digit(byte >> 4), digit(*byte)]).collect()
 }
 
 fn state(sample: &Sample) -> State {
