@@ -103,3 +103,16 @@ fn a_calibration_that_is_missing_or_of_another_board_is_refused() {
     let output = mocad(&["--config", missing.to_str().unwrap()]);
     assert!(!output.status.success() && text(&output.stderr).contains("/nowhere/cover.toml"));
 }
+
+#[test]
+fn a_live_recording_replays_bit_for_bit() {
+    let config = file("recorded.toml", ANY_PORT);
+    let log = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("live.mcap");
+    let _ = std::fs::remove_file(&log);
+    let (config, log) = (config.to_str().unwrap(), log.to_str().unwrap());
+    let run = mocad(&["run", "--duration", "3", "--config", config, "--record", log]);
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    let replayed = mocad(&["replay", log]);
+    let (shown, said) = (text(&replayed.stdout), text(&replayed.stderr));
+    assert!(replayed.status.success() && shown.contains("every bit the same"), "{shown}{said}");
+}
