@@ -78,15 +78,18 @@ pub(crate) fn unix_now_ns() -> u64 {
     u64::try_from(now.as_nanos()).unwrap_or(0)
 }
 
-/// How a run is configured, with the text of its calibration file.
+/// How a run is configured, with the texts of the files that its configuration names.
 ///
 /// # Errors
-/// The calibration file cannot be read.
+/// One of them cannot be read.
 pub fn configuration(config: &Config) -> Result<Configuration> {
-    let path = &config.board.calibration;
-    let calibration = if path.is_empty() { String::new() } else { std::fs::read_to_string(path)? };
-    let toml = toml::to_string(config)?;
-    Ok(Configuration { version: env!("CARGO_PKG_VERSION").into(), toml, calibration })
+    let text = |path: &str| if path.is_empty() { Ok(String::new()) } else { std::fs::read_to_string(path) };
+    Ok(Configuration {
+        version: env!("CARGO_PKG_VERSION").into(),
+        toml: toml::to_string(config)?,
+        calibration: text(&config.board.calibration)?,
+        contact_limits: text(&config.protection.thresholds)?,
+    })
 }
 
 /// The change of a parameter that this tick accepted, if it did.

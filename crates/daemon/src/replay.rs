@@ -14,6 +14,7 @@ use moca_telemetry::log::{LogReader, Record};
 use std::collections::VecDeque;
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 /// Events one tick can take, and more.
@@ -173,17 +174,21 @@ struct Replay {
     events: rtrb::Producer<BoardEvent>,
     /// Tick and number of the last one.
     last: Option<(u64, u64)>,
-    _calibration: Option<TemporaryFile>,
+    _texts: Vec<TemporaryFile>,
 }
 
 impl Replay {
     fn new(configuration: &Configuration) -> Result<Self> {
         let mut config = Config::parse(&configuration.toml).context("the log's configuration")?;
-        let mut calibration = None;
-        if !configuration.calibration.is_empty() {
-            let file = TemporaryFile::new(&configuration.calibration)?;
-            config.board.calibration = file.0.display().to_string();
-            calibration = Some(file);
+        let files = [
+            (&configuration.calibration, &mut config.board.calibration),
+            (&configuration.contact_limits, &mut config.protection.thresholds),
+        ];
+        let mut texts = Vec::new();
+        for (text, path) in files.into_iter().filter(|(text, _)| !text.is_empty()) {
+            let file = TemporaryFile::new(text)?;
+            *path = file.0.display().to_string();
+            texts.push(file);
         }
         let (events, from_log) = rtrb::RingBuffer::new(RING_EVENTS);
         let cover = ByteCover::new(Cover::new(cover_config(&config)?)?, from_log, None);
@@ -195,7 +200,7 @@ impl Replay {
             motion(&config)?,
             period_s,
         )?;
-        Ok(Self { control, events, last: None, _calibration: calibration })
+        Ok(Self { control, events, last: None, _texts: texts })
     }
 
     fn step(
@@ -314,12 +319,14 @@ impl Plant for RecordedPlant {
     }
 }
 
-/// The calibration of the log as the file that the configuration names.
+/// A text of the log as the file that the configuration names.
 struct TemporaryFile(PathBuf);
 
 impl TemporaryFile {
     fn new(text: &str) -> Result<Self> {
-        let name = format!("mocad-replay-{}-{:x}.toml", std::process::id(), crate::recording::unix_now_ns());
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        let name = format!("mocad-replay-{}-{number}.toml", std::process::id());
         let path = std::env::temp_dir().join(name);
         std::fs::write(&path, text).with_context(|| path.display().to_string())?;
         Ok(Self(path))

@@ -325,6 +325,9 @@ pub struct Configuration {
     pub toml: String,
     /// The calibration file's text; empty where there is none.
     pub calibration: String,
+    /// The text of the file of contact limits; empty where there is none.
+    #[serde(default)]
+    pub contact_limits: String,
 }
 
 channels! {
