@@ -304,9 +304,9 @@ impl Watch {
                 wrong.extend((sample.mode == Mode::Fault).then(|| format!("fault {:?}", sample.fault)));
             }
             let ticks = f64::from(u32::try_from(sample.tick - last.tick).unwrap_or(u32::MAX));
-            for i in 0..3 {
+            for (i, commanded) in velocity.iter().enumerate() {
                 let used =
-                    (velocity[i] - last.base_velocity_command_body[i]).abs() / (self.base_step[i] * ticks);
+                    (commanded - last.base_velocity_command_body[i]).abs() / (self.base_step[i] * ticks);
                 report.largest_base_acceleration_used = report.largest_base_acceleration_used.max(used);
                 wrong
                     .extend((used > 1.0 + 1e-9).then(|| format!("base acceleration at {used} of its limit")));
