@@ -102,7 +102,7 @@ fn start(ui: &mut Ui, model: &Model, choice: &mut Choice, now_s: f64, asked: &mu
             asked.calibrate = Some(CalibrationRequest::Cancel);
         }
     });
-    if !still && !busy {
+    if !still && !busy && model.mode(now_s).is_some() {
         ui.colored_label(theme::WARNING, "The robot must hold still while a taxel is calibrated: disarm it.");
     }
 }
@@ -187,6 +187,10 @@ fn residuals(ui: &mut Ui, model: &FittedModel) {
         .allow_drag(false)
         .allow_scroll(false)
         .allow_boxed_zoom(false)
+        .x_grid_spacer(|input| plots::marks(input, 8.0))
+        .y_grid_spacer(|input| plots::marks(input, 5.0))
+        .grid_spacing(plots::LABELS)
+        .grid_color(ui.visuals().weak_text_color().gamma_multiply(plots::GRID))
         .custom_x_axes(vec![axis(AxisHints::new_x(), "reference force N")])
         .custom_y_axes(vec![axis(AxisHints::new_y().min_thickness(44.0), "model − reference N")])
         .show(ui, |plot| {

@@ -234,7 +234,7 @@ impl Plotted<'_> {
                 AxisHints::new_y()
                     .label(self.panel.unit)
                     .label_spacing(LABELS)
-                    .min_thickness(50.0)
+                    .min_thickness(58.0)
                     .formatter(|mark, _| number(mark.value, decimals_for(mark.step_size))),
             ])
     }
@@ -306,7 +306,7 @@ impl Plotted<'_> {
 }
 
 /// A few marks at round values.
-fn marks(input: GridInput, most: f64) -> Vec<GridMark> {
+pub(super) fn marks(input: GridInput, most: f64) -> Vec<GridMark> {
     let (values, step_size) = round_marks(input.bounds.0, input.bounds.1, most);
     values.into_iter().map(|value| GridMark { value, step_size }).collect()
 }

@@ -249,7 +249,7 @@ impl Taxel<'_> {
     ) {
         let (sin, cos) = self.description.inward_angle_base_rad.sin_cos();
         let outward = self.camera.direction([-cos, -sin]).normalized();
-        let mut at = self.camera.base(self.description.position_base_m) + outward * 18.0;
+        let mut at = self.camera.base(self.description.position_base_m) + outward * 24.0;
         if Rect::from_center_size(at + outward * 20.0, vec2(60.0, 60.0)).contains(flange) {
             at += outward * ((flange - at).dot(outward) + 12.0);
         }
