@@ -9,7 +9,7 @@
 //! 4. [`plant`], [`cover_source`]: what a robot and a cover are to the loop; [`simulated`], [`byte_cover`],
 //!    [`ideal_cover`]: those there are.
 //! 5. [`door`]: what of the robot's state is let in; [`inject`]: faults on purpose.
-//! 6. [`config`], [`parameters`], [`console`], [`recording`], [`run`], [`params_command`]: what a user sees of it.
+//! 6. [`config`], [`parameters`], [`console`], [`recording`], [`tape`], [`replay`], [`run`], [`params_command`]: what a user sees of it.
 //!
 //! The loop refuses to know who watches it: samples leave through a bounded ring, requests arrive through another.
 
