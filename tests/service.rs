@@ -88,3 +88,28 @@ fn a_full_disk_costs_the_log_and_is_told() {
     assert_eq!(output.status.code(), Some(1), "{err}");
     assert!(err.contains(".mcap"), "{err}");
 }
+
+#[test]
+fn a_board_without_a_robot_is_read_and_nothing_is_armed() {
+    let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("board-{}", std::process::id()));
+    let board = moca_sim::PtyBoard::spawn(
+        moca_sim::VirtualBoardConfig::default(),
+        moca_sim::SharedForces::default(),
+        &path,
+    );
+    let _board = board.unwrap();
+    let text = format!(
+        "[plant]\nkind = \"none\"\n[board]\nport = \"{}\"\n[telemetry]\nlisten = \"\"\n",
+        path.display()
+    );
+    let config = file("board-only.toml", &text);
+    let output = mocad().args(["--duration", "5", "--config"]).arg(config).output().unwrap();
+    let out = String::from_utf8_lossy(&output.stdout);
+    assert!(out.contains("mode: ready") && !out.contains("mode: impedance"), "{out}");
+    let wrong = file("board-only-virtual.toml", "[plant]\nkind = \"none\"\n");
+    let output = mocad().args(["--check", "--config"]).arg(wrong).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(
+        String::from_utf8_lossy(&output.stderr).contains("board.port = \"virtual\" needs a simulated robot")
+    );
+}

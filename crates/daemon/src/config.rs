@@ -174,6 +174,8 @@ pub enum MaskPolicyConfig {
 pub enum PlantKind {
     /// MuJoCo.
     Simulated,
+    /// No robot: the cover alone.
+    None,
 }
 
 impl Default for Config {
@@ -334,6 +336,10 @@ impl Config {
                     "telemetry.listen = {listen:?}; allowed: a loopback address with a port, or \"\" for none"
                 ),
             );
+        }
+        if self.plant.kind == PlantKind::None && self.board.port == VIRTUAL_PORT {
+            let allowed = "allowed: \"auto\" or a path when plant.kind = \"none\"";
+            report("board.port", format!("board.port = \"virtual\" needs a simulated robot; {allowed}"));
         }
         if self.board.port.is_empty() {
             report("board.port", "board.port is empty; allowed: \"virtual\", \"auto\" or a path".into());

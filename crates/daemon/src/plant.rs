@@ -13,6 +13,34 @@ pub struct SourceAge {
     pub base_s: f64,
 }
 
+/// No robot at all: it stands still and carries out nothing.
+#[derive(Clone, Copy, Debug)]
+pub struct NoRobot(RobotState<JOINTS>);
+
+impl NoRobot {
+    /// Shown to observers with its arm at `q_rad`.
+    pub const fn at(q_rad: [f64; JOINTS]) -> Self {
+        Self(RobotState {
+            base_pose_world: [0.0; 3],
+            base_velocity_world: [0.0; 3],
+            q_rad,
+            dq_rad_s: [0.0; JOINTS],
+            torque_measured_nm: [0.0; JOINTS],
+            flange_wrench_world: None,
+        })
+    }
+}
+
+impl Plant for NoRobot {
+    fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
+        Ok(self.0)
+    }
+
+    fn write(&mut self, _actuation: &Actuation<JOINTS>, _ticks: u64) -> Result<(), Fault> {
+        Ok(())
+    }
+}
+
 /// A robot, simulated or real.
 pub trait Plant {
     /// The state measured at this tick.

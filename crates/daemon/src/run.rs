@@ -1,16 +1,17 @@
 //! `mocad run`: puts the parts together, starts the loop, shows what runs.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
+use crate::byte_cover::ByteCover;
 use crate::calibrator;
 use crate::config::{Config, PlantKind, TAXELS, VIRTUAL_PORT};
 use crate::console::{Console, Level, Summary};
 use crate::contact_limits;
 use crate::control_loop::ControlLoop;
 use crate::cover_source::CoverSource;
-use crate::inject::Injection;
+use crate::inject::{self, Cable, Injection, Named, What};
 use crate::live::{self, Clock, LiveReport, Rings, Shared};
 use crate::motion::Motion;
-use crate::plant::Plant;
+use crate::plant::{NoRobot, Plant};
 use crate::protection::{self, Protection};
 use crate::realtime;
 use crate::recording::{Recording, parameter_change};
@@ -20,8 +21,8 @@ use crate::tape::{TapeReader, tape};
 use crate::timing::{Distribution, Timing};
 use anyhow::{Context, Result, anyhow};
 use moca_msgs::{Law, Outcome, Request, Sample, robot};
-use moca_tactile::BoardEvent;
-use moca_tactile::serial::PortSelection;
+use moca_tactile::serial::{PortSelection, SerialBoard};
+use moca_tactile::{BoardEvent, Cover};
 use moca_telemetry::net::{self, CalibrationPort, Ports};
 use moca_telemetry::{RobotDescription, net::Server};
 use std::net::SocketAddr;
@@ -82,6 +83,12 @@ pub fn run(options: &Options) -> Result<()> {
     ctrlc::set_handler(move || on_signal.stop.store(true, Ordering::Relaxed)).context("Ctrl-C handler")?;
     introduce(options);
     match (options.config.plant.kind, options.lock_step) {
+        (PlantKind::None, true) => {
+            Err(anyhow!("plant.kind = \"none\" runs live only: lock-step simulates its board"))
+        }
+        (PlantKind::None, false) => {
+            live_board_only(options, &shared).map(|run| println!("{}", run.summary()))
+        }
         #[cfg(feature = "sim")]
         (PlantKind::Simulated, true) => lock_step(options, &shared),
         #[cfg(feature = "sim")]
@@ -91,7 +98,7 @@ pub fn run(options: &Options) -> Result<()> {
         #[cfg(not(feature = "sim"))]
         (PlantKind::Simulated, _) => Err(anyhow!(
             "plant.kind = \"simulated\" needs a build with the feature `sim` (cargo run --release); \
-             this build has no simulation"
+             this build has no simulation and runs a Touch Board alone: plant.kind = \"none\""
         )),
     }
 }
@@ -100,7 +107,8 @@ pub fn run(options: &Options) -> Result<()> {
 pub fn supervisor(config: &Config) -> Supervisor {
     let simulated = config.plant.kind == PlantKind::Simulated;
     let automatic = Automatic { tare: config.startup.tare, arm: config.startup.arm && simulated };
-    Supervisor::new(config.startup.law, automatic)
+    let supervisor = Supervisor::new(config.startup.law, automatic);
+    if config.plant.kind == PlantKind::None { supervisor.without_robot() } else { supervisor }
 }
 
 /// The controller and the protection that the configuration asks for.
@@ -204,8 +212,8 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
     let mut robot = assemble(&options.config, clock, options.inject.as_ref(), Some(copies))?;
     robot.control.tape = Some(tape);
     let virtual_board = if robot.virtual_board.is_some() { " (virtual Touch Board)" } else { "" };
-    println!("  board       {}{virtual_board}", shown(&robot.port));
-    let (_calibrator, calibration) = robot.calibrator;
+    println!("  board       {}{virtual_board}", shown(&robot.board.port));
+    let (_calibrator, calibration) = robot.board.calibrator;
     let observers = Observers { recording, tape: tape_reader };
     live(options, robot.control, clock, (observers, calibration), shared)
 }
@@ -214,10 +222,8 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
 #[cfg(feature = "sim")]
 pub(crate) struct Assembled {
     pub(crate) control: ControlLoop<crate::simulated::SimulatedRobot, crate::byte_cover::ByteCover>,
-    port: PortSelection,
     virtual_board: Option<moca_sim::PtyBoard>,
-    calibrator: (calibrator::Calibrator, CalibrationPort),
-    _serial: moca_tactile::serial::SerialBoard,
+    board: HeldBoard,
 }
 
 #[cfg(feature = "sim")]
@@ -227,12 +233,8 @@ pub(crate) fn assemble(
     injection: Option<&Injection>,
     copies: Option<rtrb::Producer<BoardEvent>>,
 ) -> Result<Assembled> {
-    use crate::byte_cover::ByteCover;
-    use crate::inject::{self, Cable, Named, What};
     use crate::simulated::{SimulatedRobot, free_scene};
     use moca_sim::PtyBoard;
-    use moca_tactile::Cover;
-    use moca_tactile::serial::SerialBoard;
 
     let (mut forces, mut virtual_board) = (None, None);
     let mut port = config.port_selection();
@@ -243,6 +245,39 @@ pub(crate) fn assemble(
         port = PortSelection::Path(board.path().display().to_string());
         (forces, virtual_board) = (Some(true_forces), Some(board));
     }
+    let reference = forces.clone().map(|forces| -> calibrator::Reference {
+        Box::new(move |taxel| Some(f64::from_bits(forces.get(taxel)?.load(Ordering::Relaxed))))
+    });
+    let board = open_board(config, clock, port, injection, (copies, reference))?;
+    let mut plant = SimulatedRobot::new(config, &free_scene(config), forces)?;
+    if let Some(injection) = injection {
+        plant.inject(injection);
+    }
+    let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
+    let control = ControlLoop::new(plant, board.cover, supervisor(config), motion(config)?, period_s)?;
+    Ok(Assembled { control, virtual_board, board: board.held })
+}
+
+/// What stands between a Touch Board's port and the loop.
+struct OpenBoard {
+    cover: ByteCover,
+    held: HeldBoard,
+}
+
+/// The parts of it that only have to live as long as the loop.
+pub(crate) struct HeldBoard {
+    port: PortSelection,
+    calibrator: (calibrator::Calibrator, CalibrationPort),
+    _serial: SerialBoard,
+}
+
+fn open_board(
+    config: &Config,
+    clock: Clock,
+    port: PortSelection,
+    injection: Option<&Injection>,
+    (copies, reference): (Option<rtrb::Producer<BoardEvent>>, Option<calibrator::Reference>),
+) -> Result<OpenBoard> {
     let (serial, mut events) = SerialBoard::spawn(port.clone(), clock.instant())?;
     if let Some(Injection { fault: Named { what: What::Cable(fault), .. }, at_ns }) = injection {
         events = inject::relay(Cable::new(*fault, *at_ns, config.simulation.seed), events, clock)?;
@@ -254,18 +289,29 @@ pub(crate) fn assemble(
         board: config.board.name.clone(),
         wiring: cover_config.wiring,
     };
-    let reference = forces.clone().map(|forces| -> calibrator::Reference {
-        Box::new(move |taxel| Some(f64::from_bits(forces.get(taxel)?.load(Ordering::Relaxed))))
-    });
     let calibrator = calibrator::spawn(settings, calibrator_events, reference, move || clock.now_ns())?;
     let cover = ByteCover::new(Cover::new(cover_config)?, events, copies).with_calibrator(to_calibrator);
-    let mut plant = SimulatedRobot::new(config, &free_scene(config), forces)?;
-    if let Some(injection) = injection {
-        plant.inject(injection);
-    }
+    Ok(OpenBoard { cover, held: HeldBoard { port, calibrator, _serial: serial } })
+}
+
+/// Runs the loop with a Touch Board and no robot: what the cover feels, for observers and logs.
+fn live_board_only(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
+    let config = &options.config;
+    println!("  plant       none: the cover alone, nothing moves");
+    let clock = Clock::start()?;
+    let recording = recording(options)?;
+    let (tape, copies, tape_reader) = tape();
+    let port = config.port_selection();
+    let OpenBoard { cover, held } =
+        open_board(config, clock, port, options.inject.as_ref(), (Some(copies), None))?;
+    println!("  board       {}", shown(&held.port));
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
-    let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
-    Ok(Assembled { control, port, virtual_board, calibrator, _serial: serial })
+    let plant = NoRobot::at(config.control.gains.posture_rad);
+    let mut control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
+    control.tape = Some(tape);
+    let (_calibrator, calibration) = held.calibrator;
+    let observers = Observers { recording, tape: tape_reader };
+    live(options, control, clock, (observers, calibration), shared)
 }
 
 fn shown(port: &PortSelection) -> String {

@@ -90,6 +90,7 @@ pub struct Supervisor {
     automatic: Automatic,
     before_tare: Mode,
     start_tare: bool,
+    robot: bool,
 }
 
 impl Supervisor {
@@ -102,7 +103,14 @@ impl Supervisor {
             automatic,
             before_tare: Mode::Starting,
             start_tare: false,
+            robot: true,
         }
+    }
+
+    /// The same where nothing can be armed.
+    #[must_use]
+    pub const fn without_robot(self) -> Self {
+        Self { robot: false, automatic: Automatic { arm: false, ..self.automatic }, ..self }
     }
 
     /// Current mode.
@@ -167,6 +175,7 @@ impl Supervisor {
                 Ok(())
             }
             (Request::Tare, Starting | Ready | ProtectiveStop) => self.tare(facts),
+            (Request::Arm, Ready) if !self.robot => Err(Refusal::NoRobot),
             (Request::Arm, Ready) => {
                 self.go(self.law.into());
                 Ok(())
@@ -368,6 +377,16 @@ mod tests {
         assert_eq!(run(&mut supervisor, &steps).mode, Mode::ProtectiveStop, "a tare alone does not resume");
         assert_eq!(supervisor.step(&GOOD, Some(Request::Resume)).mode, Mode::Ready);
         assert_eq!(supervisor.cause(), None);
+    }
+
+    #[test]
+    fn without_a_robot_the_cover_is_tared_and_nothing_is_armed() {
+        let mut supervisor =
+            Supervisor::new(Law::Impedance, Automatic { tare: true, arm: true }).without_robot();
+        let zero = |zero| Facts { zero, ..GOOD };
+        let steps = [(zero(Zero::Invalid), None), (zero(Zero::Taring), None), (zero(Zero::Valid), None)];
+        assert_eq!(run(&mut supervisor, &steps).mode, Mode::Ready);
+        assert_eq!(supervisor.step(&GOOD, Some(Request::Arm)).outcome, Some(Err(Refusal::NoRobot)));
     }
 
     #[test]

@@ -58,6 +58,8 @@ pub enum Refusal {
     CauseRemains(crate::Fault),
     /// No valid zero: tare first.
     ZeroInvalid,
+    /// There is no robot to move.
+    NoRobot,
     /// Only a simulated robot can be pressed by request.
     NotSimulated,
     /// A number outside its range (taxel 0 to the cover's last, force 0 to 200 N, a parameter's own).

@@ -102,6 +102,7 @@ pub fn refusal_words(refusal: Refusal) -> String {
         Refusal::Mode(mode) => format!("not possible in mode {}", mode.name()),
         Refusal::CauseRemains(fault) => format!("the cause remains. {} {}", fault.text(), fault.remedy()),
         Refusal::ZeroInvalid => "the cover has no valid zero: tare first".into(),
+        Refusal::NoRobot => "the daemon runs a cover without a robot".into(),
         Refusal::NotSimulated => "only a simulated robot can be pushed with the mouse".into(),
         Refusal::OutOfRange => "a number is out of range".into(),
         Refusal::NoSuchParameter => "the daemon has no such parameter".into(),
