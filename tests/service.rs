@@ -113,3 +113,24 @@ fn a_board_without_a_robot_is_read_and_nothing_is_armed() {
         String::from_utf8_lossy(&output.stderr).contains("board.port = \"virtual\" needs a simulated robot")
     );
 }
+
+#[test]
+fn a_fault_writes_the_seconds_before_it() {
+    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("flight-{}", std::process::id()));
+    let text = format!("[telemetry]\nlisten = \"\"\n[flight_recorder]\nfolder = \"{}\"\n", folder.display());
+    let config = file("flight.toml", &text);
+    let output = mocad()
+        .args(["--duration", "5", "--inject", "unplugged@3", "--config"])
+        .arg(config)
+        .output()
+        .unwrap();
+    let out = String::from_utf8_lossy(&output.stdout);
+    let files: Vec<_> = std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let [path] = files.as_slice() else { unreachable!("{files:?}\n{out}") };
+    assert!(out.contains(path.to_str().unwrap()), "{out}");
+    let log = moca_telemetry::log::read_log(path).unwrap();
+    let last = log.samples.last().unwrap();
+    assert_eq!((last.fault, log.cut), (Some(moca_msgs::Fault::BoardLost), None));
+    assert!(!log.serial.is_empty() && log.samples.iter().any(|sample| sample.mode.moves()));
+    std::fs::remove_dir_all(&folder).unwrap();
+}

@@ -44,6 +44,7 @@ pub struct Config {
     pub limits: LimitsConfig,
     pub protection: ProtectionConfig,
     pub telemetry: TelemetryConfig,
+    pub flight_recorder: FlightRecorderConfig,
     pub simulation: SimulationConfig,
 }
 
@@ -88,6 +89,10 @@ section! {
 section! {
     /// `[telemetry]`
     TelemetryConfig { listen: String = moca_telemetry::net::DEFAULT_ADDRESS.into() }
+}
+section! {
+    /// `[flight_recorder]`
+    FlightRecorderConfig { folder: String = crate::flight::AUTO_FOLDER.into() }
 }
 section! {
     /// `[startup]`
@@ -191,6 +196,7 @@ impl Default for Config {
             limits: LimitsConfig::default(),
             protection: ProtectionConfig::default(),
             telemetry: TelemetryConfig::default(),
+            flight_recorder: FlightRecorderConfig::default(),
             simulation: SimulationConfig::default(),
         }
     }

@@ -26,6 +26,7 @@ pub mod control_loop;
 pub mod cover_source;
 pub mod doctor;
 pub mod door;
+pub mod flight;
 pub mod hand;
 #[cfg(feature = "sim")]
 pub mod ideal_cover;

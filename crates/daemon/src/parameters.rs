@@ -90,6 +90,7 @@ pub const SETTINGS: &[ParameterSpec] = {
         row("protection.retreat_m_s", Number, &["m/s"], (0.001, 1.0), "Speed of \"retreat\"."),
         row("protection.retreat_m", Number, &["m"], (0.0, 1.0), "Longest way of a retreat."),
         row("telemetry.listen", Text, &[], ANY, "Loopback address for dashboards; empty for none."),
+        row("flight_recorder.folder", Text, &[], ANY, "Where the last 10 s before a fault are written."),
         row("simulation.seed", Integer, &[], (0.0, 9e15), "Seed of the sensor's noise."),
         row("simulation.hand.taxels", Integer, &["(taxel number)"], TAXEL, "Taxels pressed in turn."),
         row("simulation.hand.force_n", Number, &["N"], (0.0, PRESS_FORCE_MAX_N), "Force of a press."),

@@ -8,6 +8,7 @@ use crate::console::{Console, Level, Summary};
 use crate::contact_limits;
 use crate::control_loop::ControlLoop;
 use crate::cover_source::CoverSource;
+use crate::flight::FlightRecorder;
 use crate::inject::{self, Cable, Injection, Named, What};
 use crate::live::{self, Clock, LiveReport, Rings, Shared};
 use crate::motion::Motion;
@@ -214,7 +215,8 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
     let virtual_board = if robot.virtual_board.is_some() { " (virtual Touch Board)" } else { "" };
     println!("  board       {}{virtual_board}", shown(&robot.board.port));
     let (_calibrator, calibration) = robot.board.calibrator;
-    let observers = Observers { recording, tape: tape_reader };
+    let flight = FlightRecorder::new(&options.config, description(&options.config))?;
+    let observers = Observers { recording, flight, tape: tape_reader };
     live(options, robot.control, clock, (observers, calibration), shared)
 }
 
@@ -310,7 +312,8 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     let mut control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
     control.tape = Some(tape);
     let (_calibrator, calibration) = held.calibrator;
-    let observers = Observers { recording, tape: tape_reader };
+    let flight = FlightRecorder::new(config, description(config))?;
+    let observers = Observers { recording, flight, tape: tape_reader };
     live(options, control, clock, (observers, calibration), shared)
 }
 
@@ -454,6 +457,7 @@ fn recording(options: &Options) -> Result<Option<Recording>> {
 /// Who takes what the loop notes of each tick.
 struct Observers {
     recording: Option<Recording>,
+    flight: Option<FlightRecorder>,
     tape: TapeReader,
 }
 
@@ -466,6 +470,9 @@ impl Observers {
             }
             if let Some(recording) = &mut self.recording {
                 recording.add_tick(&record);
+            }
+            if let Some(flight) = &mut self.flight {
+                flight.add_tick(record);
             }
         }
     }
@@ -507,6 +514,9 @@ fn watch(
             if let Some(recording) = &mut observers.recording {
                 recording.add(&sample);
             }
+            if let Some(path) = observers.flight.as_mut().and_then(|flight| flight.add(&sample)) {
+                println!("  the seconds before it: {}", path.display());
+            }
             last = sample;
         }
         observers.take_ticks();
@@ -528,7 +538,7 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
     println!("  board       virtual Touch Board in memory");
     let recording = recording(options)?;
     let (tape, copies, tape_reader) = tape();
-    let mut observers = Observers { recording, tape: tape_reader };
+    let mut observers = Observers { recording, flight: None, tape: tape_reader };
     let mut world = LockStep::with_board(
         config,
         &crate::simulated::free_scene(config),
