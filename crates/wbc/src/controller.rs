@@ -1,5 +1,7 @@
 //! The controllers as one step function: measurements in, command out.
 
+mod base_alone;
+
 use crate::admittance::{admitted, damped_in_null_space};
 use crate::cover::{Cover, rotate_planar};
 use crate::door::{check_input, check_robot};
@@ -325,6 +327,21 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         rotate_planar(tick.robot.base_pose_world[2], base)
     }
 
+    /// The base's velocity inside its limits and the guard, axes of B.
+    fn guarded(
+        &self,
+        law: ControlLaw,
+        yaw: T,
+        wanted_world: [T; 3],
+        before_body: &[T; 3],
+        dt_s: T,
+        hit: &mut LimitsHit,
+    ) -> [T; 3] {
+        let guard = if law == ControlLaw::Hold { &BaseGuard::NONE } else { &self.guard };
+        let wanted = rotate_planar(-yaw, wanted_world);
+        self.limits.guarded_base_velocity(&self.outline, guard, &wanted, before_body, dt_s, hit)
+    }
+
     /// The command inside every limit, and the state that goes with it.
     #[inline]
     fn limited(
@@ -335,15 +352,8 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         hit: &mut LimitsHit,
     ) -> RobotCommand<N, T> {
         let yaw = tick.robot.base_pose_world[2];
-        let none = BaseGuard::NONE;
-        let base_velocity_body = self.limits.guarded_base_velocity(
-            &self.outline,
-            if state.law == ControlLaw::Hold { &none } else { &self.guard },
-            &rotate_planar(-yaw, wanted.base_velocity),
-            &state.base_velocity_body,
-            tick.dt_s,
-            hit,
-        );
+        let before = &state.base_velocity_body;
+        let base_velocity_body = self.guarded(state.law, yaw, wanted.base_velocity, before, tick.dt_s, hit);
         let mut torque = wanted.torque;
         if self.corrections.base_coupling && state.law != ControlLaw::Hold {
             let commanded = rotate_planar(yaw, base_velocity_body);

@@ -6,6 +6,8 @@
 //! # Which layer do I need?
 //! 1. **A controller** for a loop: [`Controller`] (constant configuration), [`ControllerState`] (what it remembers; it
 //!    is yours) and [`Controller::step`] (measurements in, command inside every limit out).
+//!    [`Controller::step_base`] drives a base without an arm; an arm without a cover is [`ControlLaw::FollowMe`] with no
+//!    taxels (`Controller<7, 0>`).
 //! 2. **The laws** alone, to build another controller: [`opspace`], [`impedance`], [`follow_me`], [`admittance`],
 //!    [`cover`], [`limits`], [`guard`], [`observer`].
 //! 3. **The model** alone: [`ArmModel`] from a table of [`moca_msgs::robot`]; [`model::Kinematics`] gives poses,

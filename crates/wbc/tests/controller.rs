@@ -83,3 +83,40 @@ fn a_number_that_is_not_finite_is_an_error_and_leaves_the_state() {
         }
     }
 }
+
+#[test]
+fn a_base_alone_moves_as_the_base_of_the_whole_robot_that_is_led() {
+    let controller = controller();
+    let mut whole = controller.enter(ControlLaw::FollowMe, &at_home()).unwrap();
+    let mut alone = whole;
+    let mut input = input(at_home());
+    for step in 0..400 {
+        input.taxel_force_n[2] = if step < 200 { 20.0 } else { 0.0 };
+        input.robot.base_pose_world[2] = 0.4 + 1e-3 * f64::from(step);
+        let law = if step < 300 { ControlLaw::FollowMe } else { ControlLaw::Hold };
+        let expected = controller.step(law, &mut whole, &input).unwrap();
+        let output = controller.step_base(law, &mut alone, &input).unwrap();
+        assert_eq!(output.command.base_velocity_body, expected.command.base_velocity_body, "step {step}");
+        assert_eq!(output.cover_wrench_base, expected.cover_wrench_base);
+        assert_eq!(output.command.arm_torque_nm, [0.0; 7]);
+    }
+    input.taxel_force_n[0] = f64::NAN;
+    assert!(controller.step_base(ControlLaw::Impedance, &mut alone, &input).is_err());
+}
+
+#[test]
+fn an_arm_without_a_cover_is_the_arm_of_the_whole_robot_untouched() {
+    let covered = controller();
+    let bare: Controller<7, 0> =
+        Controller::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &[], &Parameters::PAPER).unwrap();
+    let mut robot = at_home();
+    let mut state = bare.enter(ControlLaw::FollowMe, &robot).unwrap();
+    let mut expected = covered.enter(ControlLaw::FollowMe, &robot).unwrap();
+    for step in 0..100 {
+        robot.q_rad[1] = PANDA.home_rad[1] + 1e-4 * f64::from(step);
+        let input = ControlInput { robot, taxel_force_n: [], flange_wrench_world: None, dt_s: 1e-3 };
+        let output = bare.step(ControlLaw::FollowMe, &mut state, &input).unwrap();
+        let whole = covered.step(ControlLaw::FollowMe, &mut expected, &self::input(robot)).unwrap();
+        assert_eq!(output.command, whole.command, "step {step}");
+    }
+}
