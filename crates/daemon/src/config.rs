@@ -74,7 +74,7 @@ section! {
 }
 section! {
     /// `[plant]`
-    PlantConfig { kind: PlantKind = PlantKind::Simulated }
+    PlantConfig { kind: PlantKind = PlantKind::Simulated, parts: Parts = Parts::Whole }
 }
 section! {
     /// `[board]`
@@ -181,6 +181,30 @@ pub enum PlantKind {
     Simulated,
     /// No robot: the cover alone.
     None,
+}
+
+/// Which parts the robot has. What it lacks is neither simulated, started nor shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Parts {
+    /// Base with cover, and arm.
+    Whole,
+    /// The base with its cover: both laws follow the hand.
+    Base,
+    /// The arm on a stand, without a cover: both laws hold the flange where it is.
+    Arm,
+}
+
+impl Parts {
+    /// Whether there is a base, and with it a cover.
+    pub const fn has_cover(self) -> bool {
+        !matches!(self, Self::Arm)
+    }
+
+    /// Whether there is an arm.
+    pub const fn has_arm(self) -> bool {
+        !matches!(self, Self::Base)
+    }
 }
 
 impl Default for Config {
@@ -346,6 +370,14 @@ impl Config {
         if self.plant.kind == PlantKind::None && self.board.port == VIRTUAL_PORT {
             let allowed = "allowed: \"auto\" or a path when plant.kind = \"none\"";
             report("board.port", format!("board.port = \"virtual\" needs a simulated robot; {allowed}"));
+        }
+        if self.plant.kind == PlantKind::None && self.plant.parts != Parts::Whole {
+            let message = "plant.parts names parts of a robot; plant.kind = \"none\" has none: leave it out";
+            report("plant.parts", message.into());
+        }
+        if !self.plant.parts.has_cover() && self.board.port != VIRTUAL_PORT {
+            let message = "board.port: plant.parts = \"arm\" has no cover and reads no board: leave it out";
+            report("board.port", message.into());
         }
         if self.board.port.is_empty() {
             report("board.port", "board.port is empty; allowed: \"virtual\", \"auto\" or a path".into());

@@ -75,12 +75,13 @@ impl Console {
             lines.push(Line { level, text });
         }
         // A port takes a moment to open and a board to speak: only a state that lasts is worth a line.
-        let settled = time_s >= BOARD_SETTLED_S && sample.board != Diagnosis::Frames;
+        let well = matches!(sample.board, Diagnosis::Frames | Diagnosis::NoBoard);
+        let settled = time_s >= BOARD_SETTLED_S && !well;
         if settled && self.board.replace(sample.board) != Some(sample.board) {
             let text = format!("[{time_s:7.2} s] board: {}", sample.board.text());
             lines.push(Line { level: Level::Warning, text });
         }
-        if sample.board == Diagnosis::Frames {
+        if well {
             self.board = None;
         }
         lines.extend(sample.contact_events.iter().filter_map(|event| contact(time_s, event)));
@@ -139,7 +140,29 @@ fn limit(sample: &Sample) -> String {
     format!("{m_s:.3} m/s ({})", reason.name())
 }
 
+/// Only of the parts that there are: an arm alone has no base and no board, a base alone no flange.
 fn status(sample: &Sample) -> String {
+    let mut parts = Vec::new();
+    if sample.board != Diagnosis::NoBoard {
+        parts.push(format!("base {}", pose(&sample.base_pose_world)));
+        parts.push(format!("limit {}", limit(sample)));
+    }
+    if !sample.q_rad.is_empty() {
+        let off_m = distance(&sample.flange_position_world, &sample.flange_desired_position_world);
+        parts.push(format!("flange off by {:.1} mm", 1e3 * off_m));
+    }
+    if sample.board != Diagnosis::NoBoard {
+        parts.push(format!("cover: {}", pressed(sample)));
+        parts.push(match sample.frame_age_s {
+            age_s if age_s < 0.0 => "board: no frame yet".to_owned(),
+            age_s => format!("board: {:.1} Hz, {:.0} ms old", sample.frame_rate_hz, 1e3 * age_s),
+        });
+    }
+    parts.push(format!("late {:.2} ms", 1e3 * sample.lateness_s));
+    format!("[{:7.2} s] {}", seconds(sample.time_ns), parts.join(" | "))
+}
+
+fn pressed(sample: &Sample) -> String {
     let pressed: Vec<String> = sample
         .taxels
         .iter()
@@ -147,20 +170,7 @@ fn status(sample: &Sample) -> String {
         .filter(|(_, taxel)| taxel.force_n > 0.0)
         .map(|(i, taxel)| format!("T{} {:.1} N", i + 1, taxel.force_n))
         .collect();
-    let cover = if pressed.is_empty() { "untouched".to_owned() } else { pressed.join(", ") };
-    let board = if sample.frame_age_s < 0.0 {
-        "no frame yet".to_owned()
-    } else {
-        format!("{:.1} Hz, {:.0} ms old", sample.frame_rate_hz, 1e3 * sample.frame_age_s)
-    };
-    format!(
-        "[{:7.2} s] base {} | limit {} | flange off by {:.1} mm | cover: {cover} | board: {board} | late {:.2} ms",
-        seconds(sample.time_ns),
-        pose(&sample.base_pose_world),
-        limit(sample),
-        1e3 * distance(&sample.flange_position_world, &sample.flange_desired_position_world),
-        1e3 * sample.lateness_s,
-    )
+    if pressed.is_empty() { "untouched".to_owned() } else { pressed.join(", ") }
 }
 
 fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
@@ -212,17 +222,19 @@ impl fmt::Display for Summary<'_> {
             seconds(last.time_ns),
             seconds(last.time_ns) / self.wall.as_secs_f64().max(1e-9)
         )?;
-        writeln!(f, "  base         {}", pose(&last.base_pose_world))?;
-        writeln!(f, "  speed limit  {}", limit(last))?;
-        writeln!(
-            f,
-            "  board        {} good frames, {} bad, {:.1} Hz; age p50 {:.1} ms, p99 {:.1} ms",
-            last.frames_good,
-            last.frames_bad,
-            last.frame_rate_hz,
-            1e-3 * self.frame_age.quantile_us(0.5),
-            1e-3 * self.frame_age.quantile_us(0.99),
-        )?;
+        if last.board != Diagnosis::NoBoard {
+            writeln!(f, "  base         {}", pose(&last.base_pose_world))?;
+            writeln!(f, "  speed limit  {}", limit(last))?;
+            writeln!(
+                f,
+                "  board        {} good frames, {} bad, {:.1} Hz; age p50 {:.1} ms, p99 {:.1} ms",
+                last.frames_good,
+                last.frames_bad,
+                last.frame_rate_hz,
+                1e-3 * self.frame_age.quantile_us(0.5),
+                1e-3 * self.frame_age.quantile_us(0.99),
+            )?;
+        }
         write!(f, "{}", self.timing)?;
         if let Some(by_stage) = self.overruns_by_stage {
             write!(f, "  overruns     {} slots skipped", by_stage.iter().sum::<u64>())?;

@@ -143,7 +143,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         request: Option<Request>,
     ) -> (Option<Outcome>, Option<ControlOutput<JOINTS>>) {
         let facts = Facts {
-            cover_seen: cover.frames_good > 0,
+            cover_seen: cover.frames_good > 0 || !self.motion.parts().has_cover(),
             cover_fault: cover.fault,
             zero: cover.zero,
             plant_fault: robot.err().or(self.refused.take()),
@@ -207,8 +207,6 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             time_ns: slot.now_ns,
             mode: self.supervisor.mode(),
             fault: self.supervisor.cause(),
-            taxels: vec_of(&cover.reading.taxels),
-            counts: vec_of(&cover.counts),
             frame_age_s: age_s.unwrap_or(-1.0),
             frame_rate_hz: cover.rate_hz,
             frames_good: cover.frames_good,
@@ -221,18 +219,29 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             contact_events: self.protected.events.clone(),
             ..Sample::default()
         };
+        let parts = self.motion.parts();
+        if parts.has_cover() {
+            sample.taxels = vec_of(&cover.reading.taxels);
+            sample.counts = vec_of(&cover.counts);
+        }
         if let Some(robot) = robot {
             sample.base_pose_world = robot.base_pose_world;
             sample.base_velocity_world = robot.base_velocity_world;
+        }
+        if let Some(robot) = robot.filter(|_| parts.has_arm()) {
             sample.q_rad = vec_of(&robot.q_rad);
             sample.dq_rad_s = vec_of(&robot.dq_rad_s);
         }
         if let Actuation::Drive(command) = actuation {
             sample.base_velocity_command_body = command.base_velocity_body;
-            sample.arm_torque_nm = vec_of(&command.arm_torque_nm);
+            if parts.has_arm() {
+                sample.arm_torque_nm = vec_of(&command.arm_torque_nm);
+            }
         }
         if let Some(output) = output {
             sample.cover_wrench_base = output.cover_wrench_base;
+        }
+        if let Some(output) = output.filter(|_| parts.has_arm()) {
             sample.flange_wrench_world = output.flange_wrench_world;
             sample.flange_position_world = output.flange.position_world;
             sample.flange_quaternion_world = output.flange.quaternion_world;

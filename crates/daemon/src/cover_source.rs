@@ -4,7 +4,7 @@ use crate::config::TAXELS;
 use crate::supervisor::Zero;
 use crate::tape::Copied;
 use moca_msgs::board::Diagnosis;
-use moca_msgs::{CoverReading, Fault, Outcome, Refusal, TaxelStatus};
+use moca_msgs::{CoverReading, Fault, Outcome, Refusal, TaxelReading, TaxelStatus};
 
 /// The cover as the loop sees it at one tick.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +29,25 @@ pub struct CoverState {
     pub rate_hz: f64,
 }
 
-/// A source of cover readings: a board's bytes, or the simulator's true forces.
+impl CoverState {
+    /// Of a robot without a cover: nothing to feel, to zero or to fail.
+    pub const NONE: Self = Self {
+        reading: CoverReading {
+            taxels: [TaxelReading { force_n: 0.0, status: TaxelStatus::Ok }; TAXELS],
+            sampled_at_ns: None,
+        },
+        forces: Ok([0.0; TAXELS]),
+        fault: None,
+        zero: Zero::Valid,
+        counts: [0; TAXELS],
+        board: Diagnosis::NoBoard,
+        frames_good: 0,
+        frames_bad: 0,
+        rate_hz: 0.0,
+    };
+}
+
+/// A source of cover readings: a board's bytes, or the simulator's true forces; `None` is a robot without a cover.
 pub trait CoverSource {
     /// Takes in what has arrived until `now_ns` and says what the cover feels.
     fn read(&mut self, now_ns: u64) -> CoverState;
@@ -48,5 +66,25 @@ pub trait CoverSource {
     /// [`Refusal::OutOfRange`] where there is no such taxel, or no masks.
     fn mask(&mut self, _taxel: usize, _masked: bool) -> Outcome {
         Err(Refusal::OutOfRange)
+    }
+}
+
+impl<S: CoverSource> CoverSource for Option<S> {
+    fn read(&mut self, now_ns: u64) -> CoverState {
+        self.as_mut().map_or(CoverState::NONE, |cover| cover.read(now_ns))
+    }
+
+    fn start_tare(&mut self, now_ns: u64) {
+        if let Some(cover) = self {
+            cover.start_tare(now_ns);
+        }
+    }
+
+    fn copied(&self) -> Copied {
+        self.as_ref().map(CoverSource::copied).unwrap_or_default()
+    }
+
+    fn mask(&mut self, taxel: usize, masked: bool) -> Outcome {
+        self.as_mut().map_or(Err(Refusal::OutOfRange), |cover| cover.mask(taxel, masked))
     }
 }

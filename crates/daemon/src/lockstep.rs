@@ -107,6 +107,13 @@ impl Feed<IdealCover> for TrueForces {
     }
 }
 
+/// Nothing to feed where there is no cover.
+pub struct NoCover;
+
+impl Feed<Option<ByteCover>> for NoCover {
+    fn feed(&mut self, _cover: &mut Option<ByteCover>, _now_ns: u64, _true_force_n: &[f64; TAXELS]) {}
+}
+
 /// A simulated robot whose ticks the caller makes.
 pub struct LockStep<S, F> {
     /// The loop with its plant and cover.
@@ -163,6 +170,16 @@ impl LockStep<IdealCover, TrueForces> {
     /// A scene or parameter outside its range.
     pub fn with_true_forces(config: &Config, scene: &Scene, cover: IdealCover) -> Result<Self> {
         Self::new(config, scene, cover, TrueForces)
+    }
+}
+
+impl LockStep<Option<ByteCover>, NoCover> {
+    /// An arm that has no cover.
+    ///
+    /// # Errors
+    /// A scene or parameter outside its range.
+    pub fn without_cover(config: &Config, scene: &Scene) -> Result<Self> {
+        Self::new(config, scene, None, NoCover)
     }
 }
 

@@ -1,6 +1,6 @@
 //! From mode and forces to a command: which law runs in which mode.
 
-use crate::config::{JOINTS, TAXELS};
+use crate::config::{JOINTS, Parts, TAXELS};
 use crate::cover_source::CoverState;
 use crate::protection::{Protected, Protection};
 use moca_msgs::params::CONTROLLER;
@@ -14,6 +14,7 @@ pub struct Motion {
     controller: Controller<JOINTS, TAXELS>,
     parameters: Parameters<JOINTS>,
     protection: Protection,
+    parts: Parts,
     state: Option<ControllerState<JOINTS>>,
 }
 
@@ -23,8 +24,14 @@ impl Motion {
         controller: Controller<JOINTS, TAXELS>,
         parameters: Parameters<JOINTS>,
         protection: Protection,
+        parts: Parts,
     ) -> Self {
-        Self { controller, parameters, protection, state: None }
+        Self { controller, parameters, protection, parts, state: None }
+    }
+
+    /// Which parts of the robot it moves.
+    pub const fn parts(&self) -> Parts {
+        self.parts
     }
 
     /// What protects the people around the base in the tick at `now_ns`; once a tick, before [`Motion::command`].
@@ -32,7 +39,11 @@ impl Motion {
     /// # Errors
     /// [`Fault::ControlRefused`] for a speed that is none, which the configuration's check keeps away.
     pub fn protect(&mut self, now_ns: u64, cover: &CoverState, mode: Mode) -> Result<Protected, Fault> {
-        let protected = self.protection.update(now_ns, cover, &self.parameters.limits, mode.moves());
+        let protected = if self.parts.has_cover() {
+            self.protection.update(now_ns, cover, &self.parameters.limits, mode.moves())
+        } else {
+            Protected::default()
+        };
         self.controller.set_guard(protected.guard).map_err(|_| Fault::ControlRefused)?;
         Ok(protected)
     }
@@ -99,7 +110,13 @@ impl Motion {
             None => self.state.insert(self.controller.enter(law, robot).map_err(|_| Fault::StateInvalid)?),
         };
         let input = ControlInput { robot: *robot, taxel_force_n, flange_wrench_world: None, dt_s };
-        self.controller.step(law, state, &input).map_err(|_| Fault::ControlRefused)
+        let output = match (self.parts, law) {
+            (Parts::Whole, _) | (Parts::Arm, ControlLaw::Hold) => self.controller.step(law, state, &input),
+            // On a stand the flange's place in the world and on the base are one.
+            (Parts::Arm, _) => self.controller.step(ControlLaw::FollowMe, state, &input),
+            (Parts::Base, _) => self.controller.step_base(law, state, &input),
+        };
+        output.map_err(|_| Fault::ControlRefused)
     }
 }
 

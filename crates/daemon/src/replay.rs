@@ -170,7 +170,7 @@ pub fn run(path: &Path) -> Result<Report> {
 }
 
 struct Replay {
-    control: ControlLoop<RecordedPlant, ByteCover>,
+    control: ControlLoop<RecordedPlant, Option<ByteCover>>,
     events: rtrb::Producer<BoardEvent>,
     /// Tick and number of the last one.
     last: Option<(u64, u64)>,
@@ -191,7 +191,11 @@ impl Replay {
             texts.push(file);
         }
         let (events, from_log) = rtrb::RingBuffer::new(RING_EVENTS);
-        let cover = ByteCover::new(Cover::new(cover_config(&config)?)?, from_log, None);
+        let cover = if config.plant.parts.has_cover() {
+            Some(ByteCover::new(Cover::new(cover_config(&config)?)?, from_log, None))
+        } else {
+            None
+        };
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
         let control = ControlLoop::new(
             RecordedPlant::default(),

@@ -3,7 +3,7 @@
 
 use crate::byte_cover::ByteCover;
 use crate::calibrator;
-use crate::config::{Config, PlantKind, TAXELS, VIRTUAL_PORT};
+use crate::config::{Config, Parts, PlantKind, TAXELS};
 use crate::console::{Console, Level, Summary};
 use crate::contact_limits;
 use crate::control_loop::ControlLoop;
@@ -24,6 +24,7 @@ use anyhow::{Context, Result, anyhow};
 use moca_msgs::{Law, Outcome, Request, Sample, robot};
 use moca_tactile::serial::{PortSelection, SerialBoard};
 use moca_tactile::{BoardEvent, Cover};
+use moca_telemetry::description::ArmDescription;
 use moca_telemetry::net::{self, CalibrationPort, Ports};
 use moca_telemetry::{RobotDescription, net::Server};
 use std::net::SocketAddr;
@@ -128,7 +129,7 @@ pub fn motion(config: &Config) -> Result<Motion> {
     let thresholds = &config.protection.thresholds;
     let limits =
         if thresholds.is_empty() { Default::default() } else { contact_limits::load(thresholds.as_ref())? };
-    Ok(Motion::new(controller, parameters, Protection::new(config, limits)))
+    Ok(Motion::new(controller, parameters, Protection::new(config, limits), config.plant.parts))
 }
 
 /// The cover that the configuration asks for.
@@ -142,21 +143,32 @@ pub fn cover_config(config: &Config) -> Result<moca_tactile::CoverConfig<TAXELS>
 fn introduce(options: &Options) {
     let config = &options.config;
     println!("mocad {}: robot {:?}", env!("CARGO_PKG_VERSION"), config.robot);
-    let law = match config.startup.law {
-        Law::Impedance => "expanded Cartesian impedance (the flange keeps its place, the base gives way)",
-        Law::FollowMe => "expanded follow-me (base and arm follow the hand)",
+    let law = match (config.plant.parts, config.startup.law) {
+        (Parts::Base, _) => "admittance of the base alone (the base gives way)",
+        (Parts::Arm, _) => "Cartesian impedance of the arm alone (the flange keeps its place)",
+        (Parts::Whole, Law::Impedance) => {
+            "expanded Cartesian impedance (the flange keeps its place, the base gives way)"
+        }
+        (Parts::Whole, Law::FollowMe) => "expanded follow-me (base and arm follow the hand)",
     };
     let pace = if options.lock_step { "in lock-step, as fast as possible" } else { "live" };
     println!("  controller  {law}, {} Hz, {pace}", config.control_loop.rate_hz);
-    println!("  protection  {}", protection::introduction(config));
+    if config.plant.parts.has_cover() {
+        println!("  protection  {}", protection::introduction(config));
+    }
 }
 
 #[cfg(feature = "sim")]
 fn introduce_simulation(config: &Config) {
     let (arm, mujoco) = (robot::PANDA.name, moca_sim::mujoco_version());
-    println!("  plant       simulated {arm} on SUMMIT-XL (MuJoCo {mujoco})");
+    let robot = match config.plant.parts {
+        Parts::Whole => format!("{arm} on SUMMIT-XL"),
+        Parts::Base => "SUMMIT-XL without an arm".into(),
+        Parts::Arm => format!("{arm} on a stand, no cover"),
+    };
+    println!("  plant       simulated {robot} (MuJoCo {mujoco})");
     let hand = &config.simulation.hand;
-    if !hand.taxels.is_empty() {
+    if config.plant.parts.has_cover() && !hand.taxels.is_empty() {
         let taxels: Vec<String> = hand.taxels.iter().map(|taxel| format!("T{taxel}")).collect();
         println!(
             "  hand        presses {} with {} N, every {} s",
@@ -213,8 +225,10 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
     let mut robot = assemble(&options.config, clock, options.inject.as_ref(), Some(copies))?;
     robot.control.tape = Some(tape);
     let virtual_board = if robot.virtual_board.is_some() { " (virtual Touch Board)" } else { "" };
-    println!("  board       {}{virtual_board}", shown(&robot.board.port));
-    let (_calibrator, calibration) = robot.board.calibrator;
+    let calibration = robot.board.as_mut().and_then(|board| {
+        println!("  board       {}{virtual_board}", shown(&board.port));
+        board.calibration.take()
+    });
     let flight = FlightRecorder::new(&options.config, description(&options.config))?;
     let observers = Observers { recording, flight, tape: tape_reader };
     live(options, robot.control, clock, (observers, calibration), shared)
@@ -223,9 +237,9 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
 /// A simulated robot with everything that a live loop needs; the board and its reader end with it.
 #[cfg(feature = "sim")]
 pub(crate) struct Assembled {
-    pub(crate) control: ControlLoop<crate::simulated::SimulatedRobot, crate::byte_cover::ByteCover>,
+    pub(crate) control: ControlLoop<crate::simulated::SimulatedRobot, Option<ByteCover>>,
     virtual_board: Option<moca_sim::PtyBoard>,
-    board: HeldBoard,
+    board: Option<HeldBoard>,
 }
 
 #[cfg(feature = "sim")]
@@ -240,7 +254,7 @@ pub(crate) fn assemble(
 
     let (mut forces, mut virtual_board) = (None, None);
     let mut port = config.port_selection();
-    if config.board.port == VIRTUAL_PORT {
+    if config.plant.parts.has_cover() && config.board.port == crate::config::VIRTUAL_PORT {
         let true_forces = moca_sim::SharedForces::default();
         let board =
             PtyBoard::spawn(board_config(config), Arc::clone(&true_forces), &PtyBoard::default_path())?;
@@ -250,14 +264,19 @@ pub(crate) fn assemble(
     let reference = forces.clone().map(|forces| -> calibrator::Reference {
         Box::new(move |taxel| Some(f64::from_bits(forces.get(taxel)?.load(Ordering::Relaxed))))
     });
-    let board = open_board(config, clock, port, injection, (copies, reference))?;
+    let (cover, board) = if config.plant.parts.has_cover() {
+        let open = open_board(config, clock, port, injection, (copies, reference))?;
+        (Some(open.cover), Some(open.held))
+    } else {
+        (None, None)
+    };
     let mut plant = SimulatedRobot::new(config, &free_scene(config), forces)?;
     if let Some(injection) = injection {
         plant.inject(injection);
     }
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
-    let control = ControlLoop::new(plant, board.cover, supervisor(config), motion(config)?, period_s)?;
-    Ok(Assembled { control, virtual_board, board: board.held })
+    let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
+    Ok(Assembled { control, virtual_board, board })
 }
 
 /// What stands between a Touch Board's port and the loop.
@@ -269,8 +288,8 @@ struct OpenBoard {
 /// The parts of it that only have to live as long as the loop.
 pub(crate) struct HeldBoard {
     port: PortSelection,
-    calibrator: (calibrator::Calibrator, CalibrationPort),
-    _serial: SerialBoard,
+    calibration: Option<CalibrationPort>,
+    _threads: (calibrator::Calibrator, SerialBoard),
 }
 
 fn open_board(
@@ -291,9 +310,11 @@ fn open_board(
         board: config.board.name.clone(),
         wiring: cover_config.wiring,
     };
-    let calibrator = calibrator::spawn(settings, calibrator_events, reference, move || clock.now_ns())?;
+    let (calibrator, calibration) =
+        calibrator::spawn(settings, calibrator_events, reference, move || clock.now_ns())?;
     let cover = ByteCover::new(Cover::new(cover_config)?, events, copies).with_calibrator(to_calibrator);
-    Ok(OpenBoard { cover, held: HeldBoard { port, calibrator, _serial: serial } })
+    let held = HeldBoard { port, calibration: Some(calibration), _threads: (calibrator, serial) };
+    Ok(OpenBoard { cover, held })
 }
 
 /// Runs the loop with a Touch Board and no robot: what the cover feels, for observers and logs.
@@ -304,17 +325,16 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     let recording = recording(options)?;
     let (tape, copies, tape_reader) = tape();
     let port = config.port_selection();
-    let OpenBoard { cover, held } =
+    let OpenBoard { cover, mut held } =
         open_board(config, clock, port, options.inject.as_ref(), (Some(copies), None))?;
     println!("  board       {}", shown(&held.port));
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let plant = NoRobot::at(config.control.gains.posture_rad);
     let mut control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
     control.tape = Some(tape);
-    let (_calibrator, calibration) = held.calibrator;
     let flight = FlightRecorder::new(config, description(config))?;
     let observers = Observers { recording, flight, tape: tape_reader };
-    live(options, control, clock, (observers, calibration), shared)
+    live(options, control, clock, (observers, held.calibration.take()), shared)
 }
 
 fn shown(port: &PortSelection) -> String {
@@ -329,12 +349,12 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     options: &Options,
     mut control: ControlLoop<P, S>,
     clock: Clock,
-    (mut observers, calibration): (Observers, CalibrationPort),
+    (mut observers, calibration): (Observers, Option<CalibrationPort>),
     shared: &Arc<Shared>,
 ) -> Result<LiveRun> {
     let config = &options.config;
     let (mut rings, from_loop, mut request_ports) = rings(shared);
-    request_ports.calibration = Some(calibration);
+    request_ports.calibration = calibration;
     let (tap, mut watched) = rtrb::RingBuffer::new(RING_SAMPLES);
     let _server = match config.telemetry_address() {
         Some(address) => Some(serve(config, address, from_loop, Some(tap), request_ports)?),
@@ -443,7 +463,14 @@ fn description(config: &Config) -> RobotDescription {
         Duration::from_nanos(moca_tactile::board::SILENT_AFTER_NS).as_secs_f64(),
     );
     let speed_override = config.protection.override_statement.clone();
-    RobotDescription { parameters, speed_override, ..robot }
+    let mut robot = RobotDescription { parameters, speed_override, ..robot };
+    if !config.plant.parts.has_arm() {
+        robot.arm = ArmDescription::default();
+    }
+    if !config.plant.parts.has_cover() {
+        robot.taxels.clear();
+    }
+    robot
 }
 
 fn recording(options: &Options) -> Result<Option<Recording>> {
@@ -529,26 +556,42 @@ fn watch(
 
 #[cfg(feature = "sim")]
 fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
-    use crate::{allocations, command_log, lockstep::LockStep};
+    use crate::lockstep::LockStep;
+
+    let config = &options.config;
+    introduce_simulation(config);
+    let scene = crate::simulated::free_scene(config);
+    let (tape, copies, tape_reader) = tape();
+    if config.plant.parts.has_cover() {
+        println!("  board       virtual Touch Board in memory");
+        let mut world = LockStep::with_board(config, &scene, board_config(config), Some(copies))?;
+        if let Some(injection) = &options.inject {
+            world.inject(injection, config.simulation.seed);
+        }
+        run_lock_step(options, world, (tape, tape_reader), shared)
+    } else {
+        let mut world = LockStep::without_cover(config, &scene)?;
+        if let Some(injection) = &options.inject {
+            world.control.plant.inject(injection);
+        }
+        run_lock_step(options, world, (tape, tape_reader), shared)
+    }
+}
+
+#[cfg(feature = "sim")]
+fn run_lock_step<S: CoverSource, F: crate::lockstep::Feed<S>>(
+    options: &Options,
+    mut world: crate::lockstep::LockStep<S, F>,
+    (tape, tape_reader): (crate::tape::Tape, TapeReader),
+    shared: &Arc<Shared>,
+) -> Result<()> {
+    use crate::{allocations, command_log};
     use std::fs::File;
     use std::io::{BufWriter, Write};
 
     let config = &options.config;
-    introduce_simulation(config);
-    println!("  board       virtual Touch Board in memory");
-    let recording = recording(options)?;
-    let (tape, copies, tape_reader) = tape();
-    let mut observers = Observers { recording, flight: None, tape: tape_reader };
-    let mut world = LockStep::with_board(
-        config,
-        &crate::simulated::free_scene(config),
-        board_config(config),
-        Some(copies),
-    )?;
     world.control.tape = Some(tape);
-    if let Some(injection) = &options.inject {
-        world.inject(injection, config.simulation.seed);
-    }
+    let mut observers = Observers { recording: recording(options)?, flight: None, tape: tape_reader };
     let mut log = None;
     if let Some(path) = &options.command_log {
         let file = File::create(path).with_context(|| path.display().to_string())?;

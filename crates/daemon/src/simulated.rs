@@ -1,11 +1,12 @@
 //! The simulated robot as a plant, and the shared forces its virtual board reads.
 
-use crate::config::{Config, HandConfig, JOINTS, TAXELS};
+use crate::config::{Config, HandConfig, JOINTS, Parts, TAXELS};
 use crate::hand::scripted_press;
 use crate::inject::{Injection, PlantSpoiler, What};
 use crate::plant::{Plant, SourceAge};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
+use moca_sim::scene::Robot;
 use moca_sim::{Scene, SharedForces, SimError, SimPlant};
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -16,11 +17,16 @@ const CATCH_UP_MAX_TICKS: u64 = 20;
 /// Longest physics step, s.
 const STEP_MAX_S: f64 = 1e-3;
 
-/// The free robot, stepped at the control rate of `config`.
+/// The free robot with the parts it has, stepped at the control rate of `config`.
 pub fn free_scene(config: &Config) -> Scene {
     let control_period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let substeps = (control_period_s / STEP_MAX_S - 1e-9).ceil().max(1.0);
-    Scene { control_period_s, physics_step_s: control_period_s / substeps, ..Scene::default() }
+    let robot = match config.plant.parts {
+        Parts::Whole => Robot::MobileManipulator,
+        Parts::Base => Robot::BaseOnly,
+        Parts::Arm => Robot::ArmOnly,
+    };
+    Scene { robot, control_period_s, physics_step_s: control_period_s / substeps, ..Scene::default() }
 }
 
 /// MuJoCo behind the [`Plant`] trait, with the hands that press it.
@@ -28,6 +34,7 @@ pub struct SimulatedRobot {
     /// The simulated world.
     pub world: SimPlant,
     hand: HandConfig,
+    covered: bool,
     asked_n: [f64; TAXELS],
     spoiler: Option<PlantSpoiler>,
     stall: Option<(u64, u64)>,
@@ -44,10 +51,12 @@ impl SimulatedRobot {
     pub fn new(config: &Config, scene: &Scene, shared: Option<SharedForces>) -> Result<Self, SimError> {
         let world = SimPlant::new(scene)?;
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
-        let hand = config.simulation.hand.clone();
+        let covered = config.plant.parts.has_cover();
+        let hand = if covered { config.simulation.hand.clone() } else { HandConfig::none() };
         Ok(Self {
             world,
             hand,
+            covered,
             asked_n: [0.0; TAXELS],
             spoiler: None,
             stall: None,
@@ -109,7 +118,7 @@ impl Plant for SimulatedRobot {
     }
 
     fn press(&mut self, taxel: usize, force_n: f64) -> Outcome {
-        let asked = self.asked_n.get_mut(taxel).ok_or(Refusal::OutOfRange)?;
+        let asked = self.asked_n.get_mut(taxel).filter(|_| self.covered).ok_or(Refusal::OutOfRange)?;
         if !(0.0..=PRESS_FORCE_MAX_N).contains(&force_n) {
             return Err(Refusal::OutOfRange);
         }

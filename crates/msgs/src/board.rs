@@ -65,6 +65,8 @@ pub enum Diagnosis {
     /// The port is open and nothing comes.
     #[default]
     Silent,
+    /// The robot has no cover.
+    NoBoard,
 }
 
 impl Diagnosis {
@@ -74,6 +76,7 @@ impl Diagnosis {
         match self {
             Self::Frames => "The board sends DataStream frames.",
             Self::NotOpen(why) => why.text(),
+            Self::NoBoard => "This robot has no cover and reads no board.",
             Self::Disconnected => "The board was unplugged or lost power.",
             Self::WrongSketch => {
                 "The board runs its factory sketch (touch events only): flash the library example DataStream once."
