@@ -4,7 +4,8 @@
 //! times, and a table of times and forces. Both go through the same guided session.
 #![expect(clippy::print_stdout, reason = "a terminal front end")]
 
-use anyhow::{Context, bail, ensure};
+use crate::gauge::Gauge;
+use anyhow::{Context, anyhow, bail, ensure};
 use moca_tactile::calibration::file::TaxelEntry;
 use moca_tactile::calibration::quality::evaluation_cost_ns;
 use moca_tactile::calibration::session::{Measured, Session, Step, Target};
@@ -205,9 +206,8 @@ fn live(session: &mut Session, arguments: &Arguments) -> anyhow::Result<()> {
     let start = Instant::now();
     let port = arguments.port.clone().map_or_else(PortSelection::default, PortSelection::Path);
     let (_board, mut board) = SerialBoard::spawn(port, start)?;
-    let gauge_port = PortSelection::Path(arguments.gauge.clone().context("--gauge is missing")?);
-    let (_gauge, mut gauge) = SerialBoard::spawn_with_baud(gauge_port, arguments.gauge_baud, start)?;
-    let mut gauge_text = GaugeText::default();
+    let gauge_port = arguments.gauge.as_deref().context("--gauge is missing")?;
+    let mut gauge = Gauge::open(gauge_port, arguments.gauge_baud, start)?;
     let mut shown = String::new();
     let mut waiting = None;
     let (mut bytes_at, mut progress_at, mut last_progress) = (start, start, None);
@@ -223,15 +223,8 @@ fn live(session: &mut Session, arguments: &Arguments) -> anyhow::Result<()> {
                 BoardEvent::Opened { .. } | BoardEvent::Gap { .. } => {}
             }
         }
-        while let Ok(event) = gauge.pop() {
-            match event {
-                BoardEvent::Bytes(chunk) => {
-                    gauge_text.push(chunk.bytes(), |force_n| session.reference(force_n, chunk.arrival_ns));
-                }
-                BoardEvent::OpenFailed { why, .. } => bail!("force gauge: {}", why.text()),
-                _ => {}
-            }
-        }
+        let read = gauge.read(|force_n, at_ns| session.reference(force_n, at_ns));
+        read.map_err(|why| anyhow!("force gauge: {why}"))?;
         let step = session.step();
         if step == Step::Done {
             println!();
@@ -298,32 +291,6 @@ fn bar(share: f64) -> String {
     format!("[{}{}]", "#".repeat(full), ".".repeat(WIDTH - full))
 }
 
-/// Lines of a gauge; a line that is no number is skipped, an endless one is cut.
-#[derive(Default)]
-struct GaugeText {
-    line: Vec<u8>,
-}
-
-impl GaugeText {
-    const LINE_MAX: usize = 64;
-
-    fn push(&mut self, bytes: &[u8], mut reading: impl FnMut(f64)) {
-        for &byte in bytes {
-            if byte != b'\n' {
-                if self.line.len() < Self::LINE_MAX {
-                    self.line.push(byte);
-                }
-                continue;
-            }
-            let text = String::from_utf8_lossy(&self.line);
-            if let Ok(force_n) = text.trim().trim_end_matches('N').trim_end().parse::<f64>() {
-                reading(force_n);
-            }
-            self.line.clear();
-        }
-    }
-}
-
 /// Today in UTC, YYYY-MM-DD (proleptic Gregorian calendar, after H. Hinnant's `civil_from_days`).
 pub(crate) fn today() -> anyhow::Result<String> {
     let days = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH)?.as_secs() / 86_400;
@@ -359,17 +326,6 @@ mod tests {
         for bad in ["3", "0:1", "1:12", "a:b", "1:0:2"] {
             assert!(target(bad).is_err(), "{bad}");
         }
-    }
-
-    #[test]
-    fn gauge_lines_are_read_in_any_chunking() {
-        let mut readings = Vec::new();
-        let mut text = GaugeText::default();
-        for chunk in [&b"1"[..], b"2.5\r\n  7 N\n--\n", &[b'9'; 1000], b"\n-3\n"] {
-            text.push(chunk, |force_n| readings.push(force_n));
-        }
-        readings.retain(|r| *r < 1e6);
-        assert_eq!(readings, [12.5, 7.0, -3.0]);
     }
 
     /// A simulated taxel at rest for 2 s, then pressed three times to 100 N, as recorded files.

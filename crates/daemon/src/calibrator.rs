@@ -3,6 +3,7 @@
 
 use crate::calibrate::today;
 use crate::config::{Config, TAXELS};
+use crate::gauge::Gauge;
 use anyhow::{Context, Result, anyhow, ensure};
 use moca_tactile::calibration::file::TaxelEntry;
 use moca_tactile::calibration::session::{Measured, Session, Step, Target};
@@ -28,6 +29,8 @@ const LOOKS_PER_WORD: u32 = 20;
 const RESIDUALS_TOLD: usize = 300;
 /// A session without any progress for this long is given up, ns.
 const IDLE_NS: u64 = 120_000_000_000;
+/// A reference that says nothing for this long is given up, ns.
+const REFERENCE_SILENT_NS: u64 = 1_000_000_000;
 
 /// What the calibrator works for.
 #[derive(Clone, Debug)]
@@ -48,8 +51,33 @@ pub fn file(config: &Config) -> PathBuf {
     }
 }
 
-/// The force that counts are compared with: of a taxel (0 is T1), N. `None` while there is no reading.
-pub type Reference = Box<dyn FnMut(usize) -> Option<f64> + Send>;
+/// The force that counts are compared with.
+pub enum Reference {
+    /// What the simulation presses a taxel (0 is T1) with, N.
+    Simulated(Box<dyn Fn(usize) -> Option<f64> + Send>),
+    /// What a person presses with.
+    Gauge(Gauge),
+}
+
+impl Reference {
+    /// Hands over the readings since the last call, N, with their times, ns.
+    fn read(
+        &mut self,
+        taxel: u8,
+        now_ns: u64,
+        mut reading: impl FnMut(f64, u64),
+    ) -> Result<(), &'static str> {
+        match self {
+            Self::Simulated(force_n) => {
+                if let Some(force_n) = force_n(usize::from(taxel)) {
+                    reading(force_n, now_ns);
+                }
+                Ok(())
+            }
+            Self::Gauge(gauge) => gauge.read(reading),
+        }
+    }
+}
 
 /// The calibrator's thread. Dropping it ends it.
 pub struct Calibrator {
@@ -67,8 +95,8 @@ impl Drop for Calibrator {
     }
 }
 
-/// Starts the thread. It drains `events` all the time and reads `now_ns` and `reference` while a session runs; without
-/// a reference it says that it cannot calibrate.
+/// Starts the thread. It drains `events` all the time; without a `reference` it says that it cannot calibrate. While
+/// `moving` is set it neither begins nor goes on: a cover on a moving robot is not at rest.
 ///
 /// # Errors
 /// The thread could not be started.
@@ -76,6 +104,7 @@ pub fn spawn(
     settings: Settings,
     mut events: rtrb::Consumer<BoardEvent>,
     reference: Option<Reference>,
+    moving: Arc<AtomicBool>,
     now_ns: impl Fn() -> u64 + Send + 'static,
 ) -> Result<(Calibrator, CalibrationPort)> {
     let (to_us, requests) = channel();
@@ -86,7 +115,7 @@ pub fn spawn(
         let mut work = Work::new(settings);
         let Some(mut reference) = reference else {
             let why =
-                "beside a real board it needs a force gauge: run `mocad calibrate --gauge PORT` instead";
+                "it has no reference force: set board.gauge to the port of a force gauge and start it again";
             return unavailable(why, &requests, &progress, &stopped, &mut events);
         };
         let mut told = CalibrationProgress::Idle;
@@ -95,6 +124,9 @@ pub fn spawn(
             let asked = requests.try_iter().last();
             if let Some(request) = asked {
                 work.ask(request, now_ns());
+            }
+            if moving.load(Ordering::Relaxed) {
+                work.robot_moves();
             }
             while let Ok(event) = events.pop() {
                 work.event(&event);
@@ -137,6 +169,7 @@ struct Work {
     session: Option<Session>,
     taxel: u8,
     progressed_ns: u64,
+    reference_ns: u64,
     fitted: Option<Fitted>,
     progress: CalibrationProgress,
 }
@@ -152,7 +185,7 @@ struct Fitted {
 impl Work {
     fn new(settings: Settings) -> Self {
         let progress = CalibrationProgress::Idle;
-        Self { settings, session: None, taxel: 0, progressed_ns: 0, fitted: None, progress }
+        Self { settings, session: None, taxel: 0, progressed_ns: 0, reference_ns: 0, fitted: None, progress }
     }
 
     fn progress(&self) -> &CalibrationProgress {
@@ -177,7 +210,8 @@ impl Work {
         let number = usize::from(taxel) + 1;
         let target = Target { number, electrode: wire.electrode };
         self.session = Some(Session::new(&[target], u32::from(presses)));
-        (self.taxel, self.progressed_ns, self.fitted) = (taxel, now_ns, None);
+        (self.taxel, self.fitted) = (taxel, None);
+        (self.progressed_ns, self.reference_ns) = (now_ns, now_ns);
         Ok(CalibrationProgress::Rest { taxel, frames: 0, frames_wanted: TARE_FRAMES })
     }
 
@@ -191,13 +225,32 @@ impl Work {
         }
     }
 
+    fn robot_moves(&mut self) {
+        if self.session.is_some() {
+            self.give_up(
+                "a law moves the robot, and a taxel is calibrated at rest: disarm it, then start again",
+            );
+        }
+    }
+
     /// Reads the reference and says how far it is.
     fn look(&mut self, now_ns: u64, reference: &mut Reference) {
-        let Some(session) = &mut self.session else { return };
-        if let Some(force_n) = reference(usize::from(self.taxel)) {
-            session.reference(force_n, now_ns);
+        let (taxel, mut session) = (self.taxel, self.session.as_mut());
+        let read = reference.read(taxel, now_ns, |force_n, at_ns| {
+            self.reference_ns = at_ns;
+            if let Some(session) = &mut session {
+                session.reference(force_n, at_ns);
+            }
+        });
+        let Some(session) = session else { return };
+        if let Err(why) = read {
+            return self.give_up(&format!("force gauge: {why}"));
         }
-        let taxel = self.taxel;
+        // Between two readings the force is interpolated, and a press in a long gap would be none.
+        if now_ns.saturating_sub(self.reference_ns) > REFERENCE_SILENT_NS {
+            return self
+                .give_up("the force gauge is silent: it must print newtons, a number a line, all the time");
+        }
         let progress = match session.step() {
             Step::Rest { frames, .. } => {
                 CalibrationProgress::Rest { taxel, frames, frames_wanted: TARE_FRAMES }
@@ -335,7 +388,7 @@ mod tests {
             if let Some(session) = &mut work.session {
                 session.push(&bytes, now_ns);
             }
-            let mut reference: Reference = Box::new(move |_| Some(force_n));
+            let mut reference = Reference::Simulated(Box::new(move |_| Some(force_n)));
             work.look(now_ns - 12_000_000, &mut reference);
         }
     }
@@ -378,11 +431,29 @@ mod tests {
     }
 
     #[test]
+    fn a_robot_that_moves_or_a_silent_reference_ends_the_session() {
+        let mut work = Work::new(settings("moves"));
+        work.ask(CalibrationRequest::Start { taxel: 0, presses: 1 }, 0);
+        work.robot_moves();
+        assert!(matches!(work.progress(), CalibrationProgress::Failed(why) if why.contains("disarm")));
+        work.ask(CalibrationRequest::Start { taxel: 0, presses: 1 }, 0);
+        let mut silent = Reference::Simulated(Box::new(|_| None));
+        work.look(900_000_000, &mut silent);
+        assert!(matches!(work.progress(), CalibrationProgress::Rest { .. }));
+        work.look(1_100_000_000, &mut silent);
+        assert!(matches!(work.progress(), CalibrationProgress::Failed(why) if why.contains("silent")));
+        // What is fitted is not lost by arming.
+        run(&mut work, 0);
+        work.robot_moves();
+        assert!(matches!(work.progress(), CalibrationProgress::Fitted(_)));
+    }
+
+    #[test]
     fn a_session_that_nobody_presses_is_given_up() {
         let mut work = Work::new(settings("idle"));
         work.ask(CalibrationRequest::Start { taxel: 0, presses: 1 }, 0);
         let mut last_s = 0;
-        let mut reference: Reference = Box::new(|_| None);
+        let mut reference = Reference::Simulated(Box::new(|_| Some(0.0)));
         for s in 0..200u64 {
             work.look(s * 1_000_000_000, &mut reference);
             last_s = s;

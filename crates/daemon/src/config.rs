@@ -84,6 +84,8 @@ section! {
         calibration: String = String::new(),
         masked: Vec<usize> = Vec::new(),
         mask_policy: MaskPolicyConfig = MaskPolicyConfig::Stop,
+        gauge: String = String::new(),
+        gauge_baud: u32 = 115_200,
     }
 }
 section! {
@@ -490,7 +492,7 @@ mod tests {
         assert_eq!(error.mistakes.len(), 2);
         assert!(
             error.mistakes[0].contains(
-                "line 2: unknown key board.prot; allowed here: calibration, mask_policy, masked, name, port"
+                "line 2: unknown key board.prot; allowed here: calibration, gauge, gauge_baud, mask_policy, masked, name, port"
             ),
             "{error}"
         );

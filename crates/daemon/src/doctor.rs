@@ -137,7 +137,7 @@ fn empty_loop(config: &Config, length: Duration) -> Result<Lateness> {
 fn simulated_loop(config: &Config, length: Duration) -> Result<Lateness> {
     use crate::live::{self, Shared};
     let clock = Clock::start()?;
-    let mut robot = crate::run::assemble(config, clock, None, None)?;
+    let mut robot = crate::run::assemble(config, clock, None, Default::default())?;
     let (steps, _held) = realtime::apply(&config.realtime());
     let shared = Shared::default();
     let (mut rings, samples, ports) = crate::run::rings(&shared);

@@ -27,6 +27,7 @@ pub mod cover_source;
 pub mod doctor;
 pub mod door;
 pub mod flight;
+pub mod gauge;
 pub mod hand;
 #[cfg(feature = "sim")]
 pub mod ideal_cover;

@@ -79,6 +79,7 @@ impl Rings {
             // A full ring means that nobody waits for answers any more.
             let _ = self.outcomes.push((id, outcome));
         }
+        shared.moving.store(sample.mode.moves(), Ordering::Relaxed);
         if !self.samples.is_abandoned() && self.samples.push(sample.clone()).is_err() {
             shared.samples_dropped.fetch_add(1, Ordering::Relaxed);
         }
@@ -90,6 +91,8 @@ impl Rings {
 pub struct Shared {
     /// Set to end the loop after the current tick.
     pub stop: AtomicBool,
+    /// Whether a law moves the robot.
+    pub moving: Arc<AtomicBool>,
     /// Samples no observer had room for.
     pub samples_dropped: Arc<AtomicU64>,
 }

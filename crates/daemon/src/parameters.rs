@@ -46,6 +46,8 @@ pub const SETTINGS: &[ParameterSpec] = {
         row("board.calibration", Text, &[], ANY, "File that `mocad calibrate` wrote; empty for none."),
         row("board.masked", Integer, &["(taxel number)"], TAXEL, "Taxels out of use."),
         row("board.mask_policy", Choice(&["stop", "unfelt"]), &[], ANY, "What a masked taxel means."),
+        row("board.gauge", Text, &[], ANY, "Port of a force gauge for calibrations; empty for none."),
+        row("board.gauge_baud", Integer, &["baud"], (300.0, 4e6), "Speed of the gauge's port."),
         row("startup.law", Choice(&["impedance", "follow-me"]), &[], ANY, "What arming starts."),
         row("startup.tare", Flag, &[], EITHER, "Measure the cover's zero when the first frames arrive."),
         row("startup.arm", Flag, &[], EITHER, "Arm by itself after that tare (simulation only)."),

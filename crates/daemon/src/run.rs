@@ -2,13 +2,14 @@
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
 use crate::byte_cover::ByteCover;
-use crate::calibrator;
+use crate::calibrator::{self, Reference};
 use crate::config::{Config, Parts, PlantKind, TAXELS};
 use crate::console::{Console, Level, Summary};
 use crate::contact_limits;
 use crate::control_loop::ControlLoop;
 use crate::cover_source::CoverSource;
 use crate::flight::FlightRecorder;
+use crate::gauge::Gauge;
 use crate::inject::{self, Cable, Injection, Named, What};
 use crate::live::{self, Clock, LiveReport, Rings, Shared};
 use crate::motion::Motion;
@@ -222,7 +223,8 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
     let clock = Clock::start()?;
     let recording = recording(options)?;
     let (tape, copies, tape_reader) = tape();
-    let mut robot = assemble(&options.config, clock, options.inject.as_ref(), Some(copies))?;
+    let taps = Taps { copies: Some(copies), moving: Arc::clone(&shared.moving), reference: None };
+    let mut robot = assemble(&options.config, clock, options.inject.as_ref(), taps)?;
     robot.control.tape = Some(tape);
     let virtual_board = if robot.virtual_board.is_some() { " (virtual Touch Board)" } else { "" };
     let calibration = robot.board.as_mut().and_then(|board| {
@@ -247,7 +249,7 @@ pub(crate) fn assemble(
     config: &Config,
     clock: Clock,
     injection: Option<&Injection>,
-    copies: Option<rtrb::Producer<BoardEvent>>,
+    mut taps: Taps,
 ) -> Result<Assembled> {
     use crate::simulated::{SimulatedRobot, free_scene};
     use moca_sim::PtyBoard;
@@ -261,11 +263,12 @@ pub(crate) fn assemble(
         port = PortSelection::Path(board.path().display().to_string());
         (forces, virtual_board) = (Some(true_forces), Some(board));
     }
-    let reference = forces.clone().map(|forces| -> calibrator::Reference {
-        Box::new(move |taxel| Some(f64::from_bits(forces.get(taxel)?.load(Ordering::Relaxed))))
+    taps.reference = forces.clone().map(|forces| {
+        let force_n = move |taxel| Some(f64::from_bits(forces.get::<usize>(taxel)?.load(Ordering::Relaxed)));
+        Reference::Simulated(Box::new(force_n))
     });
     let (cover, board) = if config.plant.parts.has_cover() {
-        let open = open_board(config, clock, port, injection, (copies, reference))?;
+        let open = open_board(config, clock, port, injection, taps)?;
         (Some(open.cover), Some(open.held))
     } else {
         (None, None)
@@ -277,6 +280,14 @@ pub(crate) fn assemble(
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
     Ok(Assembled { control, virtual_board, board })
+}
+
+/// Who else gets what the board says, and what they need for it.
+#[derive(Default)]
+pub(crate) struct Taps {
+    copies: Option<rtrb::Producer<BoardEvent>>,
+    moving: Arc<AtomicBool>,
+    reference: Option<Reference>,
 }
 
 /// What stands between a Touch Board's port and the loop.
@@ -297,7 +308,7 @@ fn open_board(
     clock: Clock,
     port: PortSelection,
     injection: Option<&Injection>,
-    (copies, reference): (Option<rtrb::Producer<BoardEvent>>, Option<calibrator::Reference>),
+    Taps { copies, moving, mut reference }: Taps,
 ) -> Result<OpenBoard> {
     let (serial, mut events) = SerialBoard::spawn(port.clone(), clock.instant())?;
     if let Some(Injection { fault: Named { what: What::Cable(fault), .. }, at_ns }) = injection {
@@ -310,8 +321,13 @@ fn open_board(
         board: config.board.name.clone(),
         wiring: cover_config.wiring,
     };
+    if !config.board.gauge.is_empty() {
+        let gauge = Gauge::open(&config.board.gauge, config.board.gauge_baud, clock.instant())?;
+        reference = Some(Reference::Gauge(gauge));
+    }
+    let now_ns = move || clock.now_ns();
     let (calibrator, calibration) =
-        calibrator::spawn(settings, calibrator_events, reference, move || clock.now_ns())?;
+        calibrator::spawn(settings, calibrator_events, reference, moving, now_ns)?;
     let cover = ByteCover::new(Cover::new(cover_config)?, events, copies).with_calibrator(to_calibrator);
     let held = HeldBoard { port, calibration: Some(calibration), _threads: (calibrator, serial) };
     Ok(OpenBoard { cover, held })
@@ -325,8 +341,8 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     let recording = recording(options)?;
     let (tape, copies, tape_reader) = tape();
     let port = config.port_selection();
-    let OpenBoard { cover, mut held } =
-        open_board(config, clock, port, options.inject.as_ref(), (Some(copies), None))?;
+    let taps = Taps { copies: Some(copies), ..Taps::default() };
+    let OpenBoard { cover, mut held } = open_board(config, clock, port, options.inject.as_ref(), taps)?;
     println!("  board       {}", shown(&held.port));
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let plant = NoRobot::at(config.control.gains.posture_rad);

@@ -437,6 +437,32 @@ fn calibration_goes_step_by_step_and_asks_the_daemon() {
     assert!(bench.shows("/lab/calibration.toml with T1, T6") && bench.shows("once all 11 taxels"));
 }
 
+#[test]
+fn beside_a_real_board_the_gauge_is_named_and_nobody_pushes_by_mouse() {
+    let mut bench = Bench::new();
+    bench.daemon.borrow_mut().simulated = false;
+    bench.frames(Mode::Ready, None);
+    bench.click("Calibrate");
+    bench.daemon.borrow_mut().calibration =
+        CalibrationProgress::Unavailable("it has no reference force: set board.gauge".into());
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("cannot calibrate from here: it has no reference force: set board.gauge"));
+
+    let press =
+        CalibrationProgress::Press { taxel: 3, presses: 0, presses_wanted: 3, counts: 2.0, force_n: None };
+    bench.daemon.borrow_mut().calibration = press;
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("no reading of the reference yet") && bench.shows("Press with the force gauge"));
+    assert!(!bench.shows("simulated hand"));
+    assert_eq!(bench.asked(), []);
+    // The daemon gives up by itself, for instance because somebody armed the robot.
+    bench.daemon.borrow_mut().calibration = CalibrationProgress::Failed("a law moves the robot".into());
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("That did not work: a law moves the robot"));
+    bench.click("Start calibration");
+    assert_eq!(bench.daemon.borrow().calibrate.len(), 1, "it can be started again");
+}
+
 fn parameter(name: &str, form: ParameterForm, value: &[f64], live: bool) -> ParameterDescription {
     ParameterDescription {
         name: name.into(),

@@ -117,6 +117,7 @@ fn press(ui: &mut Ui, model: &Model, choice: &mut Choice, now_s: f64, asked: &mu
     let force = force_n.map_or("no reading of the reference yet".into(), |n| format!("{} N", number(n, 1)));
     ui.monospace(format!("{:>5} counts below rest   reference {force}", number(*counts, 0)));
     if !model.can_push() {
+        ui.weak("Press with the force gauge, square on the middle of the plate: slowly up, slowly down.");
         return;
     }
     ui.add(Checkbox::new(&mut choice.hand, "Let a simulated hand press"));
