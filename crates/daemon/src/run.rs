@@ -481,7 +481,7 @@ fn description(config: &Config) -> RobotDescription {
     let speed_override = config.protection.override_statement.clone();
     let mut robot = RobotDescription { parameters, speed_override, ..robot };
     if !config.plant.parts.has_arm() {
-        robot.arm = ArmDescription::default();
+        robot.arm = ArmDescription { name: "no arm".into(), ..ArmDescription::default() };
     }
     if !config.plant.parts.has_cover() {
         robot.taxels.clear();
