@@ -12,7 +12,19 @@ static ALLOCATOR: CountingAllocator = CountingAllocator;
 const SILENT_TICKS: u64 = 150;
 const FROZEN_TICKS: u64 = 15 * 25;
 /// What goes on: the way a fault may add to the motion that the pressing hand asks for anyway.
-const RIDES: &[&str] = &["slow-board", "missed-slot", "missed-20-slots", "missed-500-slots"];
+const RIDES: &[&str] = &[
+    "slow-board",
+    "missed-slot",
+    "missed-20-slots",
+    "missed-500-slots",
+    "disk-full",
+    "disk-slow",
+    "subscriber-stalled",
+    "subscriber-gone",
+    "socket-garbage",
+    "parameter-nan",
+    "parameter-absurd",
+];
 /// A taxel that slowly drifts down is, to any reader, a hand that slowly presses: the robot gives way to it.
 const LOOKS_LIKE_A_HAND: &str = "taxel-drifting";
 
@@ -32,6 +44,7 @@ fn expected(name: &str) -> (u64, &'static [&'static str]) {
         "joint-nan" | "joint-rate-infinite" | "joint-jump" | "base-nan" | "base-jump" => {
             (1, &["state-invalid"])
         }
+        "panel-gone" => (1, &["operator-lost"]),
         "plant-lost" => (1, &["plant-lost"]),
         "command-refused" => (1, &["control-refused"]),
         "arm-stale" => (11, &["arm-stale"]),
@@ -46,6 +59,16 @@ fn expected(name: &str) -> (u64, &'static [&'static str]) {
 fn check(trial: &Trial) {
     let name = trial.fault.name;
     assert_eq!(trial.allocations, 0, "{name}: allocations on the loop's thread");
+    let told = trial.told.as_deref().unwrap_or_default();
+    let expected_words = match name {
+        "disk-full" => "no storage space",
+        "disk-slow" => "samples are in the log",
+        "parameter-nan" | "parameter-absurd" => "refused",
+        "panel-gone" => "done",
+        "subscriber-stalled" | "subscriber-gone" | "socket-garbage" => "dropped for observers",
+        _ => "",
+    };
+    assert!(told.contains(expected_words), "{name}: told {told:?}");
     if RIDES.contains(&name) || name == LOOKS_LIKE_A_HAND {
         assert_eq!((trial.mode, trial.cause), (Mode::Impedance, None), "{name}");
         assert!(!name.starts_with("missed") || trial.overruns > 0, "{name}: not counted");
@@ -76,7 +99,7 @@ fn unreachable_in_test(name: &str) -> u64 {
 
 #[test]
 fn every_injected_fault_ends_where_the_table_says_in_its_time() {
-    assert!(FAULTS.len() >= 40, "{}", FAULTS.len());
+    assert!(FAULTS.len() >= 48, "{}", FAULTS.len());
     // Two seeds, on two threads: the spoiled bytes differ, what comes of them may not.
     std::thread::scope(|scope| {
         for seed in [1, 2] {

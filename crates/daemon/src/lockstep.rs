@@ -153,11 +153,12 @@ impl LockStep<ByteCover, MemoryBoard> {
 }
 
 impl LockStep<ByteCover, MemoryBoard> {
-    /// Lets `injection` strike; the same seed spoils the same bytes.
+    /// Lets `injection` strike; the same seed spoils the same bytes. What is outside the loop is the caller's.
     pub fn inject(&mut self, injection: &Injection, seed: u64) {
         match injection.fault.what {
             What::Cable(fault) => self.feed.spoiled = Some(Cable::new(fault, injection.at_ns, seed)),
             What::Plant(_) => self.control.plant.inject(injection),
+            What::Outside(_) => {}
             What::MissedSlots(slots) => self.skip = Some((injection.at_ns / self.period_ns, slots)),
         }
     }

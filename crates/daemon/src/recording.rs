@@ -3,11 +3,13 @@
 
 use crate::config::Config;
 use crate::tape::{PortEvent, TickRecord};
-use anyhow::Result;
+use anyhow::{Context, Result};
 use moca_msgs::{Request, Sample, params::CONTROLLER};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::records::{Configuration, ParameterChange};
 use moca_telemetry::log::{LogSummary, Meta, Recorder, SerialBytes};
+use std::fs::File;
+use std::io::Write;
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -20,6 +22,7 @@ const WAIT: Duration = Duration::from_millis(1);
 pub struct Recording {
     recorder: Recorder,
     samples: rtrb::Producer<Sample>,
+    live: bool,
     lost: u64,
 }
 
@@ -29,15 +32,29 @@ impl Recording {
     /// # Errors
     /// The file exists or cannot be created, or the calibration file cannot be read.
     pub fn create(path: &Path, description: RobotDescription, config: &Config, live: bool) -> Result<Self> {
+        let file = File::create_new(path).with_context(|| path.display().to_string())?;
+        Self::start(file, description, config, live)
+    }
+
+    /// The same onto anything that can be written to.
+    ///
+    /// # Errors
+    /// It refuses the first write, or the calibration file cannot be read.
+    pub fn start(
+        output: impl Write + Send + 'static,
+        description: RobotDescription,
+        config: &Config,
+        live: bool,
+    ) -> Result<Self> {
         let (samples, from_here) = rtrb::RingBuffer::new(RING);
         let meta = Meta { description, start_unix_ns: if live { unix_now_ns() } else { 0 } };
         let configuration = configuration(config)?;
-        let recorder = Recorder::create(path, &meta, from_here)?;
+        let recorder = Recorder::start(output, &meta, from_here, !live)?;
         recorder.configuration(configuration);
-        Ok(Self { recorder, samples, lost: 0 })
+        Ok(Self { recorder, samples, live, lost: 0 })
     }
 
-    /// Adds what one tick was given; waits while the disk is behind (never on the loop's thread of a live run).
+    /// Adds what one tick was given. A live run does not wait for its disk: what finds no room counts as lost.
     pub fn add_tick(&mut self, record: &TickRecord) {
         let (tick, time_ns) = (record.input.slot.tick, record.input.slot.now_ns);
         for event in &record.events {
@@ -53,9 +70,9 @@ impl Recording {
         self.recorder.replay(time_ns, tick, record.encode());
     }
 
-    /// Adds one sample; waits like [`Recording::add_tick`].
+    /// Adds one sample, like [`Recording::add_tick`].
     pub fn add(&mut self, sample: &Sample) {
-        while self.samples.is_full() && self.recorder.is_recording() {
+        while !self.live && self.samples.is_full() && self.recorder.is_recording() {
             std::thread::sleep(WAIT);
         }
         // After an error of the disk nobody takes samples any more; `finish` tells it.

@@ -10,7 +10,7 @@ use crate::control_loop::ControlLoop;
 use crate::cover_source::CoverSource;
 use crate::flight::FlightRecorder;
 use crate::gauge::Gauge;
-use crate::inject::{self, Cable, Injection, Named, What};
+use crate::inject::{self, Cable, Disk, Injection, Named, OutsideFault, Strike, What};
 use crate::live::{self, Clock, LiveReport, Rings, Shared};
 use crate::motion::Motion;
 use crate::plant::{NoRobot, Plant};
@@ -28,6 +28,7 @@ use moca_tactile::{BoardEvent, Cover};
 use moca_telemetry::description::ArmDescription;
 use moca_telemetry::net::{self, CalibrationPort, Ports};
 use moca_telemetry::{RobotDescription, net::Server};
+use std::fs::File;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -62,6 +63,19 @@ pub struct Options {
     pub log_level: Level,
     /// Whether a refused wish to the operating system ends the run before it starts.
     pub require_realtime: bool,
+}
+
+impl Options {
+    fn outside_fault(&self) -> Option<OutsideFault> {
+        match self.inject?.fault.what {
+            What::Outside(fault) => Some(fault),
+            _ => None,
+        }
+    }
+
+    fn strike(&self) -> Option<Strike> {
+        self.inject.map(|injection| Strike::new(injection.at_ns))
+    }
 }
 
 /// `--require-realtime` was given and the operating system refused this many wishes.
@@ -221,7 +235,8 @@ impl LiveRun {
 pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     introduce_simulation(&options.config);
     let clock = Clock::start()?;
-    let recording = recording(options)?;
+    let strike = options.strike();
+    let recording = recording(options, strike.as_ref())?;
     let (tape, copies, tape_reader) = tape();
     let taps = Taps { copies: Some(copies), moving: Arc::clone(&shared.moving), reference: None };
     let mut robot = assemble(&options.config, clock, options.inject.as_ref(), taps)?;
@@ -232,7 +247,7 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
         board.calibration.take()
     });
     let flight = FlightRecorder::new(&options.config, description(&options.config))?;
-    let observers = Observers { recording, flight, tape: tape_reader };
+    let observers = Observers { strike, recording, flight, tape: tape_reader };
     live(options, robot.control, clock, (observers, calibration), shared)
 }
 
@@ -338,7 +353,8 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     let config = &options.config;
     println!("  plant       none: the cover alone, nothing moves");
     let clock = Clock::start()?;
-    let recording = recording(options)?;
+    let strike = options.strike();
+    let recording = recording(options, strike.as_ref())?;
     let (tape, copies, tape_reader) = tape();
     let port = config.port_selection();
     let taps = Taps { copies: Some(copies), ..Taps::default() };
@@ -349,7 +365,7 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     let mut control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
     control.tape = Some(tape);
     let flight = FlightRecorder::new(config, description(config))?;
-    let observers = Observers { recording, flight, tape: tape_reader };
+    let observers = Observers { strike, recording, flight, tape: tape_reader };
     live(options, control, clock, (observers, held.calibration.take()), shared)
 }
 
@@ -372,13 +388,14 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     let (mut rings, from_loop, mut request_ports) = rings(shared);
     request_ports.calibration = calibration;
     let (tap, mut watched) = rtrb::RingBuffer::new(RING_SAMPLES);
-    let _server = match config.telemetry_address() {
+    let server = match config.telemetry_address() {
         Some(address) => Some(serve(config, address, from_loop, Some(tap), request_ports)?),
         None => {
             watched = from_loop;
             None
         }
     };
+    spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
     let done = AtomicBool::new(false);
     let started = Instant::now();
     let (report, last) = std::thread::scope(|scope| -> Result<(LiveReport, Sample)> {
@@ -439,6 +456,18 @@ pub(crate) struct RequestPorts {
     calibration: Option<CalibrationPort>,
 }
 
+impl RequestPorts {
+    /// All that telemetry serves.
+    pub(crate) fn with(
+        self,
+        samples: rtrb::Consumer<Sample>,
+        recorder: Option<rtrb::Producer<Sample>>,
+    ) -> Ports {
+        let Self { requests, outcomes, samples_dropped, calibration } = self;
+        Ports { samples, requests, outcomes, ring_dropped: samples_dropped, recorder, calibration }
+    }
+}
+
 pub(crate) fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestPorts) {
     let (samples, from_loop) = rtrb::RingBuffer::new(RING_SAMPLES);
     let (request_in, requests) = rtrb::RingBuffer::new(RING_REQUESTS);
@@ -456,9 +485,7 @@ fn serve(
     recorder: Option<rtrb::Producer<Sample>>,
     ports: RequestPorts,
 ) -> Result<Server> {
-    let RequestPorts { requests, outcomes, samples_dropped, calibration } = ports;
-    let ports = Ports { samples, requests, outcomes, ring_dropped: samples_dropped, recorder, calibration };
-    let server = net::serve(address, description(config), ports).with_context(|| {
+    let server = net::serve(address, description(config), ports.with(samples, recorder)).with_context(|| {
         format!("telemetry.listen = \"{address}\" (if another mocad runs, choose another port, 0 for any, or \"\")")
     })?;
     println!("  telemetry   {} (dashboard: cargo run --release --bin moca-monitor)", server.address());
@@ -489,22 +516,53 @@ fn description(config: &Config) -> RobotDescription {
     robot
 }
 
-fn recording(options: &Options) -> Result<Option<Recording>> {
-    let Some(path) = &options.record else { return Ok(None) };
-    let config = &options.config;
-    let recording = Recording::create(path, description(config), config, !options.lock_step)?;
+fn recording(options: &Options, strike: Option<&Strike>) -> Result<Option<Recording>> {
+    let spoiled = options.outside_fault().filter(|fault| fault.is_of_disk());
+    let Some(path) = &options.record else {
+        return spoiled.map_or(Ok(None), |_| Err(anyhow!("a fault of the disk needs a log: --record FILE")));
+    };
+    let (config, live) = (&options.config, !options.lock_step);
+    let recording = match spoiled.zip(strike) {
+        None => Recording::create(path, description(config), config, live)?,
+        Some((fault, strike)) => {
+            let file = File::create_new(path).with_context(|| path.display().to_string())?;
+            Recording::start(Disk::new(file, fault, strike.clone()), description(config), config, live)?
+        }
+    };
     println!("  record      {}", path.display());
     Ok(Some(recording))
 }
 
+/// Lets a telemetry client do the fault that the command line asks for, if it is one of those.
+fn spoil_telemetry(options: &Options, server: Option<&Server>, strike: Option<&Strike>) -> Result<()> {
+    let fault = options.outside_fault().filter(|fault| !fault.is_of_disk());
+    let (Some(fault), Some(strike)) = (fault, strike) else { return Ok(()) };
+    let server = server.context("a fault of telemetry needs telemetry.listen")?;
+    Ok(inject::client(fault, server.address(), strike.clone(), options.config.simulation.seed)?)
+}
+
 /// Who takes what the loop notes of each tick.
 struct Observers {
+    strike: Option<Strike>,
     recording: Option<Recording>,
     flight: Option<FlightRecorder>,
     tape: TapeReader,
 }
 
 impl Observers {
+    fn see(&mut self, sample: &Sample) {
+        if let Some(strike) = &self.strike {
+            strike.see(sample.time_ns);
+        }
+        self.take_ticks();
+        if let Some(recording) = &mut self.recording {
+            recording.add(sample);
+        }
+        if let Some(path) = self.flight.as_mut().and_then(|flight| flight.add(sample)) {
+            println!("  the seconds before it: {}", path.display());
+        }
+    }
+
     /// Passes on what has been noted since the last call.
     fn take_ticks(&mut self) {
         while let Some(record) = self.tape.next_tick() {
@@ -553,13 +611,7 @@ fn watch(
             for line in console.lines(&sample) {
                 println!("{line}");
             }
-            observers.take_ticks();
-            if let Some(recording) = &mut observers.recording {
-                recording.add(&sample);
-            }
-            if let Some(path) = observers.flight.as_mut().and_then(|flight| flight.add(&sample)) {
-                println!("  the seconds before it: {}", path.display());
-            }
+            observers.see(&sample);
             last = sample;
         }
         observers.take_ticks();
@@ -607,7 +659,9 @@ fn run_lock_step<S: CoverSource, F: crate::lockstep::Feed<S>>(
 
     let config = &options.config;
     world.control.tape = Some(tape);
-    let mut observers = Observers { recording: recording(options)?, flight: None, tape: tape_reader };
+    let strike = options.strike();
+    let recording = recording(options, strike.as_ref())?;
+    let mut observers = Observers { strike, recording, flight: None, tape: tape_reader };
     let mut log = None;
     if let Some(path) = &options.command_log {
         let file = File::create(path).with_context(|| path.display().to_string())?;
@@ -616,10 +670,11 @@ fn run_lock_step<S: CoverSource, F: crate::lockstep::Feed<S>>(
         log = Some(writer);
     }
     let (mut rings, from_loop, request_ports) = rings(shared);
-    let _server = match config.telemetry_address() {
+    let server = match config.telemetry_address() {
         Some(address) => Some(serve(config, address, from_loop, None, request_ports)?),
         None => None,
     };
+    spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
     let (mut console, mut last, mut ticks) = (Console::new(options.log_level), Sample::default(), 0);
     let (mut allocated, mut warm) = (0, false);
     let end_ns = options.duration.map_or(u64::MAX, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX));
@@ -636,10 +691,7 @@ fn run_lock_step<S: CoverSource, F: crate::lockstep::Feed<S>>(
         if let Some(log) = &mut log {
             command_log::write_row(log, &last)?;
         }
-        observers.take_ticks();
-        if let Some(recording) = &mut observers.recording {
-            recording.add(&last);
-        }
+        observers.see(&last);
         for line in console.lines(&last) {
             println!("{line}");
         }

@@ -66,14 +66,14 @@ impl SimulatedRobot {
         })
     }
 
-    /// Lets the robot fail, or in real time stall the loop; a fault of the cable does nothing here.
+    /// Lets the robot fail, or in real time stall the loop; other faults do nothing here.
     pub fn inject(&mut self, injection: &Injection) {
         let period = Duration::from_secs_f64(self.period_s).as_nanos().max(1);
         let at_tick = u64::try_from(u128::from(injection.at_ns) / period).unwrap_or(u64::MAX);
         match injection.fault.what {
             What::Plant(fault) => self.spoiler = Some(PlantSpoiler::new(fault, at_tick)),
             What::MissedSlots(slots) => self.stall = Some((at_tick, slots)),
-            What::Cable(_) => {}
+            What::Cable(_) | What::Outside(_) => {}
         }
     }
 

@@ -28,6 +28,7 @@ struct Row {
     way_mm: f64,
     frames_bad: u64,
     overruns: u64,
+    told: Option<String>,
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
@@ -45,6 +46,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             way_mm: trial.way_m * 1e3,
             frames_bad: trial.frames_bad,
             overruns: trial.overruns,
+            told: trial.told,
         });
     }
     if arguments.json {
@@ -52,7 +54,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         return Ok(());
     }
     println!(
-        "Each fault strikes a moving robot (T6 pressed with 20 N) 3 s into a run of 8 s; a tick is 1 ms.\n"
+        "Each fault strikes a moving robot (T6 pressed with 20 N) 3 s into a run of 13 s; a tick is 1 ms.\n"
     );
     println!(
         "{:<20} {:<16} {:<18} {:>9} {:>12} {:>8} {:>7} {:>7}  what happens",
@@ -74,7 +76,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             row.way_mm,
             row.frames_bad,
             row.overruns,
-            row.what
+            row.told.as_ref().map_or(row.what.into(), |told| format!("{} ({told})", row.what)),
         );
     }
     Ok(())

@@ -1,11 +1,13 @@
 //! Faults on purpose: a seeded injector for tests, for the fault table and for `mocad run --inject NAME@SECONDS`.
 
 mod cable;
+mod outside;
 mod plant;
 #[cfg(feature = "sim")]
 pub mod trial;
 
 pub use cable::{Cable, CableFault, STRUCK_TAXEL};
+pub use outside::{Disk, OutsideFault, Strike, client};
 pub use plant::{PlantFault, PlantSpoiler};
 
 use crate::live::Clock;
@@ -35,6 +37,8 @@ pub enum What {
     Cable(CableFault),
     /// The robot's state or its answer to a command.
     Plant(PlantFault),
+    /// Disk, sockets, panel or settings.
+    Outside(OutsideFault),
     /// The clock: this many control periods are missed at once.
     MissedSlots(u64),
 }
@@ -87,6 +91,14 @@ named! {
     "missed-slot" What::MissedSlots(1), "one control period is missed";
     "missed-20-slots" What::MissedSlots(20), "20 control periods are missed at once";
     "missed-500-slots" What::MissedSlots(500), "500 control periods are missed at once";
+    "disk-full" What::Outside(OutsideFault::DiskFull), "the disk of the log is full";
+    "disk-slow" What::Outside(OutsideFault::DiskSlow), "each write to the disk of the log takes 10 ms";
+    "subscriber-stalled" What::Outside(OutsideFault::SubscriberStalled), "a telemetry client stops reading";
+    "subscriber-gone" What::Outside(OutsideFault::SubscriberGone), "a telemetry client hangs up";
+    "socket-garbage" What::Outside(OutsideFault::SocketGarbage), "a telemetry client sends random bytes";
+    "panel-gone" What::Outside(OutsideFault::PanelGone), "the panel that armed the robot is gone";
+    "parameter-nan" What::Outside(OutsideFault::ParameterNan), "a virtual mass is set to NaN";
+    "parameter-absurd" What::Outside(OutsideFault::ParameterAbsurd), "a virtual mass is set to 1e12 kg";
 }
 
 /// A fault and when it strikes: `NAME@SECONDS`.

@@ -1,24 +1,32 @@
 //! One injected fault against the whole chain in lock-step: what the robot does about it, and how soon.
 
-use super::{FAULTS, Injection, Named};
+use super::{Disk, FAULTS, Injection, Named, Strike, What, client};
 use crate::allocations;
 use crate::config::{Config, HandConfig};
+use crate::live::{Rings, Shared};
 use crate::lockstep::LockStep;
+use crate::recording::Recording;
+use crate::run::rings;
+use crate::tape::{TapeReader, tape};
 use anyhow::{Result, ensure};
-use moca_msgs::{Fault, Mode, Request, Sample};
+use moca_msgs::{Fault, Mode, Outcome, Request, Sample};
 use moca_sim::{Scene, VirtualBoardConfig};
+use moca_telemetry::RobotDescription;
+use moca_telemetry::net::{self, Server};
+use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::atomic::Ordering;
 
 /// The hand presses from here on, so that the robot moves when the fault strikes, ticks.
 const PRESS_TICK: u64 = 2000;
 const STRIKE_TICK: u64 = 3000;
-const END_TICK: u64 = 8000;
+const END_TICK: u64 = 13_000;
 /// How long after its stop the robot has to stand, ticks.
 const STAND_TICKS: u64 = 500;
 const PRESSED_TAXEL: u8 = 5;
 const PRESS_N: f64 = 20.0;
 
 /// What became of one fault.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Trial {
     /// The fault.
     pub fault: Named,
@@ -38,6 +46,69 @@ pub struct Trial {
     pub overruns: u64,
     /// Rust allocations on the loop's thread after the strike.
     pub allocations: u64,
+    /// What whoever watches or asks is told, where the fault is outside the loop.
+    pub told: Option<String>,
+}
+
+/// Who watches a trial: a log, telemetry, or nobody.
+enum Watcher {
+    Nobody,
+    Log(Box<Recording>, TapeReader),
+    Telemetry(Box<Rings>, Server),
+}
+
+impl Watcher {
+    fn new(
+        what: What,
+        config: &Config,
+        strike: &Strike,
+        seed: u64,
+    ) -> Result<(Self, Option<crate::tape::Tape>)> {
+        let What::Outside(fault) = what else { return Ok((Self::Nobody, None)) };
+        if fault.request().is_some() {
+            return Ok((Self::Nobody, None));
+        }
+        let description = RobotDescription::paper("trial", true);
+        if fault.is_of_disk() {
+            let (tape, _, reader) = tape();
+            let disk = Disk::new(std::io::sink(), fault, strike.clone());
+            let recording = Recording::start(disk, description, config, false)?;
+            return Ok((Self::Log(Box::new(recording), reader), Some(tape)));
+        }
+        let (rings, samples, ports) = rings(&Shared::default());
+        let server =
+            net::serve(SocketAddr::from((Ipv4Addr::LOCALHOST, 0)), description, ports.with(samples, None))?;
+        client(fault, server.address(), strike.clone(), seed)?;
+        Ok((Self::Telemetry(Box::new(rings), server), None))
+    }
+
+    /// What reaches observers of one tick; counts as the loop's own only where a live loop does it too.
+    fn see(&mut self, sample: &Sample, shared: &Shared) {
+        match self {
+            Self::Nobody => {}
+            Self::Telemetry(rings, _) => rings.publish(sample, None, None, shared),
+            Self::Log(recording, reader) => {
+                while let Some(record) = reader.next_tick() {
+                    recording.add_tick(&record);
+                }
+                recording.add(sample);
+            }
+        }
+    }
+
+    fn finish(self, dropped: u64) -> Option<String> {
+        match self {
+            Self::Nobody => None,
+            Self::Log(recording, _) => Some(match recording.finish() {
+                Ok(summary) => format!("{} samples are in the log", summary.samples),
+                Err(error) => format!("{error:#}"),
+            }),
+            Self::Telemetry(_, server) => {
+                let dropped = dropped + server.stats().client_dropped;
+                Some(format!("{dropped} samples dropped for observers"))
+            }
+        }
+    }
 }
 
 /// Runs `fault` with its bytes spoiled by `seed`.
@@ -50,12 +121,21 @@ pub fn run(fault: Named, seed: u64) -> Result<Trial> {
     config.simulation.seed = seed;
     let board = VirtualBoardConfig { seed, ..VirtualBoardConfig::default() };
     let mut world = LockStep::with_board(&config, &Scene::default(), board, None)?;
-    world.inject(&Injection { fault, at_ns: STRIKE_TICK * config.period_ns() }, seed);
+    let at_ns = STRIKE_TICK * config.period_ns();
+    world.inject(&Injection { fault, at_ns }, seed);
+    let (strike, shared) = (Strike::new(at_ns), Shared::default());
+    let (mut watcher, tape) = Watcher::new(fault.what, &config, &strike, seed)?;
+    world.control.tape = tape;
+    let mut request = match fault.what {
+        What::Outside(fault) => fault.request(),
+        _ => None,
+    };
 
     let mut before = Sample::default();
     for tick in 0..STRIKE_TICK {
         let press = Request::PressTaxel { taxel: PRESSED_TAXEL, force_n: PRESS_N };
         before = world.step((tick == PRESS_TICK).then_some(press)).0;
+        watcher.see(&before, &shared);
     }
     ensure!(
         before.mode == Mode::Impedance && speed(&before) > 0.01,
@@ -72,11 +152,18 @@ pub fn run(fault: Named, seed: u64) -> Result<Trial> {
         frames_bad: 0,
         overruns: 0,
         allocations: 0,
+        told: None,
     };
-    let (mut last, counted) = (before.clone(), allocations::on_this_thread());
+    let mut last = before.clone();
     let mut pose = before.base_pose_world;
     while last.tick < END_TICK {
-        last = world.step(None).0;
+        let counted = allocations::on_this_thread();
+        let (sample, outcome) = world.step(request.take());
+        trial.allocations += allocations::on_this_thread() - counted;
+        strike.see(sample.time_ns);
+        watcher.see(&sample, &shared);
+        trial.told = outcome.map(told).or(trial.told);
+        last = sample;
         if trial.reaction_ticks.is_none() && !last.mode.moves() {
             trial.reaction_ticks = Some(last.tick - STRIKE_TICK);
             trial.cause = last.fault;
@@ -89,7 +176,7 @@ pub fn run(fault: Named, seed: u64) -> Result<Trial> {
         }
         pose = world.control.plant.world.state().base_pose_world;
     }
-    trial.allocations = allocations::on_this_thread() - counted;
+    trial.told = watcher.finish(shared.samples_dropped.load(Ordering::Relaxed)).or(trial.told);
     trial.way_m = (pose[0] - before.base_pose_world[0]).hypot(pose[1] - before.base_pose_world[1]);
     trial.mode = last.mode;
     trial.frames_bad = last.frames_bad - before.frames_bad;
@@ -103,6 +190,10 @@ pub fn run(fault: Named, seed: u64) -> Result<Trial> {
 /// As for [`run`].
 pub fn run_all(seed: u64) -> Result<Vec<Trial>> {
     FAULTS.iter().map(|fault| run(*fault, seed)).collect()
+}
+
+fn told(outcome: Outcome) -> String {
+    outcome.map_or_else(|refusal| format!("refused: {refusal:?}"), |()| "done".into())
 }
 
 fn speed(sample: &Sample) -> f64 {

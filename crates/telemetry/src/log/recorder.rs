@@ -38,6 +38,7 @@ const FLUSH_PERIOD: Duration = Duration::from_millis(500);
 /// Records samples and serial bytes to a file until [`Recorder::finish`].
 pub struct Recorder {
     serial: SerialInput,
+    entries_wait: bool,
     stop: Arc<AtomicBool>,
     thread: JoinHandle<Result<LogSummary, LogError>>,
 }
@@ -62,7 +63,17 @@ impl Recorder {
     /// Creates `path`, which must not exist, and records every sample of `samples` into it.
     pub fn create(path: &Path, meta: &Meta, samples: Consumer<Sample>) -> Result<Self, LogError> {
         let file = File::create_new(path).map_err(|source| LogError::Create { path: path.into(), source })?;
-        let log = LogWriter::new(BufWriter::new(file), meta)?;
+        Self::start(file, meta, samples, false)
+    }
+
+    /// The same onto anything that can be written to. Without room entries wait for the disk, or are dropped and counted.
+    pub fn start(
+        output: impl Write + Send + 'static,
+        meta: &Meta,
+        samples: Consumer<Sample>,
+        entries_wait: bool,
+    ) -> Result<Self, LogError> {
+        let log = LogWriter::new(BufWriter::new(output), meta)?;
         let (sender, serial) = sync_channel(MAX_SERIAL);
         let dropped = Arc::new(AtomicU64::new(0));
         let stop = Arc::new(AtomicBool::new(false));
@@ -71,7 +82,7 @@ impl Recorder {
             .name("recorder".into())
             .spawn(move || record(log, samples, &serial, &thread_dropped, &thread_stop))
             .map_err(LogError::Thread)?;
-        Ok(Self { serial: SerialInput { sender, dropped }, stop, thread })
+        Ok(Self { serial: SerialInput { sender, dropped }, entries_wait, stop, thread })
     }
 
     /// Where the Touch Board's bytes go.
@@ -79,7 +90,7 @@ impl Recorder {
         self.serial.clone()
     }
 
-    /// Records how the run is configured; waits while the disk is behind, like the next two.
+    /// Records how the run is configured.
     pub fn configuration(&self, configuration: Configuration) {
         self.put(Entry::Configuration(Box::new(configuration)));
     }
@@ -96,7 +107,14 @@ impl Recorder {
 
     fn put(&self, entry: Entry) {
         // After an error of the disk nobody takes entries any more; `finish` tells it.
-        let _ = self.serial.sender.send(entry);
+        let sent = if self.entries_wait {
+            self.serial.sender.send(entry).is_ok()
+        } else {
+            self.serial.sender.try_send(entry).is_ok()
+        };
+        if !sent {
+            self.serial.dropped.fetch_add(1, Ordering::Relaxed);
+        }
     }
 
     /// Whether it still records; `false` after an error, which [`Self::finish`] tells.

@@ -1,0 +1,198 @@
+//! What goes wrong outside the loop: the disk, a subscriber, a panel, a setting.
+
+use super::Random;
+use moca_msgs::{ParameterValues, Request};
+use moca_telemetry::net::{Connection, Link, Update};
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// How long a slow disk takes for a write.
+const SLOW: Duration = Duration::from_millis(10);
+/// How often a client looks for news and for the strike.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+const GARBAGE_BYTES: usize = 1 << 16;
+
+/// What happens outside the loop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "each is described once, in the table of inject/mod.rs")]
+pub enum OutsideFault {
+    DiskFull,
+    DiskSlow,
+    SubscriberStalled,
+    SubscriberGone,
+    SocketGarbage,
+    PanelGone,
+    ParameterNan,
+    ParameterAbsurd,
+}
+
+impl OutsideFault {
+    /// Whether it strikes the disk that a log is written to.
+    pub const fn is_of_disk(self) -> bool {
+        matches!(self, Self::DiskFull | Self::DiskSlow)
+    }
+
+    /// What reaches the loop of it, if it reaches the loop.
+    pub fn request(self) -> Option<Request> {
+        let set = |value: f64| Request::SetParameter {
+            parameter: 0,
+            values: ParameterValues::new(&[value; 3]).unwrap_or_default(),
+        };
+        match self {
+            Self::PanelGone => Some(Request::OperatorLost),
+            Self::ParameterNan => Some(set(f64::NAN)),
+            Self::ParameterAbsurd => Some(set(1e12)),
+            _ => None,
+        }
+    }
+}
+
+/// The moment of a strike, told to threads that do not see the loop's time.
+#[derive(Clone, Debug)]
+pub struct Strike {
+    at_ns: u64,
+    struck: Arc<AtomicBool>,
+}
+
+impl Strike {
+    /// At loop time `at_ns`.
+    pub fn new(at_ns: u64) -> Self {
+        Self { at_ns, struck: Arc::default() }
+    }
+
+    /// Loop time is now `now_ns`.
+    pub fn see(&self, now_ns: u64) {
+        if now_ns >= self.at_ns {
+            self.struck.store(true, Ordering::Release);
+        }
+    }
+
+    fn has_come(&self) -> bool {
+        self.struck.load(Ordering::Acquire)
+    }
+
+    /// Waits for it; `false` if the run is over.
+    fn wait(&self, mut meanwhile: impl FnMut()) -> bool {
+        while !self.has_come() {
+            if self.run_is_over() {
+                return false;
+            }
+            meanwhile();
+            std::thread::sleep(LOOK_EVERY);
+        }
+        true
+    }
+
+    fn run_is_over(&self) -> bool {
+        Arc::strong_count(&self.struck) == 1
+    }
+}
+
+/// A disk that fails from the strike on.
+pub struct Disk<W> {
+    disk: W,
+    fault: OutsideFault,
+    strike: Strike,
+}
+
+impl<W> Disk<W> {
+    /// Spoils `disk`.
+    pub const fn new(disk: W, fault: OutsideFault, strike: Strike) -> Self {
+        Self { disk, fault, strike }
+    }
+}
+
+impl<W: Write> Write for Disk<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self.fault {
+            OutsideFault::DiskFull if self.strike.has_come() => Err(ErrorKind::StorageFull.into()),
+            OutsideFault::DiskSlow if self.strike.has_come() => {
+                std::thread::sleep(SLOW);
+                self.disk.write(bytes)
+            }
+            _ => self.disk.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.disk.flush()
+    }
+}
+
+/// Starts the client that does `fault` to the telemetry at `address`.
+///
+/// # Errors
+/// No thread, or nobody listens.
+pub fn client(fault: OutsideFault, address: SocketAddr, strike: Strike, seed: u64) -> io::Result<()> {
+    let socket = TcpStream::connect(address)?;
+    socket.set_read_timeout(Some(LOOK_EVERY))?;
+    let panel = Connection::spawn(address, || {}).map_err(io::Error::other)?;
+    std::thread::Builder::new().name("spoiled-client".into()).spawn(move || match fault {
+        OutsideFault::PanelGone | OutsideFault::ParameterNan | OutsideFault::ParameterAbsurd => {
+            drop(socket);
+            misuse(fault, panel, &strike);
+        }
+        _ => {
+            drop(panel);
+            // A closed socket ends the client, which is all that it is for.
+            let _ = disturb(fault, socket, &strike, seed);
+        }
+    })?;
+    Ok(())
+}
+
+fn disturb(fault: OutsideFault, mut socket: TcpStream, strike: &Strike, seed: u64) -> io::Result<()> {
+    let mut bytes = vec![0; GARBAGE_BYTES];
+    let struck = strike.wait(|| {
+        // What it reads means nothing to it; a timeout is no news.
+        let _ = socket.read(&mut bytes);
+    });
+    if !struck || fault == OutsideFault::SubscriberGone {
+        return Ok(());
+    }
+    let mut random = Random::new(seed);
+    while !strike.run_is_over() {
+        if fault == OutsideFault::SocketGarbage {
+            bytes.fill_with(|| random.byte());
+            // The daemon hangs up on it: it comes again.
+            if socket.write_all(&bytes).is_err() {
+                socket = TcpStream::connect(socket.peer_addr()?)?;
+            }
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+    Ok(())
+}
+
+/// Arms the robot and goes away, or sends a setting that is none.
+fn misuse(fault: OutsideFault, panel: Connection, strike: &Strike) {
+    if fault == OutsideFault::PanelGone {
+        let answered = |request, update: &Update| {
+            update.replies.iter().any(|reply| reply.request == request && reply.outcome.is_ok())
+        };
+        for request in [Request::Disarm, Request::Arm] {
+            loop {
+                panel.request(request);
+                std::thread::sleep(LOOK_EVERY);
+                if strike.run_is_over() {
+                    return;
+                }
+                if answered(request, &panel.poll()) {
+                    break;
+                }
+            }
+        }
+    }
+    if strike.wait(|| drop(panel.poll()))
+        && fault != OutsideFault::PanelGone
+        && let (Some(request), Link::Up { .. }) = (fault.request(), panel.poll().link)
+    {
+        panel.request(request);
+        while !strike.run_is_over() {
+            std::thread::sleep(LOOK_EVERY);
+        }
+    }
+}
