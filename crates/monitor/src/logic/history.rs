@@ -147,6 +147,28 @@ impl History {
     }
 }
 
+/// Leaves out points that lie within `tolerance` (vertically) of the line between those that stay: what a screen
+/// cannot show costs no triangles. The first and the last point stay.
+pub fn thinned(points: &[[f64; 2]], tolerance: f64) -> Vec<[f64; 2]> {
+    let Some((&first, rest)) = points.split_first() else { return Vec::new() };
+    let (mut kept, mut anchor, mut last) = (vec![first], first, first);
+    let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
+    for &point in rest {
+        let slope = |from: [f64; 2], offset: f64| (point[1] + offset - from[1]) / (point[0] - from[0]);
+        if point[0] <= last[0] || !(low..=high).contains(&slope(anchor, 0.0)) {
+            kept.push(last);
+            (anchor, low, high) = (last, f64::NEG_INFINITY, f64::INFINITY);
+        }
+        // After a vertical line, whose slope is infinite, nothing goes straight on.
+        low = low.max(slope(anchor, -tolerance));
+        high = high.min(slope(anchor, tolerance));
+        last = point;
+    }
+    kept.push(last);
+    kept.dedup();
+    kept
+}
+
 /// Nanoseconds as seconds.
 pub fn seconds(ns: u64) -> f64 {
     #[expect(clippy::cast_precision_loss, reason = "a loop runs for less than 2^53 ns, 104 days")]
@@ -202,6 +224,36 @@ mod tests {
         let curve = history.curve(FORCE, 0.5..0.999, 10_000);
         let piece = &curve.pieces[0];
         assert!((piece[0][0] + 0.499).abs() < 1e-9 && piece[piece.len() - 1][0].abs() < 1e-9);
+    }
+
+    #[test]
+    fn thinning_moves_no_point_by_more_than_the_tolerance() {
+        let noisy = |i: u32| {
+            let t = f64::from(i);
+            let noise = (t * 12.9898).sin() * 43_758.545;
+            [t * 0.01, (t * 0.02).sin() * 20.0 + (noise - noise.floor()) * 0.2]
+        };
+        let mut spiked: Vec<_> = (0..2000).map(noisy).collect();
+        spiked[777][1] = 50.0;
+        spiked[900][0] = spiked[899][0];
+        let flat: Vec<_> = (0..1000).map(|i| [f64::from(i), 3.0]).collect();
+        for (points, most) in [(&spiked, 600), (&flat, 2), (&vec![[1.0, 2.0]], 1), (&vec![], 0)] {
+            let kept = thinned(points, 0.25);
+            assert!(kept.len() <= most, "{} of {}", kept.len(), points.len());
+            for point in points {
+                let nearest = kept.windows(2).filter(|w| (w[0][0]..=w[1][0]).contains(&point[0])).map(|w| {
+                    if w[1][0] > w[0][0] {
+                        let along = (point[0] - w[0][0]) / (w[1][0] - w[0][0]);
+                        (w[0][1] + along * (w[1][1] - w[0][1]) - point[1]).abs()
+                    } else {
+                        (w[0][1] - point[1]).abs().min((w[1][1] - point[1]).abs())
+                    }
+                });
+                let off = nearest.fold(f64::INFINITY, f64::min);
+                assert!(kept.len() < 2 || off <= 0.25 + 1e-9, "{point:?} is off by {off}");
+            }
+        }
+        assert!(thinned(&spiked, 0.25).contains(&spiked[777]), "the spike stays where it was");
     }
 
     #[test]

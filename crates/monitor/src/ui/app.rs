@@ -8,7 +8,7 @@ use super::{
     playback, robot, top,
 };
 use crate::logic::{Action, Model, Playback, Recording, Source, model::Freshness};
-use egui::{CentralPanel, Context, Event, Key, Panel, ScrollArea, Ui};
+use egui::{CentralPanel, Color32, Context, Event, Frame, Key, Panel, ScrollArea, Ui, Visuals};
 use std::{path::Path, path::PathBuf, time::Duration};
 
 /// Narrowest and widest column with robot and gauges, points, and its share of the window.
@@ -183,13 +183,15 @@ impl App {
         let closable = self.robots.len() > 1;
         let Self { robots, shown, page, files, .. } = self;
         let Robot { source, model, view, recording, .. } = &mut robots[*shown];
-        let mut close = false;
+        let (mut close, bare) = (false, Bare::new(ui));
         if let Some(recorded) = source.playback() {
-            close =
-                Panel::bottom("playback").show(ui, |ui| playback::show(ui, recorded, view, closable)).inner;
+            close = Panel::bottom("playback")
+                .frame(bare.side)
+                .show(ui, |ui| playback::show(ui, recorded, view, closable))
+                .inner;
         }
         let width = (ui.available_width() * LEFT_SHARE).clamp(LEFT_WIDTH.0, LEFT_WIDTH.1);
-        let left = Panel::left("left").exact_size(width).resizable(false);
+        let left = Panel::left("left").frame(bare.side).exact_size(width).resizable(false);
         let pushed = left.show(ui, |ui| {
             let height = ui.available_height();
             ScrollArea::vertical().show(ui, |ui| {
@@ -200,7 +202,7 @@ impl App {
         });
         let mut of_page = Asked::default();
         let mut files_asked = files.show(ui.ctx());
-        CentralPanel::default().show(ui, |ui| {
+        CentralPanel::default().frame(bare.centre).show(ui, |ui| {
             page.tabs(ui, model, recording.as_ref(), view, &mut files_asked);
             page.show(ui, model, view, now_s, &mut of_page);
         });
@@ -233,7 +235,7 @@ impl App {
 
     fn top(&mut self, ui: &mut Ui, now_s: f64, asked: &mut Vec<Action>) {
         let Self { robots, shown, .. } = self;
-        Panel::top("top").show(ui, |ui| {
+        Panel::top("top").frame(Bare::new(ui).side).show(ui, |ui| {
             if robots.len() > 1 {
                 let names = robots.iter().map(|r| (r.name(), r.model.mode(now_s)));
                 top::robots(ui, names, shown);
@@ -244,12 +246,27 @@ impl App {
     }
 }
 
+/// Panels without a background of their own: the window is cleared with it. A software rasteriser pays for each pixel
+/// each time it is painted.
+struct Bare {
+    side: Frame,
+    centre: Frame,
+}
+
+impl Bare {
+    fn new(ui: &Ui) -> Self {
+        let [side, centre] = [Frame::side_top_panel(ui.style()), Frame::central_panel(ui.style())];
+        Self { side: side.fill(Color32::TRANSPARENT), centre: centre.fill(Color32::TRANSPARENT) }
+    }
+}
+
 impl eframe::App for App {
-    fn logic(&mut self, ctx: &Context, frame: &mut eframe::Frame) {
+    fn clear_color(&self, visuals: &Visuals) -> [f32; 4] {
+        visuals.panel_fill.to_normalized_gamma_f32()
+    }
+
+    fn logic(&mut self, ctx: &Context, _frame: &mut eframe::Frame) {
         self.update(ctx);
-        if let (Some(screenshot), Some(seconds)) = (&mut self.screenshot, frame.info().cpu_usage) {
-            screenshot.note_frame(seconds);
-        }
     }
 
     fn ui(&mut self, ui: &mut Ui, _frame: &mut eframe::Frame) {

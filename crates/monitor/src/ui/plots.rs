@@ -3,7 +3,7 @@
 use super::{View, theme};
 use crate::logic::{
     Model, Panel, TimeAxis,
-    history::Curve,
+    history::{Curve, thinned},
     panel::{column_name, round_marks, vertical_range},
     recording::plain,
     words::number,
@@ -33,6 +33,8 @@ const MARKS_Y: f64 = 4.0;
 pub(super) const LABELS: Rangef = Rangef { min: 1.0, max: 12.0 };
 /// Strength of the grid beside weak text.
 pub(super) const GRID: f32 = 0.35;
+/// Height that is not seen, points.
+const UNSEEN: f64 = 0.25;
 /// An event this near to the cursor is told, points.
 const EVENT_REACH: f64 = 6.0;
 
@@ -169,6 +171,7 @@ impl Plotted<'_> {
         let curves: Vec<Curve> = self.panel.traces.iter().map(curve).collect();
         let extremes = curves.iter().filter_map(|c| c.extremes).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
         let (low, high) = vertical_range(extremes, self.panel.least_span);
+        let tolerance = UNSEEN * (high - low) / f64::from(size.y);
         let weak = ui.visuals().weak_text_color();
         let cursor = self.view.cursor_s.map(|at_s| at_s - self.end_s);
         let shown = self
@@ -191,8 +194,10 @@ impl Plotted<'_> {
                         (LineStyle::Solid, 1.5)
                     };
                     for piece in curve.pieces {
-                        let line =
-                            Line::new(name.as_str(), PlotPoints::from(piece)).style(style).width(width);
+                        let points = PlotPoints::from(thinned(&piece, tolerance));
+                        // A band would fill what lies between two points that are far apart.
+                        let line = Line::new(name.as_str(), points).allow_band(false);
+                        let line = line.style(style).width(width);
                         plot.line(line.color(self.colour(index)).allow_hover(false));
                     }
                 }

@@ -13,26 +13,50 @@ pub struct Screenshot {
     after: Duration,
     asked: bool,
     failure: Arc<Mutex<Option<String>>>,
-    frames_ms: Option<Vec<f64>>,
+    frame_times: Option<FrameTimes>,
+}
+
+/// What frames cost the processor, ms: this thread's share, and that of all threads (a software rasteriser has some).
+#[derive(Default)]
+struct FrameTimes {
+    thread_ms: Vec<f64>,
+    process_ms: Vec<f64>,
+    last: Option<[f64; 2]>,
+}
+
+impl FrameTimes {
+    /// Notes that a frame begins; the last one ended when its pixels were handed over.
+    fn note(&mut self) {
+        let now = cpu_time_ms("/proc/thread-self").zip(process_time_ms()).map(|(thread, all)| [thread, all]);
+        if let (Some(now), Some(last)) = (now, self.last) {
+            self.thread_ms.push(now[0] - last[0]);
+            self.process_ms.push(now[1] - last[1]);
+        }
+        self.last = now;
+    }
+}
+
+/// Time on a processor of one thread, ms, from the kernel's scheduler.
+fn cpu_time_ms(thread: &str) -> Option<f64> {
+    let text = std::fs::read_to_string(format!("{thread}/schedstat")).ok()?;
+    Some(text.split_whitespace().next()?.parse::<f64>().ok()? * 1e-6)
+}
+
+fn process_time_ms() -> Option<f64> {
+    let threads = std::fs::read_dir("/proc/self/task").ok()?.flatten();
+    Some(threads.filter_map(|thread| cpu_time_ms(&thread.path().display().to_string())).sum())
 }
 
 impl Screenshot {
     /// A PNG at `path`, `after` the start.
     pub fn new(path: PathBuf, after: Duration) -> Self {
-        Self { path, after, asked: false, failure: Arc::default(), frames_ms: None }
+        Self { path, after, asked: false, failure: Arc::default(), frame_times: None }
     }
 
     /// Prints what frames cost the processor when the picture is taken.
     #[must_use]
     pub fn with_frame_times(self) -> Self {
-        Self { frames_ms: Some(Vec::new()), ..self }
-    }
-
-    /// Notes the processor time of a frame, s.
-    pub(super) fn note_frame(&mut self, seconds: f32) {
-        if let Some(frames_ms) = &mut self.frames_ms {
-            frames_ms.push(f64::from(seconds) * 1e3);
-        }
+        Self { frame_times: Some(FrameTimes::default()), ..self }
     }
 
     /// Where it says why it failed, if it did.
@@ -42,13 +66,17 @@ impl Screenshot {
 
     /// To be called each frame, with the time since the start, s.
     pub(super) fn tick(&mut self, ctx: &Context, now_s: f64) {
+        if let Some(times) = &mut self.frame_times {
+            times.note();
+        }
         let left = self.after.saturating_sub(Duration::try_from_secs_f64(now_s).unwrap_or_default());
         if !left.is_zero() {
             ctx.request_repaint_after(left);
         } else if !self.asked {
             self.asked = true;
-            if let Some(frames_ms) = &mut self.frames_ms {
-                print_frame_times(frames_ms);
+            if let Some(FrameTimes { thread_ms, process_ms, .. }) = &mut self.frame_times {
+                print_frame_times("drawing thread", thread_ms);
+                print_frame_times("with the rasteriser's threads", process_ms);
             }
             let (path, failure, close) = (self.path.clone(), Arc::clone(&self.failure), ctx.clone());
             ctx.request_screenshot(move |image| {
@@ -66,15 +94,11 @@ impl Screenshot {
 }
 
 #[expect(clippy::print_stdout, reason = "asked for on the command line")]
-fn print_frame_times(frames_ms: &mut [f64]) {
+fn print_frame_times(what: &str, frames_ms: &mut [f64]) {
     frames_ms.sort_by(f64::total_cmp);
     let at = |part: usize| frames_ms.get(frames_ms.len() * part / 100).copied().unwrap_or(f64::NAN);
-    println!(
-        "{} frames, processor time p50 {:.2} ms, p99 {:.2} ms",
-        frames_ms.len(),
-        at(50),
-        at(99).max(at(50))
-    );
+    let (count, p50, p99) = (frames_ms.len(), at(50), at(99));
+    println!("{count} frames, processor time, {what}: p50 {p50:.2} ms, p99 {p99:.2} ms");
 }
 
 fn save(image: &ColorImage, path: &std::path::Path) -> image::ImageResult<()> {
