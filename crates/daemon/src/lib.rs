@@ -36,6 +36,7 @@ pub mod live;
 #[cfg(feature = "sim")]
 pub mod lockstep;
 pub mod motion;
+pub mod pace;
 pub mod parameters;
 pub mod params_command;
 pub mod plant;

@@ -1,10 +1,10 @@
-//! The loop against the wall clock.
+//! The loop against the wall clock: the timer's, or that of a plant whose datagrams are the clock.
 
 use crate::allocations;
 use crate::control_loop::{ControlLoop, Slot};
 use crate::cover_source::CoverSource;
+use crate::pace::Pace;
 use crate::plant::Plant;
-use crate::schedule::Schedule;
 use crate::timing::Stage;
 use moca_msgs::{Outcome, Request, Sample};
 use nix::sys::time::TimeSpec;
@@ -120,21 +120,22 @@ pub fn run<P: Plant, S: CoverSource>(
     shared: &Shared,
 ) -> LiveReport {
     let end_ns = duration.map_or(u64::MAX, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX));
-    let mut schedule = Schedule::starting_after(clock.now_ns(), period_ns);
+    let mut pace = Pace::new(clock, period_ns);
     let mut report = LiveReport::default();
-    let (mut ticks, mut warm) = (1, None);
-    while schedule.deadline_ns() < end_ns && !shared.stop.load(Ordering::Relaxed) {
-        let deadline_ns = schedule.deadline_ns();
-        let now_ns = clock.sleep_until(deadline_ns);
-        let lateness = Duration::from_nanos(now_ns - deadline_ns.min(now_ns));
-        control.timing.lateness.record(lateness);
+    let mut warm = None;
+    while !shared.stop.load(Ordering::Relaxed) {
+        let Some(woken) = pace.wait(&mut control.plant, end_ns) else { break };
+        report.overruns += woken.missed;
+        report.overruns_by_stage[woken.missed_by.unwrap_or(control.timing.slowest()) as usize] +=
+            woken.missed;
+        control.timing.lateness.record(woken.lateness);
 
         let (id, request) = rings.next_request();
         let slot = Slot {
-            tick: schedule.slot(),
-            now_ns,
-            ticks,
-            lateness_s: lateness.as_secs_f64(),
+            tick: woken.tick,
+            now_ns: woken.now_ns,
+            ticks: 1 + woken.missed,
+            lateness_s: woken.lateness.as_secs_f64(),
             overruns: report.overruns,
         };
         let (sample, outcome) = control.tick(&slot, request);
@@ -142,11 +143,7 @@ pub fn run<P: Plant, S: CoverSource>(
         rings.publish(&sample, id, outcome, shared);
         control.timing.end(Stage::Publish);
 
-        let missed = schedule.advance(clock.now_ns());
-        ticks = 1 + missed;
         report.ticks += 1;
-        report.overruns += missed;
-        report.overruns_by_stage[control.timing.slowest() as usize] += missed;
         if report.ticks == WARM_UP_TICKS {
             warm = Some(allocations::on_this_thread());
         }

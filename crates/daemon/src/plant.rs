@@ -3,6 +3,7 @@
 use crate::config::JOINTS;
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
 use serde::{Deserialize, Serialize};
+use std::time::Duration;
 
 /// How old the parts of a measured state are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -41,8 +42,23 @@ impl Plant for NoRobot {
     }
 }
 
+/// What a plant that is the loop's clock says about time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Beat {
+    /// A datagram, with the plant's own count of control periods: one more each period, lost datagrams included.
+    Count(u64),
+    /// None in time.
+    Missing,
+}
+
 /// A robot, simulated or real.
 pub trait Plant {
+    /// Waits for the next datagram of a plant that is the loop's clock, at most `timeout`; the newest counts. `None` is
+    /// a plant without a clock: a timer drives the loop.
+    fn beat(&mut self, _timeout: Duration) -> Option<Beat> {
+        None
+    }
+
     /// The state measured at this tick.
     ///
     /// # Errors
