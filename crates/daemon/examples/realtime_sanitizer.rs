@@ -1,0 +1,64 @@
+//! The loop's tick, simulation and publishing included, under RealtimeSanitizer: any allocation, lock or blocking call
+//! in it ends this program with a stack.
+//!
+//! `.ci/rtsan` builds and runs it where the toolchain has the sanitizer's library. Without it nothing is watched, and it
+//! says so.
+#![expect(clippy::print_stdout, reason = "this is what the program is for")]
+#![allow(clippy::expect_used, reason = "a check that cannot go on has to stop")]
+
+use moca_daemon::byte_cover::ByteCover;
+use moca_daemon::config::{Config, HandConfig};
+use moca_daemon::live::{Rings, Shared};
+use moca_daemon::lockstep::{LockStep, MemoryBoard};
+use moca_msgs::{Law, Mode, Request};
+use moca_sim::board::BoardFault;
+use moca_sim::{Scene, VirtualBoardConfig};
+
+/// Ticks in each mode.
+const TICKS: u64 = 10_000;
+
+type World = LockStep<ByteCover, MemoryBoard>;
+
+fn main() {
+    // What a real-time context must not do, to show that it would be seen.
+    if std::env::args().nth(1).as_deref() == Some("--break-it") {
+        rtsan_standalone::realtime_enter();
+        let on_the_heap = std::hint::black_box(Box::new(0_u8));
+        rtsan_standalone::realtime_exit();
+        println!("nobody saw the allocation of {on_the_heap}");
+        return;
+    }
+    let mut config = Config::default();
+    config.simulation.hand = HandConfig::none();
+    (config.startup.arm, config.startup.tare) = (false, false);
+    let mut world = LockStep::with_board(&config, &Scene::default(), VirtualBoardConfig::default(), None)
+        .expect("the default scene");
+    watched(&mut world, Mode::Starting, &[]);
+    watched(&mut world, Mode::Ready, &[Request::Tare]);
+    let press = |force_n| Request::PressTaxel { taxel: 2, force_n };
+    watched(&mut world, Mode::Impedance, &[Request::Arm, press(15.0)]);
+    watched(&mut world, Mode::FollowMe, &[Request::SelectLaw(Law::FollowMe)]);
+    world.feed.board().set_fault(Some(BoardFault::I2cLost));
+    watched(&mut world, Mode::ProtectiveStop, &[press(0.0)]);
+    world.feed.unplug();
+    watched(&mut world, Mode::ProtectiveStop, &[]);
+}
+
+/// Runs `requests` and the rest of [`TICKS`] in a real-time context; it must end in `mode`.
+fn watched(world: &mut World, mode: Mode, requests: &[Request]) {
+    let (samples, _observer) = rtrb::RingBuffer::new(1024);
+    let (_commander, to_loop) = rtrb::RingBuffer::new(1);
+    let (outcomes, _answers) = rtrb::RingBuffer::new(1);
+    let (mut rings, shared) = (Rings { samples, requests: to_loop, outcomes }, Shared::default());
+    let mut last = None;
+    for tick in 0..TICKS {
+        let request = usize::try_from(tick).ok().and_then(|i| requests.get(i)).copied();
+        rtsan_standalone::realtime_enter();
+        let (sample, outcome) = world.step(request);
+        rings.publish(&sample, Some(tick), outcome, &shared);
+        rtsan_standalone::realtime_exit();
+        last = Some(sample.mode);
+    }
+    assert_eq!(last, Some(mode), "the mode at the end");
+    println!("{TICKS} ticks to {}", mode.name());
+}
