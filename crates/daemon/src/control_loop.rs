@@ -199,7 +199,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         output: Option<&ControlOutput<JOINTS>>,
     ) -> Sample {
         let age_s = cover.reading.age_s(slot.now_ns);
-        if let Some(age_s) = age_s {
+        if let Some(age_s) = age_s.filter(|_| self.timing.is_on()) {
             self.frame_age.record(std::time::Duration::from_secs_f64(age_s));
         }
         let mut sample = Sample {

@@ -185,6 +185,13 @@ impl LockStep<Option<ByteCover>, NoCover> {
 }
 
 impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
+    /// Without clocks and histograms: what ticks take is of no interest to who only looks at the robot.
+    #[must_use]
+    pub fn untimed(mut self) -> Self {
+        self.control.timing.switch_off();
+        self
+    }
+
     fn new(config: &Config, scene: &Scene, cover: S, feed: F) -> Result<Self> {
         let plant = SimulatedRobot::new(config, scene, None)?;
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);

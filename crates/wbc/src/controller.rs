@@ -265,8 +265,8 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
         let gains = &state.gains;
         let robot = tick.robot;
-        let base = times(&tick.kinematics.base_jacobian(), &robot.base_velocity_world);
-        let wrench = tick.task_wrench(state, &tick.flange, &base, &task.mobility(), hit)?;
+        let base = times(task.base_jacobian(), &robot.base_velocity_world);
+        let wrench = tick.task_wrench(state, task, &base, &task.mobility(), hit)?;
         let mut null = WholeBodyForce {
             base: tick.cover_world.map(|f| f * gains.reactivity),
             arm: tick.posture_torque(state),
@@ -306,7 +306,7 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         let robot = tick.robot;
         state.reference.advance(&seen_from_base(&tick.flange, robot), tick.dt_s);
         approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
-        let wrench = tick.task_wrench(state, &tick.flange, &[T::zero(); 6], &task.arm_mobility(), hit)?;
+        let wrench = tick.task_wrench(state, task, &[T::zero(); 6], &task.arm_mobility(), hit)?;
         let arm = task.arm_torque(&wrench, &tick.posture_torque(state))?;
         let led = self.base_wrench_world(tick, flange_wrench);
         let force = core::array::from_fn(|i| state.gains.reactivity * (tick.cover_world[i] + led[i]));

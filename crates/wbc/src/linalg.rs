@@ -4,12 +4,13 @@
 use crate::scalar::{Scalar, of};
 use nalgebra::SMatrix;
 
-/// A = L·Lᵀ of a symmetric positive-definite D×D matrix.
+/// A = L·D·Lᵀ of a symmetric positive-definite D×D matrix, L with a unit diagonal: Cholesky without its square roots,
+/// which are a chain that everything else waits for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cholesky<const D: usize, T> {
-    /// Rows of L; only the lower triangle is used.
-    rows: [[T; D]; D],
-    /// 1 / diagonal of L.
+    /// Columns of L; only their entries below the diagonal are used.
+    columns: [[T; D]; D],
+    diagonal: [T; D],
     inverse_diagonal: [T; D],
 }
 
@@ -17,28 +18,36 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
     /// Factorises the lower triangle of `a`; `None` if it is not positive definite or not finite.
     #[inline]
     pub fn new(a: &SMatrix<T, D, D>) -> Option<Self> {
-        let a = &a.data.0;
-        let mut rows = [[T::zero(); D]; D];
-        let mut inverse_diagonal = [T::zero(); D];
-        for i in 0..D {
-            for j in 0..i {
-                let mut sum = a[j][i];
-                for k in 0..j {
-                    sum -= rows[i][k] * rows[j][k];
+        let mut columns = a.data.0;
+        let (mut diagonal, mut inverse_diagonal) = ([T::zero(); D], [T::zero(); D]);
+        // no early return: straight-line code is what compilers make fast, and NaN only stays NaN
+        let mut definite = true;
+        for k in 0..D {
+            let pivot = columns[k][k];
+            definite &= pivot > T::zero() && pivot.is_finite();
+            diagonal[k] = pivot;
+            inverse_diagonal[k] = T::one() / pivot;
+            for j in k + 1..D {
+                let factor = columns[k][j] * inverse_diagonal[k];
+                for i in j..D {
+                    columns[j][i] -= factor * columns[k][i];
                 }
-                rows[i][j] = sum * inverse_diagonal[j];
+                columns[k][j] = factor;
             }
-            let mut pivot = a[i][i];
-            for k in 0..i {
-                pivot -= rows[i][k] * rows[i][k];
-            }
-            if !(pivot > T::zero() && pivot.is_finite()) {
-                return None;
-            }
-            rows[i][i] = pivot.sqrt();
-            inverse_diagonal[i] = T::one() / rows[i][i];
         }
-        Some(Self { rows, inverse_diagonal })
+        definite.then_some(Self { columns, diagonal, inverse_diagonal })
+    }
+
+    /// Diagonal of D.
+    #[inline]
+    pub fn diagonal(&self) -> &[T; D] {
+        &self.diagonal
+    }
+
+    /// Diagonal of D⁻¹.
+    #[inline]
+    pub fn inverse_diagonal(&self) -> &[T; D] {
+        &self.inverse_diagonal
     }
 
     /// As [`Cholesky::new`]; a matrix that is singular to rounding is retried with a shift relative to its trace, so
@@ -70,11 +79,10 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
     pub fn solve_lower(&self, b: &[T; D]) -> [T; D] {
         let mut x = *b;
         for i in 0..D {
-            let mut sum = x[i];
             for k in 0..i {
-                sum -= self.rows[i][k] * x[k];
+                let known = x[k];
+                x[i] -= self.columns[k][i] * known;
             }
-            x[i] = sum * self.inverse_diagonal[i];
         }
         x
     }
@@ -86,9 +94,9 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
         for i in 0..D {
             let mut row = x[i];
             for k in 0..i {
-                subtract_scaled(&mut row, self.rows[i][k], &x[k]);
+                subtract_scaled(&mut row, self.columns[k][i], &x[k]);
             }
-            x[i] = row.map(|value| value * self.inverse_diagonal[i]);
+            x[i] = row;
         }
         x
     }
@@ -100,23 +108,9 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
         for i in (0..D).rev() {
             let mut row = x[i];
             for k in i + 1..D {
-                subtract_scaled(&mut row, self.rows[k][i], &x[k]);
+                subtract_scaled(&mut row, self.columns[i][k], &x[k]);
             }
-            x[i] = row.map(|value| value * self.inverse_diagonal[i]);
-        }
-        x
-    }
-
-    /// L⁻ᵀ·b.
-    #[inline]
-    pub fn solve_upper(&self, b: &[T; D]) -> [T; D] {
-        let mut x = *b;
-        for i in (0..D).rev() {
-            let mut sum = x[i];
-            for k in i + 1..D {
-                sum -= self.rows[k][i] * x[k];
-            }
-            x[i] = sum * self.inverse_diagonal[i];
+            x[i] = row;
         }
         x
     }
@@ -124,16 +118,24 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
     /// A⁻¹·b.
     #[inline]
     pub fn solve(&self, b: &[T; D]) -> [T; D] {
-        self.solve_upper(&self.solve_lower(b))
+        let mut x = self.solve_lower(b);
+        for i in (0..D).rev() {
+            let mut sum = x[i] * self.inverse_diagonal[i];
+            for k in i + 1..D {
+                sum -= self.columns[i][k] * x[k];
+            }
+            x[i] = sum;
+        }
+        x
     }
 
     /// L·b.
     #[inline]
     pub fn times(&self, b: &[T; D]) -> [T; D] {
         core::array::from_fn(|i| {
-            let mut sum = T::zero();
-            for k in 0..=i {
-                sum += self.rows[i][k] * b[k];
+            let mut sum = b[i];
+            for k in 0..i {
+                sum += self.columns[k][i] * b[k];
             }
             sum
         })
@@ -143,34 +145,19 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
     #[inline]
     pub fn transpose_times_rows<const C: usize>(&self, b: &[[T; C]; D]) -> [[T; C]; D] {
         core::array::from_fn(|i| {
-            let mut row = [T::zero(); C];
-            for k in i..D {
-                subtract_scaled(&mut row, -self.rows[k][i], &b[k]);
+            let mut row = b[i];
+            for k in i + 1..D {
+                subtract_scaled(&mut row, -self.columns[i][k], &b[k]);
             }
             row
         })
     }
 
-    /// A⁻¹, exactly symmetric.
+    /// A⁻¹ = L⁻ᵀ·D⁻¹·L⁻¹.
     #[inline]
     pub fn inverse(&self) -> SMatrix<T, D, D> {
-        let mut lower_inverse = [[T::zero(); D]; D];
-        for (i, column) in lower_inverse.iter_mut().enumerate() {
-            let mut unit = [T::zero(); D];
-            unit[i] = T::one();
-            *column = self.solve_lower(&unit);
-        }
-        gram(&SMatrix::<T, D, D>::from(lower_inverse))
-    }
-
-    /// det A.
-    #[inline]
-    pub fn determinant(&self) -> T {
-        let mut product = T::one();
-        for i in 0..D {
-            product *= self.rows[i][i] * self.rows[i][i];
-        }
-        product
+        let rows = self.solve_lower_rows(&SMatrix::<T, D, D>::identity().data.0);
+        weighted_outer(&SMatrix::from(rows), &self.inverse_diagonal)
     }
 }
 
@@ -210,21 +197,6 @@ pub fn weighted_outer<const R: usize, const C: usize, T: Scalar>(
     SMatrix::from(out)
 }
 
-/// AᵀA of an R×C matrix, exactly symmetric.
-#[inline]
-pub fn gram<const R: usize, const C: usize, T: Scalar>(a: &SMatrix<T, R, C>) -> SMatrix<T, C, C> {
-    let columns = &a.data.0;
-    let mut out = [[T::zero(); C]; C];
-    for i in 0..C {
-        for j in 0..=i {
-            let value = dot(&columns[i], &columns[j]);
-            out[i][j] = value;
-            out[j][i] = value;
-        }
-    }
-    SMatrix::from(out)
-}
-
 /// A·x for an R×C matrix.
 #[inline]
 pub fn times<const R: usize, const C: usize, T: Scalar>(a: &SMatrix<T, R, C>, x: &[T; C]) -> [T; R] {
@@ -247,49 +219,62 @@ pub fn transpose_times<const R: usize, const C: usize, T: Scalar>(
 }
 
 /// A^(−1/2) of a symmetric positive-definite matrix, by the scaled product form of the Denman–Beavers iteration
-/// (Cheng, Higham, Kenney, Laub 2001): at most 12 Cholesky inverses, whatever the input.
+/// (Cheng, Higham, Kenney, Laub 2001): X ← X·(I + M⁻¹)/2 while M goes to I and X·M^(−1/2) stays what is sought. Once M
+/// is near I its series ends it. At most 12 inverses, whatever the input.
 pub fn inverse_square_root<const D: usize, T: Scalar>(a: &SMatrix<T, D, D>) -> Option<SMatrix<T, D, D>> {
-    let half = of::<T>(0.5);
-    let tolerance = T::default_epsilon().sqrt();
-    let root_power = of::<T>(-0.5) / of(f64::from(u32::try_from(D).ok()?));
-    let mut m = *a;
-    let mut x = SMatrix::<T, D, D>::identity();
+    let (half, quarter) = (of::<T>(0.5), of::<T>(0.25));
+    // added as matrices: a number written alone makes the wide loads after it wait
+    let unit = SMatrix::<T, D, D>::identity();
+    let half_unit = unit * half;
+    let (mut m, mut x) = (*a, unit);
     let mut scale = true;
     for _ in 0..12 {
-        let factor = Cholesky::new_shifted(&m)?;
-        let mut inverse = factor.inverse();
+        let mut inverse = Cholesky::new_shifted(&m)?.inverse();
         if scale {
-            let mu2 = factor.determinant().powf(root_power + root_power);
-            if !(mu2 > T::zero() && mu2.is_finite()) {
+            // near 1/√(λ_min·λ_max), which is the best
+            let ratio: T = sum_of_squares(&inverse.data.0) / sum_of_squares(&m.data.0);
+            let factor = ratio.sqrt().sqrt();
+            if !(factor > T::zero() && factor.is_finite()) {
                 return None;
             }
-            m *= mu2;
-            inverse /= mu2;
-            x *= mu2.sqrt();
+            m *= factor;
+            inverse *= T::one() / factor;
+            x *= factor.sqrt();
         }
-        let mut distance = T::zero();
-        let mut average = inverse;
-        for i in 0..D {
-            average[(i, i)] += T::one();
-            for j in 0..D {
-                let target = if i == j { T::one() } else { T::zero() };
-                distance = distance.max((m[(i, j)] - target).abs());
-                m[(i, j)] = half * (m[(i, j)] + inverse[(i, j)]) * half;
-            }
-            m[(i, i)] += half;
-        }
-        x = product(&x, &average) * half;
-        if distance < tolerance {
+        let average = inverse * half + half_unit;
+        let error = (m + inverse) * quarter - half_unit; // the next M less I
+        m = error + unit;
+        x = product(&x, &average);
+        let squared = sum_of_squares(&error.data.0);
+        if squared * squared * squared < T::default_epsilon() * T::default_epsilon() {
+            // M^(−1/2) = I − E/2 + 3/8·E² − … with E = M − I
+            x = product(&x, &(product(&error, &error) * of::<T>(0.375) - error * half + unit));
             break;
         }
-        scale = distance > of(0.1);
+        scale = squared > quarter;
     }
     // the iterates commute, so the limit is symmetric up to rounding
     Some(SMatrix::from_fn(|i, j| half * (x[(i, j)] + x[(j, i)])))
 }
 
+/// Squared Frobenius norm.
+#[inline]
+fn sum_of_squares<const D: usize, T: Scalar>(a: &[[T; D]; D]) -> T {
+    let mut lanes = [T::zero(); D];
+    for column in a {
+        for (lane, &value) in lanes.iter_mut().zip(column) {
+            *lane += value * value;
+        }
+    }
+    lanes.into_iter().fold(T::zero(), |sum, lane| sum + lane)
+}
+
 /// A·B of D×D matrices.
 #[inline]
 fn product<const D: usize, T: Scalar>(a: &SMatrix<T, D, D>, b: &SMatrix<T, D, D>) -> SMatrix<T, D, D> {
-    SMatrix::from(b.data.0.map(|column| times(a, &column)))
+    let mut out = [[T::zero(); D]; D];
+    for (out, column) in out.iter_mut().zip(&b.data.0) {
+        *out = times(a, column);
+    }
+    SMatrix::from(out)
 }

@@ -48,6 +48,8 @@ pub struct Kinematics<const N: usize, T> {
     link_rotation: [Matrix3<T>; N],
     /// Origin of each joint, m.
     joint_position: [Vector3<T>; N],
+    /// Twist about A per joint rate.
+    joint_motion: [Motion<T>; N],
     /// Axes of B.
     pub base_rotation: Matrix3<T>,
     /// Axes of A.
@@ -112,6 +114,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         let arm_rotation = base_rotation * self.mount.rotation;
         let mut link_rotation = [Matrix3::zeros(); N];
         let mut joint_position = [Vector3::zeros(); N];
+        let mut joint_motion = [Motion::zero(); N];
         let (mut axes, mut position) = (arm_rotation, Vector3::zeros());
         for i in 0..N {
             let joint = &self.joints[i];
@@ -119,10 +122,12 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
             axes = turned_about_z(&(axes * joint.rotation), q[i]);
             link_rotation[i] = axes;
             joint_position[i] = position;
+            joint_motion[i] = Motion::revolute(&axes.column(2).into_owned(), &position);
         }
         Kinematics {
             link_rotation,
             joint_position,
+            joint_motion,
             base_rotation,
             arm_rotation,
             arm_from_base: base_rotation * self.mount.origin,
@@ -149,12 +154,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
 
 impl<const N: usize, T: Scalar> Kinematics<N, T> {
     fn axis(&self, joint: usize) -> Vector3<T> {
-        self.link_rotation[joint].column(2).into_owned()
-    }
-
-    #[inline]
-    fn joint_motion(&self, joint: usize) -> Motion<T> {
-        Motion::revolute(&self.axis(joint), &self.joint_position[joint])
+        self.joint_motion[joint].angular
     }
 
     /// J_A: twist of E \[m/s; rad/s\] in world axes per joint rate.
@@ -213,9 +213,9 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
         let mut composite = Inertia::zero();
         for j in (0..N).rev() {
             composite = composite + inertias.0[j];
-            let momentum = composite.times(&self.joint_motion(j));
+            let momentum = composite.times(&self.joint_motion[j]);
             for i in 0..=j {
-                let value = self.joint_motion(i).dot(&momentum);
+                let value = self.joint_motion[i].dot(&momentum);
                 arm[i][j] = value;
                 arm[j][i] = value;
             }
@@ -247,7 +247,7 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
             composite = composite + inertias.0[i];
             let force = Vector3::new(T::zero(), T::zero(), up * composite.mass);
             let moment = composite.first_moment.cross(&Vector3::new(T::zero(), T::zero(), up));
-            torque[i] = self.joint_motion(i).dot(&Force { force, moment });
+            torque[i] = self.joint_motion[i].dot(&Force { force, moment });
         }
         torque
     }
@@ -284,7 +284,7 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
         let (mut velocity, mut acceleration) = (base_velocity, base_acceleration);
         let mut forces = [Force::zero(); N];
         for i in 0..N {
-            let rate = self.joint_motion(i).scaled(dq[i]);
+            let rate = self.joint_motion[i].scaled(dq[i]);
             acceleration = acceleration + velocity.cross(&rate);
             velocity = velocity + rate;
             forces[i] = inertias.0[i].rate_of_momentum(&velocity, &acceleration);
@@ -293,7 +293,7 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
         let mut total = Force::zero();
         for i in (0..N).rev() {
             total += forces[i];
-            torque[i] = self.joint_motion(i).dot(&total);
+            torque[i] = self.joint_motion[i].dot(&total);
         }
         (torque, total)
     }
@@ -310,7 +310,7 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
         let mut axis_rate = [Motion::zero(); N];
         let mut momenta = [Force::zero(); N];
         for i in 0..N {
-            let axis = self.joint_motion(i);
+            let axis = self.joint_motion[i];
             velocity = velocity + axis.scaled(dq[i]);
             axis_rate[i] = velocity.cross(&axis);
             momenta[i] = inertias.0[i].times(&velocity);
@@ -319,7 +319,7 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
         let mut total = Force::zero();
         for i in (0..N).rev() {
             total += momenta[i];
-            p[i] = self.joint_motion(i).dot(&total);
+            p[i] = self.joint_motion[i].dot(&total);
             drift[i] = axis_rate[i].dot(&total);
         }
         (p, drift)

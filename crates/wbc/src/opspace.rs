@@ -26,8 +26,8 @@ pub struct TaskDynamics<const N: usize, T> {
     arm_jacobian: SMatrix<T, 6, N>,
     virtual_mass: [T; 3],
     arm_factor: Cholesky<N, T>,
-    /// (L⁻¹·J_Aᵀ)ᵀ with M_A = L·Lᵀ.
-    whitened: SMatrix<T, 6, N>,
+    /// (L⁻¹·J_Aᵀ)ᵀ with M_A = L·D·Lᵀ.
+    reduced: SMatrix<T, 6, N>,
     /// A_B = J_B M_v⁻¹ J_Bᵀ.
     base_mobility: SMatrix<T, 6, 6>,
     /// A_A = J_A M_A⁻¹ J_Aᵀ.
@@ -47,16 +47,26 @@ impl<const N: usize, T: Scalar> TaskDynamics<N, T> {
         arm_mass: &SMatrix<T, N, N>,
     ) -> Result<Self, ControlError> {
         let arm_factor = Cholesky::new(arm_mass).ok_or(ControlError::NotPositiveDefinite { what: "M_A" })?;
-        let whitened = SMatrix::from(arm_factor.solve_lower_rows(&arm_jacobian.data.0));
+        let reduced = SMatrix::from(arm_factor.solve_lower_rows(&arm_jacobian.data.0));
         Ok(Self {
             base_jacobian,
             arm_jacobian,
             virtual_mass,
-            arm_factor,
-            whitened,
             base_mobility: weighted_outer(&base_jacobian, &virtual_mass.map(|m| T::one() / m)),
-            arm_mobility: weighted_outer(&whitened, &[T::one(); N]),
+            arm_mobility: weighted_outer(&reduced, arm_factor.inverse_diagonal()),
+            reduced,
+            arm_factor,
         })
+    }
+
+    /// J_B.
+    pub fn base_jacobian(&self) -> &SMatrix<T, 6, 3> {
+        &self.base_jacobian
+    }
+
+    /// J_A.
+    pub fn arm_jacobian(&self) -> &SMatrix<T, 6, N> {
+        &self.arm_jacobian
     }
 
     /// Λ⁻¹ = J M⁻¹ Jᵀ of base and arm together.
@@ -73,7 +83,8 @@ impl<const N: usize, T: Scalar> TaskDynamics<N, T> {
     /// J_A M_A⁻¹ τ of arm torques.
     #[inline]
     pub fn arm_acceleration(&self, torque: &[T; N]) -> [T; 6] {
-        times(&self.whitened, &self.arm_factor.solve_lower(torque))
+        let (lower, inverse) = (self.arm_factor.solve_lower(torque), self.arm_factor.inverse_diagonal());
+        times(&self.reduced, &core::array::from_fn(|i| lower[i] * inverse[i]))
     }
 
     /// J M⁻¹ τ: acceleration of the tool under generalised forces.
@@ -208,7 +219,7 @@ impl<const N: usize, T: Scalar> AxisWeight<N, T> {
     }
 
     /// τ_c for the wrench F at the tool and the null-space forces τ_0, by Z = H⁻¹M⁻¹Jᵀ, V = LᵀZ,
-    /// (VᵀV)·y = Λ⁻¹F − J M⁻¹τ_0, τ = τ_0 + H⁻¹M Z y. eq. (6)
+    /// (VᵀDV)·y = Λ⁻¹F − J M⁻¹τ_0, τ = τ_0 + H⁻¹M Z y. eq. (6)
     ///
     /// # Errors
     /// [`ControlError::NotPositiveDefinite`] if the weighted mobility is not even semi-definite (NaN).
@@ -219,18 +230,24 @@ impl<const N: usize, T: Scalar> AxisWeight<N, T> {
         wrench: &[T; 6],
         null: &WholeBodyForce<N, T>,
     ) -> Result<WholeBodyForce<N, T>, ControlError> {
-        let mut z = task.arm_factor.solve_upper_rows(&task.whitened.data.0);
+        let arm = &task.arm_factor;
+        let mut z = task.reduced.data.0;
+        for (row, &inverse) in z.iter_mut().zip(arm.inverse_diagonal()) {
+            *row = row.map(|value| value * inverse);
+        }
+        let mut z = arm.solve_upper_rows(&z);
         for (row, &gain) in z.iter_mut().zip(&self.arm) {
             *row = row.map(|value| value / gain);
         }
-        let v: SMatrix<T, 6, N> = SMatrix::from(task.arm_factor.transpose_times_rows(&z));
+        let v: SMatrix<T, 6, N> = SMatrix::from(arm.transpose_times_rows(&z));
         let base_weights =
             core::array::from_fn(|i| T::one() / (self.base[i] * self.base[i] * task.virtual_mass[i]));
         let weighted =
-            weighted_outer(&task.base_jacobian, &base_weights) + weighted_outer(&v, &[T::one(); N]);
+            weighted_outer(&task.base_jacobian, &base_weights) + weighted_outer(&v, arm.diagonal());
         let factor = Cholesky::new_shifted(&weighted).ok_or(SINGULAR)?;
         let y = factor.solve(&difference(&times(&task.mobility(), wrench), &task.acceleration(null)));
-        let arm = task.arm_factor.times(&transpose_times(&v, &y));
+        let along = transpose_times(&v, &y);
+        let arm = arm.times(&core::array::from_fn(|i| arm.diagonal()[i] * along[i]));
         let base = transpose_times(&task.base_jacobian, &y);
         Ok(WholeBodyForce {
             base: core::array::from_fn(|i| null.base[i] + base[i] / (self.base[i] * self.base[i])),

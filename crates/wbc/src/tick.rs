@@ -36,7 +36,7 @@ impl<const N: usize, T: Scalar> Tick<'_, N, T> {
     pub(crate) fn task_wrench(
         &self,
         state: &ControllerState<N, T>,
-        actual: &Pose<T>,
+        task: &TaskDynamics<N, T>,
         base_twist: &[T; 6],
         mobility: &SMatrix<T, 6, 6>,
         hit: &mut LimitsHit,
@@ -44,12 +44,12 @@ impl<const N: usize, T: Scalar> Tick<'_, N, T> {
         let gains = &state.gains;
         let desired = self.desired(state);
         let error = impedance::pose_error(
-            (&actual.position, &actual.rotation),
+            (&self.flange.position, &self.flange.rotation),
             (&desired.position, &desired.rotation),
         );
         let (error, taut) = leashed(&error);
         hit.leash = taut;
-        let arm_twist = times(&self.kinematics.arm_jacobian(), &self.robot.dq_rad_s);
+        let arm_twist = times(task.arm_jacobian(), &self.robot.dq_rad_s);
         let wanted = self.desired_twist(state);
         let rate = core::array::from_fn(|i| wanted[i] - base_twist[i] - arm_twist[i]);
         let damping = impedance::damping(mobility, &gains.stiffness, gains.damping_ratio)?;

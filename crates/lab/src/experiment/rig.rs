@@ -97,7 +97,7 @@ impl Rig {
         let ticks = |ms: f64| whole(ms * 1e-3 / period_s);
         let cover = match settings.sensor {
             Sensor::Stock => {
-                let mut lock_step = LockStep::with_board(&config, scene, settings.board(), None)?;
+                let mut lock_step = LockStep::with_board(&config, scene, settings.board(), None)?.untimed();
                 lock_step.feed.set_delay(usize::try_from(ticks(settings.sensor_delay_ms))?);
                 Cover::Board(Box::new(lock_step))
             }
@@ -107,7 +107,7 @@ impl Rig {
                 }
                 let delay = usize::try_from(ticks(settings.sensor_delay_ms))?;
                 let ideal = IdealCover::new(ticks(settings.period_ms()), delay);
-                Cover::True(Box::new(LockStep::with_true_forces(&config, scene, ideal)?))
+                Cover::True(Box::new(LockStep::with_true_forces(&config, scene, ideal)?.untimed()))
             }
         };
         let mut rig =
