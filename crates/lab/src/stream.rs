@@ -251,7 +251,7 @@ impl Analysis {
             Diagnosis::ChipInitFailed => Some("chip_init"),
             Diagnosis::Unknown => Some("no_frames"),
             Diagnosis::Silent => Some("silent"),
-            Diagnosis::Frames | Diagnosis::NotOpen(_) | Diagnosis::Disconnected => None,
+            Diagnosis::Frames | Diagnosis::NoBoard | Diagnosis::NotOpen(_) | Diagnosis::Disconnected => None,
         };
         if let Some(kind) = kind {
             self.report(kind, diagnosis.text().to_owned());

@@ -128,7 +128,7 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
     if let Some(fault) = sample.fault {
         return (Some(theme::BAD), format!("{} {}", fault.text(), fault.remedy()));
     }
-    if sample.board != Diagnosis::Frames {
+    if !matches!(sample.board, Diagnosis::Frames | Diagnosis::NoBoard) {
         return (Some(theme::WARNING), sample.board.text().into());
     }
     if model.recorded {
