@@ -78,7 +78,7 @@ fn bench(criterion: &mut Criterion) {
                 };
                 cable.push(event).unwrap();
             }
-            let slot = Slot { tick, now_ns, ticks: 1, lateness_s: 0.0, overruns: 0 };
+            let slot = Slot { tick, now_ns, ticks: 1, ..Slot::default() };
             tick += 1;
             control.tick(&slot, None).0
         };

@@ -10,7 +10,7 @@ use crate::supervisor::{Facts, Supervisor};
 use crate::tape::{Tape, TickInput};
 use crate::timing::{Distribution, Stage, Timing};
 use heapless::Vec;
-use moca_msgs::{Actuation, Fault, Mode, Outcome, Refusal, Request, RobotState, Sample};
+use moca_msgs::{Actuation, Fault, Mode, Outcome, Refusal, Request, RobotState, STAGES, Sample};
 use moca_wbc::{ControlError, ControlOutput};
 use serde::{Deserialize, Serialize};
 
@@ -27,6 +27,8 @@ pub struct Slot {
     pub lateness_s: f64,
     /// Missed slots so far.
     pub overruns: u64,
+    /// How long each stage of the tick before took, ns; an input, so that a replay says the same.
+    pub stages_ns: [u32; STAGES.len()],
 }
 
 /// The parts of a running robot, and nothing that knows how the tick is timed or who watches.
@@ -214,6 +216,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             board: cover.board,
             lateness_s: slot.lateness_s,
             overruns: slot.overruns,
+            stages_ns: slot.stages_ns,
             speed_limit: self.protected.speed_limit,
             contact_reaction: self.protected.reaction,
             contact_events: self.protected.events.clone(),

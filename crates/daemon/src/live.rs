@@ -137,6 +137,7 @@ pub fn run<P: Plant, S: CoverSource>(
             ticks: 1 + woken.missed,
             lateness_s: woken.lateness.as_secs_f64(),
             overruns: report.overruns,
+            stages_ns: control.timing.last_stages_ns(),
         };
         let (sample, outcome) = control.tick(&slot, request);
 

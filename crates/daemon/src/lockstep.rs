@@ -208,7 +208,7 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
         let force_n = self.control.plant.world.taxel_force_true_n();
         self.feed.feed(&mut self.control.cover, now_ns, &force_n);
         let slot =
-            Slot { tick: self.tick, now_ns, ticks: 1 + missed, lateness_s: 0.0, overruns: self.overruns };
+            Slot { tick: self.tick, now_ns, ticks: 1 + missed, overruns: self.overruns, ..Slot::default() };
         self.tick += 1;
         self.control.tick(&slot, request)
     }

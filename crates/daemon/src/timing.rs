@@ -1,6 +1,7 @@
 //! How long each stage of a tick takes and how late the tick woke. Recording is bounded and does not allocate.
 
 use hdrhistogram::Histogram;
+use moca_msgs::STAGES;
 use std::fmt;
 use std::time::{Duration, Instant};
 
@@ -25,13 +26,7 @@ impl Stage {
 
     /// Name as shown to users.
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Read => "read state",
-            Self::Cover => "cover",
-            Self::Control => "control",
-            Self::Write => "write plant",
-            Self::Publish => "publish",
-        }
+        STAGES[self as usize]
     }
 }
 
@@ -103,6 +98,7 @@ pub struct Timing {
     last_start: Option<Instant>,
     mark: Instant,
     slowest: (Stage, Duration),
+    last_stages_ns: [u32; STAGES.len()],
 }
 
 impl Timing {
@@ -120,6 +116,7 @@ impl Timing {
             last_start: None,
             mark: Instant::now(),
             slowest: (Stage::Read, Duration::ZERO),
+            last_stages_ns: [0; STAGES.len()],
         })
     }
 
@@ -155,9 +152,15 @@ impl Timing {
         let took = now - self.mark;
         self.mark = now;
         self.stages[stage as usize].record(took);
+        self.last_stages_ns[stage as usize] = u32::try_from(took.as_nanos()).unwrap_or(u32::MAX);
         if took > self.slowest.1 {
             self.slowest = (stage, took);
         }
+    }
+
+    /// How long each stage took when it last ended, ns; 0 for one that never did.
+    pub const fn last_stages_ns(&self) -> [u32; STAGES.len()] {
+        self.last_stages_ns
     }
 
     /// The longest stage of the current tick: the one an overrun is charged to.

@@ -353,6 +353,26 @@ fn plots_can_be_paused_and_their_window_chosen() {
 }
 
 #[test]
+fn the_loop_page_tells_every_stage_of_a_tick() {
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    bench.click("Loop");
+    assert!(bench.shows("This run was not timed."));
+    let stages_ns = [900, 5_000, 20_000, 312_000, 700];
+    let timed = Sample { stages_ns, ..sample(bench.tick, Mode::Impedance, None) };
+    bench.tick += 1;
+    bench.daemon.borrow_mut().samples.push_back(timed);
+    bench.frames(Mode::Impedance, None);
+    assert!(!bench.shows("This run was not timed."));
+    for stage in moca_msgs::STAGES {
+        assert!(bench.harness.query_by_label(stage).is_some(), "{stage}");
+    }
+    assert_eq!(bench.harness.query_all_by_label("312").count(), 4, "p50, p99, p99.9 and max of the plant");
+    for histogram in ["Loop lateness", "From tick to tick", "Age of cover data", "Stages of a tick"] {
+        assert!(bench.harness.query_by_label(&format!("Histogram {histogram}")).is_some());
+    }
+}
+
+#[test]
 fn a_recorded_run_can_be_held_scrubbed_and_never_commanded() {
     let samples =
         (0..30_000).map(|tick| sample(tick, if tick < 20_000 { Mode::Ready } else { Mode::Impedance }, None));

@@ -35,6 +35,6 @@ pub use params::{Corrections, ImpedanceGains, Limits, ParameterError, ParameterV
 pub use protection::{ContactEvent, ContactReaction, SpeedLimit, SpeedLimitReason};
 pub use request::{Outcome, Refusal, Request};
 pub use robot::{ArmTable, BaseTable, Mount, Payload, TaxelPlacement};
-pub use sample::{MAX_JOINTS, MAX_TAXELS, Sample};
+pub use sample::{MAX_JOINTS, MAX_TAXELS, STAGES, Sample};
 pub use state::{Actuation, RobotCommand, RobotState};
 pub use taxel::{CoverReading, TaxelReading, TaxelStatus};

@@ -10,6 +10,9 @@ pub const MAX_JOINTS: usize = 8;
 /// Most taxels a sample can carry (two boards of 12).
 pub const MAX_TAXELS: usize = 24;
 
+/// Stages of a tick, in the order in which the data flows. Writing to a simulated robot includes its physics.
+pub const STAGES: [&str; 5] = ["read state", "cover", "control", "write plant", "publish"];
+
 /// Everything about one tick. Fixed size, no pointers: it crosses threads through a bounded ring.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -70,4 +73,6 @@ pub struct Sample {
     pub lateness_s: f64,
     /// Missed slots so far.
     pub overruns: u64,
+    /// How long each stage of the tick before took, ns, in the order of [`STAGES`]; all 0 where nobody timed it.
+    pub stages_ns: [u32; STAGES.len()],
 }

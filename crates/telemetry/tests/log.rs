@@ -73,6 +73,7 @@ fn sample(tick: u32) -> Sample {
         frames_bad: u64::from(tick / 1000),
         lateness_s: value(),
         overruns: u64::from(tick / 700),
+        stages_ns: std::array::from_fn(|i| tick + u32::try_from(i).unwrap()),
         speed_limit: SpeedLimit { m_s: value(), reason: SpeedLimitReason::BoardRate },
         contact_reaction: tick.is_multiple_of(7).then_some(ContactReaction::StopDirection),
         ..Sample::default()

@@ -195,6 +195,7 @@ impl LogReader {
             contact_events: bounded(events),
             lateness_s: timing.lateness_s,
             overruns: timing.overruns,
+            stages_ns: timing.stages_ns,
         })))
     }
 }

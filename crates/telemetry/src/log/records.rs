@@ -197,6 +197,9 @@ pub struct Timing {
     pub lateness_s: f64,
     /// Missed slots so far.
     pub overruns: u64,
+    /// How long each stage of the tick before took, ns: read state, cover, control, write plant, publish.
+    #[serde(default)]
+    pub stages_ns: [u32; 5],
     /// Good frames so far.
     pub frames_good: u64,
     /// Rejected frames so far.

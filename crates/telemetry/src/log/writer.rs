@@ -121,6 +121,7 @@ impl<W: Write> LogWriter<W> {
                 tick,
                 lateness_s: sample.lateness_s,
                 overruns: sample.overruns,
+                stages_ns: sample.stages_ns,
                 frames_good: sample.frames_good,
                 frames_bad: sample.frames_bad,
             },
