@@ -14,8 +14,9 @@ use std::{net::SocketAddr, path::PathBuf, time::Duration};
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {
-    /// Where a daemon listens; may be given more than once. Another machine's comes in through an SSH tunnel.
-    #[arg(long, value_name = "ADDRESS", default_value = DEFAULT_ADDRESS)]
+    /// Where a daemon listens; may be given more than once. Another machine's comes in through an SSH tunnel. Without it
+    /// the last ones, or else 127.0.0.1:7611.
+    #[arg(long, value_name = "ADDRESS")]
     connect: Vec<SocketAddr>,
     /// Show a recorded run instead: an MCAP file of `mocad run --record`. May be given more than once.
     #[arg(long, value_name = "FILE", conflicts_with = "connect")]
@@ -103,12 +104,18 @@ fn main() -> anyhow::Result<()> {
                     Theme::Dark => egui::Theme::Dark,
                 });
             }
-            let mut sources = sources(&arguments.connect, arguments.log, &cc.egui_ctx)?.into_iter();
+            let storage = cc.storage.filter(|_| persist_window);
+            let addresses = match (arguments.connect, storage) {
+                (given, _) if !given.is_empty() => given,
+                (_, Some(storage)) => App::last_connected(storage),
+                (_, None) => Vec::new(),
+            };
+            let mut sources = sources(addresses, arguments.log, &cc.egui_ctx)?.into_iter();
             let (first, name) = sources.next().context("nothing to show")?;
             let mut app = App::new(&cc.egui_ctx, first, name, screenshot);
             sources.for_each(|(source, name)| app.add(source, name));
             app.set_folder(arguments.folder);
-            if let (Some(storage), true) = (cc.storage, persist_window) {
+            if let Some(storage) = storage {
                 app.restore(storage);
             }
             if let Some(page) = arguments.page {
@@ -126,7 +133,7 @@ fn main() -> anyhow::Result<()> {
 
 /// Logs, or else daemons, each with what it is called before it says its name.
 fn sources(
-    addresses: &[SocketAddr],
+    mut addresses: Vec<SocketAddr>,
     logs: Vec<PathBuf>,
     ctx: &egui::Context,
 ) -> anyhow::Result<Vec<(Box<dyn Source>, String)>> {
@@ -135,10 +142,13 @@ fn sources(
         move || ctx.request_repaint_after(App::FRAME)
     };
     if logs.is_empty() {
-        let connect = |address: &SocketAddr| -> anyhow::Result<(Box<dyn Source>, String)> {
-            Ok((Box::new(Connection::spawn(*address, wake())?), address.to_string()))
+        if addresses.is_empty() {
+            addresses.push(DEFAULT_ADDRESS.parse()?);
+        }
+        let connect = |address: SocketAddr| -> anyhow::Result<(Box<dyn Source>, String)> {
+            Ok((Box::new(Connection::spawn(address, wake())?), address.to_string()))
         };
-        return addresses.iter().map(connect).collect();
+        return addresses.into_iter().map(connect).collect();
     }
     let open = |path: PathBuf| -> anyhow::Result<(Box<dyn Source>, String)> {
         let name = path.display().to_string();

@@ -15,7 +15,12 @@ use moca_telemetry::{
     calibration::{CalibrationFit, CalibrationProgress, CalibrationRequest, FittedModel},
     net::{Commander, Link, Reply, Status, Update},
 };
-use std::{cell::RefCell, collections::VecDeque, rc::Rc, sync::Arc};
+use std::{
+    cell::RefCell,
+    collections::{BTreeMap, VecDeque},
+    rc::Rc,
+    sync::Arc,
+};
 
 /// A daemon that exists only as what it says and what it was asked.
 #[derive(Default)]
@@ -481,6 +486,60 @@ fn beside_a_real_board_the_gauge_is_named_and_nobody_pushes_by_mouse() {
     assert!(bench.shows("That did not work: a law moves the robot"));
     bench.click("Start calibration");
     assert_eq!(bench.daemon.borrow().calibrate.len(), 1, "it can be started again");
+}
+
+/// What a window leaves behind, as eframe writes it to a file.
+#[derive(Default)]
+struct Memory(BTreeMap<String, String>);
+
+impl eframe::Storage for Memory {
+    fn get_string(&self, key: &str) -> Option<String> {
+        self.0.get(key).cloned()
+    }
+
+    fn set_string(&mut self, key: &str, value: String) {
+        self.0.insert(key.into(), value);
+    }
+
+    fn remove_string(&mut self, key: &str) {
+        self.0.remove(key);
+    }
+
+    fn flush(&mut self) {}
+}
+
+#[test]
+fn the_next_window_looks_at_what_the_last_one_did() {
+    let mut bench = Bench::in_mode(Mode::Ready);
+    bench.click("Loop");
+    bench.click("30 s");
+    let mut memory = Memory::default();
+    eframe::App::save(bench.harness.state_mut(), &mut memory);
+    assert_eq!(App::last_connected(&memory), ["127.0.0.1:7611".parse().unwrap()]);
+
+    let mut next = Bench::in_mode(Mode::Ready);
+    assert!(!next.shows("Histogram Loop lateness"));
+    next.harness.state_mut().restore(&memory);
+    next.frames(Mode::Ready, None);
+    assert!(next.shows("Histogram Loop lateness"));
+    let mut again = Memory::default();
+    eframe::App::save(next.harness.state_mut(), &mut again);
+    assert_eq!(again.0, memory.0);
+    assert_eq!(again.0["span_s"], "30");
+
+    // A file from elsewhere does no harm: what makes no sense is left out.
+    for (key, value) in
+        [("page", "Nowhere"), ("span_s", "NaN"), ("push_n", "1e9"), ("connect", "x 1.2.3.4:5 ")]
+    {
+        memory.0.insert(key.into(), value.into());
+    }
+    let mut next = Bench::in_mode(Mode::Ready);
+    next.harness.state_mut().restore(&memory);
+    next.frames(Mode::Ready, None);
+    assert!(next.harness.query_by_label("Plot Base force in N").is_some(), "the first page");
+    eframe::App::save(next.harness.state_mut(), &mut again);
+    assert_eq!((again.0["span_s"].as_str(), again.0["push_n"].as_str()), ("10", "200"));
+    assert_eq!(App::last_connected(&memory), ["1.2.3.4:5".parse().unwrap()]);
 }
 
 fn parameter(name: &str, form: ParameterForm, value: &[f64], live: bool) -> ParameterDescription {

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::logic::{Action, Model, Playback, Recording, Source, model::Freshness};
 use egui::{CentralPanel, Color32, Context, Event, Frame, Key, Panel, ScrollArea, Ui, Visuals};
-use std::{path::Path, path::PathBuf, time::Duration};
+use std::{net::SocketAddr, path::Path, path::PathBuf, time::Duration};
 
 /// Narrowest and widest column with robot and gauges, points, and its share of the window.
 const LEFT_WIDTH: (f32, f32) = (400.0, 560.0);
@@ -278,10 +278,22 @@ impl eframe::App for App {
         storage.set_string("page", self.page.name().to_owned());
         storage.set_string("span_s", axis.span_s().to_string());
         storage.set_string("push_n", push_n.to_string());
+        let live = self.robots.iter().filter(|robot| !robot.model.recorded);
+        let addresses: Vec<&str> = live.map(|robot| robot.address.as_str()).collect();
+        // Who looked at a log only has not left the robots.
+        if !addresses.is_empty() {
+            storage.set_string("connect", addresses.join(" "));
+        }
     }
 }
 
 impl App {
+    /// Where the robots listened that were shown when the last window was closed.
+    pub fn last_connected(storage: &dyn eframe::Storage) -> Vec<SocketAddr> {
+        let list = storage.get_string("connect").unwrap_or_default();
+        list.split(' ').filter_map(|address| address.parse().ok()).collect()
+    }
+
     /// Takes up what was looked at when the last window was closed.
     pub fn restore(&mut self, storage: &dyn eframe::Storage) {
         let text = |key| storage.get_string(key);
