@@ -202,7 +202,8 @@ mod tests {
             input.taxel_force_n[usize::try_from(tick / 200).unwrap()] = 15.0 * (7.0 * t).sin().abs();
             let whole = controller.step(ControlLaw::FollowMe, &mut state, &input).unwrap();
             velocity = base.step(&velocity, 0.5 * t, &input.taxel_force_n, 1e-3);
-            assert_eq!(velocity, whole.command.base_velocity_body, "tick {tick}");
+            let bits = |v: [f64; 3]| v.map(f64::to_bits);
+            assert_eq!(bits(velocity), bits(whole.command.base_velocity_body), "tick {tick}");
         }
         assert!(velocity.iter().any(|v| v.abs() > 1e-3), "it moved: {velocity:?}");
     }
@@ -222,10 +223,8 @@ mod tests {
         let mut torque = None;
         for tick in 0..500_u32 {
             let t = 1e-3 * f64::from(tick);
-            for i in 0..JOINTS {
-                input.robot.q_rad[i] = start[i] + 0.01 * (1.0 - (3.0 * t).cos());
-                input.robot.dq_rad_s[i] = 0.03 * (3.0 * t).sin();
-            }
+            input.robot.q_rad = start.map(|q| q + 0.01 * (1.0 - (3.0 * t).cos()));
+            input.robot.dq_rad_s = [0.03 * (3.0 * t).sin(); JOINTS];
             let whole =
                 controller.step(ControlLaw::FollowMe, &mut state, &input).unwrap().command.arm_torque_nm;
             let last = torque.unwrap_or(whole);
