@@ -227,33 +227,41 @@ pub fn inverse_square_root<const D: usize, T: Scalar>(a: &SMatrix<T, D, D>) -> O
     let unit = SMatrix::<T, D, D>::identity();
     let half_unit = unit * half;
     let (mut m, mut x) = (*a, unit);
-    let mut scale = true;
-    for _ in 0..12 {
-        let mut inverse = Cholesky::new_shifted(&m)?.inverse();
+    let (mut scale, mut scaled) = (true, T::one());
+    for step in 0..12 {
+        let inverse = Cholesky::new_shifted(&m)?.inverse();
+        let mut factor = T::one();
         if scale {
             // near 1/√(λ_min·λ_max), which is the best
             let ratio: T = sum_of_squares(&inverse.data.0) / sum_of_squares(&m.data.0);
-            let factor = ratio.sqrt().sqrt();
+            factor = ratio.sqrt().sqrt();
             if !(factor > T::zero() && factor.is_finite()) {
                 return None;
             }
-            m *= factor;
-            inverse *= T::one() / factor;
-            x *= factor.sqrt();
+            scaled *= factor;
         }
-        let average = inverse * half + half_unit;
-        let error = (m + inverse) * quarter - half_unit; // the next M less I
+        let of_inverse = half / factor;
+        let average = inverse.zip_map(&half_unit, |inverse, half_unit| of_inverse * inverse + half_unit);
+        let (of_m, of_inverse) = (quarter * factor, half * of_inverse);
+        // the next M less I
+        let error = m.zip_zip_map(&inverse, &half_unit, |m, inverse, half_unit| {
+            of_m * m + of_inverse * inverse - half_unit
+        });
         m = error + unit;
-        x = product(&x, &average);
+        x = if step == 0 { average } else { product(&x, &average) };
         let squared = sum_of_squares(&error.data.0);
         if squared * squared * squared < T::default_epsilon() * T::default_epsilon() {
             // M^(−1/2) = I − E/2 + 3/8·E² − … with E = M − I
-            x = product(&x, &(product(&error, &error) * of::<T>(0.375) - error * half + unit));
+            let series = product(&error, &error).zip_zip_map(&error, &unit, |square, error, unit| {
+                of::<T>(0.375) * square - half * error + unit
+            });
+            x = product(&x, &series);
             break;
         }
         scale = squared > quarter;
     }
     // the iterates commute, so the limit is symmetric up to rounding
+    let half = half * scaled.sqrt();
     Some(SMatrix::from_fn(|i, j| half * (x[(i, j)] + x[(j, i)])))
 }
 
