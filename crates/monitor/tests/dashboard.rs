@@ -398,8 +398,12 @@ fn a_recorded_run_can_be_held_scrubbed_and_never_commanded() {
     assert_eq!(shown, Some((20_200, Mode::Impedance)));
     harness.run_steps(5);
     assert_eq!(harness.state().model().latest.as_ref().map(|s| s.tick), Some(20_200), "it holds still");
+    let next =
+        |harness: &Harness<'_, App>| harness.output().viewport_output[&egui::ViewportId::ROOT].repaint_delay;
+    assert_eq!(next(&harness), std::time::Duration::MAX, "and nothing is drawn anew");
     harness.get_by_label("Play").click();
     harness.run_steps(5);
+    assert!(next(&harness) <= App::FRAME);
     assert!(harness.state().model().latest.as_ref().is_some_and(|s| s.tick > 20_200));
     assert!(!harness.state().model().can_push());
     for label in ["Disarm", "STOP (space)"] {

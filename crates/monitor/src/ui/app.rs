@@ -131,7 +131,9 @@ impl App {
         let now_s = ctx.input(|i| i.time);
         for robot in &mut self.robots {
             robot.update(now_s);
-            if robot.model.freshness(now_s) == Freshness::Live || robot.model.message(now_s).is_some() {
+            // A log does not grow old while it stands still.
+            let ages = !robot.model.recorded && robot.model.freshness(now_s) == Freshness::Live;
+            if ages || robot.model.message(now_s).is_some() {
                 ctx.request_repaint_after(LOOK);
             }
             if robot.source.playback().is_some_and(|p| p.playing()) {
