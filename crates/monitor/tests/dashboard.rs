@@ -406,6 +406,10 @@ fn a_recorded_run_can_be_held_scrubbed_and_never_commanded() {
     assert!(next(&harness) <= App::FRAME);
     assert!(harness.state().model().latest.as_ref().is_some_and(|s| s.tick > 20_200));
     assert!(!harness.state().model().can_push());
+    harness.get_by_label("Calibrate").click();
+    harness.run_steps(3);
+    assert!(harness.query_by_label_contains("this is a recorded run").is_some());
+    assert!(harness.query_by_label("Start calibration").is_none());
     for label in ["Disarm", "STOP (space)"] {
         harness.get_by_label(label).click();
         harness.run_steps(2);

@@ -35,6 +35,10 @@ impl Default for Choice {
 pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, asked: &mut Asked) {
     let choice = &mut view.calibration;
     let progress = &model.calibration;
+    if model.recorded {
+        ui.label("A taxel is calibrated beside a running daemon: this is a recorded run.");
+        return;
+    }
     if let CalibrationProgress::Unavailable(why) = progress {
         ui.label(format!("This daemon cannot calibrate from here: {why}."));
         return;
