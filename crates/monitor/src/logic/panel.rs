@@ -126,11 +126,12 @@ pub fn timing_panels() -> Vec<Panel> {
     ]
 }
 
-/// Name of a signal as the heading of a table's column: plot, curve and unit.
+/// Name of a signal as the heading of a table's column: plot, curve and unit, without a comma.
 pub fn column_name<'a>(panels: impl IntoIterator<Item = &'a Panel>, signal: Signal) -> String {
     let in_panel = |panel: &Panel| {
         let (name, _) = panel.traces.iter().find(|(_, s)| *s == signal)?;
-        Some(format!("{} {name} [{}]", panel.title, panel.unit))
+        let title = panel.title.split(',').next().unwrap_or_default();
+        Some(format!("{title} {name} [{}]", panel.unit))
     };
     panels.into_iter().find_map(in_panel).unwrap_or_default()
 }
@@ -183,6 +184,14 @@ mod tests {
         );
         assert_eq!(panels[0].traces.len(), 11);
         assert_eq!(panels[0].traces[10], ("T11".to_owned(), Signal::Taxel(10)));
+    }
+
+    #[test]
+    fn a_column_s_name_tells_plot_curve_and_unit_and_has_no_comma() {
+        let panels = panels(&RobotDescription::paper("test", true));
+        assert_eq!(column_name(&panels, Signal::FlangeDesired(1)), "Flange y desired [m]");
+        let signals = panels.iter().flat_map(|p| &p.traces);
+        assert!(signals.map(|(_, s)| column_name(&panels, *s)).all(|n| !n.is_empty() && !n.contains(',')));
     }
 
     #[test]
