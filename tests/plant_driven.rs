@@ -1,12 +1,12 @@
 //! A loop without a timer: an arm's datagrams are its clock, as with a robot that waits for a torque to each state.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has to stop")]
 
+use moca_daemon::assemble::{motion, supervisor};
 use moca_daemon::byte_cover::ByteCover;
 use moca_daemon::config::{Config, Parts};
 use moca_daemon::control_loop::ControlLoop;
 use moca_daemon::live::{self, Clock, Rings, Shared};
 use moca_daemon::plant::{Beat, Plant, SourceAge};
-use moca_daemon::run::{motion, supervisor};
 use moca_daemon::timing::Stage;
 use moca_msgs::{Actuation, Fault, Mode, RobotState, Sample, robot};
 use std::net::UdpSocket;

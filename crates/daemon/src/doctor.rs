@@ -137,10 +137,10 @@ fn empty_loop(config: &Config, length: Duration) -> Result<Lateness> {
 fn simulated_loop(config: &Config, length: Duration) -> Result<Lateness> {
     use crate::live::{self, Shared};
     let clock = Clock::start()?;
-    let mut robot = crate::run::assemble(config, clock, None, Default::default())?;
+    let mut robot = crate::assemble::assemble(config, clock, None, Default::default())?;
     let (steps, _held) = realtime::apply(&config.realtime());
     let shared = Shared::default();
-    let (mut rings, samples, ports) = crate::run::rings(&shared);
+    let (mut rings, samples, ports) = crate::observers::rings(&shared);
     drop((samples, ports));
     let started_ns = Duration::from_nanos(clock.now_ns());
     let report = live::run(

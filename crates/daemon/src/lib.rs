@@ -4,16 +4,18 @@
 //! 1. [`control_loop`]: one tick: read the plant, feel the cover, decide the mode, command, write.
 //! 2. [`supervisor`]: which mode, and why; [`motion`]: which law, and how it is entered; [`protection`]: how fast the
 //!    base may go and what it does when touched too hard ([`contact_events`], [`contact_limits`]).
-//! 3. [`live`] and [`lockstep`]: who calls the tick: the wall clock (with [`schedule`]) or a caller that wants every
+//! 3. [`live`] and [`lockstep`]: who calls the tick: the wall clock ([`pace`], [`schedule`]) or a caller that wants every
 //!    tick now, deterministic.
 //! 4. [`plant`], [`cover_source`]: what a robot and a cover are to the loop; [`simulated`], [`byte_cover`],
 //!    [`ideal_cover`]: those there are.
 //! 5. [`door`]: what of the robot's state is let in; [`inject`]: faults on purpose.
-//! 6. [`config`], [`parameters`], [`console`], [`recording`], [`tape`], [`replay`], [`run`], [`params_command`]: what a user sees of it.
+//! 6. [`config`], [`parameters`], [`assemble`]: from a file to the parts; [`run`] and its observers ([`console`],
+//!    [`recording`], [`flight`], [`tape`], [`replay`], [`params_command`]): what a user sees of it.
 //!
 //! The loop refuses to know who watches it: samples leave through a bounded ring, requests arrive through another.
 
 pub mod allocations;
+pub mod assemble;
 pub mod byte_cover;
 pub mod calibrate;
 pub mod calibrator;
@@ -36,6 +38,7 @@ pub mod live;
 #[cfg(feature = "sim")]
 pub mod lockstep;
 pub mod motion;
+mod observers;
 pub mod pace;
 pub mod parameters;
 pub mod params_command;

@@ -1,12 +1,12 @@
 //! The loop without a clock: every tick now, the board's bytes in memory; the same seed gives the same bits.
 
+use crate::assemble::{cover_config, motion, supervisor};
 use crate::byte_cover::ByteCover;
 use crate::config::{Config, TAXELS};
 use crate::control_loop::{ControlLoop, Slot};
 use crate::cover_source::CoverSource;
 use crate::ideal_cover::IdealCover;
 use crate::inject::{Cable, Injection, What};
-use crate::run::{cover_config, motion, supervisor};
 use crate::simulated::SimulatedRobot;
 use anyhow::Result;
 use moca_msgs::{Outcome, Request, Sample};

@@ -140,8 +140,8 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
         }
         None => Config::default(),
     };
-    moca_daemon::run::cover_config(&config).map_err(|error| WrongConfiguration(format!("{error:#}")))?;
-    moca_daemon::run::motion(&config).map_err(|error| WrongConfiguration(format!("{error:#}")))?;
+    moca_daemon::assemble::cover_config(&config).map_err(|error| WrongConfiguration(format!("{error:#}")))?;
+    moca_daemon::assemble::motion(&config).map_err(|error| WrongConfiguration(format!("{error:#}")))?;
     if arguments.check {
         return Ok(());
     }

@@ -1,10 +1,10 @@
 //! `mocad replay LOG`: the same loop once more, from the recorded states and bytes, compared bit for bit with what it did.
 
+use crate::assemble::{cover_config, motion, supervisor};
 use crate::byte_cover::ByteCover;
 use crate::config::{Config, JOINTS};
 use crate::control_loop::ControlLoop;
 use crate::plant::{Plant, SourceAge};
-use crate::run::{cover_config, motion, supervisor};
 use crate::tape::TickRecord;
 use anyhow::{Context, Result, anyhow, bail};
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState, Sample};

@@ -1,48 +1,30 @@
 //! `mocad run`: puts the parts together, starts the loop, shows what runs.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
-use crate::byte_cover::ByteCover;
-use crate::calibrator::{self, Reference};
-use crate::config::{Config, Parts, PlantKind, TAXELS};
-use crate::console::{Console, Level, Summary};
-use crate::contact_limits;
+use crate::assemble::{OpenBoard, Taps, motion, open_board, supervisor};
+use crate::config::{Config, Parts, PlantKind};
+use crate::console::{Level, Summary};
 use crate::control_loop::ControlLoop;
 use crate::cover_source::CoverSource;
 use crate::flight::FlightRecorder;
-use crate::gauge::Gauge;
-use crate::inject::{self, Cable, Disk, Injection, Named, OutsideFault, Strike, What};
-use crate::live::{self, Clock, LiveReport, Rings, Shared};
-use crate::motion::Motion;
+use crate::inject::{Injection, OutsideFault, Strike, What};
+use crate::live::{self, Clock, LiveReport, Shared};
+use crate::observers::{
+    Observers, RING_SAMPLES, description, finish, recording, rings, serve, spoil_telemetry, watch,
+};
 use crate::plant::{NoRobot, Plant};
-use crate::protection::{self, Protection};
+use crate::protection;
 use crate::realtime;
-use crate::recording::{Recording, parameter_change};
-use crate::service::Heartbeat;
-use crate::supervisor::{Automatic, Supervisor};
-use crate::tape::{TapeReader, tape};
+use crate::tape::tape;
 use crate::timing::{Distribution, Timing};
 use anyhow::{Context, Result, anyhow};
-use moca_msgs::{Law, Outcome, Request, Sample, robot};
-use moca_tactile::serial::{PortSelection, SerialBoard};
-use moca_tactile::{BoardEvent, Cover};
-use moca_telemetry::description::ArmDescription;
-use moca_telemetry::net::{self, CalibrationPort, Ports};
-use moca_telemetry::{RobotDescription, net::Server};
-use std::fs::File;
-use std::net::SocketAddr;
+use moca_msgs::{Law, Sample};
+use moca_tactile::serial::PortSelection;
+use moca_telemetry::net::CalibrationPort;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-
-/// Samples a ring to observers holds: four seconds at 1 kHz.
-const RING_SAMPLES: usize = 4096;
-/// Requests and answers on their way.
-const RING_REQUESTS: usize = 64;
-/// Events on their way to the calibrator: over ten seconds of a Touch Board.
-const RING_EVENTS: usize = 4096;
-/// How often the terminal looks into its ring.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// What the command line asks for.
 #[derive(Clone, Debug, Default)]
@@ -66,7 +48,7 @@ pub struct Options {
 }
 
 impl Options {
-    fn outside_fault(&self) -> Option<OutsideFault> {
+    pub(crate) fn outside_fault(&self) -> Option<OutsideFault> {
         match self.inject?.fault.what {
             What::Outside(fault) => Some(fault),
             _ => None,
@@ -120,41 +102,6 @@ pub fn run(options: &Options) -> Result<()> {
     }
 }
 
-/// The supervisor that the configuration asks for.
-pub fn supervisor(config: &Config) -> Supervisor {
-    let simulated = config.plant.kind == PlantKind::Simulated;
-    let automatic = Automatic { tare: config.startup.tare, arm: config.startup.arm && simulated };
-    let supervisor = Supervisor::new(config.startup.law, automatic);
-    if config.plant.kind == PlantKind::None { supervisor.without_robot() } else { supervisor }
-}
-
-/// The controller and the protection that the configuration asks for.
-///
-/// # Errors
-/// A parameter outside its range, every mistake in the file of contact limits.
-pub fn motion(config: &Config) -> Result<Motion> {
-    let parameters = config.parameters();
-    let controller = moca_wbc::Controller::new(
-        &robot::PANDA,
-        &robot::MOCA_MOUNT,
-        &robot::Payload::NONE,
-        &robot::PAPER_COVER,
-        &parameters,
-    )?;
-    let thresholds = &config.protection.thresholds;
-    let limits =
-        if thresholds.is_empty() { Default::default() } else { contact_limits::load(thresholds.as_ref())? };
-    Ok(Motion::new(controller, parameters, Protection::new(config, limits), config.plant.parts))
-}
-
-/// The cover that the configuration asks for.
-///
-/// # Errors
-/// The calibration file cannot be used.
-pub fn cover_config(config: &Config) -> Result<moca_tactile::CoverConfig<TAXELS>> {
-    config.cover().with_context(|| format!("board.calibration = {:?}", config.board.calibration))
-}
-
 fn introduce(options: &Options) {
     let config = &options.config;
     println!("mocad {}: robot {:?}", env!("CARGO_PKG_VERSION"), config.robot);
@@ -175,7 +122,7 @@ fn introduce(options: &Options) {
 
 #[cfg(feature = "sim")]
 fn introduce_simulation(config: &Config) {
-    let (arm, mujoco) = (robot::PANDA.name, moca_sim::mujoco_version());
+    let (arm, mujoco) = (moca_msgs::robot::PANDA.name, moca_sim::mujoco_version());
     let robot = match config.plant.parts {
         Parts::Whole => format!("{arm} on SUMMIT-XL"),
         Parts::Base => "SUMMIT-XL without an arm".into(),
@@ -192,11 +139,6 @@ fn introduce_simulation(config: &Config) {
             hand.every_s
         );
     }
-}
-
-#[cfg(feature = "sim")]
-fn board_config(config: &Config) -> moca_sim::VirtualBoardConfig {
-    moca_sim::VirtualBoardConfig { seed: config.simulation.seed, ..Default::default() }
 }
 
 /// A finished live run.
@@ -239,7 +181,7 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
     let recording = recording(options, strike.as_ref())?;
     let (tape, copies, tape_reader) = tape();
     let taps = Taps { copies: Some(copies), moving: Arc::clone(&shared.moving), reference: None };
-    let mut robot = assemble(&options.config, clock, options.inject.as_ref(), taps)?;
+    let mut robot = crate::assemble::assemble(&options.config, clock, options.inject.as_ref(), taps)?;
     robot.control.tape = Some(tape);
     let virtual_board = if robot.virtual_board.is_some() { " (virtual Touch Board)" } else { "" };
     let calibration = robot.board.as_mut().and_then(|board| {
@@ -249,103 +191,6 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
     let flight = FlightRecorder::new(&options.config, description(&options.config))?;
     let observers = Observers { strike, recording, flight, tape: tape_reader };
     live(options, robot.control, clock, (observers, calibration), shared)
-}
-
-/// A simulated robot with everything that a live loop needs; the board and its reader end with it.
-#[cfg(feature = "sim")]
-pub(crate) struct Assembled {
-    pub(crate) control: ControlLoop<crate::simulated::SimulatedRobot, Option<ByteCover>>,
-    virtual_board: Option<moca_sim::PtyBoard>,
-    board: Option<HeldBoard>,
-}
-
-#[cfg(feature = "sim")]
-pub(crate) fn assemble(
-    config: &Config,
-    clock: Clock,
-    injection: Option<&Injection>,
-    mut taps: Taps,
-) -> Result<Assembled> {
-    use crate::simulated::{SimulatedRobot, free_scene};
-    use moca_sim::PtyBoard;
-
-    let (mut forces, mut virtual_board) = (None, None);
-    let mut port = config.port_selection();
-    if config.plant.parts.has_cover() && config.board.port == crate::config::VIRTUAL_PORT {
-        let true_forces = moca_sim::SharedForces::default();
-        let board =
-            PtyBoard::spawn(board_config(config), Arc::clone(&true_forces), &PtyBoard::default_path())?;
-        port = PortSelection::Path(board.path().display().to_string());
-        (forces, virtual_board) = (Some(true_forces), Some(board));
-    }
-    taps.reference = forces.clone().map(|forces| {
-        let force_n = move |taxel| Some(f64::from_bits(forces.get::<usize>(taxel)?.load(Ordering::Relaxed)));
-        Reference::Simulated(Box::new(force_n))
-    });
-    let (cover, board) = if config.plant.parts.has_cover() {
-        let open = open_board(config, clock, port, injection, taps)?;
-        (Some(open.cover), Some(open.held))
-    } else {
-        (None, None)
-    };
-    let mut plant = SimulatedRobot::new(config, &free_scene(config), forces)?;
-    if let Some(injection) = injection {
-        plant.inject(injection);
-    }
-    let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
-    let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
-    Ok(Assembled { control, virtual_board, board })
-}
-
-/// Who else gets what the board says, and what they need for it.
-#[derive(Default)]
-pub(crate) struct Taps {
-    copies: Option<rtrb::Producer<BoardEvent>>,
-    moving: Arc<AtomicBool>,
-    reference: Option<Reference>,
-}
-
-/// What stands between a Touch Board's port and the loop.
-struct OpenBoard {
-    cover: ByteCover,
-    held: HeldBoard,
-}
-
-/// The parts of it that only have to live as long as the loop.
-pub(crate) struct HeldBoard {
-    port: PortSelection,
-    calibration: Option<CalibrationPort>,
-    _threads: (calibrator::Calibrator, SerialBoard),
-}
-
-fn open_board(
-    config: &Config,
-    clock: Clock,
-    port: PortSelection,
-    injection: Option<&Injection>,
-    Taps { copies, moving, mut reference }: Taps,
-) -> Result<OpenBoard> {
-    let (serial, mut events) = SerialBoard::spawn(port.clone(), clock.instant())?;
-    if let Some(Injection { fault: Named { what: What::Cable(fault), .. }, at_ns }) = injection {
-        events = inject::relay(Cable::new(*fault, *at_ns, config.simulation.seed), events, clock)?;
-    }
-    let cover_config = cover_config(config)?;
-    let (to_calibrator, calibrator_events) = rtrb::RingBuffer::new(RING_EVENTS);
-    let settings = calibrator::Settings {
-        path: calibrator::file(config),
-        board: config.board.name.clone(),
-        wiring: cover_config.wiring,
-    };
-    if !config.board.gauge.is_empty() {
-        let gauge = Gauge::open(&config.board.gauge, config.board.gauge_baud, clock.instant())?;
-        reference = Some(Reference::Gauge(gauge));
-    }
-    let now_ns = move || clock.now_ns();
-    let (calibrator, calibration) =
-        calibrator::spawn(settings, calibrator_events, reference, moving, now_ns)?;
-    let cover = ByteCover::new(Cover::new(cover_config)?, events, copies).with_calibrator(to_calibrator);
-    let held = HeldBoard { port, calibration: Some(calibration), _threads: (calibrator, serial) };
-    Ok(OpenBoard { cover, held })
 }
 
 /// Runs the loop with a Touch Board and no robot: what the cover feels, for observers and logs.
@@ -448,180 +293,6 @@ fn report_realtime(steps: &[realtime::Step]) -> usize {
     steps.iter().filter(|step| step.result.is_err()).count()
 }
 
-/// The ends of the rings that belong to telemetry, besides the samples.
-pub(crate) struct RequestPorts {
-    requests: rtrb::Producer<(u64, Request)>,
-    outcomes: rtrb::Consumer<(u64, Outcome)>,
-    samples_dropped: Arc<AtomicU64>,
-    calibration: Option<CalibrationPort>,
-}
-
-impl RequestPorts {
-    /// All that telemetry serves.
-    pub(crate) fn with(
-        self,
-        samples: rtrb::Consumer<Sample>,
-        recorder: Option<rtrb::Producer<Sample>>,
-    ) -> Ports {
-        let Self { requests, outcomes, samples_dropped, calibration } = self;
-        Ports { samples, requests, outcomes, ring_dropped: samples_dropped, recorder, calibration }
-    }
-}
-
-pub(crate) fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestPorts) {
-    let (samples, from_loop) = rtrb::RingBuffer::new(RING_SAMPLES);
-    let (request_in, requests) = rtrb::RingBuffer::new(RING_REQUESTS);
-    let (outcomes, outcome_out) = rtrb::RingBuffer::new(RING_REQUESTS);
-    let samples_dropped = Arc::clone(&shared.samples_dropped);
-    let ports =
-        RequestPorts { requests: request_in, outcomes: outcome_out, samples_dropped, calibration: None };
-    (Rings { samples, requests, outcomes }, from_loop, ports)
-}
-
-fn serve(
-    config: &Config,
-    address: SocketAddr,
-    samples: rtrb::Consumer<Sample>,
-    recorder: Option<rtrb::Producer<Sample>>,
-    ports: RequestPorts,
-) -> Result<Server> {
-    let server = net::serve(address, description(config), ports.with(samples, recorder)).with_context(|| {
-        format!("telemetry.listen = \"{address}\" (if another mocad runs, choose another port, 0 for any, or \"\")")
-    })?;
-    println!("  telemetry   {} (dashboard: cargo run --release --bin moca-monitor)", server.address());
-    Ok(server)
-}
-
-fn description(config: &Config) -> RobotDescription {
-    let parameters = crate::parameters::describe(config);
-    let robot = RobotDescription::new(
-        &config.robot,
-        config.plant.kind == PlantKind::Simulated,
-        1.0 / f64::from(config.control_loop.rate_hz),
-        &robot::SUMMIT_XL,
-        &robot::MOCA_MOUNT,
-        &robot::PANDA,
-        &robot::PAPER_COVER,
-        &config.parameters().limits,
-        Duration::from_nanos(moca_tactile::board::SILENT_AFTER_NS).as_secs_f64(),
-    );
-    let speed_override = config.protection.override_statement.clone();
-    let mut robot = RobotDescription { parameters, speed_override, ..robot };
-    if !config.plant.parts.has_arm() {
-        robot.arm = ArmDescription { name: "no arm".into(), ..ArmDescription::default() };
-    }
-    if !config.plant.parts.has_cover() {
-        robot.taxels.clear();
-    }
-    robot
-}
-
-fn recording(options: &Options, strike: Option<&Strike>) -> Result<Option<Recording>> {
-    let spoiled = options.outside_fault().filter(|fault| fault.is_of_disk());
-    let Some(path) = &options.record else {
-        return spoiled.map_or(Ok(None), |_| Err(anyhow!("a fault of the disk needs a log: --record FILE")));
-    };
-    let (config, live) = (&options.config, !options.lock_step);
-    let recording = match spoiled.zip(strike) {
-        None => Recording::create(path, description(config), config, live)?,
-        Some((fault, strike)) => {
-            let file = File::create_new(path).with_context(|| path.display().to_string())?;
-            Recording::start(Disk::new(file, fault, strike.clone()), description(config), config, live)?
-        }
-    };
-    println!("  record      {}", path.display());
-    Ok(Some(recording))
-}
-
-/// Lets a telemetry client do the fault that the command line asks for, if it is one of those.
-fn spoil_telemetry(options: &Options, server: Option<&Server>, strike: Option<&Strike>) -> Result<()> {
-    let fault = options.outside_fault().filter(|fault| !fault.is_of_disk());
-    let (Some(fault), Some(strike)) = (fault, strike) else { return Ok(()) };
-    let server = server.context("a fault of telemetry needs telemetry.listen")?;
-    Ok(inject::client(fault, server.address(), strike.clone(), options.config.simulation.seed)?)
-}
-
-/// Who takes what the loop notes of each tick.
-struct Observers {
-    strike: Option<Strike>,
-    recording: Option<Recording>,
-    flight: Option<FlightRecorder>,
-    tape: TapeReader,
-}
-
-impl Observers {
-    fn see(&mut self, sample: &Sample) {
-        if let Some(strike) = &self.strike {
-            strike.see(sample.time_ns);
-        }
-        self.take_ticks();
-        if let Some(recording) = &mut self.recording {
-            recording.add(sample);
-        }
-        if let Some(path) = self.flight.as_mut().and_then(|flight| flight.add(sample)) {
-            println!("  the seconds before it: {}", path.display());
-        }
-    }
-
-    /// Passes on what has been noted since the last call.
-    fn take_ticks(&mut self) {
-        while let Some(record) = self.tape.next_tick() {
-            if let Some(change) = parameter_change(&record) {
-                println!("[tick {}] parameter {} = {:?}", change.tick, change.name, change.values);
-            }
-            if let Some(recording) = &mut self.recording {
-                recording.add_tick(&record);
-            }
-            if let Some(flight) = &mut self.flight {
-                flight.add_tick(record);
-            }
-        }
-    }
-}
-
-fn finish(recording: Option<Recording>, options: &Options) -> Result<()> {
-    if let (Some(recording), Some(path)) = (recording, &options.record) {
-        let summary = recording.finish().with_context(|| path.display().to_string())?;
-        println!("recorded {} samples and {} bytes of the board", summary.samples, summary.serial_bytes);
-        if summary.serial_dropped > 0 {
-            println!(
-                "  {} ticks or reads of the board found no room on their way to the disk",
-                summary.serial_dropped
-            );
-        }
-    }
-    Ok(())
-}
-
-/// Shows samples on the terminal until `done` is set and the ring is empty; returns the last one.
-fn watch(
-    samples: &mut rtrb::Consumer<Sample>,
-    observers: &mut Observers,
-    log_level: Level,
-    done: &AtomicBool,
-) -> Sample {
-    let (mut console, mut last) = (Console::new(log_level), Sample::default());
-    let mut heartbeat = Heartbeat::new();
-    loop {
-        if !samples.is_empty() {
-            heartbeat.beat();
-        }
-        let finished = done.load(Ordering::Acquire);
-        while let Ok(sample) = samples.pop() {
-            for line in console.lines(&sample) {
-                println!("{line}");
-            }
-            observers.see(&sample);
-            last = sample;
-        }
-        observers.take_ticks();
-        if finished {
-            return last;
-        }
-        std::thread::sleep(LOOK_EVERY);
-    }
-}
-
 #[cfg(feature = "sim")]
 fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
     use crate::lockstep::LockStep;
@@ -632,7 +303,8 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
     let (tape, copies, tape_reader) = tape();
     if config.plant.parts.has_cover() {
         println!("  board       virtual Touch Board in memory");
-        let mut world = LockStep::with_board(config, &scene, board_config(config), Some(copies))?;
+        let mut world =
+            LockStep::with_board(config, &scene, crate::assemble::board_config(config), Some(copies))?;
         if let Some(injection) = &options.inject {
             world.inject(injection, config.simulation.seed);
         }
@@ -650,7 +322,7 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
 fn run_lock_step<S: CoverSource, F: crate::lockstep::Feed<S>>(
     options: &Options,
     mut world: crate::lockstep::LockStep<S, F>,
-    (tape, tape_reader): (crate::tape::Tape, TapeReader),
+    (tape, tape_reader): (crate::tape::Tape, crate::tape::TapeReader),
     shared: &Arc<Shared>,
 ) -> Result<()> {
     use crate::{allocations, command_log};
@@ -675,7 +347,8 @@ fn run_lock_step<S: CoverSource, F: crate::lockstep::Feed<S>>(
         None => None,
     };
     spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
-    let (mut console, mut last, mut ticks) = (Console::new(options.log_level), Sample::default(), 0);
+    let (mut console, mut last, mut ticks) =
+        (crate::console::Console::new(options.log_level), Sample::default(), 0);
     let (mut allocated, mut warm) = (0, false);
     let end_ns = options.duration.map_or(u64::MAX, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX));
     let started = Instant::now();
