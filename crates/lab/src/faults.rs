@@ -32,7 +32,7 @@ struct Row {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
-    let trials = parallel::run("faults", FAULTS, |fault| trial::run(*fault, arguments.seed), |_| {});
+    let trials = parallel::run("faults", FAULTS, |fault| trial::run(*fault, arguments.seed, 10_000), |_| {});
     let mut rows = Vec::new();
     for trial in trials {
         let trial = trial?;

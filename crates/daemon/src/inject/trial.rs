@@ -19,7 +19,6 @@ use std::sync::atomic::Ordering;
 /// The hand presses from here on, so that the robot moves when the fault strikes, ticks.
 const PRESS_TICK: u64 = 2000;
 const STRIKE_TICK: u64 = 3000;
-const END_TICK: u64 = 13_000;
 /// How long after its stop the robot has to stand, ticks.
 const STAND_TICKS: u64 = 500;
 const PRESSED_TAXEL: u8 = 5;
@@ -111,11 +110,12 @@ impl Watcher {
     }
 }
 
-/// Runs `fault` with its bytes spoiled by `seed`.
+/// Runs `fault` with its bytes spoiled by `seed`, until `ticks` after its strike.
 ///
 /// # Errors
 /// The scene could not be built, or the robot did not move before the strike, which would show nothing.
-pub fn run(fault: Named, seed: u64) -> Result<Trial> {
+pub fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
+    let end_tick = STRIKE_TICK + ticks;
     let mut config = Config::default();
     config.simulation.hand = HandConfig::none();
     config.simulation.seed = seed;
@@ -156,7 +156,7 @@ pub fn run(fault: Named, seed: u64) -> Result<Trial> {
     };
     let mut last = before.clone();
     let mut pose = before.base_pose_world;
-    while last.tick < END_TICK {
+    while last.tick < end_tick {
         let counted = allocations::on_this_thread();
         let (sample, outcome) = world.step(request.take());
         trial.allocations += allocations::on_this_thread() - counted;
@@ -171,7 +171,7 @@ pub fn run(fault: Named, seed: u64) -> Result<Trial> {
         let stands_from = trial.reaction_ticks.map(|ticks| STRIKE_TICK + ticks + STAND_TICKS);
         // The world itself, not the state that the fault may have spoiled.
         let [vx, vy, _] = world.control.plant.world.state().base_velocity_world;
-        if stands_from.map_or(last.tick >= END_TICK, |from| last.tick >= from) {
+        if stands_from.map_or(last.tick >= end_tick, |from| last.tick >= from) {
             trial.speed_after_m_s = trial.speed_after_m_s.max(vx.hypot(vy));
         }
         pose = world.control.plant.world.state().base_pose_world;
@@ -188,8 +188,8 @@ pub fn run(fault: Named, seed: u64) -> Result<Trial> {
 ///
 /// # Errors
 /// As for [`run`].
-pub fn run_all(seed: u64) -> Result<Vec<Trial>> {
-    FAULTS.iter().map(|fault| run(*fault, seed)).collect()
+pub fn run_all(seed: u64, ticks: u64) -> Result<Vec<Trial>> {
+    FAULTS.iter().map(|fault| run(*fault, seed, ticks)).collect()
 }
 
 fn told(outcome: Outcome) -> String {
