@@ -140,10 +140,11 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     /// Inertia of every link at `kinematics`.
     #[inline]
     pub fn link_inertias(&self, kinematics: &Kinematics<N, T>) -> LinkInertias<N, T> {
-        LinkInertias(core::array::from_fn(|i| {
-            let (link, axes) = (&self.links[i], &kinematics.link_rotation[i]);
-            link.inertia(axes, &kinematics.joint_position[i])
-        }))
+        let mut inertias = [Inertia::zero(); N];
+        for i in 0..N {
+            inertias[i] = self.links[i].inertia(&kinematics.link_rotation[i], &kinematics.joint_position[i]);
+        }
+        LinkInertias(inertias)
     }
 
     /// Inertia of link 0, which stands on the base, about A's origin, world axes.
@@ -160,11 +161,12 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
     /// J_A: twist of E \[m/s; rad/s\] in world axes per joint rate.
     #[inline]
     pub fn arm_jacobian(&self) -> SMatrix<T, 6, N> {
-        let columns: [[T; 6]; N] = core::array::from_fn(|i| {
+        let mut columns = [[T::zero(); 6]; N];
+        for i in 0..N {
             let axis = self.axis(i);
             let linear = axis.cross(&(self.tool_position - self.joint_position[i]));
-            [linear.x, linear.y, linear.z, axis.x, axis.y, axis.z]
-        });
+            columns[i] = [linear.x, linear.y, linear.z, axis.x, axis.y, axis.z];
+        }
         SMatrix::from(columns)
     }
 

@@ -186,6 +186,9 @@ impl Rig {
         if let Some(fault) = sample.fault {
             self.stopped = Some(format!("{}: {}", fault.code(), fault.text()));
         }
+        if sample.q_rad.is_empty() {
+            return Ok(sample); // no state was accepted, and none is not zero
+        }
         #[expect(clippy::cast_precision_loss, reason = "tick counts are far below 2^53")]
         let t_s = self.rows.len() as f64 * self.period_s;
         self.rows.push(Row {

@@ -314,7 +314,7 @@ fn cases(sensor: &str) -> Result<Vec<(String, Trial)>> {
     ));
     for (name, special) in [
         ("people on both sides", Special::BothSides),
-        ("base blocked by a wall behind it", Special::Blocked),
+        ("base blocked by a wall on its other side", Special::Blocked),
         ("arm upright", Special::Upright),
         ("NaN in the plant", Special::NotANumber),
     ] {
@@ -335,7 +335,9 @@ mod tests {
 
     #[test]
     fn energy_stays_within_its_budget_where_the_contact_is_stable_and_not_where_it_is_not() {
-        for name in ["sensor period ms = 5", "base blocked by a wall behind it", "people on both sides"] {
+        for name in
+            ["sensor period ms = 5", "base blocked by a wall on its other side", "people on both sides"]
+        {
             let case = case(name);
             assert!(case.finite && case.bounded && case.within_budget && case.peak_n < 25.0, "{case:?}");
             assert!(case.contact && case.reference_j > 1.0, "{case:?}");
