@@ -82,14 +82,12 @@ fn main() -> anyhow::Result<()> {
         None => None,
     };
     let failure = screenshot.as_ref().map(Screenshot::failure);
-    let mut viewport = egui::ViewportBuilder::default()
+    let size = arguments.size.unwrap_or(egui::vec2(1280.0, 800.0));
+    let viewport = egui::ViewportBuilder::default()
         .with_title("MOCA-S monitor")
         .with_app_id("moca-monitor")
-        .with_inner_size([1280.0, 800.0])
-        .with_min_inner_size([1160.0, 640.0]);
-    if let Some(size) = arguments.size {
-        viewport = viewport.with_inner_size(size).with_min_inner_size(size.min(egui::vec2(1160.0, 640.0)));
-    }
+        .with_inner_size(size)
+        .with_min_inner_size(size.min(egui::vec2(1160.0, 640.0)));
     // A given size, or a picture, must not depend on how the last window was left.
     let persist_window = arguments.size.is_none() && screenshot.is_none();
     // Dithering smooths gradients, of which there are none here.
@@ -105,6 +103,10 @@ fn main() -> anyhow::Result<()> {
                 });
             }
             let storage = cc.storage.filter(|_| persist_window);
+            if !persist_window {
+                // eframe has given it the size of the last window.
+                cc.egui_ctx.send_viewport_cmd(egui::ViewportCommand::InnerSize(size));
+            }
             let addresses = match (arguments.connect, storage) {
                 (given, _) if !given.is_empty() => given,
                 (_, Some(storage)) => App::last_connected(storage),

@@ -15,7 +15,7 @@ const GAP: f32 = 16.0;
 /// Width of a quantile, points.
 const CELL: f32 = 56.0;
 /// Width of the stages' quantiles, points.
-const TABLE: f32 = 366.0;
+const TABLE: f32 = 350.0;
 
 /// Draws the page.
 pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View) {
@@ -150,7 +150,7 @@ fn quantiles(ui: &mut Ui, title: &str, rows: &[(&str, &str, &Histogram)]) {
         });
     };
     let named = rows.iter().any(|(name, ..)| !name.is_empty());
-    Grid::new(("quantiles", title)).spacing([4.0, 2.0]).show(ui, |ui| {
+    Grid::new(("quantiles", title)).min_col_width(0.0).spacing([4.0, 2.0]).show(ui, |ui| {
         if named {
             ui.label("");
         }
