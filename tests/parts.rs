@@ -104,3 +104,40 @@ fn an_arm_alone_starts_no_thread_of_a_board() {
         assert!(whole.iter().any(|thread| thread == name), "{name} is not among {whole:?}");
     }
 }
+
+/// The arm further back and tilted, T6 at the rear.
+fn moved_geometry() -> Config {
+    let mut config = config(Parts::Whole);
+    config.geometry.arm_position_m = [-0.1, 0.15, 0.4];
+    config.geometry.arm_rpy_rad = [0.1, -0.2, 0.7];
+    // T6 moves from the front to the back.
+    (config.geometry.taxel_x_m[5], config.geometry.taxel_inward_rad[5]) = (-0.489, 0.0);
+    config
+}
+
+#[test]
+fn another_mount_and_cover_are_the_same_to_plant_and_controller() {
+    let config = moved_geometry();
+    let mut world =
+        LockStep::with_board(&config, &free_scene(&config), VirtualBoardConfig::default(), None).unwrap();
+    let armed = run(&mut |request| world.step(request).0, TARED_TICKS);
+    let [x, y, z] = world.control.plant.world.flange_position_world().unwrap();
+    let [cx, cy, cz] = armed.flange_position_world;
+    let off_m = (x - cx).hypot(y - cy).hypot(z - cz);
+    assert!(off_m < 1e-5, "the controller sees the flange {off_m} m from where it is");
+    assert_eq!(world.step(Some(Request::PressTaxel { taxel: 5, force_n: 20.0 })).1, Some(Ok(())));
+    let pressed = run(&mut |request| world.step(request).0, 2000);
+    assert!(pressed.base_pose_world[0] > 0.02, "a press from behind drives forward: {pressed:?}");
+    assert!(
+        (pressed.cover_wrench_base[1], pressed.cover_wrench_base[2]) == (0.0, 0.0)
+            && pressed.cover_wrench_base[0] > 5.0
+    );
+}
+
+#[test]
+fn geometry_of_another_number_of_taxels_is_refused_with_its_line() {
+    let error = Config::parse("[geometry]\ntaxel_x_m = [0.1, 0.2]\n").unwrap_err().to_string();
+    assert!(error.contains("line 2") && error.contains("11"), "{error}");
+    let error = Config::parse("[geometry]\narm_position_m = [0.1, nan, 50]\n").unwrap_err().to_string();
+    assert!(error.contains("geometry.arm_position_m = NaN m is outside -5 to 5 m"), "{error}");
+}

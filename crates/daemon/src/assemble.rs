@@ -39,9 +39,9 @@ pub fn motion(config: &Config) -> Result<Motion> {
     let parameters = config.parameters();
     let controller = moca_wbc::Controller::new(
         &robot::PANDA,
-        &robot::MOCA_MOUNT,
+        &config.mount(),
         &robot::Payload::NONE,
-        &robot::PAPER_COVER,
+        &config.taxels(),
         &parameters,
     )?;
     let thresholds = &config.protection.thresholds;

@@ -1,6 +1,7 @@
 //! Configuration: one documented TOML file, every mistake reported at once with its line, value, unit and range.
 
 use crate::realtime::Wishes;
+use moca_msgs::robot::{MOCA_MOUNT, Mount, PAPER_COVER, TaxelPlacement};
 use moca_msgs::{ContactReaction, Corrections, ImpedanceGains, Law, Limits, Parameters};
 use moca_tactile::CoverConfig;
 use moca_tactile::calibration::CalibrationFile;
@@ -38,6 +39,7 @@ pub struct Config {
     pub control_loop: LoopConfig,
     pub realtime: RealtimeConfig,
     pub plant: PlantConfig,
+    pub geometry: GeometryConfig,
     pub board: BoardConfig,
     pub startup: StartupConfig,
     pub control: ControlConfig,
@@ -75,6 +77,16 @@ section! {
 section! {
     /// `[plant]`
     PlantConfig { kind: PlantKind = PlantKind::Simulated, parts: Parts = Parts::Whole }
+}
+section! {
+    /// `[geometry]`: where arm and taxels sit on the base.
+    GeometryConfig {
+        arm_position_m: [f64; 3] = MOCA_MOUNT.position_base_m,
+        arm_rpy_rad: [f64; 3] = MOCA_MOUNT.rpy_rad,
+        taxel_x_m: [f64; TAXELS] = PAPER_COVER.map(|taxel| taxel.position_base_m[0]),
+        taxel_y_m: [f64; TAXELS] = PAPER_COVER.map(|taxel| taxel.position_base_m[1]),
+        taxel_inward_rad: [f64; TAXELS] = PAPER_COVER.map(|taxel| taxel.inward_angle_base_rad),
+    }
 }
 section! {
     /// `[board]`
@@ -216,6 +228,7 @@ impl Default for Config {
             control_loop: LoopConfig::default(),
             realtime: RealtimeConfig::default(),
             plant: PlantConfig::default(),
+            geometry: GeometryConfig::default(),
             board: BoardConfig::default(),
             startup: StartupConfig::default(),
             control: ControlConfig::default(),
@@ -279,6 +292,20 @@ impl Config {
             cpu: usize::try_from(r.cpu).ok(),
             dma_latency: r.dma_latency,
         }
+    }
+
+    /// Where the arm sits on the base.
+    pub fn mount(&self) -> Mount {
+        Mount { position_base_m: self.geometry.arm_position_m, rpy_rad: self.geometry.arm_rpy_rad }
+    }
+
+    /// Where the taxels sit on the base, T1 first.
+    pub fn taxels(&self) -> [TaxelPlacement; TAXELS] {
+        let g = &self.geometry;
+        std::array::from_fn(|i| TaxelPlacement {
+            position_base_m: [g.taxel_x_m[i], g.taxel_y_m[i]],
+            inward_angle_base_rad: g.taxel_inward_rad[i],
+        })
     }
 
     /// The controllers' parameters.

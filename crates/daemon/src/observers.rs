@@ -81,9 +81,9 @@ pub(crate) fn description(config: &Config) -> RobotDescription {
         config.plant.kind == PlantKind::Simulated,
         1.0 / f64::from(config.control_loop.rate_hz),
         &robot::SUMMIT_XL,
-        &robot::MOCA_MOUNT,
+        &config.mount(),
         &robot::PANDA,
-        &robot::PAPER_COVER,
+        &config.taxels(),
         &config.parameters().limits,
         Duration::from_nanos(moca_tactile::board::SILENT_AFTER_NS).as_secs_f64(),
     );

@@ -41,6 +41,23 @@ pub const SETTINGS: &[ParameterSpec] = {
         row("realtime.dma_latency", Flag, &[], EITHER, "Keep the processors out of deep sleep."),
         row("plant.kind", Choice(&["simulated", "none"]), &[], ANY, "Which robot is driven."),
         row("plant.parts", Choice(&["whole", "base", "arm"]), &[], ANY, "Which parts the robot has."),
+        row("geometry.arm_position_m", Number, &["m"], (-5.0, 5.0), "Arm base in the base's frame B."),
+        row("geometry.arm_rpy_rad", Number, &["rad"], (-7.0, 7.0), "Its axes in B: roll, pitch, yaw."),
+        row(
+            "geometry.taxel_x_m",
+            Number,
+            &["m"],
+            (-5.0, 5.0),
+            "Centre of each taxel in B, T1 first: forward.",
+        ),
+        row("geometry.taxel_y_m", Number, &["m"], (-5.0, 5.0), "Centre of each taxel in B, T1 first: left."),
+        row(
+            "geometry.taxel_inward_rad",
+            Number,
+            &["rad"],
+            (-7.0, 7.0),
+            "Direction in which a press on each taxel pushes, angle from B's x axis.",
+        ),
         row("board.port", Text, &[], ANY, "\"virtual\", \"auto\" (by USB id), or a path."),
         row("board.name", Text, &[], ANY, "The board's name in its calibration file."),
         row("board.calibration", Text, &[], ANY, "File that `mocad calibrate` wrote; empty for none."),
@@ -198,7 +215,7 @@ fn property(spec: &ParameterSpec, default: Value) -> Value {
             let mut list = Map::new();
             list.insert("type".into(), "array".into());
             list.insert("items".into(), one.into());
-            if spec.name.starts_with("control.") || spec.name.starts_with("limits.") {
+            if ["control.", "limits.", "geometry."].iter().any(|start| spec.name.starts_with(start)) {
                 list.insert("minItems".into(), elements.len().into());
                 list.insert("maxItems".into(), elements.len().into());
             }

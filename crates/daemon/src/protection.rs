@@ -12,7 +12,7 @@ use crate::config::{Config, JOINTS, ProtectionConfig, TAXELS};
 use crate::contact_events::{ContactLimits, ContactTracker};
 use crate::cover_source::CoverState;
 use moca_msgs::protection::MAX_CONTACT_EVENTS;
-use moca_msgs::robot::{PAPER_COVER, SUMMIT_XL};
+use moca_msgs::robot::SUMMIT_XL;
 use moca_msgs::{ContactEvent, ContactReaction, Limits, SpeedLimit, SpeedLimitReason};
 use moca_tactile::board::SILENT_AFTER_NS;
 use moca_wbc::BaseGuard;
@@ -68,7 +68,7 @@ impl Protection {
     /// As configured and checked, with `limits` from the user's file.
     pub fn new(config: &Config, limits: [ContactLimits; TAXELS]) -> Self {
         let settings = config.protection.clone();
-        let outline = CoverOutline::new(&PAPER_COVER);
+        let outline = CoverOutline::new(&config.taxels());
         Self {
             contact: Contact {
                 stiffness_n_m: settings.contact_stiffness_n_m,

@@ -26,7 +26,14 @@ pub fn free_scene(config: &Config) -> Scene {
         Parts::Base => Robot::BaseOnly,
         Parts::Arm => Robot::ArmOnly,
     };
-    Scene { robot, control_period_s, physics_step_s: control_period_s / substeps, ..Scene::default() }
+    Scene {
+        robot,
+        mount: config.mount(),
+        cover: config.taxels(),
+        control_period_s,
+        physics_step_s: control_period_s / substeps,
+        ..Scene::default()
+    }
 }
 
 /// MuJoCo behind the [`Plant`] trait, with the hands that press it.

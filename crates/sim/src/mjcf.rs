@@ -5,7 +5,7 @@
 
 use crate::plant::{BASE_SERVO_DAMPING, YAW_SERVO_DAMPING};
 use crate::scene::{Integrator, Mobility, Robot, Scene, Shape};
-use moca_msgs::robot::{LinkInertial, MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
+use moca_msgs::robot::{LinkInertial, PANDA};
 use std::fmt::{self, Write};
 
 /// Name of the massless body that marks the flange.
@@ -77,8 +77,8 @@ fn options(xml: &mut String, scene: &Scene) -> fmt::Result {
 }
 
 fn base(xml: &mut String, scene: &Scene) -> fmt::Result {
-    let [ix, iy, iz] = SUMMIT_XL.inertia_com_diagonal;
-    let [cx, cy, cz] = SUMMIT_XL.com_m;
+    let [ix, iy, iz] = scene.base.inertia_com_diagonal;
+    let [cx, cy, cz] = scene.base.com_m;
     xml.push_str("<body name=\"base\">\n");
     for (name, kind, axis, damping) in [
         ("base_x", "slide", "1 0 0", BASE_SERVO_DAMPING),
@@ -88,16 +88,16 @@ fn base(xml: &mut String, scene: &Scene) -> fmt::Result {
         writeln!(xml, "<joint name=\"{name}\" type=\"{kind}\" axis=\"{axis}\" damping=\"{damping}\"/>")?;
     }
     if scene.everything {
-        hull(xml)?;
+        hull(xml, scene)?;
     }
-    let mass = SUMMIT_XL.mass_kg;
+    let mass = scene.base.mass_kg;
     writeln!(xml, "<inertial pos=\"{cx} {cy} {cz}\" mass=\"{mass}\" diaginertia=\"{ix} {iy} {iz}\"/>")
 }
 
 /// The arm on its mount, `stand` being the pose (x, y, yaw) of B in the parent body.
 fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
-    let [x, y, z] = MOCA_MOUNT.position_base_m;
-    let [roll, pitch, yaw] = MOCA_MOUNT.rpy_rad;
+    let [x, y, z] = scene.mount.position_base_m;
+    let [roll, pitch, yaw] = scene.mount.rpy_rad;
     let (sin, cos) = stand[2].sin_cos();
     let origin = [stand[0] + cos * x - sin * y, stand[1] + sin * x + cos * y, z, roll, pitch, stand[2] + yaw];
     open_body(xml, "link0", &origin)?;
@@ -142,11 +142,11 @@ fn inertial(xml: &mut String, link: &LinkInertial) -> fmt::Result {
 }
 
 /// The base as a hard body inside its foam, with a touch pad at every taxel.
-fn hull(xml: &mut String) -> fmt::Result {
-    let [x, y, z] = SUMMIT_XL.size_m.map(|length| 0.5 * length);
+fn hull(xml: &mut String, scene: &Scene) -> fmt::Result {
+    let [x, y, z] = scene.base.size_m.map(|length| 0.5 * length);
     let (inner_x, inner_y, inner_z) = (x - 0.02, y - 0.02, z - 0.02);
     writeln!(xml, "<geom type=\"box\" size=\"{inner_x} {inner_y} {inner_z}\" pos=\"0 0 {z}\"/>")?;
-    for (i, taxel) in PAPER_COVER.iter().enumerate() {
+    for (i, taxel) in scene.cover.iter().enumerate() {
         let [x, y] = taxel.position_base_m;
         let yaw = taxel.inward_angle_base_rad;
         writeln!(
@@ -167,7 +167,7 @@ fn sensors(xml: &mut String, scene: &Scene) -> fmt::Result {
         writeln!(xml, "<jointpos joint=\"{joint}\"/><jointvel joint=\"{joint}\"/>")?;
     }
     if !base.is_empty() {
-        for taxel in 1..=PAPER_COVER.len() {
+        for taxel in 1..=scene.cover.len() {
             writeln!(xml, "<touch site=\"t{taxel}\"/><framepos objtype=\"site\" objname=\"t{taxel}\"/>")?;
         }
         writeln!(xml, "<accelerometer site=\"imu\"/><gyro site=\"imu\"/><velocimeter site=\"imu\"/>")?;

@@ -91,7 +91,7 @@ impl SimPlant {
             data,
             scene: scene.clone(),
             substeps: scene.substeps()?,
-            zones: Zones::new(PAPER_COVER),
+            zones: Zones::new(scene.cover),
             base_dof: has_base.then_some(0),
             arm_dof,
             flange_body,

@@ -3,7 +3,7 @@
 use crate::SimError;
 use crate::contact::Tissue;
 use crate::foam::FoamLaw;
-use moca_msgs::robot::{PANDA, PAPER_COVER, SUMMIT_XL};
+use moca_msgs::robot::{BaseTable, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, SUMMIT_XL, TaxelPlacement};
 
 /// Which parts of the robot exist.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -129,11 +129,12 @@ impl Person {
     /// by +90°) from the taxel's centre, of a robot at the world's origin; it stands there and stays.
     pub fn part(part: BodyPart, taxel: usize, gap_m: f64, offset_m: f64) -> Option<Self> {
         let (shape, tissue, mobility) = part.data();
-        Self::before(taxel, gap_m, offset_m, shape, tissue, mobility)
+        Self::before(&PAPER_COVER, taxel, gap_m, offset_m, shape, tissue, mobility)
     }
 
-    /// The same with outline, tissue and mobility of its own.
+    /// The same with a cover, outline, tissue and mobility of its own.
     pub fn before(
+        cover: &[TaxelPlacement],
         taxel: usize,
         gap_m: f64,
         offset_m: f64,
@@ -141,7 +142,7 @@ impl Person {
         tissue: Tissue,
         mobility: Mobility,
     ) -> Option<Self> {
-        let placement = PAPER_COVER.get(taxel)?;
+        let placement = cover.get(taxel)?;
         let (sin, cos) = placement.inward_angle_base_rad.sin_cos();
         let [x, y] = placement.position_base_m;
         let radius_m = match shape {
@@ -238,6 +239,12 @@ pub struct Scene {
     /// Everything a model of this robot could hold, needed or not: geoms with collision detection, sensors, energy.
     /// It changes no trajectory; it is what scene economy is measured against.
     pub everything: bool,
+    /// The base's body.
+    pub base: BaseTable,
+    /// Where the arm sits on it.
+    pub mount: Mount,
+    /// Where the taxels sit on it.
+    pub cover: [TaxelPlacement; PAPER_COVER.len()],
     /// The base's velocity servo.
     pub base_servo: BaseServo,
     /// People and walls.
@@ -262,6 +269,9 @@ impl Default for Scene {
             foam: FoamLaw::default(),
             foam_scale: 1.0,
             everything: false,
+            base: SUMMIT_XL,
+            mount: MOCA_MOUNT,
+            cover: PAPER_COVER,
             base_servo: BaseServo::default(),
             people: Vec::new(),
             control_period_s: 1e-3,
@@ -282,6 +292,15 @@ impl Scene {
         within("control_period_s", "s", &[self.control_period_s], 1e-5, 0.1)?;
         within("physics_step_s", "s", &[self.physics_step_s], 1e-6, 0.1)?;
         within("foam_scale", "", &[self.foam_scale], 1e-3, 1e5)?;
+        within("base.mass", "kg", &[self.base.mass_kg], 1.0, 1e5)?;
+        within("base.inertia", "kg·m²", &self.base.inertia_com_diagonal, 1e-3, 1e6)?;
+        within("base.size", "m", &self.base.size_m, 0.1, 100.0)?;
+        within("mount.position", "m", &self.mount.position_base_m, -10.0, 10.0)?;
+        within("mount.rpy", "rad", &self.mount.rpy_rad, -7.0, 7.0)?;
+        for taxel in &self.cover {
+            within("taxel.position", "m", &taxel.position_base_m, -10.0, 10.0)?;
+            within("taxel.inward", "rad", &[taxel.inward_angle_base_rad], -7.0, 7.0)?;
+        }
         let servo = &self.base_servo;
         within("base_servo.time_constant_s", "s", &[servo.time_constant_s], 1e-4, 10.0)?;
         let (linear, yaw) = (servo.acceleration_max_m_s2, servo.yaw_acceleration_max_rad_s2);

@@ -183,7 +183,7 @@ fn measure(info: RunInfo, settings: &Settings, rows: &[Row], peak_by_phase_n: Ve
 
 /// Speed of the taxel's centre along its outward normal, less the person's own walk, m/s.
 fn approach_m_s(row: &Row, settings: &Settings) -> f64 {
-    let placement = moca_msgs::robot::PAPER_COVER[settings.person.taxel];
+    let placement = settings.config.taxels()[settings.person.taxel];
     let [vx, vy, yaw_rate] = row.base_velocity_world;
     let (sin, cos) = row.base_pose_world[2].sin_cos();
     let (body_x, body_y) = (cos * vx + sin * vy, -sin * vx + cos * vy);

@@ -4,7 +4,8 @@ use super::rig::{Row, TAXELS};
 use crate::chart::{Panel, Series};
 use crate::drawing::{Anchor, BLACK, Drawing, GREY, PALETTE, RED};
 use anyhow::{Context, Result};
-use moca_msgs::robot::{MOCA_MOUNT, PAPER_COVER, SUMMIT_XL};
+use moca_daemon::config::Config;
+use moca_msgs::robot::SUMMIT_XL;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -27,7 +28,7 @@ pub(crate) struct Moment {
 }
 
 /// Names of the moments, panels above each other, then one picture for each moment.
-pub(crate) fn draw(rows: &[Row], moments: &[Moment], panels: Vec<Panel>) -> Drawing {
+pub(crate) fn draw(config: &Config, rows: &[Row], moments: &[Moment], panels: Vec<Panel>) -> Drawing {
     let count = |n: usize| f64::from(u32::try_from(n).unwrap_or(u32::MAX));
     let top = HEADER + PANEL_HEIGHT * count(panels.len());
     let side = (WIDTH / count(moments.len().max(1))).min(PICTURE);
@@ -50,7 +51,7 @@ pub(crate) fn draw(rows: &[Row], moments: &[Moment], panels: Vec<Panel>) -> Draw
     for (i, moment) in moments.iter().enumerate() {
         let centre = [(count(i) + 0.5) * side, top + 20.0 + 0.5 * side];
         drawing.text([centre[0], top + 14.0], Anchor::Middle, &moment.name, BLACK);
-        let picture = Picture::new(centre, 0.5 * side / half_m, half_m, &rows[0], &rows[moment.row]);
+        let picture = Picture::new(config, centre, 0.5 * side / half_m, half_m, &rows[0], &rows[moment.row]);
         picture.draw(&mut drawing, &rows[0], &rows[moment.row]);
     }
     drawing
@@ -63,7 +64,8 @@ fn half_extent_m(start: &Row, now: &Row) -> f64 {
 }
 
 /// The robot from above, x of the world to the right, y up; the start in grey.
-struct Picture {
+struct Picture<'a> {
+    config: &'a Config,
     centre_px: [f64; 2],
     px_per_m: f64,
     /// Place of the world in the middle, m, and half of what is shown.
@@ -71,11 +73,18 @@ struct Picture {
     half_m: f64,
 }
 
-impl Picture {
-    fn new(centre_px: [f64; 2], px_per_m: f64, half_m: f64, start: &Row, now: &Row) -> Self {
+impl<'a> Picture<'a> {
+    fn new(
+        config: &'a Config,
+        centre_px: [f64; 2],
+        px_per_m: f64,
+        half_m: f64,
+        start: &Row,
+        now: &Row,
+    ) -> Self {
         let middle_m =
             std::array::from_fn(|axis| 0.5 * (start.base_pose_world[axis] + now.base_pose_world[axis]));
-        Self { centre_px, px_per_m, middle_m, half_m }
+        Self { config, centre_px, px_per_m, middle_m, half_m }
     }
 
     fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
@@ -95,7 +104,8 @@ impl Picture {
         let base = &row.base_pose_world;
         let nose = [[hx, -0.06], [hx + 0.07, 0.0], [hx, 0.06]];
         drawing.line(&nose.map(|point| self.at(to_world(base, point))), 1.5, BLACK);
-        let mount = to_world(base, [MOCA_MOUNT.position_base_m[0], MOCA_MOUNT.position_base_m[1]]);
+        let [x, y, _] = self.config.mount().position_base_m;
+        let mount = to_world(base, [x, y]);
         let flange = [row.flange_world[0], row.flange_world[1]];
         drawing.line(&[self.at(mount), self.at(flange)], 3.0, PALETTE[0]);
         drawing.circle(self.at(flange), 4.0, PALETTE[0]);
@@ -108,7 +118,7 @@ impl Picture {
 
     fn forces(&self, drawing: &mut Drawing, row: &Row) {
         let base = &row.base_pose_world;
-        for (taxel, force_n) in PAPER_COVER.iter().zip(row.force_true) {
+        for (taxel, force_n) in self.config.taxels().iter().zip(row.force_true) {
             if force_n > 0.0 {
                 let (sin, cos) = taxel.inward_angle_base_rad.sin_cos();
                 let [x, y] = taxel.position_base_m;

@@ -124,18 +124,25 @@ struct PushReport {
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     match &arguments.experiment {
         Experiment::Push { taxels, newton, common } => {
-            let (report, rows) = push_report(taxels, *newton, &common.settings(Law::Impedance, |_| ())?)?;
-            let draw = || figure::draw(&rows, &paper::middles(&rows, 1, 0.0), paper::panels_b1(&rows));
+            let settings = common.settings(Law::Impedance, |_| ())?;
+            let (report, rows) = push_report(taxels, *newton, &settings)?;
+            let draw = || {
+                figure::draw(&settings.config, &rows, &paper::middles(&rows, 1, 0.0), paper::panels_b1(&rows))
+            };
             finish(common, "push", &report, &rows, draw, || push_text(&report))
         }
         Experiment::B1(common) => {
-            let run = paper::b1(&common.settings(Law::Impedance, |_| ())?)?;
-            let draw = || figure::draw(&run.rows, &run.moments, paper::panels_b1(&run.rows));
+            let settings = common.settings(Law::Impedance, |_| ())?;
+            let run = paper::b1(&settings)?;
+            let draw =
+                || figure::draw(&settings.config, &run.rows, &run.moments, paper::panels_b1(&run.rows));
             finish(common, "b1", &run.report, &run.rows, draw, || run.report.text())
         }
         Experiment::B2(common) => {
-            let run = paper::b2(&common.settings(Law::FollowMe, |_| ())?)?;
-            let draw = || figure::draw(&run.rows, &run.moments, paper::panels_b2(&run.rows));
+            let settings = common.settings(Law::FollowMe, |_| ())?;
+            let run = paper::b2(&settings)?;
+            let draw =
+                || figure::draw(&settings.config, &run.rows, &run.moments, paper::panels_b2(&run.rows));
             finish(common, "b2", &run.report, &run.rows, draw, || run.report.text())
         }
         Experiment::Collision(common) => {
@@ -146,9 +153,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
                 settings::Sensor::Stock => settings::Sensor::Ideal,
                 settings::Sensor::Ideal | settings::Sensor::Off => settings::Sensor::Stock,
             };
-            let beside = collision::run(&Settings { sensor, ..settings })?.report;
+            let beside = collision::run(&Settings { sensor, ..settings.clone() })?.report;
             let report = CollisionReport { own: &run.report, beside: &beside };
-            let draw = || figure::draw(&run.rows, &run.moments, collision::panels(&run.rows));
+            let draw =
+                || figure::draw(&settings.config, &run.rows, &run.moments, collision::panels(&run.rows));
             let text = || format!("{}\nbeside it {}", run.report.text(), beside.text());
             finish(common, "collision", &report, &run.rows, draw, text)
         }

@@ -4,6 +4,7 @@ use anyhow::{Context, Result, bail, ensure};
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::protection::OVERRIDE_MAX_M_S;
 use moca_msgs::Law;
+use moca_msgs::robot::{BaseTable, SUMMIT_XL, TaxelPlacement};
 use moca_sim::foam::FoamLaw;
 use moca_sim::{BaseServo, BodyPart, Integrator, Mobility, Person, Scene, Shape, VirtualBoardConfig};
 use moca_tactile::datastream::SketchGeneration;
@@ -63,7 +64,7 @@ impl PersonSettings {
         self.stiffness.unwrap_or(self.part.data().1.stiffness_n_per_m)
     }
 
-    fn person(&self) -> Result<Person> {
+    fn person(&self, cover: &[TaxelPlacement]) -> Result<Person> {
         let (mut shape, mut tissue, mut mobility) = self.part.data();
         if let (Shape::Cylinder { radius_m }, Some(radius)) = (&mut shape, self.radius_m) {
             *radius_m = radius;
@@ -78,7 +79,7 @@ impl PersonSettings {
             *stiffness_n_per_m = self.posture_stiffness.unwrap_or(*stiffness_n_per_m);
             *damping_n_s_per_m = self.posture_damping.unwrap_or(*damping_n_s_per_m);
         }
-        let person = Person::before(self.taxel, self.gap_m, self.offset_m, shape, tissue, mobility)
+        let person = Person::before(cover, self.taxel, self.gap_m, self.offset_m, shape, tissue, mobility)
             .context("no such taxel")?;
         Ok(Person {
             starts_after_s: self.at_s,
@@ -104,6 +105,7 @@ pub(crate) struct Settings {
     pub foam: FoamLaw,
     pub foam_scale: f64,
     pub person: PersonSettings,
+    pub base: BaseTable,
     pub base_servo: BaseServo,
     /// Speed of the flange's target, m/s.
     pub speed_m_s: f64,
@@ -137,6 +139,7 @@ impl Settings {
             foam: FoamLaw::default(),
             foam_scale: 1.0,
             person: PersonSettings { gap_m: 0.25, steps_away_s: 1.5, ..PersonSettings::default() },
+            base: SUMMIT_XL,
             base_servo: BaseServo::default(),
             speed_m_s: 0.2,
             duration_s: 8.0,
@@ -182,6 +185,9 @@ impl Settings {
             control_period_s: 1.0 / f64::from(self.config.control_loop.rate_hz),
             physics_step_s: 1e-3 * self.step_ms,
             integrator: self.integrator,
+            base: self.base,
+            mount: self.config.mount(),
+            cover: self.config.taxels(),
             base_servo: self.base_servo,
             arm_posture_rad: self.config.control.gains.posture_rad,
             ..Scene::default()
@@ -190,7 +196,7 @@ impl Settings {
 
     /// The same scene with the person beside the cover.
     pub(crate) fn collision_scene(&self) -> Result<Scene> {
-        Ok(Scene { people: vec![self.person.person()?], ..self.free_scene() })
+        Ok(Scene { people: vec![self.person.person(&self.config.taxels())?], ..self.free_scene() })
     }
 
     /// Period of the sensor, ms.
@@ -396,6 +402,28 @@ const KEYS: &[Key] = &[
     key("person.fixed", "true|false", "cannot move: held against a wall", |s, v| {
         flag(&mut s.person.fixed, v)
     }),
+    key("mount.position", "m,m,m", "arm base in the axes of B", |s, v| {
+        list(&mut s.config.geometry.arm_position_m, v, -5.0, 5.0)
+    }),
+    key("mount.rpy", "rad,rad,rad", "its axes in B: roll, pitch, yaw", |s, v| {
+        list(&mut s.config.geometry.arm_rpy_rad, v, -7.0, 7.0)
+    }),
+    key("taxels.x", "m, 11 numbers", "centres of the taxels in B, T1 first: forward", |s, v| {
+        list(&mut s.config.geometry.taxel_x_m, v, -5.0, 5.0)
+    }),
+    key("taxels.y", "m, 11 numbers", "centres of the taxels in B, T1 first: left", |s, v| {
+        list(&mut s.config.geometry.taxel_y_m, v, -5.0, 5.0)
+    }),
+    key("taxels.inward", "rad, 11 numbers", "direction of a press in B", |s, v| {
+        list(&mut s.config.geometry.taxel_inward_rad, v, -7.0, 7.0)
+    }),
+    key("base.mass", "kg", "mass of the base; its inertia grows with it", |s, v| {
+        let mass_kg = number(v, 1.0, 1e5)?;
+        let scale = mass_kg / SUMMIT_XL.mass_kg;
+        s.base.inertia_com_diagonal = SUMMIT_XL.inertia_com_diagonal.map(|inertia| scale * inertia);
+        s.base.mass_kg = mass_kg;
+        Ok(())
+    }),
     key("base.servo_ms", "ms", "time constant of the base's velocity servo", |s, v| {
         s.base_servo.time_constant_s = 1e-3 * number(v, 0.1, 1e4)?;
         Ok(())
@@ -414,11 +442,7 @@ const KEYS: &[Key] = &[
         },
     ),
     key("q_0", "rad, 7 numbers", "posture of the arm, at the start and in eq. (11)", |s, v| {
-        match numbers(v, 7, -7.0, 7.0)?[..] {
-            [a, b, c, d, e, f, g] => s.config.control.gains.posture_rad = [a, b, c, d, e, f, g],
-            _ => bail!("expected seven numbers"),
-        }
-        Ok(())
+        list(&mut s.config.control.gains.posture_rad, v, -7.0, 7.0)
     }),
     key("limit.torque", "N·m, 7 numbers or 1", "largest commanded joint torque", |s, v| {
         joints(&mut s.config.limits.torque_nm, v, 1e3)
@@ -471,6 +495,12 @@ fn numbers(text: &str, most: usize, min: f64, max: f64) -> Result<Vec<f64>> {
     let values = text.split(',').map(|part| number(part.trim(), min, max)).collect::<Result<Vec<_>>>()?;
     ensure!(values.len() <= most, "{} numbers where at most {most} are expected", values.len());
     Ok(values)
+}
+
+fn list<const N: usize>(place: &mut [f64; N], text: &str, min: f64, max: f64) -> Result<()> {
+    let values = numbers(text, N, min, max)?;
+    *place = values.try_into().ok().with_context(|| format!("expected {N} numbers"))?;
+    Ok(())
 }
 
 fn planar(place: &mut [f64; 3], text: &str, min: f64, max: f64) -> Result<()> {

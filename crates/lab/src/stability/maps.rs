@@ -6,7 +6,6 @@ use crate::drawing::{Colour, Drawing};
 use crate::experiment::settings::Settings;
 use crate::parallel;
 use anyhow::Result;
-use moca_msgs::robot::PAPER_COVER;
 use moca_wbc::contact_stability as theory;
 use serde::Serialize;
 
@@ -116,7 +115,7 @@ fn map(name: &'static str, x: &'static Axis, y: &'static Axis) -> Result<Map> {
 /// The contact stability law for virtual mass and damping as the person's taxel feels them, foam and tissue linearised.
 pub(crate) fn stable_in_theory(settings: &Settings) -> Result<bool> {
     let gains = &settings.config.control.gains;
-    let taxel = &PAPER_COVER[settings.person.taxel];
+    let taxel = &settings.config.taxels()[settings.person.taxel];
     let scale = settings.foam_scale;
     let foam = scale * settings.foam.stiffness_n_per_m(settings.foam.deformation_m(LINEARISED_AT_N / scale));
     let stiffness = 1.0 / (1.0 / foam + 1.0 / settings.person.tissue_stiffness());
