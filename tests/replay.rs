@@ -10,6 +10,10 @@ use moca_daemon::tape::{PortEvent, TapeReader, TickRecord, tape};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Law, Mode, ParameterValues, Request, Sample};
 use moca_sim::{Scene, VirtualBoardConfig};
+use moca_tactile::calibration::Quality;
+use moca_tactile::calibration::file::{CalibrationFile, TaxelEntry};
+use moca_tactile::datastream::SketchGeneration;
+use moca_tactile::model::{MonotoneCurve, TaxelModel};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::{LogWriter, Meta};
 use std::fs::File;
@@ -174,4 +178,55 @@ fn one_bit_is_found_and_a_loss_is_not_taken_for_a_difference() {
     gap.remove(AT);
     let report = replay::run(&write("no_sample.mcap", &config(), &records, &gap)).unwrap();
     assert_eq!((report.compared, report.without_sample), (samples.len() as u64 - 1, 1));
+}
+
+/// A run that depends on every file its configuration names; the log has to hold them, for they may be gone.
+#[test]
+fn calibration_contact_limits_and_geometry_are_in_the_log() {
+    let file = |name: &str, text: &str| {
+        let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    };
+    let mut calibration = CalibrationFile::new("front", SketchGeneration::From2018, "2026-01-31", "PU LD30");
+    let curve = MonotoneCurve::new(&[[4.0, 5.0], [30.0, 45.0], [84.0, 100.0]]).unwrap();
+    let quality = Quality {
+        samples: 700,
+        rmse_n: 2.0,
+        rmse_loading_n: 2.0,
+        rmse_unloading_n: 2.0,
+        worst_n: 9.0,
+        counts_max: 84.0,
+        force_max_n: 100.0,
+    };
+    for number in 1..=11 {
+        calibration.taxel.push(TaxelEntry::new(number, 719.6, &TaxelModel::Monotone(curve), &quality));
+    }
+    let files = [
+        file("replay-calibration.toml", &calibration.to_toml().unwrap()),
+        file("replay-limits.toml", "source = \"a test\"\n[T6]\ntransient_n = 12.0\nquasi_static_n = 12.0\n"),
+    ];
+    let mut config = config();
+    config.board.name = "front".into();
+    config.board.calibration = files[0].display().to_string();
+    config.protection.thresholds = files[1].display().to_string();
+    config.geometry.arm_rpy_rad = [0.0, 0.0, 0.5];
+
+    let mut run = Run::start(&config);
+    assert_eq!(run.run(1500), Mode::Impedance);
+    run.ask(Request::PressTaxel { taxel: 5, force_n: 25.0 });
+    run.run(700);
+    assert!(run.samples.iter().any(|sample| sample.contact_reaction.is_some()), "no limit was crossed");
+    let path = write("files.mcap", &config, &run.records, &run.samples);
+    for file in &files {
+        std::fs::remove_file(file).unwrap();
+    }
+    let report = replay::run(&path).unwrap();
+    assert_eq!((report.compared, report.without_sample), (run.samples.len() as u64, 0));
+
+    // Without one of them the run is another one: the comparison can fail.
+    config.protection.thresholds = String::new();
+    config.board.calibration = String::new();
+    let other = write("no_files.mcap", &config, &run.records, &run.samples);
+    assert!(matches!(failure(&other), Failure::Differs { .. }));
 }
