@@ -127,20 +127,19 @@ impl<W: Write> Write for Disk<W> {
 /// # Errors
 /// No thread, or nobody listens.
 pub fn client(fault: OutsideFault, address: SocketAddr, strike: Strike, seed: u64) -> io::Result<()> {
-    let socket = TcpStream::connect(address)?;
-    socket.set_read_timeout(Some(LOOK_EVERY))?;
-    let panel = Connection::spawn(address, || {}).map_err(io::Error::other)?;
-    std::thread::Builder::new().name("spoiled-client".into()).spawn(move || match fault {
+    let client = std::thread::Builder::new().name("spoiled-client".into());
+    match fault {
         OutsideFault::PanelGone | OutsideFault::ParameterNan | OutsideFault::ParameterAbsurd => {
-            drop(socket);
-            misuse(fault, panel, &strike);
+            let panel = Connection::spawn(address, || {}).map_err(io::Error::other)?;
+            client.spawn(move || misuse(fault, panel, &strike))?;
         }
         _ => {
-            drop(panel);
+            let socket = TcpStream::connect(address)?;
+            socket.set_read_timeout(Some(LOOK_EVERY))?;
             // A closed socket ends the client, which is all that it is for.
-            let _ = disturb(fault, socket, &strike, seed);
+            client.spawn(move || drop(disturb(fault, socket, &strike, seed)))?;
         }
-    })?;
+    }
     Ok(())
 }
 

@@ -81,7 +81,7 @@ impl Watcher {
         Ok((Self::Telemetry(Box::new(rings), server), None))
     }
 
-    /// What reaches observers of one tick; counts as the loop's own only where a live loop does it too.
+    /// Shows it one tick.
     fn see(&mut self, sample: &Sample, shared: &Shared) {
         match self {
             Self::Nobody => {}
