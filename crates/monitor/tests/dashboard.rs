@@ -27,6 +27,7 @@ use std::{
 struct Daemon {
     down: Option<String>,
     simulated: bool,
+    no_cover: bool,
     commander: Commander,
     samples: VecDeque<Sample>,
     replies: Vec<Reply>,
@@ -44,7 +45,10 @@ impl Source for Fake {
     fn poll(&mut self, _now_s: f64) -> Update {
         let mut daemon = self.0.borrow_mut();
         let parameters = daemon.parameters.clone();
-        let robot = RobotDescription::paper("test robot", daemon.simulated);
+        let mut robot = RobotDescription::paper("test robot", daemon.simulated);
+        if daemon.no_cover {
+            robot.taxels.clear();
+        }
         let description = Arc::new(RobotDescription { parameters, ..robot });
         let link = match &daemon.down {
             Some(reason) => Link::Down { reason: reason.clone() },
@@ -152,6 +156,20 @@ fn sample(tick: u64, mode: Mode, fault: Option<Fault>) -> Sample {
     sample.taxels.extend([TaxelReading { force_n: 0.0, status: TaxelStatus::Ok }; 11]);
     sample.counts.extend([720; 11]);
     sample
+}
+
+#[test]
+fn an_arm_without_a_cover_shows_nothing_of_one() {
+    let of_a_cover = ["Press and hold a taxel to push with", "Frame age", "Cover speed", "Speed limit"];
+    for no_cover in [false, true] {
+        let mut bench = Bench::new();
+        bench.daemon.borrow_mut().no_cover = no_cover;
+        bench.frames(Mode::Impedance, None);
+        for text in of_a_cover {
+            assert_eq!(bench.shows(text), !no_cover, "{text}");
+        }
+        assert!(bench.shows("Loop lateness"));
+    }
 }
 
 #[test]

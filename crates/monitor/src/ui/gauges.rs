@@ -42,6 +42,10 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64) {
                 gauge(ui, "Connection", silent_ms, SILENCE_S * 1e3, "ms", 0);
             }
             gauge(ui, "Loop lateness", sample.lateness_s * 1e6, period_us, "µs", 0);
+            // An arm on a stand has neither a cover nor a base that moves.
+            if model.robot.taxels.is_empty() {
+                return;
+            }
             let age_ms = if sample.frame_age_s < 0.0 { f64::NAN } else { sample.frame_age_s * 1e3 };
             gauge(ui, "Frame age", age_ms, deadline_ms, "ms", 0);
             let [x, y, yaw] = sample.base_velocity_world;
@@ -50,9 +54,11 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64) {
             gauge(ui, "Base speed", x.hypot(y), x_max.min(y_max), "m/s", 2);
             gauge(ui, "Base turning", yaw.abs(), yaw_max, "rad/s", 2);
         });
-        let SpeedLimit { m_s, reason } = sample.speed_limit;
-        let text = format!("Speed limit {} m/s: {}", number(m_s, 2), speed_limit(reason));
-        ui.add(Label::new(text).truncate());
+        if !model.robot.taxels.is_empty() {
+            let SpeedLimit { m_s, reason } = sample.speed_limit;
+            let text = format!("Speed limit {} m/s: {}", number(m_s, 2), speed_limit(reason));
+            ui.add(Label::new(text).truncate());
+        }
         ui.separator();
         Grid::new("counters").num_columns(4).spacing([10.0, 3.0]).show(ui, |ui| {
             counter(ui, "Frame rate", &number(sample.frame_rate_hz, 1), "Hz", false);

@@ -112,7 +112,7 @@ pub(super) fn show(
         wrench(&painter, &camera, sample.cover_wrench_base);
         age(&painter, rect, sample, model, ui.visuals());
     });
-    if model.robot.simulated && !model.recorded {
+    if model.robot.simulated && !model.recorded && !model.robot.taxels.is_empty() {
         ui.horizontal(|ui| {
             let label = ui.label("Press and hold a taxel to push with");
             let slider =
@@ -318,6 +318,7 @@ fn flange_force(painter: &Painter, camera: &Camera, sample: &Sample) {
 fn age(painter: &Painter, rect: Rect, sample: &Sample, model: &Model, visuals: &egui::Visuals) {
     let deadline_s = model.robot.frame_deadline_s;
     let (text, colour) = match sample.frame_age_s {
+        _ if model.robot.taxels.is_empty() => ("no cover".to_owned(), visuals.weak_text_color()),
         age_s if age_s < 0.0 => ("no data from the cover yet".to_owned(), visuals.weak_text_color()),
         age_s if age_s < deadline_s => {
             (format!("cover {} ms old", words::number(age_s * 1e3, 0)), visuals.weak_text_color())
