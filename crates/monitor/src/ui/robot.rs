@@ -107,8 +107,10 @@ pub(super) fn show(
                 pushed = u8::try_from(index).ok().map(|i| (i, view.push_n));
             }
         }
-        arm_and_flange(&painter, &camera, model, sample, ui.visuals());
-        flange_force(&painter, &camera, sample);
+        if !model.robot.arm.joint_origin.is_empty() {
+            arm_and_flange(&painter, &camera, model, sample, ui.visuals());
+            flange_force(&painter, &camera, sample);
+        }
         wrench(&painter, &camera, sample.cover_wrench_base);
         age(&painter, rect, sample, model, ui.visuals());
     });
