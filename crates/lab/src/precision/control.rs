@@ -76,10 +76,20 @@ pub(crate) fn rate_recommendation(points: &[RatePoint]) -> String {
 /// A way to take eq. (2) over a step: velocity, forces at the step's start and end, mass, damping, step.
 type Discretisation = (&'static str, fn(f64, [f64; 2], f64, f64, f64) -> f64);
 
+/// Velocity after `dt_s` under a force that is held, damping taken at the step's start.
+pub(crate) fn explicit_euler(velocity: f64, force: f64, mass: f64, damping: f64, dt_s: f64) -> f64 {
+    velocity + dt_s / mass * (force - damping * velocity)
+}
+
+/// The same with the damping taken at the step's end.
+pub(crate) fn implicit_euler(velocity: f64, force: f64, mass: f64, damping: f64, dt_s: f64) -> f64 {
+    (velocity + dt_s / mass * force) / (1.0 + dt_s * damping / mass)
+}
+
 pub(crate) const DISCRETISATIONS: [Discretisation; 5] = [
     ("exact hold (ours)", |v, [f, _], m, d, dt| moca_wbc::admittance::step(v, f, m, d, dt)),
-    ("explicit Euler", |v, [f, _], m, d, dt| v + dt / m * (f - d * v)),
-    ("implicit Euler", |v, [_, f], m, d, dt| (v + dt / m * f) / (1.0 + dt * d / m)),
+    ("explicit Euler", |v, [f, _], m, d, dt| explicit_euler(v, f, m, d, dt)),
+    ("implicit Euler", |v, [_, f], m, d, dt| implicit_euler(v, f, m, d, dt)),
     ("Tustin", |v, [f, g], m, d, dt| {
         let half = 0.5 * dt * d / m;
         ((1.0 - half) * v + 0.5 * dt / m * (f + g)) / (1.0 + half)

@@ -2,6 +2,7 @@
 //!
 //! The file carries its own arm, mount, base and cover in `meta`, and one set of inputs and results per configuration.
 
+use crate::precision::control;
 use moca_msgs::robot::LinkInertial;
 use moca_msgs::{ArmTable, BaseTable, Mount, Payload, TaxelPlacement};
 use moca_wbc::coupled::CoupledDynamics;
@@ -351,8 +352,13 @@ fn admitted(vector: &Value, out: &mut Computed) -> Result<(), Malformed> {
     let damping: [f64; 3] = array(&given["D_v"], "adm.D_v")?;
     let velocity: [f64; 3] = array(&given["v0"], "adm.v0")?;
     let force: [f64; 3] = array(&given["tau_v"], "adm.tau_v")?;
-    let exact = (0..3).map(|i| admittance::step(velocity[i], force[i], mass[i], damping[i], dt));
-    out.insert("adm.v1_exact", exact.collect());
+    let after = |step: fn(f64, f64, f64, f64, f64) -> f64| {
+        (0..3).map(|i| step(velocity[i], force[i], mass[i], damping[i], dt)).collect()
+    };
+    out.insert("adm.v1_exact", after(admittance::step));
+    // What the work-precision diagrams compare it with.
+    out.insert("adm.v1_euler", after(control::explicit_euler));
+    out.insert("adm.v1_semi", after(control::implicit_euler));
     Ok(())
 }
 
