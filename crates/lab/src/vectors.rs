@@ -1,6 +1,6 @@
 //! `moca-lab vectors FILE`: prints the largest error of every quantity of a reference file.
 
-mod compare;
+pub(crate) mod compare;
 
 use anyhow::{Context as _, bail};
 use std::path::{Path, PathBuf};

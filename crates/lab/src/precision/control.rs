@@ -5,6 +5,7 @@ use crate::cpu_time;
 use crate::experiment::push;
 use crate::experiment::rig::Rig;
 use crate::experiment::settings::Settings;
+use crate::vectors::compare::{explicit_euler, implicit_euler};
 use anyhow::Result;
 use moca_msgs::{Actuation, Law, RobotState};
 use moca_sim::{Scene, SimPlant};
@@ -75,16 +76,6 @@ pub(crate) fn rate_recommendation(points: &[RatePoint]) -> String {
 
 /// A way to take eq. (2) over a step: velocity, forces at the step's start and end, mass, damping, step.
 type Discretisation = (&'static str, fn(f64, [f64; 2], f64, f64, f64) -> f64);
-
-/// Velocity after `dt_s` under a force that is held, damping taken at the step's start.
-pub(crate) fn explicit_euler(velocity: f64, force: f64, mass: f64, damping: f64, dt_s: f64) -> f64 {
-    velocity + dt_s / mass * (force - damping * velocity)
-}
-
-/// The same with the damping taken at the step's end.
-pub(crate) fn implicit_euler(velocity: f64, force: f64, mass: f64, damping: f64, dt_s: f64) -> f64 {
-    (velocity + dt_s / mass * force) / (1.0 + dt_s * damping / mass)
-}
 
 pub(crate) const DISCRETISATIONS: [Discretisation; 5] = [
     ("exact hold (ours)", |v, [f, _], m, d, dt| moca_wbc::admittance::step(v, f, m, d, dt)),

@@ -1,7 +1,7 @@
 //! `moca-lab precision`: error against run time, for the plant's integration, the control rate, the admittance's
 //! discretisation, single precision and the calibration models. Times are CPU times.
 
-pub(crate) mod control;
+mod control;
 mod diagrams;
 mod plant;
 

@@ -2,7 +2,6 @@
 //!
 //! The file carries its own arm, mount, base and cover in `meta`, and one set of inputs and results per configuration.
 
-use crate::precision::control;
 use moca_msgs::robot::LinkInertial;
 use moca_msgs::{ArmTable, BaseTable, Mount, Payload, TaxelPlacement};
 use moca_wbc::coupled::CoupledDynamics;
@@ -345,6 +344,16 @@ fn orientation<const N: usize>(
     Ok(())
 }
 
+/// Velocity after `dt_s` under a force that is held, damping taken at the step's start.
+pub(crate) fn explicit_euler(velocity: f64, force: f64, mass: f64, damping: f64, dt_s: f64) -> f64 {
+    velocity + dt_s / mass * (force - damping * velocity)
+}
+
+/// The same with the damping taken at the step's end.
+pub(crate) fn implicit_euler(velocity: f64, force: f64, mass: f64, damping: f64, dt_s: f64) -> f64 {
+    (velocity + dt_s / mass * force) / (1.0 + dt_s * damping / mass)
+}
+
 fn admitted(vector: &Value, out: &mut Computed) -> Result<(), Malformed> {
     let given = &vector["adm"];
     let dt = number(&given["dt"], "adm.dt")?;
@@ -357,8 +366,8 @@ fn admitted(vector: &Value, out: &mut Computed) -> Result<(), Malformed> {
     };
     out.insert("adm.v1_exact", after(admittance::step));
     // What the work-precision diagrams compare it with.
-    out.insert("adm.v1_euler", after(control::explicit_euler));
-    out.insert("adm.v1_semi", after(control::implicit_euler));
+    out.insert("adm.v1_euler", after(explicit_euler));
+    out.insert("adm.v1_semi", after(implicit_euler));
     Ok(())
 }
 
