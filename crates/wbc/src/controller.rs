@@ -166,11 +166,8 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         state: &mut ControllerState<N, T>,
         input: &ControlInput<N, K, T>,
     ) -> Result<ControlOutput<N, T>, ControlError> {
-        check_input(input)?;
+        let (cover_wrench_base, mut hit) = self.feel(input)?;
         let mut next = *state;
-        let mut hit = LimitsHit::default();
-        let forces = self.limits.taxel_forces(&input.taxel_force_n, &mut hit);
-        let cover_wrench_base = self.cover.wrench(&forces);
         let tick = self.tick(&next, input, &cover_wrench_base);
         if next.law != law {
             next.law = law;
@@ -211,6 +208,15 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
             flange_desired: shown(&desired),
             limits: hit,
         })
+    }
+
+    /// What a step begins with: an input that can be believed, and its wrench on the base, eq. (4).
+    #[inline]
+    fn feel(&self, input: &ControlInput<N, K, T>) -> Result<([T; 3], LimitsHit), ControlError> {
+        check_input(input)?;
+        let mut hit = LimitsHit::default();
+        let forces = self.limits.taxel_forces(&input.taxel_force_n, &mut hit);
+        Ok((self.cover.wrench(&forces), hit))
     }
 
     #[inline]

@@ -3,9 +3,7 @@
 use super::{Controller, LONGEST_STEP_S};
 use crate::admittance::admitted;
 use crate::cover::rotate_planar;
-use crate::door::check_input;
 use crate::error::{ControlError, finite};
-use crate::limits::LimitsHit;
 use crate::scalar::{Scalar, of};
 use crate::state::{ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose};
 use moca_msgs::RobotCommand;
@@ -22,10 +20,7 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         state: &mut ControllerState<N, T>,
         input: &ControlInput<N, K, T>,
     ) -> Result<ControlOutput<N, T>, ControlError> {
-        check_input(input)?;
-        let mut hit = LimitsHit::default();
-        let forces = self.limits.taxel_forces(&input.taxel_force_n, &mut hit);
-        let cover_wrench_base = self.cover.wrench(&forces);
+        let (cover_wrench_base, mut hit) = self.feel(input)?;
         let dt_s = input.dt_s.min(of(LONGEST_STEP_S));
         let mut gains = state.gains;
         gains.approach(&self.gains, dt_s);
