@@ -67,6 +67,25 @@ fn an_arm_alone_needs_no_board_and_yields_to_its_flange_as_a_spring() {
     assert_eq!((disarmed.0.mode, disarmed.1), (Mode::Ready, Some(Ok(()))));
 }
 
+#[test]
+fn a_fault_of_a_part_that_is_not_there_is_refused() {
+    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
+    for (name, plant, fault, said) in [
+        ("arm", "parts = \"arm\"", "unplugged@1", "no cable to spoil"),
+        ("none", "kind = \"none\"\n[board]\nport = \"/dev/none\"", "joint-nan@1", "no robot that could fail"),
+    ] {
+        let path = folder.join(format!("inject-{name}.toml"));
+        std::fs::write(&path, format!("[plant]\n{plant}\n[telemetry]\nlisten = \"\"\n")).unwrap();
+        let output = Command::new(env!("CARGO_BIN_EXE_mocad"))
+            .args(["--duration", "2", "--inject", fault, "--config"])
+            .arg(path)
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && text.contains(said), "{name}: {text}");
+    }
+}
+
 /// Names of the threads of a live daemon.
 fn threads(parts: &str) -> Vec<String> {
     let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("parts-{parts}.toml"));

@@ -20,6 +20,9 @@ const RING_EVENTS: usize = 256;
 
 /// What feeds a lock-step cover at each tick.
 pub trait Feed<S> {
+    /// Lets everything pass through a spoiled cable, where there is one.
+    fn spoil(&mut self, _cable: Cable) {}
+
     /// Lets `cover` have what the true forces, N, give it until `now_ns`.
     fn feed(&mut self, cover: &mut S, now_ns: u64, true_force_n: &[f64; TAXELS]);
 }
@@ -74,6 +77,10 @@ impl MemoryBoard {
 }
 
 impl Feed<ByteCover> for MemoryBoard {
+    fn spoil(&mut self, cable: Cable) {
+        self.spoiled = Some(cable);
+    }
+
     fn feed(&mut self, _cover: &mut ByteCover, now_ns: u64, true_force_n: &[f64; TAXELS]) {
         self.now_ns = now_ns;
         self.late.push_back(*true_force_n);
@@ -124,6 +131,7 @@ pub struct LockStep<S, F> {
     tick: u64,
     overruns: u64,
     skip: Option<(u64, u64)>,
+    asked: Option<(u64, Request)>,
 }
 
 impl LockStep<ByteCover, MemoryBoard> {
@@ -149,18 +157,6 @@ impl LockStep<ByteCover, MemoryBoard> {
             delay_ticks: 0,
         };
         Self::new(config, scene, cover, feed)
-    }
-}
-
-impl LockStep<ByteCover, MemoryBoard> {
-    /// Lets `injection` strike; the same seed spoils the same bytes. What is outside the loop is the caller's.
-    pub fn inject(&mut self, injection: &Injection, seed: u64) {
-        match injection.fault.what {
-            What::Cable(fault) => self.feed.spoiled = Some(Cable::new(fault, injection.at_ns, seed)),
-            What::Plant(_) => self.control.plant.inject(injection),
-            What::Outside(_) => {}
-            What::MissedSlots(slots) => self.skip = Some((injection.at_ns / self.period_ns, slots)),
-        }
     }
 }
 
@@ -196,11 +192,31 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
         let plant = SimulatedRobot::new(config, scene, None)?;
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
         let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
-        Ok(Self { control, feed, period_ns: config.period_ns(), tick: 0, overruns: 0, skip: None })
+        Ok(Self {
+            control,
+            feed,
+            period_ns: config.period_ns(),
+            tick: 0,
+            overruns: 0,
+            skip: None,
+            asked: None,
+        })
+    }
+
+    /// Lets `injection` strike; the same seed spoils the same bytes. Disk and sockets are the caller's.
+    pub fn inject(&mut self, injection: &Injection, seed: u64) {
+        let at_tick = injection.at_ns / self.period_ns;
+        match injection.fault.what {
+            What::Cable(fault) => self.feed.spoil(Cable::new(fault, injection.at_ns, seed)),
+            What::Plant(_) => self.control.plant.inject(injection),
+            What::Outside(fault) => self.asked = fault.request().map(|request| (at_tick, request)),
+            What::MissedSlots(slots) => self.skip = Some((at_tick, slots)),
+        }
     }
 
     /// One tick.
     pub fn step(&mut self, request: Option<Request>) -> (Sample, Option<Outcome>) {
+        let request = request.or_else(|| Some(self.asked.take_if(|(at, _)| self.tick >= *at)?.1));
         let missed = self.skip.take_if(|(at, _)| self.tick >= *at).map_or(0, |(_, slots)| slots);
         self.tick += missed;
         self.overruns += missed;

@@ -4,7 +4,7 @@
 use crate::config::{Config, PlantKind};
 use crate::console::{Console, Level};
 use crate::flight::FlightRecorder;
-use crate::inject::{self, Disk, Strike};
+use crate::inject::{self, Disk, OutsideFault, Strike};
 use crate::live::{Rings, Shared};
 use crate::recording::{Recording, parameter_change};
 use crate::run::Options;
@@ -74,7 +74,7 @@ pub(crate) fn serve(
     Ok(server)
 }
 
-pub(crate) fn description(config: &Config) -> RobotDescription {
+fn description(config: &Config) -> RobotDescription {
     let parameters = crate::parameters::describe(config);
     let robot = RobotDescription::new(
         &config.robot,
@@ -98,7 +98,7 @@ pub(crate) fn description(config: &Config) -> RobotDescription {
     robot
 }
 
-pub(crate) fn recording(options: &Options, strike: Option<&Strike>) -> Result<Option<Recording>> {
+fn recording(options: &Options, strike: Option<&Strike>) -> Result<Option<Recording>> {
     let spoiled = options.outside_fault().filter(|fault| fault.is_of_disk());
     let Some(path) = &options.record else {
         return spoiled.map_or(Ok(None), |_| Err(anyhow!("a fault of the disk needs a log: --record FILE")));
@@ -121,7 +121,10 @@ pub(crate) fn spoil_telemetry(
     server: Option<&Server>,
     strike: Option<&Strike>,
 ) -> Result<()> {
-    let fault = options.outside_fault().filter(|fault| !fault.is_of_disk());
+    // In lock-step what reaches the loop of a fault is asked of it in its tick: no socket is as punctual.
+    let by_socket =
+        |fault: &OutsideFault| !(fault.is_of_disk() || options.lock_step && fault.request().is_some());
+    let fault = options.outside_fault().filter(by_socket);
     let (Some(fault), Some(strike)) = (fault, strike) else { return Ok(()) };
     let server = server.context("a fault of telemetry needs telemetry.listen")?;
     Ok(inject::client(fault, server.address(), strike.clone(), options.config.simulation.seed)?)
@@ -131,11 +134,24 @@ pub(crate) fn spoil_telemetry(
 pub(crate) struct Observers {
     pub(crate) strike: Option<Strike>,
     pub(crate) recording: Option<Recording>,
-    pub(crate) flight: Option<FlightRecorder>,
-    pub(crate) tape: TapeReader,
+    flight: Option<FlightRecorder>,
+    tape: TapeReader,
 }
 
 impl Observers {
+    /// Those that the command line and the configuration ask for. In lock-step nothing is lost by starting over with
+    /// `--record`, so no flight recorder runs.
+    pub(crate) fn new(options: &Options, tape: TapeReader) -> Result<Self> {
+        let strike = options.strike();
+        let recording = recording(options, strike.as_ref())?;
+        let flight = if options.lock_step {
+            None
+        } else {
+            FlightRecorder::new(&options.config, description(&options.config))?
+        };
+        Ok(Self { strike, recording, flight, tape })
+    }
+
     pub(crate) fn see(&mut self, sample: &Sample) {
         if let Some(strike) = &self.strike {
             strike.see(sample.time_ns);

@@ -6,12 +6,9 @@ use crate::config::{Config, Parts, PlantKind};
 use crate::console::{Level, Summary};
 use crate::control_loop::ControlLoop;
 use crate::cover_source::CoverSource;
-use crate::flight::FlightRecorder;
 use crate::inject::{Injection, OutsideFault, Strike, What};
 use crate::live::{self, Clock, LiveReport, Shared};
-use crate::observers::{
-    Observers, RING_SAMPLES, description, finish, recording, rings, serve, spoil_telemetry, watch,
-};
+use crate::observers::{Observers, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
 use crate::plant::{NoRobot, Plant};
 use crate::protection;
 use crate::realtime;
@@ -55,7 +52,7 @@ impl Options {
         }
     }
 
-    fn strike(&self) -> Option<Strike> {
+    pub(crate) fn strike(&self) -> Option<Strike> {
         self.inject.map(|injection| Strike::new(injection.at_ns))
     }
 }
@@ -77,6 +74,7 @@ impl std::error::Error for RealtimeRefused {}
 /// # Errors
 /// A part could not be built: the scene, the board's port, a log file.
 pub fn run(options: &Options) -> Result<()> {
+    check_injection(options)?;
     let shared = Arc::new(Shared::default());
     let on_signal = Arc::clone(&shared);
     ctrlc::set_handler(move || on_signal.stop.store(true, Ordering::Relaxed)).context("Ctrl-C handler")?;
@@ -99,6 +97,21 @@ pub fn run(options: &Options) -> Result<()> {
             "plant.kind = \"simulated\" needs a build with the feature `sim` (cargo run --release); \
              this build has no simulation and runs a Touch Board alone: plant.kind = \"none\""
         )),
+    }
+}
+
+/// A fault of a part that this run lacks would be no fault at all.
+fn check_injection(options: &Options) -> Result<()> {
+    let (Some(injection), plant) = (&options.inject, &options.config.plant) else { return Ok(()) };
+    let name = injection.fault.name;
+    match injection.fault.what {
+        What::Cable(_) if !plant.parts.has_cover() => {
+            Err(anyhow!("--inject {name}: plant.parts = \"arm\" has no cover and no cable to spoil"))
+        }
+        What::Plant(_) | What::MissedSlots(_) if plant.kind == PlantKind::None => {
+            Err(anyhow!("--inject {name}: plant.kind = \"none\" has no robot that could fail"))
+        }
+        _ => Ok(()),
     }
 }
 
@@ -177,9 +190,8 @@ impl LiveRun {
 pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     introduce_simulation(&options.config);
     let clock = Clock::start()?;
-    let strike = options.strike();
-    let recording = recording(options, strike.as_ref())?;
     let (tape, copies, tape_reader) = tape();
+    let observers = Observers::new(options, tape_reader)?;
     let taps = Taps { copies: Some(copies), moving: Arc::clone(&shared.moving), reference: None };
     let mut robot = crate::assemble::assemble(&options.config, clock, options.inject.as_ref(), taps)?;
     robot.control.tape = Some(tape);
@@ -188,8 +200,6 @@ pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun
         println!("  board       {}{virtual_board}", shown(&board.port));
         board.calibration.take()
     });
-    let flight = FlightRecorder::new(&options.config, description(&options.config))?;
-    let observers = Observers { strike, recording, flight, tape: tape_reader };
     live(options, robot.control, clock, (observers, calibration), shared)
 }
 
@@ -198,9 +208,8 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     let config = &options.config;
     println!("  plant       none: the cover alone, nothing moves");
     let clock = Clock::start()?;
-    let strike = options.strike();
-    let recording = recording(options, strike.as_ref())?;
     let (tape, copies, tape_reader) = tape();
+    let observers = Observers::new(options, tape_reader)?;
     let port = config.port_selection();
     let taps = Taps { copies: Some(copies), ..Taps::default() };
     let OpenBoard { cover, mut held } = open_board(config, clock, port, options.inject.as_ref(), taps)?;
@@ -209,8 +218,6 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     let plant = NoRobot::at(config.control.gains.posture_rad);
     let mut control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
     control.tape = Some(tape);
-    let flight = FlightRecorder::new(config, description(config))?;
-    let observers = Observers { strike, recording, flight, tape: tape_reader };
     live(options, control, clock, (observers, held.calibration.take()), shared)
 }
 
@@ -303,17 +310,11 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
     let (tape, copies, tape_reader) = tape();
     if config.plant.parts.has_cover() {
         println!("  board       virtual Touch Board in memory");
-        let mut world =
+        let world =
             LockStep::with_board(config, &scene, crate::assemble::board_config(config), Some(copies))?;
-        if let Some(injection) = &options.inject {
-            world.inject(injection, config.simulation.seed);
-        }
         run_lock_step(options, world, (tape, tape_reader), shared)
     } else {
-        let mut world = LockStep::without_cover(config, &scene)?;
-        if let Some(injection) = &options.inject {
-            world.control.plant.inject(injection);
-        }
+        let world = LockStep::without_cover(config, &scene)?;
         run_lock_step(options, world, (tape, tape_reader), shared)
     }
 }
@@ -331,9 +332,10 @@ fn run_lock_step<S: CoverSource, F: crate::lockstep::Feed<S>>(
 
     let config = &options.config;
     world.control.tape = Some(tape);
-    let strike = options.strike();
-    let recording = recording(options, strike.as_ref())?;
-    let mut observers = Observers { strike, recording, flight: None, tape: tape_reader };
+    if let Some(injection) = &options.inject {
+        world.inject(injection, config.simulation.seed);
+    }
+    let mut observers = Observers::new(options, tape_reader)?;
     let mut log = None;
     if let Some(path) = &options.command_log {
         let file = File::create(path).with_context(|| path.display().to_string())?;

@@ -126,10 +126,6 @@ pub fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
     let (strike, shared) = (Strike::new(at_ns), Shared::default());
     let (mut watcher, tape) = Watcher::new(fault.what, &config, &strike, seed)?;
     world.control.tape = tape;
-    let mut request = match fault.what {
-        What::Outside(fault) => fault.request(),
-        _ => None,
-    };
 
     let mut before = Sample::default();
     for tick in 0..STRIKE_TICK {
@@ -158,7 +154,7 @@ pub fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
     let mut pose = before.base_pose_world;
     while last.tick < end_tick {
         let counted = allocations::on_this_thread();
-        let (sample, outcome) = world.step(request.take());
+        let (sample, outcome) = world.step(None);
         trial.allocations += allocations::on_this_thread() - counted;
         strike.see(sample.time_ns);
         watcher.see(&sample, &shared);
