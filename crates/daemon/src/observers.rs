@@ -1,4 +1,4 @@
-//! Everything that watches the loop from outside: terminal, telemetry, log, flight recorder. Nothing here is waited for.
+//! Everything that watches the loop from outside: terminal, telemetry, log, flight recorder. A live loop waits for none.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
 use crate::config::{Config, PlantKind};
