@@ -25,14 +25,11 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
 ];
 
 /// Names of the normal dependencies of `package`, itself left out.
-fn tree(package: &str, depth: Option<u32>) -> BTreeSet<String> {
+fn tree(package: &str, more: &[&str]) -> BTreeSet<String> {
     let mut command = Command::new(env!("CARGO"));
     command.current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
     command.args(["tree", "--offline", "--edges=normal", "--prefix=none", "--package", package]);
-    if let Some(depth) = depth {
-        command.arg(format!("--depth={depth}"));
-    }
-    let output = command.output().expect("cargo tree runs");
+    let output = command.args(more).output().expect("cargo tree runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8(output.stdout).unwrap();
     text.lines()
@@ -55,10 +52,10 @@ fn every_crate_of_ours_is_in_the_table() {
 #[test]
 fn dependencies_point_the_way_the_table_says() {
     for (name, may, never) in TABLE {
-        for used in tree(name, Some(1)).iter().filter(|used| used.starts_with("moca-")) {
+        for used in tree(name, &["--depth=1"]).iter().filter(|used| used.starts_with("moca-")) {
             assert!(may.contains(&used.as_str()), "{name} may not use {used}");
         }
-        let all = tree(name, None);
+        let all = tree(name, &[]);
         for banned in *never {
             assert!(!all.contains(*banned), "{name} reaches {banned}");
         }
@@ -66,12 +63,17 @@ fn dependencies_point_the_way_the_table_says() {
 }
 
 #[test]
-fn a_daemon_without_simulation_reaches_no_mujoco() {
-    let mut command = Command::new(env!("CARGO"));
-    command.current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
-    command.args(["tree", "--offline", "--edges=normal,build", "--prefix=none", "--package=moca-daemon"]);
-    let output = command.arg("--no-default-features").output().expect("cargo tree runs");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let text = String::from_utf8(output.stdout).unwrap();
-    assert!(text.contains("moca-wbc") && !text.contains("mujoco") && !text.contains("moca-sim"), "{text}");
+fn a_daemon_links_mujoco_for_its_simulation_and_serialport_for_its_board_only() {
+    let (sim, board): (&[&str], &[&str]) = (&["moca-sim", "mujoco-rs"], &["serialport"]);
+    for (features, linked, absent) in [
+        ("sim,board", [sim, board].concat(), vec![]),
+        ("sim", sim.to_vec(), board.to_vec()),
+        ("board", board.to_vec(), sim.to_vec()),
+        ("", vec!["moca-wbc"], [sim, board].concat()),
+    ] {
+        let all = tree("moca-daemon", &["--no-default-features", "--features", features]);
+        let reached = |name: &&&str| all.contains(**name);
+        assert_eq!(linked.iter().find(|name| !reached(name)), None, "features {features:?}: {all:?}");
+        assert_eq!(absent.iter().find(reached), None, "features {features:?}: {all:?}");
+    }
 }

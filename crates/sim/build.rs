@@ -18,7 +18,7 @@ fn main() -> ExitCode {
                 "\nThe simulation needs MuJoCo 3.17.0: {error}\n\n\
                  Either set {LINK_DIR} to the absolute path of a folder that holds libmujoco.so of MuJoCo 3.17.0,\n\
                  or build without the simulation:\n    \
-                 cargo run --release -p moca-daemon --no-default-features --bin mocad\n"
+                 cargo run --release -p moca-daemon --bin mocad --no-default-features --features board\n"
             );
             ExitCode::FAILURE
         }

@@ -1,5 +1,6 @@
 //! Puts the parts of a robot together as the configuration asks for them.
 
+use crate::board_port;
 use crate::byte_cover::ByteCover;
 use crate::calibrator::{self, Reference};
 use crate::config::{Config, PlantKind, TAXELS};
@@ -14,7 +15,6 @@ use crate::protection::Protection;
 use crate::supervisor::{Automatic, Supervisor};
 use anyhow::{Context, Result};
 use moca_msgs::robot;
-use moca_tactile::serial::{PortSelection, SerialBoard};
 use moca_tactile::{BoardEvent, Cover};
 use moca_telemetry::net::CalibrationPort;
 use std::sync::Arc;
@@ -82,12 +82,12 @@ pub(crate) fn assemble(
     use moca_sim::PtyBoard;
 
     let (mut forces, mut virtual_board) = (None, None);
-    let mut port = config.port_selection();
+    let mut port = config.board.port.clone();
     if config.plant.parts.has_cover() && config.board.port == crate::config::VIRTUAL_PORT {
         let true_forces = moca_sim::SharedForces::default();
         let board =
             PtyBoard::spawn(board_config(config), Arc::clone(&true_forces), &PtyBoard::default_path())?;
-        port = PortSelection::Path(board.path().display().to_string());
+        port = board.path().display().to_string();
         (forces, virtual_board) = (Some(true_forces), Some(board));
     }
     taps.reference = forces.clone().map(|forces| {
@@ -127,19 +127,20 @@ pub(crate) struct OpenBoard {
 
 /// The parts of it that only have to live as long as the loop.
 pub(crate) struct HeldBoard {
-    pub(crate) port: PortSelection,
+    pub(crate) port: String,
     pub(crate) calibration: Option<CalibrationPort>,
-    _threads: (calibrator::Calibrator, SerialBoard),
+    _threads: (calibrator::Calibrator, board_port::Reader),
 }
 
 pub(crate) fn open_board(
     config: &Config,
     clock: Clock,
-    port: PortSelection,
+    port: String,
     injection: Option<&Injection>,
     Taps { copies, moving, mut reference }: Taps,
 ) -> Result<OpenBoard> {
-    let (serial, mut events) = SerialBoard::spawn(port.clone(), clock.instant())?;
+    let asked = || format!("a cover (plant.parts), read live at board.port = {:?}", config.board.port);
+    let (reader, mut events) = board_port::open(&port, clock.instant()).with_context(asked)?;
     if let Some(Injection { fault: Named { what: What::Cable(fault), .. }, at_ns }) = injection {
         events = inject::relay(Cable::new(*fault, *at_ns, config.simulation.seed), events, clock)?;
     }
@@ -158,6 +159,6 @@ pub(crate) fn open_board(
     let (calibrator, calibration) =
         calibrator::spawn(settings, calibrator_events, reference, moving, now_ns)?;
     let cover = ByteCover::new(Cover::new(cover_config)?, events, copies).with_calibrator(to_calibrator);
-    let held = HeldBoard { port, calibration: Some(calibration), _threads: (calibrator, serial) };
+    let held = HeldBoard { port, calibration: Some(calibration), _threads: (calibrator, reader) };
     Ok(OpenBoard { cover, held })
 }

@@ -4,6 +4,8 @@
 //! times, and a table of times and forces. Both go through the same guided session.
 #![expect(clippy::print_stdout, reason = "a terminal front end")]
 
+use crate::board_port;
+use crate::config::AUTO_PORT;
 use crate::gauge::Gauge;
 use anyhow::{Context, anyhow, bail, ensure};
 use moca_tactile::calibration::file::TaxelEntry;
@@ -11,7 +13,6 @@ use moca_tactile::calibration::quality::evaluation_cost_ns;
 use moca_tactile::calibration::session::{Measured, Session, Step, Target};
 use moca_tactile::calibration::{CalibrationFile, ModelKind, Quality, chart, fit};
 use moca_tactile::datastream::SketchGeneration;
-use moca_tactile::serial::{PortSelection, SerialBoard};
 use moca_tactile::zero::TARE_FRAMES;
 use moca_tactile::{BoardEvent, TaxelModel};
 use std::io::Write;
@@ -204,8 +205,8 @@ fn nanoseconds(seconds: f64) -> u64 {
 /// Board and gauge on their ports, a person at the cover.
 fn live(session: &mut Session, arguments: &Arguments) -> anyhow::Result<()> {
     let start = Instant::now();
-    let port = arguments.port.clone().map_or_else(PortSelection::default, PortSelection::Path);
-    let (_board, mut board) = SerialBoard::spawn(port, start)?;
+    let port = arguments.port.as_deref().unwrap_or(AUTO_PORT);
+    let (_board, mut board) = board_port::open(port, start)?;
     let gauge_port = arguments.gauge.as_deref().context("--gauge is missing")?;
     let mut gauge = Gauge::open(gauge_port, arguments.gauge_baud, start)?;
     let mut shown = String::new();

@@ -7,7 +7,6 @@ use moca_tactile::CoverConfig;
 use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
 use moca_tactile::cover::MaskPolicy;
-use moca_tactile::serial::PortSelection;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::net::SocketAddr;
@@ -22,7 +21,7 @@ pub const TAXELS: usize = 11;
 /// `board.port` of the virtual Touch Board.
 pub const VIRTUAL_PORT: &str = "virtual";
 /// `board.port` that looks for a Touch Board's USB id.
-const AUTO_PORT: &str = "auto";
+pub(crate) const AUTO_PORT: &str = "auto";
 /// The documented default configuration.
 pub const DEFAULT_TOML: &str = include_str!("../config/mocad.toml");
 
@@ -245,14 +244,6 @@ impl Config {
     /// Control period, ns.
     pub fn period_ns(&self) -> u64 {
         1_000_000_000 / u64::from(self.control_loop.rate_hz.max(1))
-    }
-
-    /// Which port the board's reader opens.
-    pub fn port_selection(&self) -> PortSelection {
-        match self.board.port.as_str() {
-            AUTO_PORT => PortSelection::default(),
-            path => PortSelection::Path(path.to_owned()),
-        }
     }
 
     /// How the cover reads its board: calibration, masks.

@@ -175,7 +175,7 @@ fn findings() -> Vec<Finding> {
     let governor = read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor");
     let isolated = read("/sys/devices/system/cpu/isolated").filter(|cores| !cores.is_empty());
     let virtual_machine = read("/proc/cpuinfo").is_some_and(|text| text.contains("hypervisor"));
-    let board = moca_tactile::serial::look_for_board();
+    let board = crate::board_port::look();
     vec![
         Finding {
             what: "kernel",
@@ -210,7 +210,7 @@ fn findings() -> Vec<Finding> {
         Finding {
             what: "Touch Board",
             good: board.is_ok(),
-            found: board.unwrap_or_else(|failure| failure.text().into()),
+            found: board.unwrap_or_else(Into::into),
             remedy: "the simulation has a virtual one",
         },
     ]

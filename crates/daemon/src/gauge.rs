@@ -1,7 +1,8 @@
 //! A force gauge behind a serial port that prints newtons, one number a line: the reference of a calibration.
 
+use crate::board_port::{self, Reader};
+use anyhow::Result;
 use moca_tactile::BoardEvent;
-use moca_tactile::serial::{PortSelection, SerialBoard};
 use std::time::Instant;
 
 /// A gauge's port and what it last said. The port is tried again until it opens.
@@ -9,17 +10,16 @@ pub struct Gauge {
     events: rtrb::Consumer<BoardEvent>,
     text: GaugeText,
     problem: Option<&'static str>,
-    _reader: SerialBoard,
+    _reader: Reader,
 }
 
 impl Gauge {
     /// Starts reading at `baud`. Times of readings are ns since `start`.
     ///
     /// # Errors
-    /// No thread can be started.
-    pub fn open(port: &str, baud: u32, start: Instant) -> std::io::Result<Self> {
-        let port = PortSelection::Path(port.to_owned());
-        let (reader, events) = SerialBoard::spawn_with_baud(port, baud, start)?;
+    /// No thread can be started, or the build is without the feature `board`.
+    pub fn open(port: &str, baud: u32, start: Instant) -> Result<Self> {
+        let (reader, events) = board_port::open_gauge(port, baud, start)?;
         Ok(Self { events, text: GaugeText::default(), problem: None, _reader: reader })
     }
 

@@ -7,7 +7,7 @@
 //! 3. [`live`] and [`lockstep`]: who calls the tick: the wall clock ([`pace`], [`schedule`]) or a caller that wants every
 //!    tick now, deterministic.
 //! 4. [`plant`], [`cover_source`]: what a robot and a cover are to the loop; [`simulated`], [`byte_cover`],
-//!    [`ideal_cover`]: those there are.
+//!    [`ideal_cover`]: those there are; `board_port` opens serial ports (feature `board`, else nothing does).
 //! 5. [`door`]: what of the robot's state is let in; [`inject`]: faults on purpose.
 //! 6. [`config`], [`parameters`], [`assemble`]: from a file to the parts; [`run`] and its observers ([`console`],
 //!    [`recording`], [`flight`], [`tape`], [`replay`], [`params_command`]): what a user sees of it.
@@ -16,6 +16,8 @@
 
 pub mod allocations;
 pub mod assemble;
+#[cfg_attr(not(feature = "board"), path = "board_port_absent.rs")]
+mod board_port;
 pub mod byte_cover;
 pub mod calibrate;
 pub mod calibrator;

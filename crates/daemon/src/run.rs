@@ -2,7 +2,7 @@
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
 use crate::assemble::{OpenBoard, Taps, motion, open_board, supervisor};
-use crate::config::{Config, Parts, PlantKind};
+use crate::config::{AUTO_PORT, Config, Parts, PlantKind};
 use crate::console::{Level, Summary};
 use crate::control_loop::ControlLoop;
 use crate::cover_source::CoverSource;
@@ -16,7 +16,6 @@ use crate::tape::tape;
 use crate::timing::{Distribution, Timing};
 use anyhow::{Context, Result, anyhow};
 use moca_msgs::{Law, Sample};
-use moca_tactile::serial::PortSelection;
 use moca_telemetry::net::CalibrationPort;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -95,7 +94,8 @@ pub fn run(options: &Options) -> Result<()> {
         #[cfg(not(feature = "sim"))]
         (PlantKind::Simulated, _) => Err(anyhow!(
             "plant.kind = \"simulated\" needs a build with the feature `sim` (cargo run --release); \
-             this build has no simulation and runs a Touch Board alone: plant.kind = \"none\""
+             this build has no simulation{}",
+            if cfg!(feature = "board") { " and runs a Touch Board alone: plant.kind = \"none\"" } else { "" }
         )),
     }
 }
@@ -210,7 +210,7 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     let clock = Clock::start()?;
     let (tape, copies, tape_reader) = tape();
     let observers = Observers::new(options, tape_reader)?;
-    let port = config.port_selection();
+    let port = config.board.port.clone();
     let taps = Taps { copies: Some(copies), ..Taps::default() };
     let OpenBoard { cover, mut held } = open_board(config, clock, port, options.inject.as_ref(), taps)?;
     println!("  board       {}", shown(&held.port));
@@ -221,11 +221,8 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     live(options, control, clock, (observers, held.calibration.take()), shared)
 }
 
-fn shown(port: &PortSelection) -> String {
-    match port {
-        PortSelection::Path(path) => path.clone(),
-        PortSelection::Usb(vendor, product) => format!("the port with USB id {vendor:04x}:{product:04x}"),
-    }
+fn shown(port: &str) -> &str {
+    if port == AUTO_PORT { "the only Touch Board on USB" } else { port }
 }
 
 /// Runs a finished loop on a thread of its own and shows it on this one.

@@ -30,7 +30,7 @@ const BACK_OFF_FIRST: Duration = Duration::from_millis(100);
 /// Longest wait before a port is tried again.
 const BACK_OFF_MAX: Duration = Duration::from_secs(2);
 /// Events the ring holds: at least a second of a board's bytes.
-pub const RING_EVENTS: usize = 1024;
+const RING_EVENTS: usize = 1024;
 
 /// Which port to open.
 #[derive(Clone, Debug, PartialEq, Eq)]

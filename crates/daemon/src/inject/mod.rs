@@ -12,12 +12,13 @@ pub use plant::{PlantFault, PlantSpoiler};
 
 use crate::live::Clock;
 use moca_tactile::BoardEvent;
-use moca_tactile::serial::RING_EVENTS;
 use std::str::FromStr;
 use std::time::Duration;
 
 /// How often a live spoiled cable looks for bytes.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
+/// Events on a live spoiled cable: as many as behind a port.
+const RING_EVENTS: usize = 1024;
 
 /// A fault by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

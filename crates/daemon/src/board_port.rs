@@ -1,0 +1,32 @@
+//! Serial ports of a Touch Board and of a force gauge: all that the feature `board` adds, and with it serialport.
+//! Without the feature `board_port_absent.rs` stands here.
+
+use anyhow::Result;
+use moca_tactile::BoardEvent;
+pub(crate) use moca_tactile::serial::SerialBoard as Reader;
+use moca_tactile::serial::{PortSelection, look_for_board};
+use std::time::Instant;
+
+/// Starts reading the Touch Board at `port`, a path or [`crate::config::AUTO_PORT`]. Times of events are ns since
+/// `start`. Dropping the reader ends it.
+pub(crate) fn open(port: &str, start: Instant) -> Result<(Reader, rtrb::Consumer<BoardEvent>)> {
+    let selection = match port {
+        crate::config::AUTO_PORT => PortSelection::default(),
+        path => PortSelection::Path(path.to_owned()),
+    };
+    Ok(Reader::spawn(selection, start)?)
+}
+
+/// The same for a force gauge behind a serial adapter of this speed.
+pub(crate) fn open_gauge(
+    path: &str,
+    baud: u32,
+    start: Instant,
+) -> Result<(Reader, rtrb::Consumer<BoardEvent>)> {
+    Ok(Reader::spawn_with_baud(PortSelection::Path(path.to_owned()), baud, start)?)
+}
+
+/// Where the only Touch Board is, or why there is none.
+pub(crate) fn look() -> Result<String, &'static str> {
+    look_for_board().map_err(|failure| failure.text())
+}
