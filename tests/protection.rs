@@ -13,7 +13,7 @@ use moca_daemon::lockstep::{LockStep, MemoryBoard};
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::robot::PAPER_COVER;
 use moca_msgs::{ContactEvent, ContactReaction, Law, Request, Sample, SpeedLimitReason};
-use moca_sim::foam::FoamLaw;
+use moca_sim::foam::Foam;
 use moca_sim::{Person, Scene, VirtualBoardConfig};
 use moca_tactile::datastream::SketchGeneration;
 use moca_wbc::guard::CoverOutline;
@@ -361,7 +361,7 @@ fn a_hand_that_stays_is_a_quasi_static_contact_with_its_clamp_force() {
 
 #[test]
 fn the_default_contact_is_the_simulated_foam_on_a_leg() {
-    let (foam, tissue_n_m) = (FoamLaw::PuLd30, 50_000.0);
+    let (foam, tissue_n_m) = (Foam::PU_LD30, 50_000.0);
     let settings = Config::default().protection;
     let (at_limit_m, unfelt_m) =
         (foam.deformation_m(settings.force_limit_n), foam.deformation_m(settings.unfelt_force_n));

@@ -38,7 +38,7 @@ pub fn supervisor(config: &Config) -> Supervisor {
 pub fn motion(config: &Config) -> Result<Motion> {
     let parameters = config.parameters();
     let controller = moca_wbc::Controller::new(
-        &robot::PANDA,
+        config.arm(),
         &config.mount(),
         &robot::Payload::NONE,
         &config.taxels(),

@@ -332,19 +332,19 @@ mod tests {
     /// A simulated taxel at rest for 2 s, then pressed three times to 100 N, as recorded files.
     #[cfg(feature = "sim")]
     fn record(folder: &Path) {
-        use moca_sim::foam::{FoamLaw, FoamState};
+        use moca_sim::foam::{Foam, FoamState};
         use moca_sim::sensor::{CoverSensor, Effects};
         use moca_tactile::datastream::{Frame, emit};
         use std::fmt::Write;
 
-        let mut sensor = CoverSensor::<1>::new(FoamLaw::PuLd30, Effects::default(), 5);
-        let mut foam = FoamState::default();
+        let mut sensor = CoverSensor::<1>::new(Foam::PU_LD30, Effects::default(), 5);
+        let mut state = FoamState::default();
         let (mut stream, mut times, mut force) = (Vec::new(), String::new(), String::new());
         for millisecond in 0..34_000u32 {
             let time_s = 1.0 + 1e-3 * f64::from(millisecond);
             let phase_s = (time_s - 3.0).max(0.0);
             let force_n = 50.0 * (1.0 - (phase_s * core::f64::consts::TAU / 10.0).cos());
-            sensor.sample(&[foam.step_force(FoamLaw::PuLd30, force_n, 1e-3)], &[f64::INFINITY]);
+            sensor.sample(&[state.step_force(&Foam::PU_LD30, force_n, 1e-3)], &[f64::INFINITY]);
             writeln!(force, "{time_s:.4} {force_n:.3}").unwrap();
             if millisecond % 25 == 24 {
                 let mut frame = Frame { filtered: [700; 13], baseline: [700; 13], ..Frame::default() };

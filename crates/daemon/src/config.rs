@@ -1,7 +1,7 @@
 //! Configuration: one documented TOML file, every mistake reported at once with its line, value, unit and range.
 
 use crate::realtime::Wishes;
-use moca_msgs::robot::{MOCA_MOUNT, Mount, PAPER_COVER, TaxelPlacement};
+use moca_msgs::robot::{ArmTable, FR3, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, TaxelPlacement};
 use moca_msgs::{ContactReaction, Corrections, ImpedanceGains, Law, Limits, Parameters};
 use moca_tactile::CoverConfig;
 use moca_tactile::calibration::CalibrationFile;
@@ -78,8 +78,9 @@ section! {
     PlantConfig { kind: PlantKind = PlantKind::Simulated, parts: Parts = Parts::Whole }
 }
 section! {
-    /// `[geometry]`: where arm and taxels sit on the base.
+    /// `[geometry]`: which arm, and where arm and taxels sit on the base.
     GeometryConfig {
+        arm: Arm = Arm::Panda,
         arm_position_m: [f64; 3] = MOCA_MOUNT.position_base_m,
         arm_rpy_rad: [f64; 3] = MOCA_MOUNT.rpy_rad,
         taxel_x_m: [f64; TAXELS] = PAPER_COVER.map(|taxel| taxel.position_base_m[0]),
@@ -196,6 +197,16 @@ pub enum PlantKind {
     None,
 }
 
+/// Which arm stands on the base: kinematics, inertias and joint ranges.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Arm {
+    /// Franka Emika Panda.
+    Panda,
+    /// Franka Research 3.
+    Fr3,
+}
+
 /// Which parts the robot has. What it lacks is neither simulated, started nor shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -282,6 +293,14 @@ impl Config {
             lock_memory: r.lock_memory,
             cpu: usize::try_from(r.cpu).ok(),
             dma_latency: r.dma_latency,
+        }
+    }
+
+    /// The arm's table.
+    pub const fn arm(&self) -> &'static ArmTable<JOINTS> {
+        match self.geometry.arm {
+            Arm::Panda => &PANDA,
+            Arm::Fr3 => &FR3,
         }
     }
 

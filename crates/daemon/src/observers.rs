@@ -82,7 +82,7 @@ fn description(config: &Config) -> RobotDescription {
         1.0 / f64::from(config.control_loop.rate_hz),
         &robot::SUMMIT_XL,
         &config.mount(),
-        &robot::PANDA,
+        config.arm(),
         &config.taxels(),
         &config.parameters().limits,
         Duration::from_nanos(moca_tactile::board::SILENT_AFTER_NS).as_secs_f64(),

@@ -41,6 +41,7 @@ pub const SETTINGS: &[ParameterSpec] = {
         row("realtime.dma_latency", Flag, &[], EITHER, "Keep the processors out of deep sleep."),
         row("plant.kind", Choice(&["simulated", "none"]), &[], ANY, "Which robot is driven."),
         row("plant.parts", Choice(&["whole", "base", "arm"]), &[], ANY, "Which parts the robot has."),
+        row("geometry.arm", Choice(&["panda", "fr3"]), &[], ANY, "Which arm stands on the base."),
         row("geometry.arm_position_m", Number, &["m"], (-5.0, 5.0), "Arm base in the base's frame B."),
         row("geometry.arm_rpy_rad", Number, &["rad"], (-7.0, 7.0), "Its axes in B: roll, pitch, yaw."),
         row(

@@ -135,7 +135,7 @@ fn introduce(options: &Options) {
 
 #[cfg(feature = "sim")]
 fn introduce_simulation(config: &Config) {
-    let (arm, mujoco) = (moca_msgs::robot::PANDA.name, moca_sim::mujoco_version());
+    let (arm, mujoco) = (config.arm().name, moca_sim::mujoco_version());
     let robot = match config.plant.parts {
         Parts::Whole => format!("{arm} on SUMMIT-XL"),
         Parts::Base => "SUMMIT-XL without an arm".into(),

@@ -28,6 +28,7 @@ pub fn free_scene(config: &Config) -> Scene {
     };
     Scene {
         robot,
+        arm: config.arm(),
         mount: config.mount(),
         cover: config.taxels(),
         control_period_s,

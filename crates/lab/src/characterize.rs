@@ -6,7 +6,7 @@ mod tables;
 mod trials;
 
 use anyhow::{Context, ensure};
-use moca_sim::foam::FoamLaw;
+use moca_sim::foam::Foam;
 use moca_tactile::calibration::quality::{evaluation_cost_ns, quality};
 use moca_tactile::calibration::{ModelKind, Trial, TrialSample, chart, fit};
 use moca_tactile::model::TaxelModel;
@@ -96,29 +96,40 @@ pub(crate) fn tables_and_figure_4(trials: usize, seed: u64) -> anyhow::Result<(S
 
 /// Every calibration model on the cover's own foam.
 pub(crate) fn models_on_the_cover(trials: usize, seed: u64) -> anyhow::Result<Vec<HeldOut>> {
-    let law = FoamLaw::default();
-    Ok(material(law, &trials::record(law, Protocol::Ramps, trials, seed), seed)?.held_out)
+    let foam = Foam::default();
+    held_out(&foam, &trials::record(&foam, Protocol::Ramps, trials, seed), seed)
 }
 
 fn simulate(trials: usize, seed: u64) -> anyhow::Result<(Vec<Vec<Recording>>, Vec<Material>)> {
     let recordings: Vec<Vec<Recording>> =
-        FoamLaw::PAPER.into_iter().map(|law| trials::record(law, Protocol::Ramps, trials, seed)).collect();
-    let materials = FoamLaw::PAPER
-        .into_iter()
+        Foam::PAPER.iter().map(|foam| trials::record(foam, Protocol::Ramps, trials, seed)).collect();
+    let materials = Foam::PAPER
+        .iter()
+        .zip(tables::PAPER)
         .zip(&recordings)
-        .map(|(law, recordings)| material(law, recordings, seed))
+        .map(|((foam, paper), recordings)| {
+            Ok(Material {
+                name: foam.name,
+                table: table_row(foam, recordings)?,
+                paper,
+                held_out: held_out(foam, recordings, seed)?,
+            })
+        })
         .collect::<anyhow::Result<Vec<_>>>()?;
     Ok((recordings, materials))
 }
 
-fn material(law: FoamLaw, recordings: &[Recording], seed: u64) -> anyhow::Result<Material> {
+/// Every model, fitted to the first half of the recordings.
+fn held_out(foam: &Foam, recordings: &[Recording], seed: u64) -> anyhow::Result<Vec<HeldOut>> {
     let (fitted, held_out) = recordings.split_at(recordings.len() / 2);
     let fitted: Vec<Trial> = fitted.iter().map(Recording::trial).collect();
     let held_out: Vec<Trial> = held_out.iter().map(Recording::trial).collect();
-    let other: Vec<Trial> =
-        trials::record(law, Protocol::FastWithPause, 3, seed ^ 0x5eed).iter().map(Recording::trial).collect();
+    let other: Vec<Trial> = trials::record(foam, Protocol::FastWithPause, 3, seed ^ 0x5eed)
+        .iter()
+        .map(Recording::trial)
+        .collect();
     let judge = |kind| {
-        let (model, _) = fit(kind, &fitted).with_context(|| format!("{law:?}"))?;
+        let (model, _) = fit(kind, &fitted).with_context(|| foam.name)?;
         let seen = quality(&model, &held_out);
         Ok(HeldOut {
             model: model.name(),
@@ -130,16 +141,11 @@ fn material(law: FoamLaw, recordings: &[Recording], seed: u64) -> anyhow::Result
             cost_ns: evaluation_cost_ns(&model, &held_out),
         })
     };
-    Ok(Material {
-        name: law.table().name,
-        table: table_row(law, recordings)?,
-        paper: tables::paper(law),
-        held_out: ModelKind::ALL.into_iter().map(judge).collect::<anyhow::Result<_>>()?,
-    })
+    ModelKind::ALL.into_iter().map(judge).collect()
 }
 
 /// Means over trials; both lines are fitted to each trial as the paper does.
-fn table_row(law: FoamLaw, recordings: &[Recording]) -> anyhow::Result<TableRow> {
+fn table_row(foam: &Foam, recordings: &[Recording]) -> anyhow::Result<TableRow> {
     #[expect(clippy::cast_precision_loss, reason = "at most 100")]
     let count = recordings.len() as f64;
     let mut row =
@@ -147,7 +153,7 @@ fn table_row(law: FoamLaw, recordings: &[Recording]) -> anyhow::Result<TableRow>
     for recording in recordings {
         let deepest_m = recording.samples.iter().map(|s| s.deformation_m).fold(0.0, f64::max);
         row.deformation_mm = row.deformation_mm.map(|sum| sum + 1e3 * deepest_m / count);
-        row.counts += law.counts_drop(deepest_m) / count;
+        row.counts += foam.counts_drop(deepest_m) / count;
         row.rmse_deformation_n += line_rmse_n(&recording.deformation_trial())? / count;
         row.rmse_counts_n += line_rmse_n(&recording.trial())? / count;
     }
@@ -183,10 +189,7 @@ mod tests {
     use super::*;
 
     fn materials() -> Vec<Material> {
-        FoamLaw::PAPER
-            .into_iter()
-            .map(|law| material(law, &trials::record(law, Protocol::Ramps, 10, 1), 1).unwrap())
-            .collect()
+        simulate(10, 1).unwrap().1
     }
 
     #[test]
@@ -216,7 +219,7 @@ mod tests {
     #[test]
     fn figure_4_becomes_a_picture() {
         let recordings: Vec<_> =
-            FoamLaw::PAPER.into_iter().map(|law| trials::record(law, Protocol::Ramps, 2, 1)).collect();
+            Foam::PAPER.iter().map(|foam| trials::record(foam, Protocol::Ramps, 2, 1)).collect();
         let png = figure::png(&figure::figure_4(&recordings)).unwrap();
         assert!(png.starts_with(b"\x89PNG") && png.len() > 10_000);
     }

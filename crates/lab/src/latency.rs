@@ -4,7 +4,7 @@
 use moca_msgs::ImpedanceGains;
 use moca_msgs::robot::{PAPER_COVER, SUMMIT_XL};
 use moca_sim::board::{VirtualBoard, VirtualBoardConfig};
-use moca_sim::foam::FoamLaw;
+use moca_sim::foam::Foam;
 use moca_tactile::board::CHIP_FILTER_AGE_NS;
 use moca_tactile::datastream::SketchGeneration;
 use moca_tactile::{Cover, CoverConfig, TareStatus};
@@ -99,11 +99,11 @@ fn report() -> anyhow::Result<Report> {
     let sketches: Vec<Latency> =
         [From2015, From2018, PiCap].into_iter().map(latency).collect::<anyhow::Result<_>>()?;
     let mut contacts = Vec::new();
-    for foam in [FoamLaw::PuLd30, FoamLaw::CollisionAssumed] {
-        contacts.push(contact("ideal, 10 ms".to_owned(), foam, 0.0, 0.010)?);
+    for foam in [Foam::PU_LD30, Foam::COLLISION_ASSUMED] {
+        contacts.push(contact("ideal, 10 ms".to_owned(), &foam, 0.0, 0.010)?);
         for sketch in &sketches {
             let (age_s, period_s) = (1e-3 * sketch.age_ms, 1e-3 * sketch.period_ms);
-            contacts.push(contact(format!("sketch {}", sketch.sketch), foam, age_s, period_s)?);
+            contacts.push(contact(format!("sketch {}", sketch.sketch), &foam, age_s, period_s)?);
         }
     }
     Ok(Report { sketches, contacts })
@@ -202,14 +202,13 @@ impl Step {
     }
 }
 
-fn contact(reading: String, foam: FoamLaw, age_s: f64, period_s: f64) -> anyhow::Result<ContactReport> {
+fn contact(reading: String, foam: &Foam, age_s: f64, period_s: f64) -> anyhow::Result<ContactReport> {
     let gains = ImpedanceGains::PAPER;
     let deformation_m = foam.deformation_m(FORCE_LIMIT_N);
     let foam_n_m = foam.stiffness_n_per_m(deformation_m);
-    let damping_n_s_m = if foam == FoamLaw::CollisionAssumed { 0.005 * foam_n_m } else { 0.0 };
     let contact = Contact {
         stiffness_n_m: foam_n_m * TISSUE_N_M / (foam_n_m + TISSUE_N_M),
-        damping_n_s_m,
+        damping_n_s_m: foam.damping_time_s * foam_n_m,
         delay_s: reading_delay_s(age_s, period_s, 1e-9 * TICK_NS as f64),
         servo_s: SUMMIT_XL.servo_time_constant_s,
     };
@@ -225,7 +224,7 @@ fn contact(reading: String, foam: FoamLaw, age_s: f64, period_s: f64) -> anyhow:
     let front = &PAPER_COVER[5];
     Ok(ContactReport {
         reading,
-        foam: foam.table().name,
+        foam: foam.name,
         stiffness_n_m: contact.stiffness_n_m,
         delay_s: contact.delay_s,
         stable_taxels,
@@ -336,7 +335,7 @@ mod tests {
 
     #[test]
     fn an_older_reading_allows_less_speed_and_needs_more_damping() {
-        let at = |age_s, period_s| contact(String::new(), FoamLaw::PuLd30, age_s, period_s).unwrap();
+        let at = |age_s, period_s| contact(String::new(), &Foam::PU_LD30, age_s, period_s).unwrap();
         let (fast, slow) = (at(0.0, 0.010), at(0.030, 0.0247));
         assert!(slow.largest_speed_m_s < fast.largest_speed_m_s);
         assert!(slow.damping_needed > fast.damping_needed);

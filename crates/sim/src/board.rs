@@ -5,7 +5,8 @@
 //! 10 ms with their mean) → one I²C read a frame → six lines printed one after the other.
 
 use crate::SimError;
-use crate::foam::{FoamLaw, FoamState};
+use crate::foam::{Foam, FoamState};
+use crate::scene::within;
 use crate::sensor::{CoverSensor, Effects, SAMPLE_INTERVAL_NS};
 use moca_msgs::robot::PAPER_COVER;
 use moca_tactile::datastream::{
@@ -24,9 +25,7 @@ pub struct VirtualBoardConfig {
     /// Sketch: frame rate and age follow from it.
     pub sketch: SketchGeneration,
     /// Foam under the plates; the scene's.
-    pub foam: FoamLaw,
-    /// Stiffness of that foam over its law's.
-    pub foam_scale: f64,
+    pub foam: Foam,
     /// Disturbances.
     pub effects: Effects,
     /// Standard deviation of one FDAT value, counts; `None` takes the foam's.
@@ -44,8 +43,7 @@ impl Default for VirtualBoardConfig {
     fn default() -> Self {
         Self {
             sketch: SketchGeneration::From2018,
-            foam: FoamLaw::default(),
-            foam_scale: 1.0,
+            foam: Foam::default(),
             effects: Effects::default(),
             noise_counts: None,
             seed: 1,
@@ -71,8 +69,7 @@ pub enum BoardFault {
 pub struct VirtualBoard {
     sketch: SketchGeneration,
     frame_period_ns: u64,
-    foam: FoamLaw,
-    foam_scale: f64,
+    foam: Foam,
     foams: [FoamState; TAXELS],
     sensor: CoverSensor<ELECTRODES>,
     distance_m: [f64; ELECTRODES],
@@ -107,32 +104,22 @@ impl VirtualBoard {
     /// # Errors
     /// A noise or an effect outside its range.
     pub fn new(config: VirtualBoardConfig) -> Result<Self, SimError> {
-        let noise_counts = config.noise_counts.unwrap_or(config.foam.table().noise_counts);
+        let noise_counts = config.noise_counts.unwrap_or(config.foam.noise_counts);
         let effects = &config.effects;
-        for (name, value, unit, min, max) in [
-            ("foam_scale", config.foam_scale, "", 1e-3, 1e5),
-            ("noise_counts", noise_counts, "counts", 0.0, 100.0),
-            ("drift_counts_per_min", effects.drift_counts_per_min, "counts/min", -1000.0, 1000.0),
-            ("crosstalk", effects.crosstalk, "", 0.0, 1.0),
-            ("supply_noise", effects.supply_noise, "", 0.0, 0.1),
-        ] {
-            if !(value >= min && value <= max) {
-                return Err(SimError::Scene { name, value, unit, min, max });
-            }
-        }
+        config.foam.check()?;
+        within("noise_counts", "counts", &[noise_counts], 0.0, 100.0)?;
+        within("drift_counts_per_min", "counts/min", &[effects.drift_counts_per_min], -1000.0, 1000.0)?;
+        within("crosstalk", "", &[effects.crosstalk], 0.0, 1.0)?;
+        within("supply_noise", "", &[effects.supply_noise], 0.0, 0.1)?;
         if let Some(period_ns) = config.frame_period_ns {
-            let (name, unit, min, max) = ("frame_period_ns", "ns", 1e6, 1e9);
             #[expect(clippy::cast_precision_loss, reason = "shown to a person")]
             let value = period_ns as f64;
-            if !(min..=max).contains(&value) {
-                return Err(SimError::Scene { name, value, unit, min, max });
-            }
+            within("frame_period_ns", "ns", &[value], 1e6, 1e9)?;
         }
         let mut board = Self {
             sketch: config.sketch,
             frame_period_ns: config.frame_period_ns.unwrap_or(config.sketch.frame_period_ns()),
             foam: config.foam,
-            foam_scale: config.foam_scale,
             foams: [FoamState::default(); TAXELS],
             sensor: CoverSensor::new(config.foam, config.effects, config.seed).with_noise(noise_counts),
             distance_m: [f64::INFINITY; ELECTRODES],
@@ -200,7 +187,7 @@ impl VirtualBoard {
         let mut deformation_m = [0.0; ELECTRODES];
         for (i, foam) in self.foams.iter_mut().enumerate() {
             let force_n = if force_n[i].is_finite() { force_n[i] } else { 0.0 };
-            deformation_m[i] = foam.step_force(self.foam, force_n / self.foam_scale, DT_S);
+            deformation_m[i] = foam.step_force(&self.foam, force_n, DT_S);
         }
         self.sensor.sample(&deformation_m, &self.distance_m);
         self.next_sample_ns += SAMPLE_INTERVAL_NS;

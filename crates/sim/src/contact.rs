@@ -1,7 +1,7 @@
 //! Force between a person and the cover, from the geometric gap: tissue and foam in series, equal and opposite on
 //! both bodies. Frictionless; MuJoCo's own contacts are for hard bodies and are not used.
 
-use crate::foam::{FoamLaw, FoamState};
+use crate::foam::{Foam, FoamState};
 use moca_msgs::TaxelPlacement;
 
 /// Where a cylinder is in front of the cover.
@@ -100,20 +100,20 @@ impl ContactState {
     /// Force of tissue and foam in series at `overlap_m` of their outer surfaces, N ≥ 0.
     ///
     /// Solves foam(x) = tissue(overlap − x) for the foam's deformation x and moves both memories there.
-    pub fn step(&mut self, law: FoamLaw, tissue: Tissue, overlap_m: f64, dt_s: f64) -> f64 {
+    pub fn step(&mut self, foam: &Foam, tissue: Tissue, overlap_m: f64, dt_s: f64) -> f64 {
         if overlap_m <= 0.0 {
             self.tissue_m = 0.0;
-            return self.foam.step(law, 0.0, dt_s);
+            return self.foam.step(foam, 0.0, dt_s);
         }
         let before = *self;
         let damping = tissue.damping_n_s_per_m / dt_s;
         let tissue_n = |deformation_m: f64| {
             tissue.stiffness_n_per_m * deformation_m + damping * (deformation_m - before.tissue_m)
         };
-        let residual = |x_m: f64| before.foam.clone().step(law, x_m, dt_s) - tissue_n(overlap_m - x_m);
+        let residual = |x_m: f64| before.foam.clone().step(foam, x_m, dt_s) - tissue_n(overlap_m - x_m);
         let x_m = root(residual, overlap_m);
         self.tissue_m = overlap_m - x_m;
-        self.foam.step(law, x_m, dt_s)
+        self.foam.step(foam, x_m, dt_s)
     }
 }
 
@@ -156,21 +156,21 @@ mod tests {
 
     #[test]
     fn tissue_and_foam_share_one_force() {
-        for law in [FoamLaw::PuLd30, FoamLaw::CollisionAssumed, FoamLaw::Cc] {
+        for foam in [Foam::PU_LD30, Foam::COLLISION_ASSUMED, Foam::CC] {
             for tissue in [1e2, 5e4, 1e7] {
                 let mut contact = ContactState::default();
                 let mut alone = FoamState::default();
                 let flesh = Tissue { stiffness_n_per_m: tissue, damping_n_s_per_m: 0.0 };
                 for step in 1..200 {
                     let overlap_m = 1e-4 * f64::from(step.min(80));
-                    let force_n = contact.step(law, flesh, overlap_m, 1e-3);
+                    let force_n = contact.step(&foam, flesh, overlap_m, 1e-3);
                     // The foam alone, moved by what the tissue leaves, answers with the same force.
                     let x_m = overlap_m - force_n / tissue;
-                    assert!(x_m >= -1e-12, "{law:?} {tissue} {x_m}");
-                    let expected_n = alone.step(law, x_m, 1e-3);
+                    assert!(x_m >= -1e-12, "{foam:?} {tissue} {x_m}");
+                    let expected_n = alone.step(&foam, x_m, 1e-3);
                     assert!(
                         (force_n - expected_n).abs() < 1e-6 * (1.0 + tissue * 1e-9 + force_n),
-                        "{law:?} {tissue} {force_n} {expected_n}"
+                        "{foam:?} {tissue} {force_n} {expected_n}"
                     );
                 }
             }
@@ -183,7 +183,7 @@ mod tests {
             let tissue = Tissue { stiffness_n_per_m: 2e4, damping_n_s_per_m };
             let mut contact = ContactState::default();
             let overlaps = (1..=400).map(|step: i32| 1e-4 * f64::from(step.min(60)));
-            overlaps.map(|x| contact.step(FoamLaw::CollisionAssumed, tissue, x, 1e-3)).collect::<Vec<_>>()
+            overlaps.map(|x| contact.step(&Foam::COLLISION_ASSUMED, tissue, x, 1e-3)).collect::<Vec<_>>()
         };
         let (plain, damped) = (press(0.0), press(200.0));
         assert!(damped[50] > 1.03 * plain[50], "{} {}", damped[50], plain[50]);

@@ -4,6 +4,9 @@
 //! the paper's Table I: **two numbers were fitted to two numbers a row, so they prove nothing about the material**;
 //! the CC and PE rows are phenomenological. Compression is positive and a foam never pulls.
 
+use crate::SimError;
+use crate::scene::within;
+
 /// Shares of the relaxing part that decay with [`BRANCH_TIME_S`]; they sum to 1. ASSUMED.
 pub const BRANCH_SHARE: [f64; 3] = [0.40, 0.35, 0.25];
 /// Time constants of the Prony branches, s. ASSUMED.
@@ -11,178 +14,205 @@ pub const BRANCH_TIME_S: [f64; 3] = [0.2, 2.0, 20.0];
 /// Force at which the table states deformation and counts, N.
 pub const REFERENCE_FORCE_N: f64 = 100.0;
 
-/// The foam under the plate.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum FoamLaw {
-    /// Polyurethane LD30, 15 mm: the paper's cover and the default.
-    #[default]
-    PuLd30,
-    /// CC foam, 15 mm (its deformation at 100 N is ASSUMED: the paper prints NA).
-    Cc,
-    /// Polyethylene LD45, 5 mm.
-    Pe5,
-    /// Polyethylene LD45, 3 mm (its plate gap is fitted, not the foam's thickness).
-    Pe3,
-    /// Hyperbolic law F = k₀ d/(1 − d/h) with 5 ms of damping: the collision scene's foam. ASSUMED.
-    CollisionAssumed,
+/// Elastic force Fe of a foam at deformation x.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ElasticLaw {
+    /// Fe = k·xⁿ.
+    Power {
+        /// Instantaneous modulus k, N/mmⁿ.
+        modulus_n_per_mm_n: f64,
+        /// Hardening exponent n.
+        exponent: f64,
+    },
+    /// Fe = k₀·x/(1 − x/h), h being the plate gap at rest.
+    Hyperbolic {
+        /// Initial stiffness k₀, N/m.
+        stiffness_n_per_m: f64,
+    },
 }
 
-/// Constants of one foam and of the capacitor around it.
+/// The foam under a plate: its mechanics, and the capacitor around it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FoamTable {
+pub struct Foam {
     /// Name shown to users.
     pub name: &'static str,
-    /// Plate gap at rest, m.
+    /// Plate gap at rest, m: the foam's thickness.
     pub gap_m: f64,
-    /// Largest deformation over three ramps 0 → 100 → 0 N of 10 s each way, m.
-    pub deformation_at_100n_m: f64,
-    /// Hardening exponent n of Fe = k·xⁿ.
-    pub exponent: f64,
-    /// Instantaneous modulus k, N/mmⁿ.
-    pub modulus_n_per_mm_n: f64,
+    /// Elastic force.
+    pub elastic: ElasticLaw,
+    /// Damping over stiffness, s: a Kelvin–Voigt term in parallel; 0 for none.
+    pub damping_time_s: f64,
     /// Relaxing share r of the elastic force.
     pub relaxation: f64,
+    /// Largest deformation over three ramps 0 → 100 → 0 N of 10 s each way, as the table states it, m.
+    pub deformation_at_100n_m: f64,
     /// Sensitivity a of s = N₀·a·u/(1 + a·u), u = x/(gap − x).
     pub sensitivity: f64,
     /// Standard deviation of one FDAT value, counts.
     pub noise_counts: f64,
 }
 
-const PU_LD30: FoamTable = FoamTable {
-    name: "PU LD30",
-    gap_m: 0.015,
-    deformation_at_100n_m: 0.0114,
-    exponent: 1.586,
-    modulus_n_per_mm_n: 2.472,
-    relaxation: 0.186,
-    sensitivity: 0.041_71,
-    noise_counts: 0.70,
-};
-const CC: FoamTable = FoamTable {
-    name: "CC foam",
-    gap_m: 0.015,
-    deformation_at_100n_m: 0.0114,
-    exponent: 0.774,
-    modulus_n_per_mm_n: 21.86,
-    relaxation: 0.381,
-    sensitivity: 0.034_01,
-    noise_counts: 0.70,
-};
-const PE5: FoamTable = FoamTable {
-    name: "PE LD45 5 mm",
-    gap_m: 0.005,
-    deformation_at_100n_m: 0.0030,
-    exponent: 1.0,
-    modulus_n_per_mm_n: 38.46,
-    relaxation: 0.168,
-    sensitivity: 0.004_66,
-    noise_counts: 0.65,
-};
-const PE3: FoamTable = FoamTable {
-    name: "PE LD45 3 mm",
-    gap_m: 0.006,
-    deformation_at_100n_m: 0.0029,
-    exponent: 1.0,
-    modulus_n_per_mm_n: 39.71,
-    relaxation: 0.166,
-    sensitivity: 0.005_97,
-    noise_counts: 0.83,
-};
-/// The collision foam sits in the PU taxel: gap, sensitivity and noise are PU's, the force law is hyperbolic.
-const COLLISION: FoamTable =
-    FoamTable { name: "collision (assumed)", exponent: 1.0, relaxation: 0.0, ..PU_LD30 };
+impl Default for Foam {
+    /// The paper's cover.
+    fn default() -> Self {
+        Self::PU_LD30
+    }
+}
 
-/// Initial stiffness k₀ of the collision foam, N/m.
-const COLLISION_STIFFNESS_N_PER_M: f64 = 2105.0;
-/// Thickness h of the collision foam, m.
-const COLLISION_THICKNESS_M: f64 = 0.015;
-/// Damping of the collision foam over its stiffness, s.
-const COLLISION_DAMPING_TIME_S: f64 = 0.005;
 /// Fraction of the gap beyond which plate and foam are treated as one solid: keeps every law finite.
 const SOLID_FRACTION: f64 = 0.999;
 
-impl FoamLaw {
-    /// The paper's four materials, in the order of Table I.
-    pub const PAPER: [Self; 4] = [Self::PuLd30, Self::Cc, Self::Pe5, Self::Pe3];
+impl Foam {
+    /// Polyurethane LD30, 15 mm: the paper's cover and the default.
+    pub const PU_LD30: Self = Self {
+        name: "PU LD30",
+        gap_m: 0.015,
+        elastic: ElasticLaw::Power { modulus_n_per_mm_n: 2.472, exponent: 1.586 },
+        damping_time_s: 0.0,
+        relaxation: 0.186,
+        deformation_at_100n_m: 0.0114,
+        sensitivity: 0.041_71,
+        noise_counts: 0.70,
+    };
+    /// CC foam, 15 mm (its deformation at 100 N is ASSUMED: the paper prints NA).
+    pub const CC: Self = Self {
+        name: "CC foam",
+        elastic: ElasticLaw::Power { modulus_n_per_mm_n: 21.86, exponent: 0.774 },
+        relaxation: 0.381,
+        sensitivity: 0.034_01,
+        ..Self::PU_LD30
+    };
+    /// Polyethylene LD45, 5 mm.
+    pub const PE5: Self = Self {
+        name: "PE LD45 5 mm",
+        gap_m: 0.005,
+        elastic: ElasticLaw::Power { modulus_n_per_mm_n: 38.46, exponent: 1.0 },
+        damping_time_s: 0.0,
+        relaxation: 0.168,
+        deformation_at_100n_m: 0.0030,
+        sensitivity: 0.004_66,
+        noise_counts: 0.65,
+    };
+    /// Polyethylene LD45, 3 mm (its plate gap is fitted, not the foam's thickness).
+    pub const PE3: Self = Self {
+        name: "PE LD45 3 mm",
+        gap_m: 0.006,
+        elastic: ElasticLaw::Power { modulus_n_per_mm_n: 39.71, exponent: 1.0 },
+        damping_time_s: 0.0,
+        relaxation: 0.166,
+        deformation_at_100n_m: 0.0029,
+        sensitivity: 0.005_97,
+        noise_counts: 0.83,
+    };
+    /// The collision scene's foam in the PU taxel: gap, sensitivity and noise are PU's. ASSUMED.
+    pub const COLLISION_ASSUMED: Self = Self {
+        name: "collision (assumed)",
+        elastic: ElasticLaw::Hyperbolic { stiffness_n_per_m: 2105.0 },
+        damping_time_s: 0.005,
+        relaxation: 0.0,
+        ..Self::PU_LD30
+    };
 
-    /// Constants of this foam.
-    pub const fn table(self) -> &'static FoamTable {
-        match self {
-            Self::PuLd30 => &PU_LD30,
-            Self::Cc => &CC,
-            Self::Pe5 => &PE5,
-            Self::Pe3 => &PE3,
-            Self::CollisionAssumed => &COLLISION,
+    /// The paper's four materials, in the order of Table I.
+    pub const PAPER: [Self; 4] = [Self::PU_LD30, Self::CC, Self::PE5, Self::PE3];
+
+    /// Checks the numbers that a scene may choose.
+    pub(crate) fn check(&self) -> Result<(), SimError> {
+        within("foam.thickness", "m", &[self.gap_m], 1e-3, 0.1)?;
+        within("foam.damping_time", "s", &[self.damping_time_s], 0.0, 1.0)?;
+        match self.elastic {
+            ElasticLaw::Power { modulus_n_per_mm_n, exponent } => {
+                within("foam.modulus", "N/mmⁿ", &[modulus_n_per_mm_n], 1e-3, 1e7)?;
+                within("foam.exponent", "", &[exponent], 0.1, 10.0)?;
+            }
+            ElasticLaw::Hyperbolic { stiffness_n_per_m } => {
+                within("foam.stiffness", "N/m", &[stiffness_n_per_m], 1.0, 1e9)?;
+            }
         }
+        within("foam.relaxation", "", &[self.relaxation], 0.0, 0.99)?;
+        within("foam.sensitivity", "", &[self.sensitivity], 0.0, 1e3)
+    }
+
+    /// The same foam, `factor` times as stiff.
+    #[must_use]
+    pub fn stiffened(mut self, factor: f64) -> Self {
+        match &mut self.elastic {
+            ElasticLaw::Power { modulus_n_per_mm_n: k, .. }
+            | ElasticLaw::Hyperbolic { stiffness_n_per_m: k } => *k *= factor,
+        }
+        self
+    }
+
+    /// Deformation at which the foam is taken as solid, m.
+    fn solid_m(&self) -> f64 {
+        SOLID_FRACTION * self.gap_m
     }
 
     /// Instantaneous elastic force Fe at deformation `x_m`, N; 0 for `x_m` ≤ 0, finite for every finite `x_m`.
-    pub fn elastic_force_n(self, x_m: f64) -> f64 {
+    pub fn elastic_force_n(&self, x_m: f64) -> f64 {
         if x_m <= 0.0 {
             return 0.0;
         }
-        let table = self.table();
-        if self == Self::CollisionAssumed {
-            let x = x_m.min(SOLID_FRACTION * COLLISION_THICKNESS_M);
-            return COLLISION_STIFFNESS_N_PER_M * x / (1.0 - x / COLLISION_THICKNESS_M);
+        match self.elastic {
+            ElasticLaw::Power { modulus_n_per_mm_n, exponent } => {
+                modulus_n_per_mm_n * (1e3 * x_m).powf(exponent)
+            }
+            ElasticLaw::Hyperbolic { stiffness_n_per_m } => {
+                let x = x_m.min(self.solid_m());
+                stiffness_n_per_m * x / (1.0 - x / self.gap_m)
+            }
         }
-        table.modulus_n_per_mm_n * (1e3 * x_m).powf(table.exponent)
     }
 
     /// Slope dFe/dx at deformation `x_m` (at least 1 µm, where CC's exponent below 1 has a pole), N/m.
-    pub fn stiffness_n_per_m(self, x_m: f64) -> f64 {
+    pub fn stiffness_n_per_m(&self, x_m: f64) -> f64 {
         let x = x_m.max(1e-6);
-        if self == Self::CollisionAssumed {
-            let rest = 1.0 - x.min(SOLID_FRACTION * COLLISION_THICKNESS_M) / COLLISION_THICKNESS_M;
-            return COLLISION_STIFFNESS_N_PER_M / (rest * rest);
+        match self.elastic {
+            ElasticLaw::Power { exponent, .. } => exponent * self.elastic_force_n(x) / x,
+            ElasticLaw::Hyperbolic { stiffness_n_per_m } => {
+                let rest = 1.0 - x.min(self.solid_m()) / self.gap_m;
+                stiffness_n_per_m / (rest * rest)
+            }
         }
-        self.table().exponent * self.elastic_force_n(x) / x
     }
 
     /// Inverse of [`Self::elastic_force_n`], m; 0 for a force ≤ 0.
-    pub fn deformation_m(self, force_n: f64) -> f64 {
+    pub fn deformation_m(&self, force_n: f64) -> f64 {
         if force_n <= 0.0 {
             return 0.0;
         }
-        let table = self.table();
-        if self == Self::CollisionAssumed {
-            let h = COLLISION_THICKNESS_M;
-            return (force_n * h / (COLLISION_STIFFNESS_N_PER_M * h + force_n)).min(SOLID_FRACTION * h);
+        match self.elastic {
+            ElasticLaw::Power { modulus_n_per_mm_n, exponent } => {
+                1e-3 * (force_n / modulus_n_per_mm_n).powf(1.0 / exponent)
+            }
+            ElasticLaw::Hyperbolic { stiffness_n_per_m } => {
+                let h = self.gap_m;
+                (force_n * h / (stiffness_n_per_m * h + force_n)).min(self.solid_m())
+            }
         }
-        1e-3 * (force_n / table.modulus_n_per_mm_n).powf(1.0 / table.exponent)
     }
 
     /// Force that belongs to deformation `x_m` on the elastic curve scaled to the table's 100 N point (relaxation
     /// of some seconds included), N.
-    pub fn ramp_force_n(self, x_m: f64) -> f64 {
-        let table = self.table();
-        let at_reference = self.elastic_force_n(table.deformation_at_100n_m);
+    pub fn ramp_force_n(&self, x_m: f64) -> f64 {
+        let at_reference = self.elastic_force_n(self.deformation_at_100n_m);
         REFERENCE_FORCE_N * self.elastic_force_n(x_m) / at_reference
     }
 
     /// Inverse of [`Self::ramp_force_n`], m: where a force held for some seconds leaves the plate.
-    pub fn ramp_deformation_m(self, force_n: f64) -> f64 {
-        let at_reference = self.elastic_force_n(self.table().deformation_at_100n_m);
+    pub fn ramp_deformation_m(&self, force_n: f64) -> f64 {
+        let at_reference = self.elastic_force_n(self.deformation_at_100n_m);
         self.deformation_m(force_n * at_reference / REFERENCE_FORCE_N)
     }
 
     /// Plate gap left at deformation `x_m`, m; never below a thousandth of the gap at rest.
-    pub fn gap_m(self, x_m: f64) -> f64 {
-        let rest = self.table().gap_m;
-        rest - x_m.clamp(0.0, SOLID_FRACTION * rest)
+    pub fn gap_left_m(&self, x_m: f64) -> f64 {
+        self.gap_m - x_m.clamp(0.0, self.solid_m())
     }
 
     /// Relaxing share of each branch; all 0 for a foam without memory.
-    fn branch_gain(self) -> [f64; 3] {
-        BRANCH_SHARE.map(|share| share * self.table().relaxation)
-    }
-
-    /// Damping time of a Kelvin–Voigt term in parallel, s.
-    const fn damping_time_s(self) -> f64 {
-        match self {
-            Self::CollisionAssumed => COLLISION_DAMPING_TIME_S,
-            _ => 0.0,
-        }
+    fn branch_gain(&self) -> [f64; 3] {
+        BRANCH_SHARE.map(|share| share * self.relaxation)
     }
 }
 
@@ -205,12 +235,12 @@ impl FoamState {
     /// Moves the foam to deformation `x_m` within `dt_s` and gives the force it answers with, N, ≥ 0.
     ///
     /// Stable for every `dt_s` > 0. An untouched foam at rest costs one comparison.
-    pub fn step(&mut self, law: FoamLaw, x_m: f64, dt_s: f64) -> f64 {
+    pub fn step(&mut self, foam: &Foam, x_m: f64, dt_s: f64) -> f64 {
         if x_m <= 0.0 && self.is_at_rest() {
             return 0.0;
         }
-        let response = self.response(law, dt_s);
-        let change_n = law.elastic_force_n(x_m) - self.elastic_n;
+        let response = self.response(foam, dt_s);
+        let change_n = foam.elastic_force_n(x_m) - self.elastic_n;
         self.advance(&response, change_n);
         if x_m <= 0.0 {
             return 0.0;
@@ -220,15 +250,15 @@ impl FoamState {
 
     /// Presses the foam with `force_n` for `dt_s` and gives the deformation it takes, m, ≥ 0 (a load-controlled
     /// test, as in the paper's characterisation).
-    pub fn step_force(&mut self, law: FoamLaw, force_n: f64, dt_s: f64) -> f64 {
+    pub fn step_force(&mut self, foam: &Foam, force_n: f64, dt_s: f64) -> f64 {
         if force_n <= 0.0 && self.is_at_rest() {
             return 0.0;
         }
-        let response = self.response(law, dt_s);
+        let response = self.response(foam, dt_s);
         let change_n = (force_n.max(0.0) - response.offset_n) / response.gain;
         let change_n = change_n.max(-self.elastic_n);
         self.advance(&response, change_n);
-        law.deformation_m(self.elastic_n)
+        foam.deformation_m(self.elastic_n)
     }
 
     /// No deformation and no memory worth a force (below a micronewton).
@@ -236,17 +266,17 @@ impl FoamState {
         self.elastic_n <= 1e-6 && self.branch_n.iter().all(|h| h.abs() < 1e-6)
     }
 
-    fn response(&self, law: FoamLaw, dt_s: f64) -> Response {
-        let share = law.branch_gain();
-        let held = 1.0 - law.table().relaxation;
-        let damping = law.damping_time_s() / dt_s;
+    fn response(&self, foam: &Foam, dt_s: f64) -> Response {
+        let share = foam.branch_gain();
+        let held = 1.0 - foam.relaxation;
+        let damping = foam.damping_time_s / dt_s;
         let mut response = Response {
             offset_n: held * self.elastic_n,
             gain: held + damping,
             decay: [1.0; 3],
             branch_gain: [0.0; 3],
         };
-        if law.table().relaxation > 0.0 {
+        if foam.relaxation > 0.0 {
             for i in 0..3 {
                 let decay = (-dt_s / BRANCH_TIME_S[i]).exp();
                 response.decay[i] = decay;
@@ -270,45 +300,44 @@ impl FoamState {
 mod tests {
     use super::*;
 
-    const ALL: [FoamLaw; 5] =
-        [FoamLaw::PuLd30, FoamLaw::Cc, FoamLaw::Pe5, FoamLaw::Pe3, FoamLaw::CollisionAssumed];
+    const ALL: [Foam; 5] = [Foam::PU_LD30, Foam::CC, Foam::PE5, Foam::PE3, Foam::COLLISION_ASSUMED];
 
     #[test]
     fn deformation_inverts_elastic_force_for_every_foam() {
-        for law in ALL {
+        for foam in ALL {
             for force_n in [0.01, 1.0, 25.0, 100.0, 150.0] {
-                let back_n = law.elastic_force_n(law.deformation_m(force_n));
-                assert!((back_n - force_n).abs() < 1e-9 * force_n, "{law:?} {force_n} {back_n}");
-                let back_n = law.ramp_force_n(law.ramp_deformation_m(force_n));
-                assert!((back_n - force_n).abs() < 1e-9 * force_n, "{law:?} {force_n} {back_n}");
+                let back_n = foam.elastic_force_n(foam.deformation_m(force_n));
+                assert!((back_n - force_n).abs() < 1e-9 * force_n, "{foam:?} {force_n} {back_n}");
+                let back_n = foam.ramp_force_n(foam.ramp_deformation_m(force_n));
+                assert!((back_n - force_n).abs() < 1e-9 * force_n, "{foam:?} {force_n} {back_n}");
             }
         }
     }
 
     #[test]
     fn three_ramps_to_100_n_reach_the_table_s_deformation() {
-        for law in FoamLaw::PAPER {
-            let mut foam = FoamState::default();
+        for foam in Foam::PAPER {
+            let mut state = FoamState::default();
             let mut deepest_m: f64 = 0.0;
             for i in 0..3 * 2000 {
                 let force_n = 0.1 * f64::from(1000 - (i % 2000 - 1000i32).abs());
-                deepest_m = deepest_m.max(foam.step_force(law, force_n, 0.01));
+                deepest_m = deepest_m.max(state.step_force(&foam, force_n, 0.01));
             }
-            let table_m = law.table().deformation_at_100n_m;
-            assert!((deepest_m - table_m).abs() < 0.002 * table_m, "{law:?}: {deepest_m} against {table_m}");
+            let table_m = foam.deformation_at_100n_m;
+            assert!((deepest_m - table_m).abs() < 0.002 * table_m, "{foam:?}: {deepest_m} against {table_m}");
         }
     }
 
     #[test]
     fn force_and_deformation_steps_are_inverse_to_each_other() {
-        for law in ALL {
+        for foam in ALL {
             let (mut by_force, mut by_deformation) = (FoamState::default(), FoamState::default());
             for i in 1..500 {
                 let force_n = 50.0 * (1.0 - (f64::from(i) * 0.02).cos());
-                let x_m = by_force.step_force(law, force_n, 0.002);
-                let back_n = by_deformation.step(law, x_m, 0.002);
+                let x_m = by_force.step_force(&foam, force_n, 0.002);
+                let back_n = by_deformation.step(&foam, x_m, 0.002);
                 if x_m > 0.0 {
-                    assert!((back_n - force_n).abs() < 1e-6, "{law:?} step {i}: {force_n} {back_n}");
+                    assert!((back_n - force_n).abs() < 1e-6, "{foam:?} step {i}: {force_n} {back_n}");
                 }
             }
         }
@@ -316,13 +345,13 @@ mod tests {
 
     #[test]
     fn a_held_deformation_relaxes_to_the_held_share() {
-        let law = FoamLaw::PuLd30;
-        let mut foam = FoamState::default();
-        let first_n = foam.step(law, 0.008, 1e-6);
-        assert!((first_n - law.elastic_force_n(0.008)).abs() < 1e-3);
+        let foam = Foam::PU_LD30;
+        let mut state = FoamState::default();
+        let first_n = state.step(&foam, 0.008, 1e-6);
+        assert!((first_n - foam.elastic_force_n(0.008)).abs() < 1e-3);
         let mut last_n = first_n;
         for _ in 0..4000 {
-            let force_n = foam.step(law, 0.008, 0.1);
+            let force_n = state.step(&foam, 0.008, 0.1);
             assert!(force_n <= last_n + 1e-12);
             last_n = force_n;
         }
@@ -331,15 +360,37 @@ mod tests {
 
     #[test]
     fn every_law_stays_finite_when_crushed_and_never_pulls() {
-        for law in ALL {
+        for foam in ALL {
             for dt_s in [1e-6, 1e-3, 1.0, 1e3] {
-                let mut foam = FoamState::default();
+                let mut state = FoamState::default();
                 for x_m in [0.0, 0.02, 1.0, 0.014, -1.0, 0.0, 0.003] {
-                    let force_n = foam.step(law, x_m, dt_s);
-                    assert!(force_n.is_finite() && force_n >= 0.0, "{law:?} {x_m} {dt_s}: {force_n}");
-                    assert!(law.gap_m(x_m) > 0.0);
+                    let force_n = state.step(&foam, x_m, dt_s);
+                    assert!(force_n.is_finite() && force_n >= 0.0, "{foam:?} {x_m} {dt_s}: {force_n}");
+                    assert!(foam.gap_left_m(x_m) > 0.0);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn thickness_stiffness_and_damping_are_what_their_law_says() {
+        let plain = Foam::COLLISION_ASSUMED;
+        let thin = Foam { gap_m: 0.010, ..plain };
+        // k₀·x/(1 − x/h) at 6 mm.
+        assert!((plain.elastic_force_n(0.006) - 2105.0 * 0.006 / 0.6).abs() < 1e-9);
+        assert!((thin.elastic_force_n(0.006) - 2105.0 * 0.006 / 0.4).abs() < 1e-9);
+        assert!(
+            (thin.gap_left_m(0.006) - 0.004).abs() < 1e-15
+                && thin.counts_drop(0.006) > plain.counts_drop(0.006)
+        );
+        for foam in ALL {
+            let twice = foam.stiffened(2.0).elastic_force_n(0.001) / foam.elastic_force_n(0.001);
+            assert!((twice - 2.0).abs() < 1e-12, "{foam:?}");
+            // A Kelvin–Voigt damper adds its time over the step's to the elastic force of a first step.
+            let first_n = |foam: &Foam| FoamState::default().step(foam, 0.001, 1e-3);
+            let added_n = first_n(&Foam { damping_time_s: 0.002, ..foam })
+                - first_n(&Foam { damping_time_s: 0.0, ..foam });
+            assert!((added_n - 2.0 * foam.elastic_force_n(0.001)).abs() < 1e-9, "{foam:?}");
         }
     }
 }

@@ -5,7 +5,7 @@
 
 use crate::plant::{BASE_SERVO_DAMPING, YAW_SERVO_DAMPING};
 use crate::scene::{Integrator, Mobility, Robot, Scene, Shape};
-use moca_msgs::robot::{LinkInertial, PANDA};
+use moca_msgs::robot::LinkInertial;
 use std::fmt::{self, Write};
 
 /// Name of the massless body that marks the flange.
@@ -101,25 +101,26 @@ fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
     let (sin, cos) = stand[2].sin_cos();
     let origin = [stand[0] + cos * x - sin * y, stand[1] + sin * x + cos * y, z, roll, pitch, stand[2] + yaw];
     open_body(xml, "link0", &origin)?;
-    inertial(xml, &PANDA.link0)?;
-    for i in 0..PANDA.links.len() {
-        open_body(xml, &format!("link{}", i + 1), &PANDA.joint_origin[i])?;
+    let table = scene.arm;
+    inertial(xml, &table.link0)?;
+    for i in 0..table.links.len() {
+        open_body(xml, &format!("link{}", i + 1), &table.joint_origin[i])?;
         write!(xml, "<joint name=\"q{}\" type=\"hinge\" axis=\"0 0 1\"", i + 1)?;
         if scene.joint_limits {
-            write!(xml, " range=\"{} {}\"", PANDA.q_min_rad[i], PANDA.q_max_rad[i])?;
+            write!(xml, " range=\"{} {}\"", table.q_min_rad[i], table.q_max_rad[i])?;
         }
         xml.push_str("/>\n");
-        inertial(xml, &PANDA.links[i])?;
+        inertial(xml, &table.links[i])?;
         if scene.everything {
-            let [x, y, z] = PANDA.links[i].com_m;
+            let [x, y, z] = table.links[i].com_m;
             writeln!(xml, "<geom type=\"sphere\" size=\"0.02\" pos=\"{x} {y} {z}\"/>")?;
         }
     }
-    open_body(xml, FLANGE, &PANDA.flange_origin)?;
+    open_body(xml, FLANGE, &table.flange_origin)?;
     if scene.everything {
         xml.push_str("<site name=\"flange\"/>\n");
     }
-    for _ in 0..PANDA.links.len() + 2 {
+    for _ in 0..table.links.len() + 2 {
         xml.push_str("</body>");
     }
     xml.push('\n');

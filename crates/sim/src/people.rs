@@ -1,7 +1,7 @@
 //! People and walls in the running scene: where they are, what they do, and what they and the cover do to each other.
 
 use crate::contact::{ContactState, Zones};
-use crate::foam::FoamLaw;
+use crate::foam::Foam;
 use crate::scene::{Mobility, Person, Shape};
 use moca_msgs::robot::PAPER_COVER;
 
@@ -12,8 +12,7 @@ const FACING_COS_MIN: f64 = 0.5;
 /// The cover at one instant.
 pub(crate) struct Cover<'a> {
     pub zones: &'a Zones<K>,
-    pub foam: FoamLaw,
-    pub foam_scale: f64,
+    pub foam: &'a Foam,
     /// Physics step, s.
     pub dt_s: f64,
     /// Pose of B in W: x m, y m, yaw rad.
@@ -203,11 +202,7 @@ impl Body {
         base_wrench: &mut [f64; 3],
     ) {
         let &Meeting { taxel, overlap_m, point_base: [px, py] } = meeting;
-        // A foam of scaled stiffness is the plain one against a tissue scaled the other way.
-        let mut tissue = self.person.tissue;
-        tissue.stiffness_n_per_m /= cover.foam_scale;
-        tissue.damping_n_s_per_m /= cover.foam_scale;
-        let force_n = cover.foam_scale * self.contacts[taxel].step(cover.foam, tissue, overlap_m, cover.dt_s);
+        let force_n = self.contacts[taxel].step(cover.foam, self.person.tissue, overlap_m, cover.dt_s);
         if force_n <= 0.0 {
             return;
         }

@@ -1,4 +1,4 @@
-//! The plant: a Panda on a velocity-controlled base, one control period at a time.
+//! The plant: an arm on a velocity-controlled base, one control period at a time.
 
 use crate::contact::Zones;
 use crate::mjcf::{FLANGE, mjcf};
@@ -301,8 +301,7 @@ impl SimPlant {
         let mut base_wrench = self.cover_wrench_true_base();
         let cover = Cover {
             zones: &self.zones,
-            foam: self.scene.foam,
-            foam_scale: self.scene.foam_scale,
+            foam: &self.scene.foam,
             dt_s: self.scene.physics_step_s,
             pose_world: state.base_pose_world,
         };

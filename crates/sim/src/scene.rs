@@ -2,13 +2,15 @@
 
 use crate::SimError;
 use crate::contact::Tissue;
-use crate::foam::FoamLaw;
-use moca_msgs::robot::{BaseTable, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, SUMMIT_XL, TaxelPlacement};
+use crate::foam::Foam;
+use moca_msgs::robot::{
+    ArmTable, BaseTable, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, SUMMIT_XL, TaxelPlacement,
+};
 
 /// Which parts of the robot exist.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Robot {
-    /// Panda on its mobile base.
+    /// The arm on its mobile base.
     #[default]
     MobileManipulator,
     /// The base and its cover; the arm's mass is missing.
@@ -206,7 +208,7 @@ impl Default for BaseServo {
 }
 
 /// The first of `values` outside its range; NaN and infinity are outside every range.
-fn within(
+pub(crate) fn within(
     name: &'static str,
     unit: &'static str,
     values: &[f64],
@@ -226,6 +228,8 @@ pub struct Scene {
     pub robot: Robot,
     /// Pose of B in W at the start: x m, y m, yaw rad.
     pub base_pose_world: [f64; 3],
+    /// The arm.
+    pub arm: &'static ArmTable<7>,
     /// Arm joint angles at the start, rad.
     pub arm_posture_rad: [f64; 7],
     /// The arm's mechanical joint limits.
@@ -233,9 +237,7 @@ pub struct Scene {
     /// A sensor that reports the true wrench at the flange as the robot's own estimate.
     pub flange_sensor: bool,
     /// Foam of the cover.
-    pub foam: FoamLaw,
-    /// Stiffness of the foam over its law's.
-    pub foam_scale: f64,
+    pub foam: Foam,
     /// Everything a model of this robot could hold, needed or not: geoms with collision detection, sensors, energy.
     /// It changes no trajectory; it is what scene economy is measured against.
     pub everything: bool,
@@ -263,11 +265,11 @@ impl Default for Scene {
         Self {
             robot: Robot::MobileManipulator,
             base_pose_world: [0.0; 3],
+            arm: &PANDA,
             arm_posture_rad: PANDA.home_rad,
             joint_limits: true,
             flange_sensor: false,
-            foam: FoamLaw::default(),
-            foam_scale: 1.0,
+            foam: Foam::default(),
             everything: false,
             base: SUMMIT_XL,
             mount: MOCA_MOUNT,
@@ -291,7 +293,7 @@ impl Scene {
         within("arm_posture_rad", "rad", &self.arm_posture_rad, -7.0, 7.0)?;
         within("control_period_s", "s", &[self.control_period_s], 1e-5, 0.1)?;
         within("physics_step_s", "s", &[self.physics_step_s], 1e-6, 0.1)?;
-        within("foam_scale", "", &[self.foam_scale], 1e-3, 1e5)?;
+        self.foam.check()?;
         within("base.mass", "kg", &[self.base.mass_kg], 1.0, 1e5)?;
         within("base.inertia", "kg·m²", &self.base.inertia_com_diagonal, 1e-3, 1e6)?;
         within("base.size", "m", &self.base.size_m, 0.1, 100.0)?;

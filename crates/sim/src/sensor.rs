@@ -4,7 +4,7 @@
 //! N = I·T·1024/(V_DD·C) and C = εA/d, eq. (1): counts go as the plate gap, so a press **lowers** FDAT.
 //! The stock settings sample each electrode every millisecond and refresh FDAT every 10 ms with the mean.
 
-use crate::foam::FoamLaw;
+use crate::foam::Foam;
 
 /// FDAT of an untouched electrode with the stock settings of 2020 (auto-configuration on), counts.
 pub const IDLE_COUNTS: f64 = 720.0;
@@ -15,14 +15,14 @@ pub const SAMPLES_PER_VALUE: u32 = 10;
 /// Time in which the chip's baseline follows FDAT, s. ASSUMED; the reader does not use the baseline.
 const BASELINE_TIME_S: f64 = 30.0;
 
-impl FoamLaw {
+impl Foam {
     /// Counts by which FDAT falls at deformation `x_m`: s = N₀·a·u/(1 + a·u), u = x/(gap at rest − x).
-    pub fn counts_drop(self, x_m: f64) -> f64 {
+    pub fn counts_drop(&self, x_m: f64) -> f64 {
         if x_m <= 0.0 {
             return 0.0;
         }
-        let gap_m = self.gap_m(x_m);
-        let au = self.table().sensitivity * (self.table().gap_m - gap_m) / gap_m;
+        let left_m = self.gap_left_m(x_m);
+        let au = self.sensitivity * (self.gap_m - left_m) / left_m;
         IDLE_COUNTS * au / (1.0 + au)
     }
 }
@@ -121,7 +121,7 @@ impl Effects {
 /// The capacitive side of a cover of `K` taxels: deformations in, FDAT out.
 #[derive(Clone, Debug)]
 pub struct CoverSensor<const K: usize> {
-    law: FoamLaw,
+    foam: Foam,
     noise_counts: f64,
     effects: Option<Effects>,
     noise: Noise,
@@ -133,11 +133,11 @@ pub struct CoverSensor<const K: usize> {
 }
 
 impl<const K: usize> CoverSensor<K> {
-    /// A cover at rest over `law`'s foam, with the foam's stock noise.
-    pub fn new(law: FoamLaw, effects: Effects, seed: u64) -> Self {
+    /// A cover at rest over `foam`, with that foam's stock noise.
+    pub fn new(foam: Foam, effects: Effects, seed: u64) -> Self {
         Self {
-            law,
-            noise_counts: law.table().noise_counts,
+            foam,
+            noise_counts: foam.noise_counts,
             effects: effects.any().then_some(effects),
             noise: Noise::new(seed),
             sum_drop: [0.0; K],
@@ -159,7 +159,7 @@ impl<const K: usize> CoverSensor<K> {
     /// distance of the nearest body to each taxel (m, infinite for none). True when FDAT was refreshed.
     pub fn sample(&mut self, deformation_m: &[f64; K], distance_m: &[f64; K]) -> bool {
         for i in 0..K {
-            self.sum_drop[i] += self.law.counts_drop(deformation_m[i]);
+            self.sum_drop[i] += self.foam.counts_drop(deformation_m[i]);
             if let Some(Proximity { counts_at_contact, decay_m }) = self.effects.and_then(|e| e.proximity) {
                 self.sum_drop[i] += counts_at_contact * (-distance_m[i].max(0.0) / decay_m).exp();
             }
@@ -229,22 +229,22 @@ mod tests {
         for (force_n, counts) in
             [(5.0, 3.9), (10.0, 6.4), (20.0, 11.2), (30.0, 16.2), (50.0, 27.8), (75.0, 48.5), (100.0, 84.0)]
         {
-            let drop = FoamLaw::PuLd30.counts_drop(FoamLaw::PuLd30.ramp_deformation_m(force_n));
+            let drop = Foam::PU_LD30.counts_drop(Foam::PU_LD30.ramp_deformation_m(force_n));
             assert!((drop - counts).abs() < 0.06, "{force_n} N: {drop} counts, expected {counts}");
         }
     }
 
     #[test]
     fn every_foam_spans_the_table_s_counts_at_100_n() {
-        for (law, counts) in FoamLaw::PAPER.into_iter().zip([84.0, 70.0, 5.0, 4.0]) {
-            let drop = law.counts_drop(law.table().deformation_at_100n_m);
-            assert!((drop - counts).abs() < 0.06, "{law:?}: {drop}");
+        for (foam, counts) in Foam::PAPER.into_iter().zip([84.0, 70.0, 5.0, 4.0]) {
+            let drop = foam.counts_drop(foam.deformation_at_100n_m);
+            assert!((drop - counts).abs() < 0.06, "{foam:?}: {drop}");
         }
     }
 
     #[test]
     fn fdat_is_the_mean_of_ten_samples() {
-        let mut sensor = CoverSensor::<1>::new(FoamLaw::PuLd30, Effects::default(), 1).with_noise(0.0);
+        let mut sensor = CoverSensor::<1>::new(Foam::PU_LD30, Effects::default(), 1).with_noise(0.0);
         let pressed = [0.0114];
         for i in 0..10 {
             let x = if i < 5 { [0.0] } else { pressed };
@@ -256,7 +256,7 @@ mod tests {
     #[test]
     fn noise_has_the_stated_spread_and_repeats_with_its_seed() {
         let run = |seed| {
-            let mut sensor = CoverSensor::<4>::new(FoamLaw::PuLd30, Effects::default(), seed);
+            let mut sensor = CoverSensor::<4>::new(Foam::PU_LD30, Effects::default(), seed);
             let mut values = Vec::new();
             for _ in 0..20_000 {
                 if sensor.sample(&[0.0; 4], &[f64::INFINITY; 4]) {
@@ -279,7 +279,7 @@ mod tests {
     #[test]
     fn each_effect_acts_alone() {
         let last = |effects, x: [f64; 3], distance: [f64; 3]| {
-            let mut sensor = CoverSensor::<3>::new(FoamLaw::PuLd30, effects, 3).with_noise(0.0);
+            let mut sensor = CoverSensor::<3>::new(Foam::PU_LD30, effects, 3).with_noise(0.0);
             for _ in 0..60_000 {
                 sensor.sample(&x, &distance);
             }
@@ -300,7 +300,7 @@ mod tests {
 
     #[test]
     fn the_baseline_absorbs_a_sustained_press_and_fdat_does_not() {
-        let mut sensor = CoverSensor::<1>::new(FoamLaw::PuLd30, Effects::default(), 3).with_noise(0.0);
+        let mut sensor = CoverSensor::<1>::new(Foam::PU_LD30, Effects::default(), 3).with_noise(0.0);
         for _ in 0..300_000 {
             sensor.sample(&[0.0114], &[f64::INFINITY]);
         }

@@ -6,7 +6,7 @@
     reason = "tests fail by panicking and check bytes by parsing them"
 )]
 
-use moca_sim::foam::FoamLaw;
+use moca_sim::foam::Foam;
 use moca_sim::{BoardFault, PtyBoard, SharedForces, VirtualBoard, VirtualBoardConfig};
 use moca_tactile::datastream::{Event, Parser, SketchGeneration, StampedFrame};
 use std::io::Read;
@@ -122,7 +122,7 @@ fn faults_look_as_the_firmware_s() {
 fn nan_and_wild_forces_leave_the_board_printing() {
     for force_n in [f64::NAN, f64::INFINITY, -50.0, 1e9] {
         let run = run(
-            &mut board(VirtualBoardConfig { foam: FoamLaw::PuLd30, ..VirtualBoardConfig::default() }),
+            &mut board(VirtualBoardConfig { foam: Foam::PU_LD30, ..VirtualBoardConfig::default() }),
             0,
             500,
             |_| force_n,

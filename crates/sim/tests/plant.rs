@@ -2,8 +2,9 @@
 //! and against bad input.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs, reason = "tests fail by panicking")]
 
-use moca_msgs::robot::PANDA;
+use moca_msgs::robot::{FR3, Mount, PANDA};
 use moca_msgs::{Actuation, RobotCommand};
+use moca_sim::foam::Foam;
 use moca_sim::{BodyPart, Integrator, Person, Robot, Scene, SimError, SimPlant};
 
 const STILL: [f64; 3] = [0.0; 3];
@@ -157,6 +158,9 @@ fn a_scene_with_a_bad_number_names_it() {
     assert_eq!(error.to_string(), "scene: physics_step_s = NaN s is outside 0.000001 to 0.1 s");
     let error = SimPlant::new(&Scene { physics_step_s: 3e-4, ..Scene::default() }).unwrap_err();
     assert!(matches!(error, SimError::Period { .. }));
+    let foam = Foam { gap_m: 0.5, ..Foam::default() };
+    let error = SimPlant::new(&Scene { foam, ..Scene::default() }).unwrap_err();
+    assert_eq!(error.to_string(), "scene: foam.thickness = 0.5 m is outside 0.001 to 0.1 m");
 }
 
 #[test]
@@ -243,4 +247,46 @@ fn a_wall_presses_every_taxel_of_the_panel_that_meets_it_and_stops_the_base() {
     assert!(force.iter().enumerate().all(|(i, f)| (4..=6).contains(&i) || *f == 0.0), "{force:?}");
     let state = plant.state();
     assert!(state.base_pose_world[0] < 0.06 && state.base_pose_world[2].abs() < 1e-3, "{state:?}");
+}
+
+#[test]
+fn an_fr3_in_the_scene_agrees_with_pinocchio() {
+    let text = include_str!("../../../tests/fixtures/arms.json");
+    let json: serde_json::Value = serde_json::from_str(text).unwrap();
+    let numbers = |value: &serde_json::Value| -> Vec<f64> {
+        value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+    };
+    let mut compared = 0;
+    for case in json["fr3"].as_array().unwrap() {
+        if case["payload"]["mass"].as_f64() != Some(0.0) {
+            continue; // the scene's flange is bare
+        }
+        let mount = numbers(&case["mount"]);
+        let scene = Scene {
+            robot: Robot::ArmOnly,
+            joint_limits: false,
+            arm: &FR3,
+            mount: Mount {
+                position_base_m: mount[..3].try_into().unwrap(),
+                rpy_rad: mount[3..].try_into().unwrap(),
+            },
+            ..Scene::default()
+        };
+        let mut plant = SimPlant::new(&scene).unwrap();
+        let (q, dq) = (numbers(&case["q"]), numbers(&case["dq"]));
+        plant.set_state(&STILL, &STILL, &q.try_into().unwrap(), &dq.try_into().unwrap());
+        for (a, b) in plant.bias().iter().zip(numbers(&case["bias"])) {
+            assert!((a - b).abs() < 1e-9, "bias {a} against {b}");
+        }
+        let (mass, nv) = plant.full_mass_matrix();
+        assert_eq!(nv, 7);
+        for (row, expected) in case["mass"].as_array().unwrap().iter().enumerate() {
+            for (column, b) in numbers(expected).into_iter().enumerate() {
+                let a = mass[row * nv + column];
+                assert!((a - b).abs() < 1e-9, "M[{row}][{column}] {a} against {b}");
+            }
+        }
+        compared += 1;
+    }
+    assert!(compared >= 1, "no case without a payload");
 }

@@ -2,7 +2,7 @@
 
 use super::trials::{Recording, Sample};
 use anyhow::Context;
-use moca_sim::foam::FoamLaw;
+use moca_sim::foam::Foam;
 use moca_sim::sensor::IDLE_COUNTS;
 use moca_tactile::calibration::chart::{COLOURS, Chart, side_by_side};
 use resvg::{tiny_skia, usvg};
@@ -26,7 +26,7 @@ pub(super) fn figure_4(recordings: &[Vec<Recording>]) -> String {
             let largest = recordings.iter().flatten().flat_map(|r| &r.samples).map(value).fold(0.0, f64::max);
             let labels = [x_labels[panel], "force [N]"];
             let mut chart = Chart::new(titles[panel], labels, [0.0, 1.08 * largest], [0.0, 105.0]);
-            for ((law, recordings), colour) in FoamLaw::PAPER.into_iter().zip(recordings).zip(COLOURS) {
+            for ((foam, recordings), colour) in Foam::PAPER.into_iter().zip(recordings).zip(COLOURS) {
                 for rising in [true, false] {
                     let curve = mean_curve(recordings, rising, value);
                     let shifted = |sign: f64| -> Vec<_> {
@@ -36,7 +36,7 @@ pub(super) fn figure_4(recordings: &[Vec<Recording>]) -> String {
                             .collect()
                     };
                     chart.band(colour, &shifted(-1.0), &shifted(1.0));
-                    let name = if rising { law.table().name } else { "" };
+                    let name = if rising { foam.name } else { "" };
                     chart.line(name, colour, shifted(0.0));
                 }
             }

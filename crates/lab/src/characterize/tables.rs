@@ -1,7 +1,7 @@
 //! Tables I and II as text, and what may be concluded from them.
 
 use super::{Material, TableRow};
-use moca_sim::foam::FoamLaw;
+use moca_sim::foam::Foam;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -12,16 +12,13 @@ const EPSILON_0: f64 = 8.854_187_8e-12;
 /// Relative permittivity of an open-celled foam: air to a third more. ASSUMED.
 const RELATIVE_PERMITTIVITY: [f64; 2] = [1.0, 1.3];
 
-/// Published cells of Table I.
-pub(super) fn paper(law: FoamLaw) -> TableRow {
-    let (deformation_mm, counts, rmse_deformation_n, rmse_counts_n) = match law {
-        FoamLaw::PuLd30 | FoamLaw::CollisionAssumed => (Some(11.4), 84.0, 4.064, 5.96),
-        FoamLaw::Cc => (None, 70.0, 4.790, 11.32),
-        FoamLaw::Pe5 => (Some(3.0), 5.0, 1.612, 14.37),
-        FoamLaw::Pe3 => (Some(2.9), 4.0, 1.587, 17.91),
-    };
-    TableRow { deformation_mm, counts, rmse_deformation_n, rmse_counts_n }
-}
+/// Published cells of Table I, in the order of [`Foam::PAPER`].
+pub(super) const PAPER: [TableRow; 4] = [
+    TableRow { deformation_mm: Some(11.4), counts: 84.0, rmse_deformation_n: 4.064, rmse_counts_n: 5.96 },
+    TableRow { deformation_mm: None, counts: 70.0, rmse_deformation_n: 4.790, rmse_counts_n: 11.32 },
+    TableRow { deformation_mm: Some(3.0), counts: 5.0, rmse_deformation_n: 1.612, rmse_counts_n: 14.37 },
+    TableRow { deformation_mm: Some(2.9), counts: 4.0, rmse_deformation_n: 1.587, rmse_counts_n: 17.91 },
+];
 
 /// The whole report.
 pub(super) fn report(materials: &[Material], trials: usize, folder: &Path) -> String {
@@ -76,20 +73,19 @@ fn table_2(out: &mut String) {
          (ASSUMED).\n\n{:<14}{:>10}{:>16}{:>18}{:>29}",
         "material", "gap [mm]", "C(0) [pF]", "C at 100 N [pF]", "implied rest of E. [pF]"
     );
-    for law in FoamLaw::PAPER {
-        let table = law.table();
+    for foam in Foam::PAPER {
         let capacitance_pf =
             |gap_m: f64| RELATIVE_PERMITTIVITY.map(|k| 1e12 * k * EPSILON_0 * PLATE_M2 / gap_m);
-        let at_rest = capacitance_pf(table.gap_m);
-        let pressed = capacitance_pf(law.gap_m(table.deformation_at_100n_m));
+        let at_rest = capacitance_pf(foam.gap_m);
+        let pressed = capacitance_pf(foam.gap_left_m(foam.deformation_at_100n_m));
         // a = C_plate / (C_plate + C_rest): what the counts say about everything that is not the plate
-        let rest = at_rest.map(|plate| plate * (1.0 / table.sensitivity - 1.0));
+        let rest = at_rest.map(|plate| plate * (1.0 / foam.sensitivity - 1.0));
         let range = |[low, high]: [f64; 2]| format!("{low:.1} - {high:.1}");
         let _ = writeln!(
             out,
             "{:<14}{:>10.1}{:>16}{:>18}{:>26}",
-            table.name,
-            1e3 * table.gap_m,
+            foam.name,
+            1e3 * foam.gap_m,
             range(at_rest),
             range(pressed),
             range(rest)

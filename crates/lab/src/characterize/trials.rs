@@ -1,6 +1,6 @@
 //! Simulated trials of one taxel under a press.
 
-use moca_sim::foam::{FoamLaw, FoamState, REFERENCE_FORCE_N};
+use moca_sim::foam::{ElasticLaw, Foam, FoamState, REFERENCE_FORCE_N};
 use moca_sim::sensor::{IDLE_COUNTS, Noise, quantise};
 use moca_tactile::calibration::{Trial, TrialSample};
 
@@ -75,17 +75,20 @@ impl Recording {
 }
 
 /// `count` trials of a fresh foam each.
-pub(super) fn record(law: FoamLaw, protocol: Protocol, count: usize, seed: u64) -> Vec<Recording> {
-    let mut noise = Noise::new(
-        seed.wrapping_mul(31).wrapping_add(law.table().gap_m.to_bits() ^ law.table().exponent.to_bits()),
-    );
-    (0..count).map(|_| one(law, protocol, &mut noise)).collect()
+pub(super) fn record(foam: &Foam, protocol: Protocol, count: usize, seed: u64) -> Vec<Recording> {
+    let exponent = match foam.elastic {
+        ElasticLaw::Power { exponent, .. } => exponent,
+        ElasticLaw::Hyperbolic { .. } => 1.0,
+    };
+    // Noise of its own for every foam.
+    let mut noise = Noise::new(seed.wrapping_mul(31).wrapping_add(foam.gap_m.to_bits() ^ exponent.to_bits()));
+    (0..count).map(|_| one(foam, protocol, &mut noise)).collect()
 }
 
-fn one(law: FoamLaw, protocol: Protocol, noise: &mut Noise) -> Recording {
+fn one(foam: &Foam, protocol: Protocol, noise: &mut Noise) -> Recording {
     let pace = 1.0 + DURATION_SPREAD * noise.standard_normal().clamp(-2.0, 2.0);
     let dt_s = 1.0 / (RATE_HZ * f64::from(STEPS));
-    let mut foam = FoamState::default();
+    let mut state = FoamState::default();
     let mut samples = Vec::new();
     let mut step = 0u32;
     loop {
@@ -95,10 +98,10 @@ fn one(law: FoamLaw, protocol: Protocol, noise: &mut Noise) -> Recording {
             return Recording { samples };
         }
         let force_n = protocol.force_n(time_s * pace);
-        let deformation_m = foam.step_force(law, force_n, dt_s);
+        let deformation_m = state.step_force(foam, force_n, dt_s);
         if step.is_multiple_of(STEPS) {
-            let counts = IDLE_COUNTS - law.counts_drop(deformation_m)
-                + law.table().noise_counts * noise.standard_normal();
+            let counts =
+                IDLE_COUNTS - foam.counts_drop(deformation_m) + foam.noise_counts * noise.standard_normal();
             samples.push(Sample { time_s, force_n, deformation_m, fdat: quantise(counts) });
         }
     }

@@ -7,7 +7,7 @@ use super::settings::{Sensor, Settings};
 use super::{RunInfo, head, wrench_text};
 use crate::chart::Panel;
 use anyhow::Result;
-use moca_sim::foam::FoamLaw;
+use moca_sim::foam::Foam;
 use serde::Serialize;
 use std::time::Instant;
 
@@ -16,7 +16,7 @@ const PHASES: [f64; 5] = [0.0, 0.2, 0.4, 0.6, 0.8];
 
 /// What the collision scene changes of the common settings.
 pub(crate) fn defaults(settings: &mut Settings) {
-    settings.foam = FoamLaw::CollisionAssumed;
+    settings.foam.material = Foam::COLLISION_ASSUMED;
 }
 
 /// What the collision did: worst phase of the sensor.

@@ -4,8 +4,7 @@ use super::rig::{Row, TAXELS};
 use crate::chart::{Panel, Series};
 use crate::drawing::{Anchor, BLACK, Drawing, GREY, PALETTE, RED};
 use anyhow::{Context, Result};
-use moca_daemon::config::Config;
-use moca_msgs::robot::SUMMIT_XL;
+use moca_sim::Scene;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -28,7 +27,7 @@ pub(crate) struct Moment {
 }
 
 /// Names of the moments, panels above each other, then one picture for each moment.
-pub(crate) fn draw(config: &Config, rows: &[Row], moments: &[Moment], panels: Vec<Panel>) -> Drawing {
+pub(crate) fn draw(scene: &Scene, rows: &[Row], moments: &[Moment], panels: Vec<Panel>) -> Drawing {
     let count = |n: usize| f64::from(u32::try_from(n).unwrap_or(u32::MAX));
     let top = HEADER + PANEL_HEIGHT * count(panels.len());
     let side = (WIDTH / count(moments.len().max(1))).min(PICTURE);
@@ -51,7 +50,7 @@ pub(crate) fn draw(config: &Config, rows: &[Row], moments: &[Moment], panels: Ve
     for (i, moment) in moments.iter().enumerate() {
         let centre = [(count(i) + 0.5) * side, top + 20.0 + 0.5 * side];
         drawing.text([centre[0], top + 14.0], Anchor::Middle, &moment.name, BLACK);
-        let picture = Picture::new(config, centre, 0.5 * side / half_m, half_m, &rows[0], &rows[moment.row]);
+        let picture = Picture::new(scene, centre, 0.5 * side / half_m, half_m, &rows[0], &rows[moment.row]);
         picture.draw(&mut drawing, &rows[0], &rows[moment.row]);
     }
     drawing
@@ -65,7 +64,7 @@ fn half_extent_m(start: &Row, now: &Row) -> f64 {
 
 /// The robot from above, x of the world to the right, y up; the start in grey.
 struct Picture<'a> {
-    config: &'a Config,
+    scene: &'a Scene,
     centre_px: [f64; 2],
     px_per_m: f64,
     /// Place of the world in the middle, m, and half of what is shown.
@@ -75,7 +74,7 @@ struct Picture<'a> {
 
 impl<'a> Picture<'a> {
     fn new(
-        config: &'a Config,
+        scene: &'a Scene,
         centre_px: [f64; 2],
         px_per_m: f64,
         half_m: f64,
@@ -84,7 +83,7 @@ impl<'a> Picture<'a> {
     ) -> Self {
         let middle_m =
             std::array::from_fn(|axis| 0.5 * (start.base_pose_world[axis] + now.base_pose_world[axis]));
-        Self { config, centre_px, px_per_m, middle_m, half_m }
+        Self { scene, centre_px, px_per_m, middle_m, half_m }
     }
 
     fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
@@ -95,7 +94,7 @@ impl<'a> Picture<'a> {
     }
 
     fn draw(&self, drawing: &mut Drawing, start: &Row, row: &Row) {
-        let [hx, hy] = [0.5 * SUMMIT_XL.size_m[0], 0.5 * SUMMIT_XL.size_m[1]];
+        let [hx, hy] = [0.5 * self.scene.base.size_m[0], 0.5 * self.scene.base.size_m[1]];
         let corners = [[hx, hy], [-hx, hy], [-hx, -hy], [hx, -hy], [hx, hy]];
         for (pose, width, colour) in [(&start.base_pose_world, 1.0, GREY), (&row.base_pose_world, 2.0, BLACK)]
         {
@@ -104,7 +103,7 @@ impl<'a> Picture<'a> {
         let base = &row.base_pose_world;
         let nose = [[hx, -0.06], [hx + 0.07, 0.0], [hx, 0.06]];
         drawing.line(&nose.map(|point| self.at(to_world(base, point))), 1.5, BLACK);
-        let [x, y, _] = self.config.mount().position_base_m;
+        let [x, y, _] = self.scene.mount.position_base_m;
         let mount = to_world(base, [x, y]);
         let flange = [row.flange_world[0], row.flange_world[1]];
         drawing.line(&[self.at(mount), self.at(flange)], 3.0, PALETTE[0]);
@@ -118,7 +117,7 @@ impl<'a> Picture<'a> {
 
     fn forces(&self, drawing: &mut Drawing, row: &Row) {
         let base = &row.base_pose_world;
-        for (taxel, force_n) in self.config.taxels().iter().zip(row.force_true) {
+        for (taxel, force_n) in self.scene.cover.iter().zip(row.force_true) {
             if force_n > 0.0 {
                 let (sin, cos) = taxel.inward_angle_base_rad.sin_cos();
                 let [x, y] = taxel.position_base_m;

@@ -5,6 +5,7 @@ pub(crate) mod collision;
 pub(crate) mod figure;
 #[cfg(test)]
 mod golden;
+mod keys;
 pub(crate) mod measure;
 pub(crate) mod paper;
 pub(crate) mod push;
@@ -63,7 +64,7 @@ pub(crate) struct Common {
 }
 
 fn parse_taxel(text: &str) -> Result<usize, String> {
-    settings::taxel(text).map_err(|error| format!("{error:#}"))
+    keys::taxel(text).map_err(|error| format!("{error:#}"))
 }
 
 impl Common {
@@ -99,7 +100,7 @@ impl RunInfo {
         Self {
             experiment,
             sensor: settings.sensor.name(),
-            foam: settings.foam.table().name,
+            foam: settings.foam.material.name,
             frame_rate_hz: (settings.sensor == settings::Sensor::Stock).then_some(rig.frame_rate_hz),
             stopped: rig.stopped.clone(),
             sim_s: rig.sim_s,
@@ -127,7 +128,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             let settings = common.settings(Law::Impedance, |_| ())?;
             let (report, rows) = push_report(taxels, *newton, &settings)?;
             let draw = || {
-                figure::draw(&settings.config, &rows, &paper::middles(&rows, 1, 0.0), paper::panels_b1(&rows))
+                figure::draw(
+                    &settings.free_scene(),
+                    &rows,
+                    &paper::middles(&rows, 1, 0.0),
+                    paper::panels_b1(&rows),
+                )
             };
             finish(common, "push", &report, &rows, draw, || push_text(&report))
         }
@@ -135,14 +141,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             let settings = common.settings(Law::Impedance, |_| ())?;
             let run = paper::b1(&settings)?;
             let draw =
-                || figure::draw(&settings.config, &run.rows, &run.moments, paper::panels_b1(&run.rows));
+                || figure::draw(&settings.free_scene(), &run.rows, &run.moments, paper::panels_b1(&run.rows));
             finish(common, "b1", &run.report, &run.rows, draw, || run.report.text())
         }
         Experiment::B2(common) => {
             let settings = common.settings(Law::FollowMe, |_| ())?;
             let run = paper::b2(&settings)?;
             let draw =
-                || figure::draw(&settings.config, &run.rows, &run.moments, paper::panels_b2(&run.rows));
+                || figure::draw(&settings.free_scene(), &run.rows, &run.moments, paper::panels_b2(&run.rows));
             finish(common, "b2", &run.report, &run.rows, draw, || run.report.text())
         }
         Experiment::Collision(common) => {
@@ -155,8 +161,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             };
             let beside = collision::run(&Settings { sensor, ..settings.clone() })?.report;
             let report = CollisionReport { own: &run.report, beside: &beside };
-            let draw =
-                || figure::draw(&settings.config, &run.rows, &run.moments, collision::panels(&run.rows));
+            let draw = || {
+                figure::draw(&settings.free_scene(), &run.rows, &run.moments, collision::panels(&run.rows))
+            };
             let text = || format!("{}\nbeside it {}", run.report.text(), beside.text());
             finish(common, "collision", &report, &run.rows, draw, text)
         }

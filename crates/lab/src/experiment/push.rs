@@ -5,9 +5,6 @@ use super::settings::Settings;
 use anyhow::Result;
 use serde::Serialize;
 
-/// Ramps at both ends of a push, s.
-pub(crate) const RAMP_S: f64 = 0.3;
-
 /// One push: what is pressed and how hard at the plateau. The force at the flange is given in the axes that B has when
 /// the push starts: the person walks round with the robot.
 #[derive(Clone, Debug)]
@@ -44,10 +41,10 @@ impl Push {
         turned
     }
 
-    /// Loads `t_s` after the start of a push of `length_s`.
-    pub(crate) fn at(&self, t_s: f64, length_s: f64) -> Loads {
-        let rising = t_s / RAMP_S;
-        let falling = (length_s - t_s) / RAMP_S;
+    /// Loads `t_s` after the start of a push of `length_s` with ramps of `ramp_s` at both ends.
+    pub(crate) fn at(&self, t_s: f64, length_s: f64, ramp_s: f64) -> Loads {
+        let rising = t_s / ramp_s;
+        let falling = (length_s - t_s) / ramp_s;
         self.loads.scaled(rising.min(falling).clamp(0.0, 1.0))
     }
 }
@@ -79,24 +76,24 @@ pub(crate) fn run(rig: &mut Rig, settings: &Settings, pushes: &[Push]) -> Result
         let first = rig.rows.len();
         let yaw = rig.rows.last().map_or(0.0, |row| row.base_pose_world[2]);
         let turned = push.turned(yaw);
-        rig.run_for(settings.push_s, |t_s| turned.at(t_s, settings.push_s))?;
+        rig.run_for(settings.push_s, |t_s| turned.at(t_s, settings.push_s, settings.ramp_s))?;
         let last = rig.rows.len();
         rig.run_for(settings.rest_s, |_| Loads::default())?;
         if rig.stopped.is_some() {
             break;
         }
-        outcomes.push(measure(push, &rig.rows, first, last, settings.push_s));
+        outcomes.push(measure(push, &rig.rows, first, last, settings));
     }
     Ok(outcomes)
 }
 
 /// Measures rows `first..last`; the rows after them are the rest.
-fn measure(push: &Push, rows: &[Row], first: usize, last: usize, push_s: f64) -> Outcome {
+fn measure(push: &Push, rows: &[Row], first: usize, last: usize, settings: &Settings) -> Outcome {
     let window = &rows[first..last];
     let start = &window[0];
     let start_s = start.t_s;
-    let plateau: Vec<&Row> =
-        window.iter().filter(|row| (RAMP_S..push_s - RAMP_S).contains(&(row.t_s - start_s))).collect();
+    let on_plateau = settings.ramp_s..settings.push_s - settings.ramp_s;
+    let plateau: Vec<&Row> = window.iter().filter(|row| on_plateau.contains(&(row.t_s - start_s))).collect();
     // The first row after the push shows the state at its end; with no rest the last row is one tick earlier.
     let end = rows.get(last).unwrap_or(&rows[last - 1]);
     let plateau_end = plateau.last().map_or(start, |row| row);

@@ -1,11 +1,11 @@
-//! Everything an experiment can be told with `--set key=value`: one table, so that help and errors cannot lag behind.
+//! One run of an experiment, completely described, and the scene and board that follow from it.
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::protection::OVERRIDE_MAX_M_S;
 use moca_msgs::Law;
 use moca_msgs::robot::{BaseTable, SUMMIT_XL, TaxelPlacement};
-use moca_sim::foam::FoamLaw;
+use moca_sim::foam::{ElasticLaw, Foam};
 use moca_sim::{BaseServo, BodyPart, Integrator, Mobility, Person, Scene, Shape, VirtualBoardConfig};
 use moca_tactile::datastream::SketchGeneration;
 
@@ -91,6 +91,60 @@ impl PersonSettings {
     }
 }
 
+/// Foam of the cover. What is `None` is as the material has it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct FoamSettings {
+    pub material: Foam,
+    pub thickness_m: Option<f64>,
+    /// Initial stiffness of the hyperbolic law, N/m.
+    pub stiffness: Option<f64>,
+    pub damping_ms: Option<f64>,
+    pub scale: f64,
+}
+
+impl FoamSettings {
+    /// The foam that force and plate gap are computed with.
+    pub(crate) fn foam(&self) -> Foam {
+        let mut foam = self.material;
+        foam.gap_m = self.thickness_m.unwrap_or(foam.gap_m);
+        foam.damping_time_s = self.damping_ms.map_or(foam.damping_time_s, |ms| 1e-3 * ms);
+        if let (ElasticLaw::Hyperbolic { stiffness_n_per_m }, Some(stiffness)) =
+            (&mut foam.elastic, self.stiffness)
+        {
+            *stiffness_n_per_m = stiffness;
+        }
+        foam.stiffened(self.scale)
+    }
+}
+
+/// The base's body: a box, whose inertia follows from mass and size unless it is given.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct BaseSettings {
+    pub size_m: [f64; 3],
+    pub mass_kg: f64,
+    /// About the vertical, kg·m².
+    pub inertia: Option<f64>,
+}
+
+impl BaseSettings {
+    fn table(&self) -> BaseTable {
+        let squares = |[x, y, z]: [f64; 3]| [y * y + z * z, x * x + z * z, x * x + y * y];
+        let (ours, its) = (squares(self.size_m), squares(SUMMIT_XL.size_m));
+        let mut inertia = SUMMIT_XL.inertia_com_diagonal;
+        for (i, inertia) in inertia.iter_mut().enumerate() {
+            *inertia *= self.mass_kg / SUMMIT_XL.mass_kg * (ours[i] / its[i]);
+        }
+        // The base never tilts: only the vertical axis acts, the other two keep the box's proportions.
+        let given = self.inertia.map_or(1.0, |about_vertical| about_vertical / inertia[2]);
+        BaseTable {
+            size_m: self.size_m,
+            mass_kg: self.mass_kg,
+            inertia_com_diagonal: inertia.map(|inertia| given * inertia),
+            ..SUMMIT_XL
+        }
+    }
+}
+
 /// One run, completely described.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Settings {
@@ -102,15 +156,15 @@ pub(crate) struct Settings {
     pub sensor_phase_ms: f64,
     pub noise_counts: Option<f64>,
     pub sketch: SketchGeneration,
-    pub foam: FoamLaw,
-    pub foam_scale: f64,
+    pub foam: FoamSettings,
     pub person: PersonSettings,
-    pub base: BaseTable,
+    pub base: BaseSettings,
     pub base_servo: BaseServo,
     /// Speed of the flange's target, m/s.
     pub speed_m_s: f64,
     pub duration_s: f64,
     pub push_s: f64,
+    pub ramp_s: f64,
     pub rest_s: f64,
     pub step_ms: f64,
     pub integrator: Integrator,
@@ -136,42 +190,47 @@ impl Settings {
             sensor_phase_ms: 0.0,
             noise_counts: None,
             sketch: SketchGeneration::From2018,
-            foam: FoamLaw::default(),
-            foam_scale: 1.0,
+            foam: FoamSettings {
+                material: Foam::default(),
+                thickness_m: None,
+                stiffness: None,
+                damping_ms: None,
+                scale: 1.0,
+            },
             person: PersonSettings { gap_m: 0.25, steps_away_s: 1.5, ..PersonSettings::default() },
-            base: SUMMIT_XL,
+            base: BaseSettings { size_m: SUMMIT_XL.size_m, mass_kg: SUMMIT_XL.mass_kg, inertia: None },
             base_servo: BaseServo::default(),
             speed_m_s: 0.2,
             duration_s: 8.0,
             push_s: 3.0,
+            ramp_s: 0.3,
             rest_s: 2.0,
             step_ms: 1.0,
             integrator: Integrator::default(),
         }
     }
 
-    /// Applies `key=value`.
-    ///
-    /// # Errors
-    /// An unknown key (the message lists all), or a value that does not fit.
-    pub(crate) fn set(&mut self, assignment: &str) -> Result<()> {
-        let (name, value) = assignment
-            .split_once('=')
-            .with_context(|| format!("--set {assignment}: expected key=value, e.g. --set sensor=ideal"))?;
-        let Some(key) = KEYS.iter().find(|key| key.name == name.trim()) else {
-            bail!("--set: unknown key {name}; known keys:\n{}", key_list());
-        };
-        (key.set)(self, value.trim())
-            .with_context(|| format!("--set {} ({}; {})", assignment, key.about, key.unit))
-    }
-
     /// Checks what single keys cannot know.
     ///
     /// # Errors
-    /// Every number that the daemon's configuration refuses.
+    /// Every number that the daemon's configuration refuses, and numbers that do not go together.
     pub(crate) fn check(&self) -> Result<()> {
         let mut mistakes = Vec::new();
         self.config.check(|_, message| mistakes.push(message));
+        if let (Some(stiffness), ElasticLaw::Power { .. }) = (self.foam.stiffness, self.foam.material.elastic)
+        {
+            mistakes.push(format!(
+                "foam.stiffness = {stiffness} N/m: {} follows a power law and has no initial stiffness; set foam.scale, \
+                 or foam=collision-assumed",
+                self.foam.material.name
+            ));
+        }
+        if self.push_s < 2.0 * self.ramp_s {
+            mistakes.push(format!(
+                "push_s = {} s is shorter than its two ramps of ramp_s = {} s",
+                self.push_s, self.ramp_s
+            ));
+        }
         ensure!(mistakes.is_empty(), "{}", mistakes.join("\n"));
         Ok(())
     }
@@ -180,12 +239,12 @@ impl Settings {
     pub(crate) fn free_scene(&self) -> Scene {
         Scene {
             flange_sensor: true,
-            foam: self.foam,
-            foam_scale: self.foam_scale,
+            foam: self.foam.foam(),
             control_period_s: 1.0 / f64::from(self.config.control_loop.rate_hz),
             physics_step_s: 1e-3 * self.step_ms,
             integrator: self.integrator,
-            base: self.base,
+            base: self.base.table(),
+            arm: self.config.arm(),
             mount: self.config.mount(),
             cover: self.config.taxels(),
             base_servo: self.base_servo,
@@ -211,378 +270,12 @@ impl Settings {
     pub(crate) fn board(&self) -> VirtualBoardConfig {
         VirtualBoardConfig {
             sketch: self.sketch,
-            foam: self.foam,
-            foam_scale: self.foam_scale,
+            foam: self.foam.foam(),
             noise_counts: self.noise_counts,
             #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "1 to 1000 ms")]
             frame_period_ns: self.sensor_period_ms.map(|ms| (1e6 * ms) as u64),
             seed: self.config.simulation.seed,
             ..VirtualBoardConfig::default()
         }
-    }
-}
-
-struct Key {
-    name: &'static str,
-    unit: &'static str,
-    about: &'static str,
-    set: fn(&mut Settings, &str) -> Result<()>,
-}
-
-const fn key(
-    name: &'static str,
-    unit: &'static str,
-    about: &'static str,
-    set: fn(&mut Settings, &str) -> Result<()>,
-) -> Key {
-    Key { name, unit, about, set }
-}
-
-const KEYS: &[Key] = &[
-    key("sensor", "stock|ideal|off", "what the controller feels the cover with", |s, v| {
-        s.sensor = word(v, &[("stock", Sensor::Stock), ("ideal", Sensor::Ideal), ("off", Sensor::Off)])?;
-        Ok(())
-    }),
-    key(
-        "sensor.period_ms",
-        "ms",
-        "ideal sensor: averaging and holding period; stock board: period of a frame",
-        |s, v| some(&mut s.sensor_period_ms, v, 1.0, 1000.0),
-    ),
-    key("sensor.delay_ms", "ms", "further delay, either sensor", |s, v| {
-        store(&mut s.sensor_delay_ms, v, 0.0, 1000.0)
-    }),
-    key("sensor.phase_ms", "ms", "how much later the motion starts against the sensor's clock", |s, v| {
-        store(&mut s.sensor_phase_ms, v, 0.0, 1000.0)
-    }),
-    key("sensor.noise", "counts", "stock board: standard deviation of one FDAT value", |s, v| {
-        s.noise_counts = Some(number(v, 0.0, 100.0)?);
-        Ok(())
-    }),
-    key("sensor.sketch", "2015|2018", "stock board: generation of the sketch", |s, v| {
-        s.sketch = word(v, &[("2015", SketchGeneration::From2015), ("2018", SketchGeneration::From2018)])?;
-        Ok(())
-    }),
-    key("seed", "", "seed of the board's noise", |s, v| {
-        s.config.simulation.seed = v.parse().context("expected a whole number")?;
-        Ok(())
-    }),
-    key("m_v", "kg[,kg,kg·m²]", "virtual mass, eq. (2); one number sets x and y", |s, v| {
-        planar(&mut s.config.control.gains.virtual_mass, v, 0.01, 1000.0)
-    }),
-    key("d_v", "N·s/m[,N·s/m,N·m·s/rad]", "virtual damping, eq. (2); one number sets x and y", |s, v| {
-        planar(&mut s.config.control.gains.virtual_damping, v, 0.0, 1e5)
-    }),
-    key("k_d", "N/m[,N·m/rad]", "stiffness of the flange, eq. (10): linear, angular", |s, v| {
-        let k = &mut s.config.control.gains.stiffness;
-        for (i, value) in numbers(v, 2, 0.0, 1e5)?.into_iter().enumerate() {
-            k[3 * i..3 * i + 3].fill(value);
-        }
-        Ok(())
-    }),
-    key("zeta", "", "damping ratio of the flange, eq. (10)", |s, v| {
-        store(&mut s.config.control.gains.damping_ratio, v, 0.0, 5.0)
-    }),
-    key("eta_b", "", "weight of the base, eq. (9)", |s, v| {
-        store(&mut s.config.control.gains.eta_base, v, 1e-3, 1e3)
-    }),
-    key("eta_a", "", "weight of the arm, eq. (9)", |s, v| {
-        store(&mut s.config.control.gains.eta_arm, v, 1e-3, 1e3)
-    }),
-    key("k_0", "N·m/rad, 7 numbers or 1", "null-space posture stiffness, eq. (11)", |s, v| {
-        joints(&mut s.config.control.gains.posture_stiffness, v, 1e4)
-    }),
-    key("d_0", "N·m·s/rad, 7 numbers or 1", "null-space posture damping, eq. (11)", |s, v| {
-        joints(&mut s.config.control.gains.posture_damping, v, 1e3)
-    }),
-    key("reactivity", "", "scale of the cover's wrench on the base", |s, v| {
-        store(&mut s.config.control.gains.reactivity, v, 0.0, 10.0)
-    }),
-    key("null_space_damping", "true|false", "correction 2 of the literal law", |s, v| {
-        flag(&mut s.config.control.corrections.null_space_damping, v)
-    }),
-    key("base_coupling", "true|false", "correction 3 of the literal law", |s, v| {
-        flag(&mut s.config.control.corrections.base_coupling, v)
-    }),
-    key("flange_feed", "true|false", "correction 1 of the literal law", |s, v| {
-        flag(&mut s.config.control.corrections.flange_feed, v)
-    }),
-    key("limit.base_velocity", "m/s[,m/s,rad/s]", "largest commanded base speed", |s, v| {
-        planar(&mut s.config.limits.base_velocity, v, 0.0, 3.0)
-    }),
-    key("limit.base_acceleration", "m/s²[,m/s²,rad/s²]", "largest commanded base acceleration", |s, v| {
-        planar(&mut s.config.limits.base_acceleration, v, 0.01, 50.0)
-    }),
-    key("rate_hz", "Hz", "control rate", |s, v| {
-        s.config.control_loop.rate_hz = v.parse().context("expected a whole number")?;
-        Ok(())
-    }),
-    key("step_ms", "ms", "physics step", |s, v| store(&mut s.step_ms, v, 1e-3, 100.0)),
-    key("integrator", "euler|rk4|implicit|implicitfast", "MuJoCo's integrator", |s, v| {
-        s.integrator = word(
-            v,
-            &[
-                ("euler", Integrator::Euler),
-                ("rk4", Integrator::RungeKutta4),
-                ("implicit", Integrator::Implicit),
-                ("implicitfast", Integrator::ImplicitFast),
-            ],
-        )?;
-        Ok(())
-    }),
-    key("foam", "pu|cc|pe5|pe3|collision-assumed", "foam of the cover", |s, v| {
-        s.foam = word(
-            v,
-            &[
-                ("pu", FoamLaw::PuLd30),
-                ("cc", FoamLaw::Cc),
-                ("pe5", FoamLaw::Pe5),
-                ("pe3", FoamLaw::Pe3),
-                ("collision-assumed", FoamLaw::CollisionAssumed),
-            ],
-        )?;
-        Ok(())
-    }),
-    key("foam.scale", "", "stiffness of the foam over its law's", |s, v| {
-        store(&mut s.foam_scale, v, 1e-3, 1e5)
-    }),
-    key(
-        "person.kind",
-        "leg|thigh|hand|wall",
-        "who stands there; the keys below change single properties",
-        |s, v| {
-            s.person.part = word(
-                v,
-                &[
-                    ("leg", BodyPart::Leg),
-                    ("thigh", BodyPart::Thigh),
-                    ("hand", BodyPart::Hand),
-                    ("wall", BodyPart::Wall),
-                ],
-            )?;
-            Ok(())
-        },
-    ),
-    key("person.taxel", "T1…T11", "taxel the person stands before", |s, v| {
-        s.person.taxel = taxel(v)?;
-        Ok(())
-    }),
-    key("person.gap", "m", "gap to the cover at the start", |s, v| store(&mut s.person.gap_m, v, 0.0, 5.0)),
-    key("person.offset", "m", "how far along the panel from the taxel's centre", |s, v| {
-        store(&mut s.person.offset_m, v, -1.0, 1.0)
-    }),
-    key("person.mass", "kg", "mass", |s, v| some(&mut s.person.mass_kg, v, 0.1, 1e4)),
-    key("person.stiffness", "N/m", "stiffness of the tissue", |s, v| {
-        some(&mut s.person.stiffness, v, 1.0, 1e9)
-    }),
-    key("person.damping", "N·s/m", "damping of the tissue", |s, v| {
-        store(&mut s.person.damping, v, 0.0, 1e5)
-    }),
-    key("person.posture_stiffness", "N/m", "stiffness of the posture", |s, v| {
-        some(&mut s.person.posture_stiffness, v, 0.0, 1e7)
-    }),
-    key("person.posture_damping", "N·s/m", "damping of the posture", |s, v| {
-        some(&mut s.person.posture_damping, v, 0.0, 1e5)
-    }),
-    key("person.radius", "m", "radius of leg, thigh or hand", |s, v| {
-        some(&mut s.person.radius_m, v, 0.005, 100.0)
-    }),
-    key("person.at_s", "s", "when walking and leaning begin", |s, v| {
-        store(&mut s.person.at_s, v, 0.0, 3600.0)
-    }),
-    key("person.walk", "m/s", "walking speed towards the cover", |s, v| {
-        store(&mut s.person.walk_m_s, v, 0.0, 5.0)
-    }),
-    key("person.lean", "N", "weight leant on the cover until the step away", |s, v| {
-        store(&mut s.person.lean_n, v, 0.0, 1000.0)
-    }),
-    key("person.steps_away_s", "s", "time from first contact to the step away", |s, v| {
-        store(&mut s.person.steps_away_s, v, 0.0, 1000.0)
-    }),
-    key("person.fixed", "true|false", "cannot move: held against a wall", |s, v| {
-        flag(&mut s.person.fixed, v)
-    }),
-    key("mount.position", "m,m,m", "arm base in the axes of B", |s, v| {
-        list(&mut s.config.geometry.arm_position_m, v, -5.0, 5.0)
-    }),
-    key("mount.rpy", "rad,rad,rad", "its axes in B: roll, pitch, yaw", |s, v| {
-        list(&mut s.config.geometry.arm_rpy_rad, v, -7.0, 7.0)
-    }),
-    key("taxels.x", "m, 11 numbers", "centres of the taxels in B, T1 first: forward", |s, v| {
-        list(&mut s.config.geometry.taxel_x_m, v, -5.0, 5.0)
-    }),
-    key("taxels.y", "m, 11 numbers", "centres of the taxels in B, T1 first: left", |s, v| {
-        list(&mut s.config.geometry.taxel_y_m, v, -5.0, 5.0)
-    }),
-    key("taxels.inward", "rad, 11 numbers", "direction of a press in B", |s, v| {
-        list(&mut s.config.geometry.taxel_inward_rad, v, -7.0, 7.0)
-    }),
-    key("base.mass", "kg", "mass of the base; its inertia grows with it", |s, v| {
-        let mass_kg = number(v, 1.0, 1e5)?;
-        let scale = mass_kg / SUMMIT_XL.mass_kg;
-        s.base.inertia_com_diagonal = SUMMIT_XL.inertia_com_diagonal.map(|inertia| scale * inertia);
-        s.base.mass_kg = mass_kg;
-        Ok(())
-    }),
-    key("base.servo_ms", "ms", "time constant of the base's velocity servo", |s, v| {
-        s.base_servo.time_constant_s = 1e-3 * number(v, 0.1, 1e4)?;
-        Ok(())
-    }),
-    key(
-        "base.acceleration",
-        "m/s²[,rad/s²]",
-        "what the base's servo can do: along x and y, yaw",
-        |s, v| {
-            let values = numbers(v, 2, 1e-3, 1e4)?;
-            s.base_servo.acceleration_max_m_s2 = values[0];
-            if let Some(yaw) = values.get(1) {
-                s.base_servo.yaw_acceleration_max_rad_s2 = *yaw;
-            }
-            Ok(())
-        },
-    ),
-    key("q_0", "rad, 7 numbers", "posture of the arm, at the start and in eq. (11)", |s, v| {
-        list(&mut s.config.control.gains.posture_rad, v, -7.0, 7.0)
-    }),
-    key("limit.torque", "N·m, 7 numbers or 1", "largest commanded joint torque", |s, v| {
-        joints(&mut s.config.limits.torque_nm, v, 1e3)
-    }),
-    key("limit.torque_rate", "N·m/s", "fastest change of a joint torque", |s, v| {
-        store(&mut s.config.limits.torque_rate_nm_s, v, 1.0, 1e5)
-    }),
-    key("speed", "m/s", "speed of the flange's target in y (collision)", |s, v| {
-        store(&mut s.speed_m_s, v, 0.0, 0.25)
-    }),
-    key("duration", "s", "length of the collision run", |s, v| store(&mut s.duration_s, v, 0.1, 3600.0)),
-    key("push_s", "s", "length of a push, its two ramps of 0.3 s included", |s, v| {
-        store(&mut s.push_s, v, 0.6, 3600.0)
-    }),
-    key("rest_s", "s", "pause between pushes", |s, v| store(&mut s.rest_s, v, 0.0, 3600.0)),
-];
-
-/// Every key with its unit and meaning, one a line.
-pub(crate) fn key_list() -> String {
-    KEYS.iter()
-        .map(|key| format!("  {:26} {:32} {}", key.name, key.unit, key.about))
-        .collect::<Vec<_>>()
-        .join("\n")
-}
-
-/// `T6` or `6` as an index from 0.
-pub(crate) fn taxel(text: &str) -> Result<usize> {
-    let number: usize = text.trim_start_matches(['T', 't']).parse().context("expected a taxel, T1 to T11")?;
-    ensure!((1..=11).contains(&number), "taxel {number} is outside T1 to T11");
-    Ok(number - 1)
-}
-
-fn number(text: &str, min: f64, max: f64) -> Result<f64> {
-    let value: f64 = text.parse().with_context(|| format!("'{text}' is not a number"))?;
-    ensure!(value >= min && value <= max, "{value} is outside {min} to {max}");
-    Ok(value)
-}
-
-fn store(place: &mut f64, text: &str, min: f64, max: f64) -> Result<()> {
-    *place = number(text, min, max)?;
-    Ok(())
-}
-
-fn some(place: &mut Option<f64>, text: &str, min: f64, max: f64) -> Result<()> {
-    *place = Some(number(text, min, max)?);
-    Ok(())
-}
-
-fn numbers(text: &str, most: usize, min: f64, max: f64) -> Result<Vec<f64>> {
-    let values = text.split(',').map(|part| number(part.trim(), min, max)).collect::<Result<Vec<_>>>()?;
-    ensure!(values.len() <= most, "{} numbers where at most {most} are expected", values.len());
-    Ok(values)
-}
-
-fn list<const N: usize>(place: &mut [f64; N], text: &str, min: f64, max: f64) -> Result<()> {
-    let values = numbers(text, N, min, max)?;
-    *place = values.try_into().ok().with_context(|| format!("expected {N} numbers"))?;
-    Ok(())
-}
-
-fn planar(place: &mut [f64; 3], text: &str, min: f64, max: f64) -> Result<()> {
-    match numbers(text, 3, min, max)?[..] {
-        [linear] => place[..2].fill(linear),
-        [x, y, yaw] => *place = [x, y, yaw],
-        _ => bail!("expected one number or three"),
-    }
-    Ok(())
-}
-
-fn joints(place: &mut [f64; 7], text: &str, max: f64) -> Result<()> {
-    match numbers(text, 7, 0.0, max)?[..] {
-        [all] => place.fill(all),
-        [a, b, c, d, e, f, g] => *place = [a, b, c, d, e, f, g],
-        _ => bail!("expected one number or seven"),
-    }
-    Ok(())
-}
-
-fn flag(place: &mut bool, text: &str) -> Result<()> {
-    *place = word(text, &[("true", true), ("false", false), ("on", true), ("off", false)])?;
-    Ok(())
-}
-
-fn word<T: Copy>(text: &str, allowed: &[(&str, T)]) -> Result<T> {
-    let names = || allowed.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ");
-    allowed
-        .iter()
-        .find(|(name, _)| *name == text)
-        .map(|(_, value)| *value)
-        .with_context(|| format!("'{text}' is not one of {}", names()))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_unknown_key_lists_every_key() {
-        let error = Settings::paper(Law::Impedance).set("person.wieght=3").unwrap_err().to_string();
-        assert!(KEYS.iter().all(|key| error.contains(key.name)), "{error}");
-    }
-
-    #[test]
-    fn a_value_outside_its_range_names_value_and_range() {
-        let mut settings = Settings::paper(Law::Impedance);
-        for (assignment, part) in [
-            ("m_v=nan", "outside 0.01 to 1000"),
-            ("speed=fast", "'fast' is not a number"),
-            ("sensor=none", "stock, ideal, off"),
-            ("person.taxel=T12", "outside T1 to T11"),
-            ("d_v=1,2", "one number or three"),
-            ("sensor", "expected key=value"),
-        ] {
-            let error = format!("{:#}", settings.set(assignment).unwrap_err());
-            assert!(error.contains(part), "{assignment}: {error}");
-        }
-        assert_eq!(settings, Settings::paper(Law::Impedance));
-    }
-
-    #[test]
-    #[expect(clippy::float_cmp, reason = "a set number is stored as it is")]
-    fn every_parameter_of_the_table_can_be_set() {
-        let mut settings = Settings::paper(Law::Impedance);
-        for assignment in [
-            "m_v=2",
-            "d_v=10,20,30",
-            "k_d=500,20",
-            "eta_b=2",
-            "k_0=50",
-            "person.taxel=T4",
-            "foam=cc",
-            "base.servo_ms=30",
-        ] {
-            settings.set(assignment).unwrap();
-        }
-        let gains = &settings.config.control.gains;
-        assert_eq!(gains.virtual_mass, [2.0, 2.0, 2.0]);
-        assert_eq!(gains.virtual_damping, [10.0, 20.0, 30.0]);
-        assert_eq!(gains.stiffness, [500.0, 500.0, 500.0, 20.0, 20.0, 20.0]);
-        assert_eq!((settings.person.taxel, settings.foam), (3, FoamLaw::Cc));
-        settings.check().unwrap();
     }
 }

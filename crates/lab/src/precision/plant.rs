@@ -7,7 +7,7 @@ use super::controller;
 use crate::cpu_time;
 use anyhow::{Context, Result};
 use moca_msgs::Actuation;
-use moca_sim::foam::FoamLaw;
+use moca_sim::foam::Foam;
 use moca_sim::{Integrator, Person, Scene, SimPlant};
 use moca_wbc::{ControlInput, ControlLaw};
 use serde::Serialize;
@@ -72,7 +72,7 @@ struct End {
 pub(crate) fn measure(quick: bool) -> Result<Vec<SceneReport>> {
     let smooth = Scene { joint_limits: false, control_period_s: GRID_S, ..Scene::default() };
     let person = Person { steps_away_after_s: None, ..Person::beside(5, 0.01).context("no T6")? };
-    let contact = Scene { people: vec![person], foam: FoamLaw::CollisionAssumed, ..smooth.clone() };
+    let contact = Scene { people: vec![person], foam: Foam::COLLISION_ASSUMED, ..smooth.clone() };
     Ok(vec![
         work_precision("smooth", &smooth, None, quick)?,
         work_precision("contact", &contact, Some([0.12, 0.0, 0.0]), quick)?,

@@ -7,8 +7,8 @@ use crate::experiment::settings::{Sensor, Settings};
 use crate::experiment::{collision, figure, paper};
 use crate::{characterize, parallel, stability};
 use anyhow::{Context, Result};
-use moca_daemon::config::Config;
 use moca_msgs::Law;
+use moca_sim::Scene;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -69,8 +69,7 @@ fn page() -> Result<String> {
             paper::panels_b2 as fn(&[_]) -> _,
         ),
     ] {
-        let drawing =
-            figure::draw(&Config::default(), &runs[0].rows, &runs[0].moments, panels(&runs[0].rows));
+        let drawing = figure::draw(&Scene::default(), &runs[0].rows, &runs[0].moments, panels(&runs[0].rows));
         section(&mut body, title, &texts(runs), &drawing.svg());
     }
     for (title, run) in [
@@ -78,7 +77,7 @@ fn page() -> Result<String> {
         ("The same collision with a stock Touch Board", &c[1]),
         ("The same collision without a cover", &c[2]),
     ] {
-        let drawing = figure::draw(&Config::default(), &run.rows, &run.moments, collision::panels(&run.rows));
+        let drawing = figure::draw(&Scene::default(), &run.rows, &run.moments, collision::panels(&run.rows));
         let title = format!("{title}: {}", run.report.verdict);
         section(&mut body, &title, &run.report.text(), &drawing.svg());
     }

@@ -116,11 +116,11 @@ fn map(name: &'static str, x: &'static Axis, y: &'static Axis) -> Result<Map> {
 pub(crate) fn stable_in_theory(settings: &Settings) -> Result<bool> {
     let gains = &settings.config.control.gains;
     let taxel = &settings.config.taxels()[settings.person.taxel];
-    let scale = settings.foam_scale;
-    let foam = scale * settings.foam.stiffness_n_per_m(settings.foam.deformation_m(LINEARISED_AT_N / scale));
-    let stiffness = 1.0 / (1.0 / foam + 1.0 / settings.person.tissue_stiffness());
+    let foam = settings.foam.foam();
+    let foam_n_m = foam.stiffness_n_per_m(foam.deformation_m(LINEARISED_AT_N));
+    let stiffness = 1.0 / (1.0 / foam_n_m + 1.0 / settings.person.tissue_stiffness());
     // The foam's damper acts for the share of the deformation that is the foam's.
-    let damping = 0.005 * foam * (stiffness / foam).powi(2);
+    let damping = foam.damping_time_s * foam_n_m * (stiffness / foam_n_m).powi(2);
     let contact = theory::Contact {
         stiffness_n_m: stiffness,
         damping_n_s_m: damping,
