@@ -12,7 +12,7 @@ use moca_msgs::{
     protection::{ContactEvent, ContactPhase},
 };
 use moca_telemetry::{
-    RobotDescription,
+    ParameterValue, RobotDescription,
     calibration::{CalibrationProgress, CalibrationRequest},
     net::{Commander, Connection, Link, Reply, Status, Update},
 };
@@ -237,9 +237,16 @@ impl Model {
         !self.recorded && connected && self.status.commander != Commander::Another
     }
 
+    /// Whether a cover feels what pushes the simulated robot: a real board beside it does not.
+    pub fn feels_pushes(&self) -> bool {
+        let port = self.robot.parameters.iter().find(|parameter| parameter.name == "board.port");
+        let real = port.is_some_and(|port| port.value != ParameterValue::Text("virtual".into()));
+        self.robot.simulated && !self.robot.taxels.is_empty() && !real
+    }
+
     /// Whether taxels can be pushed with the mouse.
     pub fn can_push(&self) -> bool {
-        self.robot.simulated && self.may_command()
+        self.feels_pushes() && self.may_command()
     }
 
     /// Says which taxel the mouse holds pressed and how hard, and gives the requests that make it so.
@@ -315,6 +322,7 @@ impl Model {
 mod tests {
     use super::*;
     use moca_msgs::Refusal;
+    use moca_telemetry::ParameterDescription;
 
     fn up(session: u64) -> Link {
         Link::Up { session, description: Arc::new(RobotDescription::paper("test", true)) }
@@ -393,6 +401,21 @@ mod tests {
         assert_eq!(model.push(Some((6, 30.0))), [press(5, 0.0), press(6, 30.0)]);
         assert_eq!(model.push(None), [press(6, 0.0)]);
         assert_eq!(model.push(None), []);
+    }
+
+    #[test]
+    fn a_real_board_feels_no_simulated_hand() {
+        for (port, feels) in [("virtual", true), ("auto", false), ("/dev/ttyACM0", false)] {
+            let mut model = ready();
+            let value = ParameterValue::Text(port.into());
+            let parameter = ParameterDescription { name: "board.port".into(), value, ..Default::default() };
+            model.robot = Arc::new(RobotDescription {
+                parameters: vec![parameter],
+                ..RobotDescription::paper("test", true)
+            });
+            assert_eq!(model.can_push(), feels, "{port}");
+            assert_eq!(model.push(Some((5, 20.0))).is_empty(), !feels, "{port}");
+        }
     }
 
     #[test]

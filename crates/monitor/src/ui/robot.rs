@@ -114,7 +114,7 @@ pub(super) fn show(
         wrench(&painter, &camera, sample.cover_wrench_base);
         age(&painter, rect, sample, model, ui.visuals());
     });
-    if model.robot.simulated && !model.recorded && !model.robot.taxels.is_empty() {
+    if model.feels_pushes() && !model.recorded {
         ui.horizontal(|ui| {
             let label = ui.label("Press and hold a taxel to push with");
             let slider =
