@@ -3,7 +3,7 @@
 mod base_alone;
 
 use crate::admittance::{admitted, damped_in_null_space};
-use crate::cover::{Cover, rotate_planar};
+use crate::cover::Cover;
 use crate::door::{check_input, check_robot};
 use crate::error::{ControlError, finite};
 use crate::follow_me;
@@ -16,7 +16,7 @@ use crate::model::ArmModel;
 use crate::observer::MomentumObserver;
 use crate::opspace::{BlockWeight, TaskDynamics, WholeBodyForce};
 use crate::reference::{Pose, Reference, approach_posture};
-use crate::rotation;
+use crate::rotation::{self, Heading};
 use crate::scalar::{Scalar, of};
 use crate::state::{ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose};
 use crate::tick::{Tick, flange_pose, seen_from_base};
@@ -168,7 +168,21 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
     ) -> Result<ControlOutput<N, T>, ControlError> {
         let (cover_wrench_base, mut hit) = self.feel(input)?;
         let mut next = *state;
-        let tick = self.tick(&next, input, &cover_wrench_base);
+        let robot = &input.robot;
+        let kinematics = self.model.kinematics(robot.base_pose_world[2], &robot.q_rad);
+        let inertias = self.model.link_inertias(&kinematics);
+        let mass = kinematics.mass_matrix(&inertias);
+        let tick = Tick {
+            robot,
+            dt_s: input.dt_s.min(of(LONGEST_STEP_S)),
+            kinematics: &kinematics,
+            inertias: &inertias,
+            mass: &mass,
+            bias: kinematics.bias(&inertias, &robot.dq_rad_s),
+            flange: flange_pose(&kinematics, robot),
+            cover_world: kinematics.heading.to_world(cover_wrench_base),
+            base_velocity: kinematics.heading.to_world(next.base_velocity_body),
+        };
         if next.law != law {
             next.law = law;
             next.entering = true;
@@ -180,10 +194,10 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         }
         next.gains.approach(&self.gains, tick.dt_s);
         let task = TaskDynamics::new(
-            tick.kinematics.base_jacobian(),
-            tick.kinematics.arm_jacobian(),
+            kinematics.base_jacobian(),
+            kinematics.arm_jacobian(),
             next.gains.virtual_mass,
-            &tick.mass.arm,
+            &mass.arm,
         )?;
         let flange_wrench_world = tick.flange_wrench(&mut next, input, &task)?;
         let wanted = match law {
@@ -217,30 +231,6 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         let mut hit = LimitsHit::default();
         let forces = self.limits.taxel_forces(&input.taxel_force_n, &mut hit);
         Ok((self.cover.wrench(&forces), hit))
-    }
-
-    #[inline]
-    fn tick<'a>(
-        &self,
-        state: &ControllerState<N, T>,
-        input: &'a ControlInput<N, K, T>,
-        cover_wrench_base: &[T; 3],
-    ) -> Tick<'a, N, T> {
-        let robot = &input.robot;
-        let yaw = robot.base_pose_world[2];
-        let kinematics = self.model.kinematics(yaw, &robot.q_rad);
-        let inertias = self.model.link_inertias(&kinematics);
-        Tick {
-            robot,
-            dt_s: input.dt_s.min(of(LONGEST_STEP_S)),
-            mass: kinematics.mass_matrix(&inertias),
-            bias: kinematics.bias(&inertias, &robot.dq_rad_s),
-            flange: flange_pose(&kinematics, robot),
-            cover_world: rotate_planar(yaw, *cover_wrench_base),
-            base_velocity: rotate_planar(yaw, state.base_velocity_body),
-            kinematics,
-            inertias,
-        }
     }
 
     fn hold(&self, tick: &Tick<'_, N, T>, state: &ControllerState<N, T>) -> Wanted<N, T> {
@@ -330,21 +320,21 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         let (f, m) = (to_arm * Vector3::new(fx, fy, fz), to_arm * Vector3::new(mx, my, mz));
         let (rotation, position) = self.model.mount();
         let base = follow_me::base_wrench(rotation, position, &[f.x, f.y, f.z, m.x, m.y, m.z]);
-        rotate_planar(tick.robot.base_pose_world[2], base)
+        tick.kinematics.heading.to_world(base)
     }
 
     /// The base's velocity inside its limits and the guard, axes of B.
     fn guarded(
         &self,
         law: ControlLaw,
-        yaw: T,
+        heading: &Heading<T>,
         wanted_world: [T; 3],
         before_body: &[T; 3],
         dt_s: T,
         hit: &mut LimitsHit,
     ) -> [T; 3] {
         let guard = if law == ControlLaw::Hold { &BaseGuard::NONE } else { &self.guard };
-        let wanted = rotate_planar(-yaw, wanted_world);
+        let wanted = heading.to_base(wanted_world);
         self.limits.guarded_base_velocity(&self.outline, guard, &wanted, before_body, dt_s, hit)
     }
 
@@ -357,12 +347,13 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         wanted: Wanted<N, T>,
         hit: &mut LimitsHit,
     ) -> RobotCommand<N, T> {
-        let yaw = tick.robot.base_pose_world[2];
+        let heading = &tick.kinematics.heading;
         let before = &state.base_velocity_body;
-        let base_velocity_body = self.guarded(state.law, yaw, wanted.base_velocity, before, tick.dt_s, hit);
+        let base_velocity_body =
+            self.guarded(state.law, heading, wanted.base_velocity, before, tick.dt_s, hit);
         let mut torque = wanted.torque;
         if self.corrections.base_coupling && state.law != ControlLaw::Hold {
-            let commanded = rotate_planar(yaw, base_velocity_body);
+            let commanded = heading.to_world(base_velocity_body);
             let acceleration: [T; 3] =
                 core::array::from_fn(|i| (commanded[i] - tick.base_velocity[i]) / tick.dt_s);
             let coupling = times(&tick.mass.base_coupling, &acceleration);

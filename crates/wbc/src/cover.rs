@@ -57,10 +57,3 @@ impl<const K: usize, T: Scalar> Cover<K, T> {
         wrench
     }
 }
-
-/// A planar wrench or velocity in the axes of B as seen in W, or back with −yaw: the moment does not change.
-#[inline]
-pub fn rotate_planar<T: Scalar>(yaw: T, [x, y, z]: [T; 3]) -> [T; 3] {
-    let (s, c) = yaw.sin_cos();
-    [c * x - s * y, s * x + c * y, z]
-}

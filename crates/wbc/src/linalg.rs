@@ -20,21 +20,7 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
     pub fn new(a: &SMatrix<T, D, D>) -> Option<Self> {
         let mut columns = a.data.0;
         let (mut diagonal, mut inverse_diagonal) = ([T::zero(); D], [T::zero(); D]);
-        // no early return: straight-line code is what compilers make fast, and NaN only stays NaN
-        let mut definite = true;
-        for k in 0..D {
-            let pivot = columns[k][k];
-            definite &= pivot > T::zero() && pivot.is_finite();
-            diagonal[k] = pivot;
-            inverse_diagonal[k] = T::one() / pivot;
-            for j in k + 1..D {
-                let factor = columns[k][j] * inverse_diagonal[k];
-                for i in j..D {
-                    columns[j][i] -= factor * columns[k][i];
-                }
-                columns[k][j] = factor;
-            }
-        }
+        let definite = factorise(&mut columns, &mut diagonal, &mut inverse_diagonal);
         definite.then_some(Self { columns, diagonal, inverse_diagonal })
     }
 
@@ -154,10 +140,9 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
     }
 
     /// A⁻¹ = L⁻ᵀ·D⁻¹·L⁻¹.
-    #[inline]
-    pub fn inverse(&self) -> SMatrix<T, D, D> {
+    fn inverse(&self) -> [[T; D]; D] {
         let rows = self.solve_lower_rows(&SMatrix::<T, D, D>::identity().data.0);
-        weighted_outer(&SMatrix::from(rows), &self.inverse_diagonal)
+        weighted_outer(&SMatrix::from(rows), &self.inverse_diagonal).data.0
     }
 }
 
@@ -200,13 +185,7 @@ pub fn weighted_outer<const R: usize, const C: usize, T: Scalar>(
 /// A·x for an R×C matrix.
 #[inline]
 pub fn times<const R: usize, const C: usize, T: Scalar>(a: &SMatrix<T, R, C>, x: &[T; C]) -> [T; R] {
-    let mut out = [T::zero(); R];
-    for (column, &x) in a.data.0.iter().zip(x) {
-        for (out, &a) in out.iter_mut().zip(column) {
-            *out += a * x;
-        }
-    }
-    out
+    combined(&a.data.0, x)
 }
 
 /// Aᵀ·x for an R×C matrix.
@@ -220,49 +199,143 @@ pub fn transpose_times<const R: usize, const C: usize, T: Scalar>(
 
 /// A^(−1/2) of a symmetric positive-definite matrix, by the scaled product form of the Denman–Beavers iteration
 /// (Cheng, Higham, Kenney, Laub 2001): X ← X·(I + M⁻¹)/2 while M goes to I and X·M^(−1/2) stays what is sought. Once M
-/// is near I its series ends it. At most 12 inverses, whatever the input.
+/// is near I its series ends it. At most 12 inverses, whatever the input; of an ordinary arm 3.
 pub fn inverse_square_root<const D: usize, T: Scalar>(a: &SMatrix<T, D, D>) -> Option<SMatrix<T, D, D>> {
-    let (half, quarter) = (of::<T>(0.5), of::<T>(0.25));
-    // added as matrices: a number written alone makes the wide loads after it wait
-    let unit = SMatrix::<T, D, D>::identity();
-    let half_unit = unit * half;
-    let (mut m, mut x) = (*a, unit);
-    let (mut scale, mut scaled) = (true, T::one());
+    let (one, half) = (T::one(), of::<T>(0.5));
+    // added as a matrix: a number written alone makes the wide loads after it wait
+    let half_unit = SMatrix::<T, D, D>::identity().data.0.map(|column| column.map(|unit| half * unit));
+    let zero = [[T::zero(); D]; D];
+    let (mut m, mut x, mut average, mut error, mut inverse, mut next) =
+        (a.data.0, zero, zero, zero, zero, zero);
+    let (mut spread, mut scaled) = (one, one);
     for step in 0..12 {
-        let inverse = Cholesky::new_shifted(&m)?.inverse();
-        let mut factor = T::one();
-        if scale {
-            // near 1/√(λ_min·λ_max), which is the best
-            let ratio: T = sum_of_squares(&inverse.data.0) / sum_of_squares(&m.data.0);
-            factor = ratio.sqrt().sqrt();
-            if !(factor > T::zero() && factor.is_finite()) {
-                return None;
+        if !write_inverse(&mut inverse, &m) {
+            inverse = Cholesky::shifted(&SMatrix::from(m))?.inverse();
+        }
+        let factor = if step == 0 {
+            // near 1/√(λ_min·λ_max), which is the best; M's eigenvalues are then within 1/spread and spread
+            let (large, small) = (sum_of_squares(&m), sum_of_squares(&inverse));
+            spread = (large * small).sqrt().sqrt();
+            (small / large).sqrt().sqrt()
+        } else {
+            // M is within 1 and the square of this: the best factor is known without a look at it
+            spread = (half * (one + half * (spread + one / spread))).sqrt();
+            one / spread
+        };
+        if !(factor > T::zero() && factor.is_finite()) {
+            return None;
+        }
+        scaled *= factor;
+        let (of_inverse, of_m) = (half / factor, half * half * factor);
+        let of_inverse_next = half * of_inverse;
+        for i in 0..D {
+            for j in 0..D {
+                average[i][j] = of_inverse * inverse[i][j] + half_unit[i][j];
+                // the next M less I
+                error[i][j] = of_m * m[i][j] + of_inverse_next * inverse[i][j] - half_unit[i][j];
+                m[i][j] = error[i][j] + (half_unit[i][j] + half_unit[i][j]);
             }
-            scaled *= factor;
         }
-        let of_inverse = half / factor;
-        let average = inverse.zip_map(&half_unit, |inverse, half_unit| of_inverse * inverse + half_unit);
-        let (of_m, of_inverse) = (quarter * factor, half * of_inverse);
-        // the next M less I
-        let error = m.zip_zip_map(&inverse, &half_unit, |m, inverse, half_unit| {
-            of_m * m + of_inverse * inverse - half_unit
-        });
-        m = error + unit;
-        x = if step == 0 { average } else { product(&x, &average) };
-        let squared = sum_of_squares(&error.data.0);
-        if squared * squared * squared < T::default_epsilon() * T::default_epsilon() {
-            // M^(−1/2) = I − E/2 + 3/8·E² − … with E = M − I
-            let series = product(&error, &error).zip_zip_map(&error, &unit, |square, error, unit| {
-                of::<T>(0.375) * square - half * error + unit
-            });
-            x = product(&x, &series);
-            break;
+        if step == 0 {
+            x = average;
+        } else {
+            write_product(&mut next, &x, &average);
+            x = next;
         }
-        scale = squared > quarter;
+        if sum_of_squares(&error) < of(SERIES_FROM * SERIES_FROM) {
+            write_series(&mut average, &error);
+            write_product(&mut next, &x, &average);
+            // the iterates commute, so the limit is symmetric up to rounding
+            let half = half * scaled.sqrt();
+            return Some(SMatrix::from_fn(|i, j| half * (next[j][i] + next[i][j])));
+        }
     }
-    // the iterates commute, so the limit is symmetric up to rounding
-    let half = half * scaled.sqrt();
-    Some(SMatrix::from_fn(|i, j| half * (x[(i, j)] + x[(j, i)])))
+    None
+}
+
+/// Norm of E from which on the series of (I + E)^(−1/2) to the sixth power is exact to rounding.
+const SERIES_FROM: f64 = 0.01;
+
+/// out = (I + E)^(−1/2) for a small E: Σ c_k·E^k to the sixth power, as p(E) + E³·q(E).
+#[inline]
+fn write_series<const D: usize, T: Scalar>(out: &mut [[T; D]; D], e: &[[T; D]; D]) {
+    let c = [1.0, -0.5, 0.375, -0.3125, 0.273_437_5, -0.246_093_75, 0.225_585_937_5].map(of::<T>);
+    let zero = [[T::zero(); D]; D];
+    let (mut square, mut cube, mut q) = (zero, zero, zero);
+    write_product(&mut square, e, e);
+    write_product(&mut cube, &square, e);
+    for i in 0..D {
+        for j in 0..D {
+            let unit = if i == j { c[3] } else { T::zero() };
+            q[i][j] = unit + c[4] * e[i][j] + c[5] * square[i][j] + c[6] * cube[i][j];
+        }
+    }
+    write_product(out, &cube, &q);
+    for i in 0..D {
+        for j in 0..D {
+            let unit = if i == j { c[0] } else { T::zero() };
+            out[i][j] += unit + c[1] * e[i][j] + c[2] * square[i][j];
+        }
+    }
+}
+
+/// A = L·D·Lᵀ in place: columns of A in, columns of L out, below the diagonal; false if A is not positive definite or
+/// not finite.
+#[inline]
+fn factorise<const D: usize, T: Scalar>(
+    columns: &mut [[T; D]; D],
+    diagonal: &mut [T; D],
+    inverse_diagonal: &mut [T; D],
+) -> bool {
+    // no early return: straight-line code is what compilers make fast, and NaN only stays NaN
+    let mut definite = true;
+    for k in 0..D {
+        let pivot = columns[k][k];
+        definite &= pivot > T::zero() && pivot.is_finite();
+        diagonal[k] = pivot;
+        inverse_diagonal[k] = T::one() / pivot;
+        for j in k + 1..D {
+            let factor = columns[k][j] * inverse_diagonal[k];
+            for i in j..D {
+                columns[j][i] -= factor * columns[k][i];
+            }
+            columns[k][j] = factor;
+        }
+    }
+    definite
+}
+
+/// out = A⁻¹ = L⁻ᵀ·D⁻¹·L⁻¹; false if A is not positive definite or not finite. [`Cholesky::new`] and what follows in one
+/// piece: the factorisation would be copied more often than it is used.
+#[inline]
+fn write_inverse<const D: usize, T: Scalar>(out: &mut [[T; D]; D], a: &[[T; D]; D]) -> bool {
+    let mut columns = *a;
+    let (mut diagonal, mut inverse_diagonal) = ([T::zero(); D], [T::zero(); D]);
+    let definite = factorise(&mut columns, &mut diagonal, &mut inverse_diagonal);
+    let mut lower = [[T::zero(); D]; D];
+    for i in 0..D {
+        let mut row = [T::zero(); D];
+        row[i] = T::one();
+        for k in 0..i {
+            subtract_scaled(&mut row, columns[k][i], &lower[k]);
+        }
+        lower[i] = row;
+    }
+    let mut scaled = lower;
+    for i in 0..D {
+        for j in 0..D {
+            scaled[i][j] *= inverse_diagonal[i];
+        }
+    }
+    for i in 0..D {
+        let mut row = [T::zero(); D];
+        // L⁻¹ is lower triangular
+        for k in i..D {
+            subtract_scaled(&mut row, -lower[k][i], &scaled[k]);
+        }
+        out[i] = row;
+    }
+    definite
 }
 
 /// Squared Frobenius norm.
@@ -277,12 +350,22 @@ fn sum_of_squares<const D: usize, T: Scalar>(a: &[[T; D]; D]) -> T {
     lanes.into_iter().fold(T::zero(), |sum, lane| sum + lane)
 }
 
-/// A·B of D×D matrices.
+/// out = A·B of D×D matrices.
 #[inline]
-fn product<const D: usize, T: Scalar>(a: &SMatrix<T, D, D>, b: &SMatrix<T, D, D>) -> SMatrix<T, D, D> {
-    let mut out = [[T::zero(); D]; D];
-    for (out, column) in out.iter_mut().zip(&b.data.0) {
-        *out = times(a, column);
+fn write_product<const D: usize, T: Scalar>(out: &mut [[T; D]; D], a: &[[T; D]; D], b: &[[T; D]; D]) {
+    for (out, column) in out.iter_mut().zip(b) {
+        *out = combined(a, column);
     }
-    SMatrix::from(out)
+}
+
+/// Σ weights_k·rows_k.
+#[inline]
+fn combined<const R: usize, const C: usize, T: Scalar>(rows: &[[T; C]; R], weights: &[T; R]) -> [T; C] {
+    let mut out = [T::zero(); C];
+    for (row, &weight) in rows.iter().zip(weights) {
+        for (out, &value) in out.iter_mut().zip(row) {
+            *out += weight * value;
+        }
+    }
+    out
 }

@@ -1,9 +1,10 @@
 //! Kinematics and dynamics of a serial arm on a yawing base: one recursion for any table of [`moca_msgs::robot`].
 //!
 //! Everything is computed in world axes about the arm base's origin (A), so that Jacobian, mass matrix and bias need
-//! no later rotation and lose no digits to the base's place in the world.
+//! no later rotation and lose no digits to the base's place in the world. The four passes over the joints are never inlined:
+//! inside a whole step compilers stop unrolling their loops.
 
-use crate::rotation;
+use crate::rotation::{self, Heading};
 use crate::scalar::{Scalar, all, of};
 use crate::spatial::{Force, Inertia, Motion, rotate_symmetric};
 use moca_msgs::robot::LinkInertial;
@@ -50,6 +51,8 @@ pub struct Kinematics<const N: usize, T> {
     joint_position: [Vector3<T>; N],
     /// Twist about A per joint rate.
     joint_motion: [Motion<T>; N],
+    /// Of the base.
+    pub heading: Heading<T>,
     /// Axes of B.
     pub base_rotation: Matrix3<T>,
     /// Axes of A.
@@ -108,9 +111,10 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     }
 
     /// Forward kinematics at base yaw `yaw` and joint angles `q`, rad.
-    #[inline]
+    #[inline(never)]
     pub fn kinematics(&self, yaw: T, q: &[T; N]) -> Kinematics<N, T> {
-        let base_rotation = rotation::about_z(yaw);
+        let heading = Heading::at(yaw);
+        let base_rotation = heading.matrix();
         let arm_rotation = base_rotation * self.mount.rotation;
         let mut link_rotation = [Matrix3::zeros(); N];
         let mut joint_position = [Vector3::zeros(); N];
@@ -128,6 +132,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
             link_rotation,
             joint_position,
             joint_motion,
+            heading,
             base_rotation,
             arm_rotation,
             arm_from_base: base_rotation * self.mount.origin,
@@ -138,7 +143,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     }
 
     /// Inertia of every link at `kinematics`.
-    #[inline]
+    #[inline(never)]
     pub fn link_inertias(&self, kinematics: &Kinematics<N, T>) -> LinkInertias<N, T> {
         let mut inertias = [Inertia::zero(); N];
         for i in 0..N {
@@ -208,7 +213,7 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
     }
 
     /// M_A and M_AB by composite rigid bodies.
-    #[inline]
+    #[inline(never)]
     pub fn mass_matrix(&self, inertias: &LinkInertias<N, T>) -> MassMatrix<N, T> {
         let mut arm = [[T::zero(); N]; N];
         let mut coupling = [[T::zero(); N]; 3];
@@ -275,7 +280,7 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
 
     /// Recursive Newton–Euler with zero joint accelerations: joint torques, and the force on the arm base, for a given
     /// twist and acceleration of A.
-    #[inline]
+    #[inline(never)]
     pub(crate) fn newton_euler(
         &self,
         inertias: &LinkInertias<N, T>,

@@ -39,7 +39,7 @@ impl<const N: usize, T: Scalar> TaskDynamics<N, T> {
     ///
     /// # Errors
     /// [`ControlError::NotPositiveDefinite`] if the arm's mass matrix is not.
-    #[inline]
+    #[inline(never)]
     pub fn new(
         base_jacobian: SMatrix<T, 6, 3>,
         arm_jacobian: SMatrix<T, 6, N>,

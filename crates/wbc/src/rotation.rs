@@ -19,10 +19,39 @@ pub fn from_rpy<T: Scalar>([roll, pitch, yaw]: [T; 3]) -> Matrix3<T> {
     )
 }
 
-/// Rotation by `yaw` rad about z.
-pub fn about_z<T: Scalar>(yaw: T) -> Matrix3<T> {
-    let (s, c) = yaw.sin_cos();
-    Matrix3::new(c, -s, T::zero(), s, c, T::zero(), T::zero(), T::zero(), T::one())
+/// A rotation about the vertical: from B to W.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Heading<T> {
+    sin: T,
+    cos: T,
+}
+
+impl<T: Scalar> Heading<T> {
+    /// Of a base at `yaw`, rad.
+    #[inline]
+    pub fn at(yaw: T) -> Self {
+        let (sin, cos) = yaw.sin_cos();
+        Self { sin, cos }
+    }
+
+    /// A planar wrench or velocity in the axes of B, in W: the moment or yaw rate does not change.
+    #[inline]
+    pub fn to_world(&self, [x, y, z]: [T; 3]) -> [T; 3] {
+        [self.cos * x - self.sin * y, self.sin * x + self.cos * y, z]
+    }
+
+    /// The way back from [`Self::to_world`].
+    #[inline]
+    pub fn to_base(&self, [x, y, z]: [T; 3]) -> [T; 3] {
+        [self.cos * x + self.sin * y, self.cos * y - self.sin * x, z]
+    }
+
+    /// Axes of B in W.
+    #[inline]
+    pub fn matrix(&self) -> Matrix3<T> {
+        let (s, c, zero) = (self.sin, self.cos, T::zero());
+        Matrix3::new(c, -s, zero, s, c, zero, zero, zero, T::one())
+    }
 }
 
 /// Unit quaternion (x, y, z, w), w ≥ 0, of a rotation matrix (Shepperd's method: accurate at any angle).

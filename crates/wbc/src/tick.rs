@@ -1,6 +1,5 @@
 //! One step's quantities: computed once, read by every law.
 
-use crate::cover::rotate_planar;
 use crate::error::ControlError;
 use crate::follow_me;
 use crate::impedance;
@@ -10,7 +9,7 @@ use crate::model::{Kinematics, LinkInertias, MassMatrix};
 use crate::observer::MomentumObserver;
 use crate::opspace::TaskDynamics;
 use crate::reference::{Pose, leashed};
-use crate::rotation;
+use crate::rotation::Heading;
 use crate::scalar::Scalar;
 use crate::state::{ControlInput, ControlLaw, ControllerState};
 use moca_msgs::RobotState;
@@ -20,9 +19,9 @@ use nalgebra::{SMatrix, Vector3};
 pub(crate) struct Tick<'a, const N: usize, T> {
     pub robot: &'a RobotState<N, T>,
     pub dt_s: T,
-    pub kinematics: Kinematics<N, T>,
-    pub inertias: LinkInertias<N, T>,
-    pub mass: MassMatrix<N, T>,
+    pub kinematics: &'a Kinematics<N, T>,
+    pub inertias: &'a LinkInertias<N, T>,
+    pub mass: &'a MassMatrix<N, T>,
     pub bias: [T; N],
     pub flange: Pose<T>,
     pub cover_world: [T; 3],
@@ -73,8 +72,8 @@ impl<const N: usize, T: Scalar> Tick<'_, N, T> {
             ControlLaw::Hold => self.flange,
             ControlLaw::Impedance => state.reference.now,
             ControlLaw::FollowMe => {
-                let [x, y, yaw] = self.robot.base_pose_world;
-                let turn = rotation::about_z(yaw);
+                let [x, y, _] = self.robot.base_pose_world;
+                let turn = &self.kinematics.base_rotation;
                 let reference = &state.reference.now;
                 Pose {
                     position: turn * reference.position + Vector3::new(x, y, T::zero()),
@@ -91,9 +90,9 @@ impl<const N: usize, T: Scalar> Tick<'_, N, T> {
             return twist;
         }
         let [vx, vy, vz, wx, wy, wz] = twist;
-        let yaw = self.robot.base_pose_world[2];
-        let [v0, v1, v2] = rotate_planar(yaw, [vx, vy, vz]);
-        let [w0, w1, w2] = rotate_planar(yaw, [wx, wy, wz]);
+        let heading = &self.kinematics.heading;
+        let [v0, v1, v2] = heading.to_world([vx, vy, vz]);
+        let [w0, w1, w2] = heading.to_world([wx, wy, wz]);
         [v0, v1, v2, w0, w1, w2]
     }
 
@@ -109,9 +108,9 @@ impl<const N: usize, T: Scalar> Tick<'_, N, T> {
             state.observer = MomentumObserver::new();
             return Ok(wrench);
         }
-        let (robot, kinematics) = (self.robot, &self.kinematics);
-        let momentum = kinematics.momentum(&self.inertias, &robot.base_velocity_world, &robot.dq_rad_s);
-        let gravity = kinematics.gravity(&self.inertias);
+        let (robot, kinematics) = (self.robot, self.kinematics);
+        let momentum = kinematics.momentum(self.inertias, &robot.base_velocity_world, &robot.dq_rad_s);
+        let gravity = kinematics.gravity(self.inertias);
         state.observer.update(&momentum, &gravity, &robot.torque_measured_nm, self.dt_s);
         let about_tool = task.arm_wrench(state.observer.external_torque())?;
         Ok(follow_me::moved(&about_tool, &(kinematics.tool_position - kinematics.flange_position)))
@@ -121,7 +120,7 @@ impl<const N: usize, T: Scalar> Tick<'_, N, T> {
 /// `pose`, given in W, in B.
 pub(crate) fn seen_from_base<const N: usize, T: Scalar>(pose: &Pose<T>, robot: &RobotState<N, T>) -> Pose<T> {
     let [x, y, yaw] = robot.base_pose_world;
-    let turn = rotation::about_z(-yaw);
+    let turn = Heading::at(yaw).matrix().transpose();
     Pose { position: turn * (pose.position - Vector3::new(x, y, T::zero())), rotation: turn * pose.rotation }
 }
 

@@ -6,10 +6,11 @@ use anyhow::{Context, Result};
 use moca_daemon::config::{Config, JOINTS, TAXELS};
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_msgs::{ImpedanceGains, Payload, RobotState};
-use moca_wbc::cover::{Cover, rotate_planar};
+use moca_wbc::cover::Cover;
 use moca_wbc::guard::{BaseGuard, CoverOutline};
 use moca_wbc::limits::OutputLimits;
 use moca_wbc::opspace::TaskDynamics;
+use moca_wbc::rotation::Heading;
 use moca_wbc::{ArmModel, ControlInput, ControlLaw, Controller, LimitsHit, admittance, impedance};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
@@ -57,13 +58,14 @@ impl BaseAlone {
     fn step(&self, velocity_body: &[f64; 3], yaw: f64, taxel_force_n: &[f64; TAXELS], dt_s: f64) -> [f64; 3] {
         let (gains, mut hit) = (&self.gains, LimitsHit::default());
         let forces = self.limits.taxel_forces(taxel_force_n, &mut hit);
-        let push_world = rotate_planar(yaw, self.cover.wrench(&forces));
-        let now = rotate_planar(yaw, *velocity_body);
+        let heading = Heading::at(yaw);
+        let push_world = heading.to_world(self.cover.wrench(&forces));
+        let now = heading.to_world(*velocity_body);
         let next = std::array::from_fn(|i| {
             let force = gains.reactivity * push_world[i];
             admittance::step(now[i], force, gains.virtual_mass[i], gains.virtual_damping[i], dt_s)
         });
-        let wanted = rotate_planar(-yaw, next);
+        let wanted = heading.to_base(next);
         let guard = BaseGuard::NONE;
         self.limits.guarded_base_velocity(&self.outline, &guard, &wanted, velocity_body, dt_s, &mut hit)
     }

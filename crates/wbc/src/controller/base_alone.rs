@@ -2,8 +2,8 @@
 
 use super::{Controller, LONGEST_STEP_S};
 use crate::admittance::admitted;
-use crate::cover::rotate_planar;
 use crate::error::{ControlError, finite};
+use crate::rotation::Heading;
 use crate::scalar::{Scalar, of};
 use crate::state::{ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose};
 use moca_msgs::RobotCommand;
@@ -24,16 +24,16 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         let dt_s = input.dt_s.min(of(LONGEST_STEP_S));
         let mut gains = state.gains;
         gains.approach(&self.gains, dt_s);
-        let yaw = input.robot.base_pose_world[2];
+        let heading = Heading::at(input.robot.base_pose_world[2]);
         let wanted_world = match law {
             ControlLaw::Hold => [T::zero(); 3],
             ControlLaw::Impedance | ControlLaw::FollowMe => {
-                let force = rotate_planar(yaw, cover_wrench_base).map(|f| gains.reactivity * f);
-                admitted(&gains, &rotate_planar(yaw, state.base_velocity_body), &force, dt_s)
+                let force = heading.to_world(cover_wrench_base).map(|f| gains.reactivity * f);
+                admitted(&gains, &heading.to_world(state.base_velocity_body), &force, dt_s)
             }
         };
         let base_velocity_body =
-            self.guarded(law, yaw, wanted_world, &state.base_velocity_body, dt_s, &mut hit);
+            self.guarded(law, &heading, wanted_world, &state.base_velocity_body, dt_s, &mut hit);
         finite("base velocity command", &base_velocity_body)?;
         (state.law, state.gains, state.base_velocity_body) = (law, gains, base_velocity_body);
         let nowhere =
