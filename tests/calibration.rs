@@ -41,6 +41,23 @@ impl Daemon {
             .unwrap();
         (Self(process), Connection::spawn(address, || {}).unwrap())
     }
+
+    /// One that reaches `wanted` by itself. On a machine so busy that even the virtual board is silent for too long it
+    /// rightly stops instead: then another one is started.
+    fn reaching(wanted: Mode, name: &str, text: &str) -> (Self, Connection) {
+        for _ in 0..10 {
+            let (daemon, connection) = Self::start(name, text);
+            let mut reached = None;
+            until(&connection, "started or stopped", |_, mode| {
+                reached = mode;
+                mode == Some(wanted) || mode == Some(Mode::ProtectiveStop)
+            });
+            if reached == Some(wanted) {
+                return (daemon, connection);
+            }
+        }
+        panic!("ten daemons stopped before {wanted:?}");
+    }
 }
 
 impl Drop for Daemon {
@@ -88,8 +105,7 @@ fn a_taxel_of_a_board_without_a_robot_is_calibrated_with_a_force_gauge() {
     let text = format!(
         "[plant]\nkind = \"none\"\n[board]\nport = \"{port}\"\nname = \"left\"\ngauge = \"{gauge_port}\"\n"
     );
-    let (_daemon, connection) = Daemon::start("gauge.toml", &text);
-    until(&connection, "ready", |_, mode| mode == Some(Mode::Ready));
+    let (_daemon, connection) = Daemon::reaching(Mode::Ready, "gauge.toml", &text);
 
     connection.calibrate(CalibrationRequest::Start { taxel: 4, presses: 2 });
     // A person presses T5 with the gauge to 60 N and lets go, slowly enough for foam and board.
@@ -146,8 +162,8 @@ fn a_taxel_of_a_board_without_a_robot_is_calibrated_with_a_force_gauge() {
 
 #[test]
 fn a_robot_that_moves_is_not_calibrated() {
-    let (_daemon, connection) = Daemon::start("moves.toml", "[simulation.hand]\ntaxels = []\n");
-    until(&connection, "armed", |_, mode| mode == Some(Mode::Impedance));
+    let (_daemon, connection) =
+        Daemon::reaching(Mode::Impedance, "moves.toml", "[simulation.hand]\ntaxels = []\n");
     let start = CalibrationRequest::Start { taxel: 0, presses: 1 };
     let refused = |progress: &CalibrationProgress, _| matches!(progress, CalibrationProgress::Failed(why) if why.contains("disarm"));
     connection.calibrate(start);
