@@ -1,8 +1,8 @@
 //! Kinematics and dynamics of a serial arm on a yawing base: one recursion for any table of [`moca_msgs::robot`].
 //!
 //! Everything is computed in world axes about the arm base's origin (A), so that Jacobian, mass matrix and bias need
-//! no later rotation and lose no digits to the base's place in the world. The four passes over the joints are never inlined:
-//! inside a whole step compilers stop unrolling their loops.
+//! no later rotation and lose no digits to the base's place in the world. The four passes over the joints are never
+//! inlined: inside a whole step compilers stop unrolling their loops.
 
 use crate::rotation::{self, Heading};
 use crate::scalar::{Scalar, all, of};
