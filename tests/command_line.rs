@@ -25,7 +25,10 @@ const ANY_PORT: &str = "[telemetry]\nlisten = \"127.0.0.1:0\"\n";
 #[test]
 fn the_default_run_says_what_runs_and_ends_with_a_summary() {
     let config = file("live.toml", ANY_PORT);
-    let output = mocad(&["run", "--duration", "3", "--config", config.to_str().unwrap()]);
+    // On a machine so busy that even the virtual board is silent for too long the robot rightly stops: then once more.
+    let run = |_| mocad(&["run", "--duration", "3", "--config", config.to_str().unwrap()]);
+    let armed = |output: &Output| text(&output.stdout).contains("mode: impedance");
+    let output = (0..5).map(run).find(armed).expect("one of five runs is armed");
     let shown = text(&output.stdout);
     assert!(output.status.success(), "{shown}{}", text(&output.stderr));
     for expected in [

@@ -4,7 +4,7 @@ use anyhow::{Context, anyhow};
 use clap::{Parser, ValueEnum};
 use eframe::egui;
 use moca_monitor::{
-    logic::{Playback, Source},
+    logic::{Playback, Source, axis::SPAN_S},
     ui::{App, Page, Screenshot},
 };
 use moca_telemetry::net::{Connection, DEFAULT_ADDRESS};
@@ -24,6 +24,9 @@ struct Arguments {
     /// Page to begin with; without it the last one.
     #[arg(long, value_parser = page)]
     page: Option<Page>,
+    /// How much the plots show at first; without it as much as last time.
+    #[arg(long, value_name = "SECONDS", value_parser = span)]
+    last: Option<f64>,
     /// Where to look for logs and write recordings.
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     folder: PathBuf,
@@ -53,6 +56,13 @@ enum Theme {
 fn page(text: &str) -> anyhow::Result<Page> {
     let names = || Page::ALL.map(Page::name).join(", ");
     Page::named(text).with_context(|| format!("{text:?} is no page: choose one of {}", names()))
+}
+
+fn span(text: &str) -> anyhow::Result<f64> {
+    match text.parse::<f64>() {
+        Ok(span_s) if (SPAN_S.start..=SPAN_S.end).contains(&span_s) => Ok(span_s),
+        _ => Err(anyhow!("{text} s is not a span between {} and {} s", SPAN_S.start, SPAN_S.end)),
+    }
 }
 
 fn size(text: &str) -> anyhow::Result<egui::Vec2> {
@@ -122,6 +132,9 @@ fn main() -> anyhow::Result<()> {
             }
             if let Some(page) = arguments.page {
                 app.show_page(page);
+            }
+            if let Some(span_s) = arguments.last {
+                app.show_last_s(span_s);
             }
             Ok(Box::new(app))
         }),

@@ -652,8 +652,17 @@ fn several_robots_have_names_and_stop_stops_them_all() {
     };
     (0..3).for_each(|tick| step(&mut bench, tick));
     assert!(bench.shows("ready"), "the second robot is in front");
-    bench.harness.get_by_label("Arm").click();
+    // The next window, too, begins with the second one.
+    let mut memory = Memory::default();
+    eframe::App::save(bench.harness.state_mut(), &mut memory);
+    bench.harness.query_all_by_label("test robot").next().unwrap().click();
+    bench.frames(Mode::Impedance, None);
+    assert!(bench.shows("impedance"), "the first robot is in front");
+    bench.harness.state_mut().restore(&memory);
     (3..6).for_each(|tick| step(&mut bench, tick));
+    assert!(bench.shows("ready"), "the second robot is in front again");
+    bench.harness.get_by_label("Arm").click();
+    (6..9).for_each(|tick| step(&mut bench, tick));
     assert_eq!(other.borrow_mut().asked, [Request::Arm]);
     assert_eq!(bench.asked(), [], "the first robot is not armed with it");
     other.borrow_mut().asked.clear();

@@ -274,6 +274,9 @@ const KEYS: &[Key] = &[
     key("push_s", "s", "length of a push, its two ramps included", |s, v| {
         store(&mut s.push_s, v, 0.01, 3600.0)
     }),
+    key("push.scale", "", "forces of the scripted pushes over the paper's", |s, v| {
+        store(&mut s.push_scale, v, 0.0, 10.0)
+    }),
     key("ramp_s", "s", "each of the two ramps of a push", |s, v| store(&mut s.ramp_s, v, 1e-3, 1000.0)),
     key("rest_s", "s", "pause between pushes", |s, v| store(&mut s.rest_s, v, 0.0, 3600.0)),
 ];
@@ -449,6 +452,7 @@ mod tests {
             "q_0=0,-0.7,0,-2.3,0,1.5,0.7",
             "push_s=2",
             "ramp_s=0.2",
+            "push.scale=0.5",
             "speed=0.1",
         ];
         for row in rows {

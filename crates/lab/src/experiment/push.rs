@@ -41,6 +41,12 @@ impl Push {
         turned
     }
 
+    /// The same push with its forces `scale` times as large.
+    fn scaled(mut self, scale: f64) -> Self {
+        self.loads = self.loads.scaled(scale);
+        self
+    }
+
     /// Loads `t_s` after the start of a push of `length_s` with ramps of `ramp_s` at both ends.
     pub(crate) fn at(&self, t_s: f64, length_s: f64, ramp_s: f64) -> Loads {
         let rising = t_s / ramp_s;
@@ -75,7 +81,7 @@ pub(crate) fn run(rig: &mut Rig, settings: &Settings, pushes: &[Push]) -> Result
     for push in pushes {
         let first = rig.rows.len();
         let yaw = rig.rows.last().map_or(0.0, |row| row.base_pose_world[2]);
-        let turned = push.turned(yaw);
+        let turned = push.turned(yaw).scaled(settings.push_scale);
         rig.run_for(settings.push_s, |t_s| turned.at(t_s, settings.push_s, settings.ramp_s))?;
         let last = rig.rows.len();
         rig.run_for(settings.rest_s, |_| Loads::default())?;

@@ -165,6 +165,8 @@ pub(crate) struct Settings {
     pub duration_s: f64,
     pub push_s: f64,
     pub ramp_s: f64,
+    /// Forces of the scripted pushes over the paper's.
+    pub push_scale: f64,
     pub rest_s: f64,
     pub step_ms: f64,
     pub integrator: Integrator,
@@ -204,6 +206,7 @@ impl Settings {
             duration_s: 8.0,
             push_s: 3.0,
             ramp_s: 0.3,
+            push_scale: 1.0,
             rest_s: 2.0,
             step_ms: 1.0,
             integrator: Integrator::default(),

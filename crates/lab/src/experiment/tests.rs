@@ -31,6 +31,13 @@ fn run(push: &Push, assignments: &[&str]) -> Outcome {
 }
 
 #[test]
+fn a_push_is_as_hard_as_its_scale_says() {
+    let half = push(&[5], 20.0, &["sensor=ideal", "push.scale=0.5"]);
+    assert_eq!(half.base_displacement, push(&[5], 10.0, &["sensor=ideal"]).base_displacement);
+    assert!(half.base_displacement[0] < -0.04, "{half:?}");
+}
+
+#[test]
 fn b1_i_a_lifted_flange_is_a_spring() {
     let lift = Push::taxels("lift", &[]).and_flange([0.0, 0.0, 15.0]);
     let outcome = run(&lift, LITERAL);

@@ -276,7 +276,8 @@ impl eframe::App for App {
     }
 
     fn save(&mut self, storage: &mut dyn eframe::Storage) {
-        let View { axis, push_n, .. } = &self.robots[self.shown].view;
+        let front = &self.robots[self.shown];
+        let View { axis, push_n, .. } = &front.view;
         storage.set_string("page", self.page.name().to_owned());
         storage.set_string("span_s", axis.span_s().to_string());
         storage.set_string("push_n", push_n.to_string());
@@ -285,6 +286,9 @@ impl eframe::App for App {
         // Who looked at a log only has not left the robots.
         if !addresses.is_empty() {
             storage.set_string("connect", addresses.join(" "));
+        }
+        if !front.model.recorded {
+            storage.set_string("front", front.address.clone());
         }
     }
 }
@@ -301,6 +305,8 @@ impl App {
         let text = |key| storage.get_string(key);
         let number = |key| text(key)?.parse::<f64>().ok().filter(|v| v.is_finite());
         self.page = text("page").and_then(|name| Page::named(&name)).unwrap_or_default();
+        let front = text("front").and_then(|front| self.robots.iter().position(|r| r.address == front));
+        self.shown = front.unwrap_or(self.shown);
         for robot in &mut self.robots {
             if let Some(span_s) = number("span_s") {
                 robot.view.axis.show(span_s);
