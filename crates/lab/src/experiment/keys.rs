@@ -19,8 +19,10 @@ impl Settings {
         let Some(key) = KEYS.iter().find(|key| key.name == name.trim()) else {
             bail!("--set: unknown key {name}; known keys:\n{}", key_list());
         };
-        (key.set)(self, value.trim())
-            .with_context(|| format!("--set {} ({}; {})", assignment, key.about, key.unit))
+        (key.set)(self, value.trim()).with_context(|| {
+            let unit = if key.unit.is_empty() { "no unit" } else { key.unit };
+            format!("--set {assignment} ({}; {unit})", key.about)
+        })
     }
 }
 
@@ -519,6 +521,7 @@ mod tests {
             ("foam.damping_ms=-1", ["-1 is outside 0 to 1000", "; ms)"]),
             ("base.size=0.05,1,1", ["0.05 is outside 0.1 to 10", "; m,m,m)"]),
             ("base.inertia=0", ["0 is outside 0.01 to 1000000", "; kg·m²)"]),
+            ("push.scale=11", ["11 is outside 0 to 10", "; no unit)"]),
             ("ramp_s=nan", ["NaN is outside 0.001 to 1000", "; s)"]),
             ("arm=ur10e", ["'ur10e' is not one of panda, fr3", "panda|fr3)"]),
         ] {
