@@ -12,7 +12,7 @@ use crate::guard::{BaseGuard, CoverOutline};
 use crate::impedance;
 use crate::limits::{JointRepulsion, LimitsHit, OutputLimits};
 use crate::linalg::times;
-use crate::model::ArmModel;
+use crate::model::{ArmModel, Kinematics};
 use crate::observer::MomentumObserver;
 use crate::opspace::{BlockWeight, TaskDynamics, WholeBodyForce};
 use crate::reference::{Pose, Reference, approach_posture};
@@ -150,7 +150,7 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
             entering: true,
             observer: MomentumObserver::new(),
         };
-        retarget(&mut state, &flange, robot);
+        retarget(&mut state, &flange, &kinematics, robot);
         finite("entry torque", &state.torque_nm)?;
         Ok(state)
     }
@@ -186,7 +186,7 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         if next.law != law {
             next.law = law;
             next.entering = true;
-            retarget(&mut next, &tick.flange, tick.robot);
+            retarget(&mut next, &tick.flange, &kinematics, robot);
         }
         if next.corrections != self.corrections {
             next.corrections = self.corrections;
@@ -300,7 +300,7 @@ impl<const N: usize, const K: usize, T: Scalar> Controller<N, K, T> {
         hit: &mut LimitsHit,
     ) -> Result<Wanted<N, T>, ControlError> {
         let robot = tick.robot;
-        state.reference.advance(&seen_from_base(&tick.flange, robot), tick.dt_s);
+        state.reference.advance(&seen_from_base(&tick.flange, tick.kinematics, robot), tick.dt_s);
         approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
         let wrench = tick.task_wrench(state, task, &[T::zero(); 6], &task.arm_mobility(), hit)?;
         let arm = task.arm_torque(&wrench, &tick.posture_torque(state))?;
@@ -396,11 +396,12 @@ fn check_light_base<const N: usize>(parameters: &Parameters<N>) -> Result<(), Pa
 fn retarget<const N: usize, T: Scalar>(
     state: &mut ControllerState<N, T>,
     flange: &Pose<T>,
+    kinematics: &Kinematics<N, T>,
     robot: &RobotState<N, T>,
 ) {
     state.posture_rad = robot.q_rad;
     state.reference = Reference::hold(match state.law {
-        ControlLaw::FollowMe => seen_from_base(flange, robot),
+        ControlLaw::FollowMe => seen_from_base(flange, kinematics, robot),
         ControlLaw::Hold | ControlLaw::Impedance => *flange,
     });
 }

@@ -18,10 +18,37 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
     /// Factorises the lower triangle of `a`; `None` if it is not positive definite or not finite.
     #[inline]
     pub fn new(a: &SMatrix<T, D, D>) -> Option<Self> {
-        let mut columns = a.data.0;
-        let (mut diagonal, mut inverse_diagonal) = ([T::zero(); D], [T::zero(); D]);
-        let definite = factorise(&mut columns, &mut diagonal, &mut inverse_diagonal);
-        definite.then_some(Self { columns, diagonal, inverse_diagonal })
+        let mut factor = Self::unset();
+        factor.factorise(&a.data.0).then_some(factor)
+    }
+
+    /// Room for a factorisation that is made where it stands: returned, it would be copied.
+    fn unset() -> Self {
+        let zero = T::zero();
+        Self { columns: [[zero; D]; D], diagonal: [zero; D], inverse_diagonal: [zero; D] }
+    }
+
+    /// Becomes the factorisation of `a`; false if it is not positive definite or not finite.
+    #[inline]
+    fn factorise(&mut self, a: &[[T; D]; D]) -> bool {
+        let Self { columns, diagonal, inverse_diagonal } = self;
+        *columns = *a;
+        // no early return: straight-line code is what compilers make fast, and NaN only stays NaN
+        let mut definite = true;
+        for k in 0..D {
+            let pivot = columns[k][k];
+            definite &= pivot > T::zero() && pivot.is_finite();
+            diagonal[k] = pivot;
+            inverse_diagonal[k] = T::one() / pivot;
+            for j in k + 1..D {
+                let factor = columns[k][j] * inverse_diagonal[k];
+                for i in j..D {
+                    columns[j][i] -= factor * columns[k][i];
+                }
+                columns[k][j] = factor;
+            }
+        }
+        definite
     }
 
     /// Diagonal of D.
@@ -139,10 +166,24 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
         })
     }
 
-    /// A⁻¹ = L⁻ᵀ·D⁻¹·L⁻¹.
-    fn inverse(&self) -> [[T; D]; D] {
-        let rows = self.solve_lower_rows(&SMatrix::<T, D, D>::identity().data.0);
-        weighted_outer(&SMatrix::from(rows), &self.inverse_diagonal).data.0
+    /// out = A⁻¹ = L⁻ᵀ·D⁻¹·L⁻¹.
+    #[inline]
+    fn write_inverse(&self, out: &mut [[T; D]; D]) {
+        let lower = self.solve_lower_rows(&SMatrix::<T, D, D>::identity().data.0);
+        let mut scaled = lower;
+        for i in 0..D {
+            for j in 0..D {
+                scaled[i][j] *= self.inverse_diagonal[i];
+            }
+        }
+        for i in 0..D {
+            let mut row = [T::zero(); D];
+            // L⁻¹ is lower triangular
+            for k in i..D {
+                subtract_scaled(&mut row, -lower[k][i], &scaled[k]);
+            }
+            out[i] = row;
+        }
     }
 }
 
@@ -207,11 +248,13 @@ pub fn inverse_square_root<const D: usize, T: Scalar>(a: &SMatrix<T, D, D>) -> O
     let zero = [[T::zero(); D]; D];
     let (mut m, mut x, mut average, mut error, mut inverse, mut next) =
         (a.data.0, zero, zero, zero, zero, zero);
+    let mut factor_m = Cholesky::unset();
     let (mut spread, mut scaled) = (one, one);
     for step in 0..12 {
-        if !write_inverse(&mut inverse, &m) {
-            inverse = Cholesky::shifted(&SMatrix::from(m))?.inverse();
+        if !factor_m.factorise(&m) {
+            factor_m = Cholesky::shifted(&SMatrix::from(m))?;
         }
+        factor_m.write_inverse(&mut inverse);
         let factor = if step == 0 {
             // near 1/√(λ_min·λ_max), which is the best; M's eigenvalues are then within 1/spread and spread
             let (large, small) = (sum_of_squares(&m), sum_of_squares(&inverse));
@@ -277,65 +320,6 @@ fn write_series<const D: usize, T: Scalar>(out: &mut [[T; D]; D], e: &[[T; D]; D
             out[i][j] += unit + c[1] * e[i][j] + c[2] * square[i][j];
         }
     }
-}
-
-/// A = L·D·Lᵀ in place: columns of A in, columns of L out, below the diagonal; false if A is not positive definite or
-/// not finite.
-#[inline]
-fn factorise<const D: usize, T: Scalar>(
-    columns: &mut [[T; D]; D],
-    diagonal: &mut [T; D],
-    inverse_diagonal: &mut [T; D],
-) -> bool {
-    // no early return: straight-line code is what compilers make fast, and NaN only stays NaN
-    let mut definite = true;
-    for k in 0..D {
-        let pivot = columns[k][k];
-        definite &= pivot > T::zero() && pivot.is_finite();
-        diagonal[k] = pivot;
-        inverse_diagonal[k] = T::one() / pivot;
-        for j in k + 1..D {
-            let factor = columns[k][j] * inverse_diagonal[k];
-            for i in j..D {
-                columns[j][i] -= factor * columns[k][i];
-            }
-            columns[k][j] = factor;
-        }
-    }
-    definite
-}
-
-/// out = A⁻¹ = L⁻ᵀ·D⁻¹·L⁻¹; false if A is not positive definite or not finite. [`Cholesky::new`] and what follows in one
-/// piece: the factorisation would be copied more often than it is used.
-#[inline]
-fn write_inverse<const D: usize, T: Scalar>(out: &mut [[T; D]; D], a: &[[T; D]; D]) -> bool {
-    let mut columns = *a;
-    let (mut diagonal, mut inverse_diagonal) = ([T::zero(); D], [T::zero(); D]);
-    let definite = factorise(&mut columns, &mut diagonal, &mut inverse_diagonal);
-    let mut lower = [[T::zero(); D]; D];
-    for i in 0..D {
-        let mut row = [T::zero(); D];
-        row[i] = T::one();
-        for k in 0..i {
-            subtract_scaled(&mut row, columns[k][i], &lower[k]);
-        }
-        lower[i] = row;
-    }
-    let mut scaled = lower;
-    for i in 0..D {
-        for j in 0..D {
-            scaled[i][j] *= inverse_diagonal[i];
-        }
-    }
-    for i in 0..D {
-        let mut row = [T::zero(); D];
-        // L⁻¹ is lower triangular
-        for k in i..D {
-            subtract_scaled(&mut row, -lower[k][i], &scaled[k]);
-        }
-        out[i] = row;
-    }
-    definite
 }
 
 /// Squared Frobenius norm.

@@ -51,7 +51,7 @@ pub struct Kinematics<const N: usize, T> {
     joint_position: [Vector3<T>; N],
     /// Twist about A per joint rate.
     joint_motion: [Motion<T>; N],
-    /// Of the base.
+    /// Of the base: from B to W.
     pub heading: Heading<T>,
     /// Axes of B.
     pub base_rotation: Matrix3<T>,

@@ -9,7 +9,6 @@ use crate::model::{Kinematics, LinkInertias, MassMatrix};
 use crate::observer::MomentumObserver;
 use crate::opspace::TaskDynamics;
 use crate::reference::{Pose, leashed};
-use crate::rotation::Heading;
 use crate::scalar::Scalar;
 use crate::state::{ControlInput, ControlLaw, ControllerState};
 use moca_msgs::RobotState;
@@ -118,9 +117,13 @@ impl<const N: usize, T: Scalar> Tick<'_, N, T> {
 }
 
 /// `pose`, given in W, in B.
-pub(crate) fn seen_from_base<const N: usize, T: Scalar>(pose: &Pose<T>, robot: &RobotState<N, T>) -> Pose<T> {
-    let [x, y, yaw] = robot.base_pose_world;
-    let turn = Heading::at(yaw).matrix().transpose();
+pub(crate) fn seen_from_base<const N: usize, T: Scalar>(
+    pose: &Pose<T>,
+    kinematics: &Kinematics<N, T>,
+    robot: &RobotState<N, T>,
+) -> Pose<T> {
+    let [x, y, _] = robot.base_pose_world;
+    let turn = kinematics.base_rotation.transpose();
     Pose { position: turn * (pose.position - Vector3::new(x, y, T::zero())), rotation: turn * pose.rotation }
 }
 
