@@ -65,6 +65,7 @@ fn wait_for(connection: &Connection, what: &str, wanted: impl Fn(&Sample) -> boo
     let until = Instant::now() + HANGS_AFTER;
     let mut last = None;
     while Instant::now() < until {
+        connection.alive();
         for sample in connection.poll().samples {
             if wanted(&sample) {
                 return sample;
