@@ -1,10 +1,11 @@
 //! A loop without a timer: an arm's datagrams are its clock, as with a robot that waits for a torque to each state.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has to stop")]
 
-use moca_daemon::config::{Config, Parts};
+use moca_daemon::config::Config;
 use moca_daemon::control::plant::{Beat, Plant, SourceAge};
 use moca_daemon::control::tick::ControlLoop;
 use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::robot::Parts;
 use moca_daemon::runtime::assemble::{motion, supervisor};
 use moca_daemon::runtime::live::{self, Clock, Rings, Shared};
 use moca_daemon::runtime::timing::Stage;

@@ -1,8 +1,8 @@
 //! Where the loop gets the cover's forces from.
 
-use crate::config::TAXELS;
 use crate::control::supervisor::Zero;
 use crate::record::tick_log::Copied;
+use crate::robot::TAXELS;
 use moca_msgs::board::Diagnosis;
 use moca_msgs::{CoverReading, Fault, Outcome, Refusal, TaxelReading, TaxelStatus};
 

@@ -1,6 +1,6 @@
 //! The plant: whatever has a base and an arm. The only line that simulation and robot do not share.
 
-use crate::config::JOINTS;
+use crate::robot::JOINTS;
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;

@@ -1,6 +1,5 @@
 //! The loop: one tick of the robot, from state and bytes to a command.
 
-use crate::config::JOINTS;
 use crate::control::cover::{CoverSource, CoverState};
 use crate::control::law::{self, Motion};
 use crate::control::plant::Plant;
@@ -8,6 +7,7 @@ use crate::control::protection::Protected;
 use crate::control::state_check::StateDoor;
 use crate::control::supervisor::{Facts, Supervisor};
 use crate::record::tick_log::{Tape, TickInput};
+use crate::robot::JOINTS;
 use crate::runtime::timing::{Distribution, Stage, Timing};
 use heapless::Vec;
 use moca_msgs::{Actuation, Fault, Mode, Outcome, Refusal, Request, RobotState, STAGES, Sample};

@@ -1,8 +1,8 @@
 //! An ideal cover for experiments: the true force, averaged over a period and held; no bytes, noise, threshold or zero.
 
-use crate::config::TAXELS;
 use crate::control::cover::{CoverSource, CoverState};
 use crate::control::supervisor::Zero;
+use crate::robot::TAXELS;
 use moca_msgs::board::Diagnosis;
 use moca_msgs::{CoverReading, TaxelReading, TaxelStatus};
 use std::collections::VecDeque;

@@ -1,10 +1,10 @@
 //! The cover behind a Touch Board: events from its byte source in, a reading out. A serial port, a board in memory and
 //! a replay all fill the same ring.
 
-use crate::config::TAXELS;
 use crate::control::cover::{CoverSource, CoverState};
 use crate::control::supervisor::Zero;
 use crate::record::tick_log::Copied;
+use crate::robot::TAXELS;
 use moca_msgs::{Fault, Outcome, Refusal};
 use moca_tactile::{BoardEvent, Cover, TareStatus};
 

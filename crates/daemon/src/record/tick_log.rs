@@ -1,9 +1,9 @@
 //! What a tick was given and what it answered: enough to run it again. The loop puts it into a bounded ring; what finds
 //! no room there is counted, and a replay says so.
 
-use crate::config::JOINTS;
 use crate::control::plant::SourceAge;
 use crate::control::tick::Slot;
+use crate::robot::JOINTS;
 use anyhow::Result;
 use moca_msgs::board::OpenFailure;
 use moca_msgs::{Fault, Outcome, Request, RobotState};

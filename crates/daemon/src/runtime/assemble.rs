@@ -1,8 +1,8 @@
 //! Puts the parts of a robot together as the configuration asks for them.
 
 use crate::calibration::calibrator::{self, Reference};
+use crate::config::Config;
 use crate::config::contact_limits;
-use crate::config::{Config, PlantKind, TAXELS};
 use crate::control::law::Motion;
 use crate::control::protection::Protection;
 use crate::control::supervisor::{Automatic, Supervisor};
@@ -12,9 +12,9 @@ use crate::devices::force_gauge::Gauge;
 use crate::devices::ports;
 use crate::devices::touch_board::ByteCover;
 use crate::inject::{self, Cable, Injection, Named, What};
+use crate::robot::{PlantKind, TAXELS};
 use crate::runtime::live::Clock;
 use anyhow::{Context, Result};
-use moca_msgs::robot;
 use moca_tactile::{BoardEvent, Cover};
 use moca_telemetry::net::CalibrationPort;
 use std::sync::Arc;
@@ -39,8 +39,8 @@ pub fn motion(config: &Config) -> Result<Motion> {
     let parameters = config.parameters();
     let controller = moca_wbc::Controller::new(
         config.arm(),
-        &config.mount(),
-        &robot::Payload::NONE,
+        &config.robot.mount,
+        &config.robot.payload(),
         &config.taxels(),
         &parameters,
     )?;

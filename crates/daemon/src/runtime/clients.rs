@@ -2,16 +2,17 @@
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
 use crate::cli::report::{Console, Level};
-use crate::config::{Config, PlantKind};
+use crate::config::Config;
 use crate::inject::{self, Disk, OutsideFault, Strike};
 use crate::record::flight_recorder::FlightRecorder;
 use crate::record::recording::{Recording, parameter_change};
 use crate::record::tick_log::TapeReader;
+use crate::robot::PlantKind;
 use crate::runtime::live::{Rings, Shared};
 use crate::runtime::run::Options;
 use crate::runtime::watchdog::Heartbeat;
 use anyhow::{Context, Result, anyhow};
-use moca_msgs::{Outcome, Request, Sample, robot};
+use moca_msgs::{Outcome, Request, Sample};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::description::ArmDescription;
 use moca_telemetry::net::{self, CalibrationPort, Ports, Server};
@@ -77,11 +78,11 @@ pub(crate) fn serve(
 fn description(config: &Config) -> RobotDescription {
     let parameters = crate::config::schema::describe(config);
     let robot = RobotDescription::new(
-        &config.robot,
+        &config.robot.name,
         config.plant.kind == PlantKind::Simulated,
         1.0 / f64::from(config.control_loop.rate_hz),
-        &robot::SUMMIT_XL,
-        &config.mount(),
+        &config.robot.base,
+        &config.robot.mount,
         config.arm(),
         &config.taxels(),
         &config.parameters().limits,

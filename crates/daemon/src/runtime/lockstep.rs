@@ -1,12 +1,13 @@
 //! The loop without a clock: every tick now, the board's bytes in memory; the same seed gives the same bits.
 
-use crate::config::{Config, TAXELS};
+use crate::config::Config;
 use crate::control::cover::CoverSource;
 use crate::control::tick::{ControlLoop, Slot};
 use crate::devices::ideal_cover::IdealCover;
 use crate::devices::simulated_robot::SimulatedRobot;
 use crate::devices::touch_board::ByteCover;
 use crate::inject::{Cable, Injection, What};
+use crate::robot::TAXELS;
 use crate::runtime::assemble::{cover_config, motion, supervisor};
 use anyhow::Result;
 use moca_msgs::{Outcome, Request, Sample};

@@ -1,10 +1,11 @@
 //! `mocad replay LOG`: the same loop once more, from the recorded states and bytes, compared bit for bit with what it did.
 
-use crate::config::{Config, JOINTS};
+use crate::config::Config;
 use crate::control::plant::{Plant, SourceAge};
 use crate::control::tick::ControlLoop;
 use crate::devices::touch_board::ByteCover;
 use crate::record::tick_log::TickRecord;
+use crate::robot::JOINTS;
 use crate::runtime::assemble::{cover_config, motion, supervisor};
 use anyhow::{Context, Result, anyhow, bail};
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState, Sample};

@@ -2,13 +2,14 @@
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
 use crate::cli::report::{Level, Summary};
-use crate::config::{AUTO_PORT, Config, Parts, PlantKind};
+use crate::config::{AUTO_PORT, Config};
 use crate::control::cover::CoverSource;
 use crate::control::plant::{NoRobot, Plant};
 use crate::control::protection;
 use crate::control::tick::ControlLoop;
 use crate::inject::{Injection, OutsideFault, Strike, What};
 use crate::record::tick_log::tape;
+use crate::robot::{Parts, PlantKind};
 use crate::runtime::assemble::{OpenBoard, Taps, motion, open_board, supervisor};
 use crate::runtime::clients::{Observers, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
 use crate::runtime::live::{self, Clock, LiveReport, Shared};
@@ -117,7 +118,7 @@ fn check_injection(options: &Options) -> Result<()> {
 
 fn introduce(options: &Options) {
     let config = &options.config;
-    println!("mocad {}: robot {:?}", env!("CARGO_PKG_VERSION"), config.robot);
+    println!("mocad {}: robot {:?}", env!("CARGO_PKG_VERSION"), config.robot.name);
     let law = match (config.plant.parts, config.startup.law) {
         (Parts::Base, _) => "admittance of the base alone (the base gives way)",
         (Parts::Arm, _) => "Cartesian impedance of the arm alone (the flange keeps its place)",
@@ -253,7 +254,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
         let done = &done;
         let (steps_sender, steps) = std::sync::mpsc::channel();
         let in_loop_thread = move || {
-            let (steps, _held) = realtime::apply(&config.realtime());
+            let (steps, _held) = realtime::apply(&config.realtime);
             let refused = steps.iter().any(|step| step.result.is_err());
             let run = !(refused && options.require_realtime);
             // The receiver waits for exactly this.

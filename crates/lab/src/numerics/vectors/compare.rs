@@ -144,6 +144,8 @@ impl<const N: usize> Robot<N> {
             dq_max_rad_s: [0.0; N],
             torque_max_nm: [0.0; N],
             home_rad: [0.0; N],
+            posture_stiffness: [0.0; N],
+            posture_damping: [0.0; N],
         };
         for i in 0..N {
             arm.joint_origin[i] = array(&meta["joint_origin_xyz_rpy"][i], "joint_origin_xyz_rpy")?;
