@@ -264,10 +264,10 @@ fn written(config: &mut Config, row: &ParameterSpec, text: &str) -> Result<toml:
         return Ok(given.into_iter().map(whole).collect::<Vec<_>>().into());
     }
     let mut group = 0;
-    for i in 0..present.len() {
+    for (i, element) in present.iter_mut().enumerate() {
         group += usize::from(i > 0 && row.unit(i) != row.unit(i - 1));
         if let Some(number) = given.get(group) {
-            present[i] = *number;
+            *element = *number;
         }
     }
     ensure!(
