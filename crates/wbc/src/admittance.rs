@@ -1,7 +1,7 @@
 //! The base's admittance, eq. (2): M_v·v̇_d + D_v·v_d = τ_v, per axis.
 
 use crate::error::ControlError;
-use crate::gains::Gains;
+use crate::gains::BaseGains;
 use crate::linalg::{Cholesky, times};
 use crate::opspace::BlockWeighted;
 use crate::scalar::Scalar;
@@ -18,8 +18,8 @@ pub fn step<T: Scalar>(velocity: T, force: T, mass: T, damping: T, dt_s: T) -> T
 }
 
 /// Exact zero-order hold of eq. (2) on all three axes.
-pub(crate) fn admitted<const N: usize, T: Scalar>(
-    gains: &Gains<N, T>,
+pub(crate) fn admitted<T: Scalar>(
+    gains: &BaseGains<T>,
     velocity: &[T; 3],
     force: &[T; 3],
     dt_s: T,
@@ -34,7 +34,7 @@ pub(crate) fn admitted<const N: usize, T: Scalar>(
 /// every D/M and dt.
 pub(crate) fn damped_in_null_space<const N: usize, T: Scalar>(
     weighted: &BlockWeighted<'_, N, T>,
-    gains: &Gains<N, T>,
+    gains: &BaseGains<T>,
     velocity: &[T; 3],
     force: &[T; 3],
     dt_s: T,

@@ -1,6 +1,6 @@
 //! Expanded follow-me, eqs. (12)–(16): a hand at the flange or on the cover leads the base, the arm keeps its pose on it.
 //!
-//! The arm's part, eq. (15), is [`crate::opspace::TaskDynamics::arm_torque`].
+//! The arm's part, eq. (15), is [`crate::opspace::ArmDynamics::torque`].
 
 use crate::scalar::Scalar;
 use nalgebra::{Matrix3, Vector3};

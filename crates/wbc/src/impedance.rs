@@ -17,21 +17,21 @@ pub fn pose_error<T: Scalar>(
     [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
 }
 
-/// D_d = A√K + √K·A with A = ζ·Λ^½, from the mobility Λ⁻¹ and the stiffness (N/m, N·m/rad). eq. (10)
+/// D_d = A√K + √K·A with A = ζ·Λ^½, from Λ⁻¹ = J M⁻¹ Jᵀ and the stiffness (N/m, N·m/rad). eq. (10)
 ///
 /// Near a singularity that sum can be indefinite: it would feed energy in. The symmetric product 2·K^¼·A·K^¼, which is
 /// the same wherever A and K commute, then stands in.
 ///
 /// # Errors
-/// [`ControlError::NotPositiveDefinite`] if the mobility is not even semi-definite (NaN).
+/// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
 #[inline]
 pub fn damping<T: Scalar>(
-    mobility: &SMatrix<T, 6, 6>,
+    inverse_task_inertia: &SMatrix<T, 6, 6>,
     stiffness: &[T; 6],
     ratio: T,
 ) -> Result<SMatrix<T, 6, 6>, ControlError> {
-    let root = inverse_square_root(mobility)
-        .ok_or(ControlError::NotPositiveDefinite { what: "mobility of the tool" })?;
+    let root = inverse_square_root(inverse_task_inertia)
+        .ok_or(ControlError::NotPositiveDefinite { what: "J M⁻¹ Jᵀ" })?;
     let k = stiffness.map(nalgebra::ComplexField::sqrt);
     let sum = SMatrix::<T, 6, 6>::from_fn(|i, j| ratio * root[(i, j)] * (k[i] + k[j]));
     let mut shifted = sum;
