@@ -68,7 +68,8 @@ pub struct Corrections {
 
 impl Corrections {
     /// The paper's law to the letter.
-    pub const LITERAL: Self = Self { null_space_damping: false, base_coupling: false, flange_wrench_feedforward: false };
+    pub const LITERAL: Self =
+        Self { null_space_damping: false, base_coupling: false, flange_wrench_feedforward: false };
 }
 
 /// Limits on what a controller may give out.

@@ -1,4 +1,14 @@
 //! The tactile cover: from the forces of its taxels to one planar wrench on the base, eqs. (4)–(5).
+//!
+//! ```
+//! use moca_wbc::cover_wrench;
+//! use moca_wbc::robot::PAPER_COVER;
+//!
+//! let mut force_n = [0.0; 11];
+//! (force_n[3], force_n[7]) = (15.0, 15.0); // T4 and T8, opposite corners
+//! let [x, y, moment] = cover_wrench(&PAPER_COVER, &force_n);
+//! assert!(f64::hypot(x, y) < 1e-12 && moment < -10.0, "a pure torque about the vertical");
+//! ```
 
 use crate::scalar::{Scalar, of};
 use moca_msgs::{ParameterError, TaxelPlacement};

@@ -1,5 +1,16 @@
 //! What protects the people around the base: a speed limit for every point of the cover, and touched taxels that must
 //! not move outward. Pure; a convex set of velocities that always holds standing still.
+//!
+//! ```
+//! use moca_wbc::guard::{BaseGuard, CoverOutline};
+//! use moca_wbc::robot::PAPER_COVER;
+//!
+//! let outline: CoverOutline<11, f64> = CoverOutline::new(&PAPER_COVER);
+//! let mut guard = BaseGuard::NONE;
+//! guard.blocked[5] = true; // a hand on T6: not forward
+//! let [x, y, _] = outline.guarded(&guard, &[0.2, 0.1, 0.0]);
+//! assert!(x.abs() < 1e-12 && (y - 0.1).abs() < 1e-12, "sideways it may");
+//! ```
 
 use crate::error::{ControlError, finite};
 use crate::scalar::{Scalar, of};

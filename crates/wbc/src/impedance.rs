@@ -1,4 +1,18 @@
 //! Expanded Cartesian impedance, eqs. (10)–(11): the wrench at the tool and the null-space forces.
+//!
+//! ```
+//! use moca_wbc::impedance::{damping, pose_error, wrench};
+//! use moca_wbc::nalgebra::{Matrix3, SMatrix, Vector3};
+//!
+//! let (here, axes) = (Vector3::new(0.5, 0.0, 1.0), Matrix3::identity());
+//! let error = pose_error((&here, &axes), (&Vector3::new(0.5, 0.0, 1.01), &axes));
+//! let stiffness = [800.0, 800.0, 800.0, 40.0, 40.0, 40.0];
+//! let inverse_task_inertia = SMatrix::<f64, 6, 6>::identity() * 0.25; // 4 kg, 4 kg·m²
+//! let damping = damping(&inverse_task_inertia, &stiffness, 1.0)?;
+//! let force = wrench(&stiffness, &damping, &error, &[0.0; 6]);
+//! assert!((force[2] - 8.0).abs() < 1e-9, "N for a centimetre");
+//! # Ok::<(), moca_wbc::ControlError>(())
+//! ```
 
 use crate::error::ControlError;
 use crate::linalg::{Cholesky, inverse_square_root};

@@ -69,6 +69,9 @@
 #![forbid(unsafe_code)]
 #![expect(clippy::needless_range_loop, reason = "matrix algorithms read as in the books: by index")]
 
+#[cfg(feature = "testing")]
+extern crate std;
+
 pub mod admittance;
 pub mod contact_stability;
 pub mod controller;
@@ -92,6 +95,10 @@ mod state_check;
 #[cfg(feature = "testing")]
 pub mod testing;
 
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
+
 pub use controller::{
     ArmController, ArmInput, ArmOutput, ArmState, BaseController, BaseInput, BaseOutput, BaseState,
     ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose, WholeBodyController,
@@ -101,10 +108,10 @@ pub use error::ControlError;
 pub use gains::GAIN_FILTER_S;
 pub use guard::BaseGuard;
 pub use limits::LimitsHit;
-pub use model::ArmModel;
 pub use moca_msgs::{
-    ArmTable, BaseTable, Corrections, ImpedanceGains, Law, Limits, Mount, ParameterError, Parameters, Payload,
-    RobotCommand, RobotState, TaxelPlacement, robot,
+    ArmTable, BaseTable, Corrections, ImpedanceGains, Law, Limits, Mount, ParameterError, Parameters,
+    Payload, RobotCommand, RobotState, TaxelPlacement, robot,
 };
+pub use model::ArmModel;
 pub use nalgebra;
 pub use scalar::Scalar;

@@ -1,4 +1,16 @@
 //! Limits on what leaves the controllers: pure functions, each with a property test that nothing gets past it.
+//!
+//! ```
+//! use moca_wbc::limits::TorqueLimits;
+//! use moca_wbc::robot::PANDA;
+//! use moca_wbc::{Limits, LimitsHit};
+//!
+//! let limits = TorqueLimits::<7, f64>::from(&Limits::for_arm(&PANDA));
+//! let mut hit = LimitsHit::NONE;
+//! let torque = limits.limited(&[50.0; 7], &[0.0; 7], 1e-3, &mut hit);
+//! assert_eq!(torque, [1.0; 7], "1000 N·m/s for a millisecond");
+//! assert!(hit.torque_rate && hit.torque, "the wrist has 12 N·m");
+//! ```
 
 use crate::guard::{BaseGuard, CoverOutline};
 use crate::scalar::{Scalar, all, of};
@@ -28,6 +40,20 @@ pub struct LimitsHit {
     pub joint_range: bool,
     /// The pose error is longer than the law acts on ([`crate::reference::ERROR_SATURATION_M`]).
     pub error_saturation: bool,
+}
+
+impl LimitsHit {
+    /// None was met.
+    pub const NONE: Self = Self {
+        torque: false,
+        torque_rate: false,
+        base_velocity: false,
+        base_acceleration: false,
+        taxel_force: false,
+        guard: false,
+        joint_range: false,
+        error_saturation: false,
+    };
 }
 
 /// Limits of the arm's torques in the scalar of the computation, units as in [`Limits`].

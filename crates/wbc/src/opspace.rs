@@ -3,6 +3,25 @@
 //! Of all torques with J̄ᵀτ = F these are the ones nearest to τ_0 in (τ − τ_0)ᵀW(τ − τ_0), W = Hᵀ M⁻¹ H. The weight H
 //! comes as two types, [`BlockWeight`] (the paper's, one gain for the base and one for the arm) and [`AxisWeight`] (a
 //! gain per axis), because the short form that is exact for the first is wrong for the second.
+//!
+//! ```
+//! use moca_wbc::opspace::{ArmDynamics, BlockWeight, TaskDynamics, WholeBodyForce};
+//! use moca_wbc::robot::{MOCA_MOUNT, PANDA};
+//! use moca_wbc::{ArmModel, Payload};
+//!
+//! let model: ArmModel<7, f64> = ArmModel::new(&PANDA, &MOCA_MOUNT, &Payload::NONE)?;
+//! let kinematics = model.kinematics(0.0, &PANDA.home_rad);
+//! let mass = kinematics.mass_matrix(&model.link_inertias(&kinematics)).arm;
+//! let arm = ArmDynamics::new(kinematics.arm_jacobian(), &mass)?;
+//! let task = TaskDynamics::new(kinematics.base_jacobian(), [4.0, 4.0, 2.0], &arm);
+//! let null = WholeBodyForce { base: [5.0, 0.0, 1.0], arm: [0.5; 7] };
+//! let wrench = [1.0, -2.0, 3.0, 0.1, 0.0, 0.2];
+//! let force = BlockWeight::new(3.0, 1.0).factor(&task)?.force(&wrench, &null);
+//! for (achieved, wanted) in task.wrench(&force)?.iter().zip(wrench) {
+//!     assert!((achieved - wanted).abs() < 1e-9, "whatever τ_0 is");
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use crate::error::ControlError;
 use crate::linalg::{Cholesky, dot, times, transpose_times, weighted_outer};
@@ -71,8 +90,7 @@ impl<const N: usize, T: Scalar> ArmDynamics<N, T> {
     #[inline]
     pub fn torque(&self, wrench: &[T; 6], null_torque: &[T; N]) -> Result<[T; N], ControlError> {
         let factor = Cholesky::new_shifted(&self.inverse_task_inertia).ok_or(SINGULAR)?;
-        let wanted =
-            difference(&times(&self.inverse_task_inertia, wrench), &self.acceleration(null_torque));
+        let wanted = difference(&times(&self.inverse_task_inertia, wrench), &self.acceleration(null_torque));
         let task = transpose_times(&self.jacobian, &factor.solve(&wanted));
         Ok(core::array::from_fn(|i| null_torque[i] + task[i]))
     }
@@ -100,11 +118,7 @@ pub struct TaskDynamics<'a, const N: usize, T> {
 impl<'a, const N: usize, T: Scalar> TaskDynamics<'a, N, T> {
     /// From the Jacobian of the base, its virtual mass (> 0) and the arm on it.
     #[inline]
-    pub fn new(
-        base_jacobian: SMatrix<T, 6, 3>,
-        virtual_mass: [T; 3],
-        arm: &'a ArmDynamics<N, T>,
-    ) -> Self {
+    pub fn new(base_jacobian: SMatrix<T, 6, 3>, virtual_mass: [T; 3], arm: &'a ArmDynamics<N, T>) -> Self {
         let base_inverse_task_inertia = weighted_outer(&base_jacobian, &virtual_mass.map(|m| T::one() / m));
         Self { base_jacobian, virtual_mass, base_inverse_task_inertia, arm }
     }
@@ -189,7 +203,9 @@ impl<const N: usize, T: Scalar> BlockWeighted<'_, N, T> {
     #[inline]
     pub fn force(&self, wrench: &[T; 6], null: &WholeBodyForce<N, T>) -> WholeBodyForce<N, T> {
         let task = self.task;
-        let y = self.factor.solve(&difference(&times(&task.inverse_task_inertia(), wrench), &task.acceleration(null)));
+        let y = self
+            .factor
+            .solve(&difference(&times(&task.inverse_task_inertia(), wrench), &task.acceleration(null)));
         let (base, arm) = (transpose_times(&task.base_jacobian, &y), transpose_times(&task.arm.jacobian, &y));
         WholeBodyForce {
             base: core::array::from_fn(|i| null.base[i] + self.weight.base * base[i]),
@@ -261,7 +277,8 @@ impl<const N: usize, T: Scalar> AxisWeight<N, T> {
         let weighted =
             weighted_outer(&task.base_jacobian, &base_weights) + weighted_outer(&v, arm.diagonal());
         let factor = Cholesky::new_shifted(&weighted).ok_or(SINGULAR)?;
-        let y = factor.solve(&difference(&times(&task.inverse_task_inertia(), wrench), &task.acceleration(null)));
+        let y =
+            factor.solve(&difference(&times(&task.inverse_task_inertia(), wrench), &task.acceleration(null)));
         let along = transpose_times(&v, &y);
         let arm = arm.times(&core::array::from_fn(|i| arm.diagonal()[i] * along[i]));
         let base = transpose_times(&task.base_jacobian, &y);

@@ -1,4 +1,12 @@
 //! References: where the tool is wanted, and how far and fast that may pull.
+//!
+//! ```
+//! use moca_wbc::reference::{ERROR_SATURATION_M, REFERENCE_SPEED_M_S};
+//!
+//! let pull_n = 800.0 * ERROR_SATURATION_M;
+//! assert!(pull_n <= 80.0, "at the paper's stiffness a blocked flange is pulled no harder");
+//! assert!(REFERENCE_SPEED_M_S <= 0.25, "a target further away is approached at this speed");
+//! ```
 
 use crate::error::{ControlError, finite};
 use crate::rotation;

@@ -15,7 +15,10 @@ pub(crate) fn check_robot<const N: usize, T: Scalar>(robot: &RobotState<N, T>) -
 }
 
 /// Errs on the first number of a wrench that is not finite.
-pub(crate) fn check_wrench<T: Scalar>(what: &'static str, wrench: Option<&[T; 6]>) -> Result<(), ControlError> {
+pub(crate) fn check_wrench<T: Scalar>(
+    what: &'static str,
+    wrench: Option<&[T; 6]>,
+) -> Result<(), ControlError> {
     finite(what, wrench.map_or(&[], |w| &w[..]))
 }
 

@@ -171,13 +171,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             self.cover.start_tare(slot.now_ns);
         }
         let outcome = decision.outcome.or(pressed);
-        match self.motion.protect(slot.now_ns, cover, decision.mode) {
-            Ok(protected) => self.protected = protected,
-            Err(fault) => {
-                self.refused = Some(fault);
-                return (outcome, None);
-            }
-        }
+        self.protected = self.motion.protect(slot.now_ns, cover, decision.mode);
         let (Ok(robot), false) = (robot, decision.mode == Mode::Fault) else {
             // Whatever runs next starts from where the robot then is.
             self.motion.leave();

@@ -108,8 +108,8 @@ const KEYS: &[Key] = &[
     key("base_coupling", "true|false", "correction 3 of the literal law", |s, v| {
         flag(&mut s.config.control.corrections.base_coupling, v)
     }),
-    key("flange_feed", "true|false", "correction 1 of the literal law", |s, v| {
-        flag(&mut s.config.control.corrections.flange_feed, v)
+    key("flange_wrench_feedforward", "true|false", "correction 1 of the literal law", |s, v| {
+        flag(&mut s.config.control.corrections.flange_wrench_feedforward, v)
     }),
     key("limit.base_velocity", "m/s[,m/s,rad/s]", "largest commanded base speed", |s, v| {
         planar(&mut s.config.limits.base_velocity, v, 0.0, 3.0)
@@ -450,7 +450,7 @@ mod tests {
             "sensor.delay_ms=5",
             "null_space_damping=true",
             "base_coupling=true",
-            "flange_feed=true",
+            "flange_wrench_feedforward=true",
             "q_0=0,-0.7,0,-2.3,0,1.5,0.7",
             "push_s=2",
             "ramp_s=0.2",

@@ -183,7 +183,7 @@ impl Settings {
         config.protection.override_statement = "the paper's experiments, simulated, as published".into();
         config.control.corrections.null_space_damping = false;
         config.control.corrections.base_coupling = false;
-        config.control.corrections.flange_feed = false;
+        config.control.corrections.flange_wrench_feedforward = false;
         Self {
             config,
             sensor: Sensor::Stock,

@@ -3,6 +3,23 @@
 //!
 //! A controller is constant. Everything that changes from step to step is its state, which belongs to the caller; other
 //! parameters are another controller for the same state ([`WholeBodyController::with_parameters`]).
+//!
+//! ```
+//! use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
+//! use moca_wbc::{ControlInput, ControlLaw, Parameters, Payload, RobotState, WholeBodyController};
+//!
+//! let mut parameters = Parameters::PAPER;
+//! let mut controller: WholeBodyController<7, 11> =
+//!     WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &parameters)?;
+//! let robot = RobotState::at_rest(PANDA.home_rad);
+//! let mut state = controller.enter(ControlLaw::FollowMe, &robot)?;
+//! controller.step(ControlLaw::FollowMe, &mut state, &ControlInput::new(robot, [0.0; 11], 1e-3))?;
+//! // changed while running: the state goes on, the gain arrives through a filter
+//! parameters.gains.stiffness = [1600.0, 1600.0, 1600.0, 80.0, 80.0, 80.0];
+//! controller = controller.with_parameters(&parameters)?;
+//! controller.step(ControlLaw::FollowMe, &mut state, &ControlInput::new(robot, [0.0; 11], 1e-3))?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod arm;
 mod base;
