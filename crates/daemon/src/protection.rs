@@ -13,7 +13,7 @@ use crate::contact_events::{ContactLimits, ContactTracker};
 use crate::cover_source::CoverState;
 use moca_msgs::protection::MAX_CONTACT_EVENTS;
 use moca_msgs::robot::SUMMIT_XL;
-use moca_msgs::{ContactEvent, ContactReaction, Limits, SpeedLimit, SpeedLimitReason};
+use moca_msgs::{ContactEvent, ContactReaction, Limits, RobotState, SpeedLimit, SpeedLimitReason};
 use moca_tactile::board::SILENT_AFTER_NS;
 use moca_wbc::BaseGuard;
 use moca_wbc::contact_stability::{Contact, largest_speed, reading_delay_s};
@@ -111,6 +111,13 @@ impl Protection {
             self.retreated_m = 0.0;
         }
         protected
+    }
+
+    /// Speed of the fastest point of the cover at the base's measured velocity, m/s.
+    pub fn cover_speed_m_s(&self, robot: &RobotState<JOINTS>) -> f64 {
+        let [vx, vy, yaw] = robot.base_velocity_world;
+        let (sin, cos) = robot.base_pose_world[2].sin_cos();
+        self.outline.fastest(&[cos * vx + sin * vy, cos * vy - sin * vx, yaw])
     }
 
     /// Speed limit for a reading that is `delay_s` late, m/s: F/(k(T + τ)) for the part F of the force limit that the
