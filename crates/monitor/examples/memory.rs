@@ -38,6 +38,8 @@ impl Live for Feed {
         }
     }
 
+    fn alive(&mut self) {}
+
     fn request(&mut self, _request: Request) {}
 
     fn calibrate(&mut self, _request: CalibrationRequest) {}

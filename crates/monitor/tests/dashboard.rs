@@ -36,6 +36,7 @@ struct Daemon {
     calibration: CalibrationProgress,
     calibrate: Vec<CalibrationRequest>,
     session: u64,
+    signs_of_life: u32,
 }
 
 #[derive(Clone)]
@@ -64,6 +65,10 @@ impl Live for Fake {
             calibration: daemon.calibration.clone(),
             unread_dropped: 0,
         }
+    }
+
+    fn alive(&mut self) {
+        self.0.borrow_mut().signs_of_life += 1;
     }
 
     fn request(&mut self, request: Request) {
@@ -671,6 +676,24 @@ fn several_robots_have_names_and_stop_stops_them_all() {
     bench.harness.step();
     bench.harness.step();
     assert_eq!((other.borrow().asked.clone(), bench.asked()), (vec![Request::Stop], vec![Request::Stop]));
+}
+
+#[test]
+fn only_a_picture_that_was_drawn_is_a_sign_of_life() {
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    let signs = |bench: &Bench| std::mem::take(&mut bench.daemon.borrow_mut().signs_of_life);
+    assert!(signs(&bench) > 0);
+    // A window that takes in what comes and draws nothing: hidden, or hung in its driver.
+    let ctx = bench.harness.ctx.clone();
+    for _ in 0..10 {
+        bench.harness.state_mut().update(&ctx);
+    }
+    assert_eq!(signs(&bench), 0);
+    bench.harness.step();
+    assert_eq!(signs(&bench), 1);
+    // It draws often enough while nothing new comes, or the daemon would miss it.
+    let delay = bench.harness.output().viewport_output[&egui::ViewportId::ROOT].repaint_delay;
+    assert!(delay <= std::time::Duration::from_millis(500), "{delay:?}");
 }
 
 /// A log whose robot moves all the time.

@@ -5,7 +5,7 @@ use super::{
     tab::Tab, top, view::View,
 };
 use crate::logic::{
-    model::{Freshness, Model},
+    model::Model,
     source::{Source, playback::Playback},
 };
 use egui::{CentralPanel, Color32, Context, Event, Frame, Key, Panel, ScrollArea, Ui, Visuals};
@@ -25,6 +25,8 @@ pub struct App {
     page: Page,
     files: Files,
     screenshot: Option<Screenshot>,
+    /// Whether a picture has been laid out before; it is on the screen once the next one is.
+    laid_out: bool,
 }
 
 impl App {
@@ -43,7 +45,7 @@ impl App {
             style.spacing.button_padding = egui::vec2(9.0, 5.0);
         });
         let tabs = vec![Tab::new(source.into(), address)];
-        Self { tabs, shown: 0, page: Page::default(), files: Files::default(), screenshot }
+        Self { tabs, shown: 0, page: Page::default(), files: Files::default(), screenshot, laid_out: false }
     }
 
     /// One more robot or log, behind the others.
@@ -80,9 +82,8 @@ impl App {
         let now_s = ctx.input(|i| i.time);
         for tab in &mut self.tabs {
             tab.update(now_s);
-            // A log does not grow old while it stands still.
-            let ages = !tab.model.recorded && tab.model.freshness(now_s) == Freshness::Live;
-            if ages || tab.model.message(now_s).is_some() {
+            // A robot grows old, and its commander must be seen to live; a log that stands still does neither.
+            if tab.model.connected() || tab.model.message(now_s).is_some() {
                 ctx.request_repaint_after(LOOK);
             }
             if tab.source.log().is_some_and(|log| log.playing()) {
@@ -128,6 +129,9 @@ impl App {
 
     /// Draws everything and passes on what was pressed.
     pub fn show(&mut self, ui: &mut Ui) {
+        if std::mem::replace(&mut self.laid_out, true) {
+            self.tabs.iter_mut().filter_map(|tab| tab.source.live()).for_each(|robot| robot.alive());
+        }
         let mut pressed = PageRequests::default();
         self.layout(ui, &mut pressed);
         self.carry_out(ui.ctx(), pressed);

@@ -10,6 +10,8 @@ use moca_telemetry::{
 pub trait Live {
     /// Everything new since the last call; never waits.
     fn poll(&mut self) -> Update;
+    /// A picture has been drawn: whoever commands still sees the robot. Without it the daemon takes the command away.
+    fn alive(&mut self);
     /// Asks the loop; the answer comes with a later [`Self::poll`].
     fn request(&mut self, request: Request);
     /// Asks the daemon's calibrator.
@@ -19,6 +21,10 @@ pub trait Live {
 impl Live for Connection {
     fn poll(&mut self) -> Update {
         Connection::poll(self)
+    }
+
+    fn alive(&mut self) {
+        Connection::alive(self);
     }
 
     fn request(&mut self, request: Request) {
