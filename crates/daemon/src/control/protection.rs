@@ -280,3 +280,31 @@ fn seconds(ns: u64) -> f64 {
     let ns = ns as f64;
     ns * 1e-9
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_speed_of_the_cover_is_that_of_its_fastest_corner_wherever_the_base_looks() {
+        let protection = Protection::new(&Config::default(), [ContactLimits::default(); TAXELS]);
+        let corner_m = 0.489f64.hypot(0.388);
+        for (velocity_world, yaw_rad, expected) in [
+            ([0.3, 0.4, 0.0], 0.7, 0.5),
+            ([0.0, 0.0, -1.0], 2.0, corner_m),
+            // Along its own x axis: the corners of its right side add the whole turn.
+            ([0.0, 1.0, 1.0], std::f64::consts::FRAC_PI_2, 1.388f64.hypot(0.489)),
+        ] {
+            let robot = RobotState {
+                base_pose_world: [0.0, 0.0, yaw_rad],
+                base_velocity_world: velocity_world,
+                q_rad: [0.0; JOINTS],
+                dq_rad_s: [0.0; JOINTS],
+                torque_measured_nm: [0.0; JOINTS],
+                flange_wrench_world: None,
+            };
+            let speed_m_s = protection.cover_speed_m_s(&robot);
+            assert!((speed_m_s - expected).abs() < 1e-9, "{velocity_world:?}: {speed_m_s}");
+        }
+    }
+}
