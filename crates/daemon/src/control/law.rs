@@ -14,6 +14,7 @@ use moca_wbc::{
 };
 
 /// The controller of the parts that the robot has, with what it remembers from tick to tick.
+#[expect(clippy::large_enum_variant, reason = "there is one, and it lives as long as the loop")]
 enum Controller {
     Whole(WholeBodyController<JOINTS, TAXELS>, Option<ControllerState<JOINTS>>),
     Base(BaseController<TAXELS>, BaseState),
