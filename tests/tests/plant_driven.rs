@@ -108,9 +108,8 @@ fn an_arms_datagrams_drive_the_loop_lost_ones_are_counted_and_silence_is_a_stop(
     let mut control =
         ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3).unwrap();
     let (samples, mut watched) = rtrb::RingBuffer::new(1 << 14);
-    let (_requests, for_loop) = rtrb::RingBuffer::new(1);
-    let (outcomes, _answers) = rtrb::RingBuffer::new(1);
-    let mut rings = Rings { samples, requests: for_loop, outcomes };
+    let (_sender, requests) = moca_telemetry::net::request_channel();
+    let mut rings = Rings { samples, requests };
     let shared = Shared::default();
     let next = |watched: &mut rtrb::Consumer<Sample>| loop {
         match watched.pop() {

@@ -8,7 +8,7 @@ use crate::runtime::allocations;
 use crate::runtime::clients::rings;
 use crate::runtime::live::{Rings, Shared};
 use crate::runtime::lockstep::LockStep;
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use moca_msgs::{Fault, Mode, Outcome, Request, Sample};
 use moca_sim::{Scene, VirtualBoardConfig};
 use moca_telemetry::RobotDescription;
@@ -75,9 +75,14 @@ impl Watcher {
             return Ok((Self::Log(Box::new(recording), reader), Some(tape)));
         }
         let (rings, samples, ports) = rings(&Shared::default());
-        let server =
-            net::serve(SocketAddr::from((Ipv4Addr::LOCALHOST, 0)), description, ports.with(samples, None))?;
-        client(fault, server.address(), strike.clone(), seed)?;
+        let server = net::serve(
+            &SocketAddr::from((Ipv4Addr::LOCALHOST, 0)).into(),
+            0o600,
+            description,
+            ports.with(samples, None),
+        )?;
+        let address = server.address().tcp().context("a port")?;
+        client(fault, address, strike.clone(), seed)?;
         Ok((Self::Telemetry(Box::new(rings), server), None))
     }
 

@@ -7,6 +7,7 @@ use crate::runtime::allocations;
 use crate::runtime::tick_source::Pace;
 use crate::runtime::timing::Stage;
 use moca_msgs::{Outcome, Request, Sample};
+use moca_telemetry::net::RequestReceiver;
 use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
 use std::sync::Arc;
@@ -61,23 +62,20 @@ fn monotonic() -> nix::Result<Duration> {
 pub struct Rings {
     /// Samples out; a full ring drops the newest and counts it.
     pub samples: rtrb::Producer<Sample>,
-    /// Requests in, each with the number its answer carries.
-    pub requests: rtrb::Consumer<(u64, Request)>,
-    /// Answers out.
-    pub outcomes: rtrb::Producer<(u64, Outcome)>,
+    /// Requests in, answers out.
+    pub requests: RequestReceiver,
 }
 
 impl Rings {
     /// At most one request a tick.
     pub fn next_request(&mut self) -> (Option<u64>, Option<Request>) {
-        self.requests.pop().ok().unzip()
+        self.requests.take().unzip()
     }
 
     /// Hands a sample, and the answer to a request, to whoever watches; waits for nobody.
     pub fn publish(&mut self, sample: &Sample, id: Option<u64>, outcome: Option<Outcome>, shared: &Shared) {
         if let (Some(id), Some(outcome)) = (id, outcome) {
-            // A full ring means that nobody waits for answers any more.
-            let _ = self.outcomes.push((id, outcome));
+            self.requests.answer(id, outcome);
         }
         shared.moving.store(sample.mode.moves(), Ordering::Relaxed);
         if !self.samples.is_abandoned() && self.samples.push(sample.clone()).is_err() {
