@@ -6,10 +6,10 @@
 #![expect(clippy::print_stdout, reason = "this is what the program is for")]
 #![allow(clippy::expect_used, reason = "a check that cannot go on has to stop")]
 
-use moca_daemon::byte_cover::ByteCover;
 use moca_daemon::config::{Config, HandConfig};
-use moca_daemon::live::{Rings, Shared};
-use moca_daemon::lockstep::{LockStep, MemoryBoard};
+use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::runtime::live::{Rings, Shared};
+use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
 use moca_msgs::{Law, Mode, Request};
 use moca_sim::board::BoardFault;
 use moca_sim::{Scene, VirtualBoardConfig};
@@ -47,9 +47,8 @@ fn main() {
 /// Runs `requests` and the rest of [`TICKS`] in a real-time context; it must end in `mode`.
 fn watched(world: &mut World, mode: Mode, requests: &[Request]) {
     let (samples, _observer) = rtrb::RingBuffer::new(1024);
-    let (_commander, to_loop) = rtrb::RingBuffer::new(1);
-    let (outcomes, _answers) = rtrb::RingBuffer::new(1);
-    let (mut rings, shared) = (Rings { samples, requests: to_loop, outcomes }, Shared::default());
+    let (_commander, to_loop) = moca_telemetry::net::request_channel();
+    let (mut rings, shared) = (Rings { samples, requests: to_loop }, Shared::default());
     let mut last = None;
     for tick in 0..TICKS {
         let request = usize::try_from(tick).ok().and_then(|i| requests.get(i)).copied();

@@ -1,14 +1,14 @@
 //! One injected fault against the whole chain in lock-step: what the robot does about it, and how soon.
 
 use super::{Disk, FAULTS, Injection, Named, Strike, What, client};
-use crate::allocations;
 use crate::config::{Config, HandConfig};
-use crate::live::{Rings, Shared};
-use crate::lockstep::LockStep;
-use crate::observers::rings;
-use crate::recording::Recording;
-use crate::tape::{TapeReader, tape};
-use anyhow::{Result, ensure};
+use crate::record::recording::Recording;
+use crate::record::tick_log::{TapeReader, tape};
+use crate::runtime::allocations;
+use crate::runtime::clients::rings;
+use crate::runtime::live::{Rings, Shared};
+use crate::runtime::lockstep::LockStep;
+use anyhow::{Context, Result, ensure};
 use moca_msgs::{Fault, Mode, Outcome, Request, Sample};
 use moca_sim::{Scene, VirtualBoardConfig};
 use moca_telemetry::RobotDescription;
@@ -62,7 +62,7 @@ impl Watcher {
         config: &Config,
         strike: &Strike,
         seed: u64,
-    ) -> Result<(Self, Option<crate::tape::Tape>)> {
+    ) -> Result<(Self, Option<crate::record::tick_log::Tape>)> {
         let What::Outside(fault) = what else { return Ok((Self::Nobody, None)) };
         if fault.request().is_some() {
             return Ok((Self::Nobody, None));
@@ -75,9 +75,14 @@ impl Watcher {
             return Ok((Self::Log(Box::new(recording), reader), Some(tape)));
         }
         let (rings, samples, ports) = rings(&Shared::default());
-        let server =
-            net::serve(SocketAddr::from((Ipv4Addr::LOCALHOST, 0)), description, ports.with(samples, None))?;
-        client(fault, server.address(), strike.clone(), seed)?;
+        let server = net::serve(
+            &SocketAddr::from((Ipv4Addr::LOCALHOST, 0)).into(),
+            0o600,
+            description,
+            ports.with(samples, None),
+        )?;
+        let address = server.address().tcp().context("a port")?;
+        client(fault, address, strike.clone(), seed)?;
         Ok((Self::Telemetry(Box::new(rings), server), None))
     }
 
