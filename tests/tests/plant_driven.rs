@@ -113,9 +113,8 @@ fn an_arms_datagrams_drive_the_loop_lost_ones_are_counted_and_silence_is_a_stop(
     let cover: Option<ByteCover> = None;
     let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
     let (samples, mut watched) = rtrb::RingBuffer::new(1 << 14);
-    let (_requests, for_loop) = rtrb::RingBuffer::new(1);
-    let (outcomes, _answers) = rtrb::RingBuffer::new(1);
-    let mut rings = Rings { samples, requests: for_loop, outcomes, tick_log: None };
+    let (_sender, requests) = moca_telemetry::net::request_channel();
+    let mut rings = Rings { samples, requests, tick_log: None };
     let mut ticks = PlantTicks::new(Clock::start().unwrap(), PERIOD_NS);
     let mut timing = Timing::new().unwrap();
     let shared = Shared::default();

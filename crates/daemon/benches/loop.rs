@@ -50,7 +50,7 @@ fn recorded_events(ticks: u64) -> Vec<Vec<BoardEvent>> {
         .map(|tick| {
             let request = (tick == 2000).then_some(Request::PressTaxel { taxel: 5, force_n: 20.0 });
             world.step(request);
-            std::iter::from_fn(|| out.pop().ok()).collect()
+            std::iter::from_fn(|| out.pop().ok().map(|(_, event)| event)).collect()
         })
         .collect()
 }

@@ -11,10 +11,10 @@ use moca_tactile::CoverConfig;
 use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
 use moca_tactile::cover::MaskPolicy;
+use moca_telemetry::net::{Address, DEFAULT_ADDRESS};
 use serde::{Deserialize, Serialize};
 use std::fmt;
-use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
@@ -22,6 +22,10 @@ use toml::de::{DeTable, DeValue};
 pub const VIRTUAL_PORT: &str = "virtual";
 /// `board.port` that looks for a Touch Board's USB id.
 pub(crate) const AUTO_PORT: &str = "auto";
+/// `telemetry.listen` that asks the environment.
+const AUTO_LISTEN: &str = "auto";
+/// The service's socket in systemd's RuntimeDirectory.
+const SOCKET_NAME: &str = "telemetry.sock";
 /// The documented default configuration.
 pub const DEFAULT_TOML: &str = include_str!("../../config/mocad.toml");
 
@@ -102,7 +106,7 @@ section! {
 }
 section! {
     /// `[telemetry]`
-    TelemetryConfig { listen: String = moca_telemetry::net::DEFAULT_ADDRESS.into() }
+    TelemetryConfig { listen: String = AUTO_LISTEN.into(), mode: String = "0660".into() }
 }
 section! {
     /// `[flight_recorder]`
@@ -227,6 +231,34 @@ impl Default for Config {
     }
 }
 
+impl TelemetryConfig {
+    /// Permission bits of a socket file.
+    pub fn socket_mode(&self) -> Option<u32> {
+        let bits = u32::from_str_radix(&self.mode, 8).ok()?;
+        (0o600..=0o777).contains(&bits).then_some(bits)
+    }
+
+    fn check(&self, report: &mut impl FnMut(&str, String)) {
+        let listen = &self.listen;
+        let known = listen.is_empty() || listen == AUTO_LISTEN;
+        if !known && !listen.parse().is_ok_and(|address: Address| address.is_local()) {
+            let allowed = "\"auto\", a loopback address with a port, unix:/ABSOLUTE/PATH, or \"\" for none";
+            report("telemetry.listen", format!("telemetry.listen = {listen:?}; allowed: {allowed}"));
+        }
+        if self.socket_mode().is_none() {
+            let message = format!("telemetry.mode = {:?}; allowed: \"0600\" to \"0777\", octal", self.mode);
+            report("telemetry.mode", message);
+        }
+    }
+}
+
+/// systemd's RuntimeDirectory is where a service's socket belongs.
+fn service_socket() -> Option<PathBuf> {
+    let folders = std::env::var_os("RUNTIME_DIRECTORY")?;
+    let folder = std::env::split_paths(&folders).next().filter(|folder| folder.is_absolute())?;
+    Some(folder.join(SOCKET_NAME))
+}
+
 impl Config {
     /// Control period, ns.
     pub fn period_ns(&self) -> u64 {
@@ -257,8 +289,11 @@ impl Config {
     }
 
     /// Where telemetry listens, if anywhere; checked by [`Config::check`].
-    pub fn telemetry_address(&self) -> Option<SocketAddr> {
-        self.telemetry.listen.parse().ok()
+    pub fn telemetry_address(&self) -> Option<Address> {
+        match self.telemetry.listen.as_str() {
+            AUTO_LISTEN => Some(service_socket().map_or(DEFAULT_ADDRESS.into(), Address::Unix)),
+            listen => listen.parse().ok(),
+        }
     }
 
     /// What to ask of the operating system.
@@ -372,16 +407,7 @@ impl Config {
             report(path, format!("{path} = {} s is longer than every_s - 0.7 = {most_s} s", hand.hold_s));
         }
         crate::control::protection::check(&self.protection, &mut report);
-        let listen = &self.telemetry.listen;
-        if !listen.is_empty() && !listen.parse::<SocketAddr>().is_ok_and(|address| address.ip().is_loopback())
-        {
-            report(
-                "telemetry.listen",
-                format!(
-                    "telemetry.listen = {listen:?}; allowed: a loopback address with a port, or \"\" for none"
-                ),
-            );
-        }
+        self.telemetry.check(&mut report);
         if self.plant.kind == PlantKind::None && self.board.port == VIRTUAL_PORT {
             let allowed = "allowed: \"auto\" or a path when plant.kind = \"none\"";
             report("board.port", format!("board.port = \"virtual\" needs a simulated robot; {allowed}"));

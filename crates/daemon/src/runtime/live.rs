@@ -10,6 +10,7 @@ use crate::runtime::allocations;
 use crate::runtime::tick_source::TickSource;
 use crate::runtime::timing::Timing;
 use moca_msgs::{Outcome, Request, Sample};
+use moca_telemetry::net::RequestReceiver;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
@@ -21,10 +22,8 @@ pub const WARM_UP_TICKS: u64 = 1000;
 pub struct Rings {
     /// Samples out; a full ring drops the newest and counts it.
     pub samples: rtrb::Producer<Sample>,
-    /// Requests in, each with the number its answer carries.
-    pub requests: rtrb::Consumer<(u64, Request)>,
-    /// Answers out.
-    pub outcomes: rtrb::Producer<(u64, Outcome)>,
+    /// Requests in, answers out.
+    pub requests: RequestReceiver,
     /// What each tick was given, if somebody records it.
     pub tick_log: Option<TickLog>,
 }
@@ -32,7 +31,7 @@ pub struct Rings {
 impl Rings {
     /// At most one request a tick.
     pub fn next_request(&mut self) -> (Option<u64>, Option<Request>) {
-        self.requests.pop().ok().unzip()
+        self.requests.take().unzip()
     }
 
     /// Notes what a tick was given, if somebody records it.
@@ -45,8 +44,7 @@ impl Rings {
     /// Hands a sample, and the answer to a request, to whoever watches; waits for nobody.
     pub fn publish(&mut self, sample: Sample, id: Option<u64>, outcome: Option<Outcome>, shared: &Shared) {
         if let (Some(id), Some(outcome)) = (id, outcome) {
-            // A full ring means that nobody waits for answers any more.
-            let _ = self.outcomes.push((id, outcome));
+            self.requests.answer(id, outcome);
         }
         shared.moving.store(sample.mode.moves(), Ordering::Relaxed);
         if !self.samples.is_abandoned() && self.samples.push(sample).is_err() {

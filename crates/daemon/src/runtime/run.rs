@@ -208,7 +208,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     let mut timing = Timing::new()?;
     let (tap, mut watched) = rtrb::RingBuffer::new(RING_SAMPLES);
     let server = match config.telemetry_address() {
-        Some(address) => Some(serve(config, address, from_loop, Some(tap), request_ports)?),
+        Some(address) => Some(serve(config, &address, from_loop, Some(tap), request_ports)?),
         None => {
             watched = from_loop;
             None
@@ -317,7 +317,7 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     }
     let (mut rings, from_loop, request_ports) = rings(shared);
     let server = match config.telemetry_address() {
-        Some(address) => Some(serve(config, address, from_loop, None, request_ports)?),
+        Some(address) => Some(serve(config, &address, from_loop, None, request_ports)?),
         None => None,
     };
     spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;

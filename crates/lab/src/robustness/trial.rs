@@ -1,6 +1,6 @@
 //! One injected fault against the whole chain in lock-step: what the robot does about it, and how soon.
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::inject::{Disk, Injection, Named, Strike, What, client};
 use moca_daemon::record::recording::Recording;
@@ -75,9 +75,14 @@ impl Watcher {
             return Ok((Self::Log(Box::new(recording), reader), Some(log)));
         }
         let (rings, samples, ports) = rings(&Shared::default());
-        let server =
-            net::serve(SocketAddr::from((Ipv4Addr::LOCALHOST, 0)), description, ports.with(samples, None))?;
-        client(fault, server.address(), strike.clone(), seed)?;
+        let server = net::serve(
+            &SocketAddr::from((Ipv4Addr::LOCALHOST, 0)).into(),
+            0o600,
+            description,
+            ports.with(samples, None),
+        )?;
+        let address = server.address().tcp().context("a port")?;
+        client(fault, address, strike.clone(), seed)?;
         Ok((Self::Telemetry(Box::new(rings), server), None))
     }
 
