@@ -3,6 +3,7 @@
 pub mod contact_limits;
 pub mod schema;
 
+use crate::robot::{JOINTS, Parts, TAXELS};
 use crate::runtime::realtime::Wishes;
 use moca_msgs::robot::{ArmTable, FR3, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, TaxelPlacement};
 use moca_msgs::{ContactReaction, Corrections, ImpedanceGains, Law, Limits, Parameters};
@@ -17,10 +18,6 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// Joints of the arm this daemon drives.
-pub const JOINTS: usize = 7;
-/// Taxels of the cover this daemon reads.
-pub const TAXELS: usize = 11;
 /// `board.port` of the virtual Touch Board.
 pub const VIRTUAL_PORT: &str = "virtual";
 /// `board.port` that looks for a Touch Board's USB id.
@@ -212,30 +209,6 @@ pub enum Arm {
     Panda,
     /// Franka Research 3.
     Fr3,
-}
-
-/// Which parts the robot has. What it lacks is neither simulated, started nor shown.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Parts {
-    /// Base with cover, and arm.
-    Whole,
-    /// The base with its cover: both laws follow the hand.
-    Base,
-    /// The arm on a stand, without a cover: both laws hold the flange where it is.
-    Arm,
-}
-
-impl Parts {
-    /// Whether there is a base, and with it a cover.
-    pub const fn has_cover(self) -> bool {
-        !matches!(self, Self::Arm)
-    }
-
-    /// Whether there is an arm.
-    pub const fn has_arm(self) -> bool {
-        !matches!(self, Self::Base)
-    }
 }
 
 impl Default for Config {

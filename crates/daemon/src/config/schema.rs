@@ -1,8 +1,9 @@
 //! The schema of everything that can be configured: type, unit, range, default, description, live or not. One table
 //! checks configuration files, describes the robot to observers, and is exported as JSON schema.
 
-use crate::config::{Config, TAXELS};
+use crate::config::Config;
 use crate::control::protection::OVERRIDE_MAX_M_S;
+use crate::robot::TAXELS;
 use moca_msgs::params::{CONTROLLER, ParameterKind, ParameterSpec};
 use moca_msgs::{ParameterError, request::PRESS_FORCE_MAX_N};
 use moca_telemetry::{ParameterDescription, ParameterForm, ParameterValue};

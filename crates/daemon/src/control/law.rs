@@ -1,8 +1,8 @@
 //! From mode and forces to a command: which law runs in which mode.
 
-use crate::config::{JOINTS, Parts, TAXELS};
 use crate::control::cover::CoverState;
 use crate::control::protection::{Protected, Protection};
+use crate::robot::{JOINTS, Parts, TAXELS};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{
     Actuation, Fault, Mode, Outcome, ParameterValues, Parameters, Refusal, RobotState, TaxelStatus,

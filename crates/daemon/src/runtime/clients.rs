@@ -6,9 +6,9 @@ use crate::config::{Config, PlantKind};
 use crate::inject::{self, Disk, OutsideFault, Strike};
 use crate::record::flight_recorder::FlightRecorder;
 use crate::record::recording::{Recording, parameter_change};
-use crate::record::tick_log::TapeReader;
+use crate::record::tick_log::TickLogReader;
 use crate::runtime::live::{Rings, Shared};
-use crate::runtime::run::Options;
+use crate::runtime::options::Options;
 use crate::runtime::watchdog::Heartbeat;
 use anyhow::{Context, Result, anyhow};
 use moca_msgs::{Sample, robot};
@@ -27,7 +27,7 @@ pub(crate) const RING_SAMPLES: usize = 4096;
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// The ends of the rings that belong to telemetry, besides the samples.
-pub(crate) struct RequestPorts {
+pub struct RequestPorts {
     requests: RequestSender,
     samples_dropped: Arc<AtomicU64>,
     pub(crate) calibration: Option<CalibrationPort>,
@@ -35,22 +35,19 @@ pub(crate) struct RequestPorts {
 
 impl RequestPorts {
     /// All that telemetry serves.
-    pub(crate) fn with(
-        self,
-        samples: rtrb::Consumer<Sample>,
-        recorder: Option<rtrb::Producer<Sample>>,
-    ) -> Ports {
+    pub fn with(self, samples: rtrb::Consumer<Sample>, recorder: Option<rtrb::Producer<Sample>>) -> Ports {
         let Self { requests, samples_dropped, calibration } = self;
         Ports { samples, requests, ring_dropped: samples_dropped, recorder, calibration }
     }
 }
 
-pub(crate) fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestPorts) {
+/// Rings between a loop and those who watch it.
+pub fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestPorts) {
     let (samples, from_loop) = rtrb::RingBuffer::new(RING_SAMPLES);
     let (sender, requests) = net::request_channel();
     let samples_dropped = Arc::clone(&shared.samples_dropped);
     let ports = RequestPorts { requests: sender, samples_dropped, calibration: None };
-    (Rings { samples, requests }, from_loop, ports)
+    (Rings { samples, requests, tick_log: None }, from_loop, ports)
 }
 
 pub(crate) fn serve(
@@ -131,13 +128,13 @@ pub(crate) struct Observers {
     pub(crate) strike: Option<Strike>,
     pub(crate) recording: Option<Recording>,
     flight: Option<FlightRecorder>,
-    tape: TapeReader,
+    ticks: TickLogReader,
 }
 
 impl Observers {
     /// Those that the command line and the configuration ask for. In lock-step nothing is lost by starting over with
     /// `--record`, so no flight recorder runs.
-    pub(crate) fn new(options: &Options, tape: TapeReader) -> Result<Self> {
+    pub(crate) fn new(options: &Options, ticks: TickLogReader) -> Result<Self> {
         let strike = options.strike();
         let recording = recording(options, strike.as_ref())?;
         let flight = if options.lock_step {
@@ -145,7 +142,7 @@ impl Observers {
         } else {
             FlightRecorder::new(&options.config, description(&options.config))?
         };
-        Ok(Self { strike, recording, flight, tape })
+        Ok(Self { strike, recording, flight, ticks })
     }
 
     pub(crate) fn see(&mut self, sample: &Sample) {
@@ -163,7 +160,7 @@ impl Observers {
 
     /// Passes on what has been noted since the last call.
     fn take_ticks(&mut self) {
-        while let Some(record) = self.tape.next_tick() {
+        while let Some(record) = self.ticks.next_tick() {
             if let Some(change) = parameter_change(&record) {
                 println!("[tick {}] parameter {} = {:?}", change.tick, change.name, change.values);
             }
