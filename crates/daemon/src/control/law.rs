@@ -1,8 +1,9 @@
 //! From mode and forces to a command: which law runs in which mode.
 
-use crate::config::{Config, JOINTS, Parts, TAXELS};
+use crate::config::Config;
 use crate::control::cover::CoverState;
 use crate::control::protection::{Protected, Protection};
+use crate::robot::{JOINTS, Parts, TAXELS};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{
     Actuation, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, Payload, Refusal,

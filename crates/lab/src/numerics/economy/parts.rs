@@ -2,7 +2,8 @@
 
 use crate::rig::cpu_time;
 use anyhow::{Context, Result};
-use moca_daemon::config::{Config, JOINTS, TAXELS};
+use moca_daemon::config::Config;
+use moca_daemon::robot::{JOINTS, TAXELS};
 use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_wbc::{
     ArmController, ArmInput, BaseController, BaseGuard, BaseInput, ControlInput, ControlLaw, Payload,
