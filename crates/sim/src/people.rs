@@ -50,6 +50,17 @@ pub(crate) struct Felt {
     pub taxel_force_n: [f64; K],
     /// Wrench on the base about its origin, axes of B: N, N, N·m.
     pub wrench_base: [f64; 3],
+    /// Normal forces on all bodies and on the one that is pressed hardest, felt by a taxel or not, N.
+    pub total_n: f64,
+    pub largest_n: f64,
+}
+
+impl Felt {
+    /// A force on one body, N.
+    fn on_body(&mut self, force_n: f64) {
+        self.total_n += force_n;
+        self.largest_n = self.largest_n.max(force_n);
+    }
 }
 
 /// Everybody in the scene.
@@ -187,14 +198,19 @@ impl Body {
                     for (taxel_n, share) in felt.taxel_force_n.iter_mut().zip(shares.0) {
                         *taxel_n += share * force_n;
                     }
+                    felt.on_body(force_n);
                 }
             }
             Shape::Plane => {
+                let mut all_n = 0.0;
                 for taxel in 0..K {
                     if let Some(meeting) = self.plane_meeting(cover, place_base, velocity_world, taxel) {
-                        felt.taxel_force_n[taxel] += self.meet(cover, &meeting, time_s, felt);
+                        let force_n = self.meet(cover, &meeting, time_s, felt);
+                        felt.taxel_force_n[taxel] += force_n;
+                        all_n += force_n;
                     }
                 }
+                felt.on_body(all_n);
             }
         }
     }

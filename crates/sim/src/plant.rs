@@ -59,7 +59,9 @@ pub struct SimPlant {
     pressed_n: [f64; K],
     taxel_force_n: [f64; K],
     cover_wrench_base: [f64; 3],
-    taxel_peak_n: f64,
+    contact_total_n: f64,
+    contact_largest_n: f64,
+    contact_peak_n: f64,
     flange_wrench_world: [f64; 6],
     torque_nm: [f64; 7],
     /// Scratch for the dense mass matrix, nv × nv.
@@ -98,7 +100,9 @@ impl SimPlant {
             pressed_n: [0.0; K],
             taxel_force_n: [0.0; K],
             cover_wrench_base: [0.0; 3],
-            taxel_peak_n: 0.0,
+            contact_total_n: 0.0,
+            contact_largest_n: 0.0,
+            contact_peak_n: 0.0,
             flange_wrench_world: [0.0; 6],
             torque_nm: [0.0; 7],
             mass: vec![0.0; nv * nv],
@@ -208,9 +212,19 @@ impl SimPlant {
         self.taxel_force_n
     }
 
-    /// Largest true force on any taxel over every physics step so far, N.
-    pub fn taxel_peak_true_n(&self) -> f64 {
-        self.taxel_peak_n
+    /// Sum of the normal forces on everybody who touches the cover, felt by a taxel or not, over the last physics step, N.
+    pub fn contact_total_true_n(&self) -> f64 {
+        self.contact_total_n
+    }
+
+    /// Normal force on the body that is pressed hardest, over the last physics step, N: on a seam more than any taxel's.
+    pub fn contact_largest_true_n(&self) -> f64 {
+        self.contact_largest_n
+    }
+
+    /// The largest of these over every physics step so far, N.
+    pub fn contact_peak_true_n(&self) -> f64 {
+        self.contact_peak_n
     }
 
     /// True wrench of everything that touches the cover on the base over the last physics step, where it acts and with
@@ -295,12 +309,17 @@ impl SimPlant {
             pose_world: state.base_pose_world,
             velocity_world: state.base_velocity_world,
         };
-        let mut felt =
-            Felt { taxel_force_n: self.pressed_n, wrench_base: pressed_wrench(&self.scene, &self.pressed_n) };
+        let mut felt = Felt {
+            taxel_force_n: self.pressed_n,
+            wrench_base: pressed_wrench(&self.scene, &self.pressed_n),
+            total_n: self.pressed_n.iter().sum(),
+            largest_n: self.pressed_n.into_iter().fold(0.0, f64::max),
+        };
         self.people.touch(&cover, self.data.time(), self.data.qpos(), self.data.qvel(), &mut felt);
         (self.taxel_force_n, self.cover_wrench_base) = (felt.taxel_force_n, felt.wrench_base);
         self.people.write_forces(self.data.qfrc_applied_mut());
-        self.taxel_peak_n = self.taxel_force_n.into_iter().fold(self.taxel_peak_n, f64::max);
+        (self.contact_total_n, self.contact_largest_n) = (felt.total_n, felt.largest_n);
+        self.contact_peak_n = self.contact_peak_n.max(felt.largest_n);
         let [fx, fy, mz] = self.cover_wrench_base;
         let push_world = [cos * fx - sin * fy, sin * fx + cos * fy, mz];
 

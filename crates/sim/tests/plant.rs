@@ -299,7 +299,7 @@ fn a_light_hand_on_stiff_damped_foam_does_not_blow_the_simulation_up() {
         let scene = Scene { people: vec![hand], foam: Foam::COLLISION_ASSUMED, ..Scene::default() };
         let mut plant = SimPlant::new(&scene).unwrap();
         drive(&mut plant, STILL, 1500);
-        let peak_n = plant.taxel_peak_true_n();
+        let peak_n = plant.contact_peak_true_n();
         assert!(peak_n.is_finite() && peak_n > 1.0, "{peak_n}");
     }
 }
