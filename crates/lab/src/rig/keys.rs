@@ -191,6 +191,9 @@ const KEYS: &[Key] = &[
     key("person.damping", "N·s/m", "damping of the tissue", |s, v| {
         store(&mut s.person.damping, v, 0.0, 1e5)
     }),
+    key("person.friction", "", "Coulomb coefficient along the cover", |s, v| {
+        some(&mut s.person.friction, v, 0.0, 2.0)
+    }),
     key("person.posture_stiffness", "N/m", "stiffness of the posture", |s, v| {
         some(&mut s.person.posture_stiffness, v, 0.0, 1e7)
     }),

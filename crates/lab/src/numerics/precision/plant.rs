@@ -103,7 +103,7 @@ fn play(scene: &Scene, integrator: Integrator, step_ms: f64, base_velocity: Opti
     let mut state = [0.0; 10];
     state[..3].copy_from_slice(&end.base_pose_world);
     state[3..].copy_from_slice(&end.q_rad);
-    Ok(End { state, peak_n: plant.taxel_peak_true_n(), cpu_s })
+    Ok(End { state, peak_n: plant.contact_peak_true_n(), cpu_s })
 }
 
 fn distance(a: &End, b: &End) -> f64 {
