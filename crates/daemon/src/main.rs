@@ -150,7 +150,7 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
     let duration = arguments.duration.map(std::time::Duration::try_from_secs_f64);
     let duration = duration.transpose();
     let duration = duration.map_err(|error| anyhow::anyhow!("--duration: {error}; allowed: 0 s or more"))?;
-    moca_daemon::runtime::run::run(&moca_daemon::runtime::run::Options {
+    moca_daemon::runtime::run::run(&moca_daemon::runtime::options::Options {
         config,
         duration,
         lock_step: arguments.as_fast_as_possible,

@@ -4,7 +4,7 @@
 
 use crate::Refusal;
 use crate::parameter_table;
-use crate::robot::PANDA;
+use crate::robot::{ArmTable, PANDA};
 use crate::table::FieldValue;
 
 pub use crate::table::{ParameterError, ParameterKind, ParameterSpec, Size};
@@ -29,10 +29,10 @@ parameter_table! {
         /// Weight of the arm in H, eq. (9).
         eta_arm: f64 = 1.0 => [.range(1e-3, 1e3).live().lab("eta_a")];
         /// Null-space posture stiffness, K_0 of eq. (11).
-        posture_stiffness: [f64; N] = arm.posture_stiffness
+        posture_stiffness: [f64; N] = arm.posture_stiffness_nm_rad
             => [.per_joint().range(0.0, 1e4).units(&["N·m/rad"]).live().lab("k_0")];
         /// Null-space posture damping, D_0 of eq. (11).
-        posture_damping: [f64; N] = arm.posture_damping
+        posture_damping: [f64; N] = arm.posture_damping_nm_s_rad
             => [.per_joint().range(0.0, 1e3).units(&["N·m·s/rad"]).live().lab("d_0")];
         /// Null-space posture of eq. (11), and of the simulated arm at its start.
         posture_rad: [f64; N] = arm.home_rad
@@ -56,23 +56,25 @@ parameter_table! {
         /// Feed forward to the arm the inertial coupling M_AB q̈_B that eq. (3) ignores.
         base_coupling: bool = true => [.live().lab("base_coupling")];
         /// Let the base feel a force at the flange, J_Bᵀ F̂_ext in eq. (2) (needs a trusted flange wrench).
-        flange_feed: bool = false => [.live().lab("flange_feed")];
+        flange_wrench_feedforward: bool = false => [.live().lab("flange_wrench_feedforward")];
     }
 }
 
 impl Corrections {
     /// The paper's law to the letter: all off.
-    pub const LITERAL: Self = Self { null_space_damping: false, base_coupling: false, flange_feed: false };
+    pub const LITERAL: Self =
+        Self { null_space_damping: false, base_coupling: false, flange_wrench_feedforward: false };
 }
 
 parameter_table! {
-    /// Limits on what a controller may give out. Speeds of the base are ASSUMED for use near people.
+    /// Limits on what a controller may give out: torques of the arm, SUMMIT-XL acceleration; speeds ASSUMED for use
+    /// near people.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct Limits<const N: usize> in "limits", for_arm(arm) {
         /// Largest joint torque.
         torque_nm: [f64; N] = arm.torque_max_nm
             => [.per_joint().range(0.0, 1e3).units(&["N·m"]).lab("limit.torque")];
-        /// Largest rate of a joint torque (libfranka's for a Panda).
+        /// Largest rate of a joint torque (that of Franka's arms, libfranka).
         torque_rate_nm_s: f64 = 1000.0 => [.range(1.0, 1e5).units(&["N·m/s"]).lab("limit.torque_rate")];
         /// Largest base velocity along each axis of B.
         base_velocity: [f64; 3] = [0.5, 0.5, 0.8]
@@ -90,11 +92,6 @@ parameter_table! {
     }
 }
 
-impl Limits<{ PANDA.joints() }> {
-    /// Panda torque limits and torque rate (libfranka), SUMMIT-XL acceleration; speeds ASSUMED for use near people.
-    pub const PANDA_ON_SUMMIT: Self = Self::for_arm(&PANDA);
-}
-
 /// Everything a controller is configured with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parameters<const N: usize> {
@@ -106,13 +103,20 @@ pub struct Parameters<const N: usize> {
     pub limits: Limits<N>,
 }
 
+impl<const N: usize> Parameters<N> {
+    /// Literal law, with the gains and limits of `arm`: [`ImpedanceGains::for_arm`], [`Limits::for_arm`].
+    pub const fn for_arm(arm: &ArmTable<N>) -> Self {
+        Self {
+            gains: ImpedanceGains::for_arm(arm),
+            corrections: Corrections::LITERAL,
+            limits: Limits::for_arm(arm),
+        }
+    }
+}
+
 impl Parameters<{ PANDA.joints() }> {
     /// The paper's experiments: literal law, gains that reproduce the text.
-    pub const PAPER: Self = Self {
-        gains: ImpedanceGains::PAPER,
-        corrections: Corrections::LITERAL,
-        limits: Limits::PANDA_ON_SUMMIT,
-    };
+    pub const PAPER: Self = Self::for_arm(&PANDA);
 }
 
 /// Most elements of one parameter.
@@ -275,8 +279,8 @@ mod tests {
         assert_eq!(parameters.gains.eta_arm, 2.5);
         assert_eq!(parameters.gains.reactivity, 2.5);
         assert_eq!(parameters.limits.taxel_force_n, 2.5);
-        parameters.set(number("flange_feed"), &ParameterValues::new(&[1.0]).unwrap()).unwrap();
-        assert!(parameters.corrections.flange_feed);
+        parameters.set(number("flange_wrench_feedforward"), &ParameterValues::new(&[1.0]).unwrap()).unwrap();
+        assert!(parameters.corrections.flange_wrench_feedforward);
         let speeds = ParameterValues::new(&[0.1, 0.2, 0.3]).unwrap();
         parameters.set(number("base_velocity"), &speeds).unwrap();
         assert_eq!(parameters.limits.base_velocity, [0.1, 0.2, 0.3]);

@@ -1,6 +1,7 @@
 //! What the terminal shows of a run: one line a second, every change of mode, and the summary.
 
-use crate::runtime::timing::{Distribution, Stage, Timing};
+use crate::control::stage::Stage;
+use crate::runtime::timing::Timing;
 use moca_msgs::board::Diagnosis;
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{ContactEvent, Fault, Mode, Sample, SpeedLimit};
@@ -194,8 +195,6 @@ fn seconds(ns: u64) -> f64 {
 pub struct Summary<'a> {
     /// How long the stages took.
     pub timing: &'a Timing,
-    /// Age of the cover's data at each tick.
-    pub frame_age: &'a Distribution,
     /// Its last sample.
     pub last: &'a Sample,
     /// Ticks run.
@@ -231,8 +230,8 @@ impl fmt::Display for Summary<'_> {
                 last.frames_good,
                 last.frames_bad,
                 last.frame_rate_hz,
-                1e-3 * self.frame_age.quantile_us(0.5),
-                1e-3 * self.frame_age.quantile_us(0.99),
+                1e-3 * self.timing.frame_age.quantile_us(0.5),
+                1e-3 * self.timing.frame_age.quantile_us(0.99),
             )?;
         }
         write!(f, "{}", self.timing)?;

@@ -1,9 +1,9 @@
 //! What single rows cannot know: numbers that do not go together.
 
-use super::{Config, ProtectionConfig, VIRTUAL_PORT};
+use super::{AUTO_LISTEN, Config, ProtectionConfig, TelemetryConfig, VIRTUAL_PORT};
 use crate::robot::{Parts, PlantKind, TAXELS};
 use moca_tactile::cover::MaskPolicy;
-use std::net::SocketAddr;
+use moca_telemetry::net::Address;
 
 /// What the ramps of a scripted press take, s, with a moment of rest.
 const PRESS_RAMPS_S: f64 = 0.7;
@@ -21,7 +21,7 @@ pub(super) fn check(config: &Config, report: Report<'_>) {
     }
     hand(config, report);
     protection(&config.protection, report);
-    listen(config, report);
+    telemetry(&config.telemetry, report);
     plant(config, report);
     timeout(config, report);
 }
@@ -136,15 +136,16 @@ fn protection(settings: &ProtectionConfig, report: Report<'_>) {
     }
 }
 
-fn listen(config: &Config, report: Report<'_>) {
-    let listen = &config.telemetry.listen;
-    if !listen.is_empty() && !listen.parse::<SocketAddr>().is_ok_and(|address| address.ip().is_loopback()) {
-        report(
-            "telemetry.listen",
-            format!(
-                "telemetry.listen = {listen:?}; allowed: a loopback address with a port, or \"\" for none"
-            ),
-        );
+fn telemetry(settings: &TelemetryConfig, report: Report<'_>) {
+    let listen = &settings.listen;
+    let known = listen.is_empty() || listen == AUTO_LISTEN;
+    if !known && !listen.parse().is_ok_and(|address: Address| address.is_local()) {
+        let allowed = "\"auto\", a loopback address with a port, unix:/ABSOLUTE/PATH, or \"\" for none";
+        report("telemetry.listen", format!("telemetry.listen = {listen:?}; allowed: {allowed}"));
+    }
+    if settings.socket_mode().is_none() {
+        let message = format!("telemetry.mode = {:?}; allowed: \"0600\" to \"0777\", octal", settings.mode);
+        report("telemetry.mode", message);
     }
 }
 

@@ -20,6 +20,7 @@ const RENAMED: &[(&str, &str)] = &[
     ("geometry.taxel_x_m", "robot.cover.x_m"),
     ("geometry.taxel_y_m", "robot.cover.y_m"),
     ("geometry.taxel_inward_rad", "robot.cover.inward_rad"),
+    ("control.corrections.flange_feed", "control.corrections.flange_wrench_feedforward"),
 ];
 
 impl Config {

@@ -17,14 +17,18 @@ use moca_tactile::CoverConfig;
 use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
 use moca_tactile::cover::MaskPolicy;
+use moca_telemetry::net::{Address, DEFAULT_ADDRESS};
 use std::fmt;
-use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// `board.port` of the virtual Touch Board.
 pub const VIRTUAL_PORT: &str = "virtual";
 /// `board.port` that looks for a Touch Board's USB id.
 pub(crate) const AUTO_PORT: &str = "auto";
+/// `telemetry.listen` that asks the environment.
+const AUTO_LISTEN: &str = "auto";
+/// The service's socket in systemd's RuntimeDirectory.
+const SOCKET_NAME: &str = "telemetry.sock";
 /// `flight_recorder.folder` that asks the environment.
 pub const AUTO_FOLDER: &str = "auto";
 /// Largest speed that an override of the speed limit may state, m/s.
@@ -175,8 +179,10 @@ parameter_table! {
     /// `[telemetry]`
     #[derive(Clone, Debug, PartialEq)]
     pub struct TelemetryConfig in "telemetry" {
-        /// Loopback address for dashboards; empty for none.
-        listen: String = moca_telemetry::net::DEFAULT_ADDRESS.into();
+        /// Port or socket file for dashboards; empty for none.
+        listen: String = AUTO_LISTEN.into();
+        /// Permission bits of a socket file, octal.
+        mode: String = "0660".into();
     }
 }
 
@@ -222,6 +228,21 @@ impl HandConfig {
     pub fn none() -> Self {
         Self { taxels: Vec::new(), ..Self::default() }
     }
+}
+
+impl TelemetryConfig {
+    /// Permission bits of a socket file.
+    pub fn socket_mode(&self) -> Option<u32> {
+        let bits = u32::from_str_radix(&self.mode, 8).ok()?;
+        (0o600..=0o777).contains(&bits).then_some(bits)
+    }
+}
+
+/// systemd's RuntimeDirectory is where a service's socket belongs.
+fn service_socket() -> Option<PathBuf> {
+    let folders = std::env::var_os("RUNTIME_DIRECTORY")?;
+    let folder = std::env::split_paths(&folders).next().filter(|folder| folder.is_absolute())?;
+    Some(folder.join(SOCKET_NAME))
 }
 
 impl Default for Config {
@@ -295,8 +316,11 @@ impl Config {
     }
 
     /// Where telemetry listens, if anywhere; checked by [`Config::check`].
-    pub fn telemetry_address(&self) -> Option<SocketAddr> {
-        self.telemetry.listen.parse().ok()
+    pub fn telemetry_address(&self) -> Option<Address> {
+        match self.telemetry.listen.as_str() {
+            AUTO_LISTEN => Some(service_socket().map_or(DEFAULT_ADDRESS.into(), Address::Unix)),
+            listen => listen.parse().ok(),
+        }
     }
 
     /// The arm's table.

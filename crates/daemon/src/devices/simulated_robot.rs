@@ -1,7 +1,7 @@
 //! The simulated robot as a plant, and the shared forces its virtual board reads.
 
 use crate::config::{Config, HandConfig};
-use crate::control::plant::{Plant, SourceAge};
+use crate::control::plant::{Plant, Simulated, SourceAge};
 use crate::devices::scripted_press::scripted_press;
 use crate::inject::{Injection, PlantSpoiler, What};
 use crate::robot::{JOINTS, Parts, TAXELS};
@@ -128,6 +128,12 @@ impl Plant for SimulatedRobot {
         self.spoiler.as_mut().map_or(Ok(()), |spoiler| spoiler.write(ticks, self.period_s))
     }
 
+    fn simulated(&mut self) -> Option<&mut dyn Simulated> {
+        Some(self)
+    }
+}
+
+impl Simulated for SimulatedRobot {
     fn press(&mut self, taxel: usize, force_n: f64) -> Outcome {
         let asked = self.asked_n.get_mut(taxel).filter(|_| self.covered).ok_or(Refusal::OutOfRange)?;
         if !(0.0..=PRESS_FORCE_MAX_N).contains(&force_n) {

@@ -3,10 +3,12 @@
 
 pub mod allocations;
 pub mod assemble;
-pub(crate) mod clients;
+pub mod clients;
+pub mod clock;
 pub mod live;
 #[cfg(feature = "sim")]
 pub mod lockstep;
+pub mod options;
 pub mod realtime;
 pub mod replay;
 pub mod run;

@@ -1,61 +1,29 @@
 //! `mocad run`: puts the parts together, starts the loop, shows what runs.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
-use crate::cli::report::{Level, Summary};
+use crate::cli::report::Summary;
 use crate::config::{AUTO_PORT, Config};
 use crate::control::cover::CoverSource;
 use crate::control::plant::{NoRobot, Plant};
 use crate::control::protection;
 use crate::control::tick::ControlLoop;
-use crate::inject::{Injection, OutsideFault, Strike, What};
-use crate::record::tick_log::tape;
+use crate::inject::What;
+use crate::record::tick_log::{TickLog, TickLogReader, tick_log};
 use crate::robot::{Parts, PlantKind};
-use crate::runtime::assemble::{OpenBoard, Taps, motion, open_board, supervisor};
+use crate::runtime::assemble::{OpenBoard, Subscribers, motion, open_board, supervisor};
 use crate::runtime::clients::{Observers, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
-use crate::runtime::live::{self, Clock, LiveReport, Shared};
+use crate::runtime::clock::Clock;
+use crate::runtime::live::{self, LiveReport, Shared};
+use crate::runtime::options::Options;
 use crate::runtime::realtime;
-use crate::runtime::timing::{Distribution, Timing};
+use crate::runtime::tick_source::Timer;
+use crate::runtime::timing::Timing;
 use anyhow::{Context, Result, anyhow};
 use moca_msgs::{Law, Sample};
 use moca_telemetry::net::CalibrationPort;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-
-/// What the command line asks for.
-#[derive(Clone, Debug, Default)]
-pub struct Options {
-    /// Checked configuration.
-    pub config: Config,
-    /// Robot time after which the run ends.
-    pub duration: Option<Duration>,
-    /// Lock-step instead of real time.
-    pub lock_step: bool,
-    /// Where the command log goes (lock-step only).
-    pub command_log: Option<PathBuf>,
-    /// Where the MCAP log goes.
-    pub record: Option<PathBuf>,
-    /// A fault on purpose (simulated robot only).
-    pub inject: Option<Injection>,
-    /// How much the terminal shows of a run.
-    pub log_level: Level,
-    /// Whether a refused wish to the operating system ends the run before it starts.
-    pub require_realtime: bool,
-}
-
-impl Options {
-    pub(crate) fn outside_fault(&self) -> Option<OutsideFault> {
-        match self.inject?.fault.what {
-            What::Outside(fault) => Some(fault),
-            _ => None,
-        }
-    }
-
-    pub(crate) fn strike(&self) -> Option<Strike> {
-        self.inject.map(|injection| Strike::new(injection.at_ns))
-    }
-}
 
 /// `--require-realtime` was given and the operating system refused this many wishes.
 #[derive(Debug)]
@@ -162,7 +130,6 @@ pub struct LiveRun {
     pub timing: Timing,
     /// Ticks, overruns, allocations.
     pub report: LiveReport,
-    frame_age: Distribution,
     last: Sample,
     samples_dropped: u64,
     wall: Duration,
@@ -172,7 +139,6 @@ impl LiveRun {
     fn summary(&self) -> Summary<'_> {
         Summary {
             timing: &self.timing,
-            frame_age: &self.frame_age,
             last: &self.last,
             ticks: self.report.ticks,
             overruns_by_stage: Some(self.report.overruns_by_stage),
@@ -191,18 +157,18 @@ impl LiveRun {
 pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     introduce_simulation(&options.config);
     let clock = Clock::start()?;
-    let (tape, copies, tape_reader) = tape();
-    let observers = Observers::new(options, tape_reader)?;
-    let taps = Taps { copies: Some(copies), moving: Arc::clone(&shared.moving), reference: None };
+    let (log, copies, log_reader) = tick_log();
+    let observers = Observers::new(options, log_reader)?;
+    let subscribers =
+        Subscribers { copies: Some(copies), moving: Arc::clone(&shared.moving), reference: None };
     let mut robot =
-        crate::runtime::assemble::assemble(&options.config, clock, options.inject.as_ref(), taps)?;
-    robot.control.tape = Some(tape);
+        crate::runtime::assemble::assemble(&options.config, clock, options.inject.as_ref(), subscribers)?;
     let virtual_board = if robot.virtual_board.is_some() { " (virtual Touch Board)" } else { "" };
     let calibration = robot.board.as_mut().and_then(|board| {
         println!("  board       {}{virtual_board}", shown(&board.port));
         board.calibration.take()
     });
-    live(options, robot.control, clock, (observers, calibration), shared)
+    live(options, robot.control, (clock, log), (observers, calibration), shared)
 }
 
 /// Runs the loop with a Touch Board and no robot: what the cover feels, for observers and logs.
@@ -210,17 +176,17 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
     let config = &options.config;
     println!("  plant       none: the cover alone, nothing moves");
     let clock = Clock::start()?;
-    let (tape, copies, tape_reader) = tape();
-    let observers = Observers::new(options, tape_reader)?;
+    let (log, copies, log_reader) = tick_log();
+    let observers = Observers::new(options, log_reader)?;
     let port = config.board.port.clone();
-    let taps = Taps { copies: Some(copies), ..Taps::default() };
-    let OpenBoard { cover, mut held } = open_board(config, clock, port, options.inject.as_ref(), taps)?;
+    let subscribers = Subscribers { copies: Some(copies), ..Subscribers::default() };
+    let OpenBoard { cover, mut held } =
+        open_board(config, clock, port, options.inject.as_ref(), subscribers)?;
     println!("  board       {}", shown(&held.port));
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let plant = NoRobot::at(config.control.gains.posture_rad);
-    let mut control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
-    control.tape = Some(tape);
-    live(options, control, clock, (observers, held.calibration.take()), shared)
+    let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s);
+    live(options, control, (clock, log), (observers, held.calibration.take()), shared)
 }
 
 fn shown(port: &str) -> &str {
@@ -231,16 +197,18 @@ fn shown(port: &str) -> &str {
 fn live<P: Plant + Send, S: CoverSource + Send>(
     options: &Options,
     mut control: ControlLoop<P, S>,
-    clock: Clock,
+    (clock, log): (Clock, TickLog),
     (mut observers, calibration): (Observers, Option<CalibrationPort>),
     shared: &Arc<Shared>,
 ) -> Result<LiveRun> {
     let config = &options.config;
     let (mut rings, from_loop, mut request_ports) = rings(shared);
     request_ports.calibration = calibration;
+    rings.tick_log = Some(log);
+    let mut timing = Timing::new()?;
     let (tap, mut watched) = rtrb::RingBuffer::new(RING_SAMPLES);
     let server = match config.telemetry_address() {
-        Some(address) => Some(serve(config, address, from_loop, Some(tap), request_ports)?),
+        Some(address) => Some(serve(config, &address, from_loop, Some(tap), request_ports)?),
         None => {
             watched = from_loop;
             None
@@ -250,7 +218,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     let done = AtomicBool::new(false);
     let started = Instant::now();
     let (report, last) = std::thread::scope(|scope| -> Result<(LiveReport, Sample)> {
-        let control = &mut control;
+        let (control, timing) = (&mut control, &mut timing);
         let done = &done;
         let (steps_sender, steps) = std::sync::mpsc::channel();
         let in_loop_thread = move || {
@@ -260,7 +228,8 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
             // The receiver waits for exactly this.
             let _ = steps_sender.send(steps);
             let report = if run {
-                live::run(control, clock, config.period_ns(), options.duration, &mut rings, shared)
+                let mut timer = Timer::new(clock, config.period_ns());
+                live::run(control, &mut timer, timing, options.duration, &mut rings, shared)
             } else {
                 LiveReport::default()
             };
@@ -280,8 +249,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     })?;
     finish(observers.recording, options)?;
     Ok(LiveRun {
-        timing: control.timing,
-        frame_age: control.frame_age,
+        timing,
         report,
         last,
         samples_dropped: shared.samples_dropped.load(Ordering::Relaxed),
@@ -306,7 +274,7 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
     let config = &options.config;
     introduce_simulation(config);
     let scene = crate::devices::simulated_robot::free_scene(config);
-    let (tape, copies, tape_reader) = tape();
+    let (log, copies, log_reader) = tick_log();
     if config.plant.parts.has_cover() {
         println!("  board       virtual Touch Board in memory");
         let world = LockStep::with_board(
@@ -315,10 +283,10 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
             crate::runtime::assemble::board_config(config),
             Some(copies),
         )?;
-        run_lock_step(options, world, (tape, tape_reader), shared)
+        run_lock_step(options, world, (log, log_reader), shared)
     } else {
         let world = LockStep::without_cover(config, &scene)?;
-        run_lock_step(options, world, (tape, tape_reader), shared)
+        run_lock_step(options, world, (log, log_reader), shared)
     }
 }
 
@@ -326,7 +294,7 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
 fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     options: &Options,
     mut world: crate::runtime::lockstep::LockStep<S, F>,
-    (tape, tape_reader): (crate::record::tick_log::Tape, crate::record::tick_log::TapeReader),
+    (log, log_reader): (TickLog, TickLogReader),
     shared: &Arc<Shared>,
 ) -> Result<()> {
     use crate::record::command_csv;
@@ -335,11 +303,11 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     use std::io::{BufWriter, Write};
 
     let config = &options.config;
-    world.control.tape = Some(tape);
+    world.tick_log = Some(log);
     if let Some(injection) = &options.inject {
         world.inject(injection, config.simulation.seed);
     }
-    let mut observers = Observers::new(options, tape_reader)?;
+    let mut observers = Observers::new(options, log_reader)?;
     let mut log = None;
     if let Some(path) = &options.command_log {
         let file = File::create(path).with_context(|| path.display().to_string())?;
@@ -349,7 +317,7 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     }
     let (mut rings, from_loop, request_ports) = rings(shared);
     let server = match config.telemetry_address() {
-        Some(address) => Some(serve(config, address, from_loop, None, request_ports)?),
+        Some(address) => Some(serve(config, &address, from_loop, None, request_ports)?),
         None => None,
     };
     spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
@@ -363,7 +331,7 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         let (id, request) = rings.next_request();
         let (sample, outcome) = world.step(request);
         last = sample;
-        rings.publish(&last, id, outcome, shared);
+        rings.publish(last.clone(), id, outcome, shared);
         ticks += 1;
         warm |= ticks > live::WARM_UP_TICKS;
         allocated += if warm { allocations::on_this_thread() - before } else { 0 };
@@ -379,8 +347,7 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         log.flush()?;
     }
     let summary = Summary {
-        timing: &world.control.timing,
-        frame_age: &world.control.frame_age,
+        timing: &world.timing,
         last: &last,
         ticks,
         overruns_by_stage: None,

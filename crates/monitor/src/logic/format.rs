@@ -1,0 +1,60 @@
+//! Numbers and states as text.
+
+use moca_msgs::{ContactEvent, SpeedLimitReason, TaxelStatus};
+
+/// A number with `decimals` digits after the point, without "-0.0"; a dash for what is not known.
+pub fn number(value: f64, decimals: usize) -> String {
+    if !value.is_finite() {
+        return "–".into();
+    }
+    let text = format!("{value:.decimals$}");
+    let is_zero = text.bytes().all(|b| matches!(b, b'-' | b'0' | b'.'));
+    if is_zero { text.trim_start_matches('-').to_owned() } else { text.replace('-', "−") }
+}
+
+/// A taxel's health in a word or two.
+pub fn health(status: TaxelStatus) -> &'static str {
+    match status {
+        TaxelStatus::Ok => "ok",
+        TaxelStatus::NoZero => "not tared",
+        TaxelStatus::Stale => "stale",
+        TaxelStatus::Saturated => "at its end",
+        TaxelStatus::Stuck => "stuck",
+        TaxelStatus::Dead => "dead",
+        TaxelStatus::Noisy => "noisy",
+        TaxelStatus::Drifted => "drifted",
+        TaxelStatus::Masked => "masked",
+    }
+}
+
+/// Why the speed limit is what it is.
+pub fn speed_limit(reason: SpeedLimitReason) -> &'static str {
+    match reason {
+        SpeedLimitReason::Configured => "as configured in limits.base_velocity",
+        SpeedLimitReason::BoardRate => "the board's rate and age allow no more",
+        SpeedLimitReason::Stale => "the board's rate is unknown or its data is old",
+        SpeedLimitReason::Overridden => "the configuration overrides what the board allows",
+        SpeedLimitReason::Contact => "a contact crossed a limit",
+    }
+}
+
+/// A contact that crossed a limit.
+pub fn contact_text(contact: &ContactEvent) -> String {
+    let taxel = u16::from(contact.taxel) + 1;
+    let limit = contact.crossed_n.map_or(String::new(), |n| format!(" over {} N", number(n, 0)));
+    let reaction = contact.reaction.map_or(String::new(), |r| format!(", {}", r.name()));
+    format!("T{taxel}: {} contact{limit}, {} N{reaction}", contact.kind.name(), number(contact.peak_n, 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_read_well() {
+        assert_eq!(number(-0.04, 1), "0.0");
+        assert_eq!(number(-1.25, 2), "−1.25");
+        assert_eq!(number(12.0, 0), "12");
+        assert_eq!(number(f64::NAN, 1), "–");
+    }
+}

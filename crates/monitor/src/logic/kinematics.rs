@@ -1,0 +1,63 @@
+//! Forward kinematics of the arm, from the joint frames of the robot's description.
+
+use moca_telemetry::RobotDescription;
+
+/// A rotation and a translation: x ↦ R x + p.
+#[derive(Clone, Copy)]
+struct Pose {
+    rotation: [[f64; 3]; 3],
+    position: [f64; 3],
+}
+
+impl Pose {
+    /// x, y, z m; roll, pitch, yaw rad, R = Rz·Ry·Rx.
+    fn from_origin([x, y, z, roll, pitch, yaw]: [f64; 6]) -> Self {
+        let ((sr, cr), (sp, cp), (sy, cy)) = (roll.sin_cos(), pitch.sin_cos(), yaw.sin_cos());
+        let rotation = [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ];
+        Self { rotation, position: [x, y, z] }
+    }
+
+    fn then(self, next: Self) -> Self {
+        let row = |i: usize, v: [f64; 3]| (0..3).map(|k| self.rotation[i][k] * v[k]).sum::<f64>();
+        let column = |j: usize| [next.rotation[0][j], next.rotation[1][j], next.rotation[2][j]];
+        Self {
+            rotation: std::array::from_fn(|i| std::array::from_fn(|j| row(i, column(j)))),
+            position: std::array::from_fn(|i| self.position[i] + row(i, next.position)),
+        }
+    }
+}
+
+/// Origins of the arm's base, of each joint and of the flange, in B, m. Joints without an angle stay at 0.
+pub fn points_base_m(description: &RobotDescription, q_rad: &[f64]) -> Vec<[f64; 3]> {
+    let arm = &description.arm;
+    let mut pose = Pose::from_origin(arm.mount);
+    let mut points = vec![pose.position];
+    for (i, origin) in arm.joint_origin.iter().enumerate() {
+        let turn = Pose::from_origin([0.0, 0.0, 0.0, 0.0, 0.0, q_rad.get(i).copied().unwrap_or(0.0)]);
+        pose = pose.then(Pose::from_origin(*origin)).then(turn);
+        points.push(pose.position);
+    }
+    points.push(pose.then(Pose::from_origin(arm.flange_origin)).position);
+    points
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_flange_of_a_panda_at_home_is_where_its_maker_says() {
+        // libfranka's start posture: O_T_EE has (0.3069, 0, 0.4869) for a hand 0.1034 m below the flange.
+        let robot = RobotDescription::paper("test", true);
+        let points = points_base_m(&robot, &moca_msgs::robot::PANDA.home_rad);
+        assert_eq!(points.len(), 9);
+        let flange = points[8];
+        for (value, expected) in flange.into_iter().zip([0.20 + 0.3069, 0.0, 0.51 + 0.4869 + 0.1034]) {
+            assert!((value - expected).abs() < 1e-3, "{flange:?}");
+        }
+    }
+}

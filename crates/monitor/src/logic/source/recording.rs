@@ -1,0 +1,126 @@
+//! A log of what this dashboard receives. The daemon's own (`mocad --record`) also holds the board's bytes and misses
+//! nothing when the dashboard is slow.
+
+use crate::logic::signals::history::seconds;
+use moca_msgs::Sample;
+use moca_telemetry::{
+    RobotDescription,
+    log::{LogError, Meta, Recorder},
+};
+use std::{
+    path::{Path, PathBuf},
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
+
+/// Samples on their way to the disk: four seconds at 1 kHz.
+const RING: usize = 4096;
+
+/// A log that is being written.
+pub struct Recording {
+    path: PathBuf,
+    recorder: Recorder,
+    samples: rtrb::Producer<Sample>,
+    offered: u64,
+    dropped: u64,
+    first_s: f64,
+    last_s: f64,
+}
+
+impl Recording {
+    /// Creates a log of `robot` in `folder`, named after the robot and the time; loop time `now_ns` is now.
+    ///
+    /// # Errors
+    /// The file cannot be created.
+    pub fn start(folder: &Path, robot: &RobotDescription, now_ns: u64) -> Result<Self, LogError> {
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let start = now.saturating_sub(Duration::from_nanos(now_ns));
+        let start_unix_ns = u64::try_from(start.as_nanos()).unwrap_or(0);
+        let path = folder.join(format!("{}-{}.mcap", plain(&robot.name), utc_stamp(now.as_secs())));
+        let (samples, from_here) = rtrb::RingBuffer::new(RING);
+        let meta = Meta { description: robot.clone(), start_unix_ns };
+        let recorder = Recorder::create(&path, &meta, from_here)?;
+        let at_s = seconds(now_ns);
+        Ok(Self { path, recorder, samples, offered: 0, dropped: 0, first_s: at_s, last_s: at_s })
+    }
+
+    /// Adds a sample; without room, which a full disk or a slow one leaves, it is dropped and counted.
+    pub fn add(&mut self, sample: &Sample) {
+        self.offered += 1;
+        self.last_s = seconds(sample.time_ns);
+        self.dropped += u64::from(self.samples.push(sample.clone()).is_err());
+    }
+
+    /// Whether it still writes; `false` after an error of the disk, which [`Self::finish`] returns.
+    pub fn is_writing(&self) -> bool {
+        self.recorder.is_recording()
+    }
+
+    /// How it goes, in words.
+    pub fn progress(&self) -> String {
+        let lost = if self.dropped > 0 { format!(", {} lost", self.dropped) } else { String::new() };
+        format!("recording {}: {:.0} s{lost}", self.path.display(), self.last_s - self.first_s)
+    }
+
+    /// Ends the file and says what is in it, or what went wrong.
+    pub fn finish(self) -> Result<String, String> {
+        let (path, dropped) = (self.path.display().to_string(), self.dropped);
+        let summary = self.recorder.finish().map_err(|error| format!("{path}: {error}"))?;
+        let lost = if dropped > 0 { format!(", {dropped} lost: the disk is slow") } else { String::new() };
+        Ok(format!("saved {path}: {} samples{lost}", summary.samples))
+    }
+}
+
+/// A name that is a file's name everywhere.
+pub fn plain(name: &str) -> String {
+    name.replace(|c: char| !c.is_alphanumeric(), "-")
+}
+
+/// `YYYYMMDD-HHMMSS` in UTC (proleptic Gregorian calendar, after H. Hinnant's `civil_from_days`).
+fn utc_stamp(unix_s: u64) -> String {
+    let z = unix_s / 86_400 + 719_468;
+    let (era, day_of_era) = (z / 146_097, z % 146_097);
+    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let shifted_month = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * shifted_month + 2) / 5 + 1;
+    let month = if shifted_month < 10 { shifted_month + 3 } else { shifted_month - 9 };
+    let year = era * 400 + year_of_era + u64::from(month <= 2);
+    let (hour, minute, second) = (unix_s / 3600 % 24, unix_s / 60 % 60, unix_s % 60);
+    format!("{year:04}{month:02}{day:02}-{hour:02}{minute:02}{second:02}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use moca_telemetry::log::read_log;
+
+    #[test]
+    fn what_was_received_is_in_the_file_under_the_robot_s_name() {
+        let folder = std::env::temp_dir().join(format!("moca-recording-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let robot = RobotDescription::paper("lab 1", true);
+        let mut recording = Recording::start(&folder, &robot, 5_000_000_000).unwrap();
+        for tick in 5000..5300 {
+            recording.add(&Sample { tick, time_ns: tick * 1_000_000, ..Sample::default() });
+        }
+        let path = recording.path.clone();
+        assert!(path.file_name().unwrap().to_str().unwrap().starts_with("lab-1-20"));
+        assert!(recording.finish().unwrap().contains("300 samples"));
+        let log = read_log(&path).unwrap();
+        assert_eq!((log.description.name.as_str(), log.samples.len(), log.cut), ("lab 1", 300, None));
+        assert_eq!((log.samples[0].tick, log.samples[0].time_ns), (5000, 5_000_000_000));
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_written_is_an_error() {
+        let robot = RobotDescription::paper("lab", true);
+        assert!(Recording::start(Path::new("/no/such/folder"), &robot, 0).is_err());
+    }
+
+    #[test]
+    fn stamps_are_the_calendar_s() {
+        assert_eq!(utc_stamp(951_782_400 + 3661), "20000229-010101");
+        assert_eq!(utc_stamp(1_795_219_200), "20261121-000000");
+    }
+}

@@ -1,0 +1,106 @@
+//! The pages in the middle of the window.
+
+mod calibrate;
+mod cover;
+mod loop_timing;
+mod parameters;
+mod plots;
+
+use super::{requests::PageRequests, theme, view::View};
+use crate::logic::{model::Model, source::recording::Recording};
+use egui::{Align, Layout, RichText, Ui};
+
+/// A page.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Page {
+    /// The paper's plots.
+    #[default]
+    Plots,
+    /// How well loop and board keep time.
+    Loop,
+    /// Parameters of the daemon.
+    Parameters,
+    /// Taxels and masks.
+    Cover,
+    /// Calibration of a taxel.
+    Calibrate,
+}
+
+impl Page {
+    /// In the order of their tabs.
+    pub const ALL: [Self; 5] = [Self::Plots, Self::Loop, Self::Parameters, Self::Cover, Self::Calibrate];
+
+    /// What is written on its tab.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Plots => "Plots",
+            Self::Loop => "Loop",
+            Self::Parameters => "Parameters",
+            Self::Cover => "Cover",
+            Self::Calibrate => "Calibrate",
+        }
+    }
+
+    /// The page whose tab says `name`.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|page| page.name().eq_ignore_ascii_case(name))
+    }
+
+    /// Draws the tabs, and what is done with files.
+    pub(super) fn tabs(
+        &mut self,
+        ui: &mut Ui,
+        model: &Model,
+        recording: Option<&Recording>,
+        view: &View,
+        pressed: &mut PageRequests,
+    ) {
+        ui.horizontal(|ui| {
+            for page in Self::ALL {
+                if ui.selectable_label(*self == page, RichText::new(page.name()).size(15.0)).clicked() {
+                    *self = page;
+                }
+            }
+            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                if ui.button("Open log").on_hover_text("Show a recorded run beside the robots").clicked() {
+                    pressed.choose_log = true;
+                }
+                if !model.recorded {
+                    let label = if recording.is_some() { "Stop recording" } else { "Record" };
+                    let hint = "Write every sample this window receives to an MCAP file. \
+                                `mocad --record` also keeps the board's bytes.";
+                    let possible = recording.is_some() || model.latest.is_some();
+                    let button = ui.add_enabled(possible, egui::Button::new(label)).on_hover_text(hint);
+                    pressed.record = button.clicked();
+                }
+                let (text, colour) = match (recording, &view.note) {
+                    (Some(recording), _) => (recording.progress(), theme::BAD),
+                    (None, Some(note)) => (note.clone(), ui.visuals().weak_text_color()),
+                    (None, None) => return,
+                };
+                ui.add(egui::Label::new(RichText::new(text).color(colour)).truncate());
+            });
+        });
+    }
+
+    /// Draws the page and notes what was pressed.
+    pub(super) fn show(
+        self,
+        ui: &mut Ui,
+        model: &Model,
+        view: &mut View,
+        now_s: f64,
+        pressed: &mut PageRequests,
+    ) {
+        match self {
+            Self::Plots => {
+                plots::toolbar(ui, model, view);
+                plots::show(ui, model, &model.panels, 2, view);
+            }
+            Self::Loop => loop_timing::show(ui, model, view),
+            Self::Parameters => parameters::show(ui, model, view, pressed),
+            Self::Cover => cover::show(ui, model, now_s, pressed),
+            Self::Calibrate => calibrate::show(ui, model, view, now_s, pressed),
+        }
+    }
+}

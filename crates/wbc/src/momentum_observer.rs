@@ -1,0 +1,70 @@
+//! External torques from the arm's momentum (De Luca 2003): no acceleration is measured and no mass matrix inverted.
+//!
+//! p = M_A q̇_A + M_AB q̇_B obeys ṗ = τ + Cᵀq̇ − g + τ_ext, so r = K·(p − ∫(τ + Cᵀq̇ − g + r)) follows τ_ext with a
+//! first-order lag of 1/K. The base's motion is in p: an accelerating base is not mistaken for a push.
+//!
+//! ```
+//! use moca_wbc::momentum_observer::MomentumObserver;
+//!
+//! // one joint of 2 kg·m² that a hand turns with 3 N·m while its motor does nothing
+//! let mut observer = MomentumObserver::<1, f64>::new();
+//! for tick in 0..200 {
+//!     let momentum = 3.0 * 1e-3 * f64::from(tick);
+//!     observer.update(&([momentum], [0.0]), &[0.0], &[0.0], 1e-3);
+//! }
+//! assert!((observer.external_torque()[0] - 3.0).abs() < 1e-3);
+//! ```
+
+use crate::scalar::{Scalar, of};
+
+/// Lag of the estimate, s.
+pub const OBSERVER_LAG_S: f64 = 0.02;
+
+/// State of the observer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MomentumObserver<const N: usize, T> {
+    /// ∫(τ + Cᵀq̇ − g + r) + p(0), N·m·s.
+    integral: [T; N],
+    /// r, N·m.
+    residual: [T; N],
+    started: bool,
+}
+
+impl<const N: usize, T: Scalar> MomentumObserver<N, T> {
+    /// An observer that takes its first momentum as the undisturbed one.
+    pub fn new() -> Self {
+        Self { integral: [T::zero(); N], residual: [T::zero(); N], started: false }
+    }
+
+    /// One step: momentum and Cᵀq̇ now (see [`crate::model::Kinematics::momentum`]), gravity torques now, and the
+    /// joint torques that acted since the last step. Implicit in r: stable for every step.
+    pub fn update(
+        &mut self,
+        (momentum, drift): &([T; N], [T; N]),
+        gravity: &[T; N],
+        torque: &[T; N],
+        dt_s: T,
+    ) {
+        if !self.started {
+            *self = Self { integral: *momentum, residual: [T::zero(); N], started: true };
+            return;
+        }
+        let gain = T::one() / of(OBSERVER_LAG_S);
+        for i in 0..N {
+            let predicted = self.integral[i] + dt_s * (torque[i] + drift[i] - gravity[i]);
+            self.residual[i] = gain * (momentum[i] - predicted) / (T::one() + gain * dt_s);
+            self.integral[i] = predicted + dt_s * self.residual[i];
+        }
+    }
+
+    /// Estimated external joint torques, N·m, on the robot: M q̈ + C q̇ + g = τ + r.
+    pub fn external_torque(&self) -> &[T; N] {
+        &self.residual
+    }
+}
+
+impl<const N: usize, T: Scalar> Default for MomentumObserver<N, T> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
