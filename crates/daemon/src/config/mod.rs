@@ -6,10 +6,11 @@ pub mod schema;
 use crate::runtime::realtime::Wishes;
 use moca_msgs::robot::{ArmTable, FR3, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, TaxelPlacement};
 use moca_msgs::{ContactReaction, Corrections, ImpedanceGains, Law, Limits, Parameters};
-use moca_tactile::CoverConfig;
 use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
 use moca_tactile::cover::MaskPolicy;
+use moca_tactile::model::ASSUMED_ERROR_FROM_N;
+use moca_tactile::{CoverConfig, TaxelModel};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::net::SocketAddr;
@@ -97,6 +98,7 @@ section! {
         port: String = VIRTUAL_PORT.into(),
         name: String = String::new(),
         calibration: String = String::new(),
+        model: AssumedModel = AssumedModel::PuLd30,
         masked: Vec<usize> = Vec::new(),
         mask_policy: MaskPolicyConfig = MaskPolicyConfig::Stop,
         gauge: String = String::new(),
@@ -158,6 +160,7 @@ section! {
         override_speed_limit_m_s: f64 = 0.0,
         override_statement: String = String::new(),
         thresholds: String = String::new(),
+        uncalibrated_statement: String = String::new(),
         reaction: ContactReaction = ContactReaction::StopDirection,
         slow_m_s: f64 = 0.01,
         retreat_m_s: f64 = 0.05,
@@ -177,6 +180,25 @@ impl HandConfig {
     /// No scripted hand.
     pub fn none() -> Self {
         Self { taxels: Vec::new(), ..Self::default() }
+    }
+}
+
+/// How counts become newtons on a cover that has not been calibrated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AssumedModel {
+    /// The curve of simulated PU LD30.
+    PuLd30,
+    /// The paper's line: 100 N at 84 counts.
+    Paper,
+}
+
+impl AssumedModel {
+    const fn model(self) -> TaxelModel {
+        match self {
+            Self::PuLd30 => TaxelModel::PU_LD30,
+            Self::Paper => TaxelModel::PAPER,
+        }
     }
 }
 
@@ -270,6 +292,8 @@ impl Config {
                 MaskPolicyConfig::Stop => MaskPolicy::Stop,
                 MaskPolicyConfig::Unfelt => MaskPolicy::Unfelt,
             },
+            models: [self.board.model.model(); TAXELS],
+            force_max_n: self.limits.taxel_force_n,
             ..CoverConfig::default()
         };
         for &taxel in &self.board.masked {
@@ -281,6 +305,15 @@ impl Config {
             CalibrationFile::read(Path::new(&self.board.calibration))?.apply(&self.board.name, &mut cover)?;
         }
         Ok(cover)
+    }
+
+    /// What forces are worth on a cover that has not been calibrated, in one sentence.
+    pub fn uncalibrated(&self) -> Option<String> {
+        let assumed = self.plant.parts.has_cover() && self.board.calibration.is_empty();
+        let percent = 100.0 * self.board.model.model().assumed_error();
+        assumed.then(|| {
+            format!("uncalibrated: forces of {ASSUMED_ERROR_FROM_N} N and more may be {percent:.0} % off on PU LD30")
+        })
     }
 
     /// Where telemetry listens, if anywhere; checked by [`Config::check`].
@@ -399,6 +432,16 @@ impl Config {
             report(path, format!("{path} = {} s is longer than every_s - 0.7 = {most_s} s", hand.hold_s));
         }
         crate::control::protection::check(&self.protection, &mut report);
+        let limited = !self.protection.thresholds.is_empty();
+        if let (true, Some(uncalibrated)) = (limited, self.uncalibrated())
+            && self.protection.uncalibrated_statement.trim().is_empty()
+        {
+            let message = format!(
+                "protection.thresholds limits contacts of a cover without board.calibration ({uncalibrated}); calibrate it, \
+                 or say in protection.uncalibrated_statement who decided that such forces do"
+            );
+            report("protection.thresholds", message);
+        }
         let listen = &self.telemetry.listen;
         if !listen.is_empty() && !listen.parse::<SocketAddr>().is_ok_and(|address| address.ip().is_loopback())
         {
@@ -532,11 +575,29 @@ mod tests {
         assert_eq!(error.mistakes.len(), 2);
         assert!(
             error.mistakes[0].contains(
-                "line 2: unknown key board.prot; allowed here: calibration, gauge, gauge_baud, mask_policy, masked, name, port"
+                "line 2: unknown key board.prot; allowed here: calibration, gauge, gauge_baud, mask_policy, masked, model, name, port"
             ),
             "{error}"
         );
         assert!(error.mistakes[1].contains("unknown key loops"), "{error}");
+    }
+
+    #[test]
+    fn contact_limits_of_a_cover_that_is_not_calibrated_need_a_statement() {
+        let limited = "[protection]\nthresholds = \"limits.toml\"\n";
+        let error = Config::parse(limited).unwrap_err();
+        assert!(error.mistakes.len() == 1 && error.mistakes[0].contains("may be 50 % off"), "{error}");
+        for good in [
+            "[protection]\nuncalibrated_statement = \"who\"\n",
+            "[board]\ncalibration = \"c.toml\"\n[protection]\n",
+        ] {
+            let text = format!("{good}thresholds = \"limits.toml\"\n");
+            assert!(Config::parse(&text).is_ok(), "{text}: {:?}", Config::parse(&text));
+        }
+        let paper = Config::parse("[board]\nmodel = \"paper\"\n").unwrap();
+        assert!(paper.uncalibrated().unwrap().contains("55 % off"));
+        assert_eq!(paper.cover().unwrap().models, [TaxelModel::PAPER; TAXELS]);
+        assert_eq!(Config::default().cover().unwrap().models, [TaxelModel::PU_LD30; TAXELS]);
     }
 
     #[test]

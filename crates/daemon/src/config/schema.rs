@@ -62,6 +62,13 @@ pub const SETTINGS: &[ParameterSpec] = {
         row("board.port", Text, &[], ANY, "\"virtual\", \"auto\" (by USB id), or a path."),
         row("board.name", Text, &[], ANY, "The board's name in its calibration file."),
         row("board.calibration", Text, &[], ANY, "File that `mocad calibrate` wrote; empty for none."),
+        row(
+            "board.model",
+            Choice(&["pu-ld30", "paper"]),
+            &[],
+            ANY,
+            "How counts become newtons without a calibration.",
+        ),
         row("board.masked", Integer, &["(taxel number)"], TAXEL, "Taxels out of use."),
         row("board.mask_policy", Choice(&["stop", "unfelt"]), &[], ANY, "What a masked taxel means."),
         row("board.gauge", Text, &[], ANY, "Port of a force gauge for calibrations; empty for none."),
@@ -100,6 +107,13 @@ pub const SETTINGS: &[ParameterSpec] = {
         ),
         row("protection.override_statement", Text, &[], ANY, "Why the limit is overridden; logged."),
         row("protection.thresholds", Text, &[], ANY, "File of contact limits; empty for none."),
+        row(
+            "protection.uncalibrated_statement",
+            Text,
+            &[],
+            ANY,
+            "Why contact limits hold on an uncalibrated cover; logged.",
+        ),
         row(
             "protection.reaction",
             Choice(&["slow", "stop-direction", "retreat"]),
