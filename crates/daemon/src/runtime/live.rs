@@ -9,6 +9,7 @@ use crate::runtime::timing::Stage;
 use moca_msgs::{Outcome, Request, Sample};
 use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -110,6 +111,16 @@ pub struct LiveReport {
     pub allocations_after_warm_up: Option<u64>,
 }
 
+/// Orders the robot to brake when the loop ends, whichever way.
+struct BrakeAtEnd<'a, P: Plant, S: CoverSource>(&'a mut ControlLoop<P, S>);
+
+impl<P: Plant, S: CoverSource> Drop for BrakeAtEnd<'_, P, S> {
+    fn drop(&mut self) {
+        // A second panic while the first unwinds would end the process before its log is closed.
+        let _ = catch_unwind(AssertUnwindSafe(|| self.0.brake()));
+    }
+}
+
 /// Runs the loop on this thread until `shared.stop` is set or `duration` has passed.
 pub fn run<P: Plant, S: CoverSource>(
     control: &mut ControlLoop<P, S>,
@@ -123,6 +134,8 @@ pub fn run<P: Plant, S: CoverSource>(
     let mut pace = Pace::new(clock, period_ns);
     let mut report = LiveReport::default();
     let mut warm = None;
+    let mut guard = BrakeAtEnd(control);
+    let control = &mut *guard.0;
     while !shared.stop.load(Ordering::Relaxed) {
         let Some(woken) = pace.wait(&mut control.plant, end_ns) else { break };
         report.overruns += woken.missed;
@@ -149,7 +162,7 @@ pub fn run<P: Plant, S: CoverSource>(
             warm = Some(allocations::on_this_thread());
         }
     }
-    control.brake();
+    drop(guard);
     report.allocations_after_warm_up = warm.map(|warm| allocations::on_this_thread() - warm);
     report
 }

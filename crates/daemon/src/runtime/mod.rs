@@ -7,6 +7,8 @@ pub(crate) mod clients;
 pub mod live;
 #[cfg(feature = "sim")]
 pub mod lockstep;
+pub mod notice;
+pub(crate) mod panics;
 pub mod realtime;
 pub mod replay;
 pub mod run;

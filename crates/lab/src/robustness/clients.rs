@@ -4,6 +4,7 @@
 use anyhow::{Context, Result};
 use moca_daemon::config::Config;
 use moca_daemon::runtime::live::Shared;
+use moca_daemon::runtime::notice::Silent;
 use moca_daemon::runtime::run::{LiveRun, Options, live_simulated};
 use moca_daemon::runtime::timing::Stage;
 use moca_telemetry::net::Connection;
@@ -53,7 +54,7 @@ fn live(duration: Duration, telemetry: Option<SocketAddr>) -> Result<LiveRun> {
     let mut config = Config::default();
     config.telemetry.listen = telemetry.map(|address| address.to_string()).unwrap_or_default();
     let options = Options { config, duration: Some(duration), ..Options::default() };
-    live_simulated(&options, &Arc::new(Shared::default()))
+    live_simulated(&options, &Arc::new(Shared::default()), &mut Silent)
 }
 
 fn watch(address: SocketAddr, duration: Duration) -> Result<usize> {
