@@ -1,7 +1,7 @@
 //! The whole chain in lock-step: the virtual board's bytes through the real parser, the real loop and MuJoCo.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 
-use moca_daemon::config::{Config, HandConfig, MaskPolicyConfig};
+use moca_daemon::config::{AssumedModel, Config, HandConfig, MaskPolicyConfig};
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::command_csv;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};

@@ -6,8 +6,9 @@
     reason = "a test that cannot go on has to stop"
 )]
 
-use moca_daemon::config::{Config, HandConfig, TAXELS};
+use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::robot::TAXELS;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
 use moca_msgs::protection::{ContactKind, ContactPhase};

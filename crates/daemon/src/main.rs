@@ -149,7 +149,7 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
     let duration = duration.transpose();
     let duration = duration.map_err(|error| anyhow::anyhow!("--duration: {error}; allowed: 0 s or more"))?;
     let mut terminal = Terminal::stdout(arguments.log_level, arguments.as_fast_as_possible)?;
-    let options = moca_daemon::runtime::run::Options {
+    let options = moca_daemon::runtime::options::Options {
         config,
         duration,
         lock_step: arguments.as_fast_as_possible,

@@ -4,20 +4,23 @@ use anyhow::{Context, anyhow};
 use clap::{Parser, ValueEnum};
 use eframe::egui;
 use moca_monitor::{
-    logic::{Playback, Source, axis::SPAN_S},
+    logic::{
+        signals::axis::SPAN_S,
+        source::{Source, playback::Playback},
+    },
     ui::{App, Page, Screenshot},
 };
-use moca_telemetry::net::{Connection, DEFAULT_ADDRESS};
-use std::{net::SocketAddr, path::PathBuf, time::Duration};
+use moca_telemetry::net::{Address, Connection};
+use std::{path::PathBuf, time::Duration};
 
 /// Shows a MOCA-S robot: its cover, its motion, its health; and passes on what you ask.
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {
-    /// Where a daemon listens; may be given more than once. Another machine's comes in through an SSH tunnel. Without it
-    /// the last ones, or else 127.0.0.1:7611.
+    /// Where a daemon listens, HOST:PORT or unix:PATH; may be given more than once. Another machine's comes in through an
+    /// SSH tunnel. Without it the last ones, or else this machine's: the service's socket, or 127.0.0.1:7611.
     #[arg(long, value_name = "ADDRESS")]
-    connect: Vec<SocketAddr>,
+    connect: Vec<Address>,
     /// Show a recorded run instead: an MCAP file of `mocad run --record`. May be given more than once.
     #[arg(long, value_name = "FILE", conflicts_with = "connect")]
     log: Vec<PathBuf>,
@@ -148,26 +151,27 @@ fn main() -> anyhow::Result<()> {
 
 /// Logs, or else daemons, each with what it is called before it says its name.
 fn sources(
-    mut addresses: Vec<SocketAddr>,
+    mut addresses: Vec<Address>,
     logs: Vec<PathBuf>,
     ctx: &egui::Context,
-) -> anyhow::Result<Vec<(Box<dyn Source>, String)>> {
+) -> anyhow::Result<Vec<(Source, String)>> {
     let wake = || {
         let ctx = ctx.clone();
         move || ctx.request_repaint_after(App::FRAME)
     };
     if logs.is_empty() {
         if addresses.is_empty() {
-            addresses.push(DEFAULT_ADDRESS.parse()?);
+            addresses.push(Address::of_this_machine());
         }
-        let connect = |address: SocketAddr| -> anyhow::Result<(Box<dyn Source>, String)> {
-            Ok((Box::new(Connection::spawn(address, wake())?), address.to_string()))
+        let connect = |address: Address| -> anyhow::Result<(Source, String)> {
+            let name = address.to_string();
+            Ok((Connection::spawn(address, wake())?.into(), name))
         };
         return addresses.into_iter().map(connect).collect();
     }
-    let open = |path: PathBuf| -> anyhow::Result<(Box<dyn Source>, String)> {
+    let open = |path: PathBuf| -> anyhow::Result<(Source, String)> {
         let name = path.display().to_string();
-        Ok((Box::new(Playback::open(path, wake())?), name))
+        Ok((Playback::open(path, wake())?.into(), name))
     };
     logs.into_iter().map(open).collect()
 }

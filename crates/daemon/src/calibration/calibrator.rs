@@ -2,8 +2,9 @@
 //! of its own beside the running loop.
 
 use crate::cli::calibrate::today;
-use crate::config::{Config, TAXELS};
+use crate::config::Config;
 use crate::devices::force_gauge::Gauge;
+use crate::robot::TAXELS;
 use anyhow::{Context, Result, anyhow, ensure};
 use moca_tactile::calibration::file::TaxelEntry;
 use moca_tactile::calibration::session::{Measured, Session, Step, Target};

@@ -1,9 +1,10 @@
 //! What the terminal shows of a run: one line a second, every change of mode, and the summary.
 
-use crate::config::{AUTO_PORT, Config, Parts};
+use crate::config::{AUTO_PORT, Config};
 use crate::control::protection;
+use crate::control::stage::Stage;
+use crate::robot::Parts;
 use crate::runtime::notice::{Notice, Summary};
-use crate::runtime::timing::Stage;
 use moca_msgs::board::Diagnosis;
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{ContactEvent, Fault, Law, Mode, Sample, SpeedLimit};
@@ -299,8 +300,8 @@ impl fmt::Display for Summary<'_> {
                 last.frames_good,
                 last.frames_bad,
                 last.frame_rate_hz,
-                1e-3 * self.frame_age.quantile_us(0.5),
-                1e-3 * self.frame_age.quantile_us(0.99),
+                1e-3 * self.timing.frame_age.quantile_us(0.5),
+                1e-3 * self.timing.frame_age.quantile_us(0.99),
             )?;
         }
         write!(f, "{}", self.timing)?;

@@ -3,6 +3,7 @@
 pub mod contact_limits;
 pub mod schema;
 
+use crate::robot::{JOINTS, Parts, TAXELS};
 use crate::runtime::realtime::Wishes;
 use moca_msgs::robot::{ArmTable, FR3, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, TaxelPlacement};
 use moca_msgs::{ContactReaction, Corrections, ImpedanceGains, Law, Limits, Parameters};
@@ -11,21 +12,21 @@ use moca_tactile::calibration::file::FileError;
 use moca_tactile::cover::MaskPolicy;
 use moca_tactile::model::ASSUMED_ERROR_FROM_N;
 use moca_tactile::{CoverConfig, TaxelModel};
+use moca_telemetry::net::{Address, DEFAULT_ADDRESS};
 use serde::{Deserialize, Serialize};
 use std::fmt;
-use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// Joints of the arm this daemon drives.
-pub const JOINTS: usize = 7;
-/// Taxels of the cover this daemon reads.
-pub const TAXELS: usize = 11;
 /// `board.port` of the virtual Touch Board.
 pub const VIRTUAL_PORT: &str = "virtual";
 /// `board.port` that looks for a Touch Board's USB id.
 pub(crate) const AUTO_PORT: &str = "auto";
+/// `telemetry.listen` that asks the environment.
+const AUTO_LISTEN: &str = "auto";
+/// The service's socket in systemd's RuntimeDirectory.
+const SOCKET_NAME: &str = "telemetry.sock";
 /// The documented default configuration.
 pub const DEFAULT_TOML: &str = include_str!("../../config/mocad.toml");
 
@@ -107,7 +108,7 @@ section! {
 }
 section! {
     /// `[telemetry]`
-    TelemetryConfig { listen: String = moca_telemetry::net::DEFAULT_ADDRESS.into() }
+    TelemetryConfig { listen: String = AUTO_LISTEN.into(), mode: String = "0660".into() }
 }
 section! {
     /// `[flight_recorder]`
@@ -232,30 +233,6 @@ pub enum Arm {
     Fr3,
 }
 
-/// Which parts the robot has. What it lacks is neither simulated, started nor shown.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Parts {
-    /// Base with cover, and arm.
-    Whole,
-    /// The base with its cover: both laws follow the hand.
-    Base,
-    /// The arm on a stand, without a cover: both laws hold the flange where it is.
-    Arm,
-}
-
-impl Parts {
-    /// Whether there is a base, and with it a cover.
-    pub const fn has_cover(self) -> bool {
-        !matches!(self, Self::Arm)
-    }
-
-    /// Whether there is an arm.
-    pub const fn has_arm(self) -> bool {
-        !matches!(self, Self::Base)
-    }
-}
-
 impl Default for Config {
     fn default() -> Self {
         Self {
@@ -274,6 +251,34 @@ impl Default for Config {
             simulation: SimulationConfig::default(),
         }
     }
+}
+
+impl TelemetryConfig {
+    /// Permission bits of a socket file.
+    pub fn socket_mode(&self) -> Option<u32> {
+        let bits = u32::from_str_radix(&self.mode, 8).ok()?;
+        (0o600..=0o777).contains(&bits).then_some(bits)
+    }
+
+    fn check(&self, report: &mut impl FnMut(&str, String)) {
+        let listen = &self.listen;
+        let known = listen.is_empty() || listen == AUTO_LISTEN;
+        if !known && !listen.parse().is_ok_and(|address: Address| address.is_local()) {
+            let allowed = "\"auto\", a loopback address with a port, unix:/ABSOLUTE/PATH, or \"\" for none";
+            report("telemetry.listen", format!("telemetry.listen = {listen:?}; allowed: {allowed}"));
+        }
+        if self.socket_mode().is_none() {
+            let message = format!("telemetry.mode = {:?}; allowed: \"0600\" to \"0777\", octal", self.mode);
+            report("telemetry.mode", message);
+        }
+    }
+}
+
+/// systemd's RuntimeDirectory is where a service's socket belongs.
+fn service_socket() -> Option<PathBuf> {
+    let folders = std::env::var_os("RUNTIME_DIRECTORY")?;
+    let folder = std::env::split_paths(&folders).next().filter(|folder| folder.is_absolute())?;
+    Some(folder.join(SOCKET_NAME))
 }
 
 impl Config {
@@ -317,8 +322,11 @@ impl Config {
     }
 
     /// Where telemetry listens, if anywhere; checked by [`Config::check`].
-    pub fn telemetry_address(&self) -> Option<SocketAddr> {
-        self.telemetry.listen.parse().ok()
+    pub fn telemetry_address(&self) -> Option<Address> {
+        match self.telemetry.listen.as_str() {
+            AUTO_LISTEN => Some(service_socket().map_or(DEFAULT_ADDRESS.into(), Address::Unix)),
+            listen => listen.parse().ok(),
+        }
     }
 
     /// What to ask of the operating system.
@@ -442,16 +450,7 @@ impl Config {
             );
             report("protection.thresholds", message);
         }
-        let listen = &self.telemetry.listen;
-        if !listen.is_empty() && !listen.parse::<SocketAddr>().is_ok_and(|address| address.ip().is_loopback())
-        {
-            report(
-                "telemetry.listen",
-                format!(
-                    "telemetry.listen = {listen:?}; allowed: a loopback address with a port, or \"\" for none"
-                ),
-            );
-        }
+        self.telemetry.check(&mut report);
         if self.plant.kind == PlantKind::None && self.board.port == VIRTUAL_PORT {
             let allowed = "allowed: \"auto\" or a path when plant.kind = \"none\"";
             report("board.port", format!("board.port = \"virtual\" needs a simulated robot; {allowed}"));

@@ -1,8 +1,9 @@
 //! The schema of everything that can be configured: type, unit, range, default, description, live or not. One table
 //! checks configuration files, describes the robot to observers, and is exported as JSON schema.
 
-use crate::config::{Config, TAXELS};
+use crate::config::Config;
 use crate::control::protection::OVERRIDE_MAX_M_S;
+use crate::robot::TAXELS;
 use moca_msgs::params::{CONTROLLER, ParameterKind, ParameterSpec};
 use moca_msgs::{ParameterError, request::PRESS_FORCE_MAX_N};
 use moca_telemetry::{ParameterDescription, ParameterForm, ParameterValue};
@@ -124,7 +125,8 @@ pub const SETTINGS: &[ParameterSpec] = {
         row("protection.slow_m_s", Number, &["m/s"], (0.0, 1.0), "Speed limit of \"slow\"."),
         row("protection.retreat_m_s", Number, &["m/s"], (0.001, 1.0), "Speed of \"retreat\"."),
         row("protection.retreat_m", Number, &["m"], (0.0, 1.0), "Longest way of a retreat."),
-        row("telemetry.listen", Text, &[], ANY, "Loopback address for dashboards; empty for none."),
+        row("telemetry.listen", Text, &[], ANY, "Port or socket file for dashboards; empty for none."),
+        row("telemetry.mode", Text, &[], ANY, "Permission bits of a socket file, octal."),
         row("flight_recorder.folder", Text, &[], ANY, "Where the last 10 s before a fault are written."),
         row("simulation.seed", Integer, &[], (0.0, 9e15), "Seed of the sensor's noise."),
         row("simulation.hand.taxels", Integer, &["(taxel number)"], TAXEL, "Taxels pressed in turn."),

@@ -1,8 +1,8 @@
 //! From mode and forces to a command: which law runs in which mode.
 
-use crate::config::{JOINTS, Parts, TAXELS};
 use crate::control::cover::CoverState;
 use crate::control::protection::{Protected, Protection};
+use crate::robot::{JOINTS, Parts, TAXELS};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{
     Actuation, Fault, Mode, Outcome, ParameterValues, Parameters, Refusal, RobotState, TaxelStatus,
@@ -46,6 +46,11 @@ impl Motion {
         };
         self.controller.set_guard(protected.guard).map_err(|_| Fault::ControlRefused)?;
         Ok(protected)
+    }
+
+    /// Speed of the fastest point of the cover at the base's measured velocity, m/s; 0 without a cover.
+    pub fn cover_speed_m_s(&self, robot: &RobotState<JOINTS>) -> f64 {
+        if self.parts.has_cover() { self.protection.cover_speed_m_s(robot) } else { 0.0 }
     }
 
     /// Changes a parameter (its number in [`CONTROLLER`]) from the next step on; gains reach the law through a filter.

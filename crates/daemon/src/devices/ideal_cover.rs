@@ -1,8 +1,8 @@
 //! An ideal cover for experiments: the true force, averaged over a period and held; no bytes, noise, threshold or zero.
 
-use crate::config::TAXELS;
 use crate::control::cover::{CoverSource, CoverState};
 use crate::control::supervisor::Zero;
+use crate::robot::TAXELS;
 use moca_msgs::board::Diagnosis;
 use moca_msgs::{CoverReading, TaxelReading, TaxelStatus};
 use std::collections::VecDeque;
@@ -67,6 +67,7 @@ impl CoverSource for IdealCover {
             frames_good: self.frames + 1,
             frames_bad: 0,
             rate_hz: 0.0,
+            events: 0,
         }
     }
 

@@ -3,14 +3,12 @@
 mod cable;
 mod outside;
 mod plant;
-#[cfg(feature = "sim")]
-pub mod trial;
 
 pub use cable::{Cable, CableFault, STRUCK_TAXEL};
 pub use outside::{Disk, OutsideFault, Strike, client};
 pub use plant::{PlantFault, PlantSpoiler};
 
-use crate::runtime::live::Clock;
+use crate::runtime::clock::Clock;
 use moca_tactile::BoardEvent;
 use std::str::FromStr;
 use std::time::Duration;

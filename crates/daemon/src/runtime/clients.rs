@@ -4,18 +4,17 @@ use crate::config::{Config, PlantKind};
 use crate::inject::{self, Disk, OutsideFault, Strike};
 use crate::record::flight_recorder::FlightRecorder;
 use crate::record::recording::{Recording, parameter_change};
-use crate::record::tick_log::TapeReader;
+use crate::record::tick_log::TickLogReader;
 use crate::runtime::live::{Rings, Shared};
 use crate::runtime::notice::{Notice, Reporter};
-use crate::runtime::run::Options;
+use crate::runtime::options::Options;
 use crate::runtime::watchdog::Heartbeat;
 use anyhow::{Context, Result, anyhow};
-use moca_msgs::{Outcome, Request, Sample, robot};
+use moca_msgs::{Sample, robot};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::description::ArmDescription;
-use moca_telemetry::net::{self, CalibrationPort, Ports, Server};
+use moca_telemetry::net::{self, Address, CalibrationPort, Ports, RequestSender, Server};
 use std::fs::File;
-use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
@@ -23,52 +22,45 @@ use std::time::Duration;
 /// Samples a ring to observers holds: four seconds at 1 kHz.
 pub(crate) const RING_SAMPLES: usize = 4096;
 
-/// Requests and answers on their way.
-const RING_REQUESTS: usize = 64;
-
 /// How often the terminal looks into its ring.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// The ends of the rings that belong to telemetry, besides the samples.
-pub(crate) struct RequestPorts {
-    requests: rtrb::Producer<(u64, Request)>,
-    outcomes: rtrb::Consumer<(u64, Outcome)>,
+pub struct RequestPorts {
+    requests: RequestSender,
     samples_dropped: Arc<AtomicU64>,
     pub(crate) calibration: Option<CalibrationPort>,
 }
 
 impl RequestPorts {
     /// All that telemetry serves.
-    pub(crate) fn with(
-        self,
-        samples: rtrb::Consumer<Sample>,
-        recorder: Option<rtrb::Producer<Sample>>,
-    ) -> Ports {
-        let Self { requests, outcomes, samples_dropped, calibration } = self;
-        Ports { samples, requests, outcomes, ring_dropped: samples_dropped, recorder, calibration }
+    pub fn with(self, samples: rtrb::Consumer<Sample>, recorder: Option<rtrb::Producer<Sample>>) -> Ports {
+        let Self { requests, samples_dropped, calibration } = self;
+        Ports { samples, requests, ring_dropped: samples_dropped, recorder, calibration }
     }
 }
 
-pub(crate) fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestPorts) {
+/// Rings between a loop and those who watch it.
+pub fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestPorts) {
     let (samples, from_loop) = rtrb::RingBuffer::new(RING_SAMPLES);
-    let (request_in, requests) = rtrb::RingBuffer::new(RING_REQUESTS);
-    let (outcomes, outcome_out) = rtrb::RingBuffer::new(RING_REQUESTS);
+    let (sender, requests) = net::request_channel();
     let samples_dropped = Arc::clone(&shared.samples_dropped);
-    let ports =
-        RequestPorts { requests: request_in, outcomes: outcome_out, samples_dropped, calibration: None };
-    (Rings { samples, requests, outcomes }, from_loop, ports)
+    let ports = RequestPorts { requests: sender, samples_dropped, calibration: None };
+    (Rings { samples, requests, tick_log: None }, from_loop, ports)
 }
 
 pub(crate) fn serve(
     config: &Config,
-    address: SocketAddr,
+    address: &Address,
     samples: rtrb::Consumer<Sample>,
     recorder: Option<rtrb::Producer<Sample>>,
     ports: RequestPorts,
     reporter: &mut dyn Reporter,
 ) -> Result<Server> {
-    let server = net::serve(address, description(config), ports.with(samples, recorder)).with_context(|| {
-        format!("telemetry.listen = \"{address}\" (if another mocad runs, choose another port, 0 for any, or \"\")")
+    let mode = config.telemetry.socket_mode().unwrap_or_default();
+    let served = net::serve(address, mode, description(config), ports.with(samples, recorder));
+    let server = served.with_context(|| {
+        format!("telemetry.listen = \"{address}\" (if another mocad runs, choose another address, port 0 for any, or \"\")")
     })?;
     reporter.report(Notice::Telemetry(server.address()));
     Ok(server)
@@ -135,7 +127,8 @@ pub(crate) fn spoil_telemetry(
     let fault = options.outside_fault().filter(by_socket);
     let (Some(fault), Some(strike)) = (fault, strike) else { return Ok(()) };
     let server = server.context("a fault of telemetry needs telemetry.listen")?;
-    Ok(inject::client(fault, server.address(), strike.clone(), options.config.simulation.seed)?)
+    let address = server.address().tcp().context("a fault of telemetry needs a port, not a socket file")?;
+    Ok(inject::client(fault, address, strike.clone(), options.config.simulation.seed)?)
 }
 
 /// Who takes what the loop notes of each tick.
@@ -144,13 +137,13 @@ pub(crate) struct Observers {
     pub(crate) recording: Option<Recording>,
     panics: bool,
     flight: Option<FlightRecorder>,
-    tape: TapeReader,
+    ticks: TickLogReader,
 }
 
 impl Observers {
     /// Those that the command line and the configuration ask for. In lock-step nothing is lost by starting over with
     /// `--record`, so no flight recorder runs.
-    pub(crate) fn new(options: &Options, tape: TapeReader, reporter: &mut dyn Reporter) -> Result<Self> {
+    pub(crate) fn new(options: &Options, ticks: TickLogReader, reporter: &mut dyn Reporter) -> Result<Self> {
         let strike = options.strike();
         let recording = recording(options, strike.as_ref(), reporter)?;
         let flight = if options.lock_step {
@@ -159,7 +152,7 @@ impl Observers {
             FlightRecorder::new(&options.config, description(&options.config))?
         };
         let panics = options.outside_fault() == Some(OutsideFault::Panic);
-        Ok(Self { strike, recording, panics, flight, tape })
+        Ok(Self { strike, recording, panics, flight, ticks })
     }
 
     pub(crate) fn see(&mut self, sample: &Sample, reporter: &mut dyn Reporter) {
@@ -181,7 +174,7 @@ impl Observers {
 
     /// Passes on what has been noted since the last call.
     fn take_ticks(&mut self, reporter: &mut dyn Reporter) {
-        while let Some(record) = self.tape.next_tick() {
+        while let Some(record) = self.ticks.next_tick() {
             if let Some(change) = parameter_change(&record) {
                 reporter.report(Notice::Parameter(&change));
             }

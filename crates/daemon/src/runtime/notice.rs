@@ -3,11 +3,11 @@
 
 use crate::config::Config;
 use crate::runtime::realtime;
-use crate::runtime::timing::{Distribution, Timing};
+use crate::runtime::timing::Timing;
 use moca_msgs::Sample;
 use moca_telemetry::log::LogSummary;
 use moca_telemetry::log::records::ParameterChange;
-use std::net::SocketAddr;
+use moca_telemetry::net::Address;
 use std::path::Path;
 use std::time::Duration;
 
@@ -38,7 +38,7 @@ pub enum Notice<'a> {
         simulated: bool,
     },
     /// Telemetry listens.
-    Telemetry(SocketAddr),
+    Telemetry(&'a Address),
     /// Everything is written to this file.
     Recording(&'a Path),
     /// What the operating system was asked for, and its answer.
@@ -78,8 +78,6 @@ impl Reporter for Silent {
 pub struct Summary<'a> {
     /// How long the stages took.
     pub timing: &'a Timing,
-    /// Age of the cover's data at each tick.
-    pub frame_age: &'a Distribution,
     /// Its last sample.
     pub last: &'a Sample,
     /// Ticks run.

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 
 /// What panicked during a run, and where.
 #[derive(Debug)]
-pub struct Panicked(String);
+pub(crate) struct Panicked(String);
 
 impl std::fmt::Display for Panicked {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {

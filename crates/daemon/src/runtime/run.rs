@@ -4,55 +4,25 @@ use crate::config::{Config, PlantKind};
 use crate::control::cover::CoverSource;
 use crate::control::plant::{NoRobot, Plant};
 use crate::control::tick::ControlLoop;
-use crate::inject::{Injection, OutsideFault, Strike, What};
-use crate::record::tick_log::tape;
-use crate::runtime::assemble::{OpenBoard, Taps, motion, open_board, supervisor};
+use crate::inject::What;
+use crate::record::tick_log::{TickLog, TickLogReader, tick_log};
+use crate::runtime::assemble::{OpenBoard, Subscribers, motion, open_board, supervisor};
 use crate::runtime::clients::{Observers, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
-use crate::runtime::live::{self, Clock, LiveReport, Shared};
+use crate::runtime::clock::Clock;
+use crate::runtime::live::{self, LiveReport, Shared};
 use crate::runtime::notice::{Notice, Reporter, Summary};
+use crate::runtime::options::Options;
 use crate::runtime::panics::PanicWatch;
 use crate::runtime::realtime;
-use crate::runtime::timing::{Distribution, Timing};
+use crate::runtime::tick_source::Timer;
+use crate::runtime::timing::Timing;
 use anyhow::{Context, Result, anyhow};
 use moca_msgs::Sample;
 use moca_telemetry::net::CalibrationPort;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-
-/// What the command line asks for.
-#[derive(Clone, Debug, Default)]
-pub struct Options {
-    /// Checked configuration.
-    pub config: Config,
-    /// Robot time after which the run ends.
-    pub duration: Option<Duration>,
-    /// Lock-step instead of real time.
-    pub lock_step: bool,
-    /// Where the command log goes (lock-step only).
-    pub command_log: Option<PathBuf>,
-    /// Where the MCAP log goes.
-    pub record: Option<PathBuf>,
-    /// A fault on purpose (simulated robot only).
-    pub inject: Option<Injection>,
-    /// Whether a refused wish to the operating system ends the run before it starts.
-    pub require_realtime: bool,
-}
-
-impl Options {
-    pub(crate) fn outside_fault(&self) -> Option<OutsideFault> {
-        match self.inject?.fault.what {
-            What::Outside(fault) => Some(fault),
-            _ => None,
-        }
-    }
-
-    pub(crate) fn strike(&self) -> Option<Strike> {
-        self.inject.map(|injection| Strike::new(injection.at_ns))
-    }
-}
 
 /// `--require-realtime` was given and the operating system refused this many wishes.
 #[derive(Debug)]
@@ -136,7 +106,6 @@ pub struct LiveRun {
     pub timing: Timing,
     /// Ticks, overruns, allocations.
     pub report: LiveReport,
-    frame_age: Distribution,
     last: Sample,
     samples_dropped: u64,
     wall: Duration,
@@ -146,7 +115,6 @@ impl LiveRun {
     fn summary(&self) -> Summary<'_> {
         Summary {
             timing: &self.timing,
-            frame_age: &self.frame_age,
             last: &self.last,
             ticks: self.report.ticks,
             overruns_by_stage: Some(self.report.overruns_by_stage),
@@ -169,18 +137,18 @@ pub fn live_simulated(
 ) -> Result<LiveRun> {
     introduce_simulation(&options.config, reporter);
     let clock = Clock::start()?;
-    let (tape, copies, tape_reader) = tape();
-    let observers = Observers::new(options, tape_reader, reporter)?;
-    let taps = Taps { copies: Some(copies), moving: Arc::clone(&shared.moving), reference: None };
+    let (log, copies, log_reader) = tick_log();
+    let observers = Observers::new(options, log_reader, reporter)?;
+    let subscribers =
+        Subscribers { copies: Some(copies), moving: Arc::clone(&shared.moving), reference: None };
     let mut robot =
-        crate::runtime::assemble::assemble(&options.config, clock, options.inject.as_ref(), taps)?;
-    robot.control.tape = Some(tape);
+        crate::runtime::assemble::assemble(&options.config, clock, options.inject.as_ref(), subscribers)?;
     let simulated = robot.virtual_board.is_some();
     let calibration = robot.board.as_mut().and_then(|board| {
         reporter.report(Notice::Board { port: Some(&board.port), simulated });
         board.calibration.take()
     });
-    live(options, robot.control, clock, (observers, calibration), shared, reporter)
+    live(options, robot.control, (clock, log), (observers, calibration), shared, reporter)
 }
 
 /// Runs the loop with a Touch Board and no robot: what the cover feels, for observers and logs.
@@ -188,17 +156,17 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn R
     let config = &options.config;
     reporter.report(Notice::NoRobot);
     let clock = Clock::start()?;
-    let (tape, copies, tape_reader) = tape();
-    let observers = Observers::new(options, tape_reader, reporter)?;
+    let (log, copies, log_reader) = tick_log();
+    let observers = Observers::new(options, log_reader, reporter)?;
     let port = config.board.port.clone();
-    let taps = Taps { copies: Some(copies), ..Taps::default() };
-    let OpenBoard { cover, mut held } = open_board(config, clock, port, options.inject.as_ref(), taps)?;
+    let subscribers = Subscribers { copies: Some(copies), ..Subscribers::default() };
+    let OpenBoard { cover, mut held } =
+        open_board(config, clock, port, options.inject.as_ref(), subscribers)?;
     reporter.report(Notice::Board { port: Some(&held.port), simulated: false });
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let plant = NoRobot::at(config.control.gains.posture_rad);
-    let mut control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
-    control.tape = Some(tape);
-    live(options, control, clock, (observers, held.calibration.take()), shared, reporter)
+    let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s);
+    live(options, control, (clock, log), (observers, held.calibration.take()), shared, reporter)
 }
 
 /// Tells the thread that watches when the loop has ended, whichever way.
@@ -215,7 +183,7 @@ impl Drop for DoneAtEnd<'_> {
 fn live<P: Plant + Send, S: CoverSource + Send>(
     options: &Options,
     mut control: ControlLoop<P, S>,
-    clock: Clock,
+    (clock, log): (Clock, TickLog),
     (mut observers, calibration): (Observers, Option<CalibrationPort>),
     shared: &Arc<Shared>,
     reporter: &mut dyn Reporter,
@@ -223,9 +191,11 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     let config = &options.config;
     let (mut rings, from_loop, mut request_ports) = rings(shared);
     request_ports.calibration = calibration;
+    rings.tick_log = Some(log);
+    let mut timing = Timing::new()?;
     let (tap, mut watched) = rtrb::RingBuffer::new(RING_SAMPLES);
     let server = match config.telemetry_address() {
-        Some(address) => Some(serve(config, address, from_loop, Some(tap), request_ports, reporter)?),
+        Some(address) => Some(serve(config, &address, from_loop, Some(tap), request_ports, reporter)?),
         None => {
             watched = from_loop;
             None
@@ -235,7 +205,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     let done = AtomicBool::new(false);
     let started = Instant::now();
     let ended = std::thread::scope(|scope| -> Result<(LiveReport, Sample)> {
-        let control = &mut control;
+        let (control, timing) = (&mut control, &mut timing);
         let done = &done;
         let (steps_sender, steps) = std::sync::mpsc::channel();
         let in_loop_thread = move || {
@@ -246,7 +216,8 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
             // The receiver waits for exactly this.
             let _ = steps_sender.send(steps);
             if run {
-                live::run(control, clock, config.period_ns(), options.duration, &mut rings, shared)
+                let mut timer = Timer::new(clock, config.period_ns());
+                live::run(control, &mut timer, timing, options.duration, &mut rings, shared)
             } else {
                 LiveReport::default()
             }
@@ -272,8 +243,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     let (report, last) = ended?;
     closed?;
     Ok(LiveRun {
-        timing: control.timing,
-        frame_age: control.frame_age,
+        timing,
         report,
         last,
         samples_dropped: shared.samples_dropped.load(Ordering::Relaxed),
@@ -295,7 +265,7 @@ fn lock_step(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
     let config = &options.config;
     introduce_simulation(config, reporter);
     let scene = crate::devices::simulated_robot::free_scene(config);
-    let (tape, copies, tape_reader) = tape();
+    let (log, copies, log_reader) = tick_log();
     if config.plant.parts.has_cover() {
         reporter.report(Notice::Board { port: None, simulated: true });
         let world = LockStep::with_board(
@@ -304,10 +274,10 @@ fn lock_step(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
             crate::runtime::assemble::board_config(config),
             Some(copies),
         )?;
-        run_lock_step(options, world, (tape, tape_reader), shared, reporter)
+        run_lock_step(options, world, (log, log_reader), shared, reporter)
     } else {
         let world = LockStep::without_cover(config, &scene)?;
-        run_lock_step(options, world, (tape, tape_reader), shared, reporter)
+        run_lock_step(options, world, (log, log_reader), shared, reporter)
     }
 }
 
@@ -315,7 +285,7 @@ fn lock_step(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
 fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     options: &Options,
     mut world: crate::runtime::lockstep::LockStep<S, F>,
-    (tape, tape_reader): (crate::record::tick_log::Tape, crate::record::tick_log::TapeReader),
+    (log, log_reader): (TickLog, TickLogReader),
     shared: &Arc<Shared>,
     reporter: &mut dyn Reporter,
 ) -> Result<()> {
@@ -325,11 +295,11 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     use std::io::{BufWriter, Write};
 
     let config = &options.config;
-    world.control.tape = Some(tape);
+    world.tick_log = Some(log);
     if let Some(injection) = &options.inject {
         world.inject(injection, config.simulation.seed);
     }
-    let mut observers = Observers::new(options, tape_reader, reporter)?;
+    let mut observers = Observers::new(options, log_reader, reporter)?;
     let mut log = None;
     if let Some(path) = &options.command_log {
         let file = File::create(path).with_context(|| path.display().to_string())?;
@@ -339,7 +309,7 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     }
     let (mut rings, from_loop, request_ports) = rings(shared);
     let server = match config.telemetry_address() {
-        Some(address) => Some(serve(config, address, from_loop, None, request_ports, reporter)?),
+        Some(address) => Some(serve(config, &address, from_loop, None, request_ports, reporter)?),
         None => None,
     };
     spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
@@ -352,7 +322,7 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         let (id, request) = rings.next_request();
         let (sample, outcome) = world.step(request);
         last = sample;
-        rings.publish(&last, id, outcome, shared);
+        rings.publish(last.clone(), id, outcome, shared);
         ticks += 1;
         warm |= ticks > live::WARM_UP_TICKS;
         allocated += if warm { allocations::on_this_thread() - before } else { 0 };
@@ -365,8 +335,7 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         log.flush()?;
     }
     let summary = Summary {
-        timing: &world.control.timing,
-        frame_age: &world.control.frame_age,
+        timing: &world.timing,
         last: &last,
         ticks,
         overruns_by_stage: None,

@@ -2,7 +2,7 @@
 
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::{Result, bail, ensure};
-use moca_daemon::control::plant::Plant;
+use moca_daemon::control::plant::Simulated;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::SimulatedRobot;
 use moca_daemon::devices::touch_board::ByteCover;

@@ -3,10 +3,11 @@
 
 use anyhow::{Context, Result};
 use moca_daemon::config::Config;
+use moca_daemon::control::stage::Stage;
 use moca_daemon::runtime::live::Shared;
 use moca_daemon::runtime::notice::Silent;
-use moca_daemon::runtime::run::{LiveRun, Options, live_simulated};
-use moca_daemon::runtime::timing::Stage;
+use moca_daemon::runtime::options::Options;
+use moca_daemon::runtime::run::{LiveRun, live_simulated};
 use moca_telemetry::net::Connection;
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;

@@ -3,7 +3,8 @@
 
 use crate::rig::cpu_time;
 use anyhow::{Context, Result};
-use moca_daemon::config::{Config, JOINTS, TAXELS};
+use moca_daemon::config::Config;
+use moca_daemon::robot::{JOINTS, TAXELS};
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_msgs::{ImpedanceGains, Payload, RobotState};
 use moca_wbc::cover::Cover;
