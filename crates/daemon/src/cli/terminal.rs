@@ -129,25 +129,31 @@ mod tests {
     use moca_msgs::{Mode, Sample};
     use std::sync::{Arc, Condvar, Mutex};
 
+    #[derive(Default)]
+    struct Flow {
+        open: bool,
+        written: Vec<u8>,
+    }
+
     /// An output that blocks until it is opened.
     #[derive(Clone, Default)]
-    struct Valve(Arc<(Mutex<(bool, Vec<u8>)>, Condvar)>);
+    struct Valve(Arc<(Mutex<Flow>, Condvar)>);
 
     impl Valve {
         fn open(&self) {
-            self.0.0.lock().unwrap().0 = true;
+            self.0.0.lock().unwrap().open = true;
             self.0.1.notify_all();
         }
 
         fn text(&self) -> String {
-            String::from_utf8(self.0.0.lock().unwrap().1.clone()).unwrap()
+            String::from_utf8(self.0.0.lock().unwrap().written.clone()).unwrap()
         }
     }
 
     impl Write for Valve {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            let mut state = self.0.1.wait_while(self.0.0.lock().unwrap(), |(open, _)| !*open).unwrap();
-            state.1.extend_from_slice(bytes);
+            let mut flow = self.0.1.wait_while(self.0.0.lock().unwrap(), |flow| !flow.open).unwrap();
+            flow.written.extend_from_slice(bytes);
             Ok(bytes.len())
         }
 
