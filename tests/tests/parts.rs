@@ -118,7 +118,7 @@ fn threads(parts: &str) -> Vec<String> {
 
 #[test]
 fn an_arm_alone_starts_no_thread_of_a_board() {
-    assert_eq!(threads("arm"), ["control-loop", "ctrl-c", "mocad"]);
+    assert_eq!(threads("arm"), ["control-loop", "ctrl-c", "mocad-under-tes", "terminal"]);
     let whole = threads("whole");
     for name in ["calibrator", "touch-board"] {
         assert!(whole.iter().any(|thread| thread == name), "{name} is not among {whole:?}");

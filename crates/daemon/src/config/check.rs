@@ -21,6 +21,7 @@ pub(super) fn check(config: &Config, report: Report<'_>) {
     }
     hand(config, report);
     protection(&config.protection, report);
+    uncalibrated(config, report);
     telemetry(&config.telemetry, report);
     plant(config, report);
     timeout(config, report);
@@ -132,6 +133,21 @@ fn protection(settings: &ProtectionConfig, report: Report<'_>) {
             "protection.override_statement",
             "protection.override_statement is given but protection.override_speed_limit_m_s is 0 (no override)"
                 .into(),
+        );
+    }
+}
+
+fn uncalibrated(config: &Config, report: Report<'_>) {
+    let limited = !config.protection.thresholds.is_empty();
+    if let (true, Some(uncalibrated)) = (limited, config.uncalibrated())
+        && config.protection.uncalibrated_statement.trim().is_empty()
+    {
+        report(
+            "protection.thresholds",
+            format!(
+                "protection.thresholds limits contacts of a cover without board.calibration ({uncalibrated}); calibrate it, \
+                 or say in protection.uncalibrated_statement who decided that such forces do"
+            ),
         );
     }
 }

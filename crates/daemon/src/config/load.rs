@@ -396,7 +396,7 @@ mod tests {
                 "line 16: board.masked = a list of 2; expected a list of up to 48 whole numbers",
                 "line 17: board.port = 3; expected a text in quotes",
                 "line 18: unknown key board.prot; allowed here: calibration, gauge, gauge_baud, mask_policy, masked, \
-                 name, port",
+                 model, name, port",
                 "line 20: plant.kind = a list of 1; expected \"simulated\" or \"none\"",
             ]
         );
@@ -460,6 +460,24 @@ mod tests {
         std::fs::write(&large, vec![b'#'; 2 << 20]).unwrap();
         assert!(read_text(&large).unwrap_err().to_string().contains("larger than 1048576 bytes"));
         std::fs::remove_file(&large).unwrap();
+    }
+
+    #[test]
+    fn contact_limits_of_a_cover_that_is_not_calibrated_need_a_statement() {
+        let limited = mistakes("[protection]\nthresholds = \"limits.toml\"\n");
+        assert!(limited.len() == 1 && limited[0].contains("may be 50 % off"), "{limited:?}");
+        for good in [
+            "[protection]\nuncalibrated_statement = \"who\"\n",
+            "[board]\ncalibration = \"c.toml\"\n[protection]\n",
+        ] {
+            let text = format!("{good}thresholds = \"limits.toml\"\n");
+            assert!(Config::parse(&text).is_ok(), "{text}: {:?}", Config::parse(&text));
+        }
+        let paper = Config::parse("[board]\nmodel = \"paper\"\n").unwrap();
+        assert!(paper.uncalibrated().unwrap().contains("55 % off"));
+        let all = |config: Config, model| config.cover().unwrap().models.iter().all(|one| *one == model);
+        assert!(all(paper, moca_tactile::TaxelModel::PAPER));
+        assert!(all(Config::default(), moca_tactile::TaxelModel::PU_LD30));
     }
 
     #[test]

@@ -11,12 +11,13 @@ use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::table::{Field, ParameterSpec};
 use moca_msgs::{
     ArmTable, ContactReaction, Corrections, ImpedanceGains, Law, Limits, MAX_TAXELS, Parameters,
-    TaxelPlacement, parameter_table,
+    TaxelPlacement, choice, parameter_table,
 };
-use moca_tactile::CoverConfig;
 use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
 use moca_tactile::cover::MaskPolicy;
+use moca_tactile::model::ASSUMED_ERROR_FROM_N;
+use moca_tactile::{CoverConfig, TaxelModel};
 use moca_telemetry::net::{Address, DEFAULT_ADDRESS};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -122,6 +123,8 @@ parameter_table! {
         name: String = String::new();
         /// File that `mocad calibrate` wrote; empty for none.
         calibration: String = String::new();
+        /// How counts become newtons without a calibration.
+        model: AssumedModel = AssumedModel::PuLd30;
         /// Taxels out of use.
         masked: Vec<usize> = Vec::new() => [.range(1.0, LAST_TAXEL).units(&["(taxel number)"])];
         /// What a masked taxel means.
@@ -164,6 +167,8 @@ parameter_table! {
         override_statement: String = String::new();
         /// File of contact limits; empty for none.
         thresholds: String = String::new();
+        /// Why contact limits hold on an uncalibrated cover; logged.
+        uncalibrated_statement: String = String::new();
         /// Reaction to a crossed contact limit, until that contact ends.
         reaction: ContactReaction = ContactReaction::StopDirection;
         /// Speed limit of "slow".
@@ -227,6 +232,26 @@ impl HandConfig {
     /// No scripted hand.
     pub fn none() -> Self {
         Self { taxels: Vec::new(), ..Self::default() }
+    }
+}
+
+/// How counts become newtons on a cover that has not been calibrated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AssumedModel {
+    /// The curve of simulated PU LD30.
+    PuLd30,
+    /// The paper's line: 100 N at 84 counts.
+    Paper,
+}
+
+choice!(AssumedModel { PuLd30: "pu-ld30", Paper: "paper" });
+
+impl AssumedModel {
+    const fn model(self) -> TaxelModel {
+        match self {
+            Self::PuLd30 => TaxelModel::PU_LD30,
+            Self::Paper => TaxelModel::PAPER,
+        }
     }
 }
 
@@ -303,7 +328,12 @@ impl Config {
     /// # Errors
     /// A calibration file that cannot be read, is of another board, or does not name every taxel.
     pub fn cover(&self) -> Result<CoverConfig<TAXELS>, FileError> {
-        let mut cover = CoverConfig { mask_policy: self.board.mask_policy, ..CoverConfig::default() };
+        let mut cover = CoverConfig {
+            mask_policy: self.board.mask_policy,
+            models: [self.board.model.model(); TAXELS],
+            force_max_n: self.limits.taxel_force_n,
+            ..CoverConfig::default()
+        };
         for &taxel in &self.board.masked {
             if let Some(masked) = taxel.checked_sub(1).and_then(|i| cover.masked.get_mut(i)) {
                 *masked = true;
@@ -313,6 +343,15 @@ impl Config {
             CalibrationFile::read(Path::new(&self.board.calibration))?.apply(&self.board.name, &mut cover)?;
         }
         Ok(cover)
+    }
+
+    /// What forces are worth on a cover that has not been calibrated, in one sentence.
+    pub fn uncalibrated(&self) -> Option<String> {
+        let assumed = self.plant.parts.has_cover() && self.board.calibration.is_empty();
+        let percent = 100.0 * self.board.model.model().assumed_error();
+        assumed.then(|| {
+            format!("uncalibrated: forces of {ASSUMED_ERROR_FROM_N} N and more may be {percent:.0} % off on PU LD30")
+        })
     }
 
     /// Where telemetry listens, if anywhere; checked by [`Config::check`].
