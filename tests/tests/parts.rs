@@ -167,7 +167,7 @@ fn an_fr3_is_the_same_arm_to_plant_and_controller() {
     let scene = free_scene(&config);
     assert!(held_off_m(&scene) < 1e-6, "{}", held_off_m(&scene));
     // The Panda has other masses: with the FR3's gravity torques it gives way by 2 mm.
-    let panda = Scene { arm: Config::default().arm(), ..scene };
+    let panda = Scene { arm: *Config::default().arm(), ..scene };
     assert!(held_off_m(&panda) > 1e-3, "{}", held_off_m(&panda));
 }
 

@@ -13,11 +13,11 @@ use moca_daemon::control::tick_input::Slot;
 use moca_daemon::devices::board_events::BoardEvents;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::robot::JOINTS;
-use moca_daemon::runtime::assemble::{motion, supervisor};
+use moca_daemon::runtime::assemble::{cover_config, motion, supervisor};
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_msgs::{Actuation, Fault, Mode, Request, RobotState};
 use moca_sim::{Scene, VirtualBoardConfig};
-use moca_tactile::{BoardEvent, Cover, CoverConfig};
+use moca_tactile::{BoardEvent, Cover};
 use std::hint::black_box;
 
 /// A robot that stands in its home posture whatever it is told.
@@ -61,7 +61,8 @@ fn bench(criterion: &mut Criterion) {
     group.bench_function("bytes_to_command", |bencher| {
         let events = recorded_events(6000);
         let (mut cable, consumer) = rtrb::RingBuffer::new(64);
-        let cover = ByteCover::new(Cover::new(CoverConfig::default()).unwrap(), BoardEvents::new(consumer));
+        let cover =
+            ByteCover::new(Cover::new(cover_config(&config()).unwrap()).unwrap(), BoardEvents::new(consumer));
         let world =
             LockStep::with_board(&config(), &Scene::default(), VirtualBoardConfig::default(), None).unwrap();
         let standing = StandingRobot(world.control.plant.world.state());

@@ -2,16 +2,16 @@
 //! file, or a URDF for the arm, says what is different.
 
 use moca_msgs::robot::{
-    ArmTable, BaseTable, FR3, LinkInertial, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, Payload, SUMMIT_XL,
-    TaxelPlacement,
+    AnyArm, BaseTable, FR3, LinkInertial, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, Payload, SUMMIT_XL,
+    TaxelPlacement, UR10E,
 };
 use moca_msgs::table::{Field, FieldValue, ParameterKind, Size, Typed};
-use moca_msgs::{choice, parameter_table};
+use moca_msgs::{MAX_JOINTS, MAX_TAXELS, choice, parameter_table};
 
-/// Joints of the arm this daemon drives.
-pub const JOINTS: usize = PANDA.joints();
-/// Taxels of the cover this daemon reads.
-pub const TAXELS: usize = PAPER_COVER.len();
+/// Room for joints in states and commands; how many the arm has is in its table. What is beyond is zero.
+pub const JOINTS: usize = MAX_JOINTS;
+/// Room for taxels; how many the cover has is in its table. What is beyond feels nothing.
+pub const TAXELS: usize = MAX_TAXELS;
 
 parameter_table! {
     /// A robot, completely described.
@@ -19,7 +19,7 @@ parameter_table! {
     pub struct Robot in "robot" {
         /// Name of this robot, shown by observers and written into logs.
         name: String = "moca".into();
-        /// Which arm: "panda" or "fr3".
+        /// Which arm: "panda", "fr3", "ur10e", a path to a URDF file, or "table" for `[arm]` of this file.
         arm: Arm = Arm::default() => [.lab("arm")];
         /// What the base is called.
         base_name: String = "SUMMIT-XL".into();
@@ -51,6 +51,10 @@ parameter_table! {
         /// Direction in which a press on each taxel pushes, angle from B's x axis.
         inward_rad: Vec<f64> = PAPER_COVER.map(|taxel| taxel.inward_angle_base_rad).into()
             => [.range(-7.0, 7.0).units(&["rad"]).lab("taxels.inward")];
+        /// Electrode of each taxel, twelve to a board from 0; an empty list is T1 on 0, T2 on 1 and so on.
+        electrode: Vec<usize> = Vec::new() => [.range(0.0, 47.0)];
+        /// What is under the plates of a simulated cover.
+        foam: FoamKind = FoamKind::PuLd30;
     }
 }
 
@@ -82,7 +86,32 @@ parameter_table! {
     }
 }
 
+/// Foams of the paper.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FoamKind {
+    /// PU LD30, 15 mm.
+    PuLd30,
+    /// CC foam.
+    Cc,
+    /// PE LD45, 5 mm.
+    Pe5,
+    /// PE LD45, 3 mm.
+    Pe3,
+}
+
+choice!(FoamKind { PuLd30: "pu-ld30", Cc: "cc", Pe5: "pe5", Pe3: "pe3" });
+
 impl CoverTable {
+    /// How many taxels there are.
+    pub fn count(&self) -> usize {
+        self.x_m.len()
+    }
+
+    /// Electrode of each taxel, twelve to a board, T1 first.
+    pub fn electrodes(&self) -> Vec<usize> {
+        if self.electrode.is_empty() { (0..self.count()).collect() } else { self.electrode.clone() }
+    }
+
     /// Where the taxels sit, T1 first; as many as every list has.
     pub fn placements(&self) -> Vec<TaxelPlacement> {
         let places = self.x_m.iter().zip(&self.y_m).zip(&self.inward_rad);
@@ -149,36 +178,40 @@ fn together(a: &LinkInertial, b: &LinkInertial) -> LinkInertial {
 /// An arm: its table and what it is called in a configuration file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Arm {
-    source: String,
-    table: &'static ArmTable<JOINTS>,
+    /// A built-in name, or where the table is from.
+    pub source: String,
+    /// Name shown to users.
+    pub name: String,
+    /// Kinematics, inertias, ranges, speeds, torques.
+    pub table: AnyArm,
 }
 
 /// The built-in arms by the names that a configuration file gives them.
-const BUILT_IN: [(&str, &ArmTable<JOINTS>); 2] = [("panda", &PANDA), ("fr3", &FR3)];
+const BUILT_IN: [(&str, AnyArm); 3] =
+    [("panda", AnyArm::of(&PANDA)), ("fr3", AnyArm::of(&FR3)), ("ur10e", AnyArm::of(&UR10E))];
 
 impl Arm {
     /// A built-in arm.
     pub fn built_in(name: &str) -> Option<Self> {
-        BUILT_IN
-            .iter()
-            .find(|(known, _)| *known == name)
-            .map(|(known, table)| Self { source: (*known).into(), table })
+        let (source, table) = BUILT_IN.iter().find(|(known, _)| *known == name)?;
+        Some(Self { source: (*source).into(), name: table.table.name.into(), table: *table })
     }
 
-    /// Its table.
-    pub const fn table(&self) -> &'static ArmTable<JOINTS> {
-        self.table
+    /// The names of the built-in arms.
+    pub fn built_in_names() -> impl Iterator<Item = &'static str> {
+        BUILT_IN.iter().map(|(name, _)| *name)
     }
 }
 
 impl Default for Arm {
     fn default() -> Self {
-        Self { source: BUILT_IN[0].0.into(), table: BUILT_IN[0].1 }
+        let (source, table) = BUILT_IN[0];
+        Self { source: source.into(), name: table.table.name.into(), table }
     }
 }
 
 impl Typed for Arm {
-    const KIND: ParameterKind = ParameterKind::Choice(&["panda", "fr3"]);
+    const KIND: ParameterKind = ParameterKind::Text;
     const SIZE: Size = Size::One;
 }
 

@@ -4,7 +4,7 @@
 
 use crate::Refusal;
 use crate::parameter_table;
-use crate::robot::{ArmTable, PANDA};
+use crate::robot::{ArmTable, NO_ARM, PANDA, resized_arm};
 use crate::table::FieldValue;
 
 pub use crate::table::{ParameterError, ParameterKind, ParameterSpec, Size};
@@ -119,6 +119,34 @@ impl Parameters<{ PANDA.joints() }> {
     pub const PAPER: Self = Self::for_arm(&PANDA);
 }
 
+impl<const N: usize> Parameters<N> {
+    /// The same parameters for another number of joints: per-joint lists are cut, or followed by zeros.
+    pub fn resized<const M: usize>(&self) -> Parameters<M> {
+        let mut sized = Parameters::for_arm(&resized_arm::<0, M>(&NO_ARM));
+        for (number, row) in CONTROLLER.iter().enumerate() {
+            if let Some(mut values) = self.get(number) {
+                if row.size == Size::Joints {
+                    values.len = u8::try_from(M).unwrap_or(0);
+                }
+                sized.put(number, values.as_slice());
+            }
+        }
+        sized.limits.period_s = self.limits.period_s;
+        sized
+    }
+
+    fn put(&mut self, number: usize, values: &[f64]) -> bool {
+        let (mut taken, mut at) = (false, 0);
+        self.each(&mut |_, field| {
+            if at == number {
+                taken = field.take(FieldValue::Numbers(values));
+            }
+            at += 1;
+        });
+        taken
+    }
+}
+
 /// Most elements of one parameter.
 pub const MAX_ELEMENTS: usize = crate::sample::MAX_JOINTS;
 
@@ -218,14 +246,7 @@ impl<const N: usize> Parameters<N> {
         let spec = CONTROLLER.get(number).ok_or(Refusal::NoSuchParameter)?;
         let values = values.as_slice();
         spec.check(values).map_err(|_| Refusal::OutOfRange)?;
-        let (mut taken, mut at) = (false, 0);
-        self.each(&mut |_, field| {
-            if at == number {
-                taken = field.take(FieldValue::Numbers(values));
-            }
-            at += 1;
-        });
-        if taken { Ok(()) } else { Err(Refusal::OutOfRange) }
+        if self.put(number, values) { Ok(()) } else { Err(Refusal::OutOfRange) }
     }
 }
 

@@ -4,6 +4,7 @@
 //! Sources: Panda kinematics from `franka_description`, Panda inertials from Gaz et al., RA-L 2019 (as published in
 //! `franka_ros`), limits from `libfranka`'s documentation. Base, cover and other arms: see each table.
 
+use crate::sample::MAX_JOINTS;
 use core::f64::consts::{FRAC_PI_2, PI};
 
 /// Inertia of one rigid link in its own link frame.
@@ -63,6 +64,80 @@ crate::parameter_table! {
         /// Its axes in B: roll, pitch, yaw (fixed axes, R = Rz·Ry·Rx).
         rpy_rad: [f64; 3] = MOCA_MOUNT.rpy_rad => [.range(-7.0, 7.0).units(&["rad"]).lab("mount.rpy")];
     }
+}
+
+/// An arm whose number of joints is known only at run time: the first `joints` entries of a table that has room for
+/// [`MAX_JOINTS`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AnyArm {
+    /// Entries beyond the last joint are zero.
+    pub table: ArmTable<MAX_JOINTS>,
+    /// Number of joints.
+    pub joints: usize,
+}
+
+impl AnyArm {
+    /// Any table of up to [`MAX_JOINTS`] joints.
+    pub const fn of<const N: usize>(arm: &ArmTable<N>) -> Self {
+        const { assert!(N <= MAX_JOINTS, "more joints than a sample can carry") };
+        Self { table: resized_arm(arm), joints: N }
+    }
+
+    /// The table for a controller of `N` joints; `None` if the arm has another number.
+    pub fn table<const N: usize>(&self) -> Option<ArmTable<N>> {
+        (self.joints == N).then(|| resized_arm(&self.table))
+    }
+}
+
+/// No joints at all.
+pub(crate) const NO_ARM: ArmTable<0> = ArmTable {
+    name: "no arm",
+    joint_origin: [],
+    flange_origin: [0.0; 6],
+    links: [],
+    link0: Payload::NONE.inertial,
+    q_min_rad: [],
+    q_max_rad: [],
+    dq_max_rad_s: [],
+    torque_max_nm: [],
+    home_rad: [],
+    posture_stiffness_nm_rad: [],
+    posture_damping_nm_s_rad: [],
+};
+
+pub(crate) const fn resized_arm<const N: usize, const M: usize>(arm: &ArmTable<N>) -> ArmTable<M> {
+    let mut sized = ArmTable {
+        name: arm.name,
+        joint_origin: [[0.0; 6]; M],
+        flange_origin: arm.flange_origin,
+        links: [Payload::NONE.inertial; M],
+        link0: arm.link0,
+        q_min_rad: resized(&arm.q_min_rad),
+        q_max_rad: resized(&arm.q_max_rad),
+        dq_max_rad_s: resized(&arm.dq_max_rad_s),
+        torque_max_nm: resized(&arm.torque_max_nm),
+        home_rad: resized(&arm.home_rad),
+        posture_stiffness_nm_rad: resized(&arm.posture_stiffness_nm_rad),
+        posture_damping_nm_s_rad: resized(&arm.posture_damping_nm_s_rad),
+    };
+    let mut i = 0;
+    while i < N && i < M {
+        sized.joint_origin[i] = arm.joint_origin[i];
+        sized.links[i] = arm.links[i];
+        i += 1;
+    }
+    sized
+}
+
+/// The same values in an array of another length: cut, or followed by zeros.
+pub const fn resized<const N: usize, const M: usize>(values: &[f64; N]) -> [f64; M] {
+    let mut sized = [0.0; M];
+    let mut i = 0;
+    while i < N && i < M {
+        sized[i] = values[i];
+        i += 1;
+    }
+    sized
 }
 
 /// A tool fixed to the flange: its inertia, and the tool frame that the controllers hold.

@@ -1,5 +1,7 @@
 //! What a plant measures and what it is told.
 
+use crate::robot::resized;
+
 /// Measured state of base and arm at one instant. `T` is the scalar, `N` the number of arm joints.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -36,6 +38,30 @@ impl<const N: usize> RobotState<N> {
             dq_rad_s: [0.0; N],
             torque_measured_nm: [0.0; N],
             flange_wrench_world: None,
+        }
+    }
+}
+
+impl<const N: usize> RobotState<N> {
+    /// The same state with room for another number of joints: cut, or followed by zeros.
+    pub const fn resized<const M: usize>(&self) -> RobotState<M> {
+        RobotState {
+            base_pose_world: self.base_pose_world,
+            base_velocity_world: self.base_velocity_world,
+            q_rad: resized(&self.q_rad),
+            dq_rad_s: resized(&self.dq_rad_s),
+            torque_measured_nm: resized(&self.torque_measured_nm),
+            flange_wrench_world: self.flange_wrench_world,
+        }
+    }
+}
+
+impl<const N: usize> RobotCommand<N> {
+    /// The same command with room for another number of joints: cut, or followed by zeros.
+    pub const fn resized<const M: usize>(&self) -> RobotCommand<M> {
+        RobotCommand {
+            base_velocity_body: self.base_velocity_body,
+            arm_torque_nm: resized(&self.arm_torque_nm),
         }
     }
 }

@@ -7,12 +7,10 @@
 use crate::error::{SimError, within};
 use crate::foam::{Foam, FoamState};
 use crate::sensor::{CoverSensor, Effects, SAMPLE_INTERVAL_NS};
-use moca_msgs::robot::PAPER_COVER;
 use moca_tactile::datastream::{
     Dialect, ELECTRODES, Frame, Line, MAX_COLUMNS, MAX_LINE_BYTES, SketchGeneration, emit_line,
 };
 
-const TAXELS: usize = PAPER_COVER.len();
 /// Stock touch and release thresholds, counts.
 const THRESHOLDS: (u8, u8) = (40, 20);
 /// With the chip lost on I²C a frame takes this percentage of its normal time (17.8 ms for 24.7 ms, traced).
@@ -69,7 +67,7 @@ pub struct VirtualBoard {
     sketch: SketchGeneration,
     frame_period_ns: u64,
     foam: Foam,
-    foams: [FoamState; TAXELS],
+    foams: [FoamState; ELECTRODES],
     sensor: CoverSensor<ELECTRODES>,
     distance_m: [f64; ELECTRODES],
     fault: Option<BoardFault>,
@@ -119,7 +117,7 @@ impl VirtualBoard {
             sketch: config.sketch,
             frame_period_ns: config.frame_period_ns.unwrap_or(config.sketch.frame_period_ns()),
             foam: config.foam,
-            foams: [FoamState::default(); TAXELS],
+            foams: [FoamState::default(); ELECTRODES],
             sensor: CoverSensor::new(config.foam, config.effects, config.seed).with_noise(noise_counts),
             distance_m: [f64::INFINITY; ELECTRODES],
             fault: None,
@@ -142,13 +140,15 @@ impl VirtualBoard {
     }
 
     /// Distance of the nearest body to each taxel, m, for boards that feel bodies before they touch.
-    pub fn set_distances(&mut self, distance_m: &[f64; TAXELS]) {
-        self.distance_m[..TAXELS].copy_from_slice(distance_m);
+    pub fn set_distances(&mut self, distance_m: &[f64]) {
+        for (place, distance_m) in self.distance_m.iter_mut().zip(distance_m) {
+            *place = *distance_m;
+        }
     }
 
-    /// Lets the board run until `now_ns` with steady true forces (N, T1 first) and gives every line to `sink` once it
+    /// Lets the board run until `now_ns` with steady true forces on its electrodes (N, T1 first; no more than it has) and gives every line to `sink` once it
     /// is completely out. A force that is not finite counts as none: a hand cannot press with NaN.
-    pub fn advance(&mut self, now_ns: u64, force_n: &[f64; TAXELS], sink: &mut impl FnMut(&[u8])) {
+    pub fn advance(&mut self, now_ns: u64, force_n: &[f64], sink: &mut impl FnMut(&[u8])) {
         loop {
             let line_ns = self.next_line_ns();
             let next_ns = self.next_sample_ns.min(line_ns);
@@ -181,11 +181,11 @@ impl VirtualBoard {
         }
     }
 
-    fn sample(&mut self, force_n: &[f64; TAXELS]) {
+    fn sample(&mut self, force_n: &[f64]) {
         const DT_S: f64 = 1e-3;
         let mut deformation_m = [0.0; ELECTRODES];
-        for (i, foam) in self.foams.iter_mut().enumerate() {
-            let force_n = if force_n[i].is_finite() { force_n[i] } else { 0.0 };
+        for (i, (foam, force_n)) in self.foams.iter_mut().zip(force_n).enumerate() {
+            let force_n = if force_n.is_finite() { *force_n } else { 0.0 };
             deformation_m[i] = foam.step_force(&self.foam, force_n, DT_S);
         }
         self.sensor.sample(&deformation_m, &self.distance_m);

@@ -11,7 +11,7 @@ use std::fmt::{self, Write};
 pub(crate) const BASE_SERVO_DAMPING: f64 = 1e5;
 /// The same about the vertical, N·m·s/rad. ASSUMED.
 pub(crate) const YAW_SERVO_DAMPING: f64 = 2.5e4;
-/// Name of the massless body that marks the flange.
+/// Name of the body that marks the flange and carries the payload.
 pub(crate) const FLANGE: &str = "flange";
 
 /// The scene as MJCF.
@@ -104,9 +104,9 @@ fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
     let (sin, cos) = stand[2].sin_cos();
     let origin = [stand[0] + cos * x - sin * y, stand[1] + sin * x + cos * y, z, roll, pitch, stand[2] + yaw];
     open_body(xml, "link0", &origin)?;
-    let table = scene.arm;
+    let (table, joints) = (&scene.arm.table, scene.arm.joints);
     inertial(xml, &table.link0)?;
-    for i in 0..table.links.len() {
+    for i in 0..joints {
         open_body(xml, &format!("link{}", i + 1), &table.joint_origin[i])?;
         write!(xml, "<joint name=\"q{}\" type=\"hinge\" axis=\"0 0 1\"", i + 1)?;
         if scene.joint_limits {
@@ -120,12 +120,15 @@ fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
         }
     }
     open_body(xml, FLANGE, &table.flange_origin)?;
+    if scene.payload.inertial.mass_kg > 0.0 {
+        inertial(xml, &scene.payload.inertial)?;
+    }
     // Applied forces act at a body's centre of mass. A body without inertial gets its own offset in the parent for it.
     xml.push_str("<inertial pos=\"0 0 0\" mass=\"0\" diaginertia=\"0 0 0\"/>\n");
     if scene.everything {
         xml.push_str("<site name=\"flange\"/>\n");
     }
-    for _ in 0..table.links.len() + 2 {
+    for _ in 0..joints + 2 {
         xml.push_str("</body>");
     }
     xml.push('\n');
@@ -167,9 +170,9 @@ fn hull(xml: &mut String, scene: &Scene) -> fmt::Result {
 fn sensors(xml: &mut String, scene: &Scene) -> fmt::Result {
     xml.push_str("<sensor>\n");
     let base: &[&str] = if scene.robot == Robot::ArmOnly { &[] } else { &["base_x", "base_y", "base_yaw"] };
-    let arm: &[&str] =
-        if scene.robot == Robot::BaseOnly { &[] } else { &["q1", "q2", "q3", "q4", "q5", "q6", "q7"] };
-    for joint in base.iter().chain(arm) {
+    let joints = if scene.robot == Robot::BaseOnly { 0 } else { scene.arm.joints };
+    let arm: Vec<String> = (1..=joints).map(|joint| format!("q{joint}")).collect();
+    for joint in base.iter().copied().chain(arm.iter().map(String::as_str)) {
         writeln!(xml, "<jointpos joint=\"{joint}\"/><jointvel joint=\"{joint}\"/>")?;
     }
     if !base.is_empty() {

@@ -4,9 +4,10 @@
 //! belongs half to either side. A cover with an inward corner is taken as its convex hull.
 
 use crate::scene::Scene;
-use moca_msgs::robot::{PAPER_COVER, TaxelPlacement};
+use moca_msgs::{MAX_TAXELS, TaxelPlacement};
 
-const K: usize = PAPER_COVER.len();
+/// Room for the largest cover.
+const K: usize = MAX_TAXELS;
 /// Directions closer than this, rad, are one side.
 const SAME_SIDE_RAD: f64 = 1e-6;
 /// A side shorter than this is none, m.
@@ -64,7 +65,7 @@ pub(crate) struct Nearest {
 }
 
 /// How a contact's force divides over the taxels; what no taxel answers for is missing from the sum.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Shares(pub(crate) [f64; K]);
 
 impl Edge {
@@ -196,7 +197,7 @@ impl Outline {
             }
         }
         let total = pressed.iter().sum::<f64>() + bare;
-        if total > 0.0 { Shares(pressed.map(|area| area / total)) } else { Shares::default() }
+        if total > 0.0 { Shares(pressed.map(|area| area / total)) } else { Shares([0.0; K]) }
     }
 
     /// Ends of what `taxel` answers for on its side, in B, m: where a plane meets it first.
@@ -240,7 +241,7 @@ fn sides(scene: &Scene) -> Vec<Side> {
 
 /// Taxels of the side with this outward direction: index and place along it from `start`, m, in order.
 fn taxels_of(scene: &Scene, outward: [f64; 2], along: [f64; 2], start: [f64; 2]) -> Vec<(usize, f64)> {
-    let mut taxels: Vec<(usize, f64)> = (0..K)
+    let mut taxels: Vec<(usize, f64)> = (0..scene.cover.len())
         .filter(|&i| same_direction(outward_base(&scene.cover[i]), outward))
         .map(|i| (i, dot(along, difference(scene.cover[i].position_base_m, start))))
         .collect();
@@ -303,6 +304,7 @@ fn difference(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use moca_msgs::robot::PAPER_COVER;
     use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_4};
 
     const R: f64 = 0.015;

@@ -4,16 +4,16 @@ use crate::contact::{ContactState, Pressing};
 use crate::foam::Foam;
 use crate::outline::{Outline, outward_base};
 use crate::scene::{Mobility, Person, Shape};
-use moca_msgs::TaxelPlacement;
-use moca_msgs::robot::PAPER_COVER;
+use moca_msgs::{MAX_TAXELS, TaxelPlacement};
 
-const K: usize = PAPER_COVER.len();
+/// Room for the largest cover.
+const K: usize = MAX_TAXELS;
 /// A plane presses a taxel only if it faces it within 60°.
 const FACING_COS_MIN: f64 = 0.5;
 
 /// The cover at one instant.
 pub(crate) struct CoverInstant<'a> {
-    pub taxels: &'a [TaxelPlacement; K],
+    pub taxels: &'a [TaxelPlacement],
     pub outline: &'a Outline,
     pub foam: &'a Foam,
     /// Physics step, s.
@@ -203,7 +203,7 @@ impl Body {
             }
             Shape::Plane => {
                 let mut all_n = 0.0;
-                for taxel in 0..K {
+                for taxel in 0..cover.taxels.len() {
                     if let Some(meeting) = self.plane_meeting(cover, place_base, velocity_world, taxel) {
                         let force_n = self.meet(cover, &meeting, time_s, felt);
                         felt.taxel_force_n[taxel] += force_n;

@@ -5,8 +5,7 @@ use crate::outline::{Outline, outward_base};
 use crate::people::{CoverInstant, Felt, People};
 use crate::scene::{Robot, Scene};
 use crate::{SimError, quiet};
-use moca_msgs::robot::PAPER_COVER;
-use moca_msgs::{Actuation, RobotCommand, RobotState};
+use moca_msgs::{Actuation, MAX_JOINTS, MAX_TAXELS, RobotCommand, RobotState};
 use mujoco_rs::prelude::{MjData, MjModel, MjtWarning};
 
 /// What the wheels can push before they slip: N, N, N·m (about 0.8 of the weight). ASSUMED.
@@ -15,12 +14,13 @@ const TRACTION: [f64; 3] = [1000.0, 1000.0, 400.0];
 const BRAKE_TIME_S: f64 = 0.02;
 /// Largest force of a scripted hand, N.
 const PRESS_MAX_N: f64 = 1000.0;
-const K: usize = PAPER_COVER.len();
+/// Room for the largest cover.
+const K: usize = MAX_TAXELS;
 
 /// What the plant was last told.
 #[derive(Clone, Copy, Debug)]
 enum Order {
-    Drive(RobotCommand<7>),
+    Drive(RobotCommand<MAX_JOINTS>),
     Brake,
 }
 
@@ -63,7 +63,7 @@ pub struct SimPlant {
     contact_largest_n: f64,
     contact_peak_n: f64,
     flange_wrench_world: [f64; 6],
-    torque_nm: [f64; 7],
+    torque_nm: [f64; MAX_JOINTS],
     /// Scratch for the dense mass matrix, nv × nv.
     mass: Vec<f64>,
 }
@@ -85,7 +85,7 @@ impl SimPlant {
         let has_base = scene.robot != Robot::ArmOnly;
         let has_arm = scene.robot != Robot::BaseOnly;
         let arm_dof = has_arm.then_some(if has_base { 3 } else { 0 });
-        let first_person_dof = if has_base { 3 } else { 0 } + if has_arm { 7 } else { 0 };
+        let first_person_dof = if has_base { 3 } else { 0 } + if has_arm { scene.arm.joints } else { 0 };
         let mut plant = Self {
             data,
             scene: scene.clone(),
@@ -104,21 +104,21 @@ impl SimPlant {
             contact_largest_n: 0.0,
             contact_peak_n: 0.0,
             flange_wrench_world: [0.0; 6],
-            torque_nm: [0.0; 7],
+            torque_nm: [0.0; MAX_JOINTS],
             mass: vec![0.0; nv * nv],
         };
-        plant.set_state(&scene.base_pose_world, &[0.0; 3], &scene.arm_posture_rad, &[0.0; 7]);
+        plant.set_state(&scene.base_pose_world, &[0.0; 3], &scene.arm_posture_rad, &[0.0; MAX_JOINTS]);
         Ok(plant)
     }
 
-    /// Measured state. The flange wrench is the true one if the scene has a sensor for it, else `None`.
-    pub fn state(&self) -> RobotState<7> {
+    /// Measured state; entries beyond the arm's last joint are zero, [`RobotState::resized`] cuts them. The flange wrench is the true one if the scene has a sensor for it, else `None`.
+    pub fn state(&self) -> RobotState<MAX_JOINTS> {
         let (qpos, qvel) = (self.data.qpos(), self.data.qvel());
         let mut state = RobotState {
             base_pose_world: self.scene.base_pose_world,
             base_velocity_world: [0.0; 3],
             q_rad: self.scene.arm_posture_rad,
-            dq_rad_s: [0.0; 7],
+            dq_rad_s: [0.0; MAX_JOINTS],
             torque_measured_nm: self.torque_nm,
             flange_wrench_world: self.scene.flange_sensor.then_some(self.flange_wrench_world),
         };
@@ -127,8 +127,9 @@ impl SimPlant {
             state.base_velocity_world.copy_from_slice(&qvel[dof..dof + 3]);
         }
         if let Some(dof) = self.arm_dof {
-            state.q_rad.copy_from_slice(&qpos[dof..dof + 7]);
-            state.dq_rad_s.copy_from_slice(&qvel[dof..dof + 7]);
+            let joints = self.scene.arm.joints;
+            state.q_rad[..joints].copy_from_slice(&qpos[dof..dof + joints]);
+            state.dq_rad_s[..joints].copy_from_slice(&qvel[dof..dof + joints]);
         }
         state
     }
@@ -137,14 +138,21 @@ impl SimPlant {
     ///
     /// # Errors
     /// A value that is not finite; the plant then brakes.
-    pub fn apply(&mut self, actuation: &Actuation<7>) -> Result<(), SimError> {
+    pub fn apply<const N: usize>(&mut self, actuation: &Actuation<N>) -> Result<(), SimError> {
         self.order = Order::Brake;
         if let Actuation::Drive(command) = actuation {
             finite("base velocity", &command.base_velocity_body)?;
             finite("arm torque", &command.arm_torque_nm)?;
-            self.order = Order::Drive(*command);
+            self.order = Order::Drive(command.resized());
         }
         Ok(())
+    }
+
+    /// The base has heard no command for too long: it stops, the arm goes on as told.
+    pub fn stop_base(&mut self) {
+        if let Order::Drive(command) = &mut self.order {
+            command.base_velocity_body = [0.0; 3];
+        }
     }
 
     /// One control period: as many physics steps as the scene asks for.
@@ -185,10 +193,11 @@ impl SimPlant {
     /// # Errors
     /// A taxel that does not exist, or a force outside 0 to 1000 N.
     pub fn press(&mut self, taxel: usize, force_n: f64) -> Result<(), SimError> {
-        let Some(pressed) = self.pressed_n.get_mut(taxel) else {
+        let taxels = self.scene.cover.len();
+        let Some(pressed) = self.pressed_n.get_mut(taxel).filter(|_| taxel < taxels) else {
             #[expect(clippy::cast_precision_loss, reason = "shown to a person")]
-            let value = taxel as f64 + 1.0;
-            return Err(SimError::Load { name: "taxel", value, min: 1.0, max: K as f64 });
+            let (value, max) = (taxel as f64 + 1.0, taxels as f64);
+            return Err(SimError::Load { name: "taxel", value, min: 1.0, max });
         };
         if !(0.0..=PRESS_MAX_N).contains(&force_n) {
             return Err(SimError::Load { name: "press, N", value: force_n, min: 0.0, max: PRESS_MAX_N });
@@ -208,8 +217,8 @@ impl SimPlant {
     }
 
     /// True force on each taxel over the last physics step, N, T1 first.
-    pub fn taxel_force_true_n(&self) -> [f64; K] {
-        self.taxel_force_n
+    pub fn taxel_force_true_n(&self) -> &[f64] {
+        &self.taxel_force_n[..self.scene.cover.len()]
     }
 
     /// Sum of the normal forces on everybody who touches the cover, felt by a taxel or not, over the last physics step, N.
@@ -253,15 +262,17 @@ impl SimPlant {
         self.data.time()
     }
 
-    /// Puts base and arm into a state and brings every derived quantity up to date.
-    pub fn set_state(&mut self, base: &[f64; 3], base_rate: &[f64; 3], q: &[f64; 7], dq: &[f64; 7]) {
+    /// Puts base and arm (joint angles and rates, rad and rad/s; what is not given stays) into a state and brings every
+    /// derived quantity up to date.
+    pub fn set_state(&mut self, base: &[f64; 3], base_rate: &[f64; 3], q: &[f64], dq: &[f64]) {
         if let Some(dof) = self.base_dof {
             self.data.qpos_mut()[dof..dof + 3].copy_from_slice(base);
             self.data.qvel_mut()[dof..dof + 3].copy_from_slice(base_rate);
         }
         if let Some(dof) = self.arm_dof {
-            self.data.qpos_mut()[dof..dof + 7].copy_from_slice(q);
-            self.data.qvel_mut()[dof..dof + 7].copy_from_slice(dq);
+            let joints = dof..dof + self.scene.arm.joints;
+            self.data.qpos_mut()[joints.clone()].iter_mut().zip(q).for_each(|(place, q)| *place = *q);
+            self.data.qvel_mut()[joints].iter_mut().zip(dq).for_each(|(place, dq)| *place = *dq);
         }
         self.data.forward();
     }
@@ -340,7 +351,8 @@ impl SimPlant {
                 Order::Drive(command) => self.torque_nm = command.arm_torque_nm,
                 Order::Brake => self.torque_nm = self.brake_torque_nm(dof, &state.dq_rad_s),
             }
-            self.data.qfrc_applied_mut()[dof..dof + 7].copy_from_slice(&self.torque_nm);
+            let joints = self.scene.arm.joints;
+            self.data.qfrc_applied_mut()[dof..dof + joints].copy_from_slice(&self.torque_nm[..joints]);
         }
         if let Some(body) = self.flange_body {
             self.data.xfrc_applied_mut()[body] = self.flange_wrench_world;
@@ -348,12 +360,13 @@ impl SimPlant {
     }
 
     /// Gravity compensation and a torque that takes the speed out of every joint in [`BRAKE_TIME_S`].
-    fn brake_torque_nm(&mut self, dof: usize, dq: &[f64; 7]) -> [f64; 7] {
-        let mut torque = [0.0; 7];
-        torque.copy_from_slice(&self.data.qfrc_bias()[dof..dof + 7]);
+    fn brake_torque_nm(&mut self, dof: usize, dq: &[f64; MAX_JOINTS]) -> [f64; MAX_JOINTS] {
+        let joints = self.scene.arm.joints;
+        let mut torque = [0.0; MAX_JOINTS];
+        torque[..joints].copy_from_slice(&self.data.qfrc_bias()[dof..dof + joints]);
         let (mass, nv) = self.full_mass_matrix();
-        for (i, torque) in torque.iter_mut().enumerate() {
-            let row = &mass[(dof + i) * nv + dof..(dof + i) * nv + dof + 7];
+        for (i, torque) in torque[..joints].iter_mut().enumerate() {
+            let row = &mass[(dof + i) * nv + dof..(dof + i) * nv + dof + joints];
             *torque -= row.iter().zip(dq).map(|(m, dq)| m * dq).sum::<f64>() / BRAKE_TIME_S;
         }
         torque

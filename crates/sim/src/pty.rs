@@ -2,7 +2,7 @@
 
 use crate::board::{BoardFault, VirtualBoard, VirtualBoardConfig};
 use crate::{SimError, error::os};
-use moca_msgs::robot::PAPER_COVER;
+use moca_tactile::datastream::ELECTRODES;
 use nix::fcntl::{FcntlArg, OFlag, fcntl, open};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::pty::{PtyMaster, grantpt, posix_openpt, ptsname_r, unlockpt};
@@ -17,8 +17,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use std::{env, fs, process};
 
-/// True taxel forces, N, as the bits of an `f64`, T1 first.
-pub type SharedForces = Arc<[AtomicU64; PAPER_COVER.len()]>;
+/// True forces on the electrodes of one board, N, as the bits of an `f64`, T1 first.
+pub type SharedForces = Arc<[AtomicU64; ELECTRODES]>;
 
 /// How often the board's thread wakes.
 const WAKE: Duration = Duration::from_millis(1);
@@ -191,7 +191,8 @@ fn run(mut board: VirtualBoard, mut port: Port, forces: &SharedForces, orders: &
             Ok(Order::Fault(fault)) => board.set_fault(fault),
             Ok(Order::Bytes(bytes)) => port.write(&bytes),
             Err(TryRecvError::Empty) => {
-                let force_n = std::array::from_fn(|i| f64::from_bits(forces[i].load(Ordering::Relaxed)));
+                let force_n =
+                    forces.each_ref().map(|force_n| f64::from_bits(force_n.load(Ordering::Relaxed)));
                 let now_ns = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
                 board.advance(now_ns, &force_n, &mut |bytes: &[u8]| port.write(bytes));
                 std::thread::sleep(WAKE);

@@ -5,8 +5,9 @@ use crate::error::{SimError, within};
 use crate::foam::Foam;
 use crate::outline::outward_base;
 use moca_msgs::robot::{
-    ArmTable, BaseTable, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, SUMMIT_XL, TaxelPlacement,
+    AnyArm, BaseTable, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, Payload, SUMMIT_XL, TaxelPlacement,
 };
+use moca_msgs::{MAX_JOINTS, MAX_TAXELS};
 
 /// Which parts of the robot exist.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -228,9 +229,11 @@ pub struct Scene {
     /// Pose of B in W at the start: x m, y m, yaw rad.
     pub base_pose_world: [f64; 3],
     /// The arm.
-    pub arm: &'static ArmTable<7>,
-    /// Arm joint angles at the start, rad.
-    pub arm_posture_rad: [f64; 7],
+    pub arm: AnyArm,
+    /// Arm joint angles at the start, rad; entries beyond the last joint are of no meaning.
+    pub arm_posture_rad: [f64; MAX_JOINTS],
+    /// What is fixed to the flange.
+    pub payload: Payload,
     /// The arm's mechanical joint limits.
     pub joint_limits: bool,
     /// A sensor that reports the true wrench at the flange as the robot's own estimate.
@@ -244,8 +247,8 @@ pub struct Scene {
     pub base: BaseTable,
     /// Where the arm sits on it.
     pub mount: Mount,
-    /// Where the taxels sit on it.
-    pub cover: [TaxelPlacement; PAPER_COVER.len()],
+    /// Where the taxels sit on it, up to [`MAX_TAXELS`].
+    pub cover: Vec<TaxelPlacement>,
     /// The base's velocity servo.
     pub base_servo: BaseServo,
     /// People and walls.
@@ -264,15 +267,16 @@ impl Default for Scene {
         Self {
             robot: Robot::MobileManipulator,
             base_pose_world: [0.0; 3],
-            arm: &PANDA,
-            arm_posture_rad: PANDA.home_rad,
+            arm: AnyArm::of(&PANDA),
+            arm_posture_rad: AnyArm::of(&PANDA).table.home_rad,
+            payload: Payload::NONE,
             joint_limits: true,
             flange_sensor: false,
             foam: Foam::default(),
             everything: false,
             base: SUMMIT_XL,
             mount: MOCA_MOUNT,
-            cover: PAPER_COVER,
+            cover: PAPER_COVER.to_vec(),
             base_servo: BaseServo::default(),
             people: Vec::new(),
             control_period_s: 1e-3,
@@ -298,6 +302,9 @@ impl Scene {
         within("base.size", "m", &self.base.size_m, 0.1, 100.0)?;
         within("mount.position", "m", &self.mount.position_base_m, -10.0, 10.0)?;
         within("mount.rpy", "rad", &self.mount.rpy_rad, -7.0, 7.0)?;
+        #[expect(clippy::cast_precision_loss, reason = "small counts")]
+        within("cover", "taxels", &[self.cover.len() as f64], 0.0, MAX_TAXELS as f64)?;
+        within("payload.mass", "kg", &[self.payload.inertial.mass_kg], 0.0, 1e3)?;
         for taxel in &self.cover {
             within("taxel.position", "m", &taxel.position_base_m, -10.0, 10.0)?;
             within("taxel.inward", "rad", &[taxel.inward_angle_base_rad], -7.0, 7.0)?;

@@ -2,7 +2,7 @@
 //! and against bad input.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs, reason = "tests fail by panicking")]
 
-use moca_msgs::robot::{FR3, Mount, PANDA};
+use moca_msgs::robot::{AnyArm, FR3, Mount, PANDA};
 use moca_msgs::{Actuation, RobotCommand};
 use moca_sim::foam::Foam;
 use moca_sim::{BodyPart, Integrator, Person, Robot, Scene, SimError, SimPlant};
@@ -41,12 +41,7 @@ fn mass_matrix_and_bias_agree_with_pinocchio() {
     assert!(!vectors.is_empty());
     for vector in vectors {
         let (q, qd) = (numbers(&vector["q"]), numbers(&vector["qd"]));
-        plant.set_state(
-            &q[..3].try_into().unwrap(),
-            &qd[..3].try_into().unwrap(),
-            &q[3..].try_into().unwrap(),
-            &qd[3..].try_into().unwrap(),
-        );
+        plant.set_state(&q[..3].try_into().unwrap(), &qd[..3].try_into().unwrap(), &q[3..], &qd[3..]);
         let bias = numbers(&vector["bias_full"]);
         let scale = bias.iter().fold(1.0f64, |m, v| m.max(v.abs()));
         for (a, b) in plant.bias().iter().zip(&bias) {
@@ -115,7 +110,7 @@ fn braking_stops_base_and_arm_and_holds_against_gravity() {
         let mut plant = SimPlant::new(&Scene { integrator, ..Scene::default() }).unwrap();
         plant.set_state(&STILL, &STILL, &PANDA.home_rad, &[1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0]);
         drive(&mut plant, [0.3, 0.0, 0.3], 5);
-        plant.apply(&Actuation::Brake).unwrap();
+        plant.apply(&Actuation::<7>::Brake).unwrap();
         for _ in 0..500 {
             plant.step().unwrap();
         }
@@ -224,7 +219,7 @@ fn driven(person: Person, velocity_body: [f64; 3], ticks: usize) -> Vec<[f64; 11
     (0..ticks)
         .map(|_| {
             drive(&mut plant, velocity_body, 1);
-            plant.taxel_force_true_n()
+            plant.taxel_force_true_n().try_into().unwrap()
         })
         .collect()
 }
@@ -334,7 +329,7 @@ fn the_same_commands_give_the_same_bits() {
         let person = Person::beside(0, 0.01).unwrap();
         let mut plant = SimPlant::new(&Scene { people: vec![person], ..Scene::default() }).unwrap();
         drive(&mut plant, [0.0, 0.1, 0.1], 800);
-        (plant.state(), plant.taxel_force_true_n())
+        (plant.state(), plant.taxel_force_true_n().to_vec())
     };
     assert_eq!(run(), run());
 }
@@ -396,7 +391,7 @@ fn an_fr3_in_the_scene_agrees_with_pinocchio() {
         let scene = Scene {
             robot: Robot::ArmOnly,
             joint_limits: false,
-            arm: &FR3,
+            arm: AnyArm::of(&FR3),
             mount: Mount {
                 position_base_m: mount[..3].try_into().unwrap(),
                 rpy_rad: mount[3..].try_into().unwrap(),
@@ -405,7 +400,7 @@ fn an_fr3_in_the_scene_agrees_with_pinocchio() {
         };
         let mut plant = SimPlant::new(&scene).unwrap();
         let (q, dq) = (numbers(&case["q"]), numbers(&case["dq"]));
-        plant.set_state(&STILL, &STILL, &q.try_into().unwrap(), &dq.try_into().unwrap());
+        plant.set_state(&STILL, &STILL, &q, &dq);
         for (a, b) in plant.bias().iter().zip(numbers(&case["bias"])) {
             assert!((a - b).abs() < 1e-9, "bias {a} against {b}");
         }

@@ -1,4 +1,4 @@
-//! A cover of `K` taxels on one or more boards: events in, a reading with age and health out.
+//! A cover of up to `K` taxels on one or more boards: events in, a reading with age and health out.
 //!
 //! ```
 //! use moca_tactile::{Cover, CoverConfig};
@@ -144,6 +144,9 @@ impl<const K: usize> Cover<K> {
         else {
             return false;
         };
+        if taxel >= self.config.taxels {
+            return false;
+        }
         if *slot != masked {
             *slot = masked;
             *state = Taxel { fdat: state.fdat, health: state.health, ..Taxel::default() };
@@ -153,12 +156,13 @@ impl<const K: usize> Cover<K> {
 
     /// Whether every taxel in use has a valid zero.
     pub fn zero_valid(&self) -> bool {
-        self.taxels.iter().zip(&self.config.masked).all(|(taxel, &masked)| masked || taxel.zero.is_some())
+        let mut in_use = self.taxels.iter().zip(&self.config.masked).take(self.config.taxels);
+        in_use.all(|(taxel, &masked)| masked || taxel.zero.is_some())
     }
 
     /// Voids zero and gain of one board's taxels, as after re-enumeration.
     pub fn invalidate(&mut self, board: usize) {
-        for (taxel, wire) in self.taxels.iter_mut().zip(&self.config.wiring) {
+        for (taxel, wire) in self.taxels.iter_mut().zip(&self.config.wiring).take(self.config.taxels) {
             if usize::from(wire.board) == board {
                 *taxel = Taxel { fdat: taxel.fdat, ..Taxel::default() };
             }
@@ -184,7 +188,7 @@ impl<const K: usize> Cover<K> {
             self.tare = TareStatus::Refused(TareRefusal::NoFrames);
         }
         let mut reading = CoverReading::UNKNOWN;
-        for (i, slot) in reading.taxels.iter_mut().enumerate() {
+        for (i, slot) in reading.taxels.iter_mut().enumerate().take(self.config.taxels) {
             let status = self.status(i, now_ns);
             let force_n = if status == TaxelStatus::Ok { self.taxels[i].force_n } else { 0.0 };
             *slot = TaxelReading { force_n, status };
@@ -217,7 +221,7 @@ impl<const K: usize> Cover<K> {
 
     fn forces(&self, reading: &CoverReading<K>) -> Result<[f64; K], (usize, TaxelStatus)> {
         let mut forces = [0.0; K];
-        for (i, taxel) in reading.taxels.iter().enumerate() {
+        for (i, taxel) in reading.taxels.iter().enumerate().take(self.config.taxels) {
             match taxel.status {
                 TaxelStatus::Ok => forces[i] = taxel.force_n,
                 TaxelStatus::Masked if self.config.mask_policy == MaskPolicy::Unfelt => {}
@@ -288,7 +292,7 @@ impl<const K: usize> Cover<K> {
         #[expect(clippy::cast_precision_loss, reason = "at most 120 ms")]
         let dt_s = dt_ns as f64 * 1e-9;
         let taring = matches!(self.tare, TareStatus::InProgress { .. });
-        for (i, wire) in self.config.wiring.iter().enumerate() {
+        for (i, wire) in self.config.wiring.iter().enumerate().take(self.config.taxels) {
             if usize::from(wire.board) == board {
                 let electrode = usize::from(wire.electrode);
                 self.taxels[i].update(
@@ -352,7 +356,8 @@ impl<const K: usize> Cover<K> {
         if !matches!(self.tare, TareStatus::InProgress { .. }) {
             return;
         }
-        let in_use = || self.taxels.iter().enumerate().filter(|(i, _)| !self.config.masked[*i]);
+        let taxels = self.taxels.iter().enumerate().take(self.config.taxels);
+        let in_use = || taxels.clone().filter(|(i, _)| !self.config.masked[*i]);
         let frames = in_use().map(|(_, taxel)| taxel.tare.frames).min().unwrap_or(TARE_FRAMES);
         if frames < TARE_FRAMES {
             self.tare = TareStatus::InProgress { frames };

@@ -163,7 +163,7 @@ fn introduction(config: &Config, lock_step: bool) -> Vec<String> {
 }
 
 fn simulated(config: &Config, mujoco: &str) -> Vec<String> {
-    let (arm, base) = (config.arm().name, &config.robot.base_name);
+    let (arm, base) = (&config.robot.arm.name, &config.robot.base_name);
     let robot = match config.plant.parts {
         Parts::Whole => format!("{arm} on {base}"),
         Parts::Base => format!("{base} without an arm"),

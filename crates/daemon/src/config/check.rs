@@ -1,7 +1,7 @@
 //! What single rows cannot know: numbers that do not go together.
 
 use super::{AUTO_LISTEN, Config, ProtectionConfig, TelemetryConfig, VIRTUAL_PORT};
-use crate::robot::{Parts, PlantKind, TAXELS};
+use crate::robot::{Parts, PlantKind};
 use moca_tactile::cover::MaskPolicy;
 use moca_telemetry::net::Address;
 
@@ -30,22 +30,35 @@ pub(super) fn check(config: &Config, report: Report<'_>) {
 /// Lists that go taxel by taxel, and numbers of taxels.
 fn lists(config: &Config, report: Report<'_>) {
     let cover = &config.robot.cover;
-    for (key, count) in
-        [("x_m", cover.x_m.len()), ("y_m", cover.y_m.len()), ("inward_rad", cover.inward_rad.len())]
-    {
-        if count != TAXELS {
+    let taxels = cover.count();
+    if taxels == 0 {
+        report("robot.cover.x_m", "robot.cover.x_m is empty; a cover has 1 to 48 taxels".into());
+    }
+    for (key, count) in [("y_m", cover.y_m.len()), ("inward_rad", cover.inward_rad.len())] {
+        if count != taxels {
             let name = format!("robot.cover.{key}");
-            report(
-                &name,
-                format!("{name} has {count} elements where {TAXELS} are expected, one for each taxel"),
-            );
+            let message =
+                format!("{name} has {count} elements; robot.cover.x_m has {taxels}, one for each taxel");
+            report(&name, message);
         }
+    }
+    let electrodes = &cover.electrode;
+    let twice = electrodes.iter().enumerate().find(|(i, electrode)| electrodes[..*i].contains(electrode));
+    if let Some((i, electrode)) = twice {
+        let message = format!("robot.cover.electrode: {electrode} of T{} is another taxel's too", i + 1);
+        report("robot.cover.electrode", message);
+    } else if !electrodes.is_empty() && electrodes.len() != taxels {
+        let message = format!(
+            "robot.cover.electrode has {} elements; allowed: {taxels}, one for each taxel, or none",
+            electrodes.len()
+        );
+        report("robot.cover.electrode", message);
     }
     for (name, numbers) in
         [("board.masked", &config.board.masked), ("simulation.hand.taxels", &config.simulation.hand.taxels)]
     {
-        if let Some(number) = numbers.iter().find(|number| **number > TAXELS) {
-            report(name, format!("{name} = {number}: the cover's taxels are 1 to {TAXELS}"));
+        if let Some(number) = numbers.iter().find(|number| **number > taxels) {
+            report(name, format!("{name} = {number}: the cover's taxels are 1 to {taxels}"));
         }
     }
 }
@@ -87,7 +100,7 @@ fn geometry(config: &Config, report: Report<'_>) {
 
 fn masks(config: &Config, report: Report<'_>) {
     let masked = |taxel: usize| config.board.masked.contains(&taxel);
-    if config.board.mask_policy == MaskPolicy::Unfelt && (1..=TAXELS).all(masked) {
+    if config.board.mask_policy == MaskPolicy::Unfelt && (1..=config.robot.cover.count()).all(masked) {
         report(
             "board.masked",
             "board.masked: every taxel is masked and board.mask_policy = \"unfelt\" would move a base that feels nothing; \

@@ -21,13 +21,13 @@ pub const TEMPLATE_TOML: &str = include_str!("../../config/contact-limits.toml")
 const RANGE_N: std::ops::RangeInclusive<f64> = 1.0..=1000.0;
 const FIELDS: [&str; 2] = ["transient_n", "quasi_static_n"];
 
-/// Reads a file; what it does not name has no limit.
+/// Reads a file for a cover of this many taxels; what it does not name has no limit.
 ///
 /// # Errors
 /// Every mistake in it, each with its line, or why it could not be read.
-pub fn load(path: &Path) -> Result<[ContactLimits; TAXELS], ConfigError> {
+pub fn load(path: &Path, taxels: usize) -> Result<[ContactLimits; TAXELS], ConfigError> {
     let text = read_text(path)?;
-    parse(&text).map_err(|error| ConfigError {
+    parse(&text, taxels).map_err(|error| ConfigError {
         mistakes: error.mistakes.iter().map(|mistake| format!("{}: {mistake}", path.display())).collect(),
     })
 }
@@ -36,12 +36,12 @@ pub fn load(path: &Path) -> Result<[ContactLimits; TAXELS], ConfigError> {
 ///
 /// # Errors
 /// As for [`load`].
-pub fn parse(text: &str) -> Result<[ContactLimits; TAXELS], ConfigError> {
+pub fn parse(text: &str, taxels: usize) -> Result<[ContactLimits; TAXELS], ConfigError> {
     let (root, values) = syntax(text)?;
     let mut mistakes = Mistakes::new(text, root);
-    mistakes.unknown_keys(&known());
+    mistakes.unknown_keys(&known(taxels));
     let mut limits = [ContactLimits::default(); TAXELS];
-    for (i, limit) in limits.iter_mut().enumerate() {
+    for (i, limit) in limits.iter_mut().enumerate().take(taxels) {
         let name = format!("T{}", i + 1);
         let mut number = |field: &str| {
             let key = format!("{name}.{field}");
@@ -78,10 +78,10 @@ pub fn parse(text: &str) -> Result<[ContactLimits; TAXELS], ConfigError> {
 }
 
 /// Every key there may be.
-fn known() -> toml::Table {
+fn known(taxels: usize) -> toml::Table {
     let fields: toml::Table =
         FIELDS.map(|field| (field.to_owned(), toml::Value::Float(0.0))).into_iter().collect();
-    let taxels = (1..=TAXELS).map(|n| (format!("T{n}"), toml::Value::Table(fields.clone())));
+    let taxels = (1..=taxels).map(|n| (format!("T{n}"), toml::Value::Table(fields.clone())));
     taxels.chain([("source".to_owned(), toml::Value::String(String::new()))]).collect()
 }
 
@@ -100,21 +100,22 @@ mod tests {
 
     #[test]
     fn the_template_is_valid_and_limits_nothing() {
-        assert_eq!(parse(TEMPLATE_TOML), Ok([ContactLimits::default(); TAXELS]));
+        assert_eq!(parse(TEMPLATE_TOML, 11), Ok([ContactLimits::default(); TAXELS]));
         // what it shows as an example is valid too, once a number is written
         let uncommented = TEMPLATE_TOML
             .replace("# [T", "[T")
             .replace("# source", "source")
             .replace("# transient_n =", "transient_n = 1")
             .replace("# quasi_static_n =", "quasi_static_n = 1");
-        assert_ne!(parse(&uncommented), Ok([ContactLimits::default(); TAXELS]));
-        parse(&uncommented).unwrap();
+        assert_ne!(parse(&uncommented, 11), Ok([ContactLimits::default(); TAXELS]));
+        parse(&uncommented, 11).unwrap();
     }
 
     #[test]
     fn limits_are_taken_taxel_by_taxel() {
         let limits = parse(
             "source = \"x\"\n[T2]\ntransient_n = 100\nquasi_static_n = 50.5\n[T11]\nquasi_static_n = 20\n",
+            11,
         )
         .unwrap();
         assert_eq!(limits[1], ContactLimits { transient_n: Some(100.0), quasi_static_n: Some(50.5) });
@@ -125,7 +126,7 @@ mod tests {
     #[test]
     fn every_mistake_is_reported_with_line_value_and_range() {
         let text = "[T1]\ntransient_n = 0\nquasi_static_n = nan\n[T12]\n[T2]\ntransient = 3\n[T3]\ntransient_n = 10\nquasi_static_n = 20\n[T4]\ntransient_n = \"a\"\n";
-        let error = parse(text).unwrap_err().to_string();
+        let error = parse(text, 11).unwrap_err().to_string();
         for part in [
             "line 2: T1.transient_n = 0 N is outside 1 to 1000 N",
             "line 3: T1.quasi_static_n = NaN N is outside 1 to 1000 N",
@@ -136,9 +137,9 @@ mod tests {
         ] {
             assert!(error.contains(part), "{part} not in:\n{error}");
         }
-        assert!(parse("[T1]\ntransient_n = 10\n").unwrap_err().to_string().contains("source is missing"));
+        assert!(parse("[T1]\ntransient_n = 10\n", 11).unwrap_err().to_string().contains("source is missing"));
         assert!(
-            parse("T1 = 3\n")
+            parse("T1 = 3\n", 11)
                 .unwrap_err()
                 .to_string()
                 .contains("line 1: T1 is a section; write [T1] and below it")

@@ -1,7 +1,7 @@
 //! Configuration files: read, checked, written. One pass reports every mistake, each with its line and its key.
 
 use super::{Config, ConfigError};
-use crate::robot::Arm;
+use crate::robot::{Arm, JOINTS};
 use moca_msgs::table::{Field, FieldValue, ParameterKind, ParameterSpec, Size};
 use std::fs::File;
 use std::io::Read;
@@ -44,7 +44,7 @@ impl Config {
         let mut known = toml::Table::new();
         config.each(&mut |row, _| insert(&mut known, row.name, toml::Value::Boolean(true)));
         mistakes.unknown_keys(&known);
-        let joints = config.arm().joints();
+        let joints = config.arm().joints;
         config.each(&mut |row, field| {
             if let Some(value) = find(&values, row.name)
                 && let Err(message) = take(row, field, value, joints)
@@ -73,7 +73,8 @@ impl Config {
     /// The whole configuration as a file that gives it back.
     pub fn to_toml(&self) -> toml::Table {
         let mut table = toml::Table::new();
-        self.clone().each(&mut |row, field| insert(&mut table, row.name, written(row, field)));
+        let joints = self.arm().joints;
+        self.clone().each(&mut |row, field| insert(&mut table, row.name, written(row, field, joints)));
         table
     }
 
@@ -82,7 +83,7 @@ impl Config {
     /// # Errors
     /// A value of the wrong kind, with what is expected. Its range is checked by [`Config::check`].
     pub fn set(&mut self, name: &str, value: &toml::Value) -> Result<(), String> {
-        let joints = self.arm().joints();
+        let joints = self.arm().joints;
         let mut result = Err(format!("no setting is called {name}"));
         self.each(&mut |row, field| {
             if row.name == name {
@@ -219,8 +220,11 @@ pub(crate) fn take(
             _ => wrong(),
         },
         ParameterKind::Number | ParameterKind::Integer | ParameterKind::Flag => {
-            let Some(numbers) = numbers(row, value, joints) else { return wrong() };
+            let Some(mut numbers) = numbers(row, value, joints) else { return wrong() };
             row.check(&numbers).map_err(|error| error.to_string())?;
+            if row.size == Size::Joints {
+                numbers.resize(JOINTS, 0.0);
+            }
             if field.take(FieldValue::Numbers(&numbers)) { Ok(()) } else { wrong() }
         }
     }
@@ -278,7 +282,7 @@ fn shown(value: &toml::Value) -> String {
 }
 
 /// A field as it is written into a file.
-pub(crate) fn written(row: &ParameterSpec, field: &dyn Field) -> toml::Value {
+pub(crate) fn written(row: &ParameterSpec, field: &dyn Field, joints: usize) -> toml::Value {
     let number = |number: &f64| match row.kind {
         #[expect(clippy::cast_possible_truncation, reason = "whole and below 2^53")]
         ParameterKind::Integer => toml::Value::Integer(*number as i64),
@@ -290,7 +294,10 @@ pub(crate) fn written(row: &ParameterSpec, field: &dyn Field) -> toml::Value {
         written = match (value, row.size) {
             (FieldValue::Text(text), _) => toml::Value::String(text.into()),
             (FieldValue::Numbers([one]), Size::One) => number(one),
-            (FieldValue::Numbers(many), _) => many.iter().map(number).collect::<Vec<_>>().into(),
+            (FieldValue::Numbers(many), size) => {
+                let count = if size == Size::Joints { joints } else { many.len() };
+                many.iter().take(count).map(number).collect::<Vec<_>>().into()
+            }
         };
     });
     written
@@ -506,9 +513,10 @@ mod tests {
         assert_eq!(far[0], "line 2: board.masked = 12: the cover's taxels are 1 to 11");
         assert_eq!(far[1], "line 4: simulation.hand.taxels = 20: the cover's taxels are 1 to 11");
         let short = mistakes("[robot.cover]\nx_m = [0.1]\n");
-        assert_eq!(
-            short[0],
-            "line 2: robot.cover.x_m has 1 elements where 11 are expected, one for each taxel"
+        assert!(
+            short.contains(
+                &"robot.cover.y_m has 11 elements; robot.cover.x_m has 1, one for each taxel".into()
+            )
         );
     }
 }

@@ -8,14 +8,16 @@ pub mod schema;
 
 use crate::robot::{Arm, JOINTS, Parts, PlantKind, Robot, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
+use moca_msgs::robot::AnyArm;
 use moca_msgs::table::{Field, ParameterSpec};
 use moca_msgs::{
-    ArmTable, ContactReaction, Corrections, ImpedanceGains, Law, Limits, MAX_TAXELS, Parameters,
-    TaxelPlacement, choice, parameter_table,
+    ContactReaction, Corrections, ImpedanceGains, Law, Limits, MAX_TAXELS, Parameters, TaxelPlacement,
+    choice, parameter_table,
 };
 use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
-use moca_tactile::cover::MaskPolicy;
+use moca_tactile::cover::{Electrode, MaskPolicy};
+use moca_tactile::datastream::ELECTRODES;
 use moca_tactile::model::ASSUMED_ERROR_FROM_N;
 use moca_tactile::{CoverConfig, TaxelModel};
 use moca_telemetry::net::{Address, DEFAULT_ADDRESS};
@@ -279,7 +281,7 @@ impl Default for Config {
 impl Config {
     /// The defaults for a robot with this arm.
     pub fn with_arm(arm: Arm) -> Self {
-        let table = arm.table();
+        let table = &arm.table.table;
         Self {
             control: ControlConfig {
                 gains: ImpedanceGains::for_arm(table),
@@ -329,11 +331,16 @@ impl Config {
     /// A calibration file that cannot be read, is of another board, or does not name every taxel.
     pub fn cover(&self) -> Result<CoverConfig<TAXELS>, FileError> {
         let mut cover = CoverConfig {
+            taxels: self.robot.cover.count(),
             mask_policy: self.board.mask_policy,
             models: [self.board.model.model(); TAXELS],
             force_max_n: self.limits.taxel_force_n,
             ..CoverConfig::default()
         };
+        for (wire, number) in cover.wiring.iter_mut().zip(self.robot.cover.electrodes()) {
+            let place = |n: usize| u8::try_from(n).unwrap_or(u8::MAX);
+            *wire = Electrode { board: place(number / ELECTRODES), electrode: place(number % ELECTRODES) };
+        }
         for &taxel in &self.board.masked {
             if let Some(masked) = taxel.checked_sub(1).and_then(|i| cover.masked.get_mut(i)) {
                 *masked = true;
@@ -363,13 +370,15 @@ impl Config {
     }
 
     /// The arm's table.
-    pub const fn arm(&self) -> &'static ArmTable<JOINTS> {
-        self.robot.arm.table()
+    pub const fn arm(&self) -> &AnyArm {
+        &self.robot.arm.table
     }
 
-    /// Where the taxels sit on the base, T1 first.
+    /// Where the taxels sit on the base, T1 first; those beyond the last are in the middle, where they change nothing.
     pub fn taxels(&self) -> [TaxelPlacement; TAXELS] {
-        let mut taxels = moca_msgs::robot::PAPER_COVER;
+        const NOWHERE: TaxelPlacement =
+            TaxelPlacement { position_base_m: [0.0; 2], inward_angle_base_rad: 0.0 };
+        let mut taxels = [NOWHERE; TAXELS];
         for (place, taxel) in taxels.iter_mut().zip(self.robot.cover.placements()) {
             *place = taxel;
         }

@@ -8,7 +8,7 @@ use moca_msgs::{ContactEvent, ContactReaction, TaxelReading, TaxelStatus};
 
 /// Events that wait for a sample with room. A frame makes at most three a taxel, and a tick takes four away: with 4 ms
 /// between frames, the sensor chip's fastest, they do not pile up.
-const WAITING: usize = 64;
+const WAITING: usize = 3 * TAXELS;
 
 #[derive(Clone, Copy, Debug)]
 struct Contact {
@@ -212,7 +212,7 @@ mod tests {
 
     #[test]
     fn a_short_touch_is_transient_and_has_peak_and_impulse() {
-        let mut tracker = ContactTracker::new(Default::default(), ContactReaction::Slow);
+        let mut tracker = ContactTracker::new([ContactLimits::default(); TAXELS], ContactReaction::Slow);
         let touch = [0.0, 10.0, 30.0, 20.0, 0.0, 0.0];
         let events = feed(&mut tracker, touch);
         assert_eq!(
@@ -229,7 +229,7 @@ mod tests {
     #[test]
     fn half_a_second_is_transient_and_a_tick_more_is_not() {
         for (ms, kind) in [(500, ContactKind::Transient), (501, ContactKind::QuasiStatic)] {
-            let mut tracker = ContactTracker::new(Default::default(), ContactReaction::Slow);
+            let mut tracker = ContactTracker::new([ContactLimits::default(); TAXELS], ContactReaction::Slow);
             let events = feed(&mut tracker, std::iter::repeat_n(10.0, ms).chain([0.0]));
             assert_eq!(events[1].1.kind, kind, "{ms} ms");
         }
@@ -237,7 +237,7 @@ mod tests {
 
     #[test]
     fn the_clamp_force_is_what_presses_after_half_a_second() {
-        let mut tracker = ContactTracker::new(Default::default(), ContactReaction::Slow);
+        let mut tracker = ContactTracker::new([ContactLimits::default(); TAXELS], ContactReaction::Slow);
         let forces = std::iter::repeat_n(80.0, 500).chain(std::iter::repeat_n(20.0, 500)).chain([40.0, 0.0]);
         let (_, end) = feed(&mut tracker, forces)[1];
         assert!(near(end.peak_n, 80.0) && near(end.clamp_max_n, 40.0), "{end:?}");
@@ -267,7 +267,7 @@ mod tests {
 
     #[test]
     fn a_taxel_that_is_lost_in_contact_has_not_let_go() {
-        let mut tracker = ContactTracker::new(Default::default(), ContactReaction::Slow);
+        let mut tracker = ContactTracker::new([ContactLimits::default(); TAXELS], ContactReaction::Slow);
         feed(&mut tracker, [10.0]);
         let mut stale = reading(2, 10.0);
         stale[2].status = TaxelStatus::Stale;
@@ -277,8 +277,10 @@ mod tests {
 
     #[test]
     fn more_events_than_a_sample_holds_wait_for_the_next() {
-        let mut tracker = ContactTracker::new(Default::default(), ContactReaction::Slow);
-        tracker.update(MS, &[TaxelReading { force_n: 9.0, status: TaxelStatus::Ok }; TAXELS]);
+        let mut tracker = ContactTracker::new([ContactLimits::default(); TAXELS], ContactReaction::Slow);
+        let mut taxels = [TaxelReading { force_n: 0.0, status: TaxelStatus::Ok }; TAXELS];
+        taxels[..11].fill(TaxelReading { force_n: 9.0, status: TaxelStatus::Ok });
+        tracker.update(MS, &taxels);
         let counts = [4, 4, 3, 0].map(|expected| (tracker.take::<4>().len(), expected));
         assert!(counts.iter().all(|(count, expected)| count == expected), "{counts:?}");
     }

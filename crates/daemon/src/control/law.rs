@@ -4,7 +4,8 @@ use crate::config::Config;
 use crate::control::cover::CoverState;
 use crate::control::protection::{Protected, Protection};
 use crate::robot::{JOINTS, Parts, TAXELS};
-use moca_msgs::params::CONTROLLER;
+use moca_msgs::params::{CONTROLLER, Size};
+use moca_msgs::robot::resized;
 use moca_msgs::{
     Actuation, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, Refusal, RobotCommand,
     RobotState, TaxelStatus,
@@ -14,17 +15,36 @@ use moca_wbc::{
     ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose, LimitsHit, WholeBodyController,
 };
 
-/// The controller of the parts that the robot has, with what it remembers from tick to tick.
+/// The controller of the parts that the robot has, with what it remembers from tick to tick, for an arm of `N` joints.
 #[expect(clippy::large_enum_variant, reason = "there is one, and it lives as long as the loop")]
-enum Controller {
-    Whole(WholeBodyController<JOINTS, TAXELS>, Option<ControllerState<JOINTS>>),
+enum Controller<const N: usize> {
+    Whole(WholeBodyController<N, TAXELS>, Option<ControllerState<N>>),
     Base(BaseController<TAXELS>, BaseState),
-    Arm(ArmController<JOINTS>, Option<ArmState<JOINTS>>),
+    Arm(ArmController<N>, Option<ArmState<N>>),
+}
+
+/// The numbers of joints that there are controllers for.
+#[expect(clippy::large_enum_variant, reason = "there is one, and it lives as long as the loop")]
+enum Joints {
+    Six(Controller<6>),
+    Seven(Controller<7>),
+}
+
+/// The same for either number of joints.
+macro_rules! either {
+    ($joints:expr, $controller:ident => $use:expr) => {
+        match $joints {
+            Joints::Six($controller) => $use,
+            Joints::Seven($controller) => $use,
+        }
+    };
 }
 
 /// The controller with its parameters and what protects people from it.
 pub struct Motion {
-    controller: Controller,
+    controller: Joints,
+    joints: usize,
+    taxels: usize,
     parameters: Parameters<JOINTS>,
     protection: Protection,
     parts: Parts,
@@ -37,21 +57,25 @@ impl Motion {
     /// # Errors
     /// The first parameter or number of the geometry out of range.
     pub fn new(config: &Config, protection: Protection) -> Result<Self, ParameterError> {
-        let (arm, taxels) = (config.arm(), config.taxels());
-        let (mount, payload) = (config.robot.mount, config.robot.payload());
         let (parameters, parts) = (config.parameters(), config.plant.parts);
-        let controller = match parts {
-            Parts::Whole => Controller::Whole(
-                WholeBodyController::new(arm, &mount, &payload, &taxels, &parameters)?,
-                None,
-            ),
-            Parts::Base => {
-                let base = BaseController::new(&taxels, &parameters)?;
-                Controller::Base(base, base.enter())
-            }
-            Parts::Arm => Controller::Arm(ArmController::new(arm, &mount, &payload, &parameters)?, None),
+        let (joints, taxels) = (config.arm().joints, config.robot.cover.count());
+        let controller = match joints {
+            6 => Joints::Six(Controller::new(config, &parameters)?),
+            7 => Joints::Seven(Controller::new(config, &parameters)?),
+            _ => return Err(other_joints(joints)),
         };
-        Ok(Self { controller, parameters, protection, parts, guard: Protected::default().guard })
+        let guard = Protected::default().guard;
+        Ok(Self { controller, joints, taxels, parameters, protection, parts, guard })
+    }
+
+    /// How many joints the arm has.
+    pub const fn joints(&self) -> usize {
+        self.joints
+    }
+
+    /// How many taxels the cover has.
+    pub const fn taxels(&self) -> usize {
+        self.taxels
     }
 
     /// Which parts of the robot it moves.
@@ -80,29 +104,29 @@ impl Motion {
     /// # Errors
     /// No such parameter, not live, out of range, or at odds with another one; nothing is changed.
     pub fn set_parameter(&mut self, number: usize, values: &ParameterValues) -> Outcome {
-        match CONTROLLER.get(number) {
-            Some(spec) if spec.live => {}
-            Some(_) => return Err(Refusal::NotLive),
-            None => return Err(Refusal::NoSuchParameter),
+        let spec = CONTROLLER.get(number).ok_or(Refusal::NoSuchParameter)?;
+        if !spec.live {
+            return Err(Refusal::NotLive);
         }
+        let mut elements = [0.0; JOINTS];
+        let values = match (spec.size, values.as_slice()) {
+            (Size::Joints, values) if values.len() == self.joints => {
+                elements[..values.len()].copy_from_slice(values);
+                &elements[..]
+            }
+            (Size::Joints, _) => return Err(Refusal::OutOfRange),
+            (_, values) => values,
+        };
         let mut wanted = self.parameters;
-        wanted.set(number, values)?;
-        match &mut self.controller {
-            Controller::Whole(controller, _) => replace(controller, controller.with_parameters(&wanted)),
-            Controller::Base(controller, _) => replace(controller, controller.with_parameters(&wanted)),
-            Controller::Arm(controller, _) => replace(controller, controller.with_parameters(&wanted)),
-        }?;
+        wanted.set(number, &ParameterValues::new(values).ok_or(Refusal::OutOfRange)?)?;
+        either!(&mut self.controller, controller => controller.set_parameters(&wanted))?;
         self.parameters = wanted;
         Ok(())
     }
 
     /// Forgets targets and controller state: the next command is entered anew from the measured state.
     pub fn leave(&mut self) {
-        match &mut self.controller {
-            Controller::Whole(_, state) => *state = None,
-            Controller::Base(controller, state) => *state = controller.enter(),
-            Controller::Arm(_, state) => *state = None,
-        }
+        either!(&mut self.controller, controller => controller.leave());
     }
 
     /// Moves the target of the running law with `twist` \[m/s; rad/s\], axes of the law's reference, until told
@@ -111,11 +135,7 @@ impl Motion {
     /// # Errors
     /// A value that is not finite.
     pub fn set_target_twist(&mut self, twist: [f64; 6]) -> Result<(), ControlError> {
-        match &mut self.controller {
-            Controller::Whole(_, Some(state)) => state.set_target_twist(twist),
-            Controller::Arm(_, Some(state)) => state.set_target_twist(twist),
-            Controller::Whole(_, None) | Controller::Arm(_, None) | Controller::Base(..) => Ok(()),
-        }
+        either!(&mut self.controller, controller => controller.set_target_twist(twist))
     }
 
     /// One tick's command in `mode`, `dt_s` after the last one.
@@ -144,14 +164,86 @@ impl Motion {
                 return Err(Fault::TaxelInvalid { taxel: u8::try_from(taxel).unwrap_or(u8::MAX), status });
             }
         };
-        let (robot, guard) = (*robot, self.guard);
-        match &mut self.controller {
-            Controller::Whole(controller, state) => {
+        let told = Told { law, taxel_force_n, guard: self.guard, dt_s };
+        either!(&mut self.controller, controller => controller.step(robot, &told))
+    }
+}
+
+/// What a controller is told besides the robot's state.
+struct Told {
+    law: ControlLaw,
+    taxel_force_n: [f64; TAXELS],
+    guard: BaseGuard<TAXELS>,
+    dt_s: f64,
+}
+
+/// No controller for so many joints, as an error.
+fn other_joints(joints: usize) -> ParameterError {
+    #[expect(clippy::cast_precision_loss, reason = "a small count")]
+    let value = joints as f64;
+    ParameterError { name: "robot.arm", value, unit: "joints", min: 6.0, max: 7.0 }
+}
+
+impl<const N: usize> Controller<N> {
+    fn new(config: &Config, parameters: &Parameters<JOINTS>) -> Result<Self, ParameterError> {
+        let arm = &config.arm().table::<N>().ok_or(other_joints(config.arm().joints))?;
+        let (parameters, taxels) = (parameters.resized::<N>(), config.taxels());
+        let (mount, payload) = (config.robot.mount, config.robot.payload());
+        Ok(match config.plant.parts {
+            Parts::Whole => {
+                Self::Whole(WholeBodyController::new(arm, &mount, &payload, &taxels, &parameters)?, None)
+            }
+            Parts::Base => {
+                let base = BaseController::new(&taxels, &parameters)?;
+                let state = base.enter();
+                Self::Base(base, state)
+            }
+            Parts::Arm => Self::Arm(ArmController::new(arm, &mount, &payload, &parameters)?, None),
+        })
+    }
+
+    fn set_parameters(&mut self, wanted: &Parameters<JOINTS>) -> Outcome {
+        let wanted = wanted.resized::<N>();
+        match self {
+            Self::Whole(controller, _) => replace(controller, controller.with_parameters(&wanted)),
+            Self::Base(controller, _) => replace(controller, controller.with_parameters(&wanted)),
+            Self::Arm(controller, _) => replace(controller, controller.with_parameters(&wanted)),
+        }
+    }
+
+    fn leave(&mut self) {
+        match self {
+            Self::Whole(_, state) => *state = None,
+            Self::Base(controller, state) => *state = controller.enter(),
+            Self::Arm(_, state) => *state = None,
+        }
+    }
+
+    fn set_target_twist(&mut self, twist: [f64; 6]) -> Result<(), ControlError> {
+        match self {
+            Self::Whole(_, Some(state)) => state.set_target_twist(twist),
+            Self::Arm(_, Some(state)) => state.set_target_twist(twist),
+            Self::Whole(_, None) | Self::Arm(_, None) | Self::Base(..) => Ok(()),
+        }
+    }
+
+    fn step(&mut self, robot: &RobotState<JOINTS>, told: &Told) -> Result<ControlOutput<JOINTS>, Fault> {
+        let robot: RobotState<N> = robot.resized();
+        let Told { law, taxel_force_n, guard, dt_s } = *told;
+        match self {
+            Self::Whole(controller, state) => {
                 let state = entered(state, || controller.enter(law, &robot))?;
                 let input = ControlInput { robot, taxel_force_n, flange_wrench_world: None, guard, dt_s };
-                controller.step(law, state, &input)
+                controller.step(law, state, &input).map(|output| ControlOutput {
+                    command: output.command.resized(),
+                    cover_wrench_base: output.cover_wrench_base,
+                    flange_wrench_world: output.flange_wrench_world,
+                    flange: output.flange,
+                    flange_desired: output.flange_desired,
+                    limits: output.limits,
+                })
             }
-            Controller::Base(controller, state) => {
+            Self::Base(controller, state) => {
                 let yaw_world_rad = robot.base_pose_world[2];
                 let input = BaseInput { yaw_world_rad, taxel_force_n, guard, dt_s };
                 match law {
@@ -168,7 +260,7 @@ impl Motion {
                     ..WITHOUT_PARTS
                 })
             }
-            Controller::Arm(controller, state) => {
+            Self::Arm(controller, state) => {
                 let state = entered(state, || controller.enter(&robot))?;
                 let input = ArmInput { robot, flange_wrench_world: None, dt_s };
                 match law {
@@ -176,7 +268,10 @@ impl Motion {
                     ControlLaw::Impedance | ControlLaw::FollowMe => controller.step(state, &input),
                 }
                 .map(|output| ControlOutput {
-                    command: RobotCommand { base_velocity_body: [0.0; 3], arm_torque_nm: output.torque_nm },
+                    command: RobotCommand {
+                        base_velocity_body: [0.0; 3],
+                        arm_torque_nm: resized(&output.torque_nm),
+                    },
                     flange_wrench_world: output.flange_wrench_world,
                     flange: output.flange,
                     flange_desired: output.flange_desired,

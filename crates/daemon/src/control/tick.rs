@@ -185,10 +185,11 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             contact_events: self.protected.events.clone(),
             ..Sample::default()
         };
-        let parts = self.motion.parts();
+        let (parts, joints) = (self.motion.parts(), ..self.motion.joints());
         if parts.has_cover() {
-            sample.taxels = vec_of(&cover.reading.taxels);
-            sample.counts = vec_of(&cover.counts);
+            let taxels = ..self.motion.taxels();
+            sample.taxels = vec_of(&cover.reading.taxels[taxels]);
+            sample.counts = vec_of(&cover.counts[taxels]);
         }
         if let Some(robot) = robot {
             sample.base_pose_world = robot.base_pose_world;
@@ -196,13 +197,13 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             sample.cover_speed_m_s = self.motion.cover_speed_m_s(robot);
         }
         if let Some(robot) = robot.filter(|_| parts.has_arm()) {
-            sample.q_rad = vec_of(&robot.q_rad);
-            sample.dq_rad_s = vec_of(&robot.dq_rad_s);
+            sample.q_rad = vec_of(&robot.q_rad[joints]);
+            sample.dq_rad_s = vec_of(&robot.dq_rad_s[joints]);
         }
         if let Actuation::Drive(command) = actuation {
             sample.base_velocity_command_body = command.base_velocity_body;
             if parts.has_arm() {
-                sample.arm_torque_nm = vec_of(&command.arm_torque_nm);
+                sample.arm_torque_nm = vec_of(&command.arm_torque_nm[joints]);
             }
         }
         if let Some(output) = output {

@@ -4,9 +4,10 @@ use crate::config::{Config, HandConfig};
 use crate::control::plant::{Plant, Simulated, SourceAge};
 use crate::devices::scripted_press::scripted_press;
 use crate::inject::{Injection, PlantSpoiler, What};
-use crate::robot::{JOINTS, Parts, TAXELS};
+use crate::robot::{FoamKind, JOINTS, Parts, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
+use moca_sim::foam::Foam;
 use moca_sim::scene::Robot;
 use moca_sim::{BaseServo, Scene, SharedForces, SimError, SimPlant};
 use std::sync::atomic::Ordering;
@@ -29,14 +30,27 @@ pub fn free_scene(config: &Config) -> Scene {
     };
     Scene {
         robot,
-        arm: config.arm(),
+        arm: *config.arm(),
+        arm_posture_rad: config.control.gains.posture_rad,
+        payload: config.robot.payload(),
+        foam: foam(config),
         mount: config.robot.mount,
         base: config.robot.base,
         base_servo: BaseServo::from(&config.robot.base),
-        cover: config.taxels(),
+        cover: config.robot.cover.placements(),
         control_period_s,
         physics_step_s: control_period_s / substeps,
         ..Scene::default()
+    }
+}
+
+/// The foam under the cover.
+pub fn foam(config: &Config) -> Foam {
+    match config.robot.cover.foam {
+        FoamKind::PuLd30 => Foam::PU_LD30,
+        FoamKind::Cc => Foam::CC,
+        FoamKind::Pe5 => Foam::PE5,
+        FoamKind::Pe3 => Foam::PE3,
     }
 }
 
@@ -47,6 +61,9 @@ pub struct SimulatedRobot {
     hand: HandConfig,
     covered: bool,
     asked_n: [f64; TAXELS],
+    taxels: usize,
+    electrodes: Vec<usize>,
+    command_timeout_s: f64,
     spoiler: Option<PlantSpoiler>,
     stall: Option<(u64, u64)>,
     shared: Option<SharedForces>,
@@ -69,6 +86,9 @@ impl SimulatedRobot {
             hand,
             covered,
             asked_n: [0.0; TAXELS],
+            taxels: config.robot.cover.count(),
+            electrodes: config.robot.cover.electrodes(),
+            command_timeout_s: config.robot.base.command_timeout_s,
             spoiler: None,
             stall: None,
             shared,
@@ -91,7 +111,7 @@ impl SimulatedRobot {
     fn step(&mut self) -> Result<(), SimError> {
         #[expect(clippy::cast_precision_loss, reason = "tick counts are far below 2^53")]
         let scripted = scripted_press(&self.hand, self.ticks as f64 * self.period_s);
-        for (taxel, &asked_n) in self.asked_n.iter().enumerate() {
+        for (taxel, &asked_n) in self.asked_n.iter().enumerate().take(self.taxels) {
             let scripted_n =
                 scripted.filter(|(pressed, _)| *pressed == taxel).map_or(0.0, |(_, force_n)| force_n);
             self.world.press(taxel, asked_n + scripted_n)?;
@@ -113,12 +133,18 @@ impl Plant for SimulatedRobot {
 
     fn write(&mut self, actuation: &Actuation<JOINTS>, ticks: u64) -> Result<(), Fault> {
         self.world.apply(actuation).map_err(|_| Fault::ControlRefused)?;
-        for _ in 0..ticks.min(CATCH_UP_MAX_TICKS) {
+        for tick in 0..ticks.min(CATCH_UP_MAX_TICKS) {
+            #[expect(clippy::cast_precision_loss, reason = "at most twenty")]
+            if tick as f64 * self.period_s >= self.command_timeout_s {
+                self.world.stop_base();
+            }
             self.step().map_err(|_| Fault::PlantLost)?;
         }
         if let Some(shared) = &self.shared {
-            for (cell, force_n) in shared.iter().zip(self.world.taxel_force_true_n()) {
-                cell.store(force_n.to_bits(), Ordering::Relaxed);
+            for (electrode, force_n) in self.electrodes.iter().zip(self.world.taxel_force_true_n()) {
+                if let Some(cell) = shared.get(*electrode) {
+                    cell.store(force_n.to_bits(), Ordering::Relaxed);
+                }
             }
         }
         if let Some((_, slots)) = self.stall.take_if(|(at, _)| self.ticks >= *at) {
@@ -135,7 +161,8 @@ impl Plant for SimulatedRobot {
 
 impl Simulated for SimulatedRobot {
     fn press(&mut self, taxel: usize, force_n: f64) -> Outcome {
-        let asked = self.asked_n.get_mut(taxel).filter(|_| self.covered).ok_or(Refusal::OutOfRange)?;
+        let is_there = self.covered && taxel < self.taxels;
+        let asked = self.asked_n.get_mut(taxel).filter(|_| is_there).ok_or(Refusal::OutOfRange)?;
         if !(0.0..=PRESS_FORCE_MAX_N).contains(&force_n) {
             return Err(Refusal::OutOfRange);
         }

@@ -14,6 +14,8 @@ use crate::devices::touch_board::ByteCover;
 use crate::inject::{self, Cable, Injection, Named, What};
 use crate::robot::{PlantKind, TAXELS};
 use crate::runtime::clock::Clock;
+#[cfg(feature = "sim")]
+use anyhow::anyhow;
 use anyhow::{Context, Result};
 use moca_tactile::Cover;
 use moca_telemetry::net::CalibrationPort;
@@ -37,8 +39,11 @@ pub fn supervisor(config: &Config) -> Supervisor {
 /// A parameter outside its range, every mistake in the file of contact limits.
 pub fn motion(config: &Config) -> Result<Motion> {
     let thresholds = &config.protection.thresholds;
-    let limits =
-        if thresholds.is_empty() { Default::default() } else { contact_limits::load(thresholds.as_ref())? };
+    let limits = if thresholds.is_empty() {
+        [contact_limits::ContactLimits::default(); TAXELS]
+    } else {
+        contact_limits::load(thresholds.as_ref(), config.robot.cover.count())?
+    };
     Ok(Motion::new(config, Protection::new(config, limits))?)
 }
 
@@ -50,9 +55,30 @@ pub fn cover_config(config: &Config) -> Result<moca_tactile::CoverConfig<TAXELS>
     config.cover().with_context(|| format!("board.calibration = {:?}", config.board.calibration))
 }
 
+/// Whether one virtual Touch Board can feel the whole cover.
+///
+/// # Errors
+/// A taxel on an electrode that it does not have.
 #[cfg(feature = "sim")]
-pub(crate) fn board_config(config: &Config) -> moca_sim::VirtualBoardConfig {
-    moca_sim::VirtualBoardConfig { seed: config.simulation.seed, ..Default::default() }
+pub(crate) fn one_board(config: &Config) -> Result<()> {
+    use moca_tactile::datastream::ELECTRODES;
+    let electrodes = config.robot.cover.electrodes();
+    match electrodes.iter().position(|electrode| *electrode >= ELECTRODES) {
+        Some(taxel) => Err(anyhow!(
+            "robot.cover: T{} is on electrode {}; the virtual Touch Board has 0 to {}",
+            taxel + 1,
+            electrodes[taxel],
+            ELECTRODES - 1
+        )),
+        None => Ok(()),
+    }
+}
+
+/// The virtual Touch Board under the cover that the configuration asks for.
+#[cfg(feature = "sim")]
+pub fn board_config(config: &Config) -> moca_sim::VirtualBoardConfig {
+    let foam = crate::devices::simulated_robot::foam(config);
+    moca_sim::VirtualBoardConfig { seed: config.simulation.seed, foam, ..Default::default() }
 }
 
 /// A simulated robot with everything that a live loop needs; the board and its reader end with it.
@@ -76,6 +102,7 @@ pub(crate) fn assemble(
     let (mut forces, mut virtual_board) = (None, None);
     let mut port = config.board.port.clone();
     if config.plant.parts.has_cover() && config.board.port == crate::config::VIRTUAL_PORT {
+        one_board(config)?;
         let true_forces = moca_sim::SharedForces::default();
         let board =
             PtyBoard::spawn(board_config(config), Arc::clone(&true_forces), &PtyBoard::default_path())?;
@@ -83,8 +110,10 @@ pub(crate) fn assemble(
         (forces, virtual_board) = (Some(true_forces), Some(board));
     }
     subscribers.reference = forces.clone().map(|forces| {
-        let force_n = move |taxel| {
-            Some(f64::from_bits(forces.get::<usize>(taxel)?.load(std::sync::atomic::Ordering::Relaxed)))
+        let electrodes = config.robot.cover.electrodes();
+        let force_n = move |taxel: usize| {
+            let electrode = *electrodes.get(taxel)?;
+            Some(f64::from_bits(forces.get(electrode)?.load(std::sync::atomic::Ordering::Relaxed)))
         };
         Reference::Simulated(Box::new(force_n))
     });

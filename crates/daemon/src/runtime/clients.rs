@@ -75,14 +75,16 @@ fn description(config: &Config) -> RobotDescription {
         1.0 / f64::from(config.control_loop.rate_hz),
         &config.robot.base,
         &config.robot.mount,
-        config.arm(),
-        &config.taxels(),
+        &config.arm().table,
+        &config.robot.cover.placements(),
         &config.parameters().limits,
         Duration::from_nanos(moca_tactile::board::SILENT_AFTER_NS).as_secs_f64(),
     );
     let speed_override = config.protection.override_statement.clone();
     let uncalibrated = config.uncalibrated().unwrap_or_default();
     let mut robot = RobotDescription { parameters, speed_override, uncalibrated, ..robot };
+    robot.arm.joint_origin.truncate(config.arm().joints);
+    robot.arm.name.clone_from(&config.robot.arm.name);
     if !config.plant.parts.has_arm() {
         robot.arm = ArmDescription { name: "no arm".into(), ..ArmDescription::default() };
     }

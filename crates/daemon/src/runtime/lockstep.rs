@@ -10,13 +10,13 @@ use crate::devices::simulated_robot::SimulatedRobot;
 use crate::devices::touch_board::ByteCover;
 use crate::inject::{Cable, Injection, What};
 use crate::record::tick_log::TickLog;
-use crate::robot::TAXELS;
-use crate::runtime::assemble::{cover_config, motion, supervisor};
+use crate::runtime::assemble::{cover_config, motion, one_board, supervisor};
 use crate::runtime::timing::Timing;
 use anyhow::Result;
 use moca_msgs::{Outcome, Request, Sample};
 use moca_sim::{Scene, VirtualBoard, VirtualBoardConfig};
 use moca_tactile::board::Chunk;
+use moca_tactile::datastream::ELECTRODES;
 use moca_tactile::{BoardEvent, CloseReason, Cover};
 use std::collections::VecDeque;
 
@@ -29,7 +29,7 @@ pub trait Feed<S> {
     fn spoil(&mut self, _cable: Cable) {}
 
     /// Lets `cover` have what the true forces, N, give it until `now_ns`.
-    fn feed(&mut self, cover: &mut S, now_ns: u64, true_force_n: &[f64; TAXELS]);
+    fn feed(&mut self, cover: &mut S, now_ns: u64, true_force_n: &[f64]);
 }
 
 /// A virtual Touch Board on a cable of memory.
@@ -40,7 +40,9 @@ pub struct MemoryBoard {
     spoiled: Option<Cable>,
     now_ns: u64,
     /// Forces on their way to the board, and how many ticks they take.
-    late: VecDeque<[f64; TAXELS]>,
+    late: VecDeque<[f64; ELECTRODES]>,
+    /// Electrode of each taxel, T1 first.
+    electrodes: Vec<usize>,
     delay_ticks: usize,
 }
 
@@ -86,11 +88,17 @@ impl Feed<ByteCover> for MemoryBoard {
         self.spoiled = Some(cable);
     }
 
-    fn feed(&mut self, _cover: &mut ByteCover, now_ns: u64, true_force_n: &[f64; TAXELS]) {
+    fn feed(&mut self, _cover: &mut ByteCover, now_ns: u64, true_force_n: &[f64]) {
         self.now_ns = now_ns;
-        self.late.push_back(*true_force_n);
+        let mut by_electrode = [0.0; ELECTRODES];
+        for (electrode, force_n) in self.electrodes.iter().zip(true_force_n) {
+            if let Some(place) = by_electrode.get_mut(*electrode) {
+                *place = *force_n;
+            }
+        }
+        self.late.push_back(by_electrode);
         let ripe = self.late.len() > self.delay_ticks;
-        let felt_n = if ripe { self.late.pop_front().unwrap_or_default() } else { [0.0; TAXELS] };
+        let felt_n = if ripe { self.late.pop_front().unwrap_or_default() } else { [0.0; ELECTRODES] };
         let Self { board, cable, plugged, spoiled, .. } = self;
         let mut arrive = |event| {
             let _ = cable.push(event);
@@ -114,8 +122,8 @@ impl Feed<ByteCover> for MemoryBoard {
 pub struct TrueForces;
 
 impl Feed<IdealCover> for TrueForces {
-    fn feed(&mut self, cover: &mut IdealCover, now_ns: u64, true_force_n: &[f64; TAXELS]) {
-        cover.feel(now_ns, *true_force_n);
+    fn feed(&mut self, cover: &mut IdealCover, now_ns: u64, true_force_n: &[f64]) {
+        cover.feel(now_ns, true_force_n);
     }
 }
 
@@ -123,7 +131,7 @@ impl Feed<IdealCover> for TrueForces {
 pub struct NoCover;
 
 impl Feed<Option<ByteCover>> for NoCover {
-    fn feed(&mut self, _cover: &mut Option<ByteCover>, _now_ns: u64, _true_force_n: &[f64; TAXELS]) {}
+    fn feed(&mut self, _cover: &mut Option<ByteCover>, _now_ns: u64, _true_force_n: &[f64]) {}
 }
 
 /// A simulated robot whose ticks the caller makes.
@@ -154,6 +162,7 @@ impl LockStep<ByteCover, MemoryBoard> {
         board: VirtualBoardConfig,
         copies: Option<rtrb::Producer<NumberedEvent>>,
     ) -> Result<Self> {
+        one_board(config)?;
         let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
         let events = BoardEvents::new(events).with_recorder(copies);
         let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events);
@@ -164,6 +173,7 @@ impl LockStep<ByteCover, MemoryBoard> {
             spoiled: None,
             now_ns: 0,
             late: VecDeque::with_capacity(1),
+            electrodes: config.robot.cover.electrodes(),
             delay_ticks: 0,
         };
         Self::new(config, scene, cover, feed)
@@ -234,7 +244,7 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
         self.overruns += missed;
         let now_ns = self.tick * self.period_ns;
         let force_n = self.control.plant.world.taxel_force_true_n();
-        self.feed.feed(&mut self.control.cover, now_ns, &force_n);
+        self.feed.feed(&mut self.control.cover, now_ns, force_n);
         let slot =
             Slot { tick: self.tick, now_ns, ticks: 1 + missed, overruns: self.overruns, ..Slot::default() };
         self.tick += 1;

@@ -172,7 +172,7 @@ impl Rig {
             }
         }
         robot.world.set_flange_wrench_world(loads.flange_world)?;
-        let force_true = robot.world.taxel_force_true_n();
+        let force_true = fixed(robot.world.taxel_force_true_n());
         let wrench_true = robot.world.cover_wrench_true_base();
         let total_force_n = robot.world.contact_total_true_n();
         let largest_force_n = robot.world.contact_largest_true_n();

@@ -249,9 +249,9 @@ impl Settings {
             physics_step_s: 1e-3 * self.step_ms,
             integrator: self.integrator,
             base: self.base.table(),
-            arm: self.config.arm(),
+            arm: *self.config.arm(),
             mount: self.config.robot.mount,
-            cover: self.config.taxels(),
+            cover: self.config.robot.cover.placements(),
             base_servo: self.base_servo,
             arm_posture_rad: self.config.control.gains.posture_rad,
             ..Scene::default()
@@ -260,7 +260,10 @@ impl Settings {
 
     /// The same scene with the person beside the cover.
     pub(crate) fn collision_scene(&self) -> Result<Scene> {
-        Ok(Scene { people: vec![self.person.person(&self.config.taxels())?], ..self.free_scene() })
+        Ok(Scene {
+            people: vec![self.person.person(&self.config.robot.cover.placements())?],
+            ..self.free_scene()
+        })
     }
 
     /// Period of the sensor, ms.

@@ -7,6 +7,7 @@ use moca_daemon::control::supervisor::EDGES;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::inject::Random;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
+use moca_msgs::robot::resized;
 use moca_msgs::{Law, Mode, Request, Sample};
 use moca_sim::board::BoardFault;
 use moca_sim::{Scene, VirtualBoardConfig};
@@ -267,7 +268,7 @@ impl Watch {
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
         Self {
             last: None,
-            torque_nm: limits.torque_nm,
+            torque_nm: resized(&limits.torque_nm),
             torque_step_nm: limits.torque_rate_nm_s * period_s,
             base_velocity: limits.base_velocity,
             base_step: limits.base_acceleration.map(|a| a * period_s),

@@ -316,13 +316,14 @@ impl CalibrationFile {
         }
         let mut models = [None; K];
         for entry in &self.taxel {
-            let slot = entry.number.checked_sub(1).and_then(|i| models.get_mut(i));
+            let place = entry.number.checked_sub(1).filter(|i| *i < config.taxels);
+            let slot = place.and_then(|i| models.get_mut(i));
             match slot {
                 Some(slot) if slot.is_none() => *slot = Some((entry.model()?, entry.expected_rest()?)),
                 _ => return Err(FileError::Taxels(entry.number)),
             }
         }
-        if let Some(missing) = models.iter().position(Option::is_none) {
+        if let Some(missing) = models.iter().take(config.taxels).position(Option::is_none) {
             return Err(FileError::Taxels(missing + 1));
         }
         let generation = self.generation()?;

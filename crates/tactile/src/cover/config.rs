@@ -35,6 +35,8 @@ moca_msgs::choice!(MaskPolicy { Stop: "stop", Unfelt: "unfelt" });
 /// Constant configuration of a cover.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoverConfig<const K: usize> {
+    /// How many taxels there are, at most `K`; what the lists below say of further ones has no meaning.
+    pub taxels: usize,
     /// T1 first. Default: twelve to a board, in order.
     pub wiring: [Electrode; K],
     /// Calibration, T1 first.
@@ -64,6 +66,7 @@ impl<const K: usize> Default for CoverConfig<K> {
             electrode: u8::try_from(i % ELECTRODES).unwrap_or(u8::MAX),
         };
         Self {
+            taxels: K,
             wiring: core::array::from_fn(electrode),
             models: [TaxelModel::default(); K],
             masked: [false; K],
@@ -128,7 +131,7 @@ impl<const K: usize> CoverConfig<K> {
         }
         let mut used = [[false; ELECTRODES]; MAX_BOARDS];
         let mut board_count = 1;
-        for (taxel, wire) in self.wiring.iter().enumerate() {
+        for (taxel, wire) in self.wiring.iter().enumerate().take(self.taxels) {
             let board = usize::from(wire.board);
             let slot = used.get_mut(board).and_then(|b| b.get_mut(usize::from(wire.electrode)));
             match slot {

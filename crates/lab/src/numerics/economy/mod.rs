@@ -292,7 +292,7 @@ fn trajectory(scene: &Scene, drives: bool) -> Result<(Vec<[f64; 10]>, Vec<f64>)>
         times_s.push(started.elapsed().as_secs_f64());
         let [x, y, yaw] = state.base_pose_world;
         let mut row = [x, y, yaw, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-        row[3..].copy_from_slice(&state.q_rad);
+        row[3..].copy_from_slice(&state.q_rad[..7]);
         trace.push(row);
     }
     Ok((trace, times_s))

@@ -3,7 +3,6 @@
 use crate::rig::cpu_time;
 use anyhow::{Context, Result};
 use moca_daemon::config::Config;
-use moca_daemon::robot::{JOINTS, TAXELS};
 use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_wbc::{
     ArmController, ArmInput, BaseController, BaseGuard, BaseInput, ControlInput, ControlLaw, Payload,
@@ -33,8 +32,8 @@ impl std::fmt::Display for ControlCost {
 
 /// The robot in its home posture, a hand on T6.
 pub(super) fn measure(config: &Config) -> Result<ControlCost> {
-    let (parameters, guard, dt_s) = (config.parameters(), BaseGuard::NONE, 1e-3);
-    let mut taxel_force_n = [0.0; TAXELS];
+    let (parameters, guard, dt_s) = (config.parameters().resized(), BaseGuard::NONE, 1e-3);
+    let mut taxel_force_n = [0.0; PAPER_COVER.len()];
     taxel_force_n[5] = 10.0;
     let yaw_world_rad = 0.3;
     let robot =
@@ -42,7 +41,7 @@ pub(super) fn measure(config: &Config) -> Result<ControlCost> {
 
     let whole = WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &parameters)?;
     let base = BaseController::new(&PAPER_COVER, &parameters)?;
-    let arm = ArmController::<JOINTS>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &parameters)?;
+    let arm = ArmController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &parameters)?;
     let mut whole_state = whole.enter(ControlLaw::Impedance, &robot)?;
     let (mut base_state, mut arm_state) = (base.enter(), arm.enter(&robot)?);
     let whole_input = ControlInput::new(robot, taxel_force_n, dt_s);

@@ -258,10 +258,10 @@ pub(crate) fn single_precision() -> Result<(f64, f64, f64)> {
 fn states() -> Result<Vec<RobotState<7>>> {
     let mut plant = SimPlant::new(&Scene::default())?;
     let controller = controller::<f64>()?;
-    let mut state = controller.enter(ControlLaw::Impedance, &plant.state())?;
+    let mut state = controller.enter(ControlLaw::Impedance, &plant.state().resized())?;
     let mut states = Vec::new();
     for tick in 0..1000 {
-        let robot = plant.state();
+        let robot = plant.state().resized();
         let mut taxel_force_n = [0.0; 11];
         taxel_force_n[2] = if tick < 400 { 20.0 } else { 0.0 };
         let input = ControlInput::new(robot, taxel_force_n, 1e-3);

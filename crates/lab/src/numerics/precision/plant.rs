@@ -83,10 +83,10 @@ pub(crate) fn measure(quick: bool) -> Result<Vec<SceneReport>> {
 fn play(scene: &Scene, integrator: Integrator, step_ms: f64, base_velocity: Option<[f64; 3]>) -> Result<End> {
     let mut plant = SimPlant::new(&Scene { integrator, physics_step_s: 1e-3 * step_ms, ..scene.clone() })?;
     let controller = controller::<f64>()?;
-    let mut state = controller.enter(ControlLaw::Impedance, &plant.state())?;
+    let mut state = controller.enter(ControlLaw::Impedance, &plant.state().resized())?;
     let mut cpu_s = 0.0;
     for tick in 0..TICKS {
-        let robot = plant.state();
+        let robot = plant.state().resized();
         let mut taxel_force_n = [0.0; 11];
         taxel_force_n[2] = if tick < 100 { 20.0 } else { 0.0 };
         let input = ControlInput::new(robot, taxel_force_n, GRID_S);
@@ -102,7 +102,7 @@ fn play(scene: &Scene, integrator: Integrator, step_ms: f64, base_velocity: Opti
     let end = plant.state();
     let mut state = [0.0; 10];
     state[..3].copy_from_slice(&end.base_pose_world);
-    state[3..].copy_from_slice(&end.q_rad);
+    state[3..].copy_from_slice(&end.q_rad[..7]);
     Ok(End { state, peak_n: plant.contact_peak_true_n(), cpu_s })
 }
 

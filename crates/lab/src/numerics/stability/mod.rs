@@ -10,6 +10,7 @@ use crate::rig::parallel;
 use crate::rig::settings::Settings;
 use anyhow::{Context, Result, ensure};
 use moca_msgs::Law;
+use moca_msgs::robot::resized;
 use moca_sim::{BodyPart, Person};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -174,7 +175,7 @@ impl Trial {
             Special::Blocked => {
                 scene.people.push(Person::part(BodyPart::Wall, 9, 0.005, 0.0).context("no T10")?);
             }
-            Special::Upright => scene.arm_posture_rad = [0.0, 0.0, 0.0, -0.0699, 0.0, 0.0, 0.0],
+            Special::Upright => scene.arm_posture_rad = resized(&[0.0, 0.0, 0.0, -0.0699, 0.0, 0.0, 0.0]),
             Special::None | Special::NotANumber => {}
         }
         let mut rig = Rig::start(settings, &scene)?;
