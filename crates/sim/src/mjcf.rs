@@ -11,7 +11,7 @@ use std::fmt::{self, Write};
 pub(crate) const BASE_SERVO_DAMPING: f64 = 1e5;
 /// The same about the vertical, N·m·s/rad. ASSUMED.
 pub(crate) const YAW_SERVO_DAMPING: f64 = 2.5e4;
-/// Name of the body that marks the flange and carries the payload.
+/// Name of the massless body that marks the flange.
 pub(crate) const FLANGE: &str = "flange";
 
 /// The scene as MJCF.
@@ -120,11 +120,13 @@ fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
         }
     }
     open_body(xml, FLANGE, &table.flange_origin)?;
-    if scene.payload.inertial.mass_kg > 0.0 {
-        inertial(xml, &scene.payload.inertial)?;
-    }
     // Applied forces act at a body's centre of mass. A body without inertial gets its own offset in the parent for it.
     xml.push_str("<inertial pos=\"0 0 0\" mass=\"0\" diaginertia=\"0 0 0\"/>\n");
+    if scene.payload.inertial.mass_kg > 0.0 {
+        open_body(xml, "payload", &[0.0; 6])?;
+        inertial(xml, &scene.payload.inertial)?;
+        xml.push_str("</body>\n");
+    }
     if scene.everything {
         xml.push_str("<site name=\"flange\"/>\n");
     }
