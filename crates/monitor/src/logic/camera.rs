@@ -20,7 +20,7 @@ pub struct OrbitCamera {
 
 impl Default for OrbitCamera {
     fn default() -> Self {
-        Self { azimuth_rad: -2.4, elevation_rad: 0.5, distance_m: 3.6 }
+        Self { azimuth_rad: -2.4, elevation_rad: 0.5, distance_m: 2.8 }
     }
 }
 
@@ -30,7 +30,7 @@ impl OrbitCamera {
         Self { azimuth_rad: 0.0, elevation_rad: std::f64::consts::FRAC_PI_2, distance_m: 3.6 };
     /// From the right side.
     pub const SIDE: Self =
-        Self { azimuth_rad: std::f64::consts::FRAC_PI_2, elevation_rad: 0.12, distance_m: 3.6 };
+        Self { azimuth_rad: std::f64::consts::FRAC_PI_2, elevation_rad: 0.12, distance_m: 2.8 };
 
     /// Turns it, rad; what is not finite does nothing.
     pub fn orbit(&mut self, azimuth_rad: f64, elevation_rad: f64) {

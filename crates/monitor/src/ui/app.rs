@@ -16,6 +16,8 @@ use std::{net::SocketAddr, path::PathBuf, time::Duration};
 /// Narrowest and widest column with robot and gauges, points, and its share of the window.
 const LEFT_WIDTH: (f32, f32) = (400.0, 560.0);
 const LEFT_SHARE: f32 = 0.3;
+/// Height of the column below which some numbers are left to the page Loop, points.
+const LITTLE_ROOM: f32 = 620.0;
 /// Height of the numbers below the robot in the first frame, points.
 const NUMBERS: f32 = 420.0;
 /// How often ages and silence are looked at while nothing new comes.
@@ -199,7 +201,7 @@ impl App {
                 let top = ui.cursor().top();
                 let picture = height - numbers;
                 pressed.push = robot::show(ui, model, view, now_s, picture);
-                gauges::show(ui, model, now_s);
+                gauges::show(ui, model, now_s, height < LITTLE_ROOM);
                 let numbers = ui.cursor().top() - top - robot::height(picture);
                 ui.ctx().data_mut(|data| data.insert_temp(Id::unique("numbers"), numbers));
             });

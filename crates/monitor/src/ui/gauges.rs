@@ -11,7 +11,8 @@ use egui::{Align, Grid, Label, Layout, RichText, Role, Sense, Ui, WidgetInfo, po
 use moca_msgs::{Sample, SpeedLimit};
 
 /// Draws the numbers of the parts that the robot has: wrenches and pose, then gauges, then counters.
-pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64) {
+/// Where there is little room, the counters are on the page Loop only.
+pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, little_room: bool) {
     let Some(sample) = &model.latest else { return };
     let live = model.freshness(now_s) == Freshness::Live;
     ui.add_enabled_ui(live, |ui| {
@@ -21,8 +22,10 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64) {
         }
         ui.separator();
         gauges(ui, model, sample, now_s);
-        ui.separator();
-        counters(ui, model, sample);
+        if !little_room {
+            ui.separator();
+            counters(ui, model, sample);
+        }
     });
 }
 
@@ -75,8 +78,9 @@ fn gauges(ui: &mut Ui, model: &Model, sample: &Sample, now_s: f64) {
     }
 }
 
-fn counters(ui: &mut Ui, model: &Model, sample: &Sample) {
-    Grid::new("counters").num_columns(4).spacing([10.0, 1.0]).show(ui, |ui| {
+/// What has been counted since the start.
+pub(super) fn counters(ui: &mut Ui, model: &Model, sample: &Sample) {
+    Grid::new(ui.id().with("counters")).num_columns(4).spacing([10.0, 1.0]).show(ui, |ui| {
         counter(ui, "Frame rate", &number(sample.frame_rate_hz, 1), "Hz", false);
         counter(ui, "Frames good", &sample.frames_good.to_string(), "", false);
         ui.end_row();

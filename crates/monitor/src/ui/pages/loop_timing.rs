@@ -2,7 +2,7 @@
 
 use super::plots;
 use crate::logic::{format::number, model::Model, signals::histogram::Histogram};
-use crate::ui::{requests::PageRequests, theme, view::View};
+use crate::ui::{gauges, requests::PageRequests, theme, view::View};
 use egui::{Align, Color32, Grid, Id, Label, Layout, RichText, Role, ScrollArea, Ui, WidgetInfo, vec2};
 use egui_plot::{AxisHints, GridInput, GridMark, Line, Plot, PlotPoints, VLine};
 use moca_msgs::STAGES;
@@ -76,6 +76,10 @@ fn histograms(ui: &mut Ui, model: &Model) {
             quantiles(ui, title, &rows);
             if stages[0].total() == 0 {
                 ui.weak("This run was not timed.");
+            }
+            ui.separator();
+            if let Some(sample) = &model.latest {
+                gauges::counters(ui, model, sample);
             }
         });
     });

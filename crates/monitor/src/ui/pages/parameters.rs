@@ -6,12 +6,19 @@ use crate::logic::{
     tuning::{element_name, is_changed},
 };
 use crate::ui::{requests::PageRequests, theme, view::View};
-use egui::{Button, Checkbox, CollapsingHeader, DragValue, Grid, Label, RichText, ScrollArea, Stroke, Ui};
+use egui::{
+    Align, Button, Checkbox, CollapsingHeader, DragValue, Grid, Label, Layout, RichText, ScrollArea, Stroke,
+    Ui, vec2,
+};
 use moca_msgs::{ParameterValues, Request};
 use moca_telemetry::{ParameterDescription, ParameterForm, ParameterValue};
 
 /// Width of one element's field, points.
 const FIELD: f32 = 62.0;
+/// Height of a row, points.
+const ROW: f32 = 26.0;
+/// Width of a letter of an element's name, points.
+const LETTER: f32 = 6.5;
 
 /// Draws the page and notes what was pressed.
 pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, pressed: &mut PageRequests) {
@@ -95,8 +102,9 @@ fn row(
     let short = parameter.name.rsplit('.').next().unwrap_or_default();
     let mut draft = view.drafts.remove(&number).unwrap_or_else(|| present.clone());
     ui.horizontal_wrapped(|ui| {
+        ui.spacing_mut().interact_size.y = ROW;
         ui.label(named(short, parameter).strong()).on_hover_text(hint(parameter));
-        ui.add_enabled_ui(may_change, |ui| fields(ui, parameter, short, &mut draft));
+        fields(ui, parameter, short, may_change, &mut draft);
         let (differs, checked) = (draft != *present, parameter.checked(&draft));
         let button = Button::new(format!("Apply {short}"));
         let clicked = ui.add_enabled(differs && checked.is_ok() && may_change, button).clicked();
@@ -135,12 +143,17 @@ fn hint(parameter: &ParameterDescription) -> String {
     format!("{name}, default {}\n{description}", parameter.shown(default))
 }
 
-fn fields(ui: &mut Ui, parameter: &ParameterDescription, short: &str, draft: &mut [f64]) {
+fn fields(ui: &mut Ui, parameter: &ParameterDescription, short: &str, may_change: bool, draft: &mut [f64]) {
     for (element, value) in draft.iter_mut().enumerate() {
         let name = element_name(parameter, element);
         let said = format!("{short} {}", if name.is_empty() { "value" } else { &name });
-        // Name and field stay together where the row is wrapped.
-        ui.horizontal(|ui| {
+        // Name and field stay together where the row is wrapped, which asks for their size first.
+        #[expect(clippy::cast_precision_loss, reason = "a handful of letters")]
+        let size = vec2(FIELD + 8.0 + LETTER * name.len() as f32, ROW);
+        ui.allocate_ui_with_layout(size, Layout::left_to_right(Align::Center), |ui| {
+            if !may_change {
+                ui.disable();
+            }
             ui.spacing_mut().interact_size.x = FIELD;
             ui.spacing_mut().item_spacing.x = 4.0;
             if !name.is_empty() {

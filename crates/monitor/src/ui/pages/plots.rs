@@ -12,11 +12,12 @@ use crate::logic::{
 };
 use crate::ui::{requests::PageRequests, theme, view::View};
 use egui::{
-    Align, Color32, Id, Layout, PointerButton, Rangef, Rect, RichText, Role, Ui, UiBuilder, Vec2, WidgetInfo,
-    vec2,
+    Align, Color32, Id, Layout, PointerButton, Rangef, Rect, RichText, Role, ScrollArea, Ui, UiBuilder, Vec2,
+    WidgetInfo, containers::scroll_area::ScrollSource, vec2,
 };
 use egui_plot::{AxisHints, GridInput, GridMark, Line, LineStyle, Plot, PlotPoints, PlotResponse, VLine};
 use moca_msgs::Mode;
+use std::ops::Range;
 
 /// Stretches of time that have a button, s.
 const SPANS_S: [f64; 4] = [5.0, 10.0, 30.0, 60.0];
@@ -38,6 +39,10 @@ pub(super) const LABELS: Rangef = Rangef { min: 1.0, max: 12.0 };
 pub(super) const GRID: f32 = 0.35;
 /// Height that is not seen, points.
 const UNSEEN: f64 = 0.25;
+/// Width below which plots have one column, points.
+const NARROW: f32 = 480.0;
+/// Lowest plot with its heading, points.
+const LOWEST: f32 = 70.0;
 /// Width from which on a heading has room for values, points.
 const WIDE: f32 = 330.0;
 /// An event this near to the cursor is named, points.
@@ -51,34 +56,57 @@ pub(super) fn show(ui: &mut Ui, model: &Model, panels: &[Panel], columns: usize,
         ui.centered_and_justified(|ui| ui.weak("Plots appear here once samples come."));
         return;
     };
-    let columns = columns.min(panels.len()).max(1);
+    let columns = if ui.available_width() < NARROW { 1 } else { columns.min(panels.len()).max(1) };
     let spacing = ui.spacing().item_spacing;
     let rows = panels.len().div_ceil(columns).max(1);
     #[expect(clippy::cast_precision_loss, reason = "a handful of rows and columns")]
     let (rows_f, columns_f) = (rows as f32, columns as f32);
     let size = vec2(
         (ui.available_width() - spacing.x * (columns_f - 1.0)) / columns_f - RIGHT_MARGIN,
-        ((ui.available_height() - MARKS - spacing.y * (rows_f - 1.0)) / rows_f).max(70.0),
+        ((ui.available_height() - MARKS - spacing.y * (rows_f - 1.0)) / rows_f).max(LOWEST),
     );
-    let corner = ui.available_rect_before_wrap().min;
-    let pitch = size + spacing + vec2(RIGHT_MARGIN, 0.0);
-    let (mut pointed_at_s, mut axis) = (None, view.axis);
-    for (index, panel) in panels.iter().enumerate() {
-        #[expect(clippy::cast_precision_loss, reason = "a handful of rows and columns")]
-        let cell = vec2((index % columns) as f32, (index / columns) as f32) * pitch;
-        let lowest = index + columns >= panels.len();
-        let size = if lowest { size + vec2(0.0, MARKS) } else { size };
-        let builder = UiBuilder::new().max_rect(Rect::from_min_size(corner + cell, size));
-        let plotted = Plotted { panel, end_s: axis.end_s(newest_s), view, model, lowest, width: size.x };
-        let shown =
-            ui.scope_builder(builder.layout(Layout::top_down(Align::Min)), |ui| plotted.show(ui, size));
-        let gesture = shown.inner;
-        pointed_at_s = gesture.pointed_at_s.or(pointed_at_s);
-        gesture.apply(&mut axis, oldest_s, newest_s);
-    }
+    // Where the lowest plots do not fit; the wheel zooms.
+    let area = ScrollArea::vertical().scroll_source(ScrollSource::SCROLL_BAR).auto_shrink([false, false]);
+    let cells = Cells { panels, columns, size, range_s: oldest_s..newest_s };
+    let (axis, pointed_at_s) = area.show(ui, |ui| cells.show(ui, model, view)).inner;
     view.cursor_s = pointed_at_s;
     view.axis = axis;
     view.keep_while_paused(model);
+}
+
+/// Where plots stand on their page.
+struct Cells<'a> {
+    panels: &'a [Panel],
+    columns: usize,
+    /// Of a plot with its heading.
+    size: Vec2,
+    /// What is kept, s of loop time.
+    range_s: Range<f64>,
+}
+
+impl Cells<'_> {
+    /// Draws every plot; gives the axis after what the mouse did, and where it points, s of loop time.
+    fn show(&self, ui: &mut Ui, model: &Model, view: &View) -> (TimeAxis, Option<f64>) {
+        let Self { panels, columns, size, .. } = *self;
+        let Range { start: oldest_s, end: newest_s } = self.range_s;
+        let corner = ui.available_rect_before_wrap().min;
+        let pitch = size + ui.spacing().item_spacing + vec2(RIGHT_MARGIN, 0.0);
+        let (mut pointed_at_s, mut axis) = (None, view.axis);
+        for (index, panel) in panels.iter().enumerate() {
+            #[expect(clippy::cast_precision_loss, reason = "a handful of rows and columns")]
+            let cell = vec2((index % columns) as f32, (index / columns) as f32) * pitch;
+            let lowest = index + columns >= panels.len();
+            let size = if lowest { size + vec2(0.0, MARKS) } else { size };
+            let builder = UiBuilder::new().max_rect(Rect::from_min_size(corner + cell, size));
+            let plotted = Plotted { panel, end_s: axis.end_s(newest_s), view, model, lowest, width: size.x };
+            let gesture = ui
+                .scope_builder(builder.layout(Layout::top_down(Align::Min)), |ui| plotted.show(ui, size))
+                .inner;
+            pointed_at_s = gesture.pointed_at_s.or(pointed_at_s);
+            gesture.apply(&mut axis, oldest_s, newest_s);
+        }
+        (axis, pointed_at_s)
+    }
 }
 
 /// Stretch of time, pause, zoom, export.
@@ -303,7 +331,11 @@ impl Plotted<'_> {
             ui.horizontal(|ui| {
                 ui.spacing_mut().item_spacing.x = 6.0;
                 ui.strong(self.panel.title);
-                ui.weak(self.panel.unit);
+                if self.width > WIDE {
+                    ui.weak(self.panel.unit);
+                } else {
+                    ui.spacing_mut().item_spacing.x = 3.0;
+                }
                 let actual = || self.panel.traces.iter().enumerate().filter(|(_, (_, s))| !s.is_desired());
                 // A dozen values would not fit; those are beside the taxels themselves and under the cursor.
                 let with_values = actual().count() <= 3 && self.width > WIDE;
@@ -314,7 +346,8 @@ impl Plotted<'_> {
                         ui.label(RichText::new(name).color(colour).strong());
                         ui.label(RichText::new(format!("{value:>6}")).monospace());
                     } else {
-                        ui.label(RichText::new(name).color(colour).strong().size(11.5));
+                        let size = if self.width > WIDE { 11.5 } else { 10.0 };
+                        ui.label(RichText::new(name).color(colour).strong().size(size));
                     }
                 }
             });

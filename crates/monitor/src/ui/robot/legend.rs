@@ -5,7 +5,10 @@ use crate::logic::{
     parts::{has_arm, has_robot},
 };
 use crate::ui::theme;
-use egui::{Color32, RichText, Sense, Stroke, Ui, vec2};
+use egui::{Align, Color32, Layout, RichText, Sense, Stroke, Ui, vec2};
+
+/// Width of a letter, points.
+const LETTER: f32 = 5.6;
 
 /// How a thing is drawn.
 #[derive(Clone, Copy)]
@@ -30,7 +33,10 @@ pub(in crate::ui) fn legend(ui: &mut Ui, model: &Model) {
 }
 
 fn entry(ui: &mut Ui, mark: Mark, colour: Color32, text: &str, hint: &str) {
-    ui.horizontal(|ui| {
+    #[expect(clippy::cast_precision_loss, reason = "a handful of letters")]
+    let size = vec2(22.0 + LETTER * text.len() as f32, 16.0);
+    // A row that wraps asks for the size first.
+    ui.allocate_ui_with_layout(size, Layout::left_to_right(Align::Center), |ui| {
         ui.spacing_mut().item_spacing.x = 4.0;
         let (response, painter) = ui.allocate_painter(vec2(18.0, 14.0), Sense::hover());
         let (centre, stroke) = (response.rect.center(), Stroke::new(2.5, colour));

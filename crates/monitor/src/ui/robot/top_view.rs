@@ -19,10 +19,10 @@ use moca_telemetry::description::TaxelDescription;
 
 /// Least and greatest height of the picture, points.
 const HEIGHT: (f32, f32) = (165.0, 640.0);
-/// Floor shown from top to bottom, m.
-const SPAN_M: f64 = 1.65;
 /// Room for a taxel's number and force beside the base, points.
 const LABEL: f32 = 84.0;
+/// The same above it, points.
+const LABEL_ABOVE: f32 = 56.0;
 /// Half of a taxel's length along the cover, m.
 const TAXEL_HALF_M: f64 = 0.09;
 /// Thickness of a taxel, m.
@@ -136,7 +136,8 @@ pub(in crate::ui) fn height(height: f32) -> f32 {
 fn points_per_m(rect: Rect, [length, width, _]: [f64; 3]) -> f64 {
     let half_m = length.max(width) / 2.0 + TAXEL_THICK_M;
     let wide = f64::from((rect.width() / 2.0 - LABEL).max(40.0)) / half_m;
-    wide.min(f64::from(rect.height()) / SPAN_M)
+    let high = f64::from((rect.height() / 2.0 - LABEL_ABOVE).max(40.0)) / half_m;
+    wide.min(high)
 }
 
 fn floor(painter: &Painter, camera: &Camera, rect: Rect, colour: Color32) {

@@ -59,6 +59,7 @@ pub(in crate::ui) fn view_3d(
     if has_robot(&model.robot) {
         picture.wrench(model, sample);
     }
+    plates().for_each(|(i, taxel)| picture.press(i, taxel, model, sample));
 }
 
 struct Picture<'a> {
@@ -131,36 +132,37 @@ impl Picture<'_> {
         self.view.faces(self.in_world([x, y, 0.25]), [-cos, -sin, 0.0])
     }
 
-    /// A plate in the colour of its force, with an arrow, its number and its force while it is pressed.
+    /// A plate in the colour of its force.
     fn plate(&self, index: usize, taxel: &TaxelDescription, model: &Model, sample: &Sample) {
-        let reading = sample.taxels.get(index).copied().unwrap_or_default();
-        let valid = reading.status == TaxelStatus::Ok && reading.force_n.is_finite();
-        let force_n = if valid { reading.force_n } else { 0.0 };
         let ([x, y], angle) = (taxel.position_base_m, taxel.inward_angle_base_rad);
         let (sin, cos) = angle.sin_cos();
         let out = |by_m: f64| [x - by_m * cos, y - by_m * sin];
         let height = model.robot.base_size_m[2];
         let z = [PLATE_Z.0 * height, PLATE_Z.1 * height];
-        let (fill, stroke) = if valid {
+        let masked = sample.taxels.get(index).is_some_and(|taxel| taxel.status == TaxelStatus::Masked);
+        let (fill, stroke) = if let Some(force_n) = valid_force_n(sample, index) {
             (theme::force(force_n, FULL_COLOUR_N, self.visuals), self.visuals.weak_text_color())
-        } else if reading.status == TaxelStatus::Masked {
+        } else if masked {
             (self.visuals.extreme_bg_color, self.visuals.weak_text_color())
         } else {
             (self.visuals.extreme_bg_color, theme::BAD)
         };
         let half = [PLATE_THICK_M / 2.0, PLATE_HALF_M];
         self.block(out(PLATE_THICK_M / 2.0), angle, half, z, fill, Stroke::new(1.0, stroke));
-        if force_n <= 0.0 {
-            return;
-        }
+    }
+
+    /// An arrow on a plate that is pressed, with its number and force.
+    fn press(&self, index: usize, taxel: &TaxelDescription, model: &Model, sample: &Sample) {
+        let Some(force_n) = valid_force_n(sample, index).filter(|force_n| *force_n > 0.0) else { return };
+        let ([x, y], (sin, cos)) = (taxel.position_base_m, taxel.inward_angle_base_rad.sin_cos());
+        let z = PLATE_Z.0.midpoint(PLATE_Z.1) * model.robot.base_size_m[2];
+        let out = |by_m: f64| self.in_world([x - by_m * cos, y - by_m * sin, z]);
         let length = (force_n * ARROW_M_PER_N).min(ARROW_MAX_M);
-        let middle = z[0].midpoint(z[1]);
-        let ([from_x, from_y], [to_x, to_y]) = (out(PLATE_THICK_M + length), out(PLATE_THICK_M));
-        let from = self.in_world([from_x, from_y, middle]);
-        self.arrow(from, self.in_world([to_x, to_y, middle]), theme::BAD);
+        let from = out(PLATE_THICK_M + length);
+        self.arrow(from, out(PLATE_THICK_M), theme::BAD);
         if let Some((at, _)) = self.at(from) {
             let text = format!("{} {} N", taxel_name(index), number(force_n, 1));
-            let font = FontId::proportional(16.0);
+            let (at, font) = (at - egui::vec2(0.0, 8.0), FontId::proportional(16.0));
             self.painter.text(at, Align2::CENTER_BOTTOM, text, font, theme::strong(self.visuals));
         }
     }
@@ -315,6 +317,12 @@ impl Picture<'_> {
         let head = vec![to, neck + across * 6.5, neck - across * 6.5];
         self.painter.add(Shape::convex_polygon(head, colour, Stroke::NONE));
     }
+}
+
+/// Force of a taxel with a valid reading, N.
+fn valid_force_n(sample: &Sample, taxel: usize) -> Option<f64> {
+    let reading = sample.taxels.get(taxel)?;
+    (reading.status == TaxelStatus::Ok && reading.force_n.is_finite()).then_some(reading.force_n)
 }
 
 /// A colour on a side that has this share of the light.
