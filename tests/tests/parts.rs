@@ -1,8 +1,9 @@
 //! A robot that lacks a part: what is not there is neither simulated, started nor shown, and the rest works as before.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 
-use moca_daemon::config::{Arm, Config, HandConfig, Parts};
+use moca_daemon::config::{Arm, Config, HandConfig};
 use moca_daemon::devices::simulated_robot::free_scene;
+use moca_daemon::robot::Parts;
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_msgs::{Fault, Mode, Refusal, Request, Sample};
 use moca_sim::{Scene, VirtualBoardConfig};
@@ -117,7 +118,7 @@ fn threads(parts: &str) -> Vec<String> {
 
 #[test]
 fn an_arm_alone_starts_no_thread_of_a_board() {
-    assert_eq!(threads("arm"), ["control-loop", "ctrl-c", "mocad"]);
+    assert_eq!(threads("arm"), ["control-loop", "ctrl-c", "mocad-under-tes", "terminal"]);
     let whole = threads("whole");
     for name in ["calibrator", "touch-board"] {
         assert!(whole.iter().any(|thread| thread == name), "{name} is not among {whole:?}");

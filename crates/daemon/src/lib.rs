@@ -20,4 +20,5 @@ pub mod control;
 pub mod devices;
 pub mod inject;
 pub mod record;
+pub mod robot;
 pub mod runtime;

@@ -3,7 +3,7 @@
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
 use crate::config::Config;
-use crate::runtime::live::Clock;
+use crate::runtime::clock::Clock;
 use crate::runtime::realtime::{self, Step};
 use crate::runtime::schedule::Schedule;
 use crate::runtime::timing::Distribution;
@@ -136,6 +136,8 @@ fn empty_loop(config: &Config, length: Duration) -> Result<Lateness> {
 #[cfg(feature = "sim")]
 fn simulated_loop(config: &Config, length: Duration) -> Result<Lateness> {
     use crate::runtime::live::{self, Shared};
+    use crate::runtime::tick_source::Timer;
+    use crate::runtime::timing::Timing;
     let clock = Clock::start()?;
     let mut robot = crate::runtime::assemble::assemble(config, clock, None, Default::default())?;
     let (steps, _held) = realtime::apply(&config.realtime());
@@ -143,15 +145,16 @@ fn simulated_loop(config: &Config, length: Duration) -> Result<Lateness> {
     let (mut rings, samples, ports) = crate::runtime::clients::rings(&shared);
     drop((samples, ports));
     let started_ns = Duration::from_nanos(clock.now_ns());
+    let mut timing = Timing::new()?;
     let report = live::run(
         &mut robot.control,
-        clock,
-        config.period_ns(),
+        &mut Timer::new(clock, config.period_ns()),
+        &mut timing,
         Some(started_ns + length),
         &mut rings,
         &shared,
     );
-    Ok(Lateness { steps, lateness: robot.control.timing.lateness.clone(), overruns: report.overruns })
+    Ok(Lateness { steps, lateness: timing.lateness, overruns: report.overruns })
 }
 
 fn print_row(name: &str, measured: &Lateness) {

@@ -1,8 +1,9 @@
 //! The user's file of contact limits: every mistake at once, as in the configuration. No numbers are shipped: which part
 //! of a body a taxel can touch, and what that part bears, is the user's risk assessment.
 
-use crate::config::{ConfigError, TAXELS, located, position_of, unknown_keys};
+use crate::config::{ConfigError, located, position_of, unknown_keys};
 use crate::control::contacts::ContactLimits;
+use crate::robot::TAXELS;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 

@@ -3,28 +3,30 @@
 pub mod contact_limits;
 pub mod schema;
 
+use crate::robot::{JOINTS, Parts, TAXELS};
 use crate::runtime::realtime::Wishes;
 use moca_msgs::robot::{ArmTable, FR3, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, TaxelPlacement};
 use moca_msgs::{ContactReaction, Corrections, ImpedanceGains, Law, Limits, Parameters};
-use moca_tactile::CoverConfig;
 use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
 use moca_tactile::cover::MaskPolicy;
+use moca_tactile::model::ASSUMED_ERROR_FROM_N;
+use moca_tactile::{CoverConfig, TaxelModel};
+use moca_telemetry::net::{Address, DEFAULT_ADDRESS};
 use serde::{Deserialize, Serialize};
 use std::fmt;
-use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// Joints of the arm this daemon drives.
-pub const JOINTS: usize = 7;
-/// Taxels of the cover this daemon reads.
-pub const TAXELS: usize = 11;
 /// `board.port` of the virtual Touch Board.
 pub const VIRTUAL_PORT: &str = "virtual";
 /// `board.port` that looks for a Touch Board's USB id.
 pub(crate) const AUTO_PORT: &str = "auto";
+/// `telemetry.listen` that asks the environment.
+const AUTO_LISTEN: &str = "auto";
+/// The service's socket in systemd's RuntimeDirectory.
+const SOCKET_NAME: &str = "telemetry.sock";
 /// The documented default configuration.
 pub const DEFAULT_TOML: &str = include_str!("../../config/mocad.toml");
 
@@ -97,6 +99,7 @@ section! {
         port: String = VIRTUAL_PORT.into(),
         name: String = String::new(),
         calibration: String = String::new(),
+        model: AssumedModel = AssumedModel::PuLd30,
         masked: Vec<usize> = Vec::new(),
         mask_policy: MaskPolicyConfig = MaskPolicyConfig::Stop,
         gauge: String = String::new(),
@@ -105,7 +108,7 @@ section! {
 }
 section! {
     /// `[telemetry]`
-    TelemetryConfig { listen: String = moca_telemetry::net::DEFAULT_ADDRESS.into() }
+    TelemetryConfig { listen: String = AUTO_LISTEN.into(), mode: String = "0660".into() }
 }
 section! {
     /// `[flight_recorder]`
@@ -122,30 +125,30 @@ section! {
 section! {
     /// `[control.gains]`
     GainsConfig {
-        virtual_mass: [f64; 3] = ImpedanceGains::PAPER.virtual_mass,
-        virtual_damping: [f64; 3] = ImpedanceGains::PAPER.virtual_damping,
-        stiffness: [f64; 6] = ImpedanceGains::PAPER.stiffness,
-        damping_ratio: f64 = ImpedanceGains::PAPER.damping_ratio,
-        eta_base: f64 = ImpedanceGains::PAPER.eta_base,
-        eta_arm: f64 = ImpedanceGains::PAPER.eta_arm,
-        posture_stiffness: [f64; JOINTS] = ImpedanceGains::PAPER.posture_stiffness,
-        posture_damping: [f64; JOINTS] = ImpedanceGains::PAPER.posture_damping,
-        posture_rad: [f64; JOINTS] = ImpedanceGains::PAPER.posture_rad,
-        reactivity: f64 = ImpedanceGains::PAPER.reactivity,
+        virtual_mass: [f64; 3] = Parameters::PAPER.gains.virtual_mass,
+        virtual_damping: [f64; 3] = Parameters::PAPER.gains.virtual_damping,
+        stiffness: [f64; 6] = Parameters::PAPER.gains.stiffness,
+        damping_ratio: f64 = Parameters::PAPER.gains.damping_ratio,
+        eta_base: f64 = Parameters::PAPER.gains.eta_base,
+        eta_arm: f64 = Parameters::PAPER.gains.eta_arm,
+        posture_stiffness: [f64; JOINTS] = Parameters::PAPER.gains.posture_stiffness,
+        posture_damping: [f64; JOINTS] = Parameters::PAPER.gains.posture_damping,
+        posture_rad: [f64; JOINTS] = Parameters::PAPER.gains.posture_rad,
+        reactivity: f64 = Parameters::PAPER.gains.reactivity,
     }
 }
 section! {
     /// `[control.corrections]`: on where a user is better served; the paper's experiments switch them off.
-    CorrectionsConfig { null_space_damping: bool = true, base_coupling: bool = true, flange_feed: bool = false }
+    CorrectionsConfig { null_space_damping: bool = true, base_coupling: bool = true, flange_wrench_feedforward: bool = false }
 }
 section! {
     /// `[limits]`
     LimitsConfig {
-        torque_nm: [f64; JOINTS] = Limits::PANDA_ON_SUMMIT.torque_nm,
-        torque_rate_nm_s: f64 = Limits::PANDA_ON_SUMMIT.torque_rate_nm_s,
-        base_velocity: [f64; 3] = Limits::PANDA_ON_SUMMIT.base_velocity,
-        base_acceleration: [f64; 3] = Limits::PANDA_ON_SUMMIT.base_acceleration,
-        taxel_force_n: f64 = Limits::PANDA_ON_SUMMIT.taxel_force_n,
+        torque_nm: [f64; JOINTS] = Parameters::PAPER.limits.torque_nm,
+        torque_rate_nm_s: f64 = Parameters::PAPER.limits.torque_rate_nm_s,
+        base_velocity: [f64; 3] = Parameters::PAPER.limits.base_velocity,
+        base_acceleration: [f64; 3] = Parameters::PAPER.limits.base_acceleration,
+        taxel_force_n: f64 = Parameters::PAPER.limits.taxel_force_n,
     }
 }
 section! {
@@ -158,6 +161,7 @@ section! {
         override_speed_limit_m_s: f64 = 0.0,
         override_statement: String = String::new(),
         thresholds: String = String::new(),
+        uncalibrated_statement: String = String::new(),
         reaction: ContactReaction = ContactReaction::StopDirection,
         slow_m_s: f64 = 0.01,
         retreat_m_s: f64 = 0.05,
@@ -177,6 +181,25 @@ impl HandConfig {
     /// No scripted hand.
     pub fn none() -> Self {
         Self { taxels: Vec::new(), ..Self::default() }
+    }
+}
+
+/// How counts become newtons on a cover that has not been calibrated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AssumedModel {
+    /// The curve of simulated PU LD30.
+    PuLd30,
+    /// The paper's line: 100 N at 84 counts.
+    Paper,
+}
+
+impl AssumedModel {
+    const fn model(self) -> TaxelModel {
+        match self {
+            Self::PuLd30 => TaxelModel::PU_LD30,
+            Self::Paper => TaxelModel::PAPER,
+        }
     }
 }
 
@@ -210,30 +233,6 @@ pub enum Arm {
     Fr3,
 }
 
-/// Which parts the robot has. What it lacks is neither simulated, started nor shown.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Parts {
-    /// Base with cover, and arm.
-    Whole,
-    /// The base with its cover: both laws follow the hand.
-    Base,
-    /// The arm on a stand, without a cover: both laws hold the flange where it is.
-    Arm,
-}
-
-impl Parts {
-    /// Whether there is a base, and with it a cover.
-    pub const fn has_cover(self) -> bool {
-        !matches!(self, Self::Arm)
-    }
-
-    /// Whether there is an arm.
-    pub const fn has_arm(self) -> bool {
-        !matches!(self, Self::Base)
-    }
-}
-
 impl Default for Config {
     fn default() -> Self {
         Self {
@@ -254,6 +253,34 @@ impl Default for Config {
     }
 }
 
+impl TelemetryConfig {
+    /// Permission bits of a socket file.
+    pub fn socket_mode(&self) -> Option<u32> {
+        let bits = u32::from_str_radix(&self.mode, 8).ok()?;
+        (0o600..=0o777).contains(&bits).then_some(bits)
+    }
+
+    fn check(&self, report: &mut impl FnMut(&str, String)) {
+        let listen = &self.listen;
+        let known = listen.is_empty() || listen == AUTO_LISTEN;
+        if !known && !listen.parse().is_ok_and(|address: Address| address.is_local()) {
+            let allowed = "\"auto\", a loopback address with a port, unix:/ABSOLUTE/PATH, or \"\" for none";
+            report("telemetry.listen", format!("telemetry.listen = {listen:?}; allowed: {allowed}"));
+        }
+        if self.socket_mode().is_none() {
+            let message = format!("telemetry.mode = {:?}; allowed: \"0600\" to \"0777\", octal", self.mode);
+            report("telemetry.mode", message);
+        }
+    }
+}
+
+/// systemd's RuntimeDirectory is where a service's socket belongs.
+fn service_socket() -> Option<PathBuf> {
+    let folders = std::env::var_os("RUNTIME_DIRECTORY")?;
+    let folder = std::env::split_paths(&folders).next().filter(|folder| folder.is_absolute())?;
+    Some(folder.join(SOCKET_NAME))
+}
+
 impl Config {
     /// Control period, ns.
     pub fn period_ns(&self) -> u64 {
@@ -270,6 +297,8 @@ impl Config {
                 MaskPolicyConfig::Stop => MaskPolicy::Stop,
                 MaskPolicyConfig::Unfelt => MaskPolicy::Unfelt,
             },
+            models: [self.board.model.model(); TAXELS],
+            force_max_n: self.limits.taxel_force_n,
             ..CoverConfig::default()
         };
         for &taxel in &self.board.masked {
@@ -283,9 +312,21 @@ impl Config {
         Ok(cover)
     }
 
+    /// What forces are worth on a cover that has not been calibrated, in one sentence.
+    pub fn uncalibrated(&self) -> Option<String> {
+        let assumed = self.plant.parts.has_cover() && self.board.calibration.is_empty();
+        let percent = 100.0 * self.board.model.model().assumed_error();
+        assumed.then(|| {
+            format!("uncalibrated: forces of {ASSUMED_ERROR_FROM_N} N and more may be {percent:.0} % off on PU LD30")
+        })
+    }
+
     /// Where telemetry listens, if anywhere; checked by [`Config::check`].
-    pub fn telemetry_address(&self) -> Option<SocketAddr> {
-        self.telemetry.listen.parse().ok()
+    pub fn telemetry_address(&self) -> Option<Address> {
+        match self.telemetry.listen.as_str() {
+            AUTO_LISTEN => Some(service_socket().map_or(DEFAULT_ADDRESS.into(), Address::Unix)),
+            listen => listen.parse().ok(),
+        }
     }
 
     /// What to ask of the operating system.
@@ -342,7 +383,7 @@ impl Config {
             corrections: Corrections {
                 null_space_damping: c.null_space_damping,
                 base_coupling: c.base_coupling,
-                flange_feed: c.flange_feed,
+                flange_wrench_feedforward: c.flange_wrench_feedforward,
             },
             limits: Limits {
                 torque_nm: l.torque_nm,
@@ -399,16 +440,17 @@ impl Config {
             report(path, format!("{path} = {} s is longer than every_s - 0.7 = {most_s} s", hand.hold_s));
         }
         crate::control::protection::check(&self.protection, &mut report);
-        let listen = &self.telemetry.listen;
-        if !listen.is_empty() && !listen.parse::<SocketAddr>().is_ok_and(|address| address.ip().is_loopback())
+        let limited = !self.protection.thresholds.is_empty();
+        if let (true, Some(uncalibrated)) = (limited, self.uncalibrated())
+            && self.protection.uncalibrated_statement.trim().is_empty()
         {
-            report(
-                "telemetry.listen",
-                format!(
-                    "telemetry.listen = {listen:?}; allowed: a loopback address with a port, or \"\" for none"
-                ),
+            let message = format!(
+                "protection.thresholds limits contacts of a cover without board.calibration ({uncalibrated}); calibrate it, \
+                 or say in protection.uncalibrated_statement who decided that such forces do"
             );
+            report("protection.thresholds", message);
         }
+        self.telemetry.check(&mut report);
         if self.plant.kind == PlantKind::None && self.board.port == VIRTUAL_PORT {
             let allowed = "allowed: \"auto\" or a path when plant.kind = \"none\"";
             report("board.port", format!("board.port = \"virtual\" needs a simulated robot; {allowed}"));
@@ -532,11 +574,29 @@ mod tests {
         assert_eq!(error.mistakes.len(), 2);
         assert!(
             error.mistakes[0].contains(
-                "line 2: unknown key board.prot; allowed here: calibration, gauge, gauge_baud, mask_policy, masked, name, port"
+                "line 2: unknown key board.prot; allowed here: calibration, gauge, gauge_baud, mask_policy, masked, model, name, port"
             ),
             "{error}"
         );
         assert!(error.mistakes[1].contains("unknown key loops"), "{error}");
+    }
+
+    #[test]
+    fn contact_limits_of_a_cover_that_is_not_calibrated_need_a_statement() {
+        let limited = "[protection]\nthresholds = \"limits.toml\"\n";
+        let error = Config::parse(limited).unwrap_err();
+        assert!(error.mistakes.len() == 1 && error.mistakes[0].contains("may be 50 % off"), "{error}");
+        for good in [
+            "[protection]\nuncalibrated_statement = \"who\"\n",
+            "[board]\ncalibration = \"c.toml\"\n[protection]\n",
+        ] {
+            let text = format!("{good}thresholds = \"limits.toml\"\n");
+            assert!(Config::parse(&text).is_ok(), "{text}: {:?}", Config::parse(&text));
+        }
+        let paper = Config::parse("[board]\nmodel = \"paper\"\n").unwrap();
+        assert!(paper.uncalibrated().unwrap().contains("55 % off"));
+        assert_eq!(paper.cover().unwrap().models, [TaxelModel::PAPER; TAXELS]);
+        assert_eq!(Config::default().cover().unwrap().models, [TaxelModel::PU_LD30; TAXELS]);
     }
 
     #[test]

@@ -1,8 +1,9 @@
 //! The schema of everything that can be configured: type, unit, range, default, description, live or not. One table
 //! checks configuration files, describes the robot to observers, and is exported as JSON schema.
 
-use crate::config::{Config, TAXELS};
+use crate::config::Config;
 use crate::control::protection::OVERRIDE_MAX_M_S;
+use crate::robot::TAXELS;
 use moca_msgs::params::{CONTROLLER, ParameterKind, ParameterSpec};
 use moca_msgs::{ParameterError, request::PRESS_FORCE_MAX_N};
 use moca_telemetry::{ParameterDescription, ParameterForm, ParameterValue};
@@ -62,6 +63,13 @@ pub const SETTINGS: &[ParameterSpec] = {
         row("board.port", Text, &[], ANY, "\"virtual\", \"auto\" (by USB id), or a path."),
         row("board.name", Text, &[], ANY, "The board's name in its calibration file."),
         row("board.calibration", Text, &[], ANY, "File that `mocad calibrate` wrote; empty for none."),
+        row(
+            "board.model",
+            Choice(&["pu-ld30", "paper"]),
+            &[],
+            ANY,
+            "How counts become newtons without a calibration.",
+        ),
         row("board.masked", Integer, &["(taxel number)"], TAXEL, "Taxels out of use."),
         row("board.mask_policy", Choice(&["stop", "unfelt"]), &[], ANY, "What a masked taxel means."),
         row("board.gauge", Text, &[], ANY, "Port of a force gauge for calibrations; empty for none."),
@@ -101,6 +109,13 @@ pub const SETTINGS: &[ParameterSpec] = {
         row("protection.override_statement", Text, &[], ANY, "Why the limit is overridden; logged."),
         row("protection.thresholds", Text, &[], ANY, "File of contact limits; empty for none."),
         row(
+            "protection.uncalibrated_statement",
+            Text,
+            &[],
+            ANY,
+            "Why contact limits hold on an uncalibrated cover; logged.",
+        ),
+        row(
             "protection.reaction",
             Choice(&["slow", "stop-direction", "retreat"]),
             &[],
@@ -110,7 +125,8 @@ pub const SETTINGS: &[ParameterSpec] = {
         row("protection.slow_m_s", Number, &["m/s"], (0.0, 1.0), "Speed limit of \"slow\"."),
         row("protection.retreat_m_s", Number, &["m/s"], (0.001, 1.0), "Speed of \"retreat\"."),
         row("protection.retreat_m", Number, &["m"], (0.0, 1.0), "Longest way of a retreat."),
-        row("telemetry.listen", Text, &[], ANY, "Loopback address for dashboards; empty for none."),
+        row("telemetry.listen", Text, &[], ANY, "Port or socket file for dashboards; empty for none."),
+        row("telemetry.mode", Text, &[], ANY, "Permission bits of a socket file, octal."),
         row("flight_recorder.folder", Text, &[], ANY, "Where the last 10 s before a fault are written."),
         row("simulation.seed", Integer, &[], (0.0, 9e15), "Seed of the sensor's noise."),
         row("simulation.hand.taxels", Integer, &["(taxel number)"], TAXEL, "Taxels pressed in turn."),

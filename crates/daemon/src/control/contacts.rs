@@ -1,6 +1,6 @@
 //! Contacts, taxel by taxel: how long, how hard, and whether a limit of the user's was crossed. Pure, no allocation.
 
-use crate::config::TAXELS;
+use crate::robot::TAXELS;
 use heapless::Deque;
 use moca_msgs::protection::{ContactKind, ContactPhase, TRANSIENT_S};
 use moca_msgs::{ContactEvent, ContactReaction, TaxelReading, TaxelStatus};

@@ -8,9 +8,10 @@
 //! The limit holds for the fastest point of the cover, a corner once the base turns: whoever is touched is touched
 //! there. The arm and what it carries are not covered by it.
 
-use crate::config::{Config, JOINTS, ProtectionConfig, TAXELS};
+use crate::config::{Config, ProtectionConfig};
 use crate::control::contacts::{ContactLimits, ContactTracker};
 use crate::control::cover::CoverState;
+use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_EVENTS;
 use moca_msgs::robot::SUMMIT_XL;
 use moca_msgs::{ContactEvent, ContactReaction, Limits, RobotState, SpeedLimit, SpeedLimitReason};

@@ -66,7 +66,7 @@ impl Recording {
         if let Some(change) = parameter_change(record) {
             self.recorder.parameter(time_ns, change);
         }
-        self.lost = record.input.lost;
+        self.lost = record.lost;
         self.recorder.replay(time_ns, tick, record.encode());
     }
 

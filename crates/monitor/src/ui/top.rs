@@ -175,8 +175,8 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
         (true, false) => "base alone",
         (true, true) => arm,
     };
-    let masked = masked(sample);
-    (None, format!("{} ({what}{kind}){command}{masked}", model.robot.name))
+    let cover = if model.robot.uncalibrated.is_empty() { "" } else { " · cover uncalibrated" };
+    (None, format!("{} ({what}{kind}){command}{cover}{}", model.robot.name, masked(sample)))
 }
 
 /// The taxels that are out of use, by number.

@@ -5,7 +5,7 @@ use crate::logic::{
     model::Model,
 };
 use crate::ui::{requests::PageRequests, theme};
-use egui::{Align, Button, Grid, Layout, RichText, ScrollArea, Ui, vec2};
+use egui::{Align, Button, Grid, Label, Layout, RichText, ScrollArea, Ui, vec2};
 use moca_msgs::{Request, Sample, TaxelStatus};
 
 /// Width of a column, points.
@@ -28,6 +28,9 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, pressed: &mut PageReq
         };
         ui.weak(why);
     });
+    if !model.robot.uncalibrated.is_empty() {
+        ui.add(Label::new(RichText::new(&model.robot.uncalibrated).color(theme::WARNING)).wrap());
+    }
     ScrollArea::both().show(ui, |ui| table(ui, model, sample, may_mask, pressed));
 }
 
