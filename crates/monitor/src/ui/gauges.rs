@@ -10,6 +10,9 @@ use crate::logic::{
 use egui::{Align, Grid, Label, Layout, RichText, Role, Sense, Ui, WidgetInfo, pos2, vec2};
 use moca_msgs::{Sample, SpeedLimit};
 
+/// Width from which on two counters stand beside each other, points.
+const TWO_COUNTERS: f32 = 378.0;
+
 /// Draws the numbers of the parts that the robot has: wrenches and pose, then gauges, then counters.
 /// Where there is little room, the counters are on the page Loop only.
 pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, little_room: bool) {
@@ -80,17 +83,21 @@ fn gauges(ui: &mut Ui, model: &Model, sample: &Sample, now_s: f64) {
 
 /// What has been counted since the start.
 pub(super) fn counters(ui: &mut Ui, model: &Model, sample: &Sample) {
-    Grid::new(ui.id().with("counters")).num_columns(4).spacing([10.0, 1.0]).show(ui, |ui| {
-        counter(ui, "Frame rate", &number(sample.frame_rate_hz, 1), "Hz", false);
-        counter(ui, "Frames good", &sample.frames_good.to_string(), "", false);
-        ui.end_row();
-        counter(ui, "Loop overruns", &sample.overruns.to_string(), "", sample.overruns > 0);
-        counter(ui, "Frames bad", &sample.frames_bad.to_string(), "", sample.frames_bad > 0);
-        ui.end_row();
-        let dropped = model.status.ring_dropped + model.status.client_dropped;
-        counter(ui, "Samples lost", &dropped.to_string(), "", dropped > 0);
-        counter(ui, "Run time", &number(seconds(sample.time_ns), 0), "s", false);
-        ui.end_row();
+    let dropped = model.status.ring_dropped + model.status.client_dropped;
+    let counters = [
+        ("Frame rate", number(sample.frame_rate_hz, 1), "Hz", false),
+        ("Frames good", sample.frames_good.to_string(), "", false),
+        ("Loop overruns", sample.overruns.to_string(), "", sample.overruns > 0),
+        ("Frames bad", sample.frames_bad.to_string(), "", sample.frames_bad > 0),
+        ("Samples lost", dropped.to_string(), "", dropped > 0),
+        ("Run time", number(seconds(sample.time_ns), 0), "s", false),
+    ];
+    let columns = if ui.available_width() < TWO_COUNTERS { 1 } else { 2 };
+    Grid::new(ui.scope_id().with("counters")).spacing([10.0, 1.0]).show(ui, |ui| {
+        for row in counters.chunks(columns) {
+            row.iter().for_each(|(name, value, unit, odd)| counter(ui, name, value, unit, *odd));
+            ui.end_row();
+        }
     });
 }
 

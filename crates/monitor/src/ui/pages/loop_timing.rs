@@ -17,8 +17,8 @@ const GAP: f32 = 16.0;
 const NARROW: f32 = 245.0;
 /// Lowest height of the plots below, points.
 const PLOTS: f32 = 170.0;
-/// Width of a quantile, points.
-const CELL: f32 = 50.0;
+/// Narrowest and widest quantile, points.
+const CELL: (f32, f32) = (34.0, 50.0);
 /// Width of the stages' quantiles, points.
 const TABLE: f32 = 330.0;
 
@@ -168,9 +168,11 @@ fn decades(input: GridInput) -> Vec<GridMark> {
 
 /// A row for each histogram: its name in the colour of its curve, unless it has none, and its quantiles.
 fn quantiles(ui: &mut Ui, title: &str, rows: &[(&str, &str, &Histogram)]) {
+    // Beside four quantiles stand name and unit.
+    let width = ((ui.available_width() - 110.0) / 4.0 - 4.0).clamp(CELL.0, CELL.1);
     let cell = |ui: &mut Ui, text: RichText| {
-        ui.allocate_ui_with_layout(vec2(CELL, 18.0), Layout::right_to_left(Align::Center), |ui| {
-            ui.set_min_width(CELL);
+        ui.allocate_ui_with_layout(vec2(width, 18.0), Layout::right_to_left(Align::Center), |ui| {
+            ui.set_min_width(width);
             ui.label(text);
         });
     };

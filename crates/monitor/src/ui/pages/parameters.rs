@@ -37,7 +37,8 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, pressed: &mut Pa
             row(ui, number, parameter, model.may_command(), view, pressed);
             ui.separator();
         }
-        CollapsingHeader::new("Read at the start only: change the configuration file").show(ui, |ui| {
+        CollapsingHeader::new("Read at the start only").show(ui, |ui| {
+            ui.weak("They are changed in the configuration file.");
             Grid::new("other parameters").striped(true).num_columns(3).spacing([12.0, 3.0]).show(ui, |ui| {
                 for (_, parameter) in listed().filter(|(_, p)| !p.live) {
                     ui.label(named(&parameter.name, parameter)).on_hover_text(hint(parameter));
