@@ -153,22 +153,8 @@ fn step(ui: &mut Ui, number: u32, title: &str, now: bool) {
 
 fn start(ui: &mut Ui, model: &Model, choice: &mut CalibrationChoice, now_s: f64, pressed: &mut PageRequests) {
     let (still, busy) = (still(model, now_s), busy(&model.calibration));
+    ui.add_enabled_ui(!busy, |ui| ui.horizontal_wrapped(|ui| choose(ui, model, choice)));
     ui.horizontal_wrapped(|ui| {
-        ui.add_enabled_ui(!busy, |ui| {
-            ui.horizontal(|ui| {
-                let label = ui.label("Taxel");
-                let chosen =
-                    ComboBox::from_id_salt("taxel").width(64.0).selected_text(taxel_name(choice.taxel));
-                let shown = chosen.show_ui(ui, |ui| {
-                    for taxel in 0..u8::try_from(model.robot.taxels.len()).unwrap_or(u8::MAX) {
-                        ui.selectable_value(&mut choice.taxel, taxel, taxel_name(taxel));
-                    }
-                });
-                shown.response.labelled_by(label.id);
-                let label = ui.label("Presses");
-                ui.add(Slider::new(&mut choice.presses, 1..=10)).labelled_by(label.id);
-            });
-        });
         let may_start = !busy && still && model.may_command() && choice.next_at_s.is_none();
         let hint = "The robot must hold still: disarm it first";
         let button = ui.add_enabled(may_start, Button::new("Start calibration"));
