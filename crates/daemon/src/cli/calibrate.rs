@@ -11,7 +11,7 @@ use anyhow::{Context, anyhow, bail, ensure};
 use moca_tactile::calibration::file::TaxelEntry;
 use moca_tactile::calibration::quality::evaluation_cost_ns;
 use moca_tactile::calibration::session::{Measured, Session, Step, Target};
-use moca_tactile::calibration::{CalibrationFile, ModelKind, Quality, chart, fit};
+use moca_tactile::calibration::{CalibrationFile, ModelKind, Quality, fit, residuals};
 use moca_tactile::datastream::SketchGeneration;
 use moca_tactile::zero::TARE_FRAMES;
 use moca_tactile::{BoardEvent, TaxelModel};
@@ -136,8 +136,9 @@ fn calibrate(
             if let Some(folder) = &arguments.residuals {
                 let title = format!("T{} {}: RMSE {:.2} N", target.number, model.name(), quality.rmse_n);
                 let path = folder.join(format!("T{}-{}.svg", target.number, model.name()));
+                let drawing = moca_figures::residuals(&title, "N", &residuals(&model, trials));
                 std::fs::create_dir_all(folder)
-                    .and_then(|()| std::fs::write(&path, chart::residual_plot(&title, &model, trials)))
+                    .and_then(|()| std::fs::write(&path, drawing.svg()))
                     .with_context(|| format!("cannot write {}", path.display()))?;
             }
             if kind == arguments.model.into() {
