@@ -3,6 +3,7 @@
 //! where names, units, ranges and descriptions are.
 
 use crate::Refusal;
+use crate::robot::{ArmTable, PANDA};
 
 /// Gains of the expanded controllers, eqs. (2), (9)–(11), (15)–(16).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,20 +31,28 @@ pub struct ImpedanceGains<const N: usize> {
     pub reactivity: f64,
 }
 
+impl<const N: usize> ImpedanceGains<N> {
+    /// The gains that reproduce the paper's text on a Panda, with posture and posture gains of `arm`. The flange's
+    /// stiffness and the base's virtual mass and damping are felt by a hand: they do not depend on the arm.
+    pub const fn for_arm(arm: &ArmTable<N>) -> Self {
+        Self {
+            virtual_mass: [4.0, 4.0, 2.0],
+            virtual_damping: [80.0, 80.0, 60.0],
+            stiffness: [800.0, 800.0, 800.0, 40.0, 40.0, 40.0],
+            damping_ratio: 0.9,
+            eta_base: 3.0,
+            eta_arm: 1.0,
+            posture_stiffness: arm.posture_stiffness_nm_rad,
+            posture_damping: arm.posture_damping_nm_s_rad,
+            posture_rad: arm.home_rad,
+            reactivity: 1.0,
+        }
+    }
+}
+
 impl ImpedanceGains<7> {
     /// The gains that reproduce the paper's text on a Panda.
-    pub const PAPER: Self = Self {
-        virtual_mass: [4.0, 4.0, 2.0],
-        virtual_damping: [80.0, 80.0, 60.0],
-        stiffness: [800.0, 800.0, 800.0, 40.0, 40.0, 40.0],
-        damping_ratio: 0.9,
-        eta_base: 3.0,
-        eta_arm: 1.0,
-        posture_stiffness: [90.0, 90.0, 90.0, 90.0, 45.0, 30.0, 15.0],
-        posture_damping: [10.0, 10.0, 10.0, 10.0, 5.0, 3.5, 1.7],
-        posture_rad: crate::robot::PANDA.home_rad,
-        reactivity: 1.0,
-    };
+    pub const PAPER: Self = Self::for_arm(&PANDA);
 }
 
 /// Corrections of what the literal law leaves out. All off is the paper's law.
@@ -54,12 +63,13 @@ pub struct Corrections {
     /// Feed forward the inertial coupling M_AB q̈_B that eq. (3) ignores.
     pub base_coupling: bool,
     /// Let the base feel a force at the flange: add J_Bᵀ F̂_ext to eq. (2).
-    pub flange_feed: bool,
+    pub flange_wrench_feedforward: bool,
 }
 
 impl Corrections {
     /// The paper's law to the letter.
-    pub const LITERAL: Self = Self { null_space_damping: false, base_coupling: false, flange_feed: false };
+    pub const LITERAL: Self =
+        Self { null_space_damping: false, base_coupling: false, flange_wrench_feedforward: false };
 }
 
 /// Limits on what a controller may give out.
@@ -79,16 +89,19 @@ pub struct Limits<const N: usize> {
     pub period_s: f64,
 }
 
-impl Limits<7> {
-    /// Panda torque limits and torque rate (libfranka), SUMMIT-XL acceleration; speeds ASSUMED for use near people.
-    pub const PANDA_ON_SUMMIT: Self = Self {
-        torque_nm: crate::robot::PANDA.torque_max_nm,
-        torque_rate_nm_s: 1000.0,
-        base_velocity: [0.5, 0.5, 0.8],
-        base_acceleration: [3.0, 3.0, 6.0],
-        taxel_force_n: 200.0,
-        period_s: 1e-3,
-    };
+impl<const N: usize> Limits<N> {
+    /// Torques of `arm`, the torque rate of Franka's arms (`libfranka`), SUMMIT-XL acceleration; speeds ASSUMED for use
+    /// near people.
+    pub const fn for_arm(arm: &ArmTable<N>) -> Self {
+        Self {
+            torque_nm: arm.torque_max_nm,
+            torque_rate_nm_s: 1000.0,
+            base_velocity: [0.5, 0.5, 0.8],
+            base_acceleration: [3.0, 3.0, 6.0],
+            taxel_force_n: 200.0,
+            period_s: 1e-3,
+        }
+    }
 }
 
 /// Everything a controller is configured with.
@@ -102,13 +115,20 @@ pub struct Parameters<const N: usize> {
     pub limits: Limits<N>,
 }
 
+impl<const N: usize> Parameters<N> {
+    /// Literal law, with the gains and limits of `arm`: [`ImpedanceGains::for_arm`], [`Limits::for_arm`].
+    pub const fn for_arm(arm: &ArmTable<N>) -> Self {
+        Self {
+            gains: ImpedanceGains::for_arm(arm),
+            corrections: Corrections::LITERAL,
+            limits: Limits::for_arm(arm),
+        }
+    }
+}
+
 impl Parameters<7> {
     /// The paper's experiments: literal law, gains that reproduce the text.
-    pub const PAPER: Self = Self {
-        gains: ImpedanceGains::PAPER,
-        corrections: Corrections::LITERAL,
-        limits: Limits::PANDA_ON_SUMMIT,
-    };
+    pub const PAPER: Self = Self::for_arm(&PANDA);
 }
 
 /// A parameter outside its range: which, its value, its unit and what is allowed.
@@ -336,7 +356,7 @@ pub const CONTROLLER: [ParameterSpec; 18] = {
         )
         .live(),
         ParameterSpec::new(
-            "control.corrections.flange_feed",
+            "control.corrections.flange_wrench_feedforward",
             Flag,
             &[],
             (0.0, 1.0),
@@ -441,7 +461,7 @@ impl<const N: usize> Parameters<N> {
             9 => Slot::Numbers(core::slice::from_mut(&mut g.reactivity)),
             10 => Slot::Flag(&mut c.null_space_damping),
             11 => Slot::Flag(&mut c.base_coupling),
-            12 => Slot::Flag(&mut c.flange_feed),
+            12 => Slot::Flag(&mut c.flange_wrench_feedforward),
             13 => Slot::Numbers(&mut l.torque_nm),
             14 => Slot::Numbers(core::slice::from_mut(&mut l.torque_rate_nm_s)),
             15 => Slot::Numbers(&mut l.base_velocity),
@@ -502,8 +522,8 @@ mod tests {
         assert_eq!(parameters.gains.eta_arm, 2.5);
         assert_eq!(parameters.gains.reactivity, 2.5);
         assert_eq!(parameters.limits.taxel_force_n, 2.5);
-        parameters.set(number("flange_feed"), &ParameterValues::new(&[1.0]).unwrap()).unwrap();
-        assert!(parameters.corrections.flange_feed);
+        parameters.set(number("flange_wrench_feedforward"), &ParameterValues::new(&[1.0]).unwrap()).unwrap();
+        assert!(parameters.corrections.flange_wrench_feedforward);
         let speeds = ParameterValues::new(&[0.1, 0.2, 0.3]).unwrap();
         parameters.set(number("base_velocity"), &speeds).unwrap();
         assert_eq!(parameters.limits.base_velocity, [0.1, 0.2, 0.3]);

@@ -40,6 +40,10 @@ pub struct ArmTable<const N: usize> {
     pub torque_max_nm: [f64; N],
     /// Posture in which the arm starts and to which the null space returns, rad.
     pub home_rad: [f64; N],
+    /// Null-space posture stiffness that suits the arm's torques, N·m/rad. eq. (11)
+    pub posture_stiffness_nm_rad: [f64; N],
+    /// Null-space posture damping that goes with it, N·m·s/rad. eq. (11)
+    pub posture_damping_nm_s_rad: [f64; N],
 }
 
 /// Pose of the arm's base (A) in the mobile base's frame (B).
@@ -156,6 +160,9 @@ pub const PANDA: ArmTable<7> = ArmTable {
     dq_max_rad_s: [2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61],
     torque_max_nm: [87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0],
     home_rad: [0.0, -PI / 4.0, 0.0, -3.0 * PI / 4.0, 0.0, PI / 2.0, PI / 4.0],
+    // ASSUMED, tuned in simulation: the paper gives none
+    posture_stiffness_nm_rad: [90.0, 90.0, 90.0, 90.0, 45.0, 30.0, 15.0],
+    posture_damping_nm_s_rad: [10.0, 10.0, 10.0, 10.0, 5.0, 3.5, 1.7],
 };
 
 /// Franka Research 3: the Panda's kinematics with its own inertials and limits (`franka_description`, `robots/fr3`).
@@ -281,6 +288,9 @@ pub const UR10E: ArmTable<6> = ArmTable {
     dq_max_rad_s: [2.0 * PI / 3.0, 2.0 * PI / 3.0, PI, PI, PI, PI],
     torque_max_nm: [330.0, 330.0, 150.0, 56.0, 56.0, 56.0],
     home_rad: [0.0, -2.0, 2.0, -FRAC_PI_2, -FRAC_PI_2, 0.0],
+    // ASSUMED, as the Panda's
+    posture_stiffness_nm_rad: [90.0; 6],
+    posture_damping_nm_s_rad: [10.0; 6],
 };
 
 /// Arm mount of MOCA-S. ASSUMED: the paper does not give it.

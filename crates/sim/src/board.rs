@@ -4,9 +4,8 @@
 //! What ages the data, as traced from the firmware: foam → chip (a sample each millisecond, FDAT refreshed every
 //! 10 ms with their mean) → one I²C read a frame → six lines printed one after the other.
 
-use crate::SimError;
+use crate::error::{SimError, within};
 use crate::foam::{Foam, FoamState};
-use crate::scene::within;
 use crate::sensor::{CoverSensor, Effects, SAMPLE_INTERVAL_NS};
 use moca_msgs::robot::PAPER_COVER;
 use moca_tactile::datastream::{

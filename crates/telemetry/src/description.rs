@@ -109,7 +109,7 @@ impl RobotDescription {
     /// MOCA-S as in the paper, at 1 kHz: a Panda on a SUMMIT-XL with 11 taxels.
     pub fn paper(name: &str, simulated: bool) -> Self {
         use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
-        let limits = Limits::PANDA_ON_SUMMIT;
+        let limits = Limits::for_arm(&PANDA);
         Self::new(name, simulated, 1e-3, &SUMMIT_XL, &MOCA_MOUNT, &PANDA, &PAPER_COVER, &limits, 0.12)
     }
 }

@@ -123,30 +123,30 @@ section! {
 section! {
     /// `[control.gains]`
     GainsConfig {
-        virtual_mass: [f64; 3] = ImpedanceGains::PAPER.virtual_mass,
-        virtual_damping: [f64; 3] = ImpedanceGains::PAPER.virtual_damping,
-        stiffness: [f64; 6] = ImpedanceGains::PAPER.stiffness,
-        damping_ratio: f64 = ImpedanceGains::PAPER.damping_ratio,
-        eta_base: f64 = ImpedanceGains::PAPER.eta_base,
-        eta_arm: f64 = ImpedanceGains::PAPER.eta_arm,
-        posture_stiffness: [f64; JOINTS] = ImpedanceGains::PAPER.posture_stiffness,
-        posture_damping: [f64; JOINTS] = ImpedanceGains::PAPER.posture_damping,
-        posture_rad: [f64; JOINTS] = ImpedanceGains::PAPER.posture_rad,
-        reactivity: f64 = ImpedanceGains::PAPER.reactivity,
+        virtual_mass: [f64; 3] = Parameters::PAPER.gains.virtual_mass,
+        virtual_damping: [f64; 3] = Parameters::PAPER.gains.virtual_damping,
+        stiffness: [f64; 6] = Parameters::PAPER.gains.stiffness,
+        damping_ratio: f64 = Parameters::PAPER.gains.damping_ratio,
+        eta_base: f64 = Parameters::PAPER.gains.eta_base,
+        eta_arm: f64 = Parameters::PAPER.gains.eta_arm,
+        posture_stiffness: [f64; JOINTS] = Parameters::PAPER.gains.posture_stiffness,
+        posture_damping: [f64; JOINTS] = Parameters::PAPER.gains.posture_damping,
+        posture_rad: [f64; JOINTS] = Parameters::PAPER.gains.posture_rad,
+        reactivity: f64 = Parameters::PAPER.gains.reactivity,
     }
 }
 section! {
     /// `[control.corrections]`: on where a user is better served; the paper's experiments switch them off.
-    CorrectionsConfig { null_space_damping: bool = true, base_coupling: bool = true, flange_feed: bool = false }
+    CorrectionsConfig { null_space_damping: bool = true, base_coupling: bool = true, flange_wrench_feedforward: bool = false }
 }
 section! {
     /// `[limits]`
     LimitsConfig {
-        torque_nm: [f64; JOINTS] = Limits::PANDA_ON_SUMMIT.torque_nm,
-        torque_rate_nm_s: f64 = Limits::PANDA_ON_SUMMIT.torque_rate_nm_s,
-        base_velocity: [f64; 3] = Limits::PANDA_ON_SUMMIT.base_velocity,
-        base_acceleration: [f64; 3] = Limits::PANDA_ON_SUMMIT.base_acceleration,
-        taxel_force_n: f64 = Limits::PANDA_ON_SUMMIT.taxel_force_n,
+        torque_nm: [f64; JOINTS] = Parameters::PAPER.limits.torque_nm,
+        torque_rate_nm_s: f64 = Parameters::PAPER.limits.torque_rate_nm_s,
+        base_velocity: [f64; 3] = Parameters::PAPER.limits.base_velocity,
+        base_acceleration: [f64; 3] = Parameters::PAPER.limits.base_acceleration,
+        taxel_force_n: f64 = Parameters::PAPER.limits.taxel_force_n,
     }
 }
 section! {
@@ -350,7 +350,7 @@ impl Config {
             corrections: Corrections {
                 null_space_damping: c.null_space_damping,
                 base_coupling: c.base_coupling,
-                flange_feed: c.flange_feed,
+                flange_wrench_feedforward: c.flange_wrench_feedforward,
             },
             limits: Limits {
                 torque_nm: l.torque_nm,

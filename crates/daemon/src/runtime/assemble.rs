@@ -16,7 +16,6 @@ use crate::inject::{self, Cable, Injection, Named, What};
 use crate::robot::TAXELS;
 use crate::runtime::clock::Clock;
 use anyhow::{Context, Result};
-use moca_msgs::robot;
 use moca_tactile::Cover;
 use moca_telemetry::net::CalibrationPort;
 use std::sync::Arc;
@@ -38,18 +37,10 @@ pub fn supervisor(config: &Config) -> Supervisor {
 /// # Errors
 /// A parameter outside its range, every mistake in the file of contact limits.
 pub fn motion(config: &Config) -> Result<Motion> {
-    let parameters = config.parameters();
-    let controller = moca_wbc::Controller::new(
-        config.arm(),
-        &config.mount(),
-        &robot::Payload::NONE,
-        &config.taxels(),
-        &parameters,
-    )?;
     let thresholds = &config.protection.thresholds;
     let limits =
         if thresholds.is_empty() { Default::default() } else { contact_limits::load(thresholds.as_ref())? };
-    Ok(Motion::new(controller, parameters, Protection::new(config, limits), config.plant.parts))
+    Ok(Motion::new(config, Protection::new(config, limits))?)
 }
 
 /// The cover that the configuration asks for.

@@ -114,8 +114,8 @@ impl Feed<ByteCover> for MemoryBoard {
 pub struct TrueForces;
 
 impl Feed<IdealCover> for TrueForces {
-    fn feed(&mut self, cover: &mut IdealCover, _now_ns: u64, true_force_n: &[f64; TAXELS]) {
-        cover.feel(*true_force_n);
+    fn feed(&mut self, cover: &mut IdealCover, now_ns: u64, true_force_n: &[f64; TAXELS]) {
+        cover.feel(now_ns, *true_force_n);
     }
 }
 

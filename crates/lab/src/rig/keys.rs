@@ -108,8 +108,8 @@ const KEYS: &[Key] = &[
     key("base_coupling", "true|false", "correction 3 of the literal law", |s, v| {
         flag(&mut s.config.control.corrections.base_coupling, v)
     }),
-    key("flange_feed", "true|false", "correction 1 of the literal law", |s, v| {
-        flag(&mut s.config.control.corrections.flange_feed, v)
+    key("flange_wrench_feedforward", "true|false", "correction 1 of the literal law", |s, v| {
+        flag(&mut s.config.control.corrections.flange_wrench_feedforward, v)
     }),
     key("limit.base_velocity", "m/s[,m/s,rad/s]", "largest commanded base speed", |s, v| {
         planar(&mut s.config.limits.base_velocity, v, 0.0, 3.0)
@@ -190,6 +190,9 @@ const KEYS: &[Key] = &[
     }),
     key("person.damping", "N·s/m", "damping of the tissue", |s, v| {
         store(&mut s.person.damping, v, 0.0, 1e5)
+    }),
+    key("person.friction", "", "Coulomb coefficient along the cover", |s, v| {
+        some(&mut s.person.friction, v, 0.0, 2.0)
     }),
     key("person.posture_stiffness", "N/m", "stiffness of the posture", |s, v| {
         some(&mut s.person.posture_stiffness, v, 0.0, 1e7)
@@ -450,7 +453,7 @@ mod tests {
             "sensor.delay_ms=5",
             "null_space_damping=true",
             "base_coupling=true",
-            "flange_feed=true",
+            "flange_wrench_feedforward=true",
             "q_0=0,-0.7,0,-2.3,0,1.5,0.7",
             "push_s=2",
             "ramp_s=0.2",

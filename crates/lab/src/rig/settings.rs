@@ -45,6 +45,7 @@ pub(crate) struct PersonSettings {
     pub mass_kg: Option<f64>,
     pub stiffness: Option<f64>,
     pub damping: f64,
+    pub friction: Option<f64>,
     pub posture_stiffness: Option<f64>,
     pub posture_damping: Option<f64>,
     pub radius_m: Option<f64>,
@@ -82,6 +83,7 @@ impl PersonSettings {
         let person = Person::before(cover, self.taxel, self.gap_m, self.offset_m, shape, tissue, mobility)
             .context("no such taxel")?;
         Ok(Person {
+            friction: self.friction.unwrap_or(person.friction),
             starts_after_s: self.at_s,
             walk_m_s: self.walk_m_s,
             lean_n: self.lean_n,
@@ -183,7 +185,7 @@ impl Settings {
         config.protection.override_statement = "the paper's experiments, simulated, as published".into();
         config.control.corrections.null_space_damping = false;
         config.control.corrections.base_coupling = false;
-        config.control.corrections.flange_feed = false;
+        config.control.corrections.flange_wrench_feedforward = false;
         Self {
             config,
             sensor: Sensor::Stock,
