@@ -11,7 +11,11 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
     ("moca-qp", &[], &["moca-msgs", "nalgebra", "serde", "clarabel", "num-traits"]),
     ("moca-telemetry", &["moca-msgs"], &["nalgebra", "egui", "mujoco-rs", "serialport"]),
     ("moca-tactile", &["moca-msgs"], &["nalgebra", "egui", "tokio", "mujoco-rs"]),
-    ("moca-wbc", &["moca-msgs"], &["serde", "log", "tracing", "tokio", "serialport", "mujoco-rs", "egui"]),
+    (
+        "moca-wbc",
+        &["moca-msgs", "moca-qp"],
+        &["serde", "log", "tracing", "tokio", "serialport", "mujoco-rs", "egui"],
+    ),
     ("moca-sim", &["moca-msgs", "moca-tactile"], &["egui", "tokio", "nalgebra"]),
     (
         "moca-daemon",

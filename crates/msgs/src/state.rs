@@ -26,6 +26,20 @@ pub struct RobotState<const N: usize, T = f64> {
     pub flange_wrench_world: Option<[T; 6]>,
 }
 
+impl<const N: usize> RobotState<N> {
+    /// A robot that stands at the origin of W with joint angles `q_rad`; nothing is known of torques and wrench.
+    pub const fn at_rest(q_rad: [f64; N]) -> Self {
+        Self {
+            base_pose_world: [0.0; 3],
+            base_velocity_world: [0.0; 3],
+            q_rad,
+            dq_rad_s: [0.0; N],
+            torque_measured_nm: [0.0; N],
+            flange_wrench_world: None,
+        }
+    }
+}
+
 /// What the controllers tell the plant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RobotCommand<const N: usize, T = f64> {

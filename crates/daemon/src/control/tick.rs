@@ -149,7 +149,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         cover: &CoverState,
         mode: Mode,
     ) -> Result<Option<ControlOutput<JOINTS>>, Fault> {
-        self.protected = self.motion.protect(slot.now_ns, cover, mode)?;
+        self.protected = self.motion.protect(slot.now_ns, cover, mode);
         let (Ok(robot), false) = (robot, mode == Mode::Fault) else {
             // Whatever runs next starts from where the robot then is.
             self.motion.leave();
