@@ -14,7 +14,7 @@ use crate::ui::{
     view::{CalibrationChoice, View},
 };
 use egui::{
-    Align, Button, Checkbox, ComboBox, Grid, Id, Label, Layout, ProgressBar, RichText, ScrollArea, Slider,
+    Align, Button, Checkbox, ComboBox, DragValue, Grid, Id, Label, Layout, ProgressBar, RichText, ScrollArea,
     Ui, vec2,
 };
 use egui_plot::{AxisHints, HLine, Plot, PlotPoints, Points};
@@ -149,6 +149,20 @@ fn step(ui: &mut Ui, number: u32, title: &str, now: bool) {
     ui.add_space(6.0);
     let text = RichText::new(format!("{number}  {title}")).size(17.0);
     ui.label(if now { text.strong().color(theme::strong(ui.visuals())) } else { text.weak() });
+}
+
+/// Which taxel, and how many presses.
+fn choose(ui: &mut Ui, model: &Model, choice: &mut CalibrationChoice) {
+    let label = ui.label("Taxel");
+    let chosen = ComboBox::from_id_salt("taxel").width(64.0).selected_text(taxel_name(choice.taxel));
+    let shown = chosen.show_ui(ui, |ui| {
+        for taxel in 0..u8::try_from(model.robot.taxels.len()).unwrap_or(u8::MAX) {
+            ui.selectable_value(&mut choice.taxel, taxel, taxel_name(taxel));
+        }
+    });
+    shown.response.labelled_by(label.id);
+    let label = ui.label("Presses");
+    ui.add(DragValue::new(&mut choice.presses).range(1..=10)).labelled_by(label.id);
 }
 
 fn start(ui: &mut Ui, model: &Model, choice: &mut CalibrationChoice, now_s: f64, pressed: &mut PageRequests) {
