@@ -8,7 +8,6 @@
 
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::devices::touch_board::ByteCover;
-use moca_daemon::robot::TAXELS;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
 use moca_msgs::protection::{ContactKind, ContactPhase};
@@ -63,7 +62,7 @@ fn run(world: &mut World, ticks: u64) -> Vec<Sample> {
     (0..ticks).map(|_| world.step(None).0).collect()
 }
 
-fn outline() -> CoverOutline<TAXELS, f64> {
+fn outline() -> CoverOutline<11, f64> {
     CoverOutline::new(&PAPER_COVER)
 }
 
@@ -174,7 +173,7 @@ fn no_push_moves_any_point_of_the_cover_faster_than_the_limit() {
         config.startup.law = law;
         let mut world = armed(&config, &Scene::default(), VirtualBoardConfig::default());
         let (mut fastest, mut at_limit) = (0.0_f64, 0_u32);
-        for taxel in 0..TAXELS {
+        for taxel in 0..PAPER_COVER.len() {
             let twist = if taxel % 2 == 0 { [0.3, -0.2, 0.0, 0.0, 0.0, 0.5] } else { [0.0; 6] };
             world.control.set_target_twist(twist).unwrap();
             press(&mut world, taxel, 60.0);

@@ -19,7 +19,7 @@ parameter_table! {
     pub struct Robot in "robot" {
         /// Name of this robot, shown by observers and written into logs.
         name: String = "moca".into();
-        /// Which arm: "panda", "fr3", "ur10e", a path to a URDF file, or "table" for `[arm]` of this file.
+        /// Which arm, of those built in.
         arm: Arm = Arm::default() => [.lab("arm")];
         /// What the base is called.
         base_name: String = "SUMMIT-XL".into();
@@ -211,7 +211,7 @@ impl Default for Arm {
 }
 
 impl Typed for Arm {
-    const KIND: ParameterKind = ParameterKind::Text;
+    const KIND: ParameterKind = ParameterKind::Choice(&["panda", "fr3", "ur10e"]);
     const SIZE: Size = Size::One;
 }
 

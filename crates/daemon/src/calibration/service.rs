@@ -4,7 +4,6 @@ use crate::calibration::engine::Engine;
 use crate::calibration::store::Store;
 use crate::config::Config;
 use crate::devices::force_gauge::Gauge;
-use crate::robot::TAXELS;
 use anyhow::{Context, Result};
 use moca_tactile::BoardEvent;
 use moca_tactile::calibration::ModelKind;
@@ -30,18 +29,18 @@ pub struct Settings {
     /// Where accepted fits go.
     pub store: Store,
     /// Which electrode each taxel is, T1 first.
-    pub wiring: [Electrode; TAXELS],
+    pub wiring: Vec<Electrode>,
 }
 
 impl Settings {
     /// Over the calibration file in use, or beside the daemon.
-    pub fn new(config: &Config, wiring: [Electrode; TAXELS]) -> Self {
+    pub fn new(config: &Config, wiring: &[Electrode]) -> Self {
         let path = match config.board.calibration.as_str() {
             "" => PathBuf::from("calibration.toml"),
             path => PathBuf::from(path),
         };
         let store = Store { path, board: config.board.name.clone(), material: "not stated".into() };
-        Self { store, wiring }
+        Self { store, wiring: wiring.to_vec() }
     }
 }
 
@@ -211,7 +210,7 @@ mod tests {
     fn work(name: &str) -> Work {
         let path = std::env::temp_dir().join(format!("moca-{name}-{}.toml", std::process::id()));
         let store = Store { path, board: "left".into(), material: "PU LD30".into() };
-        let wiring = moca_tactile::CoverConfig::default().wiring;
+        let wiring = moca_tactile::CoverConfig::<11>::default().wiring.to_vec();
         let reference = Reference::Simulated(Box::new(|_| Some(0.0)));
         Work { settings: Settings { store, wiring }, engine: Engine::default(), taxel: 0, reference }
     }

@@ -167,7 +167,7 @@ pub(crate) fn open_board(
     }
     let cover_config = cover_config(config)?;
     let (to_calibrator, calibrator_events) = rtrb::RingBuffer::new(RING_EVENTS);
-    let settings = service::Settings::new(config, cover_config.wiring);
+    let settings = service::Settings::new(config, &cover_config.wiring[..cover_config.taxels]);
     if !config.board.gauge.is_empty() {
         let gauge = Gauge::open(&config.board.gauge, config.board.gauge_baud, clock.instant())?;
         reference = Some(Reference::Gauge(gauge));
