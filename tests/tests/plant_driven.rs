@@ -6,7 +6,7 @@ use moca_daemon::control::plant::{Datagram, Plant, PlantClock, SourceAge};
 use moca_daemon::control::stage::Stage;
 use moca_daemon::control::tick::ControlLoop;
 use moca_daemon::devices::touch_board::ByteCover;
-use moca_daemon::robot::Parts;
+use moca_daemon::robot::{JOINTS, Parts};
 use moca_daemon::runtime::assemble::{motion, supervisor};
 use moca_daemon::runtime::clock::Clock;
 use moca_daemon::runtime::live::{self, Rings, Shared};
@@ -54,18 +54,18 @@ impl PlantClock for DatagramArm {
 }
 
 impl Plant for DatagramArm {
-    fn read(&mut self) -> Result<RobotState<7>, Fault> {
+    fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
         self.reads_left = self.reads_left.checked_sub(1).expect("this arm's driver has an error");
-        Ok(self.state)
+        Ok(self.state.resized())
     }
 
     fn age(&self) -> SourceAge {
         SourceAge { arm_s: self.silent.as_secs_f64(), base_s: 0.0 }
     }
 
-    fn write(&mut self, actuation: &Actuation<7>, _ticks: u64) -> Result<(), Fault> {
+    fn write(&mut self, actuation: &Actuation<JOINTS>, _ticks: u64) -> Result<(), Fault> {
         let torque_nm = match actuation {
-            Actuation::Drive(command) => command.arm_torque_nm,
+            Actuation::Drive(command) => command.resized().arm_torque_nm,
             Actuation::Brake => [BRAKE; 7],
         };
         let bytes: Vec<u8> = torque_nm.iter().flat_map(|torque| torque.to_le_bytes()).collect();
