@@ -111,6 +111,15 @@ pub enum Fault {
     OperatorLost,
     /// A controller refused its input or gave a value outside its limits.
     ControlRefused,
+    /// A joint is faster than the arm allows where it is.
+    JointSpeed {
+        /// 0 is the first joint.
+        joint: u8,
+    },
+    /// The flange is faster than `limits.flange_speed_m_s`.
+    FlangeSpeed,
+    /// The flange is further from where it is wanted than `limits.pose_error_m` or `limits.pose_error_rad`.
+    PoseError,
 }
 
 impl Fault {
@@ -133,6 +142,9 @@ impl Fault {
             Self::BaseStale => "base-stale",
             Self::OperatorLost => "operator-lost",
             Self::ControlRefused => "control-refused",
+            Self::JointSpeed { .. } => "joint-speed",
+            Self::FlangeSpeed => "flange-speed",
+            Self::PoseError => "pose-error",
         }
     }
 
@@ -161,6 +173,9 @@ impl Fault {
             Self::BaseStale => "The base's state has not been renewed within its deadline.",
             Self::OperatorLost => "The panel that armed the robot is gone.",
             Self::ControlRefused => "The controller refused its input.",
+            Self::JointSpeed { .. } => "A joint moved faster than the arm allows.",
+            Self::FlangeSpeed => "The flange moved faster than its limit.",
+            Self::PoseError => "The flange was further from where it is wanted than its limit.",
         }
     }
 
@@ -176,6 +191,9 @@ impl Fault {
     pub const fn remedy(self) -> &'static str {
         match self {
             Self::OperatorStop => "Resume when it is safe.",
+            Self::JointSpeed { .. } | Self::FlangeSpeed | Self::PoseError => {
+                "See what pushed or blocked the arm, and the gains; resume when it is safe."
+            }
             Self::ArmStale | Self::BaseStale => {
                 "Check the robot's network and drives; when states come again: resume."
             }

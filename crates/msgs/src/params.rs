@@ -85,6 +85,12 @@ pub struct Limits<const N: usize> {
     pub base_acceleration: [f64; 3],
     /// Largest force believed from one taxel, N.
     pub taxel_force_n: f64,
+    /// Speed of the controlled frame in W beyond which a moving law stops, m/s.
+    pub flange_speed_m_s: f64,
+    /// Distance of the controlled frame from where it is wanted beyond which a moving law stops, m.
+    pub pose_error_m: f64,
+    /// Angle to its wanted orientation beyond which a moving law stops, rad.
+    pub pose_error_rad: f64,
     /// Nominal control period, s: rate limits credit no more time than this, however late a step is.
     pub period_s: f64,
 }
@@ -99,6 +105,11 @@ impl<const N: usize> Limits<N> {
             base_velocity: [0.5, 0.5, 0.8],
             base_acceleration: [3.0, 3.0, 6.0],
             taxel_force_n: 200.0,
+            // above what base limits and reference speed add up to
+            flange_speed_m_s: 1.0,
+            // beyond the error that the law acts on (0.1 m, 0.5 rad) it no longer holds its tool
+            pose_error_m: 0.2,
+            pose_error_rad: 0.8,
             period_s: 1e-3,
         }
     }
@@ -255,7 +266,7 @@ impl ParameterValues {
 }
 
 /// The controllers' parameters; a parameter's number is its place in this table.
-pub const CONTROLLER: [ParameterSpec; 18] = {
+pub const CONTROLLER: [ParameterSpec; 21] = {
     use ParameterKind::{Flag, Number};
     const BASE: &[&str] = &["m/s", "m/s", "rad/s"];
     [
@@ -395,6 +406,27 @@ pub const CONTROLLER: [ParameterSpec; 18] = {
             "Largest force believed from one taxel.",
         )
         .live(),
+        ParameterSpec::new(
+            "limits.flange_speed_m_s",
+            Number,
+            &["m/s"],
+            (0.01, 3.0),
+            "Speed of the flange beyond which the robot stops.",
+        ),
+        ParameterSpec::new(
+            "limits.pose_error_m",
+            Number,
+            &["m"],
+            (0.001, 1.0),
+            "Distance of the flange from where it is wanted beyond which the robot stops.",
+        ),
+        ParameterSpec::new(
+            "limits.pose_error_rad",
+            Number,
+            &["rad"],
+            (0.01, 3.2),
+            "Angle of the flange to its wanted orientation beyond which the robot stops.",
+        ),
     ]
 };
 
@@ -467,6 +499,9 @@ impl<const N: usize> Parameters<N> {
             15 => Slot::Numbers(&mut l.base_velocity),
             16 => Slot::Numbers(&mut l.base_acceleration),
             17 => Slot::Numbers(core::slice::from_mut(&mut l.taxel_force_n)),
+            18 => Slot::Numbers(core::slice::from_mut(&mut l.flange_speed_m_s)),
+            19 => Slot::Numbers(core::slice::from_mut(&mut l.pose_error_m)),
+            20 => Slot::Numbers(core::slice::from_mut(&mut l.pose_error_rad)),
             _ => return None,
         })
     }

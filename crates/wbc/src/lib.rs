@@ -107,7 +107,7 @@ pub use cover_map::cover_wrench;
 pub use error::ControlError;
 pub use gains::GAIN_FILTER_S;
 pub use guard::BaseGuard;
-pub use limits::LimitsHit;
+pub use limits::{Exceeded, LimitsHit};
 pub use moca_msgs::{
     ArmTable, BaseTable, Corrections, ImpedanceGains, Law, Limits, Mount, ParameterError, Parameters,
     Payload, RobotCommand, RobotState, TaxelPlacement, robot,

@@ -95,6 +95,33 @@ impl<const N: usize, T: Scalar> ArmDynamics<N, T> {
         Ok(core::array::from_fn(|i| null_torque[i] + task[i]))
     }
 
+    /// Joint torques that stand in for a base acceleration a* − a (world x, y, yaw) that the law counted on and that
+    /// was refused: by a guard, by the base's speed or acceleration limit, or by any other constraint on its motion.
+    ///
+    /// Eq. (6) chooses τ_v and τ_A together so that J_B·M_v⁻¹τ_v + J_A·M_A⁻¹τ_A = Λ⁻¹F. If the base is given a instead
+    /// of a*, the tool misses J_B·(a* − a), and what a push on the cover should have done to the base is left to the arm:
+    /// it is thrown. δτ = J_Aᵀ(J_A·M_A⁻¹J_Aᵀ)⁻¹J_B·(a* − a) gives the tool what it misses, J_A·M_A⁻¹δτ = J_B·(a* − a), so
+    /// that Λ⁻¹F holds again whatever was refused: the force on the cover cancels, and the error obeys the same
+    /// equation as with a free base. Of all torques that do so it is the one nearest to τ_A in the metric M_A⁻¹.
+    ///
+    /// A direction in which the arm is as heavy as 1/[`IMMOVABLE`] is left out: near a singularity the tool goes with the
+    /// base instead of asking for torques without bound.
+    ///
+    /// # Errors
+    /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
+    pub fn torque_for_refused(
+        &self,
+        base_jacobian: &SMatrix<T, 6, 3>,
+        refused: &[T; 3],
+    ) -> Result<[T; N], ControlError> {
+        let mut damped = self.inverse_task_inertia;
+        for i in 0..6 {
+            damped[(i, i)] += of(IMMOVABLE);
+        }
+        let factor = Cholesky::new_shifted(&damped).ok_or(SINGULAR)?;
+        Ok(transpose_times(&self.jacobian, &factor.solve(&times(base_jacobian, refused))))
+    }
+
     /// Wrench at the tool that moves it as the joint torques do: J̄ᵀτ of the arm alone.
     ///
     /// # Errors
@@ -155,6 +182,9 @@ impl<'a, const N: usize, T: Scalar> TaskDynamics<'a, N, T> {
         Ok(factor.solve(&self.acceleration(force)))
     }
 }
+
+/// Acceleration per force, 1/kg and 1/(kg·m²), below which an arm counts as immovable: ten tonnes.
+pub const IMMOVABLE: f64 = 1e-4;
 
 const SINGULAR: ControlError = ControlError::NotPositiveDefinite { what: "J M⁻¹ Jᵀ" };
 

@@ -147,6 +147,9 @@ section! {
         base_velocity: [f64; 3] = Parameters::PAPER.limits.base_velocity,
         base_acceleration: [f64; 3] = Parameters::PAPER.limits.base_acceleration,
         taxel_force_n: f64 = Parameters::PAPER.limits.taxel_force_n,
+        flange_speed_m_s: f64 = Parameters::PAPER.limits.flange_speed_m_s,
+        pose_error_m: f64 = Parameters::PAPER.limits.pose_error_m,
+        pose_error_rad: f64 = Parameters::PAPER.limits.pose_error_rad,
     }
 }
 section! {
@@ -358,6 +361,9 @@ impl Config {
                 base_velocity: l.base_velocity,
                 base_acceleration: l.base_acceleration,
                 taxel_force_n: l.taxel_force_n,
+                flange_speed_m_s: l.flange_speed_m_s,
+                pose_error_m: l.pose_error_m,
+                pose_error_rad: l.pose_error_rad,
                 period_s: 1.0 / f64::from(self.control_loop.rate_hz.max(1)),
             },
         }

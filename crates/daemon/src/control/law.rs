@@ -11,7 +11,8 @@ use moca_msgs::{
 };
 use moca_wbc::{
     ArmController, ArmInput, ArmState, BaseController, BaseGuard, BaseInput, BaseState, ControlError,
-    ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose, LimitsHit, WholeBodyController,
+    ControlInput, ControlLaw, ControlOutput, ControllerState, Exceeded, FlangePose, LimitsHit,
+    WholeBodyController,
 };
 
 /// The controller of the parts that the robot has, with what it remembers from tick to tick.
@@ -119,7 +120,7 @@ impl Motion {
         }
     }
 
-    /// One tick's command in `mode`, `dt_s` after the last one.
+    /// One tick's command in `mode`, `dt_s` after the last one, and why the robot must stop: the command then holds.
     ///
     /// # Errors
     /// The fault to stop with; the order of that tick must then be [`Actuation::Brake`].
@@ -129,7 +130,7 @@ impl Motion {
         robot: &RobotState<JOINTS>,
         forces: &Result<[f64; TAXELS], (usize, TaxelStatus)>,
         dt_s: f64,
-    ) -> Result<ControlOutput<JOINTS>, Fault> {
+    ) -> Result<(ControlOutput<JOINTS>, Option<Fault>), Fault> {
         let law = match mode {
             Mode::Impedance => ControlLaw::Impedance,
             Mode::FollowMe => ControlLaw::FollowMe,
@@ -145,6 +146,24 @@ impl Motion {
                 return Err(Fault::TaxelInvalid { taxel: u8::try_from(taxel).unwrap_or(u8::MAX), status });
             }
         };
+        let output = self.step(law, robot, taxel_force_n, dt_s)?;
+        let fault = output.exceeded.map(|exceeded| match exceeded {
+            Exceeded::JointSpeed(joint) => {
+                Fault::JointSpeed { joint: u8::try_from(joint).unwrap_or(u8::MAX) }
+            }
+            Exceeded::FlangeSpeed => Fault::FlangeSpeed,
+            Exceeded::PoseError => Fault::PoseError,
+        });
+        Ok((output, fault))
+    }
+
+    fn step(
+        &mut self,
+        law: ControlLaw,
+        robot: &RobotState<JOINTS>,
+        taxel_force_n: [f64; TAXELS],
+        dt_s: f64,
+    ) -> Result<ControlOutput<JOINTS>, Fault> {
         let (robot, guard) = (*robot, self.guard);
         match &mut self.controller {
             Controller::Whole(controller, state) => {
@@ -182,6 +201,7 @@ impl Motion {
                     flange: output.flange,
                     flange_desired: output.flange_desired,
                     limits: output.limits,
+                    exceeded: output.exceeded,
                     ..WITHOUT_PARTS
                 })
             }
@@ -201,6 +221,7 @@ const WITHOUT_PARTS: ControlOutput<JOINTS> = {
         flange: NOWHERE,
         flange_desired: NOWHERE,
         limits: LimitsHit::NONE,
+        exceeded: None,
     }
 };
 
