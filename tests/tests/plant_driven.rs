@@ -1,5 +1,5 @@
 //! A loop without a timer: an arm's datagrams are its clock, as with a robot that waits for a torque to each state.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on has to stop")]
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 
 use moca_daemon::config::Config;
 use moca_daemon::control::plant::{Datagram, Plant, PlantClock, SourceAge};
@@ -28,6 +28,8 @@ struct DatagramArm {
     state: RobotState<7>,
     /// Time waited in vain since the last datagram, as asked for.
     silent: Duration,
+    /// States after which reading one panics.
+    reads_left: u64,
 }
 
 impl DatagramArm {
@@ -53,6 +55,7 @@ impl PlantClock for DatagramArm {
 
 impl Plant for DatagramArm {
     fn read(&mut self) -> Result<RobotState<7>, Fault> {
+        self.reads_left = self.reads_left.checked_sub(1).expect("this arm's driver has an error");
         Ok(self.state)
     }
 
@@ -102,7 +105,7 @@ fn connected() -> (DatagramArm, Robot) {
         torque_measured_nm: [0.0; 7],
         flange_wrench_world: None,
     };
-    (DatagramArm { socket: ours, state, silent: Duration::ZERO }, Robot(theirs))
+    (DatagramArm { socket: ours, state, silent: Duration::ZERO, reads_left: u64::MAX }, Robot(theirs))
 }
 
 #[test]
@@ -156,4 +159,28 @@ fn an_arms_datagrams_drive_the_loop_lost_ones_are_counted_and_silence_is_a_stop(
         run.join().unwrap()
     });
     assert!(report.overruns_by_stage[Stage::Read as usize] >= 4, "{report:?}");
+}
+
+#[test]
+fn a_panic_in_the_loop_brakes_the_robot_and_ends_the_loop() {
+    let (mut plant, robot) = connected();
+    plant.reads_left = 50;
+    let mut config = Config::default();
+    config.plant.parts = Parts::Arm;
+    let cover: Option<ByteCover> = None;
+    let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
+    let (samples, _watched) = rtrb::RingBuffer::new(1 << 10);
+    let (_sender, requests) = moca_telemetry::net::request_channel();
+    let mut rings = Rings { samples, requests, tick_log: None };
+    let mut ticks = PlantTicks::new(Clock::start().unwrap(), PERIOD_NS);
+    let mut timing = Timing::new().unwrap();
+    let shared = Shared::default();
+    std::thread::scope(|scope| {
+        let run = scope.spawn(|| live::run(&mut control, &mut ticks, &mut timing, None, &mut rings, &shared));
+        for count in 0..50 {
+            robot.exchange(count);
+        }
+        assert!(robot.exchange(50).is_nan(), "the last order is to brake");
+        assert!(run.join().is_err());
+    });
 }

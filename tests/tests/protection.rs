@@ -243,6 +243,7 @@ fn provoke(reaction: ContactReaction) -> Reacted {
     std::fs::write(&path, "source = \"a test\"\n[T6]\ntransient_n = 4.0\nquasi_static_n = 3.0\n").unwrap();
     let mut config = config();
     config.protection.thresholds = path.display().to_string();
+    config.protection.uncalibrated_statement = "a simulated cover, in a test".into();
     config.protection.reaction = reaction;
     config.protection.retreat_m = 0.02;
     let scene = Scene { people: vec![Person::beside(FRONT, 0.08).unwrap()], ..Scene::default() };

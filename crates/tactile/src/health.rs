@@ -12,6 +12,9 @@ const STUCK_NEEDS_DEVIATION: f64 = 0.3;
 pub const DEAD_RISE_COUNTS: f64 = 40.0;
 /// Consecutive frames above [`DEAD_RISE_COUNTS`] that make a taxel dead.
 pub const DEAD_FRAMES: u32 = 3;
+/// Consecutive frames above zero by more than the contact threshold that show a zero taken under a hand (0.2 s at
+/// 40 Hz: noise that a tare accepts does it less than once in 10⁹ frames).
+pub const ABOVE_ZERO_FRAMES: u32 = 8;
 /// Standard deviation that makes a taxel noisy, counts (stock noise is 0.7; a tare accepts 2). Found within
 /// 100 frames.
 pub const NOISY_DEVIATION: f64 = 4.0;
@@ -29,13 +32,14 @@ pub struct TaxelHealth {
     frames: u32,
     same: u32,
     risen: u32,
+    above_zero: u32,
     second_difference: f64,
     latest: u16,
 }
 
 impl TaxelHealth {
-    /// Takes one frame's FDAT.
-    pub fn update(&mut self, fdat: u16, zero: Option<&TaxelZero>) {
+    /// Takes one frame's FDAT; `contact_counts` is the threshold of a touch.
+    pub fn update(&mut self, fdat: u16, zero: Option<&TaxelZero>, contact_counts: f64) {
         self.same = if self.frames > 0 && fdat == self.previous[0] { self.same.saturating_add(1) } else { 0 };
         if self.frames >= 2 {
             let [one, two] = self.previous.map(f64::from);
@@ -44,6 +48,8 @@ impl TaxelHealth {
         }
         let rise = zero.map_or(0.0, |zero| -zero.drop(fdat));
         self.risen = if rise > DEAD_RISE_COUNTS { self.risen.saturating_add(1) } else { 0 };
+        let above = zero.is_some_and(|zero| zero.gain * rise > contact_counts);
+        self.above_zero = if above { self.above_zero.saturating_add(1) } else { 0 };
         self.previous = [fdat, self.previous[0]];
         self.latest = fdat;
         self.frames = self.frames.saturating_add(1);
@@ -52,6 +58,12 @@ impl TaxelHealth {
     /// Estimated standard deviation of the noise, counts.
     pub fn deviation(&self) -> f64 {
         self.second_difference / SECOND_DIFFERENCE_PER_DEVIATION
+    }
+
+    /// Whether the taxel has stood above its zero by a touch, but not by a lost plate: who touched it at the tare has
+    /// gone, and a press of the same force would read as nothing.
+    pub const fn zero_too_low(&self) -> bool {
+        self.above_zero >= ABOVE_ZERO_FRAMES && self.risen == 0
     }
 
     /// The taxel's fault, if it has one.

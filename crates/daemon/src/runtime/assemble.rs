@@ -1,8 +1,7 @@
 //! Puts the parts of a robot together as the configuration asks for them.
 
-use crate::calibration::calibrator::{self, Reference};
-use crate::config::contact_limits;
-use crate::config::{Config, PlantKind};
+use crate::calibration::service::{self, Reference};
+use crate::config::{Config, contact_limits};
 use crate::control::law::Motion;
 use crate::control::protection::Protection;
 use crate::control::supervisor::{Automatic, Supervisor};
@@ -13,7 +12,7 @@ use crate::devices::force_gauge::Gauge;
 use crate::devices::ports;
 use crate::devices::touch_board::ByteCover;
 use crate::inject::{self, Cable, Injection, Named, What};
-use crate::robot::TAXELS;
+use crate::robot::{PlantKind, TAXELS};
 use crate::runtime::clock::Clock;
 use anyhow::{Context, Result};
 use moca_tactile::Cover;
@@ -122,7 +121,7 @@ pub(crate) struct OpenBoard {
 pub(crate) struct HeldBoard {
     pub(crate) port: String,
     pub(crate) calibration: Option<CalibrationPort>,
-    _threads: (calibrator::Calibrator, ports::Reader),
+    _threads: (service::Calibrator, ports::Reader),
 }
 
 pub(crate) fn open_board(
@@ -139,18 +138,13 @@ pub(crate) fn open_board(
     }
     let cover_config = cover_config(config)?;
     let (to_calibrator, calibrator_events) = rtrb::RingBuffer::new(RING_EVENTS);
-    let settings = calibrator::Settings {
-        path: calibrator::file(config),
-        board: config.board.name.clone(),
-        wiring: cover_config.wiring,
-    };
+    let settings = service::Settings::new(config, cover_config.wiring);
     if !config.board.gauge.is_empty() {
         let gauge = Gauge::open(&config.board.gauge, config.board.gauge_baud, clock.instant())?;
         reference = Some(Reference::Gauge(gauge));
     }
     let now_ns = move || clock.now_ns();
-    let (calibrator, calibration) =
-        calibrator::spawn(settings, calibrator_events, reference, moving, now_ns)?;
+    let (calibrator, calibration) = service::spawn(settings, calibrator_events, reference, moving, now_ns)?;
     let events = BoardEvents::new(events).with_recorder(copies).with_calibrator(to_calibrator);
     let cover = ByteCover::new(Cover::new(cover_config)?, events);
     let held = HeldBoard { port, calibration: Some(calibration), _threads: (calibrator, reader) };

@@ -11,6 +11,7 @@ use crate::runtime::tick_source::TickSource;
 use crate::runtime::timing::Timing;
 use moca_msgs::{Outcome, Request, Sample};
 use moca_telemetry::net::RequestReceiver;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
@@ -77,6 +78,16 @@ pub struct LiveReport {
     pub allocations_after_warm_up: Option<u64>,
 }
 
+/// Orders the robot to brake when the loop ends, whichever way.
+struct BrakeAtEnd<'a, P: Plant, S: CoverSource>(&'a mut ControlLoop<P, S>);
+
+impl<P: Plant, S: CoverSource> Drop for BrakeAtEnd<'_, P, S> {
+    fn drop(&mut self) {
+        // A second panic while the first unwinds would end the process before its log is closed.
+        let _ = catch_unwind(AssertUnwindSafe(|| self.0.brake()));
+    }
+}
+
 /// Runs the loop on this thread until `shared.stop` is set or `duration` has passed.
 pub fn run<P: Plant, S: CoverSource>(
     control: &mut ControlLoop<P, S>,
@@ -89,6 +100,8 @@ pub fn run<P: Plant, S: CoverSource>(
     let end_ns = duration.map_or(u64::MAX, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX));
     let mut report = LiveReport::default();
     let mut warm = None;
+    let guard = BrakeAtEnd(control);
+    let control = &mut *guard.0;
     while !shared.stop.load(Ordering::Relaxed) {
         let Some(tick) = ticks.wait(&mut control.plant, end_ns) else { break };
         report.overruns += tick.missed;
@@ -116,7 +129,7 @@ pub fn run<P: Plant, S: CoverSource>(
             warm = Some(allocations::on_this_thread());
         }
     }
-    control.brake();
+    drop(guard);
     report.allocations_after_warm_up = warm.map(|warm| allocations::on_this_thread() - warm);
     report
 }

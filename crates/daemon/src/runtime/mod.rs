@@ -8,7 +8,9 @@ pub mod clock;
 pub mod live;
 #[cfg(feature = "sim")]
 pub mod lockstep;
+pub mod notice;
 pub mod options;
+pub(crate) mod panics;
 pub mod realtime;
 pub mod replay;
 pub mod run;

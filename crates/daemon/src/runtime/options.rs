@@ -1,6 +1,5 @@
 //! What the command line asks of a run.
 
-use crate::cli::report::Level;
 use crate::config::Config;
 use crate::inject::{Injection, OutsideFault, Strike, What};
 use std::path::PathBuf;
@@ -21,8 +20,6 @@ pub struct Options {
     pub record: Option<PathBuf>,
     /// A fault on purpose (simulated robot only).
     pub inject: Option<Injection>,
-    /// How much the terminal shows of a run.
-    pub log_level: Level,
     /// Whether a refused wish to the operating system ends the run before it starts.
     pub require_realtime: bool,
 }

@@ -1,26 +1,26 @@
-//! `mocad run`: puts the parts together, starts the loop, shows what runs.
-#![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
+//! `mocad run`: puts the parts together, starts the loop, reports what runs.
 
-use crate::cli::report::Summary;
-use crate::config::{AUTO_PORT, Config, PlantKind};
+use crate::config::Config;
 use crate::control::cover::CoverSource;
 use crate::control::plant::{NoRobot, Plant};
-use crate::control::protection;
 use crate::control::tick::ControlLoop;
 use crate::inject::What;
 use crate::record::tick_log::{TickLog, TickLogReader, tick_log};
-use crate::robot::Parts;
+use crate::robot::PlantKind;
 use crate::runtime::assemble::{OpenBoard, Subscribers, motion, open_board, supervisor};
 use crate::runtime::clients::{Observers, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
 use crate::runtime::clock::Clock;
 use crate::runtime::live::{self, LiveReport, Shared};
+use crate::runtime::notice::{Notice, Reporter, Summary};
 use crate::runtime::options::Options;
+use crate::runtime::panics::PanicWatch;
 use crate::runtime::realtime;
 use crate::runtime::tick_source::Timer;
 use crate::runtime::timing::Timing;
 use anyhow::{Context, Result, anyhow};
-use moca_msgs::{Law, Sample};
+use moca_msgs::Sample;
 use moca_telemetry::net::CalibrationPort;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -40,25 +40,36 @@ impl std::error::Error for RealtimeRefused {}
 /// Runs the daemon until its duration is over or Ctrl-C.
 ///
 /// # Errors
-/// A part could not be built: the scene, the board's port, a log file.
-pub fn run(options: &Options) -> Result<()> {
+/// A part could not be built: the scene, the board's port, a log file; the disk refused the log; a thread panicked.
+pub fn run(options: &Options, reporter: &mut dyn Reporter) -> Result<()> {
     check_injection(options)?;
     let shared = Arc::new(Shared::default());
     let on_signal = Arc::clone(&shared);
     ctrlc::set_handler(move || on_signal.stop.store(true, Ordering::Relaxed)).context("Ctrl-C handler")?;
-    introduce(options);
+    reporter.report(Notice::Begins { config: &options.config, lock_step: options.lock_step });
+    let panics = PanicWatch::start(&shared);
+    let result = catch_unwind(AssertUnwindSafe(|| run_plant(options, &shared, reporter)));
+    panics.seen()?;
+    result.unwrap_or_else(|_| Err(anyhow!("the run panicked")))
+}
+
+fn run_plant(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<()> {
     match (options.config.plant.kind, options.lock_step) {
         (PlantKind::None, true) => {
             Err(anyhow!("plant.kind = \"none\" runs live only: lock-step simulates its board"))
         }
         (PlantKind::None, false) => {
-            live_board_only(options, &shared).map(|run| println!("{}", run.summary()))
+            let run = live_board_only(options, shared, reporter)?;
+            reporter.report(Notice::Ended(&run.summary()));
+            Ok(())
         }
         #[cfg(feature = "sim")]
-        (PlantKind::Simulated, true) => lock_step(options, &shared),
+        (PlantKind::Simulated, true) => lock_step(options, shared, reporter),
         #[cfg(feature = "sim")]
         (PlantKind::Simulated, false) => {
-            live_simulated(options, &shared).map(|run| println!("{}", run.summary()))
+            let run = live_simulated(options, shared, reporter)?;
+            reporter.report(Notice::Ended(&run.summary()));
+            Ok(())
         }
         #[cfg(not(feature = "sim"))]
         (PlantKind::Simulated, _) => Err(anyhow!(
@@ -84,43 +95,9 @@ fn check_injection(options: &Options) -> Result<()> {
     }
 }
 
-fn introduce(options: &Options) {
-    let config = &options.config;
-    println!("mocad {}: robot {:?}", env!("CARGO_PKG_VERSION"), config.robot);
-    let law = match (config.plant.parts, config.startup.law) {
-        (Parts::Base, _) => "admittance of the base alone (the base gives way)",
-        (Parts::Arm, _) => "Cartesian impedance of the arm alone (the flange keeps its place)",
-        (Parts::Whole, Law::Impedance) => {
-            "expanded Cartesian impedance (the flange keeps its place, the base gives way)"
-        }
-        (Parts::Whole, Law::FollowMe) => "expanded follow-me (base and arm follow the hand)",
-    };
-    let pace = if options.lock_step { "in lock-step, as fast as possible" } else { "live" };
-    println!("  controller  {law}, {} Hz, {pace}", config.control_loop.rate_hz);
-    if config.plant.parts.has_cover() {
-        println!("  protection  {}", protection::introduction(config));
-    }
-}
-
 #[cfg(feature = "sim")]
-fn introduce_simulation(config: &Config) {
-    let (arm, mujoco) = (config.arm().name, moca_sim::mujoco_version());
-    let robot = match config.plant.parts {
-        Parts::Whole => format!("{arm} on SUMMIT-XL"),
-        Parts::Base => "SUMMIT-XL without an arm".into(),
-        Parts::Arm => format!("{arm} on a stand, no cover"),
-    };
-    println!("  plant       simulated {robot} (MuJoCo {mujoco})");
-    let hand = &config.simulation.hand;
-    if config.plant.parts.has_cover() && !hand.taxels.is_empty() {
-        let taxels: Vec<String> = hand.taxels.iter().map(|taxel| format!("T{taxel}")).collect();
-        println!(
-            "  hand        presses {} with {} N, every {} s",
-            taxels.join(", "),
-            hand.force_n,
-            hand.every_s
-        );
-    }
+fn introduce_simulation(config: &Config, reporter: &mut dyn Reporter) {
+    reporter.report(Notice::Simulated { config, mujoco: moca_sim::mujoco_version() });
 }
 
 /// A finished live run.
@@ -154,52 +131,63 @@ impl LiveRun {
 /// # Errors
 /// As for [`run`].
 #[cfg(feature = "sim")]
-pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
-    introduce_simulation(&options.config);
+pub fn live_simulated(
+    options: &Options,
+    shared: &Arc<Shared>,
+    reporter: &mut dyn Reporter,
+) -> Result<LiveRun> {
+    introduce_simulation(&options.config, reporter);
     let clock = Clock::start()?;
     let (log, copies, log_reader) = tick_log();
-    let observers = Observers::new(options, log_reader)?;
+    let observers = Observers::new(options, log_reader, reporter)?;
     let subscribers =
         Subscribers { copies: Some(copies), moving: Arc::clone(&shared.moving), reference: None };
     let mut robot =
         crate::runtime::assemble::assemble(&options.config, clock, options.inject.as_ref(), subscribers)?;
-    let virtual_board = if robot.virtual_board.is_some() { " (virtual Touch Board)" } else { "" };
+    let simulated = robot.virtual_board.is_some();
     let calibration = robot.board.as_mut().and_then(|board| {
-        println!("  board       {}{virtual_board}", shown(&board.port));
+        reporter.report(Notice::Board { port: Some(&board.port), simulated });
         board.calibration.take()
     });
-    live(options, robot.control, (clock, log), (observers, calibration), shared)
+    live(options, robot.control, (clock, log), (observers, calibration), shared, reporter)
 }
 
 /// Runs the loop with a Touch Board and no robot: what the cover feels, for observers and logs.
-fn live_board_only(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
+fn live_board_only(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
     let config = &options.config;
-    println!("  plant       none: the cover alone, nothing moves");
+    reporter.report(Notice::NoRobot);
     let clock = Clock::start()?;
     let (log, copies, log_reader) = tick_log();
-    let observers = Observers::new(options, log_reader)?;
+    let observers = Observers::new(options, log_reader, reporter)?;
     let port = config.board.port.clone();
     let subscribers = Subscribers { copies: Some(copies), ..Subscribers::default() };
     let OpenBoard { cover, mut held } =
         open_board(config, clock, port, options.inject.as_ref(), subscribers)?;
-    println!("  board       {}", shown(&held.port));
+    reporter.report(Notice::Board { port: Some(&held.port), simulated: false });
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let plant = NoRobot::at(config.control.gains.posture_rad);
     let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s);
-    live(options, control, (clock, log), (observers, held.calibration.take()), shared)
+    live(options, control, (clock, log), (observers, held.calibration.take()), shared, reporter)
 }
 
-fn shown(port: &str) -> &str {
-    if port == AUTO_PORT { "the only Touch Board on USB" } else { port }
+/// Tells the thread that watches when the loop has ended, whichever way.
+struct DoneAtEnd<'a>(&'a AtomicBool);
+
+impl Drop for DoneAtEnd<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Release);
+    }
 }
 
-/// Runs a finished loop on a thread of its own and shows it on this one.
+/// Runs a finished loop on a thread of its own and passes on from this one what it says. The log is closed however it
+/// ends.
 fn live<P: Plant + Send, S: CoverSource + Send>(
     options: &Options,
     mut control: ControlLoop<P, S>,
     (clock, log): (Clock, TickLog),
     (mut observers, calibration): (Observers, Option<CalibrationPort>),
     shared: &Arc<Shared>,
+    reporter: &mut dyn Reporter,
 ) -> Result<LiveRun> {
     let config = &options.config;
     let (mut rings, from_loop, mut request_ports) = rings(shared);
@@ -208,7 +196,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     let mut timing = Timing::new()?;
     let (tap, mut watched) = rtrb::RingBuffer::new(RING_SAMPLES);
     let server = match config.telemetry_address() {
-        Some(address) => Some(serve(config, &address, from_loop, Some(tap), request_ports)?),
+        Some(address) => Some(serve(config, &address, from_loop, Some(tap), request_ports, reporter)?),
         None => {
             watched = from_loop;
             None
@@ -217,37 +205,44 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
     let done = AtomicBool::new(false);
     let started = Instant::now();
-    let (report, last) = std::thread::scope(|scope| -> Result<(LiveReport, Sample)> {
+    let ended = std::thread::scope(|scope| -> Result<(LiveReport, Sample)> {
         let (control, timing) = (&mut control, &mut timing);
         let done = &done;
         let (steps_sender, steps) = std::sync::mpsc::channel();
         let in_loop_thread = move || {
-            let (steps, _held) = realtime::apply(&config.realtime());
+            let _done = DoneAtEnd(done);
+            let (steps, _held) = realtime::apply(&config.realtime);
             let refused = steps.iter().any(|step| step.result.is_err());
             let run = !(refused && options.require_realtime);
             // The receiver waits for exactly this.
             let _ = steps_sender.send(steps);
-            let report = if run {
+            if run {
                 let mut timer = Timer::new(clock, config.period_ns());
                 live::run(control, &mut timer, timing, options.duration, &mut rings, shared)
             } else {
                 LiveReport::default()
-            };
-            done.store(true, Ordering::Release);
-            report
+            }
         };
         let thread =
             std::thread::Builder::new().name("control-loop".into()).spawn_scoped(scope, in_loop_thread)?;
-        let refused = report_realtime(&steps.recv().unwrap_or_default());
-        println!("Ctrl-C stops it.");
-        let last = watch(&mut watched, &mut observers, options.log_level, done);
+        let watched = catch_unwind(AssertUnwindSafe(|| {
+            let refused = report_realtime(&steps.recv().unwrap_or_default(), reporter);
+            reporter.report(Notice::Runs);
+            (refused, watch(&mut watched, &mut observers, reporter, done))
+        }));
+        if watched.is_err() {
+            shared.stop.store(true, Ordering::Relaxed);
+        }
         let report = thread.join().map_err(|_| anyhow!("the loop's thread panicked"))?;
+        let (refused, last) = watched.map_err(|_| anyhow!("the thread of the observers panicked"))?;
         if options.require_realtime && refused > 0 {
             return Err(RealtimeRefused(refused).into());
         }
         Ok((report, last))
-    })?;
-    finish(observers.recording, options)?;
+    });
+    let closed = finish(observers.recording, options, reporter);
+    let (report, last) = ended?;
+    closed?;
     Ok(LiveRun {
         timing,
         report,
@@ -257,36 +252,33 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     })
 }
 
-fn report_realtime(steps: &[realtime::Step]) -> usize {
+fn report_realtime(steps: &[realtime::Step], reporter: &mut dyn Reporter) -> usize {
     for step in steps {
-        match &step.result {
-            Ok(()) => println!("  real time   {}: yes", step.what),
-            Err(error) => println!("  real time   {}: no ({error})", step.what),
-        }
+        reporter.report(Notice::RealTime(step));
     }
     steps.iter().filter(|step| step.result.is_err()).count()
 }
 
 #[cfg(feature = "sim")]
-fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
+fn lock_step(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<()> {
     use crate::runtime::lockstep::LockStep;
 
     let config = &options.config;
-    introduce_simulation(config);
+    introduce_simulation(config, reporter);
     let scene = crate::devices::simulated_robot::free_scene(config);
     let (log, copies, log_reader) = tick_log();
     if config.plant.parts.has_cover() {
-        println!("  board       virtual Touch Board in memory");
+        reporter.report(Notice::Board { port: None, simulated: true });
         let world = LockStep::with_board(
             config,
             &scene,
             crate::runtime::assemble::board_config(config),
             Some(copies),
         )?;
-        run_lock_step(options, world, (log, log_reader), shared)
+        run_lock_step(options, world, (log, log_reader), shared, reporter)
     } else {
         let world = LockStep::without_cover(config, &scene)?;
-        run_lock_step(options, world, (log, log_reader), shared)
+        run_lock_step(options, world, (log, log_reader), shared, reporter)
     }
 }
 
@@ -296,6 +288,7 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     mut world: crate::runtime::lockstep::LockStep<S, F>,
     (log, log_reader): (TickLog, TickLogReader),
     shared: &Arc<Shared>,
+    reporter: &mut dyn Reporter,
 ) -> Result<()> {
     use crate::record::command_csv;
     use crate::runtime::allocations;
@@ -307,7 +300,7 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     if let Some(injection) = &options.inject {
         world.inject(injection, config.simulation.seed);
     }
-    let mut observers = Observers::new(options, log_reader)?;
+    let mut observers = Observers::new(options, log_reader, reporter)?;
     let mut log = None;
     if let Some(path) = &options.command_log {
         let file = File::create(path).with_context(|| path.display().to_string())?;
@@ -317,12 +310,11 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     }
     let (mut rings, from_loop, request_ports) = rings(shared);
     let server = match config.telemetry_address() {
-        Some(address) => Some(serve(config, &address, from_loop, None, request_ports)?),
+        Some(address) => Some(serve(config, &address, from_loop, None, request_ports, reporter)?),
         None => None,
     };
     spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
-    let (mut console, mut last, mut ticks) =
-        (crate::cli::report::Console::new(options.log_level), Sample::default(), 0);
+    let (mut last, mut ticks) = (Sample::default(), 0);
     let (mut allocated, mut warm) = (0, false);
     let end_ns = options.duration.map_or(u64::MAX, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX));
     let started = Instant::now();
@@ -338,10 +330,7 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         if let Some(log) = &mut log {
             command_csv::write_row(log, &last)?;
         }
-        observers.see(&last);
-        for line in console.lines(&last) {
-            println!("{line}");
-        }
+        observers.see(&last, reporter);
     }
     if let Some(log) = &mut log {
         log.flush()?;
@@ -355,6 +344,6 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         samples_dropped: shared.samples_dropped.load(Ordering::Relaxed),
         wall: started.elapsed(),
     };
-    println!("{summary}");
-    finish(observers.recording, options)
+    reporter.report(Notice::Ended(&summary));
+    finish(observers.recording, options, reporter)
 }
