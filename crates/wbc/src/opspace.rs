@@ -104,8 +104,8 @@ impl<const N: usize, T: Scalar> ArmDynamics<N, T> {
     /// that Λ⁻¹F holds again whatever was refused: the force on the cover cancels, and the error obeys the same
     /// equation as with a free base. Of all torques that do so it is the one nearest to τ_A in the metric M_A⁻¹.
     ///
-    /// A direction in which the arm is as heavy as 1/[`IMMOVABLE`] is left out: near a singularity the tool goes with the
-    /// base instead of asking for torques without bound.
+    /// Near a singularity, where a direction of the tool is heavier than 1/[`HEAVY`], the tool goes with the base there
+    /// instead of asking for torques without bound: Λ_A⁻¹ is shifted by what its smallest pivot falls short of it.
     ///
     /// # Errors
     /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
@@ -114,11 +114,15 @@ impl<const N: usize, T: Scalar> ArmDynamics<N, T> {
         base_jacobian: &SMatrix<T, 6, 3>,
         refused: &[T; 3],
     ) -> Result<[T; N], ControlError> {
-        let mut damped = self.inverse_task_inertia;
-        for i in 0..6 {
-            damped[(i, i)] += of(IMMOVABLE);
+        let mut factor = Cholesky::new_shifted(&self.inverse_task_inertia).ok_or(SINGULAR)?;
+        let short = factor.diagonal().iter().fold(T::zero(), |most, &pivot| most.max(of::<T>(HEAVY) - pivot));
+        if short > T::zero() {
+            let mut shifted = self.inverse_task_inertia;
+            for i in 0..6 {
+                shifted[(i, i)] += short;
+            }
+            factor = Cholesky::new_shifted(&shifted).ok_or(SINGULAR)?;
         }
-        let factor = Cholesky::new_shifted(&damped).ok_or(SINGULAR)?;
         Ok(transpose_times(&self.jacobian, &factor.solve(&times(base_jacobian, refused))))
     }
 
@@ -183,8 +187,8 @@ impl<'a, const N: usize, T: Scalar> TaskDynamics<'a, N, T> {
     }
 }
 
-/// Acceleration per force, 1/kg and 1/(kg·m²), below which an arm counts as immovable: ten tonnes.
-pub const IMMOVABLE: f64 = 1e-4;
+/// Acceleration per force, 1/kg and 1/(kg·m²), below which a direction of the arm counts as near a singularity: 50 kg.
+pub const HEAVY: f64 = 0.02;
 
 const SINGULAR: ControlError = ControlError::NotPositiveDefinite { what: "J M⁻¹ Jᵀ" };
 

@@ -34,8 +34,7 @@ proptest! {
         let missed = moca_wbc::linalg::times(&base, &refused);
         let scale = missed.iter().fold(1.0_f64, |most, a| most.max(a.abs()));
         for (given, missed) in given.iter().zip(missed) {
-            // the share that counts as immovable
-            prop_assert!((given - missed).abs() <= 1e-2 * scale, "{given} for {missed}");
+            prop_assert!((given - missed).abs() <= 1e-9 * scale, "{given} for {missed}");
         }
     }
 }
