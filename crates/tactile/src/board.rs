@@ -97,6 +97,11 @@ pub enum BoardEvent {
         /// Why.
         why: OpenFailure,
     },
+    /// The host did not run the threads that bring the bytes, or left the bytes lying: silence is not the board's.
+    Starved {
+        /// ns of loop time.
+        at_ns: u64,
+    },
 }
 
 /// Counts since the start; never reset.
@@ -129,6 +134,7 @@ pub struct BoardMonitor {
     last_byte_ns: Option<u64>,
     last_good_ns: Option<u64>,
     stalled: bool,
+    starved: bool,
     mean_period_ns: f64,
     intervals: u32,
     generation: Option<SketchGeneration>,
@@ -175,6 +181,7 @@ impl BoardMonitor {
             last_byte_ns: None,
             last_good_ns: None,
             stalled: false,
+            starved: false,
             mean_period_ns: 0.0,
             intervals: 0,
             generation: None,
@@ -241,13 +248,18 @@ impl BoardMonitor {
         self.stalled = true;
     }
 
+    /// The host did not run, or did not read: silence from the last good frame on is its own.
+    pub const fn starved(&mut self) {
+        self.starved = true;
+    }
+
     /// The stream's fault at `now_ns`, the gravest first. Silence counts from the last good frame, or from loop
     /// time 0.
     pub fn fault(&self, now_ns: u64) -> Option<Fault> {
         if !self.connected {
             Some(Fault::BoardLost)
         } else if now_ns.saturating_sub(self.last_good_ns.unwrap_or(0)) > SILENT_AFTER_NS {
-            Some(Fault::BoardSilent)
+            Some(if self.starved { Fault::HostStarved } else { Fault::BoardSilent })
         } else if self.is_all_zero() {
             Some(Fault::BoardReset)
         } else if self.is_frozen() {
@@ -326,6 +338,7 @@ impl BoardMonitor {
         self.check_across_frames(frame);
         self.last = Some(*frame);
         self.last_good_ns = Some(stamped.complete_ns);
+        self.starved = false;
         if self.stalled {
             self.stalled = false;
             self.stats.frames_discarded += 1;

@@ -18,7 +18,7 @@ const FIELDS: [&str; 2] = ["transient_n", "quasi_static_n"];
 /// # Errors
 /// Every mistake in it, each with its line, or why it could not be read.
 pub fn load(path: &Path) -> Result<[ContactLimits; TAXELS], ConfigError> {
-    let text = std::fs::read_to_string(path)
+    let text = moca_tactile::calibration::read_text(path)
         .map_err(|error| ConfigError { mistakes: vec![format!("{}: {error}", path.display())] })?;
     parse(&text).map_err(|error| ConfigError {
         mistakes: error.mistakes.iter().map(|mistake| format!("{}: {mistake}", path.display())).collect(),

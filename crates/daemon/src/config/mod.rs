@@ -401,7 +401,7 @@ impl Config {
     /// # Errors
     /// Every mistake in it, or why it could not be read.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
+        let text = moca_tactile::calibration::read_text(path)
             .map_err(|error| ConfigError { mistakes: vec![format!("{}: {error}", path.display())] })?;
         Self::parse(&text)
     }

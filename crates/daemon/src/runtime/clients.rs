@@ -2,7 +2,7 @@
 
 use crate::config::{Config, PlantKind};
 use crate::inject::{self, Disk, OutsideFault, Strike};
-use crate::record::flight_recorder::FlightRecorder;
+use crate::record::flight_recorder::{AUTO_FOLDER, FlightRecorder};
 use crate::record::recording::{Recording, parameter_change};
 use crate::record::tick_log::TickLogReader;
 use crate::runtime::live::{Rings, Shared};
@@ -131,6 +131,18 @@ pub(crate) fn spoil_telemetry(
     Ok(inject::client(fault, address, strike.clone(), options.config.simulation.seed)?)
 }
 
+/// The flight recorder that the configuration asks for. A folder that it names must be there; where it leaves the choice,
+/// a run without that folder is still a run.
+fn flight_recorder(config: &Config, reporter: &mut dyn Reporter) -> Result<Option<FlightRecorder>> {
+    match FlightRecorder::new(config, description(config)) {
+        Err(error) if config.flight_recorder.folder == AUTO_FOLDER => {
+            reporter.report(Notice::Trouble(&format!("no flight recorder: {error:#}")));
+            Ok(None)
+        }
+        recorder => recorder,
+    }
+}
+
 /// Who takes what the loop notes of each tick.
 pub(crate) struct Observers {
     pub(crate) strike: Option<Strike>,
@@ -146,11 +158,7 @@ impl Observers {
     pub(crate) fn new(options: &Options, ticks: TickLogReader, reporter: &mut dyn Reporter) -> Result<Self> {
         let strike = options.strike();
         let recording = recording(options, strike.as_ref(), reporter)?;
-        let flight = if options.lock_step {
-            None
-        } else {
-            FlightRecorder::new(&options.config, description(&options.config))?
-        };
+        let flight = if options.lock_step { None } else { flight_recorder(&options.config, reporter)? };
         let panics = options.outside_fault() == Some(OutsideFault::Panic);
         Ok(Self { strike, recording, panics, flight, ticks })
     }
