@@ -1,7 +1,7 @@
 //! The whole chain in lock-step: the virtual board's bytes through the real parser, the real loop and MuJoCo.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 
-use moca_daemon::config::{AssumedModel, Config, HandConfig, MaskPolicyConfig};
+use moca_daemon::config::{AssumedModel, Config, HandConfig};
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::command_csv;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};
@@ -312,7 +312,7 @@ fn a_parameter_that_may_not_change_is_refused_and_nothing_moves() {
 fn a_taxel_is_masked_by_request_only_while_no_law_moves_the_robot() {
     let mask = |masked| Request::MaskTaxel { taxel: 5, masked };
     let mut config = config();
-    config.board.mask_policy = MaskPolicyConfig::Unfelt;
+    config.board.mask_policy = moca_tactile::cover::MaskPolicy::Unfelt;
     let mut world = armed(&config);
     assert_eq!(ask(&mut world, mask(true)), Err(Refusal::Mode(Mode::Impedance)));
     ask(&mut world, Request::Disarm).unwrap();
@@ -342,7 +342,7 @@ fn a_masked_taxel_stops_the_robot_unless_it_is_told_to_move_unfeeling() {
     let expected = Fault::TaxelInvalid { taxel: 5, status: TaxelStatus::Masked };
     assert_eq!((stopped.mode.moves(), stopped.fault), (false, Some(expected)));
 
-    config.board.mask_policy = MaskPolicyConfig::Unfelt;
+    config.board.mask_policy = moca_tactile::cover::MaskPolicy::Unfelt;
     let mut world = armed(&config);
     ask(&mut world, Request::PressTaxel { taxel: 5, force_n: 50.0 }).unwrap();
     let pressed = run(&mut world, 1000);

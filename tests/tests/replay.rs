@@ -211,7 +211,7 @@ fn calibration_contact_limits_and_geometry_are_in_the_log() {
     config.board.calibration = files[0].display().to_string();
     config.protection.thresholds = files[1].display().to_string();
     config.protection.uncalibrated_statement = "a simulated cover, in a test".into();
-    config.geometry.arm_rpy_rad = [0.0, 0.0, 0.5];
+    config.robot.mount.rpy_rad = [0.0, 0.0, 0.5];
 
     let mut run = Run::start(&config);
     assert_eq!(run.run(1500), Mode::Impedance);

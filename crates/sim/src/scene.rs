@@ -204,13 +204,19 @@ pub struct BaseServo {
     pub yaw_acceleration_max_rad_s2: f64,
 }
 
+impl From<&BaseTable> for BaseServo {
+    fn from(base: &BaseTable) -> Self {
+        Self {
+            time_constant_s: base.servo_time_constant_s,
+            acceleration_max_m_s2: base.acceleration_max_m_s2,
+            yaw_acceleration_max_rad_s2: base.yaw_acceleration_max_rad_s2,
+        }
+    }
+}
+
 impl Default for BaseServo {
     fn default() -> Self {
-        Self {
-            time_constant_s: SUMMIT_XL.servo_time_constant_s,
-            acceleration_max_m_s2: SUMMIT_XL.acceleration_max_m_s2,
-            yaw_acceleration_max_rad_s2: SUMMIT_XL.yaw_acceleration_max_rad_s2,
-        }
+        Self::from(&SUMMIT_XL)
     }
 }
 

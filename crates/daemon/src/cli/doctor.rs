@@ -120,7 +120,7 @@ fn on_a_thread_of_its_own(work: impl FnOnce() -> Result<Lateness> + Send) -> Res
 /// Sleeps and wakes like the real loop, and does nothing in between.
 fn empty_loop(config: &Config, length: Duration) -> Result<Lateness> {
     let clock = Clock::start()?;
-    let (steps, _held) = realtime::apply(&config.realtime());
+    let (steps, _held) = realtime::apply(&config.realtime);
     let mut schedule = Schedule::starting_after(clock.now_ns(), config.period_ns());
     let end_ns = u64::try_from(length.as_nanos()).unwrap_or(u64::MAX);
     let (mut lateness, mut overruns) = (Distribution::new()?, 0);
@@ -140,7 +140,7 @@ fn simulated_loop(config: &Config, length: Duration) -> Result<Lateness> {
     use crate::runtime::timing::Timing;
     let clock = Clock::start()?;
     let mut robot = crate::runtime::assemble::assemble(config, clock, None, Default::default())?;
-    let (steps, _held) = realtime::apply(&config.realtime());
+    let (steps, _held) = realtime::apply(&config.realtime);
     let shared = Shared::default();
     let (mut rings, samples, ports) = crate::runtime::clients::rings(&shared);
     drop((samples, ports));

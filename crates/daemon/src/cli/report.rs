@@ -152,7 +152,7 @@ fn introduction(config: &Config, lock_step: bool) -> Vec<String> {
     };
     let pace = if lock_step { "in lock-step, as fast as possible" } else { "live" };
     let mut lines = vec![
-        format!("mocad {}: robot {:?}", env!("CARGO_PKG_VERSION"), config.robot),
+        format!("mocad {}: robot {:?}", env!("CARGO_PKG_VERSION"), config.robot.name),
         format!("  controller  {law}, {} Hz, {pace}", config.control_loop.rate_hz),
     ];
     if config.plant.parts.has_cover() {
@@ -163,10 +163,10 @@ fn introduction(config: &Config, lock_step: bool) -> Vec<String> {
 }
 
 fn simulated(config: &Config, mujoco: &str) -> Vec<String> {
-    let arm = config.arm().name;
+    let (arm, base) = (config.arm().name, &config.robot.base_name);
     let robot = match config.plant.parts {
-        Parts::Whole => format!("{arm} on SUMMIT-XL"),
-        Parts::Base => "SUMMIT-XL without an arm".into(),
+        Parts::Whole => format!("{arm} on {base}"),
+        Parts::Base => format!("{base} without an arm"),
         Parts::Arm => format!("{arm} on a stand, no cover"),
     };
     let mut lines = vec![format!("  plant       simulated {robot} (MuJoCo {mujoco})")];

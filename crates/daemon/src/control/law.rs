@@ -6,8 +6,8 @@ use crate::control::protection::{Protected, Protection};
 use crate::robot::{JOINTS, Parts, TAXELS};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{
-    Actuation, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, Payload, Refusal,
-    RobotCommand, RobotState, TaxelStatus,
+    Actuation, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, Refusal, RobotCommand,
+    RobotState, TaxelStatus,
 };
 use moca_wbc::{
     ArmController, ArmInput, ArmState, BaseController, BaseGuard, BaseInput, BaseState, ControlError,
@@ -37,20 +37,19 @@ impl Motion {
     /// # Errors
     /// The first parameter or number of the geometry out of range.
     pub fn new(config: &Config, protection: Protection) -> Result<Self, ParameterError> {
-        let (arm, mount, taxels) = (config.arm(), config.mount(), config.taxels());
+        let (arm, taxels) = (config.arm(), config.taxels());
+        let (mount, payload) = (config.robot.mount, config.robot.payload());
         let (parameters, parts) = (config.parameters(), config.plant.parts);
         let controller = match parts {
             Parts::Whole => Controller::Whole(
-                WholeBodyController::new(arm, &mount, &Payload::NONE, &taxels, &parameters)?,
+                WholeBodyController::new(arm, &mount, &payload, &taxels, &parameters)?,
                 None,
             ),
             Parts::Base => {
                 let base = BaseController::new(&taxels, &parameters)?;
                 Controller::Base(base, base.enter())
             }
-            Parts::Arm => {
-                Controller::Arm(ArmController::new(arm, &mount, &Payload::NONE, &parameters)?, None)
-            }
+            Parts::Arm => Controller::Arm(ArmController::new(arm, &mount, &payload, &parameters)?, None),
         };
         Ok(Self { controller, parameters, protection, parts, guard: Protected::default().guard })
     }

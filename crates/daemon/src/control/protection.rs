@@ -8,12 +8,12 @@
 //! The limit holds for the fastest point of the cover, a corner once the base turns: whoever is touched is touched
 //! there. The arm and what it carries are not covered by it.
 
+use crate::config::contact_limits::ContactLimits;
 use crate::config::{Config, ProtectionConfig};
-use crate::control::contacts::{ContactLimits, ContactTracker};
+use crate::control::contacts::ContactTracker;
 use crate::control::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_EVENTS;
-use moca_msgs::robot::SUMMIT_XL;
 use moca_msgs::{ContactEvent, ContactReaction, Limits, RobotState, SpeedLimit, SpeedLimitReason};
 use moca_tactile::board::SILENT_AFTER_NS;
 use moca_wbc::BaseGuard;
@@ -22,8 +22,6 @@ use moca_wbc::guard::CoverOutline;
 
 /// Frames over which the worst age and interval count: 0.4 s of a stock board.
 const WINDOW: usize = 16;
-/// Largest speed that an override may state, m/s.
-pub const OVERRIDE_MAX_M_S: f64 = 10.0;
 
 /// What protects in one tick.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,7 +73,7 @@ impl Protection {
                 stiffness_n_m: settings.contact_stiffness_n_m,
                 damping_n_s_m: 0.0,
                 delay_s: 0.0,
-                servo_s: SUMMIT_XL.servo_time_constant_s,
+                servo_s: config.robot.base.servo_time_constant_s,
             },
             tick_s: 1.0 / f64::from(config.control_loop.rate_hz.max(1)),
             outline,
@@ -212,38 +210,6 @@ impl ReadingDelay {
     fn worst_s(&self, tick_s: f64) -> Option<f64> {
         let worst = |pick: fn(&(f64, f64)) -> f64| self.frames.iter().map(pick).fold(0.0, f64::max);
         (self.count >= WINDOW).then(|| reading_delay_s(worst(|f| f.0), worst(|f| f.1), tick_s))
-    }
-}
-
-/// Reports what is wrong between the values of `[protection]` as (dotted path, message); ranges are the schema's part.
-pub(crate) fn check(settings: &ProtectionConfig, report: &mut dyn FnMut(&str, String)) {
-    if settings.unfelt_force_n >= settings.force_limit_n {
-        report(
-            "protection.unfelt_force_n",
-            format!(
-                "protection.unfelt_force_n = {} N is not below protection.force_limit_n = {} N: no speed would be slow enough",
-                settings.unfelt_force_n, settings.force_limit_n
-            ),
-        );
-    }
-    let stated = !settings.override_statement.trim().is_empty();
-    let overridden = settings.override_speed_limit_m_s > 0.0;
-    if overridden && !stated {
-        report(
-            "protection.override_speed_limit_m_s",
-            format!(
-                "protection.override_speed_limit_m_s = {} m/s switches off the limit that the board's rate sets; it \
-                 needs protection.override_statement: who decided so, and what keeps contact forces low instead",
-                settings.override_speed_limit_m_s
-            ),
-        );
-    }
-    if stated && !overridden {
-        report(
-            "protection.override_statement",
-            "protection.override_statement is given but protection.override_speed_limit_m_s is 0 (no override)"
-                .into(),
-        );
     }
 }
 

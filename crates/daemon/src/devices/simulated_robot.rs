@@ -8,7 +8,7 @@ use crate::robot::{JOINTS, Parts, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
 use moca_sim::scene::Robot;
-use moca_sim::{Scene, SharedForces, SimError, SimPlant};
+use moca_sim::{BaseServo, Scene, SharedForces, SimError, SimPlant};
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
@@ -30,7 +30,9 @@ pub fn free_scene(config: &Config) -> Scene {
     Scene {
         robot,
         arm: config.arm(),
-        mount: config.mount(),
+        mount: config.robot.mount,
+        base: config.robot.base,
+        base_servo: BaseServo::from(&config.robot.base),
         cover: config.taxels(),
         control_period_s,
         physics_step_s: control_period_s / substeps,

@@ -1,8 +1,7 @@
 //! Puts the parts of a robot together as the configuration asks for them.
 
 use crate::calibration::service::{self, Reference};
-use crate::config::contact_limits;
-use crate::config::{Config, PlantKind};
+use crate::config::{Config, contact_limits};
 use crate::control::law::Motion;
 use crate::control::protection::Protection;
 use crate::control::supervisor::{Automatic, Supervisor};
@@ -13,7 +12,7 @@ use crate::devices::force_gauge::Gauge;
 use crate::devices::ports;
 use crate::devices::touch_board::ByteCover;
 use crate::inject::{self, Cable, Injection, Named, What};
-use crate::robot::TAXELS;
+use crate::robot::{PlantKind, TAXELS};
 use crate::runtime::clock::Clock;
 use crate::runtime::realtime::{self, Raised};
 use anyhow::{Context, Result};

@@ -1,16 +1,17 @@
 //! Everything that watches the loop from outside: reporter, telemetry, log, flight recorder. A live loop waits for none.
 
-use crate::config::{Config, PlantKind};
+use crate::config::Config;
 use crate::inject::{self, Disk, OutsideFault, Strike};
-use crate::record::flight_recorder::{AUTO_FOLDER, FlightRecorder};
+use crate::record::flight_recorder::FlightRecorder;
 use crate::record::recording::{Recording, parameter_change};
 use crate::record::tick_log::TickLogReader;
+use crate::robot::PlantKind;
 use crate::runtime::live::{Rings, Shared};
 use crate::runtime::notice::{Notice, Reporter};
 use crate::runtime::options::Options;
 use crate::runtime::watchdog::Heartbeat;
 use anyhow::{Context, Result, anyhow};
-use moca_msgs::{Sample, robot};
+use moca_msgs::Sample;
 use moca_telemetry::RobotDescription;
 use moca_telemetry::description::ArmDescription;
 use moca_telemetry::net::{self, Address, CalibrationPort, Ports, RequestSender, Server};
@@ -69,11 +70,11 @@ pub(crate) fn serve(
 fn description(config: &Config) -> RobotDescription {
     let parameters = crate::config::schema::describe(config);
     let robot = RobotDescription::new(
-        &config.robot,
+        &config.robot.name,
         config.plant.kind == PlantKind::Simulated,
         1.0 / f64::from(config.control_loop.rate_hz),
-        &robot::SUMMIT_XL,
-        &config.mount(),
+        &config.robot.base,
+        &config.robot.mount,
         config.arm(),
         &config.taxels(),
         &config.parameters().limits,

@@ -1,11 +1,12 @@
 //! `mocad run`: puts the parts together, starts the loop, reports what runs.
 
-use crate::config::{Config, PlantKind};
+use crate::config::Config;
 use crate::control::cover::CoverSource;
 use crate::control::plant::{NoRobot, Plant};
 use crate::control::tick::ControlLoop;
 use crate::inject::What;
 use crate::record::tick_log::{TickLog, TickLogReader, tick_log};
+use crate::robot::PlantKind;
 use crate::runtime::assemble::{OpenBoard, Subscribers, motion, open_board, supervisor};
 use crate::runtime::clients::{Observers, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
 use crate::runtime::clock::Clock;
@@ -216,7 +217,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
         let (steps_sender, steps) = std::sync::mpsc::channel();
         let in_loop_thread = move || {
             let _done = DoneAtEnd(done);
-            let (steps, _held) = realtime::apply(&config.realtime());
+            let (steps, _held) = realtime::apply(&config.realtime);
             let refused = steps.iter().any(|step| step.result.is_err());
             let run = !(refused && options.require_realtime);
             // The receiver waits for exactly this.

@@ -1,8 +1,7 @@
 //! One run of an experiment, completely described, and the scene and board that follow from it.
 
 use anyhow::{Context, Result, ensure};
-use moca_daemon::config::{AssumedModel, Config, HandConfig};
-use moca_daemon::control::protection::OVERRIDE_MAX_M_S;
+use moca_daemon::config::{AssumedModel, Config, HandConfig, OVERRIDE_MAX_M_S};
 use moca_msgs::Law;
 use moca_msgs::robot::{BaseTable, SUMMIT_XL, TaxelPlacement};
 use moca_sim::foam::{ElasticLaw, Foam};
@@ -251,7 +250,7 @@ impl Settings {
             integrator: self.integrator,
             base: self.base.table(),
             arm: self.config.arm(),
-            mount: self.config.mount(),
+            mount: self.config.robot.mount,
             cover: self.config.taxels(),
             base_servo: self.base_servo,
             arm_posture_rad: self.config.control.gains.posture_rad,

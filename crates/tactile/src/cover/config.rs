@@ -30,6 +30,8 @@ pub enum MaskPolicy {
     Unfelt,
 }
 
+moca_msgs::choice!(MaskPolicy { Stop: "stop", Unfelt: "unfelt" });
+
 /// Constant configuration of a cover.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoverConfig<const K: usize> {
