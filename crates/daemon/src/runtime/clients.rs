@@ -1,6 +1,6 @@
 //! Everything that watches the loop from outside: reporter, telemetry, log, flight recorder. A live loop waits for none.
 
-use crate::config::Config;
+use crate::config::{AUTO_FOLDER, Config};
 use crate::inject::{self, Disk, OutsideFault, Strike};
 use crate::record::flight_recorder::FlightRecorder;
 use crate::record::recording::{Recording, parameter_change};
