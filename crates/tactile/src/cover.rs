@@ -107,7 +107,7 @@ impl<const K: usize> Cover<K> {
             BoardEvent::Closed { .. } => entry.monitor.closed(),
             BoardEvent::OpenFailed { why, .. } => entry.monitor.open_failed(why),
             BoardEvent::Gap { bytes_lost, .. } => return entry.monitor.gap(bytes_lost),
-            BoardEvent::Starved { .. } => return entry.monitor.starved(),
+            BoardEvent::Starved { at_ns } => return entry.monitor.starved(at_ns),
             BoardEvent::Bytes(_) => {}
         }
         self.invalidate(board);

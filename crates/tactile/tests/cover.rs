@@ -304,6 +304,12 @@ fn silence_while_the_host_did_not_run_is_the_hosts() {
     assert_eq!(bench.cover.poll(at_ns).fault, None, "nothing is late yet");
     let poll = bench.cover.poll(at_ns + 20_000_000);
     assert_eq!((poll.fault, poll.forces), (Some(Fault::HostStarved), Err((0, TaxelStatus::Stale))));
+    assert_eq!(bench.cover.poll(at_ns + 990_000_000).fault, Some(Fault::HostStarved));
+    assert_eq!(
+        bench.cover.poll(at_ns + 1_010_000_000).fault,
+        Some(Fault::BoardSilent),
+        "a dead board after all"
+    );
     bench.now_ns += 30_000_000;
     bench.frame();
     assert_eq!(bench.fault(), None);

@@ -1,12 +1,16 @@
 //! What a board's port says on its way to the cover, copied for those who keep or calibrate it.
 
 use moca_tactile::BoardEvent;
+use moca_tactile::board::STARVED_FOR_NS;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A thread that brings bytes and has not run for this long, or bytes that have waited for so long, are the host's doing,
 /// ns. Longer than a reader waits for a byte, shorter than the silence that stops the robot.
 const STARVED_NS: u64 = 100_000_000;
+
+/// How often a starving host is told of, ns.
+const TELL_AGAIN_NS: u64 = STARVED_FOR_NS / 2;
 
 /// A thread's sign of life.
 struct Pulse {
@@ -35,7 +39,7 @@ pub struct BoardEvents {
     recorder: Option<rtrb::Producer<NumberedEvent>>,
     calibrator: Option<rtrb::Producer<BoardEvent>>,
     pulses: Vec<Pulse>,
-    starved: bool,
+    told_ns: Option<u64>,
     arrived_ns: u64,
     taken: u64,
 }
@@ -44,7 +48,7 @@ impl BoardEvents {
     /// Of one board, copied for nobody.
     pub fn new(events: rtrb::Consumer<BoardEvent>) -> Self {
         let pulses = Vec::new();
-        Self { events, recorder: None, calibrator: None, pulses, starved: false, arrived_ns: 0, taken: 0 }
+        Self { events, recorder: None, calibrator: None, pulses, told_ns: None, arrived_ns: 0, taken: 0 }
     }
 
     /// Copies each event for a recorder.
@@ -75,7 +79,8 @@ impl BoardEvents {
         Some(self.copied(event))
     }
 
-    /// An event of its own once one of the watched threads has stopped running, or bytes have waited too long.
+    /// An event of its own when one of the watched threads has stopped running, or bytes have waited too long; the next
+    /// one comes [`TELL_AGAIN_NS`] later.
     pub fn take_starved(&mut self, now_ns: u64) -> Option<BoardEvent> {
         let mut starved = false;
         for pulse in &mut self.pulses {
@@ -83,9 +88,15 @@ impl BoardEvents {
         }
         let waited = !self.events.is_empty() && now_ns.saturating_sub(self.arrived_ns) > STARVED_NS;
         starved |= waited && !self.pulses.is_empty();
-        let begins = starved && !self.starved;
-        self.starved = starved;
-        begins.then(|| self.copied(BoardEvent::Starved { at_ns: now_ns }))
+        if !starved {
+            self.told_ns = None;
+        }
+        let due = self.told_ns.is_none_or(|told_ns| now_ns.saturating_sub(told_ns) >= TELL_AGAIN_NS);
+        let tells = starved && due;
+        if tells {
+            self.told_ns = Some(now_ns);
+        }
+        tells.then(|| self.copied(BoardEvent::Starved { at_ns: now_ns }))
     }
 
     fn copied(&mut self, event: BoardEvent) -> BoardEvent {
@@ -111,7 +122,7 @@ mod tests {
     use moca_tactile::Chunk;
 
     #[test]
-    fn a_thread_that_does_not_run_is_told_once_until_it_runs_again() {
+    fn a_thread_that_does_not_run_is_told_of_until_it_runs_again() {
         let (_port, events) = rtrb::RingBuffer::new(8);
         let counts = [Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0))];
         let mut events = BoardEvents::new(events).with_pulses(counts.clone());
@@ -124,8 +135,10 @@ mod tests {
         assert_eq!(told(140, false), None);
         assert_eq!(told(160, false), Some(BoardEvent::Starved { at_ns: 160_000_000 }));
         assert_eq!(told(170, false), None);
-        assert_eq!(told(180, true), None);
-        assert!(told(281, false).is_some());
+        assert_eq!(told(600, false), None);
+        assert!(told(661, false).is_some());
+        assert_eq!(told(680, true), None);
+        assert!(told(781, false).is_some());
     }
 
     #[test]

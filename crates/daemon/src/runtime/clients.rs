@@ -215,13 +215,14 @@ pub(crate) fn watch(
     samples: &mut rtrb::Consumer<Sample>,
     observers: &mut Observers,
     reporter: &mut dyn Reporter,
-    done: &AtomicBool,
+    (done, pulse): (&AtomicBool, &AtomicU64),
 ) -> Sample {
     let (mut last, mut heartbeat) = (Sample::default(), Heartbeat::new());
     loop {
         if !samples.is_empty() {
             heartbeat.beat();
         }
+        pulse.fetch_add(1, Ordering::Relaxed);
         let finished = done.load(Ordering::Acquire);
         while let Ok(sample) = samples.pop() {
             observers.see(&sample, reporter);

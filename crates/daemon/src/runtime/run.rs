@@ -140,8 +140,12 @@ pub fn live_simulated(
     let clock = Clock::start()?;
     let (log, copies, log_reader) = tick_log();
     let observers = Observers::new(options, log_reader, reporter)?;
-    let subscribers =
-        Subscribers { copies: Some(copies), moving: Arc::clone(&shared.moving), ..Subscribers::default() };
+    let subscribers = Subscribers {
+        copies: Some(copies),
+        moving: Arc::clone(&shared.moving),
+        pulses: vec![Arc::clone(&shared.pulse)],
+        ..Subscribers::default()
+    };
     let mut robot =
         crate::runtime::assemble::assemble(&options.config, clock, options.inject.as_ref(), subscribers)?;
     let simulated = robot.virtual_board.is_some();
@@ -163,7 +167,8 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn R
     let (log, copies, log_reader) = tick_log();
     let observers = Observers::new(options, log_reader, reporter)?;
     let port = config.board.port.clone();
-    let subscribers = Subscribers { copies: Some(copies), ..Subscribers::default() };
+    let pulses = vec![Arc::clone(&shared.pulse)];
+    let subscribers = Subscribers { copies: Some(copies), pulses, ..Subscribers::default() };
     let OpenBoard { cover, mut held } =
         open_board(config, clock, port, options.inject.as_ref(), subscribers)?;
     reporter.report(Notice::Board { port: Some(&held.port), simulated: false });
@@ -234,7 +239,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
         let watched = catch_unwind(AssertUnwindSafe(|| {
             let refused = report_realtime(&steps.recv().unwrap_or_default(), reporter);
             reporter.report(Notice::Runs);
-            (refused, watch(&mut watched, &mut observers, reporter, done))
+            (refused, watch(&mut watched, &mut observers, reporter, (done, &shared.pulse)))
         }));
         if watched.is_err() {
             shared.stop.store(true, Ordering::Relaxed);
