@@ -185,7 +185,7 @@ mod tests {
         let until = Instant::now() + Duration::from_secs(20);
         while !valve.text().contains("lines lost") && Instant::now() < until {
             std::thread::sleep(Duration::from_millis(5));
-            changes_of_mode(&mut terminal, 1);
+            changes_of_mode(&mut terminal, 2);
         }
         drop(terminal);
         assert!(valve.text().contains("lines lost"), "{}", valve.text());
