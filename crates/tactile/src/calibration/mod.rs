@@ -4,17 +4,17 @@
 //! 2. [`mod@fit`]: least squares for each kind of model; [`quality`]: its errors in newtons, range and cost.
 //! 3. [`mod@file`]: TOML files that say for which board they hold, and refuse any other.
 //! 4. [`session`]: the guided steps of a calibration, with time and bytes as arguments.
-//! 5. [`chart`]: residual plots (SVG).
 
-pub mod chart;
 pub mod file;
 pub mod fit;
 pub mod quality;
 pub mod session;
+pub mod text_file;
 
 pub use file::CalibrationFile;
 pub use fit::{FitError, ModelKind, fit};
 pub use quality::{Quality, residuals};
+pub use text_file::{read_bytes, read_text};
 
 use std::vec::Vec;
 
