@@ -1,6 +1,7 @@
 //! From mode and forces to a command: which law runs in which mode.
 
 use crate::config::Config;
+use crate::control::barrier::Barrier;
 use crate::control::cover::CoverState;
 use crate::control::protection::{Protected, Protection};
 use crate::robot::{JOINTS, Parts, TAXELS};
@@ -12,7 +13,8 @@ use moca_msgs::{
 };
 use moca_wbc::{
     ArmController, ArmInput, ArmState, BaseController, BaseGuard, BaseInput, BaseState, ControlError,
-    ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose, LimitsHit, WholeBodyController,
+    ControlInput, ControlLaw, ControlOutput, ControllerState, Exceeded, FlangePose, LimitsHit,
+    WholeBodyController,
 };
 
 /// The controller of the parts that the robot has, with what it remembers from tick to tick, for an arm of `N` joints.
@@ -47,6 +49,7 @@ pub struct Motion {
     taxels: usize,
     parameters: Parameters<JOINTS>,
     protection: Protection,
+    barrier: Option<Barrier>,
     parts: Parts,
     guard: BaseGuard<TAXELS>,
 }
@@ -64,8 +67,9 @@ impl Motion {
             7 => Joints::Seven(Controller::new(config, &parameters)?),
             _ => return Err(other_joints(joints)),
         };
+        let barrier = either!(&controller, controller => controller.barrier(config))?;
         let guard = Protected::default().guard;
-        Ok(Self { controller, joints, taxels, parameters, protection, parts, guard })
+        Ok(Self { controller, joints, taxels, parameters, protection, barrier, parts, guard })
     }
 
     /// How many joints the arm has.
@@ -91,6 +95,9 @@ impl Motion {
             Protected::default()
         };
         self.guard = protected.guard;
+        if let Some(barrier) = &mut self.barrier {
+            barrier.feel(now_ns, cover);
+        }
         protected
     }
 
@@ -138,7 +145,7 @@ impl Motion {
         either!(&mut self.controller, controller => controller.set_target_twist(twist))
     }
 
-    /// One tick's command in `mode`, `dt_s` after the last one.
+    /// One tick's command in `mode`, `dt_s` after the last one, and why the robot must stop: the command then holds.
     ///
     /// # Errors
     /// The fault to stop with; the order of that tick must then be [`Actuation::Brake`].
@@ -148,7 +155,7 @@ impl Motion {
         robot: &RobotState<JOINTS>,
         forces: &Result<[f64; TAXELS], (usize, TaxelStatus)>,
         dt_s: f64,
-    ) -> Result<ControlOutput<JOINTS>, Fault> {
+    ) -> Result<(ControlOutput<JOINTS>, Option<Fault>), Fault> {
         let law = match mode {
             Mode::Impedance => ControlLaw::Impedance,
             Mode::FollowMe => ControlLaw::FollowMe,
@@ -157,15 +164,37 @@ impl Motion {
             }
         };
         // Standing still needs no cover; a law never runs on a force that is not there.
-        let taxel_force_n = match (law, *forces) {
+        let mut taxel_force_n = match (law, *forces) {
             (ControlLaw::Hold, _) => [0.0; TAXELS],
             (_, Ok(forces)) => forces,
             (_, Err((taxel, status))) => {
                 return Err(Fault::TaxelInvalid { taxel: u8::try_from(taxel).unwrap_or(u8::MAX), status });
             }
         };
-        let told = Told { law, taxel_force_n, guard: self.guard, dt_s };
-        either!(&mut self.controller, controller => controller.step(robot, &told))
+        let mut guard = self.guard;
+        if let Some(barrier) = &mut self.barrier {
+            let deceleration = self.parameters.limits.base_acceleration;
+            let contacts = barrier
+                .update(robot, deceleration, law == ControlLaw::Impedance, dt_s)
+                .map_err(|_| Fault::ControlRefused)?;
+            if law != ControlLaw::Hold {
+                guard.outward_m_s = Some(contacts.outward_m_s);
+                taxel_force_n = contacts.force_n;
+            }
+        }
+        let told = Told { law, taxel_force_n, guard, dt_s };
+        let output = either!(&mut self.controller, controller => controller.step(robot, &told))?;
+        if let Some(barrier) = &mut self.barrier {
+            barrier.remember(&output.flange, robot);
+        }
+        let fault = output.exceeded.map(|exceeded| match exceeded {
+            Exceeded::JointSpeed(joint) => {
+                Fault::JointSpeed { joint: u8::try_from(joint).unwrap_or(u8::MAX) }
+            }
+            Exceeded::FlangeSpeed => Fault::FlangeSpeed,
+            Exceeded::PoseError => Fault::PoseError,
+        });
+        Ok((output, fault))
     }
 }
 
@@ -200,6 +229,14 @@ impl<const N: usize> Controller<N> {
             }
             Parts::Arm => Self::Arm(ArmController::new(arm, &mount, &payload, &parameters)?, None),
         })
+    }
+
+    fn barrier(&self, config: &Config) -> Result<Option<Barrier>, ParameterError> {
+        match self {
+            Self::Whole(whole, _) => Barrier::new(config, Some(whole.model())),
+            Self::Base(..) => Barrier::new::<N>(config, None),
+            Self::Arm(..) => Ok(None),
+        }
     }
 
     fn set_parameters(&mut self, wanted: &Parameters<JOINTS>) -> Outcome {
@@ -241,6 +278,7 @@ impl<const N: usize> Controller<N> {
                     flange: output.flange,
                     flange_desired: output.flange_desired,
                     limits: output.limits,
+                    exceeded: output.exceeded,
                 })
             }
             Self::Base(controller, state) => {
@@ -276,6 +314,7 @@ impl<const N: usize> Controller<N> {
                     flange: output.flange,
                     flange_desired: output.flange_desired,
                     limits: output.limits,
+                    exceeded: output.exceeded,
                     ..WITHOUT_PARTS
                 })
             }
@@ -295,6 +334,7 @@ const WITHOUT_PARTS: ControlOutput<JOINTS> = {
         flange: NOWHERE,
         flange_desired: NOWHERE,
         limits: LimitsHit::NONE,
+        exceeded: None,
     }
 };
 

@@ -6,7 +6,7 @@ use crate::control::plant::Plant;
 use crate::control::protection::Protected;
 use crate::control::stage::{Stage, StageTimer};
 use crate::control::state_check::StateDoor;
-use crate::control::supervisor::{Facts, Supervisor};
+use crate::control::supervisor::{Facts, Supervisor, Touch};
 use crate::control::tick_input::{Slot, TickInput};
 use crate::robot::JOINTS;
 use heapless::Vec;
@@ -112,6 +112,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             cover_fault: cover.fault,
             zero: cover.zero,
             plant_fault: robot.err(),
+            touch: cover.forces.ok().and_then(|forces_n| Touch::strongest(&forces_n)),
         };
         let decision = self.supervisor.step(&facts, request);
         if decision.start_tare {
@@ -155,7 +156,11 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             self.motion.leave();
             return Ok(None);
         };
-        self.motion.command(mode, robot, &cover.forces, self.elapsed_s(slot)).map(Some)
+        let (output, stop) = self.motion.command(mode, robot, &cover.forces, self.elapsed_s(slot))?;
+        if let Some(fault) = stop {
+            self.supervisor.stop_for(fault);
+        }
+        Ok(Some(output))
     }
 
     fn sample(
