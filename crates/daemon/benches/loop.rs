@@ -5,12 +5,12 @@
 #![allow(clippy::unwrap_used, missing_docs, reason = "a benchmark stops at the first surprise")]
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use moca_daemon::assemble::{motion, supervisor};
-use moca_daemon::byte_cover::ByteCover;
 use moca_daemon::config::{Config, HandConfig, JOINTS};
-use moca_daemon::control_loop::{ControlLoop, Slot};
-use moca_daemon::lockstep::LockStep;
-use moca_daemon::plant::Plant;
+use moca_daemon::control::plant::Plant;
+use moca_daemon::control::tick::{ControlLoop, Slot};
+use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::runtime::assemble::{motion, supervisor};
+use moca_daemon::runtime::lockstep::LockStep;
 use moca_msgs::{Actuation, Fault, Mode, Request, RobotState};
 use moca_sim::{Scene, VirtualBoardConfig};
 use moca_tactile::{BoardEvent, Cover, CoverConfig};

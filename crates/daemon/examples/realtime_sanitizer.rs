@@ -6,10 +6,10 @@
 #![expect(clippy::print_stdout, reason = "this is what the program is for")]
 #![allow(clippy::expect_used, reason = "a check that cannot go on has to stop")]
 
-use moca_daemon::byte_cover::ByteCover;
 use moca_daemon::config::{Config, HandConfig};
-use moca_daemon::live::{Rings, Shared};
-use moca_daemon::lockstep::{LockStep, MemoryBoard};
+use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::runtime::live::{Rings, Shared};
+use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
 use moca_msgs::{Law, Mode, Request};
 use moca_sim::board::BoardFault;
 use moca_sim::{Scene, VirtualBoardConfig};

@@ -1,8 +1,8 @@
 //! `mocad`: the daemon of MOCA-S.
 
 use clap::{Args, Parser, Subcommand};
-use moca_daemon::allocations::CountingAllocator;
 use moca_daemon::config::Config;
+use moca_daemon::runtime::allocations::CountingAllocator;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -27,9 +27,9 @@ enum Command {
     /// Run the control loop (the default).
     Run(RunArguments),
     /// Press every taxel beside a reference force and write a calibration file.
-    Calibrate(moca_daemon::calibrate::Arguments),
+    Calibrate(moca_daemon::cli::calibrate::Arguments),
     /// Say what is and is not real-time on this PC, beside an empty loop, and what to do about it.
-    Doctor(moca_daemon::doctor::Arguments),
+    Doctor(moca_daemon::cli::doctor::Arguments),
     /// Run a log again from its recorded states and bytes, and compare every command bit for bit.
     Replay {
         /// A log that `mocad --record` wrote.
@@ -37,7 +37,7 @@ enum Command {
     },
     /// List parameters, change them in a running daemon, or print their schema.
     #[command(subcommand)]
-    Params(moca_daemon::params_command::Command),
+    Params(moca_daemon::cli::params::Command),
     /// Print the default configuration with every field documented.
     DefaultConfig,
 }
@@ -67,7 +67,7 @@ struct RunArguments {
     inject: Option<moca_daemon::inject::Injection>,
     /// How much the terminal or the journal shows of a run.
     #[arg(long, value_enum, default_value_t)]
-    log_level: moca_daemon::console::Level,
+    log_level: moca_daemon::cli::report::Level,
     /// End at once if the operating system refuses a wish of `[realtime]`.
     #[arg(long)]
     require_realtime: bool,
@@ -78,10 +78,10 @@ fn main() -> ExitCode {
     let result = match arguments.command {
         None => run(arguments.run),
         Some(Command::Run(run_arguments)) => run(run_arguments),
-        Some(Command::Calibrate(calibrate)) => moca_daemon::calibrate::run(&calibrate),
-        Some(Command::Doctor(doctor)) => moca_daemon::doctor::run(&doctor),
+        Some(Command::Calibrate(calibrate)) => moca_daemon::cli::calibrate::run(&calibrate),
+        Some(Command::Doctor(doctor)) => moca_daemon::cli::doctor::run(&doctor),
         Some(Command::Replay { log }) => replay(&log),
-        Some(Command::Params(command)) => moca_daemon::params_command::run(&command),
+        Some(Command::Params(command)) => moca_daemon::cli::params::run(&command),
         Some(Command::DefaultConfig) => {
             #[expect(clippy::print_stdout, reason = "this is what the command is for")]
             {
@@ -117,7 +117,7 @@ impl std::error::Error for WrongConfiguration {}
 fn exit_code(error: &anyhow::Error) -> ExitCode {
     if error.is::<WrongConfiguration>() {
         ExitCode::from(2)
-    } else if error.is::<moca_daemon::run::RealtimeRefused>() {
+    } else if error.is::<moca_daemon::runtime::run::RealtimeRefused>() {
         ExitCode::from(3)
     } else {
         ExitCode::FAILURE
@@ -125,7 +125,7 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
 }
 
 fn replay(log: &std::path::Path) -> anyhow::Result<()> {
-    let report = moca_daemon::replay::run(log)?;
+    let report = moca_daemon::runtime::replay::run(log)?;
     #[expect(clippy::print_stdout, reason = "the command's result")]
     {
         print!("{report}");
@@ -140,15 +140,17 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
         }
         None => Config::default(),
     };
-    moca_daemon::assemble::cover_config(&config).map_err(|error| WrongConfiguration(format!("{error:#}")))?;
-    moca_daemon::assemble::motion(&config).map_err(|error| WrongConfiguration(format!("{error:#}")))?;
+    moca_daemon::runtime::assemble::cover_config(&config)
+        .map_err(|error| WrongConfiguration(format!("{error:#}")))?;
+    moca_daemon::runtime::assemble::motion(&config)
+        .map_err(|error| WrongConfiguration(format!("{error:#}")))?;
     if arguments.check {
         return Ok(());
     }
     let duration = arguments.duration.map(std::time::Duration::try_from_secs_f64);
     let duration = duration.transpose();
     let duration = duration.map_err(|error| anyhow::anyhow!("--duration: {error}; allowed: 0 s or more"))?;
-    moca_daemon::run::run(&moca_daemon::run::Options {
+    moca_daemon::runtime::run::run(&moca_daemon::runtime::run::Options {
         config,
         duration,
         lock_step: arguments.as_fast_as_possible,

@@ -1,27 +1,17 @@
 //! `moca-lab`: experiments and checks on the command line.
 
-mod characterize;
-mod chart;
-mod cpu_time;
-mod drawing;
-mod economy;
-mod experiment;
-mod extremes;
-mod faults;
-mod latency;
-mod observers;
-mod parallel;
-mod precision;
-mod report;
-mod soak;
-mod stability;
-mod stream;
-mod sweep;
-mod threshold;
-mod tick;
-mod vectors;
+mod cover;
+mod figures;
+mod numerics;
+mod paper;
+mod rig;
+mod robustness;
 
 use clap::{Parser, Subcommand};
+use cover::{characterize, latency, stream, threshold};
+use numerics::{economy, extremes, precision, stability, sweep, tick, vectors};
+use paper::report;
+use robustness::{clients, faults, soak};
 use std::process::ExitCode;
 
 /// Experiments and checks of MOCA-S.
@@ -37,13 +27,13 @@ enum Command {
     /// Ten trials of four foams: Tables I and II, Figure 4, what better calibrations gain.
     Characterize(characterize::Arguments),
     /// The paper's experiments, deterministic and faster than real time.
-    Experiment(experiment::Arguments),
+    Experiment(paper::Arguments),
     Extremes(extremes::Arguments),
     Faults(faults::Arguments),
     /// From touch to force, stage by stage; whether the contact is stable and how fast the base may go.
     Latency(latency::Arguments),
     /// What watching costs the live loop: overruns and publish stage with and without observers.
-    Observers(observers::Arguments),
+    Observers(clients::Arguments),
     /// Error against run time: integrators and steps, control rate, single precision.
     Precision(precision::Arguments),
     /// One self-contained HTML page: tables, figures, what matches the paper and what does not.
@@ -79,11 +69,11 @@ fn main() -> ExitCode {
 fn run(command: Command) -> anyhow::Result<()> {
     match command {
         Command::Characterize(arguments) => characterize::run(&arguments),
-        Command::Experiment(arguments) => experiment::run(&arguments),
+        Command::Experiment(arguments) => paper::run(&arguments),
         Command::Extremes(arguments) => extremes::run(&arguments),
         Command::Faults(arguments) => faults::run(&arguments),
         Command::Latency(arguments) => latency::run(&arguments),
-        Command::Observers(arguments) => observers::run(&arguments),
+        Command::Observers(arguments) => clients::run(&arguments),
         Command::Precision(arguments) => precision::run(&arguments),
         Command::Report(arguments) => report::run(&arguments),
         Command::Stability(arguments) => stability::run(&arguments),

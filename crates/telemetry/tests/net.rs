@@ -214,6 +214,20 @@ fn a_commander_that_vanishes_lets_go_of_the_taxels_it_pressed() {
 }
 
 #[test]
+fn a_connection_whose_owner_gives_no_sign_of_life_loses_the_command() {
+    let mut robot = start(ANY, None);
+    let hung = connect(robot.server.address());
+    hung.alive();
+    hung.request(Request::Arm);
+    assert_eq!(robot.answer(Ok(())), Request::Arm);
+    // Its network thread lives on, and its owner never calls `alive` again.
+    assert_eq!(robot.answer(Ok(())), Request::OperatorLost);
+    let other = connect(robot.server.address());
+    other.request(Request::Resume);
+    assert_eq!(robot.answer(Ok(())), Request::Resume);
+}
+
+#[test]
 fn numbers_out_of_range_do_not_reach_the_loop() {
     let mut robot = start(ANY, None);
     let client = connect(robot.server.address());

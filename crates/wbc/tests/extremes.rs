@@ -1,7 +1,7 @@
 //! The ends of the range, as the crate's documentation lists them.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-#[path = "../../lab/src/extremes/accuracy.rs"]
+#[path = "../../lab/src/numerics/extremes/accuracy.rs"]
 mod accuracy;
 mod common;
 

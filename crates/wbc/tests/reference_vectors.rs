@@ -1,7 +1,7 @@
 //! The reference configurations (Pinocchio kinematics and dynamics, torques in 50 digits).
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-#[path = "../../lab/src/vectors/compare.rs"]
+#[path = "../../lab/src/numerics/vectors/compare.rs"]
 mod compare;
 
 #[test]

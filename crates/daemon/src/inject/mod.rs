@@ -10,7 +10,7 @@ pub use cable::{Cable, CableFault, STRUCK_TAXEL};
 pub use outside::{Disk, OutsideFault, Strike, client};
 pub use plant::{PlantFault, PlantSpoiler};
 
-use crate::live::Clock;
+use crate::runtime::live::Clock;
 use moca_tactile::BoardEvent;
 use std::str::FromStr;
 use std::time::Duration;

@@ -174,6 +174,7 @@ fn misuse(fault: OutsideFault, panel: Connection, strike: &Strike) {
         };
         for request in [Request::Disarm, Request::Arm] {
             loop {
+                panel.alive();
                 panel.request(request);
                 std::thread::sleep(LOOK_EVERY);
                 if strike.run_is_over() {
@@ -185,7 +186,11 @@ fn misuse(fault: OutsideFault, panel: Connection, strike: &Strike) {
             }
         }
     }
-    if strike.wait(|| drop(panel.poll()))
+    let polls = || {
+        panel.alive();
+        panel.poll()
+    };
+    if strike.wait(|| drop(polls()))
         && fault != OutsideFault::PanelGone
         && let (Some(request), Link::Up { .. }) = (fault.request(), panel.poll().link)
     {

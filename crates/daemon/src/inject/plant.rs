@@ -1,7 +1,7 @@
 //! A robot whose answers are spoiled.
 
 use crate::config::JOINTS;
-use crate::plant::SourceAge;
+use crate::control::plant::SourceAge;
 use moca_msgs::{Fault, RobotState};
 
 const JUMP_RAD: f64 = 0.5;

@@ -1,13 +1,13 @@
 //! One injected fault against the whole chain in lock-step: what the robot does about it, and how soon.
 
 use super::{Disk, FAULTS, Injection, Named, Strike, What, client};
-use crate::allocations;
 use crate::config::{Config, HandConfig};
-use crate::live::{Rings, Shared};
-use crate::lockstep::LockStep;
-use crate::observers::rings;
-use crate::recording::Recording;
-use crate::tape::{TapeReader, tape};
+use crate::record::recording::Recording;
+use crate::record::tick_log::{TapeReader, tape};
+use crate::runtime::allocations;
+use crate::runtime::clients::rings;
+use crate::runtime::live::{Rings, Shared};
+use crate::runtime::lockstep::LockStep;
 use anyhow::{Result, ensure};
 use moca_msgs::{Fault, Mode, Outcome, Request, Sample};
 use moca_sim::{Scene, VirtualBoardConfig};
@@ -62,7 +62,7 @@ impl Watcher {
         config: &Config,
         strike: &Strike,
         seed: u64,
-    ) -> Result<(Self, Option<crate::tape::Tape>)> {
+    ) -> Result<(Self, Option<crate::record::tick_log::Tape>)> {
         let What::Outside(fault) = what else { return Ok((Self::Nobody, None)) };
         if fault.request().is_some() {
             return Ok((Self::Nobody, None));

@@ -47,6 +47,8 @@ impl<S: Source + 'static> From<S> for Box<dyn Source> {
 
 impl Source for Connection {
     fn poll(&mut self, _now_s: f64) -> Update {
+        // Called once a frame.
+        Connection::alive(self);
         Connection::poll(self)
     }
 

@@ -3,7 +3,7 @@
 use super::{
     NetError,
     client::{Client, Incoming, Outgoing},
-    wire::{COMMAND_LEASE, FromServer, Status},
+    wire::{FromServer, Status},
 };
 use crate::{
     RobotDescription,
@@ -13,7 +13,10 @@ use moca_msgs::{Outcome, Refusal, Request, Sample};
 use std::{
     collections::{BTreeMap, VecDeque},
     net::SocketAddr,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
     thread::JoinHandle,
     time::Duration,
 };
@@ -25,6 +28,8 @@ const MAX_SAMPLES: usize = 10_000;
 const MAX_REQUESTS: usize = 64;
 /// Pause before the next attempt to connect.
 const RETRY: Duration = Duration::from_millis(250);
+/// How often a sign of life is passed on, if one was given.
+const BEAT: Duration = Duration::from_millis(250);
 /// How long connecting and greeting may take.
 const GREETING_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -74,6 +79,7 @@ pub struct Update {
 /// A connection that comes back by itself. Dropping it closes it.
 pub struct Connection {
     shared: Arc<Mutex<Shared>>,
+    alive: Arc<AtomicBool>,
     orders: Option<mpsc::Sender<Order>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -111,11 +117,12 @@ impl Connection {
             calibration: CalibrationProgress::default(),
             waiting: BTreeMap::new(),
         }));
-        let thread_shared = Arc::clone(&shared);
+        let alive = Arc::new(AtomicBool::new(false));
+        let (thread_shared, thread_alive) = (Arc::clone(&shared), Arc::clone(&alive));
         let thread = std::thread::Builder::new().name("connection".into()).spawn(move || {
-            runtime.block_on(keep_alive(address, &thread_shared, from_user, &wake));
+            runtime.block_on(keep_connected(address, &thread_shared, &thread_alive, from_user, &wake));
         });
-        Ok(Self { shared, orders: Some(orders), thread: Some(thread.map_err(NetError::Thread)?) })
+        Ok(Self { shared, alive, orders: Some(orders), thread: Some(thread.map_err(NetError::Thread)?) })
     }
 
     /// Everything new since the last call. Never waits for the network.
@@ -129,6 +136,13 @@ impl Connection {
             calibration: s.calibration.clone(),
             unread_dropped: s.unread_dropped,
         }
+    }
+
+    /// A sign of life from the person or program that commands: a window calls this for each picture that it has drawn, a
+    /// program wherever it makes progress. Only such a sign keeps the command, never the connection's own thread: a
+    /// commander without one for [`super::wire::COMMAND_LEASE`] loses the command, and a moving robot stops.
+    pub fn alive(&self) {
+        self.alive.store(true, Ordering::Relaxed);
     }
 
     /// Asks the loop; the answer comes with a later [`Self::poll`], [`Refusal::NoAnswer`] if there is no daemon.
@@ -170,9 +184,10 @@ fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-async fn keep_alive(
+async fn keep_connected(
     address: SocketAddr,
     shared: &Mutex<Shared>,
+    alive: &AtomicBool,
     mut orders: mpsc::Receiver<Order>,
     wake: &impl Fn(),
 ) {
@@ -187,7 +202,7 @@ async fn keep_alive(
                 wake();
                 let end = tokio::select! {
                     end = listen(&mut incoming, shared, wake) => Some(end),
-                    end = speak(&mut outgoing, shared, &mut orders) => end,
+                    end = speak(&mut outgoing, shared, alive, &mut orders) => end,
                 };
                 let Some(reason) = end else { return };
                 reason
@@ -245,17 +260,19 @@ async fn listen(incoming: &mut Incoming, shared: &Mutex<Shared>, wake: &impl Fn(
 async fn speak(
     outgoing: &mut Outgoing,
     shared: &Mutex<Shared>,
+    alive: &AtomicBool,
     orders: &mut mpsc::Receiver<Order>,
 ) -> Option<String> {
     let mut id = 0;
-    let mut beat = tokio::time::interval(COMMAND_LEASE / 4);
+    let mut beat = tokio::time::interval(BEAT);
     loop {
         let order = tokio::select! {
             order = orders.recv() => Some(order?),
             _ = beat.tick() => None,
         };
         let sent = match order {
-            None => outgoing.alive().await,
+            None if alive.swap(false, Ordering::Relaxed) => outgoing.alive().await,
+            None => Ok(()),
             Some(Order::Request(request)) => {
                 id += 1;
                 lock(shared).waiting.insert(id, request);

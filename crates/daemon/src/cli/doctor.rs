@@ -1,0 +1,217 @@
+//! `mocad doctor`: what is and is not real-time on this PC, beside the bare floor of an empty loop, and what to do
+//! about it.
+#![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
+
+use crate::config::Config;
+use crate::runtime::live::Clock;
+use crate::runtime::realtime::{self, Step};
+use crate::runtime::schedule::Schedule;
+use crate::runtime::timing::Distribution;
+use anyhow::{Context, Result, anyhow, ensure};
+use std::fs;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// What to measure.
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// Configuration whose rate and `[realtime]` wishes are tried.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// How long each loop runs, s.
+    #[arg(long, default_value_t = 5.0, value_name = "SECONDS")]
+    seconds: f64,
+    /// Pairs of an empty and a real loop, one after the other.
+    #[arg(long, default_value_t = 1)]
+    pairs: usize,
+    /// Keep every core busy meanwhile.
+    #[arg(long)]
+    load: bool,
+}
+
+/// Lateness of one loop.
+struct Lateness {
+    steps: Vec<Step>,
+    lateness: Distribution,
+    overruns: u64,
+}
+
+/// Looks at the machine, then measures.
+///
+/// # Errors
+/// A configuration with mistakes, a duration of no length, a simulation that cannot be built.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let mut config = match &arguments.config {
+        Some(path) => Config::load(path).map_err(|error| anyhow!("{}:\n{error}", path.display()))?,
+        None => Config::default(),
+    };
+    config.telemetry.listen.clear();
+    let length = Duration::try_from_secs_f64(arguments.seconds).context("--seconds")?;
+    ensure!(length >= Duration::from_millis(100), "--seconds {}: allowed: 0.1 s or more", arguments.seconds);
+
+    println!("What this PC offers");
+    for Finding { what, good, found, remedy } in findings() {
+        println!("  {} {what}: {found}", if good { "ok  " } else { "CARE" });
+        if !good {
+            println!("       {remedy}");
+        }
+    }
+    println!(
+        "\nWhat the loop gets ({} Hz, {} s each{})",
+        config.control_loop.rate_hz,
+        arguments.seconds,
+        if arguments.load { ", every core busy" } else { "" }
+    );
+    println!("  lateness, µs         p50       p99     p99.9       max   missed slots");
+    let idle = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        if arguments.load {
+            for _ in 0..std::thread::available_parallelism().map_or(1, std::num::NonZero::get) {
+                scope.spawn(|| {
+                    while !idle.load(Ordering::Relaxed) {
+                        std::hint::spin_loop();
+                    }
+                });
+            }
+        }
+        let result = measure(&config, length, arguments.pairs);
+        idle.store(true, Ordering::Relaxed);
+        result
+    })
+}
+
+fn measure(config: &Config, length: Duration, pairs: usize) -> Result<()> {
+    let mut ratios = Vec::new();
+    for pair in 0..pairs {
+        let floor = on_a_thread_of_its_own(|| empty_loop(config, length))?;
+        if pair == 0 {
+            for step in floor.steps.iter().filter(|step| step.result.is_err()) {
+                if let Err(error) = &step.result {
+                    println!("  CARE {}: no ({error}); {}", step.what, REMEDY);
+                }
+            }
+        }
+        print_row("empty loop", &floor);
+        #[cfg(feature = "sim")]
+        {
+            let real = on_a_thread_of_its_own(|| simulated_loop(config, length))?;
+            print_row("simulated robot", &real);
+            ratios.push(real.lateness.quantile_us(0.999) / floor.lateness.quantile_us(0.999).max(1e-3));
+        }
+    }
+    ratios.sort_unstable_by(f64::total_cmp);
+    if let Some(median) = ratios.get(ratios.len() / 2) {
+        println!(
+            "\n  p99.9 of the robot's loop over the empty loop's, median of {} pairs: {median:.2}",
+            ratios.len()
+        );
+    }
+    Ok(())
+}
+
+const REMEDY: &str = "systemd/mocad.service grants it (LimitRTPRIO, LimitMEMLOCK, DeviceAllow); by hand: \
+                      /etc/security/limits.d (rtprio 98, memlock unlimited) for the user's group";
+
+fn on_a_thread_of_its_own(work: impl FnOnce() -> Result<Lateness> + Send) -> Result<Lateness> {
+    std::thread::scope(|scope| scope.spawn(work).join().map_err(|_| anyhow!("the measured loop panicked"))?)
+}
+
+/// Sleeps and wakes like the real loop, and does nothing in between.
+fn empty_loop(config: &Config, length: Duration) -> Result<Lateness> {
+    let clock = Clock::start()?;
+    let (steps, _held) = realtime::apply(&config.realtime());
+    let mut schedule = Schedule::starting_after(clock.now_ns(), config.period_ns());
+    let end_ns = u64::try_from(length.as_nanos()).unwrap_or(u64::MAX);
+    let (mut lateness, mut overruns) = (Distribution::new()?, 0);
+    while schedule.deadline_ns() < end_ns {
+        let deadline_ns = schedule.deadline_ns();
+        let woken_ns = clock.sleep_until(deadline_ns);
+        lateness.record(Duration::from_nanos(woken_ns.saturating_sub(deadline_ns)));
+        overruns += schedule.advance(clock.now_ns());
+    }
+    Ok(Lateness { steps, lateness, overruns })
+}
+
+#[cfg(feature = "sim")]
+fn simulated_loop(config: &Config, length: Duration) -> Result<Lateness> {
+    use crate::runtime::live::{self, Shared};
+    let clock = Clock::start()?;
+    let mut robot = crate::runtime::assemble::assemble(config, clock, None, Default::default())?;
+    let (steps, _held) = realtime::apply(&config.realtime());
+    let shared = Shared::default();
+    let (mut rings, samples, ports) = crate::runtime::clients::rings(&shared);
+    drop((samples, ports));
+    let started_ns = Duration::from_nanos(clock.now_ns());
+    let report = live::run(
+        &mut robot.control,
+        clock,
+        config.period_ns(),
+        Some(started_ns + length),
+        &mut rings,
+        &shared,
+    );
+    Ok(Lateness { steps, lateness: robot.control.timing.lateness.clone(), overruns: report.overruns })
+}
+
+fn print_row(name: &str, measured: &Lateness) {
+    let at = |quantile| measured.lateness.quantile_us(quantile);
+    let (p50, p99, p999, max) = (at(0.5), at(0.99), at(0.999), at(1.0));
+    println!("  {name:<15} {p50:>9.0} {p99:>9.0} {p999:>9.0} {max:>9.0} {:>14}", measured.overruns);
+}
+
+/// One thing that matters to a loop that must not be late.
+struct Finding {
+    what: &'static str,
+    good: bool,
+    found: String,
+    remedy: &'static str,
+}
+
+fn findings() -> Vec<Finding> {
+    let read = |path: &str| fs::read_to_string(path).map(|text| text.trim().to_owned()).ok();
+    let preempt = read("/sys/kernel/realtime").as_deref() == Some("1");
+    let throttle = read("/proc/sys/kernel/sched_rt_runtime_us");
+    let governor = read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor");
+    let isolated = read("/sys/devices/system/cpu/isolated").filter(|cores| !cores.is_empty());
+    let virtual_machine = read("/proc/cpuinfo").is_some_and(|text| text.contains("hypervisor"));
+    let board = crate::devices::ports::look();
+    vec![
+        Finding {
+            what: "kernel",
+            good: preempt,
+            found: if preempt { "PREEMPT_RT".into() } else { "no PREEMPT_RT".into() },
+            remedy: "install your distribution's real-time kernel; a stock one is late by milliseconds under load",
+        },
+        Finding {
+            what: "hardware",
+            good: !virtual_machine,
+            found: if virtual_machine { "a virtual machine".into() } else { "no hypervisor".into() },
+            remedy: "run the robot on bare metal: a halted virtual processor wakes late, whatever the guest does",
+        },
+        Finding {
+            what: "real-time throttling",
+            good: throttle.as_deref() == Some("-1"),
+            found: throttle.map_or("unknown".into(), |us| format!("sched_rt_runtime_us = {us}")),
+            remedy: "harmless while a tick takes far less than its period; sysctl kernel.sched_rt_runtime_us=-1 lifts it",
+        },
+        Finding {
+            what: "frequency governor",
+            good: governor.as_deref().is_none_or(|governor| governor == "performance"),
+            found: governor.unwrap_or_else(|| "none (fixed frequency)".into()),
+            remedy: "cpupower frequency-set -g performance",
+        },
+        Finding {
+            what: "isolated cores",
+            good: isolated.is_some(),
+            found: isolated.unwrap_or_else(|| "none".into()),
+            remedy: "optional: boot with isolcpus=N nohz_full=N and set realtime.cpu = N",
+        },
+        Finding {
+            what: "Touch Board",
+            good: board.is_ok(),
+            found: board.unwrap_or_else(Into::into),
+            remedy: "the simulation has a virtual one",
+        },
+    ]
+}

@@ -1,0 +1,6 @@
+//! What a user sees on a terminal: the commands besides the loop, and the report of a run.
+
+pub mod calibrate;
+pub mod doctor;
+pub mod params;
+pub mod report;

@@ -1,0 +1,252 @@
+//! What the terminal shows of a run: one line a second, every change of mode, and the summary.
+
+use crate::runtime::timing::{Distribution, Stage, Timing};
+use moca_msgs::board::Diagnosis;
+use moca_msgs::protection::{ContactKind, ContactPhase};
+use moca_msgs::{ContactEvent, Fault, Mode, Sample, SpeedLimit};
+use std::fmt;
+use std::time::Duration;
+
+/// How much a line matters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
+pub enum Level {
+    /// The robot needs a restart.
+    Error,
+    /// The robot stopped, or waits for something.
+    Warning,
+    /// Everything: changes of mode, and a line a second.
+    #[default]
+    Info,
+}
+
+/// One line for the terminal or the journal.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Line {
+    level: Level,
+    text: String,
+}
+
+impl fmt::Display for Line {
+    /// Under systemd with the journal's priority before it, sd-daemon(3).
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if std::env::var_os("JOURNAL_STREAM").is_some() {
+            let priority = match self.level {
+                Level::Error => 3,
+                Level::Warning => 4,
+                Level::Info => 6,
+            };
+            write!(f, "<{priority}>")?;
+        }
+        f.write_str(&self.text)
+    }
+}
+
+/// Turns samples into lines.
+#[derive(Debug, Default)]
+pub struct Console {
+    level: Level,
+    mode: Option<Mode>,
+    fault: Option<Fault>,
+    board: Option<Diagnosis>,
+    next_status_s: f64,
+}
+
+const STATUS_EVERY_S: f64 = 1.0;
+const BOARD_SETTLED_S: f64 = 1.0;
+
+impl Console {
+    /// Shows what matters at least as much as `level`.
+    pub fn new(level: Level) -> Self {
+        Self { level, ..Self::default() }
+    }
+
+    /// Lines to print for this sample; usually none.
+    pub fn lines(&mut self, sample: &Sample) -> Vec<Line> {
+        let time_s = seconds(sample.time_ns);
+        let mut lines = Vec::new();
+        if self.mode.replace(sample.mode) != Some(sample.mode) || self.fault != sample.fault {
+            self.fault = sample.fault;
+            let level = match (sample.mode, sample.fault) {
+                (Mode::Fault, _) => Level::Error,
+                (_, Some(_)) => Level::Warning,
+                (_, None) => Level::Info,
+            };
+            let text = format!("[{time_s:7.2} s] mode: {}{}", sample.mode.name(), why(sample.fault));
+            lines.push(Line { level, text });
+        }
+        // A port takes a moment to open and a board to speak: only a state that lasts is worth a line.
+        let well = matches!(sample.board, Diagnosis::Frames | Diagnosis::NoBoard);
+        let settled = time_s >= BOARD_SETTLED_S && !well;
+        if settled && self.board.replace(sample.board) != Some(sample.board) {
+            let text = format!("[{time_s:7.2} s] board: {}", sample.board.text());
+            lines.push(Line { level: Level::Warning, text });
+        }
+        if well {
+            self.board = None;
+        }
+        lines.extend(sample.contact_events.iter().filter_map(|event| contact(time_s, event)));
+        if time_s >= self.next_status_s {
+            self.next_status_s = (time_s / STATUS_EVERY_S).floor() * STATUS_EVERY_S + STATUS_EVERY_S;
+            lines.push(Line { level: Level::Info, text: status(sample) });
+        }
+        lines.retain(|line| line.level <= self.level);
+        lines
+    }
+}
+
+fn why(fault: Option<Fault>) -> String {
+    match fault {
+        None => String::new(),
+        Some(Fault::TaxelInvalid { taxel, status }) => {
+            let fault = Fault::TaxelInvalid { taxel, status };
+            format!(" ({}: T{} {status:?}) {}", fault.code(), taxel + 1, fault.remedy())
+        }
+        Some(fault) => format!(" ({}) {} {}", fault.code(), fault.text(), fault.remedy()),
+    }
+}
+
+/// A contact worth a line: one that crossed a limit, or is over.
+fn contact(time_s: f64, event: &ContactEvent) -> Option<Line> {
+    let (level, end) = match event.phase {
+        ContactPhase::Started => return None,
+        ContactPhase::LimitCrossed => (Level::Warning, "crossed a limit"),
+        ContactPhase::Finished => (Level::Info, "over"),
+        ContactPhase::Lost => (Level::Warning, "taxel lost in contact"),
+    };
+    let clamp = match event.kind {
+        ContactKind::Transient => String::new(),
+        ContactKind::QuasiStatic => {
+            format!(", clamp {:.1} N mean, {:.1} N at most", event.clamp_mean_n, event.clamp_max_n)
+        }
+    };
+    let crossed = match (event.crossed_n, event.reaction) {
+        (Some(limit_n), Some(reaction)) => format!(" | above {limit_n} N: {}", reaction.name()),
+        _ => String::new(),
+    };
+    let text = format!(
+        "[{time_s:7.2} s] contact T{} {end}: {} {:.2} s, peak {:.1} N{clamp}, impulse {:.2} N·s{crossed}",
+        event.taxel + 1,
+        event.kind.name(),
+        event.duration_s,
+        event.peak_n,
+        event.impulse_n_s,
+    );
+    Some(Line { level, text })
+}
+
+/// `0.047 m/s (board rate)`
+fn limit(sample: &Sample) -> String {
+    let SpeedLimit { m_s, reason } = sample.speed_limit;
+    format!("{m_s:.3} m/s ({})", reason.name())
+}
+
+/// Only of the parts that there are: an arm alone has no base and no board, a base alone no flange.
+fn status(sample: &Sample) -> String {
+    let mut parts = Vec::new();
+    if sample.board != Diagnosis::NoBoard {
+        parts.push(format!("base {}", pose(&sample.base_pose_world)));
+        parts.push(format!("limit {}", limit(sample)));
+    }
+    if !sample.q_rad.is_empty() {
+        let off_m = distance(&sample.flange_position_world, &sample.flange_desired_position_world);
+        parts.push(format!("flange off by {:.1} mm", 1e3 * off_m));
+    }
+    if sample.board != Diagnosis::NoBoard {
+        parts.push(format!("cover: {}", pressed(sample)));
+        parts.push(match sample.frame_age_s {
+            age_s if age_s < 0.0 => "board: no frame yet".to_owned(),
+            age_s => format!("board: {:.1} Hz, {:.0} ms old", sample.frame_rate_hz, 1e3 * age_s),
+        });
+    }
+    parts.push(format!("late {:.2} ms", 1e3 * sample.lateness_s));
+    format!("[{:7.2} s] {}", seconds(sample.time_ns), parts.join(" | "))
+}
+
+fn pressed(sample: &Sample) -> String {
+    let pressed: Vec<String> = sample
+        .taxels
+        .iter()
+        .enumerate()
+        .filter(|(_, taxel)| taxel.force_n > 0.0)
+        .map(|(i, taxel)| format!("T{} {:.1} N", i + 1, taxel.force_n))
+        .collect();
+    if pressed.is_empty() { "untouched".to_owned() } else { pressed.join(", ") }
+}
+
+fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
+/// `x …, y …, yaw …` of a base pose, without a minus sign before zero.
+fn pose(base_pose_world: &[f64; 3]) -> String {
+    let rounded = |value: f64, digits: f64| (value * digits).round() / digits + 0.0;
+    let [x, y, yaw] = base_pose_world;
+    let (x, y, yaw) = (rounded(*x, 1e3), rounded(*y, 1e3), rounded(yaw.to_degrees(), 1e1));
+    format!("x {x:+.3} m, y {y:+.3} m, yaw {yaw:+.1}°")
+}
+
+#[expect(clippy::cast_precision_loss, reason = "loop times are far below 2^53 ns")]
+fn seconds(ns: u64) -> f64 {
+    ns as f64 * 1e-9
+}
+
+/// The one-screen summary at the end of a run.
+pub struct Summary<'a> {
+    /// How long the stages took.
+    pub timing: &'a Timing,
+    /// Age of the cover's data at each tick.
+    pub frame_age: &'a Distribution,
+    /// Its last sample.
+    pub last: &'a Sample,
+    /// Ticks run.
+    pub ticks: u64,
+    /// Missed slots by the stage they are charged to; `None` in lock-step.
+    pub overruns_by_stage: Option<[u64; 5]>,
+    /// Rust allocations on the loop thread after warm-up.
+    pub allocations: Option<u64>,
+    /// Samples that observers had no room for.
+    pub samples_dropped: u64,
+    /// Wall time of the run.
+    pub wall: Duration,
+}
+
+impl fmt::Display for Summary<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let last = self.last;
+        writeln!(f, "summary")?;
+        writeln!(f, "  mode         {}{}", last.mode.name(), why(last.fault))?;
+        writeln!(
+            f,
+            "  ticks        {} in {:.2} s of robot time, {:.2} times real time",
+            self.ticks,
+            seconds(last.time_ns),
+            seconds(last.time_ns) / self.wall.as_secs_f64().max(1e-9)
+        )?;
+        if last.board != Diagnosis::NoBoard {
+            writeln!(f, "  base         {}", pose(&last.base_pose_world))?;
+            writeln!(f, "  speed limit  {}", limit(last))?;
+            writeln!(
+                f,
+                "  board        {} good frames, {} bad, {:.1} Hz; age p50 {:.1} ms, p99 {:.1} ms",
+                last.frames_good,
+                last.frames_bad,
+                last.frame_rate_hz,
+                1e-3 * self.frame_age.quantile_us(0.5),
+                1e-3 * self.frame_age.quantile_us(0.99),
+            )?;
+        }
+        write!(f, "{}", self.timing)?;
+        if let Some(by_stage) = self.overruns_by_stage {
+            write!(f, "  overruns     {} slots skipped", by_stage.iter().sum::<u64>())?;
+            for (stage, count) in Stage::ALL.iter().zip(by_stage).filter(|(_, count)| *count > 0) {
+                write!(f, ", {count} after a long {}", stage.name())?;
+            }
+            writeln!(f)?;
+        }
+        match self.allocations {
+            Some(count) => writeln!(f, "  allocations  {count} on the loop thread after warm-up")?,
+            None => writeln!(f, "  allocations  not measured: the run ended before warm-up was over")?,
+        }
+        writeln!(f, "  observers    {} samples dropped", self.samples_dropped)
+    }
+}

@@ -1,0 +1,90 @@
+//! Where the loop gets the cover's forces from.
+
+use crate::config::TAXELS;
+use crate::control::supervisor::Zero;
+use crate::record::tick_log::Copied;
+use moca_msgs::board::Diagnosis;
+use moca_msgs::{CoverReading, Fault, Outcome, Refusal, TaxelReading, TaxelStatus};
+
+/// The cover as the loop sees it at one tick.
+#[derive(Clone, Copy, Debug)]
+pub struct CoverState {
+    /// Every taxel with its health, and the age of the data.
+    pub reading: CoverReading<TAXELS>,
+    /// Forces for the controller, N, or the first taxel (0 is T1) that has none.
+    pub forces: Result<[f64; TAXELS], (usize, TaxelStatus)>,
+    /// What is wrong with the cover now, a missing zero left out.
+    pub fault: Option<Fault>,
+    /// State of the zero.
+    pub zero: Zero,
+    /// Last raw FDAT counts, T1 first.
+    pub counts: [u16; TAXELS],
+    /// What the board's port and bytes say about it.
+    pub board: Diagnosis,
+    /// Good frames so far.
+    pub frames_good: u64,
+    /// Rejected frames so far.
+    pub frames_bad: u64,
+    /// Measured frame rate, Hz; 0 before it is known.
+    pub rate_hz: f64,
+}
+
+impl CoverState {
+    /// Of a robot without a cover: nothing to feel, to zero or to fail.
+    pub const NONE: Self = Self {
+        reading: CoverReading {
+            taxels: [TaxelReading { force_n: 0.0, status: TaxelStatus::Ok }; TAXELS],
+            sampled_at_ns: None,
+        },
+        forces: Ok([0.0; TAXELS]),
+        fault: None,
+        zero: Zero::Valid,
+        counts: [0; TAXELS],
+        board: Diagnosis::NoBoard,
+        frames_good: 0,
+        frames_bad: 0,
+        rate_hz: 0.0,
+    };
+}
+
+/// A source of cover readings: a board's bytes, or the simulator's true forces; `None` is a robot without a cover.
+pub trait CoverSource {
+    /// Takes in what has arrived until `now_ns` and says what the cover feels.
+    fn read(&mut self, now_ns: u64) -> CoverState;
+
+    /// Starts measuring the zero.
+    fn start_tare(&mut self, now_ns: u64);
+
+    /// What the last [`CoverSource::read`] handed to a recorder.
+    fn copied(&self) -> Copied {
+        Copied::default()
+    }
+
+    /// Takes a taxel (0 is T1) out of use, or back into it.
+    ///
+    /// # Errors
+    /// [`Refusal::OutOfRange`] where there is no such taxel, or no masks.
+    fn mask(&mut self, _taxel: usize, _masked: bool) -> Outcome {
+        Err(Refusal::OutOfRange)
+    }
+}
+
+impl<S: CoverSource> CoverSource for Option<S> {
+    fn read(&mut self, now_ns: u64) -> CoverState {
+        self.as_mut().map_or(CoverState::NONE, |cover| cover.read(now_ns))
+    }
+
+    fn start_tare(&mut self, now_ns: u64) {
+        if let Some(cover) = self {
+            cover.start_tare(now_ns);
+        }
+    }
+
+    fn copied(&self) -> Copied {
+        self.as_ref().map(CoverSource::copied).unwrap_or_default()
+    }
+
+    fn mask(&mut self, taxel: usize, masked: bool) -> Outcome {
+        self.as_mut().map_or(Err(Refusal::OutOfRange), |cover| cover.mask(taxel, masked))
+    }
+}

@@ -1,0 +1,275 @@
+//! Protection of the people around the base: how fast it may go for the board it has, and what it does when a contact
+//! crosses a limit of the user's. Pure but for the file of limits ([`crate::config::contact_limits`]); no allocation in a tick.
+//!
+//! v = (F_max − F_unfelt)/(k(T + τ)): a reading that is T late lets a base of servo lag τ press v(T + τ) further than the
+//! controller knows, against the stiffness k of cover and body; what the cover does not feel comes on top. It bounds the
+//! impact, not what a law goes on pushing with: that is the contact limits' part.
+//!
+//! The limit holds for the fastest point of the cover, a corner once the base turns: whoever is touched is touched
+//! there. The arm and what it carries are not covered by it.
+
+use crate::config::{Config, JOINTS, ProtectionConfig, TAXELS};
+use crate::control::contacts::{ContactLimits, ContactTracker};
+use crate::control::cover::CoverState;
+use moca_msgs::protection::MAX_CONTACT_EVENTS;
+use moca_msgs::robot::SUMMIT_XL;
+use moca_msgs::{ContactEvent, ContactReaction, Limits, SpeedLimit, SpeedLimitReason};
+use moca_tactile::board::SILENT_AFTER_NS;
+use moca_wbc::BaseGuard;
+use moca_wbc::contact_stability::{Contact, largest_speed, reading_delay_s};
+use moca_wbc::guard::CoverOutline;
+
+/// Frames over which the worst age and interval count: 0.4 s of a stock board.
+const WINDOW: usize = 16;
+/// Largest speed that an override may state, m/s.
+pub const OVERRIDE_MAX_M_S: f64 = 10.0;
+
+/// What protects in one tick.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Protected {
+    /// For the controller.
+    pub guard: BaseGuard<TAXELS>,
+    /// Speed limit in force.
+    pub speed_limit: SpeedLimit,
+    /// Reaction in force.
+    pub reaction: Option<ContactReaction>,
+    /// What happened to contacts.
+    pub events: heapless::Vec<ContactEvent, MAX_CONTACT_EVENTS>,
+}
+
+impl Default for Protected {
+    /// Nothing is known: the base stands.
+    fn default() -> Self {
+        Self {
+            guard: BaseGuard { speed_m_s: Some(0.0), ..BaseGuard::NONE },
+            speed_limit: SpeedLimit::default(),
+            reaction: None,
+            events: heapless::Vec::new(),
+        }
+    }
+}
+
+/// Speed limit, contacts and reactions from tick to tick.
+#[derive(Debug)]
+pub struct Protection {
+    settings: ProtectionConfig,
+    /// The contact whose delay is measured.
+    contact: Contact,
+    tick_s: f64,
+    outline: CoverOutline<TAXELS, f64>,
+    delay: ReadingDelay,
+    tracker: ContactTracker,
+    /// Way that the running retreat has been ordered to go, m.
+    retreated_m: f64,
+    last_ns: u64,
+}
+
+impl Protection {
+    /// As configured and checked, with `limits` from the user's file.
+    pub fn new(config: &Config, limits: [ContactLimits; TAXELS]) -> Self {
+        let settings = config.protection.clone();
+        let outline = CoverOutline::new(&config.taxels());
+        Self {
+            contact: Contact {
+                stiffness_n_m: settings.contact_stiffness_n_m,
+                damping_n_s_m: 0.0,
+                delay_s: 0.0,
+                servo_s: SUMMIT_XL.servo_time_constant_s,
+            },
+            tick_s: 1.0 / f64::from(config.control_loop.rate_hz.max(1)),
+            outline,
+            delay: ReadingDelay::default(),
+            tracker: ContactTracker::new(limits, settings.reaction),
+            retreated_m: 0.0,
+            last_ns: 0,
+            settings,
+        }
+    }
+
+    /// The tick at `now_ns`; `moving` if a law moves the robot in it, within `limits`.
+    pub fn update(
+        &mut self,
+        now_ns: u64,
+        cover: &CoverState,
+        limits: &Limits<JOINTS>,
+        moving: bool,
+    ) -> Protected {
+        let dt_s = seconds(now_ns.saturating_sub(self.last_ns)).min(10.0 * self.tick_s);
+        self.last_ns = now_ns;
+        self.tracker.update(now_ns, &cover.reading.taxels);
+        let speed_limit = self.speed_limit(now_ns, cover.reading.sampled_at_ns, limits);
+        let mut protected = Protected {
+            guard: BaseGuard { speed_m_s: Some(speed_limit.m_s), ..BaseGuard::NONE },
+            speed_limit,
+            reaction: None,
+            events: self.tracker.take(),
+        };
+        let crossed = self.tracker.crossed();
+        if moving && crossed.contains(&true) {
+            self.react(&crossed, dt_s, &mut protected);
+        } else {
+            self.retreated_m = 0.0;
+        }
+        protected
+    }
+
+    /// Speed limit for a reading that is `delay_s` late, m/s: F/(k(T + τ)) for the part F of the force limit that the
+    /// cover feels, and slow enough to stop within what cover and body yield meanwhile.
+    fn speed_m_s(&self, delay_s: f64, limits: &Limits<JOINTS>) -> f64 {
+        let contact = Contact { delay_s, ..self.contact };
+        let felt_n = self.settings.force_limit_n - self.settings.unfelt_force_n;
+        let deceleration = limits.base_acceleration[0].min(limits.base_acceleration[1]);
+        // out of range is a delay of more than 10 s
+        largest_speed(felt_n, self.settings.contact_travel_m, deceleration, &contact).unwrap_or(0.0)
+    }
+
+    fn speed_limit(
+        &mut self,
+        now_ns: u64,
+        sampled_at_ns: Option<u64>,
+        limits: &Limits<JOINTS>,
+    ) -> SpeedLimit {
+        self.delay.update(now_ns, sampled_at_ns);
+        let own_m_s = self.settings.override_speed_limit_m_s;
+        if own_m_s > 0.0 {
+            return SpeedLimit { m_s: own_m_s, reason: SpeedLimitReason::Overridden };
+        }
+        let Some(explained_s) = self.delay.worst_s(self.tick_s) else { return SpeedLimit::default() };
+        let age_s = sampled_at_ns.map_or(f64::INFINITY, |t| seconds(now_ns.saturating_sub(t)));
+        let m_s = self.speed_m_s(explained_s.max(age_s), limits);
+        let configured_m_s = self.outline.fastest(&limits.base_velocity);
+        if age_s > explained_s + self.tick_s {
+            SpeedLimit { m_s: m_s.min(configured_m_s), reason: SpeedLimitReason::Stale }
+        } else if m_s < configured_m_s {
+            SpeedLimit { m_s, reason: SpeedLimitReason::BoardRate }
+        } else {
+            SpeedLimit { m_s: configured_m_s, reason: SpeedLimitReason::Configured }
+        }
+    }
+
+    fn react(&mut self, crossed: &[bool; TAXELS], dt_s: f64, protected: &mut Protected) {
+        protected.reaction = Some(self.settings.reaction);
+        match self.settings.reaction {
+            ContactReaction::Slow => {
+                if self.settings.slow_m_s < protected.speed_limit.m_s {
+                    protected.speed_limit =
+                        SpeedLimit { m_s: self.settings.slow_m_s, reason: SpeedLimitReason::Contact };
+                    protected.guard.speed_m_s = Some(self.settings.slow_m_s);
+                }
+            }
+            ContactReaction::StopDirection => protected.guard.blocked = *crossed,
+            ContactReaction::Retreat => {
+                // away from the one, but not into another who touches as well
+                protected.guard.blocked = self.tracker.touched();
+                if self.retreated_m < self.settings.retreat_m {
+                    let speed_m_s = self.settings.retreat_m_s.min(protected.speed_limit.m_s);
+                    protected.guard.instead_body = Some(self.outline.away_from(crossed, speed_m_s));
+                    self.retreated_m += speed_m_s * dt_s;
+                }
+            }
+        }
+    }
+}
+
+/// Age and interval of the board's last frames.
+#[derive(Clone, Copy, Debug, Default)]
+struct ReadingDelay {
+    /// (age when it came, time since the one before), s.
+    frames: [(f64, f64); WINDOW],
+    count: usize,
+    last_sampled_ns: Option<u64>,
+}
+
+impl ReadingDelay {
+    fn update(&mut self, now_ns: u64, sampled_at_ns: Option<u64>) {
+        let last = self.last_sampled_ns;
+        if sampled_at_ns == last {
+            return;
+        }
+        self.last_sampled_ns = sampled_at_ns;
+        let (Some(sampled_ns), Some(last_ns)) = (sampled_at_ns, last) else {
+            self.count = 0;
+            return;
+        };
+        let interval_ns = sampled_ns.saturating_sub(last_ns);
+        if interval_ns > SILENT_AFTER_NS {
+            self.count = 0; // another board, or the same after a pause: measure anew
+            return;
+        }
+        self.frames[self.count % WINDOW] = (seconds(now_ns.saturating_sub(sampled_ns)), seconds(interval_ns));
+        self.count += 1;
+    }
+
+    /// Delay of a reading in the worst of the last frames, s; `None` before there were enough.
+    fn worst_s(&self, tick_s: f64) -> Option<f64> {
+        let worst = |pick: fn(&(f64, f64)) -> f64| self.frames.iter().map(pick).fold(0.0, f64::max);
+        (self.count >= WINDOW).then(|| reading_delay_s(worst(|f| f.0), worst(|f| f.1), tick_s))
+    }
+}
+
+/// Reports what is wrong between the values of `[protection]` as (dotted path, message); ranges are the schema's part.
+pub(crate) fn check(settings: &ProtectionConfig, report: &mut dyn FnMut(&str, String)) {
+    if settings.unfelt_force_n >= settings.force_limit_n {
+        report(
+            "protection.unfelt_force_n",
+            format!(
+                "protection.unfelt_force_n = {} N is not below protection.force_limit_n = {} N: no speed would be slow enough",
+                settings.unfelt_force_n, settings.force_limit_n
+            ),
+        );
+    }
+    let stated = !settings.override_statement.trim().is_empty();
+    let overridden = settings.override_speed_limit_m_s > 0.0;
+    if overridden && !stated {
+        report(
+            "protection.override_speed_limit_m_s",
+            format!(
+                "protection.override_speed_limit_m_s = {} m/s switches off the limit that the board's rate sets; it \
+                 needs protection.override_statement: who decided so, and what keeps contact forces low instead",
+                settings.override_speed_limit_m_s
+            ),
+        );
+    }
+    if stated && !overridden {
+        report(
+            "protection.override_statement",
+            "protection.override_statement is given but protection.override_speed_limit_m_s is 0 (no override)"
+                .into(),
+        );
+    }
+}
+
+/// What a user reads at the start.
+pub fn introduction(config: &Config) -> String {
+    let p = &config.protection;
+    if p.override_speed_limit_m_s > 0.0 {
+        return format!(
+            "SPEED LIMIT OVERRIDDEN: {} m/s whatever the board's rate; stated: {}",
+            p.override_speed_limit_m_s, p.override_statement
+        );
+    }
+    format!(
+        "cover no faster than {} N in an impact allow for the board's measured rate and age: {:.3} m/s at 40.5 Hz; \
+         contact limits {}",
+        p.force_limit_n,
+        stock_speed_m_s(config),
+        if p.thresholds.is_empty() { "none" } else { &p.thresholds }
+    )
+}
+
+/// Speed limit for the slowest stock sketch (2018–2020) by its firmware's timing, m/s.
+fn stock_speed_m_s(config: &Config) -> f64 {
+    use moca_tactile::board::CHIP_FILTER_AGE_NS;
+    use moca_tactile::datastream::SketchGeneration::From2018;
+    let protection = Protection::new(config, [ContactLimits::default(); TAXELS]);
+    let age_s = seconds(CHIP_FILTER_AGE_NS + From2018.line_offset_ns()[5]);
+    let delay_s = reading_delay_s(age_s, seconds(From2018.frame_period_ns()), protection.tick_s);
+    let limits = config.parameters().limits;
+    protection.speed_m_s(delay_s, &limits).min(protection.outline.fastest(&limits.base_velocity))
+}
+
+fn seconds(ns: u64) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "loop times are far below 2^53 ns")]
+    let ns = ns as f64;
+    ns * 1e-9
+}

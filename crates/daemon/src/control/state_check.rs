@@ -1,0 +1,110 @@
+//! The door of the robot's state: nothing that is old, not a number or not possible reaches a controller.
+
+use crate::config::JOINTS;
+use crate::control::plant::SourceAge;
+use core::f64::consts::{PI, TAU};
+use moca_msgs::{Fault, RobotState};
+
+/// Oldest arm state that is controlled with, s: 10 periods of an arm's 1 kHz datagrams.
+pub const ARM_DEADLINE_S: f64 = 0.010;
+/// Oldest base state, s: five periods of 50 Hz odometry.
+pub const BASE_DEADLINE_S: f64 = 0.100;
+/// No joint turns faster, rad/s (a Panda's fastest joint: 2.61), and no jump below the second number is one, rad.
+const JOINT_RATE_MAX: (f64, f64) = (20.0, 0.05);
+/// No base drives faster, m/s, m.
+const BASE_SPEED_MAX: (f64, f64) = (5.0, 0.05);
+/// Nor turns faster, rad/s, rad.
+const BASE_RATE_MAX: (f64, f64) = (10.0, 0.1);
+
+/// Remembers the last state let in.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StateDoor {
+    last: Option<RobotState<JOINTS>>,
+}
+
+impl StateDoor {
+    /// Lets `state` in, measured `dt_s` after the last one.
+    ///
+    /// # Errors
+    /// [`Fault::ArmStale`] and [`Fault::BaseStale`] beyond their deadlines, [`Fault::StateInvalid`] for a value that is
+    /// not finite or a jump that no robot makes.
+    pub fn check(
+        &mut self,
+        state: RobotState<JOINTS>,
+        age: SourceAge,
+        dt_s: f64,
+    ) -> Result<RobotState<JOINTS>, Fault> {
+        if age.arm_s > ARM_DEADLINE_S {
+            return Err(Fault::ArmStale);
+        }
+        if age.base_s > BASE_DEADLINE_S {
+            return Err(Fault::BaseStale);
+        }
+        if !finite(&state) || self.last.is_some_and(|last| jumped(&last, &state, dt_s)) {
+            return Err(Fault::StateInvalid);
+        }
+        self.last = Some(state);
+        Ok(state)
+    }
+}
+
+fn finite(state: &RobotState<JOINTS>) -> bool {
+    let base = state.base_pose_world.iter().chain(&state.base_velocity_world);
+    let arm = state.q_rad.iter().chain(&state.dq_rad_s).chain(&state.torque_measured_nm);
+    let wrench = state.flange_wrench_world.iter().flatten();
+    base.chain(arm).chain(wrench).all(|value| value.is_finite())
+}
+
+fn jumped(last: &RobotState<JOINTS>, now: &RobotState<JOINTS>, dt_s: f64) -> bool {
+    let beyond = |moved: f64, (rate, jump): (f64, f64)| moved.abs() > rate * dt_s + jump;
+    let [x, y, yaw] = core::array::from_fn(|i| now.base_pose_world[i] - last.base_pose_world[i]);
+    // A full turn between two states is the same pose.
+    let turned = (yaw + PI).rem_euclid(TAU) - PI;
+    let joints = now.q_rad.iter().zip(last.q_rad).any(|(now, last)| beyond(now - last, JOINT_RATE_MAX));
+    joints || beyond(x.hypot(y), BASE_SPEED_MAX) || beyond(turned, BASE_RATE_MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FRESH: SourceAge = SourceAge { arm_s: 0.0, base_s: 0.0 };
+
+    fn state() -> RobotState<JOINTS> {
+        RobotState {
+            base_pose_world: [0.0; 3],
+            base_velocity_world: [0.0; 3],
+            q_rad: [0.0; JOINTS],
+            dq_rad_s: [0.0; JOINTS],
+            torque_measured_nm: [0.0; JOINTS],
+            flange_wrench_world: None,
+        }
+    }
+
+    #[test]
+    fn motion_passes_and_jumps_do_not() {
+        let mut door = StateDoor::default();
+        door.check(state(), FRESH, 1e-3).unwrap();
+        let mut moved = state();
+        moved.q_rad[3] = 0.04;
+        moved.base_pose_world = [0.03, 0.03, TAU + 0.05];
+        door.check(moved, FRESH, 1e-3).unwrap();
+        moved.q_rad[3] = 0.14;
+        assert_eq!(door.check(moved, FRESH, 1e-3), Err(Fault::StateInvalid));
+        assert!(door.check(moved, FRESH, 0.1).is_ok(), "the same way in a longer time is a motion");
+        moved.base_pose_world[0] += 0.2;
+        assert_eq!(door.check(moved, FRESH, 1e-3), Err(Fault::StateInvalid));
+    }
+
+    #[test]
+    fn what_is_not_a_number_or_too_old_is_named() {
+        let mut door = StateDoor::default();
+        let arm = SourceAge { arm_s: 2.0 * ARM_DEADLINE_S, base_s: 0.0 };
+        assert_eq!(door.check(state(), arm, 1e-3), Err(Fault::ArmStale));
+        let base = SourceAge { arm_s: 0.0, base_s: 2.0 * BASE_DEADLINE_S };
+        assert_eq!(door.check(state(), base, 1e-3), Err(Fault::BaseStale));
+        let mut wrong = state();
+        wrong.flange_wrench_world = Some([f64::NAN; 6]);
+        assert_eq!(door.check(wrong, FRESH, 1e-3), Err(Fault::StateInvalid));
+    }
+}

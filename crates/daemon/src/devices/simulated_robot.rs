@@ -1,0 +1,154 @@
+//! The simulated robot as a plant, and the shared forces its virtual board reads.
+
+use crate::config::{Config, HandConfig, JOINTS, Parts, TAXELS};
+use crate::control::plant::{Plant, SourceAge};
+use crate::devices::scripted_press::scripted_press;
+use crate::inject::{Injection, PlantSpoiler, What};
+use moca_msgs::request::PRESS_FORCE_MAX_N;
+use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
+use moca_sim::scene::Robot;
+use moca_sim::{Scene, SharedForces, SimError, SimPlant};
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+/// After a longer stall the simulation falls behind the wall clock instead of freezing the loop.
+const CATCH_UP_MAX_TICKS: u64 = 20;
+
+/// Longest physics step, s.
+const STEP_MAX_S: f64 = 1e-3;
+
+/// The free robot with the parts it has, stepped at the control rate of `config`.
+pub fn free_scene(config: &Config) -> Scene {
+    let control_period_s = 1.0 / f64::from(config.control_loop.rate_hz);
+    let substeps = (control_period_s / STEP_MAX_S - 1e-9).ceil().max(1.0);
+    let robot = match config.plant.parts {
+        Parts::Whole => Robot::MobileManipulator,
+        Parts::Base => Robot::BaseOnly,
+        Parts::Arm => Robot::ArmOnly,
+    };
+    Scene {
+        robot,
+        arm: config.arm(),
+        mount: config.mount(),
+        cover: config.taxels(),
+        control_period_s,
+        physics_step_s: control_period_s / substeps,
+        ..Scene::default()
+    }
+}
+
+/// MuJoCo behind the [`Plant`] trait, with the hands that press it.
+pub struct SimulatedRobot {
+    /// The simulated world.
+    pub world: SimPlant,
+    hand: HandConfig,
+    covered: bool,
+    asked_n: [f64; TAXELS],
+    spoiler: Option<PlantSpoiler>,
+    stall: Option<(u64, u64)>,
+    shared: Option<SharedForces>,
+    period_s: f64,
+    ticks: u64,
+}
+
+impl SimulatedRobot {
+    /// Builds the scene.
+    ///
+    /// # Errors
+    /// MuJoCo refused the scene.
+    pub fn new(config: &Config, scene: &Scene, shared: Option<SharedForces>) -> Result<Self, SimError> {
+        let world = SimPlant::new(scene)?;
+        let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
+        let covered = config.plant.parts.has_cover();
+        let hand = if covered { config.simulation.hand.clone() } else { HandConfig::none() };
+        Ok(Self {
+            world,
+            hand,
+            covered,
+            asked_n: [0.0; TAXELS],
+            spoiler: None,
+            stall: None,
+            shared,
+            period_s,
+            ticks: 0,
+        })
+    }
+
+    /// Lets the robot fail, or in real time stall the loop; other faults do nothing here.
+    pub fn inject(&mut self, injection: &Injection) {
+        let period = Duration::from_secs_f64(self.period_s).as_nanos().max(1);
+        let at_tick = u64::try_from(u128::from(injection.at_ns) / period).unwrap_or(u64::MAX);
+        match injection.fault.what {
+            What::Plant(fault) => self.spoiler = Some(PlantSpoiler::new(fault, at_tick)),
+            What::MissedSlots(slots) => self.stall = Some((at_tick, slots)),
+            What::Cable(_) | What::Outside(_) => {}
+        }
+    }
+
+    fn step(&mut self) -> Result<(), SimError> {
+        #[expect(clippy::cast_precision_loss, reason = "tick counts are far below 2^53")]
+        let scripted = scripted_press(&self.hand, self.ticks as f64 * self.period_s);
+        for (taxel, &asked_n) in self.asked_n.iter().enumerate() {
+            let scripted_n =
+                scripted.filter(|(pressed, _)| *pressed == taxel).map_or(0.0, |(_, force_n)| force_n);
+            self.world.press(taxel, asked_n + scripted_n)?;
+        }
+        self.ticks += 1;
+        self.world.step()
+    }
+}
+
+impl Plant for SimulatedRobot {
+    fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
+        let state = self.world.state();
+        self.spoiler.as_mut().map_or(Ok(state), |spoiler| spoiler.read(state))
+    }
+
+    fn age(&self) -> SourceAge {
+        self.spoiler.as_ref().map(PlantSpoiler::age).unwrap_or_default()
+    }
+
+    fn write(&mut self, actuation: &Actuation<JOINTS>, ticks: u64) -> Result<(), Fault> {
+        self.world.apply(actuation).map_err(|_| Fault::ControlRefused)?;
+        for _ in 0..ticks.min(CATCH_UP_MAX_TICKS) {
+            self.step().map_err(|_| Fault::PlantLost)?;
+        }
+        if let Some(shared) = &self.shared {
+            for (cell, force_n) in shared.iter().zip(self.world.taxel_force_true_n()) {
+                cell.store(force_n.to_bits(), Ordering::Relaxed);
+            }
+        }
+        if let Some((_, slots)) = self.stall.take_if(|(at, _)| self.ticks >= *at) {
+            #[expect(clippy::cast_precision_loss, reason = "a count of missed slots")]
+            std::thread::sleep(Duration::from_secs_f64(slots as f64 * self.period_s));
+        }
+        self.spoiler.as_mut().map_or(Ok(()), |spoiler| spoiler.write(ticks, self.period_s))
+    }
+
+    fn press(&mut self, taxel: usize, force_n: f64) -> Outcome {
+        let asked = self.asked_n.get_mut(taxel).filter(|_| self.covered).ok_or(Refusal::OutOfRange)?;
+        if !(0.0..=PRESS_FORCE_MAX_N).contains(&force_n) {
+            return Err(Refusal::OutOfRange);
+        }
+        *asked = force_n;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_tick_is_one_control_period_at_every_rate() {
+        for rate_hz in [100, 300, 1000, 4000] {
+            let mut config = Config::default();
+            config.control_loop.rate_hz = rate_hz;
+            let mut robot = SimulatedRobot::new(&config, &free_scene(&config), None).unwrap();
+            for _ in 0..rate_hz {
+                robot.step().unwrap();
+            }
+            assert!((robot.world.time_s() - 1.0).abs() < 1e-6, "{rate_hz} Hz: {} s", robot.world.time_s());
+        }
+    }
+}

@@ -1,0 +1,164 @@
+//! Puts the parts of a robot together as the configuration asks for them.
+
+use crate::calibration::calibrator::{self, Reference};
+use crate::config::contact_limits;
+use crate::config::{Config, PlantKind, TAXELS};
+use crate::control::law::Motion;
+use crate::control::protection::Protection;
+use crate::control::supervisor::{Automatic, Supervisor};
+#[cfg(feature = "sim")]
+use crate::control::tick::ControlLoop;
+use crate::devices::force_gauge::Gauge;
+use crate::devices::ports;
+use crate::devices::touch_board::ByteCover;
+use crate::inject::{self, Cable, Injection, Named, What};
+use crate::runtime::live::Clock;
+use anyhow::{Context, Result};
+use moca_msgs::robot;
+use moca_tactile::{BoardEvent, Cover};
+use moca_telemetry::net::CalibrationPort;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// Events on their way to the calibrator: over ten seconds of a Touch Board.
+const RING_EVENTS: usize = 4096;
+
+/// The supervisor that the configuration asks for.
+pub fn supervisor(config: &Config) -> Supervisor {
+    let simulated = config.plant.kind == PlantKind::Simulated;
+    let automatic = Automatic { tare: config.startup.tare, arm: config.startup.arm && simulated };
+    let supervisor = Supervisor::new(config.startup.law, automatic);
+    if config.plant.kind == PlantKind::None { supervisor.without_robot() } else { supervisor }
+}
+
+/// The controller and the protection that the configuration asks for.
+///
+/// # Errors
+/// A parameter outside its range, every mistake in the file of contact limits.
+pub fn motion(config: &Config) -> Result<Motion> {
+    let parameters = config.parameters();
+    let controller = moca_wbc::Controller::new(
+        config.arm(),
+        &config.mount(),
+        &robot::Payload::NONE,
+        &config.taxels(),
+        &parameters,
+    )?;
+    let thresholds = &config.protection.thresholds;
+    let limits =
+        if thresholds.is_empty() { Default::default() } else { contact_limits::load(thresholds.as_ref())? };
+    Ok(Motion::new(controller, parameters, Protection::new(config, limits), config.plant.parts))
+}
+
+/// The cover that the configuration asks for.
+///
+/// # Errors
+/// The calibration file cannot be used.
+pub fn cover_config(config: &Config) -> Result<moca_tactile::CoverConfig<TAXELS>> {
+    config.cover().with_context(|| format!("board.calibration = {:?}", config.board.calibration))
+}
+
+#[cfg(feature = "sim")]
+pub(crate) fn board_config(config: &Config) -> moca_sim::VirtualBoardConfig {
+    moca_sim::VirtualBoardConfig { seed: config.simulation.seed, ..Default::default() }
+}
+
+/// A simulated robot with everything that a live loop needs; the board and its reader end with it.
+#[cfg(feature = "sim")]
+pub(crate) struct Assembled {
+    pub(crate) control: ControlLoop<crate::devices::simulated_robot::SimulatedRobot, Option<ByteCover>>,
+    pub(crate) virtual_board: Option<moca_sim::PtyBoard>,
+    pub(crate) board: Option<HeldBoard>,
+}
+
+#[cfg(feature = "sim")]
+pub(crate) fn assemble(
+    config: &Config,
+    clock: Clock,
+    injection: Option<&Injection>,
+    mut taps: Taps,
+) -> Result<Assembled> {
+    use crate::devices::simulated_robot::{SimulatedRobot, free_scene};
+    use moca_sim::PtyBoard;
+
+    let (mut forces, mut virtual_board) = (None, None);
+    let mut port = config.board.port.clone();
+    if config.plant.parts.has_cover() && config.board.port == crate::config::VIRTUAL_PORT {
+        let true_forces = moca_sim::SharedForces::default();
+        let board =
+            PtyBoard::spawn(board_config(config), Arc::clone(&true_forces), &PtyBoard::default_path())?;
+        port = board.path().display().to_string();
+        (forces, virtual_board) = (Some(true_forces), Some(board));
+    }
+    taps.reference = forces.clone().map(|forces| {
+        let force_n = move |taxel| {
+            Some(f64::from_bits(forces.get::<usize>(taxel)?.load(std::sync::atomic::Ordering::Relaxed)))
+        };
+        Reference::Simulated(Box::new(force_n))
+    });
+    let (cover, board) = if config.plant.parts.has_cover() {
+        let open = open_board(config, clock, port, injection, taps)?;
+        (Some(open.cover), Some(open.held))
+    } else {
+        (None, None)
+    };
+    let mut plant = SimulatedRobot::new(config, &free_scene(config), forces)?;
+    if let Some(injection) = injection {
+        plant.inject(injection);
+    }
+    let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
+    let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
+    Ok(Assembled { control, virtual_board, board })
+}
+
+/// Who else gets what the board says, and what they need for it.
+#[derive(Default)]
+pub(crate) struct Taps {
+    pub(crate) copies: Option<rtrb::Producer<BoardEvent>>,
+    pub(crate) moving: Arc<AtomicBool>,
+    pub(crate) reference: Option<Reference>,
+}
+
+/// What stands between a Touch Board's port and the loop.
+pub(crate) struct OpenBoard {
+    pub(crate) cover: ByteCover,
+    pub(crate) held: HeldBoard,
+}
+
+/// The parts of it that only have to live as long as the loop.
+pub(crate) struct HeldBoard {
+    pub(crate) port: String,
+    pub(crate) calibration: Option<CalibrationPort>,
+    _threads: (calibrator::Calibrator, ports::Reader),
+}
+
+pub(crate) fn open_board(
+    config: &Config,
+    clock: Clock,
+    port: String,
+    injection: Option<&Injection>,
+    Taps { copies, moving, mut reference }: Taps,
+) -> Result<OpenBoard> {
+    let asked = || format!("a cover (plant.parts), read live at board.port = {:?}", config.board.port);
+    let (reader, mut events) = ports::open(&port, clock.instant()).with_context(asked)?;
+    if let Some(Injection { fault: Named { what: What::Cable(fault), .. }, at_ns }) = injection {
+        events = inject::relay(Cable::new(*fault, *at_ns, config.simulation.seed), events, clock)?;
+    }
+    let cover_config = cover_config(config)?;
+    let (to_calibrator, calibrator_events) = rtrb::RingBuffer::new(RING_EVENTS);
+    let settings = calibrator::Settings {
+        path: calibrator::file(config),
+        board: config.board.name.clone(),
+        wiring: cover_config.wiring,
+    };
+    if !config.board.gauge.is_empty() {
+        let gauge = Gauge::open(&config.board.gauge, config.board.gauge_baud, clock.instant())?;
+        reference = Some(Reference::Gauge(gauge));
+    }
+    let now_ns = move || clock.now_ns();
+    let (calibrator, calibration) =
+        calibrator::spawn(settings, calibrator_events, reference, moving, now_ns)?;
+    let cover = ByteCover::new(Cover::new(cover_config)?, events, copies).with_calibrator(to_calibrator);
+    let held = HeldBoard { port, calibration: Some(calibration), _threads: (calibrator, reader) };
+    Ok(OpenBoard { cover, held })
+}

@@ -1,0 +1,231 @@
+//! The loop without a clock: every tick now, the board's bytes in memory; the same seed gives the same bits.
+
+use crate::config::{Config, TAXELS};
+use crate::control::cover::CoverSource;
+use crate::control::tick::{ControlLoop, Slot};
+use crate::devices::ideal_cover::IdealCover;
+use crate::devices::simulated_robot::SimulatedRobot;
+use crate::devices::touch_board::ByteCover;
+use crate::inject::{Cable, Injection, What};
+use crate::runtime::assemble::{cover_config, motion, supervisor};
+use anyhow::Result;
+use moca_msgs::{Outcome, Request, Sample};
+use moca_sim::{Scene, VirtualBoard, VirtualBoardConfig};
+use moca_tactile::board::Chunk;
+use moca_tactile::{BoardEvent, CloseReason, Cover};
+use std::collections::VecDeque;
+
+/// Events the ring to the loop holds; a tick sees a handful.
+const RING_EVENTS: usize = 256;
+
+/// What feeds a lock-step cover at each tick.
+pub trait Feed<S> {
+    /// Lets everything pass through a spoiled cable, where there is one.
+    fn spoil(&mut self, _cable: Cable) {}
+
+    /// Lets `cover` have what the true forces, N, give it until `now_ns`.
+    fn feed(&mut self, cover: &mut S, now_ns: u64, true_force_n: &[f64; TAXELS]);
+}
+
+/// A virtual Touch Board on a cable of memory.
+pub struct MemoryBoard {
+    board: VirtualBoard,
+    cable: rtrb::Producer<BoardEvent>,
+    plugged: bool,
+    spoiled: Option<Cable>,
+    now_ns: u64,
+    /// Forces on their way to the board, and how many ticks they take.
+    late: VecDeque<[f64; TAXELS]>,
+    delay_ticks: usize,
+}
+
+impl MemoryBoard {
+    /// Makes the board feel everything this much later.
+    pub fn set_delay(&mut self, ticks: usize) {
+        self.late = VecDeque::with_capacity(ticks + 1);
+        self.delay_ticks = ticks;
+    }
+
+    /// The board itself, to inject its faults.
+    pub fn board(&mut self) -> &mut VirtualBoard {
+        &mut self.board
+    }
+
+    /// Pulls the cable.
+    pub fn unplug(&mut self) {
+        self.plugged = false;
+        self.push(BoardEvent::Closed { at_ns: self.now_ns, why: CloseReason::Disconnected });
+    }
+
+    /// Puts it back: the board boots anew.
+    pub fn replug(&mut self) {
+        self.plugged = true;
+        self.push(BoardEvent::Opened { at_ns: self.now_ns });
+    }
+
+    /// Puts bytes on the cable as they are.
+    pub fn inject(&mut self, bytes: &[u8]) {
+        for part in bytes.chunks(Chunk::CAPACITY) {
+            self.push(BoardEvent::Bytes(Chunk::new(self.now_ns, part)));
+        }
+    }
+
+    fn push(&mut self, event: BoardEvent) {
+        // The loop drains the ring at every tick; a test that injects more than it holds loses the rest, as a port does.
+        let _ = self.cable.push(event);
+    }
+}
+
+impl Feed<ByteCover> for MemoryBoard {
+    fn spoil(&mut self, cable: Cable) {
+        self.spoiled = Some(cable);
+    }
+
+    fn feed(&mut self, _cover: &mut ByteCover, now_ns: u64, true_force_n: &[f64; TAXELS]) {
+        self.now_ns = now_ns;
+        self.late.push_back(*true_force_n);
+        let ripe = self.late.len() > self.delay_ticks;
+        let felt_n = if ripe { self.late.pop_front().unwrap_or_default() } else { [0.0; TAXELS] };
+        let Self { board, cable, plugged, spoiled, .. } = self;
+        let mut arrive = |event| {
+            let _ = cable.push(event);
+        };
+        board.advance(now_ns, &felt_n, &mut |bytes: &[u8]| {
+            for part in bytes.chunks(Chunk::CAPACITY).filter(|_| *plugged) {
+                let event = BoardEvent::Bytes(Chunk::new(now_ns, part));
+                match spoiled {
+                    Some(spoiled) => spoiled.pass(event, &mut arrive),
+                    None => arrive(event),
+                }
+            }
+        });
+        if let Some(spoiled) = spoiled {
+            spoiled.wait(now_ns, &mut arrive);
+        }
+    }
+}
+
+/// Feeds an [`IdealCover`] with the true forces.
+pub struct TrueForces;
+
+impl Feed<IdealCover> for TrueForces {
+    fn feed(&mut self, cover: &mut IdealCover, _now_ns: u64, true_force_n: &[f64; TAXELS]) {
+        cover.feel(*true_force_n);
+    }
+}
+
+/// Nothing to feed where there is no cover.
+pub struct NoCover;
+
+impl Feed<Option<ByteCover>> for NoCover {
+    fn feed(&mut self, _cover: &mut Option<ByteCover>, _now_ns: u64, _true_force_n: &[f64; TAXELS]) {}
+}
+
+/// A simulated robot whose ticks the caller makes.
+pub struct LockStep<S, F> {
+    /// The loop with its plant and cover.
+    pub control: ControlLoop<SimulatedRobot, S>,
+    /// What feeds the cover.
+    pub feed: F,
+    period_ns: u64,
+    tick: u64,
+    overruns: u64,
+    skip: Option<(u64, u64)>,
+    asked: Option<(u64, Request)>,
+}
+
+impl LockStep<ByteCover, MemoryBoard> {
+    /// With a virtual Touch Board, as the live daemon has.
+    ///
+    /// # Errors
+    /// A scene, board or parameter outside its range.
+    pub fn with_board(
+        config: &Config,
+        scene: &Scene,
+        board: VirtualBoardConfig,
+        copies: Option<rtrb::Producer<BoardEvent>>,
+    ) -> Result<Self> {
+        let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
+        let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events, copies);
+        let feed = MemoryBoard {
+            board: VirtualBoard::new(board)?,
+            cable,
+            plugged: true,
+            spoiled: None,
+            now_ns: 0,
+            late: VecDeque::with_capacity(1),
+            delay_ticks: 0,
+        };
+        Self::new(config, scene, cover, feed)
+    }
+}
+
+impl LockStep<IdealCover, TrueForces> {
+    /// With the true forces instead of a board.
+    ///
+    /// # Errors
+    /// A scene or parameter outside its range.
+    pub fn with_true_forces(config: &Config, scene: &Scene, cover: IdealCover) -> Result<Self> {
+        Self::new(config, scene, cover, TrueForces)
+    }
+}
+
+impl LockStep<Option<ByteCover>, NoCover> {
+    /// An arm that has no cover.
+    ///
+    /// # Errors
+    /// A scene or parameter outside its range.
+    pub fn without_cover(config: &Config, scene: &Scene) -> Result<Self> {
+        Self::new(config, scene, None, NoCover)
+    }
+}
+
+impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
+    /// Without clocks and histograms: what ticks take is of no interest to who only looks at the robot.
+    #[must_use]
+    pub fn untimed(mut self) -> Self {
+        self.control.timing.switch_off();
+        self
+    }
+
+    fn new(config: &Config, scene: &Scene, cover: S, feed: F) -> Result<Self> {
+        let plant = SimulatedRobot::new(config, scene, None)?;
+        let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
+        let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
+        Ok(Self {
+            control,
+            feed,
+            period_ns: config.period_ns(),
+            tick: 0,
+            overruns: 0,
+            skip: None,
+            asked: None,
+        })
+    }
+
+    /// Lets `injection` strike; the same seed spoils the same bytes. Disk and sockets are the caller's.
+    pub fn inject(&mut self, injection: &Injection, seed: u64) {
+        let at_tick = injection.at_ns / self.period_ns;
+        match injection.fault.what {
+            What::Cable(fault) => self.feed.spoil(Cable::new(fault, injection.at_ns, seed)),
+            What::Plant(_) => self.control.plant.inject(injection),
+            What::Outside(fault) => self.asked = fault.request().map(|request| (at_tick, request)),
+            What::MissedSlots(slots) => self.skip = Some((at_tick, slots)),
+        }
+    }
+
+    /// One tick.
+    pub fn step(&mut self, request: Option<Request>) -> (Sample, Option<Outcome>) {
+        let request = request.or_else(|| Some(self.asked.take_if(|(at, _)| self.tick >= *at)?.1));
+        let missed = self.skip.take_if(|(at, _)| self.tick >= *at).map_or(0, |(_, slots)| slots);
+        self.tick += missed;
+        self.overruns += missed;
+        let now_ns = self.tick * self.period_ns;
+        let force_n = self.control.plant.world.taxel_force_true_n();
+        self.feed.feed(&mut self.control.cover, now_ns, &force_n);
+        let slot =
+            Slot { tick: self.tick, now_ns, ticks: 1 + missed, overruns: self.overruns, ..Slot::default() };
+        self.tick += 1;
+        self.control.tick(&slot, request)
+    }
+}

@@ -1,0 +1,345 @@
+//! `mocad replay LOG`: the same loop once more, from the recorded states and bytes, compared bit for bit with what it did.
+
+use crate::config::{Config, JOINTS};
+use crate::control::plant::{Plant, SourceAge};
+use crate::control::tick::ControlLoop;
+use crate::devices::touch_board::ByteCover;
+use crate::record::tick_log::TickRecord;
+use crate::runtime::assemble::{cover_config, motion, supervisor};
+use anyhow::{Context, Result, anyhow, bail};
+use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState, Sample};
+use moca_tactile::{BoardEvent, Cover};
+use moca_telemetry::log::records::Configuration;
+use moca_telemetry::log::{LogReader, Record};
+use std::collections::VecDeque;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+/// Events one tick can take, and more.
+const RING_EVENTS: usize = 64;
+
+/// What a replay found, if nothing differed.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Report {
+    /// Ticks run again and compared with their samples.
+    pub compared: u64,
+    /// Ticks run again whose samples are not in the log: dropped on their way, or behind a cut.
+    pub without_sample: u64,
+    /// Why the log ends before its end, if it does.
+    pub cut: Option<String>,
+    /// The log was written by this other version.
+    pub other_version: Option<String>,
+    /// Wall time.
+    pub wall: Duration,
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(version) = &self.other_version {
+            let ours = env!("CARGO_PKG_VERSION");
+            writeln!(
+                f,
+                "the log is of mocad {version}, this is {ours}: differences may be changes of the program"
+            )?;
+        }
+        writeln!(
+            f,
+            "{} ticks compared in {:.2} s, every bit the same",
+            self.compared,
+            self.wall.as_secs_f64()
+        )?;
+        if self.without_sample > 0 {
+            writeln!(f, "{} ticks more were run without a sample to compare with", self.without_sample)?;
+        }
+        match &self.cut {
+            Some(cut) => writeln!(f, "the log is cut: {cut}"),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Why a replay ended early.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Failure {
+    /// A tick did something else.
+    Differs {
+        /// The first that did.
+        tick: u64,
+        /// Which quantity: a field of the sample, or the answer to the request.
+        quantity: String,
+        /// In the log.
+        recorded: String,
+        /// Now.
+        replayed: String,
+    },
+    /// The recorder lost what the next ticks were given: nothing can be said about them.
+    Incomplete {
+        /// Last tick that was whole.
+        after: Option<u64>,
+        /// What is missing.
+        missing: String,
+        /// Ticks compared until there, all the same.
+        compared: u64,
+    },
+    /// The log begins in the middle of a run: what the loop remembered then is not known.
+    MidRun {
+        /// Its first tick.
+        first: u64,
+    },
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Differs { tick, quantity, recorded, replayed } => {
+                write!(f, "tick {tick} differs in {quantity}: recorded {recorded}, replayed {replayed}")
+            }
+            Self::Incomplete { after, missing, compared } => {
+                let after = after.map_or("the start".to_owned(), |tick| format!("tick {tick}"));
+                write!(
+                    f,
+                    "the log is incomplete after {after}: {missing}; the {compared} ticks up to there are the same, \
+                     and nothing can be said about the rest"
+                )
+            }
+            Self::MidRun { first } => write!(
+                f,
+                "the log begins at tick {first}, in the middle of a run: what the loop remembered then (zero, drift, \
+                 targets) is not in it. Record from the start with --record to replay"
+            ),
+        }
+    }
+}
+
+impl std::error::Error for Failure {}
+
+/// Runs a log again.
+///
+/// # Errors
+/// A [`Failure`], or a file that is no log of a run.
+pub fn run(path: &Path) -> Result<Report> {
+    let started = Instant::now();
+    let mut reader = LogReader::open(path)?;
+    let mut replay: Option<Replay> = None;
+    let (mut ticks, mut samples) = (VecDeque::new(), VecDeque::new());
+    let mut report = Report::default();
+    for record in &mut reader {
+        match record {
+            Record::Configuration(configuration) => {
+                let ours = env!("CARGO_PKG_VERSION");
+                report.other_version = (configuration.version != ours).then(|| configuration.version.clone());
+                replay = Some(Replay::new(&configuration)?);
+            }
+            Record::Replay { tick, bytes } => {
+                let record = TickRecord::decode(&bytes);
+                ticks.push_back(record.with_context(|| format!("the record of tick {tick} cannot be read"))?);
+            }
+            Record::Sample(sample) => samples.push_back(*sample),
+            Record::Serial(_) => {}
+        }
+        let Some(replay) = &mut replay else { continue };
+        // A tick's sample may lie before or behind what the tick was given.
+        while let (Some(tick), Some(_)) = (ticks.front(), samples.front()) {
+            replay.step(tick, &mut samples, &mut report)?;
+            ticks.pop_front();
+        }
+    }
+    report.cut = reader.cut().map(Into::into);
+    let mut replay = replay.context(
+        "the log holds no configuration: it was not written by `mocad --record` (a dashboard's recording has samples only)",
+    )?;
+    for tick in &ticks {
+        replay.step(tick, &mut samples, &mut report)?;
+    }
+    if let (Some(sample), None) = (samples.front(), &report.cut) {
+        let missing = format!("tick {} has a sample, but what it was given is missing", sample.tick);
+        return Err(Failure::Incomplete {
+            after: replay.last.map(|(tick, _)| tick),
+            missing,
+            compared: report.compared,
+        }
+        .into());
+    }
+    if report.compared == 0 {
+        bail!("the log holds no tick that could be compared");
+    }
+    report.wall = started.elapsed();
+    Ok(report)
+}
+
+struct Replay {
+    control: ControlLoop<RecordedPlant, Option<ByteCover>>,
+    events: rtrb::Producer<BoardEvent>,
+    /// Tick and number of the last one.
+    last: Option<(u64, u64)>,
+    _texts: Vec<TemporaryFile>,
+}
+
+impl Replay {
+    fn new(configuration: &Configuration) -> Result<Self> {
+        let mut config = Config::parse(&configuration.toml).context("the log's configuration")?;
+        let files = [
+            (&configuration.calibration, &mut config.board.calibration),
+            (&configuration.contact_limits, &mut config.protection.thresholds),
+        ];
+        let mut texts = Vec::new();
+        for (text, path) in files.into_iter().filter(|(text, _)| !text.is_empty()) {
+            let file = TemporaryFile::new(text)?;
+            *path = file.0.display().to_string();
+            texts.push(file);
+        }
+        let (events, from_log) = rtrb::RingBuffer::new(RING_EVENTS);
+        let cover = if config.plant.parts.has_cover() {
+            Some(ByteCover::new(Cover::new(cover_config(&config)?)?, from_log, None))
+        } else {
+            None
+        };
+        let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
+        let control = ControlLoop::new(
+            RecordedPlant::default(),
+            cover,
+            supervisor(&config),
+            motion(&config)?,
+            period_s,
+        )?;
+        Ok(Self { control, events, last: None, _texts: texts })
+    }
+
+    fn step(
+        &mut self,
+        record: &TickRecord,
+        samples: &mut VecDeque<Sample>,
+        report: &mut Report,
+    ) -> Result<()> {
+        let input = &record.input;
+        let tick = input.slot.tick;
+        self.check_whole(record, report.compared)?;
+        for event in &record.events {
+            // A tick takes fewer events than the ring holds.
+            let _ = self.events.push(event.into());
+        }
+        self.control.plant = RecordedPlant {
+            state: input.state.map(Into::into),
+            age: input.age,
+            refused: input.refused,
+            pressed: input.outcome.unwrap_or(Ok(())),
+        };
+        let (sample, outcome) = self.control.tick(&input.slot, input.request);
+        self.last = Some((tick, input.number));
+        if outcome != input.outcome {
+            let (recorded, replayed) = (format!("{:?}", input.outcome), format!("{outcome:?}"));
+            let quantity = "the answer to the request".into();
+            return Err(Failure::Differs { tick, quantity, recorded, replayed }.into());
+        }
+        while samples.front().is_some_and(|recorded| recorded.tick < tick) {
+            samples.pop_front();
+        }
+        if samples.front().is_none_or(|recorded| recorded.tick != tick) {
+            report.without_sample += 1;
+            return Ok(());
+        }
+        if let Some(recorded) = samples.pop_front()
+            && let Some((quantity, recorded, replayed)) = difference(&recorded, &sample)?
+        {
+            return Err(Failure::Differs { tick, quantity, recorded, replayed }.into());
+        }
+        report.compared += 1;
+        Ok(())
+    }
+
+    /// Whether nothing was lost between the last tick and this one.
+    fn check_whole(&self, record: &TickRecord, compared: u64) -> Result<(), Failure> {
+        let input = &record.input;
+        let after = self.last.map(|(tick, _)| tick);
+        let incomplete = |missing| Err(Failure::Incomplete { after, missing, compared });
+        match self.last {
+            None if input.number > 0 && input.lost == 0 => {
+                return Err(Failure::MidRun { first: input.slot.tick });
+            }
+            Some((_, number)) if number + 1 != input.number => {
+                return incomplete(format!("the next tick in it is {}", input.slot.tick));
+            }
+            _ => {}
+        }
+        if record.events.len() as u64 != u64::from(input.events) || input.lost > 0 {
+            let missing = "the recorder had no room for ticks or bytes of the board (a slow disk?)";
+            return incomplete(missing.into());
+        }
+        Ok(())
+    }
+}
+
+/// The first field in which two samples differ by a bit (every NaN is one), and its values.
+fn difference(recorded: &Sample, replayed: &Sample) -> Result<Option<(String, String, String)>> {
+    // The shortest text that reads back to the same bits differs where a bit does.
+    if serde_json::to_vec(recorded)? == serde_json::to_vec(replayed)? {
+        return Ok(None);
+    }
+    let fields = |sample| match serde_json::to_value(sample)? {
+        serde_json::Value::Object(fields) => Ok(fields),
+        _ => Err(anyhow!("a sample is no object")),
+    };
+    let (recorded, replayed) = (fields(recorded)?, fields(replayed)?);
+    let differing = recorded.iter().find_map(|(name, value)| {
+        let other = replayed.get(name)?.to_string();
+        let value = value.to_string();
+        (value != other).then(|| (name.clone(), value, other))
+    });
+    differing.map(Some).context("samples differ in no field")
+}
+
+/// Gives what was measured; takes every order.
+struct RecordedPlant {
+    state: Result<RobotState<JOINTS>, Fault>,
+    age: SourceAge,
+    refused: Option<Fault>,
+    pressed: Outcome,
+}
+
+impl Default for RecordedPlant {
+    fn default() -> Self {
+        let (state, pressed) = (Err(Fault::PlantLost), Err(Refusal::NotSimulated));
+        Self { state, age: SourceAge::default(), refused: None, pressed }
+    }
+}
+
+impl Plant for RecordedPlant {
+    fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
+        self.state
+    }
+
+    fn age(&self) -> SourceAge {
+        self.age
+    }
+
+    fn write(&mut self, _actuation: &Actuation<JOINTS>, _ticks: u64) -> Result<(), Fault> {
+        self.refused.map_or(Ok(()), Err)
+    }
+
+    fn press(&mut self, _taxel: usize, _force_n: f64) -> Outcome {
+        self.pressed
+    }
+}
+
+/// A text of the log as the file that the configuration names.
+struct TemporaryFile(PathBuf);
+
+impl TemporaryFile {
+    fn new(text: &str) -> Result<Self> {
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        let name = format!("mocad-replay-{}-{number}.toml", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        std::fs::write(&path, text).with_context(|| path.display().to_string())?;
+        Ok(Self(path))
+    }
+}
+
+impl Drop for TemporaryFile {
+    fn drop(&mut self) {
+        // A file that stays behind in the temporary folder harms nobody.
+        let _ = std::fs::remove_file(&self.0);
+    }
+}

@@ -1,0 +1,6 @@
+//! The cover: foams and calibrations, from touch to force, thresholds, recorded streams.
+
+pub(crate) mod characterize;
+pub(crate) mod latency;
+pub(crate) mod stream;
+pub(crate) mod threshold;

@@ -1,0 +1,139 @@
+//! Accuracy at the ends of the range, against a file of results in 80 digits.
+
+use moca_msgs::robot::{MOCA_MOUNT, PANDA};
+use moca_msgs::{ParameterError, Payload};
+use moca_wbc::opspace::{BlockWeight, TaskDynamics, WholeBodyForce};
+use moca_wbc::{ArmModel, ControlError, Scalar, admittance, impedance};
+use serde::Deserialize;
+
+/// Results in 80 digits, rounded to f64.
+pub(crate) const REFERENCE: &str = include_str!("../../../../../tests/fixtures/extremes.json");
+
+#[derive(Deserialize)]
+pub(crate) struct Reference {
+    pub cases: Vec<Case>,
+    pub admittance: Vec<Step>,
+}
+
+/// One configuration: eq. (6) and the damping of eq. (10).
+#[derive(Deserialize)]
+pub(crate) struct Case {
+    pub name: String,
+    pub q: [f64; 10],
+    pub eta_base: f64,
+    pub eta_arm: f64,
+    pub virtual_mass: [f64; 3],
+    pub stiffness: [f64; 6],
+    pub wrench: [f64; 6],
+    pub null: [f64; 10],
+    /// Of the weighted mobility; `None` where it is singular.
+    pub condition: Option<f64>,
+    pub force: [f64; 10],
+    pub damping: Option<[[f64; 6]; 6]>,
+}
+
+/// One step of eq. (2).
+#[derive(Deserialize)]
+pub(crate) struct Step {
+    pub mass: f64,
+    pub damping: f64,
+    pub dt: f64,
+    pub velocity: f64,
+    pub force: f64,
+    pub after: f64,
+}
+
+/// Errors of one configuration, max|a − ref| / max(max|ref|, 1).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Accuracy {
+    /// Of the torques.
+    pub force: f64,
+    /// Of the damping matrix; 0 where it has no reference.
+    pub damping: f64,
+    /// Largest joint torque, N·m.
+    pub largest_nm: f64,
+}
+
+/// A case that could not be computed.
+#[derive(Debug)]
+pub(crate) enum Failure {
+    Model(ParameterError),
+    Control(ControlError),
+}
+
+impl core::fmt::Display for Failure {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Model(error) => error.fmt(f),
+            Self::Control(error) => error.fmt(f),
+        }
+    }
+}
+
+impl core::error::Error for Failure {}
+
+impl From<ParameterError> for Failure {
+    fn from(error: ParameterError) -> Self {
+        Self::Model(error)
+    }
+}
+
+impl From<ControlError> for Failure {
+    fn from(error: ControlError) -> Self {
+        Self::Control(error)
+    }
+}
+
+/// The law and its damping in the scalar `T`, against `case`.
+pub(crate) fn accuracy<T: Scalar>(case: &Case) -> Result<Accuracy, Failure> {
+    let model = ArmModel::<7, T>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE)?;
+    let [_, _, yaw, joints @ ..] = case.q.map(nalgebra::convert::<f64, T>);
+    let kinematics = model.kinematics(yaw, &joints);
+    let mass = kinematics.mass_matrix(&model.link_inertias(&kinematics));
+    let task = TaskDynamics::new(
+        kinematics.base_jacobian(),
+        kinematics.arm_jacobian(),
+        case.virtual_mass.map(nalgebra::convert),
+        &mass.arm,
+    )?;
+    let [b0, b1, b2, arm @ ..] = case.null.map(nalgebra::convert::<f64, T>);
+    let null = WholeBodyForce { base: [b0, b1, b2], arm };
+    let weight = BlockWeight::new(nalgebra::convert(case.eta_base), nalgebra::convert(case.eta_arm));
+    let force = weight.factor(&task)?.force(&case.wrench.map(nalgebra::convert), &null);
+    let values: Vec<f64> = force.base.iter().chain(&force.arm).copied().map(double).collect();
+    let damping = match &case.damping {
+        None => 0.0,
+        Some(reference) => {
+            let stiffness = case.stiffness.map(nalgebra::convert);
+            let damping = impedance::damping(&task.mobility(), &stiffness, nalgebra::convert(0.9))?;
+            let values: Vec<f64> = damping.iter().copied().map(double).collect();
+            error(&values, reference.as_flattened())
+        }
+    };
+    Ok(Accuracy {
+        force: error(&values, &case.force),
+        damping,
+        largest_nm: values.iter().skip(3).fold(0.0, |most, torque| most.max(torque.abs())),
+    })
+}
+
+/// One step of eq. (2) in the scalar `T`, against `step`.
+pub(crate) fn admitted<T: Scalar>(step: &Step) -> f64 {
+    let of = nalgebra::convert::<f64, T>;
+    let after =
+        admittance::step(of(step.velocity), of(step.force), of(step.mass), of(step.damping), of(step.dt));
+    error(&[double(after)], &[step.after])
+}
+
+fn double<T: Scalar>(value: T) -> f64 {
+    nalgebra::try_convert(value).unwrap_or(f64::NAN)
+}
+
+fn error(values: &[f64], reference: &[f64]) -> f64 {
+    let scale = reference.iter().fold(1.0_f64, |most, r| most.max(r.abs()));
+    values.iter().zip(reference).fold(0.0, |worst, (a, r)| {
+        let gap = (a - r).abs() / scale;
+        // f64::max would drop a NaN
+        if gap <= worst { worst } else { gap }
+    })
+}

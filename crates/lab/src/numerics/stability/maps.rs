@@ -1,0 +1,189 @@
+//! Maps of peak force and swing over two parameters, with the contact stability law drawn over them.
+
+use super::trial;
+use crate::figures::chart;
+use crate::figures::drawing::{Colour, Drawing};
+use crate::rig::parallel;
+use crate::rig::settings::Settings;
+use anyhow::Result;
+use moca_wbc::contact_stability as theory;
+use serde::Serialize;
+
+/// Force at which foam and tissue are linearised, N.
+const LINEARISED_AT_N: f64 = 20.0;
+const CELL: [f64; 2] = [86.0, 40.0];
+
+/// One parameter of a map: what `--set` is told for a value, label, values.
+struct Axis {
+    assignments: &'static str,
+    label: &'static str,
+    values: &'static [f64],
+}
+
+const DAMPING: Axis = Axis {
+    assignments: "d_v={}",
+    label: "d_v [N.s/m]",
+    values: &[20.0, 40.0, 80.0, 160.0, 320.0, 640.0, 1280.0],
+};
+
+/// File name, x, y.
+const MAPS: [(&str, Axis, Axis); 3] = [
+    (
+        "period",
+        Axis {
+            assignments: "sensor.period_ms={}",
+            label: "sensor period [ms]",
+            values: &[1.0, 5.0, 10.0, 20.0, 33.0, 50.0, 100.0],
+        },
+        DAMPING,
+    ),
+    (
+        "stiffness",
+        Axis {
+            assignments: "foam.scale=10000;person.stiffness={}",
+            label: "contact stiffness [N/m]",
+            values: &[1e2, 1e3, 3e3, 1e4, 1e5, 1e6, 1e7],
+        },
+        DAMPING,
+    ),
+    (
+        "mass",
+        Axis {
+            assignments: "m_v={}",
+            label: "virtual mass [kg]",
+            values: &[0.01, 0.1, 1.0, 4.0, 10.0, 100.0, 1000.0],
+        },
+        Axis {
+            assignments: "sensor.delay_ms={}",
+            label: "delay [ms]",
+            values: &[0.0, 5.0, 10.0, 20.0, 40.0, 70.0, 100.0],
+        },
+    ),
+];
+
+/// One map, y by y.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct Map {
+    pub name: &'static str,
+    x: &'static str,
+    y: &'static str,
+    x_values: &'static [f64],
+    y_values: &'static [f64],
+    cells: Vec<Cell>,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Cell {
+    x: f64,
+    y: f64,
+    peak_n: f64,
+    bounded: bool,
+    /// What the contact stability law says.
+    theory_stable: bool,
+}
+
+/// Runs all maps.
+pub(crate) fn all() -> Result<Vec<Map>> {
+    MAPS.iter().map(|(name, x, y)| map(name, x, y)).collect()
+}
+
+fn map(name: &'static str, x: &'static Axis, y: &'static Axis) -> Result<Map> {
+    let assign = |axis: &Axis, value: f64| {
+        axis.assignments.replace("{}", &value.to_string()).split(';').map(str::to_owned).collect::<Vec<_>>()
+    };
+    let mut inputs = Vec::new();
+    for &v in y.values {
+        for &u in x.values {
+            let assignments = [assign(x, u), assign(y, v)].concat();
+            inputs.push((u, v, trial("ideal", &assignments)?));
+        }
+    }
+    let cases = parallel::run(&format!("map {name}"), &inputs, |(.., trial)| trial.run(""), |_| ());
+    let cells = inputs.iter().zip(cases).map(|((u, v, trial), case)| {
+        Ok(Cell {
+            x: *u,
+            y: *v,
+            peak_n: case.peak_n,
+            bounded: case.bounded,
+            theory_stable: stable_in_theory(&trial.settings)?,
+        })
+    });
+    let cells = cells.collect::<Result<_>>()?;
+    Ok(Map { name, x: x.label, y: y.label, x_values: x.values, y_values: y.values, cells })
+}
+
+/// The contact stability law for virtual mass and damping as the person's taxel feels them, foam and tissue linearised.
+pub(crate) fn stable_in_theory(settings: &Settings) -> Result<bool> {
+    let gains = &settings.config.control.gains;
+    let taxel = &settings.config.taxels()[settings.person.taxel];
+    let foam = settings.foam.foam();
+    let foam_n_m = foam.stiffness_n_per_m(foam.deformation_m(LINEARISED_AT_N));
+    let stiffness = 1.0 / (1.0 / foam_n_m + 1.0 / settings.person.tissue_stiffness());
+    // The foam's damper acts for the share of the deformation that is the foam's.
+    let damping = foam.damping_time_s * foam_n_m * (stiffness / foam_n_m).powi(2);
+    let contact = theory::Contact {
+        stiffness_n_m: stiffness,
+        damping_n_s_m: damping,
+        delay_s: theory::reading_delay_s(
+            1e-3 * settings.sensor_delay_ms,
+            1e-3 * settings.period_ms(),
+            1.0 / f64::from(settings.config.control_loop.rate_hz),
+        ),
+        servo_s: settings.base_servo.time_constant_s,
+    };
+    let mass = theory::at_taxel(&gains.virtual_mass, taxel);
+    let damping = theory::at_taxel(&gains.virtual_damping, taxel);
+    Ok(theory::margin(mass, damping, &contact)?.stable)
+}
+
+/// The maps under each other.
+pub(crate) fn draw(maps: &[Map]) -> Drawing {
+    let count = |n: usize| f64::from(u32::try_from(n).unwrap_or(u32::MAX));
+    let height = 7.0 * CELL[1] + 90.0;
+    let mut drawing = Drawing::new(760.0, height * count(maps.len()));
+    for (i, map) in maps.iter().enumerate() {
+        let cells = map.cells.iter().map(|cell| {
+            let text = if cell.peak_n > 0.0 { format!("{:.0}", cell.peak_n) } else { "no touch".into() };
+            (colour(cell), text)
+        });
+        chart::Map {
+            title: "peak force [N]; green < 25 N, red: swings on or stopped; line: contact stability law"
+                .into(),
+            x_label: map.x.into(),
+            y_label: map.y.into(),
+            x: map.x_values.iter().map(|v| chart::number(*v)).collect(),
+            y: map.y_values.iter().map(|v| chart::number(*v)).collect(),
+            cells: cells.collect(),
+            sides: map.cells.iter().map(|cell| cell.theory_stable).collect(),
+        }
+        .draw(&mut drawing, [20.0, 20.0 + height * count(i)], CELL);
+    }
+    drawing
+}
+
+const fn colour(cell: &Cell) -> Colour {
+    if cell.peak_n <= 0.0 {
+        return [228, 228, 228];
+    }
+    match (cell.bounded, cell.peak_n < 25.0) {
+        (true, true) => [190, 225, 190],
+        (true, false) => [245, 225, 170],
+        (false, _) => [235, 165, 155],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn theory_and_simulation_agree_on_either_side_of_the_boundary() {
+        for (period_ms, stable) in [(5.0, true), (33.0, false)] {
+            let trial =
+                trial("ideal", &["d_v=80".to_owned(), format!("sensor.period_ms={period_ms}")]).unwrap();
+            assert_eq!(stable_in_theory(&trial.settings).unwrap(), stable, "theory, {period_ms} ms");
+            let case = trial.run("");
+            assert_eq!(case.bounded, stable, "{period_ms} ms: {case:?}");
+        }
+    }
+}

@@ -1,0 +1,330 @@
+//! `moca-lab sweep FILE`: many runs of one experiment over a grid or a random sample of its settings, one CSV row each.
+//!
+//! The list of runs follows from the file alone, so every shard knows all of them and takes a contiguous part: the
+//! rows of any number of shards, joined in order, are those of one machine. No row holds a time, so no row depends on
+//! the machine either.
+
+use crate::numerics::economy;
+use crate::paper::collision::{self, Report};
+use crate::rig::settings::Settings;
+use crate::rig::{cpu_time, parallel};
+use anyhow::{Context, Result, bail, ensure};
+use moca_msgs::Law;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::fs::{File, OpenOptions};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Runs handed out between two writes to the file.
+const STRETCH: usize = 64;
+/// Most runs of one file.
+const RUNS_MAX: usize = 10_000_000;
+/// Columns after the run's number and its settings.
+const RESULTS: &str = "peak_force_n,first_peak_n,contact_s,contact_time_s,approach_m_s,flange_rms_mm,flange_max_mm,\
+                       base_x_m,base_y_m,base_yaw_rad,yaw_in_contact_deg,stopped";
+
+/// Arguments of `moca-lab sweep`.
+#[derive(clap::Args)]
+pub(crate) struct Arguments {
+    /// What to vary: see scenes/sweep.toml.
+    file: PathBuf,
+    /// CSV file; rows that are already in it are kept and not run again.
+    #[arg(long, value_name = "CSV")]
+    out: PathBuf,
+    /// Part of the runs, e.g. 2/8 for the second of eight; joined in order the parts are the whole.
+    #[arg(long, value_name = "I/N", value_parser = shard, default_value = "1/1")]
+    shard: (usize, usize),
+}
+
+fn shard(text: &str) -> Result<(usize, usize), String> {
+    let parse = |part: &str| part.trim().parse::<usize>().ok();
+    match text.split_once('/').map(|(i, n)| (parse(i), parse(n))) {
+        Some((Some(i), Some(n))) if (1..=n).contains(&i) => Ok((i, n)),
+        _ => Err(format!("'{text}' is not I/N with 1 <= I <= N")),
+    }
+}
+
+/// A sweep file.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Plan {
+    /// Settings of every run.
+    #[serde(default)]
+    set: BTreeMap<String, toml::Value>,
+    /// Key → values: every combination is run, the last key fastest.
+    #[serde(default)]
+    grid: BTreeMap<String, Vec<toml::Value>>,
+    /// A random sample for every point of the grid.
+    random: Option<Random>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Random {
+    samples: usize,
+    seed: u64,
+    /// Key → [from, to], uniform.
+    #[serde(default)]
+    uniform: BTreeMap<String, [f64; 2]>,
+    /// Key → [from, to], uniform in the logarithm.
+    #[serde(default)]
+    log: BTreeMap<String, [f64; 2]>,
+}
+
+impl Plan {
+    /// Names of the varied keys, in the order of their columns.
+    fn columns(&self) -> Vec<String> {
+        let random = self.random.iter().flat_map(|r| r.uniform.keys().chain(r.log.keys()));
+        self.grid.keys().chain(random).cloned().collect()
+    }
+
+    fn points(&self) -> usize {
+        self.grid.values().fold(1usize, |product, values| product.saturating_mul(values.len()))
+    }
+
+    fn runs(&self) -> usize {
+        self.points().saturating_mul(self.random.as_ref().map_or(1, |r| r.samples))
+    }
+
+    /// Values of run `id`, one for each column.
+    fn values(&self, id: usize) -> Vec<String> {
+        let samples = self.random.as_ref().map_or(1, |r| r.samples.max(1));
+        let mut point = id / samples;
+        let mut values = vec![String::new(); self.grid.len()];
+        for (value, (_, allowed)) in values.iter_mut().zip(&self.grid).rev() {
+            *value = plain(&allowed[point % allowed.len()]);
+            point /= allowed.len();
+        }
+        if let Some(random) = &self.random {
+            // A stream of its own for every run: no run depends on which others this machine makes.
+            let mut draw =
+                moca_sim::sensor::Noise::new(random.seed ^ (id as u64).wrapping_mul(0xd134_2543_de82_ef95));
+            for [from, to] in random.uniform.values() {
+                values.push((from + (to - from) * draw.uniform()).to_string());
+            }
+            for [from, to] in random.log.values() {
+                values.push((from * (to / from).powf(draw.uniform())).to_string());
+            }
+        }
+        values
+    }
+
+    fn settings(&self, columns: &[String], values: &[String]) -> Result<Settings> {
+        let mut settings = Settings::paper(Law::Impedance);
+        collision::defaults(&mut settings);
+        settings.sensor = crate::rig::settings::Sensor::Ideal;
+        for (key, value) in &self.set {
+            settings.set(&format!("{key}={}", plain(value)))?;
+        }
+        for (key, value) in columns.iter().zip(values) {
+            settings.set(&format!("{key}={value}"))?;
+        }
+        settings.check()?;
+        Ok(settings)
+    }
+
+    fn check(&self) -> Result<()> {
+        for (key, values) in &self.grid {
+            ensure!(!values.is_empty(), "[grid] {key} has no values");
+        }
+        if let Some(random) = &self.random {
+            ensure!(random.samples > 0, "[random] samples must be at least 1");
+            for (key, [from, to]) in random.log.iter() {
+                ensure!(
+                    *from > 0.0 && to > from,
+                    "[random.log] {key} = [{from}, {to}] is not a range above 0"
+                );
+            }
+        }
+        ensure!(self.runs() <= RUNS_MAX, "{} runs are more than {RUNS_MAX}", self.runs());
+        // A wrong key or value shows at the first run and not after hours.
+        let columns = self.columns();
+        for id in [0, self.runs() - 1] {
+            self.settings(&columns, &self.values(id))?;
+        }
+        Ok(())
+    }
+}
+
+fn plain(value: &toml::Value) -> String {
+    match value {
+        toml::Value::String(text) => text.clone(),
+        toml::Value::Array(list) => list.iter().map(plain).collect::<Vec<_>>().join(","),
+        other => other.to_string(),
+    }
+}
+
+/// Runs what is missing of this shard.
+#[expect(clippy::print_stdout, reason = "the command's output")]
+pub(crate) fn run(arguments: &Arguments) -> Result<()> {
+    let text = std::fs::read_to_string(&arguments.file)
+        .with_context(|| format!("cannot read {}", arguments.file.display()))?;
+    let plan: Plan = toml::from_str(&text).with_context(|| format!("{}", arguments.file.display()))?;
+    plan.check().with_context(|| format!("{}", arguments.file.display()))?;
+    let (part, parts) = arguments.shard;
+    let all = plan.runs();
+    let range = all * (part - 1) / parts..all * part / parts;
+    let header = (part == 1).then(|| header(&plan));
+    let (mut file, done) = open(&arguments.out, header.as_deref(), &range)?;
+    let (started, cpu_before_s) = (Instant::now(), cpu_time::of_process_s());
+    let todo: Vec<usize> = range.clone().skip(done).collect();
+    let columns = plan.columns();
+    let work = |id: &usize| row(&plan, &columns, *id);
+    for stretch in todo.chunks(STRETCH.max(todo.len().div_ceil(200))) {
+        let what = format!("runs {}..{} of {}", stretch[0], stretch[stretch.len() - 1] + 1, range.end);
+        let mut failed = None;
+        parallel::run(&what, stretch, work, |line: &Result<String>| match line {
+            Ok(line) if failed.is_none() => failed = writeln!(file, "{line}").err().map(anyhow::Error::from),
+            Ok(_) => {}
+            Err(error) => failed = failed.take().or_else(|| Some(anyhow::anyhow!("{error:#}"))),
+        });
+        if let Some(error) = failed {
+            return Err(error.context(format!("cannot go on with {}", arguments.out.display())));
+        }
+    }
+    let (wall_s, cpu_s) = (started.elapsed().as_secs_f64(), cpu_time::of_process_s() - cpu_before_s);
+    println!(
+        "{}: {} runs now, {done} before, in {wall_s:.1} s on {} cores: {:.1} runs/s",
+        arguments.out.display(),
+        todo.len(),
+        std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
+        todo.len() as f64 / wall_s.max(1e-9),
+    );
+    println!(
+        "{:.1} runs per second of CPU; bare mj_step of the same scene for the same simulated time would allow {:.1}",
+        todo.len() as f64 / cpu_s.max(1e-9),
+        bare_runs_per_cpu_s(&plan)?,
+    );
+    Ok(())
+}
+
+fn header(plan: &Plan) -> String {
+    let mut line = String::from("run");
+    for column in plan.columns() {
+        // Writing to a string cannot fail.
+        let _ = write!(line, ",{column}");
+    }
+    format!("{line},{RESULTS}")
+}
+
+/// One run as a CSV row.
+fn row(plan: &Plan, columns: &[String], id: usize) -> Result<String> {
+    let values = plan.values(id);
+    let settings = plan.settings(columns, &values)?;
+    let report = collision::single(&settings)?;
+    let values = values.iter().map(|v| if v.contains(',') { format!("\"{v}\"") } else { v.clone() });
+    let mut line = id.to_string();
+    for value in values.chain(std::iter::once(results(&report))) {
+        let _ = write!(line, ",{value}");
+    }
+    Ok(line)
+}
+
+fn results(report: &Report) -> String {
+    let [x, y, yaw] = report.measures.base_displacement;
+    format!(
+        "{:.6},{:.6},{},{:.3},{:.6},{:.6},{:.6},{x:.6},{y:.6},{yaw:.6},{:.4},{}",
+        report.measures.peak_force_n,
+        report.measures.peaks_n.first().copied().unwrap_or(0.0),
+        report.measures.contact_s.map_or(String::new(), |t| format!("{t:.3}")),
+        report.measures.contact_time_s,
+        report.approach_m_s,
+        report.measures.flange_rms_mm,
+        report.measures.flange_max_mm,
+        report.measures.yaw_in_contact_deg,
+        report.stopped().map_or("", |why| why.split(':').next().unwrap_or("stopped")),
+    )
+}
+
+/// The file ready for the next row, and how many rows of this shard it holds already. A torn last line is cut off.
+fn open(path: &Path, header: Option<&str>, range: &std::ops::Range<usize>) -> Result<(File, usize)> {
+    let context = || format!("cannot use {}", path.display());
+    let text = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
+        Err(error) => return Err(error).with_context(context),
+    };
+    let whole = text.rfind('\n').map_or("", |end| &text[..=end]);
+    let mut lines = whole.lines();
+    if let (Some(header), false) = (header, whole.is_empty()) {
+        ensure!(
+            lines.next() == Some(header),
+            "{} belongs to another sweep: its header differs",
+            path.display()
+        );
+    }
+    let mut done = 0;
+    for line in lines {
+        let id = line.split(',').next().unwrap_or_default();
+        if id.parse().ok() != Some(range.start + done) {
+            bail!("{}: row '{id}' where run {} is expected", path.display(), range.start + done);
+        }
+        done += 1;
+    }
+    ensure!(done <= range.len(), "{} holds more rows than this shard has runs", path.display());
+    let mut file =
+        OpenOptions::new().create(true).truncate(false).write(true).open(path).with_context(context)?;
+    file.set_len(whole.len() as u64).with_context(context)?;
+    std::io::Seek::seek(&mut file, std::io::SeekFrom::End(0)).with_context(context)?;
+    if let (Some(header), true) = (header, whole.is_empty()) {
+        writeln!(file, "{header}").with_context(context)?;
+    }
+    Ok((file, done))
+}
+
+/// Runs per second of CPU time if a run were nothing but MuJoCo's steps.
+fn bare_runs_per_cpu_s(plan: &Plan) -> Result<f64> {
+    let settings = plan.settings(&plan.columns(), &plan.values(0))?;
+    let step_s = 1e-6 * economy::bare_step_us(&settings.collision_scene()?)?;
+    Ok(settings.step_ms / (1e3 * settings.duration_s * step_s))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PLAN: &str = "[set]\nduration = 0.6\n\"person.gap\" = 0.001\nspeed = 0.25\n[grid]\nd_v = [40, 80]\n\
+                        m_v = [2, 4]\n[random]\nsamples = 2\nseed = 5\n[random.log]\n\"person.mass\" = [10, 100]\n";
+
+    fn sweep(folder: &Path, name: &str, shard: (usize, usize)) -> String {
+        let file = folder.join("plan.toml");
+        std::fs::write(&file, PLAN).unwrap();
+        let out = folder.join(name);
+        run(&Arguments { file, out: out.clone(), shard }).unwrap();
+        std::fs::read_to_string(out).unwrap()
+    }
+
+    #[test]
+    fn shards_joined_are_the_whole_and_an_interrupted_run_goes_on() {
+        let folder = std::env::temp_dir().join(format!("moca-sweep-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let whole = sweep(&folder, "whole.csv", (1, 1));
+        assert_eq!(whole.lines().count(), 9);
+        let joined: String = (1..=3).map(|i| sweep(&folder, &format!("{i}.csv"), (i, 3))).collect();
+        assert_eq!(joined, whole);
+        // Cut within the fifth row, as a killed process leaves it.
+        let cut = whole.match_indices('\n').nth(4).unwrap().0 + 12;
+        std::fs::write(folder.join("cut.csv"), &whole[..cut]).unwrap();
+        assert_eq!(sweep(&folder, "cut.csv", (1, 1)), whole);
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn a_wrong_plan_is_refused_before_anything_runs() {
+        for (text, part) in [
+            ("[grid]\nmass = [1]\n", "unknown key mass"),
+            ("[grid]\nd_v = []\n", "no values"),
+            ("[grid]\nd_v = [-1]\n", "outside 0"),
+            ("[random]\nsamples = 0\nseed = 1\n", "at least 1"),
+        ] {
+            let plan: Plan = toml::from_str(text).unwrap();
+            let error = format!("{:#}", plan.check().unwrap_err());
+            assert!(error.contains(part), "{text}: {error}");
+        }
+        assert!(toml::from_str::<Plan>("[grids]\n").is_err());
+        assert!(shard("0/3").is_err() && shard("4/3").is_err() && shard("2/3") == Ok((2, 3)));
+    }
+}

@@ -1,0 +1,194 @@
+//! Experiment C: the flange is led sideways, the base follows, and a person stands in its way.
+
+use super::figure::{self, Moment};
+use super::{RunInfo, head, wrench_text};
+use crate::figures::chart::Panel;
+use crate::rig::closed_loop::{Loads, Rig, Row};
+use crate::rig::measure::{Measures, peak_force_n};
+use crate::rig::settings::{Sensor, Settings};
+use anyhow::Result;
+use moca_sim::foam::Foam;
+use serde::Serialize;
+use std::time::Instant;
+
+/// Sensor phases over which the worst is reported, as shares of the sensor's period.
+const PHASES: [f64; 5] = [0.0, 0.2, 0.4, 0.6, 0.8];
+
+/// What the collision scene changes of the common settings.
+pub(crate) fn defaults(settings: &mut Settings) {
+    settings.foam.material = Foam::COLLISION_ASSUMED;
+}
+
+/// What the collision did: worst phase of the sensor.
+#[derive(Debug, Serialize)]
+pub(crate) struct Report {
+    #[serde(flatten)]
+    info: RunInfo,
+    #[serde(flatten)]
+    pub measures: Measures,
+    /// Speed of the touched part of the cover towards the person just before contact, m/s.
+    pub approach_m_s: f64,
+    /// How far the flange is ahead of the base along y half a second after the start, m.
+    pub arm_leads_m: f64,
+    /// Speed of the base along y just before contact, at its least in contact, and a second after it, m/s; null
+    /// without contact.
+    pub base_y_m_s: Option<[f64; 3]>,
+    /// Largest force for each phase of the sensor against the motion, N.
+    pub peak_by_phase_n: Vec<f64>,
+    /// A stock board is outside the bound of contact stability: label of the result.
+    pub verdict: &'static str,
+}
+
+impl Report {
+    /// Why the robot stopped, if it did.
+    pub(crate) fn stopped(&self) -> Option<&str> {
+        self.info.stopped.as_deref()
+    }
+
+    pub(crate) fn text(&self) -> String {
+        let list = |values: &[f64]| values.iter().map(|v| format!("{v:.1}")).collect::<Vec<_>>().join(" / ");
+        let m = &self.measures;
+        let [x, y, yaw] = m.base_displacement;
+        let resumes = self.base_y_m_s.map_or(String::new(), |[before, least, after]| {
+            format!(
+                "; base along y {before:.3} m/s before contact, {least:.3} in it, {after:.3} a second after"
+            )
+        });
+        format!(
+            "{}\n  peak force {:.1} N ({}), peaks {} N, taxels {}, contact at {} s for {:.2} s, approach {:.3} m/s\n  \
+             peak by sensor phase {} N\n  flange off by {:.2} mm RMS, {:.2} mm at most; base moved ({x:+.3} m, {y:+.3} m, \
+             {yaw:+.3} rad); yaw in contact {:+.1}°\n  wrench in contact {} true, {} sensed\n  \
+             arm {:.3} m ahead of the base after 0.5 s{resumes}",
+            head(&self.info),
+            m.peak_force_n,
+            self.verdict,
+            list(&m.peaks_n),
+            m.contact_taxels.join(", "),
+            m.contact_s.map_or("no".into(), |t| format!("{t:.2}")),
+            m.contact_time_s,
+            self.approach_m_s,
+            list(&self.peak_by_phase_n),
+            m.flange_rms_mm,
+            m.flange_max_mm,
+            m.yaw_in_contact_deg,
+            wrench_text(&m.wrench_true),
+            wrench_text(&m.wrench_sensed),
+            self.arm_leads_m,
+        )
+    }
+}
+
+/// A report with the trace of its worst phase.
+pub(crate) struct Run {
+    pub report: Report,
+    pub rows: Vec<Row>,
+    pub moments: Vec<Moment>,
+}
+
+/// One collision for each phase of the sensor; the worst is reported.
+pub(crate) fn run(settings: &Settings) -> Result<Run> {
+    let started = Instant::now();
+    let period_ms = settings.period_ms();
+    let phases: &[f64] = if settings.sensor == Sensor::Off { &PHASES[..1] } else { &PHASES };
+    let mut worst: Option<(f64, Rig)> = None;
+    let mut peaks = Vec::new();
+    for phase in phases {
+        let mut shifted = settings.clone();
+        shifted.sensor_phase_ms += phase * period_ms;
+        let rig = once(&shifted)?;
+        let peak_n = peak_force_n(&rig.rows);
+        peaks.push(peak_n);
+        if worst.as_ref().is_none_or(|(most, _)| peak_n > *most) {
+            worst = Some((peak_n, rig));
+        }
+    }
+    let Some((_, rig)) = worst else { anyhow::bail!("no phase was run") };
+    let info = RunInfo::new("collision", settings, &rig, started);
+    let report = measure(info, settings, &rig.rows, peaks);
+    Ok(Run { report, moments: moments(&rig.rows), rows: rig.rows })
+}
+
+/// One collision at the sensor's phase of the settings, measured.
+pub(crate) fn single(settings: &Settings) -> Result<Report> {
+    let started = Instant::now();
+    let rig = once(settings)?;
+    let peak_n = peak_force_n(&rig.rows);
+    Ok(measure(RunInfo::new("collision", settings, &rig, started), settings, &rig.rows, vec![peak_n]))
+}
+
+/// One collision.
+pub(crate) fn once(settings: &Settings) -> Result<Rig> {
+    let mut rig = Rig::start(settings, &settings.collision_scene()?)?;
+    rig.move_target([0.0, settings.speed_m_s, 0.0])?;
+    rig.run_for(settings.duration_s, |_| Loads::default())?;
+    Ok(rig)
+}
+
+/// The arm leads; first contact; the first peak; the base has resumed.
+fn moments(rows: &[Row]) -> Vec<Moment> {
+    let last = rows.len().saturating_sub(1);
+    let touching = |row: &Row| row.total_force_n() > 0.0;
+    let contact = rows.iter().position(touching).unwrap_or(last);
+    let end = rows.iter().rposition(touching).unwrap_or(last);
+    let peak = (contact..=end.min(last))
+        .max_by(|&a, &b| rows[a].total_force_n().total_cmp(&rows[b].total_force_n()))
+        .unwrap_or(last);
+    [
+        ("arm leads", last.min(500)),
+        ("contact", contact),
+        ("largest force", peak),
+        ("base resumes", last.min(end + 1000)),
+    ]
+    .map(|(name, row)| Moment { name: name.to_owned(), row })
+    .to_vec()
+}
+
+/// Panels of Fig. 7.
+pub(crate) fn panels(rows: &[Row]) -> Vec<Panel> {
+    vec![
+        figure::lead(rows),
+        figure::taxel_forces(rows),
+        figure::cover_wrench(rows),
+        figure::flange_error(rows),
+        figure::base_pose(rows),
+        figure::base_velocity(rows),
+    ]
+}
+
+fn measure(info: RunInfo, settings: &Settings, rows: &[Row], peak_by_phase_n: Vec<f64>) -> Report {
+    let measures = Measures::of(rows, 1.0 / f64::from(settings.config.control_loop.rate_hz));
+    let touching = |row: &Row| row.total_force_n() > 0.0;
+    let first = rows.iter().position(touching);
+    let last = rows.iter().rposition(touching);
+    let after = |i: usize, s: f64| rows.iter().skip(i).find(|row| row.t_s >= rows[i].t_s + s).or(rows.last());
+    let ahead = |row: &Row| {
+        (row.flange_world[1] - rows[0].flange_world[1])
+            - (row.base_pose_world[1] - rows[0].base_pose_world[1])
+    };
+    let safe = measures.peak_force_n < 25.0;
+    Report {
+        info,
+        measures,
+        approach_m_s: first.map_or(0.0, |i| approach_m_s(&rows[i.saturating_sub(1)], settings)),
+        arm_leads_m: after(0, 0.5).map_or(0.0, ahead),
+        base_y_m_s: first.zip(last).map(|(first, last)| {
+            let speed = |row: &Row| row.base_velocity_world[1];
+            let least = rows[first..=last].iter().map(speed).fold(f64::INFINITY, f64::min);
+            [speed(&rows[first]), least, after(last, 1.0).map_or(0.0, speed)]
+        }),
+        peak_by_phase_n,
+        verdict: if safe { "below 25 N" } else { "UNSAFE: above 25 N" },
+    }
+}
+
+/// Speed of the taxel's centre along its outward normal, less the person's own walk, m/s.
+fn approach_m_s(row: &Row, settings: &Settings) -> f64 {
+    let placement = settings.config.taxels()[settings.person.taxel];
+    let [vx, vy, yaw_rate] = row.base_velocity_world;
+    let (sin, cos) = row.base_pose_world[2].sin_cos();
+    let (body_x, body_y) = (cos * vx + sin * vy, -sin * vx + cos * vy);
+    let [x, y] = placement.position_base_m;
+    let (vx, vy) = (body_x - yaw_rate * y, body_y + yaw_rate * x);
+    let (sin, cos) = placement.inward_angle_base_rad.sin_cos();
+    -(vx * cos + vy * sin) + settings.person.walk_m_s
+}

@@ -1,0 +1,150 @@
+//! Experiments B1 and B2: the paper's pushes, in one continuous run each.
+
+use super::figure::{self, Moment};
+use super::push::{self, Outcome, Push};
+use super::{RunInfo, head, outcome_text};
+use crate::figures::chart::Panel;
+use crate::rig::closed_loop::{Rig, Row};
+use crate::rig::measure::Measures;
+use crate::rig::settings::Settings;
+use anyhow::Result;
+use serde::Serialize;
+use std::time::Instant;
+
+/// Report of B1 or B2.
+#[derive(Debug, Serialize)]
+pub(crate) struct Report {
+    #[serde(flatten)]
+    info: RunInfo,
+    /// Of the whole run.
+    #[serde(flatten)]
+    pub measures: Measures,
+    /// Each push in its turn.
+    pub pushes: Vec<Outcome>,
+    /// B2-iii: speed of the base along y for the hand on the cover, the hand at the flange, and both, m/s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub superposition_m_s: Option<[f64; 3]>,
+}
+
+impl Report {
+    pub(crate) fn text(&self) -> String {
+        let mut lines = vec![head(&self.info)];
+        lines.extend(self.pushes.iter().map(outcome_text));
+        let m = &self.measures;
+        lines.push(format!(
+            "  whole run: peak force {:.1} N, in contact {:.1} s, flange off by {:.2} mm RMS, {:.2} mm at most",
+            m.peak_force_n, m.contact_time_s, m.flange_rms_mm, m.flange_max_mm
+        ));
+        if let Some([taxel, flange, both]) = self.superposition_m_s {
+            lines.push(format!(
+                "  superposition: {taxel:.4} m/s (cover) + {flange:.4} m/s (flange) = {:.4}, both together {both:.4} m/s",
+                taxel + flange
+            ));
+        }
+        lines.join("\n")
+    }
+}
+
+/// A report with the trace it was made from.
+pub(crate) struct Run {
+    pub report: Report,
+    pub rows: Vec<Row>,
+    pub moments: Vec<Moment>,
+}
+
+/// Fig. 5: flange +z 15 N; T1 20 N; T6 20 N; T4 + T8 15 N each; T1 + T11 15 N each.
+pub(crate) fn b1(settings: &Settings) -> Result<Run> {
+    let pushes = [
+        Push::taxels("B1-i flange +z 15 N", &[]).and_flange([0.0, 0.0, 15.0]),
+        Push::taxels("B1-ii T1 20 N", &[(0, 20.0)]),
+        Push::taxels("B1-iii T6 20 N", &[(5, 20.0)]),
+        Push::taxels("B1-iv T4+T8 15 N", &[(3, 15.0), (7, 15.0)]),
+        Push::taxels("B1-iv T1+T11 15 N", &[(0, 15.0), (10, 15.0)]),
+    ];
+    continuous("b1", settings, &pushes, None)
+}
+
+/// Fig. 6: flange +x 15 N; T1 and T2 + T3 10 N each; hands on cover and flange the same way; the opposite way.
+pub(crate) fn b2(settings: &Settings) -> Result<Run> {
+    let pushes = [
+        Push::taxels("B2-i flange +x 15 N", &[]).and_flange([15.0, 0.0, 0.0]),
+        Push::taxels("B2-ii T1 10 N", &[(0, 10.0)]),
+        Push::taxels("B2-ii T2+T3 10 N", &[(1, 10.0), (2, 10.0)]),
+        Push::taxels("B2-iii T10 10 N, flange +y 10 N", &[(9, 10.0)]).and_flange([0.0, 10.0, 0.0]),
+        Push::taxels("B2-iv T6 15 N, flange +x 15 N", &[(5, 15.0)]).and_flange([15.0, 0.0, 0.0]),
+    ];
+    continuous("b2", settings, &pushes, Some(superposition(settings)?))
+}
+
+/// B2-iii from the home posture: each hand alone, then both; both act along x = 0.12 m and the flange's line.
+fn superposition(settings: &Settings) -> Result<[f64; 3]> {
+    let cover = Push::taxels("cover", &[(9, 10.0)]);
+    let flange = Push::taxels("flange", &[]).and_flange([0.0, 10.0, 0.0]);
+    let both = cover.clone().and_flange([0.0, 10.0, 0.0]);
+    let mut speeds = [0.0; 3];
+    for (speed, push) in speeds.iter_mut().zip([cover, flange, both]) {
+        let mut rig = Rig::start(settings, &settings.free_scene())?;
+        push::run(&mut rig, settings, &[push])?;
+        *speed = rig.rows.iter().map(|row| row.base_velocity_world[1]).fold(0.0, f64::max);
+    }
+    Ok(speeds)
+}
+
+fn continuous(
+    name: &'static str,
+    settings: &Settings,
+    pushes: &[Push],
+    superposition_m_s: Option<[f64; 3]>,
+) -> Result<Run> {
+    let started = Instant::now();
+    let mut rig = Rig::start(settings, &settings.free_scene())?;
+    let outcomes = push::run(&mut rig, settings, pushes)?;
+    let rows = &rig.rows;
+    let report = Report {
+        info: RunInfo::new(name, settings, &rig, started),
+        measures: Measures::of(rows, 1.0 / f64::from(settings.config.control_loop.rate_hz)),
+        pushes: outcomes,
+        superposition_m_s,
+    };
+    let mut moments = middles(&rig.rows, pushes.len(), settings.rest_s);
+    for (moment, push) in moments.iter_mut().zip(pushes) {
+        // "B2-ii T2+T3 10 N" without the force.
+        let words = push.name.split(' ').take(2).filter(|word| !word.starts_with("flange"));
+        moment.name = words.collect::<Vec<_>>().join(" ");
+    }
+    Ok(Run { report, rows: rig.rows, moments })
+}
+
+/// The middle of each of `count` equal pushes, each followed by a rest of `rest_s`.
+pub(crate) fn middles(rows: &[Row], count: usize, rest_s: f64) -> Vec<Moment> {
+    let each = rows.len() / count.max(1);
+    let length_s =
+        rows.last().map_or(0.0, |row| row.t_s) / f64::from(u32::try_from(count.max(1)).unwrap_or(1));
+    (0..count)
+        .map(|i| {
+            let middle_s =
+                length_s * f64::from(u32::try_from(i).unwrap_or(0)) + 0.5 * (length_s - rest_s).max(0.0);
+            let row = rows.partition_point(|row| row.t_s < middle_s).min(rows.len().saturating_sub(1));
+            Moment { name: format!("{}", i + 1), row: row.max(i * each) }
+        })
+        .collect()
+}
+
+/// Panels of Fig. 5.
+pub(crate) fn panels_b1(rows: &[Row]) -> Vec<Panel> {
+    vec![
+        figure::flange_force(rows, false),
+        figure::taxel_forces(rows),
+        figure::cover_wrench(rows),
+        figure::flange_error(rows),
+        figure::base_pose(rows),
+        figure::base_velocity(rows),
+    ]
+}
+
+/// Panels of Fig. 6.
+pub(crate) fn panels_b2(rows: &[Row]) -> Vec<Panel> {
+    let mut panels = panels_b1(rows);
+    panels.insert(1, figure::flange_force(rows, true));
+    panels
+}

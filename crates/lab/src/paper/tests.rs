@@ -1,0 +1,197 @@
+//! What the experiments must show: each with its bound.
+
+use super::push::{self, Outcome, Push};
+use super::{collision, pushes};
+use crate::rig::closed_loop::Rig;
+use crate::rig::settings::Settings;
+use moca_msgs::Law;
+
+fn settings(assignments: &[&str]) -> Settings {
+    let mut settings = Settings::paper(Law::Impedance);
+    for assignment in assignments {
+        settings.set(assignment).unwrap();
+    }
+    settings
+}
+
+const LITERAL: &[&str] = &["sensor=ideal"];
+const NULL_SPACE: &[&str] = &["sensor=ideal", "null_space_damping=true"];
+const COUPLED: &[&str] = &["sensor=ideal", "null_space_damping=true", "base_coupling=true"];
+
+fn push(taxels: &[usize], newton: f64, assignments: &[&str]) -> Outcome {
+    run(&push::single(taxels, newton), assignments)
+}
+
+fn run(push: &Push, assignments: &[&str]) -> Outcome {
+    let settings = settings(assignments);
+    let mut rig = Rig::start(&settings, &settings.free_scene()).unwrap();
+    let outcome = push::run(&mut rig, &settings, std::slice::from_ref(push)).unwrap().pop();
+    assert_eq!(rig.stopped, None);
+    outcome.unwrap()
+}
+
+#[test]
+fn a_push_is_as_hard_as_its_scale_says() {
+    let half = push(&[5], 20.0, &["sensor=ideal", "push.scale=0.5"]).base_displacement;
+    let other = push(&[5], 10.0, LITERAL).base_displacement;
+    assert_eq!(half.map(f64::to_bits), other.map(f64::to_bits));
+    assert!(half[0] < -0.04, "{half:?}");
+}
+
+#[test]
+fn b1_i_a_lifted_flange_is_a_spring() {
+    let lift = Push::taxels("lift", &[]).and_flange([0.0, 0.0, 15.0]);
+    let outcome = run(&lift, LITERAL);
+    // 15 N against 800 N/m.
+    assert!((1e3 * outcome.flange_displacement[2] - 18.75).abs() < 0.3, "{outcome:?}");
+}
+
+#[test]
+fn b1_ii_t1_moves_the_base_sideways_and_turns_it() {
+    for (assignments, flange_mm) in [(LITERAL, 10.0), (NULL_SPACE, 2.5), (COUPLED, 1.0)] {
+        let outcome = push(&[0], 20.0, assignments);
+        assert!(outcome.base_displacement[1] < -0.2 && outcome.base_displacement[2] > 0.2, "{outcome:?}");
+        assert!(outcome.flange_max_mm < flange_mm, "{assignments:?} {outcome:?}");
+    }
+}
+
+#[test]
+fn b1_iii_t6_is_a_pure_translation() {
+    for (assignments, flange_mm) in [(LITERAL, 15.0), (NULL_SPACE, 3.0), (COUPLED, 1.0)] {
+        let outcome = push(&[5], 20.0, assignments);
+        let [x, y, yaw] = outcome.base_displacement;
+        assert!(x < -0.08 && y.abs() < 2e-3 && yaw.abs() < 2e-3, "{outcome:?}");
+        assert!(outcome.flange_max_mm < flange_mm, "{assignments:?} {outcome:?}");
+    }
+}
+
+#[test]
+fn b1_iv_opposite_corners_are_pure_yaw_and_mirror_images() {
+    let left = push(&[3, 7], 15.0, LITERAL);
+    let right = push(&[0, 10], 15.0, LITERAL);
+    for outcome in [&left, &right] {
+        assert!(outcome.wrench_true[0].abs() < 1e-9 && outcome.wrench_true[1].abs() < 1e-9, "{outcome:?}");
+    }
+    assert!((left.wrench_true[2] + 11.0).abs() < 0.01, "{left:?}");
+    assert!(left.base_displacement[2] < -0.25, "{left:?}");
+    assert!((left.base_displacement[2] + right.base_displacement[2]).abs() < 1e-3, "{left:?} {right:?}");
+    assert!((left.base_displacement[1] + right.base_displacement[1]).abs() < 1e-3, "{left:?} {right:?}");
+}
+
+#[test]
+fn the_flange_feed_lets_the_base_follow_a_push_at_the_flange() {
+    let sideways = Push::taxels("sideways", &[]).and_flange([0.0, 15.0, 0.0]);
+    let literal = run(&sideways, LITERAL);
+    let fed = run(&sideways, &["sensor=ideal", "flange_feed=true"]);
+    // Without it the flange gives way by half of 15 N / (800 N/m), and the base drifts against the push.
+    assert!((6.0..11.0).contains(&(1e3 * literal.flange_displacement[1])), "{literal:?}");
+    assert!(literal.base_displacement[1] < -0.005, "{literal:?}");
+    assert!((16.5..20.0).contains(&fed.flange_max_mm), "{fed:?}");
+    assert!(fed.base_displacement[1] > 0.1, "{fed:?}");
+}
+
+#[test]
+fn a_stock_board_keeps_signs_and_pure_motions() {
+    let t6 = push(&[5], 20.0, &[]);
+    let [x, y, yaw] = t6.base_displacement;
+    assert!(x < -0.02 && y.abs() < 0.01 && yaw.abs() < 0.01, "{t6:?}");
+    assert!(t6.wrench_sensed[0] < -5.0, "{t6:?}");
+    let t1 = push(&[0], 20.0, &[]);
+    assert!(t1.base_displacement[1] < -0.05 && t1.base_displacement[2] > 0.05, "{t1:?}");
+    let corners = push(&[3, 7], 15.0, &[]);
+    assert!(corners.base_displacement[2] < -0.1, "{corners:?}");
+}
+
+#[test]
+fn a_push_held_for_a_minute_stays_bounded() {
+    let settings = settings(&["sensor=ideal", "push_s=60", "rest_s=0"]);
+    let mut rig = Rig::start(&settings, &settings.free_scene()).unwrap();
+    let outcome = push::run(&mut rig, &settings, &[push::single(&[5], 20.0)]).unwrap().pop().unwrap();
+    assert_eq!(rig.stopped, None);
+    for (joint, (min, max)) in
+        moca_msgs::robot::PANDA.q_min_rad.iter().zip(moca_msgs::robot::PANDA.q_max_rad).enumerate()
+    {
+        assert!(rig.rows.iter().all(|row| (*min..max).contains(&row.q_rad[joint])), "joint {}", joint + 1);
+    }
+    assert!(outcome.flange_max_mm < 15.0, "{outcome:?}");
+    // Held back by the arm's posture, not running away and not swinging: the last 20 s stand still.
+    let settled = &rig.rows[39_000..59_000];
+    let (least, most) = settled
+        .iter()
+        .map(|row| row.base_pose_world[0])
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), x| (l.min(x), m.max(x)));
+    assert!(most - least < 0.02 && least > -1.0, "between {least} and {most} m");
+}
+
+#[test]
+fn b2_the_base_follows_hands_on_cover_and_flange() {
+    let run = pushes::b2(&{
+        let mut settings = Settings::paper(Law::FollowMe);
+        settings.set("sensor=ideal").unwrap();
+        settings
+    })
+    .unwrap();
+    let [led, t1, pair, _, opposite] = &run.report.pushes[..] else { panic!("five pushes") };
+    assert!(led.base_displacement[0] > 0.3 && led.arm_residual_rad < 1e-3, "{led:?}");
+    assert!(t1.base_displacement[1] < -0.1 && t1.base_displacement[2] > 0.05, "{t1:?}");
+    assert!(pair.base_displacement[2].abs() < 1e-3, "{pair:?}");
+    assert!(opposite.base_displacement[0].hypot(opposite.base_displacement[1]) < 5e-3, "{opposite:?}");
+    let [cover, flange, both] = run.report.superposition_m_s.unwrap();
+    assert!(cover > 0.1 && ((cover + flange) / both - 1.0).abs() < 0.01, "{cover} {flange} {both}");
+}
+
+#[test]
+fn the_collision_stays_below_25_n_with_a_100_hz_sensor_and_not_without() {
+    let mut base = Settings::paper(Law::Impedance);
+    collision::defaults(&mut base);
+    let with = |assignments: &[&str]| {
+        let mut settings = base.clone();
+        for assignment in assignments {
+            settings.set(assignment).unwrap();
+        }
+        collision::run(&settings).unwrap().report
+    };
+    let on = with(LITERAL);
+    assert!(on.measures.peak_force_n < 25.0 && on.measures.flange_rms_mm < 15.0, "{on:?}");
+    assert_eq!(on.measures.contact_taxels, ["T1"]);
+    assert!(
+        on.measures.peaks_n.len() >= 3
+            && on.measures.peaks_n[0] > on.measures.peaks_n[1]
+            && on.measures.peaks_n[1] > on.measures.peaks_n[2],
+        "{on:?}"
+    );
+    let damped = with(NULL_SPACE);
+    assert!(damped.measures.peak_force_n < 25.0 && damped.measures.flange_rms_mm < 2.0, "{damped:?}");
+    let off = with(&["sensor=off"]);
+    assert!(off.measures.peak_force_n > 4.0 * on.measures.peak_force_n, "{off:?}");
+}
+
+#[test]
+fn two_runs_of_one_seed_are_the_same_bit_for_bit() {
+    let trace = || {
+        let settings = settings(&["push_s=1", "rest_s=0.2"]);
+        let mut rig = Rig::start(&settings, &settings.free_scene()).unwrap();
+        push::run(&mut rig, &settings, &[push::single(&[1], 20.0)]).unwrap();
+        rig.rows
+    };
+    assert_eq!(trace(), trace());
+}
+
+#[test]
+fn rate_and_age_of_a_stock_board_can_be_set_and_matter() {
+    let peak = |assignments: &[&str]| {
+        let mut settings = settings(&["duration=4"]);
+        collision::defaults(&mut settings);
+        for assignment in assignments {
+            settings.set(assignment).unwrap();
+        }
+        let rig = Rig::start(&settings, &settings.collision_scene().unwrap()).unwrap();
+        let rate_hz = rig.frame_rate_hz;
+        (collision::single(&settings).unwrap().measures.peak_force_n, rate_hz)
+    };
+    let (stock_n, stock_hz) = peak(&[]);
+    let (quick_n, quick_hz) = peak(&["sensor.period_ms=10"]);
+    let (late_n, _) = peak(&["sensor.delay_ms=40"]);
+    assert!((stock_hz - 40.5).abs() < 1.0 && (quick_hz - 100.0).abs() < 5.0, "{stock_hz} {quick_hz}");
+    assert!(quick_n < stock_n && stock_n < late_n, "{quick_n} {stock_n} {late_n}");
+}

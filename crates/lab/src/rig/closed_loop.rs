@@ -1,0 +1,234 @@
+//! The robot of an experiment: the daemon's own loop in lock-step, loads from a script, one row a tick.
+
+use crate::rig::settings::{Sensor, Settings};
+use anyhow::{Result, bail, ensure};
+use moca_daemon::control::plant::Plant;
+use moca_daemon::devices::ideal_cover::IdealCover;
+use moca_daemon::devices::simulated_robot::SimulatedRobot;
+use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard, TrueForces};
+use moca_msgs::{Sample, TaxelStatus};
+use moca_sim::Scene;
+
+/// Longest time from power-up to a moving law, s of simulation.
+const START_WITHIN_S: f64 = 30.0;
+pub(crate) const TAXELS: usize = 11;
+
+/// What pushes the robot at one instant.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Loads {
+    /// Scripted hands on the cover, N, T1 first.
+    pub taxel_n: [f64; TAXELS],
+    /// Wrench at the flange, world axes [N; N·m].
+    pub flange_world: [f64; 6],
+}
+
+impl Loads {
+    /// The same loads, `factor` times as strong.
+    pub(crate) fn scaled(&self, factor: f64) -> Self {
+        Self {
+            taxel_n: self.taxel_n.map(|f| f * factor),
+            flange_world: self.flange_world.map(|f| f * factor),
+        }
+    }
+}
+
+/// One tick of an experiment.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Row {
+    pub t_s: f64,
+    pub base_pose_world: [f64; 3],
+    pub base_velocity_world: [f64; 3],
+    pub base_command_body: [f64; 3],
+    pub q_rad: [f64; 7],
+    pub flange_world: [f64; 3],
+    pub flange_quaternion: [f64; 4],
+    pub flange_desired_world: [f64; 3],
+    pub flange_wrench_world: [f64; 6],
+    /// Wrench of the cover on the robot, axes and origin of B: true, and as the controller believes.
+    pub wrench_true: [f64; 3],
+    pub wrench_sensed: [f64; 3],
+    pub force_true: [f64; TAXELS],
+    pub force_sensed: [f64; TAXELS],
+    pub person_world: Option<[f64; 2]>,
+}
+
+impl Row {
+    /// Distance of the flange from where it is wanted, m.
+    pub(crate) fn flange_error_m(&self) -> f64 {
+        let [x, y, z] = std::array::from_fn(|i| self.flange_world[i] - self.flange_desired_world[i]);
+        (x * x + y * y + z * z).sqrt()
+    }
+
+    /// Sum of the true forces on all taxels, N.
+    pub(crate) fn total_force_n(&self) -> f64 {
+        self.force_true.iter().sum()
+    }
+}
+
+enum Cover {
+    Board(Box<LockStep<ByteCover, MemoryBoard>>),
+    True(Box<LockStep<IdealCover, TrueForces>>),
+}
+
+/// A robot that is armed and standing still, and what has happened to it since.
+pub(crate) struct Rig {
+    cover: Cover,
+    period_s: f64,
+    /// Every tick since the robot was armed.
+    pub rows: Vec<Row>,
+    /// Why the robot stopped, if it did.
+    pub stopped: Option<String>,
+    /// Rate of good frames, Hz (stock board).
+    pub frame_rate_hz: f64,
+    /// Simulated time, starting included, s.
+    pub sim_s: f64,
+}
+
+impl Rig {
+    /// Builds the scene, lets the daemon tare and arm, and waits out the sensor's phase.
+    ///
+    /// # Errors
+    /// A setting outside its range, or a robot that is not ready within 30 s.
+    pub(crate) fn start(settings: &Settings, scene: &Scene) -> Result<Self> {
+        settings.check()?;
+        let mut config = settings.config.clone();
+        let period_s = scene.control_period_s;
+        let ticks = |ms: f64| whole(ms * 1e-3 / period_s);
+        let cover = match settings.sensor {
+            Sensor::Stock => {
+                let mut lock_step = LockStep::with_board(&config, scene, settings.board(), None)?.untimed();
+                lock_step.feed.set_delay(usize::try_from(ticks(settings.sensor_delay_ms))?);
+                Cover::Board(Box::new(lock_step))
+            }
+            Sensor::Ideal | Sensor::Off => {
+                if settings.sensor == Sensor::Off {
+                    config.control.gains.reactivity = 0.0;
+                }
+                let delay = usize::try_from(ticks(settings.sensor_delay_ms))?;
+                let ideal = IdealCover::new(ticks(settings.period_ms()), delay);
+                Cover::True(Box::new(LockStep::with_true_forces(&config, scene, ideal)?.untimed()))
+            }
+        };
+        let mut rig =
+            Self { cover, period_s, rows: Vec::new(), stopped: None, frame_rate_hz: 0.0, sim_s: 0.0 };
+        rig.robot().world.set_people_waiting(true);
+        while !rig.tick(&Loads::default())?.mode.moves() {
+            if let Some(cause) = &rig.stopped {
+                bail!("the robot stopped before it was armed: {cause}");
+            }
+            ensure!(rig.sim_s < START_WITHIN_S, "the robot was not armed within {START_WITHIN_S} s");
+        }
+        rig.run_for(1e-3 * settings.sensor_phase_ms, |_| Loads::default())?;
+        rig.rows.clear();
+        rig.robot().world.set_people_waiting(false);
+        Ok(rig)
+    }
+
+    /// Runs on for `duration_s` under `loads`, a function of the time since the last row before, s. Ends early if the
+    /// robot stops.
+    pub(crate) fn run_for(&mut self, duration_s: f64, loads: impl Fn(f64) -> Loads) -> Result<()> {
+        let ticks = whole(duration_s / self.period_s);
+        for tick in 0..ticks {
+            #[expect(clippy::cast_precision_loss, reason = "tick counts are far below 2^53")]
+            let t_s = tick as f64 * self.period_s;
+            self.tick(&loads(t_s))?;
+            if self.stopped.is_some() {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Moves the flange's target with this velocity, m/s, world axes, from now on.
+    pub(crate) fn move_target(&mut self, velocity_world: [f64; 3]) -> Result<()> {
+        let [x, y, z] = velocity_world;
+        let twist = [x, y, z, 0.0, 0.0, 0.0];
+        match &mut self.cover {
+            Cover::Board(lock_step) => lock_step.control.set_target_twist(twist)?,
+            Cover::True(lock_step) => lock_step.control.set_target_twist(twist)?,
+        }
+        Ok(())
+    }
+
+    /// Makes the plant's state not a number, as a bug in it would.
+    pub(crate) fn break_state(&mut self) {
+        let state = self.robot().world.state();
+        let mut base = state.base_pose_world;
+        base[0] = f64::NAN;
+        self.robot().world.set_state(&base, &state.base_velocity_world, &state.q_rad, &state.dq_rad_s);
+    }
+
+    fn robot(&mut self) -> &mut SimulatedRobot {
+        match &mut self.cover {
+            Cover::Board(lock_step) => &mut lock_step.control.plant,
+            Cover::True(lock_step) => &mut lock_step.control.plant,
+        }
+    }
+
+    fn tick(&mut self, loads: &Loads) -> Result<Sample> {
+        let robot = self.robot();
+        for (taxel, &force_n) in loads.taxel_n.iter().enumerate() {
+            if robot.press(taxel, force_n).is_err() {
+                bail!("a scripted hand cannot press T{} with {force_n} N", taxel + 1);
+            }
+        }
+        robot.world.set_flange_wrench_world(loads.flange_world)?;
+        let force_true = robot.world.taxel_force_true_n();
+        let wrench_true = robot.world.cover_wrench_true_base();
+        let person_world = robot.world.person_position_world(0);
+        let (sample, _) = match &mut self.cover {
+            Cover::Board(lock_step) => lock_step.step(None),
+            Cover::True(lock_step) => lock_step.step(None),
+        };
+        self.sim_s += self.period_s;
+        self.frame_rate_hz = sample.frame_rate_hz;
+        if let Some(fault) = sample.fault {
+            self.stopped = Some(format!("{}: {}", fault.code(), fault.text()));
+        }
+        if sample.q_rad.is_empty() {
+            return Ok(sample); // no state was accepted, and none is not zero
+        }
+        #[expect(clippy::cast_precision_loss, reason = "tick counts are far below 2^53")]
+        let t_s = self.rows.len() as f64 * self.period_s;
+        self.rows.push(Row {
+            t_s,
+            base_pose_world: sample.base_pose_world,
+            base_velocity_world: sample.base_velocity_world,
+            base_command_body: sample.base_velocity_command_body,
+            q_rad: fixed(&sample.q_rad),
+            flange_world: sample.flange_position_world,
+            flange_quaternion: sample.flange_quaternion_world,
+            flange_desired_world: sample.flange_desired_position_world,
+            flange_wrench_world: loads.flange_world,
+            wrench_true,
+            wrench_sensed: sample.cover_wrench_base,
+            force_true,
+            force_sensed: sensed(&sample),
+            person_world,
+        });
+        Ok(sample)
+    }
+}
+
+fn sensed(sample: &Sample) -> [f64; TAXELS] {
+    std::array::from_fn(|i| match sample.taxels.get(i) {
+        Some(taxel) if taxel.status == TaxelStatus::Ok => taxel.force_n,
+        _ => f64::NAN,
+    })
+}
+
+fn fixed<const N: usize>(values: &[f64]) -> [f64; N] {
+    std::array::from_fn(|i| values.get(i).copied().unwrap_or(f64::NAN))
+}
+
+/// Nearest whole number of ticks.
+fn whole(ticks: f64) -> u64 {
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "saturates; durations are small"
+    )]
+    let whole = ticks.round() as u64;
+    whole
+}

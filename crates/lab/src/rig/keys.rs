@@ -1,0 +1,545 @@
+//! Everything an experiment can be told with `--set key=value`: one table, so that help and errors cannot lag behind.
+
+use crate::rig::settings::{Sensor, Settings};
+use anyhow::{Context, Result, bail, ensure};
+use moca_daemon::config::Arm;
+use moca_sim::foam::Foam;
+use moca_sim::{BodyPart, Integrator};
+use moca_tactile::datastream::SketchGeneration;
+
+impl Settings {
+    /// Applies `key=value`.
+    ///
+    /// # Errors
+    /// An unknown key (the message lists all), or a value that does not fit.
+    pub(crate) fn set(&mut self, assignment: &str) -> Result<()> {
+        let (name, value) = assignment
+            .split_once('=')
+            .with_context(|| format!("--set {assignment}: expected key=value, e.g. --set sensor=ideal"))?;
+        let Some(key) = KEYS.iter().find(|key| key.name == name.trim()) else {
+            bail!("--set: unknown key {name}; known keys:\n{}", key_list());
+        };
+        (key.set)(self, value.trim()).with_context(|| {
+            let unit = if key.unit.is_empty() { "no unit" } else { key.unit };
+            format!("--set {assignment} ({}; {unit})", key.about)
+        })
+    }
+}
+
+struct Key {
+    name: &'static str,
+    unit: &'static str,
+    about: &'static str,
+    set: fn(&mut Settings, &str) -> Result<()>,
+}
+
+const fn key(
+    name: &'static str,
+    unit: &'static str,
+    about: &'static str,
+    set: fn(&mut Settings, &str) -> Result<()>,
+) -> Key {
+    Key { name, unit, about, set }
+}
+
+const KEYS: &[Key] = &[
+    key("sensor", "stock|ideal|off", "what the controller feels the cover with", |s, v| {
+        s.sensor = word(v, &[("stock", Sensor::Stock), ("ideal", Sensor::Ideal), ("off", Sensor::Off)])?;
+        Ok(())
+    }),
+    key(
+        "sensor.period_ms",
+        "ms",
+        "ideal sensor: averaging and holding period; stock board: period of a frame",
+        |s, v| some(&mut s.sensor_period_ms, v, 1.0, 1000.0),
+    ),
+    key("sensor.delay_ms", "ms", "further delay, either sensor", |s, v| {
+        store(&mut s.sensor_delay_ms, v, 0.0, 1000.0)
+    }),
+    key("sensor.phase_ms", "ms", "how much later the motion starts against the sensor's clock", |s, v| {
+        store(&mut s.sensor_phase_ms, v, 0.0, 1000.0)
+    }),
+    key("sensor.noise", "counts", "stock board: standard deviation of one FDAT value", |s, v| {
+        s.noise_counts = Some(number(v, 0.0, 100.0)?);
+        Ok(())
+    }),
+    key("sensor.sketch", "2015|2018", "stock board: generation of the sketch", |s, v| {
+        s.sketch = word(v, &[("2015", SketchGeneration::From2015), ("2018", SketchGeneration::From2018)])?;
+        Ok(())
+    }),
+    key("seed", "", "seed of the board's noise", |s, v| {
+        s.config.simulation.seed = v.parse().context("expected a whole number")?;
+        Ok(())
+    }),
+    key("m_v", "kg[,kg,kg·m²]", "virtual mass, eq. (2); one number sets x and y", |s, v| {
+        planar(&mut s.config.control.gains.virtual_mass, v, 0.01, 1000.0)
+    }),
+    key("d_v", "N·s/m[,N·s/m,N·m·s/rad]", "virtual damping, eq. (2); one number sets x and y", |s, v| {
+        planar(&mut s.config.control.gains.virtual_damping, v, 0.0, 1e5)
+    }),
+    key("k_d", "N/m[,N·m/rad]", "stiffness of the flange, eq. (10): linear, angular", |s, v| {
+        let k = &mut s.config.control.gains.stiffness;
+        for (i, value) in numbers(v, 2, 0.0, 1e5)?.into_iter().enumerate() {
+            k[3 * i..3 * i + 3].fill(value);
+        }
+        Ok(())
+    }),
+    key("zeta", "", "damping ratio of the flange, eq. (10)", |s, v| {
+        store(&mut s.config.control.gains.damping_ratio, v, 0.0, 5.0)
+    }),
+    key("eta_b", "", "weight of the base, eq. (9)", |s, v| {
+        store(&mut s.config.control.gains.eta_base, v, 1e-3, 1e3)
+    }),
+    key("eta_a", "", "weight of the arm, eq. (9)", |s, v| {
+        store(&mut s.config.control.gains.eta_arm, v, 1e-3, 1e3)
+    }),
+    key("k_0", "N·m/rad, 7 numbers or 1", "null-space posture stiffness, eq. (11)", |s, v| {
+        joints(&mut s.config.control.gains.posture_stiffness, v, 1e4)
+    }),
+    key("d_0", "N·m·s/rad, 7 numbers or 1", "null-space posture damping, eq. (11)", |s, v| {
+        joints(&mut s.config.control.gains.posture_damping, v, 1e3)
+    }),
+    key("reactivity", "", "scale of the cover's wrench on the base", |s, v| {
+        store(&mut s.config.control.gains.reactivity, v, 0.0, 10.0)
+    }),
+    key("null_space_damping", "true|false", "correction 2 of the literal law", |s, v| {
+        flag(&mut s.config.control.corrections.null_space_damping, v)
+    }),
+    key("base_coupling", "true|false", "correction 3 of the literal law", |s, v| {
+        flag(&mut s.config.control.corrections.base_coupling, v)
+    }),
+    key("flange_feed", "true|false", "correction 1 of the literal law", |s, v| {
+        flag(&mut s.config.control.corrections.flange_feed, v)
+    }),
+    key("limit.base_velocity", "m/s[,m/s,rad/s]", "largest commanded base speed", |s, v| {
+        planar(&mut s.config.limits.base_velocity, v, 0.0, 3.0)
+    }),
+    key("limit.base_acceleration", "m/s²[,m/s²,rad/s²]", "largest commanded base acceleration", |s, v| {
+        planar(&mut s.config.limits.base_acceleration, v, 0.01, 50.0)
+    }),
+    key("rate_hz", "Hz", "control rate", |s, v| {
+        s.config.control_loop.rate_hz = v.parse().context("expected a whole number")?;
+        Ok(())
+    }),
+    key("step_ms", "ms", "physics step", |s, v| store(&mut s.step_ms, v, 1e-3, 100.0)),
+    key("integrator", "euler|rk4|implicit|implicitfast", "MuJoCo's integrator", |s, v| {
+        s.integrator = word(
+            v,
+            &[
+                ("euler", Integrator::Euler),
+                ("rk4", Integrator::RungeKutta4),
+                ("implicit", Integrator::Implicit),
+                ("implicitfast", Integrator::ImplicitFast),
+            ],
+        )?;
+        Ok(())
+    }),
+    key("foam", "pu|cc|pe5|pe3|collision-assumed", "foam of the cover", |s, v| {
+        s.foam.material = word(
+            v,
+            &[
+                ("pu", Foam::PU_LD30),
+                ("cc", Foam::CC),
+                ("pe5", Foam::PE5),
+                ("pe3", Foam::PE3),
+                ("collision-assumed", Foam::COLLISION_ASSUMED),
+            ],
+        )?;
+        Ok(())
+    }),
+    key("foam.scale", "", "stiffness of the foam over its law's", |s, v| {
+        store(&mut s.foam.scale, v, 1e-3, 1e5)
+    }),
+    key("foam.thickness", "m", "plate gap at rest; the hyperbolic law's h", |s, v| {
+        some(&mut s.foam.thickness_m, v, 1e-3, 0.1)
+    }),
+    key("foam.stiffness", "N/m", "initial stiffness k_0 of collision-assumed, before foam.scale", |s, v| {
+        some(&mut s.foam.stiffness, v, 10.0, 1e6)
+    }),
+    key("foam.damping_ms", "ms", "damping of the foam over its stiffness", |s, v| {
+        some(&mut s.foam.damping_ms, v, 0.0, 1000.0)
+    }),
+    key(
+        "person.kind",
+        "leg|thigh|hand|wall",
+        "who stands there; the keys below change single properties",
+        |s, v| {
+            s.person.part = word(
+                v,
+                &[
+                    ("leg", BodyPart::Leg),
+                    ("thigh", BodyPart::Thigh),
+                    ("hand", BodyPart::Hand),
+                    ("wall", BodyPart::Wall),
+                ],
+            )?;
+            Ok(())
+        },
+    ),
+    key("person.taxel", "T1…T11", "taxel the person stands before", |s, v| {
+        s.person.taxel = taxel(v)?;
+        Ok(())
+    }),
+    key("person.gap", "m", "gap to the cover at the start", |s, v| store(&mut s.person.gap_m, v, 0.0, 5.0)),
+    key("person.offset", "m", "how far along the panel from the taxel's centre", |s, v| {
+        store(&mut s.person.offset_m, v, -1.0, 1.0)
+    }),
+    key("person.mass", "kg", "mass", |s, v| some(&mut s.person.mass_kg, v, 0.1, 1e4)),
+    key("person.stiffness", "N/m", "stiffness of the tissue", |s, v| {
+        some(&mut s.person.stiffness, v, 1.0, 1e9)
+    }),
+    key("person.damping", "N·s/m", "damping of the tissue", |s, v| {
+        store(&mut s.person.damping, v, 0.0, 1e5)
+    }),
+    key("person.posture_stiffness", "N/m", "stiffness of the posture", |s, v| {
+        some(&mut s.person.posture_stiffness, v, 0.0, 1e7)
+    }),
+    key("person.posture_damping", "N·s/m", "damping of the posture", |s, v| {
+        some(&mut s.person.posture_damping, v, 0.0, 1e5)
+    }),
+    key("person.radius", "m", "radius of leg, thigh or hand", |s, v| {
+        some(&mut s.person.radius_m, v, 0.005, 100.0)
+    }),
+    key("person.at_s", "s", "when walking and leaning begin", |s, v| {
+        store(&mut s.person.at_s, v, 0.0, 3600.0)
+    }),
+    key("person.walk", "m/s", "walking speed towards the cover", |s, v| {
+        store(&mut s.person.walk_m_s, v, 0.0, 5.0)
+    }),
+    key("person.lean", "N", "weight leant on the cover until the step away", |s, v| {
+        store(&mut s.person.lean_n, v, 0.0, 1000.0)
+    }),
+    key("person.steps_away_s", "s", "time from first contact to the step away", |s, v| {
+        store(&mut s.person.steps_away_s, v, 0.0, 1000.0)
+    }),
+    key("person.fixed", "true|false", "cannot move: held against a wall", |s, v| {
+        flag(&mut s.person.fixed, v)
+    }),
+    key("arm", "panda|fr3", "kinematics, inertias and joint ranges of the arm", |s, v| {
+        s.config.geometry.arm = word(v, &[("panda", Arm::Panda), ("fr3", Arm::Fr3)])?;
+        Ok(())
+    }),
+    key("mount.position", "m,m,m", "arm base in the axes of B", |s, v| {
+        list(&mut s.config.geometry.arm_position_m, v, -5.0, 5.0)
+    }),
+    key("mount.rpy", "rad,rad,rad", "its axes in B: roll, pitch, yaw", |s, v| {
+        list(&mut s.config.geometry.arm_rpy_rad, v, -7.0, 7.0)
+    }),
+    key("taxels.x", "m, 11 numbers", "centres of the taxels in B, T1 first: forward", |s, v| {
+        list(&mut s.config.geometry.taxel_x_m, v, -5.0, 5.0)
+    }),
+    key("taxels.y", "m, 11 numbers", "centres of the taxels in B, T1 first: left", |s, v| {
+        list(&mut s.config.geometry.taxel_y_m, v, -5.0, 5.0)
+    }),
+    key("taxels.inward", "rad, 11 numbers", "direction of a press in B", |s, v| {
+        list(&mut s.config.geometry.taxel_inward_rad, v, -7.0, 7.0)
+    }),
+    key("base.size", "m,m,m", "length, width, height: its inertia is the box's; the cover stays", |s, v| {
+        list(&mut s.base.size_m, v, 0.1, 10.0)
+    }),
+    key("base.mass", "kg", "mass of the base; its inertia grows with it", |s, v| {
+        store(&mut s.base.mass_kg, v, 1.0, 1e5)
+    }),
+    key("base.inertia", "kg·m²", "about the vertical, instead of the box's", |s, v| {
+        some(&mut s.base.inertia, v, 0.01, 1e6)
+    }),
+    key("base.servo_ms", "ms", "time constant of the base's velocity servo", |s, v| {
+        s.base_servo.time_constant_s = 1e-3 * number(v, 0.1, 1e4)?;
+        Ok(())
+    }),
+    key(
+        "base.acceleration",
+        "m/s²[,rad/s²]",
+        "what the base's servo can do: along x and y, yaw",
+        |s, v| {
+            let values = numbers(v, 2, 1e-3, 1e4)?;
+            s.base_servo.acceleration_max_m_s2 = values[0];
+            if let Some(yaw) = values.get(1) {
+                s.base_servo.yaw_acceleration_max_rad_s2 = *yaw;
+            }
+            Ok(())
+        },
+    ),
+    key("q_0", "rad, 7 numbers", "posture of the arm, at the start and in eq. (11)", |s, v| {
+        list(&mut s.config.control.gains.posture_rad, v, -7.0, 7.0)
+    }),
+    key("limit.torque", "N·m, 7 numbers or 1", "largest commanded joint torque", |s, v| {
+        joints(&mut s.config.limits.torque_nm, v, 1e3)
+    }),
+    key("limit.torque_rate", "N·m/s", "fastest change of a joint torque", |s, v| {
+        store(&mut s.config.limits.torque_rate_nm_s, v, 1.0, 1e5)
+    }),
+    key("speed", "m/s", "speed of the flange's target in y (collision)", |s, v| {
+        store(&mut s.speed_m_s, v, 0.0, 0.25)
+    }),
+    key("duration", "s", "length of the collision run", |s, v| store(&mut s.duration_s, v, 0.1, 3600.0)),
+    key("push_s", "s", "length of a push, its two ramps included", |s, v| {
+        store(&mut s.push_s, v, 0.01, 3600.0)
+    }),
+    key("push.scale", "", "forces of the scripted pushes over the paper's", |s, v| {
+        store(&mut s.push_scale, v, 0.0, 10.0)
+    }),
+    key("ramp_s", "s", "each of the two ramps of a push", |s, v| store(&mut s.ramp_s, v, 1e-3, 1000.0)),
+    key("rest_s", "s", "pause between pushes", |s, v| store(&mut s.rest_s, v, 0.0, 3600.0)),
+];
+
+/// Every key with its unit and meaning, one a line.
+fn key_list() -> String {
+    KEYS.iter()
+        .map(|key| format!("  {:26} {:32} {}", key.name, key.unit, key.about))
+        .collect::<Vec<_>>()
+        .join("\n")
+}
+
+/// `T6` or `6` as an index from 0.
+pub(crate) fn taxel(text: &str) -> Result<usize> {
+    let number: usize = text.trim_start_matches(['T', 't']).parse().context("expected a taxel, T1 to T11")?;
+    ensure!((1..=11).contains(&number), "taxel {number} is outside T1 to T11");
+    Ok(number - 1)
+}
+
+fn number(text: &str, min: f64, max: f64) -> Result<f64> {
+    let value: f64 = text.parse().with_context(|| format!("'{text}' is not a number"))?;
+    ensure!(value >= min && value <= max, "{value} is outside {min} to {max}");
+    Ok(value)
+}
+
+fn store(place: &mut f64, text: &str, min: f64, max: f64) -> Result<()> {
+    *place = number(text, min, max)?;
+    Ok(())
+}
+
+fn some(place: &mut Option<f64>, text: &str, min: f64, max: f64) -> Result<()> {
+    *place = Some(number(text, min, max)?);
+    Ok(())
+}
+
+fn numbers(text: &str, most: usize, min: f64, max: f64) -> Result<Vec<f64>> {
+    let values = text.split(',').map(|part| number(part.trim(), min, max)).collect::<Result<Vec<_>>>()?;
+    ensure!(values.len() <= most, "{} numbers where at most {most} are expected", values.len());
+    Ok(values)
+}
+
+fn list<const N: usize>(place: &mut [f64; N], text: &str, min: f64, max: f64) -> Result<()> {
+    let values = numbers(text, N, min, max)?;
+    *place = values.try_into().ok().with_context(|| format!("expected {N} numbers"))?;
+    Ok(())
+}
+
+fn planar(place: &mut [f64; 3], text: &str, min: f64, max: f64) -> Result<()> {
+    match numbers(text, 3, min, max)?[..] {
+        [linear] => place[..2].fill(linear),
+        [x, y, yaw] => *place = [x, y, yaw],
+        _ => bail!("expected one number or three"),
+    }
+    Ok(())
+}
+
+fn joints(place: &mut [f64; 7], text: &str, max: f64) -> Result<()> {
+    match numbers(text, 7, 0.0, max)?[..] {
+        [all] => place.fill(all),
+        [a, b, c, d, e, f, g] => *place = [a, b, c, d, e, f, g],
+        _ => bail!("expected one number or seven"),
+    }
+    Ok(())
+}
+
+fn flag(place: &mut bool, text: &str) -> Result<()> {
+    *place = word(text, &[("true", true), ("false", false), ("on", true), ("off", false)])?;
+    Ok(())
+}
+
+fn word<T: Copy>(text: &str, allowed: &[(&str, T)]) -> Result<T> {
+    let names = || allowed.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ");
+    allowed
+        .iter()
+        .find(|(name, _)| *name == text)
+        .map(|(_, value)| *value)
+        .with_context(|| format!("'{text}' is not one of {}", names()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use moca_msgs::Law;
+    use moca_msgs::robot::{FR3, SUMMIT_XL};
+    use moca_sim::Scene;
+    use moca_sim::foam::ElasticLaw;
+
+    #[test]
+    fn an_unknown_key_lists_every_key() {
+        let error = Settings::paper(Law::Impedance).set("person.wieght=3").unwrap_err().to_string();
+        assert!(KEYS.iter().all(|key| error.contains(key.name)), "{error}");
+    }
+
+    #[test]
+    fn a_value_outside_its_range_names_value_and_range() {
+        let mut settings = Settings::paper(Law::Impedance);
+        for (assignment, part) in [
+            ("m_v=nan", "outside 0.01 to 1000"),
+            ("speed=fast", "'fast' is not a number"),
+            ("sensor=none", "stock, ideal, off"),
+            ("person.taxel=T12", "outside T1 to T11"),
+            ("d_v=1,2", "one number or three"),
+            ("sensor", "expected key=value"),
+        ] {
+            let error = format!("{:#}", settings.set(assignment).unwrap_err());
+            assert!(error.contains(part), "{assignment}: {error}");
+        }
+        assert_eq!(settings, Settings::paper(Law::Impedance));
+    }
+
+    fn with(assignments: &[&str]) -> Settings {
+        let mut settings = Settings::paper(Law::Impedance);
+        for assignment in assignments {
+            settings.set(assignment).unwrap();
+        }
+        settings.check().unwrap();
+        settings
+    }
+
+    fn scene(assignments: &[&str]) -> Scene {
+        with(assignments).free_scene()
+    }
+
+    /// Parameters of arm, base, cover, controller, human and foam, and the numbers of the experiments.
+    #[test]
+    #[expect(clippy::float_cmp, reason = "a set number is stored as it is")]
+    fn every_parameter_of_the_table_can_be_set() {
+        let rows = [
+            // The arm and its limits.
+            "arm=fr3",
+            "limit.torque=80,80,80,80,10,10,10",
+            "limit.torque_rate=900",
+            // The base, where arm and taxels sit on it.
+            "base.size=1,0.8,0.5",
+            "base.mass=120",
+            "base.inertia=20",
+            "base.servo_ms=30",
+            "base.acceleration=2,5",
+            "mount.position=0.1,0,0.5",
+            "mount.rpy=0,0,0.1",
+            "taxels.x=-0.3,-0.1,0.1,0.3,0.5,0.5,0.5,-0.3,-0.1,0.1,0.3",
+            "taxels.y=0.4,0.4,0.4,0.4,0.2,0,-0.2,-0.4,-0.4,-0.4,-0.4",
+            "taxels.inward=-1.5,-1.5,-1.5,-1.5,3,3,3,1.5,1.5,1.5,1.5",
+            // The gains.
+            "m_v=2",
+            "d_v=10,20,30",
+            "k_d=500,20",
+            "zeta=0.7",
+            "eta_a=2",
+            "eta_b=2",
+            "k_0=50",
+            "d_0=5",
+            // The human.
+            "person.mass=60",
+            "person.stiffness=40000",
+            "person.radius=0.08",
+            "person.posture_stiffness=500",
+            "person.posture_damping=200",
+            "person.steps_away_s=2",
+            "person.taxel=T4",
+            // The foam.
+            "foam=collision-assumed",
+            "foam.scale=2",
+            "foam.thickness=0.02",
+            "foam.damping_ms=2",
+            // The experiments.
+            "sensor=ideal",
+            "sensor.period_ms=20",
+            "sensor.delay_ms=5",
+            "null_space_damping=true",
+            "base_coupling=true",
+            "flange_feed=true",
+            "q_0=0,-0.7,0,-2.3,0,1.5,0.7",
+            "push_s=2",
+            "ramp_s=0.2",
+            "push.scale=0.5",
+            "speed=0.1",
+        ];
+        for row in rows {
+            assert_ne!(with(&[row]), with(&[]), "{row}");
+        }
+        let (plain, stiffer) =
+            (with(&["foam=collision-assumed"]), with(&["foam=collision-assumed", "foam.stiffness=3000"]));
+        assert_ne!(plain.free_scene(), stiffer.free_scene());
+        let gains = with(&["d_v=10,20,30", "k_d=500,20"]).config.control.gains;
+        assert_eq!(gains.virtual_damping, [10.0, 20.0, 30.0]);
+        assert_eq!(gains.stiffness, [500.0, 500.0, 500.0, 20.0, 20.0, 20.0]);
+    }
+
+    #[test]
+    fn a_scene_without_settings_is_the_paper_s_robot() {
+        let base = Scene { flange_sensor: true, ..Scene::default() };
+        assert_eq!(scene(&[]), base);
+    }
+
+    #[test]
+    fn one_foam_gives_force_and_plate_gap_whatever_the_order_of_the_keys() {
+        let keys = ["foam.thickness=0.02", "foam.stiffness=3000", "foam.damping_ms=2", "foam.scale=2"];
+        let before = with(&[&keys[..], &["foam=collision-assumed"]].concat());
+        let after = with(&[&["foam=collision-assumed"], &keys[..]].concat());
+        assert_eq!(before, after);
+        let foam = before.free_scene().foam;
+        let expected = Foam {
+            gap_m: 0.02,
+            elastic: ElasticLaw::Hyperbolic { stiffness_n_per_m: 6000.0 },
+            damping_time_s: 0.002,
+            ..Foam::COLLISION_ASSUMED
+        };
+        assert_eq!(foam, expected);
+        assert_eq!(before.board().foam, foam);
+        // A foam of the paper has no damper of its own, and takes one.
+        assert_eq!(scene(&["foam=cc"]).foam, Foam::CC);
+        assert_eq!(scene(&["foam=cc", "foam.damping_ms=1"]).foam, Foam { damping_time_s: 0.001, ..Foam::CC });
+    }
+
+    #[test]
+    fn the_inertia_of_the_base_is_its_box_s_unless_it_is_given() {
+        let size = scene(&["base.size=1,0.5,0.4", "base.mass=60"]).base;
+        let of_box = [0.25 + 0.16, 1.0 + 0.16, 1.0 + 0.25].map(|square| 60.0 / 12.0 * square);
+        for (inertia, of_box) in size.inertia_com_diagonal.into_iter().zip(of_box) {
+            assert!((inertia - of_box).abs() < 1e-12, "{inertia} {of_box}");
+        }
+        assert_eq!((size.size_m, size.mass_kg), ([1.0, 0.5, 0.4], 60.0));
+        let given = scene(&["base.inertia=20"]).base;
+        assert!((given.inertia_com_diagonal[2] - 20.0).abs() < 1e-12, "{given:?}");
+        assert_eq!((given.size_m, given.mass_kg), (SUMMIT_XL.size_m, SUMMIT_XL.mass_kg));
+    }
+
+    #[test]
+    fn controller_and_plant_have_the_arm_that_is_asked_for() {
+        let settings = with(&["arm=fr3"]);
+        assert_eq!((settings.free_scene().arm, settings.config.arm()), (&FR3, &FR3));
+    }
+
+    #[test]
+    fn a_new_value_outside_its_range_names_value_unit_and_range() {
+        for (assignment, parts) in [
+            ("foam.thickness=0.2", ["0.2 is outside 0.001 to 0.1", "; m)"]),
+            ("foam.stiffness=1", ["1 is outside 10 to 1000000", "; N/m)"]),
+            ("foam.damping_ms=-1", ["-1 is outside 0 to 1000", "; ms)"]),
+            ("base.size=0.05,1,1", ["0.05 is outside 0.1 to 10", "; m,m,m)"]),
+            ("base.inertia=0", ["0 is outside 0.01 to 1000000", "; kg·m²)"]),
+            ("push.scale=11", ["11 is outside 0 to 10", "; no unit)"]),
+            ("ramp_s=nan", ["NaN is outside 0.001 to 1000", "; s)"]),
+            ("arm=ur10e", ["'ur10e' is not one of panda, fr3", "panda|fr3)"]),
+        ] {
+            let error = format!("{:#}", Settings::paper(Law::Impedance).set(assignment).unwrap_err());
+            assert!(parts.iter().all(|part| error.contains(part)), "{assignment}: {error}");
+        }
+    }
+
+    #[test]
+    fn numbers_that_do_not_go_together_are_refused() {
+        for (assignment, part) in [
+            ("foam.stiffness=3000", "foam.stiffness = 3000 N/m: PU LD30 follows a power law"),
+            ("ramp_s=2", "push_s = 3 s is shorter than its two ramps of ramp_s = 2 s"),
+        ] {
+            let mut settings = Settings::paper(Law::Impedance);
+            settings.set(assignment).unwrap();
+            let error = settings.check().unwrap_err().to_string();
+            assert!(error.contains(part), "{assignment}: {error}");
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! What every experiment says of its trace.
+
+use crate::paper::push::{difference, rms};
+use crate::rig::closed_loop::{Row, TAXELS};
+use serde::Serialize;
+
+/// A peak lower than this is a graze, N.
+const PEAK_MIN_N: f64 = 2.0;
+
+/// Measures of a whole trace.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct Measures {
+    /// Largest true force on any taxel, N.
+    pub peak_force_n: f64,
+    /// Local maxima of the total true force on the cover, N, in time order.
+    pub peaks_n: Vec<f64>,
+    /// Taxels that were touched, in the order of the cover.
+    pub contact_taxels: Vec<String>,
+    /// First contact, s after the run's start; null without one.
+    pub contact_s: Option<f64>,
+    /// Time in contact, s.
+    pub contact_time_s: f64,
+    /// Distance of the flange from its target: root mean square and largest, mm.
+    pub flange_rms_mm: f64,
+    pub flange_max_mm: f64,
+    /// Pose of the base at the end less that at the start, world axes: m, m, rad.
+    pub base_displacement: [f64; 3],
+    /// Turn of the base from first to last contact, degrees.
+    pub yaw_in_contact_deg: f64,
+    /// Wrench of the cover on the base, mean while in contact, axes of B about its origin: N, N, N·m.
+    pub wrench_true: [f64; 3],
+    pub wrench_sensed: [f64; 3],
+}
+
+impl Measures {
+    pub(crate) fn of(rows: &[Row], period_s: f64) -> Self {
+        let touching: Vec<&Row> = rows.iter().filter(|row| row.total_force_n() > 0.0).collect();
+        let (first, last) = (touching.first(), touching.last());
+        Self {
+            peak_force_n: peak_force_n(rows),
+            peaks_n: peaks(rows),
+            contact_taxels: (0..TAXELS)
+                .filter(|&taxel| rows.iter().any(|row| row.force_true[taxel] > 0.0))
+                .map(|taxel| format!("T{}", taxel + 1))
+                .collect(),
+            contact_s: first.map(|row| row.t_s),
+            contact_time_s: period_s * to_f64(touching.len()),
+            flange_rms_mm: 1e3 * rms(rows.iter().map(Row::flange_error_m)),
+            flange_max_mm: 1e3 * rows.iter().map(Row::flange_error_m).fold(0.0, f64::max),
+            base_displacement: match (rows.first(), rows.last()) {
+                (Some(first), Some(last)) => difference(&last.base_pose_world, &first.base_pose_world),
+                _ => [0.0; 3],
+            },
+            yaw_in_contact_deg: match (first, last) {
+                (Some(first), Some(last)) => {
+                    (last.base_pose_world[2] - first.base_pose_world[2]).to_degrees()
+                }
+                _ => 0.0,
+            },
+            wrench_true: mean(&touching, |row| row.wrench_true),
+            wrench_sensed: mean(&touching, |row| row.wrench_sensed),
+        }
+    }
+}
+
+/// Largest force on any taxel, N.
+pub(crate) fn peak_force_n(rows: &[Row]) -> f64 {
+    rows.iter().flat_map(|row| row.force_true).fold(0.0, f64::max)
+}
+
+fn mean(rows: &[&Row], pick: fn(&Row) -> [f64; 3]) -> [f64; 3] {
+    let mut sum = [0.0; 3];
+    for value in rows.iter().map(|row| pick(row)) {
+        sum = std::array::from_fn(|axis| sum[axis] + value[axis]);
+    }
+    sum.map(|s| s / to_f64(rows.len().max(1)))
+}
+
+/// Local maxima of the total force above a graze, N, each the largest between two dips of a fifth of it.
+fn peaks(rows: &[Row]) -> Vec<f64> {
+    let mut found = Vec::new();
+    let (mut most, mut rising) = (0.0f64, true);
+    let mut least = f64::INFINITY;
+    for force_n in rows.iter().map(Row::total_force_n) {
+        if rising {
+            most = most.max(force_n);
+            if most > PEAK_MIN_N && force_n < 0.8 * most {
+                found.push(most);
+                (rising, least) = (false, force_n);
+            }
+        } else {
+            least = least.min(force_n);
+            if force_n > PEAK_MIN_N && force_n > 1.25 * least {
+                (rising, most) = (true, force_n);
+            }
+        }
+    }
+    found
+}
+
+fn to_f64(count: usize) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "rows of one run")]
+    let count = count as f64;
+    count
+}

@@ -1,0 +1,284 @@
+//! One run of an experiment, completely described, and the scene and board that follow from it.
+
+use anyhow::{Context, Result, ensure};
+use moca_daemon::config::{Config, HandConfig};
+use moca_daemon::control::protection::OVERRIDE_MAX_M_S;
+use moca_msgs::Law;
+use moca_msgs::robot::{BaseTable, SUMMIT_XL, TaxelPlacement};
+use moca_sim::foam::{ElasticLaw, Foam};
+use moca_sim::{BaseServo, BodyPart, Integrator, Mobility, Person, Scene, Shape, VirtualBoardConfig};
+use moca_tactile::datastream::SketchGeneration;
+
+/// Averaging and holding period of the ideal sensor, ms.
+const IDEAL_PERIOD_MS: f64 = 10.0;
+
+/// What the controller feels the cover with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Sensor {
+    /// A stock Touch Board: bytes, age, noise, threshold.
+    Stock,
+    /// The true force, averaged and held over a period.
+    Ideal,
+    /// No cover: the controller is told zero.
+    Off,
+}
+
+impl Sensor {
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Stock => "stock",
+            Self::Ideal => "ideal",
+            Self::Off => "off",
+        }
+    }
+}
+
+/// Who stands beside the robot. What is `None` is as the body part has it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct PersonSettings {
+    pub part: BodyPart,
+    /// 0 is T1.
+    pub taxel: usize,
+    pub gap_m: f64,
+    /// Along the panel from the taxel's centre, m.
+    pub offset_m: f64,
+    pub mass_kg: Option<f64>,
+    pub stiffness: Option<f64>,
+    pub damping: f64,
+    pub posture_stiffness: Option<f64>,
+    pub posture_damping: Option<f64>,
+    pub radius_m: Option<f64>,
+    pub steps_away_s: f64,
+    /// When walking and leaning begin, s after the run's start.
+    pub at_s: f64,
+    /// Walking speed towards the cover, m/s.
+    pub walk_m_s: f64,
+    /// Weight leant on the cover, N.
+    pub lean_n: f64,
+    pub fixed: bool,
+}
+
+impl PersonSettings {
+    /// Stiffness of the tissue, N/m.
+    pub(crate) fn tissue_stiffness(&self) -> f64 {
+        self.stiffness.unwrap_or(self.part.data().1.stiffness_n_per_m)
+    }
+
+    fn person(&self, cover: &[TaxelPlacement]) -> Result<Person> {
+        let (mut shape, mut tissue, mut mobility) = self.part.data();
+        if let (Shape::Cylinder { radius_m }, Some(radius)) = (&mut shape, self.radius_m) {
+            *radius_m = radius;
+        }
+        tissue.stiffness_n_per_m = self.tissue_stiffness();
+        tissue.damping_n_s_per_m = self.damping;
+        if self.fixed {
+            mobility = Mobility::Fixed;
+        }
+        if let Mobility::Standing { mass_kg, stiffness_n_per_m, damping_n_s_per_m } = &mut mobility {
+            *mass_kg = self.mass_kg.unwrap_or(*mass_kg);
+            *stiffness_n_per_m = self.posture_stiffness.unwrap_or(*stiffness_n_per_m);
+            *damping_n_s_per_m = self.posture_damping.unwrap_or(*damping_n_s_per_m);
+        }
+        let person = Person::before(cover, self.taxel, self.gap_m, self.offset_m, shape, tissue, mobility)
+            .context("no such taxel")?;
+        Ok(Person {
+            starts_after_s: self.at_s,
+            walk_m_s: self.walk_m_s,
+            lean_n: self.lean_n,
+            steps_away_after_s: (self.part != BodyPart::Wall).then_some(self.steps_away_s),
+            ..person
+        })
+    }
+}
+
+/// Foam of the cover. What is `None` is as the material has it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct FoamSettings {
+    pub material: Foam,
+    pub thickness_m: Option<f64>,
+    /// Initial stiffness of the hyperbolic law, N/m.
+    pub stiffness: Option<f64>,
+    pub damping_ms: Option<f64>,
+    pub scale: f64,
+}
+
+impl FoamSettings {
+    /// The foam that force and plate gap are computed with.
+    pub(crate) fn foam(&self) -> Foam {
+        let mut foam = self.material;
+        foam.gap_m = self.thickness_m.unwrap_or(foam.gap_m);
+        foam.damping_time_s = self.damping_ms.map_or(foam.damping_time_s, |ms| 1e-3 * ms);
+        if let (ElasticLaw::Hyperbolic { stiffness_n_per_m }, Some(stiffness)) =
+            (&mut foam.elastic, self.stiffness)
+        {
+            *stiffness_n_per_m = stiffness;
+        }
+        foam.stiffened(self.scale)
+    }
+}
+
+/// The base's body: a box, whose inertia follows from mass and size unless it is given.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct BaseSettings {
+    pub size_m: [f64; 3],
+    pub mass_kg: f64,
+    /// About the vertical, kg·m².
+    pub inertia: Option<f64>,
+}
+
+impl BaseSettings {
+    fn table(&self) -> BaseTable {
+        let squares = |[x, y, z]: [f64; 3]| [y * y + z * z, x * x + z * z, x * x + y * y];
+        let (ours, its) = (squares(self.size_m), squares(SUMMIT_XL.size_m));
+        let mut inertia = SUMMIT_XL.inertia_com_diagonal;
+        for (i, inertia) in inertia.iter_mut().enumerate() {
+            *inertia *= self.mass_kg / SUMMIT_XL.mass_kg * (ours[i] / its[i]);
+        }
+        // The base never tilts: only the vertical axis acts, the other two keep the box's proportions.
+        let given = self.inertia.map_or(1.0, |about_vertical| about_vertical / inertia[2]);
+        BaseTable {
+            size_m: self.size_m,
+            mass_kg: self.mass_kg,
+            inertia_com_diagonal: inertia.map(|inertia| given * inertia),
+            ..SUMMIT_XL
+        }
+    }
+}
+
+/// One run, completely described.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Settings {
+    pub config: Config,
+    pub sensor: Sensor,
+    /// `None` is 10 ms for the ideal sensor and what the sketch takes for the stock board.
+    pub sensor_period_ms: Option<f64>,
+    pub sensor_delay_ms: f64,
+    pub sensor_phase_ms: f64,
+    pub noise_counts: Option<f64>,
+    pub sketch: SketchGeneration,
+    pub foam: FoamSettings,
+    pub person: PersonSettings,
+    pub base: BaseSettings,
+    pub base_servo: BaseServo,
+    /// Speed of the flange's target, m/s.
+    pub speed_m_s: f64,
+    pub duration_s: f64,
+    pub push_s: f64,
+    pub ramp_s: f64,
+    /// Forces of the scripted pushes over the paper's.
+    pub push_scale: f64,
+    pub rest_s: f64,
+    pub step_ms: f64,
+    pub integrator: Integrator,
+}
+
+impl Settings {
+    /// The paper's law and gains, stock board, no scripted hand.
+    pub(crate) fn paper(law: Law) -> Self {
+        let mut config = Config::default();
+        config.startup.law = law;
+        config.simulation.hand = HandConfig::none();
+        // The paper's robot has no speed limit but its own; a limit this high changes no bit.
+        config.protection.override_speed_limit_m_s = OVERRIDE_MAX_M_S;
+        config.protection.override_statement = "the paper's experiments, simulated, as published".into();
+        config.control.corrections.null_space_damping = false;
+        config.control.corrections.base_coupling = false;
+        config.control.corrections.flange_feed = false;
+        Self {
+            config,
+            sensor: Sensor::Stock,
+            sensor_period_ms: None,
+            sensor_delay_ms: 0.0,
+            sensor_phase_ms: 0.0,
+            noise_counts: None,
+            sketch: SketchGeneration::From2018,
+            foam: FoamSettings {
+                material: Foam::default(),
+                thickness_m: None,
+                stiffness: None,
+                damping_ms: None,
+                scale: 1.0,
+            },
+            person: PersonSettings { gap_m: 0.25, steps_away_s: 1.5, ..PersonSettings::default() },
+            base: BaseSettings { size_m: SUMMIT_XL.size_m, mass_kg: SUMMIT_XL.mass_kg, inertia: None },
+            base_servo: BaseServo::default(),
+            speed_m_s: 0.2,
+            duration_s: 8.0,
+            push_s: 3.0,
+            ramp_s: 0.3,
+            push_scale: 1.0,
+            rest_s: 2.0,
+            step_ms: 1.0,
+            integrator: Integrator::default(),
+        }
+    }
+
+    /// Checks what single keys cannot know.
+    ///
+    /// # Errors
+    /// Every number that the daemon's configuration refuses, and numbers that do not go together.
+    pub(crate) fn check(&self) -> Result<()> {
+        let mut mistakes = Vec::new();
+        self.config.check(|_, message| mistakes.push(message));
+        if let (Some(stiffness), ElasticLaw::Power { .. }) = (self.foam.stiffness, self.foam.material.elastic)
+        {
+            mistakes.push(format!(
+                "foam.stiffness = {stiffness} N/m: {} follows a power law and has no initial stiffness; set foam.scale, \
+                 or foam=collision-assumed",
+                self.foam.material.name
+            ));
+        }
+        if self.push_s < 2.0 * self.ramp_s {
+            mistakes.push(format!(
+                "push_s = {} s is shorter than its two ramps of ramp_s = {} s",
+                self.push_s, self.ramp_s
+            ));
+        }
+        ensure!(mistakes.is_empty(), "{}", mistakes.join("\n"));
+        Ok(())
+    }
+
+    /// The scene without anybody in it; the flange is measured.
+    pub(crate) fn free_scene(&self) -> Scene {
+        Scene {
+            flange_sensor: true,
+            foam: self.foam.foam(),
+            control_period_s: 1.0 / f64::from(self.config.control_loop.rate_hz),
+            physics_step_s: 1e-3 * self.step_ms,
+            integrator: self.integrator,
+            base: self.base.table(),
+            arm: self.config.arm(),
+            mount: self.config.mount(),
+            cover: self.config.taxels(),
+            base_servo: self.base_servo,
+            arm_posture_rad: self.config.control.gains.posture_rad,
+            ..Scene::default()
+        }
+    }
+
+    /// The same scene with the person beside the cover.
+    pub(crate) fn collision_scene(&self) -> Result<Scene> {
+        Ok(Scene { people: vec![self.person.person(&self.config.taxels())?], ..self.free_scene() })
+    }
+
+    /// Period of the sensor, ms.
+    pub(crate) fn period_ms(&self) -> f64 {
+        #[expect(clippy::cast_precision_loss, reason = "some milliseconds")]
+        let of_sketch_ms = 1e-6 * self.sketch.frame_period_ns() as f64;
+        let usual_ms = if self.sensor == Sensor::Stock { of_sketch_ms } else { IDEAL_PERIOD_MS };
+        self.sensor_period_ms.unwrap_or(usual_ms)
+    }
+
+    /// The virtual board of this run.
+    pub(crate) fn board(&self) -> VirtualBoardConfig {
+        VirtualBoardConfig {
+            sketch: self.sketch,
+            foam: self.foam.foam(),
+            noise_counts: self.noise_counts,
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "1 to 1000 ms")]
+            frame_period_ns: self.sensor_period_ms.map(|ms| (1e6 * ms) as u64),
+            seed: self.config.simulation.seed,
+            ..VirtualBoardConfig::default()
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! `moca-lab observers`: what watching costs the live loop, with and without observers in one run.
+#![expect(clippy::print_stdout, reason = "a command prints its result")]
+
+use anyhow::{Context, Result};
+use moca_daemon::config::Config;
+use moca_daemon::runtime::live::Shared;
+use moca_daemon::runtime::run::{LiveRun, Options, live_simulated};
+use moca_daemon::runtime::timing::Stage;
+use moca_telemetry::net::Connection;
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Arguments of `moca-lab observers`.
+#[derive(clap::Args)]
+pub(crate) struct Arguments {
+    /// Length of each of the two runs, s, 2 to 3600.
+    #[arg(long, default_value_t = 20.0)]
+    seconds: f64,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<()> {
+    anyhow::ensure!(
+        (2.0..=3600.0).contains(&arguments.seconds),
+        "--seconds {} s is outside 2 to 3600 s",
+        arguments.seconds
+    );
+    let duration = Duration::from_secs_f64(arguments.seconds);
+    println!("-- nobody watches");
+    let alone = live(duration, None)?;
+    println!("-- three observers: one reads, one is killed half way, one never reads");
+    let address = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
+    let observers = std::thread::spawn(move || watch(address, duration));
+    let watched = live(duration, Some(address))?;
+    let received = observers.join().map_err(|_| anyhow::anyhow!("the observers' thread panicked"))??;
+    println!("\n{:<34} {:>12} {:>12}", "", "nobody", "three");
+    let row = |name: &str, of: &dyn Fn(&LiveRun) -> String| {
+        println!("{name:<34} {:>12} {:>12}", of(&alone), of(&watched))
+    };
+    row("ticks", &|run| run.report.ticks.to_string());
+    row("overruns (slots skipped)", &|run| run.report.overruns.to_string());
+    let publish = |run: &LiveRun, quantile| {
+        format!("{:.1}", run.timing.stages[Stage::Publish as usize].quantile_us(quantile))
+    };
+    row("publish stage p50, µs", &|run| publish(run, 0.5));
+    row("publish stage p99.9, µs", &|run| publish(run, 0.999));
+    row("lateness p99.9, µs", &|run| format!("{:.1}", run.timing.lateness.quantile_us(0.999)));
+    println!("the observer that reads received {received} samples");
+    Ok(())
+}
+
+fn live(duration: Duration, telemetry: Option<SocketAddr>) -> Result<LiveRun> {
+    let mut config = Config::default();
+    config.telemetry.listen = telemetry.map(|address| address.to_string()).unwrap_or_default();
+    let options = Options { config, duration: Some(duration), ..Options::default() };
+    live_simulated(&options, &Arc::new(Shared::default()))
+}
+
+fn watch(address: SocketAddr, duration: Duration) -> Result<usize> {
+    // The daemon needs a moment to listen.
+    std::thread::sleep(Duration::from_millis(500));
+    let _never_reads = TcpStream::connect(address).context("no telemetry")?;
+    let mut killed = Some(Connection::spawn(address, || {})?);
+    let reads = Connection::spawn(address, || {})?;
+    let (step, mut received) = (Duration::from_millis(20), 0);
+    let steps = duration.saturating_sub(Duration::from_secs(1)).as_millis() / step.as_millis();
+    for i in 0..steps {
+        received += reads.poll().samples.len();
+        if i == steps / 2 {
+            killed = None;
+        }
+        std::thread::sleep(step);
+    }
+    drop(killed);
+    Ok(received)
+}

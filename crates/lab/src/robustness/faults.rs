@@ -1,0 +1,83 @@
+//! `moca-lab faults`: every fault that can be injected, and what the robot does about it.
+#![expect(clippy::print_stdout, reason = "this is what the command is for")]
+
+use crate::rig::parallel;
+use anyhow::Result;
+use moca_daemon::inject::{FAULTS, trial};
+use serde::Serialize;
+
+/// Every fault that can be injected, the mode it ends in and how many ticks the reaction takes.
+#[derive(clap::Args)]
+pub(crate) struct Arguments {
+    /// Seed of the spoiled bytes and of the board's noise.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Row {
+    fault: &'static str,
+    what: &'static str,
+    mode: &'static str,
+    cause: Option<&'static str>,
+    reaction_ticks: Option<u64>,
+    speed_after_m_s: f64,
+    way_mm: f64,
+    frames_bad: u64,
+    overruns: u64,
+    told: Option<String>,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<()> {
+    let trials = parallel::run("faults", FAULTS, |fault| trial::run(*fault, arguments.seed, 10_000), |_| {});
+    let mut rows = Vec::new();
+    for trial in trials {
+        let trial = trial?;
+        rows.push(Row {
+            fault: trial.fault.name,
+            what: trial.fault.text,
+            mode: trial.mode.name(),
+            cause: trial.cause.map(|cause| cause.code()),
+            reaction_ticks: trial.reaction_ticks,
+            speed_after_m_s: trial.speed_after_m_s,
+            way_mm: trial.way_m * 1e3,
+            frames_bad: trial.frames_bad,
+            overruns: trial.overruns,
+            told: trial.told,
+        });
+    }
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&rows)?);
+        return Ok(());
+    }
+    println!(
+        "Each fault strikes a moving robot (T6 pressed with 20 N) 3 s into a run of 13 s; a tick is 1 ms.\n"
+    );
+    println!(
+        "{:<20} {:<16} {:<18} {:>9} {:>12} {:>8} {:>7} {:>7}  what happens",
+        "fault", "mode at the end", "cause", "reaction", "speed after", "way", "bad", "missed"
+    );
+    println!(
+        "{:<20} {:<16} {:<18} {:>9} {:>12} {:>8} {:>7} {:>7}",
+        "", "", "", "ticks", "m/s", "mm", "frames", "slots"
+    );
+    for row in &rows {
+        let ticks = row.reaction_ticks.map_or("-".into(), |ticks| ticks.to_string());
+        println!(
+            "{:<20} {:<16} {:<18} {:>9} {:>12.4} {:>8.1} {:>7} {:>7}  {}",
+            row.fault,
+            row.mode,
+            row.cause.unwrap_or("-"),
+            ticks,
+            row.speed_after_m_s,
+            row.way_mm,
+            row.frames_bad,
+            row.overruns,
+            row.told.as_ref().map_or(row.what.into(), |told| format!("{} ({told})", row.what)),
+        );
+    }
+    Ok(())
+}

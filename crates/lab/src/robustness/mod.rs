@@ -1,0 +1,5 @@
+//! Faults on purpose, hours of random handling, and what watching costs.
+
+pub(crate) mod clients;
+pub(crate) mod faults;
+pub(crate) mod soak;

@@ -1,0 +1,121 @@
+//! The real binary, as a user meets it.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
+
+use std::path::PathBuf;
+use std::process::{Command, Output};
+
+fn mocad(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_mocad-under-test")).args(arguments).output().expect("mocad starts")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).expect("plain text")
+}
+
+/// A file of this test's own that holds `contents`.
+fn file(name: &str, contents: &str) -> PathBuf {
+    let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
+    std::fs::write(&path, contents).unwrap();
+    path
+}
+
+/// Telemetry on any free port: several daemons may run at once here.
+const ANY_PORT: &str = "[telemetry]\nlisten = \"127.0.0.1:0\"\n";
+
+#[test]
+fn the_default_run_says_what_runs_and_ends_with_a_summary() {
+    let config = file("live.toml", ANY_PORT);
+    // On a machine so busy that even the virtual board is silent for too long the robot rightly stops: then once more.
+    let run = |_| mocad(&["run", "--duration", "3", "--config", config.to_str().unwrap()]);
+    let armed = |output: &Output| text(&output.stdout).contains("mode: impedance");
+    let output = (0..5).map(run).find(armed).expect("one of five runs is armed");
+    let shown = text(&output.stdout);
+    assert!(output.status.success(), "{shown}{}", text(&output.stderr));
+    for expected in [
+        "simulated Franka Emika Panda on SUMMIT-XL (MuJoCo 3.17.0)",
+        "expanded Cartesian impedance",
+        "1000 Hz",
+        "virtual Touch Board",
+        "mode: impedance",
+        "good frames, 0 bad",
+        "lateness",
+        "allocations  0 on the loop thread after warm-up",
+    ] {
+        assert!(shown.contains(expected), "{expected:?} is missing in\n{shown}");
+    }
+}
+
+#[test]
+fn a_lock_step_run_writes_the_same_command_log_twice() {
+    let config = file("lockstep.toml", ANY_PORT);
+    let log = |name: &str| {
+        let path = file(name, "");
+        let arguments = ["--as-fast-as-possible", "--duration", "5", "--command-log", path.to_str().unwrap()];
+        let output = mocad(&[&arguments[..], &["--config", config.to_str().unwrap()]].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        std::fs::read(path).unwrap()
+    };
+    let first = log("first.csv");
+    assert_eq!(first.iter().filter(|&&byte| byte == b'\n').count(), 5001);
+    assert!(first == log("second.csv"), "two runs with one seed differ");
+}
+
+#[test]
+fn a_bad_configuration_is_refused_with_every_mistake() {
+    let path = file("bad.toml", "[control.gains]\nvirtual_mass = [nan, 4.0, 2.0]\n[loop]\nrate_hz = 7\n");
+    let output = mocad(&["--config", path.to_str().unwrap()]);
+    let said = text(&output.stderr);
+    assert!(!output.status.success());
+    assert!(said.contains("line 2: control.gains.virtual_mass = NaN kg"), "{said}");
+    assert!(said.contains("line 4: loop.rate_hz = 7 Hz is outside 100 to 10000 Hz"), "{said}");
+
+    let unknown = file("unknown.toml", "[loop]\nrate = 1000\n");
+    let output = mocad(&["--check", "--config", unknown.to_str().unwrap()]);
+    assert!(!output.status.success());
+    assert!(text(&output.stderr).contains("unknown key loop.rate; allowed here: rate_hz"));
+}
+
+#[test]
+fn a_missing_file_and_a_bad_duration_are_named() {
+    let output = mocad(&["--config", "/nowhere/mocad.toml"]);
+    assert!(!output.status.success() && text(&output.stderr).contains("/nowhere/mocad.toml"));
+    for duration in ["-1", "nan", "1e300"] {
+        let output = mocad(&[&format!("--duration={duration}")]);
+        assert!(!output.status.success() && text(&output.stderr).contains("--duration"), "{duration}");
+    }
+}
+
+#[test]
+fn a_missing_port_is_named_with_what_to_check_and_nothing_moves() {
+    let config = file("no_port.toml", &format!("{ANY_PORT}[board]\nport = \"/dev/moca-no-such-board\"\n"));
+    let output = mocad(&["--duration", "2.5", "--config", config.to_str().unwrap()]);
+    let shown = text(&output.stdout);
+    assert!(
+        output.status.success(),
+        "it waits for the board until its time is over: {}",
+        text(&output.stderr)
+    );
+    assert!(shown.contains("No Touch Board found: check cable, power switch and port path."), "{shown}");
+    assert!(shown.contains("  mode         starting"), "{shown}");
+    assert!(shown.contains("  base         x +0.000 m, y +0.000 m, yaw +0.0°"), "{shown}");
+}
+
+#[test]
+fn a_calibration_that_is_missing_or_of_another_board_is_refused() {
+    let missing = file("no_calibration.toml", "[board]\ncalibration = \"/nowhere/cover.toml\"\n");
+    let output = mocad(&["--config", missing.to_str().unwrap()]);
+    assert!(!output.status.success() && text(&output.stderr).contains("/nowhere/cover.toml"));
+}
+
+#[test]
+fn a_live_recording_replays_bit_for_bit() {
+    let config = file("recorded.toml", ANY_PORT);
+    let log = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("live.mcap");
+    let _ = std::fs::remove_file(&log);
+    let (config, log) = (config.to_str().unwrap(), log.to_str().unwrap());
+    let run = mocad(&["run", "--duration", "3", "--config", config, "--record", log]);
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    let replayed = mocad(&["replay", log]);
+    let (shown, said) = (text(&replayed.stdout), text(&replayed.stderr));
+    assert!(replayed.status.success() && shown.contains("every bit the same"), "{shown}{said}");
+}

@@ -1,0 +1,79 @@
+//! Who may know whom: the table of ARCHITECTURE.md, checked against `cargo tree`.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot read its input has to stop")]
+
+use std::collections::BTreeSet;
+use std::process::Command;
+
+/// (crate, what of ours it may use directly, what it may never reach, directly or through others).
+const TABLE: &[(&str, &[&str], &[&str])] = &[
+    ("moca-msgs", &[], &["nalgebra", "serde", "schemars"]),
+    ("moca-telemetry", &["moca-msgs"], &["nalgebra", "egui", "mujoco-rs", "serialport"]),
+    ("moca-tactile", &["moca-msgs"], &["nalgebra", "egui", "tokio", "mujoco-rs"]),
+    ("moca-wbc", &["moca-msgs"], &["serde", "log", "tracing", "tokio", "serialport", "mujoco-rs", "egui"]),
+    ("moca-sim", &["moca-msgs", "moca-tactile"], &["egui", "tokio", "nalgebra"]),
+    (
+        "moca-daemon",
+        &["moca-msgs", "moca-telemetry", "moca-tactile", "moca-wbc", "moca-sim"],
+        &["egui", "eframe", "moca-monitor", "moca-lab"],
+    ),
+    ("moca-monitor", &["moca-msgs", "moca-telemetry"], &["nalgebra", "mujoco-rs", "serialport"]),
+    (
+        "moca-lab",
+        &["moca-msgs", "moca-telemetry", "moca-tactile", "moca-wbc", "moca-sim", "moca-daemon"],
+        &["egui", "eframe", "moca-monitor"],
+    ),
+];
+
+/// Names of the normal dependencies of `package`, itself left out.
+fn tree(package: &str, more: &[&str]) -> BTreeSet<String> {
+    let mut command = Command::new(env!("CARGO"));
+    command.current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
+    command.args(["tree", "--offline", "--edges=normal", "--prefix=none", "--package", package]);
+    let output = command.args(more).output().expect("cargo tree runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).unwrap();
+    text.lines()
+        .filter_map(|line| line.split(' ').next())
+        .filter(|name| *name != package)
+        .map(Into::into)
+        .collect()
+}
+
+#[test]
+fn every_crate_of_ours_is_in_the_table() {
+    let folders = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../crates")).unwrap();
+    let crates: BTreeSet<String> = folders
+        .map(|folder| format!("moca-{}", folder.unwrap().file_name().into_string().unwrap()))
+        .collect();
+    let listed: BTreeSet<String> = TABLE.iter().map(|(name, ..)| (*name).to_owned()).collect();
+    assert_eq!(crates, listed);
+}
+
+#[test]
+fn dependencies_point_the_way_the_table_says() {
+    for (name, may, never) in TABLE {
+        for used in tree(name, &["--depth=1"]).iter().filter(|used| used.starts_with("moca-")) {
+            assert!(may.contains(&used.as_str()), "{name} may not use {used}");
+        }
+        let all = tree(name, &[]);
+        for banned in *never {
+            assert!(!all.contains(*banned), "{name} reaches {banned}");
+        }
+    }
+}
+
+#[test]
+fn a_daemon_links_mujoco_for_its_simulation_and_serialport_for_its_board_only() {
+    let (sim, board): (&[&str], &[&str]) = (&["moca-sim", "mujoco-rs"], &["serialport"]);
+    for (features, linked, absent) in [
+        ("sim,board", [sim, board].concat(), vec![]),
+        ("sim", sim.to_vec(), board.to_vec()),
+        ("board", board.to_vec(), sim.to_vec()),
+        ("", vec!["moca-wbc"], [sim, board].concat()),
+    ] {
+        let all = tree("moca-daemon", &["--no-default-features", "--features", features]);
+        let reached = |name: &&&str| all.contains(**name);
+        assert_eq!(linked.iter().find(|name| !reached(name)), None, "features {features:?}: {all:?}");
+        assert_eq!(absent.iter().find(reached), None, "features {features:?}: {all:?}");
+    }
+}

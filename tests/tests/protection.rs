@@ -1,0 +1,376 @@
+//! Protection of the people around the base, measured in simulation through a stock board's bytes.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot go on has to stop"
+)]
+
+use moca_daemon::config::{Config, HandConfig, TAXELS};
+use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::runtime::allocations::{self, CountingAllocator};
+use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
+use moca_msgs::protection::{ContactKind, ContactPhase};
+use moca_msgs::robot::PAPER_COVER;
+use moca_msgs::{ContactEvent, ContactReaction, Law, Request, Sample, SpeedLimitReason};
+use moca_sim::foam::Foam;
+use moca_sim::{Person, Scene, VirtualBoardConfig};
+use moca_tactile::datastream::SketchGeneration;
+use moca_wbc::guard::CoverOutline;
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
+
+type World = LockStep<ByteCover, MemoryBoard>;
+
+/// In front of the base.
+const FRONT: usize = 5;
+/// On the left side.
+const LEFT: usize = 2;
+
+fn config() -> Config {
+    let mut config = Config::default();
+    config.simulation.hand = HandConfig::none();
+    config
+}
+
+fn overridden(speed_m_s: f64) -> Config {
+    let mut config = config();
+    config.protection.override_speed_limit_m_s = speed_m_s;
+    config.protection.override_statement = "a test".into();
+    config
+}
+
+fn armed(config: &Config, scene: &Scene, board: VirtualBoardConfig) -> World {
+    let mut world = LockStep::with_board(config, scene, board, None).unwrap();
+    for _ in 0..3000 {
+        if world.step(None).0.mode.moves() {
+            return world;
+        }
+    }
+    panic!("not armed within 3 s");
+}
+
+fn press(world: &mut World, taxel: usize, force_n: f64) -> Sample {
+    let taxel = u8::try_from(taxel).unwrap();
+    let (sample, outcome) = world.step(Some(Request::PressTaxel { taxel, force_n }));
+    outcome.unwrap().unwrap();
+    sample
+}
+
+fn run(world: &mut World, ticks: u64) -> Vec<Sample> {
+    (0..ticks).map(|_| world.step(None).0).collect()
+}
+
+fn outline() -> CoverOutline<TAXELS, f64> {
+    CoverOutline::new(&PAPER_COVER)
+}
+
+/// What a base did that was led into a person.
+struct Collision {
+    approach_m_s: f64,
+    /// Largest force in the first half second, and until the person steps away after 1.5 s.
+    impact_n: f64,
+    pressed_n: f64,
+}
+
+/// Leads the flange at `speed_m_s` towards a person 8 cm in front of T6, and goes on leading.
+fn collide(config: &Config, speed_m_s: f64, phase: u64) -> Collision {
+    let scene = Scene { people: vec![Person::beside(FRONT, 0.08).unwrap()], ..Scene::default() };
+    let mut world = armed(config, &scene, VirtualBoardConfig { seed: phase + 1, ..Default::default() });
+    run(&mut world, 7 * phase);
+    world.control.set_target_twist([speed_m_s, 0.0, 0.0, 0.0, 0.0, 0.0]).unwrap();
+    let mut collision = Collision { approach_m_s: 0.0, impact_n: 0.0, pressed_n: 0.0 };
+    let mut ticks_in_contact = 0;
+    for _ in 0..10_000 {
+        let force_n = world.control.plant.world.taxel_force_true_n()[FRONT];
+        let sample = world.step(None).0;
+        ticks_in_contact += u64::from(force_n > 0.0 || ticks_in_contact > 0);
+        if ticks_in_contact == 1 {
+            collision.approach_m_s = sample.base_velocity_world[0];
+        }
+        if ticks_in_contact <= 500 {
+            collision.impact_n = collision.impact_n.max(force_n);
+        }
+        collision.pressed_n = collision.pressed_n.max(force_n);
+        if ticks_in_contact > 1500 {
+            return collision;
+        }
+    }
+    panic!("never met the person");
+}
+
+#[test]
+fn at_the_speed_limit_an_impact_stays_under_25_n_and_at_the_papers_speed_it_does_not() {
+    for phase in 0..4 {
+        let limited = collide(&config(), 0.04, phase);
+        let paper = collide(&overridden(10.0), 0.2, phase);
+        let mut believing = config();
+        believing.protection.unfelt_force_n = 0.0;
+        believing.protection.contact_travel_m = 0.1;
+        let plain = collide(&believing, 0.05, phase);
+        println!(
+            "phase {phase}: limited {:.4} m/s: impact {:.1} N, pressed on {:.1} N | 25 N/(k (T + servo)) \
+             {:.4} m/s: impact {:.1} N | 0.2 m/s led: {:.3} m/s: impact {:.1} N",
+            limited.approach_m_s,
+            limited.impact_n,
+            limited.pressed_n,
+            plain.approach_m_s,
+            plain.impact_n,
+            paper.approach_m_s,
+            paper.impact_n
+        );
+        assert!(limited.approach_m_s > 0.035, "the base was at its limit");
+        assert!(limited.impact_n < 25.0, "{} N", limited.impact_n);
+        assert!(paper.impact_n > 25.0, "{} N: the limit is not needed", paper.impact_n);
+    }
+}
+
+#[test]
+fn the_limit_follows_the_measured_rate_and_age_of_the_board() {
+    // Firmware timing: (sketch, delay T by moca-lab latency, s)
+    let limit = |sketch| {
+        let board = VirtualBoardConfig { sketch, ..VirtualBoardConfig::default() };
+        let mut world = armed(&config(), &Scene::default(), board);
+        let sample = run(&mut world, 500).pop().unwrap();
+        assert_eq!(sample.speed_limit.reason, SpeedLimitReason::BoardRate, "{sketch:?}");
+        sample.speed_limit.m_s
+    };
+    for (sketch, delay_s) in [(SketchGeneration::From2018, 0.0537), (SketchGeneration::From2015, 0.0358)] {
+        let by_theory = (25.0 - 5.2) / (7783.0 * (delay_s + 0.015));
+        let measured = limit(sketch);
+        println!("{sketch:?}: {measured:.4} m/s, by theory {by_theory:.4} m/s");
+        // ticks of 1 ms round age and interval up
+        assert!(measured < 1.01 * by_theory && measured > 0.95 * by_theory, "{measured} {by_theory}");
+    }
+}
+
+#[test]
+fn data_older_than_a_frame_explains_lowers_the_limit_until_the_stop() {
+    let mut world = armed(&config(), &Scene::default(), VirtualBoardConfig::default());
+    let before = run(&mut world, 200).pop().unwrap().speed_limit.m_s;
+    world.feed.board().set_fault(Some(moca_sim::board::BoardFault::Silent));
+    let samples = run(&mut world, 150);
+    let moving: Vec<&Sample> = samples.iter().filter(|sample| sample.mode.moves()).collect();
+    let stale = moving.iter().find(|s| s.speed_limit.reason == SpeedLimitReason::Stale).expect("named");
+    assert!(stale.frame_age_s < 0.07, "{}", stale.frame_age_s);
+    assert!(moving.windows(2).all(|pair| pair[1].speed_limit.m_s <= pair[0].speed_limit.m_s));
+    let last = moving.last().unwrap();
+    println!(
+        "limit {before:.4} m/s, {:.4} m/s before the stop, data {:.3} s old",
+        last.speed_limit.m_s, last.frame_age_s
+    );
+    assert!(last.speed_limit.m_s < 0.65 * before);
+    assert!(!samples.last().unwrap().mode.moves());
+}
+
+/// Pushed hard from every side, under both laws and with the flange led: no command is faster than the limit.
+#[test]
+fn no_push_moves_any_point_of_the_cover_faster_than_the_limit() {
+    let outline = outline();
+    for law in [Law::Impedance, Law::FollowMe] {
+        let mut config = config();
+        config.startup.law = law;
+        let mut world = armed(&config, &Scene::default(), VirtualBoardConfig::default());
+        let (mut fastest, mut at_limit) = (0.0_f64, 0_u32);
+        for taxel in 0..TAXELS {
+            let twist = if taxel % 2 == 0 { [0.3, -0.2, 0.0, 0.0, 0.0, 0.5] } else { [0.0; 6] };
+            world.control.set_target_twist(twist).unwrap();
+            press(&mut world, taxel, 60.0);
+            for sample in run(&mut world, 500) {
+                let speed = outline.fastest(&sample.base_velocity_command_body);
+                assert!(speed <= sample.speed_limit.m_s + 3.0e-3, "{law:?} T{}: {speed} m/s", taxel + 1);
+                fastest = fastest.max(speed / sample.speed_limit.m_s);
+                at_limit += u32::from(speed > 0.99 * sample.speed_limit.m_s);
+            }
+            press(&mut world, taxel, 0.0);
+        }
+        println!("{law:?}: fastest command {fastest:.4} of the limit, at it in {at_limit} of 5500 ticks");
+        assert!(at_limit > 2000, "the limit was hardly met: the test shows little");
+    }
+}
+
+#[test]
+fn an_override_is_refused_without_a_statement_and_shown_in_every_sample() {
+    let text = "[protection]\nforce_limit_n = 0.5\noverride_speed_limit_m_s = 0.3\nreaction = \"slow\"\nretreat_m = nan\n";
+    let mistakes = Config::parse(text).unwrap_err().mistakes;
+    assert_eq!(mistakes.len(), 4, "{mistakes:?}");
+    assert_eq!(mistakes[0], "line 2: protection.force_limit_n = 0.5 N is outside 1 to 500 N");
+    assert!(
+        mistakes.iter().any(|m| m == "line 5: protection.retreat_m = NaN m is outside 0 to 1 m"),
+        "{mistakes:?}"
+    );
+    assert!(
+        mistakes[3].starts_with("line 3: protection.override_speed_limit_m_s = 0.3 m/s switches off"),
+        "{mistakes:?}"
+    );
+
+    let mut world = armed(&overridden(0.3), &Scene::default(), VirtualBoardConfig::default());
+    press(&mut world, FRONT, 40.0);
+    let samples = run(&mut world, 2000);
+    let overridden = |s: &Sample| {
+        s.speed_limit.reason == SpeedLimitReason::Overridden
+            && s.speed_limit.m_s.to_bits() == 0.3_f64.to_bits()
+    };
+    assert!(samples.iter().all(overridden));
+    let fastest = samples.iter().map(|s| -s.base_velocity_world[0]).fold(0.0, f64::max);
+    assert!(fastest > 0.1, "{fastest} m/s: the override let nothing through");
+}
+
+/// What a reaction did to a base that was led into a person.
+#[derive(Debug)]
+struct Reacted {
+    crossing: ContactEvent,
+    /// From the tick of the crossing until the command obeys.
+    ticks: u64,
+    /// Fastest command of T6 outward from then on until the contact ends, m/s.
+    outward_m_s: f64,
+    /// Fastest command along the cover meanwhile, m/s.
+    along_m_s: f64,
+    /// How far the base went back from where it was at the crossing, m.
+    back_m: f64,
+    /// Largest force after the crossing, N.
+    pressed_n: f64,
+    end: ContactEvent,
+}
+
+/// Leads the flange forward and to the left, with a person in front of T6. The limit is the
+/// first force that is felt, so that the base is still going outward when it is crossed.
+fn provoke(reaction: ContactReaction) -> Reacted {
+    let path =
+        std::env::temp_dir().join(format!("moca-limits-{}-{}.toml", std::process::id(), reaction.name()));
+    std::fs::write(&path, "source = \"a test\"\n[T6]\ntransient_n = 4.0\nquasi_static_n = 3.0\n").unwrap();
+    let mut config = config();
+    config.protection.thresholds = path.display().to_string();
+    config.protection.reaction = reaction;
+    config.protection.retreat_m = 0.02;
+    let scene = Scene { people: vec![Person::beside(FRONT, 0.08).unwrap()], ..Scene::default() };
+    let mut world = armed(&config, &scene, VirtualBoardConfig::default());
+    std::fs::remove_file(&path).unwrap();
+    world.control.set_target_twist([0.04, 0.01, 0.0, 0.0, 0.0, 0.0]).unwrap();
+
+    let outline = outline();
+    let allowed_m_s = if reaction == ContactReaction::Slow { config.protection.slow_m_s } else { 0.0 };
+    let (mut crossing, mut obeyed, mut crossed_x) = (None, None, 0.0);
+    let (mut outward_m_s, mut along_m_s, mut back_m) = (0.0_f64, 0.0_f64, 0.0_f64);
+    let mut pressed_n = 0.0_f64;
+    let allocated = allocations::on_this_thread();
+    for tick in 0..12_000_u64 {
+        let force_n = world.control.plant.world.taxel_force_true_n()[FRONT];
+        let sample = world.step(None).0;
+        let command = sample.base_velocity_command_body;
+        let of_front =
+            |phase| sample.contact_events.iter().copied().find(|e| e.taxel == 5 && e.phase == phase);
+        if crossing.is_none() {
+            crossing = of_front(ContactPhase::LimitCrossed).map(|event| (tick, event));
+            crossed_x = sample.base_pose_world[0];
+        }
+        let Some((crossed_at, crossing)) = crossing else { continue };
+        if let Some(end) = of_front(ContactPhase::Finished) {
+            assert_eq!(allocations::on_this_thread(), allocated, "the loop allocated");
+            assert_eq!(sample.contact_reaction, None, "over with the contact");
+            return Reacted {
+                crossing,
+                ticks: obeyed.expect("it never obeyed") - crossed_at,
+                outward_m_s,
+                along_m_s,
+                back_m,
+                pressed_n,
+                end,
+            };
+        }
+        assert_eq!(sample.contact_reaction, Some(reaction));
+        let outward = outline.outward(FRONT, &command);
+        if obeyed.is_none()
+            && outward <= allowed_m_s + 1e-6
+            && outline.fastest(&command) <= sample.speed_limit.m_s + 1e-6
+        {
+            obeyed = Some(tick);
+        }
+        if obeyed.is_some() {
+            outward_m_s = outward_m_s.max(outward);
+            along_m_s = along_m_s.max(command[1].abs());
+        }
+        back_m = back_m.max(crossed_x - sample.base_pose_world[0]);
+        pressed_n = pressed_n.max(force_n);
+    }
+    panic!("no contact came and went");
+}
+
+#[test]
+fn each_reaction_to_a_crossed_limit_acts_within_milliseconds_and_ends_with_the_contact() {
+    let mut durations_s = Vec::new();
+    for reaction in ContactReaction::ALL {
+        let r = provoke(reaction);
+        durations_s.push(r.end.duration_s);
+        println!(
+            "{}: obeyed after {} ticks; then at most {:.4} m/s outward, {:.4} m/s along; back {:.1} mm; pressed {:.1} N at most; contact {:.2} s, peak {:.1} N, clamp {:.1} N mean, {:.1} N at most, {:.1} N·s as read",
+            reaction.name(),
+            r.ticks,
+            r.outward_m_s,
+            r.along_m_s,
+            1e3 * r.back_m,
+            r.pressed_n,
+            r.end.duration_s,
+            r.end.peak_n,
+            r.end.clamp_mean_n,
+            r.end.clamp_max_n,
+            r.end.impulse_n_s,
+        );
+        assert_eq!(r.crossing.reaction, Some(reaction));
+        assert!(r.crossing.peak_n > 4.0 && r.crossing.crossed_n.is_some());
+        // 35 mm/s at 3 m/s² are 12 ms
+        assert!(r.ticks > 0, "it was obeyed before: the test shows nothing");
+        assert!(r.ticks <= 15, "{} ticks", r.ticks);
+        match reaction {
+            ContactReaction::Slow => assert!(r.outward_m_s <= 0.01 + 1e-6, "{r:?}"),
+            ContactReaction::StopDirection => {
+                assert!(r.outward_m_s <= 1e-6, "{r:?}");
+                assert!(r.along_m_s > 0.002, "the other directions go on: {r:?}");
+            }
+            ContactReaction::Retreat => {
+                assert!(r.outward_m_s <= 1e-6, "{r:?}");
+                assert!(r.back_m > 0.001 && r.back_m < 0.03, "{r:?}");
+            }
+        }
+        assert!(r.end.impulse_n_s > 0.0 && r.end.peak_n >= r.crossing.peak_n);
+    }
+    assert!(durations_s.is_sorted_by(|longer, shorter| longer > shorter), "each does more: {durations_s:?}");
+}
+
+#[test]
+fn a_hand_that_stays_is_a_quasi_static_contact_with_its_clamp_force() {
+    let mut world = armed(&config(), &Scene::default(), VirtualBoardConfig::default());
+    press(&mut world, LEFT, 30.0);
+    run(&mut world, 2000);
+    press(&mut world, LEFT, 0.0);
+    let samples = run(&mut world, 1000);
+    let mut events = samples.iter().flat_map(|sample| &sample.contact_events);
+    let end = events.find(|event| event.phase == ContactPhase::Finished).expect("it let go");
+    println!("30 N for 2 s on T3: {end:?}");
+    assert_eq!((usize::from(end.taxel), end.kind), (LEFT, ContactKind::QuasiStatic));
+    // the foam creeps back, so the hand is felt 0.25 s after it let go; a line through zero under-reads this foam by up to 17 N; the figures are of what the board reads
+    assert!(
+        end.duration_s > 2.0 && end.duration_s < 2.4 && end.clamp_mean_n > 12.0 && end.clamp_mean_n < 32.0,
+        "{end:?}"
+    );
+    assert!(end.clamp_max_n >= end.clamp_mean_n && end.peak_n >= end.clamp_max_n);
+    assert!((end.impulse_n_s / (end.clamp_mean_n * end.duration_s) - 1.0).abs() < 0.15, "{end:?}");
+    assert_eq!((end.crossed_n, end.reaction), (None, None), "no limits are shipped");
+}
+
+#[test]
+fn the_default_contact_is_the_simulated_foam_on_a_leg() {
+    let (foam, tissue_n_m) = (Foam::PU_LD30, 50_000.0);
+    let settings = Config::default().protection;
+    let (at_limit_m, unfelt_m) =
+        (foam.deformation_m(settings.force_limit_n), foam.deformation_m(settings.unfelt_force_n));
+    let foam_n_m = foam.stiffness_n_per_m(at_limit_m);
+    let stiffness_n_m = foam_n_m * tissue_n_m / (foam_n_m + tissue_n_m);
+    assert!((settings.contact_stiffness_n_m / stiffness_n_m - 1.0).abs() < 0.01, "{stiffness_n_m}");
+    let travel_m = at_limit_m - unfelt_m + (settings.force_limit_n - settings.unfelt_force_n) / tissue_n_m;
+    assert!((settings.contact_travel_m / travel_m - 1.0).abs() < 0.05, "{travel_m}");
+    // felt from the first whole count above the threshold's 4
+    let felt_n = |force_n: f64| foam.counts_drop(foam.ramp_deformation_m(force_n)) >= 4.0;
+    assert!(felt_n(settings.unfelt_force_n + 0.1) && !felt_n(settings.unfelt_force_n - 0.2));
+}

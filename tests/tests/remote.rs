@@ -1,0 +1,207 @@
+//! The running daemon as a dashboard meets it, and a board that goes away and comes back.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot go on has to stop"
+)]
+
+use moca_msgs::{Fault, Mode, Refusal, Request, Sample, TaxelStatus};
+use moca_sim::{PtyBoard, SharedForces, VirtualBoardConfig};
+use moca_tactile::serial::{PortSelection, SerialBoard};
+use moca_tactile::{Cover, CoverConfig};
+use moca_telemetry::net::{Connection, Link};
+use moca_telemetry::{ParameterDescription, ParameterValue};
+use std::net::{SocketAddr, TcpListener};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Ends a test that would hang; no test passes or fails by how long something took before this.
+const HANGS_AFTER: Duration = Duration::from_secs(60);
+
+struct Daemon {
+    process: Child,
+    address: SocketAddr,
+}
+
+impl Daemon {
+    fn start(name: &str) -> Self {
+        let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let config = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
+        let text = format!("[telemetry]\nlisten = \"{address}\"\n[simulation.hand]\ntaxels = []\n");
+        std::fs::write(&config, text).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"));
+        command.args(["--config", config.to_str().unwrap()]).stdout(Stdio::null());
+        Self { process: command.spawn().unwrap(), address }
+    }
+}
+
+impl Daemon {
+    /// One that has armed itself after its automatic tare. On a machine so busy that even the virtual board is silent
+    /// for too long it rightly stops instead: then another one is started.
+    fn armed(name: &str) -> (Self, Connection) {
+        for _ in 0..10 {
+            let daemon = Self::start(name);
+            let connection = Connection::spawn(daemon.address, || {}).unwrap();
+            let settled = |s: &Sample| matches!(s.mode, Mode::Impedance | Mode::ProtectiveStop);
+            if wait_for(&connection, "armed or stopped", settled).mode == Mode::Impedance {
+                return (daemon, connection);
+            }
+        }
+        panic!("ten daemons stopped before they were armed");
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// Polls until a sample satisfies `wanted`.
+fn wait_for(connection: &Connection, what: &str, wanted: impl Fn(&Sample) -> bool) -> Sample {
+    let until = Instant::now() + HANGS_AFTER;
+    let mut last = None;
+    while Instant::now() < until {
+        connection.alive();
+        for sample in connection.poll().samples {
+            if wanted(&sample) {
+                return sample;
+            }
+            last = Some(sample);
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    panic!("never saw: {what}; last sample {last:?}");
+}
+
+fn answer(connection: &Connection, request: Request) -> moca_msgs::Outcome {
+    connection.request(request);
+    let until = Instant::now() + HANGS_AFTER;
+    while Instant::now() < until {
+        if let Some(reply) = connection.poll().replies.first() {
+            assert_eq!(reply.request, request);
+            return reply.outcome;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    panic!("no answer to {request:?}");
+}
+
+fn mocad(arguments: &[&str]) -> std::process::Output {
+    Command::new(env!("CARGO_BIN_EXE_mocad-under-test")).args(arguments).output().unwrap()
+}
+
+#[test]
+fn a_parameter_is_listed_and_set_from_the_command_line_and_observers_see_it() {
+    let daemon = Daemon::start("parameters.toml");
+    let connection = Connection::spawn(daemon.address, || {}).unwrap();
+    wait_for(&connection, "a sample", |_| true);
+    let value = || match connection.poll().link {
+        Link::Up { description, .. } => {
+            let named = |p: &&ParameterDescription| p.name == "control.gains.virtual_mass";
+            description.parameters.iter().find(named).unwrap().value.clone()
+        }
+        Link::Down { reason } => panic!("{reason}"),
+    };
+    assert_eq!(value(), ParameterValue::Numbers(vec![4.0, 4.0, 2.0]));
+    let address = daemon.address.to_string();
+    let set = mocad(&["params", "set", "virtual_mass", "[8, 8, 4]", "--address", &address]);
+    assert!(set.status.success(), "{}", String::from_utf8_lossy(&set.stderr));
+    // A client that comes later is told as well.
+    let listed = mocad(&["params", "list", "virtual_mass", "--address", &address]);
+    let listed = String::from_utf8(listed.stdout).unwrap();
+    assert!(listed.contains("control.gains.virtual_mass = [8.0, 8.0, 4.0] kg, kg, kg·m²"), "{listed}");
+    assert!(listed.contains("(live; 0.01 to 1000; default [4.0, 4.0, 2.0])"), "{listed}");
+    let until = Instant::now() + HANGS_AFTER;
+    while value() != ParameterValue::Numbers(vec![8.0, 8.0, 4.0]) {
+        assert!(Instant::now() < until, "the observer never saw the new value");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    for (name, new, said) in [
+        ("damping_ratio", "7", "control.gains.damping_ratio = 7 is outside 0 to 5"),
+        (
+            "virtual_mass",
+            "[8, 8, 2000]",
+            "control.gains.virtual_mass = 2000 kg·m² is outside 0.01 to 1000 kg·m²",
+        ),
+        ("virtual_mass", "8", "control.gains.virtual_mass has 3 elements, not 1"),
+        ("virtual_mass", "[0.1, 8, 8]", "null_space_damping needs a virtual mass of 0.5 kg or more"),
+        ("torque_nm", "[1, 1, 1, 1, 1, 1, 1]", "limits.torque_nm is read at the start only"),
+        ("rate_hz", "500", "loop.rate_hz is read at the start only"),
+        ("nonsense", "1", "no parameter is called nonsense"),
+    ] {
+        let refused = mocad(&["params", "set", name, new, "--address", &address]);
+        let text = String::from_utf8(refused.stderr).unwrap();
+        assert!(!refused.status.success() && text.contains(said), "{name} = {new}: {text}");
+    }
+}
+
+#[test]
+fn a_client_presses_a_taxel_stops_and_resumes_and_another_may_only_stop() {
+    let (daemon, one) = Daemon::armed("remote.toml");
+    let other = Connection::spawn(daemon.address, || {}).unwrap();
+    wait_for(&other, "the same", |s| s.mode == Mode::Impedance);
+
+    assert_eq!(answer(&one, Request::PressTaxel { taxel: 5, force_n: 20.0 }), Ok(()));
+    wait_for(&one, "the base gives way", |s| s.taxels[5].force_n > 5.0 && s.base_pose_world[0] < -0.02);
+    assert_eq!(answer(&one, Request::PressTaxel { taxel: 11, force_n: 20.0 }), Err(Refusal::OutOfRange));
+    assert_eq!(answer(&one, Request::PressTaxel { taxel: 5, force_n: 1e9 }), Err(Refusal::OutOfRange));
+
+    assert_eq!(answer(&other, Request::Disarm), Err(Refusal::NotCommander));
+    assert_eq!(answer(&other, Request::Stop), Ok(()), "stop is taken from anyone");
+    let stopped = wait_for(&one, "protective stop", |s| s.mode == Mode::ProtectiveStop);
+    assert_eq!(stopped.fault, Some(Fault::OperatorStop));
+
+    assert_eq!(answer(&one, Request::PressTaxel { taxel: 5, force_n: 0.0 }), Ok(()));
+    assert_eq!(answer(&one, Request::Arm), Err(Refusal::Mode(Mode::ProtectiveStop)));
+    assert_eq!(answer(&one, Request::Resume), Ok(()));
+    assert_eq!(answer(&one, Request::Arm), Ok(()));
+    wait_for(&one, "armed again", |s| s.mode == Mode::Impedance);
+}
+
+#[test]
+fn a_board_that_is_plugged_in_again_is_found_and_needs_a_tare() {
+    let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("touch-board");
+    let board = PtyBoard::spawn(VirtualBoardConfig::default(), SharedForces::default(), &path).unwrap();
+    let start = Instant::now();
+    let port = PortSelection::Path(path.display().to_string());
+    let (_reader, mut events) = SerialBoard::spawn(port, start).unwrap();
+    let mut cover = Cover::<11>::new(CoverConfig::default()).unwrap();
+    let mut wait = |cover: &mut Cover<11>, what: &str, wanted: &dyn Fn(&Cover<11>, Option<Fault>) -> bool| {
+        while start.elapsed() < HANGS_AFTER {
+            while let Ok(event) = events.pop() {
+                cover.event(0, &event);
+            }
+            let now_ns = u64::try_from(start.elapsed().as_nanos()).unwrap();
+            let poll = cover.poll(now_ns);
+            if wanted(cover, poll.fault) {
+                return now_ns;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        panic!("never saw: {what}");
+    };
+    let frames = |cover: &Cover<11>| cover.boards().next().unwrap().stats().frames_good;
+
+    let now_ns = wait(&mut cover, "frames", &|cover, _| frames(cover) > 3);
+    cover.start_tare(now_ns);
+    wait(&mut cover, "a valid zero and no fault", &|cover, fault| cover.zero_valid() && fault.is_none());
+
+    board.unplug();
+    wait(&mut cover, "the port is lost", &|_, fault| fault == Some(Fault::BoardLost));
+    let link = std::fs::symlink_metadata(&path).map(|metadata| metadata.is_symlink());
+    board.replug();
+    let before = frames(&cover);
+    let now_ns = wait(&mut cover, "frames again", &|cover, _| frames(cover) > before + 3);
+    assert!(!cover.zero_valid(), "zero and gain are void after re-enumeration");
+    assert!(cover.poll(now_ns).reading.taxels.iter().all(|taxel| taxel.status == TaxelStatus::NoZero));
+    assert!(
+        std::fs::symlink_metadata(&path).unwrap().is_symlink(),
+        "the port kept its name; while away: {link:?}"
+    );
+    cover.start_tare(now_ns);
+    wait(&mut cover, "a valid zero and no fault", &|cover, fault| cover.zero_valid() && fault.is_none());
+}

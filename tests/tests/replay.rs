@@ -1,0 +1,232 @@
+//! Record and replay: an eventful run comes out the same bit for bit, and whatever is not the same is found.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
+
+use moca_daemon::config::{Config, HandConfig};
+use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::record::recording::{configuration, parameter_change};
+use moca_daemon::record::tick_log::{PortEvent, TapeReader, TickRecord, tape};
+use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
+use moca_daemon::runtime::replay::{self, Failure};
+use moca_msgs::params::CONTROLLER;
+use moca_msgs::{Law, Mode, ParameterValues, Request, Sample};
+use moca_sim::{Scene, VirtualBoardConfig};
+use moca_tactile::calibration::Quality;
+use moca_tactile::calibration::file::{CalibrationFile, TaxelEntry};
+use moca_tactile::datastream::SketchGeneration;
+use moca_tactile::model::{MonotoneCurve, TaxelModel};
+use moca_telemetry::RobotDescription;
+use moca_telemetry::log::{LogWriter, Meta};
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::PathBuf;
+
+struct Run {
+    world: LockStep<ByteCover, MemoryBoard>,
+    tape: TapeReader,
+    records: Vec<TickRecord>,
+    samples: Vec<Sample>,
+}
+
+impl Run {
+    fn start(config: &Config) -> Self {
+        let (loop_end, copies, reader) = tape();
+        let board = VirtualBoardConfig { seed: 1, ..VirtualBoardConfig::default() };
+        let mut world = LockStep::with_board(config, &Scene::default(), board, Some(copies)).unwrap();
+        world.control.tape = Some(loop_end);
+        Self { world, tape: reader, records: Vec::new(), samples: Vec::new() }
+    }
+
+    fn ask(&mut self, request: Request) {
+        self.step(Some(request));
+    }
+
+    fn step(&mut self, request: Option<Request>) {
+        let (sample, _) = self.world.step(request);
+        self.samples.push(sample);
+        self.records.extend(std::iter::from_fn(|| self.tape.next_tick()));
+    }
+
+    fn run(&mut self, ticks: usize) -> Mode {
+        (0..ticks).for_each(|_| self.step(None));
+        self.samples.last().unwrap().mode
+    }
+}
+
+fn config() -> Config {
+    let mut config = Config::default();
+    config.simulation.hand = HandConfig::none();
+    config
+}
+
+fn set(name: &str, values: &[f64]) -> Request {
+    let number = CONTROLLER.iter().position(|spec| spec.name == name).unwrap();
+    let values = ParameterValues::new(values).unwrap();
+    Request::SetParameter { parameter: u8::try_from(number).unwrap(), values }
+}
+
+fn write(name: &str, config: &Config, records: &[TickRecord], samples: &[Sample]) -> PathBuf {
+    let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_file(&path);
+    let meta = Meta { description: RobotDescription::paper("test", true), start_unix_ns: 0 };
+    let mut log = LogWriter::new(BufWriter::new(File::create_new(&path).unwrap()), &meta).unwrap();
+    log.configuration(&configuration(config).unwrap()).unwrap();
+    let mut samples = samples.iter().peekable();
+    for record in records {
+        let slot = record.input.slot;
+        while let Some(sample) = samples.next_if(|sample| sample.tick <= slot.tick) {
+            log.sample(sample).unwrap();
+        }
+        if let Some(change) = parameter_change(record) {
+            log.parameter(slot.now_ns, &change).unwrap();
+        }
+        log.replay(slot.now_ns, slot.tick, &record.encode()).unwrap();
+    }
+    log.finish().unwrap();
+    path
+}
+
+fn failure(path: &std::path::Path) -> Failure {
+    replay::run(path).unwrap_err().downcast::<Failure>().unwrap()
+}
+
+#[test]
+fn a_run_with_faults_tares_laws_and_live_parameters_comes_out_the_same() {
+    let mut run = Run::start(&config());
+    assert_eq!(run.run(1500), Mode::Impedance);
+    run.ask(Request::PressTaxel { taxel: 5, force_n: 20.0 });
+    run.run(300);
+    run.ask(set("control.gains.stiffness", &[300.0, 300.0, 300.0, 20.0, 20.0, 20.0]));
+    run.ask(set("control.gains.damping_ratio", &[9.0]));
+    run.run(100);
+    run.ask(set("control.corrections.null_space_damping", &[0.0]));
+    run.ask(Request::SelectLaw(Law::FollowMe));
+    assert_eq!(run.run(200), Mode::FollowMe);
+    run.world.feed.inject(b"\r\nFDAT: 1 2 6658 4\r\nDIFF: -");
+    run.world.feed.unplug();
+    assert_eq!(run.run(200), Mode::ProtectiveStop);
+    run.ask(Request::Resume);
+    run.ask(Request::PressTaxel { taxel: 5, force_n: 0.0 });
+    run.world.feed.replug();
+    run.run(500);
+    run.ask(Request::MaskTaxel { taxel: 2, masked: true });
+    run.ask(Request::MaskTaxel { taxel: 2, masked: false });
+    run.ask(Request::Tare);
+    run.run(1300);
+    run.ask(Request::Resume);
+    run.ask(Request::Arm);
+    assert_eq!(run.run(200), Mode::FollowMe);
+    run.ask(Request::Stop);
+    assert_eq!(run.run(50), Mode::ProtectiveStop);
+    let path = write("eventful.mcap", &config(), &run.records, &run.samples);
+    let report = replay::run(&path).unwrap();
+    assert_eq!((report.compared, report.without_sample, report.cut), (run.samples.len() as u64, 0, None));
+
+    // A log that ends anywhere is compared up to there.
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() / 3]).unwrap();
+    let report = replay::run(&path).unwrap();
+    assert!(report.cut.is_some() && report.compared > 500, "{report}");
+}
+
+#[test]
+fn one_bit_is_found_and_a_loss_is_not_taken_for_a_difference() {
+    const AT: usize = 1600;
+    let mut run = Run::start(&config());
+    run.run(1500);
+    run.ask(Request::PressTaxel { taxel: 5, force_n: 20.0 });
+    assert_eq!(run.run(300), Mode::Impedance);
+    let Run { records, samples, .. } = run;
+    let flip = |value: &mut f64| *value = f64::from_bits(value.to_bits() ^ 1);
+
+    let mut tampered = records.clone();
+    flip(&mut tampered[AT].input.state.as_mut().unwrap().q_rad[3]);
+    let found = failure(&write("state.mcap", &config(), &tampered, &samples));
+    assert!(matches!(&found, Failure::Differs { tick, .. } if *tick == AT as u64), "{found}");
+
+    let mut tampered = samples.clone();
+    flip(&mut tampered[AT].arm_torque_nm[6]);
+    let found = failure(&write("command.mcap", &config(), &records, &tampered));
+    let named = matches!(&found, Failure::Differs { tick, quantity, .. } if *tick == AT as u64 && quantity == "arm_torque_nm");
+    assert!(named, "{found}");
+
+    let mut tampered = records.clone();
+    let bytes =
+        tampered[AT..].iter_mut().flat_map(|record| &mut record.events).find_map(|event| match event {
+            PortEvent::Bytes(_, bytes) => bytes.iter_mut().find(|byte| byte.is_ascii_digit()),
+            _ => None,
+        });
+    *bytes.unwrap() ^= 1;
+    let found = failure(&write("bytes.mcap", &config(), &tampered, &samples));
+    assert!(matches!(&found, Failure::Differs { tick, .. } if *tick >= AT as u64), "{found}");
+
+    let mut lost = records.clone();
+    lost.remove(AT);
+    let found = failure(&write("lost_tick.mcap", &config(), &lost, &samples));
+    let expected = Some(AT as u64 - 1);
+    assert!(matches!(&found, Failure::Incomplete { after, .. } if *after == expected), "{found}");
+
+    let mut lost = records.clone();
+    let record = lost[AT..].iter_mut().find(|record| !record.events.is_empty()).unwrap();
+    record.events.pop();
+    let found = failure(&write("lost_bytes.mcap", &config(), &lost, &samples));
+    assert!(matches!(&found, Failure::Incomplete { .. }), "{found}");
+
+    let found = failure(&write("mid_run.mcap", &config(), &records[AT..], &samples[AT..]));
+    assert_eq!(found, Failure::MidRun { first: AT as u64 });
+
+    let mut gap = samples.clone();
+    gap.remove(AT);
+    let report = replay::run(&write("no_sample.mcap", &config(), &records, &gap)).unwrap();
+    assert_eq!((report.compared, report.without_sample), (samples.len() as u64 - 1, 1));
+}
+
+/// A run that depends on every file its configuration names; the log has to hold them, for they may be gone.
+#[test]
+fn calibration_contact_limits_and_geometry_are_in_the_log() {
+    let file = |name: &str, text: &str| {
+        let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    };
+    let mut calibration = CalibrationFile::new("front", SketchGeneration::From2018, "2026-01-31", "PU LD30");
+    let curve = MonotoneCurve::new(&[[4.0, 5.0], [30.0, 45.0], [84.0, 100.0]]).unwrap();
+    let quality = Quality {
+        samples: 700,
+        rmse_n: 2.0,
+        rmse_loading_n: 2.0,
+        rmse_unloading_n: 2.0,
+        worst_n: 9.0,
+        counts_max: 84.0,
+        force_max_n: 100.0,
+    };
+    for number in 1..=11 {
+        calibration.taxel.push(TaxelEntry::new(number, 719.6, &TaxelModel::Monotone(curve), &quality));
+    }
+    let files = [
+        file("replay-calibration.toml", &calibration.to_toml().unwrap()),
+        file("replay-limits.toml", "source = \"a test\"\n[T6]\ntransient_n = 12.0\nquasi_static_n = 12.0\n"),
+    ];
+    let mut config = config();
+    config.board.name = "front".into();
+    config.board.calibration = files[0].display().to_string();
+    config.protection.thresholds = files[1].display().to_string();
+    config.geometry.arm_rpy_rad = [0.0, 0.0, 0.5];
+
+    let mut run = Run::start(&config);
+    assert_eq!(run.run(1500), Mode::Impedance);
+    run.ask(Request::PressTaxel { taxel: 5, force_n: 25.0 });
+    run.run(700);
+    assert!(run.samples.iter().any(|sample| sample.contact_reaction.is_some()), "no limit was crossed");
+    let path = write("files.mcap", &config, &run.records, &run.samples);
+    for file in &files {
+        std::fs::remove_file(file).unwrap();
+    }
+    let report = replay::run(&path).unwrap();
+    assert_eq!((report.compared, report.without_sample), (run.samples.len() as u64, 0));
+
+    // Without one of them the run is another one: the comparison can fail.
+    config.protection.thresholds = String::new();
+    config.board.calibration = String::new();
+    let other = write("no_files.mcap", &config, &run.records, &run.samples);
+    assert!(matches!(failure(&other), Failure::Differs { .. }));
+}
