@@ -15,7 +15,7 @@ use moca_msgs::robot::PAPER_COVER;
 use moca_msgs::{ContactEvent, ContactReaction, Law, Request, Sample, SpeedLimitReason};
 use moca_sim::foam::Foam;
 use moca_sim::{Person, Scene, VirtualBoardConfig};
-use moca_tactile::datastream::SketchGeneration;
+use moca_tactile::Firmware;
 use moca_wbc::guard::CoverOutline;
 
 #[global_allocator]
@@ -136,7 +136,7 @@ fn the_limit_follows_the_measured_rate_and_age_of_the_board() {
         assert_eq!(sample.speed_limit.reason, SpeedLimitReason::BoardRate, "{sketch:?}");
         sample.speed_limit.m_s
     };
-    for (sketch, delay_s) in [(SketchGeneration::From2018, 0.0537), (SketchGeneration::From2015, 0.0358)] {
+    for (sketch, delay_s) in [(Firmware::Stock2018, 0.0537), (Firmware::Stock2015, 0.0358)] {
         let by_theory = (25.0 - 5.2) / (7783.0 * (delay_s + 0.015));
         let measured = limit(sketch);
         println!("{sketch:?}: {measured:.4} m/s, by theory {by_theory:.4} m/s");

@@ -111,6 +111,8 @@ pub enum Fault {
     OperatorLost,
     /// A controller refused its input or gave a value outside its limits.
     ControlRefused,
+    /// The sensor chip says that it does not measure: over-current, or an electrode out of its range.
+    BoardChip,
 }
 
 impl Fault {
@@ -123,6 +125,7 @@ impl Fault {
             Self::BoardFrozen => "board-frozen",
             Self::BoardReset => "board-reset",
             Self::BoardThresholds => "board-thresholds",
+            Self::BoardChip => "board-chip",
             Self::BoardCommonMode => "board-common-mode",
             Self::CalibrationMismatch => "calibration-mismatch",
             Self::TaxelInvalid { .. } => "taxel-invalid",
@@ -145,7 +148,10 @@ impl Fault {
             Self::BoardFrozen => {
                 "The Touch Board sends frames, but its data is frozen: I2C to the sensor chip lost."
             }
-            Self::BoardReset => "Every value of the Touch Board is 0: the sensor chip was reset.",
+            Self::BoardReset => "The Touch Board's sensor chip was reset.",
+            Self::BoardChip => {
+                "The Touch Board's sensor chip does not measure: over-current, or an electrode out of its range."
+            }
             Self::BoardThresholds => {
                 "The Touch Board's threshold registers changed: bus garbage or a new sketch."
             }
@@ -183,7 +189,7 @@ impl Fault {
             Self::BoardSilent | Self::BoardLost => {
                 "Check cable and power; when frames come again: tare, then resume."
             }
-            Self::BoardFrozen | Self::BoardReset | Self::BoardThresholds => {
+            Self::BoardFrozen | Self::BoardReset | Self::BoardThresholds | Self::BoardChip => {
                 "Power-cycle the board; when frames are good: tare, then resume."
             }
             Self::BoardCommonMode => "Check the board's supply and ground; then tare and resume.",

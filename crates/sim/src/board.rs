@@ -9,8 +9,9 @@ use crate::foam::{Foam, FoamState};
 use crate::scene::within;
 use crate::sensor::{CoverSensor, Effects, SAMPLE_INTERVAL_NS};
 use moca_msgs::robot::PAPER_COVER;
+use moca_tactile::Firmware;
 use moca_tactile::datastream::{
-    Dialect, ELECTRODES, Frame, Line, MAX_COLUMNS, MAX_LINE_BYTES, SketchGeneration, emit_line,
+    Dialect, ELECTRODES, Frame, Line, MAX_COLUMNS, MAX_LINE_BYTES, emit_line,
 };
 
 const TAXELS: usize = PAPER_COVER.len();
@@ -23,7 +24,7 @@ const I2C_LOST_PERCENT: u64 = 72;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VirtualBoardConfig {
     /// Sketch: frame rate and age follow from it.
-    pub sketch: SketchGeneration,
+    pub sketch: Firmware,
     /// Foam under the plates; the scene's.
     pub foam: Foam,
     /// Disturbances.
@@ -42,7 +43,7 @@ impl Default for VirtualBoardConfig {
     /// Stock sketch of 2020 over the paper's foam.
     fn default() -> Self {
         Self {
-            sketch: SketchGeneration::From2018,
+            sketch: Firmware::Stock2018,
             foam: Foam::default(),
             effects: Effects::default(),
             noise_counts: None,
@@ -67,7 +68,7 @@ pub enum BoardFault {
 /// The board. `advance` allocates nothing.
 #[derive(Clone, Debug)]
 pub struct VirtualBoard {
-    sketch: SketchGeneration,
+    sketch: Firmware,
     frame_period_ns: u64,
     foam: Foam,
     foams: [FoamState; TAXELS],
@@ -216,7 +217,7 @@ impl VirtualBoard {
                 self.frame = Frame { dialect: self.frame.dialect, ..Frame::default() };
             }
             Some(BoardFault::I2cLost) => {
-                if self.sketch == SketchGeneration::From2018 {
+                if self.sketch == Firmware::Stock2018 {
                     let garbage: [u8; MAX_COLUMNS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12];
                     self.frame.touch_threshold = garbage;
                     self.frame.release_threshold = garbage;
@@ -240,9 +241,9 @@ impl VirtualBoard {
     }
 }
 
-const fn dialect(sketch: SketchGeneration) -> Dialect {
+const fn dialect(sketch: Firmware) -> Dialect {
     match sketch {
-        SketchGeneration::PiCap => Dialect::PI_CAP,
+        Firmware::PiCap => Dialect::PI_CAP,
         _ => Dialect::TOUCH_BOARD,
     }
 }

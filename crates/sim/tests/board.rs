@@ -8,7 +8,7 @@
 
 use moca_sim::foam::Foam;
 use moca_sim::{BoardFault, PtyBoard, SharedForces, VirtualBoard, VirtualBoardConfig};
-use moca_tactile::datastream::{Event, Parser, SketchGeneration, StampedFrame};
+use moca_tactile::{Firmware, datastream::{Event, Parser, StampedFrame}};
 use std::io::Read;
 use std::os::unix::fs::OpenOptionsExt;
 use std::sync::Arc;
@@ -50,7 +50,7 @@ fn board(config: VirtualBoardConfig) -> VirtualBoard {
 
 #[test]
 fn frames_are_good_and_come_at_the_sketch_s_rate() {
-    for (sketch, frames) in [(SketchGeneration::From2018, 404), (SketchGeneration::From2015, 675)] {
+    for (sketch, frames) in [(Firmware::Stock2018, 404), (Firmware::Stock2015, 675)] {
         let mut board = board(VirtualBoardConfig { sketch, ..VirtualBoardConfig::default() });
         let run = run(&mut board, 0, 10_000, |_| 0.0);
         assert_eq!(run.bad, 0);

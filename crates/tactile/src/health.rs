@@ -1,4 +1,17 @@
 //! Faults of one taxel, from its counts frame by frame.
+//!
+//! ```
+//! use moca_tactile::health::TaxelHealth;
+//! use moca_msgs::TaxelStatus;
+//!
+//! let mut health = TaxelHealth::default();
+//! for i in 0..100u16 {
+//!     health.update(720 + i % 2, None, 0.0247);
+//! }
+//! assert_eq!(health.status(None), None);
+//! health.update(1023, None, 0.0247);
+//! assert_eq!(health.status(None), Some(TaxelStatus::Saturated));
+//! ```
 
 use crate::datastream::FDAT_MAX;
 use crate::zero::{LINEAR_MIN, OPEN_MIN, TaxelZero};
@@ -6,6 +19,8 @@ use moca_msgs::TaxelStatus;
 
 /// Consecutive identical values that make a taxel stuck while its neighbours move (1.5 s at 40 Hz).
 pub const STUCK_FRAMES: u32 = 60;
+/// Least time that they span, s, so that a fast board needs more of them.
+const STUCK_TIME_S: f64 = 0.85;
 /// Below this deviation at the tare an electrode is too quiet for [`STUCK_FRAMES`] to mean anything, counts.
 const STUCK_NEEDS_DEVIATION: f64 = 0.3;
 /// Counts above zero that only a lost plate can give.
@@ -28,15 +43,18 @@ pub struct TaxelHealth {
     previous: [u16; 2],
     frames: u32,
     same: u32,
+    same_s: f64,
     risen: u32,
     second_difference: f64,
     latest: u16,
 }
 
 impl TaxelHealth {
-    /// Takes one frame's FDAT.
-    pub fn update(&mut self, fdat: u16, zero: Option<&TaxelZero>) {
-        self.same = if self.frames > 0 && fdat == self.previous[0] { self.same.saturating_add(1) } else { 0 };
+    /// Takes one frame's FDAT, `dt_s` after the one before.
+    pub fn update(&mut self, fdat: u16, zero: Option<&TaxelZero>, dt_s: f64) {
+        let same = self.frames > 0 && fdat == self.previous[0];
+        self.same = if same { self.same.saturating_add(1) } else { 0 };
+        self.same_s = if same { self.same_s + dt_s } else { 0.0 };
         if self.frames >= 2 {
             let [one, two] = self.previous.map(f64::from);
             let second = libm::fabs(f64::from(fdat) - 2.0 * one + two).min(SECOND_DIFFERENCE_MAX);
@@ -62,7 +80,7 @@ impl TaxelHealth {
             Some(TaxelStatus::Saturated)
         } else if self.risen >= DEAD_FRAMES || fdat >= OPEN_MIN {
             Some(TaxelStatus::Dead)
-        } else if lively && self.same >= STUCK_FRAMES {
+        } else if lively && self.same >= STUCK_FRAMES && self.same_s >= STUCK_TIME_S {
             Some(TaxelStatus::Stuck)
         } else if self.deviation() > NOISY_DEVIATION {
             Some(TaxelStatus::Noisy)

@@ -9,7 +9,7 @@ use moca_tactile::calibration::file::TaxelEntry;
 use moca_tactile::calibration::session::{Measured, Session, Step, Target};
 use moca_tactile::calibration::{CalibrationFile, ModelKind, Quality, fit, residuals};
 use moca_tactile::cover::Electrode;
-use moca_tactile::datastream::SketchGeneration;
+use moca_tactile::Firmware;
 use moca_tactile::zero::TARE_FRAMES;
 use moca_tactile::{BoardEvent, TaxelModel};
 use moca_telemetry::calibration::{CalibrationFit, CalibrationProgress, CalibrationRequest, FittedModel};
@@ -178,7 +178,7 @@ struct Work {
 struct Fitted {
     number: usize,
     rest_counts: f64,
-    sketch: SketchGeneration,
+    sketch: Firmware,
     models: Vec<(ModelKind, TaxelModel, Quality)>,
 }
 
@@ -259,7 +259,7 @@ impl Work {
                 CalibrationProgress::Press { taxel, presses, presses_wanted, counts, force_n }
             }
             Step::Done => {
-                let (measured, sketch) = (session.measured().first().cloned(), session.generation());
+                let (measured, sketch) = (session.measured().first().cloned(), session.firmware());
                 self.session = None;
                 let fitted = measured.zip(sketch).context("nothing was measured");
                 let fitted = fitted.and_then(|(measured, sketch)| self.fit(&measured, sketch));
@@ -285,7 +285,7 @@ impl Work {
         self.progress = CalibrationProgress::Failed(why.to_owned());
     }
 
-    fn fit(&mut self, measured: &Measured, sketch: SketchGeneration) -> Result<CalibrationFit> {
+    fn fit(&mut self, measured: &Measured, sketch: Firmware) -> Result<CalibrationFit> {
         let trials = core::slice::from_ref(&measured.trial);
         let (mut models, mut told) = (Vec::new(), Vec::new());
         for kind in ModelKind::ALL {

@@ -12,7 +12,7 @@ use moca_tactile::calibration::file::TaxelEntry;
 use moca_tactile::calibration::quality::evaluation_cost_ns;
 use moca_tactile::calibration::session::{Measured, Session, Step, Target};
 use moca_tactile::calibration::{CalibrationFile, ModelKind, Quality, chart, fit};
-use moca_tactile::datastream::SketchGeneration;
+use moca_tactile::Firmware;
 use moca_tactile::zero::TARE_FRAMES;
 use moca_tactile::{BoardEvent, TaxelModel};
 use std::io::Write;
@@ -110,7 +110,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         (Some(stream), Some(times), Some(force)) => replay(&mut session, stream, times, force)?,
         _ => live(&mut session, arguments)?,
     }
-    let sketch = session.generation().context("the board's sketch is not known: no good frame came")?;
+    let sketch = session.firmware().context("the board's sketch is not known: no good frame came")?;
     let file = calibrate(session.measured(), sketch, arguments)?;
     file.write(&arguments.out)?;
     println!("wrote {}", arguments.out.display());
@@ -120,7 +120,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// Fits every model to every taxel; stores the chosen one.
 fn calibrate(
     measured: &[Measured],
-    sketch: SketchGeneration,
+    sketch: Firmware,
     arguments: &Arguments,
 ) -> anyhow::Result<CalibrationFile> {
     let mut file = CalibrationFile::new(&arguments.board, sketch, &today()?, &arguments.material);

@@ -260,10 +260,10 @@ pub fn introduction(config: &Config) -> String {
 /// Speed limit for the slowest stock sketch (2018–2020) by its firmware's timing, m/s.
 fn stock_speed_m_s(config: &Config) -> f64 {
     use moca_tactile::board::CHIP_FILTER_AGE_NS;
-    use moca_tactile::datastream::SketchGeneration::From2018;
+    use moca_tactile::Firmware::Stock2018;
     let protection = Protection::new(config, [ContactLimits::default(); TAXELS]);
-    let age_s = seconds(CHIP_FILTER_AGE_NS + From2018.line_offset_ns()[5]);
-    let delay_s = reading_delay_s(age_s, seconds(From2018.frame_period_ns()), protection.tick_s);
+    let age_s = seconds(CHIP_FILTER_AGE_NS + Stock2018.line_offset_ns()[5]);
+    let delay_s = reading_delay_s(age_s, seconds(Stock2018.frame_period_ns()), protection.tick_s);
     let limits = config.parameters().limits;
     protection.speed_m_s(delay_s, &limits).min(protection.outline.fastest(&limits.base_velocity))
 }

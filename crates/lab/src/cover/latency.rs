@@ -6,7 +6,7 @@ use moca_msgs::robot::{PAPER_COVER, SUMMIT_XL};
 use moca_sim::board::{VirtualBoard, VirtualBoardConfig};
 use moca_sim::foam::Foam;
 use moca_tactile::board::CHIP_FILTER_AGE_NS;
-use moca_tactile::datastream::SketchGeneration;
+use moca_tactile::Firmware;
 use moca_tactile::{Cover, CoverConfig, TareStatus};
 use moca_wbc::contact_stability::{Contact, at_taxel, largest_speed, least_damping, margin, reading_delay_s};
 use serde::Serialize;
@@ -95,9 +95,9 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 fn report() -> anyhow::Result<Report> {
-    use SketchGeneration::{From2015, From2018, PiCap};
+    use Firmware::{PiCap, Stock2015, Stock2018};
     let sketches: Vec<Latency> =
-        [From2015, From2018, PiCap].into_iter().map(latency).collect::<anyhow::Result<_>>()?;
+        [Stock2015, Stock2018, PiCap].into_iter().map(latency).collect::<anyhow::Result<_>>()?;
     let mut contacts = Vec::new();
     for foam in [Foam::PU_LD30, Foam::COLLISION_ASSUMED] {
         contacts.push(contact("ideal, 10 ms".to_owned(), &foam, 0.0, 0.010)?);
@@ -109,7 +109,7 @@ fn report() -> anyhow::Result<Report> {
     Ok(Report { sketches, contacts })
 }
 
-fn latency(sketch: SketchGeneration) -> anyhow::Result<Latency> {
+fn latency(sketch: Firmware) -> anyhow::Result<Latency> {
     let period_ms = milliseconds(sketch.frame_period_ns());
     let print_ms = milliseconds(sketch.line_offset_ns()[5]);
     let chip_filter_ms = milliseconds(CHIP_FILTER_AGE_NS);
@@ -153,7 +153,7 @@ struct Step {
 }
 
 impl Step {
-    fn measure(sketch: SketchGeneration, phase: u64) -> anyhow::Result<Self> {
+    fn measure(sketch: Firmware, phase: u64) -> anyhow::Result<Self> {
         let mut board =
             VirtualBoard::new(VirtualBoardConfig { sketch, seed: phase + 1, ..Default::default() })?;
         let mut cover = Cover::<11>::new(CoverConfig::default())?;
@@ -324,7 +324,7 @@ mod tests {
 
     #[test]
     fn the_measured_chain_is_the_sum_of_its_stages() {
-        for sketch in [SketchGeneration::From2015, SketchGeneration::From2018] {
+        for sketch in [Firmware::Stock2015, Firmware::Stock2018] {
             let latency = latency(sketch).unwrap();
             // USB is not simulated: bytes arrive with the tick
             let expected_ms = latency.sum_ms - latency.usb_ms;

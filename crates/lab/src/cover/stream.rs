@@ -268,7 +268,7 @@ impl Analysis {
                 .then(|| f64::from(self.intervals) / seconds(self.interval_sum_ns)),
             sketch: self
                 .monitor
-                .generation()
+                .firmware()
                 .filter(|_| self.timed || columns == Some(12))
                 .map(|generation| generation.name()),
             columns,
@@ -316,7 +316,7 @@ fn as_text(report: &Report) -> String {
 mod tests {
     use super::*;
     use moca_sim::board::{BoardFault, VirtualBoard, VirtualBoardConfig};
-    use moca_tactile::datastream::SketchGeneration;
+    use moca_tactile::Firmware;
 
     fn report(name: &str, timed: bool) -> Report {
         let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/recordings");
@@ -357,7 +357,7 @@ mod tests {
     fn rate_age_and_sketch_of_the_stock_board() {
         let report = report("datastream-2020", true);
         assert!((report.rate_hz.unwrap() - 40.5).abs() < 0.5, "{report:?}");
-        assert_eq!(report.sketch, Some("2018-2020"));
+        assert_eq!(report.sketch, Some("stock-2018"));
         let age_ms = report.age_ms.unwrap();
         assert!(
             (age_ms - 30.0).abs() < 1.5,
@@ -375,7 +375,7 @@ mod tests {
     }
 
     /// 4 s of a virtual board, read each millisecond; `fault` strikes after 2 s.
-    fn record(sketch: SketchGeneration, fault: Option<BoardFault>) -> (Vec<u8>, Vec<Read>) {
+    fn record(sketch: Firmware, fault: Option<BoardFault>) -> (Vec<u8>, Vec<Read>) {
         let mut board = VirtualBoard::new(VirtualBoardConfig { sketch, ..Default::default() }).unwrap();
         let (mut bytes, mut reads) = (Vec::new(), Vec::new());
         for millisecond in 1..4000 {
@@ -394,8 +394,8 @@ mod tests {
 
     #[test]
     fn other_generations_are_recognised_and_fail_in_their_own_way() {
-        use SketchGeneration::{From2015, From2018, PiCap};
-        for (sketch, rate_hz, columns) in [(From2015, 67.5, 13), (From2018, 40.5, 13), (PiCap, 67.5, 12)] {
+        use Firmware::{PiCap, Stock2015, Stock2018};
+        for (sketch, rate_hz, columns) in [(Stock2015, 67.5, 13), (Stock2018, 40.5, 13), (PiCap, 67.5, 12)] {
             let (bytes, reads) = record(sketch, None);
             let report = analyse(&bytes, Some(&reads));
             assert!((report.rate_hz.unwrap() / rate_hz - 1.0).abs() < 0.02, "{report:?}");
@@ -411,7 +411,7 @@ mod tests {
             assert!(kinds(&report).contains(&"frozen"), "{report:?}");
             assert_eq!(
                 kinds(&report).contains(&"thresholds"),
-                sketch == From2018,
+                sketch == Stock2018,
                 "older sketches keep theirs"
             );
         }

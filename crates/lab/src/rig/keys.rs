@@ -5,7 +5,7 @@ use anyhow::{Context, Result, bail, ensure};
 use moca_daemon::config::Arm;
 use moca_sim::foam::Foam;
 use moca_sim::{BodyPart, Integrator};
-use moca_tactile::datastream::SketchGeneration;
+use moca_tactile::Firmware;
 
 impl Settings {
     /// Applies `key=value`.
@@ -64,7 +64,7 @@ const KEYS: &[Key] = &[
         Ok(())
     }),
     key("sensor.sketch", "2015|2018", "stock board: generation of the sketch", |s, v| {
-        s.sketch = word(v, &[("2015", SketchGeneration::From2015), ("2018", SketchGeneration::From2018)])?;
+        s.sketch = word(v, &[("2015", Firmware::Stock2015), ("2018", Firmware::Stock2018)])?;
         Ok(())
     }),
     key("seed", "", "seed of the board's noise", |s, v| {

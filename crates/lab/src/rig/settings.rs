@@ -7,7 +7,7 @@ use moca_msgs::Law;
 use moca_msgs::robot::{BaseTable, SUMMIT_XL, TaxelPlacement};
 use moca_sim::foam::{ElasticLaw, Foam};
 use moca_sim::{BaseServo, BodyPart, Integrator, Mobility, Person, Scene, Shape, VirtualBoardConfig};
-use moca_tactile::datastream::SketchGeneration;
+use moca_tactile::Firmware;
 
 /// Averaging and holding period of the ideal sensor, ms.
 const IDEAL_PERIOD_MS: f64 = 10.0;
@@ -155,7 +155,7 @@ pub(crate) struct Settings {
     pub sensor_delay_ms: f64,
     pub sensor_phase_ms: f64,
     pub noise_counts: Option<f64>,
-    pub sketch: SketchGeneration,
+    pub sketch: Firmware,
     pub foam: FoamSettings,
     pub person: PersonSettings,
     pub base: BaseSettings,
@@ -191,7 +191,7 @@ impl Settings {
             sensor_delay_ms: 0.0,
             sensor_phase_ms: 0.0,
             noise_counts: None,
-            sketch: SketchGeneration::From2018,
+            sketch: Firmware::Stock2018,
             foam: FoamSettings {
                 material: Foam::default(),
                 thickness_m: None,
