@@ -8,7 +8,10 @@
 use egui::{Context, RawInput, Rect, Ui, pos2, vec2};
 use egui_plot::{Line, Plot, PlotPoints};
 use moca_monitor::{
-    logic::{History, Playback, Signal},
+    logic::{
+        signals::{history::History, panel::Signal},
+        source::playback::Playback,
+    },
     ui::App,
 };
 use moca_msgs::{Mode, Sample, TaxelReading, TaxelStatus, board::Diagnosis};

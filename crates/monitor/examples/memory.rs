@@ -3,11 +3,11 @@
 #![allow(clippy::print_stdout, reason = "a program that prints its result")]
 
 use egui::{Context, RawInput, Rect, pos2, vec2};
-use moca_monitor::{logic::Source, ui::App};
+use moca_monitor::{logic::source::live::Live, ui::App};
 use moca_msgs::{Mode, Request, Sample, TaxelReading, TaxelStatus, board::Diagnosis};
 use moca_telemetry::{
     RobotDescription,
-    calibration::CalibrationProgress,
+    calibration::{CalibrationProgress, CalibrationRequest},
     net::{Link, Status, Update},
 };
 use std::sync::Arc;
@@ -24,8 +24,8 @@ struct Feed {
     robot: Arc<RobotDescription>,
 }
 
-impl Source for Feed {
-    fn poll(&mut self, _now_s: f64) -> Update {
+impl Live for Feed {
+    fn poll(&mut self) -> Update {
         let samples = (self.tick..self.tick + BATCH).map(sample).collect();
         self.tick += BATCH;
         Update {
@@ -38,7 +38,11 @@ impl Source for Feed {
         }
     }
 
+    fn alive(&mut self) {}
+
     fn request(&mut self, _request: Request) {}
+
+    fn calibrate(&mut self, _request: CalibrationRequest) {}
 }
 
 #[expect(clippy::cast_precision_loss, reason = "an hour of ticks is far below 2^53")]

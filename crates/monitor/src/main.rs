@@ -4,7 +4,10 @@ use anyhow::{Context, anyhow};
 use clap::{Parser, ValueEnum};
 use eframe::egui;
 use moca_monitor::{
-    logic::{Playback, Source, axis::SPAN_S},
+    logic::{
+        signals::axis::SPAN_S,
+        source::{Source, playback::Playback},
+    },
     ui::{App, Page, Screenshot},
 };
 use moca_telemetry::net::{Connection, DEFAULT_ADDRESS};
@@ -151,7 +154,7 @@ fn sources(
     mut addresses: Vec<SocketAddr>,
     logs: Vec<PathBuf>,
     ctx: &egui::Context,
-) -> anyhow::Result<Vec<(Box<dyn Source>, String)>> {
+) -> anyhow::Result<Vec<(Source, String)>> {
     let wake = || {
         let ctx = ctx.clone();
         move || ctx.request_repaint_after(App::FRAME)
@@ -160,14 +163,14 @@ fn sources(
         if addresses.is_empty() {
             addresses.push(DEFAULT_ADDRESS.parse()?);
         }
-        let connect = |address: SocketAddr| -> anyhow::Result<(Box<dyn Source>, String)> {
-            Ok((Box::new(Connection::spawn(address, wake())?), address.to_string()))
+        let connect = |address: SocketAddr| -> anyhow::Result<(Source, String)> {
+            Ok((Connection::spawn(address, wake())?.into(), address.to_string()))
         };
         return addresses.into_iter().map(connect).collect();
     }
-    let open = |path: PathBuf| -> anyhow::Result<(Box<dyn Source>, String)> {
+    let open = |path: PathBuf| -> anyhow::Result<(Source, String)> {
         let name = path.display().to_string();
-        Ok((Box::new(Playback::open(path, wake())?), name))
+        Ok((Playback::open(path, wake())?.into(), name))
     };
     logs.into_iter().map(open).collect()
 }

@@ -60,6 +60,7 @@ fn sample(tick: u32) -> Sample {
         board: if tick % 500 < 400 { Diagnosis::Frames } else { Diagnosis::NotOpen(OpenFailure::Busy) },
         base_pose_world: [value(), value(), value()],
         base_velocity_world: [value(), value(), value()],
+        cover_speed_m_s: value(),
         base_velocity_command_body: [value(), value(), value()],
         flange_position_world: [value(), value(), value()],
         flange_quaternion_world: [value(), value(), value(), value()],

@@ -48,6 +48,11 @@ impl Motion {
         Ok(protected)
     }
 
+    /// Speed of the fastest point of the cover at the base's measured velocity, m/s; 0 without a cover.
+    pub fn cover_speed_m_s(&self, robot: &RobotState<JOINTS>) -> f64 {
+        if self.parts.has_cover() { self.protection.cover_speed_m_s(robot) } else { 0.0 }
+    }
+
     /// Changes a parameter (its number in [`CONTROLLER`]) from the next step on; gains reach the law through a filter.
     ///
     /// # Errors

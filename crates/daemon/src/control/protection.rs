@@ -13,7 +13,7 @@ use crate::control::contacts::{ContactLimits, ContactTracker};
 use crate::control::cover::CoverState;
 use moca_msgs::protection::MAX_CONTACT_EVENTS;
 use moca_msgs::robot::SUMMIT_XL;
-use moca_msgs::{ContactEvent, ContactReaction, Limits, SpeedLimit, SpeedLimitReason};
+use moca_msgs::{ContactEvent, ContactReaction, Limits, RobotState, SpeedLimit, SpeedLimitReason};
 use moca_tactile::board::SILENT_AFTER_NS;
 use moca_wbc::BaseGuard;
 use moca_wbc::contact_stability::{Contact, largest_speed, reading_delay_s};
@@ -111,6 +111,13 @@ impl Protection {
             self.retreated_m = 0.0;
         }
         protected
+    }
+
+    /// Speed of the fastest point of the cover at the base's measured velocity, m/s.
+    pub fn cover_speed_m_s(&self, robot: &RobotState<JOINTS>) -> f64 {
+        let [vx, vy, yaw] = robot.base_velocity_world;
+        let (sin, cos) = robot.base_pose_world[2].sin_cos();
+        self.outline.fastest(&[cos * vx + sin * vy, cos * vy - sin * vx, yaw])
     }
 
     /// Speed limit for a reading that is `delay_s` late, m/s: F/(k(T + τ)) for the part F of the force limit that the
@@ -272,4 +279,32 @@ fn seconds(ns: u64) -> f64 {
     #[expect(clippy::cast_precision_loss, reason = "loop times are far below 2^53 ns")]
     let ns = ns as f64;
     ns * 1e-9
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_speed_of_the_cover_is_that_of_its_fastest_corner_wherever_the_base_looks() {
+        let protection = Protection::new(&Config::default(), [ContactLimits::default(); TAXELS]);
+        let corner_m = 0.489f64.hypot(0.388);
+        for (velocity_world, yaw_rad, expected) in [
+            ([0.3, 0.4, 0.0], 0.7, 0.5),
+            ([0.0, 0.0, -1.0], 2.0, corner_m),
+            // Along its own x axis: the corners of its right side add the whole turn.
+            ([0.0, 1.0, 1.0], std::f64::consts::FRAC_PI_2, 1.388f64.hypot(0.489)),
+        ] {
+            let robot = RobotState {
+                base_pose_world: [0.0, 0.0, yaw_rad],
+                base_velocity_world: velocity_world,
+                q_rad: [0.0; JOINTS],
+                dq_rad_s: [0.0; JOINTS],
+                torque_measured_nm: [0.0; JOINTS],
+                flange_wrench_world: None,
+            };
+            let speed_m_s = protection.cover_speed_m_s(&robot);
+            assert!((speed_m_s - expected).abs() < 1e-9, "{velocity_world:?}: {speed_m_s}");
+        }
+    }
 }

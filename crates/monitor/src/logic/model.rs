@@ -1,20 +1,19 @@
 //! Everything the dashboard knows.
 
 use super::{
-    History, Playback, Timing,
-    action::{Action, refusal_words, request_words},
-    history::seconds,
-    panel::{self, Panel},
-    words::contact_words,
+    event::Event,
+    requests::{self, refusal_text, request_text},
+    signals::{
+        history::{History, seconds},
+        panel::{self, Panel},
+        timing::Timing,
+    },
 };
-use moca_msgs::{
-    Fault, Law, Mode, Request, Sample,
-    protection::{ContactEvent, ContactPhase},
-};
+use moca_msgs::{Law, Mode, Request, Sample, protection::ContactPhase};
 use moca_telemetry::{
     ParameterValue, RobotDescription,
-    calibration::{CalibrationProgress, CalibrationRequest},
-    net::{Commander, Connection, Link, Reply, Status, Update},
+    calibration::CalibrationProgress,
+    net::{Commander, Link, Reply, Status, Update},
 };
 use std::{collections::VecDeque, sync::Arc};
 
@@ -24,66 +23,6 @@ const MAX_REMEMBERED: usize = 200;
 pub const SILENCE_S: f64 = 0.5;
 /// How long the answer to a request stays on the screen, s.
 const MESSAGE_S: f64 = 8.0;
-
-/// Where samples come from and requests go to.
-pub trait Source {
-    /// Everything new; `now_s` never runs backwards, s.
-    fn poll(&mut self, now_s: f64) -> Update;
-    /// Asks the loop.
-    fn request(&mut self, request: Request);
-    /// Asks the daemon's calibrator.
-    fn calibrate(&mut self, _request: CalibrationRequest) {}
-    /// The recorded run, if it is one.
-    fn playback(&mut self) -> Option<&mut Playback> {
-        None
-    }
-}
-
-impl<S: Source + 'static> From<S> for Box<dyn Source> {
-    fn from(source: S) -> Self {
-        Box::new(source)
-    }
-}
-
-impl Source for Connection {
-    fn poll(&mut self, _now_s: f64) -> Update {
-        // Called once a frame.
-        Connection::alive(self);
-        Connection::poll(self)
-    }
-
-    fn request(&mut self, request: Request) {
-        Connection::request(self, request);
-    }
-
-    fn calibrate(&mut self, request: CalibrationRequest) {
-        Connection::calibrate(self, request);
-    }
-}
-
-/// Something worth a mark on the axis of time.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Event {
-    /// When, s of loop time.
-    pub time_s: f64,
-    /// Mode from then on.
-    pub mode: Mode,
-    /// Fault from then on.
-    pub fault: Option<Fault>,
-    /// The contact that crossed a limit, if that is what happened.
-    pub contact: Option<ContactEvent>,
-}
-
-impl Event {
-    /// In a few words.
-    pub fn words(&self) -> String {
-        match (self.contact, self.fault) {
-            (Some(contact), _) => contact_words(&contact),
-            (None, Some(fault)) => format!("{}: {}", self.mode.name(), fault.text()),
-            (None, None) => self.mode.name().to_owned(),
-        }
-    }
-}
 
 /// How fresh what is shown is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -201,19 +140,6 @@ impl Model {
         }
     }
 
-    /// Speed of the fastest corner of the base, m/s: what the speed limit limits. NaN before the first sample.
-    pub fn cover_speed_m_s(&self) -> f64 {
-        let Some(sample) = &self.latest else { return f64::NAN };
-        let [vx, vy, turning] = sample.base_velocity_world;
-        let (sin, cos) = sample.base_pose_world[2].sin_cos();
-        let [length, width, _] = self.robot.base_size_m.map(|side| side / 2.0);
-        [[length, width], [length, -width], [-length, width], [-length, -width]]
-            .map(|[x, y]| [cos * x - sin * y, sin * x + cos * y])
-            .map(|[x, y]| (vx - turning * y).hypot(vy + turning * x))
-            .into_iter()
-            .fold(0.0, f64::max)
-    }
-
     /// The change of mode or fault nearest to `time_s`, if one is within `reach_s`.
     pub fn event_near(&self, time_s: f64, reach_s: f64) -> Option<&Event> {
         let distance = |event: &&Event| (event.time_s - time_s).abs();
@@ -227,16 +153,25 @@ impl Model {
         self.latest.as_ref().filter(|_| live).map(|s| s.mode)
     }
 
-    /// Whether a button can be pressed.
-    pub fn allows(&self, action: Action, now_s: f64) -> bool {
-        let connected = !self.recorded && matches!(self.link, Link::Up { .. });
-        (self.may_command() || (connected && action == Action::Stop)) && action.fits(self.mode(now_s))
+    /// The mode of a robot that runs; a log has none, whatever it shows.
+    pub fn live_mode(&self, now_s: f64) -> Option<Mode> {
+        self.mode(now_s).filter(|_| !self.recorded)
+    }
+
+    /// Whether a robot that runs is at the other end: it can be stopped, whoever has the command.
+    pub fn connected(&self) -> bool {
+        !self.recorded && matches!(self.link, Link::Up { .. })
+    }
+
+    /// Whether a request makes sense now.
+    pub fn allows(&self, request: Request, now_s: f64) -> bool {
+        let may_ask = if request == Request::Stop { self.connected() } else { self.may_command() };
+        may_ask && requests::fits(request, self.mode(now_s))
     }
 
     /// Whether this dashboard has the command, or can take it.
     pub fn may_command(&self) -> bool {
-        let connected = matches!(self.link, Link::Up { .. });
-        !self.recorded && connected && self.status.commander != Commander::Another
+        self.connected() && self.status.commander != Commander::Another
     }
 
     /// Whether a cover feels what pushes the simulated robot: a real board beside it does not.
@@ -305,10 +240,10 @@ impl Model {
     }
 
     fn note_reply(&mut self, reply: Reply, now_s: f64) {
-        let asked = request_words(reply.request);
+        let asked = request_text(reply.request);
         let text = match reply.outcome {
             Ok(()) => format!("{asked}: done"),
-            Err(refusal) => format!("{asked}: refused, {}", refusal_words(refusal)),
+            Err(refusal) => format!("{asked}: refused, {}", refusal_text(refusal)),
         };
         if let (Request::SelectLaw(law), Ok(())) = (reply.request, reply.outcome) {
             self.law = law;
@@ -356,7 +291,7 @@ mod tests {
         let mut model = ready();
         assert_eq!((model.freshness(10.1), model.mode(10.1)), (Freshness::Live, Some(Mode::Ready)));
         assert_eq!((model.freshness(10.6), model.mode(10.6)), (Freshness::Silent, None));
-        assert!(!model.allows(Action::Arm, 10.6) && model.allows(Action::Stop, 10.6));
+        assert!(!model.allows(Request::Arm, 10.6) && model.allows(Request::Stop, 10.6));
         model.take(update(Link::Down { reason: "gone".into() }, vec![]), 10.7);
         assert_eq!(model.freshness(10.7), Freshness::Down("gone".into()));
         assert!(model.latest.is_some(), "the last picture stays");
@@ -369,19 +304,6 @@ mod tests {
         model.take(update(up(2), vec![sample(0, Mode::Starting)]), 11.0);
         assert_eq!((model.history.len(), model.events.len()), (1, 1));
         assert_eq!(model.mode(11.0), Some(Mode::Starting));
-    }
-
-    #[test]
-    fn the_speed_of_the_cover_is_that_of_its_fastest_corner() {
-        let mut model = ready();
-        let corner_m = 0.489f64.hypot(0.388);
-        for (velocity, expected) in
-            [([0.3, 0.4, 0.0], 0.5), ([0.0, 0.0, -1.0], corner_m), ([1.0, 0.0, 1.0], 1.388f64.hypot(0.489))]
-        {
-            let moving = Sample { base_velocity_world: velocity, ..sample(9, Mode::Impedance) };
-            model.take(update(up(1), vec![moving]), 10.3);
-            assert!((model.cover_speed_m_s() - expected).abs() < 1e-9, "{velocity:?}");
-        }
     }
 
     #[test]

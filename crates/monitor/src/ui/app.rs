@@ -1,15 +1,16 @@
 //! The window: who gets which space, and what happens each frame.
 
 use super::{
-    Screenshot, View,
-    files::Files,
-    gauges,
-    page::{Asked, Page},
-    playback, robot, top,
+    files::Files, gauges, pages::Page, playback, requests::PageRequests, robot, screenshot::Screenshot,
+    tab::Tab, top, view::View,
 };
-use crate::logic::{Action, Model, Playback, Recording, Source, model::Freshness};
+use crate::logic::{
+    model::Model,
+    source::{Source, playback::Playback},
+};
 use egui::{CentralPanel, Color32, Context, Event, Frame, Key, Panel, ScrollArea, Ui, Visuals};
-use std::{net::SocketAddr, path::Path, path::PathBuf, time::Duration};
+use moca_msgs::Request;
+use std::{net::SocketAddr, path::PathBuf, time::Duration};
 
 /// Narrowest and widest column with robot and gauges, points, and its share of the window.
 const LEFT_WIDTH: (f32, f32) = (400.0, 560.0);
@@ -19,63 +20,13 @@ const LOOK: Duration = Duration::from_millis(250);
 
 /// The dashboard: one robot or log in front, others behind it.
 pub struct App {
-    robots: Vec<Robot>,
+    tabs: Vec<Tab>,
     shown: usize,
     page: Page,
     files: Files,
     screenshot: Option<Screenshot>,
-}
-
-/// A robot or a log, and how it is looked at.
-struct Robot {
-    source: Box<dyn Source>,
-    address: String,
-    model: Model,
-    view: View,
-    recording: Option<Recording>,
-}
-
-impl Robot {
-    fn new(mut source: Box<dyn Source>, address: String) -> Self {
-        let mut model = Model::default();
-        model.recorded = source.playback().is_some();
-        Self { source, address, model, view: View::default(), recording: None }
-    }
-
-    /// What it is called on its button.
-    fn name(&self) -> String {
-        let name = &self.model.robot.name;
-        let what = if name.is_empty() { &self.address } else { name };
-        if self.model.recorded { format!("log of {what}") } else { what.clone() }
-    }
-
-    fn update(&mut self, now_s: f64) {
-        let update = self.source.poll(now_s);
-        if let Some(recording) = &mut self.recording {
-            update.samples.iter().for_each(|sample| recording.add(sample));
-        }
-        if self.recording.as_ref().is_some_and(|r| !r.is_writing()) {
-            self.stop_recording();
-        }
-        self.model.take(update, now_s);
-    }
-
-    fn record(&mut self, folder: &Path) {
-        if self.recording.is_some() {
-            return self.stop_recording();
-        }
-        let now_ns = self.model.latest.as_ref().map_or(0, |s| s.time_ns);
-        match Recording::start(folder, &self.model.robot, now_ns) {
-            Ok(recording) => self.recording = Some(recording),
-            Err(error) => self.view.note = Some(error.to_string()),
-        }
-    }
-
-    fn stop_recording(&mut self) {
-        if let Some(recording) = self.recording.take() {
-            self.view.note = Some(recording.finish().unwrap_or_else(|error| error));
-        }
-    }
+    /// Whether a picture has been laid out before; it is on the screen once the next one is.
+    laid_out: bool,
 }
 
 impl App {
@@ -85,7 +36,7 @@ impl App {
     /// A dashboard for what `source` delivers; `address` is shown when it delivers nothing.
     pub fn new(
         ctx: &Context,
-        source: impl Into<Box<dyn Source>>,
+        source: impl Into<Source>,
         address: String,
         screenshot: Option<Screenshot>,
     ) -> Self {
@@ -93,13 +44,13 @@ impl App {
             style.spacing.item_spacing = egui::vec2(8.0, 5.0);
             style.spacing.button_padding = egui::vec2(9.0, 5.0);
         });
-        let robots = vec![Robot::new(source.into(), address)];
-        Self { robots, shown: 0, page: Page::default(), files: Files::default(), screenshot }
+        let tabs = vec![Tab::new(source.into(), address)];
+        Self { tabs, shown: 0, page: Page::default(), files: Files::default(), screenshot, laid_out: false }
     }
 
     /// One more robot or log, behind the others.
-    pub fn add(&mut self, source: impl Into<Box<dyn Source>>, address: String) {
-        self.robots.push(Robot::new(source.into(), address));
+    pub fn add(&mut self, source: impl Into<Source>, address: String) {
+        self.tabs.push(Tab::new(source.into(), address));
     }
 
     /// Where recordings go and logs are looked for; the current folder without it.
@@ -119,24 +70,23 @@ impl App {
 
     /// What it knows of the robot in front.
     pub fn model(&self) -> &Model {
-        &self.robots[self.shown].model
+        &self.tabs[self.shown].model
     }
 
-    fn front(&mut self) -> &mut Robot {
-        &mut self.robots[self.shown]
+    fn front(&mut self) -> &mut Tab {
+        &mut self.tabs[self.shown]
     }
 
     /// Takes in what is new, and the space bar before any widget can have it.
     pub fn update(&mut self, ctx: &Context) {
         let now_s = ctx.input(|i| i.time);
-        for robot in &mut self.robots {
-            robot.update(now_s);
-            // A log does not grow old while it stands still.
-            let ages = !robot.model.recorded && robot.model.freshness(now_s) == Freshness::Live;
-            if ages || robot.model.message(now_s).is_some() {
+        for tab in &mut self.tabs {
+            tab.update(now_s);
+            // A robot grows old, and its commander must be seen to live; a log that stands still does neither.
+            if tab.model.connected() || tab.model.message(now_s).is_some() {
                 ctx.request_repaint_after(LOOK);
             }
-            if robot.source.playback().is_some_and(|p| p.playing()) {
+            if tab.source.log().is_some_and(|log| log.playing()) {
                 ctx.request_repaint_after(Self::FRAME);
             }
         }
@@ -153,8 +103,8 @@ impl App {
 
     /// Who presses stop in a hurry does not look which robot is in front.
     fn stop_all(&mut self) {
-        for robot in self.robots.iter_mut().filter(|r| !r.model.recorded) {
-            robot.source.request(Action::Stop.request());
+        for robot in self.tabs.iter_mut().filter_map(|tab| tab.source.live()) {
+            robot.request(Request::Stop);
         }
     }
 
@@ -164,87 +114,89 @@ impl App {
         match Playback::open(path, move || ctx.request_repaint()) {
             Ok(log) => {
                 self.add(log, name);
-                self.shown = self.robots.len() - 1;
+                self.shown = self.tabs.len() - 1;
             }
             Err(error) => self.front().view.note = Some(format!("cannot read {name}: {error}")),
         }
     }
 
     fn close_front(&mut self) {
-        if self.robots.len() > 1 {
-            self.robots.remove(self.shown);
+        if self.tabs.len() > 1 {
+            self.tabs.remove(self.shown);
             self.shown = self.shown.saturating_sub(1);
         }
     }
 
     /// Draws everything and passes on what was pressed.
     pub fn show(&mut self, ui: &mut Ui) {
+        if std::mem::replace(&mut self.laid_out, true) {
+            self.tabs.iter_mut().filter_map(|tab| tab.source.live()).for_each(|robot| robot.alive());
+        }
+        let mut pressed = PageRequests::default();
+        self.layout(ui, &mut pressed);
+        self.carry_out(ui.ctx(), pressed);
+    }
+
+    fn layout(&mut self, ui: &mut Ui, pressed: &mut PageRequests) {
         let now_s = ui.input(|i| i.time);
-        let mut asked = Vec::new();
-        self.top(ui, now_s, &mut asked);
-        let closable = self.robots.len() > 1;
-        let Self { robots, shown, page, files, .. } = self;
-        let Robot { source, model, view, recording, .. } = &mut robots[*shown];
-        let (mut close, bare) = (false, Bare::new(ui));
-        if let Some(recorded) = source.playback() {
-            close = Panel::bottom("playback")
+        let bare = Bare::new(ui);
+        let closable = self.tabs.len() > 1;
+        let anybody_to_stop = self.tabs.iter().any(|tab| tab.model.connected());
+        let Self { tabs, shown, page, files, .. } = self;
+        Panel::top("top").frame(bare.side).show(ui, |ui| {
+            if tabs.len() > 1 {
+                let names = tabs.iter().map(|tab| (tab.name(now_s), tab.model.live_mode(now_s)));
+                top::tabs(ui, names, shown);
+            }
+            let Tab { model, address, .. } = &tabs[*shown];
+            top::show(ui, model, address, now_s, anybody_to_stop, pressed);
+        });
+        let Tab { source, model, view, recording, .. } = &mut tabs[*shown];
+        if let Some(log) = source.log() {
+            Panel::bottom("playback")
                 .frame(bare.side)
-                .show(ui, |ui| playback::show(ui, recorded, view, closable))
-                .inner;
+                .show(ui, |ui| playback::show(ui, log, view, closable, pressed));
         }
         let width = (ui.available_width() * LEFT_SHARE).clamp(LEFT_WIDTH.0, LEFT_WIDTH.1);
-        let left = Panel::left("left").frame(bare.side).exact_size(width).resizable(false);
-        let pushed = left.show(ui, |ui| {
+        Panel::left("left").frame(bare.side).exact_size(width).resizable(false).show(ui, |ui| {
             let height = ui.available_height();
             ScrollArea::vertical().show(ui, |ui| {
-                let pushed = robot::show(ui, model, view, now_s, height);
+                pressed.push = robot::show(ui, model, view, now_s, height);
                 gauges::show(ui, model, now_s);
-                pushed
-            })
+            });
         });
-        let mut of_page = Asked::default();
-        let mut files_asked = files.show(ui.ctx());
+        files.show(ui.ctx(), pressed);
         CentralPanel::default().frame(bare.centre).show(ui, |ui| {
-            page.tabs(ui, model, recording.as_ref(), view, &mut files_asked);
-            page.show(ui, model, view, now_s, &mut of_page);
+            page.tabs(ui, model, recording.as_ref(), view, pressed);
+            page.show(ui, model, view, now_s, pressed);
         });
-        let mut requests = of_page.requests;
-        requests.extend(model.push(pushed.inner.inner.or(of_page.push)));
-        if let Some(request) = of_page.calibrate {
-            source.calibrate(request);
-        }
-        requests.extend(asked.iter().filter(|a| **a != Action::Stop).map(|a| a.request()));
-        for request in requests {
-            source.request(request);
-        }
-        if asked.contains(&Action::Stop) {
+    }
+
+    fn carry_out(&mut self, ctx: &Context, pressed: PageRequests) {
+        let PageRequests { mut requests, calibrate, push, open_log, choose_log, close_log, record } = pressed;
+        if requests.contains(&Request::Stop) {
             self.stop_all();
         }
-        if files_asked.choose {
+        let Tab { source, model, .. } = self.front();
+        if let Some(robot) = source.live() {
+            requests.retain(|request| *request != Request::Stop);
+            requests.extend(model.push(push));
+            requests.into_iter().for_each(|request| robot.request(request));
+            calibrate.into_iter().for_each(|request| robot.calibrate(request));
+        }
+        if choose_log {
             self.files.choose();
         }
-        if files_asked.record {
+        if record {
             let folder = self.files.folder.clone();
             self.front().record(&folder);
         }
-        if let Some(path) = files_asked.open {
-            self.open(ui.ctx(), path);
+        if let Some(path) = open_log {
+            self.open(ctx, path);
         }
-        if close {
+        if close_log {
             self.close_front();
         }
-    }
-
-    fn top(&mut self, ui: &mut Ui, now_s: f64, asked: &mut Vec<Action>) {
-        let Self { robots, shown, .. } = self;
-        Panel::top("top").frame(Bare::new(ui).side).show(ui, |ui| {
-            if robots.len() > 1 {
-                let names = robots.iter().map(|r| (r.name(), r.model.mode(now_s)));
-                top::robots(ui, names, shown);
-            }
-            let Robot { model, address, .. } = &robots[*shown];
-            top::show(ui, model, address, now_s, asked);
-        });
     }
 }
 
@@ -276,13 +228,13 @@ impl eframe::App for App {
     }
 
     fn save(&mut self, storage: &mut dyn eframe::Storage) {
-        let front = &self.robots[self.shown];
+        let front = &self.tabs[self.shown];
         let View { axis, push_n, .. } = &front.view;
         storage.set_string("page", self.page.name().to_owned());
         storage.set_string("span_s", axis.span_s().to_string());
         storage.set_string("push_n", push_n.to_string());
-        let live = self.robots.iter().filter(|robot| !robot.model.recorded);
-        let addresses: Vec<&str> = live.map(|robot| robot.address.as_str()).collect();
+        let live = self.tabs.iter().filter(|tab| !tab.model.recorded);
+        let addresses: Vec<&str> = live.map(|tab| tab.address.as_str()).collect();
         // Who looked at a log only has not left the robots.
         if !addresses.is_empty() {
             storage.set_string("connect", addresses.join(" "));
@@ -305,14 +257,14 @@ impl App {
         let text = |key| storage.get_string(key);
         let number = |key| text(key)?.parse::<f64>().ok().filter(|v| v.is_finite());
         self.page = text("page").and_then(|name| Page::named(&name)).unwrap_or_default();
-        let front = text("front").and_then(|front| self.robots.iter().position(|r| r.address == front));
+        let front = text("front").and_then(|front| self.tabs.iter().position(|tab| tab.address == front));
         self.shown = front.unwrap_or(self.shown);
-        for robot in &mut self.robots {
+        for tab in &mut self.tabs {
             if let Some(span_s) = number("span_s") {
-                robot.view.axis.show(span_s);
+                tab.view.axis.show(span_s);
             }
             if let Some(push_n) = number("push_n") {
-                robot.view.push_n = push_n.clamp(1.0, moca_msgs::request::PRESS_FORCE_MAX_N);
+                tab.view.push_n = push_n.clamp(1.0, moca_msgs::request::PRESS_FORCE_MAX_N);
             }
         }
     }

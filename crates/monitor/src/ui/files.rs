@@ -1,5 +1,6 @@
 //! Choosing a log: a list of those in the folder, a path, or a file dropped on the window.
 
+use super::requests::PageRequests;
 use egui::{Button, Context, ScrollArea, TextEdit, Window};
 use std::path::{Path, PathBuf};
 
@@ -13,17 +14,6 @@ pub(super) struct Files {
     open: bool,
     path: String,
     found: Vec<String>,
-}
-
-/// What the user wants done with files.
-#[derive(Default)]
-pub(super) struct FilesAsked {
-    /// Show this log.
-    pub(super) open: Option<PathBuf>,
-    /// Open the window that chooses one.
-    pub(super) choose: bool,
-    /// Start or end a recording.
-    pub(super) record: bool,
 }
 
 impl Default for Files {
@@ -44,10 +34,10 @@ impl Files {
         self.found = logs(&self.folder);
     }
 
-    /// Draws the window, if it is open.
-    pub(super) fn show(&mut self, ctx: &Context) -> FilesAsked {
+    /// Draws the window, if it is open, and notes which log was chosen.
+    pub(super) fn show(&mut self, ctx: &Context, pressed: &mut PageRequests) {
         let Self { folder, open, path, found } = self;
-        let (mut still, mut asked) = (*open, FilesAsked::default());
+        let mut still = *open;
         Window::new("Open a log").open(&mut still).default_width(460.0).show(ctx, |ui| {
             ui.label(
                 "An MCAP file of `mocad --record` or of this window. Dropping one on the window works too.",
@@ -59,7 +49,7 @@ impl Files {
                     && ui.input(|i| i.key_pressed(egui::Key::Enter));
                 let clicked = ui.add_enabled(!path.is_empty(), Button::new("Open")).clicked();
                 if (entered || clicked) && !path.is_empty() {
-                    asked.open = Some(PathBuf::from(path.as_str()));
+                    pressed.open_log = Some(PathBuf::from(path.as_str()));
                 }
             });
             ui.separator();
@@ -69,13 +59,12 @@ impl Files {
             ScrollArea::vertical().max_height(300.0).show(ui, |ui| {
                 for name in found.iter() {
                     if ui.button(name).clicked() {
-                        asked.open = Some(folder.join(name));
+                        pressed.open_log = Some(folder.join(name));
                     }
                 }
             });
         });
-        *open = still && asked.open.is_none();
-        asked
+        *open = still && pressed.open_log.is_none();
     }
 }
 

@@ -2,9 +2,9 @@
 
 use super::theme;
 use crate::logic::{
-    Model,
-    model::{Freshness, SILENCE_S},
-    words::{number, speed_limit},
+    format::{number, speed_limit},
+    model::{Freshness, Model, SILENCE_S},
+    signals::history::seconds,
 };
 use egui::{Align, Grid, Label, Layout, RichText, Role, Sense, Ui, WidgetInfo, pos2, vec2};
 use moca_msgs::SpeedLimit;
@@ -50,7 +50,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64) {
             gauge(ui, "Frame age", age_ms, deadline_ms, "ms", 0);
             let [x, y, yaw] = sample.base_velocity_world;
             let [x_max, y_max, yaw_max] = model.robot.base_velocity_max;
-            gauge(ui, "Cover speed", model.cover_speed_m_s(), sample.speed_limit.m_s, "m/s", 2);
+            gauge(ui, "Cover speed", sample.cover_speed_m_s, sample.speed_limit.m_s, "m/s", 2);
             gauge(ui, "Base speed", x.hypot(y), x_max.min(y_max), "m/s", 2);
             gauge(ui, "Base turning", yaw.abs(), yaw_max, "rad/s", 2);
         });
@@ -69,7 +69,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64) {
             ui.end_row();
             let dropped = model.status.ring_dropped + model.status.client_dropped;
             counter(ui, "Samples lost", &dropped.to_string(), "", dropped > 0);
-            counter(ui, "Run time", &number(crate::logic::history::seconds(sample.time_ns), 0), "s", false);
+            counter(ui, "Run time", &number(seconds(sample.time_ns), 0), "s", false);
             ui.end_row();
         });
     });

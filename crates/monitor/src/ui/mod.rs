@@ -1,23 +1,20 @@
-//! How it looks: [`App`] lays out `top` (mode, reason, buttons), `robot` (from above, with its ring of taxels),
-//! `gauges`, the [`Page`] in the middle (`plots`, `timing`, `parameters`, `cover`, `calibrate`), and `playback` for a recorded run.
+//! How it looks: [`App`] lays out `top` (mode, reason, buttons), `robot` with its ring of taxels, `gauges`, one of the
+//! `pages` in the middle, and `playback` under a log. Everything that is pressed in a frame is gathered in
+//! `requests::PageRequests` and sent by the app at its end.
 
 mod app;
-mod calibrate;
-mod cover;
 mod files;
 mod gauges;
-mod page;
-mod parameters;
+mod pages;
 mod playback;
-mod plots;
+mod requests;
 mod robot;
 mod screenshot;
+mod tab;
 mod theme;
-mod timing;
 mod top;
 mod view;
 
 pub use app::App;
-pub use page::Page;
+pub use pages::Page;
 pub use screenshot::Screenshot;
-use view::View;

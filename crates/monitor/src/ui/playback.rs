@@ -1,18 +1,24 @@
 //! The bar under a recorded run: play, scrub, jump from event to event.
 
-use super::View;
+use super::{requests::PageRequests, view::View};
 use crate::logic::{
-    playback::{Landmark, Playback},
-    words::number,
+    format::number,
+    source::playback::{Landmark, Playback},
 };
 use egui::{Button, Slider, Ui};
 
-/// Draws the bar; whether the log is to be closed.
-pub(super) fn show(ui: &mut Ui, playback: &mut Playback, view: &mut View, closable: bool) -> bool {
+/// Draws the bar and notes whether the log is to be closed.
+pub(super) fn show(
+    ui: &mut Ui,
+    playback: &mut Playback,
+    view: &mut View,
+    closable: bool,
+    pressed: &mut PageRequests,
+) {
     let mut sought = None;
-    let close = ui.horizontal(|ui| {
+    ui.horizontal(|ui| {
         let playing = playback.playing();
-        if ui.button(if playing { "Hold" } else { "Play" }).clicked() {
+        if ui.button(if playing { "Pause" } else { "Play" }).clicked() {
             playback.play(!playing);
         }
         let jumps = [
@@ -35,19 +41,17 @@ pub(super) fn show(ui: &mut Ui, playback: &mut Playback, view: &mut View, closab
         let mut at_s = playback.at_s();
         ui.spacing_mut().slider_width = (ui.available_width() - 420.0).max(120.0);
         let slider = Slider::new(&mut at_s, first..=last.max(first + 1e-3)).show_value(false);
-        let label = ui.label("Instant");
-        if ui.add(slider).labelled_by(label.id).on_hover_text("Instant of the log").changed() {
+        let label = ui.label("Time");
+        if ui.add(slider).labelled_by(label.id).on_hover_text("Time of the log").changed() {
             sought = Some(at_s);
         }
         ui.monospace(format!("{} of {} s", number(playback.at_s(), 1), number(last, 1)));
-        let close = closable && ui.button("Close log").clicked();
+        pressed.close_log = closable && ui.button("Close log").clicked();
         ui.add(egui::Label::new(egui::RichText::new(playback.title()).weak()).truncate());
-        close
     });
     if let Some(at_s) = sought {
         playback.seek(at_s);
         // A held axis would go on showing where the log was before.
         view.axis.follow();
     }
-    close.inner
 }

@@ -1,13 +1,16 @@
 //! Mode and why, and the buttons.
 
-use super::theme;
-use crate::logic::{Action, Model, model::Freshness};
+use super::{requests::PageRequests, theme};
+use crate::logic::{
+    model::{Freshness, Model},
+    requests::{explanation, label},
+};
 use egui::{Align, Button, Color32, Frame, Layout, Margin, RichText, Theme, Ui, vec2};
-use moca_msgs::{Law, Mode, board::Diagnosis};
+use moca_msgs::{Law, Mode, Request, board::Diagnosis};
 use moca_telemetry::net::Commander;
 
-/// Which robot or log is in front.
-pub(super) fn robots(ui: &mut Ui, names: impl Iterator<Item = (String, Option<Mode>)>, shown: &mut usize) {
+/// Draws a button for each robot and log; the chosen one comes to the front.
+pub(super) fn tabs(ui: &mut Ui, names: impl Iterator<Item = (String, Option<Mode>)>, shown: &mut usize) {
     ui.add_space(4.0);
     ui.horizontal_wrapped(|ui| {
         for (index, (name, mode)) in names.enumerate() {
@@ -21,33 +24,36 @@ pub(super) fn robots(ui: &mut Ui, names: impl Iterator<Item = (String, Option<Mo
 }
 
 /// Draws the top of the window and notes which buttons were pressed.
-pub(super) fn show(ui: &mut Ui, model: &Model, address: &str, now_s: f64, asked: &mut Vec<Action>) {
+pub(super) fn show(
+    ui: &mut Ui,
+    model: &Model,
+    address: &str,
+    now_s: f64,
+    anybody_to_stop: bool,
+    pressed: &mut PageRequests,
+) {
     ui.add_space(4.0);
     ui.horizontal(|ui| {
         mode(ui, model, now_s);
         ui.add_space(4.0);
-        let mut button = |ui: &mut Ui, action: Action, selected: bool| {
-            let widget = Button::selectable(selected, RichText::new(action.label()).size(15.0))
+        let mut button = |ui: &mut Ui, request: Request, selected: bool| {
+            let widget = Button::selectable(selected, RichText::new(label(request)).size(15.0))
                 .frame_when_inactive(true)
                 .min_size(vec2(66.0, 46.0));
-            let response = ui.add_enabled(model.allows(action, now_s), widget);
-            if response
-                .on_hover_text(action.explanation())
-                .on_disabled_hover_text(action.explanation())
-                .clicked()
-            {
-                asked.push(action);
+            let response = ui.add_enabled(model.allows(request, now_s), widget);
+            let hint = explanation(request);
+            if response.on_hover_text(hint).on_disabled_hover_text(hint).clicked() {
+                pressed.requests.push(request);
             }
         };
-        button(ui, Action::Tare, false);
-        button(ui, Action::Arm, false);
-        button(ui, Action::Disarm, false);
-        button(ui, Action::Resume, false);
+        for request in [Request::Tare, Request::Arm, Request::Disarm, Request::Resume] {
+            button(ui, request, false);
+        }
         ui.separator();
         for law in [Law::Impedance, Law::FollowMe] {
-            button(ui, Action::Select(law), model.law == law);
+            button(ui, Request::SelectLaw(law), model.law == law);
         }
-        ui.with_layout(Layout::right_to_left(Align::Center), |ui| stop(ui, model, now_s, asked));
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| stop(ui, anybody_to_stop, pressed));
     });
     ui.horizontal(|ui| {
         why(ui, model, address, now_s);
@@ -68,13 +74,13 @@ pub(super) fn show(ui: &mut Ui, model: &Model, address: &str, now_s: f64, asked:
     ui.add_space(2.0);
 }
 
-/// The mode, readable from three metres.
+/// The mode of a robot that runs, readable from three metres.
 fn mode(ui: &mut Ui, model: &Model, now_s: f64) {
-    let mode = model.mode(now_s);
+    let mode = model.live_mode(now_s);
     let name = match model.freshness(now_s) {
-        Freshness::Live => mode.map_or("–", moca_msgs::Mode::name),
+        _ if model.recorded => "recorded",
+        Freshness::Live => mode.map_or("–", Mode::name),
         Freshness::Silent => "no samples",
-        Freshness::Down(_) if model.recorded => "log",
         Freshness::Down(_) => "no daemon",
     };
     Frame::new().fill(theme::mode(mode)).corner_radius(4).inner_margin(Margin::symmetric(12, 2)).show(
@@ -89,16 +95,16 @@ fn mode(ui: &mut Ui, model: &Model, now_s: f64) {
     );
 }
 
-fn stop(ui: &mut Ui, model: &Model, now_s: f64, asked: &mut Vec<Action>) {
-    let label = RichText::new(Action::Stop.label()).size(20.0).strong().color(Color32::WHITE);
-    let enabled = model.allows(Action::Stop, now_s);
-    let button = Button::new(label).fill(theme::BAD).min_size(vec2(160.0, 50.0));
-    if ui.add_enabled(enabled, button).on_hover_text(Action::Stop.explanation()).clicked() {
-        asked.push(Action::Stop);
+/// Stops every robot that is connected, whatever is in front.
+fn stop(ui: &mut Ui, enabled: bool, pressed: &mut PageRequests) {
+    let text = RichText::new(label(Request::Stop)).size(20.0).strong().color(Color32::WHITE);
+    let button = Button::new(text).fill(theme::BAD).min_size(vec2(160.0, 50.0));
+    if ui.add_enabled(enabled, button).on_hover_text(explanation(Request::Stop)).clicked() {
+        pressed.requests.push(Request::Stop);
     }
 }
 
-/// One line in plain words: what is wrong and what to do, or that all is well.
+/// One line: what is wrong and what to do, or which robot this is.
 fn why(ui: &mut Ui, model: &Model, address: &str, now_s: f64) {
     let (colour, text) = reason(model, address, now_s);
     let colour = colour.unwrap_or_else(|| ui.visuals().text_color());
@@ -125,15 +131,17 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
     let Some(sample) = &model.latest else {
         return (None, String::new());
     };
+    if model.recorded {
+        let name = &model.robot.name;
+        let fault = sample.fault.map_or(String::new(), |fault| format!(": {}", fault.text()));
+        let text = format!("A recorded run of {name}, then in mode {}{fault}", sample.mode.name());
+        return (Some(theme::WARNING), text);
+    }
     if let Some(fault) = sample.fault {
         return (Some(theme::BAD), format!("{} {}", fault.text(), fault.remedy()));
     }
     if !matches!(sample.board, Diagnosis::Frames | Diagnosis::NoBoard) {
         return (Some(theme::WARNING), sample.board.text().into());
-    }
-    if model.recorded {
-        let text = format!("A recorded run of {}: nothing here can be commanded.", model.robot.name);
-        return (Some(theme::WARNING), text);
     }
     let kind = if model.robot.simulated { ", simulated" } else { "" };
     let command = match model.status.commander {

@@ -173,6 +173,7 @@ impl LogReader {
             fault: self.fault,
             base_pose_world: state.base_pose_world,
             base_velocity_world: state.base_velocity_world,
+            cover_speed_m_s: state.cover_speed_m_s,
             base_velocity_command_body: command.base_velocity_body,
             q_rad: bounded(state.q_rad),
             dq_rad_s: bounded(state.dq_rad_s),

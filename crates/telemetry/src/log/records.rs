@@ -31,6 +31,9 @@ pub struct State {
     /// Its rate: m/s, m/s, rad/s.
     #[serde(deserialize_with = "array")]
     pub base_velocity_world: [f64; 3],
+    /// Speed of the fastest point of the cover, m/s.
+    #[serde(default, deserialize_with = "scalar")]
+    pub cover_speed_m_s: f64,
     /// Joint angles, rad.
     #[serde(deserialize_with = "list")]
     pub q_rad: Vec<f64>,

@@ -201,6 +201,7 @@ fn state(sample: &Sample) -> State {
         tick: sample.tick,
         base_pose_world: sample.base_pose_world,
         base_velocity_world: sample.base_velocity_world,
+        cover_speed_m_s: sample.cover_speed_m_s,
         q_rad: sample.q_rad.to_vec(),
         dq_rad_s: sample.dq_rad_s.to_vec(),
         flange_position_world: sample.flange_position_world,

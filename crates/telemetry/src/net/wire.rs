@@ -14,7 +14,7 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncReadExt};
 
 /// Version of everything below, [`Sample`] included. Raised with every change.
-pub const SCHEMA_VERSION: u32 = 8;
+pub const SCHEMA_VERSION: u32 = 9;
 /// Longest frame a server sends, bytes.
 pub const MAX_SERVER_FRAME: usize = 1 << 20;
 /// Longest frame a client sends, bytes.

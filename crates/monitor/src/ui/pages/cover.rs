@@ -1,24 +1,26 @@
 //! The cover as a table: every taxel's force, counts, age and health, and whether it is in use.
 
-use super::theme;
-use crate::logic::{Model, words};
+use crate::logic::{
+    format::{health, number},
+    model::Model,
+};
+use crate::ui::{requests::PageRequests, theme};
 use egui::{Align, Button, Grid, Layout, RichText, Ui, vec2};
-use moca_msgs::{Mode, Request, Sample, TaxelStatus};
+use moca_msgs::{Request, Sample, TaxelStatus};
 
 /// Width of a column, points.
 const COLUMN: f32 = 78.0;
 
-/// Draws the page and notes which masks are to change.
-pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, requests: &mut Vec<Request>) {
+/// Draws the page and notes which masks were pressed.
+pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, pressed: &mut PageRequests) {
     let Some(sample) = &model.latest else {
         ui.weak("The cover appears here once samples come.");
         return;
     };
-    let mode = model.mode(now_s);
-    let may_mask = model.may_command() && mode.is_some_and(|m| !m.moves() && m != Mode::Fault);
+    let may_mask = model.allows(Request::MaskTaxel { taxel: 0, masked: true }, now_s);
     ui.horizontal(|ui| {
         ui.strong("Taxels");
-        let why = match mode {
+        let why = match model.mode(now_s) {
             Some(m) if m.moves() => "Disarm to change masks.",
             _ => {
                 "What a masked taxel means is board.mask_policy; a restart brings the configured masks back."
@@ -34,7 +36,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, requests: &mut Vec<Re
         ui.end_row();
         for index in 0..model.robot.taxels.len() {
             if let Some(request) = row(ui, sample, index, may_mask) {
-                requests.push(request);
+                pressed.requests.push(request);
             }
         }
     });
@@ -44,20 +46,19 @@ fn row(ui: &mut Ui, sample: &Sample, index: usize, may_mask: bool) -> Option<Req
     let reading = sample.taxels.get(index).copied().unwrap_or_default();
     let valid = reading.status == TaxelStatus::Ok;
     let masked = reading.status == TaxelStatus::Masked;
-    let number = index + 1;
+    let name = format!("T{}", index + 1);
     let age_ms = if sample.frame_age_s < 0.0 { f64::NAN } else { sample.frame_age_s * 1e3 };
-    let health = if valid { "well" } else { words::health(reading.status) };
     let colour = match (valid, masked) {
         (true, _) => theme::GOOD,
         (_, true) => ui.visuals().weak_text_color(),
         _ => theme::BAD,
     };
-    cell(ui, RichText::new(format!("T{number}")).strong());
-    cell(ui, RichText::new(words::number(if valid { reading.force_n } else { f64::NAN }, 1)).monospace());
+    cell(ui, RichText::new(name.as_str()).strong());
+    cell(ui, RichText::new(number(if valid { reading.force_n } else { f64::NAN }, 1)).monospace());
     cell(ui, RichText::new(sample.counts.get(index).map_or("–".into(), u16::to_string)).monospace());
-    cell(ui, RichText::new(words::number(age_ms, 0)).monospace());
-    cell(ui, RichText::new(health).color(colour));
-    let label = format!("{} T{number}", if masked { "Use" } else { "Mask" });
+    cell(ui, RichText::new(number(age_ms, 0)).monospace());
+    cell(ui, RichText::new(health(reading.status)).color(colour));
+    let label = format!("{} {name}", if masked { "Use" } else { "Mask" });
     let clicked = ui.add_enabled(may_mask, Button::new(label).min_size(vec2(84.0, 0.0))).clicked();
     ui.end_row();
     clicked.then_some(Request::MaskTaxel { taxel: u8::try_from(index).ok()?, masked: !masked })

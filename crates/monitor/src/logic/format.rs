@@ -12,11 +12,11 @@ pub fn number(value: f64, decimals: usize) -> String {
     if is_zero { text.trim_start_matches('-').to_owned() } else { text.replace('-', "−") }
 }
 
-/// A taxel's health in one short word; empty when it is well.
+/// A taxel's health in a word or two.
 pub fn health(status: TaxelStatus) -> &'static str {
     match status {
-        TaxelStatus::Ok => "",
-        TaxelStatus::NoZero => "no zero",
+        TaxelStatus::Ok => "ok",
+        TaxelStatus::NoZero => "not tared",
         TaxelStatus::Stale => "stale",
         TaxelStatus::Saturated => "at its end",
         TaxelStatus::Stuck => "stuck",
@@ -39,7 +39,7 @@ pub fn speed_limit(reason: SpeedLimitReason) -> &'static str {
 }
 
 /// A contact that crossed a limit.
-pub fn contact_words(contact: &ContactEvent) -> String {
+pub fn contact_text(contact: &ContactEvent) -> String {
     let taxel = u16::from(contact.taxel) + 1;
     let limit = contact.crossed_n.map_or(String::new(), |n| format!(" over {} N", number(n, 0)));
     let reaction = contact.reaction.map_or(String::new(), |r| format!(", {}", r.name()));

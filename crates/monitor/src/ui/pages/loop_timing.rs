@@ -1,7 +1,8 @@
 //! Loop and board: histograms of how late they were and of each stage of a tick, and the same over time.
 
-use super::{View, plots, theme};
-use crate::logic::{Histogram, Model, words::number};
+use super::plots;
+use crate::logic::{format::number, model::Model, signals::histogram::Histogram};
+use crate::ui::{theme, view::View};
 use egui::{Align, Color32, Grid, Id, Layout, RichText, Role, Ui, WidgetInfo, vec2};
 use egui_plot::{AxisHints, GridInput, GridMark, Line, Plot, PlotPoints, VLine};
 use moca_msgs::STAGES;

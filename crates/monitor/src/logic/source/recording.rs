@@ -1,7 +1,7 @@
 //! A log of what this dashboard receives. The daemon's own (`mocad --record`) also holds the board's bytes and misses
 //! nothing when the dashboard is slow.
 
-use super::history::seconds;
+use crate::logic::signals::history::seconds;
 use moca_msgs::Sample;
 use moca_telemetry::{
     RobotDescription,
@@ -50,7 +50,7 @@ impl Recording {
         self.dropped += u64::from(self.samples.push(sample.clone()).is_err());
     }
 
-    /// Whether it still writes; `false` after an error of the disk, which [`Self::finish`] tells.
+    /// Whether it still writes; `false` after an error of the disk, which [`Self::finish`] returns.
     pub fn is_writing(&self) -> bool {
         self.recorder.is_recording()
     }

@@ -1,7 +1,7 @@
 //! Parameters with unit, range and default: those of the controllers can be changed while the loop runs.
 
-use super::{View, page::Asked, theme};
-use crate::logic::Model;
+use crate::logic::model::Model;
+use crate::ui::{requests::PageRequests, theme, view::View};
 use egui::{Button, Checkbox, CollapsingHeader, DragValue, Grid, Label, RichText, ScrollArea, Ui};
 use moca_msgs::Request;
 use moca_telemetry::{ParameterDescription, ParameterForm, ParameterValue};
@@ -9,8 +9,8 @@ use moca_telemetry::{ParameterDescription, ParameterForm, ParameterValue};
 /// Width of one element's field, points.
 const FIELD: f32 = 62.0;
 
-/// Draws the page and notes what is to be changed.
-pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, asked: &mut Asked) {
+/// Draws the page and notes what was pressed.
+pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, pressed: &mut PageRequests) {
     if model.robot.parameters.is_empty() {
         ui.weak("No parameters are known: no daemon, or a log from before they were recorded.");
         return;
@@ -21,7 +21,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, asked: &mut Aske
         let listed = || model.robot.parameters.iter().enumerate();
         Grid::new("live parameters").striped(true).num_columns(3).spacing([12.0, 4.0]).show(ui, |ui| {
             for (number, parameter) in listed().filter(|(_, p)| p.live) {
-                row(ui, number, parameter, may_change, view, asked);
+                row(ui, number, parameter, may_change, view, pressed);
             }
         });
         CollapsingHeader::new("Read at the start only: change the configuration file").show(ui, |ui| {
@@ -44,7 +44,7 @@ fn row(
     parameter: &ParameterDescription,
     may_change: bool,
     view: &mut View,
-    asked: &mut Asked,
+    pressed: &mut PageRequests,
 ) {
     let ParameterValue::Numbers(present) = &parameter.value else { return };
     let short = parameter.name.rsplit('.').next().unwrap_or_default();
@@ -58,7 +58,7 @@ fn row(
         if ui.add_enabled(differs && may_change, Button::new(format!("Apply {short}"))).clicked() {
             match (parameter.checked(&draft), u8::try_from(number)) {
                 (Ok(values), Ok(parameter)) => {
-                    asked.requests.push(Request::SetParameter { parameter, values });
+                    pressed.requests.push(Request::SetParameter { parameter, values });
                     view.drafts.remove(&number);
                 }
                 (Err(error), _) => view.note = Some(error),

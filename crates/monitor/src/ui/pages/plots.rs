@@ -1,13 +1,16 @@
 //! Plots with one axis of time and one cursor.
 
-use super::{View, theme};
 use crate::logic::{
-    Model, Panel, TimeAxis,
-    history::{Curve, thinned},
-    panel::{column_name, round_marks, vertical_range},
-    recording::plain,
-    words::number,
+    format::number,
+    model::Model,
+    signals::{
+        axis::TimeAxis,
+        history::{Curve, thinned},
+        panel::{Panel, column_name, round_marks, vertical_range},
+    },
+    source::recording::plain,
 };
+use crate::ui::{theme, view::View};
 use egui::{
     Align, Button, Color32, Id, Layout, PointerButton, Rangef, Rect, RichText, Role, Ui, UiBuilder, Vec2,
     WidgetInfo, vec2,
@@ -35,7 +38,7 @@ pub(super) const LABELS: Rangef = Rangef { min: 1.0, max: 12.0 };
 pub(super) const GRID: f32 = 0.35;
 /// Height that is not seen, points.
 const UNSEEN: f64 = 0.25;
-/// An event this near to the cursor is told, points.
+/// An event this near to the cursor is named, points.
 const EVENT_REACH: f64 = 6.0;
 
 /// Draws `panels` in `columns`.
@@ -279,7 +282,7 @@ impl Plotted<'_> {
             ui.label(RichText::new(text).monospace().color(self.colour(index)));
         }
         if let Some(event) = self.model.event_near(at_s, reach_s) {
-            ui.label(event.words());
+            ui.label(event.text());
         }
     }
 

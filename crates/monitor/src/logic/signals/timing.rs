@@ -1,6 +1,6 @@
 //! How well loop and board keep time.
 
-use super::{Histogram, Signal, history::seconds};
+use super::{histogram::Histogram, history::seconds, panel::Signal};
 use moca_msgs::{STAGES, Sample};
 
 /// How well loop and board keep time, since the connection was made.

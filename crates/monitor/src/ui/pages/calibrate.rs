@@ -1,8 +1,13 @@
 //! Calibration of a taxel, step by step: choose, step away, press, look at the residuals, save. The daemon collects,
-//! fits and writes; this page shows what it says.
+//! fits and writes; this page shows how far it is.
 
-use super::{View, page::Asked, plots, theme};
-use crate::logic::{Model, hand::slow_press_n, words::number};
+use super::plots;
+use crate::logic::{format::number, model::Model, simulated_press::slow_press_n};
+use crate::ui::{
+    requests::PageRequests,
+    theme,
+    view::{CalibrationChoice, View},
+};
 use egui::{
     Align, Button, Checkbox, ComboBox, Grid, Id, Label, Layout, ProgressBar, RichText, Slider, Ui, vec2,
 };
@@ -15,24 +20,8 @@ const COLUMN: f32 = 86.0;
 /// Lowest plot of residuals, points.
 const PLOT_HEIGHT: f32 = 160.0;
 
-/// What was chosen on the page.
-pub(super) struct Choice {
-    taxel: u8,
-    presses: u8,
-    model: usize,
-    /// Whether the simulated hand presses, and since when, s.
-    hand: bool,
-    hand_since_s: Option<f64>,
-}
-
-impl Default for Choice {
-    fn default() -> Self {
-        Self { taxel: 0, presses: 3, model: 2, hand: true, hand_since_s: None }
-    }
-}
-
-/// Draws the page.
-pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, asked: &mut Asked) {
+/// Draws the page and notes what was pressed.
+pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, pressed: &mut PageRequests) {
     let choice = &mut view.calibration;
     let progress = &model.calibration;
     if model.recorded {
@@ -44,16 +33,16 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, aske
         return;
     }
     step(ui, 1, "Choose a taxel", !busy(progress));
-    start(ui, model, choice, now_s, asked);
+    start(ui, model, choice, now_s, pressed);
     step(ui, 2, "Step away from the cover", matches!(progress, CalibrationProgress::Rest { .. }));
     if let CalibrationProgress::Rest { frames, frames_wanted, .. } = progress {
         bar(ui, *frames, *frames_wanted, "frames at rest");
     }
     step(ui, 3, "Press slowly and release", matches!(progress, CalibrationProgress::Press { .. }));
-    press(ui, model, choice, now_s, asked);
+    press(ui, model, choice, now_s, pressed);
     step(ui, 4, "Look at the residuals and save", matches!(progress, CalibrationProgress::Fitted(_)));
     match progress {
-        CalibrationProgress::Fitted(fit) => fitted(ui, fit, choice, model.may_command(), asked),
+        CalibrationProgress::Fitted(fit) => fitted(ui, fit, choice, model.may_command(), pressed),
         CalibrationProgress::Saved { path, taxels } => saved(ui, path, taxels, model.robot.taxels.len()),
         CalibrationProgress::Failed(why) => {
             ui.colored_label(theme::BAD, format!("That did not work: {why}"));
@@ -75,7 +64,7 @@ fn step(ui: &mut Ui, number: u32, title: &str, now: bool) {
     ui.label(if now { text.strong().color(theme::strong(ui.visuals())) } else { text.weak() });
 }
 
-fn start(ui: &mut Ui, model: &Model, choice: &mut Choice, now_s: f64, asked: &mut Asked) {
+fn start(ui: &mut Ui, model: &Model, choice: &mut CalibrationChoice, now_s: f64, pressed: &mut PageRequests) {
     let still = model.mode(now_s).is_some_and(|m| matches!(m, Mode::Ready | Mode::ProtectiveStop));
     let busy = busy(&model.calibration);
     ui.horizontal(|ui| {
@@ -100,10 +89,10 @@ fn start(ui: &mut Ui, model: &Model, choice: &mut Choice, now_s: f64, asked: &mu
             .clicked()
         {
             let (taxel, presses) = (choice.taxel, choice.presses);
-            asked.calibrate = Some(CalibrationRequest::Start { taxel, presses });
+            pressed.calibrate = Some(CalibrationRequest::Start { taxel, presses });
         }
         if ui.add_enabled(busy, Button::new("Cancel calibration")).clicked() {
-            asked.calibrate = Some(CalibrationRequest::Cancel);
+            pressed.calibrate = Some(CalibrationRequest::Cancel);
         }
     });
     if !still && !busy && model.mode(now_s).is_some() {
@@ -111,10 +100,10 @@ fn start(ui: &mut Ui, model: &Model, choice: &mut Choice, now_s: f64, asked: &mu
     }
 }
 
-fn press(ui: &mut Ui, model: &Model, choice: &mut Choice, now_s: f64, asked: &mut Asked) {
+fn press(ui: &mut Ui, model: &Model, choice: &mut CalibrationChoice, now_s: f64, pressed: &mut PageRequests) {
     let CalibrationProgress::Press { taxel, presses, presses_wanted, counts, force_n } = &model.calibration
     else {
-        choice.hand_since_s = None;
+        choice.pressing_since_s = None;
         return;
     };
     bar(ui, *presses, *presses_wanted, &format!("presses of T{}", u16::from(*taxel) + 1));
@@ -124,12 +113,12 @@ fn press(ui: &mut Ui, model: &Model, choice: &mut Choice, now_s: f64, asked: &mu
         ui.weak("Press with the force gauge, square on the middle of the plate: slowly up, slowly down.");
         return;
     }
-    ui.add(Checkbox::new(&mut choice.hand, "Let a simulated hand press"));
-    if choice.hand {
-        let since_s = *choice.hand_since_s.get_or_insert(now_s);
-        asked.push = Some((*taxel, slow_press_n(now_s - since_s)));
+    ui.add(Checkbox::new(&mut choice.simulated_press, "Let a simulated hand press"));
+    if choice.simulated_press {
+        let since_s = *choice.pressing_since_s.get_or_insert(now_s);
+        pressed.push = Some((*taxel, slow_press_n(now_s - since_s)));
     } else {
-        choice.hand_since_s = None;
+        choice.pressing_since_s = None;
         ui.weak("Press the taxel of the ring with the mouse; change the force in between.");
     }
 }
@@ -141,7 +130,13 @@ fn bar(ui: &mut Ui, done: u32, wanted: u32, what: &str) {
     ui.add(ProgressBar::new(part).desired_width(420.0).text(text));
 }
 
-fn fitted(ui: &mut Ui, fit: &CalibrationFit, choice: &mut Choice, may_save: bool, asked: &mut Asked) {
+fn fitted(
+    ui: &mut Ui,
+    fit: &CalibrationFit,
+    choice: &mut CalibrationChoice,
+    may_save: bool,
+    pressed: &mut PageRequests,
+) {
     let (taxel, rest) = (u16::from(fit.taxel) + 1, number(fit.rest_counts, 1));
     ui.label(format!("T{taxel}: {rest} counts at rest. Choose the model to save:"));
     let cell = |ui: &mut Ui, text: RichText| {
@@ -173,7 +168,7 @@ fn fitted(ui: &mut Ui, fit: &CalibrationFit, choice: &mut Choice, may_save: bool
     });
     let Some(model) = fit.models.get(choice.model) else { return };
     if ui.add_enabled(may_save && model.usable, Button::new("Save calibration")).clicked() {
-        asked.calibrate = u8::try_from(choice.model).ok().map(|model| CalibrationRequest::Save { model });
+        pressed.calibrate = u8::try_from(choice.model).ok().map(|model| CalibrationRequest::Save { model });
     }
     residuals(ui, model);
 }

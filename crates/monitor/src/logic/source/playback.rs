@@ -1,12 +1,12 @@
-//! A recorded run as a source: what was logged is shown as if it happened now.
+//! A log, played at the speed at which it was recorded.
 
-use super::{history::seconds, model::Source};
-use moca_msgs::{Refusal, Request, Sample, TaxelStatus, protection::ContactPhase};
+use crate::logic::signals::history::seconds;
+use moca_msgs::{Sample, TaxelStatus, protection::ContactPhase};
 use moca_telemetry::{
     RobotDescription,
     calibration::CalibrationProgress,
     log::{LogReader, Record},
-    net::{Link, Reply, Status, Update},
+    net::{Link, Status, Update},
 };
 use std::{
     path::PathBuf,
@@ -27,7 +27,6 @@ pub struct Playback {
     loading: Option<Receiver<Result<Loaded, String>>>,
     log: Loaded,
     state: State,
-    refused: Vec<Reply>,
 }
 
 /// What a log can be searched for.
@@ -105,7 +104,7 @@ impl Playback {
     fn new(path: PathBuf, loading: Option<Receiver<Result<Loaded, String>>>, log: Loaded) -> Self {
         let state =
             State { failure: None, session: 1, at_s: 0.0, playing: true, last_poll_s: None, given: None };
-        let mut playback = Self { path, loading, log, state, refused: Vec::new() };
+        let mut playback = Self { path, loading, log, state };
         playback.state.at_s = playback.range_s().0;
         playback
     }
@@ -156,7 +155,7 @@ impl Playback {
         }
     }
 
-    /// The file, and what is to be said about it.
+    /// The file, and what is missing of it.
     pub fn title(&self) -> String {
         format!("{} {}", self.path.display(), self.log.note)
     }
@@ -176,10 +175,9 @@ impl Playback {
         }
         self.loading = None;
     }
-}
 
-impl Source for Playback {
-    fn poll(&mut self, now_s: f64) -> Update {
+    /// What happened since the last call, at the speed at which it happened; `now_s` never runs backwards, s.
+    pub fn poll(&mut self, now_s: f64) -> Update {
         self.take_loaded();
         let elapsed_s = self.state.last_poll_s.map_or(0.0, |last| now_s - last);
         self.state.last_poll_s = Some(now_s);
@@ -204,18 +202,10 @@ impl Source for Playback {
             link,
             status: Status::default(),
             samples: samples.get(from..to).unwrap_or_default().to_vec(),
-            replies: std::mem::take(&mut self.refused),
+            replies: Vec::new(),
             calibration: CalibrationProgress::Idle,
             unread_dropped: 0,
         }
-    }
-
-    fn request(&mut self, request: Request) {
-        self.refused.push(Reply { request, outcome: Err(Refusal::NoAnswer) });
-    }
-
-    fn playback(&mut self) -> Option<&mut Playback> {
-        Some(self)
     }
 }
 

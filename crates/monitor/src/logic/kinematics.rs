@@ -1,4 +1,4 @@
-//! Where the arm's joints are.
+//! Forward kinematics of the arm, from the joint frames of the robot's description.
 
 use moca_telemetry::RobotDescription;
 

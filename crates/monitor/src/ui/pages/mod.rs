@@ -1,10 +1,14 @@
 //! The pages in the middle of the window.
 
-use super::{View, calibrate, cover, files::FilesAsked, parameters, plots, theme, timing};
-use crate::logic::{Model, Recording};
+mod calibrate;
+mod cover;
+mod loop_timing;
+mod parameters;
+mod plots;
+
+use super::{requests::PageRequests, theme, view::View};
+use crate::logic::{model::Model, source::recording::Recording};
 use egui::{Align, Layout, RichText, Ui};
-use moca_msgs::Request;
-use moca_telemetry::calibration::CalibrationRequest;
 
 /// A page.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -20,17 +24,6 @@ pub enum Page {
     Cover,
     /// Calibration of a taxel.
     Calibrate,
-}
-
-/// What a page wants of the daemon.
-#[derive(Default)]
-pub(super) struct Asked {
-    /// Of the loop.
-    pub(super) requests: Vec<Request>,
-    /// Of the calibrator.
-    pub(super) calibrate: Option<CalibrationRequest>,
-    /// A push of a simulated taxel (0 is T1), N.
-    pub(super) push: Option<(u8, f64)>,
 }
 
 impl Page {
@@ -60,7 +53,7 @@ impl Page {
         model: &Model,
         recording: Option<&Recording>,
         view: &View,
-        asked: &mut FilesAsked,
+        pressed: &mut PageRequests,
     ) {
         ui.horizontal(|ui| {
             for page in Self::ALL {
@@ -70,7 +63,7 @@ impl Page {
             }
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
                 if ui.button("Open log").on_hover_text("Show a recorded run beside the robots").clicked() {
-                    asked.choose = true;
+                    pressed.choose_log = true;
                 }
                 if !model.recorded {
                     let label = if recording.is_some() { "Stop recording" } else { "Record" };
@@ -78,7 +71,7 @@ impl Page {
                                 `mocad --record` also keeps the board's bytes.";
                     let possible = recording.is_some() || model.latest.is_some();
                     let button = ui.add_enabled(possible, egui::Button::new(label)).on_hover_text(hint);
-                    asked.record = button.clicked();
+                    pressed.record = button.clicked();
                 }
                 let (text, colour) = match (recording, &view.note) {
                     (Some(recording), _) => (recording.progress(), theme::BAD),
@@ -90,17 +83,24 @@ impl Page {
         });
     }
 
-    /// Draws the page and notes what is to be asked of the daemon.
-    pub(super) fn show(self, ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, asked: &mut Asked) {
+    /// Draws the page and notes what was pressed.
+    pub(super) fn show(
+        self,
+        ui: &mut Ui,
+        model: &Model,
+        view: &mut View,
+        now_s: f64,
+        pressed: &mut PageRequests,
+    ) {
         match self {
             Self::Plots => {
                 plots::toolbar(ui, model, view);
                 plots::show(ui, model, &model.panels, 2, view);
             }
-            Self::Loop => timing::show(ui, model, view),
-            Self::Parameters => parameters::show(ui, model, view, asked),
-            Self::Cover => cover::show(ui, model, now_s, &mut asked.requests),
-            Self::Calibrate => calibrate::show(ui, model, view, now_s, asked),
+            Self::Loop => loop_timing::show(ui, model, view),
+            Self::Parameters => parameters::show(ui, model, view, pressed),
+            Self::Cover => cover::show(ui, model, now_s, pressed),
+            Self::Calibrate => calibrate::show(ui, model, view, now_s, pressed),
         }
     }
 }

@@ -1,6 +1,9 @@
 //! A minute of every plotted signal, on one axis of time.
 
-use super::{Pyramid, Signal, pyramid::CAPACITY};
+use super::{
+    panel::Signal,
+    pyramid::{CAPACITY, Pyramid},
+};
 use moca_msgs::Sample;
 use std::{collections::VecDeque, ops::Range};
 

@@ -1,8 +1,12 @@
 //! The robot from above, to scale, on a floor with a grid of half a metre: base, ring of taxels, arm, flange, and the
 //! wrench on the base. x of the world points up.
 
-use super::{View, theme};
-use crate::logic::{Model, arm, model::Freshness, words};
+use crate::logic::{
+    format::{self, number},
+    kinematics,
+    model::{Freshness, Model},
+};
+use crate::ui::{theme, view::View};
 use egui::{
     Align2, Color32, FontId, Id, Key, Painter, Pos2, Rect, Sense, Shape, Slider, Stroke, Ui, Vec2,
     WidgetInfo, pos2, vec2,
@@ -66,7 +70,7 @@ impl Camera {
 
 /// Draws the robot in a column `height` points high and returns the taxel that is pressed with mouse or keyboard, with
 /// the force chosen for it, N.
-pub(super) fn show(
+pub(in crate::ui) fn show(
     ui: &mut Ui,
     model: &Model,
     view: &mut View,
@@ -163,13 +167,13 @@ impl Taxel<'_> {
     /// Draws it and returns whether the mouse presses it.
     fn show(&self, ui: &Ui, painter: &Painter, sample: &Sample, model: &Model) -> bool {
         let reading = sample.taxels.get(self.index).copied().unwrap_or_default();
-        let number = self.index + 1;
+        let name = format!("T{}", self.index + 1);
         let valid = reading.status == TaxelStatus::Ok;
         let force_n = if valid && reading.force_n.is_finite() { reading.force_n } else { 0.0 };
 
         let response = ui.interact(self.rect(), Id::unique(("taxel", self.index)), Sense::click_and_drag());
         let enabled = model.can_push();
-        response.widget_info(|| WidgetInfo::labeled(egui::Role::Button, enabled, format!("Push T{number}")));
+        response.widget_info(|| WidgetInfo::labeled(egui::Role::Button, enabled, format!("Push {name}")));
         let by_key = response.has_focus() && ui.input(|i| i.key_down(Key::Enter));
         let pressed = enabled && (response.is_pointer_button_down_on() || by_key);
 
@@ -190,11 +194,8 @@ impl Taxel<'_> {
         painter.add(Shape::convex_polygon(self.block(-TAXEL_THICK_M, 0.0), colour, outline));
         self.age(painter, sample.frame_age_s / model.robot.frame_deadline_s);
 
-        let value = if valid {
-            format!("{} N", words::number(force_n, 1))
-        } else {
-            words::health(reading.status).into()
-        };
+        let value =
+            if valid { format!("{} N", number(force_n, 1)) } else { format::health(reading.status).into() };
         let masked = reading.status == TaxelStatus::Masked;
         let colour = match (valid, masked) {
             (true, _) => theme::strong(ui.visuals()),
@@ -202,12 +203,12 @@ impl Taxel<'_> {
             _ => theme::BAD,
         };
         let [x, y, _] = sample.flange_position_world;
-        self.label(painter, self.camera.world([x, y]), (number, &value), colour, force_n > 0.0);
-        let health = if valid { "well" } else { words::health(reading.status) };
+        self.label(painter, self.camera.world([x, y]), (&name, &value), colour, force_n > 0.0);
+        let health = format::health(reading.status);
         let counts = sample.counts.get(self.index).map_or("–".into(), u16::to_string);
         if !pressed {
-            let age = words::number(sample.frame_age_s.max(0.0) * 1e3, 0);
-            response.on_hover_text(format!("T{number}: {health}, {counts} counts, {age} ms old"));
+            let age = number(sample.frame_age_s.max(0.0) * 1e3, 0);
+            response.on_hover_text(format!("{name}: {health}, {counts} counts, {age} ms old"));
         }
         pressed
     }
@@ -245,7 +246,7 @@ impl Taxel<'_> {
         &self,
         painter: &Painter,
         flange: Pos2,
-        (number, value): (usize, &str),
+        (name, value): (&str, &str),
         colour: Color32,
         touched: bool,
     ) {
@@ -259,9 +260,9 @@ impl Taxel<'_> {
         let font = FontId::proportional(if touched { 18.0 } else { 13.0 });
         if outward.x.abs() > outward.y.abs() {
             let (align, text) = if outward.x > 0.0 {
-                (Align2::LEFT_CENTER, format!("T{number}  {value}"))
+                (Align2::LEFT_CENTER, format!("{name}  {value}"))
             } else {
-                (Align2::RIGHT_CENTER, format!("{value}  T{number}"))
+                (Align2::RIGHT_CENTER, format!("{value}  {name}"))
             };
             painter.text(at, align, text, font, colour);
         } else {
@@ -272,7 +273,7 @@ impl Taxel<'_> {
                 (Align2::CENTER_BOTTOM, -font.size - 2.0)
             };
             painter.text(at, align, value, font.clone(), colour);
-            painter.text(at + vec2(0.0, line), align, format!("T{number}"), font, colour);
+            painter.text(at + vec2(0.0, line), align, name, font, colour);
         }
     }
 }
@@ -284,7 +285,7 @@ fn arm_and_flange(
     sample: &Sample,
     visuals: &egui::Visuals,
 ) {
-    let points: Vec<Pos2> = arm::points_base_m(&model.robot, &sample.q_rad)
+    let points: Vec<Pos2> = kinematics::points_base_m(&model.robot, &sample.q_rad)
         .into_iter()
         .map(|[x, y, _]| camera.base([x, y]))
         .filter(|p| p.x.is_finite() && p.y.is_finite())
@@ -316,16 +317,16 @@ fn flange_force(painter: &Painter, camera: &Camera, sample: &Sample) {
     }
 }
 
-/// How old what the cover says is, in words.
+/// How old the cover's data is.
 fn age(painter: &Painter, rect: Rect, sample: &Sample, model: &Model, visuals: &egui::Visuals) {
     let deadline_s = model.robot.frame_deadline_s;
     let (text, colour) = match sample.frame_age_s {
         _ if model.robot.taxels.is_empty() => ("no cover".to_owned(), visuals.weak_text_color()),
         age_s if age_s < 0.0 => ("no data from the cover yet".to_owned(), visuals.weak_text_color()),
         age_s if age_s < deadline_s => {
-            (format!("cover {} ms old", words::number(age_s * 1e3, 0)), visuals.weak_text_color())
+            (format!("cover {} ms old", number(age_s * 1e3, 0)), visuals.weak_text_color())
         }
-        age_s => (format!("cover {} s old", words::number(age_s, 1)), theme::BAD),
+        age_s => (format!("cover {} s old", number(age_s, 1)), theme::BAD),
     };
     let corner = rect.right_bottom() + vec2(-6.0, -4.0);
     painter.text(corner, Align2::RIGHT_BOTTOM, text, FontId::proportional(11.0), colour);

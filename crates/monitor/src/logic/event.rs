@@ -1,0 +1,28 @@
+//! Changes worth a mark on the axis of time.
+
+use super::format::contact_text;
+use moca_msgs::{Fault, Mode, protection::ContactEvent};
+
+/// A change of mode or fault, or a contact that crossed a limit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Event {
+    /// When, s of loop time.
+    pub time_s: f64,
+    /// Mode from then on.
+    pub mode: Mode,
+    /// Fault from then on.
+    pub fault: Option<Fault>,
+    /// The contact that crossed a limit, if that is what happened.
+    pub contact: Option<ContactEvent>,
+}
+
+impl Event {
+    /// One line for the user.
+    pub fn text(&self) -> String {
+        match (self.contact, self.fault) {
+            (Some(contact), _) => contact_text(&contact),
+            (None, Some(fault)) => format!("{}: {}", self.mode.name(), fault.text()),
+            (None, None) => self.mode.name().to_owned(),
+        }
+    }
+}

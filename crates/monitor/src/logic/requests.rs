@@ -1,0 +1,91 @@
+//! What an operator may ask, when it makes sense, and how it is written. The daemon decides; this only greys out buttons.
+
+use moca_msgs::params::CONTROLLER;
+use moca_msgs::{Law, Mode, Refusal, Request};
+
+/// What is written on the button of a request, which is also its accessible label; empty for requests without one.
+pub fn label(request: Request) -> &'static str {
+    match request {
+        Request::Tare => "Tare",
+        Request::Arm => "Arm",
+        Request::Disarm => "Disarm",
+        Request::SelectLaw(Law::Impedance) => "Impedance",
+        Request::SelectLaw(Law::FollowMe) => "Follow-me",
+        Request::Resume => "Resume",
+        Request::Stop => "STOP (space)",
+        _ => "",
+    }
+}
+
+/// What the button does, for a tooltip.
+pub fn explanation(request: Request) -> &'static str {
+    match request {
+        Request::Tare => "Measure the cover's zero. Nobody may touch the robot.",
+        Request::Arm => "Hand the robot to the chosen law: it moves when it is touched.",
+        Request::Disarm => "Take the robot back: it holds still.",
+        Request::SelectLaw(Law::Impedance) => "The flange keeps its place, the base gives way.",
+        Request::SelectLaw(Law::FollowMe) => "Base and arm follow the hand.",
+        Request::Resume => "Leave the protective stop, once its cause is gone.",
+        Request::Stop => "Protective stop of every robot that is connected: the base stops, the arm holds.",
+        _ => "",
+    }
+}
+
+/// Whether the daemon would take it in `mode`; `None` is a daemon that has not said its mode yet.
+pub fn fits(request: Request, mode: Option<Mode>) -> bool {
+    match request {
+        Request::Stop => true,
+        Request::Tare => matches!(mode, Some(Mode::Ready | Mode::ProtectiveStop)),
+        Request::Arm => mode == Some(Mode::Ready),
+        Request::Disarm => mode.is_some_and(Mode::moves),
+        Request::Resume => mode == Some(Mode::ProtectiveStop),
+        Request::MaskTaxel { .. } => mode.is_some_and(|m| !m.moves() && m != Mode::Fault),
+        _ => mode.is_some_and(|m| m != Mode::Fault),
+    }
+}
+
+/// A request as text.
+pub fn request_text(request: Request) -> String {
+    match request {
+        Request::Tare => "Tare".into(),
+        Request::Arm => "Arm".into(),
+        Request::Disarm => "Disarm".into(),
+        Request::SelectLaw(law) => format!("Select {}", Mode::from(law).name()),
+        Request::Stop => "Stop".into(),
+        Request::OperatorLost => "Stop, operator lost".into(),
+        Request::Resume => "Resume".into(),
+        Request::PressTaxel { taxel, force_n } if force_n > 0.0 => {
+            format!("Push T{} with {force_n:.0} N", u16::from(taxel) + 1)
+        }
+        Request::PressTaxel { taxel, .. } => format!("Let go of T{}", u16::from(taxel) + 1),
+        Request::MaskTaxel { taxel, masked } => {
+            format!("{} T{}", if masked { "Mask" } else { "Use" }, u16::from(taxel) + 1)
+        }
+        Request::SetParameter { parameter, .. } => match CONTROLLER.get(usize::from(parameter)) {
+            Some(spec) => format!("Set {}", spec.name),
+            None => format!("Set parameter {parameter}"),
+        },
+    }
+}
+
+/// A refusal as text, with what to do.
+pub fn refusal_text(refusal: Refusal) -> String {
+    match refusal {
+        Refusal::Mode(mode) => format!("not possible in mode {}", mode.name()),
+        Refusal::CauseRemains(fault) => format!("the cause remains. {} {}", fault.text(), fault.remedy()),
+        Refusal::ZeroInvalid => "the cover has no valid zero: tare first".into(),
+        Refusal::NoRobot => "the daemon runs a cover without a robot".into(),
+        Refusal::NotSimulated => "only a simulated robot can be pushed with the mouse".into(),
+        Refusal::OutOfRange => "a number is out of range".into(),
+        Refusal::NoSuchParameter => "the daemon has no such parameter".into(),
+        Refusal::NotLive => "it is read at the start only: change the configuration file".into(),
+        Refusal::Conflict => {
+            "it does not go with another parameter (null_space_damping needs a virtual mass of 0.5 or more)"
+                .into()
+        }
+        Refusal::NotCommander => {
+            "another dashboard has the command: close it, or let it give the command back".into()
+        }
+        Refusal::NoAnswer => "the daemon does not answer".into(),
+    }
+}
