@@ -33,7 +33,7 @@ struct Chip {
   uint8_t pending;         // flags that the next line carries
   uint8_t reads_to_check;  // until the configuration is compared again
   uint16_t sequence, bus_faults, resets, rereads;
-  uint32_t running_since, last_read, last_sent, last_baseline;  // us
+  uint32_t running_since, last_read, last_changed, last_sent, last_baseline;  // us
 
   void name(uint8_t chip_address);
   // Resets and configures the chip; the first time it lets the chip choose the gain, then never again.

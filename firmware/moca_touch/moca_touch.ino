@@ -21,7 +21,9 @@
 
 static const uint32_t AT_LATEST = 5000;           // us between two lines of a chip, changed or not
 static const uint32_t FAULT_EVERY = 20000;        // us between two lines, and two attempts, while a chip does not answer
-static const uint32_t BASELINE_EVERY = 250000;    // us
+static const uint32_t BASELINE_EVERY = 250000;    // us, when no refresh is due: this long after the last was seen
+static const uint16_t QUIET_FROM = 1500, QUIET_TO = 2600;
+static const uint32_t BASELINE_AT_LATEST = 1000000;
 static const uint16_t DATA_STREAM_EVERY = 12000;  // us
 static const uint16_t ONE_REFRESH = 2000;         // us: changes in two reads closer than this show one refresh
 static const uint16_t WINDOW = 15;                // 0.1 ms: middle of the chip's four samples before its refresh
@@ -136,6 +138,7 @@ static void serve(Chip &chip, uint32_t now) {
 
   const bool continues = changed && chip.changed_last && now - chip.last_read < ONE_REFRESH;
   chip.changed_last = changed && !continues;
+  if (chip.changed_last) chip.last_changed = now;
   chip.last_read = now;
   keep(chip);
   uint8_t flags = chip.pending;
@@ -147,6 +150,11 @@ static void serve(Chip &chip, uint32_t now) {
   else flags |= SETTLING;
   if (changed || now - chip.last_sent >= AT_LATEST) return send(chip, flags, now, as_line);
   if (as_line) line::begin();
+}
+
+static bool baselineDue(const Chip &chip, uint32_t now) {
+  const uint32_t since = now - chip.last_baseline, quiet = now - chip.last_changed;
+  return since >= BASELINE_AT_LATEST || (since >= BASELINE_EVERY && quiet >= QUIET_FROM && quiet < QUIET_TO);
 }
 
 // Baselines and the age of the data, a few times a second.
@@ -328,7 +336,7 @@ void loop() {
     do turn = (turn + 1) & 3;
     while (!chips[turn].present);
     Chip &chip = chips[turn];
-    if (now - chip.last_baseline >= BASELINE_EVERY && !line::busy()) sendBaseline(chip, now);
+    if (baselineDue(chip, now) && !line::busy()) sendBaseline(chip, now);
     else serve(chip, now);
   }
   line::pump();

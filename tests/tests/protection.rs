@@ -130,7 +130,7 @@ fn at_the_speed_limit_an_impact_stays_under_25_n_and_at_the_papers_speed_it_does
 fn the_limit_follows_the_measured_rate_and_age_of_the_board() {
     // Firmware timing: (sketch, delay T by moca-lab latency, s)
     let limit = |sketch| {
-        let board = VirtualBoardConfig { sketch, ..VirtualBoardConfig::default() };
+        let board = VirtualBoardConfig { firmware: sketch, ..VirtualBoardConfig::default() };
         let mut world = armed(&config(), &Scene::default(), board);
         let sample = run(&mut world, 500).pop().unwrap();
         assert_eq!(sample.speed_limit.reason, SpeedLimitReason::BoardRate, "{sketch:?}");

@@ -51,7 +51,7 @@ fn board(config: VirtualBoardConfig) -> VirtualBoard {
 #[test]
 fn frames_are_good_and_come_at_the_sketch_s_rate() {
     for (sketch, frames) in [(Firmware::Stock2018, 404), (Firmware::Stock2015, 675)] {
-        let mut board = board(VirtualBoardConfig { sketch, ..VirtualBoardConfig::default() });
+        let mut board = board(VirtualBoardConfig { firmware: sketch, ..VirtualBoardConfig::default() });
         let run = run(&mut board, 0, 10_000, |_| 0.0);
         assert_eq!(run.bad, 0);
         assert!(run.frames.len().abs_diff(frames) <= 1, "{sketch:?}: {} frames in 10 s", run.frames.len());

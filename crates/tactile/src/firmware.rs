@@ -1,10 +1,17 @@
 //! What runs on a board: it decides rate and age of the data, and a calibration is bound to it.
 
 /// Firmware of a board.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+///
+/// ```
+/// use moca_tactile::Firmware;
+///
+/// assert_eq!(Firmware::named("stock-2018"), Some(Firmware::Stock2018));
+/// assert!(Firmware::Moca.worst_hold_ns() < 10_000_000, "a fifth of a stock board's");
+/// assert!(Firmware::Stock2018.worst_hold_ns() > 55_000_000);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Firmware {
     /// Our own, `firmware/moca_touch`: every refresh of the chip, stamped and checked.
-    #[default]
     Moca,
     /// Stock DataStream of 2018–2020: 26 more I²C reads a frame, about 40.5 frames/s.
     Stock2018,
@@ -40,6 +47,20 @@ impl Firmware {
             Self::Moca => 4_000_000,
             Self::Stock2015 | Self::PiCap => 14_800_000,
             Self::Stock2018 => 24_700_000,
+        }
+    }
+
+    /// Worst time from a sample to the arrival of the next frame's data, ns: its age when it is read, the way of the
+    /// line (of a stock board the `FDAT` line) to the host, and the interval. What a board is told to be capable of
+    /// before it was measured; `moca-lab latency` measures it.
+    pub const fn worst_hold_ns(self) -> u64 {
+        match self {
+            // 2.5 old when read, 1.2 and up to one poll on the way, reads 4 or 5 ms apart
+            Self::Moca => 2_500_000 + crate::board::LEAST_TRANSPORT_NS + 1_000_000 + 5_000_000,
+            Self::Stock2018 | Self::Stock2015 | Self::PiCap => {
+                let offset_ns = self.line_offset_ns();
+                crate::board::STOCK_CHIP_AGE_WORST_NS + offset_ns[3] + self.frame_period_ns()
+            }
         }
     }
 

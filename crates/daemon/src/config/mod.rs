@@ -95,6 +95,7 @@ section! {
     /// `[board]`
     BoardConfig {
         port: String = VIRTUAL_PORT.into(),
+        firmware: FirmwareConfig = FirmwareConfig::Moca,
         name: String = String::new(),
         calibration: String = String::new(),
         masked: Vec<usize> = Vec::new(),
@@ -155,6 +156,7 @@ section! {
         unfelt_force_n: f64 = 5.2,
         contact_stiffness_n_m: f64 = 7783.0,
         contact_travel_m: f64 = 0.0031,
+        assessed_forces_n: Vec<f64> = vec![25.0, 65.0, 130.0, 260.0],
         override_speed_limit_m_s: f64 = 0.0,
         override_statement: String = String::new(),
         thresholds: String = String::new(),
@@ -188,6 +190,30 @@ pub enum MaskPolicyConfig {
     Stop,
     /// The robot moves without feeling there.
     Unfelt,
+}
+
+/// What runs on the virtual Touch Board; a real one is recognised by what it sends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FirmwareConfig {
+    /// Our own, `firmware/moca_touch`.
+    #[serde(rename = "moca")]
+    Moca,
+    /// DataStream of 2018 to 2020.
+    #[serde(rename = "stock-2018")]
+    Stock2018,
+    /// DataStream of 2015 to 2018.
+    #[serde(rename = "stock-2015")]
+    Stock2015,
+}
+
+impl From<FirmwareConfig> for moca_tactile::Firmware {
+    fn from(firmware: FirmwareConfig) -> Self {
+        match firmware {
+            FirmwareConfig::Moca => Self::Moca,
+            FirmwareConfig::Stock2018 => Self::Stock2018,
+            FirmwareConfig::Stock2015 => Self::Stock2015,
+        }
+    }
 }
 
 /// Which robot is driven.
@@ -532,7 +558,7 @@ mod tests {
         assert_eq!(error.mistakes.len(), 2);
         assert!(
             error.mistakes[0].contains(
-                "line 2: unknown key board.prot; allowed here: calibration, gauge, gauge_baud, mask_policy, masked, name, port"
+                "line 2: unknown key board.prot; allowed here: calibration, firmware, gauge, gauge_baud, mask_policy, masked, name, port"
             ),
             "{error}"
         );

@@ -60,6 +60,13 @@ pub const SETTINGS: &[ParameterSpec] = {
             "Direction in which a press on each taxel pushes, angle from B's x axis.",
         ),
         row("board.port", Text, &[], ANY, "\"virtual\", \"auto\" (by USB id), or a path."),
+        row(
+            "board.firmware",
+            Choice(&["moca", "stock-2018", "stock-2015"]),
+            &[],
+            ANY,
+            "What runs on the virtual board; a real one is recognised.",
+        ),
         row("board.name", Text, &[], ANY, "The board's name in its calibration file."),
         row("board.calibration", Text, &[], ANY, "File that `mocad calibrate` wrote; empty for none."),
         row("board.masked", Integer, &["(taxel number)"], TAXEL, "Taxels out of use."),
@@ -75,6 +82,13 @@ pub const SETTINGS: &[ParameterSpec] = {
             &["N"],
             (1.0, 500.0),
             "Force of an impact that limits the speed of the cover's fastest point.",
+        ),
+        row(
+            "protection.assessed_forces_n",
+            Number,
+            &["N"],
+            (6.0, 1000.0),
+            "Forces of your own risk assessment: `moca-lab latency` prints the speed for each.",
         ),
         row("protection.unfelt_force_n", Number, &["N"], (0.0, 100.0), "Force that the cover does not feel."),
         row(

@@ -5,6 +5,7 @@ use crate::control::cover::{CoverSource, CoverState};
 use crate::control::supervisor::Zero;
 use moca_msgs::board::Diagnosis;
 use moca_msgs::{CoverReading, TaxelReading, TaxelStatus};
+use moca_tactile::cover::EarlyContact;
 use std::collections::VecDeque;
 
 /// Averages what [`IdealCover::feel`] is told and shows it in steps.
@@ -60,6 +61,7 @@ impl CoverSource for IdealCover {
         CoverState {
             reading: CoverReading { taxels, sampled_at_ns: Some(now_ns) },
             forces: Ok(shown),
+            early: EarlyContact { touched: [false; TAXELS], sampled_at_ns: Some(now_ns) },
             fault: None,
             zero: Zero::Valid,
             counts: [0; TAXELS],

@@ -63,8 +63,15 @@ const KEYS: &[Key] = &[
         s.noise_counts = Some(number(v, 0.0, 100.0)?);
         Ok(())
     }),
-    key("sensor.sketch", "2015|2018", "stock board: generation of the sketch", |s, v| {
-        s.sketch = word(v, &[("2015", Firmware::Stock2015), ("2018", Firmware::Stock2018)])?;
+    key("sensor.firmware", "moca|stock-2018|stock-2015", "virtual board: what runs on it", |s, v| {
+        s.firmware = word(
+            v,
+            &[
+                ("moca", Firmware::Moca),
+                ("stock-2018", Firmware::Stock2018),
+                ("stock-2015", Firmware::Stock2015),
+            ],
+        )?;
         Ok(())
     }),
     key("seed", "", "seed of the board's noise", |s, v| {
