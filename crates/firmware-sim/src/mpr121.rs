@@ -118,6 +118,13 @@ impl Mpr121 {
         (self.first_filter(), self.second_filter(), self.scan_us(ELECTRODES))
     }
 
+    /// Charge currents and times of the electrodes: what decides the gain.
+    pub fn gain(&self) -> [u8; 20] {
+        let mut gain = [0; 20];
+        gain.copy_from_slice(&self.registers[0x5F..0x73]);
+        gain
+    }
+
     fn first_filter(&self) -> u32 {
         [6, 10, 18, 34][usize::from(self.registers[0x5C] >> 6)]
     }

@@ -38,11 +38,10 @@ pub const SILENT_AFTER_NS: u64 = 120_000_000;
 /// A gap this long between bytes means that the host stalled: the next frame's data is as old as the gap, so it is
 /// counted but not used, ns.
 pub const STALL_GAP_NS: u64 = 100_000_000;
-/// Consecutive frames with all used columns bit-identical that make a frozen board, if they span
-/// [`FROZEN_AFTER_NS`]. Noise of 0.7 count makes this less likely than once in 10 h for a single taxel, and never for
-/// two.
+/// Consecutive frames with all used columns bit-identical that make a frozen board. Noise of 0.7 count makes this less
+/// likely than once in 10 h for a single taxel, and never for two.
 pub const FROZEN_FRAMES: u32 = 14;
-/// Least time that they span, ns, so that a fast board needs more of them.
+/// Least time that they span with our own firmware, ns: it sends far more frames.
 pub const FROZEN_AFTER_NS: u64 = 130_000_000;
 /// End of the `TOUCH` line after the board's I²C read of the chip's data, ns: the same for every known sketch.
 pub const TOUCH_LINE_AFTER_READ_NS: u64 = 2_000_000;
@@ -213,7 +212,7 @@ pub struct EarlyFrame {
 /// let mut cover = Cover::<3, Skin>::with_sources(CoverConfig::default(), |_, _| Skin::default())?;
 /// cover.start_tare(0);
 /// for i in 1..100u64 {
-///     cover.push(0, &[180 + (i % 2) as u8; 12], i * 10_000_000);
+///     cover.push(0, &[180; 12], i * 10_000_000);
 /// }
 /// assert!(cover.poll(990_000_000).forces.is_ok());
 /// # Ok::<(), moca_tactile::cover::CoverConfigError>(())

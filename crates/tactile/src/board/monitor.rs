@@ -5,7 +5,7 @@
 
 use super::stamped::StampedLines;
 use super::{
-    BoardEvent, BoardStats, EarlyFrame, FROZEN_AFTER_NS, FROZEN_FRAMES, FrameSource, MAX_ELECTRODES,
+    BoardEvent, BoardStats, EarlyFrame, FROZEN_FRAMES, FrameSource, MAX_ELECTRODES,
     SILENT_AFTER_NS, STALL_GAP_NS, STOCK_CHIP_AGE_MEAN_NS, STOCK_CHIP_AGE_WORST_NS, SampledFrame,
     TOUCH_LINE_AFTER_READ_NS,
 };
@@ -49,7 +49,6 @@ struct Reader {
     thresholds_changed: bool,
     last: Option<Frame>,
     identical: u32,
-    identical_since_ns: u64,
     all_zero: bool,
     last_bad: Option<BadFrame>,
     bytes_without_frame: u32,
@@ -140,8 +139,8 @@ impl BoardMonitor {
         self.reader.all_zero
     }
 
-    /// [`FROZEN_FRAMES`] stock frames in a row, over [`FROZEN_AFTER_NS`], were identical in the used columns.
-    pub fn is_frozen(&self) -> bool {
+    /// [`FROZEN_FRAMES`] stock frames in a row were identical in the used columns.
+    pub const fn is_frozen(&self) -> bool {
         self.reader.is_frozen()
     }
 
@@ -230,7 +229,6 @@ impl Reader {
             thresholds_changed: false,
             last: None,
             identical: 0,
-            identical_since_ns: 0,
             all_zero: false,
             last_bad: None,
             bytes_without_frame: 0,
@@ -269,10 +267,8 @@ impl Reader {
         }
     }
 
-    fn is_frozen(&self) -> bool {
-        let last_ns = self.last_good_ns.unwrap_or(0);
+    const fn is_frozen(&self) -> bool {
         self.identical + 1 >= FROZEN_FRAMES
-            && last_ns.saturating_sub(self.identical_since_ns) >= FROZEN_AFTER_NS
     }
 
     /// One line of whichever dialect it is.
@@ -338,7 +334,7 @@ impl Reader {
         let frame = &stamped.frame;
         self.measure_rate(stamped.complete_ns);
         self.recognise(stamped);
-        self.check_across_frames(frame, stamped.complete_ns);
+        self.check_across_frames(frame);
         self.last = Some(*frame);
         self.last_good_ns = Some(stamped.complete_ns);
         if self.stalled {
@@ -382,7 +378,7 @@ impl Reader {
         }
     }
 
-    fn check_across_frames(&mut self, frame: &Frame, complete_ns: u64) {
+    fn check_across_frames(&mut self, frame: &Frame) {
         self.all_zero = frame.filtered[..ELECTRODES].iter().all(|&v| v == 0);
         let thresholds = (frame.touch_threshold, frame.release_threshold);
         let reference = *self.thresholds.get_or_insert(thresholds);
@@ -390,11 +386,7 @@ impl Reader {
         let identical = self.last.is_some_and(|last| {
             (0..ELECTRODES).all(|e| !self.used[e] || last.filtered[e] == frame.filtered[e])
         });
-        if identical {
-            self.identical = (self.identical + 1).min(u32::MAX / 2);
-        } else {
-            (self.identical, self.identical_since_ns) = (0, complete_ns);
-        }
+        self.identical = if identical { (self.identical + 1).min(u32::MAX / 2) } else { 0 };
     }
 
     fn bad(&mut self, why: BadFrame) -> Option<SampledFrame> {
