@@ -1,8 +1,9 @@
 //! A robot that lacks a part: what is not there is neither simulated, started nor shown, and the rest works as before.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 
-use moca_daemon::config::{Arm, Config, HandConfig, Parts};
+use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::devices::simulated_robot::free_scene;
+use moca_daemon::robot::{Arm, Parts};
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_msgs::{Fault, Mode, Refusal, Request, Sample};
 use moca_sim::{Scene, VirtualBoardConfig};
@@ -117,7 +118,7 @@ fn threads(parts: &str) -> Vec<String> {
 
 #[test]
 fn an_arm_alone_starts_no_thread_of_a_board() {
-    assert_eq!(threads("arm"), ["control-loop", "ctrl-c", "mocad"]);
+    assert_eq!(threads("arm"), ["control-loop", "ctrl-c", "mocad-under-tes", "terminal"]);
     let whole = threads("whole");
     for name in ["calibrator", "touch-board"] {
         assert!(whole.iter().any(|thread| thread == name), "{name} is not among {whole:?}");
@@ -127,10 +128,10 @@ fn an_arm_alone_starts_no_thread_of_a_board() {
 /// The arm further back and tilted, T6 at the rear.
 fn moved_geometry() -> Config {
     let mut config = config(Parts::Whole);
-    config.geometry.arm_position_m = [-0.1, 0.15, 0.4];
-    config.geometry.arm_rpy_rad = [0.1, -0.2, 0.7];
+    config.robot.mount.position_base_m = [-0.1, 0.15, 0.4];
+    config.robot.mount.rpy_rad = [0.1, -0.2, 0.7];
     // T6 moves from the front to the back.
-    (config.geometry.taxel_x_m[5], config.geometry.taxel_inward_rad[5]) = (-0.489, 0.0);
+    (config.robot.cover.x_m[5], config.robot.cover.inward_rad[5]) = (-0.489, 0.0);
     config
 }
 
@@ -156,7 +157,7 @@ fn another_mount_and_cover_are_the_same_to_plant_and_controller() {
 #[test]
 fn an_fr3_is_the_same_arm_to_plant_and_controller() {
     let mut config = config(Parts::Arm);
-    config.geometry.arm = Arm::Fr3;
+    config.robot.arm = Arm::built_in("fr3").unwrap();
     let held_off_m = |scene: &Scene| {
         let mut world = LockStep::without_cover(&config, scene).unwrap();
         let held = run(&mut |request| world.step(request).0, 3000);
@@ -172,8 +173,8 @@ fn an_fr3_is_the_same_arm_to_plant_and_controller() {
 
 #[test]
 fn geometry_of_another_number_of_taxels_is_refused_with_its_line() {
-    let error = Config::parse("[geometry]\ntaxel_x_m = [0.1, 0.2]\n").unwrap_err().to_string();
+    let error = Config::parse("[robot.cover]\nx_m = [0.1, 0.2]\n").unwrap_err().to_string();
     assert!(error.contains("line 2") && error.contains("11"), "{error}");
-    let error = Config::parse("[geometry]\narm_position_m = [0.1, nan, 50]\n").unwrap_err().to_string();
-    assert!(error.contains("geometry.arm_position_m = NaN m is outside -5 to 5 m"), "{error}");
+    let error = Config::parse("[robot.mount]\nposition_base_m = [0.1, nan, 50]\n").unwrap_err().to_string();
+    assert!(error.contains("robot.mount.position_base_m = NaN m is outside -5 to 5 m"), "{error}");
 }

@@ -1,13 +1,17 @@
 //! A loop without a timer: an arm's datagrams are its clock, as with a robot that waits for a torque to each state.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on has to stop")]
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 
-use moca_daemon::config::{Config, Parts};
-use moca_daemon::control::plant::{Beat, Plant, SourceAge};
+use moca_daemon::config::Config;
+use moca_daemon::control::plant::{Datagram, Plant, PlantClock, SourceAge};
+use moca_daemon::control::stage::Stage;
 use moca_daemon::control::tick::ControlLoop;
 use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::robot::Parts;
 use moca_daemon::runtime::assemble::{motion, supervisor};
-use moca_daemon::runtime::live::{self, Clock, Rings, Shared};
-use moca_daemon::runtime::timing::Stage;
+use moca_daemon::runtime::clock::Clock;
+use moca_daemon::runtime::live::{self, Rings, Shared};
+use moca_daemon::runtime::tick_source::PlantTicks;
+use moca_daemon::runtime::timing::Timing;
 use moca_msgs::{Actuation, Fault, Mode, RobotState, Sample, robot};
 use std::net::UdpSocket;
 use std::sync::atomic::Ordering;
@@ -24,10 +28,12 @@ struct DatagramArm {
     state: RobotState<7>,
     /// Time waited in vain since the last datagram, as asked for.
     silent: Duration,
+    /// States after which reading one panics.
+    reads_left: u64,
 }
 
 impl DatagramArm {
-    fn receive(&mut self) -> Option<u64> {
+    fn datagram(&mut self) -> Option<u64> {
         let mut bytes = [0; 64];
         (self.socket.recv(&mut bytes).ok()? == bytes.len()).then(|| {
             for (q, field) in self.state.q_rad.iter_mut().zip(bytes[8..].chunks_exact(8)) {
@@ -38,15 +44,18 @@ impl DatagramArm {
     }
 }
 
-impl Plant for DatagramArm {
-    fn beat(&mut self, timeout: Duration) -> Option<Beat> {
+impl PlantClock for DatagramArm {
+    fn receive(&mut self, timeout: Duration) -> Datagram {
         self.socket.set_read_timeout(Some(timeout * PATIENCE)).unwrap();
-        let count = self.receive();
+        let count = self.datagram();
         self.silent = if count.is_some() { Duration::ZERO } else { self.silent + timeout };
-        Some(count.map_or(Beat::Missing, Beat::Count))
+        count.map_or(Datagram::Missing, Datagram::Count)
     }
+}
 
+impl Plant for DatagramArm {
     fn read(&mut self) -> Result<RobotState<7>, Fault> {
+        self.reads_left = self.reads_left.checked_sub(1).expect("this arm's driver has an error");
         Ok(self.state)
     }
 
@@ -96,7 +105,7 @@ fn connected() -> (DatagramArm, Robot) {
         torque_measured_nm: [0.0; 7],
         flange_wrench_world: None,
     };
-    (DatagramArm { socket: ours, state, silent: Duration::ZERO }, Robot(theirs))
+    (DatagramArm { socket: ours, state, silent: Duration::ZERO, reads_left: u64::MAX }, Robot(theirs))
 }
 
 #[test]
@@ -105,12 +114,12 @@ fn an_arms_datagrams_drive_the_loop_lost_ones_are_counted_and_silence_is_a_stop(
     let mut config = Config::default();
     config.plant.parts = Parts::Arm;
     let cover: Option<ByteCover> = None;
-    let mut control =
-        ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3).unwrap();
+    let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
     let (samples, mut watched) = rtrb::RingBuffer::new(1 << 14);
-    let (_requests, for_loop) = rtrb::RingBuffer::new(1);
-    let (outcomes, _answers) = rtrb::RingBuffer::new(1);
-    let mut rings = Rings { samples, requests: for_loop, outcomes };
+    let (_sender, requests) = moca_telemetry::net::request_channel();
+    let mut rings = Rings { samples, requests, tick_log: None };
+    let mut ticks = PlantTicks::new(Clock::start().unwrap(), PERIOD_NS);
+    let mut timing = Timing::new().unwrap();
     let shared = Shared::default();
     let next = |watched: &mut rtrb::Consumer<Sample>| loop {
         match watched.pop() {
@@ -120,8 +129,7 @@ fn an_arms_datagrams_drive_the_loop_lost_ones_are_counted_and_silence_is_a_stop(
     };
 
     let report = std::thread::scope(|scope| {
-        let run = scope
-            .spawn(|| live::run(&mut control, Clock::start().unwrap(), PERIOD_NS, None, &mut rings, &shared));
+        let run = scope.spawn(|| live::run(&mut control, &mut ticks, &mut timing, None, &mut rings, &shared));
         // Every datagram is one tick, with the plant's own count.
         let mut held = 0.0;
         for count in 0..500 {
@@ -151,4 +159,28 @@ fn an_arms_datagrams_drive_the_loop_lost_ones_are_counted_and_silence_is_a_stop(
         run.join().unwrap()
     });
     assert!(report.overruns_by_stage[Stage::Read as usize] >= 4, "{report:?}");
+}
+
+#[test]
+fn a_panic_in_the_loop_brakes_the_robot_and_ends_the_loop() {
+    let (mut plant, robot) = connected();
+    plant.reads_left = 50;
+    let mut config = Config::default();
+    config.plant.parts = Parts::Arm;
+    let cover: Option<ByteCover> = None;
+    let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
+    let (samples, _watched) = rtrb::RingBuffer::new(1 << 10);
+    let (_sender, requests) = moca_telemetry::net::request_channel();
+    let mut rings = Rings { samples, requests, tick_log: None };
+    let mut ticks = PlantTicks::new(Clock::start().unwrap(), PERIOD_NS);
+    let mut timing = Timing::new().unwrap();
+    let shared = Shared::default();
+    std::thread::scope(|scope| {
+        let run = scope.spawn(|| live::run(&mut control, &mut ticks, &mut timing, None, &mut rings, &shared));
+        for count in 0..50 {
+            robot.exchange(count);
+        }
+        assert!(robot.exchange(50).is_nan(), "the last order is to brake");
+        assert!(run.join().is_err());
+    });
 }

@@ -6,9 +6,10 @@
     reason = "a test that cannot go on has to stop"
 )]
 
-use moca_daemon::config::{Config, HandConfig, TAXELS};
+use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::protection::speed_for_delay_m_s;
 use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::robot::TAXELS;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
 use moca_msgs::protection::{ContactKind, ContactPhase};
@@ -274,6 +275,7 @@ fn provoke(reaction: ContactReaction) -> Reacted {
     std::fs::write(&path, "source = \"a test\"\n[T6]\ntransient_n = 4.0\nquasi_static_n = 3.0\n").unwrap();
     let mut config = config();
     config.protection.thresholds = path.display().to_string();
+    config.protection.uncalibrated_statement = "a simulated cover, in a test".into();
     config.protection.reaction = reaction;
     config.protection.retreat_m = 0.02;
     let scene = Scene { people: vec![Person::beside(FRONT, 0.08).unwrap()], ..Scene::default() };

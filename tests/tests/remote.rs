@@ -6,15 +6,18 @@
     reason = "a test that cannot go on has to stop"
 )]
 
+use moca_daemon::config::{Config, HandConfig};
+use moca_daemon::runtime::lockstep::LockStep;
 use moca_msgs::{Fault, Mode, Refusal, Request, Sample, TaxelStatus};
-use moca_sim::{PtyBoard, SharedForces, VirtualBoardConfig};
+use moca_sim::{PtyBoard, Scene, SharedForces, VirtualBoardConfig};
 use moca_tactile::serial::{PortSelection, SerialBoard};
 use moca_tactile::{Cover, CoverConfig};
-use moca_telemetry::net::{Connection, Link};
-use moca_telemetry::{ParameterDescription, ParameterValue};
+use moca_telemetry::net::{Connection, Link, Ports, request_channel, serve};
+use moca_telemetry::{ParameterDescription, ParameterValue, RobotDescription};
 use std::net::{SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Ends a test that would hang; no test passes or fails by how long something took before this.
@@ -160,6 +163,50 @@ fn a_client_presses_a_taxel_stops_and_resumes_and_another_may_only_stop() {
     assert_eq!(answer(&one, Request::Resume), Ok(()));
     assert_eq!(answer(&one, Request::Arm), Ok(()));
     wait_for(&one, "armed again", |s| s.mode == Mode::Impedance);
+}
+
+#[test]
+fn a_client_that_floods_the_loop_and_vanishes_leaves_no_armed_robot_behind() {
+    let mut config = Config::default();
+    config.simulation.hand = HandConfig::none();
+    let mut world =
+        LockStep::with_board(&config, &Scene::default(), VirtualBoardConfig::default(), None).unwrap();
+    let mut mode = Mode::Starting;
+    while mode != Mode::Impedance {
+        mode = world.step(None).0.mode;
+    }
+    let (sender, mut requests) = request_channel();
+    let samples = rtrb::RingBuffer::new(1).1;
+    let ports =
+        Ports { samples, requests: sender, ring_dropped: Arc::default(), recorder: None, calibration: None };
+    let any_port = SocketAddr::from(([127, 0, 0, 1], 0)).into();
+    let server = serve(&any_port, 0o600, RobotDescription::paper("flooded", true), ports).unwrap();
+    let client = Connection::spawn(server.address().clone(), || {}).unwrap();
+    let until = Instant::now() + HANGS_AFTER;
+    while !matches!(client.poll().link, Link::Up { .. }) {
+        assert!(Instant::now() < until, "never connected");
+    }
+    // The loop takes none of them for now: its ring of 64 is full long before the end.
+    for _ in 0..3 {
+        [Request::Disarm, Request::Resume, Request::Arm]
+            .iter()
+            .cycle()
+            .take(50)
+            .for_each(|r| client.request(*r));
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    drop(client);
+    while server.stats().clients > 0 {
+        assert!(Instant::now() < until, "the server never noticed");
+    }
+    for _ in 0..200 {
+        let (ticket, request) = requests.take().unzip();
+        let (sample, outcome) = world.step(request);
+        if let Some((ticket, outcome)) = ticket.zip(outcome) {
+            requests.answer(ticket, outcome);
+        }
+        assert_eq!((sample.mode, sample.fault), (Mode::ProtectiveStop, Some(Fault::OperatorLost)));
+    }
 }
 
 #[test]

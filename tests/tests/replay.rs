@@ -4,7 +4,7 @@
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::recording::{configuration, parameter_change};
-use moca_daemon::record::tick_log::{PortEvent, TapeReader, TickRecord, tape};
+use moca_daemon::record::tick_log::{PortEvent, TickLogReader, TickRecord, tick_log};
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
 use moca_daemon::runtime::replay::{self, Failure};
 use moca_msgs::params::CONTROLLER;
@@ -22,18 +22,18 @@ use std::path::PathBuf;
 
 struct Run {
     world: LockStep<ByteCover, MemoryBoard>,
-    tape: TapeReader,
+    log: TickLogReader,
     records: Vec<TickRecord>,
     samples: Vec<Sample>,
 }
 
 impl Run {
     fn start(config: &Config) -> Self {
-        let (loop_end, copies, reader) = tape();
+        let (loop_end, copies, reader) = tick_log();
         let board = VirtualBoardConfig { seed: 1, ..VirtualBoardConfig::default() };
         let mut world = LockStep::with_board(config, &Scene::default(), board, Some(copies)).unwrap();
-        world.control.tape = Some(loop_end);
-        Self { world, tape: reader, records: Vec::new(), samples: Vec::new() }
+        world.tick_log = Some(loop_end);
+        Self { world, log: reader, records: Vec::new(), samples: Vec::new() }
     }
 
     fn ask(&mut self, request: Request) {
@@ -43,7 +43,7 @@ impl Run {
     fn step(&mut self, request: Option<Request>) {
         let (sample, _) = self.world.step(request);
         self.samples.push(sample);
-        self.records.extend(std::iter::from_fn(|| self.tape.next_tick()));
+        self.records.extend(std::iter::from_fn(|| self.log.next_tick()));
     }
 
     fn run(&mut self, ticks: usize) -> Mode {
@@ -210,7 +210,8 @@ fn calibration_contact_limits_and_geometry_are_in_the_log() {
     config.board.name = "front".into();
     config.board.calibration = files[0].display().to_string();
     config.protection.thresholds = files[1].display().to_string();
-    config.geometry.arm_rpy_rad = [0.0, 0.0, 0.5];
+    config.protection.uncalibrated_statement = "a simulated cover, in a test".into();
+    config.robot.mount.rpy_rad = [0.0, 0.0, 0.5];
 
     let mut run = Run::start(&config);
     assert_eq!(run.run(1500), Mode::Impedance);

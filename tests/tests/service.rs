@@ -3,10 +3,12 @@
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
+use std::io::Write;
+use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixDatagram;
-use std::path::PathBuf;
-use std::process::{Command, Stdio};
-use std::time::Duration;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
 /// Ends a test that would hang.
 const HANGS_AFTER: Duration = Duration::from_secs(60);
@@ -133,4 +135,76 @@ fn a_fault_writes_the_seconds_before_it() {
     assert_eq!((last.fault, log.cut), (Some(moca_msgs::Fault::BoardLost), None));
     assert!(!log.serial.is_empty() && log.samples.iter().any(|sample| sample.mode.moves()));
     std::fs::remove_dir_all(&folder).unwrap();
+}
+
+fn wait(process: &mut Child, what: &str) -> Option<i32> {
+    let until = Instant::now() + HANGS_AFTER;
+    while Instant::now() < until {
+        if let Some(status) = process.try_wait().unwrap() {
+            return status.code();
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    process.kill().unwrap();
+    unreachable!("{what}: still running after {HANGS_AFTER:?}");
+}
+
+/// A log of its own for a run, and its configuration with neither telemetry nor flight recorder.
+fn recorded(name: &str) -> (Vec<String>, PathBuf) {
+    let text = "[telemetry]\nlisten = \"\"\n[flight_recorder]\nfolder = \"\"\n";
+    let config = file(&format!("{name}.toml"), text);
+    let log = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-{}.mcap", std::process::id()));
+    let _ = std::fs::remove_file(&log);
+    let words = ["--config", config.to_str().unwrap(), "--record", log.to_str().unwrap()];
+    (words.map(Into::into).to_vec(), log)
+}
+
+fn is_closed(log: &Path) -> usize {
+    let read = moca_telemetry::log::read_log(log).unwrap();
+    assert_eq!(read.cut, None, "the log has its end mark");
+    std::fs::remove_file(log).unwrap();
+    read.samples.len()
+}
+
+#[test]
+fn a_terminal_that_goes_away_ends_nothing() {
+    let (arguments, log) = recorded("closed-stdout");
+    let (reads, writes) = std::io::pipe().unwrap();
+    drop(reads);
+    let mut process = mocad().args(["--duration", "3"]).args(arguments).stdout(writes).spawn().unwrap();
+    assert_eq!(wait(&mut process, "closed stdout"), Some(0));
+    assert!(is_closed(&log) > 1000);
+}
+
+#[test]
+fn a_terminal_that_stops_reading_blocks_nothing_and_sigterm_still_ends_the_run() {
+    let (arguments, log) = recorded("stalled-stdout");
+    let (_reads, mut writes) = std::io::pipe().unwrap();
+    let fd = OwnedFd::from(writes.try_clone().unwrap());
+    nix::fcntl::fcntl(&fd, nix::fcntl::FcntlArg::F_SETFL(nix::fcntl::OFlag::O_NONBLOCK)).unwrap();
+    while writes.write(&[b'.'; 4096]).is_ok() {}
+    while writes.write(b".").is_ok() {}
+    nix::fcntl::fcntl(&fd, nix::fcntl::FcntlArg::F_SETFL(nix::fcntl::OFlag::empty())).unwrap();
+
+    let mut process = mocad().args(arguments).stdout(writes).spawn().unwrap();
+    std::thread::sleep(Duration::from_secs(4));
+    kill(Pid::from_raw(i32::try_from(process.id()).unwrap()), Signal::SIGTERM).unwrap();
+    assert_eq!(wait(&mut process, "stalled stdout"), Some(0));
+    assert!(is_closed(&log) > 1000, "observers were fed all the time");
+}
+
+#[test]
+fn a_panic_on_any_thread_ends_the_run_with_its_log_closed_and_its_words() {
+    for (fault, words) in
+        [("panic-loop", "injected into the loop"), ("panic-observer", "injected into an observer")]
+    {
+        let (arguments, log) = recorded(fault);
+        let mut process =
+            mocad().args(["--inject", &format!("{fault}@1.5")]).args(arguments).spawn().unwrap();
+        assert_eq!(wait(&mut process, fault), Some(1));
+        let output = process.wait_with_output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(said.contains(words) && said.contains("thread"), "{fault}: {said}");
+        assert!(is_closed(&log) > 500, "{fault}");
+    }
 }

@@ -5,10 +5,14 @@
 #![allow(clippy::unwrap_used, missing_docs, reason = "a benchmark stops at the first surprise")]
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use moca_daemon::config::{Config, HandConfig, JOINTS};
+use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::plant::Plant;
-use moca_daemon::control::tick::{ControlLoop, Slot};
+use moca_daemon::control::stage::Untimed;
+use moca_daemon::control::tick::ControlLoop;
+use moca_daemon::control::tick_input::Slot;
+use moca_daemon::devices::board_events::BoardEvents;
 use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::robot::JOINTS;
 use moca_daemon::runtime::assemble::{motion, supervisor};
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_msgs::{Actuation, Fault, Mode, Request, RobotState};
@@ -46,7 +50,7 @@ fn recorded_events(ticks: u64) -> Vec<Vec<BoardEvent>> {
         .map(|tick| {
             let request = (tick == 2000).then_some(Request::PressTaxel { taxel: 5, force_n: 20.0 });
             world.step(request);
-            std::iter::from_fn(|| out.pop().ok()).collect()
+            std::iter::from_fn(|| out.pop().ok().map(|(_, event)| event)).collect()
         })
         .collect()
 }
@@ -57,13 +61,13 @@ fn bench(criterion: &mut Criterion) {
     group.bench_function("bytes_to_command", |bencher| {
         let events = recorded_events(6000);
         let (mut cable, consumer) = rtrb::RingBuffer::new(64);
-        let cover = ByteCover::new(Cover::new(CoverConfig::default()).unwrap(), consumer, None);
+        let cover = ByteCover::new(Cover::new(CoverConfig::default()).unwrap(), BoardEvents::new(consumer));
         let world =
             LockStep::with_board(&config(), &Scene::default(), VirtualBoardConfig::default(), None).unwrap();
         let standing = StandingRobot(world.control.plant.world.state());
         let config = config();
         let mut control =
-            ControlLoop::new(standing, cover, supervisor(&config), motion(&config).unwrap(), 1e-3).unwrap();
+            ControlLoop::new(standing, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
         let mut tick = 0_u64;
         let mut run = |cable: &mut rtrb::Producer<BoardEvent>| {
             // After the recording its last second repeats; the frame under way at the seam is torn.
@@ -80,7 +84,7 @@ fn bench(criterion: &mut Criterion) {
             }
             let slot = Slot { tick, now_ns, ticks: 1, ..Slot::default() };
             tick += 1;
-            control.tick(&slot, None).0
+            control.tick(&slot, None, &mut Untimed).sample
         };
         for _ in 0..6000 {
             run(&mut cable);

@@ -47,17 +47,16 @@ fn main() {
 /// Runs `requests` and the rest of [`TICKS`] in a real-time context; it must end in `mode`.
 fn watched(world: &mut World, mode: Mode, requests: &[Request]) {
     let (samples, _observer) = rtrb::RingBuffer::new(1024);
-    let (_commander, to_loop) = rtrb::RingBuffer::new(1);
-    let (outcomes, _answers) = rtrb::RingBuffer::new(1);
-    let (mut rings, shared) = (Rings { samples, requests: to_loop, outcomes }, Shared::default());
+    let (_commander, to_loop) = moca_telemetry::net::request_channel();
+    let (mut rings, shared) = (Rings { samples, requests: to_loop, tick_log: None }, Shared::default());
     let mut last = None;
     for tick in 0..TICKS {
         let request = usize::try_from(tick).ok().and_then(|i| requests.get(i)).copied();
         rtsan_standalone::realtime_enter();
         let (sample, outcome) = world.step(request);
-        rings.publish(&sample, Some(tick), outcome, &shared);
-        rtsan_standalone::realtime_exit();
         last = Some(sample.mode);
+        rings.publish(sample, Some(tick), outcome, &shared);
+        rtsan_standalone::realtime_exit();
     }
     assert_eq!(last, Some(mode), "the mode at the end");
     println!("{TICKS} ticks to {}", mode.name());

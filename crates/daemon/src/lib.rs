@@ -8,7 +8,7 @@
 //!    ([`runtime::lockstep`]); and what runs beside it.
 //! 3. [`devices`]: the robots, covers and ports there are. [`inject`]: faults on purpose.
 //! 4. [`record`]: what is kept of a run; [`runtime::replay`] runs it again.
-//! 5. [`config`]: from a file to checked settings. [`calibration`]: counts to newtons, taxel by taxel.
+//! 5. [`robot`]: arm, base, cover, tool and load as data. [`config`]: from a file to checked settings. [`calibration`]: counts to newtons, taxel by taxel.
 //! 6. [`cli`]: what a user sees of it on a terminal.
 //!
 //! The loop refuses to know who watches it: samples leave through a bounded ring, requests arrive through another.
@@ -20,4 +20,5 @@ pub mod control;
 pub mod devices;
 pub mod inject;
 pub mod record;
+pub mod robot;
 pub mod runtime;

@@ -1,6 +1,7 @@
 //! `mocad`: the daemon of MOCA-S.
 
 use clap::{Args, Parser, Subcommand};
+use moca_daemon::cli::terminal::Terminal;
 use moca_daemon::config::Config;
 use moca_daemon::runtime::allocations::CountingAllocator;
 use std::path::PathBuf;
@@ -93,10 +94,7 @@ fn main() -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            #[expect(clippy::print_stderr, reason = "the program's last words")]
-            {
-                eprintln!("mocad: {error:#}");
-            }
+            moca_daemon::cli::terminal::last_words(&format!("{error:#}"));
             exit_code(&error)
         }
     }
@@ -150,14 +148,15 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
     let duration = arguments.duration.map(std::time::Duration::try_from_secs_f64);
     let duration = duration.transpose();
     let duration = duration.map_err(|error| anyhow::anyhow!("--duration: {error}; allowed: 0 s or more"))?;
-    moca_daemon::runtime::run::run(&moca_daemon::runtime::run::Options {
+    let mut terminal = Terminal::stdout(arguments.log_level, arguments.as_fast_as_possible)?;
+    let options = moca_daemon::runtime::options::Options {
         config,
         duration,
         lock_step: arguments.as_fast_as_possible,
         command_log: arguments.command_log,
         record: arguments.record,
         inject: arguments.inject,
-        log_level: arguments.log_level,
         require_realtime: arguments.require_realtime,
-    })
+    };
+    moca_daemon::runtime::run::run(&options, &mut terminal)
 }

@@ -10,17 +10,17 @@ use moca_monitor::{
     },
     ui::{App, Page, Screenshot},
 };
-use moca_telemetry::net::{Connection, DEFAULT_ADDRESS};
-use std::{net::SocketAddr, path::PathBuf, time::Duration};
+use moca_telemetry::net::{Address, Connection};
+use std::{path::PathBuf, time::Duration};
 
 /// Shows a MOCA-S robot: its cover, its motion, its health; and passes on what you ask.
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {
-    /// Where a daemon listens; may be given more than once. Another machine's comes in through an SSH tunnel. Without it
-    /// the last ones, or else 127.0.0.1:7611.
+    /// Where a daemon listens, HOST:PORT or unix:PATH; may be given more than once. Another machine's comes in through an
+    /// SSH tunnel. Without it the last ones, or else this machine's: the service's socket, or 127.0.0.1:7611.
     #[arg(long, value_name = "ADDRESS")]
-    connect: Vec<SocketAddr>,
+    connect: Vec<Address>,
     /// Show a recorded run instead: an MCAP file of `mocad run --record`. May be given more than once.
     #[arg(long, value_name = "FILE", conflicts_with = "connect")]
     log: Vec<PathBuf>,
@@ -151,7 +151,7 @@ fn main() -> anyhow::Result<()> {
 
 /// Logs, or else daemons, each with what it is called before it says its name.
 fn sources(
-    mut addresses: Vec<SocketAddr>,
+    mut addresses: Vec<Address>,
     logs: Vec<PathBuf>,
     ctx: &egui::Context,
 ) -> anyhow::Result<Vec<(Source, String)>> {
@@ -161,10 +161,11 @@ fn sources(
     };
     if logs.is_empty() {
         if addresses.is_empty() {
-            addresses.push(DEFAULT_ADDRESS.parse()?);
+            addresses.push(Address::of_this_machine());
         }
-        let connect = |address: SocketAddr| -> anyhow::Result<(Source, String)> {
-            Ok((Connection::spawn(address, wake())?.into(), address.to_string()))
+        let connect = |address: Address| -> anyhow::Result<(Source, String)> {
+            let name = address.to_string();
+            Ok((Connection::spawn(address, wake())?.into(), name))
         };
         return addresses.into_iter().map(connect).collect();
     }

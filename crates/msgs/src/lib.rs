@@ -4,7 +4,7 @@
 //! 1. [`robot`]: plain constant tables: arms, the base, the arm's mount, the taxels of the cover.
 //! 2. [`state`]: what a plant measures ([`RobotState`]) and what it is told ([`Actuation`]).
 //! 3. [`taxel`]: what the cover feels, with its age and its health; [`board`]: what is known of the board behind it.
-//! 4. [`params`]: the controllers' parameters and their defaults.
+//! 4. [`params`]: the controllers' parameters and their defaults; [`table`]: what a parameter's row is.
 //! 5. [`mode`]: modes, faults, how each is cleared.
 //! 6. [`protection`]: speed limit and contact events.
 //! 7. [`request`] and [`sample`]: what an observer may ask and what it is shown.
@@ -20,6 +20,9 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+#[cfg(feature = "alloc")]
+extern crate alloc;
+
 pub mod board;
 pub mod mode;
 pub mod params;
@@ -28,6 +31,7 @@ pub mod request;
 pub mod robot;
 pub mod sample;
 pub mod state;
+pub mod table;
 pub mod taxel;
 
 pub use mode::{Fault, Law, Mode, Reaction};

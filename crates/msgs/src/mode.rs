@@ -11,6 +11,8 @@ pub enum Law {
     FollowMe,
 }
 
+crate::choice!(Law { Impedance: "impedance", FollowMe: "follow-me" });
+
 /// Mode of the supervisor. Only [`Mode::Impedance`] and [`Mode::FollowMe`] move the robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]

@@ -59,6 +59,8 @@ pub enum ContactReaction {
     Retreat,
 }
 
+crate::choice!(ContactReaction { Slow: "slow", StopDirection: "stop-direction", Retreat: "retreat" });
+
 impl ContactReaction {
     /// All of them.
     pub const ALL: [Self; 3] = [Self::Slow, Self::StopDirection, Self::Retreat];

@@ -70,6 +70,8 @@ pub enum Refusal {
     NotLive,
     /// In its range, but not beside another parameter's present value.
     Conflict,
+    /// A stop came after it and before its turn.
+    Stopped,
     /// Another client holds the command.
     NotCommander,
     /// The loop did not answer in time.

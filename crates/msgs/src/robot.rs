@@ -40,15 +40,29 @@ pub struct ArmTable<const N: usize> {
     pub torque_max_nm: [f64; N],
     /// Posture in which the arm starts and to which the null space returns, rad.
     pub home_rad: [f64; N],
+    /// Null-space posture stiffness that suits the arm's torques, N·m/rad. eq. (11)
+    pub posture_stiffness_nm_rad: [f64; N],
+    /// Null-space posture damping that goes with it, N·m·s/rad. eq. (11)
+    pub posture_damping_nm_s_rad: [f64; N],
 }
 
-/// Pose of the arm's base (A) in the mobile base's frame (B).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Mount {
-    /// Origin of A in B, m.
-    pub position_base_m: [f64; 3],
-    /// Roll, pitch, yaw of A in B, rad (fixed axes, R = Rz·Ry·Rx).
-    pub rpy_rad: [f64; 3],
+impl<const N: usize> ArmTable<N> {
+    /// Number of joints.
+    pub const fn joints(&self) -> usize {
+        N
+    }
+}
+
+crate::parameter_table! {
+    /// Pose of the arm's base (A) in the mobile base's frame (B).
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct Mount in "robot.mount" {
+        /// Where the arm stands: origin of A in B.
+        position_base_m: [f64; 3] = MOCA_MOUNT.position_base_m
+            => [.range(-5.0, 5.0).units(&["m"]).lab("mount.position")];
+        /// Its axes in B: roll, pitch, yaw (fixed axes, R = Rz·Ry·Rx).
+        rpy_rad: [f64; 3] = MOCA_MOUNT.rpy_rad => [.range(-7.0, 7.0).units(&["rad"]).lab("mount.rpy")];
+    }
 }
 
 /// A tool fixed to the flange: its inertia, and the tool frame that the controllers hold.
@@ -68,24 +82,42 @@ impl Payload {
     };
 }
 
-/// An omnidirectional, velocity-controlled mobile base.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BaseTable {
-    /// Length (x), width (y), height (z), m.
-    pub size_m: [f64; 3],
-    /// Mass, kg.
-    pub mass_kg: f64,
-    /// Centre of mass in B, m.
-    pub com_m: [f64; 3],
-    /// Inertia about the centre of mass: xx, yy, zz, kg·m².
-    pub inertia_com_diagonal: [f64; 3],
-    /// Time constant of the velocity servo, s (first order).
-    pub servo_time_constant_s: f64,
-    /// Largest linear acceleration of each axis, m/s².
-    pub acceleration_max_m_s2: f64,
-    /// Largest yaw acceleration, rad/s².
-    pub yaw_acceleration_max_rad_s2: f64,
+crate::parameter_table! {
+    /// An omnidirectional, velocity-controlled mobile base.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct BaseTable in "robot.base" {
+        /// How it moves; the laws need a base that can drive sideways.
+        drive: Drive = SUMMIT_XL.drive;
+        /// Length (x), width (y), height (z).
+        size_m: [f64; 3] = SUMMIT_XL.size_m => [.range(0.1, 10.0).units(&["m"])];
+        /// Mass, the cover's included.
+        mass_kg: f64 = SUMMIT_XL.mass_kg => [.range(1.0, 1e5).units(&["kg"])];
+        /// Centre of mass in B.
+        com_m: [f64; 3] = SUMMIT_XL.com_m => [.range(-10.0, 10.0).units(&["m"])];
+        /// Inertia about the centre of mass: xx, yy, zz.
+        inertia_com_diagonal: [f64; 3] = SUMMIT_XL.inertia_com_diagonal
+            => [.range(1e-3, 1e6).units(&["kg·m²"])];
+        /// Time constant of the velocity servo (first order).
+        servo_time_constant_s: f64 = SUMMIT_XL.servo_time_constant_s => [.range(1e-4, 10.0).units(&["s"])];
+        /// Largest linear acceleration that the servo reaches along each axis.
+        acceleration_max_m_s2: f64 = SUMMIT_XL.acceleration_max_m_s2 => [.range(1e-3, 1e4).units(&["m/s²"])];
+        /// Largest yaw acceleration that the servo reaches.
+        yaw_acceleration_max_rad_s2: f64 = SUMMIT_XL.yaw_acceleration_max_rad_s2
+            => [.range(1e-3, 1e4).units(&["rad/s²"])];
+        /// The base stops by itself when it has heard no command for this long.
+        command_timeout_s: f64 = SUMMIT_XL.command_timeout_s => [.range(0.01, 10.0).units(&["s"])];
+    }
 }
+
+/// How a base moves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Drive {
+    /// In every direction of the plane at once: mecanum or omni wheels, or steered ones.
+    #[default]
+    Holonomic,
+}
+
+crate::choice!(Drive { Holonomic: "holonomic" });
 
 /// Where one taxel sits on the cover and which way it is pressed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -156,6 +188,9 @@ pub const PANDA: ArmTable<7> = ArmTable {
     dq_max_rad_s: [2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61],
     torque_max_nm: [87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0],
     home_rad: [0.0, -PI / 4.0, 0.0, -3.0 * PI / 4.0, 0.0, PI / 2.0, PI / 4.0],
+    // ASSUMED, tuned in simulation: the paper gives none
+    posture_stiffness_nm_rad: [90.0, 90.0, 90.0, 90.0, 45.0, 30.0, 15.0],
+    posture_damping_nm_s_rad: [10.0, 10.0, 10.0, 10.0, 5.0, 3.5, 1.7],
 };
 
 /// Franka Research 3: the Panda's kinematics with its own inertials and limits (`franka_description`, `robots/fr3`).
@@ -281,6 +316,9 @@ pub const UR10E: ArmTable<6> = ArmTable {
     dq_max_rad_s: [2.0 * PI / 3.0, 2.0 * PI / 3.0, PI, PI, PI, PI],
     torque_max_nm: [330.0, 330.0, 150.0, 56.0, 56.0, 56.0],
     home_rad: [0.0, -2.0, 2.0, -FRAC_PI_2, -FRAC_PI_2, 0.0],
+    // ASSUMED, as the Panda's
+    posture_stiffness_nm_rad: [90.0; 6],
+    posture_damping_nm_s_rad: [10.0; 6],
 };
 
 /// Arm mount of MOCA-S. ASSUMED: the paper does not give it.
@@ -289,6 +327,7 @@ pub const MOCA_MOUNT: Mount = Mount { position_base_m: [0.20, 0.0, 0.51], rpy_ra
 /// Robotnik SUMMIT-XL with its cover. ASSUMED (public sources disagree): 105 kg box with its centre of mass 0.2 m up;
 /// servo and limits as the collision experiment needs them.
 pub const SUMMIT_XL: BaseTable = BaseTable {
+    drive: Drive::Holonomic,
     size_m: [0.978, 0.776, 0.510],
     mass_kg: 105.0,
     com_m: [0.0, 0.0, 0.2],
@@ -296,6 +335,7 @@ pub const SUMMIT_XL: BaseTable = BaseTable {
     servo_time_constant_s: 0.015,
     acceleration_max_m_s2: 3.0,
     yaw_acceleration_max_rad_s2: 6.0,
+    command_timeout_s: 0.1,
 };
 
 /// The paper's 11 taxels, T1 first (Fig. 2e): T1–T4 left side rear to front, T5–T7 front left to right, T8–T11 right

@@ -7,8 +7,8 @@ use heapless::Vec;
 
 /// Most arm joints a sample can carry.
 pub const MAX_JOINTS: usize = 8;
-/// Most taxels a sample can carry (two boards of 12).
-pub const MAX_TAXELS: usize = 24;
+/// Most taxels a cover can have (four boards of 12).
+pub const MAX_TAXELS: usize = 48;
 
 /// Stages of a tick, in the order in which the data flows. Writing to a simulated robot includes its physics.
 pub const STAGES: [&str; 5] = ["read state", "cover", "control", "write plant", "publish"];

@@ -1,84 +1,10 @@
-//! Force between a person and the cover, from the geometric gap: tissue and foam in series, equal and opposite on
-//! both bodies. Frictionless; MuJoCo's own contacts are for hard bodies and are not used.
+//! Force between a person and the cover, from the geometric gap: tissue and foam in series and Coulomb friction, equal
+//! and opposite on both bodies. MuJoCo's own contacts are for hard bodies and are not used.
 
 use crate::foam::{Foam, FoamState};
-use moca_msgs::TaxelPlacement;
 
-/// Where a cylinder is in front of the cover.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Zone {
-    /// Taxel that feels it, 0 is T1.
-    pub taxel: usize,
-    /// Distance of the centre from the taxel's outer surface along the outward normal, m.
-    pub distance_m: f64,
-    /// Offset of the centre from the taxel's centre along the panel (the outward normal turned by +90°), m.
-    pub offset_m: f64,
-}
-
-/// Half of the panel length that a taxel answers for, m: neighbours on one panel share it without gaps.
-fn half_width_m(cover: &[TaxelPlacement], taxel: usize) -> f64 {
-    let same_panel = |other: &&TaxelPlacement| {
-        (other.inward_angle_base_rad - cover[taxel].inward_angle_base_rad).abs() < 1e-9
-    };
-    let [x, y] = cover[taxel].position_base_m;
-    let nearest = cover
-        .iter()
-        .filter(same_panel)
-        .map(|other| (other.position_base_m[0] - x).hypot(other.position_base_m[1] - y))
-        .filter(|distance| *distance > 1e-9)
-        .fold(f64::INFINITY, f64::min);
-    0.5 * nearest
-}
-
-/// A cover with the width of every zone worked out.
-#[derive(Clone, Copy, Debug)]
-pub struct Zones<const K: usize> {
-    cover: [TaxelPlacement; K],
-    outward: [[f64; 2]; K],
-    half_width_m: [f64; K],
-}
-
-impl<const K: usize> Zones<K> {
-    /// Zones of `cover`.
-    pub fn new(cover: [TaxelPlacement; K]) -> Self {
-        let outward = cover.map(|taxel| {
-            let (sin, cos) = taxel.inward_angle_base_rad.sin_cos();
-            [-cos, -sin]
-        });
-        let mut half = [0.0; K];
-        for (i, half) in half.iter_mut().enumerate() {
-            *half = half_width_m(&cover, i);
-        }
-        Self { cover, outward, half_width_m: half }
-    }
-
-    /// Direction out of the cover at a taxel, unit, axes of B.
-    pub fn outward(&self, taxel: usize) -> [f64; 2] {
-        self.outward[taxel]
-    }
-
-    /// Centre of a taxel in B, m.
-    pub fn position_base(&self, taxel: usize) -> [f64; 2] {
-        self.cover[taxel].position_base_m
-    }
-
-    /// Half of the panel length that a taxel answers for, m.
-    pub fn half_width_m(&self, taxel: usize) -> f64 {
-        self.half_width_m[taxel]
-    }
-
-    /// The zone in front of which a point in B lies, if it is within `reach_m` of the surface on either side.
-    pub fn find(&self, point_base: [f64; 2], reach_m: f64) -> Option<Zone> {
-        (0..K).find_map(|taxel| {
-            let [nx, ny] = self.outward[taxel];
-            let [x, y] = self.cover[taxel].position_base_m;
-            let (dx, dy) = (point_base[0] - x, point_base[1] - y);
-            let zone = Zone { taxel, distance_m: dx * nx + dy * ny, offset_m: -dx * ny + dy * nx };
-            (zone.offset_m.abs() <= self.half_width_m[taxel] && zone.distance_m.abs() <= reach_m)
-                .then_some(zone)
-        })
-    }
-}
+/// Shear stiffness of the foam over its normal one, for a Poisson's ratio of about 0.3. ASSUMED.
+const SHEAR_SHARE: f64 = 0.4;
 
 /// What presses on the foam: a spring and a damper in parallel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -89,31 +15,78 @@ pub struct Tissue {
     pub damping_n_s_per_m: f64,
 }
 
-/// Memory of one contact: the foam's, and the tissue's deformation of the last step.
+/// What a contact is told at each step.
+#[derive(Clone, Copy, Debug)]
+pub struct Pressing<'a> {
+    /// The cover's foam.
+    pub foam: &'a Foam,
+    /// Flesh in series with it.
+    pub tissue: Tissue,
+    /// Coulomb coefficient.
+    pub friction: f64,
+    /// Overlap of the outer surfaces, m; not positive without contact.
+    pub overlap_m: f64,
+    /// Speed of the body along the cover, m/s.
+    pub sliding_m_s: f64,
+    /// Step, s.
+    pub dt_s: f64,
+    /// dt²/m of the body that presses, m/N: how far its own reaction moves it within the step; 0 if it is fixed.
+    pub yield_m_per_n: f64,
+}
+
+/// Force of a contact on the body that presses, N.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ContactForce {
+    /// Out of the cover, ≥ 0.
+    pub normal_n: f64,
+    /// Along it, against the sliding.
+    pub along_n: f64,
+}
+
+/// Memory of one contact: the foam's, the tissue's deformation of the last step, and how far the foam is sheared.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ContactState {
     foam: FoamState,
     tissue_m: f64,
+    shear_m: f64,
 }
 
 impl ContactState {
-    /// Force of tissue and foam in series at `overlap_m` of their outer surfaces, N ≥ 0.
+    /// Force of tissue and foam in series, and of friction along them.
     ///
-    /// Solves foam(x) = tissue(overlap − x) for the foam's deformation x and moves both memories there.
-    pub fn step(&mut self, foam: &Foam, tissue: Tissue, overlap_m: f64, dt_s: f64) -> f64 {
+    /// Solves foam(x) = tissue(overlap − x) for the foam's deformation x and moves both memories there. The body's own
+    /// reaction within the step is part of the balance, so that a light body on a stiff or damped contact stays stable.
+    pub fn step(&mut self, pressing: &Pressing<'_>) -> ContactForce {
+        let &Pressing { foam, tissue, overlap_m, dt_s, yield_m_per_n, .. } = pressing;
         if overlap_m <= 0.0 {
-            self.tissue_m = 0.0;
-            return self.foam.step(foam, 0.0, dt_s);
+            (self.tissue_m, self.shear_m) = (0.0, 0.0);
+            return ContactForce { normal_n: self.foam.step(foam, 0.0, dt_s), along_n: 0.0 };
         }
         let before = *self;
         let damping = tissue.damping_n_s_per_m / dt_s;
+        let stiffness = tissue.stiffness_n_per_m + damping;
+        // Tissue and the body's own way are one spring in series.
         let tissue_n = |deformation_m: f64| {
-            tissue.stiffness_n_per_m * deformation_m + damping * (deformation_m - before.tissue_m)
+            (stiffness * deformation_m - damping * before.tissue_m) / (1.0 + stiffness * yield_m_per_n)
         };
         let residual = |x_m: f64| before.foam.clone().step(foam, x_m, dt_s) - tissue_n(overlap_m - x_m);
         let x_m = root(residual, overlap_m);
-        self.tissue_m = overlap_m - x_m;
-        self.foam.step(foam, x_m, dt_s)
+        let normal_n = self.foam.step(foam, x_m, dt_s);
+        self.tissue_m = overlap_m - x_m - normal_n * yield_m_per_n;
+        ContactForce { normal_n, along_n: self.friction_n(pressing, x_m, normal_n) }
+    }
+
+    /// The foam shears until Coulomb's limit, then the body slips.
+    fn friction_n(&mut self, pressing: &Pressing<'_>, x_m: f64, normal_n: f64) -> f64 {
+        let (limit_n, stiffness) = (pressing.friction * normal_n, SHEAR_SHARE * normal_n / x_m);
+        if !(limit_n > 0.0 && stiffness > 0.0 && stiffness.is_finite()) {
+            self.shear_m = 0.0;
+            return 0.0;
+        }
+        let stiffness = stiffness / (1.0 + stiffness * pressing.yield_m_per_n);
+        let most_m = limit_n / stiffness;
+        self.shear_m = (self.shear_m + pressing.sliding_m_s * pressing.dt_s).clamp(-most_m, most_m);
+        -stiffness * self.shear_m
     }
 }
 
@@ -152,7 +125,13 @@ fn root(residual: impl Fn(f64) -> f64, high: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moca_msgs::robot::PAPER_COVER;
+
+    const FIRM: Tissue = Tissue { stiffness_n_per_m: 5e4, damping_n_s_per_m: 0.0 };
+
+    /// Pressed by a body that does not yield and does not slide.
+    fn pressing(foam: &Foam, tissue: Tissue, overlap_m: f64) -> Pressing<'_> {
+        Pressing { foam, tissue, friction: 0.0, overlap_m, sliding_m_s: 0.0, dt_s: 1e-3, yield_m_per_n: 0.0 }
+    }
 
     #[test]
     fn tissue_and_foam_share_one_force() {
@@ -163,7 +142,7 @@ mod tests {
                 let flesh = Tissue { stiffness_n_per_m: tissue, damping_n_s_per_m: 0.0 };
                 for step in 1..200 {
                     let overlap_m = 1e-4 * f64::from(step.min(80));
-                    let force_n = contact.step(&foam, flesh, overlap_m, 1e-3);
+                    let force_n = contact.step(&pressing(&foam, flesh, overlap_m)).normal_n;
                     // The foam alone, moved by what the tissue leaves, answers with the same force.
                     let x_m = overlap_m - force_n / tissue;
                     assert!(x_m >= -1e-12, "{foam:?} {tissue} {x_m}");
@@ -183,7 +162,8 @@ mod tests {
             let tissue = Tissue { stiffness_n_per_m: 2e4, damping_n_s_per_m };
             let mut contact = ContactState::default();
             let overlaps = (1..=400).map(|step: i32| 1e-4 * f64::from(step.min(60)));
-            overlaps.map(|x| contact.step(&Foam::COLLISION_ASSUMED, tissue, x, 1e-3)).collect::<Vec<_>>()
+            let foam = Foam::COLLISION_ASSUMED;
+            overlaps.map(|x| contact.step(&pressing(&foam, tissue, x)).normal_n).collect::<Vec<_>>()
         };
         let (plain, damped) = (press(0.0), press(200.0));
         assert!(damped[50] > 1.03 * plain[50], "{} {}", damped[50], plain[50]);
@@ -191,18 +171,82 @@ mod tests {
     }
 
     #[test]
-    fn every_point_before_a_panel_has_exactly_one_zone() {
-        let zones = Zones::new(PAPER_COVER);
-        for step in -48..=48 {
-            let x = 0.01 * f64::from(step);
-            let zone = zones.find([x, 0.4], 0.1).unwrap();
-            let nearest = (0..4).min_by(|a, b| {
-                let off = |i: &usize| (PAPER_COVER[*i].position_base_m[0] - x).abs();
-                off(a).total_cmp(&off(b))
-            });
-            assert_eq!(Some(zone.taxel), nearest);
-            assert!((zone.distance_m - 0.012).abs() < 1e-12);
+    fn friction_holds_until_the_limit_and_then_slips_at_it() {
+        let foam = Foam::COLLISION_ASSUMED;
+        let mut contact = ContactState::default();
+        let mut forces = Vec::new();
+        for _ in 0..4000 {
+            let slow = Pressing { friction: 0.4, sliding_m_s: 0.002, ..pressing(&foam, FIRM, 0.006) };
+            forces.push(contact.step(&slow));
         }
-        assert_eq!(zones.find([0.0, 2.0], 0.1), None);
+        // Sheared by 0.2 mm after 0.1 s: 0.4 of the normal secant stiffness; after 5.6 mm it slips.
+        let (early, late) = (forces[99], forces[3999]);
+        let x_m = 0.006 - early.normal_n / 5e4;
+        let expected_n = -0.4 * early.normal_n / x_m * 0.2e-3;
+        assert!((early.along_n / expected_n - 1.0).abs() < 1e-6, "{early:?} {expected_n}");
+        assert!((late.along_n + 0.4 * late.normal_n).abs() < 1e-9, "{late:?}");
+        let back = Pressing { friction: 0.4, sliding_m_s: -0.002, ..pressing(&foam, FIRM, 0.006) };
+        assert!(contact.step(&back).along_n > late.along_n, "it springs back before it slips the other way");
+        assert!(contact.step(&pressing(&foam, FIRM, 0.0)).along_n.abs() < f64::MIN_POSITIVE);
+    }
+
+    /// Semi-implicit Euler with the contact's force alone: a body thrown at the cover comes back slower.
+    fn thrown(mass_kg: f64, speed_m_s: f64, foam: &Foam, tissue: Tissue, dt_s: f64) -> (f64, f64) {
+        let (mut contact, mut overlap_m, mut speed, mut peak_n) =
+            (ContactState::default(), 0.0, speed_m_s, 0.0f64);
+        for _ in 0..10_000 {
+            let now =
+                Pressing { dt_s, yield_m_per_n: dt_s * dt_s / mass_kg, ..pressing(foam, tissue, overlap_m) };
+            let force_n = contact.step(&now).normal_n;
+            peak_n = peak_n.max(force_n);
+            speed -= dt_s * force_n / mass_kg;
+            overlap_m += dt_s * speed;
+            if overlap_m < 0.0 {
+                break;
+            }
+        }
+        (speed, peak_n)
+    }
+
+    #[test]
+    fn a_light_hard_body_thrown_at_damped_foam_gains_no_speed() {
+        for mass_kg in [0.1, 0.6, 75.0] {
+            for (stiffness_n_per_m, damping_n_s_per_m) in [(7.5e4, 0.0), (7.5e4, 2e3), (1e7, 0.0), (1e7, 2e4)]
+            {
+                for speed_m_s in [0.2, 1.0, 3.0] {
+                    let tissue = Tissue { stiffness_n_per_m, damping_n_s_per_m };
+                    let (speed, _) = thrown(mass_kg, speed_m_s, &Foam::COLLISION_ASSUMED, tissue, 1e-3);
+                    assert!(
+                        speed < 0.0 && speed > -speed_m_s,
+                        "{mass_kg} kg {tissue:?} {speed_m_s}: {speed}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_light_hard_hand_that_crushes_the_foam_comes_to_rest() {
+        let (mass_kg, push_n, dt_s) = (0.6, 500.0, 1e-3);
+        let foam = Foam::COLLISION_ASSUMED;
+        let tissue = Tissue { stiffness_n_per_m: 1e7, damping_n_s_per_m: 0.0 };
+        let (mut contact, mut overlap_m, mut speed) = (ContactState::default(), 0.0, 0.0);
+        let mut force_n = 0.0;
+        for _ in 0..3000 {
+            let now =
+                Pressing { dt_s, yield_m_per_n: dt_s * dt_s / mass_kg, ..pressing(&foam, tissue, overlap_m) };
+            force_n = contact.step(&now).normal_n;
+            speed += dt_s * (push_n - force_n) / mass_kg;
+            overlap_m += dt_s * speed;
+        }
+        assert!((force_n - push_n).abs() < 1e-3 && speed.abs() < 1e-6, "{force_n} N, {speed} m/s");
+    }
+
+    #[test]
+    fn the_body_s_own_yield_vanishes_with_the_step() {
+        let peak = |dt_s| thrown(0.6, 0.5, &Foam::COLLISION_ASSUMED, FIRM, dt_s).1;
+        let (coarse, fine, finest) = (peak(1e-3), peak(1e-4), peak(1e-5));
+        assert!((fine - finest).abs() < 0.2 * (coarse - finest).abs(), "{coarse} {fine} {finest}");
+        assert!((coarse / finest - 1.0).abs() < 0.1, "{coarse} {finest}");
     }
 }

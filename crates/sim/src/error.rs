@@ -72,3 +72,17 @@ pub enum SimError {
 pub(crate) fn os(action: &str, error: &std::io::Error) -> SimError {
     SimError::Os { action: action.to_owned(), reason: error.to_string() }
 }
+
+/// The first of `values` outside its range; NaN and infinity are outside every range.
+pub(crate) fn within(
+    name: &'static str,
+    unit: &'static str,
+    values: &[f64],
+    min: f64,
+    max: f64,
+) -> Result<(), SimError> {
+    match values.iter().find(|v| !(**v >= min && **v <= max)) {
+        Some(&value) => Err(SimError::Scene { name, value, unit, min, max }),
+        None => Ok(()),
+    }
+}

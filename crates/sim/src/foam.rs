@@ -4,8 +4,7 @@
 //! the paper's Table I: **two numbers were fitted to two numbers a row, so they prove nothing about the material**;
 //! the CC and PE rows are phenomenological. Compression is positive and a foam never pulls.
 
-use crate::SimError;
-use crate::scene::within;
+use crate::error::{SimError, within};
 
 /// Shares of the relaxing part that decay with [`BRANCH_TIME_S`]; they sum to 1. ASSUMED.
 pub const BRANCH_SHARE: [f64; 3] = [0.40, 0.35, 0.25];

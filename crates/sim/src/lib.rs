@@ -14,6 +14,7 @@ pub mod contact;
 mod error;
 pub mod foam;
 mod mjcf;
+mod outline;
 mod people;
 pub mod plant;
 pub mod pty;

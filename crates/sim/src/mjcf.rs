@@ -3,11 +3,14 @@
 //! Unless a scene asks for everything, there are no geoms: inertias come from the tables, and forces between people and cover are computed from the
 //! geometric gap (see `contact`), not by MuJoCo's collision detection.
 
-use crate::plant::{BASE_SERVO_DAMPING, YAW_SERVO_DAMPING};
 use crate::scene::{Integrator, Mobility, Robot, Scene, Shape};
 use moca_msgs::robot::LinkInertial;
 use std::fmt::{self, Write};
 
+/// Velocity gain of the inner base servo, N·s/m: 20 N push it back by 0.2 mm/s. ASSUMED.
+pub(crate) const BASE_SERVO_DAMPING: f64 = 1e5;
+/// The same about the vertical, N·m·s/rad. ASSUMED.
+pub(crate) const YAW_SERVO_DAMPING: f64 = 2.5e4;
 /// Name of the massless body that marks the flange.
 pub(crate) const FLANGE: &str = "flange";
 
@@ -117,6 +120,8 @@ fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
         }
     }
     open_body(xml, FLANGE, &table.flange_origin)?;
+    // Applied forces act at a body's centre of mass. A body without inertial gets its own offset in the parent for it.
+    xml.push_str("<inertial pos=\"0 0 0\" mass=\"0\" diaginertia=\"0 0 0\"/>\n");
     if scene.everything {
         xml.push_str("<site name=\"flange\"/>\n");
     }

@@ -1,8 +1,10 @@
 //! People and walls in the running scene: where they are, what they do, and what they and the cover do to each other.
 
-use crate::contact::{ContactState, Zones};
+use crate::contact::{ContactState, Pressing};
 use crate::foam::Foam;
+use crate::outline::{Outline, outward_base};
 use crate::scene::{Mobility, Person, Shape};
+use moca_msgs::TaxelPlacement;
 use moca_msgs::robot::PAPER_COVER;
 
 const K: usize = PAPER_COVER.len();
@@ -10,32 +12,54 @@ const K: usize = PAPER_COVER.len();
 const FACING_COS_MIN: f64 = 0.5;
 
 /// The cover at one instant.
-pub(crate) struct Cover<'a> {
-    pub zones: &'a Zones<K>,
+pub(crate) struct CoverInstant<'a> {
+    pub taxels: &'a [TaxelPlacement; K],
+    pub outline: &'a Outline,
     pub foam: &'a Foam,
     /// Physics step, s.
     pub dt_s: f64,
     /// Pose of B in W: x m, y m, yaw rad.
     pub pose_world: [f64; 3],
+    /// Velocity of B in W: m/s, m/s, rad/s.
+    pub velocity_world: [f64; 3],
 }
 
-impl Cover<'_> {
+impl CoverInstant<'_> {
     /// A vector of W in the axes of B, and the other way.
     fn to_base(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = self.pose_world[2].sin_cos();
         [cos * x + sin * y, -sin * x + cos * y]
     }
 
-    /// Place in B, m, `offset_m` along the panel from a taxel's centre.
-    fn on_panel(&self, taxel: usize, offset_m: f64) -> [f64; 2] {
-        let [nx, ny] = self.zones.outward(taxel);
-        let [x, y] = self.zones.position_base(taxel);
-        [x - offset_m * ny, y + offset_m * nx]
-    }
-
     fn to_world(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = self.pose_world[2].sin_cos();
         [cos * x - sin * y, sin * x + cos * y]
+    }
+
+    /// Velocity of a point of B in the axes of B, m/s.
+    fn velocity_base(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let [vx, vy, yaw_rate] = self.velocity_world;
+        let [vx, vy] = self.to_base([vx, vy]);
+        [vx - yaw_rate * y, vy + yaw_rate * x]
+    }
+}
+
+/// What the cover feels at one step.
+pub(crate) struct Felt {
+    /// N, T1 first.
+    pub taxel_force_n: [f64; K],
+    /// Wrench on the base about its origin, axes of B: N, N, N·m.
+    pub wrench_base: [f64; 3],
+    /// Normal forces on all bodies and on the one that is pressed hardest, felt by a taxel or not, N.
+    pub total_n: f64,
+    pub largest_n: f64,
+}
+
+impl Felt {
+    /// A force on one body, N.
+    fn on_body(&mut self, force_n: f64) {
+        self.total_n += force_n;
+        self.largest_n = self.largest_n.max(force_n);
     }
 }
 
@@ -52,10 +76,11 @@ struct Body {
     person: Person,
     /// First of two degrees of freedom, if the person can move.
     dof: Option<usize>,
-    /// Memory of the contact with each taxel.
+    /// Memory of the contacts: the first is a cylinder's, which keeps it as it moves along the cover; a plane has one
+    /// with each taxel.
     contacts: [ContactState; K],
-    /// Taxel before a cylinder.
-    zone: Option<usize>,
+    /// Walking has begun.
+    walks: bool,
     first_contact_s: Option<f64>,
     /// Outward normal at first contact, world axes: the way the person steps away.
     away_world: [f64; 2],
@@ -63,11 +88,17 @@ struct Body {
     force_world: [f64; 2],
 }
 
-/// One place where a body and a taxel meet: depth m, place in B m.
+/// One place where a body and the cover meet, axes of B.
 struct Meeting {
-    taxel: usize,
+    /// Which memory.
+    contact: usize,
+    /// Depth, m.
     overlap_m: f64,
     point_base: [f64; 2],
+    /// Out of the cover, unit.
+    outward_base: [f64; 2],
+    /// Velocity of the body in W, m/s.
+    velocity_world: [f64; 2],
 }
 
 impl People {
@@ -81,7 +112,7 @@ impl People {
                 person,
                 dof,
                 contacts: [ContactState::default(); K],
-                zone: None,
+                walks: false,
                 first_contact_s: None,
                 away_world: [0.0; 2],
                 force_world: [0.0; 2],
@@ -106,23 +137,20 @@ impl People {
         Some([x + dx, y + dy])
     }
 
-    /// Contact, posture and lean of everybody; adds the contact forces to the taxels, N, and to `base_wrench`, the
-    /// wrench on the base in axes of B about its origin.
+    /// Contact, posture and lean of everybody; adds the contact forces to what is `felt`.
     pub(crate) fn touch(
         &mut self,
-        cover: &Cover<'_>,
+        cover: &CoverInstant<'_>,
         time_s: f64,
         qpos: &[f64],
         qvel: &[f64],
-        taxel_force_n: &mut [f64; K],
-        base_wrench: &mut [f64; 3],
+        felt: &mut Felt,
     ) {
         let time_s = self.own_time_s(time_s);
         for body in &mut self.bodies {
-            let offset = body.displacement(time_s, qpos);
             body.force_world = [0.0; 2];
-            body.press(cover, offset, time_s, taxel_force_n, base_wrench);
-            body.hold(time_s, offset, qvel);
+            body.press(cover, time_s, qpos, qvel, felt);
+            body.hold(time_s, cover.dt_s, qpos, qvel);
         }
     }
 
@@ -142,96 +170,128 @@ impl Body {
         self.dof.map_or_else(|| self.anchor(time_s).0, |dof| [qpos[dof], qpos[dof + 1]])
     }
 
-    /// Contact with all taxels.
-    fn press(
-        &mut self,
-        cover: &Cover<'_>,
-        offset: [f64; 2],
-        time_s: f64,
-        taxel_force_n: &mut [f64; K],
-        base_wrench: &mut [f64; 3],
-    ) {
+    /// m/s, world axes.
+    fn velocity(&self, time_s: f64, qvel: &[f64]) -> [f64; 2] {
+        self.dof.map_or_else(|| self.anchor(time_s).1, |dof| [qvel[dof], qvel[dof + 1]])
+    }
+
+    /// Contact with the whole cover.
+    fn press(&mut self, cover: &CoverInstant<'_>, time_s: f64, qpos: &[f64], qvel: &[f64], felt: &mut Felt) {
         let [x, y] = self.person.position_world;
+        let [dx, dy] = self.displacement(time_s, qpos);
         let [base_x, base_y, _] = cover.pose_world;
-        let place_base = cover.to_base([x + offset[0] - base_x, y + offset[1] - base_y]);
+        let place_base = cover.to_base([x + dx - base_x, y + dy - base_y]);
+        let velocity_world = self.velocity(time_s, qvel);
         match self.person.shape {
             Shape::Cylinder { radius_m } => {
-                let zone = cover.zones.find(place_base, 2.0 * radius_m + 0.1);
-                if self.zone != zone.map(|zone| zone.taxel) {
-                    self.zone = zone.map(|zone| zone.taxel);
-                    self.contacts = [ContactState::default(); K];
-                }
-                if let Some(zone) = zone {
-                    let point_base = cover.on_panel(zone.taxel, zone.offset_m);
-                    let meeting =
-                        Meeting { taxel: zone.taxel, overlap_m: radius_m - zone.distance_m, point_base };
-                    self.meet(cover, &meeting, time_s, taxel_force_n, base_wrench);
+                let nearest = cover.outline.nearest(place_base);
+                let meeting = Meeting {
+                    contact: 0,
+                    overlap_m: radius_m - nearest.distance_m,
+                    point_base: nearest.point_base,
+                    outward_base: nearest.outward,
+                    velocity_world,
+                };
+                let force_n = self.meet(cover, &meeting, time_s, felt);
+                if force_n > 0.0 && meeting.overlap_m > 0.0 {
+                    let shares = cover.outline.shares(&nearest, meeting.overlap_m, radius_m);
+                    for (taxel_n, share) in felt.taxel_force_n.iter_mut().zip(shares.0) {
+                        *taxel_n += share * force_n;
+                    }
+                    felt.on_body(force_n);
                 }
             }
             Shape::Plane => {
+                let mut all_n = 0.0;
                 for taxel in 0..K {
-                    if let Some(meeting) = self.plane_meeting(cover, place_base, taxel) {
-                        self.meet(cover, &meeting, time_s, taxel_force_n, base_wrench);
+                    if let Some(meeting) = self.plane_meeting(cover, place_base, velocity_world, taxel) {
+                        let force_n = self.meet(cover, &meeting, time_s, felt);
+                        felt.taxel_force_n[taxel] += force_n;
+                        all_n += force_n;
                     }
                 }
+                felt.on_body(all_n);
             }
         }
     }
 
-    /// The corner of a taxel that is deepest in a plane, if the taxel faces it.
-    fn plane_meeting(&self, cover: &Cover<'_>, place_base: [f64; 2], taxel: usize) -> Option<Meeting> {
-        let [nx, ny] = cover.zones.outward(taxel);
+    /// The end of a taxel that is deepest in a plane, if the taxel faces it.
+    fn plane_meeting(
+        &self,
+        cover: &CoverInstant<'_>,
+        place_base: [f64; 2],
+        velocity_world: [f64; 2],
+        taxel: usize,
+    ) -> Option<Meeting> {
+        let outward_base = outward_base(&cover.taxels[taxel]);
+        let [nx, ny] = outward_base;
         let [fx, fy] = cover.to_base(self.person.towards_robot_world);
         if -(fx * nx + fy * ny) < FACING_COS_MIN {
             return None;
         }
-        let half = cover.zones.half_width_m(taxel);
         let depth = |[px, py]: [f64; 2]| -((px - place_base[0]) * fx + (py - place_base[1]) * fy);
-        let ends = [cover.on_panel(taxel, -half), cover.on_panel(taxel, half)];
-        let point_base = if depth(ends[0]) >= depth(ends[1]) { ends[0] } else { ends[1] };
-        Some(Meeting { taxel, overlap_m: depth(point_base), point_base })
+        let [start, end] = cover.outline.ends(taxel)?;
+        let point_base = if depth(start) >= depth(end) { start } else { end };
+        Some(Meeting {
+            contact: taxel,
+            overlap_m: depth(point_base),
+            point_base,
+            outward_base,
+            velocity_world,
+        })
     }
 
-    /// Contact forces on both sides: equal, opposite, along the taxel's normal.
-    fn meet(
-        &mut self,
-        cover: &Cover<'_>,
-        meeting: &Meeting,
-        time_s: f64,
-        taxel_force_n: &mut [f64; K],
-        base_wrench: &mut [f64; 3],
-    ) {
-        let &Meeting { taxel, overlap_m, point_base: [px, py] } = meeting;
-        let force_n = self.contacts[taxel].step(cover.foam, self.person.tissue, overlap_m, cover.dt_s);
-        if force_n <= 0.0 {
-            return;
+    /// Forces on both sides, equal and opposite; gives the one along the cover's normal, N.
+    fn meet(&mut self, cover: &CoverInstant<'_>, meeting: &Meeting, time_s: f64, felt: &mut Felt) -> f64 {
+        let &Meeting { contact, overlap_m, point_base: [px, py], outward_base: [nx, ny], .. } = meeting;
+        let [vx, vy] = cover.to_base(meeting.velocity_world);
+        let [cover_vx, cover_vy] = cover.velocity_base(meeting.point_base);
+        let force = self.contacts[contact].step(&Pressing {
+            foam: cover.foam,
+            tissue: self.person.tissue,
+            friction: self.person.friction,
+            overlap_m,
+            sliding_m_s: (vy - cover_vy) * nx - (vx - cover_vx) * ny,
+            dt_s: cover.dt_s,
+            yield_m_per_n: match (self.dof, self.person.mobility) {
+                (Some(_), Mobility::Standing { mass_kg, .. }) => cover.dt_s * cover.dt_s / mass_kg,
+                _ => 0.0,
+            },
+        });
+        if force.normal_n <= 0.0 {
+            return 0.0;
         }
-        let [nx, ny] = cover.zones.outward(taxel);
-        taxel_force_n[taxel] += force_n;
-        base_wrench[0] -= force_n * nx;
-        base_wrench[1] -= force_n * ny;
-        base_wrench[2] -= force_n * (px * ny - py * nx);
-        let away = cover.to_world([nx, ny]);
-        self.force_world[0] += force_n * away[0];
-        self.force_world[1] += force_n * away[1];
+        // Along the cover is the outward normal turned by +90°.
+        let [fx, fy] = [force.normal_n * nx - force.along_n * ny, force.normal_n * ny + force.along_n * nx];
+        felt.wrench_base[0] -= fx;
+        felt.wrench_base[1] -= fy;
+        felt.wrench_base[2] -= px * fy - py * fx;
+        let [on_x, on_y] = cover.to_world([fx, fy]);
+        self.force_world[0] += on_x;
+        self.force_world[1] += on_y;
         if self.first_contact_s.is_none() {
             self.first_contact_s = Some(time_s);
-            self.away_world = away;
+            self.away_world = cover.to_world([nx, ny]);
         }
+        force.normal_n
     }
 
-    /// Adds posture and lean of a person who can move.
-    fn hold(&mut self, time_s: f64, offset: [f64; 2], qvel: &[f64]) {
-        let (Some(dof), Mobility::Standing { stiffness_n_per_m, damping_n_s_per_m, .. }) =
+    /// Adds posture and lean of a person who can move. Who begins to walk walks at full speed from the first step on.
+    fn hold(&mut self, time_s: f64, dt_s: f64, qpos: &[f64], qvel: &[f64]) {
+        let (Some(dof), Mobility::Standing { mass_kg, stiffness_n_per_m, damping_n_s_per_m }) =
             (self.dof, self.person.mobility)
         else {
             return;
         };
+        let offset = self.displacement(time_s, qpos);
         let (anchor, anchor_velocity) = self.anchor(time_s);
         let leans = time_s >= self.person.starts_after_s && self.stepping_s(time_s) <= 0.0;
         let lean_n = if leans { self.person.lean_n } else { 0.0 };
+        let starts = !self.walks && time_s > self.person.starts_after_s;
+        self.walks |= starts;
+        let start_n = if starts { mass_kg * self.person.walk_m_s / dt_s } else { 0.0 };
         for axis in 0..2 {
-            self.force_world[axis] += lean_n * self.person.towards_robot_world[axis]
+            self.force_world[axis] += (lean_n + start_n) * self.person.towards_robot_world[axis]
                 + stiffness_n_per_m * (anchor[axis] - offset[axis])
                 + damping_n_s_per_m * (anchor_velocity[axis] - qvel[dof + axis]);
         }

@@ -1,18 +1,14 @@
 //! The plant: an arm on a velocity-controlled base, one control period at a time.
 
-use crate::contact::Zones;
-use crate::mjcf::{FLANGE, mjcf};
-use crate::people::{Cover, People};
+use crate::mjcf::{BASE_SERVO_DAMPING, FLANGE, YAW_SERVO_DAMPING, mjcf};
+use crate::outline::{Outline, outward_base};
+use crate::people::{CoverInstant, Felt, People};
 use crate::scene::{Robot, Scene};
 use crate::{SimError, quiet};
 use moca_msgs::robot::PAPER_COVER;
 use moca_msgs::{Actuation, RobotCommand, RobotState};
 use mujoco_rs::prelude::{MjData, MjModel, MjtWarning};
 
-/// Velocity gain of the inner base servo, N·s/m: 20 N push it back by 0.2 mm/s. ASSUMED.
-pub(crate) const BASE_SERVO_DAMPING: f64 = 1e5;
-/// The same about the vertical, N·m·s/rad. ASSUMED.
-pub(crate) const YAW_SERVO_DAMPING: f64 = 2.5e4;
 /// What the wheels can push before they slip: N, N, N·m (about 0.8 of the weight). ASSUMED.
 const TRACTION: [f64; 3] = [1000.0, 1000.0, 400.0];
 /// Time constant in which a braked joint comes to rest, s. ASSUMED.
@@ -51,7 +47,7 @@ pub struct SimPlant {
     data: MjData<Box<MjModel>>,
     scene: Scene,
     substeps: u32,
-    zones: Zones<K>,
+    outline: Outline,
     /// First degree of freedom of base and arm, and the flange's body, where they exist.
     base_dof: Option<usize>,
     arm_dof: Option<usize>,
@@ -62,7 +58,10 @@ pub struct SimPlant {
     servo_velocity_body: [f64; 3],
     pressed_n: [f64; K],
     taxel_force_n: [f64; K],
-    taxel_peak_n: f64,
+    cover_wrench_base: [f64; 3],
+    contact_total_n: f64,
+    contact_largest_n: f64,
+    contact_peak_n: f64,
     flange_wrench_world: [f64; 6],
     torque_nm: [f64; 7],
     /// Scratch for the dense mass matrix, nv × nv.
@@ -91,7 +90,7 @@ impl SimPlant {
             data,
             scene: scene.clone(),
             substeps: scene.substeps()?,
-            zones: Zones::new(scene.cover),
+            outline: Outline::new(scene),
             base_dof: has_base.then_some(0),
             arm_dof,
             flange_body,
@@ -100,7 +99,10 @@ impl SimPlant {
             servo_velocity_body: [0.0; 3],
             pressed_n: [0.0; K],
             taxel_force_n: [0.0; K],
-            taxel_peak_n: 0.0,
+            cover_wrench_base: [0.0; 3],
+            contact_total_n: 0.0,
+            contact_largest_n: 0.0,
+            contact_peak_n: 0.0,
             flange_wrench_world: [0.0; 6],
             torque_nm: [0.0; 7],
             mass: vec![0.0; nv * nv],
@@ -210,23 +212,25 @@ impl SimPlant {
         self.taxel_force_n
     }
 
-    /// Largest true force on any taxel over every physics step so far, N.
-    pub fn taxel_peak_true_n(&self) -> f64 {
-        self.taxel_peak_n
+    /// Sum of the normal forces on everybody who touches the cover, felt by a taxel or not, over the last physics step, N.
+    pub fn contact_total_true_n(&self) -> f64 {
+        self.contact_total_n
     }
 
-    /// True wrench of all taxel forces on the base, axes and origin of B: N, N, N·m.
+    /// Normal force on the body that is pressed hardest, over the last physics step, N: on a seam more than any taxel's.
+    pub fn contact_largest_true_n(&self) -> f64 {
+        self.contact_largest_n
+    }
+
+    /// The largest of these over every physics step so far, N.
+    pub fn contact_peak_true_n(&self) -> f64 {
+        self.contact_peak_n
+    }
+
+    /// True wrench of everything that touches the cover on the base over the last physics step, where it acts and with
+    /// its friction, axes and origin of B: N, N, N·m. (Eq. (4) places every force at its taxel's centre.)
     pub fn cover_wrench_true_base(&self) -> [f64; 3] {
-        let mut wrench = [0.0; 3];
-        for (taxel, force_n) in self.taxel_force_n.iter().enumerate() {
-            let [nx, ny] = self.zones.outward(taxel);
-            let [x, y] = self.zones.position_base(taxel);
-            let (fx, fy) = (-force_n * nx, -force_n * ny);
-            wrench[0] += fx;
-            wrench[1] += fy;
-            wrench[2] += x * fy - y * fx;
-        }
-        wrench
+        self.cover_wrench_base
     }
 
     /// Flange origin in W, m, as of the start of the last physics step; `None` without an arm.
@@ -297,19 +301,26 @@ impl SimPlant {
     fn load(&mut self) {
         let state = self.state();
         let (sin, cos) = state.base_pose_world[2].sin_cos();
-        self.taxel_force_n = self.pressed_n;
-        let mut base_wrench = self.cover_wrench_true_base();
-        let cover = Cover {
-            zones: &self.zones,
+        let cover = CoverInstant {
+            taxels: &self.scene.cover,
+            outline: &self.outline,
             foam: &self.scene.foam,
             dt_s: self.scene.physics_step_s,
             pose_world: state.base_pose_world,
+            velocity_world: state.base_velocity_world,
         };
-        let (time_s, forces) = (self.data.time(), &mut self.taxel_force_n);
-        self.people.touch(&cover, time_s, self.data.qpos(), self.data.qvel(), forces, &mut base_wrench);
+        let mut felt = Felt {
+            taxel_force_n: self.pressed_n,
+            wrench_base: pressed_wrench(&self.scene, &self.pressed_n),
+            total_n: self.pressed_n.iter().sum(),
+            largest_n: self.pressed_n.into_iter().fold(0.0, f64::max),
+        };
+        self.people.touch(&cover, self.data.time(), self.data.qpos(), self.data.qvel(), &mut felt);
+        (self.taxel_force_n, self.cover_wrench_base) = (felt.taxel_force_n, felt.wrench_base);
         self.people.write_forces(self.data.qfrc_applied_mut());
-        self.taxel_peak_n = self.taxel_force_n.into_iter().fold(self.taxel_peak_n, f64::max);
-        let [fx, fy, mz] = base_wrench;
+        (self.contact_total_n, self.contact_largest_n) = (felt.total_n, felt.largest_n);
+        self.contact_peak_n = self.contact_peak_n.max(felt.largest_n);
+        let [fx, fy, mz] = self.cover_wrench_base;
         let push_world = [cos * fx - sin * fy, sin * fx + cos * fy, mz];
 
         if let Some(dof) = self.base_dof {
@@ -363,6 +374,20 @@ impl SimPlant {
             None => Ok(()),
         }
     }
+}
+
+/// Wrench on the base of hands that press taxels at their centres, axes and origin of B: N, N, N·m.
+fn pressed_wrench(scene: &Scene, pressed_n: &[f64; K]) -> [f64; 3] {
+    let mut wrench = [0.0; 3];
+    for (taxel, force_n) in scene.cover.iter().zip(pressed_n) {
+        let [nx, ny] = outward_base(taxel);
+        let [x, y] = taxel.position_base_m;
+        let (fx, fy) = (-force_n * nx, -force_n * ny);
+        wrench[0] += fx;
+        wrench[1] += fy;
+        wrench[2] += x * fy - y * fx;
+    }
+    wrench
 }
 
 fn finite(name: &'static str, values: &[f64]) -> Result<(), SimError> {

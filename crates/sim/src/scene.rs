@@ -1,8 +1,9 @@
 //! A scene as data. The model, its joints and the forces that are computed each step follow from it.
 
-use crate::SimError;
 use crate::contact::Tissue;
+use crate::error::{SimError, within};
 use crate::foam::Foam;
+use crate::outline::outward_base;
 use moca_msgs::robot::{
     ArmTable, BaseTable, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, SUMMIT_XL, TaxelPlacement,
 };
@@ -105,6 +106,8 @@ pub struct Person {
     pub shape: Shape,
     /// Flesh, in series with the foam.
     pub tissue: Tissue,
+    /// Coulomb coefficient between clothes or skin and the cover.
+    pub friction: f64,
     /// How the person yields.
     pub mobility: Mobility,
     /// When walking and leaning begin, s.
@@ -120,6 +123,8 @@ pub struct Person {
 impl Person {
     /// Speed and length of the step away, m/s and m. ASSUMED.
     pub const STEP_AWAY: (f64, f64) = (1.0, 3.0);
+    /// Coulomb coefficient of clothes on the cover's foam. ASSUMED.
+    pub const FRICTION: f64 = 0.4;
 
     /// The collision scene's person, `gap_m` in front of taxel `taxel` (0 is T1) of a robot at the world's origin,
     /// who steps away 1.5 s after first contact.
@@ -157,6 +162,7 @@ impl Person {
             towards_robot_world: [cos, sin],
             shape,
             tissue,
+            friction: Self::FRICTION,
             mobility,
             starts_after_s: 0.0,
             walk_m_s: 0.0,
@@ -173,6 +179,7 @@ impl Person {
         }
         within("person.stiffness", "N/m", &[self.tissue.stiffness_n_per_m], 1.0, 1e9)?;
         within("person.damping", "N·s/m", &[self.tissue.damping_n_s_per_m], 0.0, 1e5)?;
+        within("person.friction", "", &[self.friction], 0.0, 2.0)?;
         within("person.starts_after", "s", &[self.starts_after_s], 0.0, 1e6)?;
         within("person.walk", "m/s", &[self.walk_m_s], -5.0, 5.0)?;
         within("person.lean", "N", &[self.lean_n], 0.0, 1e3)?;
@@ -197,27 +204,19 @@ pub struct BaseServo {
     pub yaw_acceleration_max_rad_s2: f64,
 }
 
-impl Default for BaseServo {
-    fn default() -> Self {
+impl From<&BaseTable> for BaseServo {
+    fn from(base: &BaseTable) -> Self {
         Self {
-            time_constant_s: SUMMIT_XL.servo_time_constant_s,
-            acceleration_max_m_s2: SUMMIT_XL.acceleration_max_m_s2,
-            yaw_acceleration_max_rad_s2: SUMMIT_XL.yaw_acceleration_max_rad_s2,
+            time_constant_s: base.servo_time_constant_s,
+            acceleration_max_m_s2: base.acceleration_max_m_s2,
+            yaw_acceleration_max_rad_s2: base.yaw_acceleration_max_rad_s2,
         }
     }
 }
 
-/// The first of `values` outside its range; NaN and infinity are outside every range.
-pub(crate) fn within(
-    name: &'static str,
-    unit: &'static str,
-    values: &[f64],
-    min: f64,
-    max: f64,
-) -> Result<(), SimError> {
-    match values.iter().find(|v| !(**v >= min && **v <= max)) {
-        Some(&value) => Err(SimError::Scene { name, value, unit, min, max }),
-        None => Ok(()),
+impl Default for BaseServo {
+    fn default() -> Self {
+        Self::from(&SUMMIT_XL)
     }
 }
 
@@ -302,6 +301,13 @@ impl Scene {
         for taxel in &self.cover {
             within("taxel.position", "m", &taxel.position_base_m, -10.0, 10.0)?;
             within("taxel.inward", "rad", &[taxel.inward_angle_base_rad], -7.0, 7.0)?;
+        }
+        if !self.people.is_empty() {
+            // A cover that does not go round the origin of B encloses nothing that a person could touch.
+            for taxel in &self.cover {
+                let ([nx, ny], [x, y]) = (outward_base(taxel), taxel.position_base_m);
+                within("taxel.distance_outward", "m", &[nx * x + ny * y], 2.0 * self.foam.gap_m, 15.0)?;
+            }
         }
         let servo = &self.base_servo;
         within("base_servo.time_constant_s", "s", &[servo.time_constant_s], 1e-4, 10.0)?;

@@ -161,6 +161,10 @@ fn a_scene_with_a_bad_number_names_it() {
     let foam = Foam { gap_m: 0.5, ..Foam::default() };
     let error = SimPlant::new(&Scene { foam, ..Scene::default() }).unwrap_err();
     assert_eq!(error.to_string(), "scene: foam.thickness = 0.5 m is outside 0.001 to 0.1 m");
+    let mut scene = Scene { people: vec![Person::beside(5, 0.1).unwrap()], ..Scene::default() };
+    scene.cover[5].inward_angle_base_rad = 0.0;
+    let error = SimPlant::new(&scene).unwrap_err();
+    assert_eq!(error.to_string(), "scene: taxel.distance_outward = -0.489 m is outside 0.03 to 15 m");
 }
 
 #[test]
@@ -172,6 +176,132 @@ fn a_wrench_at_the_flange_moves_the_arm_and_is_reported_only_with_a_sensor() {
     assert!(plant.flange_position_world().unwrap()[2] > before[2] + 1e-3);
     assert_eq!(plant.state().flange_wrench_world, Some([0.0, 0.0, 5.0, 0.0, 0.0, 0.0]));
     assert_eq!(SimPlant::new(&Scene::default()).unwrap().state().flange_wrench_world, None);
+}
+
+/// Joint torque of a wrench about the flange's origin: from differences of the flange's place, not from MuJoCo's
+/// Jacobian.
+#[test]
+fn a_force_at_the_flange_acts_at_its_origin_and_nowhere_else() {
+    const STEP_RAD: f64 = 1e-6;
+    let scene = Scene { robot: Robot::ArmOnly, joint_limits: false, ..Scene::default() };
+    let mut plant = SimPlant::new(&scene).unwrap();
+    let q = [0.3, -0.5, 0.4, -2.0, 0.3, 1.7, 0.6];
+    let force = [12.0, -7.0, 5.0];
+    let expected: Vec<f64> = (0..7)
+        .map(|joint| {
+            let mut place = |sign: f64| {
+                let mut q = q;
+                q[joint] += sign * STEP_RAD;
+                plant.set_state(&STILL, &STILL, &q, &[0.0; 7]);
+                plant.flange_position_world().unwrap()
+            };
+            let (ahead, behind) = (place(1.0), place(-1.0));
+            (0..3).map(|k| force[k] * (ahead[k] - behind[k]) / (2.0 * STEP_RAD)).sum()
+        })
+        .collect();
+    // M (dq with - dq without) / dt is the torque that the force alone makes.
+    let mut speeds = |wrench: [f64; 6]| {
+        plant.set_state(&STILL, &STILL, &q, &[0.0; 7]);
+        plant.set_flange_wrench_world(wrench).unwrap();
+        let command = RobotCommand { base_velocity_body: STILL, arm_torque_nm: [0.0; 7] };
+        plant.apply(&Actuation::Drive(command)).unwrap();
+        plant.step().unwrap();
+        let mass = plant.full_mass_matrix().0.to_vec();
+        (plant.state().dq_rad_s, mass)
+    };
+    let (without, mass) = speeds([0.0; 6]);
+    let (with, _) = speeds([force[0], force[1], force[2], 0.0, 0.0, 0.0]);
+    for (row, expected) in expected.iter().enumerate() {
+        let torque: f64 = (0..7).map(|k| mass[row * 7 + k] * (with[k] - without[k]) / 1e-3).sum();
+        // 0.107 m beside the flange it would be up to 1.3 N·m more.
+        assert!((torque - expected).abs() < 2e-3, "joint {}: {torque} against {expected} N·m", row + 1);
+    }
+}
+
+/// The person's place and the force on each taxel while the base drives at `velocity_body`.
+fn driven(person: Person, velocity_body: [f64; 3], ticks: usize) -> Vec<[f64; 11]> {
+    let mut plant = SimPlant::new(&Scene { people: vec![person], ..Scene::default() }).unwrap();
+    (0..ticks)
+        .map(|_| {
+            drive(&mut plant, velocity_body, 1);
+            plant.taxel_force_true_n()
+        })
+        .collect()
+}
+
+#[test]
+fn a_leg_before_the_corner_is_felt_at_once_and_by_both_sides() {
+    // The centre of the leg, 5 mm outside the corner's diagonal; forwards and to the left at the same speed.
+    let corner = Person { friction: 0.0, ..Person::part(BodyPart::Leg, 3, 0.0, 0.0).unwrap() };
+    let reach = (0.07 + 0.015 + 0.005) * std::f64::consts::FRAC_1_SQRT_2;
+    let corner = Person { position_world: [0.489 - 0.015 + reach, 0.388 - 0.015 + reach], ..corner };
+    let forces = driven(corner, [0.05, 0.05, 0.0], 400);
+    let touch = forces.iter().position(|f| f[3] > 0.0).unwrap();
+    let largest_rise =
+        forces.windows(2).map(|w| w[1].iter().sum::<f64>() - w[0].iter().sum::<f64>()).fold(0.0, f64::max);
+    // 5 mm at 0.07 m/s; a tick of 1 ms adds 0.07 mm of foam.
+    assert!((70..130).contains(&touch), "{touch} ms");
+    assert!(largest_rise < 2.0, "{largest_rise} N in a millisecond");
+    let last = forces[399];
+    assert!(last[3] > 5.0 && (last[3] / last[4] - 1.0).abs() < 0.1, "{last:?}");
+}
+
+#[test]
+fn a_leg_that_slides_over_a_seam_is_handed_over_without_a_jump() {
+    // Held against the left side 3 cm behind the seam of T2 and T3; the base drives backwards, so it slides forwards.
+    let mut leg = Person::part(BodyPart::Leg, 1, -0.006, -0.0922).unwrap();
+    leg.mobility = moca_sim::Mobility::Fixed;
+    let forces = driven(leg, [-0.2, 0.0, 0.0], 600);
+    let total: Vec<f64> = forces.iter().map(|f| f.iter().sum()).collect();
+    let jump_n = total[200..].windows(2).map(|w| (w[1] - w[0]).abs()).fold(0.0, f64::max);
+    let most = total[200..].iter().copied().fold(0.0, f64::max);
+    // A foam that forgot what it has relaxed would jump by some newtons.
+    assert!(jump_n < 0.05 && most > 20.0, "a jump of {jump_n} N of {most} N");
+    assert!(forces[200][1] > 0.0 && forces[599][1] == 0.0 && forces[599][2] > 10.0, "{:?}", forces[599]);
+    assert!(forces.iter().any(|f| f[1] > 0.4 * most && f[2] > 0.4 * most), "shared on the seam");
+}
+
+#[test]
+fn friction_along_the_cover_drags_base_and_person_alike() {
+    let drag = |friction| {
+        let mut leg = Person { friction, ..Person::part(BodyPart::Leg, 1, -0.006, 0.0).unwrap() };
+        leg.mobility = moca_sim::Mobility::Fixed;
+        let mut plant = SimPlant::new(&Scene { people: vec![leg], ..Scene::default() }).unwrap();
+        drive(&mut plant, [0.1, 0.0, 0.0], 500);
+        plant.cover_wrench_true_base()
+    };
+    let [along, across, _] = drag(0.5);
+    assert!(across < -5.0 && (along / across - 0.5).abs() < 1e-9, "{along} N along, {across} N across");
+    assert!(drag(0.0)[0].abs() < f64::MIN_POSITIVE);
+}
+
+#[test]
+fn a_walker_walks_at_the_speed_that_was_asked_for_from_the_start() {
+    let mut walker = Person::part(BodyPart::Leg, 5, 0.3, 0.0).unwrap();
+    (walker.walk_m_s, walker.starts_after_s) = (0.146, 0.2);
+    let mut plant = SimPlant::new(&Scene { people: vec![walker], ..Scene::default() }).unwrap();
+    drive(&mut plant, STILL, 202);
+    let mut last = plant.person_position_world(0).unwrap()[0];
+    for _ in 0..1800 {
+        drive(&mut plant, STILL, 1);
+        let now = plant.person_position_world(0).unwrap()[0];
+        let speed = (last - now) / 1e-3;
+        assert!((speed - 0.146).abs() < 1e-3, "{speed} m/s");
+        last = now;
+    }
+}
+
+#[test]
+fn a_light_hand_on_stiff_damped_foam_does_not_blow_the_simulation_up() {
+    for (walk_m_s, stiffness_n_per_m) in [(0.5, 7.5e4), (1.0, 1e7), (3.0, 1e7)] {
+        let mut hand = Person::part(BodyPart::Hand, 5, 0.05, 0.0).unwrap();
+        (hand.walk_m_s, hand.tissue.stiffness_n_per_m) = (walk_m_s, stiffness_n_per_m);
+        let scene = Scene { people: vec![hand], foam: Foam::COLLISION_ASSUMED, ..Scene::default() };
+        let mut plant = SimPlant::new(&scene).unwrap();
+        drive(&mut plant, STILL, 1500);
+        let peak_n = plant.contact_peak_true_n();
+        assert!(peak_n.is_finite() && peak_n > 1.0, "{peak_n}");
+    }
 }
 
 #[test]
@@ -226,8 +356,9 @@ fn a_hand_that_walks_in_later_and_one_that_leans_are_felt_when_and_as_they_are_t
     }
     // 0.3 s of waiting and 20 mm at 0.1 m/s.
     assert!((480..560).contains(&first_ms.unwrap()), "{first_ms:?}");
-    let [fx, _, mz] = plant.cover_wrench_true_base();
-    assert!(fx < -1.0 && mz.abs() < 1e-9, "the wrench that eq. (4) sees acts at the taxel's centre");
+    let [fx, fy, mz] = plant.cover_wrench_true_base();
+    let lever_m = (mz - 0.489 * fy) / -fx;
+    assert!(fx < -1.0 && (lever_m - 0.05).abs() < 2e-3, "the force acts where the hand is: {lever_m} m");
 
     let mut leaning = Person::part(BodyPart::Thigh, 5, 0.0, 0.0).unwrap();
     leaning.lean_n = 30.0;

@@ -334,6 +334,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
                     frame.fdat[electrode],
                     &self.config.models[i],
                     [self.config.contact_on_counts, self.config.contact_off_counts],
+                    self.config.force_max_n,
                     dt_s,
                 );
                 if taring {
@@ -419,7 +420,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         let mut zeros = [None; K];
         let mut worst_deviation: f64 = 0.0;
         for (i, taxel) in in_use() {
-            match taxel.tare.finish(i, taxel.zero.as_ref(), self.config.calibrated_at[i]) {
+            match taxel.tare.finish(i, taxel.zero.as_ref(), self.config.expected_rest[i].as_ref()) {
                 Ok(zero) => {
                     worst_deviation = worst_deviation.max(zero.deviation);
                     zeros[i] = Some(zero);
@@ -452,13 +453,16 @@ impl Taxel {
         !self.in_contact && delta >= config.contact_on_counts
     }
 
-    fn update(&mut self, fdat: u16, model: &TaxelModel, [on, off]: [f64; 2], dt_s: f64) {
+    fn update(&mut self, fdat: u16, model: &TaxelModel, [on, off]: [f64; 2], force_max_n: f64, dt_s: f64) {
         self.fdat = fdat;
-        self.health.update(fdat, self.zero.as_ref(), dt_s);
+        self.health.update(fdat, self.zero.as_ref(), on, dt_s);
+        if self.health.zero_too_low() {
+            (self.zero, self.in_contact, self.force_n) = (None, false, 0.0);
+        }
         let Some(zero) = &self.zero else { return };
         let drop = zero.gain * zero.drop(fdat);
         self.in_contact = drop >= if self.in_contact { off } else { on };
         let force_n = model.force_n(&mut self.memory, if self.in_contact { drop } else { 0.0 }, dt_s);
-        self.force_n = if self.in_contact { force_n } else { 0.0 };
+        self.force_n = if self.in_contact { force_n.min(force_max_n) } else { 0.0 };
     }
 }

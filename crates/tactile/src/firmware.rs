@@ -21,6 +21,13 @@ pub enum Firmware {
     PiCap,
 }
 
+moca_msgs::choice!(Firmware {
+    Moca: "moca",
+    Stock2018: "stock-2018",
+    Stock2015: "stock-2015",
+    PiCap: "pi-cap",
+});
+
 impl Firmware {
     /// Every firmware that is known.
     pub const ALL: [Self; 4] = [Self::Moca, Self::Stock2018, Self::Stock2015, Self::PiCap];

@@ -6,10 +6,10 @@
 //!
 //! let mut health = TaxelHealth::default();
 //! for i in 0..100u16 {
-//!     health.update(720 + i % 2, None, 0.0247);
+//!     health.update(720 + i % 2, None, 4.0, 0.0247);
 //! }
 //! assert_eq!(health.status(None), None);
-//! health.update(1023, None, 0.0247);
+//! health.update(1023, None, 4.0, 0.0247);
 //! assert_eq!(health.status(None), Some(TaxelStatus::Saturated));
 //! ```
 
@@ -27,6 +27,11 @@ const STUCK_NEEDS_DEVIATION: f64 = 0.3;
 pub const DEAD_RISE_COUNTS: f64 = 40.0;
 /// Consecutive frames above [`DEAD_RISE_COUNTS`] that make a taxel dead.
 pub const DEAD_FRAMES: u32 = 3;
+/// Consecutive frames above zero by more than the contact threshold that show a zero taken under a hand (0.2 s at
+/// 40 Hz: noise that a tare accepts does it less than once in 10⁹ frames).
+pub const ABOVE_ZERO_FRAMES: u32 = 8;
+/// Least time that they span, s.
+const ABOVE_ZERO_TIME_S: f64 = 0.11;
 /// Standard deviation that makes a taxel noisy, counts (stock noise is 0.7; a tare accepts 2). Found within
 /// 100 frames.
 pub const NOISY_DEVIATION: f64 = 4.0;
@@ -45,13 +50,15 @@ pub struct TaxelHealth {
     same: u32,
     same_s: f64,
     risen: u32,
+    above_zero: u32,
+    above_zero_s: f64,
     second_difference: f64,
     latest: u16,
 }
 
 impl TaxelHealth {
-    /// Takes one frame's FDAT, `dt_s` after the one before.
-    pub fn update(&mut self, fdat: u16, zero: Option<&TaxelZero>, dt_s: f64) {
+    /// Takes one frame's FDAT, `dt_s` after the one before; `contact_counts` is the threshold of a touch.
+    pub fn update(&mut self, fdat: u16, zero: Option<&TaxelZero>, contact_counts: f64, dt_s: f64) {
         let same = self.frames > 0 && fdat == self.previous[0];
         self.same = if same { self.same.saturating_add(1) } else { 0 };
         self.same_s = if same { self.same_s + dt_s } else { 0.0 };
@@ -62,6 +69,9 @@ impl TaxelHealth {
         }
         let rise = zero.map_or(0.0, |zero| -zero.drop(fdat));
         self.risen = if rise > DEAD_RISE_COUNTS { self.risen.saturating_add(1) } else { 0 };
+        let above = zero.is_some_and(|zero| zero.gain * rise > contact_counts);
+        self.above_zero = if above { self.above_zero.saturating_add(1) } else { 0 };
+        self.above_zero_s = if above { self.above_zero_s + dt_s } else { 0.0 };
         self.previous = [fdat, self.previous[0]];
         self.latest = fdat;
         self.frames = self.frames.saturating_add(1);
@@ -70,6 +80,13 @@ impl TaxelHealth {
     /// Estimated standard deviation of the noise, counts.
     pub fn deviation(&self) -> f64 {
         self.second_difference / SECOND_DIFFERENCE_PER_DEVIATION
+    }
+
+    /// Whether the taxel has stood above its zero by a touch, but not by a lost plate: who touched it at the tare has
+    /// gone, and a press of the same force would read as nothing.
+    pub fn zero_too_low(&self) -> bool {
+        let long = self.above_zero >= ABOVE_ZERO_FRAMES && self.above_zero_s >= ABOVE_ZERO_TIME_S;
+        long && self.risen == 0
     }
 
     /// The taxel's fault, if it has one.

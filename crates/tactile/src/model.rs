@@ -5,6 +5,11 @@ pub const PAPER_COUNTS_AT_100N: f64 = 84.0;
 /// Most knots of a [`MonotoneCurve`].
 pub const MAX_KNOTS: usize = 16;
 
+/// Knots of [`TaxelModel::PU_LD30`], counts below zero.
+const PU_LD30_COUNTS: [f64; 10] = [8.0, 12.0, 17.0, 23.0, 29.0, 36.0, 45.0, 55.0, 68.0, 85.0];
+/// The same, N.
+const PU_LD30_FORCE_N: [f64; 10] = [9.62, 19.84, 29.75, 40.74, 50.37, 60.11, 70.62, 80.22, 90.56, 101.12];
+
 /// A monotone piecewise-linear curve through (0, 0): counts below zero to newtons. Beyond its last knot it goes on
 /// with the last slope, so a harder press never reads softer.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -64,6 +69,17 @@ impl MonotoneCurve {
             last = [counts, force_n];
         }
         Ok(curve)
+    }
+
+    /// A curve whose knots are known to rise.
+    const fn fixed<const N: usize>(counts: [f64; N], force_n: [f64; N]) -> Self {
+        let mut curve = Self { counts: [0.0; MAX_KNOTS], force_n: [0.0; MAX_KNOTS], len: N };
+        let mut i = 0;
+        while i < N {
+            (curve.counts[i], curve.force_n[i]) = (counts[i], force_n[i]);
+            i += 1;
+        }
+        curve
     }
 
     /// The knots after (0, 0): counts below zero, N.
@@ -146,6 +162,10 @@ pub(crate) fn relax(h: f64, change: f64, ratio: f64) -> f64 {
     h * decay + change * -libm::expm1(-ratio) / ratio
 }
 
+/// A press of this force or more is within [`TaxelModel::assumed_error`] on a cover that has not been calibrated, N;
+/// below it noise and hysteresis of the foam are most of the reading.
+pub const ASSUMED_ERROR_FROM_N: f64 = 20.0;
+
 /// Calibration of one taxel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TaxelModel {
@@ -168,8 +188,19 @@ pub enum TaxelModel {
 }
 
 impl TaxelModel {
-    /// Line through the tared zero and 100 N at 84 counts (the paper's PU taxel): the default.
+    /// Line through the tared zero and 100 N at 84 counts: the paper's PU taxel.
     pub const PAPER: Self = Self::LineThroughZero { newton_per_count: 100.0 / PAPER_COUNTS_AT_100N };
+
+    /// Monotone curve of the simulated PU LD30 taxel, loading and unloading pooled: the default of a cover that has not
+    /// been calibrated. `moca-lab characterize` fits it, and a test there compares.
+    pub const PU_LD30: Self = Self::Monotone(MonotoneCurve::fixed(PU_LD30_COUNTS, PU_LD30_FORCE_N));
+
+    /// How wrong a reading of a press of [`ASSUMED_ERROR_FROM_N`] or more may be where this model was assumed and not
+    /// measured, as a share of the force: simulated PU LD30, as soft and as stiff as nominal ± 10 %, pressed and
+    /// released (`moca-lab characterize` prints it). Another foam may be further off.
+    pub fn assumed_error(&self) -> f64 {
+        if *self == Self::PU_LD30 { 0.50 } else { 0.55 }
+    }
 
     /// Force at `drop` counts below zero after `dt_s` since the last call, N, ≥ 0. `memory` belongs to the taxel;
     /// call it for every frame, with a drop of 0 while nothing touches.
@@ -198,7 +229,7 @@ impl TaxelModel {
 
 impl Default for TaxelModel {
     fn default() -> Self {
-        Self::PAPER
+        Self::PU_LD30
     }
 }
 
@@ -218,6 +249,14 @@ mod tests {
         {
             assert!((curve.force_n(drop) - force_n).abs() < 1e-12, "{drop}");
         }
+    }
+
+    #[test]
+    fn the_assumed_curve_is_a_curve() {
+        let TaxelModel::Monotone(curve) = TaxelModel::PU_LD30 else { panic!("a curve") };
+        let knots: std::vec::Vec<[f64; 2]> = curve.knots().collect();
+        assert_eq!(MonotoneCurve::new(&knots), Ok(curve));
+        assert_eq!(knots.len(), 10);
     }
 
     #[test]

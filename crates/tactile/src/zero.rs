@@ -31,6 +31,9 @@ pub const TARE_TOUCH_COUNTS: f64 = 8.0;
 pub const LINEAR_MIN: f64 = 217.0;
 /// An untouched electrode above this has no plate: an open wire, counts.
 pub const OPEN_MIN: f64 = 1000.0;
+/// Distance from where a taxel stood at its calibration that a tare still accepts, where the calibration names none,
+/// counts: as far as drift is followed.
+pub const REST_RANGE_COUNTS: f64 = DRIFT_BUDGET;
 /// Largest change of FDAT at rest since the calibration that is scaled away, as a ratio.
 pub const GAIN_RATIO_MAX: f64 = 1.25;
 /// Largest drift that is followed before the taxel is [`TaxelStatus::Drifted`], counts.
@@ -64,6 +67,16 @@ pub enum TareRefusal {
         /// Why.
         status: TaxelStatus,
     },
+    /// The taxel does not stand where it stood untouched at its calibration: somebody touched it all the time, so
+    /// that the chip's own baseline knows no better; or the board has changed and must be calibrated again.
+    NotAtRest {
+        /// 0 is T1.
+        taxel: usize,
+        /// Mean over the tare, counts.
+        counts: f64,
+        /// What the calibration expects.
+        expected: ExpectedRest,
+    },
     /// FDAT at rest is too far from where the taxel was calibrated: calibrate again.
     Gain {
         /// 0 is T1.
@@ -75,6 +88,15 @@ pub enum TareRefusal {
     NoFrames,
     /// A fault of the stream came up during the tare.
     StreamFault,
+}
+
+/// Where a taxel stands when nothing touches it, from its calibration: a second opinion on every tare.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExpectedRest {
+    /// FDAT, counts.
+    pub counts: f64,
+    /// A tare within this distance of it is believed, counts.
+    pub range_counts: f64,
 }
 
 /// How good a zero is.
@@ -157,12 +179,12 @@ impl TareSum {
     }
 
     /// The zero, or why it cannot be one. `old` is the zero so far, if it is valid;
-    /// `calibrated_at` is FDAT at rest at the calibration, if there was one.
+    /// `expected` is where the taxel stood at its calibration, if there was one.
     pub(crate) fn finish(
         &self,
         taxel: usize,
         old: Option<&TaxelZero>,
-        calibrated_at: Option<f64>,
+        expected: Option<&ExpectedRest>,
     ) -> Result<TaxelZero, TareRefusal> {
         let unusable = |status| Err(TareRefusal::Unusable { taxel, status });
         if self.mean <= 0.0 || self.mean >= f64::from(FDAT_MAX) {
@@ -183,7 +205,12 @@ impl TareSum {
         if counts > TARE_TOUCH_COUNTS {
             return Err(TareRefusal::Touched { taxel, counts });
         }
-        let gain = calibrated_at.map_or(1.0, |rest| rest / self.mean);
+        if let Some(&expected) = expected
+            && libm::fabs(self.mean - expected.counts) > expected.range_counts
+        {
+            return Err(TareRefusal::NotAtRest { taxel, counts: self.mean, expected });
+        }
+        let gain = expected.map_or(1.0, |expected| expected.counts / self.mean);
         if !(1.0 / GAIN_RATIO_MAX..=GAIN_RATIO_MAX).contains(&gain) {
             return Err(TareRefusal::Gain { taxel, ratio: gain });
         }

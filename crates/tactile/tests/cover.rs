@@ -6,9 +6,9 @@ use moca_msgs::{Fault, TaxelStatus};
 use moca_tactile::board::{BoardEvent, CloseReason, OpenFailure};
 use moca_tactile::cover::{COMMON_MODE_FRAMES, MaskPolicy};
 use moca_tactile::datastream::{Frame, emit};
-use moca_tactile::health::{DEAD_FRAMES, STUCK_FRAMES};
-use moca_tactile::zero::{DRIFT_BUDGET, TARE_FRAMES};
-use moca_tactile::{Cover, CoverConfig, TareRefusal, TareStatus};
+use moca_tactile::health::{ABOVE_ZERO_FRAMES, DEAD_FRAMES, STUCK_FRAMES};
+use moca_tactile::zero::{DRIFT_BUDGET, ExpectedRest, TARE_FRAMES};
+use moca_tactile::{Cover, CoverConfig, TareRefusal, TareStatus, TaxelModel};
 
 const PERIOD_NS: u64 = 24_700_000;
 const IDLE: f64 = 720.0;
@@ -38,7 +38,7 @@ impl Bench {
     }
 
     fn tared() -> Self {
-        let mut bench = Self::new(CoverConfig::default());
+        let mut bench = Self::new(CoverConfig { models: [TaxelModel::PAPER; 11], ..CoverConfig::default() });
         bench.tare();
         assert!(bench.cover.zero_valid(), "{:?}", bench.cover.tare_status());
         bench
@@ -173,6 +173,71 @@ fn a_tare_is_refused_while_touched_noisy_or_without_frames() {
     let status = bench.cover.tare_status();
     let dead = TareRefusal::Unusable { taxel: 3, status: TaxelStatus::Dead };
     assert_eq!(status, TareStatus::Refused(dead));
+}
+
+#[test]
+fn a_zero_taken_under_a_hand_is_void_once_the_hand_has_gone() {
+    // The board was switched on with the hand there: its own baseline knows no better.
+    let mut bench = Bench::new(CoverConfig::default());
+    (bench.drop[2], bench.baseline) = (28.0, 692);
+    bench.tare();
+    assert!(bench.cover.zero_valid(), "nothing tells this hand from rest: {:?}", bench.cover.tare_status());
+    bench.frames(40);
+    assert!(bench.cover.zero_valid());
+
+    bench.drop[2] = 0.0;
+    assert_eq!(bench.frames_until(Fault::ZeroInvalid, 20), ABOVE_ZERO_FRAMES);
+    bench.drop[2] = 28.0;
+    bench.frames(20);
+    assert_eq!(bench.fault(), Some(Fault::ZeroInvalid), "the press would read as nothing: only a tare helps");
+    (bench.drop[2], bench.baseline) = (0.0, 720);
+    bench.tare();
+    assert_eq!(bench.fault(), None);
+}
+
+#[test]
+fn a_rise_below_the_touch_threshold_or_of_a_lost_plate_is_not_a_hand_that_left() {
+    let mut bench = Bench::tared();
+    bench.drop[2] = -3.0;
+    bench.frames(400);
+    assert_eq!(bench.fault(), None);
+    bench.drop[2] = -60.0;
+    bench.frames(40);
+    assert_eq!(bench.fault(), Some(Fault::TaxelInvalid { taxel: 2, status: TaxelStatus::Dead }));
+    assert!(bench.cover.zero_valid(), "a lost plate is named, its zero is not what is wrong");
+}
+
+#[test]
+fn a_calibration_refuses_a_tare_where_the_taxel_does_not_stand_at_rest() {
+    let expected = ExpectedRest { counts: IDLE, range_counts: 10.0 };
+    let config = CoverConfig { expected_rest: [Some(expected); 11], ..CoverConfig::default() };
+    for (drop, refused) in [(28.0, true), (-28.0, true), (8.0, false), (-8.0, false)] {
+        let mut bench = Bench::new(config);
+        (bench.drop[2], bench.baseline) = (drop, 692);
+        bench.tare();
+        let status = bench.cover.tare_status();
+        let not_at_rest = matches!(status, TareStatus::Refused(TareRefusal::NotAtRest { taxel: 2, counts, expected: e })
+                if (counts - (IDLE - drop)).abs() < 1.0 && e == expected);
+        assert_eq!(not_at_rest, refused, "{drop}: {status:?}");
+        assert_eq!(bench.cover.zero_valid(), !refused, "{drop}");
+    }
+}
+
+#[test]
+fn no_reading_is_above_the_largest_force_that_is_believed() {
+    let config = CoverConfig { force_max_n: 200.0, ..CoverConfig::default() };
+    let mut bench = Bench::new(config);
+    bench.tare();
+    bench.drop[4] = 60.0;
+    bench.frame();
+    let below_n = bench.force_n(4);
+    assert!((80.0..90.0).contains(&below_n), "{below_n}");
+    bench.drop[4] = 480.0;
+    bench.frame();
+    assert_eq!(bench.force_n(4).to_bits(), 200.0_f64.to_bits());
+    for wrong in [0.0, f64::NAN] {
+        assert!(Cover::new(CoverConfig { force_max_n: wrong, ..config }).is_err(), "{wrong}");
+    }
 }
 
 #[test]

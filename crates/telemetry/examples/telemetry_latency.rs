@@ -10,7 +10,7 @@ use moca_msgs::Sample;
 use moca_telemetry::{
     RobotDescription,
     net::{
-        Client, NetError, Ports, serve,
+        Address, Client, NetError, Ports, request_channel, serve,
         wire::{FromServer, unix_now_ns},
     },
 };
@@ -32,24 +32,27 @@ const BATCH_BYTES: usize = 7000;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let seconds: u64 = std::env::args().nth(1).map_or(Ok(25), |s| s.parse())?;
     let (mut samples, from_loop) = RingBuffer::new(4096);
-    let (requests, _requests) = RingBuffer::new(1);
-    let (_outcomes, outcomes) = RingBuffer::new(1);
+    let (requests, _robot) = request_channel();
     let ring_dropped = Arc::new(AtomicU64::new(0));
     let ports = Ports {
         samples: from_loop,
         requests,
-        outcomes,
         ring_dropped: Arc::clone(&ring_dropped),
         recorder: None,
         calibration: None,
     };
-    let any = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), 0);
-    let server = serve(any, RobotDescription::paper("latency", true), ports)?;
+    let any = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), 0).into();
+    let server = serve(&any, 0o600, RobotDescription::paper("latency", true), ports)?;
 
     let stop = Arc::new(AtomicBool::new(false));
-    let address = server.address();
-    let readers: Vec<_> = (0..2).map(|_| thread::spawn(move || read(address))).collect();
-    let stopped = TcpStream::connect(address)?;
+    let address = server.address().clone();
+    let readers: Vec<_> = (0..2)
+        .map(|_| {
+            let address = address.clone();
+            thread::spawn(move || read(&address))
+        })
+        .collect();
+    let stopped = TcpStream::connect(address.tcp().ok_or("no port")?)?;
     let echo_stop = Arc::clone(&stop);
     let echo = thread::spawn(move || echo(&echo_stop));
     thread::sleep(Duration::from_millis(200));
@@ -109,7 +112,7 @@ struct Received {
     samples: u64,
 }
 
-fn read(address: SocketAddr) -> Received {
+fn read(address: &Address) -> Received {
     // Reserved at once, so that the measurement itself does not show up as memory that grows.
     let mut received =
         Received { transit_us: Vec::with_capacity(1 << 16), age_us: Vec::with_capacity(1 << 20), samples: 0 };

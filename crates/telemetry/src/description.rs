@@ -33,6 +33,9 @@ pub struct RobotDescription {
     /// Why the speed limit that the board's rate sets is overridden, in its owner's words; empty if it is not.
     #[serde(default)]
     pub speed_override: String,
+    /// What a force is worth on a cover that has not been calibrated, in one sentence; empty if it has been.
+    #[serde(default)]
+    pub uncalibrated: String,
 }
 
 /// A serial arm of revolute joints about their own z axes. Frames: x, y, z m; roll, pitch, yaw rad (R = Rz·Ry·Rx).
@@ -103,13 +106,14 @@ impl RobotDescription {
             base_velocity_max: limits.base_velocity,
             parameters: Vec::new(),
             speed_override: String::new(),
+            uncalibrated: String::new(),
         }
     }
 
     /// MOCA-S as in the paper, at 1 kHz: a Panda on a SUMMIT-XL with 11 taxels.
     pub fn paper(name: &str, simulated: bool) -> Self {
         use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
-        let limits = Limits::PANDA_ON_SUMMIT;
+        let limits = Limits::for_arm(&PANDA);
         Self::new(name, simulated, 1e-3, &SUMMIT_XL, &MOCA_MOUNT, &PANDA, &PAPER_COVER, &limits, 0.12)
     }
 }

@@ -2,73 +2,43 @@
 #![allow(clippy::unwrap_used, missing_docs, reason = "benches")]
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, UR10E};
-use moca_msgs::{ArmTable, Corrections, ImpedanceGains, Limits, Parameters, Payload, RobotState};
-use moca_wbc::limits::OutputLimits;
-use moca_wbc::opspace::{AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
-use moca_wbc::{ArmModel, ControlInput, ControlLaw, Controller, LimitsHit, Scalar, impedance};
-use nalgebra::convert;
+use moca_wbc::limits::TorqueLimits;
+use moca_wbc::nalgebra::convert;
+use moca_wbc::opspace::{ArmDynamics, AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
+use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, UR10E};
+use moca_wbc::{
+    ArmModel, ArmTable, ControlInput, ControlLaw, Corrections, ImpedanceGains, Limits, LimitsHit, Parameters,
+    Payload, RobotState, Scalar, WholeBodyController, impedance,
+};
 use std::hint::black_box;
 
-/// The paper's parameters for an arm of any number of joints.
-fn parameters<const N: usize>(arm: &ArmTable<N>, corrections: Corrections) -> Parameters<N> {
-    let (gains, limits) = (ImpedanceGains::PAPER, Limits::PANDA_ON_SUMMIT);
-    Parameters {
-        gains: ImpedanceGains {
-            virtual_mass: gains.virtual_mass,
-            virtual_damping: gains.virtual_damping,
-            stiffness: gains.stiffness,
-            damping_ratio: gains.damping_ratio,
-            eta_base: gains.eta_base,
-            eta_arm: gains.eta_arm,
-            posture_stiffness: [50.0; N],
-            posture_damping: [5.0; N],
-            posture_rad: arm.home_rad,
-            reactivity: gains.reactivity,
-        },
-        corrections,
-        limits: Limits {
-            torque_nm: arm.torque_max_nm,
-            torque_rate_nm_s: limits.torque_rate_nm_s,
-            base_velocity: limits.base_velocity,
-            base_acceleration: limits.base_acceleration,
-            taxel_force_n: limits.taxel_force_n,
-            period_s: limits.period_s,
-        },
-    }
-}
-
 fn input<const N: usize, T: Scalar>(arm: &ArmTable<N>) -> ControlInput<N, 11, T> {
-    ControlInput {
-        robot: RobotState {
-            base_pose_world: [0.3, -0.2, 0.4].map(convert),
-            base_velocity_world: [0.1, -0.05, 0.2].map(convert),
-            q_rad: arm.home_rad.map(convert),
-            dq_rad_s: [0.1; N].map(convert),
-            torque_measured_nm: [0.0; N].map(convert),
-            flange_wrench_world: None,
-        },
-        taxel_force_n: [2.0; 11].map(convert),
+    let robot = RobotState {
+        base_pose_world: [0.3, -0.2, 0.4].map(convert),
+        base_velocity_world: [0.1, -0.05, 0.2].map(convert),
+        q_rad: arm.home_rad.map(convert),
+        dq_rad_s: [0.1; N].map(convert),
+        torque_measured_nm: [0.0; N].map(convert),
         flange_wrench_world: None,
-        dt_s: convert(1e-3),
-    }
+    };
+    ControlInput::new(robot, [2.0; 11].map(convert), convert(1e-3))
 }
 
 fn steps<const N: usize, T: Scalar>(c: &mut Criterion, arm: &ArmTable<N>, name: &str) {
     let mut group = c.benchmark_group("tick");
-    let all = Corrections { null_space_damping: true, base_coupling: true, flange_feed: true };
+    let all = Corrections { null_space_damping: true, base_coupling: true, flange_wrench_feedforward: true };
     for (law, corrections, label) in [
         (ControlLaw::Hold, Corrections::LITERAL, "hold"),
         (ControlLaw::Impedance, Corrections::LITERAL, "impedance"),
         (ControlLaw::Impedance, all, "impedance-corrected"),
         (ControlLaw::FollowMe, Corrections::LITERAL, "follow-me"),
     ] {
-        let controller = Controller::<N, 11, T>::new(
+        let controller = WholeBodyController::<N, 11, T>::new(
             arm,
             &MOCA_MOUNT,
             &Payload::NONE,
             &PAPER_COVER,
-            &parameters(arm, corrections),
+            &Parameters { corrections, ..Parameters::for_arm(arm) },
         )
         .unwrap();
         let input = input::<N, T>(arm);
@@ -107,7 +77,8 @@ fn parts<const N: usize, T: Scalar>(c: &mut Criterion, arm: &ArmTable<N>, name: 
     group.bench_function(BenchmarkId::new("law-block-h", name), |b| {
         b.iter(|| {
             let (base, arm) = *black_box(&jacobians);
-            let task = TaskDynamics::new(base, arm, virtual_mass, black_box(&mass)).unwrap();
+            let arm = ArmDynamics::new(arm, black_box(&mass)).unwrap();
+            let task = TaskDynamics::new(base, virtual_mass, &arm);
             block.factor(&task).unwrap().force(black_box(&wrench), black_box(&null))
         });
     });
@@ -115,20 +86,23 @@ fn parts<const N: usize, T: Scalar>(c: &mut Criterion, arm: &ArmTable<N>, name: 
     group.bench_function(BenchmarkId::new("law-general-h", name), |b| {
         b.iter(|| {
             let (base, arm) = *black_box(&jacobians);
-            let task = TaskDynamics::new(base, arm, virtual_mass, black_box(&mass)).unwrap();
+            let arm = ArmDynamics::new(arm, black_box(&mass)).unwrap();
+            let task = TaskDynamics::new(base, virtual_mass, &arm);
             general.force(&task, black_box(&wrench), black_box(&null)).unwrap()
         });
     });
-    let mobility = TaskDynamics::new(jacobians.0, jacobians.1, virtual_mass, &mass).unwrap().mobility();
+    let arm_dynamics = ArmDynamics::new(jacobians.1, &mass).unwrap();
+    let inverse_task_inertia =
+        TaskDynamics::new(jacobians.0, virtual_mass, &arm_dynamics).inverse_task_inertia();
     let stiffness = ImpedanceGains::PAPER.stiffness.map(convert);
     group.bench_function(BenchmarkId::new("damping-design", name), |b| {
-        b.iter(|| impedance::damping(black_box(&mobility), &stiffness, convert(0.9)).unwrap());
+        b.iter(|| impedance::damping(black_box(&inverse_task_inertia), &stiffness, convert(0.9)).unwrap());
     });
-    let limits = OutputLimits::<N, T>::from(&parameters(arm, Corrections::LITERAL).limits);
+    let limits = TorqueLimits::<N, T>::from(&Limits::for_arm(arm));
     group.bench_function(BenchmarkId::new("limits", name), |b| {
         b.iter(|| {
             let mut hit = LimitsHit::default();
-            let torque = limits.torque(black_box(&null.arm), black_box(&dq), convert(1e-3), &mut hit);
+            let torque = limits.limited(black_box(&null.arm), black_box(&dq), convert(1e-3), &mut hit);
             (torque, hit)
         });
     });

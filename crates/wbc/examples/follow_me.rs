@@ -4,47 +4,16 @@
 //! stands still, which is what follow-me's base sees of it.
 #![allow(clippy::print_stdout, reason = "an example shows its result")]
 
-use moca_msgs::robot::{MOCA_MOUNT, PAPER_COVER, UR10E};
-use moca_msgs::{Corrections, ImpedanceGains, Limits, Parameters, Payload, RobotState};
-use moca_wbc::{ControlInput, ControlLaw, Controller};
+use moca_wbc::robot::{MOCA_MOUNT, PAPER_COVER, UR10E};
+use moca_wbc::{ControlInput, ControlLaw, Parameters, Payload, RobotState, WholeBodyController};
 
 const DT_S: f64 = 1e-3;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let (gains, limits) = (ImpedanceGains::PAPER, Limits::PANDA_ON_SUMMIT);
-    let parameters = Parameters::<6> {
-        gains: ImpedanceGains {
-            virtual_mass: gains.virtual_mass,
-            virtual_damping: gains.virtual_damping,
-            stiffness: gains.stiffness,
-            damping_ratio: gains.damping_ratio,
-            eta_base: gains.eta_base,
-            eta_arm: gains.eta_arm,
-            posture_stiffness: [90.0; 6],
-            posture_damping: [10.0; 6],
-            posture_rad: UR10E.home_rad,
-            reactivity: gains.reactivity,
-        },
-        corrections: Corrections::LITERAL,
-        limits: Limits {
-            torque_nm: UR10E.torque_max_nm,
-            torque_rate_nm_s: limits.torque_rate_nm_s,
-            base_velocity: limits.base_velocity,
-            base_acceleration: limits.base_acceleration,
-            taxel_force_n: limits.taxel_force_n,
-            period_s: limits.period_s,
-        },
-    };
-    let controller: Controller<6, 11> =
-        Controller::new(&UR10E, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &parameters)?;
-    let mut robot = RobotState {
-        base_pose_world: [0.0; 3],
-        base_velocity_world: [0.0; 3],
-        q_rad: UR10E.home_rad,
-        dq_rad_s: [0.0; 6],
-        torque_measured_nm: [0.0; 6],
-        flange_wrench_world: None,
-    };
+    let parameters = Parameters::for_arm(&UR10E);
+    let controller: WholeBodyController<6, 11> =
+        WholeBodyController::new(&UR10E, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &parameters)?;
+    let mut robot = RobotState::at_rest(UR10E.home_rad);
     let mut state = controller.enter(ControlLaw::FollowMe, &robot)?;
     println!("{:>5} {:>26} {:>34}", "t [s]", "cover, flange x [N]", "base x, y [m], yaw [rad]");
     for tick in 0..4000_u32 {
@@ -54,10 +23,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         taxel_force_n[5] = if t < 3.0 { 10.0 } else { 0.0 };
         let pull = if t > 1.0 { 10.0 } else { 0.0 };
         let input = ControlInput {
-            robot,
-            taxel_force_n,
             flange_wrench_world: Some([pull, 0.0, 0.0, 0.0, 0.0, 0.0]),
-            dt_s: DT_S,
+            ..ControlInput::new(robot, taxel_force_n, DT_S)
         };
         let output = controller.step(ControlLaw::FollowMe, &mut state, &input)?;
         if tick % 500 == 0 {

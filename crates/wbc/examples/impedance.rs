@@ -4,26 +4,20 @@
 //! crate's own mass matrix.
 #![allow(clippy::print_stdout, reason = "an example shows its result")]
 
-use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
-use moca_msgs::{Corrections, Parameters, Payload, RobotState};
 use moca_wbc::linalg::{Cholesky, times};
-use moca_wbc::{ControlInput, ControlLaw, Controller};
+use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
+use moca_wbc::{
+    ControlInput, ControlLaw, Corrections, Parameters, Payload, RobotCommand, RobotState, WholeBodyController,
+};
 
 const DT_S: f64 = 1e-3;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let corrections = Corrections { null_space_damping: true, base_coupling: true, ..Corrections::LITERAL };
     let parameters = Parameters { corrections, ..Parameters::PAPER };
-    let controller: Controller<7, 11> =
-        Controller::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &parameters)?;
-    let mut robot = RobotState {
-        base_pose_world: [0.0; 3],
-        base_velocity_world: [0.0; 3],
-        q_rad: PANDA.home_rad,
-        dq_rad_s: [0.0; 7],
-        torque_measured_nm: [0.0; 7],
-        flange_wrench_world: Some([0.0; 6]),
-    };
+    let controller: WholeBodyController<7, 11> =
+        WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &parameters)?;
+    let mut robot = RobotState { flange_wrench_world: Some([0.0; 6]), ..RobotState::at_rest(PANDA.home_rad) };
     let mut state = controller.enter(ControlLaw::Impedance, &robot)?;
     println!(
         "{:>5} {:>28} {:>22} {:>12}",
@@ -33,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let t = f64::from(tick) * DT_S;
         let mut taxel_force_n = [0.0; 11];
         taxel_force_n[1] = 15.0 * (t / 0.3).min((3.0 - t) / 0.3).min(1.0);
-        let input = ControlInput { robot, taxel_force_n, flange_wrench_world: None, dt_s: DT_S };
+        let input = ControlInput::new(robot, taxel_force_n, DT_S);
         let output = controller.step(ControlLaw::Impedance, &mut state, &input)?;
         if tick % 300 == 0 {
             let [x, y, yaw] = robot.base_pose_world;
@@ -48,9 +42,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 /// Base follows its command at once; M q̈_A + M_AB q̈_B + C q̇ + g = τ.
 fn move_plant(
-    controller: &Controller<7, 11>,
+    controller: &WholeBodyController<7, 11>,
     robot: &mut RobotState<7>,
-    command: &moca_msgs::RobotCommand<7>,
+    command: &RobotCommand<7>,
 ) -> Result<(), &'static str> {
     let (s, c) = robot.base_pose_world[2].sin_cos();
     let [vx, vy, wz] = command.base_velocity_body;

@@ -7,6 +7,17 @@
 //! a massless one D > (2/π)·kT; and D = 0 is never stable with a delay.
 //!
 //! Analysis, not control: f64 only, and every search takes a fixed number of steps.
+//!
+//! ```
+//! use moca_wbc::contact_stability::{Contact, largest_speed, least_damping, reading_delay_s};
+//!
+//! // a leg on the cover, read every 24.7 ms and 20 ms old, under a servo of 15 ms
+//! let delay_s = reading_delay_s(0.020, 0.0247, 1e-3);
+//! let contact = Contact { stiffness_n_m: 8000.0, damping_n_s_m: 0.0, delay_s, servo_s: 0.015 };
+//! assert!(least_damping(4.0, &contact)? > 80.0, "the paper's 80 N·s/m would chatter");
+//! assert!(largest_speed(25.0, 7.1e-3, 3.0, &contact)? < 0.06, "m/s");
+//! # Ok::<(), moca_wbc::ParameterError>(())
+//! ```
 
 use moca_msgs::{ParameterError, TaxelPlacement};
 #[allow(unused_imports, reason = "where std is linked, f64 has these methods by itself")]

@@ -1,4 +1,18 @@
 //! The whole plant with its physical base: what a simulator integrates, not what the law of eq. (3) uses.
+//!
+//! ```
+//! use moca_wbc::coupled::CoupledDynamics;
+//! use moca_wbc::robot::{MOCA_MOUNT, PANDA, SUMMIT_XL};
+//! use moca_wbc::{ArmModel, Payload};
+//!
+//! let model: ArmModel<7, f64> = ArmModel::new(&PANDA, &MOCA_MOUNT, &Payload::NONE)?;
+//! let kinematics = model.kinematics(0.0, &PANDA.home_rad);
+//! let inertias = model.link_inertias(&kinematics);
+//! let plant = CoupledDynamics::new(&model, &SUMMIT_XL, &kinematics, &inertias, &[0.0; 3], &[0.0; 7]);
+//! let mass_kg = plant.base[(0, 0)];
+//! assert!(mass_kg > SUMMIT_XL.mass_kg && mass_kg < SUMMIT_XL.mass_kg + 20.0, "base and arm together");
+//! # Ok::<(), moca_wbc::ParameterError>(())
+//! ```
 
 use crate::model::{ArmModel, Kinematics, LinkInertias};
 use crate::opspace::WholeBodyForce;

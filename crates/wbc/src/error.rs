@@ -15,6 +15,11 @@ pub enum ControlError {
         /// What was given, s.
         dt_s: f64,
     },
+    /// Speed limit of a guard below 0 m/s.
+    GuardSpeed {
+        /// What was given, m/s.
+        speed_m_s: f64,
+    },
     /// Quaternion whose length is not 1.
     NotUnit {
         /// What was given.
@@ -32,6 +37,7 @@ impl core::fmt::Display for ControlError {
         match self {
             Self::NotFinite { what, index } => write!(f, "{what}[{index}] is not a finite number"),
             Self::Step { dt_s } => write!(f, "time since the last step = {dt_s} s is not above 0 s"),
+            Self::GuardSpeed { speed_m_s } => write!(f, "guard speed = {speed_m_s} m/s is below 0 m/s"),
             Self::NotUnit { norm } => write!(f, "quaternion of length {norm} is outside 0.999 to 1.001"),
             Self::NotPositiveDefinite { what } => write!(f, "{what} is not positive definite"),
         }

@@ -1,6 +1,16 @@
 //! Expanded follow-me, eqs. (12)–(16): a hand at the flange or on the cover leads the base, the arm keeps its pose on it.
 //!
-//! The arm's part, eq. (15), is [`crate::opspace::TaskDynamics::arm_torque`].
+//! The arm's part, eq. (15), is [`crate::opspace::ArmDynamics::torque`].
+//!
+//! ```
+//! use moca_wbc::follow_me::{base_wrench, moved};
+//! use moca_wbc::nalgebra::{Matrix3, Vector3};
+//!
+//! // 10 N sideways at a flange half a metre in front of the arm base, which stands 0.2 m in front of B
+//! let about_arm = moved(&[0.0, 10.0, 0.0, 0.0, 0.0, 0.0], &Vector3::new(0.5, 0.0, 0.6));
+//! let led = base_wrench(&Matrix3::identity(), &Vector3::new(0.2, 0.0, 0.5), &about_arm);
+//! assert_eq!(led, [0.0, 10.0, 7.0], "N, N, N·m about B");
+//! ```
 
 use crate::scalar::Scalar;
 use nalgebra::{Matrix3, Vector3};

@@ -1,8 +1,20 @@
 //! What protects the people around the base: a speed limit for every point of the cover, and touched taxels that must
 //! not move outward. Pure; a convex set of velocities that always holds standing still.
+//!
+//! ```
+//! use moca_wbc::guard::{BaseGuard, CoverOutline};
+//! use moca_wbc::robot::PAPER_COVER;
+//!
+//! let outline: CoverOutline<11, f64> = CoverOutline::new(&PAPER_COVER);
+//! let mut guard = BaseGuard::NONE;
+//! guard.blocked[5] = true; // a hand on T6: not forward
+//! let [x, y, _] = outline.guarded(&guard, &[0.2, 0.1, 0.0]);
+//! assert!(x.abs() < 1e-12 && (y - 0.1).abs() < 1e-12, "sideways it may");
+//! ```
 
+use crate::error::{ControlError, finite};
 use crate::scalar::{Scalar, of};
-use moca_msgs::{ParameterError, TaxelPlacement};
+use moca_msgs::TaxelPlacement;
 
 /// Fastest motion outward that still counts as none, m/s and rad/s: rounding, not creep.
 pub const STANDSTILL: f64 = 1e-9;
@@ -23,22 +35,16 @@ impl<const K: usize, T: Scalar> BaseGuard<K, T> {
     pub const NONE: Self = Self { speed_m_s: None, blocked: [false; K], instead_body: None };
 
     /// # Errors
-    /// A speed that is negative or not finite.
-    pub fn check(&self) -> Result<(), ParameterError> {
-        let numbers = self.instead_body.iter().flatten().map(|v| v.abs()).chain(self.speed_m_s);
-        for value in numbers {
-            let value = nalgebra::try_convert::<T, f64>(value).unwrap_or(f64::NAN);
-            if !(0.0..=100.0).contains(&value) {
-                return Err(ParameterError {
-                    name: "guarded speed",
-                    value,
-                    unit: "m/s",
-                    min: 0.0,
-                    max: 100.0,
-                });
-            }
+    /// A number that is not finite, or a speed limit below 0.
+    pub(crate) fn check(&self) -> Result<(), ControlError> {
+        finite("guard.instead_body", self.instead_body.as_ref().map_or(&[], |v| &v[..]))?;
+        let Some(speed) = self.speed_m_s else { return Ok(()) };
+        finite("guard.speed_m_s", &[speed])?;
+        if speed >= T::zero() {
+            Ok(())
+        } else {
+            Err(ControlError::GuardSpeed { speed_m_s: nalgebra::try_convert(speed).unwrap_or(f64::NAN) })
         }
-        Ok(())
     }
 }
 
@@ -52,7 +58,7 @@ pub struct CoverOutline<const K: usize, T> {
 }
 
 impl<const K: usize, T: Scalar> CoverOutline<K, T> {
-    /// The cover of `taxels`; a table that [`crate::cover::Cover::new`] has checked.
+    /// The cover of `taxels`; a table that [`crate::cover_map::CoverMap::new`] has checked.
     pub fn new(taxels: &[TaxelPlacement; K]) -> Self {
         let most = |axis: usize| taxels.iter().fold(0.0_f64, |m, t| m.max(t.position_base_m[axis].abs()));
         Self {

@@ -1,4 +1,18 @@
 //! Expanded Cartesian impedance, eqs. (10)–(11): the wrench at the tool and the null-space forces.
+//!
+//! ```
+//! use moca_wbc::impedance::{damping, pose_error, wrench};
+//! use moca_wbc::nalgebra::{Matrix3, SMatrix, Vector3};
+//!
+//! let (here, axes) = (Vector3::new(0.5, 0.0, 1.0), Matrix3::identity());
+//! let error = pose_error((&here, &axes), (&Vector3::new(0.5, 0.0, 1.01), &axes));
+//! let stiffness = [800.0, 800.0, 800.0, 40.0, 40.0, 40.0];
+//! let inverse_task_inertia = SMatrix::<f64, 6, 6>::identity() * 0.25; // 4 kg, 4 kg·m²
+//! let damping = damping(&inverse_task_inertia, &stiffness, 1.0)?;
+//! let force = wrench(&stiffness, &damping, &error, &[0.0; 6]);
+//! assert!((force[2] - 8.0).abs() < 1e-9, "N for a centimetre");
+//! # Ok::<(), moca_wbc::ControlError>(())
+//! ```
 
 use crate::error::ControlError;
 use crate::linalg::{Cholesky, inverse_square_root};
@@ -17,21 +31,21 @@ pub fn pose_error<T: Scalar>(
     [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
 }
 
-/// D_d = A√K + √K·A with A = ζ·Λ^½, from the mobility Λ⁻¹ and the stiffness (N/m, N·m/rad). eq. (10)
+/// D_d = A√K + √K·A with A = ζ·Λ^½, from Λ⁻¹ = J M⁻¹ Jᵀ and the stiffness (N/m, N·m/rad). eq. (10)
 ///
 /// Near a singularity that sum can be indefinite: it would feed energy in. The symmetric product 2·K^¼·A·K^¼, which is
 /// the same wherever A and K commute, then stands in.
 ///
 /// # Errors
-/// [`ControlError::NotPositiveDefinite`] if the mobility is not even semi-definite (NaN).
+/// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
 #[inline]
 pub fn damping<T: Scalar>(
-    mobility: &SMatrix<T, 6, 6>,
+    inverse_task_inertia: &SMatrix<T, 6, 6>,
     stiffness: &[T; 6],
     ratio: T,
 ) -> Result<SMatrix<T, 6, 6>, ControlError> {
-    let root = inverse_square_root(mobility)
-        .ok_or(ControlError::NotPositiveDefinite { what: "mobility of the tool" })?;
+    let root = inverse_square_root(inverse_task_inertia)
+        .ok_or(ControlError::NotPositiveDefinite { what: "J M⁻¹ Jᵀ" })?;
     let k = stiffness.map(nalgebra::ComplexField::sqrt);
     let sum = SMatrix::<T, 6, 6>::from_fn(|i, j| ratio * root[(i, j)] * (k[i] + k[j]));
     let mut shifted = sum;

@@ -4,37 +4,37 @@
 //! equation numbers are that paper's, with its misprints put right.
 //!
 //! # Which layer do I need?
-//! 1. **A controller** for a loop: [`Controller`] (constant configuration), [`ControllerState`] (what it remembers; it
-//!    is yours) and [`Controller::step`] (measurements in, command inside every limit out).
-//!    [`Controller::step_base`] drives a base without an arm; an arm without a cover is [`ControlLaw::FollowMe`] with no
-//!    taxels (`Controller<7, 0>`).
+//! 1. **A controller** for a loop: [`WholeBodyController`] (constant configuration), [`ControllerState`] (what it
+//!    remembers; it is yours) and [`WholeBodyController::step`] (measurements in, command inside every limit out). A base
+//!    without an arm is a [`BaseController`], an arm without a cover an [`ArmController`]; the whole is made of these two.
 //! 2. **The laws** alone, to build another controller: [`opspace`], [`impedance`], [`follow_me`], [`admittance`],
-//!    [`cover`], [`limits`], [`guard`], [`observer`].
-//! 3. **The model** alone: [`ArmModel`] from a table of [`moca_msgs::robot`]; [`model::Kinematics`] gives poses,
-//!    Jacobians, mass matrix and bias in world axes; [`coupled`] adds the physical base.
+//!    [`cover_map`], [`limits`], [`guard`], [`momentum_observer`].
+//! 3. **The model** alone: [`ArmModel`] from a table of [`robot`]; [`model::Kinematics`] gives poses, Jacobians, mass
+//!    matrix and bias in world axes; [`coupled`] adds the physical base.
 //! 4. **Analysis**: [`contact_stability`] answers whether a cover is stable against a body and how fast its base may go.
 //!
-//! Numbers of joints and taxels are const generics, the scalar is `f32` or `f64`. Runnable:
-//! `cargo run -p moca-wbc --example impedance` and `--example follow_me`.
+//! Numbers of joints and taxels are const generics, the scalar is `f32` or `f64`. What a user needs of `moca-msgs` and
+//! `nalgebra` is re-exported: one dependency is enough. Runnable: `cargo run -p moca-wbc --example impedance` and
+//! `--example follow_me`.
 //!
 //! # Equation → function
 //! | eq. | what | where |
 //! |---|---|---|
 //! | (2) | base admittance, exact zero-order hold | [`admittance::step`] |
 //! | (3) | M = blkdiag(M_v, M_A), C q̇ + g of the arm | [`opspace::TaskDynamics::new`], [`model::Kinematics::bias`] |
-//! | (4), (5) | cover wrench on the base | [`cover_wrench`], [`cover::Cover::wrench`] |
+//! | (4), (5) | cover wrench on the base | [`cover_wrench`], [`cover_map::CoverMap::wrench`] |
 //! | (6), (7), (9) | weighted torques, η_B and η_A | [`opspace::BlockWeight`] |
 //! | (6)–(8) | weighted torques, any diagonal H | [`opspace::AxisWeight`] |
 //! | (10) | pose error, damping design, task wrench | [`impedance::pose_error`], [`impedance::damping`], [`impedance::wrench`] |
 //! | (11) | null-space posture | [`impedance::posture_torque`] |
 //! | (12)–(14) | what the base follows of a wrench on the arm | [`follow_me::moved`], [`follow_me::base_wrench`] |
-//! | (15) | the arm's own task torques | [`opspace::TaskDynamics::arm_torque`] |
+//! | (15) | the arm's own task torques | [`opspace::ArmDynamics::torque`] |
 //! | (16) | task wrench relative to the base | [`impedance::wrench`] |
 //!
 //! # What the literal law leaves out
 //! Each of [`moca_msgs::Corrections`] is off by default in the paper's experiments. Largest flange error in 3 s pushes
 //! of 20 N at T1 and at T6 (closed loop of `tests/closed_loop.rs`): literal 4.7 and 10.4 mm; `null_space_damping` 1.1
-//! and 1.8 mm; with `base_coupling` as well 0.30 and 0.38 mm. `flange_feed`: 15 N sideways at the flange moves it 8.8 mm
+//! and 1.8 mm; with `base_coupling` as well 0.30 and 0.38 mm. `flange_wrench_feedforward`: 15 N sideways at the flange moves it 8.8 mm
 //! and the base against the push; fed, 18.8 mm (its stiffness) and the base follows.
 //!
 //! # Signs and points
@@ -46,7 +46,7 @@
 //! Each row is a test of `tests/extremes.rs`; `moca-lab extremes` prints condition numbers, errors and times.
 //! | end | what to expect |
 //! |---|---|
-//! | arm upright (singular) | the direction that cannot move gets no torque; the arm folds out within the leash |
+//! | arm upright (singular) | the direction that cannot move gets no torque; the arm folds out within the saturated error |
 //! | near it by 1e-2 … 1e-8 rad | error ≤ 16·ε·condition, bounded torques; singular to rounding at 1e-8 (f64), 1e-4 (f32) |
 //! | η_B/η_A = 1e-3 … 1e3 | torques exact to 1e-14; below 0.01 the literal law lets base and servo chatter, bounded by the limits |
 //! | M_v = 0.01 … 1000 kg | stable; with `null_space_damping` below 0.5 kg refused: it would chatter on any real servo |
@@ -56,7 +56,7 @@
 //! | 1e4 N on a taxel | taken as `taxel_force_n`, and reported in [`LimitsHit`] |
 //! | NaN or infinity in any input | [`ControlError`] naming the input; the state is as it was |
 //! | quaternion q or −q | one rotation |
-//! | orientation error of π | one of the two axes; the leash bounds its pull and the reference turns at 1 rad/s |
+//! | orientation error of π | one of the two axes; its pull saturates and the reference turns at 1 rad/s |
 //!
 //! # What this crate refuses to know
 //! A clock (time is an argument), an allocator, a port, a log, a file, the simulator, which taxel reading is still
@@ -69,12 +69,14 @@
 #![forbid(unsafe_code)]
 #![expect(clippy::needless_range_loop, reason = "matrix algorithms read as in the books: by index")]
 
+#[cfg(feature = "testing")]
+extern crate std;
+
 pub mod admittance;
 pub mod contact_stability;
-mod controller;
+pub mod controller;
 pub mod coupled;
-pub mod cover;
-mod door;
+pub mod cover_map;
 mod error;
 pub mod follow_me;
 mod gains;
@@ -83,21 +85,33 @@ pub mod impedance;
 pub mod limits;
 pub mod linalg;
 pub mod model;
-pub mod observer;
+pub mod momentum_observer;
 pub mod opspace;
 pub mod reference;
 pub mod rotation;
 mod scalar;
 mod spatial;
-mod state;
-mod tick;
+mod state_check;
+#[cfg(feature = "testing")]
+pub mod testing;
 
-pub use controller::{CARRY_FADE_S, Controller, LIGHTEST_DAMPED_BASE, LONGEST_STEP_S};
-pub use cover::cover_wrench;
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
+
+pub use controller::{
+    ArmController, ArmInput, ArmOutput, ArmState, BaseController, BaseInput, BaseOutput, BaseState,
+    ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose, WholeBodyController,
+};
+pub use cover_map::cover_wrench;
 pub use error::ControlError;
-pub use gains::{GAIN_FILTER_S, Gains};
+pub use gains::GAIN_FILTER_S;
 pub use guard::BaseGuard;
 pub use limits::LimitsHit;
+pub use moca_msgs::{
+    ArmTable, BaseTable, Corrections, ImpedanceGains, Law, Limits, Mount, ParameterError, Parameters,
+    Payload, RobotCommand, RobotState, TaxelPlacement, robot,
+};
 pub use model::ArmModel;
+pub use nalgebra;
 pub use scalar::Scalar;
-pub use state::{ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose};

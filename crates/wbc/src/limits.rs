@@ -1,4 +1,16 @@
 //! Limits on what leaves the controllers: pure functions, each with a property test that nothing gets past it.
+//!
+//! ```
+//! use moca_wbc::limits::TorqueLimits;
+//! use moca_wbc::robot::PANDA;
+//! use moca_wbc::{Limits, LimitsHit};
+//!
+//! let limits = TorqueLimits::<7, f64>::from(&Limits::for_arm(&PANDA));
+//! let mut hit = LimitsHit::NONE;
+//! let torque = limits.limited(&[50.0; 7], &[0.0; 7], 1e-3, &mut hit);
+//! assert_eq!(torque, [1.0; 7], "1000 N·m/s for a millisecond");
+//! assert!(hit.torque_rate && hit.torque, "the wrist has 12 N·m");
+//! ```
 
 use crate::guard::{BaseGuard, CoverOutline};
 use crate::scalar::{Scalar, all, of};
@@ -26,66 +38,97 @@ pub struct LimitsHit {
     pub guard: bool,
     /// A joint is in the band before its limit and is pushed back.
     pub joint_range: bool,
-    /// The pose error is longer than the leash.
-    pub leash: bool,
+    /// The pose error is longer than the law acts on ([`crate::reference::ERROR_SATURATION_M`]).
+    pub error_saturation: bool,
 }
 
-/// Limits in the scalar of the computation, units as in [`Limits`].
+impl LimitsHit {
+    /// None was met.
+    pub const NONE: Self = Self {
+        torque: false,
+        torque_rate: false,
+        base_velocity: false,
+        base_acceleration: false,
+        taxel_force: false,
+        guard: false,
+        joint_range: false,
+        error_saturation: false,
+    };
+}
+
+/// Limits of the arm's torques in the scalar of the computation, units as in [`Limits`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OutputLimits<const N: usize, T> {
+pub struct TorqueLimits<const N: usize, T> {
     torque: [T; N],
     torque_rate: T,
-    base_velocity: [T; 3],
-    base_acceleration: [T; 3],
-    taxel_force: T,
     period_s: T,
 }
 
-impl<const N: usize, T: Scalar> From<&Limits<N>> for OutputLimits<N, T> {
+impl<const N: usize, T: Scalar> From<&Limits<N>> for TorqueLimits<N, T> {
     fn from(limits: &Limits<N>) -> Self {
         Self {
             torque: all(&limits.torque_nm),
             torque_rate: of(limits.torque_rate_nm_s),
-            base_velocity: all(&limits.base_velocity),
-            base_acceleration: all(&limits.base_acceleration),
-            taxel_force: of(limits.taxel_force_n),
             period_s: of(limits.period_s),
         }
     }
 }
 
-impl<const N: usize, T: Scalar> OutputLimits<N, T> {
-    /// Time that rate limits credit: a late step may not change more than a punctual one, because the robot sees one
-    /// change at one instant.
-    fn credited(&self, dt_s: T) -> T {
-        dt_s.min(self.period_s)
-    }
-
-    /// `wanted` inside the torque limits and no further from `last` than the rate allows.
-    pub fn torque(&self, wanted: &[T; N], last: &[T; N], dt_s: T, hit: &mut LimitsHit) -> [T; N] {
-        let change = self.torque_rate * self.credited(dt_s);
+impl<const N: usize, T: Scalar> TorqueLimits<N, T> {
+    /// `wanted` inside the torque limits and no further from `last` than the rate allows, N·m. A late step may not
+    /// change more than a punctual one, because the robot sees one change at one instant.
+    pub fn limited(&self, wanted: &[T; N], last: &[T; N], dt_s: T, hit: &mut LimitsHit) -> [T; N] {
+        let change = self.torque_rate * dt_s.min(self.period_s);
         core::array::from_fn(|i| {
             let inside = clamp(wanted[i], -self.torque[i], self.torque[i], &mut hit.torque);
             let last = last[i].clamp(-self.torque[i], self.torque[i]);
             clamp(inside, last - change, last + change, &mut hit.torque_rate)
         })
     }
+}
+
+/// Limits of the base and of what its cover is believed, in the scalar of the computation, units as in [`Limits`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BaseLimits<T> {
+    velocity: [T; 3],
+    acceleration: [T; 3],
+    taxel_force: T,
+    period_s: T,
+}
+
+impl<const N: usize, T: Scalar> From<&Limits<N>> for BaseLimits<T> {
+    fn from(limits: &Limits<N>) -> Self {
+        Self {
+            velocity: all(&limits.base_velocity),
+            acceleration: all(&limits.base_acceleration),
+            taxel_force: of(limits.taxel_force_n),
+            period_s: of(limits.period_s),
+        }
+    }
+}
+
+impl<T: Scalar> BaseLimits<T> {
+    /// Largest change of the velocity along axis `i` in a step of `dt_s`; as for torques, a late step earns no more
+    /// than a punctual one.
+    fn change(&self, i: usize, dt_s: T) -> T {
+        self.acceleration[i] * dt_s.min(self.period_s)
+    }
 
     /// `wanted` (axes of B) inside the base's limits and no further from `last` than its acceleration allows.
-    pub fn base_velocity(&self, wanted: &[T; 3], last: &[T; 3], dt_s: T, hit: &mut LimitsHit) -> [T; 3] {
+    pub fn velocity(&self, wanted: &[T; 3], last: &[T; 3], dt_s: T, hit: &mut LimitsHit) -> [T; 3] {
         core::array::from_fn(|i| {
-            let most = self.base_velocity[i];
-            let change = self.base_acceleration[i] * self.credited(dt_s);
+            let most = self.velocity[i];
+            let change = self.change(i, dt_s);
             let inside = clamp(wanted[i], -most, most, &mut hit.base_velocity);
             // a limit that was lowered is approached with the allowed acceleration
             clamp(inside, last[i] - change, last[i] + change, &mut hit.base_acceleration)
         })
     }
 
-    /// As [`Self::base_velocity`], and inside `guard` as soon as the acceleration allows. A guard that has nothing to
+    /// As [`Self::velocity`], and inside `guard` as soon as the acceleration allows. A guard that has nothing to
     /// object to changes no bit; else the velocity goes straight to what it permits, because only on the straight line
     /// between two permitted velocities is every one permitted.
-    pub fn guarded_base_velocity<const K: usize>(
+    pub fn guarded_velocity<const K: usize>(
         &self,
         outline: &CoverOutline<K, T>,
         guard: &BaseGuard<K, T>,
@@ -95,7 +138,7 @@ impl<const N: usize, T: Scalar> OutputLimits<N, T> {
         hit: &mut LimitsHit,
     ) -> [T; 3] {
         let mut unguarded_hit = *hit;
-        let unguarded = self.base_velocity(wanted, last, dt_s, &mut unguarded_hit);
+        let unguarded = self.velocity(wanted, last, dt_s, &mut unguarded_hit);
         if guard.instead_body.is_none() && outline.permits(guard, &unguarded) {
             *hit = unguarded_hit;
             return unguarded;
@@ -103,7 +146,7 @@ impl<const N: usize, T: Scalar> OutputLimits<N, T> {
         hit.guard = true;
         let mut target = outline.guarded(guard, wanted);
         for i in 0..3 {
-            let most = self.base_velocity[i];
+            let most = self.velocity[i];
             if target[i].abs() > most {
                 hit.base_velocity = true;
                 target = target.map(|v| v * (most / target[i].abs()));
@@ -111,7 +154,7 @@ impl<const N: usize, T: Scalar> OutputLimits<N, T> {
         }
         let mut share = T::one();
         for i in 0..3 {
-            let change = self.base_acceleration[i] * self.credited(dt_s);
+            let change = self.change(i, dt_s);
             let distance = (target[i] - last[i]).abs();
             if distance > change {
                 hit.base_acceleration = true;

@@ -1,5 +1,16 @@
 //! Small dense kernels with constant sizes. Cholesky is the only factorisation in the control path: it takes a fixed
 //! number of steps for any input and refuses what is not positive definite, NaN included.
+//!
+//! ```
+//! use moca_wbc::linalg::Cholesky;
+//! use moca_wbc::nalgebra::Matrix2;
+//!
+//! let factor = Cholesky::new(&Matrix2::new(4.0, 2.0, 2.0, 3.0)).ok_or("not positive definite")?;
+//! assert_eq!(factor.solve(&[8.0, 8.0]), [1.0, 2.0]);
+//! assert!(Cholesky::new(&Matrix2::new(1.0, 2.0, 2.0, 1.0)).is_none());
+//! assert!(Cholesky::new(&Matrix2::new(f64::NAN, 0.0, 0.0, 1.0)).is_none());
+//! # Ok::<(), &str>(())
+//! ```
 
 use crate::scalar::{Scalar, of};
 use nalgebra::SMatrix;

@@ -3,6 +3,20 @@
 //! Everything is computed in world axes about the arm base's origin (A), so that Jacobian, mass matrix and bias need
 //! no later rotation and lose no digits to the base's place in the world. The four passes over the joints are never
 //! inlined: inside a whole step compilers stop unrolling their loops.
+//!
+//! ```
+//! use moca_wbc::robot::{MOCA_MOUNT, PANDA};
+//! use moca_wbc::{ArmModel, Payload};
+//!
+//! let model: ArmModel<7, f64> = ArmModel::new(&PANDA, &MOCA_MOUNT, &Payload::NONE)?;
+//! let kinematics = model.kinematics(0.0, &PANDA.home_rad);
+//! let inertias = model.link_inertias(&kinematics);
+//! let mass = kinematics.mass_matrix(&inertias).arm;
+//! assert_eq!(mass, mass.transpose());
+//! assert_eq!(kinematics.bias(&inertias, &[0.0; 7]).len(), 7);
+//! assert!(kinematics.tool_from_base().z > 1.0, "the flange is above a metre");
+//! # Ok::<(), moca_wbc::ParameterError>(())
+//! ```
 
 use crate::rotation::{self, Heading};
 use crate::scalar::{Scalar, all, of};

@@ -3,6 +3,25 @@
 //! Of all torques with J̄ᵀτ = F these are the ones nearest to τ_0 in (τ − τ_0)ᵀW(τ − τ_0), W = Hᵀ M⁻¹ H. The weight H
 //! comes as two types, [`BlockWeight`] (the paper's, one gain for the base and one for the arm) and [`AxisWeight`] (a
 //! gain per axis), because the short form that is exact for the first is wrong for the second.
+//!
+//! ```
+//! use moca_wbc::opspace::{ArmDynamics, BlockWeight, TaskDynamics, WholeBodyForce};
+//! use moca_wbc::robot::{MOCA_MOUNT, PANDA};
+//! use moca_wbc::{ArmModel, Payload};
+//!
+//! let model: ArmModel<7, f64> = ArmModel::new(&PANDA, &MOCA_MOUNT, &Payload::NONE)?;
+//! let kinematics = model.kinematics(0.0, &PANDA.home_rad);
+//! let mass = kinematics.mass_matrix(&model.link_inertias(&kinematics)).arm;
+//! let arm = ArmDynamics::new(kinematics.arm_jacobian(), &mass)?;
+//! let task = TaskDynamics::new(kinematics.base_jacobian(), [4.0, 4.0, 2.0], &arm);
+//! let null = WholeBodyForce { base: [5.0, 0.0, 1.0], arm: [0.5; 7] };
+//! let wrench = [1.0, -2.0, 3.0, 0.1, 0.0, 0.2];
+//! let force = BlockWeight::new(3.0, 1.0).factor(&task)?.force(&wrench, &null);
+//! for (achieved, wanted) in task.wrench(&force)?.iter().zip(wrench) {
+//!     assert!((achieved - wanted).abs() < 1e-9, "whatever τ_0 is");
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use crate::error::ControlError;
 use crate::linalg::{Cholesky, dot, times, transpose_times, weighted_outer};
@@ -19,44 +38,89 @@ pub struct WholeBodyForce<const N: usize, T> {
     pub arm: [T; N],
 }
 
-/// The robot as the tool frame sees it: M = blkdiag(M_v, M_A) of eq. (3) and J = \[J_B J_A\].
+/// The arm as its tool frame sees it: M_A and J_A.
 #[derive(Clone, Copy, Debug)]
-pub struct TaskDynamics<const N: usize, T> {
-    base_jacobian: SMatrix<T, 6, 3>,
-    arm_jacobian: SMatrix<T, 6, N>,
-    virtual_mass: [T; 3],
-    arm_factor: Cholesky<N, T>,
+pub struct ArmDynamics<const N: usize, T> {
+    jacobian: SMatrix<T, 6, N>,
+    mass: Cholesky<N, T>,
     /// (L⁻¹·J_Aᵀ)ᵀ with M_A = L·D·Lᵀ.
     reduced: SMatrix<T, 6, N>,
-    /// A_B = J_B M_v⁻¹ J_Bᵀ.
-    base_mobility: SMatrix<T, 6, 6>,
     /// A_A = J_A M_A⁻¹ J_Aᵀ.
-    arm_mobility: SMatrix<T, 6, 6>,
+    inverse_task_inertia: SMatrix<T, 6, 6>,
 }
 
-impl<const N: usize, T: Scalar> TaskDynamics<N, T> {
-    /// From the Jacobians of base and arm, the virtual mass (> 0) and the arm's mass matrix.
+impl<const N: usize, T: Scalar> ArmDynamics<N, T> {
+    /// From the arm's Jacobian and mass matrix.
     ///
     /// # Errors
-    /// [`ControlError::NotPositiveDefinite`] if the arm's mass matrix is not.
+    /// [`ControlError::NotPositiveDefinite`] if the mass matrix is not.
     #[inline(never)]
-    pub fn new(
-        base_jacobian: SMatrix<T, 6, 3>,
-        arm_jacobian: SMatrix<T, 6, N>,
-        virtual_mass: [T; 3],
-        arm_mass: &SMatrix<T, N, N>,
-    ) -> Result<Self, ControlError> {
-        let arm_factor = Cholesky::new(arm_mass).ok_or(ControlError::NotPositiveDefinite { what: "M_A" })?;
-        let reduced = SMatrix::from(arm_factor.solve_lower_rows(&arm_jacobian.data.0));
+    pub fn new(jacobian: SMatrix<T, 6, N>, mass: &SMatrix<T, N, N>) -> Result<Self, ControlError> {
+        let mass = Cholesky::new(mass).ok_or(ControlError::NotPositiveDefinite { what: "M_A" })?;
+        let reduced = SMatrix::from(mass.solve_lower_rows(&jacobian.data.0));
         Ok(Self {
-            base_jacobian,
-            arm_jacobian,
-            virtual_mass,
-            base_mobility: weighted_outer(&base_jacobian, &virtual_mass.map(|m| T::one() / m)),
-            arm_mobility: weighted_outer(&reduced, arm_factor.inverse_diagonal()),
+            jacobian,
+            inverse_task_inertia: weighted_outer(&reduced, mass.inverse_diagonal()),
             reduced,
-            arm_factor,
+            mass,
         })
+    }
+
+    /// J_A.
+    pub fn jacobian(&self) -> &SMatrix<T, 6, N> {
+        &self.jacobian
+    }
+
+    /// Λ⁻¹ = J_A M_A⁻¹ J_Aᵀ of the arm alone.
+    pub fn inverse_task_inertia(&self) -> &SMatrix<T, 6, 6> {
+        &self.inverse_task_inertia
+    }
+
+    /// J_A M_A⁻¹ τ: acceleration of the tool under joint torques on a standing base.
+    #[inline]
+    pub fn acceleration(&self, torque: &[T; N]) -> [T; 6] {
+        let (lower, inverse) = (self.mass.solve_lower(torque), self.mass.inverse_diagonal());
+        times(&self.reduced, &core::array::from_fn(|i| lower[i] * inverse[i]))
+    }
+
+    /// τ_A = J_AᵀF + (I − J_AᵀΛ J_A M_A⁻¹)·τ_0 with the arm's own Λ: the wrench F by the arm alone. eq. (15)
+    ///
+    /// # Errors
+    /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
+    #[inline]
+    pub fn torque(&self, wrench: &[T; 6], null_torque: &[T; N]) -> Result<[T; N], ControlError> {
+        let factor = Cholesky::new_shifted(&self.inverse_task_inertia).ok_or(SINGULAR)?;
+        let wanted = difference(&times(&self.inverse_task_inertia, wrench), &self.acceleration(null_torque));
+        let task = transpose_times(&self.jacobian, &factor.solve(&wanted));
+        Ok(core::array::from_fn(|i| null_torque[i] + task[i]))
+    }
+
+    /// Wrench at the tool that moves it as the joint torques do: J̄ᵀτ of the arm alone.
+    ///
+    /// # Errors
+    /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
+    pub fn wrench(&self, torque: &[T; N]) -> Result<[T; 6], ControlError> {
+        let factor = Cholesky::new_shifted(&self.inverse_task_inertia).ok_or(SINGULAR)?;
+        Ok(factor.solve(&self.acceleration(torque)))
+    }
+}
+
+/// The whole robot as the tool frame sees it: M = blkdiag(M_v, M_A) of eq. (3) and J = \[J_B J_A\].
+#[derive(Clone, Copy, Debug)]
+pub struct TaskDynamics<'a, const N: usize, T> {
+    base_jacobian: SMatrix<T, 6, 3>,
+    virtual_mass: [T; 3],
+    /// A_B = J_B M_v⁻¹ J_Bᵀ.
+    base_inverse_task_inertia: SMatrix<T, 6, 6>,
+    arm: &'a ArmDynamics<N, T>,
+}
+
+impl<'a, const N: usize, T: Scalar> TaskDynamics<'a, N, T> {
+    /// From the Jacobian of the base, its virtual mass (> 0) and the arm on it.
+    #[inline]
+    pub fn new(base_jacobian: SMatrix<T, 6, 3>, virtual_mass: [T; 3], arm: &'a ArmDynamics<N, T>) -> Self {
+        let base_inverse_task_inertia = weighted_outer(&base_jacobian, &virtual_mass.map(|m| T::one() / m));
+        Self { base_jacobian, virtual_mass, base_inverse_task_inertia, arm }
     }
 
     /// J_B.
@@ -64,64 +128,30 @@ impl<const N: usize, T: Scalar> TaskDynamics<N, T> {
         &self.base_jacobian
     }
 
-    /// J_A.
-    pub fn arm_jacobian(&self) -> &SMatrix<T, 6, N> {
-        &self.arm_jacobian
+    /// The arm on the base.
+    pub fn arm(&self) -> &'a ArmDynamics<N, T> {
+        self.arm
     }
 
     /// Λ⁻¹ = J M⁻¹ Jᵀ of base and arm together.
     #[inline]
-    pub fn mobility(&self) -> SMatrix<T, 6, 6> {
-        self.base_mobility + self.arm_mobility
-    }
-
-    /// Λ⁻¹ = J_A M_A⁻¹ J_Aᵀ of the arm alone.
-    pub fn arm_mobility(&self) -> SMatrix<T, 6, 6> {
-        self.arm_mobility
-    }
-
-    /// J_A M_A⁻¹ τ of arm torques.
-    #[inline]
-    pub fn arm_acceleration(&self, torque: &[T; N]) -> [T; 6] {
-        let (lower, inverse) = (self.arm_factor.solve_lower(torque), self.arm_factor.inverse_diagonal());
-        times(&self.reduced, &core::array::from_fn(|i| lower[i] * inverse[i]))
+    pub fn inverse_task_inertia(&self) -> SMatrix<T, 6, 6> {
+        self.base_inverse_task_inertia + self.arm.inverse_task_inertia
     }
 
     /// J M⁻¹ τ: acceleration of the tool under generalised forces.
     #[inline]
     pub fn acceleration(&self, force: &WholeBodyForce<N, T>) -> [T; 6] {
         let base = core::array::from_fn(|i| force.base[i] / self.virtual_mass[i]);
-        sum(&times(&self.base_jacobian, &base), &self.arm_acceleration(&force.arm))
-    }
-
-    /// τ_A = J_AᵀF + (I − J_AᵀΛ J_A M_A⁻¹)·τ_0 with the arm's own Λ: the wrench F by the arm alone. eq. (15)
-    ///
-    /// # Errors
-    /// [`ControlError::NotPositiveDefinite`] if the mobility is not even semi-definite (NaN).
-    #[inline]
-    pub fn arm_torque(&self, wrench: &[T; 6], null_torque: &[T; N]) -> Result<[T; N], ControlError> {
-        let factor = Cholesky::new_shifted(&self.arm_mobility).ok_or(SINGULAR)?;
-        let wanted = difference(&times(&self.arm_mobility, wrench), &self.arm_acceleration(null_torque));
-        let y = factor.solve(&wanted);
-        let task = transpose_times(&self.arm_jacobian, &y);
-        Ok(core::array::from_fn(|i| null_torque[i] + task[i]))
-    }
-
-    /// Wrench at the tool that moves it as the joint torques do: J̄ᵀτ of the arm alone.
-    ///
-    /// # Errors
-    /// [`ControlError::NotPositiveDefinite`] if the mobility is not even semi-definite (NaN).
-    pub fn arm_wrench(&self, torque: &[T; N]) -> Result<[T; 6], ControlError> {
-        let factor = Cholesky::new_shifted(&self.arm_mobility).ok_or(SINGULAR)?;
-        Ok(factor.solve(&self.arm_acceleration(torque)))
+        sum(&times(&self.base_jacobian, &base), &self.arm.acceleration(&force.arm))
     }
 
     /// J̄ᵀτ of base and arm together.
     ///
     /// # Errors
-    /// [`ControlError::NotPositiveDefinite`] if the mobility is not even semi-definite (NaN).
+    /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
     pub fn wrench(&self, force: &WholeBodyForce<N, T>) -> Result<[T; 6], ControlError> {
-        let factor = Cholesky::new_shifted(&self.mobility()).ok_or(SINGULAR)?;
+        let factor = Cholesky::new_shifted(&self.inverse_task_inertia()).ok_or(SINGULAR)?;
         Ok(factor.solve(&self.acceleration(force)))
     }
 }
@@ -152,9 +182,9 @@ impl<T: Scalar> BlockWeight<T> {
     #[inline]
     pub fn factor<'a, const N: usize>(
         &self,
-        task: &'a TaskDynamics<N, T>,
+        task: &'a TaskDynamics<'a, N, T>,
     ) -> Result<BlockWeighted<'a, N, T>, ControlError> {
-        let weighted = task.base_mobility * self.base + task.arm_mobility * self.arm;
+        let weighted = task.base_inverse_task_inertia * self.base + task.arm.inverse_task_inertia * self.arm;
         let factor = Cholesky::new_shifted(&weighted).ok_or(SINGULAR)?;
         Ok(BlockWeighted { task, weight: *self, factor })
     }
@@ -163,7 +193,7 @@ impl<T: Scalar> BlockWeight<T> {
 /// A robot and a block weight, factorised: eq. (6) for any F and τ_0.
 #[derive(Clone, Copy, Debug)]
 pub struct BlockWeighted<'a, const N: usize, T> {
-    task: &'a TaskDynamics<N, T>,
+    task: &'a TaskDynamics<'a, N, T>,
     weight: BlockWeight<T>,
     factor: Cholesky<6, T>,
 }
@@ -173,8 +203,10 @@ impl<const N: usize, T: Scalar> BlockWeighted<'_, N, T> {
     #[inline]
     pub fn force(&self, wrench: &[T; 6], null: &WholeBodyForce<N, T>) -> WholeBodyForce<N, T> {
         let task = self.task;
-        let y = self.factor.solve(&difference(&times(&task.mobility(), wrench), &task.acceleration(null)));
-        let (base, arm) = (transpose_times(&task.base_jacobian, &y), transpose_times(&task.arm_jacobian, &y));
+        let y = self
+            .factor
+            .solve(&difference(&times(&task.inverse_task_inertia(), wrench), &task.acceleration(null)));
+        let (base, arm) = (transpose_times(&task.base_jacobian, &y), transpose_times(&task.arm.jacobian, &y));
         WholeBodyForce {
             base: core::array::from_fn(|i| null.base[i] + self.weight.base * base[i]),
             arm: core::array::from_fn(|i| null.arm[i] + self.weight.arm * arm[i]),
@@ -222,16 +254,16 @@ impl<const N: usize, T: Scalar> AxisWeight<N, T> {
     /// (VᵀDV)·y = Λ⁻¹F − J M⁻¹τ_0, τ = τ_0 + H⁻¹M Z y. eq. (6)
     ///
     /// # Errors
-    /// [`ControlError::NotPositiveDefinite`] if the weighted mobility is not even semi-definite (NaN).
+    /// [`ControlError::NotPositiveDefinite`] if the weighted Λ⁻¹ is not even semi-definite (NaN).
     #[inline]
     pub fn force(
         &self,
-        task: &TaskDynamics<N, T>,
+        task: &TaskDynamics<'_, N, T>,
         wrench: &[T; 6],
         null: &WholeBodyForce<N, T>,
     ) -> Result<WholeBodyForce<N, T>, ControlError> {
-        let arm = &task.arm_factor;
-        let mut z = task.reduced.data.0;
+        let arm = &task.arm.mass;
+        let mut z = task.arm.reduced.data.0;
         for (row, &inverse) in z.iter_mut().zip(arm.inverse_diagonal()) {
             *row = row.map(|value| value * inverse);
         }
@@ -245,7 +277,8 @@ impl<const N: usize, T: Scalar> AxisWeight<N, T> {
         let weighted =
             weighted_outer(&task.base_jacobian, &base_weights) + weighted_outer(&v, arm.diagonal());
         let factor = Cholesky::new_shifted(&weighted).ok_or(SINGULAR)?;
-        let y = factor.solve(&difference(&times(&task.mobility(), wrench), &task.acceleration(null)));
+        let y =
+            factor.solve(&difference(&times(&task.inverse_task_inertia(), wrench), &task.acceleration(null)));
         let along = transpose_times(&v, &y);
         let arm = arm.times(&core::array::from_fn(|i| arm.diagonal()[i] * along[i]));
         let base = transpose_times(&task.base_jacobian, &y);

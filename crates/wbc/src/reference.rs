@@ -1,14 +1,22 @@
 //! References: where the tool is wanted, and how far and fast that may pull.
+//!
+//! ```
+//! use moca_wbc::reference::{ERROR_SATURATION_M, REFERENCE_SPEED_M_S};
+//!
+//! let pull_n = 800.0 * ERROR_SATURATION_M;
+//! assert!(pull_n <= 80.0, "at the paper's stiffness a blocked flange is pulled no harder");
+//! assert!(REFERENCE_SPEED_M_S <= 0.25, "a target further away is approached at this speed");
+//! ```
 
 use crate::error::{ControlError, finite};
 use crate::rotation;
 use crate::scalar::{Scalar, all, of};
 use nalgebra::{Matrix3, Vector3};
 
-/// Largest position error the law acts on, m: the most a blocked or fleeing tool can build up.
-pub const LEASH_M: f64 = 0.1;
+/// Largest position error the law acts on, m: the pull on a blocked or fleeing tool saturates there.
+pub const ERROR_SATURATION_M: f64 = 0.1;
 /// Largest orientation error the law acts on, rad: a target half a turn away pulls no harder.
-pub const LEASH_RAD: f64 = 0.5;
+pub const ERROR_SATURATION_RAD: f64 = 0.5;
 /// Speed at which the reference travels to a pose target, m/s, and largest linear twist target.
 pub const REFERENCE_SPEED_M_S: f64 = 0.25;
 /// Turning speed of the reference, rad/s, and largest angular twist target.
@@ -66,14 +74,14 @@ impl<T: Scalar> Reference<T> {
         &self.twist
     }
 
-    /// Moves target and reference on by `dt_s`. A twist waits while the tool is a leash away.
+    /// Moves target and reference on by `dt_s`. A twist waits while the tool is as far behind as the law pulls.
     pub(crate) fn advance(&mut self, actual: &Pose<T>, dt_s: T) {
         if self.twist != [T::zero(); 6] {
             let (linear, angular) = split(&self.twist);
-            if (self.now.position - actual.position).norm() < of(LEASH_M) {
+            if (self.now.position - actual.position).norm() < of(ERROR_SATURATION_M) {
                 self.target.position += linear * dt_s;
             }
-            if rotation::error(&actual.rotation, &self.now.rotation).norm() < of(LEASH_RAD) {
+            if rotation::error(&actual.rotation, &self.now.rotation).norm() < of(ERROR_SATURATION_RAD) {
                 self.target.rotation = turned(&self.target.rotation, &(angular * dt_s));
             }
         }
@@ -90,11 +98,11 @@ impl<T: Scalar> Reference<T> {
     }
 }
 
-/// Shortens both halves of a pose error to the leash; whether it had to.
+/// Shortens both halves of a pose error to what the law acts on; whether it had to.
 #[inline]
-pub(crate) fn leashed<T: Scalar>(error: &[T; 6]) -> ([T; 6], bool) {
+pub(crate) fn saturated<T: Scalar>(error: &[T; 6]) -> ([T; 6], bool) {
     let (linear, angular) = split(error);
-    let (l, a) = (shortened(&linear, of(LEASH_M)), shortened(&angular, of(LEASH_RAD)));
+    let (l, a) = (shortened(&linear, of(ERROR_SATURATION_M)), shortened(&angular, of(ERROR_SATURATION_RAD)));
     ([l.x, l.y, l.z, a.x, a.y, a.z], l != linear || a != angular)
 }
 

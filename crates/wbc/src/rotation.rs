@@ -1,4 +1,14 @@
 //! Rotations: matrices inside, unit quaternions (x, y, z, w) at the edge.
+//!
+//! ```
+//! use moca_wbc::nalgebra::Vector3;
+//! use moca_wbc::rotation;
+//!
+//! let turn = Vector3::new(0.1_f64, -0.2, 0.3);
+//! assert!((rotation::log(&rotation::exp(&turn)) - turn).norm() < 1e-15);
+//! let [x, y, z, w] = rotation::to_quaternion(&rotation::exp(&turn));
+//! assert_eq!(rotation::from_quaternion([x, y, z, w]), rotation::from_quaternion([-x, -y, -z, -w]));
+//! ```
 
 use crate::scalar::{Scalar, of};
 use nalgebra::{Matrix3, Vector3};

@@ -1,9 +1,9 @@
 //! Other arms, mounts, payloads and tools against Pinocchio: nothing but the tables changes.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use moca_msgs::robot::{FR3, LinkInertial, UR10E};
-use moca_msgs::{ArmTable, Mount, Payload};
 use moca_wbc::ArmModel;
+use moca_wbc::robot::{FR3, LinkInertial, UR10E};
+use moca_wbc::{ArmTable, Mount, Payload};
 use serde_json::Value;
 
 const TOLERANCE: f64 = 1e-12;

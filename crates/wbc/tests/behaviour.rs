@@ -4,12 +4,13 @@
 mod common;
 
 use common::{Loop, Push, at_home, flange_error};
-use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
-use moca_msgs::{Corrections, ImpedanceGains, Parameters, Payload, TaxelPlacement};
-use moca_wbc::reference::LEASH_M;
-use moca_wbc::{ControlInput, ControlLaw, Controller, cover_wrench};
+use moca_wbc::reference::ERROR_SATURATION_M;
+use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
+use moca_wbc::{ControlInput, ControlLaw, WholeBodyController, cover_wrench};
+use moca_wbc::{Corrections, ImpedanceGains, Parameters, Payload, TaxelPlacement};
 
-const ALL: Corrections = Corrections { null_space_damping: true, base_coupling: true, flange_feed: true };
+const ALL: Corrections =
+    Corrections { null_space_damping: true, base_coupling: true, flange_wrench_feedforward: true };
 
 #[test]
 fn no_switch_of_law_meets_the_torque_rate_limit() {
@@ -43,7 +44,7 @@ fn gains_changed_live_arrive_without_a_jolt() {
     let soft = flange_error(&plant.step(&push));
     let stiffness = ImpedanceGains::PAPER.stiffness.map(|k| 4.0 * k);
     let gains = ImpedanceGains { stiffness, ..ImpedanceGains::PAPER };
-    plant.controller.set_parameters(&Parameters { gains, ..Parameters::PAPER }).unwrap();
+    plant.controller = plant.controller.with_parameters(&Parameters { gains, ..Parameters::PAPER }).unwrap();
     for _ in 0..1500 {
         let output = plant.step(&push);
         assert!(!output.limits.torque_rate && !output.limits.torque);
@@ -56,18 +57,17 @@ fn gains_changed_live_arrive_without_a_jolt() {
 }
 
 #[test]
-fn a_blocked_robot_is_pulled_no_harder_than_the_leash_allows() {
+fn a_blocked_robot_is_pulled_no_harder_than_the_saturated_error() {
     let controller = common::controller(&Parameters::PAPER);
     let mut state = controller.enter(ControlLaw::Impedance, &at_home()).unwrap();
     state.set_target_pose([5.0, 0.0, 1.1], [1.0, 0.0, 0.0, 0.0]).unwrap();
-    let input =
-        ControlInput { robot: at_home(), taxel_force_n: [0.0; 11], flange_wrench_world: None, dt_s: 1e-3 };
+    let input = ControlInput::new(at_home(), [0.0; 11], 1e-3);
     let mut early = None;
     let mut last = None;
     for tick in 0..4000 {
         let output = controller.step(ControlLaw::Impedance, &mut state, &input).unwrap();
         if tick == 2500 {
-            assert!(output.limits.leash);
+            assert!(output.limits.error_saturation);
             early = Some(output.command.arm_torque_nm);
         }
         last = Some(output.command.arm_torque_nm);
@@ -82,14 +82,13 @@ fn a_moving_target_waits_for_a_blocked_robot_and_leads_a_free_one() {
     let controller = common::controller(&Parameters::PAPER);
     let mut state = controller.enter(ControlLaw::Impedance, &at_home()).unwrap();
     state.set_target_twist([0.0, 0.2, 0.0, 0.0, 0.0, 0.0]).unwrap();
-    let input =
-        ControlInput { robot: at_home(), taxel_force_n: [0.0; 11], flange_wrench_world: None, dt_s: 1e-3 };
+    let input = ControlInput::new(at_home(), [0.0; 11], 1e-3);
     let mut output = controller.step(ControlLaw::Impedance, &mut state, &input).unwrap();
     for _ in 0..3000 {
         output = controller.step(ControlLaw::Impedance, &mut state, &input).unwrap();
     }
     let ahead = output.flange_desired.position_world[1] - output.flange.position_world[1];
-    assert!((ahead - LEASH_M).abs() < 1e-3, "{ahead} m ahead");
+    assert!((ahead - ERROR_SATURATION_M).abs() < 1e-3, "{ahead} m ahead");
 
     let mut plant = Loop::new(ControlLaw::Impedance, &Parameters { corrections: ALL, ..Parameters::PAPER });
     let start = plant.step(&Push::default()).flange.position_world[1];
@@ -170,11 +169,10 @@ fn a_rear_row_pushes_the_base_forwards() {
         (x - 10.0_f64).abs() < 1e-12 && y.abs() < 1e-12 && (moment + 3.0).abs() < 1e-12,
         "{x} {y} {moment}"
     );
-    let controller: Controller<7, 15> =
-        Controller::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &cover, &Parameters::PAPER).unwrap();
+    let controller: WholeBodyController<7, 15> =
+        WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &cover, &Parameters::PAPER).unwrap();
     let mut state = controller.enter(ControlLaw::FollowMe, &at_home()).unwrap();
-    let input =
-        ControlInput { robot: at_home(), taxel_force_n: force, flange_wrench_world: None, dt_s: 1e-3 };
+    let input = ControlInput::new(at_home(), force, 1e-3);
     let output = controller.step(ControlLaw::FollowMe, &mut state, &input).unwrap();
     assert!(output.command.base_velocity_body[0] > 0.0);
 }

@@ -5,9 +5,9 @@
 mod common;
 
 use common::{Loop, Push, flange_error};
-use moca_msgs::robot::PANDA;
-use moca_msgs::{Corrections, Parameters};
 use moca_wbc::ControlLaw;
+use moca_wbc::robot::PANDA;
+use moca_wbc::{Corrections, Parameters};
 
 const LITERAL: Corrections = Corrections::LITERAL;
 const DAMPED: Corrections = Corrections { null_space_damping: true, ..LITERAL };
@@ -71,7 +71,7 @@ fn the_base_follows_a_lateral_push_at_the_flange_only_if_it_is_fed() {
     let push = flange(0.0, 15.0, 0.0);
     let ([_, against, _], error) = pushed(LITERAL, &push);
     assert!(against < 0.0 && error < 10.0, "literal: {against} m, {error} mm");
-    let ([_, with, _], error) = pushed(Corrections { flange_feed: true, ..COUPLED }, &push);
+    let ([_, with, _], error) = pushed(Corrections { flange_wrench_feedforward: true, ..COUPLED }, &push);
     assert!(with > 0.1 && (error - 18.75).abs() < 0.3, "fed: {with} m, {error} mm");
 }
 

@@ -1,29 +1,29 @@
 //! The step function from outside: entry, doors, limits.
 #![allow(clippy::unwrap_used, clippy::float_cmp, reason = "tests; floats that must be bit-equal")]
 
-use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
-use moca_msgs::{Parameters, Payload, RobotState};
-use moca_wbc::{ControlError, ControlInput, ControlLaw, Controller};
+use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
+use moca_wbc::{
+    ArmController, ArmInput, BaseController, BaseGuard, BaseInput, ControlError, ControlInput, ControlLaw,
+    LimitsHit, WholeBodyController,
+};
+use moca_wbc::{Parameters, Payload, RobotState};
 
 const LAWS: [ControlLaw; 3] = [ControlLaw::Hold, ControlLaw::Impedance, ControlLaw::FollowMe];
 
-fn controller() -> Controller<7, 11> {
-    Controller::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER).unwrap()
+fn controller() -> WholeBodyController<7, 11> {
+    WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER).unwrap()
 }
 
 fn at_home() -> RobotState<7> {
     RobotState {
         base_pose_world: [0.3, -0.2, 0.4],
-        base_velocity_world: [0.0; 3],
-        q_rad: PANDA.home_rad,
-        dq_rad_s: [0.0; 7],
-        torque_measured_nm: [0.0; 7],
         flange_wrench_world: Some([0.0; 6]),
+        ..RobotState::at_rest(PANDA.home_rad)
     }
 }
 
 fn input(robot: RobotState<7>) -> ControlInput<7, 11> {
-    ControlInput { robot, taxel_force_n: [0.0; 11], flange_wrench_world: None, dt_s: 1e-3 }
+    ControlInput::new(robot, [0.0; 11], 1e-3)
 }
 
 #[test]
@@ -87,36 +87,83 @@ fn a_number_that_is_not_finite_is_an_error_and_leaves_the_state() {
 #[test]
 fn a_base_alone_moves_as_the_base_of_the_whole_robot_that_is_led() {
     let controller = controller();
+    let base: BaseController<11> = BaseController::new(&PAPER_COVER, &Parameters::PAPER).unwrap();
     let mut whole = controller.enter(ControlLaw::FollowMe, &at_home()).unwrap();
-    let mut alone = whole;
+    let mut alone = base.enter();
     let mut input = input(at_home());
+    input.guard = BaseGuard { speed_m_s: Some(0.1), ..BaseGuard::NONE };
     for step in 0..400 {
         input.taxel_force_n[2] = if step < 200 { 20.0 } else { 0.0 };
         input.robot.base_pose_world[2] = 0.4 + 1e-3 * f64::from(step);
+        let (taxel_force_n, yaw_world_rad) = (input.taxel_force_n, input.robot.base_pose_world[2]);
+        let base_input = BaseInput { yaw_world_rad, taxel_force_n, guard: input.guard, dt_s: input.dt_s };
         let law = if step < 300 { ControlLaw::FollowMe } else { ControlLaw::Hold };
         let expected = controller.step(law, &mut whole, &input).unwrap();
-        let output = controller.step_base(law, &mut alone, &input).unwrap();
-        assert_eq!(output.command.base_velocity_body, expected.command.base_velocity_body, "step {step}");
+        let output = match law {
+            ControlLaw::Hold => base.hold(&mut alone, &base_input).unwrap(),
+            _ => base.step(&mut alone, &base_input).unwrap(),
+        };
+        assert_eq!(output.velocity_body, expected.command.base_velocity_body, "step {step}");
         assert_eq!(output.cover_wrench_base, expected.cover_wrench_base);
-        assert_eq!(output.command.arm_torque_nm, [0.0; 7]);
+        let of_the_base = LimitsHit { joint_range: false, ..expected.limits };
+        assert_eq!(output.limits, LimitsHit { torque_rate: false, ..of_the_base });
     }
-    input.taxel_force_n[0] = f64::NAN;
-    assert!(controller.step_base(ControlLaw::Impedance, &mut alone, &input).is_err());
+    let bad =
+        BaseInput { yaw_world_rad: 0.0, taxel_force_n: [f64::NAN; 11], guard: BaseGuard::NONE, dt_s: 1e-3 };
+    let before = alone;
+    assert!(base.step(&mut alone, &bad).is_err());
+    assert!(
+        base.step(&mut alone, &BaseInput { yaw_world_rad: f64::NAN, taxel_force_n: [0.0; 11], ..bad })
+            .is_err()
+    );
+    assert_eq!(alone, before);
 }
 
 #[test]
-fn an_arm_without_a_cover_is_the_arm_of_the_whole_robot_untouched() {
-    let covered = controller();
-    let bare: Controller<7, 0> =
-        Controller::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &[], &Parameters::PAPER).unwrap();
+fn an_arm_alone_is_the_arm_of_the_whole_robot_untouched() {
+    let whole = controller();
+    let arm: ArmController<7> =
+        ArmController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &Parameters::PAPER).unwrap();
     let mut robot = at_home();
-    let mut state = bare.enter(ControlLaw::FollowMe, &robot).unwrap();
-    let mut expected = covered.enter(ControlLaw::FollowMe, &robot).unwrap();
-    for step in 0..100 {
+    let mut state = arm.enter(&robot).unwrap();
+    let mut expected = whole.enter(ControlLaw::FollowMe, &robot).unwrap();
+    for step in 0..200 {
         robot.q_rad[1] = PANDA.home_rad[1] + 1e-4 * f64::from(step);
-        let input = ControlInput { robot, taxel_force_n: [], flange_wrench_world: None, dt_s: 1e-3 };
-        let output = bare.step(ControlLaw::FollowMe, &mut state, &input).unwrap();
-        let whole = covered.step(ControlLaw::FollowMe, &mut expected, &self::input(robot)).unwrap();
-        assert_eq!(output.command, whole.command, "step {step}");
+        let input = ArmInput { robot, flange_wrench_world: None, dt_s: 1e-3 };
+        let law = if step < 100 { ControlLaw::FollowMe } else { ControlLaw::Hold };
+        let output = match law {
+            ControlLaw::Hold => arm.hold(&mut state, &input).unwrap(),
+            _ => arm.step(&mut state, &input).unwrap(),
+        };
+        let whole = whole.step(law, &mut expected, &self::input(robot)).unwrap();
+        assert_eq!(output.torque_nm, whole.command.arm_torque_nm, "step {step}");
+        assert_eq!((output.flange, output.flange_desired), (whole.flange, whole.flange_desired));
     }
+}
+
+#[test]
+fn a_guard_that_is_no_guard_is_refused_and_a_guard_holds_for_its_step_alone() {
+    let controller = controller();
+    let before = controller.enter(ControlLaw::Impedance, &at_home()).unwrap();
+    let mut pressed = input(at_home());
+    pressed.taxel_force_n[5] = 20.0;
+    let blocked = BaseGuard { speed_m_s: Some(0.0), ..BaseGuard::NONE };
+    let mut state = before;
+    let held = controller
+        .step(ControlLaw::Impedance, &mut state, &ControlInput { guard: blocked, ..pressed })
+        .unwrap();
+    assert_eq!(held.command.base_velocity_body, [0.0; 3]);
+    assert!(held.limits.guard);
+    let free = controller.step(ControlLaw::Impedance, &mut state, &pressed).unwrap();
+    assert!(free.command.base_velocity_body[0] < 0.0 && !free.limits.guard);
+    let mut state = before;
+    let negative = BaseGuard { speed_m_s: Some(-0.1), ..BaseGuard::NONE };
+    let refused =
+        controller.step(ControlLaw::Impedance, &mut state, &ControlInput { guard: negative, ..pressed });
+    assert_eq!(refused, Err(ControlError::GuardSpeed { speed_m_s: -0.1 }));
+    let nowhere = BaseGuard { instead_body: Some([0.0, f64::NAN, 0.0]), ..BaseGuard::NONE };
+    let refused =
+        controller.step(ControlLaw::Impedance, &mut state, &ControlInput { guard: nowhere, ..pressed });
+    assert_eq!(refused, Err(ControlError::NotFinite { what: "guard.instead_body", index: 1 }));
+    assert_eq!(state, before);
 }

@@ -1,20 +1,19 @@
 //! The ends of the range, as the crate's documentation lists them.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-#[path = "../../lab/src/numerics/extremes/accuracy.rs"]
-mod accuracy;
 mod common;
 
-use accuracy::{Reference, admitted};
 use common::{Loop, Push, at_home, flange_error};
-use moca_msgs::{Corrections, ImpedanceGains, Limits, Parameters, RobotState};
 use moca_wbc::ControlLaw;
+use moca_wbc::robot::PANDA;
+use moca_wbc::testing::accuracy::{self, Reference, admitted};
+use moca_wbc::{Corrections, ImpedanceGains, Limits, Parameters, RobotState};
 
 const GAINS: ImpedanceGains<7> = ImpedanceGains::PAPER;
-const LIMITS: Limits<7> = Limits::PANDA_ON_SUMMIT;
+const LIMITS: Limits<7> = Limits::for_arm(&PANDA);
 
 fn reference() -> Reference {
-    serde_json::from_str(accuracy::REFERENCE).unwrap()
+    serde_json::from_str(include_str!("../../../tests/fixtures/extremes.json")).unwrap()
 }
 
 #[test]
@@ -150,7 +149,7 @@ fn a_target_half_a_turn_away_is_reached_without_leaving_the_limits() {
 fn a_light_virtual_base_without_outer_damping_is_refused() {
     let gains = ImpedanceGains { virtual_mass: [0.1; 3], ..GAINS };
     let corrections = Corrections { null_space_damping: true, ..Corrections::LITERAL };
-    let mut plant = Loop::new(ControlLaw::Impedance, &Parameters::PAPER);
-    let refused = plant.controller.set_parameters(&Parameters { corrections, ..with_gains(gains) });
+    let controller = common::controller(&Parameters::PAPER);
+    let refused = controller.with_parameters(&Parameters { corrections, ..with_gains(gains) });
     assert_eq!(refused.unwrap_err().name, "virtual_mass with null_space_damping");
 }

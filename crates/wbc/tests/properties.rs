@@ -1,13 +1,15 @@
 //! What holds for any input.
 #![allow(clippy::unwrap_used, clippy::float_cmp, clippy::needless_range_loop, reason = "tests")]
 
-use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
-use moca_msgs::{Corrections, Limits, Parameters, Payload, RobotState};
 use moca_wbc::guard::{BaseGuard, CoverOutline};
-use moca_wbc::limits::{JointRepulsion, OutputLimits, REPULSION_BAND_RAD};
+use moca_wbc::limits::{BaseLimits, JointRepulsion, REPULSION_BAND_RAD, TorqueLimits};
 use moca_wbc::linalg::inverse_square_root;
-use moca_wbc::opspace::{AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
-use moca_wbc::{ArmModel, ControlError, ControlInput, ControlLaw, Controller, LimitsHit, admittance};
+use moca_wbc::opspace::{ArmDynamics, AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
+use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
+use moca_wbc::{
+    ArmModel, ControlError, ControlInput, ControlLaw, LimitsHit, WholeBodyController, admittance,
+};
+use moca_wbc::{Corrections, Limits, Parameters, Payload, RobotState};
 use nalgebra::SMatrix;
 use proptest::array::{uniform3, uniform6, uniform7, uniform11};
 use proptest::prelude::*;
@@ -42,19 +44,15 @@ prop_compose! {
         spoiler in any_number(),
         spoil in any::<bool>(),
     ) -> ControlInput<7, 11> {
-        let mut input = ControlInput {
-            robot: RobotState {
-                base_pose_world: pose,
-                base_velocity_world: velocity,
-                q_rad: q,
-                dq_rad_s: dq,
-                torque_measured_nm: torque,
-                flange_wrench_world: None,
-            },
-            taxel_force_n: force,
-            flange_wrench_world: wrench,
-            dt_s: dt,
+        let robot = RobotState {
+            base_pose_world: pose,
+            base_velocity_world: velocity,
+            q_rad: q,
+            dq_rad_s: dq,
+            torque_measured_nm: torque,
+            flange_wrench_world: None,
         };
+        let mut input = ControlInput { flange_wrench_world: wrench, ..ControlInput::new(robot, force, dt) };
         if hostile && spoil {
             match spoiled {
                 0 => input.robot.base_pose_world[2] = spoiler,
@@ -95,14 +93,14 @@ proptest! {
         steps in prop::collection::vec(uniform3(ordinary(2.0)), 1..60),
         start in uniform3(ordinary(0.5)),
     ) {
-        let limits: OutputLimits<7, f64> = OutputLimits::from(&Limits::PANDA_ON_SUMMIT);
+        let limits: BaseLimits<f64> = BaseLimits::from(&Limits::for_arm(&PANDA));
         let outline = CoverOutline::new(&PAPER_COVER);
-        let most = Limits::PANDA_ON_SUMMIT;
+        let most = Limits::for_arm(&PANDA);
         let mut last = start;
         let mut inside = outline.permits(&guard, &last);
         for wanted in steps {
             let mut hit = LimitsHit::default();
-            let next = limits.guarded_base_velocity(&outline, &guard, &wanted, &last, 1e-3, &mut hit);
+            let next = limits.guarded_velocity(&outline, &guard, &wanted, &last, 1e-3, &mut hit);
             for i in 0..3 {
                 prop_assert!(next[i].abs() <= most.base_velocity[i].max(last[i].abs()) + 1e-12);
                 prop_assert!((next[i] - last[i]).abs() <= most.base_acceleration[i] * 1e-3 + 1e-12);
@@ -120,7 +118,7 @@ proptest! {
         // whatever it started from: half a second of the allowed acceleration is enough to be inside
         let wanted = [2.0, -2.0, 2.0];
         for _ in 0..600 {
-            last = limits.guarded_base_velocity(&outline, &guard, &wanted, &last, 1e-3, &mut LimitsHit::default());
+            last = limits.guarded_velocity(&outline, &guard, &wanted, &last, 1e-3, &mut LimitsHit::default());
         }
         let speed = outline.fastest(&last);
         prop_assert!(guard.speed_m_s.is_none_or(|limit| speed <= limit + 1e-9), "{speed}");
@@ -131,12 +129,12 @@ proptest! {
         wanted in uniform3(ordinary(2.0)),
         last in uniform3(ordinary(0.5)),
     ) {
-        let limits: OutputLimits<7, f64> = OutputLimits::from(&Limits::PANDA_ON_SUMMIT);
+        let limits: BaseLimits<f64> = BaseLimits::from(&Limits::for_arm(&PANDA));
         let outline = CoverOutline::<11, f64>::new(&PAPER_COVER);
         let (mut free, mut guarded) = (LimitsHit::default(), LimitsHit::default());
-        let without = limits.base_velocity(&wanted, &last, 1e-3, &mut free);
+        let without = limits.velocity(&wanted, &last, 1e-3, &mut free);
         let guard = BaseGuard { speed_m_s: Some(3.0), ..BaseGuard::NONE };
-        let with = limits.guarded_base_velocity(&outline, &guard, &wanted, &last, 1e-3, &mut guarded);
+        let with = limits.guarded_velocity(&outline, &guard, &wanted, &last, 1e-3, &mut guarded);
         prop_assert_eq!(with.map(f64::to_bits), without.map(f64::to_bits));
         prop_assert_eq!(free, guarded);
     }
@@ -150,21 +148,14 @@ proptest! {
         steps in prop::collection::vec((any_law(), any_input(true)), 1..40),
         corrected in any::<bool>(),
     ) {
-        let limits = Limits::PANDA_ON_SUMMIT;
-        let corrections = Corrections { null_space_damping: corrected, base_coupling: corrected, flange_feed: corrected };
+        let limits = Limits::for_arm(&PANDA);
+        let corrections = Corrections { null_space_damping: corrected, base_coupling: corrected, flange_wrench_feedforward: corrected };
         let parameters = Parameters { corrections, ..Parameters::PAPER };
-        let controller: Controller<7, 11> =
-            Controller::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &parameters).unwrap();
-        let home = RobotState {
-            base_pose_world: [0.0; 3],
-            base_velocity_world: [0.0; 3],
-            q_rad: PANDA.home_rad,
-            dq_rad_s: [0.0; 7],
-            torque_measured_nm: [0.0; 7],
-            flange_wrench_world: None,
-        };
+        let controller: WholeBodyController<7, 11> =
+            WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &parameters).unwrap();
+        let home = RobotState::at_rest(PANDA.home_rad);
         let mut state = controller.enter(ControlLaw::Hold, &home).unwrap();
-        let mut last: Option<moca_msgs::RobotCommand<7>> = None;
+        let mut last: Option<moca_wbc::RobotCommand<7>> = None;
         for (law, input) in steps {
             let before = state;
             match controller.step(law, &mut state, &input) {
@@ -194,16 +185,16 @@ proptest! {
 
     #[test]
     fn finite_inputs_of_ordinary_size_are_never_refused(law in any_law(), input in any_input(false)) {
-        let controller: Controller<7, 11> =
-            Controller::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER).unwrap();
+        let controller: WholeBodyController<7, 11> =
+            WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER).unwrap();
         let mut state = controller.enter(law, &input.robot).unwrap();
         prop_assert!(controller.step(law, &mut state, &input).is_ok());
     }
 
     #[test]
     fn single_precision_keeps_the_same_limits(law in any_law(), input in any_input(false)) {
-        let controller: Controller<7, 11, f32> =
-            Controller::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER).unwrap();
+        let controller: WholeBodyController<7, 11, f32> =
+            WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER).unwrap();
         let of = |x: f64| nalgebra::convert::<f64, f32>(x);
         let robot = RobotState {
             base_pose_world: input.robot.base_pose_world.map(of),
@@ -214,12 +205,7 @@ proptest! {
             flange_wrench_world: None,
         };
         let mut state = controller.enter(law, &robot).unwrap();
-        let input = ControlInput {
-            robot,
-            taxel_force_n: input.taxel_force_n.map(of),
-            flange_wrench_world: None,
-            dt_s: of(input.dt_s),
-        };
+        let input = ControlInput::new(robot, input.taxel_force_n.map(of), of(input.dt_s));
         let output = controller.step(law, &mut state, &input).unwrap();
         for (torque, most) in output.command.arm_torque_nm.iter().zip(PANDA.torque_max_nm) {
             prop_assert!(f64::from(torque.abs()) <= most);
@@ -228,12 +214,12 @@ proptest! {
 
     #[test]
     fn a_missed_tick_credits_no_more_than_one(wanted in uniform7(ordinary(200.0)), last in uniform7(ordinary(12.0))) {
-        let limits = OutputLimits::<7, f64>::from(&Limits::PANDA_ON_SUMMIT);
+        let limits = TorqueLimits::<7, f64>::from(&Limits::for_arm(&PANDA));
         let mut hit = LimitsHit::default();
-        let punctual = limits.torque(&wanted, &last, 1e-3, &mut hit);
-        let late = limits.torque(&wanted, &last, 2e-3, &mut hit);
+        let punctual = limits.limited(&wanted, &last, 1e-3, &mut hit);
+        let late = limits.limited(&wanted, &last, 2e-3, &mut hit);
         prop_assert_eq!(punctual, late);
-        let half = limits.torque(&wanted, &last, 0.5e-3, &mut hit);
+        let half = limits.limited(&wanted, &last, 0.5e-3, &mut hit);
         for i in 0..7 {
             prop_assert!((half[i] - last[i]).abs() <= 0.5 + 1e-12);
         }
@@ -251,9 +237,10 @@ proptest! {
         let model = ArmModel::<7, f64>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE).unwrap();
         let kinematics = model.kinematics(yaw, &q);
         let mass = kinematics.mass_matrix(&model.link_inertias(&kinematics)).arm;
-        let task = TaskDynamics::new(kinematics.base_jacobian(), kinematics.arm_jacobian(), [4.0, 4.0, 2.0], &mass).unwrap();
+        let arm = ArmDynamics::new(kinematics.arm_jacobian(), &mass).unwrap();
+        let task = TaskDynamics::new(kinematics.base_jacobian(), [4.0, 4.0, 2.0], &arm);
         let null = WholeBodyForce { base: null_base, arm: null_arm };
-        let smallest = task.mobility().symmetric_eigenvalues().min();
+        let smallest = task.inverse_task_inertia().symmetric_eigenvalues().min();
         prop_assume!(smallest > 1e-4);
         let weighted = BlockWeight::new(eta, 1.0).factor(&task).unwrap();
         let force = weighted.force(&wrench, &null);

@@ -1,8 +1,7 @@
 //! The reference configurations (Pinocchio kinematics and dynamics, torques in 50 digits).
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-#[path = "../../lab/src/numerics/vectors/compare.rs"]
-mod compare;
+use moca_wbc::testing::reference_file as compare;
 
 #[test]
 fn every_quantity_of_the_reference_file_agrees() {

@@ -1,9 +1,8 @@
 //! A control step on a machine with nothing: no std, no allocator, no panic runtime. It links, or it does not.
 #![no_std]
 
-use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
-use moca_msgs::{Parameters, Payload, RobotState};
-use moca_wbc::{ControlInput, ControlLaw, Controller, Scalar};
+use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
+use moca_wbc::{ControlInput, ControlLaw, Parameters, Payload, RobotState, Scalar, WholeBodyController};
 
 #[panic_handler]
 fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
@@ -12,10 +11,10 @@ fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
 
 fn first_torque<T: Scalar>(state: RobotState<7, T>, force_n: [T; 11], dt_s: T) -> Option<T> {
     let controller =
-        Controller::<7, 11, T>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER)
+        WholeBodyController::<7, 11, T>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER)
             .ok()?;
     let mut memory = controller.enter(ControlLaw::Impedance, &state).ok()?;
-    let input = ControlInput { robot: state, taxel_force_n: force_n, flange_wrench_world: None, dt_s };
+    let input = ControlInput::new(state, force_n, dt_s);
     let output = controller.step(ControlLaw::FollowMe, &mut memory, &input).ok()?;
     Some(output.command.arm_torque_nm[0])
 }

@@ -1,3 +1,9 @@
 //! Calibration of a cover: counts against a reference force, taxel by taxel.
+//!
+//! One [`engine`], fed with bytes, forces and times, collects and fits. The terminal (`mocad calibrate`) and the
+//! dashboard (through [`service`]) are two views of it; [`store`] writes what they accept.
 
-pub mod calibrator;
+mod date;
+pub mod engine;
+pub mod service;
+pub mod store;

@@ -1,28 +1,28 @@
 //! `mocad calibrate`: presses every taxel beside a reference force and writes a calibration file.
 //!
 //! Live: a board's port and a force gauge that prints one number a line. From files: a recorded stream with its
-//! times, and a table of times and forces. Both go through the same guided session.
+//! times, and a table of times and forces. Both drive the same engine ([`crate::calibration::engine`]).
 #![expect(clippy::print_stdout, reason = "a terminal front end")]
 
+use crate::calibration::engine::{Engine, Fitted};
+use crate::calibration::store::Store;
 use crate::config::AUTO_PORT;
 use crate::devices::force_gauge::Gauge;
 use crate::devices::ports;
-use anyhow::{Context, anyhow, bail, ensure};
-use moca_tactile::calibration::file::TaxelEntry;
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use moca_tactile::TaxelModel;
 use moca_tactile::calibration::quality::evaluation_cost_ns;
-use moca_tactile::calibration::session::{Measured, Session, Step, Target};
-use moca_tactile::calibration::{CalibrationFile, ModelKind, Quality, chart, fit};
-use moca_tactile::Firmware;
-use moca_tactile::zero::TARE_FRAMES;
-use moca_tactile::{BoardEvent, TaxelModel};
+use moca_tactile::calibration::session::Target;
+use moca_tactile::calibration::{ModelKind, Quality, chart};
+use moca_telemetry::calibration::CalibrationProgress;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
-/// A session without any progress for this long is given up.
-const IDLE_LIMIT: Duration = Duration::from_secs(120);
-/// A board that gives no frame for this long is given up.
-const SILENT_LIMIT: Duration = Duration::from_secs(10);
+/// How long a force gauge may take to its first reading.
+const GAUGE_STARTS_WITHIN: Duration = Duration::from_secs(10);
+/// How often the ports are looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// Arguments of `mocad calibrate`.
 #[derive(clap::Args, Clone, Debug)]
@@ -102,50 +102,45 @@ fn target(text: &str) -> Result<Target, String> {
     }
 }
 
-/// Runs the session, prints the table of every model, writes the file.
-pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+/// Calibrates every taxel, prints the table of every model, stores the chosen one.
+pub fn run(arguments: &Arguments) -> Result<()> {
     ensure!(arguments.presses >= 1, "--presses must be at least 1, got {}", arguments.presses);
-    let mut session = Session::new(&arguments.taxels, arguments.presses);
-    match (&arguments.stream, &arguments.times, &arguments.force) {
-        (Some(stream), Some(times), Some(force)) => replay(&mut session, stream, times, force)?,
-        _ => live(&mut session, arguments)?,
-    }
-    let sketch = session.firmware().context("the board's sketch is not known: no good frame came")?;
-    let file = calibrate(session.measured(), sketch, arguments)?;
-    file.write(&arguments.out)?;
-    println!("wrote {}", arguments.out.display());
-    Ok(())
-}
-
-/// Fits every model to every taxel; stores the chosen one.
-fn calibrate(
-    measured: &[Measured],
-    sketch: Firmware,
-    arguments: &Arguments,
-) -> anyhow::Result<CalibrationFile> {
-    let mut file = CalibrationFile::new(&arguments.board, sketch, &today()?, &arguments.material);
+    let store = Store {
+        path: arguments.out.clone(),
+        board: arguments.board.clone(),
+        material: arguments.material.clone(),
+    };
     println!(
         "{:<6}{:<21}{:>8}{:>9}{:>11}{:>8}{:>13}{:>10}",
         "taxel", "model", "RMSE N", "loading", "unloading", "worst", "valid to", "cost ns"
     );
-    for Measured { target, rest_counts, trial } in measured {
-        let trials = core::slice::from_ref(trial);
-        for kind in ModelKind::ALL {
-            let (model, quality) = fit(kind, trials).with_context(|| format!("T{}", target.number))?;
-            print_row(target.number, &model, &quality, evaluation_cost_ns(&model, trials));
-            if let Some(folder) = &arguments.residuals {
-                let title = format!("T{} {}: RMSE {:.2} N", target.number, model.name(), quality.rmse_n);
-                let path = folder.join(format!("T{}-{}.svg", target.number, model.name()));
-                std::fs::create_dir_all(folder)
-                    .and_then(|()| std::fs::write(&path, chart::residual_plot(&title, &model, trials)))
-                    .with_context(|| format!("cannot write {}", path.display()))?;
-            }
-            if kind == arguments.model.into() {
-                file.taxel.push(TaxelEntry::new(target.number, *rest_counts, &model, &quality));
-            }
+    let mut accept = |fitted: &Fitted| {
+        print_models(fitted, arguments.residuals.as_deref())?;
+        store.save(fitted, arguments.model.into())?;
+        println!("T{} is in {}", fitted.measured.target.number, store.path.display());
+        Ok(())
+    };
+    match (&arguments.stream, &arguments.times, &arguments.force) {
+        (Some(stream), Some(times), Some(force)) => {
+            let recording = Recording::read(stream, times, force)?;
+            recorded(&recording, arguments, &mut accept)
         }
+        _ => live(arguments, &mut accept),
     }
-    Ok(file)
+}
+
+fn print_models(fitted: &Fitted, residuals: Option<&Path>) -> Result<()> {
+    let (number, trials) = (fitted.measured.target.number, core::slice::from_ref(&fitted.measured.trial));
+    for fit in &fitted.models {
+        print_row(number, &fit.model, &fit.quality, evaluation_cost_ns(&fit.model, trials));
+        let Some(folder) = residuals else { continue };
+        let title = format!("T{number} {}: RMSE {:.2} N", fit.model.name(), fit.quality.rmse_n);
+        let path = folder.join(format!("T{number}-{}.svg", fit.model.name()));
+        std::fs::create_dir_all(folder)
+            .and_then(|()| std::fs::write(&path, chart::residual_plot(&title, &fit.model, trials)))
+            .with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(())
 }
 
 fn print_row(taxel: usize, model: &TaxelModel, quality: &Quality, cost_ns: f64) {
@@ -162,25 +157,59 @@ fn print_row(taxel: usize, model: &TaxelModel, quality: &Quality, cost_ns: f64) 
     );
 }
 
-/// A recorded stream: bytes and forces in the order of their times.
-fn replay(session: &mut Session, stream: &Path, times: &Path, force: &Path) -> anyhow::Result<()> {
-    let bytes = std::fs::read(stream).with_context(|| format!("cannot read {}", stream.display()))?;
-    let mut force = pairs(force)?.into_iter().peekable();
-    let mut rest = bytes.as_slice();
-    for (time_s, count) in pairs(times)? {
-        while let Some((at_s, force_n)) = force.next_if(|&(at_s, _)| at_s <= time_s) {
-            session.reference(force_n, nanoseconds(at_s));
+/// A recorded stream with its forces.
+struct Recording {
+    bytes: Vec<u8>,
+    /// s, bytes.
+    times: Vec<(f64, f64)>,
+    /// s, N.
+    force: Vec<(f64, f64)>,
+}
+
+impl Recording {
+    fn read(stream: &Path, times: &Path, force: &Path) -> Result<Self> {
+        let bytes = std::fs::read(stream).with_context(|| format!("cannot read {}", stream.display()))?;
+        Ok(Self { bytes, times: pairs(times)?, force: pairs(force)? })
+    }
+}
+
+/// Bytes and forces in the order of their times, taxel after taxel.
+fn recorded(
+    recording: &Recording,
+    arguments: &Arguments,
+    accept: &mut dyn FnMut(&Fitted) -> Result<()>,
+) -> Result<()> {
+    let mut force = recording.force.iter().peekable();
+    let mut times = recording.times.iter().peekable();
+    let mut rest = recording.bytes.as_slice();
+    for &target in &arguments.taxels {
+        let mut engine = Engine::default();
+        let start_ns = times.peek().map_or(0, |(time_s, _)| nanoseconds(*time_s));
+        engine.start(target, arguments.presses, start_ns);
+        while engine.fitted().is_none() {
+            let Some(&(time_s, count)) = times.next() else {
+                bail!("the recording ended early: {}", prompt(engine.progress()));
+            };
+            while let Some(&(at_s, force_n)) = force.next_if(|(at_s, _)| *at_s <= time_s) {
+                engine.reference(force_n, nanoseconds(at_s));
+            }
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "clamped to the stream"
+            )]
+            let count = count.clamp(0.0, 1e9) as usize;
+            let (chunk, after) = rest.split_at(count.min(rest.len()));
+            rest = after;
+            engine.bytes(chunk, nanoseconds(time_s));
+            engine.look(nanoseconds(time_s));
+            if let CalibrationProgress::Failed(why) = engine.progress() {
+                bail!("{why}");
+            }
         }
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the stream")]
-        let count = count.clamp(0.0, 1e9) as usize;
-        let (chunk, after) = rest.split_at(count.min(rest.len()));
-        session.push(chunk, nanoseconds(time_s));
-        rest = after;
+        engine.fitted().map_or(Ok(()), &mut *accept)?;
     }
-    match session.step() {
-        Step::Done => Ok(()),
-        step => bail!("the recording ended early: {}. {}", prompt(&step), session.diagnosis().text()),
-    }
+    Ok(())
 }
 
 /// Lines of two numbers.
@@ -203,51 +232,49 @@ fn nanoseconds(seconds: f64) -> u64 {
 }
 
 /// Board and gauge on their ports, a person at the cover.
-fn live(session: &mut Session, arguments: &Arguments) -> anyhow::Result<()> {
+fn live(arguments: &Arguments, accept: &mut dyn FnMut(&Fitted) -> Result<()>) -> Result<()> {
     let start = Instant::now();
-    let port = arguments.port.as_deref().unwrap_or(AUTO_PORT);
-    let (_board, mut board) = ports::open(port, start)?;
+    let now_ns = || u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
+    let (_board, mut board) = ports::open(arguments.port.as_deref().unwrap_or(AUTO_PORT), start)?;
     let gauge_port = arguments.gauge.as_deref().context("--gauge is missing")?;
     let mut gauge = Gauge::open(gauge_port, arguments.gauge_baud, start)?;
+    first_reading(&mut gauge, start)?;
     let mut shown = String::new();
-    let mut waiting = None;
-    let (mut bytes_at, mut progress_at, mut last_progress) = (start, start, None);
-    loop {
-        while let Ok(event) = board.pop() {
-            match event {
-                BoardEvent::Bytes(chunk) => {
-                    session.push(chunk.bytes(), chunk.arrival_ns);
-                    (bytes_at, waiting) = (Instant::now(), None);
-                }
-                BoardEvent::OpenFailed { why, .. } => waiting = Some(why.text()),
-                BoardEvent::Closed { .. } => bail!("the board's port closed: start again"),
-                BoardEvent::Opened { .. } | BoardEvent::Gap { .. } => {}
+    for &target in &arguments.taxels {
+        let mut engine = Engine::default();
+        engine.start(target, arguments.presses, now_ns());
+        while engine.fitted().is_none() {
+            while let Ok(event) = board.pop() {
+                engine.event(&event);
             }
+            let read = gauge.read(|force_n, at_ns| engine.reference(force_n, at_ns));
+            read.map_err(|why| anyhow!("force gauge: {why}"))?;
+            engine.look(now_ns());
+            if let CalibrationProgress::Failed(why) = engine.progress() {
+                println!();
+                bail!("{why}");
+            }
+            show(&mut shown, &prompt(engine.progress()))?;
+            std::thread::sleep(LOOK_EVERY);
         }
-        let read = gauge.read(|force_n, at_ns| session.reference(force_n, at_ns));
-        read.map_err(|why| anyhow!("force gauge: {why}"))?;
-        let step = session.step();
-        if step == Step::Done {
-            println!();
-            return Ok(());
-        }
-        show(&mut shown, waiting.unwrap_or(&prompt(&step)))?;
-        if last_progress.replace(progress(&step)) != Some(progress(&step)) {
-            progress_at = Instant::now();
-        }
-        let why = || waiting.unwrap_or(session.diagnosis().text());
-        ensure!(bytes_at.elapsed() < SILENT_LIMIT, "no bytes for {} s: {}", SILENT_LIMIT.as_secs(), why());
-        ensure!(progress_at.elapsed() < IDLE_LIMIT, "no progress for {} s: {}", IDLE_LIMIT.as_secs(), why());
-        std::thread::sleep(Duration::from_millis(20));
+        println!();
+        engine.fitted().map_or(Ok(()), &mut *accept)?;
     }
+    Ok(())
 }
 
-/// What counts as progress: taxel, frames at rest, presses.
-const fn progress(step: &Step) -> (usize, u32, u32) {
-    match *step {
-        Step::Rest { target, frames } => (target.number, frames, 0),
-        Step::Press { target, presses, .. } => (target.number, TARE_FRAMES, presses + 1),
-        Step::Done => (0, 0, 0),
+/// Waits until the gauge speaks: from then on its silence ends the session.
+fn first_reading(gauge: &mut Gauge, start: Instant) -> Result<()> {
+    loop {
+        let mut spoke = false;
+        let read = gauge.read(|_, _| spoke = true);
+        if spoke {
+            return Ok(());
+        }
+        if start.elapsed() > GAUGE_STARTS_WITHIN {
+            bail!("force gauge: {}", read.err().unwrap_or("it prints nothing that is a number, a line each"));
+        }
+        std::thread::sleep(LOOK_EVERY);
     }
 }
 
@@ -263,25 +290,23 @@ fn show(shown: &mut String, text: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn prompt(step: &Step) -> String {
-    match *step {
-        Step::Rest { target, frames } => format!(
+fn prompt(progress: &CalibrationProgress) -> String {
+    match progress {
+        CalibrationProgress::Rest { taxel, frames, frames_wanted } => format!(
             "T{}: step away from the cover, measuring rest {}",
-            target.number,
-            bar(f64::from(frames) / f64::from(TARE_FRAMES))
+            taxel + 1,
+            bar(f64::from(*frames) / f64::from(*frames_wanted))
         ),
-        Step::Press { target, presses, presses_wanted, counts, force_n } => {
-            let force = match force_n {
-                Some(force_n) => format!("{force_n:6.1} N"),
-                None => "no reading of the gauge yet".to_owned(),
-            };
-            format!(
-                "T{}: press slowly and release, {presses} of {presses_wanted} {} {counts:4.0} counts {force}",
-                target.number,
-                bar(f64::from(presses) / f64::from(presses_wanted))
-            )
-        }
-        Step::Done => "done".to_owned(),
+        CalibrationProgress::Press { taxel, presses, presses_wanted, counts, force_n } => format!(
+            "T{}: press slowly and release, {presses} of {presses_wanted} {} {counts:4.0} counts {}",
+            taxel + 1,
+            bar(f64::from(*presses) / f64::from(*presses_wanted)),
+            force_n.map_or("no reading of the gauge yet".to_owned(), |force_n| format!("{force_n:6.1} N"))
+        ),
+        CalibrationProgress::Failed(why) | CalibrationProgress::Unavailable(why) => why.clone(),
+        CalibrationProgress::Idle => "nothing under way".to_owned(),
+        CalibrationProgress::Fitted(_) => "measured".to_owned(),
+        CalibrationProgress::Saved { path, .. } => format!("saved in {path}"),
     }
 }
 
@@ -292,34 +317,10 @@ fn bar(share: f64) -> String {
     format!("[{}{}]", "#".repeat(full), ".".repeat(WIDTH - full))
 }
 
-/// Today in UTC, YYYY-MM-DD (proleptic Gregorian calendar, after H. Hinnant's `civil_from_days`).
-pub(crate) fn today() -> anyhow::Result<String> {
-    let days = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH)?.as_secs() / 86_400;
-    Ok(civil_date(days))
-}
-
-fn civil_date(days_since_1970: u64) -> String {
-    let z = days_since_1970 + 719_468;
-    let (era, day_of_era) = (z / 146_097, z % 146_097);
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let shifted_month = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * shifted_month + 2) / 5 + 1;
-    let month = if shifted_month < 10 { shifted_month + 3 } else { shifted_month - 9 };
-    let year = era * 400 + year_of_era + u64::from(month <= 2);
-    format!("{year:04}-{month:02}-{day:02}")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn dates_are_the_calendar_s() {
-        for (days, date) in [(0, "1970-01-01"), (11_016, "2000-02-29"), (20_778, "2026-11-21")] {
-            assert_eq!(civil_date(days), date);
-        }
-    }
+    use moca_tactile::calibration::CalibrationFile;
 
     #[test]
     fn targets_are_checked() {

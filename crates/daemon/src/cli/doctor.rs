@@ -3,7 +3,7 @@
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
 use crate::config::Config;
-use crate::runtime::live::Clock;
+use crate::runtime::clock::Clock;
 use crate::runtime::realtime::{self, Step};
 use crate::runtime::schedule::Schedule;
 use crate::runtime::timing::Distribution;
@@ -120,7 +120,7 @@ fn on_a_thread_of_its_own(work: impl FnOnce() -> Result<Lateness> + Send) -> Res
 /// Sleeps and wakes like the real loop, and does nothing in between.
 fn empty_loop(config: &Config, length: Duration) -> Result<Lateness> {
     let clock = Clock::start()?;
-    let (steps, _held) = realtime::apply(&config.realtime());
+    let (steps, _held) = realtime::apply(&config.realtime);
     let mut schedule = Schedule::starting_after(clock.now_ns(), config.period_ns());
     let end_ns = u64::try_from(length.as_nanos()).unwrap_or(u64::MAX);
     let (mut lateness, mut overruns) = (Distribution::new()?, 0);
@@ -136,22 +136,25 @@ fn empty_loop(config: &Config, length: Duration) -> Result<Lateness> {
 #[cfg(feature = "sim")]
 fn simulated_loop(config: &Config, length: Duration) -> Result<Lateness> {
     use crate::runtime::live::{self, Shared};
+    use crate::runtime::tick_source::Timer;
+    use crate::runtime::timing::Timing;
     let clock = Clock::start()?;
     let mut robot = crate::runtime::assemble::assemble(config, clock, None, Default::default())?;
-    let (steps, _held) = realtime::apply(&config.realtime());
+    let (steps, _held) = realtime::apply(&config.realtime);
     let shared = Shared::default();
     let (mut rings, samples, ports) = crate::runtime::clients::rings(&shared);
     drop((samples, ports));
     let started_ns = Duration::from_nanos(clock.now_ns());
+    let mut timing = Timing::new()?;
     let report = live::run(
         &mut robot.control,
-        clock,
-        config.period_ns(),
+        &mut Timer::new(clock, config.period_ns()),
+        &mut timing,
         Some(started_ns + length),
         &mut rings,
         &shared,
     );
-    Ok(Lateness { steps, lateness: robot.control.timing.lateness.clone(), overruns: report.overruns })
+    Ok(Lateness { steps, lateness: timing.lateness, overruns: report.overruns })
 }
 
 fn print_row(name: &str, measured: &Lateness) {

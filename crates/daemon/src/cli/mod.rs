@@ -4,3 +4,4 @@ pub mod calibrate;
 pub mod doctor;
 pub mod params;
 pub mod report;
+pub mod terminal;

@@ -6,9 +6,8 @@ use crate::config::schema;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand};
 use moca_msgs::{Refusal, Request};
-use moca_telemetry::net::{Connection, DEFAULT_ADDRESS, Link};
+use moca_telemetry::net::{Address, Connection, Link};
 use moca_telemetry::{ParameterDescription, ParameterForm, RobotDescription};
-use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -59,9 +58,9 @@ pub struct SetArguments {
 /// Which daemon.
 #[derive(Args)]
 struct DaemonArguments {
-    /// Address of the daemon's telemetry.
-    #[arg(long, value_name = "ADDRESS", default_value = DEFAULT_ADDRESS)]
-    address: SocketAddr,
+    /// Address of the daemon's telemetry: HOST:PORT, or unix:PATH.
+    #[arg(long, value_name = "ADDRESS", default_value_t = Address::of_this_machine())]
+    address: Address,
 }
 
 /// Carries out one command.
@@ -87,7 +86,7 @@ fn list(arguments: &ListArguments) -> Result<()> {
         }
         (None, true) => schema::describe(&Config::default()),
         (None, false) => {
-            let (connection, _) = connect(arguments.daemon.address)
+            let (connection, _) = connect(&arguments.daemon.address)
                 .context("is a daemon running? `mocad params list --offline` lists the defaults")?;
             settled(&connection)?.parameters.clone()
         }
@@ -116,7 +115,7 @@ fn shown(parameter: &ParameterDescription) -> String {
 
 fn set(arguments: &SetArguments) -> Result<()> {
     let values = numbers(&arguments.value)?;
-    let (connection, robot) = connect(arguments.daemon.address)?;
+    let (connection, robot) = connect(&arguments.daemon.address)?;
     let number = number_of(&robot, &arguments.name)?;
     let parameter = robot.parameters.get(number).context("the daemon's list of parameters is too short")?;
     let checked = parameter.checked(&values).map_err(|message| anyhow!(message))?;
@@ -126,6 +125,8 @@ fn set(arguments: &SetArguments) -> Result<()> {
     let until = Instant::now() + PATIENCE;
     while Instant::now() < until {
         if let Some(reply) = connection.poll().replies.iter().find(|reply| reply.request == request) {
+            // To go without a word would stop a moving robot.
+            connection.release();
             reply
                 .outcome
                 .map_err(|refusal| anyhow!("{name} = {}: {}", arguments.value, refusal_text(refusal)))?;
@@ -176,8 +177,8 @@ fn numbers(text: &str) -> Result<Vec<f64>> {
     }
 }
 
-fn connect(address: SocketAddr) -> Result<(Connection, Arc<RobotDescription>)> {
-    let connection = Connection::spawn(address, || {})?;
+fn connect(address: &Address) -> Result<(Connection, Arc<RobotDescription>)> {
+    let connection = Connection::spawn(address.clone(), || {})?;
     let until = Instant::now() + PATIENCE;
     loop {
         match connection.poll().link {

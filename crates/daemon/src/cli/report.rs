@@ -1,11 +1,14 @@
 //! What the terminal shows of a run: one line a second, every change of mode, and the summary.
 
-use crate::runtime::timing::{Distribution, Stage, Timing};
+use crate::config::{AUTO_PORT, Config};
+use crate::control::protection;
+use crate::control::stage::Stage;
+use crate::robot::Parts;
+use crate::runtime::notice::{Notice, Summary};
 use moca_msgs::board::Diagnosis;
 use moca_msgs::protection::{ContactKind, ContactPhase};
-use moca_msgs::{ContactEvent, Fault, Mode, Sample, SpeedLimit};
+use moca_msgs::{ContactEvent, Fault, Law, Mode, Sample, SpeedLimit};
 use std::fmt;
-use std::time::Duration;
 
 /// How much a line matters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
@@ -92,6 +95,92 @@ impl Console {
         lines.retain(|line| line.level <= self.level);
         lines
     }
+}
+
+/// What a terminal shows of one notice, in lines; usually none.
+pub fn lines_of(console: &mut Console, notice: Notice<'_>) -> Vec<String> {
+    let under = |title: &str, text: String| vec![format!("  {title:<11} {text}")];
+    match notice {
+        Notice::Begins { config, lock_step } => introduction(config, lock_step),
+        Notice::NoRobot => under("plant", "none: the cover alone, nothing moves".into()),
+        Notice::Simulated { config, mujoco } => simulated(config, mujoco),
+        Notice::Board { port: None, .. } => under("board", "virtual Touch Board in memory".into()),
+        Notice::Board { port: Some(port), simulated } => {
+            let port = if port == AUTO_PORT { "the only Touch Board on USB" } else { port };
+            under("board", format!("{port}{}", if simulated { " (virtual Touch Board)" } else { "" }))
+        }
+        Notice::Telemetry(address) => {
+            under("telemetry", format!("{address} (dashboard: cargo run --release --bin moca-monitor)"))
+        }
+        Notice::Recording(path) => under("record", path.display().to_string()),
+        Notice::RealTime(step) => match &step.result {
+            Ok(()) => under("real time", format!("{}: yes", step.what)),
+            Err(error) => under("real time", format!("{}: no ({error})", step.what)),
+        },
+        Notice::Runs => vec!["Ctrl-C stops it.".into()],
+        Notice::Sample(sample) => console.lines(sample).iter().map(ToString::to_string).collect(),
+        Notice::Parameter(change) => {
+            vec![format!("[tick {}] parameter {} = {:?}", change.tick, change.name, change.values)]
+        }
+        Notice::FaultLog(path) => vec![format!("  the seconds before it: {}", path.display())],
+        Notice::Trouble(words) => vec![Line { level: Level::Warning, text: words.into() }.to_string()],
+        Notice::Recorded(summary) => {
+            let mut lines = vec![format!(
+                "recorded {} samples and {} bytes of the board",
+                summary.samples, summary.serial_bytes
+            )];
+            if summary.serial_dropped > 0 {
+                let lost = summary.serial_dropped;
+                lines.push(format!(
+                    "  {lost} ticks or reads of the board found no room on their way to the disk"
+                ));
+            }
+            lines
+        }
+        Notice::Ended(summary) => vec![summary.to_string()],
+    }
+}
+
+fn introduction(config: &Config, lock_step: bool) -> Vec<String> {
+    let law = match (config.plant.parts, config.startup.law) {
+        (Parts::Base, _) => "admittance of the base alone (the base gives way)",
+        (Parts::Arm, _) => "Cartesian impedance of the arm alone (the flange keeps its place)",
+        (Parts::Whole, Law::Impedance) => {
+            "expanded Cartesian impedance (the flange keeps its place, the base gives way)"
+        }
+        (Parts::Whole, Law::FollowMe) => "expanded follow-me (base and arm follow the hand)",
+    };
+    let pace = if lock_step { "in lock-step, as fast as possible" } else { "live" };
+    let mut lines = vec![
+        format!("mocad {}: robot {:?}", env!("CARGO_PKG_VERSION"), config.robot.name),
+        format!("  controller  {law}, {} Hz, {pace}", config.control_loop.rate_hz),
+    ];
+    if config.plant.parts.has_cover() {
+        lines.push(format!("  protection  {}", protection::introduction(config)));
+    }
+    lines.extend(config.uncalibrated().map(|uncalibrated| format!("  cover       {uncalibrated}")));
+    lines
+}
+
+fn simulated(config: &Config, mujoco: &str) -> Vec<String> {
+    let (arm, base) = (config.arm().name, &config.robot.base_name);
+    let robot = match config.plant.parts {
+        Parts::Whole => format!("{arm} on {base}"),
+        Parts::Base => format!("{base} without an arm"),
+        Parts::Arm => format!("{arm} on a stand, no cover"),
+    };
+    let mut lines = vec![format!("  plant       simulated {robot} (MuJoCo {mujoco})")];
+    let hand = &config.simulation.hand;
+    if config.plant.parts.has_cover() && !hand.taxels.is_empty() {
+        let taxels: Vec<String> = hand.taxels.iter().map(|taxel| format!("T{taxel}")).collect();
+        lines.push(format!(
+            "  hand        presses {} with {} N, every {} s",
+            taxels.join(", "),
+            hand.force_n,
+            hand.every_s
+        ));
+    }
+    lines
 }
 
 fn why(fault: Option<Fault>) -> String {
@@ -190,26 +279,6 @@ fn seconds(ns: u64) -> f64 {
     ns as f64 * 1e-9
 }
 
-/// The one-screen summary at the end of a run.
-pub struct Summary<'a> {
-    /// How long the stages took.
-    pub timing: &'a Timing,
-    /// Age of the cover's data at each tick.
-    pub frame_age: &'a Distribution,
-    /// Its last sample.
-    pub last: &'a Sample,
-    /// Ticks run.
-    pub ticks: u64,
-    /// Missed slots by the stage they are charged to; `None` in lock-step.
-    pub overruns_by_stage: Option<[u64; 5]>,
-    /// Rust allocations on the loop thread after warm-up.
-    pub allocations: Option<u64>,
-    /// Samples that observers had no room for.
-    pub samples_dropped: u64,
-    /// Wall time of the run.
-    pub wall: Duration,
-}
-
 impl fmt::Display for Summary<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let last = self.last;
@@ -231,8 +300,8 @@ impl fmt::Display for Summary<'_> {
                 last.frames_good,
                 last.frames_bad,
                 last.frame_rate_hz,
-                1e-3 * self.frame_age.quantile_us(0.5),
-                1e-3 * self.frame_age.quantile_us(0.99),
+                1e-3 * self.timing.frame_age.quantile_us(0.5),
+                1e-3 * self.timing.frame_age.quantile_us(0.99),
             )?;
         }
         write!(f, "{}", self.timing)?;

@@ -1,10 +1,19 @@
 //! The user's file of contact limits: every mistake at once, as in the configuration. No numbers are shipped: which part
 //! of a body a taxel can touch, and what that part bears, is the user's risk assessment.
 
-use crate::config::{ConfigError, TAXELS, located, position_of, unknown_keys};
-use crate::control::contacts::ContactLimits;
+use crate::config::ConfigError;
+use crate::config::load::{Mistakes, find, read_text, syntax};
+use crate::robot::TAXELS;
 use std::path::Path;
-use toml::de::{DeTable, DeValue};
+
+/// The user's limits for one taxel, N; `None` never reacts.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ContactLimits {
+    /// For the first [`moca_msgs::protection::TRANSIENT_S`].
+    pub transient_n: Option<f64>,
+    /// From then on.
+    pub quasi_static_n: Option<f64>,
+}
 
 /// The documented empty file.
 pub const TEMPLATE_TOML: &str = include_str!("../../config/contact-limits.toml");
@@ -17,8 +26,7 @@ const FIELDS: [&str; 2] = ["transient_n", "quasi_static_n"];
 /// # Errors
 /// Every mistake in it, each with its line, or why it could not be read.
 pub fn load(path: &Path) -> Result<[ContactLimits; TAXELS], ConfigError> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|error| ConfigError { mistakes: vec![format!("{}: {error}", path.display())] })?;
+    let text = read_text(path)?;
     parse(&text).map_err(|error| ConfigError {
         mistakes: error.mistakes.iter().map(|mistake| format!("{}: {mistake}", path.display())).collect(),
     })
@@ -29,29 +37,20 @@ pub fn load(path: &Path) -> Result<[ContactLimits; TAXELS], ConfigError> {
 /// # Errors
 /// As for [`load`].
 pub fn parse(text: &str) -> Result<[ContactLimits; TAXELS], ConfigError> {
-    let root = DeTable::parse(text).map_err(|error| ConfigError {
-        mistakes: vec![located(text, error.span().map(|s| s.start), error.message())],
-    })?;
-    let root = root.get_ref();
-    let mut mistakes = Vec::new();
-    unknown_keys(text, root, &known(), "", &mut mistakes);
+    let (root, values) = syntax(text)?;
+    let mut mistakes = Mistakes::new(text, root);
+    mistakes.unknown_keys(&known());
     let mut limits = [ContactLimits::default(); TAXELS];
     for (i, limit) in limits.iter_mut().enumerate() {
         let name = format!("T{}", i + 1);
-        let Some((_, value)) = root.iter().find(|(key, _)| key.get_ref().as_ref() == name) else { continue };
-        let DeValue::Table(fields) = value.get_ref() else {
-            let message = format!("{name} is not a table; write [{name}] and its limits below");
-            mistakes.push(located(text, Some(value.span().start), &message));
-            continue;
-        };
         let mut number = |field: &str| {
-            let (_, value) = fields.iter().find(|(key, _)| key.get_ref().as_ref() == field)?;
-            let number = number(value.get_ref());
+            let key = format!("{name}.{field}");
+            let value = find(&values, &key)?;
+            let number = number(value);
             if !number.is_some_and(|n| RANGE_N.contains(&n)) {
                 let shown = number.map_or("not a number".into(), |n| format!("{n} N"));
                 let (min, max) = (RANGE_N.start(), RANGE_N.end());
-                let message = format!("{name}.{field} = {shown} is outside {min} to {max} N");
-                mistakes.push(located(text, position_of(root, &format!("{name}.{field}")), &message));
+                mistakes.add(&key, &format!("{key} = {shown} is outside {min} to {max} N"));
             }
             number
         };
@@ -59,24 +58,23 @@ pub fn parse(text: &str) -> Result<[ContactLimits; TAXELS], ConfigError> {
         if let (Some(transient_n), Some(quasi_static_n)) = (limit.transient_n, limit.quasi_static_n)
             && transient_n < quasi_static_n
         {
-            let message = format!(
-                "{name}.transient_n = {transient_n} N is below {name}.quasi_static_n = {quasi_static_n} N; what may \
-                 press for long may press for a moment"
-            );
-            mistakes.push(located(text, position_of(root, &format!("{name}.transient_n")), &message));
-        }
-    }
-    if mistakes.is_empty() && limits != [ContactLimits::default(); TAXELS] {
-        let source = root.iter().find(|(key, _)| key.get_ref().as_ref() == "source");
-        let stated = source.and_then(|(_, value)| value.get_ref().as_str()).unwrap_or("");
-        if stated.trim().is_empty() {
-            mistakes.push(
-                "source is missing: say where the limits come from, e.g. source = \"risk assessment of …\""
-                    .into(),
+            mistakes.add(
+                &format!("{name}.transient_n"),
+                &format!(
+                    "{name}.transient_n = {transient_n} N is below {name}.quasi_static_n = {quasi_static_n} N; what \
+                     may press for long may press for a moment"
+                ),
             );
         }
     }
-    if mistakes.is_empty() { Ok(limits) } else { Err(ConfigError { mistakes }) }
+    let stated = find(&values, "source").and_then(toml::Value::as_str).unwrap_or("");
+    if limits != [ContactLimits::default(); TAXELS] && stated.trim().is_empty() {
+        mistakes.add(
+            "source",
+            "source is missing: say where the limits come from, e.g. source = \"risk assessment of …\"",
+        );
+    }
+    mistakes.or(limits)
 }
 
 /// Every key there may be.
@@ -87,10 +85,11 @@ fn known() -> toml::Table {
     taxels.chain([("source".to_owned(), toml::Value::String(String::new()))]).collect()
 }
 
-fn number(value: &DeValue<'_>) -> Option<f64> {
+fn number(value: &toml::Value) -> Option<f64> {
     match value {
-        DeValue::Float(float) => float.as_str().replace('_', "").parse().ok(),
-        DeValue::Integer(integer) => integer.as_str().parse().ok(),
+        toml::Value::Float(number) => Some(*number),
+        #[expect(clippy::cast_precision_loss, reason = "compared with bounds far below 2^53")]
+        toml::Value::Integer(number) => Some(*number as f64),
         _ => None,
     }
 }
@@ -138,6 +137,11 @@ mod tests {
             assert!(error.contains(part), "{part} not in:\n{error}");
         }
         assert!(parse("[T1]\ntransient_n = 10\n").unwrap_err().to_string().contains("source is missing"));
-        assert!(parse("T1 = 3\n").unwrap_err().to_string().contains("line 1: T1 is not a table"));
+        assert!(
+            parse("T1 = 3\n")
+                .unwrap_err()
+                .to_string()
+                .contains("line 1: T1 is a section; write [T1] and below it")
+        );
     }
 }

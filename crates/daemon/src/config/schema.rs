@@ -1,163 +1,17 @@
-//! The schema of everything that can be configured: type, unit, range, default, description, live or not. One table
-//! checks configuration files, describes the robot to observers, and is exported as JSON schema.
+//! The schema of everything that can be configured, for observers and as JSON schema.
 
-use crate::config::{Config, TAXELS};
-use crate::control::protection::OVERRIDE_MAX_M_S;
-use moca_msgs::params::{CONTROLLER, ParameterKind, ParameterSpec};
-use moca_msgs::{ParameterError, request::PRESS_FORCE_MAX_N};
+use crate::config::Config;
+use crate::config::load::{find, written};
+use moca_msgs::table::{ParameterKind, ParameterSpec, Size};
 use moca_telemetry::{ParameterDescription, ParameterForm, ParameterValue};
 use serde_json::{Map, Value, json};
 
-#[expect(clippy::cast_precision_loss, reason = "a small count")]
-const LAST_TAXEL: f64 = TAXELS as f64;
-
-/// What can be configured besides the controllers' parameters; read at the start.
-pub const SETTINGS: &[ParameterSpec] = {
-    use ParameterKind::{Choice, Flag, Integer, Number, Text};
-    const ANY: (f64, f64) = (0.0, 0.0);
-    const EITHER: (f64, f64) = (0.0, 1.0);
-    const TAXEL: (f64, f64) = (1.0, LAST_TAXEL);
-    const fn row(
-        name: &'static str,
-        kind: ParameterKind,
-        units: &'static [&'static str],
-        range: (f64, f64),
-        description: &'static str,
-    ) -> ParameterSpec {
-        ParameterSpec::new(name, kind, units, range, description)
-    }
-    &[
-        row("robot", Text, &[], ANY, "Name of this robot, shown by observers and written into logs."),
-        row("loop.rate_hz", Integer, &["Hz"], (100.0, 10_000.0), "Control rate."),
-        row(
-            "realtime.priority",
-            Integer,
-            &[],
-            (0.0, 98.0),
-            "SCHED_FIFO priority of the loop thread; 0 is normal scheduling.",
-        ),
-        row("realtime.lock_memory", Flag, &[], EITHER, "Keep the process's pages in memory (mlockall)."),
-        row("realtime.cpu", Integer, &[], (-1.0, 1023.0), "Core the loop is pinned to; -1 for any."),
-        row("realtime.dma_latency", Flag, &[], EITHER, "Keep the processors out of deep sleep."),
-        row("plant.kind", Choice(&["simulated", "none"]), &[], ANY, "Which robot is driven."),
-        row("plant.parts", Choice(&["whole", "base", "arm"]), &[], ANY, "Which parts the robot has."),
-        row("geometry.arm", Choice(&["panda", "fr3"]), &[], ANY, "Which arm stands on the base."),
-        row("geometry.arm_position_m", Number, &["m"], (-5.0, 5.0), "Arm base in the base's frame B."),
-        row("geometry.arm_rpy_rad", Number, &["rad"], (-7.0, 7.0), "Its axes in B: roll, pitch, yaw."),
-        row(
-            "geometry.taxel_x_m",
-            Number,
-            &["m"],
-            (-5.0, 5.0),
-            "Centre of each taxel in B, T1 first: forward.",
-        ),
-        row("geometry.taxel_y_m", Number, &["m"], (-5.0, 5.0), "Centre of each taxel in B, T1 first: left."),
-        row(
-            "geometry.taxel_inward_rad",
-            Number,
-            &["rad"],
-            (-7.0, 7.0),
-            "Direction in which a press on each taxel pushes, angle from B's x axis.",
-        ),
-        row("board.port", Text, &[], ANY, "\"virtual\", \"auto\" (by USB id), or a path."),
-        row(
-            "board.firmware",
-            Choice(&["moca", "stock-2018", "stock-2015"]),
-            &[],
-            ANY,
-            "What runs on the virtual board; a real one is recognised.",
-        ),
-        row("board.name", Text, &[], ANY, "The board's name in its calibration file."),
-        row("board.calibration", Text, &[], ANY, "File that `mocad calibrate` wrote; empty for none."),
-        row("board.masked", Integer, &["(taxel number)"], TAXEL, "Taxels out of use."),
-        row("board.mask_policy", Choice(&["stop", "unfelt"]), &[], ANY, "What a masked taxel means."),
-        row("board.gauge", Text, &[], ANY, "Port of a force gauge for calibrations; empty for none."),
-        row("board.gauge_baud", Integer, &["baud"], (300.0, 4e6), "Speed of the gauge's port."),
-        row("startup.law", Choice(&["impedance", "follow-me"]), &[], ANY, "What arming starts."),
-        row("startup.tare", Flag, &[], EITHER, "Measure the cover's zero when the first frames arrive."),
-        row("startup.arm", Flag, &[], EITHER, "Arm by itself after that tare (simulation only)."),
-        row(
-            "protection.force_limit_n",
-            Number,
-            &["N"],
-            (1.0, 500.0),
-            "Force of an impact that limits the speed of the cover's fastest point.",
-        ),
-        row(
-            "protection.assessed_forces_n",
-            Number,
-            &["N"],
-            (6.0, 1000.0),
-            "Forces of your own risk assessment: `moca-lab latency` prints the speed for each.",
-        ),
-        row("protection.unfelt_force_n", Number, &["N"], (0.0, 100.0), "Force that the cover does not feel."),
-        row(
-            "protection.contact_stiffness_n_m",
-            Number,
-            &["N/m"],
-            (100.0, 1e6),
-            "Stiffness of cover and body in series at the force limit.",
-        ),
-        row(
-            "protection.contact_travel_m",
-            Number,
-            &["m"],
-            (1e-4, 0.1),
-            "Way that cover and body yield from the unfelt force to the force limit.",
-        ),
-        row(
-            "protection.override_speed_limit_m_s",
-            Number,
-            &["m/s"],
-            (0.0, OVERRIDE_MAX_M_S),
-            "Another speed limit, whatever the board's rate; 0 is no override.",
-        ),
-        row("protection.override_statement", Text, &[], ANY, "Why the limit is overridden; logged."),
-        row("protection.thresholds", Text, &[], ANY, "File of contact limits; empty for none."),
-        row(
-            "protection.reaction",
-            Choice(&["slow", "stop-direction", "retreat"]),
-            &[],
-            ANY,
-            "Reaction to a crossed contact limit, until that contact ends.",
-        ),
-        row("protection.slow_m_s", Number, &["m/s"], (0.0, 1.0), "Speed limit of \"slow\"."),
-        row("protection.retreat_m_s", Number, &["m/s"], (0.001, 1.0), "Speed of \"retreat\"."),
-        row("protection.retreat_m", Number, &["m"], (0.0, 1.0), "Longest way of a retreat."),
-        row("telemetry.listen", Text, &[], ANY, "Loopback address for dashboards; empty for none."),
-        row("flight_recorder.folder", Text, &[], ANY, "Where the last 10 s before a fault are written."),
-        row("simulation.seed", Integer, &[], (0.0, 9e15), "Seed of the sensor's noise."),
-        row("simulation.hand.taxels", Integer, &["(taxel number)"], TAXEL, "Taxels pressed in turn."),
-        row("simulation.hand.force_n", Number, &["N"], (0.0, PRESS_FORCE_MAX_N), "Force of a press."),
-        row("simulation.hand.every_s", Number, &["s"], (1.0, 3600.0), "From one press to the next."),
-        row("simulation.hand.hold_s", Number, &["s"], (0.1, 3600.0), "How long a press lasts."),
-    ]
-};
-
-/// The whole schema: the controllers' rows first, so that their numbers are those of [`CONTROLLER`].
-pub fn schema() -> impl Iterator<Item = &'static ParameterSpec> {
-    CONTROLLER.iter().chain(SETTINGS)
-}
-
-/// Reports every value of `config` outside its range to `report`.
-pub fn check(config: &Config, mut report: impl FnMut(ParameterError)) {
-    let Ok(table) = toml::Table::try_from(config) else { return };
-    for spec in schema() {
-        if let Some(ParameterValue::Numbers(values)) = find(&table, spec.name).and_then(value)
-            && let Err(error) = spec.check(&values)
-        {
-            report(error);
-        }
-    }
-}
-
 /// The schema with defaults and the values of `config`, as observers are given it.
 pub fn describe(config: &Config) -> Vec<ParameterDescription> {
-    let table = |config: &Config| toml::Table::try_from(config).unwrap_or_default();
-    let (defaults, configured) = (table(&Config::default()), table(config));
-    let of = |table: &toml::Table, name| find(table, name).and_then(value).unwrap_or_default();
-    schema()
-        .map(|spec| ParameterDescription {
+    let defaults = Config::with_arm(config.robot.arm.clone()).to_toml();
+    let mut all = Vec::new();
+    config.clone().each(&mut |spec, field| {
+        all.push(ParameterDescription {
             name: spec.name.into(),
             form: match spec.kind {
                 ParameterKind::Number => ParameterForm::Number,
@@ -173,18 +27,18 @@ pub fn describe(config: &Config) -> Vec<ParameterDescription> {
             max: spec.max,
             live: spec.live,
             description: spec.description.into(),
-            default: of(&defaults, spec.name),
-            value: of(&configured, spec.name),
-        })
-        .collect()
+            default: find(&defaults, spec.name).and_then(value).unwrap_or_default(),
+            value: value(&written(spec, field)).unwrap_or_default(),
+        });
+    });
+    all
 }
 
 /// JSON schema (draft 2020-12) of the configuration file. `unit` and `live` are annotations of ours.
 pub fn json_schema() -> Value {
     let mut root = section();
-    let defaults = toml::Table::try_from(Config::default()).unwrap_or_default();
-    for spec in schema() {
-        let default = find(&defaults, spec.name).and_then(|value| serde_json::to_value(value).ok());
+    Config::default().each(&mut |spec, field| {
+        let default = serde_json::to_value(written(spec, field));
         let mut parts: Vec<&str> = spec.name.split('.').collect();
         let key = parts.pop().unwrap_or_default();
         let mut at = &mut root;
@@ -196,7 +50,7 @@ pub fn json_schema() -> Value {
             at = &mut at[part];
         }
         at["properties"][key] = property(spec, default.unwrap_or_default());
-    }
+    });
     root["$schema"] = "https://json-schema.org/draft/2020-12/schema".into();
     root["title"] = "Configuration of mocad".into();
     root
@@ -225,18 +79,21 @@ fn property(spec: &ParameterSpec, default: Value) -> Value {
         }
         ParameterKind::Flag | ParameterKind::Text => {}
     }
-    let mut whole = match &default {
-        Value::Array(elements) => {
+    let mut whole = match spec.size {
+        Size::One => one,
+        size => {
             let mut list = Map::new();
             list.insert("type".into(), "array".into());
             list.insert("items".into(), one.into());
-            if ["control.", "limits.", "geometry."].iter().any(|start| spec.name.starts_with(start)) {
-                list.insert("minItems".into(), elements.len().into());
-                list.insert("maxItems".into(), elements.len().into());
-            }
+            let (least, most) = match size {
+                Size::Exactly(count) => (count, count),
+                Size::AtMost(count) => (0, count),
+                Size::One | Size::Joints => (1, moca_msgs::MAX_JOINTS),
+            };
+            list.insert("minItems".into(), least.into());
+            list.insert("maxItems".into(), most.into());
             list
         }
-        _ => one,
     };
     whole.insert("default".into(), default);
     whole.insert("description".into(), spec.description.into());
@@ -245,13 +102,6 @@ fn property(spec: &ParameterSpec, default: Value) -> Value {
     }
     whole.insert("live".into(), spec.live.into());
     whole.into()
-}
-
-fn find<'a>(table: &'a toml::Table, path: &str) -> Option<&'a toml::Value> {
-    match path.split_once('.') {
-        None => table.get(path),
-        Some((first, rest)) => find(table.get(first)?.as_table()?, rest),
-    }
 }
 
 /// Numbers and flags as numbers, anything else as text.
@@ -276,23 +126,6 @@ pub(crate) fn value(value: &toml::Value) -> Option<ParameterValue> {
 mod tests {
     use super::*;
     use crate::config::DEFAULT_TOML;
-    use std::collections::BTreeSet;
-
-    fn keys(table: &toml::Table, path: &str, out: &mut BTreeSet<String>) {
-        for (key, value) in table {
-            match value {
-                toml::Value::Table(sub) => keys(sub, &format!("{path}{key}."), out),
-                _ => drop(out.insert(format!("{path}{key}"))),
-            }
-        }
-    }
-
-    #[test]
-    fn every_key_of_the_configuration_has_its_row() {
-        let (mut known, rows) = (BTreeSet::new(), schema().map(|spec| spec.name.to_owned()).collect());
-        keys(&toml::Table::try_from(Config::default()).unwrap(), "", &mut known);
-        assert_eq!(known, rows);
-    }
 
     /// Where a comment of the documented file says "a to b", it is the range that is enforced.
     #[test]
@@ -312,8 +145,9 @@ mod tests {
                 _ => None,
             });
             let name = format!("{section}{key}");
-            let spec = schema().find(|spec| spec.name == name);
-            let spec = spec.unwrap_or_else(|| panic!("{name} has no row"));
+            let mut row = None;
+            Config::default().each(&mut |spec, _| row = row.or((spec.name == name).then_some(spec)));
+            let spec = row.unwrap_or_else(|| panic!("{name} has no row"));
             if let Some((min, max)) = range {
                 assert_eq!((spec.min, spec.max), (min, max), "{name}");
                 compared += 1;
@@ -324,21 +158,31 @@ mod tests {
 
     #[test]
     fn defaults_are_in_range_and_whatever_is_not_is_named_with_value_unit_and_range() {
-        check(&Config::default(), |error| panic!("{error}"));
+        Config::default().check(|_, error| panic!("{error}"));
         let mut config = Config::default();
         config.control.gains.stiffness[4] = 2e5;
         config.limits.base_velocity[2] = f64::NAN;
-        config.board.masked = vec![12];
+        config.board.masked = vec![99];
         let mut errors = Vec::new();
-        check(&config, |error| errors.push(error.to_string()));
+        config.check(|_, error| errors.push(error));
         assert_eq!(
-            errors,
+            errors[..3],
             [
                 "control.gains.stiffness = 200000 N·m/rad is outside 0 to 100000 N·m/rad",
                 "limits.base_velocity = NaN rad/s is outside 0 to 3 rad/s",
-                "board.masked = 12 (taxel number) is outside 1 to 11 (taxel number)",
+                "board.masked = 99 (taxel number) is outside 1 to 48 (taxel number)",
             ]
         );
+    }
+
+    #[test]
+    fn the_first_numbers_are_those_of_the_controllers() {
+        let described = describe(&Config::default());
+        for (row, spec) in described.iter().zip(&moca_msgs::params::CONTROLLER) {
+            assert_eq!((row.name.as_str(), row.live), (spec.name, spec.live));
+        }
+        assert!(described.iter().skip(moca_msgs::params::CONTROLLER.len()).all(|row| !row.live));
+        assert!(described.iter().all(|row| row.value == row.default && row.description.ends_with('.')));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Contacts, taxel by taxel: how long, how hard, and whether a limit of the user's was crossed. Pure, no allocation.
 
-use crate::config::TAXELS;
+use crate::config::contact_limits::ContactLimits;
+use crate::robot::TAXELS;
 use heapless::Deque;
 use moca_msgs::protection::{ContactKind, ContactPhase, TRANSIENT_S};
 use moca_msgs::{ContactEvent, ContactReaction, TaxelReading, TaxelStatus};
@@ -8,15 +9,6 @@ use moca_msgs::{ContactEvent, ContactReaction, TaxelReading, TaxelStatus};
 /// Events that wait for a sample with room. A frame makes at most three a taxel, and a tick takes four away: with 4 ms
 /// between frames, the sensor chip's fastest, they do not pile up.
 const WAITING: usize = 64;
-
-/// The user's limits for one taxel, N; `None` never reacts.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ContactLimits {
-    /// For the first [`TRANSIENT_S`].
-    pub transient_n: Option<f64>,
-    /// From then on.
-    pub quasi_static_n: Option<f64>,
-}
 
 #[derive(Clone, Copy, Debug)]
 struct Contact {

@@ -1,8 +1,7 @@
 //! Where the loop gets the cover's forces from.
 
-use crate::config::TAXELS;
 use crate::control::supervisor::Zero;
-use crate::record::tick_log::Copied;
+use crate::robot::TAXELS;
 use moca_msgs::board::Diagnosis;
 use moca_msgs::{CoverReading, Fault, Outcome, Refusal, TaxelReading, TaxelStatus};
 use moca_tactile::cover::EarlyContact;
@@ -30,6 +29,8 @@ pub struct CoverState {
     pub frames_bad: u64,
     /// Measured frame rate, Hz; 0 before it is known.
     pub rate_hz: f64,
+    /// Events that the cover has taken from its source since the start.
+    pub events: u64,
 }
 
 impl CoverState {
@@ -48,6 +49,7 @@ impl CoverState {
         frames_good: 0,
         frames_bad: 0,
         rate_hz: 0.0,
+        events: 0,
     };
 }
 
@@ -58,11 +60,6 @@ pub trait CoverSource {
 
     /// Starts measuring the zero.
     fn start_tare(&mut self, now_ns: u64);
-
-    /// What the last [`CoverSource::read`] handed to a recorder.
-    fn copied(&self) -> Copied {
-        Copied::default()
-    }
 
     /// Takes a taxel (0 is T1) out of use, or back into it.
     ///
@@ -82,10 +79,6 @@ impl<S: CoverSource> CoverSource for Option<S> {
         if let Some(cover) = self {
             cover.start_tare(now_ns);
         }
-    }
-
-    fn copied(&self) -> Copied {
-        self.as_ref().map(CoverSource::copied).unwrap_or_default()
     }
 
     fn mask(&mut self, taxel: usize, masked: bool) -> Outcome {

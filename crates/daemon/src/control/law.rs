@@ -1,32 +1,57 @@
 //! From mode and forces to a command: which law runs in which mode.
 
-use crate::config::{JOINTS, Parts, TAXELS};
+use crate::config::Config;
 use crate::control::cover::CoverState;
 use crate::control::protection::{Protected, Protection};
+use crate::robot::{JOINTS, Parts, TAXELS};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{
-    Actuation, Fault, Mode, Outcome, ParameterValues, Parameters, Refusal, RobotState, TaxelStatus,
+    Actuation, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, Refusal, RobotCommand,
+    RobotState, TaxelStatus,
 };
-use moca_wbc::{ControlError, ControlInput, ControlLaw, ControlOutput, Controller, ControllerState};
+use moca_wbc::{
+    ArmController, ArmInput, ArmState, BaseController, BaseGuard, BaseInput, BaseState, ControlError,
+    ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose, LimitsHit, WholeBodyController,
+};
 
-/// The controller with the state it carries from tick to tick.
+/// The controller of the parts that the robot has, with what it remembers from tick to tick.
+#[expect(clippy::large_enum_variant, reason = "there is one, and it lives as long as the loop")]
+enum Controller {
+    Whole(WholeBodyController<JOINTS, TAXELS>, Option<ControllerState<JOINTS>>),
+    Base(BaseController<TAXELS>, BaseState),
+    Arm(ArmController<JOINTS>, Option<ArmState<JOINTS>>),
+}
+
+/// The controller with its parameters and what protects people from it.
 pub struct Motion {
-    controller: Controller<JOINTS, TAXELS>,
+    controller: Controller,
     parameters: Parameters<JOINTS>,
     protection: Protection,
     parts: Parts,
-    state: Option<ControllerState<JOINTS>>,
+    guard: BaseGuard<TAXELS>,
 }
 
 impl Motion {
-    /// Not yet entered: the first command starts from the measured state. `parameters` are those of `controller`.
-    pub const fn new(
-        controller: Controller<JOINTS, TAXELS>,
-        parameters: Parameters<JOINTS>,
-        protection: Protection,
-        parts: Parts,
-    ) -> Self {
-        Self { controller, parameters, protection, parts, state: None }
+    /// Not yet entered: the first command starts from the measured state.
+    ///
+    /// # Errors
+    /// The first parameter or number of the geometry out of range.
+    pub fn new(config: &Config, protection: Protection) -> Result<Self, ParameterError> {
+        let (arm, taxels) = (config.arm(), config.taxels());
+        let (mount, payload) = (config.robot.mount, config.robot.payload());
+        let (parameters, parts) = (config.parameters(), config.plant.parts);
+        let controller = match parts {
+            Parts::Whole => Controller::Whole(
+                WholeBodyController::new(arm, &mount, &payload, &taxels, &parameters)?,
+                None,
+            ),
+            Parts::Base => {
+                let base = BaseController::new(&taxels, &parameters)?;
+                Controller::Base(base, base.enter())
+            }
+            Parts::Arm => Controller::Arm(ArmController::new(arm, &mount, &payload, &parameters)?, None),
+        };
+        Ok(Self { controller, parameters, protection, parts, guard: Protected::default().guard })
     }
 
     /// Which parts of the robot it moves.
@@ -35,17 +60,14 @@ impl Motion {
     }
 
     /// What protects the people around the base in the tick at `now_ns`; once a tick, before [`Motion::command`].
-    ///
-    /// # Errors
-    /// [`Fault::ControlRefused`] for a speed that is none, which the configuration's check keeps away.
-    pub fn protect(&mut self, now_ns: u64, cover: &CoverState, mode: Mode) -> Result<Protected, Fault> {
+    pub fn protect(&mut self, now_ns: u64, cover: &CoverState, mode: Mode) -> Protected {
         let protected = if self.parts.has_cover() {
             self.protection.update(now_ns, cover, &self.parameters.limits, mode.moves())
         } else {
             Protected::default()
         };
-        self.controller.set_guard(protected.guard).map_err(|_| Fault::ControlRefused)?;
-        Ok(protected)
+        self.guard = protected.guard;
+        protected
     }
 
     /// Speed of the fastest point of the cover at the base's measured velocity, m/s; 0 without a cover.
@@ -65,14 +87,22 @@ impl Motion {
         }
         let mut wanted = self.parameters;
         wanted.set(number, values)?;
-        self.controller.set_parameters(&wanted).map_err(|_| Refusal::Conflict)?;
+        match &mut self.controller {
+            Controller::Whole(controller, _) => replace(controller, controller.with_parameters(&wanted)),
+            Controller::Base(controller, _) => replace(controller, controller.with_parameters(&wanted)),
+            Controller::Arm(controller, _) => replace(controller, controller.with_parameters(&wanted)),
+        }?;
         self.parameters = wanted;
         Ok(())
     }
 
     /// Forgets targets and controller state: the next command is entered anew from the measured state.
     pub fn leave(&mut self) {
-        self.state = None;
+        match &mut self.controller {
+            Controller::Whole(_, state) => *state = None,
+            Controller::Base(controller, state) => *state = controller.enter(),
+            Controller::Arm(_, state) => *state = None,
+        }
     }
 
     /// Moves the target of the running law with `twist` \[m/s; rad/s\], axes of the law's reference, until told
@@ -81,7 +111,11 @@ impl Motion {
     /// # Errors
     /// A value that is not finite.
     pub fn set_target_twist(&mut self, twist: [f64; 6]) -> Result<(), ControlError> {
-        self.state.as_mut().map_or(Ok(()), |state| state.set_target_twist(twist))
+        match &mut self.controller {
+            Controller::Whole(_, Some(state)) => state.set_target_twist(twist),
+            Controller::Arm(_, Some(state)) => state.set_target_twist(twist),
+            Controller::Whole(_, None) | Controller::Arm(_, None) | Controller::Base(..) => Ok(()),
+        }
     }
 
     /// One tick's command in `mode`, `dt_s` after the last one.
@@ -110,19 +144,79 @@ impl Motion {
                 return Err(Fault::TaxelInvalid { taxel: u8::try_from(taxel).unwrap_or(u8::MAX), status });
             }
         };
-        let state = match &mut self.state {
-            Some(state) => state,
-            None => self.state.insert(self.controller.enter(law, robot).map_err(|_| Fault::StateInvalid)?),
-        };
-        let input = ControlInput { robot: *robot, taxel_force_n, flange_wrench_world: None, dt_s };
-        let output = match (self.parts, law) {
-            (Parts::Whole, _) | (Parts::Arm, ControlLaw::Hold) => self.controller.step(law, state, &input),
-            // On a stand the flange's place in the world and on the base are one.
-            (Parts::Arm, _) => self.controller.step(ControlLaw::FollowMe, state, &input),
-            (Parts::Base, _) => self.controller.step_base(law, state, &input),
-        };
-        output.map_err(|_| Fault::ControlRefused)
+        let (robot, guard) = (*robot, self.guard);
+        match &mut self.controller {
+            Controller::Whole(controller, state) => {
+                let state = entered(state, || controller.enter(law, &robot))?;
+                let input = ControlInput { robot, taxel_force_n, flange_wrench_world: None, guard, dt_s };
+                controller.step(law, state, &input)
+            }
+            Controller::Base(controller, state) => {
+                let yaw_world_rad = robot.base_pose_world[2];
+                let input = BaseInput { yaw_world_rad, taxel_force_n, guard, dt_s };
+                match law {
+                    ControlLaw::Hold => controller.hold(state, &input),
+                    ControlLaw::Impedance | ControlLaw::FollowMe => controller.step(state, &input),
+                }
+                .map(|output| ControlOutput {
+                    command: RobotCommand {
+                        base_velocity_body: output.velocity_body,
+                        arm_torque_nm: [0.0; JOINTS],
+                    },
+                    cover_wrench_base: output.cover_wrench_base,
+                    limits: output.limits,
+                    ..WITHOUT_PARTS
+                })
+            }
+            Controller::Arm(controller, state) => {
+                let state = entered(state, || controller.enter(&robot))?;
+                let input = ArmInput { robot, flange_wrench_world: None, dt_s };
+                match law {
+                    ControlLaw::Hold => controller.hold(state, &input),
+                    ControlLaw::Impedance | ControlLaw::FollowMe => controller.step(state, &input),
+                }
+                .map(|output| ControlOutput {
+                    command: RobotCommand { base_velocity_body: [0.0; 3], arm_torque_nm: output.torque_nm },
+                    flange_wrench_world: output.flange_wrench_world,
+                    flange: output.flange,
+                    flange_desired: output.flange_desired,
+                    limits: output.limits,
+                    ..WITHOUT_PARTS
+                })
+            }
+        }
+        .map_err(|_| Fault::ControlRefused)
     }
+}
+
+/// What a part that is not there gives out.
+const WITHOUT_PARTS: ControlOutput<JOINTS> = {
+    const NOWHERE: FlangePose =
+        FlangePose { position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] };
+    ControlOutput {
+        command: RobotCommand { base_velocity_body: [0.0; 3], arm_torque_nm: [0.0; JOINTS] },
+        cover_wrench_base: [0.0; 3],
+        flange_wrench_world: [0.0; 6],
+        flange: NOWHERE,
+        flange_desired: NOWHERE,
+        limits: LimitsHit::NONE,
+    }
+};
+
+/// The state, entered if it is not there yet.
+fn entered<S>(
+    state: &mut Option<S>,
+    enter: impl FnOnce() -> Result<S, ControlError>,
+) -> Result<&mut S, Fault> {
+    match state {
+        Some(state) => Ok(state),
+        None => Ok(state.insert(enter().map_err(|_| Fault::StateInvalid)?)),
+    }
+}
+
+fn replace<C>(controller: &mut C, next: Result<C, ParameterError>) -> Outcome {
+    *controller = next.map_err(|_| Refusal::Conflict)?;
+    Ok(())
 }
 
 /// The order that carries a controller's output, or the brake when there is none.

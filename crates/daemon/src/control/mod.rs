@@ -6,6 +6,8 @@ pub mod cover;
 pub mod law;
 pub mod plant;
 pub mod protection;
+pub mod stage;
 pub mod state_check;
 pub mod supervisor;
 pub mod tick;
+pub mod tick_input;

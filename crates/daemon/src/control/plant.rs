@@ -1,7 +1,7 @@
 //! The plant: whatever has a base and an arm. The only line that simulation and robot do not share.
 
-use crate::config::JOINTS;
-use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
+use crate::robot::JOINTS;
+use moca_msgs::{Actuation, Fault, Outcome, RobotState};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -42,23 +42,8 @@ impl Plant for NoRobot {
     }
 }
 
-/// What a plant that is the loop's clock says about time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Beat {
-    /// A datagram, with the plant's own count of control periods: one more each period, lost datagrams included.
-    Count(u64),
-    /// None in time.
-    Missing,
-}
-
 /// A robot, simulated or real.
 pub trait Plant {
-    /// Waits for the next datagram of a plant that is the loop's clock, at most `timeout`; the newest counts. `None` is
-    /// a plant without a clock: a timer drives the loop.
-    fn beat(&mut self, _timeout: Duration) -> Option<Beat> {
-        None
-    }
-
     /// The state measured at this tick.
     ///
     /// # Errors
@@ -76,11 +61,32 @@ pub trait Plant {
     /// As for [`Plant::read`].
     fn write(&mut self, actuation: &Actuation<JOINTS>, ticks: u64) -> Result<(), Fault>;
 
+    /// What only a simulated robot can be asked.
+    fn simulated(&mut self) -> Option<&mut dyn Simulated> {
+        None
+    }
+}
+
+/// A robot in a simulated world.
+pub trait Simulated {
     /// Presses a taxel (0 is T1) with a steady force, N.
     ///
     /// # Errors
-    /// [`Refusal::NotSimulated`] on a real robot, [`Refusal::OutOfRange`] for a taxel or force that does not exist.
-    fn press(&mut self, _taxel: usize, _force_n: f64) -> Outcome {
-        Err(Refusal::NotSimulated)
-    }
+    /// [`Refusal::OutOfRange`](moca_msgs::Refusal::OutOfRange) for a taxel or force that does not exist.
+    fn press(&mut self, taxel: usize, force_n: f64) -> Outcome;
+}
+
+/// What a plant that is the loop's clock says about time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Datagram {
+    /// One came, with the plant's own count of control periods: one more each period, lost datagrams included.
+    Count(u64),
+    /// None came in time.
+    Missing,
+}
+
+/// A robot whose datagrams are the loop's clock.
+pub trait PlantClock: Plant {
+    /// Waits for the next datagram, at most `timeout`; the newest counts.
+    fn receive(&mut self, timeout: Duration) -> Datagram;
 }

@@ -8,11 +8,12 @@
 //! The limit holds for the fastest point of the cover, a corner once the base turns: whoever is touched is touched
 //! there. The arm and what it carries are not covered by it.
 
-use crate::config::{Config, JOINTS, ProtectionConfig, TAXELS};
-use crate::control::contacts::{ContactLimits, ContactTracker};
+use crate::config::contact_limits::ContactLimits;
+use crate::config::{Config, ProtectionConfig};
+use crate::control::contacts::ContactTracker;
 use crate::control::cover::CoverState;
+use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_EVENTS;
-use moca_msgs::robot::SUMMIT_XL;
 use moca_msgs::{ContactEvent, ContactReaction, Limits, RobotState, SpeedLimit, SpeedLimitReason};
 use moca_tactile::Firmware;
 use moca_tactile::board::SILENT_AFTER_NS;
@@ -24,8 +25,6 @@ use moca_wbc::guard::CoverOutline;
 const FRAMES: u32 = 16;
 /// The worst delay of at least this long counts, ns: 20 frames of a stock board.
 const WINDOW_NS: u64 = 500_000_000;
-/// Largest speed that an override may state, m/s.
-pub const OVERRIDE_MAX_M_S: f64 = 10.0;
 
 /// What protects in one tick.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,7 +76,7 @@ impl Protection {
                 stiffness_n_m: settings.contact_stiffness_n_m,
                 damping_n_s_m: 0.0,
                 delay_s: 0.0,
-                servo_s: SUMMIT_XL.servo_time_constant_s,
+                servo_s: config.robot.base.servo_time_constant_s,
             },
             tick_s: 1.0 / f64::from(config.control_loop.rate_hz.max(1)),
             outline,
@@ -172,10 +171,10 @@ impl Protection {
                     protected.guard.speed_m_s = Some(self.settings.slow_m_s);
                 }
             }
-            ContactReaction::StopDirection => protected.guard.blocked = *crossed,
+            ContactReaction::StopDirection => block(&mut protected.guard, crossed),
             ContactReaction::Retreat => {
                 // away from the one, but not into another who touches as well
-                protected.guard.blocked = self.tracker.touched();
+                block(&mut protected.guard, &self.tracker.touched());
                 if self.retreated_m < self.settings.retreat_m {
                     let speed_m_s = self.settings.retreat_m_s.min(protected.speed_limit.m_s);
                     protected.guard.instead_body = Some(self.outline.away_from(crossed, speed_m_s));
@@ -183,6 +182,12 @@ impl Protection {
                 }
             }
         }
+    }
+}
+
+fn block(guard: &mut BaseGuard<TAXELS>, taxels: &[bool; TAXELS]) {
+    for (blocked, taxel) in guard.blocked.iter_mut().zip(taxels) {
+        *blocked |= taxel;
     }
 }
 
@@ -221,38 +226,6 @@ impl ReadingDelay {
     /// before there were enough.
     fn worst_s(&self, tick_s: f64) -> Option<f64> {
         (self.frames >= FRAMES).then(|| (self.worst_s[0].max(self.worst_s[1]) - tick_s).max(0.0))
-    }
-}
-
-/// Reports what is wrong between the values of `[protection]` as (dotted path, message); ranges are the schema's part.
-pub(crate) fn check(settings: &ProtectionConfig, report: &mut dyn FnMut(&str, String)) {
-    if settings.unfelt_force_n >= settings.force_limit_n {
-        report(
-            "protection.unfelt_force_n",
-            format!(
-                "protection.unfelt_force_n = {} N is not below protection.force_limit_n = {} N: no speed would be slow enough",
-                settings.unfelt_force_n, settings.force_limit_n
-            ),
-        );
-    }
-    let stated = !settings.override_statement.trim().is_empty();
-    let overridden = settings.override_speed_limit_m_s > 0.0;
-    if overridden && !stated {
-        report(
-            "protection.override_speed_limit_m_s",
-            format!(
-                "protection.override_speed_limit_m_s = {} m/s switches off the limit that the board's rate sets; it \
-                 needs protection.override_statement: who decided so, and what keeps contact forces low instead",
-                settings.override_speed_limit_m_s
-            ),
-        );
-    }
-    if stated && !overridden {
-        report(
-            "protection.override_statement",
-            "protection.override_statement is given but protection.override_speed_limit_m_s is 0 (no override)"
-                .into(),
-        );
     }
 }
 

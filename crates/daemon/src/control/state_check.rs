@@ -1,7 +1,7 @@
 //! The door of the robot's state: nothing that is old, not a number or not possible reaches a controller.
 
-use crate::config::JOINTS;
 use crate::control::plant::SourceAge;
+use crate::robot::JOINTS;
 use core::f64::consts::{PI, TAU};
 use moca_msgs::{Fault, RobotState};
 

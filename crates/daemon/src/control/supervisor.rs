@@ -71,14 +71,35 @@ pub struct Automatic {
 }
 
 /// What one step decided.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Decision {
     /// Mode of this tick.
     pub mode: Mode,
     /// Whether the tare has to be started now.
     pub start_tare: bool,
-    /// Answer to the request, if there was one.
+    /// Answer to the request, if there was one and the supervisor has answered it.
     pub outcome: Option<Outcome>,
+    /// A request that is permitted in this mode and that a part of the robot has to carry out and answer.
+    pub carry_out: Option<Request>,
+}
+
+/// In which modes a request is taken. In any other it is refused with the mode, and nothing is taken in
+/// [`Mode::Fault`] but what does not move the robot.
+const fn taken_in(request: &Request) -> &'static [Mode] {
+    use Mode::{Fault, FollowMe, Impedance, ProtectiveStop, Ready, Starting, Taring};
+    match request {
+        Request::Stop | Request::OperatorLost | Request::SelectLaw(_) => {
+            &[Starting, Taring, Ready, Impedance, FollowMe, ProtectiveStop]
+        }
+        Request::Tare => &[Starting, Ready, ProtectiveStop],
+        Request::Arm => &[Ready],
+        Request::Disarm => &[Impedance, FollowMe],
+        Request::Resume => &[ProtectiveStop],
+        Request::MaskTaxel { .. } => &[Starting, Taring, Ready, ProtectiveStop, Fault],
+        Request::PressTaxel { .. } | Request::SetParameter { .. } => {
+            &[Starting, Taring, Ready, Impedance, FollowMe, ProtectiveStop, Fault]
+        }
+    }
 }
 
 /// The mode and what led to it.
@@ -127,9 +148,26 @@ impl Supervisor {
     pub fn step(&mut self, facts: &Facts, request: Option<Request>) -> Decision {
         self.start_tare = false;
         self.react(facts);
-        let outcome = request.map(|request| self.answer(request, facts));
+        let (outcome, carry_out) = match request {
+            None => (None, None),
+            Some(request) if !taken_in(&request).contains(&self.mode) => {
+                (Some(Err(Refusal::Mode(self.mode))), None)
+            }
+            Some(
+                request @ (Request::PressTaxel { .. }
+                | Request::MaskTaxel { .. }
+                | Request::SetParameter { .. }),
+            ) => (None, Some(request)),
+            Some(request) => (Some(self.answer(request, facts)), None),
+        };
         self.proceed(facts);
-        Decision { mode: self.mode, start_tare: self.start_tare, outcome }
+        Decision { mode: self.mode, start_tare: self.start_tare, outcome, carry_out }
+    }
+
+    /// Stops in the running tick for a fault that was found after [`Supervisor::step`]: by the controller or in the
+    /// plant's answer to the order.
+    pub fn stop_for(&mut self, fault: Fault) {
+        self.stop(fault);
     }
 
     fn react(&mut self, facts: &Facts) {
@@ -159,40 +197,42 @@ impl Supervisor {
         }
     }
 
+    /// Answers a request that is taken in this mode.
     fn answer(&mut self, request: Request, facts: &Facts) -> Outcome {
-        use Mode::{Fault as Faulted, FollowMe, Impedance, ProtectiveStop, Ready, Starting};
-        match (request, self.mode) {
-            (_, Faulted) => Err(Refusal::Mode(self.mode)),
-            (Request::Stop | Request::OperatorLost, ProtectiveStop) => Ok(()),
-            (Request::Stop, _) => {
-                self.stop(Fault::OperatorStop);
+        match request {
+            Request::Stop => {
+                if self.mode != Mode::ProtectiveStop {
+                    self.stop(Fault::OperatorStop);
+                }
                 Ok(())
             }
-            (Request::OperatorLost, mode) => {
-                if mode.moves() {
+            Request::OperatorLost => {
+                if self.mode.moves() {
                     self.stop(Fault::OperatorLost);
                 }
                 Ok(())
             }
-            (Request::Tare, Starting | Ready | ProtectiveStop) => self.tare(facts),
-            (Request::Arm, Ready) if !self.robot => Err(Refusal::NoRobot),
-            (Request::Arm, Ready) => {
+            Request::Tare => self.tare(facts),
+            Request::Arm if !self.robot => Err(Refusal::NoRobot),
+            Request::Arm => {
                 self.go(self.law.into());
                 Ok(())
             }
-            (Request::Disarm, Impedance | FollowMe) => {
-                self.go(Ready);
+            Request::Disarm => {
+                self.go(Mode::Ready);
                 Ok(())
             }
-            (Request::SelectLaw(law), mode) => {
+            Request::SelectLaw(law) => {
                 self.law = law;
-                if mode.moves() && mode != law.into() {
+                if self.mode.moves() && self.mode != law.into() {
                     self.go(law.into());
                 }
                 Ok(())
             }
-            (Request::Resume, ProtectiveStop) => self.resume(facts),
-            _ => Err(Refusal::Mode(self.mode)),
+            Request::Resume => self.resume(facts),
+            Request::PressTaxel { .. } | Request::MaskTaxel { .. } | Request::SetParameter { .. } => {
+                Err(Refusal::Mode(self.mode))
+            }
         }
     }
 

@@ -1,35 +1,17 @@
 //! The loop: one tick of the robot, from state and bytes to a command.
 
-use crate::config::JOINTS;
 use crate::control::cover::{CoverSource, CoverState};
 use crate::control::law::{self, Motion};
 use crate::control::plant::Plant;
 use crate::control::protection::Protected;
+use crate::control::stage::{Stage, StageTimer};
 use crate::control::state_check::StateDoor;
 use crate::control::supervisor::{Facts, Supervisor};
-use crate::record::tick_log::{Tape, TickInput};
-use crate::runtime::timing::{Distribution, Stage, Timing};
+use crate::control::tick_input::{Slot, TickInput};
+use crate::robot::JOINTS;
 use heapless::Vec;
-use moca_msgs::{Actuation, Fault, Mode, Outcome, Refusal, Request, RobotState, STAGES, Sample};
+use moca_msgs::{Actuation, Fault, Mode, Outcome, Refusal, Request, RobotState, Sample};
 use moca_wbc::{ControlError, ControlOutput};
-use serde::{Deserialize, Serialize};
-
-/// When a tick runs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Slot {
-    /// Tick count since the loop started.
-    pub tick: u64,
-    /// Loop time, ns.
-    pub now_ns: u64,
-    /// Control periods since the last tick: 1, or more after missed slots.
-    pub ticks: u64,
-    /// How late the tick woke, s.
-    pub lateness_s: f64,
-    /// Missed slots so far.
-    pub overruns: u64,
-    /// How long each stage of the tick before took, ns; an input, so that a replay says the same.
-    pub stages_ns: [u32; STAGES.len()],
-}
 
 /// The parts of a running robot, and nothing that knows how the tick is timed or who watches.
 pub struct ControlLoop<P, S> {
@@ -37,84 +19,64 @@ pub struct ControlLoop<P, S> {
     pub plant: P,
     /// Its cover.
     pub cover: S,
-    /// How long the stages took.
-    pub timing: Timing,
-    /// Age of the cover's data at each tick.
-    pub frame_age: Distribution,
-    /// Where each tick's inputs go, if somebody records them.
-    pub tape: Option<Tape>,
     door: StateDoor,
     supervisor: Supervisor,
     motion: Motion,
     period_s: f64,
-    refused: Option<Fault>,
     protected: Protected,
+}
+
+/// What one tick leaves behind.
+#[derive(Clone, Debug)]
+pub struct Ticked {
+    /// What an observer may see.
+    pub sample: Sample,
+    /// The answer to the request, if there was one.
+    pub outcome: Option<Outcome>,
+    /// What a replay needs of it.
+    pub input: TickInput,
 }
 
 impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// A loop that has not ticked yet.
-    ///
-    /// # Errors
-    /// See [`Timing::new`].
-    pub fn new(
-        plant: P,
-        cover: S,
-        supervisor: Supervisor,
-        motion: Motion,
-        period_s: f64,
-    ) -> Result<Self, hdrhistogram::CreationError> {
-        let (timing, frame_age) = (Timing::new()?, Distribution::new()?);
+    pub fn new(plant: P, cover: S, supervisor: Supervisor, motion: Motion, period_s: f64) -> Self {
         let (door, protected) = (StateDoor::default(), Protected::default());
-        Ok(Self {
-            plant,
-            cover,
-            timing,
-            frame_age,
-            tape: None,
-            door,
-            supervisor,
-            motion,
-            period_s,
-            refused: None,
-            protected,
-        })
+        Self { plant, cover, door, supervisor, motion, period_s, protected }
     }
 
-    /// One tick: read, feel, decide, command, write; returns what an observer may see and the answer to `request`.
-    pub fn tick(&mut self, slot: &Slot, request: Option<Request>) -> (Sample, Option<Outcome>) {
-        self.timing.start();
+    /// One tick: read, decide, command, write; `timer` hears of each stage's end.
+    pub fn tick(&mut self, slot: &Slot, request: Option<Request>, timer: &mut impl StageTimer) -> Ticked {
         let measured = self.plant.read();
         let age = self.plant.age();
         let robot = measured.and_then(|state| self.door.check(state, age, self.elapsed_s(slot)));
-        self.timing.end(Stage::Read);
+        timer.end(Stage::Read);
 
         let cover = self.cover.read(slot.now_ns);
-        self.timing.end(Stage::Cover);
+        timer.end(Stage::Cover);
 
         let (outcome, output) = self.decide(slot, &robot, &cover, request);
         let actuation = law::actuation(output.as_ref());
-        self.timing.end(Stage::Control);
+        timer.end(Stage::Control);
 
         let refused = self.plant.write(&actuation, slot.ticks).err();
-        self.refused = refused.or(self.refused);
-        if let Some(tape) = &mut self.tape {
-            let state = measured.map(Into::into);
-            let input = TickInput {
+        if let Some(fault) = refused {
+            self.supervisor.stop_for(fault);
+        }
+        timer.end(Stage::Write);
+
+        Ticked {
+            sample: self.sample(slot, robot.ok().as_ref(), &cover, &actuation, output.as_ref()),
+            outcome,
+            input: TickInput {
                 slot: *slot,
-                state,
+                state: measured,
                 age,
                 request,
                 outcome,
                 refused,
-                events: 0,
-                number: 0,
-                lost: 0,
-            };
-            tape.push(input, self.cover.copied());
+                cover_events: cover.events,
+            },
         }
-        self.timing.end(Stage::Write);
-
-        (self.sample(slot, robot.ok().as_ref(), &cover, &actuation, output.as_ref()), outcome)
     }
 
     /// See [`Motion::set_target_twist`].
@@ -137,6 +99,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         self.period_s * ticks
     }
 
+    /// The mode, the answer to `request`, and the law's output; no output is the brake.
     fn decide(
         &mut self,
         slot: &Slot,
@@ -148,52 +111,55 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             cover_seen: cover.frames_good > 0 || !self.motion.parts().has_cover(),
             cover_fault: cover.fault,
             zero: cover.zero,
-            plant_fault: robot.err().or(self.refused.take()),
+            plant_fault: robot.err(),
         };
-        let (asked, pressed) = match request {
-            Some(Request::PressTaxel { taxel, force_n }) => {
-                (None, Some(self.plant.press(usize::from(taxel), force_n)))
-            }
-            Some(Request::MaskTaxel { taxel, masked }) => {
-                let outcome = match self.supervisor.mode() {
-                    mode if mode.moves() => Err(Refusal::Mode(mode)),
-                    _ => self.cover.mask(usize::from(taxel), masked),
-                };
-                (None, Some(outcome))
-            }
-            Some(Request::SetParameter { parameter, values }) => {
-                (None, Some(self.motion.set_parameter(usize::from(parameter), &values)))
-            }
-            request => (request, None),
-        };
-        let decision = self.supervisor.step(&facts, asked);
+        let decision = self.supervisor.step(&facts, request);
         if decision.start_tare {
             self.cover.start_tare(slot.now_ns);
         }
-        let outcome = decision.outcome.or(pressed);
-        match self.motion.protect(slot.now_ns, cover, decision.mode) {
-            Ok(protected) => self.protected = protected,
+        let outcome = decision.carry_out.map(|request| self.carry_out(request)).or(decision.outcome);
+        match self.command(slot, robot, cover, decision.mode) {
+            Ok(output) => (outcome, output),
             Err(fault) => {
-                self.refused = Some(fault);
-                return (outcome, None);
-            }
-        }
-        let (Ok(robot), false) = (robot, decision.mode == Mode::Fault) else {
-            // Whatever runs next starts from where the robot then is.
-            self.motion.leave();
-            return (outcome, None);
-        };
-        match self.motion.command(decision.mode, robot, &cover.forces, self.elapsed_s(slot)) {
-            Ok(output) => (outcome, Some(output)),
-            Err(fault) => {
-                self.refused = Some(fault);
+                self.supervisor.stop_for(fault);
                 (outcome, None)
             }
         }
     }
 
-    fn sample(
+    /// What the supervisor permits and a part of the robot has to do.
+    fn carry_out(&mut self, request: Request) -> Outcome {
+        match request {
+            Request::PressTaxel { taxel, force_n } => {
+                let world = self.plant.simulated().ok_or(Refusal::NotSimulated)?;
+                world.press(usize::from(taxel), force_n)
+            }
+            Request::MaskTaxel { taxel, masked } => self.cover.mask(usize::from(taxel), masked),
+            Request::SetParameter { parameter, values } => {
+                self.motion.set_parameter(usize::from(parameter), &values)
+            }
+            _ => Err(Refusal::Mode(self.supervisor.mode())),
+        }
+    }
+
+    fn command(
         &mut self,
+        slot: &Slot,
+        robot: &Result<RobotState<JOINTS>, Fault>,
+        cover: &CoverState,
+        mode: Mode,
+    ) -> Result<Option<ControlOutput<JOINTS>>, Fault> {
+        self.protected = self.motion.protect(slot.now_ns, cover, mode);
+        let (Ok(robot), false) = (robot, mode == Mode::Fault) else {
+            // Whatever runs next starts from where the robot then is.
+            self.motion.leave();
+            return Ok(None);
+        };
+        self.motion.command(mode, robot, &cover.forces, self.elapsed_s(slot)).map(Some)
+    }
+
+    fn sample(
+        &self,
         slot: &Slot,
         robot: Option<&RobotState<JOINTS>>,
         cover: &CoverState,
@@ -201,9 +167,6 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         output: Option<&ControlOutput<JOINTS>>,
     ) -> Sample {
         let age_s = cover.reading.age_s(slot.now_ns);
-        if let Some(age_s) = age_s.filter(|_| self.timing.is_on()) {
-            self.frame_age.record(std::time::Duration::from_secs_f64(age_s));
-        }
         let mut sample = Sample {
             tick: slot.tick,
             time_ns: slot.now_ns,
@@ -259,4 +222,93 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
 fn vec_of<T: Clone, const N: usize>(values: &[T]) -> Vec<T, N> {
     // The capacities of a sample exceed this robot's numbers of joints and taxels.
     Vec::from_slice(&values[..values.len().min(N)]).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::control::plant::SourceAge;
+    use crate::control::stage::Untimed;
+    use crate::control::supervisor::Zero;
+    use crate::runtime::assemble::{motion, supervisor};
+    use moca_msgs::TaxelStatus;
+
+    /// Stands still; remembers the last order and refuses it if told to.
+    struct Standing {
+        brakes: bool,
+        refuses: bool,
+    }
+
+    impl Plant for Standing {
+        fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
+            Ok(RobotState {
+                base_pose_world: [0.0; 3],
+                base_velocity_world: [0.0; 3],
+                q_rad: Config::default().control.gains.posture_rad,
+                dq_rad_s: [0.0; JOINTS],
+                torque_measured_nm: [0.0; JOINTS],
+                flange_wrench_world: None,
+            })
+        }
+
+        fn age(&self) -> SourceAge {
+            SourceAge::default()
+        }
+
+        fn write(&mut self, actuation: &Actuation<JOINTS>, _ticks: u64) -> Result<(), Fault> {
+            self.brakes = matches!(actuation, Actuation::Brake);
+            if self.refuses { Err(Fault::ControlRefused) } else { Ok(()) }
+        }
+    }
+
+    struct Scripted(CoverState);
+
+    impl CoverSource for Scripted {
+        fn read(&mut self, _now_ns: u64) -> CoverState {
+            self.0
+        }
+
+        fn start_tare(&mut self, _now_ns: u64) {
+            self.0.zero = Zero::Taring;
+        }
+    }
+
+    fn armed() -> ControlLoop<Standing, Scripted> {
+        let config = Config::default();
+        let cover = Scripted(CoverState { frames_good: 1, zero: Zero::Invalid, ..CoverState::NONE });
+        let plant = Standing { brakes: false, refuses: false };
+        let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
+        step(&mut control, 0);
+        control.cover.0.zero = Zero::Valid;
+        assert_eq!(step(&mut control, 1).mode, Mode::Impedance);
+        control
+    }
+
+    fn step(control: &mut ControlLoop<Standing, Scripted>, tick: u64) -> Sample {
+        let slot = Slot { tick, now_ns: tick * 1_000_000, ticks: 1, ..Slot::default() };
+        control.tick(&slot, None, &mut Untimed).sample
+    }
+
+    #[test]
+    fn what_the_controller_refuses_stops_the_robot_in_the_same_tick() {
+        let mut control = armed();
+        assert!(!control.plant.brakes);
+        control.cover.0.forces = Err((3, TaxelStatus::Saturated));
+        let sample = step(&mut control, 2);
+        assert!(control.plant.brakes);
+        let fault = Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Saturated };
+        assert_eq!((sample.mode, sample.fault), (Mode::ProtectiveStop, Some(fault)));
+    }
+
+    #[test]
+    fn what_the_plant_refuses_is_in_the_sample_of_that_tick() {
+        let mut control = armed();
+        control.plant.refuses = true;
+        let sample = step(&mut control, 2);
+        assert_eq!(sample.fault, Some(Fault::ControlRefused));
+        assert!(!sample.mode.moves());
+        step(&mut control, 3);
+        assert!(control.plant.brakes);
+    }
 }

@@ -1,12 +1,20 @@
 //! An ideal cover for experiments: the true force, averaged over a period and held; no bytes, noise, threshold or zero.
 
-use crate::config::TAXELS;
 use crate::control::cover::{CoverSource, CoverState};
 use crate::control::supervisor::Zero;
+use crate::robot::TAXELS;
 use moca_msgs::board::Diagnosis;
 use moca_msgs::{CoverReading, TaxelReading, TaxelStatus};
 use moca_tactile::cover::EarlyContact;
 use std::collections::VecDeque;
+
+/// Forces averaged over a period.
+#[derive(Clone, Copy, Debug)]
+struct Mean {
+    force_n: [f64; TAXELS],
+    /// Middle of the period.
+    at_ns: u64,
+}
 
 /// Averages what [`IdealCover::feel`] is told and shows it in steps.
 #[derive(Clone, Debug)]
@@ -14,9 +22,11 @@ pub struct IdealCover {
     period_ticks: u64,
     delay_ticks: usize,
     sum_n: [f64; TAXELS],
+    /// Sum of the times of the forces summed, ns.
+    sum_ns: u128,
     summed: u64,
-    held: [f64; TAXELS],
-    delayed: VecDeque<[f64; TAXELS]>,
+    held: Option<Mean>,
+    delayed: VecDeque<Option<Mean>>,
     frames: u64,
 }
 
@@ -27,24 +37,27 @@ impl IdealCover {
             period_ticks: period_ticks.max(1),
             delay_ticks,
             sum_n: [0.0; TAXELS],
+            sum_ns: 0,
             summed: 0,
-            held: [0.0; TAXELS],
+            held: None,
             delayed: VecDeque::with_capacity(delay_ticks + 1),
             frames: 0,
         }
     }
 
-    /// Tells it the true forces of one tick, N.
-    pub fn feel(&mut self, force_n: [f64; TAXELS]) {
+    /// Tells it the true forces at `now_ns`, N.
+    pub fn feel(&mut self, now_ns: u64, force_n: [f64; TAXELS]) {
         for (sum, force) in self.sum_n.iter_mut().zip(force_n) {
             *sum += force;
         }
+        self.sum_ns += u128::from(now_ns);
         self.summed += 1;
         if self.summed == self.period_ticks {
             #[expect(clippy::cast_precision_loss, reason = "a small count")]
-            let mean = self.sum_n.map(|sum| sum / self.summed as f64);
-            self.held = mean;
-            (self.sum_n, self.summed) = ([0.0; TAXELS], 0);
+            let force_n = self.sum_n.map(|sum| sum / self.summed as f64);
+            let at_ns = u64::try_from(self.sum_ns / u128::from(self.summed)).unwrap_or(u64::MAX);
+            self.held = Some(Mean { force_n, at_ns });
+            (self.sum_n, self.sum_ns, self.summed) = ([0.0; TAXELS], 0, 0);
             self.frames += 1;
         }
         self.delayed.push_back(self.held);
@@ -56,12 +69,14 @@ impl IdealCover {
 
 impl CoverSource for IdealCover {
     fn read(&mut self, now_ns: u64) -> CoverState {
-        let shown = if self.delayed.len() > self.delay_ticks { self.delayed[0] } else { [0.0; TAXELS] };
-        let taxels = shown.map(|force_n| TaxelReading { force_n, status: TaxelStatus::Ok });
+        // Before the first mean nobody has touched the cover, and that is known now.
+        let shown = if self.delayed.len() > self.delay_ticks { self.delayed[0] } else { None };
+        let Mean { force_n, at_ns } = shown.unwrap_or(Mean { force_n: [0.0; TAXELS], at_ns: now_ns });
+        let taxels = force_n.map(|force_n| TaxelReading { force_n, status: TaxelStatus::Ok });
         CoverState {
-            reading: CoverReading { taxels, sampled_at_ns: Some(now_ns) },
-            forces: Ok(shown),
-            early: EarlyContact { touched: [false; TAXELS], sampled_at_ns: Some(now_ns) },
+            reading: CoverReading { taxels, sampled_at_ns: Some(at_ns) },
+            forces: Ok(force_n),
+            early: EarlyContact { touched: [false; TAXELS], sampled_at_ns: Some(at_ns) },
             fault: None,
             zero: Zero::Valid,
             counts: [0; TAXELS],
@@ -69,6 +84,7 @@ impl CoverSource for IdealCover {
             frames_good: self.frames + 1,
             frames_bad: 0,
             rate_hz: 0.0,
+            events: 0,
         }
     }
 
@@ -84,20 +100,32 @@ mod tests {
         let mut cover = IdealCover::new(2, 0);
         let mut shown = Vec::new();
         for force_n in [2.0, 4.0, 6.0, 8.0, 0.0] {
-            cover.feel([force_n; TAXELS]);
+            cover.feel(0, [force_n; TAXELS]);
             shown.push(cover.read(0).reading.taxels[3].force_n);
         }
         assert_eq!(shown, [0.0, 3.0, 3.0, 7.0, 7.0]);
     }
 
     #[test]
+    fn a_mean_is_as_old_as_the_middle_of_its_period_and_grows_older_while_it_is_held() {
+        let mut cover = IdealCover::new(3, 2);
+        let mut ages_ns = Vec::new();
+        for now_ns in (0..10).map(|tick| 1_000 * tick) {
+            cover.feel(now_ns, [1.0; TAXELS]);
+            ages_ns.push(now_ns - cover.read(now_ns).reading.sampled_at_ns.unwrap());
+        }
+        // Complete one tick after its middle and shown two ticks later; nothing has been felt before.
+        assert_eq!(ages_ns, [0, 0, 0, 0, 3_000, 4_000, 5_000, 3_000, 4_000, 5_000]);
+    }
+
+    #[test]
     fn a_delay_shows_the_same_values_later() {
         let (mut now, mut late) = (IdealCover::new(2, 0), IdealCover::new(2, 3));
         let mut shown = (Vec::new(), Vec::new());
-        for i in 0..20 {
+        for i in 0..20u32 {
             let force_n = [f64::from(i); TAXELS];
-            now.feel(force_n);
-            late.feel(force_n);
+            now.feel(u64::from(i), force_n);
+            late.feel(u64::from(i), force_n);
             shown.0.push(now.read(0).reading.taxels[0].force_n);
             shown.1.push(late.read(0).reading.taxels[0].force_n);
         }

@@ -1,5 +1,6 @@
 //! What can stand behind the loop's traits: Touch Board, ideal cover, simulated robot; and the ports they are read from.
 
+pub mod board_events;
 pub mod force_gauge;
 #[cfg(feature = "sim")]
 pub mod ideal_cover;

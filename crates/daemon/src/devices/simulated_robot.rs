@@ -1,13 +1,14 @@
 //! The simulated robot as a plant, and the shared forces its virtual board reads.
 
-use crate::config::{Config, HandConfig, JOINTS, Parts, TAXELS};
-use crate::control::plant::{Plant, SourceAge};
+use crate::config::{Config, HandConfig};
+use crate::control::plant::{Plant, Simulated, SourceAge};
 use crate::devices::scripted_press::scripted_press;
 use crate::inject::{Injection, PlantSpoiler, What};
+use crate::robot::{JOINTS, Parts, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
 use moca_sim::scene::Robot;
-use moca_sim::{Scene, SharedForces, SimError, SimPlant};
+use moca_sim::{BaseServo, Scene, SharedForces, SimError, SimPlant};
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
@@ -29,7 +30,9 @@ pub fn free_scene(config: &Config) -> Scene {
     Scene {
         robot,
         arm: config.arm(),
-        mount: config.mount(),
+        mount: config.robot.mount,
+        base: config.robot.base,
+        base_servo: BaseServo::from(&config.robot.base),
         cover: config.taxels(),
         control_period_s,
         physics_step_s: control_period_s / substeps,
@@ -125,6 +128,12 @@ impl Plant for SimulatedRobot {
         self.spoiler.as_mut().map_or(Ok(()), |spoiler| spoiler.write(ticks, self.period_s))
     }
 
+    fn simulated(&mut self) -> Option<&mut dyn Simulated> {
+        Some(self)
+    }
+}
+
+impl Simulated for SimulatedRobot {
     fn press(&mut self, taxel: usize, force_n: f64) -> Outcome {
         let asked = self.asked_n.get_mut(taxel).filter(|_| self.covered).ok_or(Refusal::OutOfRange)?;
         if !(0.0..=PRESS_FORCE_MAX_N).contains(&force_n) {

@@ -1,12 +1,12 @@
 //! The cover behind a Touch Board: events from its byte source in, a reading out. A serial port, a board in memory and
 //! a replay all fill the same ring.
 
-use crate::config::TAXELS;
 use crate::control::cover::{CoverSource, CoverState};
 use crate::control::supervisor::Zero;
-use crate::record::tick_log::Copied;
+use crate::devices::board_events::BoardEvents;
+use crate::robot::TAXELS;
 use moca_msgs::{Fault, Outcome, Refusal};
-use moca_tactile::{BoardEvent, Cover, TareStatus};
+use moca_tactile::{Cover, TareStatus};
 
 /// Most events taken in one tick: a source that babbles cannot hold the loop up. At 1 kHz this is 4 MB/s.
 const EVENTS_PER_TICK: usize = 16;
@@ -14,26 +14,13 @@ const EVENTS_PER_TICK: usize = 16;
 /// One board under the cover.
 pub struct ByteCover {
     cover: Cover<TAXELS>,
-    events: rtrb::Consumer<BoardEvent>,
-    copies: Option<rtrb::Producer<BoardEvent>>,
-    calibrator: Option<rtrb::Producer<BoardEvent>>,
-    copied: Copied,
+    events: BoardEvents,
 }
 
 impl ByteCover {
-    /// Reads what arrives in `events`; hands a copy of each to a recorder, if there is one.
-    pub const fn new(
-        cover: Cover<TAXELS>,
-        events: rtrb::Consumer<BoardEvent>,
-        copies: Option<rtrb::Producer<BoardEvent>>,
-    ) -> Self {
-        Self { cover, events, copies, calibrator: None, copied: Copied { events: 0, lost: 0 } }
-    }
-
-    /// Hands a copy of each event to a calibrator too.
-    #[must_use]
-    pub fn with_calibrator(self, events: rtrb::Producer<BoardEvent>) -> Self {
-        Self { calibrator: Some(events), ..self }
+    /// Reads what arrives in `events`.
+    pub const fn new(cover: Cover<TAXELS>, events: BoardEvents) -> Self {
+        Self { cover, events }
     }
 
     fn zero(&self) -> Zero {
@@ -48,20 +35,9 @@ impl ByteCover {
 
 impl CoverSource for ByteCover {
     fn read(&mut self, now_ns: u64) -> CoverState {
-        self.copied.events = 0;
         for _ in 0..EVENTS_PER_TICK {
-            let Ok(event) = self.events.pop() else { break };
+            let Some(event) = self.events.take() else { break };
             self.cover.event(0, &event);
-            if let Some(copies) = &mut self.copies {
-                match copies.push(event) {
-                    Ok(()) => self.copied.events += 1,
-                    Err(_) => self.copied.lost += 1,
-                }
-            }
-            if let Some(calibrator) = &mut self.calibrator {
-                // Who cannot keep up loses copies, never the loop its time.
-                let _ = calibrator.push(event);
-            }
         }
         let poll = self.cover.poll(now_ns);
         let board = self.cover.boards().next();
@@ -77,15 +53,12 @@ impl CoverSource for ByteCover {
             frames_good: stats.frames_good,
             frames_bad: stats.frames_bad,
             rate_hz: board.map_or(0.0, |board| board.rate_hz()),
+            events: self.events.taken(),
         }
     }
 
     fn start_tare(&mut self, now_ns: u64) {
         self.cover.start_tare(now_ns);
-    }
-
-    fn copied(&self) -> Copied {
-        self.copied
     }
 
     fn mask(&mut self, taxel: usize, masked: bool) -> Outcome {

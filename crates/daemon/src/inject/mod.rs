@@ -3,14 +3,12 @@
 mod cable;
 mod outside;
 mod plant;
-#[cfg(feature = "sim")]
-pub mod trial;
 
 pub use cable::{Cable, CableFault, STRUCK_TAXEL};
 pub use outside::{Disk, OutsideFault, Strike, client};
 pub use plant::{PlantFault, PlantSpoiler};
 
-use crate::runtime::live::Clock;
+use crate::runtime::clock::Clock;
 use moca_tactile::BoardEvent;
 use std::str::FromStr;
 use std::time::Duration;
@@ -102,6 +100,16 @@ named! {
     "parameter-absurd" What::Outside(OutsideFault::ParameterAbsurd), "a virtual mass is set to 1e12 kg";
 }
 
+/// Errors of this program on purpose. They end a run, so they are not among [`FAULTS`], which a run survives.
+pub const PANICS: &[Named] = &[
+    Named { name: "panic-loop", what: What::Plant(PlantFault::Panic), text: "the loop's thread panics" },
+    Named {
+        name: "panic-observer",
+        what: What::Outside(OutsideFault::Panic),
+        text: "the thread of the observers panics",
+    },
+];
+
 /// A fault and when it strikes: `NAME@SECONDS`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Injection {
@@ -116,8 +124,8 @@ impl FromStr for Injection {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let (name, seconds) = text.split_once('@').ok_or("NAME@SECONDS, for example unplugged@10")?;
-        let fault = FAULTS.iter().find(|fault| fault.name == name).ok_or_else(|| {
-            let names: Vec<&str> = FAULTS.iter().map(|fault| fault.name).collect();
+        let fault = FAULTS.iter().chain(PANICS).find(|fault| fault.name == name).ok_or_else(|| {
+            let names: Vec<&str> = FAULTS.iter().chain(PANICS).map(|fault| fault.name).collect();
             format!("no fault is called {name:?}; there are: {}", names.join(", "))
         })?;
         let at = seconds.parse().map_err(|error: std::num::ParseFloatError| error.to_string());

@@ -27,6 +27,7 @@ pub enum OutsideFault {
     PanelGone,
     ParameterNan,
     ParameterAbsurd,
+    Panic,
 }
 
 impl OutsideFault {
@@ -67,6 +68,17 @@ impl Strike {
     pub fn see(&self, now_ns: u64) {
         if now_ns >= self.at_ns {
             self.struck.store(true, Ordering::Release);
+        }
+    }
+
+    /// The fault [`OutsideFault::Panic`].
+    ///
+    /// # Panics
+    /// Once the strike has come.
+    #[expect(clippy::panic, reason = "this is the fault")]
+    pub fn panic(&self) {
+        if self.has_come() {
+            panic!("injected into an observer");
         }
     }
 

@@ -1,7 +1,7 @@
 //! A robot whose answers are spoiled.
 
-use crate::config::JOINTS;
 use crate::control::plant::SourceAge;
+use crate::robot::JOINTS;
 use moca_msgs::{Fault, RobotState};
 
 const JUMP_RAD: f64 = 0.5;
@@ -20,6 +20,7 @@ pub enum PlantFault {
     Refused,
     ArmStale,
     BaseStale,
+    Panic,
 }
 
 /// Spoils what a plant says from its strike on.
@@ -55,6 +56,8 @@ impl PlantSpoiler {
             PlantFault::BaseJump => state.base_pose_world[0] += JUMP_M,
             PlantFault::Lost => return Err(Fault::PlantLost),
             PlantFault::Refused => {}
+            #[expect(clippy::panic, reason = "this is the fault")]
+            PlantFault::Panic => panic!("injected into the loop"),
             PlantFault::ArmStale => {
                 if let Some(last) = self.last_good {
                     (state.q_rad, state.dq_rad_s) = (last.q_rad, last.dq_rad_s);

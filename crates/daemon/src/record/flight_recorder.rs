@@ -1,7 +1,7 @@
 //! The flight recorder: when a fault stops the robot, the last seconds write themselves into a log of their own, with
 //! configuration, calibration and contact limits. Works on the observers' side of the rings.
 
-use crate::config::Config;
+use crate::config::{AUTO_FOLDER, Config};
 use crate::record::recording::{configuration, parameter_change, unix_now_ns};
 use crate::record::tick_log::{PortEvent, TickRecord};
 use anyhow::{Context, Result};
@@ -19,8 +19,6 @@ use std::thread::JoinHandle;
 pub const KEPT_NS: u64 = 10_000_000_000;
 /// Files kept in the folder; the oldest goes first.
 pub const FILES_MAX: usize = 20;
-/// `flight_recorder.folder` that asks the environment.
-pub const AUTO_FOLDER: &str = "auto";
 const PREFIX: &str = "mocad-fault-";
 
 /// Keeps the last [`KEPT_NS`] and writes them at the edge into a stop by a fault.

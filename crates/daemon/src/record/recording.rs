@@ -66,7 +66,7 @@ impl Recording {
         if let Some(change) = parameter_change(record) {
             self.recorder.parameter(time_ns, change);
         }
-        self.lost = record.input.lost;
+        self.lost = record.lost;
         self.recorder.replay(time_ns, tick, record.encode());
     }
 
@@ -103,7 +103,7 @@ pub fn configuration(config: &Config) -> Result<Configuration> {
     let text = |path: &str| if path.is_empty() { Ok(String::new()) } else { std::fs::read_to_string(path) };
     Ok(Configuration {
         version: env!("CARGO_PKG_VERSION").into(),
-        toml: toml::to_string(config)?,
+        toml: toml::to_string(&config.to_toml())?,
         calibration: text(&config.board.calibration)?,
         contact_limits: text(&config.protection.thresholds)?,
     })

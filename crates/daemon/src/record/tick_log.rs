@@ -1,12 +1,10 @@
 //! What a tick was given and what it answered: enough to run it again. The loop puts it into a bounded ring; what finds
 //! no room there is counted, and a replay says so.
 
-use crate::config::JOINTS;
-use crate::control::plant::SourceAge;
-use crate::control::tick::Slot;
+use crate::control::tick_input::TickInput;
+use crate::devices::board_events::NumberedEvent;
 use anyhow::Result;
 use moca_msgs::board::OpenFailure;
-use moca_msgs::{Fault, Outcome, Request, RobotState};
 use moca_tactile::board::Chunk;
 use moca_tactile::{BoardEvent, CloseReason};
 use serde::{Deserialize, Serialize};
@@ -14,131 +12,61 @@ use serde::{Deserialize, Serialize};
 /// Ticks and board events on their way to a recorder: four seconds at 1 kHz.
 const RING: usize = 4096;
 
-/// Everything one tick was given, besides the board's events, and what it answered.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct TickInput {
-    /// When it ran.
-    pub slot: Slot,
-    /// What the plant measured, or why it did not.
-    pub state: std::result::Result<State, Fault>,
-    /// How old that was.
-    pub age: SourceAge,
-    /// What was asked.
-    pub request: Option<Request>,
-    /// What was answered.
-    pub outcome: Option<Outcome>,
-    /// What the plant said to the order.
-    pub refused: Option<Fault>,
-    /// Board events of this tick that were copied for the recorder.
-    pub events: u32,
-    /// Ticks of this run before this one, lost ones included.
-    pub number: u64,
-    /// Ticks and events lost so far for want of room.
-    pub lost: u64,
-}
-
-/// A [`RobotState`] that can be written.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[expect(missing_docs, reason = "the fields are those of RobotState")]
-pub struct State {
-    pub base_pose_world: [f64; 3],
-    pub base_velocity_world: [f64; 3],
-    pub q_rad: [f64; JOINTS],
-    pub dq_rad_s: [f64; JOINTS],
-    pub torque_measured_nm: [f64; JOINTS],
-    pub flange_wrench_world: Option<[f64; 6]>,
-}
-
-impl From<RobotState<JOINTS>> for State {
-    fn from(state: RobotState<JOINTS>) -> Self {
-        let RobotState {
-            base_pose_world,
-            base_velocity_world,
-            q_rad,
-            dq_rad_s,
-            torque_measured_nm,
-            flange_wrench_world,
-        } = state;
-        Self {
-            base_pose_world,
-            base_velocity_world,
-            q_rad,
-            dq_rad_s,
-            torque_measured_nm,
-            flange_wrench_world,
-        }
-    }
-}
-
-impl From<State> for RobotState<JOINTS> {
-    fn from(state: State) -> Self {
-        let State {
-            base_pose_world,
-            base_velocity_world,
-            q_rad,
-            dq_rad_s,
-            torque_measured_nm,
-            flange_wrench_world,
-        } = state;
-        Self {
-            base_pose_world,
-            base_velocity_world,
-            q_rad,
-            dq_rad_s,
-            torque_measured_nm,
-            flange_wrench_world,
-        }
-    }
-}
-
-/// Board events handed to a recorder.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Copied {
-    /// By the last tick.
-    pub events: u32,
-    /// For which there was no room, so far.
-    pub lost: u64,
-}
-
-/// The loop's end of the tape.
-pub struct Tape {
-    ticks: rtrb::Producer<TickInput>,
+/// The loop's end of the tick log.
+pub struct TickLog {
+    ticks: rtrb::Producer<Noted>,
     number: u64,
     lost: u64,
 }
 
-/// The recorder's end of the tape.
-pub struct TapeReader {
-    ticks: rtrb::Consumer<TickInput>,
-    events: rtrb::Consumer<BoardEvent>,
+#[derive(Clone, Copy, Debug)]
+struct Noted {
+    input: TickInput,
+    number: u64,
+    lost: u64,
 }
 
-/// A tape: the loop's end, where copies of the board's events go, and the recorder's end.
-pub fn tape() -> (Tape, rtrb::Producer<BoardEvent>, TapeReader) {
+/// The recorder's end of the tick log.
+pub struct TickLogReader {
+    ticks: rtrb::Consumer<Noted>,
+    events: rtrb::Consumer<NumberedEvent>,
+    /// Board events of the ticks read so far.
+    taken: u64,
+    /// Those of them that found no room.
+    events_lost: u64,
+}
+
+/// A tick log: the loop's end, where copies of the board's events go, and the recorder's end.
+pub fn tick_log() -> (TickLog, rtrb::Producer<NumberedEvent>, TickLogReader) {
     let (ticks, from_loop) = rtrb::RingBuffer::new(RING);
     let (copies, events) = rtrb::RingBuffer::new(RING);
-    (Tape { ticks, number: 0, lost: 0 }, copies, TapeReader { ticks: from_loop, events })
+    let reader = TickLogReader { ticks: from_loop, events, taken: 0, events_lost: 0 };
+    (TickLog { ticks, number: 0, lost: 0 }, copies, reader)
 }
 
-impl Tape {
+impl TickLog {
     /// Notes one tick; the events it took have been copied before.
-    pub fn push(&mut self, mut input: TickInput, copied: Copied) {
-        input.events = copied.events;
-        input.number = self.number;
+    pub fn push(&mut self, input: TickInput) {
+        let noted = Noted { input, number: self.number, lost: self.lost };
         self.number += 1;
-        input.lost = self.lost + copied.lost;
-        if self.ticks.push(input).is_err() {
+        if self.ticks.push(noted).is_err() {
             self.lost += 1;
         }
     }
 }
 
-impl TapeReader {
+impl TickLogReader {
     /// The next tick with its board events, fewer than it took if some were lost.
     pub fn next_tick(&mut self) -> Option<TickRecord> {
-        let input = self.ticks.pop().ok()?;
-        let events = (0..input.events).map_while(|_| self.events.pop().ok()).map(PortEvent::from).collect();
-        Some(TickRecord { input, events })
+        let Noted { input, number, lost } = self.ticks.pop().ok()?;
+        let mut events = Vec::new();
+        while self.events.peek().is_ok_and(|(number, _)| *number < input.cover_events) {
+            events.extend(self.events.pop().ok().map(|(_, event)| PortEvent::from(event)));
+        }
+        let took = input.cover_events.saturating_sub(self.taken);
+        self.taken = input.cover_events;
+        self.events_lost += took.saturating_sub(events.len() as u64);
+        Some(TickRecord { input, number, lost: lost + self.events_lost, events })
     }
 }
 
@@ -147,6 +75,10 @@ impl TapeReader {
 pub struct TickRecord {
     /// What it was given and what it answered.
     pub input: TickInput,
+    /// Ticks of this run before this one, lost ones included.
+    pub number: u64,
+    /// Ticks and board events lost so far for want of room.
+    pub lost: u64,
     /// What it took from the board's port, in order.
     pub events: Vec<PortEvent>,
 }
@@ -212,38 +144,46 @@ impl From<&PortEvent> for BoardEvent {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::plant::SourceAge;
+    use crate::control::tick_input::Slot;
+    use crate::robot::JOINTS;
+    use moca_msgs::{Fault, RobotState};
 
-    #[test]
-    fn what_finds_no_room_is_counted_and_the_rest_keeps_its_place() {
-        let (mut tape, mut copies, mut reader) = tape();
-        let state = Err(Fault::PlantLost);
-        let input = |tick| TickInput {
+    fn input(tick: u64, cover_events: u64) -> TickInput {
+        TickInput {
             slot: Slot { tick, ..Slot::default() },
-            state,
+            state: Err(Fault::PlantLost),
             age: SourceAge::default(),
             request: None,
             outcome: None,
             refused: None,
-            events: 0,
-            number: 0,
-            lost: 0,
-        };
+            cover_events,
+        }
+    }
+
+    #[test]
+    fn what_finds_no_room_is_counted_and_the_rest_keeps_its_place() {
+        let (mut log, mut copies, mut reader) = tick_log();
         for tick in 0..RING as u64 + 3 {
-            tape.push(input(tick), Copied::default());
+            log.push(input(tick, 0));
         }
         for tick in 0..RING as u64 {
             assert_eq!(reader.next_tick().unwrap().input.slot.tick, tick);
         }
-        copies.push(BoardEvent::Opened { at_ns: 5 }).unwrap();
-        tape.push(input(9000), Copied { events: 2, lost: 1 });
+        copies.push((0, BoardEvent::Opened { at_ns: 5 })).unwrap();
+        copies.push((2, BoardEvent::Opened { at_ns: 7 })).unwrap();
+        log.push(input(9000, 2));
+        log.push(input(9001, 3));
         let record = reader.next_tick().unwrap();
-        assert_eq!((record.input.lost, record.input.events, record.events.len()), (4, 2, 1));
+        assert_eq!((record.number, record.lost, record.events.len()), (RING as u64 + 3, 4, 1));
         assert_eq!(TickRecord::decode(&record.encode()).unwrap(), record);
+        let record = reader.next_tick().unwrap();
+        assert_eq!((record.lost, record.events.len()), (4, 1));
     }
 
     #[test]
     fn every_bit_of_a_state_comes_back() {
-        let mut state = State {
+        let mut state = RobotState {
             base_pose_world: [-0.0, f64::MIN_POSITIVE, 1.0 / 3.0],
             base_velocity_world: [f64::INFINITY, f64::NEG_INFINITY, 0.1],
             q_rad: [f64::from_bits(0x7ff8_0000_0000_0123); JOINTS],
@@ -253,9 +193,16 @@ mod tests {
         };
         for wrench in [None, Some([0.1; 6])] {
             state.flange_wrench_world = wrench;
-            let bytes = postcard::to_stdvec(&state).unwrap();
-            let back: State = postcard::from_bytes(&bytes).unwrap();
-            assert_eq!(postcard::to_stdvec(&back).unwrap(), bytes);
+            let record = TickRecord {
+                input: TickInput { state: Ok(state), ..input(1, 0) },
+                number: 1,
+                lost: 0,
+                events: Vec::new(),
+            };
+            let bytes = record.encode();
+            let back = TickRecord::decode(&bytes).unwrap();
+            assert_eq!(back.encode(), bytes);
+            let back = back.input.state.unwrap();
             assert_eq!(back.q_rad.map(f64::to_bits), state.q_rad.map(f64::to_bits));
             assert_eq!(back.base_pose_world.map(f64::to_bits), state.base_pose_world.map(f64::to_bits));
         }

@@ -1,21 +1,21 @@
 //! Puts the parts of a robot together as the configuration asks for them.
 
-use crate::calibration::calibrator::{self, Reference};
-use crate::config::contact_limits;
-use crate::config::{Config, PlantKind, TAXELS};
+use crate::calibration::service::{self, Reference};
+use crate::config::{Config, contact_limits};
 use crate::control::law::Motion;
 use crate::control::protection::Protection;
 use crate::control::supervisor::{Automatic, Supervisor};
 #[cfg(feature = "sim")]
 use crate::control::tick::ControlLoop;
+use crate::devices::board_events::{BoardEvents, NumberedEvent};
 use crate::devices::force_gauge::Gauge;
 use crate::devices::ports;
 use crate::devices::touch_board::ByteCover;
 use crate::inject::{self, Cable, Injection, Named, What};
-use crate::runtime::live::Clock;
+use crate::robot::{PlantKind, TAXELS};
+use crate::runtime::clock::Clock;
 use anyhow::{Context, Result};
-use moca_msgs::robot;
-use moca_tactile::{BoardEvent, Cover};
+use moca_tactile::Cover;
 use moca_telemetry::net::CalibrationPort;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -36,18 +36,10 @@ pub fn supervisor(config: &Config) -> Supervisor {
 /// # Errors
 /// A parameter outside its range, every mistake in the file of contact limits.
 pub fn motion(config: &Config) -> Result<Motion> {
-    let parameters = config.parameters();
-    let controller = moca_wbc::Controller::new(
-        config.arm(),
-        &config.mount(),
-        &robot::Payload::NONE,
-        &config.taxels(),
-        &parameters,
-    )?;
     let thresholds = &config.protection.thresholds;
     let limits =
         if thresholds.is_empty() { Default::default() } else { contact_limits::load(thresholds.as_ref())? };
-    Ok(Motion::new(controller, parameters, Protection::new(config, limits), config.plant.parts))
+    Ok(Motion::new(config, Protection::new(config, limits))?)
 }
 
 /// The cover that the configuration asks for.
@@ -61,7 +53,7 @@ pub fn cover_config(config: &Config) -> Result<moca_tactile::CoverConfig<TAXELS>
 #[cfg(feature = "sim")]
 pub(crate) fn board_config(config: &Config) -> moca_sim::VirtualBoardConfig {
     moca_sim::VirtualBoardConfig {
-        firmware: config.board.firmware.into(),
+        firmware: config.board.firmware,
         seed: config.simulation.seed,
         ..Default::default()
     }
@@ -80,7 +72,7 @@ pub(crate) fn assemble(
     config: &Config,
     clock: Clock,
     injection: Option<&Injection>,
-    mut taps: Taps,
+    mut subscribers: Subscribers,
 ) -> Result<Assembled> {
     use crate::devices::simulated_robot::{SimulatedRobot, free_scene};
     use moca_sim::PtyBoard;
@@ -94,14 +86,14 @@ pub(crate) fn assemble(
         port = board.path().display().to_string();
         (forces, virtual_board) = (Some(true_forces), Some(board));
     }
-    taps.reference = forces.clone().map(|forces| {
+    subscribers.reference = forces.clone().map(|forces| {
         let force_n = move |taxel| {
             Some(f64::from_bits(forces.get::<usize>(taxel)?.load(std::sync::atomic::Ordering::Relaxed)))
         };
         Reference::Simulated(Box::new(force_n))
     });
     let (cover, board) = if config.plant.parts.has_cover() {
-        let open = open_board(config, clock, port, injection, taps)?;
+        let open = open_board(config, clock, port, injection, subscribers)?;
         (Some(open.cover), Some(open.held))
     } else {
         (None, None)
@@ -111,14 +103,14 @@ pub(crate) fn assemble(
         plant.inject(injection);
     }
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
-    let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
+    let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s);
     Ok(Assembled { control, virtual_board, board })
 }
 
 /// Who else gets what the board says, and what they need for it.
 #[derive(Default)]
-pub(crate) struct Taps {
-    pub(crate) copies: Option<rtrb::Producer<BoardEvent>>,
+pub(crate) struct Subscribers {
+    pub(crate) copies: Option<rtrb::Producer<NumberedEvent>>,
     pub(crate) moving: Arc<AtomicBool>,
     pub(crate) reference: Option<Reference>,
 }
@@ -133,7 +125,7 @@ pub(crate) struct OpenBoard {
 pub(crate) struct HeldBoard {
     pub(crate) port: String,
     pub(crate) calibration: Option<CalibrationPort>,
-    _threads: (calibrator::Calibrator, ports::Reader),
+    _threads: (service::Calibrator, ports::Reader),
 }
 
 pub(crate) fn open_board(
@@ -141,7 +133,7 @@ pub(crate) fn open_board(
     clock: Clock,
     port: String,
     injection: Option<&Injection>,
-    Taps { copies, moving, mut reference }: Taps,
+    Subscribers { copies, moving, mut reference }: Subscribers,
 ) -> Result<OpenBoard> {
     let asked = || format!("a cover (plant.parts), read live at board.port = {:?}", config.board.port);
     let (reader, mut events) = ports::open(&port, clock.instant()).with_context(asked)?;
@@ -150,19 +142,15 @@ pub(crate) fn open_board(
     }
     let cover_config = cover_config(config)?;
     let (to_calibrator, calibrator_events) = rtrb::RingBuffer::new(RING_EVENTS);
-    let settings = calibrator::Settings {
-        path: calibrator::file(config),
-        board: config.board.name.clone(),
-        wiring: cover_config.wiring,
-    };
+    let settings = service::Settings::new(config, cover_config.wiring);
     if !config.board.gauge.is_empty() {
         let gauge = Gauge::open(&config.board.gauge, config.board.gauge_baud, clock.instant())?;
         reference = Some(Reference::Gauge(gauge));
     }
     let now_ns = move || clock.now_ns();
-    let (calibrator, calibration) =
-        calibrator::spawn(settings, calibrator_events, reference, moving, now_ns)?;
-    let cover = ByteCover::new(Cover::new(cover_config)?, events, copies).with_calibrator(to_calibrator);
+    let (calibrator, calibration) = service::spawn(settings, calibrator_events, reference, moving, now_ns)?;
+    let events = BoardEvents::new(events).with_recorder(copies).with_calibrator(to_calibrator);
+    let cover = ByteCover::new(Cover::new(cover_config)?, events);
     let held = HeldBoard { port, calibration: Some(calibration), _threads: (calibrator, reader) };
     Ok(OpenBoard { cover, held })
 }

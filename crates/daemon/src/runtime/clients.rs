@@ -1,22 +1,21 @@
-//! Everything that watches the loop from outside: terminal, telemetry, log, flight recorder. A live loop waits for none.
-#![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
+//! Everything that watches the loop from outside: reporter, telemetry, log, flight recorder. A live loop waits for none.
 
-use crate::cli::report::{Console, Level};
-use crate::config::{Config, PlantKind};
+use crate::config::Config;
 use crate::inject::{self, Disk, OutsideFault, Strike};
 use crate::record::flight_recorder::FlightRecorder;
 use crate::record::recording::{Recording, parameter_change};
-use crate::record::tick_log::TapeReader;
+use crate::record::tick_log::TickLogReader;
+use crate::robot::PlantKind;
 use crate::runtime::live::{Rings, Shared};
-use crate::runtime::run::Options;
+use crate::runtime::notice::{Notice, Reporter};
+use crate::runtime::options::Options;
 use crate::runtime::watchdog::Heartbeat;
 use anyhow::{Context, Result, anyhow};
-use moca_msgs::{Outcome, Request, Sample, robot};
+use moca_msgs::Sample;
 use moca_telemetry::RobotDescription;
 use moca_telemetry::description::ArmDescription;
-use moca_telemetry::net::{self, CalibrationPort, Ports, Server};
+use moca_telemetry::net::{self, Address, CalibrationPort, Ports, RequestSender, Server};
 use std::fs::File;
-use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
@@ -24,71 +23,66 @@ use std::time::Duration;
 /// Samples a ring to observers holds: four seconds at 1 kHz.
 pub(crate) const RING_SAMPLES: usize = 4096;
 
-/// Requests and answers on their way.
-const RING_REQUESTS: usize = 64;
-
 /// How often the terminal looks into its ring.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// The ends of the rings that belong to telemetry, besides the samples.
-pub(crate) struct RequestPorts {
-    requests: rtrb::Producer<(u64, Request)>,
-    outcomes: rtrb::Consumer<(u64, Outcome)>,
+pub struct RequestPorts {
+    requests: RequestSender,
     samples_dropped: Arc<AtomicU64>,
     pub(crate) calibration: Option<CalibrationPort>,
 }
 
 impl RequestPorts {
     /// All that telemetry serves.
-    pub(crate) fn with(
-        self,
-        samples: rtrb::Consumer<Sample>,
-        recorder: Option<rtrb::Producer<Sample>>,
-    ) -> Ports {
-        let Self { requests, outcomes, samples_dropped, calibration } = self;
-        Ports { samples, requests, outcomes, ring_dropped: samples_dropped, recorder, calibration }
+    pub fn with(self, samples: rtrb::Consumer<Sample>, recorder: Option<rtrb::Producer<Sample>>) -> Ports {
+        let Self { requests, samples_dropped, calibration } = self;
+        Ports { samples, requests, ring_dropped: samples_dropped, recorder, calibration }
     }
 }
 
-pub(crate) fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestPorts) {
+/// Rings between a loop and those who watch it.
+pub fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestPorts) {
     let (samples, from_loop) = rtrb::RingBuffer::new(RING_SAMPLES);
-    let (request_in, requests) = rtrb::RingBuffer::new(RING_REQUESTS);
-    let (outcomes, outcome_out) = rtrb::RingBuffer::new(RING_REQUESTS);
+    let (sender, requests) = net::request_channel();
     let samples_dropped = Arc::clone(&shared.samples_dropped);
-    let ports =
-        RequestPorts { requests: request_in, outcomes: outcome_out, samples_dropped, calibration: None };
-    (Rings { samples, requests, outcomes }, from_loop, ports)
+    let ports = RequestPorts { requests: sender, samples_dropped, calibration: None };
+    (Rings { samples, requests, tick_log: None }, from_loop, ports)
 }
 
 pub(crate) fn serve(
     config: &Config,
-    address: SocketAddr,
+    address: &Address,
     samples: rtrb::Consumer<Sample>,
     recorder: Option<rtrb::Producer<Sample>>,
     ports: RequestPorts,
+    reporter: &mut dyn Reporter,
 ) -> Result<Server> {
-    let server = net::serve(address, description(config), ports.with(samples, recorder)).with_context(|| {
-        format!("telemetry.listen = \"{address}\" (if another mocad runs, choose another port, 0 for any, or \"\")")
+    let mode = config.telemetry.socket_mode().unwrap_or_default();
+    let served = net::serve(address, mode, description(config), ports.with(samples, recorder));
+    let server = served.with_context(|| {
+        format!("telemetry.listen = \"{address}\" (if another mocad runs, choose another address, port 0 for any, or \"\")")
     })?;
-    println!("  telemetry   {} (dashboard: cargo run --release --bin moca-monitor)", server.address());
+    reporter.report(Notice::Telemetry(server.address()));
     Ok(server)
 }
 
 fn description(config: &Config) -> RobotDescription {
     let parameters = crate::config::schema::describe(config);
     let robot = RobotDescription::new(
-        &config.robot,
+        &config.robot.name,
         config.plant.kind == PlantKind::Simulated,
         1.0 / f64::from(config.control_loop.rate_hz),
-        &robot::SUMMIT_XL,
-        &config.mount(),
+        &config.robot.base,
+        &config.robot.mount,
         config.arm(),
         &config.taxels(),
         &config.parameters().limits,
         Duration::from_nanos(moca_tactile::board::SILENT_AFTER_NS).as_secs_f64(),
     );
     let speed_override = config.protection.override_statement.clone();
-    let mut robot = RobotDescription { parameters, speed_override, ..robot };
+    let uncalibrated = config.uncalibrated().unwrap_or_default();
+    let mut robot = RobotDescription { parameters, speed_override, uncalibrated, ..robot };
     if !config.plant.parts.has_arm() {
         robot.arm = ArmDescription { name: "no arm".into(), ..ArmDescription::default() };
     }
@@ -98,7 +92,11 @@ fn description(config: &Config) -> RobotDescription {
     robot
 }
 
-fn recording(options: &Options, strike: Option<&Strike>) -> Result<Option<Recording>> {
+fn recording(
+    options: &Options,
+    strike: Option<&Strike>,
+    reporter: &mut dyn Reporter,
+) -> Result<Option<Recording>> {
     let spoiled = options.outside_fault().filter(|fault| fault.is_of_disk());
     let Some(path) = &options.record else {
         return spoiled.map_or(Ok(None), |_| Err(anyhow!("a fault of the disk needs a log: --record FILE")));
@@ -111,7 +109,7 @@ fn recording(options: &Options, strike: Option<&Strike>) -> Result<Option<Record
             Recording::start(Disk::new(file, fault, strike.clone()), description(config), config, live)?
         }
     };
-    println!("  record      {}", path.display());
+    reporter.report(Notice::Recording(path));
     Ok(Some(recording))
 }
 
@@ -122,54 +120,64 @@ pub(crate) fn spoil_telemetry(
     strike: Option<&Strike>,
 ) -> Result<()> {
     // In lock-step what reaches the loop of a fault is asked of it in its tick: no socket is as punctual.
-    let by_socket =
-        |fault: &OutsideFault| !(fault.is_of_disk() || options.lock_step && fault.request().is_some());
+    let by_socket = |fault: &OutsideFault| {
+        !(fault.is_of_disk()
+            || *fault == OutsideFault::Panic
+            || options.lock_step && fault.request().is_some())
+    };
     let fault = options.outside_fault().filter(by_socket);
     let (Some(fault), Some(strike)) = (fault, strike) else { return Ok(()) };
     let server = server.context("a fault of telemetry needs telemetry.listen")?;
-    Ok(inject::client(fault, server.address(), strike.clone(), options.config.simulation.seed)?)
+    let address = server.address().tcp().context("a fault of telemetry needs a port, not a socket file")?;
+    Ok(inject::client(fault, address, strike.clone(), options.config.simulation.seed)?)
 }
 
 /// Who takes what the loop notes of each tick.
 pub(crate) struct Observers {
     pub(crate) strike: Option<Strike>,
     pub(crate) recording: Option<Recording>,
+    panics: bool,
     flight: Option<FlightRecorder>,
-    tape: TapeReader,
+    ticks: TickLogReader,
 }
 
 impl Observers {
     /// Those that the command line and the configuration ask for. In lock-step nothing is lost by starting over with
     /// `--record`, so no flight recorder runs.
-    pub(crate) fn new(options: &Options, tape: TapeReader) -> Result<Self> {
+    pub(crate) fn new(options: &Options, ticks: TickLogReader, reporter: &mut dyn Reporter) -> Result<Self> {
         let strike = options.strike();
-        let recording = recording(options, strike.as_ref())?;
+        let recording = recording(options, strike.as_ref(), reporter)?;
         let flight = if options.lock_step {
             None
         } else {
             FlightRecorder::new(&options.config, description(&options.config))?
         };
-        Ok(Self { strike, recording, flight, tape })
+        let panics = options.outside_fault() == Some(OutsideFault::Panic);
+        Ok(Self { strike, recording, panics, flight, ticks })
     }
 
-    pub(crate) fn see(&mut self, sample: &Sample) {
+    pub(crate) fn see(&mut self, sample: &Sample, reporter: &mut dyn Reporter) {
+        reporter.report(Notice::Sample(sample));
         if let Some(strike) = &self.strike {
             strike.see(sample.time_ns);
+            if self.panics {
+                strike.panic();
+            }
         }
-        self.take_ticks();
+        self.take_ticks(reporter);
         if let Some(recording) = &mut self.recording {
             recording.add(sample);
         }
         if let Some(path) = self.flight.as_mut().and_then(|flight| flight.add(sample)) {
-            println!("  the seconds before it: {}", path.display());
+            reporter.report(Notice::FaultLog(&path));
         }
     }
 
     /// Passes on what has been noted since the last call.
-    fn take_ticks(&mut self) {
-        while let Some(record) = self.tape.next_tick() {
+    fn take_ticks(&mut self, reporter: &mut dyn Reporter) {
+        while let Some(record) = self.ticks.next_tick() {
             if let Some(change) = parameter_change(&record) {
-                println!("[tick {}] parameter {} = {:?}", change.tick, change.name, change.values);
+                reporter.report(Notice::Parameter(&change));
             }
             if let Some(recording) = &mut self.recording {
                 recording.add_tick(&record);
@@ -181,42 +189,37 @@ impl Observers {
     }
 }
 
-pub(crate) fn finish(recording: Option<Recording>, options: &Options) -> Result<()> {
+/// Closes the log.
+pub(crate) fn finish(
+    recording: Option<Recording>,
+    options: &Options,
+    reporter: &mut dyn Reporter,
+) -> Result<()> {
     if let (Some(recording), Some(path)) = (recording, &options.record) {
         let summary = recording.finish().with_context(|| path.display().to_string())?;
-        println!("recorded {} samples and {} bytes of the board", summary.samples, summary.serial_bytes);
-        if summary.serial_dropped > 0 {
-            println!(
-                "  {} ticks or reads of the board found no room on their way to the disk",
-                summary.serial_dropped
-            );
-        }
+        reporter.report(Notice::Recorded(&summary));
     }
     Ok(())
 }
 
-/// Shows samples on the terminal until `done` is set and the ring is empty; returns the last one.
+/// Passes samples to the observers until `done` is set and the ring is empty; returns the last one.
 pub(crate) fn watch(
     samples: &mut rtrb::Consumer<Sample>,
     observers: &mut Observers,
-    log_level: Level,
+    reporter: &mut dyn Reporter,
     done: &AtomicBool,
 ) -> Sample {
-    let (mut console, mut last) = (Console::new(log_level), Sample::default());
-    let mut heartbeat = Heartbeat::new();
+    let (mut last, mut heartbeat) = (Sample::default(), Heartbeat::new());
     loop {
         if !samples.is_empty() {
             heartbeat.beat();
         }
         let finished = done.load(Ordering::Acquire);
         while let Ok(sample) = samples.pop() {
-            for line in console.lines(&sample) {
-                println!("{line}");
-            }
-            observers.see(&sample);
+            observers.see(&sample, reporter);
             last = sample;
         }
-        observers.take_ticks();
+        observers.take_ticks(reporter);
         if finished {
             return last;
         }

@@ -1,13 +1,18 @@
 //! The loop without a clock: every tick now, the board's bytes in memory; the same seed gives the same bits.
 
-use crate::config::{Config, TAXELS};
+use crate::config::Config;
 use crate::control::cover::CoverSource;
-use crate::control::tick::{ControlLoop, Slot};
+use crate::control::tick::{ControlLoop, Ticked};
+use crate::control::tick_input::Slot;
+use crate::devices::board_events::{BoardEvents, NumberedEvent};
 use crate::devices::ideal_cover::IdealCover;
 use crate::devices::simulated_robot::SimulatedRobot;
 use crate::devices::touch_board::ByteCover;
 use crate::inject::{Cable, Injection, What};
+use crate::record::tick_log::TickLog;
+use crate::robot::TAXELS;
 use crate::runtime::assemble::{cover_config, motion, supervisor};
+use crate::runtime::timing::Timing;
 use anyhow::Result;
 use moca_msgs::{Outcome, Request, Sample};
 use moca_sim::{Scene, VirtualBoard, VirtualBoardConfig};
@@ -109,8 +114,8 @@ impl Feed<ByteCover> for MemoryBoard {
 pub struct TrueForces;
 
 impl Feed<IdealCover> for TrueForces {
-    fn feed(&mut self, cover: &mut IdealCover, _now_ns: u64, true_force_n: &[f64; TAXELS]) {
-        cover.feel(*true_force_n);
+    fn feed(&mut self, cover: &mut IdealCover, now_ns: u64, true_force_n: &[f64; TAXELS]) {
+        cover.feel(now_ns, *true_force_n);
     }
 }
 
@@ -127,6 +132,10 @@ pub struct LockStep<S, F> {
     pub control: ControlLoop<SimulatedRobot, S>,
     /// What feeds the cover.
     pub feed: F,
+    /// How long its stages take.
+    pub timing: Timing,
+    /// What each tick was given, if somebody records it.
+    pub tick_log: Option<TickLog>,
     period_ns: u64,
     tick: u64,
     overruns: u64,
@@ -143,10 +152,11 @@ impl LockStep<ByteCover, MemoryBoard> {
         config: &Config,
         scene: &Scene,
         board: VirtualBoardConfig,
-        copies: Option<rtrb::Producer<BoardEvent>>,
+        copies: Option<rtrb::Producer<NumberedEvent>>,
     ) -> Result<Self> {
         let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
-        let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events, copies);
+        let events = BoardEvents::new(events).with_recorder(copies);
+        let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events);
         let feed = MemoryBoard {
             board: VirtualBoard::new(board)?,
             cable,
@@ -184,17 +194,19 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
     /// Without clocks and histograms: what ticks take is of no interest to who only looks at the robot.
     #[must_use]
     pub fn untimed(mut self) -> Self {
-        self.control.timing.switch_off();
+        self.timing.switch_off();
         self
     }
 
     fn new(config: &Config, scene: &Scene, cover: S, feed: F) -> Result<Self> {
         let plant = SimulatedRobot::new(config, scene, None)?;
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
-        let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
+        let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s);
         Ok(Self {
             control,
             feed,
+            timing: Timing::new()?,
+            tick_log: None,
             period_ns: config.period_ns(),
             tick: 0,
             overruns: 0,
@@ -226,6 +238,12 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
         let slot =
             Slot { tick: self.tick, now_ns, ticks: 1 + missed, overruns: self.overruns, ..Slot::default() };
         self.tick += 1;
-        self.control.tick(&slot, request)
+        self.timing.start();
+        let Ticked { sample, outcome, input } = self.control.tick(&slot, request, &mut self.timing);
+        self.timing.count_frame_age(sample.frame_age_s);
+        if let Some(tick_log) = &mut self.tick_log {
+            tick_log.push(input);
+        }
+        (sample, outcome)
     }
 }

@@ -3,10 +3,14 @@
 
 pub mod allocations;
 pub mod assemble;
-pub(crate) mod clients;
+pub mod clients;
+pub mod clock;
 pub mod live;
 #[cfg(feature = "sim")]
 pub mod lockstep;
+pub mod notice;
+pub mod options;
+pub(crate) mod panics;
 pub mod realtime;
 pub mod replay;
 pub mod run;

@@ -1,23 +1,11 @@
 //! What the operating system can do for a loop that must not be late: each step is tried and its result reported.
 
+use crate::config::RealtimeConfig;
 use nix::sched::{CpuSet, sched_setaffinity};
 use nix::sys::mman::{MlockAllFlags, mlockall};
 use nix::unistd::Pid;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
-
-/// What to try; see `[realtime]` in `config/mocad.toml`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Wishes {
-    /// SCHED_FIFO priority, 1 to 98; 0 keeps normal scheduling.
-    pub priority: u8,
-    /// Keep every page of the process in memory.
-    pub lock_memory: bool,
-    /// Core to run on.
-    pub cpu: Option<usize>,
-    /// Keep the processors out of deep sleep states.
-    pub dma_latency: bool,
-}
 
 /// One step and how it went.
 #[derive(Debug)]
@@ -33,14 +21,14 @@ pub struct Step {
 pub struct Held(#[expect(dead_code, reason = "held open, never read")] Option<File>);
 
 /// Tries every wish for the calling thread (memory: for the process).
-pub fn apply(wishes: &Wishes) -> (Vec<Step>, Held) {
+pub fn apply(wishes: &RealtimeConfig) -> (Vec<Step>, Held) {
     let mut steps = Vec::new();
     let mut tried = |what: String, result: io::Result<()>| steps.push(Step { what, result });
     if wishes.lock_memory {
         let all = MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE;
         tried("memory locked".into(), mlockall(all).map_err(io::Error::from));
     }
-    if let Some(cpu) = wishes.cpu {
+    if let Ok(cpu) = usize::try_from(wishes.cpu) {
         tried(format!("pinned to core {cpu}"), pin(cpu));
     }
     if wishes.priority > 0 {

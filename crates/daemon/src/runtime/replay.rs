@@ -1,10 +1,13 @@
 //! `mocad replay LOG`: the same loop once more, from the recorded states and bytes, compared bit for bit with what it did.
 
-use crate::config::{Config, JOINTS};
-use crate::control::plant::{Plant, SourceAge};
-use crate::control::tick::ControlLoop;
+use crate::config::Config;
+use crate::control::plant::{Plant, Simulated, SourceAge};
+use crate::control::stage::Untimed;
+use crate::control::tick::{ControlLoop, Ticked};
+use crate::devices::board_events::BoardEvents;
 use crate::devices::touch_board::ByteCover;
 use crate::record::tick_log::TickRecord;
+use crate::robot::JOINTS;
 use crate::runtime::assemble::{cover_config, motion, supervisor};
 use anyhow::{Context, Result, anyhow, bail};
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState, Sample};
@@ -192,7 +195,7 @@ impl Replay {
         }
         let (events, from_log) = rtrb::RingBuffer::new(RING_EVENTS);
         let cover = if config.plant.parts.has_cover() {
-            Some(ByteCover::new(Cover::new(cover_config(&config)?)?, from_log, None))
+            Some(ByteCover::new(Cover::new(cover_config(&config)?)?, BoardEvents::new(from_log)))
         } else {
             None
         };
@@ -203,7 +206,7 @@ impl Replay {
             supervisor(&config),
             motion(&config)?,
             period_s,
-        )?;
+        );
         Ok(Self { control, events, last: None, _texts: texts })
     }
 
@@ -221,13 +224,13 @@ impl Replay {
             let _ = self.events.push(event.into());
         }
         self.control.plant = RecordedPlant {
-            state: input.state.map(Into::into),
+            state: input.state,
             age: input.age,
             refused: input.refused,
             pressed: input.outcome.unwrap_or(Ok(())),
         };
-        let (sample, outcome) = self.control.tick(&input.slot, input.request);
-        self.last = Some((tick, input.number));
+        let Ticked { sample, outcome, .. } = self.control.tick(&input.slot, input.request, &mut Untimed);
+        self.last = Some((tick, record.number));
         if outcome != input.outcome {
             let (recorded, replayed) = (format!("{:?}", input.outcome), format!("{outcome:?}"));
             let quantity = "the answer to the request".into();
@@ -255,15 +258,15 @@ impl Replay {
         let after = self.last.map(|(tick, _)| tick);
         let incomplete = |missing| Err(Failure::Incomplete { after, missing, compared });
         match self.last {
-            None if input.number > 0 && input.lost == 0 => {
+            None if record.number > 0 && record.lost == 0 => {
                 return Err(Failure::MidRun { first: input.slot.tick });
             }
-            Some((_, number)) if number + 1 != input.number => {
+            Some((_, number)) if number + 1 != record.number => {
                 return incomplete(format!("the next tick in it is {}", input.slot.tick));
             }
             _ => {}
         }
-        if record.events.len() as u64 != u64::from(input.events) || input.lost > 0 {
+        if record.lost > 0 {
             let missing = "the recorder had no room for ticks or bytes of the board (a slow disk?)";
             return incomplete(missing.into());
         }
@@ -318,6 +321,12 @@ impl Plant for RecordedPlant {
         self.refused.map_or(Ok(()), Err)
     }
 
+    fn simulated(&mut self) -> Option<&mut dyn Simulated> {
+        Some(self)
+    }
+}
+
+impl Simulated for RecordedPlant {
     fn press(&mut self, _taxel: usize, _force_n: f64) -> Outcome {
         self.pressed
     }

@@ -1,60 +1,29 @@
-//! `mocad run`: puts the parts together, starts the loop, shows what runs.
-#![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
+//! `mocad run`: puts the parts together, starts the loop, reports what runs.
 
-use crate::cli::report::{Level, Summary};
-use crate::config::{AUTO_PORT, Config, Parts, PlantKind};
+use crate::config::Config;
 use crate::control::cover::CoverSource;
 use crate::control::plant::{NoRobot, Plant};
-use crate::control::protection;
 use crate::control::tick::ControlLoop;
-use crate::inject::{Injection, OutsideFault, Strike, What};
-use crate::record::tick_log::tape;
-use crate::runtime::assemble::{OpenBoard, Taps, motion, open_board, supervisor};
+use crate::inject::What;
+use crate::record::tick_log::{TickLog, TickLogReader, tick_log};
+use crate::robot::PlantKind;
+use crate::runtime::assemble::{OpenBoard, Subscribers, motion, open_board, supervisor};
 use crate::runtime::clients::{Observers, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
-use crate::runtime::live::{self, Clock, LiveReport, Shared};
+use crate::runtime::clock::Clock;
+use crate::runtime::live::{self, LiveReport, Shared};
+use crate::runtime::notice::{Notice, Reporter, Summary};
+use crate::runtime::options::Options;
+use crate::runtime::panics::PanicWatch;
 use crate::runtime::realtime;
-use crate::runtime::timing::{Distribution, Timing};
+use crate::runtime::tick_source::Timer;
+use crate::runtime::timing::Timing;
 use anyhow::{Context, Result, anyhow};
-use moca_msgs::{Law, Sample};
+use moca_msgs::Sample;
 use moca_telemetry::net::CalibrationPort;
-use std::path::PathBuf;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-
-/// What the command line asks for.
-#[derive(Clone, Debug, Default)]
-pub struct Options {
-    /// Checked configuration.
-    pub config: Config,
-    /// Robot time after which the run ends.
-    pub duration: Option<Duration>,
-    /// Lock-step instead of real time.
-    pub lock_step: bool,
-    /// Where the command log goes (lock-step only).
-    pub command_log: Option<PathBuf>,
-    /// Where the MCAP log goes.
-    pub record: Option<PathBuf>,
-    /// A fault on purpose (simulated robot only).
-    pub inject: Option<Injection>,
-    /// How much the terminal shows of a run.
-    pub log_level: Level,
-    /// Whether a refused wish to the operating system ends the run before it starts.
-    pub require_realtime: bool,
-}
-
-impl Options {
-    pub(crate) fn outside_fault(&self) -> Option<OutsideFault> {
-        match self.inject?.fault.what {
-            What::Outside(fault) => Some(fault),
-            _ => None,
-        }
-    }
-
-    pub(crate) fn strike(&self) -> Option<Strike> {
-        self.inject.map(|injection| Strike::new(injection.at_ns))
-    }
-}
 
 /// `--require-realtime` was given and the operating system refused this many wishes.
 #[derive(Debug)]
@@ -71,25 +40,36 @@ impl std::error::Error for RealtimeRefused {}
 /// Runs the daemon until its duration is over or Ctrl-C.
 ///
 /// # Errors
-/// A part could not be built: the scene, the board's port, a log file.
-pub fn run(options: &Options) -> Result<()> {
+/// A part could not be built: the scene, the board's port, a log file; the disk refused the log; a thread panicked.
+pub fn run(options: &Options, reporter: &mut dyn Reporter) -> Result<()> {
     check_injection(options)?;
     let shared = Arc::new(Shared::default());
     let on_signal = Arc::clone(&shared);
     ctrlc::set_handler(move || on_signal.stop.store(true, Ordering::Relaxed)).context("Ctrl-C handler")?;
-    introduce(options);
+    reporter.report(Notice::Begins { config: &options.config, lock_step: options.lock_step });
+    let panics = PanicWatch::start(&shared);
+    let result = catch_unwind(AssertUnwindSafe(|| run_plant(options, &shared, reporter)));
+    panics.seen()?;
+    result.unwrap_or_else(|_| Err(anyhow!("the run panicked")))
+}
+
+fn run_plant(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<()> {
     match (options.config.plant.kind, options.lock_step) {
         (PlantKind::None, true) => {
             Err(anyhow!("plant.kind = \"none\" runs live only: lock-step simulates its board"))
         }
         (PlantKind::None, false) => {
-            live_board_only(options, &shared).map(|run| println!("{}", run.summary()))
+            let run = live_board_only(options, shared, reporter)?;
+            reporter.report(Notice::Ended(&run.summary()));
+            Ok(())
         }
         #[cfg(feature = "sim")]
-        (PlantKind::Simulated, true) => lock_step(options, &shared),
+        (PlantKind::Simulated, true) => lock_step(options, shared, reporter),
         #[cfg(feature = "sim")]
         (PlantKind::Simulated, false) => {
-            live_simulated(options, &shared).map(|run| println!("{}", run.summary()))
+            let run = live_simulated(options, shared, reporter)?;
+            reporter.report(Notice::Ended(&run.summary()));
+            Ok(())
         }
         #[cfg(not(feature = "sim"))]
         (PlantKind::Simulated, _) => Err(anyhow!(
@@ -115,43 +95,9 @@ fn check_injection(options: &Options) -> Result<()> {
     }
 }
 
-fn introduce(options: &Options) {
-    let config = &options.config;
-    println!("mocad {}: robot {:?}", env!("CARGO_PKG_VERSION"), config.robot);
-    let law = match (config.plant.parts, config.startup.law) {
-        (Parts::Base, _) => "admittance of the base alone (the base gives way)",
-        (Parts::Arm, _) => "Cartesian impedance of the arm alone (the flange keeps its place)",
-        (Parts::Whole, Law::Impedance) => {
-            "expanded Cartesian impedance (the flange keeps its place, the base gives way)"
-        }
-        (Parts::Whole, Law::FollowMe) => "expanded follow-me (base and arm follow the hand)",
-    };
-    let pace = if options.lock_step { "in lock-step, as fast as possible" } else { "live" };
-    println!("  controller  {law}, {} Hz, {pace}", config.control_loop.rate_hz);
-    if config.plant.parts.has_cover() {
-        println!("  protection  {}", protection::introduction(config));
-    }
-}
-
 #[cfg(feature = "sim")]
-fn introduce_simulation(config: &Config) {
-    let (arm, mujoco) = (config.arm().name, moca_sim::mujoco_version());
-    let robot = match config.plant.parts {
-        Parts::Whole => format!("{arm} on SUMMIT-XL"),
-        Parts::Base => "SUMMIT-XL without an arm".into(),
-        Parts::Arm => format!("{arm} on a stand, no cover"),
-    };
-    println!("  plant       simulated {robot} (MuJoCo {mujoco})");
-    let hand = &config.simulation.hand;
-    if config.plant.parts.has_cover() && !hand.taxels.is_empty() {
-        let taxels: Vec<String> = hand.taxels.iter().map(|taxel| format!("T{taxel}")).collect();
-        println!(
-            "  hand        presses {} with {} N, every {} s",
-            taxels.join(", "),
-            hand.force_n,
-            hand.every_s
-        );
-    }
+fn introduce_simulation(config: &Config, reporter: &mut dyn Reporter) {
+    reporter.report(Notice::Simulated { config, mujoco: moca_sim::mujoco_version() });
 }
 
 /// A finished live run.
@@ -161,7 +107,6 @@ pub struct LiveRun {
     pub timing: Timing,
     /// Ticks, overruns, allocations.
     pub report: LiveReport,
-    frame_age: Distribution,
     last: Sample,
     samples_dropped: u64,
     wall: Duration,
@@ -171,7 +116,6 @@ impl LiveRun {
     fn summary(&self) -> Summary<'_> {
         Summary {
             timing: &self.timing,
-            frame_age: &self.frame_age,
             last: &self.last,
             ticks: self.report.ticks,
             overruns_by_stage: Some(self.report.overruns_by_stage),
@@ -187,59 +131,72 @@ impl LiveRun {
 /// # Errors
 /// As for [`run`].
 #[cfg(feature = "sim")]
-pub fn live_simulated(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
-    introduce_simulation(&options.config);
+pub fn live_simulated(
+    options: &Options,
+    shared: &Arc<Shared>,
+    reporter: &mut dyn Reporter,
+) -> Result<LiveRun> {
+    introduce_simulation(&options.config, reporter);
     let clock = Clock::start()?;
-    let (tape, copies, tape_reader) = tape();
-    let observers = Observers::new(options, tape_reader)?;
-    let taps = Taps { copies: Some(copies), moving: Arc::clone(&shared.moving), reference: None };
+    let (log, copies, log_reader) = tick_log();
+    let observers = Observers::new(options, log_reader, reporter)?;
+    let subscribers =
+        Subscribers { copies: Some(copies), moving: Arc::clone(&shared.moving), reference: None };
     let mut robot =
-        crate::runtime::assemble::assemble(&options.config, clock, options.inject.as_ref(), taps)?;
-    robot.control.tape = Some(tape);
-    let virtual_board = if robot.virtual_board.is_some() { " (virtual Touch Board)" } else { "" };
+        crate::runtime::assemble::assemble(&options.config, clock, options.inject.as_ref(), subscribers)?;
+    let simulated = robot.virtual_board.is_some();
     let calibration = robot.board.as_mut().and_then(|board| {
-        println!("  board       {}{virtual_board}", shown(&board.port));
+        reporter.report(Notice::Board { port: Some(&board.port), simulated });
         board.calibration.take()
     });
-    live(options, robot.control, clock, (observers, calibration), shared)
+    live(options, robot.control, (clock, log), (observers, calibration), shared, reporter)
 }
 
 /// Runs the loop with a Touch Board and no robot: what the cover feels, for observers and logs.
-fn live_board_only(options: &Options, shared: &Arc<Shared>) -> Result<LiveRun> {
+fn live_board_only(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
     let config = &options.config;
-    println!("  plant       none: the cover alone, nothing moves");
+    reporter.report(Notice::NoRobot);
     let clock = Clock::start()?;
-    let (tape, copies, tape_reader) = tape();
-    let observers = Observers::new(options, tape_reader)?;
+    let (log, copies, log_reader) = tick_log();
+    let observers = Observers::new(options, log_reader, reporter)?;
     let port = config.board.port.clone();
-    let taps = Taps { copies: Some(copies), ..Taps::default() };
-    let OpenBoard { cover, mut held } = open_board(config, clock, port, options.inject.as_ref(), taps)?;
-    println!("  board       {}", shown(&held.port));
+    let subscribers = Subscribers { copies: Some(copies), ..Subscribers::default() };
+    let OpenBoard { cover, mut held } =
+        open_board(config, clock, port, options.inject.as_ref(), subscribers)?;
+    reporter.report(Notice::Board { port: Some(&held.port), simulated: false });
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let plant = NoRobot::at(config.control.gains.posture_rad);
-    let mut control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s)?;
-    control.tape = Some(tape);
-    live(options, control, clock, (observers, held.calibration.take()), shared)
+    let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s);
+    live(options, control, (clock, log), (observers, held.calibration.take()), shared, reporter)
 }
 
-fn shown(port: &str) -> &str {
-    if port == AUTO_PORT { "the only Touch Board on USB" } else { port }
+/// Tells the thread that watches when the loop has ended, whichever way.
+struct DoneAtEnd<'a>(&'a AtomicBool);
+
+impl Drop for DoneAtEnd<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Release);
+    }
 }
 
-/// Runs a finished loop on a thread of its own and shows it on this one.
+/// Runs a finished loop on a thread of its own and passes on from this one what it says. The log is closed however it
+/// ends.
 fn live<P: Plant + Send, S: CoverSource + Send>(
     options: &Options,
     mut control: ControlLoop<P, S>,
-    clock: Clock,
+    (clock, log): (Clock, TickLog),
     (mut observers, calibration): (Observers, Option<CalibrationPort>),
     shared: &Arc<Shared>,
+    reporter: &mut dyn Reporter,
 ) -> Result<LiveRun> {
     let config = &options.config;
     let (mut rings, from_loop, mut request_ports) = rings(shared);
     request_ports.calibration = calibration;
+    rings.tick_log = Some(log);
+    let mut timing = Timing::new()?;
     let (tap, mut watched) = rtrb::RingBuffer::new(RING_SAMPLES);
     let server = match config.telemetry_address() {
-        Some(address) => Some(serve(config, address, from_loop, Some(tap), request_ports)?),
+        Some(address) => Some(serve(config, &address, from_loop, Some(tap), request_ports, reporter)?),
         None => {
             watched = from_loop;
             None
@@ -248,39 +205,46 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
     let done = AtomicBool::new(false);
     let started = Instant::now();
-    let (report, last) = std::thread::scope(|scope| -> Result<(LiveReport, Sample)> {
-        let control = &mut control;
+    let ended = std::thread::scope(|scope| -> Result<(LiveReport, Sample)> {
+        let (control, timing) = (&mut control, &mut timing);
         let done = &done;
         let (steps_sender, steps) = std::sync::mpsc::channel();
         let in_loop_thread = move || {
-            let (steps, _held) = realtime::apply(&config.realtime());
+            let _done = DoneAtEnd(done);
+            let (steps, _held) = realtime::apply(&config.realtime);
             let refused = steps.iter().any(|step| step.result.is_err());
             let run = !(refused && options.require_realtime);
             // The receiver waits for exactly this.
             let _ = steps_sender.send(steps);
-            let report = if run {
-                live::run(control, clock, config.period_ns(), options.duration, &mut rings, shared)
+            if run {
+                let mut timer = Timer::new(clock, config.period_ns());
+                live::run(control, &mut timer, timing, options.duration, &mut rings, shared)
             } else {
                 LiveReport::default()
-            };
-            done.store(true, Ordering::Release);
-            report
+            }
         };
         let thread =
             std::thread::Builder::new().name("control-loop".into()).spawn_scoped(scope, in_loop_thread)?;
-        let refused = report_realtime(&steps.recv().unwrap_or_default());
-        println!("Ctrl-C stops it.");
-        let last = watch(&mut watched, &mut observers, options.log_level, done);
+        let watched = catch_unwind(AssertUnwindSafe(|| {
+            let refused = report_realtime(&steps.recv().unwrap_or_default(), reporter);
+            reporter.report(Notice::Runs);
+            (refused, watch(&mut watched, &mut observers, reporter, done))
+        }));
+        if watched.is_err() {
+            shared.stop.store(true, Ordering::Relaxed);
+        }
         let report = thread.join().map_err(|_| anyhow!("the loop's thread panicked"))?;
+        let (refused, last) = watched.map_err(|_| anyhow!("the thread of the observers panicked"))?;
         if options.require_realtime && refused > 0 {
             return Err(RealtimeRefused(refused).into());
         }
         Ok((report, last))
-    })?;
-    finish(observers.recording, options)?;
+    });
+    let closed = finish(observers.recording, options, reporter);
+    let (report, last) = ended?;
+    closed?;
     Ok(LiveRun {
-        timing: control.timing,
-        frame_age: control.frame_age,
+        timing,
         report,
         last,
         samples_dropped: shared.samples_dropped.load(Ordering::Relaxed),
@@ -288,36 +252,33 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     })
 }
 
-fn report_realtime(steps: &[realtime::Step]) -> usize {
+fn report_realtime(steps: &[realtime::Step], reporter: &mut dyn Reporter) -> usize {
     for step in steps {
-        match &step.result {
-            Ok(()) => println!("  real time   {}: yes", step.what),
-            Err(error) => println!("  real time   {}: no ({error})", step.what),
-        }
+        reporter.report(Notice::RealTime(step));
     }
     steps.iter().filter(|step| step.result.is_err()).count()
 }
 
 #[cfg(feature = "sim")]
-fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
+fn lock_step(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<()> {
     use crate::runtime::lockstep::LockStep;
 
     let config = &options.config;
-    introduce_simulation(config);
+    introduce_simulation(config, reporter);
     let scene = crate::devices::simulated_robot::free_scene(config);
-    let (tape, copies, tape_reader) = tape();
+    let (log, copies, log_reader) = tick_log();
     if config.plant.parts.has_cover() {
-        println!("  board       virtual Touch Board in memory");
+        reporter.report(Notice::Board { port: None, simulated: true });
         let world = LockStep::with_board(
             config,
             &scene,
             crate::runtime::assemble::board_config(config),
             Some(copies),
         )?;
-        run_lock_step(options, world, (tape, tape_reader), shared)
+        run_lock_step(options, world, (log, log_reader), shared, reporter)
     } else {
         let world = LockStep::without_cover(config, &scene)?;
-        run_lock_step(options, world, (tape, tape_reader), shared)
+        run_lock_step(options, world, (log, log_reader), shared, reporter)
     }
 }
 
@@ -325,8 +286,9 @@ fn lock_step(options: &Options, shared: &Arc<Shared>) -> Result<()> {
 fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     options: &Options,
     mut world: crate::runtime::lockstep::LockStep<S, F>,
-    (tape, tape_reader): (crate::record::tick_log::Tape, crate::record::tick_log::TapeReader),
+    (log, log_reader): (TickLog, TickLogReader),
     shared: &Arc<Shared>,
+    reporter: &mut dyn Reporter,
 ) -> Result<()> {
     use crate::record::command_csv;
     use crate::runtime::allocations;
@@ -334,11 +296,11 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     use std::io::{BufWriter, Write};
 
     let config = &options.config;
-    world.control.tape = Some(tape);
+    world.tick_log = Some(log);
     if let Some(injection) = &options.inject {
         world.inject(injection, config.simulation.seed);
     }
-    let mut observers = Observers::new(options, tape_reader)?;
+    let mut observers = Observers::new(options, log_reader, reporter)?;
     let mut log = None;
     if let Some(path) = &options.command_log {
         let file = File::create(path).with_context(|| path.display().to_string())?;
@@ -348,12 +310,11 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     }
     let (mut rings, from_loop, request_ports) = rings(shared);
     let server = match config.telemetry_address() {
-        Some(address) => Some(serve(config, address, from_loop, None, request_ports)?),
+        Some(address) => Some(serve(config, &address, from_loop, None, request_ports, reporter)?),
         None => None,
     };
     spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
-    let (mut console, mut last, mut ticks) =
-        (crate::cli::report::Console::new(options.log_level), Sample::default(), 0);
+    let (mut last, mut ticks) = (Sample::default(), 0);
     let (mut allocated, mut warm) = (0, false);
     let end_ns = options.duration.map_or(u64::MAX, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX));
     let started = Instant::now();
@@ -362,24 +323,20 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         let (id, request) = rings.next_request();
         let (sample, outcome) = world.step(request);
         last = sample;
-        rings.publish(&last, id, outcome, shared);
+        rings.publish(last.clone(), id, outcome, shared);
         ticks += 1;
         warm |= ticks > live::WARM_UP_TICKS;
         allocated += if warm { allocations::on_this_thread() - before } else { 0 };
         if let Some(log) = &mut log {
             command_csv::write_row(log, &last)?;
         }
-        observers.see(&last);
-        for line in console.lines(&last) {
-            println!("{line}");
-        }
+        observers.see(&last, reporter);
     }
     if let Some(log) = &mut log {
         log.flush()?;
     }
     let summary = Summary {
-        timing: &world.control.timing,
-        frame_age: &world.control.frame_age,
+        timing: &world.timing,
         last: &last,
         ticks,
         overruns_by_stage: None,
@@ -387,6 +344,6 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         samples_dropped: shared.samples_dropped.load(Ordering::Relaxed),
         wall: started.elapsed(),
     };
-    println!("{summary}");
-    finish(observers.recording, options)
+    reporter.report(Notice::Ended(&summary));
+    finish(observers.recording, options, reporter)
 }

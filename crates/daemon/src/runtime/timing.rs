@@ -1,34 +1,10 @@
 //! How long each stage of a tick takes and how late the tick woke. Recording is bounded and does not allocate.
 
+use crate::control::stage::{Stage, StageTimer};
 use hdrhistogram::Histogram;
 use moca_msgs::STAGES;
 use std::fmt;
 use std::time::{Duration, Instant};
-
-/// Stages of one tick, in the order in which the data flows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    /// Plant → robot state.
-    Read,
-    /// Bytes → frames → forces.
-    Cover,
-    /// Mode and command.
-    Control,
-    /// Command → plant (in simulation this includes the physics step).
-    Write,
-    /// Sample → observers' ring.
-    Publish,
-}
-
-impl Stage {
-    /// All stages, in order.
-    pub const ALL: [Self; 5] = [Self::Read, Self::Cover, Self::Control, Self::Write, Self::Publish];
-
-    /// Name as shown to users.
-    pub const fn name(self) -> &'static str {
-        STAGES[self as usize]
-    }
-}
 
 /// A distribution of durations, ns.
 #[derive(Clone, Debug)]
@@ -91,6 +67,8 @@ pub struct Timing {
     pub period: Distribution,
     /// How late a tick woke after its deadline.
     pub lateness: Distribution,
+    /// Age of the cover's data at each tick.
+    pub frame_age: Distribution,
     /// Each stage, in the order of [`Stage::ALL`].
     pub stages: [Distribution; 5],
     /// Reads no clock.
@@ -111,6 +89,7 @@ impl Timing {
         Ok(Self {
             period: empty.clone(),
             lateness: empty.clone(),
+            frame_age: empty.clone(),
             stages: [empty.clone(), empty.clone(), empty.clone(), empty.clone(), empty],
             off: false,
             last_start: None,
@@ -123,11 +102,6 @@ impl Timing {
     /// Stops measuring: for runs that nobody asks how long their ticks took.
     pub const fn switch_off(&mut self) {
         self.off = true;
-    }
-
-    /// Whether anything is measured.
-    pub const fn is_on(&self) -> bool {
-        !self.off
     }
 
     /// Marks the start of a tick.
@@ -143,18 +117,10 @@ impl Timing {
         self.slowest = (Stage::Read, Duration::ZERO);
     }
 
-    /// Marks the end of a stage; the next one starts here.
-    pub fn end(&mut self, stage: Stage) {
-        if self.off {
-            return;
-        }
-        let now = Instant::now();
-        let took = now - self.mark;
-        self.mark = now;
-        self.stages[stage as usize].record(took);
-        self.last_stages_ns[stage as usize] = u32::try_from(took.as_nanos()).unwrap_or(u32::MAX);
-        if took > self.slowest.1 {
-            self.slowest = (stage, took);
+    /// Counts the age of the cover's data that a tick used, s; a negative one is none.
+    pub fn count_frame_age(&mut self, age_s: f64) {
+        if let (false, Ok(age)) = (self.off, Duration::try_from_secs_f64(age_s)) {
+            self.frame_age.record(age);
         }
     }
 
@@ -166,6 +132,22 @@ impl Timing {
     /// The longest stage of the current tick: the one an overrun is charged to.
     pub const fn slowest(&self) -> Stage {
         self.slowest.0
+    }
+}
+
+impl StageTimer for Timing {
+    fn end(&mut self, stage: Stage) {
+        if self.off {
+            return;
+        }
+        let now = Instant::now();
+        let took = now - self.mark;
+        self.mark = now;
+        self.stages[stage as usize].record(took);
+        self.last_stages_ns[stage as usize] = u32::try_from(took.as_nanos()).unwrap_or(u32::MAX);
+        if took > self.slowest.1 {
+            self.slowest = (stage, took);
+        }
     }
 }
 

@@ -127,11 +127,11 @@ pub(crate) fn once(settings: &Settings) -> Result<Rig> {
 /// The arm leads; first contact; the first peak; the base has resumed.
 fn moments(rows: &[Row]) -> Vec<Moment> {
     let last = rows.len().saturating_sub(1);
-    let touching = |row: &Row| row.total_force_n() > 0.0;
+    let touching = |row: &Row| row.total_force_n > 0.0;
     let contact = rows.iter().position(touching).unwrap_or(last);
     let end = rows.iter().rposition(touching).unwrap_or(last);
     let peak = (contact..=end.min(last))
-        .max_by(|&a, &b| rows[a].total_force_n().total_cmp(&rows[b].total_force_n()))
+        .max_by(|&a, &b| rows[a].total_force_n.total_cmp(&rows[b].total_force_n))
         .unwrap_or(last);
     [
         ("arm leads", last.min(500)),
@@ -157,7 +157,7 @@ pub(crate) fn panels(rows: &[Row]) -> Vec<Panel> {
 
 fn measure(info: RunInfo, settings: &Settings, rows: &[Row], peak_by_phase_n: Vec<f64>) -> Report {
     let measures = Measures::of(rows, 1.0 / f64::from(settings.config.control_loop.rate_hz));
-    let touching = |row: &Row| row.total_force_n() > 0.0;
+    let touching = |row: &Row| row.total_force_n > 0.0;
     let first = rows.iter().position(touching);
     let last = rows.iter().rposition(touching);
     let after = |i: usize, s: f64| rows.iter().skip(i).find(|row| row.t_s >= rows[i].t_s + s).or(rows.last());

@@ -79,10 +79,10 @@ fn b1_iv_opposite_corners_are_pure_yaw_and_mirror_images() {
 }
 
 #[test]
-fn the_flange_feed_lets_the_base_follow_a_push_at_the_flange() {
+fn the_flange_wrench_feedforward_lets_the_base_follow_a_push_at_the_flange() {
     let sideways = Push::taxels("sideways", &[]).and_flange([0.0, 15.0, 0.0]);
     let literal = run(&sideways, LITERAL);
-    let fed = run(&sideways, &["sensor=ideal", "flange_feed=true"]);
+    let fed = run(&sideways, &["sensor=ideal", "flange_wrench_feedforward=true"]);
     // Without it the flange gives way by half of 15 N / (800 N/m), and the base drifts against the push.
     assert!((6.0..11.0).contains(&(1e3 * literal.flange_displacement[1])), "{literal:?}");
     assert!(literal.base_displacement[1] < -0.005, "{literal:?}");

@@ -2,7 +2,7 @@
 
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::{Result, bail, ensure};
-use moca_daemon::control::plant::Plant;
+use moca_daemon::control::plant::Simulated;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::SimulatedRobot;
 use moca_daemon::devices::touch_board::ByteCover;
@@ -50,6 +50,9 @@ pub(crate) struct Row {
     pub wrench_sensed: [f64; 3],
     pub force_true: [f64; TAXELS],
     pub force_sensed: [f64; TAXELS],
+    /// Sum of the true forces on everybody, felt by a taxel or not, and the one on the body pressed hardest, N.
+    pub total_force_n: f64,
+    pub largest_force_n: f64,
     pub person_world: Option<[f64; 2]>,
 }
 
@@ -58,11 +61,6 @@ impl Row {
     pub(crate) fn flange_error_m(&self) -> f64 {
         let [x, y, z] = std::array::from_fn(|i| self.flange_world[i] - self.flange_desired_world[i]);
         (x * x + y * y + z * z).sqrt()
-    }
-
-    /// Sum of the true forces on all taxels, N.
-    pub(crate) fn total_force_n(&self) -> f64 {
-        self.force_true.iter().sum()
     }
 }
 
@@ -176,6 +174,8 @@ impl Rig {
         robot.world.set_flange_wrench_world(loads.flange_world)?;
         let force_true = robot.world.taxel_force_true_n();
         let wrench_true = robot.world.cover_wrench_true_base();
+        let total_force_n = robot.world.contact_total_true_n();
+        let largest_force_n = robot.world.contact_largest_true_n();
         let person_world = robot.world.person_position_world(0);
         let (sample, _) = match &mut self.cover {
             Cover::Board(lock_step) => lock_step.step(None),
@@ -205,6 +205,8 @@ impl Rig {
             wrench_sensed: sample.cover_wrench_base,
             force_true,
             force_sensed: sensed(&sample),
+            total_force_n,
+            largest_force_n,
             person_world,
         });
         Ok(sample)

@@ -1,8 +1,10 @@
-//! Everything an experiment can be told with `--set key=value`: one table, so that help and errors cannot lag behind.
+//! Everything an experiment can be told with `--set key=value`: the rows of the daemon's configuration, by their dotted
+//! names or the laboratory's short ones, and one table of what only an experiment has.
 
 use crate::rig::settings::{Sensor, Settings};
-use anyhow::{Context, Result, bail, ensure};
-use moca_daemon::config::Arm;
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use moca_daemon::config::Config;
+use moca_msgs::table::{FieldValue, ParameterKind, ParameterSpec, Size};
 use moca_sim::foam::Foam;
 use moca_sim::{BodyPart, Integrator};
 use moca_tactile::Firmware;
@@ -17,7 +19,15 @@ impl Settings {
             .split_once('=')
             .with_context(|| format!("--set {assignment}: expected key=value, e.g. --set sensor=ideal"))?;
         let Some(key) = KEYS.iter().find(|key| key.name == name.trim()) else {
-            bail!("--set: unknown key {name}; known keys:\n{}", key_list());
+            let Some(row) = row(name.trim()) else {
+                bail!("--set: unknown key {name}; known keys:\n{}", key_list());
+            };
+            let value = written(&mut self.config, row, value.trim())
+                .with_context(|| format!("--set {assignment} ({})", about(row)))?;
+            return self
+                .config
+                .set(row.name, &value)
+                .map_err(|message| anyhow!("--set {assignment}: {message} ({})", about(row)));
         };
         (key.set)(self, value.trim()).with_context(|| {
             let unit = if key.unit.is_empty() { "no unit" } else { key.unit };
@@ -72,60 +82,6 @@ const KEYS: &[Key] = &[
                 ("stock-2015", Firmware::Stock2015),
             ],
         )?;
-        Ok(())
-    }),
-    key("seed", "", "seed of the board's noise", |s, v| {
-        s.config.simulation.seed = v.parse().context("expected a whole number")?;
-        Ok(())
-    }),
-    key("m_v", "kg[,kg,kg·m²]", "virtual mass, eq. (2); one number sets x and y", |s, v| {
-        planar(&mut s.config.control.gains.virtual_mass, v, 0.01, 1000.0)
-    }),
-    key("d_v", "N·s/m[,N·s/m,N·m·s/rad]", "virtual damping, eq. (2); one number sets x and y", |s, v| {
-        planar(&mut s.config.control.gains.virtual_damping, v, 0.0, 1e5)
-    }),
-    key("k_d", "N/m[,N·m/rad]", "stiffness of the flange, eq. (10): linear, angular", |s, v| {
-        let k = &mut s.config.control.gains.stiffness;
-        for (i, value) in numbers(v, 2, 0.0, 1e5)?.into_iter().enumerate() {
-            k[3 * i..3 * i + 3].fill(value);
-        }
-        Ok(())
-    }),
-    key("zeta", "", "damping ratio of the flange, eq. (10)", |s, v| {
-        store(&mut s.config.control.gains.damping_ratio, v, 0.0, 5.0)
-    }),
-    key("eta_b", "", "weight of the base, eq. (9)", |s, v| {
-        store(&mut s.config.control.gains.eta_base, v, 1e-3, 1e3)
-    }),
-    key("eta_a", "", "weight of the arm, eq. (9)", |s, v| {
-        store(&mut s.config.control.gains.eta_arm, v, 1e-3, 1e3)
-    }),
-    key("k_0", "N·m/rad, 7 numbers or 1", "null-space posture stiffness, eq. (11)", |s, v| {
-        joints(&mut s.config.control.gains.posture_stiffness, v, 1e4)
-    }),
-    key("d_0", "N·m·s/rad, 7 numbers or 1", "null-space posture damping, eq. (11)", |s, v| {
-        joints(&mut s.config.control.gains.posture_damping, v, 1e3)
-    }),
-    key("reactivity", "", "scale of the cover's wrench on the base", |s, v| {
-        store(&mut s.config.control.gains.reactivity, v, 0.0, 10.0)
-    }),
-    key("null_space_damping", "true|false", "correction 2 of the literal law", |s, v| {
-        flag(&mut s.config.control.corrections.null_space_damping, v)
-    }),
-    key("base_coupling", "true|false", "correction 3 of the literal law", |s, v| {
-        flag(&mut s.config.control.corrections.base_coupling, v)
-    }),
-    key("flange_feed", "true|false", "correction 1 of the literal law", |s, v| {
-        flag(&mut s.config.control.corrections.flange_feed, v)
-    }),
-    key("limit.base_velocity", "m/s[,m/s,rad/s]", "largest commanded base speed", |s, v| {
-        planar(&mut s.config.limits.base_velocity, v, 0.0, 3.0)
-    }),
-    key("limit.base_acceleration", "m/s²[,m/s²,rad/s²]", "largest commanded base acceleration", |s, v| {
-        planar(&mut s.config.limits.base_acceleration, v, 0.01, 50.0)
-    }),
-    key("rate_hz", "Hz", "control rate", |s, v| {
-        s.config.control_loop.rate_hz = v.parse().context("expected a whole number")?;
         Ok(())
     }),
     key("step_ms", "ms", "physics step", |s, v| store(&mut s.step_ms, v, 1e-3, 100.0)),
@@ -198,6 +154,9 @@ const KEYS: &[Key] = &[
     key("person.damping", "N·s/m", "damping of the tissue", |s, v| {
         store(&mut s.person.damping, v, 0.0, 1e5)
     }),
+    key("person.friction", "", "Coulomb coefficient along the cover", |s, v| {
+        some(&mut s.person.friction, v, 0.0, 2.0)
+    }),
     key("person.posture_stiffness", "N/m", "stiffness of the posture", |s, v| {
         some(&mut s.person.posture_stiffness, v, 0.0, 1e7)
     }),
@@ -221,25 +180,6 @@ const KEYS: &[Key] = &[
     }),
     key("person.fixed", "true|false", "cannot move: held against a wall", |s, v| {
         flag(&mut s.person.fixed, v)
-    }),
-    key("arm", "panda|fr3", "kinematics, inertias and joint ranges of the arm", |s, v| {
-        s.config.geometry.arm = word(v, &[("panda", Arm::Panda), ("fr3", Arm::Fr3)])?;
-        Ok(())
-    }),
-    key("mount.position", "m,m,m", "arm base in the axes of B", |s, v| {
-        list(&mut s.config.geometry.arm_position_m, v, -5.0, 5.0)
-    }),
-    key("mount.rpy", "rad,rad,rad", "its axes in B: roll, pitch, yaw", |s, v| {
-        list(&mut s.config.geometry.arm_rpy_rad, v, -7.0, 7.0)
-    }),
-    key("taxels.x", "m, 11 numbers", "centres of the taxels in B, T1 first: forward", |s, v| {
-        list(&mut s.config.geometry.taxel_x_m, v, -5.0, 5.0)
-    }),
-    key("taxels.y", "m, 11 numbers", "centres of the taxels in B, T1 first: left", |s, v| {
-        list(&mut s.config.geometry.taxel_y_m, v, -5.0, 5.0)
-    }),
-    key("taxels.inward", "rad, 11 numbers", "direction of a press in B", |s, v| {
-        list(&mut s.config.geometry.taxel_inward_rad, v, -7.0, 7.0)
     }),
     key("base.size", "m,m,m", "length, width, height: its inertia is the box's; the cover stays", |s, v| {
         list(&mut s.base.size_m, v, 0.1, 10.0)
@@ -267,15 +207,6 @@ const KEYS: &[Key] = &[
             Ok(())
         },
     ),
-    key("q_0", "rad, 7 numbers", "posture of the arm, at the start and in eq. (11)", |s, v| {
-        list(&mut s.config.control.gains.posture_rad, v, -7.0, 7.0)
-    }),
-    key("limit.torque", "N·m, 7 numbers or 1", "largest commanded joint torque", |s, v| {
-        joints(&mut s.config.limits.torque_nm, v, 1e3)
-    }),
-    key("limit.torque_rate", "N·m/s", "fastest change of a joint torque", |s, v| {
-        store(&mut s.config.limits.torque_rate_nm_s, v, 1.0, 1e5)
-    }),
     key("speed", "m/s", "speed of the flange's target in y (collision)", |s, v| {
         store(&mut s.speed_m_s, v, 0.0, 0.25)
     }),
@@ -290,12 +221,83 @@ const KEYS: &[Key] = &[
     key("rest_s", "s", "pause between pushes", |s, v| store(&mut s.rest_s, v, 0.0, 3600.0)),
 ];
 
+/// The row of the configuration with this dotted or short name.
+fn row(name: &str) -> Option<&'static ParameterSpec> {
+    let mut found = None;
+    Config::default().each(&mut |row, _| {
+        if row.name == name || (row.lab == name && !name.is_empty()) {
+            found = Some(row);
+        }
+    });
+    found
+}
+
+fn about(row: &ParameterSpec) -> String {
+    let units = if row.units.is_empty() { "no unit".into() } else { row.units.join(",") };
+    format!("{}; {units}", row.description)
+}
+
+/// A value as in a configuration file. Of a list, fewer numbers than it has set all elements of one unit each: one
+/// number for `m/s,m/s,rad/s` sets x and y.
+fn written(config: &mut Config, row: &ParameterSpec, text: &str) -> Result<toml::Value> {
+    let whole = |number: f64| match row.kind {
+        #[expect(clippy::cast_possible_truncation, reason = "whole")]
+        ParameterKind::Integer if number % 1.0 == 0.0 => toml::Value::Integer(number as i64),
+        _ => toml::Value::Float(number),
+    };
+    match row.kind {
+        ParameterKind::Text | ParameterKind::Choice(_) => return Ok(text.into()),
+        ParameterKind::Flag => {
+            return Ok(word(text, &[("true", true), ("false", false), ("on", true), ("off", false)])?.into());
+        }
+        ParameterKind::Number | ParameterKind::Integer => {}
+    }
+    let number = |text: &str| text.trim().parse::<f64>().with_context(|| format!("'{text}' is not a number"));
+    let given = text.split(',').map(number).collect::<Result<Vec<_>>>()?;
+    match (row.size, &given[..]) {
+        (Size::One, [one]) => return Ok(whole(*one)),
+        (Size::One, _) => bail!("{} numbers where one is expected", given.len()),
+        (Size::AtMost(_), _) => return Ok(given.into_iter().map(whole).collect::<Vec<_>>().into()),
+        (Size::Exactly(_) | Size::Joints, _) => {}
+    }
+    let mut present = Vec::new();
+    config.each(&mut |other, field| {
+        if other.name == row.name {
+            field.see(&mut |value| {
+                if let FieldValue::Numbers(numbers) = value {
+                    present = numbers.to_vec();
+                }
+            });
+        }
+    });
+    if given.len() == present.len() {
+        return Ok(given.into_iter().map(whole).collect::<Vec<_>>().into());
+    }
+    let mut group = 0;
+    for (i, element) in present.iter_mut().enumerate() {
+        group += usize::from(i > 0 && row.unit(i) != row.unit(i - 1));
+        if let Some(number) = given.get(group) {
+            *element = *number;
+        }
+    }
+    ensure!(
+        given.len() <= group + 1,
+        "expected {} numbers, or up to {} (one for each unit)",
+        present.len(),
+        group + 1
+    );
+    Ok(present.into_iter().map(whole).collect::<Vec<_>>().into())
+}
+
 /// Every key with its unit and meaning, one a line.
 fn key_list() -> String {
-    KEYS.iter()
-        .map(|key| format!("  {:26} {:32} {}", key.name, key.unit, key.about))
-        .collect::<Vec<_>>()
-        .join("\n")
+    let line = |name: &str, unit: &str, about: &str| format!("  {name:26} {unit:32} {about}");
+    let mut lines: Vec<_> = KEYS.iter().map(|key| line(key.name, key.unit, key.about)).collect();
+    Config::default().each(&mut |row, _| {
+        let name = if row.lab.is_empty() { row.name } else { row.lab };
+        lines.push(line(name, &row.units.join(","), row.description));
+    });
+    lines.join("\n")
 }
 
 /// `T6` or `6` as an index from 0.
@@ -333,24 +335,6 @@ fn list<const N: usize>(place: &mut [f64; N], text: &str, min: f64, max: f64) ->
     Ok(())
 }
 
-fn planar(place: &mut [f64; 3], text: &str, min: f64, max: f64) -> Result<()> {
-    match numbers(text, 3, min, max)?[..] {
-        [linear] => place[..2].fill(linear),
-        [x, y, yaw] => *place = [x, y, yaw],
-        _ => bail!("expected one number or three"),
-    }
-    Ok(())
-}
-
-fn joints(place: &mut [f64; 7], text: &str, max: f64) -> Result<()> {
-    match numbers(text, 7, 0.0, max)?[..] {
-        [all] => place.fill(all),
-        [a, b, c, d, e, f, g] => *place = [a, b, c, d, e, f, g],
-        _ => bail!("expected one number or seven"),
-    }
-    Ok(())
-}
-
 fn flag(place: &mut bool, text: &str) -> Result<()> {
     *place = word(text, &[("true", true), ("false", false), ("on", true), ("off", false)])?;
     Ok(())
@@ -377,6 +361,7 @@ mod tests {
     fn an_unknown_key_lists_every_key() {
         let error = Settings::paper(Law::Impedance).set("person.wieght=3").unwrap_err().to_string();
         assert!(KEYS.iter().all(|key| error.contains(key.name)), "{error}");
+        assert!(error.contains("m_v ") && error.contains("simulation.hand.force_n"), "{error}");
     }
 
     #[test]
@@ -387,7 +372,7 @@ mod tests {
             ("speed=fast", "'fast' is not a number"),
             ("sensor=none", "stock, ideal, off"),
             ("person.taxel=T12", "outside T1 to T11"),
-            ("d_v=1,2", "one number or three"),
+            ("d_v=1,2,3,4", "expected 3 numbers, or up to 2 (one for each unit)"),
             ("sensor", "expected key=value"),
         ] {
             let error = format!("{:#}", settings.set(assignment).unwrap_err());
@@ -457,7 +442,7 @@ mod tests {
             "sensor.delay_ms=5",
             "null_space_damping=true",
             "base_coupling=true",
-            "flange_feed=true",
+            "flange_wrench_feedforward=true",
             "q_0=0,-0.7,0,-2.3,0,1.5,0.7",
             "push_s=2",
             "ramp_s=0.2",
@@ -473,6 +458,11 @@ mod tests {
         let gains = with(&["d_v=10,20,30", "k_d=500,20"]).config.control.gains;
         assert_eq!(gains.virtual_damping, [10.0, 20.0, 30.0]);
         assert_eq!(gains.stiffness, [500.0, 500.0, 500.0, 20.0, 20.0, 20.0]);
+        let gains = with(&["m_v=3", "control.gains.stiffness=700"]).config.control.gains;
+        assert_eq!(
+            (gains.virtual_mass, gains.stiffness[2..4].to_vec()),
+            ([3.0, 3.0, 2.0], vec![700.0, 40.0])
+        );
     }
 
     #[test]
@@ -530,7 +520,7 @@ mod tests {
             ("base.inertia=0", ["0 is outside 0.01 to 1000000", "; kg·m²)"]),
             ("push.scale=11", ["11 is outside 0 to 10", "; no unit)"]),
             ("ramp_s=nan", ["NaN is outside 0.001 to 1000", "; s)"]),
-            ("arm=ur10e", ["'ur10e' is not one of panda, fr3", "panda|fr3)"]),
+            ("arm=ur11", ["\"ur11\"; expected \"panda\" or \"fr3\"", "no unit)"]),
         ] {
             let error = format!("{:#}", Settings::paper(Law::Impedance).set(assignment).unwrap_err());
             assert!(parts.iter().all(|part| error.contains(part)), "{assignment}: {error}");

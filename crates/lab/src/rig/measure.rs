@@ -10,7 +10,7 @@ const PEAK_MIN_N: f64 = 2.0;
 /// Measures of a whole trace.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Measures {
-    /// Largest true force on any taxel, N.
+    /// Largest true force on any one body, N; on a seam two taxels share it.
     pub peak_force_n: f64,
     /// Local maxima of the total true force on the cover, N, in time order.
     pub peaks_n: Vec<f64>,
@@ -34,7 +34,7 @@ pub(crate) struct Measures {
 
 impl Measures {
     pub(crate) fn of(rows: &[Row], period_s: f64) -> Self {
-        let touching: Vec<&Row> = rows.iter().filter(|row| row.total_force_n() > 0.0).collect();
+        let touching: Vec<&Row> = rows.iter().filter(|row| row.total_force_n > 0.0).collect();
         let (first, last) = (touching.first(), touching.last());
         Self {
             peak_force_n: peak_force_n(rows),
@@ -63,9 +63,9 @@ impl Measures {
     }
 }
 
-/// Largest force on any taxel, N.
+/// Largest force on any one body, N.
 pub(crate) fn peak_force_n(rows: &[Row]) -> f64 {
-    rows.iter().flat_map(|row| row.force_true).fold(0.0, f64::max)
+    rows.iter().map(|row| row.largest_force_n).fold(0.0, f64::max)
 }
 
 fn mean(rows: &[&Row], pick: fn(&Row) -> [f64; 3]) -> [f64; 3] {
@@ -81,7 +81,7 @@ fn peaks(rows: &[Row]) -> Vec<f64> {
     let mut found = Vec::new();
     let (mut most, mut rising) = (0.0f64, true);
     let mut least = f64::INFINITY;
-    for force_n in rows.iter().map(Row::total_force_n) {
+    for force_n in rows.iter().map(|row| row.total_force_n) {
         if rising {
             most = most.max(force_n);
             if most > PEAK_MIN_N && force_n < 0.8 * most {

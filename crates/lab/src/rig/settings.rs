@@ -1,8 +1,7 @@
 //! One run of an experiment, completely described, and the scene and board that follow from it.
 
 use anyhow::{Context, Result, ensure};
-use moca_daemon::config::{Config, HandConfig};
-use moca_daemon::control::protection::OVERRIDE_MAX_M_S;
+use moca_daemon::config::{AssumedModel, Config, HandConfig, OVERRIDE_MAX_M_S};
 use moca_msgs::Law;
 use moca_msgs::robot::{BaseTable, SUMMIT_XL, TaxelPlacement};
 use moca_sim::foam::{ElasticLaw, Foam};
@@ -45,6 +44,7 @@ pub(crate) struct PersonSettings {
     pub mass_kg: Option<f64>,
     pub stiffness: Option<f64>,
     pub damping: f64,
+    pub friction: Option<f64>,
     pub posture_stiffness: Option<f64>,
     pub posture_damping: Option<f64>,
     pub radius_m: Option<f64>,
@@ -82,6 +82,7 @@ impl PersonSettings {
         let person = Person::before(cover, self.taxel, self.gap_m, self.offset_m, shape, tissue, mobility)
             .context("no such taxel")?;
         Ok(Person {
+            friction: self.friction.unwrap_or(person.friction),
             starts_after_s: self.at_s,
             walk_m_s: self.walk_m_s,
             lean_n: self.lean_n,
@@ -178,12 +179,13 @@ impl Settings {
         let mut config = Config::default();
         config.startup.law = law;
         config.simulation.hand = HandConfig::none();
+        config.board.model = AssumedModel::Paper;
         // The paper's robot has no speed limit but its own; a limit this high changes no bit.
         config.protection.override_speed_limit_m_s = OVERRIDE_MAX_M_S;
         config.protection.override_statement = "the paper's experiments, simulated, as published".into();
         config.control.corrections.null_space_damping = false;
         config.control.corrections.base_coupling = false;
-        config.control.corrections.flange_feed = false;
+        config.control.corrections.flange_wrench_feedforward = false;
         Self {
             config,
             sensor: Sensor::Stock,
@@ -248,7 +250,7 @@ impl Settings {
             integrator: self.integrator,
             base: self.base.table(),
             arm: self.config.arm(),
-            mount: self.config.mount(),
+            mount: self.config.robot.mount,
             cover: self.config.taxels(),
             base_servo: self.base_servo,
             arm_posture_rad: self.config.control.gains.posture_rad,

@@ -3,9 +3,11 @@
 
 use anyhow::{Context, Result};
 use moca_daemon::config::Config;
+use moca_daemon::control::stage::Stage;
 use moca_daemon::runtime::live::Shared;
-use moca_daemon::runtime::run::{LiveRun, Options, live_simulated};
-use moca_daemon::runtime::timing::Stage;
+use moca_daemon::runtime::notice::Silent;
+use moca_daemon::runtime::options::Options;
+use moca_daemon::runtime::run::{LiveRun, live_simulated};
 use moca_telemetry::net::Connection;
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
@@ -53,7 +55,7 @@ fn live(duration: Duration, telemetry: Option<SocketAddr>) -> Result<LiveRun> {
     let mut config = Config::default();
     config.telemetry.listen = telemetry.map(|address| address.to_string()).unwrap_or_default();
     let options = Options { config, duration: Some(duration), ..Options::default() };
-    live_simulated(&options, &Arc::new(Shared::default()))
+    live_simulated(&options, &Arc::new(Shared::default()), &mut Silent)
 }
 
 fn watch(address: SocketAddr, duration: Duration) -> Result<usize> {

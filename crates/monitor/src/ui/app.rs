@@ -10,7 +10,8 @@ use crate::logic::{
 };
 use egui::{CentralPanel, Color32, Context, Event, Frame, Key, Panel, ScrollArea, Ui, Visuals};
 use moca_msgs::Request;
-use std::{net::SocketAddr, path::PathBuf, time::Duration};
+use moca_telemetry::net::Address;
+use std::{path::PathBuf, time::Duration};
 
 /// Narrowest and widest column with robot and gauges, points, and its share of the window.
 const LEFT_WIDTH: (f32, f32) = (400.0, 560.0);
@@ -247,7 +248,7 @@ impl eframe::App for App {
 
 impl App {
     /// Where the robots listened that were shown when the last window was closed.
-    pub fn last_connected(storage: &dyn eframe::Storage) -> Vec<SocketAddr> {
+    pub fn last_connected(storage: &dyn eframe::Storage) -> Vec<Address> {
         let list = storage.get_string("connect").unwrap_or_default();
         list.split(' ').filter_map(|address| address.parse().ok()).collect()
     }

@@ -149,5 +149,6 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
         Commander::You => " · you have the command",
         Commander::Another => " · another dashboard has the command",
     };
-    (None, format!("{} ({}{kind}){command}", model.robot.name, model.robot.arm.name))
+    let cover = if model.robot.uncalibrated.is_empty() { "" } else { " · cover uncalibrated" };
+    (None, format!("{} ({}{kind}){command}{cover}", model.robot.name, model.robot.arm.name))
 }

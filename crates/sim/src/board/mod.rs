@@ -7,9 +7,8 @@
 
 mod stamped;
 
-use crate::SimError;
+use crate::error::{SimError, within};
 use crate::foam::{Foam, FoamState};
-use crate::scene::within;
 use crate::sensor::{CoverSensor, Effects, SAMPLE_INTERVAL_NS};
 use moca_msgs::robot::PAPER_COVER;
 use moca_tactile::Firmware;

@@ -5,6 +5,7 @@ use super::Quality;
 use crate::CoverConfig;
 use crate::Firmware;
 use crate::model::{CompensatedCurve, CurveError, MonotoneCurve, TaxelModel};
+use crate::zero::{ExpectedRest, LINEAR_MIN, OPEN_MIN, REST_RANGE_COUNTS};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::string::{String, ToString};
@@ -14,6 +15,8 @@ use std::vec::Vec;
 pub const SCHEMA_VERSION: u32 = 1;
 /// Steepest slope that is believed, N per count (100 N over a single count).
 const NEWTON_PER_COUNT_MAX: f64 = 100.0;
+/// Widest range of a taxel's rest that is believed, counts: a fifth of what a stock board reads untouched.
+const REST_RANGE_MAX: f64 = 144.0;
 
 /// A calibrated cover, or the part of it on one board.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,6 +45,9 @@ pub struct TaxelEntry {
     pub number: usize,
     /// FDAT at rest, counts.
     pub rest_counts: f64,
+    /// A tare within this distance of it is believed, counts.
+    #[serde(default = "rest_range")]
+    pub rest_range_counts: f64,
     /// Samples of the fit.
     pub samples: usize,
     /// RMSE over everything, N.
@@ -56,6 +62,10 @@ pub struct TaxelEntry {
     pub force_max_n: f64,
     /// The model.
     pub model: StoredModel,
+}
+
+const fn rest_range() -> f64 {
+    REST_RANGE_COUNTS
 }
 
 /// A [`TaxelModel`] as stored.
@@ -172,6 +182,7 @@ impl TaxelEntry {
         Self {
             number,
             rest_counts,
+            rest_range_counts: REST_RANGE_COUNTS,
             samples: quality.samples,
             rmse_n: quality.rmse_n,
             rmse_loading_n: quality.rmse_loading_n,
@@ -182,16 +193,26 @@ impl TaxelEntry {
         }
     }
 
+    /// Where the taxel stands untouched, checked.
+    pub fn expected_rest(&self) -> Result<ExpectedRest, FileError> {
+        let within = |what: &str, value: f64, low: f64, high: f64| {
+            let what = || std::format!("{what} must be {low} to {high} counts, got {value}");
+            if value >= low && value <= high {
+                Ok(value)
+            } else {
+                Err(FileError::Value { taxel: self.number, what: what() })
+            }
+        };
+        Ok(ExpectedRest {
+            counts: within("rest_counts", self.rest_counts, LINEAR_MIN, OPEN_MIN)?,
+            range_counts: within("rest_range_counts", self.rest_range_counts, 1.0, REST_RANGE_MAX)?,
+        })
+    }
+
     /// The model, checked.
     pub fn model(&self) -> Result<TaxelModel, FileError> {
         let value = |what: String| FileError::Value { taxel: self.number, what };
         let curve = |error: CurveError| value(error.to_string());
-        if !(self.rest_counts > 0.0 && self.rest_counts < 1023.0) {
-            return Err(value(std::format!(
-                "rest_counts must be 0 to 1023 counts, got {}",
-                self.rest_counts
-            )));
-        }
         let slope = |newton_per_count: f64| {
             if newton_per_count > 0.0 && newton_per_count <= NEWTON_PER_COUNT_MAX {
                 Ok(newton_per_count)
@@ -294,7 +315,7 @@ impl CalibrationFile {
         for entry in &self.taxel {
             let slot = entry.number.checked_sub(1).and_then(|i| models.get_mut(i));
             match slot {
-                Some(slot) if slot.is_none() => *slot = Some((entry.model()?, entry.rest_counts)),
+                Some(slot) if slot.is_none() => *slot = Some((entry.model()?, entry.expected_rest()?)),
                 _ => return Err(FileError::Taxels(entry.number)),
             }
         }
@@ -302,9 +323,9 @@ impl CalibrationFile {
             return Err(FileError::Taxels(missing + 1));
         }
         let generation = self.firmware()?;
-        for (i, (model, rest_counts)) in models.into_iter().flatten().enumerate() {
+        for (i, (model, expected)) in models.into_iter().flatten().enumerate() {
             config.models[i] = model;
-            config.calibrated_at[i] = Some(rest_counts);
+            config.expected_rest[i] = Some(expected);
         }
         config.calibrated_firmware = Some(generation);
         Ok(())
@@ -347,6 +368,13 @@ mod tests {
         back.apply("left", &mut config).unwrap();
         assert_eq!(StoredModel::from(&config.models[2]), file.taxel[2].model);
         assert_eq!(config.calibrated_firmware, Some(Firmware::Stock2018));
+        assert_eq!(config.expected_rest[2], Some(ExpectedRest { counts: 719.6, range_counts: 10.0 }));
+        let older = file.to_toml().unwrap().replace("rest_range_counts = 10.0\n", "");
+        assert_eq!(
+            CalibrationFile::parse(&older).unwrap(),
+            file,
+            "a file without the range means the usual one"
+        );
     }
 
     fn message<const K: usize>(file: &CalibrationFile, board: &str) -> String {
@@ -368,6 +396,11 @@ mod tests {
         assert!(message::<3>(&file, "left").contains("for reporting"));
         file.taxel[0].model = StoredModel::Monotone { knots: Vec::new() };
         assert!(message::<3>(&file, "left").contains("1 to 16 knots"));
+        file.taxel[0].model = file.taxel[1].model.clone();
+        file.taxel[0].rest_range_counts = f64::NAN;
+        assert!(message::<3>(&file, "left").contains("rest_range_counts must be 1 to 144 counts, got NaN"));
+        file.taxel[0].rest_counts = 100.0;
+        assert!(message::<3>(&file, "left").contains("rest_counts must be 217 to 1000 counts, got 100"));
     }
 
     #[test]

@@ -4,6 +4,7 @@ use crate::board::MAX_ELECTRODES;
 use crate::datastream::ELECTRODES;
 use crate::firmware::Firmware;
 use crate::model::TaxelModel;
+use crate::zero::ExpectedRest;
 
 /// Most boards under one cover.
 pub const MAX_BOARDS: usize = 2;
@@ -48,6 +49,8 @@ pub enum MaskPolicy {
     Unfelt,
 }
 
+moca_msgs::choice!(MaskPolicy { Stop: "stop", Unfelt: "unfelt" });
+
 /// Constant configuration of a cover.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoverConfig<const K: usize> {
@@ -59,15 +62,18 @@ pub struct CoverConfig<const K: usize> {
     pub masked: [bool; K],
     /// What a masked taxel means.
     pub mask_policy: MaskPolicy,
-    /// FDAT at rest when each taxel was calibrated, counts; `None` where the model was not measured. Counts scale
-    /// with FDAT at rest, so a board that comes up with another gain still reads newtons.
-    pub calibrated_at: [Option<f64>; K],
+    /// Where each taxel stood untouched when it was calibrated; `None` where the model was not measured. A tare
+    /// elsewhere is refused. Counts scale with FDAT at rest, so a board that comes up with another gain still reads
+    /// newtons.
+    pub expected_rest: [Option<ExpectedRest>; K],
     /// Firmware that the calibration was made with; another one is a fault.
     pub calibrated_firmware: Option<Firmware>,
     /// Counts below zero at which contact begins.
     pub contact_on_counts: f64,
     /// Counts below zero under which contact ends.
     pub contact_off_counts: f64,
+    /// No taxel reads more than this, N: near a plate's end a count is worth hundreds of newtons.
+    pub force_max_n: f64,
 }
 
 impl<const K: usize> Default for CoverConfig<K> {
@@ -78,13 +84,14 @@ impl<const K: usize> Default for CoverConfig<K> {
         };
         Self {
             wiring: core::array::from_fn(electrode),
-            models: [TaxelModel::PAPER; K],
+            models: [TaxelModel::default(); K],
             masked: [false; K],
             mask_policy: MaskPolicy::Stop,
-            calibrated_at: [None; K],
+            expected_rest: [None; K],
             calibrated_firmware: None,
             contact_on_counts: CONTACT_ON_COUNTS,
             contact_off_counts: CONTACT_OFF_COUNTS,
+            force_max_n: f64::INFINITY,
         }
     }
 }
@@ -104,6 +111,8 @@ pub enum CoverConfigError {
         /// As configured.
         off_counts: f64,
     },
+    /// The largest reading must be above 0 N.
+    ForceMax(f64),
 }
 
 impl core::fmt::Display for CoverConfigError {
@@ -119,6 +128,7 @@ impl core::fmt::Display for CoverConfigError {
             Self::Thresholds { on_counts, off_counts } => {
                 write!(f, "contact thresholds: 0 < off ≤ on counts, got on {on_counts} and off {off_counts}")
             }
+            Self::ForceMax(force_n) => write!(f, "largest reading of a taxel: above 0 N, got {force_n} N"),
         }
     }
 }
@@ -131,6 +141,9 @@ impl<const K: usize> CoverConfig<K> {
         let (on_counts, off_counts) = (self.contact_on_counts, self.contact_off_counts);
         if !(off_counts > 0.0 && off_counts <= on_counts && on_counts.is_finite()) {
             return Err(CoverConfigError::Thresholds { on_counts, off_counts });
+        }
+        if self.force_max_n.is_nan() || self.force_max_n <= 0.0 {
+            return Err(CoverConfigError::ForceMax(self.force_max_n));
         }
         let mut used = [[false; MAX_ELECTRODES]; MAX_BOARDS];
         let mut board_count = 1;

@@ -1,19 +1,13 @@
 //! One connection to a daemon.
 
 use super::{
-    NetError,
+    Address, NetError,
+    address::{self, Reader, Writer},
     wire::{self, FromClient, FromServer},
 };
 use crate::{RobotDescription, calibration::CalibrationRequest};
 use moca_msgs::Request;
-use std::net::SocketAddr;
-use tokio::{
-    io::AsyncWriteExt,
-    net::{
-        TcpStream,
-        tcp::{OwnedReadHalf, OwnedWriteHalf},
-    },
-};
+use tokio::io::AsyncWriteExt;
 
 /// A greeted connection, in two halves that may be used at the same time.
 pub struct Client {
@@ -27,21 +21,19 @@ pub struct Client {
 
 /// The reading half.
 pub struct Incoming {
-    stream: OwnedReadHalf,
+    stream: Reader,
     payload: Vec<u8>,
 }
 
 /// The writing half.
 pub struct Outgoing {
-    stream: OwnedWriteHalf,
+    stream: Writer,
 }
 
 impl Client {
     /// Connects and reads the greeting.
-    pub async fn connect(address: SocketAddr) -> Result<Self, NetError> {
-        let stream = TcpStream::connect(address).await?;
-        stream.set_nodelay(true)?;
-        let (mut stream, outgoing) = stream.into_split();
+    pub async fn connect(address: &Address) -> Result<Self, NetError> {
+        let (mut stream, outgoing) = address::connect(address).await?;
         let mut payload = Vec::new();
         wire::read_frame(&mut stream, &mut payload, wire::MAX_SERVER_FRAME).await?;
         let description = wire::parse_greeting(&payload)?;

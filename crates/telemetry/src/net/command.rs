@@ -1,9 +1,9 @@
 //! Who may command, what is asked of the loop, and what it has not answered yet.
 
+use super::requests::{ROOM, RequestSender};
 use super::wire::{COMMAND_LEASE, Commander};
 use crate::RobotDescription;
 use moca_msgs::{Outcome, ParameterValues, Refusal, Request, request::PRESS_FORCE_MAX_N};
-use rtrb::{Consumer, Producer};
 use std::{
     collections::BTreeMap,
     time::{Duration, Instant},
@@ -33,18 +33,18 @@ struct Pending {
     client: ClientId,
     id: u64,
     deadline: Instant,
+    stop: bool,
 }
 
 /// The way from many clients to one loop.
 pub(super) struct Desk {
-    requests: Producer<(u64, Request)>,
-    outcomes: Consumer<(u64, Outcome)>,
+    requests: RequestSender,
     taxels: usize,
     commander: Option<Commanding>,
-    /// Who armed the robot, as long as it holds the command.
-    armed_by: Option<ClientId>,
     /// Taxels the commander holds pressed, let go when it leaves.
     pressed: Vec<u8>,
+    /// Taxels to be let go as soon as there is room for the request.
+    let_go: Vec<u8>,
     pending: BTreeMap<u64, Pending>,
     next_ticket: u64,
     /// Requests that the loop has not answered.
@@ -55,21 +55,14 @@ pub(super) struct Desk {
 }
 
 impl Desk {
-    pub(super) fn new(
-        requests: Producer<(u64, Request)>,
-        outcomes: Consumer<(u64, Outcome)>,
-        description: &RobotDescription,
-    ) -> Self {
-        let taxels = description.taxels.len();
-        let pending = BTreeMap::new();
+    pub(super) fn new(requests: RequestSender, description: &RobotDescription) -> Self {
         Self {
             requests,
-            outcomes,
-            taxels,
+            taxels: description.taxels.len(),
             commander: None,
-            armed_by: None,
             pressed: Vec::new(),
-            pending,
+            let_go: Vec::new(),
+            pending: BTreeMap::new(),
             next_ticket: 0,
             unanswered: 0,
             changes: BTreeMap::new(),
@@ -98,33 +91,33 @@ impl Desk {
         if request != Request::Stop && !self.claim(client, now) {
             return refuse(Refusal::NotCommander);
         }
-        if request == Request::Arm {
-            self.armed_by = Some(client);
-        }
         if let Request::PressTaxel { taxel, force_n } = request {
             if usize::from(taxel) >= self.taxels || !(0.0..=PRESS_FORCE_MAX_N).contains(&force_n) {
                 return refuse(Refusal::OutOfRange);
             }
             self.pressed.retain(|t| *t != taxel);
+            self.let_go.retain(|t| *t != taxel);
             if force_n > 0.0 {
                 self.pressed.push(taxel);
             }
         }
         // The answer tells whether the value has changed: it must find room on its way back.
         let changes = matches!(request, Request::SetParameter { .. });
-        if changes && 2 * self.unanswered >= self.outcomes.buffer().capacity() {
+        if changes && 2 * self.unanswered >= ROOM {
             return refuse(Refusal::NoAnswer);
         }
         if !self.submit(request) {
             return refuse(Refusal::NoAnswer);
         }
-        self.pending.insert(self.next_ticket, Pending { client, id, deadline: now + ANSWER_TIMEOUT });
+        let (deadline, stop) = (now + ANSWER_TIMEOUT, request == Request::Stop);
+        self.pending.insert(self.next_ticket, Pending { client, id, deadline, stop });
         None
     }
 
-    /// Takes the command from a client that has gone without giving it back; if it armed the robot, the robot stops.
+    /// Takes the command from a client that has gone without giving it back. A moving robot stops, whoever armed it: with
+    /// its commander the person who watched it is gone.
     pub(super) fn lose(&mut self, client: ClientId) {
-        if self.armed_by == Some(client) {
+        if self.is_commander(client) {
             self.submit(Request::OperatorLost);
         }
         self.release(client);
@@ -132,12 +125,24 @@ impl Desk {
 
     /// Takes the command from a client that gives it back.
     pub(super) fn release(&mut self, client: ClientId) {
-        if self.commander.as_ref().is_some_and(|c| c.client == client) {
+        if self.is_commander(client) {
             self.commander = None;
-            self.armed_by = None;
-            for taxel in std::mem::take(&mut self.pressed) {
-                self.submit(Request::PressTaxel { taxel, force_n: 0.0 });
+            self.let_go.append(&mut self.pressed);
+            self.let_go_of_taxels();
+        }
+    }
+
+    /// Whether this client holds the command.
+    pub(super) fn is_commander(&self, client: ClientId) -> bool {
+        self.commander.as_ref().is_some_and(|c| c.client == client)
+    }
+
+    fn let_go_of_taxels(&mut self) {
+        while let Some(&taxel) = self.let_go.last() {
+            if !self.submit(Request::PressTaxel { taxel, force_n: 0.0 }) {
+                break;
             }
+            self.let_go.pop();
         }
     }
 
@@ -155,14 +160,20 @@ impl Desk {
         if let Some(client) = silent.map(|c| c.client) {
             self.lose(client);
         }
+        self.let_go_of_taxels();
         let mut answers = Vec::new();
-        while let Ok((ticket, outcome)) = self.outcomes.pop() {
+        while let Some((ticket, outcome)) = self.requests.outcome() {
             self.unanswered = self.unanswered.saturating_sub(1);
             if let (Some((number, values)), Ok(())) = (self.changes.remove(&ticket), outcome) {
                 self.parameters.insert(number, values);
             }
-            if let Some(Pending { client, id, .. }) = self.pending.remove(&ticket) {
+            if let Some(Pending { client, id, stop, .. }) = self.pending.remove(&ticket) {
                 answers.push(Answer { client, id, outcome });
+                if stop {
+                    // Those that it overtook wanted the same.
+                    let overtaken = self.pending.extract_if(..ticket, |_, pending| pending.stop);
+                    answers.extend(overtaken.map(|(_, p)| Answer { client: p.client, id: p.id, outcome }));
+                }
             }
         }
         // Tickets rise with time, so the first that is not yet due ends the search.
@@ -197,7 +208,7 @@ impl Desk {
 
     fn submit(&mut self, request: Request) -> bool {
         self.next_ticket += 1;
-        let submitted = self.requests.push((self.next_ticket, request)).is_ok();
+        let submitted = self.requests.submit(self.next_ticket, request);
         self.unanswered += usize::from(submitted);
         if let (Request::SetParameter { parameter, values }, true) = (request, submitted) {
             self.changes.insert(self.next_ticket, (parameter, values));
@@ -208,18 +219,26 @@ impl Desk {
 
 #[cfg(test)]
 mod tests {
+    use super::super::requests::{RequestReceiver, request_channel};
     use super::*;
-    use rtrb::RingBuffer;
+    use moca_msgs::ParameterValues;
+
+    fn desk() -> (Desk, RequestReceiver) {
+        let (requests, robot) = request_channel();
+        (Desk::new(requests, &RobotDescription::paper("test", true)), robot)
+    }
+
+    fn asked(robot: &mut RequestReceiver) -> Option<Request> {
+        robot.take().map(|(_, request)| request)
+    }
 
     #[test]
     fn a_commander_that_falls_silent_loses_the_command_and_lets_go() {
-        let (to_loop, mut requests) = RingBuffer::new(8);
-        let (_outcomes, answers) = RingBuffer::new(8);
-        let mut desk = Desk::new(to_loop, answers, &RobotDescription::paper("test", true));
+        let (mut desk, mut robot) = desk();
         let start = Instant::now();
         let press = Request::PressTaxel { taxel: 2, force_n: 10.0 };
         assert_eq!(desk.ask(1, 1, press, start), None);
-        assert_eq!(requests.pop().unwrap().1, press);
+        assert_eq!(asked(&mut robot), Some(press));
 
         let alive = start + COMMAND_LEASE;
         desk.hear(1, alive);
@@ -228,23 +247,87 @@ mod tests {
         desk.hear(2, alive + COMMAND_LEASE);
         desk.answers(alive + COMMAND_LEASE + Duration::from_millis(1));
         assert_eq!(desk.commander_seen_by(1), Commander::Nobody);
-        assert_eq!(requests.pop().unwrap().1, Request::PressTaxel { taxel: 2, force_n: 0.0 });
+        assert_eq!(asked(&mut robot), Some(Request::OperatorLost));
+        assert_eq!(asked(&mut robot), Some(Request::PressTaxel { taxel: 2, force_n: 0.0 }));
         assert_eq!(desk.ask(2, 1, Request::Tare, alive + COMMAND_LEASE), None);
     }
 
     #[test]
-    fn who_armed_the_robot_and_vanishes_stops_it_and_who_gives_it_back_does_not() {
-        for (gives_back, stops) in [(false, true), (true, false)] {
-            let (to_loop, mut requests) = RingBuffer::new(8);
-            let (_outcomes, answers) = RingBuffer::new(8);
-            let mut desk = Desk::new(to_loop, answers, &RobotDescription::paper("test", true));
-            desk.ask(1, 1, Request::Arm, Instant::now());
-            assert_eq!(requests.pop().unwrap().1, Request::Arm);
-            if gives_back {
-                desk.release(1);
+    fn any_commander_that_vanishes_stops_the_robot_and_who_gives_the_command_back_does_not() {
+        // The robot may have armed itself, or an earlier commander did.
+        for request in [Request::Arm, Request::SelectLaw(moca_msgs::Law::FollowMe), Request::Tare] {
+            for (gives_back, stops) in [(false, true), (true, false)] {
+                let (mut desk, mut robot) = desk();
+                desk.ask(1, 1, request, Instant::now());
+                assert_eq!(asked(&mut robot), Some(request));
+                if gives_back {
+                    desk.release(1);
+                }
+                desk.lose(1);
+                assert_eq!(asked(&mut robot) == Some(Request::OperatorLost), stops, "{request:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn no_number_of_requests_keeps_a_lost_operator_or_a_stop_from_the_loop() {
+        let now = Instant::now();
+        let press = Request::PressTaxel { taxel: 4, force_n: 20.0 };
+        for by_stop in [false, true] {
+            let (mut desk, mut robot) = desk();
+            desk.ask(1, 0, press, now);
+            assert_eq!(asked(&mut robot), Some(press));
+            for id in 0..50 {
+                desk.ask(1, id, Request::Disarm, now);
+                desk.ask(1, id, Request::Resume, now);
+                desk.ask(1, id, Request::Arm, now);
+            }
+            let stop = if by_stop { Request::Stop } else { Request::OperatorLost };
+            if by_stop {
+                assert_eq!(desk.ask(2, 1, Request::Stop, now), None);
             }
             desk.lose(1);
-            assert_eq!(requests.pop().is_ok_and(|(_, request)| request == Request::OperatorLost), stops);
+            assert_eq!(asked(&mut robot), Some(stop));
+            if by_stop {
+                assert_eq!(asked(&mut robot), Some(Request::OperatorLost));
+            }
+            let rest: Vec<Request> = std::iter::from_fn(|| asked(&mut robot)).collect();
+            assert!(!rest.is_empty() && rest.iter().all(|r| *r == Request::Disarm), "armed again: {rest:?}");
+            desk.answers(now);
+            assert_eq!(
+                asked(&mut robot),
+                Some(Request::PressTaxel { taxel: 4, force_n: 0.0 }),
+                "held for ever"
+            );
         }
+    }
+
+    #[test]
+    fn stops_that_overtake_each_other_are_all_answered() {
+        let (mut desk, mut robot) = desk();
+        let now = Instant::now();
+        for client in 1..=3 {
+            desk.ask(client, 7, Request::Stop, now);
+        }
+        let (ticket, request) = robot.take().unwrap();
+        assert_eq!((request, robot.take()), (Request::Stop, None));
+        robot.answer(ticket, Ok(()));
+        let mut answered: Vec<ClientId> = desk.answers(now).iter().map(|answer| answer.client).collect();
+        answered.sort_unstable();
+        assert_eq!(answered, [1, 2, 3]);
+    }
+
+    #[test]
+    fn a_parameter_counts_as_changed_once_the_loop_says_so() {
+        let (mut desk, mut robot) = desk();
+        let values = ParameterValues::new(&[2.0]).unwrap();
+        let now = Instant::now();
+        desk.ask(1, 1, Request::SetParameter { parameter: 3, values }, now);
+        let (ticket, _) = robot.take().unwrap();
+        desk.answers(now);
+        assert!(desk.parameters().is_empty());
+        robot.answer(ticket, Ok(()));
+        desk.answers(now);
+        assert_eq!(desk.parameters().get(&3), Some(&values));
     }
 }

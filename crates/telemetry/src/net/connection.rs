@@ -1,7 +1,7 @@
 //! A thread that keeps a connection alive: what a dashboard wants.
 
 use super::{
-    NetError,
+    Address, NetError,
     client::{Client, Incoming, Outgoing},
     wire::{FromServer, Status},
 };
@@ -12,7 +12,6 @@ use crate::{
 use moca_msgs::{Outcome, Refusal, Request, Sample};
 use std::{
     collections::{BTreeMap, VecDeque},
-    net::SocketAddr,
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, Ordering},
@@ -104,7 +103,8 @@ struct Shared {
 
 impl Connection {
     /// Starts to connect to `address`; `wake` is called from the connection's thread whenever there is news.
-    pub fn spawn(address: SocketAddr, wake: impl Fn() + Send + 'static) -> Result<Self, NetError> {
+    pub fn spawn(address: impl Into<Address>, wake: impl Fn() + Send + 'static) -> Result<Self, NetError> {
+        let address = address.into();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (orders, from_user) = mpsc::channel(MAX_REQUESTS);
         let shared = Arc::new(Mutex::new(Shared {
@@ -120,7 +120,7 @@ impl Connection {
         let alive = Arc::new(AtomicBool::new(false));
         let (thread_shared, thread_alive) = (Arc::clone(&shared), Arc::clone(&alive));
         let thread = std::thread::Builder::new().name("connection".into()).spawn(move || {
-            runtime.block_on(keep_connected(address, &thread_shared, &thread_alive, from_user, &wake));
+            runtime.block_on(keep_connected(&address, &thread_shared, &thread_alive, from_user, &wake));
         });
         Ok(Self { shared, alive, orders: Some(orders), thread: Some(thread.map_err(NetError::Thread)?) })
     }
@@ -185,7 +185,7 @@ fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
 }
 
 async fn keep_connected(
-    address: SocketAddr,
+    address: &Address,
     shared: &Mutex<Shared>,
     alive: &AtomicBool,
     mut orders: mpsc::Receiver<Order>,
@@ -244,6 +244,7 @@ async fn listen(incoming: &mut Incoming, shared: &Mutex<Shared>, wake: &impl Fn(
                     }
                 }
             }
+            FromServer::Goodbye(reason) => return reason,
             FromServer::Calibration(progress) => s.calibration = progress,
             FromServer::Reply { id, outcome } => {
                 if let Some(request) = s.waiting.remove(&id) {

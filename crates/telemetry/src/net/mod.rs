@@ -1,40 +1,45 @@
-//! Samples out, requests in, over TCP on loopback.
+//! Samples out, requests in, over loopback TCP or a Unix socket.
 //!
-//! Layers: [`wire`] (messages and frames) · `queue` (what waits for one client) · `command` (who may command) ·
-//! [`server`] (the daemon's side) · [`client`] (one connection) · [`connection`] (a thread that keeps one alive;
-//! what a dashboard wants).
+//! Layers: [`wire`] (messages and frames) · [`address`] (where) · `queue` (what waits for one client) · `command` (who
+//! may command) · [`requests`] (the way to the loop) · [`server`] (the daemon's side) · [`client`] (one connection) ·
+//! [`connection`] (a thread that keeps one alive; what a dashboard wants).
 //!
-//! The transport has no authentication: a server binds loopback only, and another machine comes in through an
-//! SSH tunnel (`ssh -L 7611:127.0.0.1:7611 robot`).
+//! The transport has no authentication. A Unix socket admits who may write to its file; a TCP port on loopback admits
+//! every user of the machine. Another machine comes in through an SSH tunnel (`ssh -L 7611:127.0.0.1:7611 robot`, or
+//! `ssh -L 7611:/run/mocad/telemetry.sock robot`).
 
+pub mod address;
 pub mod client;
 mod command;
 pub mod connection;
 mod queue;
+pub mod requests;
 pub mod server;
 pub mod wire;
 
+pub use address::Address;
 pub use client::Client;
 pub use connection::{Connection, Link, Reply, Update};
+pub use requests::{RequestReceiver, RequestSender, request_channel};
 pub use server::{CalibrationPort, Ports, Server, serve};
 pub use wire::{Commander, SCHEMA_VERSION, Status};
 
-use std::net::SocketAddr;
+use std::net::{Ipv4Addr, SocketAddr};
 
-/// Where a daemon listens unless told otherwise.
-pub const DEFAULT_ADDRESS: &str = "127.0.0.1:7611";
+/// Where a daemon listens that is no service, unless told otherwise.
+pub const DEFAULT_ADDRESS: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 7611);
 
 /// What can go wrong on the transport.
 #[derive(Debug, thiserror::Error)]
 pub enum NetError {
     /// The transport has no authentication.
     #[error("telemetry address {0} is not loopback: bind 127.0.0.1 and reach it through an SSH tunnel")]
-    NotLoopback(SocketAddr),
+    NotLoopback(Address),
     /// The socket could not be bound.
     #[error("cannot listen on {address}: {source}")]
     Bind {
         /// Address asked for.
-        address: SocketAddr,
+        address: Address,
         /// Why not.
         source: std::io::Error,
     },
@@ -44,6 +49,9 @@ pub enum NetError {
     /// The other side went away.
     #[error("the daemon closed the connection")]
     Closed,
+    /// The daemon does not serve this client.
+    #[error("the daemon refuses this connection: {0}")]
+    Refused(String),
     /// Connecting, reading or writing failed.
     #[error("no connection: {0}")]
     Io(std::io::Error),

@@ -17,23 +17,24 @@ pub(super) struct EncodedBatch {
 /// What is to be written next.
 pub(super) enum Outgoing {
     Batch(Rc<EncodedBatch>),
-    Reply(Vec<u8>),
+    Frame(Rc<Vec<u8>>),
     Status(Status),
-    Parameters(Rc<Vec<u8>>),
-    Calibration(Rc<Vec<u8>>),
+    /// The last frame.
+    Goodbye(Rc<Vec<u8>>),
 }
 
 /// Queue of one client.
 #[derive(Default)]
 pub(super) struct Queue {
     batches: VecDeque<Rc<EncodedBatch>>,
-    replies: VecDeque<Vec<u8>>,
+    replies: VecDeque<Rc<Vec<u8>>>,
     status: Status,
     status_sent: Option<Status>,
     /// Only the newest values matter.
     parameters: Option<Rc<Vec<u8>>>,
     /// Only the newest progress matters.
     calibration: Option<Rc<Vec<u8>>>,
+    goodbye: Option<Rc<Vec<u8>>>,
 }
 
 impl Queue {
@@ -49,7 +50,7 @@ impl Queue {
 
     /// Takes an answer; `false` when the client asks without reading.
     pub(super) fn push_reply(&mut self, frame: Vec<u8>) -> bool {
-        self.replies.push_back(frame);
+        self.replies.push_back(Rc::new(frame));
         self.replies.len() <= MAX_REPLIES
     }
 
@@ -61,6 +62,11 @@ impl Queue {
     /// Takes the calibration's progress, encoded.
     pub(super) fn set_calibration(&mut self, frame: Rc<Vec<u8>>) {
         self.calibration = Some(frame);
+    }
+
+    /// Takes the last frame of this client.
+    pub(super) fn set_goodbye(&mut self, frame: Vec<u8>) {
+        self.goodbye = Some(Rc::new(frame));
     }
 
     /// Notes what the client should know besides its own drops.
@@ -81,19 +87,19 @@ impl Queue {
 
     /// What to write next: parameters and answers first, then news, then samples.
     pub(super) fn pop(&mut self) -> Option<Outgoing> {
-        // Before the answer to the change, so that whoever reads it knows the value.
-        if let Some(frame) = self.parameters.take() {
-            return Some(Outgoing::Parameters(frame));
+        if let Some(frame) = self.goodbye.take() {
+            return Some(Outgoing::Goodbye(frame));
         }
-        if let Some(frame) = self.replies.pop_front() {
-            return Some(Outgoing::Reply(frame));
+        // Before the answer to the change, so that whoever reads it knows the value.
+        if let Some(frame) = self.parameters.take().or_else(|| self.replies.pop_front()) {
+            return Some(Outgoing::Frame(frame));
         }
         if self.status_sent != Some(self.status) {
             self.status_sent = Some(self.status);
             return Some(Outgoing::Status(self.status));
         }
         if let Some(frame) = self.calibration.take() {
-            return Some(Outgoing::Calibration(frame));
+            return Some(Outgoing::Frame(frame));
         }
         self.batches.pop_front().map(Outgoing::Batch)
     }

@@ -1,21 +1,22 @@
 //! The daemon's side: one thread drains the loop's ring and serves every client.
 
 use super::{
-    NetError,
+    Address, NetError,
+    address::{Listener, Reader, Writer},
     command::{ClientId, Desk},
     queue::{EncodedBatch, Outgoing, Queue},
+    requests::RequestSender,
     wire::{self, Batch, FromClient, FromServer, unix_now_ns},
 };
 use crate::{
     RobotDescription,
     calibration::{CalibrationProgress, CalibrationRequest},
 };
-use moca_msgs::{Outcome, ParameterValues, Request, Sample};
+use moca_msgs::{Outcome, ParameterValues, Sample};
 use rtrb::{Consumer, Producer};
 use std::{
     cell::RefCell,
     collections::BTreeMap,
-    net::{SocketAddr, TcpListener as StdListener},
     rc::Rc,
     sync::{
         Arc,
@@ -25,15 +26,7 @@ use std::{
     thread::JoinHandle,
     time::{Duration, Instant},
 };
-use tokio::{
-    io::AsyncWriteExt,
-    net::{
-        TcpListener, TcpStream,
-        tcp::{OwnedReadHalf, OwnedWriteHalf},
-    },
-    sync::Notify,
-    task::LocalSet,
-};
+use tokio::{io::AsyncWriteExt, sync::Notify, task::LocalSet, time::timeout};
 
 /// How often samples are sent: 10 at 1 kHz.
 const BATCH_PERIOD: Duration = Duration::from_millis(10);
@@ -41,8 +34,11 @@ const BATCH_PERIOD: Duration = Duration::from_millis(10);
 const ANSWER_POLL: Duration = Duration::from_millis(1);
 /// Most samples in one batch, when the loop runs faster than real time.
 const BATCH_MAX: usize = 100;
-/// Most clients at a time: memory is bounded by this times the queue of one.
+/// Most clients at a time: memory is bounded by this times the queue of one. Beyond them there is one place for a
+/// commander, so that whoever wants to stop the robot is never locked out by those who only watch.
 const MAX_CLIENTS: usize = 32;
+/// How long a client in the commander's place may be without the command, and how long one may read nothing.
+const PATIENCE: Duration = Duration::from_secs(2);
 /// How long the last samples may wait for the recorder when the server stops.
 const SHUTDOWN_WAIT: Duration = Duration::from_secs(2);
 
@@ -50,10 +46,8 @@ const SHUTDOWN_WAIT: Duration = Duration::from_secs(2);
 pub struct Ports {
     /// One sample for each tick.
     pub samples: Consumer<Sample>,
-    /// Requests to the loop, each with a ticket.
-    pub requests: Producer<(u64, Request)>,
-    /// The loop's answers, each with the ticket of its request.
-    pub outcomes: Consumer<(u64, Outcome)>,
+    /// Requests to the loop, and its answers.
+    pub requests: RequestSender,
     /// Samples the loop found no room for, counted by the loop.
     pub ring_dropped: Arc<AtomicU64>,
     /// Where every sample goes on to, if one records. A full recorder holds samples back in the loop's ring, so
@@ -73,7 +67,7 @@ pub struct CalibrationPort {
 
 /// A running server. Dropping it stops it, after the last samples have gone to the recorder.
 pub struct Server {
-    address: SocketAddr,
+    address: Address,
     stop: Arc<AtomicBool>,
     counters: Arc<Counters>,
     thread: Option<JoinHandle<()>>,
@@ -100,17 +94,27 @@ pub struct ServerStats {
     pub longest_queue: u64,
 }
 
-/// Serves `description` and the samples of `ports` on `address` (port 0 picks a free one) from a thread of its own.
-pub fn serve(address: SocketAddr, description: RobotDescription, ports: Ports) -> Result<Server, NetError> {
-    if !address.ip().is_loopback() {
-        return Err(NetError::NotLoopback(address));
+/// Serves `description` and the samples of `ports` on `address` (port 0 picks a free one) from a thread of its own. A
+/// Unix socket's file gets `mode` (its permission bits).
+///
+/// # Errors
+/// An address that other machines reach, that cannot be bound, or no thread.
+pub fn serve(
+    address: &Address,
+    mode: u32,
+    description: RobotDescription,
+    ports: Ports,
+) -> Result<Server, NetError> {
+    if !address.is_local() {
+        return Err(NetError::NotLoopback(address.clone()));
     }
-    let bind = |source| NetError::Bind { address, source };
-    let listener = StdListener::bind(address).map_err(bind)?;
-    listener.set_nonblocking(true).map_err(bind)?;
-    let address = listener.local_addr().map_err(bind)?;
     let greeting = wire::greeting(&description)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let listener = {
+        let _context = runtime.enter();
+        Listener::bind(address, mode)?
+    };
+    let address = listener.address()?;
     let stop = Arc::new(AtomicBool::new(false));
     let counters = Arc::new(Counters::default());
     let (thread_stop, thread_counters) = (Arc::clone(&stop), Arc::clone(&counters));
@@ -119,7 +123,7 @@ pub fn serve(address: SocketAddr, description: RobotDescription, ports: Ports) -
             ports.calibration.map(|port| (port.requests, port.progress)).unzip();
         let hub = Rc::new(Hub {
             clients: RefCell::default(),
-            desk: RefCell::new(Desk::new(ports.requests, ports.outcomes, &description)),
+            desk: RefCell::new(Desk::new(ports.requests, &description)),
             asked: Notify::new(),
             counters: thread_counters,
             greeting,
@@ -142,8 +146,8 @@ pub fn serve(address: SocketAddr, description: RobotDescription, ports: Ports) -
 
 impl Server {
     /// The address it listens on.
-    pub fn address(&self) -> SocketAddr {
-        self.address
+    pub const fn address(&self) -> &Address {
+        &self.address
     }
 
     /// What it has done so far.
@@ -314,7 +318,7 @@ impl Pump {
                 while self.pass_on(hub) >= BATCH_MAX {
                     tokio::task::yield_now().await;
                 }
-                next_batch = now + BATCH_PERIOD;
+                next_batch = next_deadline(next_batch, now);
             }
         }
         let deadline = Instant::now() + SHUTDOWN_WAIT;
@@ -351,29 +355,42 @@ impl Pump {
     }
 }
 
-async fn accept(listener: StdListener, hub: Rc<Hub>) {
-    let Ok(listener) = TcpListener::from_std(listener) else {
-        return;
-    };
+/// A period after the last deadline, not after the time of waking: what each wake-up is late would add up. Deadlines that
+/// have passed altogether are not made up for.
+fn next_deadline(last: Instant, now: Instant) -> Instant {
+    (last + BATCH_PERIOD).max(now)
+}
+
+async fn accept(listener: Listener, hub: Rc<Hub>) {
     let mut next_id = 0;
     loop {
-        let Ok((stream, _)) = listener.accept().await else {
+        let Ok((reader, writer)) = listener.accept().await else {
             // Out of descriptors: the others go on, and a later one may succeed.
             tokio::time::sleep(BATCH_PERIOD).await;
             continue;
         };
-        if hub.clients.borrow().len() >= MAX_CLIENTS {
-            continue; // Dropping the stream closes it.
+        if hub.clients.borrow().len() > MAX_CLIENTS {
+            tokio::task::spawn_local(refuse(writer));
+            continue;
         }
         next_id += 1;
-        tokio::task::spawn_local(attend(next_id, stream, Rc::clone(&hub)));
+        tokio::task::spawn_local(attend(next_id, reader, writer, Rc::clone(&hub)));
+    }
+}
+
+/// Says why a client is not served.
+async fn refuse(mut writer: Writer) {
+    let reason = format!(
+        "all {MAX_CLIENTS} places and the one for a commander are taken; close a client that only watches"
+    );
+    if let Ok(frame) = wire::refusal(&reason) {
+        // Whether it listens or not, it is not served.
+        let _ = timeout(PATIENCE, writer.write_all(&frame)).await;
     }
 }
 
 /// One client from greeting to goodbye.
-async fn attend(id: ClientId, stream: TcpStream, hub: Rc<Hub>) {
-    // Without this, Nagle's algorithm holds small answers back for tens of milliseconds.
-    let _ = stream.set_nodelay(true);
+async fn attend(id: ClientId, reader: Reader, writer: Writer, hub: Rc<Hub>) {
     let client =
         Rc::new(Client { id, queue: RefCell::default(), filled: Notify::new(), closed: Notify::new() });
     if let Some(frame) = &hub.parameters.borrow().frame {
@@ -384,10 +401,10 @@ async fn attend(id: ClientId, stream: TcpStream, hub: Rc<Hub>) {
     }
     hub.clients.borrow_mut().insert(id, Rc::clone(&client));
     hub.counters.clients.fetch_add(1, Ordering::Relaxed);
-    let (reader, writer) = stream.into_split();
     tokio::select! {
         _ = read_requests(reader, &client, &hub) => {}
         _ = write_queue(writer, &client, &hub.greeting) => {}
+        () = leave_commanders_place(&client, &hub) => {}
         () = client.closed.notified() => {}
     }
     hub.clients.borrow_mut().remove(&id);
@@ -395,12 +412,33 @@ async fn attend(id: ClientId, stream: TcpStream, hub: Rc<Hub>) {
     hub.counters.clients.fetch_sub(1, Ordering::Relaxed);
 }
 
-async fn read_requests(mut reader: OwnedReadHalf, client: &Client, hub: &Hub) -> Result<(), NetError> {
+/// Ends once a client beyond [`MAX_CLIENTS`] has gone without the command for too long; never for any other.
+async fn leave_commanders_place(client: &Client, hub: &Hub) {
+    loop {
+        if hub.clients.borrow().len() <= MAX_CLIENTS {
+            return std::future::pending().await;
+        }
+        tokio::time::sleep(PATIENCE).await;
+        let crowded = hub.clients.borrow().len() > MAX_CLIENTS;
+        if crowded && !hub.desk.borrow().is_commander(client.id) {
+            break;
+        }
+    }
+    let reason = format!("{MAX_CLIENTS} others watch, and the last place is kept for a commander");
+    if let Ok(frame) = wire::frame(&FromServer::Goodbye(reason)) {
+        client.queue.borrow_mut().set_goodbye(frame);
+        client.filled.notify_one();
+        // The writer ends when it has written it.
+        tokio::time::sleep(PATIENCE).await;
+    }
+}
+
+async fn read_requests(mut reader: Reader, client: &Client, hub: &Hub) -> Result<(), NetError> {
     let mut payload = Vec::new();
     loop {
         wire::read_frame(&mut reader, &mut payload, wire::MAX_CLIENT_FRAME).await?;
         hub.desk.borrow_mut().hear(client.id, Instant::now());
-        match postcard::from_bytes(&payload)? {
+        match wire::from_client(&payload)? {
             FromClient::Alive => {}
             FromClient::Request { id, request } => {
                 let refused = hub.desk.borrow_mut().ask(client.id, id, request, Instant::now());
@@ -415,19 +453,41 @@ async fn read_requests(mut reader: OwnedReadHalf, client: &Client, hub: &Hub) ->
     }
 }
 
-async fn write_queue(mut writer: OwnedWriteHalf, client: &Client, greeting: &[u8]) -> Result<(), NetError> {
-    writer.write_all(greeting).await?;
+/// Writes what waits for one client; ends when it says goodbye, hangs up or reads nothing for [`PATIENCE`].
+async fn write_queue(mut writer: Writer, client: &Client, greeting: &[u8]) -> Result<(), NetError> {
+    write(&mut writer, greeting).await?;
     loop {
         let next = client.queue.borrow_mut().pop();
         match next {
-            Some(Outgoing::Batch(batch)) => writer.write_all(&batch.frame).await?,
-            Some(Outgoing::Reply(frame)) => writer.write_all(&frame).await?,
-            Some(Outgoing::Parameters(frame)) => writer.write_all(&frame).await?,
-            Some(Outgoing::Calibration(frame)) => writer.write_all(&frame).await?,
+            Some(Outgoing::Batch(batch)) => write(&mut writer, &batch.frame).await?,
+            Some(Outgoing::Frame(frame)) => write(&mut writer, &frame).await?,
             Some(Outgoing::Status(status)) => {
-                writer.write_all(&wire::frame(&FromServer::Status(status))?).await?;
+                write(&mut writer, &wire::frame(&FromServer::Status(status))?).await?;
             }
+            Some(Outgoing::Goodbye(frame)) => return write(&mut writer, &frame).await,
             None => client.filled.notified().await,
         }
+    }
+}
+
+async fn write(writer: &mut Writer, frame: &[u8]) -> Result<(), NetError> {
+    Ok(timeout(PATIENCE, writer.write_all(frame)).await.map_err(|_| NetError::Closed)??)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn late_wake_ups_do_not_add_up() {
+        let start = Instant::now();
+        let late = Duration::from_micros(1100);
+        let mut deadline = start;
+        for _ in 0..100 {
+            deadline = next_deadline(deadline, deadline + late);
+        }
+        assert_eq!(deadline - start, 100 * BATCH_PERIOD);
+        let slept = deadline + 5 * BATCH_PERIOD;
+        assert_eq!(next_deadline(deadline, slept), slept, "batches that were missed come in one");
     }
 }

@@ -1,7 +1,8 @@
 //! Messages, and frames around them: a big-endian `u32` length, then that many bytes of postcard.
 //!
 //! The first frame of a server is special, so that any version can read it: `MOCA`, the schema version as
-//! big-endian `u32`, then a [`RobotDescription`]. Every later frame is a [`FromServer`].
+//! big-endian `u32`, then a [`RobotDescription`], or else why the client is not served. Every later frame is a
+//! [`FromServer`].
 
 use super::NetError;
 use crate::{
@@ -14,7 +15,7 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncReadExt};
 
 /// Version of everything below, [`Sample`] included. Raised with every change.
-pub const SCHEMA_VERSION: u32 = 9;
+pub const SCHEMA_VERSION: u32 = 10;
 /// Longest frame a server sends, bytes.
 pub const MAX_SERVER_FRAME: usize = 1 << 20;
 /// Longest frame a client sends, bytes.
@@ -44,6 +45,8 @@ pub enum FromServer {
     /// Present values of the parameters that have been changed since the start: number, elements. Sent on every change
     /// and, if there has been one, to every new client.
     Parameters(Vec<(u8, ParameterValues)>),
+    /// Why the server closes this connection now.
+    Goodbye(String),
 }
 
 /// Consecutive samples, oldest first.
@@ -103,10 +106,19 @@ pub(crate) fn frame<T: Serialize>(message: &T) -> Result<Vec<u8>, NetError> {
 
 /// The greeting as a whole frame.
 pub(crate) fn greeting(description: &RobotDescription) -> Result<Vec<u8>, NetError> {
+    first_frame(&Ok(description))
+}
+
+/// What a client reads instead of the greeting if it is not served.
+pub(crate) fn refusal(reason: &str) -> Result<Vec<u8>, NetError> {
+    first_frame(&Err(reason))
+}
+
+fn first_frame(content: &Result<&RobotDescription, &str>) -> Result<Vec<u8>, NetError> {
     let mut bytes = vec![0; 4];
     bytes.extend_from_slice(&MAGIC);
     bytes.extend_from_slice(&SCHEMA_VERSION.to_be_bytes());
-    finish(postcard::to_extend(description, bytes)?)
+    finish(postcard::to_extend(content, bytes)?)
 }
 
 /// Reads a greeting's payload.
@@ -120,7 +132,12 @@ pub(crate) fn parse_greeting(payload: &[u8]) -> Result<RobotDescription, NetErro
     if theirs != SCHEMA_VERSION {
         return Err(NetError::Schema { theirs, ours: SCHEMA_VERSION });
     }
-    Ok(postcard::from_bytes(rest)?)
+    postcard::from_bytes::<Result<RobotDescription, String>>(rest)?.map_err(NetError::Refused)
+}
+
+/// What a client's frame says.
+pub(crate) fn from_client(payload: &[u8]) -> Result<FromClient, NetError> {
+    Ok(postcard::from_bytes(payload)?)
 }
 
 /// Reads one frame's payload into `buffer`. Not cancel-safe: never the losing branch of a `select!`.

@@ -8,30 +8,23 @@
     reason = "shared by several tests"
 )]
 
-use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
-use moca_msgs::{Parameters, Payload, RobotState};
 use moca_wbc::coupled::CoupledDynamics;
 use moca_wbc::linalg::{Cholesky, times, transpose_times};
 use moca_wbc::model::ArmModel;
-use moca_wbc::{ControlInput, ControlLaw, ControlOutput, Controller, ControllerState};
+use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
+use moca_wbc::{BaseGuard, ControlInput, ControlLaw, ControlOutput, ControllerState, WholeBodyController};
+use moca_wbc::{Parameters, Payload, RobotState};
 
 pub const DT_S: f64 = 1e-3;
 const SENSOR_PERIOD_S: f64 = 0.01;
 const SUBSTEPS: u32 = 2;
 
-pub fn controller(parameters: &Parameters<7>) -> Controller<7, 11> {
-    Controller::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, parameters).unwrap()
+pub fn controller(parameters: &Parameters<7>) -> WholeBodyController<7, 11> {
+    WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, parameters).unwrap()
 }
 
 pub fn at_home() -> RobotState<7> {
-    RobotState {
-        base_pose_world: [0.0; 3],
-        base_velocity_world: [0.0; 3],
-        q_rad: PANDA.home_rad,
-        dq_rad_s: [0.0; 7],
-        torque_measured_nm: [0.0; 7],
-        flange_wrench_world: Some([0.0; 6]),
-    }
+    RobotState { flange_wrench_world: Some([0.0; 6]), ..RobotState::at_rest(PANDA.home_rad) }
 }
 
 /// Forces on the robot at one instant.
@@ -54,12 +47,13 @@ impl Push {
 }
 
 pub struct Loop {
-    pub controller: Controller<7, 11>,
+    pub controller: WholeBodyController<7, 11>,
     pub state: ControllerState<7>,
     pub robot: RobotState<7>,
     pub law: ControlLaw,
     pub time_s: f64,
     pub dt_s: f64,
+    pub guard: BaseGuard<11>,
     /// Whether the robot estimates the wrench at its flange by itself.
     pub estimates: bool,
     model: ArmModel<7, f64>,
@@ -77,6 +71,7 @@ impl Loop {
         let controller = controller(parameters);
         Self {
             dt_s,
+            guard: BaseGuard::NONE,
             estimates: true,
             state: controller.enter(law, &robot).unwrap(),
             controller,
@@ -100,15 +95,11 @@ impl Loop {
             (self.sum, self.summed) = ([0.0; 11], 0.0);
         }
         let [fx, fy, fz] = push.flange_n;
-        let input = ControlInput {
-            robot: RobotState {
-                flange_wrench_world: self.estimates.then_some([fx, fy, fz, 0.0, 0.0, 0.0]),
-                ..self.robot
-            },
-            taxel_force_n: self.held,
-            flange_wrench_world: None,
-            dt_s: self.dt_s,
+        let robot = RobotState {
+            flange_wrench_world: self.estimates.then_some([fx, fy, fz, 0.0, 0.0, 0.0]),
+            ..self.robot
         };
+        let input = ControlInput { guard: self.guard, ..ControlInput::new(robot, self.held, self.dt_s) };
         let output = self.controller.step(self.law, &mut self.state, &input).unwrap();
         for _ in 0..SUBSTEPS {
             self.integrate(&output, push.flange_n, self.dt_s / f64::from(SUBSTEPS));

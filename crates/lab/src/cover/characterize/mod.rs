@@ -9,7 +9,7 @@ use anyhow::{Context, ensure};
 use moca_sim::foam::Foam;
 use moca_tactile::calibration::quality::{evaluation_cost_ns, quality};
 use moca_tactile::calibration::{ModelKind, Trial, TrialSample, chart, fit};
-use moca_tactile::model::TaxelModel;
+use moca_tactile::model::{ASSUMED_ERROR_FROM_N, TaxelModel};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trials::{Protocol, Recording};
@@ -84,6 +84,13 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         println!("{}", serde_json::to_string_pretty(&materials)?);
     } else {
         print!("{}", tables::report(&materials, arguments.trials, &arguments.out));
+        for (name, model) in [("PU LD30", TaxelModel::PU_LD30), ("paper", TaxelModel::PAPER)] {
+            println!(
+                "Assumed and not calibrated, model {name}: a press of {ASSUMED_ERROR_FROM_N} N or more reads up to {:.0} % off on \
+                 PU LD30 of nominal stiffness +- 10 %.",
+                100.0 * assumed_error(&model)
+            );
+        }
     }
     Ok(())
 }
@@ -142,6 +149,24 @@ fn held_out(foam: &Foam, recordings: &[Recording], seed: u64) -> anyhow::Result<
         })
     };
     ModelKind::ALL.into_iter().map(judge).collect()
+}
+
+/// Largest error of a model that was assumed, over forces it states one for, as a share of the force.
+fn assumed_error(model: &TaxelModel) -> f64 {
+    let mut worst: f64 = 0.0;
+    for stiffness in [0.9, 1.0, 1.1] {
+        let foam = Foam::default().stiffened(stiffness);
+        for protocol in [Protocol::Ramps, Protocol::FastWithPause] {
+            let trials: Vec<Trial> =
+                trials::record(&foam, protocol, 3, 7).iter().map(Recording::trial).collect();
+            for (force_n, error_n) in moca_tactile::calibration::residuals(model, &trials) {
+                if force_n >= ASSUMED_ERROR_FROM_N {
+                    worst = worst.max(error_n.abs() / force_n);
+                }
+            }
+        }
+    }
+    worst
 }
 
 /// Means over trials; both lines are fitted to each trial as the paper does.
@@ -213,6 +238,29 @@ mod tests {
             } else {
                 assert!(rmse("monotone") < rmse("line-through-zero"), "{material:?}");
             }
+        }
+    }
+
+    #[test]
+    fn the_curve_of_an_uncalibrated_cover_is_the_fit_and_as_wrong_as_it_says() {
+        let foam = Foam::default();
+        let trials: Vec<Trial> =
+            trials::record(&foam, Protocol::Ramps, 10, 1).iter().map(Recording::trial).collect();
+        let (fitted, quality) = fit(ModelKind::Monotone, &trials).unwrap();
+        let (TaxelModel::Monotone(fitted), TaxelModel::Monotone(shipped)) = (fitted, TaxelModel::PU_LD30)
+        else {
+            panic!("two curves")
+        };
+        for (fitted, shipped) in fitted.knots().zip(shipped.knots()) {
+            assert!(
+                fitted[0] == shipped[0] && (fitted[1] - shipped[1]).abs() <= 0.006,
+                "{fitted:?} {shipped:?}"
+            );
+        }
+        assert!((quality.rmse_n - 2.2).abs() < 0.05, "{quality:?}");
+        for model in [TaxelModel::PU_LD30, TaxelModel::PAPER] {
+            let (worst, stated) = (assumed_error(&model), model.assumed_error());
+            assert!(worst <= stated && worst > stated - 0.05, "{model:?}: {worst} against {stated}");
         }
     }
 

@@ -1,12 +1,10 @@
 //! `moca-lab extremes`: the ends of the controllers' range, one row each: condition, error in both precisions, time,
 //! verdict.
 
-mod accuracy;
-
-use accuracy::{Case, Reference, Step, accuracy, admitted};
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_msgs::{Limits, Parameters, Payload, RobotState};
-use moca_wbc::{ControlInput, ControlLaw, Controller, ControllerState, rotation};
+use moca_wbc::testing::accuracy::{Case, Reference, Step, accuracy, admitted};
+use moca_wbc::{ControlInput, ControlLaw, ControllerState, WholeBodyController, rotation};
 use serde::Serialize;
 use std::hint::black_box;
 use std::time::Instant;
@@ -33,7 +31,7 @@ struct Report {
 #[derive(Serialize)]
 struct Row {
     name: String,
-    /// Of the weighted mobility; null where it is singular or there is none.
+    /// Condition number of the weighted Λ⁻¹; null where it is singular or there is none.
     condition: Option<f64>,
     error_f64: Option<f64>,
     error_f32: Option<f64>,
@@ -45,7 +43,8 @@ struct Row {
 /// Errs if an end behaves otherwise than it should.
 #[expect(clippy::print_stdout, reason = "the answer of a command")]
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let reference: Reference = serde_json::from_str(accuracy::REFERENCE)?;
+    let reference: Reference =
+        serde_json::from_str(include_str!("../../../../../tests/fixtures/extremes.json"))?;
     let mut rows = Vec::new();
     for case in &reference.cases {
         rows.push(law(case)?);
@@ -132,7 +131,7 @@ fn admittance(dt: f64, steps: &[Step]) -> anyhow::Result<Row> {
     };
     let (error_f64, error_f32) = (worst(admitted::<f64>), worst(admitted::<f32>));
     let parameters =
-        Parameters { limits: Limits { period_s: dt, ..Limits::PANDA_ON_SUMMIT }, ..Parameters::PAPER };
+        Parameters { limits: Limits { period_s: dt, ..Limits::for_arm(&PANDA) }, ..Parameters::PAPER };
     let mut input = input(at_home());
     input.dt_s = dt;
     Ok(Row {
@@ -153,7 +152,7 @@ fn strong_push() -> anyhow::Result<Row> {
     let (controller, mut state) = entered()?;
     let output = controller.step(ControlLaw::Impedance, &mut state, &strong)?;
     let believed = output.cover_wrench_base[0].abs();
-    let most = Limits::PANDA_ON_SUMMIT.taxel_force_n;
+    let most = Limits::for_arm(&PANDA).taxel_force_n;
     Ok(Row {
         name: "taxel force 1e4 N".into(),
         condition: None,
@@ -254,7 +253,7 @@ fn half_turn() -> anyhow::Result<Row> {
         error_f64: Some(error_f64),
         error_f32: Some(error_f32),
         ns_per_tick: timed(&Parameters::PAPER, &input(at_home()))?,
-        verdict: "one of the two axes, length pi; the leash limits its pull".into(),
+        verdict: "one of the two axes, length pi; its pull saturates".into(),
         passed: error_f64 < 1e-7 && error_f32 < 2e-3,
     })
 }
@@ -274,11 +273,11 @@ fn timed(parameters: &Parameters<7>, input: &ControlInput<7, 11>) -> anyhow::Res
     Ok(least)
 }
 
-fn controller(parameters: &Parameters<7>) -> anyhow::Result<Controller<7, 11>> {
-    Ok(Controller::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, parameters)?)
+fn controller(parameters: &Parameters<7>) -> anyhow::Result<WholeBodyController<7, 11>> {
+    Ok(WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, parameters)?)
 }
 
-fn entered() -> anyhow::Result<(Controller<7, 11>, ControllerState<7>)> {
+fn entered() -> anyhow::Result<(WholeBodyController<7, 11>, ControllerState<7>)> {
     let controller = controller(&Parameters::PAPER)?;
     let state = controller.enter(ControlLaw::Impedance, &at_home())?;
     Ok((controller, state))
@@ -296,5 +295,5 @@ fn at_home() -> RobotState<7> {
 }
 
 fn input(robot: RobotState<7>) -> ControlInput<7, 11> {
-    ControlInput { robot, taxel_force_n: [0.0; 11], flange_wrench_world: None, dt_s: 1e-3 }
+    ControlInput::new(robot, [0.0; 11], 1e-3)
 }

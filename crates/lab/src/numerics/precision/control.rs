@@ -1,7 +1,6 @@
 //! The controller's side: how often it runs, how eq. (2) is discretised, single precision.
 
 use super::controller;
-use crate::numerics::vectors::compare::{explicit_euler, implicit_euler};
 use crate::paper::push;
 use crate::rig::closed_loop::Rig;
 use crate::rig::cpu_time;
@@ -9,6 +8,7 @@ use crate::rig::settings::Settings;
 use anyhow::Result;
 use moca_msgs::{Actuation, Law, RobotState};
 use moca_sim::{Scene, SimPlant};
+use moca_wbc::testing::reference_file::{explicit_euler, implicit_euler};
 use moca_wbc::{ControlInput, ControlLaw};
 use serde::Serialize;
 use std::hint::black_box;
@@ -227,24 +227,9 @@ pub(crate) fn single_precision() -> Result<(f64, f64, f64)> {
     let states = states()?;
     let (double, single) = (controller::<f64>()?, controller::<f32>()?);
     let Some(first) = states.first() else { return Ok((f64::NAN, f64::NAN, f64::NAN)) };
-    let inputs: Vec<_> = states
-        .iter()
-        .map(|robot| ControlInput {
-            robot: *robot,
-            taxel_force_n: [0.0; 11],
-            flange_wrench_world: None,
-            dt_s: 1e-3,
-        })
-        .collect();
-    let inputs32: Vec<_> = states
-        .iter()
-        .map(|robot| ControlInput {
-            robot: narrow(robot),
-            taxel_force_n: [0.0; 11],
-            flange_wrench_world: None,
-            dt_s: 1e-3,
-        })
-        .collect();
+    let inputs: Vec<_> = states.iter().map(|robot| ControlInput::new(*robot, [0.0; 11], 1e-3)).collect();
+    let inputs32: Vec<_> =
+        states.iter().map(|robot| ControlInput::new(narrow(robot), [0.0; 11], 1e-3)).collect();
     let (mut worst, mut least) = (0.0f64, [f64::INFINITY; 2]);
     for _ in 0..5 {
         let mut state = double.enter(ControlLaw::Impedance, first)?;
@@ -279,7 +264,7 @@ fn states() -> Result<Vec<RobotState<7>>> {
         let robot = plant.state();
         let mut taxel_force_n = [0.0; 11];
         taxel_force_n[2] = if tick < 400 { 20.0 } else { 0.0 };
-        let input = ControlInput { robot, taxel_force_n, flange_wrench_world: None, dt_s: 1e-3 };
+        let input = ControlInput::new(robot, taxel_force_n, 1e-3);
         plant
             .apply(&Actuation::Drive(controller.step(ControlLaw::Impedance, &mut state, &input)?.command))?;
         plant.step()?;

@@ -9,7 +9,7 @@ use crate::cover::characterize;
 use anyhow::{Context, Result};
 use moca_msgs::Parameters;
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, Payload};
-use moca_wbc::Controller;
+use moca_wbc::WholeBodyController;
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -77,8 +77,8 @@ fn measure(quick: bool) -> Result<Report> {
     })
 }
 
-fn controller<T: moca_wbc::Scalar>() -> Result<Controller<7, 11, T>> {
-    Ok(Controller::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER)?)
+fn controller<T: moca_wbc::Scalar>() -> Result<WholeBodyController<7, 11, T>> {
+    Ok(WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER)?)
 }
 
 fn text(report: &Report) -> String {

@@ -89,7 +89,7 @@ fn play(scene: &Scene, integrator: Integrator, step_ms: f64, base_velocity: Opti
         let robot = plant.state();
         let mut taxel_force_n = [0.0; 11];
         taxel_force_n[2] = if tick < 100 { 20.0 } else { 0.0 };
-        let input = ControlInput { robot, taxel_force_n, flange_wrench_world: None, dt_s: GRID_S };
+        let input = ControlInput::new(robot, taxel_force_n, GRID_S);
         let mut command = controller.step(ControlLaw::Impedance, &mut state, &input)?.command;
         if let Some(base_velocity) = base_velocity {
             command.base_velocity_body = base_velocity;
@@ -103,7 +103,7 @@ fn play(scene: &Scene, integrator: Integrator, step_ms: f64, base_velocity: Opti
     let mut state = [0.0; 10];
     state[..3].copy_from_slice(&end.base_pose_world);
     state[3..].copy_from_slice(&end.q_rad);
-    Ok(End { state, peak_n: plant.taxel_peak_true_n(), cpu_s })
+    Ok(End { state, peak_n: plant.contact_peak_true_n(), cpu_s })
 }
 
 fn distance(a: &End, b: &End) -> f64 {

@@ -206,7 +206,7 @@ fn judge(name: &str, settings: &Settings, rig: &Rig, cpu_s: f64) -> Case {
     Case {
         name: name.to_owned(),
         finite,
-        contact: rows.iter().any(|row| row.total_force_n() > 0.0),
+        contact: rows.iter().any(|row| row.total_force_n > 0.0),
         bounded: finite && !swings_on(rows, dt_s),
         peak_n: measure::peak_force_n(rows),
         energy_out_j,
@@ -241,13 +241,15 @@ fn reference_w(pair: &[Row], settings: &Settings, dt_s: f64) -> f64 {
 fn swings_on(rows: &[Row], dt_s: f64) -> bool {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "rows of one second")]
     let second = (1.0 / dt_s) as usize;
-    let Some(first) = rows.iter().position(|row| row.total_force_n() > 0.0) else { return false };
-    let last = rows.iter().rposition(|row| row.total_force_n() > 0.0).unwrap_or(first);
+    let Some(first) = rows.iter().position(|row| row.total_force_n > 0.0) else { return false };
+    let last = rows.iter().rposition(|row| row.total_force_n > 0.0).unwrap_or(first);
     if last < first + 2 * second {
         return false;
     }
     let range = |rows: &[Row]| {
-        rows.iter().map(Row::total_force_n).fold([f64::INFINITY, 0.0f64], |[l, h], f| [l.min(f), h.max(f)])
+        rows.iter()
+            .map(|row| row.total_force_n)
+            .fold([f64::INFINITY, 0.0f64], |[l, h], f| [l.min(f), h.max(f)])
     };
     let [early_low, early_high] = range(&rows[first..first + second]);
     let [late_low, late_high] = range(&rows[last - second..last]);

@@ -10,7 +10,7 @@ use data::{Anchor, Input};
 use moca_wbc::ControlError;
 use moca_wbc::linalg::times;
 use moca_wbc::model::ArmModel;
-use moca_wbc::opspace::{AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
+use moca_wbc::opspace::{ArmDynamics, AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 use std::hint::black_box;
@@ -151,7 +151,7 @@ impl Ticker {
         &self,
         input: &Input,
         law: impl Fn(
-            &TaskDynamics<7, f64>,
+            &TaskDynamics<'_, 7, f64>,
             &[f64; 6],
             &WholeBodyForce<7, f64>,
         ) -> Result<WholeBodyForce<7, f64>, ControlError>,
@@ -175,7 +175,8 @@ impl Ticker {
         );
         let null = WholeBodyForce { base: input.cover, arm: posture };
         let mass = kinematics.mass_matrix(&inertias).arm;
-        let task = TaskDynamics::new(base, arm, self.virtual_mass, &mass)?;
+        let arm = ArmDynamics::new(arm, &mass)?;
+        let task = TaskDynamics::new(base, self.virtual_mass, &arm);
         let mut force = law(&task, &wrench, &null)?;
         let bias = kinematics.bias(&inertias, &input.dq);
         force.arm.iter_mut().zip(bias).for_each(|(torque, bias)| *torque += bias);

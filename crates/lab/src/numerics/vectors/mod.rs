@@ -1,8 +1,7 @@
 //! `moca-lab vectors FILE`: prints the largest error of every quantity of a reference file.
 
-pub(crate) mod compare;
-
 use anyhow::{Context as _, bail};
+use moca_wbc::testing::reference_file as compare;
 use std::path::{Path, PathBuf};
 
 /// Compares the controller crate with a file of reference configurations.

@@ -97,9 +97,10 @@ fn corrections() -> Result<Vec<Claim>> {
         }
     }
     let sideways = Push::taxels("flange +y 15 N", &[]).and_flange([0.0, 15.0, 0.0]);
-    for (law, assignments, wanted_mm) in
-        [("literal", &[][..], [6.0, 11.0]), ("flange feed", &["flange_feed=true"][..], [16.5, 20.0])]
-    {
+    for (law, assignments, wanted_mm) in [
+        ("literal", &[][..], [6.0, 11.0]),
+        ("feedforward", &["flange_wrench_feedforward=true"][..], [16.5, 20.0]),
+    ] {
         if let Some(push) = single(&sideways, assignments)? {
             let (mm, y) = (1e3 * push.flange_displacement[1], push.base_displacement[1]);
             let [low, high] = wanted_mm;

@@ -28,6 +28,9 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, pressed: &mut PageReq
         };
         ui.weak(why);
     });
+    if !model.robot.uncalibrated.is_empty() {
+        ui.colored_label(theme::WARNING, &model.robot.uncalibrated);
+    }
     Grid::new("taxels").striped(true).spacing([10.0, 3.0]).show(ui, |ui| {
         for heading in ["Taxel", "Force N", "Counts", "Age ms", "Health"] {
             cell(ui, RichText::new(heading).weak());

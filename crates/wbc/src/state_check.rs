@@ -1,8 +1,7 @@
-//! The doors of the controllers: what is not a finite number goes no further.
+//! What is checked before a controller computes with it: what is not a finite number goes no further.
 
 use crate::error::{ControlError, finite};
 use crate::scalar::Scalar;
-use crate::state::ControlInput;
 use moca_msgs::RobotState;
 
 /// Errs on the first number of a state that is not finite.
@@ -12,20 +11,19 @@ pub(crate) fn check_robot<const N: usize, T: Scalar>(robot: &RobotState<N, T>) -
     finite("q_rad", &robot.q_rad)?;
     finite("dq_rad_s", &robot.dq_rad_s)?;
     finite("torque_measured_nm", &robot.torque_measured_nm)?;
-    finite("robot.flange_wrench_world", robot.flange_wrench_world.as_ref().map_or(&[], |w| &w[..]))
+    check_wrench("robot.flange_wrench_world", robot.flange_wrench_world.as_ref())
 }
 
-/// Errs on the first number of an input that is not finite, and on a step that is not positive.
-pub(crate) fn check_input<const N: usize, const K: usize, T: Scalar>(
-    input: &ControlInput<N, K, T>,
+/// Errs on the first number of a wrench that is not finite.
+pub(crate) fn check_wrench<T: Scalar>(
+    what: &'static str,
+    wrench: Option<&[T; 6]>,
 ) -> Result<(), ControlError> {
-    check_step(input.dt_s)?;
-    check_robot(&input.robot)?;
-    finite("taxel_force_n", &input.taxel_force_n)?;
-    finite("flange_wrench_world", input.flange_wrench_world.as_ref().map_or(&[], |w| &w[..]))
+    finite(what, wrench.map_or(&[], |w| &w[..]))
 }
 
-fn check_step<T: Scalar>(dt_s: T) -> Result<(), ControlError> {
+/// Errs on a step that is not a positive number.
+pub(crate) fn check_step<T: Scalar>(dt_s: T) -> Result<(), ControlError> {
     finite("dt_s", &[dt_s])?;
     if dt_s > T::zero() {
         Ok(())

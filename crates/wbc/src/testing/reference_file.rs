@@ -2,21 +2,23 @@
 //!
 //! The file carries its own arm, mount, base and cover in `meta`, and one set of inputs and results per configuration.
 
+use crate::coupled::CoupledDynamics;
+use crate::model::{ArmModel, Kinematics, LinkInertias};
+use crate::opspace::{ArmDynamics, AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
+use crate::{admittance, cover_wrench, follow_me, rotation};
 use moca_msgs::robot::LinkInertial;
 use moca_msgs::{ArmTable, BaseTable, Mount, Payload, TaxelPlacement};
-use moca_wbc::coupled::CoupledDynamics;
-use moca_wbc::model::{ArmModel, Kinematics, LinkInertias};
-use moca_wbc::opspace::{AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
-use moca_wbc::{admittance, cover_wrench, follow_me, rotation};
 use nalgebra::{Matrix3, Vector3};
 use serde_json::Value;
 use std::collections::BTreeMap;
+use std::string::{String, ToString};
+use std::{format, vec, vec::Vec};
 
 /// Largest error that passes.
-pub(crate) const TOLERANCE: f64 = 1e-11;
+pub const TOLERANCE: f64 = 1e-11;
 
 /// Whether an error is small enough; NaN is not.
-pub(crate) fn passes(error: f64) -> bool {
+pub fn passes(error: f64) -> bool {
     error <= TOLERANCE
 }
 
@@ -45,13 +47,16 @@ const INPUTS: [&str; 20] = [
 ];
 
 /// Largest error of each quantity over all configurations; `None` where nothing here computes it.
-pub(crate) type Errors = BTreeMap<String, Option<f64>>;
+pub type Errors = BTreeMap<String, Option<f64>>;
 
 /// A failure to read the file: where and what.
-pub(crate) type Malformed = String;
+pub type Malformed = String;
 
-/// Compares every quantity of `document` with the controller crate.
-pub(crate) fn compare(document: &Value) -> Result<Errors, Malformed> {
+/// Compares every quantity of `document` with this crate.
+///
+/// # Errors
+/// What is missing or malformed in the file.
+pub fn compare(document: &Value) -> Result<Errors, Malformed> {
     let meta = &document["meta"];
     match meta["joint_origin_xyz_rpy"].as_array().map(Vec::len) {
         Some(7) => compare_arm::<7>(document),
@@ -144,6 +149,8 @@ impl<const N: usize> Robot<N> {
             dq_max_rad_s: [0.0; N],
             torque_max_nm: [0.0; N],
             home_rad: [0.0; N],
+            posture_stiffness_nm_rad: [0.0; N],
+            posture_damping_nm_s_rad: [0.0; N],
         };
         for i in 0..N {
             arm.joint_origin[i] = array(&meta["joint_origin_xyz_rpy"][i], "joint_origin_xyz_rpy")?;
@@ -241,18 +248,14 @@ impl<const N: usize> Robot<N> {
         inertias: &LinkInertias<N, f64>,
         out: &mut Computed,
     ) -> Result<(), Malformed> {
-        let task = TaskDynamics::new(
-            kinematics.base_jacobian(),
-            kinematics.arm_jacobian(),
-            array(&vector["M_v"], "M_v")?,
-            &kinematics.mass_matrix(inertias).arm,
-        )
-        .map_err(|e| e.to_string())?;
+        let arm = ArmDynamics::new(kinematics.arm_jacobian(), &kinematics.mass_matrix(inertias).arm)
+            .map_err(|e| e.to_string())?;
+        let task = TaskDynamics::new(kinematics.base_jacobian(), array(&vector["M_v"], "M_v")?, &arm);
         let (eta_base, eta_arm) = (number(&vector["eta_B"], "eta_B")?, number(&vector["eta_A"], "eta_A")?);
         let (weight_base, weight_arm) = split::<N>(vector, "H_diag_general")?;
         let block = |wrench: &[f64; 6], null: &WholeBodyForce<N, f64>, eta: f64| {
             let weighted = BlockWeight::new(eta, eta_arm).factor(&task)?;
-            Ok::<_, moca_wbc::ControlError>(weighted.force(wrench, null))
+            Ok::<_, crate::ControlError>(weighted.force(wrench, null))
         };
         let general = AxisWeight::new(weight_base, weight_arm).map_err(|e| e.to_string())?;
         let law = |which: usize, wrench: &[f64; 6], null: &WholeBodyForce<N, f64>| {
@@ -288,9 +291,8 @@ impl<const N: usize> Robot<N> {
         out.insert("J_A", transposed(jacobian.as_slice(), 6));
         out.insert("p_ee_A", kinematics.tool_position.as_slice().to_vec());
         let mass = kinematics.mass_matrix(&inertias);
-        let task = TaskDynamics::new(kinematics.base_jacobian(), jacobian, [1.0; 3], &mass.arm)
-            .map_err(|e| e.to_string())?;
-        let torque = task.arm_torque(&inputs.wrench, &inputs.null.arm).map_err(|e| e.to_string())?;
+        let arm = ArmDynamics::new(jacobian, &mass.arm).map_err(|e| e.to_string())?;
+        let torque = arm.torque(&inputs.wrench, &inputs.null.arm).map_err(|e| e.to_string())?;
         out.insert("tau_A_eq15", torque.to_vec());
         let external: [f64; 6] = array(&vector["F_A_ext_at_EE"], "F_A_ext_at_EE")?;
         let paper = self.cover_sum(vector, "paper")?;
@@ -345,12 +347,12 @@ fn orientation<const N: usize>(
 }
 
 /// Velocity after `dt_s` under a force that is held, damping taken at the step's start.
-pub(crate) fn explicit_euler(velocity: f64, force: f64, mass: f64, damping: f64, dt_s: f64) -> f64 {
+pub fn explicit_euler(velocity: f64, force: f64, mass: f64, damping: f64, dt_s: f64) -> f64 {
     velocity + dt_s / mass * (force - damping * velocity)
 }
 
 /// The same with the damping taken at the step's end.
-pub(crate) fn implicit_euler(velocity: f64, force: f64, mass: f64, damping: f64, dt_s: f64) -> f64 {
+pub fn implicit_euler(velocity: f64, force: f64, mass: f64, damping: f64, dt_s: f64) -> f64 {
     (velocity + dt_s / mass * force) / (1.0 + dt_s * damping / mass)
 }
 

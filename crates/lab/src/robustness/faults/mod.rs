@@ -1,9 +1,13 @@
 //! `moca-lab faults`: every fault that can be injected, and what the robot does about it.
 #![expect(clippy::print_stdout, reason = "this is what the command is for")]
 
+#[cfg(test)]
+mod tests;
+
 use crate::rig::parallel;
+use crate::robustness::trial;
 use anyhow::Result;
-use moca_daemon::inject::{FAULTS, trial};
+use moca_daemon::inject::FAULTS;
 use serde::Serialize;
 
 /// Every fault that can be injected, the mode it ends in and how many ticks the reaction takes.

@@ -2,6 +2,18 @@
 //!
 //! p = M_A q̇_A + M_AB q̇_B obeys ṗ = τ + Cᵀq̇ − g + τ_ext, so r = K·(p − ∫(τ + Cᵀq̇ − g + r)) follows τ_ext with a
 //! first-order lag of 1/K. The base's motion is in p: an accelerating base is not mistaken for a push.
+//!
+//! ```
+//! use moca_wbc::momentum_observer::MomentumObserver;
+//!
+//! // one joint of 2 kg·m² that a hand turns with 3 N·m while its motor does nothing
+//! let mut observer = MomentumObserver::<1, f64>::new();
+//! for tick in 0..200 {
+//!     let momentum = 3.0 * 1e-3 * f64::from(tick);
+//!     observer.update(&([momentum], [0.0]), &[0.0], &[0.0], 1e-3);
+//! }
+//! assert!((observer.external_torque()[0] - 3.0).abs() < 1e-3);
+//! ```
 
 use crate::scalar::{Scalar, of};
 

@@ -1,21 +1,22 @@
-//! One step's quantities: computed once, read by every law.
+//! One step's quantities of the arm: computed once, read by every law.
 
+use super::arm::ArmState;
+use super::whole_body::ControlLaw;
 use crate::error::ControlError;
 use crate::follow_me;
 use crate::impedance;
 use crate::limits::LimitsHit;
 use crate::linalg::times;
 use crate::model::{Kinematics, LinkInertias, MassMatrix};
-use crate::observer::MomentumObserver;
-use crate::opspace::TaskDynamics;
-use crate::reference::{Pose, leashed};
+use crate::momentum_observer::MomentumObserver;
+use crate::opspace::ArmDynamics;
+use crate::reference::{Pose, saturated};
 use crate::scalar::Scalar;
-use crate::state::{ControlInput, ControlLaw, ControllerState};
 use moca_msgs::RobotState;
 use nalgebra::{SMatrix, Vector3};
 
 /// One step's quantities, computed once and read by every law.
-pub(crate) struct Tick<'a, const N: usize, T> {
+pub(super) struct ArmTick<'a, const N: usize, T> {
     pub robot: &'a RobotState<N, T>,
     pub dt_s: T,
     pub kinematics: &'a Kinematics<N, T>,
@@ -23,20 +24,17 @@ pub(crate) struct Tick<'a, const N: usize, T> {
     pub mass: &'a MassMatrix<N, T>,
     pub bias: [T; N],
     pub flange: Pose<T>,
-    pub cover_world: [T; 3],
-    /// v_d of eq. (2), world axes.
-    pub base_velocity: [T; 3],
 }
 
-impl<const N: usize, T: Scalar> Tick<'_, N, T> {
-    /// F = K·e + D·ė with the leash on e. `base_twist` is what the base's motion gives the tool. eqs. (10), (16)
+impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
+    /// F = K·e + D·ė, e saturated. `base_twist` is what the base's motion gives the tool. eqs. (10), (16)
     #[inline]
-    pub(crate) fn task_wrench(
+    pub(super) fn task_wrench(
         &self,
-        state: &ControllerState<N, T>,
-        task: &TaskDynamics<N, T>,
+        state: &ArmState<N, T>,
+        arm: &ArmDynamics<N, T>,
         base_twist: &[T; 6],
-        mobility: &SMatrix<T, 6, 6>,
+        inverse_task_inertia: &SMatrix<T, 6, 6>,
         hit: &mut LimitsHit,
     ) -> Result<[T; 6], ControlError> {
         let gains = &state.gains;
@@ -45,17 +43,17 @@ impl<const N: usize, T: Scalar> Tick<'_, N, T> {
             (&self.flange.position, &self.flange.rotation),
             (&desired.position, &desired.rotation),
         );
-        let (error, taut) = leashed(&error);
-        hit.leash = taut;
-        let arm_twist = times(task.arm_jacobian(), &self.robot.dq_rad_s);
+        let (error, saturated) = saturated(&error);
+        hit.error_saturation = saturated;
+        let arm_twist = times(arm.jacobian(), &self.robot.dq_rad_s);
         let wanted = self.desired_twist(state);
         let rate = core::array::from_fn(|i| wanted[i] - base_twist[i] - arm_twist[i]);
-        let damping = impedance::damping(mobility, &gains.stiffness, gains.damping_ratio)?;
+        let damping = impedance::damping(inverse_task_inertia, &gains.stiffness, gains.damping_ratio)?;
         Ok(impedance::wrench(&gains.stiffness, &damping, &error, &rate))
     }
 
     #[inline]
-    pub(crate) fn posture_torque(&self, state: &ControllerState<N, T>) -> [T; N] {
+    pub(super) fn posture_torque(&self, state: &ArmState<N, T>) -> [T; N] {
         impedance::posture_torque(
             &state.gains.posture_stiffness,
             &state.gains.posture_damping,
@@ -66,7 +64,7 @@ impl<const N: usize, T: Scalar> Tick<'_, N, T> {
     }
 
     /// The reference in W.
-    pub(crate) fn desired(&self, state: &ControllerState<N, T>) -> Pose<T> {
+    pub(super) fn desired(&self, state: &ArmState<N, T>) -> Pose<T> {
         match state.law {
             ControlLaw::Hold => self.flange,
             ControlLaw::Impedance => state.reference.now,
@@ -83,7 +81,7 @@ impl<const N: usize, T: Scalar> Tick<'_, N, T> {
     }
 
     /// The reference's twist, world axes.
-    pub(crate) fn desired_twist(&self, state: &ControllerState<N, T>) -> [T; 6] {
+    fn desired_twist(&self, state: &ArmState<N, T>) -> [T; 6] {
         let twist = *state.reference.twist();
         if state.law != ControlLaw::FollowMe {
             return twist;
@@ -95,14 +93,15 @@ impl<const N: usize, T: Scalar> Tick<'_, N, T> {
         [v0, v1, v2, w0, w1, w2]
     }
 
-    /// The external wrench from the best source there is. The observer runs where the other two are missing.
-    pub(crate) fn flange_wrench<const K: usize>(
+    /// The external wrench from the best source there is: `measured` by the caller, else the robot's own, else the
+    /// observer's, which runs where the other two are missing.
+    pub(super) fn flange_wrench(
         &self,
-        state: &mut ControllerState<N, T>,
-        input: &ControlInput<N, K, T>,
-        task: &TaskDynamics<N, T>,
+        state: &mut ArmState<N, T>,
+        measured: Option<[T; 6]>,
+        arm: &ArmDynamics<N, T>,
     ) -> Result<[T; 6], ControlError> {
-        if let Some(wrench) = input.flange_wrench_world.or(self.robot.flange_wrench_world) {
+        if let Some(wrench) = measured.or(self.robot.flange_wrench_world) {
             // an observer that missed steps would take what happened in them for a push
             state.observer = MomentumObserver::new();
             return Ok(wrench);
@@ -111,13 +110,13 @@ impl<const N: usize, T: Scalar> Tick<'_, N, T> {
         let momentum = kinematics.momentum(self.inertias, &robot.base_velocity_world, &robot.dq_rad_s);
         let gravity = kinematics.gravity(self.inertias);
         state.observer.update(&momentum, &gravity, &robot.torque_measured_nm, self.dt_s);
-        let about_tool = task.arm_wrench(state.observer.external_torque())?;
+        let about_tool = arm.wrench(state.observer.external_torque())?;
         Ok(follow_me::moved(&about_tool, &(kinematics.tool_position - kinematics.flange_position)))
     }
 }
 
 /// `pose`, given in W, in B.
-pub(crate) fn seen_from_base<const N: usize, T: Scalar>(
+pub(super) fn seen_from_base<const N: usize, T: Scalar>(
     pose: &Pose<T>,
     kinematics: &Kinematics<N, T>,
     robot: &RobotState<N, T>,
@@ -128,7 +127,7 @@ pub(crate) fn seen_from_base<const N: usize, T: Scalar>(
 }
 
 /// The controlled frame E in W.
-pub(crate) fn flange_pose<const N: usize, T: Scalar>(
+pub(super) fn tool_pose<const N: usize, T: Scalar>(
     kinematics: &Kinematics<N, T>,
     robot: &RobotState<N, T>,
 ) -> Pose<T> {

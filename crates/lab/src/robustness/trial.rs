@@ -1,14 +1,14 @@
 //! One injected fault against the whole chain in lock-step: what the robot does about it, and how soon.
 
-use super::{Disk, FAULTS, Injection, Named, Strike, What, client};
-use crate::config::{Config, HandConfig};
-use crate::record::recording::Recording;
-use crate::record::tick_log::{TapeReader, tape};
-use crate::runtime::allocations;
-use crate::runtime::clients::rings;
-use crate::runtime::live::{Rings, Shared};
-use crate::runtime::lockstep::LockStep;
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
+use moca_daemon::config::{Config, HandConfig};
+use moca_daemon::inject::{Disk, Injection, Named, Strike, What, client};
+use moca_daemon::record::recording::Recording;
+use moca_daemon::record::tick_log::{TickLogReader, tick_log};
+use moca_daemon::runtime::allocations;
+use moca_daemon::runtime::clients::rings;
+use moca_daemon::runtime::live::{Rings, Shared};
+use moca_daemon::runtime::lockstep::LockStep;
 use moca_msgs::{Fault, Mode, Outcome, Request, Sample};
 use moca_sim::{Scene, VirtualBoardConfig};
 use moca_telemetry::RobotDescription;
@@ -26,33 +26,33 @@ const PRESS_N: f64 = 20.0;
 
 /// What became of one fault.
 #[derive(Clone, Debug)]
-pub struct Trial {
+pub(crate) struct Trial {
     /// The fault.
-    pub fault: Named,
+    pub(crate) fault: Named,
     /// Control periods from the strike to the stop; `None` if the robot went on.
-    pub reaction_ticks: Option<u64>,
+    pub(crate) reaction_ticks: Option<u64>,
     /// Mode at the end.
-    pub mode: Mode,
+    pub(crate) mode: Mode,
     /// Cause that was named first.
-    pub cause: Option<Fault>,
+    pub(crate) cause: Option<Fault>,
     /// Largest base speed once the robot had time to stand, m/s; at the end if it never stopped.
-    pub speed_after_m_s: f64,
+    pub(crate) speed_after_m_s: f64,
     /// Way of the base from the strike to the end, m.
-    pub way_m: f64,
+    pub(crate) way_m: f64,
     /// Frames rejected after the strike.
-    pub frames_bad: u64,
+    pub(crate) frames_bad: u64,
     /// Missed slots after the strike.
-    pub overruns: u64,
+    pub(crate) overruns: u64,
     /// Rust allocations on the loop's thread after the strike.
-    pub allocations: u64,
+    pub(crate) allocations: u64,
     /// What whoever watches or asks is told, where the fault is outside the loop.
-    pub told: Option<String>,
+    pub(crate) told: Option<String>,
 }
 
 /// Who watches a trial: a log, telemetry, or nobody.
 enum Watcher {
     Nobody,
-    Log(Box<Recording>, TapeReader),
+    Log(Box<Recording>, TickLogReader),
     Telemetry(Box<Rings>, Server),
 }
 
@@ -62,22 +62,27 @@ impl Watcher {
         config: &Config,
         strike: &Strike,
         seed: u64,
-    ) -> Result<(Self, Option<crate::record::tick_log::Tape>)> {
+    ) -> Result<(Self, Option<moca_daemon::record::tick_log::TickLog>)> {
         let What::Outside(fault) = what else { return Ok((Self::Nobody, None)) };
         if fault.request().is_some() {
             return Ok((Self::Nobody, None));
         }
         let description = RobotDescription::paper("trial", true);
         if fault.is_of_disk() {
-            let (tape, _, reader) = tape();
+            let (log, _, reader) = tick_log();
             let disk = Disk::new(std::io::sink(), fault, strike.clone());
             let recording = Recording::start(disk, description, config, false)?;
-            return Ok((Self::Log(Box::new(recording), reader), Some(tape)));
+            return Ok((Self::Log(Box::new(recording), reader), Some(log)));
         }
         let (rings, samples, ports) = rings(&Shared::default());
-        let server =
-            net::serve(SocketAddr::from((Ipv4Addr::LOCALHOST, 0)), description, ports.with(samples, None))?;
-        client(fault, server.address(), strike.clone(), seed)?;
+        let server = net::serve(
+            &SocketAddr::from((Ipv4Addr::LOCALHOST, 0)).into(),
+            0o600,
+            description,
+            ports.with(samples, None),
+        )?;
+        let address = server.address().tcp().context("a port")?;
+        client(fault, address, strike.clone(), seed)?;
         Ok((Self::Telemetry(Box::new(rings), server), None))
     }
 
@@ -85,7 +90,7 @@ impl Watcher {
     fn see(&mut self, sample: &Sample, shared: &Shared) {
         match self {
             Self::Nobody => {}
-            Self::Telemetry(rings, _) => rings.publish(sample, None, None, shared),
+            Self::Telemetry(rings, _) => rings.publish(sample.clone(), None, None, shared),
             Self::Log(recording, reader) => {
                 while let Some(record) = reader.next_tick() {
                     recording.add_tick(&record);
@@ -114,7 +119,7 @@ impl Watcher {
 ///
 /// # Errors
 /// The scene could not be built, or the robot did not move before the strike, which would show nothing.
-pub fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
+pub(crate) fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
     let end_tick = STRIKE_TICK + ticks;
     let mut config = Config::default();
     config.simulation.hand = HandConfig::none();
@@ -124,8 +129,8 @@ pub fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
     let at_ns = STRIKE_TICK * config.period_ns();
     world.inject(&Injection { fault, at_ns }, seed);
     let (strike, shared) = (Strike::new(at_ns), Shared::default());
-    let (mut watcher, tape) = Watcher::new(fault.what, &config, &strike, seed)?;
-    world.control.tape = tape;
+    let (mut watcher, log) = Watcher::new(fault.what, &config, &strike, seed)?;
+    world.tick_log = log;
 
     let mut before = Sample::default();
     for tick in 0..STRIKE_TICK {
@@ -178,14 +183,6 @@ pub fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
     trial.frames_bad = last.frames_bad - before.frames_bad;
     trial.overruns = last.overruns - before.overruns;
     Ok(trial)
-}
-
-/// Every fault, one after the other.
-///
-/// # Errors
-/// As for [`run`].
-pub fn run_all(seed: u64, ticks: u64) -> Result<Vec<Trial>> {
-    FAULTS.iter().map(|fault| run(*fault, seed, ticks)).collect()
 }
 
 fn told(outcome: Outcome) -> String {

@@ -1,51 +1,68 @@
 //! Accuracy at the ends of the range, against a file of results in 80 digits.
 
+use crate::opspace::{ArmDynamics, BlockWeight, TaskDynamics, WholeBodyForce};
+use crate::{ArmModel, ControlError, Scalar, admittance, impedance};
 use moca_msgs::robot::{MOCA_MOUNT, PANDA};
 use moca_msgs::{ParameterError, Payload};
-use moca_wbc::opspace::{BlockWeight, TaskDynamics, WholeBodyForce};
-use moca_wbc::{ArmModel, ControlError, Scalar, admittance, impedance};
 use serde::Deserialize;
+use std::{string::String, vec::Vec};
 
-/// Results in 80 digits, rounded to f64.
-pub(crate) const REFERENCE: &str = include_str!("../../../../../tests/fixtures/extremes.json");
-
-#[derive(Deserialize)]
-pub(crate) struct Reference {
+/// Results in 80 digits, rounded to f64: the form of `tests/fixtures/extremes.json`.
+#[derive(Debug, Deserialize)]
+pub struct Reference {
+    /// Configurations.
     pub cases: Vec<Case>,
+    /// Steps of the admittance.
     pub admittance: Vec<Step>,
 }
 
 /// One configuration: eq. (6) and the damping of eq. (10).
-#[derive(Deserialize)]
-pub(crate) struct Case {
+#[derive(Debug, Deserialize)]
+pub struct Case {
+    /// Shown to users.
     pub name: String,
+    /// Pose of the base (m, m, rad) and joint angles, rad.
     pub q: [f64; 10],
+    /// η_B.
     pub eta_base: f64,
+    /// η_A.
     pub eta_arm: f64,
+    /// M_v: kg, kg, kg·m².
     pub virtual_mass: [f64; 3],
+    /// K_d: N/m, N·m/rad.
     pub stiffness: [f64; 6],
+    /// F: N, N·m.
     pub wrench: [f64; 6],
+    /// τ_0: N, N, N·m, N·m ×7.
     pub null: [f64; 10],
-    /// Of the weighted mobility; `None` where it is singular.
+    /// Condition number of the weighted Λ⁻¹; `None` where it is singular.
     pub condition: Option<f64>,
+    /// The result of eq. (6), units as `null`.
     pub force: [f64; 10],
+    /// D_d: N·s/m, N·m·s/rad.
     pub damping: Option<[[f64; 6]; 6]>,
 }
 
 /// One step of eq. (2).
-#[derive(Deserialize)]
-pub(crate) struct Step {
+#[derive(Debug, Deserialize)]
+pub struct Step {
+    /// kg.
     pub mass: f64,
+    /// N·s/m.
     pub damping: f64,
+    /// s.
     pub dt: f64,
+    /// Before, m/s.
     pub velocity: f64,
+    /// Held over the step, N.
     pub force: f64,
+    /// After, m/s.
     pub after: f64,
 }
 
 /// Errors of one configuration, max|a − ref| / max(max|ref|, 1).
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Accuracy {
+pub struct Accuracy {
     /// Of the torques.
     pub force: f64,
     /// Of the damping matrix; 0 where it has no reference.
@@ -56,8 +73,10 @@ pub(crate) struct Accuracy {
 
 /// A case that could not be computed.
 #[derive(Debug)]
-pub(crate) enum Failure {
+pub enum Failure {
+    /// The arm's table.
     Model(ParameterError),
+    /// The law.
     Control(ControlError),
 }
 
@@ -85,19 +104,18 @@ impl From<ControlError> for Failure {
 }
 
 /// The law and its damping in the scalar `T`, against `case`.
-pub(crate) fn accuracy<T: Scalar>(case: &Case) -> Result<Accuracy, Failure> {
+///
+/// # Errors
+/// An impossible model.
+pub fn accuracy<T: Scalar>(case: &Case) -> Result<Accuracy, Failure> {
     let model = ArmModel::<7, T>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE)?;
     let [_, _, yaw, joints @ ..] = case.q.map(nalgebra::convert::<f64, T>);
     let kinematics = model.kinematics(yaw, &joints);
     let mass = kinematics.mass_matrix(&model.link_inertias(&kinematics));
-    let task = TaskDynamics::new(
-        kinematics.base_jacobian(),
-        kinematics.arm_jacobian(),
-        case.virtual_mass.map(nalgebra::convert),
-        &mass.arm,
-    )?;
-    let [b0, b1, b2, arm @ ..] = case.null.map(nalgebra::convert::<f64, T>);
-    let null = WholeBodyForce { base: [b0, b1, b2], arm };
+    let arm = ArmDynamics::new(kinematics.arm_jacobian(), &mass.arm)?;
+    let task = TaskDynamics::new(kinematics.base_jacobian(), case.virtual_mass.map(nalgebra::convert), &arm);
+    let [b0, b1, b2, joints @ ..] = case.null.map(nalgebra::convert::<f64, T>);
+    let null = WholeBodyForce { base: [b0, b1, b2], arm: joints };
     let weight = BlockWeight::new(nalgebra::convert(case.eta_base), nalgebra::convert(case.eta_arm));
     let force = weight.factor(&task)?.force(&case.wrench.map(nalgebra::convert), &null);
     let values: Vec<f64> = force.base.iter().chain(&force.arm).copied().map(double).collect();
@@ -105,7 +123,8 @@ pub(crate) fn accuracy<T: Scalar>(case: &Case) -> Result<Accuracy, Failure> {
         None => 0.0,
         Some(reference) => {
             let stiffness = case.stiffness.map(nalgebra::convert);
-            let damping = impedance::damping(&task.mobility(), &stiffness, nalgebra::convert(0.9))?;
+            let damping =
+                impedance::damping(&task.inverse_task_inertia(), &stiffness, nalgebra::convert(0.9))?;
             let values: Vec<f64> = damping.iter().copied().map(double).collect();
             error(&values, reference.as_flattened())
         }
@@ -118,7 +137,7 @@ pub(crate) fn accuracy<T: Scalar>(case: &Case) -> Result<Accuracy, Failure> {
 }
 
 /// One step of eq. (2) in the scalar `T`, against `step`.
-pub(crate) fn admitted<T: Scalar>(step: &Step) -> f64 {
+pub fn admitted<T: Scalar>(step: &Step) -> f64 {
     let of = nalgebra::convert::<f64, T>;
     let after =
         admittance::step(of(step.velocity), of(step.force), of(step.mass), of(step.damping), of(step.dt));

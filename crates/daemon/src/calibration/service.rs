@@ -1,0 +1,252 @@
+//! A calibration for whoever watches over telemetry: the engine on a thread of its own beside the running loop.
+
+use crate::calibration::engine::Engine;
+use crate::calibration::store::Store;
+use crate::config::Config;
+use crate::devices::force_gauge::Gauge;
+use crate::robot::TAXELS;
+use anyhow::{Context, Result};
+use moca_tactile::BoardEvent;
+use moca_tactile::calibration::ModelKind;
+use moca_tactile::calibration::session::Target;
+use moca_tactile::cover::Electrode;
+use moca_telemetry::calibration::{CalibrationProgress, CalibrationRequest};
+use moca_telemetry::net::CalibrationPort;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// How often the board's bytes and the reference are looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(5);
+/// Looks from one report of the progress to the next.
+const LOOKS_PER_REPORT: u32 = 20;
+
+/// What the calibrator works for.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Where accepted fits go.
+    pub store: Store,
+    /// Which electrode each taxel is, T1 first.
+    pub wiring: [Electrode; TAXELS],
+}
+
+impl Settings {
+    /// Over the calibration file in use, or beside the daemon.
+    pub fn new(config: &Config, wiring: [Electrode; TAXELS]) -> Self {
+        let path = match config.board.calibration.as_str() {
+            "" => PathBuf::from("calibration.toml"),
+            path => PathBuf::from(path),
+        };
+        let store = Store { path, board: config.board.name.clone(), material: "not stated".into() };
+        Self { store, wiring }
+    }
+}
+
+/// The force that counts are compared with.
+pub enum Reference {
+    /// What the simulation presses a taxel (0 is T1) with, N.
+    Simulated(Box<dyn Fn(usize) -> Option<f64> + Send>),
+    /// What a person presses with.
+    Gauge(Gauge),
+}
+
+/// The calibrator's thread. Dropping it ends it.
+pub struct Calibrator {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for Calibrator {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            // A panic there has been printed by its own thread.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Starts the thread. It drains `events` all the time; without a `reference` it says that it cannot calibrate. While
+/// `moving` is set it neither begins nor goes on: a cover on a moving robot is not at rest.
+///
+/// # Errors
+/// The thread could not be started.
+pub fn spawn(
+    settings: Settings,
+    mut events: rtrb::Consumer<BoardEvent>,
+    reference: Option<Reference>,
+    moving: Arc<AtomicBool>,
+    now_ns: impl Fn() -> u64 + Send + 'static,
+) -> Result<(Calibrator, CalibrationPort)> {
+    let (to_us, requests) = channel();
+    let (progress, from_us) = channel();
+    let stop = Arc::new(AtomicBool::new(false));
+    let stopped = Arc::clone(&stop);
+    let thread = std::thread::Builder::new().name("calibrator".into()).spawn(move || {
+        let Some(reference) = reference else {
+            let why =
+                "it has no reference force: set board.gauge to the port of a force gauge and start it again";
+            return unavailable(why, &requests, &progress, &stopped, &mut events);
+        };
+        let mut work = Work { settings, engine: Engine::default(), taxel: 0, reference };
+        let mut reported = CalibrationProgress::Idle;
+        let mut looks = 0;
+        while !stopped.load(Ordering::Acquire) {
+            let asked = requests.try_iter().last();
+            if let Some(request) = asked {
+                work.ask(request, now_ns());
+            }
+            if moving.load(Ordering::Relaxed) {
+                work.engine.robot_moves();
+            }
+            while let Ok(event) = events.pop() {
+                work.engine.event(&event);
+            }
+            work.look(now_ns());
+            looks += 1;
+            if asked.is_some() || looks >= LOOKS_PER_REPORT {
+                looks = 0;
+                if *work.engine.progress() != reported {
+                    reported = work.engine.progress().clone();
+                    // Nobody listens any more only when the daemon ends.
+                    let _ = progress.send(reported.clone());
+                }
+            }
+            std::thread::sleep(LOOK_EVERY);
+        }
+    })?;
+    let port = CalibrationPort { requests: to_us, progress: from_us };
+    Ok((Calibrator { stop, thread: Some(thread) }, port))
+}
+
+fn unavailable(
+    why: &str,
+    requests: &Receiver<CalibrationRequest>,
+    progress: &Sender<CalibrationProgress>,
+    stop: &AtomicBool,
+    events: &mut rtrb::Consumer<BoardEvent>,
+) {
+    let _ = progress.send(CalibrationProgress::Unavailable(why.to_owned()));
+    while !stop.load(Ordering::Acquire) {
+        while events.pop().is_ok() {}
+        requests.try_iter().for_each(drop);
+        std::thread::sleep(LOOK_EVERY * LOOKS_PER_REPORT);
+    }
+}
+
+/// The engine with its reference and its file.
+struct Work {
+    settings: Settings,
+    engine: Engine,
+    /// The one under way, 0 is T1.
+    taxel: u8,
+    reference: Reference,
+}
+
+impl Work {
+    fn ask(&mut self, request: CalibrationRequest, now_ns: u64) {
+        let answered = match request {
+            CalibrationRequest::Start { taxel, presses } => self.start(taxel, presses, now_ns),
+            CalibrationRequest::Cancel => {
+                self.engine.cancel();
+                Ok(())
+            }
+            CalibrationRequest::Save { model } => self.save(usize::from(model)),
+        };
+        if let Err(error) = answered {
+            self.engine.fail(&format!("{error:#}"));
+        }
+    }
+
+    fn start(&mut self, taxel: u8, presses: u8, now_ns: u64) -> Result<()> {
+        let number = usize::from(taxel) + 1;
+        let wire = self.settings.wiring.get(usize::from(taxel));
+        let wire = wire.with_context(|| format!("there is no taxel T{number}"))?;
+        self.taxel = taxel;
+        self.engine.start(Target { number, electrode: wire.electrode }, u32::from(presses), now_ns);
+        Ok(())
+    }
+
+    fn look(&mut self, now_ns: u64) {
+        let engine = &mut self.engine;
+        match &mut self.reference {
+            Reference::Simulated(force_n) => {
+                if let Some(force_n) = force_n(usize::from(self.taxel)) {
+                    engine.reference(force_n, now_ns);
+                }
+            }
+            Reference::Gauge(gauge) => {
+                let read = gauge.read(|force_n, at_ns| engine.reference(force_n, at_ns));
+                if let (Err(why), CalibrationProgress::Rest { .. } | CalibrationProgress::Press { .. }) =
+                    (read, engine.progress())
+                {
+                    engine.fail(&format!("force gauge: {why}"));
+                }
+            }
+        }
+        engine.look(now_ns);
+    }
+
+    fn save(&mut self, model: usize) -> Result<()> {
+        let fitted = self.engine.fitted().context("nothing is fitted yet")?;
+        let kind = *ModelKind::ALL.get(model).context("there is no such model")?;
+        let store = &self.settings.store;
+        let taxels = store.save(fitted, kind)?;
+        // Relative to the daemon's folder, the path would say nothing on another machine.
+        let path = store.path.canonicalize().unwrap_or_else(|_| store.path.clone());
+        self.engine.stored(path.display().to_string(), taxels);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::engine::tests::press;
+    use moca_tactile::calibration::CalibrationFile;
+
+    fn work(name: &str) -> Work {
+        let path = std::env::temp_dir().join(format!("moca-{name}-{}.toml", std::process::id()));
+        let store = Store { path, board: "left".into(), material: "PU LD30".into() };
+        let wiring = moca_tactile::CoverConfig::default().wiring;
+        let reference = Reference::Simulated(Box::new(|_| Some(0.0)));
+        Work { settings: Settings { store, wiring }, engine: Engine::default(), taxel: 0, reference }
+    }
+
+    #[test]
+    fn a_taxel_is_saved_beside_those_that_were_there() {
+        let mut work = work("calibrator");
+        for taxel in [5_u8, 2] {
+            press(&mut work.engine, Target { number: usize::from(taxel) + 1, electrode: taxel });
+            work.ask(CalibrationRequest::Save { model: 0 }, 0);
+            assert!(
+                matches!(work.engine.progress(), CalibrationProgress::Failed(why) if why.contains("intercept"))
+            );
+            work.ask(CalibrationRequest::Save { model: 2 }, 0);
+        }
+        assert!(
+            matches!(work.engine.progress(), CalibrationProgress::Saved { taxels, .. } if *taxels == [3, 6])
+        );
+        let file = CalibrationFile::read(&work.settings.store.path).unwrap();
+        assert_eq!((file.board.as_str(), file.taxel.len()), ("left", 2));
+        std::fs::remove_file(&work.settings.store.path).unwrap();
+    }
+
+    #[test]
+    fn what_makes_no_sense_is_refused_in_words() {
+        let mut work = work("refused");
+        for (request, word) in [
+            (CalibrationRequest::Save { model: 1 }, "nothing is fitted"),
+            (CalibrationRequest::Start { taxel: 11, presses: 3 }, "T12"),
+        ] {
+            work.ask(request, 0);
+            assert!(matches!(work.engine.progress(), CalibrationProgress::Failed(why) if why.contains(word)));
+        }
+        work.ask(CalibrationRequest::Start { taxel: 0, presses: 3 }, 0);
+        work.ask(CalibrationRequest::Cancel, 0);
+        assert_eq!(*work.engine.progress(), CalibrationProgress::Idle);
+    }
+}

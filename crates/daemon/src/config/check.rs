@@ -1,0 +1,199 @@
+//! What single rows cannot know: numbers that do not go together.
+
+use super::{AUTO_LISTEN, Config, ProtectionConfig, TelemetryConfig, VIRTUAL_PORT};
+use crate::robot::{Parts, PlantKind, TAXELS};
+use moca_tactile::cover::MaskPolicy;
+use moca_telemetry::net::Address;
+
+/// What the ramps of a scripted press take, s, with a moment of rest.
+const PRESS_RAMPS_S: f64 = 0.7;
+/// Two taxels nearer than this are one, m.
+const TAXELS_APART_M: f64 = 0.01;
+
+/// Takes (dotted path, message).
+type Report<'a> = &'a mut dyn FnMut(&str, String);
+
+pub(super) fn check(config: &Config, report: Report<'_>) {
+    lists(config, report);
+    if config.plant.parts.has_cover() {
+        geometry(config, report);
+        masks(config, report);
+    }
+    hand(config, report);
+    protection(&config.protection, report);
+    uncalibrated(config, report);
+    telemetry(&config.telemetry, report);
+    plant(config, report);
+    timeout(config, report);
+}
+
+/// Lists that go taxel by taxel, and numbers of taxels.
+fn lists(config: &Config, report: Report<'_>) {
+    let cover = &config.robot.cover;
+    for (key, count) in
+        [("x_m", cover.x_m.len()), ("y_m", cover.y_m.len()), ("inward_rad", cover.inward_rad.len())]
+    {
+        if count != TAXELS {
+            let name = format!("robot.cover.{key}");
+            report(
+                &name,
+                format!("{name} has {count} elements where {TAXELS} are expected, one for each taxel"),
+            );
+        }
+    }
+    for (name, numbers) in
+        [("board.masked", &config.board.masked), ("simulation.hand.taxels", &config.simulation.hand.taxels)]
+    {
+        if let Some(number) = numbers.iter().find(|number| **number > TAXELS) {
+            report(name, format!("{name} = {number}: the cover's taxels are 1 to {TAXELS}"));
+        }
+    }
+}
+
+fn geometry(config: &Config, report: Report<'_>) {
+    let taxels = config.robot.cover.placements();
+    for (i, taxel) in taxels.iter().enumerate() {
+        let [x, y] = taxel.position_base_m;
+        let (sin, cos) = taxel.inward_angle_base_rad.sin_cos();
+        // The base's middle is B's origin.
+        let off_rad = (x * sin - y * cos).atan2(-x * cos - y * sin).abs();
+        if off_rad >= std::f64::consts::FRAC_PI_2 {
+            report(
+                "robot.cover.inward_rad",
+                format!(
+                    "robot.cover.inward_rad: T{} at ({x} m, {y} m) would be pressed away from the base, {:.0}° off the way \
+                     to its middle; allowed: below 90°, or the base drives into the hand",
+                    i + 1,
+                    off_rad.to_degrees()
+                ),
+            );
+        }
+        for (j, other) in taxels.iter().enumerate().take(i) {
+            let [other_x, other_y] = other.position_base_m;
+            let apart_m = (x - other_x).hypot(y - other_y);
+            if apart_m < TAXELS_APART_M {
+                report(
+                    "robot.cover.x_m",
+                    format!(
+                        "robot.cover: T{} and T{} are {apart_m} m apart; allowed: {TAXELS_APART_M} m or more",
+                        j + 1,
+                        i + 1
+                    ),
+                );
+            }
+        }
+    }
+}
+
+fn masks(config: &Config, report: Report<'_>) {
+    let masked = |taxel: usize| config.board.masked.contains(&taxel);
+    if config.board.mask_policy == MaskPolicy::Unfelt && (1..=TAXELS).all(masked) {
+        report(
+            "board.masked",
+            "board.masked: every taxel is masked and board.mask_policy = \"unfelt\" would move a base that feels nothing; \
+             leave one in use, or use mask_policy = \"stop\""
+                .into(),
+        );
+    }
+}
+
+fn hand(config: &Config, report: Report<'_>) {
+    let hand = &config.simulation.hand;
+    if hand.hold_s > hand.every_s - PRESS_RAMPS_S {
+        let (path, most_s) = ("simulation.hand.hold_s", hand.every_s - PRESS_RAMPS_S);
+        report(path, format!("{path} = {} s is longer than every_s - 0.7 = {most_s} s", hand.hold_s));
+    }
+}
+
+/// What is wrong between the values of `[protection]`.
+fn protection(settings: &ProtectionConfig, report: Report<'_>) {
+    if settings.unfelt_force_n >= settings.force_limit_n {
+        report(
+            "protection.unfelt_force_n",
+            format!(
+                "protection.unfelt_force_n = {} N is not below protection.force_limit_n = {} N: no speed would be slow enough",
+                settings.unfelt_force_n, settings.force_limit_n
+            ),
+        );
+    }
+    let stated = !settings.override_statement.trim().is_empty();
+    let overridden = settings.override_speed_limit_m_s > 0.0;
+    if overridden && !stated {
+        report(
+            "protection.override_speed_limit_m_s",
+            format!(
+                "protection.override_speed_limit_m_s = {} m/s switches off the limit that the board's rate sets; it \
+                 needs protection.override_statement: who decided so, and what keeps contact forces low instead",
+                settings.override_speed_limit_m_s
+            ),
+        );
+    }
+    if stated && !overridden {
+        report(
+            "protection.override_statement",
+            "protection.override_statement is given but protection.override_speed_limit_m_s is 0 (no override)"
+                .into(),
+        );
+    }
+}
+
+fn uncalibrated(config: &Config, report: Report<'_>) {
+    let limited = !config.protection.thresholds.is_empty();
+    if let (true, Some(uncalibrated)) = (limited, config.uncalibrated())
+        && config.protection.uncalibrated_statement.trim().is_empty()
+    {
+        report(
+            "protection.thresholds",
+            format!(
+                "protection.thresholds limits contacts of a cover without board.calibration ({uncalibrated}); calibrate it, \
+                 or say in protection.uncalibrated_statement who decided that such forces do"
+            ),
+        );
+    }
+}
+
+fn telemetry(settings: &TelemetryConfig, report: Report<'_>) {
+    let listen = &settings.listen;
+    let known = listen.is_empty() || listen == AUTO_LISTEN;
+    if !known && !listen.parse().is_ok_and(|address: Address| address.is_local()) {
+        let allowed = "\"auto\", a loopback address with a port, unix:/ABSOLUTE/PATH, or \"\" for none";
+        report("telemetry.listen", format!("telemetry.listen = {listen:?}; allowed: {allowed}"));
+    }
+    if settings.socket_mode().is_none() {
+        let message = format!("telemetry.mode = {:?}; allowed: \"0600\" to \"0777\", octal", settings.mode);
+        report("telemetry.mode", message);
+    }
+}
+
+fn plant(config: &Config, report: Report<'_>) {
+    if config.plant.kind == PlantKind::None && config.board.port == VIRTUAL_PORT {
+        let allowed = "allowed: \"auto\" or a path when plant.kind = \"none\"";
+        report("board.port", format!("board.port = \"virtual\" needs a simulated robot; {allowed}"));
+    }
+    if config.plant.kind == PlantKind::None && config.plant.parts != Parts::Whole {
+        let message = "plant.parts names parts of a robot; plant.kind = \"none\" has none: leave it out";
+        report("plant.parts", message.into());
+    }
+    if !config.plant.parts.has_cover() && config.board.port != VIRTUAL_PORT {
+        let message = "board.port: plant.parts = \"arm\" has no cover and reads no board: leave it out";
+        report("board.port", message.into());
+    }
+    if config.board.port.is_empty() {
+        report("board.port", "board.port is empty; allowed: \"virtual\", \"auto\" or a path".into());
+    }
+}
+
+fn timeout(config: &Config, report: Report<'_>) {
+    let (timeout_s, rate_hz) = (config.robot.base.command_timeout_s, config.control_loop.rate_hz.max(1));
+    let periods_s = 2.0 / f64::from(rate_hz);
+    if timeout_s < periods_s {
+        let name = "robot.base.command_timeout_s";
+        report(
+            name,
+            format!(
+                "{name} = {timeout_s} s is shorter than two control periods of loop.rate_hz = {rate_hz} Hz, {periods_s} s: \
+                 a base that keeps stopping"
+            ),
+        );
+    }
+}

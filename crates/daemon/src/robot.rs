@@ -1,0 +1,233 @@
+//! The robot at hand: its arm, base, cover, tool and load as data. Built-in tables are the defaults; a configuration
+//! file, or a URDF for the arm, says what is different.
+
+use moca_msgs::robot::{
+    ArmTable, BaseTable, FR3, LinkInertial, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, Payload, SUMMIT_XL,
+    TaxelPlacement,
+};
+use moca_msgs::table::{Field, FieldValue, ParameterKind, Size, Typed};
+use moca_msgs::{choice, parameter_table};
+
+/// Joints of the arm this daemon drives.
+pub const JOINTS: usize = PANDA.joints();
+/// Taxels of the cover this daemon reads.
+pub const TAXELS: usize = PAPER_COVER.len();
+
+parameter_table! {
+    /// A robot, completely described.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct Robot in "robot" {
+        /// Name of this robot, shown by observers and written into logs.
+        name: String = "moca".into();
+        /// Which arm: "panda" or "fr3".
+        arm: Arm = Arm::default() => [.lab("arm")];
+        /// What the base is called.
+        base_name: String = "SUMMIT-XL".into();
+    }
+    besides {
+        /// Where the arm stands on the base.
+        mount: Mount = MOCA_MOUNT;
+        /// The base.
+        base: BaseTable = SUMMIT_XL;
+        /// The cover around it.
+        cover: CoverTable = CoverTable::default();
+        /// What is fixed to the flange.
+        tool: Tool = Tool::default();
+        /// What the tool carries.
+        load: Load = Load::default();
+    }
+}
+
+parameter_table! {
+    /// The cover: where its taxels sit, how they are wired, what is under them. T1 first.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct CoverTable in "robot.cover" {
+        /// Centre of each taxel in B: forward.
+        x_m: Vec<f64> = PAPER_COVER.map(|taxel| taxel.position_base_m[0]).into()
+            => [.range(-5.0, 5.0).units(&["m"]).lab("taxels.x")];
+        /// Centre of each taxel in B: left.
+        y_m: Vec<f64> = PAPER_COVER.map(|taxel| taxel.position_base_m[1]).into()
+            => [.range(-5.0, 5.0).units(&["m"]).lab("taxels.y")];
+        /// Direction in which a press on each taxel pushes, angle from B's x axis.
+        inward_rad: Vec<f64> = PAPER_COVER.map(|taxel| taxel.inward_angle_base_rad).into()
+            => [.range(-7.0, 7.0).units(&["rad"]).lab("taxels.inward")];
+    }
+}
+
+parameter_table! {
+    /// A tool fixed to the flange, and the frame that the laws hold; a mass of 0 is no tool.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct Tool in "robot.tool" {
+        /// Mass.
+        mass_kg: f64 = 0.0 => [.range(0.0, 100.0).units(&["kg"])];
+        /// Centre of mass in the flange's axes.
+        com_m: [f64; 3] = [0.0; 3] => [.range(-2.0, 2.0).units(&["m"])];
+        /// Inertia about the centre of mass, the flange's axes: xx, xy, xz, yy, yz, zz.
+        inertia_com: [f64; 6] = [0.0; 6] => [.range(-100.0, 100.0).units(&["kg·m²"])];
+        /// Tool frame in the flange's: x, y, z; roll, pitch, yaw.
+        origin: [f64; 6] = [0.0; 6] => [.range(-7.0, 7.0).units(&["m", "m", "m", "rad", "rad", "rad"])];
+    }
+}
+
+parameter_table! {
+    /// What the tool carries; a mass of 0 is nothing.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct Load in "robot.load" {
+        /// Mass.
+        mass_kg: f64 = 0.0 => [.range(0.0, 100.0).units(&["kg"])];
+        /// Centre of mass in the flange's axes.
+        com_m: [f64; 3] = [0.0; 3] => [.range(-2.0, 2.0).units(&["m"])];
+        /// Inertia about the centre of mass, the flange's axes: xx, xy, xz, yy, yz, zz.
+        inertia_com: [f64; 6] = [0.0; 6] => [.range(-100.0, 100.0).units(&["kg·m²"])];
+    }
+}
+
+impl CoverTable {
+    /// Where the taxels sit, T1 first; as many as every list has.
+    pub fn placements(&self) -> Vec<TaxelPlacement> {
+        let places = self.x_m.iter().zip(&self.y_m).zip(&self.inward_rad);
+        places
+            .map(|((&x, &y), &inward_angle_base_rad)| TaxelPlacement {
+                position_base_m: [x, y],
+                inward_angle_base_rad,
+            })
+            .collect()
+    }
+}
+
+impl Robot {
+    /// Hands every field of the robot and of its parts to `visit`.
+    pub fn each_part(
+        &mut self,
+        visit: &mut dyn FnMut(&'static moca_msgs::table::ParameterSpec, &mut dyn Field),
+    ) {
+        self.each(visit);
+        self.mount.each(visit);
+        self.base.each(visit);
+        self.cover.each(visit);
+        self.tool.each(visit);
+        self.load.each(visit);
+    }
+
+    /// Tool and load as one body at the flange.
+    pub fn payload(&self) -> Payload {
+        let tool = LinkInertial {
+            mass_kg: self.tool.mass_kg,
+            com_m: self.tool.com_m,
+            inertia_com: self.tool.inertia_com,
+        };
+        let load = LinkInertial {
+            mass_kg: self.load.mass_kg,
+            com_m: self.load.com_m,
+            inertia_com: self.load.inertia_com,
+        };
+        Payload { inertial: together(&tool, &load), tool_origin: self.tool.origin }
+    }
+}
+
+/// Two bodies as one, by the parallel-axis theorem; a body without mass adds nothing.
+fn together(a: &LinkInertial, b: &LinkInertial) -> LinkInertial {
+    if b.mass_kg <= 0.0 {
+        return *a;
+    }
+    if a.mass_kg <= 0.0 {
+        return *b;
+    }
+    let mass_kg = a.mass_kg + b.mass_kg;
+    let com_m = std::array::from_fn(|i| (a.mass_kg * a.com_m[i] + b.mass_kg * b.com_m[i]) / mass_kg);
+    let mut inertia_com = [0.0; 6];
+    for body in [a, b] {
+        let [x, y, z] = std::array::from_fn(|i| body.com_m[i] - com_m[i]);
+        let away = [y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y];
+        for (i, sum) in inertia_com.iter_mut().enumerate() {
+            *sum += body.inertia_com[i] + body.mass_kg * away[i];
+        }
+    }
+    LinkInertial { mass_kg, com_m, inertia_com }
+}
+
+/// An arm: its table and what it is called in a configuration file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Arm {
+    source: String,
+    table: &'static ArmTable<JOINTS>,
+}
+
+/// The built-in arms by the names that a configuration file gives them.
+const BUILT_IN: [(&str, &ArmTable<JOINTS>); 2] = [("panda", &PANDA), ("fr3", &FR3)];
+
+impl Arm {
+    /// A built-in arm.
+    pub fn built_in(name: &str) -> Option<Self> {
+        BUILT_IN
+            .iter()
+            .find(|(known, _)| *known == name)
+            .map(|(known, table)| Self { source: (*known).into(), table })
+    }
+
+    /// Its table.
+    pub const fn table(&self) -> &'static ArmTable<JOINTS> {
+        self.table
+    }
+}
+
+impl Default for Arm {
+    fn default() -> Self {
+        Self { source: BUILT_IN[0].0.into(), table: BUILT_IN[0].1 }
+    }
+}
+
+impl Typed for Arm {
+    const KIND: ParameterKind = ParameterKind::Choice(&["panda", "fr3"]);
+    const SIZE: Size = Size::One;
+}
+
+impl Field for Arm {
+    fn see(&self, see: &mut dyn FnMut(FieldValue<'_>)) {
+        see(FieldValue::Text(&self.source));
+    }
+
+    fn take(&mut self, value: FieldValue<'_>) -> bool {
+        let FieldValue::Text(text) = value else { return false };
+        Self::built_in(text).is_some_and(|arm| {
+            *self = arm;
+            true
+        })
+    }
+}
+
+/// Which robot is driven.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PlantKind {
+    /// MuJoCo.
+    Simulated,
+    /// No robot: the cover alone.
+    None,
+}
+
+choice!(PlantKind { Simulated: "simulated", None: "none" });
+
+/// Which parts the robot has. What it lacks is neither simulated, started nor shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Parts {
+    /// Base with cover, and arm.
+    Whole,
+    /// The base with its cover: both laws follow the hand.
+    Base,
+    /// The arm on a stand, without a cover: both laws hold the flange where it is.
+    Arm,
+}
+
+choice!(Parts { Whole: "whole", Base: "base", Arm: "arm" });
+
+impl Parts {
+    /// Whether there is a base, and with it a cover.
+    pub const fn has_cover(self) -> bool {
+        !matches!(self, Self::Arm)
+    }
+
+    /// Whether there is an arm.
+    pub const fn has_arm(self) -> bool {
+        !matches!(self, Self::Base)
+    }
+}

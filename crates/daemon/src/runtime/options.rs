@@ -1,0 +1,38 @@
+//! What the command line asks of a run.
+
+use crate::config::Config;
+use crate::inject::{Injection, OutsideFault, Strike, What};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// What the command line asks for.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// Checked configuration.
+    pub config: Config,
+    /// Robot time after which the run ends.
+    pub duration: Option<Duration>,
+    /// Lock-step instead of real time.
+    pub lock_step: bool,
+    /// Where the command log goes (lock-step only).
+    pub command_log: Option<PathBuf>,
+    /// Where the MCAP log goes.
+    pub record: Option<PathBuf>,
+    /// A fault on purpose (simulated robot only).
+    pub inject: Option<Injection>,
+    /// Whether a refused wish to the operating system ends the run before it starts.
+    pub require_realtime: bool,
+}
+
+impl Options {
+    pub(crate) fn outside_fault(&self) -> Option<OutsideFault> {
+        match self.inject?.fault.what {
+            What::Outside(fault) => Some(fault),
+            _ => None,
+        }
+    }
+
+    pub(crate) fn strike(&self) -> Option<Strike> {
+        self.inject.map(|injection| Strike::new(injection.at_ns))
+    }
+}

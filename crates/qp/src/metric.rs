@@ -1,0 +1,330 @@
+//! The cost, and the search for the least of it.
+
+use crate::factor::{Factor, Step};
+use crate::row::Row;
+use crate::scalar::{Scalar, add_scaled, dot, is_number};
+use crate::solution::{Active, QpError, Side, Solution, WorkingSet};
+
+/// Most iterations for each variable and each row.
+const ITERATIONS: usize = 4;
+
+/// A quadratic cost ½(x − target)ᵀH(x − target), factored once: H is the metric in which a solution is nearest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Metric<const N: usize, T = f64> {
+    /// L⁻ᵀ as columns, H = LLᵀ.
+    inverse_factor: [[T; N]; N],
+}
+
+/// The search's state.
+struct Search<'a, const N: usize, T> {
+    rows: &'a [Row<N, T>],
+    target: &'a [T; N],
+    factor: Factor<N, T>,
+    x: [T; N],
+    active: [Active<T>; N],
+    iterations: usize,
+    /// Share of its terms by which a row may be outside. Grows only where no step can do better.
+    kept: T,
+}
+
+/// What [`Search::settle`] did to the point.
+#[derive(PartialEq)]
+enum Settled {
+    /// Nothing but rounding.
+    Near,
+    /// It may be outside other rows now.
+    Moved,
+}
+
+impl<const N: usize, T: Scalar> Metric<N, T> {
+    /// A symmetric positive-definite Hessian, of which the lower triangle is read.
+    ///
+    /// # Errors
+    /// [`QpError::NotFinite`] with the row of the Hessian, [`QpError::NotPositiveDefinite`].
+    pub fn new(hessian: &[[T; N]; N]) -> Result<Self, QpError> {
+        let mut l = [[T::NOTHING; N]; N];
+        for i in 0..N {
+            for j in 0..=i {
+                let mut sum = hessian[i][j];
+                if !is_number(sum) {
+                    return Err(QpError::NotFinite { what: "metric", index: i });
+                }
+                for k in 0..j {
+                    sum -= l[i][k] * l[j][k];
+                }
+                if i > j {
+                    l[i][j] = sum / l[j][j];
+                } else if sum > T::KEPT * hessian[i][i] {
+                    l[i][i] = T::root_of(sum);
+                } else {
+                    return Err(QpError::NotPositiveDefinite { pivot: i });
+                }
+            }
+        }
+        Self::from_factor(&l)
+    }
+
+    /// A Hessian without coupling: one weight for each variable.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn diagonal(weights: &[T; N]) -> Result<Self, QpError> {
+        let mut l = [[T::NOTHING; N]; N];
+        for (i, weight) in weights.iter().enumerate() {
+            if !is_number(*weight) {
+                return Err(QpError::NotFinite { what: "metric", index: i });
+            }
+            if *weight <= T::NOTHING {
+                return Err(QpError::NotPositiveDefinite { pivot: i });
+            }
+            l[i][i] = T::root_of(*weight);
+        }
+        Self::from_factor(&l)
+    }
+
+    fn from_factor(l: &[[T; N]; N]) -> Result<Self, QpError> {
+        // column c of L⁻ᵀ is row c of L⁻¹: forward substitution, one row after another
+        let mut inverse_factor = [[T::NOTHING; N]; N];
+        for c in 0..N {
+            let mut row = [T::NOTHING; N];
+            for k in 0..c {
+                add_scaled(&mut row, -l[c][k], &inverse_factor[k]);
+            }
+            row[c] += T::UNIT;
+            inverse_factor[c] = row.map(|value| value / l[c][c]);
+            if !inverse_factor[c].iter().all(|value| is_number(*value)) {
+                return Err(QpError::NotFinite { what: "metric", index: c });
+            }
+        }
+        Ok(Self { inverse_factor })
+    }
+
+    /// Where ½xᵀHx + gradientᵀx is least without any row: −H⁻¹·gradient, the target to give to [`Self::nearest`].
+    pub fn minimum(&self, gradient: &[T; N]) -> [T; N] {
+        let mut x = [T::NOTHING; N];
+        for column in &self.inverse_factor {
+            add_scaled(&mut x, -dot(column, gradient), column);
+        }
+        x
+    }
+
+    /// The point nearest to `target` that keeps every row; `target` itself, bit for bit, where it keeps them all.
+    /// `from` is [`WorkingSet::EMPTY`] or that of a similar problem's solution: it changes the time, not the result.
+    ///
+    /// # Errors
+    /// NaN or infinity in what is given, rows that exclude each other. Never for rows of which all but bounds of
+    /// single variables are softened.
+    pub fn nearest(
+        &self,
+        target: &[T; N],
+        rows: &[Row<N, T>],
+        from: &WorkingSet<N>,
+    ) -> Result<Solution<N, T>, QpError> {
+        if let Some(index) = target.iter().position(|value| !is_number(*value)) {
+            return Err(QpError::NotFinite { what: "target", index });
+        }
+        if !rows.iter().fold(true, |fine, row| fine & row.makes_sense()) {
+            let wrong = rows.iter().enumerate().find(|(_, row)| !row.makes_sense());
+            return wrong
+                .map_or(Err(QpError::NotFinite { what: "row", index: 0 }), |(i, row)| Err(row.error(i)));
+        }
+        match self.search(target, rows, from) {
+            // rows that are nearly dependent may be a bad place to start from
+            Err(_) if from.count > 0 => self.search(target, rows, &WorkingSet::EMPTY),
+            result => result,
+        }
+    }
+
+    fn search(
+        &self,
+        target: &[T; N],
+        rows: &[Row<N, T>],
+        from: &WorkingSet<N>,
+    ) -> Result<Solution<N, T>, QpError> {
+        let mut search = Search {
+            rows,
+            target,
+            factor: Factor::new(&self.inverse_factor),
+            x: *target,
+            active: [Active { row: 0, side: Side::Lower, multiplier: T::NOTHING }; N],
+            iterations: 0,
+            kept: T::KEPT,
+        };
+        search.resume(from);
+        loop {
+            while let Some((row, side)) = search.worst() {
+                search.take_up(row, side)?;
+            }
+            if search.iterations < 2 || search.settle() == Settled::Near {
+                break;
+            }
+            search.count()?;
+        }
+        match search.x.iter().position(|value| !is_number(*value)) {
+            Some(index) => Err(QpError::NotFinite { what: "solution", index }),
+            None => Ok(Solution {
+                x: search.x,
+                iterations: search.iterations,
+                active: search.active,
+                count: search.factor.count,
+            }),
+        }
+    }
+}
+
+impl<const N: usize, T: Scalar> Search<'_, N, T> {
+    fn is_active(&self, row: usize) -> bool {
+        self.active[..self.factor.count].iter().any(|active| active.row == row)
+    }
+
+    /// The row that is violated most, if one is by more than rounding.
+    fn worst(&self) -> Option<(usize, Side)> {
+        let mut worst = T::NOTHING;
+        let mut at = self.rows.len();
+        for (i, row) in self.rows.iter().enumerate() {
+            let violation = row.violation(&self.x);
+            if violation > worst {
+                (worst, at) = (violation, i);
+            }
+        }
+        let row = self.rows.get(at)?;
+        if !self.is_active(at) && worst > self.kept * row.size(&self.x) {
+            return Some((at, row.violated_side(&self.x)));
+        }
+        self.worst_beyond_rounding()
+    }
+
+    /// [`Self::worst`] where the largest violation is none: the careful way.
+    fn worst_beyond_rounding(&self) -> Option<(usize, Side)> {
+        let mut worst = T::NOTHING;
+        let mut found = None;
+        for (i, row) in self.rows.iter().enumerate() {
+            let violation = row.violation(&self.x);
+            if violation > worst && !self.is_active(i) && violation > self.kept * row.size(&self.x) {
+                (worst, found) = (violation, Some((i, row.violated_side(&self.x))));
+            }
+        }
+        found
+    }
+
+    /// Makes a violated row active; rows whose multiplier would turn negative on the way are dropped.
+    fn take_up(&mut self, row: usize, side: Side) -> Result<(), QpError> {
+        let normal = self.rows[row].inward(side);
+        let mut multiplier = T::NOTHING;
+        loop {
+            self.count()?;
+            let step = self.factor.step(&normal);
+            let violation = self.rows[row].violation_at(&self.x, side);
+            let free = self.factor.count < N && independent(&step);
+            let full = violation / step.left;
+            match self.first_to_drop(&step) {
+                Some((length, k)) if !free || length < full => {
+                    self.advance(&step, length, free);
+                    multiplier += length;
+                    self.drop_row(k);
+                }
+                _ if free => {
+                    self.advance(&step, full, true);
+                    let active = Active { row, side, multiplier: multiplier + full };
+                    self.active[self.factor.count] = active;
+                    self.factor.add(&step);
+                    return Ok(());
+                }
+                _ => return self.give_up(row, violation),
+            }
+        }
+    }
+
+    fn count(&mut self) -> Result<(), QpError> {
+        self.iterations += 1;
+        let limit = ITERATIONS * (N + self.rows.len());
+        if self.iterations > limit { Err(QpError::IterationLimit { iterations: limit }) } else { Ok(()) }
+    }
+
+    /// No step comes nearer to the row: rounding, if it is kept but for a little, or a contradiction.
+    fn give_up(&mut self, row: usize, violation: T) -> Result<(), QpError> {
+        let size = self.rows[row].size(&self.x);
+        if violation > T::LOOSE * size {
+            return Err(QpError::Infeasible { row });
+        }
+        self.kept = (violation + violation) / size;
+        Ok(())
+    }
+
+    /// Length of the step at which the first multiplier is used up, and whose it is.
+    fn first_to_drop(&self, step: &Step<N, T>) -> Option<(T, usize)> {
+        let mut first: Option<(T, usize)> = None;
+        for i in 0..self.factor.count {
+            if step.dual[i] > T::NOTHING && self.factor.coupling_squared(step, i) > T::KEPT * T::KEPT {
+                let length = self.active[i].multiplier / step.dual[i];
+                if first.is_none_or(|(least, _)| length < least) {
+                    first = Some((length, i));
+                }
+            }
+        }
+        first
+    }
+
+    fn advance(&mut self, step: &Step<N, T>, length: T, free: bool) {
+        if free {
+            add_scaled(&mut self.x, length, &step.primal);
+        }
+        for i in 0..self.factor.count {
+            let left = self.active[i].multiplier - length * step.dual[i];
+            self.active[i].multiplier = if left > T::NOTHING { left } else { T::NOTHING };
+        }
+    }
+
+    fn drop_row(&mut self, k: usize) {
+        self.factor.drop_row(k);
+        self.active.copy_within(k + 1..self.factor.count + 1, k);
+    }
+
+    /// Starts on the rows of an earlier solution, without those that would pull instead of push.
+    fn resume(&mut self, from: &WorkingSet<N>) {
+        for &(row, side) in from.rows.iter().take(from.count) {
+            let known = self.rows.get(row).is_some_and(|r| is_number(r.bound_at(side)));
+            if !known || self.is_active(row) {
+                continue;
+            }
+            let step = self.factor.step(&self.rows[row].inward(side));
+            if self.factor.count < N && independent(&step) {
+                self.active[self.factor.count] = Active { row, side, multiplier: T::NOTHING };
+                self.factor.add(&step);
+            }
+        }
+        self.settle();
+    }
+
+    /// Point and multipliers anew from the active rows, free of what the steps have gathered in rounding, without rows
+    /// that would pull instead of push.
+    fn settle(&mut self) -> Settled {
+        let before = self.x;
+        loop {
+            let mut missing = [T::NOTHING; N];
+            for (missing, active) in missing.iter_mut().zip(&self.active[..self.factor.count]) {
+                *missing = self.rows[active.row].violation_at(self.target, active.side);
+            }
+            let (x, multipliers) = self.factor.on_rows(self.target, &missing);
+            self.x = x;
+            let Some(k) = self.factor.pulling(&multipliers) else {
+                for (active, multiplier) in self.active[..self.factor.count].iter_mut().zip(multipliers) {
+                    active.multiplier = if multiplier > T::NOTHING { multiplier } else { T::NOTHING };
+                }
+                break;
+            };
+            self.drop_row(k);
+        }
+        let (mut moved, mut size) = (T::NOTHING, T::NOTHING);
+        for (before, after) in before.iter().zip(&self.x) {
+            moved += T::size_of(*after - *before);
+            size += T::size_of(*after);
+        }
+        if moved > T::KEPT * size { Settled::Moved } else { Settled::Near }
+    }
+}
+
+/// Whether the active rows leave a direction in which the row of `step` can be approached.
+fn independent<const N: usize, T: Scalar>(step: &Step<N, T>) -> bool {
+    step.left > T::LOOSE * T::LOOSE * step.squared
+}

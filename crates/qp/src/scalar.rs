@@ -1,0 +1,106 @@
+//! The two scalars that the crate is offered in.
+
+use core::fmt::{Debug, Display};
+use core::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
+
+mod sealed {
+    pub trait Sealed {}
+    impl Sealed for f32 {}
+    impl Sealed for f64 {}
+}
+
+/// `f32` or `f64`. Its functions are no methods, so that they cannot be taken for those of another numeric trait.
+pub trait Scalar:
+    Copy
+    + Debug
+    + Display
+    + PartialOrd
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+    + AddAssign
+    + SubAssign
+    + MulAssign
+    + sealed::Sealed
+{
+    /// 0.
+    const NOTHING: Self;
+    /// 1.
+    const UNIT: Self;
+    /// No bound.
+    const UNBOUNDED: Self;
+    /// Share of its terms by which a row may be outside: rounding.
+    const KEPT: Self;
+    /// The same where no step can do better, and the sine of the angle to the active rows below which a row is taken
+    /// to depend on them: what nearly dependent rows lose.
+    const LOOSE: Self;
+
+    /// √x.
+    fn root_of(x: Self) -> Self;
+    /// |x|.
+    fn size_of(x: Self) -> Self;
+}
+
+impl Scalar for f32 {
+    const NOTHING: Self = 0.0;
+    const UNIT: Self = 1.0;
+    const UNBOUNDED: Self = Self::INFINITY;
+    const KEPT: Self = 64.0 * Self::EPSILON;
+    const LOOSE: Self = 1e-4;
+
+    fn root_of(x: Self) -> Self {
+        libm::sqrtf(x)
+    }
+
+    #[inline]
+    fn size_of(x: Self) -> Self {
+        x.abs()
+    }
+}
+
+impl Scalar for f64 {
+    const NOTHING: Self = 0.0;
+    const UNIT: Self = 1.0;
+    const UNBOUNDED: Self = Self::INFINITY;
+    const KEPT: Self = 64.0 * Self::EPSILON;
+    const LOOSE: Self = 1e-9;
+
+    fn root_of(x: Self) -> Self {
+        libm::sqrt(x)
+    }
+
+    #[inline]
+    fn size_of(x: Self) -> Self {
+        x.abs()
+    }
+}
+
+/// a·b, summed in two halves, which a processor can do side by side.
+#[inline]
+pub(crate) fn dot<const N: usize, T: Scalar>(a: &[T; N], b: &[T; N]) -> T {
+    let (mut even, mut odd) = (T::NOTHING, T::NOTHING);
+    for i in 0..N / 2 {
+        even += a[2 * i] * b[2 * i];
+        odd += a[2 * i + 1] * b[2 * i + 1];
+    }
+    if N % 2 == 1 {
+        even += a[N - 1] * b[N - 1];
+    }
+    even + odd
+}
+
+/// y + f·x.
+#[inline]
+pub(crate) fn add_scaled<const N: usize, T: Scalar>(y: &mut [T; N], f: T, x: &[T; N]) {
+    for i in 0..N {
+        y[i] += f * x[i];
+    }
+}
+
+/// Whether a number is one: neither NaN nor infinite.
+#[inline]
+pub(crate) fn is_number<T: Scalar>(x: T) -> bool {
+    T::size_of(x) < T::UNBOUNDED
+}

@@ -1,0 +1,348 @@
+//! An arm: Cartesian impedance of its tool on the base it stands on.
+
+use super::tick::{ArmTick, seen_from_base, tool_pose};
+use super::whole_body::ControlLaw;
+use super::{CARRY_FADE_S, FlangePose, LONGEST_STEP_S, check};
+use crate::error::{ControlError, finite};
+use crate::gains::ArmGains;
+use crate::impedance;
+use crate::limits::{JointRepulsion, LimitsHit, TorqueLimits};
+use crate::model::ArmModel;
+use crate::momentum_observer::MomentumObserver;
+use crate::opspace::ArmDynamics;
+use crate::reference::{Reference, approach_posture};
+use crate::scalar::{Scalar, of};
+use crate::state_check::{check_robot, check_step, check_wrench};
+use moca_msgs::{ArmTable, Mount, ParameterError, Parameters, Payload, RobotState};
+
+/// Cartesian impedance of an arm of `N` joints, eqs. (10), (11), (15), (16): the tool keeps its place on the base,
+/// standing or moving, and gives way to a hand as a spring.
+///
+/// ```
+/// use moca_wbc::robot::{MOCA_MOUNT, UR10E};
+/// use moca_wbc::{ArmController, ArmInput, LimitsHit, Parameters, Payload, RobotState};
+///
+/// let parameters = Parameters::for_arm(&UR10E);
+/// let controller: ArmController<6> = ArmController::new(&UR10E, &MOCA_MOUNT, &Payload::NONE, &parameters)?;
+/// let robot = RobotState::at_rest(UR10E.home_rad);
+/// let mut state = controller.enter(&robot)?;
+/// let output = controller.step(&mut state, &ArmInput { robot, flange_wrench_world: None, dt_s: 1e-3 })?;
+/// assert_eq!(output.limits, LimitsHit::NONE);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Copy, Debug)]
+pub struct ArmController<const N: usize, T = f64> {
+    model: ArmModel<N, T>,
+    pub(super) gains: ArmGains<N, T>,
+    posture_rad: [f64; N],
+    limits: TorqueLimits<N, T>,
+    repulsion: JointRepulsion<N, T>,
+    /// Joint stiffness with which a posture is held, N·m/rad.
+    hold_stiffness: [T; N],
+}
+
+/// What an [`ArmController`] remembers between steps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmState<const N: usize, T = f64> {
+    pub(super) law: ControlLaw,
+    pub(super) reference: Reference<T>,
+    /// Null-space posture on its way to the configured one, rad; while a posture is held, that one.
+    pub(super) posture_rad: [T; N],
+    pub(super) gains: ArmGains<N, T>,
+    pub(super) torque_nm: [T; N],
+    /// What is left of the torque step that a change of law would have been, N·m.
+    carried_nm: [T; N],
+    /// Law or corrections have changed and `carried_nm` is not known yet.
+    pub(super) entering: bool,
+    pub(super) observer: MomentumObserver<N, T>,
+}
+
+/// One step's measurements of an arm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmInput<const N: usize, T = f64> {
+    /// State of the arm and of the base it stands on.
+    pub robot: RobotState<N, T>,
+    /// As in [`super::ControlInput`].
+    pub flange_wrench_world: Option<[T; 6]>,
+    /// Time since the last step, s, > 0.
+    pub dt_s: T,
+}
+
+/// One step's result.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmOutput<const N: usize, T = f64> {
+    /// Joint torques including gravity compensation, N·m, inside every limit.
+    pub torque_nm: [T; N],
+    /// External wrench: on the robot about the flange origin, world axes \[N; N·m\].
+    pub flange_wrench_world: [T; 6],
+    /// Where the controlled frame E (flange, or tool if one is set) is.
+    pub flange: FlangePose<T>,
+    /// Where it is wanted.
+    pub flange_desired: FlangePose<T>,
+    /// Limits that were met.
+    pub limits: LimitsHit,
+}
+
+impl<const N: usize, T: Scalar> ArmController<N, T> {
+    /// Of the parameters only the arm's are used: impedance, posture, torque limits.
+    ///
+    /// # Errors
+    /// The first number of the tables or of the parameters that is not finite or out of range.
+    pub fn new(
+        arm: &ArmTable<N>,
+        mount: &Mount,
+        payload: &Payload,
+        parameters: &Parameters<N>,
+    ) -> Result<Self, ParameterError> {
+        check(parameters)?;
+        Ok(Self {
+            model: ArmModel::new(arm, mount, payload)?,
+            gains: ArmGains::from(&parameters.gains),
+            posture_rad: parameters.gains.posture_rad,
+            limits: TorqueLimits::from(&parameters.limits),
+            repulsion: JointRepulsion::new(arm),
+            hold_stiffness: arm.torque_max_nm.map(|most| of(2.0 * most)),
+        })
+    }
+
+    /// The same arm with other parameters, for the same state: gains reach the law through a first-order filter, the
+    /// posture at its own speed, limits hold from the next step on.
+    ///
+    /// # Errors
+    /// The first parameter out of range.
+    pub fn with_parameters(&self, parameters: &Parameters<N>) -> Result<Self, ParameterError> {
+        check(parameters)?;
+        Ok(Self {
+            gains: ArmGains::from(&parameters.gains),
+            posture_rad: parameters.gains.posture_rad,
+            limits: TorqueLimits::from(&parameters.limits),
+            ..*self
+        })
+    }
+
+    /// The arm's model.
+    pub fn model(&self) -> &ArmModel<N, T> {
+        &self.model
+    }
+
+    /// State for an arm that stands still: the target is where it is, the last torque is C q̇ + g.
+    ///
+    /// # Errors
+    /// A value of `robot` that is not finite.
+    pub fn enter(&self, robot: &RobotState<N, T>) -> Result<ArmState<N, T>, ControlError> {
+        self.entered(ControlLaw::FollowMe, robot)
+    }
+
+    /// One step: the tool keeps its place on the base.
+    ///
+    /// # Errors
+    /// An input or a result that is not finite, a step that is not positive. `state` is then as it was.
+    pub fn step(
+        &self,
+        state: &mut ArmState<N, T>,
+        input: &ArmInput<N, T>,
+    ) -> Result<ArmOutput<N, T>, ControlError> {
+        self.run(ControlLaw::FollowMe, state, input)
+    }
+
+    /// One step in which the joints hold the posture that they had when it was first asked for.
+    ///
+    /// # Errors
+    /// As for [`Self::step`].
+    pub fn hold(
+        &self,
+        state: &mut ArmState<N, T>,
+        input: &ArmInput<N, T>,
+    ) -> Result<ArmOutput<N, T>, ControlError> {
+        self.run(ControlLaw::Hold, state, input)
+    }
+
+    fn run(
+        &self,
+        law: ControlLaw,
+        state: &mut ArmState<N, T>,
+        input: &ArmInput<N, T>,
+    ) -> Result<ArmOutput<N, T>, ControlError> {
+        check_step(input.dt_s)?;
+        check_robot(&input.robot)?;
+        check_wrench("flange_wrench_world", input.flange_wrench_world.as_ref())?;
+        let mut next = *state;
+        let mut hit = LimitsHit::default();
+        let output = self.at(&input.robot, input.dt_s, |tick| {
+            next.enter_law(law, tick);
+            next.gains.approach(&self.gains, tick.dt_s);
+            let arm = ArmDynamics::new(tick.kinematics.arm_jacobian(), &tick.mass.arm)?;
+            let flange_wrench_world = tick.flange_wrench(&mut next, input.flange_wrench_world, &arm)?;
+            let wanted = match law {
+                ControlLaw::Hold => self.holding(tick, &next),
+                ControlLaw::Impedance | ControlLaw::FollowMe => {
+                    self.on_the_base(tick, &mut next, &arm, &mut hit)?
+                }
+            };
+            let torque_nm = self.limited(tick, &mut next, &wanted, &mut hit)?;
+            Ok(ArmOutput {
+                torque_nm,
+                flange_wrench_world,
+                flange: (&tick.flange).into(),
+                flange_desired: (&tick.desired(&next)).into(),
+                limits: hit,
+            })
+        })?;
+        *state = next;
+        Ok(output)
+    }
+
+    /// `law` with what is computed once a step and read by every law.
+    #[inline]
+    pub(super) fn at<R>(
+        &self,
+        robot: &RobotState<N, T>,
+        dt_s: T,
+        law: impl FnOnce(&ArmTick<'_, N, T>) -> R,
+    ) -> R {
+        let kinematics = self.model.kinematics(robot.base_pose_world[2], &robot.q_rad);
+        let inertias = self.model.link_inertias(&kinematics);
+        let mass = kinematics.mass_matrix(&inertias);
+        law(&ArmTick {
+            robot,
+            dt_s: dt_s.min(of(LONGEST_STEP_S)),
+            kinematics: &kinematics,
+            inertias: &inertias,
+            mass: &mass,
+            bias: kinematics.bias(&inertias, &robot.dq_rad_s),
+            flange: tool_pose(&kinematics, robot),
+        })
+    }
+
+    pub(super) fn entered(
+        &self,
+        law: ControlLaw,
+        robot: &RobotState<N, T>,
+    ) -> Result<ArmState<N, T>, ControlError> {
+        check_robot(robot)?;
+        self.at(robot, of(LONGEST_STEP_S), |tick| {
+            let mut state = ArmState {
+                law,
+                reference: Reference::hold(tick.flange),
+                posture_rad: robot.q_rad,
+                gains: self.gains,
+                torque_nm: tick.bias,
+                carried_nm: [T::zero(); N],
+                entering: true,
+                observer: MomentumObserver::new(),
+            };
+            state.retarget(tick);
+            finite("entry torque", &state.torque_nm)?;
+            Ok(state)
+        })
+    }
+
+    /// Joint torques that hold the posture, N·m.
+    pub(super) fn holding(&self, tick: &ArmTick<'_, N, T>, state: &ArmState<N, T>) -> [T; N] {
+        let damping = core::array::from_fn(|i| {
+            of::<T>(1.4) * (self.hold_stiffness[i] * tick.mass.arm[(i, i)].max(T::zero())).sqrt()
+        });
+        let posture = impedance::posture_torque(
+            &self.hold_stiffness,
+            &damping,
+            &state.posture_rad,
+            &tick.robot.q_rad,
+            &tick.robot.dq_rad_s,
+        );
+        core::array::from_fn(|i| posture[i] + tick.bias[i])
+    }
+
+    /// Moves reference and posture on by one step.
+    #[inline]
+    pub(super) fn advance(&self, tick: &ArmTick<'_, N, T>, state: &mut ArmState<N, T>) {
+        let actual = match state.law {
+            ControlLaw::FollowMe => seen_from_base(&tick.flange, tick.kinematics, tick.robot),
+            ControlLaw::Hold | ControlLaw::Impedance => tick.flange,
+        };
+        state.reference.advance(&actual, tick.dt_s);
+        approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
+    }
+
+    /// Joint torques that keep the tool on the base, N·m. eqs. (15), (16)
+    #[inline]
+    pub(super) fn on_the_base(
+        &self,
+        tick: &ArmTick<'_, N, T>,
+        state: &mut ArmState<N, T>,
+        arm: &ArmDynamics<N, T>,
+        hit: &mut LimitsHit,
+    ) -> Result<[T; N], ControlError> {
+        self.advance(tick, state);
+        let wrench = tick.task_wrench(state, arm, &[T::zero(); 6], arm.inverse_task_inertia(), hit)?;
+        let torque = arm.torque(&wrench, &tick.posture_torque(state))?;
+        Ok(core::array::from_fn(|i| torque[i] + tick.bias[i]))
+    }
+
+    /// `wanted` inside every limit of the arm, and the state that goes with it.
+    #[inline]
+    pub(super) fn limited(
+        &self,
+        tick: &ArmTick<'_, N, T>,
+        state: &mut ArmState<N, T>,
+        wanted: &[T; N],
+        hit: &mut LimitsHit,
+    ) -> Result<[T; N], ControlError> {
+        let repulsion =
+            self.repulsion.torque(&tick.robot.q_rad, &tick.robot.dq_rad_s, |i| tick.mass.arm[(i, i)]);
+        if state.entering {
+            state.entering = false;
+            state.carried_nm = core::array::from_fn(|i| state.torque_nm[i] - wanted[i] - repulsion[i]);
+        }
+        hit.joint_range = repulsion.iter().any(|torque| *torque != T::zero());
+        let total = core::array::from_fn(|i| wanted[i] + state.carried_nm[i] + repulsion[i]);
+        state.torque_nm = self.limits.limited(&total, &state.torque_nm, tick.dt_s, hit);
+        let fade = (-tick.dt_s / of(CARRY_FADE_S)).exp();
+        state.carried_nm = state.carried_nm.map(|carried| carried * fade);
+        finite("torque command", &state.torque_nm)?;
+        Ok(state.torque_nm)
+    }
+}
+
+impl<const N: usize, T: Scalar> ArmState<N, T> {
+    /// Wants the controlled frame at `position` m with axes `quaternion` (x, y, z, w), in B. The reference travels there
+    /// at [`crate::reference::REFERENCE_SPEED_M_S`] and [`crate::reference::REFERENCE_SPEED_RAD_S`].
+    ///
+    /// # Errors
+    /// A value that is not finite, or a quaternion that is not of length 1.
+    pub fn set_target_pose(&mut self, position: [T; 3], quaternion: [T; 4]) -> Result<(), ControlError> {
+        self.reference.set_pose(position, quaternion)
+    }
+
+    /// Moves the target with `twist` \[m/s; rad/s\], axes of B, until told otherwise; it waits while the controlled
+    /// frame is [`crate::reference::ERROR_SATURATION_M`] behind. A faster twist than the reference's speeds is slowed
+    /// to them.
+    ///
+    /// # Errors
+    /// A value that is not finite.
+    pub fn set_target_twist(&mut self, twist: [T; 6]) -> Result<(), ControlError> {
+        self.reference.set_twist(twist)
+    }
+
+    /// Estimated external joint torques of the momentum observer, N·m, on the robot.
+    pub fn external_torque_nm(&self) -> &[T; N] {
+        self.observer.external_torque()
+    }
+
+    /// Starts `law` from the measured state if it is another one than before.
+    pub(super) fn enter_law(&mut self, law: ControlLaw, tick: &ArmTick<'_, N, T>) {
+        if self.law != law {
+            self.law = law;
+            self.entering = true;
+            self.retarget(tick);
+        }
+    }
+
+    /// Makes the measured state the target.
+    fn retarget(&mut self, tick: &ArmTick<'_, N, T>) {
+        self.posture_rad = tick.robot.q_rad;
+        self.reference = Reference::hold(match self.law {
+            ControlLaw::FollowMe => seen_from_base(&tick.flange, tick.kinematics, tick.robot),
+            ControlLaw::Hold | ControlLaw::Impedance => tick.flange,
+        });
+    }
+}

@@ -1,0 +1,411 @@
+//! Base and arm as one robot: the laws of the paper.
+
+use super::arm::{ArmController, ArmState};
+use super::base::{BaseController, BaseState, check_cover};
+use super::tick::ArmTick;
+use super::{FlangePose, LIGHTEST_DAMPED_BASE, check};
+use crate::admittance::{admitted, damped_in_null_space};
+use crate::error::{ControlError, finite};
+use crate::follow_me;
+use crate::gains;
+use crate::guard::{BaseGuard, CoverOutline};
+use crate::limits::LimitsHit;
+use crate::linalg::times;
+use crate::model::ArmModel;
+use crate::opspace::{ArmDynamics, BlockWeight, TaskDynamics, WholeBodyForce};
+use crate::scalar::{Scalar, of};
+use crate::state_check::{check_robot, check_step, check_wrench};
+use moca_msgs::{
+    ArmTable, Corrections, Law, Mount, ParameterError, Parameters, Payload, RobotCommand, RobotState,
+    TaxelPlacement,
+};
+use nalgebra::Vector3;
+
+/// What drives the robot in one step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ControlLaw {
+    /// Base to a stop within its limits; arm holds the posture it had when the law was entered.
+    #[default]
+    Hold,
+    /// Expanded Cartesian impedance, eqs. (6)–(11).
+    Impedance,
+    /// Expanded follow-me, eqs. (12)–(16).
+    FollowMe,
+}
+
+impl From<Law> for ControlLaw {
+    fn from(law: Law) -> Self {
+        match law {
+            Law::Impedance => Self::Impedance,
+            Law::FollowMe => Self::FollowMe,
+        }
+    }
+}
+
+/// One step's measurements.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ControlInput<const N: usize, const K: usize, T = f64> {
+    /// State of base and arm.
+    pub robot: RobotState<N, T>,
+    /// Compression force of each taxel, N, T1 first.
+    pub taxel_force_n: [T; K],
+    /// Wrench on the robot about the flange origin, world axes \[N; N·m\]. `None` takes the robot's own estimate, and
+    /// where there is none the momentum observer's.
+    pub flange_wrench_world: Option<[T; 6]>,
+    /// What protects the people around the base in this step. It holds for the laws that move the robot;
+    /// [`ControlLaw::Hold`] only ever brakes.
+    pub guard: BaseGuard<K, T>,
+    /// Time since the last step, s, > 0.
+    pub dt_s: T,
+}
+
+impl<const N: usize, const K: usize, T: Scalar> ControlInput<N, K, T> {
+    /// Without a guard, and with the robot's own estimate of the flange wrench or the observer's.
+    pub const fn new(robot: RobotState<N, T>, taxel_force_n: [T; K], dt_s: T) -> Self {
+        Self { robot, taxel_force_n, flange_wrench_world: None, guard: BaseGuard::NONE, dt_s }
+    }
+}
+
+/// One step's result.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ControlOutput<const N: usize, T = f64> {
+    /// Inside every limit.
+    pub command: RobotCommand<N, T>,
+    /// Cover wrench, eq. (4): \[N, N, N·m\] in B about its origin.
+    pub cover_wrench_base: [T; 3],
+    /// The external wrench the law used: on the robot about the flange origin, world axes \[N; N·m\].
+    pub flange_wrench_world: [T; 6],
+    /// Where the controlled frame E (flange, or tool if one is set) is.
+    pub flange: FlangePose<T>,
+    /// Where it is wanted.
+    pub flange_desired: FlangePose<T>,
+    /// Limits that were met.
+    pub limits: LimitsHit,
+}
+
+/// Everything a [`WholeBodyController`] remembers between steps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ControllerState<const N: usize, T = f64> {
+    arm: ArmState<N, T>,
+    base: BaseState<T>,
+    /// η_B and η_A on their way to the configured ones.
+    eta: [T; 2],
+    /// As of the last step: a change is entered like a change of law.
+    corrections: Corrections,
+}
+
+/// The expanded controllers for an arm of `N` joints on a base with a cover of `K` taxels.
+///
+/// ```
+/// use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
+/// use moca_wbc::{ControlInput, ControlLaw, Parameters, Payload, RobotState, WholeBodyController};
+///
+/// let controller: WholeBodyController<7, 11> =
+///     WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER)?;
+/// let robot = RobotState::at_rest(PANDA.home_rad);
+/// let mut state = controller.enter(ControlLaw::Impedance, &robot)?;
+/// let mut input = ControlInput::new(robot, [0.0; 11], 1e-3);
+/// input.taxel_force_n[5] = 20.0; // a hand on T6, in front
+/// let output = controller.step(ControlLaw::Impedance, &mut state, &input)?;
+/// assert!(output.command.base_velocity_body[0] < 0.0, "the base gives way backwards");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Copy, Debug)]
+pub struct WholeBodyController<const N: usize, const K: usize, T = f64> {
+    arm: ArmController<N, T>,
+    base: BaseController<K, T>,
+    /// η_B and η_A of eq. (9).
+    eta: [T; 2],
+    corrections: Corrections,
+}
+
+/// What a law wants before any limit.
+struct Wanted<const N: usize, T> {
+    torque: [T; N],
+    /// World axes.
+    base_velocity: [T; 3],
+}
+
+/// One step's quantities of base and arm.
+struct Step<'a, const N: usize, T> {
+    tick: &'a ArmTick<'a, N, T>,
+    arm: &'a ArmDynamics<N, T>,
+    cover_world: [T; 3],
+    flange_wrench: [T; 6],
+    /// v_d of eq. (2), world axes.
+    base_velocity: [T; 3],
+}
+
+impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
+    /// # Errors
+    /// The first number of the tables or of the parameters that is not finite or out of range.
+    pub fn new(
+        arm: &ArmTable<N>,
+        mount: &Mount,
+        payload: &Payload,
+        taxels: &[TaxelPlacement; K],
+        parameters: &Parameters<N>,
+    ) -> Result<Self, ParameterError> {
+        check(parameters)?;
+        check_light_base(parameters)?;
+        Ok(Self {
+            arm: ArmController::new(arm, mount, payload, parameters)?,
+            base: BaseController::new(taxels, parameters)?,
+            eta: eta(parameters),
+            corrections: parameters.corrections,
+        })
+    }
+
+    /// The same robot with other parameters, for the same state: gains reach the law through a first-order filter, the
+    /// posture at its own speed, corrections at the next step with what the torque would jump by fading, limits at the
+    /// next step.
+    ///
+    /// # Errors
+    /// The first parameter out of range.
+    pub fn with_parameters(&self, parameters: &Parameters<N>) -> Result<Self, ParameterError> {
+        check_light_base(parameters)?;
+        Ok(Self {
+            arm: self.arm.with_parameters(parameters)?,
+            base: self.base.with_parameters(parameters)?,
+            eta: eta(parameters),
+            corrections: parameters.corrections,
+        })
+    }
+
+    /// The cover's geometry, to say what a guard has to.
+    pub fn outline(&self) -> &CoverOutline<K, T> {
+        self.base.outline()
+    }
+
+    /// The arm's model.
+    pub fn model(&self) -> &ArmModel<N, T> {
+        self.arm.model()
+    }
+
+    /// State for a robot that stands still: targets are where it is, v_d = 0, the last torque is C q̇ + g. A moving
+    /// robot changes its law by [`WholeBodyController::step`] instead.
+    ///
+    /// # Errors
+    /// A value of `robot` that is not finite.
+    pub fn enter(
+        &self,
+        law: impl Into<ControlLaw>,
+        robot: &RobotState<N, T>,
+    ) -> Result<ControllerState<N, T>, ControlError> {
+        Ok(ControllerState {
+            arm: self.arm.entered(law.into(), robot)?,
+            base: self.base.enter(),
+            eta: self.eta,
+            corrections: self.corrections,
+        })
+    }
+
+    /// One control step. Another law than the last step's starts from the measured state; base velocity and torque go
+    /// on from where they were, and what the torque would have jumped by fades.
+    ///
+    /// # Errors
+    /// An input or a result that is not finite, a step that is not positive. `state` is then as it was.
+    pub fn step(
+        &self,
+        law: ControlLaw,
+        state: &mut ControllerState<N, T>,
+        input: &ControlInput<N, K, T>,
+    ) -> Result<ControlOutput<N, T>, ControlError> {
+        check_step(input.dt_s)?;
+        check_robot(&input.robot)?;
+        check_cover(&input.taxel_force_n, &input.guard)?;
+        check_wrench("flange_wrench_world", input.flange_wrench_world.as_ref())?;
+        let mut hit = LimitsHit::default();
+        let cover_wrench_base = self.base.cover_wrench(&input.taxel_force_n, &mut hit);
+        let mut next = *state;
+        let output = self.arm.at(&input.robot, input.dt_s, |tick| {
+            next.arm.enter_law(law, tick);
+            self.approach(&mut next, tick.dt_s);
+            let arm = ArmDynamics::new(tick.kinematics.arm_jacobian(), &tick.mass.arm)?;
+            let heading = &tick.kinematics.heading;
+            let step = Step {
+                tick,
+                arm: &arm,
+                cover_world: heading.to_world(cover_wrench_base),
+                flange_wrench: tick.flange_wrench(&mut next.arm, input.flange_wrench_world, &arm)?,
+                base_velocity: heading.to_world(next.base.velocity_body),
+            };
+            let wanted = match law {
+                ControlLaw::Hold => {
+                    Wanted { torque: self.arm.holding(tick, &next.arm), base_velocity: [T::zero(); 3] }
+                }
+                ControlLaw::Impedance => self.impedance(&step, &mut next, &mut hit)?,
+                ControlLaw::FollowMe => self.follow_me(&step, &mut next, &mut hit)?,
+            };
+            Ok(ControlOutput {
+                command: self.limited(&step, &mut next, &input.guard, wanted, &mut hit)?,
+                cover_wrench_base,
+                flange_wrench_world: step.flange_wrench,
+                flange: (&tick.flange).into(),
+                flange_desired: (&tick.desired(&next.arm)).into(),
+                limits: hit,
+            })
+        })?;
+        *state = next;
+        Ok(output)
+    }
+
+    /// Gains on their way to the configured ones, and corrections that have changed.
+    fn approach(&self, state: &mut ControllerState<N, T>, dt_s: T) {
+        if state.corrections != self.corrections {
+            state.corrections = self.corrections;
+            state.arm.entering = true;
+        }
+        state.arm.gains.approach(&self.arm.gains, dt_s);
+        state.base.gains.approach(&self.base.gains, dt_s);
+        if state.eta != self.eta {
+            gains::approach(&mut state.eta, &self.eta, dt_s);
+        }
+    }
+
+    /// eqs. (2), (6)–(11), with the corrections that are switched on.
+    #[inline]
+    fn impedance(
+        &self,
+        step: &Step<'_, N, T>,
+        state: &mut ControllerState<N, T>,
+        hit: &mut LimitsHit,
+    ) -> Result<Wanted<N, T>, ControlError> {
+        let Step { tick, arm, .. } = *step;
+        self.arm.advance(tick, &mut state.arm);
+        let gains = &state.base.gains;
+        let task = TaskDynamics::new(tick.kinematics.base_jacobian(), gains.virtual_mass, arm);
+        let base = times(task.base_jacobian(), &tick.robot.base_velocity_world);
+        let wrench = tick.task_wrench(&state.arm, arm, &base, &task.inverse_task_inertia(), hit)?;
+        let mut null = WholeBodyForce {
+            base: step.cover_world.map(|f| f * gains.reactivity),
+            arm: tick.posture_torque(&state.arm),
+        };
+        let [eta_base, eta_arm] = state.eta;
+        let weighted = BlockWeight::new(eta_base, eta_arm).factor(&task)?;
+        let mut force = weighted.force(&wrench, &null);
+        let fed = if self.corrections.flange_wrench_feedforward {
+            self.flange_wrench_on_base_world(step)
+        } else {
+            [T::zero(); 3]
+        };
+        let pushed = core::array::from_fn(|i| force.base[i] + fed[i]);
+        let base_velocity = if self.corrections.null_space_damping {
+            let velocity = damped_in_null_space(&weighted, gains, &step.base_velocity, &pushed, tick.dt_s)?;
+            for i in 0..3 {
+                null.base[i] -= gains.virtual_damping[i] * velocity[i];
+            }
+            force = weighted.force(&wrench, &null);
+            velocity
+        } else {
+            admitted(gains, &step.base_velocity, &pushed, tick.dt_s)
+        };
+        Ok(Wanted { torque: core::array::from_fn(|i| force.arm[i] + tick.bias[i]), base_velocity })
+    }
+
+    /// eqs. (2), (12)–(16): the tool keeps its pose on the base, the base follows cover and flange.
+    #[inline]
+    fn follow_me(
+        &self,
+        step: &Step<'_, N, T>,
+        state: &mut ControllerState<N, T>,
+        hit: &mut LimitsHit,
+    ) -> Result<Wanted<N, T>, ControlError> {
+        let torque = self.arm.on_the_base(step.tick, &mut state.arm, step.arm, hit)?;
+        let led = self.flange_wrench_on_base_world(step);
+        let gains = &state.base.gains;
+        let force = core::array::from_fn(|i| gains.reactivity * (step.cover_world[i] + led[i]));
+        Ok(Wanted { torque, base_velocity: admitted(gains, &step.base_velocity, &force, step.tick.dt_s) })
+    }
+
+    /// What a planar base can follow of the wrench at the flange, world axes. eqs. (12)–(14)
+    fn flange_wrench_on_base_world(&self, step: &Step<'_, N, T>) -> [T; 3] {
+        let kinematics = step.tick.kinematics;
+        let about_arm = follow_me::moved(&step.flange_wrench, &kinematics.flange_position);
+        let [fx, fy, fz, mx, my, mz] = about_arm;
+        let to_arm = kinematics.arm_rotation.transpose();
+        let (f, m) = (to_arm * Vector3::new(fx, fy, fz), to_arm * Vector3::new(mx, my, mz));
+        let (rotation, position) = self.model().mount();
+        let base = follow_me::base_wrench(rotation, position, &[f.x, f.y, f.z, m.x, m.y, m.z]);
+        kinematics.heading.to_world(base)
+    }
+
+    /// The command inside every limit, and the state that goes with it.
+    #[inline]
+    fn limited(
+        &self,
+        step: &Step<'_, N, T>,
+        state: &mut ControllerState<N, T>,
+        guard: &BaseGuard<K, T>,
+        wanted: Wanted<N, T>,
+        hit: &mut LimitsHit,
+    ) -> Result<RobotCommand<N, T>, ControlError> {
+        let (tick, heading) = (step.tick, &step.tick.kinematics.heading);
+        let moves = state.law() != ControlLaw::Hold;
+        let guard = if moves { guard } else { &BaseGuard::NONE };
+        let wanted_body = heading.to_base(wanted.base_velocity);
+        let base_velocity_body =
+            self.base.limited(guard, &wanted_body, &state.base.velocity_body, tick.dt_s, hit);
+        finite("base velocity command", &base_velocity_body)?;
+        let mut torque = wanted.torque;
+        if self.corrections.base_coupling && moves {
+            let commanded = heading.to_world(base_velocity_body);
+            let acceleration: [T; 3] =
+                core::array::from_fn(|i| (commanded[i] - step.base_velocity[i]) / tick.dt_s);
+            let coupling = times(&tick.mass.base_coupling, &acceleration);
+            torque = core::array::from_fn(|i| torque[i] + coupling[i]);
+        }
+        let arm_torque_nm = self.arm.limited(tick, &mut state.arm, &torque, hit)?;
+        state.base.velocity_body = base_velocity_body;
+        Ok(RobotCommand { base_velocity_body, arm_torque_nm })
+    }
+}
+
+impl<const N: usize, T: Scalar> ControllerState<N, T> {
+    /// The law of the last step.
+    pub fn law(&self) -> ControlLaw {
+        self.arm.law
+    }
+
+    /// As [`ArmState::set_target_pose`]; in W for [`ControlLaw::Impedance`], in B for [`ControlLaw::FollowMe`]. A change
+    /// of law forgets the target.
+    ///
+    /// # Errors
+    /// A value that is not finite, or a quaternion that is not of length 1.
+    pub fn set_target_pose(&mut self, position: [T; 3], quaternion: [T; 4]) -> Result<(), ControlError> {
+        self.arm.set_target_pose(position, quaternion)
+    }
+
+    /// As [`ArmState::set_target_twist`]; axes as for [`ControllerState::set_target_pose`].
+    ///
+    /// # Errors
+    /// A value that is not finite.
+    pub fn set_target_twist(&mut self, twist: [T; 6]) -> Result<(), ControlError> {
+        self.arm.set_target_twist(twist)
+    }
+
+    /// Estimated external joint torques of the momentum observer, N·m, on the robot.
+    pub fn external_torque_nm(&self) -> &[T; N] {
+        self.arm.external_torque_nm()
+    }
+}
+
+fn eta<const N: usize, T: Scalar>(parameters: &Parameters<N>) -> [T; 2] {
+    [parameters.gains.eta_base, parameters.gains.eta_arm].map(of)
+}
+
+/// Null-space damping leaves a virtual base without damping of its own: a light one would chatter on the lag of any
+/// real base servo (15 ms: below 0.3 kg).
+fn check_light_base<const N: usize>(parameters: &Parameters<N>) -> Result<(), ParameterError> {
+    let light = parameters.gains.virtual_mass.iter().find(|mass| **mass < LIGHTEST_DAMPED_BASE);
+    match light {
+        Some(&value) if parameters.corrections.null_space_damping => Err(ParameterError {
+            name: "virtual_mass with null_space_damping",
+            value,
+            unit: "kg, kg, kg·m²",
+            min: LIGHTEST_DAMPED_BASE,
+            max: 1000.0,
+        }),
+        _ => Ok(()),
+    }
+}
