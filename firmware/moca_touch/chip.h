@@ -8,7 +8,7 @@ static const uint8_t ELECTRODES = 12;
 // What a line says about its data. The host knows the same bits: crates/tactile/src/touchline/mod.rs.
 enum Flag : uint8_t {
   NEW = 0x01,           // at least one FDAT differs from the read before
-  CONTINUES = 0x02,     // so it did in the read before, under 2 ms ago: both show one refresh of the chip
+  CONTINUES = 0x02,     // so it did in the read before: both show one refresh of the chip
   OUT_OF_RANGE = 0x04,  // the chip could not bring an electrode to its target (0x02, 0x03)
   OVER_CURRENT = 0x08,  // the chip saw REXT shorted and has stopped (0x01 bit 7)
   CHIP_RESET = 0x10,    // the chip was found reset or reconfigured and was set up again
@@ -33,7 +33,8 @@ struct Chip {
   uint8_t pending;         // flags that the next line carries
   uint8_t reads_to_check;  // until the configuration is compared again
   uint16_t sequence, bus_faults, resets, rereads;
-  uint32_t running_since, last_read, last_changed, last_sent, last_baseline;  // us
+  uint16_t longest_wait[2];  // us between two reads, in this and in the last quarter of a second
+  uint32_t running_since, last_read, read_before, last_changed, last_sent, last_baseline;  // us
 
   void name(uint8_t chip_address);
   // Resets and configures the chip; the first time it lets the chip choose the gain, then never again.

@@ -25,9 +25,8 @@ static const uint32_t BASELINE_EVERY = 250000;    // us, when no refresh is due:
 static const uint16_t QUIET_FROM = 1500, QUIET_TO = 2600;
 static const uint32_t BASELINE_AT_LATEST = 1000000;
 static const uint16_t DATA_STREAM_EVERY = 12000;  // us
-static const uint16_t ONE_REFRESH = 2000;         // us: changes in two reads closer than this show one refresh
+static const uint16_t REFRESH_MIN = 3600, REFRESH_MAX = 4400;  // us: of a chip whose oscillator is 10 % off
 static const uint16_t WINDOW = 15;                // 0.1 ms: middle of the chip's four samples before its refresh
-static const uint8_t REFRESH_MAX = 44;            // 0.1 ms: a refresh of a chip whose oscillator is 10 % slow
 static const uint8_t CHECK_EVERY = 16;            // reads
 
 static Chip chips[4];
@@ -136,9 +135,15 @@ static void serve(Chip &chip, uint32_t now) {
   }
   if (!good) return mend(chip, now, as_line);
 
-  const bool continues = changed && chip.changed_last && now - chip.last_read < ONE_REFRESH;
+  // Changed now and in the read before, but not in the one before that: if all three fit between two refreshes, it was
+  // one refresh.
+  const bool one_refresh = now - chip.read_before < REFRESH_MIN;
+  const bool continues = changed && chip.changed_last && one_refresh;
   chip.changed_last = changed && !continues;
   if (chip.changed_last) chip.last_changed = now;
+  const uint32_t wait = one_refresh ? now - chip.last_read : max(now - chip.last_read, uint32_t(REFRESH_MAX));
+  if (wait > chip.longest_wait[0]) chip.longest_wait[0] = wait < 65535 ? wait : 65535;
+  chip.read_before = chip.last_read;
   chip.last_read = now;
   keep(chip);
   uint8_t flags = chip.pending;
@@ -160,13 +165,19 @@ static bool baselineDue(const Chip &chip, uint32_t now) {
 // Baselines and the age of the data, a few times a second.
 static void sendBaseline(Chip &chip, uint32_t now) {
   chip.last_baseline = now;
+  // No refresh is due before this slot ends: nobody has waited for a read.
+  chip.read_before = chip.last_read;
+  chip.last_read = now;
   if (chip.lost || !chip.readBaseline()) return;
   line::header(chip.letter + ('a' - 'A'), chip.sequence, now);
   for (uint8_t e = 0; e < ELECTRODES; ++e) line::hex12(chip.baselineValue(e));
   line::put(' ');
-  // Reads too far apart to tell whether two of them show one refresh: an electrode may be a whole refresh old.
-  const uint32_t between_reads = uint32_t(slot_micros) * present;
-  line::hex(uint8_t(WINDOW + (between_reads < ONE_REFRESH ? between_reads / 100 : REFRESH_MAX)));
+  // Of the last two quarters of a second. Where two reads may show one refresh without being known to, an electrode may
+  // be a whole refresh older.
+  const uint16_t age = WINDOW + max(chip.longest_wait[0], chip.longest_wait[1]) / 100 + 1;
+  line::hex(uint8_t(age < 255 ? age : 255));
+  chip.longest_wait[1] = chip.longest_wait[0];
+  chip.longest_wait[0] = 0;
   line::seal();
 }
 

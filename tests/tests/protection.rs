@@ -143,8 +143,8 @@ fn the_limit_follows_the_measured_rate_and_age_of_the_board() {
         let by_timing = speed_for_delay_m_s(&config(), 25.0, delay_s);
         let measured = limit(firmware);
         println!("{firmware:?}: {measured:.4} m/s, by the firmware's timing {by_timing:.4} m/s");
-        // ticks of 1 ms round up
-        assert!(measured < 1.01 * by_timing && measured > 0.95 * by_timing, "{measured} {by_timing}");
+        // ticks of 1 ms round up; the worst phases of read and poll need not meet within a second
+        assert!(measured < 1.03 * by_timing && measured > 0.95 * by_timing, "{measured} {by_timing}");
     }
 }
 
