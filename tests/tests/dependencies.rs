@@ -7,20 +7,33 @@ use std::process::Command;
 /// (crate, what of ours it may use directly, what it may never reach, directly or through others).
 const TABLE: &[(&str, &[&str], &[&str])] = &[
     ("moca-msgs", &[], &["nalgebra", "serde", "schemars"]),
+    ("moca-figures", &[], &["moca-msgs", "egui", "serde"]),
     ("moca-qp", &[], &["moca-msgs", "nalgebra", "serde", "clarabel", "num-traits"]),
     ("moca-telemetry", &["moca-msgs"], &["nalgebra", "egui", "mujoco-rs", "serialport"]),
     ("moca-tactile", &["moca-msgs"], &["nalgebra", "egui", "tokio", "mujoco-rs"]),
-    ("moca-wbc", &["moca-msgs"], &["serde", "log", "tracing", "tokio", "serialport", "mujoco-rs", "egui"]),
+    (
+        "moca-wbc",
+        &["moca-msgs", "moca-qp"],
+        &["serde", "log", "tracing", "tokio", "serialport", "mujoco-rs", "egui"],
+    ),
     ("moca-sim", &["moca-msgs", "moca-tactile"], &["egui", "tokio", "nalgebra"]),
     (
         "moca-daemon",
-        &["moca-msgs", "moca-telemetry", "moca-tactile", "moca-wbc", "moca-sim"],
-        &["egui", "eframe", "moca-monitor", "moca-lab"],
+        &["moca-figures", "moca-msgs", "moca-telemetry", "moca-tactile", "moca-wbc", "moca-sim"],
+        &["egui", "eframe", "resvg", "moca-monitor", "moca-lab"],
     ),
     ("moca-monitor", &["moca-msgs", "moca-telemetry"], &["nalgebra", "mujoco-rs", "serialport"]),
     (
         "moca-lab",
-        &["moca-msgs", "moca-telemetry", "moca-tactile", "moca-wbc", "moca-sim", "moca-daemon"],
+        &[
+            "moca-figures",
+            "moca-msgs",
+            "moca-telemetry",
+            "moca-tactile",
+            "moca-wbc",
+            "moca-sim",
+            "moca-daemon",
+        ],
         &["egui", "eframe", "moca-monitor"],
     ),
 ];

@@ -1,7 +1,6 @@
 //! `moca-lab`: experiments and checks on the command line.
 
 mod cover;
-mod figures;
 mod numerics;
 mod paper;
 mod rig;

@@ -1,6 +1,6 @@
 """Times of this crate beside quadprog, DAQP and eiquadprog on the same problems, in one run.
 
-python3 -m venv V; V/bin/pip install numpy quadprog daqp eiquadprog; V/bin/python crates/qp/compare/compare.py
+python3 -m venv V; V/bin/pip install numpy quadprog daqp eiquadprog cmeel-eigen; V/bin/python crates/qp/compare/compare.py
 Each problem five times, the best counts. quadprog is called through Python (about a microsecond of it is the call);
 DAQP reports its own setup and solve time; eiquadprog is compiled (g++ -O2) against its library with Eigen.
 """

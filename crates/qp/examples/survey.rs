@@ -1,5 +1,5 @@
 //! Solves random and adversarial problems by the million and prints the worst of each family:
-//! `cargo run --release -p moca-qp --example survey -- 10000000`.
+//! `cargo run --release -p moca-qp --example survey -- 10000000`; a family's name after the number is that one only.
 #![allow(clippy::unwrap_used, clippy::print_stdout, clippy::cast_possible_truncation, reason = "a program")]
 #![allow(clippy::cast_sign_loss, clippy::cast_precision_loss, clippy::indexing_slicing, reason = "a program")]
 
@@ -93,8 +93,11 @@ fn family<const N: usize>(family: Family, rows: usize, count: usize) {
 
 fn main() {
     let count: usize = std::env::args().nth(1).map_or(100_000, |count| count.parse().unwrap());
+    let only = std::env::args().nth(2);
+    let families =
+        FAMILIES.into_iter().filter(|kind| only.as_ref().is_none_or(|name| *name == format!("{kind:?}")));
     let each = count / (3 * FAMILIES.len());
-    for kind in FAMILIES {
+    for kind in families {
         family::<4>(kind, 36, each);
         family::<7>(kind, 20, each);
         family::<10>(kind, 30, each);

@@ -238,11 +238,18 @@ impl<const N: usize, T: Scalar> Search<'_, N, T> {
     fn count(&mut self) -> Result<(), QpError> {
         self.iterations += 1;
         let limit = ITERATIONS * (N + self.rows.len());
+        if 2 * self.iterations == limit {
+            // it goes round on what rounding leaves
+            self.kept = T::LOOSE;
+        }
         if self.iterations > limit { Err(QpError::IterationLimit { iterations: limit }) } else { Ok(()) }
     }
 
-    /// No step comes nearer to the row: rounding, if it is kept but for a little, or a contradiction.
+    /// No step comes nearer to the row: rounding gathered on the way, rounding that stays, or a contradiction.
     fn give_up(&mut self, row: usize, violation: T) -> Result<(), QpError> {
+        if self.settle() == Settled::Moved {
+            return Ok(());
+        }
         let size = self.rows[row].size(&self.x);
         if violation > T::LOOSE * size {
             return Err(QpError::Infeasible { row });

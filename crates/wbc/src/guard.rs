@@ -15,9 +15,15 @@
 use crate::error::{ControlError, finite};
 use crate::scalar::{Scalar, of};
 use moca_msgs::TaxelPlacement;
+use moca_qp::{Metric, Row, WorkingSet};
 
 /// Fastest motion outward that still counts as none, m/s and rad/s: rounding, not creep.
 pub const STANDSTILL: f64 = 1e-9;
+
+/// Weights of "nearest": x, y, yaw (m²), and the slack that all taxels share.
+const NEARNESS: [f64; 4] = [1.0, 1.0, 0.5, 1e4];
+/// Bounds of the axes, and as many touched taxels as are looked at.
+const MOST_ROWS: usize = 3 + 32;
 
 /// What the base may do, besides its [`moca_msgs::Limits`]. Velocities in the axes of B.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,18 +32,27 @@ pub struct BaseGuard<const K: usize, T = f64> {
     pub speed_m_s: Option<T>,
     /// Taxels that must not move outward: neither by translation nor by yaw.
     pub blocked: [bool; K],
+    /// Largest speed of each taxel outward, m/s: +∞ for none, below 0 where it has to give way. As
+    /// [`crate::contact_barrier`] says it. Where the base cannot keep all of them, it exceeds the worst by the least.
+    pub outward_m_s: Option<[T; K]>,
     /// What the base does instead of what the law wants: m/s, m/s, rad/s.
     pub instead_body: Option<[T; 3]>,
 }
 
 impl<const K: usize, T: Scalar> BaseGuard<K, T> {
     /// Everything that the limits allow.
-    pub const NONE: Self = Self { speed_m_s: None, blocked: [false; K], instead_body: None };
+    pub const NONE: Self =
+        Self { speed_m_s: None, blocked: [false; K], outward_m_s: None, instead_body: None };
 
     /// # Errors
     /// A number that is not finite, or a speed limit below 0.
     pub(crate) fn check(&self) -> Result<(), ControlError> {
         finite("guard.instead_body", self.instead_body.as_ref().map_or(&[], |v| &v[..]))?;
+        for (index, most) in self.outward_m_s.iter().flatten().enumerate() {
+            if !most.is_finite() && *most != of(f64::INFINITY) {
+                return Err(ControlError::NotFinite { what: "guard.outward_m_s", index });
+            }
+        }
         let Some(speed) = self.speed_m_s else { return Ok(()) };
         finite("guard.speed_m_s", &[speed])?;
         if speed >= T::zero() {
@@ -81,6 +96,44 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
     /// Speed of a taxel (0 is T1) outward, m/s; negative where it moves away from whoever touches it.
     pub fn outward(&self, taxel: usize, [vx, vy, yaw]: &[T; 3]) -> T {
         self.inward.get(taxel).map_or(T::zero(), |[x, y, lever]| -(*x * *vx + *y * *vy + *lever * *yaw))
+    }
+
+    /// Deceleration of a taxel outward, m/s², with all axes of the base at their own.
+    pub(crate) fn deceleration(&self, taxel: usize, of_axes: &[T; 3]) -> T {
+        self.inward.get(taxel).map_or(T::zero(), |inward| {
+            let [x, y, lever] = [0, 1, 2].map(|j| inward[j].abs() * of_axes[j]);
+            x + y + lever
+        })
+    }
+
+    /// Whether no taxel goes outward faster than `most`, m/s.
+    pub(crate) fn keeps(&self, most: &[T; K], velocity: &[T; 3]) -> bool {
+        most.iter().enumerate().all(|(i, most)| self.outward(i, velocity) <= *most)
+    }
+
+    /// The velocity nearest to `wanted` between `low` and `high` at which no taxel goes outward faster than `most`, or,
+    /// where there is none, at which the worst does by the least.
+    pub(crate) fn nearest(&self, most: &[T; K], wanted: &[T; 3], low: &[T; 3], high: &[T; 3]) -> [T; 3] {
+        let mut rows = [Row::bound(0, low[0], high[0]); MOST_ROWS];
+        let mut count = 3;
+        for j in 1..3 {
+            rows[j] = Row::bound(j, low[j], high[j]);
+        }
+        for ([x, y, lever], most) in self.inward.iter().zip(most) {
+            if most.is_finite() {
+                let Some(row) = rows.get_mut(count) else { break };
+                *row = Row::at_least([*x, *y, *lever, T::zero()], -*most).softened(3);
+                count += 1;
+            }
+        }
+        let [x, y, yaw] = *wanted;
+        let solution = Metric::diagonal(&NEARNESS.map(of)).and_then(|metric| {
+            metric.nearest(&[x, y, yaw, T::zero()], rows.get(..count).unwrap_or(&rows), &WorkingSet::EMPTY)
+        });
+        // soft rows between bounds always have a nearest point; should rounding ever hide it, the base brakes
+        let [x, y, yaw, _] = solution.map_or([T::zero(); 4], |solution| solution.x);
+        let inside = |v: T, j: usize| v.clamp(low[j], high[j]);
+        [inside(x, 0), inside(y, 1), inside(yaw, 2)]
     }
 
     /// Translation at `speed` away from all of `touched` together; none where they leave no way out.
@@ -221,5 +274,8 @@ mod tests {
         let guard = BaseGuard { instead_body: Some([0.0, f64::NAN, 0.0]), ..BaseGuard::<11>::NONE };
         assert!(guard.check().is_err());
         assert!(BaseGuard::<11>::NONE.check().is_ok());
+        let outward = |most| BaseGuard { outward_m_s: Some([0.1, most]), ..BaseGuard::<2>::NONE }.check();
+        assert!(outward(f64::INFINITY).is_ok() && outward(-0.3).is_ok());
+        assert!(outward(f64::NAN).is_err() && outward(f64::NEG_INFINITY).is_err());
     }
 }

@@ -73,6 +73,7 @@
 extern crate std;
 
 pub mod admittance;
+pub mod contact_barrier;
 pub mod contact_stability;
 pub mod controller;
 pub mod coupled;

@@ -36,6 +36,8 @@ pub struct LimitsHit {
     pub taxel_force: bool,
     /// The speed of the cover, or a touched taxel ([`crate::guard::BaseGuard`]).
     pub guard: bool,
+    /// A touched taxel's speed outward: the base does something else than the law wants.
+    pub contact: bool,
     /// A joint is in the band before its limit and is pushed back.
     pub joint_range: bool,
     /// The pose error is longer than the law acts on ([`crate::reference::ERROR_SATURATION_M`]).
@@ -51,6 +53,7 @@ impl LimitsHit {
         base_acceleration: false,
         taxel_force: false,
         guard: false,
+        contact: false,
         joint_range: false,
         error_saturation: false,
     };
@@ -125,6 +128,17 @@ impl<T: Scalar> BaseLimits<T> {
         })
     }
 
+    /// Least and largest velocity of each axis in one step from `last`.
+    fn reachable(&self, last: &[T; 3], dt_s: T) -> ([T; 3], [T; 3]) {
+        let bound = |sign: T| {
+            core::array::from_fn(|i| {
+                let change = self.change(i, dt_s);
+                (sign * self.velocity[i]).clamp(last[i] - change, last[i] + change)
+            })
+        };
+        (bound(-T::one()), bound(T::one()))
+    }
+
     /// As [`Self::velocity`], and inside `guard` as soon as the acceleration allows. A guard that has nothing to
     /// object to changes no bit; else the velocity goes straight to what it permits, because only on the straight line
     /// between two permitted velocities is every one permitted.
@@ -137,6 +151,23 @@ impl<T: Scalar> BaseLimits<T> {
         dt_s: T,
         hit: &mut LimitsHit,
     ) -> [T; 3] {
+        if let Some(most) = &guard.outward_m_s {
+            let without = BaseGuard { outward_m_s: None, ..*guard };
+            let mut free_hit = *hit;
+            let free = self.guarded_velocity(outline, &without, wanted, last, dt_s, &mut free_hit);
+            if outline.keeps(most, &free) {
+                *hit = free_hit;
+                return free;
+            }
+            (hit.guard, hit.contact) = (true, true);
+            let plain = if without.instead_body.is_none() && outline.permits(&without, wanted) {
+                *wanted
+            } else {
+                outline.guarded(&without, wanted)
+            };
+            let (low, high) = self.reachable(last, dt_s);
+            return outline.nearest(most, &plain, &low, &high);
+        }
         let mut unguarded_hit = *hit;
         let unguarded = self.velocity(wanted, last, dt_s, &mut unguarded_hit);
         if guard.instead_body.is_none() && outline.permits(guard, &unguarded) {

@@ -95,6 +95,20 @@ impl<const N: usize, T: Scalar> ArmDynamics<N, T> {
         Ok(core::array::from_fn(|i| null_torque[i] + task[i]))
     }
 
+    /// J_AᵀΛ_A·a: joint torques, N·m, that accelerate the tool by `a` \[m/s²; rad/s²\]; damped, so that a singular arm is
+    /// given no more than it can use.
+    ///
+    /// # Errors
+    /// [`ControlError::NotPositiveDefinite`] if the inertias are impossible (NaN).
+    pub(crate) fn torque_for(&self, acceleration: &[T; 6]) -> Result<[T; N], ControlError> {
+        let mut mobility = self.inverse_task_inertia;
+        for i in 0..6 {
+            mobility[(i, i)] += nalgebra::convert(1e-4);
+        }
+        let factor = Cholesky::new_shifted(&mobility).ok_or(SINGULAR)?;
+        Ok(transpose_times(&self.jacobian, &factor.solve(acceleration)))
+    }
+
     /// Wrench at the tool that moves it as the joint torques do: J̄ᵀτ of the arm alone.
     ///
     /// # Errors

@@ -9,7 +9,7 @@ mod sealed {
 }
 
 /// `f32` or `f64`.
-pub trait Scalar: RealField + Copy + sealed::Sealed {}
+pub trait Scalar: RealField + Copy + moca_qp::Scalar + sealed::Sealed {}
 impl Scalar for f32 {}
 impl Scalar for f64 {}
 

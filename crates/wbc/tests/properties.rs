@@ -80,7 +80,7 @@ prop_compose! {
         blocked in prop::collection::vec(prop::bool::weighted(0.15), 11),
         instead in prop::option::weighted(0.2, uniform3(ordinary(0.5))),
     ) -> BaseGuard<11> {
-        BaseGuard { speed_m_s: speed, blocked: std::array::from_fn(|i| blocked[i]), instead_body: instead }
+        BaseGuard { speed_m_s: speed, blocked: std::array::from_fn(|i| blocked[i]), outward_m_s: None, instead_body: instead }
     }
 }
 

@@ -13,7 +13,7 @@ use anyhow::{Context, Result, anyhow, bail, ensure};
 use moca_tactile::TaxelModel;
 use moca_tactile::calibration::quality::evaluation_cost_ns;
 use moca_tactile::calibration::session::Target;
-use moca_tactile::calibration::{ModelKind, Quality, chart};
+use moca_tactile::calibration::{ModelKind, Quality};
 use moca_telemetry::calibration::CalibrationProgress;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -136,8 +136,9 @@ fn print_models(fitted: &Fitted, residuals: Option<&Path>) -> Result<()> {
         let Some(folder) = residuals else { continue };
         let title = format!("T{number} {}: RMSE {:.2} N", fit.model.name(), fit.quality.rmse_n);
         let path = folder.join(format!("T{number}-{}.svg", fit.model.name()));
+        let points = moca_tactile::calibration::residuals(&fit.model, trials);
         std::fs::create_dir_all(folder)
-            .and_then(|()| std::fs::write(&path, chart::residual_plot(&title, &fit.model, trials)))
+            .and_then(|()| std::fs::write(&path, moca_figures::residuals(&title, "N", &points).svg()))
             .with_context(|| format!("cannot write {}", path.display()))?;
     }
     Ok(())

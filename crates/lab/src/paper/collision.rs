@@ -2,11 +2,11 @@
 
 use super::figure::{self, Moment};
 use super::{RunInfo, head, wrench_text};
-use crate::figures::chart::Panel;
 use crate::rig::closed_loop::{Loads, Rig, Row};
 use crate::rig::measure::{Measures, peak_force_n};
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
+use moca_figures::Panel;
 use moca_sim::foam::Foam;
 use serde::Serialize;
 use std::time::Instant;

@@ -1,23 +1,26 @@
 //! Figures 5 to 7: the trace of a run in panels, the moments marked, a picture of the robot from above at each.
 
-use crate::figures::chart::{Panel, Series};
-use crate::figures::drawing::{Anchor, BLACK, Drawing, GREY, PALETTE, RED};
 use crate::rig::closed_loop::{Row, TAXELS};
 use anyhow::{Context, Result};
-use moca_sim::Scene;
+use moca_figures::{Anchor, BLACK, Drawing, GREY, PALETTE, Panel, RED, Series};
+use moca_sim::{Scene, Shape};
 use std::fmt::Write as _;
 use std::path::Path;
 
 const WIDTH: f64 = 900.0;
-const PANEL_HEIGHT: f64 = 150.0;
+const PANEL_HEIGHT: f64 = 165.0;
 /// Strip above the panels for the names of the moments.
 const HEADER: f64 = 34.0;
 /// Largest side of a picture.
 const PICTURE: f64 = 220.0;
-/// Half of what a picture shows around the robot at least, m.
+/// Half of what a picture shows at least, and what it leaves free at its edge, m.
 const AROUND_M: f64 = 0.75;
-/// Length of an arrow, m/N.
+const EDGE_M: f64 = 0.05;
+/// Length of the longest arrow, m, and of one at most, m/N.
+const ARROW_M: f64 = 0.4;
 const ARROW_M_PER_N: f64 = 0.02;
+/// Radius of a leg, if the scene does not say who stands there, m.
+const LEG_M: f64 = 0.07;
 
 /// A moment of a run that gets a mark and a picture.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,14 +34,14 @@ pub(crate) fn draw(scene: &Scene, rows: &[Row], moments: &[Moment], panels: Vec<
     let count = |n: usize| f64::from(u32::try_from(n).unwrap_or(u32::MAX));
     let top = HEADER + PANEL_HEIGHT * count(panels.len());
     let side = (WIDTH / count(moments.len().max(1))).min(PICTURE);
-    let mut drawing = Drawing::new(WIDTH, top + side + 26.0);
+    let mut drawing = Drawing::new(WIDTH, top + side + 44.0);
     let at = |moment: &Moment| panels.first().map_or(0.0, |panel| panel.place(rows[moment.row].t_s, WIDTH));
     let mut taken = [f64::NEG_INFINITY; 2];
     for moment in moments {
         let x = at(moment);
         // Names that would run into each other go into the second lane.
         let lane = usize::from(x < taken[0]);
-        taken[lane] = x + 8.0 * count(moment.name.chars().count()) + 6.0;
+        taken[lane] = x + 7.0 * count(moment.name.chars().count()) + 6.0;
         drawing.text([x, 12.0 + 12.0 * count(lane)], Anchor::Start, &moment.name, BLACK);
         drawing.line(&[[x, 16.0 + 12.0 * count(lane)], [x, HEADER + 16.0]], 1.0, GREY);
     }
@@ -46,100 +49,148 @@ pub(crate) fn draw(scene: &Scene, rows: &[Row], moments: &[Moment], panels: Vec<
         panel.marks = moments.iter().map(|m| rows[m.row].t_s).collect();
         panel.draw(&mut drawing, [0.0, HEADER + PANEL_HEIGHT * count(i)], [WIDTH, PANEL_HEIGHT]);
     }
-    let half_m = moments.iter().map(|m| half_extent_m(&rows[0], &rows[m.row])).fold(AROUND_M, f64::max);
-    for (i, moment) in moments.iter().enumerate() {
-        let centre = [(count(i) + 0.5) * side, top + 20.0 + 0.5 * side];
-        drawing.text([centre[0], top + 14.0], Anchor::Middle, &moment.name, BLACK);
-        let picture = Picture::new(scene, centre, 0.5 * side / half_m, half_m, &rows[0], &rows[moment.row]);
-        picture.draw(&mut drawing, &rows[0], &rows[moment.row]);
+    let largest_n = moments.iter().map(|m| largest_arrow_n(&rows[m.row])).fold(0.0, f64::max);
+    let m_per_n = ARROW_M_PER_N.min(ARROW_M / largest_n.max(1.0));
+    let views: Vec<View> =
+        moments.iter().map(|m| View { scene, start: &rows[0], now: &rows[m.row], m_per_n }).collect();
+    let half_m = views.iter().map(View::half_extent_m).fold(AROUND_M, f64::max);
+    for (i, (moment, view)) in moments.iter().zip(views).enumerate() {
+        let centre_px = [(count(i) + 0.5) * side, top + 20.0 + 0.5 * side];
+        drawing.text([centre_px[0], top + 14.0], Anchor::Middle, &moment.name, BLACK);
+        Picture { view, centre_px, px_per_m: 0.5 * side / half_m, half_m }.draw(&mut drawing);
+    }
+    if largest_n > 0.0 {
+        let [x, y] = [8.0, top + side + 36.0];
+        let length_px = 10.0 * m_per_n * 0.5 * side / half_m;
+        arrow(&mut drawing, [x, y - 4.0], [x + length_px, y - 4.0]);
+        drawing.text([x + length_px + 10.0, y], Anchor::Start, "10 N; grey: where the base started", BLACK);
     }
     drawing
 }
 
-/// Half side of a square that holds the robot at its start and now, m.
-fn half_extent_m(start: &Row, now: &Row) -> f64 {
-    let way = |axis: usize| 0.5 * (now.base_pose_world[axis] - start.base_pose_world[axis]).abs();
-    AROUND_M + way(0).max(way(1))
+/// Longest arrow of a picture, N.
+fn largest_arrow_n(row: &Row) -> f64 {
+    let [fx, fy, ..] = row.flange_wrench_world;
+    row.force_true.into_iter().fold(fx.hypot(fy), f64::max)
+}
+
+/// What a picture is of.
+#[derive(Clone, Copy)]
+struct View<'a> {
+    scene: &'a Scene,
+    start: &'a Row,
+    now: &'a Row,
+    m_per_n: f64,
+}
+
+impl View<'_> {
+    /// Outline of the base at a pose, closed, in W, m.
+    fn base(&self, pose: &[f64; 3]) -> [[f64; 2]; 5] {
+        let [hx, hy] = [0.5 * self.scene.base.size_m[0], 0.5 * self.scene.base.size_m[1]];
+        [[hx, hy], [-hx, hy], [-hx, -hy], [hx, -hy], [hx, hy]].map(|corner| to_world(pose, corner))
+    }
+
+    fn flange(&self) -> [f64; 2] {
+        [self.now.flange_world[0], self.now.flange_world[1]]
+    }
+
+    /// Tail and head of every force, in W, m.
+    fn arrows(&self) -> Vec<[[f64; 2]; 2]> {
+        let base = &self.now.base_pose_world;
+        let pressed = self.scene.cover.iter().zip(self.now.force_true).filter(|(_, force_n)| *force_n > 0.0);
+        let mut arrows: Vec<_> = pressed
+            .map(|(taxel, force_n)| {
+                let (sin, cos) = taxel.inward_angle_base_rad.sin_cos();
+                let [x, y] = taxel.position_base_m;
+                let length = force_n * self.m_per_n;
+                [[x - length * cos, y - length * sin], [x, y]].map(|point| to_world(base, point))
+            })
+            .collect();
+        let [fx, fy, ..] = self.now.flange_wrench_world;
+        if fx.hypot(fy) > 0.0 {
+            let [x, y] = self.flange();
+            arrows.push([[x - fx * self.m_per_n, y - fy * self.m_per_n], [x, y]]);
+        }
+        arrows
+    }
+
+    /// Place of the world in the middle of the picture, m.
+    fn middle(&self) -> [f64; 2] {
+        let (start, now) = (&self.start.base_pose_world, &self.now.base_pose_world);
+        std::array::from_fn(|axis| 0.5 * (start[axis] + now[axis]))
+    }
+
+    /// Half side of a square that holds the robot at its start and now with every arrow, m.
+    fn half_extent_m(&self) -> f64 {
+        let middle = self.middle();
+        let base = [&self.start.base_pose_world, &self.now.base_pose_world].map(|pose| self.base(pose));
+        let points = base.iter().flatten().copied().chain([self.flange()]);
+        let points = points.chain(self.arrows().into_iter().flatten());
+        let away = |p: [f64; 2]| (p[0] - middle[0]).abs().max((p[1] - middle[1]).abs());
+        EDGE_M + points.map(away).fold(0.0, f64::max)
+    }
 }
 
 /// The robot from above, x of the world to the right, y up; the start in grey.
 struct Picture<'a> {
-    scene: &'a Scene,
+    view: View<'a>,
     centre_px: [f64; 2],
     px_per_m: f64,
-    /// Place of the world in the middle, m, and half of what is shown.
-    middle_m: [f64; 2],
+    /// Half of what is shown, m.
     half_m: f64,
 }
 
-impl<'a> Picture<'a> {
-    fn new(
-        scene: &'a Scene,
-        centre_px: [f64; 2],
-        px_per_m: f64,
-        half_m: f64,
-        start: &Row,
-        now: &Row,
-    ) -> Self {
-        let middle_m =
-            std::array::from_fn(|axis| 0.5 * (start.base_pose_world[axis] + now.base_pose_world[axis]));
-        Self { scene, centre_px, px_per_m, middle_m, half_m }
-    }
-
+impl Picture<'_> {
     fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let [middle_x, middle_y] = self.view.middle();
         [
-            self.centre_px[0] + self.px_per_m * (x - self.middle_m[0]),
-            self.centre_px[1] - self.px_per_m * (y - self.middle_m[1]),
+            self.centre_px[0] + self.px_per_m * (x - middle_x),
+            self.centre_px[1] - self.px_per_m * (y - middle_y),
         ]
     }
 
-    fn draw(&self, drawing: &mut Drawing, start: &Row, row: &Row) {
-        let [hx, hy] = [0.5 * self.scene.base.size_m[0], 0.5 * self.scene.base.size_m[1]];
-        let corners = [[hx, hy], [-hx, hy], [-hx, -hy], [hx, -hy], [hx, hy]];
-        for (pose, width, colour) in [(&start.base_pose_world, 1.0, GREY), (&row.base_pose_world, 2.0, BLACK)]
-        {
-            drawing.line(&corners.map(|corner| self.at(to_world(pose, corner))), width, colour);
+    fn draw(&self, drawing: &mut Drawing) {
+        let View { scene, start, now, .. } = self.view;
+        let base = &now.base_pose_world;
+        for (pose, width, colour) in [(&start.base_pose_world, 1.0, GREY), (base, 2.0, BLACK)] {
+            drawing.line(&self.view.base(pose).map(|corner| self.at(corner)), width, colour);
         }
-        let base = &row.base_pose_world;
-        let nose = [[hx, -0.06], [hx + 0.07, 0.0], [hx, 0.06]];
+        let front = 0.5 * scene.base.size_m[0];
+        let nose = [[front - 0.07, -0.06], [front, 0.0], [front - 0.07, 0.06]];
         drawing.line(&nose.map(|point| self.at(to_world(base, point))), 1.5, BLACK);
-        let [x, y, _] = self.scene.mount.position_base_m;
-        let mount = to_world(base, [x, y]);
-        let flange = [row.flange_world[0], row.flange_world[1]];
-        drawing.line(&[self.at(mount), self.at(flange)], 3.0, PALETTE[0]);
-        drawing.circle(self.at(flange), 4.0, PALETTE[0]);
-        let shown = |p: &[f64; 2]| (0..2).all(|i| (p[i] - self.middle_m[i]).abs() < self.half_m - 0.07);
-        if let Some(person) = row.person_world.filter(shown) {
-            drawing.circle(self.at(person), 0.07 * self.px_per_m, PALETTE[3]);
+        let [x, y, _] = scene.mount.position_base_m;
+        let (mount, flange) = (self.at(to_world(base, [x, y])), self.at(self.view.flange()));
+        drawing.line(&[mount, flange], 3.0, PALETTE[0]);
+        drawing.circle(flange, 4.0, PALETTE[0], 1.0);
+        let radius_m = match scene.people.first().map(|person| person.shape) {
+            Some(Shape::Cylinder { radius_m }) => radius_m,
+            _ => LEG_M,
+        };
+        let middle = self.view.middle();
+        let shown = |p: &[f64; 2]| (0..2).all(|i| (p[i] - middle[i]).abs() < self.half_m - radius_m);
+        if let Some(person) = now.person_world.filter(shown) {
+            drawing.circle(self.at(person), radius_m * self.px_per_m, PALETTE[3], 1.0);
         }
-        self.forces(drawing, row);
-    }
-
-    fn forces(&self, drawing: &mut Drawing, row: &Row) {
-        let base = &row.base_pose_world;
-        for (taxel, force_n) in self.scene.cover.iter().zip(row.force_true) {
-            if force_n > 0.0 {
-                let (sin, cos) = taxel.inward_angle_base_rad.sin_cos();
-                let [x, y] = taxel.position_base_m;
-                let length = force_n * ARROW_M_PER_N;
-                let tail = to_world(base, [x - length * cos, y - length * sin]);
-                arrow(drawing, self.at(tail), self.at(to_world(base, [x, y])));
-            }
+        for [tail, head] in self.view.arrows() {
+            arrow(drawing, self.at(tail), self.at(head));
         }
-        let [fx, fy, fz, ..] = row.flange_wrench_world;
-        let flange = [row.flange_world[0], row.flange_world[1]];
-        let head = self.at(flange);
-        if fx.hypot(fy) > 0.0 {
-            arrow(drawing, self.at([flange[0] - fx * ARROW_M_PER_N, flange[1] - fy * ARROW_M_PER_N]), head);
-        } else if fz > 0.0 {
-            drawing.text([head[0] + 8.0, head[1] + 4.0], Anchor::Start, "up", RED);
+        let [fx, fy, fz, ..] = now.flange_wrench_world;
+        if fx.hypot(fy) <= 0.0 && fz > 0.0 {
+            drawing.text([flange[0] + 8.0, flange[1] + 4.0], Anchor::Start, "up", RED);
         }
     }
 }
 
 fn arrow(drawing: &mut Drawing, tail: [f64; 2], head: [f64; 2]) {
-    drawing.line(&[tail, head], 2.0, RED);
-    drawing.circle(head, 3.5, RED);
+    let (x, y) = (head[0] - tail[0], head[1] - tail[1]);
+    let length = x.hypot(y).max(1e-9);
+    let (x, y) = (x / length, y / length);
+    let size = length.min(8.0);
+    let back = [head[0] - size * x, head[1] - size * y];
+    drawing.line(&[tail, back], 2.0, RED);
+    let half = 0.45 * size;
+    let barb = |side: f64| [back[0] - side * half * y, back[1] + side * half * x];
+    drawing.area(&[head, barb(1.0), barb(-1.0)], RED, 1.0);
 }
 
 fn to_world([px, py, yaw]: &[f64; 3], [x, y]: [f64; 2]) -> [f64; 2] {
@@ -267,10 +318,10 @@ pub(crate) fn write(
 ) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     for (ending, bytes) in [
-        ("svg", drawing.svg().into_bytes()),
-        ("png", drawing.png()?),
         ("csv", csv(rows).into_bytes()),
         ("json", serde_json::to_vec_pretty(report)?),
+        ("svg", drawing.svg().into_bytes()),
+        ("png", drawing.png()?),
     ] {
         let path = folder.join(format!("{name}.{ending}"));
         std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
@@ -306,7 +357,7 @@ fn csv(rows: &[Row]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::to_own_axes;
+    use super::*;
 
     #[test]
     fn a_force_is_turned_into_the_frame_and_not_out_of_it() {
@@ -314,5 +365,58 @@ mod tests {
         // A frame turned by +90° about z has its x axis along the world's y.
         let seen = to_own_axes(&[0.0, 0.0, half, half], [0.0, 2.0, 0.0]);
         assert!((seen[0] - 2.0).abs() < 1e-12 && seen[1].abs() < 1e-12, "{seen:?}");
+    }
+
+    fn row(t_s: f64, base_pose_world: [f64; 3], force_n: f64) -> Row {
+        let mut force_true = [0.0; TAXELS];
+        (force_true[0], force_true[5]) = (force_n, 0.3 * force_n);
+        Row {
+            t_s,
+            base_pose_world,
+            base_velocity_world: [0.0; 3],
+            base_command_body: [0.0; 3],
+            q_rad: [0.0; 7],
+            flange_world: [base_pose_world[0] + 0.75, base_pose_world[1], 0.9],
+            flange_quaternion: [0.0, 0.0, 0.0, 1.0],
+            flange_desired_world: [0.75, 0.0, 0.9],
+            flange_wrench_world: [0.0, force_n, 0.0, 0.0, 0.0, 0.0],
+            wrench_true: [0.0; 3],
+            wrench_sensed: [0.0; 3],
+            force_true,
+            force_sensed: force_true,
+            total_force_n: force_n,
+            largest_force_n: force_n,
+            person_world: Some([0.0, 0.5]),
+        }
+    }
+
+    #[test]
+    fn arrows_and_texts_stay_in_their_picture_however_hard_and_far_the_push() {
+        for force_n in [0.5, 20.0, 155.0, 2000.0] {
+            let rows: Vec<Row> =
+                (0u32..50).map(|i| row(f64::from(i), [0.03 * f64::from(i), -0.02, 0.02], force_n)).collect();
+            let names = ["the arm leads", "contact", "largest force", "the base resumes"];
+            let moments: Vec<Moment> = names
+                .iter()
+                .zip([0, 10, 20, 49])
+                .map(|(name, row)| Moment { name: (*name).into(), row })
+                .collect();
+            let drawing =
+                draw(&Scene::default(), &rows, &moments, vec![taxel_forces(&rows), flange_error(&rows)]);
+            assert_eq!(drawing.texts_outside().unwrap(), Vec::<String>::new());
+            let view = View {
+                scene: &Scene::default(),
+                start: &rows[0],
+                now: &rows[49],
+                m_per_n: ARROW_M / force_n,
+            };
+            let [middle_x, middle_y] = view.middle();
+            for [x, y] in view.arrows().into_iter().flatten() {
+                assert!((x - middle_x).abs().max((y - middle_y).abs()) < view.half_extent_m());
+            }
+            let top = HEADER + PANEL_HEIGHT * 2.0;
+            let [left, _, right, bottom] = drawing.extent().unwrap();
+            assert!(left >= 0.0 && right <= WIDTH && bottom <= top + PICTURE + 44.0, "{force_n} N");
+        }
     }
 }

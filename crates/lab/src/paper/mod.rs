@@ -204,7 +204,7 @@ fn finish(
     name: &str,
     report: &impl Serialize,
     rows: &[closed_loop::Row],
-    draw: impl Fn() -> crate::figures::drawing::Drawing,
+    draw: impl Fn() -> moca_figures::Drawing,
     text: impl Fn() -> String,
 ) -> Result<()> {
     if let Some(folder) = &common.out {

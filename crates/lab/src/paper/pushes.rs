@@ -3,11 +3,11 @@
 use super::figure::{self, Moment};
 use super::push::{self, Outcome, Push};
 use super::{RunInfo, head, outcome_text};
-use crate::figures::chart::Panel;
 use crate::rig::closed_loop::{Rig, Row};
 use crate::rig::measure::Measures;
 use crate::rig::settings::Settings;
 use anyhow::Result;
+use moca_figures::Panel;
 use serde::Serialize;
 use std::time::Instant;
 

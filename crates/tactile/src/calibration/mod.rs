@@ -4,9 +4,7 @@
 //! 2. [`mod@fit`]: least squares for each kind of model; [`quality`]: its errors in newtons, range and cost.
 //! 3. [`mod@file`]: TOML files that say for which board they hold, and refuse any other.
 //! 4. [`session`]: the guided steps of a calibration, with time and bytes as arguments.
-//! 5. [`chart`]: residual plots (SVG).
 
-pub mod chart;
 pub mod file;
 pub mod fit;
 pub mod quality;

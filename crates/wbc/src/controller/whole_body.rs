@@ -348,6 +348,13 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             self.base.limited(guard, &wanted_body, &state.base.velocity_body, tick.dt_s, hit);
         finite("base velocity command", &base_velocity_body)?;
         let mut torque = wanted.torque;
+        if hit.contact && state.law() == ControlLaw::Impedance {
+            // what the barrier adds to the base's acceleration the arm takes away again at its tool
+            let added = core::array::from_fn(|i| (base_velocity_body[i] - wanted_body[i]) / tick.dt_s);
+            let moved = times(&tick.kinematics.base_jacobian(), &heading.to_world(added));
+            let against = step.arm.torque_for(&moved)?;
+            torque = core::array::from_fn(|i| torque[i] - against[i]);
+        }
         if self.corrections.base_coupling && moves {
             let commanded = heading.to_world(base_velocity_body);
             let acceleration: [T; 3] =

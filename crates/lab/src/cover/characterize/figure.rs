@@ -1,49 +1,44 @@
-//! Figure 4 and pictures in general.
+//! Figure 4.
 
 use super::trials::{Recording, Sample};
 use anyhow::Context;
+use moca_figures::{Drawing, Panel, Series};
 use moca_sim::foam::Foam;
 use moca_sim::sensor::IDLE_COUNTS;
-use moca_tactile::calibration::chart::{COLOURS, Chart, side_by_side};
-use resvg::{tiny_skia, usvg};
 use std::path::Path;
 
 /// Force bins of the mean lines.
 const BINS: usize = 50;
-/// Pixels for each unit of the SVG.
-const SCALE: f32 = 2.0;
+/// Of one panel, px.
+const SIZE: [f64; 2] = [680.0, 420.0];
 
 /// Force over deformation and force over counts: means of all presses of all trials, bands of one standard
 /// deviation along x; loading and unloading apart.
-pub(super) fn figure_4(recordings: &[Vec<Recording>]) -> String {
+pub(super) fn figure_4(recordings: &[Vec<Recording>]) -> Drawing {
     let x_labels = ["deformation [mm]", "counts below rest"];
-    let titles = ["Force over deformation", "Force over counts"];
+    let titles = ["force over deformation: mean ± one standard deviation", "force over counts"];
     let values: [fn(&Sample) -> f64; 2] =
         [|sample| 1e3 * sample.deformation_m, |sample| IDLE_COUNTS - f64::from(sample.fdat)];
-    let charts: Vec<Chart> = (0..2)
-        .map(|panel| {
-            let value = values[panel];
-            let largest = recordings.iter().flatten().flat_map(|r| &r.samples).map(value).fold(0.0, f64::max);
-            let labels = [x_labels[panel], "force [N]"];
-            let mut chart = Chart::new(titles[panel], labels, [0.0, 1.08 * largest], [0.0, 105.0]);
-            for ((foam, recordings), colour) in Foam::PAPER.into_iter().zip(recordings).zip(COLOURS) {
-                for rising in [true, false] {
-                    let curve = mean_curve(recordings, rising, value);
-                    let shifted = |sign: f64| -> Vec<_> {
-                        curve
-                            .iter()
-                            .map(|&(force_n, mean, deviation)| (mean + sign * deviation, force_n))
-                            .collect()
-                    };
-                    chart.band(colour, &shifted(-1.0), &shifted(1.0));
-                    let name = if rising { foam.name } else { "" };
-                    chart.line(name, colour, shifted(0.0));
-                }
+    let mut drawing = Drawing::new(2.0 * SIZE[0], SIZE[1] + 8.0);
+    for (i, ((title, x_label), value)) in titles.into_iter().zip(x_labels).zip(values).enumerate() {
+        let mut panel = Panel::new(title, x_label, "force [N]");
+        for (colour, (foam, recordings)) in Foam::PAPER.into_iter().zip(recordings).enumerate() {
+            for rising in [true, false] {
+                let curve = mean_curve(recordings, rising, value);
+                let shifted = |sign: f64| {
+                    curve.iter().map(move |&(force_n, mean, deviation)| [mean + sign * deviation, force_n])
+                };
+                let name = if rising { foam.name } else { "" };
+                let mut series = Series::line(colour, name, shifted(0.0).collect());
+                let upper: Vec<[f64; 2]> = shifted(1.0).collect();
+                series.band = shifted(-1.0).chain(upper.into_iter().rev()).collect();
+                panel.series.push(series);
             }
-            chart
-        })
-        .collect();
-    side_by_side(&charts)
+        }
+        let left = if i == 0 { 0.0 } else { SIZE[0] };
+        panel.draw(&mut drawing, [left, 4.0], SIZE);
+    }
+    drawing
 }
 
 /// (force, mean, standard deviation) of `value` in each force bin.
@@ -74,19 +69,10 @@ fn mean_curve(recordings: &[Recording], rising: bool, value: fn(&Sample) -> f64)
 }
 
 /// Writes `path`.svg and `path`.png.
-pub(crate) fn write(svg: &str, path: &Path) -> anyhow::Result<()> {
-    let (svg_path, png_path) = (path.with_extension("svg"), path.with_extension("png"));
-    std::fs::write(&svg_path, svg).with_context(|| format!("cannot write {}", svg_path.display()))?;
-    std::fs::write(&png_path, png(svg)?).with_context(|| format!("cannot write {}", png_path.display()))
-}
-
-/// A picture of an SVG with the system's fonts.
-pub(crate) fn png(svg: &str) -> anyhow::Result<Vec<u8>> {
-    let mut options = usvg::Options::default();
-    options.fontdb_mut().load_system_fonts();
-    let tree = usvg::Tree::from_str(svg, &options)?;
-    let size = tree.size().to_int_size().scale_by(SCALE).context("an empty picture")?;
-    let mut pixmap = tiny_skia::Pixmap::new(size.width(), size.height()).context("an empty picture")?;
-    resvg::render(&tree, tiny_skia::Transform::from_scale(SCALE, SCALE), &mut pixmap.as_mut());
-    Ok(pixmap.encode_png()?)
+pub(crate) fn write(drawing: &Drawing, path: &Path) -> anyhow::Result<()> {
+    for (ending, bytes) in [("svg", drawing.svg().into_bytes()), ("png", drawing.png()?)] {
+        let path = path.with_extension(ending);
+        std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(())
 }

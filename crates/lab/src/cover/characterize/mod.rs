@@ -8,7 +8,7 @@ mod trials;
 use anyhow::{Context, ensure};
 use moca_sim::foam::Foam;
 use moca_tactile::calibration::quality::{evaluation_cost_ns, quality};
-use moca_tactile::calibration::{ModelKind, Trial, TrialSample, chart, fit};
+use moca_tactile::calibration::{ModelKind, Trial, TrialSample, fit, residuals};
 use moca_tactile::model::{ASSUMED_ERROR_FROM_N, TaxelModel};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -98,7 +98,8 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// Tables I and II as text and Figure 4 as SVG, for a report that holds them.
 pub(crate) fn tables_and_figure_4(trials: usize, seed: u64) -> anyhow::Result<(String, String)> {
     let (recordings, materials) = simulate(trials, seed)?;
-    Ok((tables::report(&materials, trials, Path::new("out/characterize")), figure::figure_4(&recordings)))
+    let figure_4 = figure::figure_4(&recordings).svg();
+    Ok((tables::report(&materials, trials, Path::new("out/characterize")), figure_4))
 }
 
 /// Every calibration model on the cover's own foam.
@@ -203,8 +204,8 @@ fn residual_plots(recordings: &[Recording], folder: &Path) -> anyhow::Result<()>
     for kind in ModelKind::ALL {
         let (model, quality) = fit(kind, &trials)?;
         let title = format!("PU LD30, {}: RMSE {:.2} N", model.name(), quality.rmse_n);
-        let svg = chart::residual_plot(&title, &model, &trials);
-        figure::write(&svg, &folder.join(format!("residuals-{}", TaxelModel::name(&model))))?;
+        let drawing = moca_figures::residuals(&title, "N", &residuals(&model, &trials));
+        figure::write(&drawing, &folder.join(format!("residuals-{}", TaxelModel::name(&model))))?;
     }
     Ok(())
 }
@@ -268,7 +269,8 @@ mod tests {
     fn figure_4_becomes_a_picture() {
         let recordings: Vec<_> =
             Foam::PAPER.iter().map(|foam| trials::record(foam, Protocol::Ramps, 2, 1)).collect();
-        let png = figure::png(&figure::figure_4(&recordings)).unwrap();
-        assert!(png.starts_with(b"\x89PNG") && png.len() > 10_000);
+        let drawing = figure::figure_4(&recordings);
+        assert!(drawing.png().unwrap().len() > 10_000);
+        assert_eq!(drawing.texts_outside().unwrap(), Vec::<String>::new());
     }
 }

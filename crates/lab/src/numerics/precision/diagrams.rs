@@ -1,10 +1,9 @@
 //! The work–precision diagrams.
 
 use super::{Report, control, plant};
-use crate::figures::chart::{Panel, Scale, Series};
-use crate::figures::drawing::{Drawing, RED};
+use moca_figures::{Drawing, Panel, Scale, Series};
 
-const HEIGHT: f64 = 250.0;
+const HEIGHT: f64 = 270.0;
 
 /// All diagrams under each other.
 pub(crate) fn draw(report: &Report) -> Drawing {
@@ -33,11 +32,6 @@ fn diagram(title: &str, x: &str, y: &str) -> Panel {
     Panel { x_scale: Scale::Log, y_scale: Scale::Log, ..Panel::new(title, x, y) }
 }
 
-/// What failed has no place in the diagram: it gets a red line in the legend.
-fn failure(name: String) -> Series {
-    Series { colour: RED, ..Series::line(0, name, Vec::new()) }
-}
-
 fn plant_panels(scene: &plant::SceneReport) -> Vec<Panel> {
     let panel = |title: String, y: &str, level: f64, pick: &dyn Fn(&plant::Point) -> Option<f64>| {
         let curve = |(i, (_, method)): (usize, &(_, &'static str))| {
@@ -46,7 +40,8 @@ fn plant_panels(scene: &plant::SceneReport) -> Vec<Panel> {
             Series::dots(i, *method, points.collect())
         };
         let failed = scene.points.iter().filter(|p| p.failed.is_some());
-        let failed = failed.map(|p| failure(format!("{} {} ms fails", p.integrator, p.step_ms)));
+        let failed = failed
+            .map(|p| Series::failures(format!("{} {} ms fails", p.integrator, p.step_ms), [p.cpu_s_per_s]));
         Panel {
             series: plant::METHODS.iter().enumerate().map(curve).chain(failed).collect(),
             levels: vec![(level, "reference's own error")],
@@ -80,9 +75,10 @@ fn admittance_panel(
         Series::dots(i, *method, own.map(|p| [p.cpu_s_per_s, pick(p).max(1e-16)]).collect())
     };
     let failed = points.iter().filter(|p| p.failed);
-    let failed = failed.map(|p| failure(format!("{} {} ms", p.method, p.step_ms)));
+    let failed =
+        failed.map(|p| Series::failures(format!("{} {} ms fails", p.method, p.step_ms), [p.cpu_s_per_s]));
     Panel {
         series: control::DISCRETISATIONS.iter().enumerate().map(curve).chain(failed).collect(),
-        ..diagram(&format!("eq. (2), M/D = 10 ms, {input}; red fails"), "CPU s per s", "m/s")
+        ..diagram(&format!("eq. (2), M/D = 10 ms, {input}"), "CPU s per s", "m/s")
     }
 }

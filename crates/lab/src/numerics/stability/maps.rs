@@ -1,11 +1,10 @@
 //! Maps of peak force and swing over two parameters, with the contact stability law drawn over them.
 
 use super::trial;
-use crate::figures::chart;
-use crate::figures::drawing::{Colour, Drawing};
 use crate::rig::parallel;
 use crate::rig::settings::Settings;
 use anyhow::Result;
+use moca_figures::{Colour, Drawing, number};
 use moca_wbc::contact_stability as theory;
 use serde::Serialize;
 
@@ -22,7 +21,7 @@ struct Axis {
 
 const DAMPING: Axis = Axis {
     assignments: "d_v={}",
-    label: "d_v [N.s/m]",
+    label: "virtual damping d_v [N·s/m]",
     values: &[20.0, 40.0, 80.0, 160.0, 320.0, 640.0, 1280.0],
 };
 
@@ -139,36 +138,50 @@ pub(crate) fn stable_in_theory(settings: &Settings) -> Result<bool> {
 /// The maps under each other.
 pub(crate) fn draw(maps: &[Map]) -> Drawing {
     let count = |n: usize| f64::from(u32::try_from(n).unwrap_or(u32::MAX));
-    let height = 7.0 * CELL[1] + 90.0;
+    let maps: Vec<moca_figures::Map> = maps.iter().map(shown).collect();
+    let height = maps.first().map_or(0.0, |map| map.height(CELL[1])) + 20.0;
     let mut drawing = Drawing::new(760.0, height * count(maps.len()));
     for (i, map) in maps.iter().enumerate() {
-        let cells = map.cells.iter().map(|cell| {
-            let text = if cell.peak_n > 0.0 { format!("{:.0}", cell.peak_n) } else { "no touch".into() };
-            (colour(cell), text)
-        });
-        chart::Map {
-            title: "peak force [N]; green < 25 N, red: swings on or stopped; line: contact stability law"
-                .into(),
-            x_label: map.x.into(),
-            y_label: map.y.into(),
-            x: map.x_values.iter().map(|v| chart::number(*v)).collect(),
-            y: map.y_values.iter().map(|v| chart::number(*v)).collect(),
-            cells: cells.collect(),
-            sides: map.cells.iter().map(|cell| cell.theory_stable).collect(),
-        }
-        .draw(&mut drawing, [20.0, 20.0 + height * count(i)], CELL);
+        map.draw(&mut drawing, [14.0, 10.0 + height * count(i)], CELL);
     }
     drawing
 }
 
+const SAFE: Colour = [190, 225, 190];
+const HARD: Colour = [245, 225, 170];
+const UNBOUNDED: Colour = [235, 165, 155];
+const UNTOUCHED: Colour = [228, 228, 228];
+
+fn shown(map: &Map) -> moca_figures::Map {
+    let cells = map.cells.iter().map(|cell| {
+        let text = if cell.peak_n > 0.0 { format!("{:.0}", cell.peak_n) } else { "–".into() };
+        (colour(cell), text)
+    });
+    moca_figures::Map {
+        title: "peak force [N]; the line is the boundary of the contact stability law".into(),
+        x_label: map.x.into(),
+        y_label: map.y.into(),
+        x: map.x_values.iter().map(|v| number(*v)).collect(),
+        y: map.y_values.iter().map(|v| number(*v)).collect(),
+        cells: cells.collect(),
+        sides: map.cells.iter().map(|cell| cell.theory_stable).collect(),
+        legend: vec![
+            (SAFE, "bounded, below 25 N"),
+            (HARD, "bounded, above 25 N"),
+            (UNBOUNDED, "swings on or stopped"),
+            (UNTOUCHED, "no touch"),
+        ],
+    }
+}
+
 const fn colour(cell: &Cell) -> Colour {
     if cell.peak_n <= 0.0 {
-        return [228, 228, 228];
+        return UNTOUCHED;
     }
     match (cell.bounded, cell.peak_n < 25.0) {
-        (true, true) => [190, 225, 190],
-        (true, false) => [245, 225, 170],
-        (false, _) => [235, 165, 155],
+        (true, true) => SAFE,
+        (true, false) => HARD,
+        (false, _) => UNBOUNDED,
     }
 }
 

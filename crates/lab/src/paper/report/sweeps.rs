@@ -1,13 +1,12 @@
 //! The collision's peak force against one parameter at a time, ideal sensor and stock board.
 
 use super::collision_with;
-use crate::figures::chart::{Panel, Scale, Series};
-use crate::figures::drawing::Drawing;
 use crate::numerics::stability::maps::stable_in_theory;
 use crate::paper::{collision, measure};
 use crate::rig::parallel;
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
+use moca_figures::{Drawing, Panel, Scale, Series};
 
 /// Largest force that the paper calls safe, N.
 const SAFE_N: f64 = 25.0;

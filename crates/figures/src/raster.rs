@@ -1,0 +1,168 @@
+//! A drawing as PNG: resvg renders its SVG with the embedded font.
+
+use crate::drawing::Drawing;
+use resvg::{tiny_skia, usvg};
+use skrifa::{FontRef, MetadataProvider};
+use std::fmt;
+
+/// DejaVu Sans, reduced to what figures need (assets/LICENSE-DejaVu).
+const FONT: &[u8] = include_bytes!("../assets/DejaVuSans-subset.ttf");
+/// Pixels of the PNG for each of the drawing.
+const SCALE: f32 = 2.0;
+
+/// Why there is no picture.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PictureError {
+    /// The embedded font lacks a character.
+    NoGlyph {
+        /// Which.
+        character: char,
+        /// In what.
+        text: String,
+    },
+    /// The renderer refused.
+    Render(String),
+}
+
+impl fmt::Display for PictureError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoGlyph { character, text } => {
+                write!(f, "the embedded font has no glyph for '{character}' of \"{text}\"")
+            }
+            Self::Render(why) => write!(f, "cannot draw the picture: {why}"),
+        }
+    }
+}
+
+impl std::error::Error for PictureError {}
+
+fn refused(why: &dyn fmt::Display) -> PictureError {
+    PictureError::Render(why.to_string())
+}
+
+impl Drawing {
+    /// The drawing as a PNG file, twice as fine as its pixels.
+    ///
+    /// # Errors
+    /// A character that the font lacks: a text that would not be seen is no picture.
+    pub fn png(&self) -> Result<Vec<u8>, PictureError> {
+        self.check_glyphs()?;
+        let tree = self.tree()?;
+        let Some(size) = tree.size().to_int_size().scale_by(SCALE) else {
+            return Err(refused(&"it is empty"));
+        };
+        let Some(mut pixmap) = tiny_skia::Pixmap::new(size.width(), size.height()) else {
+            return Err(refused(&"it is too large"));
+        };
+        resvg::render(&tree, tiny_skia::Transform::from_scale(SCALE, SCALE), &mut pixmap.as_mut());
+        pixmap.encode_png().map_err(|error| refused(&error))
+    }
+
+    /// Texts that run over the edge of the drawing, and how many were not drawn at all.
+    ///
+    /// # Errors
+    /// As [`Self::png`].
+    pub fn texts_outside(&self) -> Result<Vec<String>, PictureError> {
+        self.check_glyphs()?;
+        let tree = self.tree()?;
+        let (width, height) = (tree.size().width(), tree.size().height());
+        let (mut drawn, mut outside) = (Vec::new(), Vec::new());
+        texts_in(tree.root(), &mut drawn);
+        for text in &drawn {
+            let bounds = text.abs_bounding_box();
+            let inside = bounds.left() >= 0.0
+                && bounds.top() >= 0.0
+                && bounds.right() <= width
+                && bounds.bottom() <= height;
+            if !inside {
+                outside.push(text.chunks().iter().map(usvg::TextChunk::text).collect::<String>());
+            }
+        }
+        let wanted = self.texts().filter(|text| !text.trim().is_empty()).count();
+        if drawn.len() < wanted {
+            outside.push(format!("{} of {wanted} texts were not drawn at all", wanted - drawn.len()));
+        }
+        Ok(outside)
+    }
+
+    fn check_glyphs(&self) -> Result<(), PictureError> {
+        let font = FontRef::new(FONT).map_err(|error| refused(&error))?;
+        let characters = font.charmap();
+        for text in self.texts() {
+            let missing = |c: &char| !c.is_whitespace() && characters.map(*c).is_none();
+            if let Some(character) = text.chars().find(missing) {
+                return Err(PictureError::NoGlyph { character, text: text.to_owned() });
+            }
+        }
+        Ok(())
+    }
+
+    fn tree(&self) -> Result<usvg::Tree, PictureError> {
+        let mut options = usvg::Options { font_family: "DejaVu Sans".into(), ..usvg::Options::default() };
+        options.fontdb_mut().load_font_data(FONT.to_vec());
+        usvg::Tree::from_str(&self.svg(), &options).map_err(|error| refused(&error))
+    }
+}
+
+fn texts_in<'a>(group: &'a usvg::Group, found: &mut Vec<&'a usvg::Text>) {
+    for node in group.children() {
+        match node {
+            usvg::Node::Text(text) => found.push(text),
+            usvg::Node::Group(group) => texts_in(group, found),
+            _ => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests fail by panicking")]
+
+    use super::*;
+    use crate::{Anchor, BLACK, RED};
+
+    fn pixels(drawing: &Drawing) -> tiny_skia::Pixmap {
+        tiny_skia::Pixmap::decode_png(&drawing.png().unwrap()).unwrap()
+    }
+
+    fn dark(pixmap: &tiny_skia::Pixmap) -> usize {
+        pixmap.pixels().iter().filter(|p| p.red() < 128).count()
+    }
+
+    #[test]
+    fn a_picture_holds_what_was_drawn() {
+        let mut drawing = Drawing::new(60.0, 30.0);
+        drawing.line(&[[5.0, 25.0], [55.0, 25.0]], 2.0, RED);
+        drawing.rectangle([10.0, 2.0], [8.0, 8.0], BLACK);
+        let pixmap = pixels(&drawing);
+        assert_eq!((pixmap.width(), pixmap.height()), (120, 60));
+        let at = |x, y| {
+            let p = pixmap.pixel(x, y).unwrap();
+            [p.red(), p.green(), p.blue()]
+        };
+        assert_eq!((at(60, 50), at(28, 12), at(2, 2)), (RED, BLACK, [255; 3]));
+    }
+
+    #[test]
+    fn every_kind_of_text_that_figures_use_leaves_ink() {
+        for text in ["K_d e·ẏ ≤ −10⁻³", "η_B/η_A τ_v,ext ± 0.5 °", "→ ∞ Σ √ ∂ µm m/s²", "N·s/m (k₀, θ₁)"]
+        {
+            let mut drawing = Drawing::new(260.0, 20.0);
+            drawing.text([4.0, 14.0], Anchor::Start, text, BLACK);
+            assert!(dark(&pixels(&drawing)) > 100, "{text}");
+            assert_eq!(drawing.texts_outside().unwrap(), Vec::<String>::new());
+        }
+    }
+
+    #[test]
+    fn a_text_that_would_not_be_seen_is_an_error() {
+        let mut drawing = Drawing::new(60.0, 30.0);
+        drawing.text([4.0, 14.0], Anchor::Start, "力 12 N", BLACK);
+        let error = drawing.png().unwrap_err();
+        assert_eq!(error.to_string(), "the embedded font has no glyph for '力' of \"力 12 N\"");
+        let mut drawing = Drawing::new(60.0, 30.0);
+        drawing.text([40.0, 14.0], Anchor::Start, "runs over the edge", BLACK);
+        assert_eq!(drawing.texts_outside().unwrap(), ["runs over the edge"]);
+    }
+}

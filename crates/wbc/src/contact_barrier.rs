@@ -1,0 +1,340 @@
+//! Keeps every contact of the cover under a force although its sensor is late: how deep each touched taxel is *now*,
+//! how fast the person comes, and how fast that taxel may therefore still go outward. A [`BaseGuard`] takes the result,
+//! and the base goes the nearest way that keeps all of it, its own limits first. `docs/math.md` derives the law.
+//!
+//! ```
+//! use moca_wbc::contact_barrier::{BarrierInput, BarrierSettings, ContactBarrier, FoamCurve, TaxelSample};
+//! use moca_wbc::robot::PAPER_COVER;
+//! use moca_wbc::{BaseController, BaseGuard, BaseInput, Parameters};
+//!
+//! let foam = FoamCurve::Hyperbolic { stiffness_n_m: 2105.0, thickness_m: 0.015 };
+//! let settings = BarrierSettings::new(foam, foam, 25.0, 0.015)?;
+//! let mut barrier: ContactBarrier<11> = ContactBarrier::new(&PAPER_COVER, &settings);
+//! let base: BaseController<11> = BaseController::new(&PAPER_COVER, &Parameters::PAPER)?;
+//!
+//! // forward at 0.1 m/s, and T6 in front is 12 ms ago found pressed with 12 N
+//! let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.012 }); 11];
+//! samples[5] = Some(TaxelSample { force_n: 12.0, age_s: 0.012 });
+//! let input = BarrierInput::new(samples, [0.1, 0.0, 0.0], [3.0, 3.0, 6.0], 1e-3);
+//! let contacts = barrier.update(&input)?;
+//! assert!(contacts.depth_m[5] > foam.depth_m(12.0), "deeper by now");
+//! assert!(contacts.outward_m_s[5] < 0.0, "and it has to give way");
+//!
+//! let mut state = base.enter();
+//! let guard = BaseGuard { outward_m_s: Some(contacts.outward_m_s), ..BaseGuard::NONE };
+//! let input = BaseInput { yaw_world_rad: 0.0, taxel_force_n: contacts.force_n, guard, dt_s: 1e-3 };
+//! let back = base.step(&mut state, &input)?.velocity_body[0];
+//! assert!((back + 0.003).abs() < 1e-12, "backwards as fast as 3 m/s² allow");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! [`BaseGuard`]: crate::BaseGuard
+
+use crate::error::{ControlError, finite};
+use crate::guard::CoverOutline;
+use crate::scalar::{Scalar, of};
+use crate::state_check::check_step;
+use moca_msgs::{ParameterError, TaxelPlacement};
+
+mod track;
+
+use track::{Odometry, Track};
+
+/// Share of the force limit up to which the base itself may press.
+const STOP_SHARE: f64 = 0.3165;
+/// Share of the force limit from which on it makes room at the person's speed: what is left to the limit is for errors
+/// of the person's estimated speed over one age.
+const YIELD_SHARE: f64 = 0.7313;
+/// Way that a touched taxel goes back once its readings cannot be believed any more, m.
+pub const BLIND_RETREAT_M: f64 = 0.03;
+
+/// How a foam's force grows with its compression.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FoamCurve {
+    /// F = k₀d/(1 − d/h).
+    Hyperbolic {
+        /// k₀, N/m.
+        stiffness_n_m: f64,
+        /// h, m.
+        thickness_m: f64,
+    },
+    /// F = 100 N·(d/d₁₀₀)ⁿ.
+    Power {
+        /// d₁₀₀, m.
+        depth_at_100n_m: f64,
+        /// n.
+        exponent: f64,
+    },
+}
+
+impl FoamCurve {
+    /// Compression at a force in N, m.
+    pub fn depth_m<T: Scalar>(&self, force_n: T) -> T {
+        let force = force_n.max(T::zero());
+        match *self {
+            Self::Hyperbolic { stiffness_n_m, thickness_m } => {
+                force * of(thickness_m) / (of::<T>(stiffness_n_m * thickness_m) + force)
+            }
+            Self::Power { depth_at_100n_m, exponent } => {
+                of::<T>(depth_at_100n_m) * (force / of(100.0)).powf(of(1.0 / exponent))
+            }
+        }
+    }
+
+    /// Force at a compression in m, N; no more than at 95 % of a hyperbolic foam's thickness.
+    pub fn force_n<T: Scalar>(&self, depth_m: T) -> T {
+        let depth = depth_m.max(T::zero());
+        match *self {
+            Self::Hyperbolic { stiffness_n_m, thickness_m } => {
+                let share = (depth / of(thickness_m)).min(of(0.95));
+                of::<T>(stiffness_n_m * thickness_m) * share / (T::one() - share)
+            }
+            Self::Power { depth_at_100n_m, exponent } => {
+                of::<T>(100.0) * (depth / of(depth_at_100n_m)).powf(of(exponent))
+            }
+        }
+    }
+
+    fn check(&self) -> Result<(), ParameterError> {
+        let (first, second) = match *self {
+            Self::Hyperbolic { stiffness_n_m, thickness_m } => (
+                ("foam stiffness", stiffness_n_m, "N/m", 1.0, 1e9),
+                ("foam thickness", thickness_m, "m", 1e-4, 1.0),
+            ),
+            Self::Power { depth_at_100n_m, exponent } => (
+                ("foam depth at 100 N", depth_at_100n_m, "m", 1e-5, 1.0),
+                ("foam exponent", exponent, "", 0.5, 10.0),
+            ),
+        };
+        for (name, value, unit, min, max) in [first, second] {
+            within(name, value, unit, min, max)?;
+        }
+        Ok(())
+    }
+}
+
+/// What the barrier knows of cover and base, and how it acts. SI units. [`Self::new`] gives what was measured with a
+/// simulated robot; nothing of it is tuned to a single experiment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BarrierSettings {
+    /// What the reader's calibration takes the foam for: undone to get from a reading to a depth.
+    pub reading: FoamCurve,
+    /// Below this reading nothing touches, N.
+    pub touch_n: f64,
+    /// The base itself presses no deeper than this, m.
+    pub stop_m: f64,
+    /// From here on the base makes room at the person's speed, m.
+    pub yield_m: f64,
+    /// Time in which an error of the depth is taken back T_r, s.
+    pub response_s: f64,
+    /// Time constant of the base's velocity servo τ, s.
+    pub servo_s: f64,
+    /// Share η of the base's deceleration that is counted on.
+    pub braking_share: f64,
+    /// Weight of a new estimate of the person's speed.
+    pub speed_weight: f64,
+    /// Speed that a person is believed to have at the first reading, m/s: one reading cannot tell.
+    pub first_speed_m_s: f64,
+    /// Fastest that a person is believed to come, m/s.
+    pub fastest_person_m_s: f64,
+    /// Fastest retreat, m/s.
+    pub retreat_m_s: f64,
+    /// Speed outward after a release, m/s,
+    pub creep_m_s: f64,
+    /// for this long, s,
+    pub creep_s: f64,
+    /// and what it gains per second afterwards, m/s².
+    pub recovery_m_s2: f64,
+    /// How far the flange may be from its place over the base where the retreat begins to fade, and where it ends, m.
+    pub reach_m: [f64; 2],
+}
+
+impl BarrierSettings {
+    /// For contacts under `force_limit_n` on `foam`, whose readings come from a calibration as `reading`, on a base
+    /// whose servo has the time constant `servo_s`.
+    ///
+    /// # Errors
+    /// A curve, force or time out of range.
+    pub fn new(
+        reading: FoamCurve,
+        foam: FoamCurve,
+        force_limit_n: f64,
+        servo_s: f64,
+    ) -> Result<Self, ParameterError> {
+        reading.check()?;
+        foam.check()?;
+        within("force limit of the contact barrier", force_limit_n, "N", 1.0, 1000.0)?;
+        within("time constant of the base's servo", servo_s, "s", 0.0, 1.0)?;
+        Ok(Self {
+            reading,
+            touch_n: 1.0,
+            stop_m: foam.depth_m(STOP_SHARE * force_limit_n),
+            yield_m: foam.depth_m(YIELD_SHARE * force_limit_n),
+            response_s: 0.08,
+            servo_s,
+            braking_share: 0.7,
+            speed_weight: 0.5,
+            first_speed_m_s: 0.1,
+            fastest_person_m_s: 0.6,
+            retreat_m_s: 0.3,
+            creep_m_s: 0.03,
+            creep_s: 0.15,
+            recovery_m_s2: 0.1,
+            reach_m: [0.25, 0.35],
+        })
+    }
+}
+
+/// A taxel's reading.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TaxelSample<T = f64> {
+    /// Compression force, N, ≥ 0.
+    pub force_n: T,
+    /// Time since it was taken, s, ≥ 0.
+    pub age_s: T,
+}
+
+/// One step's measurements.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BarrierInput<const K: usize, T = f64> {
+    /// Readings, T1 first; `None` where there is none that can be believed.
+    pub samples: [Option<TaxelSample<T>>; K],
+    /// Measured velocity of the base, axes of B: m/s, m/s, rad/s.
+    pub velocity_body: [T; 3],
+    /// What the base can brake with, m/s², m/s², rad/s².
+    pub deceleration: [T; 3],
+    /// How far the flange is from its place over the base, axes of B, m: the arm holds on to where it is while the base
+    /// makes room. 0 for a base alone and for follow-me.
+    pub stretch_body_m: [T; 2],
+    /// Time since the last step, s, > 0.
+    pub dt_s: T,
+}
+
+impl<const K: usize, T: Scalar> BarrierInput<K, T> {
+    /// With an arm that is where it belongs.
+    pub fn new(
+        samples: [Option<TaxelSample<T>>; K],
+        velocity_body: [T; 3],
+        deceleration: [T; 3],
+        dt_s: T,
+    ) -> Self {
+        Self { samples, velocity_body, deceleration, stretch_body_m: [T::zero(); 2], dt_s }
+    }
+
+    fn check(&self) -> Result<(), ControlError> {
+        check_step(self.dt_s)?;
+        finite("velocity_body", &self.velocity_body)?;
+        finite("deceleration", &self.deceleration)?;
+        finite("stretch_body_m", &self.stretch_body_m)?;
+        for (index, sample) in self.samples.iter().enumerate() {
+            let fine = sample.is_none_or(|s| s.force_n.is_finite() && s.age_s.is_finite());
+            if !fine {
+                return Err(ControlError::NotFinite { what: "taxel sample", index });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What the barrier says of one step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ContactLimits<const K: usize, T = f64> {
+    /// Largest speed of each taxel outward, m/s: for [`crate::BaseGuard::outward_m_s`].
+    pub outward_m_s: [T; K],
+    /// Force now, N, never more than was felt: for the law, which so sees its own retreat at once.
+    pub force_n: [T; K],
+    /// Compression now, m; 0 where nothing touches.
+    pub depth_m: [T; K],
+    /// The person's own speed towards the cover, m/s, ≥ 0.
+    pub person_m_s: [T; K],
+}
+
+/// The barrier of a cover of `K` taxels, with what it remembers: 3 kB of odometry, which no step copies.
+#[derive(Clone, Debug)]
+pub struct ContactBarrier<const K: usize, T = f64> {
+    outline: CoverOutline<K, T>,
+    settings: BarrierSettings,
+    odometry: Odometry<T>,
+    tracks: [Track<T>; K],
+}
+
+impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
+    /// Nothing touches.
+    pub fn new(taxels: &[TaxelPlacement; K], settings: &BarrierSettings) -> Self {
+        Self {
+            outline: CoverOutline::new(taxels),
+            settings: *settings,
+            odometry: Odometry::new(),
+            tracks: [Track::none(); K],
+        }
+    }
+
+    /// One step.
+    ///
+    /// # Errors
+    /// A number that is not finite, a step that is not positive; nothing is changed.
+    pub fn update(&mut self, input: &BarrierInput<K, T>) -> Result<ContactLimits<K, T>, ControlError> {
+        input.check()?;
+        self.odometry.advance(&input.velocity_body, input.dt_s);
+        let mut limits = ContactLimits {
+            outward_m_s: [of(f64::INFINITY); K],
+            force_n: [T::zero(); K],
+            depth_m: [T::zero(); K],
+            person_m_s: [T::zero(); K],
+        };
+        for i in 0..K {
+            let way = |place: &[T; 3]| self.outline.outward(i, place);
+            self.tracks[i].advance(&self.settings, &self.odometry, input.samples[i], input.dt_s, way);
+            let track = &self.tracks[i];
+            if !track.touched() {
+                limits.outward_m_s[i] = track.released_limit(&self.settings);
+                continue;
+            }
+            let way_now = way(self.odometry.now());
+            let depth = track.depth_now(way_now);
+            limits.depth_m[i] = depth;
+            limits.person_m_s[i] = track.person_m_s();
+            limits.force_n[i] = track.believed_n(&self.settings.reading, depth);
+            limits.outward_m_s[i] = match input.samples[i] {
+                None => track.blind_limit(&self.settings, way_now),
+                Some(_) => self.touched_limit(i, depth, input),
+            };
+        }
+        Ok(limits)
+    }
+
+    /// b_i of a touched taxel: the base itself stops at one depth, and from another makes room at the person's speed.
+    fn touched_limit(&self, i: usize, depth: T, input: &BarrierInput<K, T>) -> T {
+        let s = &self.settings;
+        let speed = self.outline.outward(i, &input.velocity_body);
+        let person = self.tracks[i].person_m_s();
+        let soon = depth + of::<T>(s.servo_s) * (speed + person);
+        let deceleration = self.outline.deceleration(i, &input.deceleration);
+        let closing = |left: T| {
+            let linear = left / of(s.response_s);
+            if left <= T::zero() {
+                return linear;
+            }
+            linear.min((of::<T>(2.0 * s.braking_share) * deceleration * left).sqrt())
+        };
+        let own = closing(of::<T>(s.stop_m) - soon).max(T::zero());
+        let mut room = closing(of::<T>(s.yield_m) - soon) - person;
+        let [x, y] = input.stretch_body_m;
+        if room < T::zero() && self.outline.outward(i, &[x, y, T::zero()]) > T::zero() {
+            let [soft, hard] = s.reach_m;
+            let length = (x * x + y * y).sqrt();
+            room *= ((of::<T>(hard) - length) / of(hard - soft)).clamp(T::zero(), T::one());
+        }
+        own.min(room).max(of(-s.retreat_m_s))
+    }
+}
+
+fn within(
+    name: &'static str,
+    value: f64,
+    unit: &'static str,
+    min: f64,
+    max: f64,
+) -> Result<(), ParameterError> {
+    if (min..=max).contains(&value) { Ok(()) } else { Err(ParameterError { name, value, unit, min, max }) }
+}

@@ -1,0 +1,167 @@
+//! One touched taxel from reading to reading, and where the base has been meanwhile.
+
+use super::{BLIND_RETREAT_M, BarrierSettings, FoamCurve, TaxelSample};
+use crate::scalar::{Scalar, of};
+
+/// Steps of odometry that are kept: at 1 kHz 128 ms, older than any reading that a law is given.
+const KEPT: usize = 128;
+/// Readings further apart than this say nothing of a speed, s.
+const APART_S: f64 = 0.2;
+
+/// Where the base was in the last steps: the integral of its measured velocity in its own axes. Over the age of a
+/// reading these hardly turn.
+#[derive(Clone, Debug)]
+pub(super) struct Odometry<T> {
+    places: [[T; 3]; KEPT],
+    head: usize,
+    known: usize,
+    dt_s: T,
+}
+
+impl<T: Scalar> Odometry<T> {
+    pub(super) fn new() -> Self {
+        Self { places: [[T::zero(); 3]; KEPT], head: 0, known: 1, dt_s: T::one() }
+    }
+
+    pub(super) fn advance(&mut self, velocity: &[T; 3], dt_s: T) {
+        let last = self.places[self.head];
+        self.head = (self.head + 1) % KEPT;
+        self.places[self.head] = core::array::from_fn(|j| last[j] + velocity[j] * dt_s);
+        self.known = (self.known + 1).min(KEPT);
+        self.dt_s = dt_s;
+    }
+
+    pub(super) fn now(&self) -> &[T; 3] {
+        &self.places[self.head]
+    }
+
+    /// The place at the step nearest to `age_s` ago, or the oldest that is known.
+    fn at_age(&self, age_s: T) -> &[T; 3] {
+        let mut back = 0;
+        let mut left = age_s / self.dt_s - of(0.5);
+        while left > T::zero() && back + 1 < self.known {
+            back += 1;
+            left -= T::one();
+        }
+        &self.places[(self.head + KEPT - back) % KEPT]
+    }
+}
+
+/// What is known of one taxel's contact.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Track<T> {
+    /// Readings since the touch began; 0: nothing touches.
+    readings: u8,
+    /// Compression at the last reading, m, its force, N, and the way outward that the base had gone then, m.
+    depth: T,
+    force: T,
+    way: T,
+    person: T,
+    /// Time since the last reading was taken, s.
+    since: T,
+    /// Time since the release, s.
+    released: T,
+    /// Way outward where the readings ended that could be believed, m.
+    blind_from: Option<T>,
+}
+
+impl<T: Scalar> Track<T> {
+    /// Nothing touches, and nothing has for long.
+    pub(super) fn none() -> Self {
+        let (zero, long_ago) = (T::zero(), of(1e6));
+        Self {
+            readings: 0,
+            depth: zero,
+            force: zero,
+            way: zero,
+            person: zero,
+            since: long_ago,
+            released: long_ago,
+            blind_from: None,
+        }
+    }
+
+    pub(super) fn touched(&self) -> bool {
+        self.readings > 0
+    }
+
+    pub(super) fn person_m_s(&self) -> T {
+        self.person
+    }
+
+    /// Takes in one step: `way` is how far outward a place of the odometry is.
+    pub(super) fn advance(
+        &mut self,
+        settings: &BarrierSettings,
+        odometry: &Odometry<T>,
+        sample: Option<TaxelSample<T>>,
+        dt_s: T,
+        way: impl Fn(&[T; 3]) -> T,
+    ) {
+        self.since += dt_s;
+        self.released += dt_s;
+        let Some(sample) = sample else {
+            if self.blind_from.is_none() {
+                self.blind_from = Some(way(odometry.now()));
+            }
+            return;
+        };
+        self.blind_from = None;
+        if sample.age_s + of::<T>(0.5) * dt_s >= self.since {
+            return; // the same reading as before
+        }
+        let interval = self.since - sample.age_s;
+        self.since = sample.age_s;
+        if sample.force_n < of(settings.touch_n) && !self.touched() {
+            // what a first reading is measured against
+            self.way = way(odometry.at_age(sample.age_s));
+            return;
+        }
+        let (depth, way) = (settings.reading.depth_m(sample.force_n), way(odometry.at_age(sample.age_s)));
+        if sample.force_n < of(settings.touch_n) {
+            *self = Self { way, since: self.since, released: T::zero(), ..Self::none() };
+            return;
+        }
+        if interval < of(APART_S) {
+            self.estimate(settings, depth, way, interval);
+        }
+        if !self.touched() {
+            self.person = self.person.max(of(settings.first_speed_m_s));
+        }
+        self.readings = self.readings.saturating_add(1);
+        (self.depth, self.force, self.way) = (depth, sample.force_n, way);
+    }
+
+    /// The person's speed: what the compression has gained that the base has not gone.
+    fn estimate(&mut self, settings: &BarrierSettings, depth: T, way: T, interval: T) {
+        let before = if self.touched() { self.depth } else { T::zero() };
+        let raw = (depth - before - (way - self.way)) / interval;
+        // the second reading replaces what the first had to assume
+        let weight = if self.readings > 1 { of(settings.speed_weight) } else { T::one() };
+        let person = self.person + weight * (raw - self.person);
+        self.person = person.clamp(T::zero(), of(settings.fastest_person_m_s));
+    }
+
+    /// Compression now, m, the base being `way` outward.
+    pub(super) fn depth_now(&self, way: T) -> T {
+        self.depth + way - self.way + self.person * self.since
+    }
+
+    /// Force that a law may count on, N: never more than was felt.
+    pub(super) fn believed_n(&self, reading: &FoamCurve, depth: T) -> T {
+        reading.force_n(depth).min(self.force)
+    }
+
+    /// Speed outward after a release, m/s.
+    pub(super) fn released_limit(&self, s: &BarrierSettings) -> T {
+        let rising = (self.released - of(s.creep_s)).max(T::zero());
+        let most = of::<T>(s.creep_m_s) + of::<T>(s.recovery_m_s2) * rising;
+        if most < T::one() { most } else { of(f64::INFINITY) }
+    }
+
+    /// Speed outward of a touched taxel without readings, m/s: back for a while, then no further out.
+    pub(super) fn blind_limit(&self, s: &BarrierSettings, way: T) -> T {
+        let gone = self.blind_from.map_or(T::zero(), |from| from - way);
+        if gone < of(BLIND_RETREAT_M) { of(-s.retreat_m_s) } else { T::zero() }
+    }
+}

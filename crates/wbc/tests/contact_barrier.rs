@@ -1,0 +1,362 @@
+//! The contact barrier against a person of springs: a base with a servo, a late sensor, a foam, one taxel.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    clippy::cast_precision_loss,
+    reason = "tests"
+)]
+
+use moca_wbc::contact_barrier::{
+    BLIND_RETREAT_M, BarrierInput, BarrierSettings, ContactBarrier, FoamCurve, TaxelSample,
+};
+use moca_wbc::guard::CoverOutline;
+use moca_wbc::limits::BaseLimits;
+use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
+use moca_wbc::{
+    BaseGuard, ControlInput, ControlLaw, ControlOutput, LimitsHit, Parameters, Payload, RobotState,
+    WholeBodyController,
+};
+use std::collections::VecDeque;
+
+const DT_S: f64 = 1e-3;
+const SERVO_S: f64 = 0.015;
+const FOAM: FoamCurve = FoamCurve::Hyperbolic { stiffness_n_m: 2105.0, thickness_m: 0.015 };
+/// T6, in front.
+const FRONT: usize = 5;
+
+/// A mean over a period that is held and comes late.
+#[derive(Clone, Copy)]
+struct Sensor {
+    period: usize,
+    delay: usize,
+}
+
+const HUNDRED_HZ: Sensor = Sensor { period: 10, delay: 0 };
+/// 250 Hz and 3 ms.
+const OWN_FIRMWARE: Sensor = Sensor { period: 4, delay: 3 };
+/// 40 Hz and 35 ms: what a stock board's frame and transport come to.
+const STOCK: Sensor = Sensor { period: 25, delay: 35 };
+
+struct Scene {
+    sensor: Sensor,
+    /// The law wants this forward all the time, m/s.
+    wanted_m_s: f64,
+    /// The person comes at this, m/s, and presses with this stiffness in series with the foam, N/m.
+    person_m_s: f64,
+    person_n_m: f64,
+    /// The foam's true stiffness over the believed one.
+    scale: f64,
+    /// Distance at the start, m.
+    gap_m: f64,
+    barrier: bool,
+    duration_s: f64,
+    /// From here on the readings cannot be believed, s.
+    blind_s: f64,
+}
+
+const SCENE: Scene = Scene {
+    sensor: HUNDRED_HZ,
+    wanted_m_s: 0.0,
+    person_m_s: 0.0,
+    person_n_m: 50e3,
+    scale: 1.0,
+    gap_m: 0.05,
+    barrier: true,
+    duration_s: 3.0,
+    blind_s: f64::INFINITY,
+};
+
+#[derive(Default)]
+struct Outcome {
+    peak_n: f64,
+    /// Largest force of each contact.
+    peaks_n: Vec<f64>,
+    /// Time from 2 N to the first limit, s.
+    felt_after_s: f64,
+    /// How far back the base was at the end, m.
+    place_m: f64,
+    last_n: f64,
+    /// Largest speed outward during the last second, m/s.
+    last_speed_m_s: f64,
+}
+
+/// Foam and person in series, pressed together by `together` m.
+fn force_n(together: f64, scene: &Scene) -> f64 {
+    if together <= 0.0 {
+        return 0.0;
+    }
+    let FoamCurve::Hyperbolic { stiffness_n_m, thickness_m } = FOAM else { return f64::NAN };
+    // d + F(d)/k = together is a quadratic in d
+    let softness_m = scene.scale * stiffness_n_m * thickness_m / scene.person_n_m;
+    let sum = thickness_m + softness_m + together;
+    let depth = 0.5 * (sum - (sum * sum - 4.0 * together * thickness_m).sqrt());
+    scene.scale * FOAM.force_n(depth)
+}
+
+fn run(scene: &Scene) -> Outcome {
+    let outline = CoverOutline::<11, f64>::new(&PAPER_COVER);
+    let limits = BaseLimits::<f64>::from(&Parameters::PAPER.limits);
+    let acceleration = Parameters::PAPER.limits.base_acceleration;
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings);
+    let (mut x, mut u, mut commanded) = (0.0, scene.wanted_m_s, [scene.wanted_m_s, 0.0, 0.0]);
+    let mut outcome = Outcome::default();
+    let (mut sum, mut held, mut since, mut shown) = (0.0, 0.0, 0, VecDeque::new());
+    let mut felt = None;
+    for step in 0_usize.. {
+        let time_s = step as f64 * DT_S;
+        if time_s >= scene.duration_s {
+            break;
+        }
+        let mut force = 0.0;
+        for sub in 0..10 {
+            let person = scene.gap_m - scene.person_m_s * (time_s + f64::from(sub) * 1e-4);
+            u += 1e-4 * (commanded[0] - u) / SERVO_S;
+            x += 1e-4 * u;
+            force = force_n(x - person, scene);
+            outcome.peak_n = outcome.peak_n.max(force);
+            if force > 0.0 {
+                if outcome.last_n == 0.0 {
+                    outcome.peaks_n.push(0.0);
+                }
+                let peak = outcome.peaks_n.last_mut().unwrap();
+                *peak = peak.max(force);
+            }
+            outcome.last_n = force;
+        }
+        sum += force;
+        since += 1;
+        if (step + 1) % scene.sensor.period == 0 {
+            (held, sum, since) = (sum / scene.sensor.period as f64, 0.0, 0);
+        }
+        shown.push_back((held, since));
+        if shown.len() > scene.sensor.delay + 1 {
+            shown.pop_front();
+        }
+        let (reading, ticks) = shown[0];
+        let age_s = DT_S * ((ticks + scene.sensor.delay) as f64 + 0.5 * (scene.sensor.period as f64 - 1.0));
+        let mut samples = [Some(TaxelSample { force_n: 0.0, age_s }); 11];
+        samples[FRONT] = (time_s < scene.blind_s).then_some(TaxelSample { force_n: reading, age_s });
+        let contacts =
+            barrier.update(&BarrierInput::new(samples, [u, 0.0, 0.0], acceleration, DT_S)).unwrap();
+        if force > 2.0 && felt.is_none() {
+            felt = Some(time_s);
+        }
+        if let Some(since) = felt
+            && outcome.felt_after_s == 0.0
+            && contacts.outward_m_s[FRONT].is_finite()
+        {
+            outcome.felt_after_s = time_s - since;
+        }
+        let guard =
+            BaseGuard { outward_m_s: scene.barrier.then_some(contacts.outward_m_s), ..BaseGuard::NONE };
+        let wanted = [scene.wanted_m_s, 0.0, 0.0];
+        let mut hit = LimitsHit::NONE;
+        commanded = limits.guarded_velocity(&outline, &guard, &wanted, &commanded, DT_S, &mut hit);
+        if time_s > scene.duration_s - 1.0 {
+            outcome.last_speed_m_s = outcome.last_speed_m_s.max(u.abs());
+        }
+    }
+    outcome.place_m = x;
+    outcome
+}
+
+/// The worst of eight phases of the sensor.
+fn worst(scene: &Scene) -> Outcome {
+    worst_of(8, scene)
+}
+
+fn worst_of(phases: u32, scene: &Scene) -> Outcome {
+    let speed = scene.wanted_m_s + scene.person_m_s;
+    let period_s = scene.sensor.period as f64 * DT_S;
+    let mut worst = Outcome::default();
+    for phase in 0..phases {
+        let gap_m = scene.gap_m + speed * period_s * f64::from(phase) / f64::from(phases);
+        let outcome = run(&Scene { gap_m, ..*scene });
+        let felt_after_s = worst.felt_after_s.max(outcome.felt_after_s);
+        if outcome.peak_n > worst.peak_n {
+            worst = outcome;
+        }
+        worst.felt_after_s = felt_after_s;
+    }
+    worst
+}
+
+fn largest_speed(most: f64, peak_n: impl Fn(f64) -> f64) -> f64 {
+    let (mut low, mut high) = (0.0, most);
+    for _ in 0..10 {
+        let speed = 0.5 * (low + high);
+        if peak_n(speed) <= 25.0 { low = speed } else { high = speed }
+    }
+    low
+}
+
+/// Peak of a base that brakes as hard as it can `latency_s` after 2 N: no law can do better.
+fn best_possible_n(speed: f64, latency_s: f64) -> f64 {
+    let scene = Scene { wanted_m_s: speed, ..SCENE };
+    let (mut u, mut commanded, mut peak, mut together) = (speed, speed, 0.0_f64, 0.0);
+    let mut since = None;
+    for step in 0..20_000 {
+        let time_s = f64::from(step) * 1e-4;
+        let force = force_n(together, &scene);
+        if force > 2.0 && since.is_none() {
+            since = Some(time_s);
+        }
+        if since.is_some_and(|since| time_s >= since + latency_s) {
+            commanded -= 1e-4 * Parameters::PAPER.limits.base_acceleration[0];
+        }
+        u += 1e-4 * (commanded - u) / SERVO_S;
+        together += 1e-4 * u;
+        peak = peak.max(force);
+        if u < 0.0 {
+            break;
+        }
+    }
+    peak
+}
+
+/// What the report of the laboratory shows of the whole robot holds for one axis: the speed that ends in 25 N on a held
+/// person is the one that physics allows for the sensor's latency.
+#[test]
+fn the_base_may_go_nearly_as_fast_as_the_latency_allows() {
+    for (name, sensor, share) in [("100 Hz", HUNDRED_HZ, 0.93), ("250 Hz, 3 ms", OWN_FIRMWARE, 0.93)] {
+        let driven = |speed| Scene { sensor, wanted_m_s: speed, ..SCENE };
+        let law = largest_speed(0.3, |speed| worst(&driven(speed)).peak_n);
+        let latency_s = worst(&driven(law)).felt_after_s;
+        let bound = largest_speed(0.3, |speed| best_possible_n(speed, latency_s));
+        let without = run(&Scene { barrier: false, ..driven(law) }).peak_n;
+        println!(
+            "{name}: felt {latency_s:.4} s after 2 N; law {law:.4}, bound {bound:.4} m/s; without it {without:.0} N"
+        );
+        assert!(law > share * bound, "{law} of {bound}");
+        assert!(without > 250.0, "a law that goes on pushing: {without}");
+    }
+}
+
+#[test]
+fn no_peak_grows_whatever_the_foam_the_person_and_the_delay() {
+    for sensor in [HUNDRED_HZ, OWN_FIRMWARE, STOCK, Sensor { period: 10, delay: 90 }] {
+        for scale in [0.5, 1.0, 2.0] {
+            for person_n_m in [5e3, 50e3, 1e7] {
+                let scene = Scene { sensor, scale, person_n_m, wanted_m_s: 0.05, duration_s: 6.0, ..SCENE };
+                let outcome = worst_of(3, &scene);
+                let [first, later @ ..] = &outcome.peaks_n[..] else { panic!("nobody was met") };
+                let highest = later.iter().copied().fold(0.0, f64::max);
+                assert!(highest <= 1.02 * first, "{scale} {person_n_m}: {:?}", outcome.peaks_n);
+            }
+        }
+    }
+}
+
+#[test]
+fn whoever_walks_into_the_base_is_given_room() {
+    for (sensor, walking_m_s) in [(HUNDRED_HZ, 0.12), (OWN_FIRMWARE, 0.13), (STOCK, 0.05)] {
+        let scene = Scene { sensor, person_m_s: walking_m_s, ..SCENE };
+        let outcome = worst(&scene);
+        println!("{walking_m_s} m/s: {:.1} N, base at {:.2} m", outcome.peak_n, outcome.place_m);
+        assert!(outcome.peak_n < 25.0, "{walking_m_s}: {}", outcome.peak_n);
+        let came_m = walking_m_s * scene.duration_s - scene.gap_m;
+        assert!((outcome.place_m + came_m).abs() < 0.02, "{} of {came_m}", outcome.place_m);
+        assert!(worst(&Scene { barrier: false, ..scene }).peak_n > 100.0);
+    }
+}
+
+#[test]
+fn a_taxel_whose_readings_end_backs_off_and_stands() {
+    let scene = Scene { wanted_m_s: 0.05, blind_s: 1.3, ..SCENE };
+    let outcome = worst(&scene);
+    assert!(outcome.peak_n > 1.0 && outcome.last_n == 0.0, "it lets go: {}", outcome.last_n);
+    let back_m = scene.gap_m - outcome.place_m;
+    assert!(back_m > 0.5 * BLIND_RETREAT_M && back_m < 2.0 * BLIND_RETREAT_M, "{back_m}");
+    assert!(outcome.last_speed_m_s < 1e-3, "{}", outcome.last_speed_m_s);
+}
+
+#[test]
+fn hands_that_leave_no_way_out_share_what_is_too_much() {
+    let outline = CoverOutline::<11, f64>::new(&PAPER_COVER);
+    let limits = BaseLimits::<f64>::from(&Parameters::PAPER.limits);
+    // T2 and T9 face each other: both ask for room, one for more
+    let mut outward_m_s = [f64::INFINITY; 11];
+    (outward_m_s[1], outward_m_s[8]) = (-0.04, -0.02);
+    let guard = BaseGuard { outward_m_s: Some(outward_m_s), ..BaseGuard::NONE };
+    let mut velocity = [0.0; 3];
+    for _ in 0..200 {
+        let mut hit = LimitsHit::NONE;
+        velocity = limits.guarded_velocity(&outline, &guard, &[0.1, 0.0, 0.0], &velocity, DT_S, &mut hit);
+        assert!(hit.contact);
+    }
+    let excess = [1, 8].map(|i| outline.outward(i, &velocity) - outward_m_s[i]);
+    assert!((excess[0] - excess[1]).abs() < 1e-3 && excess[0] > 0.0, "{excess:?}");
+    assert!((velocity[0] - 0.1).abs() < 1e-3, "along them it goes on: {velocity:?}");
+}
+
+#[test]
+fn what_is_no_number_changes_nothing() {
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings);
+    let fine = BarrierInput::new(
+        [Some(TaxelSample { force_n: 8.0, age_s: 0.01 }); 11],
+        [0.1, 0.0, 0.0],
+        [3.0; 3],
+        DT_S,
+    );
+    let mut untouched = barrier.clone();
+    for bad in [f64::NAN, f64::INFINITY] {
+        let mut input = fine;
+        input.samples[3] = Some(TaxelSample { force_n: bad, age_s: 0.01 });
+        assert!(barrier.update(&input).is_err());
+        assert!(barrier.update(&BarrierInput { velocity_body: [bad, 0.0, 0.0], ..fine }).is_err());
+        assert!(barrier.update(&BarrierInput { dt_s: -bad, ..fine }).is_err());
+    }
+    assert_eq!(barrier.update(&fine).unwrap(), untouched.update(&fine).unwrap());
+    for (force, servo) in [(f64::NAN, 0.015), (0.0, 0.015), (25.0, f64::NAN), (25.0, -1.0)] {
+        assert!(BarrierSettings::new(FOAM, FOAM, force, servo).is_err());
+    }
+}
+
+#[test]
+fn a_foam_read_backwards_is_itself() {
+    let stock = FoamCurve::Power { depth_at_100n_m: 0.0114, exponent: 1.586 };
+    for curve in [FOAM, stock] {
+        for force in [0.0_f64, 0.5, 5.0, 25.0, 130.0] {
+            assert!((curve.force_n(curve.depth_m(force)) - force).abs() < 1e-9 * (1.0 + force));
+        }
+    }
+    assert!((FOAM.depth_m(25.0_f64) - 0.0066).abs() < 5e-5);
+}
+
+/// One second of a whole robot with `force_n` on T6.
+fn whole_robot(force_n: f64, outward_m_s: Option<[f64; 11]>) -> Vec<ControlOutput<7>> {
+    let mut parameters = Parameters::PAPER;
+    parameters.corrections.null_space_damping = true;
+    parameters.corrections.base_coupling = true;
+    let controller =
+        WholeBodyController::<7, 11>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &parameters)
+            .unwrap();
+    let robot = RobotState::at_rest(PANDA.home_rad);
+    let mut state = controller.enter(ControlLaw::Impedance, &robot).unwrap();
+    let mut input = ControlInput::new(robot, [0.0; 11], DT_S);
+    input.taxel_force_n[FRONT] = force_n;
+    input.guard.outward_m_s = outward_m_s;
+    (0..1000).map(|_| controller.step(ControlLaw::Impedance, &mut state, &input).unwrap()).collect()
+}
+
+#[test]
+fn a_barrier_without_contacts_changes_no_bit() {
+    assert_eq!(whole_robot(12.0, None), whole_robot(12.0, Some([f64::INFINITY; 11])));
+}
+
+#[test]
+fn the_arm_makes_up_for_what_the_barrier_does_with_the_base() {
+    let mut outward_m_s = [f64::INFINITY; 11];
+    outward_m_s[FRONT] = -0.2;
+    let (free, held) = (whole_robot(0.0, None), whole_robot(0.0, Some(outward_m_s)));
+    assert!(held[0].limits.contact && !free[0].limits.contact);
+    // the base is thrown back, so the shoulder has to swing the arm forward over it
+    let backwards = held[20].command.base_velocity_body[0] - free[20].command.base_velocity_body[0];
+    assert!(backwards < 0.0, "{backwards}");
+    let torque = |outputs: &[ControlOutput<7>]| outputs[20].command.arm_torque_nm;
+    let change: f64 = torque(&held).iter().zip(torque(&free)).map(|(a, b)| (a - b).abs()).sum();
+    assert!(change > 0.1, "{change}");
+}
