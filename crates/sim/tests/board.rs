@@ -8,7 +8,10 @@
 
 use moca_sim::foam::Foam;
 use moca_sim::{BoardFault, PtyBoard, SharedForces, VirtualBoard, VirtualBoardConfig};
-use moca_tactile::{Firmware, datastream::{Event, Parser, StampedFrame}};
+use moca_tactile::{
+    Firmware,
+    datastream::{Event, Parser, StampedFrame},
+};
 use std::io::Read;
 use std::os::unix::fs::OpenOptionsExt;
 use std::sync::Arc;

@@ -32,6 +32,10 @@ pub mod serial;
 pub mod touchline;
 pub mod zero;
 
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
+
 pub use board::{BoardEvent, Chunk, CloseReason, FrameSource, OpenFailure};
 pub use cover::{Cover, CoverConfig, Electrode, Poll};
 pub use firmware::Firmware;

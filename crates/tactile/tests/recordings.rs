@@ -2,8 +2,11 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use moca_msgs::Fault;
-use moca_tactile::{Firmware, datastream::{Event, MAX_LINE_BYTES, Parser, emit}};
 use moca_tactile::{Cover, CoverConfig};
+use moca_tactile::{
+    Firmware,
+    datastream::{Event, MAX_LINE_BYTES, Parser, emit},
+};
 use std::path::PathBuf;
 
 const RECORDINGS: [(&str, u64, u64); 4] = [

@@ -2,9 +2,9 @@
 //! reads no clock and opens no port, so a terminal, a dashboard, a recording and a test drive it alike.
 
 use anyhow::{Context, Result, anyhow};
+use moca_tactile::Firmware;
 use moca_tactile::calibration::session::{Measured, Session, Step, Target};
 use moca_tactile::calibration::{ModelKind, Quality, fit, residuals};
-use moca_tactile::Firmware;
 use moca_tactile::zero::TARE_FRAMES;
 use moca_tactile::{BoardEvent, TaxelModel};
 use moca_telemetry::calibration::{CalibrationFit, CalibrationProgress, FittedModel};

@@ -1,12 +1,12 @@
 //! `moca-lab latency`: from touch to force, stage by stage, for each firmware of the board; how old a reading gets, how
 //! fast the base may go with it, and whether such a cover is stable in contact with this controller.
 
+use anyhow::Context as _;
+use moca_daemon::config::Config;
 use moca_msgs::ImpedanceGains;
 use moca_msgs::robot::{PAPER_COVER, SUMMIT_XL};
 use moca_sim::board::{VirtualBoard, VirtualBoardConfig};
 use moca_sim::foam::Foam;
-use anyhow::Context as _;
-use moca_daemon::config::Config;
 use moca_tactile::Firmware;
 use moca_tactile::board::STOCK_CHIP_AGE_MEAN_NS;
 use moca_tactile::{Cover, CoverConfig, TareStatus};

@@ -2,9 +2,9 @@
 
 use anyhow::{Context, ensure};
 use moca_msgs::Fault;
+use moca_tactile::Firmware;
 use moca_tactile::board::{BoardMonitor, Diagnosis, MAX_ELECTRODES, STALL_GAP_NS, SampledFrame};
 use moca_tactile::datastream::{ELECTRODES, FDAT_MAX};
-use moca_tactile::Firmware;
 use moca_tactile::touchline::Flags;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -279,9 +279,7 @@ impl Analysis {
             sketch: self
                 .monitor
                 .firmware()
-                .filter(|firmware| {
-                    self.timed || matches!(firmware, Firmware::PiCap | Firmware::Moca)
-                })
+                .filter(|firmware| self.timed || matches!(firmware, Firmware::PiCap | Firmware::Moca))
                 .map(Firmware::name),
             columns,
             age_ms: median_age_ns.filter(|_| self.timed).map(|age_ns| 1e3 * seconds(age_ns)),
@@ -388,7 +386,8 @@ mod tests {
 
     /// 4 s of a virtual board, read each millisecond; `fault` strikes after 2 s.
     fn record(sketch: Firmware, fault: Option<BoardFault>) -> (Vec<u8>, Vec<Read>) {
-        let mut board = VirtualBoard::new(VirtualBoardConfig { firmware: sketch, ..Default::default() }).unwrap();
+        let mut board =
+            VirtualBoard::new(VirtualBoardConfig { firmware: sketch, ..Default::default() }).unwrap();
         let (mut bytes, mut reads) = (Vec::new(), Vec::new());
         for millisecond in 1..4000 {
             if millisecond == 2000 {

@@ -12,9 +12,7 @@ use crate::foam::{Foam, FoamState};
 use crate::sensor::{CoverSensor, Effects, SAMPLE_INTERVAL_NS};
 use moca_msgs::robot::PAPER_COVER;
 use moca_tactile::Firmware;
-use moca_tactile::datastream::{
-    Dialect, ELECTRODES, Frame, Line, MAX_COLUMNS, MAX_LINE_BYTES, emit_line,
-};
+use moca_tactile::datastream::{Dialect, ELECTRODES, Frame, Line, MAX_COLUMNS, MAX_LINE_BYTES, emit_line};
 
 use stamped::StampedBoard;
 

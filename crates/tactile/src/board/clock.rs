@@ -104,7 +104,11 @@ mod tests {
         let (mut early, mut late) = (0, 0);
         for i in 0..lines {
             let read_ns = 1_000_000_000 + u64::from(i) * 4_000_000;
-            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "test times are short")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "test times are short"
+            )]
             let stamp_us = start_us.wrapping_add((f64::from(i) * 4000.0 * rate) as u32);
             let mapped = clock.loop_ns(stamp_us, read_ns + LEAST_TRANSPORT_NS + late_ns(i));
             if let Some(mapped) = mapped {

@@ -242,10 +242,6 @@ pub trait FrameSource {
 pub const fn voids_zero(fault: Fault) -> bool {
     matches!(
         fault,
-        Fault::BoardLost
-            | Fault::BoardReset
-            | Fault::BoardFrozen
-            | Fault::BoardThresholds
-            | Fault::BoardChip
+        Fault::BoardLost | Fault::BoardReset | Fault::BoardFrozen | Fault::BoardThresholds | Fault::BoardChip
     )
 }

@@ -25,7 +25,9 @@ pub enum BadLine {
 impl core::fmt::Display for BadLine {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
-            Self::Shape => write!(f, "torn: not {LINE_BYTES} bytes of letter, sequence, time, values, flags, sum"),
+            Self::Shape => {
+                write!(f, "torn: not {LINE_BYTES} bytes of letter, sequence, time, values, flags, sum")
+            }
             Self::Checksum => write!(f, "the checksum does not fit its line"),
             Self::OutOfRange { electrode } => {
                 write!(f, "electrode {electrode} has a value above {FDAT_MAX} counts")
