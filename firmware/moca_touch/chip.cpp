@@ -55,7 +55,7 @@ bool Chip::setUp() {
     for (uint8_t i = 0; ok && i < sizeof charge; ++i) ok = bus::write(address, 0x5F + i, charge[i]);
   }
   ok = ok && bus::write(address, 0x5E, RUN);
-  running_since = micros();
+  running_since = last_read = read_before = micros();
   lost = !ok;
   return ok;
 }

@@ -142,10 +142,10 @@ impl Bank {
         if self.last.is_none() {
             self.out_of_range_at_first = flags.has(Flags::OUT_OF_RANGE);
         }
-        let sampled_at_ns = self.sampled_at_ns(flags, read_ns);
-        self.last = Some(Last { fdat: line.values, sampled_at_ns });
         // Without a baseline a tare could not tell a hand; without the age nobody could tell how old this is.
         let baseline = self.baseline?;
+        let sampled_at_ns = self.sampled_at_ns(flags, read_ns);
+        self.last = Some(Last { fdat: line.values, sampled_at_ns });
         let waited_ns = self.age_ns.saturating_sub(WINDOW_NS) / 2;
         Some(SampledFrame {
             bank: line.bank,
