@@ -1,5 +1,11 @@
 //! A cover of 20 taxels on one board with two chips: from the bytes that the firmware sent to the base's motion.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has to stop")]
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::cast_precision_loss,
+    reason = "a few seconds"
+)]
 
 use moca_msgs::TaxelPlacement;
 use moca_tactile::{Cover, CoverConfig, TareStatus};

@@ -1,5 +1,5 @@
 //! The line of our own firmware, on what that firmware sent in its simulation (`firmware-sim record`).
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has to stop")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has to stop")]
 
 use moca_msgs::Fault;
 use moca_tactile::board::{BoardMonitor, Diagnosis, MAX_ELECTRODES, SampledFrame};
@@ -155,7 +155,7 @@ fn each_flag_is_a_fault_of_its_own_and_ends_with_it() {
     let last = lines("moca-touch")
         .into_iter()
         .map(|line| parse(&line).unwrap())
-        .rfind(|line| matches!(line.content, Content::Data(flags) if flags.new()));
+        .rfind(|line| matches!(line.content, Content::Data(flags) if flags.is_new()));
     let template = last.unwrap();
     for (flag, fault) in [
         (Flags::BUS_FAULT, Some(Fault::BoardFrozen)),

@@ -66,7 +66,7 @@ impl StampedLines {
         };
         let lost = bank.count(line.sequence);
         bank.flags = flags;
-        let refresh = flags.new() && !flags.has(Flags::CONTINUES);
+        let refresh = flags.is_new() && !flags.has(Flags::CONTINUES);
         let unusable = [Flags::BUS_FAULT, Flags::SETTLING, Flags::CHIP_RESET, Flags::OVER_CURRENT];
         let usable = !unusable.iter().any(|&flag| flags.has(flag));
         let frame = read_ns.filter(|_| usable).and_then(|read_ns| {
@@ -164,7 +164,7 @@ impl Bank {
         let by_age_ns = if flags.has(Flags::CONTINUES) {
             // The refresh that the line before began to show: counted once.
             last.sampled_at_ns
-        } else if flags.new() {
+        } else if flags.is_new() {
             by_age_ns
         } else {
             // Nothing changed: the chip refreshed to the same values, at latest one refresh ago.

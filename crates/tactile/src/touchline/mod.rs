@@ -11,7 +11,7 @@
 //! let line = parse(b"C 002A 0001E240 2D02D02D02D02D02D02CF2D12D02D02D02D0 01 58FE")?;
 //! assert_eq!((line.bank, line.sequence, line.device_us), (0, 42, 123_456));
 //! assert_eq!(line.values[6], 719);
-//! assert!(matches!(line.content, Content::Data(flags) if flags.new() && !flags.bus_fault()));
+//! assert!(matches!(line.content, Content::Data(flags) if flags.is_new() && !flags.bus_fault()));
 //! // A damaged line is refused.
 //! assert!(parse(b"C 002A 0001E240 2D02D02D02D02D02D02CF2D12D02D02D02D1 01 58FE").is_err());
 //! # Ok::<(), moca_tactile::touchline::BadLine>(())
@@ -87,7 +87,7 @@ impl Flags {
     }
 
     /// [`Flags::NEW`].
-    pub const fn new(self) -> bool {
+    pub const fn is_new(self) -> bool {
         self.has(Self::NEW)
     }
 
