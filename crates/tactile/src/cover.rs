@@ -142,7 +142,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         }
         let Some(entry) = self.boards.get_mut(board) else { return };
         entry.source.event(event);
-        if !matches!(event, BoardEvent::Gap { .. }) {
+        if !matches!(event, BoardEvent::Gap { .. } | BoardEvent::Starved { .. }) {
             self.invalidate(board);
         }
     }
@@ -270,6 +270,8 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         let taxel = || match *forces {
             Ok(_) => None,
             Err((_, TaxelStatus::NoZero)) => Some(Fault::ZeroInvalid),
+            // The stream has no fault, so frames do come: each after a gap that makes its age unknown.
+            Err((_, TaxelStatus::Stale)) => Some(Fault::BoardSlow),
             Err((i, status)) => {
                 Some(Fault::TaxelInvalid { taxel: u8::try_from(i).unwrap_or(u8::MAX), status })
             }
@@ -292,9 +294,13 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         let bank = board.and_then(|b| b.banks.get(wire.bank()).filter(|bank| bank.sampled_at_ns.is_some()));
         let (Some(board), Some(bank)) = (board, bank) else { return TaxelStatus::NoZero };
         match board.source.fault(now_ns) {
-            Some(Fault::BoardSilent | Fault::BoardLost | Fault::BoardFrozen | Fault::BoardChip) => {
-                return TaxelStatus::Stale;
-            }
+            Some(
+                Fault::BoardSilent
+                | Fault::HostStarved
+                | Fault::BoardLost
+                | Fault::BoardFrozen
+                | Fault::BoardChip,
+            ) => return TaxelStatus::Stale,
             _ if now_ns.saturating_sub(bank.complete_ns) > SILENT_AFTER_NS => return TaxelStatus::Stale,
             _ => {}
         }

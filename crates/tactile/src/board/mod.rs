@@ -38,6 +38,8 @@ pub const SILENT_AFTER_NS: u64 = 120_000_000;
 /// A gap this long between bytes means that the host stalled: the next frame's data is as old as the gap, so it is
 /// counted but not used, ns.
 pub const STALL_GAP_NS: u64 = 100_000_000;
+/// How long a host that did not run is to blame for silence, ns: then a board would have been heard again.
+pub const STARVED_FOR_NS: u64 = 1_000_000_000;
 /// Consecutive frames with all used columns bit-identical that make a frozen board. Noise of 0.7 count makes this less
 /// likely than once in 10 h for a single taxel, and never for two.
 pub const FROZEN_FRAMES: u32 = 14;
@@ -119,6 +121,11 @@ pub enum BoardEvent {
         at_ns: u64,
         /// Why.
         why: OpenFailure,
+    },
+    /// The host did not run the threads that bring the bytes, or left the bytes lying: silence is not the board's.
+    Starved {
+        /// ns of loop time.
+        at_ns: u64,
     },
 }
 

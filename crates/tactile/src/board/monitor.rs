@@ -41,6 +41,7 @@ struct Reader {
     last_good_ns: Option<u64>,
     last_refresh_ns: Option<u64>,
     stalled: bool,
+    starved_ns: Option<u64>,
     mean_period_ns: f64,
     intervals: u32,
     firmware: Option<Firmware>,
@@ -96,6 +97,12 @@ impl BoardMonitor {
         self.reader.stats.bytes_lost += bytes_lost;
         self.resynchronise();
         self.reader.stalled = true;
+    }
+
+    /// The host does not run, or does not read: silence is its own for [`STARVED_FOR_NS`] from then on, or until the
+    /// next good frame.
+    pub const fn starved(&mut self, at_ns: u64) {
+        self.reader.starved_ns = Some(at_ns);
     }
 
     fn resynchronise(&mut self) {
@@ -189,6 +196,7 @@ impl FrameSource for BoardMonitor {
             BoardEvent::Closed { .. } => self.closed(),
             BoardEvent::OpenFailed { why, .. } => self.open_failed(why),
             BoardEvent::Gap { bytes_lost, .. } => self.gap(bytes_lost),
+            BoardEvent::Starved { at_ns } => self.starved(at_ns),
             BoardEvent::Bytes(_) => {}
         }
     }
@@ -221,6 +229,7 @@ impl Reader {
             last_good_ns: None,
             last_refresh_ns: None,
             stalled: false,
+            starved_ns: None,
             mean_period_ns: 0.0,
             intervals: 0,
             firmware: None,
@@ -254,7 +263,8 @@ impl Reader {
         if !self.connected {
             Some(Fault::BoardLost)
         } else if now_ns.saturating_sub(last_ns) > SILENT_AFTER_NS {
-            Some(Fault::BoardSilent)
+            let starved = self.starved_ns.is_some_and(|at_ns| now_ns.saturating_sub(at_ns) <= STARVED_FOR_NS);
+            Some(if starved { Fault::HostStarved } else { Fault::BoardSilent })
         } else if self.all_zero {
             Some(Fault::BoardReset)
         } else if self.is_frozen() {
@@ -314,6 +324,7 @@ impl Reader {
         self.diagnosis = Diagnosis::Frames;
         self.bytes_without_frame = 0;
         self.last_good_ns = Some(arrival_ns);
+        self.starved_ns = None;
         let taken = self.stamped.take(line, arrival_ns, &self.used)?;
         self.stats.frames_good += 1;
         self.stats.frames_lost += u64::from(taken.lost);
@@ -336,6 +347,7 @@ impl Reader {
         self.check_across_frames(frame);
         self.last = Some(*frame);
         self.last_good_ns = Some(stamped.complete_ns);
+        self.starved_ns = None;
         if self.stalled {
             self.stalled = false;
             self.stats.frames_discarded += 1;
