@@ -6,7 +6,8 @@
 use super::stamped::StampedLines;
 use super::{
     BoardEvent, BoardStats, EarlyFrame, FROZEN_FRAMES, FrameSource, MAX_ELECTRODES, SILENT_AFTER_NS,
-    STALL_GAP_NS, STOCK_CHIP_AGE_MEAN_NS, STOCK_CHIP_AGE_WORST_NS, SampledFrame, TOUCH_LINE_AFTER_READ_NS,
+    STALL_GAP_NS, STARVED_FOR_NS, STOCK_CHIP_AGE_MEAN_NS, STOCK_CHIP_AGE_WORST_NS, SampledFrame,
+    TOUCH_LINE_AFTER_READ_NS,
 };
 use crate::datastream::{Assembler, BadFrame, ELECTRODES, Event, ForeignText, Frame, StampedFrame};
 use crate::firmware::Firmware;
