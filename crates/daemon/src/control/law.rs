@@ -1,6 +1,7 @@
 //! From mode and forces to a command: which law runs in which mode.
 
 use crate::config::Config;
+use crate::control::barrier::Barrier;
 use crate::control::cover::CoverState;
 use crate::control::protection::{Protected, Protection};
 use crate::robot::{JOINTS, Parts, TAXELS};
@@ -27,6 +28,7 @@ pub struct Motion {
     controller: Controller,
     parameters: Parameters<JOINTS>,
     protection: Protection,
+    barrier: Option<Barrier>,
     parts: Parts,
     guard: BaseGuard<TAXELS>,
 }
@@ -51,7 +53,12 @@ impl Motion {
             }
             Parts::Arm => Controller::Arm(ArmController::new(arm, &mount, &payload, &parameters)?, None),
         };
-        Ok(Self { controller, parameters, protection, parts, guard: Protected::default().guard })
+        let barrier = match &controller {
+            Controller::Whole(whole, _) => Barrier::new(config, Some(whole.model()))?,
+            Controller::Base(..) => Barrier::new(config, None)?,
+            Controller::Arm(..) => None,
+        };
+        Ok(Self { controller, parameters, protection, barrier, parts, guard: Protected::default().guard })
     }
 
     /// Which parts of the robot it moves.
@@ -67,6 +74,9 @@ impl Motion {
             Protected::default()
         };
         self.guard = protected.guard;
+        if let Some(barrier) = &mut self.barrier {
+            barrier.feel(now_ns, cover);
+        }
         protected
     }
 
@@ -137,15 +147,25 @@ impl Motion {
             }
         };
         // Standing still needs no cover; a law never runs on a force that is not there.
-        let taxel_force_n = match (law, *forces) {
+        let mut taxel_force_n = match (law, *forces) {
             (ControlLaw::Hold, _) => [0.0; TAXELS],
             (_, Ok(forces)) => forces,
             (_, Err((taxel, status))) => {
                 return Err(Fault::TaxelInvalid { taxel: u8::try_from(taxel).unwrap_or(u8::MAX), status });
             }
         };
-        let (robot, guard) = (*robot, self.guard);
-        match &mut self.controller {
+        let (robot, mut guard) = (*robot, self.guard);
+        if let Some(barrier) = &mut self.barrier {
+            let deceleration = self.parameters.limits.base_acceleration;
+            let contacts = barrier
+                .update(&robot, deceleration, law == ControlLaw::Impedance, dt_s)
+                .map_err(|_| Fault::ControlRefused)?;
+            if law != ControlLaw::Hold {
+                guard.outward_m_s = Some(contacts.outward_m_s);
+                taxel_force_n = contacts.force_n;
+            }
+        }
+        let output = match &mut self.controller {
             Controller::Whole(controller, state) => {
                 let state = entered(state, || controller.enter(law, &robot))?;
                 let input = ControlInput { robot, taxel_force_n, flange_wrench_world: None, guard, dt_s };
@@ -185,7 +205,11 @@ impl Motion {
                 })
             }
         }
-        .map_err(|_| Fault::ControlRefused)
+        .map_err(|_| Fault::ControlRefused)?;
+        if let Some(barrier) = &mut self.barrier {
+            barrier.remember(&output.flange, &robot);
+        }
+        Ok(output)
     }
 }
 

@@ -10,6 +10,7 @@
 
 use crate::config::contact_limits::ContactLimits;
 use crate::config::{Config, ProtectionConfig};
+use crate::control::barrier;
 use crate::control::contacts::ContactTracker;
 use crate::control::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
@@ -18,7 +19,7 @@ use moca_msgs::{ContactEvent, ContactReaction, Limits, RobotState, SpeedLimit, S
 use moca_tactile::Firmware;
 use moca_tactile::board::SILENT_AFTER_NS;
 use moca_wbc::BaseGuard;
-use moca_wbc::contact_stability::{Contact, largest_speed};
+use moca_wbc::contact_stability::{Contact, largest_speed, speed_for_stopping};
 use moca_wbc::guard::CoverOutline;
 
 /// Frames before the delay of a board is known.
@@ -57,6 +58,8 @@ pub struct Protection {
     settings: ProtectionConfig,
     /// The contact whose delay is measured.
     contact: Contact,
+    /// Way that a base under a contact barrier has to stop in, m.
+    barrier_travel_m: Option<f64>,
     tick_s: f64,
     outline: CoverOutline<TAXELS, f64>,
     delay: ReadingDelay,
@@ -78,6 +81,7 @@ impl Protection {
                 delay_s: 0.0,
                 servo_s: config.robot.base.servo_time_constant_s,
             },
+            barrier_travel_m: barrier::travel_m(config),
             tick_s: 1.0 / f64::from(config.control_loop.rate_hz.max(1)),
             outline,
             delay: ReadingDelay::default(),
@@ -128,11 +132,15 @@ impl Protection {
     }
 
     /// Speed limit for a reading that is `delay_s` late, m/s: F/(k(T + τ)) for the part F of the force limit that the
-    /// cover feels, and slow enough to stop within what cover and body yield meanwhile.
+    /// cover feels, and slow enough to stop within what cover and body yield meanwhile. Under a contact barrier, whose
+    /// loop does not go through k, only the latter, and of the foam alone: the body may be rigid.
     fn speed_m_s(&self, delay_s: f64, limits: &Limits<JOINTS>) -> f64 {
         let contact = Contact { delay_s, ..self.contact };
         let felt_n = self.settings.force_limit_n - self.settings.unfelt_force_n;
         let deceleration = limits.base_acceleration[0].min(limits.base_acceleration[1]);
+        if let Some(travel_m) = self.barrier_travel_m {
+            return speed_for_stopping(travel_m, deceleration, &contact).unwrap_or(0.0);
+        }
         // out of range is a delay of more than 10 s
         largest_speed(felt_n, self.settings.contact_travel_m, deceleration, &contact).unwrap_or(0.0)
     }
