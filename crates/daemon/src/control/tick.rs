@@ -159,7 +159,11 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             self.motion.leave();
             return Ok(None);
         };
-        self.motion.command(mode, robot, &cover.forces, self.elapsed_s(slot)).map(Some)
+        let (output, stop) = self.motion.command(mode, robot, &cover.forces, self.elapsed_s(slot))?;
+        if let Some(fault) = stop {
+            self.supervisor.stop_for(fault);
+        }
+        Ok(Some(output))
     }
 
     fn sample(
