@@ -117,6 +117,15 @@ pub enum Fault {
     HostStarved,
     /// Good frames come, but too seldom to be used.
     BoardSlow,
+    /// A joint is faster than the arm allows where it is.
+    JointSpeed {
+        /// 0 is the first joint.
+        joint: u8,
+    },
+    /// The flange is faster than `limits.flange_speed_m_s`.
+    FlangeSpeed,
+    /// The flange is further from where it is wanted than `limits.pose_error_m` or `limits.pose_error_rad`.
+    PoseError,
     /// The sensor chip says that it does not measure: over-current, or an electrode out of its range.
     BoardChip,
 }
@@ -155,6 +164,9 @@ impl Fault {
             Self::ControlRefused => "control-refused",
             Self::HostStarved => "host-starved",
             Self::BoardSlow => "board-slow",
+            Self::JointSpeed { .. } => "joint-speed",
+            Self::FlangeSpeed => "flange-speed",
+            Self::PoseError => "pose-error",
         }
     }
 
@@ -188,6 +200,9 @@ impl Fault {
             Self::ControlRefused => "The controller refused its input.",
             Self::HostStarved => "This PC was too busy to read the Touch Board within its deadline.",
             Self::BoardSlow => "The Touch Board's frames come too seldom to be used.",
+            Self::JointSpeed { .. } => "A joint moved faster than the arm allows.",
+            Self::FlangeSpeed => "The flange moved faster than its limit.",
+            Self::PoseError => "The flange was further from where it is wanted than its limit.",
         }
     }
 
@@ -209,7 +224,10 @@ impl Fault {
             | Self::HostStarved
             | Self::ArmStale
             | Self::BaseStale
-            | Self::CalibrationMismatch => Clearing::Resume,
+            | Self::CalibrationMismatch
+            | Self::JointSpeed { .. }
+            | Self::FlangeSpeed
+            | Self::PoseError => Clearing::Resume,
             Self::BoardLost
             | Self::BoardFrozen
             | Self::BoardReset
@@ -237,6 +255,9 @@ impl Fault {
     pub const fn remedy(self) -> &'static str {
         match self {
             Self::OperatorStop => "Resume when it is safe.",
+            Self::JointSpeed { .. } | Self::FlangeSpeed | Self::PoseError => {
+                "See what pushed or blocked the arm, and the gains; resume when it is safe."
+            }
             Self::ArmStale | Self::BaseStale => {
                 "Check the robot's network and drives; when states come again: resume."
             }
