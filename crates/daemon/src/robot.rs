@@ -51,7 +51,7 @@ parameter_table! {
         /// Direction in which a press on each taxel pushes, angle from B's x axis.
         inward_rad: Vec<f64> = PAPER_COVER.map(|taxel| taxel.inward_angle_base_rad).into()
             => [.range(-7.0, 7.0).units(&["rad"]).lab("taxels.inward")];
-        /// Electrode of each taxel, twelve to a board from 0; an empty list is T1 on 0, T2 on 1 and so on.
+        /// Electrode of each taxel, 0 to 11 on the board, from 12 on its further chips; empty is T1 on 0, T2 on 1 and so on.
         electrode: Vec<usize> = Vec::new() => [.range(0.0, 47.0)];
         /// What is under the plates of a simulated cover.
         foam: FoamKind = FoamKind::PuLd30;
@@ -107,7 +107,7 @@ impl CoverTable {
         self.x_m.len()
     }
 
-    /// Electrode of each taxel, twelve to a board, T1 first.
+    /// Electrode of each taxel, T1 first.
     pub fn electrodes(&self) -> Vec<usize> {
         if self.electrode.is_empty() { (0..self.count()).collect() } else { self.electrode.clone() }
     }

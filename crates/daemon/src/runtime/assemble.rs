@@ -79,7 +79,12 @@ pub(crate) fn one_board(config: &Config) -> Result<()> {
 #[cfg(feature = "sim")]
 pub fn board_config(config: &Config) -> moca_sim::VirtualBoardConfig {
     let foam = crate::devices::simulated_robot::foam(config);
-    moca_sim::VirtualBoardConfig { seed: config.simulation.seed, foam, ..Default::default() }
+    moca_sim::VirtualBoardConfig {
+        firmware: config.board.firmware,
+        seed: config.simulation.seed,
+        foam,
+        ..Default::default()
+    }
 }
 
 /// A simulated robot with everything that a live loop needs; the board and its reader end with it.
