@@ -1,6 +1,7 @@
 //! `moca-lab`: experiments and checks on the command line.
 
 mod cover;
+mod docs;
 mod numerics;
 mod paper;
 mod rig;
@@ -27,6 +28,7 @@ enum Command {
     Characterize(characterize::Arguments),
     /// The paper's experiments, deterministic and faster than real time.
     Experiment(paper::Arguments),
+    Docs(docs::Arguments),
     Extremes(extremes::Arguments),
     Faults(faults::Arguments),
     /// From touch to force, stage by stage; whether the contact is stable and how fast the base may go.
@@ -69,6 +71,7 @@ fn run(command: Command) -> anyhow::Result<()> {
     match command {
         Command::Characterize(arguments) => characterize::run(&arguments),
         Command::Experiment(arguments) => paper::run(&arguments),
+        Command::Docs(arguments) => docs::run(&arguments),
         Command::Extremes(arguments) => extremes::run(&arguments),
         Command::Faults(arguments) => faults::run(&arguments),
         Command::Latency(arguments) => latency::run(&arguments),

@@ -1,13 +1,14 @@
 //! Everything an experiment can be told with `--set key=value`: the rows of the daemon's configuration, by their dotted
 //! names or the laboratory's short ones, and one table of what only an experiment has.
 
-use crate::rig::settings::{Sensor, Settings};
+use crate::rig::settings::{self, Sensor, Settings};
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use moca_daemon::config::Config;
+use moca_daemon::config::{Config, ProtectionConfig};
 use moca_msgs::table::{FieldValue, ParameterKind, ParameterSpec, Size};
 use moca_sim::foam::Foam;
 use moca_sim::{BodyPart, Integrator};
 use moca_tactile::datastream::SketchGeneration;
+use std::path::Path;
 
 impl Settings {
     /// Applies `key=value`.
@@ -53,6 +54,19 @@ const fn key(
 }
 
 const KEYS: &[Key] = &[
+    key(
+        "protection",
+        "off|default|FILE",
+        "[protection] as published (off), as shipped (default), or of a configuration file",
+        |s, v| {
+            s.config.protection = match v {
+                "off" => settings::unprotected(),
+                "default" => ProtectionConfig::default(),
+                path => Config::load(Path::new(path))?.protection,
+            };
+            Ok(())
+        },
+    ),
     key("sensor", "stock|ideal|off", "what the controller feels the cover with", |s, v| {
         s.sensor = word(v, &[("stock", Sensor::Stock), ("ideal", Sensor::Ideal), ("off", Sensor::Off)])?;
         Ok(())
