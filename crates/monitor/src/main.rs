@@ -100,7 +100,7 @@ fn main() -> anyhow::Result<()> {
         .with_title("MOCA-S monitor")
         .with_app_id("moca-monitor")
         .with_inner_size(size)
-        .with_min_inner_size(size.min(egui::vec2(1160.0, 640.0)));
+        .with_min_inner_size(size.min(egui::vec2(680.0, 480.0)));
     // A given size, or a picture, must not depend on how the last window was left.
     let persist_window = arguments.size.is_none() && screenshot.is_none();
     // Dithering smooths gradients, of which there are none here.

@@ -13,6 +13,8 @@ pub const SILENT_AFTER_NS: u64 = 120_000_000;
 /// A gap this long between bytes means that the host stalled: the next frame's data is as old as the gap, so it is
 /// counted but not used, ns.
 pub const STALL_GAP_NS: u64 = 100_000_000;
+/// How long a host that did not run is to blame for silence, ns: then a board would have been heard again.
+pub const STARVED_FOR_NS: u64 = 1_000_000_000;
 /// Consecutive frames with all used columns bit-identical that make a frozen board. Noise of 0.7 count makes this
 /// less likely than once in 10 h for a single taxel, and never for two.
 pub const FROZEN_FRAMES: u32 = 14;
@@ -97,6 +99,11 @@ pub enum BoardEvent {
         /// Why.
         why: OpenFailure,
     },
+    /// The host did not run the threads that bring the bytes, or left the bytes lying: silence is not the board's.
+    Starved {
+        /// ns of loop time.
+        at_ns: u64,
+    },
 }
 
 /// Counts since the start; never reset.
@@ -129,6 +136,7 @@ pub struct BoardMonitor {
     last_byte_ns: Option<u64>,
     last_good_ns: Option<u64>,
     stalled: bool,
+    starved_ns: Option<u64>,
     mean_period_ns: f64,
     intervals: u32,
     generation: Option<SketchGeneration>,
@@ -175,6 +183,7 @@ impl BoardMonitor {
             last_byte_ns: None,
             last_good_ns: None,
             stalled: false,
+            starved_ns: None,
             mean_period_ns: 0.0,
             intervals: 0,
             generation: None,
@@ -241,13 +250,20 @@ impl BoardMonitor {
         self.stalled = true;
     }
 
+    /// The host does not run, or does not read: silence is its own for [`STARVED_FOR_NS`] from then on, or until the
+    /// next good frame.
+    pub const fn starved(&mut self, at_ns: u64) {
+        self.starved_ns = Some(at_ns);
+    }
+
     /// The stream's fault at `now_ns`, the gravest first. Silence counts from the last good frame, or from loop
     /// time 0.
     pub fn fault(&self, now_ns: u64) -> Option<Fault> {
         if !self.connected {
             Some(Fault::BoardLost)
         } else if now_ns.saturating_sub(self.last_good_ns.unwrap_or(0)) > SILENT_AFTER_NS {
-            Some(Fault::BoardSilent)
+            let starved = self.starved_ns.is_some_and(|at_ns| now_ns.saturating_sub(at_ns) <= STARVED_FOR_NS);
+            Some(if starved { Fault::HostStarved } else { Fault::BoardSilent })
         } else if self.is_all_zero() {
             Some(Fault::BoardReset)
         } else if self.is_frozen() {
@@ -326,6 +342,7 @@ impl BoardMonitor {
         self.check_across_frames(frame);
         self.last = Some(*frame);
         self.last_good_ns = Some(stamped.complete_ns);
+        self.starved_ns = None;
         if self.stalled {
             self.stalled = false;
             self.stats.frames_discarded += 1;

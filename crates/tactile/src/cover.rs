@@ -107,6 +107,7 @@ impl<const K: usize> Cover<K> {
             BoardEvent::Closed { .. } => entry.monitor.closed(),
             BoardEvent::OpenFailed { why, .. } => entry.monitor.open_failed(why),
             BoardEvent::Gap { bytes_lost, .. } => return entry.monitor.gap(bytes_lost),
+            BoardEvent::Starved { at_ns } => return entry.monitor.starved(at_ns),
             BoardEvent::Bytes(_) => {}
         }
         self.invalidate(board);
@@ -234,6 +235,8 @@ impl<const K: usize> Cover<K> {
         let taxel = || match *forces {
             Ok(_) => None,
             Err((_, TaxelStatus::NoZero)) => Some(Fault::ZeroInvalid),
+            // The stream has no fault, so frames do come: each after a gap that makes its age unknown.
+            Err((_, TaxelStatus::Stale)) => Some(Fault::BoardSlow),
             Err((i, status)) => {
                 Some(Fault::TaxelInvalid { taxel: u8::try_from(i).unwrap_or(u8::MAX), status })
             }
@@ -256,7 +259,9 @@ impl<const K: usize> Cover<K> {
             return TaxelStatus::NoZero;
         };
         match board.monitor.fault(now_ns) {
-            Some(Fault::BoardSilent | Fault::BoardLost | Fault::BoardFrozen) => return TaxelStatus::Stale,
+            Some(Fault::BoardSilent | Fault::HostStarved | Fault::BoardLost | Fault::BoardFrozen) => {
+                return TaxelStatus::Stale;
+            }
             _ if now_ns.saturating_sub(board.complete_ns) > SILENT_AFTER_NS => return TaxelStatus::Stale,
             _ => {}
         }

@@ -103,7 +103,10 @@ impl Engine {
                 self.fail("the board's stream broke off: start again");
             }
             BoardEvent::OpenFailed { why, .. } => self.port = Some(why.text()),
-            BoardEvent::Opened { .. } | BoardEvent::Closed { .. } | BoardEvent::Gap { .. } => {}
+            BoardEvent::Opened { .. }
+            | BoardEvent::Closed { .. }
+            | BoardEvent::Gap { .. }
+            | BoardEvent::Starved { .. } => {}
         }
     }
 

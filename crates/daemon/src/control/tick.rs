@@ -6,7 +6,7 @@ use crate::control::plant::Plant;
 use crate::control::protection::Protected;
 use crate::control::stage::{Stage, StageTimer};
 use crate::control::state_check::StateDoor;
-use crate::control::supervisor::{Facts, Supervisor};
+use crate::control::supervisor::{Facts, Supervisor, Touch};
 use crate::control::tick_input::{Slot, TickInput};
 use crate::robot::JOINTS;
 use heapless::Vec;
@@ -112,6 +112,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             cover_fault: cover.fault,
             zero: cover.zero,
             plant_fault: robot.err(),
+            touch: cover.forces.ok().and_then(|forces_n| Touch::strongest(&forces_n)),
         };
         let decision = self.supervisor.step(&facts, request);
         if decision.start_tare {

@@ -5,6 +5,7 @@ use crate::config::Config;
 use crate::record::tick_log::{PortEvent, TickRecord};
 use anyhow::{Context, Result};
 use moca_msgs::{Request, Sample, params::CONTROLLER};
+use moca_tactile::calibration::read_text;
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::records::{Configuration, ParameterChange};
 use moca_telemetry::log::{LogSummary, Meta, Recorder, SerialBytes};
@@ -100,7 +101,7 @@ pub(crate) fn unix_now_ns() -> u64 {
 /// # Errors
 /// One of them cannot be read.
 pub fn configuration(config: &Config) -> Result<Configuration> {
-    let text = |path: &str| if path.is_empty() { Ok(String::new()) } else { std::fs::read_to_string(path) };
+    let text = |path: &str| if path.is_empty() { Ok(String::new()) } else { read_text(Path::new(path)) };
     Ok(Configuration {
         version: env!("CARGO_PKG_VERSION").into(),
         toml: toml::to_string(&config.to_toml())?,

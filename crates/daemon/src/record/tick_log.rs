@@ -112,6 +112,8 @@ pub enum PortEvent {
     Closed(u64, bool),
     /// The port could not be opened, ns.
     OpenFailed(u64, OpenFailure),
+    /// The host did not run the threads that bring the bytes, ns.
+    Starved(u64),
 }
 
 impl From<BoardEvent> for PortEvent {
@@ -122,6 +124,7 @@ impl From<BoardEvent> for PortEvent {
             BoardEvent::Gap { at_ns, bytes_lost } => Self::Gap(at_ns, bytes_lost),
             BoardEvent::Closed { at_ns, why } => Self::Closed(at_ns, why == CloseReason::Stopped),
             BoardEvent::OpenFailed { at_ns, why } => Self::OpenFailed(at_ns, why),
+            BoardEvent::Starved { at_ns } => Self::Starved(at_ns),
         }
     }
 }
@@ -137,6 +140,7 @@ impl From<&PortEvent> for BoardEvent {
                 Self::Closed { at_ns, why }
             }
             PortEvent::OpenFailed(at_ns, why) => Self::OpenFailed { at_ns, why },
+            PortEvent::Starved(at_ns) => Self::Starved { at_ns },
         }
     }
 }

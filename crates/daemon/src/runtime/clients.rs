@@ -1,6 +1,6 @@
 //! Everything that watches the loop from outside: reporter, telemetry, log, flight recorder. A live loop waits for none.
 
-use crate::config::Config;
+use crate::config::{AUTO_FOLDER, Config};
 use crate::inject::{self, Disk, OutsideFault, Strike};
 use crate::record::flight_recorder::FlightRecorder;
 use crate::record::recording::{Recording, parameter_change};
@@ -132,6 +132,18 @@ pub(crate) fn spoil_telemetry(
     Ok(inject::client(fault, address, strike.clone(), options.config.simulation.seed)?)
 }
 
+/// The flight recorder that the configuration asks for. A folder that it names must be there; where it leaves the choice,
+/// a run without that folder is still a run.
+fn flight_recorder(config: &Config, reporter: &mut dyn Reporter) -> Result<Option<FlightRecorder>> {
+    match FlightRecorder::new(config, description(config)) {
+        Err(error) if config.flight_recorder.folder == AUTO_FOLDER => {
+            reporter.report(Notice::Trouble(&format!("no flight recorder: {error:#}")));
+            Ok(None)
+        }
+        recorder => recorder,
+    }
+}
+
 /// Who takes what the loop notes of each tick.
 pub(crate) struct Observers {
     pub(crate) strike: Option<Strike>,
@@ -147,11 +159,7 @@ impl Observers {
     pub(crate) fn new(options: &Options, ticks: TickLogReader, reporter: &mut dyn Reporter) -> Result<Self> {
         let strike = options.strike();
         let recording = recording(options, strike.as_ref(), reporter)?;
-        let flight = if options.lock_step {
-            None
-        } else {
-            FlightRecorder::new(&options.config, description(&options.config))?
-        };
+        let flight = if options.lock_step { None } else { flight_recorder(&options.config, reporter)? };
         let panics = options.outside_fault() == Some(OutsideFault::Panic);
         Ok(Self { strike, recording, panics, flight, ticks })
     }
@@ -207,13 +215,14 @@ pub(crate) fn watch(
     samples: &mut rtrb::Consumer<Sample>,
     observers: &mut Observers,
     reporter: &mut dyn Reporter,
-    done: &AtomicBool,
+    (done, pulse): (&AtomicBool, &AtomicU64),
 ) -> Sample {
     let (mut last, mut heartbeat) = (Sample::default(), Heartbeat::new());
     loop {
         if !samples.is_empty() {
             heartbeat.beat();
         }
+        pulse.fetch_add(1, Ordering::Relaxed);
         let finished = done.load(Ordering::Acquire);
         while let Ok(sample) = samples.pop() {
             observers.see(&sample, reporter);

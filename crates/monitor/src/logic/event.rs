@@ -1,6 +1,6 @@
 //! Changes worth a mark on the axis of time.
 
-use super::format::contact_text;
+use super::format::{contact_text, fault_text};
 use moca_msgs::{Fault, Mode, protection::ContactEvent};
 
 /// A change of mode or fault, or a contact that crossed a limit.
@@ -21,8 +21,19 @@ impl Event {
     pub fn text(&self) -> String {
         match (self.contact, self.fault) {
             (Some(contact), _) => contact_text(&contact),
-            (None, Some(fault)) => format!("{}: {}", self.mode.name(), fault.text()),
+            (None, Some(fault)) => format!("{}: {}", self.mode.name(), fault_text(fault)),
             (None, None) => self.mode.name().to_owned(),
         }
     }
+}
+
+/// The event nearest to `time_s`, if one is within `reach_s`.
+pub fn nearest<'a>(
+    events: impl IntoIterator<Item = &'a Event>,
+    time_s: f64,
+    reach_s: f64,
+) -> Option<&'a Event> {
+    let distance = |event: &Event| (event.time_s - time_s).abs();
+    let nearest = events.into_iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+    (distance(nearest) <= reach_s).then_some(nearest)
 }

@@ -1,6 +1,9 @@
 //! Numbers and states as text.
 
-use moca_msgs::{ContactEvent, SpeedLimitReason, TaxelStatus};
+use moca_msgs::{
+    ContactEvent, Fault, SpeedLimitReason, TaxelStatus,
+    board::{Diagnosis, OpenFailure},
+};
 
 /// A number with `decimals` digits after the point, without "-0.0"; a dash for what is not known.
 pub fn number(value: f64, decimals: usize) -> String {
@@ -27,6 +30,35 @@ pub fn health(status: TaxelStatus) -> &'static str {
     }
 }
 
+/// A taxel (0 is T1) by its name.
+pub fn taxel_name(taxel: impl Into<usize>) -> String {
+    format!("T{}", taxel.into() + 1)
+}
+
+/// Why the robot stands and what to do; a taxel is named.
+pub fn fault_text(fault: Fault) -> String {
+    match fault {
+        Fault::TaxelInvalid { taxel, status: TaxelStatus::Masked } => format!(
+            "{} is masked, and board.mask_policy stops the robot for it: use it again on the page Cover, then resume.",
+            taxel_name(taxel)
+        ),
+        Fault::TaxelInvalid { taxel, status } => {
+            format!("{} is {}. {}", taxel_name(taxel), health(status), fault.remedy())
+        }
+        _ => format!("{} {}", fault.text(), fault.remedy()),
+    }
+}
+
+/// What is known about the board at `port`, as the configuration names it.
+pub fn board_text(board: Diagnosis, port: Option<&str>) -> String {
+    match (board, port) {
+        (Diagnosis::NotOpen(OpenFailure::NotFound), Some(path)) if path.starts_with('/') => format!(
+            "The board's port {path} does not exist: check cable, power switch and board.port in the configuration."
+        ),
+        _ => board.text().to_owned(),
+    }
+}
+
 /// Why the speed limit is what it is.
 pub fn speed_limit(reason: SpeedLimitReason) -> &'static str {
     match reason {
@@ -40,10 +72,10 @@ pub fn speed_limit(reason: SpeedLimitReason) -> &'static str {
 
 /// A contact that crossed a limit.
 pub fn contact_text(contact: &ContactEvent) -> String {
-    let taxel = u16::from(contact.taxel) + 1;
+    let taxel = taxel_name(contact.taxel);
     let limit = contact.crossed_n.map_or(String::new(), |n| format!(" over {} N", number(n, 0)));
     let reaction = contact.reaction.map_or(String::new(), |r| format!(", {}", r.name()));
-    format!("T{taxel}: {} contact{limit}, {} N{reaction}", contact.kind.name(), number(contact.peak_n, 1))
+    format!("{taxel}: {} contact{limit}, {} N{reaction}", contact.kind.name(), number(contact.peak_n, 1))
 }
 
 #[cfg(test)]

@@ -31,6 +31,22 @@ impl Pose {
     }
 }
 
+/// A point of the base in the world; `pose_world` is that of the base: m, m, rad.
+pub fn in_world(pose_world: [f64; 3], [x, y, z]: [f64; 3]) -> [f64; 3] {
+    let [x0, y0, yaw] = pose_world;
+    let (sin, cos) = yaw.sin_cos();
+    [x0 + cos * x - sin * y, y0 + sin * x + cos * y, z]
+}
+
+/// The axes of a frame as a unit quaternion x, y, z, w gives its orientation: x, y and z axis as unit vectors.
+pub fn axes([x, y, z, w]: [f64; 4]) -> [[f64; 3]; 3] {
+    [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)],
+        [2.0 * (x * y - z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + x * w)],
+        [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+}
+
 /// Origins of the arm's base, of each joint and of the flange, in B, m. Joints without an angle stay at 0.
 pub fn points_base_m(description: &RobotDescription, q_rad: &[f64]) -> Vec<[f64; 3]> {
     let arm = &description.arm;
@@ -48,6 +64,18 @@ pub fn points_base_m(description: &RobotDescription, q_rad: &[f64]) -> Vec<[f64;
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_quarter_turn_of_the_base_takes_its_front_to_the_left_and_that_of_a_frame_its_x_axis_to_y() {
+        let front = in_world([1.0, 2.0, std::f64::consts::FRAC_PI_2], [0.5, 0.0, 0.3]);
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let [x, y, z] = axes([0.0, 0.0, half, half]);
+        let expected =
+            [([1.0, 2.5, 0.3], front), ([0.0, 1.0, 0.0], x), ([-1.0, 0.0, 0.0], y), ([0.0, 0.0, 1.0], z)];
+        for (expected, actual) in expected {
+            assert!(expected.iter().zip(actual).all(|(a, b)| (a - b).abs() < 1e-12), "{actual:?}");
+        }
+    }
 
     #[test]
     fn the_flange_of_a_panda_at_home_is_where_its_maker_says() {

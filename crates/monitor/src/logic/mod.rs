@@ -1,14 +1,20 @@
 //! What to show and what to ask, without a screen.
 //!
 //! [`model`] takes in what a [`source`] delivers and remembers it: [`signals`] over time, [`event`]s, the latest sample.
-//! [`requests`] says what may be asked when · [`kinematics`] where the arm's joints are · [`simulated_press`] presses a
-//! simulated taxel slowly · [`format`](mod@format) turns numbers and states into text.
+//! [`requests`] says what may be asked when · [`answers`] what came of it · [`parts`] which parts the robot has ·
+//! [`tuning`] what was changed about its parameters · [`kinematics`] where the arm's joints are, [`camera`] where they
+//! are in a picture · [`simulated_press`] presses a simulated taxel slowly · [`format`](mod@format) turns numbers and
+//! states into text.
 
+pub mod answers;
+pub mod camera;
 pub mod event;
 pub mod format;
 pub mod kinematics;
 pub mod model;
+pub mod parts;
 pub mod requests;
 pub mod signals;
 pub mod simulated_press;
 pub mod source;
+pub mod tuning;

@@ -1,7 +1,9 @@
 //! Everything the dashboard knows.
 
 use super::{
+    answers::Answer,
     event::Event,
+    parts::text_parameter,
     requests::{self, refusal_text, request_text},
     signals::{
         history::{History, seconds},
@@ -11,7 +13,7 @@ use super::{
 };
 use moca_msgs::{Law, Mode, Request, Sample, protection::ContactPhase};
 use moca_telemetry::{
-    ParameterValue, RobotDescription,
+    RobotDescription,
     calibration::CalibrationProgress,
     net::{Commander, Link, Reply, Status, Update},
 };
@@ -21,8 +23,6 @@ use std::{collections::VecDeque, sync::Arc};
 const MAX_REMEMBERED: usize = 200;
 /// Without a sample for this long, what is shown is old, s.
 pub const SILENCE_S: f64 = 0.5;
-/// How long the answer to a request stays on the screen, s.
-const MESSAGE_S: f64 = 8.0;
 
 /// How fresh what is shown is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -62,7 +62,7 @@ pub struct Model {
     link: Link,
     session: u64,
     latest_at_s: f64,
-    message: Option<(f64, String, bool)>,
+    answers: Vec<Answer>,
     pressed: Option<(u8, f64)>,
 }
 
@@ -83,7 +83,7 @@ impl Default for Model {
             link: Link::Down { reason: "not connected yet".into() },
             session: 0,
             latest_at_s: f64::NEG_INFINITY,
-            message: None,
+            answers: Vec::new(),
             pressed: None,
         }
     }
@@ -119,7 +119,7 @@ impl Model {
             self.latest_at_s = now_s;
         }
         for reply in update.replies {
-            self.note_reply(reply, now_s);
+            self.note_reply(reply);
         }
     }
 
@@ -138,13 +138,6 @@ impl Model {
             Link::Up { .. } if self.latest_at_s.is_finite() => now_s - self.latest_at_s,
             _ => f64::NAN,
         }
-    }
-
-    /// The change of mode or fault nearest to `time_s`, if one is within `reach_s`.
-    pub fn event_near(&self, time_s: f64, reach_s: f64) -> Option<&Event> {
-        let distance = |event: &&Event| (event.time_s - time_s).abs();
-        let nearest = self.events.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
-        (distance(&nearest) <= reach_s).then_some(nearest)
     }
 
     /// The mode, unless what is known of it is old.
@@ -176,8 +169,7 @@ impl Model {
 
     /// Whether a cover feels what pushes the simulated robot: a real board beside it does not.
     pub fn feels_pushes(&self) -> bool {
-        let port = self.robot.parameters.iter().find(|parameter| parameter.name == "board.port");
-        let real = port.is_some_and(|port| port.value != ParameterValue::Text("virtual".into()));
+        let real = text_parameter(&self.robot, "board.port").is_some_and(|port| port != "virtual");
         self.robot.simulated && !self.robot.taxels.is_empty() && !real
     }
 
@@ -203,10 +195,9 @@ impl Model {
         self.pressed.map(|(taxel, _)| taxel)
     }
 
-    /// The answer to the last request and whether it was carried out, while it is fresh.
-    pub fn message(&self, now_s: f64) -> Option<(&str, bool)> {
-        let (at_s, text, done) = self.message.as_ref()?;
-        (now_s - at_s < MESSAGE_S).then_some((text.as_str(), *done))
+    /// The answers to requests since the last call.
+    pub fn take_answers(&mut self) -> Vec<Answer> {
+        std::mem::take(&mut self.answers)
     }
 
     /// A new daemon: its clock and its ticks start anew, so nothing of the old one can stay on the axes.
@@ -239,18 +230,18 @@ impl Model {
         }
     }
 
-    fn note_reply(&mut self, reply: Reply, now_s: f64) {
+    fn note_reply(&mut self, reply: Reply) {
         let asked = request_text(reply.request);
-        let text = match reply.outcome {
-            Ok(()) => format!("{asked}: done"),
-            Err(refusal) => format!("{asked}: refused, {}", refusal_text(refusal)),
+        let answer = match reply.outcome {
+            Ok(()) => Answer::good(format!("{asked}: done")),
+            Err(refusal) => Answer::bad(format!("{asked}: refused, {}", refusal_text(refusal))),
         };
         if let (Request::SelectLaw(law), Ok(())) = (reply.request, reply.outcome) {
             self.law = law;
         }
         // Pushing with the mouse speaks for itself unless it fails.
         if !matches!(reply, Reply { request: Request::PressTaxel { .. }, outcome: Ok(()) }) {
-            self.message = Some((now_s, text, reply.outcome.is_ok()));
+            self.answers.push(answer);
         }
     }
 }
@@ -259,7 +250,7 @@ impl Model {
 mod tests {
     use super::*;
     use moca_msgs::Refusal;
-    use moca_telemetry::ParameterDescription;
+    use moca_telemetry::{ParameterDescription, ParameterValue};
 
     fn up(session: u64) -> Link {
         Link::Up { session, description: Arc::new(RobotDescription::paper("test", true)) }
@@ -350,10 +341,11 @@ mod tests {
         let select = Request::SelectLaw(Law::FollowMe);
         model.take(reply(select, Err(Refusal::NotCommander)), 10.1);
         assert_eq!(model.law, Law::Impedance);
-        let (text, done) = model.message(10.2).unwrap();
-        assert!(text.starts_with("Select follow-me: refused, another dashboard") && !done, "{text}");
+        let answers = model.take_answers();
+        let [Answer { text, good: false }] = answers.as_slice() else { panic!("{answers:?}") };
+        assert!(text.starts_with("Select follow-me: refused, another dashboard"), "{text}");
         model.take(reply(select, Ok(())), 10.2);
         assert_eq!(model.law, Law::FollowMe);
-        assert_eq!(model.message(30.0), None, "old answers go away");
+        assert_eq!(model.take_answers(), [Answer::good("Select follow-me: done")]);
     }
 }

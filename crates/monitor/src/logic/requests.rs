@@ -1,5 +1,6 @@
 //! What an operator may ask, when it makes sense, and how it is written. The daemon decides; this only greys out buttons.
 
+use super::format::fault_text;
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Law, Mode, Refusal, Request};
 
@@ -72,7 +73,7 @@ pub fn request_text(request: Request) -> String {
 pub fn refusal_text(refusal: Refusal) -> String {
     match refusal {
         Refusal::Mode(mode) => format!("not possible in mode {}", mode.name()),
-        Refusal::CauseRemains(fault) => format!("the cause remains. {} {}", fault.text(), fault.remedy()),
+        Refusal::CauseRemains(fault) => format!("the cause remains. {}", fault_text(fault)),
         Refusal::ZeroInvalid => "the cover has no valid zero: tare first".into(),
         Refusal::NoRobot => "the daemon runs a cover without a robot".into(),
         Refusal::NotSimulated => "only a simulated robot can be pushed with the mouse".into(),
@@ -88,5 +89,8 @@ pub fn refusal_text(refusal: Refusal) -> String {
             "another dashboard has the command: close it, or let it give the command back".into()
         }
         Refusal::NoAnswer => "the daemon does not answer".into(),
+        Refusal::Touched { taxel, force_n } => {
+            format!("T{} feels {force_n:.1} N: let go of the cover first", u16::from(taxel) + 1)
+        }
     }
 }

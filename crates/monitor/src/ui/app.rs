@@ -2,13 +2,14 @@
 
 use super::{
     files::Files, gauges, pages::Page, playback, requests::PageRequests, robot, screenshot::Screenshot,
-    tab::Tab, top, view::View,
+    tab::Tab, toasts, top, view::View,
 };
 use crate::logic::{
+    answers::{Answer, Answers},
     model::Model,
     source::{Source, playback::Playback},
 };
-use egui::{CentralPanel, Color32, Context, Event, Frame, Key, Panel, ScrollArea, Ui, Visuals};
+use egui::{CentralPanel, Color32, Context, Event, Frame, Id, Key, Panel, ScrollArea, Ui, Visuals};
 use moca_msgs::Request;
 use moca_telemetry::net::Address;
 use std::{path::PathBuf, time::Duration};
@@ -16,6 +17,10 @@ use std::{path::PathBuf, time::Duration};
 /// Narrowest and widest column with robot and gauges, points, and its share of the window.
 const LEFT_WIDTH: (f32, f32) = (400.0, 560.0);
 const LEFT_SHARE: f32 = 0.3;
+/// Height of the column below which some numbers are left to the page Loop, points.
+const LITTLE_ROOM: f32 = 620.0;
+/// Height of the numbers below the robot in the first frame, points.
+const NUMBERS: f32 = 420.0;
 /// How often ages and silence are looked at while nothing new comes.
 const LOOK: Duration = Duration::from_millis(250);
 
@@ -25,6 +30,7 @@ pub struct App {
     shown: usize,
     page: Page,
     files: Files,
+    answers: Answers,
     screenshot: Option<Screenshot>,
     /// Whether a picture has been laid out before; it is on the screen once the next one is.
     laid_out: bool,
@@ -46,7 +52,16 @@ impl App {
             style.spacing.button_padding = egui::vec2(9.0, 5.0);
         });
         let tabs = vec![Tab::new(source.into(), address)];
-        Self { tabs, shown: 0, page: Page::default(), files: Files::default(), screenshot, laid_out: false }
+        let answers = Answers::default();
+        Self {
+            tabs,
+            shown: 0,
+            answers,
+            page: Page::default(),
+            files: Files::default(),
+            screenshot,
+            laid_out: false,
+        }
     }
 
     /// One more robot or log, behind the others.
@@ -84,12 +99,16 @@ impl App {
         for tab in &mut self.tabs {
             tab.update(now_s);
             // A robot grows old, and its commander must be seen to live; a log that stands still does neither.
-            if tab.model.connected() || tab.model.message(now_s).is_some() {
+            if tab.model.connected() {
                 ctx.request_repaint_after(LOOK);
             }
             if tab.source.log().is_some_and(|log| log.playing()) {
                 ctx.request_repaint_after(Self::FRAME);
             }
+        }
+        self.hear(now_s);
+        if self.answers.at(now_s).next().is_some() {
+            ctx.request_repaint_after(LOOK);
         }
         if take_space_bar(ctx) {
             self.stop_all();
@@ -109,15 +128,29 @@ impl App {
         }
     }
 
+    /// Shows what the robots have answered; one of several is named.
+    fn hear(&mut self, now_s: f64) {
+        let several = self.tabs.len() > 1;
+        for tab in &mut self.tabs {
+            for mut answer in tab.take_answers() {
+                if several {
+                    answer.text = format!("{}: {}", tab.model.robot.name, answer.text);
+                }
+                self.answers.add(answer, now_s);
+            }
+        }
+    }
+
     fn open(&mut self, ctx: &Context, path: PathBuf) {
         let name = path.display().to_string();
-        let ctx = ctx.clone();
-        match Playback::open(path, move || ctx.request_repaint()) {
+        let (wake, now_s) = (ctx.clone(), ctx.input(|i| i.time));
+        match Playback::open(path.clone(), move || wake.request_repaint()) {
             Ok(log) => {
+                self.files.remember(&path);
                 self.add(log, name);
                 self.shown = self.tabs.len() - 1;
             }
-            Err(error) => self.front().view.note = Some(format!("cannot read {name}: {error}")),
+            Err(error) => self.answers.add(Answer::bad(format!("cannot read {name}: {error}")), now_s),
         }
     }
 
@@ -136,6 +169,8 @@ impl App {
         let mut pressed = PageRequests::default();
         self.layout(ui, &mut pressed);
         self.carry_out(ui.ctx(), pressed);
+        let now_s = ui.input(|i| i.time);
+        toasts::show(ui.ctx(), &mut self.answers, now_s);
     }
 
     fn layout(&mut self, ui: &mut Ui, pressed: &mut PageRequests) {
@@ -161,20 +196,26 @@ impl App {
         let width = (ui.available_width() * LEFT_SHARE).clamp(LEFT_WIDTH.0, LEFT_WIDTH.1);
         Panel::left("left").frame(bare.side).exact_size(width).resizable(false).show(ui, |ui| {
             let height = ui.available_height();
+            // The picture has what the numbers left of the column in the frame before.
+            let numbers = ui.ctx().data(|data| data.get_temp(Id::unique("numbers"))).unwrap_or(NUMBERS);
             ScrollArea::vertical().show(ui, |ui| {
-                pressed.push = robot::show(ui, model, view, now_s, height);
-                gauges::show(ui, model, now_s);
+                let top = ui.cursor().top();
+                let picture = height - numbers;
+                pressed.push = robot::show(ui, model, view, now_s, picture);
+                gauges::show(ui, model, now_s, height < LITTLE_ROOM);
+                let numbers = ui.cursor().top() - top - robot::height(picture);
+                ui.ctx().data_mut(|data| data.insert_temp(Id::unique("numbers"), numbers));
             });
         });
         files.show(ui.ctx(), pressed);
         CentralPanel::default().frame(bare.centre).show(ui, |ui| {
-            page.tabs(ui, model, recording.as_ref(), view, pressed);
+            page.tabs(ui, model, recording.as_ref(), pressed);
             page.show(ui, model, view, now_s, pressed);
         });
     }
 
     fn carry_out(&mut self, ctx: &Context, pressed: PageRequests) {
-        let PageRequests { mut requests, calibrate, push, open_log, choose_log, close_log, record } = pressed;
+        let PageRequests { mut requests, calibrate, push, open_log, choose_log, close_log, .. } = pressed;
         if requests.contains(&Request::Stop) {
             self.stop_all();
         }
@@ -188,10 +229,19 @@ impl App {
         if choose_log {
             self.files.choose();
         }
-        if record {
-            let folder = self.files.folder.clone();
+        let folder = self.files.folder.clone();
+        if pressed.record {
             self.front().record(&folder);
         }
+        if pressed.export {
+            self.front().export(&folder);
+        }
+        if pressed.save_parameters {
+            self.front().save_parameters(&folder);
+        }
+        let now_s = ctx.input(|i| i.time);
+        pressed.answers.into_iter().for_each(|answer| self.answers.add(answer, now_s));
+        self.hear(now_s);
         if let Some(path) = open_log {
             self.open(ctx, path);
         }
@@ -240,6 +290,8 @@ impl eframe::App for App {
         if !addresses.is_empty() {
             storage.set_string("connect", addresses.join(" "));
         }
+        let recent: Vec<String> = self.files.recent.iter().map(|log| log.display().to_string()).collect();
+        storage.set_string("recent_logs", recent.join("\n"));
         if !front.model.recorded {
             storage.set_string("front", front.address.clone());
         }
@@ -260,6 +312,8 @@ impl App {
         self.page = text("page").and_then(|name| Page::named(&name)).unwrap_or_default();
         let front = text("front").and_then(|front| self.tabs.iter().position(|tab| tab.address == front));
         self.shown = front.unwrap_or(self.shown);
+        let recent = text("recent_logs").unwrap_or_default();
+        self.files.recent = recent.lines().map(PathBuf::from).collect();
         for tab in &mut self.tabs {
             if let Some(span_s) = number("span_s") {
                 tab.view.axis.show(span_s);

@@ -4,74 +4,100 @@ use super::theme;
 use crate::logic::{
     format::{number, speed_limit},
     model::{Freshness, Model, SILENCE_S},
+    parts::{has_arm, has_base, has_cover, has_robot},
     signals::history::seconds,
 };
 use egui::{Align, Grid, Label, Layout, RichText, Role, Sense, Ui, WidgetInfo, pos2, vec2};
-use moca_msgs::SpeedLimit;
+use moca_msgs::{Sample, SpeedLimit};
 
-/// Draws base wrench and gauges.
-pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64) {
+/// Width from which on two counters stand beside each other, points.
+const TWO_COUNTERS: f32 = 378.0;
+
+/// Draws the numbers of the parts that the robot has: wrenches and pose, then gauges, then counters.
+/// Where there is little room, the counters are on the page Loop only.
+pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, little_room: bool) {
     let Some(sample) = &model.latest else { return };
     let live = model.freshness(now_s) == Freshness::Live;
     ui.add_enabled_ui(live, |ui| {
+        if has_robot(&model.robot) {
+            ui.separator();
+            wrenches(ui, model, sample);
+        }
         ui.separator();
-        Grid::new("wrench").num_columns(4).spacing([4.0, 3.0]).show(ui, |ui| {
-            let [fx, fy, mz] = sample.cover_wrench_base;
-            let [x, y, yaw] = sample.base_pose_world;
-            let [ex, ey, ez, mx, my, flange_mz] = sample.flange_wrench_world;
-            let rows = [
-                ("Base wrench", [("fx", fx, 1, "N"), ("fy", fy, 1, "N"), ("mz", mz, 1, "N·m")]),
-                ("Base pose", [("x", x, 3, "m"), ("y", y, 3, "m"), ("yaw", yaw, 3, "rad")]),
-                ("Flange force", [("fx", ex, 1, "N"), ("fy", ey, 1, "N"), ("fz", ez, 1, "N")]),
-                ("   moment", [("mx", mx, 1, "N·m"), ("my", my, 1, "N·m"), ("mz", flange_mz, 1, "N·m")]),
-            ];
-            for (name, values) in rows {
-                ui.strong(name);
-                for (axis, value, decimals, unit) in values {
-                    value_cell(ui, axis, &number(value, decimals), unit, 96.0);
-                }
-                ui.end_row();
+        gauges(ui, model, sample, now_s);
+        if !little_room {
+            ui.separator();
+            counters(ui, model, sample);
+        }
+    });
+}
+
+fn wrenches(ui: &mut Ui, model: &Model, sample: &Sample) {
+    let [fx, fy, mz] = sample.cover_wrench_base;
+    let [x, y, yaw] = sample.base_pose_world;
+    let [ex, ey, ez, mx, my, flange_mz] = sample.flange_wrench_world;
+    let (base, arm) = (has_base(&model.robot), has_arm(&model.robot));
+    let rows = [
+        (base, "Base wrench", [("fx", fx, 1, "N"), ("fy", fy, 1, "N"), ("mz", mz, 1, "N·m")]),
+        (base, "Base pose", [("x", x, 3, "m"), ("y", y, 3, "m"), ("yaw", yaw, 3, "rad")]),
+        (arm, "Flange force", [("fx", ex, 1, "N"), ("fy", ey, 1, "N"), ("fz", ez, 1, "N")]),
+        (arm, "   moment", [("mx", mx, 1, "N·m"), ("my", my, 1, "N·m"), ("mz", flange_mz, 1, "N·m")]),
+    ];
+    Grid::new("wrench").num_columns(4).spacing([4.0, 1.0]).show(ui, |ui| {
+        for (_, name, values) in rows.into_iter().filter(|(has_part, ..)| *has_part) {
+            ui.strong(name);
+            for (axis, value, decimals, unit) in values {
+                value_cell(ui, axis, &number(value, decimals), unit, 96.0);
             }
-        });
-        ui.separator();
-        let deadline_ms = model.robot.frame_deadline_s * 1e3;
-        let period_us = model.robot.period_s * 1e6;
-        Grid::new("gauges").num_columns(3).spacing([10.0, 4.0]).show(ui, |ui| {
-            let silent_ms = model.silent_for_s(now_s) * 1e3;
-            if !model.recorded {
-                gauge(ui, "Connection", silent_ms, SILENCE_S * 1e3, "ms", 0);
-            }
-            gauge(ui, "Loop lateness", sample.lateness_s * 1e6, period_us, "µs", 0);
-            // An arm on a stand has neither a cover nor a base that moves.
-            if model.robot.taxels.is_empty() {
-                return;
-            }
+            ui.end_row();
+        }
+    });
+}
+
+fn gauges(ui: &mut Ui, model: &Model, sample: &Sample, now_s: f64) {
+    let robot = &model.robot;
+    let deadline_ms = robot.frame_deadline_s * 1e3;
+    Grid::new("gauges").num_columns(3).spacing([10.0, 1.0]).show(ui, |ui| {
+        if !model.recorded {
+            gauge(ui, "Connection", model.silent_for_s(now_s) * 1e3, SILENCE_S * 1e3, "ms", 0);
+        }
+        gauge(ui, "Loop lateness", sample.lateness_s * 1e6, robot.period_s * 1e6, "µs", 0);
+        if has_cover(robot) {
             let age_ms = if sample.frame_age_s < 0.0 { f64::NAN } else { sample.frame_age_s * 1e3 };
             gauge(ui, "Frame age", age_ms, deadline_ms, "ms", 0);
+        }
+        if has_base(robot) {
             let [x, y, yaw] = sample.base_velocity_world;
-            let [x_max, y_max, yaw_max] = model.robot.base_velocity_max;
+            let [x_max, y_max, yaw_max] = robot.base_velocity_max;
             gauge(ui, "Cover speed", sample.cover_speed_m_s, sample.speed_limit.m_s, "m/s", 2);
             gauge(ui, "Base speed", x.hypot(y), x_max.min(y_max), "m/s", 2);
             gauge(ui, "Base turning", yaw.abs(), yaw_max, "rad/s", 2);
-        });
-        if !model.robot.taxels.is_empty() {
-            let SpeedLimit { m_s, reason } = sample.speed_limit;
-            let text = format!("Speed limit {} m/s: {}", number(m_s, 2), speed_limit(reason));
-            ui.add(Label::new(text).truncate());
         }
-        ui.separator();
-        Grid::new("counters").num_columns(4).spacing([10.0, 3.0]).show(ui, |ui| {
-            counter(ui, "Frame rate", &number(sample.frame_rate_hz, 1), "Hz", false);
-            counter(ui, "Frames good", &sample.frames_good.to_string(), "", false);
+    });
+    if has_base(robot) {
+        let SpeedLimit { m_s, reason } = sample.speed_limit;
+        let text = format!("Speed limit {} m/s: {}", number(m_s, 2), speed_limit(reason));
+        ui.add(Label::new(text).truncate());
+    }
+}
+
+/// What has been counted since the start.
+pub(super) fn counters(ui: &mut Ui, model: &Model, sample: &Sample) {
+    let dropped = model.status.ring_dropped + model.status.client_dropped;
+    let counters = [
+        ("Frame rate", number(sample.frame_rate_hz, 1), "Hz", false),
+        ("Frames good", sample.frames_good.to_string(), "", false),
+        ("Loop overruns", sample.overruns.to_string(), "", sample.overruns > 0),
+        ("Frames bad", sample.frames_bad.to_string(), "", sample.frames_bad > 0),
+        ("Samples lost", dropped.to_string(), "", dropped > 0),
+        ("Run time", number(seconds(sample.time_ns), 0), "s", false),
+    ];
+    let columns = if ui.available_width() < TWO_COUNTERS { 1 } else { 2 };
+    Grid::new(ui.scope_id().with("counters")).spacing([10.0, 1.0]).show(ui, |ui| {
+        for row in counters.chunks(columns) {
+            row.iter().for_each(|(name, value, unit, odd)| counter(ui, name, value, unit, *odd));
             ui.end_row();
-            counter(ui, "Loop overruns", &sample.overruns.to_string(), "", sample.overruns > 0);
-            counter(ui, "Frames bad", &sample.frames_bad.to_string(), "", sample.frames_bad > 0);
-            ui.end_row();
-            let dropped = model.status.ring_dropped + model.status.client_dropped;
-            counter(ui, "Samples lost", &dropped.to_string(), "", dropped > 0);
-            counter(ui, "Run time", &number(seconds(sample.time_ns), 0), "s", false);
-            ui.end_row();
-        });
+        }
     });
 }
 

@@ -12,6 +12,7 @@ mod robot;
 mod screenshot;
 mod tab;
 mod theme;
+mod toasts;
 mod top;
 mod view;
 

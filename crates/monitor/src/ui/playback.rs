@@ -16,7 +16,7 @@ pub(super) fn show(
     pressed: &mut PageRequests,
 ) {
     let mut sought = None;
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         let playing = playback.playing();
         if ui.button(if playing { "Pause" } else { "Play" }).clicked() {
             playback.play(!playing);
@@ -39,7 +39,8 @@ pub(super) fn show(
         }
         let (first, last) = playback.range_s();
         let mut at_s = playback.at_s();
-        ui.spacing_mut().slider_width = (ui.available_width() - 420.0).max(120.0);
+        // Room for the label before it and the time behind it.
+        ui.spacing_mut().slider_width = (ui.available_width() - 220.0).max(120.0);
         let slider = Slider::new(&mut at_s, first..=last.max(first + 1e-3)).show_value(false);
         let label = ui.label("Time");
         if ui.add(slider).labelled_by(label.id).on_hover_text("Time of the log").changed() {

@@ -1,5 +1,6 @@
 //! What was pressed in a frame.
 
+use crate::logic::answers::Answer;
 use moca_msgs::Request;
 use moca_telemetry::calibration::CalibrationRequest;
 use std::path::PathBuf;
@@ -21,4 +22,10 @@ pub(super) struct PageRequests {
     pub(super) close_log: bool,
     /// Start or end a recording.
     pub(super) record: bool,
+    /// Save what the plots show as a table.
+    pub(super) export: bool,
+    /// Save the parameters that differ from their defaults.
+    pub(super) save_parameters: bool,
+    /// What is to be said.
+    pub(super) answers: Vec<Answer>,
 }

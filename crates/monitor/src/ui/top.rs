@@ -2,12 +2,21 @@
 
 use super::{requests::PageRequests, theme};
 use crate::logic::{
+    format::{board_text, fault_text, taxel_name},
     model::{Freshness, Model},
+    parts::{has_arm, has_robot, text_parameter},
     requests::{explanation, label},
 };
-use egui::{Align, Button, Color32, Frame, Layout, Margin, RichText, Theme, Ui, vec2};
-use moca_msgs::{Law, Mode, Request, board::Diagnosis};
+use egui::{Align, Button, Color32, Frame, Label, Layout, Margin, RichText, Theme, Ui, vec2};
+use moca_msgs::{Law, Mode, Request, Sample, TaxelStatus, board::Diagnosis};
 use moca_telemetry::net::Commander;
+
+/// Narrowest and widest banner, and what the buttons and STOP beside it take, points.
+const BANNER: (f32, f32) = (190.0, 310.0);
+const BUTTONS: f32 = 540.0;
+const STOP: f32 = 186.0;
+/// Text that is longer is written smaller, bytes.
+const LONG: usize = 160;
 
 /// Draws a button for each robot and log; the chosen one comes to the front.
 pub(super) fn tabs(ui: &mut Ui, names: impl Iterator<Item = (String, Option<Mode>)>, shown: &mut usize) {
@@ -33,49 +42,64 @@ pub(super) fn show(
     pressed: &mut PageRequests,
 ) {
     ui.add_space(4.0);
+    let narrow = ui.available_width() < BUTTONS + STOP + BANNER.0;
+    let banner = (ui.available_width() - STOP - if narrow { 0.0 } else { BUTTONS }).clamp(BANNER.0, BANNER.1);
     ui.horizontal(|ui| {
-        mode(ui, model, now_s);
-        ui.add_space(4.0);
-        let mut button = |ui: &mut Ui, request: Request, selected: bool| {
-            let widget = Button::selectable(selected, RichText::new(label(request)).size(15.0))
-                .frame_when_inactive(true)
-                .min_size(vec2(66.0, 46.0));
-            let response = ui.add_enabled(model.allows(request, now_s), widget);
-            let hint = explanation(request);
-            if response.on_hover_text(hint).on_disabled_hover_text(hint).clicked() {
-                pressed.requests.push(request);
-            }
-        };
-        for request in [Request::Tare, Request::Arm, Request::Disarm, Request::Resume] {
-            button(ui, request, false);
-        }
-        ui.separator();
-        for law in [Law::Impedance, Law::FollowMe] {
-            button(ui, Request::SelectLaw(law), model.law == law);
+        mode(ui, model, now_s, banner);
+        if !narrow {
+            buttons(ui, model, now_s, pressed);
         }
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| stop(ui, anybody_to_stop, pressed));
     });
-    ui.horizontal(|ui| {
-        why(ui, model, address, now_s);
-        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            for theme in [Theme::Dark, Theme::Light] {
-                let chosen = ui.theme() == theme;
-                if ui.selectable_label(chosen, if theme == Theme::Dark { "Dark" } else { "Light" }).clicked()
-                {
-                    ui.set_theme(theme);
-                }
+    if narrow {
+        ui.horizontal_wrapped(|ui| buttons(ui, model, now_s, pressed));
+    }
+    let line = vec2(ui.available_width(), 24.0);
+    ui.allocate_ui_with_layout(line, Layout::right_to_left(Align::TOP), |ui| {
+        for theme in [Theme::Dark, Theme::Light] {
+            let chosen = ui.theme() == theme;
+            if ui.selectable_label(chosen, if theme == Theme::Dark { "Dark" } else { "Light" }).clicked() {
+                ui.set_theme(theme);
             }
-            if let Some((text, done)) = model.message(now_s) {
-                let colour = if done { ui.visuals().weak_text_color() } else { theme::BAD };
-                ui.add(egui::Label::new(RichText::new(text).color(colour)).truncate());
-            }
+        }
+        ui.with_layout(Layout::top_down(Align::Min), |ui| {
+            let (colour, text) = reason(model, address, now_s);
+            let colour = colour.unwrap_or_else(|| ui.visuals().text_color());
+            // A list of causes is longer than the name of a robot.
+            let size = if text.len() > LONG { 14.0 } else { 18.0 };
+            ui.add(Label::new(RichText::new(text).size(size).color(colour)).wrap());
         });
     });
     ui.add_space(2.0);
 }
 
+/// A button for each request that makes sense for the parts that the robot has.
+fn buttons(ui: &mut Ui, model: &Model, now_s: f64, pressed: &mut PageRequests) {
+    let mut button = |ui: &mut Ui, request: Request, selected: bool| {
+        let widget = Button::selectable(selected, RichText::new(label(request)).size(15.0))
+            .frame_when_inactive(true)
+            .min_size(vec2(66.0, 46.0));
+        let response = ui.add_enabled(model.allows(request, now_s), widget);
+        let hint = explanation(request);
+        if response.on_hover_text(hint).on_disabled_hover_text(hint).clicked() {
+            pressed.requests.push(request);
+        }
+    };
+    button(ui, Request::Tare, false);
+    if !has_robot(&model.robot) {
+        return;
+    }
+    for request in [Request::Arm, Request::Disarm, Request::Resume] {
+        button(ui, request, false);
+    }
+    ui.separator();
+    for law in [Law::Impedance, Law::FollowMe] {
+        button(ui, Request::SelectLaw(law), model.law == law);
+    }
+}
+
 /// The mode of a robot that runs, readable from three metres.
-fn mode(ui: &mut Ui, model: &Model, now_s: f64) {
+fn mode(ui: &mut Ui, model: &Model, now_s: f64, width: f32) {
     let mode = model.live_mode(now_s);
     let name = match model.freshness(now_s) {
         _ if model.recorded => "recorded",
@@ -87,9 +111,11 @@ fn mode(ui: &mut Ui, model: &Model, now_s: f64) {
         ui,
         |ui| {
             ui.allocate_ui_with_layout(
-                vec2(286.0, 46.0),
+                vec2(width - 24.0, 46.0),
                 Layout::centered_and_justified(egui::Direction::LeftToRight),
-                |ui| ui.label(RichText::new(name).size(38.0).strong().color(Color32::WHITE)),
+                |ui| {
+                    ui.label(RichText::new(name).size(38.0 * width / BANNER.1).strong().color(Color32::WHITE))
+                },
             );
         },
     );
@@ -104,13 +130,7 @@ fn stop(ui: &mut Ui, enabled: bool, pressed: &mut PageRequests) {
     }
 }
 
-/// One line: what is wrong and what to do, or which robot this is.
-fn why(ui: &mut Ui, model: &Model, address: &str, now_s: f64) {
-    let (colour, text) = reason(model, address, now_s);
-    let colour = colour.unwrap_or_else(|| ui.visuals().text_color());
-    ui.label(RichText::new(text).size(18.0).color(colour));
-}
-
+/// What is wrong and what to do, or which robot this is.
 fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String) {
     match model.freshness(now_s) {
         Freshness::Down(reason) => {
@@ -133,15 +153,15 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
     };
     if model.recorded {
         let name = &model.robot.name;
-        let fault = sample.fault.map_or(String::new(), |fault| format!(": {}", fault.text()));
+        let fault = sample.fault.map_or_else(String::new, |fault| format!(": {}", fault_text(fault)));
         let text = format!("A recorded run of {name}, then in mode {}{fault}", sample.mode.name());
         return (Some(theme::WARNING), text);
     }
     if let Some(fault) = sample.fault {
-        return (Some(theme::BAD), format!("{} {}", fault.text(), fault.remedy()));
+        return (Some(theme::BAD), fault_text(fault));
     }
     if !matches!(sample.board, Diagnosis::Frames | Diagnosis::NoBoard) {
-        return (Some(theme::WARNING), sample.board.text().into());
+        return (Some(theme::WARNING), board_text(sample.board, text_parameter(&model.robot, "board.port")));
     }
     let kind = if model.robot.simulated { ", simulated" } else { "" };
     let command = match model.status.commander {
@@ -149,6 +169,19 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
         Commander::You => " · you have the command",
         Commander::Another => " · another dashboard has the command",
     };
+    let arm = model.robot.arm.name.as_str();
+    let what = match (has_robot(&model.robot), has_arm(&model.robot)) {
+        (false, _) => "cover alone",
+        (true, false) => "base alone",
+        (true, true) => arm,
+    };
     let cover = if model.robot.uncalibrated.is_empty() { "" } else { " · cover uncalibrated" };
-    (None, format!("{} ({}{kind}){command}{cover}", model.robot.name, model.robot.arm.name))
+    (None, format!("{} ({what}{kind}){command}{cover}{}", model.robot.name, masked(sample)))
+}
+
+/// The taxels that are out of use, by number.
+fn masked(sample: &Sample) -> String {
+    let taxels = sample.taxels.iter().enumerate().filter(|(_, taxel)| taxel.status == TaxelStatus::Masked);
+    let names: Vec<String> = taxels.map(|(index, _)| taxel_name(index)).collect();
+    if names.is_empty() { String::new() } else { format!(" · masked: {}", names.join(", ")) }
 }

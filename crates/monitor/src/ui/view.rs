@@ -1,7 +1,12 @@
 //! What the user has chosen to look at.
 
-use crate::logic::signals::axis::TimeAxis;
-use std::collections::BTreeMap;
+use crate::logic::{
+    camera::OrbitCamera,
+    event::Event,
+    model::Model,
+    signals::{axis::TimeAxis, history::History},
+};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// How one robot is looked at.
 pub(super) struct View {
@@ -9,14 +14,21 @@ pub(super) struct View {
     pub(super) axis: TimeAxis,
     /// Where the mouse points on the axis of time, s of loop time.
     pub(super) cursor_s: Option<f64>,
+    /// What the plots showed when they were paused: it stays, however long that is.
+    paused: Option<Box<Paused>>,
     /// Force of a push with the mouse, N.
     pub(super) push_n: f64,
-    /// What became of the last export or recording.
-    pub(super) note: Option<String>,
     /// What is chosen on the page of the calibration.
     pub(super) calibration: CalibrationChoice,
     /// Parameters that were edited and not applied yet, by number.
     pub(super) drafts: BTreeMap<usize, Vec<f64>>,
+    /// From where the robot is seen on the page 3-D.
+    pub(super) camera: OrbitCamera,
+}
+
+struct Paused {
+    history: History,
+    events: VecDeque<Event>,
 }
 
 impl Default for View {
@@ -24,11 +36,34 @@ impl Default for View {
         Self {
             axis: TimeAxis::default(),
             cursor_s: None,
+            paused: None,
             push_n: 20.0,
-            note: None,
             calibration: CalibrationChoice::default(),
             drafts: BTreeMap::new(),
+            camera: OrbitCamera::default(),
         }
+    }
+}
+
+impl View {
+    /// Keeps what the plots show while they are paused. To be called whenever the axis may have been held or released.
+    pub(super) fn keep_while_paused(&mut self, model: &Model) {
+        if !self.axis.held() {
+            self.paused = None;
+        } else if self.paused.is_none() {
+            let (history, events) = (model.history.clone(), model.events.clone());
+            self.paused = Some(Box::new(Paused { history, events }));
+        }
+    }
+
+    /// The signals that the plots show.
+    pub(super) fn history<'a>(&'a self, model: &'a Model) -> &'a History {
+        self.paused.as_ref().map_or(&model.history, |paused| &paused.history)
+    }
+
+    /// The events that the plots show.
+    pub(super) fn events<'a>(&'a self, model: &'a Model) -> &'a VecDeque<Event> {
+        self.paused.as_ref().map_or(&model.events, |paused| &paused.events)
     }
 }
 
@@ -40,14 +75,35 @@ pub(super) struct CalibrationChoice {
     pub(super) presses: u8,
     /// Place of the model in the fit.
     pub(super) model: usize,
+    /// Of which taxel's fit the best model has been chosen.
+    pub(super) model_chosen_for: Option<u8>,
     /// Whether the simulated hand presses.
     pub(super) simulated_press: bool,
     /// Since when, s.
     pub(super) pressing_since_s: Option<f64>,
+    /// Whether the next taxel follows by itself.
+    pub(super) all: bool,
+    /// Taxels that are in the file.
+    pub(super) done: BTreeSet<u8>,
+    /// Taxels that are left out this time.
+    pub(super) skipped: BTreeSet<u8>,
+    /// When the next taxel begins, s.
+    pub(super) next_at_s: Option<f64>,
 }
 
 impl Default for CalibrationChoice {
     fn default() -> Self {
-        Self { taxel: 0, presses: 3, model: 2, simulated_press: true, pressing_since_s: None }
+        Self {
+            taxel: 0,
+            presses: 3,
+            model: 0,
+            model_chosen_for: None,
+            simulated_press: true,
+            pressing_since_s: None,
+            all: false,
+            done: BTreeSet::new(),
+            skipped: BTreeSet::new(),
+            next_at_s: None,
+        }
     }
 }

@@ -260,8 +260,8 @@ impl CalibrationFile {
 
     /// Reads and checks the layout of a file.
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| FileError::Io { path: path.to_path_buf(), error })?;
+        let text =
+            super::read_text(path).map_err(|error| FileError::Io { path: path.to_path_buf(), error })?;
         Self::parse(&text)
     }
 

@@ -141,8 +141,9 @@ impl Row {
 
 fn rows(folder: &Path, name: &str) -> anyhow::Result<Vec<Row>> {
     let path = folder.join(name);
-    let text = std::fs::read_to_string(&path)
-        .with_context(|| format!("reading {}: the anchor's gen.py writes it", path.display()))?;
+    let text = std::fs::read_to_string(&path).with_context(|| {
+        format!("reading {}: tests/peers/pinocchio/generate.py writes it", path.display())
+    })?;
     text.lines()
         .enumerate()
         .filter(|(_, line)| !line.trim().is_empty())

@@ -1,6 +1,6 @@
 //! `moca-lab tick --anchor DIR`: the whole-body tick on the data of an independent implementation, checked and timed.
 //!
-//! DIR holds model.csv, params.csv, inputs.csv and ref.csv as the anchor's gen.py writes them. One tick: state →
+//! DIR holds model.csv, params.csv, inputs.csv and ref.csv as `tests/peers/pinocchio/generate.py` writes them. One tick: state →
 //! kinematics, Jacobian, mass matrix, bias, task force, eq. (6), torques. The pose error is part of the anchor's law:
 //! e = \[p_d − p; ½ Σ R_k × R_dk\].
 

@@ -119,6 +119,32 @@ impl History {
         table
     }
 
+    /// Samples of `signals` together, about `count` of them at equal distances over `window_s`, oldest first; one with a
+    /// value that is missing is left out.
+    pub fn sampled<const N: usize>(
+        &self,
+        signals: [Signal; N],
+        window_s: Range<f64>,
+        count: u64,
+    ) -> Vec<[f64; N]> {
+        let range = self.indices(&window_s);
+        let columns = signals.map(|signal| self.column(signal));
+        let step = ((range.end - range.start) / count.max(1)).max(1);
+        let value =
+            |column: Option<&Pyramid>, index| column.and_then(|c| c.get(index)).map_or(f64::NAN, f64::from);
+        // At multiples of the step, so that a rolling picture does not flicker.
+        (range.start.div_ceil(step)..range.end.div_ceil(step))
+            .map(|i| columns.map(|column| value(column, i * step)))
+            .filter(|values| values.iter().all(|value| value.is_finite()))
+            .collect()
+    }
+
+    /// Samples kept of `window_s`.
+    pub fn count(&self, window_s: Range<f64>) -> u64 {
+        let range = self.indices(&window_s);
+        range.end - range.start
+    }
+
     fn append(&mut self, time_s: f64, value: impl Fn(Signal) -> f64) {
         for (column, signal) in self.columns.iter_mut().zip(&self.signals) {
             #[expect(clippy::cast_possible_truncation, reason = "f32 resolves far more than a screen shows")]
@@ -218,6 +244,19 @@ mod tests {
         let table = history.csv(0.050..0.052, |signal| format!("{signal:?}"));
         let expected = "time_s,CoverWrench(0),FrameAgeMs\n0.050000,1.5,25\n0.051000,1.5,\n0.052000,1.5,25\n";
         assert_eq!(table, expected);
+    }
+
+    #[test]
+    fn signals_are_sampled_together_and_what_is_missing_is_left_out() {
+        let mut history = History::new(vec![FORCE, Signal::FrameAgeMs]);
+        for tick in 0..1000_u32 {
+            let frame_age_s = if tick < 500 { -1.0 } else { f64::from(tick) * 1e-3 };
+            history.push(&Sample { frame_age_s, ..sample(tick.into(), f64::from(tick)) });
+        }
+        let points = history.sampled([FORCE, Signal::FrameAgeMs], 0.0..2.0, 100);
+        assert_eq!(points.len(), 50);
+        assert!(points.iter().all(|[force, age_ms]| (force - age_ms).abs() < 1e-3), "of the same sample");
+        assert_eq!((history.count(0.1..0.2), history.count(5.0..9.0)), (101, 0));
     }
 
     #[test]

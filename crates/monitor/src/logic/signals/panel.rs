@@ -1,5 +1,6 @@
 //! Which signals are plotted together, with their names and units.
 
+use crate::logic::parts::{has_arm, has_base, has_cover};
 use moca_msgs::{Sample, TaxelStatus};
 use moca_telemetry::RobotDescription;
 
@@ -77,7 +78,7 @@ pub struct Panel {
     pub traces: Vec<(String, Signal)>,
 }
 
-/// The paper's plots for a robot, in order of reading.
+/// The paper's plots for the parts that a robot has, in order of reading.
 pub fn panels(description: &RobotDescription) -> Vec<Panel> {
     let taxels = (0..description.taxels.len()).map(|i| (format!("T{}", i + 1), Signal::Taxel(i)));
     let panel = |title, unit, decimals, least_span, traces: &[(&str, Signal)]| Panel {
@@ -97,18 +98,21 @@ pub fn panels(description: &RobotDescription) -> Vec<Panel> {
         ("z desired", FlangeDesired(2)),
     ];
     let force = [("fx", FlangeWrench(0)), ("fy", FlangeWrench(1)), ("fz", FlangeWrench(2))];
-    vec![
-        Panel { traces: taxels.collect(), ..panel("Taxel forces", "N", 1, 10.0, &[]) },
-        panel("Flange, desired dashed", "m", 3, 0.02, &flange),
-        panel("Base force", "N", 1, 10.0, &[("fx", CoverWrench(0)), ("fy", CoverWrench(1))]),
-        panel("Flange from its place", "mm", 1, 10.0, &[("error", FlangeErrorMm)]),
-        panel("Base moment", "N·m", 1, 5.0, &[("mz", CoverWrench(2))]),
-        panel("Flange force", "N", 1, 10.0, &force),
-        panel("Base position", "m", 3, 0.02, &[("x", BasePose(0)), ("y", BasePose(1))]),
-        panel("Base velocity", "m/s", 3, 0.02, &[("x", BaseVelocity(0)), ("y", BaseVelocity(1))]),
-        panel("Base yaw", "rad", 3, 0.02, &[("yaw", BasePose(2))]),
-        panel("Base turning", "rad/s", 3, 0.02, &[("yaw rate", BaseVelocity(2))]),
-    ]
+    let (cover, arm, base) = (has_cover(description), has_arm(description), has_base(description));
+    let wrench = [("fx", CoverWrench(0)), ("fy", CoverWrench(1))];
+    let plots = [
+        (cover, Panel { traces: taxels.collect(), ..panel("Taxel forces", "N", 1, 10.0, &[]) }),
+        (arm, panel("Flange, desired dashed", "m", 3, 0.02, &flange)),
+        (base, panel("Base force", "N", 1, 10.0, &wrench)),
+        (arm, panel("Flange from its place", "mm", 1, 10.0, &[("error", FlangeErrorMm)])),
+        (base, panel("Base moment", "N·m", 1, 5.0, &[("mz", CoverWrench(2))])),
+        (arm, panel("Flange force", "N", 1, 10.0, &force)),
+        (base, panel("Base position", "m", 3, 0.02, &[("x", BasePose(0)), ("y", BasePose(1))])),
+        (base, panel("Base velocity", "m/s", 3, 0.02, &[("x", BaseVelocity(0)), ("y", BaseVelocity(1))])),
+        (base, panel("Base yaw", "rad", 3, 0.02, &[("yaw", BasePose(2))])),
+        (base, panel("Base turning", "rad/s", 3, 0.02, &[("yaw rate", BaseVelocity(2))])),
+    ];
+    plots.into_iter().filter_map(|(has_part, panel)| has_part.then_some(panel)).collect()
 }
 
 /// The plots of how well loop and board keep time.

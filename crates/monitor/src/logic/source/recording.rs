@@ -35,7 +35,7 @@ impl Recording {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let start = now.saturating_sub(Duration::from_nanos(now_ns));
         let start_unix_ns = u64::try_from(start.as_nanos()).unwrap_or(0);
-        let path = folder.join(format!("{}-{}.mcap", plain(&robot.name), utc_stamp(now.as_secs())));
+        let path = folder.join(format!("{}-{}.mcap", plain(&robot.name), utc_stamp_now()));
         let (samples, from_here) = rtrb::RingBuffer::new(RING);
         let meta = Meta { description: robot.clone(), start_unix_ns };
         let recorder = Recorder::create(&path, &meta, from_here)?;
@@ -73,6 +73,11 @@ impl Recording {
 /// A name that is a file's name everywhere.
 pub fn plain(name: &str) -> String {
     name.replace(|c: char| !c.is_alphanumeric(), "-")
+}
+
+/// Now as `YYYYMMDD-HHMMSS` in UTC, for a file's name.
+pub fn utc_stamp_now() -> String {
+    utc_stamp(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs())
 }
 
 /// `YYYYMMDD-HHMMSS` in UTC (proleptic Gregorian calendar, after H. Hinnant's `civil_from_days`).

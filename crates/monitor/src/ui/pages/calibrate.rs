@@ -1,15 +1,21 @@
-//! Calibration of a taxel, step by step: choose, step away, press, look at the residuals, save. The daemon collects,
+//! Calibration of a taxel, step by step: choose, step away, press, look at the residuals, save; or of all, one after
+//! the other. The daemon collects,
 //! fits and writes; this page shows how far it is.
 
 use super::plots;
-use crate::logic::{format::number, model::Model, simulated_press::slow_press_n};
+use crate::logic::{
+    format::{number, taxel_name},
+    model::Model,
+    simulated_press::slow_press_n,
+};
 use crate::ui::{
     requests::PageRequests,
     theme,
     view::{CalibrationChoice, View},
 };
 use egui::{
-    Align, Button, Checkbox, ComboBox, Grid, Id, Label, Layout, ProgressBar, RichText, Slider, Ui, vec2,
+    Align, Button, Checkbox, ComboBox, DragValue, Grid, Id, Label, Layout, ProgressBar, RichText, ScrollArea,
+    Ui, vec2,
 };
 use egui_plot::{AxisHints, HLine, Plot, PlotPoints, Points};
 use moca_msgs::Mode;
@@ -17,6 +23,8 @@ use moca_telemetry::calibration::{CalibrationFit, CalibrationProgress, Calibrati
 
 /// Width of a number's column, points.
 const COLUMN: f32 = 86.0;
+/// From one taxel to the next, where all follow, s.
+const BETWEEN_S: f64 = 3.0;
 /// Lowest plot of residuals, points.
 const PLOT_HEIGHT: f32 = 160.0;
 
@@ -32,23 +40,102 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, pres
         ui.label(format!("This daemon cannot calibrate from here: {why}."));
         return;
     }
-    step(ui, 1, "Choose a taxel", !busy(progress));
-    start(ui, model, choice, now_s, pressed);
-    step(ui, 2, "Step away from the cover", matches!(progress, CalibrationProgress::Rest { .. }));
-    if let CalibrationProgress::Rest { frames, frames_wanted, .. } = progress {
-        bar(ui, *frames, *frames_wanted, "frames at rest");
-    }
-    step(ui, 3, "Press slowly and release", matches!(progress, CalibrationProgress::Press { .. }));
-    press(ui, model, choice, now_s, pressed);
-    step(ui, 4, "Look at the residuals and save", matches!(progress, CalibrationProgress::Fitted(_)));
-    match progress {
-        CalibrationProgress::Fitted(fit) => fitted(ui, fit, choice, model.may_command(), pressed),
-        CalibrationProgress::Saved { path, taxels } => saved(ui, path, taxels, model.robot.taxels.len()),
-        CalibrationProgress::Failed(why) => {
-            ui.colored_label(theme::BAD, format!("That did not work: {why}"));
+    follow(choice, model, now_s, pressed);
+    ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
+        step(ui, 1, "Choose a taxel, or all", !busy(progress));
+        overview(ui, model, choice);
+        start(ui, model, choice, now_s, pressed);
+        step(ui, 2, "Step away from the cover", matches!(progress, CalibrationProgress::Rest { .. }));
+        if let CalibrationProgress::Rest { frames, frames_wanted, .. } = progress {
+            bar(ui, *frames, *frames_wanted, "frames at rest");
         }
-        _ => {}
+        step(ui, 3, "Press slowly and release", matches!(progress, CalibrationProgress::Press { .. }));
+        press(ui, model, choice, now_s, pressed);
+        step(ui, 4, "Look at the residuals and save", matches!(progress, CalibrationProgress::Fitted(_)));
+        match progress {
+            CalibrationProgress::Fitted(fit) => fitted(ui, fit, choice, model.may_command(), pressed),
+            CalibrationProgress::Saved { path, taxels } => {
+                saved(ui, path, taxels, model.robot.taxels.len());
+            }
+            CalibrationProgress::Failed(why) => {
+                ui.colored_label(theme::BAD, format!("That did not work: {why}"));
+            }
+            _ => {}
+        }
+        if let Some(at_s) = choice.next_at_s {
+            let wait = number((at_s - now_s).max(0.0), 0);
+            let text = format!("{} follows in {wait} s: step away from the cover.", taxel_name(choice.taxel));
+            ui.label(RichText::new(text).size(17.0).strong());
+        }
+    });
+}
+
+/// The first taxel that is still to be calibrated.
+fn next_taxel(choice: &CalibrationChoice, model: &Model) -> Option<u8> {
+    let mut all = 0..u8::try_from(model.robot.taxels.len()).unwrap_or(u8::MAX);
+    all.find(|taxel| !choice.done.contains(taxel) && !choice.skipped.contains(taxel))
+}
+
+/// Notes what has been saved, and goes on to the next taxel if all are to follow.
+fn follow(choice: &mut CalibrationChoice, model: &Model, now_s: f64, pressed: &mut PageRequests) {
+    if let CalibrationProgress::Saved { taxels, .. } = &model.calibration {
+        // They count from 1 there.
+        choice.done = taxels.iter().filter_map(|taxel| taxel.checked_sub(1)).collect();
     }
+    let between = matches!(model.calibration, CalibrationProgress::Saved { .. } | CalibrationProgress::Idle);
+    if !choice.all || !between || !still(model, now_s) {
+        choice.next_at_s = None;
+        return;
+    }
+    let Some(next) = next_taxel(choice, model) else {
+        choice.all = false;
+        choice.next_at_s = None;
+        return;
+    };
+    choice.taxel = next;
+    if now_s >= *choice.next_at_s.get_or_insert(now_s + BETWEEN_S) {
+        // The daemon's next word, that it measures the rest, ends this; without one it is asked again.
+        choice.next_at_s = Some(now_s + BETWEEN_S);
+        begin(choice, pressed);
+    }
+}
+
+fn begin(choice: &CalibrationChoice, pressed: &mut PageRequests) {
+    let CalibrationChoice { taxel, presses, .. } = *choice;
+    pressed.calibrate = Some(CalibrationRequest::Start { taxel, presses });
+}
+
+fn still(model: &Model, now_s: f64) -> bool {
+    model.mode(now_s).is_some_and(|mode| matches!(mode, Mode::Ready | Mode::ProtectiveStop))
+}
+
+/// The taxel that is being calibrated.
+fn current(progress: &CalibrationProgress) -> Option<u8> {
+    match progress {
+        CalibrationProgress::Rest { taxel, .. } | CalibrationProgress::Press { taxel, .. } => Some(*taxel),
+        CalibrationProgress::Fitted(fit) => Some(fit.taxel),
+        _ => None,
+    }
+}
+
+/// Every taxel, and which are done.
+fn overview(ui: &mut Ui, model: &Model, choice: &CalibrationChoice) {
+    let now = current(&model.calibration);
+    ui.horizontal_wrapped(|ui| {
+        for taxel in 0..u8::try_from(model.robot.taxels.len()).unwrap_or(u8::MAX) {
+            let name = taxel_name(taxel);
+            let text = if now == Some(taxel) {
+                RichText::new(format!("{name} now")).strong().color(theme::WARNING)
+            } else if choice.done.contains(&taxel) {
+                RichText::new(format!("{name} done")).color(theme::GOOD)
+            } else if choice.skipped.contains(&taxel) {
+                RichText::new(format!("{name} left out")).weak()
+            } else {
+                RichText::new(name).weak()
+            };
+            ui.label(text);
+        }
+    });
 }
 
 fn busy(progress: &CalibrationProgress) -> bool {
@@ -64,34 +151,51 @@ fn step(ui: &mut Ui, number: u32, title: &str, now: bool) {
     ui.label(if now { text.strong().color(theme::strong(ui.visuals())) } else { text.weak() });
 }
 
-fn start(ui: &mut Ui, model: &Model, choice: &mut CalibrationChoice, now_s: f64, pressed: &mut PageRequests) {
-    let still = model.mode(now_s).is_some_and(|m| matches!(m, Mode::Ready | Mode::ProtectiveStop));
-    let busy = busy(&model.calibration);
-    ui.horizontal(|ui| {
-        ui.add_enabled_ui(!busy, |ui| {
-            let label = ui.label("Taxel");
-            let name = |taxel: u8| format!("T{}", u16::from(taxel) + 1);
-            let chosen = ComboBox::from_id_salt("taxel").width(64.0).selected_text(name(choice.taxel));
-            let shown = chosen.show_ui(ui, |ui| {
-                for taxel in 0..u8::try_from(model.robot.taxels.len()).unwrap_or(u8::MAX) {
-                    ui.selectable_value(&mut choice.taxel, taxel, name(taxel));
-                }
-            });
-            shown.response.labelled_by(label.id);
-            let label = ui.label("Presses");
-            ui.add(Slider::new(&mut choice.presses, 1..=10)).labelled_by(label.id);
-        });
-        let button = Button::new("Start calibration");
-        let hint = "The robot must hold still: disarm it first";
-        if ui
-            .add_enabled(!busy && still && model.may_command(), button)
-            .on_disabled_hover_text(hint)
-            .clicked()
-        {
-            let (taxel, presses) = (choice.taxel, choice.presses);
-            pressed.calibrate = Some(CalibrationRequest::Start { taxel, presses });
+/// Which taxel, and how many presses.
+fn choose(ui: &mut Ui, model: &Model, choice: &mut CalibrationChoice) {
+    let label = ui.label("Taxel");
+    let chosen = ComboBox::from_id_salt("taxel").width(64.0).selected_text(taxel_name(choice.taxel));
+    let shown = chosen.show_ui(ui, |ui| {
+        for taxel in 0..u8::try_from(model.robot.taxels.len()).unwrap_or(u8::MAX) {
+            ui.selectable_value(&mut choice.taxel, taxel, taxel_name(taxel));
         }
-        if ui.add_enabled(busy, Button::new("Cancel calibration")).clicked() {
+    });
+    shown.response.labelled_by(label.id);
+    let label = ui.label("Presses");
+    ui.add(DragValue::new(&mut choice.presses).range(1..=10)).labelled_by(label.id);
+}
+
+fn start(ui: &mut Ui, model: &Model, choice: &mut CalibrationChoice, now_s: f64, pressed: &mut PageRequests) {
+    let (still, busy) = (still(model, now_s), busy(&model.calibration));
+    ui.add_enabled_ui(!busy, |ui| ui.horizontal_wrapped(|ui| choose(ui, model, choice)));
+    ui.horizontal_wrapped(|ui| {
+        let may_start = !busy && still && model.may_command() && choice.next_at_s.is_none();
+        let hint = "The robot must hold still: disarm it first";
+        let button = ui.add_enabled(may_start, Button::new("Start calibration"));
+        if button.on_disabled_hover_text(hint).clicked() {
+            begin(choice, pressed);
+        }
+        let button = ui.add_enabled(may_start, Button::new("Calibrate all"));
+        if button.on_hover_text("Every taxel that is not done, one after the other").clicked() {
+            choice.all = true;
+            choice.skipped.clear();
+            if let Some(first) = next_taxel(choice, model) {
+                choice.taxel = first;
+                begin(choice, pressed);
+                choice.next_at_s = Some(now_s + BETWEEN_S);
+            }
+        }
+        if choice.all {
+            let taxel = current(&model.calibration).unwrap_or(choice.taxel);
+            if ui.button(format!("Leave out {}", taxel_name(taxel))).clicked() {
+                choice.skipped.insert(taxel);
+                choice.next_at_s = None;
+                pressed.calibrate = busy.then_some(CalibrationRequest::Cancel);
+            }
+        }
+        if ui.add_enabled(busy || choice.all, Button::new("Cancel calibration")).clicked() {
+            choice.all = false;
+            choice.next_at_s = None;
             pressed.calibrate = Some(CalibrationRequest::Cancel);
         }
     });
@@ -106,7 +210,7 @@ fn press(ui: &mut Ui, model: &Model, choice: &mut CalibrationChoice, now_s: f64,
         choice.pressing_since_s = None;
         return;
     };
-    bar(ui, *presses, *presses_wanted, &format!("presses of T{}", u16::from(*taxel) + 1));
+    bar(ui, *presses, *presses_wanted, &format!("presses of {}", taxel_name(*taxel)));
     let force = force_n.map_or("no reading of the reference yet".into(), |n| format!("{} N", number(n, 1)));
     ui.monospace(format!("{:>5} counts below rest   reference {force}", number(*counts, 0)));
     if !model.can_push() {
@@ -116,7 +220,7 @@ fn press(ui: &mut Ui, model: &Model, choice: &mut CalibrationChoice, now_s: f64,
     ui.add(Checkbox::new(&mut choice.simulated_press, "Let a simulated hand press"));
     if choice.simulated_press {
         let since_s = *choice.pressing_since_s.get_or_insert(now_s);
-        pressed.push = Some((*taxel, slow_press_n(now_s - since_s)));
+        pressed.push.get_or_insert((*taxel, slow_press_n(now_s - since_s)));
     } else {
         choice.pressing_since_s = None;
         ui.weak("Press the taxel of the ring with the mouse; change the force in between.");
@@ -137,8 +241,12 @@ fn fitted(
     may_save: bool,
     pressed: &mut PageRequests,
 ) {
-    let (taxel, rest) = (u16::from(fit.taxel) + 1, number(fit.rest_counts, 1));
-    ui.label(format!("T{taxel}: {rest} counts at rest. Choose the model to save:"));
+    if choice.model_chosen_for != Some(fit.taxel) {
+        choice.model_chosen_for = Some(fit.taxel);
+        choice.model = best(fit);
+    }
+    let (taxel, rest) = (taxel_name(fit.taxel), number(fit.rest_counts, 1));
+    ui.label(format!("{taxel}: {rest} counts at rest. Choose the model to save:"));
     let cell = |ui: &mut Ui, text: RichText| {
         ui.allocate_ui_with_layout(vec2(COLUMN, 18.0), Layout::right_to_left(Align::Center), |ui| {
             ui.set_min_width(COLUMN);
@@ -168,9 +276,16 @@ fn fitted(
     });
     let Some(model) = fit.models.get(choice.model) else { return };
     if ui.add_enabled(may_save && model.usable, Button::new("Save calibration")).clicked() {
+        choice.model_chosen_for = None;
         pressed.calibrate = u8::try_from(choice.model).ok().map(|model| CalibrationRequest::Save { model });
     }
     residuals(ui, model);
+}
+
+/// Place of the model that a cover can use with the least error.
+fn best(fit: &CalibrationFit) -> usize {
+    let usable = fit.models.iter().enumerate().filter(|(_, model)| model.usable);
+    usable.min_by(|(_, a), (_, b)| a.rmse_n.total_cmp(&b.rmse_n)).map_or(0, |(index, _)| index)
 }
 
 /// Model minus reference over the reference's force.

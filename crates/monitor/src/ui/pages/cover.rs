@@ -1,11 +1,11 @@
 //! The cover as a table: every taxel's force, counts, age and health, and whether it is in use.
 
 use crate::logic::{
-    format::{health, number},
+    format::{health, number, taxel_name},
     model::Model,
 };
 use crate::ui::{requests::PageRequests, theme};
-use egui::{Align, Button, Grid, Layout, RichText, Ui, vec2};
+use egui::{Align, Button, Grid, Label, Layout, RichText, ScrollArea, Ui, vec2};
 use moca_msgs::{Request, Sample, TaxelStatus};
 
 /// Width of a column, points.
@@ -18,7 +18,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, pressed: &mut PageReq
         return;
     };
     let may_mask = model.allows(Request::MaskTaxel { taxel: 0, masked: true }, now_s);
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         ui.strong("Taxels");
         let why = match model.mode(now_s) {
             Some(m) if m.moves() => "Disarm to change masks.",
@@ -29,8 +29,12 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, pressed: &mut PageReq
         ui.weak(why);
     });
     if !model.robot.uncalibrated.is_empty() {
-        ui.colored_label(theme::WARNING, &model.robot.uncalibrated);
+        ui.add(Label::new(RichText::new(&model.robot.uncalibrated).color(theme::WARNING)).wrap());
     }
+    ScrollArea::both().show(ui, |ui| table(ui, model, sample, may_mask, pressed));
+}
+
+fn table(ui: &mut Ui, model: &Model, sample: &Sample, may_mask: bool, pressed: &mut PageRequests) {
     Grid::new("taxels").striped(true).spacing([10.0, 3.0]).show(ui, |ui| {
         for heading in ["Taxel", "Force N", "Counts", "Age ms", "Health"] {
             cell(ui, RichText::new(heading).weak());
@@ -49,7 +53,7 @@ fn row(ui: &mut Ui, sample: &Sample, index: usize, may_mask: bool) -> Option<Req
     let reading = sample.taxels.get(index).copied().unwrap_or_default();
     let valid = reading.status == TaxelStatus::Ok;
     let masked = reading.status == TaxelStatus::Masked;
-    let name = format!("T{}", index + 1);
+    let name = taxel_name(index);
     let age_ms = if sample.frame_age_s < 0.0 { f64::NAN } else { sample.frame_age_s * 1e3 };
     let colour = match (valid, masked) {
         (true, _) => theme::GOOD,

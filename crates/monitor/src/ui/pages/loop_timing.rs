@@ -2,24 +2,44 @@
 
 use super::plots;
 use crate::logic::{format::number, model::Model, signals::histogram::Histogram};
-use crate::ui::{theme, view::View};
-use egui::{Align, Color32, Grid, Id, Layout, RichText, Role, Ui, WidgetInfo, vec2};
+use crate::ui::{gauges, requests::PageRequests, theme, view::View};
+use egui::{Align, Color32, Grid, Id, Label, Layout, RichText, Role, ScrollArea, Ui, WidgetInfo, vec2};
 use egui_plot::{AxisHints, GridInput, GridMark, Line, Plot, PlotPoints, VLine};
 use moca_msgs::STAGES;
 
 /// Height of the histograms, points.
 const HEIGHT: f32 = 130.0;
 /// Heading, legend and quantiles of a histogram, points.
-const AROUND: f32 = 88.0;
+const AROUND: f32 = 108.0;
 /// Width that makes room for one more thing beside another, points.
 const GAP: f32 = 16.0;
-/// Width of a quantile, points.
-const CELL: f32 = 56.0;
+/// Narrowest histogram, points.
+const NARROW: f32 = 245.0;
+/// Lowest height of the plots below, points.
+const PLOTS: f32 = 170.0;
+/// Narrowest and widest quantile, points.
+const CELL: (f32, f32) = (34.0, 50.0);
 /// Width of the stages' quantiles, points.
-const TABLE: f32 = 350.0;
+const TABLE: f32 = 330.0;
 
 /// Draws the page.
-pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View) {
+pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, pressed: &mut PageRequests) {
+    let (height, top) = (ui.available_height(), ui.cursor().top());
+    ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
+        histograms(ui, model);
+        ui.separator();
+        plots::toolbar(ui, model, view, pressed);
+        // What the window leaves, or as much as can be read.
+        let left = (height - (ui.cursor().top() - top)).max(PLOTS);
+        ui.allocate_ui(vec2(ui.available_width(), left), |ui| {
+            ui.set_max_height(left);
+            plots::show(ui, model, &model.timing_panels, 2, view);
+        });
+    });
+}
+
+/// As many beside each other as the window has room for.
+fn histograms(ui: &mut Ui, model: &Model) {
     let timing = &model.timing;
     let period_us = model.robot.period_s * 1e6;
     let histograms = [
@@ -27,17 +47,13 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View) {
         ("From tick to tick", "µs", &timing.period_us, period_us, "the period asked for"),
         ("Age of cover data", "ms", &timing.frame_age_ms, model.robot.frame_deadline_s * 1e3, "the deadline"),
     ];
-    let width = ui.available_width() / 3.0 - GAP;
-    let column = |ui: &mut Ui, width: f32, contents: &mut dyn FnMut(&mut Ui)| {
-        ui.allocate_ui_with_layout(vec2(width, HEIGHT + AROUND), Layout::top_down(Align::Min), |ui| {
-            ui.spacing_mut().item_spacing.x = 6.0;
-            contents(ui);
-        });
-    };
-    ui.horizontal_top(|ui| {
+    let available = ui.available_width();
+    let columns = if available > 3.0 * NARROW { 3.0 } else { 1.0 };
+    let width = available / columns - GAP;
+    ui.horizontal_wrapped(|ui| {
         ui.spacing_mut().item_spacing.x = GAP;
         for (title, unit, histogram, limit, limit_name) in histograms {
-            column(ui, width, &mut |ui| {
+            column(ui, width, |ui| {
                 heading(ui, title, unit, histogram);
                 chart(ui, title, &[(histogram, theme::curve(0))], limit, width);
                 ui.weak(format!("line: {limit_name}, {} {unit}", number(limit, 0)));
@@ -45,35 +61,43 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View) {
             });
         }
     });
-    ui.horizontal_top(|ui| {
+    let (stages, title) = (&timing.stages_us, "Stages of a tick");
+    let wide = if available > TABLE + NARROW { available - TABLE - 2.0 * GAP } else { available - GAP };
+    ui.horizontal_wrapped(|ui| {
         ui.spacing_mut().item_spacing.x = GAP;
-        let stages = &timing.stages_us;
-        let title = "Stages of a tick";
-        let wide = ui.available_width() - TABLE - GAP;
-        column(ui, wide, &mut |ui| {
+        column(ui, wide, |ui| {
             heading(ui, title, "µs", &stages[0]);
             let curves: Vec<_> = stages.iter().enumerate().map(|(i, h)| (h, theme::curve(i))).collect();
             chart(ui, title, &curves, period_us, wide);
             ui.weak(format!("line: one period, {} µs", number(period_us, 0)));
         });
-        column(ui, TABLE, &mut |ui| {
+        column(ui, TABLE.min(available), |ui| {
             let rows: Vec<_> = STAGES.iter().zip(stages).map(|(name, h)| (*name, "µs", h)).collect();
             quantiles(ui, title, &rows);
             if stages[0].total() == 0 {
                 ui.weak("This run was not timed.");
             }
+            ui.separator();
+            if let Some(sample) = &model.latest {
+                gauges::counters(ui, model, sample);
+            }
         });
     });
-    ui.separator();
-    plots::toolbar(ui, model, view);
-    plots::show(ui, model, &model.timing_panels, 2, view);
+}
+
+fn column(ui: &mut Ui, width: f32, contents: impl FnOnce(&mut Ui)) {
+    ui.allocate_ui_with_layout(vec2(width, HEIGHT + AROUND), Layout::top_down(Align::Min), |ui| {
+        ui.spacing_mut().item_spacing.x = 6.0;
+        ui.set_max_width(width);
+        contents(ui);
+    });
 }
 
 fn heading(ui: &mut Ui, title: &str, unit: &str, histogram: &Histogram) {
-    ui.horizontal(|ui| {
-        ui.strong(title);
-        ui.weak(format!("{unit}, share of {} ticks", histogram.total()));
-    });
+    ui.strong(title);
+    ui.add(
+        Label::new(RichText::new(format!("{unit}, share of {} ticks", histogram.total())).weak()).truncate(),
+    );
 }
 
 /// Histograms over a logarithmic axis; the height is the logarithm of the share, so that one tick in 10⁵ is seen.
@@ -144,9 +168,11 @@ fn decades(input: GridInput) -> Vec<GridMark> {
 
 /// A row for each histogram: its name in the colour of its curve, unless it has none, and its quantiles.
 fn quantiles(ui: &mut Ui, title: &str, rows: &[(&str, &str, &Histogram)]) {
+    // Beside four quantiles stand name and unit.
+    let width = ((ui.available_width() - 110.0) / 4.0 - 4.0).clamp(CELL.0, CELL.1);
     let cell = |ui: &mut Ui, text: RichText| {
-        ui.allocate_ui_with_layout(vec2(CELL, 18.0), Layout::right_to_left(Align::Center), |ui| {
-            ui.set_min_width(CELL);
+        ui.allocate_ui_with_layout(vec2(width, 18.0), Layout::right_to_left(Align::Center), |ui| {
+            ui.set_min_width(width);
             ui.label(text);
         });
     };

@@ -5,10 +5,11 @@ mod cover;
 mod loop_timing;
 mod parameters;
 mod plots;
+mod robot_3d;
 
 use super::{requests::PageRequests, theme, view::View};
 use crate::logic::{model::Model, source::recording::Recording};
-use egui::{Align, Layout, RichText, Ui};
+use egui::{RichText, Ui};
 
 /// A page.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -16,6 +17,8 @@ pub enum Page {
     /// The paper's plots.
     #[default]
     Plots,
+    /// The robot in three dimensions.
+    Robot3d,
     /// How well loop and board keep time.
     Loop,
     /// Parameters of the daemon.
@@ -28,12 +31,14 @@ pub enum Page {
 
 impl Page {
     /// In the order of their tabs.
-    pub const ALL: [Self; 5] = [Self::Plots, Self::Loop, Self::Parameters, Self::Cover, Self::Calibrate];
+    pub const ALL: [Self; 6] =
+        [Self::Plots, Self::Robot3d, Self::Loop, Self::Parameters, Self::Cover, Self::Calibrate];
 
     /// What is written on its tab.
     pub fn name(self) -> &'static str {
         match self {
             Self::Plots => "Plots",
+            Self::Robot3d => "3-D",
             Self::Loop => "Loop",
             Self::Parameters => "Parameters",
             Self::Cover => "Cover",
@@ -52,34 +57,29 @@ impl Page {
         ui: &mut Ui,
         model: &Model,
         recording: Option<&Recording>,
-        view: &View,
         pressed: &mut PageRequests,
     ) {
-        ui.horizontal(|ui| {
+        ui.horizontal_wrapped(|ui| {
             for page in Self::ALL {
                 if ui.selectable_label(*self == page, RichText::new(page.name()).size(15.0)).clicked() {
                     *self = page;
                 }
             }
-            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                if ui.button("Open log").on_hover_text("Show a recorded run beside the robots").clicked() {
-                    pressed.choose_log = true;
-                }
-                if !model.recorded {
-                    let label = if recording.is_some() { "Stop recording" } else { "Record" };
-                    let hint = "Write every sample this window receives to an MCAP file. \
-                                `mocad --record` also keeps the board's bytes.";
-                    let possible = recording.is_some() || model.latest.is_some();
-                    let button = ui.add_enabled(possible, egui::Button::new(label)).on_hover_text(hint);
-                    pressed.record = button.clicked();
-                }
-                let (text, colour) = match (recording, &view.note) {
-                    (Some(recording), _) => (recording.progress(), theme::BAD),
-                    (None, Some(note)) => (note.clone(), ui.visuals().weak_text_color()),
-                    (None, None) => return,
-                };
-                ui.add(egui::Label::new(RichText::new(text).color(colour)).truncate());
-            });
+            ui.separator();
+            if !model.recorded {
+                let label = if recording.is_some() { "Stop recording" } else { "Record" };
+                let hint = "Write every sample this window receives to an MCAP file. \
+                            `mocad --record` also keeps the board's bytes.";
+                let possible = recording.is_some() || model.latest.is_some();
+                let button = ui.add_enabled(possible, egui::Button::new(label)).on_hover_text(hint);
+                pressed.record = button.clicked();
+            }
+            if ui.button("Open log").on_hover_text("Show a recorded run beside the robots").clicked() {
+                pressed.choose_log = true;
+            }
+            if let Some(recording) = recording {
+                ui.colored_label(theme::BAD, recording.progress());
+            }
         });
     }
 
@@ -94,10 +94,11 @@ impl Page {
     ) {
         match self {
             Self::Plots => {
-                plots::toolbar(ui, model, view);
+                plots::toolbar(ui, model, view, pressed);
                 plots::show(ui, model, &model.panels, 2, view);
             }
-            Self::Loop => loop_timing::show(ui, model, view),
+            Self::Robot3d => robot_3d::show(ui, model, view, now_s),
+            Self::Loop => loop_timing::show(ui, model, view, pressed),
             Self::Parameters => parameters::show(ui, model, view, pressed),
             Self::Cover => cover::show(ui, model, now_s, pressed),
             Self::Calibrate => calibrate::show(ui, model, view, now_s, pressed),

@@ -1,33 +1,47 @@
 //! Parameters with unit, range and default: those of the controllers can be changed while the loop runs.
 
-use crate::logic::model::Model;
+use crate::logic::{
+    answers::Answer,
+    model::Model,
+    tuning::{element_name, is_changed},
+};
 use crate::ui::{requests::PageRequests, theme, view::View};
-use egui::{Button, Checkbox, CollapsingHeader, DragValue, Grid, Label, RichText, ScrollArea, Ui};
-use moca_msgs::Request;
+use egui::{
+    Align, Button, Checkbox, CollapsingHeader, DragValue, Grid, Label, Layout, RichText, ScrollArea, Stroke,
+    Ui, vec2,
+};
+use moca_msgs::{ParameterValues, Request};
 use moca_telemetry::{ParameterDescription, ParameterForm, ParameterValue};
 
 /// Width of one element's field, points.
 const FIELD: f32 = 62.0;
+/// Height of a row, points.
+const ROW: f32 = 26.0;
+/// Width of a letter of an element's name, points.
+const LETTER: f32 = 6.5;
 
 /// Draws the page and notes what was pressed.
 pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, pressed: &mut PageRequests) {
-    if model.robot.parameters.is_empty() {
+    let parameters = &model.robot.parameters;
+    if parameters.is_empty() {
         ui.weak("No parameters are known: no daemon, or a log from before they were recorded.");
         return;
     }
-    let may_change = model.may_command();
-    ui.weak("Drag a number or type it, then apply it: the loop takes it at its next tick. A restart brings back the file.");
+    toolbar(ui, model, view, pressed);
+    let text = "Drag a number or type it, then apply it: the loop takes it at its next tick. A restart brings back the \
+                file: save what you have tuned. Orange is not the default.";
+    ui.add(Label::new(RichText::new(text).weak()).wrap());
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
-        let listed = || model.robot.parameters.iter().enumerate();
-        Grid::new("live parameters").striped(true).num_columns(3).spacing([12.0, 4.0]).show(ui, |ui| {
-            for (number, parameter) in listed().filter(|(_, p)| p.live) {
-                row(ui, number, parameter, may_change, view, pressed);
-            }
-        });
-        CollapsingHeader::new("Read at the start only: change the configuration file").show(ui, |ui| {
+        let listed = || parameters.iter().enumerate();
+        for (number, parameter) in listed().filter(|(_, p)| p.live) {
+            row(ui, number, parameter, model.may_command(), view, pressed);
+            ui.separator();
+        }
+        CollapsingHeader::new("Read at the start only").show(ui, |ui| {
+            ui.weak("They are changed in the configuration file.");
             Grid::new("other parameters").striped(true).num_columns(3).spacing([12.0, 3.0]).show(ui, |ui| {
                 for (_, parameter) in listed().filter(|(_, p)| !p.live) {
-                    ui.label(&parameter.name).on_hover_text(&parameter.description);
+                    ui.label(named(&parameter.name, parameter)).on_hover_text(hint(parameter));
                     let value = parameter.shown(&parameter.value);
                     ui.add(Label::new(RichText::new(value).monospace()).truncate());
                     ui.weak(units(parameter));
@@ -36,6 +50,45 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, pressed: &mut Pa
             });
         });
     });
+}
+
+/// What is done with all of them.
+fn toolbar(ui: &mut Ui, model: &Model, view: &mut View, pressed: &mut PageRequests) {
+    let parameters = &model.robot.parameters;
+    ui.horizontal_wrapped(|ui| {
+        let save = "Save every value that differs from its default as a TOML file for `mocad --config`";
+        pressed.save_parameters |= ui.button("Save as TOML").on_hover_text(save).clicked();
+        let reset: Vec<_> = parameters.iter().enumerate().filter(|(_, p)| p.live && is_changed(p)).collect();
+        let label = format!("Defaults for all ({})", reset.len());
+        let button = ui.add_enabled(model.may_command() && !reset.is_empty(), Button::new(label));
+        if button.on_hover_text("Puts the defaults into the fields; apply them to use them").clicked() {
+            for (number, parameter) in reset {
+                if let ParameterValue::Numbers(default) = &parameter.default {
+                    view.drafts.insert(number, default.clone());
+                }
+            }
+        }
+        let label = format!("Apply all ({})", view.drafts.len());
+        if ui.add_enabled(model.may_command() && !view.drafts.is_empty(), Button::new(label)).clicked() {
+            for (number, draft) in std::mem::take(&mut view.drafts) {
+                let Some(parameter) = parameters.get(number) else { continue };
+                match parameter.checked(&draft) {
+                    Ok(values) => apply(number, values, pressed),
+                    Err(error) => {
+                        pressed.answers.push(Answer::bad(error));
+                        view.drafts.insert(number, draft);
+                    }
+                }
+            }
+        }
+    });
+}
+
+fn apply(number: usize, values: ParameterValues, pressed: &mut PageRequests) {
+    match u8::try_from(number) {
+        Ok(parameter) => pressed.requests.push(Request::SetParameter { parameter, values }),
+        Err(error) => pressed.answers.push(Answer::bad(error.to_string())),
+    }
 }
 
 fn row(
@@ -48,64 +101,94 @@ fn row(
 ) {
     let ParameterValue::Numbers(present) = &parameter.value else { return };
     let short = parameter.name.rsplit('.').next().unwrap_or_default();
-    let changed = parameter.value != parameter.default;
-    let name = RichText::new(short).strong();
-    ui.label(if changed { name.color(theme::WARNING) } else { name }).on_hover_text(&parameter.name);
-    let mut draft = view.drafts.get(&number).cloned().unwrap_or_else(|| present.clone());
-    ui.add_enabled_ui(may_change, |ui| fields(ui, parameter, short, &mut draft));
-    let differs = draft != *present;
-    ui.horizontal(|ui| {
-        if ui.add_enabled(differs && may_change, Button::new(format!("Apply {short}"))).clicked() {
-            match (parameter.checked(&draft), u8::try_from(number)) {
-                (Ok(values), Ok(parameter)) => {
-                    pressed.requests.push(Request::SetParameter { parameter, values });
-                    view.drafts.remove(&number);
-                }
-                (Err(error), _) => view.note = Some(error),
-                (_, Err(error)) => view.note = Some(error.to_string()),
-            }
-        } else if ui.add_enabled(differs, Button::new("Undo")).clicked() || !differs {
-            view.drafts.remove(&number);
-        } else {
-            view.drafts.insert(number, draft);
+    let mut draft = view.drafts.remove(&number).unwrap_or_else(|| present.clone());
+    ui.horizontal_wrapped(|ui| {
+        ui.spacing_mut().interact_size.y = ROW;
+        ui.label(named(short, parameter).strong()).on_hover_text(hint(parameter));
+        fields(ui, parameter, short, may_change, &mut draft);
+        let (differs, checked) = (draft != *present, parameter.checked(&draft));
+        let button = Button::new(format!("Apply {short}"));
+        let clicked = ui.add_enabled(differs && checked.is_ok() && may_change, button).clicked();
+        if ui.add_enabled(differs, Button::new("Undo")).clicked() {
+            draft.clone_from(present);
+        }
+        if let ParameterValue::Numbers(default) = &parameter.default
+            && *default != draft
+            && ui.add_enabled(may_change, Button::new(format!("Default {short}"))).clicked()
+        {
+            draft.clone_from(default);
+        }
+        if let (true, Ok(values)) = (clicked, checked) {
+            apply(number, values, pressed);
+            draft.clone_from(present);
         }
     });
-    ui.end_row();
-    ui.label("");
+    if let Err(error) = parameter.checked(&draft) {
+        ui.add(Label::new(RichText::new(error).color(theme::BAD)).wrap());
+    }
     let text = format!("{}{}", range(parameter), parameter.description);
-    let hint = format!("{}, default {}", parameter.name, parameter.shown(&parameter.default));
-    ui.add(Label::new(RichText::new(text).weak().size(11.5)).extend()).on_hover_text(hint);
-    ui.end_row();
+    ui.add(Label::new(RichText::new(text).weak().size(11.5)).wrap()).on_hover_text(hint(parameter));
+    if draft != *present {
+        view.drafts.insert(number, draft);
+    }
 }
 
-fn fields(ui: &mut Ui, parameter: &ParameterDescription, short: &str, draft: &mut [f64]) {
-    ui.horizontal(|ui| {
-        ui.spacing_mut().interact_size.x = FIELD;
-        ui.spacing_mut().item_spacing.x = 4.0;
-        for (element, value) in draft.iter_mut().enumerate() {
-            let said = format!("{short} {}", element + 1);
+/// A name that shows whether the value is the default.
+fn named(name: &str, parameter: &ParameterDescription) -> RichText {
+    let text = RichText::new(name);
+    if is_changed(parameter) { text.color(theme::WARNING) } else { text }
+}
+
+fn hint(parameter: &ParameterDescription) -> String {
+    let ParameterDescription { name, description, default, .. } = parameter;
+    format!("{name}, default {}\n{description}", parameter.shown(default))
+}
+
+fn fields(ui: &mut Ui, parameter: &ParameterDescription, short: &str, may_change: bool, draft: &mut [f64]) {
+    for (element, value) in draft.iter_mut().enumerate() {
+        let name = element_name(parameter, element);
+        let said = format!("{short} {}", if name.is_empty() { "value" } else { &name });
+        // Name and field stay together where the row is wrapped, which asks for their size first.
+        #[expect(clippy::cast_precision_loss, reason = "a handful of letters")]
+        let size = vec2(FIELD + 8.0 + LETTER * name.len() as f32, ROW);
+        ui.allocate_ui_with_layout(size, Layout::left_to_right(Align::Center), |ui| {
+            if !may_change {
+                ui.disable();
+            }
+            ui.spacing_mut().interact_size.x = FIELD;
+            ui.spacing_mut().item_spacing.x = 4.0;
+            if !name.is_empty() {
+                ui.weak(&name);
+            }
             if parameter.form == ParameterForm::Flag {
                 let mut on = *value > 0.5;
                 let shown = ui.add(Checkbox::without_text(&mut on));
                 shown.widget_info(|| egui::WidgetInfo::selected(egui::Role::CheckBox, true, on, &said));
                 *value = f64::from(u8::from(on));
-                continue;
+            } else {
+                field(ui, parameter, element, &said, value);
             }
-            // A stroke over the screen changes a value by a part of itself, whatever its size.
-            let speed = (value.abs() * 0.005).max((parameter.max - parameter.min) * 1e-6).max(1e-3);
-            let field =
-                DragValue::new(value).range(parameter.min..=parameter.max).speed(speed).max_decimals(4);
-            let shown = ui.add(field);
-            let number = shown.id;
-            ui.ctx().accesskit_node_builder(number, |node| node.set_label(said.as_str()));
-            shown.on_hover_text(format!(
-                "{said}: {} to {} {}",
-                parameter.min,
-                parameter.max,
-                parameter.unit(element)
-            ));
+        });
+    }
+}
+
+/// A field that takes any number and is red while it is not allowed: what was typed is never made another number.
+fn field(ui: &mut Ui, parameter: &ParameterDescription, element: usize, said: &str, value: &mut f64) {
+    let (min, max) = (parameter.min, parameter.max);
+    if !(min..=max).contains(value) {
+        let visuals = ui.visuals_mut();
+        visuals.override_text_color = Some(theme::BAD);
+        for widget in
+            [&mut visuals.widgets.inactive, &mut visuals.widgets.hovered, &mut visuals.widgets.active]
+        {
+            widget.bg_stroke = Stroke::new(1.5, theme::BAD);
         }
-    });
+    }
+    // A stroke over the screen changes a value by a part of itself, whatever its size.
+    let speed = (value.abs() * 0.005).max((max - min) * 1e-6).max(1e-3);
+    let shown = ui.add(DragValue::new(value).speed(speed).max_decimals(4));
+    ui.ctx().accesskit_node_builder(shown.id, |node| node.set_label(said));
+    shown.on_hover_text(format!("{said}: {min} to {max} {}", parameter.unit(element)));
 }
 
 fn range(parameter: &ParameterDescription) -> String {

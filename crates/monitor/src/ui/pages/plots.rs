@@ -1,22 +1,23 @@
 //! Plots with one axis of time and one cursor.
 
 use crate::logic::{
+    event::nearest,
     format::number,
     model::Model,
     signals::{
         axis::TimeAxis,
         history::{Curve, thinned},
-        panel::{Panel, column_name, round_marks, vertical_range},
+        panel::{Panel, Signal, round_marks, vertical_range},
     },
-    source::recording::plain,
 };
-use crate::ui::{theme, view::View};
+use crate::ui::{requests::PageRequests, theme, view::View};
 use egui::{
-    Align, Button, Color32, Id, Layout, PointerButton, Rangef, Rect, RichText, Role, Ui, UiBuilder, Vec2,
-    WidgetInfo, vec2,
+    Align, Color32, Id, Layout, PointerButton, Rangef, Rect, RichText, Role, ScrollArea, Ui, UiBuilder, Vec2,
+    WidgetInfo, containers::scroll_area::ScrollSource, vec2,
 };
 use egui_plot::{AxisHints, GridInput, GridMark, Line, LineStyle, Plot, PlotPoints, PlotResponse, VLine};
 use moca_msgs::Mode;
+use std::ops::Range;
 
 /// Stretches of time that have a button, s.
 const SPANS_S: [f64; 4] = [5.0, 10.0, 30.0, 60.0];
@@ -38,46 +39,79 @@ pub(super) const LABELS: Rangef = Rangef { min: 1.0, max: 12.0 };
 pub(super) const GRID: f32 = 0.35;
 /// Height that is not seen, points.
 const UNSEEN: f64 = 0.25;
+/// Width below which plots have one column, points.
+const NARROW: f32 = 480.0;
+/// Lowest plot with its heading, points.
+const LOWEST: f32 = 70.0;
+/// Width from which on a heading has room for values, points.
+const WIDE: f32 = 330.0;
 /// An event this near to the cursor is named, points.
 const EVENT_REACH: f64 = 6.0;
 
 /// Draws `panels` in `columns`.
 pub(super) fn show(ui: &mut Ui, model: &Model, panels: &[Panel], columns: usize, view: &mut View) {
-    let (Some(oldest_s), Some(newest_s)) = (model.history.start_s(), model.history.end_s()) else {
+    view.keep_while_paused(model);
+    let history = view.history(model);
+    let (Some(oldest_s), Some(newest_s)) = (history.start_s(), history.end_s()) else {
         ui.centered_and_justified(|ui| ui.weak("Plots appear here once samples come."));
         return;
     };
+    let columns = if ui.available_width() < NARROW { 1 } else { columns.min(panels.len()).max(1) };
     let spacing = ui.spacing().item_spacing;
     let rows = panels.len().div_ceil(columns).max(1);
     #[expect(clippy::cast_precision_loss, reason = "a handful of rows and columns")]
     let (rows_f, columns_f) = (rows as f32, columns as f32);
     let size = vec2(
         (ui.available_width() - spacing.x * (columns_f - 1.0)) / columns_f - RIGHT_MARGIN,
-        ((ui.available_height() - MARKS - spacing.y * (rows_f - 1.0)) / rows_f).max(70.0),
+        ((ui.available_height() - MARKS - spacing.y * (rows_f - 1.0)) / rows_f).max(LOWEST),
     );
-    let corner = ui.available_rect_before_wrap().min;
-    let pitch = size + spacing + vec2(RIGHT_MARGIN, 0.0);
-    let (mut pointed_at_s, mut axis) = (None, view.axis);
-    for (index, panel) in panels.iter().enumerate() {
-        #[expect(clippy::cast_precision_loss, reason = "a handful of rows and columns")]
-        let cell = vec2((index % columns) as f32, (index / columns) as f32) * pitch;
-        let lowest = index + columns >= panels.len();
-        let size = if lowest { size + vec2(0.0, MARKS) } else { size };
-        let builder = UiBuilder::new().max_rect(Rect::from_min_size(corner + cell, size));
-        let plotted = Plotted { panel, end_s: axis.end_s(newest_s), view, model, lowest };
-        let shown =
-            ui.scope_builder(builder.layout(Layout::top_down(Align::Min)), |ui| plotted.show(ui, size));
-        let gesture = shown.inner;
-        pointed_at_s = gesture.pointed_at_s.or(pointed_at_s);
-        gesture.apply(&mut axis, oldest_s, newest_s);
-    }
+    // Where the lowest plots do not fit; the wheel zooms.
+    let area = ScrollArea::vertical().scroll_source(ScrollSource::SCROLL_BAR).auto_shrink([false, false]);
+    let cells = Cells { panels, columns, size, range_s: oldest_s..newest_s };
+    let (axis, pointed_at_s) = area.show(ui, |ui| cells.show(ui, model, view)).inner;
     view.cursor_s = pointed_at_s;
     view.axis = axis;
+    view.keep_while_paused(model);
+}
+
+/// Where plots stand on their page.
+struct Cells<'a> {
+    panels: &'a [Panel],
+    columns: usize,
+    /// Of a plot with its heading.
+    size: Vec2,
+    /// What is kept, s of loop time.
+    range_s: Range<f64>,
+}
+
+impl Cells<'_> {
+    /// Draws every plot; gives the axis after what the mouse did, and where it points, s of loop time.
+    fn show(&self, ui: &mut Ui, model: &Model, view: &View) -> (TimeAxis, Option<f64>) {
+        let Self { panels, columns, size, .. } = *self;
+        let Range { start: oldest_s, end: newest_s } = self.range_s;
+        let corner = ui.available_rect_before_wrap().min;
+        let pitch = size + ui.spacing().item_spacing + vec2(RIGHT_MARGIN, 0.0);
+        let (mut pointed_at_s, mut axis) = (None, view.axis);
+        for (index, panel) in panels.iter().enumerate() {
+            #[expect(clippy::cast_precision_loss, reason = "a handful of rows and columns")]
+            let cell = vec2((index % columns) as f32, (index / columns) as f32) * pitch;
+            let lowest = index + columns >= panels.len();
+            let size = if lowest { size + vec2(0.0, MARKS) } else { size };
+            let builder = UiBuilder::new().max_rect(Rect::from_min_size(corner + cell, size));
+            let plotted = Plotted { panel, end_s: axis.end_s(newest_s), view, model, lowest, width: size.x };
+            let gesture = ui
+                .scope_builder(builder.layout(Layout::top_down(Align::Min)), |ui| plotted.show(ui, size))
+                .inner;
+            pointed_at_s = gesture.pointed_at_s.or(pointed_at_s);
+            gesture.apply(&mut axis, oldest_s, newest_s);
+        }
+        (axis, pointed_at_s)
+    }
 }
 
 /// Stretch of time, pause, zoom, export.
-pub(super) fn toolbar(ui: &mut Ui, model: &Model, view: &mut View) {
-    ui.horizontal(|ui| {
+pub(super) fn toolbar(ui: &mut Ui, model: &Model, view: &mut View, pressed: &mut PageRequests) {
+    ui.horizontal_wrapped(|ui| {
         ui.label("Show the last");
         for span_s in SPANS_S {
             let chosen = view.axis.span_s().total_cmp(&span_s).is_eq();
@@ -93,40 +127,23 @@ pub(super) fn toolbar(ui: &mut Ui, model: &Model, view: &mut View) {
                 view.axis.zoom(factor, about_s);
             }
         }
-        ui.separator();
         let mut paused = view.axis.held();
         let pause = ui.toggle_value(&mut paused, "Pause plots");
-        if pause.on_hover_text("Data is still taken in behind it").changed() {
+        if pause.on_hover_text("What is shown stays; new data is taken in behind it").changed() {
             if paused {
                 view.axis.hold(newest_s);
             } else {
                 view.axis.follow();
             }
         }
+        view.keep_while_paused(model);
+        let hint = "Save every sample of what is shown to a table in the folder of the recordings";
+        pressed.export |= ui.button("Export CSV").on_hover_text(hint).clicked();
         if view.axis.held() {
             let behind_s = (newest_s - view.axis.end_s(newest_s)).max(0.0);
             ui.colored_label(theme::WARNING, format!("paused, {behind_s:.0} s behind"));
         }
-        ui.separator();
-        let export = Button::new("Export CSV");
-        let hint = "Save every sample of what is shown to a file in the current folder";
-        if ui.add_enabled(!model.history.is_empty(), export).on_hover_text(hint).clicked() {
-            view.note = Some(self::export(model, &view.axis));
-        }
     });
-}
-
-/// Saves what is shown and says where, or why not.
-fn export(model: &Model, axis: &TimeAxis) -> String {
-    let newest_s = model.history.end_s().unwrap_or(0.0);
-    let table = model.history.csv(axis.window_s(newest_s), |signal| {
-        column_name(model.panels.iter().chain(&model.timing_panels), signal)
-    });
-    let path = format!("{}-{:.3}s.csv", plain(&model.robot.name), axis.end_s(newest_s));
-    match std::fs::write(&path, table) {
-        Ok(()) => format!("saved {path}"),
-        Err(error) => format!("cannot save {path}: {error}"),
-    }
 }
 
 /// What the mouse did on a plot.
@@ -160,6 +177,8 @@ struct Plotted<'a> {
     model: &'a Model,
     /// Whether the axis of time is written under it.
     lowest: bool,
+    /// Width of plot and heading, points.
+    width: f32,
 }
 
 impl Plotted<'_> {
@@ -170,7 +189,9 @@ impl Plotted<'_> {
         let window_s = self.end_s - span_s..self.end_s;
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a width on the screen")]
         let pixels = (size.x * ui.pixels_per_point()).max(1.0) as usize;
-        let curve = |(_, signal): &(String, _)| self.model.history.curve(*signal, window_s.clone(), pixels);
+        let curve = |(_, signal): &(String, _)| {
+            self.view.history(self.model).curve(*signal, window_s.clone(), pixels)
+        };
         let curves: Vec<Curve> = self.panel.traces.iter().map(curve).collect();
         let extremes = curves.iter().filter_map(|c| c.extremes).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
         let (low, high) = vertical_range(extremes, self.panel.least_span);
@@ -182,7 +203,7 @@ impl Plotted<'_> {
             .show(ui, |plot| {
                 plot.set_plot_bounds_x(-span_s..=0.0);
                 plot.set_plot_bounds_y(low..=high);
-                for event in self.model.events.iter().filter(|e| window_s.contains(&e.time_s)) {
+                for event in self.view.events(self.model).iter().filter(|e| window_s.contains(&e.time_s)) {
                     let stopped = event.fault.is_some() || event.mode == Mode::ProtectiveStop;
                     let colour = if stopped { theme::BAD } else { theme::mode(Some(event.mode)) };
                     plot.vline(
@@ -273,39 +294,60 @@ impl Plotted<'_> {
         gesture
     }
 
-    /// Time, every value and the event under the cursor.
+    /// Time, every value that is not zero and the event under the cursor.
     fn values(&self, ui: &mut Ui, at_s: f64, reach_s: f64) {
         ui.monospace(format!("{} s", number(at_s, 3)));
+        let Panel { decimals, unit, .. } = *self.panel;
+        let zero = number(0.0, decimals);
+        let mut zeros = 0;
         for (index, (name, signal)) in self.panel.traces.iter().enumerate() {
-            let value = self.model.history.value_at(*signal, at_s).unwrap_or(f64::NAN);
-            let text = format!("{:>9} {} {name}", number(value, self.panel.decimals), self.panel.unit);
+            let value = number(self.value(*signal, at_s), decimals);
+            if value == zero {
+                zeros += 1;
+                continue;
+            }
+            let text = format!("{value:>9} {unit} {name}");
             ui.label(RichText::new(text).monospace().color(self.colour(index)));
         }
-        if let Some(event) = self.model.event_near(at_s, reach_s) {
+        if zeros > 0 {
+            let rest = if zeros == self.panel.traces.len() { "all" } else { "the others" };
+            ui.label(RichText::new(format!("{zero:>9} {unit} {rest}")).monospace().weak());
+        }
+        if let Some(event) = nearest(self.view.events(self.model), at_s, reach_s) {
             ui.label(event.text());
         }
+    }
+
+    /// Value of a signal; NaN where it is missing.
+    fn value(&self, signal: Signal, at_s: f64) -> f64 {
+        self.view.history(self.model).value_at(signal, at_s).unwrap_or(f64::NAN)
     }
 
     /// Title, unit, and each curve's name in its colour with its value under the cursor, or the newest.
     fn heading(&self, ui: &mut Ui) {
         let at_s = self.view.cursor_s.unwrap_or(self.end_s);
-        ui.allocate_ui(vec2(ui.available_width(), HEADING), |ui| {
+        ui.allocate_ui(vec2(self.width, HEADING), |ui| {
+            ui.set_clip_rect(ui.max_rect().intersect(ui.clip_rect()));
             ui.horizontal(|ui| {
                 ui.spacing_mut().item_spacing.x = 6.0;
                 ui.strong(self.panel.title);
-                ui.weak(self.panel.unit);
+                if self.width > WIDE {
+                    ui.weak(self.panel.unit);
+                } else {
+                    ui.spacing_mut().item_spacing.x = 3.0;
+                }
                 let actual = || self.panel.traces.iter().enumerate().filter(|(_, (_, s))| !s.is_desired());
                 // A dozen values would not fit; those are beside the taxels themselves and under the cursor.
-                let with_values = actual().count() <= 3;
+                let with_values = actual().count() <= 3 && self.width > WIDE;
                 for (index, (name, signal)) in actual() {
                     let colour = self.colour(index);
                     if with_values {
-                        let value = self.model.history.value_at(*signal, at_s).unwrap_or(f64::NAN);
-                        let value = number(value, self.panel.decimals);
+                        let value = number(self.value(*signal, at_s), self.panel.decimals);
                         ui.label(RichText::new(name).color(colour).strong());
                         ui.label(RichText::new(format!("{value:>6}")).monospace());
                     } else {
-                        ui.label(RichText::new(name).color(colour).strong().size(11.5));
+                        let size = if self.width > WIDE { 11.5 } else { 10.0 };
+                        ui.label(RichText::new(name).color(colour).strong().size(size));
                     }
                 }
             });

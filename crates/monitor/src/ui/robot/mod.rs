@@ -1,5 +1,10 @@
-//! The robot with its ring of taxels.
+//! The robot with its ring of taxels: from above, and in three dimensions.
 
+mod legend;
+mod scale;
 mod top_view;
+mod view_3d;
 
-pub(super) use top_view::show;
+pub(super) use legend::legend;
+pub(super) use top_view::{height, show};
+pub(super) use view_3d::view_3d;

@@ -1,10 +1,13 @@
 //! The robot from above, to scale, on a floor with a grid of half a metre: base, ring of taxels, arm, flange, and the
 //! wrench on the base. x of the world points up.
 
+use super::legend::legend;
+use super::scale::{ARC_MAX_RAD, ARC_RAD_PER_NM, ARROW_M_PER_N, ARROW_MAX_M, FLANGE_M_PER_N, FULL_COLOUR_N};
 use crate::logic::{
-    format::{self, number},
+    format::{self, number, taxel_name},
     kinematics,
     model::{Freshness, Model},
+    parts::{has_arm, has_robot},
 };
 use crate::ui::{theme, view::View};
 use egui::{
@@ -14,29 +17,20 @@ use egui::{
 use moca_msgs::{Sample, TaxelStatus, request::PRESS_FORCE_MAX_N};
 use moca_telemetry::description::TaxelDescription;
 
-/// Least and greatest height of the picture, and what is left for the numbers below it, points.
-const HEIGHT: (f32, f32) = (290.0, 640.0);
-const NUMBERS: f32 = 404.0;
-/// Floor shown from top to bottom, m.
-const SPAN_M: f64 = 1.65;
+/// Least and greatest height of the picture, points.
+const HEIGHT: (f32, f32) = (165.0, 640.0);
+/// Room for a taxel's number and force beside the base, points.
+const LABEL: f32 = 84.0;
+/// The same above it, points.
+const LABEL_ABOVE: f32 = 56.0;
 /// Half of a taxel's length along the cover, m.
 const TAXEL_HALF_M: f64 = 0.09;
 /// Thickness of a taxel, m.
 const TAXEL_THICK_M: f64 = 0.03;
 /// Length of a bar, m for each N.
 const BAR_M_PER_N: f64 = 0.0025;
-/// Length of the arrow of the base's wrench, m for each N, and its greatest length.
-const ARROW_M_PER_N: f64 = 0.012;
-const ARROW_MAX_M: f64 = 0.6;
-/// Angle of the arc of the base's moment, rad for each N·m, and its greatest angle.
-const ARC_RAD_PER_NM: f64 = 0.15;
-const ARC_MAX_RAD: f64 = 5.0;
+/// Radius of the arc of the base's moment, m.
 const ARC_RADIUS_M: f64 = 0.17;
-
-/// Length of the arrow of the flange's force, m for each N.
-const FLANGE_M_PER_N: f64 = 0.01;
-/// A force that fills the colour scale, N.
-const FULL_COLOUR_N: f64 = 60.0;
 
 /// Where things of the world and of the base are on the screen.
 struct Camera {
@@ -68,7 +62,7 @@ impl Camera {
     }
 }
 
-/// Draws the robot in a column `height` points high and returns the taxel that is pressed with mouse or keyboard, with
+/// Draws the robot `height` points high, with what belongs to it below, and returns the taxel that is pressed with mouse or keyboard, with
 /// the force chosen for it, N.
 pub(in crate::ui) fn show(
     ui: &mut Ui,
@@ -77,7 +71,7 @@ pub(in crate::ui) fn show(
     now_s: f64,
     height: f32,
 ) -> Option<(u8, f64)> {
-    let size = vec2(ui.available_width(), (height - NUMBERS).clamp(HEIGHT.0, HEIGHT.1));
+    let size = vec2(ui.available_width(), self::height(height));
     let (response, painter) = ui.allocate_painter(size, Sense::hover());
     let rect = response.rect;
     painter.rect_filled(rect, 4.0, ui.visuals().extreme_bg_color);
@@ -94,7 +88,7 @@ pub(in crate::ui) fn show(
     };
     let camera = Camera {
         centre: rect.center() + vec2(0.0, 6.0),
-        points_per_m: f64::from(rect.height()) / SPAN_M,
+        points_per_m: points_per_m(rect, model.robot.base_size_m),
         base_world: sample.base_pose_world.map(|v| if v.is_finite() { v } else { 0.0 }),
     };
     let mut pushed = None;
@@ -111,13 +105,16 @@ pub(in crate::ui) fn show(
                 pushed = u8::try_from(index).ok().map(|i| (i, view.push_n));
             }
         }
-        if !model.robot.arm.joint_origin.is_empty() {
+        if has_arm(&model.robot) {
             arm_and_flange(&painter, &camera, model, sample, ui.visuals());
             flange_force(&painter, &camera, sample);
         }
-        wrench(&painter, &camera, sample.cover_wrench_base);
+        if has_robot(&model.robot) {
+            wrench(&painter, &camera, sample.cover_wrench_base);
+        }
         age(&painter, rect, sample, model, ui.visuals());
     });
+    ui.horizontal_wrapped(|ui| legend(ui, model));
     if model.feels_pushes() && !model.recorded {
         ui.horizontal(|ui| {
             let label = ui.label("Press and hold a taxel to push with");
@@ -128,6 +125,19 @@ pub(in crate::ui) fn show(
         });
     }
     pushed
+}
+
+/// Height of the picture where `height` points are left for it.
+pub(in crate::ui) fn height(height: f32) -> f32 {
+    height.clamp(HEIGHT.0, HEIGHT.1)
+}
+
+/// As large as the base with the numbers beside it fits, however it is turned.
+fn points_per_m(rect: Rect, [length, width, _]: [f64; 3]) -> f64 {
+    let half_m = length.max(width) / 2.0 + TAXEL_THICK_M;
+    let wide = f64::from((rect.width() / 2.0 - LABEL).max(40.0)) / half_m;
+    let high = f64::from((rect.height() / 2.0 - LABEL_ABOVE).max(40.0)) / half_m;
+    wide.min(high)
 }
 
 fn floor(painter: &Painter, camera: &Camera, rect: Rect, colour: Color32) {
@@ -167,7 +177,7 @@ impl Taxel<'_> {
     /// Draws it and returns whether the mouse presses it.
     fn show(&self, ui: &Ui, painter: &Painter, sample: &Sample, model: &Model) -> bool {
         let reading = sample.taxels.get(self.index).copied().unwrap_or_default();
-        let name = format!("T{}", self.index + 1);
+        let name = taxel_name(self.index);
         let valid = reading.status == TaxelStatus::Ok;
         let force_n = if valid && reading.force_n.is_finite() { reading.force_n } else { 0.0 };
 

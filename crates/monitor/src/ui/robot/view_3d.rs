@@ -1,0 +1,334 @@
+//! The robot in three dimensions: floor, base with its plates, arm, flange and where it should be, trail, forces. Back to
+//! front: nothing but convex bodies, so no depth buffer is needed.
+
+use super::scale::{ARC_MAX_RAD, ARC_RAD_PER_NM, ARROW_M_PER_N, ARROW_MAX_M, FLANGE_M_PER_N, FULL_COLOUR_N};
+use crate::logic::{
+    camera::{OrbitCamera, Projection},
+    format::{number, taxel_name},
+    kinematics::{axes, in_world, points_base_m},
+    model::Model,
+    parts::{has_arm, has_robot},
+    signals::panel::Signal,
+};
+use crate::ui::theme;
+use egui::{Align2, Color32, FontId, Painter, Pos2, Rect, Shape, Stroke, Visuals, pos2};
+use moca_msgs::{Sample, TaxelStatus};
+use moca_telemetry::description::TaxelDescription;
+
+/// What the camera looks at, in B, m.
+const TARGET_M: [f64; 3] = [0.12, 0.0, 0.5];
+/// Distance of the floor's lines and how far they reach, m.
+const GRID_M: f64 = 0.5;
+const GRID_LINES: i32 = 4;
+/// Half width of a plate, its thickness, and its lower and upper edge as shares of the base's height, m.
+const PLATE_HALF_M: f64 = 0.09;
+const PLATE_THICK_M: f64 = 0.03;
+const PLATE_Z: (f64, f64) = (0.25, 0.8);
+/// Radius of the arm's links, m.
+const LINK_M: f64 = 0.055;
+/// Length of the axes of flange and desired flange, m.
+const AXIS_M: f64 = 0.12;
+/// How long the trail of the flange is, s, and its points.
+const TRAIL_S: f64 = 10.0;
+const TRAIL_POINTS: u64 = 160;
+/// Radius of the arc of the base's moment, m.
+const ARC_M: f64 = 0.22;
+
+/// Draws what `sample` says into the painter's rectangle.
+pub(in crate::ui) fn view_3d(
+    painter: &Painter,
+    visuals: &Visuals,
+    model: &Model,
+    sample: &Sample,
+    camera: OrbitCamera,
+) {
+    let base_world = sample.base_pose_world.map(|v| if v.is_finite() { v } else { 0.0 });
+    let view = camera.looking_at(in_world(base_world, TARGET_M));
+    let picture = Picture { painter, rect: painter.clip_rect(), view, visuals, base_world };
+    picture.floor();
+    let plates = || model.robot.taxels.iter().enumerate();
+    let front = |taxel: &TaxelDescription| picture.shows_front(taxel);
+    plates().filter(|(_, taxel)| !front(taxel)).for_each(|(i, taxel)| picture.plate(i, taxel, model, sample));
+    picture.base(model);
+    plates().filter(|(_, taxel)| front(taxel)).for_each(|(i, taxel)| picture.plate(i, taxel, model, sample));
+    if has_arm(&model.robot) {
+        picture.trail(model);
+        picture.desired(sample);
+        picture.arm(model, sample);
+    }
+    if has_robot(&model.robot) {
+        picture.wrench(model, sample);
+    }
+    plates().for_each(|(i, taxel)| picture.press(i, taxel, model, sample));
+}
+
+struct Picture<'a> {
+    painter: &'a Painter,
+    rect: Rect,
+    view: Projection,
+    visuals: &'a Visuals,
+    base_world: [f64; 3],
+}
+
+impl Picture<'_> {
+    /// Where a point of the world is on the screen, and how many points a metre is long there.
+    #[expect(clippy::cast_possible_truncation, reason = "screen coordinates")]
+    fn at(&self, point: [f64; 3]) -> Option<(Pos2, f32)> {
+        let half = f64::from(self.rect.height().min(self.rect.width())) / 2.0;
+        let place = self.view.project(point)?;
+        let centre = self.rect.center();
+        let at = pos2(centre.x + (place.x * half) as f32, centre.y - (place.y * half) as f32);
+        Some((at, (self.view.scale(place.depth_m) * half) as f32))
+    }
+
+    fn in_world(&self, point_base: [f64; 3]) -> [f64; 3] {
+        in_world(self.base_world, point_base)
+    }
+
+    fn line(&self, from: [f64; 3], to: [f64; 3], stroke: Stroke) {
+        if let (Some((from, _)), Some((to, _))) = (self.at(from), self.at(to)) {
+            self.painter.line_segment([from, to], stroke);
+        }
+    }
+
+    fn floor(&self) {
+        let stroke = Stroke::new(0.6, self.visuals.weak_text_color().gamma_multiply(0.5));
+        let near = |v: f64| (v / GRID_M).round() * GRID_M;
+        let [x0, y0] = [near(self.base_world[0]), near(self.base_world[1])];
+        let reach = f64::from(GRID_LINES) * GRID_M;
+        for i in -GRID_LINES..=GRID_LINES {
+            let by = f64::from(i) * GRID_M;
+            self.line([x0 + by, y0 - reach, 0.0], [x0 + by, y0 + reach, 0.0], stroke);
+            self.line([x0 - reach, y0 + by, 0.0], [x0 + reach, y0 + by, 0.0], stroke);
+        }
+    }
+
+    fn base(&self, model: &Model) {
+        let [length, width, height] = model.robot.base_size_m;
+        let grey = if self.visuals.dark_mode { 95 } else { 215 };
+        let stroke = Stroke::new(1.0, self.visuals.weak_text_color());
+        self.block(
+            [0.0, 0.0],
+            0.0,
+            [length / 2.0, width / 2.0],
+            [0.06, height],
+            Color32::from_gray(grey),
+            stroke,
+        );
+        // A wedge on its lid shows which way is forwards.
+        let (tip, rear) = (-0.25 * length, -0.36 * length);
+        let wedge =
+            [[tip, 0.0], [rear, 0.07], [rear, -0.07]].map(|[x, y]| self.at(self.in_world([x, y, height])));
+        if let [Some((a, _)), Some((b, _)), Some((c, _))] = wedge {
+            let colour = self.visuals.weak_text_color();
+            self.painter.add(Shape::convex_polygon(vec![a, b, c], colour, Stroke::NONE));
+        }
+    }
+
+    /// Whether the outer side of a plate faces the camera.
+    fn shows_front(&self, taxel: &TaxelDescription) -> bool {
+        let [x, y] = taxel.position_base_m;
+        let (sin, cos) = (taxel.inward_angle_base_rad + self.base_world[2]).sin_cos();
+        self.view.faces(self.in_world([x, y, 0.25]), [-cos, -sin, 0.0])
+    }
+
+    /// A plate in the colour of its force.
+    fn plate(&self, index: usize, taxel: &TaxelDescription, model: &Model, sample: &Sample) {
+        let ([x, y], angle) = (taxel.position_base_m, taxel.inward_angle_base_rad);
+        let (sin, cos) = angle.sin_cos();
+        let out = |by_m: f64| [x - by_m * cos, y - by_m * sin];
+        let height = model.robot.base_size_m[2];
+        let z = [PLATE_Z.0 * height, PLATE_Z.1 * height];
+        let masked = sample.taxels.get(index).is_some_and(|taxel| taxel.status == TaxelStatus::Masked);
+        let (fill, stroke) = if let Some(force_n) = valid_force_n(sample, index) {
+            (theme::force(force_n, FULL_COLOUR_N, self.visuals), self.visuals.weak_text_color())
+        } else if masked {
+            (self.visuals.extreme_bg_color, self.visuals.weak_text_color())
+        } else {
+            (self.visuals.extreme_bg_color, theme::BAD)
+        };
+        let half = [PLATE_THICK_M / 2.0, PLATE_HALF_M];
+        self.block(out(PLATE_THICK_M / 2.0), angle, half, z, fill, Stroke::new(1.0, stroke));
+    }
+
+    /// An arrow on a plate that is pressed, with its number and force.
+    fn press(&self, index: usize, taxel: &TaxelDescription, model: &Model, sample: &Sample) {
+        let Some(force_n) = valid_force_n(sample, index).filter(|force_n| *force_n > 0.0) else { return };
+        let ([x, y], (sin, cos)) = (taxel.position_base_m, taxel.inward_angle_base_rad.sin_cos());
+        let z = PLATE_Z.0.midpoint(PLATE_Z.1) * model.robot.base_size_m[2];
+        let out = |by_m: f64| self.in_world([x - by_m * cos, y - by_m * sin, z]);
+        let length = (force_n * ARROW_M_PER_N).min(ARROW_MAX_M);
+        let from = out(PLATE_THICK_M + length);
+        self.arrow(from, out(PLATE_THICK_M), theme::BAD);
+        if let Some((at, _)) = self.at(from) {
+            let text = format!("{} {} N", taxel_name(index), number(force_n, 1));
+            let (at, font) = (at - egui::vec2(0.0, 8.0), FontId::proportional(16.0));
+            self.painter.text(at, Align2::CENTER_BOTTOM, text, font, theme::strong(self.visuals));
+        }
+    }
+
+    /// An upright block in B: its middle, the direction of its first half width, both half widths, bottom and top.
+    fn block(
+        &self,
+        [x, y]: [f64; 2],
+        angle_rad: f64,
+        [along, across]: [f64; 2],
+        [bottom, top]: [f64; 2],
+        fill: Color32,
+        stroke: Stroke,
+    ) {
+        let (sin, cos) = angle_rad.sin_cos();
+        let corner = |a: f64, c: f64, z: f64| {
+            self.in_world([x + a * along * cos - c * across * sin, y + a * along * sin + c * across * cos, z])
+        };
+        let side = |a: f64, c: f64| {
+            let (sin, cos) = (angle_rad + self.base_world[2]).sin_cos();
+            [a * cos - c * sin, a * sin + c * cos, 0.0]
+        };
+        let walls = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)].map(|(a, c)| {
+            // The wall with this normal reaches from its one edge to its other.
+            let (one, other) = ((a - c, c + a), (a + c, c - a));
+            let corners = [
+                corner(one.0, one.1, bottom),
+                corner(one.0, one.1, top),
+                corner(other.0, other.1, top),
+                corner(other.0, other.1, bottom),
+            ];
+            (corners, side(a, c), if c.abs() > 0.5 { 0.86 } else { 0.74 })
+        });
+        let lid =
+            [corner(1.0, 1.0, top), corner(1.0, -1.0, top), corner(-1.0, -1.0, top), corner(-1.0, 1.0, top)];
+        for (corners, normal, light) in walls.into_iter().chain([(lid, [0.0, 0.0, 1.0], 1.0)]) {
+            if !self.view.faces(corners[0], normal) {
+                continue;
+            }
+            let points: Vec<Pos2> = corners.iter().filter_map(|c| Some(self.at(*c)?.0)).collect();
+            if points.len() == corners.len() {
+                self.painter.add(Shape::convex_polygon(points, lit(fill, light), stroke));
+            }
+        }
+    }
+
+    /// Links as thick lines with their joints, the farthest first; then the flange with its axes.
+    fn arm(&self, model: &Model, sample: &Sample) {
+        let points: Vec<[f64; 3]> =
+            points_base_m(&model.robot, &sample.q_rad).into_iter().map(|p| self.in_world(p)).collect();
+        let (fill, edge) = if self.visuals.dark_mode {
+            (Color32::from_gray(200), Color32::from_gray(60))
+        } else {
+            (Color32::from_gray(245), Color32::from_gray(110))
+        };
+        let mut links: Vec<_> = points
+            .windows(2)
+            .filter_map(|ends| Some((self.at(*ends.first()?)?, self.at(*ends.get(1)?)?)))
+            .collect();
+        // What is farther away is smaller.
+        links.sort_by(|a, b| (a.0.1 + a.1.1).total_cmp(&(b.0.1 + b.1.1)));
+        for ((from, from_scale), (to, to_scale)) in links {
+            #[expect(clippy::cast_possible_truncation, reason = "a width on the screen")]
+            let width = 2.0 * LINK_M as f32 * from_scale.midpoint(to_scale);
+            for (width, colour) in [(width + 2.5, edge), (width, fill)] {
+                self.painter.line_segment([from, to], Stroke::new(width, colour));
+                self.painter.circle_filled(from, width / 2.0, colour);
+                self.painter.circle_filled(to, width / 2.0, colour);
+            }
+            self.painter.circle_filled(to, width * 0.28, edge);
+        }
+        if let Some(flange) = points.last() {
+            self.axes(*flange, sample.flange_quaternion_world, 3.0, 1.0);
+            let [fx, fy, fz, ..] = sample.flange_wrench_world;
+            let force_n = fx.hypot(fy).hypot(fz);
+            if force_n > 1.0 {
+                let length = (force_n * FLANGE_M_PER_N).min(ARROW_MAX_M) / force_n;
+                let to = [flange[0] + fx * length, flange[1] + fy * length, flange[2] + fz * length];
+                self.arrow(*flange, to, theme::FLANGE_WRENCH);
+            }
+        }
+    }
+
+    /// Where the flange should be: its axes, pale, in a ring.
+    fn desired(&self, sample: &Sample) {
+        let at = sample.flange_desired_position_world;
+        if self.axes(at, sample.flange_desired_quaternion_world, 5.0, 0.45)
+            && let Some((centre, scale)) = self.at(at)
+        {
+            self.painter.circle_stroke(centre, 0.07 * scale, Stroke::new(2.0, theme::curve(3)));
+        }
+    }
+
+    /// The axes of a frame; none without an orientation, which only an entered law has. Whether they were drawn.
+    fn axes(&self, origin: [f64; 3], quaternion: [f64; 4], width: f32, opacity: f32) -> bool {
+        let length: f64 = quaternion.iter().map(|part| part * part).sum();
+        let known = (length - 1.0).abs() < 0.1;
+        if known {
+            let colours = [theme::BAD, theme::GOOD, theme::curve(0)];
+            for (axis, colour) in axes(quaternion).into_iter().zip(colours) {
+                let end = std::array::from_fn(|i| origin[i] + AXIS_M * axis[i]);
+                self.line(origin, end, Stroke::new(width, colour.gamma_multiply(opacity)));
+            }
+        }
+        known
+    }
+
+    /// The way of the flange in the last seconds, paler the longer ago.
+    fn trail(&self, model: &Model) {
+        let end_s = model.history.end_s().unwrap_or(0.0);
+        let window_s = end_s - TRAIL_S..end_s;
+        let points = model.history.sampled([0, 1, 2].map(Signal::Flange), window_s, TRAIL_POINTS);
+        let places: Vec<Pos2> = points.iter().filter_map(|point| Some(self.at(*point)?.0)).collect();
+        let pieces: u8 = 4;
+        let length = places.len().div_ceil(usize::from(pieces)).max(1);
+        for (piece, opacity) in places.chunks(length).zip(1..=pieces) {
+            let colour = theme::curve(0).gamma_multiply(f32::from(opacity) / f32::from(pieces));
+            self.painter.add(Shape::line(piece.to_vec(), Stroke::new(2.0, colour)));
+        }
+    }
+
+    /// Force and moment that the cover exerts on the base, above its lid.
+    fn wrench(&self, model: &Model, sample: &Sample) {
+        let [fx, fy, mz] = sample.cover_wrench_base;
+        let z = model.robot.base_size_m[2] + 0.02;
+        let force_n = fx.hypot(fy);
+        if force_n > 0.1 {
+            let length = (force_n * ARROW_M_PER_N).min(ARROW_MAX_M) / force_n;
+            let to = self.in_world([fx * length, fy * length, z]);
+            self.arrow(self.in_world([0.0, 0.0, z]), to, theme::WRENCH);
+        }
+        let angle = (mz * ARC_RAD_PER_NM).clamp(-ARC_MAX_RAD, ARC_MAX_RAD);
+        if angle.abs() > 0.03 {
+            let at = |part: f64| {
+                let (sin, cos) = (angle * part).sin_cos();
+                self.in_world([ARC_M * cos, ARC_M * sin, z])
+            };
+            let stroke = Stroke::new(4.0, theme::WRENCH);
+            (0..24).for_each(|i| self.line(at(f64::from(i) / 25.0), at(f64::from(i + 1) / 25.0), stroke));
+            self.arrow(at(0.96), at(1.0), theme::WRENCH);
+        }
+    }
+
+    fn arrow(&self, from: [f64; 3], to: [f64; 3], colour: Color32) {
+        let (Some((from, _)), Some((to, _))) = (self.at(from), self.at(to)) else { return };
+        let along = (to - from).normalized();
+        let across = along.rot90();
+        let neck = to - along * 11.0;
+        if (to - from).length() > 11.0 {
+            self.painter.line_segment([from, neck], Stroke::new(4.0, colour));
+        }
+        let head = vec![to, neck + across * 6.5, neck - across * 6.5];
+        self.painter.add(Shape::convex_polygon(head, colour, Stroke::NONE));
+    }
+}
+
+/// Force of a taxel with a valid reading, N.
+fn valid_force_n(sample: &Sample, taxel: usize) -> Option<f64> {
+    let reading = sample.taxels.get(taxel)?;
+    (reading.status == TaxelStatus::Ok && reading.force_n.is_finite()).then_some(reading.force_n)
+}
+
+/// A colour on a side that has this share of the light.
+fn lit(colour: Color32, light: f32) -> Color32 {
+    let [r, g, b, a] = colour.to_srgba_unmultiplied();
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a byte")]
+    let dim = |part: u8| (f32::from(part) * light) as u8;
+    Color32::from_rgba_unmultiplied(dim(r), dim(g), dim(b), a)
+}

@@ -1,0 +1,152 @@
+//! Logs, and what a window remembers.
+
+use crate::bench::{Bench, sample};
+use egui_kittest::{Harness, kittest::Queryable};
+use moca_monitor::{logic::source::playback::Playback, ui::App};
+use moca_msgs::Mode;
+use moca_telemetry::RobotDescription;
+use std::collections::BTreeMap;
+
+#[test]
+fn a_recorded_run_can_be_held_scrubbed_and_never_commanded() {
+    let samples =
+        (0..30_000).map(|tick| sample(tick, if tick < 20_000 { Mode::Ready } else { Mode::Impedance }, None));
+    let log = Playback::of(RobotDescription::paper("logged robot", true), samples.collect());
+    let app = App::new(&egui::Context::default(), log, String::new(), None);
+    let mut harness = Harness::builder().with_size([1280.0, 800.0]).build_ui_state(
+        |ui, app: &mut App| {
+            app.update(&ui.ctx().clone());
+            app.show(ui);
+        },
+        app,
+    );
+    harness.run_steps(3);
+    assert!(harness.query_by_label_contains("A recorded run of logged robot").is_some());
+    harness.get_by_label("Next event").click();
+    harness.run_steps(3);
+    let shown = harness.state().model().latest.as_ref().map(|s| (s.tick, s.mode));
+    assert_eq!(shown, Some((20_200, Mode::Impedance)));
+    harness.run_steps(5);
+    assert_eq!(harness.state().model().latest.as_ref().map(|s| s.tick), Some(20_200), "it holds still");
+    let next =
+        |harness: &Harness<'_, App>| harness.output().viewport_output[&egui::ViewportId::ROOT].repaint_delay;
+    assert_eq!(next(&harness), std::time::Duration::MAX, "and nothing is drawn anew");
+    harness.get_by_label("Play").click();
+    harness.run_steps(5);
+    assert!(next(&harness) <= App::FRAME);
+    assert!(harness.state().model().latest.as_ref().is_some_and(|s| s.tick > 20_200));
+    assert!(!harness.state().model().can_push());
+    harness.get_by_label("Calibrate").click();
+    harness.run_steps(3);
+    assert!(harness.query_by_label_contains("this is a recorded run").is_some());
+    assert!(harness.query_by_label("Start calibration").is_none());
+    for label in ["Disarm", "STOP (space)"] {
+        harness.get_by_label(label).click();
+        harness.run_steps(2);
+        assert!(harness.query_by_label_contains("refused").is_none(), "{label} is greyed out");
+    }
+}
+
+/// What a window leaves behind, as eframe writes it to a file.
+#[derive(Default)]
+pub(crate) struct Memory(pub(crate) BTreeMap<String, String>);
+
+impl eframe::Storage for Memory {
+    fn get_string(&self, key: &str) -> Option<String> {
+        self.0.get(key).cloned()
+    }
+
+    fn set_string(&mut self, key: &str, value: String) {
+        self.0.insert(key.into(), value);
+    }
+
+    fn remove_string(&mut self, key: &str) {
+        self.0.remove(key);
+    }
+
+    fn flush(&mut self) {}
+}
+
+#[test]
+fn the_next_window_looks_at_what_the_last_one_did() {
+    let mut bench = Bench::in_mode(Mode::Ready);
+    bench.click("Loop");
+    bench.click("30 s");
+    let mut memory = Memory::default();
+    eframe::App::save(bench.harness.state_mut(), &mut memory);
+    assert_eq!(App::last_connected(&memory), ["127.0.0.1:7611".parse().unwrap()]);
+
+    let mut next = Bench::in_mode(Mode::Ready);
+    assert!(!next.shows("Histogram Loop lateness"));
+    next.harness.state_mut().restore(&memory);
+    next.frames(Mode::Ready, None);
+    assert!(next.shows("Histogram Loop lateness"));
+    let mut again = Memory::default();
+    eframe::App::save(next.harness.state_mut(), &mut again);
+    assert_eq!(again.0, memory.0);
+    assert_eq!(again.0["span_s"], "30");
+
+    // A file from elsewhere does no harm: what makes no sense is left out.
+    for (key, value) in
+        [("page", "Nowhere"), ("span_s", "NaN"), ("push_n", "1e9"), ("connect", "x 1.2.3.4:5 ")]
+    {
+        memory.0.insert(key.into(), value.into());
+    }
+    let mut next = Bench::in_mode(Mode::Ready);
+    next.harness.state_mut().restore(&memory);
+    next.frames(Mode::Ready, None);
+    assert!(next.harness.query_by_label("Plot Base force in N").is_some(), "the first page");
+    eframe::App::save(next.harness.state_mut(), &mut again);
+    assert_eq!((again.0["span_s"].as_str(), again.0["push_n"].as_str()), ("10", "200"));
+    assert_eq!(App::last_connected(&memory), ["1.2.3.4:5".parse().unwrap()]);
+}
+
+#[test]
+fn the_window_records_and_opens_what_it_recorded() {
+    let folder = std::env::temp_dir().join(format!("moca-dashboard-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let mut bench = Bench::in_mode(Mode::Ready);
+    bench.harness.state_mut().set_folder(folder.clone());
+    bench.click("Record");
+    bench.frames(Mode::Impedance, None);
+    bench.click("Stop recording");
+    assert!(bench.shows("samples"));
+    let file = std::fs::read_dir(&folder).unwrap().next().unwrap().unwrap().file_name();
+    bench.click("Open log");
+    bench.click(file.to_str().unwrap());
+    let deadline = std::time::Instant::now() + std::time::Duration::from_secs(20);
+    while !bench.shows("A recorded run of test robot") {
+        assert!(std::time::Instant::now() < deadline, "the log was not read");
+        std::thread::sleep(std::time::Duration::from_millis(10));
+        bench.harness.step();
+    }
+    bench.click("Close log");
+    assert!(!bench.shows("A recorded run"));
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn logs_are_found_in_folders_and_the_last_ones_are_remembered() {
+    let folder = std::env::temp_dir().join(format!("moca-chooser-{}", std::process::id()));
+    let inner = folder.join("yesterday");
+    std::fs::create_dir_all(&inner).unwrap();
+    std::fs::write(inner.join("bump.mcap"), "not a log").unwrap();
+    let mut bench = Bench::in_mode(Mode::Ready);
+    bench.harness.state_mut().set_folder(folder.clone());
+    bench.click("Open log");
+    assert!(bench.shows("No .mcap file in this folder"));
+    bench.click("yesterday/");
+    assert!(bench.shows("1 kB") && bench.shows("just now"));
+    bench.click("Folder above");
+    bench.click("yesterday/");
+    bench.click("bump.mcap");
+    assert!(bench.shows("log of"), "it is in front, and says that it is none");
+    let mut memory = Memory::default();
+    eframe::App::save(bench.harness.state_mut(), &mut memory);
+    let mut next = Bench::in_mode(Mode::Ready);
+    next.harness.state_mut().restore(&memory);
+    next.click("Open log");
+    next.click("bump.mcap (again)");
+    assert!(next.shows("log of"));
+    std::fs::remove_dir_all(&folder).unwrap();
+}

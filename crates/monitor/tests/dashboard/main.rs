@@ -1,0 +1,11 @@
+//! The dashboard without a display: every control, by its accessible label, sends its command.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "test helpers fail by panicking")]
+
+mod bench;
+mod calibration;
+mod commanding;
+mod layout;
+mod logs;
+mod parameters;
+mod plots;
+mod states;

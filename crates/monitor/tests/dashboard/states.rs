@@ -1,0 +1,193 @@
+//! What is shown of a robot that is whole, in parts, faulty, silent or away.
+
+use crate::bench::{Bench, parameter};
+use egui_kittest::kittest::Queryable;
+use moca_msgs::{
+    Fault, Mode, Refusal, Request, TaxelStatus,
+    board::{Diagnosis, OpenFailure},
+};
+use moca_telemetry::{
+    ParameterForm, ParameterValue,
+    net::{Commander, Reply},
+};
+
+#[test]
+fn an_arm_without_a_cover_shows_nothing_of_one() {
+    let of_a_cover = ["Press and hold a taxel to push with", "Frame age", "Cover speed", "Speed limit"];
+    for no_cover in [false, true] {
+        let mut bench = Bench::new();
+        bench.daemon.borrow_mut().no_cover = no_cover;
+        bench.frames(Mode::Impedance, None);
+        for text in of_a_cover {
+            assert_eq!(bench.shows(text), !no_cover, "{text}");
+        }
+        assert!(bench.shows("Loop lateness"));
+    }
+}
+
+#[test]
+fn it_works_without_a_daemon_and_when_one_comes_and_goes() {
+    let mut bench = Bench::new();
+    bench.daemon.borrow_mut().down = Some("nobody listens".into());
+    bench.harness.step();
+    assert!(bench.shows("no daemon") && bench.shows("nobody listens") && bench.shows("cargo run --release"));
+
+    bench.daemon.borrow_mut().down = None;
+    bench.frames(Mode::Impedance, None);
+    assert!(bench.shows("impedance") && bench.shows("test robot") && !bench.shows("no daemon"));
+
+    bench.daemon.borrow_mut().down = Some("the daemon closed the connection".into());
+    bench.harness.step();
+    assert!(bench.shows("no daemon"));
+    assert!(bench.harness.get_by_label("Push T6").rect().area() > 0.0, "the last picture stays");
+
+    bench.daemon.borrow_mut().down = None;
+    bench.daemon.borrow_mut().session += 1;
+    bench.tick = 0;
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("ready"));
+    assert_eq!(bench.harness.state().model().history.len(), 3, "a new daemon starts a new history");
+}
+
+#[test]
+fn samples_that_stop_coming_are_shown_as_old() {
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    bench.harness.run_steps(4);
+    assert!(bench.shows("no samples") && bench.shows("what is shown is old"));
+    bench.click("STOP (space)");
+    assert_eq!(bench.asked(), [Request::Stop], "stop works all the same");
+}
+
+#[test]
+fn a_fault_is_told_in_words_with_its_remedy_and_a_sick_taxel_is_named() {
+    let mut bench = Bench::new();
+    bench.frames(Mode::ProtectiveStop, Some(Fault::BoardLost));
+    assert!(bench.shows(Fault::BoardLost.text()) && bench.shows(Fault::BoardLost.remedy()));
+}
+
+#[test]
+fn a_refusal_and_another_commander_are_told() {
+    let mut bench = Bench::in_mode(Mode::Ready);
+    let refused = Reply { request: Request::Arm, outcome: Err(Refusal::ZeroInvalid) };
+    bench.daemon.borrow_mut().replies.push(refused);
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("Arm: refused, the cover has no valid zero"));
+
+    bench.daemon.borrow_mut().commander = Commander::Another;
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("another dashboard has the command"));
+    bench.click("Arm");
+    assert_eq!(bench.asked(), []);
+    bench.click("STOP (space)");
+    assert_eq!(bench.asked(), [Request::Stop], "anyone may stop");
+}
+
+fn text(name: &str, value: &str) -> moca_telemetry::ParameterDescription {
+    let value = ParameterValue::Text(value.into());
+    moca_telemetry::ParameterDescription { value, ..parameter(name, ParameterForm::Text, &[], false) }
+}
+
+#[test]
+fn a_cover_alone_shows_no_arm_no_flange_and_nothing_to_arm() {
+    let of_a_robot = ["Flange force", "Base pose", "Base speed", "Franka", "on the flange"];
+    let mut bench = Bench::in_mode(Mode::Ready);
+    assert!(of_a_robot.iter().all(|text| bench.shows(text)));
+    bench.daemon.borrow_mut().parameters = vec![text("plant.kind", "none")];
+    bench.daemon.borrow_mut().session += 1;
+    bench.frames(Mode::Ready, None);
+    for text in of_a_robot {
+        assert!(!bench.shows(text), "{text}");
+    }
+    for button in ["Arm", "Disarm", "Resume", "Follow-me"] {
+        assert!(bench.harness.query_by_label(button).is_none(), "{button}");
+    }
+    assert!(bench.shows("cover alone") && bench.shows("Frame age"));
+    assert!(bench.harness.query_by_label("Plot Taxel forces in N").is_some());
+    assert!(bench.harness.query_by_label("Plot Base force in N").is_none());
+    bench.click("Tare");
+    assert_eq!(bench.asked(), [Request::Tare]);
+}
+
+#[test]
+fn what_was_masked_is_called_masked_with_its_number() {
+    let mut bench = Bench::in_mode(Mode::Ready);
+    assert!(!bench.shows("masked"));
+    bench.masked = Some(3);
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("masked: T4"));
+    let fault = Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Masked };
+    bench.frames(Mode::ProtectiveStop, Some(fault));
+    assert!(bench.shows("T4 is masked") && !bench.shows("unusable"));
+    let fault = Fault::TaxelInvalid { taxel: 10, status: TaxelStatus::Dead };
+    bench.frames(Mode::ProtectiveStop, Some(fault));
+    assert!(bench.shows("T11 is dead"));
+}
+
+#[test]
+fn a_port_that_does_not_exist_is_named() {
+    let mut bench = Bench::in_mode(Mode::Ready);
+    bench.daemon.borrow_mut().parameters = vec![text("board.port", "/dev/ttyACM7")];
+    bench.board = Diagnosis::NotOpen(OpenFailure::NotFound);
+    bench.frames(Mode::Starting, None);
+    assert!(bench.shows("port /dev/ttyACM7 does not exist"));
+    bench.daemon.borrow_mut().parameters = vec![text("board.port", "auto")];
+    bench.frames(Mode::Starting, None);
+    assert!(bench.shows("No Touch Board found"));
+}
+
+#[test]
+fn an_answer_is_shown_in_full_until_it_is_dismissed_or_has_been_read() {
+    let mut bench = Bench::in_mode(Mode::Ready);
+    let refusal = Refusal::CauseRemains(Fault::TaxelInvalid { taxel: 4, status: TaxelStatus::Noisy });
+    let reply = Reply { request: Request::Resume, outcome: Err(refusal) };
+    bench.daemon.borrow_mut().replies.push(reply);
+    bench.frames(Mode::Ready, None);
+    let text = "Resume: refused, the cause remains. T5 is noisy. Check the taxel's plate and wire; then tare and resume.";
+    let shown = bench.harness.get_by_label(text).rect();
+    assert!(shown.height() > 30.0, "it has the lines that it needs: {shown:?}");
+    bench.click("×");
+    assert!(!bench.shows("Resume: refused"));
+    bench.daemon.borrow_mut().replies.push(Reply { request: Request::Arm, outcome: Ok(()) });
+    bench.frames(Mode::Ready, None);
+    assert!(bench.shows("Arm: done"));
+    (0..20).for_each(|_| bench.frames(Mode::Ready, None));
+    assert!(!bench.shows("Arm: done"));
+}
+
+#[test]
+fn arrows_have_a_legend() {
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    for text in ["on the base", "on the flange", "flange", "desired"] {
+        assert!(bench.harness.query_by_label(text).is_some(), "{text}");
+    }
+    bench.daemon.borrow_mut().no_cover = true;
+    bench.frames(Mode::Impedance, None);
+}
+
+#[test]
+fn the_robot_is_seen_in_three_dimensions_and_turned_with_the_mouse() {
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    bench.click("3-D");
+    let drawn = |bench: &Bench| -> Vec<egui::Pos2> {
+        let shapes = bench.harness.output().shapes.iter();
+        let corners = shapes.filter_map(|clipped| match &clipped.shape {
+            egui::Shape::Path(path) if path.closed && path.points.len() == 4 => Some(path.points.clone()),
+            _ => None,
+        });
+        corners.flatten().collect()
+    };
+    let middle = bench.harness.get_by_label("The robot in 3-D").rect();
+    let before = drawn(&bench);
+    assert!(before.iter().filter(|p| middle.contains(**p)).count() >= 4 * 20, "base and plates are drawn");
+    bench.pointer(middle.center(), true);
+    bench.harness.hover_at(middle.center() + egui::vec2(80.0, 30.0));
+    bench.frames(Mode::Impedance, None);
+    bench.pointer(middle.center() + egui::vec2(80.0, 30.0), false);
+    bench.frames(Mode::Impedance, None);
+    assert_ne!(drawn(&bench), before, "it was turned");
+    bench.click("Top");
+    let above = drawn(&bench);
+    bench.click("Corner");
+    assert_eq!(drawn(&bench), before, "and back");
+    assert_ne!(above, before);
+}
