@@ -5,7 +5,6 @@
 use crate::numerics::stability;
 use crate::paper::report::claims;
 use crate::rig::c_library;
-use crate::robustness::faults;
 use anyhow::{Context, Result, bail, ensure};
 use std::path::{Path, PathBuf};
 
@@ -27,10 +26,9 @@ struct Table {
     make: fn() -> Result<String>,
 }
 
-const TABLES: [Table; 3] = [
+const TABLES: [Table; 2] = [
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
-    Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
 ];
 
 /// Computes the tables and puts each in its place.
@@ -93,11 +91,6 @@ mod tests {
     #[test]
     fn the_paper_s_claims_in_the_documents_are_what_the_experiments_print() {
         is_what_is_printed("paper");
-    }
-
-    #[test]
-    fn the_reactions_in_the_documents_are_what_the_faults_show() {
-        is_what_is_printed("faults");
     }
 
     #[test]

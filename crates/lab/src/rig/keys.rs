@@ -365,6 +365,24 @@ mod tests {
     use moca_sim::foam::ElasticLaw;
 
     #[test]
+    fn protection_is_as_published_as_shipped_or_a_file_s() {
+        let mut settings = Settings::paper(Law::Impedance);
+        let published = settings.config.protection.clone();
+        settings.set("protection=default").unwrap();
+        assert_eq!(settings.config.protection, ProtectionConfig::default());
+        settings.set("protection=off").unwrap();
+        assert_eq!(settings.config.protection, published);
+        let path = std::env::temp_dir().join(format!("moca-protection-{}.toml", std::process::id()));
+        std::fs::write(&path, "[protection]\nforce_limit_n = 60.0\n").unwrap();
+        settings.set(&format!("protection={}", path.display())).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        assert!((settings.config.protection.force_limit_n - 60.0).abs() < 1e-12);
+        assert!(settings.config.protection.override_statement.is_empty());
+        let refused = format!("{:#}", settings.set("protection=nowhere.toml").unwrap_err());
+        assert!(refused.contains("nowhere.toml"), "{refused}");
+    }
+
+    #[test]
     fn an_unknown_key_lists_every_key() {
         let error = Settings::paper(Law::Impedance).set("person.wieght=3").unwrap_err().to_string();
         assert!(KEYS.iter().all(|key| error.contains(key.name)), "{error}");

@@ -9,7 +9,6 @@ use crate::robustness::trial;
 use anyhow::Result;
 use moca_daemon::inject::FAULTS;
 use serde::Serialize;
-use std::fmt::Write as _;
 
 /// Every fault that can be injected, the mode it ends in and how many ticks the reaction takes.
 #[derive(clap::Args)]
@@ -36,8 +35,8 @@ struct Row {
     told: Option<String>,
 }
 
-fn rows(seed: u64) -> Result<Vec<Row>> {
-    let trials = parallel::run("faults", FAULTS, |fault| trial::run(*fault, seed, 10_000), |_| {});
+pub(crate) fn run(arguments: &Arguments) -> Result<()> {
+    let trials = parallel::run("faults", FAULTS, |fault| trial::run(*fault, arguments.seed, 10_000), |_| {});
     let mut rows = Vec::new();
     for trial in trials {
         let trial = trial?;
@@ -54,29 +53,6 @@ fn rows(seed: u64) -> Result<Vec<Row>> {
             told: trial.told,
         });
     }
-    Ok(rows)
-}
-
-/// The same as a table in Markdown.
-pub(crate) fn markdown() -> Result<String> {
-    let mut out = String::from(
-        "| fault | what happens | mode at the end | cause | reaction, ticks | way, mm |\n|---|---|---|---|---|---|\n",
-    );
-    for row in rows(1)? {
-        let ticks = row.reaction_ticks.map_or("–".into(), |ticks| ticks.to_string());
-        let (cause, way_mm) = (row.cause.unwrap_or("–"), row.way_mm);
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            out,
-            "| `{}` | {} | {} | {cause} | {ticks} | {way_mm:.1} |",
-            row.fault, row.what, row.mode
-        );
-    }
-    Ok(out)
-}
-
-pub(crate) fn run(arguments: &Arguments) -> Result<()> {
-    let rows = rows(arguments.seed)?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&rows)?);
         return Ok(());
