@@ -119,3 +119,33 @@ fn a_live_recording_replays_bit_for_bit() {
     let (shown, said) = (text(&replayed.stdout), text(&replayed.stderr));
     assert!(replayed.status.success() && shown.contains("every bit the same"), "{shown}{said}");
 }
+
+#[test]
+fn a_file_that_never_ends_or_never_begins_is_a_mistake_that_is_named() {
+    let fifo = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("fifo-{}", std::process::id()));
+    let _ = std::fs::remove_file(&fifo);
+    assert!(Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+    let named = |text: String| file("devices.toml", &text).display().to_string();
+    let zero = named("[board]\ncalibration = \"/dev/zero\"\n".into());
+    for path in ["/dev/zero", fifo.to_str().unwrap(), &zero] {
+        let output = mocad(&["--check", "--config", path]);
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{path}: {said}");
+        assert!(said.contains("not a regular file"), "{path}: {said}");
+    }
+}
+
+#[test]
+fn a_home_that_cannot_be_written_costs_the_flight_recorder_and_not_the_run() {
+    let config = file("no-home.toml", ANY_PORT);
+    let output = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"))
+        .args(["--duration", "1", "--config", config.to_str().unwrap()])
+        .env("HOME", "/proc")
+        .env_remove("XDG_STATE_HOME")
+        .env_remove("STATE_DIRECTORY")
+        .output()
+        .unwrap();
+    let shown = text(&output.stdout);
+    assert!(output.status.success(), "{shown}{}", text(&output.stderr));
+    assert!(shown.contains("no flight recorder") && shown.contains("/proc/.local"), "{shown}");
+}

@@ -230,6 +230,12 @@ fn the_loop_does_not_allocate_in_any_mode() {
         assert_eq!(run(&mut world, 1).mode, law.into());
         ask(&mut world, Request::PressTaxel { taxel: 2, force_n: 0.0 }).unwrap();
         ask(&mut world, Request::Disarm).unwrap();
+        let touched = ask(&mut world, Request::Arm);
+        assert!(
+            matches!(touched, Err(Refusal::Touched { taxel: 2, force_n }) if force_n > 5.0),
+            "{touched:?}"
+        );
+        run(&mut world, 500);
     }
     ask(&mut world, Request::Arm).unwrap();
     world.feed.board().set_fault(Some(BoardFault::I2cLost));

@@ -113,6 +113,32 @@ pub enum Fault {
     OperatorLost,
     /// A controller refused its input or gave a value outside its limits.
     ControlRefused,
+    /// No good frame within the deadline, because this PC did not run the threads that bring it.
+    HostStarved,
+    /// Good frames come, but too seldom to be used.
+    BoardSlow,
+    /// A joint is faster than the arm allows where it is.
+    JointSpeed {
+        /// 0 is the first joint.
+        joint: u8,
+    },
+    /// The flange is faster than `limits.flange_speed_m_s`.
+    FlangeSpeed,
+    /// The flange is further from where it is wanted than `limits.pose_error_m` or `limits.pose_error_rad`.
+    PoseError,
+    /// The sensor chip says that it does not measure: over-current, or an electrode out of its range.
+    BoardChip,
+}
+
+/// What has to be done before a stop can be resumed, besides that its cause is gone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Clearing {
+    /// Nothing.
+    Resume,
+    /// A tare, finished since the stop.
+    Tare,
+    /// Only a restart helps.
+    Restart,
 }
 
 impl Fault {
@@ -125,6 +151,7 @@ impl Fault {
             Self::BoardFrozen => "board-frozen",
             Self::BoardReset => "board-reset",
             Self::BoardThresholds => "board-thresholds",
+            Self::BoardChip => "board-chip",
             Self::BoardCommonMode => "board-common-mode",
             Self::CalibrationMismatch => "calibration-mismatch",
             Self::TaxelInvalid { .. } => "taxel-invalid",
@@ -135,6 +162,11 @@ impl Fault {
             Self::BaseStale => "base-stale",
             Self::OperatorLost => "operator-lost",
             Self::ControlRefused => "control-refused",
+            Self::HostStarved => "host-starved",
+            Self::BoardSlow => "board-slow",
+            Self::JointSpeed { .. } => "joint-speed",
+            Self::FlangeSpeed => "flange-speed",
+            Self::PoseError => "pose-error",
         }
     }
 
@@ -147,7 +179,10 @@ impl Fault {
             Self::BoardFrozen => {
                 "The Touch Board sends frames, but its data is frozen: I2C to the sensor chip lost."
             }
-            Self::BoardReset => "Every value of the Touch Board is 0: the sensor chip was reset.",
+            Self::BoardReset => "The Touch Board's sensor chip was reset.",
+            Self::BoardChip => {
+                "The Touch Board's sensor chip does not measure: over-current, or an electrode out of its range."
+            }
             Self::BoardThresholds => {
                 "The Touch Board's threshold registers changed: bus garbage or a new sketch."
             }
@@ -163,14 +198,56 @@ impl Fault {
             Self::BaseStale => "The base's state has not been renewed within its deadline.",
             Self::OperatorLost => "The panel that armed the robot is gone.",
             Self::ControlRefused => "The controller refused its input.",
+            Self::HostStarved => "This PC was too busy to read the Touch Board within its deadline.",
+            Self::BoardSlow => "The Touch Board's frames come too seldom to be used.",
+            Self::JointSpeed { .. } => "A joint moved faster than the arm allows.",
+            Self::FlangeSpeed => "The flange moved faster than its limit.",
+            Self::PoseError => "The flange was further from where it is wanted than its limit.",
         }
     }
 
     /// What the supervisor does.
     pub const fn reaction(self) -> Reaction {
+        match self.clearing() {
+            Clearing::Restart => Reaction::Fault,
+            Clearing::Resume | Clearing::Tare => Reaction::ProtectiveStop,
+        }
+    }
+
+    /// What the supervisor demands before it resumes; [`Fault::remedy`] says the same.
+    pub const fn clearing(self) -> Clearing {
         match self {
-            Self::StateInvalid | Self::PlantLost | Self::ControlRefused => Reaction::Fault,
-            _ => Reaction::ProtectiveStop,
+            Self::OperatorStop
+            | Self::OperatorLost
+            | Self::BoardSilent
+            | Self::BoardSlow
+            | Self::HostStarved
+            | Self::ArmStale
+            | Self::BaseStale
+            | Self::CalibrationMismatch
+            | Self::JointSpeed { .. }
+            | Self::FlangeSpeed
+            | Self::PoseError => Clearing::Resume,
+            Self::BoardLost
+            | Self::BoardFrozen
+            | Self::BoardReset
+            | Self::BoardThresholds
+            | Self::BoardChip
+            | Self::BoardCommonMode
+            | Self::TaxelInvalid { .. }
+            | Self::ZeroInvalid => Clearing::Tare,
+            Self::StateInvalid | Self::PlantLost | Self::ControlRefused => Clearing::Restart,
+        }
+    }
+
+    /// Whether a tare may be what ends it, so that it must not be refused for it: the zero is what is wrong, or the
+    /// tare itself finds out.
+    pub const fn a_tare_may_end_it(self) -> bool {
+        use crate::TaxelStatus::{Dead, Drifted, NoZero, Noisy, Stuck};
+        match self {
+            Self::ZeroInvalid | Self::BoardCommonMode => true,
+            Self::TaxelInvalid { status, .. } => matches!(status, Dead | Drifted | NoZero | Noisy | Stuck),
+            _ => false,
         }
     }
 
@@ -178,24 +255,84 @@ impl Fault {
     pub const fn remedy(self) -> &'static str {
         match self {
             Self::OperatorStop => "Resume when it is safe.",
+            Self::JointSpeed { .. } | Self::FlangeSpeed | Self::PoseError => {
+                "See what pushed or blocked the arm, and the gains; resume when it is safe."
+            }
             Self::ArmStale | Self::BaseStale => {
                 "Check the robot's network and drives; when states come again: resume."
             }
             Self::OperatorLost => "Connect a panel; resume when it is safe.",
-            Self::BoardSilent | Self::BoardLost => {
-                "Check cable and power; when frames come again: tare, then resume."
+            Self::BoardSilent => "Check cable and power; when frames come again: resume.",
+            Self::BoardSlow => {
+                "Check the board's sketch and this PC's load; when frames come in time: resume."
             }
-            Self::BoardFrozen | Self::BoardReset | Self::BoardThresholds => {
+            Self::HostStarved => {
+                "Run with real-time rights (`mocad doctor`) or end other programs; then resume."
+            }
+            Self::BoardLost => "Check cable and power; when frames come again: tare, then resume.",
+            Self::BoardFrozen | Self::BoardReset | Self::BoardThresholds | Self::BoardChip => {
                 "Power-cycle the board; when frames are good: tare, then resume."
             }
             Self::BoardCommonMode => "Check the board's supply and ground; then tare and resume.",
             Self::CalibrationMismatch => {
-                "Flash the sketch named in the calibration file, or calibrate again."
+                "Flash the sketch named in the calibration file, or calibrate again; then resume."
             }
             Self::TaxelInvalid { .. } => "Check the taxel's plate and wire; then tare and resume.",
             Self::ZeroInvalid => "Step away from the cover and tare, then resume.",
             Self::StateInvalid | Self::PlantLost | Self::ControlRefused => {
                 "Read the log, remove the cause, restart the daemon."
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::TaxelStatus;
+
+    #[test]
+    fn the_text_of_a_stop_says_what_resuming_demands() {
+        let mut faults = [
+            Fault::OperatorStop,
+            Fault::BoardSilent,
+            Fault::BoardLost,
+            Fault::BoardFrozen,
+            Fault::BoardReset,
+            Fault::BoardThresholds,
+            Fault::BoardChip,
+            Fault::BoardCommonMode,
+            Fault::CalibrationMismatch,
+            Fault::ZeroInvalid,
+            Fault::StateInvalid,
+            Fault::PlantLost,
+            Fault::ArmStale,
+            Fault::BaseStale,
+            Fault::OperatorLost,
+            Fault::ControlRefused,
+            Fault::HostStarved,
+            Fault::BoardSlow,
+            Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Noisy },
+        ];
+        faults.sort_by_key(|fault| fault.code());
+        for pair in faults.windows(2) {
+            assert_ne!(pair[0].code(), pair[1].code());
+        }
+        for fault in faults {
+            let remedy = fault.remedy();
+            let says = (
+                remedy.contains("tare"),
+                (remedy.contains("resume") || remedy.contains("Resume")),
+                remedy.contains("restart"),
+            );
+            let demanded = match fault.clearing() {
+                Clearing::Resume => (false, true, false),
+                Clearing::Tare => (true, true, false),
+                Clearing::Restart => (false, false, true),
+            };
+            assert_eq!(says, demanded, "{}: {}", fault.code(), fault.remedy());
+            if fault.a_tare_may_end_it() {
+                assert_eq!(fault.clearing(), Clearing::Tare, "{}", fault.code());
             }
         }
     }

@@ -49,7 +49,7 @@ pub enum Request {
 }
 
 /// Why a request was not carried out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Refusal {
     /// Not allowed in this mode.
@@ -76,6 +76,13 @@ pub enum Refusal {
     NotCommander,
     /// The loop did not answer in time.
     NoAnswer,
+    /// The cover feels a touch: the robot would move at once.
+    Touched {
+        /// 0 is T1.
+        taxel: u8,
+        /// N.
+        force_n: f64,
+    },
 }
 
 /// The loop's answer.

@@ -36,6 +36,7 @@ enum Order {
 pub struct PtyBoard {
     path: PathBuf,
     orders: Option<Sender<Order>>,
+    pulse: Arc<AtomicU64>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -55,11 +56,18 @@ impl PtyBoard {
         let board = VirtualBoard::new(config)?;
         let port = Port::open(path)?;
         let (orders, received) = channel();
+        let pulse = Arc::new(AtomicU64::new(0));
+        let beats = Arc::clone(&pulse);
         let thread = std::thread::Builder::new()
             .name("touch-board".into())
-            .spawn(move || run(board, port, &forces, &received))
+            .spawn(move || run(board, port, &forces, &received, &beats))
             .map_err(|error| os("start the board's thread", &error))?;
-        Ok(Self { path: path.to_owned(), orders: Some(orders), thread: Some(thread) })
+        Ok(Self { path: path.to_owned(), orders: Some(orders), pulse, thread: Some(thread) })
+    }
+
+    /// A count that the board's thread raises whenever it runs, every millisecond.
+    pub fn pulse(&self) -> Arc<AtomicU64> {
+        Arc::clone(&self.pulse)
     }
 
     /// Where to open the port.
@@ -177,9 +185,16 @@ fn link(path: &Path, port: &Path) -> Result<(), SimError> {
     fs::rename(&fresh, path).map_err(failed)
 }
 
-fn run(mut board: VirtualBoard, mut port: Port, forces: &SharedForces, orders: &Receiver<Order>) {
+fn run(
+    mut board: VirtualBoard,
+    mut port: Port,
+    forces: &SharedForces,
+    orders: &Receiver<Order>,
+    pulse: &AtomicU64,
+) {
     let start = Instant::now();
     loop {
+        pulse.fetch_add(1, Ordering::Relaxed);
         match orders.try_recv() {
             Ok(Order::Unplug) => port.unplug(),
             Ok(Order::Replug) => {

@@ -10,7 +10,7 @@ use std::io;
 use std::path::Path;
 use std::string::{String, ToString};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use std::vec::Vec;
@@ -51,6 +51,7 @@ impl Default for PortSelection {
 #[derive(Debug)]
 pub struct SerialBoard {
     stop: Arc<AtomicBool>,
+    pulse: Arc<AtomicU64>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -68,11 +69,17 @@ impl SerialBoard {
     ) -> io::Result<(Self, rtrb::Consumer<BoardEvent>)> {
         let (producer, consumer) = rtrb::RingBuffer::new(RING_EVENTS);
         let stop = Arc::new(AtomicBool::new(false));
-        let mut reader =
-            Reader { outbox: Outbox { producer, bytes_lost: 0, stop: Arc::clone(&stop) }, baud, start };
+        let pulse = Arc::new(AtomicU64::new(0));
+        let outbox = Outbox { producer, bytes_lost: 0, stop: Arc::clone(&stop) };
+        let mut reader = Reader { outbox, baud, start, pulse: Arc::clone(&pulse) };
         let thread =
             std::thread::Builder::new().name("touch-board".to_string()).spawn(move || reader.run(&port))?;
-        Ok((Self { stop, thread: Some(thread) }, consumer))
+        Ok((Self { stop, pulse, thread: Some(thread) }, consumer))
+    }
+
+    /// A count that the thread raises whenever it runs, at least every 50 ms while the port is open.
+    pub fn pulse(&self) -> Arc<AtomicU64> {
+        Arc::clone(&self.pulse)
     }
 }
 
@@ -128,6 +135,7 @@ struct Reader {
     outbox: Outbox,
     baud: u32,
     start: Instant,
+    pulse: Arc<AtomicU64>,
 }
 
 impl Reader {
@@ -180,6 +188,7 @@ impl Reader {
         let mut any = false;
         let mut buffer = [0; Chunk::CAPACITY];
         while !self.outbox.stopped() {
+            self.pulse.fetch_add(1, Ordering::Relaxed);
             match port.read(&mut buffer) {
                 Ok(0) => return any,
                 Ok(count) => {

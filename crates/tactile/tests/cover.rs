@@ -297,6 +297,39 @@ fn silence_is_stale_within_120_ms_and_recovers_without_a_tare() {
 }
 
 #[test]
+fn silence_while_the_host_did_not_run_is_the_hosts() {
+    let mut bench = Bench::tared();
+    let at_ns = bench.now_ns + 110_000_000;
+    bench.cover.event(0, &BoardEvent::Starved { at_ns });
+    assert_eq!(bench.cover.poll(at_ns).fault, None, "nothing is late yet");
+    let poll = bench.cover.poll(at_ns + 20_000_000);
+    assert_eq!((poll.fault, poll.forces), (Some(Fault::HostStarved), Err((0, TaxelStatus::Stale))));
+    assert_eq!(bench.cover.poll(at_ns + 990_000_000).fault, Some(Fault::HostStarved));
+    assert_eq!(
+        bench.cover.poll(at_ns + 1_010_000_000).fault,
+        Some(Fault::BoardSilent),
+        "a dead board after all"
+    );
+    bench.now_ns += 30_000_000;
+    bench.frame();
+    assert_eq!(bench.fault(), None);
+    bench.now_ns += 130_000_000;
+    assert_eq!(bench.fault(), Some(Fault::BoardSilent), "the next silence is the board's again");
+}
+
+#[test]
+fn frames_that_come_too_seldom_are_called_that_and_no_plate_is_blamed() {
+    let mut bench = Bench::tared();
+    for _ in 0..20 {
+        bench.now_ns += 111_000_000 - PERIOD_NS;
+        bench.frame();
+    }
+    assert_eq!(bench.fault(), Some(Fault::BoardSlow), "9 Hz");
+    bench.frames(2);
+    assert_eq!(bench.fault(), None);
+}
+
+#[test]
 fn frozen_reset_and_changed_thresholds_void_the_zero() {
     let mut bench = Bench::tared();
     bench.sigma = [0.0; 12];
@@ -409,7 +442,11 @@ fn two_boards_make_one_cover_as_old_as_the_older() {
     cover.push(0, &bytes, 50_000_000);
     assert_eq!(cover.poll(50_000_000).reading.sampled_at_ns, None, "the second board has not spoken");
     cover.push(1, &bytes, 60_000_000);
-    assert_eq!(cover.poll(60_000_000).reading.sampled_at_ns, Some(38_000_000));
+    assert_eq!(
+        cover.poll(60_000_000).reading.sampled_at_ns,
+        Some(33_000_000),
+        "at worst 17 ms before the line of the older"
+    );
     cover.push(7, &bytes, 60_000_000);
     assert_eq!(cover.boards().len(), 2);
 }

@@ -13,7 +13,7 @@ use anyhow::{Context, Result, anyhow, bail, ensure};
 use moca_tactile::TaxelModel;
 use moca_tactile::calibration::quality::evaluation_cost_ns;
 use moca_tactile::calibration::session::Target;
-use moca_tactile::calibration::{ModelKind, Quality};
+use moca_tactile::calibration::{ModelKind, Quality, read_bytes};
 use moca_telemetry::calibration::CalibrationProgress;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -23,6 +23,9 @@ use std::time::{Duration, Instant};
 const GAUGE_STARTS_WITHIN: Duration = Duration::from_secs(10);
 /// How often the ports are looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// Longest recorded stream or table that is read, bytes: hours of a board.
+const STREAM_BYTES_MAX: u64 = 1 << 28;
 
 /// Arguments of `mocad calibrate`.
 #[derive(clap::Args, Clone, Debug)]
@@ -169,7 +172,8 @@ struct Recording {
 
 impl Recording {
     fn read(stream: &Path, times: &Path, force: &Path) -> Result<Self> {
-        let bytes = std::fs::read(stream).with_context(|| format!("cannot read {}", stream.display()))?;
+        let bytes = read_bytes(stream, STREAM_BYTES_MAX)
+            .with_context(|| format!("cannot read {}", stream.display()))?;
         Ok(Self { bytes, times: pairs(times)?, force: pairs(force)? })
     }
 }
@@ -215,7 +219,9 @@ fn recorded(
 
 /// Lines of two numbers.
 fn pairs(path: &Path) -> anyhow::Result<Vec<(f64, f64)>> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let bytes =
+        read_bytes(path, STREAM_BYTES_MAX).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = String::from_utf8(bytes).with_context(|| format!("cannot read {}", path.display()))?;
     let pair = |(number, line): (usize, &str)| {
         let mut fields = line.split_whitespace().map(str::parse::<f64>);
         match (fields.next(), fields.next(), fields.next()) {

@@ -132,6 +132,7 @@ mod tests {
     #[derive(Default)]
     struct Flow {
         open: bool,
+        waiting: bool,
         written: Vec<u8>,
     }
 
@@ -152,6 +153,7 @@ mod tests {
 
     impl Write for Valve {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.0.lock().unwrap().waiting = true;
             let mut flow = self.0.1.wait_while(self.0.0.lock().unwrap(), |flow| !flow.open).unwrap();
             flow.written.extend_from_slice(bytes);
             Ok(bytes.len())
@@ -173,13 +175,17 @@ mod tests {
     fn a_stalled_terminal_costs_lines_which_are_counted_and_told() {
         let valve = Valve::default();
         let mut terminal = Terminal::onto(valve.clone(), Level::Info, false).unwrap();
+        while !valve.0.0.lock().unwrap().waiting {
+            changes_of_mode(&mut terminal, 1);
+            std::thread::sleep(Duration::from_millis(1));
+        }
         changes_of_mode(&mut terminal, 5000);
         assert!(terminal.lost() > 3000, "{}", terminal.lost());
         valve.open();
         let until = Instant::now() + Duration::from_secs(20);
         while !valve.text().contains("lines lost") && Instant::now() < until {
             std::thread::sleep(Duration::from_millis(5));
-            changes_of_mode(&mut terminal, 1);
+            changes_of_mode(&mut terminal, 2);
         }
         drop(terminal);
         assert!(valve.text().contains("lines lost"), "{}", valve.text());

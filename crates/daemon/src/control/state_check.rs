@@ -23,7 +23,8 @@ pub struct StateDoor {
 }
 
 impl StateDoor {
-    /// Lets `state` in, measured `dt_s` after the last one.
+    /// Lets `state` in, measured `dt_s` after the last one. What comes after a stale one is compared with nothing: the
+    /// robot may have been moved meanwhile, and a law starts from where it is.
     ///
     /// # Errors
     /// [`Fault::ArmStale`] and [`Fault::BaseStale`] beyond their deadlines, [`Fault::StateInvalid`] for a value that is
@@ -34,11 +35,15 @@ impl StateDoor {
         age: SourceAge,
         dt_s: f64,
     ) -> Result<RobotState<JOINTS>, Fault> {
-        if age.arm_s > ARM_DEADLINE_S {
-            return Err(Fault::ArmStale);
-        }
-        if age.base_s > BASE_DEADLINE_S {
-            return Err(Fault::BaseStale);
+        let fresh = |age_s: f64, deadline_s: f64| age_s <= deadline_s; // an age that is not a number is none
+        let stale = match (fresh(age.arm_s, ARM_DEADLINE_S), fresh(age.base_s, BASE_DEADLINE_S)) {
+            (false, _) => Some(Fault::ArmStale),
+            (true, false) => Some(Fault::BaseStale),
+            (true, true) => None,
+        };
+        if let Some(fault) = stale {
+            self.last = None;
+            return Err(fault);
         }
         if !finite(&state) || self.last.is_some_and(|last| jumped(&last, &state, dt_s)) {
             return Err(Fault::StateInvalid);
@@ -97,11 +102,27 @@ mod tests {
     }
 
     #[test]
+    fn a_robot_that_was_moved_while_its_state_was_stale_is_taken_where_it_is() {
+        let mut door = StateDoor::default();
+        door.check(state(), FRESH, 1e-3).unwrap();
+        assert_eq!(door.check(state(), SourceAge { arm_s: 0.0, base_s: 0.2 }, 1e-3), Err(Fault::BaseStale));
+        let mut moved = state();
+        (moved.base_pose_world, moved.q_rad[2]) = ([1.0, -2.0, 0.7], 0.4);
+        assert!(door.check(moved, FRESH, 1e-3).is_ok(), "no restart for that");
+        moved.base_pose_world[0] += 0.2;
+        assert_eq!(door.check(moved, FRESH, 1e-3), Err(Fault::StateInvalid), "from there on jumps are jumps");
+    }
+
+    #[test]
     fn what_is_not_a_number_or_too_old_is_named() {
         let mut door = StateDoor::default();
         let arm = SourceAge { arm_s: 2.0 * ARM_DEADLINE_S, base_s: 0.0 };
         assert_eq!(door.check(state(), arm, 1e-3), Err(Fault::ArmStale));
         let base = SourceAge { arm_s: 0.0, base_s: 2.0 * BASE_DEADLINE_S };
+        assert_eq!(door.check(state(), base, 1e-3), Err(Fault::BaseStale));
+        let (arm, base) =
+            (SourceAge { arm_s: f64::NAN, base_s: 0.0 }, SourceAge { arm_s: 0.0, base_s: f64::NAN });
+        assert_eq!(door.check(state(), arm, 1e-3), Err(Fault::ArmStale));
         assert_eq!(door.check(state(), base, 1e-3), Err(Fault::BaseStale));
         let mut wrong = state();
         wrong.flange_wrench_world = Some([f64::NAN; 6]);

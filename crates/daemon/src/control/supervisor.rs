@@ -2,6 +2,7 @@
 //!
 //! Its rules are the rows of [`EDGES`]; an edge that is not there cannot be taken.
 
+use moca_msgs::mode::Clearing;
 use moca_msgs::{Fault, Law, Mode, Outcome, Reaction, Refusal, Request};
 
 /// Every allowed change of mode. A law is reached only from `Ready` (or from the other law), `Ready` only through a
@@ -48,8 +49,25 @@ pub enum Zero {
     Valid,
 }
 
+/// A taxel that feels a force.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Touch {
+    /// 0 is T1.
+    pub taxel: u8,
+    /// N.
+    pub force_n: f64,
+}
+
+impl Touch {
+    /// The strongest of `forces_n`, T1 first; `None` where nothing is felt.
+    pub fn strongest(forces_n: &[f64]) -> Option<Self> {
+        let felt = (0_u8..).zip(forces_n).filter(|(_, force_n)| **force_n > 0.0);
+        felt.max_by(|a, b| a.1.total_cmp(b.1)).map(|(taxel, &force_n)| Self { taxel, force_n })
+    }
+}
+
 /// What is true at one tick.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Facts {
     /// Whether the cover has ever given a good frame.
     pub cover_seen: bool,
@@ -59,6 +77,8 @@ pub struct Facts {
     pub zero: Zero,
     /// What is wrong with the plant or the controller now.
     pub plant_fault: Option<Fault>,
+    /// Who touches the cover.
+    pub touch: Option<Touch>,
 }
 
 /// What the supervisor may do by itself.
@@ -111,6 +131,8 @@ pub struct Supervisor {
     automatic: Automatic,
     before_tare: Mode,
     start_tare: bool,
+    /// The stop can be resumed only after a tare.
+    tare_owed: bool,
     robot: bool,
 }
 
@@ -124,6 +146,7 @@ impl Supervisor {
             automatic,
             before_tare: Mode::Starting,
             start_tare: false,
+            tare_owed: false,
             robot: true,
         }
     }
@@ -182,16 +205,30 @@ impl Supervisor {
                 self.cause = facts.cover_fault.or(refused);
             }
             Mode::Taring | Mode::Ready | Mode::Impedance | Mode::FollowMe => {
-                if let Some(fault) = facts.cover_fault {
+                let taring = self.mode == Mode::Taring;
+                if let Some(fault) = facts.cover_fault.filter(|fault| !(taring && fault.a_tare_may_end_it()))
+                {
                     self.stop(fault);
                 } else if self.mode != Mode::Taring && facts.zero != Zero::Valid {
                     self.stop(Fault::ZeroInvalid);
                 }
             }
-            // The first cause stays until resume, unless it was the operator's and a real one has come since.
+            // The first cause stays until resume, unless it was the operator's and a real one has come since, or the cover
+            // now needs a tare which that cause does not speak of.
             Mode::ProtectiveStop => {
-                if matches!(self.cause, None | Some(Fault::OperatorStop)) && facts.cover_fault.is_some() {
-                    self.cause = facts.cover_fault;
+                let asked = matches!(self.cause, None | Some(Fault::OperatorStop));
+                let no_zero =
+                    matches!(facts.zero, Zero::Invalid | Zero::Refused).then_some(Fault::ZeroInvalid);
+                let cover =
+                    facts.cover_fault.filter(|_| asked).or(facts.cover_fault.or(no_zero).filter(|fault| {
+                        let silent = matches!(
+                            self.cause,
+                            Some(Fault::BoardSilent | Fault::BoardSlow | Fault::HostStarved)
+                        );
+                        (asked || silent) && fault.clearing() == Clearing::Tare
+                    }));
+                if cover.is_some() {
+                    self.blame(cover);
                 }
             }
         }
@@ -215,6 +252,9 @@ impl Supervisor {
             Request::Tare => self.tare(facts),
             Request::Arm if !self.robot => Err(Refusal::NoRobot),
             Request::Arm => {
+                if let Some(Touch { taxel, force_n }) = facts.touch {
+                    return Err(Refusal::Touched { taxel, force_n });
+                }
                 self.go(self.law.into());
                 Ok(())
             }
@@ -240,7 +280,7 @@ impl Supervisor {
         if let Some(fault) = facts.plant_fault.or(facts.cover_fault) {
             return Err(Refusal::CauseRemains(fault));
         }
-        if facts.zero != Zero::Valid {
+        if facts.zero != Zero::Valid || self.tare_owed {
             return Err(Refusal::ZeroInvalid);
         }
         self.go(Mode::Ready);
@@ -248,7 +288,8 @@ impl Supervisor {
     }
 
     fn tare(&mut self, facts: &Facts) -> Outcome {
-        if let Some(fault) = facts.plant_fault.or(facts.cover_fault) {
+        let cover_fault = facts.cover_fault.filter(|fault| !fault.a_tare_may_end_it());
+        if let Some(fault) = facts.plant_fault.or(cover_fault) {
             return Err(Refusal::CauseRemains(fault));
         }
         if !facts.cover_seen {
@@ -268,10 +309,14 @@ impl Supervisor {
             }
             Mode::Taring if !self.start_tare => match (facts.zero, self.before_tare) {
                 (Zero::Taring, _) => {}
-                (Zero::Valid, Mode::ProtectiveStop) => self.go(Mode::ProtectiveStop),
+                (Zero::Valid, Mode::ProtectiveStop) => {
+                    self.tare_owed = false;
+                    self.go(Mode::ProtectiveStop);
+                }
                 (Zero::Valid, _) => {
+                    self.tare_owed = false;
                     self.go(Mode::Ready);
-                    if self.automatic.arm {
+                    if self.automatic.arm && facts.cover_fault.is_none() && facts.touch.is_none() {
                         self.automatic.arm = false;
                         self.go(self.law.into());
                     }
@@ -292,8 +337,13 @@ impl Supervisor {
         };
         if self.mode != target && self.mode != Mode::Fault {
             self.go(target);
-            self.cause = Some(fault);
+            self.blame(Some(fault));
         }
+    }
+
+    fn blame(&mut self, cause: Option<Fault>) {
+        self.cause = cause;
+        self.tare_owed |= cause.is_some_and(|fault| fault.clearing() == Clearing::Tare);
     }
 
     fn go(&mut self, to: Mode) {
@@ -311,8 +361,12 @@ impl Supervisor {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use moca_msgs::TaxelStatus;
 
-    const GOOD: Facts = Facts { cover_seen: true, cover_fault: None, zero: Zero::Valid, plant_fault: None };
+    const GOOD: Facts =
+        Facts { cover_seen: true, cover_fault: None, zero: Zero::Valid, plant_fault: None, touch: None };
+    const DRIFTED: Fault = Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Drifted };
+    const HAND: Touch = Touch { taxel: 5, force_n: 12.0 };
     const REQUESTS: [Option<Request>; 9] = [
         None,
         Some(Request::Tare),
@@ -324,13 +378,15 @@ mod tests {
         Some(Request::OperatorLost),
         Some(Request::Resume),
     ];
-    const FACTS: [Facts; 8] = [
+    const FACTS: [Facts; 10] = [
         Facts { cover_seen: false, zero: Zero::Invalid, ..GOOD },
         Facts { zero: Zero::Invalid, ..GOOD },
         Facts { zero: Zero::Taring, ..GOOD },
         Facts { zero: Zero::Refused, ..GOOD },
         GOOD,
         Facts { cover_fault: Some(Fault::BoardSilent), ..GOOD },
+        Facts { cover_fault: Some(DRIFTED), ..GOOD },
+        Facts { touch: Some(HAND), ..GOOD },
         Facts { plant_fault: Some(Fault::StateInvalid), ..GOOD },
         Facts { plant_fault: Some(Fault::BaseStale), ..GOOD },
     ];
@@ -377,6 +433,9 @@ mod tests {
                     assert_eq!((facts.cover_fault, facts.plant_fault), (None, None), "motion under a fault");
                     assert_eq!(facts.zero, Zero::Valid, "motion without a zero");
                 }
+                if mode.moves() && !before.moves() {
+                    assert_eq!(facts.touch, None, "armed under a hand");
+                }
                 if before == Mode::Fault {
                     assert_eq!(mode, Mode::Fault, "fault is left only by a restart");
                 }
@@ -417,6 +476,80 @@ mod tests {
         assert_eq!(run(&mut supervisor, &steps).mode, Mode::ProtectiveStop, "a tare alone does not resume");
         assert_eq!(supervisor.step(&GOOD, Some(Request::Resume)).mode, Mode::Ready);
         assert_eq!(supervisor.cause(), None);
+    }
+
+    fn ask(supervisor: &mut Supervisor, facts: Facts, request: Request) -> Outcome {
+        supervisor.step(&facts, Some(request)).outcome.expect("an answer")
+    }
+
+    fn tared(supervisor: &mut Supervisor, at_first: Facts) -> Mode {
+        assert_eq!(ask(supervisor, at_first, Request::Tare), Ok(()));
+        run(supervisor, &[(Facts { zero: Zero::Taring, ..at_first }, None), (GOOD, None)]).mode
+    }
+
+    #[test]
+    fn nobody_arms_a_robot_that_is_being_touched() {
+        let touched = Facts { touch: Touch::strongest(&[0.0, 3.0, 12.0, 12.0, 0.0]), ..GOOD };
+        let refusal = Err(Refusal::Touched { taxel: 3, force_n: 12.0 });
+        let mut supervisor = armed();
+        assert_eq!(ask(&mut supervisor, touched, Request::Disarm), Ok(()));
+        assert_eq!(ask(&mut supervisor, touched, Request::Arm), refusal);
+        assert_eq!(ask(&mut supervisor, GOOD, Request::Arm), Ok(()));
+        assert_eq!(
+            ask(&mut supervisor, touched, Request::SelectLaw(Law::FollowMe)),
+            Ok(()),
+            "a law may change"
+        );
+        assert_eq!(ask(&mut supervisor, touched, Request::Stop), Ok(()));
+        assert_eq!(ask(&mut supervisor, touched, Request::Resume), Ok(()), "which moves nothing");
+        assert_eq!(ask(&mut supervisor, touched, Request::Arm), refusal);
+        assert_eq!(supervisor.mode(), Mode::Ready);
+        assert_eq!(Touch::strongest(&[0.0; 11]), None);
+    }
+
+    #[test]
+    fn what_a_stop_demands_is_what_its_text_says() {
+        // A taxel that comes back by itself: its text asks for a tare, so resuming does too.
+        let mut supervisor = armed();
+        supervisor.step(&Facts { cover_fault: Some(DRIFTED), ..GOOD }, None);
+        assert_eq!(ask(&mut supervisor, GOOD, Request::Resume), Err(Refusal::ZeroInvalid));
+        assert_eq!(tared(&mut supervisor, GOOD), Mode::ProtectiveStop);
+        assert_eq!(ask(&mut supervisor, GOOD, Request::Resume), Ok(()));
+
+        // Silence: the text asks for nothing but frames.
+        let mut supervisor = armed();
+        supervisor.step(&Facts { cover_fault: Some(Fault::BoardSilent), ..GOOD }, None);
+        assert_eq!(ask(&mut supervisor, GOOD, Request::Resume), Ok(()));
+
+        // An operator's stop during the tare that a fault demands does not make up for it.
+        let mut supervisor = armed();
+        supervisor.step(&Facts { cover_fault: Some(DRIFTED), ..GOOD }, None);
+        assert_eq!(ask(&mut supervisor, GOOD, Request::Tare), Ok(()));
+        let taring = Facts { zero: Zero::Taring, ..GOOD };
+        assert_eq!(ask(&mut supervisor, taring, Request::Stop), Ok(()));
+        assert_eq!(ask(&mut supervisor, GOOD, Request::Resume), Err(Refusal::ZeroInvalid));
+
+        // Where a tare has become necessary since, the text says so.
+        let mut supervisor = armed();
+        supervisor.step(&Facts { cover_fault: Some(Fault::BoardSilent), ..GOOD }, None);
+        supervisor.step(&Facts { zero: Zero::Invalid, ..GOOD }, None);
+        assert_eq!(supervisor.cause(), Some(Fault::ZeroInvalid));
+    }
+
+    #[test]
+    fn a_tare_is_taken_where_it_ends_the_fault_and_refused_where_it_cannot() {
+        let mut supervisor = armed();
+        let drifted = Facts { cover_fault: Some(DRIFTED), ..GOOD };
+        supervisor.step(&drifted, None);
+        assert_eq!(tared(&mut supervisor, drifted), Mode::ProtectiveStop);
+        assert_eq!(ask(&mut supervisor, GOOD, Request::Resume), Ok(()));
+
+        let frozen = Facts { cover_fault: Some(Fault::BoardFrozen), ..GOOD };
+        supervisor.step(&frozen, None);
+        assert_eq!(
+            ask(&mut supervisor, frozen, Request::Tare),
+            Err(Refusal::CauseRemains(Fault::BoardFrozen))
+        );
     }
 
     #[test]

@@ -1,6 +1,34 @@
 //! What a board's port says on its way to the cover, copied for those who keep or calibrate it.
 
 use moca_tactile::BoardEvent;
+use moca_tactile::board::STARVED_FOR_NS;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// A thread that brings bytes and has not run for this long, or bytes that have waited for so long, are the host's doing,
+/// ns. Longer than a reader waits for a byte, shorter than the silence that stops the robot.
+const STARVED_NS: u64 = 100_000_000;
+
+/// How often a starving host is told of, ns.
+const TELL_AGAIN_NS: u64 = STARVED_FOR_NS / 2;
+
+/// A thread's sign of life.
+struct Pulse {
+    count: Arc<AtomicU64>,
+    last: u64,
+    changed_ns: u64,
+}
+
+impl Pulse {
+    /// Whether the thread has not run for [`STARVED_NS`].
+    fn has_stopped(&mut self, now_ns: u64) -> bool {
+        let count = self.count.load(Ordering::Relaxed);
+        if count != self.last {
+            (self.last, self.changed_ns) = (count, now_ns);
+        }
+        now_ns.saturating_sub(self.changed_ns) > STARVED_NS
+    }
+}
 
 /// A board event with its number since the start, as a recorder gets it: a gap in the numbers is a loss.
 pub type NumberedEvent = (u64, BoardEvent);
@@ -10,13 +38,17 @@ pub struct BoardEvents {
     events: rtrb::Consumer<BoardEvent>,
     recorder: Option<rtrb::Producer<NumberedEvent>>,
     calibrator: Option<rtrb::Producer<BoardEvent>>,
+    pulses: Vec<Pulse>,
+    told_ns: Option<u64>,
+    arrived_ns: u64,
     taken: u64,
 }
 
 impl BoardEvents {
     /// Of one board, copied for nobody.
-    pub const fn new(events: rtrb::Consumer<BoardEvent>) -> Self {
-        Self { events, recorder: None, calibrator: None, taken: 0 }
+    pub fn new(events: rtrb::Consumer<BoardEvent>) -> Self {
+        let pulses = Vec::new();
+        Self { events, recorder: None, calibrator: None, pulses, told_ns: None, arrived_ns: 0, taken: 0 }
     }
 
     /// Copies each event for a recorder.
@@ -31,9 +63,43 @@ impl BoardEvents {
         Self { calibrator: Some(calibrator), ..self }
     }
 
+    /// Watches the threads that bring the bytes by these counts, which each raises when it runs.
+    #[must_use]
+    pub fn with_pulses(self, counts: impl IntoIterator<Item = Arc<AtomicU64>>) -> Self {
+        let pulse = |count| Pulse { count, last: 0, changed_ns: 0 };
+        Self { pulses: counts.into_iter().map(pulse).collect(), ..self }
+    }
+
     /// The next event, if one has come.
     pub fn take(&mut self) -> Option<BoardEvent> {
         let event = self.events.pop().ok()?;
+        if let BoardEvent::Bytes(chunk) = &event {
+            self.arrived_ns = chunk.arrival_ns;
+        }
+        Some(self.copied(event))
+    }
+
+    /// An event of its own when one of the watched threads has stopped running, or bytes have waited too long; the next
+    /// one comes [`TELL_AGAIN_NS`] later.
+    pub fn take_starved(&mut self, now_ns: u64) -> Option<BoardEvent> {
+        let mut starved = false;
+        for pulse in &mut self.pulses {
+            starved |= pulse.has_stopped(now_ns);
+        }
+        let waited = !self.events.is_empty() && now_ns.saturating_sub(self.arrived_ns) > STARVED_NS;
+        starved |= waited && !self.pulses.is_empty();
+        if !starved {
+            self.told_ns = None;
+        }
+        let due = self.told_ns.is_none_or(|told_ns| now_ns.saturating_sub(told_ns) >= TELL_AGAIN_NS);
+        let tells = starved && due;
+        if tells {
+            self.told_ns = Some(now_ns);
+        }
+        tells.then(|| self.copied(BoardEvent::Starved { at_ns: now_ns }))
+    }
+
+    fn copied(&mut self, event: BoardEvent) -> BoardEvent {
         if let Some(recorder) = &mut self.recorder {
             let _ = recorder.push((self.taken, event));
         }
@@ -41,7 +107,7 @@ impl BoardEvents {
             let _ = calibrator.push(event);
         }
         self.taken += 1;
-        Some(event)
+        event
     }
 
     /// Events taken since the start.
@@ -53,6 +119,46 @@ impl BoardEvents {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use moca_tactile::Chunk;
+
+    #[test]
+    fn a_thread_that_does_not_run_is_told_of_until_it_runs_again() {
+        let (_port, events) = rtrb::RingBuffer::new(8);
+        let counts = [Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0))];
+        let mut events = BoardEvents::new(events).with_pulses(counts.clone());
+        let mut told = |now_ms: u64, running: bool| {
+            counts[0].fetch_add(1, Ordering::Relaxed);
+            counts[1].fetch_add(u64::from(running), Ordering::Relaxed);
+            events.take_starved(now_ms * 1_000_000)
+        };
+        assert_eq!(told(50, true), None);
+        assert_eq!(told(140, false), None);
+        assert_eq!(told(160, false), Some(BoardEvent::Starved { at_ns: 160_000_000 }));
+        assert_eq!(told(170, false), None);
+        assert_eq!(told(600, false), None);
+        assert!(told(661, false).is_some());
+        assert_eq!(told(680, true), None);
+        assert!(told(781, false).is_some());
+    }
+
+    #[test]
+    fn bytes_that_waited_are_the_hosts_doing() {
+        let (mut port, events) = rtrb::RingBuffer::new(8);
+        let count = Arc::new(AtomicU64::new(0));
+        let mut events = BoardEvents::new(events).with_pulses([Arc::clone(&count)]);
+        for arrival_ms in [10, 20, 120] {
+            port.push(BoardEvent::Bytes(Chunk::new(arrival_ms * 1_000_000, b"x"))).unwrap();
+        }
+        count.store(1, Ordering::Relaxed);
+        events.take().unwrap();
+        assert!(
+            events.take_starved(115_000_000).is_some(),
+            "taken 105 ms after it came, and more is waiting"
+        );
+        while events.take().is_some() {}
+        assert_eq!(events.take_starved(121_000_000), None);
+        assert_eq!(events.taken(), 4, "the event counts as taken");
+    }
 
     #[test]
     fn a_copy_without_room_is_a_gap_in_the_numbers_and_the_cover_misses_nothing() {

@@ -36,6 +36,7 @@ impl Gauge {
                 BoardEvent::Opened { .. } => self.problem = None,
                 BoardEvent::OpenFailed { why, .. } => self.problem = Some(why.text()),
                 BoardEvent::Closed { .. } => self.problem = Some("its port closed"),
+                BoardEvent::Starved { .. } => {}
                 BoardEvent::Gap { .. } => self.text = GaugeText::default(),
             }
         }

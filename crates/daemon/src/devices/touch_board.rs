@@ -39,12 +39,16 @@ impl CoverSource for ByteCover {
             let Some(event) = self.events.take() else { break };
             self.cover.event(0, &event);
         }
+        if let Some(event) = self.events.take_starved(now_ns) {
+            self.cover.event(0, &event);
+        }
         let poll = self.cover.poll(now_ns);
         let board = self.cover.boards().next();
         let stats = board.map(|board| *board.stats()).unwrap_or_default();
         CoverState {
             reading: poll.reading,
             forces: poll.forces,
+            early: poll.early,
             fault: poll.fault.filter(|fault| *fault != Fault::ZeroInvalid),
             zero: self.zero(),
             counts: self.cover.counts(),

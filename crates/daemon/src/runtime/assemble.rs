@@ -14,11 +14,12 @@ use crate::devices::touch_board::ByteCover;
 use crate::inject::{self, Cable, Injection, Named, What};
 use crate::robot::{PlantKind, TAXELS};
 use crate::runtime::clock::Clock;
+use crate::runtime::realtime::{self, Raised};
 use anyhow::{Context, Result};
 use moca_tactile::Cover;
 use moca_telemetry::net::CalibrationPort;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// Events on their way to the calibrator: over ten seconds of a Touch Board.
 const RING_EVENTS: usize = 4096;
@@ -52,7 +53,11 @@ pub fn cover_config(config: &Config) -> Result<moca_tactile::CoverConfig<TAXELS>
 
 #[cfg(feature = "sim")]
 pub(crate) fn board_config(config: &Config) -> moca_sim::VirtualBoardConfig {
-    moca_sim::VirtualBoardConfig { seed: config.simulation.seed, ..Default::default() }
+    moca_sim::VirtualBoardConfig {
+        firmware: config.board.firmware,
+        seed: config.simulation.seed,
+        ..Default::default()
+    }
 }
 
 /// A simulated robot with everything that a live loop needs; the board and its reader end with it.
@@ -77,9 +82,11 @@ pub(crate) fn assemble(
     let mut port = config.board.port.clone();
     if config.plant.parts.has_cover() && config.board.port == crate::config::VIRTUAL_PORT {
         let true_forces = moca_sim::SharedForces::default();
+        let (_raised, _) = Raised::below(config.realtime.priority);
         let board =
             PtyBoard::spawn(board_config(config), Arc::clone(&true_forces), &PtyBoard::default_path())?;
         port = board.path().display().to_string();
+        subscribers.pulses.push(board.pulse());
         (forces, virtual_board) = (Some(true_forces), Some(board));
     }
     subscribers.reference = forces.clone().map(|forces| {
@@ -109,6 +116,8 @@ pub(crate) struct Subscribers {
     pub(crate) copies: Option<rtrb::Producer<NumberedEvent>>,
     pub(crate) moving: Arc<AtomicBool>,
     pub(crate) reference: Option<Reference>,
+    /// Signs of life of the threads that bring the bytes, besides the reader's.
+    pub(crate) pulses: Vec<Arc<AtomicU64>>,
 }
 
 /// What stands between a Touch Board's port and the loop.
@@ -121,6 +130,8 @@ pub(crate) struct OpenBoard {
 pub(crate) struct HeldBoard {
     pub(crate) port: String,
     pub(crate) calibration: Option<CalibrationPort>,
+    /// What the threads that bring its bytes were given.
+    pub(crate) priority: Option<realtime::Step>,
     _threads: (service::Calibrator, ports::Reader),
 }
 
@@ -129,13 +140,16 @@ pub(crate) fn open_board(
     clock: Clock,
     port: String,
     injection: Option<&Injection>,
-    Subscribers { copies, moving, mut reference }: Subscribers,
+    Subscribers { copies, moving, mut reference, mut pulses }: Subscribers,
 ) -> Result<OpenBoard> {
     let asked = || format!("a cover (plant.parts), read live at board.port = {:?}", config.board.port);
+    let (raised, priority) = Raised::below(config.realtime.priority);
     let (reader, mut events) = ports::open(&port, clock.instant()).with_context(asked)?;
+    pulses.push(reader.pulse());
     if let Some(Injection { fault: Named { what: What::Cable(fault), .. }, at_ns }) = injection {
         events = inject::relay(Cable::new(*fault, *at_ns, config.simulation.seed), events, clock)?;
     }
+    drop(raised);
     let cover_config = cover_config(config)?;
     let (to_calibrator, calibrator_events) = rtrb::RingBuffer::new(RING_EVENTS);
     let settings = service::Settings::new(config, cover_config.wiring);
@@ -145,8 +159,9 @@ pub(crate) fn open_board(
     }
     let now_ns = move || clock.now_ns();
     let (calibrator, calibration) = service::spawn(settings, calibrator_events, reference, moving, now_ns)?;
-    let events = BoardEvents::new(events).with_recorder(copies).with_calibrator(to_calibrator);
+    let events =
+        BoardEvents::new(events).with_recorder(copies).with_calibrator(to_calibrator).with_pulses(pulses);
     let cover = ByteCover::new(Cover::new(cover_config)?, events);
-    let held = HeldBoard { port, calibration: Some(calibration), _threads: (calibrator, reader) };
+    let held = HeldBoard { port, calibration: Some(calibration), priority, _threads: (calibrator, reader) };
     Ok(OpenBoard { cover, held })
 }

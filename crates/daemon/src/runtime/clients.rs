@@ -1,6 +1,6 @@
 //! Everything that watches the loop from outside: reporter, telemetry, log, flight recorder. A live loop waits for none.
 
-use crate::config::Config;
+use crate::config::{AUTO_FOLDER, Config};
 use crate::inject::{self, Disk, OutsideFault, Strike};
 use crate::record::flight_recorder::FlightRecorder;
 use crate::record::recording::{Recording, parameter_change};
@@ -18,6 +18,7 @@ use moca_telemetry::net::{self, Address, CalibrationPort, Ports, RequestSender, 
 use std::fs::File;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::Sender;
 use std::time::Duration;
 
 /// Samples a ring to observers holds: four seconds at 1 kHz.
@@ -103,7 +104,7 @@ fn recording(
     };
     let (config, live) = (&options.config, !options.lock_step);
     let recording = match spoiled.zip(strike) {
-        None => Recording::create(path, description(config), config, live)?,
+        None => Recording::create(path, options.record_split, description(config), config, live)?,
         Some((fault, strike)) => {
             let file = File::create_new(path).with_context(|| path.display().to_string())?;
             Recording::start(Disk::new(file, fault, strike.clone()), description(config), config, live)?
@@ -132,6 +133,18 @@ pub(crate) fn spoil_telemetry(
     Ok(inject::client(fault, address, strike.clone(), options.config.simulation.seed)?)
 }
 
+/// The flight recorder that the configuration asks for. A folder that it names must be there; where it leaves the choice,
+/// a run without that folder is still a run.
+fn flight_recorder(config: &Config, reporter: &mut dyn Reporter) -> Result<Option<FlightRecorder>> {
+    match FlightRecorder::new(config, description(config)) {
+        Err(error) if config.flight_recorder.folder == AUTO_FOLDER => {
+            reporter.report(Notice::Trouble(&format!("no flight recorder: {error:#}")));
+            Ok(None)
+        }
+        recorder => recorder,
+    }
+}
+
 /// Who takes what the loop notes of each tick.
 pub(crate) struct Observers {
     pub(crate) strike: Option<Strike>,
@@ -139,6 +152,8 @@ pub(crate) struct Observers {
     panics: bool,
     flight: Option<FlightRecorder>,
     ticks: TickLogReader,
+    /// Where dashboards hear of trouble with the disk.
+    pub(crate) notices: Option<Sender<String>>,
 }
 
 impl Observers {
@@ -147,13 +162,9 @@ impl Observers {
     pub(crate) fn new(options: &Options, ticks: TickLogReader, reporter: &mut dyn Reporter) -> Result<Self> {
         let strike = options.strike();
         let recording = recording(options, strike.as_ref(), reporter)?;
-        let flight = if options.lock_step {
-            None
-        } else {
-            FlightRecorder::new(&options.config, description(&options.config))?
-        };
+        let flight = if options.lock_step { None } else { flight_recorder(&options.config, reporter)? };
         let panics = options.outside_fault() == Some(OutsideFault::Panic);
-        Ok(Self { strike, recording, panics, flight, ticks })
+        Ok(Self { strike, recording, panics, flight, ticks, notices: None })
     }
 
     pub(crate) fn see(&mut self, sample: &Sample, reporter: &mut dyn Reporter) {
@@ -170,6 +181,17 @@ impl Observers {
         }
         if let Some(path) = self.flight.as_mut().and_then(|flight| flight.add(sample)) {
             reporter.report(Notice::FaultLog(&path));
+        }
+        let recording = self.recording.as_mut().and_then(Recording::trouble);
+        let recording = recording.map(|why| format!("nothing is recorded any more: {why}"));
+        let flight = self.flight.as_mut().and_then(FlightRecorder::trouble);
+        let flight = flight.map(|why| format!("the flight recorder failed: {why}"));
+        for trouble in recording.into_iter().chain(flight) {
+            reporter.report(Notice::Trouble(&trouble));
+            if let Some(notices) = &self.notices {
+                // A server that has ended has nobody to tell.
+                let _ = notices.send(trouble);
+            }
         }
     }
 
@@ -207,13 +229,14 @@ pub(crate) fn watch(
     samples: &mut rtrb::Consumer<Sample>,
     observers: &mut Observers,
     reporter: &mut dyn Reporter,
-    done: &AtomicBool,
+    (done, pulse): (&AtomicBool, &AtomicU64),
 ) -> Sample {
     let (mut last, mut heartbeat) = (Sample::default(), Heartbeat::new());
     loop {
         if !samples.is_empty() {
             heartbeat.beat();
         }
+        pulse.fetch_add(1, Ordering::Relaxed);
         let finished = done.load(Ordering::Acquire);
         while let Ok(sample) = samples.pop() {
             observers.see(&sample, reporter);

@@ -63,6 +63,9 @@ pub struct Shared {
     pub moving: Arc<AtomicBool>,
     /// Samples no observer had room for.
     pub samples_dropped: Arc<AtomicU64>,
+    /// A count that the thread of the observers raises whenever it runs, at normal priority: where it does not, neither
+    /// does what the kernel does for a port.
+    pub pulse: Arc<AtomicU64>,
 }
 
 /// What a finished loop leaves behind besides its parts.

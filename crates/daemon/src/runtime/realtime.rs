@@ -42,17 +42,46 @@ pub fn apply(wishes: &RealtimeConfig) -> (Vec<Step>, Held) {
     (steps, Held(latency))
 }
 
+/// While it lives the calling thread, and with it every thread that it starts, has a SCHED_FIFO priority.
+#[derive(Debug)]
+pub struct Raised(bool);
+
+impl Raised {
+    /// Raises the calling thread just below a loop of `loop_priority`; a loop of normal scheduling asks for nothing.
+    pub fn below(loop_priority: u8) -> (Self, Option<Step>) {
+        let Some(priority) = loop_priority.checked_sub(1).filter(|priority| *priority > 0) else {
+            return (Self(false), None);
+        };
+        let result = set_fifo(priority);
+        let raised = Self(result.is_ok());
+        (raised, Some(Step { what: format!("the board's bytes at SCHED_FIFO {priority}"), result }))
+    }
+}
+
+impl Drop for Raised {
+    fn drop(&mut self) {
+        if self.0 {
+            // Lowering one's own priority is always allowed.
+            let _ = set_policy(nix::libc::SCHED_OTHER, 0);
+        }
+    }
+}
+
 fn pin(cpu: usize) -> io::Result<()> {
     let mut set = CpuSet::new();
     set.set(cpu)?;
     Ok(sched_setaffinity(Pid::from_raw(0), &set)?)
 }
 
-#[expect(unsafe_code, reason = "no safe wrapper for sched_setscheduler in nix")]
 fn set_fifo(priority: u8) -> io::Result<()> {
+    set_policy(nix::libc::SCHED_FIFO, priority)
+}
+
+#[expect(unsafe_code, reason = "no safe wrapper for sched_setscheduler in nix")]
+fn set_policy(policy: nix::libc::c_int, priority: u8) -> io::Result<()> {
     let parameters = nix::libc::sched_param { sched_priority: i32::from(priority) };
     // SAFETY: 0 is the calling thread, and the pointer is to a live value that the call only reads.
-    let result = unsafe { nix::libc::sched_setscheduler(0, nix::libc::SCHED_FIFO, &raw const parameters) };
+    let result = unsafe { nix::libc::sched_setscheduler(0, policy, &raw const parameters) };
     if result == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
 }
 
@@ -60,4 +89,28 @@ fn hold_dma_latency() -> io::Result<File> {
     let mut file = OpenOptions::new().write(true).open("/dev/cpu_dma_latency")?;
     file.write_all(&0_i32.to_ne_bytes())?;
     Ok(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[expect(unsafe_code, reason = "no safe wrapper for sched_getscheduler in nix")]
+    fn policy() -> nix::libc::c_int {
+        // SAFETY: 0 is the calling thread; the call takes no pointer.
+        unsafe { nix::libc::sched_getscheduler(0) }
+    }
+
+    /// What a thread is started with is what its starter had; without the right to FIFO nothing changes and it is told.
+    #[test]
+    fn threads_started_while_raised_stay_below_the_loop_and_the_starter_comes_down() {
+        assert!(Raised::below(0).1.is_none() && Raised::below(1).1.is_none());
+        let (raised, step) = Raised::below(41);
+        let step = step.unwrap();
+        assert_eq!(step.what, "the board's bytes at SCHED_FIFO 40");
+        let expected = if step.result.is_ok() { nix::libc::SCHED_FIFO } else { nix::libc::SCHED_OTHER };
+        assert_eq!(std::thread::spawn(policy).join().unwrap(), expected);
+        drop(raised);
+        assert_eq!((policy(), std::thread::spawn(policy).join().unwrap()), (nix::libc::SCHED_OTHER, 0));
+    }
 }

@@ -19,7 +19,7 @@ use crate::runtime::tick_source::Timer;
 use crate::runtime::timing::Timing;
 use anyhow::{Context, Result, anyhow};
 use moca_msgs::Sample;
-use moca_telemetry::net::CalibrationPort;
+use moca_telemetry::net::{CalibrationPort, Server};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -140,13 +140,20 @@ pub fn live_simulated(
     let clock = Clock::start()?;
     let (log, copies, log_reader) = tick_log();
     let observers = Observers::new(options, log_reader, reporter)?;
-    let subscribers =
-        Subscribers { copies: Some(copies), moving: Arc::clone(&shared.moving), reference: None };
+    let subscribers = Subscribers {
+        copies: Some(copies),
+        moving: Arc::clone(&shared.moving),
+        pulses: vec![Arc::clone(&shared.pulse)],
+        ..Subscribers::default()
+    };
     let mut robot =
         crate::runtime::assemble::assemble(&options.config, clock, options.inject.as_ref(), subscribers)?;
     let simulated = robot.virtual_board.is_some();
     let calibration = robot.board.as_mut().and_then(|board| {
         reporter.report(Notice::Board { port: Some(&board.port), simulated });
+        if let Some(step) = &board.priority {
+            reporter.report(Notice::RealTime(step));
+        }
         board.calibration.take()
     });
     live(options, robot.control, (clock, log), (observers, calibration), shared, reporter)
@@ -160,10 +167,14 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn R
     let (log, copies, log_reader) = tick_log();
     let observers = Observers::new(options, log_reader, reporter)?;
     let port = config.board.port.clone();
-    let subscribers = Subscribers { copies: Some(copies), ..Subscribers::default() };
+    let pulses = vec![Arc::clone(&shared.pulse)];
+    let subscribers = Subscribers { copies: Some(copies), pulses, ..Subscribers::default() };
     let OpenBoard { cover, mut held } =
         open_board(config, clock, port, options.inject.as_ref(), subscribers)?;
     reporter.report(Notice::Board { port: Some(&held.port), simulated: false });
+    if let Some(step) = &held.priority {
+        reporter.report(Notice::RealTime(step));
+    }
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let plant = NoRobot::at(config.control.gains.posture_rad);
     let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s);
@@ -202,6 +213,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
             None
         }
     };
+    observers.notices = server.as_ref().map(Server::notices);
     spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
     let done = AtomicBool::new(false);
     let started = Instant::now();
@@ -228,7 +240,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
         let watched = catch_unwind(AssertUnwindSafe(|| {
             let refused = report_realtime(&steps.recv().unwrap_or_default(), reporter);
             reporter.report(Notice::Runs);
-            (refused, watch(&mut watched, &mut observers, reporter, done))
+            (refused, watch(&mut watched, &mut observers, reporter, (done, &shared.pulse)))
         }));
         if watched.is_err() {
             shared.stop.store(true, Ordering::Relaxed);
@@ -313,6 +325,7 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         Some(address) => Some(serve(config, &address, from_loop, None, request_ports, reporter)?),
         None => None,
     };
+    observers.notices = server.as_ref().map(Server::notices);
     spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
     let (mut last, mut ticks) = (Sample::default(), 0);
     let (mut allocated, mut warm) = (0, false);

@@ -89,5 +89,8 @@ pub fn refusal_text(refusal: Refusal) -> String {
             "another dashboard has the command: close it, or let it give the command back".into()
         }
         Refusal::NoAnswer => "the daemon does not answer".into(),
+        Refusal::Touched { taxel, force_n } => {
+            format!("T{} feels {force_n:.1} N: let go of the cover first", u16::from(taxel) + 1)
+        }
     }
 }

@@ -9,10 +9,12 @@ pub mod file;
 pub mod fit;
 pub mod quality;
 pub mod session;
+pub mod text_file;
 
 pub use file::CalibrationFile;
 pub use fit::{FitError, ModelKind, fit};
 pub use quality::{Quality, residuals};
+pub use text_file::{read_bytes, read_text};
 
 use std::vec::Vec;
 
