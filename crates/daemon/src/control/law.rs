@@ -12,7 +12,8 @@ use moca_msgs::{
 };
 use moca_wbc::{
     ArmController, ArmInput, ArmState, BaseController, BaseGuard, BaseInput, BaseState, ControlError,
-    ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose, LimitsHit, WholeBodyController,
+    ControlInput, ControlLaw, ControlOutput, ControllerState, Exceeded, FlangePose, LimitsHit,
+    WholeBodyController,
 };
 
 /// The controller of the parts that the robot has, with what it remembers from tick to tick.
@@ -128,7 +129,7 @@ impl Motion {
         }
     }
 
-    /// One tick's command in `mode`, `dt_s` after the last one.
+    /// One tick's command in `mode`, `dt_s` after the last one, and why the robot must stop: the command then holds.
     ///
     /// # Errors
     /// The fault to stop with; the order of that tick must then be [`Actuation::Brake`].
@@ -138,7 +139,7 @@ impl Motion {
         robot: &RobotState<JOINTS>,
         forces: &Result<[f64; TAXELS], (usize, TaxelStatus)>,
         dt_s: f64,
-    ) -> Result<ControlOutput<JOINTS>, Fault> {
+    ) -> Result<(ControlOutput<JOINTS>, Option<Fault>), Fault> {
         let law = match mode {
             Mode::Impedance => ControlLaw::Impedance,
             Mode::FollowMe => ControlLaw::FollowMe,
@@ -165,7 +166,31 @@ impl Motion {
                 taxel_force_n = contacts.force_n;
             }
         }
-        let output = match &mut self.controller {
+        let output = self.step(law, &robot, taxel_force_n, guard, dt_s)?;
+        if let Some(barrier) = &mut self.barrier {
+            barrier.remember(&output.flange, &robot);
+        }
+        let fault = output.exceeded.map(|exceeded| match exceeded {
+            Exceeded::JointSpeed(joint) => {
+                Fault::JointSpeed { joint: u8::try_from(joint).unwrap_or(u8::MAX) }
+            }
+            Exceeded::FlangeSpeed => Fault::FlangeSpeed,
+            Exceeded::PoseError => Fault::PoseError,
+        });
+        Ok((output, fault))
+    }
+
+    /// One step of the controller that the robot's parts need.
+    fn step(
+        &mut self,
+        law: ControlLaw,
+        robot: &RobotState<JOINTS>,
+        taxel_force_n: [f64; TAXELS],
+        guard: BaseGuard<TAXELS>,
+        dt_s: f64,
+    ) -> Result<ControlOutput<JOINTS>, Fault> {
+        let robot = *robot;
+        match &mut self.controller {
             Controller::Whole(controller, state) => {
                 let state = entered(state, || controller.enter(law, &robot))?;
                 let input = ControlInput { robot, taxel_force_n, flange_wrench_world: None, guard, dt_s };
@@ -201,15 +226,12 @@ impl Motion {
                     flange: output.flange,
                     flange_desired: output.flange_desired,
                     limits: output.limits,
+                    exceeded: output.exceeded,
                     ..WITHOUT_PARTS
                 })
             }
         }
-        .map_err(|_| Fault::ControlRefused)?;
-        if let Some(barrier) = &mut self.barrier {
-            barrier.remember(&output.flange, &robot);
-        }
-        Ok(output)
+        .map_err(|_| Fault::ControlRefused)
     }
 }
 
@@ -224,6 +246,7 @@ const WITHOUT_PARTS: ControlOutput<JOINTS> = {
         flange: NOWHERE,
         flange_desired: NOWHERE,
         limits: LimitsHit::NONE,
+        exceeded: None,
     }
 };
 
