@@ -2,12 +2,25 @@
 //!
 //! Force comes from FDAT against this zero, never from the chip's DIFF or TOUCH: its baseline absorbs a sustained
 //! press.
+//!
+//! ```
+//! use moca_tactile::zero::TaxelZero;
+//!
+//! let mut zero = TaxelZero { counts: 720.0, tared_counts: 720.0, deviation: 0.7, gain: 1.0 };
+//! assert_eq!(zero.drop(692), 28.0); // a press lowers FDAT
+//! for _ in 0..250 {
+//!     zero.follow(719, 0.004); // a second untouched, one count below: the zero follows slowly
+//! }
+//! assert!(zero.counts < 720.0 && zero.counts > 719.9 && !zero.drifted());
+//! ```
 
 use crate::datastream::FDAT_MAX;
 use moca_msgs::TaxelStatus;
 
 /// Frames in one tare (about 1 s at 40 Hz).
 pub const TARE_FRAMES: u32 = 40;
+/// Least time that they span, ns, so that a fast board averages as long.
+pub const TARE_TIME_NS: u64 = 550_000_000;
 /// A tare that has not finished in this time is given up, ns.
 pub const TARE_TIMEOUT_NS: u64 = 5_000_000_000;
 /// Largest standard deviation a tare accepts, counts (stock noise is 0.7).

@@ -402,7 +402,7 @@ impl LoggedMinute {
     }
 
     fn read_back(self, violations: &mut Vec<String>) -> Result<u64> {
-        let written = self.writer.finish()?.samples;
+        let written = self.writer.finish()?.displayed;
         let mut reader = LogReader::open(&self.path)?;
         let read = reader.by_ref().filter(|record| matches!(record, Record::Sample(_))).count() as u64;
         if read != written || reader.cut().is_some() {
