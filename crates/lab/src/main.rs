@@ -11,7 +11,7 @@ use clap::{Parser, Subcommand};
 use cover::{characterize, latency, stream, threshold};
 use numerics::{economy, extremes, precision, stability, sweep, tick, vectors};
 use paper::report;
-use robustness::{clients, faults, soak};
+use robustness::{clients, faults, lean, soak};
 use std::process::ExitCode;
 
 /// Experiments and checks of MOCA-S.
@@ -31,6 +31,7 @@ enum Command {
     Docs(docs::Arguments),
     Extremes(extremes::Arguments),
     Faults(faults::Arguments),
+    Lean(lean::Arguments),
     /// From touch to force, stage by stage; whether the contact is stable and how fast the base may go.
     Latency(latency::Arguments),
     /// What watching costs the live loop: overruns and publish stage with and without observers.
@@ -74,6 +75,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Docs(arguments) => docs::run(&arguments),
         Command::Extremes(arguments) => extremes::run(&arguments),
         Command::Faults(arguments) => faults::run(&arguments),
+        Command::Lean(arguments) => lean::run(&arguments),
         Command::Latency(arguments) => latency::run(&arguments),
         Command::Observers(arguments) => clients::run(&arguments),
         Command::Precision(arguments) => precision::run(&arguments),

@@ -2,7 +2,9 @@
 //!
 //! 1. The whole dashboard with a full minute at 1 kHz in every plot: layout, curves and triangles, without the
 //!    graphics driver.
-//! 2. The plot of 11 taxels alone, decimated by the pyramid and raw, in turns in the same run.
+//! 2. The window with the page 3-D, every plate pressed, and with a page that holds a line of text, in turns: the robot
+//!    in three dimensions costs the difference.
+//! 3. The plot of 11 taxels alone, decimated by the pyramid and raw, in turns in the same run.
 #![allow(clippy::print_stdout, reason = "a program that prints its result")]
 
 use egui::{Context, RawInput, Rect, Ui, pos2, vec2};
@@ -12,7 +14,7 @@ use moca_monitor::{
         signals::{history::History, panel::Signal},
         source::playback::Playback,
     },
-    ui::App,
+    ui::{App, Page},
 };
 use moca_msgs::{Mode, Sample, TaxelReading, TaxelStatus, board::Diagnosis};
 use moca_telemetry::RobotDescription;
@@ -55,6 +57,8 @@ fn sample(tick: u32) -> Sample {
         base_velocity_world: [t.cos(), -t.sin(), 0.1],
         flange_position_world: [0.5 + 1e-3 * t.sin(), 1e-3 * t.cos(), 1.1],
         flange_desired_position_world: [0.5, 0.0, 1.1],
+        flange_quaternion_world: [1.0, 0.0, 0.0, 0.0],
+        flange_desired_quaternion_world: [1.0, 0.0, 0.0, 0.0],
         flange_wrench_world: [t.sin(), t.cos(), (3.0 * t).sin(), 0.0, 0.0, 0.0],
         cover_wrench_base: [10.0 * t.sin(), 5.0 * t.cos(), t.sin()],
         frame_age_s: 0.03,
@@ -72,16 +76,25 @@ fn sample(tick: u32) -> Sample {
 }
 
 fn whole_dashboard(samples: Vec<Sample>) {
+    let window = |page: Page, name: &str| print_row(name, pictures_of(page, samples.clone()));
+    window(Page::Plots, "whole dashboard, 60 s at 1 kHz in every plot");
+    for round in 1..=3 {
+        window(Page::Robot3d, &format!("whole dashboard, page 3-D (round {round})"));
+        window(Page::Calibrate, &format!("whole dashboard, a page of text (round {round})"));
+    }
+}
+
+fn pictures_of(page: Page, samples: Vec<Sample>) -> Vec<f64> {
     let ctx = Context::default();
     let mut log = Playback::of(RobotDescription::paper("bench", true), samples);
     log.seek(f64::from(MINUTE) * 1e-3);
     let mut app = App::new(&ctx, log, String::new(), None);
     app.show_last_s(60.0);
-    let times = pictures(&ctx, PICTURES, |ui| {
+    app.show_page(page);
+    pictures(&ctx, PICTURES, |ui| {
         app.update(&ui.ctx().clone());
         app.show(ui);
-    });
-    print_row("whole dashboard, 60 s at 1 kHz in every plot", times);
+    })
 }
 
 fn plot_alone(history: &History, taxels: &[Signal], pixels: usize, count: u32) -> Vec<f64> {

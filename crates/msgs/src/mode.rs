@@ -117,6 +117,17 @@ pub enum Fault {
     HostStarved,
     /// Good frames come, but too seldom to be used.
     BoardSlow,
+    /// A joint is faster than the arm allows where it is.
+    JointSpeed {
+        /// 0 is the first joint.
+        joint: u8,
+    },
+    /// The flange is faster than `limits.flange_speed_m_s`.
+    FlangeSpeed,
+    /// The flange is further from where it is wanted than `limits.pose_error_m` or `limits.pose_error_rad`.
+    PoseError,
+    /// The sensor chip says that it does not measure: over-current, or an electrode out of its range.
+    BoardChip,
 }
 
 /// What has to be done before a stop can be resumed, besides that its cause is gone.
@@ -140,6 +151,7 @@ impl Fault {
             Self::BoardFrozen => "board-frozen",
             Self::BoardReset => "board-reset",
             Self::BoardThresholds => "board-thresholds",
+            Self::BoardChip => "board-chip",
             Self::BoardCommonMode => "board-common-mode",
             Self::CalibrationMismatch => "calibration-mismatch",
             Self::TaxelInvalid { .. } => "taxel-invalid",
@@ -152,6 +164,9 @@ impl Fault {
             Self::ControlRefused => "control-refused",
             Self::HostStarved => "host-starved",
             Self::BoardSlow => "board-slow",
+            Self::JointSpeed { .. } => "joint-speed",
+            Self::FlangeSpeed => "flange-speed",
+            Self::PoseError => "pose-error",
         }
     }
 
@@ -164,7 +179,10 @@ impl Fault {
             Self::BoardFrozen => {
                 "The Touch Board sends frames, but its data is frozen: I2C to the sensor chip lost."
             }
-            Self::BoardReset => "Every value of the Touch Board is 0: the sensor chip was reset.",
+            Self::BoardReset => "The Touch Board's sensor chip was reset.",
+            Self::BoardChip => {
+                "The Touch Board's sensor chip does not measure: over-current, or an electrode out of its range."
+            }
             Self::BoardThresholds => {
                 "The Touch Board's threshold registers changed: bus garbage or a new sketch."
             }
@@ -182,6 +200,9 @@ impl Fault {
             Self::ControlRefused => "The controller refused its input.",
             Self::HostStarved => "This PC was too busy to read the Touch Board within its deadline.",
             Self::BoardSlow => "The Touch Board's frames come too seldom to be used.",
+            Self::JointSpeed { .. } => "A joint moved faster than the arm allows.",
+            Self::FlangeSpeed => "The flange moved faster than its limit.",
+            Self::PoseError => "The flange was further from where it is wanted than its limit.",
         }
     }
 
@@ -203,11 +224,15 @@ impl Fault {
             | Self::HostStarved
             | Self::ArmStale
             | Self::BaseStale
-            | Self::CalibrationMismatch => Clearing::Resume,
+            | Self::CalibrationMismatch
+            | Self::JointSpeed { .. }
+            | Self::FlangeSpeed
+            | Self::PoseError => Clearing::Resume,
             Self::BoardLost
             | Self::BoardFrozen
             | Self::BoardReset
             | Self::BoardThresholds
+            | Self::BoardChip
             | Self::BoardCommonMode
             | Self::TaxelInvalid { .. }
             | Self::ZeroInvalid => Clearing::Tare,
@@ -230,6 +255,9 @@ impl Fault {
     pub const fn remedy(self) -> &'static str {
         match self {
             Self::OperatorStop => "Resume when it is safe.",
+            Self::JointSpeed { .. } | Self::FlangeSpeed | Self::PoseError => {
+                "See what pushed or blocked the arm, and the gains; resume when it is safe."
+            }
             Self::ArmStale | Self::BaseStale => {
                 "Check the robot's network and drives; when states come again: resume."
             }
@@ -242,7 +270,7 @@ impl Fault {
                 "Run with real-time rights (`mocad doctor`) or end other programs; then resume."
             }
             Self::BoardLost => "Check cable and power; when frames come again: tare, then resume.",
-            Self::BoardFrozen | Self::BoardReset | Self::BoardThresholds => {
+            Self::BoardFrozen | Self::BoardReset | Self::BoardThresholds | Self::BoardChip => {
                 "Power-cycle the board; when frames are good: tare, then resume."
             }
             Self::BoardCommonMode => "Check the board's supply and ground; then tare and resume.",
@@ -272,6 +300,7 @@ mod tests {
             Fault::BoardFrozen,
             Fault::BoardReset,
             Fault::BoardThresholds,
+            Fault::BoardChip,
             Fault::BoardCommonMode,
             Fault::CalibrationMismatch,
             Fault::ZeroInvalid,

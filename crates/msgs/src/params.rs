@@ -84,6 +84,13 @@ parameter_table! {
             => [.range(0.01, 50.0).units(&["m/s²", "m/s²", "rad/s²"]).live().lab("limit.base_acceleration")];
         /// Largest force believed from one taxel.
         taxel_force_n: f64 = 200.0 => [.range(1.0, 1e4).units(&["N"]).live()];
+        /// Speed of the flange in W beyond which the robot stops; above what base limits and reference speed add up to.
+        flange_speed_m_s: f64 = 1.0 => [.range(0.01, 3.0).units(&["m/s"]).lab("limit.flange_speed")];
+        /// Distance of the flange from where it is wanted beyond which the robot stops: beyond the 0.1 m that the law
+        /// acts on it is no longer held.
+        pose_error_m: f64 = 0.2 => [.range(0.001, 1.0).units(&["m"]).lab("limit.pose_error")];
+        /// Angle of the flange to its wanted orientation beyond which the robot stops.
+        pose_error_rad: f64 = 0.8 => [.range(0.01, 3.2).units(&["rad"]).lab("limit.angle_error")];
     }
     besides {
         /// Nominal control period, s: rate limits credit no more time than this, however late a step is. Configured as

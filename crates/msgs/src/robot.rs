@@ -36,6 +36,8 @@ pub struct ArmTable<const N: usize> {
     pub q_max_rad: [f64; N],
     /// Joint speed limits, rad/s.
     pub dq_max_rad_s: [f64; N],
+    /// How much slower the joints must be before the ends of their ranges; `None` where the limits are constant.
+    pub speed_envelope: Option<SpeedEnvelope<N>>,
     /// Joint torque limits, N·m.
     pub torque_max_nm: [f64; N],
     /// Posture in which the arm starts and to which the null space returns, rad.
@@ -44,6 +46,16 @@ pub struct ArmTable<const N: usize> {
     pub posture_stiffness_nm_rad: [f64; N],
     /// Null-space posture damping that goes with it, N·m·s/rad. eq. (11)
     pub posture_damping_nm_s_rad: [f64; N],
+}
+
+/// Joint speed limits that fall towards the ends of the ranges, so that the arm's brakes can stop it there:
+/// |q̇| ≤ min(dq_max, max(0, √(2·a·d) − o)) at a distance d from the end that the joint moves to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpeedEnvelope<const N: usize> {
+    /// o, rad/s.
+    pub offset_rad_s: [f64; N],
+    /// a, rad/s².
+    pub deceleration_rad_s2: [f64; N],
 }
 
 impl<const N: usize> ArmTable<N> {
@@ -186,6 +198,7 @@ pub const PANDA: ArmTable<7> = ArmTable {
     q_min_rad: [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
     q_max_rad: [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973],
     dq_max_rad_s: [2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61],
+    speed_envelope: None,
     torque_max_nm: [87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0],
     home_rad: [0.0, -PI / 4.0, 0.0, -3.0 * PI / 4.0, 0.0, PI / 2.0, PI / 4.0],
     // ASSUMED, tuned in simulation: the paper gives none
@@ -193,7 +206,8 @@ pub const PANDA: ArmTable<7> = ArmTable {
     posture_damping_nm_s_rad: [10.0, 10.0, 10.0, 10.0, 5.0, 3.5, 1.7],
 };
 
-/// Franka Research 3: the Panda's kinematics with its own inertials and limits (`franka_description`, `robots/fr3`).
+/// Franka Research 3: the Panda's kinematics with its own inertials and limits (`franka_description`, `robots/fr3`:
+/// `inertials.yaml`, `joint_limits.yaml`).
 pub const FR3: ArmTable<7> = ArmTable {
     name: "Franka Research 3",
     links: [
@@ -283,9 +297,13 @@ pub const FR3: ArmTable<7> = ArmTable {
         ),
     ],
     link0: link(2.3966, [-0.0172, 0.0004, 0.0745], [0.0090, 0.0, 0.0020, 0.0115, 0.0, 0.0085]),
-    q_min_rad: [-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159],
-    q_max_rad: [2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159],
+    q_min_rad: [-2.9007, -1.8361, -2.9007, -3.0770, -2.8763, 0.4398, -3.0508],
+    q_max_rad: [2.9007, 1.8361, 2.9007, -0.1169, 2.8763, 4.6216, 3.0508],
     dq_max_rad_s: [2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26],
+    speed_envelope: Some(SpeedEnvelope {
+        offset_rad_s: [0.6520, 0.2500, 0.2005, 0.3542, 0.5738, 0.4885, 0.4592],
+        deceleration_rad_s2: [6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0],
+    }),
     ..PANDA
 };
 
@@ -313,6 +331,7 @@ pub const UR10E: ArmTable<6> = ArmTable {
     link0: link(4.0, [0.0; 3], [0.006106333333333333, 0.0, 0.0, 0.006106333333333333, 0.0, 0.01125]),
     q_min_rad: [-2.0 * PI, -2.0 * PI, -PI, -2.0 * PI, -2.0 * PI, -2.0 * PI],
     q_max_rad: [2.0 * PI, 2.0 * PI, PI, 2.0 * PI, 2.0 * PI, 2.0 * PI],
+    speed_envelope: None,
     dq_max_rad_s: [2.0 * PI / 3.0, 2.0 * PI / 3.0, PI, PI, PI, PI],
     torque_max_nm: [330.0, 330.0, 150.0, 56.0, 56.0, 56.0],
     home_rad: [0.0, -2.0, 2.0, -FRAC_PI_2, -FRAC_PI_2, 0.0],

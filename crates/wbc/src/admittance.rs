@@ -21,10 +21,15 @@ use nalgebra::Matrix3;
 /// v + dt·τ/M at D = 0. Stable for every D/M and dt. eq. (2)
 #[inline]
 pub fn step<T: Scalar>(velocity: T, force: T, mass: T, damping: T, dt_s: T) -> T {
+    velocity + mean_share(mass, damping, dt_s) * dt_s / mass * (force - damping * velocity)
+}
+
+/// Mean acceleration of [`step`] over its `dt_s`, of the one at its start: (1 − e^(−x))/x with x = D·dt/M.
+#[inline]
+pub(crate) fn mean_share<T: Scalar>(mass: T, damping: T, dt_s: T) -> T {
     let x = damping * dt_s / mass;
-    // (1 − e^(−x))/x keeps its digits as D → 0
-    let mean = if x > T::default_epsilon() { -(-x).exp_m1() / x } else { T::one() };
-    velocity + mean * dt_s / mass * (force - damping * velocity)
+    // keeps its digits as D → 0
+    if x > T::default_epsilon() { -(-x).exp_m1() / x } else { T::one() }
 }
 
 /// Exact zero-order hold of eq. (2) on all three axes.

@@ -42,11 +42,18 @@
 //! the arm base before eq. (12). The controlled frame E is the flange, or the tool if [`moca_msgs::Payload`] sets one.
 //! The external wrench comes from the caller, else from the robot, else from the momentum observer, in that order.
 //!
+//! # What the base is refused
+//! Guard, speed and acceleration limits take from the base's motion what eq. (6) has already counted on; left to the arm
+//! it would throw it (100 N on T6 60 mm, 60 N at reactivity 10 958 mm). [`opspace::ArmDynamics::torque_for_refused`]
+//! gives the tool what the base does not do: `moca-lab lean` prints what is left of every lean and blow. A joint beyond
+//! the arm's own speed limit, a flange beyond [`Limits`]' speed or pose error ends the law: [`Exceeded`], and the posture
+//! is held.
+//!
 //! # Ends of the range
 //! Each row is a test of `tests/extremes.rs`; `moca-lab extremes` prints condition numbers, errors and times.
 //! | end | what to expect |
 //! |---|---|
-//! | arm upright (singular) | the direction that cannot move gets no torque; the arm folds out within the saturated error |
+//! | arm upright (singular) | the direction that cannot move gets no torque; the arm folds out, and a joint that gets too fast ends the law |
 //! | near it by 1e-2 … 1e-8 rad | error ≤ 16·ε·condition, bounded torques; singular to rounding at 1e-8 (f64), 1e-4 (f32) |
 //! | η_B/η_A = 1e-3 … 1e3 | torques exact to 1e-14; below 0.01 the literal law lets base and servo chatter, bounded by the limits |
 //! | M_v = 0.01 … 1000 kg | stable; with `null_space_damping` below 0.5 kg refused: it would chatter on any real servo |
@@ -108,7 +115,7 @@ pub use cover_map::cover_wrench;
 pub use error::ControlError;
 pub use gains::GAIN_FILTER_S;
 pub use guard::BaseGuard;
-pub use limits::LimitsHit;
+pub use limits::{Exceeded, LimitsHit};
 pub use moca_msgs::{
     ArmTable, BaseTable, Corrections, ImpedanceGains, Law, Limits, Mount, ParameterError, Parameters,
     Payload, RobotCommand, RobotState, TaxelPlacement, robot,

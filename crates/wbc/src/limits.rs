@@ -201,6 +201,90 @@ impl<T: Scalar> BaseLimits<T> {
     }
 }
 
+/// A motion that no law goes on with: stop, and hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Exceeded {
+    /// A joint (0 is the first) is faster than the arm allows where it is.
+    JointSpeed(usize),
+    /// The controlled frame is faster than [`Limits::flange_speed_m_s`].
+    FlangeSpeed,
+    /// It is further from where it is wanted than [`Limits::pose_error_m`] or [`Limits::pose_error_rad`].
+    PoseError,
+}
+
+/// Largest speed that counts as standing at the end of a joint's range, rad/s: noise of the measurement.
+pub const JOINT_STANDSTILL_RAD_S: f64 = 0.02;
+
+/// Joint speeds that the arm itself enforces.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointSpeeds<const N: usize, T> {
+    most: [T; N],
+    /// Ends of the range, offset and twice the deceleration of [`moca_msgs::robot::SpeedEnvelope`].
+    envelope: Option<[[T; 4]; N]>,
+}
+
+impl<const N: usize, T: Scalar> JointSpeeds<N, T> {
+    /// Those of `arm`.
+    pub fn new(arm: &ArmTable<N>) -> Self {
+        Self {
+            most: all(&arm.dq_max_rad_s),
+            envelope: arm.speed_envelope.map(|envelope| {
+                core::array::from_fn(|i| {
+                    let (offset, deceleration) = (envelope.offset_rad_s[i], envelope.deceleration_rad_s2[i]);
+                    [arm.q_min_rad[i], arm.q_max_rad[i], offset, 2.0 * deceleration].map(of)
+                })
+            }),
+        }
+    }
+
+    /// Largest speed of joint `i` at `q` rad in the direction of `dq`, rad/s.
+    pub fn largest(&self, i: usize, q: T, dq: T) -> T {
+        let Some(envelope) = &self.envelope else { return self.most[i] };
+        let [low, high, offset, twice_deceleration] = envelope[i];
+        let distance = if dq > T::zero() { high - q } else { q - low };
+        let braked = (twice_deceleration * distance.max(T::zero())).sqrt() - offset;
+        self.most[i].min(braked.max(of(JOINT_STANDSTILL_RAD_S)))
+    }
+
+    /// The first joint that is too fast.
+    pub fn exceeded(&self, q: &[T; N], dq: &[T; N]) -> Option<usize> {
+        (0..N).find(|&i| dq[i].abs() > self.largest(i, q[i], dq[i]))
+    }
+}
+
+/// Limits on the motion of the controlled frame, in the scalar of the computation, units as in [`Limits`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FlangeLimits<T> {
+    speed: T,
+    error_m: T,
+    error_rad: T,
+}
+
+impl<const N: usize, T: Scalar> From<&Limits<N>> for FlangeLimits<T> {
+    fn from(limits: &Limits<N>) -> Self {
+        Self {
+            speed: of(limits.flange_speed_m_s),
+            error_m: of(limits.pose_error_m),
+            error_rad: of(limits.pose_error_rad),
+        }
+    }
+}
+
+impl<T: Scalar> FlangeLimits<T> {
+    /// What a speed, m/s, and a pose error \[m; rad\] exceed.
+    pub fn exceeded(&self, speed_m_s: T, error: &[T; 6]) -> Option<Exceeded> {
+        let [x, y, z, rx, ry, rz] = *error;
+        let length = |x: T, y: T, z: T| (x * x + y * y + z * z).sqrt();
+        if speed_m_s > self.speed {
+            Some(Exceeded::FlangeSpeed)
+        } else if length(x, y, z) > self.error_m || length(rx, ry, rz) > self.error_rad {
+            Some(Exceeded::PoseError)
+        } else {
+            None
+        }
+    }
+}
+
 /// Push away from the ends of the joints' ranges: a one-sided spring with a damper, so that it stores and spends energy
 /// but never adds any.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -95,18 +95,35 @@ impl<const N: usize, T: Scalar> ArmDynamics<N, T> {
         Ok(core::array::from_fn(|i| null_torque[i] + task[i]))
     }
 
-    /// J_AᵀΛ_A·a: joint torques, N·m, that accelerate the tool by `a` \[m/s²; rad/s²\]; damped, so that a singular arm is
-    /// given no more than it can use.
+    /// Joint torques that stand in for a base acceleration a* − a (world x, y, yaw) that the law counted on and that
+    /// was refused: by a guard, by the base's speed or acceleration limit, or by any other constraint on its motion.
+    ///
+    /// Eq. (6) chooses τ_v and τ_A together so that J_B·M_v⁻¹τ_v + J_A·M_A⁻¹τ_A = Λ⁻¹F. If the base is given a instead
+    /// of a*, the tool misses J_B·(a* − a), and what a push on the cover should have done to the base is left to the arm:
+    /// it is thrown. δτ = J_Aᵀ(J_A·M_A⁻¹J_Aᵀ)⁻¹J_B·(a* − a) gives the tool what it misses, J_A·M_A⁻¹δτ = J_B·(a* − a), so
+    /// that Λ⁻¹F holds again whatever was refused: the force on the cover cancels, and the error obeys the same
+    /// equation as with a free base. Of all torques that do so it is the one nearest to τ_A in the metric M_A⁻¹.
+    ///
+    /// Near a singularity, where a direction of the tool is heavier than 1/[`HEAVY`], the tool goes with the base there
+    /// instead of asking for torques without bound: Λ_A⁻¹ is shifted by what its smallest pivot falls short of it.
     ///
     /// # Errors
-    /// [`ControlError::NotPositiveDefinite`] if the inertias are impossible (NaN).
-    pub(crate) fn torque_for(&self, acceleration: &[T; 6]) -> Result<[T; N], ControlError> {
-        let mut mobility = self.inverse_task_inertia;
-        for i in 0..6 {
-            mobility[(i, i)] += nalgebra::convert(1e-4);
+    /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
+    pub fn torque_for_refused(
+        &self,
+        base_jacobian: &SMatrix<T, 6, 3>,
+        refused: &[T; 3],
+    ) -> Result<[T; N], ControlError> {
+        let mut factor = Cholesky::new_shifted(&self.inverse_task_inertia).ok_or(SINGULAR)?;
+        let short = factor.diagonal().iter().fold(T::zero(), |most, &pivot| most.max(of::<T>(HEAVY) - pivot));
+        if short > T::zero() {
+            let mut shifted = self.inverse_task_inertia;
+            for i in 0..6 {
+                shifted[(i, i)] += short;
+            }
+            factor = Cholesky::new_shifted(&shifted).ok_or(SINGULAR)?;
         }
-        let factor = Cholesky::new_shifted(&mobility).ok_or(SINGULAR)?;
-        Ok(transpose_times(&self.jacobian, &factor.solve(acceleration)))
+        Ok(transpose_times(&self.jacobian, &factor.solve(&times(base_jacobian, refused))))
     }
 
     /// Wrench at the tool that moves it as the joint torques do: J̄ᵀτ of the arm alone.
@@ -169,6 +186,9 @@ impl<'a, const N: usize, T: Scalar> TaskDynamics<'a, N, T> {
         Ok(factor.solve(&self.acceleration(force)))
     }
 }
+
+/// Acceleration per force, 1/kg and 1/(kg·m²), below which a direction of the arm counts as near a singularity: 50 kg.
+pub const HEAVY: f64 = 0.02;
 
 const SINGULAR: ControlError = ControlError::NotPositiveDefinite { what: "J M⁻¹ Jᵀ" };
 

@@ -74,27 +74,30 @@ impl<T: Scalar> Reference<T> {
         &self.twist
     }
 
-    /// Moves target and reference on by `dt_s`. A twist waits while the tool is as far behind as the law pulls.
+    /// Moves target and reference on by `dt_s`. Both wait while the tool is as far behind as the law pulls.
     pub(crate) fn advance(&mut self, actual: &Pose<T>, dt_s: T) {
-        if self.twist != [T::zero(); 6] {
-            let (linear, angular) = split(&self.twist);
-            if (self.now.position - actual.position).norm() < of(ERROR_SATURATION_M) {
-                self.target.position += linear * dt_s;
-            }
-            if rotation::error(&actual.rotation, &self.now.rotation).norm() < of(ERROR_SATURATION_RAD) {
-                self.target.rotation = turned(&self.target.rotation, &(angular * dt_s));
-            }
-        }
-        if self.now == self.target {
+        if self.now == self.target && self.twist == [T::zero(); 6] {
             return;
         }
-        let gap = self.target.position - self.now.position;
-        let step = shortened(&gap, of::<T>(REFERENCE_SPEED_M_S) * dt_s);
-        self.now.position = if step == gap { self.target.position } else { self.now.position + step };
-        let gap = rotation::error(&self.now.rotation, &self.target.rotation);
-        let step = shortened(&gap, of::<T>(REFERENCE_SPEED_RAD_S) * dt_s);
-        self.now.rotation =
-            if step == gap { self.target.rotation } else { turned(&self.now.rotation, &step) };
+        let near = (self.now.position - actual.position).norm() < of(ERROR_SATURATION_M);
+        let turned_near =
+            rotation::error(&actual.rotation, &self.now.rotation).norm() < of(ERROR_SATURATION_RAD);
+        let (linear, angular) = split(&self.twist);
+        if near {
+            self.target.position += linear * dt_s;
+            let gap = self.target.position - self.now.position;
+            let step = shortened(&gap, of::<T>(REFERENCE_SPEED_M_S) * dt_s);
+            self.now.position = if step == gap { self.target.position } else { self.now.position + step };
+        }
+        if turned_near {
+            if self.twist != [T::zero(); 6] {
+                self.target.rotation = turned(&self.target.rotation, &(angular * dt_s));
+            }
+            let gap = rotation::error(&self.now.rotation, &self.target.rotation);
+            let step = shortened(&gap, of::<T>(REFERENCE_SPEED_RAD_S) * dt_s);
+            self.now.rotation =
+                if step == gap { self.target.rotation } else { turned(&self.now.rotation, &step) };
+        }
     }
 }
 

@@ -17,7 +17,7 @@ use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
 use moca_tactile::cover::MaskPolicy;
 use moca_tactile::model::ASSUMED_ERROR_FROM_N;
-use moca_tactile::{CoverConfig, TaxelModel};
+use moca_tactile::{CoverConfig, Firmware, TaxelModel};
 use moca_telemetry::net::{Address, DEFAULT_ADDRESS};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -119,6 +119,8 @@ parameter_table! {
     pub struct BoardConfig in "board" {
         /// "virtual", "auto" (by USB id), or a path.
         port: String = VIRTUAL_PORT.into();
+        /// What runs on the virtual board; a real one is recognised by what it sends.
+        firmware: Firmware = Firmware::Moca;
         /// The board's name in its calibration file.
         name: String = String::new();
         /// File that `mocad calibrate` wrote; empty for none.
@@ -161,6 +163,14 @@ parameter_table! {
         contact_stiffness_n_m: f64 = 7783.0 => [.range(100.0, 1e6).units(&["N/m"])];
         /// Way that cover and body yield from the unfelt force to the force limit.
         contact_travel_m: f64 = 0.0031 => [.range(1e-4, 0.1).units(&["m"])];
+        /// Forces of your own risk assessment: `moca-lab latency` prints the speed for each.
+        assessed_forces_n: Vec<f64> = vec![25.0, 65.0, 130.0, 260.0] => [.range(6.0, 1000.0).units(&["N"])];
+        /// Keeps every contact under the force limit from inside the law; how it understands the cover's readings.
+        contact_barrier: BarrierReadings = BarrierReadings::Off => [.lab("barrier")];
+        /// Stiffness k_0 of the cover's foam, F = k_0 d/(1 - d/h), for the contact barrier.
+        foam_stiffness_n_m: f64 = 2105.0 => [.range(10.0, 1e6).units(&["N/m"])];
+        /// Thickness h of the cover's foam, for the contact barrier.
+        foam_thickness_m: f64 = 0.015 => [.range(1e-3, 0.1).units(&["m"])];
         /// Another speed limit, whatever the board's rate; 0 is no override.
         override_speed_limit_m_s: f64 = 0.0 => [.range(0.0, OVERRIDE_MAX_M_S).units(&["m/s"])];
         /// Why the limit is overridden; logged.
@@ -243,6 +253,19 @@ pub enum AssumedModel {
     /// The paper's line: 100 N at 84 counts.
     Paper,
 }
+
+/// Whether there is a contact barrier, and what the cover's readings tell it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BarrierReadings {
+    /// There is none.
+    Off,
+    /// Forces on the foam that the configuration describes: a calibrated cover.
+    Foam,
+    /// Forces that PU LD30 would need for the same plate gap: a cover that has not been calibrated.
+    PuLd30,
+}
+
+choice!(BarrierReadings { Off: "off", Foam: "foam", PuLd30: "pu-ld30" });
 
 choice!(AssumedModel { PuLd30: "pu-ld30", Paper: "paper" });
 

@@ -1,6 +1,7 @@
 //! From mode and forces to a command: which law runs in which mode.
 
 use crate::config::Config;
+use crate::control::barrier::Barrier;
 use crate::control::cover::CoverState;
 use crate::control::protection::{Protected, Protection};
 use crate::robot::{JOINTS, Parts, TAXELS};
@@ -11,7 +12,8 @@ use moca_msgs::{
 };
 use moca_wbc::{
     ArmController, ArmInput, ArmState, BaseController, BaseGuard, BaseInput, BaseState, ControlError,
-    ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose, LimitsHit, WholeBodyController,
+    ControlInput, ControlLaw, ControlOutput, ControllerState, Exceeded, FlangePose, LimitsHit,
+    WholeBodyController,
 };
 
 /// The controller of the parts that the robot has, with what it remembers from tick to tick.
@@ -27,6 +29,7 @@ pub struct Motion {
     controller: Controller,
     parameters: Parameters<JOINTS>,
     protection: Protection,
+    barrier: Option<Barrier>,
     parts: Parts,
     guard: BaseGuard<TAXELS>,
 }
@@ -51,7 +54,12 @@ impl Motion {
             }
             Parts::Arm => Controller::Arm(ArmController::new(arm, &mount, &payload, &parameters)?, None),
         };
-        Ok(Self { controller, parameters, protection, parts, guard: Protected::default().guard })
+        let barrier = match &controller {
+            Controller::Whole(whole, _) => Barrier::new(config, Some(whole.model()))?,
+            Controller::Base(..) => Barrier::new(config, None)?,
+            Controller::Arm(..) => None,
+        };
+        Ok(Self { controller, parameters, protection, barrier, parts, guard: Protected::default().guard })
     }
 
     /// Which parts of the robot it moves.
@@ -67,6 +75,9 @@ impl Motion {
             Protected::default()
         };
         self.guard = protected.guard;
+        if let Some(barrier) = &mut self.barrier {
+            barrier.feel(now_ns, cover);
+        }
         protected
     }
 
@@ -118,7 +129,7 @@ impl Motion {
         }
     }
 
-    /// One tick's command in `mode`, `dt_s` after the last one.
+    /// One tick's command in `mode`, `dt_s` after the last one, and why the robot must stop: the command then holds.
     ///
     /// # Errors
     /// The fault to stop with; the order of that tick must then be [`Actuation::Brake`].
@@ -128,7 +139,7 @@ impl Motion {
         robot: &RobotState<JOINTS>,
         forces: &Result<[f64; TAXELS], (usize, TaxelStatus)>,
         dt_s: f64,
-    ) -> Result<ControlOutput<JOINTS>, Fault> {
+    ) -> Result<(ControlOutput<JOINTS>, Option<Fault>), Fault> {
         let law = match mode {
             Mode::Impedance => ControlLaw::Impedance,
             Mode::FollowMe => ControlLaw::FollowMe,
@@ -137,14 +148,48 @@ impl Motion {
             }
         };
         // Standing still needs no cover; a law never runs on a force that is not there.
-        let taxel_force_n = match (law, *forces) {
+        let mut taxel_force_n = match (law, *forces) {
             (ControlLaw::Hold, _) => [0.0; TAXELS],
             (_, Ok(forces)) => forces,
             (_, Err((taxel, status))) => {
                 return Err(Fault::TaxelInvalid { taxel: u8::try_from(taxel).unwrap_or(u8::MAX), status });
             }
         };
-        let (robot, guard) = (*robot, self.guard);
+        let (robot, mut guard) = (*robot, self.guard);
+        if let Some(barrier) = &mut self.barrier {
+            let deceleration = self.parameters.limits.base_acceleration;
+            let contacts = barrier
+                .update(&robot, deceleration, law == ControlLaw::Impedance, dt_s)
+                .map_err(|_| Fault::ControlRefused)?;
+            if law != ControlLaw::Hold {
+                guard.outward_m_s = Some(contacts.outward_m_s);
+                taxel_force_n = contacts.force_n;
+            }
+        }
+        let output = self.step(law, &robot, taxel_force_n, guard, dt_s)?;
+        if let Some(barrier) = &mut self.barrier {
+            barrier.remember(&output.flange, &robot);
+        }
+        let fault = output.exceeded.map(|exceeded| match exceeded {
+            Exceeded::JointSpeed(joint) => {
+                Fault::JointSpeed { joint: u8::try_from(joint).unwrap_or(u8::MAX) }
+            }
+            Exceeded::FlangeSpeed => Fault::FlangeSpeed,
+            Exceeded::PoseError => Fault::PoseError,
+        });
+        Ok((output, fault))
+    }
+
+    /// One step of the controller that the robot's parts need.
+    fn step(
+        &mut self,
+        law: ControlLaw,
+        robot: &RobotState<JOINTS>,
+        taxel_force_n: [f64; TAXELS],
+        guard: BaseGuard<TAXELS>,
+        dt_s: f64,
+    ) -> Result<ControlOutput<JOINTS>, Fault> {
+        let robot = *robot;
         match &mut self.controller {
             Controller::Whole(controller, state) => {
                 let state = entered(state, || controller.enter(law, &robot))?;
@@ -181,6 +226,7 @@ impl Motion {
                     flange: output.flange,
                     flange_desired: output.flange_desired,
                     limits: output.limits,
+                    exceeded: output.exceeded,
                     ..WITHOUT_PARTS
                 })
             }
@@ -200,6 +246,7 @@ const WITHOUT_PARTS: ControlOutput<JOINTS> = {
         flange: NOWHERE,
         flange_desired: NOWHERE,
         limits: LimitsHit::NONE,
+        exceeded: None,
     }
 };
 

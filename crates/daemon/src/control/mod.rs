@@ -1,6 +1,7 @@
 //! What one tick decides: pure, without thread, clock, file or port. From the inside out: [`tick`] reads, feels, decides,
 //! commands and writes; [`supervisor`] says which mode, [`law`] which torques, [`protection`] how fast.
 
+pub mod barrier;
 pub mod contacts;
 pub mod cover;
 pub mod law;

@@ -121,9 +121,16 @@ pub(crate) fn single(settings: &Settings) -> Result<Report> {
 /// One collision.
 pub(crate) fn once(settings: &Settings) -> Result<Rig> {
     let mut rig = Rig::start(settings, &settings.collision_scene()?)?;
-    rig.move_target([0.0, settings.speed_m_s, 0.0])?;
+    rig.move_target(towards_person(settings))?;
     rig.run_for(settings.duration_s, |_| Loads::default())?;
     Ok(rig)
+}
+
+/// Velocity of the flange's target against the taxel before which the person stands, world axes, m/s.
+fn towards_person(settings: &Settings) -> [f64; 3] {
+    let (sin, cos) = settings.config.taxels()[settings.person.taxel].inward_angle_base_rad.sin_cos();
+    // a panel along an axis is met straight on, without what π leaves to rounding
+    [cos, sin, 0.0].map(|inward| if inward.abs() < 1e-12 { 0.0 } else { -inward * settings.speed_m_s })
 }
 
 /// The arm leads; first contact; the first peak; the base has resumed.

@@ -167,6 +167,35 @@ fn the_collision_stays_below_25_n_with_a_100_hz_sensor_and_not_without() {
 }
 
 #[test]
+fn the_contact_barrier_keeps_collisions_soft_that_the_law_alone_makes_dangerous() {
+    let collision = |assignments: &[&str]| {
+        let mut settings = Settings::paper(Law::Impedance);
+        collision::defaults(&mut settings);
+        let scene = ["base_coupling=true", "person.taxel=T6", "person.gap=0.1", "duration=5"];
+        for assignment in NULL_SPACE.iter().chain(&scene).chain(assignments) {
+            settings.set(assignment).unwrap();
+        }
+        collision::single(&settings).unwrap()
+    };
+    let stock = ["sensor=stock", "speed=0.065", "barrier=pu-ld30"];
+    let ideal = ["person.gap=0.3", "speed=0.139", "barrier=foam"];
+    for (name, with) in [("stock", stock), ("ideal", ideal)] {
+        let soft = collision(&with);
+        let hard = collision(&[with[0], with[1], with[2], "barrier=off"]);
+        let [soft_n, hard_n] = [&soft, &hard].map(|report| report.measures.peak_force_n);
+        println!(
+            "{name}: {soft_n:.1} N with the barrier, {hard_n:.1} N without, at {:.3} m/s",
+            soft.approach_m_s
+        );
+        assert!(soft_n > 5.0 && soft_n < 25.0, "{soft:?}");
+        assert!(hard_n > 75.0, "{hard:?}");
+        assert!(soft.measures.flange_max_mm < 4.0 && soft.stopped().is_none(), "{soft:?}");
+        let [first, later @ ..] = &soft.measures.peaks_n[..] else { panic!("nobody was met") };
+        assert!(later.iter().all(|peak_n| peak_n < first), "{:?}", soft.measures.peaks_n);
+    }
+}
+
+#[test]
 fn two_runs_of_one_seed_are_the_same_bit_for_bit() {
     let trace = || {
         let settings = settings(&["push_s=1", "rest_s=0.2"]);

@@ -2,5 +2,6 @@
 
 pub(crate) mod clients;
 pub(crate) mod faults;
+pub(crate) mod lean;
 pub(crate) mod soak;
 mod trial;

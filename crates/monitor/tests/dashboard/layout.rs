@@ -23,14 +23,14 @@ fn outside(bench: &Bench, size: Vec2) -> Vec<String> {
 #[test]
 fn nothing_reaches_out_of_a_small_window_on_any_page() {
     for size in SIZES.map(Vec2::from) {
+        let mut bench = Bench::new();
+        bench.harness.set_size(size);
+        bench.daemon.borrow_mut().parameters = vec![
+            parameter("control.gains.posture_stiffness", ParameterForm::Number, &[90.0; 7], true),
+            parameter("board.port", ParameterForm::Text, &[], false),
+        ];
+        bench.frames(Mode::Impedance, None);
         for page in ["Plots", "3-D", "Loop", "Parameters", "Cover", "Calibrate"] {
-            let mut bench = Bench::new();
-            bench.harness.set_size(size);
-            bench.daemon.borrow_mut().parameters = vec![
-                parameter("control.gains.posture_stiffness", ParameterForm::Number, &[90.0; 7], true),
-                parameter("board.port", ParameterForm::Text, &[], false),
-            ];
-            bench.frames(Mode::Impedance, None);
             bench.click(page);
             // The table of taxels is wider than half of a small screen: there it scrolls to the side.
             if page == "Cover" && size.x < 900.0 {

@@ -6,14 +6,16 @@ use super::{CARRY_FADE_S, FlangePose, LONGEST_STEP_S, check};
 use crate::error::{ControlError, finite};
 use crate::gains::ArmGains;
 use crate::impedance;
-use crate::limits::{JointRepulsion, LimitsHit, TorqueLimits};
+use crate::limits::{Exceeded, FlangeLimits, JointRepulsion, JointSpeeds, LimitsHit, TorqueLimits};
+use crate::linalg::times;
 use crate::model::ArmModel;
 use crate::momentum_observer::MomentumObserver;
 use crate::opspace::ArmDynamics;
-use crate::reference::{Reference, approach_posture};
+use crate::reference::{Pose, Reference, approach_posture};
 use crate::scalar::{Scalar, of};
 use crate::state_check::{check_robot, check_step, check_wrench};
 use moca_msgs::{ArmTable, Mount, ParameterError, Parameters, Payload, RobotState};
+use nalgebra::SMatrix;
 
 /// Cartesian impedance of an arm of `N` joints, eqs. (10), (11), (15), (16): the tool keeps its place on the base,
 /// standing or moving, and gives way to a hand as a spring.
@@ -36,6 +38,8 @@ pub struct ArmController<const N: usize, T = f64> {
     pub(super) gains: ArmGains<N, T>,
     posture_rad: [f64; N],
     limits: TorqueLimits<N, T>,
+    joint_speeds: JointSpeeds<N, T>,
+    flange_limits: FlangeLimits<T>,
     repulsion: JointRepulsion<N, T>,
     /// Joint stiffness with which a posture is held, N·m/rad.
     hold_stiffness: [T; N],
@@ -81,6 +85,8 @@ pub struct ArmOutput<const N: usize, T = f64> {
     pub flange_desired: FlangePose<T>,
     /// Limits that were met.
     pub limits: LimitsHit,
+    /// A motion that the law must not go on with; the posture is held in this step, and should be from now on.
+    pub exceeded: Option<Exceeded>,
 }
 
 impl<const N: usize, T: Scalar> ArmController<N, T> {
@@ -100,6 +106,8 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             gains: ArmGains::from(&parameters.gains),
             posture_rad: parameters.gains.posture_rad,
             limits: TorqueLimits::from(&parameters.limits),
+            joint_speeds: JointSpeeds::new(arm),
+            flange_limits: FlangeLimits::from(&parameters.limits),
             repulsion: JointRepulsion::new(arm),
             hold_stiffness: arm.torque_max_nm.map(|most| of(2.0 * most)),
         })
@@ -116,6 +124,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             gains: ArmGains::from(&parameters.gains),
             posture_rad: parameters.gains.posture_rad,
             limits: TorqueLimits::from(&parameters.limits),
+            flange_limits: FlangeLimits::from(&parameters.limits),
             ..*self
         })
     }
@@ -180,14 +189,20 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
                 }
             };
             let torque_nm = self.limited(tick, &mut next, &wanted, &mut hit)?;
+            let desired = tick.desired(&next);
             Ok(ArmOutput {
                 torque_nm,
                 flange_wrench_world,
                 flange: (&tick.flange).into(),
-                flange_desired: (&tick.desired(&next)).into(),
+                flange_desired: (&desired).into(),
                 limits: hit,
+                exceeded: self.exceeded(tick, law, arm.jacobian(), &desired),
             })
         })?;
+        if output.exceeded.is_some() {
+            let held = self.run(ControlLaw::Hold, state, input)?;
+            return Ok(ArmOutput { exceeded: output.exceeded, ..held });
+        }
         *state = next;
         Ok(output)
     }
@@ -276,6 +291,32 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         let wrench = tick.task_wrench(state, arm, &[T::zero(); 6], arm.inverse_task_inertia(), hit)?;
         let torque = arm.torque(&wrench, &tick.posture_torque(state))?;
         Ok(core::array::from_fn(|i| torque[i] + tick.bias[i]))
+    }
+
+    /// Why `law` must not go on.
+    pub(super) fn exceeded(
+        &self,
+        tick: &ArmTick<'_, N, T>,
+        law: ControlLaw,
+        jacobian: &SMatrix<T, 6, N>,
+        desired: &Pose<T>,
+    ) -> Option<Exceeded> {
+        if law == ControlLaw::Hold {
+            return None;
+        }
+        let robot = tick.robot;
+        if let Some(joint) = self.joint_speeds.exceeded(&robot.q_rad, &robot.dq_rad_s) {
+            return Some(Exceeded::JointSpeed(joint));
+        }
+        let base = times(&tick.kinematics.base_jacobian(), &robot.base_velocity_world);
+        let arm = times(jacobian, &robot.dq_rad_s);
+        let [vx, vy, vz] = core::array::from_fn(|i| base[i] + arm[i]);
+        let speed_m_s = (vx * vx + vy * vy + vz * vz).sqrt();
+        let error = impedance::pose_error(
+            (&tick.flange.position, &tick.flange.rotation),
+            (&desired.position, &desired.rotation),
+        );
+        self.flange_limits.exceeded(speed_m_s, &error)
     }
 
     /// `wanted` inside every limit of the arm, and the state that goes with it.

@@ -4,12 +4,12 @@ use super::arm::{ArmController, ArmState};
 use super::base::{BaseController, BaseState, check_cover};
 use super::tick::ArmTick;
 use super::{FlangePose, LIGHTEST_DAMPED_BASE, check};
-use crate::admittance::{admitted, damped_in_null_space};
+use crate::admittance::{admitted, damped_in_null_space, mean_share};
 use crate::error::{ControlError, finite};
 use crate::follow_me;
 use crate::gains;
 use crate::guard::{BaseGuard, CoverOutline};
-use crate::limits::LimitsHit;
+use crate::limits::{Exceeded, LimitsHit};
 use crate::linalg::times;
 use crate::model::ArmModel;
 use crate::opspace::{ArmDynamics, BlockWeight, TaskDynamics, WholeBodyForce};
@@ -81,6 +81,8 @@ pub struct ControlOutput<const N: usize, T = f64> {
     pub flange_desired: FlangePose<T>,
     /// Limits that were met.
     pub limits: LimitsHit,
+    /// A motion that the law must not go on with; this step was [`ControlLaw::Hold`], and the next ones should be.
+    pub exceeded: Option<Exceeded>,
 }
 
 /// Everything a [`WholeBodyController`] remembers between steps.
@@ -124,6 +126,9 @@ struct Wanted<const N: usize, T> {
     torque: [T; N],
     /// World axes.
     base_velocity: [T; 3],
+    /// Acceleration of the base that the arm's torque counts on per change of its velocity in this step, 1/s, world
+    /// axes; `None` where it counts on none.
+    counted_per_s: Option<[T; 3]>,
 }
 
 /// One step's quantities of base and arm.
@@ -232,20 +237,28 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             };
             let wanted = match law {
                 ControlLaw::Hold => {
-                    Wanted { torque: self.arm.holding(tick, &next.arm), base_velocity: [T::zero(); 3] }
+                    let torque = self.arm.holding(tick, &next.arm);
+                    Wanted { torque, base_velocity: [T::zero(); 3], counted_per_s: None }
                 }
                 ControlLaw::Impedance => self.impedance(&step, &mut next, &mut hit)?,
                 ControlLaw::FollowMe => self.follow_me(&step, &mut next, &mut hit)?,
             };
+            let command = self.limited(&step, &mut next, &input.guard, wanted, &mut hit)?;
+            let desired = tick.desired(&next.arm);
             Ok(ControlOutput {
-                command: self.limited(&step, &mut next, &input.guard, wanted, &mut hit)?,
+                command,
                 cover_wrench_base,
                 flange_wrench_world: step.flange_wrench,
                 flange: (&tick.flange).into(),
-                flange_desired: (&tick.desired(&next.arm)).into(),
+                flange_desired: (&desired).into(),
                 limits: hit,
+                exceeded: self.arm.exceeded(tick, law, arm.jacobian(), &desired),
             })
         })?;
+        if output.exceeded.is_some() {
+            let held = self.step(ControlLaw::Hold, state, input)?;
+            return Ok(ControlOutput { exceeded: output.exceeded, ..held });
+        }
         *state = next;
         Ok(output)
     }
@@ -290,6 +303,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             [T::zero(); 3]
         };
         let pushed = core::array::from_fn(|i| force.base[i] + fed[i]);
+        let mut counted_per_s = [T::one() / tick.dt_s; 3];
         let base_velocity = if self.corrections.null_space_damping {
             let velocity = damped_in_null_space(&weighted, gains, &step.base_velocity, &pushed, tick.dt_s)?;
             for i in 0..3 {
@@ -298,9 +312,14 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             force = weighted.force(&wrench, &null);
             velocity
         } else {
+            // eq. (6) knows the acceleration at the step's start, eq. (2) gives its mean
+            for i in 0..3 {
+                counted_per_s[i] /= mean_share(gains.virtual_mass[i], gains.virtual_damping[i], tick.dt_s);
+            }
             admitted(gains, &step.base_velocity, &pushed, tick.dt_s)
         };
-        Ok(Wanted { torque: core::array::from_fn(|i| force.arm[i] + tick.bias[i]), base_velocity })
+        let torque = core::array::from_fn(|i| force.arm[i] + tick.bias[i]);
+        Ok(Wanted { torque, base_velocity, counted_per_s: Some(counted_per_s) })
     }
 
     /// eqs. (2), (12)–(16): the tool keeps its pose on the base, the base follows cover and flange.
@@ -315,7 +334,8 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         let led = self.flange_wrench_on_base_world(step);
         let gains = &state.base.gains;
         let force = core::array::from_fn(|i| gains.reactivity * (step.cover_world[i] + led[i]));
-        Ok(Wanted { torque, base_velocity: admitted(gains, &step.base_velocity, &force, step.tick.dt_s) })
+        let base_velocity = admitted(gains, &step.base_velocity, &force, step.tick.dt_s);
+        Ok(Wanted { torque, base_velocity, counted_per_s: None })
     }
 
     /// What a planar base can follow of the wrench at the flange, world axes. eqs. (12)–(14)
@@ -348,12 +368,13 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             self.base.limited(guard, &wanted_body, &state.base.velocity_body, tick.dt_s, hit);
         finite("base velocity command", &base_velocity_body)?;
         let mut torque = wanted.torque;
-        if hit.contact && state.law() == ControlLaw::Impedance {
-            // what the barrier adds to the base's acceleration the arm takes away again at its tool
-            let added = core::array::from_fn(|i| (base_velocity_body[i] - wanted_body[i]) / tick.dt_s);
-            let moved = times(&tick.kinematics.base_jacobian(), &heading.to_world(added));
-            let against = step.arm.torque_for(&moved)?;
-            torque = core::array::from_fn(|i| torque[i] - against[i]);
+        if let Some(per_s) = wanted.counted_per_s
+            && wanted_body != base_velocity_body
+        {
+            let refused = heading.to_world(core::array::from_fn(|i| wanted_body[i] - base_velocity_body[i]));
+            let refused = core::array::from_fn(|i| refused[i] * per_s[i]);
+            let instead = step.arm.torque_for_refused(&tick.kinematics.base_jacobian(), &refused)?;
+            torque = core::array::from_fn(|i| torque[i] + instead[i]);
         }
         if self.corrections.base_coupling && moves {
             let commanded = heading.to_world(base_velocity_body);

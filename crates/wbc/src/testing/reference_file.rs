@@ -147,6 +147,7 @@ impl<const N: usize> Robot<N> {
             q_min_rad: [-7.0; N],
             q_max_rad: [7.0; N],
             dq_max_rad_s: [0.0; N],
+            speed_envelope: None,
             torque_max_nm: [0.0; N],
             home_rad: [0.0; N],
             posture_stiffness_nm_rad: [0.0; N],

@@ -101,6 +101,9 @@ impl Loop {
         };
         let input = ControlInput { guard: self.guard, ..ControlInput::new(robot, self.held, self.dt_s) };
         let output = self.controller.step(self.law, &mut self.state, &input).unwrap();
+        if output.exceeded.is_some() {
+            self.law = ControlLaw::Hold;
+        }
         for _ in 0..SUBSTEPS {
             self.integrate(&output, push.flange_n, self.dt_s / f64::from(SUBSTEPS));
         }

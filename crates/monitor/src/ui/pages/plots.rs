@@ -31,6 +31,8 @@ const RIGHT_MARGIN: f32 = 8.0;
 const HEADING: f32 = 18.0;
 /// Height of the marks under the lowest plots, points.
 const MARKS: f32 = 18.0;
+/// Left free below, or rounding would call for a scroll bar, points.
+const SPARE: f32 = 6.0;
 /// Marks of an axis at most, and the distance of two of them from which on they are drawn in full, points.
 const MARKS_X: f64 = 5.0;
 const MARKS_Y: f64 = 4.0;
@@ -63,7 +65,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, panels: &[Panel], columns: usize,
     let (rows_f, columns_f) = (rows as f32, columns as f32);
     let size = vec2(
         (ui.available_width() - spacing.x * (columns_f - 1.0)) / columns_f - RIGHT_MARGIN,
-        ((ui.available_height() - MARKS - spacing.y * (rows_f - 1.0)) / rows_f).max(LOWEST),
+        ((ui.available_height() - MARKS - SPARE - spacing.y * (rows_f - 1.0)) / rows_f).max(LOWEST),
     );
     // Where the lowest plots do not fit; the wheel zooms.
     let area = ScrollArea::vertical().scroll_source(ScrollSource::SCROLL_BAR).auto_shrink([false, false]);

@@ -26,8 +26,10 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64) {
     let (response, painter) =
         ui.allocate_painter(ui.available_size().max(vec2(100.0, 100.0)), Sense::click_and_drag());
     response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Figure, true, "The robot in 3-D"));
-    let drag = response.drag_delta();
-    view.camera.orbit(-f64::from(drag.x) * TURN, f64::from(drag.y) * TURN);
+    if response.dragged() {
+        let drag = response.drag_delta();
+        view.camera.orbit(-f64::from(drag.x) * TURN, f64::from(drag.y) * TURN);
+    }
     if response.hovered() {
         let (scroll, pinch) = ui.input(|i| (i.smooth_scroll_delta.y, i.zoom_delta()));
         view.camera.zoom((-f64::from(scroll) * WHEEL).exp() / f64::from(pinch));

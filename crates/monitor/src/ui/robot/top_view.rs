@@ -19,6 +19,8 @@ use moca_telemetry::description::TaxelDescription;
 
 /// Least and greatest height of the picture, points.
 const HEIGHT: (f32, f32) = (165.0, 640.0);
+/// Height of a number beside a taxel that nobody touches, m: three stand beside each other in front.
+const SMALL_M: f64 = 0.075;
 /// Room for a taxel's number and force beside the base, points.
 const LABEL: f32 = 84.0;
 /// The same above it, points.
@@ -267,7 +269,9 @@ impl Taxel<'_> {
             at += outward * ((flange - at).dot(outward) + 12.0);
         }
         // Who is touched is read from afar.
-        let font = FontId::proportional(if touched { 18.0 } else { 13.0 });
+        #[expect(clippy::cast_possible_truncation, reason = "a size on the screen")]
+        let small = (self.camera.points_per_m * SMALL_M).clamp(10.0, 13.0) as f32;
+        let font = FontId::proportional(if touched { 18.0 } else { small });
         if outward.x.abs() > outward.y.abs() {
             let (align, text) = if outward.x > 0.0 {
                 (Align2::LEFT_CENTER, format!("{name}  {value}"))

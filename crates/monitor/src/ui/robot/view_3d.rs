@@ -11,7 +11,7 @@ use crate::logic::{
     signals::panel::Signal,
 };
 use crate::ui::theme;
-use egui::{Align2, Color32, FontId, Painter, Pos2, Rect, Shape, Stroke, Visuals, pos2};
+use egui::{Align2, Color32, FontId, Painter, Pos2, Rect, Shape, Stroke, Visuals, pos2, vec2};
 use moca_msgs::{Sample, TaxelStatus};
 use moca_telemetry::description::TaxelDescription;
 
@@ -160,10 +160,12 @@ impl Picture<'_> {
         let length = (force_n * ARROW_M_PER_N).min(ARROW_MAX_M);
         let from = out(PLATE_THICK_M + length);
         self.arrow(from, out(PLATE_THICK_M), theme::BAD);
-        if let Some((at, _)) = self.at(from) {
+        if let (Some((tail, _)), Some((tip, _))) = (self.at(from), self.at(out(0.0))) {
             let text = format!("{} {} N", taxel_name(index), number(force_n, 1));
-            let (at, font) = (at - egui::vec2(0.0, 8.0), FontId::proportional(16.0));
-            self.painter.text(at, Align2::CENTER_BOTTOM, text, font, theme::strong(self.visuals));
+            let (align, away) =
+                if tail.x < tip.x { (Align2::RIGHT_CENTER, -8.0) } else { (Align2::LEFT_CENTER, 8.0) };
+            let (at, font) = (tail + vec2(away, 0.0), FontId::proportional(16.0));
+            self.painter.text(at, align, text, font, theme::strong(self.visuals));
         }
     }
 
