@@ -4,15 +4,16 @@
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::recording::{configuration, parameter_change};
+use moca_daemon::record::tick_blocks::BlockBuilder;
 use moca_daemon::record::tick_log::{PortEvent, TickLogReader, TickRecord, tick_log};
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
 use moca_daemon::runtime::replay::{self, Failure};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Law, Mode, ParameterValues, Request, Sample};
 use moca_sim::{Scene, VirtualBoardConfig};
+use moca_tactile::Firmware;
 use moca_tactile::calibration::Quality;
 use moca_tactile::calibration::file::{CalibrationFile, TaxelEntry};
-use moca_tactile::datastream::SketchGeneration;
 use moca_tactile::model::{MonotoneCurve, TaxelModel};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::{LogWriter, Meta};
@@ -71,22 +72,30 @@ fn write(name: &str, config: &Config, records: &[TickRecord], samples: &[Sample]
     let mut log = LogWriter::new(BufWriter::new(File::create_new(&path).unwrap()), &meta).unwrap();
     log.configuration(&configuration(config).unwrap()).unwrap();
     let mut samples = samples.iter().peekable();
+    let mut blocks = BlockBuilder::new(1e-3);
     for record in records {
         let slot = record.input.slot;
+        let mut block = blocks.tick(record.clone());
         while let Some(sample) = samples.next_if(|sample| sample.tick <= slot.tick) {
             log.sample(sample).unwrap();
+            block = block.or(blocks.sample(sample));
         }
         if let Some(change) = parameter_change(record) {
             log.parameter(slot.now_ns, &change).unwrap();
         }
-        log.replay(slot.now_ns, slot.tick, &record.encode()).unwrap();
+        if let Some((time_ns, block)) = block {
+            log.replay(time_ns, &block).unwrap();
+        }
+    }
+    for (time_ns, block) in blocks.finish() {
+        log.replay(time_ns, &block).unwrap();
     }
     log.finish().unwrap();
     path
 }
 
 fn failure(path: &std::path::Path) -> Failure {
-    replay::run(path).unwrap_err().downcast::<Failure>().unwrap()
+    replay::run(&[path.to_owned()]).unwrap_err().downcast::<Failure>().unwrap()
 }
 
 #[test]
@@ -118,13 +127,13 @@ fn a_run_with_faults_tares_laws_and_live_parameters_comes_out_the_same() {
     run.ask(Request::Stop);
     assert_eq!(run.run(50), Mode::ProtectiveStop);
     let path = write("eventful.mcap", &config(), &run.records, &run.samples);
-    let report = replay::run(&path).unwrap();
+    let report = replay::run(&[path.clone()]).unwrap();
     assert_eq!((report.compared, report.without_sample, report.cut), (run.samples.len() as u64, 0, None));
 
     // A log that ends anywhere is compared up to there.
     let bytes = std::fs::read(&path).unwrap();
     std::fs::write(&path, &bytes[..bytes.len() / 3]).unwrap();
-    let report = replay::run(&path).unwrap();
+    let report = replay::run(&[path.clone()]).unwrap();
     assert!(report.cut.is_some() && report.compared > 500, "{report}");
 }
 
@@ -143,9 +152,14 @@ fn one_bit_is_found_and_a_loss_is_not_taken_for_a_difference() {
     let found = failure(&write("state.mcap", &config(), &tampered, &samples));
     assert!(matches!(&found, Failure::Differs { tick, .. } if *tick == AT as u64), "{found}");
 
+    // The last bit is found, though the log does not show it; what it shows is named.
     let mut tampered = samples.clone();
     flip(&mut tampered[AT].arm_torque_nm[6]);
     let found = failure(&write("command.mcap", &config(), &records, &tampered));
+    let named = matches!(&found, Failure::Differs { tick, quantity, .. } if *tick == AT as u64 && quantity.contains("fingerprint"));
+    assert!(named, "{found}");
+    tampered[AT].arm_torque_nm[6] += 1e-3;
+    let found = failure(&write("visible.mcap", &config(), &records, &tampered));
     let named = matches!(&found, Failure::Differs { tick, quantity, .. } if *tick == AT as u64 && quantity == "arm_torque_nm");
     assert!(named, "{found}");
 
@@ -176,7 +190,7 @@ fn one_bit_is_found_and_a_loss_is_not_taken_for_a_difference() {
 
     let mut gap = samples.clone();
     gap.remove(AT);
-    let report = replay::run(&write("no_sample.mcap", &config(), &records, &gap)).unwrap();
+    let report = replay::run(&[write("no_sample.mcap", &config(), &records, &gap)]).unwrap();
     assert_eq!((report.compared, report.without_sample), (samples.len() as u64 - 1, 1));
 }
 
@@ -188,7 +202,7 @@ fn calibration_contact_limits_and_geometry_are_in_the_log() {
         std::fs::write(&path, text).unwrap();
         path
     };
-    let mut calibration = CalibrationFile::new("front", SketchGeneration::From2018, "2026-01-31", "PU LD30");
+    let mut calibration = CalibrationFile::new("front", Firmware::Stock2018, "2026-01-31", "PU LD30");
     let curve = MonotoneCurve::new(&[[4.0, 5.0], [30.0, 45.0], [84.0, 100.0]]).unwrap();
     let quality = Quality {
         samples: 700,
@@ -222,7 +236,7 @@ fn calibration_contact_limits_and_geometry_are_in_the_log() {
     for file in &files {
         std::fs::remove_file(file).unwrap();
     }
-    let report = replay::run(&path).unwrap();
+    let report = replay::run(&[path.clone()]).unwrap();
     assert_eq!((report.compared, report.without_sample), (run.samples.len() as u64, 0));
 
     // Without one of them the run is another one: the comparison can fail.

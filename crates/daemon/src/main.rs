@@ -33,8 +33,9 @@ enum Command {
     Doctor(moca_daemon::cli::doctor::Arguments),
     /// Run a log again from its recorded states and bytes, and compare every command bit for bit.
     Replay {
-        /// A log that `mocad --record` wrote.
-        log: PathBuf,
+        /// A log that `mocad --record` wrote; of one that was split, its parts in order.
+        #[arg(required = true)]
+        log: Vec<PathBuf>,
     },
     /// List parameters, change them in a running daemon, or print their schema.
     #[command(subcommand)]
@@ -63,6 +64,9 @@ struct RunArguments {
     /// Record every sample and every byte of the board as MCAP; the file must not exist yet.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+    /// Begin another file (FILE-2, FILE-3, …) after so much robot time, such as 10min, 90s or 2h.
+    #[arg(long, value_name = "TIME", requires = "record", value_parser = time)]
+    record_split: Option<std::time::Duration>,
     /// Let a fault strike a simulated robot; a wrong NAME lists all there are.
     #[arg(long, value_name = "NAME@SECONDS")]
     inject: Option<moca_daemon::inject::Injection>,
@@ -75,6 +79,7 @@ struct RunArguments {
 }
 
 fn main() -> ExitCode {
+    survive_large_files();
     let arguments = Arguments::parse();
     let result = match arguments.command {
         None => run(arguments.run),
@@ -100,6 +105,20 @@ fn main() -> ExitCode {
     }
 }
 
+/// A log that reaches the limit of a file's size is an error of that log; by default the signal would end the daemon, its robot
+/// in motion.
+fn survive_large_files() {
+    use nix::sys::signal::{SigHandler, Signal, signal};
+    #[expect(
+        unsafe_code,
+        reason = "a signal's disposition is set before any thread runs; ignoring runs no handler"
+    )]
+    // SAFETY: no handler is installed.
+    let ignored = unsafe { signal(Signal::SIGXFSZ, SigHandler::SigIgn) };
+    // The signal exists on every Linux.
+    let _ = ignored;
+}
+
 /// The configuration has mistakes; the same code as for a mistake on the command line.
 #[derive(Debug)]
 struct WrongConfiguration(String);
@@ -122,7 +141,17 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
     }
 }
 
-fn replay(log: &std::path::Path) -> anyhow::Result<()> {
+fn time(text: &str) -> Result<std::time::Duration, String> {
+    let units = [("min", 60.0), ("h", 3600.0), ("s", 1.0)];
+    let seconds = units
+        .iter()
+        .find_map(|(unit, seconds)| Some(text.strip_suffix(unit)?.trim().parse::<f64>().ok()? * seconds));
+    let allowed = "allowed: 10s to 1000h, such as 10min";
+    let seconds = seconds.filter(|seconds| (10.0..=3.6e6).contains(seconds));
+    seconds.map(std::time::Duration::from_secs_f64).ok_or_else(|| allowed.into())
+}
+
+fn replay(log: &[PathBuf]) -> anyhow::Result<()> {
     let report = moca_daemon::runtime::replay::run(log)?;
     #[expect(clippy::print_stdout, reason = "the command's result")]
     {
@@ -155,6 +184,7 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
         lock_step: arguments.as_fast_as_possible,
         command_log: arguments.command_log,
         record: arguments.record,
+        record_split: arguments.record_split,
         inject: arguments.inject,
         require_realtime: arguments.require_realtime,
     };

@@ -34,6 +34,7 @@ impl Live for Feed {
             samples,
             replies: Vec::new(),
             calibration: CalibrationProgress::Idle,
+            notices: Vec::new(),
             unread_dropped: 0,
         }
     }

@@ -14,7 +14,10 @@ use moca_msgs::{
 };
 use moca_telemetry::{
     RobotDescription,
-    log::{LogError, LogSummary, LogWriter, Meta, Recorder, SerialBytes, read_log, records},
+    log::{
+        LogError, LogFile, LogReader, LogSummary, LogWriter, Meta, Overview, Record, Recorder,
+        RecorderOptions, SerialBytes, overview::Happening, part_path, read_log, records, shown,
+    },
 };
 use std::{collections::BTreeMap, path::PathBuf};
 
@@ -128,19 +131,219 @@ fn log(count: u32) -> Vec<u8> {
     bytes
 }
 
+/// Whether a viewer is shown this tick: each 20 ms, and whenever something happens.
+fn is_shown(tick: u32) -> bool {
+    let slot = |tick: u32| sample(tick).time_ns / 20_000_000;
+    let state = |tick: u32| (sample(tick).mode, sample(tick).fault, sample(tick).board);
+    let now = sample(tick);
+    let eventful = !now.contact_events.is_empty();
+    tick == 0 || eventful || slot(tick - 1) != slot(tick) || state(tick - 1) != state(tick)
+}
+
+/// What a viewer is shown of these ticks: the worst of the loop's timing stands for the ticks that are not.
+fn displayed(ticks: std::ops::Range<u32>) -> Vec<Sample> {
+    let mut worst = (0.0_f64, [0; 5]);
+    let mut samples = Vec::new();
+    for tick in ticks {
+        let sample = sample(tick);
+        worst.0 = worst.0.max(sample.lateness_s);
+        worst.1 = std::array::from_fn(|stage| sample.stages_ns[stage].max(worst.1[stage]));
+        if is_shown(tick) {
+            let (lateness_s, stages_ns) = std::mem::take(&mut worst);
+            samples.push(shown(&Sample { lateness_s, stages_ns, ..sample }));
+        }
+    }
+    samples
+}
+
 #[test]
-fn every_sample_comes_back_bit_by_bit() {
+fn a_viewer_gets_every_event_and_seven_digits_fifty_times_a_second() {
     let file = TempFile::new("round-trip");
     std::fs::write(&file.0, log(2000)).unwrap();
     let read = read_log(&file.0).unwrap();
     assert_eq!(read.cut, None);
     assert_eq!(read.description, RobotDescription::paper("test", true));
     assert_eq!(read.start_unix_ns, START);
-    assert_eq!(read.samples.len(), 2000);
-    for (tick, read) in (0..).zip(&read.samples) {
-        assert_eq!(*read, sample(tick));
+    let expected = displayed(0..2000);
+    assert!(read.samples.len() == expected.len() && expected.len() > 1000, "{}", read.samples.len());
+    for (read, expected) in read.samples.iter().zip(&expected) {
+        assert_eq!(read, expected);
+        let exact = sample(u32::try_from(read.tick).unwrap());
+        let near = |a: f64, b: f64| (a - b).abs() <= 1e-6 * b.abs() + 1e-9;
+        assert!(read.q_rad.iter().zip(&exact.q_rad).all(|(a, b)| near(*a, *b)), "{:?}", exact.q_rad);
+        assert_eq!(read.contact_events, exact.contact_events, "to the last bit");
     }
     assert!(read.serial.iter().cloned().eq((0..2000).step_by(25).map(serial)));
+}
+
+#[test]
+fn blocks_of_ticks_come_back_byte_by_byte_in_their_place() {
+    let file = TempFile::new("blocks");
+    let mut bytes = Vec::new();
+    let mut writer = LogWriter::new(&mut bytes, &meta()).unwrap();
+    let block = |i: u32| -> Vec<u8> { (0..1000 + i).map(|j| (i * j).to_le_bytes()[0]).collect() };
+    for i in 0..40 {
+        (250 * i..250 * i + 250).for_each(|tick| writer.sample(&sample(tick)).unwrap());
+        writer.replay(sample(250 * i).time_ns, &block(i)).unwrap();
+    }
+    writer.finish().unwrap();
+    std::fs::write(&file.0, bytes).unwrap();
+    let blocks = LogReader::open(&file.0).unwrap().filter_map(|record| match record {
+        Record::Replay(block) => Some(block),
+        _ => None,
+    });
+    assert!(blocks.eq((0..40).map(block)));
+}
+
+#[test]
+fn an_old_log_is_refused_by_the_name_of_its_form() {
+    let file = TempFile::new("old");
+    let mut bytes = Vec::new();
+    let mut old = mcap::Writer::new(std::io::Cursor::new(&mut bytes)).unwrap();
+    old.finish().unwrap();
+    drop(old);
+    std::fs::write(&file.0, bytes).unwrap();
+    let refused = read_log(&file.0).unwrap_err().to_string();
+    assert!(refused.contains("is a log of form moca-s/1, this program reads moca-s/2"), "{refused}");
+    assert!(matches!(LogFile::open(&file.0), Err(LogError::OtherForm { .. })));
+}
+
+/// A long run with few events: what a day looks like.
+fn calm(tick: u64) -> Sample {
+    let t = f64::from(u32::try_from(tick).unwrap()) * 1e-3;
+    let mut sample = Sample { tick, time_ns: tick * 1_000_000, mode: Mode::Impedance, ..Sample::default() };
+    sample.base_pose_world = [t.sin(), t.cos(), 0.1 * t];
+    sample.q_rad.extend([t.sin(); 7]);
+    sample.flange_position_world = [0.5, 0.0, 0.9];
+    sample.flange_desired_position_world = [0.5, 0.0, if tick == 1_234_567 { 0.95 } else { 0.9 }];
+    let force_n = if tick % 600_000 < 2000 { 20.0 } else { 0.0 };
+    sample.taxels.extend([TaxelReading { force_n, status: TaxelStatus::Ok }; 11]);
+    sample
+}
+
+#[test]
+fn a_log_is_looked_into_anywhere_and_only_what_is_shown_is_read() {
+    let file = TempFile::new("anywhere");
+    let mut writer = LogWriter::new(std::fs::File::create(&file.0).unwrap(), &meta()).unwrap();
+    let mut fault = None;
+    for tick in 0..60_000 {
+        if tick == 30_000 {
+            fault = Some(Fault::BoardLost);
+        }
+        let mode = if fault.is_some() { Mode::ProtectiveStop } else { Mode::Impedance };
+        writer.sample(&Sample { mode, fault, ..calm(tick) }).unwrap();
+    }
+    writer.finish().unwrap();
+    let mut log = LogFile::open(&file.0).unwrap();
+    assert_eq!((log.cut(), log.start_unix_ns()), (None, START));
+    assert_eq!(*log.description(), RobotDescription::paper("test", true));
+    assert_eq!(log.range_ns(), (0, 59_980_000_000));
+    // A jump to anywhere knows mode and fault, which changed long before.
+    let late = log.samples(45_000_000_000, 46_000_000_000).unwrap();
+    assert_eq!((late.len(), late[0].tick, late[50].tick), (51, 45_000, 46_000));
+    assert!(late.iter().all(|s| (s.mode, s.fault) == (Mode::ProtectiveStop, Some(Fault::BoardLost))));
+    let early = log.samples(0, 1_000_000_000).unwrap();
+    assert!(
+        early.iter().all(|s| (s.mode, s.fault) == (Mode::Impedance, None)),
+        "and what came later is forgotten"
+    );
+    let whole = log.overview().unwrap().clone();
+    assert_eq!(whole.spans.len(), 60);
+    let marked: Vec<_> = whole.marks.iter().map(|mark| (mark.time_ns, mark.what)).collect();
+    assert!(marked.contains(&(30_000_000_000, Happening::Fault(Fault::BoardLost))), "{marked:?}");
+
+    // A log that was not finished: the same from its chunks.
+    let bytes = std::fs::read(&file.0).unwrap();
+    std::fs::write(&file.0, &bytes[..bytes.len() / 2]).unwrap();
+    let mut log = LogFile::open(&file.0).unwrap();
+    assert!(log.cut().is_some() && log.overview().is_none());
+    let (_, end_ns) = log.range_ns();
+    assert!(end_ns > 10_000_000_000);
+    assert_eq!(log.samples(5_000_000_000, 6_000_000_000).unwrap().len(), 51);
+    let mut heard = Vec::new();
+    let rebuilt = log.build_overview(&mut |part| heard.push(part)).clone();
+    assert!(heard.is_sorted() && heard.last().is_some_and(|part| *part > 0.4));
+    let same = rebuilt.spans.len() - 1;
+    assert_eq!(rebuilt.spans[..same], whole.spans[..same]);
+}
+
+#[test]
+fn the_overview_of_a_day_keeps_a_single_bad_tick() {
+    let mut builder = moca_telemetry::log::overview::OverviewBuilder::default();
+    (0..2_000_000)
+        .step_by(20)
+        .chain([1_234_567])
+        .collect::<std::collections::BTreeSet<u64>>()
+        .into_iter()
+        .for_each(|tick| builder.add(&calm(tick)));
+    let Overview { spans, marks, .. } = builder.finish();
+    let worst = spans.iter().max_by(|a, b| a.flange_error_m.total_cmp(&b.flange_error_m)).unwrap();
+    assert_eq!(worst.start_ns, 1_234_000_000_000);
+    assert!((worst.flange_error_m - 0.05).abs() < 1e-6);
+    let touches = marks.iter().filter(|mark| mark.what == Happening::Touch).count();
+    assert_eq!(touches, 3, "that at the beginning is none: nobody saw the cover untouched before");
+}
+
+#[test]
+fn a_log_that_is_split_is_whole_in_each_part() {
+    let file = TempFile::new("split");
+    let parts: Vec<_> = (1..=4).map(|number| part_path(&file.0, number)).collect();
+    parts.iter().for_each(|part| drop(std::fs::remove_file(part)));
+    let (mut to_recorder, samples) = rtrb::RingBuffer::new(64);
+    let split = Some(std::time::Duration::from_secs(2));
+    let recorder =
+        Recorder::create(&file.0, &meta(), samples, RecorderOptions { wait: true, split }).unwrap();
+    recorder.configuration(records::Configuration { toml: "x = 1".into(), ..Default::default() });
+    for tick in 0..7000 {
+        while to_recorder.push(calm(tick)).is_err() {
+            std::thread::yield_now();
+        }
+    }
+    let summary = recorder.finish().unwrap();
+    assert_eq!((summary.samples, summary.displayed, summary.dropped), (7000, 350, 0));
+    let mut next = 0;
+    for part in &parts {
+        let log = read_log(part).unwrap();
+        assert_eq!((log.cut, &*log.description.name), (None, "test"));
+        assert_eq!(log.samples[0].tick, next, "no tick lies between two parts");
+        next += 2000;
+        let configured = LogReader::open(part)
+            .unwrap()
+            .any(|r| matches!(r, Record::Configuration(c) if c.toml == "x = 1"));
+        assert!(configured);
+        std::fs::remove_file(part).unwrap();
+    }
+}
+
+#[test]
+fn a_disk_that_refuses_is_told_at_once() {
+    struct Full(usize);
+    impl std::io::Write for Full {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            self.0 = self.0.checked_sub(bytes.len()).ok_or(std::io::ErrorKind::StorageFull)?;
+            Ok(bytes.len())
+        }
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+    let (mut to_recorder, samples) = rtrb::RingBuffer::new(64);
+    let recorder = Recorder::start(Full(100_000), &meta(), samples, false).unwrap();
+    assert_eq!(recorder.failure(), None);
+    let mut tick = 0;
+    while recorder.failure().is_none() {
+        if to_recorder.push(calm(tick)).is_ok() {
+            tick += 1;
+        } else {
+            std::thread::yield_now();
+        }
+    }
+    assert!(
+        recorder.failure().is_some_and(|why| why.contains("no storage space")),
+        "{:?}",
+        recorder.failure()
+    );
+    assert!(recorder.finish().is_err());
 }
 
 #[test]
@@ -159,7 +362,7 @@ fn a_value_that_is_no_number_stays_one() {
     assert_eq!(read.cut, None);
     let read = &read.samples[0];
     assert!(read.base_pose_world[1].is_nan() && read.q_rad[3].is_nan() && read.lateness_s.is_nan());
-    assert_eq!(read.base_pose_world[0], bad.base_pose_world[0]);
+    assert_eq!(read.base_pose_world[0], shown(&bad).base_pose_world[0]);
 }
 
 /// Where each chunk of `bytes` ends, and how many samples the file holds up to there, as the `mcap` library sees it.
@@ -179,8 +382,9 @@ fn chunk_ends(bytes: &[u8]) -> Vec<(usize, usize)> {
 
 #[test]
 fn a_cut_anywhere_gives_everything_up_to_the_last_whole_chunk() {
-    let bytes = log(420);
+    let bytes = log(1600);
     let ends = chunk_ends(&bytes);
+    let expected = displayed(0..1600);
     assert!(ends.len() >= 4, "{} chunks: too few to cut between", ends.len());
     let file = TempFile::new("cut");
     // Every byte around each chunk's end, and a coarse comb over everything else.
@@ -195,10 +399,8 @@ fn a_cut_anywhere_gives_everything_up_to_the_last_whole_chunk() {
         }
         let read = read_log(&file.0).unwrap();
         let whole = |cut| ends.iter().rev().find(|(end, _)| *end <= cut).map_or(0, |(_, samples)| *samples);
-        // A chunk that misses only LZ4's end mark of 4 bytes is whole too: its checksum fits.
-        let allowed = [whole(cut), whole(cut + 4)];
-        assert!(allowed.contains(&read.samples.len()), "cut at {cut}: {} samples", read.samples.len());
-        assert!((0..).zip(&read.samples).all(|(tick, s)| *s == sample(tick)), "cut at {cut}");
+        assert_eq!(read.samples.len(), whole(cut), "cut at {cut}");
+        assert!(read.samples == expected[..read.samples.len()], "cut at {cut}");
         assert!(read.cut.is_some(), "cut at {cut} went unnoticed");
         tried += 1;
     }
@@ -207,14 +409,14 @@ fn a_cut_anywhere_gives_everything_up_to_the_last_whole_chunk() {
 
 #[test]
 fn a_damaged_chunk_gives_nothing_rather_than_something_wrong() {
-    let mut bytes = log(700);
+    let mut bytes = log(3000);
     let ends = chunk_ends(&bytes);
-    let third = mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes[2].chunk_start_offset;
-    bytes[usize::try_from(third).unwrap() + 1000] ^= 0x40;
+    let fourth = mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes[3].chunk_start_offset;
+    bytes[usize::try_from(fourth).unwrap() + 1000] ^= 0x40;
     let file = TempFile::new("damaged");
     std::fs::write(&file.0, &bytes).unwrap();
     let read = read_log(&file.0).unwrap();
-    assert_eq!(read.samples.len(), ends[1].1);
+    assert_eq!(read.samples.len(), ends[2].1);
     assert!(read.cut.is_some());
 }
 
@@ -224,7 +426,11 @@ fn the_mcap_library_alone_finds_schemas_and_messages() {
     let mut counts = BTreeMap::new();
     for message in mcap::MessageStream::new(&bytes).unwrap() {
         let message = message.unwrap();
-        let schema = message.channel.schema.as_ref().unwrap();
+        *counts.entry(message.channel.topic.clone()).or_insert(0) += 1;
+        let Some(schema) = message.channel.schema.as_ref() else {
+            assert_eq!(message.channel.message_encoding, "application/octet-stream");
+            continue;
+        };
         assert_eq!(
             (schema.encoding.as_str(), message.channel.message_encoding.as_str()),
             ("jsonschema", "json")
@@ -244,33 +450,34 @@ fn the_mcap_library_alone_finds_schemas_and_messages() {
             };
             assert!(fits, "{} {key}: {value} is no {kind}", message.channel.topic);
         }
-        *counts.entry(message.channel.topic.clone()).or_insert(0) += 1;
     }
     for topic in ["/state", "/command", "/cover", "/timing"] {
-        assert_eq!(counts[topic], 1000, "{topic}");
+        assert_eq!(counts[topic], displayed(0..1000).len(), "{topic}");
     }
-    assert_eq!((counts["/mode"], counts["/fault"], counts["/board"], counts["/serial"]), (4, 5, 4, 40));
+    // Each chunk begins with all three; the second one where they change anyway.
+    assert_eq!((counts["/mode"], counts["/fault"], counts["/board"], counts["/serial"]), (4, 6, 4, 40));
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
-    assert!(summary.chunk_indexes.iter().all(|c| c.uncompressed_size <= 256 * 1024 + 4096));
+    assert_eq!(summary.attachment_indexes.len(), 1);
 }
 
 #[test]
 fn the_recorder_writes_what_waits_when_it_is_told_to_finish() {
     let file = TempFile::new("recorder");
     let (mut to_recorder, samples) = rtrb::RingBuffer::new(64);
-    let recorder = Recorder::create(&file.0, &meta(), samples).unwrap();
-    let input = recorder.serial();
+    let recorder = Recorder::create(&file.0, &meta(), samples, RecorderOptions::default()).unwrap();
     for tick in 0..1000 {
         while to_recorder.push(sample(tick)).is_err() {
             std::thread::yield_now();
         }
     }
-    input.offer(serial(7));
+    recorder.serial(serial(7));
     assert!(recorder.is_recording());
     let summary = recorder.finish().unwrap();
-    assert_eq!(summary, LogSummary { samples: 1000, serial_bytes: 4, serial_dropped: 0 });
+    let displayed = displayed(0..1000);
+    let shown = displayed.len() as u64;
+    assert_eq!(summary, LogSummary { samples: 1000, displayed: shown, serial_bytes: 4, dropped: 0 });
     let read = read_log(&file.0).unwrap();
-    assert_eq!((read.samples.len(), read.serial, read.cut), (1000, vec![serial(7)], None));
+    assert_eq!((read.samples, read.serial, read.cut), (displayed, vec![serial(7)], None));
 }
 
 #[test]
@@ -278,7 +485,7 @@ fn an_existing_file_is_not_overwritten_and_other_files_are_refused() {
     let file = TempFile::new("existing");
     std::fs::write(&file.0, "somebody's thesis, not a log").unwrap();
     let (_, samples) = rtrb::RingBuffer::new(1);
-    let refused = Recorder::create(&file.0, &meta(), samples).err().unwrap();
+    let refused = Recorder::create(&file.0, &meta(), samples, RecorderOptions::default()).err().unwrap();
     assert!(matches!(refused, LogError::Create { .. }), "{refused}");
     assert!(matches!(read_log(&file.0), Err(LogError::NotMcap(_))));
     assert!(matches!(read_log(&file.0.with_extension("none")), Err(LogError::Open { .. })));

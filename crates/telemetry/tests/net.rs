@@ -237,6 +237,24 @@ fn a_flood_of_requests_and_a_closed_socket_stop_the_robot() {
 }
 
 #[test]
+fn a_notice_reaches_who_is_there_and_who_comes_later() {
+    let robot = start(ANY, None);
+    let notice = |client: &Connection| {
+        let mut notices = Vec::new();
+        wait_for(|| {
+            notices.extend(client.poll().notices);
+            !notices.is_empty()
+        });
+        notices
+    };
+    let there = connect(robot.server.address());
+    robot.server.notices().send("the disk is full".into()).unwrap();
+    assert_eq!(notice(&there), ["the disk is full"]);
+    let later = Connection::spawn(robot.server.address().clone(), || {}).unwrap();
+    assert_eq!(notice(&later), ["the disk is full"]);
+}
+
+#[test]
 fn a_unix_socket_has_its_mode_and_serves_like_a_port() {
     use std::os::unix::fs::{FileTypeExt, PermissionsExt};
     let path = std::env::temp_dir().join(format!("moca-telemetry-{}.sock", std::process::id()));

@@ -129,8 +129,8 @@ pub fn lines_of(console: &mut Console, notice: Notice<'_>) -> Vec<String> {
                 "recorded {} samples and {} bytes of the board",
                 summary.samples, summary.serial_bytes
             )];
-            if summary.serial_dropped > 0 {
-                let lost = summary.serial_dropped;
+            if summary.dropped > 0 {
+                let lost = summary.dropped;
                 lines.push(format!(
                     "  {lost} ticks or reads of the board found no room on their way to the disk"
                 ));

@@ -46,7 +46,10 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
 
     /// One tick: read, decide, command, write; `timer` hears of each stage's end.
     pub fn tick(&mut self, slot: &Slot, request: Option<Request>, timer: &mut impl StageTimer) -> Ticked {
-        let measured = self.plant.read();
+        // Of what is measured the bits beyond single precision are noise, which no log could keep in little room: gone before
+        // anybody computes with them, they are missed by no replay.
+        let exact = self.plant.simulated().is_some();
+        let measured = self.plant.read().map(|state| if exact { state } else { state.in_single_precision() });
         let age = self.plant.age();
         let robot = measured.and_then(|state| self.door.check(state, age, self.elapsed_s(slot)));
         timer.end(Stage::Read);

@@ -3,122 +3,157 @@
 
 use crate::config::{AUTO_FOLDER, Config};
 use crate::record::recording::{configuration, parameter_change, unix_now_ns};
+use crate::record::tick_blocks::{Block, BlockBuilder};
 use crate::record::tick_log::{PortEvent, TickRecord};
 use anyhow::{Context, Result};
 use moca_msgs::{Fault, Mode, Sample};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::records::Configuration;
 use moca_telemetry::log::{LogError, LogWriter, Meta, SerialBytes};
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, Sender, SyncSender, TrySendError, channel, sync_channel};
 use std::thread::JoinHandle;
 
 /// How much of the past is kept, ns.
 pub const KEPT_NS: u64 = 10_000_000_000;
-/// Files kept in the folder; the oldest goes first.
+/// Files kept in the folder.
 pub const FILES_MAX: usize = 20;
+/// Stops by one cause within so much of each other are one story, ms.
+const STORY_MS: u64 = 60_000;
+/// Files that may wait for the disk.
+const JOBS_MAX: usize = 4;
 const PREFIX: &str = "mocad-fault-";
 
-/// Keeps the last [`KEPT_NS`] and writes them at the edge into a stop by a fault.
+/// Keeps the last [`KEPT_NS`] and writes them at every edge into a stop by a fault.
 pub struct FlightRecorder {
     folder: PathBuf,
     meta: Meta,
-    configuration: Configuration,
+    kept: Kept,
+    stopped: Option<Fault>,
+    writer: Writer,
+}
+
+/// The last seconds.
+#[derive(Clone, Default)]
+struct Kept {
     samples: VecDeque<Sample>,
     ticks: VecDeque<TickRecord>,
-    stopped: bool,
-    writer: Option<JoinHandle<()>>,
+}
+
+/// What the thread that writes has been asked for and has to say.
+struct Writer {
+    jobs: SyncSender<Job>,
+    say: Sender<String>,
+    said: Receiver<String>,
+    thread: Option<JoinHandle<()>>,
+}
+
+struct Job {
+    path: PathBuf,
+    kept: Kept,
 }
 
 impl FlightRecorder {
     /// What the configuration asks for; `None` if it asks for none.
     ///
     /// # Errors
-    /// The folder cannot be made, or a file that the configuration names cannot be read.
+    /// The folder cannot be made or written, a file that the configuration names cannot be read, or no thread.
     pub fn new(config: &Config, description: RobotDescription) -> Result<Option<Self>> {
         let folder = match config.flight_recorder.folder.as_str() {
             "" => return Ok(None),
             AUTO_FOLDER => auto_folder(),
             folder => PathBuf::from(folder),
         };
-        fs::create_dir_all(&folder).with_context(|| {
+        let meta = Meta { description, start_unix_ns: unix_now_ns() };
+        let (configuration, period_s) =
+            (configuration(config)?, 1.0 / f64::from(config.control_loop.rate_hz));
+        // Said now rather than when a fault needs it.
+        fs::create_dir_all(&folder).and_then(|()| probe(&folder)).with_context(|| {
             format!("flight_recorder.folder = {:?}: {}", config.flight_recorder.folder, folder.display())
         })?;
-        Ok(Some(Self {
-            folder,
-            meta: Meta { description, start_unix_ns: unix_now_ns() },
-            configuration: configuration(config)?,
-            samples: VecDeque::new(),
-            ticks: VecDeque::new(),
-            stopped: false,
-            writer: None,
-        }))
+        let writer = Writer::start(folder.clone(), meta.clone(), configuration, period_s)?;
+        Ok(Some(Self { folder, meta, kept: Kept::default(), stopped: None, writer }))
     }
 
     /// Keeps what one tick was given.
     pub fn add_tick(&mut self, record: TickRecord) {
         let now_ns = record.input.slot.now_ns;
-        self.ticks.push_back(record);
-        while self.ticks.front().is_some_and(|first| now_ns - first.input.slot.now_ns.min(now_ns) > KEPT_NS) {
-            self.ticks.pop_front();
+        let old = |first: &TickRecord| now_ns.saturating_sub(first.input.slot.now_ns) > KEPT_NS;
+        self.kept.ticks.push_back(record);
+        while self.kept.ticks.front().is_some_and(old) {
+            self.kept.ticks.pop_front();
         }
     }
 
-    /// Keeps one sample; at the edge into a stop by a fault, writes what is kept and returns the file.
+    /// Keeps one sample; at the edge into a stop by a fault, lets a thread write what is kept and returns the file.
     pub fn add(&mut self, sample: &Sample) -> Option<PathBuf> {
-        self.samples.push_back(sample.clone());
-        while self
-            .samples
-            .front()
-            .is_some_and(|first| sample.time_ns - first.time_ns.min(sample.time_ns) > KEPT_NS)
-        {
-            self.samples.pop_front();
+        let now_ns = sample.time_ns;
+        self.kept.samples.push_back(sample.clone());
+        while self.kept.samples.front().is_some_and(|first| now_ns.saturating_sub(first.time_ns) > KEPT_NS) {
+            self.kept.samples.pop_front();
         }
         let stopped = matches!(sample.mode, Mode::ProtectiveStop | Mode::Fault);
-        let edge = stopped && !std::mem::replace(&mut self.stopped, stopped);
-        match sample.fault {
-            Some(fault) if edge && fault != Fault::OperatorStop => Some(self.write(sample, fault)),
-            _ => None,
-        }
-    }
-
-    fn write(&mut self, last: &Sample, fault: Fault) -> PathBuf {
-        let at_ms = (self.meta.start_unix_ns + last.time_ns) / 1_000_000;
+        let fault = sample.fault.filter(|fault| stopped && *fault != Fault::OperatorStop);
+        let before = std::mem::replace(&mut self.stopped, fault);
+        let fault = fault.filter(|fault| before.map(Fault::code) != Some(fault.code()))?;
+        let at_ms = (self.meta.start_unix_ns + now_ns) / 1_000_000;
         let path = self.folder.join(format!("{PREFIX}{at_ms}-{}.mcap", fault.code()));
-        self.wait();
-        let (samples, ticks) =
-            (Vec::from_iter(self.samples.iter().cloned()), Vec::from_iter(self.ticks.iter().cloned()));
-        let (folder, file) = (self.folder.clone(), path.clone());
-        let (meta, configuration) = (self.meta.clone(), self.configuration.clone());
-        self.writer = std::thread::Builder::new()
-            .name("flight-recorder".into())
-            .spawn(move || {
-                if let Err(error) = write_log(&file, &meta, &configuration, (&samples, &ticks)) {
-                    #[expect(clippy::print_stderr, reason = "the only one left to tell")]
-                    {
-                        eprintln!("mocad: {}: {error}", file.display());
-                    }
-                }
-                forget_oldest(&folder);
-            })
-            .ok();
-        path
+        let said = self.writer.write(Job { path: path.clone(), kept: self.kept.clone() });
+        said.then_some(path)
     }
 
-    fn wait(&mut self) {
-        if let Some(writer) = self.writer.take() {
+    /// What went wrong with the files since the last call.
+    pub fn trouble(&mut self) -> Option<String> {
+        self.writer.said.try_recv().ok()
+    }
+}
+
+impl Writer {
+    fn start(folder: PathBuf, meta: Meta, configuration: Configuration, period_s: f64) -> Result<Self> {
+        let (jobs, from_recorder) = sync_channel::<Job>(JOBS_MAX);
+        let (say, said) = channel();
+        let from_thread = say.clone();
+        let thread = std::thread::Builder::new().name("flight-recorder".into()).spawn(move || {
+            for Job { path, kept } in from_recorder {
+                if let Err(error) = write_log(&path, &meta, &configuration, period_s, &kept) {
+                    // Nobody listens any more once the daemon ends.
+                    let _ = from_thread.send(format!("{}: {error}", path.display()));
+                }
+                forget_surplus(&folder);
+            }
+        })?;
+        Ok(Self { jobs, say, said, thread: Some(thread) })
+    }
+
+    /// Whether there is room for one more: the disk may be slower than the faults.
+    fn write(&self, job: Job) -> bool {
+        let Err(refused) = self.jobs.try_send(job) else { return true };
+        let (TrySendError::Full(job) | TrySendError::Disconnected(job)) = refused;
+        // The receiver lives as long as this.
+        let _ = self.say.send(format!("{}: not written, the disk is behind", job.path.display()));
+        false
+    }
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        // The thread ends with the last job.
+        (self.jobs, _) = sync_channel(1);
+        if let Some(thread) = self.thread.take() {
             // It does not panic; if it did, there is nobody left to tell.
-            let _ = writer.join();
+            let _ = thread.join();
         }
     }
 }
 
-impl Drop for FlightRecorder {
-    fn drop(&mut self) {
-        self.wait();
-    }
+/// Whether a file can be made there.
+fn probe(folder: &Path) -> std::io::Result<()> {
+    let path = folder.join(format!(".mocad-{}", std::process::id()));
+    File::create(&path)?;
+    fs::remove_file(path)
 }
 
 /// systemd's StateDirectory, or else the user's folder for state (XDG base directories), which outlives a reboot.
@@ -134,47 +169,64 @@ fn write_log(
     path: &Path,
     meta: &Meta,
     configuration: &Configuration,
-    (samples, ticks): (&[Sample], &[TickRecord]),
+    period_s: f64,
+    kept: &Kept,
 ) -> Result<(), LogError> {
-    let file = File::create_new(path).map_err(|source| LogError::Open { path: path.into(), source })?;
+    let file = File::create_new(path).map_err(|source| LogError::Create { path: path.into(), source })?;
     let mut log = LogWriter::new(BufWriter::new(file), meta)?;
     log.configuration(configuration)?;
-    let mut ticks = ticks.iter().peekable();
-    for sample in samples {
+    let mut blocks = BlockBuilder::new(period_s);
+    let mut ticks = kept.ticks.iter().peekable();
+    for sample in &kept.samples {
         log.sample(sample)?;
         while let Some(record) = ticks.next_if(|record| record.input.slot.tick <= sample.tick) {
             tick(&mut log, record)?;
+            write_block(&mut log, blocks.tick(record.clone()))?;
         }
+        write_block(&mut log, blocks.sample(sample))?;
+    }
+    for block in blocks.finish() {
+        write_block(&mut log, Some(block))?;
     }
     log.finish()?;
     Ok(())
 }
 
 fn tick(log: &mut LogWriter<BufWriter<File>>, record: &TickRecord) -> Result<(), LogError> {
-    let slot = record.input.slot;
     for event in &record.events {
         if let PortEvent::Bytes(arrival_ns, bytes) = event {
             log.serial(&SerialBytes { arrival_ns: *arrival_ns, bytes: bytes.clone() })?;
         }
     }
-    if let Some(change) = parameter_change(record) {
-        log.parameter(slot.now_ns, &change)?;
-    }
-    log.replay(slot.now_ns, slot.tick, &record.encode())
+    parameter_change(record).map_or(Ok(()), |change| log.parameter(record.input.slot.now_ns, &change))
 }
 
-/// Their names sort by time.
-fn forget_oldest(folder: &Path) {
+fn write_block(log: &mut LogWriter<BufWriter<File>>, block: Option<Block>) -> Result<(), LogError> {
+    block.map_or(Ok(()), |(time_ns, block)| log.replay(time_ns, &block))
+}
+
+/// A file of ours: when, ms since the Unix epoch, and where.
+type Dated = (u64, PathBuf);
+
+/// Beyond [`FILES_MAX`] files one goes of the cause that has most of them, so that a cause that comes and goes does not push
+/// out the one file of another: of a story the first file tells most, so a later one of it; or else the oldest.
+fn forget_surplus(folder: &Path) {
     let Ok(entries) = fs::read_dir(folder) else { return };
-    let ours = |path: &PathBuf| {
-        path.file_name().and_then(|name| name.to_str()).is_some_and(|name| name.starts_with(PREFIX))
-    };
-    let mut files: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).filter(ours).collect();
-    files.sort_unstable();
-    let surplus = files.len().saturating_sub(FILES_MAX);
-    for file in files.drain(..surplus) {
+    let mut by_cause: BTreeMap<String, Vec<Dated>> = BTreeMap::new();
+    for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
+        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        let parts = name.strip_prefix(PREFIX).and_then(|rest| rest.split_once('-'));
+        if let Some((Ok(at_ms), cause)) = parts.map(|(at_ms, cause)| (at_ms.parse(), cause)) {
+            by_cause.entry(cause.to_owned()).or_default().push((at_ms, path));
+        }
+    }
+    by_cause.values_mut().for_each(|files| files.sort_unstable());
+    while by_cause.values().map(Vec::len).sum::<usize>() > FILES_MAX {
+        let Some(files) = by_cause.values_mut().max_by_key(|files| files.len()) else { return };
+        let follows = |pair: &[Dated]| pair[1].0 - pair[0].0 < STORY_MS;
+        let goes = files.windows(2).position(follows).map_or(0, |first| first + 1);
         // Somebody else may have removed it.
-        let _ = fs::remove_file(file);
+        let _ = fs::remove_file(files.remove(goes).1);
     }
 }
 
@@ -196,6 +248,17 @@ mod tests {
         Sample { tick, time_ns: tick * 1_000_000, mode, fault, ..Sample::default() }
     }
 
+    /// Waits until the thread has written what it was asked for: a finished file is followed by one that is not asked for.
+    fn settled(recorder: &FlightRecorder) {
+        let done = recorder.folder.join("done");
+        let _ = fs::remove_file(&done);
+        while recorder.writer.jobs.send(Job { path: done.clone(), kept: Kept::default() }).is_err() {}
+        while !done.exists() {
+            std::thread::yield_now();
+        }
+        fs::remove_file(done).unwrap();
+    }
+
     #[test]
     fn a_fault_writes_the_last_ten_seconds_once_and_an_operators_stop_nothing() {
         let mut recorder = recorder("once");
@@ -206,7 +269,7 @@ mod tests {
         assert_eq!(recorder.add(&sample(12_001, Some(Fault::BoardLost))), None);
         recorder.add(&sample(12_002, None));
         assert_eq!(recorder.add(&sample(12_003, Some(Fault::OperatorStop))), None);
-        recorder.wait();
+        settled(&recorder);
         let log = read_log(&path).unwrap();
         assert_eq!((log.samples.first().unwrap().tick, log.samples.last().unwrap().tick), (2000, 12_000));
         assert_eq!((log.samples.last().unwrap().fault, log.cut), (Some(Fault::BoardLost), None));
@@ -214,15 +277,58 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_files_are_forgotten_and_others_are_not_touched() {
+    fn every_stop_gets_its_file_and_a_cause_that_flaps_pushes_out_neither_another_nor_its_beginning() {
+        let mut recorder = recorder("flapping");
+        let mut files = Vec::new();
+        let mut lost = None;
+        // The board is silent every five seconds, and lost once.
+        for round in 0..60 {
+            recorder.add(&sample(5000 * round, None));
+            files.extend(recorder.add(&sample(5000 * round + 500, Some(Fault::BoardSilent))));
+            if round == 30 {
+                lost = recorder.add(&sample(5000 * round + 600, Some(Fault::BoardLost)));
+            }
+            // Without a loop's pace the disk would be behind.
+            settled(&recorder);
+        }
+        assert_eq!(files.len(), 60, "each stop has its own");
+        assert!(
+            lost.expect("another cause is another stop").exists(),
+            "the file that matters was pushed out"
+        );
+        assert!(files[0].exists(), "how it began was pushed out");
+        assert!(files[59].exists());
+        assert_eq!(fs::read_dir(&recorder.folder).unwrap().count(), FILES_MAX);
+        assert_eq!(recorder.trouble(), None);
+        fs::remove_dir_all(&recorder.folder).unwrap();
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_written_is_said_at_once() {
+        let mut recorder = recorder("gone");
+        fs::remove_dir_all(&recorder.folder).unwrap();
+        recorder.add(&sample(1, Some(Fault::BoardLost))).unwrap();
+        let said = recorder.writer.said.recv().unwrap();
+        assert!(said.contains("cannot create the log") && said.contains("board-lost"), "{said}");
+
+        let mut config = Config::default();
+        config.flight_recorder.folder = "/proc/mocad".into();
+        let refused = FlightRecorder::new(&config, RobotDescription::default()).err().unwrap();
+        assert!(format!("{refused:#}").contains("/proc/mocad"), "{refused:#}");
+    }
+
+    #[test]
+    fn surplus_files_go_and_others_are_not_touched() {
         let recorder = recorder("oldest");
         for i in 0..FILES_MAX + 3 {
-            fs::write(recorder.folder.join(format!("{PREFIX}{:03}-x.mcap", i)), "").unwrap();
+            fs::write(recorder.folder.join(format!("{PREFIX}{i:03}-x.mcap")), "").unwrap();
         }
+        fs::write(recorder.folder.join(format!("{PREFIX}000-y.mcap")), "").unwrap();
         fs::write(recorder.folder.join("mine.mcap"), "").unwrap();
-        forget_oldest(&recorder.folder);
+        forget_surplus(&recorder.folder);
         assert_eq!(fs::read_dir(&recorder.folder).unwrap().count(), FILES_MAX + 1);
-        assert!(!recorder.folder.join(format!("{PREFIX}002-x.mcap")).exists());
+        assert!(!recorder.folder.join(format!("{PREFIX}003-x.mcap")).exists());
+        assert!(recorder.folder.join(format!("{PREFIX}000-y.mcap")).exists());
         assert!(recorder.folder.join("mine.mcap").exists());
         fs::remove_dir_all(&recorder.folder).unwrap();
     }

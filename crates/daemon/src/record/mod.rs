@@ -3,4 +3,5 @@
 pub mod command_csv;
 pub mod flight_recorder;
 pub mod recording;
+pub mod tick_blocks;
 pub mod tick_log;

@@ -2,14 +2,14 @@
 //! rings.
 
 use crate::config::Config;
+use crate::record::tick_blocks::BlockBuilder;
 use crate::record::tick_log::{PortEvent, TickRecord};
-use anyhow::{Context, Result};
+use anyhow::Result;
 use moca_msgs::{Request, Sample, params::CONTROLLER};
 use moca_tactile::calibration::read_text;
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::records::{Configuration, ParameterChange};
-use moca_telemetry::log::{LogSummary, Meta, Recorder, SerialBytes};
-use std::fs::File;
+use moca_telemetry::log::{LogError, LogSummary, Meta, Recorder, RecorderOptions, SerialBytes};
 use std::io::Write;
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -23,18 +23,28 @@ const WAIT: Duration = Duration::from_millis(1);
 pub struct Recording {
     recorder: Recorder,
     samples: rtrb::Producer<Sample>,
+    blocks: BlockBuilder,
     live: bool,
     lost: u64,
+    told: bool,
 }
 
 impl Recording {
-    /// Creates `path`, which must not exist.
+    /// Creates `path`, which must not exist, and another file each `split` of loop time.
     ///
     /// # Errors
     /// The file exists or cannot be created, or the calibration file cannot be read.
-    pub fn create(path: &Path, description: RobotDescription, config: &Config, live: bool) -> Result<Self> {
-        let file = File::create_new(path).with_context(|| path.display().to_string())?;
-        Self::start(file, description, config, live)
+    pub fn create(
+        path: &Path,
+        split: Option<Duration>,
+        description: RobotDescription,
+        config: &Config,
+        live: bool,
+    ) -> Result<Self> {
+        Self::with(description, config, live, |meta, samples| {
+            let options = RecorderOptions { wait: !live, split };
+            Recorder::create(path, meta, samples, options)
+        })
     }
 
     /// The same onto anything that can be written to.
@@ -47,28 +57,39 @@ impl Recording {
         config: &Config,
         live: bool,
     ) -> Result<Self> {
+        Self::with(description, config, live, |meta, samples| Recorder::start(output, meta, samples, !live))
+    }
+
+    fn with(
+        description: RobotDescription,
+        config: &Config,
+        live: bool,
+        recorder: impl FnOnce(&Meta, rtrb::Consumer<Sample>) -> Result<Recorder, LogError>,
+    ) -> Result<Self> {
         let (samples, from_here) = rtrb::RingBuffer::new(RING);
         let meta = Meta { description, start_unix_ns: if live { unix_now_ns() } else { 0 } };
         let configuration = configuration(config)?;
-        let recorder = Recorder::start(output, &meta, from_here, !live)?;
+        let recorder = recorder(&meta, from_here)?;
         recorder.configuration(configuration);
-        Ok(Self { recorder, samples, live, lost: 0 })
+        let blocks = BlockBuilder::new(1.0 / f64::from(config.control_loop.rate_hz));
+        Ok(Self { recorder, samples, blocks, live, lost: 0, told: false })
     }
 
     /// Adds what one tick was given. A live run does not wait for its disk: what finds no room counts as lost.
     pub fn add_tick(&mut self, record: &TickRecord) {
-        let (tick, time_ns) = (record.input.slot.tick, record.input.slot.now_ns);
+        let time_ns = record.input.slot.now_ns;
         for event in &record.events {
             if let PortEvent::Bytes(arrival_ns, bytes) = event {
-                let bytes = SerialBytes { arrival_ns: *arrival_ns, bytes: bytes.clone() };
-                self.recorder.serial().offer(bytes);
+                self.recorder.serial(SerialBytes { arrival_ns: *arrival_ns, bytes: bytes.clone() });
             }
         }
         if let Some(change) = parameter_change(record) {
             self.recorder.parameter(time_ns, change);
         }
         self.lost = record.lost;
-        self.recorder.replay(time_ns, tick, record.encode());
+        if let Some((time_ns, block)) = self.blocks.tick(record.clone()) {
+            self.recorder.replay(time_ns, block);
+        }
     }
 
     /// Adds one sample, like [`Recording::add_tick`].
@@ -76,17 +97,30 @@ impl Recording {
         while !self.live && self.samples.is_full() && self.recorder.is_recording() {
             std::thread::sleep(WAIT);
         }
-        // After an error of the disk nobody takes samples any more; `finish` tells it.
+        // After an error of the disk nobody takes samples any more; `trouble` tells it.
         let _ = self.samples.push(sample.clone());
+        if let Some((time_ns, block)) = self.blocks.sample(sample) {
+            self.recorder.replay(time_ns, block);
+        }
+    }
+
+    /// Why nothing is recorded any more: once, as soon as that is so.
+    pub fn trouble(&mut self) -> Option<String> {
+        let failure = self.recorder.failure().filter(|_| !self.told)?.to_owned();
+        self.told = true;
+        Some(failure)
     }
 
     /// Writes what waits, the index and the end mark. Ticks and board events that found no room count as dropped.
     ///
     /// # Errors
     /// The disk refused a write during the run or now.
-    pub fn finish(self) -> Result<LogSummary> {
+    pub fn finish(mut self) -> Result<LogSummary> {
+        for (time_ns, block) in self.blocks.finish() {
+            self.recorder.replay(time_ns, block);
+        }
         let summary = self.recorder.finish()?;
-        Ok(LogSummary { serial_dropped: summary.serial_dropped + self.lost, ..summary })
+        Ok(LogSummary { dropped: summary.dropped + self.lost, ..summary })
     }
 }
 

@@ -3,7 +3,6 @@
 
 use crate::control::tick_input::TickInput;
 use crate::devices::board_events::NumberedEvent;
-use anyhow::Result;
 use moca_msgs::board::OpenFailure;
 use moca_tactile::board::Chunk;
 use moca_tactile::{BoardEvent, CloseReason};
@@ -83,22 +82,6 @@ pub struct TickRecord {
     pub events: Vec<PortEvent>,
 }
 
-impl TickRecord {
-    /// As bytes: every number with all its bits, NaN and infinity included.
-    pub fn encode(&self) -> Vec<u8> {
-        // These types always encode; nothing at all would be found by whoever reads it back.
-        postcard::to_stdvec(self).unwrap_or_default()
-    }
-
-    /// From the bytes of [`TickRecord::encode`].
-    ///
-    /// # Errors
-    /// Bytes of another version, or damaged.
-    pub fn decode(bytes: &[u8]) -> Result<Self> {
-        Ok(postcard::from_bytes(bytes)?)
-    }
-}
-
 /// A [`BoardEvent`] that can be written.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum PortEvent {
@@ -150,8 +133,7 @@ mod tests {
     use super::*;
     use crate::control::plant::SourceAge;
     use crate::control::tick_input::Slot;
-    use crate::robot::JOINTS;
-    use moca_msgs::{Fault, RobotState};
+    use moca_msgs::Fault;
 
     fn input(tick: u64, cover_events: u64) -> TickInput {
         TickInput {
@@ -180,35 +162,7 @@ mod tests {
         log.push(input(9001, 3));
         let record = reader.next_tick().unwrap();
         assert_eq!((record.number, record.lost, record.events.len()), (RING as u64 + 3, 4, 1));
-        assert_eq!(TickRecord::decode(&record.encode()).unwrap(), record);
         let record = reader.next_tick().unwrap();
         assert_eq!((record.lost, record.events.len()), (4, 1));
-    }
-
-    #[test]
-    fn every_bit_of_a_state_comes_back() {
-        let mut state = RobotState {
-            base_pose_world: [-0.0, f64::MIN_POSITIVE, 1.0 / 3.0],
-            base_velocity_world: [f64::INFINITY, f64::NEG_INFINITY, 0.1],
-            q_rad: [f64::from_bits(0x7ff8_0000_0000_0123); JOINTS],
-            dq_rad_s: [5e-324; JOINTS],
-            torque_measured_nm: [87.0; JOINTS],
-            flange_wrench_world: None,
-        };
-        for wrench in [None, Some([0.1; 6])] {
-            state.flange_wrench_world = wrench;
-            let record = TickRecord {
-                input: TickInput { state: Ok(state), ..input(1, 0) },
-                number: 1,
-                lost: 0,
-                events: Vec::new(),
-            };
-            let bytes = record.encode();
-            let back = TickRecord::decode(&bytes).unwrap();
-            assert_eq!(back.encode(), bytes);
-            let back = back.input.state.unwrap();
-            assert_eq!(back.q_rad.map(f64::to_bits), state.q_rad.map(f64::to_bits));
-            assert_eq!(back.base_pose_world.map(f64::to_bits), state.base_pose_world.map(f64::to_bits));
-        }
     }
 }

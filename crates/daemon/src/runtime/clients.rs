@@ -18,6 +18,7 @@ use moca_telemetry::net::{self, Address, CalibrationPort, Ports, RequestSender, 
 use std::fs::File;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::Sender;
 use std::time::Duration;
 
 /// Samples a ring to observers holds: four seconds at 1 kHz.
@@ -103,7 +104,7 @@ fn recording(
     };
     let (config, live) = (&options.config, !options.lock_step);
     let recording = match spoiled.zip(strike) {
-        None => Recording::create(path, description(config), config, live)?,
+        None => Recording::create(path, options.record_split, description(config), config, live)?,
         Some((fault, strike)) => {
             let file = File::create_new(path).with_context(|| path.display().to_string())?;
             Recording::start(Disk::new(file, fault, strike.clone()), description(config), config, live)?
@@ -151,6 +152,8 @@ pub(crate) struct Observers {
     panics: bool,
     flight: Option<FlightRecorder>,
     ticks: TickLogReader,
+    /// Where dashboards hear of trouble with the disk.
+    pub(crate) notices: Option<Sender<String>>,
 }
 
 impl Observers {
@@ -161,7 +164,7 @@ impl Observers {
         let recording = recording(options, strike.as_ref(), reporter)?;
         let flight = if options.lock_step { None } else { flight_recorder(&options.config, reporter)? };
         let panics = options.outside_fault() == Some(OutsideFault::Panic);
-        Ok(Self { strike, recording, panics, flight, ticks })
+        Ok(Self { strike, recording, panics, flight, ticks, notices: None })
     }
 
     pub(crate) fn see(&mut self, sample: &Sample, reporter: &mut dyn Reporter) {
@@ -178,6 +181,17 @@ impl Observers {
         }
         if let Some(path) = self.flight.as_mut().and_then(|flight| flight.add(sample)) {
             reporter.report(Notice::FaultLog(&path));
+        }
+        let recording = self.recording.as_mut().and_then(Recording::trouble);
+        let recording = recording.map(|why| format!("nothing is recorded any more: {why}"));
+        let flight = self.flight.as_mut().and_then(FlightRecorder::trouble);
+        let flight = flight.map(|why| format!("the flight recorder failed: {why}"));
+        for trouble in recording.into_iter().chain(flight) {
+            reporter.report(Notice::Trouble(&trouble));
+            if let Some(notices) = &self.notices {
+                // A server that has ended has nobody to tell.
+                let _ = notices.send(trouble);
+            }
         }
     }
 

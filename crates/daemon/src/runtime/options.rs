@@ -18,6 +18,8 @@ pub struct Options {
     pub command_log: Option<PathBuf>,
     /// Where the MCAP log goes.
     pub record: Option<PathBuf>,
+    /// After how much robot time another log file begins.
+    pub record_split: Option<Duration>,
     /// A fault on purpose (simulated robot only).
     pub inject: Option<Injection>,
     /// Whether a refused wish to the operating system ends the run before it starts.

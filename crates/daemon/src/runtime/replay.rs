@@ -6,6 +6,7 @@ use crate::control::stage::Untimed;
 use crate::control::tick::{ControlLoop, Ticked};
 use crate::devices::board_events::BoardEvents;
 use crate::devices::touch_board::ByteCover;
+use crate::record::tick_blocks::{self, ComparedTick, fingerprint};
 use crate::record::tick_log::TickRecord;
 use crate::robot::JOINTS;
 use crate::runtime::assemble::{cover_config, motion, supervisor};
@@ -13,15 +14,17 @@ use anyhow::{Context, Result, anyhow, bail};
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState, Sample};
 use moca_tactile::{BoardEvent, Cover};
 use moca_telemetry::log::records::Configuration;
-use moca_telemetry::log::{LogReader, Record};
+use moca_telemetry::log::{LogReader, Record, shown};
 use std::collections::VecDeque;
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 /// Events one tick can take, and more.
 const RING_EVENTS: usize = 64;
+/// Samples that are kept to name a difference: those of a few blocks.
+const SHOWN_MAX: usize = 4096;
 
 /// What a replay found, if nothing differed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -118,52 +121,53 @@ impl fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
-/// Runs a log again.
+/// Runs a log again, or the parts of one in their order.
 ///
 /// # Errors
 /// A [`Failure`], or a file that is no log of a run.
-pub fn run(path: &Path) -> Result<Report> {
+pub fn run(parts: &[PathBuf]) -> Result<Report> {
     let started = Instant::now();
-    let mut reader = LogReader::open(path)?;
     let mut replay: Option<Replay> = None;
-    let (mut ticks, mut samples) = (VecDeque::new(), VecDeque::new());
     let mut report = Report::default();
-    for record in &mut reader {
-        match record {
-            Record::Configuration(configuration) => {
-                let ours = env!("CARGO_PKG_VERSION");
-                report.other_version = (configuration.version != ours).then(|| configuration.version.clone());
-                replay = Some(Replay::new(&configuration)?);
+    for part in parts {
+        let mut reader = LogReader::open(part)?;
+        for record in &mut reader {
+            match (record, &mut replay) {
+                (Record::Configuration(configuration), None) => {
+                    let ours = env!("CARGO_PKG_VERSION");
+                    report.other_version =
+                        (configuration.version != ours).then(|| configuration.version.clone());
+                    replay = Some(Replay::new(&configuration)?);
+                }
+                (Record::Replay(block), Some(replay)) => {
+                    let after =
+                        replay.last.map_or("the start".to_owned(), |(tick, _)| format!("tick {tick}"));
+                    let ticks = tick_blocks::decode(&block);
+                    for tick in ticks.with_context(|| format!("the block after {after} cannot be read"))? {
+                        replay.step(&tick, &mut report)?;
+                    }
+                }
+                (Record::Sample(sample), Some(replay)) => replay.show(*sample),
+                _ => {}
             }
-            Record::Replay { tick, bytes } => {
-                let record = TickRecord::decode(&bytes);
-                ticks.push_back(record.with_context(|| format!("the record of tick {tick} cannot be read"))?);
-            }
-            Record::Sample(sample) => samples.push_back(*sample),
-            Record::Serial(_) => {}
         }
-        let Some(replay) = &mut replay else { continue };
-        // A tick's sample may lie before or behind what the tick was given.
-        while let (Some(tick), Some(_)) = (ticks.front(), samples.front()) {
-            replay.step(tick, &mut samples, &mut report)?;
-            ticks.pop_front();
+        report.cut = reader.cut().map(Into::into);
+        if report.cut.is_some() {
+            break;
         }
     }
-    report.cut = reader.cut().map(Into::into);
-    let mut replay = replay.context(
+    let replay = replay.context(
         "the log holds no configuration: it was not written by `mocad --record` (a dashboard's recording has samples only)",
     )?;
-    for tick in &ticks {
-        replay.step(tick, &mut samples, &mut report)?;
+    if let Some(failure) = replay.differs {
+        return Err(failure.into());
     }
-    if let (Some(sample), None) = (samples.front(), &report.cut) {
+    let after = replay.last.map(|(tick, _)| tick);
+    if let (Some(sample), None) =
+        (replay.shown.back().filter(|sample| Some(sample.tick) > after), &report.cut)
+    {
         let missing = format!("tick {} has a sample, but what it was given is missing", sample.tick);
-        return Err(Failure::Incomplete {
-            after: replay.last.map(|(tick, _)| tick),
-            missing,
-            compared: report.compared,
-        }
-        .into());
+        return Err(Failure::Incomplete { after, missing, compared: report.compared }.into());
     }
     if report.compared == 0 {
         bail!("the log holds no tick that could be compared");
@@ -177,6 +181,12 @@ struct Replay {
     events: rtrb::Producer<BoardEvent>,
     /// Tick and number of the last one.
     last: Option<(u64, u64)>,
+    /// Board events of the ticks up to there.
+    cover_events: u64,
+    /// What the log shows of ticks that have not been run yet.
+    shown: VecDeque<Sample>,
+    /// The first difference, until a sample that is shown names its quantity.
+    differs: Option<Failure>,
     _texts: Vec<TemporaryFile>,
 }
 
@@ -207,17 +217,29 @@ impl Replay {
             motion(&config)?,
             period_s,
         );
-        Ok(Self { control, events, last: None, _texts: texts })
+        Ok(Self {
+            control,
+            events,
+            last: None,
+            cover_events: 0,
+            shown: VecDeque::new(),
+            differs: None,
+            _texts: texts,
+        })
     }
 
-    fn step(
-        &mut self,
-        record: &TickRecord,
-        samples: &mut VecDeque<Sample>,
-        report: &mut Report,
-    ) -> Result<()> {
+    /// Notes what the log shows of a tick, to name what differs.
+    fn show(&mut self, sample: Sample) {
+        self.shown.push_back(sample);
+        if self.shown.len() > SHOWN_MAX {
+            self.shown.pop_front();
+        }
+    }
+
+    fn step(&mut self, tick: &ComparedTick, report: &mut Report) -> Result<()> {
+        let ComparedTick { record, sample: recorded } = tick;
         let input = &record.input;
-        let tick = input.slot.tick;
+        let number = input.slot.tick;
         self.check_whole(record, report.compared)?;
         for event in &record.events {
             // A tick takes fewer events than the ring holds.
@@ -230,26 +252,51 @@ impl Replay {
             pressed: input.outcome.unwrap_or(Ok(())),
         };
         let Ticked { sample, outcome, .. } = self.control.tick(&input.slot, input.request, &mut Untimed);
-        self.last = Some((tick, record.number));
+        self.last = Some((number, record.number));
+        self.cover_events = input.cover_events;
+        if self.differs.is_some() {
+            return self.name_difference(&sample);
+        }
         if outcome != input.outcome {
             let (recorded, replayed) = (format!("{:?}", input.outcome), format!("{outcome:?}"));
             let quantity = "the answer to the request".into();
-            return Err(Failure::Differs { tick, quantity, recorded, replayed }.into());
+            return Err(Failure::Differs { tick: number, quantity, recorded, replayed }.into());
         }
-        while samples.front().is_some_and(|recorded| recorded.tick < tick) {
-            samples.pop_front();
+        match recorded {
+            None => report.without_sample += 1,
+            Some(recorded) if *recorded == fingerprint(&sample) => report.compared += 1,
+            Some(recorded) => {
+                let (recorded, replayed) =
+                    (format!("{recorded:08x}"), format!("{:08x}", fingerprint(&sample)));
+                let quantity = "the fingerprint of the sample: less than a viewer shows".into();
+                self.differs = Some(Failure::Differs { tick: number, quantity, recorded, replayed });
+                return self.name_difference(&sample);
+            }
         }
-        if samples.front().is_none_or(|recorded| recorded.tick != tick) {
-            report.without_sample += 1;
+        Ok(())
+    }
+
+    /// Fails with the first quantity that differs in what the log shows, once it shows this tick; or fails without a name
+    /// if that says nothing.
+    fn name_difference(&mut self, replayed: &Sample) -> Result<()> {
+        while self.shown.front().is_some_and(|sample| sample.tick < replayed.tick) {
+            self.shown.pop_front();
+        }
+        if self.shown.front().is_none_or(|sample| sample.tick != replayed.tick) {
             return Ok(());
         }
-        if let Some(recorded) = samples.pop_front()
-            && let Some((quantity, recorded, replayed)) = difference(&recorded, &sample)?
+        let (Some(recorded), Some(mut failure)) = (self.shown.pop_front(), self.differs.take()) else {
+            return Ok(());
+        };
+        // These two are the worst of several ticks in a log.
+        let (lateness_s, stages_ns) = (recorded.lateness_s, recorded.stages_ns);
+        let replayed = Sample { lateness_s, stages_ns, ..shown(replayed) };
+        if let (Failure::Differs { quantity, recorded, replayed, .. }, Some(found)) =
+            (&mut failure, difference(&recorded, &replayed)?)
         {
-            return Err(Failure::Differs { tick, quantity, recorded, replayed }.into());
+            (*quantity, *recorded, *replayed) = found;
         }
-        report.compared += 1;
-        Ok(())
+        Err(failure.into())
     }
 
     /// Whether nothing was lost between the last tick and this one.
@@ -266,7 +313,8 @@ impl Replay {
             }
             _ => {}
         }
-        if record.lost > 0 {
+        let took = input.cover_events.saturating_sub(self.cover_events);
+        if record.lost > 0 || took != record.events.len() as u64 {
             let missing = "the recorder had no room for ticks or bytes of the board (a slow disk?)";
             return incomplete(missing.into());
         }
@@ -274,7 +322,7 @@ impl Replay {
     }
 }
 
-/// The first field in which two samples differ by a bit (every NaN is one), and its values.
+/// The first field in which two samples differ, and its values.
 fn difference(recorded: &Sample, replayed: &Sample) -> Result<Option<(String, String, String)>> {
     // The shortest text that reads back to the same bits differs where a bit does.
     if serde_json::to_vec(recorded)? == serde_json::to_vec(replayed)? {

@@ -19,7 +19,7 @@ use crate::runtime::tick_source::Timer;
 use crate::runtime::timing::Timing;
 use anyhow::{Context, Result, anyhow};
 use moca_msgs::Sample;
-use moca_telemetry::net::CalibrationPort;
+use moca_telemetry::net::{CalibrationPort, Server};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -213,6 +213,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
             None
         }
     };
+    observers.notices = server.as_ref().map(Server::notices);
     spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
     let done = AtomicBool::new(false);
     let started = Instant::now();
@@ -324,6 +325,7 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         Some(address) => Some(serve(config, &address, from_loop, None, request_ports, reporter)?),
         None => None,
     };
+    observers.notices = server.as_ref().map(Server::notices);
     spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
     let (mut last, mut ticks) = (Sample::default(), 0);
     let (mut allocated, mut warm) = (0, false);

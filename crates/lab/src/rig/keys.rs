@@ -7,7 +7,7 @@ use moca_daemon::config::Config;
 use moca_msgs::table::{FieldValue, ParameterKind, ParameterSpec, Size};
 use moca_sim::foam::Foam;
 use moca_sim::{BodyPart, Integrator};
-use moca_tactile::datastream::SketchGeneration;
+use moca_tactile::Firmware;
 
 impl Settings {
     /// Applies `key=value`.
@@ -73,8 +73,15 @@ const KEYS: &[Key] = &[
         s.noise_counts = Some(number(v, 0.0, 100.0)?);
         Ok(())
     }),
-    key("sensor.sketch", "2015|2018", "stock board: generation of the sketch", |s, v| {
-        s.sketch = word(v, &[("2015", SketchGeneration::From2015), ("2018", SketchGeneration::From2018)])?;
+    key("sensor.firmware", "moca|stock-2018|stock-2015", "virtual board: what runs on it", |s, v| {
+        s.firmware = word(
+            v,
+            &[
+                ("moca", Firmware::Moca),
+                ("stock-2018", Firmware::Stock2018),
+                ("stock-2015", Firmware::Stock2015),
+            ],
+        )?;
         Ok(())
     }),
     key("step_ms", "ms", "physics step", |s, v| store(&mut s.step_ms, v, 1e-3, 100.0)),

@@ -118,6 +118,7 @@ impl Model {
             self.latest = Some(last);
             self.latest_at_s = now_s;
         }
+        self.answers.extend(update.notices.into_iter().map(Answer::bad));
         for reply in update.replies {
             self.note_reply(reply);
         }
@@ -263,6 +264,7 @@ mod tests {
             samples,
             replies: Vec::new(),
             calibration: CalibrationProgress::Idle,
+            notices: Vec::new(),
             unread_dropped: 0,
         }
     }

@@ -55,6 +55,7 @@ impl Live for Fake {
             samples,
             replies,
             calibration: daemon.calibration.clone(),
+            notices: Vec::new(),
             unread_dropped: 0,
         }
     }

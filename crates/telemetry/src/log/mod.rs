@@ -1,21 +1,30 @@
 //! The log of a run: MCAP, one channel for each kind of message, JSON with its schema, so that it opens in
-//! Foxglove, Lichtblick, PlotJuggler and the `mcap` tools.
+//! Foxglove, Lichtblick, PlotJuggler and the `mcap` tools; bytes as bytes.
+//!
+//! Two halves: what a viewer shows is written at 50 Hz with seven digits, and whenever something happened; what a replay
+//! needs is written for each tick, every bit of it, in [`columns`].
 //!
 //! Layers: [`records`] (the messages and their schemas) · [`LogWriter`] (samples in, file out) · [`Recorder`] (a
-//! writer on a thread of its own, fed by a ring) · [`LogReader`] (file in, samples out).
+//! writer on a thread of its own, fed by a ring) · [`LogReader`] (file in, entries out, one after the other) · [`LogFile`]
+//! (a file looked into anywhere) · [`Overview`] (a run at a glance).
 //!
-//! A chunk is at most 256 KiB of messages and is written in one piece: a file that ends anywhere gives back every
-//! whole chunk before the cut.
+//! A chunk is at most half a second of a run and is written in one piece: a file that ends anywhere, or is damaged
+//! anywhere, gives back every whole chunk before. No length in a file is believed before it is checked.
 
-pub mod records;
-
+pub mod columns;
+mod file;
+mod framing;
+pub mod overview;
 mod reader;
 mod recorder;
+pub mod records;
 mod writer;
 
+pub use file::LogFile;
+pub use overview::Overview;
 pub use reader::{Log, LogReader, Record, read_log};
-pub use recorder::{Recorder, SerialInput};
-pub use writer::{LogSummary, LogWriter, Meta};
+pub use recorder::{Recorder, RecorderOptions, part_path};
+pub use writer::{LogSummary, LogWriter, Meta, shown};
 
 use std::path::PathBuf;
 
@@ -50,6 +59,20 @@ pub enum LogError {
     /// The file has not even the first bytes of an MCAP file.
     #[error("{0} is not an MCAP file")]
     NotMcap(PathBuf),
+    /// The file is a log of another form.
+    #[error(
+        "{path} is a log of form {theirs}, this program reads {}: use the version that wrote it",
+        writer::FORM
+    )]
+    OtherForm {
+        /// The file.
+        path: PathBuf,
+        /// Its form.
+        theirs: String,
+    },
+    /// A part of the file is damaged.
+    #[error("the log is damaged: {0}")]
+    Damaged(String),
     /// Writing failed: disk full, medium gone.
     #[error("cannot write the log: {0}")]
     Mcap(#[from] mcap::McapError),

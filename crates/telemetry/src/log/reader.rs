@@ -1,17 +1,19 @@
-//! An MCAP file in, samples and bytes out, whole or cut.
+//! An MCAP file in, samples and bytes out, whole, cut or damaged.
 
 use super::{
     LogError, SerialBytes,
+    framing::{self, Fields, Message, Records, op},
     records::{
-        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, ModeChange, Replay, Robot,
-        Serial, State, Timing,
+        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, ModeChange, REPLAY_TOPIC,
+        Robot, SERIAL_TOPIC, State, Timing,
     },
+    writer::FORM,
 };
 use crate::RobotDescription;
-use mcap::{McapResult, Message, io::MessageReader, sans_io::LinearReaderOptions};
 use moca_msgs::{Fault, Mode, Sample, TaxelReading, board::Diagnosis};
 use serde::de::DeserializeOwned;
 use std::{
+    collections::{BTreeMap, VecDeque},
     fs::File,
     io::{BufReader, Read, Seek, SeekFrom},
     path::Path,
@@ -20,29 +22,24 @@ use std::{
 /// One entry of a log.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Record {
-    /// One tick.
+    /// What a viewer shows of one tick, numbers with seven digits.
     Sample(Box<Sample>),
     /// One read of the Touch Board's port.
     Serial(SerialBytes),
-    /// What a replay needs of one tick.
-    Replay {
-        /// Tick count.
-        tick: u64,
-        /// The daemon's own record.
-        bytes: Vec<u8>,
-    },
+    /// A block of what ticks were given, in the daemon's own form.
+    Replay(Vec<u8>),
     /// How the run was configured.
     Configuration(Box<Configuration>),
 }
 
-/// A whole log in memory: about 1.5 KB a sample.
+/// What a viewer shows of a whole log, in memory: about 75 KB for each second of it.
 #[derive(Clone, Debug, Default)]
 pub struct Log {
     /// The robot.
     pub description: RobotDescription,
     /// Unix time of loop time 0, ns.
     pub start_unix_ns: u64,
-    /// Every sample.
+    /// What a viewer shows, tick by tick.
     pub samples: Vec<Sample>,
     /// Every read of the Touch Board's port.
     pub serial: Vec<SerialBytes>,
@@ -52,27 +49,17 @@ pub struct Log {
 
 /// Reads a log entry by entry; memory is bounded by one chunk.
 pub struct LogReader {
-    messages: MessageReader<BufReader<File>>,
-    description: RobotDescription,
-    start_unix_ns: u64,
-    mode: Mode,
-    fault: Option<Fault>,
-    board: Diagnosis,
-    partial: Partial,
+    records: Records<Input>,
+    decoder: Decoder,
+    /// Entries of the present chunk.
+    ready: VecDeque<Record>,
+    chunks_read: u64,
     ended_well: bool,
+    done: bool,
     cut: Option<String>,
 }
 
-/// The messages of one tick as they come in.
-#[derive(Default)]
-struct Partial {
-    state: Option<State>,
-    command: Option<Command>,
-    cover: Option<Cover>,
-    contacts: Vec<Contact>,
-}
-
-/// Reads all of a log. A log that was cut gives everything up to its last whole chunk, and says so in `cut`.
+/// Reads what a viewer shows of a log. One that is cut or damaged gives everything before that, and says so in `cut`.
 pub fn read_log(path: &Path) -> Result<Log, LogError> {
     let mut reader = LogReader::open(path)?;
     let mut log = Log::default();
@@ -80,58 +67,193 @@ pub fn read_log(path: &Path) -> Result<Log, LogError> {
         match record {
             Record::Sample(sample) => log.samples.push(*sample),
             Record::Serial(serial) => log.serial.push(serial),
-            Record::Replay { .. } | Record::Configuration(_) => {}
+            Record::Replay(_) | Record::Configuration(_) => {}
         }
     }
-    log.description = reader.description;
-    log.start_unix_ns = reader.start_unix_ns;
+    log.start_unix_ns = reader.decoder.start_unix_ns;
+    log.description = reader.decoder.description;
     log.cut = reader.cut;
     Ok(log)
 }
 
 impl LogReader {
     /// Opens a log.
+    ///
+    /// # Errors
+    /// The file cannot be read, is no MCAP file, or a log of another form, which is named.
     pub fn open(path: &Path) -> Result<Self, LogError> {
-        let open = |source| LogError::Open { path: path.into(), source };
-        let mut file = File::open(path).map_err(open)?;
-        let mut magic = [0; mcap::MAGIC.len()];
-        if file.read_exact(&mut magic).is_err() || magic != mcap::MAGIC {
-            return Err(LogError::NotMcap(path.into()));
-        }
-        let length = file.seek(SeekFrom::End(0)).map_err(open)?;
-        file.seek(SeekFrom::Start(length - magic.len() as u64)).map_err(open)?;
-        file.read_exact(&mut magic).map_err(open)?;
-        file.rewind().map_err(open)?;
-        // Validated before it is read, a damaged chunk gives nothing rather than something wrong.
-        let options = LinearReaderOptions::default()
-            .with_skip_end_magic(true)
-            .with_validate_chunk_crcs(true)
-            .with_prevalidate_chunk_crcs(true);
+        Self::over(open_file(path)?, path)
+    }
+
+    /// The same over anything that holds the bytes of a log; `path` names it in errors.
+    ///
+    /// # Errors
+    /// As for [`Self::open`].
+    pub fn over(input: impl Read + Seek + Send + 'static, path: &Path) -> Result<Self, LogError> {
+        let (records, ended_well) = begin(input, path)?;
         Ok(Self {
-            messages: MessageReader::new_with_options(BufReader::new(file), options),
-            description: RobotDescription::default(),
-            start_unix_ns: 0,
-            mode: Mode::default(),
-            fault: None,
-            board: Diagnosis::default(),
-            partial: Partial::default(),
-            ended_well: length > magic.len() as u64 && magic == mcap::MAGIC,
+            records,
+            decoder: Decoder::default(),
+            ready: VecDeque::new(),
+            chunks_read: 0,
+            ended_well,
+            done: false,
             cut: None,
         })
     }
 
     /// The robot, known from the first entry on.
     pub fn description(&self) -> &RobotDescription {
-        &self.description
+        &self.decoder.description
     }
 
-    /// Why the log ended before its end, once the iterator has.
+    /// Why the log ended before its end, and how much of the file is missing, once the iterator has ended.
     pub fn cut(&self) -> Option<&str> {
         self.cut.as_deref()
     }
 
-    fn take(&mut self, message: &Message<'_>) -> Result<Option<Record>, serde_json::Error> {
-        match message.channel.topic.as_str() {
+    /// Reads one more chunk; `false` at the end of the messages.
+    fn read_chunk(&mut self) -> Result<bool, String> {
+        let record = self.records.next(|kind| matches!(kind, op::CHUNK | op::DATA_END | op::FOOTER))?;
+        if record.op != op::CHUNK {
+            return self.compare_with_index().map(|()| false);
+        }
+        let chunk = framing::chunk(record.body)?;
+        self.chunks_read += 1;
+        self.decoder.decode(&chunk, &mut |record| self.ready.push_back(record))?;
+        Ok(true)
+    }
+}
+
+impl LogReader {
+    /// Behind the last chunk: whether the index lists as many as were found.
+    fn compare_with_index(&mut self) -> Result<(), String> {
+        if !self.ended_well {
+            return Err("the file breaks off in its index".into());
+        }
+        let mut listed = 0;
+        while self.records.next(|kind| matches!(kind, op::CHUNK_INDEX | op::FOOTER))?.op == op::CHUNK_INDEX {
+            listed += 1;
+        }
+        let found = self.chunks_read;
+        if listed == found { Ok(()) } else { Err(format!("{found} of {listed} chunks were found")) }
+    }
+}
+
+impl Iterator for LogReader {
+    type Item = Record;
+
+    fn next(&mut self) -> Option<Record> {
+        while self.ready.is_empty() && !self.done {
+            let before = self.records.at();
+            match self.read_chunk() {
+                Ok(more) => self.done = !more,
+                Err(why) => {
+                    self.done = true;
+                    let missing = self.records.end() - before;
+                    self.cut = Some(format!("{why}; the last {missing} bytes of the file are not read"));
+                }
+            }
+        }
+        self.ready.pop_front()
+    }
+}
+
+/// What a log is read from.
+pub(super) type Input = BufReader<Box<dyn ReadSeek>>;
+
+/// Bytes that are read anywhere.
+pub(super) trait ReadSeek: Read + Seek + Send {}
+
+impl<T: Read + Seek + Send> ReadSeek for T {}
+
+/// A file; a FIFO, a device or a folder is none, and would never end.
+pub(super) fn open_file(path: &Path) -> Result<File, LogError> {
+    let open = |source| LogError::Open { path: path.into(), source };
+    if !std::fs::metadata(path).map_err(open)?.is_file() {
+        return Err(LogError::NotMcap(path.into()));
+    }
+    File::open(path).map_err(open)
+}
+
+/// The records of a log after its first bytes, and whether it ends as it should.
+pub(super) fn begin(
+    input: impl Read + Seek + Send + 'static,
+    path: &Path,
+) -> Result<(Records<Input>, bool), LogError> {
+    let open = |source| LogError::Open { path: path.into(), source };
+    let mut input: Input = BufReader::new(Box::new(input));
+    let mut magic = [0; mcap::MAGIC.len()];
+    if input.read_exact(&mut magic).is_err() || magic != mcap::MAGIC {
+        return Err(LogError::NotMcap(path.into()));
+    }
+    let start = magic.len() as u64;
+    let length = input.seek(SeekFrom::End(0)).map_err(open)?;
+    input.seek(SeekFrom::Start(length - start)).map_err(open)?;
+    input.read_exact(&mut magic).map_err(open)?;
+    let ended_well = length > start && magic == mcap::MAGIC;
+    let mut records = Records::new(input, start).map_err(open)?;
+    if let Ok(header) = records.next(|_| true) {
+        let form = Fields(header.body).text().unwrap_or_default();
+        if header.op == op::HEADER && form != FORM {
+            let theirs = if form.is_empty() { "moca-s/1" } else { form };
+            return Err(LogError::OtherForm { path: path.into(), theirs: theirs.into() });
+        }
+    }
+    // A header that is cut or damaged is told by who reads on.
+    records.seek(start).map_err(open)?;
+    Ok((records, ended_well))
+}
+
+/// Turns messages into entries; remembers what later messages leave unsaid.
+#[derive(Clone, Default)]
+pub(super) struct Decoder {
+    topics: BTreeMap<u16, String>,
+    pub(super) description: RobotDescription,
+    pub(super) start_unix_ns: u64,
+    mode: Mode,
+    fault: Option<Fault>,
+    board: Diagnosis,
+    partial: Partial,
+}
+
+/// The messages of one tick as they come in.
+#[derive(Clone, Default)]
+struct Partial {
+    state: Option<State>,
+    command: Option<Command>,
+    cover: Option<Cover>,
+    contacts: Vec<Contact>,
+}
+
+impl Decoder {
+    /// Hands over every entry of a chunk, up to the first message that is none of ours.
+    pub(super) fn decode(&mut self, chunk: &[u8], entry: &mut dyn FnMut(Record)) -> Result<(), String> {
+        for record in framing::records_in(chunk) {
+            match record.op {
+                op::CHANNEL => {
+                    let (number, topic) = framing::channel(record.body).ok_or("a channel is damaged")?;
+                    self.topics.insert(number, topic.to_owned());
+                }
+                op::MESSAGE => {
+                    let message = Message::parse(record.body).ok_or("a message is damaged")?;
+                    // Channels that others have added are not ours to judge.
+                    let Some(topic) = self.topics.get(&message.channel).cloned() else { continue };
+                    let taken = self.take(&topic, &message);
+                    if let Some(taken) =
+                        taken.map_err(|error| format!("a message of {topic} is not ours: {error}"))?
+                    {
+                        entry(taken);
+                    }
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, topic: &str, message: &Message<'_>) -> Result<Option<Record>, serde_json::Error> {
+        match topic {
             Robot::TOPIC => {
                 let robot: Robot = parse(message)?;
                 self.start_unix_ns = robot.start_unix_ns;
@@ -144,18 +266,17 @@ impl LogReader {
             Command::TOPIC => self.partial.command = Some(parse(message)?),
             Cover::TOPIC => self.partial.cover = Some(parse(message)?),
             Contact::TOPIC => self.partial.contacts.push(parse(message)?),
-            Timing::TOPIC => return Ok(self.complete(message.log_time, &parse(message)?)),
-            Serial::TOPIC => return Ok(Some(Record::Serial(serial(&parse(message)?)))),
-            Replay::TOPIC => {
-                let replay: Replay = parse(message)?;
-                return Ok(Some(Record::Replay { tick: replay.tick, bytes: bytes(&replay.hex) }));
+            Timing::TOPIC => return Ok(self.complete(message.time_ns, &parse(message)?)),
+            SERIAL_TOPIC => {
+                let arrival_ns = message.time_ns.saturating_sub(self.start_unix_ns);
+                return Ok(Some(Record::Serial(SerialBytes { arrival_ns, bytes: message.data.to_vec() })));
             }
+            REPLAY_TOPIC => return Ok(Some(Record::Replay(message.data.to_vec()))),
             Configuration::TOPIC => return Ok(Some(Record::Configuration(Box::new(parse(message)?)))),
-            _ => {} // Channels that others have added are not ours to judge.
+            _ => {}
         }
         Ok(None)
     }
-
     /// The sample, if all messages of its tick are there; `Timing` is the last one written.
     fn complete(&mut self, log_time: u64, timing: &Timing) -> Option<Record> {
         let Partial { state, command, cover, contacts } = std::mem::take(&mut self.partial);
@@ -201,47 +322,11 @@ impl LogReader {
     }
 }
 
-impl Iterator for LogReader {
-    type Item = Record;
-
-    fn next(&mut self) -> Option<Record> {
-        if self.cut.is_some() {
-            return None;
-        }
-        loop {
-            let message: Option<McapResult<Message<'_>>> = self.messages.next();
-            let damage = match message {
-                Some(Ok(message)) => match self.take(&message) {
-                    Ok(Some(record)) => return Some(record),
-                    Ok(None) => continue,
-                    Err(error) => format!("a message of {} is not ours: {error}", message.channel.topic),
-                },
-                Some(Err(error)) => format!("the file breaks off or is damaged: {error}"),
-                None if self.ended_well => return None,
-                None => "the file breaks off after a whole chunk".into(),
-            };
-            self.cut = Some(damage);
-            return None;
-        }
-    }
-}
-
 /// As many as a sample holds: a file from elsewhere may have more.
 fn bounded<T, const N: usize>(values: impl IntoIterator<Item = T>) -> heapless::Vec<T, N> {
     values.into_iter().take(N).collect()
 }
 
 fn parse<C: DeserializeOwned>(message: &Message<'_>) -> Result<C, serde_json::Error> {
-    serde_json::from_slice(&message.data)
-}
-
-fn serial(record: &Serial) -> SerialBytes {
-    SerialBytes { arrival_ns: record.arrival_ns, bytes: bytes(&record.hex) }
-}
-
-/// Digits that are not hexadecimal, which this library never writes, end the bytes.
-fn bytes(hex: &str) -> Vec<u8> {
-    let digits = hex.as_bytes().chunks_exact(2);
-    let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).ok()?, 16).ok();
-    digits.map_while(byte).collect()
+    serde_json::from_slice(message.data)
 }

@@ -10,9 +10,9 @@ use rtrb::Consumer;
 use std::{
     fs::File,
     io::{BufWriter, Write},
-    path::Path,
+    path::{Path, PathBuf},
     sync::{
-        Arc,
+        Arc, OnceLock,
         atomic::{AtomicBool, AtomicU64, Ordering},
         mpsc::{Receiver, SyncSender, sync_channel},
     },
@@ -23,71 +23,128 @@ use std::{
 /// What reaches the recorder besides samples.
 enum Entry {
     Serial(SerialBytes),
-    Replay { time_ns: u64, tick: u64, bytes: Vec<u8> },
+    Replay { time_ns: u64, block: Vec<u8> },
     Parameter { time_ns: u64, change: ParameterChange },
     Configuration(Box<Configuration>),
 }
 
 /// Most entries that wait for the recorder: over 10 s of a Touch Board.
-const MAX_SERIAL: usize = 4096;
+const MAX_ENTRIES: usize = 4096;
 /// How often the rings are looked at.
 const POLL: Duration = Duration::from_millis(5);
 /// How often an unfinished chunk is ended, so that a slow loop's samples are not held back.
 const FLUSH_PERIOD: Duration = Duration::from_millis(500);
 
-/// Records samples and serial bytes to a file until [`Recorder::finish`].
+/// How a recorder treats what it is given.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RecorderOptions {
+    /// Without room entries wait for the disk instead of being dropped and counted: for a run that has no clock.
+    pub wait: bool,
+    /// Begin another file after so much loop time; see [`part_path`].
+    pub split: Option<Duration>,
+}
+
+/// Records samples, the board's bytes and what a replay needs until [`Recorder::finish`].
 pub struct Recorder {
-    serial: SerialInput,
-    entries_wait: bool,
+    entries: SyncSender<Entry>,
+    dropped: Arc<AtomicU64>,
+    failure: Arc<OnceLock<String>>,
+    wait: bool,
     stop: Arc<AtomicBool>,
     thread: JoinHandle<Result<LogSummary, LogError>>,
 }
 
-/// Where the Touch Board's bytes go; never blocks.
-#[derive(Clone, Debug)]
-pub struct SerialInput {
-    sender: SyncSender<Entry>,
-    dropped: Arc<AtomicU64>,
-}
+type Output = BufWriter<Box<dyn Write + Send>>;
+/// Opens part N of a log, the first being 1.
+type Parts = Box<dyn FnMut(u64) -> Result<Output, LogError> + Send>;
 
-impl SerialInput {
-    /// Hands one read over; without room it is dropped and counted.
-    pub fn offer(&self, serial: SerialBytes) {
-        if self.sender.try_send(Entry::Serial(serial)).is_err() {
-            self.dropped.fetch_add(1, Ordering::Relaxed);
-        }
+/// The file of part `number` of a log that is split: `run.mcap`, `run-2.mcap`, `run-3.mcap`, ….
+pub fn part_path(path: &Path, number: u64) -> PathBuf {
+    if number <= 1 {
+        return path.into();
     }
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let extension = path.extension().map(|e| format!(".{}", e.to_string_lossy())).unwrap_or_default();
+    path.with_file_name(format!("{stem}-{number}{extension}"))
 }
 
 impl Recorder {
     /// Creates `path`, which must not exist, and records every sample of `samples` into it.
-    pub fn create(path: &Path, meta: &Meta, samples: Consumer<Sample>) -> Result<Self, LogError> {
-        let file = File::create_new(path).map_err(|source| LogError::Create { path: path.into(), source })?;
-        Self::start(file, meta, samples, false)
+    ///
+    /// # Errors
+    /// The file exists, cannot be created or refuses the first write; or no thread.
+    pub fn create(
+        path: &Path,
+        meta: &Meta,
+        samples: Consumer<Sample>,
+        options: RecorderOptions,
+    ) -> Result<Self, LogError> {
+        let path = path.to_owned();
+        let parts = move |number| {
+            let path = part_path(&path, number);
+            let file = File::create_new(&path).map_err(|source| LogError::Create { path, source })?;
+            Ok(BufWriter::new(Box::new(file) as Box<dyn Write + Send>))
+        };
+        Self::start_parts(Box::new(parts), meta, samples, options)
     }
 
-    /// The same onto anything that can be written to. Without room entries wait for the disk, or are dropped and counted.
+    /// The same onto anything that can be written to, in one part.
+    ///
+    /// # Errors
+    /// As for [`Self::create`].
     pub fn start(
         output: impl Write + Send + 'static,
         meta: &Meta,
         samples: Consumer<Sample>,
-        entries_wait: bool,
+        wait: bool,
     ) -> Result<Self, LogError> {
-        let log = LogWriter::new(BufWriter::new(output), meta)?;
-        let (sender, serial) = sync_channel(MAX_SERIAL);
-        let dropped = Arc::new(AtomicU64::new(0));
-        let stop = Arc::new(AtomicBool::new(false));
-        let (thread_stop, thread_dropped) = (Arc::clone(&stop), Arc::clone(&dropped));
-        let thread = std::thread::Builder::new()
-            .name("recorder".into())
-            .spawn(move || record(log, samples, &serial, &thread_dropped, &thread_stop))
-            .map_err(LogError::Thread)?;
-        Ok(Self { serial: SerialInput { sender, dropped }, entries_wait, stop, thread })
+        let mut output: Option<Box<dyn Write + Send>> = Some(Box::new(output));
+        let parts = move |_| output.take().map(BufWriter::new).ok_or(LogError::Panicked);
+        Self::start_parts(Box::new(parts), meta, samples, RecorderOptions { wait, split: None })
     }
 
-    /// Where the Touch Board's bytes go.
-    pub fn serial(&self) -> SerialInput {
-        self.serial.clone()
+    fn start_parts(
+        mut parts: Parts,
+        meta: &Meta,
+        samples: Consumer<Sample>,
+        options: RecorderOptions,
+    ) -> Result<Self, LogError> {
+        let log = LogWriter::new(parts(1)?, meta)?;
+        let (sender, entries) = sync_channel(MAX_ENTRIES);
+        let dropped = Arc::new(AtomicU64::new(0));
+        let stop = Arc::new(AtomicBool::new(false));
+        let failure = Arc::new(OnceLock::new());
+        let (thread_stop, thread_dropped) = (Arc::clone(&stop), Arc::clone(&dropped));
+        let thread_failure = Arc::clone(&failure);
+        let split_ns = options.split.map(|split| u64::try_from(split.as_nanos()).unwrap_or(u64::MAX));
+        let mut tape = Tape {
+            log,
+            parts,
+            meta: meta.clone(),
+            split_ns,
+            began_ns: None,
+            part: 1,
+            before: LogSummary::default(),
+            configuration: None,
+        };
+        let thread = std::thread::Builder::new()
+            .name("recorder".into())
+            .spawn(move || {
+                let end = tape.record(samples, &entries, &thread_stop);
+                let finished = end.and_then(|()| tape.finish(thread_dropped.load(Ordering::Relaxed)));
+                if let Err(error) = &finished {
+                    // Set once, here.
+                    let _ = thread_failure.set(with_causes(error));
+                }
+                finished
+            })
+            .map_err(LogError::Thread)?;
+        Ok(Self { entries: sender, dropped, failure, wait: options.wait, stop, thread })
+    }
+
+    /// Records one read of the Touch Board's port.
+    pub fn serial(&self, serial: SerialBytes) {
+        self.put(Entry::Serial(serial));
     }
 
     /// Records how the run is configured.
@@ -95,9 +152,9 @@ impl Recorder {
         self.put(Entry::Configuration(Box::new(configuration)));
     }
 
-    /// Records what a replay needs of one tick.
-    pub fn replay(&self, time_ns: u64, tick: u64, bytes: Vec<u8>) {
-        self.put(Entry::Replay { time_ns, tick, bytes });
+    /// Records a block of what ticks were given.
+    pub fn replay(&self, time_ns: u64, block: Vec<u8>) {
+        self.put(Entry::Replay { time_ns, block });
     }
 
     /// Records a change of a parameter.
@@ -106,59 +163,119 @@ impl Recorder {
     }
 
     fn put(&self, entry: Entry) {
-        // After an error of the disk nobody takes entries any more; `finish` tells it.
-        let sent = if self.entries_wait {
-            self.serial.sender.send(entry).is_ok()
-        } else {
-            self.serial.sender.try_send(entry).is_ok()
-        };
+        // After an error of the disk nobody takes entries any more; `failure` tells it.
+        let sent =
+            if self.wait { self.entries.send(entry).is_ok() } else { self.entries.try_send(entry).is_ok() };
         if !sent {
-            self.serial.dropped.fetch_add(1, Ordering::Relaxed);
+            self.dropped.fetch_add(1, Ordering::Relaxed);
         }
     }
 
-    /// Whether it still records; `false` after an error, which [`Self::finish`] tells.
+    /// Whether it still records; `false` after an error.
     pub fn is_recording(&self) -> bool {
         !self.thread.is_finished()
     }
 
+    /// Why it no longer records, as soon as that is so.
+    pub fn failure(&self) -> Option<&str> {
+        self.failure.get().map(String::as_str)
+    }
+
     /// Writes what is still waiting, index and end mark. Call it when nothing fills the ring any more.
+    ///
+    /// # Errors
+    /// The disk refused a write during the run or now.
     pub fn finish(self) -> Result<LogSummary, LogError> {
         self.stop.store(true, Ordering::Release);
         self.thread.join().map_err(|_| LogError::Panicked)?
     }
 }
 
-fn record<W: Write>(
-    mut log: LogWriter<W>,
-    mut samples: Consumer<Sample>,
-    entries: &Receiver<Entry>,
-    serial_dropped: &AtomicU64,
-    stop: &AtomicBool,
-) -> Result<LogSummary, LogError> {
-    let mut flushed = Instant::now();
-    loop {
-        // Looked at before draining: what was there when the stop came is written.
-        let last_round = stop.load(Ordering::Acquire);
-        while let Ok(sample) = samples.pop() {
-            log.sample(&sample)?;
+/// An error with what lies beneath it: a full disk hides under the compressor.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(error.source(), |cause| cause.source());
+    causes.fold(error.to_string(), |text, cause| match cause.to_string() {
+        cause if text.ends_with(&cause) => text,
+        cause => format!("{text}: {cause}"),
+    })
+}
+
+/// What the recorder's thread works on.
+struct Tape {
+    log: LogWriter<Output>,
+    parts: Parts,
+    meta: Meta,
+    split_ns: Option<u64>,
+    /// Loop time of the first sample in the present part.
+    began_ns: Option<u64>,
+    part: u64,
+    /// What the parts before hold.
+    before: LogSummary,
+    configuration: Option<Box<Configuration>>,
+}
+
+impl Tape {
+    fn record(
+        &mut self,
+        mut samples: Consumer<Sample>,
+        entries: &Receiver<Entry>,
+        stop: &AtomicBool,
+    ) -> Result<(), LogError> {
+        let mut flushed = Instant::now();
+        loop {
+            // Looked at before draining: what was there when the stop came is written.
+            let last_round = stop.load(Ordering::Acquire);
+            while let Ok(sample) = samples.pop() {
+                self.turn_over(sample.time_ns)?;
+                self.log.sample(&sample)?;
+            }
+            for entry in entries.try_iter() {
+                self.write(entry)?;
+            }
+            if last_round {
+                return Ok(());
+            }
+            if flushed.elapsed() >= FLUSH_PERIOD {
+                self.log.flush()?;
+                flushed = Instant::now();
+            }
+            std::thread::sleep(POLL);
         }
-        for entry in entries.try_iter() {
-            match entry {
-                Entry::Serial(bytes) => log.serial(&bytes)?,
-                Entry::Replay { time_ns, tick, bytes } => log.replay(time_ns, tick, &bytes)?,
-                Entry::Parameter { time_ns, change } => log.parameter(time_ns, &change)?,
-                Entry::Configuration(configuration) => log.configuration(&configuration)?,
+    }
+
+    fn write(&mut self, entry: Entry) -> Result<(), LogError> {
+        match entry {
+            Entry::Serial(bytes) => self.log.serial(&bytes),
+            Entry::Replay { time_ns, block } => self.log.replay(time_ns, &block),
+            Entry::Parameter { time_ns, change } => self.log.parameter(time_ns, &change),
+            Entry::Configuration(configuration) => {
+                let written = self.log.configuration(&configuration);
+                self.configuration = Some(configuration);
+                written
             }
         }
-        if last_round {
-            log.note_serial_dropped(serial_dropped.load(Ordering::Relaxed));
-            return log.finish();
+    }
+
+    /// Begins the next part once the present one is long enough.
+    fn turn_over(&mut self, now_ns: u64) -> Result<(), LogError> {
+        let began_ns = *self.began_ns.get_or_insert(now_ns);
+        if self.split_ns.is_none_or(|split_ns| now_ns.saturating_sub(began_ns) < split_ns) {
+            return Ok(());
         }
-        if flushed.elapsed() >= FLUSH_PERIOD {
-            log.flush()?;
-            flushed = Instant::now();
+        self.part += 1;
+        let next = LogWriter::new((self.parts)(self.part)?, &self.meta)?;
+        let written = std::mem::replace(&mut self.log, next).finish()?;
+        self.before = self.before.plus(&written);
+        self.began_ns = Some(now_ns);
+        if let Some(configuration) = &self.configuration {
+            self.log.configuration(configuration)?;
         }
-        std::thread::sleep(POLL);
+        Ok(())
+    }
+
+    fn finish(self, dropped: u64) -> Result<LogSummary, LogError> {
+        let mut summary = self.before.plus(&self.log.finish()?);
+        summary.dropped = dropped;
+        Ok(summary)
     }
 }

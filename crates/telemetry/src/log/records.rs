@@ -1,5 +1,5 @@
-//! The messages of a log, one type for each channel. Units and frames as in [`moca_msgs::Sample`]; a value that is
-//! not finite is `null`, and read back as NaN.
+//! The messages of a log that viewers read, one type for each channel. Units and frames as in [`moca_msgs::Sample`];
+//! numbers have seven digits, a value that is not finite is `null` and read back as NaN.
 
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
@@ -18,6 +18,20 @@ pub trait Channel: Serialize + JsonSchema {
         let settings = SchemaSettings::draft07().with(|s| s.inline_subschemas = true);
         serde_json::to_vec(&settings.into_generator().into_root_schema_for::<Self>())
     }
+}
+
+/// Channel of the Touch Board's bytes as they came in: one message for each read, its time the arrival.
+pub const SERIAL_TOPIC: &str = "/serial";
+/// Channel of the daemon's own blocks of what its ticks were given.
+pub const REPLAY_TOPIC: &str = "/replay";
+
+/// A number with seven significant digits; what is below a billionth of its unit is nothing.
+pub fn seven_digits(value: f64) -> f64 {
+    if value.abs() < 1e-9 {
+        return 0.0;
+    }
+    // The text with so many digits is the shortest that reads back to the rounded number.
+    format!("{value:.6e}").parse().unwrap_or(value)
 }
 
 /// What the plant measured.
@@ -190,17 +204,17 @@ pub struct Cover {
     pub frame_rate_hz: f64,
 }
 
-/// How well the loop kept time.
+/// How well the loop kept time: the worst since the record before.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Timing {
     /// Tick count.
     pub tick: u64,
-    /// How late the tick woke, s.
+    /// How late the latest tick woke, s.
     #[serde(deserialize_with = "scalar")]
     pub lateness_s: f64,
     /// Missed slots so far.
     pub overruns: u64,
-    /// How long each stage of the tick before took, ns: read state, cover, control, write plant, publish.
+    /// How long each stage took at most, ns: read state, cover, control, write plant, publish.
     #[serde(default)]
     pub stages_ns: [u32; 5],
     /// Good frames so far.
@@ -275,15 +289,6 @@ impl BoardChange {
     }
 }
 
-/// Bytes of the Touch Board as they came in.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-pub struct Serial {
-    /// Arrival, ns of loop time.
-    pub arrival_ns: u64,
-    /// The bytes, two hexadecimal digits each.
-    pub hex: String,
-}
-
 /// The robot's description, once at the start.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Robot {
@@ -299,15 +304,6 @@ macro_rules! channels {
     ($($record:ident => $topic:literal),* $(,)?) => {
         $(impl Channel for $record { const TOPIC: &'static str = $topic; })*
     };
-}
-
-/// What one tick was given and what it answered, for a replay.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-pub struct Replay {
-    /// Tick count.
-    pub tick: u64,
-    /// The daemon's own record, two hexadecimal digits a byte: every number with all its bits.
-    pub hex: String,
 }
 
 /// A parameter that was changed while the loop ran.
@@ -346,8 +342,6 @@ channels! {
     ModeChange => "/mode",
     FaultChange => "/fault",
     BoardChange => "/board",
-    Serial => "/serial",
-    Replay => "/replay",
     ParameterChange => "/parameter",
     Configuration => "/configuration",
 }

@@ -36,7 +36,7 @@ impl Client {
         let (mut stream, outgoing) = address::connect(address).await?;
         let mut payload = Vec::new();
         wire::read_frame(&mut stream, &mut payload, wire::MAX_SERVER_FRAME).await?;
-        let description = wire::parse_greeting(&payload)?;
+        let description = wire::decode_greeting(&payload)?;
         Ok(Self {
             description,
             incoming: Incoming { stream, payload },
@@ -49,7 +49,7 @@ impl Incoming {
     /// The next message. Not cancel-safe: a call that is dropped half-way loses the frame's boundary.
     pub async fn next(&mut self) -> Result<FromServer, NetError> {
         wire::read_frame(&mut self.stream, &mut self.payload, wire::MAX_SERVER_FRAME).await?;
-        Ok(postcard::from_bytes(&self.payload)?)
+        wire::decode_from_server(&self.payload)
     }
 }
 
@@ -75,6 +75,6 @@ impl Outgoing {
     }
 
     async fn send(&mut self, message: FromClient) -> Result<(), NetError> {
-        Ok(self.stream.write_all(&wire::frame(&message)?).await?)
+        Ok(self.stream.write_all(&wire::encode(&message)?).await?)
     }
 }

@@ -71,6 +71,8 @@ pub struct Update {
     pub replies: Vec<Reply>,
     /// How far the calibration has come.
     pub calibration: CalibrationProgress,
+    /// What the daemon's owner should know and is no fault of the robot.
+    pub notices: Vec<String>,
     /// Samples dropped because nobody polled, so far.
     pub unread_dropped: u64,
 }
@@ -98,6 +100,7 @@ struct Shared {
     unread_dropped: u64,
     replies: Vec<Reply>,
     calibration: CalibrationProgress,
+    notices: Vec<String>,
     waiting: BTreeMap<u64, Request>,
 }
 
@@ -115,6 +118,7 @@ impl Connection {
             unread_dropped: 0,
             replies: Vec::new(),
             calibration: CalibrationProgress::default(),
+            notices: Vec::new(),
             waiting: BTreeMap::new(),
         }));
         let alive = Arc::new(AtomicBool::new(false));
@@ -134,6 +138,7 @@ impl Connection {
             samples: s.samples.drain(..).collect(),
             replies: std::mem::take(&mut s.replies),
             calibration: s.calibration.clone(),
+            notices: std::mem::take(&mut s.notices),
             unread_dropped: s.unread_dropped,
         }
     }
@@ -245,6 +250,7 @@ async fn listen(incoming: &mut Incoming, shared: &Mutex<Shared>, wake: &impl Fn(
                 }
             }
             FromServer::Goodbye(reason) => return reason,
+            FromServer::Notice(notice) => s.notices.push(notice),
             FromServer::Calibration(progress) => s.calibration = progress,
             FromServer::Reply { id, outcome } => {
                 if let Some(request) = s.waiting.remove(&id) {

@@ -64,6 +64,11 @@ impl Queue {
         self.calibration = Some(frame);
     }
 
+    /// Takes a notice, encoded; there are few.
+    pub(super) fn push_notice(&mut self, frame: Rc<Vec<u8>>) {
+        self.replies.push_back(frame);
+    }
+
     /// Takes the last frame of this client.
     pub(super) fn set_goodbye(&mut self, frame: Vec<u8>) {
         self.goodbye = Some(Rc::new(frame));

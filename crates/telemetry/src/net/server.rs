@@ -21,7 +21,7 @@ use std::{
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicU64, Ordering},
-        mpsc::{Receiver, Sender},
+        mpsc::{Receiver, Sender, channel},
     },
     thread::JoinHandle,
     time::{Duration, Instant},
@@ -39,6 +39,8 @@ const BATCH_MAX: usize = 100;
 const MAX_CLIENTS: usize = 32;
 /// How long a client in the commander's place may be without the command, and how long one may read nothing.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// Notices that a new client is told.
+const MAX_NOTICES: usize = 16;
 /// How long the last samples may wait for the recorder when the server stops.
 const SHUTDOWN_WAIT: Duration = Duration::from_secs(2);
 
@@ -70,6 +72,7 @@ pub struct Server {
     address: Address,
     stop: Arc<AtomicBool>,
     counters: Arc<Counters>,
+    notices: Sender<String>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -115,6 +118,7 @@ pub fn serve(
         Listener::bind(address, mode)?
     };
     let address = listener.address()?;
+    let (notices, from_daemon) = channel();
     let stop = Arc::new(AtomicBool::new(false));
     let counters = Arc::new(Counters::default());
     let (thread_stop, thread_counters) = (Arc::clone(&stop), Arc::clone(&counters));
@@ -129,25 +133,32 @@ pub fn serve(
             greeting,
             parameters: RefCell::default(),
             calibration: RefCell::new(Calibration { requests: to_calibrator, frame: None }),
+            notices: RefCell::default(),
         });
         let pump = Pump {
             samples: ports.samples,
             recorder: ports.recorder,
             ring_dropped: ports.ring_dropped,
             calibrator: from_calibrator,
+            notices: from_daemon,
         };
         LocalSet::new().block_on(&runtime, async move {
             tokio::task::spawn_local(accept(listener, Rc::clone(&hub)));
             pump.run(&hub, &thread_stop).await;
         });
     });
-    Ok(Server { address, stop, counters, thread: Some(thread.map_err(NetError::Thread)?) })
+    Ok(Server { address, stop, counters, notices, thread: Some(thread.map_err(NetError::Thread)?) })
 }
 
 impl Server {
     /// The address it listens on.
     pub const fn address(&self) -> &Address {
         &self.address
+    }
+
+    /// Where to tell every client something that is no fault of the robot.
+    pub fn notices(&self) -> Sender<String> {
+        self.notices.clone()
     }
 
     /// What it has done so far.
@@ -182,6 +193,8 @@ struct Hub {
     greeting: Vec<u8>,
     parameters: RefCell<ToldParameters>,
     calibration: RefCell<Calibration>,
+    /// What was said to all, as frames.
+    notices: RefCell<Vec<Rc<Vec<u8>>>>,
 }
 
 /// The changed parameters, and the frame that tells them.
@@ -211,7 +224,7 @@ impl Hub {
     fn publish(&self, samples: Vec<Sample>, ring_dropped: u64) {
         let count = samples.len() as u64;
         let message = FromServer::Batch(Batch { sent_unix_ns: unix_now_ns(), samples });
-        let Ok(frame) = wire::frame(&message) else {
+        let Ok(frame) = wire::encode(&message) else {
             return; // BATCH_MAX samples are far below the largest frame.
         };
         let batch = Rc::new(EncodedBatch { frame, samples: count });
@@ -233,7 +246,7 @@ impl Hub {
     fn reply(&self, client: ClientId, id: u64, outcome: Outcome) {
         let clients = self.clients.borrow();
         let (Some(client), Ok(frame)) =
-            (clients.get(&client), wire::frame(&FromServer::Reply { id, outcome }))
+            (clients.get(&client), wire::encode(&FromServer::Reply { id, outcome }))
         else {
             return; // It left before the answer came.
         };
@@ -252,7 +265,7 @@ impl Hub {
         told.values.clone_from(desk.parameters());
         let message =
             FromServer::Parameters(told.values.iter().map(|(number, values)| (*number, *values)).collect());
-        let Ok(frame) = wire::frame(&message).map(Rc::new) else {
+        let Ok(frame) = wire::encode(&message).map(Rc::new) else {
             return; // 256 parameters are far below the largest frame.
         };
         told.frame = Some(Rc::clone(&frame));
@@ -263,7 +276,7 @@ impl Hub {
     }
 
     fn tell_calibration(&self, progress: CalibrationProgress) {
-        let Ok(frame) = wire::frame(&FromServer::Calibration(progress)).map(Rc::new) else {
+        let Ok(frame) = wire::encode(&FromServer::Calibration(progress)).map(Rc::new) else {
             return; // Some hundred residuals are far below the largest frame.
         };
         for client in self.clients.borrow().values() {
@@ -271,6 +284,20 @@ impl Hub {
             client.filled.notify_one();
         }
         self.calibration.borrow_mut().frame = Some(frame);
+    }
+
+    fn tell_notice(&self, notice: String) {
+        let Ok(frame) = wire::encode(&FromServer::Notice(notice)).map(Rc::new) else {
+            return; // A line is far below the largest frame.
+        };
+        for client in self.clients.borrow().values() {
+            client.queue.borrow_mut().push_notice(Rc::clone(&frame));
+            client.filled.notify_one();
+        }
+        let mut notices = self.notices.borrow_mut();
+        if notices.len() < MAX_NOTICES {
+            notices.push(frame);
+        }
     }
 
     fn calibrate(&self, client: ClientId, request: CalibrationRequest) {
@@ -297,6 +324,7 @@ struct Pump {
     recorder: Option<Producer<Sample>>,
     ring_dropped: Arc<AtomicU64>,
     calibrator: Option<Receiver<CalibrationProgress>>,
+    notices: Receiver<String>,
 }
 
 impl Pump {
@@ -311,6 +339,7 @@ impl Pump {
             hub.deliver_answers();
             let now = Instant::now();
             if now >= next_batch {
+                self.notices.try_iter().for_each(|notice| hub.tell_notice(notice));
                 if let Some(progress) = self.calibrator.as_ref().and_then(|c| c.try_iter().last()) {
                     hub.tell_calibration(progress);
                 }
@@ -399,6 +428,9 @@ async fn attend(id: ClientId, reader: Reader, writer: Writer, hub: Rc<Hub>) {
     if let Some(frame) = &hub.calibration.borrow().frame {
         client.queue.borrow_mut().set_calibration(Rc::clone(frame));
     }
+    for frame in &*hub.notices.borrow() {
+        client.queue.borrow_mut().push_notice(Rc::clone(frame));
+    }
     hub.clients.borrow_mut().insert(id, Rc::clone(&client));
     hub.counters.clients.fetch_add(1, Ordering::Relaxed);
     tokio::select! {
@@ -425,7 +457,7 @@ async fn leave_commanders_place(client: &Client, hub: &Hub) {
         }
     }
     let reason = format!("{MAX_CLIENTS} others watch, and the last place is kept for a commander");
-    if let Ok(frame) = wire::frame(&FromServer::Goodbye(reason)) {
+    if let Ok(frame) = wire::encode(&FromServer::Goodbye(reason)) {
         client.queue.borrow_mut().set_goodbye(frame);
         client.filled.notify_one();
         // The writer ends when it has written it.
@@ -438,7 +470,7 @@ async fn read_requests(mut reader: Reader, client: &Client, hub: &Hub) -> Result
     loop {
         wire::read_frame(&mut reader, &mut payload, wire::MAX_CLIENT_FRAME).await?;
         hub.desk.borrow_mut().hear(client.id, Instant::now());
-        match wire::from_client(&payload)? {
+        match wire::decode_from_client(&payload)? {
             FromClient::Alive => {}
             FromClient::Request { id, request } => {
                 let refused = hub.desk.borrow_mut().ask(client.id, id, request, Instant::now());
@@ -462,7 +494,7 @@ async fn write_queue(mut writer: Writer, client: &Client, greeting: &[u8]) -> Re
             Some(Outgoing::Batch(batch)) => write(&mut writer, &batch.frame).await?,
             Some(Outgoing::Frame(frame)) => write(&mut writer, &frame).await?,
             Some(Outgoing::Status(status)) => {
-                write(&mut writer, &wire::frame(&FromServer::Status(status))?).await?;
+                write(&mut writer, &wire::encode(&FromServer::Status(status))?).await?;
             }
             Some(Outgoing::Goodbye(frame)) => return write(&mut writer, &frame).await,
             None => client.filled.notified().await,

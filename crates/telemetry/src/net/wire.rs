@@ -47,6 +47,9 @@ pub enum FromServer {
     Parameters(Vec<(u8, ParameterValues)>),
     /// Why the server closes this connection now.
     Goodbye(String),
+    /// Something that the daemon's owner should know and that is no fault of the robot: nothing is recorded any more. New
+    /// clients are told what was said before.
+    Notice(String),
 }
 
 /// Consecutive samples, oldest first.
@@ -100,7 +103,10 @@ pub enum FromClient {
 }
 
 /// A message as a whole frame, length included.
-pub(crate) fn frame<T: Serialize>(message: &T) -> Result<Vec<u8>, NetError> {
+///
+/// # Errors
+/// One that is longer than [`MAX_SERVER_FRAME`].
+pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, NetError> {
     finish(postcard::to_extend(message, vec![0; 4])?)
 }
 
@@ -121,8 +127,11 @@ fn first_frame(content: &Result<&RobotDescription, &str>) -> Result<Vec<u8>, Net
     finish(postcard::to_extend(content, bytes)?)
 }
 
-/// Reads a greeting's payload.
-pub(crate) fn parse_greeting(payload: &[u8]) -> Result<RobotDescription, NetError> {
+/// Reads a greeting's payload: a frame without its length.
+///
+/// # Errors
+/// Another program, another version, or the reason why the client is not served.
+pub fn decode_greeting(payload: &[u8]) -> Result<RobotDescription, NetError> {
     let (magic, rest) = payload.split_first_chunk::<4>().ok_or(NetError::NotMoca)?;
     let (version, rest) = rest.split_first_chunk::<4>().ok_or(NetError::NotMoca)?;
     if *magic != MAGIC {
@@ -135,8 +144,19 @@ pub(crate) fn parse_greeting(payload: &[u8]) -> Result<RobotDescription, NetErro
     postcard::from_bytes::<Result<RobotDescription, String>>(rest)?.map_err(NetError::Refused)
 }
 
-/// What a client's frame says.
-pub(crate) fn from_client(payload: &[u8]) -> Result<FromClient, NetError> {
+/// What a server says in a frame's payload.
+///
+/// # Errors
+/// Bytes that are no message.
+pub fn decode_from_server(payload: &[u8]) -> Result<FromServer, NetError> {
+    Ok(postcard::from_bytes(payload)?)
+}
+
+/// What a client says in a frame's payload.
+///
+/// # Errors
+/// Bytes that are no message.
+pub fn decode_from_client(payload: &[u8]) -> Result<FromClient, NetError> {
     Ok(postcard::from_bytes(payload)?)
 }
 

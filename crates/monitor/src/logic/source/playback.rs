@@ -204,6 +204,7 @@ impl Playback {
             samples: samples.get(from..to).unwrap_or_default().to_vec(),
             replies: Vec::new(),
             calibration: CalibrationProgress::Idle,
+            notices: Vec::new(),
             unread_dropped: 0,
         }
     }

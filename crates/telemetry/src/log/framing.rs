@@ -1,0 +1,229 @@
+//! The records of an MCAP file one after the other, none of them trusted: every length is checked against what is left
+//! of the file and against a limit before anything is allocated or skipped. (The `mcap` crate's reader allocates what a
+//! damaged length asks for.) Format: <https://mcap.dev/spec>.
+
+use std::io::{self, Read, Seek, SeekFrom};
+
+/// Longest record that is read into memory, bytes; ours have less than 1 MiB.
+const MAX_RECORD: u64 = 16 << 20;
+/// Largest chunk after decompression, bytes.
+const MAX_CHUNK: u64 = 16 << 20;
+
+/// Kinds of records.
+pub(super) mod op {
+    pub(in crate::log) const HEADER: u8 = 0x01;
+    pub(in crate::log) const FOOTER: u8 = 0x02;
+    pub(in crate::log) const CHANNEL: u8 = 0x04;
+    pub(in crate::log) const MESSAGE: u8 = 0x05;
+    pub(in crate::log) const CHUNK: u8 = 0x06;
+    pub(in crate::log) const CHUNK_INDEX: u8 = 0x08;
+    pub(in crate::log) const ATTACHMENT_INDEX: u8 = 0x0a;
+    pub(in crate::log) const DATA_END: u8 = 0x0f;
+}
+
+/// Kind and length before each record.
+const PREFIX: u64 = 9;
+
+/// A file of records.
+pub(super) struct Records<R> {
+    input: R,
+    at: u64,
+    end: u64,
+    body: Vec<u8>,
+}
+
+/// A record that has been read.
+pub(super) struct Record<'a> {
+    pub(super) op: u8,
+    pub(super) body: &'a [u8],
+}
+
+impl<R: Read + Seek> Records<R> {
+    /// From `at` to the end of the file.
+    pub(super) fn new(mut input: R, at: u64) -> io::Result<Self> {
+        let end = input.seek(SeekFrom::End(0))?;
+        input.seek(SeekFrom::Start(at))?;
+        Ok(Self { input, at, end, body: Vec::new() })
+    }
+
+    /// Where the next record begins.
+    pub(super) const fn at(&self) -> u64 {
+        self.at
+    }
+
+    /// Length of the file.
+    pub(super) const fn end(&self) -> u64 {
+        self.end
+    }
+
+    /// Goes to a record.
+    pub(super) fn seek(&mut self, at: u64) -> io::Result<()> {
+        self.input.seek(SeekFrom::Start(at))?;
+        self.at = at;
+        Ok(())
+    }
+
+    /// The next record that is wanted, or what is wrong with the file where it should be; others are skipped unread.
+    pub(super) fn next(&mut self, wanted: impl Fn(u8) -> bool) -> Result<Record<'_>, String> {
+        loop {
+            let (op, length) = self.prefix()?;
+            let left = self.end - self.at;
+            if length > left {
+                return Err(format!(
+                    "a record of {length} bytes begins at byte {}, where {left} are left",
+                    self.at
+                ));
+            }
+            if !wanted(op) {
+                let skip = i64::try_from(length).map_err(|_| "a length is absurd".to_owned())?;
+                self.input.seek_relative(skip).map_err(|error| error.to_string())?;
+                self.at += length;
+                continue;
+            }
+            let size = usize::try_from(length).ok().filter(|_| length <= MAX_RECORD);
+            let size = size.ok_or_else(|| format!("a record of {length} bytes, allowed are {MAX_RECORD}"))?;
+            self.body.resize(size, 0);
+            self.input.read_exact(&mut self.body).map_err(|error| error.to_string())?;
+            self.at += length;
+            return Ok(Record { op, body: &self.body });
+        }
+    }
+
+    /// Where the next chunk begins and its first and last time, its body left unread; `None` behind the last one.
+    pub(super) fn next_chunk(&mut self) -> Result<Option<(u64, [u64; 2])>, String> {
+        loop {
+            let at = self.at;
+            let (op, length) = self.prefix()?;
+            if matches!(op, op::DATA_END | op::FOOTER) {
+                return Ok(None);
+            }
+            let mut skip = length;
+            let mut times = [[0; 8]; 2];
+            if length > self.end - self.at {
+                return Err("a record is cut".into());
+            }
+            if op == op::CHUNK && length >= 16 {
+                for time in &mut times {
+                    self.input.read_exact(time).map_err(|error| error.to_string())?;
+                }
+                skip -= 16;
+            }
+            let step = i64::try_from(skip).map_err(|_| "a length is absurd".to_owned())?;
+            self.input.seek_relative(step).map_err(|error| error.to_string())?;
+            self.at += length;
+            if op == op::CHUNK {
+                return Ok(Some((at, times.map(u64::from_le_bytes))));
+            }
+        }
+    }
+
+    /// Kind and length of the next record.
+    fn prefix(&mut self) -> Result<(u8, u64), String> {
+        if self.end.saturating_sub(self.at) < PREFIX {
+            return Err(format!("the file breaks off at byte {}", self.end));
+        }
+        let mut prefix = [0; 9];
+        self.input.read_exact(&mut prefix).map_err(|error| error.to_string())?;
+        self.at += PREFIX;
+        let [op, length @ ..] = prefix;
+        if !(op::HEADER..=op::DATA_END).contains(&op) {
+            return Err(format!("no record begins at byte {}", self.at - PREFIX));
+        }
+        Ok((op, u64::from_le_bytes(length)))
+    }
+}
+
+/// Fields of a record, little endian.
+pub(super) struct Fields<'a>(pub(super) &'a [u8]);
+
+impl<'a> Fields<'a> {
+    pub(super) fn take(&mut self, length: usize) -> Option<&'a [u8]> {
+        let (taken, rest) = self.0.split_at_checked(length)?;
+        self.0 = rest;
+        Some(taken)
+    }
+
+    pub(super) fn u8(&mut self) -> Option<u8> {
+        Some(self.array::<1>()?[0])
+    }
+
+    pub(super) fn u16(&mut self) -> Option<u16> {
+        self.array().map(u16::from_le_bytes)
+    }
+
+    pub(super) fn u32(&mut self) -> Option<u32> {
+        self.array().map(u32::from_le_bytes)
+    }
+
+    pub(super) fn u64(&mut self) -> Option<u64> {
+        self.array().map(u64::from_le_bytes)
+    }
+
+    pub(super) fn text(&mut self) -> Option<&'a str> {
+        let length = usize::try_from(self.u32()?).ok()?;
+        std::str::from_utf8(self.take(length)?).ok()
+    }
+
+    fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
+        self.take(N)?.try_into().ok()
+    }
+}
+
+/// First and last time of a chunk's messages, and its records, decompressed and checked against its checksum.
+pub(super) fn chunk(body: &[u8]) -> Result<Vec<u8>, String> {
+    let mut fields = Fields(body);
+    let mut header = || {
+        let _times = (fields.u64()?, fields.u64()?);
+        let (size, crc, compression) = (fields.u64()?, fields.u32()?, fields.text()?);
+        let length = usize::try_from(fields.u64()?).ok()?;
+        Some((size, crc, compression, fields.take(length)?))
+    };
+    let (size, crc, compression, records) = header().ok_or("a chunk is damaged")?;
+    let capacity = usize::try_from(size).ok().filter(|_| size <= MAX_CHUNK);
+    let capacity = capacity.ok_or_else(|| format!("a chunk of {size} bytes, allowed are {MAX_CHUNK}"))?;
+    let records = match compression {
+        "zstd" => zstd::bulk::decompress(records, capacity)
+            .map_err(|error| format!("a chunk is damaged: {error}"))?,
+        "" => records.to_vec(),
+        other => return Err(format!("a chunk is compressed with {other:?}, which no log of this form is")),
+    };
+    if records.len() != capacity || crc32fast::hash(&records) != crc {
+        return Err("a chunk does not fit its checksum".into());
+    }
+    Ok(records)
+}
+
+/// The records in a chunk, as far as their lengths make sense.
+pub(super) fn records_in(mut chunk: &[u8]) -> impl Iterator<Item = Record<'_>> {
+    std::iter::from_fn(move || {
+        let mut fields = Fields(chunk);
+        let op = fields.u8()?;
+        let length = usize::try_from(fields.u64()?).ok()?;
+        let body = fields.take(length)?;
+        chunk = fields.0;
+        Some(Record { op, body })
+    })
+}
+
+/// A message.
+pub(super) struct Message<'a> {
+    pub(super) channel: u16,
+    pub(super) time_ns: u64,
+    pub(super) data: &'a [u8],
+}
+
+impl<'a> Message<'a> {
+    pub(super) fn parse(body: &'a [u8]) -> Option<Self> {
+        let mut fields = Fields(body);
+        let (channel, _sequence) = (fields.u16()?, fields.u32()?);
+        let (time_ns, _published_ns) = (fields.u64()?, fields.u64()?);
+        Some(Self { channel, time_ns, data: fields.0 })
+    }
+}
+
+/// Number and topic of a channel.
+pub(super) fn channel(body: &[u8]) -> Option<(u16, &str)> {
+    let mut fields = Fields(body);
+    let (number, _schema) = (fields.u16()?, fields.u16()?);
+    Some((number, fields.text()?))
+}
