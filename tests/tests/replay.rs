@@ -11,9 +11,9 @@ use moca_daemon::runtime::replay::{self, Failure};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Law, Mode, ParameterValues, Request, Sample};
 use moca_sim::{Scene, VirtualBoardConfig};
+use moca_tactile::Firmware;
 use moca_tactile::calibration::Quality;
 use moca_tactile::calibration::file::{CalibrationFile, TaxelEntry};
-use moca_tactile::datastream::SketchGeneration;
 use moca_tactile::model::{MonotoneCurve, TaxelModel};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::{LogWriter, Meta};
@@ -202,7 +202,7 @@ fn calibration_contact_limits_and_geometry_are_in_the_log() {
         std::fs::write(&path, text).unwrap();
         path
     };
-    let mut calibration = CalibrationFile::new("front", SketchGeneration::From2018, "2026-01-31", "PU LD30");
+    let mut calibration = CalibrationFile::new("front", Firmware::Stock2018, "2026-01-31", "PU LD30");
     let curve = MonotoneCurve::new(&[[4.0, 5.0], [30.0, 45.0], [84.0, 100.0]]).unwrap();
     let quality = Quality {
         samples: 700,

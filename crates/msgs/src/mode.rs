@@ -126,6 +126,8 @@ pub enum Fault {
     FlangeSpeed,
     /// The flange is further from where it is wanted than `limits.pose_error_m` or `limits.pose_error_rad`.
     PoseError,
+    /// The sensor chip says that it does not measure: over-current, or an electrode out of its range.
+    BoardChip,
 }
 
 /// What has to be done before a stop can be resumed, besides that its cause is gone.
@@ -149,6 +151,7 @@ impl Fault {
             Self::BoardFrozen => "board-frozen",
             Self::BoardReset => "board-reset",
             Self::BoardThresholds => "board-thresholds",
+            Self::BoardChip => "board-chip",
             Self::BoardCommonMode => "board-common-mode",
             Self::CalibrationMismatch => "calibration-mismatch",
             Self::TaxelInvalid { .. } => "taxel-invalid",
@@ -176,7 +179,10 @@ impl Fault {
             Self::BoardFrozen => {
                 "The Touch Board sends frames, but its data is frozen: I2C to the sensor chip lost."
             }
-            Self::BoardReset => "Every value of the Touch Board is 0: the sensor chip was reset.",
+            Self::BoardReset => "The Touch Board's sensor chip was reset.",
+            Self::BoardChip => {
+                "The Touch Board's sensor chip does not measure: over-current, or an electrode out of its range."
+            }
             Self::BoardThresholds => {
                 "The Touch Board's threshold registers changed: bus garbage or a new sketch."
             }
@@ -226,6 +232,7 @@ impl Fault {
             | Self::BoardFrozen
             | Self::BoardReset
             | Self::BoardThresholds
+            | Self::BoardChip
             | Self::BoardCommonMode
             | Self::TaxelInvalid { .. }
             | Self::ZeroInvalid => Clearing::Tare,
@@ -263,7 +270,7 @@ impl Fault {
                 "Run with real-time rights (`mocad doctor`) or end other programs; then resume."
             }
             Self::BoardLost => "Check cable and power; when frames come again: tare, then resume.",
-            Self::BoardFrozen | Self::BoardReset | Self::BoardThresholds => {
+            Self::BoardFrozen | Self::BoardReset | Self::BoardThresholds | Self::BoardChip => {
                 "Power-cycle the board; when frames are good: tare, then resume."
             }
             Self::BoardCommonMode => "Check the board's supply and ground; then tare and resume.",
@@ -293,6 +300,7 @@ mod tests {
             Fault::BoardFrozen,
             Fault::BoardReset,
             Fault::BoardThresholds,
+            Fault::BoardChip,
             Fault::BoardCommonMode,
             Fault::CalibrationMismatch,
             Fault::ZeroInvalid,

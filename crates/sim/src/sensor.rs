@@ -10,7 +10,7 @@ use crate::foam::Foam;
 pub const IDLE_COUNTS: f64 = 720.0;
 /// The chip's electrode sample interval (ESI), ns.
 pub const SAMPLE_INTERVAL_NS: u64 = 1_000_000;
-/// Samples in one FDAT value (SFI); FDAT is refreshed every `SAMPLE_INTERVAL_NS · SAMPLES_PER_VALUE`.
+/// Samples in one FDAT value (SFI) with the stock settings; FDAT is refreshed every `SAMPLE_INTERVAL_NS · SAMPLES_PER_VALUE`.
 pub const SAMPLES_PER_VALUE: u32 = 10;
 /// Time in which the chip's baseline follows FDAT, s. ASSUMED; the reader does not use the baseline.
 const BASELINE_TIME_S: f64 = 30.0;
@@ -127,6 +127,7 @@ pub struct CoverSensor<const K: usize> {
     noise: Noise,
     sum_drop: [f64; K],
     samples: u32,
+    samples_per_value: u32,
     elapsed_s: f64,
     fdat: [u16; K],
     baseline: [f64; K],
@@ -142,6 +143,7 @@ impl<const K: usize> CoverSensor<K> {
             noise: Noise::new(seed),
             sum_drop: [0.0; K],
             samples: 0,
+            samples_per_value: SAMPLES_PER_VALUE,
             elapsed_s: 0.0,
             fdat: [quantise(IDLE_COUNTS); K],
             baseline: [IDLE_COUNTS; K],
@@ -155,6 +157,13 @@ impl<const K: usize> CoverSensor<K> {
         self
     }
 
+    /// The same cover with another second filter (SFI).
+    #[must_use]
+    pub fn with_samples_per_value(mut self, samples: u32) -> Self {
+        self.samples_per_value = samples.max(1);
+        self
+    }
+
     /// One chip sample, due every [`SAMPLE_INTERVAL_NS`]: deformations (m) and, for [`Effects::proximity`], the
     /// distance of the nearest body to each taxel (m, infinite for none). True when FDAT was refreshed.
     pub fn sample(&mut self, deformation_m: &[f64; K], distance_m: &[f64; K]) -> bool {
@@ -165,7 +174,7 @@ impl<const K: usize> CoverSensor<K> {
             }
         }
         self.samples += 1;
-        if self.samples < SAMPLES_PER_VALUE {
+        if self.samples < self.samples_per_value {
             return false;
         }
         self.refresh();

@@ -8,7 +8,10 @@
 
 use moca_sim::foam::Foam;
 use moca_sim::{BoardFault, PtyBoard, SharedForces, VirtualBoard, VirtualBoardConfig};
-use moca_tactile::datastream::{Event, Parser, SketchGeneration, StampedFrame};
+use moca_tactile::{
+    Firmware,
+    datastream::{Event, Parser, StampedFrame},
+};
 use std::io::Read;
 use std::os::unix::fs::OpenOptionsExt;
 use std::sync::Arc;
@@ -50,8 +53,8 @@ fn board(config: VirtualBoardConfig) -> VirtualBoard {
 
 #[test]
 fn frames_are_good_and_come_at_the_sketch_s_rate() {
-    for (sketch, frames) in [(SketchGeneration::From2018, 404), (SketchGeneration::From2015, 675)] {
-        let mut board = board(VirtualBoardConfig { sketch, ..VirtualBoardConfig::default() });
+    for (sketch, frames) in [(Firmware::Stock2018, 404), (Firmware::Stock2015, 675)] {
+        let mut board = board(VirtualBoardConfig { firmware: sketch, ..VirtualBoardConfig::default() });
         let run = run(&mut board, 0, 10_000, |_| 0.0);
         assert_eq!(run.bad, 0);
         assert!(run.frames.len().abs_diff(frames) <= 1, "{sketch:?}: {} frames in 10 s", run.frames.len());

@@ -16,10 +16,16 @@ pub use config::{
     CONTACT_OFF_COUNTS, CONTACT_ON_COUNTS, CoverConfig, CoverConfigError, Electrode, MAX_BOARDS, MaskPolicy,
 };
 
-use crate::board::{BoardEvent, BoardMonitor, SILENT_AFTER_NS, SampledFrame};
+use crate::board::{
+    BoardEvent, BoardMonitor, FrameSource, MAX_ELECTRODES, SILENT_AFTER_NS, SampledFrame, voids_zero,
+};
+use crate::datastream::ELECTRODES;
 use crate::health::TaxelHealth;
 use crate::model::{FoamMemory, TaxelModel};
-use crate::zero::{TARE_FRAMES, TARE_TIMEOUT_NS, TareQuality, TareRefusal, TareStatus, TareSum, TaxelZero};
+use crate::touchline::BANKS;
+use crate::zero::{
+    TARE_FRAMES, TARE_TIME_NS, TARE_TIMEOUT_NS, TareQuality, TareRefusal, TareStatus, TareSum, TaxelZero,
+};
 use moca_msgs::{CoverReading, Fault, TaxelReading, TaxelStatus};
 
 /// Drift is not followed for this long after the last contact, ns: the foam is still recovering.
@@ -40,6 +46,17 @@ pub struct Poll<const K: usize> {
     pub forces: Result<[f64; K], (usize, TaxelStatus)>,
     /// The gravest fault, if any.
     pub fault: Option<Fault>,
+    /// What frames say that are not complete yet.
+    pub early: EarlyContact<K>,
+}
+
+/// Contact by data that nothing has confirmed yet: it may slow a robot down or stop it, and nothing else.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EarlyContact<const K: usize> {
+    /// Taxels that the reading does not feel, and these data do.
+    pub touched: [bool; K],
+    /// As [`CoverReading::sampled_at_ns`], with these data counted.
+    pub sampled_at_ns: Option<u64>,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -54,42 +71,64 @@ struct Taxel {
 }
 
 #[derive(Clone, Debug)]
-struct Board {
-    monitor: BoardMonitor,
+struct Board<S> {
+    source: S,
+    banks: [Bank; BANKS],
+}
+
+/// Twelve electrodes whose data comes together.
+#[derive(Clone, Copy, Debug, Default)]
+struct Bank {
+    carries_taxels: bool,
     sampled_at_ns: Option<u64>,
     complete_ns: u64,
     common_mode: u32,
 }
 
+impl<S> Board<S> {
+    fn new(source: S, used: &[bool; MAX_ELECTRODES]) -> Self {
+        let mut banks = [Bank::default(); BANKS];
+        for (bank, used) in banks.iter_mut().zip(used.chunks(ELECTRODES)) {
+            bank.carries_taxels = used.contains(&true);
+        }
+        Self { source, banks }
+    }
+
+    fn wired(&self) -> impl Iterator<Item = &Bank> {
+        self.banks.iter().filter(|bank| bank.carries_taxels)
+    }
+}
+
 /// The cover. Allocates nothing; every method returns in bounded time.
 #[derive(Clone, Debug)]
-pub struct Cover<const K: usize> {
+pub struct Cover<const K: usize, S: FrameSource = BoardMonitor> {
     config: CoverConfig<K>,
     taxels: [Taxel; K],
-    boards: heapless::Vec<Board, MAX_BOARDS>,
+    boards: heapless::Vec<Board<S>, MAX_BOARDS>,
     tare: TareStatus,
     tare_started_ns: u64,
     last_contact_ns: u64,
 }
 
 impl<const K: usize> Cover<K> {
-    /// A cover that knows nothing yet.
+    /// A cover of Touch Boards that knows nothing yet.
     pub fn new(config: CoverConfig<K>) -> Result<Self, CoverConfigError> {
+        Self::with_sources(config, |_, used| BoardMonitor::new(*used))
+    }
+}
+
+impl<const K: usize, S: FrameSource> Cover<K, S> {
+    /// A cover whose boards are read by sources of one's own: `source(board, used electrodes)`.
+    pub fn with_sources(
+        config: CoverConfig<K>,
+        mut source: impl FnMut(usize, &[bool; MAX_ELECTRODES]) -> S,
+    ) -> Result<Self, CoverConfigError> {
         let (used, board_count) = config.check()?;
-        let boards = used
-            .into_iter()
-            .take(board_count)
-            .map(|used| Board {
-                monitor: BoardMonitor::new(used),
-                sampled_at_ns: None,
-                complete_ns: 0,
-                common_mode: 0,
-            })
-            .collect();
+        let boards = used.iter().enumerate().take(board_count);
         Ok(Self {
             config,
             taxels: [Taxel::default(); K],
-            boards,
+            boards: boards.map(|(board, used)| Board::new(source(board, used), used)).collect(),
             tare: TareStatus::None,
             tare_started_ns: 0,
             last_contact_ns: 0,
@@ -102,15 +141,10 @@ impl<const K: usize> Cover<K> {
             return self.push(board, chunk.bytes(), chunk.arrival_ns);
         }
         let Some(entry) = self.boards.get_mut(board) else { return };
-        match *event {
-            BoardEvent::Opened { .. } => entry.monitor.opened(),
-            BoardEvent::Closed { .. } => entry.monitor.closed(),
-            BoardEvent::OpenFailed { why, .. } => entry.monitor.open_failed(why),
-            BoardEvent::Gap { bytes_lost, .. } => return entry.monitor.gap(bytes_lost),
-            BoardEvent::Starved { at_ns } => return entry.monitor.starved(at_ns),
-            BoardEvent::Bytes(_) => {}
+        entry.source.event(event);
+        if !matches!(event, BoardEvent::Gap { .. } | BoardEvent::Starved { .. }) {
+            self.invalidate(board);
         }
-        self.invalidate(board);
     }
 
     /// Takes bytes of `board` that arrived at `arrival_ns`, in any chunking.
@@ -118,7 +152,7 @@ impl<const K: usize> Cover<K> {
         let mut rest = bytes;
         loop {
             let Some(entry) = self.boards.get_mut(board) else { return };
-            let Some(frame) = entry.monitor.next_frame(&mut rest, arrival_ns) else { break };
+            let Some(frame) = entry.source.next_frame(&mut rest, arrival_ns) else { break };
             self.frame(board, &frame);
         }
         self.void_zero_on_stream_fault(board, arrival_ns);
@@ -165,7 +199,9 @@ impl<const K: usize> Cover<K> {
             }
         }
         if let Some(entry) = self.boards.get_mut(board) {
-            entry.common_mode = 0;
+            for bank in &mut entry.banks {
+                bank.common_mode = 0;
+            }
         }
         self.tare = match self.tare {
             TareStatus::InProgress { .. } => TareStatus::Refused(TareRefusal::StreamFault),
@@ -190,10 +226,9 @@ impl<const K: usize> Cover<K> {
             let force_n = if status == TaxelStatus::Ok { self.taxels[i].force_n } else { 0.0 };
             *slot = TaxelReading { force_n, status };
         }
-        reading.sampled_at_ns =
-            self.boards.iter().map(|b| b.sampled_at_ns).try_fold(u64::MAX, |oldest, t| Some(oldest.min(t?)));
+        reading.sampled_at_ns = oldest(self.boards.iter().flat_map(Board::wired).map(|b| b.sampled_at_ns));
         let forces = self.forces(&reading);
-        Poll { reading, forces, fault: self.fault(&forces, now_ns) }
+        Poll { reading, forces, fault: self.fault(&forces, now_ns), early: self.early() }
     }
 
     /// FDAT of the last usable frame, T1 first; 0 before one came.
@@ -206,9 +241,9 @@ impl<const K: usize> Cover<K> {
         core::array::from_fn(|i| self.taxels[i].zero)
     }
 
-    /// Stream statistics, rate, generation and diagnosis of each board.
-    pub fn boards(&self) -> impl ExactSizeIterator<Item = &BoardMonitor> {
-        self.boards.iter().map(|b| &b.monitor)
+    /// The sources of the boards; a [`BoardMonitor`] tells statistics, rate, firmware and diagnosis.
+    pub fn boards(&self) -> impl ExactSizeIterator<Item = &S> {
+        self.boards.iter().map(|b| &b.source)
     }
 
     /// Noise estimate of each taxel, counts.
@@ -229,9 +264,9 @@ impl<const K: usize> Cover<K> {
     }
 
     fn fault(&self, forces: &Result<[f64; K], (usize, TaxelStatus)>, now_ns: u64) -> Option<Fault> {
-        let stream = self.boards.iter().find_map(|b| b.monitor.fault(now_ns));
-        let common =
-            self.boards.iter().any(|b| b.common_mode >= COMMON_MODE_FRAMES).then_some(Fault::BoardCommonMode);
+        let stream = self.boards.iter().find_map(|b| b.source.fault(now_ns));
+        let mut banks = self.boards.iter().flat_map(Board::wired);
+        let common = banks.any(|b| b.common_mode >= COMMON_MODE_FRAMES).then_some(Fault::BoardCommonMode);
         let taxel = || match *forces {
             Ok(_) => None,
             Err((_, TaxelStatus::NoZero)) => Some(Fault::ZeroInvalid),
@@ -241,11 +276,11 @@ impl<const K: usize> Cover<K> {
                 Some(Fault::TaxelInvalid { taxel: u8::try_from(i).unwrap_or(u8::MAX), status })
             }
         };
-        let other_sketch = |board: &Board| {
-            let expected = self.config.calibrated_sketch;
-            expected.zip(board.monitor.generation()).is_some_and(|(expected, found)| expected != found)
+        let other_firmware = |board: &Board<S>| {
+            let expected = self.config.calibrated_firmware;
+            expected.zip(board.source.firmware()).is_some_and(|(expected, found)| expected != found)
         };
-        let mismatch = self.boards.iter().any(other_sketch).then_some(Fault::CalibrationMismatch);
+        let mismatch = self.boards.iter().any(other_firmware).then_some(Fault::CalibrationMismatch);
         stream.or(mismatch).or(common).or_else(taxel)
     }
 
@@ -254,15 +289,19 @@ impl<const K: usize> Cover<K> {
             return TaxelStatus::Masked;
         }
         let taxel = &self.taxels[i];
-        let board = self.boards.get(usize::from(self.config.wiring[i].board));
-        let Some(board) = board.filter(|b| b.sampled_at_ns.is_some()) else {
-            return TaxelStatus::NoZero;
-        };
-        match board.monitor.fault(now_ns) {
-            Some(Fault::BoardSilent | Fault::HostStarved | Fault::BoardLost | Fault::BoardFrozen) => {
-                return TaxelStatus::Stale;
-            }
-            _ if now_ns.saturating_sub(board.complete_ns) > SILENT_AFTER_NS => return TaxelStatus::Stale,
+        let wire = &self.config.wiring[i];
+        let board = self.boards.get(usize::from(wire.board));
+        let bank = board.and_then(|b| b.banks.get(wire.bank()).filter(|bank| bank.sampled_at_ns.is_some()));
+        let (Some(board), Some(bank)) = (board, bank) else { return TaxelStatus::NoZero };
+        match board.source.fault(now_ns) {
+            Some(
+                Fault::BoardSilent
+                | Fault::HostStarved
+                | Fault::BoardLost
+                | Fault::BoardFrozen
+                | Fault::BoardChip,
+            ) => return TaxelStatus::Stale,
+            _ if now_ns.saturating_sub(bank.complete_ns) > SILENT_AFTER_NS => return TaxelStatus::Stale,
             _ => {}
         }
         match (taxel.health.status(taxel.zero.as_ref()), taxel.zero) {
@@ -273,20 +312,21 @@ impl<const K: usize> Cover<K> {
     }
 
     fn void_zero_on_stream_fault(&mut self, board: usize, now_ns: u64) {
-        let fault = self.boards.get(board).and_then(|b| b.monitor.fault(now_ns));
+        let fault = self.boards.get(board).and_then(|b| b.source.fault(now_ns));
         let zeroed = self
             .taxels
             .iter()
             .zip(&self.config.wiring)
             .any(|(taxel, wire)| usize::from(wire.board) == board && taxel.zero.is_some());
         let taring = matches!(self.tare, TareStatus::InProgress { .. });
-        if (zeroed || taring) && fault.is_some_and(BoardMonitor::voids_zero) {
+        if (zeroed || taring) && fault.is_some_and(voids_zero) {
             self.invalidate(board);
         }
     }
 
     fn frame(&mut self, board: usize, frame: &SampledFrame) {
-        let Some(entry) = self.boards.get_mut(board) else { return };
+        let bank = usize::from(frame.bank);
+        let Some(entry) = self.boards.get_mut(board).and_then(|b| b.banks.get_mut(bank)) else { return };
         let dt_ns = frame.complete_ns.saturating_sub(entry.complete_ns).min(SILENT_AFTER_NS);
         entry.sampled_at_ns = Some(frame.sampled_at_ns);
         entry.complete_ns = frame.complete_ns;
@@ -294,8 +334,8 @@ impl<const K: usize> Cover<K> {
         let dt_s = dt_ns as f64 * 1e-9;
         let taring = matches!(self.tare, TareStatus::InProgress { .. });
         for (i, wire) in self.config.wiring.iter().enumerate() {
-            if usize::from(wire.board) == board {
-                let electrode = usize::from(wire.electrode);
+            if wire.is_on(board, bank) {
+                let electrode = wire.of_bank();
                 self.taxels[i].update(
                     frame.fdat[electrode],
                     &self.config.models[i],
@@ -308,12 +348,32 @@ impl<const K: usize> Cover<K> {
                 }
             }
         }
-        self.watch_common_mode(board);
-        self.follow_drift(board, frame.complete_ns, dt_s);
+        self.watch_common_mode(board, bank);
+        self.follow_drift(board, bank, frame.complete_ns, dt_s);
         self.advance_tare(frame.complete_ns);
     }
 
-    fn follow_drift(&mut self, board: usize, now_ns: u64, dt_s: f64) {
+    fn early(&self) -> EarlyContact<K> {
+        let mut touched = [false; K];
+        let mut times: heapless::Vec<Option<u64>, { MAX_BOARDS * BANKS }> = heapless::Vec::new();
+        for (number, board) in self.boards.iter().enumerate() {
+            let early = board.source.early();
+            for (bank, state) in board.banks.iter().enumerate().filter(|(_, state)| state.carries_taxels) {
+                let early = early.filter(|early| usize::from(early.bank) == bank);
+                // as many places as there are banks
+                let _ = times.push(state.sampled_at_ns.map(|t| early.map_or(t, |e| e.sampled_at_ns.max(t))));
+                let Some(early) = early else { continue };
+                for (i, wire) in self.config.wiring.iter().enumerate() {
+                    if wire.is_on(number, bank) && !self.config.masked[i] {
+                        touched[i] = self.taxels[i].would_touch(early.fdat[wire.of_bank()], &self.config);
+                    }
+                }
+            }
+        }
+        EarlyContact { touched, sampled_at_ns: oldest(times.into_iter()) }
+    }
+
+    fn follow_drift(&mut self, board: usize, bank: usize, now_ns: u64, dt_s: f64) {
         if self.taxels.iter().any(|taxel| taxel.in_contact) {
             self.last_contact_ns = now_ns;
         }
@@ -321,7 +381,7 @@ impl<const K: usize> Cover<K> {
             return;
         }
         for (taxel, wire) in self.taxels.iter_mut().zip(&self.config.wiring) {
-            if usize::from(wire.board) == board
+            if wire.is_on(board, bank)
                 && let Some(zero) = &mut taxel.zero
             {
                 zero.follow(taxel.fdat, dt_s);
@@ -329,10 +389,10 @@ impl<const K: usize> Cover<K> {
         }
     }
 
-    fn watch_common_mode(&mut self, board: usize) {
+    fn watch_common_mode(&mut self, board: usize, bank: usize) {
         let (mut drops, mut count) = ([0.0; K], 0);
         for (i, taxel) in self.taxels.iter().enumerate() {
-            if usize::from(self.config.wiring[i].board) == board
+            if self.config.wiring[i].is_on(board, bank)
                 && !self.config.masked[i]
                 && let Some(zero) = &taxel.zero
             {
@@ -348,7 +408,7 @@ impl<const K: usize> Cover<K> {
             let mean = libm::fabs(most + least) / 2.0;
             (least > COMMON_MODE_COUNTS || most < -COMMON_MODE_COUNTS) && most - least <= 0.5 * mean + 2.0
         };
-        if let Some(entry) = self.boards.get_mut(board) {
+        if let Some(entry) = self.boards.get_mut(board).and_then(|b| b.banks.get_mut(bank)) {
             entry.common_mode = if shifted { entry.common_mode.saturating_add(1) } else { 0 };
         }
     }
@@ -359,8 +419,8 @@ impl<const K: usize> Cover<K> {
         }
         let in_use = || self.taxels.iter().enumerate().filter(|(i, _)| !self.config.masked[*i]);
         let frames = in_use().map(|(_, taxel)| taxel.tare.frames).min().unwrap_or(TARE_FRAMES);
-        if frames < TARE_FRAMES {
-            self.tare = TareStatus::InProgress { frames };
+        if frames < TARE_FRAMES || now_ns.saturating_sub(self.tare_started_ns) < TARE_TIME_NS {
+            self.tare = TareStatus::InProgress { frames: frames.min(TARE_FRAMES) };
             return;
         }
         let mut zeros = [None; K];
@@ -387,10 +447,21 @@ impl<const K: usize> Cover<K> {
     }
 }
 
+/// The oldest of several times; `None` if one is missing.
+fn oldest(times: impl Iterator<Item = Option<u64>>) -> Option<u64> {
+    times.reduce(|a, b| Some(a?.min(b?))).flatten()
+}
+
 impl Taxel {
+    /// Whether `fdat` would begin a contact.
+    fn would_touch<const K: usize>(&self, fdat: u16, config: &CoverConfig<K>) -> bool {
+        let delta = self.zero.as_ref().map_or(0.0, |zero| zero.gain * zero.drop(fdat));
+        !self.in_contact && delta >= config.contact_on_counts
+    }
+
     fn update(&mut self, fdat: u16, model: &TaxelModel, [on, off]: [f64; 2], force_max_n: f64, dt_s: f64) {
         self.fdat = fdat;
-        self.health.update(fdat, self.zero.as_ref(), on);
+        self.health.update(fdat, self.zero.as_ref(), on, dt_s);
         if self.health.zero_too_low() {
             (self.zero, self.in_contact, self.force_n) = (None, false, 0.0);
         }

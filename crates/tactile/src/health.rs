@@ -1,4 +1,17 @@
 //! Faults of one taxel, from its counts frame by frame.
+//!
+//! ```
+//! use moca_tactile::health::TaxelHealth;
+//! use moca_msgs::TaxelStatus;
+//!
+//! let mut health = TaxelHealth::default();
+//! for i in 0..100u16 {
+//!     health.update(720 + i % 2, None, 4.0, 0.0247);
+//! }
+//! assert_eq!(health.status(None), None);
+//! health.update(1023, None, 4.0, 0.0247);
+//! assert_eq!(health.status(None), Some(TaxelStatus::Saturated));
+//! ```
 
 use crate::datastream::FDAT_MAX;
 use crate::zero::{LINEAR_MIN, OPEN_MIN, TaxelZero};
@@ -6,6 +19,8 @@ use moca_msgs::TaxelStatus;
 
 /// Consecutive identical values that make a taxel stuck while its neighbours move (1.5 s at 40 Hz).
 pub const STUCK_FRAMES: u32 = 60;
+/// Least time that they span, s, so that a fast board needs more of them.
+const STUCK_TIME_S: f64 = 0.85;
 /// Below this deviation at the tare an electrode is too quiet for [`STUCK_FRAMES`] to mean anything, counts.
 const STUCK_NEEDS_DEVIATION: f64 = 0.3;
 /// Counts above zero that only a lost plate can give.
@@ -15,6 +30,8 @@ pub const DEAD_FRAMES: u32 = 3;
 /// Consecutive frames above zero by more than the contact threshold that show a zero taken under a hand (0.2 s at
 /// 40 Hz: noise that a tare accepts does it less than once in 10⁹ frames).
 pub const ABOVE_ZERO_FRAMES: u32 = 8;
+/// Least time that they span, s.
+const ABOVE_ZERO_TIME_S: f64 = 0.11;
 /// Standard deviation that makes a taxel noisy, counts (stock noise is 0.7; a tare accepts 2). Found within
 /// 100 frames.
 pub const NOISY_DEVIATION: f64 = 4.0;
@@ -31,16 +48,20 @@ pub struct TaxelHealth {
     previous: [u16; 2],
     frames: u32,
     same: u32,
+    same_s: f64,
     risen: u32,
     above_zero: u32,
+    above_zero_s: f64,
     second_difference: f64,
     latest: u16,
 }
 
 impl TaxelHealth {
-    /// Takes one frame's FDAT; `contact_counts` is the threshold of a touch.
-    pub fn update(&mut self, fdat: u16, zero: Option<&TaxelZero>, contact_counts: f64) {
-        self.same = if self.frames > 0 && fdat == self.previous[0] { self.same.saturating_add(1) } else { 0 };
+    /// Takes one frame's FDAT, `dt_s` after the one before; `contact_counts` is the threshold of a touch.
+    pub fn update(&mut self, fdat: u16, zero: Option<&TaxelZero>, contact_counts: f64, dt_s: f64) {
+        let same = self.frames > 0 && fdat == self.previous[0];
+        self.same = if same { self.same.saturating_add(1) } else { 0 };
+        self.same_s = if same { self.same_s + dt_s } else { 0.0 };
         if self.frames >= 2 {
             let [one, two] = self.previous.map(f64::from);
             let second = libm::fabs(f64::from(fdat) - 2.0 * one + two).min(SECOND_DIFFERENCE_MAX);
@@ -50,6 +71,7 @@ impl TaxelHealth {
         self.risen = if rise > DEAD_RISE_COUNTS { self.risen.saturating_add(1) } else { 0 };
         let above = zero.is_some_and(|zero| zero.gain * rise > contact_counts);
         self.above_zero = if above { self.above_zero.saturating_add(1) } else { 0 };
+        self.above_zero_s = if above { self.above_zero_s + dt_s } else { 0.0 };
         self.previous = [fdat, self.previous[0]];
         self.latest = fdat;
         self.frames = self.frames.saturating_add(1);
@@ -62,8 +84,9 @@ impl TaxelHealth {
 
     /// Whether the taxel has stood above its zero by a touch, but not by a lost plate: who touched it at the tare has
     /// gone, and a press of the same force would read as nothing.
-    pub const fn zero_too_low(&self) -> bool {
-        self.above_zero >= ABOVE_ZERO_FRAMES && self.risen == 0
+    pub fn zero_too_low(&self) -> bool {
+        let long = self.above_zero >= ABOVE_ZERO_FRAMES && self.above_zero_s >= ABOVE_ZERO_TIME_S;
+        long && self.risen == 0
     }
 
     /// The taxel's fault, if it has one.
@@ -74,7 +97,7 @@ impl TaxelHealth {
             Some(TaxelStatus::Saturated)
         } else if self.risen >= DEAD_FRAMES || fdat >= OPEN_MIN {
             Some(TaxelStatus::Dead)
-        } else if lively && self.same >= STUCK_FRAMES {
+        } else if lively && self.same >= STUCK_FRAMES && self.same_s >= STUCK_TIME_S {
             Some(TaxelStatus::Stuck)
         } else if self.deviation() > NOISY_DEVIATION {
             Some(TaxelStatus::Noisy)

@@ -1,9 +1,10 @@
 //! The cover: bytes of Touch Boards in, forces with an age and a health out.
 //!
 //! The layers, from bytes to newtons; each uses only those above it:
-//! 1. [`datastream`]: text of the stock sketch to checked [`datastream::Frame`]s and back. A virtual board needs
-//!    only this one.
-//! 2. [`board`]: events of one port, and a [`board::BoardMonitor`] that finds faults of the stream.
+//! 1. [`datastream`]: text of the stock sketch to checked [`datastream::Frame`]s and back. [`touchline`]: the same for
+//!    the line of our own [`firmware`]. A virtual board needs only these.
+//! 2. [`board`]: events of one port; [`board::FrameSource`], the seam for another board or skin; and
+//!    [`board::BoardMonitor`], which reads either text and finds faults of the stream.
 //! 3. [`zero`]: tare and slow drift. [`health`]: faults of one taxel. [`model`]: counts below zero to newtons.
 //! 4. [`cover`]: a [`Cover`] of `K` taxels on one or more boards. **The control loop needs this one.**
 //! 5. `serial` (feature): the thread that moves bytes from a port into a ring.
@@ -22,13 +23,21 @@ pub mod board;
 pub mod calibration;
 pub mod cover;
 pub mod datastream;
+pub mod firmware;
 pub mod health;
+mod lines;
 pub mod model;
 #[cfg(feature = "serial")]
 pub mod serial;
+pub mod touchline;
 pub mod zero;
 
-pub use board::{BoardEvent, Chunk, CloseReason, OpenFailure};
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
+
+pub use board::{BoardEvent, Chunk, CloseReason, FrameSource, OpenFailure};
 pub use cover::{Cover, CoverConfig, Electrode, Poll};
+pub use firmware::Firmware;
 pub use model::TaxelModel;
 pub use zero::{TareRefusal, TareStatus};

@@ -2,8 +2,11 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use moca_msgs::Fault;
-use moca_tactile::datastream::{Event, MAX_LINE_BYTES, Parser, SketchGeneration, emit};
 use moca_tactile::{Cover, CoverConfig};
+use moca_tactile::{
+    Firmware,
+    datastream::{Event, MAX_LINE_BYTES, Parser, emit},
+};
 use std::path::PathBuf;
 
 const RECORDINGS: [(&str, u64, u64); 4] = [
@@ -115,7 +118,7 @@ fn chunking_changes_nothing() {
 fn rate_and_generation_are_measured() {
     let cover = replay("datastream-2020", |_, _| {});
     let board = cover.boards().next().unwrap();
-    assert_eq!(board.generation(), Some(SketchGeneration::From2018));
+    assert_eq!(board.firmware(), Some(Firmware::Stock2018));
     assert!((board.rate_hz() - 40.5).abs() < 0.7, "{}", board.rate_hz());
 }
 

@@ -2,9 +2,9 @@
 //! reads no clock and opens no port, so a terminal, a dashboard, a recording and a test drive it alike.
 
 use anyhow::{Context, Result, anyhow};
+use moca_tactile::Firmware;
 use moca_tactile::calibration::session::{Measured, Session, Step, Target};
 use moca_tactile::calibration::{ModelKind, Quality, fit, residuals};
-use moca_tactile::datastream::SketchGeneration;
 use moca_tactile::zero::TARE_FRAMES;
 use moca_tactile::{BoardEvent, TaxelModel};
 use moca_telemetry::calibration::{CalibrationFit, CalibrationProgress, FittedModel};
@@ -25,7 +25,7 @@ pub struct Fitted {
     /// What was measured.
     pub measured: Measured,
     /// The board's sketch.
-    pub sketch: SketchGeneration,
+    pub sketch: Firmware,
     /// Every kind of model, cheapest first.
     pub models: Vec<Fit>,
 }
@@ -169,7 +169,7 @@ impl Engine {
     fn finish(&mut self) {
         let session = self.session.take();
         let measured = session.as_ref().and_then(|session| session.measured().first().cloned());
-        let measured = measured.zip(session.and_then(|session| session.generation()));
+        let measured = measured.zip(session.and_then(|session| session.firmware()));
         let fitted = measured
             .context("nothing was measured")
             .and_then(|(measured, sketch)| Ok(Fitted { models: fits(&measured)?, measured, sketch }));

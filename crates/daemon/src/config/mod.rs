@@ -17,7 +17,7 @@ use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
 use moca_tactile::cover::MaskPolicy;
 use moca_tactile::model::ASSUMED_ERROR_FROM_N;
-use moca_tactile::{CoverConfig, TaxelModel};
+use moca_tactile::{CoverConfig, Firmware, TaxelModel};
 use moca_telemetry::net::{Address, DEFAULT_ADDRESS};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -26,6 +26,8 @@ use std::path::{Path, PathBuf};
 pub const VIRTUAL_PORT: &str = "virtual";
 /// `board.port` that looks for a Touch Board's USB id.
 pub(crate) const AUTO_PORT: &str = "auto";
+/// `board.port` that looks for the board with the name that follows, in its EEPROM.
+pub(crate) const NAMED_PORT: &str = "name:";
 /// `telemetry.listen` that asks the environment.
 const AUTO_LISTEN: &str = "auto";
 /// The service's socket in systemd's RuntimeDirectory.
@@ -117,8 +119,10 @@ parameter_table! {
     /// `[board]`
     #[derive(Clone, Debug, PartialEq)]
     pub struct BoardConfig in "board" {
-        /// "virtual", "auto" (by USB id), or a path.
+        /// "virtual", "auto" (the only board there is), "name:" and the name in its EEPROM, or a path.
         port: String = VIRTUAL_PORT.into();
+        /// What runs on the virtual board; a real one is recognised by what it sends.
+        firmware: Firmware = Firmware::Moca;
         /// The board's name in its calibration file.
         name: String = String::new();
         /// File that `mocad calibrate` wrote; empty for none.
@@ -161,6 +165,8 @@ parameter_table! {
         contact_stiffness_n_m: f64 = 7783.0 => [.range(100.0, 1e6).units(&["N/m"])];
         /// Way that cover and body yield from the unfelt force to the force limit.
         contact_travel_m: f64 = 0.0031 => [.range(1e-4, 0.1).units(&["m"])];
+        /// Forces of your own risk assessment: `moca-lab latency` prints the speed for each.
+        assessed_forces_n: Vec<f64> = vec![25.0, 65.0, 130.0, 260.0] => [.range(6.0, 1000.0).units(&["N"])];
         /// Keeps every contact under the force limit from inside the law; how it understands the cover's readings.
         contact_barrier: BarrierReadings = BarrierReadings::Off => [.lab("barrier")];
         /// Stiffness k_0 of the cover's foam, F = k_0 d/(1 - d/h), for the contact barrier.

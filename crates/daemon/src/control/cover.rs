@@ -4,6 +4,7 @@ use crate::control::supervisor::Zero;
 use crate::robot::TAXELS;
 use moca_msgs::board::Diagnosis;
 use moca_msgs::{CoverReading, Fault, Outcome, Refusal, TaxelReading, TaxelStatus};
+use moca_tactile::cover::EarlyContact;
 
 /// The cover as the loop sees it at one tick.
 #[derive(Clone, Copy, Debug)]
@@ -12,6 +13,8 @@ pub struct CoverState {
     pub reading: CoverReading<TAXELS>,
     /// Forces for the controller, N, or the first taxel (0 is T1) that has none.
     pub forces: Result<[f64; TAXELS], (usize, TaxelStatus)>,
+    /// What data says that nothing has confirmed yet: it slows the base or stops it, and nothing else.
+    pub early: EarlyContact<TAXELS>,
     /// What is wrong with the cover now, a missing zero left out.
     pub fault: Option<Fault>,
     /// State of the zero.
@@ -38,6 +41,7 @@ impl CoverState {
             sampled_at_ns: None,
         },
         forces: Ok([0.0; TAXELS]),
+        early: EarlyContact { touched: [false; TAXELS], sampled_at_ns: None },
         fault: None,
         zero: Zero::Valid,
         counts: [0; TAXELS],

@@ -16,13 +16,16 @@ use crate::control::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_EVENTS;
 use moca_msgs::{ContactEvent, ContactReaction, Limits, RobotState, SpeedLimit, SpeedLimitReason};
+use moca_tactile::Firmware;
 use moca_tactile::board::SILENT_AFTER_NS;
 use moca_wbc::BaseGuard;
-use moca_wbc::contact_stability::{Contact, largest_speed, reading_delay_s, speed_for_stopping};
+use moca_wbc::contact_stability::{Contact, largest_speed, speed_for_stopping};
 use moca_wbc::guard::CoverOutline;
 
-/// Frames over which the worst age and interval count: 0.4 s of a stock board.
-const WINDOW: usize = 16;
+/// Frames before the delay of a board is known.
+const FRAMES: u32 = 16;
+/// The worst delay of at least this long counts, ns: 20 frames of a stock board.
+const WINDOW_NS: u64 = 500_000_000;
 
 /// What protects in one tick.
 #[derive(Clone, Debug, PartialEq)]
@@ -100,9 +103,14 @@ impl Protection {
         let dt_s = seconds(now_ns.saturating_sub(self.last_ns)).min(10.0 * self.tick_s);
         self.last_ns = now_ns;
         self.tracker.update(now_ns, &cover.reading.taxels);
-        let speed_limit = self.speed_limit(now_ns, cover.reading.sampled_at_ns, limits);
+        let speed_limit = self.speed_limit(now_ns, cover.early.sampled_at_ns, limits);
         let mut protected = Protected {
-            guard: BaseGuard { speed_m_s: Some(speed_limit.m_s), ..BaseGuard::NONE },
+            // Whoever is felt by data that is not confirmed yet is not driven into; no law hears of it.
+            guard: BaseGuard {
+                speed_m_s: Some(speed_limit.m_s),
+                blocked: cover.early.touched,
+                ..BaseGuard::NONE
+            },
             speed_limit,
             reaction: None,
             events: self.tracker.take(),
@@ -171,10 +179,10 @@ impl Protection {
                     protected.guard.speed_m_s = Some(self.settings.slow_m_s);
                 }
             }
-            ContactReaction::StopDirection => protected.guard.blocked = *crossed,
+            ContactReaction::StopDirection => block(&mut protected.guard, crossed),
             ContactReaction::Retreat => {
                 // away from the one, but not into another who touches as well
-                protected.guard.blocked = self.tracker.touched();
+                block(&mut protected.guard, &self.tracker.touched());
                 if self.retreated_m < self.settings.retreat_m {
                     let speed_m_s = self.settings.retreat_m_s.min(protected.speed_limit.m_s);
                     protected.guard.instead_body = Some(self.outline.away_from(crossed, speed_m_s));
@@ -185,39 +193,47 @@ impl Protection {
     }
 }
 
-/// Age and interval of the board's last frames.
+fn block(guard: &mut BaseGuard<TAXELS>, taxels: &[bool; TAXELS]) {
+    for (blocked, taxel) in guard.blocked.iter_mut().zip(taxels) {
+        *blocked |= taxel;
+    }
+}
+
+/// How old a reading gets before the next one replaces it: its age when it came and the interval to the next together,
+/// measured frame by frame. Frames that show the same refresh of the chip have one sample time and count once.
 #[derive(Clone, Copy, Debug, Default)]
 struct ReadingDelay {
-    /// (age when it came, time since the one before), s.
-    frames: [(f64, f64); WINDOW],
-    count: usize,
-    last_sampled_ns: Option<u64>,
+    sampled_at_ns: Option<u64>,
+    frames: u32,
+    /// Worst of the running window and of the one before, s.
+    worst_s: [f64; 2],
+    window_since_ns: u64,
 }
 
 impl ReadingDelay {
     fn update(&mut self, now_ns: u64, sampled_at_ns: Option<u64>) {
-        let last = self.last_sampled_ns;
-        if sampled_at_ns == last {
+        if sampled_at_ns == self.sampled_at_ns {
             return;
         }
-        self.last_sampled_ns = sampled_at_ns;
-        let (Some(sampled_ns), Some(last_ns)) = (sampled_at_ns, last) else {
-            self.count = 0;
+        let last = std::mem::replace(&mut self.sampled_at_ns, sampled_at_ns);
+        let same_board = last.zip(sampled_at_ns).filter(|(l, s)| s.saturating_sub(*l) <= SILENT_AFTER_NS);
+        let Some((last_ns, _)) = same_board else {
+            // none, another board, or the same after a pause: measure anew
+            *self = Self { sampled_at_ns, window_since_ns: now_ns, ..Self::default() };
             return;
         };
-        let interval_ns = sampled_ns.saturating_sub(last_ns);
-        if interval_ns > SILENT_AFTER_NS {
-            self.count = 0; // another board, or the same after a pause: measure anew
-            return;
+        if now_ns.saturating_sub(self.window_since_ns) > WINDOW_NS {
+            self.window_since_ns = now_ns;
+            self.worst_s = [0.0, self.worst_s[0]];
         }
-        self.frames[self.count % WINDOW] = (seconds(now_ns.saturating_sub(sampled_ns)), seconds(interval_ns));
-        self.count += 1;
+        self.worst_s[0] = self.worst_s[0].max(seconds(now_ns.saturating_sub(last_ns)));
+        self.frames = self.frames.saturating_add(1);
     }
 
-    /// Delay of a reading in the worst of the last frames, s; `None` before there were enough.
+    /// Delay of a reading in the worst of the last frames, s: the age that it had one tick before the next came. `None`
+    /// before there were enough.
     fn worst_s(&self, tick_s: f64) -> Option<f64> {
-        let worst = |pick: fn(&(f64, f64)) -> f64| self.frames.iter().map(pick).fold(0.0, f64::max);
-        (self.count >= WINDOW).then(|| reading_delay_s(worst(|f| f.0), worst(|f| f.1), tick_s))
+        (self.frames >= FRAMES).then(|| (self.worst_s[0].max(self.worst_s[1]) - tick_s).max(0.0))
     }
 }
 
@@ -231,21 +247,28 @@ pub fn introduction(config: &Config) -> String {
         );
     }
     format!(
-        "cover no faster than {} N in an impact allow for the board's measured rate and age: {:.3} m/s at 40.5 Hz; \
-         contact limits {}",
+        "cover no faster than {} N in an impact allow for the board's measured rate and age: {}; contact limits {}",
         p.force_limit_n,
-        stock_speed_m_s(config),
+        Firmware::ALL
+            .into_iter()
+            .filter(|firmware| *firmware != Firmware::PiCap)
+            .map(|firmware| format!("{} {:.3} m/s", firmware.name(), nominal_speed_m_s(config, firmware)))
+            .collect::<Vec<_>>()
+            .join(", "),
         if p.thresholds.is_empty() { "none" } else { &p.thresholds }
     )
 }
 
-/// Speed limit for the slowest stock sketch (2018–2020) by its firmware's timing, m/s.
-fn stock_speed_m_s(config: &Config) -> f64 {
-    use moca_tactile::board::CHIP_FILTER_AGE_NS;
-    use moca_tactile::datastream::SketchGeneration::From2018;
-    let protection = Protection::new(config, [ContactLimits::default(); TAXELS]);
-    let age_s = seconds(CHIP_FILTER_AGE_NS + From2018.line_offset_ns()[5]);
-    let delay_s = reading_delay_s(age_s, seconds(From2018.frame_period_ns()), protection.tick_s);
+/// Speed limit for a board with this firmware by its timing, m/s.
+fn nominal_speed_m_s(config: &Config, firmware: Firmware) -> f64 {
+    let tick_s = 1.0 / f64::from(config.control_loop.rate_hz.max(1));
+    speed_for_delay_m_s(config, config.protection.force_limit_n, seconds(firmware.worst_hold_ns()) - tick_s)
+}
+
+/// Speed limit of the cover's fastest point for a reading that is `delay_s` late and an impact of `force_limit_n`, m/s.
+pub fn speed_for_delay_m_s(config: &Config, force_limit_n: f64, delay_s: f64) -> f64 {
+    let mut protection = Protection::new(config, [ContactLimits::default(); TAXELS]);
+    protection.settings.force_limit_n = force_limit_n;
     let limits = config.parameters().limits;
     protection.speed_m_s(delay_s, &limits).min(protection.outline.fastest(&limits.base_velocity))
 }

@@ -5,6 +5,7 @@ use crate::control::supervisor::Zero;
 use crate::robot::TAXELS;
 use moca_msgs::board::Diagnosis;
 use moca_msgs::{CoverReading, TaxelReading, TaxelStatus};
+use moca_tactile::cover::EarlyContact;
 use std::collections::VecDeque;
 
 /// Forces averaged over a period.
@@ -75,6 +76,7 @@ impl CoverSource for IdealCover {
         CoverState {
             reading: CoverReading { taxels, sampled_at_ns: Some(at_ns) },
             forces: Ok(force_n),
+            early: EarlyContact { touched: [false; TAXELS], sampled_at_ns: Some(at_ns) },
             fault: None,
             zero: Zero::Valid,
             counts: [0; TAXELS],

@@ -48,6 +48,7 @@ impl CoverSource for ByteCover {
         CoverState {
             reading: poll.reading,
             forces: poll.forces,
+            early: poll.early,
             fault: poll.fault.filter(|fault| *fault != Fault::ZeroInvalid),
             zero: self.zero(),
             counts: self.cover.counts(),

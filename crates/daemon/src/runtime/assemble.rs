@@ -53,7 +53,11 @@ pub fn cover_config(config: &Config) -> Result<moca_tactile::CoverConfig<TAXELS>
 
 #[cfg(feature = "sim")]
 pub(crate) fn board_config(config: &Config) -> moca_sim::VirtualBoardConfig {
-    moca_sim::VirtualBoardConfig { seed: config.simulation.seed, ..Default::default() }
+    moca_sim::VirtualBoardConfig {
+        firmware: config.board.firmware,
+        seed: config.simulation.seed,
+        ..Default::default()
+    }
 }
 
 /// A simulated robot with everything that a live loop needs; the board and its reader end with it.

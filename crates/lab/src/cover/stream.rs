@@ -2,8 +2,10 @@
 
 use anyhow::{Context, ensure};
 use moca_msgs::Fault;
-use moca_tactile::board::{BoardMonitor, Diagnosis, STALL_GAP_NS, SampledFrame};
+use moca_tactile::Firmware;
+use moca_tactile::board::{BoardMonitor, Diagnosis, MAX_ELECTRODES, STALL_GAP_NS, SampledFrame};
 use moca_tactile::datastream::{ELECTRODES, FDAT_MAX};
+use moca_tactile::touchline::Flags;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -27,15 +29,17 @@ struct Report {
     frames_good: u64,
     /// Frames that failed one; a partial frame at either end counts as neither.
     frames_bad: u64,
-    /// Good frames not used because a stall made their age unknown.
+    /// Good frames not used: a stall made their age unknown, or the firmware says that their data is not fresh.
     frames_discarded: u64,
+    /// Frames that never came, by the gaps in their sequence; a stock board has none.
+    frames_lost: u64,
     /// Mean rate of good frames with gaps over 100 ms left out; null without times.
     rate_hz: Option<f64>,
-    /// Generation of the sketch, from column count and line spacing; null without times (12 columns: Pi Cap).
+    /// Firmware, from the lines; of a stock board from line spacing, so null without times (12 columns: Pi Cap).
     sketch: Option<&'static str>,
     /// Columns of a line; null without a good frame.
     columns: Option<u8>,
-    /// Median age of the data when its frame is complete; null without times.
+    /// Median over the frames of the worst age that their data can have when they are complete; null without times.
     age_ms: Option<f64>,
     /// What the bytes say about the board.
     diagnosis: &'static str,
@@ -137,8 +141,8 @@ struct Analysis {
     intervals: u32,
     interval_sum_ns: u64,
     ages_ns: Vec<u64>,
-    stream_fault: [bool; 3],
-    saturated: [bool; ELECTRODES],
+    stream_fault: [bool; 6],
+    saturated: [bool; MAX_ELECTRODES],
     faults: Vec<StreamFault>,
 }
 
@@ -146,14 +150,14 @@ impl Analysis {
     fn new(timed: bool) -> Self {
         Self {
             timed,
-            monitor: BoardMonitor::new([true; ELECTRODES]),
+            monitor: BoardMonitor::new([true; MAX_ELECTRODES]),
             last_arrival_ns: None,
             last_good_ns: None,
             intervals: 0,
             interval_sum_ns: 0,
             ages_ns: Vec::new(),
-            stream_fault: [false; 3],
-            saturated: [false; ELECTRODES],
+            stream_fault: [false; 6],
+            saturated: [false; MAX_ELECTRODES],
             faults: Vec::new(),
         }
     }
@@ -204,12 +208,16 @@ impl Analysis {
         }
     }
 
-    /// Reports the onset of each fault that well-formed frames can hide.
+    /// Reports the onset of each fault that well-formed frames can hide, or that the firmware itself reports.
     fn stream_faults(&mut self) {
+        let flags = self.monitor.flags();
         let faults = [
             (self.monitor.is_all_zero(), "all_zero", Fault::BoardReset),
             (self.monitor.is_frozen(), "frozen", Fault::BoardFrozen),
             (self.monitor.thresholds_changed(), "thresholds", Fault::BoardThresholds),
+            (flags.has(Flags::CHIP_RESET), "chip_reset", Fault::BoardReset),
+            (flags.bus_fault(), "bus", Fault::BoardFrozen),
+            (flags.has(Flags::OVER_CURRENT), "over_current", Fault::BoardChip),
         ];
         for (i, (present, kind, fault)) in faults.into_iter().enumerate() {
             // a reset chip's zeros do not change either: one cause, one fault
@@ -226,7 +234,8 @@ impl Analysis {
     }
 
     fn saturation(&mut self, frame: &SampledFrame) {
-        for (electrode, &fdat) in frame.fdat.iter().enumerate() {
+        for (own, &fdat) in frame.fdat.iter().enumerate() {
+            let electrode = usize::from(frame.bank) * ELECTRODES + own;
             let saturated = (fdat == 0 || fdat == FDAT_MAX) && !self.monitor.is_all_zero();
             if saturated && !self.saturated[electrode] {
                 self.report(
@@ -264,13 +273,14 @@ impl Analysis {
             frames_good: stats.frames_good,
             frames_bad: stats.frames_bad,
             frames_discarded: stats.frames_discarded,
+            frames_lost: stats.frames_lost,
             rate_hz: (self.timed && self.intervals > 0)
                 .then(|| f64::from(self.intervals) / seconds(self.interval_sum_ns)),
             sketch: self
                 .monitor
-                .generation()
-                .filter(|_| self.timed || columns == Some(12))
-                .map(|generation| generation.name()),
+                .firmware()
+                .filter(|firmware| self.timed || matches!(firmware, Firmware::PiCap | Firmware::Moca))
+                .map(Firmware::name),
             columns,
             age_ms: median_age_ns.filter(|_| self.timed).map(|age_ns| 1e3 * seconds(age_ns)),
             diagnosis: diagnosis.text(),
@@ -291,13 +301,14 @@ fn as_text(report: &Report) -> String {
         None => "not known without --times".to_owned(),
     };
     let mut text = format!(
-        "frames: {} good, {} bad, {} not used after a stall\nrate: {}\nage of the data when a frame is complete: {}\n\
+        "frames: {} good, {} bad, {} not used, {} lost\nrate: {}\nage of the data when a frame is complete: {}\n\
          sketch: {}\ncolumns: {}\n{}\n",
         report.frames_good,
         report.frames_bad,
         report.frames_discarded,
+        report.frames_lost,
         number(report.rate_hz, "Hz"),
-        number(report.age_ms, "ms (± 5 ms: the chip refreshes every 10 ms)"),
+        number(report.age_ms, "ms at worst"),
         report.sketch.unwrap_or("not known"),
         report.columns.map_or_else(|| "not known".to_owned(), |columns| columns.to_string()),
         report.diagnosis,
@@ -316,7 +327,6 @@ fn as_text(report: &Report) -> String {
 mod tests {
     use super::*;
     use moca_sim::board::{BoardFault, VirtualBoard, VirtualBoardConfig};
-    use moca_tactile::datastream::SketchGeneration;
 
     fn report(name: &str, timed: bool) -> Report {
         let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/recordings");
@@ -357,11 +367,11 @@ mod tests {
     fn rate_age_and_sketch_of_the_stock_board() {
         let report = report("datastream-2020", true);
         assert!((report.rate_hz.unwrap() - 40.5).abs() < 0.5, "{report:?}");
-        assert_eq!(report.sketch, Some("2018-2020"));
+        assert_eq!(report.sketch, Some("stock-2018"));
         let age_ms = report.age_ms.unwrap();
         assert!(
-            (age_ms - 30.0).abs() < 1.5,
-            "20 ms from read to DIFF and 10 ms of chip filter, got {age_ms}"
+            (age_ms - 35.0).abs() < 1.5,
+            "20 ms from read to DIFF and up to 15 ms in the chip, got {age_ms}"
         );
     }
 
@@ -375,8 +385,9 @@ mod tests {
     }
 
     /// 4 s of a virtual board, read each millisecond; `fault` strikes after 2 s.
-    fn record(sketch: SketchGeneration, fault: Option<BoardFault>) -> (Vec<u8>, Vec<Read>) {
-        let mut board = VirtualBoard::new(VirtualBoardConfig { sketch, ..Default::default() }).unwrap();
+    fn record(sketch: Firmware, fault: Option<BoardFault>) -> (Vec<u8>, Vec<Read>) {
+        let mut board =
+            VirtualBoard::new(VirtualBoardConfig { firmware: sketch, ..Default::default() }).unwrap();
         let (mut bytes, mut reads) = (Vec::new(), Vec::new());
         for millisecond in 1..4000 {
             if millisecond == 2000 {
@@ -394,8 +405,8 @@ mod tests {
 
     #[test]
     fn other_generations_are_recognised_and_fail_in_their_own_way() {
-        use SketchGeneration::{From2015, From2018, PiCap};
-        for (sketch, rate_hz, columns) in [(From2015, 67.5, 13), (From2018, 40.5, 13), (PiCap, 67.5, 12)] {
+        use Firmware::{PiCap, Stock2015, Stock2018};
+        for (sketch, rate_hz, columns) in [(Stock2015, 67.5, 13), (Stock2018, 40.5, 13), (PiCap, 67.5, 12)] {
             let (bytes, reads) = record(sketch, None);
             let report = analyse(&bytes, Some(&reads));
             assert!((report.rate_hz.unwrap() / rate_hz - 1.0).abs() < 0.02, "{report:?}");
@@ -411,7 +422,7 @@ mod tests {
             assert!(kinds(&report).contains(&"frozen"), "{report:?}");
             assert_eq!(
                 kinds(&report).contains(&"thresholds"),
-                sketch == From2018,
+                sketch == Stock2018,
                 "older sketches keep theirs"
             );
         }

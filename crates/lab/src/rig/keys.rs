@@ -1,13 +1,14 @@
 //! Everything an experiment can be told with `--set key=value`: the rows of the daemon's configuration, by their dotted
 //! names or the laboratory's short ones, and one table of what only an experiment has.
 
-use crate::rig::settings::{Sensor, Settings};
+use crate::rig::settings::{self, Sensor, Settings};
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use moca_daemon::config::Config;
+use moca_daemon::config::{Config, ProtectionConfig};
 use moca_msgs::table::{FieldValue, ParameterKind, ParameterSpec, Size};
 use moca_sim::foam::Foam;
 use moca_sim::{BodyPart, Integrator};
-use moca_tactile::datastream::SketchGeneration;
+use moca_tactile::Firmware;
+use std::path::Path;
 
 impl Settings {
     /// Applies `key=value`.
@@ -53,6 +54,19 @@ const fn key(
 }
 
 const KEYS: &[Key] = &[
+    key(
+        "protection",
+        "off|default|FILE",
+        "[protection] as published (off), as shipped (default), or of a configuration file",
+        |s, v| {
+            s.config.protection = match v {
+                "off" => settings::unprotected(),
+                "default" => ProtectionConfig::default(),
+                path => Config::load(Path::new(path))?.protection,
+            };
+            Ok(())
+        },
+    ),
     key("sensor", "stock|ideal|off", "what the controller feels the cover with", |s, v| {
         s.sensor = word(v, &[("stock", Sensor::Stock), ("ideal", Sensor::Ideal), ("off", Sensor::Off)])?;
         Ok(())
@@ -73,8 +87,15 @@ const KEYS: &[Key] = &[
         s.noise_counts = Some(number(v, 0.0, 100.0)?);
         Ok(())
     }),
-    key("sensor.sketch", "2015|2018", "stock board: generation of the sketch", |s, v| {
-        s.sketch = word(v, &[("2015", SketchGeneration::From2015), ("2018", SketchGeneration::From2018)])?;
+    key("sensor.firmware", "moca|stock-2018|stock-2015", "virtual board: what runs on it", |s, v| {
+        s.firmware = word(
+            v,
+            &[
+                ("moca", Firmware::Moca),
+                ("stock-2018", Firmware::Stock2018),
+                ("stock-2015", Firmware::Stock2015),
+            ],
+        )?;
         Ok(())
     }),
     key("step_ms", "ms", "physics step", |s, v| store(&mut s.step_ms, v, 1e-3, 100.0)),
@@ -349,6 +370,24 @@ mod tests {
     use moca_msgs::robot::{FR3, SUMMIT_XL};
     use moca_sim::Scene;
     use moca_sim::foam::ElasticLaw;
+
+    #[test]
+    fn protection_is_as_published_as_shipped_or_a_file_s() {
+        let mut settings = Settings::paper(Law::Impedance);
+        let published = settings.config.protection.clone();
+        settings.set("protection=default").unwrap();
+        assert_eq!(settings.config.protection, ProtectionConfig::default());
+        settings.set("protection=off").unwrap();
+        assert_eq!(settings.config.protection, published);
+        let path = std::env::temp_dir().join(format!("moca-protection-{}.toml", std::process::id()));
+        std::fs::write(&path, "[protection]\nforce_limit_n = 60.0\n").unwrap();
+        settings.set(&format!("protection={}", path.display())).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        assert!((settings.config.protection.force_limit_n - 60.0).abs() < 1e-12);
+        assert!(settings.config.protection.override_statement.is_empty());
+        let refused = format!("{:#}", settings.set("protection=nowhere.toml").unwrap_err());
+        assert!(refused.contains("nowhere.toml"), "{refused}");
+    }
 
     #[test]
     fn an_unknown_key_lists_every_key() {

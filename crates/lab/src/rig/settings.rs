@@ -1,12 +1,12 @@
 //! One run of an experiment, completely described, and the scene and board that follow from it.
 
 use anyhow::{Context, Result, ensure};
-use moca_daemon::config::{AssumedModel, Config, HandConfig, OVERRIDE_MAX_M_S};
+use moca_daemon::config::{AssumedModel, Config, HandConfig, OVERRIDE_MAX_M_S, ProtectionConfig};
 use moca_msgs::Law;
 use moca_msgs::robot::{BaseTable, SUMMIT_XL, TaxelPlacement};
 use moca_sim::foam::{ElasticLaw, Foam};
 use moca_sim::{BaseServo, BodyPart, Integrator, Mobility, Person, Scene, Shape, VirtualBoardConfig};
-use moca_tactile::datastream::SketchGeneration;
+use moca_tactile::Firmware;
 
 /// Averaging and holding period of the ideal sensor, ms.
 const IDEAL_PERIOD_MS: f64 = 10.0;
@@ -151,12 +151,12 @@ impl BaseSettings {
 pub(crate) struct Settings {
     pub config: Config,
     pub sensor: Sensor,
-    /// `None` is 10 ms for the ideal sensor and what the sketch takes for the stock board.
+    /// `None` is 10 ms for the ideal sensor and what the firmware takes for the virtual board.
     pub sensor_period_ms: Option<f64>,
     pub sensor_delay_ms: f64,
     pub sensor_phase_ms: f64,
     pub noise_counts: Option<f64>,
-    pub sketch: SketchGeneration,
+    pub firmware: Firmware,
     pub foam: FoamSettings,
     pub person: PersonSettings,
     pub base: BaseSettings,
@@ -173,6 +173,15 @@ pub(crate) struct Settings {
     pub integrator: Integrator,
 }
 
+/// The paper's robot has no speed limit but its own; a limit this high changes no bit.
+pub(crate) fn unprotected() -> ProtectionConfig {
+    ProtectionConfig {
+        override_speed_limit_m_s: OVERRIDE_MAX_M_S,
+        override_statement: "the paper's experiments, simulated, as published".into(),
+        ..ProtectionConfig::default()
+    }
+}
+
 impl Settings {
     /// The paper's law and gains, stock board, no scripted hand.
     pub(crate) fn paper(law: Law) -> Self {
@@ -180,9 +189,7 @@ impl Settings {
         config.startup.law = law;
         config.simulation.hand = HandConfig::none();
         config.board.model = AssumedModel::Paper;
-        // The paper's robot has no speed limit but its own; a limit this high changes no bit.
-        config.protection.override_speed_limit_m_s = OVERRIDE_MAX_M_S;
-        config.protection.override_statement = "the paper's experiments, simulated, as published".into();
+        config.protection = unprotected();
         config.control.corrections.null_space_damping = false;
         config.control.corrections.base_coupling = false;
         config.control.corrections.flange_wrench_feedforward = false;
@@ -193,7 +200,7 @@ impl Settings {
             sensor_delay_ms: 0.0,
             sensor_phase_ms: 0.0,
             noise_counts: None,
-            sketch: SketchGeneration::From2018,
+            firmware: Firmware::Stock2018,
             foam: FoamSettings {
                 material: Foam::default(),
                 thickness_m: None,
@@ -266,15 +273,15 @@ impl Settings {
     /// Period of the sensor, ms.
     pub(crate) fn period_ms(&self) -> f64 {
         #[expect(clippy::cast_precision_loss, reason = "some milliseconds")]
-        let of_sketch_ms = 1e-6 * self.sketch.frame_period_ns() as f64;
-        let usual_ms = if self.sensor == Sensor::Stock { of_sketch_ms } else { IDEAL_PERIOD_MS };
+        let of_firmware_ms = 1e-6 * self.firmware.frame_period_ns() as f64;
+        let usual_ms = if self.sensor == Sensor::Stock { of_firmware_ms } else { IDEAL_PERIOD_MS };
         self.sensor_period_ms.unwrap_or(usual_ms)
     }
 
     /// The virtual board of this run.
     pub(crate) fn board(&self) -> VirtualBoardConfig {
         VirtualBoardConfig {
-            sketch: self.sketch,
+            firmware: self.firmware,
             foam: self.foam.foam(),
             noise_counts: self.noise_counts,
             #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "1 to 1000 ms")]

@@ -3,7 +3,7 @@
 
 use super::Quality;
 use crate::CoverConfig;
-use crate::datastream::SketchGeneration;
+use crate::Firmware;
 use crate::model::{CompensatedCurve, CurveError, MonotoneCurve, TaxelModel};
 use crate::zero::{ExpectedRest, LINEAR_MIN, OPEN_MIN, REST_RANGE_COUNTS};
 use serde::{Deserialize, Serialize};
@@ -27,7 +27,7 @@ pub struct CalibrationFile {
     /// Identity of the board as the daemon's configuration names it (its `/dev/serial/by-path`: serial numbers are
     /// empty).
     pub board: String,
-    /// Generation of the sketch: `2015-2018`, `2018-2020` or `pi-cap`.
+    /// Firmware of the board: `moca`, `stock-2018`, `stock-2015` or `pi-cap`.
     pub sketch: String,
     /// Day of the calibration, YYYY-MM-DD.
     pub date: String,
@@ -247,7 +247,7 @@ impl TaxelEntry {
 
 impl CalibrationFile {
     /// An empty calibration of today's schema.
-    pub fn new(board: &str, sketch: SketchGeneration, date: &str, material: &str) -> Self {
+    pub fn new(board: &str, sketch: Firmware, date: &str, material: &str) -> Self {
         Self {
             schema: SCHEMA_VERSION,
             board: board.to_string(),
@@ -292,15 +292,12 @@ impl CalibrationFile {
         std::fs::rename(&beside, path).map_err(io)
     }
 
-    /// The sketch that the calibration was made with.
-    pub fn generation(&self) -> Result<SketchGeneration, FileError> {
-        use SketchGeneration::{From2015, From2018, PiCap};
-        [From2015, From2018, PiCap].into_iter().find(|g| g.name() == self.sketch).ok_or_else(|| {
-            FileError::Mismatch {
-                what: "sketch",
-                expected: "2015-2018, 2018-2020 or pi-cap".to_string(),
-                found: self.sketch.clone(),
-            }
+    /// The firmware that the calibration was made with.
+    pub fn firmware(&self) -> Result<Firmware, FileError> {
+        Firmware::named(&self.sketch).ok_or_else(|| FileError::Mismatch {
+            what: "sketch",
+            expected: "moca, stock-2018, stock-2015 or pi-cap".to_string(),
+            found: self.sketch.clone(),
         })
     }
 
@@ -325,12 +322,12 @@ impl CalibrationFile {
         if let Some(missing) = models.iter().position(Option::is_none) {
             return Err(FileError::Taxels(missing + 1));
         }
-        let generation = self.generation()?;
+        let generation = self.firmware()?;
         for (i, (model, expected)) in models.into_iter().flatten().enumerate() {
             config.models[i] = model;
             config.expected_rest[i] = Some(expected);
         }
-        config.calibrated_sketch = Some(generation);
+        config.calibrated_firmware = Some(generation);
         Ok(())
     }
 }
@@ -355,7 +352,7 @@ mod tests {
             TaxelModel::Monotone(curve),
             TaxelModel::Compensated(CompensatedCurve::new(curve, [0.1, 0.0, 0.05]).unwrap()),
         ];
-        let mut file = CalibrationFile::new("left", SketchGeneration::From2018, "2026-11-21", "PU LD30");
+        let mut file = CalibrationFile::new("left", Firmware::Stock2018, "2026-11-21", "PU LD30");
         for (i, model) in models.iter().enumerate() {
             file.taxel.push(TaxelEntry::new(i + 1, 719.6, model, &quality));
         }
@@ -370,7 +367,7 @@ mod tests {
         let mut config = CoverConfig::<3>::default();
         back.apply("left", &mut config).unwrap();
         assert_eq!(StoredModel::from(&config.models[2]), file.taxel[2].model);
-        assert_eq!(config.calibrated_sketch, Some(SketchGeneration::From2018));
+        assert_eq!(config.calibrated_firmware, Some(Firmware::Stock2018));
         assert_eq!(config.expected_rest[2], Some(ExpectedRest { counts: 719.6, range_counts: 10.0 }));
         let older = file.to_toml().unwrap().replace("rest_range_counts = 10.0\n", "");
         assert_eq!(

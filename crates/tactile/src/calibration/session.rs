@@ -2,8 +2,8 @@
 //! times are arguments, so a terminal, a test and a recording drive it alike.
 
 use super::Trial;
-use crate::board::{BoardMonitor, Diagnosis};
-use crate::datastream::{ELECTRODES, SketchGeneration};
+use crate::board::{BoardMonitor, Diagnosis, MAX_ELECTRODES};
+use crate::firmware::Firmware;
 use crate::zero::{TARE_FRAMES, TARE_NOISE_MAX};
 use std::vec::Vec;
 
@@ -85,14 +85,14 @@ pub struct Session {
 
 impl Session {
     /// A session over `targets` in order, each pressed `presses_wanted` times. A target whose electrode does not
-    /// exist (12 and above) is left out.
+    /// exist (48 and above) is left out.
     pub fn new(targets: &[Target], presses_wanted: u32) -> Self {
         let targets: Vec<Target> =
-            targets.iter().copied().filter(|t| usize::from(t.electrode) < ELECTRODES).collect();
+            targets.iter().copied().filter(|t| usize::from(t.electrode) < MAX_ELECTRODES).collect();
         Self {
             targets,
             presses_wanted: presses_wanted.max(1),
-            monitor: BoardMonitor::new([true; ELECTRODES]),
+            monitor: BoardMonitor::new([true; MAX_ELECTRODES]),
             current: 0,
             rest: Vec::new(),
             rest_counts: None,
@@ -110,8 +110,10 @@ impl Session {
     pub fn push(&mut self, bytes: &[u8], arrival_ns: u64) {
         let mut rest = bytes;
         while let Some(frame) = self.monitor.next_frame(&mut rest, arrival_ns) {
-            if let Some(target) = self.targets.get(self.current).copied() {
-                self.frame(target, frame.fdat[usize::from(target.electrode)], seconds(frame.sampled_at_ns));
+            if let Some(target) = self.targets.get(self.current).copied()
+                && let Some(fdat) = frame.fdat_of(target.electrode)
+            {
+                self.frame(target, fdat, seconds(frame.expected_sample_ns));
             }
         }
     }
@@ -140,13 +142,13 @@ impl Session {
     }
 
     /// What the board's bytes say, when no step advances.
-    pub const fn diagnosis(&self) -> Diagnosis {
+    pub fn diagnosis(&self) -> Diagnosis {
         self.monitor.diagnosis()
     }
 
-    /// The board's sketch; `None` before the first good frame.
-    pub const fn generation(&self) -> Option<SketchGeneration> {
-        self.monitor.generation()
+    /// The board's firmware; `None` before the first good frame.
+    pub fn firmware(&self) -> Option<Firmware> {
+        self.monitor.firmware()
     }
 
     /// Measurements so far, one for each finished taxel.

@@ -1,6 +1,8 @@
 //! What a cover is made of: wiring, calibration, masks, thresholds.
 
-use crate::datastream::{ELECTRODES, SketchGeneration};
+use crate::board::MAX_ELECTRODES;
+use crate::datastream::ELECTRODES;
+use crate::firmware::Firmware;
 use crate::model::TaxelModel;
 use crate::zero::ExpectedRest;
 
@@ -16,8 +18,25 @@ pub const CONTACT_OFF_COUNTS: f64 = 2.0;
 pub struct Electrode {
     /// 0 is the first board.
     pub board: u8,
-    /// 0–11.
+    /// 0–11 on the board's own chip; 12–47 on further chips, twelve each, in the order of
+    /// [`crate::touchline::LETTERS`].
     pub electrode: u8,
+}
+
+impl Electrode {
+    /// The chip of its board.
+    pub(super) fn bank(self) -> usize {
+        usize::from(self.electrode) / ELECTRODES
+    }
+
+    /// The electrode of its chip.
+    pub(super) fn of_bank(self) -> usize {
+        usize::from(self.electrode) % ELECTRODES
+    }
+
+    pub(super) fn is_on(self, board: usize, bank: usize) -> bool {
+        usize::from(self.board) == board && self.bank() == bank
+    }
 }
 
 /// What the reading does about a taxel that the operator masked.
@@ -47,8 +66,8 @@ pub struct CoverConfig<const K: usize> {
     /// elsewhere is refused. Counts scale with FDAT at rest, so a board that comes up with another gain still reads
     /// newtons.
     pub expected_rest: [Option<ExpectedRest>; K],
-    /// Sketch that the calibration was made with; another one is a fault.
-    pub calibrated_sketch: Option<SketchGeneration>,
+    /// Firmware that the calibration was made with; another one is a fault.
+    pub calibrated_firmware: Option<Firmware>,
     /// Counts below zero at which contact begins.
     pub contact_on_counts: f64,
     /// Counts below zero under which contact ends.
@@ -69,7 +88,7 @@ impl<const K: usize> Default for CoverConfig<K> {
             masked: [false; K],
             mask_policy: MaskPolicy::Stop,
             expected_rest: [None; K],
-            calibrated_sketch: None,
+            calibrated_firmware: None,
             contact_on_counts: CONTACT_ON_COUNTS,
             contact_off_counts: CONTACT_OFF_COUNTS,
             force_max_n: f64::INFINITY,
@@ -104,7 +123,7 @@ impl core::fmt::Display for CoverConfigError {
                 "T{} must have a board (0 to {}) and an electrode (0 to {}) of its own",
                 taxel + 1,
                 MAX_BOARDS - 1,
-                ELECTRODES - 1
+                MAX_ELECTRODES - 1
             ),
             Self::Thresholds { on_counts, off_counts } => {
                 write!(f, "contact thresholds: 0 < off ≤ on counts, got on {on_counts} and off {off_counts}")
@@ -118,7 +137,7 @@ impl core::error::Error for CoverConfigError {}
 
 impl<const K: usize> CoverConfig<K> {
     /// Which electrodes of which board carry taxels, and how many boards there are.
-    pub(super) fn check(&self) -> Result<([[bool; ELECTRODES]; MAX_BOARDS], usize), CoverConfigError> {
+    pub(super) fn check(&self) -> Result<([[bool; MAX_ELECTRODES]; MAX_BOARDS], usize), CoverConfigError> {
         let (on_counts, off_counts) = (self.contact_on_counts, self.contact_off_counts);
         if !(off_counts > 0.0 && off_counts <= on_counts && on_counts.is_finite()) {
             return Err(CoverConfigError::Thresholds { on_counts, off_counts });
@@ -126,7 +145,7 @@ impl<const K: usize> CoverConfig<K> {
         if self.force_max_n.is_nan() || self.force_max_n <= 0.0 {
             return Err(CoverConfigError::ForceMax(self.force_max_n));
         }
-        let mut used = [[false; ELECTRODES]; MAX_BOARDS];
+        let mut used = [[false; MAX_ELECTRODES]; MAX_BOARDS];
         let mut board_count = 1;
         for (taxel, wire) in self.wiring.iter().enumerate() {
             let board = usize::from(wire.board);

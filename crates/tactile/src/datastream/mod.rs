@@ -6,11 +6,23 @@
 //! field count, ranges, BVAL divisible by 4, BVAL − FDAT = DIFF.
 //!
 //! This module knows no clock, no port and no cover; a virtual board uses it alone.
+//!
+//! ```
+//! use moca_tactile::datastream::{Event, Frame, Parser, emit};
+//!
+//! let sent = Frame { filtered: [700; 13], baseline: [720; 13], ..Frame::default() };
+//! let mut bytes = Vec::new();
+//! emit(&sent, &mut bytes);
+//! let (mut parser, mut rest) = (Parser::new(), bytes.as_slice());
+//! let Some(Event::Frame(read)) = parser.next_event(&mut rest, 40_000_000) else { panic!("a whole frame") };
+//! assert_eq!(read.frame, sent);
+//! ```
 
 mod emit;
 mod parse;
 
 pub use emit::{emit, emit_line};
+pub(crate) use parse::Assembler;
 pub use parse::{BadFrame, Event, ForeignText, Parser, StampedFrame};
 
 /// Columns a frame can have: electrodes 0–11 and the virtual proximity electrode.
@@ -135,47 +147,5 @@ impl Frame {
     pub fn difference(&self, column: usize) -> i16 {
         // Both registers fit 10 bits, so neither conversion nor difference can overflow in a checked frame.
         i16::try_from(i32::from(self.baseline[column]) - i32::from(self.filtered[column])).unwrap_or(i16::MAX)
-    }
-}
-
-/// Which generation of the sketch a board runs; it decides frame rate and the age of the data.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SketchGeneration {
-    /// 2015–2018: thresholds are not read back, about 67.5 frames/s, no auto-configuration.
-    From2015,
-    /// 2018–2020: 26 more I²C reads a frame, about 40.5 frames/s.
-    From2018,
-    /// Pi Cap: 12 columns.
-    PiCap,
-}
-
-impl SketchGeneration {
-    /// Name as stored in calibration files and shown to users.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::From2015 => "2015-2018",
-            Self::From2018 => "2018-2020",
-            Self::PiCap => "pi-cap",
-        }
-    }
-
-    /// Nominal time of one frame, ns. The real one is measured, never assumed. The Pi Cap's is not known; it is
-    /// taken as the older sketch's.
-    pub const fn frame_period_ns(self) -> u64 {
-        match self {
-            Self::From2015 | Self::PiCap => 14_800_000,
-            Self::From2018 => 24_700_000,
-        }
-    }
-
-    /// When the end of each line reaches the host after the chip's data was read over I²C, ns. For 2018–2020 traced
-    /// from the firmware (FDAT 16 ms, DIFF 20 ms); for the others inferred from the same print speed, 2 ms a line.
-    pub const fn line_offset_ns(self) -> [u64; 6] {
-        match self {
-            Self::From2015 | Self::PiCap => {
-                [2_000_000, 4_000_000, 6_000_000, 8_000_000, 10_000_000, 12_000_000]
-            }
-            Self::From2018 => [2_000_000, 8_000_000, 14_000_000, 16_000_000, 18_000_000, 20_000_000],
-        }
     }
 }

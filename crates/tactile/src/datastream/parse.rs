@@ -1,6 +1,7 @@
 //! Bytes to checked frames.
 
 use super::{BASELINE_MAX, Dialect, FDAT_MAX, Frame, Line, MAX_COLUMNS, MAX_LINE_BYTES};
+use crate::lines::{Cut, LineCutter};
 
 /// A good frame and when its lines arrived, ns of loop time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,6 +43,8 @@ pub enum BadFrame {
     },
     /// A line longer than [`MAX_LINE_BYTES`].
     LineTooLong,
+    /// A line of our own firmware that is torn or whose checksum does not fit.
+    Damaged,
 }
 
 impl core::fmt::Display for BadFrame {
@@ -55,6 +58,7 @@ impl core::fmt::Display for BadFrame {
                 write!(f, "torn: line {} is laid out differently from its frame's first line", line.name())
             }
             Self::Inconsistent { column } => write!(f, "BVAL - FDAT is not DIFF in column {column}"),
+            Self::Damaged => write!(f, "a torn line, or one whose checksum does not fit"),
             Self::LineTooLong => write!(f, "a line longer than {MAX_LINE_BYTES} bytes"),
         }
     }
@@ -83,11 +87,38 @@ pub enum Event {
 }
 
 /// Incremental parser. Bounded memory; the same bytes give the same events in whatever chunks they come.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Parser {
-    partial: [u8; MAX_LINE_BYTES],
-    partial_len: usize,
-    too_long: bool,
+    cutter: LineCutter,
+    assembler: Assembler,
+}
+
+impl Parser {
+    /// A parser at the start of a stream.
+    pub const fn new() -> Self {
+        Self { cutter: LineCutter::new(), assembler: Assembler::new() }
+    }
+
+    /// Forgets a partial line and frame, as after bytes known to be lost. What is dropped is not counted as bad.
+    pub fn resynchronise(&mut self) {
+        self.cutter.resynchronise();
+        self.assembler.resynchronise();
+    }
+
+    /// Consumes `bytes`, which arrived at `arrival_ns`, up to the next event; `None` when all are consumed.
+    pub fn next_event(&mut self, bytes: &mut &[u8], arrival_ns: u64) -> Option<Event> {
+        while let Some(cut) = self.cutter.next_line(bytes) {
+            if let Some(event) = self.assembler.take(cut, arrival_ns) {
+                return Some(event);
+            }
+        }
+        None
+    }
+}
+
+/// Lines to frames.
+#[derive(Clone, Debug)]
+pub(crate) struct Assembler {
     /// The line that must come next; `None` while dropping lines until a `TOUCH`.
     expected: Option<Line>,
     frame: Frame,
@@ -96,19 +127,15 @@ pub struct Parser {
     filtered_line_ns: u64,
 }
 
-impl Default for Parser {
+impl Default for Assembler {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Parser {
-    /// A parser at the start of a stream.
-    pub const fn new() -> Self {
+impl Assembler {
+    pub(crate) const fn new() -> Self {
         Self {
-            partial: [0; MAX_LINE_BYTES],
-            partial_len: 0,
-            too_long: false,
             expected: None,
             frame: Frame {
                 dialect: Dialect::TOUCH_BOARD,
@@ -124,52 +151,22 @@ impl Parser {
         }
     }
 
-    /// Forgets a partial line and frame, as after bytes known to be lost. What is dropped is not counted as bad.
-    pub fn resynchronise(&mut self) {
-        self.partial_len = 0;
-        self.too_long = false;
+    pub(crate) fn resynchronise(&mut self) {
         self.expected = None;
     }
 
-    /// Consumes `bytes`, which arrived at `arrival_ns`, up to the next event; `None` when all are consumed.
-    pub fn next_event(&mut self, bytes: &mut &[u8], arrival_ns: u64) -> Option<Event> {
-        while !bytes.is_empty() {
-            let Some(end) = bytes.iter().position(|&b| b == b'\n') else {
-                self.keep(bytes);
-                *bytes = &[];
-                return None;
-            };
-            let (line, rest) = (&bytes[..end], &bytes[end + 1..]);
-            *bytes = rest;
-            if let Some(event) = self.end_line(line, arrival_ns) {
-                return Some(event);
-            }
+    pub(crate) fn take(&mut self, cut: Cut<'_>, arrival_ns: u64) -> Option<Event> {
+        match cut {
+            Cut::Line(line) => self.line(line, false, arrival_ns),
+            Cut::TooLong => self.line(&[], true, arrival_ns),
         }
-        None
     }
 
-    /// Keeps the start of a line whose end has not come yet, up to the longest line allowed.
-    fn keep(&mut self, bytes: &[u8]) {
-        let room = MAX_LINE_BYTES - self.partial_len;
-        if bytes.len() > room {
-            self.too_long = true;
-        }
-        let taken = &bytes[..bytes.len().min(room)];
-        self.partial[self.partial_len..self.partial_len + taken.len()].copy_from_slice(taken);
-        self.partial_len += taken.len();
-    }
-
-    fn end_line(&mut self, end: &[u8], arrival_ns: u64) -> Option<Event> {
-        let event = if self.partial_len == 0 && !self.too_long {
-            self.line(end, end.len() > MAX_LINE_BYTES, arrival_ns)
-        } else {
-            self.keep(end);
-            let line = self.partial;
-            self.line(&line[..self.partial_len], self.too_long, arrival_ns)
-        };
-        self.partial_len = 0;
-        self.too_long = false;
-        event
+    /// FDAT of the frame under way and when its `TOUCH` line ended, ns, between the end of its `FDAT` line and its end.
+    /// Nothing has confirmed it yet.
+    pub(crate) fn filtered(&self) -> Option<(&[u16; MAX_COLUMNS], u64)> {
+        let waiting = matches!(self.expected, Some(Line::Baseline | Line::Difference));
+        waiting.then_some((&self.frame.filtered, self.touch_line_ns))
     }
 
     fn line(&mut self, line: &[u8], too_long: bool, arrival_ns: u64) -> Option<Event> {

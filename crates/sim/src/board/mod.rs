@@ -1,16 +1,20 @@
-//! A Touch Board that exists only in memory: true forces in, the bytes of the DataStream sketch out, at a real
-//! board's rate and age. Time is an argument, so a run is as deterministic as its seed.
+//! A Touch Board that exists only in memory: true forces in, the bytes of its firmware out, at a real board's rate and
+//! age. Time is an argument, so a run is as deterministic as its seed.
 //!
-//! What ages the data, as traced from the firmware: foam → chip (a sample each millisecond, FDAT refreshed every
-//! 10 ms with their mean) → one I²C read a frame → six lines printed one after the other.
+//! What ages the data of a stock board, as traced from its firmware: foam → chip (a sample each millisecond, FDAT
+//! refreshed every 10 ms with their mean) → one I²C read a frame → six lines printed one after the other. With our own
+//! firmware: a refresh every 4 ms, a read each millisecond, one line as soon as a value changed.
+
+mod stamped;
 
 use crate::error::{SimError, within};
 use crate::foam::{Foam, FoamState};
 use crate::sensor::{CoverSensor, Effects, SAMPLE_INTERVAL_NS};
 use moca_msgs::robot::PAPER_COVER;
-use moca_tactile::datastream::{
-    Dialect, ELECTRODES, Frame, Line, MAX_COLUMNS, MAX_LINE_BYTES, SketchGeneration, emit_line,
-};
+use moca_tactile::Firmware;
+use moca_tactile::datastream::{Dialect, ELECTRODES, Frame, Line, MAX_COLUMNS, MAX_LINE_BYTES, emit_line};
+
+use stamped::StampedBoard;
 
 const TAXELS: usize = PAPER_COVER.len();
 /// Stock touch and release thresholds, counts.
@@ -21,8 +25,8 @@ const I2C_LOST_PERCENT: u64 = 72;
 /// What kind of board, and how it is disturbed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VirtualBoardConfig {
-    /// Sketch: frame rate and age follow from it.
-    pub sketch: SketchGeneration,
+    /// Frame rate and age follow from it.
+    pub firmware: Firmware,
     /// Foam under the plates; the scene's.
     pub foam: Foam,
     /// Disturbances.
@@ -31,7 +35,7 @@ pub struct VirtualBoardConfig {
     pub noise_counts: Option<f64>,
     /// Seed of the noise.
     pub seed: u64,
-    /// Period of a frame if it is not the sketch's, ns, 1 ms to 1 s: every part of the frame takes its share.
+    /// Period of a stock frame if it is not the firmware's, ns, 1 ms to 1 s: every part of the frame takes its share.
     pub frame_period_ns: Option<u64>,
     /// When the first frame is read, ns: the board's phase against the loop.
     pub first_read_ns: u64,
@@ -41,7 +45,7 @@ impl Default for VirtualBoardConfig {
     /// Stock sketch of 2020 over the paper's foam.
     fn default() -> Self {
         Self {
-            sketch: SketchGeneration::From2018,
+            firmware: Firmware::Stock2018,
             foam: Foam::default(),
             effects: Effects::default(),
             noise_counts: None,
@@ -55,9 +59,10 @@ impl Default for VirtualBoardConfig {
 /// How a board fails; each as the firmware was seen to fail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BoardFault {
-    /// I²C to the chip lost: good frames go on a little faster, FDAT frozen, thresholds garbage (newer sketch).
+    /// I²C to the chip lost. Stock: good frames go on a little faster, FDAT frozen, thresholds garbage (newer sketch).
+    /// Our own firmware says so, 50 times a second.
     I2cLost,
-    /// The chip reset: every value 0.
+    /// The chip reset. Stock: every value 0 from now on. Our own firmware says so and is back 22 ms later.
     ChipReset,
     /// The bus is stuck: no bytes, the port stays open.
     Silent,
@@ -66,7 +71,9 @@ pub enum BoardFault {
 /// The board. `advance` allocates nothing.
 #[derive(Clone, Debug)]
 pub struct VirtualBoard {
-    sketch: SketchGeneration,
+    firmware: Firmware,
+    /// The board with our own firmware; the fields below are a stock board's.
+    stamped: Option<StampedBoard>,
     frame_period_ns: u64,
     foam: Foam,
     foams: [FoamState; TAXELS],
@@ -115,15 +122,23 @@ impl VirtualBoard {
             let value = period_ns as f64;
             within("frame_period_ns", "ns", &[value], 1e6, 1e9)?;
         }
+        let sensor = || CoverSensor::new(config.foam, config.effects, config.seed);
+        let stamped = (config.firmware == Firmware::Moca).then(|| {
+            let sensor = sensor()
+                .with_noise(stamped::NOISE_SHARE * noise_counts)
+                .with_samples_per_value(stamped::SAMPLES_PER_VALUE);
+            StampedBoard::new(config.foam, sensor, config.first_read_ns)
+        });
         let mut board = Self {
-            sketch: config.sketch,
-            frame_period_ns: config.frame_period_ns.unwrap_or(config.sketch.frame_period_ns()),
+            firmware: config.firmware,
+            stamped,
+            frame_period_ns: config.frame_period_ns.unwrap_or(config.firmware.frame_period_ns()),
             foam: config.foam,
             foams: [FoamState::default(); TAXELS],
-            sensor: CoverSensor::new(config.foam, config.effects, config.seed).with_noise(noise_counts),
+            sensor: sensor().with_noise(noise_counts),
             distance_m: [f64::INFINITY; ELECTRODES],
             fault: None,
-            frame: Frame { dialect: dialect(config.sketch), ..Frame::default() },
+            frame: Frame { dialect: dialect(config.firmware), ..Frame::default() },
             next_sample_ns: SAMPLE_INTERVAL_NS,
             read_ns: config.first_read_ns,
             next_line: 0,
@@ -149,6 +164,9 @@ impl VirtualBoard {
     /// Lets the board run until `now_ns` with steady true forces (N, T1 first) and gives every line to `sink` once it
     /// is completely out. A force that is not finite counts as none: a hand cannot press with NaN.
     pub fn advance(&mut self, now_ns: u64, force_n: &[f64; TAXELS], sink: &mut impl FnMut(&[u8])) {
+        if let Some(stamped) = &mut self.stamped {
+            return stamped.advance(now_ns, force_n, &self.distance_m, self.fault, sink);
+        }
         loop {
             let line_ns = self.next_line_ns();
             let next_ns = self.next_sample_ns.min(line_ns);
@@ -165,16 +183,16 @@ impl VirtualBoard {
 
     /// When the next line is out, or the next frame is read if all lines are, ns.
     fn next_line_ns(&self) -> u64 {
-        let after_read_ns = match self.sketch.line_offset_ns().get(self.next_line) {
+        let after_read_ns = match self.firmware.line_offset_ns().get(self.next_line) {
             Some(&offset_ns) => offset_ns,
-            None => self.sketch.frame_period_ns(),
+            None => self.firmware.frame_period_ns(),
         };
         self.read_ns + self.hurried(after_read_ns)
     }
 
     /// A part of a frame as this board takes it; without an answer from the chip every part is quicker.
     fn hurried(&self, of_sketch_ns: u64) -> u64 {
-        let normal_ns = of_sketch_ns * self.frame_period_ns / self.sketch.frame_period_ns();
+        let normal_ns = of_sketch_ns * self.frame_period_ns / self.firmware.frame_period_ns();
         match self.fault {
             Some(BoardFault::I2cLost) => normal_ns * I2C_LOST_PERCENT / 100,
             _ => normal_ns,
@@ -194,7 +212,7 @@ impl VirtualBoard {
 
     fn print_line(&mut self, sink: &mut impl FnMut(&[u8])) {
         let Some(&line) = Line::ALL.get(self.next_line) else {
-            self.read_ns += self.hurried(self.sketch.frame_period_ns());
+            self.read_ns += self.hurried(self.firmware.frame_period_ns());
             self.next_line = 0;
             self.read_chip();
             return;
@@ -215,7 +233,7 @@ impl VirtualBoard {
                 self.frame = Frame { dialect: self.frame.dialect, ..Frame::default() };
             }
             Some(BoardFault::I2cLost) => {
-                if self.sketch == SketchGeneration::From2018 {
+                if self.firmware == Firmware::Stock2018 {
                     let garbage: [u8; MAX_COLUMNS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12];
                     self.frame.touch_threshold = garbage;
                     self.frame.release_threshold = garbage;
@@ -239,9 +257,9 @@ impl VirtualBoard {
     }
 }
 
-const fn dialect(sketch: SketchGeneration) -> Dialect {
-    match sketch {
-        SketchGeneration::PiCap => Dialect::PI_CAP,
+const fn dialect(firmware: Firmware) -> Dialect {
+    match firmware {
+        Firmware::PiCap => Dialect::PI_CAP,
         _ => Dialect::TOUCH_BOARD,
     }
 }
