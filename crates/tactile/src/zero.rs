@@ -187,7 +187,7 @@ impl TareSum {
         expected: Option<&ExpectedRest>,
     ) -> Result<TaxelZero, TareRefusal> {
         let unusable = |status| Err(TareRefusal::Unusable { taxel, status });
-        if self.mean <= 0.0 || self.mean >= f64::from(FDAT_MAX) {
+        if self.mean >= f64::from(FDAT_MAX) {
             return unusable(TaxelStatus::Saturated);
         }
         if self.mean >= OPEN_MIN {
@@ -215,5 +215,21 @@ impl TareSum {
             return Err(TareRefusal::Gain { taxel, ratio: gain });
         }
         Ok(TaxelZero { counts: self.mean, tared_counts: self.mean, deviation, gain })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slow_drift_is_followed_with_its_time_constant_and_fast_drift_at_its_limit() {
+        let zero = TaxelZero { counts: 700.0, tared_counts: 700.0, deviation: 0.7, gain: 1.0 };
+        // One whole count at 0.1 s: the limit is 0.002 counts, 1/300 of the error would be 0.0033.
+        let (mut slow, mut fast) = (TaxelZero { counts: 700.7, ..zero }, zero);
+        slow.follow(701, 0.1);
+        assert!((slow.counts - (700.7 + 0.3 / 300.0)).abs() < 1e-9, "{slow:?}");
+        fast.follow(690, 0.1);
+        assert!((fast.counts - (700.0 - 0.002)).abs() < 1e-9, "{fast:?}");
     }
 }

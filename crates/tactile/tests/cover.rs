@@ -390,6 +390,27 @@ fn faults_of_one_taxel_are_found_in_their_time() {
 }
 
 #[test]
+fn a_sagging_supply_is_found_though_taxels_shift_unevenly() {
+    let mut bench = Bench::tared();
+    bench.drop = core::array::from_fn(|e| 17.0 + 0.6 * e as f64);
+    assert_eq!(bench.frames_until(Fault::BoardCommonMode, COMMON_MODE_FRAMES + 3), COMMON_MODE_FRAMES);
+}
+
+#[test]
+fn a_taxel_at_the_end_of_its_range_is_saturated_at_a_tare() {
+    for (drop, status) in
+        [(-303.0, TaxelStatus::Saturated), (600.0, TaxelStatus::Saturated), (-290.0, TaxelStatus::Dead)]
+    {
+        let mut bench = Bench::new(CoverConfig::default());
+        (bench.drop[3], bench.sigma[3]) = (drop, 0.0);
+        bench.baseline = 0;
+        bench.tare();
+        let refused = TareStatus::Refused(TareRefusal::Unusable { taxel: 3, status });
+        assert_eq!(bench.cover.tare_status(), refused, "{drop}");
+    }
+}
+
+#[test]
 fn pushing_hard_and_fast_is_no_fault() {
     let mut bench = Bench::tared();
     for i in 0..400 {
@@ -431,6 +452,48 @@ fn bytes_lost_on_the_way_make_no_frame_of_two_halves() {
     bench.cover.push(0, &bytes[100..], bench.now_ns);
     let stats = *bench.cover.boards().next().unwrap().stats();
     assert_eq!((stats.frames_good, stats.bytes_lost), (good, 300));
+}
+
+#[test]
+fn what_a_board_sends_is_counted_and_its_rate_is_measured() {
+    let mut bench = Bench::tared();
+    let rate_hz = bench.cover.boards().next().unwrap().rate_hz();
+    assert!((rate_hz - 1e9 / PERIOD_NS as f64).abs() < 0.01, "{rate_hz}");
+    // A pause is no interval of the board's.
+    bench.now_ns += 500_000_000;
+    bench.frames(3);
+    let after_hz = bench.cover.boards().next().unwrap().rate_hz();
+    assert!((after_hz - rate_hz).abs() < 0.01, "{after_hz}");
+    // Another rate is found.
+    for _ in 0..100 {
+        bench.now_ns += PERIOD_NS / 4;
+        bench.frame();
+    }
+    let slower_hz = bench.cover.boards().next().unwrap().rate_hz();
+    assert!((slower_hz - 0.8 * rate_hz).abs() < 0.2, "{slower_hz}");
+
+    let before = *bench.cover.boards().next().unwrap().stats();
+    let broken = b"TOUCH: 0 0\nFDAT: 1 x\n";
+    bench.cover.push(0, broken, bench.now_ns);
+    let mut bytes = Vec::new();
+    emit(&Frame { touch_threshold: [40; 13], ..Frame::default() }, &mut bytes);
+    bench.cover.push(0, &bytes, bench.now_ns);
+    let after = *bench.cover.boards().next().unwrap().stats();
+    assert_eq!(after.bytes, before.bytes + (broken.len() + bytes.len()) as u64);
+    assert_eq!(after.frames_bad, before.frames_bad + 1);
+}
+
+#[test]
+fn the_first_frame_after_lost_bytes_is_counted_and_not_used() {
+    let mut bench = Bench::tared();
+    let at_ns = bench.now_ns;
+    bench.cover.event(0, &BoardEvent::Gap { at_ns, bytes_lost: 300 });
+    let discarded = |bench: &Bench| bench.cover.boards().next().unwrap().stats().frames_discarded;
+    let before = discarded(&bench);
+    bench.frame();
+    assert_eq!(discarded(&bench), before + 1, "its age is not known");
+    bench.frame();
+    assert_eq!(discarded(&bench), before + 1);
 }
 
 #[test]

@@ -19,7 +19,15 @@ use moca_telemetry::{
         RecorderOptions, SerialBytes, overview::Happening, part_path, read_log, records, shown,
     },
 };
-use std::{collections::BTreeMap, path::PathBuf};
+use std::{
+    collections::BTreeMap,
+    io::{Read, Seek, SeekFrom},
+    path::PathBuf,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+};
 
 const START: u64 = 1_790_000_000_000_000_000;
 
@@ -265,6 +273,49 @@ fn a_log_is_looked_into_anywhere_and_only_what_is_shown_is_read() {
     assert!(heard.is_sorted() && heard.last().is_some_and(|part| *part > 0.4));
     let same = rebuilt.spans.len() - 1;
     assert_eq!(rebuilt.spans[..same], whole.spans[..same]);
+}
+
+/// A file that counts what is read of it.
+struct Counted(std::fs::File, Arc<AtomicU64>);
+
+impl Read for Counted {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        let read = self.0.read(bytes)?;
+        self.1.fetch_add(read as u64, Ordering::Relaxed);
+        Ok(read)
+    }
+}
+
+impl Seek for Counted {
+    fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
+        self.0.seek(to)
+    }
+}
+
+#[test]
+fn eight_hours_open_by_their_index_and_overview_and_a_look_reads_what_it_shows() {
+    const SECONDS: u64 = 8 * 3600;
+    let file = TempFile::new("eight-hours");
+    let output = std::io::BufWriter::new(std::fs::File::create(&file.0).unwrap());
+    let mut writer = LogWriter::new(output, &meta()).unwrap();
+    for second in 0..SECONDS {
+        writer.sample(&calm(1000 * second)).unwrap();
+        // What a replay needs is most of a file.
+        writer.replay(second * 1_000_000_000, &second.to_le_bytes().repeat(100)).unwrap();
+    }
+    writer.finish().unwrap();
+    let size = std::fs::metadata(&file.0).unwrap().len();
+    let read = Arc::new(AtomicU64::new(0));
+    let counted = Counted(std::fs::File::open(&file.0).unwrap(), Arc::clone(&read));
+    let mut log = LogFile::over(counted, &file.0).unwrap();
+    assert_eq!((log.cut(), log.overview().unwrap().spans.len() as u64), (None, SECONDS));
+    let opened = read.swap(0, Ordering::Relaxed);
+    assert!(opened < 16 << 20 && opened < size / 2, "opening read {opened} of {size} bytes");
+    let middle_ns = SECONDS / 2 * 1_000_000_000;
+    let minute = log.samples(middle_ns, middle_ns + 59_000_000_000).unwrap();
+    assert_eq!((minute.len(), minute[0].time_ns), (60, middle_ns));
+    let looked = read.load(Ordering::Relaxed);
+    assert!(looked < size / 50, "a minute of eight hours read {looked} of {size} bytes");
 }
 
 #[test]

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, missing_docs, reason = "benches")]
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
+use moca_wbc::contact_barrier::{BarrierInput, BarrierSettings, ContactBarrier, FoamCurve, TaxelSample};
 use moca_wbc::limits::TorqueLimits;
 use moca_wbc::nalgebra::convert;
 use moca_wbc::opspace::{ArmDynamics, AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
@@ -109,7 +110,53 @@ fn parts<const N: usize, T: Scalar>(c: &mut Criterion, arm: &ArmTable<N>, name: 
     group.finish();
 }
 
+/// A whole step with and without the contact barrier, of a robot with both corrections that it is used with.
+fn barrier(c: &mut Criterion) {
+    let mut group = c.benchmark_group("barrier");
+    let corrections = Corrections { null_space_damping: true, base_coupling: true, ..Corrections::LITERAL };
+    let parameters = Parameters { corrections, ..Parameters::for_arm(&PANDA) };
+    let controller =
+        WholeBodyController::<7, 11>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &parameters)
+            .unwrap();
+    let foam = FoamCurve::Hyperbolic { stiffness_n_m: 2105.0, thickness_m: 0.015 };
+    let settings = BarrierSettings::new(foam, foam, 25.0, 0.015).unwrap();
+    for (name, on, touched, speed) in [
+        ("off", false, 0, 0.0),
+        ("nobody touches", true, 0, 0.0),
+        ("one taxel touched", true, 1, 0.0),
+        ("driven into one", true, 1, 0.2),
+        ("driven into three", true, 3, 0.2),
+    ] {
+        let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings);
+        let mut input = input::<7, f64>(&PANDA);
+        input.robot.base_velocity_world = [speed, 0.0, 0.0];
+        input.taxel_force_n =
+            core::array::from_fn(|i| if (5..5 + touched).contains(&i) { 10.0 } else { 0.0 });
+        let mut state = controller.enter(ControlLaw::Impedance, &input.robot).unwrap();
+        state.set_target_twist([speed, 0.0, 0.0, 0.0, 0.0, 0.0]).unwrap();
+        let mut age_s = 0.0;
+        group.bench_function(name, |b| {
+            b.iter(|| {
+                // a frame every 10 ms
+                age_s = if age_s > 0.0095 { 0.001 } else { age_s + 0.001 };
+                let mut input = *black_box(&input);
+                if on {
+                    let samples = input.taxel_force_n.map(|force_n| Some(TaxelSample { force_n, age_s }));
+                    let measured =
+                        BarrierInput::new(samples, input.robot.base_velocity_world, [3.0, 3.0, 6.0], 1e-3);
+                    let contacts = barrier.update(&measured).unwrap();
+                    input.taxel_force_n = contacts.force_n;
+                    input.guard.outward_m_s = Some(contacts.outward_m_s);
+                }
+                controller.step(ControlLaw::Impedance, &mut state, &input).unwrap()
+            });
+        });
+    }
+    group.finish();
+}
+
 fn benches(c: &mut Criterion) {
+    barrier(c);
     steps::<7, f64>(c, &PANDA, "panda-f64");
     steps::<7, f32>(c, &PANDA, "panda-f32");
     steps::<6, f64>(c, &UR10E, "ur10e-f64");

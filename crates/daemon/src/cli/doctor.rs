@@ -28,6 +28,9 @@ pub struct Arguments {
     /// Keep every core busy meanwhile.
     #[arg(long)]
     load: bool,
+    /// Listen to the Touch Board for --seconds instead, and print a report of it to send back.
+    #[arg(long)]
+    board: bool,
 }
 
 /// Lateness of one loop.
@@ -50,6 +53,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let length = Duration::try_from_secs_f64(arguments.seconds).context("--seconds")?;
     ensure!(length >= Duration::from_millis(100), "--seconds {}: allowed: 0.1 s or more", arguments.seconds);
 
+    if arguments.board {
+        return crate::cli::board_report::run(&config, length);
+    }
     println!("What this PC offers");
     for Finding { what, good, found, remedy } in findings() {
         println!("  {} {what}: {found}", if good { "ok  " } else { "CARE" });

@@ -1,5 +1,6 @@
 //! What a user sees on a terminal: the commands besides the loop, and the report of a run.
 
+mod board_report;
 pub mod calibrate;
 pub mod doctor;
 pub mod params;

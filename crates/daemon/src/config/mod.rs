@@ -27,6 +27,8 @@ use std::path::{Path, PathBuf};
 pub const VIRTUAL_PORT: &str = "virtual";
 /// `board.port` that looks for a Touch Board's USB id.
 pub(crate) const AUTO_PORT: &str = "auto";
+/// `board.port` that looks for the board with the name that follows, in its EEPROM.
+pub(crate) const NAMED_PORT: &str = "name:";
 /// `telemetry.listen` that asks the environment.
 const AUTO_LISTEN: &str = "auto";
 /// The service's socket in systemd's RuntimeDirectory.
@@ -118,7 +120,7 @@ parameter_table! {
     /// `[board]`
     #[derive(Clone, Debug, PartialEq)]
     pub struct BoardConfig in "board" {
-        /// "virtual", "auto" (by USB id), or a path.
+        /// "virtual", "auto" (the only board there is), "name:" and the name in its EEPROM, or a path.
         port: String = VIRTUAL_PORT.into();
         /// What runs on the virtual board; a real one is recognised by what it sends.
         firmware: Firmware = Firmware::Moca;

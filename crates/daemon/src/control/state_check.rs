@@ -102,6 +102,18 @@ mod tests {
     }
 
     #[test]
+    fn a_jump_is_measured_from_where_the_robot_was() {
+        let mut door = StateDoor::default();
+        let far = RobotState { base_pose_world: [5.0, -4.0, 2.0], q_rad: [1.5; JOINTS], ..state() };
+        door.check(far, FRESH, 1e-3).unwrap();
+        assert!(door.check(far, FRESH, 1e-3).is_ok(), "it stands still");
+        let back = RobotState { q_rad: [-1.5; JOINTS], ..far };
+        assert_eq!(door.check(back, FRESH, 1e-3), Err(Fault::StateInvalid));
+        let back = RobotState { base_pose_world: [-5.0, 4.0, -2.0], ..far };
+        assert_eq!(door.check(back, FRESH, 1e-3), Err(Fault::StateInvalid));
+    }
+
+    #[test]
     fn a_robot_that_was_moved_while_its_state_was_stale_is_taken_where_it_is() {
         let mut door = StateDoor::default();
         door.check(state(), FRESH, 1e-3).unwrap();

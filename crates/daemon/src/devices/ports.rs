@@ -5,16 +5,35 @@ use anyhow::Result;
 use moca_tactile::BoardEvent;
 pub(crate) use moca_tactile::serial::SerialBoard as Reader;
 use moca_tactile::serial::{PortSelection, look_for_board};
+use std::io::{Read, Write};
 use std::time::Instant;
 
 /// Starts reading the Touch Board at `port`, a path or [`crate::config::AUTO_PORT`]. Times of events are ns since
 /// `start`. Dropping the reader ends it.
 pub(crate) fn open(port: &str, start: Instant) -> Result<(Reader, rtrb::Consumer<BoardEvent>)> {
-    let selection = match port {
-        crate::config::AUTO_PORT => PortSelection::default(),
-        path => PortSelection::Path(path.to_owned()),
-    };
-    Ok(Reader::spawn(selection, start)?)
+    Ok(Reader::spawn(selection(port), start)?)
+}
+
+fn selection(port: &str) -> PortSelection {
+    match (port, port.strip_prefix(crate::config::NAMED_PORT)) {
+        (crate::config::AUTO_PORT, _) => PortSelection::Any,
+        (_, Some(name)) => PortSelection::Named(name.to_owned()),
+        (path, None) => PortSelection::Path(path.to_owned()),
+    }
+}
+
+/// A port to ask and to listen to.
+pub(crate) trait Line: Read + Write {}
+
+impl<T: Read + Write> Line for T {}
+
+/// Opens the Touch Board at `port` to talk with it.
+///
+/// # Errors
+/// Why it cannot be opened, with the remedy.
+pub(crate) fn talk(port: &str) -> Result<Box<dyn Line>> {
+    let opened = moca_tactile::serial::open(&selection(port), 115_200);
+    Ok(Box::new(opened.map_err(|failure| anyhow::anyhow!("board.port = {port:?}: {}", failure.text()))?))
 }
 
 /// The same for a force gauge behind a serial adapter of this speed.

@@ -2,6 +2,7 @@
 
 use anyhow::{Result, bail};
 use moca_tactile::BoardEvent;
+use std::io::{Read, Write};
 use std::time::Instant;
 
 const ABSENT: &str = "this build opens no serial port; for a live cover, a virtual one too, or a force gauge build with \
@@ -28,6 +29,14 @@ pub(crate) fn open_gauge(
     _baud: u32,
     _start: Instant,
 ) -> Result<(Reader, rtrb::Consumer<BoardEvent>)> {
+    bail!(ABSENT)
+}
+
+/// A port to ask and to listen to.
+pub(crate) trait Line: Read + Write {}
+
+/// Always refused.
+pub(crate) fn talk(_port: &str) -> Result<Box<dyn Line>> {
     bail!(ABSENT)
 }
 

@@ -23,7 +23,7 @@ const STRETCH: usize = 64;
 /// Most runs of one file.
 const RUNS_MAX: usize = 10_000_000;
 /// Columns after the run's number and its settings.
-const RESULTS: &str = "peak_force_n,first_peak_n,contact_s,contact_time_s,approach_m_s,flange_rms_mm,flange_max_mm,\
+const RESULTS: &str = "peak_force_n,first_touch_n,impact_n,first_peak_n,contact_s,contact_time_s,approach_m_s,flange_rms_mm,flange_max_mm,\
                        base_x_m,base_y_m,base_yaw_rad,yaw_in_contact_deg,stopped";
 
 /// Arguments of `moca-lab sweep`.
@@ -226,8 +226,10 @@ fn row(plan: &Plan, columns: &[String], id: usize) -> Result<String> {
 fn results(report: &Report) -> String {
     let [x, y, yaw] = report.measures.base_displacement;
     format!(
-        "{:.6},{:.6},{},{:.3},{:.6},{:.6},{:.6},{x:.6},{y:.6},{yaw:.6},{:.4},{}",
+        "{:.6},{:.6},{:.6},{:.6},{},{:.3},{:.6},{:.6},{:.6},{x:.6},{y:.6},{yaw:.6},{:.4},{}",
         report.measures.peak_force_n,
+        report.measures.first_touch_n,
+        report.measures.impact_n,
         report.measures.peaks_n.first().copied().unwrap_or(0.0),
         report.measures.contact_s.map_or(String::new(), |t| format!("{t:.3}")),
         report.measures.contact_time_s,

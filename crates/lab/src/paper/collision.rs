@@ -35,7 +35,7 @@ pub(crate) struct Report {
     pub base_y_m_s: Option<[f64; 3]>,
     /// Largest force for each phase of the sensor against the motion, N.
     pub peak_by_phase_n: Vec<f64>,
-    /// A stock board is outside the bound of contact stability: label of the result.
+    /// What the run shows; one that stopped or touched nobody shows no low force.
     pub verdict: &'static str,
 }
 
@@ -55,13 +55,15 @@ impl Report {
             )
         });
         format!(
-            "{}\n  peak force {:.1} N ({}), peaks {} N, taxels {}, contact at {} s for {:.2} s, approach {:.3} m/s\n  \
+            "{}\n  peak force {:.1} N ({}), {:.1} N in the first 0.1 s of contact, {:.1} N in 0.5 s, peaks {} N, taxels {}, contact at {} s for {:.2} s, approach {:.3} m/s\n  \
              peak by sensor phase {} N\n  flange off by {:.2} mm RMS, {:.2} mm at most; base moved ({x:+.3} m, {y:+.3} m, \
              {yaw:+.3} rad); yaw in contact {:+.1}°\n  wrench in contact {} true, {} sensed\n  \
              arm {:.3} m ahead of the base after 0.5 s{resumes}",
             head(&self.info),
             m.peak_force_n,
             self.verdict,
+            m.first_touch_n,
+            m.impact_n,
             list(&m.peaks_n),
             m.contact_taxels.join(", "),
             m.contact_s.map_or("no".into(), |t| format!("{t:.2}")),
@@ -172,7 +174,7 @@ fn measure(info: RunInfo, settings: &Settings, rows: &[Row], peak_by_phase_n: Ve
         (row.flange_world[1] - rows[0].flange_world[1])
             - (row.base_pose_world[1] - rows[0].base_pose_world[1])
     };
-    let safe = measures.peak_force_n < 25.0;
+    let verdict = verdict(measures.peak_force_n, info.stopped.is_some());
     Report {
         info,
         measures,
@@ -184,8 +186,30 @@ fn measure(info: RunInfo, settings: &Settings, rows: &[Row], peak_by_phase_n: Ve
             [speed(&rows[first]), least, after(last, 1.0).map_or(0.0, speed)]
         }),
         peak_by_phase_n,
-        verdict: if safe { "below 25 N" } else { "UNSAFE: above 25 N" },
+        verdict,
     }
+}
+
+/// What the largest force of a run says, and what a run cannot say.
+const fn verdict(peak_n: f64, stopped: bool) -> &'static str {
+    if peak_n >= 25.0 {
+        "UNSAFE: above 25 N"
+    } else if stopped {
+        "STOPPED: nothing is shown"
+    } else if peak_n <= 0.0 {
+        "NO CONTACT: nothing is shown"
+    } else {
+        "below 25 N"
+    }
+}
+
+#[cfg(test)]
+#[test]
+fn a_run_that_stopped_or_touched_nobody_is_not_below_25_n() {
+    assert_eq!(verdict(24.2, false), "below 25 N");
+    assert_eq!(verdict(25.0, false), "UNSAFE: above 25 N");
+    assert_eq!(verdict(400.0, true), "UNSAFE: above 25 N");
+    assert!(verdict(3.0, true).starts_with("STOPPED") && verdict(0.0, false).starts_with("NO CONTACT"));
 }
 
 /// Speed of the taxel's centre along its outward normal, less the person's own walk, m/s.

@@ -5,6 +5,7 @@
 
 use super::push;
 use super::{collision, pushes};
+use crate::rig::c_library;
 use crate::rig::closed_loop::{Rig, Row};
 use crate::rig::settings::Settings;
 use moca_msgs::Law;
@@ -106,18 +107,6 @@ fn golden_collision() {
     let mut settings = with(Law::Impedance, &["sensor=ideal"]);
     collision::defaults(&mut settings);
     compare("collision.csv", &collision::once(&settings).unwrap().rows, 50);
-}
-
-/// Bits of functions that differ between C libraries: where these differ, bits of a simulation do too.
-fn c_library() -> u64 {
-    let mut hash: u64 = 0xcbf2_9ce4_8422_2325;
-    for i in 1..4000 {
-        let x = f64::from(i) * 1.37e-3;
-        for value in [x.sin(), x.cos(), x.exp(), x.powf(1.586), x.atan2(0.3)] {
-            hash = (hash ^ value.to_bits()).wrapping_mul(0x0000_0100_0000_01b3);
-        }
-    }
-    hash
 }
 
 #[test]

@@ -1,13 +1,14 @@
 //! Everything an experiment can be told with `--set key=value`: the rows of the daemon's configuration, by their dotted
 //! names or the laboratory's short ones, and one table of what only an experiment has.
 
-use crate::rig::settings::{Sensor, Settings};
+use crate::rig::settings::{self, Sensor, Settings};
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use moca_daemon::config::Config;
+use moca_daemon::config::{Config, ProtectionConfig};
 use moca_msgs::table::{FieldValue, ParameterKind, ParameterSpec, Size};
 use moca_sim::foam::Foam;
 use moca_sim::{BodyPart, Integrator};
 use moca_tactile::Firmware;
+use std::path::Path;
 
 impl Settings {
     /// Applies `key=value`.
@@ -53,6 +54,19 @@ const fn key(
 }
 
 const KEYS: &[Key] = &[
+    key(
+        "protection",
+        "off|default|FILE",
+        "[protection] as published (off), as shipped (default), or of a configuration file",
+        |s, v| {
+            s.config.protection = match v {
+                "off" => settings::unprotected(),
+                "default" => ProtectionConfig::default(),
+                path => Config::load(Path::new(path))?.protection,
+            };
+            Ok(())
+        },
+    ),
     key("sensor", "stock|ideal|off", "what the controller feels the cover with", |s, v| {
         s.sensor = word(v, &[("stock", Sensor::Stock), ("ideal", Sensor::Ideal), ("off", Sensor::Off)])?;
         Ok(())
@@ -357,6 +371,24 @@ mod tests {
     use moca_msgs::robot::{AnyArm, FR3, SUMMIT_XL};
     use moca_sim::Scene;
     use moca_sim::foam::ElasticLaw;
+
+    #[test]
+    fn protection_is_as_published_as_shipped_or_a_file_s() {
+        let mut settings = Settings::paper(Law::Impedance);
+        let published = settings.config.protection.clone();
+        settings.set("protection=default").unwrap();
+        assert_eq!(settings.config.protection, ProtectionConfig::default());
+        settings.set("protection=off").unwrap();
+        assert_eq!(settings.config.protection, published);
+        let path = std::env::temp_dir().join(format!("moca-protection-{}.toml", std::process::id()));
+        std::fs::write(&path, "[protection]\nforce_limit_n = 60.0\n").unwrap();
+        settings.set(&format!("protection={}", path.display())).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        assert!((settings.config.protection.force_limit_n - 60.0).abs() < 1e-12);
+        assert!(settings.config.protection.override_statement.is_empty());
+        let refused = format!("{:#}", settings.set("protection=nowhere.toml").unwrap_err());
+        assert!(refused.contains("nowhere.toml"), "{refused}");
+    }
 
     #[test]
     fn an_unknown_key_lists_every_key() {

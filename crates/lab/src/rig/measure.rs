@@ -4,6 +4,9 @@ use crate::paper::push::{difference, rms};
 use crate::rig::closed_loop::{Row, TAXELS};
 use serde::Serialize;
 
+/// Windows after the first contact, s.
+const FIRST_TOUCH_S: f64 = 0.1;
+const IMPACT_S: f64 = 0.5;
 /// A peak lower than this is a graze, N.
 const PEAK_MIN_N: f64 = 2.0;
 
@@ -12,6 +15,10 @@ const PEAK_MIN_N: f64 = 2.0;
 pub(crate) struct Measures {
     /// Largest true force on any one body, N; on a seam two taxels share it.
     pub peak_force_n: f64,
+    /// The same within the first 0.1 s of contact: what no law can prevent, N.
+    pub first_touch_n: f64,
+    /// The same within the first 0.5 s of contact, the transient of ISO/TS 15066, N.
+    pub impact_n: f64,
     /// Local maxima of the total true force on the cover, N, in time order.
     pub peaks_n: Vec<f64>,
     /// Taxels that were touched, in the order of the cover.
@@ -38,6 +45,8 @@ impl Measures {
         let (first, last) = (touching.first(), touching.last());
         Self {
             peak_force_n: peak_force_n(rows),
+            first_touch_n: peak_within_n(rows, FIRST_TOUCH_S),
+            impact_n: peak_within_n(rows, IMPACT_S),
             peaks_n: peaks(rows),
             contact_taxels: (0..TAXELS)
                 .filter(|&taxel| rows.iter().any(|row| row.force_true[taxel] > 0.0))
@@ -66,6 +75,14 @@ impl Measures {
 /// Largest force on any one body, N.
 pub(crate) fn peak_force_n(rows: &[Row]) -> f64 {
     rows.iter().map(|row| row.largest_force_n).fold(0.0, f64::max)
+}
+
+/// Largest force on any one body within `window_s` of the first contact, N; 0 without one.
+fn peak_within_n(rows: &[Row], window_s: f64) -> f64 {
+    let first = rows.iter().position(|row| row.total_force_n > 0.0).unwrap_or(rows.len());
+    let contact = &rows[first..];
+    let count = contact.partition_point(|row| row.t_s < contact[0].t_s + window_s);
+    peak_force_n(&contact[..count])
 }
 
 fn mean(rows: &[&Row], pick: fn(&Row) -> [f64; 3]) -> [f64; 3] {

@@ -7,3 +7,15 @@ pub(crate) mod keys;
 pub(crate) mod measure;
 pub(crate) mod parallel;
 pub(crate) mod settings;
+
+/// Bits of functions that differ between C libraries: where these differ, bits of a simulation do too.
+pub(crate) fn c_library() -> u64 {
+    let mut hash: u64 = 0xcbf2_9ce4_8422_2325;
+    for i in 1..4000 {
+        let x = f64::from(i) * 1.37e-3;
+        for value in [x.sin(), x.cos(), x.exp(), x.powf(1.586), x.atan2(0.3)] {
+            hash = (hash ^ value.to_bits()).wrapping_mul(0x0000_0100_0000_01b3);
+        }
+    }
+    hash
+}

@@ -1,7 +1,7 @@
 //! One run of an experiment, completely described, and the scene and board that follow from it.
 
 use anyhow::{Context, Result, ensure};
-use moca_daemon::config::{AssumedModel, Config, HandConfig, OVERRIDE_MAX_M_S};
+use moca_daemon::config::{AssumedModel, Config, HandConfig, OVERRIDE_MAX_M_S, ProtectionConfig};
 use moca_msgs::Law;
 use moca_msgs::robot::{BaseTable, SUMMIT_XL, TaxelPlacement};
 use moca_sim::foam::{ElasticLaw, Foam};
@@ -173,6 +173,15 @@ pub(crate) struct Settings {
     pub integrator: Integrator,
 }
 
+/// The paper's robot has no speed limit but its own; a limit this high changes no bit.
+pub(crate) fn unprotected() -> ProtectionConfig {
+    ProtectionConfig {
+        override_speed_limit_m_s: OVERRIDE_MAX_M_S,
+        override_statement: "the paper's experiments, simulated, as published".into(),
+        ..ProtectionConfig::default()
+    }
+}
+
 impl Settings {
     /// The paper's law and gains, stock board, no scripted hand.
     pub(crate) fn paper(law: Law) -> Self {
@@ -180,9 +189,7 @@ impl Settings {
         config.startup.law = law;
         config.simulation.hand = HandConfig::none();
         config.board.model = AssumedModel::Paper;
-        // The paper's robot has no speed limit but its own; a limit this high changes no bit.
-        config.protection.override_speed_limit_m_s = OVERRIDE_MAX_M_S;
-        config.protection.override_statement = "the paper's experiments, simulated, as published".into();
+        config.protection = unprotected();
         config.control.corrections.null_space_damping = false;
         config.control.corrections.base_coupling = false;
         config.control.corrections.flange_wrench_feedforward = false;

@@ -167,8 +167,8 @@ fn shown(map: &Map) -> moca_figures::Map {
         sides: map.cells.iter().map(|cell| cell.theory_stable).collect(),
         legend: vec![
             (SAFE, "bounded, below 25 N"),
-            (HARD, "bounded, above 25 N"),
-            (UNBOUNDED, "swings on or stopped"),
+            (HARD, "bounded, 25 to 150 N"),
+            (UNBOUNDED, "above 150 N, swings on or stopped"),
             (UNTOUCHED, "no touch"),
         ],
     }

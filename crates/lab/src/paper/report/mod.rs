@@ -1,6 +1,6 @@
 //! `moca-lab report`: the paper and what it leaves out, on one self-contained HTML page.
 
-mod claims;
+pub(crate) mod claims;
 mod sweeps;
 
 use crate::cover::characterize;

@@ -70,16 +70,15 @@ fn histograms(ui: &mut Ui, model: &Model) {
             let curves: Vec<_> = stages.iter().enumerate().map(|(i, h)| (h, theme::curve(i))).collect();
             chart(ui, title, &curves, period_us, wide);
             ui.weak(format!("line: one period, {} µs", number(period_us, 0)));
+            if let Some(sample) = &model.latest {
+                gauges::counters(ui, model, sample);
+            }
         });
         column(ui, TABLE.min(available), |ui| {
             let rows: Vec<_> = STAGES.iter().zip(stages).map(|(name, h)| (*name, "µs", h)).collect();
             quantiles(ui, title, &rows);
             if stages[0].total() == 0 {
                 ui.weak("This run was not timed.");
-            }
-            ui.separator();
-            if let Some(sample) = &model.latest {
-                gauges::counters(ui, model, sample);
             }
         });
     });

@@ -1,5 +1,7 @@
-//! `moca-lab soak`: hours of robot time in lock-step under random hands, requests and board faults.
+//! `moca-lab soak`: hours of robot time in lock-step under random hands, requests, board faults and bad observers.
 #![expect(clippy::print_stdout, reason = "this is what the command is for")]
+
+mod onlookers;
 
 use anyhow::{Context, Result, ensure};
 use moca_daemon::config::{Config, HandConfig};
@@ -13,6 +15,7 @@ use moca_sim::board::BoardFault;
 use moca_sim::{Scene, VirtualBoardConfig};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::{LogReader, LogWriter, Meta, Record};
+use onlookers::Onlookers;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -27,6 +30,12 @@ const LOGGED_TICKS: u64 = 60_000;
 const TAXELS: usize = 11;
 /// Longest list of violations that is worth reading.
 const VIOLATIONS_MAX: usize = 10;
+/// Requests of one burst, one a tick: more than any queue on their way holds.
+const BURST: u32 = 150;
+/// Largest force of an ordinary press, of a heavy one and of a blow, N.
+const FORCES_N: [u32; 3] = [80, 200, 200];
+/// How long a blow lasts, ticks.
+const BLOW_TICKS: u64 = 50;
 
 /// Hours of robot time under random hands, requests and board faults: limits, modes, memory, logs.
 #[derive(clap::Args)]
@@ -51,6 +60,12 @@ struct Report {
     requests: u64,
     requests_refused: u64,
     board_faults: u64,
+    heavy_presses: u64,
+    blows: u64,
+    bursts: u64,
+    clients_killed: u64,
+    samples_dropped: u64,
+    lines_lost: u64,
     stops: BTreeMap<&'static str, u64>,
     ticks_in_mode: BTreeMap<&'static str, u64>,
     largest_base_speed_m_s: f64,
@@ -91,6 +106,7 @@ fn soak(ticks: u64, seed: u64) -> Result<Report> {
     let mut world = LockStep::with_board(&config, &Scene::default(), board, None)?;
     let mut hands = Hands::new(seed);
     let mut watch = Watch::new(&config);
+    let mut onlookers = Onlookers::new()?;
     let mut log = None;
     let mut report = Report::default();
     let started = Instant::now();
@@ -103,6 +119,10 @@ fn soak(ticks: u64, seed: u64) -> Result<Report> {
         report.requests += u64::from(request.is_some());
         report.requests_refused += u64::from(matches!(outcome, Some(Err(_))));
         watch.look(&sample, &mut report);
+        onlookers.see(&sample);
+        if std::mem::take(&mut hands.onlookers_change) {
+            onlookers.change(&mut hands.random)?;
+        }
         if let Some(minute) = &mut log {
             minute.writer.sample(&sample)?;
         }
@@ -118,6 +138,8 @@ fn soak(ticks: u64, seed: u64) -> Result<Report> {
         }
     }
     report.ticks = ticks;
+    report.clients_killed = onlookers.killed;
+    (report.samples_dropped, report.lines_lost) = (onlookers.dropped, onlookers.lines_lost());
     report.wall_s = started.elapsed().as_secs_f64();
     Ok(report)
 }
@@ -139,6 +161,8 @@ struct Hands {
     unplugged: bool,
     stopped_since: Option<u64>,
     asked_at: u64,
+    burst: u32,
+    onlookers_change: bool,
 }
 
 impl Hands {
@@ -152,6 +176,8 @@ impl Hands {
             unplugged: false,
             stopped_since: None,
             asked_at: 0,
+            burst: 0,
+            onlookers_change: false,
         }
     }
 
@@ -177,6 +203,10 @@ impl Hands {
             self.pressed[taxel] = None;
             return Some(press(taxel, 0.0));
         }
+        if let Some(left) = self.burst.checked_sub(1) {
+            self.burst = left;
+            return Some(self.hasty());
+        }
         if tick >= self.next_event {
             self.next_event = self.after(tick, 200, 6000);
             return self.event(tick, world, report);
@@ -190,7 +220,7 @@ impl Hands {
         world: &mut LockStep<ByteCover, MemoryBoard>,
         report: &mut Report,
     ) -> Option<Request> {
-        match self.random.below(20) {
+        match self.random.below(24) {
             0 => Some(Request::Stop),
             1 => Some(Request::Disarm),
             2 => Some(Request::Tare),
@@ -216,13 +246,43 @@ impl Hands {
                 world.feed.inject(&garbage);
                 None
             }
-            _ => {
-                let taxel = self.random.below(TAXELS);
-                let tenths = u32::try_from(self.random.below(800)).unwrap_or(0);
-                self.pressed[taxel] = Some(self.after(tick, 100, 4000));
-                report.presses += 1;
-                Some(press(taxel, f64::from(tenths) / 10.0))
+            9 => {
+                self.burst = BURST;
+                report.bursts += 1;
+                None
             }
+            10 | 11 => {
+                self.onlookers_change = true;
+                None
+            }
+            kind => {
+                let kind = if kind < 22 { 0 } else { kind - 21 };
+                Some(self.press(kind, tick, report))
+            }
+        }
+    }
+
+    /// An ordinary press (0), a heavy one (1), or a blow (2).
+    fn press(&mut self, kind: usize, tick: u64, report: &mut Report) -> Request {
+        let taxel = self.random.below(TAXELS);
+        let tenths = self.random.below(usize::try_from(10 * FORCES_N[kind]).unwrap_or(0));
+        let force_n = f64::from(u32::try_from(tenths).unwrap_or(0)) / 10.0;
+        self.pressed[taxel] = Some(if kind == 2 { tick + BLOW_TICKS } else { self.after(tick, 100, 4000) });
+        *[&mut report.presses, &mut report.heavy_presses, &mut report.blows][kind] += 1;
+        press(taxel, force_n)
+    }
+
+    /// What a script that has gone wild asks.
+    fn hasty(&mut self) -> Request {
+        match self.random.below(8) {
+            0 => Request::Stop,
+            1 => Request::Tare,
+            2 => Request::Arm,
+            3 => Request::Disarm,
+            4 => Request::Resume,
+            5 => Request::SelectLaw(Law::FollowMe),
+            6 => Request::OperatorLost,
+            _ => Request::SelectLaw(Law::Impedance),
         }
     }
 
@@ -373,6 +433,17 @@ fn print(report: &Report) {
         report.requests_refused,
         report.board_faults
     );
+    println!(
+        "{} heavy presses, {} blows of {BLOW_TICKS} ms (up to {} N), {} bursts of {BURST} requests, {} clients killed, {} samples \
+         not sent, {} lines that a stalled terminal did not take",
+        report.heavy_presses,
+        report.blows,
+        FORCES_N[2],
+        report.bursts,
+        report.clients_killed,
+        report.samples_dropped,
+        report.lines_lost
+    );
     println!("stops             {:?}", report.stops);
     println!("ticks in mode     {:?}", report.ticks_in_mode);
     println!("largest base speed {:.3} m/s", report.largest_base_speed_m_s);
@@ -394,13 +465,14 @@ fn print(report: &Report) {
 #[cfg(test)]
 mod tests {
     #[test]
-    fn a_minute_of_everything_at_once_exceed_no_limit() {
-        let report = super::soak(60_000, 3).unwrap();
+    fn two_minutes_of_everything_at_once_exceed_no_limit() {
+        let report = super::soak(120_000, 3).unwrap();
         assert!(report.violations.is_empty(), "{:#?}", report.violations);
         assert!(
-            report.presses > 5 && !report.stops.is_empty() && report.samples_read_back == 60_000,
+            report.presses > 5 && !report.stops.is_empty() && report.samples_read_back == super::LOGGED_TICKS,
             "{report:?}"
         );
-        assert!(report.ticks_in_mode["impedance"] > 10_000, "{report:?}");
+        assert!(report.ticks_in_mode["impedance"] > 5_000, "{report:?}");
+        assert!(report.heavy_presses > 0 && report.blows > 0 && report.bursts > 0, "{report:?}");
     }
 }

@@ -3,49 +3,26 @@
 //! It parses nothing. The loop thread owns the other end of the ring and feeds what it pops to
 //! [`crate::Cover::event`]. Dropping [`SerialBoard`] stops the thread.
 
-use crate::board::{BoardEvent, Chunk, CloseReason, OpenFailure};
-use serialport::{ErrorKind, SerialPort, SerialPortType, UsbPortInfo};
-use std::boxed::Box;
+mod find;
+
+pub use find::{ARDUINO_USB, BOOTLOADER_USB, PortSelection, TOUCH_BOARD_USB, look_for_board, open};
+
+use crate::board::{BoardEvent, Chunk, CloseReason};
+use find::BAUD;
+pub use serialport::SerialPort;
 use std::io;
-use std::path::Path;
-use std::string::{String, ToString};
+use std::string::ToString;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-use std::vec::Vec;
 
-/// USB vendor and product id of a Touch Board that runs a sketch.
-pub const TOUCH_BOARD_USB: (u16, u16) = (0x2a6e, 0x8003);
-/// USB id of its bootloader: no sketch runs, and the port must not be opened.
-pub const BOOTLOADER_USB: (u16, u16) = (0x2a6e, 0x0003);
-/// USB id of an Arduino Leonardo, which a Touch Board becomes when it is flashed with that profile.
-pub const LEONARDO_USB: (u16, u16) = (0x2341, 0x8036);
-/// USB CDC ignores it, but 1200 would start the bootloader.
-const BAUD: u32 = 115_200;
-/// How long one read waits; also the longest wait for the thread to stop.
-const READ_TIMEOUT: Duration = Duration::from_millis(50);
 /// First wait before a port is tried again.
 const BACK_OFF_FIRST: Duration = Duration::from_millis(100);
 /// Longest wait before a port is tried again.
 const BACK_OFF_MAX: Duration = Duration::from_secs(2);
 /// Events the ring holds: at least a second of a board's bytes.
 const RING_EVENTS: usize = 1024;
-
-/// Which port to open.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum PortSelection {
-    /// Device path. Two boards differ only by their `/dev/serial/by-path`.
-    Path(String),
-    /// The only port with this USB vendor and product id.
-    Usb(u16, u16),
-}
-
-impl Default for PortSelection {
-    fn default() -> Self {
-        Self::Usb(TOUCH_BOARD_USB.0, TOUCH_BOARD_USB.1)
-    }
-}
 
 /// A running reader thread.
 #[derive(Debug)]
@@ -206,111 +183,11 @@ impl Reader {
     }
 }
 
-/// The port of the only Touch Board there is, without opening it.
-///
-/// # Errors
-/// Why there is none, or which board there is instead.
-pub fn look_for_board() -> Result<String, OpenFailure> {
-    find(&usb_ports(), TOUCH_BOARD_USB)
-}
-
-fn open(selection: &PortSelection, baud: u32) -> Result<Box<dyn SerialPort>, OpenFailure> {
-    let ports = usb_ports();
-    let path = match selection {
-        PortSelection::Path(path) => {
-            let real = Path::new(path).canonicalize().unwrap_or_default();
-            if ports.iter().any(|(name, usb)| Path::new(name) == real && id(usb) == BOOTLOADER_USB) {
-                return Err(OpenFailure::Bootloader);
-            }
-            path.clone()
-        }
-        PortSelection::Usb(vendor, product) => find(&ports, (*vendor, *product))?,
-    };
-    serialport::new(path, baud)
-        .timeout(READ_TIMEOUT)
-        .dtr_on_open(true)
-        .open()
-        .map_err(|error| failure(error.kind()))
-}
-
-/// The only port with USB id `wanted`, or the nearest reason why there is none.
-fn find(ports: &[(String, UsbPortInfo)], wanted: (u16, u16)) -> Result<String, OpenFailure> {
-    let present = |wanted| ports.iter().any(|(_, usb)| id(usb) == wanted);
-    let mut matching = ports.iter().filter(|(_, usb)| id(usb) == wanted).map(|(name, _)| name);
-    match (matching.next(), matching.next()) {
-        (Some(name), None) => Ok(name.clone()),
-        (Some(_), Some(_)) => Err(OpenFailure::Ambiguous),
-        (None, _) if present(BOOTLOADER_USB) => Err(OpenFailure::Bootloader),
-        (None, _) if present(LEONARDO_USB) => Err(OpenFailure::Leonardo),
-        (None, _) => Err(OpenFailure::NotFound),
-    }
-}
-
-/// Every USB serial port of the machine.
-fn usb_ports() -> Vec<(String, UsbPortInfo)> {
-    // Without this directory (some containers) serialport panics instead of finding no ports.
-    if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() {
-        return Vec::new();
-    }
-    serialport::available_ports()
-        .unwrap_or_default()
-        .into_iter()
-        .filter_map(|port| match port.port_type {
-            SerialPortType::UsbPort(usb) => Some((port.port_name, usb)),
-            _ => None,
-        })
-        .collect()
-}
-
-const fn id(usb: &UsbPortInfo) -> (u16, u16) {
-    (usb.vid, usb.pid)
-}
-
-/// serialport reports a port that another program holds as `NoDevice`.
-fn failure(kind: ErrorKind) -> OpenFailure {
-    match kind {
-        ErrorKind::NoDevice => OpenFailure::Busy,
-        ErrorKind::Io(io::ErrorKind::NotFound) => OpenFailure::NotFound,
-        ErrorKind::Io(io::ErrorKind::PermissionDenied) => OpenFailure::PermissionDenied,
-        _ => OpenFailure::Other,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::vec;
-
-    fn usb((vid, pid): (u16, u16)) -> UsbPortInfo {
-        UsbPortInfo { vid, pid, serial_number: None, manufacturer: None, product: None }
-    }
-
-    fn ports(ids: &[(u16, u16)]) -> Vec<(String, UsbPortInfo)> {
-        ids.iter().enumerate().map(|(i, &id)| (std::format!("/dev/ttyACM{i}"), usb(id))).collect()
-    }
-
-    #[test]
-    fn the_board_is_told_from_bootloader_leonardo_and_its_double() {
-        let other = (0x0403, 0x6001);
-        let find = |ids: &[_]| find(&ports(ids), TOUCH_BOARD_USB);
-        assert_eq!(find(&[other, TOUCH_BOARD_USB]), Ok("/dev/ttyACM1".to_string()));
-        assert_eq!(find(&[other, BOOTLOADER_USB, LEONARDO_USB]), Err(OpenFailure::Bootloader));
-        assert_eq!(find(&[LEONARDO_USB]), Err(OpenFailure::Leonardo));
-        assert_eq!(find(&[TOUCH_BOARD_USB, TOUCH_BOARD_USB]), Err(OpenFailure::Ambiguous));
-        assert_eq!(find(&[other]), Err(OpenFailure::NotFound));
-    }
-
-    #[test]
-    fn the_operating_system_s_answers_are_told_apart() {
-        for (kind, expected) in [
-            (ErrorKind::NoDevice, OpenFailure::Busy),
-            (ErrorKind::Io(io::ErrorKind::NotFound), OpenFailure::NotFound),
-            (ErrorKind::Io(io::ErrorKind::PermissionDenied), OpenFailure::PermissionDenied),
-            (ErrorKind::Unknown, OpenFailure::Other),
-        ] {
-            assert_eq!(failure(kind), expected);
-        }
-    }
+    use std::vec::Vec;
 
     #[test]
     fn the_back_off_grows_to_two_seconds_and_stays() {

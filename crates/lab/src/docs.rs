@@ -1,0 +1,104 @@
+//! `moca-lab docs`: the tables of figures in the documents, written by the code that computes them.
+//!
+//! A table stands between `<!-- moca-lab docs NAME … -->` and `<!-- end of NAME -->`; the text around it is for people.
+
+use crate::numerics::stability;
+use crate::paper::report::claims;
+use crate::rig::c_library;
+use anyhow::{Context, Result, bail, ensure};
+use std::path::{Path, PathBuf};
+
+/// Writes the tables of figures into the documents.
+#[derive(clap::Args)]
+pub(crate) struct Arguments {
+    /// The repository.
+    #[arg(long, default_value = ".")]
+    repository: PathBuf,
+    /// Only this table; without it, all.
+    #[arg(long)]
+    only: Option<String>,
+}
+
+/// A table in a document.
+struct Table {
+    name: &'static str,
+    file: &'static str,
+    make: fn() -> Result<String>,
+}
+
+const TABLES: [Table; 2] = [
+    Table { name: "paper", file: "docs/results.md", make: claims::markdown },
+    Table { name: "stability", file: "docs/results.md", make: stability::markdown },
+];
+
+/// Computes the tables and puts each in its place.
+#[expect(clippy::print_stdout, reason = "the command's output")]
+pub(crate) fn run(arguments: &Arguments) -> Result<()> {
+    let chosen = |table: &&Table| arguments.only.as_deref().is_none_or(|only| only == table.name);
+    let names = || TABLES.map(|table| table.name).join(", ");
+    ensure!(TABLES.iter().any(|table| chosen(&table)), "--only: not one of {}", names());
+    for table in TABLES.iter().filter(chosen) {
+        let path = arguments.repository.join(table.file);
+        let fresh = (table.make)()?;
+        let text = read(&path)?;
+        let (before, _, after) = split(&text, table.name)?;
+        let written = format!("{before}{}\n{fresh}{after}", head(table.name));
+        std::fs::write(&path, written).with_context(|| format!("cannot write {}", path.display()))?;
+        println!("{}: table {}", path.display(), table.name);
+    }
+    Ok(())
+}
+
+fn read(path: &Path) -> Result<String> {
+    std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
+}
+
+/// The line above a table. Where sines are rounded in another way, the last digits of a simulation are others.
+fn head(name: &str) -> String {
+    format!("<!-- moca-lab docs {name}, C library {:016x} -->", c_library())
+}
+
+/// Text before the table's head, head with table, and the text from its end on.
+fn split<'a>(text: &'a str, name: &str) -> Result<(&'a str, &'a str, &'a str)> {
+    let start = text.find(&format!("<!-- moca-lab docs {name}"));
+    let end = text.find(&format!("<!-- end of {name} -->"));
+    match (start, end) {
+        (Some(start), Some(end)) if start < end => Ok((&text[..start], &text[start..end], &text[end..])),
+        _ => bail!("no place for table {name}: <!-- moca-lab docs {name} --> … <!-- end of {name} -->"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Where the C library is another one, only that the table is there.
+    fn is_what_is_printed(name: &str) {
+        let table = TABLES.iter().find(|table| table.name == name).unwrap();
+        let repository = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
+        let text = read(&repository.join(table.file)).unwrap();
+        let (_, shown, _) = split(&text, name).unwrap();
+        assert!(shown.lines().count() > 5, "{name}: no table");
+        if shown.lines().next() == Some(head(name).as_str()) {
+            let fresh = format!("{}\n{}", head(name), (table.make)().unwrap());
+            for (shown, fresh) in shown.lines().zip(fresh.lines()) {
+                assert_eq!(shown, fresh, "`moca-lab docs --only {name}` writes it anew");
+            }
+            assert_eq!(shown.lines().count(), fresh.lines().count());
+        }
+    }
+
+    #[test]
+    fn the_paper_s_claims_in_the_documents_are_what_the_experiments_print() {
+        is_what_is_printed("paper");
+    }
+
+    #[test]
+    fn a_table_without_a_place_is_refused() {
+        assert!(split("text", "paper").is_err());
+        let text = "a <!-- moca-lab docs paper, old -->\n|x|\n<!-- end of paper --> b";
+        let (before, table, after) = split(text, "paper").unwrap();
+        assert_eq!((before, after), ("a ", "<!-- end of paper --> b"));
+        assert!(table.ends_with("|x|\n"));
+    }
+}
