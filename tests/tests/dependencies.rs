@@ -56,8 +56,10 @@ fn tree(package: &str, more: &[&str]) -> BTreeSet<String> {
 #[test]
 fn every_crate_of_ours_is_in_the_table() {
     let folders = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../crates")).unwrap();
+    // simavr is GPL-3: its crate is a test tool outside the workspace, which nothing of ours may link.
     let crates: BTreeSet<String> = folders
         .map(|folder| format!("moca-{}", folder.unwrap().file_name().into_string().unwrap()))
+        .filter(|name| name != "moca-firmware-sim")
         .collect();
     let listed: BTreeSet<String> = TABLE.iter().map(|(name, ..)| (*name).to_owned()).collect();
     assert_eq!(crates, listed);

@@ -118,7 +118,7 @@ fn threads(parts: &str) -> Vec<String> {
 
 #[test]
 fn an_arm_alone_starts_no_thread_of_a_board() {
-    assert_eq!(threads("arm"), ["control-loop", "ctrl-c", "mocad-under-tes", "terminal"]);
+    assert_eq!(threads("arm"), ["control-loop", "ctrl-c", "flight-recorder", "mocad-under-tes", "terminal"]);
     let whole = threads("whole");
     for name in ["calibrator", "touch-board"] {
         assert!(whole.iter().any(|thread| thread == name), "{name} is not among {whole:?}");
@@ -174,7 +174,7 @@ fn an_fr3_is_the_same_arm_to_plant_and_controller() {
 #[test]
 fn geometry_of_another_number_of_taxels_is_refused_with_its_line() {
     let error = Config::parse("[robot.cover]\nx_m = [0.1, 0.2]\n").unwrap_err().to_string();
-    assert!(error.contains("line 2") && error.contains("11"), "{error}");
+    assert!(error.contains("y_m has 11 elements; robot.cover.x_m has 2"), "{error}");
     let error = Config::parse("[robot.mount]\nposition_base_m = [0.1, nan, 50]\n").unwrap_err().to_string();
     assert!(error.contains("robot.mount.position_base_m = NaN m is outside -5 to 5 m"), "{error}");
 }

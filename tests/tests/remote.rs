@@ -161,6 +161,7 @@ fn a_client_presses_a_taxel_stops_and_resumes_and_another_may_only_stop() {
     assert_eq!(answer(&one, Request::PressTaxel { taxel: 5, force_n: 0.0 }), Ok(()));
     assert_eq!(answer(&one, Request::Arm), Err(Refusal::Mode(Mode::ProtectiveStop)));
     assert_eq!(answer(&one, Request::Resume), Ok(()));
+    wait_for(&one, "nobody touches it", |s| s.taxels.iter().all(|taxel| taxel.force_n == 0.0));
     assert_eq!(answer(&one, Request::Arm), Ok(()));
     wait_for(&one, "armed again", |s| s.mode == Mode::Impedance);
 }

@@ -2,7 +2,7 @@
 
 use crate::mcu::{CYCLES_PER_US, Hex, Mcu};
 use crate::mpr121::{Chips, Mpr121, Signal};
-use crate::usb::Identity;
+use crate::identity::Identity;
 use anyhow::Result;
 
 /// How a board is set up.

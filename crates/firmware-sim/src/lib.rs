@@ -19,6 +19,7 @@
 
 pub mod board;
 pub mod faults;
+pub mod identity;
 mod mcu;
 pub mod measure;
 pub mod mpr121;

@@ -1,6 +1,7 @@
 //! A USB host: attaches the device, sets it up as a serial port, polls it.
 
 use crate::board::Board;
+use crate::identity::Identity;
 use crate::mcu::{UsbAnswer, UsbCall};
 use anyhow::{Context, Result, bail, ensure};
 
@@ -9,17 +10,6 @@ const TO_DEVICE: u8 = 2;
 const FROM_DEVICE: u8 = 3;
 /// One packet.
 const PACKET: usize = 64;
-
-/// What the device said of itself.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Identity {
-    /// USB vendor.
-    pub vendor: u16,
-    /// USB product.
-    pub product: u16,
-    /// Interfaces of the configuration.
-    pub interfaces: u8,
-}
 
 struct Request {
     kind: u8,

@@ -3,8 +3,8 @@
 //! Its sides are the planes in which taxels lie and, where there is no taxel, the sides of the base's box. A corner
 //! belongs half to either side. A cover with an inward corner is taken as its convex hull.
 
-use crate::scene::Scene;
-use moca_msgs::{MAX_TAXELS, TaxelPlacement};
+use crate::scene::{Scene, outward_base};
+use moca_msgs::MAX_TAXELS;
 
 /// Room for the largest cover.
 const K: usize = MAX_TAXELS;
@@ -247,12 +247,6 @@ fn taxels_of(scene: &Scene, outward: [f64; 2], along: [f64; 2], start: [f64; 2])
         .collect();
     taxels.sort_by(|a, b| a.1.total_cmp(&b.1));
     taxels
-}
-
-/// Direction out of the cover at a taxel, unit, axes of B.
-pub(crate) fn outward_base(taxel: &TaxelPlacement) -> [f64; 2] {
-    let (sin, cos) = taxel.inward_angle_base_rad.sin_cos();
-    [-cos, -sin]
 }
 
 fn same_direction(a: [f64; 2], b: [f64; 2]) -> bool {

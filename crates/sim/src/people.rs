@@ -2,7 +2,8 @@
 
 use crate::contact::{ContactState, Pressing};
 use crate::foam::Foam;
-use crate::outline::{Outline, outward_base};
+use crate::outline::Outline;
+use crate::scene::outward_base;
 use crate::scene::{Mobility, Person, Shape};
 use moca_msgs::{MAX_TAXELS, TaxelPlacement};
 

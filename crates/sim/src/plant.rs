@@ -1,8 +1,9 @@
 //! The plant: an arm on a velocity-controlled base, one control period at a time.
 
 use crate::mjcf::{BASE_SERVO_DAMPING, FLANGE, YAW_SERVO_DAMPING, mjcf};
-use crate::outline::{Outline, outward_base};
+use crate::outline::Outline;
 use crate::people::{CoverInstant, Felt, People};
+use crate::scene::outward_base;
 use crate::scene::{Robot, Scene};
 use crate::{SimError, quiet};
 use moca_msgs::{Actuation, MAX_JOINTS, MAX_TAXELS, RobotCommand, RobotState};

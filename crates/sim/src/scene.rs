@@ -3,7 +3,6 @@
 use crate::contact::Tissue;
 use crate::error::{SimError, within};
 use crate::foam::Foam;
-use crate::outline::outward_base;
 use moca_msgs::robot::{
     AnyArm, BaseTable, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, Payload, SUMMIT_XL, TaxelPlacement,
 };
@@ -338,4 +337,10 @@ impl Scene {
         let substeps = whole as u32;
         Ok(substeps)
     }
+}
+
+/// Direction out of the cover at a taxel, unit, axes of B.
+pub(crate) fn outward_base(taxel: &TaxelPlacement) -> [f64; 2] {
+    let (sin, cos) = taxel.inward_angle_base_rad.sin_cos();
+    [-cos, -sin]
 }

@@ -1,5 +1,12 @@
 //! What runs on a board: it decides rate and age of the data, and a calibration is bound to it.
 
+/// Worst age of FDAT at that read on a stock board, ns: 4.5 from the middle of the window to its last sample, 10 until
+/// the next refresh, and the time of a scan.
+pub const STOCK_CHIP_AGE_WORST_NS: u64 = 15_000_000;
+/// The shortest time from the stamp, taken when the board begins to read the chip, to the arrival of the line: I²C read,
+/// end of the text, packet. Measured in the firmware's simulation: `crates/firmware-sim`, `firmware-sim latency`.
+pub const LEAST_TRANSPORT_NS: u64 = 1_200_000;
+
 /// Firmware of a board.
 ///
 /// ```
@@ -63,10 +70,10 @@ impl Firmware {
     pub const fn worst_hold_ns(self) -> u64 {
         match self {
             // 2.5 old when read, 1.2 and up to one poll on the way, reads 4 or 5 ms apart
-            Self::Moca => 2_500_000 + crate::board::LEAST_TRANSPORT_NS + 1_000_000 + 5_000_000,
+            Self::Moca => 2_500_000 + LEAST_TRANSPORT_NS + 1_000_000 + 5_000_000,
             Self::Stock2018 | Self::Stock2015 | Self::PiCap => {
                 let offset_ns = self.line_offset_ns();
-                crate::board::STOCK_CHIP_AGE_WORST_NS + offset_ns[3] + self.frame_period_ns()
+                STOCK_CHIP_AGE_WORST_NS + offset_ns[3] + self.frame_period_ns()
             }
         }
     }
@@ -76,7 +83,7 @@ impl Firmware {
     /// 2 ms a line. Of our own firmware's one line, each entry says when that one comes.
     pub const fn line_offset_ns(self) -> [u64; 6] {
         match self {
-            Self::Moca => [crate::board::LEAST_TRANSPORT_NS; 6],
+            Self::Moca => [LEAST_TRANSPORT_NS; 6],
             Self::Stock2015 | Self::PiCap => {
                 [2_000_000, 4_000_000, 6_000_000, 8_000_000, 10_000_000, 12_000_000]
             }

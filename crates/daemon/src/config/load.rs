@@ -387,7 +387,7 @@ mod tests {
                 "line 14: realtime.cpu = \"first\"; expected a whole number",
                 "line 16: board.masked = a list of 2; expected a list of up to 48 whole numbers",
                 "line 17: board.port = 3; expected a text in quotes",
-                "line 18: unknown key board.prot; allowed here: calibration, gauge, gauge_baud, mask_policy, masked, \
+                "line 18: unknown key board.prot; allowed here: calibration, firmware, gauge, gauge_baud, mask_policy, masked, \
                  model, name, port",
                 "line 20: plant.kind = a list of 1; expected \"simulated\" or \"none\"",
             ]

@@ -87,8 +87,9 @@ impl PlantSpoiler {
     /// # Errors
     /// [`Fault::ControlRefused`] once [`PlantFault::Refused`] has struck.
     pub fn write(&mut self, ticks: u64, period_s: f64) -> Result<(), Fault> {
+        let struck = self.ticks >= self.at_tick;
         self.ticks += ticks;
-        if self.ticks < self.at_tick {
+        if !struck {
             return Ok(());
         }
         #[expect(clippy::cast_precision_loss, reason = "a count of missed slots")]

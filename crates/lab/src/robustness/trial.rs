@@ -140,7 +140,10 @@ pub(crate) fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
     }
     ensure!(
         before.mode == Mode::Impedance && speed(&before) > 0.01,
-        "the robot did not move before the strike"
+        "the robot did not move before the strike: {:?}, {:?}, {:.4} m/s",
+        before.mode,
+        before.fault,
+        speed(&before)
     );
 
     let mut trial = Trial {

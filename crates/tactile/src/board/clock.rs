@@ -1,11 +1,10 @@
 //! A board's microsecond clock in loop time.
 
+use crate::firmware::LEAST_TRANSPORT_NS;
+
 /// Fastest that a board's clock may run away from the loop's: a full-speed USB device must keep its bit rate, which the
 /// same crystal makes, within 0.25 % (USB 2.0, 7.1.11).
 const DRIFT_MAX: f64 = 0.0026;
-/// The shortest time from the stamp, taken when the board begins to read the chip, to the arrival of the line: I²C read,
-/// end of the text, packet. Measured in the firmware's simulation: `crates/firmware-sim`, `firmware-sim latency`.
-pub const LEAST_TRANSPORT_NS: u64 = 1_200_000;
 /// Lines before the map is used: the first may have waited in a buffer since the port opened.
 const LEARNING_LINES: u32 = 16;
 /// After a longer pause the 32-bit stamp may have wrapped unseen (it does every 71.6 minutes): the map starts anew, ns.

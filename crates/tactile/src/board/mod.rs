@@ -21,7 +21,8 @@ mod clock;
 mod monitor;
 mod stamped;
 
-pub use clock::{ClockMap, LEAST_TRANSPORT_NS};
+pub use crate::firmware::{LEAST_TRANSPORT_NS, STOCK_CHIP_AGE_WORST_NS};
+pub use clock::ClockMap;
 pub use monitor::BoardMonitor;
 
 use crate::datastream::ELECTRODES;
@@ -50,9 +51,6 @@ pub const TOUCH_LINE_AFTER_READ_NS: u64 = 2_000_000;
 /// Mean age of FDAT at that read on a stock board, ns: half of the 10 ms averaging window and half of the 10 ms between
 /// refreshes.
 pub const STOCK_CHIP_AGE_MEAN_NS: u64 = 10_000_000;
-/// Worst age of FDAT at that read on a stock board, ns: 4.5 from the middle of the window to its last sample, 10 until
-/// the next refresh, and the time of a scan.
-pub const STOCK_CHIP_AGE_WORST_NS: u64 = 15_000_000;
 /// Bytes of one read, with room for the largest a port gives at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Chunk {

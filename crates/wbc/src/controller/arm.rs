@@ -1,7 +1,8 @@
 //! An arm: Cartesian impedance of its tool on the base it stands on.
 
+use super::arm_state::ArmState;
+use super::law::ControlLaw;
 use super::tick::{ArmTick, seen_from_base, tool_pose};
-use super::whole_body::ControlLaw;
 use super::{CARRY_FADE_S, FlangePose, LONGEST_STEP_S, check};
 use crate::error::{ControlError, finite};
 use crate::gains::ArmGains;
@@ -43,22 +44,6 @@ pub struct ArmController<const N: usize, T = f64> {
     repulsion: JointRepulsion<N, T>,
     /// Joint stiffness with which a posture is held, N·m/rad.
     hold_stiffness: [T; N],
-}
-
-/// What an [`ArmController`] remembers between steps.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ArmState<const N: usize, T = f64> {
-    pub(super) law: ControlLaw,
-    pub(super) reference: Reference<T>,
-    /// Null-space posture on its way to the configured one, rad; while a posture is held, that one.
-    pub(super) posture_rad: [T; N],
-    pub(super) gains: ArmGains<N, T>,
-    pub(super) torque_nm: [T; N],
-    /// What is left of the torque step that a change of law would have been, N·m.
-    carried_nm: [T; N],
-    /// Law or corrections have changed and `carried_nm` is not known yet.
-    pub(super) entering: bool,
-    pub(super) observer: MomentumObserver<N, T>,
 }
 
 /// One step's measurements of an arm.

@@ -22,13 +22,17 @@
 //! ```
 
 mod arm;
+mod arm_state;
 mod base;
+mod law;
 mod tick;
 mod whole_body;
 
-pub use arm::{ArmController, ArmInput, ArmOutput, ArmState};
+pub use arm::{ArmController, ArmInput, ArmOutput};
+pub use arm_state::ArmState;
 pub use base::{BaseController, BaseInput, BaseOutput, BaseState};
-pub use whole_body::{ControlInput, ControlLaw, ControlOutput, ControllerState, WholeBodyController};
+pub use law::ControlLaw;
+pub use whole_body::{ControlInput, ControlOutput, ControllerState, WholeBodyController};
 
 use crate::reference::Pose;
 use crate::rotation;

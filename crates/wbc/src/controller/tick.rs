@@ -1,7 +1,7 @@
 //! One step's quantities of the arm: computed once, read by every law.
 
-use super::arm::ArmState;
-use super::whole_body::ControlLaw;
+use super::arm_state::ArmState;
+use super::law::ControlLaw;
 use crate::error::ControlError;
 use crate::follow_me;
 use crate::impedance;

@@ -1,7 +1,9 @@
 //! Base and arm as one robot: the laws of the paper.
 
-use super::arm::{ArmController, ArmState};
+use super::arm::ArmController;
+use super::arm_state::ArmState;
 use super::base::{BaseController, BaseState, check_cover};
+use super::law::ControlLaw;
 use super::tick::ArmTick;
 use super::{FlangePose, LIGHTEST_DAMPED_BASE, check};
 use crate::admittance::{admitted, damped_in_null_space, mean_share};
@@ -16,31 +18,10 @@ use crate::opspace::{ArmDynamics, BlockWeight, TaskDynamics, WholeBodyForce};
 use crate::scalar::{Scalar, of};
 use crate::state_check::{check_robot, check_step, check_wrench};
 use moca_msgs::{
-    ArmTable, Corrections, Law, Mount, ParameterError, Parameters, Payload, RobotCommand, RobotState,
+    ArmTable, Corrections, Mount, ParameterError, Parameters, Payload, RobotCommand, RobotState,
     TaxelPlacement,
 };
 use nalgebra::Vector3;
-
-/// What drives the robot in one step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum ControlLaw {
-    /// Base to a stop within its limits; arm holds the posture it had when the law was entered.
-    #[default]
-    Hold,
-    /// Expanded Cartesian impedance, eqs. (6)–(11).
-    Impedance,
-    /// Expanded follow-me, eqs. (12)–(16).
-    FollowMe,
-}
-
-impl From<Law> for ControlLaw {
-    fn from(law: Law) -> Self {
-        match law {
-            Law::Impedance => Self::Impedance,
-            Law::FollowMe => Self::FollowMe,
-        }
-    }
-}
 
 /// One step's measurements.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,0 +1,12 @@
+//! What a USB device says of itself.
+
+/// What the device said of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Identity {
+    /// USB vendor.
+    pub vendor: u16,
+    /// USB product.
+    pub product: u16,
+    /// Interfaces of the configuration.
+    pub interfaces: u8,
+}

@@ -1,0 +1,22 @@
+//! What the controller of an arm remembers.
+
+use super::law::ControlLaw;
+use crate::gains::ArmGains;
+use crate::momentum_observer::MomentumObserver;
+use crate::reference::Reference;
+
+/// What an [`super::ArmController`] remembers between steps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmState<const N: usize, T = f64> {
+    pub(super) law: ControlLaw,
+    pub(super) reference: Reference<T>,
+    /// Null-space posture on its way to the configured one, rad; while a posture is held, that one.
+    pub(super) posture_rad: [T; N],
+    pub(super) gains: ArmGains<N, T>,
+    pub(super) torque_nm: [T; N],
+    /// What is left of the torque step that a change of law would have been, N·m.
+    pub(super) carried_nm: [T; N],
+    /// Law or corrections have changed and `carried_nm` is not known yet.
+    pub(super) entering: bool,
+    pub(super) observer: MomentumObserver<N, T>,
+}
