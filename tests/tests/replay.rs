@@ -127,13 +127,13 @@ fn a_run_with_faults_tares_laws_and_live_parameters_comes_out_the_same() {
     run.ask(Request::Stop);
     assert_eq!(run.run(50), Mode::ProtectiveStop);
     let path = write("eventful.mcap", &config(), &run.records, &run.samples);
-    let report = replay::run(&[path.clone()]).unwrap();
+    let report = replay::run(std::slice::from_ref(&path)).unwrap();
     assert_eq!((report.compared, report.without_sample, report.cut), (run.samples.len() as u64, 0, None));
 
     // A log that ends anywhere is compared up to there.
     let bytes = std::fs::read(&path).unwrap();
     std::fs::write(&path, &bytes[..bytes.len() / 3]).unwrap();
-    let report = replay::run(&[path.clone()]).unwrap();
+    let report = replay::run(std::slice::from_ref(&path)).unwrap();
     assert!(report.cut.is_some() && report.compared > 500, "{report}");
 }
 
@@ -236,7 +236,7 @@ fn calibration_contact_limits_and_geometry_are_in_the_log() {
     for file in &files {
         std::fs::remove_file(file).unwrap();
     }
-    let report = replay::run(&[path.clone()]).unwrap();
+    let report = replay::run(std::slice::from_ref(&path)).unwrap();
     assert_eq!((report.compared, report.without_sample), (run.samples.len() as u64, 0));
 
     // Without one of them the run is another one: the comparison can fail.

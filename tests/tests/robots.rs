@@ -1,6 +1,11 @@
 //! Other robots than the paper's run from configuration alone: 6 and 7 joints, covers of 4 to 48 taxels, a base and an
 //! arm of one's own.
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::expect_used,
+    reason = "a test that cannot go on has to stop"
+)]
 
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::cover::CoverSource;

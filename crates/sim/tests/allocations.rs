@@ -56,7 +56,7 @@ fn state_apply_step_and_the_board_allocate_nothing() {
         plant.step().unwrap();
         let force = plant.taxel_force_true_n();
         touched |= force[0] > 0.0;
-        board.advance(tick * 1_000_000, &force, &mut |line: &[u8]| bytes += line.len());
+        board.advance(tick * 1_000_000, force, &mut |line: &[u8]| bytes += line.len());
     }
     assert_eq!(ALLOCATIONS.with(Cell::get), before);
     assert!(bytes > 10_000 && touched, "the run did something: {bytes} bytes");

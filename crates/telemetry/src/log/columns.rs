@@ -259,7 +259,9 @@ mod tests {
             let mut angle = vec![0.3_f32.into()];
             for row in 1..250 {
                 let next: f64 = angle[row - 1] + step_s[row] * per_s[row];
-                angle.push(if single { f64::from(next as f32) } else { next });
+                #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is what is tested")]
+                let rounded = f64::from(next as f32);
+                angle.push(if single { rounded } else { next });
             }
             let mut writer = ColumnWriter::default();
             writer.numbers(&angle, Some(Rate { per_s: &per_s, step_s: &step_s }));

@@ -199,7 +199,8 @@ mod tests {
         }
         let overview = builder.finish();
         assert!(overview.spans.len() <= MAX_SPANS && overview.span_ns == 8_000_000_000);
-        assert_eq!(overview.spans.iter().map(|span| span.force_n).fold(0.0, f32::max), 77.0);
+        let most_n = overview.spans.iter().map(|span| span.force_n).fold(0.0, f32::max);
+        assert_eq!(most_n.to_bits(), 77.0_f32.to_bits());
         assert_eq!(overview.range_ns(), Some((0, 200_000_000_000_000)));
         let touch = Mark { time_ns: 123_456_000_000_000, what: Happening::Touch };
         assert!(overview.marks.contains(&touch));
