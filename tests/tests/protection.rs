@@ -233,9 +233,13 @@ fn an_override_is_refused_without_a_statement_and_shown_in_every_sample() {
         "{mistakes:?}"
     );
     assert!(
-        mistakes[3].starts_with("line 3: protection.override_speed_limit_m_s = 0.3 m/s switches off"),
+        mistakes[1].starts_with("line 3: protection.override_speed_limit_m_s = 0.3 m/s switches off"),
         "{mistakes:?}"
     );
+
+    // The unfelt force beside a limit that is in its own range.
+    let mistakes = Config::parse("[protection]\nforce_limit_n = 5.0\n").unwrap_err().mistakes;
+    assert!(mistakes.len() == 1 && mistakes[0].contains("is not below"), "{mistakes:?}");
 
     let mut world = armed(&overridden(0.3), &Scene::default(), VirtualBoardConfig::default());
     press(&mut world, FRONT, 40.0);

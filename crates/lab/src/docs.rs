@@ -5,6 +5,7 @@
 use crate::numerics::stability;
 use crate::paper::report::claims;
 use crate::rig::c_library;
+use crate::robustness::faults;
 use anyhow::{Context, Result, bail, ensure};
 use std::path::{Path, PathBuf};
 
@@ -26,7 +27,8 @@ struct Table {
     make: fn() -> Result<String>,
 }
 
-const TABLES: [Table; 2] = [
+const TABLES: [Table; 3] = [
+    Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
 ];
@@ -91,6 +93,11 @@ mod tests {
     #[test]
     fn the_paper_s_claims_in_the_documents_are_what_the_experiments_print() {
         is_what_is_printed("paper");
+    }
+
+    #[test]
+    fn the_reactions_to_faults_in_the_documents_are_what_the_trials_print() {
+        is_what_is_printed("faults");
     }
 
     #[test]

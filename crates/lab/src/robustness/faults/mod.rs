@@ -35,24 +35,42 @@ struct Row {
     told: Option<String>,
 }
 
-pub(crate) fn run(arguments: &Arguments) -> Result<()> {
-    let trials = parallel::run("faults", FAULTS, |fault| trial::run(*fault, arguments.seed, 10_000), |_| {});
-    let mut rows = Vec::new();
-    for trial in trials {
-        let trial = trial?;
-        rows.push(Row {
-            fault: trial.fault.name,
-            what: trial.fault.text,
-            mode: trial.mode.name(),
-            cause: trial.cause.map(|cause| cause.code()),
-            reaction_ticks: trial.reaction_ticks,
-            speed_after_m_s: trial.speed_after_m_s,
-            way_mm: trial.way_m * 1e3,
-            frames_bad: trial.frames_bad,
-            overruns: trial.overruns,
-            told: trial.told,
-        });
+fn rows(seed: u64) -> Result<Vec<Row>> {
+    let trials = parallel::run("faults", FAULTS, |fault| trial::run(*fault, seed, 10_000), |_| {});
+    trials
+        .into_iter()
+        .map(|trial| {
+            let trial = trial?;
+            Ok(Row {
+                fault: trial.fault.name,
+                what: trial.fault.text,
+                mode: trial.mode.name(),
+                cause: trial.cause.map(|cause| cause.code()),
+                reaction_ticks: trial.reaction_ticks,
+                speed_after_m_s: trial.speed_after_m_s,
+                way_mm: trial.way_m * 1e3,
+                frames_bad: trial.frames_bad,
+                overruns: trial.overruns,
+                told: trial.told,
+            })
+        })
+        .collect()
+}
+
+/// The table for the documents.
+pub(crate) fn markdown() -> Result<String> {
+    let mut table = "| fault | what happens | mode at the end | cause | reaction, ticks | way, mm |\n|---|---|---|---|---|---|\n".to_owned();
+    for row in rows(1)? {
+        let ticks = row.reaction_ticks.map_or("–".into(), |ticks| ticks.to_string());
+        let Row { fault, what, mode, way_mm, .. } = row;
+        let cause = row.cause.unwrap_or("–");
+        table += &format!("| `{fault}` | {what} | {mode} | {cause} | {ticks} | {way_mm:.1} |\n");
     }
+    Ok(table)
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<()> {
+    let rows = rows(arguments.seed)?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&rows)?);
         return Ok(());
