@@ -4,7 +4,7 @@
 //! ```no_run
 //! use moca_firmware_sim::{Board, Hex};
 //!
-//! let mut board = Board::new(&Hex::read("firmware/moca_touch/moca_touch.hex".as_ref())?, Default::default())?;
+//! let mut board = Board::new(&Hex::read("firmware/moca_touch/moca_touch.hex".as_ref())?, &Default::default())?;
 //! board.plug_in()?;
 //! board.set_capacitance_pf(0x5C, 5, 20.0);
 //! board.step_until(2_000_000, &mut |arrival_us, bytes| println!("{arrival_us} us: {} bytes", bytes.len()));
