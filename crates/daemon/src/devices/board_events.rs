@@ -82,6 +82,10 @@ impl BoardEvents {
     /// An event of its own when one of the watched threads has stopped running, or bytes have waited too long; the next
     /// one comes [`TELL_AGAIN_NS`] later.
     pub fn take_starved(&mut self, now_ns: u64) -> Option<BoardEvent> {
+        if matches!(self.events.peek(), Ok(BoardEvent::Starved { .. })) {
+            // A replay: what was made here then stands behind the tick's other events, however many those were.
+            return self.take();
+        }
         let mut starved = false;
         for pulse in &mut self.pulses {
             starved |= pulse.has_stopped(now_ns);
@@ -158,6 +162,18 @@ mod tests {
         while events.take().is_some() {}
         assert_eq!(events.take_starved(121_000_000), None);
         assert_eq!(events.taken(), 4, "the event counts as taken");
+    }
+
+    #[test]
+    fn a_replayed_starvation_belongs_to_its_tick_behind_any_number_of_events() {
+        let (mut log, events) = rtrb::RingBuffer::new(8);
+        let mut events = BoardEvents::new(events);
+        log.push(BoardEvent::Opened { at_ns: 1 }).unwrap();
+        log.push(BoardEvent::Starved { at_ns: 2 }).unwrap();
+        assert_eq!(events.take_starved(2), None, "an event before it is taken first");
+        events.take().unwrap();
+        assert_eq!(events.take_starved(2), Some(BoardEvent::Starved { at_ns: 2 }));
+        assert_eq!(events.taken(), 2);
     }
 
     #[test]
