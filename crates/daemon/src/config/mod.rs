@@ -28,6 +28,7 @@ pub const VIRTUAL_PORT: &str = "virtual";
 /// `board.port` that looks for a Touch Board's USB id.
 pub(crate) const AUTO_PORT: &str = "auto";
 /// `board.port` that looks for the board with the name that follows, in its EEPROM.
+#[cfg(feature = "board")]
 pub(crate) const NAMED_PORT: &str = "name:";
 /// `telemetry.listen` that asks the environment.
 const AUTO_LISTEN: &str = "auto";

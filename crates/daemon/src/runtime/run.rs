@@ -1,11 +1,14 @@
 //! `mocad run`: puts the parts together, starts the loop, reports what runs.
 
+#[cfg(feature = "sim")]
 use crate::config::Config;
 use crate::control::cover::CoverSource;
 use crate::control::plant::{NoRobot, Plant};
 use crate::control::tick::ControlLoop;
 use crate::inject::What;
-use crate::record::tick_log::{TickLog, TickLogReader, tick_log};
+#[cfg(feature = "sim")]
+use crate::record::tick_log::TickLogReader;
+use crate::record::tick_log::{TickLog, tick_log};
 use crate::robot::PlantKind;
 use crate::runtime::assemble::{OpenBoard, Subscribers, motion, open_board, supervisor};
 use crate::runtime::clients::{Observers, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
