@@ -80,7 +80,7 @@ impl BoardEvents {
     }
 
     /// An event of its own when one of the watched threads has stopped running, or bytes have waited too long; the next
-    /// one comes [`TELL_AGAIN_NS`] later.
+    /// one comes half a second later.
     pub fn take_starved(&mut self, now_ns: u64) -> Option<BoardEvent> {
         if matches!(self.events.peek(), Ok(BoardEvent::Starved { .. })) {
             // A replay: what was made here then stands behind the tick's other events, however many those were.
