@@ -1,6 +1,6 @@
 //! What runs on a board: it decides rate and age of the data, and a calibration is bound to it.
 
-/// Worst age of FDAT at that read on a stock board, ns: 4.5 from the middle of the window to its last sample, 10 until
+/// Worst age of FDAT when a stock board reads it over I²C, ns: 4.5 from the middle of the window to its last sample, 10 until
 /// the next refresh, and the time of a scan.
 pub const STOCK_CHIP_AGE_WORST_NS: u64 = 15_000_000;
 /// The shortest time from the stamp, taken when the board begins to read the chip, to the arrival of the line: I²C read,

@@ -1,5 +1,5 @@
 //! Serial ports of a Touch Board and of a force gauge: all that the feature `board` adds, and with it serialport.
-//! Without the feature `board_port_absent.rs` stands here.
+//! Without the feature `ports_absent.rs` stands here.
 
 use anyhow::Result;
 use moca_tactile::BoardEvent;
