@@ -70,6 +70,12 @@ pub enum Refusal {
     NotLive,
     /// In its range, but not beside another parameter's present value.
     Conflict,
+    /// In its range, but with it the robot's loop would not be stable at this rate and posture.
+    Unstable {
+        /// What is nearest on the straight way there from the present values and stable; no elements if the present
+        /// values are not stable either.
+        nearest: ParameterValues,
+    },
     /// A stop came after it and before its turn.
     Stopped,
     /// Another client holds the command.

@@ -91,6 +91,26 @@ impl ParameterDescription {
         ParameterValues::new(values).ok_or_else(|| format!("{name} has too many elements to travel"))
     }
 
+    /// Why [`moca_msgs::Refusal::Unstable`] refused a value: what is stable, unit and range.
+    pub fn unstable(&self, nearest: &ParameterValues) -> String {
+        let units = self.units.join(", ");
+        let space = if units.is_empty() { "" } else { " " };
+        let range = format!("its range is {} to {}{space}{units}", self.min, self.max);
+        match nearest.as_slice() {
+            [] => format!(
+                "not stable with this robot at this rate and posture, nor are the present values ({range})"
+            ),
+            stable => {
+                let stable = ParameterValue::Numbers(stable.iter().map(|x| four_digits(*x)).collect());
+                let stable = self.shown(&stable);
+                format!(
+                    "not stable with this robot at this rate and posture; on the way there {stable}{space}{units} \
+                     still is ({range})"
+                )
+            }
+        }
+    }
+
     /// A value as in the configuration file.
     pub fn shown(&self, value: &ParameterValue) -> String {
         match (value, &self.form) {
@@ -100,6 +120,11 @@ impl ParameterDescription {
             _ => value.to_string(),
         }
     }
+}
+
+/// A number with four digits, for people.
+fn four_digits(number: f64) -> f64 {
+    format!("{number:.3e}").parse().unwrap_or(number)
 }
 
 impl fmt::Display for ParameterValue {

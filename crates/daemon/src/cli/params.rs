@@ -129,7 +129,7 @@ fn set(arguments: &SetArguments) -> Result<()> {
             connection.release();
             reply
                 .outcome
-                .map_err(|refusal| anyhow!("{name} = {}: {}", arguments.value, refusal_text(refusal)))?;
+                .map_err(|why| anyhow!("{name} = {}: {}", arguments.value, refusal_text(why, parameter)))?;
             println!("{name} = {}", arguments.value);
             return Ok(());
         }
@@ -138,8 +138,9 @@ fn set(arguments: &SetArguments) -> Result<()> {
     bail!("the daemon at {} does not answer", arguments.daemon.address)
 }
 
-fn refusal_text(refusal: Refusal) -> &'static str {
+fn refusal_text(refusal: Refusal, parameter: &ParameterDescription) -> String {
     match refusal {
+        Refusal::Unstable { nearest } => return parameter.unstable(&nearest),
         Refusal::NotCommander => {
             "another client has the command: close that dashboard, or let it give it back"
         }
@@ -150,6 +151,7 @@ fn refusal_text(refusal: Refusal) -> &'static str {
         Refusal::OutOfRange => "outside its range",
         _ => "the daemon does not take it now",
     }
+    .into()
 }
 
 fn number_of(robot: &RobotDescription, name: &str) -> Result<usize> {

@@ -1,5 +1,7 @@
 //! What single rows cannot know: numbers that do not go together.
 
+use super::schema::describe;
+use super::stability::Stability;
 use super::{AUTO_LISTEN, Config, ProtectionConfig, TelemetryConfig, VIRTUAL_PORT};
 use crate::robot::{Parts, PlantKind};
 use moca_tactile::cover::MaskPolicy;
@@ -25,6 +27,34 @@ pub(super) fn check(config: &Config, report: Report<'_>) {
     telemetry(&config.telemetry, report);
     plant(config, report);
     timeout(config, report);
+}
+
+/// Gains that are each in range and make the robot's loop unstable. An experiment may want them, a robot does not: it is
+/// asked of files, and after every other check has passed.
+pub(super) fn stability(config: &Config, report: Report<'_>) {
+    let (parameters, stability) = (config.parameters(), Stability::new(config));
+    if config.plant.kind == PlantKind::None || stability.is_stable(&parameters, &parameters.gains.posture_rad)
+    {
+        return;
+    }
+    let mut defaults = Config::with_arm(config.robot.arm.clone());
+    defaults.control_loop = config.control_loop.clone();
+    if let Some((number, nearest)) = stability.to_blame(&parameters, &defaults.parameters()) {
+        let described = describe(config);
+        if let Some(row) = described.get(number) {
+            let value = row.shown(&row.value);
+            report(&row.name, format!("{} = {value} is {}", row.name, row.unstable(&nearest)));
+        }
+    } else {
+        let rate_hz = config.control_loop.rate_hz;
+        report(
+            "control.gains",
+            format!(
+                "control.gains: not stable in control.gains.posture_rad at loop.rate_hz = {rate_hz} Hz, though each is in \
+                 its range; lower stiffnesses and dampings or raise the rate"
+            ),
+        );
+    }
 }
 
 /// Lists that go taxel by taxel, and numbers of taxels.

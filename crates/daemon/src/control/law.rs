@@ -1,11 +1,12 @@
 //! From mode and forces to a command: which law runs in which mode.
 
 use crate::config::Config;
+use crate::config::live::changed;
 use crate::control::barrier::Barrier;
 use crate::control::cover::CoverState;
 use crate::control::protection::{Protected, Protection};
+use crate::control::uncovered::Uncovered;
 use crate::robot::{JOINTS, Parts, TAXELS};
-use moca_msgs::params::{CONTROLLER, Size};
 use moca_msgs::robot::resized;
 use moca_msgs::{
     Actuation, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, Refusal, RobotCommand,
@@ -50,6 +51,10 @@ pub struct Motion {
     parameters: Parameters<JOINTS>,
     protection: Protection,
     barrier: Option<Barrier>,
+    /// Of a base: what no taxel covers.
+    uncovered: Option<Uncovered>,
+    /// Whether the guard kept the base from what the law wanted in the last tick.
+    held: bool,
     parts: Parts,
     guard: BaseGuard<TAXELS>,
 }
@@ -68,8 +73,20 @@ impl Motion {
             _ => return Err(other_joints(joints)),
         };
         let barrier = either!(&controller, controller => controller.barrier(config))?;
-        let guard = Protected::default().guard;
-        Ok(Self { controller, joints, taxels, parameters, protection, barrier, parts, guard })
+        let uncovered = parts.has_cover().then(|| Uncovered::new(config));
+        let (guard, held) = (Protected::default().guard, false);
+        Ok(Self {
+            controller,
+            joints,
+            taxels,
+            parameters,
+            protection,
+            barrier,
+            uncovered,
+            held,
+            parts,
+            guard,
+        })
     }
 
     /// How many joints the arm has.
@@ -98,6 +115,9 @@ impl Motion {
         if let Some(barrier) = &mut self.barrier {
             barrier.feel(now_ns, cover);
         }
+        if let Some(uncovered) = &mut self.uncovered {
+            uncovered.feel(cover);
+        }
         protected
     }
 
@@ -106,26 +126,17 @@ impl Motion {
         if self.parts.has_cover() { self.protection.cover_speed_m_s(robot) } else { 0.0 }
     }
 
-    /// Changes a parameter (its number in [`CONTROLLER`]) from the next step on; gains reach the law through a filter.
+    /// Way of the base towards a side that no taxel covers since it last rested, m; 0 where all are covered.
+    pub fn uncovered_way_m(&self) -> f64 {
+        self.uncovered.as_ref().map_or(0.0, Uncovered::way_m)
+    }
+
+    /// Changes a parameter (its number in [`moca_msgs::params::CONTROLLER`]) from the next step on; gains reach the law through a filter.
     ///
     /// # Errors
     /// No such parameter, not live, out of range, or at odds with another one; nothing is changed.
     pub fn set_parameter(&mut self, number: usize, values: &ParameterValues) -> Outcome {
-        let spec = CONTROLLER.get(number).ok_or(Refusal::NoSuchParameter)?;
-        if !spec.live {
-            return Err(Refusal::NotLive);
-        }
-        let mut elements = [0.0; JOINTS];
-        let values = match (spec.size, values.as_slice()) {
-            (Size::Joints, values) if values.len() == self.joints => {
-                elements[..values.len()].copy_from_slice(values);
-                &elements[..]
-            }
-            (Size::Joints, _) => return Err(Refusal::OutOfRange),
-            (_, values) => values,
-        };
-        let mut wanted = self.parameters;
-        wanted.set(number, &ParameterValues::new(values).ok_or(Refusal::OutOfRange)?)?;
+        let wanted = changed(&self.parameters, self.joints, number, values)?;
         either!(&mut self.controller, controller => controller.set_parameters(&wanted))?;
         self.parameters = wanted;
         Ok(())
@@ -172,6 +183,10 @@ impl Motion {
             }
         };
         let mut guard = self.guard;
+        if let Some(uncovered) = &mut self.uncovered {
+            uncovered.advance(robot, self.held, dt_s);
+            guard.bounds_body = uncovered.bounds_body(self.parameters.limits.base_acceleration);
+        }
         if let Some(barrier) = &mut self.barrier {
             let deceleration = self.parameters.limits.base_acceleration;
             let contacts = barrier
@@ -184,6 +199,7 @@ impl Motion {
         }
         let told = Told { law, taxel_force_n, guard, dt_s };
         let output = either!(&mut self.controller, controller => controller.step(robot, &told))?;
+        self.held = output.limits.guard;
         if let Some(barrier) = &mut self.barrier {
             barrier.remember(&output.flange, robot);
         }

@@ -12,3 +12,4 @@ pub mod state_check;
 pub mod supervisor;
 pub mod tick;
 pub mod tick_input;
+pub mod uncovered;

@@ -11,7 +11,7 @@ use super::{
         timing::Timing,
     },
 };
-use moca_msgs::{Law, Mode, Request, Sample, protection::ContactPhase};
+use moca_msgs::{Law, Mode, Refusal, Request, Sample, protection::ContactPhase};
 use moca_telemetry::{
     RobotDescription,
     calibration::CalibrationProgress,
@@ -231,11 +231,23 @@ impl Model {
         }
     }
 
+    /// A refusal as text; a parameter's own with what would be taken.
+    fn why(&self, request: Request, refusal: Refusal) -> String {
+        match (request, refusal) {
+            (Request::SetParameter { parameter, .. }, Refusal::Unstable { nearest }) => self
+                .robot
+                .parameters
+                .get(usize::from(parameter))
+                .map_or_else(|| refusal_text(refusal), |parameter| parameter.unstable(&nearest)),
+            _ => refusal_text(refusal),
+        }
+    }
+
     fn note_reply(&mut self, reply: Reply) {
         let asked = request_text(reply.request);
         let answer = match reply.outcome {
             Ok(()) => Answer::good(format!("{asked}: done")),
-            Err(refusal) => Answer::bad(format!("{asked}: refused, {}", refusal_text(refusal))),
+            Err(refusal) => Answer::bad(format!("{asked}: refused, {}", self.why(reply.request, refusal))),
         };
         if let (Request::SelectLaw(law), Ok(())) = (reply.request, reply.outcome) {
             self.law = law;
@@ -250,7 +262,6 @@ impl Model {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moca_msgs::Refusal;
     use moca_telemetry::{ParameterDescription, ParameterValue};
 
     fn up(session: u64) -> Link {

@@ -10,6 +10,14 @@ pub fn text_parameter<'a>(robot: &'a RobotDescription, name: &str) -> Option<&'a
     }
 }
 
+/// The value of a parameter that is one number.
+pub fn number_parameter(robot: &RobotDescription, name: &str) -> Option<f64> {
+    match &robot.parameters.iter().find(|parameter| parameter.name == name)?.value {
+        ParameterValue::Numbers(numbers) => numbers.first().copied(),
+        ParameterValue::Text(_) => None,
+    }
+}
+
 /// Whether there is a base or an arm at all: a daemon may read a cover alone.
 pub fn has_robot(robot: &RobotDescription) -> bool {
     text_parameter(robot, "plant.kind") != Some("none")

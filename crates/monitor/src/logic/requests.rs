@@ -84,6 +84,7 @@ pub fn refusal_text(refusal: Refusal) -> String {
             "it does not go with another parameter (null_space_damping needs a virtual mass of 0.5 or more)"
                 .into()
         }
+        Refusal::Unstable { .. } => "not stable with this robot at this rate and posture".into(),
         Refusal::Stopped => "a stop came before its turn".into(),
         Refusal::NotCommander => {
             "another dashboard has the command: close it, or let it give the command back".into()
