@@ -216,7 +216,7 @@ fn other_joints(joints: usize) -> ParameterError {
 impl<const N: usize> Controller<N> {
     fn new(config: &Config, parameters: &Parameters<JOINTS>) -> Result<Self, ParameterError> {
         let arm = &config.arm().table::<N>().ok_or(other_joints(config.arm().joints))?;
-        let (parameters, taxels) = (parameters.resized::<N>(), config.taxels());
+        let (parameters, taxels) = (parameters.resized::<N>(), config.robot.cover.placements());
         let (mount, payload) = (config.robot.mount, config.robot.payload());
         Ok(match config.plant.parts {
             Parts::Whole => {

@@ -15,7 +15,9 @@ use crate::control::contacts::ContactTracker;
 use crate::control::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_EVENTS;
-use moca_msgs::{ContactEvent, ContactReaction, Limits, RobotState, SpeedLimit, SpeedLimitReason};
+use moca_msgs::{
+    ContactEvent, ContactReaction, Limits, ParameterError, RobotState, SpeedLimit, SpeedLimitReason,
+};
 use moca_tactile::Firmware;
 use moca_tactile::board::SILENT_AFTER_NS;
 use moca_wbc::BaseGuard;
@@ -71,10 +73,13 @@ pub struct Protection {
 
 impl Protection {
     /// As configured and checked, with `limits` from the user's file.
-    pub fn new(config: &Config, limits: [ContactLimits; TAXELS]) -> Self {
+    ///
+    /// # Errors
+    /// A taxel's place out of range.
+    pub fn new(config: &Config, limits: [ContactLimits; TAXELS]) -> Result<Self, ParameterError> {
         let settings = config.protection.clone();
-        let outline = CoverOutline::new(&config.taxels());
-        Self {
+        let outline = CoverOutline::new(&config.robot.cover.placements())?;
+        Ok(Self {
             contact: Contact {
                 stiffness_n_m: settings.contact_stiffness_n_m,
                 damping_n_s_m: 0.0,
@@ -85,11 +90,11 @@ impl Protection {
             tick_s: 1.0 / f64::from(config.control_loop.rate_hz.max(1)),
             outline,
             delay: ReadingDelay::default(),
-            tracker: ContactTracker::new(limits, settings.reaction),
+            tracker: ContactTracker::new(config.robot.cover.count(), limits, settings.reaction),
             retreated_m: 0.0,
             last_ns: 0,
             settings,
-        }
+        })
     }
 
     /// The tick at `now_ns`; `moving` if a law moves the robot in it, within `limits`.
@@ -115,11 +120,9 @@ impl Protection {
             reaction: None,
             events: self.tracker.take(),
         };
-        let crossed = self.tracker.crossed();
-        if moving && crossed.contains(&true) {
-            self.react(&crossed, dt_s, &mut protected);
-        } else {
-            self.retreated_m = 0.0;
+        match self.tracker.crossed().filter(|_| moving) {
+            Some(crossed) => self.react(&crossed, dt_s, &mut protected),
+            None => self.retreated_m = 0.0,
         }
         protected
     }
@@ -267,7 +270,8 @@ fn nominal_speed_m_s(config: &Config, firmware: Firmware) -> f64 {
 
 /// Speed limit of the cover's fastest point for a reading that is `delay_s` late and an impact of `force_limit_n`, m/s.
 pub fn speed_for_delay_m_s(config: &Config, force_limit_n: f64, delay_s: f64) -> f64 {
-    let mut protection = Protection::new(config, [ContactLimits::default(); TAXELS]);
+    // around taxels that are nowhere nothing moves
+    let Ok(mut protection) = Protection::new(config, [ContactLimits::default(); TAXELS]) else { return 0.0 };
     protection.settings.force_limit_n = force_limit_n;
     let limits = config.parameters().limits;
     protection.speed_m_s(delay_s, &limits).min(protection.outline.fastest(&limits.base_velocity))
@@ -285,7 +289,7 @@ mod tests {
 
     #[test]
     fn the_speed_of_the_cover_is_that_of_its_fastest_corner_wherever_the_base_looks() {
-        let protection = Protection::new(&Config::default(), [ContactLimits::default(); TAXELS]);
+        let protection = Protection::new(&Config::default(), [ContactLimits::default(); TAXELS]).unwrap();
         let corner_m = 0.489f64.hypot(0.388);
         for (velocity_world, yaw_rad, expected) in [
             ([0.3, 0.4, 0.0], 0.7, 0.5),
