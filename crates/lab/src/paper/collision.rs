@@ -128,7 +128,8 @@ pub(crate) fn once(settings: &Settings) -> Result<Rig> {
 
 /// Velocity of the flange's target against the taxel before which the person stands, world axes, m/s.
 fn towards_person(settings: &Settings) -> [f64; 3] {
-    let (sin, cos) = settings.config.robot.cover.placements()[settings.person.taxel].inward_angle_base_rad.sin_cos();
+    let (sin, cos) =
+        settings.config.robot.cover.placements()[settings.person.taxel].inward_angle_base_rad.sin_cos();
     // a panel along an axis is met straight on, without what π leaves to rounding
     [cos, sin, 0.0].map(|inward| if inward.abs() < 1e-12 { 0.0 } else { -inward * settings.speed_m_s })
 }
