@@ -8,6 +8,7 @@
 
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::record::tick_log::tick_log;
 use moca_daemon::runtime::live::{Rings, Shared};
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
 use moca_msgs::{Law, Mode, Request};
@@ -33,6 +34,8 @@ fn main() {
     (config.startup.arm, config.startup.tare) = (false, false);
     let mut world = LockStep::with_board(&config, &Scene::default(), VirtualBoardConfig::default(), None)
         .expect("the default scene");
+    let (log, _copies, _reader) = tick_log();
+    world.tick_log = Some(log);
     watched(&mut world, Mode::Starting, &[]);
     watched(&mut world, Mode::Ready, &[Request::Tare]);
     let press = |force_n| Request::PressTaxel { taxel: 2, force_n };

@@ -50,6 +50,7 @@ pub const BLIND_RETREAT_M: f64 = 0.03;
 
 /// How a foam's force grows with its compression.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum FoamCurve {
     /// F = k₀d/(1 − d/h).
     Hyperbolic {
@@ -116,6 +117,7 @@ impl FoamCurve {
 /// What the barrier knows of cover and base, and how it acts. SI units. [`Self::new`] gives what was measured with a
 /// simulated robot; nothing of it is tuned to a single experiment.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct BarrierSettings {
     /// What the reader's calibration takes the foam for: undone to get from a reading to a depth.
     pub reading: FoamCurve,
@@ -187,6 +189,7 @@ impl BarrierSettings {
 
 /// A taxel's reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct TaxelSample<T = f64> {
     /// Compression force, N, ≥ 0.
     pub force_n: T,
@@ -251,10 +254,12 @@ pub struct ContactLimits<const K: usize, T = f64> {
 
 /// The barrier of a cover of `K` taxels, with what it remembers: 3 kB of odometry, which no step copies.
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ContactBarrier<const K: usize, T = f64> {
     outline: CoverOutline<K, T>,
     settings: BarrierSettings,
     odometry: Odometry<T>,
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     tracks: [Track<T>; K],
 }
 

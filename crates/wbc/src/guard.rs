@@ -65,10 +65,12 @@ impl<const K: usize, T: Scalar> BaseGuard<K, T> {
 
 /// Geometry of the cover: what a [`BaseGuard`] is measured against.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct CoverOutline<const K: usize, T> {
     /// Corner of the rectangle round all taxels, x and y, m.
     corner: [T; 2],
     /// Inward direction (x, y) and lever arm about B's origin, m, of each taxel.
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     inward: [[T; 3]; K],
 }
 

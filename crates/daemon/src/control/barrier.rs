@@ -9,14 +9,16 @@ use moca_wbc::contact_barrier::{
     BarrierInput, BarrierSettings, ContactBarrier, ContactLimits, FoamCurve, TaxelSample,
 };
 use moca_wbc::{ArmModel, ControlError, FlangePose};
+use serde::{Deserialize, Serialize};
 
 /// PU LD30's elastic law, which an uncalibrated cover is read with.
 const PU_LD30: FoamCurve = FoamCurve::Power { depth_at_100n_m: 0.0114, exponent: 1.586 };
 
 /// The barrier with what a tick tells it piece by piece.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Barrier {
     contacts: ContactBarrier<TAXELS>,
+    #[serde(with = "serde_big_array::BigArray")]
     samples: [Option<TaxelSample>; TAXELS],
     taxels: usize,
     /// Flange from the base with the arm in its posture, axes of B, m; of an arm that holds its place in the world.

@@ -252,7 +252,7 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
         let Ticked { sample, outcome, input } = self.control.tick(&slot, request, &mut self.timing);
         self.timing.count_frame_age(sample.frame_age_s);
         if let Some(tick_log) = &mut self.tick_log {
-            tick_log.push(input);
+            tick_log.push(input, || self.control.state());
         }
         (sample, outcome)
     }
