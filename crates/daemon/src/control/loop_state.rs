@@ -3,7 +3,7 @@
 
 use crate::control::barrier::Barrier;
 use crate::control::protection::ProtectionState;
-use crate::control::state_check::StateDoor;
+use crate::control::state_check::StateCheck;
 use crate::control::supervisor::Supervisor;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::Parameters;
@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LoopState {
     /// The last measured state.
-    pub door: StateDoor,
+    pub state_check: StateCheck,
     /// The mode and what led to it.
     pub supervisor: Supervisor,
     /// The law, its live parameters and what protects people.

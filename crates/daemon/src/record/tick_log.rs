@@ -172,7 +172,7 @@ mod tests {
     use super::*;
     use crate::config::Config;
     use crate::control::plant::SourceAge;
-    use crate::control::state_check::StateDoor;
+    use crate::control::state_check::StateCheck;
     use crate::control::tick_input::Slot;
     use crate::runtime::assemble::{motion, supervisor};
     use moca_msgs::Fault;
@@ -192,7 +192,7 @@ mod tests {
     fn state() -> LoopState {
         let config = Config::default();
         LoopState {
-            door: StateDoor::default(),
+            state_check: StateCheck::default(),
             supervisor: supervisor(&config),
             motion: motion(&config).unwrap().state(),
             cover: None,
