@@ -11,8 +11,8 @@ use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::robot::AnyArm;
 use moca_msgs::table::{Field, ParameterSpec};
 use moca_msgs::{
-    ContactReaction, Corrections, ImpedanceGains, Law, Limits, MAX_TAXELS, Parameters, TaxelPlacement,
-    choice, parameter_table,
+    ContactReaction, Corrections, ImpedanceGains, Law, Limits, MAX_TAXELS, Parameters, choice,
+    parameter_table,
 };
 use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
@@ -396,17 +396,6 @@ impl Config {
     /// The arm's table.
     pub const fn arm(&self) -> &AnyArm {
         &self.robot.arm.table
-    }
-
-    /// Where the taxels sit on the base, T1 first; those beyond the last are in the middle, where they change nothing.
-    pub fn taxels(&self) -> [TaxelPlacement; TAXELS] {
-        const NOWHERE: TaxelPlacement =
-            TaxelPlacement { position_base_m: [0.0; 2], inward_angle_base_rad: 0.0 };
-        let mut taxels = [NOWHERE; TAXELS];
-        for (place, taxel) in taxels.iter_mut().zip(self.robot.cover.placements()) {
-            *place = taxel;
-        }
-        taxels
     }
 
     /// The controllers' parameters.

@@ -141,7 +141,7 @@ impl Motion {
             },
             parameters: self.parameters,
             protection: self.protection.state().clone(),
-            barrier: self.barrier.clone(),
+            barrier: self.barrier.as_ref().map(Barrier::state),
         }
     }
 
@@ -161,7 +161,11 @@ impl Motion {
         }
         self.parameters = parameters;
         self.protection.restore(&state.protection);
-        self.barrier.clone_from(&state.barrier);
+        match (&mut self.barrier, &state.barrier) {
+            (Some(barrier), Some(state)) => barrier.restore(state),
+            (None, None) => {}
+            _ => return Err(OtherRobot),
+        }
         Ok(())
     }
 
@@ -250,7 +254,7 @@ fn other_joints(joints: usize) -> ParameterError {
 impl<const N: usize> Controller<N> {
     fn new(config: &Config, parameters: &Parameters<JOINTS>) -> Result<Self, ParameterError> {
         let arm = &config.arm().table::<N>().ok_or(other_joints(config.arm().joints))?;
-        let (parameters, taxels) = (parameters.resized::<N>(), config.taxels());
+        let (parameters, taxels) = (parameters.resized::<N>(), config.robot.cover.placements());
         let (mount, payload) = (config.robot.mount, config.robot.payload());
         Ok(match config.plant.parts {
             Parts::Whole => {

@@ -1,7 +1,7 @@
 //! What the loop remembers from tick to tick and no configuration says: plain data that a copy takes along. A replay that
 //! begins in the middle of a run begins with it.
 
-use crate::control::barrier::Barrier;
+use crate::control::barrier::BarrierMemory;
 use crate::control::protection::ProtectionState;
 use crate::control::state_check::StateCheck;
 use crate::control::supervisor::Supervisor;
@@ -32,7 +32,7 @@ pub struct MotionState {
     #[serde(with = "by_number")]
     pub(super) parameters: Parameters<JOINTS>,
     pub(super) protection: ProtectionState,
-    pub(super) barrier: Option<Barrier>,
+    pub(super) barrier: Option<BarrierMemory>,
 }
 
 /// What the law for an arm of so many joints remembers.

@@ -15,7 +15,9 @@ use crate::control::contacts::ContactTracker;
 use crate::control::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_EVENTS;
-use moca_msgs::{ContactEvent, ContactReaction, Limits, RobotState, SpeedLimit, SpeedLimitReason, seconds};
+use moca_msgs::{
+    ContactEvent, ContactReaction, Limits, ParameterError, RobotState, SpeedLimit, SpeedLimitReason, seconds,
+};
 use moca_tactile::Firmware;
 use moca_tactile::board::SILENT_AFTER_NS;
 use moca_wbc::BaseGuard;
@@ -78,10 +80,13 @@ pub struct ProtectionState {
 
 impl Protection {
     /// As configured and checked, with `limits` from the user's file.
-    pub fn new(config: &Config, limits: [ContactLimits; TAXELS]) -> Self {
+    ///
+    /// # Errors
+    /// A taxel's place out of range.
+    pub fn new(config: &Config, limits: [ContactLimits; TAXELS]) -> Result<Self, ParameterError> {
         let settings = config.protection.clone();
-        let outline = CoverOutline::new(&config.taxels());
-        Self {
+        let outline = CoverOutline::new(&config.robot.cover.placements())?;
+        Ok(Self {
             contact: Contact {
                 stiffness_n_m: settings.contact_stiffness_n_m,
                 damping_n_s_m: 0.0,
@@ -93,12 +98,12 @@ impl Protection {
             outline,
             state: ProtectionState {
                 delay: ReadingDelay::default(),
-                tracker: ContactTracker::new(limits, settings.reaction),
+                tracker: ContactTracker::new(config.robot.cover.count(), limits, settings.reaction),
                 retreated_m: 0.0,
                 last_ns: 0,
             },
             settings,
-        }
+        })
     }
 
     /// What it remembers.
@@ -134,11 +139,9 @@ impl Protection {
             reaction: None,
             events: self.state.tracker.take(),
         };
-        let crossed = self.state.tracker.crossed();
-        if moving && crossed.contains(&true) {
-            self.react(&crossed, dt_s, &mut protected);
-        } else {
-            self.state.retreated_m = 0.0;
+        match self.state.tracker.crossed().filter(|_| moving) {
+            Some(crossed) => self.react(&crossed, dt_s, &mut protected),
+            None => self.state.retreated_m = 0.0,
         }
         protected
     }
@@ -286,7 +289,8 @@ fn nominal_speed_m_s(config: &Config, firmware: Firmware) -> f64 {
 
 /// Speed limit of the cover's fastest point for a reading that is `delay_s` late and an impact of `force_limit_n`, m/s.
 pub fn speed_for_delay_m_s(config: &Config, force_limit_n: f64, delay_s: f64) -> f64 {
-    let mut protection = Protection::new(config, [ContactLimits::default(); TAXELS]);
+    // around taxels that are nowhere nothing moves
+    let Ok(mut protection) = Protection::new(config, [ContactLimits::default(); TAXELS]) else { return 0.0 };
     protection.settings.force_limit_n = force_limit_n;
     let limits = config.parameters().limits;
     protection.speed_m_s(delay_s, &limits).min(protection.outline.fastest(&limits.base_velocity))
@@ -298,7 +302,7 @@ mod tests {
 
     #[test]
     fn the_speed_of_the_cover_is_that_of_its_fastest_corner_wherever_the_base_looks() {
-        let protection = Protection::new(&Config::default(), [ContactLimits::default(); TAXELS]);
+        let protection = Protection::new(&Config::default(), [ContactLimits::default(); TAXELS]).unwrap();
         let corner_m = 0.489f64.hypot(0.388);
         for (velocity_world, yaw_rad, expected) in [
             ([0.3, 0.4, 0.0], 0.7, 0.5),
