@@ -60,6 +60,7 @@ pub struct EarlyContact<const K: usize> {
 }
 
 #[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 struct Taxel {
     fdat: u16,
     force_n: f64,
@@ -71,6 +72,7 @@ struct Taxel {
 }
 
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 struct Board<S> {
     source: S,
     banks: [Bank; BANKS],
@@ -78,6 +80,7 @@ struct Board<S> {
 
 /// Twelve electrodes whose data comes together.
 #[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 struct Bank {
     carries_taxels: bool,
     sampled_at_ns: Option<u64>,
@@ -101,8 +104,10 @@ impl<S> Board<S> {
 
 /// The cover. Allocates nothing; every method returns in bounded time.
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Cover<const K: usize, S: FrameSource = BoardMonitor> {
     config: CoverConfig<K>,
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     taxels: [Taxel; K],
     boards: heapless::Vec<Board<S>, MAX_BOARDS>,
     tare: TareStatus,

@@ -254,7 +254,15 @@ pub struct ContactLimits<const K: usize, T = f64> {
 pub struct ContactBarrier<const K: usize, T = f64> {
     outline: CoverOutline<K, T>,
     settings: BarrierSettings,
+    state: BarrierState<K, T>,
+}
+
+/// What a [`ContactBarrier`] remembers between steps.
+#[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct BarrierState<const K: usize, T = f64> {
     odometry: Odometry<T>,
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     tracks: [Track<T>; K],
 }
 
@@ -267,9 +275,18 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
         Ok(Self {
             outline: CoverOutline::new(taxels)?,
             settings: *settings,
-            odometry: Odometry::new(),
-            tracks: [Track::none(); K],
+            state: BarrierState { odometry: Odometry::new(), tracks: [Track::none(); K] },
         })
+    }
+
+    /// What it remembers.
+    pub const fn state(&self) -> &BarrierState<K, T> {
+        &self.state
+    }
+
+    /// Goes on from where `state` was taken.
+    pub fn restore(&mut self, state: &BarrierState<K, T>) {
+        self.state.clone_from(state);
     }
 
     /// One step.
@@ -279,7 +296,7 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
     pub fn update(&mut self, input: &BarrierInput<K, T>) -> Result<ContactLimits<K, T>, ControlError> {
         let taxels = self.outline.map().taxels();
         input.check(taxels)?;
-        self.odometry.advance(&input.velocity_body, input.dt_s);
+        self.state.odometry.advance(&input.velocity_body, input.dt_s);
         let mut limits = ContactLimits {
             outward_m_s: [of(f64::INFINITY); K],
             force_n: [T::zero(); K],
@@ -288,13 +305,19 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
         };
         for i in 0..taxels {
             let way = |place: &[T; 3]| self.outline.outward(i, place);
-            self.tracks[i].advance(&self.settings, &self.odometry, input.samples[i], input.dt_s, way);
-            let track = &self.tracks[i];
+            self.state.tracks[i].advance(
+                &self.settings,
+                &self.state.odometry,
+                input.samples[i],
+                input.dt_s,
+                way,
+            );
+            let track = &self.state.tracks[i];
             if !track.touched() {
                 limits.outward_m_s[i] = track.released_limit(&self.settings);
                 continue;
             }
-            let way_now = way(self.odometry.now());
+            let way_now = way(self.state.odometry.now());
             let depth = track.depth_now(way_now);
             limits.depth_m[i] = depth;
             limits.person_m_s[i] = track.person_m_s();
@@ -311,7 +334,7 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
     fn touched_limit(&self, i: usize, depth: T, input: &BarrierInput<K, T>) -> T {
         let s = &self.settings;
         let speed = self.outline.outward(i, &input.velocity_body);
-        let person = self.tracks[i].person_m_s();
+        let person = self.state.tracks[i].person_m_s();
         let soon = depth + of::<T>(s.servo_s) * (speed + person);
         let deceleration = self.outline.deceleration(i, &input.deceleration);
         let closing = |left: T| {

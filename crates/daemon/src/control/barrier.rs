@@ -6,9 +6,10 @@ use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::robot::resized;
 use moca_msgs::{ParameterError, RobotState, TaxelStatus};
 use moca_wbc::contact_barrier::{
-    BarrierInput, BarrierSettings, ContactBarrier, ContactLimits, FoamCurve, TaxelSample,
+    BarrierInput, BarrierSettings, BarrierState, ContactBarrier, ContactLimits, FoamCurve, TaxelSample,
 };
 use moca_wbc::{ArmModel, ControlError, FlangePose};
+use serde::{Deserialize, Serialize};
 
 /// PU LD30's elastic law, which an uncalibrated cover is read with.
 const PU_LD30: FoamCurve = FoamCurve::Power { depth_at_100n_m: 0.0114, exponent: 1.586 };
@@ -21,6 +22,13 @@ pub struct Barrier {
     /// Flange from the base with the arm in its posture, axes of B, m; of an arm that holds its place in the world.
     home_body_m: Option<[f64; 2]>,
     /// Flange from the base in the last tick, axes of B, m.
+    flange_body_m: Option<[f64; 2]>,
+}
+
+/// What a [`Barrier`] remembers from tick to tick.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct BarrierMemory {
+    contacts: BarrierState<TAXELS>,
     flange_body_m: Option<[f64; 2]>,
 }
 
@@ -42,6 +50,17 @@ impl Barrier {
             home_body_m: home.map(|home| [home.x, home.y]),
             flange_body_m: None,
         }))
+    }
+
+    /// What it remembers.
+    pub fn state(&self) -> BarrierMemory {
+        BarrierMemory { contacts: self.contacts.state().clone(), flange_body_m: self.flange_body_m }
+    }
+
+    /// Goes on from where `state` was taken.
+    pub fn restore(&mut self, state: &BarrierMemory) {
+        self.contacts.restore(&state.contacts);
+        self.flange_body_m = state.flange_body_m;
     }
 
     /// Takes in what the cover says in the tick at `now_ns`.

@@ -5,12 +5,13 @@ use crate::robot::TAXELS;
 use heapless::Deque;
 use moca_msgs::protection::{ContactKind, ContactPhase, TRANSIENT_S};
 use moca_msgs::{ContactEvent, ContactReaction, TaxelReading, TaxelStatus, seconds};
+use serde::{Deserialize, Serialize};
 
 /// Events that wait for a sample with room. A frame makes at most three a taxel, and a tick takes four away: with 4 ms
 /// between frames, the sensor chip's fastest, they do not pile up.
 const WAITING: usize = 3 * TAXELS;
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Contact {
     started_ns: u64,
     force_n: f64,
@@ -25,10 +26,12 @@ struct Contact {
 }
 
 /// Every taxel's contact, and the events that no sample has carried yet.
-#[derive(Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ContactTracker {
+    #[serde(with = "serde_big_array::BigArray")]
     limits: [ContactLimits; TAXELS],
     reaction: ContactReaction,
+    #[serde(with = "serde_big_array::BigArray")]
     contacts: [Option<Contact>; TAXELS],
     taxels: usize,
     waiting: Deque<ContactEvent, WAITING>,

@@ -34,6 +34,7 @@ pub struct BaseController<const K: usize, T = f64> {
 
 /// What a [`BaseController`] remembers between steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct BaseState<T = f64> {
     pub(super) gains: BaseGains<T>,
     /// v_d of eq. (2) as last commanded: axes of B.
