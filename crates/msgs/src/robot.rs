@@ -89,6 +89,9 @@ pub struct AnyArm {
 }
 
 impl AnyArm {
+    /// No joints at all.
+    pub const NONE: Self = Self::of(&NO_ARM);
+
     /// Any table of up to [`MAX_JOINTS`] joints.
     pub const fn of<const N: usize>(arm: &ArmTable<N>) -> Self {
         const { assert!(N <= MAX_JOINTS, "more joints than a sample can carry") };
@@ -215,7 +218,8 @@ pub enum Drive {
 crate::choice!(Drive { Holonomic: "holonomic" });
 
 /// Where one taxel sits on the cover and which way it is pressed.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct TaxelPlacement {
     /// Centre in B, m (x, y).
     pub position_base_m: [f64; 2],

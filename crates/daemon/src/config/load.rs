@@ -1,7 +1,7 @@
 //! Configuration files: read, checked, written. One pass reports every mistake, each with its line and its key.
 
-use super::{Config, ConfigError};
-use crate::robot::{Arm, JOINTS};
+use super::{Config, ConfigError, OwnArm};
+use crate::robot::{Arm, JOINTS, OWN_ARM};
 use moca_msgs::table::{Field, FieldValue, ParameterKind, ParameterSpec, Size};
 use std::path::Path;
 use toml::Spanned;
@@ -16,7 +16,11 @@ const RENAMED: &[(&str, &str)] = &[
     ("geometry.taxel_y_m", "robot.cover.y_m"),
     ("geometry.taxel_inward_rad", "robot.cover.inward_rad"),
     ("control.corrections.flange_feed", "control.corrections.flange_wrench_feedforward"),
+    ("protection.unfelt_force_n", "protection.threshold_force_n"),
 ];
+
+/// Choices of earlier versions: key, what was written there, and what it is called now.
+const RENAMED_CHOICES: &[(&str, &str, &str)] = &[("board.mask_policy", "unfelt", "ignore")];
 
 impl Config {
     /// Reads and checks a file.
@@ -24,21 +28,27 @@ impl Config {
     /// # Errors
     /// Every mistake in it, or why it could not be read.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        Self::parse(&read_text(path)?)
+        Self::parse_in(&read_text(path)?, path.parent().unwrap_or(Path::new("")))
     }
 
-    /// Parses and checks a configuration; what it does not name keeps its default.
+    /// Parses and checks a configuration; what it does not name keeps its default. A URDF is looked for in the working
+    /// directory.
     ///
     /// # Errors
     /// Every mistake in it, each with its line.
     pub fn parse(text: &str) -> Result<Self, ConfigError> {
-        let (root, values) = syntax(text)?;
+        Self::parse_in(text, Path::new(""))
+    }
+
+    fn parse_in(text: &str, folder: &Path) -> Result<Self, ConfigError> {
+        let (root, mut values) = syntax(text)?;
         let mut mistakes = Mistakes::new(text, root);
-        let arm = find(&values, "robot.arm").and_then(toml::Value::as_str).and_then(Arm::built_in);
-        let mut config = Self::with_arm(arm.unwrap_or_default());
         let mut known = toml::Table::new();
-        config.each(&mut |row, _| insert(&mut known, row.name, toml::Value::Boolean(true)));
+        Self::default().each(&mut |row, _| insert(&mut known, row.name, toml::Value::Boolean(true)));
         mistakes.unknown_keys(&known);
+        let Some(arm) = arm(&values, folder, &mut mistakes) else { return mistakes.or(Self::default()) };
+        let mut config = Self::with_arm(arm);
+        values.remove("arm");
         let joints = config.arm().joints;
         config.each(&mut |row, field| {
             if let Some(value) = find(&values, row.name)
@@ -90,6 +100,29 @@ impl Config {
         });
         result
     }
+}
+
+/// The arm that a configuration names; `None` after a mistake in its own description, for without an arm no list that goes
+/// joint by joint can be judged.
+fn arm(values: &toml::Table, folder: &Path, mistakes: &mut Mistakes<'_>) -> Option<Arm> {
+    let named = find(values, "robot.arm").and_then(toml::Value::as_str);
+    let mut own = OwnArm::default();
+    let mut fine = true;
+    own.each(&mut |row, field| {
+        let taken = find(values, row.name).map_or(Ok(()), |value| take(row, field, value, 0));
+        if let Err(message) = taken {
+            mistakes.add(row.name, &message);
+            fine = false;
+        }
+    });
+    if named == Some(OWN_ARM) && fine {
+        let arm = own.arm(folder);
+        return arm.map_err(|(row, message)| mistakes.add(row, &message)).ok();
+    }
+    if named != Some(OWN_ARM) && own != OwnArm::default() {
+        mistakes.add("arm", "[arm] is read where robot.arm = \"own\", which this file does not say");
+    }
+    (named != Some(OWN_ARM)).then(|| named.and_then(Arm::built_in).unwrap_or_default())
 }
 
 /// The text of a file: a regular one, of at most a mebibyte, so that no pipe or device is waited for.
@@ -201,7 +234,12 @@ pub(crate) fn take(
     value: &toml::Value,
     joints: usize,
 ) -> Result<(), String> {
-    let wrong = || Err(format!("{} = {}; expected {}", row.name, shown(value), expected(row, joints)));
+    let wrong = || {
+        let old =
+            RENAMED_CHOICES.iter().find(|(key, old, _)| *key == row.name && value.as_str() == Some(old));
+        let now = old.map(|(_, _, new)| format!(" (it is called {new:?} now)")).unwrap_or_default();
+        Err(format!("{} = {}; expected {}{now}", row.name, shown(value), expected(row, joints)))
+    };
     match row.kind {
         ParameterKind::Text | ParameterKind::Choice(_) => match value {
             toml::Value::String(text) if field.take(FieldValue::Text(text)) => Ok(()),
@@ -427,6 +465,12 @@ mod tests {
         for (old, new) in RENAMED {
             assert!(find(&rows, new).is_some() && find(&rows, old).is_none(), "{old} {new}");
         }
+        for (key, old, new) in RENAMED_CHOICES {
+            let (section, name) = key.split_once('.').unwrap();
+            let file = |choice| format!("[{section}]\n{name} = {choice:?}\n");
+            assert!(mistakes(&file(old))[0].ends_with(&format!("(it is called {new:?} now)")), "{key}");
+            assert!(Config::parse(&file(new)).is_ok(), "{key}");
+        }
     }
 
     #[test]
@@ -494,9 +538,9 @@ mod tests {
         );
         assert!(cover("inward_rad", 5, 1.5).len() == 1 && cover("inward_rad", 5, 2.0).is_empty());
         assert!(cover("x_m", 1, -0.367)[0].contains("T1 and T2 are"));
-        let unfelt = "[board]\nmasked = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]\nmask_policy = \"unfelt\"\n";
-        assert!(mistakes(unfelt)[0].starts_with("line 2: board.masked: every taxel is masked"));
-        assert!(Config::parse(&unfelt.replace("unfelt", "stop")).is_ok());
+        let ignored = "[board]\nmasked = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]\nmask_policy = \"ignore\"\n";
+        assert!(mistakes(ignored)[0].starts_with("line 2: board.masked: every taxel is masked"));
+        assert!(Config::parse(&ignored.replace("ignore", "stop")).is_ok());
         let far = mistakes("[board]\nmasked = [12]\n[simulation.hand]\ntaxels = [20]\n");
         assert_eq!(far[0], "line 2: board.masked = 12: the cover's taxels are 1 to 11");
         assert_eq!(far[1], "line 4: simulation.hand.taxels = 20: the cover's taxels are 1 to 11");

@@ -4,6 +4,7 @@ use crate::config::Config;
 use crate::config::live::changed;
 use crate::control::barrier::Barrier;
 use crate::control::cover::CoverState;
+use crate::control::loop_state::{JointsState, LawState, MotionState, OtherRobot};
 use crate::control::protection::{Protected, Protection};
 use crate::control::uncovered::Uncovered;
 use crate::robot::{JOINTS, Parts, TAXELS};
@@ -53,8 +54,6 @@ pub struct Motion {
     barrier: Option<Barrier>,
     /// Of a base: what no taxel covers.
     uncovered: Option<Uncovered>,
-    /// Whether the guard kept the base from what the law wanted in the last tick.
-    held: bool,
     parts: Parts,
     guard: BaseGuard<TAXELS>,
 }
@@ -74,7 +73,7 @@ impl Motion {
         };
         let barrier = either!(&controller, controller => controller.barrier(config))?;
         let uncovered = parts.has_cover().then(|| Uncovered::new(config));
-        let (guard, held) = (Protected::default().guard, false);
+        let guard = Protected::default().guard;
         Ok(Self {
             controller,
             joints,
@@ -83,7 +82,6 @@ impl Motion {
             protection,
             barrier,
             uncovered,
-            held,
             parts,
             guard,
         })
@@ -113,7 +111,7 @@ impl Motion {
         };
         self.guard = protected.guard;
         if let Some(barrier) = &mut self.barrier {
-            barrier.feel(now_ns, cover);
+            barrier.take_cover(now_ns, cover);
         }
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.feel(cover);
@@ -139,6 +137,49 @@ impl Motion {
         let wanted = changed(&self.parameters, self.joints, number, values)?;
         either!(&mut self.controller, controller => controller.set_parameters(&wanted))?;
         self.parameters = wanted;
+        Ok(())
+    }
+
+    /// What it remembers from tick to tick.
+    pub fn state(&self) -> MotionState {
+        MotionState {
+            controller: match &self.controller {
+                Joints::Six(controller) => JointsState::Six(controller.state()),
+                Joints::Seven(controller) => JointsState::Seven(controller.state()),
+            },
+            parameters: self.parameters,
+            protection: self.protection.state().clone(),
+            barrier: self.barrier.as_ref().map(Barrier::state),
+            uncovered: self.uncovered.as_ref().map(Uncovered::state),
+        }
+    }
+
+    /// Goes on from where `state` was taken.
+    ///
+    /// # Errors
+    /// It is of another robot than the configuration's.
+    pub fn restore(&mut self, state: &MotionState) -> Result<(), OtherRobot> {
+        let mut parameters = state.parameters;
+        parameters.limits.period_s = self.parameters.limits.period_s;
+        either!(&mut self.controller, controller => controller.set_parameters(&parameters))
+            .map_err(|_| OtherRobot)?;
+        match (&mut self.controller, &state.controller) {
+            (Joints::Six(controller), JointsState::Six(state)) => controller.restore(state)?,
+            (Joints::Seven(controller), JointsState::Seven(state)) => controller.restore(state)?,
+            _ => return Err(OtherRobot),
+        }
+        self.parameters = parameters;
+        self.protection.restore(&state.protection);
+        match (&mut self.barrier, &state.barrier) {
+            (Some(barrier), Some(state)) => barrier.restore(state),
+            (None, None) => {}
+            _ => return Err(OtherRobot),
+        }
+        match (&mut self.uncovered, &state.uncovered) {
+            (Some(uncovered), Some(state)) => uncovered.restore(state),
+            (None, None) => {}
+            _ => return Err(OtherRobot),
+        }
         Ok(())
     }
 
@@ -184,7 +225,7 @@ impl Motion {
         };
         let mut guard = self.guard;
         if let Some(uncovered) = &mut self.uncovered {
-            uncovered.advance(robot, self.held, dt_s);
+            uncovered.advance(robot, dt_s);
             guard.bounds_body = uncovered.bounds_body(self.parameters.limits.base_acceleration);
         }
         if let Some(barrier) = &mut self.barrier {
@@ -197,9 +238,11 @@ impl Motion {
                 taxel_force_n = contacts.force_n;
             }
         }
-        let told = Told { law, taxel_force_n, guard, dt_s };
-        let output = either!(&mut self.controller, controller => controller.step(robot, &told))?;
-        self.held = output.limits.guard;
+        let input = LawInput { law, taxel_force_n, guard, dt_s };
+        let output = either!(&mut self.controller, controller => controller.step(robot, &input))?;
+        if let Some(uncovered) = &mut self.uncovered {
+            uncovered.remember(output.limits.guard);
+        }
         if let Some(barrier) = &mut self.barrier {
             barrier.remember(&output.flange, robot);
         }
@@ -214,8 +257,8 @@ impl Motion {
     }
 }
 
-/// What a controller is told besides the robot's state.
-struct Told {
+/// What a controller is given besides the robot's state.
+struct LawInput {
     law: ControlLaw,
     taxel_force_n: [f64; TAXELS],
     guard: BaseGuard<TAXELS>,
@@ -232,7 +275,7 @@ fn other_joints(joints: usize) -> ParameterError {
 impl<const N: usize> Controller<N> {
     fn new(config: &Config, parameters: &Parameters<JOINTS>) -> Result<Self, ParameterError> {
         let arm = &config.arm().table::<N>().ok_or(other_joints(config.arm().joints))?;
-        let (parameters, taxels) = (parameters.resized::<N>(), config.taxels());
+        let (parameters, taxels) = (parameters.resized::<N>(), config.robot.cover.placements());
         let (mount, payload) = (config.robot.mount, config.robot.payload());
         Ok(match config.plant.parts {
             Parts::Whole => {
@@ -264,6 +307,24 @@ impl<const N: usize> Controller<N> {
         }
     }
 
+    const fn state(&self) -> LawState<N> {
+        match self {
+            Self::Whole(_, state) => LawState::Whole(*state),
+            Self::Base(_, state) => LawState::Base(*state),
+            Self::Arm(_, state) => LawState::Arm(*state),
+        }
+    }
+
+    fn restore(&mut self, state: &LawState<N>) -> Result<(), OtherRobot> {
+        match (self, state) {
+            (Self::Whole(_, to), LawState::Whole(from)) => *to = *from,
+            (Self::Base(_, to), LawState::Base(from)) => *to = *from,
+            (Self::Arm(_, to), LawState::Arm(from)) => *to = *from,
+            _ => return Err(OtherRobot),
+        }
+        Ok(())
+    }
+
     fn leave(&mut self) {
         match self {
             Self::Whole(_, state) => *state = None,
@@ -280,9 +341,9 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    fn step(&mut self, robot: &RobotState<JOINTS>, told: &Told) -> Result<ControlOutput<JOINTS>, Fault> {
+    fn step(&mut self, robot: &RobotState<JOINTS>, input: &LawInput) -> Result<ControlOutput<JOINTS>, Fault> {
         let robot: RobotState<N> = robot.resized();
-        let Told { law, taxel_force_n, guard, dt_s } = *told;
+        let LawInput { law, taxel_force_n, guard, dt_s } = *input;
         match self {
             Self::Whole(controller, state) => {
                 let state = entered(state, || controller.enter(law, &robot))?;

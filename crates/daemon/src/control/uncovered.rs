@@ -8,6 +8,7 @@ use crate::config::Config;
 use crate::control::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::{RobotState, TaxelStatus};
+use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, PI};
 
 /// Directions into the four sides, rad in B: front, left, rear, right.
@@ -34,10 +35,18 @@ pub struct Uncovered {
     into: Vec<f64>,
     usable: [bool; TAXELS],
     touched: bool,
+    state: UncoveredState,
+}
+
+/// What it remembers from tick to tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct UncoveredState {
     /// Way of each side since the last rest, as in [`INTO`], m; and of the corners when turning either way, m.
     gone_m: [f64; 4],
     turned_m: [f64; 2],
     rested_s: f64,
+    /// Whether the guard kept the base from what the law wanted in the last tick.
+    held: bool,
 }
 
 impl Uncovered {
@@ -52,10 +61,23 @@ impl Uncovered {
             into: config.robot.cover.placements().iter().map(|taxel| taxel.inward_angle_base_rad).collect(),
             usable: [true; TAXELS],
             touched: false,
-            gone_m: [0.0; 4],
-            turned_m: [0.0; 2],
-            rested_s: 0.0,
+            state: UncoveredState::default(),
         }
+    }
+
+    /// What it remembers.
+    pub const fn state(&self) -> UncoveredState {
+        self.state
+    }
+
+    /// Goes on from where `state` was taken.
+    pub const fn restore(&mut self, state: &UncoveredState) {
+        self.state = *state;
+    }
+
+    /// Takes in whether the guard kept the base from what the law wanted in this tick.
+    pub const fn remember(&mut self, held: bool) {
+        self.state.held = held;
     }
 
     /// Takes in which taxels are in use and whether anybody touches them.
@@ -78,35 +100,28 @@ impl Uncovered {
 
     /// The longest way gone towards an uncovered side since the last rest, m.
     pub fn way_m(&self) -> f64 {
-        self.gone_m.iter().chain(&self.turned_m).fold(0.0, |most, way| most.max(*way))
+        self.state.gone_m.iter().chain(&self.state.turned_m).fold(0.0, |most, way| most.max(*way))
     }
 
-    /// Moves on by `dt_s` with the measured motion of the base. `held`: the guard kept it from what the law wanted, or
-    /// no law moves it.
-    pub fn advance(&mut self, robot: &RobotState<JOINTS>, held: bool, dt_s: f64) {
+    /// Moves on by `dt_s` with the measured motion of the base.
+    pub fn advance(&mut self, robot: &RobotState<JOINTS>, dt_s: f64) {
         let [vx, vy, yaw] = robot.base_velocity_world;
         let (sin, cos) = robot.base_pose_world[2].sin_cos();
         let [forward, left] = [cos * vx + sin * vy, cos * vy - sin * vx];
-        let sides = self.sides();
-        let rests = !held && !self.touched && forward.hypot(left) < STANDS && yaw.abs() < STANDS;
-        self.rested_s = if rests { self.rested_s + dt_s } else { 0.0 };
-        if self.rested_s >= REST_S {
-            self.forget();
+        let (sides, state) = (self.sides(), &mut self.state);
+        let rests = !state.held && !self.touched && forward.hypot(left) < STANDS && yaw.abs() < STANDS;
+        state.rested_s = if rests { state.rested_s + dt_s } else { 0.0 };
+        if state.rested_s >= REST_S {
+            (state.gone_m, state.turned_m) = ([0.0; 4], [0.0; 2]);
         }
-        for ((gone_m, uncovered), m_s) in
-            self.gone_m.iter_mut().zip(sides).zip([forward, left, -forward, -left])
+        for ((gone_m, bare), m_s) in state.gone_m.iter_mut().zip(sides).zip([forward, left, -forward, -left])
         {
-            *gone_m = if uncovered { (*gone_m + m_s * dt_s).max(0.0) } else { 0.0 };
+            *gone_m = if bare { (*gone_m + m_s * dt_s).max(0.0) } else { 0.0 };
         }
         let turns = corners(&sides);
-        for (turned_m, rad_s) in self.turned_m.iter_mut().zip([yaw, -yaw]) {
+        for (turned_m, rad_s) in state.turned_m.iter_mut().zip([yaw, -yaw]) {
             *turned_m = if turns { (*turned_m + self.corner_m * rad_s * dt_s).max(0.0) } else { 0.0 };
         }
-    }
-
-    /// Counts anew.
-    pub fn forget(&mut self) {
-        (self.gone_m, self.turned_m) = ([0.0; 4], [0.0; 2]);
     }
 
     /// Least and largest velocity along the axes of B, m/s, m/s, rad/s, for a base that brakes with `deceleration`;
@@ -125,10 +140,10 @@ impl Uncovered {
         };
         let [x, y, yaw] = deceleration;
         let [front, left, rear, right] = std::array::from_fn(|side| {
-            most(sides[side], self.gone_m[side], if side % 2 == 0 { x } else { y })
+            most(sides[side], self.state.gone_m[side], if side % 2 == 0 { x } else { y })
         });
         let turns = corners(&sides);
-        let [to_left, to_right] = self.turned_m.map(|gone_m| {
+        let [to_left, to_right] = self.state.turned_m.map(|gone_m| {
             let corner_m = if turns { self.corner_m } else { 1.0 };
             most(turns, gone_m, yaw * corner_m) / corner_m
         });
@@ -176,7 +191,8 @@ mod tests {
         while t_s < seconds {
             let bounds = uncovered.bounds_body(BRAKES).unwrap_or([[-FREE; 3], [FREE; 3]]);
             let allowed = std::array::from_fn(|i| velocity[i].clamp(bounds[0][i], bounds[1][i]));
-            uncovered.advance(&moving(0.7, allowed), allowed != velocity, DT_S);
+            uncovered.advance(&moving(0.7, allowed), DT_S);
+            uncovered.remember(allowed != velocity);
             t_s += DT_S;
         }
     }
@@ -242,9 +258,10 @@ mod tests {
             let mut uncovered = Uncovered::new(&Config::default());
             go(&mut uncovered, [-0.05, 0.0, 0.0], 5.0);
             uncovered.feel(feel);
+            uncovered.remember(held);
             let mut t_s = 0.0;
             while t_s < seconds {
-                uncovered.advance(&moving(0.7, velocity), held, DT_S);
+                uncovered.advance(&moving(0.7, velocity), DT_S);
                 t_s += DT_S;
             }
             uncovered.way_m()
