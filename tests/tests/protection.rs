@@ -430,15 +430,16 @@ fn gains_that_are_just_let_through_bear_a_strong_lean() {
     }
 }
 
-/// How far a lean of 40 N on `taxel` takes the base along `axis` within ten seconds, and again after a rest, m.
+/// How far a lean of 40 N on `taxel` takes the base along `axis` within six seconds, and again after a rest, m.
 fn leaned(config: &Config, taxel: usize, axis: usize) -> [f64; 2] {
     let mut world = armed(config, &Scene::default(), VirtualBoardConfig::default());
     let mut lean = || {
         let before = press(&mut world, taxel, 40.0).base_pose_world[axis];
-        let samples = run(&mut world, 10_000);
+        let samples = run(&mut world, 6000);
         let way_m = samples.iter().fold(0.0, |most: f64, s| most.max(before - s.base_pose_world[axis]));
         press(&mut world, taxel, 0.0);
-        let last = run(&mut world, 2000).pop().unwrap();
+        // the foam feels the hand for seconds after it is gone
+        let last = run(&mut world, 6000).pop().unwrap();
         assert!(last.mode.moves(), "{:?}", last.fault);
         way_m
     };
@@ -457,9 +458,11 @@ fn a_base_that_is_pushed_towards_its_bare_rear_stops_after_a_tenth_of_a_metre() 
         println!(
             "{law:?}: backwards {backwards:.4?}, to the covered right {sideways:.4?}, no limit {unlimited:.4?} m"
         );
-        // 0.2 mm/s for 10 s is what 20 N push the base's own servo back
-        for way_m in backwards {
-            assert!(way_m > 0.09 && way_m < 0.104, "{law:?}: {way_m} m");
+        // 0.4 mm/s is what 40 N push the base's own servo back
+        assert!(backwards[0] > 0.09 && backwards[0] < 0.104, "{law:?}: {backwards:?} m");
+        assert!(backwards[1] < 0.104, "{law:?}: {backwards:?} m");
+        if law == Law::FollowMe {
+            assert!(backwards[1] > 0.09, "it counts anew: {backwards:?} m");
         }
         assert!(sideways[0] > 0.15 && unlimited[0] > 0.15, "{law:?}: the limit is not met: it shows nothing");
     }
@@ -467,16 +470,17 @@ fn a_base_that_is_pushed_towards_its_bare_rear_stops_after_a_tenth_of_a_metre() 
 
 #[test]
 fn the_way_towards_a_bare_side_is_in_the_sample_and_a_mask_bares_a_side() {
-    let mut world = armed(&config(), &Scene::default(), VirtualBoardConfig::default());
+    let mut config = config();
+    config.startup.law = Law::FollowMe;
+    let mut world = armed(&config, &Scene::default(), VirtualBoardConfig::default());
     press(&mut world, FRONT, 40.0);
     let samples = run(&mut world, 6000);
     let last = samples.last().unwrap();
     assert!(samples.is_sorted_by(|a, b| a.uncovered_way_m <= b.uncovered_way_m + 1e-4));
     assert!((last.uncovered_way_m + last.base_pose_world[0]).abs() < 5e-3, "{last:?}");
     press(&mut world, FRONT, 0.0);
-    assert!(run(&mut world, 3000).pop().unwrap().uncovered_way_m < 1e-3, "it rested");
+    assert!(run(&mut world, 8000).pop().unwrap().uncovered_way_m < 1e-3, "it rested");
 
-    let mut config = config();
     config.board.masked = vec![8, 9, 10, 11];
     config.board.mask_policy = moca_tactile::cover::MaskPolicy::Ignore;
     let [way_m, _] = leaned(&config, LEFT, 1);

@@ -192,8 +192,10 @@ fn who_leans_on_the_running_robot_moves_its_flange_and_its_joints_within_their_l
             100.0 * joint_share,
             last.fault
         );
-        // a board that is late on a busy machine is a rightful stop, too
-        assert!(moving > 30, "{moving}");
+        // 200 N saturate the taxel; a board that is late on a busy machine is a rightful stop, too
+        let thrown =
+            matches!(last.fault, Some(Fault::JointSpeed { .. } | Fault::FlangeSpeed | Fault::PoseError));
+        assert!(!thrown && moving > if last.mode.moves() { 1000 } else { 0 }, "{moving}, {:?}", last.fault);
         assert!(worst_m < 0.010 && joint_share < 1.0, "{worst_m} m, {joint_share}");
     }
 }

@@ -74,17 +74,7 @@ impl Motion {
         let barrier = either!(&controller, controller => controller.barrier(config))?;
         let uncovered = parts.has_cover().then(|| Uncovered::new(config));
         let guard = Protected::default().guard;
-        Ok(Self {
-            controller,
-            joints,
-            taxels,
-            parameters,
-            protection,
-            barrier,
-            uncovered,
-            parts,
-            guard,
-        })
+        Ok(Self { controller, joints, taxels, parameters, protection, barrier, uncovered, parts, guard })
     }
 
     /// How many joints the arm has.
