@@ -49,6 +49,9 @@ struct RunArguments {
     /// Configuration file (TOML); without one the built-in default runs.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Read this board instead of the configuration's: "avr" is the firmware itself in crates/firmware-sim.
+    #[arg(long, value_name = "PORT")]
+    board: Option<String>,
     /// Only check the configuration and report every mistake in it.
     #[arg(long)]
     check: bool,
@@ -161,12 +164,20 @@ fn replay(log: &[PathBuf]) -> anyhow::Result<()> {
 }
 
 fn run(arguments: RunArguments) -> anyhow::Result<()> {
-    let config = match &arguments.config {
+    let mut config = match &arguments.config {
         Some(path) => {
             Config::load(path).map_err(|error| WrongConfiguration(format!("{}:\n{error}", path.display())))?
         }
         None => Config::default(),
     };
+    if let Some(port) = &arguments.board {
+        config.board.port = port.as_str().into();
+        let mut mistakes = Vec::new();
+        config.check(|_, mistake| mistakes.push(mistake));
+        if !mistakes.is_empty() {
+            return Err(WrongConfiguration(mistakes.join("\n")).into());
+        }
+    }
     moca_daemon::runtime::assemble::cover_config(&config)
         .map_err(|error| WrongConfiguration(format!("{error:#}")))?;
     moca_daemon::runtime::assemble::motion(&config)

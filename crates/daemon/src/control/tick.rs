@@ -24,6 +24,8 @@ pub struct ControlLoop<P, S> {
     motion: Motion,
     period_s: f64,
     protected: Protected,
+    /// Why the robot stands, and the board whose fault that is.
+    blamed: (Option<Fault>, Option<u8>),
 }
 
 /// What one tick leaves behind.
@@ -41,7 +43,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// A loop that has not ticked yet.
     pub fn new(plant: P, cover: S, supervisor: Supervisor, motion: Motion, period_s: f64) -> Self {
         let (door, protected) = (StateDoor::default(), Protected::default());
-        Self { plant, cover, door, supervisor, motion, period_s, protected }
+        Self { plant, cover, door, supervisor, motion, period_s, protected, blamed: (None, None) }
     }
 
     /// One tick: read, decide, command, write; `timer` hears of each stage's end.
@@ -67,6 +69,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         }
         timer.end(Stage::Write);
 
+        self.blame(&cover);
         Ticked {
             sample: self.sample(slot, robot.ok().as_ref(), &cover, &actuation, output.as_ref()),
             outcome,
@@ -100,6 +103,14 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         #[expect(clippy::cast_precision_loss, reason = "a count of missed slots")]
         let ticks = slot.ticks as f64;
         self.period_s * ticks
+    }
+
+    /// Remembers whose fault a stop is for as long as it lasts: the board may be well again by then.
+    fn blame(&mut self, cover: &CoverState) {
+        let cause = self.supervisor.cause();
+        if cause != self.blamed.0 {
+            self.blamed = (cause, cover.fault_board.filter(|_| cause.is_some() && cause == cover.fault));
+        }
     }
 
     /// The mode, the answer to `request`, and the law's output; no output is the brake.
@@ -179,7 +190,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             tick: slot.tick,
             time_ns: slot.now_ns,
             mode: self.supervisor.mode(),
-            fault: self.supervisor.cause(),
+            fault: self.blamed.0,
+            fault_board: self.blamed.1,
             frame_age_s: age_s.unwrap_or(-1.0),
             frame_rate_hz: cover.rate_hz,
             frames_good: cover.frames_good,
