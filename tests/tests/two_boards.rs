@@ -59,7 +59,7 @@ fn a_press_on_either_board_moves_the_base_and_a_silent_board_stops_it_by_name() 
         for taxel in [8_u8, 1] {
             let press = |force_n| Some(Request::PressTaxel { taxel, force_n });
             assert_eq!(world.step(press(20.0)).1, Some(Ok(())));
-            let inward_rad = config.taxels()[usize::from(taxel)].inward_angle_base_rad;
+            let inward_rad = config.robot.cover.placements()[usize::from(taxel)].inward_angle_base_rad;
             let pressed = run(&mut world, 300);
             let [vx, vy, _] = pressed.base_velocity_world;
             let along_m_s = vx * inward_rad.cos() + vy * inward_rad.sin();

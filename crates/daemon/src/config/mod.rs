@@ -17,8 +17,8 @@ use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::robot::AnyArm;
 use moca_msgs::table::{Field, ParameterSpec};
 use moca_msgs::{
-    ContactReaction, Corrections, ImpedanceGains, Law, Limits, MAX_TAXELS, Parameters, TaxelPlacement,
-    choice, parameter_table,
+    ContactReaction, Corrections, ImpedanceGains, Law, Limits, MAX_TAXELS, Parameters, choice,
+    parameter_table,
 };
 use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
@@ -161,11 +161,11 @@ parameter_table! {
     pub struct ProtectionConfig in "protection" {
         /// Force of an impact that limits the speed of the cover's fastest point.
         force_limit_n: f64 = 25.0 => [.range(1.0, 500.0).units(&["N"])];
-        /// Force that the cover does not feel.
-        unfelt_force_n: f64 = 5.2 => [.range(0.0, 100.0).units(&["N"])];
+        /// Largest force that the cover does not feel.
+        threshold_force_n: f64 = 5.2 => [.range(0.0, 100.0).units(&["N"])];
         /// Stiffness of cover and body in series at the force limit.
         contact_stiffness_n_m: f64 = 7783.0 => [.range(100.0, 1e6).units(&["N/m"])];
-        /// Way that cover and body yield from the unfelt force to the force limit.
+        /// Way that cover and body yield from the threshold force to the force limit.
         contact_travel_m: f64 = 0.0031 => [.range(1e-4, 0.1).units(&["m"])];
         /// Forces of your own risk assessment: `moca-lab latency` prints the speed for each.
         assessed_forces_n: Vec<f64> = vec![25.0, 65.0, 130.0, 260.0] => [.range(6.0, 1000.0).units(&["N"])];
@@ -396,17 +396,6 @@ impl Config {
     /// The arm's table.
     pub const fn arm(&self) -> &AnyArm {
         &self.robot.arm.table
-    }
-
-    /// Where the taxels sit on the base, T1 first; those beyond the last are in the middle, where they change nothing.
-    pub fn taxels(&self) -> [TaxelPlacement; TAXELS] {
-        const NOWHERE: TaxelPlacement =
-            TaxelPlacement { position_base_m: [0.0; 2], inward_angle_base_rad: 0.0 };
-        let mut taxels = [NOWHERE; TAXELS];
-        for (place, taxel) in taxels.iter_mut().zip(self.robot.cover.placements()) {
-            *place = taxel;
-        }
-        taxels
     }
 
     /// The controllers' parameters.

@@ -3,6 +3,7 @@
 use crate::config::Config;
 use crate::control::barrier::Barrier;
 use crate::control::cover::CoverState;
+use crate::control::loop_state::{JointsState, LawState, MotionState, OtherRobot};
 use crate::control::protection::{Protected, Protection};
 use crate::robot::{JOINTS, Parts, TAXELS};
 use moca_msgs::params::{CONTROLLER, Size};
@@ -96,7 +97,7 @@ impl Motion {
         };
         self.guard = protected.guard;
         if let Some(barrier) = &mut self.barrier {
-            barrier.feel(now_ns, cover);
+            barrier.take_cover(now_ns, cover);
         }
         protected
     }
@@ -128,6 +129,43 @@ impl Motion {
         wanted.set(number, &ParameterValues::new(values).ok_or(Refusal::OutOfRange)?)?;
         either!(&mut self.controller, controller => controller.set_parameters(&wanted))?;
         self.parameters = wanted;
+        Ok(())
+    }
+
+    /// What it remembers from tick to tick.
+    pub fn state(&self) -> MotionState {
+        MotionState {
+            controller: match &self.controller {
+                Joints::Six(controller) => JointsState::Six(controller.state()),
+                Joints::Seven(controller) => JointsState::Seven(controller.state()),
+            },
+            parameters: self.parameters,
+            protection: self.protection.state().clone(),
+            barrier: self.barrier.as_ref().map(Barrier::state),
+        }
+    }
+
+    /// Goes on from where `state` was taken.
+    ///
+    /// # Errors
+    /// It is of another robot than the configuration's.
+    pub fn restore(&mut self, state: &MotionState) -> Result<(), OtherRobot> {
+        let mut parameters = state.parameters;
+        parameters.limits.period_s = self.parameters.limits.period_s;
+        either!(&mut self.controller, controller => controller.set_parameters(&parameters))
+            .map_err(|_| OtherRobot)?;
+        match (&mut self.controller, &state.controller) {
+            (Joints::Six(controller), JointsState::Six(state)) => controller.restore(state)?,
+            (Joints::Seven(controller), JointsState::Seven(state)) => controller.restore(state)?,
+            _ => return Err(OtherRobot),
+        }
+        self.parameters = parameters;
+        self.protection.restore(&state.protection);
+        match (&mut self.barrier, &state.barrier) {
+            (Some(barrier), Some(state)) => barrier.restore(state),
+            (None, None) => {}
+            _ => return Err(OtherRobot),
+        }
         Ok(())
     }
 
@@ -182,8 +220,8 @@ impl Motion {
                 taxel_force_n = contacts.force_n;
             }
         }
-        let told = Told { law, taxel_force_n, guard, dt_s };
-        let output = either!(&mut self.controller, controller => controller.step(robot, &told))?;
+        let input = LawInput { law, taxel_force_n, guard, dt_s };
+        let output = either!(&mut self.controller, controller => controller.step(robot, &input))?;
         if let Some(barrier) = &mut self.barrier {
             barrier.remember(&output.flange, robot);
         }
@@ -198,8 +236,8 @@ impl Motion {
     }
 }
 
-/// What a controller is told besides the robot's state.
-struct Told {
+/// What a controller is given besides the robot's state.
+struct LawInput {
     law: ControlLaw,
     taxel_force_n: [f64; TAXELS],
     guard: BaseGuard<TAXELS>,
@@ -216,7 +254,7 @@ fn other_joints(joints: usize) -> ParameterError {
 impl<const N: usize> Controller<N> {
     fn new(config: &Config, parameters: &Parameters<JOINTS>) -> Result<Self, ParameterError> {
         let arm = &config.arm().table::<N>().ok_or(other_joints(config.arm().joints))?;
-        let (parameters, taxels) = (parameters.resized::<N>(), config.taxels());
+        let (parameters, taxels) = (parameters.resized::<N>(), config.robot.cover.placements());
         let (mount, payload) = (config.robot.mount, config.robot.payload());
         Ok(match config.plant.parts {
             Parts::Whole => {
@@ -248,6 +286,24 @@ impl<const N: usize> Controller<N> {
         }
     }
 
+    const fn state(&self) -> LawState<N> {
+        match self {
+            Self::Whole(_, state) => LawState::Whole(*state),
+            Self::Base(_, state) => LawState::Base(*state),
+            Self::Arm(_, state) => LawState::Arm(*state),
+        }
+    }
+
+    fn restore(&mut self, state: &LawState<N>) -> Result<(), OtherRobot> {
+        match (self, state) {
+            (Self::Whole(_, to), LawState::Whole(from)) => *to = *from,
+            (Self::Base(_, to), LawState::Base(from)) => *to = *from,
+            (Self::Arm(_, to), LawState::Arm(from)) => *to = *from,
+            _ => return Err(OtherRobot),
+        }
+        Ok(())
+    }
+
     fn leave(&mut self) {
         match self {
             Self::Whole(_, state) => *state = None,
@@ -264,9 +320,9 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    fn step(&mut self, robot: &RobotState<JOINTS>, told: &Told) -> Result<ControlOutput<JOINTS>, Fault> {
+    fn step(&mut self, robot: &RobotState<JOINTS>, input: &LawInput) -> Result<ControlOutput<JOINTS>, Fault> {
         let robot: RobotState<N> = robot.resized();
-        let Told { law, taxel_force_n, guard, dt_s } = *told;
+        let LawInput { law, taxel_force_n, guard, dt_s } = *input;
         match self {
             Self::Whole(controller, state) => {
                 let state = entered(state, || controller.enter(law, &robot))?;

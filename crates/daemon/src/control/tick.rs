@@ -2,10 +2,11 @@
 
 use crate::control::cover::{CoverSource, CoverState};
 use crate::control::law::{self, Motion};
+use crate::control::loop_state::{LoopState, OtherRobot};
 use crate::control::plant::Plant;
 use crate::control::protection::Protected;
 use crate::control::stage::{Stage, StageTimer};
-use crate::control::state_check::StateDoor;
+use crate::control::state_check::StateCheck;
 use crate::control::supervisor::{Facts, Supervisor, Touch};
 use crate::control::tick_input::{Slot, TickInput};
 use crate::robot::JOINTS;
@@ -19,10 +20,11 @@ pub struct ControlLoop<P, S> {
     pub plant: P,
     /// Its cover.
     pub cover: S,
-    door: StateDoor,
+    state_check: StateCheck,
     supervisor: Supervisor,
     motion: Motion,
     period_s: f64,
+    /// Of the present tick.
     protected: Protected,
     /// Why the robot stands, and the board whose fault that is.
     blamed: (Option<Fault>, Option<u8>),
@@ -31,7 +33,7 @@ pub struct ControlLoop<P, S> {
 /// What one tick leaves behind.
 #[derive(Clone, Debug)]
 pub struct Ticked {
-    /// What an observer may see.
+    /// What a client may see.
     pub sample: Sample,
     /// The answer to the request, if there was one.
     pub outcome: Option<Outcome>,
@@ -42,8 +44,8 @@ pub struct Ticked {
 impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// A loop that has not ticked yet.
     pub fn new(plant: P, cover: S, supervisor: Supervisor, motion: Motion, period_s: f64) -> Self {
-        let (door, protected) = (StateDoor::default(), Protected::default());
-        Self { plant, cover, door, supervisor, motion, period_s, protected, blamed: (None, None) }
+        let (state_check, protected) = (StateCheck::default(), Protected::default());
+        Self { plant, cover, state_check, supervisor, motion, period_s, protected, blamed: (None, None) }
     }
 
     /// One tick: read, decide, command, write; `timer` hears of each stage's end.
@@ -53,7 +55,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         let exact = self.plant.simulated().is_some();
         let measured = self.plant.read().map(|state| if exact { state } else { state.in_single_precision() });
         let age = self.plant.age();
-        let robot = measured.and_then(|state| self.door.check(state, age, self.elapsed_s(slot)));
+        let robot = measured.and_then(|state| self.state_check.check(state, age, self.elapsed_s(slot)));
         timer.end(Stage::Read);
 
         let cover = self.cover.read(slot.now_ns);
@@ -83,6 +85,24 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
                 cover_events: cover.events,
             },
         }
+    }
+
+    /// What the loop remembers between this tick and the next: a copy, for which nothing is allocated.
+    pub fn state(&self) -> LoopState {
+        let Self { plant: _, cover, state_check, supervisor, motion, period_s: _, protected: _, blamed } = self;
+        let (state_check, supervisor, blamed) = (*state_check, *supervisor, *blamed);
+        LoopState { state_check, supervisor, blamed, motion: motion.state(), cover: cover.state() }
+    }
+
+    /// Goes on from where `state` was taken.
+    ///
+    /// # Errors
+    /// It is of another robot than the configuration's.
+    pub fn restore(&mut self, state: &LoopState) -> Result<(), OtherRobot> {
+        self.motion.restore(&state.motion)?;
+        (self.state_check, self.supervisor, self.blamed) = (state.state_check, state.supervisor, state.blamed);
+        self.cover.restore(&state.cover);
+        Ok(())
     }
 
     /// See [`Motion::set_target_twist`].

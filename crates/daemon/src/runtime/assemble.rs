@@ -13,7 +13,7 @@ use crate::devices::firmware_board::LiveFirmware;
 use crate::devices::force_gauge::Gauge;
 use crate::devices::ports;
 use crate::devices::touch_board::ByteCover;
-use crate::inject::{self, Cable, Injection, Named, What};
+use crate::inject::{self, Cable, FaultSite, Injection, Named};
 use crate::robot::{PlantKind, TAXELS};
 use crate::runtime::clock::Clock;
 use crate::runtime::realtime::{self, Raised};
@@ -47,7 +47,7 @@ pub fn motion(config: &Config) -> Result<Motion> {
     } else {
         contact_limits::load(thresholds.as_ref(), config.robot.cover.count())?
     };
-    Ok(Motion::new(config, Protection::new(config, limits))?)
+    Ok(Motion::new(config, Protection::new(config, limits)?)?)
 }
 
 /// The cover that the configuration asks for.
@@ -214,7 +214,7 @@ pub(crate) fn open_boards(
         rings.push(events);
         readers.push(reader);
     }
-    if let Some(Injection { fault: Named { what: What::Cable(fault), .. }, at_ns }) = injection {
+    if let Some(Injection { fault: Named { site: FaultSite::Cable(fault), .. }, at_ns }) = injection {
         let first = rings.remove(0);
         rings.insert(0, inject::relay(Cable::new(*fault, *at_ns, config.simulation.seed), first, clock)?);
     }

@@ -1,6 +1,7 @@
 //! The loop against the wall clock: the timer's, or that of a plant whose datagrams are the clock.
 
 use crate::control::cover::CoverSource;
+use crate::control::loop_state::LoopState;
 use crate::control::plant::Plant;
 use crate::control::stage::{Stage, StageTimer};
 use crate::control::tick::{ControlLoop, Ticked};
@@ -19,7 +20,7 @@ use std::time::Duration;
 /// Ticks after which everything that allocates once has done so.
 pub const WARM_UP_TICKS: u64 = 1000;
 
-/// The loop's ends of the rings to its observers.
+/// The loop's ends of the rings to its clients.
 pub struct Rings {
     /// Samples out; a full ring drops the newest and counts it.
     pub samples: rtrb::Producer<Sample>,
@@ -35,10 +36,10 @@ impl Rings {
         self.requests.take().unzip()
     }
 
-    /// Notes what a tick was given, if somebody records it.
-    pub fn note(&mut self, input: TickInput) {
+    /// Notes what a tick was given, if somebody records it, and now and then what the loop remembers after it.
+    pub fn note(&mut self, input: TickInput, state: impl FnOnce() -> LoopState) {
         if let Some(tick_log) = &mut self.tick_log {
-            tick_log.push(input);
+            tick_log.push(input, state);
         }
     }
 
@@ -61,9 +62,9 @@ pub struct Shared {
     pub stop: AtomicBool,
     /// Whether a law moves the robot.
     pub moving: Arc<AtomicBool>,
-    /// Samples no observer had room for.
+    /// Samples no client had room for.
     pub samples_dropped: Arc<AtomicU64>,
-    /// A count that the thread of the observers raises whenever it runs, at normal priority: where it does not, neither
+    /// A count that the thread of the clients raises whenever it runs, at normal priority: where it does not, neither
     /// does what the kernel does for a port.
     pub pulse: Arc<AtomicU64>,
 }
@@ -123,7 +124,7 @@ pub fn run<P: Plant, S: CoverSource>(
         timing.start();
         let Ticked { sample, outcome, input } = control.tick(&slot, request, timing);
         timing.count_frame_age(sample.frame_age_s);
-        rings.note(input);
+        rings.note(input, || control.state());
         rings.publish(sample, id, outcome, shared);
         timing.end(Stage::Publish);
 
