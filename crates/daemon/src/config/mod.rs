@@ -4,8 +4,12 @@
 mod check;
 pub mod contact_limits;
 pub mod load;
+mod own_arm;
 mod ports;
 pub mod schema;
+pub mod urdf;
+
+pub use own_arm::OwnArm;
 
 pub(crate) use ports::AUTO_PORT;
 #[cfg(feature = "board")]
@@ -48,6 +52,8 @@ const LAST_TAXEL: f64 = MAX_TAXELS as f64;
 pub struct Config {
     /// `[robot]`: arm, base, cover, tool and load.
     pub robot: Robot,
+    /// `[arm]`: lists that give an arm of one's own back; empty for one that is built in.
+    pub own_arm: OwnArm,
     /// `[loop]`
     pub control_loop: LoopConfig,
     /// `[realtime]`
@@ -313,6 +319,7 @@ impl Config {
                 corrections: Corrections::default(),
             },
             limits: Limits::for_arm(table),
+            own_arm: OwnArm::of(&arm),
             robot: Robot { arm, ..Robot::default() },
             control_loop: LoopConfig::default(),
             realtime: RealtimeConfig::default(),
@@ -333,6 +340,7 @@ impl Config {
         self.control.corrections.each(visit);
         self.limits.each(visit);
         self.robot.each_part(visit);
+        self.own_arm.each(visit);
         self.control_loop.each(visit);
         self.realtime.each(visit);
         self.plant.each(visit);
