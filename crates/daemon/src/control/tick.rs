@@ -89,7 +89,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
 
     /// What the loop remembers between this tick and the next: a copy, for which nothing is allocated.
     pub fn state(&self) -> LoopState {
-        let Self { plant: _, cover, state_check, supervisor, motion, period_s: _, protected: _, blamed } = self;
+        let Self { plant: _, cover, state_check, supervisor, motion, period_s: _, protected: _, blamed } =
+            self;
         let (state_check, supervisor, blamed) = (*state_check, *supervisor, *blamed);
         LoopState { state_check, supervisor, blamed, motion: motion.state(), cover: cover.state() }
     }
@@ -100,7 +101,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// It is of another robot than the configuration's.
     pub fn restore(&mut self, state: &LoopState) -> Result<(), OtherRobot> {
         self.motion.restore(&state.motion)?;
-        (self.state_check, self.supervisor, self.blamed) = (state.state_check, state.supervisor, state.blamed);
+        (self.state_check, self.supervisor, self.blamed) =
+            (state.state_check, state.supervisor, state.blamed);
         self.cover.restore(&state.cover);
         Ok(())
     }

@@ -5,7 +5,8 @@ use super::{
     overview::OverviewBuilder,
     records::{
         BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC,
-        ModeChange, ParameterChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Timing, name_of, seven_digits,
+        ModeChange, ParameterChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Timing, name_of,
+        seven_digits,
     },
 };
 use crate::RobotDescription;
