@@ -552,3 +552,14 @@ fn the_fault_channel_says_what_to_do() {
     assert_eq!(change.fault().unwrap(), Some(Fault::BoardLost));
     assert_eq!(records::FaultChange::new(1, None, None).unwrap().fault().unwrap(), None);
 }
+
+#[test]
+fn what_is_no_file_is_no_log_and_is_not_waited_for() {
+    let pipe = TempFile::new("pipe");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe.0).status().unwrap().success());
+    for path in [pipe.0.as_path(), "/dev/zero".as_ref(), std::env::temp_dir().as_path()] {
+        let Err(error) = LogReader::open(path) else { panic!("{} was taken for a log", path.display()) };
+        assert!(error.to_string().contains(&path.display().to_string()), "{error}");
+        assert!(read_log(path).is_err() && LogFile::open(path).is_err(), "{}", path.display());
+    }
+}
