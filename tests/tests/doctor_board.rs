@@ -19,7 +19,8 @@ fn report(firmwares: &[Firmware], name: &str) -> String {
         .collect();
     let ports: Vec<String> = boards.iter().map(|board| format!("{:?}", board.path())).collect();
     let taxels = if boards.len() > 1 { "[1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2]" } else { "[]" };
-    let text = format!("plant.kind = \"none\"\nboard.port = [{}]\nrobot.cover.board = {taxels}\n", ports.join(", "));
+    let text =
+        format!("plant.kind = \"none\"\nboard.port = [{}]\nrobot.cover.board = {taxels}\n", ports.join(", "));
     let config = folder.join(format!("doctor-{name}.toml"));
     std::fs::write(&config, text).unwrap();
     let output = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"))
@@ -36,7 +37,9 @@ fn report(firmwares: &[Firmware], name: &str) -> String {
 fn every_firmware_is_named_and_a_stock_board_has_no_clock_to_measure() {
     for firmware in [Firmware::Moca, Firmware::Stock2018, Firmware::Stock2015] {
         let text = report(&[firmware], firmware.name());
-        for part in ["BOARD REPORT", &format!("firmware                    {}", firmware.name()), "E11  at rest"] {
+        for part in
+            ["BOARD REPORT", &format!("firmware                    {}", firmware.name()), "E11  at rest"]
+        {
             assert!(text.contains(part), "{part}: {text}");
         }
         assert_eq!(text.contains("board's clock"), firmware == Firmware::Moca, "{text}");
