@@ -1,11 +1,12 @@
 //! What single rows cannot know: numbers that do not go together.
 
-use super::schema::describe;
 use super::stability::Stability;
 use super::{AUTO_LISTEN, AUTO_PORT, Config, Ports, ProtectionConfig, TelemetryConfig};
 use crate::robot::{Parts, PlantKind};
+use moca_msgs::params::CONTROLLER;
 use moca_tactile::cover::MaskPolicy;
 use moca_telemetry::net::Address;
+use moca_telemetry::{ParameterDescription, ParameterValue};
 
 /// What the ramps of a scripted press take, s, with a moment of rest.
 const PRESS_RAMPS_S: f64 = 0.7;
@@ -40,12 +41,17 @@ pub(super) fn stability(config: &Config, report: Report<'_>) {
     }
     let mut defaults = Config::with_arm(config.robot.arm.clone());
     defaults.control_loop = config.control_loop.clone();
-    if let Some((number, nearest)) = stability.to_blame(&parameters, &defaults.parameters()) {
-        let described = describe(config);
-        if let Some(row) = described.get(number) {
-            let value = row.shown(&row.value);
-            report(&row.name, format!("{} = {value} is {}", row.name, row.unstable(&nearest)));
-        }
+    if let Some((number, value, nearest)) = stability.to_blame(&parameters, &defaults.parameters()) {
+        let row = &CONTROLLER[number];
+        let described = ParameterDescription {
+            name: row.name.into(),
+            units: row.units.iter().map(|unit| (*unit).into()).collect(),
+            min: row.min,
+            max: row.max,
+            ..ParameterDescription::default()
+        };
+        let value = ParameterValue::Numbers(value.as_slice().to_vec());
+        report(row.name, format!("{} = {value} is {}", row.name, described.unstable(&nearest)));
     } else {
         let rate_hz = config.control_loop.rate_hz;
         report(

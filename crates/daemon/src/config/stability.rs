@@ -111,13 +111,13 @@ impl Stability {
         Some(at(0.999 * low))
     }
 
-    /// The gain that alone is to blame for `parameters` that are not stable in their own posture, with what is nearest to
-    /// its value and stable; `None` where it takes several.
+    /// The gain that alone is to blame for `parameters` that are not stable in their own posture: its number, its value and
+    /// what is nearest to that and stable; `None` where it takes several.
     pub(super) fn to_blame(
         &self,
         parameters: &Parameters<JOINTS>,
         defaults: &Parameters<JOINTS>,
-    ) -> Option<(usize, ParameterValues)> {
+    ) -> Option<(usize, ParameterValues, ParameterValues)> {
         let (joints, q_rad) = (self.arm.joints, &parameters.gains.posture_rad);
         let values = |of: &Parameters<JOINTS>, number: usize| {
             let elements = of.get(number)?;
@@ -131,7 +131,7 @@ impl Stability {
             if value == default || !self.is_stable(&mended, q_rad) {
                 return None;
             }
-            Some((number, self.nearest_stable(&mended, number, &value, q_rad)?))
+            Some((number, value, self.nearest_stable(&mended, number, &value, q_rad)?))
         })
     }
 }
