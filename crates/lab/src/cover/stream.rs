@@ -1,5 +1,6 @@
 //! `moca-lab stream`: what the reader makes of a recorded byte stream.
 
+use crate::rig::TAXELS;
 use anyhow::{Context, ensure};
 use moca_msgs::{Fault, seconds};
 use moca_tactile::Firmware;
@@ -389,7 +390,7 @@ mod tests {
             }
             let arrival_ns = millisecond * 1_000_000;
             let before = bytes.len();
-            board.advance(arrival_ns, &[0.0; 11], &mut |line| bytes.extend_from_slice(line));
+            board.advance(arrival_ns, &[0.0; TAXELS], &mut |line| bytes.extend_from_slice(line));
             if bytes.len() > before {
                 reads.push(Read { arrival_ns, bytes: bytes.len() - before });
             }

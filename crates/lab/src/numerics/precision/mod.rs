@@ -5,6 +5,7 @@ mod control;
 mod diagrams;
 mod plant;
 
+use crate::rig::{JOINTS, TAXELS};
 use crate::cover::characterize;
 use anyhow::{Context, Result};
 use moca_msgs::Parameters;
@@ -77,7 +78,7 @@ fn measure(quick: bool) -> Result<Report> {
     })
 }
 
-fn controller<T: moca_wbc::Scalar>() -> Result<WholeBodyController<7, 11, T>> {
+fn controller<T: moca_wbc::Scalar>() -> Result<WholeBodyController<JOINTS, TAXELS, T>> {
     Ok(WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER)?)
 }
 
