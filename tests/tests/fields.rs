@@ -60,9 +60,18 @@ fn scenarios() -> Vec<Scenario> {
         scenario("pushed", format!("{carried}{hand}"), false, 1200),
         scenario(
             "followed",
-            format!("[startup]\nlaw = \"follow-me\"\n[control.corrections]\nflange_wrench_feedforward = true\n{hand}"),
+            format!(
+                "[startup]\nlaw = \"follow-me\"\n[control.corrections]\nflange_wrench_feedforward = true\n{hand}"
+            ),
             false,
             1200,
+        ),
+        scenario(
+            "turned",
+            format!("[control.gains]\nstiffness = [800.0, 800.0, 800.0, 0.0, 0.0, 0.0]\n{hand}")
+                .replace("40.0", "150.0"),
+            false,
+            1500,
         ),
         scenario("kept soft", format!("[protection]\ncontact_barrier = \"foam\"\n{hand}"), false, 1200),
         scenario("own arm", own_arm(), false, 900),
@@ -92,7 +101,8 @@ fn mask_policy() -> &'static str {
 }
 
 fn urdf_arm() -> String {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/robots")).canonicalize().unwrap();
+    let folder =
+        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/robots")).canonicalize().unwrap();
     format!(
         "[robot]\narm = \"own\"\n[arm]\nurdf = {:?}\nbase_link = \"base_link\"\ntip_link = \"tool0\"\n\
          home_rad = [0.0, -2.0, 2.0, -1.57, -1.57, 0.0]\n",
@@ -134,8 +144,17 @@ fn shown(ticks: u64, mut step: impl FnMut() -> Sample) -> u64 {
     for _ in 0..ticks {
         let sample = step();
         format!("{:?} {:?} {:?}", sample.mode, sample.fault, sample.speed_limit).hash(&mut hasher);
-        let lists = [&sample.q_rad[..], &sample.arm_torque_nm, &sample.base_velocity_command_body, &sample.base_pose_world];
-        let numbers = lists.into_iter().flatten().chain(&sample.flange_wrench_world).chain(&sample.flange_position_world);
+        let lists = [
+            &sample.q_rad[..],
+            &sample.arm_torque_nm,
+            &sample.base_velocity_command_body,
+            &sample.base_pose_world,
+        ];
+        let numbers = lists
+            .into_iter()
+            .flatten()
+            .chain(&sample.flange_wrench_world)
+            .chain(&sample.flange_position_world);
         numbers.for_each(|number| number.to_bits().hash(&mut hasher));
         sample.taxels.iter().for_each(|taxel| taxel.force_n.to_bits().hash(&mut hasher));
     }
@@ -151,7 +170,7 @@ fn others(row: &ParameterSpec, present: &Value) -> Vec<Value> {
         ParameterKind::Choice(words) => {
             words.iter().filter(|word| Some(**word) != present.as_str()).map(|word| (*word).into()).collect()
         }
-        ParameterKind::Text => vec![if present.as_str() == Some("") { "changed" } else { "" }.into()],
+        ParameterKind::Text => vec!["".into(), "changed".into()],
         ParameterKind::Number | ParameterKind::Integer => {
             let changed = |change: &dyn Fn(f64) -> f64| with_numbers(row, present, change);
             let towards = |end: f64| move |value: f64| value + 0.02 * (end - value);
@@ -207,7 +226,8 @@ fn every_setting_is_read_by_somebody() {
     let mut unread: Vec<&'static ParameterSpec> = Vec::new();
     Config::default().each(&mut |row, _| unread.push(row));
     for (name, file) in READ_ELSEWHERE {
-        let text = std::fs::read_to_string(crates.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
+        let text =
+            std::fs::read_to_string(crates.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
         let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap();
         let field = format!(".{}", name.rsplit('.').next().unwrap());
         assert!(code.contains(&field), "{name} is not read in {file}");
@@ -216,7 +236,8 @@ fn every_setting_is_read_by_somebody() {
     }
     let all = unread.len();
     for scenario in scenarios() {
-        let config = Config::parse(&scenario.differs).unwrap_or_else(|error| panic!("{}: {error}", scenario.name));
+        let config =
+            Config::parse(&scenario.differs).unwrap_or_else(|error| panic!("{}: {error}", scenario.name));
         let mut base = config.to_toml();
         if scenario.differs.contains("urdf = ") {
             // as it was written: in a whole configuration what the file says is there already

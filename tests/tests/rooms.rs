@@ -194,7 +194,8 @@ const NAME_THE_BASE: [&str; 4] =
 
 #[test]
 fn only_the_built_in_tables_know_a_robot() {
-    const LENGTHS: [&str; 9] = ["; 7]", "; 11]", "<7>", "<7,", "<11>", ", 11>", "..=11", "..11)", ": usize = 11;"];
+    const LENGTHS: [&str; 9] =
+        ["; 7]", "; 11]", "<7>", "<7,", "<11>", ", 11>", "..=11", "..11)", ": usize = 11;"];
     let mut found = Vec::new();
     for folder in crates() {
         for file in sources(&folder.join("src")) {

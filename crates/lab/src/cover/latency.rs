@@ -393,12 +393,7 @@ impl Step {
     }
 }
 
-fn contact(
-    reading: String,
-    foam: &Foam,
-    delay_s: f64,
-    base: &BaseTable,
-) -> anyhow::Result<ContactReport> {
+fn contact(reading: String, foam: &Foam, delay_s: f64, base: &BaseTable) -> anyhow::Result<ContactReport> {
     let gains = ImpedanceGains::PAPER;
     let deformation_m = foam.deformation_m(FORCE_LIMIT_N);
     let foam_n_m = foam.stiffness_n_per_m(deformation_m);
@@ -586,7 +581,7 @@ mod tests {
 
     #[test]
     fn an_older_reading_allows_less_speed_and_needs_more_damping() {
-        let at = |delay_s| contact(String::new(), &Foam::PU_LD30, delay_s).unwrap();
+        let at = |delay_s| contact(String::new(), &Foam::PU_LD30, delay_s, &Config::default().robot.base).unwrap();
         let (fast, slow) = (at(0.009), at(0.0537));
         assert!(slow.largest_speed_m_s < fast.largest_speed_m_s);
         assert!(slow.damping_needed > fast.damping_needed);

@@ -1,6 +1,5 @@
 //! `moca-lab stream`: what the reader makes of a recorded byte stream.
 
-use crate::rig::TAXELS;
 use anyhow::{Context, ensure};
 use moca_msgs::{Fault, seconds};
 use moca_tactile::Firmware;
@@ -321,6 +320,7 @@ fn as_text(report: &Report) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rig::TAXELS;
     use moca_sim::board::{BoardFault, VirtualBoard, VirtualBoardConfig};
 
     fn report(name: &str, timed: bool) -> Report {

@@ -1,7 +1,7 @@
 //! Figures 5 to 7: the trace of a run in panels, the moments marked, a picture of the robot from above at each.
 
-use crate::rig::{JOINTS, TAXELS};
-use crate::rig::closed_loop::{Row, };
+use crate::rig::closed_loop::Row;
+use crate::rig::TAXELS;
 use anyhow::{Context, Result};
 use moca_figures::{Anchor, BLACK, Drawing, GREY, PALETTE, Panel, RED, Series};
 use moca_sim::{Scene, Shape};
@@ -359,6 +359,7 @@ fn csv(rows: &[Row]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rig::JOINTS;
 
     #[test]
     fn a_force_is_turned_into_the_frame_and_not_out_of_it() {

@@ -1,7 +1,7 @@
 //! The robot of an experiment: the daemon's own loop in lock-step, loads from a script, one row a tick.
 
-use crate::rig::{JOINTS, TAXELS};
 use crate::rig::settings::{Sensor, Settings};
+use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Result, bail, ensure};
 use moca_daemon::control::plant::Simulated;
 use moca_daemon::devices::ideal_cover::IdealCover;

@@ -318,7 +318,10 @@ fn key_list() -> String {
 
 /// `T6` or `6` as an index from 0.
 pub(crate) fn taxel(text: &str) -> Result<usize> {
-    let number: usize = text.trim_start_matches(['T', 't']).parse().with_context(|| format!("expected a taxel, T1 to T{TAXELS}"))?;
+    let number: usize = text
+        .trim_start_matches(['T', 't'])
+        .parse()
+        .with_context(|| format!("expected a taxel, T1 to T{TAXELS}"))?;
     ensure!((1..=TAXELS).contains(&number), "taxel {number} is outside T1 to T{TAXELS}");
     Ok(number - 1)
 }

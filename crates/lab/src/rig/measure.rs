@@ -1,7 +1,7 @@
 //! What every experiment says of its trace.
 
-use crate::rig::TAXELS;
 use crate::paper::push::{difference, rms};
+use crate::rig::TAXELS;
 use crate::rig::closed_loop::Row;
 use serde::Serialize;
 

@@ -1,8 +1,8 @@
 //! `moca-lab lean`: how far, how fast and how hard the arm moves when somebody leans on the cover or hits it, with the
 //! daemon's default protection and a stock board's bytes.
 
-use crate::rig::{JOINTS, TAXELS};
 use crate::rig::parallel;
+use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result, ensure};
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::plant::Simulated;

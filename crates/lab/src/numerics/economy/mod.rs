@@ -2,8 +2,8 @@
 
 mod parts;
 
-use crate::rig::JOINTS;
 use crate::paper::collision;
+use crate::rig::JOINTS;
 use crate::rig::cpu_time;
 use crate::rig::settings::Settings;
 use anyhow::Result;

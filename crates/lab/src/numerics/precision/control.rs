@@ -1,11 +1,11 @@
 //! The controller's side: how often it runs, how eq. (2) is discretised, single precision.
 
-use crate::rig::{JOINTS, TAXELS};
 use super::controller;
 use crate::paper::push;
 use crate::rig::closed_loop::Rig;
 use crate::rig::cpu_time;
 use crate::rig::settings::Settings;
+use crate::rig::{JOINTS, TAXELS};
 use anyhow::Result;
 use moca_msgs::{Actuation, Law, RobotState};
 use moca_sim::{Scene, SimPlant};

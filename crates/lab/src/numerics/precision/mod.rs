@@ -5,8 +5,8 @@ mod control;
 mod diagrams;
 mod plant;
 
-use crate::rig::{JOINTS, TAXELS};
 use crate::cover::characterize;
+use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result};
 use moca_msgs::Parameters;
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, Payload};

@@ -3,8 +3,8 @@
 //! The controller runs every 4 ms whatever the physics step: the control input is held on one grid, and runs differ in
 //! nothing but integrator and step.
 
-use crate::rig::TAXELS;
 use super::controller;
+use crate::rig::TAXELS;
 use crate::rig::cpu_time;
 use anyhow::{Context, Result};
 use moca_msgs::Actuation;
