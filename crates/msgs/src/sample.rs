@@ -2,7 +2,7 @@
 
 use crate::board::Diagnosis;
 use crate::protection::MAX_CONTACT_EVENTS;
-use crate::{ContactEvent, ContactReaction, Fault, Mode, SpeedLimit, TaxelReading};
+use crate::{ContactEvent, ContactReaction, Fault, Law, Mode, SpeedLimit, TaxelReading};
 use heapless::Vec;
 
 /// Most arm joints a sample can carry.
@@ -25,6 +25,8 @@ pub struct Sample {
     pub mode: Mode,
     /// Why the robot is stopped, if it is.
     pub fault: Option<Fault>,
+    /// The selected law, which arming starts; `None` in a log that does not say.
+    pub law: Option<Law>,
     /// Pose of B in W: m, m, rad.
     pub base_pose_world: [f64; 3],
     /// Rate of the pose: m/s, m/s, rad/s.

@@ -162,6 +162,11 @@ impl Supervisor {
         self.mode
     }
 
+    /// The selected law.
+    pub const fn law(&self) -> Law {
+        self.law
+    }
+
     /// Why the robot is stopped, or what it is waiting for.
     pub const fn cause(&self) -> Option<Fault> {
         self.cause

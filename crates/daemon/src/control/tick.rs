@@ -180,6 +180,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             time_ns: slot.now_ns,
             mode: self.supervisor.mode(),
             fault: self.supervisor.cause(),
+            law: Some(self.supervisor.law()),
             frame_age_s: age_s.unwrap_or(-1.0),
             frame_rate_hz: cover.rate_hz,
             frames_good: cover.frames_good,

@@ -3,7 +3,8 @@
 
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
-    ContactEvent, ContactReaction, Fault, Mode, SpeedLimit, SpeedLimitReason, TaxelStatus, board::Diagnosis,
+    ContactEvent, ContactReaction, Fault, Law, Mode, SpeedLimit, SpeedLimitReason, TaxelStatus,
+    board::Diagnosis,
 };
 use schemars::{JsonSchema, generate::SchemaSettings};
 use serde::{Deserialize, Deserializer, Serialize, de::Error};
@@ -89,6 +90,10 @@ pub struct Command {
     #[serde(default)]
     #[schemars(with = "String")]
     pub speed_limit_reason: SpeedLimitReason,
+    /// The selected law, impedance or follow-me.
+    #[serde(default)]
+    #[schemars(with = "Option<String>")]
+    pub law: Option<Law>,
     /// Reaction to a contact in force; empty without one.
     #[serde(default)]
     pub contact_reaction: String,
