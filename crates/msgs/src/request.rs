@@ -49,6 +49,27 @@ pub enum Request {
     },
 }
 
+impl Request {
+    /// The modes in which it is taken; in every other it is refused with [`Refusal::Mode`]. Which of them is carried out
+    /// depends on cover and robot too.
+    pub const fn taken_in(&self) -> &'static [Mode] {
+        use Mode::{Fault, FollowMe, Impedance, ProtectiveStop, Ready, Starting, Taring};
+        match self {
+            Self::Stop | Self::OperatorLost | Self::SelectLaw(_) => {
+                &[Starting, Taring, Ready, Impedance, FollowMe, ProtectiveStop]
+            }
+            Self::Tare => &[Starting, Ready, ProtectiveStop],
+            Self::Arm => &[Ready],
+            Self::Disarm => &[Impedance, FollowMe],
+            Self::Resume => &[ProtectiveStop],
+            Self::MaskTaxel { .. } => &[Starting, Taring, Ready, ProtectiveStop, Fault],
+            Self::PressTaxel { .. } | Self::SetParameter { .. } => {
+                &[Starting, Taring, Ready, Impedance, FollowMe, ProtectiveStop, Fault]
+            }
+        }
+    }
+}
+
 /// Why a request was not carried out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]

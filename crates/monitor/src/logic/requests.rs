@@ -31,17 +31,9 @@ pub fn explanation(request: Request) -> &'static str {
     }
 }
 
-/// Whether the daemon would take it in `mode`; `None` is a daemon that has not said its mode yet.
+/// Whether the daemon would take it in `mode`; `None` is a daemon that has not said its mode yet. A stop is never greyed out.
 pub fn fits(request: Request, mode: Option<Mode>) -> bool {
-    match request {
-        Request::Stop => true,
-        Request::Tare => matches!(mode, Some(Mode::Ready | Mode::ProtectiveStop)),
-        Request::Arm => mode == Some(Mode::Ready),
-        Request::Disarm => mode.is_some_and(Mode::moves),
-        Request::Resume => mode == Some(Mode::ProtectiveStop),
-        Request::MaskTaxel { .. } => mode.is_some_and(|m| !m.moves() && m != Mode::Fault),
-        _ => mode.is_some_and(|m| m != Mode::Fault),
-    }
+    request == Request::Stop || mode.is_some_and(|mode| request.taken_in().contains(&mode))
 }
 
 /// A request as text.

@@ -1,5 +1,14 @@
 //! The messages of a log that viewers read, one type for each channel. Units and frames as in [`moca_msgs::Sample`];
 //! numbers have seven digits, a value that is not finite is `null` and read back as NaN.
+//!
+//! ```
+//! use moca_telemetry::log::records::{Channel, Timing};
+//! let message = r#"{"tick": 7, "lateness_s": null, "overruns": 0, "frames_good": 40, "frames_bad": 0}"#;
+//! let timing: Timing = serde_json::from_str(message)?;
+//! assert_eq!((Timing::TOPIC, timing.tick), ("/timing", 7));
+//! assert!(timing.lateness_s.is_nan());
+//! # Ok::<(), serde_json::Error>(())
+//! ```
 
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
