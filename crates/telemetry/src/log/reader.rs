@@ -292,7 +292,7 @@ impl Decoder {
             time_ns: log_time.saturating_sub(self.start_unix_ns),
             mode: self.mode,
             fault: self.fault,
-            law: command.law,
+            law: command.law(),
             base_pose_world: state.base_pose_world,
             base_velocity_world: state.base_velocity_world,
             cover_speed_m_s: state.cover_speed_m_s,

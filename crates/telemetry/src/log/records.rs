@@ -99,10 +99,9 @@ pub struct Command {
     #[serde(default)]
     #[schemars(with = "String")]
     pub speed_limit_reason: SpeedLimitReason,
-    /// The selected law, impedance or follow-me.
+    /// The selected law, impedance or follow-me; empty where it is not known.
     #[serde(default)]
-    #[schemars(with = "Option<String>")]
-    pub law: Option<Law>,
+    pub law: String,
     /// Reaction to a contact in force; empty without one.
     #[serde(default)]
     pub contact_reaction: String,
@@ -112,6 +111,11 @@ impl Command {
     /// The speed limit.
     pub fn speed_limit(&self) -> SpeedLimit {
         SpeedLimit { m_s: self.speed_limit_m_s, reason: self.speed_limit_reason }
+    }
+
+    /// The selected law.
+    pub fn law(&self) -> Option<Law> {
+        [Law::Impedance, Law::FollowMe].into_iter().find(|law| Mode::from(*law).name() == self.law)
     }
 
     /// The reaction to a contact.
