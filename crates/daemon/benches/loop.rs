@@ -50,7 +50,7 @@ fn recorded_events(ticks: u64) -> Vec<Vec<BoardEvent>> {
         .map(|tick| {
             let request = (tick == 2000).then_some(Request::PressTaxel { taxel: 5, force_n: 20.0 });
             world.step(request);
-            std::iter::from_fn(|| out.pop().ok().map(|(_, event)| event)).collect()
+            std::iter::from_fn(|| out.pop().ok().map(|copy| copy.event)).collect()
         })
         .collect()
 }
@@ -61,8 +61,10 @@ fn bench(criterion: &mut Criterion) {
     group.bench_function("bytes_to_command", |bencher| {
         let events = recorded_events(6000);
         let (mut cable, consumer) = rtrb::RingBuffer::new(64);
-        let cover =
-            ByteCover::new(Cover::new(cover_config(&config()).unwrap()).unwrap(), BoardEvents::new(consumer));
+        let cover = ByteCover::new(
+            Cover::new(cover_config(&config()).unwrap()).unwrap(),
+            BoardEvents::new([consumer]),
+        );
         let world =
             LockStep::with_board(&config(), &Scene::default(), VirtualBoardConfig::default(), None).unwrap();
         let standing = StandingRobot(world.control.plant.world.state());
@@ -94,6 +96,16 @@ fn bench(criterion: &mut Criterion) {
         bencher.iter(|| last = run(&mut cable));
         assert_eq!(last.mode, Mode::Impedance, "the law ran to the end, no fault crept in");
         assert!(last.frames_bad <= 1 + last.tick.saturating_sub(6000) / 988, "only frames at a seam are bad");
+    });
+
+    // What a log is given once a second, so that its last ticks can be run again.
+    group.bench_function("state", |bencher| {
+        let mut world =
+            LockStep::with_board(&config(), &Scene::default(), VirtualBoardConfig::default(), None).unwrap();
+        for _ in 0..2000 {
+            world.step(None);
+        }
+        bencher.iter(|| black_box(world.control.state()));
     });
 
     group.bench_function("tick", |bencher| {

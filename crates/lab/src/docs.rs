@@ -2,6 +2,7 @@
 //!
 //! A table stands between `<!-- moca-lab docs NAME … -->` and `<!-- end of NAME -->`; the text around it is for people.
 
+use crate::cover::latency;
 use crate::numerics::stability;
 use crate::paper::report::claims;
 use crate::rig::c_library;
@@ -27,8 +28,9 @@ struct Table {
     make: fn() -> Result<String>,
 }
 
-const TABLES: [Table; 3] = [
+const TABLES: [Table; 4] = [
     Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
+    Table { name: "boards", file: "README.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
 ];
@@ -98,6 +100,34 @@ mod tests {
     #[test]
     fn the_reactions_to_faults_in_the_documents_are_what_the_trials_print() {
         is_what_is_printed("faults");
+    }
+
+    /// All of them take minutes: one in ten is run, and has to stand where the table has it.
+    #[test]
+    fn cases_of_the_stability_table_come_out_where_it_has_them() {
+        let text =
+            read(&Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("docs/results.md")).unwrap();
+        let (_, shown, _) = split(&text, "stability").unwrap();
+        if shown.lines().next() != Some(head("stability").as_str()) {
+            return;
+        }
+        let named = |row: &str| -> Vec<&str> {
+            let line = shown.lines().find(|line| line.starts_with(&format!("| {row} |"))).unwrap();
+            line.split_once('(').unwrap().1.trim_end_matches(") |").split(", ").collect()
+        };
+        let (unbounded, stopped) = (named("not bounded"), named("the robot stopped by itself"));
+        let cases = stability::one_in(10).unwrap();
+        assert!(cases.len() > 5 && unbounded.len() > 5);
+        for case in cases {
+            let name = case.name.as_str();
+            assert_eq!(unbounded.contains(&name), case.touched() && !case.bounded, "{case:?}");
+            assert_eq!(stopped.contains(&name), case.stopped.is_some(), "{case:?}");
+        }
+    }
+
+    #[test]
+    fn what_each_board_allows_is_what_latency_prints() {
+        is_what_is_printed("boards");
     }
 
     #[test]

@@ -25,6 +25,8 @@ pub struct Sample {
     pub mode: Mode,
     /// Why the robot is stopped, if it is.
     pub fault: Option<Fault>,
+    /// The board whose fault it is, 0 is the first; `None` where it is of no board.
+    pub fault_board: Option<u8>,
     /// The selected law, which arming starts; `None` in a log that does not say.
     pub law: Option<Law>,
     /// Pose of B in W: m, m, rad.

@@ -46,6 +46,8 @@ pub struct Poll<const K: usize> {
     pub forces: Result<[f64; K], (usize, TaxelStatus)>,
     /// The gravest fault, if any.
     pub fault: Option<Fault>,
+    /// The board that it is of, 0 is the first; `None` if it is of none.
+    pub fault_board: Option<u8>,
     /// What frames say that are not complete yet.
     pub early: EarlyContact<K>,
 }
@@ -60,6 +62,7 @@ pub struct EarlyContact<const K: usize> {
 }
 
 #[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 struct Taxel {
     fdat: u16,
     force_n: f64,
@@ -71,6 +74,7 @@ struct Taxel {
 }
 
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 struct Board<S> {
     source: S,
     banks: [Bank; BANKS],
@@ -78,6 +82,7 @@ struct Board<S> {
 
 /// Twelve electrodes whose data comes together.
 #[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 struct Bank {
     carries_taxels: bool,
     sampled_at_ns: Option<u64>,
@@ -101,8 +106,10 @@ impl<S> Board<S> {
 
 /// The cover. Allocates nothing; every method returns in bounded time.
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Cover<const K: usize, S: FrameSource = BoardMonitor> {
     config: CoverConfig<K>,
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     taxels: [Taxel; K],
     boards: heapless::Vec<Board<S>, MAX_BOARDS>,
     tare: TareStatus,
@@ -232,12 +239,17 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         }
         reading.sampled_at_ns = oldest(self.boards.iter().flat_map(Board::wired).map(|b| b.sampled_at_ns));
         let forces = self.forces(&reading);
-        Poll { reading, forces, fault: self.fault(&forces, now_ns), early: self.early() }
+        let (fault, fault_board) = self.fault(&forces, now_ns).unzip();
+        Poll { reading, forces, fault, fault_board: fault_board.flatten(), early: self.early() }
     }
 
     /// FDAT of the last usable frame, T1 first; 0 before one came.
     pub fn counts(&self) -> [u16; K] {
-        core::array::from_fn(|i| self.taxels[i].fdat)
+        let mut counts = [0; K];
+        for (count, taxel) in counts.iter_mut().zip(&self.taxels).take(self.config.taxels) {
+            *count = taxel.fdat;
+        }
+        counts
     }
 
     /// Zero of each taxel, T1 first.
@@ -267,25 +279,39 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         Ok(forces)
     }
 
-    fn fault(&self, forces: &Result<[f64; K], (usize, TaxelStatus)>, now_ns: u64) -> Option<Fault> {
-        let stream = self.boards.iter().find_map(|b| b.source.fault(now_ns));
-        let mut banks = self.boards.iter().flat_map(Board::wired);
-        let common = banks.any(|b| b.common_mode >= COMMON_MODE_FRAMES).then_some(Fault::BoardCommonMode);
+    /// The gravest fault, and the board that it is of.
+    fn fault(
+        &self,
+        forces: &Result<[f64; K], (usize, TaxelStatus)>,
+        now_ns: u64,
+    ) -> Option<(Fault, Option<u8>)> {
+        let first = |of: &dyn Fn(&Board<S>) -> Option<Fault>| {
+            (0u8..).zip(&self.boards).find_map(|(number, board)| Some((of(board)?, Some(number))))
+        };
+        let mismatch = |board: &Board<S>| {
+            let (expected, found) = self.config.calibrated_firmware.zip(board.source.firmware())?;
+            (expected != found).then_some(Fault::CalibrationMismatch)
+        };
+        let common_mode = |board: &Board<S>| {
+            let shifted = board.wired().any(|bank| bank.common_mode >= COMMON_MODE_FRAMES);
+            shifted.then_some(Fault::BoardCommonMode)
+        };
         let taxel = || match *forces {
             Ok(_) => None,
-            Err((_, TaxelStatus::NoZero)) => Some(Fault::ZeroInvalid),
+            Err((_, TaxelStatus::NoZero)) => Some((Fault::ZeroInvalid, None)),
             // The stream has no fault, so frames do come: each after a gap that makes its age unknown.
-            Err((_, TaxelStatus::Stale)) => Some(Fault::BoardSlow),
+            Err((i, TaxelStatus::Stale)) => {
+                Some((Fault::BoardSlow, self.config.wiring.get(i).map(|wire| wire.board)))
+            }
             Err((i, status)) => {
-                Some(Fault::TaxelInvalid { taxel: u8::try_from(i).unwrap_or(u8::MAX), status })
+                let taxel = u8::try_from(i).unwrap_or(u8::MAX);
+                Some((Fault::TaxelInvalid { taxel, status }, None))
             }
         };
-        let other_firmware = |board: &Board<S>| {
-            let expected = self.config.calibrated_firmware;
-            expected.zip(board.source.firmware()).is_some_and(|(expected, found)| expected != found)
-        };
-        let mismatch = self.boards.iter().any(other_firmware).then_some(Fault::CalibrationMismatch);
-        stream.or(mismatch).or(common).or_else(taxel)
+        first(&|board| board.source.fault(now_ns))
+            .or_else(|| first(&mismatch))
+            .or_else(|| first(&common_mode))
+            .or_else(taxel)
     }
 
     fn status(&self, i: usize, now_ns: u64) -> TaxelStatus {
@@ -317,11 +343,8 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
 
     fn void_zero_on_stream_fault(&mut self, board: usize, now_ns: u64) {
         let fault = self.boards.get(board).and_then(|b| b.source.fault(now_ns));
-        let zeroed = self
-            .taxels
-            .iter()
-            .zip(&self.config.wiring)
-            .any(|(taxel, wire)| usize::from(wire.board) == board && taxel.zero.is_some());
+        let mut wired = self.taxels.iter().zip(&self.config.wiring).take(self.config.taxels);
+        let zeroed = wired.any(|(taxel, wire)| usize::from(wire.board) == board && taxel.zero.is_some());
         let taring = matches!(self.tare, TareStatus::InProgress { .. });
         if (zeroed || taring) && fault.is_some_and(voids_zero) {
             self.invalidate(board);
@@ -378,13 +401,13 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
     }
 
     fn follow_drift(&mut self, board: usize, bank: usize, now_ns: u64, dt_s: f64) {
-        if self.taxels.iter().any(|taxel| taxel.in_contact) {
+        if self.taxels.iter().take(self.config.taxels).any(|taxel| taxel.in_contact) {
             self.last_contact_ns = now_ns;
         }
         if now_ns.saturating_sub(self.last_contact_ns) < SETTLE_NS {
             return;
         }
-        for (taxel, wire) in self.taxels.iter_mut().zip(&self.config.wiring) {
+        for (taxel, wire) in self.taxels.iter_mut().zip(&self.config.wiring).take(self.config.taxels) {
             if wire.is_on(board, bank)
                 && let Some(zero) = &mut taxel.zero
             {
@@ -395,7 +418,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
 
     fn watch_common_mode(&mut self, board: usize, bank: usize) {
         let (mut drops, mut count) = ([0.0; K], 0);
-        for (i, taxel) in self.taxels.iter().enumerate() {
+        for (i, taxel) in self.taxels.iter().enumerate().take(self.config.taxels) {
             if self.config.wiring[i].is_on(board, bank)
                 && !self.config.masked[i]
                 && let Some(zero) = &taxel.zero

@@ -26,6 +26,14 @@ pub const POSTURE_SPEED_RAD_S: f64 = 0.5;
 
 /// A pose: position, m, and axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(
+    feature = "serde",
+    serde(bound(
+        serialize = "T: crate::Scalar + serde::Serialize",
+        deserialize = "T: crate::Scalar + serde::Deserialize<'de>"
+    ))
+)]
 pub(crate) struct Pose<T> {
     pub position: Vector3<T>,
     pub rotation: Matrix3<T>,
@@ -34,6 +42,14 @@ pub(crate) struct Pose<T> {
 /// Target pose and twist of the tool frame, and the reference on its way there; in W for the impedance law, in B for
 /// follow-me.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(
+    feature = "serde",
+    serde(bound(
+        serialize = "T: crate::Scalar + serde::Serialize",
+        deserialize = "T: crate::Scalar + serde::Deserialize<'de>"
+    ))
+)]
 pub(crate) struct Reference<T> {
     target: Pose<T>,
     twist: [T; 6],

@@ -95,11 +95,11 @@ fn force_n(together: f64, scene: &Scene) -> f64 {
 }
 
 fn run(scene: &Scene) -> Outcome {
-    let outline = CoverOutline::<11, f64>::new(&PAPER_COVER);
+    let outline = CoverOutline::<11, f64>::new(&PAPER_COVER).unwrap();
     let limits = BaseLimits::<f64>::from(&Parameters::PAPER.limits);
     let acceleration = Parameters::PAPER.limits.base_acceleration;
     let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
-    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings);
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
     let (mut x, mut u, mut commanded) = (0.0, scene.wanted_m_s, [scene.wanted_m_s, 0.0, 0.0]);
     let mut outcome = Outcome::default();
     let (mut sum, mut held, mut since, mut shown) = (0.0, 0.0, 0, VecDeque::new());
@@ -274,7 +274,7 @@ fn a_taxel_whose_readings_end_backs_off_and_stands() {
 
 #[test]
 fn hands_that_leave_no_way_out_share_what_is_too_much() {
-    let outline = CoverOutline::<11, f64>::new(&PAPER_COVER);
+    let outline = CoverOutline::<11, f64>::new(&PAPER_COVER).unwrap();
     let limits = BaseLimits::<f64>::from(&Parameters::PAPER.limits);
     // T2 and T9 face each other: both ask for room, one for more
     let mut outward_m_s = [f64::INFINITY; 11];
@@ -294,7 +294,7 @@ fn hands_that_leave_no_way_out_share_what_is_too_much() {
 #[test]
 fn what_is_no_number_changes_nothing() {
     let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
-    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings);
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
     let fine = BarrierInput::new(
         [Some(TaxelSample { force_n: 8.0, age_s: 0.01 }); 11],
         [0.1, 0.0, 0.0],

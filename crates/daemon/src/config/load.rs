@@ -1,7 +1,7 @@
 //! Configuration files: read, checked, written. One pass reports every mistake, each with its line and its key.
 
-use super::{Config, ConfigError};
-use crate::robot::{Arm, JOINTS};
+use super::{Config, ConfigError, OwnArm};
+use crate::robot::{Arm, JOINTS, OWN_ARM};
 use moca_msgs::table::{Field, FieldValue, ParameterKind, ParameterSpec, Size};
 use std::path::Path;
 use toml::Spanned;
@@ -28,21 +28,27 @@ impl Config {
     /// # Errors
     /// Every mistake in it, or why it could not be read.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        Self::parse(&read_text(path)?)
+        Self::parse_in(&read_text(path)?, path.parent().unwrap_or(Path::new("")))
     }
 
-    /// Parses and checks a configuration; what it does not name keeps its default.
+    /// Parses and checks a configuration; what it does not name keeps its default. A URDF is looked for in the working
+    /// directory.
     ///
     /// # Errors
     /// Every mistake in it, each with its line.
     pub fn parse(text: &str) -> Result<Self, ConfigError> {
-        let (root, values) = syntax(text)?;
+        Self::parse_in(text, Path::new(""))
+    }
+
+    fn parse_in(text: &str, folder: &Path) -> Result<Self, ConfigError> {
+        let (root, mut values) = syntax(text)?;
         let mut mistakes = Mistakes::new(text, root);
-        let arm = find(&values, "robot.arm").and_then(toml::Value::as_str).and_then(Arm::built_in);
-        let mut config = Self::with_arm(arm.unwrap_or_default());
         let mut known = toml::Table::new();
-        config.each(&mut |row, _| insert(&mut known, row.name, toml::Value::Boolean(true)));
+        Self::default().each(&mut |row, _| insert(&mut known, row.name, toml::Value::Boolean(true)));
         mistakes.unknown_keys(&known);
+        let Some(arm) = arm(&values, folder, &mut mistakes) else { return mistakes.or(Self::default()) };
+        let mut config = Self::with_arm(arm);
+        values.remove("arm");
         let joints = config.arm().joints;
         config.each(&mut |row, field| {
             if let Some(value) = find(&values, row.name)
@@ -91,6 +97,29 @@ impl Config {
         });
         result
     }
+}
+
+/// The arm that a configuration names; `None` after a mistake in its own description, for without an arm no list that goes
+/// joint by joint can be judged.
+fn arm(values: &toml::Table, folder: &Path, mistakes: &mut Mistakes<'_>) -> Option<Arm> {
+    let named = find(values, "robot.arm").and_then(toml::Value::as_str);
+    let mut own = OwnArm::default();
+    let mut fine = true;
+    own.each(&mut |row, field| {
+        let taken = find(values, row.name).map_or(Ok(()), |value| take(row, field, value, 0));
+        if let Err(message) = taken {
+            mistakes.add(row.name, &message);
+            fine = false;
+        }
+    });
+    if named == Some(OWN_ARM) && fine {
+        let arm = own.arm(folder);
+        return arm.map_err(|(row, message)| mistakes.add(row, &message)).ok();
+    }
+    if named != Some(OWN_ARM) && own != OwnArm::default() {
+        mistakes.add("arm", "[arm] is read where robot.arm = \"own\", which this file does not say");
+    }
+    (named != Some(OWN_ARM)).then(|| named.and_then(Arm::built_in).unwrap_or_default())
 }
 
 /// The text of a file: a regular one, of at most a mebibyte, so that no pipe or device is waited for.
@@ -209,8 +238,16 @@ pub(crate) fn take(
         Err(format!("{} = {}; expected {}{now}", row.name, shown(value), expected(row, joints)))
     };
     match row.kind {
-        ParameterKind::Text | ParameterKind::Choice(_) => match value {
-            toml::Value::String(text) if field.take(FieldValue::Text(text)) => Ok(()),
+        ParameterKind::Text | ParameterKind::Choice(_) => match (value, row.size) {
+            (toml::Value::String(text), _) if field.take(FieldValue::Text(text)) => Ok(()),
+            (toml::Value::Array(list), Size::AtMost(most)) if list.len() <= most => {
+                let texts: Option<Vec<&str>> = list.iter().map(toml::Value::as_str).collect();
+                if texts.is_some_and(|texts| field.take(FieldValue::Texts(&texts))) {
+                    Ok(())
+                } else {
+                    wrong()
+                }
+            }
             _ => wrong(),
         },
         ParameterKind::Number | ParameterKind::Integer | ParameterKind::Flag => {
@@ -259,6 +296,9 @@ fn expected(row: &ParameterSpec, joints: usize) -> String {
         Size::One => one.into(),
         Size::Exactly(count) => format!("a list of {count} {many}"),
         Size::Joints => format!("a list of {joints} {many}, one for each joint"),
+        Size::AtMost(count) if row.kind == ParameterKind::Text => {
+            format!("{one}, or a list of 1 to {count} {many}")
+        }
         Size::AtMost(count) => format!("a list of up to {count} {many}"),
     }
 }
@@ -286,7 +326,8 @@ pub(crate) fn written(row: &ParameterSpec, field: &dyn Field, joints: usize) -> 
     let mut written = toml::Value::String(String::new());
     field.see(&mut |value| {
         written = match (value, row.size) {
-            (FieldValue::Text(text), _) => toml::Value::String(text.into()),
+            (FieldValue::Text(text) | FieldValue::Texts(&[text]), _) => toml::Value::String(text.into()),
+            (FieldValue::Texts(texts), _) => texts.to_vec().into(),
             (FieldValue::Numbers([one]), Size::One) => number(one),
             (FieldValue::Numbers(many), size) => {
                 let count = if size == Size::Joints { joints } else { many.len() };
@@ -395,7 +436,7 @@ mod tests {
                 "line 13: realtime.priority = 10.5; expected a whole number",
                 "line 14: realtime.cpu = \"first\"; expected a whole number",
                 "line 16: board.masked = a list of 2; expected a list of up to 48 whole numbers",
-                "line 17: board.port = 3; expected a text in quotes",
+                "line 17: board.port = 3; expected a text in quotes, or a list of 1 to 2 texts",
                 "line 18: unknown key board.prot; allowed here: calibration, firmware, gauge, gauge_baud, mask_policy, masked, \
                  model, name, port",
                 "line 20: plant.kind = a list of 1; expected \"simulated\" or \"none\"",
@@ -450,7 +491,7 @@ mod tests {
     #[test]
     fn a_file_names_only_what_it_changes() {
         let config = Config::parse("[board]\nport = \"/dev/ttyACM0\"\n").unwrap();
-        assert_eq!(config.board.port, "/dev/ttyACM0");
+        assert_eq!(config.board.port, "/dev/ttyACM0".into());
         assert_eq!(config.control, Config::default().control);
     }
 

@@ -4,32 +4,35 @@
 mod check;
 pub mod contact_limits;
 pub mod load;
+mod own_arm;
+mod ports;
 pub mod schema;
+pub mod urdf;
+
+pub use own_arm::OwnArm;
+
+pub(crate) use ports::AUTO_PORT;
+#[cfg(feature = "board")]
+pub(crate) use ports::NAMED_PORT;
+pub use ports::Ports;
 
 use crate::robot::{Arm, JOINTS, Parts, PlantKind, Robot, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::robot::AnyArm;
 use moca_msgs::table::{Field, ParameterSpec};
 use moca_msgs::{
-    ContactReaction, Corrections, ImpedanceGains, Law, Limits, MAX_TAXELS, Parameters, TaxelPlacement,
-    choice, parameter_table,
+    ContactReaction, Corrections, ImpedanceGains, Law, Limits, MAX_TAXELS, Parameters, choice,
+    parameter_table,
 };
 use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
-use moca_tactile::cover::{Electrode, MaskPolicy};
+use moca_tactile::cover::MaskPolicy;
 use moca_tactile::model::ASSUMED_ERROR_FROM_N;
 use moca_tactile::{CoverConfig, Firmware, TaxelModel};
 use moca_telemetry::net::{Address, DEFAULT_ADDRESS};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// `board.port` of the virtual Touch Board.
-pub const VIRTUAL_PORT: &str = "virtual";
-/// `board.port` that looks for a Touch Board's USB id.
-pub(crate) const AUTO_PORT: &str = "auto";
-/// `board.port` that looks for the board with the name that follows, in its EEPROM.
-#[cfg(feature = "board")]
-pub(crate) const NAMED_PORT: &str = "name:";
 /// `telemetry.listen` that asks the environment.
 const AUTO_LISTEN: &str = "auto";
 /// The service's socket in systemd's RuntimeDirectory.
@@ -49,6 +52,8 @@ const LAST_TAXEL: f64 = MAX_TAXELS as f64;
 pub struct Config {
     /// `[robot]`: arm, base, cover, tool and load.
     pub robot: Robot,
+    /// `[arm]`: lists that give an arm of one's own back; empty for one that is built in.
+    pub own_arm: OwnArm,
     /// `[loop]`
     pub control_loop: LoopConfig,
     /// `[realtime]`
@@ -121,11 +126,12 @@ parameter_table! {
     /// `[board]`
     #[derive(Clone, Debug, PartialEq)]
     pub struct BoardConfig in "board" {
-        /// "virtual", "auto" (the only board there is), "name:" and the name in its EEPROM, or a path.
-        port: String = VIRTUAL_PORT.into();
+        /// "virtual", "avr" (the firmware itself, simulated), "auto" (the only board there is), "name:" and the name in its
+        /// EEPROM, or a path; of two boards a list.
+        port: Ports = Ports::default();
         /// What runs on the virtual board; a real one is recognised by what it sends.
         firmware: Firmware = Firmware::Moca;
-        /// The board's name in its calibration file.
+        /// The name of the board, or of both together, in the calibration file.
         name: String = String::new();
         /// File that `mocad calibrate` wrote; empty for none.
         calibration: String = String::new();
@@ -313,6 +319,7 @@ impl Config {
                 corrections: Corrections::default(),
             },
             limits: Limits::for_arm(table),
+            own_arm: OwnArm::of(&arm),
             robot: Robot { arm, ..Robot::default() },
             control_loop: LoopConfig::default(),
             realtime: RealtimeConfig::default(),
@@ -333,6 +340,7 @@ impl Config {
         self.control.corrections.each(visit);
         self.limits.each(visit);
         self.robot.each_part(visit);
+        self.own_arm.each(visit);
         self.control_loop.each(visit);
         self.realtime.each(visit);
         self.plant.each(visit);
@@ -362,8 +370,8 @@ impl Config {
             force_max_n: self.limits.taxel_force_n,
             ..CoverConfig::default()
         };
-        for (wire, number) in cover.wiring.iter_mut().zip(self.robot.cover.electrodes()) {
-            *wire = Electrode { board: 0, electrode: u8::try_from(number).unwrap_or(u8::MAX) };
+        for (wire, taxel) in cover.wiring.iter_mut().zip(self.robot.cover.wiring()) {
+            *wire = taxel;
         }
         for &taxel in &self.board.masked {
             if let Some(masked) = taxel.checked_sub(1).and_then(|i| cover.masked.get_mut(i)) {
@@ -396,17 +404,6 @@ impl Config {
     /// The arm's table.
     pub const fn arm(&self) -> &AnyArm {
         &self.robot.arm.table
-    }
-
-    /// Where the taxels sit on the base, T1 first; those beyond the last are in the middle, where they change nothing.
-    pub fn taxels(&self) -> [TaxelPlacement; TAXELS] {
-        const NOWHERE: TaxelPlacement =
-            TaxelPlacement { position_base_m: [0.0; 2], inward_angle_base_rad: 0.0 };
-        let mut taxels = [NOWHERE; TAXELS];
-        for (place, taxel) in taxels.iter_mut().zip(self.robot.cover.placements()) {
-            *place = taxel;
-        }
-        taxels
     }
 
     /// The controllers' parameters.

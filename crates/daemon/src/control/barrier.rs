@@ -6,9 +6,10 @@ use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::robot::resized;
 use moca_msgs::{ParameterError, RobotState, TaxelStatus};
 use moca_wbc::contact_barrier::{
-    BarrierInput, BarrierSettings, ContactBarrier, ContactLimits, FoamCurve, TaxelSample,
+    BarrierInput, BarrierSettings, BarrierState, ContactBarrier, ContactLimits, FoamCurve, TaxelSample,
 };
 use moca_wbc::{ArmModel, ControlError, FlangePose};
+use serde::{Deserialize, Serialize};
 
 /// PU LD30's elastic law, which an uncalibrated cover is read with.
 const PU_LD30: FoamCurve = FoamCurve::Power { depth_at_100n_m: 0.0114, exponent: 1.586 };
@@ -18,10 +19,16 @@ const PU_LD30: FoamCurve = FoamCurve::Power { depth_at_100n_m: 0.0114, exponent:
 pub struct Barrier {
     contacts: ContactBarrier<TAXELS>,
     samples: [Option<TaxelSample>; TAXELS],
-    taxels: usize,
     /// Flange from the base with the arm in its posture, axes of B, m; of an arm that holds its place in the world.
     home_body_m: Option<[f64; 2]>,
     /// Flange from the base in the last tick, axes of B, m.
+    flange_body_m: Option<[f64; 2]>,
+}
+
+/// What a [`Barrier`] remembers from tick to tick.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct BarrierMemory {
+    contacts: BarrierState<TAXELS>,
     flange_body_m: Option<[f64; 2]>,
 }
 
@@ -29,7 +36,7 @@ impl Barrier {
     /// As configured; `None` where there is none.
     ///
     /// # Errors
-    /// A foam or a force limit out of range.
+    /// A foam, a force limit or a taxel's place out of range.
     pub fn new<const N: usize>(
         config: &Config,
         arm: Option<&ArmModel<N, f64>>,
@@ -38,12 +45,22 @@ impl Barrier {
         let posture_rad = resized(&config.parameters().gains.posture_rad);
         let home = arm.map(|model| model.kinematics(0.0, &posture_rad).tool_from_base());
         Ok(Some(Self {
-            contacts: ContactBarrier::new(&config.taxels(), &settings),
+            contacts: ContactBarrier::new(&config.robot.cover.placements(), &settings)?,
             samples: [None; TAXELS],
-            taxels: config.robot.cover.count(),
             home_body_m: home.map(|home| [home.x, home.y]),
             flange_body_m: None,
         }))
+    }
+
+    /// What it remembers.
+    pub fn state(&self) -> BarrierMemory {
+        BarrierMemory { contacts: self.contacts.state().clone(), flange_body_m: self.flange_body_m }
+    }
+
+    /// Goes on from where `state` was taken.
+    pub fn restore(&mut self, state: &BarrierMemory) {
+        self.contacts.restore(&state.contacts);
+        self.flange_body_m = state.flange_body_m;
     }
 
     /// Takes in what the cover says in the tick at `now_ns`.
@@ -72,11 +89,7 @@ impl Barrier {
         if let (true, Some(home), Some(flange)) = (holds_place, self.home_body_m, self.flange_body_m) {
             input.stretch_body_m = [flange[0] - home[0], flange[1] - home[1]];
         }
-        let mut limits = self.contacts.update(&input)?;
-        // what is beyond the last taxel is not blind: it is not there
-        limits.outward_m_s[self.taxels..].fill(f64::INFINITY);
-        limits.force_n[self.taxels..].fill(0.0);
-        Ok(limits)
+        self.contacts.update(&input)
     }
 
     /// Where the flange was in this tick.

@@ -4,6 +4,7 @@ use crate::control::supervisor::Zero;
 use crate::robot::TAXELS;
 use moca_msgs::board::Diagnosis;
 use moca_msgs::{CoverReading, Fault, Outcome, Refusal, TaxelReading, TaxelStatus};
+use moca_tactile::Cover;
 use moca_tactile::cover::EarlyContact;
 
 /// The cover as the loop sees it at one tick.
@@ -17,19 +18,21 @@ pub struct CoverState {
     pub early: EarlyContact<TAXELS>,
     /// What is wrong with the cover now, a missing zero left out.
     pub fault: Option<Fault>,
+    /// The board that it is of, 0 is the first; `None` if it is of none.
+    pub fault_board: Option<u8>,
     /// State of the zero.
     pub zero: Zero,
     /// Last raw FDAT counts, T1 first.
     pub counts: [u16; TAXELS],
-    /// What the board's port and bytes say about it.
+    /// What a board's port and bytes say about it: the first board's that does not send frames.
     pub board: Diagnosis,
-    /// Good frames so far.
+    /// Good frames so far, of all boards.
     pub frames_good: u64,
-    /// Rejected frames so far.
+    /// Rejected frames so far, of all boards.
     pub frames_bad: u64,
-    /// Measured frame rate, Hz; 0 before it is known.
+    /// Measured frame rate of the slowest board, Hz; 0 before it is known.
     pub rate_hz: f64,
-    /// Events that the cover has taken from its source since the start.
+    /// Events that the cover has taken from its sources since the start.
     pub events: u64,
 }
 
@@ -43,6 +46,7 @@ impl CoverState {
         forces: Ok([0.0; TAXELS]),
         early: EarlyContact { touched: [false; TAXELS], sampled_at_ns: None },
         fault: None,
+        fault_board: None,
         zero: Zero::Valid,
         counts: [0; TAXELS],
         board: Diagnosis::NoBoard,
@@ -68,6 +72,14 @@ pub trait CoverSource {
     fn mask(&mut self, _taxel: usize, _masked: bool) -> Outcome {
         Err(Refusal::OutOfRange)
     }
+
+    /// What it remembers from tick to tick, for a log; `None` where no log can bring it back.
+    fn state(&self) -> Option<Cover<TAXELS>> {
+        None
+    }
+
+    /// Goes on from where `state` was taken.
+    fn restore(&mut self, _state: &Option<Cover<TAXELS>>) {}
 }
 
 impl<S: CoverSource> CoverSource for Option<S> {
@@ -83,5 +95,15 @@ impl<S: CoverSource> CoverSource for Option<S> {
 
     fn mask(&mut self, taxel: usize, masked: bool) -> Outcome {
         self.as_mut().map_or(Err(Refusal::OutOfRange), |cover| cover.mask(taxel, masked))
+    }
+
+    fn state(&self) -> Option<Cover<TAXELS>> {
+        self.as_ref().and_then(S::state)
+    }
+
+    fn restore(&mut self, state: &Option<Cover<TAXELS>>) {
+        if let Some(cover) = self {
+            cover.restore(state);
+        }
     }
 }

@@ -7,7 +7,7 @@ use crate::control::tick::{ControlLoop, Ticked};
 use crate::devices::board_events::BoardEvents;
 use crate::devices::touch_board::ByteCover;
 use crate::record::tick_blocks::{self, ComparedTick, fingerprint};
-use crate::record::tick_log::TickRecord;
+use crate::record::tick_log::{StateRecord, TickRecord};
 use crate::robot::JOINTS;
 use crate::runtime::assemble::{cover_config, motion, supervisor};
 use anyhow::{Context, Result, anyhow, bail};
@@ -147,6 +147,7 @@ pub fn run(parts: &[PathBuf]) -> Result<Report> {
                         replay.step(&tick, &mut report)?;
                     }
                 }
+                (Record::LoopState(state), Some(replay)) => replay.begin_with(&state)?,
                 (Record::Sample(sample), Some(replay)) => replay.show(*sample),
                 _ => {}
             }
@@ -178,11 +179,14 @@ pub fn run(parts: &[PathBuf]) -> Result<Report> {
 
 struct Replay {
     control: ControlLoop<RecordedPlant, Option<ByteCover>>,
-    events: rtrb::Producer<BoardEvent>,
+    /// To the cover, one for each board.
+    events: Vec<rtrb::Producer<BoardEvent>>,
     /// Tick and number of the last one.
     last: Option<(u64, u64)>,
     /// Board events of the ticks up to there.
     cover_events: u64,
+    /// Ticks and events that the recorder had lost before the first tick; `None` before that.
+    lost_before: Option<u64>,
     /// What the log shows of ticks that have not been run yet.
     shown: VecDeque<Sample>,
     /// The first difference, until a sample that is shown names its quantity.
@@ -203,7 +207,8 @@ impl Replay {
             *path = file.0.display().to_string();
             texts.push(file);
         }
-        let (events, from_log) = rtrb::RingBuffer::new(RING_EVENTS);
+        let rings = config.board.port.iter().map(|_| rtrb::RingBuffer::new(RING_EVENTS));
+        let (events, from_log): (Vec<_>, Vec<_>) = rings.unzip();
         let cover = if config.plant.parts.has_cover() {
             Some(ByteCover::new(Cover::new(cover_config(&config)?)?, BoardEvents::new(from_log)))
         } else {
@@ -222,10 +227,24 @@ impl Replay {
             events,
             last: None,
             cover_events: 0,
+            lost_before: None,
             shown: VecDeque::new(),
             differs: None,
             _texts: texts,
         })
+    }
+
+    /// Goes on from what the loop remembered in the middle of its run.
+    fn begin_with(&mut self, state: &[u8]) -> Result<()> {
+        if self.last.is_some() {
+            return Ok(());
+        }
+        let state: StateRecord = postcard::from_bytes(state)
+            .context("what the loop remembered is damaged, or another version's")?;
+        self.control.restore(&state.state)?;
+        self.last = Some((state.tick, state.number));
+        self.cover_events = state.cover_events;
+        Ok(())
     }
 
     /// Notes what the log shows of a tick, to name what differs.
@@ -241,9 +260,11 @@ impl Replay {
         let input = &record.input;
         let number = input.slot.tick;
         self.check_whole(record, report.compared)?;
-        for event in &record.events {
+        for (board, event) in &record.events {
+            let ring = self.events.get_mut(usize::from(*board));
+            let ring = ring.context("bytes of a board that the log's configuration does not name")?;
             // A tick takes fewer events than the ring holds.
-            let _ = self.events.push(event.into());
+            let _ = ring.push(event.into());
         }
         self.control.plant = RecordedPlant {
             state: input.state,
@@ -300,7 +321,7 @@ impl Replay {
     }
 
     /// Whether nothing was lost between the last tick and this one.
-    fn check_whole(&self, record: &TickRecord, compared: u64) -> Result<(), Failure> {
+    fn check_whole(&mut self, record: &TickRecord, compared: u64) -> Result<(), Failure> {
         let input = &record.input;
         let after = self.last.map(|(tick, _)| tick);
         let incomplete = |missing| Err(Failure::Incomplete { after, missing, compared });
@@ -313,8 +334,10 @@ impl Replay {
             }
             _ => {}
         }
+        let lost_before = if self.last.is_some() { record.lost } else { 0 };
+        let lost = record.lost.saturating_sub(*self.lost_before.get_or_insert(lost_before));
         let took = input.cover_events.saturating_sub(self.cover_events);
-        if record.lost > 0 || took != record.events.len() as u64 {
+        if lost > 0 || took != record.events.len() as u64 {
             let missing = "the recorder had no room for ticks or bytes of the board (a slow disk?)";
             return incomplete(missing.into());
         }
