@@ -581,7 +581,8 @@ mod tests {
 
     #[test]
     fn an_older_reading_allows_less_speed_and_needs_more_damping() {
-        let at = |delay_s| contact(String::new(), &Foam::PU_LD30, delay_s, &Config::default().robot.base).unwrap();
+        let at =
+            |delay_s| contact(String::new(), &Foam::PU_LD30, delay_s, &Config::default().robot.base).unwrap();
         let (fast, slow) = (at(0.009), at(0.0537));
         assert!(slow.largest_speed_m_s < fast.largest_speed_m_s);
         assert!(slow.damping_needed > fast.damping_needed);
