@@ -1,6 +1,19 @@
 //! Parameters as a client sees them: schema, default, present value.
+//!
+//! ```
+//! use moca_telemetry::{ParameterDescription, ParameterValue};
+//! let parameter = ParameterDescription {
+//!     name: "control.gains.damping_ratio".into(),
+//!     max: 5.0,
+//!     live: true,
+//!     value: ParameterValue::Numbers(vec![0.9]),
+//!     ..ParameterDescription::default()
+//! };
+//! assert!(parameter.checked(&[1.2]).is_ok());
+//! assert_eq!(parameter.checked(&[7.0]).unwrap_err(), "control.gains.damping_ratio = 7 is outside 0 to 5");
+//! ```
 
-use moca_msgs::ParameterValues;
+use moca_msgs::{ParameterValues, Refusal};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -108,6 +121,14 @@ impl ParameterDescription {
                      still is ({range})"
                 )
             }
+        }
+    }
+
+    /// Why a change of this parameter was refused, for people.
+    pub fn why(&self, refusal: Refusal) -> String {
+        match refusal {
+            Refusal::Unstable { nearest } => self.unstable(&nearest),
+            _ => refusal.to_string(),
         }
     }
 

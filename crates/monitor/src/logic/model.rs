@@ -4,7 +4,7 @@ use super::{
     answers::Answer,
     event::Event,
     parts::text_parameter,
-    requests::{self, refusal_text, request_text},
+    requests::{self, request_text},
     signals::{
         history::History,
         panel::{self, Panel},
@@ -234,13 +234,13 @@ impl Model {
 
     /// A refusal as text; a parameter's own with what would be taken.
     fn why(&self, request: Request, refusal: Refusal) -> String {
-        match (request, refusal) {
-            (Request::SetParameter { parameter, .. }, Refusal::Unstable { nearest }) => self
+        match request {
+            Request::SetParameter { parameter, .. } => self
                 .robot
                 .parameters
                 .get(usize::from(parameter))
-                .map_or_else(|| refusal_text(refusal), |parameter| parameter.unstable(&nearest)),
-            _ => refusal_text(refusal),
+                .map_or_else(|| refusal.to_string(), |parameter| parameter.why(refusal)),
+            _ => refusal.to_string(),
         }
     }
 
@@ -357,7 +357,7 @@ mod tests {
         assert_eq!(model.law, Law::Impedance);
         let answers = model.take_answers();
         let [Answer { text, good: false }] = answers.as_slice() else { panic!("{answers:?}") };
-        assert!(text.starts_with("Select follow-me: refused, another dashboard"), "{text}");
+        assert!(text.starts_with("Select follow-me: refused, another client"), "{text}");
         model.take(reply(select, Ok(())), 10.2);
         assert_eq!(model.law, Law::FollowMe);
         assert_eq!(model.take_answers(), [Answer::good("Select follow-me: done")]);
