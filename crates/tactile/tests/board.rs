@@ -4,7 +4,8 @@
 use moca_msgs::Fault;
 use moca_tactile::Firmware;
 use moca_tactile::board::{
-    BoardEvent, BoardMonitor, FROZEN_FRAMES, FrameSource, MAX_ELECTRODES, STALL_GAP_NS, SampledFrame,
+    BoardEvent, BoardMonitor, Diagnosis, FROZEN_FRAMES, FrameSource, MAX_ELECTRODES, SILENT_AFTER_NS,
+    STALL_GAP_NS, SampledFrame,
 };
 use moca_tactile::datastream::{BadFrame, Frame, Line, emit, emit_line};
 use moca_tactile::touchline::{self, Content, Flags};
@@ -139,8 +140,24 @@ fn what_our_firmware_says_of_its_chips_is_there_to_be_read() {
     assert!(stream.board.flags().has(Flags::SETTLING) && stream.board.flags().has(Flags::OUT_OF_RANGE));
     assert!(!stream.board.flags().has(Flags::BUS_FAULT));
     assert_eq!((stream.board.chips(), stream.board.firmware()), (2, Some(Firmware::Moca)));
+    let note = b"# moca-touch 1";
+    let sum = (0..=0xffff_u16).map(|sum| format!("{} {sum:04X}", String::from_utf8_lossy(note)));
+    let note = sum.into_iter().find(|note| touchline::is_note(note.as_bytes())).unwrap();
+    stream.take(format!("{note}\n").as_bytes());
+    assert_eq!(stream.board.diagnosis(), Diagnosis::Frames, "an answer of the board's is no silence");
     // What was counted before the board was known for ours stays.
     let stats = stream.board.stats();
     let counted = (stats.frames_good, stats.frames_lost, stats.frames_discarded, stats.stalls);
     assert_eq!(counted, (4, 2, 3, 2));
+}
+
+#[test]
+fn bytes_that_make_no_frame_are_silence_for_a_while_and_then_not_a_touch_board() {
+    let mut stream = Stream::new();
+    assert_eq!(stream.take(&[b'~'; 1200]), None);
+    assert_eq!(stream.board.diagnosis(), Diagnosis::Silent);
+    assert_eq!(stream.take(b"~"), None);
+    assert_eq!(stream.board.diagnosis(), Diagnosis::Unknown);
+    assert_eq!(stream.board.fault(SILENT_AFTER_NS), None);
+    assert_eq!(stream.board.fault(SILENT_AFTER_NS + 1), Some(Fault::BoardSilent));
 }
