@@ -2,6 +2,7 @@
 //!
 //! A table stands between `<!-- moca-lab docs NAME … -->` and `<!-- end of NAME -->`; the text around it is for people.
 
+use crate::cover::latency;
 use crate::numerics::stability;
 use crate::paper::report::claims;
 use crate::rig::c_library;
@@ -27,8 +28,9 @@ struct Table {
     make: fn() -> Result<String>,
 }
 
-const TABLES: [Table; 3] = [
+const TABLES: [Table; 4] = [
     Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
+    Table { name: "boards", file: "README.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
 ];
@@ -121,6 +123,11 @@ mod tests {
             assert_eq!(unbounded.contains(&name), case.touched() && !case.bounded, "{case:?}");
             assert_eq!(stopped.contains(&name), case.stopped.is_some(), "{case:?}");
         }
+    }
+
+    #[test]
+    fn what_each_board_allows_is_what_latency_prints() {
+        is_what_is_printed("boards");
     }
 
     #[test]

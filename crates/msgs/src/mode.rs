@@ -1,5 +1,8 @@
 //! Modes of the supervisor, control laws, and the closed list of reasons to stop.
 
+use crate::TaxelStatus;
+use core::fmt;
+
 /// Which control law moves the robot once it is armed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "kebab-case"))]
@@ -97,7 +100,7 @@ pub enum Fault {
         /// 0 is T1.
         taxel: u8,
         /// Why.
-        status: crate::TaxelStatus,
+        status: TaxelStatus,
     },
     /// No valid zero.
     ZeroInvalid,
@@ -282,6 +285,23 @@ impl Fault {
             Self::StateInvalid | Self::PlantLost | Self::ControlRefused => {
                 "Read the log, remove the cause, restart the daemon."
             }
+        }
+    }
+}
+
+/// Why the robot stands and what to do about it; a taxel is named.
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::TaxelInvalid { taxel, status: TaxelStatus::Masked } => write!(
+                f,
+                "T{} is masked, and board.mask_policy stops the robot for it: take it into use again, then resume.",
+                u16::from(taxel) + 1
+            ),
+            Self::TaxelInvalid { taxel, status } => {
+                write!(f, "T{} is {}. {}", u16::from(taxel) + 1, status.name(), self.remedy())
+            }
+            _ => write!(f, "{} {}", self.text(), self.remedy()),
         }
     }
 }

@@ -26,6 +26,23 @@ pub enum TaxelStatus {
     Masked,
 }
 
+impl TaxelStatus {
+    /// Name as shown to users.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Ok => "ok",
+            Self::NoZero => "not tared",
+            Self::Stale => "stale",
+            Self::Saturated => "at its end",
+            Self::Stuck => "stuck",
+            Self::Dead => "dead",
+            Self::Noisy => "noisy",
+            Self::Drifted => "drifted",
+            Self::Masked => "masked",
+        }
+    }
+}
+
 /// One taxel's reading.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
