@@ -1,4 +1,13 @@
 //! Modes of the supervisor, control laws, and the closed list of reasons to stop.
+//!
+//! ```
+//! use moca_msgs::mode::{Clearing, Fault, Mode, Reaction};
+//!
+//! assert!(Mode::FollowMe.moves() && !Mode::Ready.moves());
+//! assert_eq!(Fault::BoardFrozen.reaction(), Reaction::ProtectiveStop);
+//! assert_eq!(Fault::BoardFrozen.clearing(), Clearing::Tare);
+//! println!("{} {}", Fault::BoardFrozen.text(), Fault::BoardFrozen.remedy());
+//! ```
 
 use crate::TaxelStatus;
 use core::fmt;

@@ -1,4 +1,18 @@
 //! What an operator may ask of the loop, and the answer.
+//!
+//! ```
+//! use moca_msgs::{Mode, Outcome, Refusal, Request};
+//!
+//! /// What a robot that only stands answers.
+//! fn answer(request: Request) -> Outcome {
+//!     match request {
+//!         Request::Stop => Ok(()),
+//!         _ => Err(Refusal::Mode(Mode::Ready)),
+//!     }
+//! }
+//! assert_eq!(answer(Request::Stop), Ok(()));
+//! assert_eq!(answer(Request::Disarm), Err(Refusal::Mode(Mode::Ready)));
+//! ```
 
 use crate::params::ParameterValues;
 use crate::{Law, Mode};

@@ -1,4 +1,12 @@
 //! One tick as a client sees it.
+//!
+//! ```
+//! use moca_msgs::{Mode, Sample};
+//!
+//! let sample = Sample::default();
+//! assert_eq!(sample.mode, Mode::Starting);
+//! assert!(sample.taxels.is_empty() && sample.q_rad.is_empty(), "no cover and no arm known yet");
+//! ```
 
 use crate::board::Diagnosis;
 use crate::protection::MAX_CONTACT_EVENTS;
