@@ -6,7 +6,7 @@ use crate::cover::latency;
 use crate::numerics::stability;
 use crate::paper::report::claims;
 use crate::rig::c_library;
-use crate::robustness::{faults, lean};
+use crate::robustness::faults;
 use anyhow::{Context, Result, bail, ensure};
 use std::path::{Path, PathBuf};
 
@@ -28,9 +28,8 @@ struct Table {
     make: fn() -> Result<String>,
 }
 
-const TABLES: [Table; 5] = [
+const TABLES: [Table; 4] = [
     Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
-    Table { name: "lean", file: "docs/safety.md", make: lean::markdown },
     Table { name: "boards", file: "README.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
@@ -71,16 +70,6 @@ fn split<'a>(text: &'a str, name: &str) -> Result<(&'a str, &'a str, &'a str)> {
         (Some(start), Some(end)) if start < end => Ok((&text[..start], &text[start..end], &text[end..])),
         _ => bail!("no place for table {name}: <!-- moca-lab docs {name} --> … <!-- end of {name} -->"),
     }
-}
-
-/// What a document shows of a table; `None` where the C library is another one than the table's.
-#[cfg(test)]
-pub(crate) fn shown(name: &str) -> Option<String> {
-    let table = TABLES.iter().find(|table| table.name == name)?;
-    let repository = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
-    let text = read(&repository.join(table.file)).ok()?;
-    let (_, shown, _) = split(&text, name).ok()?;
-    (shown.lines().next() == Some(head(name).as_str())).then(|| shown.to_owned())
 }
 
 #[cfg(test)]

@@ -169,11 +169,6 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// The table of every lean for the documents.
-pub(crate) fn markdown() -> Result<String> {
-    Ok(table(&outcomes(cells(false))?))
-}
-
 fn outcomes(cells: Vec<Cell>) -> Result<Vec<(Cell, Outcome)>> {
     let outcomes = parallel::run("lean", &cells, lean, |_| {});
     let outcomes = outcomes.into_iter().collect::<Result<Vec<_>>>()?;
@@ -363,29 +358,5 @@ mod tests {
             let outcome = lean(cell).unwrap();
             assert!(outcome.passed(), "{cell:?}: {outcome:?}");
         }
-    }
-
-    /// Every lean takes minutes: of each row of the document, the lean that it names is done again.
-    #[test]
-    fn the_worst_leans_in_the_documents_are_what_they_show() {
-        let text = crate::docs::shown("lean");
-        let Some(text) = text else { return };
-        let all = cells(false);
-        let mut compared = 0;
-        for row in text.lines().filter(|line| line.starts_with("| ")).skip(1) {
-            let columns: Vec<&str> = row.split('|').map(str::trim).collect();
-            let [_, law, hand, force, leans, flange, at, ..] = columns[..] else { panic!("{row}") };
-            let of_row = |cell: &&Cell| {
-                Mode::from(cell.law).name() == law
-                    && format!("{:?}", cell.hand).to_lowercase() == hand
-                    && format!("{:.0}", cell.force_n) == force
-            };
-            assert_eq!(all.iter().filter(of_row).count().to_string(), leans, "{row}");
-            let worst = all.iter().filter(of_row).find(|cell| cell.name() == at).unwrap();
-            let outcome = lean(worst).unwrap();
-            assert_eq!(format!("{:.2}", 1e3 * outcome.flange_m), flange, "{worst:?}: {outcome:?}");
-            compared += 1;
-        }
-        assert_eq!(compared, 20, "two laws, two hands, five forces");
     }
 }
