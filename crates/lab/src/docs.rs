@@ -5,7 +5,7 @@
 use crate::numerics::stability;
 use crate::paper::report::claims;
 use crate::rig::c_library;
-use crate::robustness::faults;
+use crate::robustness::{faults, protection};
 use anyhow::{Context, Result, bail, ensure};
 use std::path::{Path, PathBuf};
 
@@ -27,9 +27,10 @@ struct Table {
     make: fn() -> Result<String>,
 }
 
-const TABLES: [Table; 3] = [
+const TABLES: [Table; 4] = [
     Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
+    Table { name: "protection", file: "docs/results.md", make: protection::markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
 ];
 
@@ -70,9 +71,24 @@ fn split<'a>(text: &'a str, name: &str) -> Result<(&'a str, &'a str, &'a str)> {
     }
 }
 
+/// Whether a table was written on a machine that rounds sines as this one does.
+#[cfg(test)]
+pub(crate) fn is_of_this_c_library(name: &str) -> bool {
+    let repository = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
+    let table = TABLES.iter().find(|table| table.name == name);
+    table
+        .and_then(|table| read(&repository.join(table.file)).ok())
+        .is_some_and(|text| text.contains(&head(name)))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_scan_of_contacts_in_the_documents_is_what_its_file_says() {
+        is_what_is_printed("protection");
+    }
 
     /// Where the C library is another one, only that the table is there.
     fn is_what_is_printed(name: &str) {

@@ -45,8 +45,10 @@ const STOP_SHARE: f64 = 0.3165;
 /// Share of the force limit from which on it makes room at the person's speed: what is left to the limit is for errors
 /// of the person's estimated speed over one age.
 const YIELD_SHARE: f64 = 0.7313;
-/// Way that a touched taxel goes back once its readings cannot be believed any more, m.
+/// Way that a touched taxel goes back once its readings cannot be believed any more, m,
 pub const BLIND_RETREAT_M: f64 = 0.03;
+/// and when it stops trying, s after the last of them: something is behind it.
+pub const BLIND_RETREAT_S: f64 = 0.6;
 
 /// How a foam's force grows with its compression.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -247,6 +249,8 @@ pub struct ContactLimits<const K: usize, T = f64> {
     pub depth_m: [T; K],
     /// The person's own speed towards the cover, m/s, ≥ 0.
     pub person_m_s: [T; K],
+    /// A touched taxel whose readings cannot be believed any more is still to go back: a robot that stops does so first.
+    pub backs_off: bool,
 }
 
 /// The barrier of a cover of `K` taxels, with what it remembers: 3 kB of odometry, which no step copies.
@@ -281,6 +285,7 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             force_n: [T::zero(); K],
             depth_m: [T::zero(); K],
             person_m_s: [T::zero(); K],
+            backs_off: false,
         };
         for i in 0..K {
             let way = |place: &[T; 3]| self.outline.outward(i, place);
@@ -296,7 +301,11 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             limits.person_m_s[i] = track.person_m_s();
             limits.force_n[i] = track.believed_n(&self.settings.reading, depth);
             limits.outward_m_s[i] = match input.samples[i] {
-                None => track.blind_limit(&self.settings, way_now),
+                None => {
+                    let most = track.blind_limit(&self.settings, way_now);
+                    limits.backs_off |= most < T::zero();
+                    most
+                }
                 Some(_) => self.touched_limit(i, depth, input),
             };
         }

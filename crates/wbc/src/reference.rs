@@ -31,6 +31,35 @@ pub(crate) struct Pose<T> {
     pub rotation: Matrix3<T>,
 }
 
+/// A direction of the plane in which the base was refused what the law wanted, and how fast it went that way, axes of
+/// the reference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct HeldBack<T> {
+    direction: [T; 2],
+    speed: T,
+}
+
+impl<T: Scalar> HeldBack<T> {
+    /// From the velocities of the tool \[m/s, m/s\] that the base wanted and was given; `None` where they are the same.
+    pub(crate) fn between(wanted: [T; 2], given: [T; 2]) -> Option<Self> {
+        let [x, y] = [wanted[0] - given[0], wanted[1] - given[1]];
+        let length = (x * x + y * y).sqrt();
+        (length > of(crate::guard::STANDSTILL)).then(|| {
+            let direction = [x / length, y / length];
+            Self { direction, speed: (direction[0] * given[0] + direction[1] * given[1]).max(T::zero()) }
+        })
+    }
+
+    /// `velocity` no faster in that direction than the base: who is led waits for whoever is in the way.
+    fn slowed(&self, mut velocity: Vector3<T>) -> Vector3<T> {
+        let [x, y] = self.direction;
+        let ahead = (x * velocity.x + y * velocity.y - self.speed).max(T::zero());
+        velocity.x -= ahead * x;
+        velocity.y -= ahead * y;
+        velocity
+    }
+}
+
 /// Target pose and twist of the tool frame, and the reference on its way there; in W for the impedance law, in B for
 /// follow-me.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,8 +103,9 @@ impl<T: Scalar> Reference<T> {
         &self.twist
     }
 
-    /// Moves target and reference on by `dt_s`. Both wait while the tool is as far behind as the law pulls.
-    pub(crate) fn advance(&mut self, actual: &Pose<T>, dt_s: T) {
+    /// Moves target and reference on by `dt_s`. Both wait while the tool is as far behind as the law pulls, and while the
+    /// base is held back.
+    pub(crate) fn advance(&mut self, actual: &Pose<T>, held_back: Option<&HeldBack<T>>, dt_s: T) {
         if self.now == self.target && self.twist == [T::zero(); 6] {
             return;
         }
@@ -83,10 +113,14 @@ impl<T: Scalar> Reference<T> {
         let turned_near =
             rotation::error(&actual.rotation, &self.now.rotation).norm() < of(ERROR_SATURATION_RAD);
         let (linear, angular) = split(&self.twist);
+        let slowed = |v: Vector3<T>| held_back.map_or(v, |held_back| held_back.slowed(v));
         if near {
-            self.target.position += linear * dt_s;
+            self.target.position += slowed(linear) * dt_s;
             let gap = self.target.position - self.now.position;
-            let step = shortened(&gap, of::<T>(REFERENCE_SPEED_M_S) * dt_s);
+            let mut step = shortened(&gap, of::<T>(REFERENCE_SPEED_M_S) * dt_s);
+            if held_back.is_some() {
+                step = slowed(step / dt_s) * dt_s;
+            }
             self.now.position = if step == gap { self.target.position } else { self.now.position + step };
         }
         if turned_near {

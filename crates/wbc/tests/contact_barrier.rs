@@ -8,14 +8,14 @@
 )]
 
 use moca_wbc::contact_barrier::{
-    BLIND_RETREAT_M, BarrierInput, BarrierSettings, ContactBarrier, FoamCurve, TaxelSample,
+    BLIND_RETREAT_M, BLIND_RETREAT_S, BarrierInput, BarrierSettings, ContactBarrier, FoamCurve, TaxelSample,
 };
 use moca_wbc::guard::CoverOutline;
 use moca_wbc::limits::BaseLimits;
 use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_wbc::{
-    BaseGuard, ControlInput, ControlLaw, ControlOutput, LimitsHit, Parameters, Payload, RobotState,
-    WholeBodyController,
+    BaseController, BaseGuard, BaseInput, ControlInput, ControlLaw, ControlOutput, LimitsHit, Parameters,
+    Payload, RobotState, WholeBodyController,
 };
 use std::collections::VecDeque;
 
@@ -270,6 +270,31 @@ fn a_taxel_whose_readings_end_backs_off_and_stands() {
     let back_m = scene.gap_m - outcome.place_m;
     assert!(back_m > 0.5 * BLIND_RETREAT_M && back_m < 2.0 * BLIND_RETREAT_M, "{back_m}");
     assert!(outcome.last_speed_m_s < 1e-3, "{}", outcome.last_speed_m_s);
+}
+
+/// The same as a controller in a stop does it, on a base that something holds from behind: it stops trying.
+#[test]
+fn a_stop_makes_room_for_a_taxel_that_fails_in_contact_and_then_stands() {
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings);
+    let base = BaseController::<11>::new(&PAPER_COVER, &Parameters::PAPER).unwrap();
+    let mut state = base.enter();
+    let mut backwards_s = 0.0;
+    let mut last = [1.0; 3];
+    for step in 0..2000 {
+        let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
+        samples[FRONT] = (step < 100).then_some(TaxelSample { force_n: 10.0, age_s: 0.0 });
+        let contacts = barrier.update(&BarrierInput::new(samples, [0.0; 3], [3.0; 3], DT_S)).unwrap();
+        assert!(step >= 100 || !contacts.backs_off, "{step}");
+        let guard =
+            BaseGuard { outward_m_s: contacts.backs_off.then_some(contacts.outward_m_s), ..BaseGuard::NONE };
+        let input = BaseInput { yaw_world_rad: 0.0, taxel_force_n: [0.0; 11], guard, dt_s: DT_S };
+        last = base.hold(&mut state, &input).unwrap().velocity_body;
+        backwards_s += if last[0] < 0.0 { DT_S } else { 0.0 };
+        assert!(last[0] <= 0.0 && last[0] >= -settings.retreat_m_s - 1e-9, "{last:?}");
+    }
+    assert!(backwards_s > 0.5 && backwards_s < BLIND_RETREAT_S + 0.2, "{backwards_s} s");
+    assert_eq!(last, [0.0; 3]);
 }
 
 #[test]

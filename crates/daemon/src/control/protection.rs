@@ -15,7 +15,9 @@ use crate::control::contacts::ContactTracker;
 use crate::control::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_EVENTS;
-use moca_msgs::{ContactEvent, ContactReaction, Limits, RobotState, SpeedLimit, SpeedLimitReason};
+use moca_msgs::{
+    ContactEvent, ContactReaction, ContactRow, Limits, RobotState, SpeedLimit, SpeedLimitReason,
+};
 use moca_tactile::Firmware;
 use moca_tactile::board::SILENT_AFTER_NS;
 use moca_wbc::BaseGuard;
@@ -60,6 +62,8 @@ pub struct Protection {
     contact: Contact,
     /// Way that a base under a contact barrier has to stop in, m.
     barrier_travel_m: Option<f64>,
+    /// What the base's servo can brake with, m/s².
+    base_acceleration_m_s2: f64,
     tick_s: f64,
     outline: CoverOutline<TAXELS, f64>,
     delay: ReadingDelay,
@@ -82,6 +86,7 @@ impl Protection {
                 servo_s: config.robot.base.servo_time_constant_s,
             },
             barrier_travel_m: barrier::travel_m(config),
+            base_acceleration_m_s2: config.robot.base.acceleration_max_m_s2,
             tick_s: 1.0 / f64::from(config.control_loop.rate_hz.max(1)),
             outline,
             delay: ReadingDelay::default(),
@@ -124,6 +129,11 @@ impl Protection {
         protected
     }
 
+    /// Hears what the contact barrier could not keep at `now_ns`.
+    pub fn squeezed(&mut self, now_ns: u64, rows: &[ContactRow]) {
+        self.tracker.squeezed(now_ns, rows);
+    }
+
     /// Speed of the fastest point of the cover at the base's measured velocity, m/s.
     pub fn cover_speed_m_s(&self, robot: &RobotState<JOINTS>) -> f64 {
         let [vx, vy, yaw] = robot.base_velocity_world;
@@ -137,7 +147,8 @@ impl Protection {
     fn speed_m_s(&self, delay_s: f64, limits: &Limits<JOINTS>) -> f64 {
         let contact = Contact { delay_s, ..self.contact };
         let felt_n = self.settings.force_limit_n - self.settings.unfelt_force_n;
-        let deceleration = limits.base_acceleration[0].min(limits.base_acceleration[1]);
+        let deceleration =
+            limits.base_acceleration[0].min(limits.base_acceleration[1]).min(self.base_acceleration_m_s2);
         if let Some(travel_m) = self.barrier_travel_m {
             return speed_for_stopping(travel_m, deceleration, &contact).unwrap_or(0.0);
         }

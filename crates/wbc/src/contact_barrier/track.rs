@@ -1,10 +1,12 @@
 //! One touched taxel from reading to reading, and where the base has been meanwhile.
 
-use super::{BLIND_RETREAT_M, BarrierSettings, FoamCurve, TaxelSample};
+use super::{BLIND_RETREAT_M, BLIND_RETREAT_S, BarrierSettings, FoamCurve, TaxelSample};
 use crate::scalar::{Scalar, of};
 
 /// Steps of odometry that are kept: at 1 kHz 128 ms, older than any reading that a law is given.
 const KEPT: usize = 128;
+/// A touch within this time of a release is the same person's again, s.
+const AGAIN_S: f64 = 1.0;
 /// Readings further apart than this say nothing of a speed, s.
 const APART_S: f64 = 0.2;
 
@@ -119,14 +121,17 @@ impl<T: Scalar> Track<T> {
         }
         let (depth, way) = (settings.reading.depth_m(sample.force_n), way(odometry.at_age(sample.age_s)));
         if sample.force_n < of(settings.touch_n) {
-            *self = Self { way, since: self.since, released: T::zero(), ..Self::none() };
+            // what is known of the person is kept for a touch that follows at once
+            *self = Self { way, person: self.person, since: self.since, released: T::zero(), ..Self::none() };
             return;
         }
+        let first = !self.touched();
+        let assumed = if self.released < of(AGAIN_S) { self.person } else { of(settings.first_speed_m_s) };
         if interval < of(APART_S) {
             self.estimate(settings, depth, way, interval);
         }
-        if !self.touched() {
-            self.person = self.person.max(of(settings.first_speed_m_s));
+        if first {
+            self.person = self.person.max(assumed);
         }
         self.readings = self.readings.saturating_add(1);
         (self.depth, self.force, self.way) = (depth, sample.force_n, way);
@@ -162,6 +167,7 @@ impl<T: Scalar> Track<T> {
     /// Speed outward of a touched taxel without readings, m/s: back for a while, then no further out.
     pub(super) fn blind_limit(&self, s: &BarrierSettings, way: T) -> T {
         let gone = self.blind_from.map_or(T::zero(), |from| from - way);
-        if gone < of(BLIND_RETREAT_M) { of(-s.retreat_m_s) } else { T::zero() }
+        let goes_on = gone < of(BLIND_RETREAT_M) && self.since < of(BLIND_RETREAT_S);
+        if goes_on { of(-s.retreat_m_s) } else { T::zero() }
     }
 }

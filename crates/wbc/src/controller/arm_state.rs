@@ -3,13 +3,15 @@
 use super::law::ControlLaw;
 use crate::gains::ArmGains;
 use crate::momentum_observer::MomentumObserver;
-use crate::reference::Reference;
+use crate::reference::{HeldBack, Reference};
 
 /// What an [`super::ArmController`] remembers between steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmState<const N: usize, T = f64> {
     pub(super) law: ControlLaw,
     pub(super) reference: Reference<T>,
+    /// Of a tool that the base carries along: where the base was refused its way in the last step.
+    pub(super) held_back: Option<HeldBack<T>>,
     /// Null-space posture on its way to the configured one, rad; while a posture is held, that one.
     pub(super) posture_rad: [T; N],
     pub(super) gains: ArmGains<N, T>,
