@@ -245,7 +245,7 @@ fn the_loop_does_not_allocate_in_any_mode() {
     assert_eq!(count(&mut world, TICKS), 0, "unplugged");
 }
 
-/// The number of a parameter, as an observer finds it in the description.
+/// The number of a parameter, as a client finds it in the description.
 fn set(name: &str, values: &[f64]) -> Request {
     let number = CONTROLLER.iter().position(|spec| spec.name == name).expect("a parameter of that name");
     let values = ParameterValues::new(values).expect("few elements");
@@ -318,7 +318,7 @@ fn a_parameter_that_may_not_change_is_refused_and_nothing_moves() {
 fn a_taxel_is_masked_by_request_only_while_no_law_moves_the_robot() {
     let mask = |masked| Request::MaskTaxel { taxel: 5, masked };
     let mut config = config();
-    config.board.mask_policy = moca_tactile::cover::MaskPolicy::Unfelt;
+    config.board.mask_policy = moca_tactile::cover::MaskPolicy::Ignore;
     let mut world = armed(&config);
     assert_eq!(ask(&mut world, mask(true)), Err(Refusal::Mode(Mode::Impedance)));
     ask(&mut world, Request::Disarm).unwrap();
@@ -348,7 +348,7 @@ fn a_masked_taxel_stops_the_robot_unless_it_is_told_to_move_unfeeling() {
     let expected = Fault::TaxelInvalid { taxel: 5, status: TaxelStatus::Masked };
     assert_eq!((stopped.mode.moves(), stopped.fault), (false, Some(expected)));
 
-    config.board.mask_policy = moca_tactile::cover::MaskPolicy::Unfelt;
+    config.board.mask_policy = moca_tactile::cover::MaskPolicy::Ignore;
     let mut world = armed(&config);
     ask(&mut world, Request::PressTaxel { taxel: 5, force_n: 50.0 }).unwrap();
     let pressed = run(&mut world, 1000);

@@ -107,7 +107,7 @@ fn at_the_speed_limit_an_impact_stays_under_25_n_and_at_the_papers_speed_it_does
         let limited = collide(&config(), 0.04, phase);
         let paper = collide(&overridden(10.0), 0.2, phase);
         let mut believing = config();
-        believing.protection.unfelt_force_n = 0.0;
+        believing.protection.threshold_force_n = 0.0;
         believing.protection.contact_travel_m = 0.1;
         let plain = collide(&believing, 0.05, phase);
         println!(
@@ -237,7 +237,7 @@ fn an_override_is_refused_without_a_statement_and_shown_in_every_sample() {
         "{mistakes:?}"
     );
 
-    // The unfelt force beside a limit that is in its own range.
+    // The threshold force beside a limit that is in its own range.
     let mistakes = Config::parse("[protection]\nforce_limit_n = 5.0\n").unwrap_err().mistakes;
     assert!(mistakes.len() == 1 && mistakes[0].contains("is not below"), "{mistakes:?}");
 
@@ -402,14 +402,15 @@ fn a_hand_that_stays_is_a_quasi_static_contact_with_its_clamp_force() {
 fn the_default_contact_is_the_simulated_foam_on_a_leg() {
     let (foam, tissue_n_m) = (Foam::PU_LD30, 50_000.0);
     let settings = Config::default().protection;
-    let (at_limit_m, unfelt_m) =
-        (foam.deformation_m(settings.force_limit_n), foam.deformation_m(settings.unfelt_force_n));
+    let (at_limit_m, threshold_m) =
+        (foam.deformation_m(settings.force_limit_n), foam.deformation_m(settings.threshold_force_n));
     let foam_n_m = foam.stiffness_n_per_m(at_limit_m);
     let stiffness_n_m = foam_n_m * tissue_n_m / (foam_n_m + tissue_n_m);
     assert!((settings.contact_stiffness_n_m / stiffness_n_m - 1.0).abs() < 0.01, "{stiffness_n_m}");
-    let travel_m = at_limit_m - unfelt_m + (settings.force_limit_n - settings.unfelt_force_n) / tissue_n_m;
+    let travel_m =
+        at_limit_m - threshold_m + (settings.force_limit_n - settings.threshold_force_n) / tissue_n_m;
     assert!((settings.contact_travel_m / travel_m - 1.0).abs() < 0.05, "{travel_m}");
     // felt from the first whole count above the threshold's 4
     let felt_n = |force_n: f64| foam.counts_drop(foam.ramp_deformation_m(force_n)) >= 4.0;
-    assert!(felt_n(settings.unfelt_force_n + 0.1) && !felt_n(settings.unfelt_force_n - 0.2));
+    assert!(felt_n(settings.threshold_force_n + 0.1) && !felt_n(settings.threshold_force_n - 0.2));
 }

@@ -120,7 +120,7 @@ fn a_parameter_is_listed_and_set_from_the_command_line_and_observers_see_it() {
     assert!(listed.contains("(live; 0.01 to 1000; default [4.0, 4.0, 2.0])"), "{listed}");
     let until = Instant::now() + HANGS_AFTER;
     while value() != ParameterValue::Numbers(vec![8.0, 8.0, 4.0]) {
-        assert!(Instant::now() < until, "the observer never saw the new value");
+        assert!(Instant::now() < until, "the client never saw the new value");
         std::thread::sleep(Duration::from_millis(5));
     }
     for (name, new, said) in [

@@ -5,7 +5,7 @@ use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::recording::{configuration, parameter_change};
 use moca_daemon::record::tick_blocks::BlockBuilder;
-use moca_daemon::record::tick_log::{PortEvent, TickLogReader, TickRecord, tick_log};
+use moca_daemon::record::tick_log::{PortEvent, TickLog, TickLogReader, TickRecord, tick_log};
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
 use moca_daemon::runtime::replay::{self, Failure};
 use moca_msgs::params::CONTROLLER;
@@ -23,6 +23,7 @@ use std::path::PathBuf;
 
 struct Run {
     world: LockStep<ByteCover, MemoryBoard>,
+    loop_end: TickLog,
     log: TickLogReader,
     records: Vec<TickRecord>,
     samples: Vec<Sample>,
@@ -32,9 +33,8 @@ impl Run {
     fn start(config: &Config) -> Self {
         let (loop_end, copies, reader) = tick_log();
         let board = VirtualBoardConfig { seed: 1, ..VirtualBoardConfig::default() };
-        let mut world = LockStep::with_board(config, &Scene::default(), board, Some(copies)).unwrap();
-        world.tick_log = Some(loop_end);
-        Self { world, log: reader, records: Vec::new(), samples: Vec::new() }
+        let world = LockStep::with_board(config, &Scene::default(), board, Some(copies)).unwrap();
+        Self { world, loop_end, log: reader, records: Vec::new(), samples: Vec::new() }
     }
 
     fn ask(&mut self, request: Request) {
@@ -42,8 +42,9 @@ impl Run {
     }
 
     fn step(&mut self, request: Option<Request>) {
-        let (sample, _) = self.world.step(request);
-        self.samples.push(sample);
+        let ticked = self.world.tick(request);
+        self.loop_end.push(ticked.input);
+        self.samples.push(ticked.sample);
         self.records.extend(std::iter::from_fn(|| self.log.next_tick()));
     }
 

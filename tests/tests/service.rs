@@ -190,13 +190,13 @@ fn a_terminal_that_stops_reading_blocks_nothing_and_sigterm_still_ends_the_run()
     std::thread::sleep(Duration::from_secs(4));
     kill(Pid::from_raw(i32::try_from(process.id()).unwrap()), Signal::SIGTERM).unwrap();
     assert_eq!(wait(&mut process, "stalled stdout"), Some(0));
-    assert!(is_closed(&log) > 50, "observers were fed all the time");
+    assert!(is_closed(&log) > 50, "clients were fed all the time");
 }
 
 #[test]
 fn a_panic_on_any_thread_ends_the_run_with_its_log_closed_and_its_words() {
     for (fault, words) in
-        [("panic-loop", "injected into the loop"), ("panic-observer", "injected into an observer")]
+        [("panic-loop", "injected into the loop"), ("panic-client", "injected into a client")]
     {
         let (arguments, log) = recorded(fault);
         let mut process =

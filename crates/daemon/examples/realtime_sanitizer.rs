@@ -46,7 +46,7 @@ fn main() {
 
 /// Runs `requests` and the rest of [`TICKS`] in a real-time context; it must end in `mode`.
 fn watched(world: &mut World, mode: Mode, requests: &[Request]) {
-    let (samples, _observer) = rtrb::RingBuffer::new(1024);
+    let (samples, _client) = rtrb::RingBuffer::new(1024);
     let (_commander, to_loop) = moca_telemetry::net::request_channel();
     let (mut rings, shared) = (Rings { samples, requests: to_loop, tick_log: None }, Shared::default());
     let mut last = None;

@@ -17,7 +17,7 @@ parameter_table! {
     /// A robot, completely described.
     #[derive(Clone, Debug, PartialEq)]
     pub struct Robot in "robot" {
-        /// Name of this robot, shown by observers and written into logs.
+        /// Name of this robot, shown by clients and written into logs.
         name: String = "moca".into();
         /// Which arm, of those built in.
         arm: Arm = Arm::default() => [.lab("arm")];

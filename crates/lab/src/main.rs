@@ -34,8 +34,8 @@ enum Command {
     Lean(lean::Arguments),
     /// From touch to force, stage by stage; whether the contact is stable and how fast the base may go.
     Latency(latency::Arguments),
-    /// What watching costs the live loop: overruns and publish stage with and without observers.
-    Observers(clients::Arguments),
+    /// What watching costs the live loop: overruns and publish stage with and without clients.
+    Clients(clients::Arguments),
     /// Error against run time: integrators and steps, control rate, single precision.
     Precision(precision::Arguments),
     Protection(protection::Arguments),
@@ -78,7 +78,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Faults(arguments) => faults::run(&arguments),
         Command::Lean(arguments) => lean::run(&arguments),
         Command::Latency(arguments) => latency::run(&arguments),
-        Command::Observers(arguments) => clients::run(&arguments),
+        Command::Clients(arguments) => clients::run(&arguments),
         Command::Precision(arguments) => precision::run(&arguments),
         Command::Protection(arguments) => protection::run(&arguments),
         Command::Report(arguments) => report::run(&arguments),

@@ -7,7 +7,7 @@
 //! 4. [`params`]: the controllers' parameters and their defaults; [`table`]: what a parameter's row is.
 //! 5. [`mode`]: modes, faults, how each is cleared.
 //! 6. [`protection`]: speed limit and contact events.
-//! 7. [`request`] and [`sample`]: what an observer may ask and what it is shown.
+//! 7. [`request`] and [`sample`]: what a client may ask and what it is shown.
 //!
 //! # Conventions
 //! SI units and radians. Frames: **W** world; **B** mobile base (x forward, y left, z up, origin on the floor at
@@ -42,3 +42,14 @@ pub use robot::{ArmTable, BaseTable, Mount, Payload, TaxelPlacement};
 pub use sample::{MAX_JOINTS, MAX_TAXELS, STAGES, Sample};
 pub use state::{Actuation, RobotCommand, RobotState};
 pub use taxel::{CoverReading, TaxelReading, TaxelStatus};
+
+/// A time of the loop, ns, as seconds.
+///
+/// ```
+/// assert_eq!(moca_msgs::seconds(2_500_000_000), 2.5);
+/// ```
+pub const fn seconds(ns: u64) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "a loop runs for less than 2^53 ns, 104 days")]
+    let ns = ns as f64;
+    ns * 1e-9
+}

@@ -1,4 +1,4 @@
-//! What protects the people around the robot, as an observer sees it: the speed limit in force, and contacts.
+//! What protects the people around the robot, as a client sees it: the speed limit in force, and contacts.
 
 /// Contacts up to this long are transient, longer ones quasi-static, s (ISO/TS 15066, 5.5.4).
 pub const TRANSIENT_S: f64 = 0.5;

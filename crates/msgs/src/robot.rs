@@ -215,7 +215,8 @@ pub enum Drive {
 crate::choice!(Drive { Holonomic: "holonomic" });
 
 /// Where one taxel sits on the cover and which way it is pressed.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct TaxelPlacement {
     /// Centre in B, m (x, y).
     pub position_base_m: [f64; 2],

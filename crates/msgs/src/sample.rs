@@ -1,4 +1,4 @@
-//! One tick as an observer sees it.
+//! One tick as a client sees it.
 
 use crate::board::Diagnosis;
 use crate::protection::{MAX_CONTACT_EVENTS, MAX_CONTACT_ROWS};

@@ -43,39 +43,29 @@ pub trait Scalar:
     fn size_of(x: Self) -> Self;
 }
 
-impl Scalar for f32 {
-    const NOTHING: Self = 0.0;
-    const UNIT: Self = 1.0;
-    const UNBOUNDED: Self = Self::INFINITY;
-    const KEPT: Self = 64.0 * Self::EPSILON;
-    const LOOSE: Self = 1e-4;
+macro_rules! scalar {
+    ($float:ty, root: $root:path, loose: $loose:literal) => {
+        impl Scalar for $float {
+            const NOTHING: Self = 0.0;
+            const UNIT: Self = 1.0;
+            const UNBOUNDED: Self = Self::INFINITY;
+            const KEPT: Self = 64.0 * Self::EPSILON;
+            const LOOSE: Self = $loose;
 
-    fn root_of(x: Self) -> Self {
-        libm::sqrtf(x)
-    }
+            fn root_of(x: Self) -> Self {
+                $root(x)
+            }
 
-    #[inline]
-    fn size_of(x: Self) -> Self {
-        x.abs()
-    }
+            #[inline]
+            fn size_of(x: Self) -> Self {
+                x.abs()
+            }
+        }
+    };
 }
 
-impl Scalar for f64 {
-    const NOTHING: Self = 0.0;
-    const UNIT: Self = 1.0;
-    const UNBOUNDED: Self = Self::INFINITY;
-    const KEPT: Self = 64.0 * Self::EPSILON;
-    const LOOSE: Self = 1e-9;
-
-    fn root_of(x: Self) -> Self {
-        libm::sqrt(x)
-    }
-
-    #[inline]
-    fn size_of(x: Self) -> Self {
-        x.abs()
-    }
-}
+scalar!(f32, root: libm::sqrtf, loose: 1e-4);
+scalar!(f64, root: libm::sqrt, loose: 1e-9);
 
 /// a·b, summed in two halves, which a processor can do side by side.
 #[inline]

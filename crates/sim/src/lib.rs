@@ -27,7 +27,7 @@ pub use contact::Tissue;
 pub use error::SimError;
 pub use plant::{ModelSize, SimPlant};
 pub use pty::{PtyBoard, SharedForces};
-pub use scene::{BaseServo, BodyPart, Integrator, Mobility, Person, Robot, Scene, Shape};
+pub use scene::{BodyPart, Integrator, Mobility, Person, Robot, Scene, Shape};
 
 /// Version of the MuJoCo library that is linked.
 pub fn mujoco_version() -> &'static str {

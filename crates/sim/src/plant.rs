@@ -20,7 +20,7 @@ const K: usize = MAX_TAXELS;
 
 /// What the plant was last told.
 #[derive(Clone, Copy, Debug)]
-enum Order {
+enum Command {
     Drive(RobotCommand<MAX_JOINTS>),
     Brake,
 }
@@ -54,7 +54,7 @@ pub struct SimPlant {
     arm_dof: Option<usize>,
     flange_body: Option<usize>,
     people: People,
-    order: Order,
+    command: Command,
     /// Velocity that the outer base servo asks of the wheels, axes of B.
     servo_velocity_body: [f64; 3],
     pressed_n: [f64; K],
@@ -96,7 +96,7 @@ impl SimPlant {
             arm_dof,
             flange_body,
             people: People::new(&scene.people, first_person_dof),
-            order: Order::Brake,
+            command: Command::Brake,
             servo_velocity_body: [0.0; 3],
             pressed_n: [0.0; K],
             taxel_force_n: [0.0; K],
@@ -135,23 +135,23 @@ impl SimPlant {
         state
     }
 
-    /// Takes an order for the following steps. Until the first one the plant brakes.
+    /// Takes a command for the following steps. Until the first one the plant brakes.
     ///
     /// # Errors
     /// A value that is not finite; the plant then brakes.
     pub fn apply<const N: usize>(&mut self, actuation: &Actuation<N>) -> Result<(), SimError> {
-        self.order = Order::Brake;
+        self.command = Command::Brake;
         if let Actuation::Drive(command) = actuation {
             finite("base velocity", &command.base_velocity_body)?;
             finite("arm torque", &command.arm_torque_nm)?;
-            self.order = Order::Drive(command.resized());
+            self.command = Command::Drive(command.resized());
         }
         Ok(())
     }
 
     /// The base has heard no command for too long: it stops, the arm goes on as told.
     pub fn stop_base(&mut self) {
-        if let Order::Drive(command) = &mut self.order {
+        if let Command::Drive(command) = &mut self.command {
             command.base_velocity_body = [0.0; 3];
         }
     }
@@ -295,14 +295,14 @@ impl SimPlant {
 
     /// Outer servo of the base: first order, limited in acceleration, in the axes of B, once per control period.
     fn advance_base_servo(&mut self) {
-        let target = match &self.order {
-            Order::Drive(command) => command.base_velocity_body,
-            Order::Brake => [0.0; 3],
+        let target = match &self.command {
+            Command::Drive(command) => command.base_velocity_body,
+            Command::Brake => [0.0; 3],
         };
         let dt_s = self.scene.control_period_s;
-        let servo = &self.scene.base_servo;
-        let gain = 1.0 - (-dt_s / servo.time_constant_s).exp();
-        let (linear, yaw) = (servo.acceleration_max_m_s2, servo.yaw_acceleration_max_rad_s2);
+        let base = &self.scene.base;
+        let gain = 1.0 - (-dt_s / base.servo_time_constant_s).exp();
+        let (linear, yaw) = (base.acceleration_max_m_s2, base.yaw_acceleration_max_rad_s2);
         for (i, limit) in [linear, linear, yaw].into_iter().enumerate() {
             let change = gain * (target[i] - self.servo_velocity_body[i]);
             self.servo_velocity_body[i] += change.clamp(-limit * dt_s, limit * dt_s);
@@ -348,9 +348,9 @@ impl SimPlant {
             }
         }
         if let Some(dof) = self.arm_dof {
-            match self.order {
-                Order::Drive(command) => self.torque_nm = command.arm_torque_nm,
-                Order::Brake => self.torque_nm = self.brake_torque_nm(dof, &state.dq_rad_s),
+            match self.command {
+                Command::Drive(command) => self.torque_nm = command.arm_torque_nm,
+                Command::Brake => self.torque_nm = self.brake_torque_nm(dof, &state.dq_rad_s),
             }
             let joints = self.scene.arm.joints;
             self.data.qfrc_applied_mut()[dof..dof + joints].copy_from_slice(&self.torque_nm[..joints]);

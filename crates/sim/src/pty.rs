@@ -24,7 +24,7 @@ pub type SharedForces = Arc<[AtomicU64; ELECTRODES]>;
 const WAKE: Duration = Duration::from_millis(1);
 
 /// What a test or a demonstration does to the board.
-enum Order {
+enum Command {
     Unplug,
     Replug,
     Fault(Option<BoardFault>),
@@ -35,7 +35,7 @@ enum Order {
 #[derive(Debug)]
 pub struct PtyBoard {
     path: PathBuf,
-    orders: Option<Sender<Order>>,
+    commands: Option<Sender<Command>>,
     pulse: Arc<AtomicU64>,
     thread: Option<JoinHandle<()>>,
 }
@@ -55,14 +55,14 @@ impl PtyBoard {
     pub fn spawn(config: VirtualBoardConfig, forces: SharedForces, path: &Path) -> Result<Self, SimError> {
         let board = VirtualBoard::new(config)?;
         let port = Port::open(path)?;
-        let (orders, received) = channel();
+        let (commands, received) = channel();
         let pulse = Arc::new(AtomicU64::new(0));
         let beats = Arc::clone(&pulse);
         let thread = std::thread::Builder::new()
             .name("touch-board".into())
             .spawn(move || run(board, port, &forces, &received, &beats))
             .map_err(|error| os("start the board's thread", &error))?;
-        Ok(Self { path: path.to_owned(), orders: Some(orders), pulse, thread: Some(thread) })
+        Ok(Self { path: path.to_owned(), commands: Some(commands), pulse, thread: Some(thread) })
     }
 
     /// A count that the board's thread raises whenever it runs, every millisecond.
@@ -77,35 +77,35 @@ impl PtyBoard {
 
     /// Pulls the cable: the port hangs up and its link vanishes.
     pub fn unplug(&self) {
-        self.order(Order::Unplug);
+        self.send(Command::Unplug);
     }
 
     /// Plugs it in again: a new port under the same link.
     pub fn replug(&self) {
-        self.order(Order::Replug);
+        self.send(Command::Replug);
     }
 
     /// Makes the board fail, or heals it.
     pub fn set_fault(&self, fault: Option<BoardFault>) {
-        self.order(Order::Fault(fault));
+        self.send(Command::Fault(fault));
     }
 
     /// Puts `bytes` on the line as they are.
     pub fn inject(&self, bytes: &[u8]) {
-        self.order(Order::Bytes(bytes.to_vec()));
+        self.send(Command::Bytes(bytes.to_vec()));
     }
 
-    fn order(&self, order: Order) {
-        if let Some(orders) = &self.orders {
-            // Fails only if the thread is gone, which ends every order anyway.
-            let _ = orders.send(order);
+    fn send(&self, command: Command) {
+        if let Some(commands) = &self.commands {
+            // Fails only if the thread is gone, which ends every command anyway.
+            let _ = commands.send(command);
         }
     }
 }
 
 impl Drop for PtyBoard {
     fn drop(&mut self) {
-        self.orders = None;
+        self.commands = None;
         if let Some(thread) = self.thread.take() {
             // The thread does not panic; if it did, there is nobody left to tell.
             let _ = thread.join();
@@ -189,22 +189,22 @@ fn run(
     mut board: VirtualBoard,
     mut port: Port,
     forces: &SharedForces,
-    orders: &Receiver<Order>,
+    commands: &Receiver<Command>,
     pulse: &AtomicU64,
 ) {
     let start = Instant::now();
     loop {
         pulse.fetch_add(1, Ordering::Relaxed);
-        match orders.try_recv() {
-            Ok(Order::Unplug) => port.unplug(),
-            Ok(Order::Replug) => {
+        match commands.try_recv() {
+            Ok(Command::Unplug) => port.unplug(),
+            Ok(Command::Replug) => {
                 port.unplug();
                 if let Err(error) = port.plug() {
                     eprintln!("virtual Touch Board: {error}");
                 }
             }
-            Ok(Order::Fault(fault)) => board.set_fault(fault),
-            Ok(Order::Bytes(bytes)) => port.write(&bytes),
+            Ok(Command::Fault(fault)) => board.set_fault(fault),
+            Ok(Command::Bytes(bytes)) => port.write(&bytes),
             Err(TryRecvError::Empty) => {
                 let force_n =
                     forces.each_ref().map(|force_n| f64::from_bits(force_n.load(Ordering::Relaxed)));

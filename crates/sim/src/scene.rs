@@ -193,33 +193,6 @@ impl Person {
     }
 }
 
-/// The velocity servo of the base: first order, limited in acceleration, in the axes of B.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BaseServo {
-    /// s.
-    pub time_constant_s: f64,
-    /// Along x and along y, m/s².
-    pub acceleration_max_m_s2: f64,
-    /// rad/s².
-    pub yaw_acceleration_max_rad_s2: f64,
-}
-
-impl From<&BaseTable> for BaseServo {
-    fn from(base: &BaseTable) -> Self {
-        Self {
-            time_constant_s: base.servo_time_constant_s,
-            acceleration_max_m_s2: base.acceleration_max_m_s2,
-            yaw_acceleration_max_rad_s2: base.yaw_acceleration_max_rad_s2,
-        }
-    }
-}
-
-impl Default for BaseServo {
-    fn default() -> Self {
-        Self::from(&SUMMIT_XL)
-    }
-}
-
 /// Everything a simulation holds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
@@ -242,14 +215,12 @@ pub struct Scene {
     /// Everything a model of this robot could hold, needed or not: geoms with collision detection, sensors, energy.
     /// It changes no trajectory; it is what scene economy is measured against.
     pub everything: bool,
-    /// The base's body.
+    /// The base: its body and its velocity servo, first order and limited in acceleration in the axes of B.
     pub base: BaseTable,
     /// Where the arm sits on it.
     pub mount: Mount,
     /// Where the taxels sit on it, up to [`MAX_TAXELS`].
     pub cover: Vec<TaxelPlacement>,
-    /// The base's velocity servo.
-    pub base_servo: BaseServo,
     /// People and walls.
     pub people: Vec<Person>,
     /// Time between two commands, s.
@@ -276,7 +247,6 @@ impl Default for Scene {
             base: SUMMIT_XL,
             mount: MOCA_MOUNT,
             cover: PAPER_COVER.to_vec(),
-            base_servo: BaseServo::default(),
             people: Vec::new(),
             control_period_s: 1e-3,
             physics_step_s: 1e-3,
@@ -315,10 +285,9 @@ impl Scene {
                 within("taxel.distance_outward", "m", &[nx * x + ny * y], 2.0 * self.foam.gap_m, 15.0)?;
             }
         }
-        let servo = &self.base_servo;
-        within("base_servo.time_constant_s", "s", &[servo.time_constant_s], 1e-4, 10.0)?;
-        let (linear, yaw) = (servo.acceleration_max_m_s2, servo.yaw_acceleration_max_rad_s2);
-        within("base_servo.acceleration", "m/s², rad/s²", &[linear, yaw], 1e-3, 1e4)?;
+        within("base.servo_time_constant", "s", &[self.base.servo_time_constant_s], 1e-4, 10.0)?;
+        let (linear, yaw) = (self.base.acceleration_max_m_s2, self.base.yaw_acceleration_max_rad_s2);
+        within("base.acceleration", "m/s², rad/s²", &[linear, yaw], 1e-3, 1e4)?;
         self.people.iter().try_for_each(Person::check)?;
         self.substeps().map(|_| ())
     }

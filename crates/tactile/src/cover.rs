@@ -260,7 +260,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         for (i, taxel) in reading.taxels.iter().enumerate().take(self.config.taxels) {
             match taxel.status {
                 TaxelStatus::Ok => forces[i] = taxel.force_n,
-                TaxelStatus::Masked if self.config.mask_policy == MaskPolicy::Unfelt => {}
+                TaxelStatus::Masked if self.config.mask_policy == MaskPolicy::Ignore => {}
                 status => return Err((i, status)),
             }
         }

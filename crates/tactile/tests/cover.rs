@@ -434,7 +434,7 @@ fn a_masked_taxel_is_reported_and_its_policy_is_chosen() {
     assert_eq!(poll.fault, Some(Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Masked }));
 
     let mut bench =
-        Bench::new(CoverConfig { masked, mask_policy: MaskPolicy::Unfelt, ..CoverConfig::default() });
+        Bench::new(CoverConfig { masked, mask_policy: MaskPolicy::Ignore, ..CoverConfig::default() });
     bench.tare();
     let poll = bench.cover.poll(bench.now_ns);
     assert_eq!((poll.forces, poll.fault), (Ok([0.0; 11]), None));

@@ -1,9 +1,9 @@
-//! The calibration of a taxel as an observer sees it: what it may ask, and how far the daemon has come. The daemon
-//! collects, fits and writes the file; an observer only shows.
+//! The calibration of a taxel as a client sees it: what it may ask, and how far the daemon has come. The daemon
+//! collects, fits and writes the file; a client only shows.
 
 use serde::{Deserialize, Serialize};
 
-/// What an observer may ask. Only the commander's requests are heard.
+/// What a client may ask. Only the commander's requests are heard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CalibrationRequest {
     /// Begin with one taxel; what was not saved is forgotten.

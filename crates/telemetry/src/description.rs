@@ -1,10 +1,10 @@
-//! What an observer must know once: who the robot is, its geometry, its limits.
+//! What a client must know once: who the robot is, its geometry, its limits.
 
 use crate::ParameterDescription;
 use moca_msgs::{ArmTable, BaseTable, Limits, Mount, ParameterValues, TaxelPlacement};
 use serde::{Deserialize, Serialize};
 
-/// A robot as an observer needs it: enough to draw base, arm and cover from a [`moca_msgs::Sample`].
+/// A robot as a client needs it: enough to draw base, arm and cover from a [`moca_msgs::Sample`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RobotDescription {
     /// Name of this robot, chosen by its owner.
@@ -18,7 +18,7 @@ pub struct RobotDescription {
     /// The arm.
     pub arm: ArmDescription,
     /// The taxels, T1 first.
-    pub taxels: Vec<TaxelDescription>,
+    pub taxels: Vec<TaxelPlacement>,
     /// Oldest cover data the supervisor accepts, s.
     pub frame_deadline_s: f64,
     /// Largest force believed from one taxel, N.
@@ -49,15 +49,6 @@ pub struct ArmDescription {
     pub joint_origin: Vec<[f64; 6]>,
     /// Flange in the last link.
     pub flange_origin: [f64; 6],
-}
-
-/// Where one taxel sits and which way a press pushes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct TaxelDescription {
-    /// Centre in B, m.
-    pub position_base_m: [f64; 2],
-    /// Direction in which a press pushes the robot, in B, rad.
-    pub inward_angle_base_rad: f64,
 }
 
 impl RobotDescription {
@@ -94,13 +85,7 @@ impl RobotDescription {
                 joint_origin: arm.joint_origin.to_vec(),
                 flange_origin: arm.flange_origin,
             },
-            taxels: cover
-                .iter()
-                .map(|t| TaxelDescription {
-                    position_base_m: t.position_base_m,
-                    inward_angle_base_rad: t.inward_angle_base_rad,
-                })
-                .collect(),
+            taxels: cover.to_vec(),
             frame_deadline_s,
             taxel_force_max_n: limits.taxel_force_n,
             base_velocity_max: limits.base_velocity,

@@ -1,6 +1,6 @@
 //! The only place that knows a transport or a log format.
 //!
-//! - [`description`]: what an observer must know once to draw the robot and read its samples.
+//! - [`description`]: what a client must know once to draw the robot and read its samples.
 //! - [`parameter`]: the schema of parameters with present values.
 //! - `net` (feature `net`): TCP server and client: batches of samples out, requests in.
 //! - `log` (feature `log`): MCAP writer and reader: every sample, every byte of the Touch Board.

@@ -1,4 +1,4 @@
-//! Parameters as an observer sees them: schema, default, present value.
+//! Parameters as a client sees them: schema, default, present value.
 
 use moca_msgs::ParameterValues;
 use serde::{Deserialize, Serialize};

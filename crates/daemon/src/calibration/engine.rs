@@ -195,7 +195,7 @@ fn fits(measured: &Measured) -> Result<Vec<Fit>> {
     ModelKind::ALL.iter().map(one).collect()
 }
 
-/// As an observer is shown it.
+/// As a client is shown it.
 fn shown(step: &Step) -> CalibrationProgress {
     let taxel = |target: &Target| u8::try_from(target.number - 1).unwrap_or(u8::MAX);
     match step {

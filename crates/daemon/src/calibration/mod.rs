@@ -3,7 +3,6 @@
 //! One [`engine`], fed with bytes, forces and times, collects and fits. The terminal (`mocad calibrate`) and the
 //! dashboard (through [`service`]) are two views of it; [`store`] writes what they accept.
 
-mod date;
 pub mod engine;
 pub mod service;
 pub mod store;

@@ -1,11 +1,11 @@
 //! The calibration file that a session writes into.
 
-use crate::calibration::date::today;
 use crate::calibration::engine::{Fitted, usable};
 use anyhow::{Context, Result, ensure};
 use moca_tactile::calibration::file::TaxelEntry;
 use moca_tactile::calibration::{CalibrationFile, ModelKind};
 use std::path::PathBuf;
+use std::time::SystemTime;
 
 /// Where fits go; an existing file keeps its other taxels.
 #[derive(Clone, Debug)]
@@ -34,7 +34,7 @@ impl Store {
         };
         ensure!(file.board == *board, "{} is of board {:?}, not {board:?}", path.display(), file.board);
         ensure!(file.sketch == fitted.sketch.name(), "{} is of sketch {}", path.display(), file.sketch);
-        file.date = today()?;
+        file.date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string()[..10].to_owned();
         let number = fitted.measured.target.number;
         file.taxel.retain(|entry| entry.number != number);
         file.taxel.push(TaxelEntry::new(number, fitted.measured.rest_counts, &fit.model, &fit.quality));

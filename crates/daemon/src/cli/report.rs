@@ -7,7 +7,7 @@ use crate::robot::Parts;
 use crate::runtime::notice::{Notice, Summary};
 use moca_msgs::board::Diagnosis;
 use moca_msgs::protection::{ContactKind, ContactPhase};
-use moca_msgs::{ContactEvent, Fault, Law, Mode, Sample, SpeedLimit};
+use moca_msgs::{ContactEvent, Fault, Law, Mode, Sample, SpeedLimit, seconds};
 use std::fmt;
 
 /// How much a line matters.
@@ -46,7 +46,7 @@ impl fmt::Display for Line {
 
 /// Turns samples into lines.
 #[derive(Debug, Default)]
-pub struct Console {
+pub struct Report {
     level: Level,
     mode: Option<Mode>,
     fault: Option<Fault>,
@@ -57,7 +57,7 @@ pub struct Console {
 const STATUS_EVERY_S: f64 = 1.0;
 const BOARD_SETTLED_S: f64 = 1.0;
 
-impl Console {
+impl Report {
     /// Shows what matters at least as much as `level`.
     pub fn new(level: Level) -> Self {
         Self { level, ..Self::default() }
@@ -98,7 +98,7 @@ impl Console {
 }
 
 /// What a terminal shows of one notice, in lines; usually none.
-pub fn lines_of(console: &mut Console, notice: Notice<'_>) -> Vec<String> {
+pub fn lines_of(report: &mut Report, notice: Notice<'_>) -> Vec<String> {
     let under = |title: &str, text: String| vec![format!("  {title:<11} {text}")];
     match notice {
         Notice::Begins { config, lock_step } => introduction(config, lock_step),
@@ -118,7 +118,7 @@ pub fn lines_of(console: &mut Console, notice: Notice<'_>) -> Vec<String> {
             Err(error) => under("real time", format!("{}: no ({error})", step.what)),
         },
         Notice::Runs => vec!["Ctrl-C stops it.".into()],
-        Notice::Sample(sample) => console.lines(sample).iter().map(ToString::to_string).collect(),
+        Notice::Sample(sample) => report.lines(sample).iter().map(ToString::to_string).collect(),
         Notice::Parameter(change) => {
             vec![format!("[tick {}] parameter {} = {:?}", change.tick, change.name, change.values)]
         }
@@ -282,11 +282,6 @@ fn pose(base_pose_world: &[f64; 3]) -> String {
     format!("x {x:+.3} m, y {y:+.3} m, yaw {yaw:+.1}°")
 }
 
-#[expect(clippy::cast_precision_loss, reason = "loop times are far below 2^53 ns")]
-fn seconds(ns: u64) -> f64 {
-    ns as f64 * 1e-9
-}
-
 impl fmt::Display for Summary<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let last = self.last;
@@ -324,6 +319,6 @@ impl fmt::Display for Summary<'_> {
             Some(count) => writeln!(f, "  allocations  {count} on the loop thread after warm-up")?,
             None => writeln!(f, "  allocations  not measured: the run ended before warm-up was over")?,
         }
-        writeln!(f, "  observers    {} samples dropped", self.samples_dropped)
+        writeln!(f, "  clients      {} samples dropped", self.samples_dropped)
     }
 }

@@ -1,7 +1,7 @@
-//! The terminal as one more observer: its own thread writes, so that a terminal that stops reading or goes away costs
+//! The terminal as one more client: its own thread writes, so that a terminal that stops reading or goes away costs
 //! lines and nothing else.
 
-use crate::cli::report::{Console, Level, lines_of};
+use crate::cli::report::{Level, Report, lines_of};
 use crate::runtime::notice::{Notice, Reporter};
 use std::io::{self, Write};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
@@ -16,7 +16,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(1);
 
 /// Formats what a run has to say and hands it to the thread that writes.
 pub struct Terminal {
-    console: Console,
+    report: Report,
     lines: Option<SyncSender<String>>,
     written: Receiver<()>,
     may_wait: bool,
@@ -42,7 +42,7 @@ impl Terminal {
         std::thread::Builder::new()
             .name("terminal".into())
             .spawn(move || write_lines(&queue, output, done))?;
-        Ok(Self { console: Console::new(level), lines: Some(lines), written, may_wait, lost: 0 })
+        Ok(Self { report: Report::new(level), lines: Some(lines), written, may_wait, lost: 0 })
     }
 
     /// Lines that found no room.
@@ -85,7 +85,7 @@ impl Terminal {
 
 impl Reporter for Terminal {
     fn report(&mut self, notice: Notice<'_>) {
-        for line in lines_of(&mut self.console, notice) {
+        for line in lines_of(&mut self.report, notice) {
             self.say(line);
         }
     }

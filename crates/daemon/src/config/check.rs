@@ -100,10 +100,10 @@ fn geometry(config: &Config, report: Report<'_>) {
 
 fn masks(config: &Config, report: Report<'_>) {
     let masked = |taxel: usize| config.board.masked.contains(&taxel);
-    if config.board.mask_policy == MaskPolicy::Unfelt && (1..=config.robot.cover.count()).all(masked) {
+    if config.board.mask_policy == MaskPolicy::Ignore && (1..=config.robot.cover.count()).all(masked) {
         report(
             "board.masked",
-            "board.masked: every taxel is masked and board.mask_policy = \"unfelt\" would move a base that feels nothing; \
+            "board.masked: every taxel is masked and board.mask_policy = \"ignore\" would move a base that feels nothing; \
              leave one in use, or use mask_policy = \"stop\""
                 .into(),
         );
@@ -120,12 +120,12 @@ fn hand(config: &Config, report: Report<'_>) {
 
 /// What is wrong between the values of `[protection]`.
 fn protection(settings: &ProtectionConfig, report: Report<'_>) {
-    if settings.unfelt_force_n >= settings.force_limit_n {
+    if settings.threshold_force_n >= settings.force_limit_n {
         report(
-            "protection.unfelt_force_n",
+            "protection.threshold_force_n",
             format!(
-                "protection.unfelt_force_n = {} N is not below protection.force_limit_n = {} N: no speed would be slow enough",
-                settings.unfelt_force_n, settings.force_limit_n
+                "protection.threshold_force_n = {} N is not below protection.force_limit_n = {} N: no speed would be slow enough",
+                settings.threshold_force_n, settings.force_limit_n
             ),
         );
     }

@@ -16,7 +16,11 @@ const RENAMED: &[(&str, &str)] = &[
     ("geometry.taxel_y_m", "robot.cover.y_m"),
     ("geometry.taxel_inward_rad", "robot.cover.inward_rad"),
     ("control.corrections.flange_feed", "control.corrections.flange_wrench_feedforward"),
+    ("protection.unfelt_force_n", "protection.threshold_force_n"),
 ];
+
+/// Choices of earlier versions: key, what was written there, and what it is called now.
+const RENAMED_CHOICES: &[(&str, &str, &str)] = &[("board.mask_policy", "unfelt", "ignore")];
 
 impl Config {
     /// Reads and checks a file.
@@ -198,7 +202,12 @@ pub(crate) fn take(
     value: &toml::Value,
     joints: usize,
 ) -> Result<(), String> {
-    let wrong = || Err(format!("{} = {}; expected {}", row.name, shown(value), expected(row, joints)));
+    let wrong = || {
+        let old =
+            RENAMED_CHOICES.iter().find(|(key, old, _)| *key == row.name && value.as_str() == Some(old));
+        let now = old.map(|(_, _, new)| format!(" (it is called {new:?} now)")).unwrap_or_default();
+        Err(format!("{} = {}; expected {}{now}", row.name, shown(value), expected(row, joints)))
+    };
     match row.kind {
         ParameterKind::Text | ParameterKind::Choice(_) => match value {
             toml::Value::String(text) if field.take(FieldValue::Text(text)) => Ok(()),
@@ -424,6 +433,12 @@ mod tests {
         for (old, new) in RENAMED {
             assert!(find(&rows, new).is_some() && find(&rows, old).is_none(), "{old} {new}");
         }
+        for (key, old, new) in RENAMED_CHOICES {
+            let (section, name) = key.split_once('.').unwrap();
+            let file = |choice| format!("[{section}]\n{name} = {choice:?}\n");
+            assert!(mistakes(&file(old))[0].ends_with(&format!("(it is called {new:?} now)")), "{key}");
+            assert!(Config::parse(&file(new)).is_ok(), "{key}");
+        }
     }
 
     #[test]
@@ -491,9 +506,9 @@ mod tests {
         );
         assert!(cover("inward_rad", 5, 1.5).len() == 1 && cover("inward_rad", 5, 2.0).is_empty());
         assert!(cover("x_m", 1, -0.367)[0].contains("T1 and T2 are"));
-        let unfelt = "[board]\nmasked = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]\nmask_policy = \"unfelt\"\n";
-        assert!(mistakes(unfelt)[0].starts_with("line 2: board.masked: every taxel is masked"));
-        assert!(Config::parse(&unfelt.replace("unfelt", "stop")).is_ok());
+        let ignored = "[board]\nmasked = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]\nmask_policy = \"ignore\"\n";
+        assert!(mistakes(ignored)[0].starts_with("line 2: board.masked: every taxel is masked"));
+        assert!(Config::parse(&ignored.replace("ignore", "stop")).is_ok());
         let far = mistakes("[board]\nmasked = [12]\n[simulation.hand]\ntaxels = [20]\n");
         assert_eq!(far[0], "line 2: board.masked = 12: the cover's taxels are 1 to 11");
         assert_eq!(far[1], "line 4: simulation.hand.taxels = 20: the cover's taxels are 1 to 11");

@@ -161,11 +161,11 @@ parameter_table! {
     pub struct ProtectionConfig in "protection" {
         /// Force of an impact that limits the speed of the cover's fastest point.
         force_limit_n: f64 = 25.0 => [.range(1.0, 500.0).units(&["N"])];
-        /// Force that the cover does not feel.
-        unfelt_force_n: f64 = 5.2 => [.range(0.0, 100.0).units(&["N"])];
+        /// Largest force that the cover does not feel.
+        threshold_force_n: f64 = 5.2 => [.range(0.0, 100.0).units(&["N"])];
         /// Stiffness of cover and body in series at the force limit.
         contact_stiffness_n_m: f64 = 7783.0 => [.range(100.0, 1e6).units(&["N/m"])];
-        /// Way that cover and body yield from the unfelt force to the force limit.
+        /// Way that cover and body yield from the threshold force to the force limit.
         contact_travel_m: f64 = 0.0031 => [.range(1e-4, 0.1).units(&["m"])];
         /// Forces of your own risk assessment: `moca-lab latency` prints the speed for each.
         assessed_forces_n: Vec<f64> = vec![25.0, 65.0, 130.0, 260.0] => [.range(6.0, 1000.0).units(&["N"])];

@@ -1,4 +1,4 @@
-//! The schema of everything that can be configured, for observers and as JSON schema.
+//! The schema of everything that can be configured, for clients and as JSON schema.
 
 use crate::config::Config;
 use crate::config::load::{find, written};
@@ -6,7 +6,7 @@ use moca_msgs::table::{ParameterKind, ParameterSpec, Size};
 use moca_telemetry::{ParameterDescription, ParameterForm, ParameterValue};
 use serde_json::{Map, Value, json};
 
-/// The schema with defaults and the values of `config`, as observers are given it.
+/// The schema with defaults and the values of `config`, as clients are given it.
 pub fn describe(config: &Config) -> Vec<ParameterDescription> {
     let defaults = Config::with_arm(config.robot.arm.clone()).to_toml();
     let (mut all, joints) = (Vec::new(), config.arm().joints);

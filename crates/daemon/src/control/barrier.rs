@@ -58,7 +58,7 @@ impl Barrier {
     }
 
     /// Takes in what the cover says in the tick at `now_ns`.
-    pub fn feel(&mut self, now_ns: u64, cover: &CoverState) {
+    pub fn take_cover(&mut self, now_ns: u64, cover: &CoverState) {
         let age_s = cover.reading.age_s(now_ns);
         for (sample, taxel) in self.samples.iter_mut().zip(&cover.reading.taxels) {
             let valid = taxel.status == TaxelStatus::Ok;
@@ -187,7 +187,7 @@ fn settings(config: &Config) -> Result<Option<BarrierSettings>, ParameterError> 
 pub fn travel_m(config: &Config) -> Option<f64> {
     let p = &config.protection;
     let (reading, foam) = curves(config)?;
-    Some((foam.depth_m(p.force_limit_n) - reading.depth_m(p.unfelt_force_n)).max(0.0))
+    Some((foam.depth_m(p.force_limit_n) - reading.depth_m(p.threshold_force_n)).max(0.0))
 }
 
 #[cfg(all(test, feature = "sim"))]

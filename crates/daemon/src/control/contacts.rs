@@ -4,7 +4,7 @@ use crate::config::contact_limits::ContactLimits;
 use crate::robot::TAXELS;
 use heapless::Deque;
 use moca_msgs::protection::{ContactKind, ContactPhase, NO_ROOM_M_S, TRANSIENT_S};
-use moca_msgs::{ContactEvent, ContactReaction, ContactRow, TaxelReading, TaxelStatus};
+use moca_msgs::{ContactEvent, ContactReaction, ContactRow, TaxelReading, TaxelStatus, seconds};
 
 /// Events that wait for a sample with room. A frame makes at most four a taxel, and a tick takes four away: with 4 ms
 /// between frames, the sensor chip's fastest, they do not pile up.
@@ -56,9 +56,9 @@ impl ContactTracker {
                 (None, false) => {}
                 (None, true) => {
                     self.contacts[i] = Some(Contact::new(now_ns));
-                    self.feel(i, now_ns, reading.force_n, Some(ContactPhase::Started));
+                    self.take_force(i, now_ns, reading.force_n, Some(ContactPhase::Started));
                 }
-                (Some(_), true) => self.feel(i, now_ns, reading.force_n, None),
+                (Some(_), true) => self.take_force(i, now_ns, reading.force_n, None),
                 (Some(contact), false) => {
                     let phase = if valid { ContactPhase::Finished } else { ContactPhase::Lost };
                     let event = contact.event(i, phase, now_ns, self.reaction);
@@ -102,7 +102,7 @@ impl ContactTracker {
         taken
     }
 
-    fn feel(&mut self, taxel: usize, now_ns: u64, force_n: f64, phase: Option<ContactPhase>) {
+    fn take_force(&mut self, taxel: usize, now_ns: u64, force_n: f64, phase: Option<ContactPhase>) {
         let Some(contact) = &mut self.contacts[taxel] else { return };
         contact.force_n = force_n;
         contact.peak_n = contact.peak_n.max(force_n);
@@ -187,12 +187,6 @@ impl Contact {
             excess_m_s: 0.0,
         }
     }
-}
-
-fn seconds(ns: u64) -> f64 {
-    #[expect(clippy::cast_precision_loss, reason = "loop times are far below 2^53 ns")]
-    let ns = ns as f64;
-    ns * 1e-9
 }
 
 #[cfg(test)]

@@ -98,7 +98,7 @@ impl Motion {
         self.guard = protected.guard;
         if let Some(barrier) = &mut self.barrier {
             self.protection.squeezed(now_ns, barrier.rows());
-            barrier.feel(now_ns, cover);
+            barrier.take_cover(now_ns, cover);
         }
         protected
     }
@@ -192,8 +192,8 @@ impl Motion {
                 guard.outward_m_s = Some(contacts.outward_m_s);
             }
         }
-        let told = Told { law, taxel_force_n, guard, dt_s };
-        let output = either!(&mut self.controller, controller => controller.step(robot, &told))?;
+        let input = LawInput { law, taxel_force_n, guard, dt_s };
+        let output = either!(&mut self.controller, controller => controller.step(robot, &input))?;
         if let Some(barrier) = &mut self.barrier {
             barrier.remember(&output.flange, robot);
             barrier.ordered(&output.command.base_velocity_body);
@@ -209,8 +209,8 @@ impl Motion {
     }
 }
 
-/// What a controller is told besides the robot's state.
-struct Told {
+/// What a controller is given besides the robot's state.
+struct LawInput {
     law: ControlLaw,
     taxel_force_n: [f64; TAXELS],
     guard: BaseGuard<TAXELS>,
@@ -275,9 +275,9 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    fn step(&mut self, robot: &RobotState<JOINTS>, told: &Told) -> Result<ControlOutput<JOINTS>, Fault> {
+    fn step(&mut self, robot: &RobotState<JOINTS>, input: &LawInput) -> Result<ControlOutput<JOINTS>, Fault> {
         let robot: RobotState<N> = robot.resized();
-        let Told { law, taxel_force_n, guard, dt_s } = *told;
+        let LawInput { law, taxel_force_n, guard, dt_s } = *input;
         match self {
             Self::Whole(controller, state) => {
                 let state = entered(state, || controller.enter(law, &robot))?;

@@ -19,7 +19,7 @@ pub struct SourceAge {
 pub struct NoRobot(RobotState<JOINTS>);
 
 impl NoRobot {
-    /// Shown to observers with its arm at `q_rad`.
+    /// Shown to clients with its arm at `q_rad`.
     pub const fn at(q_rad: [f64; JOINTS]) -> Self {
         Self(RobotState {
             base_pose_world: [0.0; 3],

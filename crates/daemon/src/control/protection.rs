@@ -1,7 +1,7 @@
 //! Protection of the people around the base: how fast it may go for the board it has, and what it does when a contact
 //! crosses a limit of the user's. Pure but for the file of limits ([`crate::config::contact_limits`]); no allocation in a tick.
 //!
-//! v = (F_max − F_unfelt)/(k(T + τ)): a reading that is T late lets a base of servo lag τ press v(T + τ) further than the
+//! v = (F_max − F_threshold)/(k(T + τ)): a reading that is T late lets a base of servo lag τ press v(T + τ) further than the
 //! controller knows, against the stiffness k of cover and body; what the cover does not feel comes on top. It bounds the
 //! impact, not what a law goes on pushing with: that is the contact limits' part.
 //!
@@ -16,7 +16,7 @@ use crate::control::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_EVENTS;
 use moca_msgs::{
-    ContactEvent, ContactReaction, ContactRow, Limits, RobotState, SpeedLimit, SpeedLimitReason,
+    ContactEvent, ContactReaction, ContactRow, Limits, RobotState, SpeedLimit, SpeedLimitReason, seconds,
 };
 use moca_tactile::Firmware;
 use moca_tactile::board::SILENT_AFTER_NS;
@@ -146,7 +146,7 @@ impl Protection {
     /// loop does not go through k, only the latter, and of the foam alone: the body may be rigid.
     fn speed_m_s(&self, delay_s: f64, limits: &Limits<JOINTS>) -> f64 {
         let contact = Contact { delay_s, ..self.contact };
-        let felt_n = self.settings.force_limit_n - self.settings.unfelt_force_n;
+        let felt_n = self.settings.force_limit_n - self.settings.threshold_force_n;
         let deceleration =
             limits.base_acceleration[0].min(limits.base_acceleration[1]).min(self.base_acceleration_m_s2);
         if let Some(travel_m) = self.barrier_travel_m {
@@ -282,12 +282,6 @@ pub fn speed_for_delay_m_s(config: &Config, force_limit_n: f64, delay_s: f64) ->
     protection.settings.force_limit_n = force_limit_n;
     let limits = config.parameters().limits;
     protection.speed_m_s(delay_s, &limits).min(protection.outline.fastest(&limits.base_velocity))
-}
-
-fn seconds(ns: u64) -> f64 {
-    #[expect(clippy::cast_precision_loss, reason = "loop times are far below 2^53 ns")]
-    let ns = ns as f64;
-    ns * 1e-9
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ pub enum Stage {
     Control,
     /// Command → plant (in simulation this includes the physics step).
     Write,
-    /// Sample → observers' ring.
+    /// Sample → clients' ring.
     Publish,
 }
 

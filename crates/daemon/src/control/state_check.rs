@@ -1,4 +1,4 @@
-//! The door of the robot's state: nothing that is old, not a number or not possible reaches a controller.
+//! The check of the robot's state: nothing that is old, not a number or not possible reaches a controller.
 
 use crate::control::plant::SourceAge;
 use crate::robot::JOINTS;
@@ -18,11 +18,11 @@ const BASE_RATE_MAX: (f64, f64) = (10.0, 0.1);
 
 /// Remembers the last state let in.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct StateDoor {
+pub struct StateCheck {
     last: Option<RobotState<JOINTS>>,
 }
 
-impl StateDoor {
+impl StateCheck {
     /// Lets `state` in, measured `dt_s` after the last one. What comes after a stale one is compared with nothing: the
     /// robot may have been moved meanwhile, and a law starts from where it is.
     ///
@@ -88,56 +88,60 @@ mod tests {
 
     #[test]
     fn motion_passes_and_jumps_do_not() {
-        let mut door = StateDoor::default();
-        door.check(state(), FRESH, 1e-3).unwrap();
+        let mut states = StateCheck::default();
+        states.check(state(), FRESH, 1e-3).unwrap();
         let mut moved = state();
         moved.q_rad[3] = 0.04;
         moved.base_pose_world = [0.03, 0.03, TAU + 0.05];
-        door.check(moved, FRESH, 1e-3).unwrap();
+        states.check(moved, FRESH, 1e-3).unwrap();
         moved.q_rad[3] = 0.14;
-        assert_eq!(door.check(moved, FRESH, 1e-3), Err(Fault::StateInvalid));
-        assert!(door.check(moved, FRESH, 0.1).is_ok(), "the same way in a longer time is a motion");
+        assert_eq!(states.check(moved, FRESH, 1e-3), Err(Fault::StateInvalid));
+        assert!(states.check(moved, FRESH, 0.1).is_ok(), "the same way in a longer time is a motion");
         moved.base_pose_world[0] += 0.2;
-        assert_eq!(door.check(moved, FRESH, 1e-3), Err(Fault::StateInvalid));
+        assert_eq!(states.check(moved, FRESH, 1e-3), Err(Fault::StateInvalid));
     }
 
     #[test]
     fn a_jump_is_measured_from_where_the_robot_was() {
-        let mut door = StateDoor::default();
+        let mut states = StateCheck::default();
         let far = RobotState { base_pose_world: [5.0, -4.0, 2.0], q_rad: [1.5; JOINTS], ..state() };
-        door.check(far, FRESH, 1e-3).unwrap();
-        assert!(door.check(far, FRESH, 1e-3).is_ok(), "it stands still");
+        states.check(far, FRESH, 1e-3).unwrap();
+        assert!(states.check(far, FRESH, 1e-3).is_ok(), "it stands still");
         let back = RobotState { q_rad: [-1.5; JOINTS], ..far };
-        assert_eq!(door.check(back, FRESH, 1e-3), Err(Fault::StateInvalid));
+        assert_eq!(states.check(back, FRESH, 1e-3), Err(Fault::StateInvalid));
         let back = RobotState { base_pose_world: [-5.0, 4.0, -2.0], ..far };
-        assert_eq!(door.check(back, FRESH, 1e-3), Err(Fault::StateInvalid));
+        assert_eq!(states.check(back, FRESH, 1e-3), Err(Fault::StateInvalid));
     }
 
     #[test]
     fn a_robot_that_was_moved_while_its_state_was_stale_is_taken_where_it_is() {
-        let mut door = StateDoor::default();
-        door.check(state(), FRESH, 1e-3).unwrap();
-        assert_eq!(door.check(state(), SourceAge { arm_s: 0.0, base_s: 0.2 }, 1e-3), Err(Fault::BaseStale));
+        let mut states = StateCheck::default();
+        states.check(state(), FRESH, 1e-3).unwrap();
+        assert_eq!(states.check(state(), SourceAge { arm_s: 0.0, base_s: 0.2 }, 1e-3), Err(Fault::BaseStale));
         let mut moved = state();
         (moved.base_pose_world, moved.q_rad[2]) = ([1.0, -2.0, 0.7], 0.4);
-        assert!(door.check(moved, FRESH, 1e-3).is_ok(), "no restart for that");
+        assert!(states.check(moved, FRESH, 1e-3).is_ok(), "no restart for that");
         moved.base_pose_world[0] += 0.2;
-        assert_eq!(door.check(moved, FRESH, 1e-3), Err(Fault::StateInvalid), "from there on jumps are jumps");
+        assert_eq!(
+            states.check(moved, FRESH, 1e-3),
+            Err(Fault::StateInvalid),
+            "from there on jumps are jumps"
+        );
     }
 
     #[test]
     fn what_is_not_a_number_or_too_old_is_named() {
-        let mut door = StateDoor::default();
+        let mut states = StateCheck::default();
         let arm = SourceAge { arm_s: 2.0 * ARM_DEADLINE_S, base_s: 0.0 };
-        assert_eq!(door.check(state(), arm, 1e-3), Err(Fault::ArmStale));
+        assert_eq!(states.check(state(), arm, 1e-3), Err(Fault::ArmStale));
         let base = SourceAge { arm_s: 0.0, base_s: 2.0 * BASE_DEADLINE_S };
-        assert_eq!(door.check(state(), base, 1e-3), Err(Fault::BaseStale));
+        assert_eq!(states.check(state(), base, 1e-3), Err(Fault::BaseStale));
         let (arm, base) =
             (SourceAge { arm_s: f64::NAN, base_s: 0.0 }, SourceAge { arm_s: 0.0, base_s: f64::NAN });
-        assert_eq!(door.check(state(), arm, 1e-3), Err(Fault::ArmStale));
-        assert_eq!(door.check(state(), base, 1e-3), Err(Fault::BaseStale));
+        assert_eq!(states.check(state(), arm, 1e-3), Err(Fault::ArmStale));
+        assert_eq!(states.check(state(), base, 1e-3), Err(Fault::BaseStale));
         let mut wrong = state();
         wrong.flange_wrench_world = Some([f64::NAN; 6]);
-        assert_eq!(door.check(wrong, FRESH, 1e-3), Err(Fault::StateInvalid));
+        assert_eq!(states.check(wrong, FRESH, 1e-3), Err(Fault::StateInvalid));
     }
 }

@@ -5,7 +5,7 @@ use crate::control::law::{self, Motion};
 use crate::control::plant::Plant;
 use crate::control::protection::Protected;
 use crate::control::stage::{Stage, StageTimer};
-use crate::control::state_check::StateDoor;
+use crate::control::state_check::StateCheck;
 use crate::control::supervisor::{Facts, Supervisor, Touch};
 use crate::control::tick_input::{Slot, TickInput};
 use crate::robot::JOINTS;
@@ -19,7 +19,7 @@ pub struct ControlLoop<P, S> {
     pub plant: P,
     /// Its cover.
     pub cover: S,
-    door: StateDoor,
+    state_check: StateCheck,
     supervisor: Supervisor,
     motion: Motion,
     period_s: f64,
@@ -29,7 +29,7 @@ pub struct ControlLoop<P, S> {
 /// What one tick leaves behind.
 #[derive(Clone, Debug)]
 pub struct Ticked {
-    /// What an observer may see.
+    /// What a client may see.
     pub sample: Sample,
     /// The answer to the request, if there was one.
     pub outcome: Option<Outcome>,
@@ -40,8 +40,8 @@ pub struct Ticked {
 impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// A loop that has not ticked yet.
     pub fn new(plant: P, cover: S, supervisor: Supervisor, motion: Motion, period_s: f64) -> Self {
-        let (door, protected) = (StateDoor::default(), Protected::default());
-        Self { plant, cover, door, supervisor, motion, period_s, protected }
+        let (state_check, protected) = (StateCheck::default(), Protected::default());
+        Self { plant, cover, state_check, supervisor, motion, period_s, protected }
     }
 
     /// One tick: read, decide, command, write; `timer` hears of each stage's end.
@@ -51,7 +51,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         let exact = self.plant.simulated().is_some();
         let measured = self.plant.read().map(|state| if exact { state } else { state.in_single_precision() });
         let age = self.plant.age();
-        let robot = measured.and_then(|state| self.door.check(state, age, self.elapsed_s(slot)));
+        let robot = measured.and_then(|state| self.state_check.check(state, age, self.elapsed_s(slot)));
         timer.end(Stage::Read);
 
         let cover = self.cover.read(slot.now_ns);

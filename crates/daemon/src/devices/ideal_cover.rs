@@ -46,7 +46,7 @@ impl IdealCover {
     }
 
     /// Tells it the true forces at `now_ns`, N.
-    pub fn feel(&mut self, now_ns: u64, force_n: &[f64]) {
+    pub fn take_forces(&mut self, now_ns: u64, force_n: &[f64]) {
         for (sum, force) in self.sum_n.iter_mut().zip(force_n) {
             *sum += force;
         }
@@ -100,7 +100,7 @@ mod tests {
         let mut cover = IdealCover::new(2, 0);
         let mut shown = Vec::new();
         for force_n in [2.0, 4.0, 6.0, 8.0, 0.0] {
-            cover.feel(0, &[force_n; TAXELS]);
+            cover.take_forces(0, &[force_n; TAXELS]);
             shown.push(cover.read(0).reading.taxels[3].force_n);
         }
         assert_eq!(shown, [0.0, 3.0, 3.0, 7.0, 7.0]);
@@ -111,7 +111,7 @@ mod tests {
         let mut cover = IdealCover::new(3, 2);
         let mut ages_ns = Vec::new();
         for now_ns in (0..10).map(|tick| 1_000 * tick) {
-            cover.feel(now_ns, &[1.0; TAXELS]);
+            cover.take_forces(now_ns, &[1.0; TAXELS]);
             ages_ns.push(now_ns - cover.read(now_ns).reading.sampled_at_ns.unwrap());
         }
         // Complete one tick after its middle and shown two ticks later; nothing has been felt before.
@@ -124,8 +124,8 @@ mod tests {
         let mut shown = (Vec::new(), Vec::new());
         for i in 0..20u32 {
             let force_n = [f64::from(i); TAXELS];
-            now.feel(u64::from(i), &force_n);
-            late.feel(u64::from(i), &force_n);
+            now.take_forces(u64::from(i), &force_n);
+            late.take_forces(u64::from(i), &force_n);
             shown.0.push(now.read(0).reading.taxels[0].force_n);
             shown.1.push(late.read(0).reading.taxels[0].force_n);
         }

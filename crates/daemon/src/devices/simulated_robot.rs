@@ -3,13 +3,13 @@
 use crate::config::{Config, HandConfig};
 use crate::control::plant::{Plant, Simulated, SourceAge};
 use crate::devices::scripted_press::scripted_press;
-use crate::inject::{Injection, PlantSpoiler, What};
+use crate::inject::{FaultSite, Injection, PlantSpoiler};
 use crate::robot::{FoamKind, JOINTS, Parts, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
 use moca_sim::foam::{ElasticLaw, Foam};
 use moca_sim::scene::Robot;
-use moca_sim::{BaseServo, Scene, SharedForces, SimError, SimPlant};
+use moca_sim::{Scene, SharedForces, SimError, SimPlant};
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
@@ -36,7 +36,6 @@ pub fn free_scene(config: &Config) -> Scene {
         foam: foam(config),
         mount: config.robot.mount,
         base: config.robot.base,
-        base_servo: BaseServo::from(&config.robot.base),
         cover: config.robot.cover.placements(),
         control_period_s,
         physics_step_s: control_period_s / substeps,
@@ -109,10 +108,10 @@ impl SimulatedRobot {
     pub fn inject(&mut self, injection: &Injection) {
         let period = Duration::from_secs_f64(self.period_s).as_nanos().max(1);
         let at_tick = u64::try_from(u128::from(injection.at_ns) / period).unwrap_or(u64::MAX);
-        match injection.fault.what {
-            What::Plant(fault) => self.spoiler = Some(PlantSpoiler::new(fault, at_tick)),
-            What::MissedSlots(slots) => self.stall = Some((at_tick, slots)),
-            What::Cable(_) | What::Outside(_) => {}
+        match injection.fault.site {
+            FaultSite::Plant(fault) => self.spoiler = Some(PlantSpoiler::new(fault, at_tick)),
+            FaultSite::MissedSlots(slots) => self.stall = Some((at_tick, slots)),
+            FaultSite::Cable(_) | FaultSite::Outside(_) => {}
         }
     }
 

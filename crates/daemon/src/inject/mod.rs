@@ -24,14 +24,14 @@ pub struct Named {
     /// As on the command line.
     pub name: &'static str,
     /// Where it strikes and how.
-    pub what: What,
+    pub site: FaultSite,
     /// In words.
     pub text: &'static str,
 }
 
 /// Where a fault strikes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum What {
+pub enum FaultSite {
     /// Bytes or board, on the way to the loop.
     Cable(CableFault),
     /// The robot's state or its answer to a command.
@@ -43,70 +43,70 @@ pub enum What {
 }
 
 macro_rules! named {
-    ($($name:literal $what:expr, $text:literal;)*) => {
+    ($($name:literal $site:expr, $text:literal;)*) => {
         /// Every fault that can be injected into a running loop.
-        pub const FAULTS: &[Named] = &[$(Named { name: $name, what: $what, text: $text }),*];
+        pub const FAULTS: &[Named] = &[$(Named { name: $name, site: $site, text: $text }),*];
     };
 }
 
 named! {
-    "garbage" What::Cable(CableFault::Garbage), "random bytes between all lines";
-    "torn-line" What::Cable(CableFault::TornLine), "every FDAT line loses its second half";
-    "byte-lost" What::Cable(CableFault::ByteLost), "a byte vanishes from one line in six";
-    "bit-flipped" What::Cable(CableFault::BitFlipped), "a bit flips in one line in six";
-    "nul-bytes" What::Cable(CableFault::NulBytes), "runs of zero bytes between lines";
-    "no-newline" What::Cable(CableFault::NoNewline), "digits without an end instead of lines";
-    "number-too-large" What::Cable(CableFault::NumberTooLarge), "FDAT holds 99999";
-    "not-a-number" What::Cable(CableFault::NotANumber), "FDAT holds NaN, inf and -1";
-    "column-missing" What::Cable(CableFault::ColumnMissing), "every line has a column too few";
-    "column-extra" What::Cable(CableFault::ColumnExtra), "every line has a column too many";
-    "line-repeated" What::Cable(CableFault::LineRepeated), "every line comes twice";
-    "line-missing" What::Cable(CableFault::LineMissing), "no BVAL line any more";
-    "touch-sketch" What::Cable(CableFault::TouchSketch), "the factory sketch's text instead of DataStream";
-    "silent" What::Cable(CableFault::Silent), "the port stays open, no bytes come";
-    "unplugged" What::Cable(CableFault::Unplugged), "the port closes";
-    "replugged" What::Cable(CableFault::Replugged), "the port closes and opens again after 1 s";
-    "port-refused" What::Cable(CableFault::PortRefused), "the port closes, opening it again is denied";
-    "host-stall" What::Cable(CableFault::HostStall), "400 ms of bytes arrive in one burst";
-    "frozen" What::Cable(CableFault::Frozen), "good frames whose values never change";
-    "chip-reset" What::Cable(CableFault::ChipReset), "good frames of zeros";
-    "thresholds" What::Cable(CableFault::Thresholds), "the touch thresholds change";
-    "slow-board" What::Cable(CableFault::SlowBoard), "every other frame is missing";
-    "taxel-stuck" What::Cable(CableFault::TaxelStuck), "T4 stays at one value";
-    "taxel-dead" What::Cable(CableFault::TaxelDead), "T4 reads as if its plate were gone";
-    "taxel-saturated" What::Cable(CableFault::TaxelSaturated), "T4 reads 0";
-    "taxel-noisy" What::Cable(CableFault::TaxelNoisy), "T4 jumps by up to 20 counts";
-    "taxel-drifting" What::Cable(CableFault::TaxelDrifting), "T4 drifts by 10 counts/s";
-    "common-mode" What::Cable(CableFault::CommonMode), "every electrode drops by 12 counts at once";
-    "joint-nan" What::Plant(PlantFault::JointNan), "a joint angle is NaN";
-    "joint-rate-infinite" What::Plant(PlantFault::JointRateInfinite), "a joint rate is infinite";
-    "joint-jump" What::Plant(PlantFault::JointJump), "a joint angle jumps by 0.5 rad within a tick";
-    "base-nan" What::Plant(PlantFault::BaseNan), "the base's pose is NaN";
-    "base-jump" What::Plant(PlantFault::BaseJump), "the base's pose jumps by 0.5 m within a tick";
-    "plant-lost" What::Plant(PlantFault::Lost), "the robot stops answering";
-    "command-refused" What::Plant(PlantFault::Refused), "the robot refuses every command";
-    "arm-stale" What::Plant(PlantFault::ArmStale), "the arm's state stops being renewed";
-    "base-stale" What::Plant(PlantFault::BaseStale), "the base's state stops being renewed";
-    "missed-slot" What::MissedSlots(1), "one control period is missed";
-    "missed-20-slots" What::MissedSlots(20), "20 control periods are missed at once";
-    "missed-500-slots" What::MissedSlots(500), "500 control periods are missed at once";
-    "disk-full" What::Outside(OutsideFault::DiskFull), "the disk of the log is full";
-    "disk-slow" What::Outside(OutsideFault::DiskSlow), "each write to the disk of the log takes 10 ms";
-    "subscriber-stalled" What::Outside(OutsideFault::SubscriberStalled), "a telemetry client stops reading";
-    "subscriber-gone" What::Outside(OutsideFault::SubscriberGone), "a telemetry client hangs up";
-    "socket-garbage" What::Outside(OutsideFault::SocketGarbage), "a telemetry client sends random bytes";
-    "panel-gone" What::Outside(OutsideFault::PanelGone), "the panel that armed the robot is gone";
-    "parameter-nan" What::Outside(OutsideFault::ParameterNan), "a virtual mass is set to NaN";
-    "parameter-absurd" What::Outside(OutsideFault::ParameterAbsurd), "a virtual mass is set to 1e12 kg";
+    "garbage" FaultSite::Cable(CableFault::Garbage), "random bytes between all lines";
+    "torn-line" FaultSite::Cable(CableFault::TornLine), "every FDAT line loses its second half";
+    "byte-lost" FaultSite::Cable(CableFault::ByteLost), "a byte vanishes from one line in six";
+    "bit-flipped" FaultSite::Cable(CableFault::BitFlipped), "a bit flips in one line in six";
+    "nul-bytes" FaultSite::Cable(CableFault::NulBytes), "runs of zero bytes between lines";
+    "no-newline" FaultSite::Cable(CableFault::NoNewline), "digits without an end instead of lines";
+    "number-too-large" FaultSite::Cable(CableFault::NumberTooLarge), "FDAT holds 99999";
+    "not-a-number" FaultSite::Cable(CableFault::NotANumber), "FDAT holds NaN, inf and -1";
+    "column-missing" FaultSite::Cable(CableFault::ColumnMissing), "every line has a column too few";
+    "column-extra" FaultSite::Cable(CableFault::ColumnExtra), "every line has a column too many";
+    "line-repeated" FaultSite::Cable(CableFault::LineRepeated), "every line comes twice";
+    "line-missing" FaultSite::Cable(CableFault::LineMissing), "no BVAL line any more";
+    "touch-sketch" FaultSite::Cable(CableFault::TouchSketch), "the factory sketch's text instead of DataStream";
+    "silent" FaultSite::Cable(CableFault::Silent), "the port stays open, no bytes come";
+    "unplugged" FaultSite::Cable(CableFault::Unplugged), "the port closes";
+    "replugged" FaultSite::Cable(CableFault::Replugged), "the port closes and opens again after 1 s";
+    "port-refused" FaultSite::Cable(CableFault::PortRefused), "the port closes, opening it again is denied";
+    "host-stall" FaultSite::Cable(CableFault::HostStall), "400 ms of bytes arrive in one burst";
+    "frozen" FaultSite::Cable(CableFault::Frozen), "good frames whose values never change";
+    "chip-reset" FaultSite::Cable(CableFault::ChipReset), "good frames of zeros";
+    "thresholds" FaultSite::Cable(CableFault::Thresholds), "the touch thresholds change";
+    "slow-board" FaultSite::Cable(CableFault::SlowBoard), "every other frame is missing";
+    "taxel-stuck" FaultSite::Cable(CableFault::TaxelStuck), "T4 stays at one value";
+    "taxel-dead" FaultSite::Cable(CableFault::TaxelDead), "T4 reads as if its plate were gone";
+    "taxel-saturated" FaultSite::Cable(CableFault::TaxelSaturated), "T4 reads 0";
+    "taxel-noisy" FaultSite::Cable(CableFault::TaxelNoisy), "T4 jumps by up to 20 counts";
+    "taxel-drifting" FaultSite::Cable(CableFault::TaxelDrifting), "T4 drifts by 10 counts/s";
+    "common-mode" FaultSite::Cable(CableFault::CommonMode), "every electrode drops by 12 counts at once";
+    "joint-nan" FaultSite::Plant(PlantFault::JointNan), "a joint angle is NaN";
+    "joint-rate-infinite" FaultSite::Plant(PlantFault::JointRateInfinite), "a joint rate is infinite";
+    "joint-jump" FaultSite::Plant(PlantFault::JointJump), "a joint angle jumps by 0.5 rad within a tick";
+    "base-nan" FaultSite::Plant(PlantFault::BaseNan), "the base's pose is NaN";
+    "base-jump" FaultSite::Plant(PlantFault::BaseJump), "the base's pose jumps by 0.5 m within a tick";
+    "plant-lost" FaultSite::Plant(PlantFault::Lost), "the robot stops answering";
+    "command-refused" FaultSite::Plant(PlantFault::Refused), "the robot refuses every command";
+    "arm-stale" FaultSite::Plant(PlantFault::ArmStale), "the arm's state stops being renewed";
+    "base-stale" FaultSite::Plant(PlantFault::BaseStale), "the base's state stops being renewed";
+    "missed-slot" FaultSite::MissedSlots(1), "one control period is missed";
+    "missed-20-slots" FaultSite::MissedSlots(20), "20 control periods are missed at once";
+    "missed-500-slots" FaultSite::MissedSlots(500), "500 control periods are missed at once";
+    "disk-full" FaultSite::Outside(OutsideFault::DiskFull), "the disk of the log is full";
+    "disk-slow" FaultSite::Outside(OutsideFault::DiskSlow), "each write to the disk of the log takes 10 ms";
+    "subscriber-stalled" FaultSite::Outside(OutsideFault::SubscriberStalled), "a telemetry client stops reading";
+    "subscriber-gone" FaultSite::Outside(OutsideFault::SubscriberGone), "a telemetry client hangs up";
+    "socket-garbage" FaultSite::Outside(OutsideFault::SocketGarbage), "a telemetry client sends random bytes";
+    "panel-gone" FaultSite::Outside(OutsideFault::PanelGone), "the panel that armed the robot is gone";
+    "parameter-nan" FaultSite::Outside(OutsideFault::ParameterNan), "a virtual mass is set to NaN";
+    "parameter-absurd" FaultSite::Outside(OutsideFault::ParameterAbsurd), "a virtual mass is set to 1e12 kg";
 }
 
 /// Errors of this program on purpose. They end a run, so they are not among [`FAULTS`], which a run survives.
 pub const PANICS: &[Named] = &[
-    Named { name: "panic-loop", what: What::Plant(PlantFault::Panic), text: "the loop's thread panics" },
+    Named { name: "panic-loop", site: FaultSite::Plant(PlantFault::Panic), text: "the loop's thread panics" },
     Named {
-        name: "panic-observer",
-        what: What::Outside(OutsideFault::Panic),
-        text: "the thread of the observers panics",
+        name: "panic-client",
+        site: FaultSite::Outside(OutsideFault::Panic),
+        text: "the thread of the clients panics",
     },
 ];
 

@@ -78,7 +78,7 @@ impl Strike {
     #[expect(clippy::panic, reason = "this is the fault")]
     pub fn panic(&self) {
         if self.has_come() {
-            panic!("injected into an observer");
+            panic!("injected into a client");
         }
     }
 

@@ -1,5 +1,5 @@
 //! The flight recorder: when a fault stops the robot, the last seconds write themselves into a log of their own, with
-//! configuration, calibration and contact limits. Works on the observers' side of the rings.
+//! configuration, calibration and contact limits. Works on the clients' side of the rings.
 
 use crate::config::{AUTO_FOLDER, Config};
 use crate::record::recording::{configuration, parameter_change, unix_now_ns};

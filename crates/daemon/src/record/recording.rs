@@ -1,4 +1,4 @@
-//! `--record`: every sample, every byte of the board and what a replay needs into a log, from the observers' side of the
+//! `--record`: every sample, every byte of the board and what a replay needs into a log, from the clients' side of the
 //! rings.
 
 use crate::config::Config;

@@ -11,7 +11,7 @@ use crate::devices::board_events::{BoardEvents, NumberedEvent};
 use crate::devices::force_gauge::Gauge;
 use crate::devices::ports;
 use crate::devices::touch_board::ByteCover;
-use crate::inject::{self, Cable, Injection, Named, What};
+use crate::inject::{self, Cable, FaultSite, Injection, Named};
 use crate::robot::{PlantKind, TAXELS};
 use crate::runtime::clock::Clock;
 use crate::runtime::realtime::{self, Raised};
@@ -176,7 +176,7 @@ pub(crate) fn open_board(
     let (raised, priority) = Raised::below(config.realtime.priority);
     let (reader, mut events) = ports::open(&port, clock.instant()).with_context(asked)?;
     pulses.push(reader.pulse());
-    if let Some(Injection { fault: Named { what: What::Cable(fault), .. }, at_ns }) = injection {
+    if let Some(Injection { fault: Named { site: FaultSite::Cable(fault), .. }, at_ns }) = injection {
         events = inject::relay(Cable::new(*fault, *at_ns, config.simulation.seed), events, clock)?;
     }
     drop(raised);

@@ -21,7 +21,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::Sender;
 use std::time::Duration;
 
-/// Samples a ring to observers holds: four seconds at 1 kHz.
+/// Samples a ring to clients holds: four seconds at 1 kHz.
 pub(crate) const RING_SAMPLES: usize = 4096;
 
 /// How often the terminal looks into its ring.
@@ -148,7 +148,7 @@ fn flight_recorder(config: &Config, reporter: &mut dyn Reporter) -> Result<Optio
 }
 
 /// Who takes what the loop notes of each tick.
-pub(crate) struct Observers {
+pub(crate) struct Clients {
     pub(crate) strike: Option<Strike>,
     pub(crate) recording: Option<Recording>,
     panics: bool,
@@ -158,7 +158,7 @@ pub(crate) struct Observers {
     pub(crate) notices: Option<Sender<String>>,
 }
 
-impl Observers {
+impl Clients {
     /// Those that the command line and the configuration ask for. In lock-step nothing is lost by starting over with
     /// `--record`, so no flight recorder runs.
     pub(crate) fn new(options: &Options, ticks: TickLogReader, reporter: &mut dyn Reporter) -> Result<Self> {
@@ -226,10 +226,10 @@ pub(crate) fn finish(
     Ok(())
 }
 
-/// Passes samples to the observers until `done` is set and the ring is empty; returns the last one.
+/// Passes samples to the clients until `done` is set and the ring is empty; returns the last one.
 pub(crate) fn watch(
     samples: &mut rtrb::Consumer<Sample>,
-    observers: &mut Observers,
+    clients: &mut Clients,
     reporter: &mut dyn Reporter,
     (done, pulse): (&AtomicBool, &AtomicU64),
 ) -> Sample {
@@ -241,10 +241,10 @@ pub(crate) fn watch(
         pulse.fetch_add(1, Ordering::Relaxed);
         let finished = done.load(Ordering::Acquire);
         while let Ok(sample) = samples.pop() {
-            observers.see(&sample, reporter);
+            clients.see(&sample, reporter);
             last = sample;
         }
-        observers.take_ticks(reporter);
+        clients.take_ticks(reporter);
         if finished {
             return last;
         }

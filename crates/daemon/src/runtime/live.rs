@@ -19,7 +19,7 @@ use std::time::Duration;
 /// Ticks after which everything that allocates once has done so.
 pub const WARM_UP_TICKS: u64 = 1000;
 
-/// The loop's ends of the rings to its observers.
+/// The loop's ends of the rings to its clients.
 pub struct Rings {
     /// Samples out; a full ring drops the newest and counts it.
     pub samples: rtrb::Producer<Sample>,
@@ -61,9 +61,9 @@ pub struct Shared {
     pub stop: AtomicBool,
     /// Whether a law moves the robot.
     pub moving: Arc<AtomicBool>,
-    /// Samples no observer had room for.
+    /// Samples no client had room for.
     pub samples_dropped: Arc<AtomicU64>,
-    /// A count that the thread of the observers raises whenever it runs, at normal priority: where it does not, neither
+    /// A count that the thread of the clients raises whenever it runs, at normal priority: where it does not, neither
     /// does what the kernel does for a port.
     pub pulse: Arc<AtomicU64>,
 }

@@ -8,8 +8,7 @@ use crate::devices::board_events::{BoardEvents, NumberedEvent};
 use crate::devices::ideal_cover::IdealCover;
 use crate::devices::simulated_robot::SimulatedRobot;
 use crate::devices::touch_board::ByteCover;
-use crate::inject::{Cable, Injection, What};
-use crate::record::tick_log::TickLog;
+use crate::inject::{Cable, FaultSite, Injection};
 use crate::runtime::assemble::{cover_config, motion, one_board, supervisor};
 use crate::runtime::timing::Timing;
 use anyhow::Result;
@@ -123,7 +122,7 @@ pub struct TrueForces;
 
 impl Feed<IdealCover> for TrueForces {
     fn feed(&mut self, cover: &mut IdealCover, now_ns: u64, true_force_n: &[f64]) {
-        cover.feel(now_ns, true_force_n);
+        cover.take_forces(now_ns, true_force_n);
     }
 }
 
@@ -142,10 +141,8 @@ pub struct LockStep<S, F> {
     pub feed: F,
     /// How long its stages take.
     pub timing: Timing,
-    /// What each tick was given, if somebody records it.
-    pub tick_log: Option<TickLog>,
     period_ns: u64,
-    tick: u64,
+    next_tick: u64,
     overruns: u64,
     skip: Option<(u64, u64)>,
     asked: Option<(u64, Request)>,
@@ -216,9 +213,8 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
             control,
             feed,
             timing: Timing::new()?,
-            tick_log: None,
             period_ns: config.period_ns(),
-            tick: 0,
+            next_tick: 0,
             overruns: 0,
             skip: None,
             asked: None,
@@ -228,32 +224,40 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
     /// Lets `injection` strike; the same seed spoils the same bytes. Disk and sockets are the caller's.
     pub fn inject(&mut self, injection: &Injection, seed: u64) {
         let at_tick = injection.at_ns / self.period_ns;
-        match injection.fault.what {
-            What::Cable(fault) => self.feed.spoil(Cable::new(fault, injection.at_ns, seed)),
-            What::Plant(_) => self.control.plant.inject(injection),
-            What::Outside(fault) => self.asked = fault.request().map(|request| (at_tick, request)),
-            What::MissedSlots(slots) => self.skip = Some((at_tick, slots)),
+        match injection.fault.site {
+            FaultSite::Cable(fault) => self.feed.spoil(Cable::new(fault, injection.at_ns, seed)),
+            FaultSite::Plant(_) => self.control.plant.inject(injection),
+            FaultSite::Outside(fault) => self.asked = fault.request().map(|request| (at_tick, request)),
+            FaultSite::MissedSlots(slots) => self.skip = Some((at_tick, slots)),
         }
     }
 
-    /// One tick.
+    /// One tick: its sample and the answer to its request.
     pub fn step(&mut self, request: Option<Request>) -> (Sample, Option<Outcome>) {
-        let request = request.or_else(|| Some(self.asked.take_if(|(at, _)| self.tick >= *at)?.1));
-        let missed = self.skip.take_if(|(at, _)| self.tick >= *at).map_or(0, |(_, slots)| slots);
-        self.tick += missed;
+        let Ticked { sample, outcome, .. } = self.tick(request);
+        (sample, outcome)
+    }
+
+    /// One tick with what a replay needs of it.
+    pub fn tick(&mut self, request: Option<Request>) -> Ticked {
+        let request = request.or_else(|| Some(self.asked.take_if(|(at, _)| self.next_tick >= *at)?.1));
+        let missed = self.skip.take_if(|(at, _)| self.next_tick >= *at).map_or(0, |(_, slots)| slots);
+        self.next_tick += missed;
         self.overruns += missed;
-        let now_ns = self.tick * self.period_ns;
+        let now_ns = self.next_tick * self.period_ns;
         let force_n = self.control.plant.world.taxel_force_true_n();
         self.feed.feed(&mut self.control.cover, now_ns, force_n);
-        let slot =
-            Slot { tick: self.tick, now_ns, ticks: 1 + missed, overruns: self.overruns, ..Slot::default() };
-        self.tick += 1;
+        let slot = Slot {
+            tick: self.next_tick,
+            now_ns,
+            ticks: 1 + missed,
+            overruns: self.overruns,
+            ..Slot::default()
+        };
+        self.next_tick += 1;
         self.timing.start();
-        let Ticked { sample, outcome, input } = self.control.tick(&slot, request, &mut self.timing);
-        self.timing.count_frame_age(sample.frame_age_s);
-        if let Some(tick_log) = &mut self.tick_log {
-            tick_log.push(input);
-        }
-        (sample, outcome)
+        let ticked = self.control.tick(&slot, request, &mut self.timing);
+        self.timing.count_frame_age(ticked.sample.frame_age_s);
+        ticked
     }
 }

@@ -86,7 +86,7 @@ pub struct Summary<'a> {
     pub overruns_by_stage: Option<[u64; 5]>,
     /// Rust allocations on the loop thread after warm-up.
     pub allocations: Option<u64>,
-    /// Samples that observers had no room for.
+    /// Samples that clients had no room for.
     pub samples_dropped: u64,
     /// Wall time of the run.
     pub wall: Duration,

@@ -1,7 +1,7 @@
 //! What the command line asks of a run.
 
 use crate::config::Config;
-use crate::inject::{Injection, OutsideFault, Strike, What};
+use crate::inject::{FaultSite, Injection, OutsideFault, Strike};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -28,8 +28,8 @@ pub struct Options {
 
 impl Options {
     pub(crate) fn outside_fault(&self) -> Option<OutsideFault> {
-        match self.inject?.fault.what {
-            What::Outside(fault) => Some(fault),
+        match self.inject?.fault.site {
+            FaultSite::Outside(fault) => Some(fault),
             _ => None,
         }
     }

@@ -5,13 +5,13 @@ use crate::config::Config;
 use crate::control::cover::CoverSource;
 use crate::control::plant::{NoRobot, Plant};
 use crate::control::tick::ControlLoop;
-use crate::inject::What;
+use crate::inject::FaultSite;
 #[cfg(feature = "sim")]
 use crate::record::tick_log::TickLogReader;
 use crate::record::tick_log::{TickLog, tick_log};
 use crate::robot::PlantKind;
 use crate::runtime::assemble::{OpenBoard, Subscribers, motion, open_board, supervisor};
-use crate::runtime::clients::{Observers, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
+use crate::runtime::clients::{Clients, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
 use crate::runtime::clock::Clock;
 use crate::runtime::live::{self, LiveReport, Shared};
 use crate::runtime::notice::{Notice, Reporter, Summary};
@@ -87,11 +87,11 @@ fn run_plant(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
 fn check_injection(options: &Options) -> Result<()> {
     let (Some(injection), plant) = (&options.inject, &options.config.plant) else { return Ok(()) };
     let name = injection.fault.name;
-    match injection.fault.what {
-        What::Cable(_) if !plant.parts.has_cover() => {
+    match injection.fault.site {
+        FaultSite::Cable(_) if !plant.parts.has_cover() => {
             Err(anyhow!("--inject {name}: plant.parts = \"arm\" has no cover and no cable to spoil"))
         }
-        What::Plant(_) | What::MissedSlots(_) if plant.kind == PlantKind::None => {
+        FaultSite::Plant(_) | FaultSite::MissedSlots(_) if plant.kind == PlantKind::None => {
             Err(anyhow!("--inject {name}: plant.kind = \"none\" has no robot that could fail"))
         }
         _ => Ok(()),
@@ -142,7 +142,7 @@ pub fn live_simulated(
     introduce_simulation(&options.config, reporter);
     let clock = Clock::start()?;
     let (log, copies, log_reader) = tick_log();
-    let observers = Observers::new(options, log_reader, reporter)?;
+    let clients = Clients::new(options, log_reader, reporter)?;
     let subscribers = Subscribers {
         copies: Some(copies),
         moving: Arc::clone(&shared.moving),
@@ -159,16 +159,16 @@ pub fn live_simulated(
         }
         board.calibration.take()
     });
-    live(options, robot.control, (clock, log), (observers, calibration), shared, reporter)
+    live(options, robot.control, (clock, log), (clients, calibration), shared, reporter)
 }
 
-/// Runs the loop with a Touch Board and no robot: what the cover feels, for observers and logs.
+/// Runs the loop with a Touch Board and no robot: what the cover feels, for clients and logs.
 fn live_board_only(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
     let config = &options.config;
     reporter.report(Notice::NoRobot);
     let clock = Clock::start()?;
     let (log, copies, log_reader) = tick_log();
-    let observers = Observers::new(options, log_reader, reporter)?;
+    let clients = Clients::new(options, log_reader, reporter)?;
     let port = config.board.port.clone();
     let pulses = vec![Arc::clone(&shared.pulse)];
     let subscribers = Subscribers { copies: Some(copies), pulses, ..Subscribers::default() };
@@ -181,7 +181,7 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn R
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let plant = NoRobot::at(config.control.gains.posture_rad);
     let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s);
-    live(options, control, (clock, log), (observers, held.calibration.take()), shared, reporter)
+    live(options, control, (clock, log), (clients, held.calibration.take()), shared, reporter)
 }
 
 /// Tells the thread that watches when the loop has ended, whichever way.
@@ -199,7 +199,7 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
     options: &Options,
     mut control: ControlLoop<P, S>,
     (clock, log): (Clock, TickLog),
-    (mut observers, calibration): (Observers, Option<CalibrationPort>),
+    (mut clients, calibration): (Clients, Option<CalibrationPort>),
     shared: &Arc<Shared>,
     reporter: &mut dyn Reporter,
 ) -> Result<LiveRun> {
@@ -216,8 +216,8 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
             None
         }
     };
-    observers.notices = server.as_ref().map(Server::notices);
-    spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
+    clients.notices = server.as_ref().map(Server::notices);
+    spoil_telemetry(options, server.as_ref(), clients.strike.as_ref())?;
     let done = AtomicBool::new(false);
     let started = Instant::now();
     let ended = std::thread::scope(|scope| -> Result<(LiveReport, Sample)> {
@@ -243,19 +243,19 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
         let watched = catch_unwind(AssertUnwindSafe(|| {
             let refused = report_realtime(&steps.recv().unwrap_or_default(), reporter);
             reporter.report(Notice::Runs);
-            (refused, watch(&mut watched, &mut observers, reporter, (done, &shared.pulse)))
+            (refused, watch(&mut watched, &mut clients, reporter, (done, &shared.pulse)))
         }));
         if watched.is_err() {
             shared.stop.store(true, Ordering::Relaxed);
         }
         let report = thread.join().map_err(|_| anyhow!("the loop's thread panicked"))?;
-        let (refused, last) = watched.map_err(|_| anyhow!("the thread of the observers panicked"))?;
+        let (refused, last) = watched.map_err(|_| anyhow!("the thread of the clients panicked"))?;
         if options.require_realtime && refused > 0 {
             return Err(RealtimeRefused(refused).into());
         }
         Ok((report, last))
     });
-    let closed = finish(observers.recording, options, reporter);
+    let closed = finish(clients.recording, options, reporter);
     let (report, last) = ended?;
     closed?;
     Ok(LiveRun {
@@ -301,21 +301,21 @@ fn lock_step(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
 fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     options: &Options,
     mut world: crate::runtime::lockstep::LockStep<S, F>,
-    (log, log_reader): (TickLog, TickLogReader),
+    (tick_log, log_reader): (TickLog, TickLogReader),
     shared: &Arc<Shared>,
     reporter: &mut dyn Reporter,
 ) -> Result<()> {
+    use crate::control::tick::Ticked;
     use crate::record::command_csv;
     use crate::runtime::allocations;
     use std::fs::File;
     use std::io::{BufWriter, Write};
 
     let config = &options.config;
-    world.tick_log = Some(log);
     if let Some(injection) = &options.inject {
         world.inject(injection, config.simulation.seed);
     }
-    let mut observers = Observers::new(options, log_reader, reporter)?;
+    let mut clients = Clients::new(options, log_reader, reporter)?;
     let mut log = None;
     if let Some(path) = &options.command_log {
         let file = File::create(path).with_context(|| path.display().to_string())?;
@@ -324,12 +324,13 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         log = Some(writer);
     }
     let (mut rings, from_loop, request_ports) = rings(shared);
+    rings.tick_log = Some(tick_log);
     let server = match config.telemetry_address() {
         Some(address) => Some(serve(config, &address, from_loop, None, request_ports, reporter)?),
         None => None,
     };
-    observers.notices = server.as_ref().map(Server::notices);
-    spoil_telemetry(options, server.as_ref(), observers.strike.as_ref())?;
+    clients.notices = server.as_ref().map(Server::notices);
+    spoil_telemetry(options, server.as_ref(), clients.strike.as_ref())?;
     let (mut last, mut ticks) = (Sample::default(), 0);
     let (mut allocated, mut warm) = (0, false);
     let end_ns = options.duration.map_or(u64::MAX, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX));
@@ -337,7 +338,8 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     while ticks * config.period_ns() < end_ns && !shared.stop.load(Ordering::Relaxed) {
         let before = allocations::on_this_thread();
         let (id, request) = rings.next_request();
-        let (sample, outcome) = world.step(request);
+        let Ticked { sample, outcome, input } = world.tick(request);
+        rings.note(input);
         last = sample;
         rings.publish(last.clone(), id, outcome, shared);
         ticks += 1;
@@ -346,7 +348,7 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         if let Some(log) = &mut log {
             command_csv::write_row(log, &last)?;
         }
-        observers.see(&last, reporter);
+        clients.see(&last, reporter);
     }
     if let Some(log) = &mut log {
         log.flush()?;
@@ -361,5 +363,5 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         wall: started.elapsed(),
     };
     reporter.report(Notice::Ended(&summary));
-    finish(observers.recording, options, reporter)
+    finish(clients.recording, options, reporter)
 }

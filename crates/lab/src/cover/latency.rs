@@ -29,7 +29,7 @@ const PUSH_N: f64 = 50.0;
 const PHASES: u64 = 40;
 /// USB is polled each millisecond.
 const USB_MEAN_MS: f64 = 0.5;
-/// What four counts of PU LD30 hide, N: protection.unfelt_force_n.
+/// What four counts of PU LD30 hide, N: protection.threshold_force_n.
 const UNFELT_N: f64 = 5.2;
 /// A still cover is watched for so long.
 const HOLD_TICKS: u64 = 60_000;

@@ -1,7 +1,7 @@
 //! `moca-lab stream`: what the reader makes of a recorded byte stream.
 
 use anyhow::{Context, ensure};
-use moca_msgs::Fault;
+use moca_msgs::{Fault, seconds};
 use moca_tactile::Firmware;
 use moca_tactile::board::{BoardMonitor, Diagnosis, MAX_ELECTRODES, STALL_GAP_NS, SampledFrame};
 use moca_tactile::datastream::{ELECTRODES, FDAT_MAX};
@@ -287,12 +287,6 @@ impl Analysis {
             faults: self.faults,
         }
     }
-}
-
-fn seconds(nanoseconds: u64) -> f64 {
-    #[expect(clippy::cast_precision_loss, reason = "recordings are far shorter than 2^53 ns")]
-    let nanoseconds = nanoseconds as f64;
-    nanoseconds * 1e-9
 }
 
 fn as_text(report: &Report) -> String {

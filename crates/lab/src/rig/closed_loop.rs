@@ -64,14 +64,14 @@ impl Row {
     }
 }
 
-enum Cover {
+enum SensorModel {
     Board(Box<LockStep<ByteCover, MemoryBoard>>),
     True(Box<LockStep<IdealCover, TrueForces>>),
 }
 
 /// A robot that is armed and standing still, and what has happened to it since.
 pub(crate) struct Rig {
-    cover: Cover,
+    cover: SensorModel,
     period_s: f64,
     /// Every tick since the robot was armed.
     pub rows: Vec<Row>,
@@ -97,7 +97,7 @@ impl Rig {
             Sensor::Stock => {
                 let mut lock_step = LockStep::with_board(&config, scene, settings.board(), None)?.untimed();
                 lock_step.feed.set_delay(usize::try_from(ticks(settings.sensor_delay_ms))?);
-                Cover::Board(Box::new(lock_step))
+                SensorModel::Board(Box::new(lock_step))
             }
             Sensor::Ideal | Sensor::Off => {
                 if settings.sensor == Sensor::Off {
@@ -105,7 +105,7 @@ impl Rig {
                 }
                 let delay = usize::try_from(ticks(settings.sensor_delay_ms))?;
                 let ideal = IdealCover::new(ticks(settings.period_ms()), delay);
-                Cover::True(Box::new(LockStep::with_true_forces(&config, scene, ideal)?.untimed()))
+                SensorModel::True(Box::new(LockStep::with_true_forces(&config, scene, ideal)?.untimed()))
             }
         };
         let mut rig =
@@ -143,8 +143,8 @@ impl Rig {
         let [x, y, z] = velocity_world;
         let twist = [x, y, z, 0.0, 0.0, 0.0];
         match &mut self.cover {
-            Cover::Board(lock_step) => lock_step.control.set_target_twist(twist)?,
-            Cover::True(lock_step) => lock_step.control.set_target_twist(twist)?,
+            SensorModel::Board(lock_step) => lock_step.control.set_target_twist(twist)?,
+            SensorModel::True(lock_step) => lock_step.control.set_target_twist(twist)?,
         }
         Ok(())
     }
@@ -159,8 +159,8 @@ impl Rig {
 
     fn robot(&mut self) -> &mut SimulatedRobot {
         match &mut self.cover {
-            Cover::Board(lock_step) => &mut lock_step.control.plant,
-            Cover::True(lock_step) => &mut lock_step.control.plant,
+            SensorModel::Board(lock_step) => &mut lock_step.control.plant,
+            SensorModel::True(lock_step) => &mut lock_step.control.plant,
         }
     }
 
@@ -178,8 +178,8 @@ impl Rig {
         let largest_force_n = robot.world.contact_largest_true_n();
         let person_world = robot.world.person_position_world(0);
         let (sample, _) = match &mut self.cover {
-            Cover::Board(lock_step) => lock_step.step(None),
-            Cover::True(lock_step) => lock_step.step(None),
+            SensorModel::Board(lock_step) => lock_step.step(None),
+            SensorModel::True(lock_step) => lock_step.step(None),
         };
         self.sim_s += self.period_s;
         self.frame_rate_hz = sample.frame_rate_hz;

@@ -196,16 +196,16 @@ const KEYS: &[Key] = &[
         flag(&mut s.person.fixed, v)
     }),
     key("base.size", "m,m,m", "length, width, height: its inertia is the box's; the cover stays", |s, v| {
-        list(&mut s.base.size_m, v, 0.1, 10.0)
+        list(&mut s.base.table.size_m, v, 0.1, 10.0)
     }),
     key("base.mass", "kg", "mass of the base; its inertia grows with it", |s, v| {
-        store(&mut s.base.mass_kg, v, 1.0, 1e5)
+        store(&mut s.base.table.mass_kg, v, 1.0, 1e5)
     }),
     key("base.inertia", "kg·m²", "about the vertical, instead of the box's", |s, v| {
         some(&mut s.base.inertia, v, 0.01, 1e6)
     }),
     key("base.servo_ms", "ms", "time constant of the base's velocity servo", |s, v| {
-        s.base_servo.time_constant_s = 1e-3 * number(v, 0.1, 1e4)?;
+        s.base.table.servo_time_constant_s = 1e-3 * number(v, 0.1, 1e4)?;
         Ok(())
     }),
     key(
@@ -214,9 +214,9 @@ const KEYS: &[Key] = &[
         "what the base's servo can do: along x and y, yaw",
         |s, v| {
             let values = numbers(v, 2, 1e-3, 1e4)?;
-            s.base_servo.acceleration_max_m_s2 = values[0];
+            s.base.table.acceleration_max_m_s2 = values[0];
             if let Some(yaw) = values.get(1) {
-                s.base_servo.yaw_acceleration_max_rad_s2 = *yaw;
+                s.base.table.yaw_acceleration_max_rad_s2 = *yaw;
             }
             Ok(())
         },

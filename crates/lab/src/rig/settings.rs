@@ -5,7 +5,7 @@ use moca_daemon::config::{AssumedModel, Config, HandConfig, OVERRIDE_MAX_M_S, Pr
 use moca_msgs::Law;
 use moca_msgs::robot::{BaseTable, SUMMIT_XL, TaxelPlacement};
 use moca_sim::foam::{ElasticLaw, Foam};
-use moca_sim::{BaseServo, BodyPart, Integrator, Mobility, Person, Scene, Shape, VirtualBoardConfig};
+use moca_sim::{BodyPart, Integrator, Mobility, Person, Scene, Shape, VirtualBoardConfig};
 use moca_tactile::Firmware;
 
 /// Averaging and holding period of the ideal sensor, ms.
@@ -118,11 +118,10 @@ impl FoamSettings {
     }
 }
 
-/// The base's body: a box, whose inertia follows from mass and size unless it is given.
+/// The base: a box, whose inertia follows from mass and size unless it is given.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct BaseSettings {
-    pub size_m: [f64; 3],
-    pub mass_kg: f64,
+    pub table: BaseTable,
     /// About the vertical, kg·m².
     pub inertia: Option<f64>,
 }
@@ -130,19 +129,14 @@ pub(crate) struct BaseSettings {
 impl BaseSettings {
     fn table(&self) -> BaseTable {
         let squares = |[x, y, z]: [f64; 3]| [y * y + z * z, x * x + z * z, x * x + y * y];
-        let (ours, its) = (squares(self.size_m), squares(SUMMIT_XL.size_m));
+        let (ours, its) = (squares(self.table.size_m), squares(SUMMIT_XL.size_m));
         let mut inertia = SUMMIT_XL.inertia_com_diagonal;
         for (i, inertia) in inertia.iter_mut().enumerate() {
-            *inertia *= self.mass_kg / SUMMIT_XL.mass_kg * (ours[i] / its[i]);
+            *inertia *= self.table.mass_kg / SUMMIT_XL.mass_kg * (ours[i] / its[i]);
         }
         // The base never tilts: only the vertical axis acts, the other two keep the box's proportions.
         let given = self.inertia.map_or(1.0, |about_vertical| about_vertical / inertia[2]);
-        BaseTable {
-            size_m: self.size_m,
-            mass_kg: self.mass_kg,
-            inertia_com_diagonal: inertia.map(|inertia| given * inertia),
-            ..SUMMIT_XL
-        }
+        BaseTable { inertia_com_diagonal: inertia.map(|inertia| given * inertia), ..self.table }
     }
 }
 
@@ -160,7 +154,6 @@ pub(crate) struct Settings {
     pub foam: FoamSettings,
     pub person: PersonSettings,
     pub base: BaseSettings,
-    pub base_servo: BaseServo,
     /// Speed of the flange's target, m/s.
     pub speed_m_s: f64,
     pub duration_s: f64,
@@ -209,8 +202,7 @@ impl Settings {
                 scale: 1.0,
             },
             person: PersonSettings { gap_m: 0.25, steps_away_s: 1.5, ..PersonSettings::default() },
-            base: BaseSettings { size_m: SUMMIT_XL.size_m, mass_kg: SUMMIT_XL.mass_kg, inertia: None },
-            base_servo: BaseServo::default(),
+            base: BaseSettings { table: SUMMIT_XL, inertia: None },
             speed_m_s: 0.2,
             duration_s: 8.0,
             push_s: 3.0,
@@ -259,7 +251,6 @@ impl Settings {
             arm: *self.config.arm(),
             mount: self.config.robot.mount,
             cover: self.config.robot.cover.placements(),
-            base_servo: self.base_servo,
             arm_posture_rad: self.config.control.gains.posture_rad,
             ..Scene::default()
         }

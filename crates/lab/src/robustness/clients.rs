@@ -1,4 +1,4 @@
-//! `moca-lab observers`: what watching costs the live loop, with and without observers in one run.
+//! `moca-lab clients`: what watching costs the live loop, with and without clients in one run.
 #![expect(clippy::print_stdout, reason = "a command prints its result")]
 
 use anyhow::{Context, Result};
@@ -13,7 +13,7 @@ use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Arguments of `moca-lab observers`.
+/// Arguments of `moca-lab clients`.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// Length of each of the two runs, s, 2 to 3600.
@@ -30,11 +30,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let duration = Duration::from_secs_f64(arguments.seconds);
     println!("-- nobody watches");
     let alone = live(duration, None)?;
-    println!("-- three observers: one reads, one is killed half way, one never reads");
+    println!("-- three clients: one reads, one is killed half way, one never reads");
     let address = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
-    let observers = std::thread::spawn(move || watch(address, duration));
+    let clients = std::thread::spawn(move || watch(address, duration));
     let watched = live(duration, Some(address))?;
-    let received = observers.join().map_err(|_| anyhow::anyhow!("the observers' thread panicked"))??;
+    let received = clients.join().map_err(|_| anyhow::anyhow!("the clients' thread panicked"))??;
     println!("\n{:<34} {:>12} {:>12}", "", "nobody", "three");
     let row = |name: &str, of: &dyn Fn(&LiveRun) -> String| {
         println!("{name:<34} {:>12} {:>12}", of(&alone), of(&watched))
@@ -47,7 +47,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     row("publish stage p50, µs", &|run| publish(run, 0.5));
     row("publish stage p99.9, µs", &|run| publish(run, 0.999));
     row("lateness p99.9, µs", &|run| format!("{:.1}", run.timing.lateness.quantile_us(0.999)));
-    println!("the observer that reads received {received} samples");
+    println!("the client that reads received {received} samples");
     Ok(())
 }
 

@@ -2,9 +2,10 @@
 
 use anyhow::{Context, Result, ensure};
 use moca_daemon::config::{Config, HandConfig};
-use moca_daemon::inject::{Disk, Injection, Named, Strike, What, client};
+use moca_daemon::control::tick::Ticked;
+use moca_daemon::inject::{Disk, FaultSite, Injection, Named, Strike, client};
 use moca_daemon::record::recording::Recording;
-use moca_daemon::record::tick_log::{TickLogReader, tick_log};
+use moca_daemon::record::tick_log::{TickLog, TickLogReader, tick_log};
 use moca_daemon::runtime::allocations;
 use moca_daemon::runtime::clients::rings;
 use moca_daemon::runtime::live::{Rings, Shared};
@@ -45,8 +46,8 @@ pub(crate) struct Trial {
     pub(crate) overruns: u64,
     /// Rust allocations on the loop's thread after the strike.
     pub(crate) allocations: u64,
-    /// What whoever watches or asks is told, where the fault is outside the loop.
-    pub(crate) told: Option<String>,
+    /// What clients are sent or answered, where the fault is outside the loop.
+    pub(crate) reported: Option<String>,
 }
 
 /// Who watches a trial: a log, telemetry, or nobody.
@@ -57,13 +58,8 @@ enum Watcher {
 }
 
 impl Watcher {
-    fn new(
-        what: What,
-        config: &Config,
-        strike: &Strike,
-        seed: u64,
-    ) -> Result<(Self, Option<moca_daemon::record::tick_log::TickLog>)> {
-        let What::Outside(fault) = what else { return Ok((Self::Nobody, None)) };
+    fn new(site: FaultSite, config: &Config, strike: &Strike, seed: u64) -> Result<(Self, Option<TickLog>)> {
+        let FaultSite::Outside(fault) = site else { return Ok((Self::Nobody, None)) };
         if fault.request().is_some() {
             return Ok((Self::Nobody, None));
         }
@@ -109,7 +105,7 @@ impl Watcher {
             }),
             Self::Telemetry(_, server) => {
                 let dropped = dropped + server.stats().client_dropped;
-                Some(format!("{dropped} samples dropped for observers"))
+                Some(format!("{dropped} samples dropped for clients"))
             }
         }
     }
@@ -129,13 +125,19 @@ pub(crate) fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
     let at_ns = STRIKE_TICK * config.period_ns();
     world.inject(&Injection { fault, at_ns }, seed);
     let (strike, shared) = (Strike::new(at_ns), Shared::default());
-    let (mut watcher, log) = Watcher::new(fault.what, &config, &strike, seed)?;
-    world.tick_log = log;
+    let (mut watcher, mut log) = Watcher::new(fault.site, &config, &strike, seed)?;
+    let mut step = |world: &mut LockStep<_, _>, request| {
+        let Ticked { sample, outcome, input } = world.tick(request);
+        if let Some(log) = &mut log {
+            log.push(input);
+        }
+        (sample, outcome)
+    };
 
     let mut before = Sample::default();
     for tick in 0..STRIKE_TICK {
         let press = Request::PressTaxel { taxel: PRESSED_TAXEL, force_n: PRESS_N };
-        before = world.step((tick == PRESS_TICK).then_some(press)).0;
+        before = step(&mut world, (tick == PRESS_TICK).then_some(press)).0;
         watcher.see(&before, &shared);
     }
     ensure!(
@@ -156,17 +158,17 @@ pub(crate) fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
         frames_bad: 0,
         overruns: 0,
         allocations: 0,
-        told: None,
+        reported: None,
     };
     let mut last = before.clone();
     let mut pose = before.base_pose_world;
     while last.tick < end_tick {
         let counted = allocations::on_this_thread();
-        let (sample, outcome) = world.step(None);
+        let (sample, outcome) = step(&mut world, None);
         trial.allocations += allocations::on_this_thread() - counted;
         strike.see(sample.time_ns);
         watcher.see(&sample, &shared);
-        trial.told = outcome.map(told).or(trial.told);
+        trial.reported = outcome.map(answered).or(trial.reported);
         last = sample;
         if trial.reaction_ticks.is_none() && !last.mode.moves() {
             trial.reaction_ticks = Some(last.tick - STRIKE_TICK);
@@ -180,7 +182,7 @@ pub(crate) fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
         }
         pose = world.control.plant.world.state().base_pose_world;
     }
-    trial.told = watcher.finish(shared.samples_dropped.load(Ordering::Relaxed)).or(trial.told);
+    trial.reported = watcher.finish(shared.samples_dropped.load(Ordering::Relaxed)).or(trial.reported);
     trial.way_m = (pose[0] - before.base_pose_world[0]).hypot(pose[1] - before.base_pose_world[1]);
     trial.mode = last.mode;
     trial.frames_bad = last.frames_bad - before.frames_bad;
@@ -188,7 +190,7 @@ pub(crate) fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
     Ok(trial)
 }
 
-fn told(outcome: Outcome) -> String {
+fn answered(outcome: Outcome) -> String {
     outcome.map_or_else(|refusal| format!("refused: {refusal:?}"), |()| "done".into())
 }
 

@@ -6,12 +6,12 @@ use super::{
     parts::text_parameter,
     requests::{self, refusal_text, request_text},
     signals::{
-        history::{History, seconds},
+        history::History,
         panel::{self, Panel},
         timing::Timing,
     },
 };
-use moca_msgs::{Law, Mode, Request, Sample, protection::ContactPhase};
+use moca_msgs::{Law, Mode, Request, Sample, protection::ContactPhase, seconds};
 use moca_telemetry::{
     RobotDescription,
     calibration::CalibrationProgress,

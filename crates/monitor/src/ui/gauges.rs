@@ -5,10 +5,9 @@ use crate::logic::{
     format::{number, speed_limit},
     model::{Freshness, Model, SILENCE_S},
     parts::{has_arm, has_base, has_cover, has_robot},
-    signals::history::seconds,
 };
 use egui::{Align, Grid, Label, Layout, RichText, Role, Sense, Ui, WidgetInfo, pos2, vec2};
-use moca_msgs::{Sample, SpeedLimit};
+use moca_msgs::{Sample, SpeedLimit, seconds};
 
 /// Width from which on two counters stand beside each other, points.
 const TWO_COUNTERS: f32 = 378.0;

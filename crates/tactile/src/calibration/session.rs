@@ -5,6 +5,7 @@ use super::Trial;
 use crate::board::{BoardMonitor, Diagnosis, MAX_ELECTRODES};
 use crate::firmware::Firmware;
 use crate::zero::{TARE_FRAMES, TARE_NOISE_MAX};
+use moca_msgs::seconds;
 use std::vec::Vec;
 
 /// Counts below rest at which a press begins.
@@ -206,12 +207,6 @@ impl Session {
         self.deepest = 0.0;
         self.released_frames = 0;
     }
-}
-
-fn seconds(nanoseconds: u64) -> f64 {
-    #[expect(clippy::cast_precision_loss, reason = "sessions are far shorter than 2^53 ns")]
-    let nanoseconds = nanoseconds as f64;
-    nanoseconds * 1e-9
 }
 
 #[cfg(test)]

@@ -46,10 +46,10 @@ pub enum MaskPolicy {
     #[default]
     Stop,
     /// The robot moves without feeling there. The taxel still reports [`moca_msgs::TaxelStatus::Masked`].
-    Unfelt,
+    Ignore,
 }
 
-moca_msgs::choice!(MaskPolicy { Stop: "stop", Unfelt: "unfelt" });
+moca_msgs::choice!(MaskPolicy { Stop: "stop", Ignore: "ignore" });
 
 /// Constant configuration of a cover.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -117,7 +117,7 @@ impl Recorder {
         let (thread_stop, thread_dropped) = (Arc::clone(&stop), Arc::clone(&dropped));
         let thread_failure = Arc::clone(&failure);
         let split_ns = options.split.map(|split| u64::try_from(split.as_nanos()).unwrap_or(u64::MAX));
-        let mut tape = Tape {
+        let mut writer = PartWriter {
             log,
             parts,
             meta: meta.clone(),
@@ -130,8 +130,8 @@ impl Recorder {
         let thread = std::thread::Builder::new()
             .name("recorder".into())
             .spawn(move || {
-                let end = tape.record(samples, &entries, &thread_stop);
-                let finished = end.and_then(|()| tape.finish(thread_dropped.load(Ordering::Relaxed)));
+                let end = writer.record(samples, &entries, &thread_stop);
+                let finished = end.and_then(|()| writer.finish(thread_dropped.load(Ordering::Relaxed)));
                 if let Err(error) = &finished {
                     // Set once, here.
                     let _ = thread_failure.set(with_causes(error));
@@ -201,7 +201,7 @@ fn with_causes(error: &dyn std::error::Error) -> String {
 }
 
 /// What the recorder's thread works on.
-struct Tape {
+struct PartWriter {
     log: LogWriter<Output>,
     parts: Parts,
     meta: Meta,
@@ -214,7 +214,7 @@ struct Tape {
     configuration: Option<Box<Configuration>>,
 }
 
-impl Tape {
+impl PartWriter {
     fn record(
         &mut self,
         mut samples: Consumer<Sample>,

@@ -81,12 +81,12 @@ pub struct Update {
 pub struct Connection {
     shared: Arc<Mutex<Shared>>,
     alive: Arc<AtomicBool>,
-    orders: Option<mpsc::Sender<Order>>,
+    commands: Option<mpsc::Sender<Command>>,
     thread: Option<JoinHandle<()>>,
 }
 
 #[derive(Clone, Copy)]
-enum Order {
+enum Command {
     Request(Request),
     Calibrate(CalibrationRequest),
     Release,
@@ -109,7 +109,7 @@ impl Connection {
     pub fn spawn(address: impl Into<Address>, wake: impl Fn() + Send + 'static) -> Result<Self, NetError> {
         let address = address.into();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-        let (orders, from_user) = mpsc::channel(MAX_REQUESTS);
+        let (commands, from_user) = mpsc::channel(MAX_REQUESTS);
         let shared = Arc::new(Mutex::new(Shared {
             link: Link::Down { reason: "not connected yet".into() },
             session: 0,
@@ -126,7 +126,7 @@ impl Connection {
         let thread = std::thread::Builder::new().name("connection".into()).spawn(move || {
             runtime.block_on(keep_connected(&address, &thread_shared, &thread_alive, from_user, &wake));
         });
-        Ok(Self { shared, alive, orders: Some(orders), thread: Some(thread.map_err(NetError::Thread)?) })
+        Ok(Self { shared, alive, commands: Some(commands), thread: Some(thread.map_err(NetError::Thread)?) })
     }
 
     /// Everything new since the last call. Never waits for the network.
@@ -152,7 +152,7 @@ impl Connection {
 
     /// Asks the loop; the answer comes with a later [`Self::poll`], [`Refusal::NoAnswer`] if there is no daemon.
     pub fn request(&self, request: Request) {
-        if !self.order(Order::Request(request)) {
+        if !self.send(Command::Request(request)) {
             lock(&self.shared).replies.push(Reply { request, outcome: Err(Refusal::NoAnswer) });
         }
     }
@@ -160,24 +160,24 @@ impl Connection {
     /// Asks the calibrator; its progress comes with later [`Self::poll`]s.
     pub fn calibrate(&self, request: CalibrationRequest) {
         // Without a connection there is nobody to calibrate, and the progress says so.
-        self.order(Order::Calibrate(request));
+        self.send(Command::Calibrate(request));
     }
 
     /// Gives the command back, so that another client can take it.
     pub fn release(&self) {
         // Without a connection there is nothing to give back.
-        self.order(Order::Release);
+        self.send(Command::Release);
     }
 
-    fn order(&self, order: Order) -> bool {
+    fn send(&self, command: Command) -> bool {
         let up = matches!(lock(&self.shared).link, Link::Up { .. });
-        up && self.orders.as_ref().is_some_and(|o| o.try_send(order).is_ok())
+        up && self.commands.as_ref().is_some_and(|o| o.try_send(command).is_ok())
     }
 }
 
 impl Drop for Connection {
     fn drop(&mut self) {
-        self.orders = None;
+        self.commands = None;
         if let Some(thread) = self.thread.take() {
             // A panic there has been printed by its own thread.
             let _ = thread.join();
@@ -193,13 +193,13 @@ async fn keep_connected(
     address: &Address,
     shared: &Mutex<Shared>,
     alive: &AtomicBool,
-    mut orders: mpsc::Receiver<Order>,
+    mut commands: mpsc::Receiver<Command>,
     wake: &impl Fn(),
 ) {
     loop {
         let greeted = tokio::select! {
             greeted = tokio::time::timeout(GREETING_TIMEOUT, Client::connect(address)) => greeted,
-            () = refuse_all(shared, &mut orders) => return,
+            () = refuse_all(shared, &mut commands) => return,
         };
         let reason = match greeted {
             Ok(Ok(Client { description, mut incoming, mut outgoing })) => {
@@ -207,7 +207,7 @@ async fn keep_connected(
                 wake();
                 let end = tokio::select! {
                     end = listen(&mut incoming, shared, wake) => Some(end),
-                    end = speak(&mut outgoing, shared, alive, &mut orders) => end,
+                    end = speak(&mut outgoing, shared, alive, &mut commands) => end,
                 };
                 let Some(reason) = end else { return };
                 reason
@@ -220,7 +220,7 @@ async fn keep_connected(
         }
         tokio::select! {
             () = tokio::time::sleep(RETRY) => {}
-            () = refuse_all(shared, &mut orders) => return,
+            () = refuse_all(shared, &mut commands) => return,
         }
     }
 }
@@ -263,30 +263,30 @@ async fn listen(incoming: &mut Incoming, shared: &Mutex<Shared>, wake: &impl Fn(
     }
 }
 
-/// Passes orders on; `None` once there will be no more.
+/// Passes commands on; `None` once there will be no more.
 async fn speak(
     outgoing: &mut Outgoing,
     shared: &Mutex<Shared>,
     alive: &AtomicBool,
-    orders: &mut mpsc::Receiver<Order>,
+    commands: &mut mpsc::Receiver<Command>,
 ) -> Option<String> {
     let mut id = 0;
     let mut beat = tokio::time::interval(BEAT);
     loop {
-        let order = tokio::select! {
-            order = orders.recv() => Some(order?),
+        let command = tokio::select! {
+            command = commands.recv() => Some(command?),
             _ = beat.tick() => None,
         };
-        let sent = match order {
+        let sent = match command {
             None if alive.swap(false, Ordering::Relaxed) => outgoing.alive().await,
             None => Ok(()),
-            Some(Order::Request(request)) => {
+            Some(Command::Request(request)) => {
                 id += 1;
                 lock(shared).waiting.insert(id, request);
                 outgoing.request(id, request).await
             }
-            Some(Order::Calibrate(request)) => outgoing.calibrate(request).await,
-            Some(Order::Release) => outgoing.release().await,
+            Some(Command::Calibrate(request)) => outgoing.calibrate(request).await,
+            Some(Command::Release) => outgoing.release().await,
         };
         if let Err(error) = sent {
             return Some(error.to_string());
@@ -294,10 +294,10 @@ async fn speak(
     }
 }
 
-/// Answers orders while there is no daemon; ends when there will be no more orders.
-async fn refuse_all(shared: &Mutex<Shared>, orders: &mut mpsc::Receiver<Order>) {
-    while let Some(order) = orders.recv().await {
-        if let Order::Request(request) = order {
+/// Answers commands while there is no daemon; ends when there will be no more commands.
+async fn refuse_all(shared: &Mutex<Shared>, commands: &mut mpsc::Receiver<Command>) {
+    while let Some(command) = commands.recv().await {
+        if let Command::Request(request) = command {
             lock(shared).replies.push(Reply { request, outcome: Err(Refusal::NoAnswer) });
         }
     }

@@ -356,7 +356,7 @@ impl Pump {
                 tokio::time::sleep(ANSWER_POLL).await;
             }
         }
-        // The writers get one more turn, so that observers see the last state.
+        // The writers get one more turn, so that clients see the last state.
         tokio::time::sleep(BATCH_PERIOD).await;
     }
 

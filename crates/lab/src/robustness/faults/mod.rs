@@ -32,7 +32,7 @@ struct Row {
     way_mm: f64,
     frames_bad: u64,
     overruns: u64,
-    told: Option<String>,
+    reported: Option<String>,
 }
 
 fn rows(seed: u64) -> Result<Vec<Row>> {
@@ -51,7 +51,7 @@ fn rows(seed: u64) -> Result<Vec<Row>> {
                 way_mm: trial.way_m * 1e3,
                 frames_bad: trial.frames_bad,
                 overruns: trial.overruns,
-                told: trial.told,
+                reported: trial.reported,
             })
         })
         .collect()
@@ -98,7 +98,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             row.way_mm,
             row.frames_bad,
             row.overruns,
-            row.told.as_ref().map_or(row.what.into(), |told| format!("{} ({told})", row.what)),
+            row.reported.as_ref().map_or(row.what.into(), |reported| format!("{} ({reported})", row.what)),
         );
     }
     Ok(())

@@ -58,16 +58,16 @@ fn expected(name: &str) -> (u64, &'static [&'static str]) {
 fn check(trial: &Trial) {
     let name = trial.fault.name;
     assert_eq!(trial.allocations, 0, "{name}: allocations on the loop's thread");
-    let told = trial.told.as_deref().unwrap_or_default();
+    let reported = trial.reported.as_deref().unwrap_or_default();
     let expected_words = match name {
         "disk-full" => "no storage space",
         "disk-slow" => "samples are in the log",
         "parameter-nan" | "parameter-absurd" => "refused",
         "panel-gone" => "done",
-        "subscriber-stalled" | "subscriber-gone" | "socket-garbage" => "dropped for observers",
+        "subscriber-stalled" | "subscriber-gone" | "socket-garbage" => "dropped for clients",
         _ => "",
     };
-    assert!(told.contains(expected_words), "{name}: told {told:?}");
+    assert!(reported.contains(expected_words), "{name}: reported {reported:?}");
     if RIDES.contains(&name) || name == LOOKS_LIKE_A_HAND {
         assert_eq!((trial.mode, trial.cause), (Mode::Impedance, None), "{name}");
         assert!(!name.starts_with("missed") || trial.overruns > 0, "{name}: not counted");

@@ -160,9 +160,9 @@ impl Cell {
             stiffness_n_m: 1.0,
             damping_n_s_m: 0.0,
             delay_s,
-            servo_s: settings.base_servo.time_constant_s,
+            servo_s: settings.base.table.servo_time_constant_s,
         };
-        Ok(speed_for_stopping(travel_m.max(0.0), settings.base_servo.acceleration_max_m_s2, &contact)?)
+        Ok(speed_for_stopping(travel_m.max(0.0), settings.base.table.acceleration_max_m_s2, &contact)?)
     }
 
     /// The run of one phase under a law.

@@ -1,4 +1,4 @@
-//! `moca-lab soak`: hours of robot time in lock-step under random hands, requests, board faults and bad observers.
+//! `moca-lab soak`: hours of robot time in lock-step under random hands, requests, board faults and bad clients.
 #![expect(clippy::print_stdout, reason = "this is what the command is for")]
 
 mod onlookers;

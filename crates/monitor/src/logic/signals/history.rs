@@ -4,7 +4,7 @@ use super::{
     panel::Signal,
     pyramid::{CAPACITY, Pyramid},
 };
-use moca_msgs::Sample;
+use moca_msgs::{Sample, seconds};
 use std::{collections::VecDeque, ops::Range};
 
 /// A longer time without a sample is a gap, s. A slot that the loop missed is none: nothing happened in it.
@@ -196,13 +196,6 @@ pub fn thinned(points: &[[f64; 2]], tolerance: f64) -> Vec<[f64; 2]> {
     kept.push(last);
     kept.dedup();
     kept
-}
-
-/// Nanoseconds as seconds.
-pub fn seconds(ns: u64) -> f64 {
-    #[expect(clippy::cast_precision_loss, reason = "a loop runs for less than 2^53 ns, 104 days")]
-    let ns = ns as f64;
-    ns / 1e9
 }
 
 #[cfg(test)]

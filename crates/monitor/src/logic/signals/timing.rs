@@ -1,7 +1,7 @@
 //! How well loop and board keep time.
 
-use super::{histogram::Histogram, history::seconds, panel::Signal};
-use moca_msgs::{STAGES, Sample};
+use super::{histogram::Histogram, panel::Signal};
+use moca_msgs::{STAGES, Sample, seconds};
 
 /// How well loop and board keep time, since the connection was made.
 #[derive(Clone, Debug)]

@@ -1,7 +1,6 @@
 //! A log, played at the speed at which it was recorded.
 
-use crate::logic::signals::history::seconds;
-use moca_msgs::{Sample, TaxelStatus, protection::ContactPhase};
+use moca_msgs::{Sample, TaxelStatus, protection::ContactPhase, seconds};
 use moca_telemetry::{
     RobotDescription,
     calibration::CalibrationProgress,

@@ -1,8 +1,7 @@
 //! A log of what this dashboard receives. The daemon's own (`mocad --record`) also holds the board's bytes and misses
 //! nothing when the dashboard is slow.
 
-use crate::logic::signals::history::seconds;
-use moca_msgs::Sample;
+use moca_msgs::{Sample, seconds};
 use moca_telemetry::{
     RobotDescription,
     log::{LogError, Meta, Recorder, RecorderOptions},
@@ -77,21 +76,12 @@ pub fn plain(name: &str) -> String {
 
 /// Now as `YYYYMMDD-HHMMSS` in UTC, for a file's name.
 pub fn utc_stamp_now() -> String {
-    utc_stamp(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs())
+    utc_stamp(SystemTime::now())
 }
 
-/// `YYYYMMDD-HHMMSS` in UTC (proleptic Gregorian calendar, after H. Hinnant's `civil_from_days`).
-fn utc_stamp(unix_s: u64) -> String {
-    let z = unix_s / 86_400 + 719_468;
-    let (era, day_of_era) = (z / 146_097, z % 146_097);
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let shifted_month = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * shifted_month + 2) / 5 + 1;
-    let month = if shifted_month < 10 { shifted_month + 3 } else { shifted_month - 9 };
-    let year = era * 400 + year_of_era + u64::from(month <= 2);
-    let (hour, minute, second) = (unix_s / 3600 % 24, unix_s / 60 % 60, unix_s % 60);
-    format!("{year:04}{month:02}{day:02}-{hour:02}{minute:02}{second:02}")
+fn utc_stamp(time: SystemTime) -> String {
+    let stamp = humantime::format_rfc3339_seconds(time).to_string();
+    stamp.replace(['-', ':', 'Z'], "").replace('T', "-")
 }
 
 #[cfg(test)]
@@ -124,8 +114,8 @@ mod tests {
     }
 
     #[test]
-    fn stamps_are_the_calendar_s() {
-        assert_eq!(utc_stamp(951_782_400 + 3661), "20000229-010101");
-        assert_eq!(utc_stamp(1_795_219_200), "20261121-000000");
+    fn a_stamp_is_date_and_time_without_signs() {
+        let leap_day = UNIX_EPOCH + Duration::from_secs(951_782_400 + 3661);
+        assert_eq!(utc_stamp(leap_day), "20000229-010101");
     }
 }

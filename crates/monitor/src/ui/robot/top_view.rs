@@ -14,8 +14,8 @@ use egui::{
     Align2, Color32, FontId, Id, Key, Painter, Pos2, Rect, Sense, Shape, Slider, Stroke, Ui, Vec2,
     WidgetInfo, pos2, vec2,
 };
+use moca_msgs::TaxelPlacement;
 use moca_msgs::{Sample, TaxelStatus, request::PRESS_FORCE_MAX_N};
-use moca_telemetry::description::TaxelDescription;
 
 /// Least and greatest height of the picture, points.
 const HEIGHT: (f32, f32) = (165.0, 640.0);
@@ -171,7 +171,7 @@ fn base(painter: &Painter, camera: &Camera, model: &Model, visuals: &egui::Visua
 /// One taxel of the ring.
 struct Taxel<'a> {
     index: usize,
-    description: TaxelDescription,
+    description: TaxelPlacement,
     camera: &'a Camera,
 }
 

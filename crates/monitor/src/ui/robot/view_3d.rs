@@ -12,8 +12,8 @@ use crate::logic::{
 };
 use crate::ui::theme;
 use egui::{Align2, Color32, FontId, Painter, Pos2, Rect, Shape, Stroke, Visuals, pos2, vec2};
+use moca_msgs::TaxelPlacement;
 use moca_msgs::{Sample, TaxelStatus};
-use moca_telemetry::description::TaxelDescription;
 
 /// What the camera looks at, in B, m.
 const TARGET_M: [f64; 3] = [0.12, 0.0, 0.5];
@@ -47,7 +47,7 @@ pub(in crate::ui) fn view_3d(
     let picture = Picture { painter, rect: painter.clip_rect(), view, visuals, base_world };
     picture.floor();
     let plates = || model.robot.taxels.iter().enumerate();
-    let front = |taxel: &TaxelDescription| picture.shows_front(taxel);
+    let front = |taxel: &TaxelPlacement| picture.shows_front(taxel);
     plates().filter(|(_, taxel)| !front(taxel)).for_each(|(i, taxel)| picture.plate(i, taxel, model, sample));
     picture.base(model);
     plates().filter(|(_, taxel)| front(taxel)).for_each(|(i, taxel)| picture.plate(i, taxel, model, sample));
@@ -126,14 +126,14 @@ impl Picture<'_> {
     }
 
     /// Whether the outer side of a plate faces the camera.
-    fn shows_front(&self, taxel: &TaxelDescription) -> bool {
+    fn shows_front(&self, taxel: &TaxelPlacement) -> bool {
         let [x, y] = taxel.position_base_m;
         let (sin, cos) = (taxel.inward_angle_base_rad + self.base_world[2]).sin_cos();
         self.view.faces(self.in_world([x, y, 0.25]), [-cos, -sin, 0.0])
     }
 
     /// A plate in the colour of its force.
-    fn plate(&self, index: usize, taxel: &TaxelDescription, model: &Model, sample: &Sample) {
+    fn plate(&self, index: usize, taxel: &TaxelPlacement, model: &Model, sample: &Sample) {
         let ([x, y], angle) = (taxel.position_base_m, taxel.inward_angle_base_rad);
         let (sin, cos) = angle.sin_cos();
         let out = |by_m: f64| [x - by_m * cos, y - by_m * sin];
@@ -152,7 +152,7 @@ impl Picture<'_> {
     }
 
     /// An arrow on a plate that is pressed, with its number and force.
-    fn press(&self, index: usize, taxel: &TaxelDescription, model: &Model, sample: &Sample) {
+    fn press(&self, index: usize, taxel: &TaxelPlacement, model: &Model, sample: &Sample) {
         let Some(force_n) = valid_force_n(sample, index).filter(|force_n| *force_n > 0.0) else { return };
         let ([x, y], (sin, cos)) = (taxel.position_base_m, taxel.inward_angle_base_rad.sin_cos());
         let z = PLATE_Z.0.midpoint(PLATE_Z.1) * model.robot.base_size_m[2];

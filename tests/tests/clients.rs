@@ -1,4 +1,4 @@
-//! Observers cannot change what the loop commands.
+//! Clients cannot change what the loop commands.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 
 use moca_telemetry::net::Connection;
@@ -42,7 +42,7 @@ fn connected(address: SocketAddr) -> TcpStream {
 }
 
 #[test]
-fn the_command_log_is_the_same_with_no_observer_and_with_three() {
+fn the_command_log_is_the_same_with_no_client_and_with_three() {
     let alone = scratch("alone.csv");
     end(lock_step(free_port(), &alone));
 
@@ -56,7 +56,7 @@ fn the_command_log_is_the_same_with_no_observer_and_with_three() {
     let until = Instant::now() + Duration::from_secs(60);
     while seen < 200 {
         seen += healthy.poll().samples.len();
-        assert!(Instant::now() < until, "the healthy observer saw {seen} samples");
+        assert!(Instant::now() < until, "the healthy client saw {seen} samples");
         std::thread::sleep(Duration::from_millis(1));
     }
     drop(killed);
@@ -66,5 +66,5 @@ fn the_command_log_is_the_same_with_no_observer_and_with_three() {
     assert!(said.contains("samples dropped"), "{said}");
     let logs = [std::fs::read(alone).unwrap(), std::fs::read(watched).unwrap()];
     assert_eq!(logs[0].iter().filter(|&&byte| byte == b'\n').count(), 30_001);
-    assert!(logs[0] == logs[1], "an observer changed a command");
+    assert!(logs[0] == logs[1], "a client changed a command");
 }
