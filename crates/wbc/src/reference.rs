@@ -165,3 +165,28 @@ fn shortened<T: Scalar>(v: &Vector3<T>, most: T) -> Vector3<T> {
 fn turned<T: Scalar>(rotation: &Matrix3<T>, by: &Vector3<T>) -> Matrix3<T> {
     rotation::from_quaternion(rotation::to_quaternion(&(rotation::exp(by) * rotation)))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_is_led_waits_for_a_base_that_is_held_back() {
+        let start = Pose { position: Vector3::zeros(), rotation: Matrix3::identity() };
+        let run = |held_back: Option<HeldBack<f64>>| {
+            let mut reference = Reference::hold(start);
+            reference.set_twist([0.2, 0.1, 0.05, 0.0, 0.0, 0.0]).unwrap();
+            (0..1000).for_each(|_| reference.advance(&reference.now.clone(), held_back.as_ref(), 1e-3));
+            reference.now.position
+        };
+        let near = |a: Vector3<f64>, b: [f64; 3]| (a - Vector3::from(b)).norm() < 1e-9;
+        assert!(near(run(None), [0.2, 0.1, 0.05]));
+        // it wanted 0.15 m/s along x and got 0.03: along y and z the reference goes on
+        assert!(near(run(HeldBack::between([0.15, 0.02], [0.03, 0.02])), [0.03, 0.1, 0.05]));
+        // a base that gives way does not take the reference back
+        assert!(near(run(HeldBack::between([0.15, 0.0], [-0.1, 0.0])), [0.0, 0.1, 0.05]));
+        // refused the way back, it may be led forward
+        assert!(near(run(HeldBack::between([-0.15, 0.0], [-0.03, 0.0])), [0.2, 0.1, 0.05]));
+        assert_eq!(HeldBack::between([0.1, 0.0], [0.1, 0.0]), None);
+    }
+}

@@ -372,6 +372,40 @@ fn a_barrier_without_contacts_changes_no_bit() {
     assert_eq!(whole_robot(12.0, None), whole_robot(12.0, Some([f64::INFINITY; 11])));
 }
 
+/// Led by a hand at the flange, pushed from behind, or alone: whatever the law, the base goes no further.
+#[test]
+fn follow_me_and_a_base_alone_keep_what_the_barrier_allows() {
+    let mut parameters = Parameters::PAPER;
+    parameters.corrections.base_coupling = true;
+    let whole =
+        WholeBodyController::<7, 11>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &parameters)
+            .unwrap();
+    let alone = BaseController::<11>::new(&PAPER_COVER, &parameters).unwrap();
+    let robot = RobotState::at_rest(PANDA.home_rad);
+    // T9 is opposite T2: pressed, it pushes the base into whoever stands at T2
+    let mut pushed = [0.0; 11];
+    pushed[8] = 60.0;
+    for allowed in [0.02, 0.0, -0.1] {
+        let mut guard = BaseGuard { outward_m_s: Some([f64::INFINITY; 11]), ..BaseGuard::NONE };
+        guard.outward_m_s.as_mut().unwrap()[1] = allowed;
+        let outline = CoverOutline::<11, f64>::new(&PAPER_COVER);
+        let (mut led, mut base) = (whole.enter(ControlLaw::FollowMe, &robot).unwrap(), alone.enter());
+        for step in 0..1000 {
+            let mut input = ControlInput::new(robot, pushed, DT_S);
+            (input.guard, input.flange_wrench_world) = (guard, Some([0.0, 30.0, 0.0, 0.0, 0.0, 0.0]));
+            let led = whole.step(ControlLaw::FollowMe, &mut led, &input).unwrap();
+            let input = BaseInput { yaw_world_rad: 0.0, taxel_force_n: pushed, guard, dt_s: DT_S };
+            let base = alone.step(&mut base, &input).unwrap();
+            for velocity in [led.command.base_velocity_body, base.velocity_body] {
+                let outward = outline.outward(1, &velocity);
+                // the way down is braked for
+                assert!(step < 100 || outward <= allowed + 1e-6, "{step}: {outward} of {allowed} m/s");
+            }
+            assert!(step < 100 || allowed > 0.0 || (led.limits.contact && base.limits.contact));
+        }
+    }
+}
+
 #[test]
 fn the_arm_makes_up_for_what_the_barrier_does_with_the_base() {
     let mut outward_m_s = [f64::INFINITY; 11];

@@ -46,6 +46,9 @@ pub(crate) struct Arguments {
     /// The program `firmware-sim` (crates/firmware-sim): measures the firmware itself, instruction by instruction, too.
     #[arg(long)]
     avr: Option<PathBuf>,
+    /// Instead: speeds by physics, by the law and as simulated, as a table and as FOLDER/safe-speed.svg.
+    #[arg(long, value_name = "FOLDER")]
+    map: Option<PathBuf>,
     /// What `firmware-sim` runs.
     #[arg(long, default_value = "firmware/moca_touch/moca_touch.hex")]
     hex: PathBuf,
@@ -131,6 +134,9 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     .protection
     .assessed_forces_n;
+    if let Some(folder) = &arguments.map {
+        return super::map::run(&forces_n, folder);
+    }
     let mut boards = BOARDS.into_iter().map(held).collect::<anyhow::Result<Vec<_>>>()?;
     if let Some(program) = &arguments.avr {
         boards.extend(simulated_firmware(program, &arguments.hex)?);

@@ -195,6 +195,16 @@ fn the_contact_barrier_keeps_collisions_soft_that_the_law_alone_makes_dangerous(
     }
 }
 
+/// What ships on a calibrated cover, led at the paper's speed: no wind-up, no blow, no stop.
+#[test]
+fn led_at_the_paper_s_speed_the_contact_barrier_and_its_speed_limit_stay_soft() {
+    let report = collision::single(&super::report::collision_under_barrier().unwrap()).unwrap();
+    let m = &report.measures;
+    println!("{:.1} N, {:.1} mm, approach {:.3} m/s", m.peak_force_n, m.flange_max_mm, report.approach_m_s);
+    assert!(report.stopped().is_none() && m.contact_s.is_some(), "{report:?}");
+    assert!(m.peak_force_n > 2.0 && m.peak_force_n < 25.0 && m.flange_max_mm < 5.0, "{report:?}");
+}
+
 #[test]
 fn two_runs_of_one_seed_are_the_same_bit_for_bit() {
     let trace = || {

@@ -1,6 +1,7 @@
 //! The rig of every experiment: settings with their keys, the closed loop under test, what is measured of it, and how
 //! many cores it may take.
 
+pub(crate) mod bound;
 pub(crate) mod campaign;
 pub(crate) mod closed_loop;
 pub(crate) mod cpu_time;

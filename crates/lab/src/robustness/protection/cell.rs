@@ -1,19 +1,18 @@
 //! One cell of the scan: who is met where, felt by which board, at which share of what physics allows.
 
 use crate::paper::collision;
+use crate::rig::bound;
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
-use moca_daemon::config::{BarrierReadings, ProtectionConfig};
+use moca_daemon::config::{AssumedModel, BarrierReadings, ProtectionConfig};
 use moca_msgs::Law as Mode;
+use moca_msgs::robot::SUMMIT_XL;
 use moca_sim::foam::Foam;
 use moca_sim::sensor::Noise;
 use moca_tactile::Firmware;
-use moca_wbc::contact_stability::{Contact, speed_for_stopping};
 
 /// Phases of the sensor against the motion: the worst counts.
 pub(super) const PHASES: u32 = 8;
-/// What four counts hide, read as PU LD30, N.
-const UNFELT_N: f64 = 5.2;
 /// Time for which the base is led before the touch: as long as it needs to run evenly, s.
 const LEAD_S: f64 = 2.0;
 
@@ -144,25 +143,16 @@ impl Cell {
         ))
     }
 
-    /// Largest speed at which physics lets a contact stay under the limit: what the threshold hides, then the board's
-    /// worst delay and the servo's lag at full speed, then braking, within what this foam and this body yield.
+    /// Largest speed that physics allows here, m/s.
     pub(super) fn bound_m_s(&self) -> Result<f64> {
-        let foam = Foam::COLLISION_ASSUMED.stiffened(self.foam);
-        let stiffness = self.person.1;
-        let limit_n = ProtectionConfig::default().force_limit_n;
-        let hidden_m = Foam::PU_LD30.ramp_deformation_m(UNFELT_N);
-        let hidden_n = foam.elastic_force_n(hidden_m);
-        let travel_m = foam.deformation_m(limit_n) - hidden_m + (limit_n - hidden_n) / stiffness;
-        let settings = Settings::paper(Mode::Impedance);
-        #[expect(clippy::cast_precision_loss, reason = "some milliseconds")]
-        let delay_s = 1e-9 * self.board.worst_hold_ns() as f64;
-        let contact = Contact {
-            stiffness_n_m: 1.0,
-            damping_n_s_m: 0.0,
-            delay_s,
-            servo_s: settings.base.table.servo_time_constant_s,
-        };
-        Ok(speed_for_stopping(travel_m.max(0.0), settings.base.table.acceleration_max_m_s2, &contact)?)
+        bound::Meeting {
+            foam: Foam::COLLISION_ASSUMED.stiffened(self.foam),
+            tissue_n_m: self.person.1,
+            limit_n: ProtectionConfig::default().force_limit_n,
+            deceleration_m_s2: SUMMIT_XL.acceleration_max_m_s2,
+            board: self.board,
+        }
+        .bound_m_s()
     }
 
     /// The run of one phase under a law.
@@ -171,7 +161,7 @@ impl Cell {
         collision::defaults(&mut settings);
         settings.config.control.corrections.null_space_damping = true;
         settings.config.control.corrections.base_coupling = true;
-        settings.config.board.model = moca_daemon::config::AssumedModel::PuLd30;
+        settings.config.board.model = AssumedModel::PuLd30;
         if law != Law::BarrierAlone {
             settings.config.protection = ProtectionConfig::default();
         }
