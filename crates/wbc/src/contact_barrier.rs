@@ -147,7 +147,8 @@ pub struct BarrierSettings {
     pub creep_s: f64,
     /// and what it gains per second afterwards, m/s².
     pub recovery_m_s2: f64,
-    /// How far the flange may be from its place over the base where the retreat begins to fade, and where it ends, m.
+    /// How far the flange may be from its place over the base where a retreat begins to take it along, and where it takes
+    /// it along all the way, m.
     pub reach_m: [f64; 2],
 }
 
@@ -251,6 +252,9 @@ pub struct ContactLimits<const K: usize, T = f64> {
     pub person_m_s: [T; K],
     /// A touched taxel whose readings cannot be believed any more is still to go back: a robot that stops does so first.
     pub backs_off: bool,
+    /// Share of the base's way that the tool has to go along because the arm has no more reach, 0 to 1: people first,
+    /// then the tool's place.
+    pub carried: T,
 }
 
 /// The barrier of a cover of `K` taxels, with what it remembers: 3 kB of odometry, which no step copies.
@@ -286,6 +290,7 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             depth_m: [T::zero(); K],
             person_m_s: [T::zero(); K],
             backs_off: false,
+            carried: T::zero(),
         };
         for i in 0..K {
             let way = |place: &[T; 3]| self.outline.outward(i, place);
@@ -308,6 +313,9 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
                 }
                 Some(_) => self.touched_limit(i, depth, input),
             };
+            if limits.outward_m_s[i] < T::zero() {
+                limits.carried = limits.carried.max(self.carried(i, input.stretch_body_m));
+            }
         }
         Ok(limits)
     }
@@ -327,14 +335,19 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             linear.min((of::<T>(2.0 * s.braking_share) * deceleration * left).sqrt())
         };
         let own = closing(of::<T>(s.stop_m) - soon).max(T::zero());
-        let mut room = closing(of::<T>(s.yield_m) - soon) - person;
-        let [x, y] = input.stretch_body_m;
-        if room < T::zero() && self.outline.outward(i, &[x, y, T::zero()]) > T::zero() {
-            let [soft, hard] = s.reach_m;
-            let length = (x * x + y * y).sqrt();
-            room *= ((of::<T>(hard) - length) / of(hard - soft)).clamp(T::zero(), T::one());
-        }
+        let room = closing(of::<T>(s.yield_m) - soon) - person;
         own.min(room).max(of(-s.retreat_m_s))
+    }
+
+    /// Share of the base's way that the tool has to go along while taxel `i` gives way: all of it at the end of the reach.
+    fn carried(&self, i: usize, stretch_body_m: [T; 2]) -> T {
+        let [x, y] = stretch_body_m;
+        if self.outline.outward(i, &[x, y, T::zero()]) <= T::zero() {
+            return T::zero();
+        }
+        let [soft, hard] = self.settings.reach_m;
+        let length = (x * x + y * y).sqrt();
+        ((length - of(soft)) / of(hard - soft)).clamp(T::zero(), T::one())
     }
 }
 

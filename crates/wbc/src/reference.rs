@@ -19,6 +19,8 @@ pub const ERROR_SATURATION_M: f64 = 0.1;
 pub const ERROR_SATURATION_RAD: f64 = 0.5;
 /// Speed at which the reference travels to a pose target, m/s, and largest linear twist target.
 pub const REFERENCE_SPEED_M_S: f64 = 0.25;
+/// How fast the twist falls where a base is held back, and rises again, m/s².
+const REFERENCE_M_S2: f64 = 2.0;
 /// Turning speed of the reference, rad/s, and largest angular twist target.
 pub const REFERENCE_SPEED_RAD_S: f64 = 1.0;
 /// Speed at which the null-space posture travels to the configured one, rad/s.
@@ -66,6 +68,8 @@ impl<T: Scalar> HeldBack<T> {
 pub(crate) struct Reference<T> {
     target: Pose<T>,
     twist: [T; 6],
+    /// The twist on its way to what a held-back base leaves of it.
+    given: [T; 6],
     /// What the law is given.
     pub now: Pose<T>,
 }
@@ -73,7 +77,7 @@ pub(crate) struct Reference<T> {
 impl<T: Scalar> Reference<T> {
     /// Holds `pose`.
     pub(crate) fn hold(pose: Pose<T>) -> Self {
-        Self { target: pose, twist: [T::zero(); 6], now: pose }
+        Self { target: pose, twist: [T::zero(); 6], given: [T::zero(); 6], now: pose }
     }
 
     pub(crate) fn set_pose(&mut self, position: [T; 3], quaternion: [T; 4]) -> Result<(), ControlError> {
@@ -85,7 +89,7 @@ impl<T: Scalar> Reference<T> {
         }
         let rotation = rotation::from_quaternion(quaternion);
         self.target = Pose { position: Vector3::from(position), rotation };
-        self.twist = [T::zero(); 6];
+        (self.twist, self.given) = ([T::zero(); 6], [T::zero(); 6]);
         Ok(())
     }
 
@@ -95,12 +99,32 @@ impl<T: Scalar> Reference<T> {
         let linear = shortened(&linear, of(REFERENCE_SPEED_M_S));
         let angular = shortened(&angular, of(REFERENCE_SPEED_RAD_S));
         self.twist = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+        self.given = self.twist;
         Ok(())
+    }
+
+    /// Moves target and reference by `shift` m at once, along the plane.
+    pub(crate) fn carry(&mut self, [x, y]: [T; 2]) {
+        let shift = Vector3::new(x, y, T::zero());
+        self.target.position += shift;
+        self.now.position += shift;
     }
 
     /// Twist the law is given, m/s and rad/s.
     pub(crate) fn twist(&self) -> &[T; 6] {
-        &self.twist
+        &self.given
+    }
+
+    /// The linear twist, not faster where the base is held back; what it changes by comes at [`REFERENCE_M_S2`].
+    fn slow_down(&mut self, held_back: Option<&HeldBack<T>>, dt_s: T) -> Vector3<T> {
+        let (wanted, angular) = split(&self.twist);
+        let wanted = held_back.map_or(wanted, |held_back| held_back.slowed(wanted));
+        let (given, _) = split(&self.given);
+        let gap = wanted - given;
+        let step = shortened(&gap, of::<T>(REFERENCE_M_S2) * dt_s);
+        let linear = if step == gap { wanted } else { given + step };
+        self.given = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+        linear
     }
 
     /// Moves target and reference on by `dt_s`. Both wait while the tool is as far behind as the law pulls, and while the
@@ -112,14 +136,16 @@ impl<T: Scalar> Reference<T> {
         let near = (self.now.position - actual.position).norm() < of(ERROR_SATURATION_M);
         let turned_near =
             rotation::error(&actual.rotation, &self.now.rotation).norm() < of(ERROR_SATURATION_RAD);
-        let (linear, angular) = split(&self.twist);
-        let slowed = |v: Vector3<T>| held_back.map_or(v, |held_back| held_back.slowed(v));
+        let (_, angular) = split(&self.twist);
+        let linear = self.slow_down(held_back, dt_s);
         if near {
-            self.target.position += slowed(linear) * dt_s;
+            self.target.position += linear * dt_s;
             let gap = self.target.position - self.now.position;
             let mut step = shortened(&gap, of::<T>(REFERENCE_SPEED_M_S) * dt_s);
-            if held_back.is_some() {
-                step = slowed(step / dt_s) * dt_s;
+            if let Some(held_back) = held_back
+                && self.twist == [T::zero(); 6]
+            {
+                step = held_back.slowed(step / dt_s) * dt_s;
             }
             self.now.position = if step == gap { self.target.position } else { self.now.position + step };
         }
@@ -181,10 +207,17 @@ mod tests {
         };
         let near = |a: Vector3<f64>, b: [f64; 3]| (a - Vector3::from(b)).norm() < 1e-9;
         assert!(near(run(None), [0.2, 0.1, 0.05]));
-        // it wanted 0.15 m/s along x and got 0.03: along y and z the reference goes on
-        assert!(near(run(HeldBack::between([0.15, 0.02], [0.03, 0.02])), [0.03, 0.1, 0.05]));
+        // it wanted 0.15 m/s along x and got 0.03: along y and z the reference goes on; slowing down takes its way
+        let slowing_m = |from: f64| (0.2 - from).powi(2) / (2.0 * REFERENCE_M_S2) - 0.5e-3 * (0.2 - from);
+        let x = 0.03 + slowing_m(0.03);
+        assert!(
+            (run(HeldBack::between([0.15, 0.02], [0.03, 0.02])) - Vector3::new(x, 0.1, 0.05)).norm() < 1e-4
+        );
         // a base that gives way does not take the reference back
-        assert!(near(run(HeldBack::between([0.15, 0.0], [-0.1, 0.0])), [0.0, 0.1, 0.05]));
+        let x = slowing_m(0.0);
+        assert!(
+            (run(HeldBack::between([0.15, 0.0], [-0.1, 0.0])) - Vector3::new(x, 0.1, 0.05)).norm() < 1e-4
+        );
         // refused the way back, it may be led forward
         assert!(near(run(HeldBack::between([-0.15, 0.0], [-0.03, 0.0])), [0.2, 0.1, 0.05]));
         assert_eq!(HeldBack::between([0.1, 0.0], [0.1, 0.0]), None);

@@ -317,6 +317,23 @@ fn hands_that_leave_no_way_out_share_what_is_too_much() {
 }
 
 #[test]
+fn who_comes_further_than_the_arm_reaches_takes_the_tool_along() {
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    // pressed in front beyond the yield depth; the tool is ahead of its place over the base, or behind it
+    for (force_n, ahead_m, share) in
+        [(22.0, 0.2, 0.0), (22.0, 0.3, 0.5), (22.0, 0.4, 1.0), (22.0, -0.4, 0.0), (0.0, 0.4, 0.0)]
+    {
+        let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings);
+        let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
+        samples[FRONT] = Some(TaxelSample { force_n, age_s: 0.0 });
+        let mut input = BarrierInput::new(samples, [0.0; 3], [3.0; 3], DT_S);
+        input.stretch_body_m = [ahead_m, 0.0];
+        let carried = barrier.update(&input).unwrap().carried;
+        assert!((carried - share).abs() < 1e-9, "{force_n} N, {ahead_m} m: {carried}");
+    }
+}
+
+#[test]
 fn what_is_no_number_changes_nothing() {
     let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
     let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings);

@@ -187,6 +187,12 @@ impl Motion {
             if law != ControlLaw::Hold {
                 taxel_force_n = contacts.force_n;
             }
+            if law == ControlLaw::Impedance && contacts.carried > 0.0 {
+                let [vx, vy, _] = robot.base_velocity_world;
+                let shift_m = [vx, vy].map(|v| contacts.carried * v * dt_s);
+                either!(&mut self.controller, controller => controller.carry_target(shift_m))
+                    .map_err(|_| Fault::ControlRefused)?;
+            }
             // who is pressed when a taxel fails is given room even in a stop
             if law != ControlLaw::Hold || contacts.backs_off {
                 guard.outward_m_s = Some(contacts.outward_m_s);
@@ -272,6 +278,13 @@ impl<const N: usize> Controller<N> {
             Self::Whole(_, Some(state)) => state.set_target_twist(twist),
             Self::Arm(_, Some(state)) => state.set_target_twist(twist),
             Self::Whole(_, None) | Self::Arm(_, None) | Self::Base(..) => Ok(()),
+        }
+    }
+
+    fn carry_target(&mut self, shift_world_m: [f64; 2]) -> Result<(), ControlError> {
+        match self {
+            Self::Whole(_, Some(state)) => state.carry_target(shift_world_m),
+            Self::Whole(_, None) | Self::Arm(..) | Self::Base(..) => Ok(()),
         }
     }
 

@@ -408,6 +408,17 @@ impl<const N: usize, T: Scalar> ControllerState<N, T> {
         self.arm.set_target_twist(twist)
     }
 
+    /// Moves the target and the way there by `shift_m`, axes of its frame: a tool that the arm cannot hold in its place any
+    /// further goes along with the base.
+    ///
+    /// # Errors
+    /// A value that is not finite.
+    pub fn carry_target(&mut self, shift_m: [T; 2]) -> Result<(), ControlError> {
+        finite("target shift", &shift_m)?;
+        self.arm.reference.carry(shift_m);
+        Ok(())
+    }
+
     /// Estimated external joint torques of the momentum observer, N·m, on the robot.
     pub fn external_torque_nm(&self) -> &[T; N] {
         self.arm.external_torque_nm()
