@@ -64,7 +64,7 @@ fn run(world: &mut World, ticks: u64) -> Vec<Sample> {
 }
 
 fn outline() -> CoverOutline<11, f64> {
-    CoverOutline::new(&PAPER_COVER)
+    CoverOutline::new(&PAPER_COVER).unwrap()
 }
 
 /// What a base did that was led into a person.

@@ -1,8 +1,14 @@
 //! Record and replay: an eventful run comes out the same bit for bit, and whatever is not the same is found.
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot go on has to stop"
+)]
 
-use moca_daemon::config::{Config, HandConfig};
+use moca_daemon::config::{BarrierReadings, Config, HandConfig};
 use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::record::flight_recorder::FlightRecorder;
 use moca_daemon::record::recording::{configuration, parameter_change};
 use moca_daemon::record::tick_blocks::BlockBuilder;
 use moca_daemon::record::tick_log::{PortEvent, TickLog, TickLogReader, TickRecord, tick_log};
@@ -16,7 +22,7 @@ use moca_tactile::calibration::Quality;
 use moca_tactile::calibration::file::{CalibrationFile, TaxelEntry};
 use moca_tactile::model::{MonotoneCurve, TaxelModel};
 use moca_telemetry::RobotDescription;
-use moca_telemetry::log::{LogWriter, Meta};
+use moca_telemetry::log::{LogWriter, Meta, read_log};
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::PathBuf;
@@ -43,7 +49,7 @@ impl Run {
 
     fn step(&mut self, request: Option<Request>) {
         let ticked = self.world.tick(request);
-        self.loop_end.push(ticked.input);
+        self.loop_end.push(ticked.input, || self.world.control.state());
         self.samples.push(ticked.sample);
         self.records.extend(std::iter::from_fn(|| self.log.next_tick()));
     }
@@ -245,4 +251,79 @@ fn calibration_contact_limits_and_geometry_are_in_the_log() {
     config.board.calibration = String::new();
     let other = write("no_files.mcap", &config, &run.records, &run.samples);
     assert!(matches!(failure(&other), Failure::Differs { .. }));
+}
+
+/// What a flight recorder beside a lock-step run writes at its first stop, if that comes within `ticks`.
+fn flight_log(name: &str, world: &mut Run, recorder: &mut FlightRecorder, ticks: usize) -> PathBuf {
+    for _ in 0..ticks {
+        if let Some(path) = world.watched(None, recorder) {
+            return path;
+        }
+    }
+    unreachable!("{name}: no stop within {ticks} ticks");
+}
+
+impl Run {
+    /// One tick, which a flight recorder hears of as it does beside a live loop.
+    fn watched(&mut self, request: Option<Request>, recorder: &mut FlightRecorder) -> Option<PathBuf> {
+        let ticked = self.world.tick(request);
+        self.loop_end.push(ticked.input, || self.world.control.state());
+        while let Some(state) = self.log.next_state() {
+            recorder.add_state(state);
+        }
+        while let Some(record) = self.log.next_tick() {
+            recorder.add_tick(record);
+        }
+        recorder.add(&ticked.sample)
+    }
+}
+
+/// Whatever the loop remembers matters here: a law, live parameters on their way through their filter, a touch, a mask,
+/// a zero that was taken twice, contacts, a barrier.
+#[test]
+fn the_last_seconds_of_a_long_run_run_again_whatever_stopped_it() {
+    for (fault, law, barrier) in [
+        ("unplugged", Law::Impedance, false),
+        ("bit-flipped", Law::FollowMe, false),
+        ("taxel-noisy", Law::Impedance, true),
+        ("command-refused", Law::FollowMe, true),
+        ("base-stale", Law::Impedance, false),
+    ] {
+        let mut config = config();
+        let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR"))
+            .join(format!("replayed-flight-{fault}-{}", std::process::id()));
+        config.flight_recorder.folder = folder.display().to_string();
+        if barrier {
+            config.protection.contact_barrier = BarrierReadings::PuLd30;
+        }
+        let mut recorder =
+            FlightRecorder::new(&config, RobotDescription::paper("test", true)).unwrap().unwrap();
+        let mut run = Run::start(&config);
+        run.world.inject(&format!("{fault}@13.4").parse().unwrap(), 5);
+        let asked = [
+            (1500, set("control.gains.stiffness", &[300.0, 300.0, 300.0, 20.0, 20.0, 20.0])),
+            (1600, Request::Disarm),
+            (1700, Request::Tare),
+            (3000, Request::Arm),
+            (3100, Request::SelectLaw(law)),
+            (12_000, Request::PressTaxel { taxel: 5, force_n: 20.0 }),
+            (13_300, set("control.gains.damping_ratio", &[0.9])),
+        ];
+        for tick in 0..13_400 {
+            let request = asked.iter().find(|(at, _)| *at == tick).map(|(_, request)| *request);
+            assert_eq!(run.watched(request, &mut recorder), None, "{fault}: tick {tick}");
+        }
+        let path = flight_log(fault, &mut run, &mut recorder, 1600);
+        drop(recorder);
+        let report =
+            replay::run(std::slice::from_ref(&path)).unwrap_or_else(|error| panic!("{fault}: {error:#}"));
+        assert!(report.compared > 10_000 && report.compared < 11_010, "{fault}: {report}");
+        assert_eq!((report.without_sample, report.cut), (0, None), "{fault}");
+        let log = read_log(&path).unwrap();
+        assert!(
+            log.samples[0].tick > 1700 && log.samples.iter().any(|sample| sample.mode == law.into()),
+            "{fault}"
+        );
+        std::fs::remove_dir_all(folder).unwrap();
+    }
 }

@@ -75,6 +75,24 @@ fn a_ur10e_with_twenty_taxels_runs_from_its_file() {
     every_taxel_pushes_its_way(&config, ideal(&config));
 }
 
+/// The arm of a URDF file: in the controller, in MuJoCo, in the description and in the log's configuration.
+#[test]
+fn an_arm_from_a_urdf_file_runs_as_the_built_in_one_does() {
+    let config = example("arm-from-urdf.toml");
+    assert_eq!((config.arm().joints, config.robot.arm.name.as_str()), (6, "UR10e of ur10e.urdf"));
+    every_taxel_pushes_its_way(&config, ideal(&config));
+    let again = Config::parse(&toml::to_string(&config.to_toml()).unwrap()).unwrap();
+    assert_eq!(again, config, "a log's configuration needs no file");
+
+    let mut built_in = Config::parse("[robot]\narm = \"ur10e\"\n").unwrap();
+    built_in.simulation.hand = HandConfig::none();
+    built_in.control = config.control.clone();
+    let [of_file, of_table] = [&config, &built_in].map(|config| run(&mut ideal(config), 3000));
+    for (file, table) in of_file.arm_torque_nm.iter().zip(&of_table.arm_torque_nm) {
+        assert!((file - table).abs() < 1e-9, "{file} {table} N·m");
+    }
+}
+
 #[test]
 fn its_first_twelve_taxels_run_from_bytes_to_motion() {
     let mut config = example("ur10e-20-taxels.toml");

@@ -195,16 +195,69 @@ fn a_terminal_that_stops_reading_blocks_nothing_and_sigterm_still_ends_the_run()
 
 #[test]
 fn a_panic_on_any_thread_ends_the_run_with_its_log_closed_and_its_words() {
-    for (fault, words) in
-        [("panic-loop", "injected into the loop"), ("panic-client", "injected into a client")]
-    {
+    let faults = [("panic-loop", "injected into the loop"), ("panic-client", "injected into a client")];
+    let lock_step: &[&str] = &["--as-fast-as-possible", "--duration", "60"];
+    for ((fault, words), how) in faults.into_iter().flat_map(|fault| [(fault, &[][..]), (fault, lock_step)]) {
         let (arguments, log) = recorded(fault);
         let mut process =
-            mocad().args(["--inject", &format!("{fault}@1.5")]).args(arguments).spawn().unwrap();
+            mocad().args(["--inject", &format!("{fault}@1.5")]).args(how).args(arguments).spawn().unwrap();
         assert_eq!(wait(&mut process, fault), Some(1));
         let output = process.wait_with_output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(said.contains(words) && said.contains("thread"), "{fault}: {said}");
         assert!(is_closed(&log) > 10, "{fault}");
     }
+}
+
+/// Without a handler SIGXFSZ ends a process; nobody outside has to know that.
+#[test]
+fn a_file_at_its_size_limit_ends_the_log_and_not_the_run_and_is_said_at_once() {
+    let (arguments, log) = recorded("file-limit");
+    // 128 blocks of 512 or 1024 bytes: a log's first seconds have more.
+    let command = format!(
+        "ulimit -f 128; exec {} --duration 5 {}",
+        env!("CARGO_BIN_EXE_mocad-under-test"),
+        arguments.join(" ")
+    );
+    let output = Command::new("sh").args(["-c", &command]).output().unwrap();
+    let out = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(output.status.code(), Some(1), "no signal ended it: {output:?}");
+    let said = out.find("nothing is recorded any more: cannot write the log");
+    let ended = out.rfind(" ticks").unwrap_or(out.len());
+    assert!(said.is_some_and(|said| said < ended), "not said while the run went on: {out}");
+    let read = moca_telemetry::log::read_log(&log).unwrap();
+    assert!(read.cut.is_some() && !read.samples.is_empty(), "{:?}", read.cut);
+    std::fs::remove_file(log).unwrap();
+}
+
+#[test]
+fn a_service_listens_on_a_socket_file_with_its_mode() {
+    use std::os::unix::fs::{FileTypeExt, PermissionsExt};
+    // A socket's path has at most 107 bytes.
+    let folder = std::env::temp_dir().join(format!("mocad-run-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let socket = folder.join("telemetry.sock");
+    let config = file("socket.toml", "[telemetry]\nmode = \"0640\"\n[flight_recorder]\nfolder = \"\"\n");
+    let mut process = mocad()
+        .arg("--config")
+        .arg(config)
+        .env("RUNTIME_DIRECTORY", &folder)
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    let until = Instant::now() + HANGS_AFTER;
+    while !socket.exists() {
+        assert!(Instant::now() < until, "no socket");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let metadata = std::fs::metadata(&socket).unwrap();
+    assert!(metadata.file_type().is_socket());
+    assert_eq!(metadata.permissions().mode() & 0o777, 0o640);
+    let address = format!("unix:{}", socket.display());
+    let listed = mocad().args(["params", "list", "damping_ratio", "--address", &address]).output().unwrap();
+    assert!(String::from_utf8_lossy(&listed.stdout).contains("damping_ratio"), "{listed:?}");
+    kill(Pid::from_raw(i32::try_from(process.id()).unwrap()), Signal::SIGTERM).unwrap();
+    assert_eq!(wait(&mut process, "socket file"), Some(0));
+    assert!(!socket.exists(), "the socket goes with the daemon");
+    std::fs::remove_dir_all(folder).unwrap();
 }

@@ -96,6 +96,16 @@ fn bench(criterion: &mut Criterion) {
         assert!(last.frames_bad <= 1 + last.tick.saturating_sub(6000) / 988, "only frames at a seam are bad");
     });
 
+    // What a log is given once a second, so that its last ticks can be run again.
+    group.bench_function("state", |bencher| {
+        let mut world =
+            LockStep::with_board(&config(), &Scene::default(), VirtualBoardConfig::default(), None).unwrap();
+        for _ in 0..2000 {
+            world.step(None);
+        }
+        bencher.iter(|| black_box(world.control.state()));
+    });
+
     group.bench_function("tick", |bencher| {
         let mut world =
             LockStep::with_board(&config(), &Scene::default(), VirtualBoardConfig::default(), None).unwrap();

@@ -7,7 +7,9 @@
 #![allow(clippy::expect_used, reason = "a check that cannot go on has to stop")]
 
 use moca_daemon::config::{Config, HandConfig};
+use moca_daemon::control::tick::Ticked;
 use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::record::tick_log::tick_log;
 use moca_daemon::runtime::live::{Rings, Shared};
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
 use moca_msgs::{Law, Mode, Request};
@@ -48,12 +50,14 @@ fn main() {
 fn watched(world: &mut World, mode: Mode, requests: &[Request]) {
     let (samples, _client) = rtrb::RingBuffer::new(1024);
     let (_commander, to_loop) = moca_telemetry::net::request_channel();
-    let (mut rings, shared) = (Rings { samples, requests: to_loop, tick_log: None }, Shared::default());
+    let (log, _copies, _reader) = tick_log();
+    let (mut rings, shared) = (Rings { samples, requests: to_loop, tick_log: Some(log) }, Shared::default());
     let mut last = None;
     for tick in 0..TICKS {
         let request = usize::try_from(tick).ok().and_then(|i| requests.get(i)).copied();
         rtsan_standalone::realtime_enter();
-        let (sample, outcome) = world.step(request);
+        let Ticked { sample, outcome, input } = world.tick(request);
+        rings.note(input, || world.control.state());
         last = Some(sample.mode);
         rings.publish(sample, Some(tick), outcome, &shared);
         rtsan_standalone::realtime_exit();

@@ -4,7 +4,7 @@ use clap::{Args, Parser, Subcommand};
 use moca_daemon::cli::terminal::Terminal;
 use moca_daemon::config::Config;
 use moca_daemon::runtime::allocations::CountingAllocator;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 #[global_allocator]
@@ -42,6 +42,18 @@ enum Command {
     Params(moca_daemon::cli::params::Command),
     /// Print the default configuration with every field documented.
     DefaultConfig,
+    /// Print the robot as other programs read it.
+    Describe(DescribeArguments),
+}
+
+#[derive(Args)]
+struct DescribeArguments {
+    /// As a URDF: base, taxels, arm and what it carries.
+    #[arg(long, required = true)]
+    urdf: bool,
+    /// Configuration file (TOML); without one the built-in default.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
 }
 
 #[derive(Args)]
@@ -89,12 +101,10 @@ fn main() -> ExitCode {
         Some(Command::Replay { log }) => replay(&log),
         Some(Command::Params(command)) => moca_daemon::cli::params::run(&command),
         Some(Command::DefaultConfig) => {
-            #[expect(clippy::print_stdout, reason = "this is what the command is for")]
-            {
-                print!("{}", moca_daemon::config::DEFAULT_TOML);
-            }
+            print(moca_daemon::config::DEFAULT_TOML);
             Ok(())
         }
+        Some(Command::Describe(DescribeArguments { config, .. })) => describe(config.as_deref()),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -152,21 +162,30 @@ fn time(text: &str) -> Result<std::time::Duration, String> {
 }
 
 fn replay(log: &[PathBuf]) -> anyhow::Result<()> {
-    let report = moca_daemon::runtime::replay::run(log)?;
-    #[expect(clippy::print_stdout, reason = "the command's result")]
-    {
-        print!("{report}");
-    }
+    print(&moca_daemon::runtime::replay::run(log)?.to_string());
     Ok(())
 }
 
+fn describe(config: Option<&Path>) -> anyhow::Result<()> {
+    let config = configuration(config)?;
+    print(&moca_daemon::config::urdf::urdf(&config.robot, config.plant.parts));
+    Ok(())
+}
+
+#[expect(clippy::print_stdout, reason = "a command's result")]
+fn print(text: &str) {
+    print!("{text}");
+}
+
+/// Of a file, or the built-in one.
+fn configuration(path: Option<&Path>) -> anyhow::Result<Config> {
+    let Some(path) = path else { return Ok(Config::default()) };
+    let config = Config::load(path);
+    Ok(config.map_err(|error| WrongConfiguration(format!("{}:\n{error}", path.display())))?)
+}
+
 fn run(arguments: RunArguments) -> anyhow::Result<()> {
-    let config = match &arguments.config {
-        Some(path) => {
-            Config::load(path).map_err(|error| WrongConfiguration(format!("{}:\n{error}", path.display())))?
-        }
-        None => Config::default(),
-    };
+    let config = configuration(arguments.config.as_deref())?;
     moca_daemon::runtime::assemble::cover_config(&config)
         .map_err(|error| WrongConfiguration(format!("{error:#}")))?;
     moca_daemon::runtime::assemble::motion(&config)

@@ -19,7 +19,7 @@ parameter_table! {
     pub struct Robot in "robot" {
         /// Name of this robot, shown by clients and written into logs.
         name: String = "moca".into();
-        /// Which arm, of those built in.
+        /// Which arm: one that is built in, or "own", which [arm] describes.
         arm: Arm = Arm::default() => [.lab("arm")];
         /// What the base is called.
         base_name: String = "SUMMIT-XL".into();
@@ -161,7 +161,7 @@ impl Robot {
 }
 
 /// Two bodies as one, by the parallel-axis theorem; a body without mass adds nothing.
-fn together(a: &LinkInertial, b: &LinkInertial) -> LinkInertial {
+pub(crate) fn together(a: &LinkInertial, b: &LinkInertial) -> LinkInertial {
     if b.mass_kg <= 0.0 {
         return *a;
     }
@@ -184,13 +184,16 @@ fn together(a: &LinkInertial, b: &LinkInertial) -> LinkInertial {
 /// An arm: its table and what it is called in a configuration file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Arm {
-    /// A built-in name, or where the table is from.
+    /// A built-in name, or [`OWN_ARM`].
     pub source: String,
     /// Name shown to users.
     pub name: String,
     /// Kinematics, inertias, ranges, speeds, torques.
     pub table: AnyArm,
 }
+
+/// `robot.arm` of an arm that `[arm]` describes.
+pub const OWN_ARM: &str = "own";
 
 /// The built-in arms by the names that a configuration file gives them.
 const BUILT_IN: [(&str, AnyArm); 3] =
@@ -217,7 +220,7 @@ impl Default for Arm {
 }
 
 impl Typed for Arm {
-    const KIND: ParameterKind = ParameterKind::Choice(&["panda", "fr3", "ur10e"]);
+    const KIND: ParameterKind = ParameterKind::Choice(&["panda", "fr3", "ur10e", OWN_ARM]);
     const SIZE: Size = Size::One;
 }
 
@@ -228,10 +231,10 @@ impl Field for Arm {
 
     fn take(&mut self, value: FieldValue<'_>) -> bool {
         let FieldValue::Text(text) = value else { return false };
-        Self::built_in(text).is_some_and(|arm| {
+        if let Some(arm) = Self::built_in(text) {
             *self = arm;
-            true
-        })
+        }
+        self.source == text
     }
 }
 

@@ -50,6 +50,7 @@ impl ImpedanceGains<{ PANDA.joints() }> {
 parameter_table! {
     /// Corrections of what the literal law leaves out. The default is where a user is better served.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
     pub struct Corrections in "control.corrections" {
         /// Keep the base's virtual damping from dragging the flange: −D_v v_d of eq. (2) moves into τ_0.
         null_space_damping: bool = true => [.live().lab("null_space_damping")];

@@ -89,6 +89,9 @@ pub struct AnyArm {
 }
 
 impl AnyArm {
+    /// No joints at all.
+    pub const NONE: Self = Self::of(&NO_ARM);
+
     /// Any table of up to [`MAX_JOINTS`] joints.
     pub const fn of<const N: usize>(arm: &ArmTable<N>) -> Self {
         const { assert!(N <= MAX_JOINTS, "more joints than a sample can carry") };

@@ -60,6 +60,7 @@ pub struct EarlyContact<const K: usize> {
 }
 
 #[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 struct Taxel {
     fdat: u16,
     force_n: f64,
@@ -71,6 +72,7 @@ struct Taxel {
 }
 
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 struct Board<S> {
     source: S,
     banks: [Bank; BANKS],
@@ -78,6 +80,7 @@ struct Board<S> {
 
 /// Twelve electrodes whose data comes together.
 #[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 struct Bank {
     carries_taxels: bool,
     sampled_at_ns: Option<u64>,
@@ -101,8 +104,10 @@ impl<S> Board<S> {
 
 /// The cover. Allocates nothing; every method returns in bounded time.
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Cover<const K: usize, S: FrameSource = BoardMonitor> {
     config: CoverConfig<K>,
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     taxels: [Taxel; K],
     boards: heapless::Vec<Board<S>, MAX_BOARDS>,
     tare: TareStatus,
@@ -237,7 +242,11 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
 
     /// FDAT of the last usable frame, T1 first; 0 before one came.
     pub fn counts(&self) -> [u16; K] {
-        core::array::from_fn(|i| self.taxels[i].fdat)
+        let mut counts = [0; K];
+        for (count, taxel) in counts.iter_mut().zip(&self.taxels).take(self.config.taxels) {
+            *count = taxel.fdat;
+        }
+        counts
     }
 
     /// Zero of each taxel, T1 first.
@@ -317,11 +326,8 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
 
     fn void_zero_on_stream_fault(&mut self, board: usize, now_ns: u64) {
         let fault = self.boards.get(board).and_then(|b| b.source.fault(now_ns));
-        let zeroed = self
-            .taxels
-            .iter()
-            .zip(&self.config.wiring)
-            .any(|(taxel, wire)| usize::from(wire.board) == board && taxel.zero.is_some());
+        let mut wired = self.taxels.iter().zip(&self.config.wiring).take(self.config.taxels);
+        let zeroed = wired.any(|(taxel, wire)| usize::from(wire.board) == board && taxel.zero.is_some());
         let taring = matches!(self.tare, TareStatus::InProgress { .. });
         if (zeroed || taring) && fault.is_some_and(voids_zero) {
             self.invalidate(board);
@@ -378,13 +384,13 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
     }
 
     fn follow_drift(&mut self, board: usize, bank: usize, now_ns: u64, dt_s: f64) {
-        if self.taxels.iter().any(|taxel| taxel.in_contact) {
+        if self.taxels.iter().take(self.config.taxels).any(|taxel| taxel.in_contact) {
             self.last_contact_ns = now_ns;
         }
         if now_ns.saturating_sub(self.last_contact_ns) < SETTLE_NS {
             return;
         }
-        for (taxel, wire) in self.taxels.iter_mut().zip(&self.config.wiring) {
+        for (taxel, wire) in self.taxels.iter_mut().zip(&self.config.wiring).take(self.config.taxels) {
             if wire.is_on(board, bank)
                 && let Some(zero) = &mut taxel.zero
             {
@@ -395,7 +401,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
 
     fn watch_common_mode(&mut self, board: usize, bank: usize) {
         let (mut drops, mut count) = ([0.0; K], 0);
-        for (i, taxel) in self.taxels.iter().enumerate() {
+        for (i, taxel) in self.taxels.iter().enumerate().take(self.config.taxels) {
             if self.config.wiring[i].is_on(board, bank)
                 && !self.config.masked[i]
                 && let Some(zero) = &taxel.zero

@@ -17,6 +17,7 @@ pub const LEAST_TRANSPORT_NS: u64 = 1_200_000;
 /// assert!(Firmware::Stock2018.worst_hold_ns() > 55_000_000);
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Firmware {
     /// Our own, `firmware/moca_touch`: every refresh of the chip, stamped and checked.
     Moca,

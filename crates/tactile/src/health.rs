@@ -44,6 +44,7 @@ const NOISE_WEIGHT: f64 = 1.0 / 32.0;
 
 /// Running health of one taxel.
 #[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct TaxelHealth {
     previous: [u16; 2],
     frames: u32,

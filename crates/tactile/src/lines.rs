@@ -12,7 +12,9 @@ pub(crate) enum Cut<'a> {
 }
 
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub(crate) struct LineCutter {
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     partial: [u8; MAX_LINE_BYTES],
     length: usize,
     too_long: bool,

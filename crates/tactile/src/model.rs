@@ -13,6 +13,7 @@ const PU_LD30_FORCE_N: [f64; 10] = [9.62, 19.84, 29.75, 40.74, 50.37, 60.11, 70.
 /// A monotone piecewise-linear curve through (0, 0): counts below zero to newtons. Beyond its last knot it goes on
 /// with the last slope, so a harder press never reads softer.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct MonotoneCurve {
     counts: [f64; MAX_KNOTS],
     force_n: [f64; MAX_KNOTS],
@@ -109,6 +110,7 @@ pub const MEMORY_TIME_S: [f64; 3] = [0.3, 3.0, 30.0];
 /// Quasi-linear viscoelasticity (Fung): counts give the gap, the gap gives the elastic force through a monotone
 /// curve, and a share of that force relaxes. F = (1 − Σg)·Fe + Σh, ḣ = g·Ḟe − h/τ, exact for a linear Fe.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct CompensatedCurve {
     elastic: MonotoneCurve,
     share: [f64; 3],
@@ -116,6 +118,7 @@ pub struct CompensatedCurve {
 
 /// What a foam remembers, N. All 0 at rest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct FoamMemory {
     elastic_n: f64,
     relaxing_n: [f64; 3],
@@ -168,6 +171,7 @@ pub const ASSUMED_ERROR_FROM_N: f64 = 20.0;
 
 /// Calibration of one taxel.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum TaxelModel {
     /// F = slope · drop.
     LineThroughZero {

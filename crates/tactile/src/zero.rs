@@ -45,6 +45,7 @@ const DRIFT_RATE_MAX: f64 = 0.02;
 
 /// Why a tare was refused. The old zero, if any, stays.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum TareRefusal {
     /// Someone touches this taxel (0 = T1); counts below its resting value.
     Touched {
@@ -92,6 +93,7 @@ pub enum TareRefusal {
 
 /// Where a taxel stands when nothing touches it, from its calibration: a second opinion on every tare.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ExpectedRest {
     /// FDAT, counts.
     pub counts: f64,
@@ -101,6 +103,7 @@ pub struct ExpectedRest {
 
 /// How good a zero is.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct TareQuality {
     /// Frames averaged.
     pub frames: u32,
@@ -112,6 +115,7 @@ pub struct TareQuality {
 
 /// Progress of a tare.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum TareStatus {
     /// Never asked for, or void since the board was re-enumerated.
     #[default]
@@ -129,6 +133,7 @@ pub enum TareStatus {
 
 /// Zero of one taxel.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct TaxelZero {
     /// FDAT at rest, drift followed, counts.
     pub counts: f64,
@@ -161,6 +166,7 @@ impl TaxelZero {
 
 /// Running mean and deviation of one taxel during a tare.
 #[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub(crate) struct TareSum {
     pub(crate) frames: u32,
     mean: f64,

@@ -127,7 +127,7 @@ fn barrier(c: &mut Criterion) {
         ("driven into one", true, 1, 0.2),
         ("driven into three", true, 3, 0.2),
     ] {
-        let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings);
+        let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
         let mut input = input::<7, f64>(&PANDA);
         input.robot.base_velocity_world = [speed, 0.0, 0.0];
         input.taxel_force_n =

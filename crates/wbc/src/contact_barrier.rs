@@ -9,7 +9,7 @@
 //!
 //! let foam = FoamCurve::Hyperbolic { stiffness_n_m: 2105.0, thickness_m: 0.015 };
 //! let settings = BarrierSettings::new(foam, foam, 25.0, 0.015)?;
-//! let mut barrier: ContactBarrier<11> = ContactBarrier::new(&PAPER_COVER, &settings);
+//! let mut barrier: ContactBarrier<11> = ContactBarrier::new(&PAPER_COVER, &settings)?;
 //! let base: BaseController<11> = BaseController::new(&PAPER_COVER, &Parameters::PAPER)?;
 //!
 //! // forward at 0.1 m/s, and T6 in front is 12 ms ago found pressed with 12 N
@@ -224,12 +224,12 @@ impl<const K: usize, T: Scalar> BarrierInput<K, T> {
         Self { samples, velocity_body, deceleration, stretch_body_m: [T::zero(); 2], dt_s }
     }
 
-    fn check(&self) -> Result<(), ControlError> {
+    fn check(&self, taxels: usize) -> Result<(), ControlError> {
         check_step(self.dt_s)?;
         finite("velocity_body", &self.velocity_body)?;
         finite("deceleration", &self.deceleration)?;
         finite("stretch_body_m", &self.stretch_body_m)?;
-        for (index, sample) in self.samples.iter().enumerate() {
+        for (index, sample) in self.samples.iter().take(taxels).enumerate() {
             let fine = sample.is_none_or(|s| s.force_n.is_finite() && s.age_s.is_finite());
             if !fine {
                 return Err(ControlError::NotFinite { what: "taxel sample", index });
@@ -242,7 +242,7 @@ impl<const K: usize, T: Scalar> BarrierInput<K, T> {
 /// What the barrier says of one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContactLimits<const K: usize, T = f64> {
-    /// Largest speed of each taxel outward, m/s: for [`crate::BaseGuard::outward_m_s`].
+    /// Largest speed of each taxel outward, m/s: for [`crate::BaseGuard::outward_m_s`]. +∞ beyond the last taxel.
     pub outward_m_s: [T; K],
     /// Force now, N, never more than was felt: for the law, which so sees its own retreat at once.
     pub force_n: [T; K],
@@ -257,24 +257,49 @@ pub struct ContactLimits<const K: usize, T = f64> {
     pub carried: T,
 }
 
-/// The barrier of a cover of `K` taxels, with what it remembers: 3 kB of odometry, which no step copies.
+/// The barrier of a cover of up to `K` taxels, with what it remembers: 3 kB of odometry, which no step copies.
 #[derive(Clone, Debug)]
 pub struct ContactBarrier<const K: usize, T = f64> {
     outline: CoverOutline<K, T>,
     settings: BarrierSettings,
+    state: BarrierState<K, T>,
+}
+
+/// What a [`ContactBarrier`] remembers between steps.
+#[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct BarrierState<const K: usize, T = f64> {
     odometry: Odometry<T>,
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     tracks: [Track<T>; K],
 }
 
 impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
     /// Nothing touches.
-    pub fn new(taxels: &[TaxelPlacement; K], settings: &BarrierSettings) -> Self {
-        Self {
-            outline: CoverOutline::new(taxels),
+    ///
+    /// # Errors
+    /// More than `K` taxels, or a position or angle out of range.
+    pub fn new(taxels: &[TaxelPlacement], settings: &BarrierSettings) -> Result<Self, ParameterError> {
+        Ok(Self {
+            outline: CoverOutline::new(taxels)?,
             settings: *settings,
-            odometry: Odometry::new(),
-            tracks: [Track::none(); K],
-        }
+            state: BarrierState { odometry: Odometry::new(), tracks: [Track::none(); K] },
+        })
+    }
+
+    /// The cover's geometry.
+    pub const fn outline(&self) -> &CoverOutline<K, T> {
+        &self.outline
+    }
+
+    /// What it remembers.
+    pub const fn state(&self) -> &BarrierState<K, T> {
+        &self.state
+    }
+
+    /// Goes on from where `state` was taken.
+    pub fn restore(&mut self, state: &BarrierState<K, T>) {
+        self.state.clone_from(state);
     }
 
     /// One step.
@@ -282,8 +307,9 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
     /// # Errors
     /// A number that is not finite, a step that is not positive; nothing is changed.
     pub fn update(&mut self, input: &BarrierInput<K, T>) -> Result<ContactLimits<K, T>, ControlError> {
-        input.check()?;
-        self.odometry.advance(&input.velocity_body, input.dt_s);
+        let taxels = self.outline.map().taxels();
+        input.check(taxels)?;
+        self.state.odometry.advance(&input.velocity_body, input.dt_s);
         let mut limits = ContactLimits {
             outward_m_s: [of(f64::INFINITY); K],
             force_n: [T::zero(); K],
@@ -292,15 +318,21 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             backs_off: false,
             carried: T::zero(),
         };
-        for i in 0..K {
+        for i in 0..taxels {
             let way = |place: &[T; 3]| self.outline.outward(i, place);
-            self.tracks[i].advance(&self.settings, &self.odometry, input.samples[i], input.dt_s, way);
-            let track = &self.tracks[i];
+            self.state.tracks[i].advance(
+                &self.settings,
+                &self.state.odometry,
+                input.samples[i],
+                input.dt_s,
+                way,
+            );
+            let track = &self.state.tracks[i];
             if !track.touched() {
                 limits.outward_m_s[i] = track.released_limit(&self.settings);
                 continue;
             }
-            let way_now = way(self.odometry.now());
+            let way_now = way(self.state.odometry.now());
             let depth = track.depth_now(way_now);
             limits.depth_m[i] = depth;
             limits.person_m_s[i] = track.person_m_s();
@@ -324,7 +356,7 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
     fn touched_limit(&self, i: usize, depth: T, input: &BarrierInput<K, T>) -> T {
         let s = &self.settings;
         let speed = self.outline.outward(i, &input.velocity_body);
-        let person = self.tracks[i].person_m_s();
+        let person = self.state.tracks[i].person_m_s();
         let soon = depth + of::<T>(s.servo_s) * (speed + person);
         let deceleration = self.outline.deceleration(i, &input.deceleration);
         let closing = |left: T| {

@@ -13,23 +13,32 @@
 use crate::scalar::{Scalar, of};
 use moca_msgs::{ParameterError, TaxelPlacement};
 
-/// CoverMap wrench \[f_x N, f_y N, m_z N·m\] in B about its origin: the force **on** the robot, so that a push moves the
+/// Cover wrench \[f_x N, f_y N, m_z N·m\] in B about its origin: the force **on** the robot, so that a push moves the
 /// base away from it. `force_n` is in compression, ≥ 0. eq. (4)
 pub fn cover_wrench<const K: usize, T: Scalar>(taxels: &[TaxelPlacement; K], force_n: &[T; K]) -> [T; 3] {
-    CoverMap::from_table(taxels).wrench(force_n)
+    CoverMap::of_table(taxels).wrench(force_n)
 }
 
-/// The constant of eq. (4): what each taxel adds to the wrench per newton.
+/// The constant of eq. (4): what each taxel adds to the wrench per newton. Room for `K` taxels, and as many as its table
+/// has: no step spends time on the places that are left.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoverMap<const K: usize, T> {
-    /// Per taxel: direction (x, y) in B and lever arm of the moment about B's origin, m.
+    /// Per taxel: inward direction (x, y) in B and lever arm of the moment about B's origin, m.
     columns: [[T; 3]; K],
+    count: usize,
 }
 
 impl<const K: usize, T: Scalar> CoverMap<K, T> {
+    /// Of 0 to `K` taxels, T1 first.
+    ///
     /// # Errors
-    /// The first position or angle that is not finite or not within 10 m or 10 rad.
-    pub fn new(taxels: &[TaxelPlacement; K]) -> Result<Self, ParameterError> {
+    /// More than `K` taxels, or the first position or angle that is not finite or not within 10 m or 10 rad.
+    pub fn new(taxels: &[TaxelPlacement]) -> Result<Self, ParameterError> {
+        if taxels.len() > K {
+            #[expect(clippy::cast_precision_loss, reason = "small counts")]
+            let (value, max) = (taxels.len() as f64, K as f64);
+            return Err(ParameterError { name: "number of taxels", value, unit: "", min: 0.0, max });
+        }
         for taxel in taxels {
             let [x, y] = taxel.position_base_m;
             for (name, unit, value) in [
@@ -42,24 +51,42 @@ impl<const K: usize, T: Scalar> CoverMap<K, T> {
                 }
             }
         }
-        Ok(Self::from_table(taxels))
+        Ok(Self::of_table(taxels))
     }
 
-    fn from_table(taxels: &[TaxelPlacement; K]) -> Self {
-        Self {
-            columns: taxels.map(|taxel| {
-                let [x, y] = taxel.position_base_m;
-                let (s, c) = nalgebra::ComplexField::sin_cos(taxel.inward_angle_base_rad);
-                [of(c), of(s), of(x * s - y * c)]
-            }),
+    /// Of the first `K` taxels.
+    fn of_table(taxels: &[TaxelPlacement]) -> Self {
+        let mut columns = [[T::zero(); 3]; K];
+        for (column, taxel) in columns.iter_mut().zip(taxels) {
+            let [x, y] = taxel.position_base_m;
+            let (s, c) = nalgebra::ComplexField::sin_cos(taxel.inward_angle_base_rad);
+            *column = [of(c), of(s), of(x * s - y * c)];
         }
+        Self { columns, count: taxels.len().min(K) }
+    }
+
+    /// How many taxels there are.
+    pub const fn taxels(&self) -> usize {
+        self.count
+    }
+
+    /// Of each taxel there is: inward direction (x, y) in B and lever arm of the moment about B's origin, m.
+    #[inline]
+    pub(crate) fn columns(&self) -> &[[T; 3]] {
+        &self.columns[..self.count]
     }
 
     /// eq. (4); see [`cover_wrench`].
     #[inline]
     pub fn wrench(&self, force_n: &[T; K]) -> [T; 3] {
+        self.sum(force_n.iter().copied())
+    }
+
+    /// eq. (4) of forces that are computed one by one.
+    #[inline]
+    pub(crate) fn sum(&self, force_n: impl Iterator<Item = T>) -> [T; 3] {
         let mut wrench = [T::zero(); 3];
-        for (column, &force) in self.columns.iter().zip(force_n) {
+        for (column, force) in self.columns().iter().zip(force_n) {
             for (sum, &per_newton) in wrench.iter_mut().zip(column) {
                 *sum += per_newton * force;
             }

@@ -8,6 +8,7 @@ pub const GAIN_FILTER_S: f64 = 0.1;
 
 /// Gains of the base's admittance, eq. (2), units as in [`ImpedanceGains`].
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub(crate) struct BaseGains<T> {
     pub(crate) virtual_mass: [T; 3],
     pub(crate) virtual_damping: [T; 3],
@@ -16,10 +17,13 @@ pub(crate) struct BaseGains<T> {
 
 /// Gains of the arm's impedance, eqs. (10) and (11), units as in [`ImpedanceGains`].
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub(crate) struct ArmGains<const N: usize, T> {
     pub(crate) stiffness: [T; 6],
     pub(crate) damping_ratio: T,
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     pub(crate) posture_stiffness: [T; N],
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     pub(crate) posture_damping: [T; N],
 }
 

@@ -5,16 +5,18 @@
 //! use moca_wbc::guard::{BaseGuard, CoverOutline};
 //! use moca_wbc::robot::PAPER_COVER;
 //!
-//! let outline: CoverOutline<11, f64> = CoverOutline::new(&PAPER_COVER);
+//! let outline: CoverOutline<11, f64> = CoverOutline::new(&PAPER_COVER)?;
 //! let mut guard = BaseGuard::NONE;
 //! guard.blocked[5] = true; // a hand on T6: not forward
 //! let [x, y, _] = outline.guarded(&guard, &[0.2, 0.1, 0.0]);
 //! assert!(x.abs() < 1e-12 && (y - 0.1).abs() < 1e-12, "sideways it may");
+//! # Ok::<(), moca_wbc::ParameterError>(())
 //! ```
 
+use crate::cover_map::CoverMap;
 use crate::error::{ControlError, finite};
 use crate::scalar::{Scalar, of};
-use moca_msgs::TaxelPlacement;
+use moca_msgs::{ParameterError, TaxelPlacement};
 use moca_qp::{Metric, Row, WorkingSet};
 
 /// Fastest motion outward that still counts as none, m/s and rad/s: rounding, not creep.
@@ -45,10 +47,10 @@ impl<const K: usize, T: Scalar> BaseGuard<K, T> {
         Self { speed_m_s: None, blocked: [false; K], outward_m_s: None, instead_body: None };
 
     /// # Errors
-    /// A number that is not finite, or a speed limit below 0.
-    pub(crate) fn check(&self) -> Result<(), ControlError> {
+    /// A number that is not finite, of a cover of `taxels` taxels, or a speed limit below 0.
+    pub(crate) fn check(&self, taxels: usize) -> Result<(), ControlError> {
         finite("guard.instead_body", self.instead_body.as_ref().map_or(&[], |v| &v[..]))?;
-        for (index, most) in self.outward_m_s.iter().flatten().enumerate() {
+        for (index, most) in self.outward_m_s.iter().flatten().take(taxels).enumerate() {
             if !most.is_finite() && *most != of(f64::INFINITY) {
                 return Err(ControlError::NotFinite { what: "guard.outward_m_s", index });
             }
@@ -68,22 +70,22 @@ impl<const K: usize, T: Scalar> BaseGuard<K, T> {
 pub struct CoverOutline<const K: usize, T> {
     /// Corner of the rectangle round all taxels, x and y, m.
     corner: [T; 2],
-    /// Inward direction (x, y) and lever arm about B's origin, m, of each taxel.
-    inward: [[T; 3]; K],
+    map: CoverMap<K, T>,
 }
 
 impl<const K: usize, T: Scalar> CoverOutline<K, T> {
-    /// The cover of `taxels`; a table that [`crate::cover_map::CoverMap::new`] has checked.
-    pub fn new(taxels: &[TaxelPlacement; K]) -> Self {
+    /// The cover of 0 to `K` taxels, T1 first.
+    ///
+    /// # Errors
+    /// As for [`CoverMap::new`].
+    pub fn new(taxels: &[TaxelPlacement]) -> Result<Self, ParameterError> {
         let most = |axis: usize| taxels.iter().fold(0.0_f64, |m, t| m.max(t.position_base_m[axis].abs()));
-        Self {
-            corner: [of(most(0)), of(most(1))],
-            inward: taxels.map(|taxel| {
-                let [x, y] = taxel.position_base_m;
-                let (s, c) = nalgebra::ComplexField::sin_cos(taxel.inward_angle_base_rad);
-                [of(c), of(s), of(x * s - y * c)]
-            }),
-        }
+        Ok(Self { map: CoverMap::new(taxels)?, corner: [of(most(0)), of(most(1))] })
+    }
+
+    /// What each taxel adds to the wrench on the base.
+    pub const fn map(&self) -> &CoverMap<K, T> {
+        &self.map
     }
 
     /// Speed of the fastest point of the cover at a base velocity \[m/s, m/s, rad/s\], m/s: always a corner.
@@ -95,12 +97,15 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
 
     /// Speed of a taxel (0 is T1) outward, m/s; negative where it moves away from whoever touches it.
     pub fn outward(&self, taxel: usize, [vx, vy, yaw]: &[T; 3]) -> T {
-        self.inward.get(taxel).map_or(T::zero(), |[x, y, lever]| -(*x * *vx + *y * *vy + *lever * *yaw))
+        self.map
+            .columns()
+            .get(taxel)
+            .map_or(T::zero(), |[x, y, lever]| -(*x * *vx + *y * *vy + *lever * *yaw))
     }
 
     /// Deceleration of a taxel outward, m/s², with all axes of the base at their own.
     pub(crate) fn deceleration(&self, taxel: usize, of_axes: &[T; 3]) -> T {
-        self.inward.get(taxel).map_or(T::zero(), |inward| {
+        self.map.columns().get(taxel).map_or(T::zero(), |inward| {
             let [x, y, lever] = [0, 1, 2].map(|j| inward[j].abs() * of_axes[j]);
             x + y + lever
         })
@@ -108,7 +113,7 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
 
     /// Whether no taxel goes outward faster than `most`, m/s.
     pub(crate) fn keeps(&self, most: &[T; K], velocity: &[T; 3]) -> bool {
-        most.iter().enumerate().all(|(i, most)| self.outward(i, velocity) <= *most)
+        most.iter().take(self.map.taxels()).enumerate().all(|(i, most)| self.outward(i, velocity) <= *most)
     }
 
     /// The velocity nearest to `wanted` between `low` and `high` at which no taxel goes outward faster than `most`, or,
@@ -119,7 +124,7 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
         for j in 1..3 {
             rows[j] = Row::bound(j, low[j], high[j]);
         }
-        for ([x, y, lever], most) in self.inward.iter().zip(most) {
+        for ([x, y, lever], most) in self.map.columns().iter().zip(most) {
             if most.is_finite() {
                 let Some(row) = rows.get_mut(count) else { break };
                 *row = Row::at_least([*x, *y, *lever, T::zero()], -*most).softened(3);
@@ -139,7 +144,7 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
     /// Translation at `speed` away from all of `touched` together; none where they leave no way out.
     pub fn away_from(&self, touched: &[bool; K], speed: T) -> [T; 3] {
         let (mut x, mut y) = (T::zero(), T::zero());
-        for (inward, _) in self.inward.iter().zip(touched).filter(|(_, touched)| **touched) {
+        for (inward, _) in self.map.columns().iter().zip(touched).filter(|(_, touched)| **touched) {
             x += inward[0];
             y += inward[1];
         }
@@ -194,7 +199,12 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
     }
 
     fn blocked<'a>(&'a self, guard: &'a BaseGuard<K, T>) -> impl Iterator<Item = &'a [T; 3]> {
-        self.inward.iter().zip(&guard.blocked).filter(|(_, blocked)| **blocked).map(|(inward, _)| inward)
+        self.map
+            .columns()
+            .iter()
+            .zip(&guard.blocked)
+            .filter(|(_, blocked)| **blocked)
+            .map(|(inward, _)| inward)
     }
 }
 
@@ -209,7 +219,7 @@ mod tests {
     use moca_msgs::robot::PAPER_COVER;
 
     fn outline() -> CoverOutline<11, f64> {
-        CoverOutline::new(&PAPER_COVER)
+        CoverOutline::new(&PAPER_COVER).unwrap()
     }
 
     fn blocking(taxels: &[usize]) -> BaseGuard<11> {
@@ -269,12 +279,12 @@ mod tests {
     #[test]
     fn numbers_that_are_none_are_refused() {
         for bad in [f64::NAN, f64::INFINITY, -1.0] {
-            assert!(BaseGuard { speed_m_s: Some(bad), ..BaseGuard::<11>::NONE }.check().is_err());
+            assert!(BaseGuard { speed_m_s: Some(bad), ..BaseGuard::<11>::NONE }.check(11).is_err());
         }
         let guard = BaseGuard { instead_body: Some([0.0, f64::NAN, 0.0]), ..BaseGuard::<11>::NONE };
-        assert!(guard.check().is_err());
-        assert!(BaseGuard::<11>::NONE.check().is_ok());
-        let outward = |most| BaseGuard { outward_m_s: Some([0.1, most]), ..BaseGuard::<2>::NONE }.check();
+        assert!(guard.check(11).is_err());
+        assert!(BaseGuard::<11>::NONE.check(11).is_ok());
+        let outward = |most| BaseGuard { outward_m_s: Some([0.1, most]), ..BaseGuard::<2>::NONE }.check(2);
         assert!(outward(f64::INFINITY).is_ok() && outward(-0.3).is_ok());
         assert!(outward(f64::NAN).is_err() && outward(f64::NEG_INFINITY).is_err());
     }

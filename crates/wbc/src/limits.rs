@@ -195,9 +195,10 @@ impl<T: Scalar> BaseLimits<T> {
         core::array::from_fn(|i| last[i] + (target[i] - last[i]) * share)
     }
 
-    /// Taxel forces inside 0 to the largest that is believed, N.
-    pub fn taxel_forces<const K: usize>(&self, force_n: &[T; K], hit: &mut LimitsHit) -> [T; K] {
-        force_n.map(|force| clamp(force, T::zero(), self.taxel_force, &mut hit.taxel_force))
+    /// A taxel's force inside 0 to the largest that is believed, N.
+    #[inline]
+    pub fn taxel_force(&self, force_n: T, hit: &mut LimitsHit) -> T {
+        clamp(force_n, T::zero(), self.taxel_force, &mut hit.taxel_force)
     }
 }
 

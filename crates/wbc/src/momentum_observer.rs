@@ -22,10 +22,20 @@ pub const OBSERVER_LAG_S: f64 = 0.02;
 
 /// State of the observer.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(
+    feature = "serde",
+    serde(bound(
+        serialize = "T: crate::Scalar + serde::Serialize",
+        deserialize = "T: crate::Scalar + serde::Deserialize<'de>"
+    ))
+)]
 pub struct MomentumObserver<const N: usize, T> {
     /// ∫(τ + Cᵀq̇ − g + r) + p(0), N·m·s.
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     integral: [T; N],
     /// r, N·m.
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     residual: [T; N],
     started: bool,
 }

@@ -173,8 +173,12 @@ impl<'a, const N: usize, T: Scalar> TaskDynamics<'a, N, T> {
     /// J M⁻¹ τ: acceleration of the tool under generalised forces.
     #[inline]
     pub fn acceleration(&self, force: &WholeBodyForce<N, T>) -> [T; 6] {
-        let base = core::array::from_fn(|i| force.base[i] / self.virtual_mass[i]);
-        sum(&times(&self.base_jacobian, &base), &self.arm.acceleration(&force.arm))
+        sum(&self.base_acceleration(&force.base), &self.arm.acceleration(&force.arm))
+    }
+
+    #[inline]
+    fn base_acceleration(&self, force: &[T; 3]) -> [T; 6] {
+        times(&self.base_jacobian, &core::array::from_fn(|i| force[i] / self.virtual_mass[i]))
     }
 
     /// J̄ᵀτ of base and arm together.
@@ -232,19 +236,47 @@ pub struct BlockWeighted<'a, const N: usize, T> {
     factor: Cholesky<6, T>,
 }
 
+/// Λ⁻¹F, and the part of J M⁻¹τ_0 that the arm has: what stays as it is while only the base's part changes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Goal<T> {
+    wanted: [T; 6],
+    by_arm: [T; 6],
+}
+
 impl<const N: usize, T: Scalar> BlockWeighted<'_, N, T> {
     /// τ_c for the wrench F at the tool and the null-space forces τ_0. eq. (6)
     #[inline]
     pub fn force(&self, wrench: &[T; 6], null: &WholeBodyForce<N, T>) -> WholeBodyForce<N, T> {
-        let task = self.task;
-        let y = self
-            .factor
-            .solve(&difference(&times(&task.inverse_task_inertia(), wrench), &task.acceleration(null)));
-        let (base, arm) = (transpose_times(&task.base_jacobian, &y), transpose_times(&task.arm.jacobian, &y));
-        WholeBodyForce {
-            base: core::array::from_fn(|i| null.base[i] + self.weight.base * base[i]),
-            arm: core::array::from_fn(|i| null.arm[i] + self.weight.arm * arm[i]),
-        }
+        let y = self.multiplier(&self.goal(wrench, &null.arm), &null.base);
+        WholeBodyForce { base: self.base_force(&y, &null.base), arm: self.arm_force(&y, &null.arm) }
+    }
+
+    /// What F and the arm's part of τ_0 do to the tool.
+    #[inline]
+    pub(crate) fn goal(&self, wrench: &[T; 6], null_arm: &[T; N]) -> Goal<T> {
+        let wanted = times(&self.task.inverse_task_inertia(), wrench);
+        Goal { wanted, by_arm: self.task.arm.acceleration(null_arm) }
+    }
+
+    /// y of eq. (6).
+    #[inline]
+    pub(crate) fn multiplier(&self, goal: &Goal<T>, null_base: &[T; 3]) -> [T; 6] {
+        let by_base = self.task.base_acceleration(null_base);
+        self.factor.solve(&difference(&goal.wanted, &sum(&by_base, &goal.by_arm)))
+    }
+
+    /// τ_v of eq. (6).
+    #[inline]
+    pub(crate) fn base_force(&self, y: &[T; 6], null_base: &[T; 3]) -> [T; 3] {
+        let base = transpose_times(&self.task.base_jacobian, y);
+        core::array::from_fn(|i| null_base[i] + self.weight.base * base[i])
+    }
+
+    /// τ_A of eq. (6).
+    #[inline]
+    pub(crate) fn arm_force(&self, y: &[T; 6], null_arm: &[T; N]) -> [T; N] {
+        let arm = transpose_times(&self.task.arm.jacobian, y);
+        core::array::from_fn(|i| null_arm[i] + self.weight.arm * arm[i])
     }
 
     /// S = M_v − J_Bᵀ(A_B + ρ A_A)⁻¹J_B, symmetric: S·M_v⁻¹·f is what the null space leaves of a force f on the base.

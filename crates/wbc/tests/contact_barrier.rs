@@ -95,11 +95,11 @@ fn force_n(together: f64, scene: &Scene) -> f64 {
 }
 
 fn run(scene: &Scene) -> Outcome {
-    let outline = CoverOutline::<11, f64>::new(&PAPER_COVER);
+    let outline = CoverOutline::<11, f64>::new(&PAPER_COVER).unwrap();
     let limits = BaseLimits::<f64>::from(&Parameters::PAPER.limits);
     let acceleration = Parameters::PAPER.limits.base_acceleration;
     let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
-    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings);
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
     let (mut x, mut u, mut commanded) = (0.0, scene.wanted_m_s, [scene.wanted_m_s, 0.0, 0.0]);
     let mut outcome = Outcome::default();
     let (mut sum, mut held, mut since, mut shown) = (0.0, 0.0, 0, VecDeque::new());
@@ -276,7 +276,7 @@ fn a_taxel_whose_readings_end_backs_off_and_stands() {
 #[test]
 fn a_stop_makes_room_for_a_taxel_that_fails_in_contact_and_then_stands() {
     let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
-    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings);
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
     let base = BaseController::<11>::new(&PAPER_COVER, &Parameters::PAPER).unwrap();
     let mut state = base.enter();
     let mut backwards_s = 0.0;
@@ -299,7 +299,7 @@ fn a_stop_makes_room_for_a_taxel_that_fails_in_contact_and_then_stands() {
 
 #[test]
 fn hands_that_leave_no_way_out_share_what_is_too_much() {
-    let outline = CoverOutline::<11, f64>::new(&PAPER_COVER);
+    let outline = CoverOutline::<11, f64>::new(&PAPER_COVER).unwrap();
     let limits = BaseLimits::<f64>::from(&Parameters::PAPER.limits);
     // T2 and T9 face each other: both ask for room, one for more
     let mut outward_m_s = [f64::INFINITY; 11];
@@ -323,7 +323,7 @@ fn who_comes_further_than_the_arm_reaches_takes_the_tool_along() {
     for (force_n, ahead_m, share) in
         [(22.0, 0.2, 0.0), (22.0, 0.3, 0.5), (22.0, 0.4, 1.0), (22.0, -0.4, 0.0), (0.0, 0.4, 0.0)]
     {
-        let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings);
+        let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
         let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
         samples[FRONT] = Some(TaxelSample { force_n, age_s: 0.0 });
         let mut input = BarrierInput::new(samples, [0.0; 3], [3.0; 3], DT_S);
@@ -336,7 +336,7 @@ fn who_comes_further_than_the_arm_reaches_takes_the_tool_along() {
 #[test]
 fn what_is_no_number_changes_nothing() {
     let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
-    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings);
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
     let fine = BarrierInput::new(
         [Some(TaxelSample { force_n: 8.0, age_s: 0.01 }); 11],
         [0.1, 0.0, 0.0],
@@ -405,7 +405,7 @@ fn follow_me_and_a_base_alone_keep_what_the_barrier_allows() {
     for allowed in [0.02, 0.0, -0.1] {
         let mut guard = BaseGuard { outward_m_s: Some([f64::INFINITY; 11]), ..BaseGuard::NONE };
         guard.outward_m_s.as_mut().unwrap()[1] = allowed;
-        let outline = CoverOutline::<11, f64>::new(&PAPER_COVER);
+        let outline = CoverOutline::<11, f64>::new(&PAPER_COVER).unwrap();
         let (mut led, mut base) = (whole.enter(ControlLaw::FollowMe, &robot).unwrap(), alone.enter());
         for step in 0..1000 {
             let mut input = ControlInput::new(robot, pushed, DT_S);

@@ -167,3 +167,49 @@ fn a_guard_that_is_no_guard_is_refused_and_a_guard_holds_for_its_step_alone() {
     assert_eq!(refused, Err(ControlError::NotFinite { what: "guard.instead_body", index: 1 }));
     assert_eq!(state, before);
 }
+
+/// What a controller gives with room for 48 taxels is to the bit what it gives with room for its own.
+#[test]
+fn room_for_more_taxels_changes_no_bit_and_what_stands_there_is_not_looked_at() {
+    const ROOM: usize = 48;
+    let roomy: WholeBodyController<7, ROOM> =
+        WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER)
+            .unwrap();
+    let exact = controller();
+    for law in LAWS {
+        let (mut state, mut roomy_state) =
+            (exact.enter(law, &at_home()).unwrap(), roomy.enter(law, &at_home()).unwrap());
+        let mut input = input(at_home());
+        let mut roomy_input = ControlInput::new(at_home(), [f64::NAN; ROOM], 1e-3);
+        roomy_input.guard.blocked = [true; ROOM];
+        roomy_input.guard.outward_m_s = Some([f64::NAN; ROOM]);
+        input.guard.outward_m_s = Some([f64::INFINITY; 11]);
+        for step in 0..50 {
+            for i in 0..11 {
+                let (force_n, most_m_s) = (f64::from(step % 7) + 0.3, 0.02 * f64::from(step) - 0.2);
+                (input.taxel_force_n[i], roomy_input.taxel_force_n[i]) = (force_n, force_n);
+                let (blocked, outward) = (i == 7, [f64::INFINITY, most_m_s][usize::from(i == 5)]);
+                (input.guard.blocked[i], roomy_input.guard.blocked[i]) = (blocked, blocked);
+                input.guard.outward_m_s.as_mut().unwrap()[i] = outward;
+                roomy_input.guard.outward_m_s.as_mut().unwrap()[i] = outward;
+            }
+            let output = exact.step(law, &mut state, &input).unwrap();
+            assert_eq!(output, roomy.step(law, &mut roomy_state, &roomy_input).unwrap(), "{law:?} {step}");
+        }
+    }
+}
+
+#[test]
+fn a_cover_has_as_many_taxels_as_its_table_and_no_more_than_there_is_room_for() {
+    let of = |count: usize| BaseController::<11>::new(&PAPER_COVER[..count], &Parameters::PAPER).unwrap();
+    for count in [0, 1, 11] {
+        let input =
+            BaseInput { yaw_world_rad: 0.0, taxel_force_n: [20.0; 11], guard: BaseGuard::NONE, dt_s: 1e-3 };
+        let controller = of(count);
+        let wrench = controller.step(&mut controller.enter(), &input).unwrap().cover_wrench_base;
+        let alone: [f64; 11] = core::array::from_fn(|i| if i < count { 20.0 } else { 0.0 });
+        assert_eq!(wrench, moca_wbc::cover_wrench(&PAPER_COVER, &alone));
+    }
+    let refused = BaseController::<4>::new(&PAPER_COVER, &Parameters::PAPER).unwrap_err();
+    assert_eq!(refused.to_string(), "number of taxels = 11 is outside 0 to 4");
+}

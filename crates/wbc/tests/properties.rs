@@ -94,7 +94,7 @@ proptest! {
         start in uniform3(ordinary(0.5)),
     ) {
         let limits: BaseLimits<f64> = BaseLimits::from(&Limits::for_arm(&PANDA));
-        let outline = CoverOutline::new(&PAPER_COVER);
+        let outline = CoverOutline::new(&PAPER_COVER).unwrap();
         let most = Limits::for_arm(&PANDA);
         let mut last = start;
         let mut inside = outline.permits(&guard, &last);
@@ -130,7 +130,7 @@ proptest! {
         last in uniform3(ordinary(0.5)),
     ) {
         let limits: BaseLimits<f64> = BaseLimits::from(&Limits::for_arm(&PANDA));
-        let outline = CoverOutline::<11, f64>::new(&PAPER_COVER);
+        let outline = CoverOutline::<11, f64>::new(&PAPER_COVER).unwrap();
         let (mut free, mut guarded) = (LimitsHit::default(), LimitsHit::default());
         let without = limits.velocity(&wanted, &last, 1e-3, &mut free);
         let guard = BaseGuard { speed_m_s: Some(3.0), ..BaseGuard::NONE };

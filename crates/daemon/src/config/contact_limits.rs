@@ -4,10 +4,11 @@
 use crate::config::ConfigError;
 use crate::config::load::{Mistakes, find, read_text, syntax};
 use crate::robot::TAXELS;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// The user's limits for one taxel, N; `None` never reacts.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ContactLimits {
     /// For the first [`moca_msgs::protection::TRANSIENT_S`].
     pub transient_n: Option<f64>,

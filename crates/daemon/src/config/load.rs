@@ -1,7 +1,7 @@
 //! Configuration files: read, checked, written. One pass reports every mistake, each with its line and its key.
 
-use super::{Config, ConfigError};
-use crate::robot::{Arm, JOINTS};
+use super::{Config, ConfigError, OwnArm};
+use crate::robot::{Arm, JOINTS, OWN_ARM};
 use moca_msgs::table::{Field, FieldValue, ParameterKind, ParameterSpec, Size};
 use std::path::Path;
 use toml::Spanned;
@@ -30,21 +30,27 @@ impl Config {
     /// # Errors
     /// Every mistake in it, or why it could not be read.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        Self::parse(&read_text(path)?)
+        Self::parse_in(&read_text(path)?, path.parent().unwrap_or(Path::new("")))
     }
 
-    /// Parses and checks a configuration; what it does not name keeps its default.
+    /// Parses and checks a configuration; what it does not name keeps its default. A URDF is looked for in the working
+    /// directory.
     ///
     /// # Errors
     /// Every mistake in it, each with its line.
     pub fn parse(text: &str) -> Result<Self, ConfigError> {
-        let (root, values) = syntax(text)?;
+        Self::parse_in(text, Path::new(""))
+    }
+
+    fn parse_in(text: &str, folder: &Path) -> Result<Self, ConfigError> {
+        let (root, mut values) = syntax(text)?;
         let mut mistakes = Mistakes::new(text, root);
-        let arm = find(&values, "robot.arm").and_then(toml::Value::as_str).and_then(Arm::built_in);
-        let mut config = Self::with_arm(arm.unwrap_or_default());
         let mut known = toml::Table::new();
-        config.each(&mut |row, _| insert(&mut known, row.name, toml::Value::Boolean(true)));
+        Self::default().each(&mut |row, _| insert(&mut known, row.name, toml::Value::Boolean(true)));
         mistakes.unknown_keys(&known);
+        let Some(arm) = arm(&values, folder, &mut mistakes) else { return mistakes.or(Self::default()) };
+        let mut config = Self::with_arm(arm);
+        values.remove("arm");
         let joints = config.arm().joints;
         config.each(&mut |row, field| {
             if let Some(value) = find(&values, row.name)
@@ -93,6 +99,29 @@ impl Config {
         });
         result
     }
+}
+
+/// The arm that a configuration names; `None` after a mistake in its own description, for without an arm no list that goes
+/// joint by joint can be judged.
+fn arm(values: &toml::Table, folder: &Path, mistakes: &mut Mistakes<'_>) -> Option<Arm> {
+    let named = find(values, "robot.arm").and_then(toml::Value::as_str);
+    let mut own = OwnArm::default();
+    let mut fine = true;
+    own.each(&mut |row, field| {
+        let taken = find(values, row.name).map_or(Ok(()), |value| take(row, field, value, 0));
+        if let Err(message) = taken {
+            mistakes.add(row.name, &message);
+            fine = false;
+        }
+    });
+    if named == Some(OWN_ARM) && fine {
+        let arm = own.arm(folder);
+        return arm.map_err(|(row, message)| mistakes.add(row, &message)).ok();
+    }
+    if named != Some(OWN_ARM) && own != OwnArm::default() {
+        mistakes.add("arm", "[arm] is read where robot.arm = \"own\", which this file does not say");
+    }
+    (named != Some(OWN_ARM)).then(|| named.and_then(Arm::built_in).unwrap_or_default())
 }
 
 /// The text of a file: a regular one, of at most a mebibyte, so that no pipe or device is waited for.

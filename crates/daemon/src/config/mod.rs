@@ -4,15 +4,19 @@
 mod check;
 pub mod contact_limits;
 pub mod load;
+mod own_arm;
 pub mod schema;
+pub mod urdf;
+
+pub use own_arm::OwnArm;
 
 use crate::robot::{Arm, JOINTS, Parts, PlantKind, Robot, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::robot::AnyArm;
 use moca_msgs::table::{Field, ParameterSpec};
 use moca_msgs::{
-    ContactReaction, Corrections, ImpedanceGains, Law, Limits, MAX_TAXELS, Parameters, TaxelPlacement,
-    choice, parameter_table,
+    ContactReaction, Corrections, ImpedanceGains, Law, Limits, MAX_TAXELS, Parameters, choice,
+    parameter_table,
 };
 use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
@@ -49,6 +53,8 @@ const LAST_TAXEL: f64 = MAX_TAXELS as f64;
 pub struct Config {
     /// `[robot]`: arm, base, cover, tool and load.
     pub robot: Robot,
+    /// `[arm]`: lists that give an arm of one's own back; empty for one that is built in.
+    pub own_arm: OwnArm,
     /// `[loop]`
     pub control_loop: LoopConfig,
     /// `[realtime]`
@@ -311,6 +317,7 @@ impl Config {
                 corrections: Corrections::default(),
             },
             limits: Limits::for_arm(table),
+            own_arm: OwnArm::of(&arm),
             robot: Robot { arm, ..Robot::default() },
             control_loop: LoopConfig::default(),
             realtime: RealtimeConfig::default(),
@@ -331,6 +338,7 @@ impl Config {
         self.control.corrections.each(visit);
         self.limits.each(visit);
         self.robot.each_part(visit);
+        self.own_arm.each(visit);
         self.control_loop.each(visit);
         self.realtime.each(visit);
         self.plant.each(visit);
@@ -394,17 +402,6 @@ impl Config {
     /// The arm's table.
     pub const fn arm(&self) -> &AnyArm {
         &self.robot.arm.table
-    }
-
-    /// Where the taxels sit on the base, T1 first; those beyond the last are in the middle, where they change nothing.
-    pub fn taxels(&self) -> [TaxelPlacement; TAXELS] {
-        const NOWHERE: TaxelPlacement =
-            TaxelPlacement { position_base_m: [0.0; 2], inward_angle_base_rad: 0.0 };
-        let mut taxels = [NOWHERE; TAXELS];
-        for (place, taxel) in taxels.iter_mut().zip(self.robot.cover.placements()) {
-            *place = taxel;
-        }
-        taxels
     }
 
     /// The controllers' parameters.

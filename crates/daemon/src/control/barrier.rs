@@ -7,24 +7,30 @@ use moca_msgs::protection::MAX_CONTACT_ROWS;
 use moca_msgs::robot::resized;
 use moca_msgs::{ContactRow, ParameterError, RobotState, TaxelStatus};
 use moca_wbc::contact_barrier::{
-    BarrierInput, BarrierSettings, ContactBarrier, ContactLimits, FoamCurve, TaxelSample,
+    BarrierInput, BarrierSettings, BarrierState, ContactBarrier, ContactLimits, FoamCurve, TaxelSample,
 };
-use moca_wbc::guard::CoverOutline;
 use moca_wbc::{ArmModel, ControlError, FlangePose};
+use serde::{Deserialize, Serialize};
 
 /// The barrier with what a tick tells it piece by piece.
 #[derive(Clone, Debug)]
 pub struct Barrier {
     contacts: ContactBarrier<TAXELS>,
     samples: [Option<TaxelSample>; TAXELS],
-    taxels: usize,
     /// What the base's servo can brake with, m/s², m/s², rad/s².
     deceleration: [f64; 3],
     /// Flange from the base with the arm in its posture, axes of B, m; of an arm that holds its place in the world.
     home_body_m: Option<[f64; 2]>,
     /// Flange from the base in the last tick, axes of B, m.
     flange_body_m: Option<[f64; 2]>,
-    outline: CoverOutline<TAXELS, f64>,
+    rows: heapless::Vec<ContactRow, MAX_CONTACT_ROWS>,
+}
+
+/// What a [`Barrier`] remembers from tick to tick.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct BarrierMemory {
+    contacts: BarrierState<TAXELS>,
+    flange_body_m: Option<[f64; 2]>,
     rows: heapless::Vec<ContactRow, MAX_CONTACT_ROWS>,
 }
 
@@ -32,7 +38,7 @@ impl Barrier {
     /// As configured; `None` where there is none.
     ///
     /// # Errors
-    /// A foam or a force limit out of range.
+    /// A foam, a force limit or a taxel's place out of range.
     pub fn new<const N: usize>(
         config: &Config,
         arm: Option<&ArmModel<N, f64>>,
@@ -42,19 +48,33 @@ impl Barrier {
         let posture_rad = resized(&config.parameters().gains.posture_rad);
         let home = arm.map(|model| model.kinematics(0.0, &posture_rad).tool_from_base());
         Ok(Some(Self {
-            contacts: ContactBarrier::new(&config.taxels(), &settings),
+            contacts: ContactBarrier::new(&config.robot.cover.placements(), &settings)?,
             samples: [None; TAXELS],
             deceleration: [
                 base.acceleration_max_m_s2,
                 base.acceleration_max_m_s2,
                 base.yaw_acceleration_max_rad_s2,
             ],
-            taxels: config.robot.cover.count(),
             home_body_m: home.map(|home| [home.x, home.y]),
             flange_body_m: None,
-            outline: CoverOutline::new(&config.taxels()),
             rows: heapless::Vec::new(),
         }))
+    }
+
+    /// What it remembers.
+    pub fn state(&self) -> BarrierMemory {
+        BarrierMemory {
+            contacts: self.contacts.state().clone(),
+            flange_body_m: self.flange_body_m,
+            rows: self.rows.clone(),
+        }
+    }
+
+    /// Goes on from where `state` was taken.
+    pub fn restore(&mut self, state: &BarrierMemory) {
+        self.contacts.restore(&state.contacts);
+        self.flange_body_m = state.flange_body_m;
+        self.rows.clone_from(&state.rows);
     }
 
     /// Takes in what the cover says in the tick at `now_ns`.
@@ -85,10 +105,7 @@ impl Barrier {
         if let (true, Some(home), Some(flange)) = (holds_place, self.home_body_m, self.flange_body_m) {
             input.stretch_body_m = [flange[0] - home[0], flange[1] - home[1]];
         }
-        let mut limits = self.contacts.update(&input)?;
-        // what is beyond the last taxel is not blind: it is not there
-        limits.outward_m_s[self.taxels..].fill(f64::INFINITY);
-        limits.force_n[self.taxels..].fill(0.0);
+        let limits = self.contacts.update(&input)?;
         self.rows.clear();
         let bounded = (0_u8..).zip(limits.outward_m_s).filter(|(_, allowed_m_s)| allowed_m_s.is_finite());
         for (taxel, allowed_m_s) in bounded.take(MAX_CONTACT_ROWS) {
@@ -99,7 +116,7 @@ impl Barrier {
                 depth_m: limits.depth_m[i],
                 person_m_s: limits.person_m_s[i],
                 allowed_m_s,
-                outward_m_s: self.outline.outward(i, &input.velocity_body),
+                outward_m_s: self.contacts.outline().outward(i, &input.velocity_body),
                 excess_m_s: 0.0,
             });
         }
@@ -109,7 +126,7 @@ impl Barrier {
     /// Hears what the base was ordered, axes of B: m/s, m/s, rad/s.
     pub fn ordered(&mut self, velocity_body: &[f64; 3]) {
         for row in &mut self.rows {
-            let outward_m_s = self.outline.outward(usize::from(row.taxel), velocity_body);
+            let outward_m_s = self.contacts.outline().outward(usize::from(row.taxel), velocity_body);
             row.excess_m_s = (outward_m_s - row.allowed_m_s).max(0.0);
         }
     }

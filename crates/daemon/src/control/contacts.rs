@@ -5,12 +5,13 @@ use crate::robot::TAXELS;
 use heapless::Deque;
 use moca_msgs::protection::{ContactKind, ContactPhase, NO_ROOM_M_S, TRANSIENT_S};
 use moca_msgs::{ContactEvent, ContactReaction, ContactRow, TaxelReading, TaxelStatus, seconds};
+use serde::{Deserialize, Serialize};
 
 /// Events that wait for a sample with room. A frame makes at most four a taxel, and a tick takes four away: with 4 ms
 /// between frames, the sensor chip's fastest, they do not pile up.
 const WAITING: usize = 4 * TAXELS;
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Contact {
     started_ns: u64,
     force_n: f64,
@@ -27,26 +28,29 @@ struct Contact {
 }
 
 /// Every taxel's contact, and the events that no sample has carried yet.
-#[derive(Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ContactTracker {
+    #[serde(with = "serde_big_array::BigArray")]
     limits: [ContactLimits; TAXELS],
     reaction: ContactReaction,
+    #[serde(with = "serde_big_array::BigArray")]
     contacts: [Option<Contact>; TAXELS],
+    taxels: usize,
     waiting: Deque<ContactEvent, WAITING>,
     last_ns: u64,
 }
 
 impl ContactTracker {
-    /// Nothing touched yet. `reaction` is what events say is done about a crossed limit.
-    pub const fn new(limits: [ContactLimits; TAXELS], reaction: ContactReaction) -> Self {
-        Self { limits, reaction, contacts: [None; TAXELS], waiting: Deque::new(), last_ns: 0 }
+    /// Nothing touched yet of a cover of `taxels` taxels. `reaction` is what events say is done about a crossed limit.
+    pub const fn new(taxels: usize, limits: [ContactLimits; TAXELS], reaction: ContactReaction) -> Self {
+        Self { limits, reaction, contacts: [None; TAXELS], taxels, waiting: Deque::new(), last_ns: 0 }
     }
 
     /// Takes the readings of the tick at `now_ns`; each stands until the next tick.
     pub fn update(&mut self, now_ns: u64, taxels: &[TaxelReading; TAXELS]) {
         let dt_s = seconds(now_ns.saturating_sub(self.last_ns));
         self.last_ns = now_ns;
-        for (i, reading) in taxels.iter().enumerate() {
+        for (i, reading) in taxels.iter().take(self.taxels).enumerate() {
             let valid = reading.status == TaxelStatus::Ok;
             let touched = valid && reading.force_n > 0.0;
             if let Some(contact) = &mut self.contacts[i] {
@@ -80,14 +84,19 @@ impl ContactTracker {
         }
     }
 
-    /// Taxels in a contact that has crossed a limit.
-    pub fn crossed(&self) -> [bool; TAXELS] {
-        self.contacts.map(|contact| contact.is_some_and(|contact| contact.crossed_n.is_some()))
+    /// Taxels in a contact that has crossed a limit; `None` where none is.
+    pub fn crossed(&self) -> Option<[bool; TAXELS]> {
+        let crossed = |contact: &Contact| contact.crossed_n.is_some();
+        self.contacts.iter().take(self.taxels).flatten().any(crossed).then(|| self.taxels_with(crossed))
     }
 
     /// Taxels in contact.
     pub fn touched(&self) -> [bool; TAXELS] {
-        self.contacts.map(|contact| contact.is_some())
+        self.taxels_with(|_| true)
+    }
+
+    fn taxels_with(&self, is: impl Fn(&Contact) -> bool) -> [bool; TAXELS] {
+        std::array::from_fn(|i| self.contacts[i].as_ref().is_some_and(&is))
     }
 
     /// The oldest events that no sample has carried.
@@ -221,7 +230,7 @@ mod tests {
 
     #[test]
     fn a_short_touch_is_transient_and_has_peak_and_impulse() {
-        let mut tracker = ContactTracker::new([ContactLimits::default(); TAXELS], ContactReaction::Slow);
+        let mut tracker = ContactTracker::new(11, [ContactLimits::default(); TAXELS], ContactReaction::Slow);
         let touch = [0.0, 10.0, 30.0, 20.0, 0.0, 0.0];
         let events = feed(&mut tracker, touch);
         assert_eq!(
@@ -238,7 +247,8 @@ mod tests {
     #[test]
     fn half_a_second_is_transient_and_a_tick_more_is_not() {
         for (ms, kind) in [(500, ContactKind::Transient), (501, ContactKind::QuasiStatic)] {
-            let mut tracker = ContactTracker::new([ContactLimits::default(); TAXELS], ContactReaction::Slow);
+            let mut tracker =
+                ContactTracker::new(11, [ContactLimits::default(); TAXELS], ContactReaction::Slow);
             let events = feed(&mut tracker, std::iter::repeat_n(10.0, ms).chain([0.0]));
             assert_eq!(events[1].1.kind, kind, "{ms} ms");
         }
@@ -246,7 +256,7 @@ mod tests {
 
     #[test]
     fn the_clamp_force_is_what_presses_after_half_a_second() {
-        let mut tracker = ContactTracker::new([ContactLimits::default(); TAXELS], ContactReaction::Slow);
+        let mut tracker = ContactTracker::new(11, [ContactLimits::default(); TAXELS], ContactReaction::Slow);
         let forces = std::iter::repeat_n(80.0, 500).chain(std::iter::repeat_n(20.0, 500)).chain([40.0, 0.0]);
         let (_, end) = feed(&mut tracker, forces)[1];
         assert!(near(end.peak_n, 80.0) && near(end.clamp_max_n, 40.0), "{end:?}");
@@ -257,7 +267,7 @@ mod tests {
 
     #[test]
     fn each_limit_is_crossed_in_its_own_time_and_once() {
-        let mut tracker = ContactTracker::new(limits(50.0, 15.0), ContactReaction::Retreat);
+        let mut tracker = ContactTracker::new(11, limits(50.0, 15.0), ContactReaction::Retreat);
         let forces = std::iter::repeat_n(20.0, 600).chain([60.0, 0.0]);
         let events = feed(&mut tracker, forces);
         let crossings: Vec<_> =
@@ -266,17 +276,17 @@ mod tests {
         let (ms, event) = crossings[0];
         assert_eq!((*ms, event.kind, event.crossed_n), (502, ContactKind::QuasiStatic, Some(15.0)));
         assert_eq!(event.reaction, Some(ContactReaction::Retreat));
-        assert!(tracker.crossed().iter().all(|crossed| !crossed), "over with the contact");
+        assert_eq!(tracker.crossed(), None, "over with the contact");
 
-        let mut tracker = ContactTracker::new(limits(50.0, 15.0), ContactReaction::Retreat);
+        let mut tracker = ContactTracker::new(11, limits(50.0, 15.0), ContactReaction::Retreat);
         let events = feed(&mut tracker, [0.0, 51.0]);
         assert_eq!(events[1].1.crossed_n, Some(50.0));
-        assert_eq!(tracker.crossed(), core::array::from_fn(|i| i == 2));
+        assert_eq!(tracker.crossed(), Some(core::array::from_fn(|i| i == 2)));
     }
 
     #[test]
     fn a_taxel_that_is_lost_in_contact_has_not_let_go() {
-        let mut tracker = ContactTracker::new([ContactLimits::default(); TAXELS], ContactReaction::Slow);
+        let mut tracker = ContactTracker::new(11, [ContactLimits::default(); TAXELS], ContactReaction::Slow);
         feed(&mut tracker, [10.0]);
         let mut stale = reading(2, 10.0);
         stale[2].status = TaxelStatus::Stale;
@@ -286,7 +296,7 @@ mod tests {
 
     #[test]
     fn what_the_barrier_cannot_keep_is_said_once_a_contact() {
-        let mut tracker = ContactTracker::new([ContactLimits::default(); TAXELS], ContactReaction::Slow);
+        let mut tracker = ContactTracker::new(11, [ContactLimits::default(); TAXELS], ContactReaction::Slow);
         feed(&mut tracker, [10.0, 10.0]);
         let row = |taxel, excess_m_s| ContactRow { taxel, excess_m_s, ..ContactRow::default() };
         tracker.squeezed(2 * MS, &[row(2, 0.019)]);
@@ -301,7 +311,7 @@ mod tests {
 
     #[test]
     fn more_events_than_a_sample_holds_wait_for_the_next() {
-        let mut tracker = ContactTracker::new([ContactLimits::default(); TAXELS], ContactReaction::Slow);
+        let mut tracker = ContactTracker::new(11, [ContactLimits::default(); TAXELS], ContactReaction::Slow);
         let mut taxels = [TaxelReading { force_n: 0.0, status: TaxelStatus::Ok }; TAXELS];
         taxels[..11].fill(TaxelReading { force_n: 9.0, status: TaxelStatus::Ok });
         tracker.update(MS, &taxels);

@@ -4,6 +4,7 @@ use crate::control::supervisor::Zero;
 use crate::robot::TAXELS;
 use moca_msgs::board::Diagnosis;
 use moca_msgs::{CoverReading, Fault, Outcome, Refusal, TaxelReading, TaxelStatus};
+use moca_tactile::Cover;
 use moca_tactile::cover::EarlyContact;
 
 /// The cover as the loop sees it at one tick.
@@ -68,6 +69,14 @@ pub trait CoverSource {
     fn mask(&mut self, _taxel: usize, _masked: bool) -> Outcome {
         Err(Refusal::OutOfRange)
     }
+
+    /// What it remembers from tick to tick, for a log; `None` where no log can bring it back.
+    fn state(&self) -> Option<Cover<TAXELS>> {
+        None
+    }
+
+    /// Goes on from where `state` was taken.
+    fn restore(&mut self, _state: &Option<Cover<TAXELS>>) {}
 }
 
 impl<S: CoverSource> CoverSource for Option<S> {
@@ -83,5 +92,15 @@ impl<S: CoverSource> CoverSource for Option<S> {
 
     fn mask(&mut self, taxel: usize, masked: bool) -> Outcome {
         self.as_mut().map_or(Err(Refusal::OutOfRange), |cover| cover.mask(taxel, masked))
+    }
+
+    fn state(&self) -> Option<Cover<TAXELS>> {
+        self.as_ref().and_then(S::state)
+    }
+
+    fn restore(&mut self, state: &Option<Cover<TAXELS>>) {
+        if let Some(cover) = self {
+            cover.restore(state);
+        }
     }
 }

@@ -3,6 +3,7 @@
 use crate::config::Config;
 use crate::control::barrier::Barrier;
 use crate::control::cover::CoverState;
+use crate::control::loop_state::{JointsState, LawState, MotionState, OtherRobot};
 use crate::control::protection::{Protected, Protection};
 use crate::robot::{JOINTS, Parts, TAXELS};
 use moca_msgs::params::{CONTROLLER, Size};
@@ -138,6 +139,43 @@ impl Motion {
         Ok(())
     }
 
+    /// What it remembers from tick to tick.
+    pub fn state(&self) -> MotionState {
+        MotionState {
+            controller: match &self.controller {
+                Joints::Six(controller) => JointsState::Six(controller.state()),
+                Joints::Seven(controller) => JointsState::Seven(controller.state()),
+            },
+            parameters: self.parameters,
+            protection: self.protection.state().clone(),
+            barrier: self.barrier.as_ref().map(Barrier::state),
+        }
+    }
+
+    /// Goes on from where `state` was taken.
+    ///
+    /// # Errors
+    /// It is of another robot than the configuration's.
+    pub fn restore(&mut self, state: &MotionState) -> Result<(), OtherRobot> {
+        let mut parameters = state.parameters;
+        parameters.limits.period_s = self.parameters.limits.period_s;
+        either!(&mut self.controller, controller => controller.set_parameters(&parameters))
+            .map_err(|_| OtherRobot)?;
+        match (&mut self.controller, &state.controller) {
+            (Joints::Six(controller), JointsState::Six(state)) => controller.restore(state)?,
+            (Joints::Seven(controller), JointsState::Seven(state)) => controller.restore(state)?,
+            _ => return Err(OtherRobot),
+        }
+        self.parameters = parameters;
+        self.protection.restore(&state.protection);
+        match (&mut self.barrier, &state.barrier) {
+            (Some(barrier), Some(state)) => barrier.restore(state),
+            (None, None) => {}
+            _ => return Err(OtherRobot),
+        }
+        Ok(())
+    }
+
     /// Forgets targets and controller state: the next command is entered anew from the measured state.
     pub fn leave(&mut self) {
         either!(&mut self.controller, controller => controller.leave());
@@ -233,7 +271,7 @@ fn other_joints(joints: usize) -> ParameterError {
 impl<const N: usize> Controller<N> {
     fn new(config: &Config, parameters: &Parameters<JOINTS>) -> Result<Self, ParameterError> {
         let arm = &config.arm().table::<N>().ok_or(other_joints(config.arm().joints))?;
-        let (parameters, taxels) = (parameters.resized::<N>(), config.taxels());
+        let (parameters, taxels) = (parameters.resized::<N>(), config.robot.cover.placements());
         let (mount, payload) = (config.robot.mount, config.robot.payload());
         Ok(match config.plant.parts {
             Parts::Whole => {
@@ -263,6 +301,24 @@ impl<const N: usize> Controller<N> {
             Self::Base(controller, _) => replace(controller, controller.with_parameters(&wanted)),
             Self::Arm(controller, _) => replace(controller, controller.with_parameters(&wanted)),
         }
+    }
+
+    const fn state(&self) -> LawState<N> {
+        match self {
+            Self::Whole(_, state) => LawState::Whole(*state),
+            Self::Base(_, state) => LawState::Base(*state),
+            Self::Arm(_, state) => LawState::Arm(*state),
+        }
+    }
+
+    fn restore(&mut self, state: &LawState<N>) -> Result<(), OtherRobot> {
+        match (self, state) {
+            (Self::Whole(_, to), LawState::Whole(from)) => *to = *from,
+            (Self::Base(_, to), LawState::Base(from)) => *to = *from,
+            (Self::Arm(_, to), LawState::Arm(from)) => *to = *from,
+            _ => return Err(OtherRobot),
+        }
+        Ok(())
     }
 
     fn leave(&mut self) {

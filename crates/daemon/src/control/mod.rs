@@ -5,6 +5,7 @@ pub mod barrier;
 pub mod contacts;
 pub mod cover;
 pub mod law;
+pub mod loop_state;
 pub mod plant;
 pub mod protection;
 pub mod stage;

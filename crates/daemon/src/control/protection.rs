@@ -16,13 +16,15 @@ use crate::control::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_EVENTS;
 use moca_msgs::{
-    ContactEvent, ContactReaction, ContactRow, Limits, RobotState, SpeedLimit, SpeedLimitReason, seconds,
+    ContactEvent, ContactReaction, ContactRow, Limits, ParameterError, RobotState, SpeedLimit,
+    SpeedLimitReason, seconds,
 };
 use moca_tactile::Firmware;
 use moca_tactile::board::SILENT_AFTER_NS;
 use moca_wbc::BaseGuard;
 use moca_wbc::contact_stability::{Contact, largest_speed, speed_for_stopping};
 use moca_wbc::guard::CoverOutline;
+use serde::{Deserialize, Serialize};
 
 /// Frames before the delay of a board is known.
 const FRAMES: u32 = 16;
@@ -66,6 +68,12 @@ pub struct Protection {
     base_acceleration_m_s2: f64,
     tick_s: f64,
     outline: CoverOutline<TAXELS, f64>,
+    state: ProtectionState,
+}
+
+/// What the protection remembers from tick to tick.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct ProtectionState {
     delay: ReadingDelay,
     tracker: ContactTracker,
     /// Way that the running retreat has been ordered to go, m.
@@ -75,10 +83,13 @@ pub struct Protection {
 
 impl Protection {
     /// As configured and checked, with `limits` from the user's file.
-    pub fn new(config: &Config, limits: [ContactLimits; TAXELS]) -> Self {
+    ///
+    /// # Errors
+    /// A taxel's place out of range.
+    pub fn new(config: &Config, limits: [ContactLimits; TAXELS]) -> Result<Self, ParameterError> {
         let settings = config.protection.clone();
-        let outline = CoverOutline::new(&config.taxels());
-        Self {
+        let outline = CoverOutline::new(&config.robot.cover.placements())?;
+        Ok(Self {
             contact: Contact {
                 stiffness_n_m: settings.contact_stiffness_n_m,
                 damping_n_s_m: 0.0,
@@ -89,12 +100,24 @@ impl Protection {
             base_acceleration_m_s2: config.robot.base.acceleration_max_m_s2,
             tick_s: 1.0 / f64::from(config.control_loop.rate_hz.max(1)),
             outline,
-            delay: ReadingDelay::default(),
-            tracker: ContactTracker::new(limits, settings.reaction),
-            retreated_m: 0.0,
-            last_ns: 0,
+            state: ProtectionState {
+                delay: ReadingDelay::default(),
+                tracker: ContactTracker::new(config.robot.cover.count(), limits, settings.reaction),
+                retreated_m: 0.0,
+                last_ns: 0,
+            },
             settings,
-        }
+        })
+    }
+
+    /// What it remembers.
+    pub const fn state(&self) -> &ProtectionState {
+        &self.state
+    }
+
+    /// Goes on from where `state` was taken.
+    pub fn restore(&mut self, state: &ProtectionState) {
+        self.state.clone_from(state);
     }
 
     /// The tick at `now_ns`; `moving` if a law moves the robot in it, within `limits`.
@@ -105,9 +128,9 @@ impl Protection {
         limits: &Limits<JOINTS>,
         moving: bool,
     ) -> Protected {
-        let dt_s = seconds(now_ns.saturating_sub(self.last_ns)).min(10.0 * self.tick_s);
-        self.last_ns = now_ns;
-        self.tracker.update(now_ns, &cover.reading.taxels);
+        let dt_s = seconds(now_ns.saturating_sub(self.state.last_ns)).min(10.0 * self.tick_s);
+        self.state.last_ns = now_ns;
+        self.state.tracker.update(now_ns, &cover.reading.taxels);
         let speed_limit = self.speed_limit(now_ns, cover.early.sampled_at_ns, limits);
         let mut protected = Protected {
             // Whoever is felt by data that is not confirmed yet is not driven into; no law hears of it.
@@ -118,20 +141,18 @@ impl Protection {
             },
             speed_limit,
             reaction: None,
-            events: self.tracker.take(),
+            events: self.state.tracker.take(),
         };
-        let crossed = self.tracker.crossed();
-        if moving && crossed.contains(&true) {
-            self.react(&crossed, dt_s, &mut protected);
-        } else {
-            self.retreated_m = 0.0;
+        match self.state.tracker.crossed().filter(|_| moving) {
+            Some(crossed) => self.react(&crossed, dt_s, &mut protected),
+            None => self.state.retreated_m = 0.0,
         }
         protected
     }
 
     /// Hears what the contact barrier could not keep at `now_ns`.
     pub fn squeezed(&mut self, now_ns: u64, rows: &[ContactRow]) {
-        self.tracker.squeezed(now_ns, rows);
+        self.state.tracker.squeezed(now_ns, rows);
     }
 
     /// Speed of the fastest point of the cover at the base's measured velocity, m/s.
@@ -162,12 +183,12 @@ impl Protection {
         sampled_at_ns: Option<u64>,
         limits: &Limits<JOINTS>,
     ) -> SpeedLimit {
-        self.delay.update(now_ns, sampled_at_ns);
+        self.state.delay.update(now_ns, sampled_at_ns);
         let own_m_s = self.settings.override_speed_limit_m_s;
         if own_m_s > 0.0 {
             return SpeedLimit { m_s: own_m_s, reason: SpeedLimitReason::Overridden };
         }
-        let Some(explained_s) = self.delay.worst_s(self.tick_s) else { return SpeedLimit::default() };
+        let Some(explained_s) = self.state.delay.worst_s(self.tick_s) else { return SpeedLimit::default() };
         let age_s = sampled_at_ns.map_or(f64::INFINITY, |t| seconds(now_ns.saturating_sub(t)));
         let m_s = self.speed_m_s(explained_s.max(age_s), limits);
         let configured_m_s = self.outline.fastest(&limits.base_velocity);
@@ -193,11 +214,11 @@ impl Protection {
             ContactReaction::StopDirection => block(&mut protected.guard, crossed),
             ContactReaction::Retreat => {
                 // away from the one, but not into another who touches as well
-                block(&mut protected.guard, &self.tracker.touched());
-                if self.retreated_m < self.settings.retreat_m {
+                block(&mut protected.guard, &self.state.tracker.touched());
+                if self.state.retreated_m < self.settings.retreat_m {
                     let speed_m_s = self.settings.retreat_m_s.min(protected.speed_limit.m_s);
                     protected.guard.instead_body = Some(self.outline.away_from(crossed, speed_m_s));
-                    self.retreated_m += speed_m_s * dt_s;
+                    self.state.retreated_m += speed_m_s * dt_s;
                 }
             }
         }
@@ -212,7 +233,7 @@ fn block(guard: &mut BaseGuard<TAXELS>, taxels: &[bool; TAXELS]) {
 
 /// How old a reading gets before the next one replaces it: its age when it came and the interval to the next together,
 /// measured frame by frame. Frames that show the same refresh of the chip have one sample time and count once.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct ReadingDelay {
     sampled_at_ns: Option<u64>,
     frames: u32,
@@ -278,7 +299,8 @@ fn nominal_speed_m_s(config: &Config, firmware: Firmware) -> f64 {
 
 /// Speed limit of the cover's fastest point for a reading that is `delay_s` late and an impact of `force_limit_n`, m/s.
 pub fn speed_for_delay_m_s(config: &Config, force_limit_n: f64, delay_s: f64) -> f64 {
-    let mut protection = Protection::new(config, [ContactLimits::default(); TAXELS]);
+    // around taxels that are nowhere nothing moves
+    let Ok(mut protection) = Protection::new(config, [ContactLimits::default(); TAXELS]) else { return 0.0 };
     protection.settings.force_limit_n = force_limit_n;
     let limits = config.parameters().limits;
     protection.speed_m_s(delay_s, &limits).min(protection.outline.fastest(&limits.base_velocity))
@@ -290,7 +312,7 @@ mod tests {
 
     #[test]
     fn the_speed_of_the_cover_is_that_of_its_fastest_corner_wherever_the_base_looks() {
-        let protection = Protection::new(&Config::default(), [ContactLimits::default(); TAXELS]);
+        let protection = Protection::new(&Config::default(), [ContactLimits::default(); TAXELS]).unwrap();
         let corner_m = 0.489f64.hypot(0.388);
         for (velocity_world, yaw_rad, expected) in [
             ([0.3, 0.4, 0.0], 0.7, 0.5),

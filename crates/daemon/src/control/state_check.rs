@@ -4,6 +4,7 @@ use crate::control::plant::SourceAge;
 use crate::robot::JOINTS;
 use core::f64::consts::{PI, TAU};
 use moca_msgs::{Fault, RobotState};
+use serde::{Deserialize, Serialize};
 
 /// Oldest arm state that is controlled with, s: 10 periods of an arm's 1 kHz datagrams.
 pub const ARM_DEADLINE_S: f64 = 0.010;
@@ -17,7 +18,7 @@ const BASE_SPEED_MAX: (f64, f64) = (5.0, 0.05);
 const BASE_RATE_MAX: (f64, f64) = (10.0, 0.1);
 
 /// Remembers the last state let in.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct StateCheck {
     last: Option<RobotState<JOINTS>>,
 }

@@ -4,6 +4,7 @@
 
 use moca_msgs::mode::Clearing;
 use moca_msgs::{Fault, Law, Mode, Outcome, Reaction, Refusal, Request};
+use serde::{Deserialize, Serialize};
 
 /// Every allowed change of mode. A law is reached only from `Ready` (or from the other law), `Ready` only through a
 /// finished tare, a disarm or an explicit resume, and nothing leaves `Fault`.
@@ -82,7 +83,7 @@ pub struct Facts {
 }
 
 /// What the supervisor may do by itself.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Automatic {
     /// Tare as soon as the first good frames arrive.
     pub tare: bool,
@@ -123,7 +124,7 @@ const fn taken_in(request: &Request) -> &'static [Mode] {
 }
 
 /// The mode and what led to it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Supervisor {
     mode: Mode,
     cause: Option<Fault>,

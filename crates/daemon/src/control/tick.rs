@@ -2,6 +2,7 @@
 
 use crate::control::cover::{CoverSource, CoverState};
 use crate::control::law::{self, Motion};
+use crate::control::loop_state::{LoopState, OtherRobot};
 use crate::control::plant::Plant;
 use crate::control::protection::Protected;
 use crate::control::stage::{Stage, StageTimer};
@@ -23,6 +24,7 @@ pub struct ControlLoop<P, S> {
     supervisor: Supervisor,
     motion: Motion,
     period_s: f64,
+    /// Of the present tick.
     protected: Protected,
 }
 
@@ -80,6 +82,24 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
                 cover_events: cover.events,
             },
         }
+    }
+
+    /// What the loop remembers between this tick and the next: a copy, for which nothing is allocated.
+    pub fn state(&self) -> LoopState {
+        let Self { plant: _, cover, state_check, supervisor, motion, period_s: _, protected: _ } = self;
+        let (state_check, supervisor) = (*state_check, *supervisor);
+        LoopState { state_check, supervisor, motion: motion.state(), cover: cover.state() }
+    }
+
+    /// Goes on from where `state` was taken.
+    ///
+    /// # Errors
+    /// It is of another robot than the configuration's.
+    pub fn restore(&mut self, state: &LoopState) -> Result<(), OtherRobot> {
+        self.motion.restore(&state.motion)?;
+        (self.state_check, self.supervisor) = (state.state_check, state.supervisor);
+        self.cover.restore(&state.cover);
+        Ok(())
     }
 
     /// See [`Motion::set_target_twist`].
@@ -335,7 +355,7 @@ mod tests {
         control.cover.0.reading.taxels[5].status = status;
         control.cover.0.forces = Err((5, status));
         control.cover.0.fault = Some(fault);
-        let backwards: Vec<f64> = (100..2100)
+        let backwards: std::vec::Vec<f64> = (100..2100)
             .map(|tick| {
                 let sample = feel(&mut control, tick, 0.0);
                 assert_eq!((sample.mode, sample.fault), (Mode::ProtectiveStop, Some(fault)));

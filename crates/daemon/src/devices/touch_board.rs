@@ -67,4 +67,14 @@ impl CoverSource for ByteCover {
     fn mask(&mut self, taxel: usize, masked: bool) -> Outcome {
         if self.cover.set_masked(taxel, masked) { Ok(()) } else { Err(Refusal::OutOfRange) }
     }
+
+    fn state(&self) -> Option<Cover<TAXELS>> {
+        Some(self.cover.clone())
+    }
+
+    fn restore(&mut self, state: &Option<Cover<TAXELS>>) {
+        if let Some(cover) = state {
+            self.cover.clone_from(cover);
+        }
+    }
 }

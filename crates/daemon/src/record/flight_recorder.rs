@@ -4,7 +4,7 @@
 use crate::config::{AUTO_FOLDER, Config};
 use crate::record::recording::{configuration, parameter_change, unix_now_ns};
 use crate::record::tick_blocks::{Block, BlockBuilder};
-use crate::record::tick_log::{PortEvent, TickRecord};
+use crate::record::tick_log::{PortEvent, StateRecord, TickRecord};
 use anyhow::{Context, Result};
 use moca_msgs::{Fault, Mode, Sample};
 use moca_telemetry::RobotDescription;
@@ -14,6 +14,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, TrySendError, channel, sync_channel};
 use std::thread::JoinHandle;
 
@@ -41,6 +42,35 @@ pub struct FlightRecorder {
 struct Kept {
     samples: VecDeque<Sample>,
     ticks: VecDeque<TickRecord>,
+    /// What the loop remembered: the oldest is that from which the ticks go on.
+    states: VecDeque<Arc<StateRecord>>,
+}
+
+impl Kept {
+    /// Forgets what is older than [`KEPT_NS`] and not needed to run the rest again.
+    fn forget(&mut self, now_ns: u64) {
+        let old = |time_ns: u64| now_ns.saturating_sub(time_ns) > KEPT_NS;
+        while self.states.get(1).is_some_and(|next| old(next.time_ns)) {
+            self.states.pop_front();
+        }
+        let begin = self.states.front().map_or(u64::MAX, |state| state.tick);
+        while self
+            .ticks
+            .front()
+            .is_some_and(|tick| old(tick.input.slot.now_ns) && tick.input.slot.tick <= begin)
+        {
+            self.ticks.pop_front();
+        }
+        while self.samples.front().is_some_and(|sample| old(sample.time_ns) && sample.tick <= begin) {
+            self.samples.pop_front();
+        }
+    }
+
+    /// The state that a replay of the rest begins with; `None` where the run's own beginning is there, or no state.
+    fn begin(&self) -> Option<&StateRecord> {
+        let mid_run = self.ticks.front().is_none_or(|first| first.number > 0);
+        self.states.front().filter(|_| mid_run).map(Arc::as_ref)
+    }
 }
 
 /// What the thread that writes has been asked for and has to say.
@@ -81,20 +111,20 @@ impl FlightRecorder {
     /// Keeps what one tick was given.
     pub fn add_tick(&mut self, record: TickRecord) {
         let now_ns = record.input.slot.now_ns;
-        let old = |first: &TickRecord| now_ns.saturating_sub(first.input.slot.now_ns) > KEPT_NS;
         self.kept.ticks.push_back(record);
-        while self.kept.ticks.front().is_some_and(old) {
-            self.kept.ticks.pop_front();
-        }
+        self.kept.forget(now_ns);
+    }
+
+    /// Keeps what the loop remembered.
+    pub fn add_state(&mut self, state: StateRecord) {
+        self.kept.states.push_back(Arc::new(state));
     }
 
     /// Keeps one sample; at the edge into a stop by a fault, lets a thread write what is kept and returns the file.
     pub fn add(&mut self, sample: &Sample) -> Option<PathBuf> {
         let now_ns = sample.time_ns;
         self.kept.samples.push_back(sample.clone());
-        while self.kept.samples.front().is_some_and(|first| now_ns.saturating_sub(first.time_ns) > KEPT_NS) {
-            self.kept.samples.pop_front();
-        }
+        self.kept.forget(now_ns);
         let stopped = matches!(sample.mode, Mode::ProtectiveStop | Mode::Fault);
         let fault = sample.fault.filter(|fault| stopped && *fault != Fault::OperatorStop);
         let before = std::mem::replace(&mut self.stopped, fault);
@@ -176,7 +206,13 @@ fn write_log(
     let mut log = LogWriter::new(BufWriter::new(file), meta)?;
     log.configuration(configuration)?;
     let mut blocks = BlockBuilder::new(period_s);
-    let mut ticks = kept.ticks.iter().peekable();
+    let begin = kept.begin();
+    if let Some(state) = begin {
+        // It always encodes; nothing at all would be found by whoever reads it back.
+        log.loop_state(state.time_ns, &postcard::to_stdvec(state).unwrap_or_default())?;
+    }
+    let first = begin.map_or(0, |state| state.number + 1);
+    let mut ticks = kept.ticks.iter().skip_while(|record| record.number < first).peekable();
     for sample in &kept.samples {
         log.sample(sample)?;
         while let Some(record) = ticks.next_if(|record| record.input.slot.tick <= sample.tick) {

@@ -1,6 +1,8 @@
 //! What a tick was given and what it answered: enough to run it again. The loop puts it into a bounded ring; what finds
-//! no room there is counted, and a replay says so.
+//! no room there is counted, and a replay says so. What the loop remembers joins it once a second, so that the last ticks
+//! of a long run can be run again too.
 
+use crate::control::loop_state::LoopState;
 use crate::control::tick_input::TickInput;
 use crate::devices::board_events::NumberedEvent;
 use moca_msgs::board::OpenFailure;
@@ -10,10 +12,16 @@ use serde::{Deserialize, Serialize};
 
 /// Ticks and board events on their way to a recorder: four seconds at 1 kHz.
 const RING: usize = 4096;
+/// How often what the loop remembers is noted, ns.
+const STATE_EVERY_NS: u64 = 1_000_000_000;
+/// As many seconds of it as of ticks.
+const STATES: usize = 4;
 
 /// The loop's end of the tick log.
 pub struct TickLog {
     ticks: rtrb::Producer<Noted>,
+    states: rtrb::Producer<StateRecord>,
+    next_state_ns: u64,
     number: u64,
     lost: u64,
 }
@@ -28,6 +36,7 @@ struct Noted {
 /// The recorder's end of the tick log.
 pub struct TickLogReader {
     ticks: rtrb::Consumer<Noted>,
+    states: rtrb::Consumer<StateRecord>,
     events: rtrb::Consumer<NumberedEvent>,
     /// Board events of the ticks read so far.
     taken: u64,
@@ -39,13 +48,23 @@ pub struct TickLogReader {
 pub fn tick_log() -> (TickLog, rtrb::Producer<NumberedEvent>, TickLogReader) {
     let (ticks, from_loop) = rtrb::RingBuffer::new(RING);
     let (copies, events) = rtrb::RingBuffer::new(RING);
-    let reader = TickLogReader { ticks: from_loop, events, taken: 0, events_lost: 0 };
-    (TickLog { ticks, number: 0, lost: 0 }, copies, reader)
+    let (states, states_from_loop) = rtrb::RingBuffer::new(STATES);
+    let reader =
+        TickLogReader { ticks: from_loop, states: states_from_loop, events, taken: 0, events_lost: 0 };
+    (TickLog { ticks, states, next_state_ns: 0, number: 0, lost: 0 }, copies, reader)
 }
 
 impl TickLog {
-    /// Notes one tick; the events it took have been copied before.
-    pub fn push(&mut self, input: TickInput) {
+    /// Notes one tick; the events it took have been copied before. Now and then it asks for what the loop remembers
+    /// after it: that is a copy into a place of the ring, and waits for nobody either.
+    pub fn push(&mut self, input: TickInput, state: impl FnOnce() -> LoopState) {
+        let slot = &input.slot;
+        if slot.now_ns >= self.next_state_ns && !self.states.is_full() {
+            self.next_state_ns = slot.now_ns + STATE_EVERY_NS;
+            let (number, tick, time_ns) = (self.number, slot.tick, slot.now_ns);
+            let cover_events = input.cover_events;
+            let _ = self.states.push(StateRecord { number, tick, time_ns, cover_events, state: state() });
+        }
         let noted = Noted { input, number: self.number, lost: self.lost };
         self.number += 1;
         if self.ticks.push(noted).is_err() {
@@ -67,6 +86,26 @@ impl TickLogReader {
         self.events_lost += took.saturating_sub(events.len() as u64);
         Some(TickRecord { input, number, lost: lost + self.events_lost, events })
     }
+
+    /// The next state of the loop; that of a tick comes before the tick.
+    pub fn next_state(&mut self) -> Option<StateRecord> {
+        self.states.pop().ok()
+    }
+}
+
+/// What the loop remembered after a tick, as a log holds it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct StateRecord {
+    /// Number of the tick in its run, as in [`TickRecord`].
+    pub number: u64,
+    /// Its tick count.
+    pub tick: u64,
+    /// Its loop time, ns.
+    pub time_ns: u64,
+    /// Board events that the cover had taken.
+    pub cover_events: u64,
+    /// What the loop remembered.
+    pub state: LoopState,
 }
 
 /// One tick as a log holds it.
@@ -131,13 +170,16 @@ impl From<&PortEvent> for BoardEvent {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Config;
     use crate::control::plant::SourceAge;
+    use crate::control::state_check::StateCheck;
     use crate::control::tick_input::Slot;
+    use crate::runtime::assemble::{motion, supervisor};
     use moca_msgs::Fault;
 
     fn input(tick: u64, cover_events: u64) -> TickInput {
         TickInput {
-            slot: Slot { tick, ..Slot::default() },
+            slot: Slot { tick, now_ns: tick * 1_000_000, ..Slot::default() },
             state: Err(Fault::PlantLost),
             age: SourceAge::default(),
             request: None,
@@ -147,19 +189,52 @@ mod tests {
         }
     }
 
+    fn state() -> LoopState {
+        let config = Config::default();
+        LoopState {
+            state_check: StateCheck::default(),
+            supervisor: supervisor(&config),
+            motion: motion(&config).unwrap().state(),
+            cover: None,
+        }
+    }
+
+    #[test]
+    fn what_the_loop_remembers_is_asked_for_once_a_second_and_not_where_nobody_takes_it() {
+        let (mut log, _copies, mut reader) = tick_log();
+        let mut asked = 0;
+        let mut run = |ticks: std::ops::Range<u64>| {
+            for tick in ticks {
+                log.push(input(tick, 3), || {
+                    asked += 1;
+                    state()
+                });
+            }
+            asked
+        };
+        assert_eq!(run(0..9500), STATES);
+        let seen: Vec<_> = std::iter::from_fn(|| reader.next_state()).collect();
+        assert!(
+            seen.iter().map(|state| (state.tick, state.number)).eq([0, 1000, 2000, 3000].map(|t| (t, t)))
+        );
+        assert!(seen.iter().all(|state| state.cover_events == 3 && state.time_ns == state.tick * 1_000_000));
+        assert_eq!(run(9500..9600), STATES + 1);
+        assert_eq!(reader.next_state().unwrap().number, 9500);
+    }
+
     #[test]
     fn what_finds_no_room_is_counted_and_the_rest_keeps_its_place() {
         let (mut log, mut copies, mut reader) = tick_log();
         for tick in 0..RING as u64 + 3 {
-            log.push(input(tick, 0));
+            log.push(input(tick, 0), state);
         }
         for tick in 0..RING as u64 {
             assert_eq!(reader.next_tick().unwrap().input.slot.tick, tick);
         }
         copies.push((0, BoardEvent::Opened { at_ns: 5 })).unwrap();
         copies.push((2, BoardEvent::Opened { at_ns: 7 })).unwrap();
-        log.push(input(9000, 2));
-        log.push(input(9001, 3));
+        log.push(input(9000, 2), state);
+        log.push(input(9001, 3), state);
         let record = reader.next_tick().unwrap();
         assert_eq!((record.number, record.lost, record.events.len()), (RING as u64 + 3, 4, 1));
         let record = reader.next_tick().unwrap();

@@ -45,7 +45,7 @@ pub fn motion(config: &Config) -> Result<Motion> {
     } else {
         contact_limits::load(thresholds.as_ref(), config.robot.cover.count())?
     };
-    Ok(Motion::new(config, Protection::new(config, limits))?)
+    Ok(Motion::new(config, Protection::new(config, limits)?)?)
 }
 
 /// The cover that the configuration asks for.

@@ -199,6 +199,11 @@ impl Clients {
 
     /// Passes on what has been noted since the last call.
     fn take_ticks(&mut self, reporter: &mut dyn Reporter) {
+        while let Some(state) = self.ticks.next_state() {
+            if let Some(flight) = &mut self.flight {
+                flight.add_state(state);
+            }
+        }
         while let Some(record) = self.ticks.next_tick() {
             if let Some(change) = parameter_change(&record) {
                 reporter.report(Notice::Parameter(&change));

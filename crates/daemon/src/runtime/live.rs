@@ -1,6 +1,7 @@
 //! The loop against the wall clock: the timer's, or that of a plant whose datagrams are the clock.
 
 use crate::control::cover::CoverSource;
+use crate::control::loop_state::LoopState;
 use crate::control::plant::Plant;
 use crate::control::stage::{Stage, StageTimer};
 use crate::control::tick::{ControlLoop, Ticked};
@@ -35,10 +36,10 @@ impl Rings {
         self.requests.take().unzip()
     }
 
-    /// Notes what a tick was given, if somebody records it.
-    pub fn note(&mut self, input: TickInput) {
+    /// Notes what a tick was given, if somebody records it, and now and then what the loop remembers after it.
+    pub fn note(&mut self, input: TickInput, state: impl FnOnce() -> LoopState) {
         if let Some(tick_log) = &mut self.tick_log {
-            tick_log.push(input);
+            tick_log.push(input, state);
         }
     }
 
@@ -123,7 +124,7 @@ pub fn run<P: Plant, S: CoverSource>(
         timing.start();
         let Ticked { sample, outcome, input } = control.tick(&slot, request, timing);
         timing.count_frame_age(sample.frame_age_s);
-        rings.note(input);
+        rings.note(input, || control.state());
         rings.publish(sample, id, outcome, shared);
         timing.end(Stage::Publish);
 

@@ -7,7 +7,7 @@ use crate::control::tick::{ControlLoop, Ticked};
 use crate::devices::board_events::BoardEvents;
 use crate::devices::touch_board::ByteCover;
 use crate::record::tick_blocks::{self, ComparedTick, fingerprint};
-use crate::record::tick_log::TickRecord;
+use crate::record::tick_log::{StateRecord, TickRecord};
 use crate::robot::JOINTS;
 use crate::runtime::assemble::{cover_config, motion, supervisor};
 use anyhow::{Context, Result, anyhow, bail};
@@ -147,6 +147,7 @@ pub fn run(parts: &[PathBuf]) -> Result<Report> {
                         replay.step(&tick, &mut report)?;
                     }
                 }
+                (Record::LoopState(state), Some(replay)) => replay.begin_with(&state)?,
                 (Record::Sample(sample), Some(replay)) => replay.show(*sample),
                 _ => {}
             }
@@ -183,6 +184,8 @@ struct Replay {
     last: Option<(u64, u64)>,
     /// Board events of the ticks up to there.
     cover_events: u64,
+    /// Ticks and events that the recorder had lost before the first tick; `None` before that.
+    lost_before: Option<u64>,
     /// What the log shows of ticks that have not been run yet.
     shown: VecDeque<Sample>,
     /// The first difference, until a sample that is shown names its quantity.
@@ -222,10 +225,24 @@ impl Replay {
             events,
             last: None,
             cover_events: 0,
+            lost_before: None,
             shown: VecDeque::new(),
             differs: None,
             _texts: texts,
         })
+    }
+
+    /// Goes on from what the loop remembered in the middle of its run.
+    fn begin_with(&mut self, state: &[u8]) -> Result<()> {
+        if self.last.is_some() {
+            return Ok(());
+        }
+        let state: StateRecord = postcard::from_bytes(state)
+            .context("what the loop remembered is damaged, or another version's")?;
+        self.control.restore(&state.state)?;
+        self.last = Some((state.tick, state.number));
+        self.cover_events = state.cover_events;
+        Ok(())
     }
 
     /// Notes what the log shows of a tick, to name what differs.
@@ -300,7 +317,7 @@ impl Replay {
     }
 
     /// Whether nothing was lost between the last tick and this one.
-    fn check_whole(&self, record: &TickRecord, compared: u64) -> Result<(), Failure> {
+    fn check_whole(&mut self, record: &TickRecord, compared: u64) -> Result<(), Failure> {
         let input = &record.input;
         let after = self.last.map(|(tick, _)| tick);
         let incomplete = |missing| Err(Failure::Incomplete { after, missing, compared });
@@ -313,8 +330,10 @@ impl Replay {
             }
             _ => {}
         }
+        let lost_before = if self.last.is_some() { record.lost } else { 0 };
+        let lost = record.lost.saturating_sub(*self.lost_before.get_or_insert(lost_before));
         let took = input.cover_events.saturating_sub(self.cover_events);
-        if record.lost > 0 || took != record.events.len() as u64 {
+        if lost > 0 || took != record.events.len() as u64 {
             let missing = "the recorder had no room for ticks or bytes of the board (a slow disk?)";
             return incomplete(missing.into());
         }

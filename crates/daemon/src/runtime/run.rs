@@ -335,23 +335,29 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     let (mut allocated, mut warm) = (0, false);
     let end_ns = options.duration.map_or(u64::MAX, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX));
     let started = Instant::now();
-    while ticks * config.period_ns() < end_ns && !shared.stop.load(Ordering::Relaxed) {
-        let before = allocations::on_this_thread();
-        let (id, request) = rings.next_request();
-        let Ticked { sample, outcome, input } = world.tick(request);
-        rings.note(input);
-        last = sample;
-        rings.publish(last.clone(), id, outcome, shared);
-        ticks += 1;
-        warm |= ticks > live::WARM_UP_TICKS;
-        allocated += if warm { allocations::on_this_thread() - before } else { 0 };
-        if let Some(log) = &mut log {
-            command_csv::write_row(log, &last)?;
+    let run = || -> Result<()> {
+        while ticks * config.period_ns() < end_ns && !shared.stop.load(Ordering::Relaxed) {
+            let before = allocations::on_this_thread();
+            let (id, request) = rings.next_request();
+            let Ticked { sample, outcome, input } = world.tick(request);
+            rings.note(input, || world.control.state());
+            last = sample;
+            rings.publish(last.clone(), id, outcome, shared);
+            ticks += 1;
+            warm |= ticks > live::WARM_UP_TICKS;
+            allocated += if warm { allocations::on_this_thread() - before } else { 0 };
+            if let Some(log) = &mut log {
+                command_csv::write_row(log, &last)?;
+            }
+            clients.see(&last, reporter);
         }
-        clients.see(&last, reporter);
-    }
-    if let Some(log) = &mut log {
-        log.flush()?;
+        log.as_mut().map_or(Ok(()), |log| Ok(log.flush()?))
+    };
+    // A log is closed whichever way the run ends.
+    let ended = catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|_| Err(anyhow!("the run panicked")));
+    if ended.is_err() {
+        let closed = finish(clients.recording, options, reporter);
+        return ended.and(closed);
     }
     let summary = Summary {
         timing: &world.timing,

@@ -130,7 +130,8 @@ pub(crate) fn once(settings: &Settings) -> Result<Rig> {
 
 /// Velocity of the flange's target against the taxel before which the person stands, world axes, m/s.
 pub(crate) fn towards_person(settings: &Settings) -> [f64; 3] {
-    let (sin, cos) = settings.config.taxels()[settings.person.taxel].inward_angle_base_rad.sin_cos();
+    let (sin, cos) =
+        settings.config.robot.cover.placements()[settings.person.taxel].inward_angle_base_rad.sin_cos();
     // a panel along an axis is met straight on, without what π leaves to rounding
     [cos, sin, 0.0].map(|inward| if inward.abs() < 1e-12 { 0.0 } else { -inward * settings.speed_m_s })
 }
@@ -216,7 +217,7 @@ fn a_run_that_stopped_or_touched_nobody_is_not_below_25_n() {
 
 /// Speed of the taxel's centre along its outward normal, less the person's own walk, m/s.
 pub(crate) fn approach_m_s(row: &Row, settings: &Settings) -> f64 {
-    let placement = settings.config.taxels()[settings.person.taxel];
+    let placement = settings.config.robot.cover.placements()[settings.person.taxel];
     let [vx, vy, yaw_rate] = row.base_velocity_world;
     let (sin, cos) = row.base_pose_world[2].sin_cos();
     let (body_x, body_y) = (cos * vx + sin * vy, -sin * vx + cos * vy);

@@ -129,7 +129,7 @@ pub(crate) fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
     let mut step = |world: &mut LockStep<_, _>, request| {
         let Ticked { sample, outcome, input } = world.tick(request);
         if let Some(log) = &mut log {
-            log.push(input);
+            log.push(input, || world.control.state());
         }
         (sample, outcome)
     };

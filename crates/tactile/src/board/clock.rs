@@ -29,11 +29,13 @@ const PAUSE_MAX_NS: u64 = 600_000_000_000;
 /// }
 /// ```
 #[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ClockMap {
     state: Option<State>,
 }
 
 #[derive(Clone, Copy, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 struct State {
     stamp_us: u32,
     arrival_ns: u64,

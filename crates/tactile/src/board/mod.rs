@@ -129,6 +129,7 @@ pub enum BoardEvent {
 
 /// Counts since the start; never reset.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct BoardStats {
     /// Bytes taken.
     pub bytes: u64,

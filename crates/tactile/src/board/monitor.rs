@@ -25,15 +25,18 @@ const RATE_INTERVALS: f64 = 16.0;
 
 /// Reader of one board, from bytes to frames and faults.
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct BoardMonitor {
     cutter: LineCutter,
     reader: Reader,
 }
 
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 struct Reader {
     assembler: Assembler,
     stamped: StampedLines,
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     used: [bool; MAX_ELECTRODES],
     stats: BoardStats,
     diagnosis: Diagnosis,

@@ -14,12 +14,14 @@ const LOST_MAX: u16 = 10_000;
 
 /// Every chip of one board.
 #[derive(Clone, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub(super) struct StampedLines {
     clock: ClockMap,
     banks: [Bank; BANKS],
 }
 
 #[derive(Clone, Copy, Debug, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 struct Bank {
     sequence: Option<u16>,
     baseline: Option<[u16; ELECTRODES]>,
@@ -35,6 +37,7 @@ struct Bank {
 }
 
 #[derive(Clone, Copy, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 struct Last {
     fdat: [u16; ELECTRODES],
     sampled_at_ns: u64,

@@ -15,6 +15,7 @@ pub const CONTACT_OFF_COUNTS: f64 = 2.0;
 
 /// Where a taxel is wired.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Electrode {
     /// 0 is the first board.
     pub board: u8,
@@ -41,6 +42,7 @@ impl Electrode {
 
 /// What the reading does about a taxel that the operator masked.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum MaskPolicy {
     /// A masked taxel is a fault: the robot does not move.
     #[default]
@@ -53,20 +55,25 @@ moca_msgs::choice!(MaskPolicy { Stop: "stop", Ignore: "ignore" });
 
 /// Constant configuration of a cover.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct CoverConfig<const K: usize> {
     /// How many taxels there are, at most `K`; what the lists below say of further ones has no meaning.
     pub taxels: usize,
     /// T1 first. Default: twelve to a board, in order.
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     pub wiring: [Electrode; K],
     /// Calibration, T1 first.
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     pub models: [TaxelModel; K],
     /// Taxels out of use.
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     pub masked: [bool; K],
     /// What a masked taxel means.
     pub mask_policy: MaskPolicy,
     /// Where each taxel stood untouched when it was calibrated; `None` where the model was not measured. A tare
     /// elsewhere is refused. Counts scale with FDAT at rest, so a board that comes up with another gain still reads
     /// newtons.
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     pub expected_rest: [Option<ExpectedRest>; K],
     /// Firmware that the calibration was made with; another one is a fault.
     pub calibrated_firmware: Option<Firmware>,

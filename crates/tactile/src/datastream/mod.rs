@@ -38,6 +38,7 @@ pub const BASELINE_MAX: u16 = 1020;
 
 /// The six lines of a frame, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Line {
     /// `TOUCH`: the chip's own touch decision, 0 or 1.
     Touch,
@@ -102,6 +103,7 @@ impl Line {
 
 /// How a sketch lays out its lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Dialect {
     /// 12 or 13.
     pub columns: u8,
@@ -127,6 +129,7 @@ impl Default for Dialect {
 /// One checked frame: raw registers of the MPR121. Columns beyond the dialect's are 0. DIFF is not kept, because a
 /// good frame's DIFF is [`Frame::difference`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Frame {
     /// Layout of the lines it came in, or goes out in.
     pub dialect: Dialect,

@@ -20,6 +20,7 @@ pub struct StampedFrame {
 
 /// Why a frame was rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum BadFrame {
     /// A line other than the expected one, or numbers that are not 12 or 13 plain decimal integers.
     Torn {
@@ -118,6 +119,7 @@ impl Parser {
 
 /// Lines to frames.
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub(crate) struct Assembler {
     /// The line that must come next; `None` while dropping lines until a `TOUCH`.
     expected: Option<Line>,

@@ -61,6 +61,7 @@ pub enum Content {
 
 /// What the firmware says about its data; the bits are those of `enum Flag` in `firmware/moca_touch/chip.h`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Flags(pub u8);
 
 impl Flags {

@@ -4,8 +4,8 @@ use super::{
     LogError, SerialBytes,
     framing::{self, Fields, Message, Records, op},
     records::{
-        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, ModeChange, REPLAY_TOPIC,
-        Robot, SERIAL_TOPIC, State, Timing,
+        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC,
+        ModeChange, REPLAY_TOPIC, Robot, SERIAL_TOPIC, State, Timing,
     },
     writer::FORM,
 };
@@ -28,6 +28,8 @@ pub enum Record {
     Serial(SerialBytes),
     /// A block of what ticks were given, in the daemon's own form.
     Replay(Vec<u8>),
+    /// What the loop remembered when a log begins in the middle of a run, in the daemon's own form.
+    LoopState(Vec<u8>),
     /// How the run was configured.
     Configuration(Box<Configuration>),
 }
@@ -67,7 +69,7 @@ pub fn read_log(path: &Path) -> Result<Log, LogError> {
         match record {
             Record::Sample(sample) => log.samples.push(*sample),
             Record::Serial(serial) => log.serial.push(serial),
-            Record::Replay(_) | Record::Configuration(_) => {}
+            Record::Replay(_) | Record::LoopState(_) | Record::Configuration(_) => {}
         }
     }
     log.start_unix_ns = reader.decoder.start_unix_ns;
@@ -271,6 +273,7 @@ impl Decoder {
                 let arrival_ns = message.time_ns.saturating_sub(self.start_unix_ns);
                 return Ok(Some(Record::Serial(SerialBytes { arrival_ns, bytes: message.data.to_vec() })));
             }
+            LOOP_STATE_TOPIC => return Ok(Some(Record::LoopState(message.data.to_vec()))),
             REPLAY_TOPIC => return Ok(Some(Record::Replay(message.data.to_vec()))),
             Configuration::TOPIC => return Ok(Some(Record::Configuration(Box::new(parse(message)?)))),
             _ => {}

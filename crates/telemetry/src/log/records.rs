@@ -24,6 +24,8 @@ pub trait Channel: Serialize + JsonSchema {
 pub const SERIAL_TOPIC: &str = "/serial";
 /// Channel of the daemon's own blocks of what its ticks were given.
 pub const REPLAY_TOPIC: &str = "/replay";
+/// Channel of what the daemon's loop remembered, in its own form: a log that begins in the middle of a run has it first.
+pub const LOOP_STATE_TOPIC: &str = "/loop_state";
 
 /// A number with seven significant digits; what is below a billionth of its unit is nothing.
 pub fn seven_digits(value: f64) -> f64 {

@@ -4,8 +4,8 @@ use super::{
     LogError, SerialBytes,
     overview::OverviewBuilder,
     records::{
-        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, ModeChange,
-        ParameterChange, REPLAY_TOPIC, Robot, SERIAL_TOPIC, State, Timing, name_of, seven_digits,
+        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC,
+        ModeChange, ParameterChange, REPLAY_TOPIC, Robot, SERIAL_TOPIC, State, Timing, name_of, seven_digits,
     },
 };
 use crate::RobotDescription;
@@ -112,7 +112,7 @@ impl<W: Write> LogWriter<W> {
         log.add::<Contact>()?;
         log.add::<ParameterChange>()?;
         log.add::<Configuration>()?;
-        for topic in [SERIAL_TOPIC, REPLAY_TOPIC] {
+        for topic in [SERIAL_TOPIC, LOOP_STATE_TOPIC, REPLAY_TOPIC] {
             let channel =
                 log.mcap.add_channel(NO_SCHEMA, topic, "application/octet-stream", &BTreeMap::new())?;
             log.channels.insert(topic, channel);
@@ -188,6 +188,11 @@ impl<W: Write> LogWriter<W> {
     /// Writes a block of what ticks were given, in the daemon's own form.
     pub fn replay(&mut self, time_ns: u64, block: &[u8]) -> Result<(), LogError> {
         self.write_bytes(REPLAY_TOPIC, time_ns, block)
+    }
+
+    /// Writes what the loop remembered when the log begins, in the daemon's own form.
+    pub fn loop_state(&mut self, time_ns: u64, state: &[u8]) -> Result<(), LogError> {
+        self.write_bytes(LOOP_STATE_TOPIC, time_ns, state)
     }
 
     /// Writes a change of a parameter.

@@ -13,7 +13,9 @@ const APART_S: f64 = 0.2;
 /// Where the base was in the last steps: the integral of its measured velocity in its own axes. Over the age of a
 /// reading these hardly turn.
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub(super) struct Odometry<T> {
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     places: [[T; 3]; KEPT],
     head: usize,
     known: usize,
@@ -51,6 +53,7 @@ impl<T: Scalar> Odometry<T> {
 
 /// What is known of one taxel's contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub(super) struct Track<T> {
     /// Readings since the touch began; 0: nothing touches.
     readings: u8,

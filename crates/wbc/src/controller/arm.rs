@@ -2,7 +2,7 @@
 
 use super::arm_state::ArmState;
 use super::law::ControlLaw;
-use super::tick::{ArmTick, seen_from_base, tool_pose};
+use super::tick::{ArmTick, Tracking, seen_from_base, tool_pose};
 use super::{CARRY_FADE_S, FlangePose, LONGEST_STEP_S, check};
 use crate::error::{ControlError, finite};
 use crate::gains::ArmGains;
@@ -12,11 +12,10 @@ use crate::linalg::times;
 use crate::model::ArmModel;
 use crate::momentum_observer::MomentumObserver;
 use crate::opspace::ArmDynamics;
-use crate::reference::{Pose, Reference, approach_posture};
+use crate::reference::{Reference, approach_posture};
 use crate::scalar::{Scalar, of};
 use crate::state_check::{check_robot, check_step, check_wrench};
 use moca_msgs::{ArmTable, Mount, ParameterError, Parameters, Payload, RobotState};
-use nalgebra::SMatrix;
 
 /// Cartesian impedance of an arm of `N` joints, eqs. (10), (11), (15), (16): the tool keeps its place on the base,
 /// standing or moving, and gives way to a hand as a spring.
@@ -167,21 +166,21 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             next.gains.approach(&self.gains, tick.dt_s);
             let arm = ArmDynamics::new(tick.kinematics.arm_jacobian(), &tick.mass.arm)?;
             let flange_wrench_world = tick.flange_wrench(&mut next, input.flange_wrench_world, &arm)?;
-            let wanted = match law {
-                ControlLaw::Hold => self.holding(tick, &next),
+            let (wanted, tracking) = match law {
+                ControlLaw::Hold => (self.holding(tick, &next), None),
                 ControlLaw::Impedance | ControlLaw::FollowMe => {
-                    self.on_the_base(tick, &mut next, &arm, &mut hit)?
+                    let (torque, tracking) = self.on_the_base(tick, &mut next, &arm, &mut hit)?;
+                    (torque, Some(tracking))
                 }
             };
             let torque_nm = self.limited(tick, &mut next, &wanted, &mut hit)?;
-            let desired = tick.desired(&next);
             Ok(ArmOutput {
                 torque_nm,
                 flange_wrench_world,
                 flange: (&tick.flange).into(),
-                flange_desired: (&desired).into(),
+                flange_desired: (&tick.desired(&next)).into(),
                 limits: hit,
-                exceeded: self.exceeded(tick, law, arm.jacobian(), &desired),
+                exceeded: self.exceeded(tick, tracking.as_ref()),
             })
         })?;
         if output.exceeded.is_some() {
@@ -264,7 +263,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
     }
 
-    /// Joint torques that keep the tool on the base, N·m. eqs. (15), (16)
+    /// Joint torques that keep the tool on the base, N·m, and what they were computed from. eqs. (15), (16)
     #[inline]
     pub(super) fn on_the_base(
         &self,
@@ -272,37 +271,29 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         state: &mut ArmState<N, T>,
         arm: &ArmDynamics<N, T>,
         hit: &mut LimitsHit,
-    ) -> Result<[T; N], ControlError> {
+    ) -> Result<([T; N], Tracking<T>), ControlError> {
         self.advance(tick, state);
-        let wrench = tick.task_wrench(state, arm, &[T::zero(); 6], arm.inverse_task_inertia(), hit)?;
+        let (wrench, tracking) =
+            tick.task_wrench(state, arm, &[T::zero(); 6], arm.inverse_task_inertia(), hit)?;
         let torque = arm.torque(&wrench, &tick.posture_torque(state))?;
-        Ok(core::array::from_fn(|i| torque[i] + tick.bias[i]))
+        Ok((core::array::from_fn(|i| torque[i] + tick.bias[i]), tracking))
     }
 
-    /// Why `law` must not go on.
+    /// Why a law must not go on; one that tracks no pose may.
     pub(super) fn exceeded(
         &self,
         tick: &ArmTick<'_, N, T>,
-        law: ControlLaw,
-        jacobian: &SMatrix<T, 6, N>,
-        desired: &Pose<T>,
+        tracking: Option<&Tracking<T>>,
     ) -> Option<Exceeded> {
-        if law == ControlLaw::Hold {
-            return None;
-        }
+        let Tracking { error, arm_twist } = tracking?;
         let robot = tick.robot;
         if let Some(joint) = self.joint_speeds.exceeded(&robot.q_rad, &robot.dq_rad_s) {
             return Some(Exceeded::JointSpeed(joint));
         }
         let base = times(&tick.kinematics.base_jacobian(), &robot.base_velocity_world);
-        let arm = times(jacobian, &robot.dq_rad_s);
-        let [vx, vy, vz] = core::array::from_fn(|i| base[i] + arm[i]);
+        let [vx, vy, vz] = core::array::from_fn(|i| base[i] + arm_twist[i]);
         let speed_m_s = (vx * vx + vy * vy + vz * vz).sqrt();
-        let error = impedance::pose_error(
-            (&tick.flange.position, &tick.flange.rotation),
-            (&desired.position, &desired.rotation),
-        );
-        self.flange_limits.exceeded(speed_m_s, &error)
+        self.flange_limits.exceeded(speed_m_s, error)
     }
 
     /// `wanted` inside every limit of the arm, and the state that goes with it.

@@ -7,16 +7,27 @@ use crate::reference::{HeldBack, Reference};
 
 /// What an [`super::ArmController`] remembers between steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(
+    feature = "serde",
+    serde(bound(
+        serialize = "T: crate::Scalar + serde::Serialize",
+        deserialize = "T: crate::Scalar + serde::Deserialize<'de>"
+    ))
+)]
 pub struct ArmState<const N: usize, T = f64> {
     pub(super) law: ControlLaw,
     pub(super) reference: Reference<T>,
     /// Of a tool that the base carries along: where the base was refused its way in the last step.
     pub(super) held_back: Option<HeldBack<T>>,
     /// Null-space posture on its way to the configured one, rad; while a posture is held, that one.
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     pub(super) posture_rad: [T; N],
     pub(super) gains: ArmGains<N, T>,
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     pub(super) torque_nm: [T; N],
     /// What is left of the torque step that a change of law would have been, N·m.
+    #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     pub(super) carried_nm: [T; N],
     /// Law or corrections have changed and `carried_nm` is not known yet.
     pub(super) entering: bool,

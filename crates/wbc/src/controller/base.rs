@@ -2,7 +2,6 @@
 
 use super::{LONGEST_STEP_S, check};
 use crate::admittance::admitted;
-use crate::cover_map::CoverMap;
 use crate::error::{ControlError, finite};
 use crate::gains::BaseGains;
 use crate::guard::{BaseGuard, CoverOutline};
@@ -12,7 +11,7 @@ use crate::scalar::{Scalar, of};
 use crate::state_check::check_step;
 use moca_msgs::{ParameterError, Parameters, TaxelPlacement};
 
-/// Admittance of a base under a cover of `K` taxels.
+/// Admittance of a base under a cover of up to `K` taxels.
 ///
 /// ```
 /// use moca_wbc::robot::PAPER_COVER;
@@ -28,7 +27,6 @@ use moca_msgs::{ParameterError, Parameters, TaxelPlacement};
 /// ```
 #[derive(Clone, Copy, Debug)]
 pub struct BaseController<const K: usize, T = f64> {
-    cover: CoverMap<K, T>,
     outline: CoverOutline<K, T>,
     pub(super) gains: BaseGains<T>,
     limits: BaseLimits<T>,
@@ -36,6 +34,7 @@ pub struct BaseController<const K: usize, T = f64> {
 
 /// What a [`BaseController`] remembers between steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct BaseState<T = f64> {
     pub(super) gains: BaseGains<T>,
     /// v_d of eq. (2) as last commanded: axes of B.
@@ -47,7 +46,7 @@ pub struct BaseState<T = f64> {
 pub struct BaseInput<const K: usize, T = f64> {
     /// Heading of B in W, rad.
     pub yaw_world_rad: T,
-    /// Compression force of each taxel, N, T1 first.
+    /// Compression force of each taxel, N, T1 first; what is beyond the last taxel is not looked at.
     pub taxel_force_n: [T; K],
     /// What protects the people around the base in this step.
     pub guard: BaseGuard<K, T>,
@@ -72,13 +71,12 @@ impl<const K: usize, T: Scalar> BaseController<K, T> {
     /// # Errors
     /// The first number of the table or of the parameters that is not finite or out of range.
     pub fn new<const N: usize>(
-        taxels: &[TaxelPlacement; K],
+        taxels: &[TaxelPlacement],
         parameters: &Parameters<N>,
     ) -> Result<Self, ParameterError> {
         check(parameters)?;
         Ok(Self {
-            cover: CoverMap::new(taxels)?,
-            outline: CoverOutline::new(taxels),
+            outline: CoverOutline::new(taxels)?,
             gains: BaseGains::from(&parameters.gains),
             limits: BaseLimits::from(&parameters.limits),
         })
@@ -151,7 +149,7 @@ impl<const K: usize, T: Scalar> BaseController<K, T> {
     ) -> Result<BaseOutput<T>, ControlError> {
         check_step(input.dt_s)?;
         finite("yaw_world_rad", &[input.yaw_world_rad])?;
-        check_cover(&input.taxel_force_n, &input.guard)?;
+        self.check_cover(&input.taxel_force_n, &input.guard)?;
         let mut limits = LimitsHit::default();
         let cover_wrench_base = self.cover_wrench(&input.taxel_force_n, &mut limits);
         let dt_s = input.dt_s.min(of(LONGEST_STEP_S));
@@ -167,7 +165,18 @@ impl<const K: usize, T: Scalar> BaseController<K, T> {
     /// Wrench of the taxels' forces, as far as they are believed, in B. eq. (4)
     #[inline]
     pub(super) fn cover_wrench(&self, taxel_force_n: &[T; K], hit: &mut LimitsHit) -> [T; 3] {
-        self.cover.wrench(&self.limits.taxel_forces(taxel_force_n, hit))
+        self.outline.map().sum(taxel_force_n.iter().map(|force| self.limits.taxel_force(*force, hit)))
+    }
+
+    /// Errs on the first number of a cover's forces or of a guard that cannot be computed with.
+    pub(super) fn check_cover(
+        &self,
+        taxel_force_n: &[T; K],
+        guard: &BaseGuard<K, T>,
+    ) -> Result<(), ControlError> {
+        let taxels = self.outline.map().taxels();
+        finite("taxel_force_n", &taxel_force_n[..taxels])?;
+        guard.check(taxels)
     }
 
     /// `wanted` inside the base's limits and the guard, axes of B.
@@ -181,13 +190,4 @@ impl<const K: usize, T: Scalar> BaseController<K, T> {
     ) -> [T; 3] {
         self.limits.guarded_velocity(&self.outline, guard, wanted, before, dt_s, hit)
     }
-}
-
-/// Errs on the first number of a cover's forces or of a guard that cannot be computed with.
-pub(super) fn check_cover<const K: usize, T: Scalar>(
-    taxel_force_n: &[T; K],
-    guard: &BaseGuard<K, T>,
-) -> Result<(), ControlError> {
-    finite("taxel_force_n", taxel_force_n)?;
-    guard.check()
 }

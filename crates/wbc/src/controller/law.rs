@@ -4,6 +4,7 @@ use moca_msgs::Law;
 
 /// What drives the robot in one step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum ControlLaw {
     /// Base to a stop within its limits; arm holds the posture it had when the law was entered.
     #[default]

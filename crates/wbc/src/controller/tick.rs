@@ -26,8 +26,18 @@ pub(super) struct ArmTick<'a, const N: usize, T> {
     pub flange: Pose<T>,
 }
 
+/// What a law has found of the tool.
+#[derive(Clone, Copy)]
+pub(super) struct Tracking<T> {
+    /// Pose error \[m; rad\], not saturated.
+    pub error: [T; 6],
+    /// Twist that the joints give it, world axes \[m/s; rad/s\].
+    pub arm_twist: [T; 6],
+}
+
 impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
-    /// F = K·e + D·ė, e saturated. `base_twist` is what the base's motion gives the tool. eqs. (10), (16)
+    /// F = K·e + D·ė, e saturated, and what it was computed from. `base_twist` is what the base's motion gives the tool.
+    /// eqs. (10), (16)
     #[inline]
     pub(super) fn task_wrench(
         &self,
@@ -36,20 +46,21 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
         base_twist: &[T; 6],
         inverse_task_inertia: &SMatrix<T, 6, 6>,
         hit: &mut LimitsHit,
-    ) -> Result<[T; 6], ControlError> {
+    ) -> Result<([T; 6], Tracking<T>), ControlError> {
         let gains = &state.gains;
         let desired = self.desired(state);
         let error = impedance::pose_error(
             (&self.flange.position, &self.flange.rotation),
             (&desired.position, &desired.rotation),
         );
-        let (error, saturated) = saturated(&error);
+        let (saturated_error, saturated) = saturated(&error);
         hit.error_saturation = saturated;
         let arm_twist = times(arm.jacobian(), &self.robot.dq_rad_s);
         let wanted = self.desired_twist(state);
         let rate = core::array::from_fn(|i| wanted[i] - base_twist[i] - arm_twist[i]);
         let damping = impedance::damping(inverse_task_inertia, &gains.stiffness, gains.damping_ratio)?;
-        Ok(impedance::wrench(&gains.stiffness, &damping, &error, &rate))
+        let wrench = impedance::wrench(&gains.stiffness, &damping, &saturated_error, &rate);
+        Ok((wrench, Tracking { error, arm_twist }))
     }
 
     #[inline]

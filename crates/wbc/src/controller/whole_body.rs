@@ -2,9 +2,9 @@
 
 use super::arm::ArmController;
 use super::arm_state::ArmState;
-use super::base::{BaseController, BaseState, check_cover};
+use super::base::{BaseController, BaseState};
 use super::law::ControlLaw;
-use super::tick::ArmTick;
+use super::tick::{ArmTick, Tracking};
 use super::{FlangePose, LIGHTEST_DAMPED_BASE, check};
 use crate::admittance::{admitted, damped_in_null_space, mean_share};
 use crate::error::{ControlError, finite};
@@ -29,7 +29,7 @@ use nalgebra::Vector3;
 pub struct ControlInput<const N: usize, const K: usize, T = f64> {
     /// State of base and arm.
     pub robot: RobotState<N, T>,
-    /// Compression force of each taxel, N, T1 first.
+    /// Compression force of each taxel, N, T1 first; what is beyond the last taxel is not looked at.
     pub taxel_force_n: [T; K],
     /// Wrench on the robot about the flange origin, world axes \[N; N·m\]. `None` takes the robot's own estimate, and
     /// where there is none the momentum observer's.
@@ -69,6 +69,14 @@ pub struct ControlOutput<const N: usize, T = f64> {
 
 /// Everything a [`WholeBodyController`] remembers between steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(
+    feature = "serde",
+    serde(bound(
+        serialize = "T: crate::Scalar + serde::Serialize",
+        deserialize = "T: crate::Scalar + serde::Deserialize<'de>"
+    ))
+)]
 pub struct ControllerState<const N: usize, T = f64> {
     arm: ArmState<N, T>,
     base: BaseState<T>,
@@ -78,7 +86,7 @@ pub struct ControllerState<const N: usize, T = f64> {
     corrections: Corrections,
 }
 
-/// The expanded controllers for an arm of `N` joints on a base with a cover of `K` taxels.
+/// The expanded controllers for an arm of `N` joints on a base with a cover of up to `K` taxels.
 ///
 /// ```
 /// use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
@@ -111,6 +119,8 @@ struct Wanted<const N: usize, T> {
     /// Acceleration of the base that the arm's torque counts on per change of its velocity in this step, 1/s, world
     /// axes; `None` where it counts on none.
     counted_per_s: Option<[T; 3]>,
+    /// `None` where no pose is tracked.
+    tracking: Option<Tracking<T>>,
 }
 
 /// One step's quantities of base and arm.
@@ -130,7 +140,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         arm: &ArmTable<N>,
         mount: &Mount,
         payload: &Payload,
-        taxels: &[TaxelPlacement; K],
+        taxels: &[TaxelPlacement],
         parameters: &Parameters<N>,
     ) -> Result<Self, ParameterError> {
         check(parameters)?;
@@ -200,7 +210,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
     ) -> Result<ControlOutput<N, T>, ControlError> {
         check_step(input.dt_s)?;
         check_robot(&input.robot)?;
-        check_cover(&input.taxel_force_n, &input.guard)?;
+        self.base.check_cover(&input.taxel_force_n, &input.guard)?;
         check_wrench("flange_wrench_world", input.flange_wrench_world.as_ref())?;
         let mut hit = LimitsHit::default();
         let cover_wrench_base = self.base.cover_wrench(&input.taxel_force_n, &mut hit);
@@ -220,21 +230,20 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             let wanted = match law {
                 ControlLaw::Hold => {
                     let torque = self.arm.holding(tick, &next.arm);
-                    Wanted { torque, base_velocity: [T::zero(); 3], counted_per_s: None }
+                    Wanted { torque, base_velocity: [T::zero(); 3], counted_per_s: None, tracking: None }
                 }
                 ControlLaw::Impedance => self.impedance(&step, &mut next, &mut hit)?,
                 ControlLaw::FollowMe => self.follow_me(&step, &mut next, &mut hit)?,
             };
-            let command = self.limited(&step, &mut next, &input.guard, wanted, &mut hit)?;
-            let desired = tick.desired(&next.arm);
+            let command = self.limited(&step, &mut next, &input.guard, &wanted, &mut hit)?;
             Ok(ControlOutput {
                 command,
                 cover_wrench_base,
                 flange_wrench_world: step.flange_wrench,
                 flange: (&tick.flange).into(),
-                flange_desired: (&desired).into(),
+                flange_desired: (&tick.desired(&next.arm)).into(),
                 limits: hit,
-                exceeded: self.arm.exceeded(tick, law, arm.jacobian(), &desired),
+                exceeded: self.arm.exceeded(tick, wanted.tracking.as_ref()),
             })
         })?;
         if output.exceeded.is_some() {
@@ -271,27 +280,30 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         let gains = &state.base.gains;
         let task = TaskDynamics::new(tick.kinematics.base_jacobian(), gains.virtual_mass, arm);
         let base = times(task.base_jacobian(), &tick.robot.base_velocity_world);
-        let wrench = tick.task_wrench(&state.arm, arm, &base, &task.inverse_task_inertia(), hit)?;
+        let (wrench, tracking) =
+            tick.task_wrench(&state.arm, arm, &base, &task.inverse_task_inertia(), hit)?;
         let mut null = WholeBodyForce {
             base: step.cover_world.map(|f| f * gains.reactivity),
             arm: tick.posture_torque(&state.arm),
         };
         let [eta_base, eta_arm] = state.eta;
         let weighted = BlockWeight::new(eta_base, eta_arm).factor(&task)?;
-        let mut force = weighted.force(&wrench, &null);
+        let goal = weighted.goal(&wrench, &null.arm);
+        let mut y = weighted.multiplier(&goal, &null.base);
+        let base_force = weighted.base_force(&y, &null.base);
         let fed = if self.corrections.flange_wrench_feedforward {
             self.flange_wrench_on_base_world(step)
         } else {
             [T::zero(); 3]
         };
-        let pushed = core::array::from_fn(|i| force.base[i] + fed[i]);
+        let pushed = core::array::from_fn(|i| base_force[i] + fed[i]);
         let mut counted_per_s = [T::one() / tick.dt_s; 3];
         let base_velocity = if self.corrections.null_space_damping {
             let velocity = damped_in_null_space(&weighted, gains, &step.base_velocity, &pushed, tick.dt_s)?;
             for i in 0..3 {
                 null.base[i] -= gains.virtual_damping[i] * velocity[i];
             }
-            force = weighted.force(&wrench, &null);
+            y = weighted.multiplier(&goal, &null.base);
             velocity
         } else {
             // eq. (6) knows the acceleration at the step's start, eq. (2) gives its mean
@@ -300,8 +312,9 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             }
             admitted(gains, &step.base_velocity, &pushed, tick.dt_s)
         };
-        let torque = core::array::from_fn(|i| force.arm[i] + tick.bias[i]);
-        Ok(Wanted { torque, base_velocity, counted_per_s: Some(counted_per_s) })
+        let arm_force = weighted.arm_force(&y, &null.arm);
+        let torque = core::array::from_fn(|i| arm_force[i] + tick.bias[i]);
+        Ok(Wanted { torque, base_velocity, counted_per_s: Some(counted_per_s), tracking: Some(tracking) })
     }
 
     /// eqs. (2), (12)–(16): the tool keeps its pose on the base, the base follows cover and flange.
@@ -312,12 +325,12 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         state: &mut ControllerState<N, T>,
         hit: &mut LimitsHit,
     ) -> Result<Wanted<N, T>, ControlError> {
-        let torque = self.arm.on_the_base(step.tick, &mut state.arm, step.arm, hit)?;
+        let (torque, tracking) = self.arm.on_the_base(step.tick, &mut state.arm, step.arm, hit)?;
         let led = self.flange_wrench_on_base_world(step);
         let gains = &state.base.gains;
         let force = core::array::from_fn(|i| gains.reactivity * (step.cover_world[i] + led[i]));
         let base_velocity = admitted(gains, &step.base_velocity, &force, step.tick.dt_s);
-        Ok(Wanted { torque, base_velocity, counted_per_s: None })
+        Ok(Wanted { torque, base_velocity, counted_per_s: None, tracking: Some(tracking) })
     }
 
     /// What a planar base can follow of the wrench at the flange, world axes. eqs. (12)–(14)
@@ -339,7 +352,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         step: &Step<'_, N, T>,
         state: &mut ControllerState<N, T>,
         guard: &BaseGuard<K, T>,
-        wanted: Wanted<N, T>,
+        wanted: &Wanted<N, T>,
         hit: &mut LimitsHit,
     ) -> Result<RobotCommand<N, T>, ControlError> {
         let (tick, heading) = (step.tick, &step.tick.kinematics.heading);

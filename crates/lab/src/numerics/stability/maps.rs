@@ -114,7 +114,7 @@ fn map(name: &'static str, x: &'static Axis, y: &'static Axis) -> Result<Map> {
 /// The contact stability law for virtual mass and damping as the person's taxel feels them, foam and tissue linearised.
 pub(crate) fn stable_in_theory(settings: &Settings) -> Result<bool> {
     let gains = &settings.config.control.gains;
-    let taxel = &settings.config.taxels()[settings.person.taxel];
+    let taxel = &settings.config.robot.cover.placements()[settings.person.taxel];
     let foam = settings.foam.foam();
     let foam_n_m = foam.stiffness_n_per_m(foam.deformation_m(LINEARISED_AT_N));
     let stiffness = 1.0 / (1.0 / foam_n_m + 1.0 / settings.person.tissue_stiffness());

@@ -1,0 +1,91 @@
+//! What the loop remembers from tick to tick and no configuration says: plain data that a copy takes along. A replay that
+//! begins in the middle of a run begins with it.
+
+use crate::control::barrier::BarrierMemory;
+use crate::control::protection::ProtectionState;
+use crate::control::state_check::StateCheck;
+use crate::control::supervisor::Supervisor;
+use crate::robot::{JOINTS, TAXELS};
+use moca_msgs::Parameters;
+use moca_tactile::Cover;
+use moca_wbc::{ArmState, BaseState, ControllerState};
+use serde::{Deserialize, Serialize};
+
+/// Everything. It lives on the stack or in a ring: taking one allocates nothing.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct LoopState {
+    /// The last measured state.
+    pub state_check: StateCheck,
+    /// The mode and what led to it.
+    pub supervisor: Supervisor,
+    /// The law, its live parameters and what protects people.
+    pub motion: MotionState,
+    /// The cover behind a board, with its zero; `None` where there is none.
+    pub cover: Option<Cover<TAXELS>>,
+}
+
+/// What the controller and the protection remember.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct MotionState {
+    pub(super) controller: JointsState,
+    /// As the run has changed them; the period is the configuration's.
+    #[serde(with = "by_number")]
+    pub(super) parameters: Parameters<JOINTS>,
+    pub(super) protection: ProtectionState,
+    pub(super) barrier: Option<BarrierMemory>,
+}
+
+/// What the law for an arm of so many joints remembers.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[expect(clippy::large_enum_variant, reason = "a copy in a ring, for which one size is right")]
+pub(super) enum JointsState {
+    Six(LawState<6>),
+    Seven(LawState<7>),
+}
+
+/// What the law of the parts that the robot has remembers.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[expect(clippy::large_enum_variant, reason = "a copy in a ring, for which one size is right")]
+pub(super) enum LawState<const N: usize> {
+    Whole(Option<ControllerState<N>>),
+    Base(BaseState),
+    Arm(Option<ArmState<N>>),
+}
+
+/// The state is that of a robot with other parts, joints or parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OtherRobot;
+
+impl std::fmt::Display for OtherRobot {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("the state of the loop is that of a robot with other parts, joints or parameters")
+    }
+}
+
+impl std::error::Error for OtherRobot {}
+
+/// Parameters as a list, in the order of their numbers.
+mod by_number {
+    use crate::robot::JOINTS;
+    use moca_msgs::params::CONTROLLER;
+    use moca_msgs::{ParameterValues, Parameters};
+    use serde::de::{Deserialize, Deserializer, Error};
+    use serde::ser::Serializer;
+
+    pub(super) fn serialize<S: Serializer>(
+        parameters: &Parameters<JOINTS>,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq((0..CONTROLLER.len()).map(|number| parameters.get(number).unwrap_or_default()))
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Parameters<JOINTS>, D::Error> {
+        let mut parameters = Parameters::PAPER.resized();
+        for (number, values) in Vec::<ParameterValues>::deserialize(deserializer)?.iter().enumerate() {
+            parameters.set(number, values).map_err(|_| D::Error::custom(format!("parameter {number}")))?;
+        }
+        Ok(parameters)
+    }
+}
