@@ -171,7 +171,8 @@ fn the_contact_barrier_keeps_collisions_soft_that_the_law_alone_makes_dangerous(
     let collision = |assignments: &[&str]| {
         let mut settings = Settings::paper(Law::Impedance);
         collision::defaults(&mut settings);
-        let scene = ["base_coupling=true", "person.taxel=T6", "person.gap=0.1", "duration=5"];
+        let scene =
+            ["base_coupling=true", "person.taxel=T6", "person.gap=0.1", "duration=5", "board.model=pu-ld30"];
         for assignment in NULL_SPACE.iter().chain(&scene).chain(assignments) {
             settings.set(assignment).unwrap();
         }
