@@ -62,6 +62,8 @@ pub(super) struct Track<T> {
     force: T,
     way: T,
     person: T,
+    /// Fastest that the person was in this contact, or in the last one, m/s; of a single reading what was assumed.
+    known: T,
     /// Time since the last reading was taken, s.
     since: T,
     /// Time since the release, s.
@@ -80,6 +82,7 @@ impl<T: Scalar> Track<T> {
             force: zero,
             way: zero,
             person: zero,
+            known: zero,
             since: long_ago,
             released: long_ago,
             blind_from: None,
@@ -125,16 +128,19 @@ impl<T: Scalar> Track<T> {
         let (depth, way) = (settings.reading.depth_m(sample.force_n), way(odometry.at_age(sample.age_s)));
         if sample.force_n < of(settings.touch_n) {
             // what is known of the person is kept for a touch that follows at once
-            *self = Self { way, person: self.person, since: self.since, released: T::zero(), ..Self::none() };
+            *self = Self { way, known: self.known, since: self.since, released: T::zero(), ..Self::none() };
             return;
         }
         let first = !self.touched();
-        let assumed = if self.released < of(AGAIN_S) { self.person } else { of(settings.first_speed_m_s) };
+        let assumed = if self.released < of(AGAIN_S) { self.known } else { of(settings.first_speed_m_s) };
         if interval < of(APART_S) {
             self.estimate(settings, depth, way, interval);
         }
         if first {
             self.person = self.person.max(assumed);
+            self.known = self.person;
+        } else {
+            self.known = if self.readings == 1 { self.person } else { self.known.max(self.person) };
         }
         self.readings = self.readings.saturating_add(1);
         (self.depth, self.force, self.way) = (depth, sample.force_n, way);
