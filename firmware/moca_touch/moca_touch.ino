@@ -164,10 +164,12 @@ static bool baselineDue(const Chip &chip, uint32_t now) {
 
 // Baselines and the age of the data, a few times a second.
 static void sendBaseline(Chip &chip, uint32_t now) {
+  if (now - chip.last_changed < QUIET_TO) {
+    // No refresh is due before this slot ends: nobody has waited for a read.
+    chip.read_before = chip.last_read;
+    chip.last_read = now;
+  }
   chip.last_baseline = now;
-  // No refresh is due before this slot ends: nobody has waited for a read.
-  chip.read_before = chip.last_read;
-  chip.last_read = now;
   if (chip.lost || !chip.readBaseline()) return;
   line::header(chip.letter + ('a' - 'A'), chip.sequence, now);
   for (uint8_t e = 0; e < ELECTRODES; ++e) line::hex12(chip.baselineValue(e));
@@ -320,12 +322,14 @@ void setup() {
     present += chip.present;
   }
   if (present > 1) slot_micros = 800;
+  // Each waited while the others were set up; nobody needed its data.
+  for (Chip &chip : chips) chip.last_read = chip.read_before = micros();
   wdt_enable(WDTO_250MS);
 }
 
 void loop() {
   static uint32_t next = micros();
-  static uint8_t turn = 0;
+  static uint8_t turn = 2;  // the board's own chip is there
 
   // A port opened at 1200 baud and closed asks for the bootloader; the core starts it with the watchdog, which feeding
   // would put off for ever.
@@ -344,11 +348,15 @@ void loop() {
   if (data_stream) {
     serveDataStream(now);
   } else {
+    Chip &chip = chips[turn];
+    if (baselineDue(chip, now) && !line::busy()) {
+      sendBaseline(chip, now);
+      if (present > 2) return line::pump();  // its data is due: it keeps its turn
+    } else {
+      serve(chip, now);
+    }
     do turn = (turn + 1) & 3;
     while (!chips[turn].present);
-    Chip &chip = chips[turn];
-    if (baselineDue(chip, now) && !line::busy()) sendBaseline(chip, now);
-    else serve(chip, now);
   }
   line::pump();
 }

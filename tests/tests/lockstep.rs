@@ -5,7 +5,7 @@ use moca_daemon::config::{AssumedModel, Config, HandConfig};
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::command_csv;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
+use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Fault, Law, Mode, ParameterValues, Refusal, Request, Sample, TaxelStatus};
 use moca_sim::board::BoardFault;
@@ -14,7 +14,7 @@ use moca_sim::{Scene, VirtualBoardConfig};
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
-type World = LockStep<ByteCover, MemoryBoard>;
+type World = LockStep<ByteCover, MemoryBoards>;
 
 /// More than the tare takes: 40 frames at 40.5 Hz.
 const TARED_TICKS: u64 = 1500;
@@ -120,7 +120,7 @@ fn an_unplugged_board_stops_the_base_and_comes_back_by_tare_and_resume() {
     let mut world = armed(&config());
     ask(&mut world, Request::PressTaxel { taxel: 5, force_n: 20.0 }).unwrap();
     assert!(speed(&run(&mut world, 1000)) > 0.02, "the base moves when the cable is pulled");
-    world.feed.unplug();
+    world.feed[0].unplug();
     let mut ticks_to_stop = 0;
     while !matches!(run(&mut world, 1).mode, Mode::ProtectiveStop) {
         ticks_to_stop += 1;
@@ -132,7 +132,7 @@ fn an_unplugged_board_stops_the_base_and_comes_back_by_tare_and_resume() {
     assert_eq!(ask(&mut world, Request::Resume), Err(Refusal::CauseRemains(Fault::BoardLost)));
 
     ask(&mut world, Request::PressTaxel { taxel: 5, force_n: 0.0 }).unwrap();
-    world.feed.replug();
+    world.feed[0].replug();
     run(&mut world, 1000);
     assert_eq!(ask(&mut world, Request::Resume), Err(Refusal::ZeroInvalid), "zero and gain are void");
     ask(&mut world, Request::Tare).unwrap();
@@ -159,7 +159,7 @@ fn every_fault_of_the_stream_stops_the_robot() {
     ];
     for (injected, expected, ticks) in cases {
         let mut world = armed(&config());
-        world.feed.board().set_fault(Some(injected));
+        world.feed[0].board().set_fault(Some(injected));
         let mut stopped = None;
         for tick in 0..ticks {
             let sample = run(&mut world, 1);
@@ -188,10 +188,10 @@ fn garbage_and_torn_lines_are_counted_and_move_nothing() {
                     noise.to_le_bytes()[7]
                 })
                 .collect();
-            world.feed.inject(&bytes);
+            world.feed[0].inject(&bytes);
         }
         if tick % 37 == 0 {
-            world.feed.inject(b"\r\nFDAT: 1 2 6658 4\r\nDIFF: -");
+            world.feed[0].inject(b"\r\nFDAT: 1 2 6658 4\r\nDIFF: -");
         }
         run(&mut world, 1);
     }
@@ -238,10 +238,10 @@ fn the_loop_does_not_allocate_in_any_mode() {
         run(&mut world, 500);
     }
     ask(&mut world, Request::Arm).unwrap();
-    world.feed.board().set_fault(Some(BoardFault::I2cLost));
+    world.feed[0].board().set_fault(Some(BoardFault::I2cLost));
     assert_eq!(count(&mut world, TICKS), 0, "frozen board, protective stop");
     assert_eq!(run(&mut world, 1).mode, Mode::ProtectiveStop);
-    world.feed.unplug();
+    world.feed[0].unplug();
     assert_eq!(count(&mut world, TICKS), 0, "unplugged");
 }
 

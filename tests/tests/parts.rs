@@ -38,7 +38,7 @@ fn a_base_alone_gives_way_and_stops_without_its_board() {
     assert_eq!(press.1, Some(Ok(())));
     let pressed = run(&mut |request| world.step(request).0, 2000);
     assert!(pressed.base_pose_world[0] < -0.04, "{:?}", pressed.base_pose_world);
-    world.feed.unplug();
+    world.feed[0].unplug();
     let stopped = run(&mut |request| world.step(request).0, 500);
     assert_eq!((stopped.mode, stopped.fault), (Mode::ProtectiveStop, Some(Fault::BoardLost)));
     assert!(stopped.base_velocity_world[0].abs() < 1e-3, "{:?}", stopped.base_velocity_world);

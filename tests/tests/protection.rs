@@ -10,7 +10,7 @@ use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::protection::speed_for_delay_m_s;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
+use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::robot::PAPER_COVER;
 use moca_msgs::{ContactEvent, ContactReaction, Law, Request, Sample, SpeedLimitReason};
@@ -22,7 +22,7 @@ use moca_wbc::guard::CoverOutline;
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
-type World = LockStep<ByteCover, MemoryBoard>;
+type World = LockStep<ByteCover, MemoryBoards>;
 
 /// In front of the base.
 const FRONT: usize = 5;
@@ -181,7 +181,7 @@ fn a_touch_that_is_not_confirmed_yet_stops_the_base_and_reaches_no_law() {
 fn data_older_than_a_frame_explains_lowers_the_limit_until_the_stop() {
     let mut world = armed(&config(), &Scene::default(), VirtualBoardConfig::default());
     let before = run(&mut world, 200).pop().unwrap().speed_limit.m_s;
-    world.feed.board().set_fault(Some(moca_sim::board::BoardFault::Silent));
+    world.feed[0].board().set_fault(Some(moca_sim::board::BoardFault::Silent));
     let samples = run(&mut world, 150);
     let moving: Vec<&Sample> = samples.iter().filter(|sample| sample.mode.moves()).collect();
     let stale = moving.iter().find(|s| s.speed_limit.reason == SpeedLimitReason::Stale).expect("named");

@@ -12,7 +12,7 @@ use moca_daemon::record::flight_recorder::FlightRecorder;
 use moca_daemon::record::recording::{configuration, parameter_change};
 use moca_daemon::record::tick_blocks::BlockBuilder;
 use moca_daemon::record::tick_log::{PortEvent, TickLog, TickLogReader, TickRecord, tick_log};
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
+use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_daemon::runtime::replay::{self, Failure};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Law, Mode, ParameterValues, Request, Sample};
@@ -28,7 +28,7 @@ use std::io::BufWriter;
 use std::path::PathBuf;
 
 struct Run {
-    world: LockStep<ByteCover, MemoryBoard>,
+    world: LockStep<ByteCover, MemoryBoards>,
     loop_end: TickLog,
     log: TickLogReader,
     records: Vec<TickRecord>,
@@ -117,12 +117,12 @@ fn a_run_with_faults_tares_laws_and_live_parameters_comes_out_the_same() {
     run.ask(set("control.corrections.null_space_damping", &[0.0]));
     run.ask(Request::SelectLaw(Law::FollowMe));
     assert_eq!(run.run(200), Mode::FollowMe);
-    run.world.feed.inject(b"\r\nFDAT: 1 2 6658 4\r\nDIFF: -");
-    run.world.feed.unplug();
+    run.world.feed[0].inject(b"\r\nFDAT: 1 2 6658 4\r\nDIFF: -");
+    run.world.feed[0].unplug();
     assert_eq!(run.run(200), Mode::ProtectiveStop);
     run.ask(Request::Resume);
     run.ask(Request::PressTaxel { taxel: 5, force_n: 0.0 });
-    run.world.feed.replug();
+    run.world.feed[0].replug();
     run.run(500);
     run.ask(Request::MaskTaxel { taxel: 2, masked: true });
     run.ask(Request::MaskTaxel { taxel: 2, masked: false });
@@ -173,7 +173,7 @@ fn one_bit_is_found_and_a_loss_is_not_taken_for_a_difference() {
     let mut tampered = records.clone();
     let bytes =
         tampered[AT..].iter_mut().flat_map(|record| &mut record.events).find_map(|event| match event {
-            PortEvent::Bytes(_, bytes) => bytes.iter_mut().find(|byte| byte.is_ascii_digit()),
+            (_, PortEvent::Bytes(_, bytes)) => bytes.iter_mut().find(|byte| byte.is_ascii_digit()),
             _ => None,
         });
     *bytes.unwrap() ^= 1;

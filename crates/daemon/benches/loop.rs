@@ -50,7 +50,7 @@ fn recorded_events(ticks: u64) -> Vec<Vec<BoardEvent>> {
         .map(|tick| {
             let request = (tick == 2000).then_some(Request::PressTaxel { taxel: 5, force_n: 20.0 });
             world.step(request);
-            std::iter::from_fn(|| out.pop().ok().map(|(_, event)| event)).collect()
+            std::iter::from_fn(|| out.pop().ok().map(|copy| copy.event)).collect()
         })
         .collect()
 }
@@ -61,8 +61,10 @@ fn bench(criterion: &mut Criterion) {
     group.bench_function("bytes_to_command", |bencher| {
         let events = recorded_events(6000);
         let (mut cable, consumer) = rtrb::RingBuffer::new(64);
-        let cover =
-            ByteCover::new(Cover::new(cover_config(&config()).unwrap()).unwrap(), BoardEvents::new(consumer));
+        let cover = ByteCover::new(
+            Cover::new(cover_config(&config()).unwrap()).unwrap(),
+            BoardEvents::new([consumer]),
+        );
         let world =
             LockStep::with_board(&config(), &Scene::default(), VirtualBoardConfig::default(), None).unwrap();
         let standing = StandingRobot(world.control.plant.world.state());

@@ -11,7 +11,7 @@ use moca_daemon::control::tick::Ticked;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::tick_log::tick_log;
 use moca_daemon::runtime::live::{Rings, Shared};
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
+use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_msgs::{Law, Mode, Request};
 use moca_sim::board::BoardFault;
 use moca_sim::{Scene, VirtualBoardConfig};
@@ -19,7 +19,7 @@ use moca_sim::{Scene, VirtualBoardConfig};
 /// Ticks in each mode.
 const TICKS: u64 = 10_000;
 
-type World = LockStep<ByteCover, MemoryBoard>;
+type World = LockStep<ByteCover, MemoryBoards>;
 
 fn main() {
     // What a real-time context must not do, to show that it would be seen.
@@ -40,9 +40,9 @@ fn main() {
     let press = |force_n| Request::PressTaxel { taxel: 2, force_n };
     watched(&mut world, Mode::Impedance, &[Request::Arm, press(15.0)]);
     watched(&mut world, Mode::FollowMe, &[Request::SelectLaw(Law::FollowMe)]);
-    world.feed.board().set_fault(Some(BoardFault::I2cLost));
+    world.feed[0].board().set_fault(Some(BoardFault::I2cLost));
     watched(&mut world, Mode::ProtectiveStop, &[press(0.0)]);
-    world.feed.unplug();
+    world.feed[0].unplug();
     watched(&mut world, Mode::ProtectiveStop, &[]);
 }
 

@@ -61,6 +61,9 @@ struct RunArguments {
     /// Configuration file (TOML); without one the built-in default runs.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Read this board instead of the configuration's: "avr" is the firmware itself in crates/firmware-sim.
+    #[arg(long, value_name = "PORT")]
+    board: Option<String>,
     /// Only check the configuration and report every mistake in it.
     #[arg(long)]
     check: bool,
@@ -185,7 +188,15 @@ fn configuration(path: Option<&Path>) -> anyhow::Result<Config> {
 }
 
 fn run(arguments: RunArguments) -> anyhow::Result<()> {
-    let config = configuration(arguments.config.as_deref())?;
+    let mut config = configuration(arguments.config.as_deref())?;
+    if let Some(port) = &arguments.board {
+        config.board.port = port.as_str().into();
+        let mut mistakes = Vec::new();
+        config.check(|_, mistake| mistakes.push(mistake));
+        if !mistakes.is_empty() {
+            return Err(WrongConfiguration(mistakes.join("\n")).into());
+        }
+    }
     moca_daemon::runtime::assemble::cover_config(&config)
         .map_err(|error| WrongConfiguration(format!("{error:#}")))?;
     moca_daemon::runtime::assemble::motion(&config)

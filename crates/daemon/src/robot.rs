@@ -7,6 +7,7 @@ use moca_msgs::robot::{
 };
 use moca_msgs::table::{Field, FieldValue, ParameterKind, Size, Typed};
 use moca_msgs::{MAX_JOINTS, MAX_TAXELS, choice, parameter_table};
+use moca_tactile::cover::{Electrode, MAX_BOARDS};
 
 /// Room for joints in states and commands; how many the arm has is in its table. What is beyond is zero.
 pub const JOINTS: usize = MAX_JOINTS;
@@ -51,7 +52,9 @@ parameter_table! {
         /// Direction in which a press on each taxel pushes, angle from B's x axis.
         inward_rad: Vec<f64> = PAPER_COVER.map(|taxel| taxel.inward_angle_base_rad).into()
             => [.range(-7.0, 7.0).units(&["rad"]).lab("taxels.inward")];
-        /// Electrode of each taxel, 0 to 11 on the board, from 12 on its further chips; empty is T1 on 0, T2 on 1 and so on.
+        /// Board of each taxel in the order of board.port, 1 or 2; empty is all on the first.
+        board: Vec<usize> = Vec::new() => [.range(1.0, 2.0)];
+        /// Electrode of each taxel, 0 to 11 on its board, from 12 on further chips; empty counts up from 0 on each board.
         electrode: Vec<usize> = Vec::new() => [.range(0.0, 47.0)];
         /// What is under the plates.
         foam: FoamKind = FoamKind::PuLd30;
@@ -113,9 +116,28 @@ impl CoverTable {
         self.x_m.len()
     }
 
-    /// Electrode of each taxel, T1 first.
-    pub fn electrodes(&self) -> Vec<usize> {
-        if self.electrode.is_empty() { (0..self.count()).collect() } else { self.electrode.clone() }
+    /// Board and electrode of each taxel, T1 first.
+    pub fn wiring(&self) -> Vec<Electrode> {
+        let mut next = [0; MAX_BOARDS];
+        let wire = |taxel: usize| {
+            // Boards count from 1 in a configuration, as taxels do.
+            let board = self.board.get(taxel).map_or(0, |number| number.saturating_sub(1));
+            let in_order = next.get_mut(board).map_or(usize::MAX, |next| {
+                *next += 1;
+                *next - 1
+            });
+            let electrode = self.electrode.get(taxel).copied().unwrap_or(in_order);
+            let small = |number| u8::try_from(number).unwrap_or(u8::MAX);
+            Electrode { board: small(board), electrode: small(electrode) }
+        };
+        (0..self.count()).map(wire).collect()
+    }
+
+    /// Taxels of a board (0 is the first), as people name them.
+    pub fn taxels_of(&self, board: u8) -> String {
+        let wiring = self.wiring().into_iter().zip(1..);
+        let names = wiring.filter(|(wire, _)| wire.board == board).map(|(_, number)| format!("T{number}"));
+        names.collect::<Vec<_>>().join(" ")
     }
 
     /// Where the taxels sit, T1 first; as many as every list has.

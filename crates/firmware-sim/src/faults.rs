@@ -275,7 +275,7 @@ fn oscillator(hex: &Hex) -> Result<Outcome> {
         let settings = Settings { chip_clock, ..Settings::default() };
         let measured = crate::measure::measure(hex, "", &settings, b"", 3.0)?;
         seen.push(format!(
-            "x {chip_clock}: {:.0} frames/s, held to {:.1} ms, read as {:.1} ms, {} lost",
+            "x {chip_clock}: {:.0} refreshes/s, held to {:.1} ms, read as {:.1} ms, {} lost",
             measured.exact.rate_hz, measured.exact.hold_worst_ms, measured.read.hold_worst_ms, measured.lost
         ));
         if measured.lost > 0 || measured.bad > 0 || measured.read.hold_worst_ms < measured.exact.hold_worst_ms {

@@ -4,6 +4,7 @@ use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
 use moca_firmware_sim::measure::{Measured, Report, measure};
 use moca_firmware_sim::mpr121::Signal;
+use moca_firmware_sim::terminal::Until;
 use moca_firmware_sim::{Board, Hex, Settings, faults, pipe, terminal};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -31,7 +32,7 @@ struct Arguments {
 enum Command {
     /// Rate, age and hold: exact, and as the reader takes them.
     Latency {
-        /// Prints JSON for `moca-lab latency --avr`.
+        /// Prints JSON for `moca-lab latency --avr`: of one to four chips, whatever --chips says.
         #[arg(long)]
         json: bool,
         /// Seconds to simulate.
@@ -66,6 +67,9 @@ enum Command {
         /// Seconds to run.
         #[arg(long, default_value_t = 60.0)]
         seconds: f64,
+        /// Runs until stdin ends instead, and takes from it what the electrodes see: `mocad --board avr`.
+        #[arg(long)]
+        stdin: bool,
     },
 }
 
@@ -104,27 +108,42 @@ fn run(arguments: &Arguments) -> Result<bool> {
             pipe::serve(&mut board, &mut std::io::stdin().lock(), &mut std::io::stdout().lock())?;
             Ok(true)
         }
-        Command::Terminal { path, seconds } => {
+        Command::Terminal { path, seconds, stdin } => {
             let mut board = Board::new(&hex, &settings)?;
-            println!("board at {} for {seconds} s", path.display());
-            let behind = terminal::run(&mut board, path, *seconds)?;
+            println!("board at {}", path.display());
+            let until = if *stdin { Until::StdinEnds } else { Until::Seconds(*seconds) };
+            let behind = terminal::run(&mut board, path, until)?;
             println!("behind real time at worst: {:.1} ms", behind.as_secs_f64() * 1e3);
             Ok(true)
         }
     }
 }
 
+/// The board alone, and with one to three breakouts of the chip on its bus.
+const CHIPS: [(&str, &[u8]); 4] = [
+    ("moca firmware", &[0x5C]),
+    ("moca firmware, 2 chips", &[0x5C, 0x5D]),
+    ("moca firmware, 3 chips", &[0x5B, 0x5C, 0x5D]),
+    ("moca firmware, 4 chips", &[0x5A, 0x5B, 0x5C, 0x5D]),
+];
+
 fn latency(hex: &Hex, settings: &Settings, json: bool, seconds: f64) -> Result<()> {
-    let measured = measure(hex, "moca firmware", settings, b"", seconds)?;
-    let reports: Vec<&Report> = vec![&measured.exact, &measured.read];
     if json {
+        let mut reports = Vec::new();
+        for (name, chips) in CHIPS {
+            let settings = Settings { chips: chips.to_vec(), ..settings.clone() };
+            let measured = measure(hex, name, &settings, b"", seconds)?;
+            reports.extend([measured.exact, measured.read]);
+        }
         println!("{}", serde_json::to_string_pretty(&reports)?);
         return Ok(());
     }
+    let measured = measure(hex, "moca firmware", settings, b"", seconds)?;
+    let reports: Vec<&Report> = vec![&measured.exact, &measured.read];
     let Measured { frames, lost, bad, least_transport_us, too_young_ms, filters, .. } = &measured;
     for report in reports {
         println!(
-            "{:<26} {:>6.1} frames/s, age {:>4.1} ms (worst {:>4.1}), held to {:>4.1} ms",
+            "{:<26} {:>6.1} refreshes/s a chip, age {:>4.1} ms (worst {:>4.1}), held to {:>4.1} ms",
             report.board, report.rate_hz, report.age_mean_ms, report.age_worst_ms, report.hold_worst_ms
         );
     }

@@ -13,7 +13,7 @@ use serde::Serialize;
 pub struct Report {
     /// Which board, and which of the two views.
     pub board: String,
-    /// Frames a second.
+    /// Refreshes a second that came of each chip, by their codes.
     pub rate_hz: f64,
     /// Age of the oldest electrode when a frame comes, ms.
     pub age_mean_ms: f64,
@@ -60,11 +60,11 @@ impl Ages {
         self.worst_ms = self.worst_ms.max(age_ms);
     }
 
-    fn report(&self, board: String, seconds: f64) -> Report {
+    fn report(&self, board: String, rate_hz: f64) -> Report {
         let count = f64::from(self.count);
         Report {
             board,
-            rate_hz: count / seconds,
+            rate_hz,
             age_mean_ms: self.sum_ms / count.max(1.0),
             age_worst_ms: self.worst_ms,
             hold_worst_ms: self.hold_ms,
@@ -133,6 +133,8 @@ pub fn measure(hex: &Hex, name: &str, settings: &Settings, command: &[u8], secon
     let (mut exact, mut read) = (Ages::default(), Ages::default());
     let mut last_exact: [Option<[f64; ELECTRODES]>; 4] = [None; 4];
     let mut last_read: [Option<u64>; 4] = [None; 4];
+    // Middle of the window of the newest refresh that came, us, and how many came.
+    let (mut newest_of, mut refreshes) = ([0.0f64; 4], 0u32);
     let mut least_transport_us = u64::MAX;
     let mut too_young_ms = f64::NEG_INFINITY;
     let mut packets: Vec<(u64, Vec<u8>)> = Vec::new();
@@ -152,7 +154,13 @@ pub fn measure(hex: &Hex, name: &str, settings: &Settings, command: &[u8], secon
                     .collect();
                 ensure!(sampled.len() == ELECTRODES, "a value that the chip never had at {now_us} us");
                 let oldest_us = sampled.iter().copied().fold(f64::INFINITY, f64::min);
-                newest_us = Some(sampled.iter().copied().fold(f64::NEG_INFINITY, f64::max));
+                let newest = sampled.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+                newest_us = Some(newest);
+                // Electrodes of one refresh lie a scan apart, refreshes at least four times that.
+                if newest > newest_of[line.bank] + 2_000.0 {
+                    refreshes += 1;
+                    newest_of[line.bank] = newest;
+                }
                 exact.add((now_us - oldest_us) * 1e-3);
                 let mut kept = [0.0; ELECTRODES];
                 kept.copy_from_slice(&sampled);
@@ -187,11 +195,12 @@ pub fn measure(hex: &Hex, name: &str, settings: &Settings, command: &[u8], secon
             }
         }
     }
+    let rate_hz = f64::from(refreshes) / seconds / settings.chips.len().max(1) as f64;
     let stats = *reader.stats();
     let filters = board.chips().at(0x5C).map(|chip| chip.filters()).unwrap_or_default();
     Ok(Measured {
-        exact: exact.report(format!("{name}, exact"), seconds),
-        read: read.report(format!("{name}, as read"), seconds),
+        exact: exact.report(format!("{name}, exact"), rate_hz),
+        read: read.report(format!("{name}, as read"), rate_hz),
         lost: stats.frames_lost,
         bad: stats.frames_bad,
         frames: stats.frames_good,

@@ -116,6 +116,29 @@ mod tests {
         is_what_is_printed("faults");
     }
 
+    /// All of them take minutes: one in ten is run, and has to stand where the table has it.
+    #[test]
+    fn cases_of_the_stability_table_come_out_where_it_has_them() {
+        let text =
+            read(&Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("docs/results.md")).unwrap();
+        let (_, shown, _) = split(&text, "stability").unwrap();
+        if shown.lines().next() != Some(head("stability").as_str()) {
+            return;
+        }
+        let named = |row: &str| -> Vec<&str> {
+            let line = shown.lines().find(|line| line.starts_with(&format!("| {row} |"))).unwrap();
+            line.split_once('(').unwrap().1.trim_end_matches(") |").split(", ").collect()
+        };
+        let (unbounded, stopped) = (named("not bounded"), named("the robot stopped by itself"));
+        let cases = stability::one_in(10).unwrap();
+        assert!(cases.len() > 5 && unbounded.len() > 5);
+        for case in cases {
+            let name = case.name.as_str();
+            assert_eq!(unbounded.contains(&name), case.touched() && !case.bounded, "{case:?}");
+            assert_eq!(stopped.contains(&name), case.stopped.is_some(), "{case:?}");
+        }
+    }
+
     #[test]
     fn a_table_without_a_place_is_refused() {
         assert!(split("text", "paper").is_err());

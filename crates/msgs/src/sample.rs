@@ -25,6 +25,8 @@ pub struct Sample {
     pub mode: Mode,
     /// Why the robot is stopped, if it is.
     pub fault: Option<Fault>,
+    /// The board whose fault it is, 0 is the first; `None` where it is of no board.
+    pub fault_board: Option<u8>,
     /// Pose of B in W: m, m, rad.
     pub base_pose_world: [f64; 3],
     /// Rate of the pose: m/s, m/s, rad/s.

@@ -168,6 +168,8 @@ pub enum FieldValue<'a> {
     Numbers(&'a [f64]),
     /// Text, or the chosen word.
     Text(&'a str),
+    /// Several texts.
+    Texts(&'a [&'a str]),
 }
 
 /// What a type of field may hold.

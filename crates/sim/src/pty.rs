@@ -41,10 +41,14 @@ pub struct PtyBoard {
 }
 
 impl PtyBoard {
-    /// A path of this process's own in `$XDG_RUNTIME_DIR`, or else in the folder for temporary files.
-    pub fn default_path() -> PathBuf {
+    /// A path of this process's own for its board with this number (0 is the first) in `$XDG_RUNTIME_DIR`, or else in
+    /// the folder for temporary files.
+    pub fn default_path(board: usize) -> PathBuf {
         let folder = env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from).filter(|folder| folder.is_dir());
-        folder.unwrap_or_else(env::temp_dir).join(format!("moca-touch-board-{}", process::id()))
+        folder.unwrap_or_else(env::temp_dir).join(match board {
+            0 => format!("moca-touch-board-{}", process::id()),
+            more => format!("moca-touch-board-{}-{}", process::id(), more + 1),
+        })
     }
 
     /// Starts the board and makes `path` a symbolic link to its port. The link keeps its name when the board is

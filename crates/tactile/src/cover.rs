@@ -46,6 +46,8 @@ pub struct Poll<const K: usize> {
     pub forces: Result<[f64; K], (usize, TaxelStatus)>,
     /// The gravest fault, if any.
     pub fault: Option<Fault>,
+    /// The board that it is of, 0 is the first; `None` if it is of none.
+    pub fault_board: Option<u8>,
     /// What frames say that are not complete yet.
     pub early: EarlyContact<K>,
 }
@@ -237,7 +239,8 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         }
         reading.sampled_at_ns = oldest(self.boards.iter().flat_map(Board::wired).map(|b| b.sampled_at_ns));
         let forces = self.forces(&reading);
-        Poll { reading, forces, fault: self.fault(&forces, now_ns), early: self.early() }
+        let (fault, fault_board) = self.fault(&forces, now_ns).unzip();
+        Poll { reading, forces, fault, fault_board: fault_board.flatten(), early: self.early() }
     }
 
     /// FDAT of the last usable frame, T1 first; 0 before one came.
@@ -276,25 +279,39 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         Ok(forces)
     }
 
-    fn fault(&self, forces: &Result<[f64; K], (usize, TaxelStatus)>, now_ns: u64) -> Option<Fault> {
-        let stream = self.boards.iter().find_map(|b| b.source.fault(now_ns));
-        let mut banks = self.boards.iter().flat_map(Board::wired);
-        let common = banks.any(|b| b.common_mode >= COMMON_MODE_FRAMES).then_some(Fault::BoardCommonMode);
+    /// The gravest fault, and the board that it is of.
+    fn fault(
+        &self,
+        forces: &Result<[f64; K], (usize, TaxelStatus)>,
+        now_ns: u64,
+    ) -> Option<(Fault, Option<u8>)> {
+        let first = |of: &dyn Fn(&Board<S>) -> Option<Fault>| {
+            (0u8..).zip(&self.boards).find_map(|(number, board)| Some((of(board)?, Some(number))))
+        };
+        let mismatch = |board: &Board<S>| {
+            let (expected, found) = self.config.calibrated_firmware.zip(board.source.firmware())?;
+            (expected != found).then_some(Fault::CalibrationMismatch)
+        };
+        let common_mode = |board: &Board<S>| {
+            let shifted = board.wired().any(|bank| bank.common_mode >= COMMON_MODE_FRAMES);
+            shifted.then_some(Fault::BoardCommonMode)
+        };
         let taxel = || match *forces {
             Ok(_) => None,
-            Err((_, TaxelStatus::NoZero)) => Some(Fault::ZeroInvalid),
+            Err((_, TaxelStatus::NoZero)) => Some((Fault::ZeroInvalid, None)),
             // The stream has no fault, so frames do come: each after a gap that makes its age unknown.
-            Err((_, TaxelStatus::Stale)) => Some(Fault::BoardSlow),
+            Err((i, TaxelStatus::Stale)) => {
+                Some((Fault::BoardSlow, self.config.wiring.get(i).map(|wire| wire.board)))
+            }
             Err((i, status)) => {
-                Some(Fault::TaxelInvalid { taxel: u8::try_from(i).unwrap_or(u8::MAX), status })
+                let taxel = u8::try_from(i).unwrap_or(u8::MAX);
+                Some((Fault::TaxelInvalid { taxel, status }, None))
             }
         };
-        let other_firmware = |board: &Board<S>| {
-            let expected = self.config.calibrated_firmware;
-            expected.zip(board.source.firmware()).is_some_and(|(expected, found)| expected != found)
-        };
-        let mismatch = self.boards.iter().any(other_firmware).then_some(Fault::CalibrationMismatch);
-        stream.or(mismatch).or(common).or_else(taxel)
+        first(&|board| board.source.fault(now_ns))
+            .or_else(|| first(&mismatch))
+            .or_else(|| first(&common_mode))
+            .or_else(taxel)
     }
 
     fn status(&self, i: usize, now_ns: u64) -> TaxelStatus {

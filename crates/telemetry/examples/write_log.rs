@@ -33,7 +33,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         sample.counts.extend([720; 11]);
         log.sample(&sample)?;
         if i % 25 == 0 {
-            log.serial(&SerialBytes { arrival_ns: sample.time_ns, bytes: b"TOUCH: 0 0\r\n".to_vec() })?;
+            log.serial(&SerialBytes {
+                board: 0,
+                arrival_ns: sample.time_ns,
+                bytes: b"TOUCH: 0 0\r\n".to_vec(),
+            })?;
         }
     }
     let summary = log.finish()?;

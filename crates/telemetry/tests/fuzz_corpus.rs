@@ -66,7 +66,9 @@ fn log() -> Vec<u8> {
             writer.replay(time_ns, &[7; 1000]).unwrap();
         }
         if tick % 25 == 0 {
-            writer.serial(&SerialBytes { arrival_ns: time_ns, bytes: b"TOUCH: 0 0\r\n".to_vec() }).unwrap();
+            writer
+                .serial(&SerialBytes { board: 0, arrival_ns: time_ns, bytes: b"TOUCH: 0 0\r\n".to_vec() })
+                .unwrap();
         }
     }
     writer.finish().unwrap();

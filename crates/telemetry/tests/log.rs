@@ -68,6 +68,7 @@ fn sample(tick: u32) -> Sample {
             400..450 => Some(Fault::BoardLost),
             _ => Some(Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Stuck }),
         },
+        fault_board: (400..450).contains(&(tick % 500)).then_some(1),
         board: if tick % 500 < 400 { Diagnosis::Frames } else { Diagnosis::NotOpen(OpenFailure::Busy) },
         base_pose_world: [value(), value(), value()],
         base_velocity_world: [value(), value(), value()],
@@ -121,6 +122,7 @@ fn sample(tick: u32) -> Sample {
 
 fn serial(tick: u32) -> SerialBytes {
     SerialBytes {
+        board: u8::from(tick % 2 == 1),
         arrival_ns: u64::from(tick) * 1_000_003,
         bytes: vec![0, 0xff, b'\n', tick.to_le_bytes()[0]],
     }
@@ -507,7 +509,8 @@ fn the_mcap_library_alone_finds_schemas_and_messages() {
         assert_eq!(counts[topic], displayed(0..1000).len(), "{topic}");
     }
     // Each chunk begins with all three; the second one where they change anyway.
-    assert_eq!((counts["/mode"], counts["/fault"], counts["/board"], counts["/serial"]), (4, 6, 4, 40));
+    assert_eq!((counts["/mode"], counts["/fault"], counts["/board"]), (4, 6, 4));
+    assert_eq!((counts["/serial"], counts["/serial/2"]), (20, 20));
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     assert_eq!(summary.attachment_indexes.len(), 1);
 }
@@ -545,8 +548,19 @@ fn an_existing_file_is_not_overwritten_and_other_files_are_refused() {
 
 #[test]
 fn the_fault_channel_says_what_to_do() {
-    let change = records::FaultChange::new(1, Some(Fault::BoardLost)).unwrap();
+    let change = records::FaultChange::new(1, Some(Fault::BoardLost), None).unwrap();
     assert_eq!((change.code.as_str(), change.remedy.as_str()), ("board-lost", Fault::BoardLost.remedy()));
     assert_eq!(change.fault().unwrap(), Some(Fault::BoardLost));
-    assert_eq!(records::FaultChange::new(1, None).unwrap().fault().unwrap(), None);
+    assert_eq!(records::FaultChange::new(1, None, None).unwrap().fault().unwrap(), None);
+}
+
+#[test]
+fn what_is_no_file_is_no_log_and_is_not_waited_for() {
+    let pipe = TempFile::new("pipe");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe.0).status().unwrap().success());
+    for path in [pipe.0.as_path(), "/dev/zero".as_ref(), std::env::temp_dir().as_path()] {
+        let Err(error) = LogReader::open(path) else { panic!("{} was taken for a log", path.display()) };
+        assert!(error.to_string().contains(&path.display().to_string()), "{error}");
+        assert!(read_log(path).is_err() && LogFile::open(path).is_err(), "{}", path.display());
+    }
 }

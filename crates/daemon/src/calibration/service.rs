@@ -75,7 +75,7 @@ impl Drop for Calibrator {
 /// The thread could not be started.
 pub fn spawn(
     settings: Settings,
-    mut events: rtrb::Consumer<BoardEvent>,
+    mut events: rtrb::Consumer<(u8, BoardEvent)>,
     reference: Option<Reference>,
     moving: Arc<AtomicBool>,
     now_ns: impl Fn() -> u64 + Send + 'static,
@@ -101,8 +101,10 @@ pub fn spawn(
             if moving.load(Ordering::Relaxed) {
                 work.engine.robot_moves();
             }
-            while let Ok(event) = events.pop() {
-                work.engine.event(&event);
+            while let Ok((board, event)) = events.pop() {
+                if board == work.board() {
+                    work.engine.event(&event);
+                }
             }
             work.look(now_ns());
             looks += 1;
@@ -126,7 +128,7 @@ fn unavailable(
     requests: &Receiver<CalibrationRequest>,
     progress: &Sender<CalibrationProgress>,
     stop: &AtomicBool,
-    events: &mut rtrb::Consumer<BoardEvent>,
+    events: &mut rtrb::Consumer<(u8, BoardEvent)>,
 ) {
     let _ = progress.send(CalibrationProgress::Unavailable(why.to_owned()));
     while !stop.load(Ordering::Acquire) {
@@ -158,6 +160,11 @@ impl Work {
         if let Err(error) = answered {
             self.engine.fail(&format!("{error:#}"));
         }
+    }
+
+    /// The board of the taxel under way.
+    fn board(&self) -> u8 {
+        self.settings.wiring.get(usize::from(self.taxel)).map_or(0, |wire| wire.board)
     }
 
     fn start(&mut self, taxel: u8, presses: u8, now_ns: u64) -> Result<()> {

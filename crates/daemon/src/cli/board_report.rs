@@ -2,7 +2,7 @@
 //! back. See docs/what-no-hardware-has-confirmed.md.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
-use crate::config::{AUTO_PORT, Config, VIRTUAL_PORT};
+use crate::config::{AUTO_PORT, Config};
 use crate::devices::ports;
 use anyhow::{Context, Result, bail};
 use moca_tactile::Firmware;
@@ -17,15 +17,17 @@ const QUESTIONS: [&str; 4] = ["ID?", "SET?", "THR?", "STAT?"];
 /// Nothing is measured before the port has settled.
 const SETTLE: Duration = Duration::from_millis(1500);
 
-/// Listens to the board for `length` and prints the report.
+/// Listens to each board of the configuration for `length` and prints its report.
 ///
 /// # Errors
-/// The port cannot be opened, or is lost.
+/// A port cannot be opened, or is lost.
 pub(crate) fn run(config: &Config, length: Duration) -> Result<()> {
-    let port = match config.board.port.as_str() {
-        VIRTUAL_PORT => AUTO_PORT,
-        port => port,
-    };
+    let looked_for = [AUTO_PORT.to_owned()];
+    let ports = if config.board.port.are_virtual() { &looked_for[..] } else { &config.board.port };
+    ports.iter().try_for_each(|port| listen(port, length))
+}
+
+fn listen(port: &str, length: Duration) -> Result<()> {
     let mut line = ports::talk(port)?;
     for question in QUESTIONS {
         line.write_all(format!("{question}\n").as_bytes())

@@ -51,6 +51,8 @@ pub struct Report {
     mode: Option<Mode>,
     fault: Option<Fault>,
     board: Option<Diagnosis>,
+    /// What each board is called, where there are several.
+    boards: Vec<String>,
     next_status_s: f64,
 }
 
@@ -74,7 +76,9 @@ impl Report {
                 (_, Some(_)) => Level::Warning,
                 (_, None) => Level::Info,
             };
-            let text = format!("[{time_s:7.2} s] mode: {}{}", sample.mode.name(), why(sample.fault));
+            let whose = sample.fault_board.and_then(|board| self.boards.get(usize::from(board)));
+            let whose = whose.map_or_else(String::new, |board| format!(" {board}."));
+            let text = format!("[{time_s:7.2} s] mode: {}{}{whose}", sample.mode.name(), why(sample.fault));
             lines.push(Line { level, text });
         }
         // A port takes a moment to open and a board to speak: only a state that lasts is worth a line.
@@ -101,7 +105,10 @@ impl Report {
 pub fn lines_of(report: &mut Report, notice: Notice<'_>) -> Vec<String> {
     let under = |title: &str, text: String| vec![format!("  {title:<11} {text}")];
     match notice {
-        Notice::Begins { config, lock_step } => introduction(config, lock_step),
+        Notice::Begins { config, lock_step } => {
+            report.boards = boards(config);
+            introduction(config, lock_step)
+        }
         Notice::NoRobot => under("plant", "none: the cover alone, nothing moves".into()),
         Notice::Simulated { config, mujoco } => simulated(config, mujoco),
         Notice::Board { port: None, .. } => under("board", "virtual Touch Board in memory".into()),
@@ -181,6 +188,16 @@ fn simulated(config: &Config, mujoco: &str) -> Vec<String> {
         ));
     }
     lines
+}
+
+/// What people call each board, where there are several.
+fn boards(config: &Config) -> Vec<String> {
+    let ports = &config.board.port;
+    let name = |(board, port): (u8, &String)| {
+        let taxels = config.robot.cover.taxels_of(board);
+        format!("Board {} ({port}) with {taxels}", board + 1)
+    };
+    if ports.len() > 1 { (0..).zip(ports.iter()).map(name).collect() } else { Vec::new() }
 }
 
 fn why(fault: Option<Fault>) -> String {

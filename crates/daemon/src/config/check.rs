@@ -1,6 +1,6 @@
 //! What single rows cannot know: numbers that do not go together.
 
-use super::{AUTO_LISTEN, Config, ProtectionConfig, TelemetryConfig, VIRTUAL_PORT};
+use super::{AUTO_LISTEN, AUTO_PORT, Config, Ports, ProtectionConfig, TelemetryConfig};
 use crate::robot::{Parts, PlantKind};
 use moca_tactile::cover::MaskPolicy;
 use moca_telemetry::net::Address;
@@ -17,6 +17,7 @@ pub(super) fn check(config: &Config, report: Report<'_>) {
     lists(config, report);
     if config.plant.parts.has_cover() {
         geometry(config, report);
+        wiring(config, report);
         masks(config, report);
     }
     hand(config, report);
@@ -42,17 +43,14 @@ fn lists(config: &Config, report: Report<'_>) {
             report(&name, message);
         }
     }
-    let electrodes = &cover.electrode;
-    let twice = electrodes.iter().enumerate().find(|(i, electrode)| electrodes[..*i].contains(electrode));
-    if let Some((i, electrode)) = twice {
-        let message = format!("robot.cover.electrode: {electrode} of T{} is another taxel's too", i + 1);
-        report("robot.cover.electrode", message);
-    } else if !electrodes.is_empty() && electrodes.len() != taxels {
-        let message = format!(
-            "robot.cover.electrode has {} elements; allowed: {taxels}, one for each taxel, or none",
-            electrodes.len()
-        );
-        report("robot.cover.electrode", message);
+    for (name, count) in
+        [("robot.cover.electrode", cover.electrode.len()), ("robot.cover.board", cover.board.len())]
+    {
+        if count != 0 && count != taxels {
+            let message =
+                format!("{name} has {count} elements; allowed: {taxels}, one for each taxel, or none");
+            report(name, message);
+        }
     }
     for (name, numbers) in
         [("board.masked", &config.board.masked), ("simulation.hand.taxels", &config.simulation.hand.taxels)]
@@ -60,6 +58,33 @@ fn lists(config: &Config, report: Report<'_>) {
         if let Some(number) = numbers.iter().find(|number| **number > taxels) {
             report(name, format!("{name} = {number}: the cover's taxels are 1 to {taxels}"));
         }
+    }
+}
+
+/// Every taxel has an electrode of its own on a board that there is, and every board a taxel.
+fn wiring(config: &Config, report: Report<'_>) {
+    let (wiring, boards) = (config.robot.cover.wiring(), config.board.port.len());
+    let twice = wiring.iter().enumerate().find(|(i, wire)| wiring[..*i].contains(wire));
+    if let Some((i, wire)) = twice {
+        let name = "robot.cover.electrode";
+        report(name, format!("{name}: {} of T{} is another taxel's too", wire.electrode, i + 1));
+    }
+    if let Some(taxel) = wiring.iter().position(|wire| usize::from(wire.board) >= boards) {
+        let (name, board) = ("robot.cover.board", wiring[taxel].board + 1);
+        report(name, format!("{name} = {board} of T{}: board.port names {boards} board(s)", taxel + 1));
+    }
+    if let Some(board) =
+        (0..boards).find(|board| !wiring.iter().any(|wire| usize::from(wire.board) == *board))
+    {
+        let name = "robot.cover.board";
+        report(
+            name,
+            format!(
+                "{name}: no taxel is on board {}, {:?} in board.port",
+                board + 1,
+                config.board.port[board]
+            ),
+        );
     }
 }
 
@@ -179,20 +204,35 @@ fn telemetry(settings: &TelemetryConfig, report: Report<'_>) {
 }
 
 fn plant(config: &Config, report: Report<'_>) {
-    if config.plant.kind == PlantKind::None && config.board.port == VIRTUAL_PORT {
+    let ports = &config.board.port;
+    if config.plant.kind == PlantKind::None && ports.are_simulated() {
         let allowed = "allowed: \"auto\" or a path when plant.kind = \"none\"";
-        report("board.port", format!("board.port = \"virtual\" needs a simulated robot; {allowed}"));
+        report("board.port", format!("board.port = \"{ports}\" needs a simulated robot; {allowed}"));
     }
     if config.plant.kind == PlantKind::None && config.plant.parts != Parts::Whole {
         let message = "plant.parts names parts of a robot; plant.kind = \"none\" has none: leave it out";
         report("plant.parts", message.into());
     }
-    if !config.plant.parts.has_cover() && config.board.port != VIRTUAL_PORT {
+    if !config.plant.parts.has_cover() && !ports.are_virtual() {
         let message = "board.port: plant.parts = \"arm\" has no cover and reads no board: leave it out";
         report("board.port", message.into());
     }
-    if config.board.port.is_empty() {
+    if ports.iter().any(String::is_empty) {
         report("board.port", "board.port is empty; allowed: \"virtual\", \"auto\" or a path".into());
+    }
+    let alike = |i: usize, port: &String| ports[..i].contains(port) || *port == AUTO_PORT;
+    let apart = ports.are_virtual() || ports.len() == 1;
+    if let Some((_, port)) = ports.iter().enumerate().find(|(i, port)| !apart && alike(*i, port)) {
+        let allowed =
+            "allowed: names in their EEPROM (\"name:left\") or paths, each once, or \"virtual\" for both";
+        report("board.port", format!("board.port: {port:?} does not tell two boards apart; {allowed}"));
+    }
+    let simulated = |port: &String| Ports::from(port.as_str()).are_simulated();
+    if ports.len() > 1 && !ports.are_virtual() && ports.iter().any(simulated) {
+        report(
+            "board.port",
+            "board.port: of two boards either both are \"virtual\" or none is simulated".into(),
+        );
     }
 }
 

@@ -240,8 +240,16 @@ pub(crate) fn take(
         Err(format!("{} = {}; expected {}{now}", row.name, shown(value), expected(row, joints)))
     };
     match row.kind {
-        ParameterKind::Text | ParameterKind::Choice(_) => match value {
-            toml::Value::String(text) if field.take(FieldValue::Text(text)) => Ok(()),
+        ParameterKind::Text | ParameterKind::Choice(_) => match (value, row.size) {
+            (toml::Value::String(text), _) if field.take(FieldValue::Text(text)) => Ok(()),
+            (toml::Value::Array(list), Size::AtMost(most)) if list.len() <= most => {
+                let texts: Option<Vec<&str>> = list.iter().map(toml::Value::as_str).collect();
+                if texts.is_some_and(|texts| field.take(FieldValue::Texts(&texts))) {
+                    Ok(())
+                } else {
+                    wrong()
+                }
+            }
             _ => wrong(),
         },
         ParameterKind::Number | ParameterKind::Integer | ParameterKind::Flag => {
@@ -290,6 +298,9 @@ fn expected(row: &ParameterSpec, joints: usize) -> String {
         Size::One => one.into(),
         Size::Exactly(count) => format!("a list of {count} {many}"),
         Size::Joints => format!("a list of {joints} {many}, one for each joint"),
+        Size::AtMost(count) if row.kind == ParameterKind::Text => {
+            format!("{one}, or a list of 1 to {count} {many}")
+        }
         Size::AtMost(count) => format!("a list of up to {count} {many}"),
     }
 }
@@ -317,7 +328,8 @@ pub(crate) fn written(row: &ParameterSpec, field: &dyn Field, joints: usize) -> 
     let mut written = toml::Value::String(String::new());
     field.see(&mut |value| {
         written = match (value, row.size) {
-            (FieldValue::Text(text), _) => toml::Value::String(text.into()),
+            (FieldValue::Text(text) | FieldValue::Texts(&[text]), _) => toml::Value::String(text.into()),
+            (FieldValue::Texts(texts), _) => texts.to_vec().into(),
             (FieldValue::Numbers([one]), Size::One) => number(one),
             (FieldValue::Numbers(many), size) => {
                 let count = if size == Size::Joints { joints } else { many.len() };
@@ -426,7 +438,7 @@ mod tests {
                 "line 13: realtime.priority = 10.5; expected a whole number",
                 "line 14: realtime.cpu = \"first\"; expected a whole number",
                 "line 16: board.masked = a list of 2; expected a list of up to 48 whole numbers",
-                "line 17: board.port = 3; expected a text in quotes",
+                "line 17: board.port = 3; expected a text in quotes, or a list of 1 to 2 texts",
                 "line 18: unknown key board.prot; allowed here: calibration, firmware, gauge, gauge_baud, mask_policy, masked, \
                  model, name, port",
                 "line 20: plant.kind = a list of 1; expected \"simulated\" or \"none\"",
@@ -481,7 +493,7 @@ mod tests {
     #[test]
     fn a_file_names_only_what_it_changes() {
         let config = Config::parse("[board]\nport = \"/dev/ttyACM0\"\n").unwrap();
-        assert_eq!(config.board.port, "/dev/ttyACM0");
+        assert_eq!(config.board.port, "/dev/ttyACM0".into());
         assert_eq!(config.control, Config::default().control);
     }
 

@@ -5,10 +5,16 @@ mod check;
 pub mod contact_limits;
 pub mod load;
 mod own_arm;
+mod ports;
 pub mod schema;
 pub mod urdf;
 
 pub use own_arm::OwnArm;
+
+pub(crate) use ports::AUTO_PORT;
+#[cfg(feature = "board")]
+pub(crate) use ports::NAMED_PORT;
+pub use ports::Ports;
 
 use crate::robot::{Arm, JOINTS, Parts, PlantKind, Robot, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
@@ -20,20 +26,13 @@ use moca_msgs::{
 };
 use moca_tactile::calibration::CalibrationFile;
 use moca_tactile::calibration::file::FileError;
-use moca_tactile::cover::{Electrode, MaskPolicy};
+use moca_tactile::cover::MaskPolicy;
 use moca_tactile::model::ASSUMED_ERROR_FROM_N;
 use moca_tactile::{CoverConfig, Firmware, TaxelModel};
 use moca_telemetry::net::{Address, DEFAULT_ADDRESS};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// `board.port` of the virtual Touch Board.
-pub const VIRTUAL_PORT: &str = "virtual";
-/// `board.port` that looks for a Touch Board's USB id.
-pub(crate) const AUTO_PORT: &str = "auto";
-/// `board.port` that looks for the board with the name that follows, in its EEPROM.
-#[cfg(feature = "board")]
-pub(crate) const NAMED_PORT: &str = "name:";
 /// `telemetry.listen` that asks the environment.
 const AUTO_LISTEN: &str = "auto";
 /// The service's socket in systemd's RuntimeDirectory.
@@ -127,11 +126,12 @@ parameter_table! {
     /// `[board]`
     #[derive(Clone, Debug, PartialEq)]
     pub struct BoardConfig in "board" {
-        /// "virtual", "auto" (the only board there is), "name:" and the name in its EEPROM, or a path.
-        port: String = VIRTUAL_PORT.into();
+        /// "virtual", "avr" (the firmware itself, simulated), "auto" (the only board there is), "name:" and the name in its
+        /// EEPROM, or a path; of two boards a list.
+        port: Ports = Ports::default();
         /// What runs on the virtual board; a real one is recognised by what it sends.
         firmware: Firmware = Firmware::Moca;
-        /// The board's name in its calibration file.
+        /// The name of the board, or of both together, in the calibration file.
         name: String = String::new();
         /// File that `mocad calibrate` wrote; empty for none.
         calibration: String = String::new();
@@ -368,8 +368,8 @@ impl Config {
             force_max_n: self.limits.taxel_force_n,
             ..CoverConfig::default()
         };
-        for (wire, number) in cover.wiring.iter_mut().zip(self.robot.cover.electrodes()) {
-            *wire = Electrode { board: 0, electrode: u8::try_from(number).unwrap_or(u8::MAX) };
+        for (wire, taxel) in cover.wiring.iter_mut().zip(self.robot.cover.wiring()) {
+            *wire = taxel;
         }
         for &taxel in &self.board.masked {
             if let Some(masked) = taxel.checked_sub(1).and_then(|i| cover.masked.get_mut(i)) {

@@ -82,6 +82,11 @@ fn property(spec: &ParameterSpec, default: Value) -> Value {
     }
     let mut whole = match spec.size {
         Size::One => one,
+        // A single text stands for a list of one.
+        Size::AtMost(most) if spec.kind == ParameterKind::Text => {
+            let list = json!({ "type": "array", "items": one, "minItems": 1, "maxItems": most });
+            Map::from_iter([("anyOf".to_owned(), json!([one, list]))])
+        }
         size => {
             let mut list = Map::new();
             list.insert("type".into(), "array".into());
@@ -116,6 +121,10 @@ pub(crate) fn value(value: &toml::Value) -> Option<ParameterValue> {
     };
     Some(match value {
         toml::Value::String(text) => ParameterValue::Text(text.clone()),
+        toml::Value::Array(values) if values.iter().any(toml::Value::is_str) => {
+            let texts: Vec<&str> = values.iter().filter_map(toml::Value::as_str).collect();
+            ParameterValue::Text(texts.join(", "))
+        }
         toml::Value::Array(values) => {
             ParameterValue::Numbers(values.iter().map(number).collect::<Option<_>>()?)
         }

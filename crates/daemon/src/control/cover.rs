@@ -18,19 +18,21 @@ pub struct CoverState {
     pub early: EarlyContact<TAXELS>,
     /// What is wrong with the cover now, a missing zero left out.
     pub fault: Option<Fault>,
+    /// The board that it is of, 0 is the first; `None` if it is of none.
+    pub fault_board: Option<u8>,
     /// State of the zero.
     pub zero: Zero,
     /// Last raw FDAT counts, T1 first.
     pub counts: [u16; TAXELS],
-    /// What the board's port and bytes say about it.
+    /// What a board's port and bytes say about it: the first board's that does not send frames.
     pub board: Diagnosis,
-    /// Good frames so far.
+    /// Good frames so far, of all boards.
     pub frames_good: u64,
-    /// Rejected frames so far.
+    /// Rejected frames so far, of all boards.
     pub frames_bad: u64,
-    /// Measured frame rate, Hz; 0 before it is known.
+    /// Measured frame rate of the slowest board, Hz; 0 before it is known.
     pub rate_hz: f64,
-    /// Events that the cover has taken from its source since the start.
+    /// Events that the cover has taken from its sources since the start.
     pub events: u64,
 }
 
@@ -44,6 +46,7 @@ impl CoverState {
         forces: Ok([0.0; TAXELS]),
         early: EarlyContact { touched: [false; TAXELS], sampled_at_ns: None },
         fault: None,
+        fault_board: None,
         zero: Zero::Valid,
         counts: [0; TAXELS],
         board: Diagnosis::NoBoard,

@@ -6,7 +6,7 @@ use crate::control::protection::ProtectionState;
 use crate::control::state_check::StateCheck;
 use crate::control::supervisor::Supervisor;
 use crate::robot::{JOINTS, TAXELS};
-use moca_msgs::Parameters;
+use moca_msgs::{Fault, Parameters};
 use moca_tactile::Cover;
 use moca_wbc::{ArmState, BaseState, ControllerState};
 use serde::{Deserialize, Serialize};
@@ -18,6 +18,8 @@ pub struct LoopState {
     pub state_check: StateCheck,
     /// The mode and what led to it.
     pub supervisor: Supervisor,
+    /// Why the robot stands, and the board whose fault that is.
+    pub blamed: (Option<Fault>, Option<u8>),
     /// The law, its live parameters and what protects people.
     pub motion: MotionState,
     /// The cover behind a board, with its zero; `None` where there is none.

@@ -26,6 +26,8 @@ pub struct ControlLoop<P, S> {
     period_s: f64,
     /// Of the present tick.
     protected: Protected,
+    /// Why the robot stands, and the board whose fault that is.
+    blamed: (Option<Fault>, Option<u8>),
 }
 
 /// What one tick leaves behind.
@@ -43,7 +45,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// A loop that has not ticked yet.
     pub fn new(plant: P, cover: S, supervisor: Supervisor, motion: Motion, period_s: f64) -> Self {
         let (state_check, protected) = (StateCheck::default(), Protected::default());
-        Self { plant, cover, state_check, supervisor, motion, period_s, protected }
+        Self { plant, cover, state_check, supervisor, motion, period_s, protected, blamed: (None, None) }
     }
 
     /// One tick: read, decide, command, write; `timer` hears of each stage's end.
@@ -69,6 +71,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         }
         timer.end(Stage::Write);
 
+        self.blame(&cover);
         Ticked {
             sample: self.sample(slot, robot.ok().as_ref(), &cover, &actuation, output.as_ref()),
             outcome,
@@ -86,9 +89,10 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
 
     /// What the loop remembers between this tick and the next: a copy, for which nothing is allocated.
     pub fn state(&self) -> LoopState {
-        let Self { plant: _, cover, state_check, supervisor, motion, period_s: _, protected: _ } = self;
-        let (state_check, supervisor) = (*state_check, *supervisor);
-        LoopState { state_check, supervisor, motion: motion.state(), cover: cover.state() }
+        let Self { plant: _, cover, state_check, supervisor, motion, period_s: _, protected: _, blamed } =
+            self;
+        let (state_check, supervisor, blamed) = (*state_check, *supervisor, *blamed);
+        LoopState { state_check, supervisor, blamed, motion: motion.state(), cover: cover.state() }
     }
 
     /// Goes on from where `state` was taken.
@@ -97,7 +101,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// It is of another robot than the configuration's.
     pub fn restore(&mut self, state: &LoopState) -> Result<(), OtherRobot> {
         self.motion.restore(&state.motion)?;
-        (self.state_check, self.supervisor) = (state.state_check, state.supervisor);
+        (self.state_check, self.supervisor, self.blamed) =
+            (state.state_check, state.supervisor, state.blamed);
         self.cover.restore(&state.cover);
         Ok(())
     }
@@ -120,6 +125,14 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         #[expect(clippy::cast_precision_loss, reason = "a count of missed slots")]
         let ticks = slot.ticks as f64;
         self.period_s * ticks
+    }
+
+    /// Remembers whose fault a stop is for as long as it lasts: the board may be well again by then.
+    fn blame(&mut self, cover: &CoverState) {
+        let cause = self.supervisor.cause();
+        if cause != self.blamed.0 {
+            self.blamed = (cause, cover.fault_board.filter(|_| cause.is_some() && cause == cover.fault));
+        }
     }
 
     /// The mode, the answer to `request`, and the law's output; no output is the brake.
@@ -199,7 +212,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             tick: slot.tick,
             time_ns: slot.now_ns,
             mode: self.supervisor.mode(),
-            fault: self.supervisor.cause(),
+            fault: self.blamed.0,
+            fault_board: self.blamed.1,
             frame_age_s: age_s.unwrap_or(-1.0),
             frame_rate_hz: cover.rate_hz,
             frames_good: cover.frames_good,

@@ -78,6 +78,7 @@ impl CoverSource for IdealCover {
             forces: Ok(force_n),
             early: EarlyContact { touched: [false; TAXELS], sampled_at_ns: Some(at_ns) },
             fault: None,
+            fault_board: None,
             zero: Zero::Valid,
             counts: [0; TAXELS],
             board: Diagnosis::Frames,

@@ -1,6 +1,8 @@
 //! What can stand behind the loop's traits: Touch Board, ideal cover, simulated robot; and the ports they are read from.
 
 pub mod board_events;
+#[cfg(feature = "sim")]
+pub mod firmware_board;
 pub mod force_gauge;
 #[cfg(feature = "sim")]
 pub mod ideal_cover;

@@ -10,6 +10,7 @@ use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
 use moca_sim::foam::{ElasticLaw, Foam};
 use moca_sim::scene::Robot;
 use moca_sim::{Scene, SharedForces, SimError, SimPlant};
+use moca_tactile::cover::Electrode;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
@@ -69,21 +70,21 @@ pub struct SimulatedRobot {
     covered: bool,
     asked_n: [f64; TAXELS],
     taxels: usize,
-    electrodes: Vec<usize>,
+    wiring: Vec<Electrode>,
     command_timeout_s: f64,
     spoiler: Option<PlantSpoiler>,
     stall: Option<(u64, u64)>,
-    shared: Option<SharedForces>,
+    shared: Vec<SharedForces>,
     period_s: f64,
     ticks: u64,
 }
 
 impl SimulatedRobot {
-    /// Builds the scene.
+    /// Builds the scene; the forces of each virtual board are told to `shared`.
     ///
     /// # Errors
     /// MuJoCo refused the scene.
-    pub fn new(config: &Config, scene: &Scene, shared: Option<SharedForces>) -> Result<Self, SimError> {
+    pub fn new(config: &Config, scene: &Scene, shared: Vec<SharedForces>) -> Result<Self, SimError> {
         let world = SimPlant::new(scene)?;
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
         let covered = config.plant.parts.has_cover();
@@ -94,7 +95,7 @@ impl SimulatedRobot {
             covered,
             asked_n: [0.0; TAXELS],
             taxels: config.robot.cover.count(),
-            electrodes: config.robot.cover.electrodes(),
+            wiring: config.robot.cover.wiring(),
             command_timeout_s: config.robot.base.command_timeout_s,
             spoiler: None,
             stall: None,
@@ -147,11 +148,10 @@ impl Plant for SimulatedRobot {
             }
             self.step().map_err(|_| Fault::PlantLost)?;
         }
-        if let Some(shared) = &self.shared {
-            for (electrode, force_n) in self.electrodes.iter().zip(self.world.taxel_force_true_n()) {
-                if let Some(cell) = shared.get(*electrode) {
-                    cell.store(force_n.to_bits(), Ordering::Relaxed);
-                }
+        for (wire, force_n) in self.wiring.iter().zip(self.world.taxel_force_true_n()) {
+            let board = self.shared.get(usize::from(wire.board));
+            if let Some(cell) = board.and_then(|forces| forces.get(usize::from(wire.electrode))) {
+                cell.store(force_n.to_bits(), Ordering::Relaxed);
             }
         }
         if let Some((_, slots)) = self.stall.take_if(|(at, _)| self.ticks >= *at) {
@@ -187,7 +187,7 @@ mod tests {
         for rate_hz in [100, 300, 1000, 4000] {
             let mut config = Config::default();
             config.control_loop.rate_hz = rate_hz;
-            let mut robot = SimulatedRobot::new(&config, &free_scene(&config), None).unwrap();
+            let mut robot = SimulatedRobot::new(&config, &free_scene(&config), Vec::new()).unwrap();
             for _ in 0..rate_hz {
                 robot.step().unwrap();
             }

@@ -1,17 +1,19 @@
-//! The cover behind a Touch Board: events from its byte source in, a reading out. A serial port, a board in memory and
-//! a replay all fill the same ring.
+//! The cover behind its Touch Boards: events from their byte sources in, a reading out. Serial ports, boards in memory
+//! and a replay all fill the same rings.
 
 use crate::control::cover::{CoverSource, CoverState};
 use crate::control::supervisor::Zero;
 use crate::devices::board_events::BoardEvents;
 use crate::robot::TAXELS;
+use moca_msgs::board::Diagnosis;
 use moca_msgs::{Fault, Outcome, Refusal};
+use moca_tactile::board::{BoardMonitor, BoardStats};
 use moca_tactile::{Cover, TareStatus};
 
-/// Most events taken in one tick: a source that babbles cannot hold the loop up. At 1 kHz this is 4 MB/s.
+/// Most events of one board taken in one tick: a source that babbles cannot hold the loop up. At 1 kHz this is 4 MB/s.
 const EVENTS_PER_TICK: usize = 16;
 
-/// One board under the cover.
+/// The boards under the cover.
 pub struct ByteCover {
     cover: Cover<TAXELS>,
     events: BoardEvents,
@@ -35,27 +37,32 @@ impl ByteCover {
 
 impl CoverSource for ByteCover {
     fn read(&mut self, now_ns: u64) -> CoverState {
-        for _ in 0..EVENTS_PER_TICK {
-            let Some(event) = self.events.take() else { break };
-            self.cover.event(0, &event);
-        }
-        if let Some(event) = self.events.take_starved(now_ns) {
-            self.cover.event(0, &event);
+        for board in 0..self.events.boards() {
+            for _ in 0..EVENTS_PER_TICK {
+                let Some(event) = self.events.take(board) else { break };
+                self.cover.event(board, &event);
+            }
+            if let Some(event) = self.events.take_starved(board, now_ns) {
+                self.cover.event(board, &event);
+            }
         }
         let poll = self.cover.poll(now_ns);
-        let board = self.cover.boards().next();
-        let stats = board.map(|board| *board.stats()).unwrap_or_default();
+        let diagnoses = || self.cover.boards().map(BoardMonitor::diagnosis);
+        let ill = diagnoses().find(|diagnosis| *diagnosis != Diagnosis::Frames);
+        let frames = |of: fn(&BoardStats) -> u64| self.cover.boards().map(|board| of(board.stats())).sum();
+        let slowest_hz = self.cover.boards().map(BoardMonitor::rate_hz).reduce(f64::min);
         CoverState {
             reading: poll.reading,
             forces: poll.forces,
             early: poll.early,
             fault: poll.fault.filter(|fault| *fault != Fault::ZeroInvalid),
+            fault_board: poll.fault_board,
             zero: self.zero(),
             counts: self.cover.counts(),
-            board: board.map(|board| board.diagnosis()).unwrap_or_default(),
-            frames_good: stats.frames_good,
-            frames_bad: stats.frames_bad,
-            rate_hz: board.map_or(0.0, |board| board.rate_hz()),
+            board: ill.or_else(|| diagnoses().next()).unwrap_or_default(),
+            frames_good: frames(|stats| stats.frames_good),
+            frames_bad: frames(|stats| stats.frames_bad),
+            rate_hz: slowest_hz.unwrap_or(0.0),
             events: self.events.taken(),
         }
     }

@@ -229,9 +229,10 @@ fn write_log(
 }
 
 fn tick(log: &mut LogWriter<BufWriter<File>>, record: &TickRecord) -> Result<(), LogError> {
-    for event in &record.events {
+    for (board, event) in &record.events {
         if let PortEvent::Bytes(arrival_ns, bytes) = event {
-            log.serial(&SerialBytes { arrival_ns: *arrival_ns, bytes: bytes.clone() })?;
+            let (board, arrival_ns) = (*board, *arrival_ns);
+            log.serial(&SerialBytes { board, arrival_ns, bytes: bytes.clone() })?;
         }
     }
     parameter_change(record).map_or(Ok(()), |change| log.parameter(record.input.slot.now_ns, &change))

@@ -1,4 +1,4 @@
-//! `--record`: every sample, every byte of the board and what a replay needs into a log, from the clients' side of the
+//! `--record`: every sample, every byte of the boards and what a replay needs into a log, from the clients' side of the
 //! rings.
 
 use crate::config::Config;
@@ -78,9 +78,10 @@ impl Recording {
     /// Adds what one tick was given. A live run does not wait for its disk: what finds no room counts as lost.
     pub fn add_tick(&mut self, record: &TickRecord) {
         let time_ns = record.input.slot.now_ns;
-        for event in &record.events {
+        for (board, event) in &record.events {
             if let PortEvent::Bytes(arrival_ns, bytes) = event {
-                self.recorder.serial(SerialBytes { arrival_ns: *arrival_ns, bytes: bytes.clone() });
+                let (board, arrival_ns) = (*board, *arrival_ns);
+                self.recorder.serial(SerialBytes { board, arrival_ns, bytes: bytes.clone() });
             }
         }
         if let Some(change) = parameter_change(record) {

@@ -112,8 +112,12 @@ struct Rare {
     requests: Vec<(u32, Request)>,
     outcomes: Vec<(u32, Outcome)>,
     refused: Vec<(u32, Fault)>,
+    /// Of the first board.
     events: Vec<(u32, PortEvent)>,
 }
+
+/// What further boards said, each event with the tick's place in the block and the board.
+type Further = Vec<(u32, u8, PortEvent)>;
 
 impl Rare {
     fn of(ticks: &[ComparedTick]) -> Self {
@@ -124,9 +128,18 @@ impl Rare {
             rare.requests.extend(input.request.map(|request| (row, request)));
             rare.outcomes.extend(input.outcome.map(|outcome| (row, outcome)));
             rare.refused.extend(input.refused.map(|fault| (row, fault)));
-            rare.events.extend(record.events.iter().map(|event| (row, event.clone())));
+            let of_first = record.events.iter().filter(|(board, _)| *board == 0);
+            rare.events.extend(of_first.map(|(_, event)| (row, event.clone())));
         }
         rare
+    }
+
+    fn further(ticks: &[ComparedTick]) -> Further {
+        let of_tick = |(row, tick): (u32, &ComparedTick)| {
+            let further = tick.record.events.iter().filter(|(board, _)| *board > 0);
+            further.map(move |(board, event)| (row, *board, event.clone())).collect::<Further>()
+        };
+        (0..).zip(ticks).flat_map(of_tick).collect()
     }
 }
 
@@ -184,7 +197,13 @@ pub fn encode(ticks: &[ComparedTick], period_s: f64) -> Vec<u8> {
     }
     out.blob(&ticks.iter().filter_map(|tick| tick.sample).flat_map(u32::to_le_bytes).collect::<Vec<_>>());
     // These types always encode; nothing at all would be found by whoever reads it back.
-    out.blob(&postcard::to_stdvec(&Rare::of(ticks)).unwrap_or_default());
+    let mut rare = postcard::to_stdvec(&Rare::of(ticks)).unwrap_or_default();
+    let further = Rare::further(ticks);
+    if !further.is_empty() {
+        // Behind the rest, so that a log of one board is what it always was.
+        rare.extend(postcard::to_stdvec(&further).unwrap_or_default());
+    }
+    out.blob(&rare);
     out.finish()
 }
 
@@ -304,7 +323,8 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<ComparedTick>> {
     let prints = columns.reader.blob()?;
     let mut prints =
         prints.chunks_exact(4).filter_map(|print| Some(u32::from_le_bytes(print.try_into().ok()?)));
-    let rare: Rare = postcard::from_bytes(columns.reader.blob()?)?;
+    let (rare, behind): (Rare, &[u8]) = postcard::take_from_bytes(columns.reader.blob()?)?;
+    let further: Further = if behind.is_empty() { Vec::new() } else { postcard::from_bytes(behind)? };
 
     let mut states = states.into_iter();
     let mut ticks = Vec::with_capacity(rows);
@@ -331,7 +351,9 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<ComparedTick>> {
     put(&mut ticks, rare.requests, |record, request| record.input.request = Some(request))?;
     put(&mut ticks, rare.outcomes, |record, outcome| record.input.outcome = Some(outcome))?;
     put(&mut ticks, rare.refused, |record, fault| record.input.refused = Some(fault))?;
-    put(&mut ticks, rare.events, |record, event| record.events.push(event))?;
+    put(&mut ticks, rare.events, |record, event| record.events.push((0, event)))?;
+    let further = further.into_iter().map(|(row, board, event)| (row, (board, event))).collect();
+    put(&mut ticks, further, |record, event| record.events.push(event))?;
     Ok(ticks)
 }
 
@@ -380,8 +402,11 @@ mod tests {
             cover_events: number / 4,
         };
         let bytes = |n: u64| PortEvent::Bytes(n, vec![0, 0xff, b'\n']);
-        let events =
-            if number.is_multiple_of(4) { vec![bytes(number), PortEvent::Gap(number, 3)] } else { vec![] };
+        let events = if number.is_multiple_of(4) {
+            vec![(0, bytes(number)), (1, PortEvent::Gap(number, 3))]
+        } else {
+            vec![]
+        };
         let record = TickRecord { input, number, lost: number / 50, events };
         ComparedTick {
             record,

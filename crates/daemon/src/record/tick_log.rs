@@ -78,8 +78,8 @@ impl TickLogReader {
     pub fn next_tick(&mut self) -> Option<TickRecord> {
         let Noted { input, number, lost } = self.ticks.pop().ok()?;
         let mut events = Vec::new();
-        while self.events.peek().is_ok_and(|(number, _)| *number < input.cover_events) {
-            events.extend(self.events.pop().ok().map(|(_, event)| PortEvent::from(event)));
+        while self.events.peek().is_ok_and(|event| event.number < input.cover_events) {
+            events.extend(self.events.pop().ok().map(|event| (event.board, PortEvent::from(event.event))));
         }
         let took = input.cover_events.saturating_sub(self.taken);
         self.taken = input.cover_events;
@@ -117,8 +117,8 @@ pub struct TickRecord {
     pub number: u64,
     /// Ticks and board events lost so far for want of room.
     pub lost: u64,
-    /// What it took from the board's port, in order.
-    pub events: Vec<PortEvent>,
+    /// What it took from the boards' ports, in order, each with its board: 0 is the first.
+    pub events: Vec<(u8, PortEvent)>,
 }
 
 /// A [`BoardEvent`] that can be written.
@@ -194,6 +194,7 @@ mod tests {
         LoopState {
             state_check: StateCheck::default(),
             supervisor: supervisor(&config),
+            blamed: (None, None),
             motion: motion(&config).unwrap().state(),
             cover: None,
         }
@@ -231,12 +232,14 @@ mod tests {
         for tick in 0..RING as u64 {
             assert_eq!(reader.next_tick().unwrap().input.slot.tick, tick);
         }
-        copies.push((0, BoardEvent::Opened { at_ns: 5 })).unwrap();
-        copies.push((2, BoardEvent::Opened { at_ns: 7 })).unwrap();
+        for (number, board) in [(0, 1), (2, 0)] {
+            copies.push(NumberedEvent { number, board, event: BoardEvent::Opened { at_ns: 5 } }).unwrap();
+        }
         log.push(input(9000, 2), state);
         log.push(input(9001, 3), state);
         let record = reader.next_tick().unwrap();
-        assert_eq!((record.number, record.lost, record.events.len()), (RING as u64 + 3, 4, 1));
+        assert_eq!((record.number, record.lost), (RING as u64 + 3, 4));
+        assert_eq!(record.events, [(1, PortEvent::Opened(5))]);
         let record = reader.next_tick().unwrap();
         assert_eq!((record.lost, record.events.len()), (4, 1));
     }

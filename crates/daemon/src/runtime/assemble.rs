@@ -8,6 +8,8 @@ use crate::control::supervisor::{Automatic, Supervisor};
 #[cfg(feature = "sim")]
 use crate::control::tick::ControlLoop;
 use crate::devices::board_events::{BoardEvents, NumberedEvent};
+#[cfg(feature = "sim")]
+use crate::devices::firmware_board::LiveFirmware;
 use crate::devices::force_gauge::Gauge;
 use crate::devices::ports;
 use crate::devices::touch_board::ByteCover;
@@ -56,42 +58,57 @@ pub fn cover_config(config: &Config) -> Result<moca_tactile::CoverConfig<TAXELS>
     config.cover().with_context(|| format!("board.calibration = {:?}", config.board.calibration))
 }
 
-/// Whether one virtual Touch Board can feel the whole cover.
+/// Whether virtual Touch Boards, which have no further chips, can feel the whole cover.
 ///
 /// # Errors
-/// A taxel on an electrode that it does not have.
+/// A taxel on an electrode that they do not have.
 #[cfg(feature = "sim")]
-pub(crate) fn one_board(config: &Config) -> Result<()> {
+pub(crate) fn fit_virtual_boards(config: &Config) -> Result<()> {
     use moca_tactile::datastream::ELECTRODES;
-    let electrodes = config.robot.cover.electrodes();
-    match electrodes.iter().position(|electrode| *electrode >= ELECTRODES) {
+    let wiring = config.robot.cover.wiring();
+    match wiring.iter().position(|wire| usize::from(wire.electrode) >= ELECTRODES) {
         Some(taxel) => Err(anyhow!(
             "robot.cover: T{} is on electrode {}; the virtual Touch Board has 0 to {}",
             taxel + 1,
-            electrodes[taxel],
+            wiring[taxel].electrode,
             ELECTRODES - 1
         )),
         None => Ok(()),
     }
 }
 
+/// The virtual board with this number (0 is the first): each has noise, a phase and a clock of its own.
+#[cfg(feature = "sim")]
+pub(crate) fn nth_board(first: moca_sim::VirtualBoardConfig, number: usize) -> moca_sim::VirtualBoardConfig {
+    /// Two boards are not switched on in the same moment.
+    const PHASE_NS: u64 = 1_700_000;
+    /// The second board's clock wraps after five seconds.
+    const CLOCK_US: u32 = u32::MAX - 5_000_000;
+    let (n, count) = (u64::try_from(number).unwrap_or(0), u32::try_from(number).unwrap_or(0));
+    moca_sim::VirtualBoardConfig {
+        seed: first.seed.wrapping_add(n),
+        first_read_ns: first.first_read_ns + n * PHASE_NS,
+        clock_start_us: first.clock_start_us.wrapping_add(count.wrapping_mul(CLOCK_US)),
+        ..first
+    }
+}
+
 /// The virtual Touch Board under the cover that the configuration asks for.
 #[cfg(feature = "sim")]
 pub fn board_config(config: &Config) -> moca_sim::VirtualBoardConfig {
-    let foam = crate::devices::simulated_robot::foam(config);
     moca_sim::VirtualBoardConfig {
         firmware: config.board.firmware,
         seed: config.simulation.seed,
-        foam,
+        foam: crate::devices::simulated_robot::foam(config),
         ..Default::default()
     }
 }
 
-/// A simulated robot with everything that a live loop needs; the board and its reader end with it.
+/// A simulated robot with everything that a live loop needs; the boards and their readers end with it.
 #[cfg(feature = "sim")]
 pub(crate) struct Assembled {
     pub(crate) control: ControlLoop<crate::devices::simulated_robot::SimulatedRobot, Option<ByteCover>>,
-    pub(crate) virtual_board: Option<moca_sim::PtyBoard>,
+    _virtual_boards: (Vec<moca_sim::PtyBoard>, Option<LiveFirmware>),
     pub(crate) board: Option<HeldBoard>,
 }
 
@@ -102,31 +119,40 @@ pub(crate) fn assemble(
     injection: Option<&Injection>,
     mut subscribers: Subscribers,
 ) -> Result<Assembled> {
-    use crate::devices::simulated_robot::{SimulatedRobot, free_scene};
+    use crate::devices::simulated_robot::{SimulatedRobot, foam, free_scene};
     use moca_sim::PtyBoard;
 
-    let (mut forces, mut virtual_board) = (None, None);
-    let mut port = config.board.port.clone();
-    if config.plant.parts.has_cover() && config.board.port == crate::config::VIRTUAL_PORT {
-        one_board(config)?;
-        let true_forces = moca_sim::SharedForces::default();
-        let (_raised, _) = Raised::below(config.realtime.priority);
-        let board =
-            PtyBoard::spawn(board_config(config), Arc::clone(&true_forces), &PtyBoard::default_path())?;
-        port = board.path().display().to_string();
-        subscribers.pulses.push(board.pulse());
-        (forces, virtual_board) = (Some(true_forces), Some(board));
-    }
-    subscribers.reference = forces.clone().map(|forces| {
-        let electrodes = config.robot.cover.electrodes();
+    let (mut forces, mut virtual_boards, mut firmware) = (Vec::new(), Vec::new(), None);
+    let mut ports = config.board.port.to_vec();
+    if config.plant.parts.has_cover() && config.board.port.are_simulated() {
+        fit_virtual_boards(config)?;
+        for (number, port) in ports.iter_mut().enumerate() {
+            let true_forces = moca_sim::SharedForces::default();
+            let (_raised, _) = Raised::below(config.realtime.priority);
+            let path = PtyBoard::default_path(number);
+            *port = path.display().to_string();
+            if let Some(program) = config.board.port.firmware_program() {
+                let board = LiveFirmware::start(&program, foam(config), Arc::clone(&true_forces), &path)?;
+                subscribers.board_pulses.push(board.pulse());
+                firmware = Some(board);
+            } else {
+                let board = nth_board(board_config(config), number);
+                let board = PtyBoard::spawn(board, Arc::clone(&true_forces), &path)?;
+                subscribers.board_pulses.push(board.pulse());
+                virtual_boards.push(board);
+            }
+            forces.push(true_forces);
+        }
+        let (forces, wiring) = (forces.clone(), config.robot.cover.wiring());
         let force_n = move |taxel: usize| {
-            let electrode = *electrodes.get(taxel)?;
-            Some(f64::from_bits(forces.get(electrode)?.load(std::sync::atomic::Ordering::Relaxed)))
+            let wire = wiring.get(taxel)?;
+            let cell = forces.get(usize::from(wire.board))?.get(usize::from(wire.electrode))?;
+            Some(f64::from_bits(cell.load(std::sync::atomic::Ordering::Relaxed)))
         };
-        Reference::Simulated(Box::new(force_n))
-    });
+        subscribers.reference = Some(Reference::Simulated(Box::new(force_n)));
+    }
     let (cover, board) = if config.plant.parts.has_cover() {
-        let open = open_board(config, clock, port, injection, subscribers)?;
+        let open = open_boards(config, clock, ports, injection, subscribers)?;
         (Some(open.cover), Some(open.held))
     } else {
         (None, None)
@@ -137,7 +163,7 @@ pub(crate) fn assemble(
     }
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s);
-    Ok(Assembled { control, virtual_board, board })
+    Ok(Assembled { control, _virtual_boards: (virtual_boards, firmware), board })
 }
 
 /// Who else gets what the board says, and what they need for it.
@@ -146,11 +172,13 @@ pub(crate) struct Subscribers {
     pub(crate) copies: Option<rtrb::Producer<NumberedEvent>>,
     pub(crate) moving: Arc<AtomicBool>,
     pub(crate) reference: Option<Reference>,
-    /// Signs of life of the threads that bring the bytes, besides the reader's.
+    /// Signs of life of threads without which no bytes come, besides the readers'.
     pub(crate) pulses: Vec<Arc<AtomicU64>>,
+    /// Of the threads that make each virtual board's bytes.
+    pub(crate) board_pulses: Vec<Arc<AtomicU64>>,
 }
 
-/// What stands between a Touch Board's port and the loop.
+/// What stands between the ports of the Touch Boards and the loop.
 pub(crate) struct OpenBoard {
     pub(crate) cover: ByteCover,
     pub(crate) held: HeldBoard,
@@ -158,26 +186,37 @@ pub(crate) struct OpenBoard {
 
 /// The parts of it that only have to live as long as the loop.
 pub(crate) struct HeldBoard {
-    pub(crate) port: String,
+    /// The ports as they were opened.
+    pub(crate) ports: String,
     pub(crate) calibration: Option<CalibrationPort>,
-    /// What the threads that bring its bytes were given.
+    /// What the threads that bring the bytes were given.
     pub(crate) priority: Option<realtime::Step>,
-    _threads: (service::Calibrator, ports::Reader),
+    _threads: (service::Calibrator, Vec<ports::Reader>),
 }
 
-pub(crate) fn open_board(
+pub(crate) fn open_boards(
     config: &Config,
     clock: Clock,
-    port: String,
+    ports: Vec<String>,
     injection: Option<&Injection>,
-    Subscribers { copies, moving, mut reference, mut pulses }: Subscribers,
+    Subscribers { copies, moving, mut reference, pulses, board_pulses }: Subscribers,
 ) -> Result<OpenBoard> {
-    let asked = || format!("a cover (plant.parts), read live at board.port = {:?}", config.board.port);
     let (raised, priority) = Raised::below(config.realtime.priority);
-    let (reader, mut events) = ports::open(&port, clock.instant()).with_context(asked)?;
-    pulses.push(reader.pulse());
+    let (mut readers, mut rings, mut all_pulses) = (Vec::new(), Vec::new(), Vec::new());
+    let mut board_pulses = board_pulses.into_iter();
+    for port in &ports {
+        let asked = || format!("a cover (plant.parts), read live at board.port = {:?}", config.board.port);
+        let (reader, events) = ports::open(port, clock.instant()).with_context(asked)?;
+        let mut own = pulses.clone();
+        own.push(reader.pulse());
+        own.extend(board_pulses.next());
+        all_pulses.push(own);
+        rings.push(events);
+        readers.push(reader);
+    }
     if let Some(Injection { fault: Named { site: FaultSite::Cable(fault), .. }, at_ns }) = injection {
-        events = inject::relay(Cable::new(*fault, *at_ns, config.simulation.seed), events, clock)?;
+        let first = rings.remove(0);
+        rings.insert(0, inject::relay(Cable::new(*fault, *at_ns, config.simulation.seed), first, clock)?);
     }
     drop(raised);
     let cover_config = cover_config(config)?;
@@ -190,8 +229,9 @@ pub(crate) fn open_board(
     let now_ns = move || clock.now_ns();
     let (calibrator, calibration) = service::spawn(settings, calibrator_events, reference, moving, now_ns)?;
     let events =
-        BoardEvents::new(events).with_recorder(copies).with_calibrator(to_calibrator).with_pulses(pulses);
+        BoardEvents::new(rings).with_recorder(copies).with_calibrator(to_calibrator).with_pulses(all_pulses);
     let cover = ByteCover::new(Cover::new(cover_config)?, events);
-    let held = HeldBoard { port, calibration: Some(calibration), priority, _threads: (calibrator, reader) };
+    let (ports, calibration) = (ports.join(", "), Some(calibration));
+    let held = HeldBoard { ports, calibration, priority, _threads: (calibrator, readers) };
     Ok(OpenBoard { cover, held })
 }

@@ -5,19 +5,23 @@ use crate::control::cover::CoverSource;
 use crate::control::tick::{ControlLoop, Ticked};
 use crate::control::tick_input::Slot;
 use crate::devices::board_events::{BoardEvents, NumberedEvent};
+use crate::devices::firmware_board::LockStepFirmware;
 use crate::devices::ideal_cover::IdealCover;
-use crate::devices::simulated_robot::SimulatedRobot;
+use crate::devices::simulated_robot::{SimulatedRobot, foam};
 use crate::devices::touch_board::ByteCover;
 use crate::inject::{Cable, FaultSite, Injection};
-use crate::runtime::assemble::{cover_config, motion, one_board, supervisor};
+use crate::runtime::assemble::{cover_config, fit_virtual_boards, motion, nth_board, supervisor};
 use crate::runtime::timing::Timing;
 use anyhow::Result;
 use moca_msgs::{Outcome, Request, Sample};
 use moca_sim::{Scene, VirtualBoard, VirtualBoardConfig};
 use moca_tactile::board::Chunk;
+use moca_tactile::cover::Electrode;
 use moca_tactile::datastream::ELECTRODES;
 use moca_tactile::{BoardEvent, CloseReason, Cover};
 use std::collections::VecDeque;
+use std::ops::{Index, IndexMut};
+use std::path::Path;
 
 /// Events the ring to the loop holds; a tick sees a handful.
 const RING_EVENTS: usize = 256;
@@ -40,18 +44,40 @@ pub struct MemoryBoard {
     now_ns: u64,
     /// Forces on their way to the board, and how many ticks they take.
     late: VecDeque<[f64; ELECTRODES]>,
-    /// Electrode of each taxel, T1 first.
-    electrodes: Vec<usize>,
+    /// Board and electrode of each taxel, T1 first.
+    wiring: Vec<Electrode>,
+    number: usize,
     delay_ticks: usize,
 }
 
-impl MemoryBoard {
-    /// Makes the board feel everything this much later.
-    pub fn set_delay(&mut self, ticks: usize) {
-        self.late = VecDeque::with_capacity(ticks + 1);
-        self.delay_ticks = ticks;
-    }
+/// The boards under a cover, the first one first.
+pub struct MemoryBoards(Vec<MemoryBoard>);
 
+impl MemoryBoards {
+    /// Makes the boards feel everything this much later.
+    pub fn set_delay(&mut self, ticks: usize) {
+        for board in &mut self.0 {
+            board.late = VecDeque::with_capacity(ticks + 1);
+            board.delay_ticks = ticks;
+        }
+    }
+}
+
+impl Index<usize> for MemoryBoards {
+    type Output = MemoryBoard;
+
+    fn index(&self, board: usize) -> &MemoryBoard {
+        &self.0[board]
+    }
+}
+
+impl IndexMut<usize> for MemoryBoards {
+    fn index_mut(&mut self, board: usize) -> &mut MemoryBoard {
+        &mut self.0[board]
+    }
+}
+
+impl MemoryBoard {
     /// The board itself, to inject its faults.
     pub fn board(&mut self) -> &mut VirtualBoard {
         &mut self.board
@@ -82,20 +108,25 @@ impl MemoryBoard {
     }
 }
 
-impl Feed<ByteCover> for MemoryBoard {
+impl Feed<ByteCover> for MemoryBoards {
+    /// The first board's cable.
     fn spoil(&mut self, cable: Cable) {
-        self.spoiled = Some(cable);
+        if let Some(first) = self.0.first_mut() {
+            first.spoiled = Some(cable);
+        }
     }
 
     fn feed(&mut self, _cover: &mut ByteCover, now_ns: u64, true_force_n: &[f64]) {
-        self.now_ns = now_ns;
-        let mut by_electrode = [0.0; ELECTRODES];
-        for (electrode, force_n) in self.electrodes.iter().zip(true_force_n) {
-            if let Some(place) = by_electrode.get_mut(*electrode) {
-                *place = *force_n;
-            }
+        for board in &mut self.0 {
+            board.feed(now_ns, true_force_n);
         }
-        self.late.push_back(by_electrode);
+    }
+}
+
+impl MemoryBoard {
+    fn feed(&mut self, now_ns: u64, true_force_n: &[f64]) {
+        self.now_ns = now_ns;
+        self.late.push_back(by_electrode(&self.wiring, self.number, true_force_n));
         let ripe = self.late.len() > self.delay_ticks;
         let felt_n = if ripe { self.late.pop_front().unwrap_or_default() } else { [0.0; ELECTRODES] };
         let Self { board, cable, plugged, spoiled, .. } = self;
@@ -115,6 +146,56 @@ impl Feed<ByteCover> for MemoryBoard {
             spoiled.wait(now_ns, &mut arrive);
         }
     }
+}
+
+/// The firmware itself behind a pipe. A program that ends is a board that was unplugged.
+pub struct PipedFirmware {
+    firmware: Option<LockStepFirmware>,
+    cable: rtrb::Producer<BoardEvent>,
+    spoiled: Option<Cable>,
+    wiring: Vec<Electrode>,
+}
+
+impl Feed<ByteCover> for PipedFirmware {
+    fn spoil(&mut self, cable: Cable) {
+        self.spoiled = Some(cable);
+    }
+
+    fn feed(&mut self, _cover: &mut ByteCover, now_ns: u64, true_force_n: &[f64]) {
+        let felt_n = by_electrode(&self.wiring, 0, true_force_n);
+        let Self { firmware, cable, spoiled, .. } = self;
+        let mut arrive = |event| {
+            let _ = cable.push(event);
+        };
+        let Some(board) = firmware else { return };
+        let advanced = board.advance(now_ns, &felt_n, &mut |arrival_ns, bytes| {
+            let event = BoardEvent::Bytes(Chunk::new(arrival_ns, bytes));
+            match spoiled {
+                Some(spoiled) => spoiled.pass(event, &mut arrive),
+                None => arrive(event),
+            }
+        });
+        if let Some(spoiled) = spoiled {
+            spoiled.wait(now_ns, &mut arrive);
+        }
+        if advanced.is_err() {
+            arrive(BoardEvent::Closed { at_ns: now_ns, why: CloseReason::Disconnected });
+            *firmware = None;
+        }
+    }
+}
+
+/// True forces on the electrodes of one board (0 is the first), N.
+fn by_electrode(wiring: &[Electrode], board: usize, true_force_n: &[f64]) -> [f64; ELECTRODES] {
+    let mut felt_n = [0.0; ELECTRODES];
+    for (wire, force_n) in
+        wiring.iter().zip(true_force_n).filter(|(wire, _)| usize::from(wire.board) == board)
+    {
+        if let Some(place) = felt_n.get_mut(usize::from(wire.electrode)) {
+            *place = *force_n;
+        }
+    }
+    felt_n
 }
 
 /// Feeds an [`IdealCover`] with the true forces.
@@ -148,8 +229,8 @@ pub struct LockStep<S, F> {
     asked: Option<(u64, Request)>,
 }
 
-impl LockStep<ByteCover, MemoryBoard> {
-    /// With a virtual Touch Board, as the live daemon has.
+impl LockStep<ByteCover, MemoryBoards> {
+    /// With virtual Touch Boards, as the live daemon has; `board` is the first, the others differ as two boards do.
     ///
     /// # Errors
     /// A scene, board or parameter outside its range.
@@ -159,21 +240,47 @@ impl LockStep<ByteCover, MemoryBoard> {
         board: VirtualBoardConfig,
         copies: Option<rtrb::Producer<NumberedEvent>>,
     ) -> Result<Self> {
-        one_board(config)?;
-        let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
-        let events = BoardEvents::new(events).with_recorder(copies);
+        fit_virtual_boards(config)?;
+        let (mut boards, mut ports) = (Vec::new(), Vec::new());
+        for number in 0..config.board.port.len() {
+            let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
+            ports.push(events);
+            boards.push(MemoryBoard {
+                board: VirtualBoard::new(nth_board(board, number))?,
+                cable,
+                plugged: true,
+                spoiled: None,
+                now_ns: 0,
+                late: VecDeque::with_capacity(1),
+                wiring: config.robot.cover.wiring(),
+                number,
+                delay_ticks: 0,
+            });
+        }
+        let events = BoardEvents::new(ports).with_recorder(copies);
         let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events);
-        let feed = MemoryBoard {
-            board: VirtualBoard::new(board)?,
-            cable,
-            plugged: true,
-            spoiled: None,
-            now_ns: 0,
-            late: VecDeque::with_capacity(1),
-            electrodes: config.robot.cover.electrodes(),
-            delay_ticks: 0,
-        };
-        Self::new(config, scene, cover, feed)
+        Self::new(config, scene, cover, MemoryBoards(boards))
+    }
+}
+
+impl LockStep<ByteCover, PipedFirmware> {
+    /// With the firmware itself, in `program`.
+    ///
+    /// # Errors
+    /// A scene or parameter outside its range; the program cannot be started.
+    pub fn with_firmware(
+        config: &Config,
+        scene: &Scene,
+        program: &Path,
+        copies: Option<rtrb::Producer<NumberedEvent>>,
+    ) -> Result<Self> {
+        fit_virtual_boards(config)?;
+        let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
+        let events = BoardEvents::new([events]).with_recorder(copies);
+        let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events);
+        let firmware = Some(LockStepFirmware::start(program, foam(config))?);
+        let wiring = config.robot.cover.wiring();
+        Self::new(config, scene, cover, PipedFirmware { firmware, cable, spoiled: None, wiring })
     }
 }
 
@@ -206,7 +313,7 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
     }
 
     fn new(config: &Config, scene: &Scene, cover: S, feed: F) -> Result<Self> {
-        let plant = SimulatedRobot::new(config, scene, None)?;
+        let plant = SimulatedRobot::new(config, scene, Vec::new())?;
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
         let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s);
         Ok(Self {

@@ -179,7 +179,8 @@ pub fn run(parts: &[PathBuf]) -> Result<Report> {
 
 struct Replay {
     control: ControlLoop<RecordedPlant, Option<ByteCover>>,
-    events: rtrb::Producer<BoardEvent>,
+    /// To the cover, one for each board.
+    events: Vec<rtrb::Producer<BoardEvent>>,
     /// Tick and number of the last one.
     last: Option<(u64, u64)>,
     /// Board events of the ticks up to there.
@@ -206,7 +207,8 @@ impl Replay {
             *path = file.0.display().to_string();
             texts.push(file);
         }
-        let (events, from_log) = rtrb::RingBuffer::new(RING_EVENTS);
+        let rings = config.board.port.iter().map(|_| rtrb::RingBuffer::new(RING_EVENTS));
+        let (events, from_log): (Vec<_>, Vec<_>) = rings.unzip();
         let cover = if config.plant.parts.has_cover() {
             Some(ByteCover::new(Cover::new(cover_config(&config)?)?, BoardEvents::new(from_log)))
         } else {
@@ -258,9 +260,11 @@ impl Replay {
         let input = &record.input;
         let number = input.slot.tick;
         self.check_whole(record, report.compared)?;
-        for event in &record.events {
+        for (board, event) in &record.events {
+            let ring = self.events.get_mut(usize::from(*board));
+            let ring = ring.context("bytes of a board that the log's configuration does not name")?;
             // A tick takes fewer events than the ring holds.
-            let _ = self.events.push(event.into());
+            let _ = ring.push(event.into());
         }
         self.control.plant = RecordedPlant {
             state: input.state,

@@ -10,7 +10,7 @@ use crate::inject::FaultSite;
 use crate::record::tick_log::TickLogReader;
 use crate::record::tick_log::{TickLog, tick_log};
 use crate::robot::PlantKind;
-use crate::runtime::assemble::{OpenBoard, Subscribers, motion, open_board, supervisor};
+use crate::runtime::assemble::{OpenBoard, Subscribers, motion, open_boards, supervisor};
 use crate::runtime::clients::{Clients, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
 use crate::runtime::clock::Clock;
 use crate::runtime::live::{self, LiveReport, Shared};
@@ -151,9 +151,9 @@ pub fn live_simulated(
     };
     let mut robot =
         crate::runtime::assemble::assemble(&options.config, clock, options.inject.as_ref(), subscribers)?;
-    let simulated = robot.virtual_board.is_some();
+    let simulated = options.config.board.port.are_simulated();
     let calibration = robot.board.as_mut().and_then(|board| {
-        reporter.report(Notice::Board { port: Some(&board.port), simulated });
+        reporter.report(Notice::Board { port: Some(&board.ports), simulated });
         if let Some(step) = &board.priority {
             reporter.report(Notice::RealTime(step));
         }
@@ -169,12 +169,12 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn R
     let clock = Clock::start()?;
     let (log, copies, log_reader) = tick_log();
     let clients = Clients::new(options, log_reader, reporter)?;
-    let port = config.board.port.clone();
+    let ports = config.board.port.to_vec();
     let pulses = vec![Arc::clone(&shared.pulse)];
     let subscribers = Subscribers { copies: Some(copies), pulses, ..Subscribers::default() };
     let OpenBoard { cover, mut held } =
-        open_board(config, clock, port, options.inject.as_ref(), subscribers)?;
-    reporter.report(Notice::Board { port: Some(&held.port), simulated: false });
+        open_boards(config, clock, ports, options.inject.as_ref(), subscribers)?;
+    reporter.report(Notice::Board { port: Some(&held.ports), simulated: false });
     if let Some(step) = &held.priority {
         reporter.report(Notice::RealTime(step));
     }
@@ -282,7 +282,11 @@ fn lock_step(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
     introduce_simulation(config, reporter);
     let scene = crate::devices::simulated_robot::free_scene(config);
     let (log, copies, log_reader) = tick_log();
-    if config.plant.parts.has_cover() {
+    if let Some(program) = config.board.port.firmware_program() {
+        let world = LockStep::with_firmware(config, &scene, &program, Some(copies))?;
+        reporter.report(Notice::Board { port: Some(&config.board.port.to_string()), simulated: true });
+        run_lock_step(options, world, (log, log_reader), shared, reporter)
+    } else if config.plant.parts.has_cover() {
         reporter.report(Notice::Board { port: None, simulated: true });
         let world = LockStep::with_board(
             config,

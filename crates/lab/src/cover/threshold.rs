@@ -5,7 +5,7 @@
 use anyhow::{Context, Result, ensure};
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::devices::touch_board::ByteCover;
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
+use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_msgs::{Mode, Request, Sample};
 use moca_sim::{Scene, VirtualBoardConfig};
 
@@ -20,7 +20,7 @@ pub(crate) struct Arguments {
     seeds: Vec<u64>,
 }
 
-type World = LockStep<ByteCover, MemoryBoard>;
+type World = LockStep<ByteCover, MemoryBoards>;
 
 /// The front taxel; all taxels have the same foam and the same threshold.
 const TAXEL: u8 = 5;

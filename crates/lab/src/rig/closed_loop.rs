@@ -6,7 +6,7 @@ use moca_daemon::control::plant::Simulated;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::SimulatedRobot;
 use moca_daemon::devices::touch_board::ByteCover;
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard, TrueForces};
+use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards, TrueForces};
 use moca_msgs::{Sample, TaxelStatus};
 use moca_sim::Scene;
 
@@ -65,7 +65,7 @@ impl Row {
 }
 
 enum SensorModel {
-    Board(Box<LockStep<ByteCover, MemoryBoard>>),
+    Board(Box<LockStep<ByteCover, MemoryBoards>>),
     True(Box<LockStep<IdealCover, TrueForces>>),
 }
 

@@ -170,7 +170,8 @@ impl Model {
 
     /// Whether a cover feels what pushes the simulated robot: a real board beside it does not.
     pub fn feels_pushes(&self) -> bool {
-        let real = text_parameter(&self.robot, "board.port").is_some_and(|port| port != "virtual");
+        let simulated = |port: &str| port.starts_with("virtual") || port == "avr" || port.starts_with("avr:");
+        let real = text_parameter(&self.robot, "board.port").is_some_and(|port| !simulated(port));
         self.robot.simulated && !self.robot.taxels.is_empty() && !real
     }
 

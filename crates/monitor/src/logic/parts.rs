@@ -1,5 +1,6 @@
 //! Which parts a robot has, and what else its parameters say about it.
 
+use super::format::taxel_name;
 use moca_telemetry::{ParameterValue, RobotDescription};
 
 /// The value of a parameter that is text, such as `board.port`.
@@ -8,6 +9,17 @@ pub fn text_parameter<'a>(robot: &'a RobotDescription, name: &str) -> Option<&'a
         ParameterValue::Text(text) => Some(text),
         ParameterValue::Numbers(_) => None,
     }
+}
+
+/// What a board (0 is the first) is called, with its taxels, where there are several.
+pub fn board_name(robot: &RobotDescription, board: u8) -> Option<String> {
+    let port = text_parameter(robot, "board.port")?.split(", ").nth(usize::from(board))?;
+    let of_taxel = robot.parameters.iter().find(|parameter| parameter.name == "robot.cover.board")?;
+    let ParameterValue::Numbers(numbers) = &of_taxel.value else { return None };
+    let own = numbers.iter().zip(0_usize..).filter(|(number, _)| **number == f64::from(board) + 1.0);
+    let taxels: Vec<String> = own.map(|(_, taxel)| taxel_name(taxel)).collect();
+    // Without a list there is one board, and nothing to tell it from.
+    (!taxels.is_empty()).then(|| format!("Board {} ({port}) with {}", board + 1, taxels.join(" ")))
 }
 
 /// Whether there is a base or an arm at all: a daemon may read a cover alone.
@@ -29,4 +41,24 @@ pub fn has_base(robot: &RobotDescription) -> bool {
 /// Whether there is a cover.
 pub fn has_cover(robot: &RobotDescription) -> bool {
     !robot.taxels.is_empty()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use moca_telemetry::ParameterDescription;
+
+    #[test]
+    fn a_board_is_named_with_its_taxels_where_there_are_two() {
+        let mut robot = RobotDescription::paper("test", true);
+        let parameter =
+            |name: &str, value| ParameterDescription { name: name.into(), value, ..Default::default() };
+        let port = |text: &str| parameter("board.port", ParameterValue::Text(text.into()));
+        let of_taxel =
+            |numbers: &[f64]| parameter("robot.cover.board", ParameterValue::Numbers(numbers.into()));
+        robot.parameters = vec![port("name:left, name:right"), of_taxel(&[1.0, 2.0, 2.0])];
+        assert_eq!(board_name(&robot, 1).as_deref(), Some("Board 2 (name:right) with T2 T3"));
+        robot.parameters = vec![port("auto"), of_taxel(&[])];
+        assert_eq!(board_name(&robot, 0), None);
+    }
 }

@@ -4,7 +4,7 @@ use super::{requests::PageRequests, theme};
 use crate::logic::{
     format::{board_text, fault_text, taxel_name},
     model::{Freshness, Model},
-    parts::{has_arm, has_robot, text_parameter},
+    parts::{board_name, has_arm, has_robot, text_parameter},
     requests::{explanation, label},
 };
 use egui::{Align, Button, Color32, Frame, Label, Layout, Margin, RichText, Theme, Ui, vec2};
@@ -158,7 +158,9 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
         return (Some(theme::WARNING), text);
     }
     if let Some(fault) = sample.fault {
-        return (Some(theme::BAD), fault_text(fault));
+        let board = sample.fault_board.and_then(|board| board_name(&model.robot, board));
+        let board = board.map_or_else(String::new, |board| format!(" {board}."));
+        return (Some(theme::BAD), format!("{}{board}", fault_text(fault)));
     }
     if !matches!(sample.board, Diagnosis::Frames | Diagnosis::NoBoard) {
         return (Some(theme::WARNING), board_text(sample.board, text_parameter(&model.robot, "board.port")));

@@ -37,6 +37,8 @@ pub struct VirtualBoardConfig {
     pub frame_period_ns: Option<u64>,
     /// When the first frame is read, ns: the board's phase against the loop.
     pub first_read_ns: u64,
+    /// What the board's clock says at time 0, us; of our own firmware.
+    pub clock_start_us: u32,
 }
 
 impl Default for VirtualBoardConfig {
@@ -50,6 +52,7 @@ impl Default for VirtualBoardConfig {
             seed: 1,
             frame_period_ns: None,
             first_read_ns: 5_000_000,
+            clock_start_us: 0,
         }
     }
 }
@@ -125,7 +128,7 @@ impl VirtualBoard {
             let sensor = sensor()
                 .with_noise(stamped::NOISE_SHARE * noise_counts)
                 .with_samples_per_value(stamped::SAMPLES_PER_VALUE);
-            StampedBoard::new(config.foam, sensor, config.first_read_ns)
+            StampedBoard::new(config.foam, sensor, config.first_read_ns, config.clock_start_us)
         });
         let mut board = Self {
             firmware: config.firmware,

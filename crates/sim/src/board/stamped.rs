@@ -42,6 +42,7 @@ pub(super) struct StampedBoard {
     refreshed_ns: u64,
     next_sample_ns: u64,
     next_read_ns: u64,
+    clock_start_us: u32,
     last_read: [u16; ELECTRODES],
     changed_last: bool,
     sequence: u16,
@@ -71,7 +72,12 @@ impl Extend<u8> for LineBytes {
 
 impl StampedBoard {
     /// A chip that has been running; its first line is read at `first_read_ns`.
-    pub(super) fn new(foam: Foam, mut sensor: CoverSensor<ELECTRODES>, first_read_ns: u64) -> Self {
+    pub(super) fn new(
+        foam: Foam,
+        mut sensor: CoverSensor<ELECTRODES>,
+        first_read_ns: u64,
+        clock_start_us: u32,
+    ) -> Self {
         for _ in 0..SAMPLES_PER_VALUE {
             sensor.sample(&[0.0; ELECTRODES], &[f64::INFINITY; ELECTRODES]);
         }
@@ -84,6 +90,7 @@ impl StampedBoard {
             refreshed_ns: 0,
             next_sample_ns: SAMPLE_INTERVAL_NS,
             next_read_ns: first_read_ns,
+            clock_start_us,
             last_read: values,
             changed_last: false,
             sequence: 0,
@@ -196,7 +203,7 @@ impl StampedBoard {
 
     fn put(&mut self, at_ns: u64, values: [u16; ELECTRODES], content: Content) {
         #[expect(clippy::cast_possible_truncation, reason = "the board's clock wraps")]
-        let device_us = (at_ns / 1000) as u32;
+        let device_us = self.clock_start_us.wrapping_add((at_ns / 1000) as u32);
         let mut bytes = LineBytes { bytes: [0; LINE_BYTES + 1], length: 0 };
         emit(&Line { bank: 0, sequence: self.sequence, device_us, values, content }, &mut bytes);
         let ready_ns = at_ns + LEAST_TRANSPORT_NS;

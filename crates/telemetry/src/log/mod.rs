@@ -31,6 +31,8 @@ use std::path::PathBuf;
 /// Bytes of the Touch Board as they came in.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SerialBytes {
+    /// Which board, 0 is the first.
+    pub board: u8,
     /// Arrival, ns of loop time.
     pub arrival_ns: u64,
     /// The bytes of one read.

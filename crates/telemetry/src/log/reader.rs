@@ -5,7 +5,7 @@ use super::{
     framing::{self, Fields, Message, Records, op},
     records::{
         BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC,
-        ModeChange, REPLAY_TOPIC, Robot, SERIAL_TOPIC, State, Timing,
+        ModeChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Timing,
     },
     writer::FORM,
 };
@@ -215,6 +215,7 @@ pub(super) struct Decoder {
     pub(super) start_unix_ns: u64,
     mode: Mode,
     fault: Option<Fault>,
+    fault_board: Option<u8>,
     board: Diagnosis,
     partial: Partial,
 }
@@ -262,21 +263,27 @@ impl Decoder {
                 self.description = serde_json::from_str(&robot.json)?;
             }
             ModeChange::TOPIC => self.mode = parse::<ModeChange>(message)?.mode,
-            FaultChange::TOPIC => self.fault = parse::<FaultChange>(message)?.fault()?,
+            FaultChange::TOPIC => {
+                let change: FaultChange = parse(message)?;
+                (self.fault, self.fault_board) = (change.fault()?, change.board.checked_sub(1));
+            }
             BoardChange::TOPIC => self.board = parse::<BoardChange>(message)?.board()?,
             State::TOPIC => self.partial.state = Some(parse(message)?),
             Command::TOPIC => self.partial.command = Some(parse(message)?),
             Cover::TOPIC => self.partial.cover = Some(parse(message)?),
             Contact::TOPIC => self.partial.contacts.push(parse(message)?),
             Timing::TOPIC => return Ok(self.complete(message.time_ns, &parse(message)?)),
-            SERIAL_TOPIC => {
-                let arrival_ns = message.time_ns.saturating_sub(self.start_unix_ns);
-                return Ok(Some(Record::Serial(SerialBytes { arrival_ns, bytes: message.data.to_vec() })));
-            }
             LOOP_STATE_TOPIC => return Ok(Some(Record::LoopState(message.data.to_vec()))),
             REPLAY_TOPIC => return Ok(Some(Record::Replay(message.data.to_vec()))),
             Configuration::TOPIC => return Ok(Some(Record::Configuration(Box::new(parse(message)?)))),
-            _ => {}
+            _ => {
+                let board = (0u8..).zip(SERIAL_TOPICS).find_map(|(board, of)| (of == topic).then_some(board));
+                let arrival_ns = message.time_ns.saturating_sub(self.start_unix_ns);
+                let bytes = || message.data.to_vec();
+                return Ok(
+                    board.map(|board| Record::Serial(SerialBytes { board, arrival_ns, bytes: bytes() }))
+                );
+            }
         }
         Ok(None)
     }
@@ -295,6 +302,7 @@ impl Decoder {
             time_ns: log_time.saturating_sub(self.start_unix_ns),
             mode: self.mode,
             fault: self.fault,
+            fault_board: self.fault_board,
             base_pose_world: state.base_pose_world,
             base_velocity_world: state.base_velocity_world,
             cover_speed_m_s: state.cover_speed_m_s,

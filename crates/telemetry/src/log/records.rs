@@ -20,8 +20,9 @@ pub trait Channel: Serialize + JsonSchema {
     }
 }
 
-/// Channel of the Touch Board's bytes as they came in: one message for each read, its time the arrival.
-pub const SERIAL_TOPIC: &str = "/serial";
+/// Channels of the Touch Boards' bytes as they came in, the first board's first: one message for each read, its time the
+/// arrival.
+pub const SERIAL_TOPICS: [&str; 2] = ["/serial", "/serial/2"];
 /// Channel of the daemon's own blocks of what its ticks were given.
 pub const REPLAY_TOPIC: &str = "/replay";
 /// Channel of what the daemon's loop remembered, in its own form: a log that begins in the middle of a run has it first.
@@ -251,18 +252,22 @@ pub struct FaultChange {
     pub text: String,
     /// What to do about it.
     pub remedy: String,
+    /// Number of the board whose fault it is, 1 is the first; 0 where it is of no board.
+    #[serde(default)]
+    pub board: u8,
     /// The fault in the form this library reads back.
     pub json: String,
 }
 
 impl FaultChange {
-    /// A change to `fault`, `None` when cleared.
-    pub fn new(tick: u64, fault: Option<Fault>) -> Result<Self, serde_json::Error> {
+    /// A change to `fault`, `None` when cleared, of `board` (0 is the first).
+    pub fn new(tick: u64, fault: Option<Fault>, board: Option<u8>) -> Result<Self, serde_json::Error> {
         Ok(Self {
             tick,
             code: fault.map_or("", Fault::code).into(),
             text: fault.map_or("", Fault::text).into(),
             remedy: fault.map_or("", Fault::remedy).into(),
+            board: board.map_or(0, |board| board.saturating_add(1)),
             json: serde_json::to_string(&fault)?,
         })
     }

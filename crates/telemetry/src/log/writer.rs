@@ -5,7 +5,8 @@ use super::{
     overview::OverviewBuilder,
     records::{
         BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC,
-        ModeChange, ParameterChange, REPLAY_TOPIC, Robot, SERIAL_TOPIC, State, Timing, name_of, seven_digits,
+        ModeChange, ParameterChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Timing, name_of,
+        seven_digits,
     },
 };
 use crate::RobotDescription;
@@ -68,7 +69,7 @@ pub struct LogWriter<W: Write> {
     mcap: Writer<NoSeek<W>>,
     channels: BTreeMap<&'static str, u16>,
     start_unix_ns: u64,
-    last: Option<(Mode, Option<Fault>, Diagnosis)>,
+    last: Option<(Mode, (Option<Fault>, Option<u8>), Diagnosis)>,
     /// Loop time at which the present chunk began; `None` before its first sample.
     chunk_ns: Option<u64>,
     next_display_ns: u64,
@@ -112,7 +113,7 @@ impl<W: Write> LogWriter<W> {
         log.add::<Contact>()?;
         log.add::<ParameterChange>()?;
         log.add::<Configuration>()?;
-        for topic in [SERIAL_TOPIC, LOOP_STATE_TOPIC, REPLAY_TOPIC] {
+        for topic in SERIAL_TOPICS.into_iter().chain([LOOP_STATE_TOPIC, REPLAY_TOPIC]) {
             let channel =
                 log.mcap.add_channel(NO_SCHEMA, topic, "application/octet-stream", &BTreeMap::new())?;
             log.channels.insert(topic, channel);
@@ -151,14 +152,15 @@ impl<W: Write> LogWriter<W> {
     /// whether one changed.
     fn changes(&mut self, sample: &Sample) -> Result<bool, LogError> {
         let (tick, time_ns) = (sample.tick, sample.time_ns);
-        let now = (sample.mode, sample.fault, sample.board);
+        let fault = (sample.fault, sample.fault_board);
+        let now = (sample.mode, fault, sample.board);
         let last = self.last.replace(now);
         let again = self.chunk_ns.is_none();
         if again || last.is_none_or(|(mode, ..)| mode != sample.mode) {
             self.write(time_ns, &ModeChange { tick, mode: sample.mode })?;
         }
-        if again || last.and_then(|(_, fault, _)| fault) != sample.fault {
-            self.write(time_ns, &FaultChange::new(tick, sample.fault)?)?;
+        if again || last.map_or((None, None), |(_, fault, _)| fault) != fault {
+            self.write(time_ns, &FaultChange::new(tick, sample.fault, sample.fault_board)?)?;
         }
         if again || last.is_none_or(|(.., board)| board != sample.board) {
             self.write(time_ns, &BoardChange::new(tick, sample.board)?)?;
@@ -200,10 +202,13 @@ impl<W: Write> LogWriter<W> {
         self.write(time_ns, change)
     }
 
-    /// Writes one read of the Touch Board's port.
+    /// Writes one read of a Touch Board's port; a board beyond the last channel has none.
     pub fn serial(&mut self, serial: &SerialBytes) -> Result<(), LogError> {
         self.summary.serial_bytes += serial.bytes.len() as u64;
-        self.write_bytes(SERIAL_TOPIC, serial.arrival_ns, &serial.bytes)
+        match SERIAL_TOPICS.get(usize::from(serial.board)) {
+            Some(topic) => self.write_bytes(topic, serial.arrival_ns, &serial.bytes),
+            None => Ok(()),
+        }
     }
 
     /// Ends the present chunk and hands it to the operating system.

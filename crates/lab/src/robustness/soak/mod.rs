@@ -8,7 +8,7 @@ use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::supervisor::EDGES;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::inject::Random;
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoard};
+use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_msgs::robot::resized;
 use moca_msgs::{Law, Mode, Request, Sample};
 use moca_sim::board::BoardFault;
@@ -188,15 +188,15 @@ impl Hands {
     fn act(
         &mut self,
         tick: u64,
-        world: &mut LockStep<ByteCover, MemoryBoard>,
+        world: &mut LockStep<ByteCover, MemoryBoards>,
         watch: &Watch,
         report: &mut Report,
     ) -> Option<Request> {
         if self.heal_at.is_some_and(|at| tick >= at) {
             self.heal_at = None;
-            world.feed.board().set_fault(None);
+            world.feed[0].board().set_fault(None);
             if std::mem::take(&mut self.unplugged) {
-                world.feed.replug();
+                world.feed[0].replug();
             }
         }
         if let Some(taxel) = self.pressed.iter().position(|until| until.is_some_and(|until| tick >= until)) {
@@ -217,7 +217,7 @@ impl Hands {
     fn event(
         &mut self,
         tick: u64,
-        world: &mut LockStep<ByteCover, MemoryBoard>,
+        world: &mut LockStep<ByteCover, MemoryBoards>,
         report: &mut Report,
     ) -> Option<Request> {
         match self.random.below(24) {
@@ -228,13 +228,13 @@ impl Hands {
             4 | 5 => Some(Request::SelectLaw(Law::Impedance)),
             6 if self.heal_at.is_none() => {
                 let faults = [BoardFault::I2cLost, BoardFault::ChipReset, BoardFault::Silent];
-                world.feed.board().set_fault(Some(faults[self.random.below(faults.len())]));
+                world.feed[0].board().set_fault(Some(faults[self.random.below(faults.len())]));
                 self.heal_at = Some(self.after(tick, 100, 3000));
                 report.board_faults += 1;
                 None
             }
             7 if self.heal_at.is_none() => {
-                world.feed.unplug();
+                world.feed[0].unplug();
                 self.unplugged = true;
                 self.heal_at = Some(self.after(tick, 500, 3000));
                 report.board_faults += 1;
@@ -243,7 +243,7 @@ impl Hands {
             8 => {
                 let mut garbage = [0; 64];
                 garbage.fill_with(|| self.random.byte());
-                world.feed.inject(&garbage);
+                world.feed[0].inject(&garbage);
                 None
             }
             9 => {
