@@ -5,8 +5,6 @@ use crate::scalar::{Scalar, of};
 
 /// Steps of odometry that are kept: at 1 kHz 128 ms, older than any reading that a law is given.
 const KEPT: usize = 128;
-/// A touch within this time of a release is the same person's again, s.
-const AGAIN_S: f64 = 1.0;
 /// Readings further apart than this say nothing of a speed, s.
 const APART_S: f64 = 0.2;
 
@@ -62,8 +60,6 @@ pub(super) struct Track<T> {
     force: T,
     way: T,
     person: T,
-    /// Fastest that the person was in this contact, or in the last one, m/s; of a single reading what was assumed.
-    known: T,
     /// Time since the last reading was taken, s.
     since: T,
     /// Time since the release, s.
@@ -82,7 +78,6 @@ impl<T: Scalar> Track<T> {
             force: zero,
             way: zero,
             person: zero,
-            known: zero,
             since: long_ago,
             released: long_ago,
             blind_from: None,
@@ -127,20 +122,14 @@ impl<T: Scalar> Track<T> {
         }
         let (depth, way) = (settings.reading.depth_m(sample.force_n), way(odometry.at_age(sample.age_s)));
         if sample.force_n < of(settings.touch_n) {
-            // what is known of the person is kept for a touch that follows at once
-            *self = Self { way, known: self.known, since: self.since, released: T::zero(), ..Self::none() };
+            *self = Self { way, since: self.since, released: T::zero(), ..Self::none() };
             return;
         }
-        let first = !self.touched();
-        let assumed = if self.released < of(AGAIN_S) { self.known } else { of(settings.first_speed_m_s) };
         if interval < of(APART_S) {
             self.estimate(settings, depth, way, interval);
         }
-        if first {
-            self.person = self.person.max(assumed);
-            self.known = self.person;
-        } else {
-            self.known = if self.readings == 1 { self.person } else { self.known.max(self.person) };
+        if !self.touched() {
+            self.person = self.person.max(of(settings.first_speed_m_s));
         }
         self.readings = self.readings.saturating_add(1);
         (self.depth, self.force, self.way) = (depth, sample.force_n, way);
