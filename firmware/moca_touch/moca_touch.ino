@@ -36,6 +36,9 @@ static uint16_t slot_micros = 1000;               // us from one read to the nex
 static bool data_stream = false;
 static uint16_t dropped = 0;
 
+// Above the first function, where the Arduino tools put the prototypes of all.
+enum Change : uint8_t { NONE, LOW_BYTE, HIGH_BYTE };
+
 // ---- frames ---------------------------------------------------------------------------------------------------------
 
 static uint8_t fresh[28];                         // 0x00 to 0x1B as just read
@@ -48,8 +51,6 @@ static bool readData(Chip &chip, uint32_t when, bool as_line) {
     if (i >= 5 && (i & 1)) line::hex12(fresh[i - 1] | uint16_t(fresh[i]) << 8);
   });
 }
-
-enum Change : uint8_t { NONE, LOW_BYTE, HIGH_BYTE };
 
 static Change change(const Chip &chip) {
   Change found = NONE;

@@ -2,10 +2,11 @@
 //!
 //! A table stands between `<!-- moca-lab docs NAME … -->` and `<!-- end of NAME -->`; the text around it is for people.
 
+use crate::cover::latency;
 use crate::numerics::stability;
 use crate::paper::report::claims;
 use crate::rig::c_library;
-use crate::robustness::{faults, protection};
+use crate::robustness::faults;
 use anyhow::{Context, Result, bail, ensure};
 use std::path::{Path, PathBuf};
 
@@ -29,8 +30,8 @@ struct Table {
 
 const TABLES: [Table; 4] = [
     Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
+    Table { name: "boards", file: "README.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
-    Table { name: "protection", file: "docs/results.md", make: protection::markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
 ];
 
@@ -71,24 +72,9 @@ fn split<'a>(text: &'a str, name: &str) -> Result<(&'a str, &'a str, &'a str)> {
     }
 }
 
-/// Whether a table was written on a machine that rounds sines as this one does.
-#[cfg(test)]
-pub(crate) fn is_of_this_c_library(name: &str) -> bool {
-    let repository = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
-    let table = TABLES.iter().find(|table| table.name == name);
-    table
-        .and_then(|table| read(&repository.join(table.file)).ok())
-        .is_some_and(|text| text.contains(&head(name)))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_scan_of_contacts_in_the_documents_is_what_its_file_says() {
-        is_what_is_printed("protection");
-    }
 
     /// Where the C library is another one, only that the table is there.
     fn is_what_is_printed(name: &str) {
@@ -137,6 +123,11 @@ mod tests {
             assert_eq!(unbounded.contains(&name), case.touched() && !case.bounded, "{case:?}");
             assert_eq!(stopped.contains(&name), case.stopped.is_some(), "{case:?}");
         }
+    }
+
+    #[test]
+    fn what_each_board_allows_is_what_latency_prints() {
+        is_what_is_printed("boards");
     }
 
     #[test]

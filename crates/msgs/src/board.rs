@@ -74,7 +74,7 @@ impl Diagnosis {
     /// in which to check them.
     pub const fn text(self) -> &'static str {
         match self {
-            Self::Frames => "The board sends DataStream frames.",
+            Self::Frames => "The board sends good frames.",
             Self::NotOpen(why) => why.text(),
             Self::NoBoard => "This robot has no cover and reads no board.",
             Self::Disconnected => "The board was unplugged or lost power.",

@@ -43,7 +43,8 @@ pub(crate) struct Arguments {
     /// Configuration whose protection.assessed_forces_n are printed; without it mocad's defaults.
     #[arg(long)]
     config: Option<PathBuf>,
-    /// The program `firmware-sim` (crates/firmware-sim): measures the firmware itself, instruction by instruction, too.
+    /// The program `firmware-sim` (crates/firmware-sim): measures the firmware itself, instruction by instruction, anew;
+    /// without it, what it measured last is shown.
     #[arg(long)]
     avr: Option<PathBuf>,
     /// Instead: speeds by physics, by the law and as simulated, as a table and as FOLDER/safe-speed.svg.
@@ -137,15 +138,11 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(folder) = &arguments.map {
         return super::map::run(&forces_n, folder);
     }
-    let mut boards = BOARDS.into_iter().map(held).collect::<anyhow::Result<Vec<_>>>()?;
-    if let Some(program) = &arguments.avr {
-        boards.extend(simulated_firmware(program, &arguments.hex)?);
-    }
-    for board in &mut boards {
-        board.delay_ms = board.hold_worst_ms - milliseconds(TICK_NS);
-        board.speeds = speeds(&forces_n, 1e-3 * board.delay_ms)?;
-    }
-    let report = report(boards)?;
+    let firmware = match &arguments.avr {
+        Some(program) => simulated_firmware(program, &arguments.hex)?,
+        None => measured_before()?,
+    };
+    let report = report(all_boards(firmware, &forces_n)?)?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
     } else {
@@ -167,6 +164,53 @@ fn report(boards: Vec<Board>) -> anyhow::Result<Report> {
         }
     }
     Ok(Report { boards, firmwares, contacts })
+}
+
+/// The virtual boards and the firmware's simulation, with what each allows.
+fn all_boards(firmware: Vec<Board>, forces_n: &[f64]) -> anyhow::Result<Vec<Board>> {
+    let mut boards = BOARDS.into_iter().map(held).collect::<anyhow::Result<Vec<_>>>()?;
+    boards.extend(firmware);
+    for board in &mut boards {
+        board.delay_ms = board.hold_worst_ms - milliseconds(TICK_NS);
+        board.speeds = speeds(forces_n, 1e-3 * board.delay_ms)?;
+    }
+    Ok(boards)
+}
+
+/// What `firmware-sim latency --json` printed of the checked-in firmware; `.ci/firmware` compares it with what it prints.
+fn measured_before() -> anyhow::Result<Vec<Board>> {
+    const PRINTED: &str = include_str!("../../../../firmware/moca_touch/latency.json");
+    serde_json::from_str(PRINTED).context("firmware/moca_touch/latency.json")
+}
+
+/// The first table as a document shows it.
+pub(crate) fn markdown() -> anyhow::Result<String> {
+    let forces_n = Config::default().protection.assessed_forces_n;
+    let mut out = String::from("| board | rate Hz | age on arrival, mean / worst ms | held to ms | T ms |");
+    for force_n in &forces_n {
+        let _ = write!(out, " at {force_n} N |");
+    }
+    let _ = write!(out, "\n|---|---|---|---|---|{}\n", "---|".repeat(forces_n.len()));
+    // What the chip's own times say is for the firmware's page; a loop knows only what it reads.
+    for board in
+        all_boards(measured_before()?, &forces_n)?.iter().filter(|board| !board.board.ends_with("exact"))
+    {
+        let _ = write!(
+            out,
+            "| {} | {:.1} | {:.1} / {:.1} | {:.1} | {:.1} |",
+            board.board,
+            board.rate_hz,
+            board.age_mean_ms,
+            board.age_worst_ms,
+            board.hold_worst_ms,
+            board.delay_ms
+        );
+        for speed in &board.speeds {
+            let _ = write!(out, " {:.3} m/s |", speed.m_s);
+        }
+        out.push('\n');
+    }
+    Ok(out)
 }
 
 /// Ages of a still cover's readings on the virtual board.
@@ -474,7 +518,7 @@ fn boards_as_text(report: &Report, out: &mut String) {
     // writing to a String cannot fail
     let _ = write!(
         out,
-        "HOW OLD A READING GETS, AND HOW FAST THE BASE MAY GO WITH IT\n\n{:<26}{:>9}{:>14}{:>8}{:>13}{:>9}",
+        "HOW OLD A READING GETS, AND HOW FAST THE BASE MAY GO WITH IT\n\n{:<32}{:>9}{:>14}{:>8}{:>13}{:>9}",
         "board", "rate [Hz]", "age mean [ms]", "worst", "held to [ms]", "T [ms]"
     );
     for speed in report.boards.iter().take(1).flat_map(|board| &board.speeds) {
@@ -484,7 +528,7 @@ fn boards_as_text(report: &Report, out: &mut String) {
     for board in &report.boards {
         let _ = write!(
             out,
-            "{:<26}{:>9.1}{:>14.1}{:>8.1}{:>13.1}{:>9.1}",
+            "{:<32}{:>9.1}{:>14.1}{:>8.1}{:>13.1}{:>9.1}",
             board.board,
             board.rate_hz,
             board.age_mean_ms,

@@ -4,8 +4,6 @@
 mod cell;
 mod table;
 
-pub(crate) use table::markdown;
-
 use crate::paper::collision::{self, approach_m_s};
 use crate::rig::campaign::{self, Campaign};
 use crate::rig::closed_loop::{Loads, Rig, Row, TAXELS};
@@ -166,21 +164,18 @@ impl Outcome {
 mod tests {
     use super::*;
 
-    /// Rows of the file in the documents, run again; where the C library is another one their last digits are others.
     #[test]
-    fn the_scan_in_the_documents_is_what_the_runs_give() {
-        let file = std::fs::read_to_string(table::record_path()).unwrap();
-        let cells = Cell::sample(usize::MAX, 1);
-        let shown: Vec<&str> = file.lines().collect();
-        assert_eq!(shown[0], header());
-        for id in [1, 4] {
-            let (fresh, shown) = (row(&cells, id).unwrap(), shown[1 + id]);
-            if crate::docs::is_of_this_c_library("protection") {
-                assert_eq!(
-                    fresh, shown,
-                    "`moca-lab protection --out docs/data/protection.csv` writes it anew"
-                );
-            }
+    fn a_larger_sample_goes_on_where_a_smaller_one_ended() {
+        let places = |count: usize| -> Vec<String> {
+            Cell::sample(count, 1).iter().map(|cell| cell.columns().unwrap()).collect()
+        };
+        let (some, all) = (places(40), places(usize::MAX));
+        assert_eq!(some[..], all[..40]);
+        assert_eq!(all.len(), 4860);
+        let distinct: std::collections::BTreeSet<&String> = all.iter().collect();
+        assert_eq!(distinct.len(), all.len());
+        for cell in Cell::sample(40, 1) {
+            assert!(cell.bound_m_s().unwrap() > 0.0);
         }
     }
 }

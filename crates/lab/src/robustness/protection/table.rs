@@ -4,17 +4,7 @@ use anyhow::{Context, Result, ensure};
 use moca_daemon::config::ProtectionConfig;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
-
-/// The scan that the documents show.
-pub(super) fn record_path() -> PathBuf {
-    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/data/protection.csv")).to_owned()
-}
-
-/// Its table.
-pub(crate) fn markdown() -> Result<String> {
-    of_file(&record_path())
-}
+use std::path::Path;
 
 /// A line of the file by the names of its columns.
 struct Entry<'a> {
@@ -90,32 +80,34 @@ pub(super) fn of_file(path: &Path) -> Result<String> {
 
 /// What failed, by its reason: how often, and the worst.
 pub(super) fn failures(path: &Path) -> Result<String> {
-    entries(&read(path)?, |entries| {
-        let mut out = String::from("| law | reason | cells | worst |\n|---|---|---|---|\n");
-        let mut reasons: BTreeMap<(&str, &str), Vec<&Entry<'_>>> = BTreeMap::new();
-        for entry in entries.iter().filter(|entry| entry.above()) {
-            reasons.entry((entry.text("law"), entry.reason())).or_default().push(entry);
-        }
-        for ((law, reason), failed) in reasons {
-            let worst = failed.iter().max_by(|a, b| a.number("peak_n").total_cmp(&b.number("peak_n")));
-            let worst = worst.map_or(String::new(), |worst| {
-                let text = |name| worst.text(name).to_owned();
-                format!(
-                    "{:.0} N: {}, {}, {}, {}, foam × {}, {} of the bound",
-                    worst.number("peak_n"),
-                    text("place"),
-                    text("meeting"),
-                    text("board"),
-                    text("person"),
-                    text("foam"),
-                    text("share")
-                )
-            });
-            // Writing to a string cannot fail.
-            let _ = writeln!(out, "| {law} | {reason} | {} | {worst} |", failed.len());
-        }
-        out
-    })
+    entries(&read(path)?, failures_of)
+}
+
+fn failures_of(entries: &[Entry<'_>]) -> String {
+    let mut out = String::from("| law | reason | cells | worst |\n|---|---|---|---|\n");
+    let mut reasons: BTreeMap<(&str, &str), Vec<&Entry<'_>>> = BTreeMap::new();
+    for entry in entries.iter().filter(|entry| entry.above()) {
+        reasons.entry((entry.text("law"), entry.reason())).or_default().push(entry);
+    }
+    for ((law, reason), failed) in reasons {
+        let worst = failed.iter().max_by(|a, b| a.number("peak_n").total_cmp(&b.number("peak_n")));
+        let worst = worst.map_or(String::new(), |worst| {
+            let text = |name| worst.text(name).to_owned();
+            format!(
+                "{:.0} N: {}, {}, {}, {}, foam × {}, {} of the bound",
+                worst.number("peak_n"),
+                text("place"),
+                text("meeting"),
+                text("board"),
+                text("person"),
+                text("foam"),
+                text("share")
+            )
+        });
+        // Writing to a string cannot fail.
+        let _ = writeln!(out, "| {law} | {reason} | {} | {worst} |", failed.len());
+    }
+    out
 }
 
 fn as_table(entries: &[Entry<'_>]) -> String {
@@ -158,4 +150,28 @@ fn line(group: &[&Entry<'_>]) -> String {
         most("taps"),
         most("flange_mm"),
     )
+}
+
+#[cfg(test)]
+#[test]
+fn a_table_counts_what_is_above_the_limit_and_failures_have_a_reason() {
+    let text = format!(
+        "{}\n\
+         0,T5,led,moca,held rigid,1,0.6,0.08,shipped,0.08,9,30,31,0.3,0.02,9,true,1,\n\
+         1,T5,led,moca,held rigid,1,0.6,0.08,barrier,0.08,9,9,9,0.1,0.02,1,false,1,\n\
+         2,T5,led,moca,held rigid,1,0.6,0.08,barrier-alone,0.08,9,9,27,2.5,0.02,3,true,1,taxel-invalid\n",
+        super::header()
+    );
+    let table = entries(&text, as_table).unwrap();
+    let rows: Vec<&str> = table.lines().skip(2).collect();
+    assert_eq!(rows.len(), 3, "{table}");
+    assert!(rows[0].contains("| 1 | 100.0 % | 9.0 N | 30.0 N | 31.0 N | 9 | 1 | 1.0 mm | 0 |"), "{table}");
+    assert!(rows[1].contains("| 1 | 0.0 % |") && rows[2].ends_with("| 1.0 mm | 1 |"), "{table}");
+    let failures = entries(&text, failures_of).unwrap();
+    assert!(failures.contains("| shipped | the admittance alone: no row stops it"), "{failures}");
+    assert!(
+        failures.contains("| barrier-alone | a later contact is harder than the first | 1 |"),
+        "{failures}"
+    );
+    assert!(entries("a,b\n1\n", as_table).is_err(), "a torn row");
 }
