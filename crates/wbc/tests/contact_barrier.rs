@@ -415,8 +415,8 @@ fn follow_me_and_a_base_alone_keep_what_the_barrier_allows() {
             let base = alone.step(&mut base, &input).unwrap();
             for velocity in [led.command.base_velocity_body, base.velocity_body] {
                 let outward = outline.outward(1, &velocity);
-                // the way down is braked for
-                assert!(step < 100 || outward <= allowed + 1e-6, "{step}: {outward} of {allowed} m/s");
+                // the way down is braked for; a soft row gives 1/ρ = 1e-4 of what it takes away
+                assert!(step < 100 || outward <= allowed + 1e-5, "{step}: {outward} of {allowed} m/s");
             }
             assert!(step < 100 || allowed > 0.0 || (led.limits.contact && base.limits.contact));
         }
