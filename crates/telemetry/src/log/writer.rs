@@ -320,6 +320,7 @@ fn command(sample: &Sample) -> Command {
         arm_torque_nm: sample.arm_torque_nm.to_vec(),
         speed_limit_m_s: sample.speed_limit.m_s,
         speed_limit_reason: sample.speed_limit.reason,
+        law: sample.law.map_or("", |law| Mode::from(law).name()).into(),
         contact_reaction: name_of(sample.contact_reaction),
     }
 }

@@ -5,8 +5,9 @@ mod cell;
 mod table;
 
 use crate::paper::collision::{self, approach_m_s};
+use crate::rig::TAXELS;
 use crate::rig::campaign::{self, Campaign};
-use crate::rig::closed_loop::{Loads, Rig, Row, TAXELS};
+use crate::rig::closed_loop::{Loads, Rig, Row};
 use crate::rig::measure::{Measures, peak_force_n};
 use anyhow::Result;
 use cell::{COLUMNS, Cell, Law, PHASES};
