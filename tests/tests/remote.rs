@@ -98,7 +98,7 @@ fn mocad(arguments: &[&str]) -> std::process::Output {
 }
 
 #[test]
-fn a_parameter_is_listed_and_set_from_the_command_line_and_observers_see_it() {
+fn a_parameter_is_listed_and_set_from_the_command_line_and_clients_see_it() {
     let daemon = Daemon::start("parameters.toml");
     let connection = Connection::spawn(daemon.address, || {}).unwrap();
     wait_for(&connection, "a sample", |_| true);

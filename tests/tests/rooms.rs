@@ -1,4 +1,4 @@
-//! Which file may import which: no circle between the files of a crate, and `control/` of the daemon is pure.
+//! Which file may import which: no circle between the files of a crate, and `control/` of the daemon is pure. And no robot but in tables.
 #![allow(clippy::unwrap_used, reason = "a test that cannot read its input has to stop")]
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -178,4 +178,46 @@ fn a_circle_is_found_and_a_tree_of_imports_flattened() {
     let known = BTreeSet::from(["a".to_owned(), "a::b".to_owned()]);
     assert_eq!(target("super::b::C", "a::x", &known).unwrap(), "a::b");
     assert_eq!(paths("use std::fmt;\nuse crate::a;\nfn f() { crate::a::b::g() }").len(), 2);
+}
+
+/// How many joints and taxels there are is said by tables; these few numbers are something else.
+const NO_ROBOT: &[(&str, &str)] = &[
+    ("daemon/src/control/law.rs", "<7>"),        // which controllers there are
+    ("daemon/src/control/loop_state.rs", "<7>"), // the same
+    ("telemetry/src/log/writer.rs", "; 11]"),    // lists of a sample
+    ("monitor/src/ui/theme.rs", "; 11]"),        // colours
+    ("figures/src/drawing.rs", "; 7]"),          // colours
+];
+/// Where the built-in base is named besides its table: defaults, and the paper's robot.
+const NAME_THE_BASE: [&str; 4] =
+    ["msgs/src/robot.rs", "daemon/src/robot.rs", "sim/src/scene.rs", "telemetry/src/description.rs"];
+
+#[test]
+fn only_the_built_in_tables_know_a_robot() {
+    const LENGTHS: [&str; 9] =
+        ["; 7]", "; 11]", "<7>", "<7,", "<11>", ", 11>", "..=11", "..11)", ": usize = 11;"];
+    let mut found = Vec::new();
+    for folder in crates() {
+        for file in sources(&folder.join("src")) {
+            let name = file.strip_prefix(folder.parent().unwrap()).unwrap().display().to_string();
+            let only_tests = name.ends_with("tests.rs") || name.contains("/testing/");
+            let text = code(&file);
+            let code = text.split("mod tests {").next().unwrap();
+            let lengths = LENGTHS.into_iter().filter(|_| !only_tests && name != NAME_THE_BASE[0]);
+            for length in lengths.filter(|length| code.contains(length)) {
+                if !NO_ROBOT.contains(&(name.as_str(), length)) {
+                    found.push(format!("{name}: {length}"));
+                }
+            }
+            if code.contains("SUMMIT_XL") && !only_tests && !NAME_THE_BASE.contains(&name.as_str()) {
+                found.push(format!("{name}: SUMMIT_XL"));
+            }
+        }
+    }
+    assert!(found.is_empty(), "numbers of joints or taxels that no table says:\n{}", found.join("\n"));
+    let stale = |(name, length): &&(&str, &str)| {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../crates/");
+        !code(&Path::new(folder).join(name)).contains(length)
+    };
+    assert_eq!(NO_ROBOT.iter().find(stale), None, "an exception that nobody needs");
 }

@@ -11,7 +11,8 @@ use std::process::ExitCode;
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 const EXIT_CODES: &str = "Exit codes: 0 ended as asked, 1 something failed, 2 wrong command line or configuration, \
-                          3 real time demanded and refused";
+                          3 real time demanded and refused, 4 a running daemon refused the request, 5 the robot stopped \
+                          while it was armed or tared";
 
 /// Tactile whole-body control of MOCA-S: without arguments, a simulated robot with a virtual Touch Board.
 #[derive(Parser)]
@@ -42,6 +43,8 @@ enum Command {
     Params(moca_daemon::cli::params::Command),
     /// Print the default configuration with every field documented.
     DefaultConfig,
+    #[command(flatten)]
+    Operate(moca_daemon::cli::operate::Command),
     /// Print the robot as other programs read it.
     Describe(DescribeArguments),
 }
@@ -96,7 +99,11 @@ struct RunArguments {
 fn main() -> ExitCode {
     survive_large_files();
     let arguments = Arguments::parse();
+    if !matches!(arguments.command, None | Some(Command::Run(_))) {
+        moca_daemon::cli::terminal::end_with_the_reader();
+    }
     let result = match arguments.command {
+        Some(Command::Operate(command)) => moca_daemon::cli::operate::run(&command),
         None => run(arguments.run),
         Some(Command::Run(run_arguments)) => run(run_arguments),
         Some(Command::Calibrate(calibrate)) => moca_daemon::cli::calibrate::run(&calibrate),
@@ -149,6 +156,10 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
         ExitCode::from(2)
     } else if error.is::<moca_daemon::runtime::run::RealtimeRefused>() {
         ExitCode::from(3)
+    } else if error.is::<moca_daemon::cli::remote::Refused>() {
+        ExitCode::from(4)
+    } else if error.is::<moca_daemon::cli::operate::Stopped>() {
+        ExitCode::from(5)
     } else {
         ExitCode::FAILURE
     }

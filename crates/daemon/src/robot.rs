@@ -8,6 +8,7 @@ use moca_msgs::robot::{
 use moca_msgs::table::{Field, FieldValue, ParameterKind, Size, Typed};
 use moca_msgs::{MAX_JOINTS, MAX_TAXELS, choice, parameter_table};
 use moca_tactile::cover::{Electrode, MAX_BOARDS};
+use moca_tactile::datastream::ELECTRODES;
 
 /// Room for joints in states and commands; how many the arm has is in its table. What is beyond is zero.
 pub const JOINTS: usize = MAX_JOINTS;
@@ -125,6 +126,19 @@ impl CoverTable {
             Electrode { board: small(board), electrode: small(electrode) }
         };
         (0..self.count()).map(wire).collect()
+    }
+
+    /// What is wrong with the wiring where boards have one chip, as a virtual one has.
+    pub fn beyond_one_chip(&self) -> Option<String> {
+        let wiring = self.wiring();
+        let taxel = wiring.iter().position(|wire| usize::from(wire.electrode) >= ELECTRODES)?;
+        Some(format!(
+            "robot.cover.electrode = {} of T{}: a virtual Touch Board has electrodes 0 to {}; robot.cover.board puts \
+             taxels on a second one",
+            wiring[taxel].electrode,
+            taxel + 1,
+            ELECTRODES - 1
+        ))
     }
 
     /// Taxels of a board (0 is the first), as people name them.

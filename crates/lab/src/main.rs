@@ -56,6 +56,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    moca_daemon::cli::terminal::end_with_the_reader();
     match run(Arguments::parse().command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

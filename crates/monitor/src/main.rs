@@ -20,9 +20,9 @@ struct Arguments {
     /// Where a daemon listens, HOST:PORT or unix:PATH; may be given more than once. Another machine's comes in through an
     /// SSH tunnel. Without it the last ones, or else this machine's: the service's socket, or 127.0.0.1:7611.
     #[arg(long, value_name = "ADDRESS")]
-    connect: Vec<Address>,
+    address: Vec<Address>,
     /// Show a recorded run instead: an MCAP file of `mocad run --record`. May be given more than once.
-    #[arg(long, value_name = "FILE", conflicts_with = "connect")]
+    #[arg(long, value_name = "FILE", conflicts_with = "address")]
     log: Vec<PathBuf>,
     /// Page to begin with; without it the last one.
     #[arg(long, value_parser = page)]
@@ -120,7 +120,7 @@ fn main() -> anyhow::Result<()> {
                 // eframe has given it the size of the last window.
                 cc.egui_ctx.send_viewport_cmd(egui::ViewportCommand::InnerSize(size));
             }
-            let addresses = match (arguments.connect, storage) {
+            let addresses = match (arguments.address, storage) {
                 (given, _) if !given.is_empty() => given,
                 (_, Some(storage)) => App::last_connected(storage),
                 (_, None) => Vec::new(),

@@ -1,4 +1,11 @@
 //! What can be told about a board from its port and its bytes, in plain words.
+//!
+//! ```
+//! use moca_msgs::board::{Diagnosis, OpenFailure};
+//!
+//! let seen = Diagnosis::NotOpen(OpenFailure::Bootloader);
+//! assert!(seen.text().contains("press reset once"), "what to do about it");
+//! ```
 
 /// Why a port could not be opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

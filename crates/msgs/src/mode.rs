@@ -1,4 +1,16 @@
 //! Modes of the supervisor, control laws, and the closed list of reasons to stop.
+//!
+//! ```
+//! use moca_msgs::mode::{Clearing, Fault, Mode, Reaction};
+//!
+//! assert!(Mode::FollowMe.moves() && !Mode::Ready.moves());
+//! assert_eq!(Fault::BoardFrozen.reaction(), Reaction::ProtectiveStop);
+//! assert_eq!(Fault::BoardFrozen.clearing(), Clearing::Tare);
+//! println!("{} {}", Fault::BoardFrozen.text(), Fault::BoardFrozen.remedy());
+//! ```
+
+use crate::TaxelStatus;
+use core::fmt;
 
 /// Which control law moves the robot once it is armed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -97,7 +109,7 @@ pub enum Fault {
         /// 0 is T1.
         taxel: u8,
         /// Why.
-        status: crate::TaxelStatus,
+        status: TaxelStatus,
     },
     /// No valid zero.
     ZeroInvalid,
@@ -282,6 +294,23 @@ impl Fault {
             Self::StateInvalid | Self::PlantLost | Self::ControlRefused => {
                 "Read the log, remove the cause, restart the daemon."
             }
+        }
+    }
+}
+
+/// Why the robot stands and what to do about it; a taxel is named.
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::TaxelInvalid { taxel, status: TaxelStatus::Masked } => write!(
+                f,
+                "T{} is masked, and board.mask_policy stops the robot for it: take it into use again, then resume.",
+                u16::from(taxel) + 1
+            ),
+            Self::TaxelInvalid { taxel, status } => {
+                write!(f, "T{} is {}. {}", u16::from(taxel) + 1, status.name(), self.remedy())
+            }
+            _ => write!(f, "{} {}", self.text(), self.remedy()),
         }
     }
 }

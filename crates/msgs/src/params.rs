@@ -1,6 +1,17 @@
 //! Parameters of the controllers. Defaults are the gains that reproduce the paper's text; the paper gives none
 //! (ASSUMED, tuned in simulation), so every one of them is configuration. Each is declared once, in the tables below
 //! ([`crate::table`] says what a row is); [`CONTROLLER`] is all of their rows.
+//!
+//! ```
+//! use moca_msgs::params::{CONTROLLER, ParameterValues, Parameters};
+//!
+//! let mut parameters = Parameters::PAPER;
+//! let number = CONTROLLER.iter().position(|row| row.name == "control.gains.reactivity").ok_or("no such row")?;
+//! let values = ParameterValues::new(&[2.0]).ok_or("too many")?;
+//! parameters.set(number, &values).map_err(|_| "out of range")?;
+//! assert_eq!(parameters.gains.reactivity, 2.0);
+//! # Ok::<(), &str>(())
+//! ```
 
 use crate::Refusal;
 use crate::parameter_table;

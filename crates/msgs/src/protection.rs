@@ -1,4 +1,11 @@
 //! What protects the people around the robot, as a client sees it: the speed limit in force, and contacts.
+//!
+//! ```
+//! use moca_msgs::{SpeedLimit, SpeedLimitReason};
+//!
+//! let unknown = SpeedLimit::default();
+//! assert_eq!((unknown.m_s, unknown.reason), (0.0, SpeedLimitReason::Stale), "what is not known does not move");
+//! ```
 
 /// Contacts up to this long are transient, longer ones quasi-static, s (ISO/TS 15066, 5.5.4).
 pub const TRANSIENT_S: f64 = 0.5;

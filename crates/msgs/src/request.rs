@@ -1,7 +1,22 @@
 //! What an operator may ask of the loop, and the answer.
+//!
+//! ```
+//! use moca_msgs::{Mode, Outcome, Refusal, Request};
+//!
+//! /// What a robot that only stands answers.
+//! fn answer(request: Request) -> Outcome {
+//!     match request {
+//!         Request::Stop => Ok(()),
+//!         _ => Err(Refusal::Mode(Mode::Ready)),
+//!     }
+//! }
+//! assert_eq!(answer(Request::Stop), Ok(()));
+//! assert_eq!(answer(Request::Disarm), Err(Refusal::Mode(Mode::Ready)));
+//! ```
 
 use crate::params::ParameterValues;
 use crate::{Law, Mode};
+use core::fmt;
 
 /// Largest force of a [`Request::PressTaxel`], N.
 pub const PRESS_FORCE_MAX_N: f64 = 200.0;
@@ -48,6 +63,27 @@ pub enum Request {
     },
 }
 
+impl Request {
+    /// The modes in which it is taken; in every other it is refused with [`Refusal::Mode`]. Which of them is carried out
+    /// depends on cover and robot too.
+    pub const fn taken_in(&self) -> &'static [Mode] {
+        use Mode::{Fault, FollowMe, Impedance, ProtectiveStop, Ready, Starting, Taring};
+        match self {
+            Self::Stop | Self::OperatorLost | Self::SelectLaw(_) => {
+                &[Starting, Taring, Ready, Impedance, FollowMe, ProtectiveStop]
+            }
+            Self::Tare => &[Starting, Ready, ProtectiveStop],
+            Self::Arm => &[Ready],
+            Self::Disarm => &[Impedance, FollowMe],
+            Self::Resume => &[ProtectiveStop],
+            Self::MaskTaxel { .. } => &[Starting, Taring, Ready, ProtectiveStop, Fault],
+            Self::PressTaxel { .. } | Self::SetParameter { .. } => {
+                &[Starting, Taring, Ready, Impedance, FollowMe, ProtectiveStop, Fault]
+            }
+        }
+    }
+}
+
 /// Why a request was not carried out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -83,6 +119,33 @@ pub enum Refusal {
         /// N.
         force_n: f64,
     },
+}
+
+/// Why not, and what to do.
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let text = match *self {
+            Self::Mode(mode) => return write!(f, "not possible in mode {}", mode.name()),
+            Self::CauseRemains(fault) => return write!(f, "the cause remains. {fault}"),
+            Self::Touched { taxel, force_n } => {
+                let number = u16::from(taxel) + 1;
+                return write!(f, "T{number} feels {force_n:.1} N: let go of the cover first");
+            }
+            Self::ZeroInvalid => "the cover has no valid zero: tare first",
+            Self::NoRobot => "the daemon runs a cover without a robot",
+            Self::NotSimulated => "only a simulated robot can be pushed by request",
+            Self::OutOfRange => "a number is out of range",
+            Self::NoSuchParameter => "the daemon has no such parameter",
+            Self::NotLive => "it is read at the start only: change the configuration file",
+            Self::Conflict => {
+                "it does not go with another parameter (null_space_damping needs a virtual mass of 0.5 kg or more)"
+            }
+            Self::Stopped => "a stop came before its turn",
+            Self::NotCommander => "another client has the command: close it, or let it give the command back",
+            Self::NoAnswer => "the daemon does not answer",
+        };
+        f.write_str(text)
+    }
 }
 
 /// The loop's answer.

@@ -3,6 +3,15 @@
 //!
 //! Sources: Panda kinematics from `franka_description`, Panda inertials from Gaz et al., RA-L 2019 (as published in
 //! `franka_ros`), limits from `libfranka`'s documentation. Base, cover and other arms: see each table.
+//!
+//! ```
+//! use moca_msgs::robot::{AnyArm, PANDA, PAPER_COVER, UR10E};
+//!
+//! assert_eq!((PANDA.joints(), PAPER_COVER.len()), (7, 11));
+//! let any = AnyArm::of(&UR10E); // the number of joints is known only at run time
+//! assert_eq!(any.table::<6>(), Some(UR10E));
+//! assert_eq!(any.table::<7>(), None);
+//! ```
 
 use crate::sample::MAX_JOINTS;
 use core::f64::consts::{FRAC_PI_2, PI};

@@ -1,8 +1,16 @@
 //! One tick as a client sees it.
+//!
+//! ```
+//! use moca_msgs::{Mode, Sample};
+//!
+//! let sample = Sample::default();
+//! assert_eq!(sample.mode, Mode::Starting);
+//! assert!(sample.taxels.is_empty() && sample.q_rad.is_empty(), "no cover and no arm known yet");
+//! ```
 
 use crate::board::Diagnosis;
 use crate::protection::MAX_CONTACT_EVENTS;
-use crate::{ContactEvent, ContactReaction, Fault, Mode, SpeedLimit, TaxelReading};
+use crate::{ContactEvent, ContactReaction, Fault, Law, Mode, SpeedLimit, TaxelReading};
 use heapless::Vec;
 
 /// Most arm joints a sample can carry.
@@ -27,6 +35,8 @@ pub struct Sample {
     pub fault: Option<Fault>,
     /// The board whose fault it is, 0 is the first; `None` where it is of no board.
     pub fault_board: Option<u8>,
+    /// The selected law, which arming starts; `None` in a log that does not say.
+    pub law: Option<Law>,
     /// Pose of B in W: m, m, rad.
     pub base_pose_world: [f64; 3],
     /// Rate of the pose: m/s, m/s, rad/s.

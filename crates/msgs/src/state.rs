@@ -1,4 +1,16 @@
 //! What a plant measures and what it is told.
+//!
+//! ```
+//! use moca_msgs::robot::PANDA;
+//! use moca_msgs::{Actuation, RobotCommand, RobotState};
+//!
+//! let measured = RobotState::at_rest(PANDA.home_rad);
+//! let command = RobotCommand { base_velocity_body: [0.1, 0.0, 0.0], arm_torque_nm: [0.0; 7] };
+//! // nothing is ordered on a state that is not a number
+//! let fine = measured.q_rad.iter().all(|q| q.is_finite());
+//! let order = if fine { Actuation::Drive(command) } else { Actuation::Brake };
+//! assert_ne!(order, Actuation::Brake);
+//! ```
 
 use crate::robot::resized;
 

@@ -1,4 +1,15 @@
 //! What the cover feels.
+//!
+//! ```
+//! use moca_msgs::{CoverReading, TaxelReading, TaxelStatus};
+//!
+//! let mut reading = CoverReading::<2>::UNKNOWN;
+//! assert_eq!(reading.forces(), Err((0, TaxelStatus::NoZero)), "not known is not zero");
+//! reading.taxels = [TaxelReading { force_n: 12.0, status: TaxelStatus::Ok }; 2];
+//! reading.sampled_at_ns = Some(1_000_000);
+//! assert_eq!(reading.forces(), Ok([12.0; 2]));
+//! assert_eq!(reading.age_s(3_000_000), Some(0.002));
+//! ```
 
 /// Health of one taxel at one frame. A taxel that is not `Ok` has no force; that is a fault with a policy, never
 /// "no contact".
@@ -24,6 +35,23 @@ pub enum TaxelStatus {
     Drifted,
     /// Taken out of use by the operator.
     Masked,
+}
+
+impl TaxelStatus {
+    /// Name as shown to users.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Ok => "ok",
+            Self::NoZero => "not tared",
+            Self::Stale => "stale",
+            Self::Saturated => "at its end",
+            Self::Stuck => "stuck",
+            Self::Dead => "dead",
+            Self::Noisy => "noisy",
+            Self::Drifted => "drifted",
+            Self::Masked => "masked",
+        }
+    }
 }
 
 /// One taxel's reading.

@@ -1,4 +1,16 @@
 //! From counts below zero to newtons.
+//!
+//! ```
+//! use moca_tactile::TaxelModel;
+//! use moca_tactile::model::{FoamMemory, MonotoneCurve};
+//!
+//! let curve = MonotoneCurve::new(&[[10.0, 5.0], [40.0, 50.0]])?; // counts below zero, N
+//! assert_eq!(curve.force_n(25.0), 27.5);
+//! let mut memory = FoamMemory::default();
+//! let force_n = TaxelModel::Monotone(curve).force_n(&mut memory, 40.0, 0.025);
+//! assert_eq!(force_n, 50.0);
+//! # Ok::<(), moca_tactile::model::CurveError>(())
+//! ```
 
 /// Counts by which the paper's PU taxel falls at 100 N (Table I).
 pub const PAPER_COUNTS_AT_100N: f64 = 84.0;

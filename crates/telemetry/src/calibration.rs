@@ -1,5 +1,12 @@
 //! The calibration of a taxel as a client sees it: what it may ask, and how far the daemon has come. The daemon
 //! collects, fits and writes the file; a client only shows.
+//!
+//! ```
+//! use moca_telemetry::calibration::CalibrationProgress;
+//! let progress = CalibrationProgress::Rest { taxel: 5, frames: 10, frames_wanted: 40 };
+//! let CalibrationProgress::Rest { taxel, frames, frames_wanted } = progress else { unreachable!() };
+//! assert_eq!(format!("T{}: nobody touch, {frames} of {frames_wanted}", taxel + 1), "T6: nobody touch, 10 of 40");
+//! ```
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,11 @@
 //! What a client must know once: who the robot is, its geometry, its limits.
+//!
+//! ```
+//! use moca_telemetry::RobotDescription;
+//! let robot = RobotDescription::paper("lab", true);
+//! assert_eq!((robot.arm.joint_origin.len(), robot.taxels.len()), (7, 11));
+//! assert_eq!(robot.taxels[5].position_base_m, [0.489, 0.0]); // T6, the middle of the front
+//! ```
 
 use crate::ParameterDescription;
 use moca_msgs::{ArmTable, BaseTable, Limits, Mount, ParameterValues, TaxelPlacement};

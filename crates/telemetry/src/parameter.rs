@@ -1,4 +1,17 @@
 //! Parameters as a client sees them: schema, default, present value.
+//!
+//! ```
+//! use moca_telemetry::{ParameterDescription, ParameterValue};
+//! let parameter = ParameterDescription {
+//!     name: "control.gains.damping_ratio".into(),
+//!     max: 5.0,
+//!     live: true,
+//!     value: ParameterValue::Numbers(vec![0.9]),
+//!     ..ParameterDescription::default()
+//! };
+//! assert!(parameter.checked(&[1.2]).is_ok());
+//! assert_eq!(parameter.checked(&[7.0]).unwrap_err(), "control.gains.damping_ratio = 7 is outside 0 to 5");
+//! ```
 
 use moca_msgs::ParameterValues;
 use serde::{Deserialize, Serialize};

@@ -88,6 +88,7 @@ fn sample(tick: u32) -> Sample {
         overruns: u64::from(tick / 700),
         stages_ns: std::array::from_fn(|i| tick + u32::try_from(i).unwrap()),
         speed_limit: SpeedLimit { m_s: value(), reason: SpeedLimitReason::BoardRate },
+        law: tick.is_multiple_of(2).then_some(moca_msgs::Law::FollowMe),
         contact_reaction: tick.is_multiple_of(7).then_some(ContactReaction::StopDirection),
         ..Sample::default()
     };

@@ -3,6 +3,9 @@
 mod board_report;
 pub mod calibrate;
 pub mod doctor;
+pub mod operate;
 pub mod params;
+pub mod remote;
 pub mod report;
+mod status;
 pub mod terminal;

@@ -1,21 +1,14 @@
 //! `mocad params`: the schema, the present values, and how to change them from the command line.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
+use crate::cli::remote::{DaemonArguments, Refused, ask, connect, settled};
 use crate::config::Config;
 use crate::config::schema;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand};
-use moca_msgs::{Refusal, Request};
-use moca_telemetry::net::{Address, Connection, Link};
+use moca_msgs::Request;
 use moca_telemetry::{ParameterDescription, ParameterForm, RobotDescription};
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::time::{Duration, Instant};
-
-/// How long a daemon on the same machine may take to greet or to answer.
-const PATIENCE: Duration = Duration::from_secs(3);
-/// How often the connection is looked at.
-const LOOK_EVERY: Duration = Duration::from_millis(5);
 
 /// What to do with parameters.
 #[derive(Subcommand)]
@@ -55,14 +48,6 @@ pub struct SetArguments {
     daemon: DaemonArguments,
 }
 
-/// Which daemon.
-#[derive(Args)]
-struct DaemonArguments {
-    /// Address of the daemon's telemetry: HOST:PORT, or unix:PATH.
-    #[arg(long, value_name = "ADDRESS", default_value_t = Address::of_this_machine())]
-    address: Address,
-}
-
 /// Carries out one command.
 ///
 /// # Errors
@@ -88,7 +73,7 @@ fn list(arguments: &ListArguments) -> Result<()> {
         (None, false) => {
             let (connection, _) = connect(&arguments.daemon.address)
                 .context("is a daemon running? `mocad params list --offline` lists the defaults")?;
-            settled(&connection)?.parameters.clone()
+            settled(&connection)?.0.parameters.clone()
         }
     };
     let filter = arguments.filter.as_deref().unwrap_or_default();
@@ -120,36 +105,13 @@ fn set(arguments: &SetArguments) -> Result<()> {
     let parameter = robot.parameters.get(number).context("the daemon's list of parameters is too short")?;
     let checked = parameter.checked(&values).map_err(|message| anyhow!(message))?;
     let request = Request::SetParameter { parameter: u8::try_from(number)?, values: checked };
-    connection.request(request);
-    let name = &parameter.name;
-    let until = Instant::now() + PATIENCE;
-    while Instant::now() < until {
-        if let Some(reply) = connection.poll().replies.iter().find(|reply| reply.request == request) {
-            // To go without a word would stop a moving robot.
-            connection.release();
-            reply
-                .outcome
-                .map_err(|refusal| anyhow!("{name} = {}: {}", arguments.value, refusal_text(refusal)))?;
-            println!("{name} = {}", arguments.value);
-            return Ok(());
-        }
-        std::thread::sleep(LOOK_EVERY);
-    }
-    bail!("the daemon at {} does not answer", arguments.daemon.address)
-}
-
-fn refusal_text(refusal: Refusal) -> &'static str {
-    match refusal {
-        Refusal::NotCommander => {
-            "another client has the command: close that dashboard, or let it give it back"
-        }
-        Refusal::NotLive => "it is read at the start only: change the configuration file",
-        Refusal::Conflict => {
-            "it does not go with another parameter (null_space_damping needs a virtual mass of 0.5 kg or more)"
-        }
-        Refusal::OutOfRange => "outside its range",
-        _ => "the daemon does not take it now",
-    }
+    let outcome = ask(&connection, request);
+    // To go without a word would stop a moving robot.
+    connection.release();
+    let (name, value) = (&parameter.name, &arguments.value);
+    outcome?.map_err(|refusal| Refused(format!("{name} = {value}: {refusal}")))?;
+    println!("{name} = {value}");
+    Ok(())
 }
 
 fn number_of(robot: &RobotDescription, name: &str) -> Result<usize> {
@@ -174,31 +136,6 @@ fn numbers(text: &str) -> Result<Vec<f64>> {
     match table.get("value").filter(|_| table.len() == 1).and_then(schema::value) {
         Some(moca_telemetry::ParameterValue::Numbers(numbers)) => Ok(numbers),
         _ => bail!("{text:?} is no number: only numbers and flags can be changed while the loop runs"),
-    }
-}
-
-fn connect(address: &Address) -> Result<(Connection, Arc<RobotDescription>)> {
-    let connection = Connection::spawn(address.clone(), || {})?;
-    let until = Instant::now() + PATIENCE;
-    loop {
-        match connection.poll().link {
-            Link::Up { description, .. } => return Ok((connection, description)),
-            Link::Down { reason } if Instant::now() >= until => bail!("{address}: {reason}"),
-            Link::Down { .. } => std::thread::sleep(LOOK_EVERY),
-        }
-    }
-}
-
-/// The description once the first news is in: changed values come right after the greeting, before any sample.
-fn settled(connection: &Connection) -> Result<Arc<RobotDescription>> {
-    let until = Instant::now() + PATIENCE;
-    loop {
-        let update = connection.poll();
-        let Link::Up { description, .. } = update.link else { bail!("the daemon hung up") };
-        if !update.samples.is_empty() || Instant::now() >= until {
-            return Ok(description);
-        }
-        std::thread::sleep(LOOK_EVERY);
     }
 }
 

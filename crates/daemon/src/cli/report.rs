@@ -201,14 +201,7 @@ fn boards(config: &Config) -> Vec<String> {
 }
 
 fn why(fault: Option<Fault>) -> String {
-    match fault {
-        None => String::new(),
-        Some(Fault::TaxelInvalid { taxel, status }) => {
-            let fault = Fault::TaxelInvalid { taxel, status };
-            format!(" ({}: T{} {status:?}) {}", fault.code(), taxel + 1, fault.remedy())
-        }
-        Some(fault) => format!(" ({}) {} {}", fault.code(), fault.text(), fault.remedy()),
-    }
+    fault.map_or_else(String::new, |fault| format!(" ({}) {fault}", fault.code()))
 }
 
 /// A contact worth a line: one that crossed a limit, or is over.

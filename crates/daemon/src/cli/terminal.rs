@@ -109,6 +109,20 @@ fn write_lines(queue: &Receiver<String>, mut output: impl Write, done: SyncSende
     drop(done);
 }
 
+/// Ends the program quietly once nobody reads its output (`… | head`), as other programs do. Not for a loop: it outlives its
+/// terminal.
+pub fn end_with_the_reader() {
+    use nix::sys::signal::{SigHandler, Signal, signal};
+    #[expect(
+        unsafe_code,
+        reason = "a signal's disposition is set before any thread runs; no handler is installed"
+    )]
+    // SAFETY: no handler is installed.
+    let restored = unsafe { signal(Signal::SIGPIPE, SigHandler::SigDfl) };
+    // The signal exists on every Unix.
+    let _ = restored;
+}
+
 /// Says on standard error why the program ends, unless nobody takes it.
 pub fn last_words(words: &str) {
     let (done, written) = sync_channel::<()>(0);

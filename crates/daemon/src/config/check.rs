@@ -69,6 +69,11 @@ fn wiring(config: &Config, report: Report<'_>) {
         let name = "robot.cover.electrode";
         report(name, format!("{name}: {} of T{} is another taxel's too", wire.electrode, i + 1));
     }
+    if let Some(message) =
+        config.board.port.are_virtual().then(|| config.robot.cover.beyond_one_chip()).flatten()
+    {
+        report("robot.cover.electrode", message);
+    }
     if let Some(taxel) = wiring.iter().position(|wire| usize::from(wire.board) >= boards) {
         let (name, board) = ("robot.cover.board", wiring[taxel].board + 1);
         report(name, format!("{name} = {board} of T{}: board.port names {boards} board(s)", taxel + 1));
@@ -219,6 +224,9 @@ fn plant(config: &Config, report: Report<'_>) {
     }
     if ports.iter().any(String::is_empty) {
         report("board.port", "board.port is empty; allowed: \"virtual\", \"auto\" or a path".into());
+    }
+    if let Some(port) = ports.iter().find(|port| !port.is_empty() && **port == config.board.gauge) {
+        report("board.gauge", format!("board.gauge = {port:?} is in board.port too; a port has one device"));
     }
     let alike = |i: usize, port: &String| ports[..i].contains(port) || *port == AUTO_PORT;
     let apart = ports.are_virtual() || ports.len() == 1;

@@ -104,25 +104,6 @@ pub struct Decision {
     pub carry_out: Option<Request>,
 }
 
-/// In which modes a request is taken. In any other it is refused with the mode, and nothing is taken in
-/// [`Mode::Fault`] but what does not move the robot.
-const fn taken_in(request: &Request) -> &'static [Mode] {
-    use Mode::{Fault, FollowMe, Impedance, ProtectiveStop, Ready, Starting, Taring};
-    match request {
-        Request::Stop | Request::OperatorLost | Request::SelectLaw(_) => {
-            &[Starting, Taring, Ready, Impedance, FollowMe, ProtectiveStop]
-        }
-        Request::Tare => &[Starting, Ready, ProtectiveStop],
-        Request::Arm => &[Ready],
-        Request::Disarm => &[Impedance, FollowMe],
-        Request::Resume => &[ProtectiveStop],
-        Request::MaskTaxel { .. } => &[Starting, Taring, Ready, ProtectiveStop, Fault],
-        Request::PressTaxel { .. } | Request::SetParameter { .. } => {
-            &[Starting, Taring, Ready, Impedance, FollowMe, ProtectiveStop, Fault]
-        }
-    }
-}
-
 /// The mode and what led to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Supervisor {
@@ -163,6 +144,11 @@ impl Supervisor {
         self.mode
     }
 
+    /// The selected law.
+    pub const fn law(&self) -> Law {
+        self.law
+    }
+
     /// Why the robot is stopped, or what it is waiting for.
     pub const fn cause(&self) -> Option<Fault> {
         self.cause
@@ -174,7 +160,7 @@ impl Supervisor {
         self.react(facts);
         let (outcome, carry_out) = match request {
             None => (None, None),
-            Some(request) if !taken_in(&request).contains(&self.mode) => {
+            Some(request) if !request.taken_in().contains(&self.mode) => {
                 (Some(Err(Refusal::Mode(self.mode))), None)
             }
             Some(
@@ -367,6 +353,15 @@ mod tests {
         Facts { cover_seen: true, cover_fault: None, zero: Zero::Valid, plant_fault: None, touch: None };
     const DRIFTED: Fault = Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Drifted };
     const HAND: Touch = Touch { taxel: 5, force_n: 12.0 };
+    const ALL_MODES: [Mode; 7] = [
+        Mode::Starting,
+        Mode::Taring,
+        Mode::Ready,
+        Mode::Impedance,
+        Mode::FollowMe,
+        Mode::ProtectiveStop,
+        Mode::Fault,
+    ];
     const REQUESTS: [Option<Request>; 9] = [
         None,
         Some(Request::Tare),
@@ -471,6 +466,26 @@ mod tests {
             );
         }
         assert!(states.len() > 100, "only {} states: the walk shows little", states.len());
+    }
+
+    #[test]
+    fn requests_are_taken_in_the_modes_of_the_table_and_refused_by_name_in_every_other() {
+        let of_parts = [
+            Request::PressTaxel { taxel: 0, force_n: 1.0 },
+            Request::MaskTaxel { taxel: 0, masked: true },
+            Request::SetParameter { parameter: 0, values: moca_msgs::ParameterValues::default() },
+        ];
+        let requests = REQUESTS.into_iter().flatten().chain(of_parts);
+        for request in requests {
+            for mode in ALL_MODES {
+                let mut supervisor = Supervisor { mode, ..manual() };
+                let facts =
+                    Facts { zero: if mode == Mode::Taring { Zero::Taring } else { Zero::Valid }, ..GOOD };
+                let decision = supervisor.step(&facts, Some(request));
+                let refused = decision.outcome == Some(Err(Refusal::Mode(mode)));
+                assert_eq!(refused, !request.taken_in().contains(&mode), "{request:?} in {mode:?}");
+            }
+        }
     }
 
     #[test]

@@ -214,6 +214,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             mode: self.supervisor.mode(),
             fault: self.blamed.0,
             fault_board: self.blamed.1,
+            law: Some(self.supervisor.law()),
             frame_age_s: age_s.unwrap_or(-1.0),
             frame_rate_hz: cover.rate_hz,
             frames_good: cover.frames_good,

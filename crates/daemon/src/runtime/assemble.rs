@@ -64,17 +64,7 @@ pub fn cover_config(config: &Config) -> Result<moca_tactile::CoverConfig<TAXELS>
 /// A taxel on an electrode that they do not have.
 #[cfg(feature = "sim")]
 pub(crate) fn fit_virtual_boards(config: &Config) -> Result<()> {
-    use moca_tactile::datastream::ELECTRODES;
-    let wiring = config.robot.cover.wiring();
-    match wiring.iter().position(|wire| usize::from(wire.electrode) >= ELECTRODES) {
-        Some(taxel) => Err(anyhow!(
-            "robot.cover: T{} is on electrode {}; the virtual Touch Board has 0 to {}",
-            taxel + 1,
-            wiring[taxel].electrode,
-            ELECTRODES - 1
-        )),
-        None => Ok(()),
-    }
+    config.robot.cover.beyond_one_chip().map_or(Ok(()), |message| Err(anyhow!(message)))
 }
 
 /// The virtual board with this number (0 is the first): each has noise, a phase and a clock of its own.

@@ -1,10 +1,11 @@
 //! `moca-lab latency`: from touch to force, stage by stage, for each firmware of the board; how old a reading gets, how
 //! fast the base may go with it, and whether such a cover is stable in contact with this controller.
 
+use crate::rig::TAXELS;
 use anyhow::Context as _;
 use moca_daemon::config::Config;
 use moca_msgs::ImpedanceGains;
-use moca_msgs::robot::{PAPER_COVER, SUMMIT_XL};
+use moca_msgs::robot::{BaseTable, PAPER_COVER};
 use moca_sim::board::{VirtualBoard, VirtualBoardConfig};
 use moca_sim::foam::Foam;
 use moca_tactile::Firmware;
@@ -126,21 +127,20 @@ struct ContactReport {
 /// Measures, computes, prints.
 #[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let forces_n = match &arguments.config {
+    let config = match &arguments.config {
         Some(path) => Config::load(path)?,
         None => Config::default(),
-    }
-    .protection
-    .assessed_forces_n;
+    };
+    let (forces_n, base) = (&config.protection.assessed_forces_n, &config.robot.base);
     let firmware = match &arguments.avr {
         Some(program) => simulated_firmware(program, &arguments.hex)?,
         None => measured_before()?,
     };
-    let report = report(all_boards(firmware, &forces_n)?)?;
+    let report = report(all_boards(firmware, forces_n, base)?, base)?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
     } else {
-        print!("{}", as_text(&report));
+        print!("{}", as_text(&report, base));
     }
     Ok(())
 }
@@ -148,25 +148,25 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// Boards that can be bought or flashed.
 const BOARDS: [Firmware; 3] = [Firmware::Stock2018, Firmware::Stock2015, Firmware::Moca];
 
-fn report(boards: Vec<Board>) -> anyhow::Result<Report> {
+fn report(boards: Vec<Board>, base: &BaseTable) -> anyhow::Result<Report> {
     let firmwares = BOARDS.into_iter().map(latency).collect::<anyhow::Result<_>>()?;
     let mut contacts = Vec::new();
     for foam in [Foam::PU_LD30, Foam::COLLISION_ASSUMED] {
-        contacts.push(contact("ideal, 10 ms".to_owned(), &foam, reading_delay_s(0.0, 0.010, 1e-3))?);
+        contacts.push(contact("ideal, 10 ms".to_owned(), &foam, reading_delay_s(0.0, 0.010, 1e-3), base)?);
         for board in &boards {
-            contacts.push(contact(board.board.clone(), &foam, 1e-3 * board.delay_ms)?);
+            contacts.push(contact(board.board.clone(), &foam, 1e-3 * board.delay_ms, base)?);
         }
     }
     Ok(Report { boards, firmwares, contacts })
 }
 
 /// The virtual boards and the firmware's simulation, with what each allows.
-fn all_boards(firmware: Vec<Board>, forces_n: &[f64]) -> anyhow::Result<Vec<Board>> {
+fn all_boards(firmware: Vec<Board>, forces_n: &[f64], base: &BaseTable) -> anyhow::Result<Vec<Board>> {
     let mut boards = BOARDS.into_iter().map(held).collect::<anyhow::Result<Vec<_>>>()?;
     boards.extend(firmware);
     for board in &mut boards {
         board.delay_ms = board.hold_worst_ms - milliseconds(TICK_NS);
-        board.speeds = speeds(forces_n, 1e-3 * board.delay_ms)?;
+        board.speeds = speeds(forces_n, 1e-3 * board.delay_ms, base)?;
     }
     Ok(boards)
 }
@@ -179,15 +179,16 @@ fn measured_before() -> anyhow::Result<Vec<Board>> {
 
 /// The first table as a document shows it.
 pub(crate) fn markdown() -> anyhow::Result<String> {
-    let forces_n = Config::default().protection.assessed_forces_n;
+    let config = Config::default();
+    let (forces_n, base) = (&config.protection.assessed_forces_n, &config.robot.base);
     let mut out = String::from("| board | rate Hz | age on arrival, mean / worst ms | held to ms | T ms |");
-    for force_n in &forces_n {
+    for force_n in forces_n {
         let _ = write!(out, " at {force_n} N |");
     }
     let _ = write!(out, "\n|---|---|---|---|---|{}\n", "---|".repeat(forces_n.len()));
     // What the chip's own times say is for the firmware's page; a loop knows only what it reads.
     for board in
-        all_boards(measured_before()?, &forces_n)?.iter().filter(|board| !board.board.ends_with("exact"))
+        all_boards(measured_before()?, forces_n, base)?.iter().filter(|board| !board.board.ends_with("exact"))
     {
         let _ = write!(
             out,
@@ -210,11 +211,11 @@ pub(crate) fn markdown() -> anyhow::Result<String> {
 /// Ages of a still cover's readings on the virtual board.
 fn held(firmware: Firmware) -> anyhow::Result<Board> {
     let mut board = VirtualBoard::new(VirtualBoardConfig { firmware, ..Default::default() })?;
-    let mut cover = Cover::<11>::new(CoverConfig::default())?;
+    let mut cover = Cover::<TAXELS>::new(CoverConfig::default())?;
     let (mut last, mut early, mut ages_ms, mut hold_worst_ms) = (None, None, Vec::new(), 0.0f64);
     for tick in 1..=HOLD_TICKS {
         let now_ns = tick * TICK_NS;
-        board.advance(now_ns, &[0.0; 11], &mut |line| cover.push(0, line, now_ns));
+        board.advance(now_ns, &[0.0; TAXELS], &mut |line| cover.push(0, line, now_ns));
         let poll = cover.poll(now_ns);
         if poll.reading.sampled_at_ns != last {
             last = poll.reading.sampled_at_ns;
@@ -256,11 +257,11 @@ fn simulated_firmware(program: &Path, hex: &Path) -> anyhow::Result<Vec<Board>> 
 }
 
 /// Largest speed at which an impact of each force is not exceeded, for the default foam before a leg.
-fn speeds(forces_n: &[f64], delay_s: f64) -> anyhow::Result<Vec<Speed>> {
+fn speeds(forces_n: &[f64], delay_s: f64, base: &BaseTable) -> anyhow::Result<Vec<Speed>> {
     let at = |force_n: f64| -> anyhow::Result<f64> {
-        let (contact, travel_m) = stiffness(&Foam::PU_LD30, force_n, delay_s);
+        let (contact, travel_m) = stiffness(&Foam::PU_LD30, force_n, delay_s, base);
         let felt_n = force_n - UNFELT_N;
-        Ok(largest_speed(felt_n, travel_m, SUMMIT_XL.acceleration_max_m_s2, &contact)?)
+        Ok(largest_speed(felt_n, travel_m, base.acceleration_max_m_s2, &contact)?)
     };
     forces_n
         .iter()
@@ -278,13 +279,13 @@ fn speeds(forces_n: &[f64], delay_s: f64) -> anyhow::Result<Vec<Speed>> {
 }
 
 /// Foam and tissue in series at a force, and how far they yield between the force that is not felt and this one.
-fn stiffness(foam: &Foam, force_n: f64, delay_s: f64) -> (Contact, f64) {
+fn stiffness(foam: &Foam, force_n: f64, delay_s: f64, base: &BaseTable) -> (Contact, f64) {
     let foam_n_m = foam.stiffness_n_per_m(foam.deformation_m(force_n));
     let contact = Contact {
         stiffness_n_m: foam_n_m * TISSUE_N_M / (foam_n_m + TISSUE_N_M),
         damping_n_s_m: 0.0,
         delay_s,
-        servo_s: SUMMIT_XL.servo_time_constant_s,
+        servo_s: base.servo_time_constant_s,
     };
     let foam_m = foam.deformation_m(force_n) - foam.deformation_m(UNFELT_N);
     (contact, foam_m + (force_n - UNFELT_N) / TISSUE_N_M)
@@ -345,14 +346,14 @@ impl Step {
     fn measure(firmware: Firmware, phase: u64) -> anyhow::Result<Self> {
         let mut board =
             VirtualBoard::new(VirtualBoardConfig { firmware, seed: phase + 1, ..Default::default() })?;
-        let mut cover = Cover::<11>::new(CoverConfig::default())?;
+        let mut cover = Cover::<TAXELS>::new(CoverConfig::default())?;
         // spread over one frame and one refresh of the chip, which are not commensurable
         let step_ns = 3_000_000_000 + phase * 1_700_000;
         let (mut now_ns, mut parse_ns, mut frames) = (0, 0, 0u32);
         let mut forces = Vec::new();
         cover.start_tare(0);
         while now_ns < step_ns + 10_000_000_000 {
-            let mut force_n = [0.0; 11];
+            let mut force_n = [0.0; TAXELS];
             // the push falls between two ticks: the board's time runs on its own
             if now_ns >= step_ns {
                 force_n[5] = PUSH_N;
@@ -392,13 +393,13 @@ impl Step {
     }
 }
 
-fn contact(reading: String, foam: &Foam, delay_s: f64) -> anyhow::Result<ContactReport> {
+fn contact(reading: String, foam: &Foam, delay_s: f64, base: &BaseTable) -> anyhow::Result<ContactReport> {
     let gains = ImpedanceGains::PAPER;
     let deformation_m = foam.deformation_m(FORCE_LIMIT_N);
     let foam_n_m = foam.stiffness_n_per_m(deformation_m);
     let contact = Contact {
         damping_n_s_m: foam.damping_time_s * foam_n_m,
-        ..stiffness(foam, FORCE_LIMIT_N, delay_s).0
+        ..stiffness(foam, FORCE_LIMIT_N, delay_s, base).0
     };
     let mut stable_taxels = Vec::new();
     for (i, taxel) in PAPER_COVER.iter().enumerate() {
@@ -418,7 +419,7 @@ fn contact(reading: String, foam: &Foam, delay_s: f64) -> anyhow::Result<Contact
         stable_taxels,
         damping_needed: least_damping(at_taxel(&gains.virtual_mass, front), &contact)?,
         damping: at_taxel(&gains.virtual_damping, front),
-        largest_speed_m_s: largest_speed(FORCE_LIMIT_N, travel_m, SUMMIT_XL.acceleration_max_m_s2, &contact)?,
+        largest_speed_m_s: largest_speed(FORCE_LIMIT_N, travel_m, base.acceleration_max_m_s2, &contact)?,
     })
 }
 
@@ -434,10 +435,10 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / count
 }
 
-fn as_text(report: &Report) -> String {
+fn as_text(report: &Report, base: &BaseTable) -> String {
     let mut out = String::new();
     // writing to a String cannot fail
-    boards_as_text(report, &mut out);
+    boards_as_text(report, base, &mut out);
     let _ = writeln!(
         out,
         "\nFROM TOUCH TO FORCE: mean delay of each stage [ms]\n\n{:<12}{:>12}{:>10}{:>14}{:>6}{:>12}{:>7}{:>8}   \
@@ -472,8 +473,8 @@ fn as_text(report: &Report) -> String {
          board's own emission.\n\nIN CONTACT with {} N/m of tissue at {FORCE_LIMIT_N} N, gains of the paper's text, \
          servo {:.0} ms, braking {} m/s2\n\n{:<19}{:<22}{:>10}{:>9}{:>14}{:>12}{:>14}  stable taxels",
         TISSUE_N_M,
-        1e3 * SUMMIT_XL.servo_time_constant_s,
-        SUMMIT_XL.acceleration_max_m_s2,
+        1e3 * base.servo_time_constant_s,
+        base.acceleration_max_m_s2,
         "reading",
         "foam",
         "k [N/m]",
@@ -508,7 +509,7 @@ fn as_text(report: &Report) -> String {
     out
 }
 
-fn boards_as_text(report: &Report, out: &mut String) {
+fn boards_as_text(report: &Report, base: &BaseTable, out: &mut String) {
     // writing to a String cannot fail
     let _ = write!(
         out,
@@ -542,7 +543,7 @@ fn boards_as_text(report: &Report, out: &mut String) {
          T: one tick less. Speed: smaller of\n(F - {UNFELT_N} N)/(k (T + servo)) and of stopping at {} m/s2 within the \
          way that PU LD30 and {TISSUE_N_M} N/m of tissue yield up to F.\nThe forces are protection.assessed_forces_n: \
          yours, not a limit of this program.",
-        SUMMIT_XL.acceleration_max_m_s2
+        base.acceleration_max_m_s2
     );
 }
 
@@ -574,13 +575,14 @@ mod tests {
 
     #[test]
     fn a_larger_force_never_allows_less_speed() {
-        let speeds = speeds(&[25.0, 65.0, 130.0, 260.0], 0.009).unwrap();
+        let speeds = speeds(&[25.0, 65.0, 130.0, 260.0], 0.009, &Config::default().robot.base).unwrap();
         assert!(speeds.windows(2).all(|pair| pair[0].m_s <= pair[1].m_s && pair[0].m_s > 0.0), "{speeds:?}");
     }
 
     #[test]
     fn an_older_reading_allows_less_speed_and_needs_more_damping() {
-        let at = |delay_s| contact(String::new(), &Foam::PU_LD30, delay_s).unwrap();
+        let at =
+            |delay_s| contact(String::new(), &Foam::PU_LD30, delay_s, &Config::default().robot.base).unwrap();
         let (fast, slow) = (at(0.009), at(0.0537));
         assert!(slow.largest_speed_m_s < fast.largest_speed_m_s);
         assert!(slow.damping_needed > fast.damping_needed);

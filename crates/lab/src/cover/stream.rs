@@ -320,6 +320,7 @@ fn as_text(report: &Report) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rig::TAXELS;
     use moca_sim::board::{BoardFault, VirtualBoard, VirtualBoardConfig};
 
     fn report(name: &str, timed: bool) -> Report {
@@ -389,7 +390,7 @@ mod tests {
             }
             let arrival_ns = millisecond * 1_000_000;
             let before = bytes.len();
-            board.advance(arrival_ns, &[0.0; 11], &mut |line| bytes.extend_from_slice(line));
+            board.advance(arrival_ns, &[0.0; TAXELS], &mut |line| bytes.extend_from_slice(line));
             if bytes.len() > before {
                 reads.push(Read { arrival_ns, bytes: bytes.len() - before });
             }

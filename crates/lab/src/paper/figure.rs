@@ -1,6 +1,7 @@
 //! Figures 5 to 7: the trace of a run in panels, the moments marked, a picture of the robot from above at each.
 
-use crate::rig::closed_loop::{Row, TAXELS};
+use crate::rig::TAXELS;
+use crate::rig::closed_loop::Row;
 use anyhow::{Context, Result};
 use moca_figures::{Anchor, BLACK, Drawing, GREY, PALETTE, Panel, RED, Series};
 use moca_sim::{Scene, Shape};
@@ -358,6 +359,7 @@ fn csv(rows: &[Row]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rig::JOINTS;
 
     #[test]
     fn a_force_is_turned_into_the_frame_and_not_out_of_it() {
@@ -375,7 +377,7 @@ mod tests {
             base_pose_world,
             base_velocity_world: [0.0; 3],
             base_command_body: [0.0; 3],
-            q_rad: [0.0; 7],
+            q_rad: [0.0; JOINTS],
             flange_world: [base_pose_world[0] + 0.75, base_pose_world[1], 0.9],
             flange_quaternion: [0.0, 0.0, 0.0, 1.0],
             flange_desired_world: [0.75, 0.0, 0.9],

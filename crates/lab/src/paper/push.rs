@@ -1,6 +1,7 @@
 //! Scripted pushes, one or several in a row, and what is measured of each.
 
-use crate::rig::closed_loop::{Loads, Rig, Row, TAXELS};
+use crate::rig::TAXELS;
+use crate::rig::closed_loop::{Loads, Rig, Row};
 use crate::rig::settings::Settings;
 use anyhow::Result;
 use serde::Serialize;

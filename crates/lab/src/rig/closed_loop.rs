@@ -1,6 +1,7 @@
 //! The robot of an experiment: the daemon's own loop in lock-step, loads from a script, one row a tick.
 
 use crate::rig::settings::{Sensor, Settings};
+use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Result, bail, ensure};
 use moca_daemon::control::plant::Simulated;
 use moca_daemon::devices::ideal_cover::IdealCover;
@@ -12,7 +13,6 @@ use moca_sim::Scene;
 
 /// Longest time from power-up to a moving law, s of simulation.
 const START_WITHIN_S: f64 = 30.0;
-pub(crate) const TAXELS: usize = 11;
 
 /// What pushes the robot at one instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -40,7 +40,7 @@ pub(crate) struct Row {
     pub base_pose_world: [f64; 3],
     pub base_velocity_world: [f64; 3],
     pub base_command_body: [f64; 3],
-    pub q_rad: [f64; 7],
+    pub q_rad: [f64; JOINTS],
     pub flange_world: [f64; 3],
     pub flange_quaternion: [f64; 4],
     pub flange_desired_world: [f64; 3],

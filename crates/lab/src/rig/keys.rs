@@ -1,6 +1,7 @@
 //! Everything an experiment can be told with `--set key=value`: the rows of the daemon's configuration, by their dotted
 //! names or the laboratory's short ones, and one table of what only an experiment has.
 
+use crate::rig::TAXELS;
 use crate::rig::settings::{self, Sensor, Settings};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use moca_daemon::config::{Config, ProtectionConfig};
@@ -317,8 +318,11 @@ fn key_list() -> String {
 
 /// `T6` or `6` as an index from 0.
 pub(crate) fn taxel(text: &str) -> Result<usize> {
-    let number: usize = text.trim_start_matches(['T', 't']).parse().context("expected a taxel, T1 to T11")?;
-    ensure!((1..=11).contains(&number), "taxel {number} is outside T1 to T11");
+    let number: usize = text
+        .trim_start_matches(['T', 't'])
+        .parse()
+        .with_context(|| format!("expected a taxel, T1 to T{TAXELS}"))?;
+    ensure!((1..=TAXELS).contains(&number), "taxel {number} is outside T1 to T{TAXELS}");
     Ok(number - 1)
 }
 

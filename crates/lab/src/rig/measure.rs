@@ -1,7 +1,8 @@
 //! What every experiment says of its trace.
 
 use crate::paper::push::{difference, rms};
-use crate::rig::closed_loop::{Row, TAXELS};
+use crate::rig::TAXELS;
+use crate::rig::closed_loop::Row;
 use serde::Serialize;
 
 /// Windows after the first contact, s.

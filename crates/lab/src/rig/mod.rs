@@ -1,6 +1,12 @@
 //! The rig of every experiment: settings with their keys, the closed loop under test, what is measured of it, and how
 //! many cores it may take.
 
+use moca_msgs::robot::{PANDA, PAPER_COVER};
+
+/// Joints and taxels of the paper's robot, which the experiments are about.
+pub(crate) const JOINTS: usize = PANDA.joints();
+pub(crate) const TAXELS: usize = PAPER_COVER.len();
+
 pub(crate) mod closed_loop;
 pub(crate) mod cpu_time;
 pub(crate) mod keys;

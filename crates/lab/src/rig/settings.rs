@@ -3,7 +3,7 @@
 use anyhow::{Context, Result, ensure};
 use moca_daemon::config::{AssumedModel, Config, HandConfig, OVERRIDE_MAX_M_S, ProtectionConfig};
 use moca_msgs::Law;
-use moca_msgs::robot::{BaseTable, SUMMIT_XL, TaxelPlacement};
+use moca_msgs::robot::{BaseTable, TaxelPlacement};
 use moca_sim::foam::{ElasticLaw, Foam};
 use moca_sim::{BodyPart, Integrator, Mobility, Person, Scene, Shape, VirtualBoardConfig};
 use moca_tactile::Firmware;
@@ -129,10 +129,11 @@ pub(crate) struct BaseSettings {
 impl BaseSettings {
     fn table(&self) -> BaseTable {
         let squares = |[x, y, z]: [f64; 3]| [y * y + z * z, x * x + z * z, x * x + y * y];
-        let (ours, its) = (squares(self.table.size_m), squares(SUMMIT_XL.size_m));
-        let mut inertia = SUMMIT_XL.inertia_com_diagonal;
+        let base = Config::default().robot.base;
+        let (ours, its) = (squares(self.table.size_m), squares(base.size_m));
+        let mut inertia = base.inertia_com_diagonal;
         for (i, inertia) in inertia.iter_mut().enumerate() {
-            *inertia *= self.table.mass_kg / SUMMIT_XL.mass_kg * (ours[i] / its[i]);
+            *inertia *= self.table.mass_kg / base.mass_kg * (ours[i] / its[i]);
         }
         // The base never tilts: only the vertical axis acts, the other two keep the box's proportions.
         let given = self.inertia.map_or(1.0, |about_vertical| about_vertical / inertia[2]);
@@ -202,7 +203,7 @@ impl Settings {
                 scale: 1.0,
             },
             person: PersonSettings { gap_m: 0.25, steps_away_s: 1.5, ..PersonSettings::default() },
-            base: BaseSettings { table: SUMMIT_XL, inertia: None },
+            base: BaseSettings { table: Config::default().robot.base, inertia: None },
             speed_m_s: 0.2,
             duration_s: 8.0,
             push_s: 3.0,

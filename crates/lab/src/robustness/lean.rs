@@ -2,6 +2,7 @@
 //! daemon's default protection and a stock board's bytes.
 
 use crate::rig::parallel;
+use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result, ensure};
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::plant::Simulated;
@@ -16,7 +17,6 @@ use serde::Serialize;
 const FLANGE_M: f64 = 0.010;
 /// Ticks from power-up to a moving law at the latest.
 const START_TICKS: u32 = 5000;
-const TAXELS: usize = 11;
 
 /// What a strong lean or blow on the cover does to the arm: every taxel, force, law, reactivity and correction.
 #[derive(clap::Args)]
@@ -98,7 +98,7 @@ impl Outcome {
 /// Every cell of the claim, or the ones that the arm was thrown furthest in before it was told what the base was
 /// refused.
 fn cells(short: bool) -> Vec<Cell> {
-    let taxels: &[usize] = if short { &[1, 6, 7] } else { &[1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11] };
+    let taxels: &[usize] = if short { &[1, 6, 7] } else { &std::array::from_fn::<_, TAXELS, _>(|i| i + 1) };
     let forces: &[f64] = if short { &[60.0, 200.0] } else { &[20.0, 60.0, 100.0, 150.0, 200.0] };
     let reactivities: &[f64] = if short { &[1.0, 10.0] } else { &[0.1, 1.0, 3.0, 10.0] };
     let corrections: &[usize] = if short { &[0b000, 0b011] } else { &[0, 1, 2, 3, 4, 5, 6, 7] };
@@ -235,8 +235,8 @@ fn lean(cell: &Cell) -> Result<Outcome> {
 struct Watch {
     law: Law,
     dt_s: f64,
-    limits: Limits<7>,
-    speeds: JointSpeeds<7, f64>,
+    limits: Limits<JOINTS>,
+    speeds: JointSpeeds<JOINTS, f64>,
     first: Sample,
     last: Sample,
     worst: Outcome,

@@ -1,6 +1,6 @@
 //! Changes worth a mark on the axis of time.
 
-use super::format::{contact_text, fault_text};
+use super::format::contact_text;
 use moca_msgs::{Fault, Mode, protection::ContactEvent};
 
 /// A change of mode or fault, or a contact that crossed a limit.
@@ -21,7 +21,7 @@ impl Event {
     pub fn text(&self) -> String {
         match (self.contact, self.fault) {
             (Some(contact), _) => contact_text(&contact),
-            (None, Some(fault)) => format!("{}: {}", self.mode.name(), fault_text(fault)),
+            (None, Some(fault)) => format!("{}: {fault}", self.mode.name()),
             (None, None) => self.mode.name().to_owned(),
         }
     }

@@ -1,7 +1,7 @@
 //! Numbers and states as text.
 
 use moca_msgs::{
-    ContactEvent, Fault, SpeedLimitReason, TaxelStatus,
+    ContactEvent, SpeedLimitReason,
     board::{Diagnosis, OpenFailure},
 };
 
@@ -15,38 +15,9 @@ pub fn number(value: f64, decimals: usize) -> String {
     if is_zero { text.trim_start_matches('-').to_owned() } else { text.replace('-', "−") }
 }
 
-/// A taxel's health in a word or two.
-pub fn health(status: TaxelStatus) -> &'static str {
-    match status {
-        TaxelStatus::Ok => "ok",
-        TaxelStatus::NoZero => "not tared",
-        TaxelStatus::Stale => "stale",
-        TaxelStatus::Saturated => "at its end",
-        TaxelStatus::Stuck => "stuck",
-        TaxelStatus::Dead => "dead",
-        TaxelStatus::Noisy => "noisy",
-        TaxelStatus::Drifted => "drifted",
-        TaxelStatus::Masked => "masked",
-    }
-}
-
 /// A taxel (0 is T1) by its name.
 pub fn taxel_name(taxel: impl Into<usize>) -> String {
     format!("T{}", taxel.into() + 1)
-}
-
-/// Why the robot stands and what to do; a taxel is named.
-pub fn fault_text(fault: Fault) -> String {
-    match fault {
-        Fault::TaxelInvalid { taxel, status: TaxelStatus::Masked } => format!(
-            "{} is masked, and board.mask_policy stops the robot for it: use it again on the page Cover, then resume.",
-            taxel_name(taxel)
-        ),
-        Fault::TaxelInvalid { taxel, status } => {
-            format!("{} is {}. {}", taxel_name(taxel), health(status), fault.remedy())
-        }
-        _ => format!("{} {}", fault.text(), fault.remedy()),
-    }
 }
 
 /// What is known about the board at `port`, as the configuration names it.

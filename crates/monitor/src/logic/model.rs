@@ -4,7 +4,7 @@ use super::{
     answers::Answer,
     event::Event,
     parts::text_parameter,
-    requests::{self, refusal_text, request_text},
+    requests::{self, request_text},
     signals::{
         history::History,
         panel::{self, Panel},
@@ -236,7 +236,7 @@ impl Model {
         let asked = request_text(reply.request);
         let answer = match reply.outcome {
             Ok(()) => Answer::good(format!("{asked}: done")),
-            Err(refusal) => Answer::bad(format!("{asked}: refused, {}", refusal_text(refusal))),
+            Err(refusal) => Answer::bad(format!("{asked}: refused, {refusal}")),
         };
         if let (Request::SelectLaw(law), Ok(())) = (reply.request, reply.outcome) {
             self.law = law;
@@ -346,7 +346,7 @@ mod tests {
         assert_eq!(model.law, Law::Impedance);
         let answers = model.take_answers();
         let [Answer { text, good: false }] = answers.as_slice() else { panic!("{answers:?}") };
-        assert!(text.starts_with("Select follow-me: refused, another dashboard"), "{text}");
+        assert!(text.starts_with("Select follow-me: refused, another client"), "{text}");
         model.take(reply(select, Ok(())), 10.2);
         assert_eq!(model.law, Law::FollowMe);
         assert_eq!(model.take_answers(), [Answer::good("Select follow-me: done")]);

@@ -1,8 +1,7 @@
 //! What an operator may ask, when it makes sense, and how it is written. The daemon decides; this only greys out buttons.
 
-use super::format::fault_text;
 use moca_msgs::params::CONTROLLER;
-use moca_msgs::{Law, Mode, Refusal, Request};
+use moca_msgs::{Law, Mode, Request};
 
 /// What is written on the button of a request, which is also its accessible label; empty for requests without one.
 pub fn label(request: Request) -> &'static str {
@@ -32,17 +31,9 @@ pub fn explanation(request: Request) -> &'static str {
     }
 }
 
-/// Whether the daemon would take it in `mode`; `None` is a daemon that has not said its mode yet.
+/// Whether the daemon would take it in `mode`; `None` is a daemon that has not said its mode yet. A stop is never greyed out.
 pub fn fits(request: Request, mode: Option<Mode>) -> bool {
-    match request {
-        Request::Stop => true,
-        Request::Tare => matches!(mode, Some(Mode::Ready | Mode::ProtectiveStop)),
-        Request::Arm => mode == Some(Mode::Ready),
-        Request::Disarm => mode.is_some_and(Mode::moves),
-        Request::Resume => mode == Some(Mode::ProtectiveStop),
-        Request::MaskTaxel { .. } => mode.is_some_and(|m| !m.moves() && m != Mode::Fault),
-        _ => mode.is_some_and(|m| m != Mode::Fault),
-    }
+    request == Request::Stop || mode.is_some_and(|mode| request.taken_in().contains(&mode))
 }
 
 /// A request as text.
@@ -66,31 +57,5 @@ pub fn request_text(request: Request) -> String {
             Some(spec) => format!("Set {}", spec.name),
             None => format!("Set parameter {parameter}"),
         },
-    }
-}
-
-/// A refusal as text, with what to do.
-pub fn refusal_text(refusal: Refusal) -> String {
-    match refusal {
-        Refusal::Mode(mode) => format!("not possible in mode {}", mode.name()),
-        Refusal::CauseRemains(fault) => format!("the cause remains. {}", fault_text(fault)),
-        Refusal::ZeroInvalid => "the cover has no valid zero: tare first".into(),
-        Refusal::NoRobot => "the daemon runs a cover without a robot".into(),
-        Refusal::NotSimulated => "only a simulated robot can be pushed with the mouse".into(),
-        Refusal::OutOfRange => "a number is out of range".into(),
-        Refusal::NoSuchParameter => "the daemon has no such parameter".into(),
-        Refusal::NotLive => "it is read at the start only: change the configuration file".into(),
-        Refusal::Conflict => {
-            "it does not go with another parameter (null_space_damping needs a virtual mass of 0.5 or more)"
-                .into()
-        }
-        Refusal::Stopped => "a stop came before its turn".into(),
-        Refusal::NotCommander => {
-            "another dashboard has the command: close it, or let it give the command back".into()
-        }
-        Refusal::NoAnswer => "the daemon does not answer".into(),
-        Refusal::Touched { taxel, force_n } => {
-            format!("T{} feels {force_n:.1} N: let go of the cover first", u16::from(taxel) + 1)
-        }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{requests::PageRequests, theme};
 use crate::logic::{
-    format::{board_text, fault_text, taxel_name},
+    format::{board_text, taxel_name},
     model::{Freshness, Model},
     parts::{board_name, has_arm, has_robot, text_parameter},
     requests::{explanation, label},
@@ -153,14 +153,14 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
     };
     if model.recorded {
         let name = &model.robot.name;
-        let fault = sample.fault.map_or_else(String::new, |fault| format!(": {}", fault_text(fault)));
+        let fault = sample.fault.map_or_else(String::new, |fault| format!(": {fault}"));
         let text = format!("A recorded run of {name}, then in mode {}{fault}", sample.mode.name());
         return (Some(theme::WARNING), text);
     }
     if let Some(fault) = sample.fault {
         let board = sample.fault_board.and_then(|board| board_name(&model.robot, board));
         let board = board.map_or_else(String::new, |board| format!(" {board}."));
-        return (Some(theme::BAD), format!("{}{board}", fault_text(fault)));
+        return (Some(theme::BAD), format!("{fault}{board}"));
     }
     if !matches!(sample.board, Diagnosis::Frames | Diagnosis::NoBoard) {
         return (Some(theme::WARNING), board_text(sample.board, text_parameter(&model.robot, "board.port")));

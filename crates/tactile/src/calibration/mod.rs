@@ -4,6 +4,20 @@
 //! 2. [`mod@fit`]: least squares for each kind of model; [`quality`]: its errors in newtons, range and cost.
 //! 3. [`mod@file`]: TOML files that say for which board they hold, and refuse any other.
 //! 4. [`session`]: the guided steps of a calibration, with time and bytes as arguments.
+//!
+//! ```
+//! use moca_tactile::calibration::{ModelKind, Trial, TrialSample, fit};
+//!
+//! // a press and release on a taxel of 2 N for each count
+//! let sample = |i: u32| {
+//!     let drop = f64::from(if i < 50 { i } else { 100 - i });
+//!     TrialSample { time_s: 0.02 * f64::from(i), drop, force_n: 2.0 * drop }
+//! };
+//! let trial = Trial { samples: (0..=100).map(sample).collect() };
+//! let (_model, quality) = fit(ModelKind::LineThroughZero, &[trial])?;
+//! assert!(quality.worst_n < 1e-9 && quality.samples == 101);
+//! # Ok::<(), moca_tactile::calibration::FitError>(())
+//! ```
 
 pub mod file;
 pub mod fit;

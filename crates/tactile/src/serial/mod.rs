@@ -2,6 +2,26 @@
 //!
 //! It parses nothing. The loop thread owns the other end of the ring and feeds what it pops to
 //! [`crate::Cover::event`]. Dropping [`SerialBoard`] stops the thread.
+//!
+//! ```no_run
+//! use moca_tactile::serial::{PortSelection, SerialBoard};
+//! use moca_tactile::{Cover, CoverConfig};
+//! use std::time::Instant;
+//!
+//! let start = Instant::now();
+//! let (_board, mut events) = SerialBoard::spawn(PortSelection::Any, start)?; // lives as long as it is read
+//! let mut cover = Cover::<11>::new(CoverConfig::default())?;
+//! loop {
+//!     while let Ok(event) = events.pop() {
+//!         cover.event(0, &event); // unplugged and plugged in again as well
+//!     }
+//!     let poll = cover.poll(start.elapsed().as_nanos() as u64);
+//!     println!("{:?}", poll.forces);
+//!     std::thread::sleep(std::time::Duration::from_millis(1));
+//! }
+//! # #[allow(unreachable_code)]
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod find;
 

@@ -1,5 +1,18 @@
 //! A whole run at a glance: the largest values of each second, and marks for what happened. A finished log ends with it,
 //! so that a day opens without reading the day.
+//!
+//! ```
+//! use moca_msgs::Sample;
+//! use moca_telemetry::log::overview::OverviewBuilder;
+//! let mut builder = OverviewBuilder::default();
+//! for tick in 0..3000 {
+//!     let lateness_s = if tick == 1500 { 2e-3 } else { 1e-5 };
+//!     builder.add(&Sample { tick, time_ns: tick * 1_000_000, lateness_s, ..Sample::default() });
+//! }
+//! let overview = builder.finish();
+//! assert_eq!(overview.spans.len(), 3);
+//! assert_eq!(overview.spans[1].lateness_s, 2e-3);
+//! ```
 
 use moca_msgs::{Fault, Mode, Sample, TaxelStatus, protection::ContactPhase};
 use serde::{Deserialize, Serialize};

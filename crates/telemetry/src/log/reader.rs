@@ -303,6 +303,7 @@ impl Decoder {
             mode: self.mode,
             fault: self.fault,
             fault_board: self.fault_board,
+            law: command.law(),
             base_pose_world: state.base_pose_world,
             base_velocity_world: state.base_velocity_world,
             cover_speed_m_s: state.cover_speed_m_s,

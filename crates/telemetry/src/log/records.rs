@@ -1,9 +1,19 @@
 //! The messages of a log that viewers read, one type for each channel. Units and frames as in [`moca_msgs::Sample`];
 //! numbers have seven digits, a value that is not finite is `null` and read back as NaN.
+//!
+//! ```
+//! use moca_telemetry::log::records::{Channel, Timing};
+//! let message = r#"{"tick": 7, "lateness_s": null, "overruns": 0, "frames_good": 40, "frames_bad": 0}"#;
+//! let timing: Timing = serde_json::from_str(message)?;
+//! assert_eq!((Timing::TOPIC, timing.tick), ("/timing", 7));
+//! assert!(timing.lateness_s.is_nan());
+//! # Ok::<(), serde_json::Error>(())
+//! ```
 
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
-    ContactEvent, ContactReaction, Fault, Mode, SpeedLimit, SpeedLimitReason, TaxelStatus, board::Diagnosis,
+    ContactEvent, ContactReaction, Fault, Law, Mode, SpeedLimit, SpeedLimitReason, TaxelStatus,
+    board::Diagnosis,
 };
 use schemars::{JsonSchema, generate::SchemaSettings};
 use serde::{Deserialize, Deserializer, Serialize, de::Error};
@@ -92,6 +102,9 @@ pub struct Command {
     #[serde(default)]
     #[schemars(with = "String")]
     pub speed_limit_reason: SpeedLimitReason,
+    /// The selected law, impedance or follow-me; empty where it is not known.
+    #[serde(default)]
+    pub law: String,
     /// Reaction to a contact in force; empty without one.
     #[serde(default)]
     pub contact_reaction: String,
@@ -101,6 +114,11 @@ impl Command {
     /// The speed limit.
     pub fn speed_limit(&self) -> SpeedLimit {
         SpeedLimit { m_s: self.speed_limit_m_s, reason: self.speed_limit_reason }
+    }
+
+    /// The selected law.
+    pub fn law(&self) -> Option<Law> {
+        [Law::Impedance, Law::FollowMe].into_iter().find(|law| Mode::from(*law).name() == self.law)
     }
 
     /// The reaction to a contact.

@@ -1,4 +1,13 @@
 //! Where a daemon listens: a port on loopback, or a Unix socket whose file mode says who may come in.
+//!
+//! ```
+//! use moca_telemetry::net::Address;
+//! let port: Address = "127.0.0.1:7611".parse()?;
+//! let socket: Address = "unix:/run/mocad/telemetry.sock".parse()?;
+//! assert!(port.is_local() && socket.is_local());
+//! assert!("localhost".parse::<Address>().is_err(), "a port is missing");
+//! # Ok::<(), moca_telemetry::net::address::AddressError>(())
+//! ```
 
 use super::NetError;
 use std::{

@@ -1,4 +1,16 @@
 //! One connection to a daemon.
+//!
+//! ```no_run
+//! use moca_telemetry::net::{Address, Client, wire::FromServer};
+//! # async fn watch() -> Result<(), moca_telemetry::net::NetError> {
+//! let mut client = Client::connect(&Address::of_this_machine()).await?;
+//! println!("{}", client.description.name);
+//! while let FromServer::Batch(batch) = client.incoming.next().await? {
+//!     println!("{} samples", batch.samples.len());
+//! }
+//! # Ok(())
+//! # }
+//! ```
 
 use super::{
     Address, NetError,

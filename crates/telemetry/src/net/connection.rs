@@ -1,4 +1,14 @@
 //! A thread that keeps a connection alive: what a dashboard wants.
+//!
+//! ```
+//! use moca_telemetry::net::{Address, Connection, Link};
+//! // Nobody listens there: the connection says so, and goes on trying.
+//! let address: Address = "unix:/no/such/socket".parse()?;
+//! let connection = Connection::spawn(address, || {})?;
+//! let update = connection.poll();
+//! assert!(matches!(update.link, Link::Down { .. }) && update.samples.is_empty());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use super::{
     Address, NetError,

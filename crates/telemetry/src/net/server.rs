@@ -1,4 +1,29 @@
 //! The daemon's side: one thread drains the loop's ring and serves every client.
+//!
+//! ```
+//! use moca_msgs::Sample;
+//! use moca_telemetry::RobotDescription;
+//! use moca_telemetry::net::{Address, Connection, Ports, request_channel, serve};
+//! use std::{net::SocketAddr, sync::Arc, time::Duration};
+//! // The loop's ends: samples out, requests in.
+//! let (mut samples, from_loop) = rtrb::RingBuffer::new(64);
+//! let (sender, _requests) = request_channel();
+//! let ports =
+//!     Ports { samples: from_loop, requests: sender, ring_dropped: Arc::default(), recorder: None, calibration: None };
+//! let any_port = Address::from(SocketAddr::from(([127, 0, 0, 1], 0)));
+//! let server = serve(&any_port, 0o600, RobotDescription::paper("lab", true), ports)?;
+//!
+//! let connection = Connection::spawn(server.address().clone(), || {})?;
+//! for tick in 0.. {
+//!     // A full ring drops the sample: the loop waits for nobody.
+//!     let _ = samples.push(Sample { tick, ..Sample::default() });
+//!     if !connection.poll().samples.is_empty() {
+//!         break;
+//!     }
+//!     std::thread::sleep(Duration::from_millis(1));
+//! }
+//! # Ok::<(), moca_telemetry::net::NetError>(())
+//! ```
 
 use super::{
     Address, NetError,

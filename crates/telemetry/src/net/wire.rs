@@ -3,6 +3,17 @@
 //! The first frame of a server is special, so that any version can read it: `MOCA`, the schema version as
 //! big-endian `u32`, then a [`RobotDescription`], or else why the client is not served. Every later frame is a
 //! [`FromServer`].
+//!
+//! ```
+//! use moca_msgs::Request;
+//! use moca_telemetry::net::wire::{FromClient, decode_from_client, encode};
+//! let asked = FromClient::Request { id: 1, request: Request::Tare };
+//! let frame = encode(&asked)?;
+//! let (length, payload) = frame.split_first_chunk::<4>().unwrap();
+//! assert_eq!(u32::from_be_bytes(*length) as usize, payload.len());
+//! assert_eq!(decode_from_client(payload)?, asked);
+//! # Ok::<(), moca_telemetry::net::NetError>(())
+//! ```
 
 use super::NetError;
 use crate::{
@@ -15,7 +26,7 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncReadExt};
 
 /// Version of everything below, [`Sample`] included. Raised with every change.
-pub const SCHEMA_VERSION: u32 = 10;
+pub const SCHEMA_VERSION: u32 = 11;
 /// Longest frame a server sends, bytes.
 pub const MAX_SERVER_FRAME: usize = 1 << 20;
 /// Longest frame a client sends, bytes.

@@ -3,6 +3,7 @@
 mod parts;
 
 use crate::paper::collision;
+use crate::rig::JOINTS;
 use crate::rig::cpu_time;
 use crate::rig::settings::Settings;
 use anyhow::Result;
@@ -299,9 +300,9 @@ fn trajectory(scene: &Scene, drives: bool) -> Result<(Vec<[f64; 10]>, Vec<f64>)>
 }
 
 /// Torques that hold the home posture, N·m: the same for every scene.
-fn gravity(scene: &Scene) -> Result<[f64; 7]> {
+fn gravity(scene: &Scene) -> Result<[f64; JOINTS]> {
     let plant = SimPlant::new(&Scene { arm_posture_rad: scene.arm_posture_rad, ..Scene::default() })?;
-    let mut torque = [0.0; 7];
+    let mut torque = [0.0; JOINTS];
     torque.copy_from_slice(&plant.bias()[3..10]);
     Ok(torque)
 }
@@ -313,7 +314,7 @@ pub(crate) fn bare_step_us(scene: &Scene) -> Result<f64> {
     let hold = RobotCommand { base_velocity_body: [0.0; 3], arm_torque_nm: gravity(scene)? };
     let mut best = f64::INFINITY;
     for _ in 0..100 {
-        plant.set_state(&scene.base_pose_world, &[0.0; 3], &scene.arm_posture_rad, &[0.0; 7]);
+        plant.set_state(&scene.base_pose_world, &[0.0; 3], &scene.arm_posture_rad, &[0.0; JOINTS]);
         plant.apply(&Actuation::Drive(hold))?;
         plant.step()?;
         let ((), cpu_s) = cpu_time::timed(|| (0..STRETCH).for_each(|_| plant.bare_step()));

@@ -1,6 +1,7 @@
 //! `moca-lab extremes`: the ends of the controllers' range, one row each: condition, error in both precisions, time,
 //! verdict.
 
+use crate::rig::{JOINTS, TAXELS};
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_msgs::{Limits, Parameters, Payload, RobotState};
 use moca_wbc::testing::accuracy::{Case, Reference, Step, accuracy, admitted};
@@ -166,7 +167,7 @@ fn strong_push() -> anyhow::Result<Row> {
 
 /// NaN and infinity in each input: an error, and a state that is as it was.
 fn not_finite() -> anyhow::Result<Vec<Row>> {
-    type Spoil = fn(&mut ControlInput<7, 11>, f64);
+    type Spoil = fn(&mut ControlInput<JOINTS, TAXELS>, f64);
     let inputs: [(&str, Spoil); 8] = [
         ("base pose", |i, x| i.robot.base_pose_world[1] = x),
         ("base velocity", |i, x| i.robot.base_velocity_world[2] = x),
@@ -259,7 +260,7 @@ fn half_turn() -> anyhow::Result<Row> {
 }
 
 /// Fastest of several passes of the whole step, ns.
-fn timed(parameters: &Parameters<7>, input: &ControlInput<7, 11>) -> anyhow::Result<f64> {
+fn timed(parameters: &Parameters<JOINTS>, input: &ControlInput<JOINTS, TAXELS>) -> anyhow::Result<f64> {
     let controller = controller(parameters)?;
     let mut state = controller.enter(ControlLaw::Impedance, &input.robot)?;
     let mut least = f64::INFINITY;
@@ -273,27 +274,27 @@ fn timed(parameters: &Parameters<7>, input: &ControlInput<7, 11>) -> anyhow::Res
     Ok(least)
 }
 
-fn controller(parameters: &Parameters<7>) -> anyhow::Result<WholeBodyController<7, 11>> {
+fn controller(parameters: &Parameters<JOINTS>) -> anyhow::Result<WholeBodyController<JOINTS, TAXELS>> {
     Ok(WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, parameters)?)
 }
 
-fn entered() -> anyhow::Result<(WholeBodyController<7, 11>, ControllerState<7>)> {
+fn entered() -> anyhow::Result<(WholeBodyController<JOINTS, TAXELS>, ControllerState<JOINTS>)> {
     let controller = controller(&Parameters::PAPER)?;
     let state = controller.enter(ControlLaw::Impedance, &at_home())?;
     Ok((controller, state))
 }
 
-fn at_home() -> RobotState<7> {
+fn at_home() -> RobotState<JOINTS> {
     RobotState {
         base_pose_world: [0.0; 3],
         base_velocity_world: [0.0; 3],
         q_rad: PANDA.home_rad,
-        dq_rad_s: [0.0; 7],
-        torque_measured_nm: [0.0; 7],
+        dq_rad_s: [0.0; JOINTS],
+        torque_measured_nm: [0.0; JOINTS],
         flange_wrench_world: Some([0.0; 6]),
     }
 }
 
-fn input(robot: RobotState<7>) -> ControlInput<7, 11> {
-    ControlInput::new(robot, [0.0; 11], 1e-3)
+fn input(robot: RobotState<JOINTS>) -> ControlInput<JOINTS, TAXELS> {
+    ControlInput::new(robot, [0.0; TAXELS], 1e-3)
 }

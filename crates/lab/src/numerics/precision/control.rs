@@ -5,6 +5,7 @@ use crate::paper::push;
 use crate::rig::closed_loop::Rig;
 use crate::rig::cpu_time;
 use crate::rig::settings::Settings;
+use crate::rig::{JOINTS, TAXELS};
 use anyhow::Result;
 use moca_msgs::{Actuation, Law, RobotState};
 use moca_sim::{Scene, SimPlant};
@@ -227,9 +228,9 @@ pub(crate) fn single_precision() -> Result<(f64, f64, f64)> {
     let states = states()?;
     let (double, single) = (controller::<f64>()?, controller::<f32>()?);
     let Some(first) = states.first() else { return Ok((f64::NAN, f64::NAN, f64::NAN)) };
-    let inputs: Vec<_> = states.iter().map(|robot| ControlInput::new(*robot, [0.0; 11], 1e-3)).collect();
+    let inputs: Vec<_> = states.iter().map(|robot| ControlInput::new(*robot, [0.0; TAXELS], 1e-3)).collect();
     let inputs32: Vec<_> =
-        states.iter().map(|robot| ControlInput::new(narrow(robot), [0.0; 11], 1e-3)).collect();
+        states.iter().map(|robot| ControlInput::new(narrow(robot), [0.0; TAXELS], 1e-3)).collect();
     let (mut worst, mut least) = (0.0f64, [f64::INFINITY; 2]);
     for _ in 0..5 {
         let mut state = double.enter(ControlLaw::Impedance, first)?;
@@ -255,14 +256,14 @@ pub(crate) fn single_precision() -> Result<(f64, f64, f64)> {
 }
 
 /// States of the robot for a second, T3 pressed with 20 N for the first 0.4 s.
-fn states() -> Result<Vec<RobotState<7>>> {
+fn states() -> Result<Vec<RobotState<JOINTS>>> {
     let mut plant = SimPlant::new(&Scene::default())?;
     let controller = controller::<f64>()?;
     let mut state = controller.enter(ControlLaw::Impedance, &plant.state().resized())?;
     let mut states = Vec::new();
     for tick in 0..1000 {
         let robot = plant.state().resized();
-        let mut taxel_force_n = [0.0; 11];
+        let mut taxel_force_n = [0.0; TAXELS];
         taxel_force_n[2] = if tick < 400 { 20.0 } else { 0.0 };
         let input = ControlInput::new(robot, taxel_force_n, 1e-3);
         plant
@@ -273,7 +274,7 @@ fn states() -> Result<Vec<RobotState<7>>> {
     Ok(states)
 }
 
-fn narrow(robot: &RobotState<7>) -> RobotState<7, f32> {
+fn narrow(robot: &RobotState<JOINTS>) -> RobotState<JOINTS, f32> {
     #[expect(clippy::cast_possible_truncation, reason = "single precision is what is being measured")]
     let f = |v: f64| v as f32;
     RobotState {

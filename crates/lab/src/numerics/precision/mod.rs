@@ -6,6 +6,7 @@ mod diagrams;
 mod plant;
 
 use crate::cover::characterize;
+use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result};
 use moca_msgs::Parameters;
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, Payload};
@@ -77,7 +78,7 @@ fn measure(quick: bool) -> Result<Report> {
     })
 }
 
-fn controller<T: moca_wbc::Scalar>() -> Result<WholeBodyController<7, 11, T>> {
+fn controller<T: moca_wbc::Scalar>() -> Result<WholeBodyController<JOINTS, TAXELS, T>> {
     Ok(WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER)?)
 }
 

@@ -4,6 +4,7 @@
 //! nothing but integrator and step.
 
 use super::controller;
+use crate::rig::TAXELS;
 use crate::rig::cpu_time;
 use anyhow::{Context, Result};
 use moca_msgs::Actuation;
@@ -87,7 +88,7 @@ fn play(scene: &Scene, integrator: Integrator, step_ms: f64, base_velocity: Opti
     let mut cpu_s = 0.0;
     for tick in 0..TICKS {
         let robot = plant.state().resized();
-        let mut taxel_force_n = [0.0; 11];
+        let mut taxel_force_n = [0.0; TAXELS];
         taxel_force_n[2] = if tick < 100 { 20.0 } else { 0.0 };
         let input = ControlInput::new(robot, taxel_force_n, GRID_S);
         let mut command = controller.step(ControlLaw::Impedance, &mut state, &input)?.command;

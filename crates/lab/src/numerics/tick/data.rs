@@ -1,5 +1,6 @@
 //! The anchor's CSV files.
 
+use crate::rig::JOINTS;
 use anyhow::{Context as _, bail};
 use moca_msgs::robot::LinkInertial;
 use moca_msgs::{ArmTable, Mount, Payload};
@@ -8,16 +9,16 @@ use std::path::Path;
 
 /// Model, parameters, inputs and torques of an independent implementation.
 pub(super) struct Anchor {
-    pub arm: ArmTable<7>,
+    pub arm: ArmTable<JOINTS>,
     pub mount: Mount,
     pub virtual_mass: [f64; 3],
     pub weight_base: [f64; 3],
-    pub weight_arm: [f64; 7],
+    pub weight_arm: [f64; JOINTS],
     pub stiffness: [f64; 6],
     pub damping: [f64; 6],
-    pub posture_stiffness: [f64; 7],
-    pub posture_damping: [f64; 7],
-    pub posture: [f64; 7],
+    pub posture_stiffness: [f64; JOINTS],
+    pub posture_damping: [f64; JOINTS],
+    pub posture: [f64; JOINTS],
     pub inputs: Vec<Input>,
     pub references: Vec<[f64; 10]>,
 }
@@ -26,9 +27,9 @@ pub(super) struct Anchor {
 #[derive(Clone, Copy)]
 pub(super) struct Input {
     pub base_pose: [f64; 3],
-    pub q: [f64; 7],
+    pub q: [f64; JOINTS],
     pub base_rate: [f64; 3],
-    pub dq: [f64; 7],
+    pub dq: [f64; JOINTS],
     pub desired_rotation: Matrix3<f64>,
     pub desired_position: Vector3<f64>,
     pub twist: [f64; 6],
@@ -91,7 +92,7 @@ impl Anchor {
 }
 
 /// Joints and tool frame of model.csv as a table; rotations become fixed-axis angles.
-fn arm(rows: &mut [Row]) -> anyhow::Result<ArmTable<7>> {
+fn arm(rows: &mut [Row]) -> anyhow::Result<ArmTable<JOINTS>> {
     if rows.len() != 8 {
         bail!("model.csv has {} rows, expected 7 joints and the tool frame", rows.len());
     }

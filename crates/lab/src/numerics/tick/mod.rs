@@ -6,6 +6,7 @@
 
 mod data;
 
+use crate::rig::JOINTS;
 use data::{Anchor, Input};
 use moca_wbc::ControlError;
 use moca_wbc::linalg::times;
@@ -76,7 +77,7 @@ fn measured(
     name: &'static str,
     ticker: &Ticker,
     anchor: &Anchor,
-    tick: impl Fn(&Ticker, &Input) -> Result<WholeBodyForce<7, f64>, ControlError>,
+    tick: impl Fn(&Ticker, &Input) -> Result<WholeBodyForce<JOINTS, f64>, ControlError>,
 ) -> anyhow::Result<Variant> {
     let mut max_rel_error = 0.0_f64;
     for (input, reference) in anchor.inputs.iter().zip(&anchor.references) {
@@ -97,7 +98,7 @@ fn measured(
 }
 
 /// max|τ − ref| / max|ref| of one row.
-fn relative_error(force: &WholeBodyForce<7, f64>, reference: &[f64; 10]) -> f64 {
+fn relative_error(force: &WholeBodyForce<JOINTS, f64>, reference: &[f64; 10]) -> f64 {
     let scale = reference.iter().fold(0.0_f64, |most, r| most.max(r.abs()));
     let mut worst = 0.0;
     for (value, reference) in force.base.iter().chain(&force.arm).zip(reference) {
@@ -109,15 +110,15 @@ fn relative_error(force: &WholeBodyForce<7, f64>, reference: &[f64; 10]) -> f64 
 
 /// The anchor's model and parameters.
 struct Ticker {
-    model: ArmModel<7, f64>,
+    model: ArmModel<JOINTS, f64>,
     virtual_mass: [f64; 3],
     block: BlockWeight<f64>,
-    general: AxisWeight<7, f64>,
+    general: AxisWeight<JOINTS, f64>,
     stiffness: [f64; 6],
     damping: [f64; 6],
-    posture_stiffness: [f64; 7],
-    posture_damping: [f64; 7],
-    posture: [f64; 7],
+    posture_stiffness: [f64; JOINTS],
+    posture_damping: [f64; JOINTS],
+    posture: [f64; JOINTS],
 }
 
 impl Ticker {
@@ -137,12 +138,12 @@ impl Ticker {
     }
 
     #[inline]
-    fn block(&self, input: &Input) -> Result<WholeBodyForce<7, f64>, ControlError> {
+    fn block(&self, input: &Input) -> Result<WholeBodyForce<JOINTS, f64>, ControlError> {
         self.tick(input, |task, wrench, null| Ok(self.block.factor(task)?.force(wrench, null)))
     }
 
     #[inline]
-    fn general(&self, input: &Input) -> Result<WholeBodyForce<7, f64>, ControlError> {
+    fn general(&self, input: &Input) -> Result<WholeBodyForce<JOINTS, f64>, ControlError> {
         self.tick(input, |task, wrench, null| self.general.force(task, wrench, null))
     }
 
@@ -153,9 +154,9 @@ impl Ticker {
         law: impl Fn(
             &TaskDynamics<'_, 7, f64>,
             &[f64; 6],
-            &WholeBodyForce<7, f64>,
-        ) -> Result<WholeBodyForce<7, f64>, ControlError>,
-    ) -> Result<WholeBodyForce<7, f64>, ControlError> {
+            &WholeBodyForce<JOINTS, f64>,
+        ) -> Result<WholeBodyForce<JOINTS, f64>, ControlError>,
+    ) -> Result<WholeBodyForce<JOINTS, f64>, ControlError> {
         let kinematics = self.model.kinematics(input.base_pose[2], &input.q);
         let inertias = self.model.link_inertias(&kinematics);
         let (base, arm) = (kinematics.base_jacobian(), kinematics.arm_jacobian());

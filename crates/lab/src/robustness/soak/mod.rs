@@ -3,6 +3,7 @@
 
 mod onlookers;
 
+use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result, ensure};
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::supervisor::EDGES;
@@ -27,7 +28,6 @@ use std::time::Instant;
 const SEGMENT_TICKS: u64 = 600_000;
 /// Of each segment the first minute goes into a log that is read back.
 const LOGGED_TICKS: u64 = 60_000;
-const TAXELS: usize = 11;
 /// Longest list of violations that is worth reading.
 const VIOLATIONS_MAX: usize = 10;
 /// Requests of one burst, one a tick: more than any queue on their way holds.
@@ -316,7 +316,7 @@ fn press(taxel: usize, force_n: f64) -> Request {
 /// Whoever checks every tick.
 struct Watch {
     last: Option<Sample>,
-    torque_nm: [f64; 7],
+    torque_nm: [f64; JOINTS],
     torque_step_nm: f64,
     base_velocity: [f64; 3],
     base_step: [f64; 3],

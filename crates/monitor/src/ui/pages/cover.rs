@@ -1,7 +1,7 @@
 //! The cover as a table: every taxel's force, counts, age and health, and whether it is in use.
 
 use crate::logic::{
-    format::{health, number, taxel_name},
+    format::{number, taxel_name},
     model::Model,
 };
 use crate::ui::{requests::PageRequests, theme};
@@ -64,7 +64,7 @@ fn row(ui: &mut Ui, sample: &Sample, index: usize, may_mask: bool) -> Option<Req
     cell(ui, RichText::new(number(if valid { reading.force_n } else { f64::NAN }, 1)).monospace());
     cell(ui, RichText::new(sample.counts.get(index).map_or("–".into(), u16::to_string)).monospace());
     cell(ui, RichText::new(number(age_ms, 0)).monospace());
-    cell(ui, RichText::new(health(reading.status)).color(colour));
+    cell(ui, RichText::new(reading.status.name()).color(colour));
     let label = format!("{} {name}", if masked { "Use" } else { "Mask" });
     let clicked = ui.add_enabled(may_mask, Button::new(label).min_size(vec2(84.0, 0.0))).clicked();
     ui.end_row();

@@ -4,7 +4,7 @@
 use super::legend::legend;
 use super::scale::{ARC_MAX_RAD, ARC_RAD_PER_NM, ARROW_M_PER_N, ARROW_MAX_M, FLANGE_M_PER_N, FULL_COLOUR_N};
 use crate::logic::{
-    format::{self, number, taxel_name},
+    format::{number, taxel_name},
     kinematics,
     model::{Freshness, Model},
     parts::{has_arm, has_robot},
@@ -206,8 +206,7 @@ impl Taxel<'_> {
         painter.add(Shape::convex_polygon(self.block(-TAXEL_THICK_M, 0.0), colour, outline));
         self.age(painter, sample.frame_age_s / model.robot.frame_deadline_s);
 
-        let value =
-            if valid { format!("{} N", number(force_n, 1)) } else { format::health(reading.status).into() };
+        let value = if valid { format!("{} N", number(force_n, 1)) } else { reading.status.name().into() };
         let masked = reading.status == TaxelStatus::Masked;
         let colour = match (valid, masked) {
             (true, _) => theme::strong(ui.visuals()),
@@ -216,7 +215,7 @@ impl Taxel<'_> {
         };
         let [x, y, _] = sample.flange_position_world;
         self.label(painter, self.camera.world([x, y]), (&name, &value), colour, force_n > 0.0);
-        let health = format::health(reading.status);
+        let health = reading.status.name();
         let counts = sample.counts.get(self.index).map_or("–".into(), u16::to_string);
         if !pressed {
             let age = number(sample.frame_age_s.max(0.0) * 1e3, 0);

@@ -1,0 +1,279 @@
+//! `mocad tare | arm | disarm | stop | resume | law | status | watch`: a running robot without a screen.
+#![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
+
+use crate::cli::remote::{DaemonArguments, LOOK_EVERY, Refused, ask, connect, news, settled};
+use crate::cli::report::{Level, Report};
+use crate::cli::status::{Robot, Status};
+use anyhow::{Context, Result, bail};
+use clap::{Args, Subcommand, ValueEnum};
+use moca_msgs::{Law, Mode, Request, Sample, TaxelStatus};
+use moca_telemetry::net::{Commander, Connection, Link, Update};
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// What an operator may want of a running daemon.
+#[derive(Subcommand)]
+pub enum Command {
+    /// Measure the cover's zero, and wait until it is known. Nobody may touch the robot.
+    Tare(Arguments),
+    /// Hand the robot to its law, and hold the command until Ctrl-C, which disarms. If this program dies, the robot stops.
+    Arm(ArmArguments),
+    /// Take the robot back from its law: it holds still.
+    Disarm(Arguments),
+    /// Protective stop. Taken from anybody, whoever holds the command.
+    Stop(Arguments),
+    /// Leave the protective stop, once its cause is gone and the cover has a valid zero.
+    Resume(Arguments),
+    /// Choose the law that arming starts; an armed robot changes to it.
+    Law(LawArguments),
+    /// Say what the robot is doing.
+    Status(Arguments),
+    /// A line a second and one at every change, until Ctrl-C.
+    Watch(Arguments),
+}
+
+/// Which daemon, and how its answer is written.
+#[derive(Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    daemon: DaemonArguments,
+    /// Print the robot's status as JSON, an object a line; null is what is not known.
+    #[arg(long)]
+    json: bool,
+}
+
+/// How to arm.
+#[derive(Args)]
+pub struct ArmArguments {
+    /// Choose this law first.
+    #[arg(long)]
+    law: Option<LawName>,
+    /// Disarm by itself after so many seconds.
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    duration: Option<Duration>,
+    #[command(flatten)]
+    common: Arguments,
+}
+
+/// Which law.
+#[derive(Args)]
+pub struct LawArguments {
+    /// The law.
+    law: LawName,
+    #[command(flatten)]
+    common: Arguments,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum LawName {
+    /// The flange keeps its place while the base gives way.
+    Impedance,
+    /// Base and arm follow the hand.
+    FollowMe,
+}
+
+impl From<LawName> for Law {
+    fn from(name: LawName) -> Self {
+        match name {
+            LawName::Impedance => Self::Impedance,
+            LawName::FollowMe => Self::FollowMe,
+        }
+    }
+}
+
+/// The robot stopped while it was armed or tared, or is out of reach and has to: exit code 5.
+#[derive(Debug)]
+pub struct Stopped(String);
+
+impl fmt::Display for Stopped {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "the robot stopped: {}", self.0)
+    }
+}
+
+impl std::error::Error for Stopped {}
+
+impl Stopped {
+    fn because(sample: &Sample) -> Self {
+        Self(sample.fault.map_or_else(|| sample.mode.name().into(), |fault| fault.to_string()))
+    }
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    let allowed = || "allowed: 0.1 to 86400 s".to_owned();
+    let seconds = text.parse().ok().filter(|seconds| (0.1..=86_400.0).contains(seconds));
+    seconds.map(Duration::from_secs_f64).ok_or_else(allowed)
+}
+
+/// Carries out one command.
+///
+/// # Errors
+/// No daemon or no answer; [`Refused`] with the reason; [`Stopped`] if the robot stopped meanwhile.
+pub fn run(command: &Command) -> Result<()> {
+    match command {
+        Command::Tare(arguments) => tare(&Operator::connect(arguments)?),
+        Command::Arm(arguments) => arm(arguments),
+        Command::Disarm(arguments) => Operator::connect(arguments)?.once(Request::Disarm),
+        Command::Stop(arguments) => Operator::connect(arguments)?.once(Request::Stop),
+        Command::Resume(arguments) => Operator::connect(arguments)?.once(Request::Resume),
+        Command::Law(LawArguments { law, common }) => {
+            Operator::connect(common)?.once(Request::SelectLaw((*law).into()))
+        }
+        Command::Status(arguments) => {
+            let operator = Operator::connect(arguments)?;
+            operator.print(&settled(&operator.connection)?.1);
+            Ok(())
+        }
+        Command::Watch(arguments) => watch(&Operator::connect(arguments)?),
+    }
+}
+
+/// A connection, and how what comes over it is written.
+struct Operator {
+    connection: Connection,
+    robot: Robot,
+    json: bool,
+}
+
+impl Operator {
+    fn connect(arguments: &Arguments) -> Result<Self> {
+        let (connection, description) = connect(&arguments.daemon.address)
+            .context("is a daemon running, and does it listen there (telemetry.listen)?")?;
+        Ok(Self { connection, robot: Robot::new(&description), json: arguments.json })
+    }
+
+    /// One request from somebody who leaves again: the command is given back, so that a moving robot goes on.
+    fn once(&self, request: Request) -> Result<()> {
+        let outcome = self.ask(request);
+        self.connection.release();
+        outcome?;
+        let carried_out = |sample: &Sample| match request {
+            Request::Stop => matches!(sample.mode, Mode::ProtectiveStop | Mode::Fault),
+            Request::SelectLaw(law) => sample.law == Some(law),
+            Request::Disarm => !sample.mode.moves(),
+            _ => sample.mode == Mode::Ready,
+        };
+        // Samples from before the answer may come after it; and by now the next thing may have happened.
+        let update = news(&self.connection, carried_out).or_else(|_| news(&self.connection, |_| true))?;
+        self.print(&update);
+        Ok(())
+    }
+
+    fn ask(&self, request: Request) -> Result<()> {
+        Ok(ask(&self.connection, request)?.map_err(|refusal| Refused(refusal.to_string()))?)
+    }
+
+    /// The last sample of some news.
+    fn print(&self, update: &Update) {
+        let Some(sample) = update.samples.last() else { return };
+        let status = Status::new(&self.robot, sample, update.status.commander);
+        if self.json {
+            println!("{}", status.json());
+        } else {
+            print!("{status}");
+        }
+    }
+}
+
+fn tare(operator: &Operator) -> Result<()> {
+    let before = news(&operator.connection, |_| true)?;
+    operator.ask(Request::Tare)?;
+    news(&operator.connection, |sample| sample.mode == Mode::Taring)?;
+    let update = news(&operator.connection, |sample| sample.mode != Mode::Taring)?;
+    // Nothing moves: whoever comes next may have the command.
+    operator.connection.release();
+    operator.print(&update);
+    match (before.samples.last(), update.samples.last()) {
+        (Some(before), Some(after)) if tared(before, after) => Ok(()),
+        (_, Some(after)) => Err(Stopped::because(after).into()),
+        (_, None) => bail!("the daemon sends nothing new"),
+    }
+}
+
+/// A tare ends where it began, or in a mode that has a zero.
+fn tared(before: &Sample, after: &Sample) -> bool {
+    let zero = after.taxels.iter().all(|taxel| taxel.status != TaxelStatus::NoZero);
+    match after.mode {
+        Mode::Ready | Mode::Impedance | Mode::FollowMe => true,
+        Mode::ProtectiveStop => before.mode == Mode::ProtectiveStop && before.fault == after.fault && zero,
+        Mode::Starting | Mode::Taring | Mode::Fault => false,
+    }
+}
+
+/// Arms and stays: a robot that moves has somebody who watches over it.
+fn arm(arguments: &ArmArguments) -> Result<()> {
+    let ended = Arc::new(AtomicBool::new(false));
+    let on_signal = Arc::clone(&ended);
+    ctrlc::set_handler(move || on_signal.store(true, Ordering::Relaxed)).context("Ctrl-C handler")?;
+    let operator = Operator::connect(&arguments.common)?;
+    if let Some(law) = arguments.law {
+        operator.ask(Request::SelectLaw(law.into()))?;
+    }
+    operator.ask(Request::Arm)?;
+    if !operator.json {
+        println!("armed; this program holds the command, and the robot stops if it dies. Ctrl-C disarms.");
+    }
+    let until = arguments.duration.map(|duration| Instant::now() + duration);
+    let mut lines = Lines::new(&operator);
+    let mut armed = false;
+    while !ended.load(Ordering::Relaxed) && until.is_none_or(|until| Instant::now() < until) {
+        operator.connection.alive();
+        let update = operator.connection.poll();
+        if let Link::Down { reason } = &update.link {
+            return Err(Stopped(format!("the daemon hung up ({reason}), and its commander is gone")).into());
+        }
+        lines.print(&update);
+        for sample in &update.samples {
+            armed |= sample.mode.moves();
+            if matches!(sample.mode, Mode::ProtectiveStop | Mode::Fault) {
+                operator.connection.release();
+                return Err(Stopped::because(sample).into());
+            }
+        }
+        if armed && update.status.commander != Commander::You {
+            return Err(
+                Stopped("this program was silent for too long and has lost the command".into()).into()
+            );
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+    operator.once(Request::Disarm)
+}
+
+fn watch(operator: &Operator) -> Result<()> {
+    let mut lines = Lines::new(operator);
+    loop {
+        let update = operator.connection.poll();
+        if let Link::Down { reason } = &update.link {
+            bail!("the daemon hung up: {reason}");
+        }
+        lines.print(&update);
+        std::thread::sleep(LOOK_EVERY);
+    }
+}
+
+/// What is printed while samples come: as on the daemon's own terminal, or the status as JSON at the same times.
+struct Lines<'a> {
+    operator: &'a Operator,
+    report: Report,
+}
+
+impl<'a> Lines<'a> {
+    fn new(operator: &'a Operator) -> Self {
+        Self { operator, report: Report::new(Level::Info) }
+    }
+
+    fn print(&mut self, update: &Update) {
+        for sample in &update.samples {
+            let lines = self.report.lines(sample);
+            if self.operator.json && !lines.is_empty() {
+                println!("{}", Status::new(&self.operator.robot, sample, update.status.commander).json());
+            } else {
+                lines.iter().for_each(|line| println!("{line}"));
+            }
+        }
+        update.notices.iter().filter(|_| !self.operator.json).for_each(|notice| println!("{notice}"));
+    }
+}

@@ -1,0 +1,99 @@
+//! A running daemon, as the commands that ask it for something meet it.
+
+use anyhow::{Result, bail, ensure};
+use clap::Args;
+use moca_msgs::{Outcome, Request, Sample};
+use moca_telemetry::RobotDescription;
+use moca_telemetry::net::{Address, Connection, Link, Update};
+use std::fmt;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// How long a daemon on the same machine may take to greet or to answer.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(3);
+/// How often the connection is looked at.
+pub(crate) const LOOK_EVERY: Duration = Duration::from_millis(5);
+
+/// Which daemon.
+#[derive(Args)]
+pub(crate) struct DaemonArguments {
+    /// Address of the daemon's telemetry: HOST:PORT, or unix:PATH.
+    #[arg(long, value_name = "ADDRESS", default_value_t = Address::of_this_machine())]
+    pub(crate) address: Address,
+}
+
+/// The daemon refused a request: exit code 4.
+#[derive(Debug)]
+pub struct Refused(pub(crate) String);
+
+impl fmt::Display for Refused {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "refused: {}", self.0)
+    }
+}
+
+impl std::error::Error for Refused {}
+
+/// Connects, and waits for the greeting.
+///
+/// # Errors
+/// No daemon, or one that speaks another version.
+pub(crate) fn connect(address: &Address) -> Result<(Connection, Arc<RobotDescription>)> {
+    let connection = Connection::spawn(address.clone(), || {})?;
+    let until = Instant::now() + PATIENCE;
+    loop {
+        match connection.poll().link {
+            Link::Up { description, .. } => return Ok((connection, description)),
+            Link::Down { reason } if Instant::now() >= until => bail!("{address}: {reason}"),
+            Link::Down { .. } => std::thread::sleep(LOOK_EVERY),
+        }
+    }
+}
+
+/// The description and the first news: changed values come right after the greeting, before any sample.
+///
+/// # Errors
+/// The daemon hung up, or sends no sample.
+pub(crate) fn settled(connection: &Connection) -> Result<(Arc<RobotDescription>, Update)> {
+    let update = news(connection, |_| true)?;
+    let Link::Up { description, .. } = &update.link else { bail!("the daemon hung up") };
+    Ok((Arc::clone(description), update))
+}
+
+/// Waits for a sample that is `wanted`, as the last one of the news it came with. The command is kept meanwhile.
+///
+/// # Errors
+/// The daemon hung up, or no such sample came in time.
+pub(crate) fn news(connection: &Connection, wanted: impl Fn(&Sample) -> bool) -> Result<Update> {
+    let until = Instant::now() + PATIENCE;
+    loop {
+        connection.alive();
+        let mut update = connection.poll();
+        if let Link::Down { reason } = &update.link {
+            bail!("the daemon hung up: {reason}");
+        }
+        if let Some(found) = update.samples.iter().rposition(&wanted) {
+            update.samples.truncate(found + 1);
+            return Ok(update);
+        }
+        ensure!(Instant::now() < until, "the daemon sends nothing new");
+        std::thread::sleep(LOOK_EVERY);
+    }
+}
+
+/// Asks, and waits for the answer. Who does not release the command afterwards, and goes, stops a moving robot.
+///
+/// # Errors
+/// No answer.
+pub(crate) fn ask(connection: &Connection, request: Request) -> Result<Outcome> {
+    connection.request(request);
+    let until = Instant::now() + PATIENCE;
+    while Instant::now() < until {
+        connection.alive();
+        if let Some(reply) = connection.poll().replies.iter().find(|reply| reply.request == request) {
+            return Ok(reply.outcome);
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+    bail!("the daemon does not answer")
+}

@@ -1,0 +1,164 @@
+//! The robot's status for people and programs. What is not known is null, never zero.
+
+use moca_msgs::{Fault, Law, Mode, Sample, TaxelStatus, seconds};
+use moca_telemetry::net::Commander;
+use moca_telemetry::{ParameterValue, RobotDescription};
+use serde::Serialize;
+use std::fmt;
+
+/// What must be known of a robot to read its samples.
+pub(crate) struct Robot {
+    base: bool,
+    arm: bool,
+}
+
+impl Robot {
+    pub(crate) fn new(description: &RobotDescription) -> Self {
+        let none = ParameterValue::Text("none".into());
+        let driven = !description.parameters.iter().any(|p| p.name == "plant.kind" && p.value == none);
+        let (covered, jointed) = (!description.taxels.is_empty(), !description.arm.joint_origin.is_empty());
+        Self { base: driven && covered, arm: driven && jointed }
+    }
+}
+
+/// One sample as `mocad status --json` writes it.
+#[derive(Debug, Serialize)]
+pub(crate) struct Status {
+    time_s: f64,
+    mode: &'static str,
+    fault: Option<FaultStatus>,
+    law: Option<Law>,
+    speed_limit_m_s: f64,
+    speed_limit_reason: &'static str,
+    /// Of the cover's data; null before the first good frame.
+    frame_age_s: Option<f64>,
+    commander: &'static str,
+    /// Null where there is no base, or its state is not known.
+    base_pose_world: Option<BasePose>,
+    /// Distance of the flange from where it is wanted; null where there is no arm, or no law to want it anywhere.
+    flange_error_m: Option<f64>,
+    taxels: Vec<TaxelForce>,
+}
+
+#[derive(Debug, Serialize)]
+struct FaultStatus {
+    code: &'static str,
+    text: String,
+}
+
+#[derive(Debug, Serialize)]
+struct BasePose {
+    x_m: f64,
+    y_m: f64,
+    yaw_rad: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct TaxelForce {
+    name: String,
+    /// Null unless the status is "ok".
+    force_n: Option<f64>,
+    status: &'static str,
+}
+
+impl Status {
+    pub(crate) fn new(robot: &Robot, sample: &Sample, commander: Commander) -> Self {
+        let unknown = matches!(
+            sample.fault,
+            Some(Fault::StateInvalid | Fault::PlantLost | Fault::ArmStale | Fault::BaseStale)
+        );
+        let known = !unknown && sample.mode != Mode::Fault && (!robot.arm || !sample.q_rad.is_empty());
+        let [x_m, y_m, yaw_rad] = sample.base_pose_world;
+        // A brake has no flange: the zeros of an unset orientation say so.
+        let placed = sample.flange_quaternion_world.iter().any(|part| *part != 0.0);
+        let (at, wanted) = (sample.flange_position_world, sample.flange_desired_position_world);
+        let error_m = at.iter().zip(wanted).map(|(at, wanted)| (at - wanted).powi(2)).sum::<f64>().sqrt();
+        let force = |(i, taxel): (usize, &moca_msgs::TaxelReading)| TaxelForce {
+            name: format!("T{}", i + 1),
+            force_n: (taxel.status == TaxelStatus::Ok).then_some(taxel.force_n),
+            status: taxel.status.name(),
+        };
+        Self {
+            time_s: seconds(sample.time_ns),
+            mode: sample.mode.name(),
+            fault: sample.fault.map(|fault| FaultStatus { code: fault.code(), text: fault.to_string() }),
+            law: sample.law,
+            speed_limit_m_s: sample.speed_limit.m_s,
+            speed_limit_reason: sample.speed_limit.reason.name(),
+            frame_age_s: (sample.frame_age_s >= 0.0).then_some(sample.frame_age_s),
+            commander: match commander {
+                Commander::Nobody => "nobody",
+                Commander::You => "this client",
+                Commander::Another => "another client",
+            },
+            base_pose_world: (robot.base && known).then_some(BasePose { x_m, y_m, yaw_rad }),
+            flange_error_m: (robot.arm && known && placed).then_some(error_m),
+            taxels: sample.taxels.iter().enumerate().map(force).collect(),
+        }
+    }
+
+    /// One line of JSON.
+    pub(crate) fn json(&self) -> String {
+        // Text, numbers and lists: there is nothing in it that JSON could not hold.
+        serde_json::to_string(self).unwrap_or_default()
+    }
+}
+
+impl fmt::Display for Status {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let known = |value: Option<String>| value.unwrap_or_else(|| "not known".into());
+        let mode = self.fault.as_ref().map_or_else(String::new, |fault| format!(": {}", fault.text));
+        writeln!(f, "mode         {}{mode}", self.mode)?;
+        writeln!(f, "law          {}", known(self.law.map(|law| Mode::from(law).name().into())))?;
+        writeln!(f, "speed limit  {:.3} m/s ({})", self.speed_limit_m_s, self.speed_limit_reason)?;
+        writeln!(
+            f,
+            "frame age    {}",
+            known(self.frame_age_s.map(|age_s| format!("{:.0} ms", 1e3 * age_s)))
+        )?;
+        writeln!(f, "commander    {}", self.commander)?;
+        let pose = self.base_pose_world.as_ref();
+        let pose =
+            pose.map(|p| format!("x {:.3} m, y {:.3} m, yaw {:.1}°", p.x_m, p.y_m, p.yaw_rad.to_degrees()));
+        writeln!(f, "base         {}", known(pose))?;
+        let off = self.flange_error_m.map(|error_m| format!("off by {:.1} mm", 1e3 * error_m));
+        writeln!(f, "flange       {}", known(off))?;
+        let forces = self.taxels.iter().map(|taxel| match taxel.force_n {
+            Some(force_n) => format!("{} {force_n:.1} N", taxel.name),
+            None => format!("{} {}", taxel.name, taxel.status),
+        });
+        writeln!(f, "cover        {}", forces.collect::<Vec<_>>().join(", "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use moca_msgs::TaxelReading;
+
+    fn status(sample: &Sample) -> Status {
+        Status::new(&Robot::new(&RobotDescription::paper("test", true)), sample, Commander::Nobody)
+    }
+
+    #[test]
+    fn what_is_not_known_is_null_and_never_zero() {
+        let reading = |force_n, status| TaxelReading { force_n, status };
+        let taxels = [reading(0.0, TaxelStatus::Ok), reading(0.0, TaxelStatus::Dead)];
+        let mut sample = Sample { frame_age_s: -1.0, ..Sample::default() };
+        sample.taxels.extend(taxels);
+        let unknown = status(&sample);
+        assert!(unknown.frame_age_s.is_none() && unknown.flange_error_m.is_none());
+        assert!(unknown.base_pose_world.is_none(), "no joint angles: the state did not pass its check");
+        assert_eq!(unknown.taxels.iter().map(|taxel| taxel.force_n).collect::<Vec<_>>(), [Some(0.0), None]);
+        assert!(unknown.json().contains(r#""frame_age_s":null"#), "{}", unknown.json());
+
+        sample.q_rad.extend([0.0; 7]);
+        sample.flange_quaternion_world = [0.0, 0.0, 0.0, 1.0];
+        sample.flange_desired_position_world = [0.3, 0.4, 0.0];
+        assert_eq!(status(&sample).flange_error_m, Some(0.5));
+        assert!(status(&sample).base_pose_world.is_some());
+        for fault in [Fault::PlantLost, Fault::StateInvalid, Fault::BaseStale] {
+            assert!(status(&Sample { fault: Some(fault), ..sample.clone() }).base_pose_world.is_none());
+        }
+    }
+}

@@ -1,0 +1,269 @@
+//! Every setting is read by somebody: changed alone, it changes how the robot moves or what is refused. The rows come
+//! from the tables, so that a new one without a reader fails here.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests; what fails is named")]
+
+use moca_daemon::config::Config;
+use moca_daemon::devices::ideal_cover::IdealCover;
+use moca_daemon::devices::simulated_robot::free_scene;
+use moca_daemon::runtime::assemble::board_config;
+use moca_daemon::runtime::lockstep::LockStep;
+use moca_msgs::Sample;
+use moca_msgs::table::{ParameterKind, ParameterSpec};
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::path::Path;
+use toml::{Table, Value};
+
+/// Settings that act outside of what a run in lock-step shows, and the file that reads each: `.field` stands there.
+const READ_ELSEWHERE: &[(&str, &str)] = &[
+    ("robot.name", "daemon/src/runtime/clients.rs"),
+    ("robot.base_name", "daemon/src/cli/report.rs"),
+    ("arm.name", "daemon/src/config/own_arm.rs"),
+    ("robot.base.size_m", "telemetry/src/description.rs"),
+    ("realtime.priority", "daemon/src/runtime/realtime.rs"),
+    ("realtime.lock_memory", "daemon/src/runtime/realtime.rs"),
+    ("realtime.cpu", "daemon/src/runtime/realtime.rs"),
+    ("realtime.dma_latency", "daemon/src/runtime/realtime.rs"),
+    ("board.name", "daemon/src/config/mod.rs"),
+    ("board.gauge", "daemon/src/runtime/assemble.rs"),
+    ("board.gauge_baud", "daemon/src/runtime/assemble.rs"),
+    ("telemetry.listen", "daemon/src/config/mod.rs"),
+    ("telemetry.mode", "daemon/src/config/mod.rs"),
+    ("flight_recorder.folder", "daemon/src/record/flight_recorder.rs"),
+    ("protection.assessed_forces_n", "lab/src/cover/latency.rs"),
+];
+
+/// A robot, and the loads it is looked at under.
+struct Scenario {
+    name: &'static str,
+    /// What differs from the defaults.
+    differs: String,
+    /// From bytes, as a board sends them, or with true forces.
+    bytes: bool,
+    ticks: u64,
+}
+
+fn scenarios() -> Vec<Scenario> {
+    let carried = "[robot.tool]\nmass_kg = 1.0\ncom_m = [0.01, 0.0, 0.05]\ninertia_com = [0.002, 0.0, 0.0, 0.002, 0.0, 0.001]\n\
+                   [robot.load]\nmass_kg = 0.5\ncom_m = [0.02, 0.0, 0.1]\ninertia_com = [0.001, 0.0, 0.0, 0.001, 0.0, 0.001]\n";
+    let hand = "[simulation.hand]\ntaxels = [6, 2]\nforce_n = 40.0\nevery_s = 1.0\nhold_s = 0.2\n";
+    let limits = std::env::temp_dir().join("moca-fields-contact-limits.toml");
+    let text = "source = \"test\"\n[T6]\ntransient_n = 5.0\nquasi_static_n = 5.0\n";
+    std::fs::write(&limits, text).unwrap();
+    let reaction = |reaction: &str| {
+        format!(
+            "[protection]\nthresholds = {:?}\nuncalibrated_statement = \"a test\"\nreaction = \"{reaction}\"\n{hand}",
+            limits.display().to_string()
+        )
+    };
+    let scenario = |name, differs: String, bytes, ticks| Scenario { name, differs, bytes, ticks };
+    vec![
+        scenario("pushed", format!("{carried}{hand}"), false, 1200),
+        scenario(
+            "followed",
+            format!(
+                "[startup]\nlaw = \"follow-me\"\n[control.corrections]\nflange_wrench_feedforward = true\n{hand}"
+            ),
+            false,
+            1200,
+        ),
+        scenario(
+            "turned",
+            format!("[control.gains]\nstiffness = [800.0, 800.0, 800.0, 0.0, 0.0, 0.0]\n{hand}")
+                .replace("40.0", "150.0"),
+            false,
+            1500,
+        ),
+        scenario("kept soft", format!("[protection]\ncontact_barrier = \"foam\"\n{hand}"), false, 1200),
+        scenario("own arm", own_arm(), false, 900),
+        scenario("its URDF", urdf_arm(), false, 5),
+        scenario("slowed", reaction("slow"), false, 1200),
+        scenario("retreating", reaction("retreat"), false, 1200),
+        scenario("from bytes", hand.replace("every_s = 1.0", "every_s = 3.6"), true, 2800),
+        scenario(
+            "with a taxel masked",
+            format!("[board]\nmasked = [3]\nmask_policy = \"{}\"\n{hand}", mask_policy()),
+            true,
+            2400,
+        ),
+        scenario("slowly", format!("[loop]\nrate_hz = 100\n{hand}"), false, 120),
+    ]
+}
+
+/// The word for a robot that moves with a masked taxel: the second of the choice.
+fn mask_policy() -> &'static str {
+    let mut word = "";
+    Config::default().each(&mut |row, _| {
+        if let ("board.mask_policy", ParameterKind::Choice(words)) = (row.name, row.kind) {
+            word = words[1];
+        }
+    });
+    word
+}
+
+fn urdf_arm() -> String {
+    let folder =
+        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/robots")).canonicalize().unwrap();
+    format!(
+        "[robot]\narm = \"own\"\n[arm]\nurdf = {:?}\nbase_link = \"base_link\"\ntip_link = \"tool0\"\n\
+         home_rad = [0.0, -2.0, 2.0, -1.57, -1.57, 0.0]\n",
+        folder.join("ur10e.urdf").display().to_string()
+    )
+}
+
+/// The same arm as lists, with a speed envelope.
+fn own_arm() -> String {
+    let mut lists = Config::parse(&urdf_arm()).unwrap().to_toml()["arm"].as_table().unwrap().clone();
+    lists.insert("speed_offset_rad_s".into(), vec![0.1; 6].into());
+    lists.insert("speed_deceleration_rad_s2".into(), vec![10.0; 6].into());
+    let section: Table = [("arm".to_owned(), Value::from(lists))].into_iter().collect();
+    let hand = "[simulation.hand]\ntaxels = [6]\nforce_n = 40.0\nevery_s = 1.0\nhold_s = 0.1\n";
+    format!("[robot]\narm = \"own\"\n{hand}{}", toml::to_string(&section).unwrap())
+}
+
+/// What a run of `config` shows of the robot, as a number; or why it does not run.
+fn observed(config: &Table, scenario: &Scenario) -> Result<u64, String> {
+    let config = Config::parse(&toml::to_string(config).unwrap()).map_err(|error| error.to_string())?;
+    let scene = free_scene(&config);
+    let refused = |error: &dyn std::fmt::Display| format!("{error:#}");
+    if !config.plant.parts.has_cover() {
+        let mut world = LockStep::without_cover(&config, &scene).map_err(|error| refused(&error))?;
+        return Ok(shown(scenario.ticks, || world.step(None).0));
+    }
+    if scenario.bytes {
+        let world = LockStep::with_board(&config, &scene, board_config(&config), None);
+        let mut world = world.map_err(|error| refused(&error))?;
+        return Ok(shown(scenario.ticks, || world.step(None).0));
+    }
+    let world = LockStep::with_true_forces(&config, &scene, IdealCover::new(10, 0));
+    let mut world = world.map_err(|error| refused(&error))?;
+    Ok(shown(scenario.ticks, || world.step(None).0))
+}
+
+fn shown(ticks: u64, mut step: impl FnMut() -> Sample) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    for _ in 0..ticks {
+        let sample = step();
+        format!("{:?} {:?} {:?}", sample.mode, sample.fault, sample.speed_limit).hash(&mut hasher);
+        let lists = [
+            &sample.q_rad[..],
+            &sample.arm_torque_nm,
+            &sample.base_velocity_command_body,
+            &sample.base_pose_world,
+        ];
+        let numbers = lists
+            .into_iter()
+            .flatten()
+            .chain(&sample.flange_wrench_world)
+            .chain(&sample.flange_position_world);
+        numbers.for_each(|number| number.to_bits().hash(&mut hasher));
+        sample.taxels.iter().for_each(|taxel| taxel.force_n.to_bits().hash(&mut hasher));
+    }
+    hasher.finish()
+}
+
+/// Other values that this row may have.
+fn others(row: &ParameterSpec, present: &Value) -> Vec<Value> {
+    match row.kind {
+        ParameterKind::Flag => vec![Value::Boolean(present != &Value::Boolean(true))],
+        // where there is no other word, that any other is refused is what it is read for
+        ParameterKind::Choice([_]) => vec!["another".into()],
+        ParameterKind::Choice(words) => {
+            words.iter().filter(|word| Some(**word) != present.as_str()).map(|word| (*word).into()).collect()
+        }
+        ParameterKind::Text => vec!["".into(), "changed".into()],
+        ParameterKind::Number | ParameterKind::Integer => {
+            let changed = |change: &dyn Fn(f64) -> f64| with_numbers(row, present, change);
+            let towards = |end: f64| move |value: f64| value + 0.02 * (end - value);
+            vec![
+                changed(&|value| if value == 0.0 { 0.01 } else { 1.01 * value }),
+                changed(&towards(row.max)),
+                changed(&towards(row.min)),
+                changed(&|_| row.max),
+                changed(&|_| row.min),
+            ]
+        }
+    }
+}
+
+/// `present` with every number changed, inside the row's range; of an empty list one of three taxels.
+fn with_numbers(row: &ParameterSpec, present: &Value, change: &dyn Fn(f64) -> f64) -> Value {
+    let whole = row.kind == ParameterKind::Integer;
+    let one = |value: &Value| {
+        let before = value.as_float().or(value.as_integer().map(|value| value as f64)).unwrap();
+        let after = change(before).clamp(row.min, row.max);
+        if whole { Value::Integer(after.round() as i64) } else { Value::Float(after) }
+    };
+    match present {
+        Value::Array(list) if list.is_empty() && whole => vec![row.min as i64 + 2].into(),
+        Value::Array(list) if list.is_empty() => vec![change(1.0).clamp(row.min, row.max)].into(),
+        Value::Array(list) => list.iter().map(one).collect::<Vec<_>>().into(),
+        value => one(value),
+    }
+}
+
+fn at<'a>(table: &'a mut Table, name: &str) -> &'a mut Value {
+    let (first, rest) = name.split_once('.').unwrap();
+    let mut value = table.get_mut(first).unwrap();
+    for key in rest.split('.') {
+        value = value.get_mut(key).unwrap();
+    }
+    value
+}
+
+/// Whether the robot shows it when this row alone has another value.
+fn is_seen(row: &ParameterSpec, scenario: &Scenario, base: &Table, before: &Result<u64, String>) -> bool {
+    let present = at(&mut base.clone(), row.name).clone();
+    others(row, &present).into_iter().filter(|other| *other != present).any(|other| {
+        let mut changed = base.clone();
+        *at(&mut changed, row.name) = other;
+        observed(&changed, scenario) != *before
+    })
+}
+
+#[test]
+fn every_setting_is_read_by_somebody() {
+    let crates = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../crates"));
+    let mut unread: Vec<&'static ParameterSpec> = Vec::new();
+    Config::default().each(&mut |row, _| unread.push(row));
+    for (name, file) in READ_ELSEWHERE {
+        let text =
+            std::fs::read_to_string(crates.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
+        let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap();
+        let field = format!(".{}", name.rsplit('.').next().unwrap());
+        assert!(code.contains(&field), "{name} is not read in {file}");
+        assert!(unread.iter().any(|row| row.name == *name), "{name} is no setting");
+        unread.retain(|row| row.name != *name);
+    }
+    let all = unread.len();
+    for scenario in scenarios() {
+        let config =
+            Config::parse(&scenario.differs).unwrap_or_else(|error| panic!("{}: {error}", scenario.name));
+        let mut base = config.to_toml();
+        if scenario.differs.contains("urdf = ") {
+            // as it was written: in a whole configuration what the file says is there already
+            base = scenario.differs.parse().unwrap();
+            for (key, empty) in Config::default().to_toml()["arm"].as_table().unwrap() {
+                base["arm"].as_table_mut().unwrap().entry(key).or_insert_with(|| empty.clone());
+            }
+        }
+        let before = observed(&base, &scenario);
+        assert!(before.is_ok(), "{}: {before:?}", scenario.name);
+        // what [arm] says is refused wherever the arm is a built-in one: that shows nothing
+        let own = config.robot.arm.source == moca_daemon::robot::OWN_ARM;
+        let (mine, later): (Vec<_>, Vec<_>) =
+            unread.into_iter().partition(|row| row.name.starts_with("arm.") == own);
+        let half = mine.len() / 2;
+        let seen = |rows: &[&'static ParameterSpec]| -> Vec<&'static ParameterSpec> {
+            rows.iter().filter(|row| !is_seen(row, &scenario, &base, &before)).copied().collect()
+        };
+        let left = std::thread::scope(|threads| {
+            let first = threads.spawn(|| seen(&mine[..half]));
+            let second = seen(&mine[half..]);
+            [first.join().unwrap(), second].concat()
+        });
+        unread = [left, later].concat();
+    }
+    assert!(all > 80, "only {all} rows were looked at");
+    let names: Vec<&str> = unread.iter().map(|row| row.name).collect();
+    assert!(names.is_empty(), "nobody reads {names:?}");
+}

@@ -1,0 +1,210 @@
+//! A day without a screen: a running daemon, commanded by `mocad` alone.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot go on has to stop"
+)]
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use serde_json::Value;
+use std::io::Read;
+use std::net::TcpListener;
+use std::path::PathBuf;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+/// Ends a test that would hang; no test passes or fails by how long something took before this.
+const HANGS_AFTER: Duration = Duration::from_secs(60);
+/// What a machine too busy for a live board does to it; another daemon is tried then.
+const STARVED: [&str; 3] = ["board-silent", "board-slow", "host-starved"];
+
+struct Daemon {
+    process: Child,
+    address: String,
+}
+
+impl Daemon {
+    /// A live one of these parts that arms nothing by itself.
+    fn start(name: &str, parts: &str, address: Option<String>) -> Self {
+        let port = || TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+        let address = address.unwrap_or_else(port);
+        let config = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
+        let text = format!(
+            "[telemetry]\nlisten = \"{address}\"\n[startup]\narm = false\n[simulation.hand]\ntaxels = []\n\
+             [plant]\nparts = \"{parts}\"\n"
+        );
+        std::fs::write(&config, text).unwrap();
+        let mut command = mocad(&["--config", config.to_str().unwrap()]);
+        Self { process: command.stdout(Stdio::null()).spawn().unwrap(), address }
+    }
+
+    fn mocad(&self, arguments: &[&str]) -> Output {
+        mocad(arguments).args(["--address", &self.address]).output().unwrap()
+    }
+
+    /// Holds the command until it is told to end.
+    fn arm(&self, more: &[&str]) -> Child {
+        let mut command = mocad(&["arm", "--address", &self.address]);
+        command.args(more).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+    }
+
+    fn status(&self) -> Value {
+        let output = self.mocad(&["status", "--json"]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&output.stdout).unwrap()
+    }
+
+    fn wait_for(&self, mode: &str) -> Value {
+        let until = Instant::now() + HANGS_AFTER;
+        loop {
+            let status = self.status();
+            if status["mode"] == mode {
+                return status;
+            }
+            assert!(Instant::now() < until, "never {mode}: {status}");
+        }
+    }
+
+    fn done(&self, arguments: &[&str]) {
+        let output = self.mocad(arguments);
+        assert_eq!(
+            output.status.code(),
+            Some(0),
+            "{arguments:?}: {}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+    }
+
+    fn refused(&self, arguments: &[&str], said: &str) {
+        let output = self.mocad(arguments);
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(4), "{arguments:?}: {text}");
+        assert!(text.contains(said), "{arguments:?}: {text}");
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+fn mocad(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"));
+    command.args(arguments);
+    command
+}
+
+fn signal(child: &Child, signal: Signal) {
+    kill(Pid::from_raw(i32::try_from(child.id()).unwrap()), signal).unwrap();
+}
+
+fn said(mut child: Child) -> (Option<i32>, String) {
+    let mut text = String::new();
+    child.stderr.take().unwrap().read_to_string(&mut text).unwrap();
+    (child.wait().unwrap().code(), text)
+}
+
+#[test]
+fn arming_holds_the_command_while_it_runs_and_its_death_stops_the_robot() {
+    // Without a cover: no busy machine can stop it.
+    let daemon = Daemon::start("operate-arm.toml", "arm", None);
+    let ready = daemon.wait_for("ready");
+    assert_eq!((&ready["commander"], &ready["law"]), (&"nobody".into(), &"impedance".into()));
+    daemon.done(&["law", "follow-me"]);
+    assert_eq!(daemon.status()["law"], "follow-me");
+    daemon.refused(&["resume"], "not possible in mode ready");
+
+    // Ctrl-C disarms.
+    let held = daemon.arm(&["--law", "impedance"]);
+    let armed = daemon.wait_for("impedance");
+    assert_eq!(armed["commander"], "another client");
+    for others in [&["disarm"][..], &["law", "follow-me"], &["arm"]] {
+        daemon.refused(others, "another client has the command");
+    }
+    signal(&held, Signal::SIGINT);
+    assert_eq!(said(held), (Some(0), String::new()));
+    assert_eq!(daemon.wait_for("ready")["commander"], "nobody");
+
+    // Killed without a word: the dead man's switch.
+    let mut killed = daemon.arm(&[]);
+    daemon.wait_for("impedance");
+    killed.kill().unwrap();
+    killed.wait().unwrap();
+    assert_eq!(daemon.wait_for("protective stop")["fault"]["code"], "operator-lost");
+    daemon.done(&["resume"]);
+
+    // Anybody may stop; who armed ends with a code of its own.
+    let stopped = daemon.arm(&[]);
+    daemon.wait_for("impedance");
+    daemon.done(&["stop"]);
+    let (code, text) = said(stopped);
+    assert!(code == Some(5) && text.contains("the robot stopped"), "{code:?}: {text}");
+    assert_eq!(daemon.wait_for("protective stop")["fault"]["code"], "operator-stop");
+    daemon.refused(&["arm"], "not possible in mode protective stop");
+    daemon.done(&["resume"]);
+
+    let timed = daemon.mocad(&["arm", "--duration", "0.5"]);
+    assert_eq!(timed.status.code(), Some(0), "{}", String::from_utf8_lossy(&timed.stderr));
+    daemon.wait_for("ready");
+}
+
+#[test]
+fn a_program_that_is_frozen_loses_the_command_and_the_robot_stops() {
+    let daemon = Daemon::start("operate-frozen.toml", "arm", None);
+    daemon.wait_for("ready");
+    let frozen = daemon.arm(&[]);
+    daemon.wait_for("impedance");
+    signal(&frozen, Signal::SIGSTOP);
+    assert_eq!(daemon.wait_for("protective stop")["fault"]["code"], "operator-lost");
+    signal(&frozen, Signal::SIGCONT);
+    assert_eq!(said(frozen).0, Some(5), "it is told when it wakes");
+}
+
+#[test]
+fn a_cover_is_tared_and_its_status_names_every_taxel_over_a_socket_file() {
+    let socket = std::env::temp_dir().join(format!("moca-operate-{}.sock", std::process::id()));
+    for _ in 0..10 {
+        let address = format!("unix:{}", socket.display());
+        let daemon = Daemon::start("operate-cover.toml", "whole", Some(address));
+        daemon.wait_for("ready");
+        let tared = daemon.mocad(&["tare", "--json"]);
+        let status = daemon.status();
+        if STARVED.iter().any(|code| status["fault"]["code"] == *code) {
+            continue;
+        }
+        assert_eq!(tared.status.code(), Some(0), "{}", String::from_utf8_lossy(&tared.stderr));
+        let tared: Value = serde_json::from_slice(&tared.stdout).unwrap();
+        assert_eq!(tared["mode"], "ready");
+        assert_eq!(tared["taxels"].as_array().unwrap().len(), 11);
+        for taxel in tared["taxels"].as_array().unwrap() {
+            assert_eq!((&taxel["status"], &taxel["force_n"]), (&"ok".into(), &0.0.into()), "{taxel}");
+        }
+        assert!(
+            tared["frame_age_s"].as_f64().unwrap() > 0.0 && tared["speed_limit_m_s"].as_f64().unwrap() > 0.0
+        );
+        assert!(tared["flange_error_m"].is_f64() && tared["base_pose_world"]["yaw_rad"].is_f64(), "{tared}");
+        let text = String::from_utf8(daemon.mocad(&["status"]).stdout).unwrap();
+        assert!(text.starts_with("mode         ready\n") && text.contains("T11 0.0 N"), "{text}");
+        return;
+    }
+    panic!("ten daemons were starved before they were tared");
+}
+
+#[test]
+fn without_a_daemon_or_a_reader_it_ends_with_a_word_or_quietly() {
+    let output = mocad(&["status", "--address", "unix:/no/such/socket"]).output().unwrap();
+    let text = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("is a daemon running"), "{text}");
+
+    // As `mocad params schema | head` does, in the worst moment: before anything is read.
+    for command in [&["params", "schema"][..], &["default-config"], &["params", "list", "--offline"]] {
+        let mut child = mocad(command).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop(child.stdout.take());
+        assert_eq!(said(child).1, "", "{command:?}");
+    }
+}
