@@ -9,8 +9,8 @@
 //! ```
 
 use crate::board::Diagnosis;
-use crate::protection::MAX_CONTACT_EVENTS;
-use crate::{ContactEvent, ContactReaction, Fault, Law, Mode, SpeedLimit, TaxelReading};
+use crate::protection::{MAX_CONTACT_EVENTS, MAX_CONTACT_ROWS};
+use crate::{ContactEvent, ContactReaction, ContactRow, Fault, Law, Mode, SpeedLimit, TaxelReading};
 use heapless::Vec;
 
 /// Most arm joints a sample can carry.
@@ -85,6 +85,8 @@ pub struct Sample {
     pub contact_reaction: Option<ContactReaction>,
     /// What happened to contacts in this tick, oldest first.
     pub contact_events: Vec<ContactEvent, MAX_CONTACT_EVENTS>,
+    /// What the contact barrier says of the first taxels that it has a say in; not in logs, a replay finds it again.
+    pub contact_rows: Vec<ContactRow, MAX_CONTACT_ROWS>,
     /// How late this tick woke, s; 0 in lock-step.
     pub lateness_s: f64,
     /// Missed slots so far.

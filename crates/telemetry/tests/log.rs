@@ -106,6 +106,7 @@ fn sample(tick: u32) -> Sample {
             impulse_n_s: value(),
             crossed_n: (taxel > 0).then(|| value().abs() + 1.0),
             reaction: (taxel > 0).then_some(ContactReaction::Retreat),
+            excess_m_s: value(),
         };
         s.contact_events.push(event).unwrap();
     }

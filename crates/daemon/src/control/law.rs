@@ -8,10 +8,11 @@ use crate::control::loop_state::{JointsState, LawState, MotionState, OtherRobot}
 use crate::control::protection::{Protected, Protection};
 use crate::control::uncovered::Uncovered;
 use crate::robot::{JOINTS, Parts, TAXELS};
+use moca_msgs::protection::MAX_CONTACT_ROWS;
 use moca_msgs::robot::resized;
 use moca_msgs::{
-    Actuation, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, Refusal, RobotCommand,
-    RobotState, TaxelStatus,
+    Actuation, ContactRow, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, Refusal,
+    RobotCommand, RobotState, TaxelStatus,
 };
 use moca_wbc::{
     ArmController, ArmInput, ArmState, BaseController, BaseGuard, BaseInput, BaseState, ControlError,
@@ -101,12 +102,18 @@ impl Motion {
         };
         self.guard = protected.guard;
         if let Some(barrier) = &mut self.barrier {
+            self.protection.squeezed(now_ns, barrier.rows());
             barrier.take_cover(now_ns, cover);
         }
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.feel(cover);
         }
         protected
+    }
+
+    /// What the contact barrier says of this tick, taxel by taxel; nothing without one.
+    pub fn contact_rows(&self) -> heapless::Vec<ContactRow, MAX_CONTACT_ROWS> {
+        self.barrier.as_ref().map(|barrier| barrier.rows().clone()).unwrap_or_default()
     }
 
     /// Speed of the fastest point of the cover at the base's measured velocity, m/s; 0 without a cover.
@@ -224,8 +231,17 @@ impl Motion {
                 .update(robot, deceleration, law == ControlLaw::Impedance, dt_s)
                 .map_err(|_| Fault::ControlRefused)?;
             if law != ControlLaw::Hold {
-                guard.outward_m_s = Some(contacts.outward_m_s);
                 taxel_force_n = contacts.force_n;
+            }
+            if law == ControlLaw::Impedance && contacts.carried > 0.0 {
+                let [vx, vy, _] = robot.base_velocity_world;
+                let shift_m = [vx, vy].map(|v| contacts.carried * v * dt_s);
+                either!(&mut self.controller, controller => controller.carry_target(shift_m))
+                    .map_err(|_| Fault::ControlRefused)?;
+            }
+            // who is pressed when a taxel fails is given room even in a stop
+            if law != ControlLaw::Hold || contacts.backs_off {
+                guard.outward_m_s = Some(contacts.outward_m_s);
             }
         }
         let input = LawInput { law, taxel_force_n, guard, dt_s };
@@ -235,6 +251,7 @@ impl Motion {
         }
         if let Some(barrier) = &mut self.barrier {
             barrier.remember(&output.flange, robot);
+            barrier.ordered(&output.command.base_velocity_body);
         }
         let fault = output.exceeded.map(|exceeded| match exceeded {
             Exceeded::JointSpeed(joint) => {
@@ -328,6 +345,13 @@ impl<const N: usize> Controller<N> {
             Self::Whole(_, Some(state)) => state.set_target_twist(twist),
             Self::Arm(_, Some(state)) => state.set_target_twist(twist),
             Self::Whole(_, None) | Self::Arm(_, None) | Self::Base(..) => Ok(()),
+        }
+    }
+
+    fn carry_target(&mut self, shift_world_m: [f64; 2]) -> Result<(), ControlError> {
+        match self {
+            Self::Whole(_, Some(state)) => state.carry_target(shift_world_m),
+            Self::Whole(_, None) | Self::Arm(..) | Self::Base(..) => Ok(()),
         }
     }
 

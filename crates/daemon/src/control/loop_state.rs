@@ -41,7 +41,6 @@ pub struct MotionState {
 
 /// What the law for an arm of so many joints remembers.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-#[expect(clippy::large_enum_variant, reason = "a copy in a ring, for which one size is right")]
 pub(super) enum JointsState {
     Six(LawState<6>),
     Seven(LawState<7>),
@@ -49,7 +48,6 @@ pub(super) enum JointsState {
 
 /// What the law of the parts that the robot has remembers.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-#[expect(clippy::large_enum_variant, reason = "a copy in a ring, for which one size is right")]
 pub(super) enum LawState<const N: usize> {
     Whole(Option<ControllerState<N>>),
     Base(BaseState),

@@ -328,6 +328,7 @@ impl Decoder {
             speed_limit,
             contact_reaction,
             contact_events: bounded(events),
+            contact_rows: heapless::Vec::new(),
             lateness_s: timing.lateness_s,
             overruns: timing.overruns,
             stages_ns: timing.stages_ns,
