@@ -109,3 +109,58 @@ impl TaxelHealth {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ZERO: TaxelZero = TaxelZero { counts: 720.0, tared_counts: 720.0, deviation: 0.7, gain: 1.0 };
+
+    /// After `frames` frames of `fdat`, `dt_s` apart.
+    fn after(frames: u32, fdat: u16, dt_s: f64, zero: TaxelZero) -> Option<TaxelStatus> {
+        let mut health = TaxelHealth::default();
+        (0..frames).for_each(|_| health.update(fdat, Some(&zero), 4.0, dt_s));
+        health.status(Some(&zero))
+    }
+
+    #[test]
+    fn counts_outside_the_chip_s_linear_window_are_saturated_and_above_it_the_plate_is_gone() {
+        for (fdat, status) in [
+            (0, Some(TaxelStatus::Saturated)),
+            (1, Some(TaxelStatus::Saturated)),
+            (216, Some(TaxelStatus::Saturated)),
+            (217, None),
+            (999, None),
+            (1000, Some(TaxelStatus::Dead)),
+            (1022, Some(TaxelStatus::Dead)),
+            (1023, Some(TaxelStatus::Saturated)),
+        ] {
+            assert_eq!(after(1, fdat, 0.025, ZERO), status, "{fdat} counts");
+        }
+    }
+
+    #[test]
+    fn a_lively_taxel_is_stuck_after_frames_and_time_enough_and_a_quiet_one_never() {
+        // The first frame repeats nothing.
+        for (frames, dt_s, stuck) in
+            [(60, 0.1, false), (61, 0.1, true), (200, 0.004, false), (215, 0.004, true), (4, 1.0, false)]
+        {
+            let expected = stuck.then_some(TaxelStatus::Stuck);
+            assert_eq!(after(frames, 720, dt_s, ZERO), expected, "{frames} frames of {dt_s} s");
+        }
+        let quiet = TaxelZero { deviation: STUCK_NEEDS_DEVIATION, ..ZERO };
+        assert_eq!(after(1000, 720, 0.025, quiet), None);
+    }
+
+    #[test]
+    fn noise_at_its_bound_is_borne_and_beyond_it_is_not() {
+        let noisy = |deviation: f64| TaxelHealth {
+            latest: 720,
+            second_difference: deviation * SECOND_DIFFERENCE_PER_DEVIATION,
+            ..TaxelHealth::default()
+        };
+        let bound = noisy(NOISY_DEVIATION);
+        assert_eq!((bound.deviation().to_bits(), bound.status(None)), (NOISY_DEVIATION.to_bits(), None));
+        assert_eq!(noisy(1.001 * NOISY_DEVIATION).status(None), Some(TaxelStatus::Noisy));
+    }
+}

@@ -228,6 +228,44 @@ impl TareSum {
 mod tests {
     use super::*;
 
+    /// A tare over `frames`, FDAT and baseline.
+    fn tared(frames: &[(u16, u16)]) -> Result<TaxelZero, TareRefusal> {
+        let mut sum = TareSum::default();
+        frames.iter().for_each(|(fdat, baseline)| sum.add(*fdat, *baseline));
+        sum.finish(4, None, None)
+    }
+
+    #[test]
+    fn a_tare_takes_mean_and_deviation_and_its_bounds_are_still_inside() {
+        let zero = tared(&[(719, 720), (721, 724), (720, 716), (720, 720)]).unwrap();
+        assert!((zero.counts - 720.0).abs() < 1e-9 && (zero.deviation - (2.0_f64 / 3.0).sqrt()).abs() < 1e-9);
+        // The baseline's mean decides, not its last value.
+        assert!(tared(&[(720, 728), (720, 728)]).is_ok(), "8 counts below");
+        let touched = tared(&[(720, 728), (720, 729)]);
+        assert_eq!(touched, Err(TareRefusal::Touched { taxel: 4, counts: 8.5 }));
+        let unusable = |status| Err(TareRefusal::Unusable { taxel: 4, status });
+        for (fdat, expected) in [
+            (216, unusable(TaxelStatus::Saturated)),
+            (1000, unusable(TaxelStatus::Dead)),
+            (1023, unusable(TaxelStatus::Saturated)),
+        ] {
+            assert_eq!(tared(&[(fdat, fdat)]), expected);
+        }
+        assert!(tared(&[(217, 217)]).is_ok() && tared(&[(999, 999)]).is_ok());
+        let noisy = TareSum {
+            frames: 2,
+            mean: 700.0,
+            squares: TARE_NOISE_MAX * TARE_NOISE_MAX,
+            baseline_mean: 700.0,
+        };
+        assert!(noisy.finish(4, None, None).is_ok(), "a deviation of exactly the bound");
+        let noisy = TareSum { squares: 1.01 * noisy.squares, ..noisy };
+        assert!(matches!(noisy.finish(4, None, None), Err(TareRefusal::Noisy { taxel: 4, .. })));
+        let expected = ExpectedRest { counts: 730.0, range_counts: 10.0 };
+        let still = TareSum { frames: 2, mean: 720.0, squares: 0.0, baseline_mean: 720.0 };
+        assert!(still.finish(4, None, Some(&expected)).is_ok(), "as far from its rest as it may be");
+    }
+
     #[test]
     fn slow_drift_is_followed_with_its_time_constant_and_fast_drift_at_its_limit() {
         let zero = TaxelZero { counts: 700.0, tared_counts: 700.0, deviation: 0.7, gain: 1.0 };

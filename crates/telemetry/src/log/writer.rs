@@ -64,12 +64,15 @@ impl LogSummary {
     }
 }
 
+/// What changes now and then: mode, fault with the board that it is of, and what is known of the board.
+type Situation = (Mode, (Option<Fault>, Option<u8>), Diagnosis);
+
 /// Writes a log to `W`. Each channel's messages are in order of time.
 pub struct LogWriter<W: Write> {
     mcap: Writer<NoSeek<W>>,
     channels: BTreeMap<&'static str, u16>,
     start_unix_ns: u64,
-    last: Option<(Mode, (Option<Fault>, Option<u8>), Diagnosis)>,
+    last: Option<Situation>,
     /// Loop time at which the present chunk began; `None` before its first sample.
     chunk_ns: Option<u64>,
     next_display_ns: u64,
