@@ -11,7 +11,7 @@ use moca_msgs::{Fault, Mode, Refusal, Request, Sample, TaxelStatus};
 use moca_sim::BoardFault;
 use moca_tactile::Firmware;
 use moca_telemetry::log::read_log;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 #[global_allocator]
@@ -140,7 +140,7 @@ fn mocad(name: &str, arguments: &[&str]) -> (PathBuf, String) {
     (log, text)
 }
 
-fn replayed(log: &PathBuf) -> String {
+fn replayed(log: &Path) -> String {
     let output =
         Command::new(env!("CARGO_BIN_EXE_mocad-under-test")).arg("replay").arg(log).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

@@ -57,8 +57,12 @@ parameter_table! {
         board: Vec<usize> = Vec::new() => [.range(1.0, 2.0)];
         /// Electrode of each taxel, 0 to 11 on its board, from 12 on further chips; empty counts up from 0 on each board.
         electrode: Vec<usize> = Vec::new() => [.range(0.0, 47.0)];
-        /// What is under the plates of a simulated cover.
+        /// What is under the plates.
         foam: FoamKind = FoamKind::PuLd30;
+        /// Stiffness k_0 of a hyperbolic foam, F = k_0 d/(1 - d/h).
+        foam_stiffness_n_m: f64 = 2105.0 => [.range(10.0, 1e6).units(&["N/m"])];
+        /// Thickness h of a hyperbolic foam.
+        foam_thickness_m: f64 = 0.015 => [.range(1e-3, 0.1).units(&["m"])];
     }
 }
 
@@ -90,7 +94,7 @@ parameter_table! {
     }
 }
 
-/// Foams of the paper.
+/// What yields under the plates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FoamKind {
     /// PU LD30, 15 mm.
@@ -101,9 +105,11 @@ pub enum FoamKind {
     Pe5,
     /// PE LD45, 3 mm.
     Pe3,
+    /// F = k_0 d/(1 - d/h).
+    Hyperbolic,
 }
 
-choice!(FoamKind { PuLd30: "pu-ld30", Cc: "cc", Pe5: "pe5", Pe3: "pe3" });
+choice!(FoamKind { PuLd30: "pu-ld30", Cc: "cc", Pe5: "pe5", Pe3: "pe3", Hyperbolic: "hyperbolic" });
 
 impl CoverTable {
     /// How many taxels there are.

@@ -11,7 +11,7 @@ use clap::{Parser, Subcommand};
 use cover::{characterize, latency, stream, threshold};
 use numerics::{economy, extremes, precision, stability, sweep, tick, vectors};
 use paper::report;
-use robustness::{clients, faults, lean, soak};
+use robustness::{clients, faults, lean, protection, soak};
 use std::process::ExitCode;
 
 /// Experiments and checks of MOCA-S.
@@ -38,6 +38,7 @@ enum Command {
     Clients(clients::Arguments),
     /// Error against run time: integrators and steps, control rate, single precision.
     Precision(precision::Arguments),
+    Protection(protection::Arguments),
     /// One self-contained HTML page: tables, figures, what matches the paper and what does not.
     Report(report::Arguments),
     /// The whole system at the stiff and extreme ends of its parameters.
@@ -80,6 +81,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Latency(arguments) => latency::run(&arguments),
         Command::Clients(arguments) => clients::run(&arguments),
         Command::Precision(arguments) => precision::run(&arguments),
+        Command::Protection(arguments) => protection::run(&arguments),
         Command::Report(arguments) => report::run(&arguments),
         Command::Stability(arguments) => stability::run(&arguments),
         Command::Sweep(arguments) => sweep::run(&arguments),

@@ -36,7 +36,7 @@ pub mod taxel;
 
 pub use mode::{Fault, Law, Mode, Reaction};
 pub use params::{Corrections, ImpedanceGains, Limits, ParameterError, ParameterValues, Parameters};
-pub use protection::{ContactEvent, ContactReaction, SpeedLimit, SpeedLimitReason};
+pub use protection::{ContactEvent, ContactReaction, ContactRow, SpeedLimit, SpeedLimitReason};
 pub use request::{Outcome, Refusal, Request};
 pub use robot::{ArmTable, BaseTable, Mount, Payload, TaxelPlacement};
 pub use sample::{MAX_JOINTS, MAX_TAXELS, STAGES, Sample};

@@ -11,6 +11,10 @@
 pub const TRANSIENT_S: f64 = 0.5;
 /// Most contact events a sample can carry; further ones wait for the next tick.
 pub const MAX_CONTACT_EVENTS: usize = 4;
+/// Most taxels whose [`ContactRow`] a sample can carry.
+pub const MAX_CONTACT_ROWS: usize = 4;
+/// What a row of the contact barrier may be exceeded by before that is an event, m/s.
+pub const NO_ROOM_M_S: f64 = 0.02;
 
 /// Largest speed of any point of the cover, and why.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -95,6 +99,8 @@ pub enum ContactPhase {
     Finished,
     /// The taxel became unusable while in contact: how the contact ended is unknown.
     Lost,
+    /// The base cannot make the room that the contact barrier asks for: somebody else, or its own limits.
+    NoRoom,
 }
 
 /// How long a contact has lasted, in classes.
@@ -145,4 +151,24 @@ pub struct ContactEvent {
     pub crossed_n: Option<f64>,
     /// What the robot does about it.
     pub reaction: Option<ContactReaction>,
+    /// How much faster outward the taxel was ordered than the contact barrier allows, m/s, when there was no room.
+    pub excess_m_s: f64,
+}
+
+/// What the contact barrier lets a touched or lately released taxel do, and what it does.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct ContactRow {
+    /// 0 is T1.
+    pub taxel: u8,
+    /// Compression as it is believed now, m; 0 after a release.
+    pub depth_m: f64,
+    /// The person's own speed towards the cover, m/s.
+    pub person_m_s: f64,
+    /// Fastest outward, m/s; below 0 it has to give way.
+    pub allowed_m_s: f64,
+    /// Outward, as measured, m/s.
+    pub outward_m_s: f64,
+    /// How much faster than allowed it was ordered, m/s.
+    pub excess_m_s: f64,
 }

@@ -9,8 +9,8 @@
 //! ```
 
 use crate::board::Diagnosis;
-use crate::protection::MAX_CONTACT_EVENTS;
-use crate::{ContactEvent, ContactReaction, Fault, Law, Mode, SpeedLimit, TaxelReading};
+use crate::protection::{MAX_CONTACT_EVENTS, MAX_CONTACT_ROWS};
+use crate::{ContactEvent, ContactReaction, ContactRow, Fault, Law, Mode, SpeedLimit, TaxelReading};
 use heapless::Vec;
 
 /// Most arm joints a sample can carry.
@@ -43,6 +43,8 @@ pub struct Sample {
     pub base_velocity_world: [f64; 3],
     /// Speed of the fastest point of the cover, m/s: what the speed limit limits.
     pub cover_speed_m_s: f64,
+    /// Way of the base towards a side that no taxel covers since it last rested, m; 0 where all are covered.
+    pub uncovered_way_m: f64,
     /// Commanded base velocity in the axes of B: m/s, m/s, rad/s.
     pub base_velocity_command_body: [f64; 3],
     /// Joint angles, rad.
@@ -83,6 +85,8 @@ pub struct Sample {
     pub contact_reaction: Option<ContactReaction>,
     /// What happened to contacts in this tick, oldest first.
     pub contact_events: Vec<ContactEvent, MAX_CONTACT_EVENTS>,
+    /// What the contact barrier says of the first taxels that it has a say in; not in logs, a replay finds it again.
+    pub contact_rows: Vec<ContactRow, MAX_CONTACT_ROWS>,
     /// How late this tick woke, s; 0 in lock-step.
     pub lateness_s: f64,
     /// Missed slots so far.

@@ -45,8 +45,10 @@ const STOP_SHARE: f64 = 0.3165;
 /// Share of the force limit from which on it makes room at the person's speed: what is left to the limit is for errors
 /// of the person's estimated speed over one age.
 const YIELD_SHARE: f64 = 0.7313;
-/// Way that a touched taxel goes back once its readings cannot be believed any more, m.
+/// Way that a touched taxel goes back once its readings cannot be believed any more, m,
 pub const BLIND_RETREAT_M: f64 = 0.03;
+/// and when it stops trying, s after the last of them: something is behind it.
+pub const BLIND_RETREAT_S: f64 = 0.6;
 
 /// How a foam's force grows with its compression.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -145,7 +147,8 @@ pub struct BarrierSettings {
     pub creep_s: f64,
     /// and what it gains per second afterwards, m/s².
     pub recovery_m_s2: f64,
-    /// How far the flange may be from its place over the base where the retreat begins to fade, and where it ends, m.
+    /// How far the flange may be from its place over the base where a retreat begins to take it along, and where it takes
+    /// it along all the way, m.
     pub reach_m: [f64; 2],
 }
 
@@ -247,6 +250,11 @@ pub struct ContactLimits<const K: usize, T = f64> {
     pub depth_m: [T; K],
     /// The person's own speed towards the cover, m/s, ≥ 0.
     pub person_m_s: [T; K],
+    /// A touched taxel whose readings cannot be believed any more is still to go back: a robot that stops does so first.
+    pub backs_off: bool,
+    /// Share of the base's way that the tool has to go along because the arm has no more reach, 0 to 1: people first,
+    /// then the tool's place.
+    pub carried: T,
 }
 
 /// The barrier of a cover of up to `K` taxels, with what it remembers: 3 kB of odometry, which no step copies.
@@ -279,6 +287,11 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
         })
     }
 
+    /// The cover's geometry.
+    pub const fn outline(&self) -> &CoverOutline<K, T> {
+        &self.outline
+    }
+
     /// What it remembers.
     pub const fn state(&self) -> &BarrierState<K, T> {
         &self.state
@@ -302,6 +315,8 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             force_n: [T::zero(); K],
             depth_m: [T::zero(); K],
             person_m_s: [T::zero(); K],
+            backs_off: false,
+            carried: T::zero(),
         };
         for i in 0..taxels {
             let way = |place: &[T; 3]| self.outline.outward(i, place);
@@ -323,9 +338,16 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             limits.person_m_s[i] = track.person_m_s();
             limits.force_n[i] = track.believed_n(&self.settings.reading, depth);
             limits.outward_m_s[i] = match input.samples[i] {
-                None => track.blind_limit(&self.settings, way_now),
+                None => {
+                    let most = track.blind_limit(&self.settings, way_now);
+                    limits.backs_off |= most < T::zero();
+                    most
+                }
                 Some(_) => self.touched_limit(i, depth, input),
             };
+            if limits.outward_m_s[i] < T::zero() {
+                limits.carried = limits.carried.max(self.carried(i, input.stretch_body_m));
+            }
         }
         Ok(limits)
     }
@@ -345,14 +367,19 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             linear.min((of::<T>(2.0 * s.braking_share) * deceleration * left).sqrt())
         };
         let own = closing(of::<T>(s.stop_m) - soon).max(T::zero());
-        let mut room = closing(of::<T>(s.yield_m) - soon) - person;
-        let [x, y] = input.stretch_body_m;
-        if room < T::zero() && self.outline.outward(i, &[x, y, T::zero()]) > T::zero() {
-            let [soft, hard] = s.reach_m;
-            let length = (x * x + y * y).sqrt();
-            room *= ((of::<T>(hard) - length) / of(hard - soft)).clamp(T::zero(), T::one());
-        }
+        let room = closing(of::<T>(s.yield_m) - soon) - person;
         own.min(room).max(of(-s.retreat_m_s))
+    }
+
+    /// Share of the base's way that the tool has to go along while taxel `i` gives way: all of it at the end of the reach.
+    fn carried(&self, i: usize, stretch_body_m: [T; 2]) -> T {
+        let [x, y] = stretch_body_m;
+        if self.outline.outward(i, &[x, y, T::zero()]) <= T::zero() {
+            return T::zero();
+        }
+        let [soft, hard] = self.settings.reach_m;
+        let length = (x * x + y * y).sqrt();
+        ((length - of(soft)) / of(hard - soft)).clamp(T::zero(), T::one())
     }
 }
 

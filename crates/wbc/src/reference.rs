@@ -19,6 +19,8 @@ pub const ERROR_SATURATION_M: f64 = 0.1;
 pub const ERROR_SATURATION_RAD: f64 = 0.5;
 /// Speed at which the reference travels to a pose target, m/s, and largest linear twist target.
 pub const REFERENCE_SPEED_M_S: f64 = 0.25;
+/// How fast the twist falls where a base is held back, and rises again, m/s².
+const REFERENCE_M_S2: f64 = 2.0;
 /// Turning speed of the reference, rad/s, and largest angular twist target.
 pub const REFERENCE_SPEED_RAD_S: f64 = 1.0;
 /// Speed at which the null-space posture travels to the configured one, rad/s.
@@ -39,6 +41,43 @@ pub(crate) struct Pose<T> {
     pub rotation: Matrix3<T>,
 }
 
+/// A direction of the plane in which the base was refused what the law wanted, and how fast it went that way, axes of
+/// the reference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(
+    feature = "serde",
+    serde(bound(
+        serialize = "T: crate::Scalar + serde::Serialize",
+        deserialize = "T: crate::Scalar + serde::Deserialize<'de>"
+    ))
+)]
+pub(crate) struct HeldBack<T> {
+    direction: [T; 2],
+    speed: T,
+}
+
+impl<T: Scalar> HeldBack<T> {
+    /// From the velocities of the tool \[m/s, m/s\] that the base wanted and was given; `None` where they are the same.
+    pub(crate) fn between(wanted: [T; 2], given: [T; 2]) -> Option<Self> {
+        let [x, y] = [wanted[0] - given[0], wanted[1] - given[1]];
+        let length = (x * x + y * y).sqrt();
+        (length > of(crate::guard::STANDSTILL)).then(|| {
+            let direction = [x / length, y / length];
+            Self { direction, speed: (direction[0] * given[0] + direction[1] * given[1]).max(T::zero()) }
+        })
+    }
+
+    /// `velocity` no faster in that direction than the base: who is led waits for whoever is in the way.
+    fn slowed(&self, mut velocity: Vector3<T>) -> Vector3<T> {
+        let [x, y] = self.direction;
+        let ahead = (x * velocity.x + y * velocity.y - self.speed).max(T::zero());
+        velocity.x -= ahead * x;
+        velocity.y -= ahead * y;
+        velocity
+    }
+}
+
 /// Target pose and twist of the tool frame, and the reference on its way there; in W for the impedance law, in B for
 /// follow-me.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,6 +92,8 @@ pub(crate) struct Pose<T> {
 pub(crate) struct Reference<T> {
     target: Pose<T>,
     twist: [T; 6],
+    /// The twist on its way to what a held-back base leaves of it.
+    given: [T; 6],
     /// What the law is given.
     pub now: Pose<T>,
 }
@@ -60,7 +101,7 @@ pub(crate) struct Reference<T> {
 impl<T: Scalar> Reference<T> {
     /// Holds `pose`.
     pub(crate) fn hold(pose: Pose<T>) -> Self {
-        Self { target: pose, twist: [T::zero(); 6], now: pose }
+        Self { target: pose, twist: [T::zero(); 6], given: [T::zero(); 6], now: pose }
     }
 
     pub(crate) fn set_pose(&mut self, position: [T; 3], quaternion: [T; 4]) -> Result<(), ControlError> {
@@ -72,7 +113,7 @@ impl<T: Scalar> Reference<T> {
         }
         let rotation = rotation::from_quaternion(quaternion);
         self.target = Pose { position: Vector3::from(position), rotation };
-        self.twist = [T::zero(); 6];
+        (self.twist, self.given) = ([T::zero(); 6], [T::zero(); 6]);
         Ok(())
     }
 
@@ -82,27 +123,54 @@ impl<T: Scalar> Reference<T> {
         let linear = shortened(&linear, of(REFERENCE_SPEED_M_S));
         let angular = shortened(&angular, of(REFERENCE_SPEED_RAD_S));
         self.twist = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+        self.given = self.twist;
         Ok(())
+    }
+
+    /// Moves target and reference by `shift` m at once, along the plane.
+    pub(crate) fn carry(&mut self, [x, y]: [T; 2]) {
+        let shift = Vector3::new(x, y, T::zero());
+        self.target.position += shift;
+        self.now.position += shift;
     }
 
     /// Twist the law is given, m/s and rad/s.
     pub(crate) fn twist(&self) -> &[T; 6] {
-        &self.twist
+        &self.given
     }
 
-    /// Moves target and reference on by `dt_s`. Both wait while the tool is as far behind as the law pulls.
-    pub(crate) fn advance(&mut self, actual: &Pose<T>, dt_s: T) {
+    /// The linear twist, not faster where the base is held back; what it changes by comes at [`REFERENCE_M_S2`].
+    fn slow_down(&mut self, held_back: Option<&HeldBack<T>>, dt_s: T) -> Vector3<T> {
+        let (wanted, angular) = split(&self.twist);
+        let wanted = held_back.map_or(wanted, |held_back| held_back.slowed(wanted));
+        let (given, _) = split(&self.given);
+        let gap = wanted - given;
+        let step = shortened(&gap, of::<T>(REFERENCE_M_S2) * dt_s);
+        let linear = if step == gap { wanted } else { given + step };
+        self.given = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+        linear
+    }
+
+    /// Moves target and reference on by `dt_s`. Both wait while the tool is as far behind as the law pulls, and while the
+    /// base is held back.
+    pub(crate) fn advance(&mut self, actual: &Pose<T>, held_back: Option<&HeldBack<T>>, dt_s: T) {
         if self.now == self.target && self.twist == [T::zero(); 6] {
             return;
         }
         let near = (self.now.position - actual.position).norm() < of(ERROR_SATURATION_M);
         let turned_near =
             rotation::error(&actual.rotation, &self.now.rotation).norm() < of(ERROR_SATURATION_RAD);
-        let (linear, angular) = split(&self.twist);
+        let (_, angular) = split(&self.twist);
+        let linear = self.slow_down(held_back, dt_s);
         if near {
             self.target.position += linear * dt_s;
             let gap = self.target.position - self.now.position;
-            let step = shortened(&gap, of::<T>(REFERENCE_SPEED_M_S) * dt_s);
+            let mut step = shortened(&gap, of::<T>(REFERENCE_SPEED_M_S) * dt_s);
+            if let Some(held_back) = held_back
+                && self.twist == [T::zero(); 6]
+            {
+                step = held_back.slowed(step / dt_s) * dt_s;
+            }
             self.now.position = if step == gap { self.target.position } else { self.now.position + step };
         }
         if turned_near {
@@ -146,4 +214,36 @@ fn shortened<T: Scalar>(v: &Vector3<T>, most: T) -> Vector3<T> {
 /// `rotation` turned by a rotation vector in the outer axes, and made orthonormal again.
 fn turned<T: Scalar>(rotation: &Matrix3<T>, by: &Vector3<T>) -> Matrix3<T> {
     rotation::from_quaternion(rotation::to_quaternion(&(rotation::exp(by) * rotation)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_is_led_waits_for_a_base_that_is_held_back() {
+        let start = Pose { position: Vector3::zeros(), rotation: Matrix3::identity() };
+        let run = |held_back: Option<HeldBack<f64>>| {
+            let mut reference = Reference::hold(start);
+            reference.set_twist([0.2, 0.1, 0.05, 0.0, 0.0, 0.0]).unwrap();
+            (0..1000).for_each(|_| reference.advance(&reference.now.clone(), held_back.as_ref(), 1e-3));
+            reference.now.position
+        };
+        let near = |a: Vector3<f64>, b: [f64; 3]| (a - Vector3::from(b)).norm() < 1e-9;
+        assert!(near(run(None), [0.2, 0.1, 0.05]));
+        // it wanted 0.15 m/s along x and got 0.03: along y and z the reference goes on; slowing down takes its way
+        let slowing_m = |from: f64| (0.2 - from).powi(2) / (2.0 * REFERENCE_M_S2) - 0.5e-3 * (0.2 - from);
+        let x = 0.03 + slowing_m(0.03);
+        assert!(
+            (run(HeldBack::between([0.15, 0.02], [0.03, 0.02])) - Vector3::new(x, 0.1, 0.05)).norm() < 1e-4
+        );
+        // a base that gives way does not take the reference back
+        let x = slowing_m(0.0);
+        assert!(
+            (run(HeldBack::between([0.15, 0.0], [-0.1, 0.0])) - Vector3::new(x, 0.1, 0.05)).norm() < 1e-4
+        );
+        // refused the way back, it may be led forward
+        assert!(near(run(HeldBack::between([-0.15, 0.0], [-0.03, 0.0])), [0.2, 0.1, 0.05]));
+        assert_eq!(HeldBack::between([0.1, 0.0], [0.1, 0.0]), None);
+    }
 }

@@ -8,14 +8,14 @@
 )]
 
 use moca_wbc::contact_barrier::{
-    BLIND_RETREAT_M, BarrierInput, BarrierSettings, ContactBarrier, FoamCurve, TaxelSample,
+    BLIND_RETREAT_M, BLIND_RETREAT_S, BarrierInput, BarrierSettings, ContactBarrier, FoamCurve, TaxelSample,
 };
 use moca_wbc::guard::CoverOutline;
 use moca_wbc::limits::BaseLimits;
 use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_wbc::{
-    BaseGuard, ControlInput, ControlLaw, ControlOutput, LimitsHit, Parameters, Payload, RobotState,
-    WholeBodyController,
+    BaseController, BaseGuard, BaseInput, ControlInput, ControlLaw, ControlOutput, LimitsHit, Parameters,
+    Payload, RobotState, WholeBodyController,
 };
 use std::collections::VecDeque;
 
@@ -272,6 +272,31 @@ fn a_taxel_whose_readings_end_backs_off_and_stands() {
     assert!(outcome.last_speed_m_s < 1e-3, "{}", outcome.last_speed_m_s);
 }
 
+/// The same as a controller in a stop does it, on a base that something holds from behind: it stops trying.
+#[test]
+fn a_stop_makes_room_for_a_taxel_that_fails_in_contact_and_then_stands() {
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
+    let base = BaseController::<11>::new(&PAPER_COVER, &Parameters::PAPER).unwrap();
+    let mut state = base.enter();
+    let mut backwards_s = 0.0;
+    let mut last = [1.0; 3];
+    for step in 0..2000 {
+        let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
+        samples[FRONT] = (step < 100).then_some(TaxelSample { force_n: 10.0, age_s: 0.0 });
+        let contacts = barrier.update(&BarrierInput::new(samples, [0.0; 3], [3.0; 3], DT_S)).unwrap();
+        assert!(step >= 100 || !contacts.backs_off, "{step}");
+        let guard =
+            BaseGuard { outward_m_s: contacts.backs_off.then_some(contacts.outward_m_s), ..BaseGuard::NONE };
+        let input = BaseInput { yaw_world_rad: 0.0, taxel_force_n: [0.0; 11], guard, dt_s: DT_S };
+        last = base.hold(&mut state, &input).unwrap().velocity_body;
+        backwards_s += if last[0] < 0.0 { DT_S } else { 0.0 };
+        assert!(last[0] <= 0.0 && last[0] >= -settings.retreat_m_s - 1e-9, "{last:?}");
+    }
+    assert!(backwards_s > 0.5 && backwards_s < BLIND_RETREAT_S + 0.2, "{backwards_s} s");
+    assert_eq!(last, [0.0; 3]);
+}
+
 #[test]
 fn hands_that_leave_no_way_out_share_what_is_too_much() {
     let outline = CoverOutline::<11, f64>::new(&PAPER_COVER).unwrap();
@@ -289,6 +314,23 @@ fn hands_that_leave_no_way_out_share_what_is_too_much() {
     let excess = [1, 8].map(|i| outline.outward(i, &velocity) - outward_m_s[i]);
     assert!((excess[0] - excess[1]).abs() < 1e-3 && excess[0] > 0.0, "{excess:?}");
     assert!((velocity[0] - 0.1).abs() < 1e-3, "along them it goes on: {velocity:?}");
+}
+
+#[test]
+fn who_comes_further_than_the_arm_reaches_takes_the_tool_along() {
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    // pressed in front beyond the yield depth; the tool is ahead of its place over the base, or behind it
+    for (force_n, ahead_m, share) in
+        [(22.0, 0.2, 0.0), (22.0, 0.3, 0.5), (22.0, 0.4, 1.0), (22.0, -0.4, 0.0), (0.0, 0.4, 0.0)]
+    {
+        let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
+        let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
+        samples[FRONT] = Some(TaxelSample { force_n, age_s: 0.0 });
+        let mut input = BarrierInput::new(samples, [0.0; 3], [3.0; 3], DT_S);
+        input.stretch_body_m = [ahead_m, 0.0];
+        let carried = barrier.update(&input).unwrap().carried;
+        assert!((carried - share).abs() < 1e-9, "{force_n} N, {ahead_m} m: {carried}");
+    }
 }
 
 #[test]
@@ -345,6 +387,40 @@ fn whole_robot(force_n: f64, outward_m_s: Option<[f64; 11]>) -> Vec<ControlOutpu
 #[test]
 fn a_barrier_without_contacts_changes_no_bit() {
     assert_eq!(whole_robot(12.0, None), whole_robot(12.0, Some([f64::INFINITY; 11])));
+}
+
+/// Led by a hand at the flange, pushed from behind, or alone: whatever the law, the base goes no further.
+#[test]
+fn follow_me_and_a_base_alone_keep_what_the_barrier_allows() {
+    let mut parameters = Parameters::PAPER;
+    parameters.corrections.base_coupling = true;
+    let whole =
+        WholeBodyController::<7, 11>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &parameters)
+            .unwrap();
+    let alone = BaseController::<11>::new(&PAPER_COVER, &parameters).unwrap();
+    let robot = RobotState::at_rest(PANDA.home_rad);
+    // T9 is opposite T2: pressed, it pushes the base into whoever stands at T2
+    let mut pushed = [0.0; 11];
+    pushed[8] = 60.0;
+    for allowed in [0.02, 0.0, -0.1] {
+        let mut guard = BaseGuard { outward_m_s: Some([f64::INFINITY; 11]), ..BaseGuard::NONE };
+        guard.outward_m_s.as_mut().unwrap()[1] = allowed;
+        let outline = CoverOutline::<11, f64>::new(&PAPER_COVER).unwrap();
+        let (mut led, mut base) = (whole.enter(ControlLaw::FollowMe, &robot).unwrap(), alone.enter());
+        for step in 0..1000 {
+            let mut input = ControlInput::new(robot, pushed, DT_S);
+            (input.guard, input.flange_wrench_world) = (guard, Some([0.0, 30.0, 0.0, 0.0, 0.0, 0.0]));
+            let led = whole.step(ControlLaw::FollowMe, &mut led, &input).unwrap();
+            let input = BaseInput { yaw_world_rad: 0.0, taxel_force_n: pushed, guard, dt_s: DT_S };
+            let base = alone.step(&mut base, &input).unwrap();
+            for velocity in [led.command.base_velocity_body, base.velocity_body] {
+                let outward = outline.outward(1, &velocity);
+                // the way down is braked for; a soft row gives 1/ρ = 1e-4 of what it takes away
+                assert!(step < 100 || outward <= allowed + 1e-5, "{step}: {outward} of {allowed} m/s");
+            }
+            assert!(step < 100 || allowed > 0.0 || (led.limits.contact && base.limits.contact));
+        }
+    }
 }
 
 #[test]

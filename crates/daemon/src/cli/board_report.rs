@@ -41,7 +41,12 @@ fn listen(port: &str, length: Duration) -> Result<()> {
             Ok(0) => bail!("the board at {port:?} was unplugged"),
             Ok(count) => {
                 let arrival_ns = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
-                bench.take(&buffer[..count], arrival_ns);
+                // What waited in a buffer meanwhile came all at once.
+                if start.elapsed() >= SETTLE {
+                    bench.take(&buffer[..count], arrival_ns);
+                } else {
+                    bench.answers(&buffer[..count]);
+                }
             }
             Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
             Err(error) => return Err(error).with_context(|| format!("read {port}")),
@@ -111,24 +116,35 @@ impl Bench {
                 noise.take(f64::from(fdat));
             }
         }
-        for &byte in bytes {
-            if byte != b'\n' {
-                // a line of any board is shorter
-                if self.text.len() < 256 {
-                    self.text.push(byte);
-                }
-                continue;
-            }
-            let line = std::mem::take(&mut self.text);
-            if is_note(&line) {
-                self.notes.push(String::from_utf8_lossy(&line[..line.len() - 5]).into_owned());
-            } else if let Ok(line) = parse(&line)
+        for line in self.lines(bytes) {
+            if let Ok(line) = parse(&line)
                 && let Content::Data(flags) = line.content
                 && line.bank == *self.bank_of_first.get_or_insert(line.bank)
             {
                 self.data(arrival_ns, line.device_us, flags);
             }
         }
+    }
+
+    /// Takes answers alone.
+    fn answers(&mut self, bytes: &[u8]) {
+        self.lines(bytes);
+    }
+
+    /// The lines that `bytes` end; answers among them are kept.
+    fn lines(&mut self, bytes: &[u8]) -> Vec<Vec<u8>> {
+        let mut lines = Vec::new();
+        for &byte in bytes {
+            // a line of any board is shorter
+            match byte {
+                b'\n' => lines.push(std::mem::take(&mut self.text)),
+                _ if self.text.len() < 256 => self.text.push(byte),
+                _ => {}
+            }
+        }
+        let notes = lines.iter().filter(|line| is_note(line));
+        self.notes.extend(notes.map(|line| String::from_utf8_lossy(&line[..line.len() - 5]).into_owned()));
+        lines
     }
 
     fn data(&mut self, arrival_ns: u64, device_us: u32, flags: Flags) {

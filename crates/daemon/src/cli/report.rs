@@ -211,6 +211,14 @@ fn contact(time_s: f64, event: &ContactEvent) -> Option<Line> {
         ContactPhase::LimitCrossed => (Level::Warning, "crossed a limit"),
         ContactPhase::Finished => (Level::Info, "over"),
         ContactPhase::Lost => (Level::Warning, "taxel lost in contact"),
+        ContactPhase::NoRoom => {
+            let (taxel, excess_m_s) = (event.taxel + 1, event.excess_m_s);
+            let text = format!(
+                "[{time_s:7.2} s] contact T{taxel} has no room: ordered {excess_m_s:.3} m/s faster outward than the contact \
+                 barrier allows"
+            );
+            return Some(Line { level: Level::Warning, text });
+        }
     };
     let clamp = match event.kind {
         ContactKind::Transient => String::new(),

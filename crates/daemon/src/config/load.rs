@@ -16,6 +16,8 @@ const RENAMED: &[(&str, &str)] = &[
     ("geometry.taxel_y_m", "robot.cover.y_m"),
     ("geometry.taxel_inward_rad", "robot.cover.inward_rad"),
     ("control.corrections.flange_feed", "control.corrections.flange_wrench_feedforward"),
+    ("protection.foam_stiffness_n_m", "robot.cover.foam_stiffness_n_m"),
+    ("protection.foam_thickness_m", "robot.cover.foam_thickness_m"),
     ("protection.unfelt_force_n", "protection.threshold_force_n"),
 ];
 
@@ -58,6 +60,9 @@ impl Config {
             }
         });
         config.check(|name, message| mistakes.add(name, &message));
+        if mistakes.found.is_empty() {
+            super::check::stability(&config, &mut |name, message| mistakes.add(name, &message));
+        }
         mistakes.or(config)
     }
 

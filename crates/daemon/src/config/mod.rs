@@ -3,10 +3,12 @@
 
 mod check;
 pub mod contact_limits;
+pub mod live;
 pub mod load;
 mod own_arm;
 mod ports;
 pub mod schema;
+pub mod stability;
 pub mod urdf;
 
 pub use own_arm::OwnArm;
@@ -176,11 +178,7 @@ parameter_table! {
         /// Forces of your own risk assessment: `moca-lab latency` prints the speed for each.
         assessed_forces_n: Vec<f64> = vec![25.0, 65.0, 130.0, 260.0] => [.range(6.0, 1000.0).units(&["N"])];
         /// Keeps every contact under the force limit from inside the law; how it understands the cover's readings.
-        contact_barrier: BarrierReadings = BarrierReadings::Off => [.lab("barrier")];
-        /// Stiffness k_0 of the cover's foam, F = k_0 d/(1 - d/h), for the contact barrier.
-        foam_stiffness_n_m: f64 = 2105.0 => [.range(10.0, 1e6).units(&["N/m"])];
-        /// Thickness h of the cover's foam, for the contact barrier.
-        foam_thickness_m: f64 = 0.015 => [.range(1e-3, 0.1).units(&["m"])];
+        contact_barrier: BarrierReadings = BarrierReadings::Auto => [.lab("barrier")];
         /// Another speed limit, whatever the board's rate; 0 is no override.
         override_speed_limit_m_s: f64 = 0.0 => [.range(0.0, OVERRIDE_MAX_M_S).units(&["m/s"])];
         /// Why the limit is overridden; logged.
@@ -197,6 +195,10 @@ parameter_table! {
         retreat_m_s: f64 = 0.05 => [.range(0.001, 1.0).units(&["m/s"])];
         /// Longest way of a retreat.
         retreat_m: f64 = 0.10 => [.range(0.0, 1.0).units(&["m"])];
+        /// Speed towards a side that no taxel covers; the limit of the covered ones holds there too.
+        uncovered_m_s: f64 = 3.0 => [.range(0.0, 3.0).units(&["m/s"])];
+        /// Longest way towards a side that no taxel covers, until nobody touches the robot and it has rested.
+        uncovered_m: f64 = 0.10 => [.range(0.0, 100.0).units(&["m"])];
     }
 }
 
@@ -267,15 +269,17 @@ pub enum AssumedModel {
 /// Whether there is a contact barrier, and what the cover's readings tell it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BarrierReadings {
+    /// As [`Self::Foam`] on a calibrated cover, none on another.
+    Auto,
     /// There is none.
     Off,
-    /// Forces on the foam that the configuration describes: a calibrated cover.
+    /// Forces on the foam of `robot.cover`: a calibrated cover.
     Foam,
     /// Forces that PU LD30 would need for the same plate gap: a cover that has not been calibrated.
     PuLd30,
 }
 
-choice!(BarrierReadings { Off: "off", Foam: "foam", PuLd30: "pu-ld30" });
+choice!(BarrierReadings { Auto: "auto", Off: "off", Foam: "foam", PuLd30: "pu-ld30" });
 
 choice!(AssumedModel { PuLd30: "pu-ld30", Paper: "paper" });
 

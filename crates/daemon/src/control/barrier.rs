@@ -2,27 +2,28 @@
 
 use crate::config::{BarrierReadings, Config};
 use crate::control::cover::CoverState;
-use crate::robot::{JOINTS, TAXELS};
+use crate::robot::{CoverTable, FoamKind, JOINTS, TAXELS};
+use moca_msgs::protection::MAX_CONTACT_ROWS;
 use moca_msgs::robot::resized;
-use moca_msgs::{ParameterError, RobotState, TaxelStatus};
+use moca_msgs::{ContactRow, ParameterError, RobotState, TaxelStatus};
 use moca_wbc::contact_barrier::{
     BarrierInput, BarrierSettings, BarrierState, ContactBarrier, ContactLimits, FoamCurve, TaxelSample,
 };
 use moca_wbc::{ArmModel, ControlError, FlangePose};
 use serde::{Deserialize, Serialize};
 
-/// PU LD30's elastic law, which an uncalibrated cover is read with.
-const PU_LD30: FoamCurve = FoamCurve::Power { depth_at_100n_m: 0.0114, exponent: 1.586 };
-
 /// The barrier with what a tick tells it piece by piece.
 #[derive(Clone, Debug)]
 pub struct Barrier {
     contacts: ContactBarrier<TAXELS>,
     samples: [Option<TaxelSample>; TAXELS],
+    /// What the base's servo can brake with, m/s², m/s², rad/s².
+    deceleration: [f64; 3],
     /// Flange from the base with the arm in its posture, axes of B, m; of an arm that holds its place in the world.
     home_body_m: Option<[f64; 2]>,
     /// Flange from the base in the last tick, axes of B, m.
     flange_body_m: Option<[f64; 2]>,
+    rows: heapless::Vec<ContactRow, MAX_CONTACT_ROWS>,
 }
 
 /// What a [`Barrier`] remembers from tick to tick.
@@ -30,6 +31,7 @@ pub struct Barrier {
 pub struct BarrierMemory {
     contacts: BarrierState<TAXELS>,
     flange_body_m: Option<[f64; 2]>,
+    rows: heapless::Vec<ContactRow, MAX_CONTACT_ROWS>,
 }
 
 impl Barrier {
@@ -42,25 +44,37 @@ impl Barrier {
         arm: Option<&ArmModel<N, f64>>,
     ) -> Result<Option<Self>, ParameterError> {
         let Some(settings) = settings(config)? else { return Ok(None) };
+        let base = &config.robot.base;
         let posture_rad = resized(&config.parameters().gains.posture_rad);
         let home = arm.map(|model| model.kinematics(0.0, &posture_rad).tool_from_base());
         Ok(Some(Self {
             contacts: ContactBarrier::new(&config.robot.cover.placements(), &settings)?,
             samples: [None; TAXELS],
+            deceleration: [
+                base.acceleration_max_m_s2,
+                base.acceleration_max_m_s2,
+                base.yaw_acceleration_max_rad_s2,
+            ],
             home_body_m: home.map(|home| [home.x, home.y]),
             flange_body_m: None,
+            rows: heapless::Vec::new(),
         }))
     }
 
     /// What it remembers.
     pub fn state(&self) -> BarrierMemory {
-        BarrierMemory { contacts: self.contacts.state().clone(), flange_body_m: self.flange_body_m }
+        BarrierMemory {
+            contacts: self.contacts.state().clone(),
+            flange_body_m: self.flange_body_m,
+            rows: self.rows.clone(),
+        }
     }
 
     /// Goes on from where `state` was taken.
     pub fn restore(&mut self, state: &BarrierMemory) {
         self.contacts.restore(&state.contacts);
         self.flange_body_m = state.flange_body_m;
+        self.rows.clone_from(&state.rows);
     }
 
     /// Takes in what the cover says in the tick at `now_ns`.
@@ -72,24 +86,54 @@ impl Barrier {
         }
     }
 
-    /// What the contacts allow in this tick. `holds_place`: the flange stays where it is in the world.
+    /// What the contacts allow in this tick, the base braking within `limit` (m/s², m/s², rad/s²) and its own ability.
+    /// `holds_place`: the flange stays where it is in the world.
     ///
     /// # Errors
     /// A number that is not finite.
     pub fn update(
         &mut self,
         robot: &RobotState<JOINTS>,
-        deceleration: [f64; 3],
+        limit: [f64; 3],
         holds_place: bool,
         dt_s: f64,
     ) -> Result<ContactLimits<TAXELS>, ControlError> {
         let [vx, vy, yaw] = robot.base_velocity_world;
         let [vx, vy] = to_base([vx, vy], robot);
+        let deceleration = std::array::from_fn(|i| limit[i].min(self.deceleration[i]));
         let mut input = BarrierInput::new(self.samples, [vx, vy, yaw], deceleration, dt_s);
         if let (true, Some(home), Some(flange)) = (holds_place, self.home_body_m, self.flange_body_m) {
             input.stretch_body_m = [flange[0] - home[0], flange[1] - home[1]];
         }
-        self.contacts.update(&input)
+        let limits = self.contacts.update(&input)?;
+        self.rows.clear();
+        let bounded = (0_u8..).zip(limits.outward_m_s).filter(|(_, allowed_m_s)| allowed_m_s.is_finite());
+        for (taxel, allowed_m_s) in bounded.take(MAX_CONTACT_ROWS) {
+            let i = usize::from(taxel);
+            // as many as there is room for
+            let _ = self.rows.push(ContactRow {
+                taxel,
+                depth_m: limits.depth_m[i],
+                person_m_s: limits.person_m_s[i],
+                allowed_m_s,
+                outward_m_s: self.contacts.outline().outward(i, &input.velocity_body),
+                excess_m_s: 0.0,
+            });
+        }
+        Ok(limits)
+    }
+
+    /// Hears what the base was ordered, axes of B: m/s, m/s, rad/s.
+    pub fn ordered(&mut self, velocity_body: &[f64; 3]) {
+        for row in &mut self.rows {
+            let outward_m_s = self.contacts.outline().outward(usize::from(row.taxel), velocity_body);
+            row.excess_m_s = (outward_m_s - row.allowed_m_s).max(0.0);
+        }
+    }
+
+    /// What it says of the last tick, taxel by taxel.
+    pub fn rows(&self) -> &heapless::Vec<ContactRow, MAX_CONTACT_ROWS> {
+        &self.rows
     }
 
     /// Where the flange was in this tick.
@@ -105,14 +149,47 @@ fn to_base([x, y]: [f64; 2], robot: &RobotState<JOINTS>) -> [f64; 2] {
     [cos * x + sin * y, cos * y - sin * x]
 }
 
-fn curves(config: &Config) -> Option<(FoamCurve, FoamCurve)> {
-    let p = &config.protection;
-    let foam = FoamCurve::Hyperbolic { stiffness_n_m: p.foam_stiffness_n_m, thickness_m: p.foam_thickness_m };
-    match p.contact_barrier {
-        BarrierReadings::Off => None,
-        BarrierReadings::Foam => Some((foam, foam)),
-        BarrierReadings::PuLd30 => Some((PU_LD30, foam)),
+/// How a foam yields that is pressed for some seconds, as at a calibration.
+pub(crate) const fn pressed(cover: &CoverTable) -> FoamCurve {
+    match cover.foam {
+        FoamKind::PuLd30 => power(0.0114, 1.586),
+        FoamKind::Cc => power(0.0114, 0.774),
+        FoamKind::Pe5 => power(0.0030, 1.0),
+        FoamKind::Pe3 => power(0.0029, 1.0),
+        FoamKind::Hyperbolic => hyperbolic(cover),
     }
+}
+
+/// How it yields to an impact, before it relaxes: less.
+pub(crate) const fn struck(cover: &CoverTable) -> FoamCurve {
+    match cover.foam {
+        FoamKind::PuLd30 => power(0.010_309, 1.586),
+        FoamKind::Cc => power(0.007_131, 0.774),
+        FoamKind::Pe5 => power(0.002_600, 1.0),
+        FoamKind::Pe3 => power(0.002_518, 1.0),
+        FoamKind::Hyperbolic => hyperbolic(cover),
+    }
+}
+
+const fn power(depth_at_100n_m: f64, exponent: f64) -> FoamCurve {
+    FoamCurve::Power { depth_at_100n_m, exponent }
+}
+
+const fn hyperbolic(cover: &CoverTable) -> FoamCurve {
+    FoamCurve::Hyperbolic { stiffness_n_m: cover.foam_stiffness_n_m, thickness_m: cover.foam_thickness_m }
+}
+
+/// What readings are forces on, and what the foam does in an impact; `None` without a barrier.
+fn curves(config: &Config) -> Option<(FoamCurve, FoamCurve)> {
+    let cover = &config.robot.cover;
+    let calibrated = !config.board.calibration.is_empty();
+    let reading = match config.protection.contact_barrier {
+        BarrierReadings::Auto => calibrated.then(|| pressed(cover))?,
+        BarrierReadings::Off => return None,
+        BarrierReadings::Foam => pressed(cover),
+        BarrierReadings::PuLd30 => power(0.0114, 1.586),
+    };
+    Some((reading, struck(cover)))
 }
 
 fn settings(config: &Config) -> Result<Option<BarrierSettings>, ParameterError> {
@@ -128,4 +205,26 @@ pub fn travel_m(config: &Config) -> Option<f64> {
     let p = &config.protection;
     let (reading, foam) = curves(config)?;
     Some((foam.depth_m(p.force_limit_n) - reading.depth_m(p.threshold_force_n)).max(0.0))
+}
+
+#[cfg(all(test, feature = "sim"))]
+mod tests {
+    use super::*;
+    use crate::devices::simulated_robot;
+
+    #[test]
+    fn every_foam_yields_as_the_simulated_one() {
+        for foam in ["pu-ld30", "cc", "pe5", "pe3", "hyperbolic"] {
+            let mut config = Config::default();
+            config.set("robot.cover.foam", &foam.into()).unwrap();
+            let (cover, simulated) = (&config.robot.cover, simulated_robot::foam(&config));
+            for force_n in [2.0, 25.0, 130.0] {
+                let off_m = struck(cover).depth_m(force_n) - simulated.deformation_m(force_n);
+                assert!(off_m.abs() < 1e-6, "{foam}, {force_n} N: {off_m} m");
+                let relaxes = foam != "hyperbolic";
+                let off_m = pressed(cover).depth_m(force_n) - simulated.ramp_deformation_m(force_n);
+                assert!(!relaxes || off_m.abs() < 1e-6, "{foam}, {force_n} N pressed: {off_m} m");
+            }
+        }
+    }
 }

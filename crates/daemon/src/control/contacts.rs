@@ -3,13 +3,13 @@
 use crate::config::contact_limits::ContactLimits;
 use crate::robot::TAXELS;
 use heapless::Deque;
-use moca_msgs::protection::{ContactKind, ContactPhase, TRANSIENT_S};
-use moca_msgs::{ContactEvent, ContactReaction, TaxelReading, TaxelStatus, seconds};
+use moca_msgs::protection::{ContactKind, ContactPhase, NO_ROOM_M_S, TRANSIENT_S};
+use moca_msgs::{ContactEvent, ContactReaction, ContactRow, TaxelReading, TaxelStatus, seconds};
 use serde::{Deserialize, Serialize};
 
-/// Events that wait for a sample with room. A frame makes at most three a taxel, and a tick takes four away: with 4 ms
+/// Events that wait for a sample with room. A frame makes at most four a taxel, and a tick takes four away: with 4 ms
 /// between frames, the sensor chip's fastest, they do not pile up.
-const WAITING: usize = 3 * TAXELS;
+const WAITING: usize = 4 * TAXELS;
 
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Contact {
@@ -23,6 +23,8 @@ struct Contact {
     crossed_n: Option<f64>,
     /// Which limits have been crossed, in the order of [`ContactKind`].
     crossed: [bool; 2],
+    /// It has been said that there is no room for it.
+    no_room: bool,
 }
 
 /// Every taxel's contact, and the events that no sample has carried yet.
@@ -68,6 +70,17 @@ impl ContactTracker {
                     self.say(event);
                 }
             }
+        }
+    }
+
+    /// Hears what the contact barrier could not keep at `now_ns`; once a contact that is an event.
+    pub fn squeezed(&mut self, now_ns: u64, rows: &[ContactRow]) {
+        for row in rows.iter().filter(|row| row.excess_m_s > NO_ROOM_M_S) {
+            let contact = self.contacts.get_mut(usize::from(row.taxel)).and_then(Option::as_mut);
+            let Some(contact) = contact.filter(|contact| !contact.no_room) else { continue };
+            contact.no_room = true;
+            let event = contact.event(usize::from(row.taxel), ContactPhase::NoRoom, now_ns, self.reaction);
+            self.say(ContactEvent { excess_m_s: row.excess_m_s, ..event });
         }
     }
 
@@ -140,6 +153,7 @@ impl Contact {
             clamp_max_n: 0.0,
             crossed_n: None,
             crossed: [false; 2],
+            no_room: false,
         }
     }
 
@@ -179,6 +193,7 @@ impl Contact {
             impulse_n_s: self.impulse_n_s,
             crossed_n: self.crossed_n,
             reaction: self.crossed_n.map(|_| reaction),
+            excess_m_s: 0.0,
         }
     }
 }
@@ -277,6 +292,21 @@ mod tests {
         stale[2].status = TaxelStatus::Stale;
         tracker.update(2 * MS, &stale);
         assert_eq!(tracker.take::<4>()[0].phase, ContactPhase::Lost);
+    }
+
+    #[test]
+    fn what_the_barrier_cannot_keep_is_said_once_a_contact() {
+        let mut tracker = ContactTracker::new(11, [ContactLimits::default(); TAXELS], ContactReaction::Slow);
+        feed(&mut tracker, [10.0, 10.0]);
+        let row = |taxel, excess_m_s| ContactRow { taxel, excess_m_s, ..ContactRow::default() };
+        tracker.squeezed(2 * MS, &[row(2, 0.019)]);
+        assert!(tracker.take::<4>().is_empty(), "rounding and braking are no event");
+        tracker.squeezed(3 * MS, &[row(1, 0.2), row(2, 0.05)]);
+        tracker.squeezed(4 * MS, &[row(2, 0.3)]);
+        let events = tracker.take::<4>();
+        let [event] = &events[..] else { panic!("{events:?}") };
+        assert_eq!((event.taxel, event.phase), (2, ContactPhase::NoRoom));
+        assert!(near(event.excess_m_s, 0.05) && near(event.peak_n, 10.0));
     }
 
     #[test]

@@ -16,7 +16,8 @@ use crate::control::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_EVENTS;
 use moca_msgs::{
-    ContactEvent, ContactReaction, Limits, ParameterError, RobotState, SpeedLimit, SpeedLimitReason, seconds,
+    ContactEvent, ContactReaction, ContactRow, Limits, ParameterError, RobotState, SpeedLimit,
+    SpeedLimitReason, seconds,
 };
 use moca_tactile::Firmware;
 use moca_tactile::board::SILENT_AFTER_NS;
@@ -63,6 +64,8 @@ pub struct Protection {
     contact: Contact,
     /// Way that a base under a contact barrier has to stop in, m.
     barrier_travel_m: Option<f64>,
+    /// What the base's servo can brake with, m/s².
+    base_acceleration_m_s2: f64,
     tick_s: f64,
     outline: CoverOutline<TAXELS, f64>,
     state: ProtectionState,
@@ -94,6 +97,7 @@ impl Protection {
                 servo_s: config.robot.base.servo_time_constant_s,
             },
             barrier_travel_m: barrier::travel_m(config),
+            base_acceleration_m_s2: config.robot.base.acceleration_max_m_s2,
             tick_s: 1.0 / f64::from(config.control_loop.rate_hz.max(1)),
             outline,
             state: ProtectionState {
@@ -146,6 +150,11 @@ impl Protection {
         protected
     }
 
+    /// Hears what the contact barrier could not keep at `now_ns`.
+    pub fn squeezed(&mut self, now_ns: u64, rows: &[ContactRow]) {
+        self.state.tracker.squeezed(now_ns, rows);
+    }
+
     /// Speed of the fastest point of the cover at the base's measured velocity, m/s.
     pub fn cover_speed_m_s(&self, robot: &RobotState<JOINTS>) -> f64 {
         let [vx, vy, yaw] = robot.base_velocity_world;
@@ -159,7 +168,8 @@ impl Protection {
     fn speed_m_s(&self, delay_s: f64, limits: &Limits<JOINTS>) -> f64 {
         let contact = Contact { delay_s, ..self.contact };
         let felt_n = self.settings.force_limit_n - self.settings.threshold_force_n;
-        let deceleration = limits.base_acceleration[0].min(limits.base_acceleration[1]);
+        let deceleration =
+            limits.base_acceleration[0].min(limits.base_acceleration[1]).min(self.base_acceleration_m_s2);
         if let Some(travel_m) = self.barrier_travel_m {
             return speed_for_stopping(travel_m, deceleration, &contact).unwrap_or(0.0);
         }

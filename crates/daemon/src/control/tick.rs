@@ -226,6 +226,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             speed_limit: self.protected.speed_limit,
             contact_reaction: self.protected.reaction,
             contact_events: self.protected.events.clone(),
+            contact_rows: self.motion.contact_rows(),
             ..Sample::default()
         };
         let (parts, joints) = (self.motion.parts(), ..self.motion.joints());
@@ -238,6 +239,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             sample.base_pose_world = robot.base_pose_world;
             sample.base_velocity_world = robot.base_velocity_world;
             sample.cover_speed_m_s = self.motion.cover_speed_m_s(robot);
+            sample.uncovered_way_m = self.motion.uncovered_way_m();
         }
         if let Some(robot) = robot.filter(|_| parts.has_arm()) {
             sample.q_rad = vec_of(&robot.q_rad[joints]);
@@ -343,6 +345,41 @@ mod tests {
         assert!(control.plant.brakes);
         let fault = Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Saturated };
         assert_eq!((sample.mode, sample.fault), (Mode::ProtectiveStop, Some(fault)));
+    }
+
+    /// With a barrier the person who presses a taxel that fails is given room before the robot stands; the plant of this
+    /// test never moves, so that only the time ends it.
+    #[test]
+    fn a_stop_for_a_touched_taxel_makes_room_first() {
+        let mut config = Config::default();
+        config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
+        let cover = Scripted(CoverState { frames_good: 1, zero: Zero::Invalid, ..CoverState::NONE });
+        let plant = Standing { brakes: false, refuses: false };
+        let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
+        step(&mut control, 0);
+        control.cover.0.zero = Zero::Valid;
+        let feel = |control: &mut ControlLoop<Standing, Scripted>, tick: u64, force_n: f64| {
+            control.cover.0.reading.sampled_at_ns = Some(tick * 1_000_000);
+            control.cover.0.reading.taxels[5].force_n = force_n;
+            step(control, tick)
+        };
+        for tick in 1..100 {
+            assert_eq!(feel(&mut control, tick, if tick < 50 { 0.0 } else { 10.0 }).mode, Mode::Impedance);
+        }
+        let status = TaxelStatus::Saturated;
+        let fault = Fault::TaxelInvalid { taxel: 5, status };
+        control.cover.0.reading.taxels[5].status = status;
+        control.cover.0.forces = Err((5, status));
+        control.cover.0.fault = Some(fault);
+        let backwards: std::vec::Vec<f64> = (100..2100)
+            .map(|tick| {
+                let sample = feel(&mut control, tick, 0.0);
+                assert_eq!((sample.mode, sample.fault), (Mode::ProtectiveStop, Some(fault)));
+                sample.base_velocity_command_body[0]
+            })
+            .collect();
+        assert!(backwards[200] < -0.2 && backwards.iter().all(|v| *v <= 0.0 && *v >= -0.3 - 1e-9));
+        assert!(backwards[1000..].iter().all(|v| v.abs() < 1e-12), "and stands");
     }
 
     #[test]

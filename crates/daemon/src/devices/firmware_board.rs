@@ -18,6 +18,7 @@ use std::time::{Duration, Instant};
 const REST_PF: f64 = 17.0;
 /// How often the foam moves on, ns: the chip samples an electrode as often.
 const STEP_NS: u64 = 1_000_000;
+const STEP_S: f64 = 1e-3;
 const STEP: Duration = Duration::from_nanos(STEP_NS);
 /// Largest packet of the board's USB.
 const PACKET: usize = 64;
@@ -39,7 +40,7 @@ impl Plates {
         let (places, _) = record.as_chunks_mut::<4>();
         for ((place, state), force_n) in places.iter_mut().zip(&mut self.states).zip(force_n) {
             let force_n = if force_n.is_finite() { *force_n } else { 0.0 };
-            let deformation_m = state.step_force(&self.foam, force_n, 1e-9 * STEP_NS as f64);
+            let deformation_m = state.step_force(&self.foam, force_n, STEP_S);
             // Counts go as 1/C.
             let ratio = IDLE_COUNTS / (IDLE_COUNTS - self.foam.counts_drop(deformation_m));
             #[expect(clippy::cast_possible_truncation, reason = "tens of pF")]

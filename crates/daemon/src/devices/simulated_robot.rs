@@ -7,7 +7,7 @@ use crate::inject::{FaultSite, Injection, PlantSpoiler};
 use crate::robot::{FoamKind, JOINTS, Parts, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
-use moca_sim::foam::Foam;
+use moca_sim::foam::{ElasticLaw, Foam};
 use moca_sim::scene::Robot;
 use moca_sim::{Scene, SharedForces, SimError, SimPlant};
 use moca_tactile::cover::Electrode;
@@ -51,6 +51,14 @@ pub fn foam(config: &Config) -> Foam {
         FoamKind::Cc => Foam::CC,
         FoamKind::Pe5 => Foam::PE5,
         FoamKind::Pe3 => Foam::PE3,
+        FoamKind::Hyperbolic => {
+            let cover = &config.robot.cover;
+            Foam {
+                gap_m: cover.foam_thickness_m,
+                elastic: ElasticLaw::Hyperbolic { stiffness_n_per_m: cover.foam_stiffness_n_m },
+                ..Foam::COLLISION_ASSUMED
+            }
+        }
     }
 }
 

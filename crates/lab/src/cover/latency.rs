@@ -48,6 +48,9 @@ pub(crate) struct Arguments {
     /// without it, what it measured last is shown.
     #[arg(long)]
     avr: Option<PathBuf>,
+    /// Instead: speeds by physics, by the law and as simulated, as a table and as FOLDER/safe-speed.svg.
+    #[arg(long, value_name = "FOLDER")]
+    map: Option<PathBuf>,
     /// What `firmware-sim` runs.
     #[arg(long, default_value = "firmware/moca_touch/moca_touch.hex")]
     hex: PathBuf,
@@ -132,6 +135,9 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => Config::default(),
     };
     let (forces_n, base) = (&config.protection.assessed_forces_n, &config.robot.base);
+    if let Some(folder) = &arguments.map {
+        return super::map::run(forces_n, folder);
+    }
     let firmware = match &arguments.avr {
         Some(program) => simulated_firmware(program, &arguments.hex)?,
         None => measured_before()?,

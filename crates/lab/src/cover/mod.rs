@@ -2,5 +2,6 @@
 
 pub(crate) mod characterize;
 pub(crate) mod latency;
+mod map;
 pub(crate) mod stream;
 pub(crate) mod threshold;

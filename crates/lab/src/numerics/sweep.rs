@@ -6,20 +6,15 @@
 
 use crate::numerics::economy;
 use crate::paper::collision::{self, Report};
+use crate::rig::campaign::{self, Campaign};
 use crate::rig::settings::Settings;
-use crate::rig::{cpu_time, parallel};
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use moca_msgs::Law;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::fs::{File, OpenOptions};
-use std::io::Write as _;
-use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::path::PathBuf;
 
-/// Runs handed out between two writes to the file.
-const STRETCH: usize = 64;
 /// Most runs of one file.
 const RUNS_MAX: usize = 10_000_000;
 /// Columns after the run's number and its settings.
@@ -35,16 +30,8 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "CSV")]
     out: PathBuf,
     /// Part of the runs, e.g. 2/8 for the second of eight; joined in order the parts are the whole.
-    #[arg(long, value_name = "I/N", value_parser = shard, default_value = "1/1")]
+    #[arg(long, value_name = "I/N", value_parser = campaign::shard, default_value = "1/1")]
     shard: (usize, usize),
-}
-
-fn shard(text: &str) -> Result<(usize, usize), String> {
-    let parse = |part: &str| part.trim().parse::<usize>().ok();
-    match text.split_once('/').map(|(i, n)| (parse(i), parse(n))) {
-        Some((Some(i), Some(n))) if (1..=n).contains(&i) => Ok((i, n)),
-        _ => Err(format!("'{text}' is not I/N with 1 <= I <= N")),
-    }
 }
 
 /// A sweep file.
@@ -164,38 +151,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         .with_context(|| format!("cannot read {}", arguments.file.display()))?;
     let plan: Plan = toml::from_str(&text).with_context(|| format!("{}", arguments.file.display()))?;
     plan.check().with_context(|| format!("{}", arguments.file.display()))?;
-    let (part, parts) = arguments.shard;
-    let all = plan.runs();
-    let range = all * (part - 1) / parts..all * part / parts;
-    let header = (part == 1).then(|| header(&plan));
-    let (mut file, done) = open(&arguments.out, header.as_deref(), &range)?;
-    let (started, cpu_before_s) = (Instant::now(), cpu_time::of_process_s());
-    let todo: Vec<usize> = range.clone().skip(done).collect();
     let columns = plan.columns();
-    let work = |id: &usize| row(&plan, &columns, *id);
-    for stretch in todo.chunks(STRETCH.max(todo.len().div_ceil(200))) {
-        let what = format!("runs {}..{} of {}", stretch[0], stretch[stretch.len() - 1] + 1, range.end);
-        let mut failed = None;
-        parallel::run(&what, stretch, work, |line: &Result<String>| match line {
-            Ok(line) if failed.is_none() => failed = writeln!(file, "{line}").err().map(anyhow::Error::from),
-            Ok(_) => {}
-            Err(error) => failed = failed.take().or_else(|| Some(anyhow::anyhow!("{error:#}"))),
-        });
-        if let Some(error) = failed {
-            return Err(error.context(format!("cannot go on with {}", arguments.out.display())));
-        }
-    }
-    let (wall_s, cpu_s) = (started.elapsed().as_secs_f64(), cpu_time::of_process_s() - cpu_before_s);
-    println!(
-        "{}: {} runs now, {done} before, in {wall_s:.1} s on {} cores: {:.1} runs/s",
-        arguments.out.display(),
-        todo.len(),
-        std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
-        todo.len() as f64 / wall_s.max(1e-9),
-    );
+    let campaign =
+        Campaign { out: &arguments.out, shard: arguments.shard, rows: plan.runs(), header: &header(&plan) };
+    let ran = campaign.run(|id| row(&plan, &columns, id))?;
+    println!("{ran}");
     println!(
         "{:.1} runs per second of CPU; bare mj_step of the same scene for the same simulated time would allow {:.1}",
-        todo.len() as f64 / cpu_s.max(1e-9),
+        ran.per_cpu_s(),
         bare_runs_per_cpu_s(&plan)?,
     );
     Ok(())
@@ -241,42 +204,6 @@ fn results(report: &Report) -> String {
     )
 }
 
-/// The file ready for the next row, and how many rows of this shard it holds already. A torn last line is cut off.
-fn open(path: &Path, header: Option<&str>, range: &std::ops::Range<usize>) -> Result<(File, usize)> {
-    let context = || format!("cannot use {}", path.display());
-    let text = match std::fs::read_to_string(path) {
-        Ok(text) => text,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
-        Err(error) => return Err(error).with_context(context),
-    };
-    let whole = text.rfind('\n').map_or("", |end| &text[..=end]);
-    let mut lines = whole.lines();
-    if let (Some(header), false) = (header, whole.is_empty()) {
-        ensure!(
-            lines.next() == Some(header),
-            "{} belongs to another sweep: its header differs",
-            path.display()
-        );
-    }
-    let mut done = 0;
-    for line in lines {
-        let id = line.split(',').next().unwrap_or_default();
-        if id.parse().ok() != Some(range.start + done) {
-            bail!("{}: row '{id}' where run {} is expected", path.display(), range.start + done);
-        }
-        done += 1;
-    }
-    ensure!(done <= range.len(), "{} holds more rows than this shard has runs", path.display());
-    let mut file =
-        OpenOptions::new().create(true).truncate(false).write(true).open(path).with_context(context)?;
-    file.set_len(whole.len() as u64).with_context(context)?;
-    std::io::Seek::seek(&mut file, std::io::SeekFrom::End(0)).with_context(context)?;
-    if let (Some(header), true) = (header, whole.is_empty()) {
-        writeln!(file, "{header}").with_context(context)?;
-    }
-    Ok((file, done))
-}
-
 /// Runs per second of CPU time if a run were nothing but MuJoCo's steps.
 fn bare_runs_per_cpu_s(plan: &Plan) -> Result<f64> {
     let settings = plan.settings(&plan.columns(), &plan.values(0))?;
@@ -287,6 +214,7 @@ fn bare_runs_per_cpu_s(plan: &Plan) -> Result<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::path::Path;
 
     const PLAN: &str = "[set]\nduration = 0.6\n\"person.gap\" = 0.001\nspeed = 0.25\n[grid]\nd_v = [40, 80]\n\
                         m_v = [2, 4]\n[random]\nsamples = 2\nseed = 5\n[random.log]\n\"person.mass\" = [10, 100]\n";
@@ -327,6 +255,5 @@ mod tests {
             assert!(error.contains(part), "{text}: {error}");
         }
         assert!(toml::from_str::<Plan>("[grids]\n").is_err());
-        assert!(shard("0/3").is_err() && shard("4/3").is_err() && shard("2/3") == Ok((2, 3)));
     }
 }

@@ -6,6 +6,7 @@ use crate::rig::closed_loop::{Loads, Rig, Row};
 use crate::rig::measure::{Measures, peak_force_n};
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
+use moca_daemon::robot::FoamKind;
 use moca_figures::Panel;
 use moca_sim::foam::Foam;
 use serde::Serialize;
@@ -17,6 +18,7 @@ const PHASES: [f64; 5] = [0.0, 0.2, 0.4, 0.6, 0.8];
 /// What the collision scene changes of the common settings.
 pub(crate) fn defaults(settings: &mut Settings) {
     settings.foam.material = Foam::COLLISION_ASSUMED;
+    settings.config.robot.cover.foam = FoamKind::Hyperbolic; // with the same numbers
 }
 
 /// What the collision did: worst phase of the sensor.
@@ -127,7 +129,7 @@ pub(crate) fn once(settings: &Settings) -> Result<Rig> {
 }
 
 /// Velocity of the flange's target against the taxel before which the person stands, world axes, m/s.
-fn towards_person(settings: &Settings) -> [f64; 3] {
+pub(crate) fn towards_person(settings: &Settings) -> [f64; 3] {
     let (sin, cos) =
         settings.config.robot.cover.placements()[settings.person.taxel].inward_angle_base_rad.sin_cos();
     // a panel along an axis is met straight on, without what π leaves to rounding
@@ -214,7 +216,7 @@ fn a_run_that_stopped_or_touched_nobody_is_not_below_25_n() {
 }
 
 /// Speed of the taxel's centre along its outward normal, less the person's own walk, m/s.
-fn approach_m_s(row: &Row, settings: &Settings) -> f64 {
+pub(crate) fn approach_m_s(row: &Row, settings: &Settings) -> f64 {
     let placement = settings.config.robot.cover.placements()[settings.person.taxel];
     let [vx, vy, yaw_rate] = row.base_velocity_world;
     let (sin, cos) = row.base_pose_world[2].sin_cos();

@@ -171,7 +171,8 @@ fn the_contact_barrier_keeps_collisions_soft_that_the_law_alone_makes_dangerous(
     let collision = |assignments: &[&str]| {
         let mut settings = Settings::paper(Law::Impedance);
         collision::defaults(&mut settings);
-        let scene = ["base_coupling=true", "person.taxel=T6", "person.gap=0.1", "duration=5"];
+        let scene =
+            ["base_coupling=true", "person.taxel=T6", "person.gap=0.1", "duration=5", "board.model=pu-ld30"];
         for assignment in NULL_SPACE.iter().chain(&scene).chain(assignments) {
             settings.set(assignment).unwrap();
         }
@@ -193,6 +194,16 @@ fn the_contact_barrier_keeps_collisions_soft_that_the_law_alone_makes_dangerous(
         let [first, later @ ..] = &soft.measures.peaks_n[..] else { panic!("nobody was met") };
         assert!(later.iter().all(|peak_n| peak_n < first), "{:?}", soft.measures.peaks_n);
     }
+}
+
+/// What ships on a calibrated cover, led at the paper's speed: no wind-up, no blow, no stop.
+#[test]
+fn led_at_the_paper_s_speed_the_contact_barrier_and_its_speed_limit_stay_soft() {
+    let report = collision::single(&super::report::collision_under_barrier().unwrap()).unwrap();
+    let m = &report.measures;
+    println!("{:.1} N, {:.1} mm, approach {:.3} m/s", m.peak_force_n, m.flange_max_mm, report.approach_m_s);
+    assert!(report.stopped().is_none() && m.contact_s.is_some(), "{report:?}");
+    assert!(m.peak_force_n > 2.0 && m.peak_force_n < 25.0 && m.flange_max_mm < 5.0, "{report:?}");
 }
 
 #[test]

@@ -7,6 +7,8 @@ use moca_msgs::robot::{PANDA, PAPER_COVER};
 pub(crate) const JOINTS: usize = PANDA.joints();
 pub(crate) const TAXELS: usize = PAPER_COVER.len();
 
+pub(crate) mod bound;
+pub(crate) mod campaign;
 pub(crate) mod closed_loop;
 pub(crate) mod cpu_time;
 pub(crate) mod keys;

@@ -3,5 +3,6 @@
 pub(crate) mod clients;
 pub(crate) mod faults;
 pub(crate) mod lean;
+pub(crate) mod protection;
 pub(crate) mod soak;
 mod trial;

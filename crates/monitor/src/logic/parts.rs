@@ -11,12 +11,21 @@ pub fn text_parameter<'a>(robot: &'a RobotDescription, name: &str) -> Option<&'a
     }
 }
 
+/// The value of a parameter that is one number.
+pub fn number_parameter(robot: &RobotDescription, name: &str) -> Option<f64> {
+    match &robot.parameters.iter().find(|parameter| parameter.name == name)?.value {
+        ParameterValue::Numbers(numbers) => numbers.first().copied(),
+        ParameterValue::Text(_) => None,
+    }
+}
+
 /// What a board (0 is the first) is called, with its taxels, where there are several.
 pub fn board_name(robot: &RobotDescription, board: u8) -> Option<String> {
     let port = text_parameter(robot, "board.port")?.split(", ").nth(usize::from(board))?;
     let of_taxel = robot.parameters.iter().find(|parameter| parameter.name == "robot.cover.board")?;
     let ParameterValue::Numbers(numbers) = &of_taxel.value else { return None };
-    let own = numbers.iter().zip(0_usize..).filter(|(number, _)| **number == f64::from(board) + 1.0);
+    let own =
+        numbers.iter().zip(0_usize..).filter(|(number, _)| (**number - f64::from(board) - 1.0).abs() < 0.5);
     let taxels: Vec<String> = own.map(|(_, taxel)| taxel_name(taxel)).collect();
     // Without a list there is one board, and nothing to tell it from.
     (!taxels.is_empty()).then(|| format!("Board {} ({port}) with {}", board + 1, taxels.join(" ")))

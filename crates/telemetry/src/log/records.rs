@@ -61,6 +61,9 @@ pub struct State {
     /// Speed of the fastest point of the cover, m/s.
     #[serde(default, deserialize_with = "scalar")]
     pub cover_speed_m_s: f64,
+    /// Way towards a side that no taxel covers since the base last rested, m.
+    #[serde(default, deserialize_with = "scalar")]
+    pub uncovered_way_m: f64,
     /// Joint angles, rad.
     #[serde(deserialize_with = "list")]
     pub q_rad: Vec<f64>,
@@ -134,7 +137,7 @@ pub struct Contact {
     pub tick: u64,
     /// Taxel number; T1 is 1.
     pub taxel: u8,
-    /// Started, LimitCrossed, Finished or Lost.
+    /// Started, LimitCrossed, Finished, Lost or NoRoom.
     #[schemars(with = "String")]
     pub phase: ContactPhase,
     /// Transient up to 0.5 s, else QuasiStatic.
@@ -162,6 +165,9 @@ pub struct Contact {
     pub crossed_n: f64,
     /// Reaction to it; empty without one.
     pub reaction: String,
+    /// Of NoRoom: how much faster outward the taxel was ordered than the contact barrier allows, m/s.
+    #[serde(default, deserialize_with = "scalar")]
+    pub excess_m_s: f64,
 }
 
 impl Contact {
@@ -180,6 +186,7 @@ impl Contact {
             impulse_n_s: event.impulse_n_s,
             crossed_n: event.crossed_n.unwrap_or(0.0),
             reaction: name_of(event.reaction),
+            excess_m_s: event.excess_m_s,
         }
     }
 
@@ -197,6 +204,7 @@ impl Contact {
             impulse_n_s: self.impulse_n_s,
             crossed_n: (self.crossed_n > 0.0).then_some(self.crossed_n),
             reaction: named(&self.reaction),
+            excess_m_s: self.excess_m_s,
         }
     }
 }

@@ -1,6 +1,6 @@
 //! One touched taxel from reading to reading, and where the base has been meanwhile.
 
-use super::{BLIND_RETREAT_M, BarrierSettings, FoamCurve, TaxelSample};
+use super::{BLIND_RETREAT_M, BLIND_RETREAT_S, BarrierSettings, FoamCurve, TaxelSample};
 use crate::scalar::{Scalar, of};
 
 /// Steps of odometry that are kept: at 1 kHz 128 ms, older than any reading that a law is given.
@@ -165,6 +165,7 @@ impl<T: Scalar> Track<T> {
     /// Speed outward of a touched taxel without readings, m/s: back for a while, then no further out.
     pub(super) fn blind_limit(&self, s: &BarrierSettings, way: T) -> T {
         let gone = self.blind_from.map_or(T::zero(), |from| from - way);
-        if gone < of(BLIND_RETREAT_M) { of(-s.retreat_m_s) } else { T::zero() }
+        let goes_on = gone < of(BLIND_RETREAT_M) && self.since < of(BLIND_RETREAT_S);
+        if goes_on { of(-s.retreat_m_s) } else { T::zero() }
     }
 }

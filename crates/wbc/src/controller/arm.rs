@@ -228,6 +228,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
                 torque_nm: tick.bias,
                 carried_nm: [T::zero(); N],
                 entering: true,
+                held_back: None,
                 observer: MomentumObserver::new(),
             };
             state.retarget(tick);
@@ -258,7 +259,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             ControlLaw::FollowMe => seen_from_base(&tick.flange, tick.kinematics, tick.robot),
             ControlLaw::Hold | ControlLaw::Impedance => tick.flange,
         };
-        state.reference.advance(&actual, tick.dt_s);
+        state.reference.advance(&actual, state.held_back.as_ref(), tick.dt_s);
         approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
     }
 
@@ -350,6 +351,7 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
         if self.law != law {
             self.law = law;
             self.entering = true;
+            self.held_back = None;
             self.retarget(tick);
         }
     }

@@ -3,7 +3,7 @@
 use super::law::ControlLaw;
 use crate::gains::ArmGains;
 use crate::momentum_observer::MomentumObserver;
-use crate::reference::Reference;
+use crate::reference::{HeldBack, Reference};
 
 /// What an [`super::ArmController`] remembers between steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,6 +18,8 @@ use crate::reference::Reference;
 pub struct ArmState<const N: usize, T = f64> {
     pub(super) law: ControlLaw,
     pub(super) reference: Reference<T>,
+    /// Of a tool that the base carries along: where the base was refused its way in the last step.
+    pub(super) held_back: Option<HeldBack<T>>,
     /// Null-space posture on its way to the configured one, rad; while a posture is held, that one.
     #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     pub(super) posture_rad: [T; N],

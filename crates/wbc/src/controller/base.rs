@@ -126,7 +126,8 @@ impl<const K: usize, T: Scalar> BaseController<K, T> {
         })
     }
 
-    /// One step to a standstill with the allowed deceleration, whatever the guard says.
+    /// One step to a standstill with the allowed deceleration; of the guard only [`BaseGuard::outward_m_s`] is kept, so
+    /// that the base may still make room.
     ///
     /// # Errors
     /// As for [`Self::step`].
@@ -135,7 +136,8 @@ impl<const K: usize, T: Scalar> BaseController<K, T> {
         state: &mut BaseState<T>,
         input: &BaseInput<K, T>,
     ) -> Result<BaseOutput<T>, ControlError> {
-        self.run(state, input, &BaseGuard::NONE, |_, _, _| [T::zero(); 3])
+        let room = BaseGuard { outward_m_s: input.guard.outward_m_s, ..BaseGuard::NONE };
+        self.run(state, input, &room, |_, _, _| [T::zero(); 3])
     }
 
     fn run(

@@ -15,6 +15,7 @@ use crate::limits::{Exceeded, LimitsHit};
 use crate::linalg::times;
 use crate::model::ArmModel;
 use crate::opspace::{ArmDynamics, BlockWeight, TaskDynamics, WholeBodyForce};
+use crate::reference::HeldBack;
 use crate::scalar::{Scalar, of};
 use crate::state_check::{check_robot, check_step, check_wrench};
 use moca_msgs::{
@@ -33,8 +34,8 @@ pub struct ControlInput<const N: usize, const K: usize, T = f64> {
     /// Wrench on the robot about the flange origin, world axes \[N; N·m\]. `None` takes the robot's own estimate, and
     /// where there is none the momentum observer's.
     pub flange_wrench_world: Option<[T; 6]>,
-    /// What protects the people around the base in this step. It holds for the laws that move the robot;
-    /// [`ControlLaw::Hold`] only ever brakes.
+    /// What protects the people around the base in this step. [`ControlLaw::Hold`] brakes; of a guard it only keeps
+    /// [`BaseGuard::outward_m_s`], so that it may still make room.
     pub guard: BaseGuard<K, T>,
     /// Time since the last step, s, > 0.
     pub dt_s: T,
@@ -356,11 +357,25 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
     ) -> Result<RobotCommand<N, T>, ControlError> {
         let (tick, heading) = (step.tick, &step.tick.kinematics.heading);
         let moves = state.law() != ControlLaw::Hold;
-        let guard = if moves { guard } else { &BaseGuard::NONE };
+        let room = BaseGuard { outward_m_s: guard.outward_m_s, ..BaseGuard::NONE };
+        let guard = if moves { guard } else { &room };
         let wanted_body = heading.to_base(wanted.base_velocity);
         let base_velocity_body =
             self.base.limited(guard, &wanted_body, &state.base.velocity_body, tick.dt_s, hit);
         finite("base velocity command", &base_velocity_body)?;
+        // follow-me's reference stands on the base and is carried along by it
+        state.arm.held_back = (hit.guard && state.law() == ControlLaw::Impedance)
+            .then(|| {
+                let carried = |velocity_world: &[T; 3]| {
+                    let [x, y, ..] = times(&tick.kinematics.base_jacobian(), velocity_world);
+                    [x, y]
+                };
+                HeldBack::between(
+                    carried(&wanted.base_velocity),
+                    carried(&heading.to_world(base_velocity_body)),
+                )
+            })
+            .flatten();
         let mut torque = wanted.torque;
         if let Some(per_s) = wanted.counted_per_s
             && wanted_body != base_velocity_body
@@ -389,6 +404,11 @@ impl<const N: usize, T: Scalar> ControllerState<N, T> {
         self.arm.law
     }
 
+    /// Takes the base to have been told this velocity in the last step: axes of B.
+    pub(crate) fn set_base_velocity_body(&mut self, velocity_body: [T; 3]) {
+        self.base.velocity_body = velocity_body;
+    }
+
     /// As [`ArmState::set_target_pose`]; in W for [`ControlLaw::Impedance`], in B for [`ControlLaw::FollowMe`]. A change
     /// of law forgets the target.
     ///
@@ -404,6 +424,17 @@ impl<const N: usize, T: Scalar> ControllerState<N, T> {
     /// A value that is not finite.
     pub fn set_target_twist(&mut self, twist: [T; 6]) -> Result<(), ControlError> {
         self.arm.set_target_twist(twist)
+    }
+
+    /// Moves the target and the way there by `shift_m`, axes of its frame: a tool that the arm cannot hold in its place any
+    /// further goes along with the base.
+    ///
+    /// # Errors
+    /// A value that is not finite.
+    pub fn carry_target(&mut self, shift_m: [T; 2]) -> Result<(), ControlError> {
+        finite("target shift", &shift_m)?;
+        self.arm.reference.carry(shift_m);
+        Ok(())
     }
 
     /// Estimated external joint torques of the momentum observer, N·m, on the robot.

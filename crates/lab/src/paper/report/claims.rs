@@ -1,6 +1,6 @@
 //! What the paper says and what an independent simulation gave, beside what comes out here.
 
-use super::{collision_with, with};
+use super::{collision_under_barrier, collision_with, with};
 use crate::paper::collision;
 use crate::paper::push::{self, Outcome, Push};
 use crate::paper::pushes;
@@ -218,6 +218,16 @@ fn collisions(c: &[collision::Run]) -> Result<Vec<Claim>> {
             stock_peak < 25.0,
         ),
     ];
+    let under_barrier = collision::run(&collision_under_barrier()?)?.report;
+    claims.push(claim(
+        "C with the contact barrier and its speed limit",
+        "< 25 N, flange < 5 mm",
+        format!(
+            "{:.1} N, {:.1} mm",
+            under_barrier.measures.peak_force_n, under_barrier.measures.flange_max_mm
+        ),
+        under_barrier.verdict == "below 25 N" && under_barrier.measures.flange_max_mm < 5.0,
+    ));
     // The same gains elsewhere, and the case that the paper leaves out.
     for (what, assignments) in [
         ("C at T2, same gains", &["person.taxel=T2"][..]),

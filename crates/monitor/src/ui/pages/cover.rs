@@ -6,6 +6,7 @@ use crate::logic::{
 };
 use crate::ui::{requests::PageRequests, theme};
 use egui::{Align, Button, Grid, Label, Layout, RichText, ScrollArea, Ui, vec2};
+use moca_msgs::protection::NO_ROOM_M_S;
 use moca_msgs::{Request, Sample, TaxelStatus};
 
 /// Width of a column, points.
@@ -31,7 +32,37 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, pressed: &mut PageReq
     if !model.robot.uncalibrated.is_empty() {
         ui.add(Label::new(RichText::new(&model.robot.uncalibrated).color(theme::WARNING)).wrap());
     }
-    ScrollArea::both().show(ui, |ui| table(ui, model, sample, may_mask, pressed));
+    ScrollArea::both().show(ui, |ui| {
+        table(ui, model, sample, may_mask, pressed);
+        contacts(ui, sample);
+    });
+}
+
+/// What the contact barrier asks of touched taxels, and what the base does about it.
+fn contacts(ui: &mut Ui, sample: &Sample) {
+    if sample.contact_rows.is_empty() {
+        return;
+    }
+    ui.separator();
+    ui.strong("Contact barrier");
+    Grid::new("contacts").striped(true).spacing([10.0, 3.0]).show(ui, |ui| {
+        for heading in ["Taxel", "Depth mm", "Person m/s", "Allowed m/s", "Outward m/s", "Too fast m/s"] {
+            cell(ui, RichText::new(heading).weak());
+        }
+        ui.end_row();
+        for row in &sample.contact_rows {
+            let speed = |m_s: f64| RichText::new(number(m_s, 3)).monospace();
+            cell(ui, RichText::new(taxel_name(usize::from(row.taxel))).strong());
+            cell(ui, RichText::new(number(1e3 * row.depth_m, 1)).monospace());
+            cell(ui, speed(row.person_m_s));
+            cell(ui, speed(row.allowed_m_s));
+            cell(ui, speed(row.outward_m_s));
+            let exceeded = row.excess_m_s > NO_ROOM_M_S;
+            let excess = speed(row.excess_m_s);
+            cell(ui, if exceeded { excess.color(theme::BAD) } else { excess });
+            ui.end_row();
+        }
+    });
 }
 
 fn table(ui: &mut Ui, model: &Model, sample: &Sample, may_mask: bool, pressed: &mut PageRequests) {

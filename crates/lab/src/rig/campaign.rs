@@ -1,0 +1,146 @@
+//! Rows of a CSV file, each computed once: resumable, and in shards.
+
+use super::{cpu_time, parallel};
+use anyhow::{Context, Result, bail, ensure};
+use std::fmt;
+use std::fs::{File, OpenOptions};
+use std::io::Write as _;
+use std::path::Path;
+use std::time::Instant;
+
+/// Rows handed out between two writes to the file.
+const STRETCH: usize = 64;
+
+/// A file of rows that follow from their numbers alone: the rows of any number of shards, joined in order, are those of
+/// one machine.
+pub(crate) struct Campaign<'a> {
+    /// Rows that are already in it are kept and not computed again.
+    pub out: &'a Path,
+    /// As [`shard`] reads it.
+    pub shard: (usize, usize),
+    /// How many rows the whole has.
+    pub rows: usize,
+    /// Names of the columns, the row's number first; only the first shard has it.
+    pub header: &'a str,
+}
+
+/// What a campaign took.
+pub(crate) struct Ran {
+    out: String,
+    now: usize,
+    before: usize,
+    wall_s: f64,
+    cpu_s: f64,
+}
+
+impl Ran {
+    pub(crate) fn per_cpu_s(&self) -> f64 {
+        count(self.now) / self.cpu_s.max(1e-9)
+    }
+}
+
+impl fmt::Display for Ran {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{}: {} runs now, {} before, in {:.1} s on {} cores: {:.1} runs/s",
+            self.out,
+            self.now,
+            self.before,
+            self.wall_s,
+            std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
+            count(self.now) / self.wall_s.max(1e-9),
+        )
+    }
+}
+
+impl Campaign<'_> {
+    /// Computes what is missing of this shard; `row` gives a whole line for its number.
+    pub(crate) fn run(&self, row: impl Fn(usize) -> Result<String> + Sync) -> Result<Ran> {
+        let (part, parts) = self.shard;
+        let range = self.rows * (part - 1) / parts..self.rows * part / parts;
+        let header = (part == 1).then_some(self.header);
+        let (mut file, before) = open(self.out, header, &range)?;
+        let (started, cpu_before_s) = (Instant::now(), cpu_time::of_process_s());
+        let todo: Vec<usize> = range.clone().skip(before).collect();
+        let work = |id: &usize| row(*id);
+        for stretch in todo.chunks(STRETCH.max(todo.len().div_ceil(200))) {
+            let what = format!("runs {}..{} of {}", stretch[0], stretch[stretch.len() - 1] + 1, range.end);
+            let mut failed = None;
+            parallel::run(&what, stretch, work, |line: &Result<String>| match line {
+                Ok(line) if failed.is_none() => {
+                    failed = writeln!(file, "{line}").err().map(anyhow::Error::from)
+                }
+                Ok(_) => {}
+                Err(error) => failed = failed.take().or_else(|| Some(anyhow::anyhow!("{error:#}"))),
+            });
+            if let Some(error) = failed {
+                return Err(error.context(format!("cannot go on with {}", self.out.display())));
+            }
+        }
+        Ok(Ran {
+            out: self.out.display().to_string(),
+            now: todo.len(),
+            before,
+            wall_s: started.elapsed().as_secs_f64(),
+            cpu_s: cpu_time::of_process_s() - cpu_before_s,
+        })
+    }
+}
+
+/// `I/N` as the I-th of N parts.
+pub(crate) fn shard(text: &str) -> Result<(usize, usize), String> {
+    let parse = |part: &str| part.trim().parse::<usize>().ok();
+    match text.split_once('/').map(|(i, n)| (parse(i), parse(n))) {
+        Some((Some(i), Some(n))) if (1..=n).contains(&i) => Ok((i, n)),
+        _ => Err(format!("'{text}' is not I/N with 1 <= I <= N")),
+    }
+}
+
+/// The file ready for the next row, and how many rows of this shard it holds already. A torn last line is cut off.
+fn open(path: &Path, header: Option<&str>, range: &std::ops::Range<usize>) -> Result<(File, usize)> {
+    let context = || format!("cannot use {}", path.display());
+    let text = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
+        Err(error) => return Err(error).with_context(context),
+    };
+    let whole = text.rfind('\n').map_or("", |end| &text[..=end]);
+    let mut lines = whole.lines();
+    if let (Some(header), false) = (header, whole.is_empty()) {
+        ensure!(
+            lines.next() == Some(header),
+            "{} belongs to another sweep: its header differs",
+            path.display()
+        );
+    }
+    let mut done = 0;
+    for line in lines {
+        let id = line.split(',').next().unwrap_or_default();
+        if id.parse().ok() != Some(range.start + done) {
+            bail!("{}: row '{id}' where run {} is expected", path.display(), range.start + done);
+        }
+        done += 1;
+    }
+    ensure!(done <= range.len(), "{} holds more rows than this shard has runs", path.display());
+    let mut file =
+        OpenOptions::new().create(true).truncate(false).write(true).open(path).with_context(context)?;
+    file.set_len(whole.len() as u64).with_context(context)?;
+    std::io::Seek::seek(&mut file, std::io::SeekFrom::End(0)).with_context(context)?;
+    if let (Some(header), true) = (header, whole.is_empty()) {
+        writeln!(file, "{header}").with_context(context)?;
+    }
+    Ok((file, done))
+}
+
+fn count(n: usize) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "runs of one campaign")]
+    let n = n as f64;
+    n
+}
+
+#[cfg(test)]
+#[test]
+fn a_shard_is_one_of_those_there_are() {
+    assert!(shard("0/3").is_err() && shard("4/3").is_err() && shard("2/3") == Ok((2, 3)));
+}

@@ -1,0 +1,182 @@
+//! `moca-lab protection`: what people get to feel under what ships, cell by cell of a random sample of a grid: where,
+//! by which board, who, on which foam, how fast.
+
+mod cell;
+mod table;
+
+use crate::paper::collision::{self, approach_m_s};
+use crate::rig::TAXELS;
+use crate::rig::campaign::{self, Campaign};
+use crate::rig::closed_loop::{Loads, Rig, Row};
+use crate::rig::measure::{Measures, peak_force_n};
+use anyhow::Result;
+use cell::{COLUMNS, Cell, Law, PHASES};
+use std::path::PathBuf;
+
+/// A contact is watched for so long, s.
+const WATCHED_S: f64 = 3.0;
+/// A run that has met nobody by then never will, s.
+const LONGEST_S: f64 = 12.0;
+/// How often a run is asked whether it has seen enough, s.
+const LOOK_S: f64 = 0.25;
+/// Columns after the cell's own.
+const RESULTS: &str =
+    "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after_s,felt_after_s,taps,grows,flange_mm,stopped";
+
+/// Collisions all round the cover, with what ships and with the contact barrier.
+#[derive(clap::Args)]
+pub(crate) struct Arguments {
+    /// CSV file; rows that are already in it are kept and not run again.
+    #[arg(long, value_name = "CSV", required_unless_present = "table")]
+    out: Option<PathBuf>,
+    /// How many cells of the grid, in an order that its seed shuffles: a larger number goes on where a smaller one ended.
+    #[arg(long, default_value_t = 4860)]
+    cells: usize,
+    /// Seed of that order.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Part of the rows, as in `sweep`.
+    #[arg(long, value_name = "I/N", value_parser = campaign::shard, default_value = "1/1")]
+    shard: (usize, usize),
+    /// Prints the table of a file instead, and what failed in it.
+    #[arg(long, value_name = "CSV")]
+    table: Option<PathBuf>,
+}
+
+/// Runs what is missing, or prints what is there.
+#[expect(clippy::print_stdout, reason = "the command's output")]
+pub(crate) fn run(arguments: &Arguments) -> Result<()> {
+    if let Some(path) = &arguments.table {
+        print!("{}\n{}", table::of_file(path)?, table::failures(path)?);
+        return Ok(());
+    }
+    let Some(out) = &arguments.out else { return Ok(()) };
+    let cells = Cell::sample(arguments.cells, arguments.seed);
+    let header = header();
+    let rows = cells.len() * Law::ALL.len();
+    let campaign = Campaign { out, shard: arguments.shard, rows, header: &header };
+    println!("{}", campaign.run(|id| row(&cells, id))?);
+    Ok(())
+}
+
+fn header() -> String {
+    format!("run,{COLUMNS},{RESULTS}")
+}
+
+/// A cell under one of the laws.
+fn row(cells: &[Cell], id: usize) -> Result<String> {
+    let (cell, law) = (&cells[id / Law::ALL.len()], Law::ALL[id % Law::ALL.len()]);
+    Ok(format!("{id},{},{},{}", cell.columns()?, law.name(), Outcome::of(cell, law)?.columns()))
+}
+
+/// What the worst phase of a cell came to; flange, taps and stops of any phase.
+#[derive(Clone, Debug, Default)]
+struct Outcome {
+    approach_m_s: f64,
+    first_touch_n: f64,
+    impact_n: f64,
+    peak_n: f64,
+    /// From the first touch, s.
+    peak_after_s: f64,
+    /// From the first touch until the cover feels anything, s.
+    felt_after_s: f64,
+    taps: usize,
+    /// A later peak is higher than the first.
+    grows: bool,
+    flange_mm: f64,
+    stopped: String,
+}
+
+impl Outcome {
+    fn of(cell: &Cell, law: Law) -> Result<Self> {
+        let mut worst = Self::default();
+        for phase in 0..PHASES {
+            let one = Self::of_phase(cell, law, phase)?;
+            let (taps, grows) = (worst.taps.max(one.taps), worst.grows | one.grows);
+            let flange_mm = worst.flange_mm.max(one.flange_mm);
+            let stopped = if one.stopped.is_empty() { worst.stopped.clone() } else { one.stopped.clone() };
+            let [first_touch_n, impact_n] =
+                [worst.first_touch_n.max(one.first_touch_n), worst.impact_n.max(one.impact_n)];
+            if phase == 0 || one.peak_n > worst.peak_n {
+                worst = one;
+            }
+            worst = Self { first_touch_n, impact_n, taps, grows, flange_mm, stopped, ..worst };
+        }
+        Ok(worst)
+    }
+
+    fn of_phase(cell: &Cell, law: Law, phase: u32) -> Result<Self> {
+        let settings = cell.settings(law, phase)?;
+        let mut rig = Rig::start(&settings, &settings.collision_scene()?)?;
+        rig.move_target(collision::towards_person(&settings))?;
+        let touching = |row: &Row| row.total_force_n > 0.0;
+        let mut first = None;
+        loop {
+            rig.run_for(LOOK_S, |_| Loads::default())?;
+            first = first.or_else(|| rig.rows.iter().position(touching));
+            let seen_s =
+                first.map_or(0.0, |first| rig.rows.last().map_or(0.0, |row| row.t_s) - rig.rows[first].t_s);
+            if rig.stopped.is_some() || rig.sim_s > LONGEST_S || seen_s > WATCHED_S {
+                break;
+            }
+        }
+        let stopped = rig.stopped.as_deref().map_or("", |why| why.split(':').next().unwrap_or("stopped"));
+        let stopped = stopped.to_owned();
+        let Some(first) = first else { return Ok(Self { stopped, ..Self::default() }) };
+        let rows = &rig.rows;
+        let measures = Measures::of(rows, 1e-3);
+        let since = |row: &Row| row.t_s - rows[first].t_s;
+        let contact = &rows[first..];
+        let most = contact.iter().max_by(|a, b| a.largest_force_n.total_cmp(&b.largest_force_n));
+        let felt = contact.iter().find(|row| (0..TAXELS).any(|i| row.force_sensed[i] > 0.0));
+        let later_n = measures.peaks_n.iter().skip(1).fold(0.0, |most: f64, peak| most.max(*peak));
+        Ok(Self {
+            approach_m_s: approach_m_s(&rows[first.saturating_sub(1)], &settings),
+            first_touch_n: measures.first_touch_n,
+            impact_n: measures.impact_n,
+            peak_n: peak_force_n(rows),
+            peak_after_s: most.map_or(0.0, since),
+            felt_after_s: felt.map_or(f64::NAN, since),
+            taps: measures.peaks_n.len(),
+            grows: later_n > 1.02 * measures.peaks_n.first().copied().unwrap_or(0.0),
+            flange_mm: measures.flange_max_mm,
+            stopped,
+        })
+    }
+
+    fn columns(&self) -> String {
+        format!(
+            "{:.4},{:.2},{:.2},{:.2},{:.3},{:.3},{},{},{:.2},{}",
+            self.approach_m_s,
+            self.first_touch_n,
+            self.impact_n,
+            self.peak_n,
+            self.peak_after_s,
+            self.felt_after_s,
+            self.taps,
+            self.grows,
+            self.flange_mm,
+            self.stopped
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_larger_sample_goes_on_where_a_smaller_one_ended() {
+        let places = |count: usize| -> Vec<String> {
+            Cell::sample(count, 1).iter().map(|cell| cell.columns().unwrap()).collect()
+        };
+        let (some, all) = (places(40), places(usize::MAX));
+        assert_eq!(some[..], all[..40]);
+        assert_eq!(all.len(), 4860);
+        let distinct: std::collections::BTreeSet<&String> = all.iter().collect();
+        assert_eq!(distinct.len(), all.len());
+        for cell in Cell::sample(40, 1) {
+            assert!(cell.bound_m_s().unwrap() > 0.0);
+        }
+    }
+}

@@ -1,0 +1,177 @@
+//! What a file of the scan says: shares above the limit, and why.
+
+use anyhow::{Context, Result, ensure};
+use moca_daemon::config::ProtectionConfig;
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// A line of the file by the names of its columns.
+struct Entry<'a> {
+    header: &'a [&'a str],
+    values: Vec<&'a str>,
+}
+
+impl Entry<'_> {
+    fn text(&self, name: &str) -> &str {
+        let column = self.header.iter().position(|column| *column == name);
+        column.and_then(|column| self.values.get(column)).copied().unwrap_or("")
+    }
+
+    fn number(&self, name: &str) -> f64 {
+        self.text(name).parse().unwrap_or(f64::NAN)
+    }
+
+    fn met(&self) -> bool {
+        self.number("peak_n") > 0.0
+    }
+
+    fn above(&self) -> bool {
+        self.number("peak_n") > limit_n()
+    }
+
+    /// Why the force went beyond the limit, as far as the row can tell.
+    fn reason(&self) -> &'static str {
+        let shipped = self.text("law") == "shipped";
+        if self.number("impact_n") <= limit_n() {
+            return if shipped {
+                "the admittance alone rings or goes on pushing after the impact"
+            } else {
+                "a later contact is harder than the first"
+            };
+        }
+        if shipped && self.number("peak_after_s") > 0.1 {
+            return "the admittance alone: no row stops it, and the reading is too late for its gain";
+        }
+        if self.number("approach_m_s") > 1.02 * self.number("speed_m_s") {
+            return "met faster than the cell's speed: the base turned into the person";
+        }
+        if self.number("foam") > 1.0 {
+            return "the foam is harder than the law was told";
+        }
+        if self.number("felt_after_s") > 0.05 && self.text("board") != "moca" {
+            return "felt late: noise holds the threshold back by a frame or two";
+        }
+        "the impact itself"
+    }
+}
+
+fn limit_n() -> f64 {
+    ProtectionConfig::default().force_limit_n
+}
+
+fn entries<R>(text: &str, use_them: impl FnOnce(&[Entry<'_>]) -> R) -> Result<R> {
+    let mut lines = text.lines();
+    let header: Vec<&str> = lines.next().context("the file is empty")?.split(',').collect();
+    let entries: Vec<Entry<'_>> =
+        lines.map(|line| Entry { header: &header, values: line.split(',').collect() }).collect();
+    ensure!(entries.iter().all(|entry| entry.values.len() == header.len()), "a row is torn");
+    Ok(use_them(&entries))
+}
+
+fn read(path: &Path) -> Result<String> {
+    std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
+}
+
+/// The table of a file.
+pub(super) fn of_file(path: &Path) -> Result<String> {
+    entries(&read(path)?, as_table)
+}
+
+/// What failed, by its reason: how often, and the worst.
+pub(super) fn failures(path: &Path) -> Result<String> {
+    entries(&read(path)?, failures_of)
+}
+
+fn failures_of(entries: &[Entry<'_>]) -> String {
+    let mut out = String::from("| law | reason | cells | worst |\n|---|---|---|---|\n");
+    let mut reasons: BTreeMap<(&str, &str), Vec<&Entry<'_>>> = BTreeMap::new();
+    for entry in entries.iter().filter(|entry| entry.above()) {
+        reasons.entry((entry.text("law"), entry.reason())).or_default().push(entry);
+    }
+    for ((law, reason), failed) in reasons {
+        let worst = failed.iter().max_by(|a, b| a.number("peak_n").total_cmp(&b.number("peak_n")));
+        let worst = worst.map_or(String::new(), |worst| {
+            let text = |name| worst.text(name).to_owned();
+            format!(
+                "{:.0} N: {}, {}, {}, {}, foam × {}, {} of the bound",
+                worst.number("peak_n"),
+                text("place"),
+                text("meeting"),
+                text("board"),
+                text("person"),
+                text("foam"),
+                text("share")
+            )
+        });
+        // Writing to a string cannot fail.
+        let _ = writeln!(out, "| {law} | {reason} | {} | {worst} |", failed.len());
+    }
+    out
+}
+
+fn as_table(entries: &[Entry<'_>]) -> String {
+    let mut out = format!(
+        "| law | who moves | share of the bound | cells | above {:.0} N | worst in 0.1 s | in 0.5 s | in 3 s | taps | grows | flange | stopped |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|---|\n",
+        limit_n()
+    );
+    for law in ["shipped", "barrier", "barrier-alone"] {
+        for meeting in ["led", "walks"] {
+            for share in ["0.6", "0.8", "0.95"] {
+                let of = |entry: &&Entry<'_>| {
+                    entry.text("law") == law
+                        && entry.text("meeting") == meeting
+                        && entry.text("share") == share
+                };
+                let group: Vec<&Entry<'_>> = entries.iter().filter(of).filter(|entry| entry.met()).collect();
+                if !group.is_empty() {
+                    let _ = writeln!(out, "| {law} | {meeting} | {share} | {}", line(&group));
+                }
+            }
+        }
+    }
+    out
+}
+
+fn line(group: &[&Entry<'_>]) -> String {
+    let most = |name: &str| group.iter().map(|entry| entry.number(name)).fold(0.0, f64::max);
+    let above = group.iter().filter(|entry| entry.above()).count();
+    let grows = group.iter().filter(|entry| entry.text("grows") == "true").count();
+    let stopped = group.iter().filter(|entry| !entry.text("stopped").is_empty()).count();
+    #[expect(clippy::cast_precision_loss, reason = "cells of one scan")]
+    let percent = 100.0 * above as f64 / group.len().max(1) as f64;
+    format!(
+        "{} | {percent:.1} % | {:.1} N | {:.1} N | {:.1} N | {:.0} | {grows} | {:.1} mm | {stopped} |",
+        group.len(),
+        most("first_touch_n"),
+        most("impact_n"),
+        most("peak_n"),
+        most("taps"),
+        most("flange_mm"),
+    )
+}
+
+#[cfg(test)]
+#[test]
+fn a_table_counts_what_is_above_the_limit_and_failures_have_a_reason() {
+    let text = format!(
+        "{}\n\
+         0,T5,led,moca,held rigid,1,0.6,0.08,shipped,0.08,9,30,31,0.3,0.02,9,true,1,\n\
+         1,T5,led,moca,held rigid,1,0.6,0.08,barrier,0.08,9,9,9,0.1,0.02,1,false,1,\n\
+         2,T5,led,moca,held rigid,1,0.6,0.08,barrier-alone,0.08,9,9,27,2.5,0.02,3,true,1,taxel-invalid\n",
+        super::header()
+    );
+    let table = entries(&text, as_table).unwrap();
+    let rows: Vec<&str> = table.lines().skip(2).collect();
+    assert_eq!(rows.len(), 3, "{table}");
+    assert!(rows[0].contains("| 1 | 100.0 % | 9.0 N | 30.0 N | 31.0 N | 9 | 1 | 1.0 mm | 0 |"), "{table}");
+    assert!(rows[1].contains("| 1 | 0.0 % |") && rows[2].ends_with("| 1.0 mm | 1 |"), "{table}");
+    let failures = entries(&text, failures_of).unwrap();
+    assert!(failures.contains("| shipped | the admittance alone: no row stops it"), "{failures}");
+    assert!(
+        failures.contains("| barrier-alone | a later contact is harder than the first | 1 |"),
+        "{failures}"
+    );
+    assert!(entries("a,b\n1\n", as_table).is_err(), "a torn row");
+}
