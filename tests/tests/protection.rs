@@ -6,14 +6,16 @@
     reason = "a test that cannot go on has to stop"
 )]
 
+use moca_daemon::config::stability::Stability;
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::protection::speed_for_delay_m_s;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
+use moca_msgs::params::CONTROLLER;
 use moca_msgs::protection::{ContactKind, ContactPhase};
-use moca_msgs::robot::PAPER_COVER;
-use moca_msgs::{ContactEvent, ContactReaction, Law, Request, Sample, SpeedLimitReason};
+use moca_msgs::robot::{PANDA, PAPER_COVER};
+use moca_msgs::{ContactEvent, ContactReaction, Law, ParameterValues, Request, Sample, SpeedLimitReason};
 use moca_sim::foam::Foam;
 use moca_sim::{Person, Scene, VirtualBoardConfig};
 use moca_tactile::Firmware;
@@ -375,6 +377,114 @@ fn each_reaction_to_a_crossed_limit_acts_within_milliseconds_and_ends_with_the_c
     // The board shows the end of a contact frame by frame: a stop and a retreat may end it in the same one.
     assert!(durations_s.is_sorted_by(|longer, shorter| longer >= shorter), "each does more: {durations_s:?}");
     assert!(durations_s[0] > durations_s[2], "a retreat ends it sooner than slowness: {durations_s:?}");
+}
+
+/// The furthest that the flange was from its place, mm, and the fastest joint of what it may, under gains as close to
+/// unstable as they are let through, untouched for two seconds and then leaned on with 100 N for three.
+fn at_the_edge(name: &str, asked: &[f64]) -> (f64, f64) {
+    let config = config();
+    let number = CONTROLLER.iter().position(|row| row.name.ends_with(name)).unwrap();
+    let asked = ParameterValues::new(asked).unwrap();
+    let (present, home) = (config.parameters(), config.control.gains.posture_rad);
+    let nearest = Stability::new(&config).nearest_stable(&present, number, &asked, &home);
+    let values = nearest.unwrap_or(asked);
+    let mut world = armed(&config, &Scene::default(), VirtualBoardConfig::default());
+    let first = world.step(None).0;
+    let parameter = u8::try_from(number).unwrap();
+    assert_eq!(world.step(Some(Request::SetParameter { parameter, values })).1, Some(Ok(())));
+    let mut samples = run(&mut world, 2000);
+    press(&mut world, FRONT, 100.0);
+    samples.append(&mut run(&mut world, 3000));
+    let (mut flange_mm, mut joints) = (0.0_f64, 0.0_f64);
+    for sample in &samples {
+        let off = |i: usize| (sample.flange_position_world[i] - first.flange_position_world[i]).powi(2);
+        flange_mm = flange_mm.max(1e3 * (off(0) + off(1) + off(2)).sqrt());
+        let share = |(dq, most): (&f64, f64)| dq.abs() / most;
+        joints = sample.dq_rad_s.iter().zip(PANDA.dq_max_rad_s).map(share).fold(joints, f64::max);
+    }
+    let last = samples.last().unwrap();
+    println!(
+        "{name} = {:.1?}: flange {flange_mm:.2} mm, joints {joints:.3}, {:?}",
+        values.as_slice(),
+        last.fault
+    );
+    assert!(last.mode.moves(), "{name}: {:?}", last.fault);
+    (flange_mm, joints)
+}
+
+#[test]
+fn gains_that_are_just_let_through_bear_a_strong_lean() {
+    for (name, asked) in [
+        ("gains.stiffness", &[1e5; 6][..]),
+        ("gains.stiffness", &[1e5, 1e5, 1e5, 40.0, 40.0, 40.0]),
+        ("gains.stiffness", &[800.0, 800.0, 800.0, 1e5, 1e5, 1e5]),
+        ("posture_stiffness", &[1e4; 7]),
+        ("posture_damping", &[1e3; 7]),
+        ("damping_ratio", &[5.0]),
+        ("reactivity", &[3.0]),
+        ("virtual_mass", &[0.5, 0.5, 0.5]),
+        ("virtual_damping", &[1.0, 1.0, 1.0]),
+    ] {
+        let (flange_mm, joints) = at_the_edge(name, asked);
+        assert!(flange_mm < 10.0 && joints < 1.0, "{name}: {flange_mm} mm, {joints}");
+    }
+}
+
+/// How far a lean of 40 N on `taxel` takes the base along `axis` within six seconds, and again after a rest, m.
+fn leaned(config: &Config, taxel: usize, axis: usize) -> [f64; 2] {
+    let mut world = armed(config, &Scene::default(), VirtualBoardConfig::default());
+    let mut lean = || {
+        let before = press(&mut world, taxel, 40.0).base_pose_world[axis];
+        let samples = run(&mut world, 6000);
+        let way_m = samples.iter().fold(0.0, |most: f64, s| most.max(before - s.base_pose_world[axis]));
+        press(&mut world, taxel, 0.0);
+        // the foam feels the hand for seconds after it is gone
+        let last = run(&mut world, 6000).pop().unwrap();
+        assert!(last.mode.moves(), "{:?}", last.fault);
+        way_m
+    };
+    [lean(), lean()]
+}
+
+#[test]
+fn a_base_that_is_pushed_towards_its_bare_rear_stops_after_a_tenth_of_a_metre() {
+    for law in [Law::Impedance, Law::FollowMe] {
+        let mut config = config();
+        config.startup.law = law;
+        let backwards = leaned(&config, FRONT, 0);
+        let sideways = leaned(&config, LEFT, 1);
+        config.protection.uncovered_m = 100.0;
+        let unlimited = leaned(&config, FRONT, 0);
+        println!(
+            "{law:?}: backwards {backwards:.4?}, to the covered right {sideways:.4?}, no limit {unlimited:.4?} m"
+        );
+        // 0.4 mm/s is what 40 N push the base's own servo back
+        assert!(backwards[0] > 0.09 && backwards[0] < 0.104, "{law:?}: {backwards:?} m");
+        assert!(backwards[1] < 0.104, "{law:?}: {backwards:?} m");
+        if law == Law::FollowMe {
+            assert!(backwards[1] > 0.09, "it counts anew: {backwards:?} m");
+        }
+        assert!(sideways[0] > 0.15 && unlimited[0] > 0.15, "{law:?}: the limit is not met: it shows nothing");
+    }
+}
+
+#[test]
+fn the_way_towards_a_bare_side_is_in_the_sample_and_a_mask_bares_a_side() {
+    let mut config = config();
+    config.startup.law = Law::FollowMe;
+    let mut world = armed(&config, &Scene::default(), VirtualBoardConfig::default());
+    press(&mut world, FRONT, 40.0);
+    let samples = run(&mut world, 6000);
+    let last = samples.last().unwrap();
+    assert!(samples.is_sorted_by(|a, b| a.uncovered_way_m <= b.uncovered_way_m + 1e-4));
+    assert!((last.uncovered_way_m + last.base_pose_world[0]).abs() < 5e-3, "{last:?}");
+    press(&mut world, FRONT, 0.0);
+    assert!(run(&mut world, 8000).pop().unwrap().uncovered_way_m < 1e-3, "it rested");
+
+    config.board.masked = vec![8, 9, 10, 11];
+    config.board.mask_policy = moca_tactile::cover::MaskPolicy::Ignore;
+    let [way_m, _] = leaned(&config, LEFT, 1);
+    assert!(way_m > 0.09 && way_m < 0.11, "to the right, whose taxels are masked: {way_m} m");
 }
 
 #[test]

@@ -8,6 +8,7 @@
 
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::runtime::lockstep::LockStep;
+use moca_msgs::robot::PANDA;
 use moca_msgs::{Fault, Mode, Refusal, Request, Sample, TaxelStatus};
 use moca_sim::{PtyBoard, Scene, SharedForces, VirtualBoardConfig};
 use moca_tactile::serial::{PortSelection, SerialBoard};
@@ -64,7 +65,7 @@ impl Drop for Daemon {
 }
 
 /// Polls until a sample satisfies `wanted`.
-fn wait_for(connection: &Connection, what: &str, wanted: impl Fn(&Sample) -> bool) -> Sample {
+fn wait_for(connection: &Connection, what: &str, mut wanted: impl FnMut(&Sample) -> bool) -> Sample {
     let until = Instant::now() + HANGS_AFTER;
     let mut last = None;
     while Instant::now() < until {
@@ -167,6 +168,61 @@ fn a_client_presses_a_taxel_stops_and_resumes_and_another_may_only_stop() {
 }
 
 #[test]
+fn who_leans_on_the_running_robot_moves_its_flange_and_its_joints_within_their_limits() {
+    for force_n in [20.0, 150.0, 200.0] {
+        let (_daemon, client) = Daemon::armed("leaning.toml");
+        let first = wait_for(&client, "a sample", |s| s.mode == Mode::Impedance);
+        assert_eq!(answer(&client, Request::PressTaxel { taxel: 5, force_n }), Ok(()));
+        let (mut moving, mut worst_m, mut joint_share, mut base_m) = (0, 0.0_f64, 0.0_f64, 0.0_f64);
+        let mut see = |s: &Sample| {
+            if s.mode.moves() {
+                moving += 1;
+                let off_m = |i: usize| s.flange_position_world[i] - first.flange_position_world[i];
+                worst_m = worst_m.max((0..3).map(|i| off_m(i).powi(2)).sum::<f64>().sqrt());
+                base_m = base_m.max(first.base_pose_world[0] - s.base_pose_world[0]);
+            }
+            let share = |(dq, most): (&f64, f64)| dq.abs() / most;
+            joint_share = s.dq_rad_s.iter().zip(PANDA.dq_max_rad_s).map(share).fold(joint_share, f64::max);
+            s.tick > first.tick + 3000 || !s.mode.moves()
+        };
+        let last = wait_for(&client, "three seconds of it, or a stop", &mut see);
+        println!(
+            "{force_n} N: {moving} samples, flange {:.2} mm, joints {:.0} %, base {base_m:.3} m, {:?}",
+            1e3 * worst_m,
+            100.0 * joint_share,
+            last.fault
+        );
+        // 200 N saturate the taxel; a board that is late on a busy machine is a rightful stop, too
+        let thrown =
+            matches!(last.fault, Some(Fault::JointSpeed { .. } | Fault::FlangeSpeed | Fault::PoseError));
+        assert!(!thrown && moving > if last.mode.moves() { 1000 } else { 0 }, "{moving}, {:?}", last.fault);
+        assert!(worst_m < 0.010 && joint_share < 1.0, "{worst_m} m, {joint_share}");
+    }
+}
+
+#[test]
+fn a_change_that_the_robot_would_not_bear_is_refused_with_what_it_bears() {
+    let (daemon, client) = Daemon::armed("unstable.toml");
+    let address = daemon.address.to_string();
+    let set = |name: &str, value: &str| {
+        let output = mocad(&["params", "set", name, value, "--address", &address]);
+        (output.status.success(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (done, said) = set("stiffness", "[1e5, 1e5, 1e5, 1e5, 1e5, 1e5]");
+    println!("{said}");
+    assert!(
+        !done && said.contains("not stable with this robot at this rate and posture; on the way there ["),
+        "{said}"
+    );
+    assert!(said.contains("its range is 0 to 100000 N/m"), "{said}");
+    let (done, said) = set("posture_stiffness", "[1e4, 1e4, 1e4, 1e4, 1e4, 1e4, 1e4]");
+    assert!(!done && said.contains("not stable"), "{said}");
+    let (done, said) = set("stiffness", "[1000, 1000, 1000, 60, 60, 60]");
+    assert!(done, "{said}");
+    wait_for(&client, "it still runs", |s| s.mode == Mode::Impedance);
+}
+
+#[test]
 fn a_client_that_floods_the_loop_and_vanishes_leaves_no_armed_robot_behind() {
     let mut config = Config::default();
     config.simulation.hand = HandConfig::none();
@@ -178,8 +234,14 @@ fn a_client_that_floods_the_loop_and_vanishes_leaves_no_armed_robot_behind() {
     }
     let (sender, mut requests) = request_channel();
     let samples = rtrb::RingBuffer::new(1).1;
-    let ports =
-        Ports { samples, requests: sender, ring_dropped: Arc::default(), recorder: None, calibration: None };
+    let ports = Ports {
+        samples,
+        requests: sender,
+        ring_dropped: Arc::default(),
+        recorder: None,
+        calibration: None,
+        judge: None,
+    };
     let any_port = SocketAddr::from(([127, 0, 0, 1], 0)).into();
     let server = serve(&any_port, 0o600, RobotDescription::paper("flooded", true), ports).unwrap();
     let client = Connection::spawn(server.address().clone(), || {}).unwrap();

@@ -106,6 +106,12 @@ pub enum Refusal {
     NotLive,
     /// In its range, but not beside another parameter's present value.
     Conflict,
+    /// In its range, but with it the robot's loop would not be stable at this rate and posture.
+    Unstable {
+        /// What is nearest on the straight way there from the present values and stable; no elements if the present
+        /// values are not stable either.
+        nearest: ParameterValues,
+    },
     /// A stop came after it and before its turn.
     Stopped,
     /// Another client holds the command.
@@ -140,6 +146,7 @@ impl fmt::Display for Refusal {
             Self::Conflict => {
                 "it does not go with another parameter (null_space_damping needs a virtual mass of 0.5 kg or more)"
             }
+            Self::Unstable { .. } => "not stable with this robot at this rate and posture",
             Self::Stopped => "a stop came before its turn",
             Self::NotCommander => "another client has the command: close it, or let it give the command back",
             Self::NoAnswer => "the daemon does not answer",

@@ -43,6 +43,8 @@ pub struct Sample {
     pub base_velocity_world: [f64; 3],
     /// Speed of the fastest point of the cover, m/s: what the speed limit limits.
     pub cover_speed_m_s: f64,
+    /// Way of the base towards a side that no taxel covers since it last rested, m; 0 where all are covered.
+    pub uncovered_way_m: f64,
     /// Commanded base velocity in the axes of B: m/s, m/s, rad/s.
     pub base_velocity_command_body: [f64; 3],
     /// Joint angles, rad.

@@ -51,6 +51,9 @@ fn counts(filtered: u16) -> Frame {
 #[test]
 fn each_thing_that_is_wrong_shows_in_its_own_place_and_ends() {
     let mut stream = Stream::new();
+    stream.board.opened();
+    stream.board.opened();
+    assert_eq!(stream.board.stats().connections, 2);
     assert_eq!(
         (stream.board.columns(), stream.board.last_bad(), stream.board.firmware()),
         (None, None, None)

@@ -40,6 +40,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ring_dropped: Arc::clone(&ring_dropped),
         recorder: None,
         calibration: None,
+        judge: None,
     };
     let any = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), 0).into();
     let server = serve(&any, 0o600, RobotDescription::paper("latency", true), ports)?;

@@ -13,7 +13,7 @@
 //! assert_eq!(parameter.checked(&[7.0]).unwrap_err(), "control.gains.damping_ratio = 7 is outside 0 to 5");
 //! ```
 
-use moca_msgs::ParameterValues;
+use moca_msgs::{ParameterValues, Refusal};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -104,6 +104,34 @@ impl ParameterDescription {
         ParameterValues::new(values).ok_or_else(|| format!("{name} has too many elements to travel"))
     }
 
+    /// Why [`moca_msgs::Refusal::Unstable`] refused a value: what is stable, unit and range.
+    pub fn unstable(&self, nearest: &ParameterValues) -> String {
+        let units = self.units.join(", ");
+        let space = if units.is_empty() { "" } else { " " };
+        let range = format!("its range is {} to {}{space}{units}", self.min, self.max);
+        match nearest.as_slice() {
+            [] => format!(
+                "not stable with this robot at this rate and posture, nor are the present values ({range})"
+            ),
+            stable => {
+                let stable = ParameterValue::Numbers(stable.iter().map(|x| four_digits(*x)).collect());
+                let stable = self.shown(&stable);
+                format!(
+                    "not stable with this robot at this rate and posture; on the way there {stable}{space}{units} \
+                     still is ({range})"
+                )
+            }
+        }
+    }
+
+    /// Why a change of this parameter was refused, for people.
+    pub fn why(&self, refusal: Refusal) -> String {
+        match refusal {
+            Refusal::Unstable { nearest } => self.unstable(&nearest),
+            _ => refusal.to_string(),
+        }
+    }
+
     /// A value as in the configuration file.
     pub fn shown(&self, value: &ParameterValue) -> String {
         match (value, &self.form) {
@@ -113,6 +141,11 @@ impl ParameterDescription {
             _ => value.to_string(),
         }
     }
+}
+
+/// A number with four digits, for people.
+fn four_digits(number: f64) -> f64 {
+    format!("{number:.3e}").parse().unwrap_or(number)
 }
 
 impl fmt::Display for ParameterValue {

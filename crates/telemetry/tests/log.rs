@@ -73,6 +73,7 @@ fn sample(tick: u32) -> Sample {
         base_pose_world: [value(), value(), value()],
         base_velocity_world: [value(), value(), value()],
         cover_speed_m_s: value(),
+        uncovered_way_m: value(),
         base_velocity_command_body: [value(), value(), value()],
         flange_position_world: [value(), value(), value()],
         flange_quaternion_world: [value(), value(), value(), value()],

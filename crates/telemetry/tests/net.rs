@@ -43,6 +43,7 @@ fn start(address: impl Into<Address>, recorder: Option<Producer<Sample>>) -> Loo
         ring_dropped: Arc::clone(&ring_dropped),
         recorder,
         calibration: None,
+        judge: None,
     };
     let server = serve(&address.into(), 0o600, RobotDescription::paper("test", true), ports).unwrap();
     Loop { server, samples, requests, ring_dropped }
@@ -266,6 +267,7 @@ fn a_unix_socket_has_its_mode_and_serves_like_a_port() {
         ring_dropped: Arc::default(),
         recorder: None,
         calibration: None,
+        judge: None,
     };
     let refused = serve(&address, 0o600, RobotDescription::default(), ports());
     assert!(refused.err().unwrap().to_string().contains("no socket"), "another's file is not replaced");
@@ -466,7 +468,7 @@ fn only_loopback_is_served() {
     let (_, samples) = RingBuffer::new(1);
     let (requests, _robot) = request_channel();
     let ring_dropped = Arc::default();
-    let ports = Ports { samples, requests, ring_dropped, recorder: None, calibration: None };
+    let ports = Ports { samples, requests, ring_dropped, recorder: None, calibration: None, judge: None };
     let refused = serve(&"0.0.0.0:0".parse().unwrap(), 0o600, RobotDescription::default(), ports);
     assert!(matches!(refused.err(), Some(NetError::NotLoopback(_))));
 }

@@ -20,6 +20,11 @@ pub enum ControlError {
         /// What was given, m/s.
         speed_m_s: f64,
     },
+    /// Bounds of a guard within which the base may not stand still.
+    GuardBounds {
+        /// Axis of B: 0 is x, 1 is y, 2 is yaw.
+        axis: usize,
+    },
     /// Quaternion whose length is not 1.
     NotUnit {
         /// What was given.
@@ -38,6 +43,9 @@ impl core::fmt::Display for ControlError {
             Self::NotFinite { what, index } => write!(f, "{what}[{index}] is not a finite number"),
             Self::Step { dt_s } => write!(f, "time since the last step = {dt_s} s is not above 0 s"),
             Self::GuardSpeed { speed_m_s } => write!(f, "guard speed = {speed_m_s} m/s is below 0 m/s"),
+            Self::GuardBounds { axis } => {
+                write!(f, "guard bounds along axis {axis} of B leave out 0")
+            }
             Self::NotUnit { norm } => write!(f, "quaternion of length {norm} is outside 0.999 to 1.001"),
             Self::NotPositiveDefinite { what } => write!(f, "{what} is not positive definite"),
         }

@@ -37,22 +37,47 @@ pub struct BaseGuard<const K: usize, T = f64> {
     /// Largest speed of each taxel outward, m/s: +∞ for none, below 0 where it has to give way. As
     /// [`crate::contact_barrier`] says it. Where the base cannot keep all of them, it exceeds the worst by the least.
     pub outward_m_s: Option<[T; K]>,
+    /// Least and largest velocity along each axis of B, m/s, m/s, rad/s; standing still is between them. For motions
+    /// that no taxel would feel the end of.
+    pub bounds_body: Option<[[T; 3]; 2]>,
     /// What the base does instead of what the law wants: m/s, m/s, rad/s.
     pub instead_body: Option<[T; 3]>,
 }
 
 impl<const K: usize, T: Scalar> BaseGuard<K, T> {
     /// Everything that the limits allow.
-    pub const NONE: Self =
-        Self { speed_m_s: None, blocked: [false; K], outward_m_s: None, instead_body: None };
+    pub const NONE: Self = Self {
+        speed_m_s: None,
+        blocked: [false; K],
+        outward_m_s: None,
+        bounds_body: None,
+        instead_body: None,
+    };
+
+    /// Whether a velocity is within the bounds along the axes.
+    fn bounds_permit(&self, velocity: &[T; 3]) -> bool {
+        let rounding = of::<T>(STANDSTILL);
+        self.bounds_body.is_none_or(|[least, most]| {
+            (0..3).all(|i| velocity[i] >= least[i] - rounding && velocity[i] <= most[i] + rounding)
+        })
+    }
 
     /// # Errors
-    /// A number that is not finite, of a cover of `taxels` taxels, or a speed limit below 0.
+    /// A number that is not finite, of a cover of `taxels` taxels, a speed limit below 0, or bounds that forbid standing
+    /// still.
     pub(crate) fn check(&self, taxels: usize) -> Result<(), ControlError> {
         finite("guard.instead_body", self.instead_body.as_ref().map_or(&[], |v| &v[..]))?;
         for (index, most) in self.outward_m_s.iter().flatten().take(taxels).enumerate() {
             if !most.is_finite() && *most != of(f64::INFINITY) {
                 return Err(ControlError::NotFinite { what: "guard.outward_m_s", index });
+            }
+        }
+        for (axis, (least, most)) in
+            self.bounds_body.iter().flat_map(|[least, most]| least.iter().zip(most)).enumerate()
+        {
+            finite("guard.bounds_body", &[*least, *most])?;
+            if *least > T::zero() || *most < T::zero() {
+                return Err(ControlError::GuardBounds { axis });
             }
         }
         let Some(speed) = self.speed_m_s else { return Ok(()) };
@@ -161,6 +186,7 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
         let least = -of::<T>(STANDSTILL);
         let rounding = T::one() + of::<T>(4.0) * T::default_epsilon();
         guard.speed_m_s.is_none_or(|most| self.fastest(velocity) <= most * rounding)
+            && guard.bounds_permit(velocity)
             && self.blocked(guard).all(|[x, y, lever]| *x * vx + *y * vy >= least && *lever * yaw >= least)
     }
 
@@ -169,10 +195,24 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
         let [vx, vy, yaw] = guard.instead_body.unwrap_or(*wanted);
         let turns_out = self.blocked(guard).any(|[_, _, lever]| *lever * yaw < T::zero());
         let [vx, vy] = self.nearest_translation(guard, [vx, vy]);
-        let velocity = [vx, vy, if turns_out { T::zero() } else { yaw }];
+        let free = [vx, vy, if turns_out { T::zero() } else { yaw }];
+        let velocity = self.bounded(guard, free);
         match guard.speed_m_s {
             Some(most) => scaled_to(velocity, self.fastest(&velocity), most),
             None => velocity,
+        }
+    }
+
+    /// `velocity`, which moves no blocked taxel outward, within the bounds along the axes; its translation ends where the
+    /// one is at odds with the other.
+    fn bounded(&self, guard: &BaseGuard<K, T>, velocity: [T; 3]) -> [T; 3] {
+        let Some([least, most]) = &guard.bounds_body else { return velocity };
+        let [x, y, yaw] = core::array::from_fn(|i| velocity[i].clamp(least[i], most[i]));
+        let slack = -of::<T>(STANDSTILL);
+        if self.blocked(guard).all(|[ux, uy, _]| *ux * x + *uy * y >= slack) {
+            [x, y, yaw]
+        } else {
+            [T::zero(), T::zero(), yaw]
         }
     }
 
@@ -274,6 +314,27 @@ mod tests {
         assert!((vx + vy + 0.05 * 2.0_f64.sqrt()).abs() < 1e-12 && (vx - vy).abs() < 1e-12 && yaw == 0.0);
         assert_eq!(outline().away_from(&touched(&[1, 8]), 0.05), [0.0; 3], "between two hands there is none");
         assert_eq!(outline().away_from(&[false; 11], 0.05), [0.0; 3]);
+    }
+
+    #[test]
+    fn what_is_bounded_along_an_axis_goes_on_along_the_others() {
+        let outline = outline();
+        let bounded = |blocked: &[usize], wanted: [f64; 3]| {
+            let bounds_body = Some([[-0.02, -9.0, -9.0], [9.0; 3]]);
+            let guard = BaseGuard { bounds_body, ..blocking(blocked) };
+            assert!(guard.check(11).is_ok());
+            let kept = outline.guarded(&guard, &wanted);
+            assert!(outline.permits(&guard, &kept), "{kept:?}");
+            assert_eq!(outline.permits(&guard, &wanted), kept == wanted, "{wanted:?}");
+            kept
+        };
+        assert_eq!(bounded(&[], [-0.1, 0.2, 0.3]), [-0.02, 0.2, 0.3]);
+        assert_eq!(bounded(&[], [0.1, 0.2, 0.3]), [0.1, 0.2, 0.3]);
+        // a hand at T3 as well: neither backwards nor to the left
+        assert_eq!(bounded(&[2], [-0.1, 0.2, -0.3]), [-0.02, 0.0, -0.3]);
+        for bounds in [[[0.1; 3], [0.2; 3]], [[-0.2; 3], [-0.1; 3]], [[f64::NAN; 3], [0.1; 3]]] {
+            assert!(BaseGuard { bounds_body: Some(bounds), ..BaseGuard::<11>::NONE }.check(11).is_err());
+        }
     }
 
     #[test]

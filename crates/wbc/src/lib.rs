@@ -11,7 +11,8 @@
 //!    [`cover_map`], [`limits`], [`guard`], [`momentum_observer`].
 //! 3. **The model** alone: [`ArmModel`] from a table of [`robot`]; [`model::Kinematics`] gives poses, Jacobians, mass
 //!    matrix and bias in world axes; [`coupled`] adds the physical base.
-//! 4. **Analysis**: [`contact_stability`] answers whether a cover is stable against a body and how fast its base may go.
+//! 4. **Analysis**: [`contact_stability`] answers whether a cover is stable against a body and how fast its base may go,
+//!    [`loop_stability`] whether gains are stable with a period and a robot in a posture.
 //!
 //! Numbers of joints and taxels are const generics, the scalar is `f32` or `f64`. What a user needs of `moca-msgs` and
 //! `nalgebra` is re-exported: one dependency is enough. Runnable: `cargo run -p moca-wbc --example impedance` and
@@ -92,6 +93,7 @@ pub mod guard;
 pub mod impedance;
 pub mod limits;
 pub mod linalg;
+pub mod loop_stability;
 pub mod model;
 pub mod momentum_observer;
 pub mod opspace;

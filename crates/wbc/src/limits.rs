@@ -165,7 +165,14 @@ impl<T: Scalar> BaseLimits<T> {
             } else {
                 outline.guarded(&without, wanted)
             };
-            let (low, high) = self.reachable(last, dt_s);
+            let (mut low, mut high) = self.reachable(last, dt_s);
+            if let Some([least, largest]) = &guard.bounds_body {
+                for i in 0..3 {
+                    let (slowest, fastest) = (low[i], high[i]);
+                    low[i] = least[i].clamp(slowest, fastest);
+                    high[i] = largest[i].clamp(slowest, fastest);
+                }
+            }
             return outline.nearest(most, &plain, &low, &high);
         }
         let mut unguarded_hit = *hit;

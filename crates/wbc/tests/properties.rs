@@ -78,9 +78,16 @@ prop_compose! {
     fn any_guard()(
         speed in prop::option::of(0.0..0.6_f64),
         blocked in prop::collection::vec(prop::bool::weighted(0.15), 11),
+        bounds in prop::option::weighted(0.3, (uniform3(0.0..0.3_f64), uniform3(0.0..0.3_f64))),
         instead in prop::option::weighted(0.2, uniform3(ordinary(0.5))),
     ) -> BaseGuard<11> {
-        BaseGuard { speed_m_s: speed, blocked: std::array::from_fn(|i| blocked[i]), outward_m_s: None, instead_body: instead }
+        BaseGuard {
+            speed_m_s: speed,
+            blocked: std::array::from_fn(|i| blocked[i]),
+            bounds_body: bounds.map(|(least, most)| [least.map(|v| -v), most]),
+            instead_body: instead,
+            ..BaseGuard::NONE
+        }
     }
 }
 
@@ -108,6 +115,11 @@ proptest! {
             if inside {
                 let speed = outline.fastest(&next);
                 prop_assert!(guard.speed_m_s.is_none_or(|limit| speed <= limit + 1e-9), "{speed}");
+                if let Some([least, most]) = guard.bounds_body {
+                    for i in 0..3 {
+                        prop_assert!(next[i] >= least[i] - 1e-8 && next[i] <= most[i] + 1e-8, "{next:?}");
+                    }
+                }
                 for taxel in (0..11).filter(|taxel| guard.blocked[*taxel]) {
                     prop_assert!(outline.outward(taxel, &next) <= 1e-8, "T{} {next:?}", taxel + 1);
                 }

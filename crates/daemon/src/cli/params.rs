@@ -109,7 +109,7 @@ fn set(arguments: &SetArguments) -> Result<()> {
     // To go without a word would stop a moving robot.
     connection.release();
     let (name, value) = (&parameter.name, &arguments.value);
-    outcome?.map_err(|refusal| Refused(format!("{name} = {value}: {refusal}")))?;
+    outcome?.map_err(|refusal| Refused(format!("{name} = {value}: {}", parameter.why(refusal))))?;
     println!("{name} = {value}");
     Ok(())
 }

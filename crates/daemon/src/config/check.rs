@@ -1,9 +1,12 @@
 //! What single rows cannot know: numbers that do not go together.
 
+use super::stability::Stability;
 use super::{AUTO_LISTEN, AUTO_PORT, Config, Ports, ProtectionConfig, TelemetryConfig};
 use crate::robot::{Parts, PlantKind};
+use moca_msgs::params::CONTROLLER;
 use moca_tactile::cover::MaskPolicy;
 use moca_telemetry::net::Address;
+use moca_telemetry::{ParameterDescription, ParameterValue};
 
 /// What the ramps of a scripted press take, s, with a moment of rest.
 const PRESS_RAMPS_S: f64 = 0.7;
@@ -26,6 +29,39 @@ pub(super) fn check(config: &Config, report: Report<'_>) {
     telemetry(&config.telemetry, report);
     plant(config, report);
     timeout(config, report);
+}
+
+/// Gains that are each in range and make the robot's loop unstable. An experiment may want them, a robot does not: it is
+/// asked of files, and after every other check has passed.
+pub(super) fn stability(config: &Config, report: Report<'_>) {
+    let (parameters, stability) = (config.parameters(), Stability::new(config));
+    if config.plant.kind == PlantKind::None || stability.is_stable(&parameters, &parameters.gains.posture_rad)
+    {
+        return;
+    }
+    let mut defaults = Config::with_arm(config.robot.arm.clone());
+    defaults.control_loop = config.control_loop.clone();
+    if let Some((number, value, nearest)) = stability.to_blame(&parameters, &defaults.parameters()) {
+        let row = &CONTROLLER[number];
+        let described = ParameterDescription {
+            name: row.name.into(),
+            units: row.units.iter().map(|unit| (*unit).into()).collect(),
+            min: row.min,
+            max: row.max,
+            ..ParameterDescription::default()
+        };
+        let value = ParameterValue::Numbers(value.as_slice().to_vec());
+        report(row.name, format!("{} = {value} is {}", row.name, described.unstable(&nearest)));
+    } else {
+        let rate_hz = config.control_loop.rate_hz;
+        report(
+            "control.gains",
+            format!(
+                "control.gains: not stable in control.gains.posture_rad at loop.rate_hz = {rate_hz} Hz, though each is in \
+                 its range; lower stiffnesses and dampings or raise the rate"
+            ),
+        );
+    }
 }
 
 /// Lists that go taxel by taxel, and numbers of taxels.

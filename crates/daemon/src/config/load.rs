@@ -60,6 +60,9 @@ impl Config {
             }
         });
         config.check(|name, message| mistakes.add(name, &message));
+        if mistakes.found.is_empty() {
+            super::check::stability(&config, &mut |name, message| mistakes.add(name, &message));
+        }
         mistakes.or(config)
     }
 

@@ -3,10 +3,12 @@
 
 mod check;
 pub mod contact_limits;
+pub mod live;
 pub mod load;
 mod own_arm;
 mod ports;
 pub mod schema;
+pub mod stability;
 pub mod urdf;
 
 pub use own_arm::OwnArm;
@@ -193,6 +195,10 @@ parameter_table! {
         retreat_m_s: f64 = 0.05 => [.range(0.001, 1.0).units(&["m/s"])];
         /// Longest way of a retreat.
         retreat_m: f64 = 0.10 => [.range(0.0, 1.0).units(&["m"])];
+        /// Speed towards a side that no taxel covers; the limit of the covered ones holds there too.
+        uncovered_m_s: f64 = 3.0 => [.range(0.0, 3.0).units(&["m/s"])];
+        /// Longest way towards a side that no taxel covers, until nobody touches the robot and it has rested.
+        uncovered_m: f64 = 0.10 => [.range(0.0, 100.0).units(&["m"])];
     }
 }
 

@@ -1,12 +1,13 @@
 //! From mode and forces to a command: which law runs in which mode.
 
 use crate::config::Config;
+use crate::config::live::changed;
 use crate::control::barrier::Barrier;
 use crate::control::cover::CoverState;
 use crate::control::loop_state::{JointsState, LawState, MotionState, OtherRobot};
 use crate::control::protection::{Protected, Protection};
+use crate::control::uncovered::Uncovered;
 use crate::robot::{JOINTS, Parts, TAXELS};
-use moca_msgs::params::{CONTROLLER, Size};
 use moca_msgs::protection::MAX_CONTACT_ROWS;
 use moca_msgs::robot::resized;
 use moca_msgs::{
@@ -52,6 +53,8 @@ pub struct Motion {
     parameters: Parameters<JOINTS>,
     protection: Protection,
     barrier: Option<Barrier>,
+    /// Of a base: what no taxel covers.
+    uncovered: Option<Uncovered>,
     parts: Parts,
     guard: BaseGuard<TAXELS>,
 }
@@ -70,8 +73,9 @@ impl Motion {
             _ => return Err(other_joints(joints)),
         };
         let barrier = either!(&controller, controller => controller.barrier(config))?;
+        let uncovered = parts.has_cover().then(|| Uncovered::new(config));
         let guard = Protected::default().guard;
-        Ok(Self { controller, joints, taxels, parameters, protection, barrier, parts, guard })
+        Ok(Self { controller, joints, taxels, parameters, protection, barrier, uncovered, parts, guard })
     }
 
     /// How many joints the arm has.
@@ -101,6 +105,9 @@ impl Motion {
             self.protection.squeezed(now_ns, barrier.rows());
             barrier.take_cover(now_ns, cover);
         }
+        if let Some(uncovered) = &mut self.uncovered {
+            uncovered.feel(cover);
+        }
         protected
     }
 
@@ -114,26 +121,17 @@ impl Motion {
         if self.parts.has_cover() { self.protection.cover_speed_m_s(robot) } else { 0.0 }
     }
 
-    /// Changes a parameter (its number in [`CONTROLLER`]) from the next step on; gains reach the law through a filter.
+    /// Way of the base towards a side that no taxel covers since it last rested, m; 0 where all are covered.
+    pub fn uncovered_way_m(&self) -> f64 {
+        self.uncovered.as_ref().map_or(0.0, Uncovered::way_m)
+    }
+
+    /// Changes a parameter (its number in [`moca_msgs::params::CONTROLLER`]) from the next step on; gains reach the law through a filter.
     ///
     /// # Errors
     /// No such parameter, not live, out of range, or at odds with another one; nothing is changed.
     pub fn set_parameter(&mut self, number: usize, values: &ParameterValues) -> Outcome {
-        let spec = CONTROLLER.get(number).ok_or(Refusal::NoSuchParameter)?;
-        if !spec.live {
-            return Err(Refusal::NotLive);
-        }
-        let mut elements = [0.0; JOINTS];
-        let values = match (spec.size, values.as_slice()) {
-            (Size::Joints, values) if values.len() == self.joints => {
-                elements[..values.len()].copy_from_slice(values);
-                &elements[..]
-            }
-            (Size::Joints, _) => return Err(Refusal::OutOfRange),
-            (_, values) => values,
-        };
-        let mut wanted = self.parameters;
-        wanted.set(number, &ParameterValues::new(values).ok_or(Refusal::OutOfRange)?)?;
+        let wanted = changed(&self.parameters, self.joints, number, values)?;
         either!(&mut self.controller, controller => controller.set_parameters(&wanted))?;
         self.parameters = wanted;
         Ok(())
@@ -149,6 +147,7 @@ impl Motion {
             parameters: self.parameters,
             protection: self.protection.state().clone(),
             barrier: self.barrier.as_ref().map(Barrier::state),
+            uncovered: self.uncovered.as_ref().map(Uncovered::state),
         }
     }
 
@@ -170,6 +169,11 @@ impl Motion {
         self.protection.restore(&state.protection);
         match (&mut self.barrier, &state.barrier) {
             (Some(barrier), Some(state)) => barrier.restore(state),
+            (None, None) => {}
+            _ => return Err(OtherRobot),
+        }
+        match (&mut self.uncovered, &state.uncovered) {
+            (Some(uncovered), Some(state)) => uncovered.restore(state),
             (None, None) => {}
             _ => return Err(OtherRobot),
         }
@@ -217,6 +221,10 @@ impl Motion {
             }
         };
         let mut guard = self.guard;
+        if let Some(uncovered) = &mut self.uncovered {
+            uncovered.advance(robot, dt_s);
+            guard.bounds_body = uncovered.bounds_body(self.parameters.limits.base_acceleration);
+        }
         if let Some(barrier) = &mut self.barrier {
             let deceleration = self.parameters.limits.base_acceleration;
             let contacts = barrier
@@ -238,6 +246,9 @@ impl Motion {
         }
         let input = LawInput { law, taxel_force_n, guard, dt_s };
         let output = either!(&mut self.controller, controller => controller.step(robot, &input))?;
+        if let Some(uncovered) = &mut self.uncovered {
+            uncovered.remember(output.limits.guard);
+        }
         if let Some(barrier) = &mut self.barrier {
             barrier.remember(&output.flange, robot);
             barrier.ordered(&output.command.base_velocity_body);

@@ -5,6 +5,7 @@ use crate::control::barrier::BarrierMemory;
 use crate::control::protection::ProtectionState;
 use crate::control::state_check::StateCheck;
 use crate::control::supervisor::Supervisor;
+use crate::control::uncovered::UncoveredState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::{Fault, Parameters};
 use moca_tactile::Cover;
@@ -35,11 +36,11 @@ pub struct MotionState {
     pub(super) parameters: Parameters<JOINTS>,
     pub(super) protection: ProtectionState,
     pub(super) barrier: Option<BarrierMemory>,
+    pub(super) uncovered: Option<UncoveredState>,
 }
 
 /// What the law for an arm of so many joints remembers.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-#[expect(clippy::large_enum_variant, reason = "a copy in a ring, for which one size is right")]
 pub(super) enum JointsState {
     Six(LawState<6>),
     Seven(LawState<7>),
@@ -47,7 +48,6 @@ pub(super) enum JointsState {
 
 /// What the law of the parts that the robot has remembers.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-#[expect(clippy::large_enum_variant, reason = "a copy in a ring, for which one size is right")]
 pub(super) enum LawState<const N: usize> {
     Whole(Option<ControllerState<N>>),
     Base(BaseState),

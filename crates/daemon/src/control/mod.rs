@@ -13,3 +13,4 @@ pub mod state_check;
 pub mod supervisor;
 pub mod tick;
 pub mod tick_input;
+pub mod uncovered;

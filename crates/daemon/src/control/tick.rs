@@ -239,6 +239,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             sample.base_pose_world = robot.base_pose_world;
             sample.base_velocity_world = robot.base_velocity_world;
             sample.cover_speed_m_s = self.motion.cover_speed_m_s(robot);
+            sample.uncovered_way_m = self.motion.uncovered_way_m();
         }
         if let Some(robot) = robot.filter(|_| parts.has_arm()) {
             sample.q_rad = vec_of(&robot.q_rad[joints]);

@@ -1,5 +1,7 @@
 //! Everything that watches the loop from outside: reporter, telemetry, log, flight recorder. A live loop waits for none.
 
+use crate::config::live::changed;
+use crate::config::stability::Stability;
 use crate::config::{AUTO_FOLDER, Config};
 use crate::inject::{self, Disk, OutsideFault, Strike};
 use crate::record::flight_recorder::FlightRecorder;
@@ -11,10 +13,12 @@ use crate::runtime::notice::{Notice, Reporter};
 use crate::runtime::options::Options;
 use crate::runtime::watchdog::Heartbeat;
 use anyhow::{Context, Result, anyhow};
-use moca_msgs::Sample;
+use moca_msgs::{Refusal, Sample};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::description::ArmDescription;
-use moca_telemetry::net::{self, Address, CalibrationPort, Ports, RequestSender, Server};
+use moca_telemetry::net::{
+    self, Address, CalibrationPort, Judge, Ports, ProposedChange, RequestSender, Server,
+};
 use std::fs::File;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -38,8 +42,29 @@ impl RequestPorts {
     /// All that telemetry serves.
     pub fn with(self, samples: rtrb::Consumer<Sample>, recorder: Option<rtrb::Producer<Sample>>) -> Ports {
         let Self { requests, samples_dropped, calibration } = self;
-        Ports { samples, requests, ring_dropped: samples_dropped, recorder, calibration }
+        let ring_dropped = samples_dropped;
+        Ports { samples, requests, ring_dropped, recorder, calibration, judge: None }
     }
+}
+
+/// Lets no parameter through with which the loop would not be stable at the posture of the latest sample.
+fn judge(config: &Config) -> Judge {
+    let (stability, configured) = (Stability::new(config), config.parameters());
+    let joints = config.arm().joints;
+    Box::new(move |change: &ProposedChange<'_>| {
+        let mut present = configured;
+        for (number, values) in change.changed {
+            present = changed(&present, joints, usize::from(*number), values)?;
+        }
+        let number = usize::from(change.parameter);
+        changed(&present, joints, number, change.values)?;
+        let mut q_rad = configured.gains.posture_rad;
+        q_rad.iter_mut().zip(change.q_rad).for_each(|(q, measured)| *q = *measured);
+        match stability.nearest_stable(&present, number, change.values, &q_rad) {
+            Some(nearest) => Err(Refusal::Unstable { nearest }),
+            None => Ok(()),
+        }
+    })
 }
 
 /// Rings between a loop and those who watch it.
@@ -60,7 +85,8 @@ pub(crate) fn serve(
     reporter: &mut dyn Reporter,
 ) -> Result<Server> {
     let mode = config.telemetry.socket_mode().unwrap_or_default();
-    let served = net::serve(address, mode, description(config), ports.with(samples, recorder));
+    let ports = Ports { judge: Some(judge(config)), ..ports.with(samples, recorder) };
+    let served = net::serve(address, mode, description(config), ports);
     let server = served.with_context(|| {
         format!("telemetry.listen = \"{address}\" (if another mocad runs, choose another address, port 0 for any, or \"\")")
     })?;

@@ -167,11 +167,12 @@ pub(crate) struct Settings {
     pub integrator: Integrator,
 }
 
-/// The paper's robot has no speed limit but its own; a limit this high changes no bit.
+/// The paper's robot has no speed limit but its own, and goes wherever it is pushed; limits this high change no bit.
 pub(crate) fn unprotected() -> ProtectionConfig {
     ProtectionConfig {
         override_speed_limit_m_s: OVERRIDE_MAX_M_S,
         override_statement: "the paper's experiments, simulated, as published".into(),
+        uncovered_m: 100.0,
         ..ProtectionConfig::default()
     }
 }

@@ -11,7 +11,7 @@ use super::{
         timing::Timing,
     },
 };
-use moca_msgs::{Law, Mode, Request, Sample, protection::ContactPhase, seconds};
+use moca_msgs::{Law, Mode, Refusal, Request, Sample, protection::ContactPhase, seconds};
 use moca_telemetry::{
     RobotDescription,
     calibration::CalibrationProgress,
@@ -232,11 +232,23 @@ impl Model {
         }
     }
 
+    /// A refusal as text; a parameter's own with what would be taken.
+    fn why(&self, request: Request, refusal: Refusal) -> String {
+        match request {
+            Request::SetParameter { parameter, .. } => self
+                .robot
+                .parameters
+                .get(usize::from(parameter))
+                .map_or_else(|| refusal.to_string(), |parameter| parameter.why(refusal)),
+            _ => refusal.to_string(),
+        }
+    }
+
     fn note_reply(&mut self, reply: Reply) {
         let asked = request_text(reply.request);
         let answer = match reply.outcome {
             Ok(()) => Answer::good(format!("{asked}: done")),
-            Err(refusal) => Answer::bad(format!("{asked}: refused, {refusal}")),
+            Err(refusal) => Answer::bad(format!("{asked}: refused, {}", self.why(reply.request, refusal))),
         };
         if let (Request::SelectLaw(law), Ok(())) = (reply.request, reply.outcome) {
             self.law = law;
@@ -251,7 +263,6 @@ impl Model {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moca_msgs::Refusal;
     use moca_telemetry::{ParameterDescription, ParameterValue};
 
     fn up(session: u64) -> Link {

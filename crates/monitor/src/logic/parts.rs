@@ -11,6 +11,14 @@ pub fn text_parameter<'a>(robot: &'a RobotDescription, name: &str) -> Option<&'a
     }
 }
 
+/// The value of a parameter that is one number.
+pub fn number_parameter(robot: &RobotDescription, name: &str) -> Option<f64> {
+    match &robot.parameters.iter().find(|parameter| parameter.name == name)?.value {
+        ParameterValue::Numbers(numbers) => numbers.first().copied(),
+        ParameterValue::Text(_) => None,
+    }
+}
+
 /// What a board (0 is the first) is called, with its taxels, where there are several.
 pub fn board_name(robot: &RobotDescription, board: u8) -> Option<String> {
     let port = text_parameter(robot, "board.port")?.split(", ").nth(usize::from(board))?;

@@ -4,7 +4,7 @@ use super::theme;
 use crate::logic::{
     format::{number, speed_limit},
     model::{Freshness, Model, SILENCE_S},
-    parts::{has_arm, has_base, has_cover, has_robot},
+    parts::{has_arm, has_base, has_cover, has_robot, number_parameter},
 };
 use egui::{Align, Grid, Label, Layout, RichText, Role, Sense, Ui, WidgetInfo, pos2, vec2};
 use moca_msgs::{Sample, SpeedLimit, seconds};
@@ -69,6 +69,9 @@ fn gauges(ui: &mut Ui, model: &Model, sample: &Sample, now_s: f64) {
             let [x, y, yaw] = sample.base_velocity_world;
             let [x_max, y_max, yaw_max] = robot.base_velocity_max;
             gauge(ui, "Cover speed", sample.cover_speed_m_s, sample.speed_limit.m_s, "m/s", 2);
+            if let Some(most_m) = number_parameter(robot, "protection.uncovered_m") {
+                gauge(ui, "Uncovered way", sample.uncovered_way_m, most_m, "m", 2);
+            }
             gauge(ui, "Base speed", x.hypot(y), x_max.min(y_max), "m/s", 2);
             gauge(ui, "Base turning", yaw.abs(), yaw_max, "rad/s", 2);
         }

@@ -3,7 +3,7 @@
 use crate::bench::{Bench, parameter};
 use egui_kittest::kittest::Queryable;
 use moca_msgs::{
-    Fault, Mode, Refusal, Request, TaxelStatus,
+    Fault, Mode, ParameterValues, Refusal, Request, TaxelStatus,
     board::{Diagnosis, OpenFailure},
 };
 use moca_telemetry::{
@@ -47,6 +47,30 @@ fn it_works_without_a_daemon_and_when_one_comes_and_goes() {
     bench.frames(Mode::Ready, None);
     assert!(bench.shows("ready"));
     assert_eq!(bench.harness.state().model().history.len(), 3, "a new daemon starts a new history");
+}
+
+#[test]
+fn the_way_towards_a_side_without_a_taxel_stands_beside_its_limit() {
+    let mut bench = Bench::new();
+    bench.frames(Mode::Impedance, None);
+    assert!(!bench.shows("Uncovered way"), "a daemon that says no limit has none");
+    let most = parameter("protection.uncovered_m", ParameterForm::Number, &[0.1], false);
+    bench.daemon.borrow_mut().parameters = vec![most];
+    bench.frames(Mode::Impedance, None);
+    assert!(bench.shows("Uncovered way 0.00 m of 0.10"));
+}
+
+#[test]
+fn a_gain_that_is_refused_is_shown_with_what_the_robot_bears() {
+    let mut bench = Bench::new();
+    let damping = parameter("control.gains.damping_ratio", ParameterForm::Number, &[0.9], true);
+    bench.daemon.borrow_mut().parameters = vec![damping];
+    bench.frames(Mode::Impedance, None);
+    let [values, nearest] = [5.0, 2.125].map(|value| ParameterValues::new(&[value]).unwrap());
+    let request = Request::SetParameter { parameter: 0, values };
+    bench.daemon.borrow_mut().replies.push(Reply { request, outcome: Err(Refusal::Unstable { nearest }) });
+    bench.frames(Mode::Impedance, None);
+    assert!(bench.shows("not stable with this robot at this rate and posture; on the way there 2.125"));
 }
 
 #[test]

@@ -307,6 +307,7 @@ impl Decoder {
             base_pose_world: state.base_pose_world,
             base_velocity_world: state.base_velocity_world,
             cover_speed_m_s: state.cover_speed_m_s,
+            uncovered_way_m: state.uncovered_way_m,
             base_velocity_command_body: command.base_velocity_body,
             q_rad: bounded(state.q_rad),
             dq_rad_s: bounded(state.dq_rad_s),

@@ -61,6 +61,9 @@ pub struct State {
     /// Speed of the fastest point of the cover, m/s.
     #[serde(default, deserialize_with = "scalar")]
     pub cover_speed_m_s: f64,
+    /// Way towards a side that no taxel covers since the base last rested, m.
+    #[serde(default, deserialize_with = "scalar")]
+    pub uncovered_way_m: f64,
     /// Joint angles, rad.
     #[serde(deserialize_with = "list")]
     pub q_rad: Vec<f64>,

@@ -288,6 +288,7 @@ pub fn shown(sample: &Sample) -> Sample {
     ];
     let singles = [
         &mut shown.cover_speed_m_s,
+        &mut shown.uncovered_way_m,
         &mut shown.frame_age_s,
         &mut shown.frame_rate_hz,
         &mut shown.speed_limit.m_s,
@@ -306,6 +307,7 @@ fn state(sample: &Sample) -> State {
         base_pose_world: sample.base_pose_world,
         base_velocity_world: sample.base_velocity_world,
         cover_speed_m_s: sample.cover_speed_m_s,
+        uncovered_way_m: sample.uncovered_way_m,
         q_rad: sample.q_rad.to_vec(),
         dq_rad_s: sample.dq_rad_s.to_vec(),
         flange_position_world: sample.flange_position_world,

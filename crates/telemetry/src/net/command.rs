@@ -36,8 +36,26 @@ struct Pending {
     stop: bool,
 }
 
+/// A change of a parameter that somebody asks for.
+#[derive(Debug)]
+pub struct ProposedChange<'a> {
+    /// Its place in the robot's description.
+    pub parameter: u8,
+    /// All of its elements.
+    pub values: &'a ParameterValues,
+    /// Parameters that have been changed since the start, or are about to be.
+    pub changed: &'a BTreeMap<u8, ParameterValues>,
+    /// Joint angles in the latest sample, rad; none before the first or without an arm.
+    pub q_rad: &'a [f64],
+}
+
+/// Judges a change of a parameter. It may take some milliseconds: the loop does not wait for it.
+pub type Judge = Box<dyn FnMut(&ProposedChange<'_>) -> Outcome + Send>;
+
 /// The way from many clients to one loop.
 pub(super) struct Desk {
+    judge: Option<Judge>,
+    q_rad: Vec<f64>,
     requests: RequestSender,
     taxels: usize,
     commander: Option<Commanding>,
@@ -55,8 +73,10 @@ pub(super) struct Desk {
 }
 
 impl Desk {
-    pub(super) fn new(requests: RequestSender, description: &RobotDescription) -> Self {
+    pub(super) fn new(requests: RequestSender, description: &RobotDescription, judge: Option<Judge>) -> Self {
         Self {
+            judge,
+            q_rad: Vec::new(),
             requests,
             taxels: description.taxels.len(),
             commander: None,
@@ -101,6 +121,15 @@ impl Desk {
                 self.pressed.push(taxel);
             }
         }
+        if let (Request::SetParameter { parameter, values }, Some(judge)) = (&request, &mut self.judge) {
+            let mut changed = self.parameters.clone();
+            changed.extend(self.changes.values().copied());
+            let (parameter, q_rad) = (*parameter, self.q_rad.as_slice());
+            let change = ProposedChange { parameter, values, changed: &changed, q_rad };
+            if let Err(refusal) = judge(&change) {
+                return refuse(refusal);
+            }
+        }
         // The answer tells whether the value has changed: it must find room on its way back.
         let changes = matches!(request, Request::SetParameter { .. });
         if changes && 2 * self.unanswered >= ROOM {
@@ -112,6 +141,11 @@ impl Desk {
         let (deadline, stop) = (now + ANSWER_TIMEOUT, request == Request::Stop);
         self.pending.insert(self.next_ticket, Pending { client, id, deadline, stop });
         None
+    }
+
+    /// Notes the joint angles of the latest sample, rad.
+    pub(super) fn see_posture(&mut self, q_rad: &[f64]) {
+        q_rad.clone_into(&mut self.q_rad);
     }
 
     /// Takes the command from a client that has gone without giving it back. A moving robot stops, whoever armed it: with
@@ -225,7 +259,7 @@ mod tests {
 
     fn desk() -> (Desk, RequestReceiver) {
         let (requests, robot) = request_channel();
-        (Desk::new(requests, &RobotDescription::paper("test", true)), robot)
+        (Desk::new(requests, &RobotDescription::paper("test", true), None), robot)
     }
 
     fn asked(robot: &mut RequestReceiver) -> Option<Request> {

@@ -19,6 +19,7 @@ pub mod wire;
 
 pub use address::Address;
 pub use client::Client;
+pub use command::{Judge, ProposedChange};
 pub use connection::{Connection, Link, Reply, Update};
 pub use requests::{RequestReceiver, RequestSender, request_channel};
 pub use server::{CalibrationPort, Ports, Server, serve};

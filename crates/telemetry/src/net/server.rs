@@ -28,7 +28,7 @@
 use super::{
     Address, NetError,
     address::{Listener, Reader, Writer},
-    command::{ClientId, Desk},
+    command::{ClientId, Desk, Judge},
     queue::{EncodedBatch, Outgoing, Queue},
     requests::RequestSender,
     wire::{self, Batch, FromClient, FromServer, unix_now_ns},
@@ -82,6 +82,8 @@ pub struct Ports {
     pub recorder: Option<Producer<Sample>>,
     /// The calibrator, if there is one.
     pub calibration: Option<CalibrationPort>,
+    /// Judges changes of parameters before the loop hears of them.
+    pub judge: Option<Judge>,
 }
 
 /// The way to the calibrator, which is no part of the loop.
@@ -152,7 +154,7 @@ pub fn serve(
             ports.calibration.map(|port| (port.requests, port.progress)).unzip();
         let hub = Rc::new(Hub {
             clients: RefCell::default(),
-            desk: RefCell::new(Desk::new(ports.requests, &description)),
+            desk: RefCell::new(Desk::new(ports.requests, &description, ports.judge)),
             asked: Notify::new(),
             counters: thread_counters,
             greeting,
@@ -402,6 +404,9 @@ impl Pump {
                 // Room was counted above and nobody else fills this ring.
                 let _ = recorder.push(sample.clone());
             }
+        }
+        if let Some(latest) = batch.last() {
+            hub.desk.borrow_mut().see_posture(&latest.q_rad);
         }
         hub.counters.samples.fetch_add(count as u64, Ordering::Relaxed);
         hub.publish(batch, self.ring_dropped.load(Ordering::Relaxed));

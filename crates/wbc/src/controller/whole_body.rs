@@ -404,6 +404,11 @@ impl<const N: usize, T: Scalar> ControllerState<N, T> {
         self.arm.law
     }
 
+    /// Takes the base to have been told this velocity in the last step: axes of B.
+    pub(crate) fn set_base_velocity_body(&mut self, velocity_body: [T; 3]) {
+        self.base.velocity_body = velocity_body;
+    }
+
     /// As [`ArmState::set_target_pose`]; in W for [`ControlLaw::Impedance`], in B for [`ControlLaw::FollowMe`]. A change
     /// of law forgets the target.
     ///

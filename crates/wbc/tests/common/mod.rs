@@ -56,6 +56,9 @@ pub struct Loop {
     pub guard: BaseGuard<11>,
     /// Whether the robot estimates the wrench at its flange by itself.
     pub estimates: bool,
+    /// Whether a command acts one step after the measurement that it answers.
+    pub late: bool,
+    last: Option<ControlOutput<7>>,
     model: ArmModel<7, f64>,
     held: [f64; 11],
     sum: [f64; 11],
@@ -73,6 +76,8 @@ impl Loop {
             dt_s,
             guard: BaseGuard::NONE,
             estimates: true,
+            late: false,
+            last: None,
             state: controller.enter(law, &robot).unwrap(),
             controller,
             robot,
@@ -104,8 +109,10 @@ impl Loop {
         if output.exceeded.is_some() {
             self.law = ControlLaw::Hold;
         }
+        let before = self.last.replace(output).filter(|_| self.late);
+        let acting = before.unwrap_or(output);
         for _ in 0..SUBSTEPS {
-            self.integrate(&output, push.flange_n, self.dt_s / f64::from(SUBSTEPS));
+            self.integrate(&acting, push.flange_n, self.dt_s / f64::from(SUBSTEPS));
         }
         self.robot.torque_measured_nm = output.command.arm_torque_nm;
         self.time_s += self.dt_s;

@@ -57,6 +57,7 @@ impl Onlookers {
             ring_dropped: Arc::new(AtomicU64::new(0)),
             recorder: None,
             calibration: None,
+            judge: None,
         };
         let any = Address::from(SocketAddr::from(([127, 0, 0, 1], 0)));
         let server = serve(&any, 0o600, RobotDescription::paper("soak", true), ports)?;
