@@ -1,6 +1,11 @@
 //! Every setting is read by somebody: changed alone, it changes how the robot moves or what is refused. The rows come
 //! from the tables, so that a new one without a reader fails here.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "tests; what fails is named")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::cast_possible_truncation,
+    reason = "tests; what fails is named, and whole numbers here are small"
+)]
 
 use moca_daemon::config::Config;
 use moca_daemon::devices::ideal_cover::IdealCover;

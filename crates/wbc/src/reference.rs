@@ -135,7 +135,7 @@ impl<T: Scalar> Reference<T> {
     }
 
     /// Twist the law is given, m/s and rad/s.
-    pub(crate) fn twist(&self) -> &[T; 6] {
+    pub(crate) fn given(&self) -> &[T; 6] {
         &self.given
     }
 

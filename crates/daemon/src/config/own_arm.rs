@@ -65,7 +65,7 @@ impl OwnArm {
     pub(super) fn arm(&self, folder: &Path) -> Result<Arm, Mistake> {
         let mut whole = self.clone();
         if !self.urdf.is_empty() {
-            whole.fill(self.from_file(folder)?);
+            whole.fill(self.file(folder)?);
         }
         let table = whole.table()?;
         let name = if whole.name.is_empty() { "own arm".into() } else { whole.name };
@@ -102,7 +102,7 @@ impl OwnArm {
         }
     }
 
-    fn from_file(&self, folder: &Path) -> Result<UrdfArm, Mistake> {
+    fn file(&self, folder: &Path) -> Result<UrdfArm, Mistake> {
         let path = folder.join(&self.urdf);
         let wrong = |message: String| ("arm.urdf", format!("arm.urdf = \"{}\": {message}", path.display()));
         let text = read_text(&path).map_err(|error| ("arm.urdf", format!("arm.urdf: {error}")))?;
@@ -142,7 +142,7 @@ impl OwnArm {
                 "robot.arm = \"own\" needs arm.urdf, or arm.joint_origin and what goes with it".into(),
             ));
         }
-        if self.joint_origin.len() % 6 != 0 || !JOINTS.contains(&joints) {
+        if !self.joint_origin.len().is_multiple_of(6) || !JOINTS.contains(&joints) {
             let message = format!(
                 "arm.joint_origin has {} numbers; six for each joint of an arm of {} or {} joints are allowed",
                 self.joint_origin.len(),
