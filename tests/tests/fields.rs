@@ -90,7 +90,7 @@ fn scenarios() -> Vec<Scenario> {
             true,
             2400,
         ),
-        scenario("slowly", format!("[loop]\nrate_hz = 100\n{hand}"), false, 120),
+        scenario("slowly", format!("[loop]\nrate_hz = 200\n{hand}"), false, 240),
     ]
 }
 

@@ -381,6 +381,7 @@ fn each_reaction_to_a_crossed_limit_acts_within_milliseconds_and_ends_with_the_c
 
 /// The furthest that the flange was from its place, mm, and the fastest joint of what it may, under gains as close to
 /// unstable as they are let through, untouched for two seconds and then leaned on with 100 N for three.
+#[expect(clippy::print_stdout, reason = "the figures, with --nocapture")]
 fn at_the_edge(name: &str, asked: &[f64]) -> (f64, f64) {
     let config = config();
     let number = CONTROLLER.iter().position(|row| row.name.ends_with(name)).unwrap();

@@ -51,5 +51,5 @@ pub use taxel::{CoverReading, TaxelReading, TaxelStatus};
 pub const fn seconds(ns: u64) -> f64 {
     #[expect(clippy::cast_precision_loss, reason = "a loop runs for less than 2^53 ns, 104 days")]
     let ns = ns as f64;
-    ns * 1e-9
+    ns / 1e9
 }

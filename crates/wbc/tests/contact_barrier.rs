@@ -294,7 +294,7 @@ fn a_stop_makes_room_for_a_taxel_that_fails_in_contact_and_then_stands() {
         assert!(last[0] <= 0.0 && last[0] >= -settings.retreat_m_s - 1e-9, "{last:?}");
     }
     assert!(backwards_s > 0.5 && backwards_s < BLIND_RETREAT_S + 0.2, "{backwards_s} s");
-    assert_eq!(last, [0.0; 3]);
+    assert!(last.iter().all(|v| v.abs() < 1e-9), "{last:?}");
 }
 
 #[test]

@@ -65,6 +65,7 @@ fn left_of_a_nudge(parameters: &Parameters<7>, law: Law, command: Command) -> f6
 }
 
 /// Just below what is called stable the loop settles, and `margin` times above it a nudge of 1e-5 rad/s grows.
+#[expect(clippy::print_stdout, reason = "the figures, with --nocapture")]
 fn is_where_it_ends(name: &str, gains: Gains, law: Law, command: Command, margin: f64) {
     let most = largest(gains, law, command);
     let [below, above] = [0.95, margin].map(|share| left_of_a_nudge(&gains(share * most), law, command));

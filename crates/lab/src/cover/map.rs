@@ -5,7 +5,7 @@ use crate::rig::bound::Meeting;
 use crate::rig::parallel;
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::{Context, Result};
-use moca_daemon::config::{AssumedModel, BarrierReadings};
+use moca_daemon::config::{AssumedModel, BarrierReadings, Config};
 use moca_daemon::control::protection::speed_for_delay_m_s;
 use moca_figures::{Colour, Drawing, Map};
 use moca_msgs::Law;
@@ -39,6 +39,7 @@ struct Speeds {
 /// Computes the map, prints it as a table and writes it as a figure.
 #[expect(clippy::print_stdout, reason = "the command's output")]
 pub(super) fn run(forces_n: &[f64], folder: &Path) -> Result<()> {
+    let servo_s = Config::default().robot.base.servo_time_constant_s;
     let mut cells = Vec::new();
     for board in BOARDS {
         for &limit_n in forces_n {
@@ -46,7 +47,8 @@ pub(super) fn run(forces_n: &[f64], folder: &Path) -> Result<()> {
                 for scale in FOAMS {
                     cells.extend(DECELERATIONS.map(|deceleration_m_s2| {
                         let foam = Foam::COLLISION_ASSUMED.stiffened(scale);
-                        let meeting = Meeting { foam, tissue_n_m, limit_n, deceleration_m_s2, board };
+                        let meeting =
+                            Meeting { foam, tissue_n_m, limit_n, deceleration_m_s2, servo_s, board };
                         Cell { meeting, scale, person }
                     }));
                 }

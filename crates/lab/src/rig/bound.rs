@@ -1,7 +1,6 @@
 //! How fast physics lets a base meet a body, whatever its law.
 
 use anyhow::Result;
-use moca_msgs::robot::SUMMIT_XL;
 use moca_sim::foam::Foam;
 use moca_tactile::Firmware;
 use moca_wbc::contact_stability::{Contact, speed_for_stopping};
@@ -19,6 +18,8 @@ pub(crate) struct Meeting {
     pub limit_n: f64,
     /// Of the base, m/s².
     pub deceleration_m_s2: f64,
+    /// Time constant of the base's servo, s.
+    pub servo_s: f64,
     pub board: Firmware,
 }
 
@@ -34,7 +35,7 @@ impl Meeting {
             stiffness_n_m: 1.0, // not asked for
             damping_n_s_m: 0.0,
             delay_s: moca_msgs::seconds(self.board.worst_hold_ns()),
-            servo_s: SUMMIT_XL.servo_time_constant_s,
+            servo_s: self.servo_s,
         };
         Ok(speed_for_stopping(travel_m.max(0.0), self.deceleration_m_s2, &contact)?)
     }

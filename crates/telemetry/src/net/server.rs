@@ -8,8 +8,14 @@
 //! // The loop's ends: samples out, requests in.
 //! let (mut samples, from_loop) = rtrb::RingBuffer::new(64);
 //! let (sender, _requests) = request_channel();
-//! let ports =
-//!     Ports { samples: from_loop, requests: sender, ring_dropped: Arc::default(), recorder: None, calibration: None };
+//! let ports = Ports {
+//!     samples: from_loop,
+//!     requests: sender,
+//!     ring_dropped: Arc::default(),
+//!     recorder: None,
+//!     calibration: None,
+//!     judge: None,
+//! };
 //! let any_port = Address::from(SocketAddr::from(([127, 0, 0, 1], 0)));
 //! let server = serve(&any_port, 0o600, RobotDescription::paper("lab", true), ports)?;
 //!

@@ -4,9 +4,8 @@ use crate::paper::collision;
 use crate::rig::bound;
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
-use moca_daemon::config::{AssumedModel, BarrierReadings, ProtectionConfig};
+use moca_daemon::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
 use moca_msgs::Law as Mode;
-use moca_msgs::robot::SUMMIT_XL;
 use moca_sim::foam::Foam;
 use moca_sim::sensor::Noise;
 use moca_tactile::Firmware;
@@ -145,11 +144,13 @@ impl Cell {
 
     /// Largest speed that physics allows here, m/s.
     pub(super) fn bound_m_s(&self) -> Result<f64> {
+        let base = Config::default().robot.base;
         bound::Meeting {
             foam: Foam::COLLISION_ASSUMED.stiffened(self.foam),
             tissue_n_m: self.person.1,
             limit_n: ProtectionConfig::default().force_limit_n,
-            deceleration_m_s2: SUMMIT_XL.acceleration_max_m_s2,
+            deceleration_m_s2: base.acceleration_max_m_s2,
+            servo_s: base.servo_time_constant_s,
             board: self.board,
         }
         .bound_m_s()
