@@ -79,6 +79,12 @@ fn scenarios() -> Vec<Scenario> {
             1500,
         ),
         scenario("kept soft", format!("[protection]\ncontact_barrier = \"foam\"\n{hand}"), false, 1200),
+        scenario(
+            "kept soft by a foam in two numbers",
+            format!("[protection]\ncontact_barrier = \"foam\"\n[robot.cover]\nfoam = \"hyperbolic\"\n{hand}"),
+            false,
+            1200,
+        ),
         scenario("own arm", own_arm(), false, 900),
         scenario("its URDF", urdf_arm(), false, 5),
         scenario("slowed", reaction("slow"), false, 1200),
@@ -90,7 +96,7 @@ fn scenarios() -> Vec<Scenario> {
             true,
             2400,
         ),
-        scenario("slowly", format!("[loop]\nrate_hz = 200\n{hand}"), false, 240),
+        scenario("slowly", format!("[loop]\nrate_hz = 150\n{hand}"), false, 180),
     ]
 }
 
