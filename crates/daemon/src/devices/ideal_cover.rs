@@ -16,7 +16,7 @@ struct Mean {
     at_ns: u64,
 }
 
-/// Averages what [`IdealCover::feel`] is told and shows it in steps.
+/// Averages what [`IdealCover::take_forces`] is told and shows it in steps.
 #[derive(Clone, Debug)]
 pub struct IdealCover {
     period_ticks: u64,
