@@ -72,9 +72,8 @@ impl Ages {
     }
 }
 
-/// Values of each line that came, with arrival (us) and stamp.
+/// Values of a line that came, with its stamp.
 struct Line {
-    arrival_us: u64,
     stamp_us: Option<u32>,
     bank: usize,
     values: [u16; ELECTRODES],
@@ -95,7 +94,7 @@ impl Lines {
             if let Event::Frame(stamped) = event {
                 let mut values = [0; ELECTRODES];
                 values.copy_from_slice(&stamped.frame.filtered[..ELECTRODES]);
-                lines.push(Line { arrival_us, stamp_us: None, bank: 0, values, usable: true });
+                lines.push(Line { stamp_us: None, bank: 0, values, usable: true });
             }
         }
         for &byte in bytes {
@@ -107,7 +106,6 @@ impl Lines {
             let Ok(line) = parse(&text) else { continue };
             let Content::Data(flags) = line.content else { continue };
             lines.push(Line {
-                arrival_us,
                 stamp_us: Some(line.device_us),
                 bank: usize::from(line.bank),
                 values: line.values,

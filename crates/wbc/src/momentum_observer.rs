@@ -22,13 +22,10 @@ pub const OBSERVER_LAG_S: f64 = 0.02;
 
 /// State of the observer.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(
     feature = "serde",
-    serde(bound(
-        serialize = "T: crate::Scalar + serde::Serialize",
-        deserialize = "T: crate::Scalar + serde::Deserialize<'de>"
-    ))
+    derive(serde::Serialize, serde::Deserialize),
+    serde(bound = "T: crate::Scalar")
 )]
 pub struct MomentumObserver<const N: usize, T> {
     /// ∫(τ + Cᵀq̇ − g + r) + p(0), N·m·s.

@@ -28,13 +28,10 @@ pub const POSTURE_SPEED_RAD_S: f64 = 0.5;
 
 /// A pose: position, m, and axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(
     feature = "serde",
-    serde(bound(
-        serialize = "T: crate::Scalar + serde::Serialize",
-        deserialize = "T: crate::Scalar + serde::Deserialize<'de>"
-    ))
+    derive(serde::Serialize, serde::Deserialize),
+    serde(bound = "T: crate::Scalar")
 )]
 pub(crate) struct Pose<T> {
     pub position: Vector3<T>,
@@ -44,13 +41,10 @@ pub(crate) struct Pose<T> {
 /// A direction of the plane in which the base was refused what the law wanted, and how fast it went that way, axes of
 /// the reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(
     feature = "serde",
-    serde(bound(
-        serialize = "T: crate::Scalar + serde::Serialize",
-        deserialize = "T: crate::Scalar + serde::Deserialize<'de>"
-    ))
+    derive(serde::Serialize, serde::Deserialize),
+    serde(bound = "T: crate::Scalar")
 )]
 pub(crate) struct HeldBack<T> {
     direction: [T; 2],
@@ -81,13 +75,10 @@ impl<T: Scalar> HeldBack<T> {
 /// Target pose and twist of the tool frame, and the reference on its way there; in W for the impedance law, in B for
 /// follow-me.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(
     feature = "serde",
-    serde(bound(
-        serialize = "T: crate::Scalar + serde::Serialize",
-        deserialize = "T: crate::Scalar + serde::Deserialize<'de>"
-    ))
+    derive(serde::Serialize, serde::Deserialize),
+    serde(bound = "T: crate::Scalar")
 )]
 pub(crate) struct Reference<T> {
     target: Pose<T>,

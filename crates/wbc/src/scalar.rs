@@ -3,7 +3,11 @@
 use nalgebra::RealField;
 
 mod sealed {
+    #[cfg(not(feature = "serde"))]
     pub trait Sealed {}
+    /// What a controller remembers in either scalar can be written down.
+    #[cfg(feature = "serde")]
+    pub trait Sealed: serde::Serialize + serde::de::DeserializeOwned {}
     impl Sealed for f32 {}
     impl Sealed for f64 {}
 }

@@ -149,10 +149,13 @@ fn to_base([x, y]: [f64; 2], robot: &RobotState<JOINTS>) -> [f64; 2] {
     [cos * x + sin * y, cos * y - sin * x]
 }
 
+/// PU LD30 pressed for some seconds; an uncalibrated cover is read with it.
+const PU_LD30: FoamCurve = power(0.0114, 1.586);
+
 /// How a foam yields that is pressed for some seconds, as at a calibration.
 pub(crate) const fn pressed(cover: &CoverTable) -> FoamCurve {
     match cover.foam {
-        FoamKind::PuLd30 => power(0.0114, 1.586),
+        FoamKind::PuLd30 => PU_LD30,
         FoamKind::Cc => power(0.0114, 0.774),
         FoamKind::Pe5 => power(0.0030, 1.0),
         FoamKind::Pe3 => power(0.0029, 1.0),
@@ -187,7 +190,7 @@ fn curves(config: &Config) -> Option<(FoamCurve, FoamCurve)> {
         BarrierReadings::Auto => calibrated.then(|| pressed(cover))?,
         BarrierReadings::Off => return None,
         BarrierReadings::Foam => pressed(cover),
-        BarrierReadings::PuLd30 => power(0.0114, 1.586),
+        BarrierReadings::PuLd30 => PU_LD30,
     };
     Some((reading, struck(cover)))
 }

@@ -7,7 +7,7 @@
 use crate::config::Config;
 use crate::control::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
-use moca_msgs::{RobotState, TaxelStatus};
+use moca_msgs::{RobotState, TaxelPlacement, TaxelStatus};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, PI};
 
@@ -31,8 +31,8 @@ pub struct Uncovered {
     approach_s: f64,
     /// Half the diagonal of the outline, m.
     corner_m: f64,
-    /// Direction into each taxel, rad in B.
-    into: Vec<f64>,
+    /// Which sides each taxel covers while it is in use.
+    covers: Vec<[bool; 4]>,
     usable: [bool; TAXELS],
     touched: bool,
     state: UncoveredState,
@@ -58,7 +58,7 @@ impl Uncovered {
             most_m: config.protection.uncovered_m,
             approach_s: APPROACH_S.max(SERVOS * config.robot.base.servo_time_constant_s),
             corner_m: 0.5 * length.hypot(width),
-            into: config.robot.cover.placements().iter().map(|taxel| taxel.inward_angle_base_rad).collect(),
+            covers: config.robot.cover.placements().iter().map(sides_of).collect(),
             usable: [true; TAXELS],
             touched: false,
             state: UncoveredState::default(),
@@ -91,11 +91,13 @@ impl Uncovered {
 
     /// The sides that no taxel covers: front, left, rear, right.
     pub fn sides(&self) -> [bool; 4] {
-        INTO.map(|into| {
-            let covers =
-                |(taxel, usable): (&f64, &bool)| *usable && (taxel - into).cos() >= FRAC_1_SQRT_2 - 1e-9;
-            !self.into.iter().zip(&self.usable).any(covers)
-        })
+        let mut bare = [true; 4];
+        for (covers, _) in self.covers.iter().zip(&self.usable).filter(|(_, usable)| **usable) {
+            for (bare, covered) in bare.iter_mut().zip(covers) {
+                *bare &= !covered;
+            }
+        }
+        bare
     }
 
     /// The longest way gone towards an uncovered side since the last rest, m.
@@ -149,6 +151,11 @@ impl Uncovered {
         });
         Some([[-rear, -right, -to_right], [front, left, to_left]])
     }
+}
+
+/// The sides that a taxel covers, as in [`INTO`].
+fn sides_of(taxel: &TaxelPlacement) -> [bool; 4] {
+    INTO.map(|into| (taxel.inward_angle_base_rad - into).cos() >= FRAC_1_SQRT_2 - 1e-9)
 }
 
 /// Whether two neighbours of the four sides are uncovered.

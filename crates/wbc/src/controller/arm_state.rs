@@ -7,13 +7,10 @@ use crate::reference::{HeldBack, Reference};
 
 /// What an [`super::ArmController`] remembers between steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(
     feature = "serde",
-    serde(bound(
-        serialize = "T: crate::Scalar + serde::Serialize",
-        deserialize = "T: crate::Scalar + serde::Deserialize<'de>"
-    ))
+    derive(serde::Serialize, serde::Deserialize),
+    serde(bound = "T: crate::Scalar")
 )]
 pub struct ArmState<const N: usize, T = f64> {
     pub(super) law: ControlLaw,

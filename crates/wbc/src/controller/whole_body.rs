@@ -69,13 +69,10 @@ pub struct ControlOutput<const N: usize, T = f64> {
 
 /// Everything a [`WholeBodyController`] remembers between steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(
     feature = "serde",
-    serde(bound(
-        serialize = "T: crate::Scalar + serde::Serialize",
-        deserialize = "T: crate::Scalar + serde::Deserialize<'de>"
-    ))
+    derive(serde::Serialize, serde::Deserialize),
+    serde(bound = "T: crate::Scalar")
 )]
 pub struct ControllerState<const N: usize, T = f64> {
     arm: ArmState<N, T>,
