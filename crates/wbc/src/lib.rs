@@ -11,7 +11,9 @@
 //!    [`cover_map`], [`limits`], [`guard`], [`momentum_observer`].
 //! 3. **The model** alone: [`ArmModel`] from a table of [`robot`]; [`model::Kinematics`] gives poses, Jacobians, mass
 //!    matrix and bias in world axes; [`coupled`] adds the physical base.
-//! 4. **Analysis**: [`contact_stability`] answers whether a cover is stable against a body and how fast its base may go,
+//! 4. **References from outside**: [`online_trajectory`] and [`reference_generator`] make of targets, however they come,
+//!    a motion with bounded velocity, acceleration and jerk; [`ControllerState::lead`] lets a law follow it.
+//! 5. **Analysis**: [`contact_stability`] answers whether a cover is stable against a body and how fast its base may go,
 //!    [`loop_stability`] whether gains are stable with a period and a robot in a posture.
 //!
 //! Numbers of joints and taxels are const generics, the scalar is `f32` or `f64`. What a user needs of `moca-msgs` and
@@ -96,8 +98,10 @@ pub mod linalg;
 pub mod loop_stability;
 pub mod model;
 pub mod momentum_observer;
+pub mod online_trajectory;
 pub mod opspace;
 pub mod reference;
+pub mod reference_generator;
 pub mod rotation;
 mod scalar;
 mod spatial;
@@ -111,7 +115,7 @@ struct Readme;
 
 pub use controller::{
     ArmController, ArmInput, ArmOutput, ArmState, BaseController, BaseInput, BaseOutput, BaseState,
-    ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose, WholeBodyController,
+    ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose, Target, WholeBodyController,
 };
 pub use cover_map::cover_wrench;
 pub use error::ControlError;
@@ -120,7 +124,7 @@ pub use guard::BaseGuard;
 pub use limits::{Exceeded, LimitsHit};
 pub use moca_msgs::{
     ArmTable, BaseTable, Corrections, ImpedanceGains, Law, Limits, Mount, ParameterError, Parameters,
-    Payload, RobotCommand, RobotState, TaxelPlacement, robot,
+    Payload, RobotCommand, RobotState, TaxelPlacement, TwistAxes, robot,
 };
 pub use model::ArmModel;
 pub use nalgebra;

@@ -111,6 +111,11 @@ impl<const N: usize, T: Scalar> From<&Limits<N>> for BaseLimits<T> {
 }
 
 impl<T: Scalar> BaseLimits<T> {
+    /// Largest speed along each axis of B.
+    pub(crate) fn velocity_max(&self) -> &[T; 3] {
+        &self.velocity
+    }
+
     /// Largest change of the velocity along axis `i` in a step of `dt_s`; as for torques, a late step earns no more
     /// than a punctual one.
     fn change(&self, i: usize, dt_s: T) -> T {

@@ -166,7 +166,10 @@ impl Supervisor {
             Some(
                 request @ (Request::PressTaxel { .. }
                 | Request::MaskTaxel { .. }
-                | Request::SetParameter { .. }),
+                | Request::SetParameter { .. }
+                | Request::Target(_)
+                | Request::Waypoint { .. }
+                | Request::EndTarget),
             ) => (None, Some(request)),
             Some(request) => (Some(self.answer(request, facts)), None),
         };
@@ -257,9 +260,12 @@ impl Supervisor {
                 Ok(())
             }
             Request::Resume => self.resume(facts),
-            Request::PressTaxel { .. } | Request::MaskTaxel { .. } | Request::SetParameter { .. } => {
-                Err(Refusal::Mode(self.mode))
-            }
+            Request::PressTaxel { .. }
+            | Request::MaskTaxel { .. }
+            | Request::SetParameter { .. }
+            | Request::Target(_)
+            | Request::Waypoint { .. }
+            | Request::EndTarget => Err(Refusal::Mode(self.mode)),
         }
     }
 

@@ -154,7 +154,10 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         if decision.start_tare {
             self.cover.start_tare(slot.now_ns);
         }
-        let outcome = decision.carry_out.map(|request| self.carry_out(request)).or(decision.outcome);
+        let outcome = decision
+            .carry_out
+            .map(|request| self.carry_out(request, slot.now_ns, decision.mode, robot, facts.touch))
+            .or(decision.outcome);
         match self.command(slot, robot, cover, decision.mode) {
             Ok(output) => (outcome, output),
             Err(fault) => {
@@ -165,8 +168,19 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     }
 
     /// What the supervisor permits and a part of the robot has to do.
-    fn carry_out(&mut self, request: Request) -> Outcome {
+    fn carry_out(
+        &mut self,
+        request: Request,
+        now_ns: u64,
+        mode: Mode,
+        robot: &Result<RobotState<JOINTS>, Fault>,
+        touch: Option<Touch>,
+    ) -> Outcome {
         match request {
+            Request::Target(_) | Request::Waypoint { .. } | Request::EndTarget => match robot {
+                Ok(robot) => self.motion.take_target(now_ns, &request, mode, robot, touch),
+                Err(_) => Err(Refusal::Mode(mode)),
+            },
             Request::PressTaxel { taxel, force_n } => {
                 let world = self.plant.simulated().ok_or(Refusal::NotSimulated)?;
                 world.press(usize::from(taxel), force_n)
@@ -192,7 +206,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             self.motion.leave();
             return Ok(None);
         };
-        let (output, stop) = self.motion.command(mode, robot, &cover.forces, self.elapsed_s(slot))?;
+        let (output, stop) =
+            self.motion.command(slot.now_ns, mode, robot, &cover.forces, self.elapsed_s(slot))?;
         if let Some(fault) = stop {
             self.supervisor.stop_for(fault);
         }
@@ -227,6 +242,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             contact_reaction: self.protected.reaction,
             contact_events: self.protected.events.clone(),
             contact_rows: self.motion.contact_rows(),
+            target: self.motion.target(),
             ..Sample::default()
         };
         let (parts, joints) = (self.motion.parts(), ..self.motion.joints());
