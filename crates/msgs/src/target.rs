@@ -71,6 +71,18 @@ pub enum Target {
     },
 }
 
+impl Target {
+    /// What it is, without its numbers.
+    pub const fn kind(&self) -> TargetKind {
+        match self {
+            Self::Pose { .. } => TargetKind::Pose,
+            Self::Twist { .. } => TargetKind::Twist,
+            Self::Posture(_) => TargetKind::Posture,
+            Self::BaseVelocity { .. } => TargetKind::BaseVelocity,
+        }
+    }
+}
+
 /// What becomes of a target while the cover feels a touch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]

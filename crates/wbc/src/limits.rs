@@ -259,6 +259,11 @@ impl<const N: usize, T: Scalar> JointSpeeds<N, T> {
         self.most[i].min(braked.max(of(JOINT_STANDSTILL_RAD_S)))
     }
 
+    /// How much of its largest speed the fastest joint has: 1 is all of it.
+    pub fn share(&self, q: &[T; N], dq: &[T; N]) -> T {
+        (0..N).fold(T::zero(), |most, i| most.max(dq[i].abs() / self.largest(i, q[i], dq[i])))
+    }
+
     /// The first joint that is too fast.
     pub fn exceeded(&self, q: &[T; N], dq: &[T; N]) -> Option<usize> {
         (0..N).find(|&i| dq[i].abs() > self.largest(i, q[i], dq[i]))

@@ -8,4 +8,5 @@ pub mod params;
 pub mod remote;
 pub mod report;
 mod status;
+pub mod target;
 pub mod terminal;

@@ -1,9 +1,10 @@
-//! `mocad tare | arm | disarm | stop | resume | law | status | watch`: a running robot without a screen.
+//! `mocad tare | arm | disarm | stop | resume | law | status | watch | target`: a running robot without a screen.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
 use crate::cli::remote::{DaemonArguments, LOOK_EVERY, Refused, ask, connect, news, settled};
 use crate::cli::report::{Level, Report};
 use crate::cli::status::{Robot, Status};
+use crate::cli::target::{self, TargetArguments};
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use moca_msgs::{Law, Mode, Request, Sample, TaxelStatus};
@@ -32,6 +33,8 @@ pub enum Command {
     Status(Arguments),
     /// A line a second and one at every change, until Ctrl-C.
     Watch(Arguments),
+    /// Lead flange, arm or base to a target, and hold the command meanwhile.
+    Target(TargetArguments),
 }
 
 /// Which daemon, and how its answer is written.
@@ -96,7 +99,11 @@ impl fmt::Display for Stopped {
 impl std::error::Error for Stopped {}
 
 impl Stopped {
-    fn because(sample: &Sample) -> Self {
+    pub(super) fn new(why: String) -> Self {
+        Self(why)
+    }
+
+    pub(super) fn because(sample: &Sample) -> Self {
         Self(sample.fault.map_or_else(|| sample.mode.name().into(), |fault| fault.to_string()))
     }
 }
@@ -127,18 +134,23 @@ pub fn run(command: &Command) -> Result<()> {
             Ok(())
         }
         Command::Watch(arguments) => watch(&Operator::connect(arguments)?),
+        Command::Target(arguments) => target::run(arguments),
     }
 }
 
 /// A connection, and how what comes over it is written.
-struct Operator {
+pub(super) struct Operator {
     connection: Connection,
     robot: Robot,
     json: bool,
 }
 
 impl Operator {
-    fn connect(arguments: &Arguments) -> Result<Self> {
+    pub(super) const fn connection(&self) -> &Connection {
+        &self.connection
+    }
+
+    pub(super) fn connect(arguments: &Arguments) -> Result<Self> {
         let (connection, description) = connect(&arguments.daemon.address)
             .context("is a daemon running, and does it listen there (telemetry.listen)?")?;
         Ok(Self { connection, robot: Robot::new(&description), json: arguments.json })
@@ -161,12 +173,12 @@ impl Operator {
         Ok(())
     }
 
-    fn ask(&self, request: Request) -> Result<()> {
+    pub(super) fn ask(&self, request: Request) -> Result<()> {
         Ok(ask(&self.connection, request)?.map_err(|refusal| Refused(refusal.to_string()))?)
     }
 
     /// The last sample of some news.
-    fn print(&self, update: &Update) {
+    pub(super) fn print(&self, update: &Update) {
         let Some(sample) = update.samples.last() else { return };
         let status = Status::new(&self.robot, sample, update.status.commander);
         if self.json {

@@ -37,6 +37,8 @@ pub(crate) struct Status {
     base_pose_world: Option<BasePose>,
     /// Distance of the flange from where it is wanted; null where there is no arm, or no law to want it anywhere.
     flange_error_m: Option<f64>,
+    /// The last target from another program; null where the law has had none.
+    target: Option<TargetStatus>,
     taxels: Vec<TaxelForce>,
 }
 
@@ -44,6 +46,14 @@ pub(crate) struct Status {
 struct FaultStatus {
     code: &'static str,
     text: String,
+}
+
+#[derive(Debug, Serialize)]
+struct TargetStatus {
+    kind: &'static str,
+    phase: &'static str,
+    /// 0 to 1.
+    progress: f64,
 }
 
 #[derive(Debug, Serialize)]
@@ -93,6 +103,11 @@ impl Status {
             },
             base_pose_world: (robot.base && known).then_some(BasePose { x_m, y_m, yaw_rad }),
             flange_error_m: (robot.arm && known && placed).then_some(error_m),
+            target: sample.target.map(|target| TargetStatus {
+                kind: target.kind.name(),
+                phase: target.phase.name(),
+                progress: target.progress,
+            }),
             taxels: sample.taxels.iter().enumerate().map(force).collect(),
         }
     }
@@ -123,6 +138,9 @@ impl fmt::Display for Status {
         writeln!(f, "base         {}", known(pose))?;
         let off = self.flange_error_m.map(|error_m| format!("off by {:.1} mm", 1e3 * error_m));
         writeln!(f, "flange       {}", known(off))?;
+        if let Some(TargetStatus { kind, phase, progress }) = &self.target {
+            writeln!(f, "target       {kind}: {phase}, {:.0} %", 100.0 * progress)?;
+        }
         let forces = self.taxels.iter().map(|taxel| match taxel.force_n {
             Some(force_n) => format!("{} {force_n:.1} N", taxel.name),
             None => format!("{} {}", taxel.name, taxel.status),

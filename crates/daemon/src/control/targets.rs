@@ -73,7 +73,8 @@ impl Targets {
     pub fn new(config: &Config) -> Self {
         let arm = config.arm();
         let ways = arm.table.joint_origin[..arm.joints].iter().skip(1);
-        let ways = ways.chain([&arm.table.flange_origin, &config.robot.payload().tool_origin]);
+        let payload = config.robot.payload();
+        let ways = ways.chain([&arm.table.flange_origin, &payload.tool_origin]);
         let reach_m = ways.map(|[x, y, z, ..]| Vector3::new(*x, *y, *z).norm()).sum();
         let mount = &config.robot.mount;
         let [x, y, z, ..] = arm.table.joint_origin.first().copied().unwrap_or_default();
@@ -167,10 +168,7 @@ impl Targets {
         let told = self.state.active.is_some_and(|active| active.what == what && active.told);
         self.state.active = Some(Active { what, until_ns, touch, told });
         let kind = match what {
-            What::Target(Target::Pose { .. }) => TargetKind::Pose,
-            What::Target(Target::Twist { .. }) => TargetKind::Twist,
-            What::Target(Target::Posture(_)) => TargetKind::Posture,
-            What::Target(Target::BaseVelocity { .. }) => TargetKind::BaseVelocity,
+            What::Target(target) => target.kind(),
             What::Trajectory { .. } => TargetKind::Trajectory,
         };
         self.state.shown = Some(TargetState { kind, phase: TargetPhase::Moving, progress: 0.0 });

@@ -45,6 +45,9 @@ pub struct ArmController<const N: usize, T = f64> {
     hold_stiffness: [T; N],
 }
 
+/// Share of its largest speed beyond which no joint is led on.
+const LED_JOINT_SHARE: f64 = 0.3;
+
 /// One step's measurements of an arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmInput<const N: usize, T = f64> {
@@ -256,7 +259,10 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
     /// Moves reference and posture on by one step.
     #[inline]
     pub(super) fn advance(&self, tick: &ArmTick<'_, N, T>, state: &mut ArmState<N, T>) {
-        if state.advance_lead(&self.model, tick) {
+        if state.is_led() {
+            // Near a singular posture a slow flange has fast joints: who leads it waits for them.
+            let waits = self.joint_speeds.share(&tick.robot.q_rad, &tick.robot.dq_rad_s) > of(LED_JOINT_SHARE);
+            state.advance_lead(&self.model, tick, waits);
             if !state.leads_posture() {
                 approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
             }

@@ -141,14 +141,20 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
         }
     }
 
-    /// Moves reference and posture on by one step where something leads them; whether something does.
-    pub(super) fn advance_lead(&mut self, model: &ArmModel<N, T>, tick: &ArmTick<'_, N, T>) -> bool {
-        let Some(mut lead) = self.lead else { return false };
+    /// Whether something leads the reference.
+    pub(super) fn is_led(&self) -> bool {
+        self.lead.is_some()
+    }
+
+    /// Moves reference and posture on by one step where something leads them; to rest if it `waits`.
+    pub(super) fn advance_lead(&mut self, model: &ArmModel<N, T>, tick: &ArmTick<'_, N, T>, waits: bool) {
+        let Some(mut lead) = self.lead else { return };
         let frame = Frame { tick, law: self.law };
         let Lead { bounds, workspace, way, reached } = &mut lead;
         match way {
             Way::Tool { generator, target } => {
-                let goal = frame.goal(target, generator.rotation());
+                let wanted = frame.goal(target, generator.rotation());
+                let goal = if waits { Goal::Hold } else { wanted };
                 let actual = frame.actual();
                 let outside = |position: &[T; 3]| {
                     workspace.map_or(T::zero(), |workspace| workspace.outside(&frame.base_from(position)))
@@ -156,7 +162,7 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
                 let slowed = |velocity| self.held_back.map_or(velocity, |held: HeldBack<T>| held.slowed(velocity));
                 let place = (&actual.position, &actual.rotation);
                 generator.step_on_leash(&goal, bounds, place, outside, slowed, tick.dt_s);
-                *reached = generator.has_reached(&goal);
+                *reached = generator.has_reached(&wanted);
                 let pose = Pose { position: generator.position().into(), rotation: *generator.rotation() };
                 self.reference.follow(pose, generator.twist());
             }
@@ -165,7 +171,7 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
                 let near = (self.reference.now.position - actual.position).norm() < bounds.leash_m
                     && rotation::error(&actual.rotation, &self.reference.now.rotation).norm() < bounds.leash_rad;
                 for (i, axis) in axes.iter_mut().enumerate() {
-                    match target.filter(|_| near) {
+                    match target.filter(|_| near && !waits) {
                         Some(target) => {
                             axis.step_to_position(target[i] - axis.position, &bounds.joint, tick.dt_s);
                         }
@@ -181,7 +187,6 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
             }
         }
         self.lead = Some(lead);
-        true
     }
 
     /// Whether a posture is led, which the configured one then does not pull at.
