@@ -43,6 +43,9 @@ pub struct RobotDescription {
     /// What a force is worth on a cover that has not been calibrated, in one sentence; empty if it has been.
     #[serde(default)]
     pub uncalibrated: String,
+    /// The robot as a URDF; empty where nobody wrote one.
+    #[serde(default)]
+    pub urdf: String,
 }
 
 /// A serial arm of revolute joints about their own z axes. Frames: x, y, z m; roll, pitch, yaw rad (R = Rz·Ry·Rx).
@@ -99,6 +102,7 @@ impl RobotDescription {
             parameters: Vec::new(),
             speed_override: String::new(),
             uncalibrated: String::new(),
+            urdf: String::new(),
         }
     }
 

@@ -109,7 +109,8 @@ fn description(config: &Config) -> RobotDescription {
     );
     let speed_override = config.protection.override_statement.clone();
     let uncalibrated = config.uncalibrated().unwrap_or_default();
-    let mut robot = RobotDescription { parameters, speed_override, uncalibrated, ..robot };
+    let urdf = crate::config::urdf::urdf(&config.robot, config.plant.parts);
+    let mut robot = RobotDescription { parameters, speed_override, uncalibrated, urdf, ..robot };
     robot.arm.joint_origin.truncate(config.arm().joints);
     robot.arm.name.clone_from(&config.robot.arm.name);
     if !config.plant.parts.has_arm() {
