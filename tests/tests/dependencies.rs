@@ -7,7 +7,7 @@ use std::process::Command;
 /// (crate, what of ours it may use directly, what it may never reach, directly or through others).
 const TABLE: &[(&str, &[&str], &[&str])] = &[
     ("moca-msgs", &[], &["nalgebra", "serde", "schemars"]),
-    ("moca-figures", &[], &["moca-msgs", "egui", "serde"]),
+    ("moca-figures", &[], &["moca-msgs", "egui", "serde", "resvg"]),
     ("moca-qp", &[], &["moca-msgs", "nalgebra", "serde", "clarabel", "num-traits"]),
     ("moca-telemetry", &["moca-msgs"], &["nalgebra", "egui", "mujoco-rs", "serialport"]),
     ("moca-tactile", &["moca-msgs"], &["nalgebra", "egui", "tokio", "mujoco-rs"]),
