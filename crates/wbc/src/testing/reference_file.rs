@@ -139,7 +139,6 @@ type Computed = BTreeMap<&'static str, Vec<f64>>;
 impl<const N: usize> Robot<N> {
     fn read(meta: &Value) -> Result<Self, Malformed> {
         let mut arm = ArmTable::<N> {
-            name: "reference",
             joint_origin: [[0.0; 6]; N],
             flange_origin: [0.0; 6],
             links: [Payload::NONE.inertial; N],

@@ -205,11 +205,13 @@ impl Trial {
         let mut scene = settings.collision_scene()?;
         match self.special {
             Special::BothSides => {
-                let opposite = Person::beside(7, settings.person.gap_m).context("no T8")?;
+                let opposite = Person::beside(&scene.cover, 7, settings.person.gap_m).context("no T8")?;
                 scene.people.push(opposite);
             }
             Special::Blocked => {
-                scene.people.push(Person::part(BodyPart::Wall, 9, 0.005, 0.0).context("no T10")?);
+                scene
+                    .people
+                    .push(Person::part(BodyPart::Wall, &scene.cover, 9, 0.005, 0.0).context("no T10")?);
             }
             Special::Upright => scene.arm_posture_rad = resized(&[0.0, 0.0, 0.0, -0.0699, 0.0, 0.0, 0.0]),
             Special::None | Special::NotANumber => {}
