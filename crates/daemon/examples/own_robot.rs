@@ -42,14 +42,7 @@ impl Plant for MyRobot {
 fn main() -> anyhow::Result<()> {
     let mut config = Config::default();
     config.plant.parts = Parts::Arm; // this one has no base and no cover
-    let state = RobotState {
-        base_pose_world: [0.0; 3],
-        base_velocity_world: [0.0; 3],
-        q_rad: config.control.gains.posture_rad,
-        dq_rad_s: [0.0; JOINTS],
-        torque_measured_nm: [0.0; JOINTS],
-        flange_wrench_world: None,
-    };
+    let state = RobotState::at_rest(config.control.gains.posture_rad);
     let cover: Option<ByteCover> = None;
     let mut control = ControlLoop::new(MyRobot(state), cover, supervisor(&config), motion(&config)?, 1e-3);
     let (clock, shared, mut timing) = (Clock::start()?, Shared::default(), Timing::new()?);

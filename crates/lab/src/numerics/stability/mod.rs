@@ -108,14 +108,20 @@ impl Case {
     pub(crate) const fn touched(&self) -> bool {
         self.contact || !self.finite
     }
+
+    /// Which case stopped the robot, and the cause.
+    pub(crate) fn stop(&self) -> Option<String> {
+        let why = self.stopped.as_ref()?;
+        Some(format!("{}: {}", self.name, why.split(':').next().unwrap_or(why)))
+    }
 }
 
 /// Every case as a table in Markdown.
 pub(crate) fn markdown() -> Result<String> {
     let cases = one_in(1)?;
+    let listed = |names: Vec<String>| format!("{} ({})", names.len(), names.join(", "));
     let named = |pick: &dyn Fn(&&Case) -> bool| {
-        let names: Vec<&str> = cases.iter().filter(pick).map(|case| case.name.as_str()).collect();
-        format!("{} ({})", names.len(), names.join(", "))
+        listed(cases.iter().filter(pick).map(|case| case.name.clone()).collect())
     };
     let touched = |case: &&Case| case.touched();
     Ok(format!(
@@ -126,7 +132,7 @@ pub(crate) fn markdown() -> Result<String> {
         named(&|case| !touched(case)),
         cases.iter().filter(|case| touched(case) && case.bounded).count(),
         named(&|case| touched(case) && !case.bounded),
-        named(&|case| case.stopped.is_some()),
+        listed(cases.iter().filter_map(Case::stop).collect()),
         named(&|case| case.bounded && !case.within_budget),
     ))
 }
