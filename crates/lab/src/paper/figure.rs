@@ -1,5 +1,6 @@
 //! Figures 5 to 7: the trace of a run in panels, the moments marked, a picture of the robot from above at each.
 
+use crate::picture::Picture as _;
 use crate::rig::TAXELS;
 use crate::rig::closed_loop::Row;
 use anyhow::{Context, Result};

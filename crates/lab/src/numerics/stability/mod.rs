@@ -3,6 +3,7 @@
 pub(crate) mod maps;
 
 use crate::paper::collision;
+use crate::picture::Picture as _;
 use crate::rig::closed_loop::{Loads, Rig, Row};
 use crate::rig::cpu_time;
 use crate::rig::measure;
