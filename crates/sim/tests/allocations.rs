@@ -6,6 +6,7 @@
     reason = "a counting allocator is unsafe by nature; tests fail by panicking"
 )]
 
+use moca_msgs::robot::{AnyArm, MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
 use moca_msgs::{Actuation, RobotCommand};
 use moca_sim::{Person, Scene, SimPlant, VirtualBoard, VirtualBoardConfig};
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -36,8 +37,11 @@ static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn state_apply_step_and_the_board_allocate_nothing() {
-    let scene =
-        Scene { people: vec![Person::beside(0, 0.01).unwrap()], flange_sensor: true, ..Scene::default() };
+    let scene = Scene {
+        people: vec![Person::beside(&PAPER_COVER, 0, 0.01).unwrap()],
+        flange_sensor: true,
+        ..Scene::new(&AnyArm::of(&PANDA), &SUMMIT_XL, &MOCA_MOUNT, &PAPER_COVER)
+    };
     let mut plant = SimPlant::new(&scene).unwrap();
     let mut board = VirtualBoard::new(VirtualBoardConfig::default()).unwrap();
     let mut bytes = 0;

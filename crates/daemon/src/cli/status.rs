@@ -16,7 +16,7 @@ impl Robot {
     pub(crate) fn new(description: &RobotDescription) -> Self {
         let none = ParameterValue::Text("none".into());
         let driven = !description.parameters.iter().any(|p| p.name == "plant.kind" && p.value == none);
-        let (covered, jointed) = (!description.taxels.is_empty(), !description.arm.joint_origin.is_empty());
+        let (covered, jointed) = (!description.taxels.is_empty(), description.arm.joints > 0);
         Self { base: driven && covered, arm: driven && jointed }
     }
 }

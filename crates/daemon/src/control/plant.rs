@@ -21,14 +21,7 @@ pub struct NoRobot(RobotState<JOINTS>);
 impl NoRobot {
     /// Shown to clients with its arm at `q_rad`.
     pub const fn at(q_rad: [f64; JOINTS]) -> Self {
-        Self(RobotState {
-            base_pose_world: [0.0; 3],
-            base_velocity_world: [0.0; 3],
-            q_rad,
-            dq_rad_s: [0.0; JOINTS],
-            torque_measured_nm: [0.0; JOINTS],
-            flange_wrench_world: None,
-        })
+        Self(RobotState::at_rest(q_rad))
     }
 }
 

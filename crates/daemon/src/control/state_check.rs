@@ -117,14 +117,7 @@ mod tests {
     }
 
     fn state() -> RobotState<JOINTS> {
-        RobotState {
-            base_pose_world: [0.0; 3],
-            base_velocity_world: [0.0; 3],
-            q_rad: [0.0; JOINTS],
-            dq_rad_s: [0.0; JOINTS],
-            torque_measured_nm: [0.0; JOINTS],
-            flange_wrench_world: None,
-        }
+        RobotState::at_rest([0.0; JOINTS])
     }
 
     #[test]

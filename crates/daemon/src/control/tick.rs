@@ -328,14 +328,7 @@ mod tests {
 
     impl Plant for Standing {
         fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
-            Ok(RobotState {
-                base_pose_world: [0.0; 3],
-                base_velocity_world: [0.0; 3],
-                q_rad: Config::default().control.gains.posture_rad,
-                dq_rad_s: [0.0; JOINTS],
-                torque_measured_nm: [0.0; JOINTS],
-                flange_wrench_world: None,
-            })
+            Ok(RobotState::at_rest(Config::default().control.gains.posture_rad))
         }
 
         fn age(&self) -> SourceAge {

@@ -275,14 +275,7 @@ impl Columns<'_> {
         let rows = slots.len();
         let period_s = self.numbers(None, 1)?[0];
         let step_s: Vec<f64> = slots.iter().map(|slot| step_s(slot, period_s)).collect();
-        let nowhere = RobotState {
-            base_pose_world: [0.0; 3],
-            base_velocity_world: [0.0; 3],
-            q_rad: [0.0; JOINTS],
-            dq_rad_s: [0.0; JOINTS],
-            torque_measured_nm: [0.0; JOINTS],
-            flange_wrench_world: None,
-        };
+        let nowhere = RobotState::at_rest([0.0; JOINTS]);
         let mut states = vec![nowhere; rows];
         for axis in 0..3 {
             let per_s = self.numbers(None, rows)?;

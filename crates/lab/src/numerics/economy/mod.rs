@@ -5,6 +5,7 @@ mod parts;
 use crate::paper::collision;
 use crate::rig::JOINTS;
 use crate::rig::cpu_time;
+use crate::rig::free_scene;
 use crate::rig::settings::Settings;
 use anyhow::Result;
 use moca_daemon::runtime::lockstep::LockStep;
@@ -305,7 +306,7 @@ fn trajectory(scene: &Scene, drives: bool) -> Result<(Vec<[f64; 10]>, Vec<f64>)>
 
 /// Torques that hold the home posture, N·m: the same for every scene.
 fn gravity(scene: &Scene) -> Result<[f64; JOINTS]> {
-    let plant = SimPlant::new(&Scene { arm_posture_rad: scene.arm_posture_rad, ..Scene::default() })?;
+    let plant = SimPlant::new(&Scene { arm_posture_rad: scene.arm_posture_rad, ..free_scene() })?;
     let mut torque = [0.0; JOINTS];
     torque.copy_from_slice(&plant.bias()[3..10]);
     Ok(torque)
