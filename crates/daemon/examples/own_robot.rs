@@ -44,13 +44,8 @@ fn main() -> anyhow::Result<()> {
     config.plant.parts = Parts::Arm; // this one has no base and no cover
     let state = RobotState::at_rest(config.control.gains.posture_rad);
     let options = Options { config, duration: Some(Duration::from_secs(2)), ..Options::default() };
-    let run = with_plant(
-        &options,
-        || Ok(MyRobot(state)),
-        Timer::new,
-        &Arc::new(Shared::default()),
-        &mut Silent,
-    )?;
+    let run =
+        with_plant(&options, || Ok(MyRobot(state)), Timer::new, &Arc::new(Shared::default()), &mut Silent)?;
     eprintln!("{} ticks, {} slots missed", run.report.ticks, run.report.overruns);
     Ok(())
 }

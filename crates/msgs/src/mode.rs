@@ -293,7 +293,9 @@ impl Fault {
             Self::ArmStale | Self::BaseStale => {
                 "Check the robot's network and drives; when states come again: resume."
             }
-            Self::ArmReflex => "Free whoever and whatever is caught; resume recovers the arm, once more resumes.",
+            Self::ArmReflex => {
+                "Free whoever and whatever is caught; resume recovers the arm, once more resumes."
+            }
             Self::ArmUserStopped => "Release the user stop when it is safe; then resume.",
             Self::ArmRefused => "Unlock the brakes and activate FCI in Desk, read the log; then resume.",
             Self::OperatorLost => "Connect a panel; resume when it is safe.",

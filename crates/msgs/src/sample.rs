@@ -10,9 +10,7 @@
 
 use crate::board::Diagnosis;
 use crate::protection::{MAX_CONTACT_EVENTS, MAX_CONTACT_ROWS};
-use crate::{
-    ContactEvent, ContactReaction, ContactRow, Fault, Law, Link, Mode, SpeedLimit, TaxelReading,
-};
+use crate::{ContactEvent, ContactReaction, ContactRow, Fault, Law, Link, Mode, SpeedLimit, TaxelReading};
 use heapless::Vec;
 
 /// Most arm joints a sample can carry.

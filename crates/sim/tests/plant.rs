@@ -29,7 +29,13 @@ fn drive(plant: &mut SimPlant, base_velocity_body: [f64; 3], ticks: usize) {
             arm_torque_nm[i] +=
                 STIFFNESS[i] * (PANDA.home_rad[i] - state.q_rad[i]) - DAMPING[i] * state.dq_rad_s[i];
         }
-        plant.apply(&Actuation::Drive(RobotCommand { base_velocity_body, arm_torque_nm, arm_gravity_nm: [0.0; 7] })).unwrap();
+        plant
+            .apply(&Actuation::Drive(RobotCommand {
+                base_velocity_body,
+                arm_torque_nm,
+                arm_gravity_nm: [0.0; 7],
+            }))
+            .unwrap();
         plant.step().unwrap();
     }
 }
@@ -207,11 +213,8 @@ fn a_force_at_the_flange_acts_at_its_origin_and_nowhere_else() {
     let mut speeds = |wrench: [f64; 6]| {
         plant.set_state(&STILL, &STILL, &q, &[0.0; 7]);
         plant.set_flange_wrench_world(wrench).unwrap();
-        let command = RobotCommand {
-        base_velocity_body: STILL,
-        arm_torque_nm: [0.0; 7],
-        arm_gravity_nm: [0.0; 7],
-    };
+        let command =
+            RobotCommand { base_velocity_body: STILL, arm_torque_nm: [0.0; 7], arm_gravity_nm: [0.0; 7] };
         plant.apply(&Actuation::Drive(command)).unwrap();
         plant.step().unwrap();
         let mass = plant.full_mass_matrix().0.to_vec();

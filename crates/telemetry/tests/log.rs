@@ -8,8 +8,8 @@
 
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
-    ArmLink, ArmMode, ContactEvent, ContactReaction, Fault, Link, Mode, Sample, SpeedLimit, SpeedLimitReason, TaxelReading,
-    TaxelStatus,
+    ArmLink, ArmMode, ContactEvent, ContactReaction, Fault, Link, Mode, Sample, SpeedLimit, SpeedLimitReason,
+    TaxelReading, TaxelStatus,
     board::{Diagnosis, OpenFailure},
 };
 use moca_telemetry::{

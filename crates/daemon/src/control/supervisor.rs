@@ -358,8 +358,14 @@ mod tests {
     use super::*;
     use moca_msgs::TaxelStatus;
 
-    const GOOD: Facts =
-        Facts { cover_seen: true, cover_fault: None, zero: Zero::Valid, plant_fault: None, far_joint: None, touch: None };
+    const GOOD: Facts = Facts {
+        cover_seen: true,
+        cover_fault: None,
+        zero: Zero::Valid,
+        plant_fault: None,
+        far_joint: None,
+        touch: None,
+    };
     const DRIFTED: Fault = Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Drifted };
     const HAND: Touch = Touch { taxel: 5, force_n: 12.0 };
     const ALL_MODES: [Mode; 7] = [

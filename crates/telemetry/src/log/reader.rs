@@ -4,7 +4,7 @@ use super::{
     LogError, SerialBytes,
     framing::{self, Fields, Message, Records, op},
     records::{
-        BoardChange, Channel, Command, Configuration, Contact, Cover, Link, FaultChange, LOOP_STATE_TOPIC,
+        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC, Link,
         ModeChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Timing,
     },
     writer::FORM,

@@ -12,8 +12,8 @@
 
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
-    ArmLink, ArmMode, ContactEvent, ContactReaction, Fault, Law, Mode, SpeedLimit, SpeedLimitReason, TaxelStatus,
-    board::Diagnosis,
+    ArmLink, ArmMode, ContactEvent, ContactReaction, Fault, Law, Mode, SpeedLimit, SpeedLimitReason,
+    TaxelStatus, board::Diagnosis,
 };
 use schemars::{JsonSchema, generate::SchemaSettings};
 use serde::{Deserialize, Deserializer, Serialize, de::Error};
@@ -244,7 +244,8 @@ impl Link {
 
     /// What the sample carried.
     pub const fn link(&self) -> moca_msgs::Link {
-        let Self { tick: _, arm_age_s, base_age_s, arm_mode: mode, success_rate, lost, repeated, errors } = *self;
+        let Self { tick: _, arm_age_s, base_age_s, arm_mode: mode, success_rate, lost, repeated, errors } =
+            *self;
         moca_msgs::Link { arm_age_s, base_age_s, arm: ArmLink { mode, success_rate, lost, repeated, errors } }
     }
 }

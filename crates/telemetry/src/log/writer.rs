@@ -4,7 +4,7 @@ use super::{
     LogError, SerialBytes,
     overview::OverviewBuilder,
     records::{
-        BoardChange, Channel, Command, Configuration, Contact, Cover, Link, FaultChange, LOOP_STATE_TOPIC,
+        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC, Link,
         ModeChange, ParameterChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Timing, name_of,
         seven_digits,
     },
@@ -299,11 +299,17 @@ pub fn shown(sample: &Sample) -> Sample {
         &mut shown.lateness_s,
     ];
     let forces = shown.taxels.iter_mut().map(|taxel| &mut taxel.force_n);
-    let link = shown.link.iter_mut().flat_map(|link| {
-        [&mut link.arm_age_s, &mut link.base_age_s, &mut link.arm.success_rate]
-    });
-    let numbers =
-        lists.into_iter().flatten().chain(&mut shown.cover_wrench_base).chain(forces).chain(singles).chain(link);
+    let link = shown
+        .link
+        .iter_mut()
+        .flat_map(|link| [&mut link.arm_age_s, &mut link.base_age_s, &mut link.arm.success_rate]);
+    let numbers = lists
+        .into_iter()
+        .flatten()
+        .chain(&mut shown.cover_wrench_base)
+        .chain(forces)
+        .chain(singles)
+        .chain(link);
     numbers.for_each(|number| *number = seven_digits(*number));
     shown
 }
