@@ -67,11 +67,11 @@ fn split([x, y, z, roll, pitch, yaw]: [f64; 6]) -> ([f64; 3], [f64; 4]) {
 /// What never moves: the arm on the base, the flange on the last link, the taxels on the base.
 pub(super) fn fixed(robot: &RobotDescription, at: &Time) -> Transforms {
     let mut transforms = Vec::new();
-    if !robot.arm.joint_origin.is_empty() {
-        let (place, turn) = split(robot.arm.mount);
-        transforms.push(transform(at, BASE, link(0), place, turn));
-        let (place, turn) = split(robot.arm.flange_origin);
-        let last = link(robot.arm.joint_origin.len());
+    if has_arm(robot) {
+        let turn = from_rpy(robot.mount.rpy_rad);
+        transforms.push(transform(at, BASE, link(0), robot.mount.position_base_m, turn));
+        let (place, turn) = split(robot.arm.table.flange_origin);
+        let last = link(robot.arm.joints);
         transforms.push(transform(at, &last, FLANGE.into(), place, turn));
     }
     for (i, placement) in robot.taxels.iter().enumerate() {
@@ -86,7 +86,7 @@ pub(super) fn fixed(robot: &RobotDescription, at: &Time) -> Transforms {
 pub(super) fn moving(robot: &RobotDescription, sample: &Sample, at: &Time) -> Transforms {
     let [x, y, yaw] = sample.base_pose_world;
     let mut transforms = vec![transform(at, WORLD, BASE.into(), [x, y, 0.0], from_rpy([0.0, 0.0, yaw]))];
-    for (i, (origin, q_rad)) in robot.arm.joint_origin.iter().zip(&sample.q_rad).enumerate() {
+    for (i, (origin, q_rad)) in joint_origins(robot).iter().zip(&sample.q_rad).enumerate() {
         let (place, turn) = split(*origin);
         let turn = product(turn, from_rpy([0.0, 0.0, *q_rad]));
         transforms.push(transform(at, &link(i), link(i + 1), place, turn));
@@ -99,7 +99,12 @@ pub(super) fn moving(robot: &RobotDescription, sample: &Sample, at: &Time) -> Tr
 }
 
 pub(super) fn has_arm(robot: &RobotDescription) -> bool {
-    !robot.arm.joint_origin.is_empty()
+    robot.arm.joints > 0
+}
+
+/// Each joint's frame in its parent link.
+pub(super) fn joint_origins(robot: &RobotDescription) -> &[[f64; 6]] {
+    robot.arm.table.joint_origin.get(..robot.arm.joints).unwrap_or_default()
 }
 
 /// Before the first tick of a law nothing is desired, and its quaternion is zero: viewers refuse a rotation that is none.

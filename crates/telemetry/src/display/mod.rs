@@ -17,7 +17,9 @@ use crate::{
     RobotDescription,
     log::{
         LogError,
-        records::{BoardChange, Channel, Command, Contact, Cover, FaultChange, ModeChange, State, Timing},
+        records::{
+            BoardChange, Channel, Command, Contact, Cover, FaultChange, Link, ModeChange, State, Timing,
+        },
         shown::shown,
     },
 };
@@ -103,6 +105,7 @@ impl Display {
         to.offer_record::<State>()?;
         to.offer_record::<Command>()?;
         to.offer_record::<Cover>()?;
+        to.offer_record::<Link>()?;
         to.offer_record::<Timing>()?;
         to.offer_record::<ModeChange>()?;
         to.offer_record::<FaultChange>()?;
@@ -210,6 +213,9 @@ impl Display {
         to.record(time_ns, &State::from(&shown))?;
         to.record(time_ns, &Command::from(&shown))?;
         to.record(time_ns, &Cover::from(&shown))?;
+        if let Some(link) = &shown.link {
+            to.record(time_ns, &Link::new(shown.tick, link))?;
+        }
         to.record(time_ns, &Timing::from(&shown))
     }
 }

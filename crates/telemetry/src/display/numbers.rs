@@ -1,11 +1,13 @@
 //! The messages of a log as ROS 2 messages of our own: live viewers plot the same numbers under the same names.
 
 use super::cdr::{message, names};
-use crate::log::records::{BoardChange, Command, Contact, Cover, FaultChange, ModeChange, State, Timing};
+use crate::log::records::{
+    BoardChange, Command, Contact, Cover, FaultChange, Link, ModeChange, State, Timing,
+};
 use moca_msgs::protection::{ContactKind, ContactPhase};
-use moca_msgs::{Mode, SpeedLimitReason, TaxelStatus};
+use moca_msgs::{ArmMode, Mode, SpeedLimitReason, TaxelStatus};
 
-names!(Mode, SpeedLimitReason, TaxelStatus, ContactPhase, ContactKind);
+names!(ArmMode, Mode, SpeedLimitReason, TaxelStatus, ContactPhase, ContactKind);
 
 message! { "moca_msgs/msg/State" State {
     tick,
@@ -38,6 +40,16 @@ message! { "moca_msgs/msg/Cover" Cover {
     wrench_base,
     frame_age_s,
     frame_rate_hz,
+} }
+message! { "moca_msgs/msg/Link" Link {
+    tick,
+    arm_age_s,
+    base_age_s,
+    arm_mode,
+    success_rate,
+    lost,
+    repeated,
+    errors,
 } }
 message! { "moca_msgs/msg/Timing" Timing {
     tick,

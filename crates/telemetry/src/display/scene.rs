@@ -76,11 +76,11 @@ pub(super) fn bodies(robot: &RobotDescription, at: &Time) -> Markers {
     base.scale = [length - PLATE_M[0], width - PLATE_M[0], height].into();
     let mut markers = vec![base];
     if frames::has_arm(robot) {
-        let ends = robot.arm.joint_origin.iter().chain([&robot.arm.flange_origin]);
+        let ends = frames::joint_origins(robot).iter().chain([&robot.arm.table.flange_origin]);
         let rods =
             ends.enumerate().filter_map(|(i, [x, y, z, ..])| rod(at, &link(i), "arm", i, [*x, *y, *z], LINK));
         markers.extend(rods);
-        let [x, y, z, ..] = robot.arm.flange_origin;
+        let [x, y, z, ..] = robot.arm.table.flange_origin;
         let back = [-x, -y, -z];
         markers.extend(rod(at, DESIRED, "wanted flange", 0, back, GHOST));
     }

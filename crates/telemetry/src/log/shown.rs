@@ -6,8 +6,8 @@ use moca_msgs::{Mode, Sample};
 /// A sample as a log shows it: its numbers with seven digits, the events of its contacts in full.
 pub fn shown(sample: &Sample) -> Sample {
     let mut shown = sample.clone();
-    let lists: [&mut [f64]; 11] = [
-        &mut shown.base_pose_world,
+    let lists = [
+        &mut shown.base_pose_world as &mut [f64],
         &mut shown.base_velocity_world,
         &mut shown.base_velocity_command_body,
         &mut shown.q_rad,
@@ -28,8 +28,17 @@ pub fn shown(sample: &Sample) -> Sample {
         &mut shown.lateness_s,
     ];
     let forces = shown.taxels.iter_mut().map(|taxel| &mut taxel.force_n);
-    let numbers =
-        lists.into_iter().flatten().chain(&mut shown.cover_wrench_base).chain(forces).chain(singles);
+    let link = shown
+        .link
+        .iter_mut()
+        .flat_map(|link| [&mut link.arm_age_s, &mut link.base_age_s, &mut link.arm.success_rate]);
+    let numbers = lists
+        .into_iter()
+        .flatten()
+        .chain(&mut shown.cover_wrench_base)
+        .chain(forces)
+        .chain(singles)
+        .chain(link);
     numbers.for_each(|number| *number = seven_digits(*number));
     shown
 }
