@@ -4,6 +4,7 @@ mod cover;
 mod docs;
 mod numerics;
 mod paper;
+mod picture;
 mod rig;
 mod robustness;
 
