@@ -6,8 +6,8 @@
     reason = "a test that cannot go on has to stop"
 )]
 
-use nix::sys::signal::{Signal, kill};
 use moca_telemetry::net::{Address, Connection};
+use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Read};
@@ -219,7 +219,11 @@ fn a_flange_is_led_and_a_program_that_dies_on_the_way_stops_the_robot() {
     let led = daemon.mocad(&["target", "pose", &x, &y, &higher, "--arm", "--json"]);
     assert_eq!(led.status.code(), Some(0), "{}", String::from_utf8_lossy(&led.stderr));
     let led: Value = serde_json::from_slice(&led.stdout).unwrap();
-    assert_eq!((&led["target"]["kind"], &led["target"]["phase"]), (&"pose".into(), &"reached".into()), "{led}");
+    assert_eq!(
+        (&led["target"]["kind"], &led["target"]["phase"]),
+        (&"pose".into(), &"reached".into()),
+        "{led}"
+    );
     let raised = daemon.wait_for("ready");
     assert_eq!((&raised["target"], &raised["commander"]), (&Value::Null, &"nobody".into()));
     assert!((daemon.flange()[2] - start[2] - 0.03).abs() < 5e-3);
@@ -249,7 +253,8 @@ fn a_flange_is_led_and_a_program_that_dies_on_the_way_stops_the_robot() {
 
     // between two targets, without a word
     daemon.wait_for("ready");
-    let mut command = mocad(&["target", "twist", "0", "0.01", "0", "0", "0", "0", "--duration", "60", "--arm"]);
+    let mut command =
+        mocad(&["target", "twist", "0", "0.01", "0", "0", "0", "0", "--duration", "60", "--arm"]);
     let mut killed = command.args(["--address", &daemon.address]).spawn().unwrap();
     let until = Instant::now() + HANGS_AFTER;
     while daemon.wait_for("impedance")["target"]["phase"] != "moving" {

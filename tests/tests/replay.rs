@@ -16,9 +16,7 @@ use moca_daemon::record::tick_log::{PortEvent, TickLog, TickLogReader, TickRecor
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_daemon::runtime::replay::{self, Failure};
 use moca_msgs::params::CONTROLLER;
-use moca_msgs::{
-    Law, Mode, ParameterValues, Request, Sample, Target, TimedTarget, TouchPolicy, Waypoint,
-};
+use moca_msgs::{Law, Mode, ParameterValues, Request, Sample, Target, TimedTarget, TouchPolicy, Waypoint};
 use moca_sim::VirtualBoardConfig;
 use moca_tactile::Firmware;
 use moca_tactile::calibration::Quality;

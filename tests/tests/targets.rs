@@ -222,7 +222,8 @@ fn a_trajectory_is_one_request_with_progress_and_an_end() {
     let refused = send(&mut world, &backwards).unwrap_err().to_string();
     assert!(refused.contains("time of a pose 0 = 0.500000 s is outside 1.001000"), "{refused}");
     // after a pose that is refused the rest is out of turn, and nothing begins
-    let rest = Request::Waypoint { index: 1, count: 2, waypoint: at(1.0, 0.0), touch: TouchPolicy::TouchWins };
+    let rest =
+        Request::Waypoint { index: 1, count: 2, waypoint: at(1.0, 0.0), touch: TouchPolicy::TouchWins };
     assert_eq!(ask(&mut world, rest), Err(Refusal::Target(TargetRefusal::OutOfTurn)));
 }
 
@@ -234,7 +235,8 @@ fn what_no_robot_could_follow_is_refused_with_its_value_and_range() {
         unreachable!("a pose")
     };
     let at = |position_world| Target::Pose { position_world, quaternion_world };
-    let twist = |speed, turn| Target::Twist { axes: TwistAxes::World, twist: [speed, 0.0, 0.0, 0.0, turn, 0.0] };
+    let twist =
+        |speed, turn| Target::Twist { axes: TwistAxes::World, twist: [speed, 0.0, 0.0, 0.0, turn, 0.0] };
     let posture = |q: &[f64]| Target::Posture(ParameterValues::new(q).unwrap());
     let mut beyond = PANDA.home_rad;
     beyond[3] = 0.5;
@@ -243,7 +245,10 @@ fn what_no_robot_could_follow_is_refused_with_its_value_and_range() {
         (at([0.0, f64::INFINITY, 0.5]), "position 1 is not a finite number"),
         (at([2.5, 0.0, 0.8]), "distance from the arm's shoulder 0 = 2."),
         (at([0.0, 0.0, 0.2]), "depth inside the base 0 = 0."),
-        (Target::Pose { position_world, quaternion_world: [0.0; 4] }, "squared length of the quaternion 0 = 0."),
+        (
+            Target::Pose { position_world, quaternion_world: [0.0; 4] },
+            "squared length of the quaternion 0 = 0.",
+        ),
         (twist(0.3, 0.0), "linear speed 0 = 0.300000 m/s is outside -0.250000 to 0.250000 m/s"),
         (twist(0.0, f64::NAN), "angular speed 1 is not a finite number"),
         (posture(&beyond), "joint angle 0 = 0.500000 rad is outside"),
@@ -336,11 +341,13 @@ fn no_joint_and_no_flange_limit_is_passed_by_random_targets() {
                 assert_eq!(sample.mode, law.into(), "{law:?}, {target:?}: {:?}", sample.fault);
                 for i in 0..7 {
                     joint = joint.max(sample.dq_rad_s[i].abs() / PANDA.dq_max_rad_s[i]);
-                    let to_end = (sample.q_rad[i] - PANDA.q_min_rad[i]).min(PANDA.q_max_rad[i] - sample.q_rad[i]);
+                    let to_end =
+                        (sample.q_rad[i] - PANDA.q_min_rad[i]).min(PANDA.q_max_rad[i] - sample.q_rad[i]);
                     range = range.min(to_end);
                 }
                 if last.tick + 1 == sample.tick {
-                    flange = flange.max(distance(sample.flange_position_world, last.flange_position_world) / 1e-3);
+                    flange =
+                        flange.max(distance(sample.flange_position_world, last.flange_position_world) / 1e-3);
                 }
                 let [vx, vy, _] = sample.base_velocity_world;
                 base = base.max(vx.hypot(vy));

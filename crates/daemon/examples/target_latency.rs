@@ -23,9 +23,9 @@ use moca_telemetry::net::{Address, Connection, Link, serve};
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::os::unix::net::{UnixListener, UnixStream};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -68,7 +68,9 @@ fn main() -> Result<()> {
     let targets: usize = std::env::args().nth(1).map_or(Ok(300), |count| count.parse())?;
     let socket = std::env::temp_dir().join(format!("moca-latency-{}.sock", std::process::id()));
     println!("| transport | target to torque p50 | p99 | bare echo p50 | p99 |\n|---|---|---|---|---|");
-    for (name, address) in [("TCP", "127.0.0.1:0".into()), ("Unix socket", format!("unix:{}", socket.display()))] {
+    for (name, address) in
+        [("TCP", "127.0.0.1:0".into()), ("Unix socket", format!("unix:{}", socket.display()))]
+    {
         let latency = percentiles(through_the_loop(&address.parse()?, targets)?)?;
         let echo = percentiles(echoes(name == "TCP", &socket.with_extension("echo"), targets)?)?;
         println!("| {name} | {} | {} | {} | {} |", latency[0], latency[1], echo[0], echo[1]);
@@ -94,7 +96,8 @@ fn through_the_loop(address: &Address, targets: usize) -> Result<Vec<Duration>> 
     let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config)?, 1e-3);
     let (clock, shared, mut timing) = (Clock::start()?, Arc::new(Shared::default()), Timing::new()?);
     let (mut rings, samples, requests) = rings(&shared);
-    let server = serve(address, 0o600, RobotDescription::paper("latency", true), requests.with(samples, None))?;
+    let server =
+        serve(address, 0o600, RobotDescription::paper("latency", true), requests.with(samples, None))?;
     let stop = Arc::clone(&shared);
     let thread = thread::spawn(move || {
         let mut timer = Timer::new(clock, 1_000_000);

@@ -158,7 +158,7 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
         ExitCode::from(3)
     } else if error.is::<moca_daemon::cli::remote::Refused>() {
         ExitCode::from(4)
-    } else if error.is::<moca_daemon::cli::operate::Stopped>() {
+    } else if error.is::<moca_daemon::cli::operator::Stopped>() {
         ExitCode::from(5)
     } else {
         ExitCode::FAILURE

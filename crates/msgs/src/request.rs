@@ -92,7 +92,9 @@ impl Request {
             }
             Self::Tare => &[Starting, Ready, ProtectiveStop],
             Self::Arm => &[Ready],
-            Self::Disarm | Self::Target(_) | Self::Waypoint { .. } | Self::EndTarget => &[Impedance, FollowMe],
+            Self::Disarm | Self::Target(_) | Self::Waypoint { .. } | Self::EndTarget => {
+                &[Impedance, FollowMe]
+            }
             Self::Resume => &[ProtectiveStop],
             Self::MaskTaxel { .. } => &[Starting, Taring, Ready, ProtectiveStop, Fault],
             Self::PressTaxel { .. } | Self::SetParameter { .. } => {

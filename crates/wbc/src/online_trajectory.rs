@@ -87,9 +87,9 @@ impl<T: Scalar> Axis<T> {
         let acceleration = self.acceleration_to_velocity(velocity, bounds, dt_s);
         self.advance(acceleration, dt_s);
         // What is left is rounding.
-        if (self.velocity - velocity).abs() <= of::<T>(1e-3) * bounds.jerk * dt_s * dt_s
-            && self.acceleration.abs() <= bounds.jerk * dt_s
-        {
+        let change = bounds.jerk * dt_s;
+        let rounding = of::<T>(1e-9) * change * dt_s + of::<T>(4.0) * T::default_epsilon() * bounds.velocity;
+        if (self.velocity - velocity).abs() <= rounding && self.acceleration.abs() <= change {
             self.velocity = velocity;
             if velocity == T::zero() {
                 self.acceleration = T::zero();
@@ -100,12 +100,11 @@ impl<T: Scalar> Axis<T> {
     /// One step of `dt_s` towards a target that is `ahead` m or rad away. That distance is the caller's to measure: on a
     /// rotation it is no difference of positions.
     pub fn step_to_position(&mut self, ahead: T, bounds: &AxisBounds<T>, dt_s: T) {
-        let change = bounds.jerk * dt_s;
-        if ahead.abs() <= of(ARRIVED)
-            && self.velocity.abs() <= change * dt_s
-            && self.acceleration.abs() <= change
-        {
-            (self.velocity, self.acceleration) = (T::zero(), T::zero());
+        // At the target, and one step of jerk away from rest.
+        let (change, to_rest) = (bounds.jerk * dt_s, -self.velocity / dt_s);
+        let nearly_rests = to_rest.abs() <= change && (to_rest - self.acceleration).abs() <= change;
+        if ahead.abs() <= of(ARRIVED) && nearly_rests {
+            (self.velocity, self.acceleration) = (T::zero(), to_rest);
             return;
         }
         let most = self.acceleration_to_velocity(bounds.velocity, bounds, dt_s);

@@ -24,7 +24,9 @@
 use crate::error::{ControlError, finite};
 use crate::linalg::dot;
 use crate::online_trajectory::{ARRIVED, Axis, AxisBounds};
-use crate::reference::{ERROR_SATURATION_M, ERROR_SATURATION_RAD, REFERENCE_SPEED_M_S, REFERENCE_SPEED_RAD_S};
+use crate::reference::{
+    ERROR_SATURATION_M, ERROR_SATURATION_RAD, REFERENCE_SPEED_M_S, REFERENCE_SPEED_RAD_S,
+};
 use crate::rotation;
 use crate::scalar::{Scalar, of};
 use nalgebra::{Matrix3, Vector3};
@@ -46,13 +48,14 @@ pub struct ReferenceBounds<T = f64> {
 }
 
 impl ReferenceBounds {
-    /// The speeds of [`crate::reference`], reached in a quarter of a second; the leash is where the law's pull saturates.
+    /// The speeds of [`crate::reference`], reached in a third of a second; the leash is half of where the law's pull
+    /// saturates.
     pub const DEFAULT: Self = Self {
         linear: AxisBounds { velocity: REFERENCE_SPEED_M_S, acceleration: 1.0, jerk: 20.0 },
         angular: AxisBounds { velocity: REFERENCE_SPEED_RAD_S, acceleration: 4.0, jerk: 80.0 },
         joint: AxisBounds { velocity: crate::reference::POSTURE_SPEED_RAD_S, acceleration: 2.0, jerk: 40.0 },
-        leash_m: ERROR_SATURATION_M,
-        leash_rad: ERROR_SATURATION_RAD,
+        leash_m: 0.5 * ERROR_SATURATION_M,
+        leash_rad: 0.5 * ERROR_SATURATION_RAD,
     };
 
     /// In the scalar of a computation.
@@ -99,7 +102,9 @@ impl<T: Scalar> Workspace<T> {
 
     /// How far a point is from where it may be, m; 0 inside.
     pub fn outside(&self, position_base_m: &[T; 3]) -> T {
-        (self.distance(position_base_m) - self.reach_m).max(T::zero()).max(self.depth_in_base(position_base_m))
+        (self.distance(position_base_m) - self.reach_m)
+            .max(T::zero())
+            .max(self.depth_in_base(position_base_m))
     }
 }
 

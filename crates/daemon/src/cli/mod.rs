@@ -4,6 +4,7 @@ mod board_report;
 pub mod calibrate;
 pub mod doctor;
 pub mod operate;
+pub mod operator;
 pub mod params;
 pub mod remote;
 pub mod report;

@@ -1,13 +1,13 @@
 //! `mocad target pose | twist | posture | base | trajectory`: leads flange, arm or base of a running robot.
 
-use crate::cli::operate::{Arguments, Operator, Stopped};
+use crate::cli::operator::{Arguments, Operator, Stopped};
 use crate::cli::remote::{LOOK_EVERY, Refused, news};
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Args, Subcommand, ValueEnum};
 use moca_msgs::target::TargetPhase;
 use moca_msgs::{
-    Mode, Outcome, ParameterValues, Request, Sample, Target, TargetState, TimedTarget, TouchPolicy, TwistAxes,
-    Waypoint,
+    Mode, Outcome, ParameterValues, Request, Sample, Target, TargetState, TimedTarget, TouchPolicy,
+    TwistAxes, Waypoint,
 };
 use moca_telemetry::net::wire::unix_now_ns;
 use moca_telemetry::net::{Link, Update};
@@ -209,7 +209,9 @@ fn lead(operator: &Operator, wanted: &Wanted, touch: TouchPolicy, ended: &Atomic
         connection.alive();
         let update = connection.poll();
         if let Link::Down { reason } = &update.link {
-            return Err(Stopped::new(format!("the daemon hung up ({reason}), and its commander is gone")).into());
+            return Err(
+                Stopped::new(format!("the daemon hung up ({reason}), and its commander is gone")).into()
+            );
         }
         for outcome in answers(&update) {
             match outcome {

@@ -212,15 +212,20 @@ impl Targets {
                 let [given, joints] = [q_rad.len(), self.joints].map(|count| count as f64);
                 Quantity::Joints.within(&[given], joints, joints)?;
                 let ranges = self.q_min_rad.iter().zip(&self.q_max_rad);
-                q_rad.iter().zip(ranges).try_for_each(|(q, (least, most))| {
-                    Quantity::JointAngle.within(&[*q], *least, *most)
-                })
+                q_rad
+                    .iter()
+                    .zip(ranges)
+                    .try_for_each(|(q, (least, most))| Quantity::JointAngle.within(&[*q], *least, *most))
             }
         }
     }
 
     /// Whether the tool may be wanted at a place, from where the base stands.
-    fn check_place(&self, position_world: &[f64; 3], robot: &RobotState<JOINTS>) -> Result<(), TargetRefusal> {
+    fn check_place(
+        &self,
+        position_world: &[f64; 3],
+        robot: &RobotState<JOINTS>,
+    ) -> Result<(), TargetRefusal> {
         let [x, y, yaw] = robot.base_pose_world;
         let from_base = [position_world[0] - x, position_world[1] - y, position_world[2]];
         let position_base = rotation::Heading::at(yaw).to_base(from_base);
@@ -247,16 +252,15 @@ impl Targets {
         }
         let waypoints = &mut self.state.waypoints;
         let in_turn = usize::from(index) == waypoints.len() && index < count;
-        let collected = in_turn.then_some(()).ok_or(TargetRefusal::OutOfTurn).and_then(|()| {
-            match waypoints.last() {
+        let collected =
+            in_turn.then_some(()).ok_or(TargetRefusal::OutOfTurn).and_then(|()| match waypoints.last() {
                 None => check_trajectory(&[*waypoint]),
                 Some(before) => check_trajectory(&[*before, *waypoint]),
-            }
-        });
+            });
         let collected = collected.and_then(|()| self.check_place(&waypoint.position_world, robot));
         let waypoints = &mut self.state.waypoints;
-        let collected = collected
-            .and_then(|()| waypoints.push(*waypoint).map_err(|_| TargetRefusal::OutOfTurn));
+        let collected =
+            collected.and_then(|()| waypoints.push(*waypoint).map_err(|_| TargetRefusal::OutOfTurn));
         if collected.is_err() {
             // What comes after it is out of turn too.
             waypoints.clear();
@@ -287,7 +291,9 @@ impl Targets {
         }
         let order = match active.what {
             What::Target(target) => {
-                let there = active.told && reached && !matches!(target, Target::Twist { .. } | Target::BaseVelocity { .. });
+                let there = active.told
+                    && reached
+                    && !matches!(target, Target::Twist { .. } | Target::BaseVelocity { .. });
                 shown.phase = if there { TargetPhase::Reached } else { TargetPhase::Moving };
                 shown.progress = f64::from(u8::from(there));
                 (!active.told).then_some(Order::To(target))
@@ -298,7 +304,8 @@ impl Targets {
                 let end_s = waypoints.last().map_or(0.0, |last| last.time_s);
                 let over = time_s >= end_s;
                 shown.progress = if over { 1.0 } else { time_s / end_s };
-                shown.phase = if over && reached && active.told { TargetPhase::Reached } else { TargetPhase::Moving };
+                shown.phase =
+                    if over && reached && active.told { TargetPhase::Reached } else { TargetPhase::Moving };
                 let order = (!over || !active.told).then(|| pose_at(waypoints, time_s)).flatten();
                 // The last pose is told once.
                 active.told = over;
@@ -316,7 +323,8 @@ impl Targets {
 /// The pose of a trajectory at a time, s: straight between its poses, turning about a fixed axis.
 fn pose_at(waypoints: &[Waypoint], time_s: f64) -> Option<Target> {
     let next = waypoints.partition_point(|waypoint| waypoint.time_s <= time_s);
-    let (Some(after), Some(before)) = (waypoints.get(next), next.checked_sub(1).and_then(|i| waypoints.get(i)))
+    let (Some(after), Some(before)) =
+        (waypoints.get(next), next.checked_sub(1).and_then(|i| waypoints.get(i)))
     else {
         let end = if next == 0 { waypoints.first() } else { waypoints.last() }?;
         let Waypoint { position_world, quaternion_world, .. } = *end;
@@ -350,7 +358,11 @@ pub fn arm_target<const N: usize>(order: &Order) -> Option<moca_wbc::Target<N>> 
 }
 
 fn nanoseconds(seconds: f64) -> u64 {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an age limit, checked before")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "an age limit, checked before"
+    )]
     let ns = (seconds * 1e9) as u64;
     ns
 }

@@ -239,7 +239,8 @@ fn each_taxel_is_masked_and_taken_back_by_its_button_unless_the_robot_moves() {
 
 #[test]
 fn the_jog_pad_leads_while_it_is_held_and_ends_when_let_go() {
-    let jogs = |asked: &[Request]| asked.iter().filter(|request| matches!(request, Request::Target(_))).count();
+    let jogs =
+        |asked: &[Request]| asked.iter().filter(|request| matches!(request, Request::Target(_))).count();
     let mut bench = Bench::in_mode(Mode::Impedance);
     bench.click("3-D");
     let place = bench.harness.get_by_label("+y").rect().center();
@@ -247,7 +248,8 @@ fn the_jog_pad_leads_while_it_is_held_and_ends_when_let_go() {
     (0..5).for_each(|_| bench.frames(Mode::Impedance, None));
     let asked = bench.asked();
     assert!(jogs(&asked) >= 2, "again and again: {asked:?}");
-    let Some(Request::Target(first)) = asked.iter().find(|request| matches!(request, Request::Target(_))) else {
+    let Some(Request::Target(first)) = asked.iter().find(|request| matches!(request, Request::Target(_)))
+    else {
         panic!("no target")
     };
     let twist = [0.0, 0.05, 0.0, 0.0, 0.0, 0.0];

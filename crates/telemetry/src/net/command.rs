@@ -189,13 +189,7 @@ impl Desk {
                 return refuse(Refusal::NoAnswer);
             }
         }
-        let pending = Pending {
-            client,
-            id,
-            deadline: now + ANSWER_TIMEOUT,
-            stop: false,
-            first_ticket,
-        };
+        let pending = Pending { client, id, deadline: now + ANSWER_TIMEOUT, stop: false, first_ticket };
         self.pending.insert(self.next_ticket, pending);
         None
     }
@@ -523,7 +517,8 @@ mod tests {
 
     #[test]
     fn a_trajectory_is_answered_once_by_its_last_pose_or_its_first_refusal() {
-        let waypoint = |time_s| Waypoint { time_s, position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] };
+        let waypoint =
+            |time_s| Waypoint { time_s, position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] };
         let now = Instant::now();
         for refused in [None, Some(0), Some(2)] {
             let (mut desk, mut robot) = desk();
@@ -545,7 +540,8 @@ mod tests {
         assert!(answer.outcome.unwrap_err().to_string().starts_with("time of a pose"));
         assert!(desk.ask_trajectory(1, 9, TouchPolicy::TouchWins, &[], now).unwrap().outcome.is_err());
         // a client cannot feed poses past that check
-        let request = Request::Waypoint { index: 0, count: 1, waypoint: waypoint(0.0), touch: TouchPolicy::TouchWins };
+        let request =
+            Request::Waypoint { index: 0, count: 1, waypoint: waypoint(0.0), touch: TouchPolicy::TouchWins };
         assert!(desk.ask(1, 1, request, now).unwrap().outcome.is_err());
         assert_eq!(asked(&mut robot), None);
     }

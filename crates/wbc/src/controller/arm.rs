@@ -265,7 +265,8 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
     pub(super) fn advance(&self, tick: &ArmTick<'_, N, T>, state: &mut ArmState<N, T>) {
         if state.is_led() {
             // Near a singular posture a slow flange has fast joints: who leads it waits for them.
-            let waits = self.joint_speeds.share(&tick.robot.q_rad, &tick.robot.dq_rad_s) > of(LED_JOINT_SHARE);
+            let waits =
+                self.joint_speeds.share(&tick.robot.q_rad, &tick.robot.dq_rad_s) > of(LED_JOINT_SHARE);
             state.advance_lead(&self.model, tick, waits);
             if !state.leads_posture() {
                 approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);

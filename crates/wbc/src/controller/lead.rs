@@ -100,8 +100,12 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
                 finite("target posture", wanted)?;
                 let axes = match self.lead {
                     Some(Lead { way: Way::Posture { axes, .. }, .. }) => axes,
-                    // From where the arm is: what the tool's reference is away from it is given up.
-                    _ => robot.q_rad.map(Axis::at_rest),
+                    // From where the arm is: what the tool's reference is away from it is given up, and what the torque would
+                    // jump by fades.
+                    _ => {
+                        self.entering = true;
+                        robot.q_rad.map(Axis::at_rest)
+                    }
                 };
                 Way::Posture { axes, target: Some(*wanted), base_pose_world: robot.base_pose_world }
             }
@@ -159,7 +163,8 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
                 let outside = |position: &[T; 3]| {
                     workspace.map_or(T::zero(), |workspace| workspace.outside(&frame.base_from(position)))
                 };
-                let slowed = |velocity| self.held_back.map_or(velocity, |held: HeldBack<T>| held.slowed(velocity));
+                let slowed =
+                    |velocity| self.held_back.map_or(velocity, |held: HeldBack<T>| held.slowed(velocity));
                 let place = (&actual.position, &actual.rotation);
                 generator.step_on_leash(&goal, bounds, place, outside, slowed, tick.dt_s);
                 *reached = generator.has_reached(&wanted);
@@ -169,7 +174,8 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
             Way::Posture { axes, target, base_pose_world } => {
                 let actual = frame.actual();
                 let near = (self.reference.now.position - actual.position).norm() < bounds.leash_m
-                    && rotation::error(&actual.rotation, &self.reference.now.rotation).norm() < bounds.leash_rad;
+                    && rotation::error(&actual.rotation, &self.reference.now.rotation).norm()
+                        < bounds.leash_rad;
                 for (i, axis) in axes.iter_mut().enumerate() {
                     match target.filter(|_| near && !waits) {
                         Some(target) => {
@@ -181,7 +187,8 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
                 let q_rad = axes.map(|axis| axis.position);
                 *reached = target.is_none_or(|target| (0..N).all(|i| axes[i].rests_at(target[i])))
                     && axes.iter().all(Axis::rests);
-                let (pose, twist) = frame.of_posture(model, &q_rad, &axes.map(|axis| axis.velocity), base_pose_world);
+                let (pose, twist) =
+                    frame.of_posture(model, &q_rad, &axes.map(|axis| axis.velocity), base_pose_world);
                 self.reference.follow(pose, twist);
                 self.posture_rad = q_rad;
             }
@@ -242,7 +249,8 @@ impl<const N: usize, T: Scalar> Frame<'_, N, T> {
         match *target {
             ToolTarget::World(Goal::Pose { position, rotation }) if self.is_base() => {
                 let pose = Pose { position, rotation };
-                let Pose { position, rotation } = seen_from_base(&pose, self.tick.kinematics, self.tick.robot);
+                let Pose { position, rotation } =
+                    seen_from_base(&pose, self.tick.kinematics, self.tick.robot);
                 Goal::Pose { position, rotation }
             }
             ToolTarget::World(goal) => goal,

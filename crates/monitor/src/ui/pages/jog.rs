@@ -38,7 +38,8 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, pres
     let possible = model.freshness(now_s) == Freshness::Live && fits(Request::EndTarget, mode);
     ui.horizontal_wrapped(|ui| {
         let label = ui.label("Jog");
-        let hint = "Press and hold a button: the flange moves in these axes, within the arm's reach and the leash";
+        let hint =
+            "Press and hold a button: the flange moves in these axes, within the arm's reach and the leash";
         for (name, choice) in
             [("world", TwistAxes::World), ("base", TwistAxes::Base), ("flange", TwistAxes::Flange)]
         {
