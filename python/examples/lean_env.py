@@ -13,7 +13,7 @@ class LeanEnv(gym.Env):
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         self.sim = moca.Sim('startup.law = "follow-me"\nsimulation.hand.taxels = []\n', seed=seed)
-        while (state := self.sim.step(10)).mode != "follow me":
+        while (state := self.sim.step(10)).mode != "follow-me":
             pass
         return self._observation(state), {}
 

@@ -151,7 +151,9 @@ fn arm(arguments: &ArmArguments) -> Result<()> {
         operator.connection().alive();
         let update = operator.connection().poll();
         if let Link::Down { reason } = &update.link {
-            return Err(Stopped(format!("the daemon hung up ({reason}), and its commander is gone")).into());
+            return Err(
+                Stopped::new(format!("the daemon hung up ({reason}), and its commander is gone")).into()
+            );
         }
         lines.print(&update);
         for sample in &update.samples {
@@ -163,7 +165,7 @@ fn arm(arguments: &ArmArguments) -> Result<()> {
         }
         if armed && update.status.commander != Commander::You {
             return Err(
-                Stopped("this program was silent for too long and has lost the command".into()).into()
+                Stopped::new("this program was silent for too long and has lost the command".into()).into()
             );
         }
         std::thread::sleep(LOOK_EVERY);
