@@ -53,7 +53,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     took.sort_by(f64::total_cmp);
     let [p50, worst] = [took[took.len() / 2], took[took.len() - 1]];
     println!("{JUMPS} jumps, each with the minute before it: p50 {p50:.3} s, worst {worst:.3} s");
-    let (log, marks) = (source.log().ok_or("no log")?.range_s(), source.log().map(|l| l.overview().marks.len()));
+    let (log, marks) =
+        (source.log().ok_or("no log")?.range_s(), source.log().map(|l| l.overview().marks.len()));
     println!("{:.2} h, {} marks", (log.1 - log.0) / 3600.0, marks.unwrap_or(0));
 
     let ctx = Context::default();

@@ -372,7 +372,10 @@ mod tests {
     fn a_file_that_is_no_log_is_told() {
         let (sender, done) = std::sync::mpsc::channel();
         let path = std::env::temp_dir().join("moca-monitor-no-such-log.mcap");
-        let mut playback = Playback::open(path, move || drop(sender.send(()))).unwrap();
+        let mut playback = Playback::open(path, move || {
+            let _ = sender.send(());
+        })
+        .unwrap();
         done.recv().unwrap();
         let update = playback.poll(0.0);
         assert!(matches!(update.link, Link::Down { reason } if reason.contains("cannot open the log")));
@@ -393,7 +396,10 @@ mod tests {
         }
         log.finish().unwrap();
         let (sender, woken) = std::sync::mpsc::channel();
-        let mut playback = Playback::open(path.clone(), move || drop(sender.send(()))).unwrap();
+        let mut playback = Playback::open(path.clone(), move || {
+            let _ = sender.send(());
+        })
+        .unwrap();
         playback.play(false);
         let until = |playback: &mut Playback, tick: u64| loop {
             let update = playback.poll(0.0);

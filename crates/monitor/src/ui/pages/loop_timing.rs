@@ -57,7 +57,8 @@ fn histograms(ui: &mut Ui, model: &Model) {
     ui.horizontal_wrapped(|ui| {
         ui.spacing_mut().item_spacing.x = GAP;
         // A log shows no two ticks in a row, and not every robot has a cover.
-        for (title, unit, histogram, limit, limit_name) in histograms.into_iter().filter(|h| h.2.total() > 0) {
+        for (title, unit, histogram, limit, limit_name) in histograms.into_iter().filter(|h| h.2.total() > 0)
+        {
             column(ui, width, |ui| {
                 heading(ui, title, unit, histogram);
                 chart(ui, title, &[(histogram, theme::curve(0))], limit, width);
