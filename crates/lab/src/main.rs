@@ -6,6 +6,7 @@ mod docs;
 mod export;
 mod numerics;
 mod paper;
+mod picture;
 mod rig;
 mod robustness;
 

@@ -8,8 +8,8 @@
 
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
-    ContactEvent, ContactReaction, Fault, Mode, Sample, SpeedLimit, SpeedLimitReason, TaxelReading,
-    TaxelStatus,
+    ArmLink, ArmMode, ContactEvent, ContactReaction, Fault, Link, Mode, Sample, SpeedLimit, SpeedLimitReason,
+    TaxelReading, TaxelStatus,
     board::{Diagnosis, OpenFailure},
 };
 use moca_telemetry::{
@@ -91,6 +91,17 @@ fn sample(tick: u32) -> Sample {
         speed_limit: SpeedLimit { m_s: value(), reason: SpeedLimitReason::BoardRate },
         law: tick.is_multiple_of(2).then_some(moca_msgs::Law::FollowMe),
         contact_reaction: tick.is_multiple_of(7).then_some(ContactReaction::StopDirection),
+        link: (tick % 1000 >= 500).then(|| Link {
+            arm_age_s: value(),
+            base_age_s: value(),
+            arm: ArmLink {
+                mode: ArmMode::ALL[usize::try_from(tick / 50).unwrap() % ArmMode::ALL.len()],
+                success_rate: value(),
+                lost: u64::from(tick / 9),
+                repeated: u64::from(tick / 11),
+                errors: 1 << (tick % 41),
+            },
+        }),
         ..Sample::default()
     };
     for taxel in 0..u8::try_from(tick % 50 % 4).unwrap() {

@@ -4,7 +4,7 @@ use super::{
     LogError, SerialBytes,
     overview::OverviewBuilder,
     records::{
-        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC,
+        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC, Link,
         ModeChange, ParameterChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Timing, name_of,
         seven_digits,
     },
@@ -108,6 +108,7 @@ impl<W: Write> LogWriter<W> {
         log.add::<Robot>()?;
         log.add::<State>()?;
         log.add::<Command>()?;
+        log.add::<Link>()?;
         log.add::<Cover>()?;
         log.add::<Timing>()?;
         log.add::<ModeChange>()?;
@@ -179,6 +180,9 @@ impl<W: Write> LogWriter<W> {
         self.write(time_ns, &state(&shown))?;
         self.write(time_ns, &command(&shown))?;
         self.write(time_ns, &cover(&shown))?;
+        if let Some(link) = &shown.link {
+            self.write(time_ns, &Link::new(shown.tick, link))?;
+        }
         self.write(time_ns, &timing(&shown))?;
         self.summary.displayed += 1;
         Ok(())
@@ -295,8 +299,17 @@ pub fn shown(sample: &Sample) -> Sample {
         &mut shown.lateness_s,
     ];
     let forces = shown.taxels.iter_mut().map(|taxel| &mut taxel.force_n);
-    let numbers =
-        lists.into_iter().flatten().chain(&mut shown.cover_wrench_base).chain(forces).chain(singles);
+    let link = shown
+        .link
+        .iter_mut()
+        .flat_map(|link| [&mut link.arm_age_s, &mut link.base_age_s, &mut link.arm.success_rate]);
+    let numbers = lists
+        .into_iter()
+        .flatten()
+        .chain(&mut shown.cover_wrench_base)
+        .chain(forces)
+        .chain(singles)
+        .chain(link);
     numbers.for_each(|number| *number = seven_digits(*number));
     shown
 }

@@ -212,6 +212,7 @@ fn residual_plots(recordings: &[Recording], folder: &Path) -> anyhow::Result<()>
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::picture::Picture as _;
 
     fn materials() -> Vec<Material> {
         simulate(10, 1).unwrap().1

@@ -6,6 +6,7 @@
 use super::controller;
 use crate::rig::TAXELS;
 use crate::rig::cpu_time;
+use crate::rig::free_scene;
 use anyhow::{Context, Result};
 use moca_daemon::cli::progress::Progress;
 use moca_msgs::Actuation;
@@ -72,8 +73,9 @@ struct End {
 
 /// Free motion after a push, and a base that drives into a person.
 pub(crate) fn measure(quick: bool) -> Result<Vec<SceneReport>> {
-    let smooth = Scene { joint_limits: false, control_period_s: GRID_S, ..Scene::default() };
-    let person = Person { steps_away_after_s: None, ..Person::beside(5, 0.01).context("no T6")? };
+    let smooth = Scene { joint_limits: false, control_period_s: GRID_S, ..free_scene() };
+    let person =
+        Person { steps_away_after_s: None, ..Person::beside(&smooth.cover, 5, 0.01).context("no T6")? };
     let contact = Scene { people: vec![person], foam: Foam::COLLISION_ASSUMED, ..smooth.clone() };
     Ok(vec![
         work_precision("smooth", &smooth, None, quick)?,
@@ -191,7 +193,7 @@ pub(crate) fn recommended(points: &[Point], cost: impl Fn(&Point) -> f64) -> Opt
 }
 
 fn is_default(best: &Point) -> bool {
-    let default = Scene::default();
+    let default = free_scene();
     METHODS.iter().any(|(integrator, name)| *integrator == default.integrator && *name == best.integrator)
         && (best.step_ms - 1e3 * default.physics_step_s).abs() < 1e-9
 }

@@ -6,11 +6,11 @@ mod sweeps;
 use crate::cover::characterize;
 use crate::numerics::stability;
 use crate::paper::{collision, figure, pushes};
+use crate::rig::free_scene;
 use crate::rig::parallel;
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::{Context, Result};
 use moca_msgs::Law;
-use moca_sim::Scene;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -69,7 +69,7 @@ fn page() -> Result<String> {
             pushes::panels_b2 as fn(&[_]) -> _,
         ),
     ] {
-        let drawing = figure::draw(&Scene::default(), &runs[0].rows, &runs[0].moments, panels(&runs[0].rows));
+        let drawing = figure::draw(&free_scene(), &runs[0].rows, &runs[0].moments, panels(&runs[0].rows));
         section(&mut body, title, &texts(runs), &drawing.svg());
     }
     for (title, run) in [
@@ -78,7 +78,7 @@ fn page() -> Result<String> {
         ("The same collision without a cover", &c[2]),
         ("The same collision with the contact barrier and its speed limit, ideal sensor", &under_barrier),
     ] {
-        let drawing = figure::draw(&Scene::default(), &run.rows, &run.moments, collision::panels(&run.rows));
+        let drawing = figure::draw(&free_scene(), &run.rows, &run.moments, collision::panels(&run.rows));
         let title = format!("{title}: {}", run.report.verdict);
         section(&mut body, &title, &run.report.text(), &drawing.svg());
     }

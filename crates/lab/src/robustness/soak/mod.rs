@@ -8,13 +8,14 @@ use anyhow::{Context, Result, ensure};
 use moca_daemon::cli::progress::Progress;
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::supervisor::EDGES;
+use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::inject::Random;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_msgs::robot::resized;
 use moca_msgs::{Law, Mode, Request, Sample};
+use moca_sim::VirtualBoardConfig;
 use moca_sim::board::BoardFault;
-use moca_sim::{Scene, VirtualBoardConfig};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::{LogReader, LogWriter, Meta, Record};
 use onlookers::Onlookers;
@@ -105,7 +106,7 @@ fn soak(ticks: u64, seed: u64) -> Result<Report> {
     // The operator arms: every change of mode is then one row of the table and one sample.
     config.startup.arm = false;
     let board = VirtualBoardConfig { seed, ..VirtualBoardConfig::default() };
-    let mut world = LockStep::with_board(&config, &Scene::default(), board, None)?;
+    let mut world = LockStep::with_board(&config, &free_scene(&config), board, None)?;
     let mut hands = Hands::new(seed);
     let mut watch = Watch::new(&config);
     let mut onlookers = Onlookers::new()?;
