@@ -13,7 +13,7 @@ use rustdds::no_key::{
 use rustdds::policy::{Durability, History, Reliability};
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, GUID, Publisher, QosPolicies, QosPolicyBuilder, RTPSEntity,
-    ReadCondition, RepresentationIdentifier, SampleIdentity, SequenceNumber, Subscriber, Topic, TopicKind,
+    RepresentationIdentifier, SampleIdentity, SequenceNumber, Subscriber, Topic, TopicKind,
     WriteOptionsBuilder, mio1 as mio,
 };
 use std::collections::BTreeSet;
