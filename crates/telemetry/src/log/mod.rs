@@ -18,6 +18,7 @@ pub mod overview;
 mod reader;
 mod recorder;
 pub mod records;
+pub(crate) mod shown;
 mod sizes;
 mod writer;
 
@@ -25,8 +26,9 @@ pub use file::LogFile;
 pub use overview::Overview;
 pub use reader::{Log, LogReader, Record, read_log};
 pub use recorder::{Recorder, RecorderOptions, part_path};
+pub use shown::shown;
 pub use sizes::LogSizes;
-pub use writer::{LogSummary, LogWriter, Meta, shown};
+pub use writer::{LogSummary, LogWriter, Meta};
 
 use std::path::PathBuf;
 
