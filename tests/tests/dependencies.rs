@@ -30,9 +30,10 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
             "moca-sim",
             "moca-franka",
         ],
-        &["egui", "eframe", "resvg", "moca-monitor", "moca-lab"],
+        &["egui", "eframe", "resvg", "tungstenite", "moca-monitor", "moca-lab"],
     ),
     ("moca-monitor", &["moca-msgs", "moca-telemetry"], &["nalgebra", "mujoco-rs", "serialport"]),
+    ("moca-viewer", &["moca-telemetry"], &["nalgebra", "mujoco-rs", "serialport", "egui"]),
     (
         "moca-lab",
         &[
