@@ -115,7 +115,7 @@ struct ContactReport {
     foam: &'static str,
     /// Foam and tissue in series at 25 N, N/m.
     stiffness_n_m: f64,
-    /// Total delay T of the law in controllers.md, s.
+    /// Total delay T of the contact stability law, s.
     delay_s: f64,
     /// Taxels (T1 = 1) whose contact is stable at the paper's gains.
     stable_taxels: Vec<usize>,
