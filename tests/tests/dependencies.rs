@@ -21,9 +21,10 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
     (
         "moca-daemon",
         &["moca-figures", "moca-msgs", "moca-telemetry", "moca-tactile", "moca-wbc", "moca-sim"],
-        &["egui", "eframe", "resvg", "moca-monitor", "moca-lab"],
+        &["egui", "eframe", "resvg", "tungstenite", "moca-monitor", "moca-lab"],
     ),
     ("moca-monitor", &["moca-msgs", "moca-telemetry"], &["nalgebra", "mujoco-rs", "serialport"]),
+    ("moca-viewer", &["moca-telemetry"], &["nalgebra", "mujoco-rs", "serialport", "egui"]),
     (
         "moca-lab",
         &[

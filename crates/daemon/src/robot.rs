@@ -281,11 +281,13 @@ impl Field for Arm {
 pub enum PlantKind {
     /// MuJoCo.
     Simulated,
+    /// A real one, behind drivers of its parts.
+    Robot,
     /// No robot: the cover alone.
     None,
 }
 
-choice!(PlantKind { Simulated: "simulated", None: "none" });
+choice!(PlantKind { Simulated: "simulated", Robot: "robot", None: "none" });
 
 /// Which parts the robot has. What it lacks is neither simulated, started nor shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

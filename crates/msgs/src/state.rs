@@ -5,7 +5,8 @@
 //! use moca_msgs::{Actuation, RobotCommand, RobotState};
 //!
 //! let measured = RobotState::at_rest(PANDA.home_rad);
-//! let command = RobotCommand { base_velocity_body: [0.1, 0.0, 0.0], arm_torque_nm: [0.0; 7] };
+//! let base_velocity_body = [0.1, 0.0, 0.0];
+//! let command = RobotCommand { base_velocity_body, arm_torque_nm: [0.0; 7], arm_gravity_nm: [0.0; 7] };
 //! // nothing is ordered on a state that is not a number
 //! let fine = measured.q_rad.iter().all(|q| q.is_finite());
 //! let order = if fine { Actuation::Drive(command) } else { Actuation::Brake };
@@ -94,6 +95,7 @@ impl<const N: usize> RobotCommand<N> {
         RobotCommand {
             base_velocity_body: self.base_velocity_body,
             arm_torque_nm: resized(&self.arm_torque_nm),
+            arm_gravity_nm: resized(&self.arm_gravity_nm),
         }
     }
 }
@@ -103,9 +105,10 @@ impl<const N: usize> RobotCommand<N> {
 pub struct RobotCommand<const N: usize, T = f64> {
     /// Base velocity in the axes of B (a `cmd_vel`): m/s, m/s, rad/s.
     pub base_velocity_body: [T; 3],
-    /// Joint torques **including** Coriolis and gravity terms, N·m. A robot that compensates gravity by itself
-    /// subtracts it in its back end.
+    /// Joint torques **including** Coriolis and gravity terms, N·m.
     pub arm_torque_nm: [T; N],
+    /// Share of gravity in them, N·m: the back end of a robot that compensates gravity by itself subtracts it.
+    pub arm_gravity_nm: [T; N],
 }
 
 /// One tick's order to a plant.

@@ -53,7 +53,8 @@ fn state_apply_step_and_the_board_allocate_nothing() {
         for (torque, dq) in arm_torque_nm.iter_mut().zip(state.dq_rad_s) {
             *torque -= dq;
         }
-        let command = RobotCommand { base_velocity_body: [0.0, 0.1, 0.0], arm_torque_nm };
+        let command =
+            RobotCommand { base_velocity_body: [0.0, 0.1, 0.0], arm_torque_nm, arm_gravity_nm: [0.0; 7] };
         let order = if tick % 100 < 95 { Actuation::Drive(command) } else { Actuation::Brake };
         plant.apply(&order).unwrap();
         plant.press(5, 10.0).unwrap();

@@ -29,7 +29,13 @@ fn drive(plant: &mut SimPlant, base_velocity_body: [f64; 3], ticks: usize) {
             arm_torque_nm[i] +=
                 STIFFNESS[i] * (PANDA.home_rad[i] - state.q_rad[i]) - DAMPING[i] * state.dq_rad_s[i];
         }
-        plant.apply(&Actuation::Drive(RobotCommand { base_velocity_body, arm_torque_nm })).unwrap();
+        plant
+            .apply(&Actuation::Drive(RobotCommand {
+                base_velocity_body,
+                arm_torque_nm,
+                arm_gravity_nm: [0.0; 7],
+            }))
+            .unwrap();
         plant.step().unwrap();
     }
 }
@@ -129,7 +135,11 @@ fn braking_stops_base_and_arm_and_holds_against_gravity() {
 fn nan_in_a_command_is_refused_and_the_plant_brakes() {
     let mut plant = SimPlant::new(&paper_scene()).unwrap();
     drive(&mut plant, [0.2, 0.0, 0.0], 200);
-    let bad = RobotCommand { base_velocity_body: [f64::NAN, 0.0, 0.0], arm_torque_nm: [0.0; 7] };
+    let bad = RobotCommand {
+        base_velocity_body: [f64::NAN, 0.0, 0.0],
+        arm_torque_nm: [0.0; 7],
+        arm_gravity_nm: [0.0; 7],
+    };
     let refused = plant.apply(&Actuation::Drive(bad)).unwrap_err();
     assert!(matches!(refused, SimError::Command { name: "base velocity", .. }), "{refused}");
     for _ in 0..400 {
@@ -203,7 +213,8 @@ fn a_force_at_the_flange_acts_at_its_origin_and_nowhere_else() {
     let mut speeds = |wrench: [f64; 6]| {
         plant.set_state(&STILL, &STILL, &q, &[0.0; 7]);
         plant.set_flange_wrench_world(wrench).unwrap();
-        let command = RobotCommand { base_velocity_body: STILL, arm_torque_nm: [0.0; 7] };
+        let command =
+            RobotCommand { base_velocity_body: STILL, arm_torque_nm: [0.0; 7], arm_gravity_nm: [0.0; 7] };
         plant.apply(&Actuation::Drive(command)).unwrap();
         plant.step().unwrap();
         let mass = plant.full_mass_matrix().0.to_vec();

@@ -51,6 +51,9 @@ pub struct RobotDescription {
     /// What a force is worth on a cover that has not been calibrated, in one sentence; empty if it has been.
     #[serde(default)]
     pub uncalibrated: String,
+    /// The robot as a URDF; empty where nobody wrote one.
+    #[serde(default)]
+    pub urdf: String,
 }
 
 impl RobotDescription {

@@ -111,6 +111,7 @@ fn description(config: &Config) -> RobotDescription {
         parameters: crate::config::schema::describe(config),
         speed_override: config.protection.override_statement.clone(),
         uncalibrated: config.uncalibrated().unwrap_or_default(),
+        urdf: crate::config::urdf::urdf(&config.robot, config.plant.parts),
     };
     if !config.plant.parts.has_arm() {
         (robot.arm_name, robot.arm) = (String::new(), AnyArm::NONE);

@@ -18,13 +18,15 @@ pub mod overview;
 mod reader;
 mod recorder;
 pub mod records;
+pub(crate) mod shown;
 mod writer;
 
 pub use file::LogFile;
 pub use overview::Overview;
 pub use reader::{Log, LogReader, Record, read_log};
 pub use recorder::{Recorder, RecorderOptions, part_path};
-pub use writer::{LogSummary, LogWriter, Meta, shown};
+pub use shown::shown;
+pub use writer::{LogSummary, LogWriter, Meta};
 
 use std::path::PathBuf;
 

@@ -4,7 +4,7 @@ use super::{
     LogError, SerialBytes,
     framing::{self, Fields, Message, Records, op},
     records::{
-        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC,
+        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC, Link,
         ModeChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Timing,
     },
     writer::FORM,
@@ -227,6 +227,7 @@ struct Partial {
     command: Option<Command>,
     cover: Option<Cover>,
     contacts: Vec<Contact>,
+    link: Option<Link>,
 }
 
 impl Decoder {
@@ -270,6 +271,7 @@ impl Decoder {
             BoardChange::TOPIC => self.board = parse::<BoardChange>(message)?.board()?,
             State::TOPIC => self.partial.state = Some(parse(message)?),
             Command::TOPIC => self.partial.command = Some(parse(message)?),
+            Link::TOPIC => self.partial.link = Some(parse(message)?),
             Cover::TOPIC => self.partial.cover = Some(parse(message)?),
             Contact::TOPIC => self.partial.contacts.push(parse(message)?),
             Timing::TOPIC => return Ok(self.complete(message.time_ns, &parse(message)?)),
@@ -289,7 +291,7 @@ impl Decoder {
     }
     /// The sample, if all messages of its tick are there; `Timing` is the last one written.
     fn complete(&mut self, log_time: u64, timing: &Timing) -> Option<Record> {
-        let Partial { state, command, cover, contacts } = std::mem::take(&mut self.partial);
+        let Partial { state, command, cover, contacts, link } = std::mem::take(&mut self.partial);
         let (state, command, cover) = (state?, command?, cover?);
         if [state.tick, command.tick, cover.tick] != [timing.tick; 3] {
             return None;
@@ -332,6 +334,7 @@ impl Decoder {
             lateness_s: timing.lateness_s,
             overruns: timing.overruns,
             stages_ns: timing.stages_ns,
+            link: link.filter(|link| link.tick == timing.tick).map(|link| link.link()),
         })))
     }
 }
