@@ -92,7 +92,7 @@ struct RunArguments {
     /// How much the terminal or the journal shows of a run.
     #[arg(long, value_enum, default_value_t)]
     log_level: moca_daemon::cli::report::Level,
-    /// End at once if the operating system refuses a wish of `[realtime]`.
+    /// End at once if the operating system refuses a setting of `[realtime]`.
     #[arg(long)]
     require_realtime: bool,
 }

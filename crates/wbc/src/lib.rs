@@ -37,8 +37,8 @@
 //! # What the literal law leaves out
 //! Each of [`moca_msgs::Corrections`] is off by default in the paper's experiments. Largest flange error in 3 s pushes
 //! of 20 N at T1 and at T6 (closed loop of `tests/closed_loop.rs`): literal 4.7 and 10.4 mm; `null_space_damping` 1.1
-//! and 1.8 mm; with `base_coupling` as well 0.30 and 0.38 mm. `flange_wrench_feedforward`: 15 N sideways at the flange moves it 8.8 mm
-//! and the base against the push; fed, 18.8 mm (its stiffness) and the base follows.
+//! and 1.8 mm; with `base_coupling` as well 0.30 and 0.38 mm. `flange_wrench_feedforward`: 15 N sideways at the flange
+//! move it 8.8 mm and the base against the push; with it the flange moves 18.8 mm (its stiffness) and the base follows.
 //!
 //! # Signs and points
 //! Every wrench is the one **on the robot**. A flange wrench is about the flange's origin in world axes; it is moved to
@@ -47,7 +47,7 @@
 //!
 //! # What the base is refused
 //! Guard, speed and acceleration limits take from the base's motion what eq. (6) has already counted on; left to the arm
-//! it would throw it (100 N on T6 60 mm, 60 N at reactivity 10 958 mm). [`opspace::ArmDynamics::torque_for_refused`]
+//! it would throw it. [`opspace::ArmDynamics::torque_for_refused`]
 //! gives the tool what the base does not do: `moca-lab lean` prints what is left of every lean and blow. A joint beyond
 //! the arm's own speed limit, a flange beyond [`Limits`]' speed or pose error ends the law: [`Exceeded`], and the posture
 //! is held.

@@ -81,7 +81,7 @@ impl Status {
         );
         let known = !unknown && sample.mode != Mode::Fault && (!robot.arm || !sample.q_rad.is_empty());
         let [x_m, y_m, yaw_rad] = sample.base_pose_world;
-        // A brake has no flange: the zeros of an unset orientation say so.
+        // In a brake no flange is computed: its orientation is then all zeros.
         let placed = sample.flange_quaternion_world.iter().any(|part| *part != 0.0);
         let (at, wanted) = (sample.flange_position_world, sample.flange_desired_position_world);
         let error_m = at.iter().zip(wanted).map(|(at, wanted)| (at - wanted).powi(2)).sum::<f64>().sqrt();

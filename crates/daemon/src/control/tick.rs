@@ -55,8 +55,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
 
     /// One tick: read, decide, command, write; `timer` hears of each stage's end.
     pub fn tick(&mut self, slot: &Slot, request: Option<Request>, timer: &mut impl StageTimer) -> Ticked {
-        // Of what is measured the bits beyond single precision are noise, which no log could keep in little room: gone before
-        // anybody computes with them, they are missed by no replay.
+        // The bits of a measurement beyond single precision are noise that would fill a log. They are dropped before anything
+        // is computed from them, so that a replay does not miss them.
         let exact = self.plant.simulated().is_some();
         let measured = self.plant.read().map(|state| if exact { state } else { state.in_single_precision() });
         let (age, link) = (self.plant.age(), self.plant.link());
