@@ -9,7 +9,6 @@
 //! ```
 
 use crate::error::{ControlError, finite};
-use crate::reference_generator::unit;
 use crate::rotation;
 use crate::scalar::{Scalar, all, of};
 use nalgebra::{Matrix3, Vector3};
@@ -98,7 +97,7 @@ impl<T: Scalar> Reference<T> {
 
     pub(crate) fn set_pose(&mut self, position: [T; 3], quaternion: [T; 4]) -> Result<(), ControlError> {
         finite("target position", &position)?;
-        let rotation = unit(quaternion)?;
+        let rotation = rotation::from_unit_quaternion(quaternion)?;
         self.target = Pose { position: Vector3::from(position), rotation };
         (self.twist, self.given) = ([T::zero(); 6], [T::zero(); 6]);
         Ok(())
