@@ -2,11 +2,11 @@
 //!
 //! A table stands between `<!-- moca-lab docs NAME … -->` and `<!-- end of NAME -->`; the text around it is for people.
 
-use crate::cover::latency;
+use crate::cover::{detection, latency};
 use crate::numerics::stability;
 use crate::paper::report::claims;
 use crate::rig::c_library;
-use crate::robustness::{faults, lean};
+use crate::robustness::{faults, lean, protection};
 use anyhow::{Context, Result, bail, ensure};
 use std::path::{Path, PathBuf};
 
@@ -28,9 +28,12 @@ struct Table {
     make: fn() -> Result<String>,
 }
 
-const TABLES: [Table; 5] = [
+const TABLES: [Table; 8] = [
     Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
     Table { name: "lean", file: "docs/safety.md", make: lean::markdown },
+    Table { name: "walk-in", file: "docs/safety.md", make: protection::walk_in::markdown },
+    Table { name: "protection", file: "docs/results.md", make: protection::markdown },
+    Table { name: "detection", file: "docs/results.md", make: detection::markdown },
     Table { name: "boards", file: "README.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },

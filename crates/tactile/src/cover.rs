@@ -19,6 +19,7 @@ pub use config::{
 use crate::board::{
     BoardEvent, BoardMonitor, FrameSource, MAX_ELECTRODES, SILENT_AFTER_NS, SampledFrame, voids_zero,
 };
+use crate::cusum::Cusum;
 use crate::datastream::ELECTRODES;
 use crate::health::TaxelHealth;
 use crate::model::{FoamMemory, TaxelModel};
@@ -52,10 +53,11 @@ pub struct Poll<const K: usize> {
     pub early: EarlyContact<K>,
 }
 
-/// Contact by data that nothing has confirmed yet: it may slow a robot down or stop it, and nothing else.
+/// Contact by data that nothing has confirmed yet, or too light for a force: it may slow a robot down or stop it, and
+/// nothing else.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EarlyContact<const K: usize> {
-    /// Taxels that the reading does not feel, and these data do.
+    /// Taxels that the reading does not feel, and these data or the last frames together ([`crate::cusum`]) do.
     pub touched: [bool; K],
     /// As [`CoverReading::sampled_at_ns`], with these data counted.
     pub sampled_at_ns: Option<u64>,
@@ -67,6 +69,7 @@ struct Taxel {
     fdat: u16,
     force_n: f64,
     in_contact: bool,
+    light: Cusum,
     zero: Option<TaxelZero>,
     health: TaxelHealth,
     memory: FoamMemory,
@@ -355,6 +358,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         let bank = usize::from(frame.bank);
         let Some(entry) = self.boards.get_mut(board).and_then(|b| b.banks.get_mut(bank)) else { return };
         let dt_ns = frame.complete_ns.saturating_sub(entry.complete_ns).min(SILENT_AFTER_NS);
+        let refreshed = entry.sampled_at_ns != Some(frame.sampled_at_ns);
         entry.sampled_at_ns = Some(frame.sampled_at_ns);
         entry.complete_ns = frame.complete_ns;
         #[expect(clippy::cast_precision_loss, reason = "at most 120 ms")]
@@ -370,6 +374,9 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
                     self.config.force_max_n,
                     dt_s,
                 );
+                if refreshed {
+                    self.taxels[i].sum_up();
+                }
                 if taring {
                     self.taxels[i].tare.add(frame.fdat[electrode], frame.baseline[electrode]);
                 }
@@ -389,10 +396,12 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
                 let early = early.filter(|early| usize::from(early.bank) == bank);
                 // as many places as there are banks
                 let _ = times.push(state.sampled_at_ns.map(|t| early.map_or(t, |e| e.sampled_at_ns.max(t))));
-                let Some(early) = early else { continue };
                 for (i, wire) in self.config.wiring.iter().enumerate().take(self.config.taxels) {
                     if wire.is_on(number, bank) && !self.config.masked[i] {
-                        touched[i] = self.taxels[i].would_touch(early.fdat[wire.of_bank()], &self.config);
+                        let taxel = &self.taxels[i];
+                        let soon = early.map(|early| early.fdat[wire.of_bank()]);
+                        touched[i] = taxel.touched_lightly()
+                            || soon.is_some_and(|fdat| taxel.would_touch(fdat, &self.config));
                     }
                 }
             }
@@ -468,6 +477,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         for (taxel, zero) in self.taxels.iter_mut().zip(zeros) {
             taxel.zero = zero;
             taxel.in_contact = false;
+            taxel.light = Cusum::default();
             taxel.memory = FoamMemory::default();
             taxel.force_n = 0.0;
         }
@@ -485,6 +495,19 @@ impl Taxel {
     fn would_touch<const K: usize>(&self, fdat: u16, config: &CoverConfig<K>) -> bool {
         let delta = self.zero.as_ref().map_or(0.0, |zero| zero.gain * zero.drop(fdat));
         !self.in_contact && delta >= config.contact_on_counts
+    }
+
+    /// Whether the last frames together tell of a touch that gives no force.
+    const fn touched_lightly(&self) -> bool {
+        self.light.touched() && !self.in_contact
+    }
+
+    /// Takes the present counts into the test of the last frames.
+    fn sum_up(&mut self) {
+        match &self.zero {
+            Some(zero) => _ = self.light.update(zero.drop(self.fdat), zero.deviation),
+            None => self.light = Cusum::default(),
+        }
     }
 
     fn update(&mut self, fdat: u16, model: &TaxelModel, [on, off]: [f64; 2], force_max_n: f64, dt_s: f64) {

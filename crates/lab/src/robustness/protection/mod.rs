@@ -3,12 +3,14 @@
 
 mod cell;
 mod table;
+pub(crate) mod walk_in;
 
 use crate::paper::collision::{self, approach_m_s};
 use crate::rig::TAXELS;
 use crate::rig::campaign::{self, Campaign};
 use crate::rig::closed_loop::{Loads, Rig, Row};
 use crate::rig::measure::{Measures, peak_force_n};
+use crate::rig::parallel;
 use anyhow::Result;
 use cell::{COLUMNS, Cell, Law, PHASES};
 use std::path::PathBuf;
@@ -20,8 +22,7 @@ const LONGEST_S: f64 = 12.0;
 /// How often a run is asked whether it has seen enough, s.
 const LOOK_S: f64 = 0.25;
 /// Columns after the cell's own.
-const RESULTS: &str =
-    "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after_s,felt_after_s,taps,grows,flange_mm,stopped";
+const RESULTS: &str = "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after_s,felt_after_s,least_n,taps,grows,flange_mm,stopped";
 
 /// Collisions all round the cover, with what ships and with the contact barrier.
 #[derive(clap::Args)]
@@ -59,14 +60,31 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
+/// Phases that the tables of the documents look at.
+const DOCUMENTED_PHASES: u32 = 2;
+
+/// The tables of the documents.
+pub(crate) fn markdown() -> Result<String> {
+    let cells = Cell::documented();
+    let runs: Vec<(Cell, Law)> =
+        cells.iter().flat_map(|cell| [Law::Shipped, Law::Barrier].map(|law| (*cell, law))).collect();
+    let one = |(cell, law): &(Cell, Law)| line(0, cell, *law, DOCUMENTED_PHASES);
+    let lines = parallel::run("protection", &runs, one, |_| ()).into_iter().collect::<Result<Vec<_>>>()?;
+    table::both(&format!("{}\n{}\n", header(), lines.join("\n")))
+}
+
 fn header() -> String {
     format!("run,{COLUMNS},{RESULTS}")
 }
 
 /// A cell under one of the laws.
 fn row(cells: &[Cell], id: usize) -> Result<String> {
-    let (cell, law) = (&cells[id / Law::ALL.len()], Law::ALL[id % Law::ALL.len()]);
-    Ok(format!("{id},{},{},{}", cell.columns()?, law.name(), Outcome::of(cell, law)?.columns()))
+    line(id, &cells[id / Law::ALL.len()], Law::ALL[id % Law::ALL.len()], PHASES)
+}
+
+fn line(id: usize, cell: &Cell, law: Law, phases: u32) -> Result<String> {
+    let outcome = Outcome::of(cell, law, phases)?;
+    Ok(format!("{id},{},{},{}", cell.columns()?, law.name(), outcome.columns()))
 }
 
 /// What the worst phase of a cell came to; flange, taps and stops of any phase.
@@ -80,6 +98,8 @@ struct Outcome {
     peak_after_s: f64,
     /// From the first touch until the cover feels anything, s.
     felt_after_s: f64,
+    /// What the base at its hardest, from that reading on, could not have kept from the person, N.
+    least_n: f64,
     taps: usize,
     /// A later peak is higher than the first.
     grows: bool,
@@ -88,9 +108,10 @@ struct Outcome {
 }
 
 impl Outcome {
-    fn of(cell: &Cell, law: Law) -> Result<Self> {
+    /// The worst of some of the phases, evenly apart.
+    fn of(cell: &Cell, law: Law, phases: u32) -> Result<Self> {
         let mut worst = Self::default();
-        for phase in 0..PHASES {
+        for phase in (0..PHASES).step_by((PHASES / phases.clamp(1, PHASES)) as usize) {
             let one = Self::of_phase(cell, law, phase)?;
             let (taps, grows) = (worst.taps.max(one.taps), worst.grows | one.grows);
             let flange_mm = worst.flange_mm.max(one.flange_mm);
@@ -129,14 +150,17 @@ impl Outcome {
         let contact = &rows[first..];
         let most = contact.iter().max_by(|a, b| a.largest_force_n.total_cmp(&b.largest_force_n));
         let felt = contact.iter().find(|row| (0..TAXELS).any(|i| row.force_sensed[i] > 0.0));
+        let closing_m_s = approach_m_s(&rows[first.saturating_sub(1)], &settings);
+        let felt_after_s = felt.map_or(f64::NAN, since);
         let later_n = measures.peaks_n.iter().skip(1).fold(0.0, |most: f64, peak| most.max(*peak));
         Ok(Self {
-            approach_m_s: approach_m_s(&rows[first.saturating_sub(1)], &settings),
+            approach_m_s: closing_m_s,
             first_touch_n: measures.first_touch_n,
             impact_n: measures.impact_n,
             peak_n: peak_force_n(rows),
             peak_after_s: most.map_or(0.0, since),
-            felt_after_s: felt.map_or(f64::NAN, since),
+            felt_after_s,
+            least_n: cell.meeting_there().least_n(closing_m_s, felt_after_s),
             taps: measures.peaks_n.len(),
             grows: later_n > 1.02 * measures.peaks_n.first().copied().unwrap_or(0.0),
             flange_mm: measures.flange_max_mm,
@@ -146,13 +170,14 @@ impl Outcome {
 
     fn columns(&self) -> String {
         format!(
-            "{:.4},{:.2},{:.2},{:.2},{:.3},{:.3},{},{},{:.2},{}",
+            "{:.4},{:.2},{:.2},{:.2},{:.3},{:.3},{:.2},{},{},{:.2},{}",
             self.approach_m_s,
             self.first_touch_n,
             self.impact_n,
             self.peak_n,
             self.peak_after_s,
             self.felt_after_s,
+            self.least_n,
             self.taps,
             self.grows,
             self.flange_mm,
@@ -177,6 +202,14 @@ mod tests {
         assert_eq!(distinct.len(), all.len());
         for cell in Cell::sample(40, 1) {
             assert!(cell.bound_m_s().unwrap() > 0.0);
+        }
+        let values = |cells: &[Cell], column: usize| -> std::collections::BTreeSet<String> {
+            let lines = cells.iter().map(|cell| cell.columns().unwrap());
+            lines.map(|line| line.split(',').nth(column).unwrap().to_owned()).collect()
+        };
+        let (documented, grid) = (Cell::documented(), Cell::sample(usize::MAX, 1));
+        for column in 0..6 {
+            assert_eq!(values(&documented, column), values(&grid, column), "column {column}");
         }
     }
 }
