@@ -7,6 +7,7 @@
 )]
 
 use moca_daemon::config::{BarrierReadings, Config, HandConfig};
+use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::flight_recorder::FlightRecorder;
 use moca_daemon::record::recording::{configuration, parameter_change};
@@ -16,7 +17,7 @@ use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_daemon::runtime::replay::{self, Failure};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Law, Mode, ParameterValues, Request, Sample};
-use moca_sim::{Scene, VirtualBoardConfig};
+use moca_sim::VirtualBoardConfig;
 use moca_tactile::Firmware;
 use moca_tactile::calibration::Quality;
 use moca_tactile::calibration::file::{CalibrationFile, TaxelEntry};
@@ -39,7 +40,7 @@ impl Run {
     fn start(config: &Config) -> Self {
         let (loop_end, copies, reader) = tick_log();
         let board = VirtualBoardConfig { seed: 1, ..VirtualBoardConfig::default() };
-        let world = LockStep::with_board(config, &Scene::default(), board, Some(copies)).unwrap();
+        let world = LockStep::with_board(config, &free_scene(config), board, Some(copies)).unwrap();
         Self { world, loop_end, log: reader, records: Vec::new(), samples: Vec::new() }
     }
 

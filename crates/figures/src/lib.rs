@@ -1,7 +1,7 @@
-//! Figures: panels with axes, maps of coloured cells and free drawings, as SVG and (feature `png`) as PNG.
+//! Figures: panels with axes, maps of coloured cells and free drawings, as SVG.
 //!
-//! One engine for the documents, the lab's `--out` folders, its report and the calibration's residuals. The PNG is a
-//! rendering of the SVG with a font that this crate embeds, so both look the same on every machine.
+//! One engine for the documents, the lab's `--out` folders, its report and the calibration's residuals. It needs no other
+//! crate: the lab renders the SVG as PNG.
 //!
 //! ```
 //! use moca_figures::{Drawing, Panel, Scale, Series};
@@ -22,15 +22,11 @@ mod axis;
 mod drawing;
 mod map;
 mod panel;
-#[cfg(feature = "png")]
-mod raster;
 
 pub use axis::{Scale, number};
 pub use drawing::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED};
 pub use map::Map;
 pub use panel::{Panel, Series};
-#[cfg(feature = "png")]
-pub use raster::PictureError;
 
 /// Residuals (reference, model − reference) as dots about zero, thinned to at most 2000; both in `unit`.
 pub fn residuals(title: &str, unit: &str, points: &[(f64, f64)]) -> Drawing {

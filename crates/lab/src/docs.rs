@@ -3,7 +3,7 @@
 //! A table stands between `<!-- moca-lab docs NAME … -->` and `<!-- end of NAME -->`; the text around it is for people.
 
 use crate::cover::{detection, latency};
-use crate::numerics::stability;
+use crate::numerics::{barrier, stability};
 use crate::paper::report::claims;
 use crate::rig::c_library;
 use crate::robustness::{faults, lean, protection};
@@ -28,7 +28,7 @@ struct Table {
     make: fn() -> Result<String>,
 }
 
-const TABLES: [Table; 8] = [
+const TABLES: [Table; 9] = [
     Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
     Table { name: "lean", file: "docs/safety.md", make: lean::markdown },
     Table { name: "walk-in", file: "docs/safety.md", make: protection::walk_in::markdown },
@@ -36,6 +36,7 @@ const TABLES: [Table; 8] = [
     Table { name: "detection", file: "docs/results.md", make: detection::markdown },
     Table { name: "boards", file: "README.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
+    Table { name: "barrier", file: "docs/math.md", make: barrier::markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
 ];
 
@@ -126,7 +127,23 @@ mod tests {
         for case in cases {
             let name = case.name.as_str();
             assert_eq!(unbounded.contains(&name), case.touched() && !case.bounded, "{case:?}");
-            assert_eq!(stopped.contains(&name), case.stopped.is_some(), "{case:?}");
+            let stop = case.stop();
+            assert_eq!(
+                stop.as_deref(),
+                stopped.iter().copied().find(|stop| stop.starts_with(&format!("{name}: "))),
+                "{case:?}"
+            );
+        }
+    }
+
+    /// All of them take minutes: of each cell the hardest collision, which it names, is run.
+    #[test]
+    fn the_hardest_collisions_with_and_without_the_barrier_come_out_as_the_table_has_them() {
+        let Some(shown) = shown("barrier") else { return };
+        let cells = barrier::named_by(&shown).unwrap();
+        assert_eq!(cells.len(), 8, "each cell names one run");
+        for (shown, fresh) in cells {
+            assert!(shown.starts_with(&fresh), "{shown}: {fresh}");
         }
     }
 

@@ -23,7 +23,9 @@
 #[cfg(feature = "alloc")]
 extern crate alloc;
 
+pub mod arm_errors;
 pub mod board;
+pub mod link;
 pub mod mode;
 pub mod params;
 pub mod protection;
@@ -34,6 +36,7 @@ pub mod state;
 pub mod table;
 pub mod taxel;
 
+pub use link::{ArmLink, ArmMode, Link};
 pub use mode::{Fault, Law, Mode, Reaction};
 pub use params::{Corrections, ImpedanceGains, Limits, ParameterError, ParameterValues, Parameters};
 pub use protection::{ContactEvent, ContactReaction, ContactRow, SpeedLimit, SpeedLimitReason};

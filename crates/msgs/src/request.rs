@@ -20,6 +20,8 @@ use core::fmt;
 
 /// Largest force of a [`Request::PressTaxel`], N.
 pub const PRESS_FORCE_MAX_N: f64 = 200.0;
+/// Furthest that a joint of a real arm may be from its posture when it is armed, rad.
+pub const ARMING_POSTURE_RAD: f64 = 0.1;
 
 /// A request to the loop. One commander at a time; `Stop` is taken from anyone.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -125,6 +127,15 @@ pub enum Refusal {
         /// N.
         force_n: f64,
     },
+    /// The arm is being recovered from its reflex.
+    Recovering,
+    /// An arm that is far from the posture that it would be brought to: base and elbow would move at once.
+    FarFromPosture {
+        /// The joint that is furthest; 0 is the first.
+        joint: u8,
+        /// How far, rad.
+        off_rad: f64,
+    },
 }
 
 /// Why not, and what to do.
@@ -137,6 +148,15 @@ impl fmt::Display for Refusal {
                 let number = u16::from(taxel) + 1;
                 return write!(f, "T{number} feels {force_n:.1} N: let go of the cover first");
             }
+            Self::FarFromPosture { joint, off_rad } => {
+                let number = u16::from(joint) + 1;
+                return write!(
+                    f,
+                    "joint {number} is {off_rad:.2} rad from control.gains.posture_rad; allowed: 0 to {ARMING_POSTURE_RAD} \
+                     rad: guide the arm there, or set posture_rad to where it is"
+                );
+            }
+            Self::Recovering => "the arm is being recovered from its reflex: resume again when it is idle",
             Self::ZeroInvalid => "the cover has no valid zero: tare first",
             Self::NoRobot => "the daemon runs a cover without a robot",
             Self::NotSimulated => "only a simulated robot can be pushed by request",

@@ -10,7 +10,7 @@
 
 use crate::board::Diagnosis;
 use crate::protection::{MAX_CONTACT_EVENTS, MAX_CONTACT_ROWS};
-use crate::{ContactEvent, ContactReaction, ContactRow, Fault, Law, Mode, SpeedLimit, TaxelReading};
+use crate::{ContactEvent, ContactReaction, ContactRow, Fault, Law, Link, Mode, SpeedLimit, TaxelReading};
 use heapless::Vec;
 
 /// Most arm joints a sample can carry.
@@ -93,4 +93,6 @@ pub struct Sample {
     pub overruns: u64,
     /// How long each stage of the tick before took, ns, in the order of [`STAGES`]; all 0 where nobody timed it.
     pub stages_ns: [u32; STAGES.len()],
+    /// The way to a real robot; `None` of a simulated one.
+    pub link: Option<Link>,
 }

@@ -246,8 +246,8 @@ fn telemetry(settings: &TelemetryConfig, report: Report<'_>) {
 
 fn plant(config: &Config, report: Report<'_>) {
     let ports = &config.board.port;
-    if config.plant.kind == PlantKind::None && ports.are_simulated() {
-        let allowed = "allowed: \"auto\" or a path when plant.kind = \"none\"";
+    if config.plant.kind != PlantKind::Simulated && config.plant.parts.has_cover() && ports.are_simulated() {
+        let allowed = "allowed: \"auto\" or a path when plant.kind is \"none\" or \"robot\"";
         report("board.port", format!("board.port = \"{ports}\" needs a simulated robot; {allowed}"));
     }
     if config.plant.kind == PlantKind::None && config.plant.parts != Parts::Whole {

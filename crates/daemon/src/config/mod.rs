@@ -122,6 +122,30 @@ parameter_table! {
         /// Which parts the robot has.
         parts: Parts = Parts::Whole;
     }
+    besides {
+        /// `[plant.arm]`
+        arm: ArmPlantConfig = ArmPlantConfig::default();
+        /// `[plant.base]`
+        base: BasePlantConfig = BasePlantConfig::default();
+    }
+}
+
+parameter_table! {
+    /// `[plant.arm]`: a real arm.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct ArmPlantConfig in "plant.arm" {
+        /// Oldest state that is controlled with.
+        deadline_s: f64 = 0.010 => [.range(0.002, 1.0).units(&["s"])];
+    }
+}
+
+parameter_table! {
+    /// `[plant.base]`: a real base.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct BasePlantConfig in "plant.base" {
+        /// Oldest odometry that is driven with: five periods at 50 Hz.
+        deadline_s: f64 = 0.100 => [.range(0.01, 1.0).units(&["s"])];
+    }
 }
 
 parameter_table! {
@@ -350,6 +374,8 @@ impl Config {
         self.control_loop.each(visit);
         self.realtime.each(visit);
         self.plant.each(visit);
+        self.plant.arm.each(visit);
+        self.plant.base.each(visit);
         self.board.each(visit);
         self.startup.each(visit);
         self.protection.each(visit);

@@ -5,10 +5,12 @@ use crate::config::live::changed;
 use crate::control::barrier::Barrier;
 use crate::control::cover::CoverState;
 use crate::control::loop_state::{JointsState, LawState, MotionState, OtherRobot};
+use crate::control::plant::SourceAge;
 use crate::control::protection::{Protected, Protection};
 use crate::control::uncovered::Uncovered;
-use crate::robot::{JOINTS, Parts, TAXELS};
+use crate::robot::{JOINTS, Parts, PlantKind, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_ROWS;
+use moca_msgs::request::ARMING_POSTURE_RAD;
 use moca_msgs::robot::resized;
 use moca_msgs::{
     Actuation, ContactRow, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, Refusal,
@@ -57,6 +59,8 @@ pub struct Motion {
     uncovered: Option<Uncovered>,
     parts: Parts,
     guard: BaseGuard<TAXELS>,
+    real: bool,
+    deadlines: SourceAge,
 }
 
 impl Motion {
@@ -75,7 +79,41 @@ impl Motion {
         let barrier = either!(&controller, controller => controller.barrier(config))?;
         let uncovered = parts.has_cover().then(|| Uncovered::new(config));
         let guard = Protected::default().guard;
-        Ok(Self { controller, joints, taxels, parameters, protection, barrier, uncovered, parts, guard })
+        let real = config.plant.kind == PlantKind::Robot;
+        let deadlines =
+            SourceAge { arm_s: config.plant.arm.deadline_s, base_s: config.plant.base.deadline_s };
+        Ok(Self {
+            controller,
+            joints,
+            taxels,
+            parameters,
+            protection,
+            barrier,
+            uncovered,
+            parts,
+            guard,
+            real,
+            deadlines,
+        })
+    }
+
+    /// Whether the robot is a real one, whose arm holds itself on a controller of its own while it gets no torques.
+    pub const fn is_of_a_real_robot(&self) -> bool {
+        self.real
+    }
+
+    /// Oldest states that are controlled with.
+    pub const fn deadlines(&self) -> SourceAge {
+        self.deadlines
+    }
+
+    /// The joint (0 is the first) of a real arm that is furthest from its posture, and how far, rad, where that is further
+    /// than arming allows: the null space would bring it there at once, and the base with it.
+    pub fn far_joint(&self, robot: &RobotState<JOINTS>) -> Option<(u8, f64)> {
+        let posture = &self.parameters.gains.posture_rad[..self.joints];
+        let off_rad = (0..).zip(robot.q_rad.iter().zip(posture).map(|(q, wanted)| (q - wanted).abs()));
+        let furthest = off_rad.max_by(|a, b| a.1.total_cmp(&b.1));
+        furthest.filter(|(_, off_rad)| self.real && self.parts.has_arm() && *off_rad > ARMING_POSTURE_RAD)
     }
 
     /// How many joints the arm has.
@@ -384,7 +422,7 @@ impl<const N: usize> Controller<N> {
                 .map(|output| ControlOutput {
                     command: RobotCommand {
                         base_velocity_body: output.velocity_body,
-                        arm_torque_nm: [0.0; JOINTS],
+                        ..WITHOUT_PARTS.command
                     },
                     cover_wrench_base: output.cover_wrench_base,
                     limits: output.limits,
@@ -402,6 +440,7 @@ impl<const N: usize> Controller<N> {
                     command: RobotCommand {
                         base_velocity_body: [0.0; 3],
                         arm_torque_nm: resized(&output.torque_nm),
+                        arm_gravity_nm: resized(&output.gravity_nm),
                     },
                     flange_wrench_world: output.flange_wrench_world,
                     flange: output.flange,
@@ -421,7 +460,11 @@ const WITHOUT_PARTS: ControlOutput<JOINTS> = {
     const NOWHERE: FlangePose =
         FlangePose { position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] };
     ControlOutput {
-        command: RobotCommand { base_velocity_body: [0.0; 3], arm_torque_nm: [0.0; JOINTS] },
+        command: RobotCommand {
+            base_velocity_body: [0.0; 3],
+            arm_torque_nm: [0.0; JOINTS],
+            arm_gravity_nm: [0.0; JOINTS],
+        },
         cover_wrench_base: [0.0; 3],
         flange_wrench_world: [0.0; 6],
         flange: NOWHERE,

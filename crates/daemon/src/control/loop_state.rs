@@ -19,6 +19,8 @@ pub struct LoopState {
     pub state_check: StateCheck,
     /// The mode and what led to it.
     pub supervisor: Supervisor,
+    /// A real arm is on its own controller.
+    pub arm_released: bool,
     /// Why the robot stands, and the board whose fault that is.
     pub blamed: (Option<Fault>, Option<u8>),
     /// The law, its live parameters and what protects people.

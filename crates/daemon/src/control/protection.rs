@@ -323,10 +323,7 @@ mod tests {
             let robot = RobotState {
                 base_pose_world: [0.0, 0.0, yaw_rad],
                 base_velocity_world: velocity_world,
-                q_rad: [0.0; JOINTS],
-                dq_rad_s: [0.0; JOINTS],
-                torque_measured_nm: [0.0; JOINTS],
-                flange_wrench_world: None,
+                ..RobotState::at_rest([0.0; JOINTS])
             };
             let speed_m_s = protection.cover_speed_m_s(&robot);
             assert!((speed_m_s - expected).abs() < 1e-9, "{velocity_world:?}: {speed_m_s}");

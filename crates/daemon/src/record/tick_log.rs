@@ -182,6 +182,7 @@ mod tests {
             slot: Slot { tick, now_ns: tick * 1_000_000, ..Slot::default() },
             state: Err(Fault::PlantLost),
             age: SourceAge::default(),
+            link: None,
             request: None,
             outcome: None,
             refused: None,
@@ -194,6 +195,7 @@ mod tests {
         LoopState {
             state_check: StateCheck::default(),
             supervisor: supervisor(&config),
+            arm_released: false,
             blamed: (None, None),
             motion: motion(&config).unwrap().state(),
             cover: None,

@@ -123,7 +123,6 @@ impl Cell {
         settings.config.protection.force_limit_n = meeting.limit_n;
         settings.config.robot.cover.foam_stiffness_n_m *= self.scale;
         settings.config.robot.base.acceleration_max_m_s2 = meeting.deceleration_m_s2;
-        settings.base.table.acceleration_max_m_s2 = meeting.deceleration_m_s2;
         for axis in &mut settings.config.limits.base_acceleration[..2] {
             *axis = meeting.deceleration_m_s2;
         }

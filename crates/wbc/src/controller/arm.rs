@@ -61,6 +61,8 @@ pub struct ArmInput<const N: usize, T = f64> {
 pub struct ArmOutput<const N: usize, T = f64> {
     /// Joint torques including gravity compensation, N·m, inside every limit.
     pub torque_nm: [T; N],
+    /// Share of gravity in them, N·m.
+    pub gravity_nm: [T; N],
     /// External wrench: on the robot about the flange origin, world axes \[N; N·m\].
     pub flange_wrench_world: [T; 6],
     /// Where the controlled frame E (flange, or tool if one is set) is.
@@ -176,6 +178,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             let torque_nm = self.limited(tick, &mut next, &wanted, &mut hit)?;
             Ok(ArmOutput {
                 torque_nm,
+                gravity_nm: tick.gravity,
                 flange_wrench_world,
                 flange: (&tick.flange).into(),
                 flange_desired: (&tick.desired(&next)).into(),
@@ -209,6 +212,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             inertias: &inertias,
             mass: &mass,
             bias: kinematics.bias(&inertias, &robot.dq_rad_s),
+            gravity: kinematics.gravity(&inertias),
             flange: tool_pose(&kinematics, robot),
         })
     }

@@ -391,7 +391,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         }
         let arm_torque_nm = self.arm.limited(tick, &mut state.arm, &torque, hit)?;
         state.base.velocity_body = base_velocity_body;
-        Ok(RobotCommand { base_velocity_body, arm_torque_nm })
+        Ok(RobotCommand { base_velocity_body, arm_torque_nm, arm_gravity_nm: tick.gravity })
     }
 }
 

@@ -1,6 +1,7 @@
 //! Figure 4.
 
 use super::trials::{Recording, Sample};
+use crate::picture::Picture as _;
 use anyhow::Context;
 use moca_figures::{Drawing, Panel, Series};
 use moca_sim::foam::Foam;

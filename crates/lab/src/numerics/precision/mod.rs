@@ -6,6 +6,7 @@ mod diagrams;
 mod plant;
 
 use crate::cover::characterize;
+use crate::picture::Picture as _;
 use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result};
 use moca_msgs::Parameters;

@@ -1,6 +1,6 @@
 //! A drawing as PNG: resvg renders its SVG with the embedded font.
 
-use crate::drawing::Drawing;
+use moca_figures::Drawing;
 use resvg::{tiny_skia, usvg};
 use skrifa::{FontRef, MetadataProvider};
 use std::fmt;
@@ -12,7 +12,7 @@ const SCALE: f32 = 2.0;
 
 /// Why there is no picture.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum PictureError {
+pub(crate) enum PictureError {
     /// The embedded font lacks a character.
     NoGlyph {
         /// Which.
@@ -41,14 +41,26 @@ fn refused(why: &dyn fmt::Display) -> PictureError {
     PictureError::Render(why.to_string())
 }
 
-impl Drawing {
+/// What can be drawn as it is seen.
+pub(crate) trait Picture {
     /// The drawing as a PNG file, twice as fine as its pixels.
     ///
     /// # Errors
     /// A character that the font lacks: a text that would not be seen is no picture.
-    pub fn png(&self) -> Result<Vec<u8>, PictureError> {
-        self.check_glyphs()?;
-        let tree = self.tree()?;
+    fn png(&self) -> Result<Vec<u8>, PictureError>;
+
+    /// Texts that run over the edge of the drawing, and how many were not drawn at all.
+    ///
+    /// # Errors
+    /// As [`Self::png`].
+    #[cfg(test)]
+    fn texts_outside(&self) -> Result<Vec<String>, PictureError>;
+}
+
+impl Picture for Drawing {
+    fn png(&self) -> Result<Vec<u8>, PictureError> {
+        check_glyphs(self)?;
+        let tree = tree(self)?;
         let Some(size) = tree.size().to_int_size().scale_by(SCALE) else {
             return Err(refused(&"it is empty"));
         };
@@ -59,13 +71,10 @@ impl Drawing {
         pixmap.encode_png().map_err(|error| refused(&error))
     }
 
-    /// Texts that run over the edge of the drawing, and how many were not drawn at all.
-    ///
-    /// # Errors
-    /// As [`Self::png`].
-    pub fn texts_outside(&self) -> Result<Vec<String>, PictureError> {
-        self.check_glyphs()?;
-        let tree = self.tree()?;
+    #[cfg(test)]
+    fn texts_outside(&self) -> Result<Vec<String>, PictureError> {
+        check_glyphs(self)?;
+        let tree = tree(self)?;
         let (width, height) = (tree.size().width(), tree.size().height());
         let (mut drawn, mut outside) = (Vec::new(), Vec::new());
         texts_in(tree.root(), &mut drawn);
@@ -85,26 +94,27 @@ impl Drawing {
         }
         Ok(outside)
     }
-
-    fn check_glyphs(&self) -> Result<(), PictureError> {
-        let font = FontRef::new(FONT).map_err(|error| refused(&error))?;
-        let characters = font.charmap();
-        for text in self.texts() {
-            let missing = |c: &char| !c.is_whitespace() && characters.map(*c).is_none();
-            if let Some(character) = text.chars().find(missing) {
-                return Err(PictureError::NoGlyph { character, text: text.to_owned() });
-            }
-        }
-        Ok(())
-    }
-
-    fn tree(&self) -> Result<usvg::Tree, PictureError> {
-        let mut options = usvg::Options { font_family: "DejaVu Sans".into(), ..usvg::Options::default() };
-        options.fontdb_mut().load_font_data(FONT.to_vec());
-        usvg::Tree::from_str(&self.svg(), &options).map_err(|error| refused(&error))
-    }
 }
 
+fn check_glyphs(drawing: &Drawing) -> Result<(), PictureError> {
+    let font = FontRef::new(FONT).map_err(|error| refused(&error))?;
+    let characters = font.charmap();
+    for text in drawing.texts() {
+        let missing = |c: &char| !c.is_whitespace() && characters.map(*c).is_none();
+        if let Some(character) = text.chars().find(missing) {
+            return Err(PictureError::NoGlyph { character, text: text.to_owned() });
+        }
+    }
+    Ok(())
+}
+
+fn tree(drawing: &Drawing) -> Result<usvg::Tree, PictureError> {
+    let mut options = usvg::Options { font_family: "DejaVu Sans".into(), ..usvg::Options::default() };
+    options.fontdb_mut().load_font_data(FONT.to_vec());
+    usvg::Tree::from_str(&drawing.svg(), &options).map_err(|error| refused(&error))
+}
+
+#[cfg(test)]
 fn texts_in<'a>(group: &'a usvg::Group, found: &mut Vec<&'a usvg::Text>) {
     for node in group.children() {
         match node {
@@ -120,7 +130,7 @@ mod tests {
     #![allow(clippy::unwrap_used, reason = "tests fail by panicking")]
 
     use super::*;
-    use crate::{Anchor, BLACK, RED};
+    use moca_figures::{Anchor, BLACK, Map, Panel, RED, Scale, Series};
 
     fn pixels(drawing: &Drawing) -> tiny_skia::Pixmap {
         tiny_skia::Pixmap::decode_png(&drawing.png().unwrap()).unwrap()
@@ -153,6 +163,31 @@ mod tests {
             assert!(dark(&pixels(&drawing)) > 100, "{text}");
             assert_eq!(drawing.texts_outside().unwrap(), Vec::<String>::new());
         }
+    }
+
+    #[test]
+    fn panels_and_maps_keep_their_texts_inside() {
+        let mut drawing = Drawing::new(400.0, 420.0);
+        let panel = Panel {
+            x_scale: Scale::Log,
+            y_scale: Scale::Log,
+            series: vec![Series::line(0, "a line", vec![[0.01, 0.1], [1.0, 10.0]])],
+            levels: vec![(25.0, "UNSAFE")],
+            ..Panel::new("title", "t [s]", "N")
+        };
+        panel.draw(&mut drawing, [0.0, 0.0], [400.0, 200.0]);
+        let map = Map {
+            title: "worst of all phases [N]".into(),
+            x_label: "speed [m/s]".into(),
+            y_label: "taxel".into(),
+            x: vec!["0.04".into(), "0.08".into()],
+            y: vec!["T1".into(), "T11".into()],
+            cells: vec![([200; 3], "24.9".to_owned()); 4],
+            sides: vec![true, false, true, false],
+            legend: vec![([200; 3], "all the same")],
+        };
+        map.draw(&mut drawing, [0.0, 210.0], [60.0, 30.0]);
+        assert_eq!(drawing.texts_outside(), Ok(Vec::new()));
     }
 
     #[test]
