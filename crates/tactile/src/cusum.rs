@@ -10,14 +10,14 @@
 //!
 //! let mut test = Cusum::default();
 //! let frames = (1..100).find(|_| test.update(1.8, 0.75)); // 1.8 counts, in each frame less than half a threshold
-//! assert_eq!(frames, Some(4));
+//! assert_eq!(frames, Some(6));
 //! ```
 
 /// Counts that every frame is expected to lie below zero at least, over the deviation at the tare: half of the lightest
 /// touch that is looked for.
 pub const REFERENCE: f64 = 1.0;
 /// Height of the alarm over the deviation at the tare.
-pub const ALARM: f64 = 6.0;
+pub const ALARM: f64 = 7.25;
 /// Least deviation that is believed, counts: a whole count's own, with some noise to dither it.
 pub const LEAST_DEVIATION: f64 = 0.5;
 
@@ -58,9 +58,9 @@ mod tests {
             test.update(-50.0, 0.7);
         }
         assert_eq!(test, Cusum::default(), "a rise leaves no debt");
-        assert!(test.update(4.9, 0.7) && test.touched(), "one frame of seven deviations");
+        assert!(test.update(5.8, 0.7) && test.touched(), "one frame of more than eight deviations");
         let held = (1..100).find(|_| !test.update(0.0, 0.7));
-        assert_eq!((held, test), (Some(6), Cusum::default()), "held until the sum is gone");
+        assert_eq!((held, test), (Some(8), Cusum::default()), "held until the sum is gone");
     }
 
     #[test]
@@ -69,7 +69,7 @@ mod tests {
             let mut test = Cusum::default();
             (1..1000).find(|_| test.update(below, deviation))
         };
-        assert_eq!((frames(2.0, 1.0), frames(4.0, 2.0)), (Some(6), Some(6)));
+        assert_eq!((frames(2.0, 1.0), frames(4.0, 2.0)), (Some(8), Some(8)));
         assert_eq!(frames(1.0, 0.0), frames(1.0, LEAST_DEVIATION));
         assert_eq!(frames(1.0, 1.0), None);
     }

@@ -63,14 +63,36 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 /// Phases that the tables of the documents look at.
 const DOCUMENTED_PHASES: u32 = 2;
 
-/// The tables of the documents.
+/// The table of the documents: a cell a line, under both laws that ship.
 pub(crate) fn markdown() -> Result<String> {
-    let cells = Cell::documented();
-    let runs: Vec<(Cell, Law)> =
-        cells.iter().flat_map(|cell| [Law::Shipped, Law::Barrier].map(|law| (*cell, law))).collect();
-    let one = |(cell, law): &(Cell, Law)| line(0, cell, *law, DOCUMENTED_PHASES);
-    let lines = parallel::run("protection", &runs, one, |_| ()).into_iter().collect::<Result<Vec<_>>>()?;
-    table::both(&format!("{}\n{}\n", header(), lines.join("\n")))
+    let lines = parallel::run("protection", &Cell::documented(), documented_line, |_| ());
+    let mut out = String::from(
+        "| place | who moves | board | body | foam | share | m/s | barrier off | barrier on | least | taps | flange | why |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
+    );
+    for line in lines {
+        out.push_str(&line?);
+    }
+    Ok(out)
+}
+
+fn documented_line(cell: &Cell) -> Result<String> {
+    let shipped = Outcome::of(cell, Law::Shipped, DOCUMENTED_PHASES)?;
+    let kept = Outcome::of(cell, Law::Barrier, DOCUMENTED_PHASES)?;
+    let stopped = |outcome: &Outcome| if outcome.stopped.is_empty() { "" } else { ", stop" };
+    let row = format!("0,{},{},{}", cell.columns()?, Law::Barrier.name(), kept.columns());
+    Ok(format!(
+        "| {} | {:.0} N{} | {:.1} N{} | {:.1} N | {} | {:.1} mm | {} |\n",
+        cell.columns()?.replace(',', " | "),
+        shipped.peak_n,
+        stopped(&shipped),
+        kept.peak_n,
+        stopped(&kept),
+        kept.least_n,
+        kept.taps,
+        kept.flange_mm,
+        table::why(&row)?
+    ))
 }
 
 fn header() -> String {
@@ -79,11 +101,8 @@ fn header() -> String {
 
 /// A cell under one of the laws.
 fn row(cells: &[Cell], id: usize) -> Result<String> {
-    line(id, &cells[id / Law::ALL.len()], Law::ALL[id % Law::ALL.len()], PHASES)
-}
-
-fn line(id: usize, cell: &Cell, law: Law, phases: u32) -> Result<String> {
-    let outcome = Outcome::of(cell, law, phases)?;
+    let (cell, law) = (&cells[id / Law::ALL.len()], Law::ALL[id % Law::ALL.len()]);
+    let outcome = Outcome::of(cell, law, PHASES)?;
     Ok(format!("{id},{},{},{}", cell.columns()?, law.name(), outcome.columns()))
 }
 
@@ -189,6 +208,15 @@ impl Outcome {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn cells_of_the_table_in_the_documents_come_out_as_it_has_them() {
+        let Some(shown) = crate::docs::shown("protection") else { return };
+        for cell in [0, 22].map(|i| Cell::documented()[i]) {
+            let line = documented_line(&cell).unwrap();
+            assert!(shown.contains(&line), "{line}");
+        }
+    }
 
     #[test]
     fn a_larger_sample_goes_on_where_a_smaller_one_ended() {

@@ -87,9 +87,10 @@ fn read(path: &Path) -> Result<String> {
     std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
 }
 
-/// Both tables of rows with their header.
-pub(super) fn both(text: &str) -> Result<String> {
-    entries(text, |entries| format!("{}\n{}", as_table(entries), failures_of(entries)))
+/// Why the force of a row went beyond the limit; nothing where it did not.
+pub(super) fn why(row: &str) -> Result<&'static str> {
+    let text = format!("{}\n{row}\n", super::header());
+    entries(&text, |entries| entries.first().filter(|entry| entry.above()).map_or("", Entry::reason))
 }
 
 /// The table of a file.
