@@ -1,10 +1,11 @@
 //! `moca-lab latency --map FOLDER`: how fast the base may meet a body, by physics, by the law, and in the simulation.
+//! What was computed stands in a file there and is not computed again.
 
 use crate::paper::collision;
 use crate::rig::bound::Meeting;
-use crate::rig::parallel;
+use crate::rig::campaign::Campaign;
 use crate::rig::settings::{Sensor, Settings};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use moca_daemon::config::{AssumedModel, BarrierReadings, Config};
 use moca_daemon::control::protection::speed_for_delay_m_s;
 use moca_figures::{Colour, Drawing, Map};
@@ -29,6 +30,8 @@ const HALVINGS: u32 = 5;
 const LEAD_S: f64 = 1.2;
 const WATCHED_S: f64 = 1.0;
 
+const HEADER: &str = "cell,board,limit_n,body,foam,deceleration_m_s2,bound_m_s,law_m_s,measured_m_s,or_more";
+
 struct Cell {
     meeting: Meeting,
     scale: f64,
@@ -44,6 +47,10 @@ struct Speeds {
 }
 
 impl Speeds {
+    fn columns(&self) -> String {
+        format!("{:.4},{:.4},{:.4},{}", self.bound, self.law, self.measured, self.or_more)
+    }
+
     /// Whether the simulation bears the law's speed.
     fn keeps(&self) -> bool {
         self.law <= self.measured || self.or_more
@@ -69,17 +76,25 @@ pub(super) fn run(forces_n: &[f64], folder: &Path) -> Result<()> {
             }
         }
     }
-    let speeds =
-        parallel::run("map", &cells, Cell::speeds, |_| ()).into_iter().collect::<Result<Vec<_>>>()?;
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot use {}", folder.display()))?;
+    let out = folder.join("safe-speed.csv");
+    let row = |id: usize| Ok(format!("{id},{},{}", cells[id].name(), cells[id].speeds()?.columns()));
+    let campaign = Campaign { out: &out, shard: (1, 1), rows: cells.len(), header: HEADER };
+    println!("{}", campaign.run(row)?);
+    let speeds = read(&out, &cells)?;
     let text = table(&cells, &speeds);
     print!("{text}");
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot use {}", folder.display()))?;
     let path = folder.join("safe-speed.svg");
     std::fs::write(&path, figure(&cells, &speeds, forces_n).svg())
         .with_context(|| format!("cannot write {}", path.display()))
 }
 
 impl Cell {
+    fn name(&self) -> String {
+        let Meeting { board, limit_n, deceleration_m_s2, .. } = self.meeting;
+        format!("{},{limit_n},{},{},{deceleration_m_s2}", board.name(), self.person, self.scale)
+    }
+
     fn speeds(&self) -> Result<Speeds> {
         let config = self.settings(0.0, 0)?.config;
         let delay_s = seconds(self.meeting.board.worst_hold_ns()) - 1e-3;
@@ -139,6 +154,26 @@ impl Cell {
         settings.check()?;
         Ok(settings)
     }
+}
+
+/// The speeds of all cells from their file.
+fn read(path: &Path, cells: &[Cell]) -> Result<Vec<Speeds>> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let speeds = text.lines().skip(1).zip(cells).map(|(line, cell)| {
+        let numbers = line.split_once(&format!(",{},", cell.name())).map(|(_, numbers)| numbers);
+        let numbers = numbers.with_context(|| format!("{}: '{line}' is of other cells", path.display()))?;
+        let [bound, law, measured, or_more] = numbers.split(',').collect::<Vec<_>>()[..] else {
+            bail!("{}: '{line}' is torn", path.display());
+        };
+        let number = |text: &str| text.parse::<f64>().with_context(|| format!("'{text}' is not a number"));
+        Ok(Speeds {
+            bound: number(bound)?,
+            law: number(law)?,
+            measured: number(measured)?,
+            or_more: or_more == "true",
+        })
+    });
+    speeds.collect()
 }
 
 /// Bound, law and measured, and whether the law stays below what was measured.
