@@ -6,7 +6,7 @@ use crate::cover::{detection, latency};
 use crate::numerics::{barrier, stability};
 use crate::paper::report::claims;
 use crate::rig::c_library;
-use crate::robustness::{faults, lean, protection};
+use crate::robustness::{faults, lean};
 use anyhow::{Context, Result, bail, ensure};
 use std::path::{Path, PathBuf};
 
@@ -28,11 +28,9 @@ struct Table {
     make: fn() -> Result<String>,
 }
 
-const TABLES: [Table; 9] = [
+const TABLES: [Table; 7] = [
     Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
     Table { name: "lean", file: "docs/safety.md", make: lean::markdown },
-    Table { name: "walk-in", file: "docs/safety.md", make: protection::walk_in::markdown },
-    Table { name: "protection", file: "docs/results.md", make: protection::markdown },
     Table { name: "detection", file: "docs/results.md", make: detection::markdown },
     Table { name: "boards", file: "README.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },

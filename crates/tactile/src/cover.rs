@@ -57,8 +57,10 @@ pub struct Poll<const K: usize> {
 /// nothing else.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EarlyContact<const K: usize> {
-    /// Taxels that the reading does not feel, and these data or the last frames together ([`crate::cusum`]) do.
+    /// Taxels that the reading does not feel, and these data do.
     pub touched: [bool; K],
+    /// Taxels that the reading does not feel, and the last frames together do: see [`crate::cusum`].
+    pub light: [bool; K],
     /// As [`CoverReading::sampled_at_ns`], with these data counted.
     pub sampled_at_ns: Option<u64>,
 }
@@ -370,7 +372,8 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
                     dt_s,
                 );
                 if refreshed {
-                    self.taxels[i].sum_up();
+                    let recovers = frame.complete_ns.saturating_sub(self.last_contact_ns) < SETTLE_NS;
+                    self.taxels[i].sum_up(recovers);
                 }
                 if taring {
                     self.taxels[i].tare.add(frame.fdat[electrode], frame.baseline[electrode]);
@@ -384,6 +387,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
 
     fn early(&self) -> EarlyContact<K> {
         let mut touched = [false; K];
+        let light = core::array::from_fn(|i| !self.config.masked[i] && self.taxels[i].touched_lightly());
         let mut times: heapless::Vec<Option<u64>, { MAX_BOARDS * BANKS }> = heapless::Vec::new();
         for (number, board) in self.boards.iter().enumerate() {
             let early = board.source.early();
@@ -391,17 +395,15 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
                 let early = early.filter(|early| usize::from(early.bank) == bank);
                 // as many places as there are banks
                 let _ = times.push(state.sampled_at_ns.map(|t| early.map_or(t, |e| e.sampled_at_ns.max(t))));
+                let Some(early) = early else { continue };
                 for (i, wire) in self.config.wiring.iter().enumerate().take(self.config.taxels) {
                     if wire.is_on(number, bank) && !self.config.masked[i] {
-                        let taxel = &self.taxels[i];
-                        let soon = early.map(|early| early.fdat[wire.of_bank()]);
-                        touched[i] = taxel.touched_lightly()
-                            || soon.is_some_and(|fdat| taxel.would_touch(fdat, &self.config));
+                        touched[i] = self.taxels[i].would_touch(early.fdat[wire.of_bank()], &self.config);
                     }
                 }
             }
         }
-        EarlyContact { touched, sampled_at_ns: oldest(times.into_iter()) }
+        EarlyContact { touched, light, sampled_at_ns: oldest(times.into_iter()) }
     }
 
     fn follow_drift(&mut self, board: usize, bank: usize, now_ns: u64, dt_s: f64) {
@@ -497,11 +499,11 @@ impl Taxel {
         self.light.touched() && !self.in_contact
     }
 
-    /// Takes the present counts into the test of the last frames.
-    fn sum_up(&mut self) {
+    /// Takes the present counts into the test of the last frames; none while the foam still `recovers` from a touch.
+    fn sum_up(&mut self, recovers: bool) {
         match &self.zero {
-            Some(zero) => _ = self.light.update(zero.drop(self.fdat), zero.deviation),
-            None => self.light = Cusum::default(),
+            Some(zero) if !recovers => _ = self.light.update(zero.drop(self.fdat), zero.deviation),
+            _ => self.light = Cusum::default(),
         }
     }
 

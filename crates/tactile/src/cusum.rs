@@ -17,7 +17,7 @@
 /// touch that is looked for.
 pub const REFERENCE: f64 = 1.0;
 /// Height of the alarm over the deviation at the tare.
-pub const ALARM: f64 = 7.25;
+pub const ALARM: f64 = 8.0;
 /// Least deviation that is believed, counts: a whole count's own, with some noise to dither it.
 pub const LEAST_DEVIATION: f64 = 0.5;
 
@@ -58,7 +58,7 @@ mod tests {
             test.update(-50.0, 0.7);
         }
         assert_eq!(test, Cusum::default(), "a rise leaves no debt");
-        assert!(test.update(5.8, 0.7) && test.touched(), "one frame of more than eight deviations");
+        assert!(test.update(6.4, 0.7) && test.touched(), "one frame of more than nine deviations");
         let held = (1..100).find(|_| !test.update(0.0, 0.7));
         assert_eq!((held, test), (Some(8), Cusum::default()), "held until the sum is gone");
     }

@@ -139,7 +139,7 @@ fn contact_begins_at_four_counts_and_ends_below_two() {
 #[test]
 fn a_touch_too_light_for_a_force_is_found_in_some_frames_and_lost_again() {
     let mut bench = Bench::tared();
-    let early = |bench: &mut Bench| bench.cover.poll(bench.now_ns).early.touched;
+    let early = |bench: &mut Bench| bench.cover.poll(bench.now_ns).early.light;
     for _ in 0..4000 {
         bench.frame();
         assert_eq!(early(&mut bench), [false; 11], "nobody touches");

@@ -148,6 +148,10 @@ impl Motion {
         if let Some(barrier) = &mut self.barrier {
             self.protection.squeezed(now_ns, barrier.rows());
             barrier.take_cover(now_ns, cover);
+            // a touch too light for a force is not driven into either
+            for (blocked, light) in self.guard.blocked.iter_mut().zip(cover.early.light) {
+                *blocked |= light;
+            }
         }
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.feel(cover);

@@ -130,8 +130,8 @@ impl Cell {
         Ok(Self { share: walk_m_s / cell.bound_m_s()?, ..cell })
     }
 
-    /// Every place both ways, with every board, body, foam and share among them: the cells of the documents.
-    pub(super) fn documented() -> Vec<Self> {
+    /// Every place both ways, with every board, body, foam and share among them.
+    pub(super) fn short() -> Vec<Self> {
         let count = PLACES.len() * MEETINGS.len();
         let cell = |i: usize| Self {
             place: PLACES[i % PLACES.len()],

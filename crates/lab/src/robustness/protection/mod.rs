@@ -3,7 +3,7 @@
 
 mod cell;
 mod table;
-pub(crate) mod walk_in;
+mod walk_in;
 
 use crate::paper::collision::{self, approach_m_s};
 use crate::rig::TAXELS;
@@ -28,7 +28,7 @@ const RESULTS: &str = "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// CSV file; rows that are already in it are kept and not run again.
-    #[arg(long, value_name = "CSV", required_unless_present = "table")]
+    #[arg(long, value_name = "CSV", required_unless_present_any = ["table", "short", "walk_in"])]
     out: Option<PathBuf>,
     /// How many cells of the grid, in an order that its seed shuffles: a larger number goes on where a smaller one ended.
     #[arg(long, default_value_t = 4860)]
@@ -42,6 +42,12 @@ pub(crate) struct Arguments {
     /// Prints the table of a file instead, and what failed in it.
     #[arg(long, value_name = "CSV")]
     table: Option<PathBuf>,
+    /// Instead: 30 cells, every place both ways, each with the barrier off and on, as a table.
+    #[arg(long)]
+    short: bool,
+    /// Instead: who walks into the front and on, as a table.
+    #[arg(long)]
+    walk_in: bool,
 }
 
 /// Runs what is missing, or prints what is there.
@@ -50,6 +56,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     if let Some(path) = &arguments.table {
         print!("{}\n{}", table::of_file(path)?, table::failures(path)?);
         return Ok(());
+    }
+    if arguments.short {
+        print!("{}", markdown()?);
+    }
+    if arguments.walk_in {
+        print!("{}", walk_in::markdown()?);
     }
     let Some(out) = &arguments.out else { return Ok(()) };
     let cells = Cell::sample(arguments.cells, arguments.seed);
@@ -60,12 +72,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// Phases that the tables of the documents look at.
-const DOCUMENTED_PHASES: u32 = 2;
+/// Phases that the short table looks at.
+const SHORT_PHASES: u32 = 2;
 
-/// The table of the documents: a cell a line, under both laws that ship.
-pub(crate) fn markdown() -> Result<String> {
-    let lines = parallel::run("protection", &Cell::documented(), documented_line, |_| ());
+/// The short table: a cell a line, under both laws that ship.
+fn markdown() -> Result<String> {
+    let lines = parallel::run("protection", &Cell::short(), short_line, |_| ());
     let mut out = String::from(
         "| place | who moves | board | body | foam | share | m/s | barrier off | barrier on | least | taps | flange | why |\n\
          |---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
@@ -76,9 +88,9 @@ pub(crate) fn markdown() -> Result<String> {
     Ok(out)
 }
 
-fn documented_line(cell: &Cell) -> Result<String> {
-    let shipped = Outcome::of(cell, Law::Shipped, DOCUMENTED_PHASES)?;
-    let kept = Outcome::of(cell, Law::Barrier, DOCUMENTED_PHASES)?;
+fn short_line(cell: &Cell) -> Result<String> {
+    let shipped = Outcome::of(cell, Law::Shipped, SHORT_PHASES)?;
+    let kept = Outcome::of(cell, Law::Barrier, SHORT_PHASES)?;
     let stopped = |outcome: &Outcome| if outcome.stopped.is_empty() { "" } else { ", stop" };
     let row = format!("0,{},{},{}", cell.columns()?, Law::Barrier.name(), kept.columns());
     Ok(format!(
@@ -210,15 +222,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cells_of_the_table_in_the_documents_come_out_as_it_has_them() {
-        let Some(shown) = crate::docs::shown("protection") else { return };
-        for cell in [0, 22].map(|i| Cell::documented()[i]) {
-            let line = documented_line(&cell).unwrap();
-            assert!(shown.contains(&line), "{line}");
-        }
-    }
-
-    #[test]
     fn a_larger_sample_goes_on_where_a_smaller_one_ended() {
         let places = |count: usize| -> Vec<String> {
             Cell::sample(count, 1).iter().map(|cell| cell.columns().unwrap()).collect()
@@ -235,9 +238,9 @@ mod tests {
             let lines = cells.iter().map(|cell| cell.columns().unwrap());
             lines.map(|line| line.split(',').nth(column).unwrap().to_owned()).collect()
         };
-        let (documented, grid) = (Cell::documented(), Cell::sample(usize::MAX, 1));
+        let (short, grid) = (Cell::short(), Cell::sample(usize::MAX, 1));
         for column in 0..6 {
-            assert_eq!(values(&documented, column), values(&grid, column), "column {column}");
+            assert_eq!(values(&short, column), values(&grid, column), "column {column}");
         }
     }
 }
