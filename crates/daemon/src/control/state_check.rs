@@ -115,6 +115,21 @@ mod tests {
     }
 
     #[test]
+    fn what_stands_at_a_bound_is_still_let_in() {
+        let mut states = StateCheck::default();
+        let oldest = SourceAge { arm_s: ARM_DEADLINE_S, base_s: BASE_DEADLINE_S };
+        assert!(states.check(state(), oldest, 1e-3).is_ok());
+        let mut moved = state();
+        moved.q_rad[0] = JOINT_RATE_MAX.1;
+        assert!(
+            states.check(moved, oldest, 0.0).is_ok(),
+            "less than that is no jump, however short the time"
+        );
+        moved.q_rad[0] *= 2.001;
+        assert_eq!(states.check(moved, oldest, 0.0), Err(Fault::StateInvalid));
+    }
+
+    #[test]
     fn a_robot_that_was_moved_while_its_state_was_stale_is_taken_where_it_is() {
         let mut states = StateCheck::default();
         states.check(state(), FRESH, 1e-3).unwrap();
