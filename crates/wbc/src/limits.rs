@@ -338,3 +338,59 @@ fn clamp<T: Scalar>(value: T, min: T, max: T, hit: &mut bool) -> T {
     *hit |= value < min || value > max;
     value.clamp(min, max)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use moca_msgs::robot::{PANDA, PAPER_COVER};
+
+    /// What the base does when its cover allows T6, in front, so many m/s outward.
+    fn driven(
+        outward_m_s: Option<f64>,
+        instead_body: Option<[f64; 3]>,
+        wanted: [f64; 3],
+        last: [f64; 3],
+    ) -> ([f64; 3], LimitsHit) {
+        let limits = Limits {
+            base_velocity: [0.3, 0.3, 0.5],
+            base_acceleration: [1000.0; 3],
+            ..Limits::for_arm(&PANDA)
+        };
+        let outline: CoverOutline<11, f64> = CoverOutline::new(&PAPER_COVER).unwrap();
+        let outward_m_s =
+            outward_m_s.map(|most| core::array::from_fn(|i| if i == 5 { most } else { f64::INFINITY }));
+        let guard = BaseGuard { outward_m_s, instead_body, ..BaseGuard::NONE };
+        let mut hit = LimitsHit::NONE;
+        let velocity =
+            BaseLimits::from(&limits).guarded_velocity(&outline, &guard, &wanted, &last, 1e-3, &mut hit);
+        (velocity, hit)
+    }
+
+    fn near(a: [f64; 3], b: [f64; 3]) -> bool {
+        a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4)
+    }
+
+    #[test]
+    fn a_taxel_s_limit_and_the_base_s_own_hold_together() {
+        let (velocity, hit) = driven(Some(0.1), None, [2.0, 2.0, -2.0], [0.0; 3]);
+        assert!(near(velocity, [0.1, 0.3, -0.5]) && hit.guard && hit.contact, "{velocity:?} {hit:?}");
+        let (velocity, hit) = driven(Some(0.1), None, [0.1, 0.2, 0.0], [0.0; 3]);
+        assert!(near(velocity, [0.1, 0.2, 0.0]) && !hit.guard && !hit.contact, "{velocity:?} {hit:?}");
+    }
+
+    #[test]
+    fn what_the_guard_orders_instead_is_what_a_taxel_s_limit_bounds() {
+        let (velocity, _) = driven(Some(0.1), Some([0.25, 0.0, 0.0]), [0.0, 0.2, 0.0], [0.0; 3]);
+        assert!(near(velocity, [0.1, 0.0, 0.0]), "{velocity:?}");
+    }
+
+    #[test]
+    fn what_the_guard_orders_instead_is_no_faster_than_the_base_may_go_and_keeps_its_direction() {
+        let (velocity, hit) = driven(None, Some([0.6, -0.2, 0.0]), [0.0; 3], [0.0; 3]);
+        assert!(near(velocity, [0.3, -0.1, 0.0]) && hit.guard && hit.base_velocity, "{velocity:?} {hit:?}");
+        // as fast as it may go, and as much faster in one step as it may become: 1 m/s
+        let (velocity, hit) = driven(None, Some([0.3, 0.0, 0.0]), [0.0; 3], [-0.7, 0.0, 0.0]);
+        assert!(near(velocity, [0.3, 0.0, 0.0]) && hit.guard, "{velocity:?} {hit:?}");
+        assert!(!hit.base_velocity && !hit.base_acceleration, "{hit:?}");
+    }
+}
