@@ -17,5 +17,8 @@
 
 pub mod base;
 pub mod cdr;
+#[cfg(feature = "dds")]
+pub mod dds;
 pub mod latest;
 pub mod messages;
+pub mod transport;

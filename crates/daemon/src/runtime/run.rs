@@ -9,7 +9,7 @@ use crate::inject::FaultSite;
 #[cfg(feature = "sim")]
 use crate::record::tick_log::TickLogReader;
 use crate::record::tick_log::{TickLog, tick_log};
-use crate::robot::PlantKind;
+use crate::robot::{ArmDriver, BaseDriver, PlantKind};
 use crate::runtime::assemble::{HeldBoard, OpenBoard, Subscribers, motion, open_boards, supervisor};
 use crate::runtime::clients::{Clients, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
 use crate::runtime::clock::Clock;
@@ -28,7 +28,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// `--require-realtime` was given and the operating system refused this many wishes.
+/// `--require-realtime` was given and the operating system refused this many settings.
 #[derive(Debug)]
 pub struct RealtimeRefused(pub usize);
 
@@ -64,10 +64,11 @@ fn run_plant(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
         (PlantKind::Robot, true) => {
             Err(anyhow!("plant.kind = \"robot\" runs live only: a real robot goes at its own pace"))
         }
-        (PlantKind::Robot, false) => Err(anyhow!(
-            "plant.kind = \"robot\": this build has no driver for an arm or a base; a program that has one runs the loop \
-             with `moca_daemon::runtime::run::with_plant`"
-        )),
+        (PlantKind::Robot, false) => {
+            let run = live_robot(options, shared, reporter)?;
+            reporter.report(Notice::Ended(&run.summary()));
+            Ok(())
+        }
         (PlantKind::None, false) => {
             let run = live_board_only(options, shared, reporter)?;
             reporter.report(Notice::Ended(&run.summary()));
@@ -212,6 +213,37 @@ pub fn with_plant<P: Plant + Send, T: TickSource<P>>(
     let run = live(&options, control, (clock, log), ticks, (clients, calibration), shared, reporter);
     drop(held);
     run
+}
+
+/// Runs the real robot that the configuration names.
+fn live_robot(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
+    let plant = &options.config.plant;
+    let on_a_base = plant.parts.has_cover();
+    match (plant.arm.driver, plant.base.driver) {
+        (ArmDriver::Fci, _) if plant.parts.has_arm() && !on_a_base => live_fci(options, shared, reporter),
+        (ArmDriver::Fci, BaseDriver::Simulated) if plant.parts.has_arm() => {
+            live_fci(options, shared, reporter)
+        }
+        _ => Err(anyhow!(
+            "plant.kind = \"robot\": `mocad` drives an arm (plant.arm.driver = \"fci\") on a stand (plant.parts = \"arm\") or \
+             on a base that is simulated (plant.base.driver = \"simulated\"); a program with a driver of its own runs the \
+             loop with `moca_daemon::runtime::run::with_plant`"
+        )),
+    }
+}
+
+#[cfg(not(feature = "fci"))]
+fn live_fci(_: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
+    Err(anyhow!(
+        "plant.arm.driver = \"fci\" needs a build with the feature `fci` (cargo build --release --features fci)"
+    ))
+}
+
+#[cfg(feature = "fci")]
+fn live_fci(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
+    use crate::devices::franka_arm::FrankaArm;
+    let connect = || FrankaArm::connect(&options.config, |text| eprintln!("{text}"));
+    with_plant(options, connect, crate::runtime::tick_source::PlantTicks::new, shared, reporter)
 }
 
 fn report_board(board: &HeldBoard, simulated: bool, reporter: &mut dyn Reporter) {
