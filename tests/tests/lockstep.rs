@@ -2,14 +2,15 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 
 use moca_daemon::config::{AssumedModel, Config, HandConfig};
+use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::command_csv;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Fault, Law, Mode, ParameterValues, Refusal, Request, Sample, TaxelStatus};
+use moca_sim::VirtualBoardConfig;
 use moca_sim::board::BoardFault;
-use moca_sim::{Scene, VirtualBoardConfig};
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
@@ -35,7 +36,7 @@ fn felt_by_the_papers_line() -> Config {
 
 fn world(config: &Config) -> World {
     let board = VirtualBoardConfig { seed: config.simulation.seed, ..VirtualBoardConfig::default() };
-    LockStep::with_board(config, &Scene::default(), board, None).unwrap()
+    LockStep::with_board(config, &free_scene(config), board, None).unwrap()
 }
 
 fn run(world: &mut World, ticks: u64) -> Sample {

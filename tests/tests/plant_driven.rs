@@ -97,14 +97,7 @@ fn connected() -> (DatagramArm, Robot) {
     ours.connect(theirs.local_addr().unwrap()).unwrap();
     theirs.connect(ours.local_addr().unwrap()).unwrap();
     theirs.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
-    let state = RobotState {
-        base_pose_world: [0.0; 3],
-        base_velocity_world: [0.0; 3],
-        q_rad: robot::PANDA.home_rad,
-        dq_rad_s: [0.0; 7],
-        torque_measured_nm: [0.0; 7],
-        flange_wrench_world: None,
-    };
+    let state = RobotState::at_rest(robot::PANDA.home_rad);
     (DatagramArm { socket: ours, state, silent: Duration::ZERO, reads_left: u64::MAX }, Robot(theirs))
 }
 

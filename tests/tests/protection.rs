@@ -9,6 +9,7 @@
 use moca_daemon::config::stability::Stability;
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::protection::speed_for_delay_m_s;
+use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
@@ -79,7 +80,8 @@ struct Collision {
 
 /// Leads the flange at `speed_m_s` towards a person 8 cm in front of T6, and goes on leading.
 fn collide(config: &Config, speed_m_s: f64, phase: u64) -> Collision {
-    let scene = Scene { people: vec![Person::beside(FRONT, 0.08).unwrap()], ..Scene::default() };
+    let scene =
+        Scene { people: vec![Person::beside(&PAPER_COVER, FRONT, 0.08).unwrap()], ..free_scene(config) };
     let mut world = armed(config, &scene, VirtualBoardConfig { seed: phase + 1, ..Default::default() });
     run(&mut world, 7 * phase);
     world.control.set_target_twist([speed_m_s, 0.0, 0.0, 0.0, 0.0, 0.0]).unwrap();
@@ -133,7 +135,7 @@ fn at_the_speed_limit_an_impact_stays_under_25_n_and_at_the_papers_speed_it_does
 fn the_limit_follows_the_measured_rate_and_age_of_the_board() {
     let limit = |firmware| {
         let board = VirtualBoardConfig { firmware, ..VirtualBoardConfig::default() };
-        let mut world = armed(&config(), &Scene::default(), board);
+        let mut world = armed(&config(), &free_scene(&config()), board);
         // the worst of a second: reads and refreshes slide against each other
         let sample = run(&mut world, 1500).pop().unwrap();
         assert_eq!(sample.speed_limit.reason, SpeedLimitReason::BoardRate, "{firmware:?}");
@@ -154,7 +156,7 @@ fn the_delay_of_a_stock_board_counts_the_worst_age_in_its_chip() {
     // 15 ms in the chip, FDAT 16 ms after the read, 24.7 ms between frames: what the firmware's simulation bounds, not
     // the chip's mean age of 10 ms with which 25 N would be 27.
     let board = VirtualBoardConfig { firmware: Firmware::Stock2018, ..VirtualBoardConfig::default() };
-    let mut world = armed(&config(), &Scene::default(), board);
+    let mut world = armed(&config(), &free_scene(&config()), board);
     let limit_m_s = run(&mut world, 1500).pop().unwrap().speed_limit.m_s;
     let force_n = 7783.0 * limit_m_s * (0.0547 + 0.015) + 5.2;
     assert!((24.0..25.0).contains(&force_n), "{limit_m_s} m/s: {force_n} N");
@@ -163,7 +165,7 @@ fn the_delay_of_a_stock_board_counts_the_worst_age_in_its_chip() {
 #[test]
 fn a_touch_that_is_not_confirmed_yet_stops_the_base_and_reaches_no_law() {
     let board = VirtualBoardConfig { firmware: Firmware::Stock2018, ..VirtualBoardConfig::default() };
-    let mut world = armed(&config(), &Scene::default(), board);
+    let mut world = armed(&config(), &free_scene(&config()), board);
     world.control.set_target_twist([0.04, 0.0, 0.0, 0.0, 0.0, 0.0]).unwrap();
     run(&mut world, 2000);
     let mut blocked_ticks = 0;
@@ -181,7 +183,7 @@ fn a_touch_that_is_not_confirmed_yet_stops_the_base_and_reaches_no_law() {
 
 #[test]
 fn data_older_than_a_frame_explains_lowers_the_limit_until_the_stop() {
-    let mut world = armed(&config(), &Scene::default(), VirtualBoardConfig::default());
+    let mut world = armed(&config(), &free_scene(&config()), VirtualBoardConfig::default());
     let before = run(&mut world, 200).pop().unwrap().speed_limit.m_s;
     world.feed[0].board().set_fault(Some(moca_sim::board::BoardFault::Silent));
     let samples = run(&mut world, 150);
@@ -205,7 +207,7 @@ fn no_push_moves_any_point_of_the_cover_faster_than_the_limit() {
     for law in [Law::Impedance, Law::FollowMe] {
         let mut config = config();
         config.startup.law = law;
-        let mut world = armed(&config, &Scene::default(), VirtualBoardConfig::default());
+        let mut world = armed(&config, &free_scene(&config), VirtualBoardConfig::default());
         let (mut fastest, mut at_limit) = (0.0_f64, 0_u32);
         for taxel in 0..PAPER_COVER.len() {
             let twist = if taxel % 2 == 0 { [0.3, -0.2, 0.0, 0.0, 0.0, 0.5] } else { [0.0; 6] };
@@ -243,7 +245,7 @@ fn an_override_is_refused_without_a_statement_and_shown_in_every_sample() {
     let mistakes = Config::parse("[protection]\nforce_limit_n = 5.0\n").unwrap_err().mistakes;
     assert!(mistakes.len() == 1 && mistakes[0].contains("is not below"), "{mistakes:?}");
 
-    let mut world = armed(&overridden(0.3), &Scene::default(), VirtualBoardConfig::default());
+    let mut world = armed(&overridden(0.3), &free_scene(&overridden(0.3)), VirtualBoardConfig::default());
     press(&mut world, FRONT, 40.0);
     let samples = run(&mut world, 2000);
     let overridden = |s: &Sample| {
@@ -283,7 +285,8 @@ fn provoke(reaction: ContactReaction) -> Reacted {
     config.protection.uncalibrated_statement = "a simulated cover, in a test".into();
     config.protection.reaction = reaction;
     config.protection.retreat_m = 0.02;
-    let scene = Scene { people: vec![Person::beside(FRONT, 0.08).unwrap()], ..Scene::default() };
+    let scene =
+        Scene { people: vec![Person::beside(&PAPER_COVER, FRONT, 0.08).unwrap()], ..free_scene(&config) };
     let mut world = armed(&config, &scene, VirtualBoardConfig::default());
     std::fs::remove_file(&path).unwrap();
     world.control.set_target_twist([0.04, 0.01, 0.0, 0.0, 0.0, 0.0]).unwrap();
@@ -389,7 +392,7 @@ fn at_the_edge(name: &str, asked: &[f64]) -> (f64, f64) {
     let (present, home) = (config.parameters(), config.control.gains.posture_rad);
     let nearest = Stability::new(&config).nearest_stable(&present, number, &asked, &home);
     let values = nearest.unwrap_or(asked);
-    let mut world = armed(&config, &Scene::default(), VirtualBoardConfig::default());
+    let mut world = armed(&config, &free_scene(&config), VirtualBoardConfig::default());
     let first = world.step(None).0;
     let parameter = u8::try_from(number).unwrap();
     assert_eq!(world.step(Some(Request::SetParameter { parameter, values })).1, Some(Ok(())));
@@ -433,7 +436,7 @@ fn gains_that_are_just_let_through_bear_a_strong_lean() {
 
 /// How far a lean of 40 N on `taxel` takes the base along `axis` within six seconds, and again after a rest, m.
 fn leaned(config: &Config, taxel: usize, axis: usize) -> [f64; 2] {
-    let mut world = armed(config, &Scene::default(), VirtualBoardConfig::default());
+    let mut world = armed(config, &free_scene(config), VirtualBoardConfig::default());
     let mut lean = || {
         let before = press(&mut world, taxel, 40.0).base_pose_world[axis];
         let samples = run(&mut world, 6000);
@@ -473,7 +476,7 @@ fn a_base_that_is_pushed_towards_its_bare_rear_stops_after_a_tenth_of_a_metre() 
 fn the_way_towards_a_bare_side_is_in_the_sample_and_a_mask_bares_a_side() {
     let mut config = config();
     config.startup.law = Law::FollowMe;
-    let mut world = armed(&config, &Scene::default(), VirtualBoardConfig::default());
+    let mut world = armed(&config, &free_scene(&config), VirtualBoardConfig::default());
     press(&mut world, FRONT, 40.0);
     let samples = run(&mut world, 6000);
     let last = samples.last().unwrap();
@@ -490,7 +493,7 @@ fn the_way_towards_a_bare_side_is_in_the_sample_and_a_mask_bares_a_side() {
 
 #[test]
 fn a_hand_that_stays_is_a_quasi_static_contact_with_its_clamp_force() {
-    let mut world = armed(&config(), &Scene::default(), VirtualBoardConfig::default());
+    let mut world = armed(&config(), &free_scene(&config()), VirtualBoardConfig::default());
     press(&mut world, LEFT, 30.0);
     run(&mut world, 2000);
     press(&mut world, LEFT, 0.0);

@@ -7,10 +7,11 @@
 )]
 
 use moca_daemon::config::{Config, HandConfig};
+use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_msgs::robot::PANDA;
 use moca_msgs::{Fault, Mode, Refusal, Request, Sample, TaxelStatus};
-use moca_sim::{PtyBoard, Scene, SharedForces, VirtualBoardConfig};
+use moca_sim::{PtyBoard, SharedForces, VirtualBoardConfig};
 use moca_tactile::serial::{PortSelection, SerialBoard};
 use moca_tactile::{Cover, CoverConfig};
 use moca_telemetry::net::{Connection, Link, Ports, request_channel, serve};
@@ -227,7 +228,7 @@ fn a_client_that_floods_the_loop_and_vanishes_leaves_no_armed_robot_behind() {
     let mut config = Config::default();
     config.simulation.hand = HandConfig::none();
     let mut world =
-        LockStep::with_board(&config, &Scene::default(), VirtualBoardConfig::default(), None).unwrap();
+        LockStep::with_board(&config, &free_scene(&config), VirtualBoardConfig::default(), None).unwrap();
     let mut mode = Mode::Starting;
     while mode != Mode::Impedance {
         mode = world.step(None).0.mode;

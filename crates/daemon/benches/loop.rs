@@ -11,12 +11,13 @@ use moca_daemon::control::stage::Untimed;
 use moca_daemon::control::tick::ControlLoop;
 use moca_daemon::control::tick_input::Slot;
 use moca_daemon::devices::board_events::BoardEvents;
+use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::robot::JOINTS;
 use moca_daemon::runtime::assemble::{cover_config, motion, supervisor};
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_msgs::{Actuation, Fault, Mode, Request, RobotState};
-use moca_sim::{Scene, VirtualBoardConfig};
+use moca_sim::VirtualBoardConfig;
 use moca_tactile::{BoardEvent, Cover};
 use std::hint::black_box;
 
@@ -44,7 +45,7 @@ fn config() -> Config {
 fn recorded_events(ticks: u64) -> Vec<Vec<BoardEvent>> {
     let (copies, mut out) = rtrb::RingBuffer::new(64);
     let mut world =
-        LockStep::with_board(&config(), &Scene::default(), VirtualBoardConfig::default(), Some(copies))
+        LockStep::with_board(&config(), &free_scene(&config()), VirtualBoardConfig::default(), Some(copies))
             .unwrap();
     (0..ticks)
         .map(|tick| {
@@ -66,7 +67,8 @@ fn bench(criterion: &mut Criterion) {
             BoardEvents::new([consumer]),
         );
         let world =
-            LockStep::with_board(&config(), &Scene::default(), VirtualBoardConfig::default(), None).unwrap();
+            LockStep::with_board(&config(), &free_scene(&config()), VirtualBoardConfig::default(), None)
+                .unwrap();
         let standing = StandingRobot(world.control.plant.world.state());
         let config = config();
         let mut control =
@@ -101,7 +103,8 @@ fn bench(criterion: &mut Criterion) {
     // What a log is given once a second, so that its last ticks can be run again.
     group.bench_function("state", |bencher| {
         let mut world =
-            LockStep::with_board(&config(), &Scene::default(), VirtualBoardConfig::default(), None).unwrap();
+            LockStep::with_board(&config(), &free_scene(&config()), VirtualBoardConfig::default(), None)
+                .unwrap();
         for _ in 0..2000 {
             world.step(None);
         }
@@ -110,7 +113,8 @@ fn bench(criterion: &mut Criterion) {
 
     group.bench_function("tick", |bencher| {
         let mut world =
-            LockStep::with_board(&config(), &Scene::default(), VirtualBoardConfig::default(), None).unwrap();
+            LockStep::with_board(&config(), &free_scene(&config()), VirtualBoardConfig::default(), None)
+                .unwrap();
         for _ in 0..2000 {
             world.step(None);
         }
@@ -119,7 +123,8 @@ fn bench(criterion: &mut Criterion) {
 
     group.bench_function("plant", |bencher| {
         let mut world =
-            LockStep::with_board(&config(), &Scene::default(), VirtualBoardConfig::default(), None).unwrap();
+            LockStep::with_board(&config(), &free_scene(&config()), VirtualBoardConfig::default(), None)
+                .unwrap();
         for _ in 0..2000 {
             world.step(None);
         }

@@ -1,19 +1,18 @@
-//! A robot of your own behind the loop: implement [`Plant`], run it. Two seconds of an arm that stands still.
+//! A robot of your own behind the loop: implement [`Plant`], run it. Two seconds of an arm that stands still, with telemetry
+//! and flight recorder as `mocad` has them.
 //!
 //! `cargo run --example own_robot`
 
 use moca_daemon::config::Config;
 use moca_daemon::control::plant::{Plant, SourceAge};
-use moca_daemon::control::tick::ControlLoop;
-use moca_daemon::devices::touch_board::ByteCover;
-use moca_daemon::robot::{JOINTS, Parts};
-use moca_daemon::runtime::assemble::{motion, supervisor};
-use moca_daemon::runtime::clients::rings;
-use moca_daemon::runtime::clock::Clock;
-use moca_daemon::runtime::live::{self, Shared};
+use moca_daemon::robot::{JOINTS, Parts, PlantKind};
+use moca_daemon::runtime::live::Shared;
+use moca_daemon::runtime::notice::Silent;
+use moca_daemon::runtime::options::Options;
+use moca_daemon::runtime::run::with_plant;
 use moca_daemon::runtime::tick_source::Timer;
-use moca_daemon::runtime::timing::Timing;
 use moca_msgs::{Actuation, Fault, RobotState};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Your driver: what it measured last, and where its orders go.
@@ -25,7 +24,7 @@ impl Plant for MyRobot {
         Ok(self.0)
     }
 
-    /// How old it is: the loop stops when the arm's part is over 10 ms old, the base's over 100 ms.
+    /// How old it is: the loop stops when a part is older than `deadline_s` in `[plant.arm]` and `[plant.base]`.
     fn age(&self) -> SourceAge {
         SourceAge { arm_s: 0.000_5, base_s: 0.010 }
     }
@@ -33,7 +32,7 @@ impl Plant for MyRobot {
     fn write(&mut self, actuation: &Actuation<JOINTS>, _ticks: u64) -> Result<(), Fault> {
         match actuation {
             Actuation::Drive(command) => self.0.torque_measured_nm = command.arm_torque_nm,
-            Actuation::Brake => {} // base to standstill, arm to its own brake
+            Actuation::Brake => {} // base to standstill, arm to its own controller or brake
         }
         Ok(())
     }
@@ -41,21 +40,12 @@ impl Plant for MyRobot {
 
 fn main() -> anyhow::Result<()> {
     let mut config = Config::default();
+    config.plant.kind = PlantKind::Robot;
     config.plant.parts = Parts::Arm; // this one has no base and no cover
-    let state = RobotState {
-        base_pose_world: [0.0; 3],
-        base_velocity_world: [0.0; 3],
-        q_rad: config.control.gains.posture_rad,
-        dq_rad_s: [0.0; JOINTS],
-        torque_measured_nm: [0.0; JOINTS],
-        flange_wrench_world: None,
-    };
-    let cover: Option<ByteCover> = None;
-    let mut control = ControlLoop::new(MyRobot(state), cover, supervisor(&config), motion(&config)?, 1e-3);
-    let (clock, shared, mut timing) = (Clock::start()?, Shared::default(), Timing::new()?);
-    let (mut rings, _samples, _requests) = rings(&shared);
-    let (mut ticks, length) = (Timer::new(clock, 1_000_000), Some(Duration::from_secs(2)));
-    let report = live::run(&mut control, &mut ticks, &mut timing, length, &mut rings, &shared);
-    eprintln!("{} ticks, {} slots missed", report.ticks, report.overruns);
+    let state = RobotState::at_rest(config.control.gains.posture_rad);
+    let options = Options { config, duration: Some(Duration::from_secs(2)), ..Options::default() };
+    let run =
+        with_plant(&options, || Ok(MyRobot(state)), Timer::new, &Arc::new(Shared::default()), &mut Silent)?;
+    eprintln!("{} ticks, {} slots missed", run.report.ticks, run.report.overruns);
     Ok(())
 }

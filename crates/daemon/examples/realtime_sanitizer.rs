@@ -8,13 +8,14 @@
 
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::tick::Ticked;
+use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::tick_log::tick_log;
 use moca_daemon::runtime::live::{Rings, Shared};
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_msgs::{Law, Mode, Request};
+use moca_sim::VirtualBoardConfig;
 use moca_sim::board::BoardFault;
-use moca_sim::{Scene, VirtualBoardConfig};
 
 /// Ticks in each mode.
 const TICKS: u64 = 10_000;
@@ -33,7 +34,7 @@ fn main() {
     let mut config = Config::default();
     config.simulation.hand = HandConfig::none();
     (config.startup.arm, config.startup.tare) = (false, false);
-    let mut world = LockStep::with_board(&config, &Scene::default(), VirtualBoardConfig::default(), None)
+    let mut world = LockStep::with_board(&config, &free_scene(&config), VirtualBoardConfig::default(), None)
         .expect("the default scene");
     watched(&mut world, Mode::Starting, &[]);
     watched(&mut world, Mode::Ready, &[Request::Tare]);

@@ -38,6 +38,7 @@ enum Command {
         #[arg(required = true)]
         log: Vec<PathBuf>,
     },
+    Log(moca_daemon::cli::log::Arguments),
     /// List parameters, change them in a running daemon, or print their schema.
     #[command(subcommand)]
     Params(moca_daemon::cli::params::Command),
@@ -91,7 +92,7 @@ struct RunArguments {
     /// How much the terminal or the journal shows of a run.
     #[arg(long, value_enum, default_value_t)]
     log_level: moca_daemon::cli::report::Level,
-    /// End at once if the operating system refuses a wish of `[realtime]`.
+    /// End at once if the operating system refuses a setting of `[realtime]`.
     #[arg(long)]
     require_realtime: bool,
 }
@@ -109,6 +110,7 @@ fn main() -> ExitCode {
         Some(Command::Calibrate(calibrate)) => moca_daemon::cli::calibrate::run(&calibrate),
         Some(Command::Doctor(doctor)) => moca_daemon::cli::doctor::run(&doctor),
         Some(Command::Replay { log }) => replay(&log),
+        Some(Command::Log(arguments)) => moca_daemon::cli::log::run(&arguments).map(|text| print(&text)),
         Some(Command::Params(command)) => moca_daemon::cli::params::run(&command),
         Some(Command::DefaultConfig) => {
             print(moca_daemon::config::DEFAULT_TOML);
@@ -158,7 +160,7 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
         ExitCode::from(3)
     } else if error.is::<moca_daemon::cli::remote::Refused>() {
         ExitCode::from(4)
-    } else if error.is::<moca_daemon::cli::operate::Stopped>() {
+    } else if error.is::<moca_daemon::cli::operator::Stopped>() {
         ExitCode::from(5)
     } else {
         ExitCode::FAILURE
@@ -176,7 +178,10 @@ fn time(text: &str) -> Result<std::time::Duration, String> {
 }
 
 fn replay(log: &[PathBuf]) -> anyhow::Result<()> {
-    print(&moca_daemon::runtime::replay::run(log)?.to_string());
+    let mut progress = moca_daemon::cli::progress::Progress::new("replay");
+    let report = moca_daemon::runtime::replay::run_watched(log, &mut |part| progress.at(part));
+    progress.end();
+    print(&report?.to_string());
     Ok(())
 }
 

@@ -2,8 +2,7 @@
 //! file, or a URDF for the arm, says what is different.
 
 use moca_msgs::robot::{
-    AnyArm, BaseTable, FR3, LinkInertial, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, Payload, SUMMIT_XL,
-    TaxelPlacement, UR10E,
+    AnyArm, BaseTable, FR3, LinkInertial, Mount, PANDA, PAPER_COVER, Payload, TaxelPlacement, UR10E,
 };
 use moca_msgs::table::{Field, FieldValue, ParameterKind, Size, Typed};
 use moca_msgs::{MAX_JOINTS, MAX_TAXELS, choice, parameter_table};
@@ -28,9 +27,9 @@ parameter_table! {
     }
     besides {
         /// Where the arm stands on the base.
-        mount: Mount = MOCA_MOUNT;
+        mount: Mount = Mount::default();
         /// The base.
-        base: BaseTable = SUMMIT_XL;
+        base: BaseTable = BaseTable::default();
         /// The cover around it.
         cover: CoverTable = CoverTable::default();
         /// What is fixed to the flange.
@@ -231,27 +230,30 @@ pub struct Arm {
 /// `robot.arm` of an arm that `[arm]` describes.
 pub const OWN_ARM: &str = "own";
 
-/// The built-in arms by the names that a configuration file gives them.
-const BUILT_IN: [(&str, AnyArm); 3] =
-    [("panda", AnyArm::of(&PANDA)), ("fr3", AnyArm::of(&FR3)), ("ur10e", AnyArm::of(&UR10E))];
+/// The built-in arms: name in a configuration file, name shown to users, table.
+const BUILT_IN: [(&str, &str, AnyArm); 3] = [
+    ("panda", "Franka Emika Panda", AnyArm::of(&PANDA)),
+    ("fr3", "Franka Research 3", AnyArm::of(&FR3)),
+    ("ur10e", "Universal Robots UR10e", AnyArm::of(&UR10E)),
+];
 
 impl Arm {
     /// A built-in arm.
     pub fn built_in(name: &str) -> Option<Self> {
-        let (source, table) = BUILT_IN.iter().find(|(known, _)| *known == name)?;
-        Some(Self { source: (*source).into(), name: table.table.name.into(), table: *table })
+        let &(source, shown, table) = BUILT_IN.iter().find(|(known, ..)| *known == name)?;
+        Some(Self { source: source.into(), name: shown.into(), table })
     }
 
     /// The names of the built-in arms.
     pub fn built_in_names() -> impl Iterator<Item = &'static str> {
-        BUILT_IN.iter().map(|(name, _)| *name)
+        BUILT_IN.iter().map(|(name, ..)| *name)
     }
 }
 
 impl Default for Arm {
     fn default() -> Self {
-        let (source, table) = BUILT_IN[0];
-        Self { source: source.into(), name: table.table.name.into(), table }
+        let (source, shown, table) = BUILT_IN[0];
+        Self { source: source.into(), name: shown.into(), table }
     }
 }
 
@@ -279,11 +281,35 @@ impl Field for Arm {
 pub enum PlantKind {
     /// MuJoCo.
     Simulated,
+    /// A real one, behind drivers of its parts.
+    Robot,
     /// No robot: the cover alone.
     None,
 }
 
-choice!(PlantKind { Simulated: "simulated", None: "none" });
+choice!(PlantKind { Simulated: "simulated", Robot: "robot", None: "none" });
+
+/// What drives a real arm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ArmDriver {
+    /// FCI: a Franka Research 3 or a Panda.
+    Fci,
+    /// That of the program that runs the loop.
+    Own,
+}
+
+choice!(ArmDriver { Fci: "fci", Own: "own" });
+
+/// What drives a real base.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BaseDriver {
+    /// None: the base is simulated under a real arm.
+    Simulated,
+    /// That of the program that runs the loop.
+    Own,
+}
+
+choice!(BaseDriver { Simulated: "simulated", Own: "own" });
 
 /// Which parts the robot has. What it lacks is neither simulated, started nor shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

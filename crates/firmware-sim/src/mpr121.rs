@@ -8,8 +8,6 @@ use std::f64::consts::TAU;
 
 /// Electrodes of one chip.
 pub const ELECTRODES: usize = 12;
-/// I²C addresses that the chip can have.
-pub const ADDRESSES: [u8; 4] = [0x5A, 0x5B, 0x5C, 0x5D];
 
 const SUPPLY_V: f64 = 3.3;
 /// Coded values repeat after this many refreshes: a prime, so that every step has an inverse.

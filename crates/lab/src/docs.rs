@@ -3,7 +3,7 @@
 //! A table stands between `<!-- moca-lab docs NAME … -->` and `<!-- end of NAME -->`; the text around it is for people.
 
 use crate::cover::latency;
-use crate::numerics::stability;
+use crate::numerics::{barrier, stability};
 use crate::paper::report::claims;
 use crate::rig::c_library;
 use crate::robustness::{faults, lean};
@@ -28,11 +28,12 @@ struct Table {
     make: fn() -> Result<String>,
 }
 
-const TABLES: [Table; 5] = [
+const TABLES: [Table; 6] = [
     Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
     Table { name: "lean", file: "docs/safety.md", make: lean::markdown },
     Table { name: "boards", file: "README.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
+    Table { name: "barrier", file: "docs/math.md", make: barrier::markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
 ];
 
@@ -123,13 +124,76 @@ mod tests {
         for case in cases {
             let name = case.name.as_str();
             assert_eq!(unbounded.contains(&name), case.touched() && !case.bounded, "{case:?}");
-            assert_eq!(stopped.contains(&name), case.stopped.is_some(), "{case:?}");
+            let stop = case.stop();
+            assert_eq!(
+                stop.as_deref(),
+                stopped.iter().copied().find(|stop| stop.starts_with(&format!("{name}: "))),
+                "{case:?}"
+            );
+        }
+    }
+
+    /// All of them take minutes: of each cell the hardest collision, which it names, is run.
+    #[test]
+    fn the_hardest_collisions_with_and_without_the_barrier_come_out_as_the_table_has_them() {
+        let Some(shown) = shown("barrier") else { return };
+        let cells = barrier::named_by(&shown).unwrap();
+        assert_eq!(cells.len(), 8, "each cell names one run");
+        for (shown, fresh) in cells {
+            assert!(shown.starts_with(&fresh), "{shown}: {fresh}");
         }
     }
 
     #[test]
     fn what_each_board_allows_is_what_latency_prints() {
         is_what_is_printed("boards");
+    }
+
+    /// What a document says in words that a table of another place has: file, words, table, beginning of the row.
+    const QUOTED: [(&str, &str, &str, &str); 14] = [
+        ("README.md", "an ideal 100 Hz cover | 24.2 N |", "paper", "C peak force, 100 Hz sensor"),
+        ("README.md", "| 179.8 N |", "paper", "C without the cover"),
+        ("README.md", "the speed limit that goes with it | 6.5 N |", "paper", "C with the contact barrier"),
+        ("README.md", "met at up to 0.064 m/s", "barrier", "stock, 50 N/mm"),
+        ("README.md", "contact barrier on | 18 N | 181 N |", "barrier", "stock, 50 N/mm"),
+        ("docs/safety.md", "feels 18 N instead of 181 N", "barrier", "stock, 50 N/mm"),
+        ("docs/safety.md", "21 N instead of 189 N", "barrier", "100 Hz, 50 N/mm"),
+        (
+            "docs/what-no-hardware-has-confirmed.md",
+            "| 247 refreshes a second",
+            "boards",
+            "moca firmware, as read",
+        ),
+        ("docs/what-no-hardware-has-confirmed.md", "at most 9.7 ms old", "boards", "moca |"),
+        ("firmware/moca_touch/README.md", "(about 247 a second)", "boards", "moca firmware, as read"),
+        ("crates/tactile/README.md", "40.5 frames/s, data up to 56.0 ms old", "boards", "stock-2018"),
+        ("crates/tactile/README.md", "67.6 and 38.0 ms", "boards", "stock-2015"),
+        ("crates/tactile/README.md", "246.8 and 9.5 ms", "boards", "moca firmware, as read"),
+        ("CHANGELOG.md", "247 refreshes a second", "boards", "moca firmware, as read"),
+    ];
+
+    #[test]
+    fn what_is_quoted_of_a_table_stands_in_it() {
+        let numbers = |text: &str| -> Vec<String> {
+            let parts = text.split(|c: char| !(c.is_ascii_digit() || c == '.'));
+            let numbers = parts.filter(|part| part.parse::<f64>().is_ok());
+            numbers.map(|number| number.trim_end_matches('.').to_owned()).collect()
+        };
+        for (file, words, table, row) in QUOTED {
+            let text = read(&Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join(file)).unwrap();
+            let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+            assert!(text.contains(words), "{file} no longer says: {words}");
+            let Some(shown) = shown(table) else { continue };
+            let line = shown.lines().find(|line| line.starts_with(&format!("| {row}"))).unwrap();
+            let there = |number: &String| {
+                let digits = number.split_once('.').map_or(0, |(_, digits)| digits.len());
+                let rounded = |other: &String| format!("{:.digits$}", other.parse::<f64>().unwrap());
+                numbers(line).iter().any(|other| rounded(other) == *number)
+            };
+            // The sensor of a scene is its name, not a figure.
+            let quoted = numbers(words.trim_start_matches("an ideal 100 Hz cover"));
+            assert!(!quoted.is_empty() && quoted.iter().all(there), "{file}: {words}\n{table}: {line}");
+        }
     }
 
     #[test]

@@ -140,6 +140,12 @@ pub enum Fault {
     PoseError,
     /// The sensor chip says that it does not measure: over-current, or an electrode out of its range.
     BoardChip,
+    /// The arm stopped itself: a collision, a limit or the line; it says which.
+    ArmReflex,
+    /// The arm's user-stop device is pressed.
+    ArmUserStopped,
+    /// The arm answers but is not to be controlled: another version, no FCI, brakes closed.
+    ArmRefused,
 }
 
 /// What has to be done before a stop can be resumed, besides that its cause is gone.
@@ -179,6 +185,9 @@ impl Fault {
             Self::JointSpeed { .. } => "joint-speed",
             Self::FlangeSpeed => "flange-speed",
             Self::PoseError => "pose-error",
+            Self::ArmReflex => "arm-reflex",
+            Self::ArmUserStopped => "arm-user-stopped",
+            Self::ArmRefused => "arm-refused",
         }
     }
 
@@ -215,6 +224,9 @@ impl Fault {
             Self::JointSpeed { .. } => "A joint moved faster than the arm allows.",
             Self::FlangeSpeed => "The flange moved faster than its limit.",
             Self::PoseError => "The flange was further from where it is wanted than its limit.",
+            Self::ArmReflex => "The arm stopped by its own reflex.",
+            Self::ArmUserStopped => "The arm's user stop is pressed.",
+            Self::ArmRefused => "The arm answers, but it does not let itself be controlled.",
         }
     }
 
@@ -236,6 +248,9 @@ impl Fault {
             | Self::HostStarved
             | Self::ArmStale
             | Self::BaseStale
+            | Self::ArmReflex
+            | Self::ArmUserStopped
+            | Self::ArmRefused
             | Self::CalibrationMismatch
             | Self::JointSpeed { .. }
             | Self::FlangeSpeed
@@ -263,6 +278,11 @@ impl Fault {
         }
     }
 
+    /// Whether it says that a part of the robot is not there: a robot that has not moved yet waits for it.
+    pub const fn is_absence(self) -> bool {
+        matches!(self, Self::ArmStale | Self::BaseStale | Self::ArmUserStopped | Self::ArmRefused)
+    }
+
     /// How the operator clears it.
     pub const fn remedy(self) -> &'static str {
         match self {
@@ -273,6 +293,11 @@ impl Fault {
             Self::ArmStale | Self::BaseStale => {
                 "Check the robot's network and drives; when states come again: resume."
             }
+            Self::ArmReflex => {
+                "Free whoever and whatever is caught; resume recovers the arm, once more resumes."
+            }
+            Self::ArmUserStopped => "Release the user stop when it is safe; then resume.",
+            Self::ArmRefused => "Unlock the brakes and activate FCI in Desk, read the log; then resume.",
             Self::OperatorLost => "Connect a panel; resume when it is safe.",
             Self::BoardSilent => "Check cable and power; when frames come again: resume.",
             Self::BoardSlow => {
@@ -341,6 +366,9 @@ mod tests {
             Fault::ControlRefused,
             Fault::HostStarved,
             Fault::BoardSlow,
+            Fault::ArmReflex,
+            Fault::ArmUserStopped,
+            Fault::ArmRefused,
             Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Noisy },
         ];
         faults.sort_by_key(|fault| fault.code());
@@ -362,6 +390,9 @@ mod tests {
             assert_eq!(says, demanded, "{}: {}", fault.code(), fault.remedy());
             if fault.a_tare_may_end_it() {
                 assert_eq!(fault.clearing(), Clearing::Tare, "{}", fault.code());
+            }
+            if fault.is_absence() {
+                assert_eq!(fault.clearing(), Clearing::Resume, "{}: nothing is left to clear", fault.code());
             }
         }
     }

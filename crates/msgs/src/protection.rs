@@ -103,6 +103,19 @@ pub enum ContactPhase {
     NoRoom,
 }
 
+impl ContactPhase {
+    /// Name as shown to users.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Started => "started",
+            Self::LimitCrossed => "limit crossed",
+            Self::Finished => "finished",
+            Self::Lost => "lost",
+            Self::NoRoom => "no room",
+        }
+    }
+}
+
 /// How long a contact has lasted, in classes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]

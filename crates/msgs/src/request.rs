@@ -15,11 +15,13 @@
 //! ```
 
 use crate::params::ParameterValues;
-use crate::{Law, Mode};
+use crate::{Law, Mode, TargetRefusal, TimedTarget, TouchPolicy, Waypoint};
 use core::fmt;
 
 /// Largest force of a [`Request::PressTaxel`], N.
 pub const PRESS_FORCE_MAX_N: f64 = 200.0;
+/// Furthest that a joint of a real arm may be from its posture when it is armed, rad.
+pub const ARMING_POSTURE_RAD: f64 = 0.1;
 
 /// A request to the loop. One commander at a time; `Stop` is taken from anyone.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,6 +63,22 @@ pub enum Request {
         /// All of its elements; a flag is 1 or 0.
         values: ParameterValues,
     },
+    /// Lead flange, arm or base to a target. It is one of many: 10 to 100 a second.
+    Target(TimedTarget),
+    /// One pose of a trajectory, in its turn; the last one starts it. The daemon's own telemetry makes them of one
+    /// request.
+    Waypoint {
+        /// Which, from 0.
+        index: u8,
+        /// Of how many.
+        count: u8,
+        /// When and where.
+        waypoint: Waypoint,
+        /// What a touch does to the trajectory.
+        touch: TouchPolicy,
+    },
+    /// End target or trajectory: the reference holds.
+    EndTarget,
 }
 
 impl Request {
@@ -74,7 +92,9 @@ impl Request {
             }
             Self::Tare => &[Starting, Ready, ProtectiveStop],
             Self::Arm => &[Ready],
-            Self::Disarm => &[Impedance, FollowMe],
+            Self::Disarm | Self::Target(_) | Self::Waypoint { .. } | Self::EndTarget => {
+                &[Impedance, FollowMe]
+            }
             Self::Resume => &[ProtectiveStop],
             Self::MaskTaxel { .. } => &[Starting, Taring, Ready, ProtectiveStop, Fault],
             Self::PressTaxel { .. } | Self::SetParameter { .. } => {
@@ -125,6 +145,23 @@ pub enum Refusal {
         /// N.
         force_n: f64,
     },
+    /// The arm is being recovered from its reflex.
+    Recovering,
+    /// An arm that is far from the posture that it would be brought to: base and elbow would move at once.
+    FarFromPosture {
+        /// The joint that is furthest; 0 is the first.
+        joint: u8,
+        /// How far, rad.
+        off_rad: f64,
+    },
+    /// A target that is not taken.
+    Target(TargetRefusal),
+}
+
+impl From<TargetRefusal> for Refusal {
+    fn from(refusal: TargetRefusal) -> Self {
+        Self::Target(refusal)
+    }
 }
 
 /// Why not, and what to do.
@@ -137,6 +174,16 @@ impl fmt::Display for Refusal {
                 let number = u16::from(taxel) + 1;
                 return write!(f, "T{number} feels {force_n:.1} N: let go of the cover first");
             }
+            Self::Target(refusal) => return refusal.fmt(f),
+            Self::FarFromPosture { joint, off_rad } => {
+                let number = u16::from(joint) + 1;
+                return write!(
+                    f,
+                    "joint {number} is {off_rad:.2} rad from control.gains.posture_rad; allowed: 0 to {ARMING_POSTURE_RAD} \
+                     rad: guide the arm there, or set posture_rad to where it is"
+                );
+            }
+            Self::Recovering => "the arm is being recovered from its reflex: resume again when it is idle",
             Self::ZeroInvalid => "the cover has no valid zero: tare first",
             Self::NoRobot => "the daemon runs a cover without a robot",
             Self::NotSimulated => "only a simulated robot can be pushed by request",

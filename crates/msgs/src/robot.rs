@@ -18,6 +18,7 @@ use core::f64::consts::{FRAC_PI_2, PI};
 
 /// Inertia of one rigid link in its own link frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct LinkInertial {
     /// Mass, kg.
     pub mass_kg: f64,
@@ -29,9 +30,16 @@ pub struct LinkInertial {
 
 /// A serial arm of `N` revolute joints, each turning about the z axis of its own link frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(
+    feature = "serde",
+    serde(bound(
+        serialize = "[f64; N]: serde::Serialize, [[f64; 6]; N]: serde::Serialize, [LinkInertial; N]: serde::Serialize",
+        deserialize = "[f64; N]: serde::Deserialize<'de>, [[f64; 6]; N]: serde::Deserialize<'de>, \
+                       [LinkInertial; N]: serde::Deserialize<'de>"
+    ))
+)]
 pub struct ArmTable<const N: usize> {
-    /// Name shown to users.
-    pub name: &'static str,
     /// Joint frame in its parent link frame: x, y, z m; roll, pitch, yaw rad (fixed axes, R = Rz·Ry·Rx).
     pub joint_origin: [[f64; 6]; N],
     /// Flange in the last link frame: x, y, z m; roll, pitch, yaw rad.
@@ -61,6 +69,14 @@ pub struct ArmTable<const N: usize> {
 /// Joint speed limits that fall towards the ends of the ranges, so that the arm's brakes can stop it there:
 /// |q̇| ≤ min(dq_max, max(0, √(2·a·d) − o)) at a distance d from the end that the joint moves to.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(
+    feature = "serde",
+    serde(bound(
+        serialize = "[f64; N]: serde::Serialize",
+        deserialize = "[f64; N]: serde::Deserialize<'de>"
+    ))
+)]
 pub struct SpeedEnvelope<const N: usize> {
     /// o, rad/s.
     pub offset_rad_s: [f64; N],
@@ -78,6 +94,7 @@ impl<const N: usize> ArmTable<N> {
 crate::parameter_table! {
     /// Pose of the arm's base (A) in the mobile base's frame (B).
     #[derive(Clone, Copy, Debug, PartialEq)]
+    #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
     pub struct Mount in "robot.mount" {
         /// Where the arm stands: origin of A in B.
         position_base_m: [f64; 3] = MOCA_MOUNT.position_base_m
@@ -90,11 +107,18 @@ crate::parameter_table! {
 /// An arm whose number of joints is known only at run time: the first `joints` entries of a table that has room for
 /// [`MAX_JOINTS`].
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct AnyArm {
     /// Entries beyond the last joint are zero.
     pub table: ArmTable<MAX_JOINTS>,
     /// Number of joints.
     pub joints: usize,
+}
+
+impl Default for AnyArm {
+    fn default() -> Self {
+        Self::NONE
+    }
 }
 
 impl AnyArm {
@@ -115,7 +139,6 @@ impl AnyArm {
 
 /// No joints at all.
 pub(crate) const NO_ARM: ArmTable<0> = ArmTable {
-    name: "no arm",
     joint_origin: [],
     flange_origin: [0.0; 6],
     links: [],
@@ -132,7 +155,6 @@ pub(crate) const NO_ARM: ArmTable<0> = ArmTable {
 
 pub(crate) const fn resized_arm<const N: usize, const M: usize>(arm: &ArmTable<N>) -> ArmTable<M> {
     let mut sized = ArmTable {
-        name: arm.name,
         joint_origin: [[0.0; 6]; M],
         flange_origin: arm.flange_origin,
         links: [Payload::NONE.inertial; M],
@@ -238,7 +260,6 @@ pub struct TaxelPlacement {
 
 /// Franka Emika Panda.
 pub const PANDA: ArmTable<7> = ArmTable {
-    name: "Franka Emika Panda",
     joint_origin: [
         [0.0, 0.0, 0.333, 0.0, 0.0, 0.0],
         [0.0, 0.0, 0.0, -FRAC_PI_2, 0.0, 0.0],
@@ -305,7 +326,6 @@ pub const PANDA: ArmTable<7> = ArmTable {
 /// Franka Research 3: the Panda's kinematics with its own inertials and limits (`franka_description`, `robots/fr3`:
 /// `inertials.yaml`, `joint_limits.yaml`).
 pub const FR3: ArmTable<7> = ArmTable {
-    name: "Franka Research 3",
     links: [
         link(
             2.9274653454,
@@ -406,7 +426,6 @@ pub const FR3: ArmTable<7> = ArmTable {
 /// Universal Robots UR10e; A is ROS `base_link`, the flange is `tool0` (`Universal_Robots_ROS2_Description`,
 /// `config/ur10e`, its calibration's 1e-11 left out). Link 0 is a cylinder of 4 kg there.
 pub const UR10E: ArmTable<6> = ArmTable {
-    name: "Universal Robots UR10e",
     joint_origin: [
         [0.0, 0.0, 0.1807, 0.0, 0.0, PI],
         [0.0, 0.0, 0.0, FRAC_PI_2, 0.0, 0.0],

@@ -5,7 +5,8 @@
 //! use moca_msgs::{Actuation, RobotCommand, RobotState};
 //!
 //! let measured = RobotState::at_rest(PANDA.home_rad);
-//! let command = RobotCommand { base_velocity_body: [0.1, 0.0, 0.0], arm_torque_nm: [0.0; 7] };
+//! let base_velocity_body = [0.1, 0.0, 0.0];
+//! let command = RobotCommand { base_velocity_body, arm_torque_nm: [0.0; 7], arm_gravity_nm: [0.0; 7] };
 //! // nothing is ordered on a state that is not a number
 //! let fine = measured.q_rad.iter().all(|q| q.is_finite());
 //! let order = if fine { Actuation::Drive(command) } else { Actuation::Brake };
@@ -53,15 +54,28 @@ impl<const N: usize> RobotState<N> {
         }
     }
 
-    /// Every number rounded to the nearest that single precision has: 6e-8 of its size, for a joint angle 0.2 µrad.
+    /// Every number rounded to the nearest that single precision has, 6e-8 of its size, and to a multiple of 2⁻²⁰, about a
+    /// millionth of its unit: what is finer is noise of any sensor, and near zero single precision has no end of it.
     #[must_use]
     #[expect(
         clippy::cast_possible_truncation,
         reason = "to the nearest single; what is too large becomes infinite"
     )]
     pub fn in_single_precision(&self) -> Self {
+        const STEPS: f32 = 1_048_576.0;
+        /// From here on singles are about as coarse.
+        const COARSE: f32 = 4.0;
         fn single<const M: usize>(values: [f64; M]) -> [f64; M] {
-            values.map(|value| f64::from(value as f32))
+            values.map(|value| {
+                let single = value as f32;
+                // Adding zero leaves no negative one.
+                f64::from(if single.abs() < COARSE { nearest(single * STEPS) / STEPS + 0.0 } else { single })
+            })
+        }
+        /// The nearest whole number to what is at most 2²², by adding what leaves no room for fractions: `no_std` has no `round`.
+        fn nearest(value: f32) -> f32 {
+            const WHOLE: f32 = 12_582_912.0;
+            (value + WHOLE) - WHOLE
         }
         Self {
             base_pose_world: single(self.base_pose_world),
@@ -94,6 +108,7 @@ impl<const N: usize> RobotCommand<N> {
         RobotCommand {
             base_velocity_body: self.base_velocity_body,
             arm_torque_nm: resized(&self.arm_torque_nm),
+            arm_gravity_nm: resized(&self.arm_gravity_nm),
         }
     }
 }
@@ -103,9 +118,10 @@ impl<const N: usize> RobotCommand<N> {
 pub struct RobotCommand<const N: usize, T = f64> {
     /// Base velocity in the axes of B (a `cmd_vel`): m/s, m/s, rad/s.
     pub base_velocity_body: [T; 3],
-    /// Joint torques **including** Coriolis and gravity terms, N·m. A robot that compensates gravity by itself
-    /// subtracts it in its back end.
+    /// Joint torques **including** Coriolis and gravity terms, N·m.
     pub arm_torque_nm: [T; N],
+    /// Share of gravity in them, N·m: the back end of a robot that compensates gravity by itself subtracts it.
+    pub arm_gravity_nm: [T; N],
 }
 
 /// One tick's order to a plant.

@@ -9,6 +9,16 @@ use crate::solution::{Active, QpError, Side, Solution, WorkingSet};
 const ITERATIONS: usize = 4;
 
 /// A quadratic cost ½(x − target)ᵀH(x − target), factored once: H is the metric in which a solution is nearest.
+///
+/// ```
+/// use moca_qp::{Metric, Row, WorkingSet};
+///
+/// // x + y ≤ 1, wanted (1, 1): what leaving x costs four times as much as y gives way less.
+/// let metric = Metric::new(&[[4.0, 0.0], [0.0, 1.0]])?;
+/// let solution = metric.nearest(&[1.0, 1.0], &[Row::at_most([1.0, 1.0], 1.0)], &WorkingSet::EMPTY)?;
+/// assert!((solution.x[0] - 0.8_f64).abs() < 1e-12 && (solution.x[1] - 0.2).abs() < 1e-12);
+/// # Ok::<(), moca_qp::QpError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Metric<const N: usize, T = f64> {
     /// L⁻ᵀ as columns, H = LLᵀ.

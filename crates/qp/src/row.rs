@@ -4,6 +4,15 @@ use crate::scalar::{Scalar, dot, is_number};
 use crate::solution::{QpError, Side};
 
 /// lower ≤ normal·x ≤ upper. The unit is the caller's; a side without a bound is −∞ or +∞.
+///
+/// ```
+/// use moca_qp::Row;
+///
+/// let speed = Row::bound(0, -0.2, 0.2); // of two variables, the first
+/// assert_eq!((speed.normal, speed.lower, speed.upper), ([1.0, 0.0], -0.2, 0.2));
+/// let wall = Row::at_most([1.0, 0.0], 0.1).softened(1); // by the second, which is its slack: x − s ≤ 0.1
+/// assert_eq!(wall.normal, [1.0, -1.0]);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row<const N: usize, T = f64> {
     /// Coefficients of x.

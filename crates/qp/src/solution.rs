@@ -23,6 +23,16 @@ pub struct Active<T = f64> {
 }
 
 /// Rows that a solution lies on: at most as many as variables. Empty is a cold start.
+///
+/// ```
+/// use moca_qp::{Metric, Row, WorkingSet};
+///
+/// let (metric, rows) = (Metric::diagonal(&[1.0, 1.0])?, [Row::at_most([1.0, 0.0], 0.5)]);
+/// let first = metric.nearest(&[1.0, 0.0], &rows, &WorkingSet::EMPTY)?;
+/// let next = metric.nearest(&[1.1, 0.0], &rows, &first.working_set())?; // starts where the last one ended
+/// assert_eq!((first.iterations, next.iterations, next.x), (1, 0, [0.5, 0.0]));
+/// # Ok::<(), moca_qp::QpError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WorkingSet<const N: usize> {
     pub(crate) rows: [(usize, Side); N],
@@ -35,6 +45,17 @@ impl<const N: usize> WorkingSet<N> {
 }
 
 /// The point of least cost.
+///
+/// ```
+/// use moca_qp::{Metric, Row, Side, WorkingSet};
+///
+/// let metric = Metric::diagonal(&[2.0])?;
+/// let solution = metric.nearest(&[1.0], &[Row::at_most([1.0], 0.25)], &WorkingSet::EMPTY)?;
+/// let [active] = solution.active() else { panic!("one row holds it back") };
+/// assert_eq!((solution.x, active.row, active.side), ([0.25], 0, Side::Upper));
+/// assert!((active.multiplier - 1.5_f64).abs() < 1e-12); // the slope of the cost there: 2 · (1 − 0.25)
+/// # Ok::<(), moca_qp::QpError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Solution<const N: usize, T = f64> {
     /// The point.
@@ -58,6 +79,15 @@ impl<const N: usize, T: Scalar> Solution<N, T> {
 }
 
 /// Why there is no solution.
+///
+/// ```
+/// use moca_qp::{Metric, QpError, Row, WorkingSet};
+///
+/// let rows = [Row::at_least([1.0], 1.0), Row::at_most([1.0], 0.0)];
+/// let refused = Metric::diagonal(&[1.0])?.nearest(&[0.0], &rows, &WorkingSet::EMPTY).unwrap_err();
+/// assert!(matches!(refused, QpError::Infeasible { .. }), "{refused}");
+/// # Ok::<(), moca_qp::QpError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum QpError {

@@ -191,14 +191,8 @@ impl Foam {
         }
     }
 
-    /// Force that belongs to deformation `x_m` on the elastic curve scaled to the table's 100 N point (relaxation
-    /// of some seconds included), N.
-    pub fn ramp_force_n(&self, x_m: f64) -> f64 {
-        let at_reference = self.elastic_force_n(self.deformation_at_100n_m);
-        REFERENCE_FORCE_N * self.elastic_force_n(x_m) / at_reference
-    }
-
-    /// Inverse of [`Self::ramp_force_n`], m: where a force held for some seconds leaves the plate.
+    /// Where a force held for some seconds leaves the plate, m: the elastic curve scaled to the table's 100 N point, which
+    /// includes the relaxation.
     pub fn ramp_deformation_m(&self, force_n: f64) -> f64 {
         let at_reference = self.elastic_force_n(self.deformation_at_100n_m);
         self.deformation_m(force_n * at_reference / REFERENCE_FORCE_N)
@@ -307,7 +301,9 @@ mod tests {
             for force_n in [0.01, 1.0, 25.0, 100.0, 150.0] {
                 let back_n = foam.elastic_force_n(foam.deformation_m(force_n));
                 assert!((back_n - force_n).abs() < 1e-9 * force_n, "{foam:?} {force_n} {back_n}");
-                let back_n = foam.ramp_force_n(foam.ramp_deformation_m(force_n));
+                let share =
+                    |x_m| foam.elastic_force_n(x_m) / foam.elastic_force_n(foam.deformation_at_100n_m);
+                let back_n = REFERENCE_FORCE_N * share(foam.ramp_deformation_m(force_n));
                 assert!((back_n - force_n).abs() < 1e-9 * force_n, "{foam:?} {force_n} {back_n}");
             }
         }

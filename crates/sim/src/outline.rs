@@ -298,13 +298,17 @@ fn difference(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moca_msgs::robot::PAPER_COVER;
+    use moca_msgs::robot::{AnyArm, MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
     use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_4};
 
     const R: f64 = 0.015;
 
+    fn scene() -> Scene {
+        Scene::new(&AnyArm::of(&PANDA), &SUMMIT_XL, &MOCA_MOUNT, &PAPER_COVER)
+    }
+
     fn outline() -> Outline {
-        Outline::new(&Scene::default())
+        Outline::new(&scene())
     }
 
     /// Pressed taxels with their share, T1 is 1.
@@ -379,7 +383,7 @@ mod tests {
     #[test]
     fn another_cover_is_another_polygon_and_one_without_sense_has_no_outline() {
         // The left side leans inwards by 45°: seven sides' worth of one octagon corner.
-        let mut scene = Scene::default();
+        let mut scene = scene();
         let position = &mut scene.cover[3];
         *position = moca_msgs::TaxelPlacement {
             position_base_m: [0.45, 0.35],

@@ -3,9 +3,7 @@
 use crate::contact::Tissue;
 use crate::error::{SimError, within};
 use crate::foam::Foam;
-use moca_msgs::robot::{
-    AnyArm, BaseTable, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, Payload, SUMMIT_XL, TaxelPlacement,
-};
+use moca_msgs::robot::{AnyArm, BaseTable, Mount, Payload, TaxelPlacement};
 use moca_msgs::{MAX_JOINTS, MAX_TAXELS};
 
 /// Which parts of the robot exist.
@@ -126,20 +124,26 @@ impl Person {
     /// Coulomb coefficient of clothes on the cover's foam. ASSUMED.
     pub const FRICTION: f64 = 0.4;
 
-    /// The collision scene's person, `gap_m` in front of taxel `taxel` (0 is T1) of a robot at the world's origin,
-    /// who steps away 1.5 s after first contact.
-    pub fn beside(taxel: usize, gap_m: f64) -> Option<Self> {
-        Some(Self { steps_away_after_s: Some(1.5), ..Self::part(BodyPart::Leg, taxel, gap_m, 0.0)? })
+    /// The collision scene's person, `gap_m` in front of taxel `taxel` (0 is T1) of a robot with this cover at the
+    /// world's origin, who steps away 1.5 s after first contact.
+    pub fn beside(cover: &[TaxelPlacement], taxel: usize, gap_m: f64) -> Option<Self> {
+        Some(Self { steps_away_after_s: Some(1.5), ..Self::part(BodyPart::Leg, cover, taxel, gap_m, 0.0)? })
     }
 
     /// A body part `gap_m` in front of taxel `taxel` (0 is T1), `offset_m` along the panel (the outward normal turned
     /// by +90°) from the taxel's centre, of a robot at the world's origin; it stands there and stays.
-    pub fn part(part: BodyPart, taxel: usize, gap_m: f64, offset_m: f64) -> Option<Self> {
+    pub fn part(
+        part: BodyPart,
+        cover: &[TaxelPlacement],
+        taxel: usize,
+        gap_m: f64,
+        offset_m: f64,
+    ) -> Option<Self> {
         let (shape, tissue, mobility) = part.data();
-        Self::before(&PAPER_COVER, taxel, gap_m, offset_m, shape, tissue, mobility)
+        Self::before(cover, taxel, gap_m, offset_m, shape, tissue, mobility)
     }
 
-    /// The same with a cover, outline, tissue and mobility of its own.
+    /// The same with an outline, tissue and mobility of its own.
     pub fn before(
         cover: &[TaxelPlacement],
         taxel: usize,
@@ -231,31 +235,29 @@ pub struct Scene {
     pub integrator: Integrator,
 }
 
-impl Default for Scene {
+impl Scene {
     /// The free robot in its home posture: no people, no flange sensor.
-    fn default() -> Self {
+    pub fn new(arm: &AnyArm, base: &BaseTable, mount: &Mount, cover: &[TaxelPlacement]) -> Self {
         Self {
             robot: Robot::MobileManipulator,
             base_pose_world: [0.0; 3],
-            arm: AnyArm::of(&PANDA),
-            arm_posture_rad: AnyArm::of(&PANDA).table.home_rad,
+            arm: *arm,
+            arm_posture_rad: arm.table.home_rad,
             payload: Payload::NONE,
             joint_limits: true,
             flange_sensor: false,
             foam: Foam::default(),
             everything: false,
-            base: SUMMIT_XL,
-            mount: MOCA_MOUNT,
-            cover: PAPER_COVER.to_vec(),
+            base: *base,
+            mount: *mount,
+            cover: cover.to_vec(),
             people: Vec::new(),
             control_period_s: 1e-3,
             physics_step_s: 1e-3,
             integrator: Integrator::default(),
         }
     }
-}
 
-impl Scene {
     /// Checks every number; NaN and infinity are outside every range.
     ///
     /// # Errors

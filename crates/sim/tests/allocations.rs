@@ -6,6 +6,7 @@
     reason = "a counting allocator is unsafe by nature; tests fail by panicking"
 )]
 
+use moca_msgs::robot::{AnyArm, MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
 use moca_msgs::{Actuation, RobotCommand};
 use moca_sim::{Person, Scene, SimPlant, VirtualBoard, VirtualBoardConfig};
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -36,8 +37,11 @@ static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn state_apply_step_and_the_board_allocate_nothing() {
-    let scene =
-        Scene { people: vec![Person::beside(0, 0.01).unwrap()], flange_sensor: true, ..Scene::default() };
+    let scene = Scene {
+        people: vec![Person::beside(&PAPER_COVER, 0, 0.01).unwrap()],
+        flange_sensor: true,
+        ..Scene::new(&AnyArm::of(&PANDA), &SUMMIT_XL, &MOCA_MOUNT, &PAPER_COVER)
+    };
     let mut plant = SimPlant::new(&scene).unwrap();
     let mut board = VirtualBoard::new(VirtualBoardConfig::default()).unwrap();
     let mut bytes = 0;
@@ -49,7 +53,8 @@ fn state_apply_step_and_the_board_allocate_nothing() {
         for (torque, dq) in arm_torque_nm.iter_mut().zip(state.dq_rad_s) {
             *torque -= dq;
         }
-        let command = RobotCommand { base_velocity_body: [0.0, 0.1, 0.0], arm_torque_nm };
+        let command =
+            RobotCommand { base_velocity_body: [0.0, 0.1, 0.0], arm_torque_nm, arm_gravity_nm: [0.0; 7] };
         let order = if tick % 100 < 95 { Actuation::Drive(command) } else { Actuation::Brake };
         plant.apply(&order).unwrap();
         plant.press(5, 10.0).unwrap();

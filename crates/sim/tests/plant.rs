@@ -2,10 +2,15 @@
 //! and against bad input.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs, reason = "tests fail by panicking")]
 
-use moca_msgs::robot::{AnyArm, FR3, Mount, PANDA};
+use moca_msgs::robot::{AnyArm, FR3, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, SUMMIT_XL};
 use moca_msgs::{Actuation, RobotCommand};
 use moca_sim::foam::Foam;
 use moca_sim::{BodyPart, Integrator, Person, Robot, Scene, SimError, SimPlant};
+
+/// The free robot of the paper.
+fn paper_scene() -> Scene {
+    Scene::new(&AnyArm::of(&PANDA), &SUMMIT_XL, &MOCA_MOUNT, &PAPER_COVER)
+}
 
 const STILL: [f64; 3] = [0.0; 3];
 const STIFFNESS: [f64; 7] = [90.0, 90.0, 90.0, 90.0, 45.0, 30.0, 15.0];
@@ -24,7 +29,13 @@ fn drive(plant: &mut SimPlant, base_velocity_body: [f64; 3], ticks: usize) {
             arm_torque_nm[i] +=
                 STIFFNESS[i] * (PANDA.home_rad[i] - state.q_rad[i]) - DAMPING[i] * state.dq_rad_s[i];
         }
-        plant.apply(&Actuation::Drive(RobotCommand { base_velocity_body, arm_torque_nm })).unwrap();
+        plant
+            .apply(&Actuation::Drive(RobotCommand {
+                base_velocity_body,
+                arm_torque_nm,
+                arm_gravity_nm: [0.0; 7],
+            }))
+            .unwrap();
         plant.step().unwrap();
     }
 }
@@ -36,7 +47,7 @@ fn mass_matrix_and_bias_agree_with_pinocchio() {
     let numbers = |value: &serde_json::Value| -> Vec<f64> {
         value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
     };
-    let mut plant = SimPlant::new(&Scene { joint_limits: false, ..Scene::default() }).unwrap();
+    let mut plant = SimPlant::new(&Scene { joint_limits: false, ..paper_scene() }).unwrap();
     let vectors = json["vectors"].as_array().unwrap();
     assert!(!vectors.is_empty());
     for vector in vectors {
@@ -66,7 +77,7 @@ fn mass_matrix_and_bias_agree_with_pinocchio() {
 #[test]
 fn the_base_follows_cmd_vel_in_its_own_axes_within_its_servo() {
     let start = [1.0, -2.0, std::f64::consts::FRAC_PI_2];
-    let mut plant = SimPlant::new(&Scene { base_pose_world: start, ..Scene::default() }).unwrap();
+    let mut plant = SimPlant::new(&Scene { base_pose_world: start, ..paper_scene() }).unwrap();
     drive(&mut plant, [0.2, 0.0, 0.0], 1000);
     let state = plant.state();
     // Forward of a base that faces +y is +y; 3 m/s² takes 67 ms to 0.2 m/s, the 15 ms lag adds to it.
@@ -78,7 +89,7 @@ fn the_base_follows_cmd_vel_in_its_own_axes_within_its_servo() {
 
 #[test]
 fn acceleration_stays_within_the_servo_limit() {
-    let mut plant = SimPlant::new(&Scene::default()).unwrap();
+    let mut plant = SimPlant::new(&paper_scene()).unwrap();
     let mut last = STILL;
     for _ in 0..300 {
         drive(&mut plant, [0.5, -0.5, 0.8], 1);
@@ -92,7 +103,7 @@ fn acceleration_stays_within_the_servo_limit() {
 
 #[test]
 fn a_push_of_20_n_does_not_back_drive_the_base() {
-    let mut plant = SimPlant::new(&Scene::default()).unwrap();
+    let mut plant = SimPlant::new(&paper_scene()).unwrap();
     plant.press(0, 20.0).unwrap();
     drive(&mut plant, STILL, 3000);
     let pose = plant.state().base_pose_world;
@@ -107,7 +118,7 @@ fn braking_stops_base_and_arm_and_holds_against_gravity() {
     for integrator in
         [Integrator::Euler, Integrator::RungeKutta4, Integrator::Implicit, Integrator::ImplicitFast]
     {
-        let mut plant = SimPlant::new(&Scene { integrator, ..Scene::default() }).unwrap();
+        let mut plant = SimPlant::new(&Scene { integrator, ..paper_scene() }).unwrap();
         plant.set_state(&STILL, &STILL, &PANDA.home_rad, &[1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0]);
         drive(&mut plant, [0.3, 0.0, 0.3], 5);
         plant.apply(&Actuation::<7>::Brake).unwrap();
@@ -122,9 +133,13 @@ fn braking_stops_base_and_arm_and_holds_against_gravity() {
 
 #[test]
 fn nan_in_a_command_is_refused_and_the_plant_brakes() {
-    let mut plant = SimPlant::new(&Scene::default()).unwrap();
+    let mut plant = SimPlant::new(&paper_scene()).unwrap();
     drive(&mut plant, [0.2, 0.0, 0.0], 200);
-    let bad = RobotCommand { base_velocity_body: [f64::NAN, 0.0, 0.0], arm_torque_nm: [0.0; 7] };
+    let bad = RobotCommand {
+        base_velocity_body: [f64::NAN, 0.0, 0.0],
+        arm_torque_nm: [0.0; 7],
+        arm_gravity_nm: [0.0; 7],
+    };
     let refused = plant.apply(&Actuation::Drive(bad)).unwrap_err();
     assert!(matches!(refused, SimError::Command { name: "base velocity", .. }), "{refused}");
     for _ in 0..400 {
@@ -139,7 +154,7 @@ fn nan_in_a_command_is_refused_and_the_plant_brakes() {
 
 #[test]
 fn nan_in_the_state_is_an_error_and_not_a_silent_restart() {
-    let mut plant = SimPlant::new(&Scene::default()).unwrap();
+    let mut plant = SimPlant::new(&paper_scene()).unwrap();
     drive(&mut plant, [0.2, 0.0, 0.0], 100);
     plant.set_state(&[f64::NAN, 0.0, 0.0], &STILL, &PANDA.home_rad, &[0.0; 7]);
     let failed = plant.step().unwrap_err();
@@ -149,14 +164,14 @@ fn nan_in_the_state_is_an_error_and_not_a_silent_restart() {
 
 #[test]
 fn a_scene_with_a_bad_number_names_it() {
-    let error = SimPlant::new(&Scene { physics_step_s: f64::NAN, ..Scene::default() }).unwrap_err();
+    let error = SimPlant::new(&Scene { physics_step_s: f64::NAN, ..paper_scene() }).unwrap_err();
     assert_eq!(error.to_string(), "scene: physics_step_s = NaN s is outside 0.000001 to 0.1 s");
-    let error = SimPlant::new(&Scene { physics_step_s: 3e-4, ..Scene::default() }).unwrap_err();
+    let error = SimPlant::new(&Scene { physics_step_s: 3e-4, ..paper_scene() }).unwrap_err();
     assert!(matches!(error, SimError::Period { .. }));
     let foam = Foam { gap_m: 0.5, ..Foam::default() };
-    let error = SimPlant::new(&Scene { foam, ..Scene::default() }).unwrap_err();
+    let error = SimPlant::new(&Scene { foam, ..paper_scene() }).unwrap_err();
     assert_eq!(error.to_string(), "scene: foam.thickness = 0.5 m is outside 0.001 to 0.1 m");
-    let mut scene = Scene { people: vec![Person::beside(5, 0.1).unwrap()], ..Scene::default() };
+    let mut scene = Scene { people: vec![Person::beside(&PAPER_COVER, 5, 0.1).unwrap()], ..paper_scene() };
     scene.cover[5].inward_angle_base_rad = 0.0;
     let error = SimPlant::new(&scene).unwrap_err();
     assert_eq!(error.to_string(), "scene: taxel.distance_outward = -0.489 m is outside 0.03 to 15 m");
@@ -164,13 +179,13 @@ fn a_scene_with_a_bad_number_names_it() {
 
 #[test]
 fn a_wrench_at_the_flange_moves_the_arm_and_is_reported_only_with_a_sensor() {
-    let mut plant = SimPlant::new(&Scene { flange_sensor: true, ..Scene::default() }).unwrap();
+    let mut plant = SimPlant::new(&Scene { flange_sensor: true, ..paper_scene() }).unwrap();
     plant.set_flange_wrench_world([0.0, 0.0, 5.0, 0.0, 0.0, 0.0]).unwrap();
     let before = plant.flange_position_world().unwrap();
     drive(&mut plant, STILL, 500);
     assert!(plant.flange_position_world().unwrap()[2] > before[2] + 1e-3);
     assert_eq!(plant.state().flange_wrench_world, Some([0.0, 0.0, 5.0, 0.0, 0.0, 0.0]));
-    assert_eq!(SimPlant::new(&Scene::default()).unwrap().state().flange_wrench_world, None);
+    assert_eq!(SimPlant::new(&paper_scene()).unwrap().state().flange_wrench_world, None);
 }
 
 /// Joint torque of a wrench about the flange's origin: from differences of the flange's place, not from MuJoCo's
@@ -178,7 +193,7 @@ fn a_wrench_at_the_flange_moves_the_arm_and_is_reported_only_with_a_sensor() {
 #[test]
 fn a_force_at_the_flange_acts_at_its_origin_and_nowhere_else() {
     const STEP_RAD: f64 = 1e-6;
-    let scene = Scene { robot: Robot::ArmOnly, joint_limits: false, ..Scene::default() };
+    let scene = Scene { robot: Robot::ArmOnly, joint_limits: false, ..paper_scene() };
     let mut plant = SimPlant::new(&scene).unwrap();
     let q = [0.3, -0.5, 0.4, -2.0, 0.3, 1.7, 0.6];
     let force = [12.0, -7.0, 5.0];
@@ -198,7 +213,8 @@ fn a_force_at_the_flange_acts_at_its_origin_and_nowhere_else() {
     let mut speeds = |wrench: [f64; 6]| {
         plant.set_state(&STILL, &STILL, &q, &[0.0; 7]);
         plant.set_flange_wrench_world(wrench).unwrap();
-        let command = RobotCommand { base_velocity_body: STILL, arm_torque_nm: [0.0; 7] };
+        let command =
+            RobotCommand { base_velocity_body: STILL, arm_torque_nm: [0.0; 7], arm_gravity_nm: [0.0; 7] };
         plant.apply(&Actuation::Drive(command)).unwrap();
         plant.step().unwrap();
         let mass = plant.full_mass_matrix().0.to_vec();
@@ -215,7 +231,7 @@ fn a_force_at_the_flange_acts_at_its_origin_and_nowhere_else() {
 
 /// The person's place and the force on each taxel while the base drives at `velocity_body`.
 fn driven(person: Person, velocity_body: [f64; 3], ticks: usize) -> Vec<[f64; 11]> {
-    let mut plant = SimPlant::new(&Scene { people: vec![person], ..Scene::default() }).unwrap();
+    let mut plant = SimPlant::new(&Scene { people: vec![person], ..paper_scene() }).unwrap();
     (0..ticks)
         .map(|_| {
             drive(&mut plant, velocity_body, 1);
@@ -227,7 +243,7 @@ fn driven(person: Person, velocity_body: [f64; 3], ticks: usize) -> Vec<[f64; 11
 #[test]
 fn a_leg_before_the_corner_is_felt_at_once_and_by_both_sides() {
     // The centre of the leg, 5 mm outside the corner's diagonal; forwards and to the left at the same speed.
-    let corner = Person { friction: 0.0, ..Person::part(BodyPart::Leg, 3, 0.0, 0.0).unwrap() };
+    let corner = Person { friction: 0.0, ..Person::part(BodyPart::Leg, &PAPER_COVER, 3, 0.0, 0.0).unwrap() };
     let reach = (0.07 + 0.015 + 0.005) * std::f64::consts::FRAC_1_SQRT_2;
     let corner = Person { position_world: [0.489 - 0.015 + reach, 0.388 - 0.015 + reach], ..corner };
     let forces = driven(corner, [0.05, 0.05, 0.0], 400);
@@ -244,7 +260,7 @@ fn a_leg_before_the_corner_is_felt_at_once_and_by_both_sides() {
 #[test]
 fn a_leg_that_slides_over_a_seam_is_handed_over_without_a_jump() {
     // Held against the left side 3 cm behind the seam of T2 and T3; the base drives backwards, so it slides forwards.
-    let mut leg = Person::part(BodyPart::Leg, 1, -0.006, -0.0922).unwrap();
+    let mut leg = Person::part(BodyPart::Leg, &PAPER_COVER, 1, -0.006, -0.0922).unwrap();
     leg.mobility = moca_sim::Mobility::Fixed;
     let forces = driven(leg, [-0.2, 0.0, 0.0], 600);
     let total: Vec<f64> = forces.iter().map(|f| f.iter().sum()).collect();
@@ -259,9 +275,10 @@ fn a_leg_that_slides_over_a_seam_is_handed_over_without_a_jump() {
 #[test]
 fn friction_along_the_cover_drags_base_and_person_alike() {
     let drag = |friction| {
-        let mut leg = Person { friction, ..Person::part(BodyPart::Leg, 1, -0.006, 0.0).unwrap() };
+        let mut leg =
+            Person { friction, ..Person::part(BodyPart::Leg, &PAPER_COVER, 1, -0.006, 0.0).unwrap() };
         leg.mobility = moca_sim::Mobility::Fixed;
-        let mut plant = SimPlant::new(&Scene { people: vec![leg], ..Scene::default() }).unwrap();
+        let mut plant = SimPlant::new(&Scene { people: vec![leg], ..paper_scene() }).unwrap();
         drive(&mut plant, [0.1, 0.0, 0.0], 500);
         plant.cover_wrench_true_base()
     };
@@ -272,9 +289,9 @@ fn friction_along_the_cover_drags_base_and_person_alike() {
 
 #[test]
 fn a_walker_walks_at_the_speed_that_was_asked_for_from_the_start() {
-    let mut walker = Person::part(BodyPart::Leg, 5, 0.3, 0.0).unwrap();
+    let mut walker = Person::part(BodyPart::Leg, &PAPER_COVER, 5, 0.3, 0.0).unwrap();
     (walker.walk_m_s, walker.starts_after_s) = (0.146, 0.2);
-    let mut plant = SimPlant::new(&Scene { people: vec![walker], ..Scene::default() }).unwrap();
+    let mut plant = SimPlant::new(&Scene { people: vec![walker], ..paper_scene() }).unwrap();
     drive(&mut plant, STILL, 202);
     let mut last = plant.person_position_world(0).unwrap()[0];
     for _ in 0..1800 {
@@ -289,9 +306,9 @@ fn a_walker_walks_at_the_speed_that_was_asked_for_from_the_start() {
 #[test]
 fn a_light_hand_on_stiff_damped_foam_does_not_blow_the_simulation_up() {
     for (walk_m_s, stiffness_n_per_m) in [(0.5, 7.5e4), (1.0, 1e7), (3.0, 1e7)] {
-        let mut hand = Person::part(BodyPart::Hand, 5, 0.05, 0.0).unwrap();
+        let mut hand = Person::part(BodyPart::Hand, &PAPER_COVER, 5, 0.05, 0.0).unwrap();
         (hand.walk_m_s, hand.tissue.stiffness_n_per_m) = (walk_m_s, stiffness_n_per_m);
-        let scene = Scene { people: vec![hand], foam: Foam::COLLISION_ASSUMED, ..Scene::default() };
+        let scene = Scene { people: vec![hand], foam: Foam::COLLISION_ASSUMED, ..paper_scene() };
         let mut plant = SimPlant::new(&scene).unwrap();
         drive(&mut plant, STILL, 1500);
         let peak_n = plant.contact_peak_true_n();
@@ -301,8 +318,8 @@ fn a_light_hand_on_stiff_damped_foam_does_not_blow_the_simulation_up() {
 
 #[test]
 fn driving_into_a_person_gives_equal_and_opposite_forces() {
-    let person = Person::beside(5, 0.02).unwrap();
-    let mut plant = SimPlant::new(&Scene { people: vec![person], ..Scene::default() }).unwrap();
+    let person = Person::beside(&PAPER_COVER, 5, 0.02).unwrap();
+    let mut plant = SimPlant::new(&Scene { people: vec![person], ..paper_scene() }).unwrap();
     let mut peak: f64 = 0.0;
     for _ in 0..1500 {
         drive(&mut plant, [0.05, 0.0, 0.0], 1);
@@ -317,7 +334,7 @@ fn driving_into_a_person_gives_equal_and_opposite_forces() {
 
 #[test]
 fn base_only_and_arm_only_scenes_hold_only_their_own_joints() {
-    let dofs = |robot| SimPlant::new(&Scene { robot, ..Scene::default() }).unwrap().full_mass_matrix().1;
+    let dofs = |robot| SimPlant::new(&Scene { robot, ..paper_scene() }).unwrap().full_mass_matrix().1;
     assert_eq!(dofs(Robot::BaseOnly), 3);
     assert_eq!(dofs(Robot::ArmOnly), 7);
     assert_eq!(dofs(Robot::MobileManipulator), 10);
@@ -326,8 +343,8 @@ fn base_only_and_arm_only_scenes_hold_only_their_own_joints() {
 #[test]
 fn the_same_commands_give_the_same_bits() {
     let run = || {
-        let person = Person::beside(0, 0.01).unwrap();
-        let mut plant = SimPlant::new(&Scene { people: vec![person], ..Scene::default() }).unwrap();
+        let person = Person::beside(&PAPER_COVER, 0, 0.01).unwrap();
+        let mut plant = SimPlant::new(&Scene { people: vec![person], ..paper_scene() }).unwrap();
         drive(&mut plant, [0.0, 0.1, 0.1], 800);
         (plant.state(), plant.taxel_force_true_n().to_vec())
     };
@@ -336,9 +353,9 @@ fn the_same_commands_give_the_same_bits() {
 
 #[test]
 fn a_hand_that_walks_in_later_and_one_that_leans_are_felt_when_and_as_they_are_told() {
-    let mut comer = Person::part(BodyPart::Hand, 5, 0.02, 0.05).unwrap();
+    let mut comer = Person::part(BodyPart::Hand, &PAPER_COVER, 5, 0.02, 0.05).unwrap();
     (comer.walk_m_s, comer.starts_after_s) = (0.1, 0.3);
-    let mut plant = SimPlant::new(&Scene { people: vec![comer], ..Scene::default() }).unwrap();
+    let mut plant = SimPlant::new(&Scene { people: vec![comer], ..paper_scene() }).unwrap();
     plant.set_people_waiting(true);
     drive(&mut plant, STILL, 700);
     plant.set_people_waiting(false);
@@ -355,9 +372,9 @@ fn a_hand_that_walks_in_later_and_one_that_leans_are_felt_when_and_as_they_are_t
     let lever_m = (mz - 0.489 * fy) / -fx;
     assert!(fx < -1.0 && (lever_m - 0.05).abs() < 2e-3, "the force acts where the hand is: {lever_m} m");
 
-    let mut leaning = Person::part(BodyPart::Thigh, 5, 0.0, 0.0).unwrap();
+    let mut leaning = Person::part(BodyPart::Thigh, &PAPER_COVER, 5, 0.0, 0.0).unwrap();
     leaning.lean_n = 30.0;
-    let mut plant = SimPlant::new(&Scene { people: vec![leaning], ..Scene::default() }).unwrap();
+    let mut plant = SimPlant::new(&Scene { people: vec![leaning], ..paper_scene() }).unwrap();
     drive(&mut plant, STILL, 3000);
     // 800 N/m of posture hold back what the foam gives way.
     assert!((20.0..30.0).contains(&plant.taxel_force_true_n()[5]), "{:?}", plant.taxel_force_true_n());
@@ -365,8 +382,8 @@ fn a_hand_that_walks_in_later_and_one_that_leans_are_felt_when_and_as_they_are_t
 
 #[test]
 fn a_wall_presses_every_taxel_of_the_panel_that_meets_it_and_stops_the_base() {
-    let wall = Person::part(BodyPart::Wall, 5, 0.02, 0.0).unwrap();
-    let mut plant = SimPlant::new(&Scene { people: vec![wall], ..Scene::default() }).unwrap();
+    let wall = Person::part(BodyPart::Wall, &PAPER_COVER, 5, 0.02, 0.0).unwrap();
+    let mut plant = SimPlant::new(&Scene { people: vec![wall], ..paper_scene() }).unwrap();
     drive(&mut plant, [0.05, 0.0, 0.0], 2000);
     let force = plant.taxel_force_true_n();
     assert!(force[4] > 50.0 && (force[4] - force[6]).abs() < 1.0, "{force:?}");
@@ -396,7 +413,7 @@ fn an_fr3_in_the_scene_agrees_with_pinocchio() {
                 position_base_m: mount[..3].try_into().unwrap(),
                 rpy_rad: mount[3..].try_into().unwrap(),
             },
-            ..Scene::default()
+            ..paper_scene()
         };
         let mut plant = SimPlant::new(&scene).unwrap();
         let (q, dq) = (numbers(&case["q"]), numbers(&case["dq"]));

@@ -1,9 +1,10 @@
-//! Parser throughput beside a bare scan for line feeds of the same bytes: the floor for anything that reads lines.
+//! Parser throughput beside a bare scan for line feeds of the same bytes, the floor for anything that reads lines; and
+//! what a control tick pays.
 #![expect(clippy::unwrap_used, reason = "a benchmark")]
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use moca_tactile::datastream::{Event, Parser};
-use moca_tactile::{Chunk, Cover, CoverConfig};
+use moca_tactile::datastream::{Event, Frame, MAX_COLUMNS, Parser, emit};
+use moca_tactile::{Chunk, Cover, CoverConfig, Firmware};
 use std::hint::black_box;
 
 fn parser(criterion: &mut Criterion) {
@@ -40,5 +41,36 @@ fn parser(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, parser);
+/// What a control tick pays for the cover, on average over ticks with and without bytes: those of a stock board that came
+/// within the millisecond go in, and the forces are asked for.
+fn tick(criterion: &mut Criterion) {
+    let mut frame = Frame { filtered: [720; MAX_COLUMNS], baseline: [720; MAX_COLUMNS], ..Frame::default() };
+    let mut frames = Vec::new();
+    // A cover without any noise would be taken for a broken one.
+    for noise in [0, 1] {
+        frame.filtered[5] = 690 + noise;
+        let mut bytes = Vec::new();
+        emit(&frame, &mut bytes);
+        frames.push(bytes);
+    }
+    let ticks = Firmware::Stock2018.frame_period_ns().div_ceil(1_000_000);
+    let mut cover = Cover::<11>::new(CoverConfig::default()).unwrap();
+    let mut tick = 0;
+    let mut step = move || {
+        let (number, part) = (usize::try_from(tick / ticks).unwrap(), usize::try_from(tick % ticks).unwrap());
+        let bytes = &frames[number % 2];
+        let size = bytes.len().div_ceil(usize::try_from(ticks).unwrap());
+        tick += 1;
+        cover.push(0, bytes.chunks(size).nth(part).unwrap_or_default(), tick * 1_000_000);
+        cover.poll(tick * 1_000_000).reading
+    };
+    for _ in 0..5000 {
+        step();
+    }
+    let reading = step();
+    assert!(reading.sampled_at_ns.is_some() && reading.taxels.len() == 11, "{reading:?}");
+    criterion.bench_function("cover/tick", |b| b.iter(&mut step));
+}
+
+criterion_group!(benches, parser, tick);
 criterion_main!(benches);

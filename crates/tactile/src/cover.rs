@@ -262,11 +262,6 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         self.boards.iter().map(|b| &b.source)
     }
 
-    /// Noise estimate of each taxel, counts.
-    pub fn deviations(&self) -> [f64; K] {
-        core::array::from_fn(|i| self.taxels[i].health.deviation())
-    }
-
     fn forces(&self, reading: &CoverReading<K>) -> Result<[f64; K], (usize, TaxelStatus)> {
         let mut forces = [0.0; K];
         for (i, taxel) in reading.taxels.iter().enumerate().take(self.config.taxels) {

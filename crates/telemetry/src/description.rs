@@ -3,12 +3,13 @@
 //! ```
 //! use moca_telemetry::RobotDescription;
 //! let robot = RobotDescription::paper("lab", true);
-//! assert_eq!((robot.arm.joint_origin.len(), robot.taxels.len()), (7, 11));
+//! assert_eq!((robot.arm.joints, robot.taxels.len()), (7, 11));
 //! assert_eq!(robot.taxels[5].position_base_m, [0.489, 0.0]); // T6, the middle of the front
 //! ```
 
 use crate::ParameterDescription;
-use moca_msgs::{ArmTable, BaseTable, Limits, Mount, ParameterValues, TaxelPlacement};
+use moca_msgs::robot::{AnyArm, PANDA, PAPER_COVER};
+use moca_msgs::{BaseTable, Limits, Mount, ParameterValues, TaxelPlacement};
 use serde::{Deserialize, Serialize};
 
 /// A robot as a client needs it: enough to draw base, arm and cover from a [`moca_msgs::Sample`].
@@ -22,8 +23,15 @@ pub struct RobotDescription {
     pub period_s: f64,
     /// Length (x), width (y), height (z) of the base, m.
     pub base_size_m: [f64; 3],
-    /// The arm.
-    pub arm: ArmDescription,
+    /// What the arm is called; empty without one.
+    #[serde(default)]
+    pub arm_name: String,
+    /// The arm; one without joints is none.
+    #[serde(default)]
+    pub arm: AnyArm,
+    /// Where it stands on the base.
+    #[serde(default)]
+    pub mount: Mount,
     /// The taxels, T1 first.
     pub taxels: Vec<TaxelPlacement>,
     /// Oldest cover data the supervisor accepts, s.
@@ -43,19 +51,9 @@ pub struct RobotDescription {
     /// What a force is worth on a cover that has not been calibrated, in one sentence; empty if it has been.
     #[serde(default)]
     pub uncalibrated: String,
-}
-
-/// A serial arm of revolute joints about their own z axes. Frames: x, y, z m; roll, pitch, yaw rad (R = Rz·Ry·Rx).
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct ArmDescription {
-    /// Name shown to users.
-    pub name: String,
-    /// Arm base (A) in the mobile base (B).
-    pub mount: [f64; 6],
-    /// Each joint's frame in its parent link.
-    pub joint_origin: Vec<[f64; 6]>,
-    /// Flange in the last link.
-    pub flange_origin: [f64; 6],
+    /// The robot as a URDF; empty where nobody wrote one.
+    #[serde(default)]
+    pub urdf: String,
 }
 
 impl RobotDescription {
@@ -66,46 +64,22 @@ impl RobotDescription {
         }
     }
 
-    /// Gathers the tables a robot is made of. The frame deadline is in s, the loop period in s.
-    #[expect(clippy::too_many_arguments, reason = "one argument for each table; called once, by the daemon")]
-    pub fn new<const N: usize>(
-        name: &str,
-        simulated: bool,
-        period_s: f64,
-        base: &BaseTable,
-        mount: &Mount,
-        arm: &ArmTable<N>,
-        cover: &[TaxelPlacement],
-        limits: &Limits<N>,
-        frame_deadline_s: f64,
-    ) -> Self {
-        let [x, y, z] = mount.position_base_m;
-        let [roll, pitch, yaw] = mount.rpy_rad;
+    /// MOCA-S as in the paper, at 1 kHz: a Panda on a SUMMIT-XL with 11 taxels.
+    pub fn paper(name: &str, simulated: bool) -> Self {
+        let limits = Limits::for_arm(&PANDA);
         Self {
             name: name.to_owned(),
             simulated,
-            period_s,
-            base_size_m: base.size_m,
-            arm: ArmDescription {
-                name: arm.name.to_owned(),
-                mount: [x, y, z, roll, pitch, yaw],
-                joint_origin: arm.joint_origin.to_vec(),
-                flange_origin: arm.flange_origin,
-            },
-            taxels: cover.to_vec(),
-            frame_deadline_s,
+            period_s: 1e-3,
+            base_size_m: BaseTable::default().size_m,
+            arm_name: "Franka Emika Panda".to_owned(),
+            arm: AnyArm::of(&PANDA),
+            mount: Mount::default(),
+            taxels: PAPER_COVER.to_vec(),
+            frame_deadline_s: 0.12,
             taxel_force_max_n: limits.taxel_force_n,
             base_velocity_max: limits.base_velocity,
-            parameters: Vec::new(),
-            speed_override: String::new(),
-            uncalibrated: String::new(),
+            ..Self::default()
         }
-    }
-
-    /// MOCA-S as in the paper, at 1 kHz: a Panda on a SUMMIT-XL with 11 taxels.
-    pub fn paper(name: &str, simulated: bool) -> Self {
-        use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
-        let limits = Limits::for_arm(&PANDA);
-        Self::new(name, simulated, 1e-3, &SUMMIT_XL, &MOCA_MOUNT, &PANDA, &PAPER_COVER, &limits, 0.12)
     }
 }

@@ -2,8 +2,9 @@
 //!
 //! - [`description`]: what a client must know once to draw the robot and read its samples.
 //! - [`parameter`]: the schema of parameters with present values.
-//! - `net` (feature `net`): TCP server and client: batches of samples out, requests in.
+//! - `net` (feature `net`): server and client over TCP or a Unix socket: batches of samples out, requests in.
 //! - `log` (feature `log`): MCAP writer and reader: every sample, every byte of the Touch Board.
+//! - `display` (feature `log`): what people are shown, in a log and live: messages that every viewer knows.
 //!
 //! Neither touches the loop: samples come through a bounded `rtrb` ring that this crate drains on threads of its
 //! own. A program that only watches needs [`net::Connection`]; one that records needs [`log::Recorder`].
@@ -12,6 +13,8 @@
 
 pub mod calibration;
 pub mod description;
+#[cfg(feature = "log")]
+pub mod display;
 #[cfg(feature = "log")]
 pub mod log;
 #[cfg(feature = "net")]

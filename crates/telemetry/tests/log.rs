@@ -8,8 +8,8 @@
 
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
-    ContactEvent, ContactReaction, Fault, Mode, Sample, SpeedLimit, SpeedLimitReason, TaxelReading,
-    TaxelStatus,
+    ArmLink, ArmMode, ContactEvent, ContactReaction, Fault, Link, Mode, Sample, SpeedLimit, SpeedLimitReason,
+    TaxelReading, TaxelStatus,
     board::{Diagnosis, OpenFailure},
 };
 use moca_telemetry::{
@@ -91,6 +91,17 @@ fn sample(tick: u32) -> Sample {
         speed_limit: SpeedLimit { m_s: value(), reason: SpeedLimitReason::BoardRate },
         law: tick.is_multiple_of(2).then_some(moca_msgs::Law::FollowMe),
         contact_reaction: tick.is_multiple_of(7).then_some(ContactReaction::StopDirection),
+        link: (tick % 1000 >= 500).then(|| Link {
+            arm_age_s: value(),
+            base_age_s: value(),
+            arm: ArmLink {
+                mode: ArmMode::ALL[usize::try_from(tick / 50).unwrap() % ArmMode::ALL.len()],
+                success_rate: value(),
+                lost: u64::from(tick / 9),
+                repeated: u64::from(tick / 11),
+                errors: 1 << (tick % 41),
+            },
+        }),
         ..Sample::default()
     };
     for taxel in 0..u8::try_from(tick % 50 % 4).unwrap() {
@@ -487,6 +498,11 @@ fn the_mcap_library_alone_finds_schemas_and_messages() {
             assert_eq!(message.channel.message_encoding, "application/octet-stream");
             continue;
         };
+        if message.channel.message_encoding == "cdr" {
+            assert_eq!(schema.encoding, "ros2msg");
+            assert_eq!(message.data[..4], [0, 1, 0, 0], "{}", message.channel.topic);
+            continue;
+        }
         assert_eq!(
             (schema.encoding.as_str(), message.channel.message_encoding.as_str()),
             ("jsonschema", "json")
@@ -507,6 +523,10 @@ fn the_mcap_library_alone_finds_schemas_and_messages() {
             assert!(fits, "{} {key}: {value} is no {kind}", message.channel.topic);
         }
     }
+    for topic in ["/tf", "/joint_states", "/flange", "/flange_desired", "/cover_wrench"] {
+        assert_eq!(counts[topic], 25, "{topic}");
+    }
+    assert_eq!((counts["/tf_static"], counts["/scene/robot"]), (1, 1));
     for topic in ["/state", "/command", "/cover", "/timing"] {
         assert_eq!(counts[topic], displayed(0..1000).len(), "{topic}");
     }

@@ -3,9 +3,13 @@
 mod board_report;
 pub mod calibrate;
 pub mod doctor;
+pub mod log;
 pub mod operate;
+pub mod operator;
 pub mod params;
+pub mod progress;
 pub mod remote;
 pub mod report;
 mod status;
+pub mod target;
 pub mod terminal;

@@ -16,8 +16,6 @@ pub struct ContactLimits {
     pub quasi_static_n: Option<f64>,
 }
 
-/// The documented empty file.
-pub const TEMPLATE_TOML: &str = include_str!("../../config/contact-limits.toml");
 /// Smallest and largest limit, N: below the first the cover feels nothing, above the second it believes nothing.
 const RANGE_N: std::ops::RangeInclusive<f64> = 1.0..=1000.0;
 const FIELDS: [&str; 2] = ["transient_n", "quasi_static_n"];
@@ -98,6 +96,9 @@ fn number(value: &toml::Value) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The documented empty file.
+    const TEMPLATE_TOML: &str = include_str!("../../config/contact-limits.toml");
 
     #[test]
     fn the_template_is_valid_and_limits_nothing() {

@@ -444,7 +444,7 @@ mod tests {
                 "line 17: board.port = 3; expected a text in quotes, or a list of 1 to 2 texts",
                 "line 18: unknown key board.prot; allowed here: calibration, firmware, gauge, gauge_baud, mask_policy, masked, \
                  model, name, port",
-                "line 20: plant.kind = a list of 1; expected \"simulated\" or \"none\"",
+                "line 20: plant.kind = a list of 1; expected \"simulated\" or \"robot\" or \"none\"",
             ]
         );
     }

@@ -5,15 +5,20 @@ use crate::config::live::changed;
 use crate::control::barrier::Barrier;
 use crate::control::cover::CoverState;
 use crate::control::loop_state::{JointsState, LawState, MotionState, OtherRobot};
+use crate::control::plant::SourceAge;
 use crate::control::protection::{Protected, Protection};
+use crate::control::supervisor::Touch;
+use crate::control::targets::{Order, Targets, arm_target};
 use crate::control::uncovered::Uncovered;
-use crate::robot::{JOINTS, Parts, TAXELS};
+use crate::robot::{JOINTS, Parts, PlantKind, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_ROWS;
+use moca_msgs::request::ARMING_POSTURE_RAD;
 use moca_msgs::robot::resized;
 use moca_msgs::{
     Actuation, ContactRow, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, Refusal,
-    RobotCommand, RobotState, TaxelStatus,
+    Request, RobotCommand, RobotState, Target, TargetState, TaxelStatus,
 };
+use moca_wbc::reference_generator::{ReferenceBounds, Workspace};
 use moca_wbc::{
     ArmController, ArmInput, ArmState, BaseController, BaseGuard, BaseInput, BaseState, ControlError,
     ControlInput, ControlLaw, ControlOutput, ControllerState, Exceeded, FlangePose, LimitsHit,
@@ -55,8 +60,11 @@ pub struct Motion {
     barrier: Option<Barrier>,
     /// Of a base: what no taxel covers.
     uncovered: Option<Uncovered>,
+    targets: Targets,
     parts: Parts,
     guard: BaseGuard<TAXELS>,
+    real: bool,
+    deadlines: SourceAge,
 }
 
 impl Motion {
@@ -75,7 +83,43 @@ impl Motion {
         let barrier = either!(&controller, controller => controller.barrier(config))?;
         let uncovered = parts.has_cover().then(|| Uncovered::new(config));
         let guard = Protected::default().guard;
-        Ok(Self { controller, joints, taxels, parameters, protection, barrier, uncovered, parts, guard })
+        let targets = Targets::new(config);
+        let real = config.plant.kind == PlantKind::Robot;
+        let deadlines =
+            SourceAge { arm_s: config.plant.arm.deadline_s, base_s: config.plant.base.deadline_s };
+        Ok(Self {
+            controller,
+            joints,
+            taxels,
+            parameters,
+            protection,
+            barrier,
+            uncovered,
+            targets,
+            parts,
+            guard,
+            real,
+            deadlines,
+        })
+    }
+
+    /// Whether the robot is a real one, whose arm holds itself on a controller of its own while it gets no torques.
+    pub const fn is_of_a_real_robot(&self) -> bool {
+        self.real
+    }
+
+    /// Oldest states that are controlled with.
+    pub const fn deadlines(&self) -> SourceAge {
+        self.deadlines
+    }
+
+    /// The joint (0 is the first) of a real arm that is furthest from its posture, and how far, rad, where that is further
+    /// than arming allows: the null space would bring it there at once, and the base with it.
+    pub fn far_joint(&self, robot: &RobotState<JOINTS>) -> Option<(u8, f64)> {
+        let posture = &self.parameters.gains.posture_rad[..self.joints];
+        let off_rad = (0..).zip(robot.q_rad.iter().zip(posture).map(|(q, wanted)| (q - wanted).abs()));
+        let furthest = off_rad.max_by(|a, b| a.1.total_cmp(&b.1));
+        furthest.filter(|(_, off_rad)| self.real && self.parts.has_arm() && *off_rad > ARMING_POSTURE_RAD)
     }
 
     /// How many joints the arm has.
@@ -148,6 +192,7 @@ impl Motion {
             protection: self.protection.state().clone(),
             barrier: self.barrier.as_ref().map(Barrier::state),
             uncovered: self.uncovered.as_ref().map(Uncovered::state),
+            targets: self.targets.state().clone(),
         }
     }
 
@@ -177,11 +222,13 @@ impl Motion {
             (None, None) => {}
             _ => return Err(OtherRobot),
         }
+        self.targets.restore(&state.targets);
         Ok(())
     }
 
     /// Forgets targets and controller state: the next command is entered anew from the measured state.
     pub fn leave(&mut self) {
+        self.targets.enter(ControlLaw::Hold);
         either!(&mut self.controller, controller => controller.leave());
     }
 
@@ -194,24 +241,57 @@ impl Motion {
         either!(&mut self.controller, controller => controller.set_target_twist(twist))
     }
 
-    /// One tick's command in `mode`, `dt_s` after the last one, and why the robot must stop: the command then holds.
+    /// Answers a request for a target, or for its end, in `mode`.
+    ///
+    /// # Errors
+    /// Why it is not taken.
+    pub fn take_target(
+        &mut self,
+        now_ns: u64,
+        request: &Request,
+        mode: Mode,
+        robot: &RobotState<JOINTS>,
+        touch: Option<Touch>,
+    ) -> Outcome {
+        let law = law_of(mode);
+        self.targets.enter(law);
+        self.targets.take(now_ns, request, law, &self.parameters.limits.base_velocity, robot, touch)
+    }
+
+    /// The last target since the law was entered, and how it stands.
+    pub const fn target(&self) -> Option<TargetState> {
+        self.targets.shown()
+    }
+
+    /// Leads the running law where the target that counts wants it.
+    fn lead(
+        &mut self,
+        now_ns: u64,
+        law: ControlLaw,
+        robot: &RobotState<JOINTS>,
+        forces_n: &[f64; TAXELS],
+    ) -> Result<(), ControlError> {
+        self.targets.enter(law);
+        let touched = Touch::strongest(forces_n).is_some();
+        let reached = either!(&self.controller, controller => controller.has_reached());
+        let Some(order) = self.targets.advance(now_ns, touched, reached) else { return Ok(()) };
+        let workspace = self.targets.workspace();
+        either!(&mut self.controller, controller => controller.lead(&order, robot, workspace))
+    }
+
+    /// One tick's command in `mode` at `now_ns`, `dt_s` after the last one, and why the robot must stop: the command then holds.
     ///
     /// # Errors
     /// The fault to stop with; the order of that tick must then be [`Actuation::Brake`].
     pub fn command(
         &mut self,
+        now_ns: u64,
         mode: Mode,
         robot: &RobotState<JOINTS>,
         forces: &Result<[f64; TAXELS], (usize, TaxelStatus)>,
         dt_s: f64,
     ) -> Result<(ControlOutput<JOINTS>, Option<Fault>), Fault> {
-        let law = match mode {
-            Mode::Impedance => ControlLaw::Impedance,
-            Mode::FollowMe => ControlLaw::FollowMe,
-            Mode::Starting | Mode::Taring | Mode::Ready | Mode::ProtectiveStop | Mode::Fault => {
-                ControlLaw::Hold
-            }
-        };
+        let law = law_of(mode);
         // Standing still needs no cover; a law never runs on a force that is not there.
         let mut taxel_force_n = match (law, *forces) {
             (ControlLaw::Hold, _) => [0.0; TAXELS],
@@ -220,6 +300,7 @@ impl Motion {
                 return Err(Fault::TaxelInvalid { taxel: u8::try_from(taxel).unwrap_or(u8::MAX), status });
             }
         };
+        self.lead(now_ns, law, robot, &taxel_force_n).map_err(|_| Fault::ControlRefused)?;
         let mut guard = self.guard;
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.advance(robot, dt_s);
@@ -261,6 +342,15 @@ impl Motion {
             Exceeded::PoseError => Fault::PoseError,
         });
         Ok((output, fault))
+    }
+}
+
+/// The law that runs in a mode.
+const fn law_of(mode: Mode) -> ControlLaw {
+    match mode {
+        Mode::Impedance => ControlLaw::Impedance,
+        Mode::FollowMe => ControlLaw::FollowMe,
+        Mode::Starting | Mode::Taring | Mode::Ready | Mode::ProtectiveStop | Mode::Fault => ControlLaw::Hold,
     }
 }
 
@@ -348,6 +438,38 @@ impl<const N: usize> Controller<N> {
         }
     }
 
+    fn has_reached(&self) -> bool {
+        match self {
+            Self::Whole(_, Some(state)) => state.has_reached(),
+            Self::Arm(_, Some(state)) => state.has_reached(),
+            Self::Whole(_, None) | Self::Arm(_, None) | Self::Base(..) => true,
+        }
+    }
+
+    /// A law that has not been entered yet cannot be led.
+    fn lead(
+        &mut self,
+        order: &Order,
+        robot: &RobotState<JOINTS>,
+        workspace: &Workspace,
+    ) -> Result<(), ControlError> {
+        let (robot, bounds) = (robot.resized(), &ReferenceBounds::DEFAULT);
+        let velocity_body = match order {
+            Order::To(Target::BaseVelocity { velocity_body }) => *velocity_body,
+            _ => [0.0; 3],
+        };
+        let target = arm_target(order).unwrap_or(moca_wbc::Target::Hold);
+        match self {
+            Self::Whole(_, Some(state)) => {
+                state.lead(&target, &robot, bounds, Some(workspace))?;
+                state.lead_base(velocity_body)
+            }
+            Self::Arm(_, Some(state)) => state.lead(&target, &robot, bounds, Some(workspace)),
+            Self::Base(_, state) => state.lead(velocity_body),
+            Self::Whole(_, None) | Self::Arm(_, None) => Ok(()),
+        }
+    }
+
     fn carry_target(&mut self, shift_world_m: [f64; 2]) -> Result<(), ControlError> {
         match self {
             Self::Whole(_, Some(state)) => state.carry_target(shift_world_m),
@@ -382,7 +504,7 @@ impl<const N: usize> Controller<N> {
                 .map(|output| ControlOutput {
                     command: RobotCommand {
                         base_velocity_body: output.velocity_body,
-                        arm_torque_nm: [0.0; JOINTS],
+                        ..WITHOUT_PARTS.command
                     },
                     cover_wrench_base: output.cover_wrench_base,
                     limits: output.limits,
@@ -400,6 +522,7 @@ impl<const N: usize> Controller<N> {
                     command: RobotCommand {
                         base_velocity_body: [0.0; 3],
                         arm_torque_nm: resized(&output.torque_nm),
+                        arm_gravity_nm: resized(&output.gravity_nm),
                     },
                     flange_wrench_world: output.flange_wrench_world,
                     flange: output.flange,
@@ -419,7 +542,11 @@ const WITHOUT_PARTS: ControlOutput<JOINTS> = {
     const NOWHERE: FlangePose =
         FlangePose { position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] };
     ControlOutput {
-        command: RobotCommand { base_velocity_body: [0.0; 3], arm_torque_nm: [0.0; JOINTS] },
+        command: RobotCommand {
+            base_velocity_body: [0.0; 3],
+            arm_torque_nm: [0.0; JOINTS],
+            arm_gravity_nm: [0.0; JOINTS],
+        },
         cover_wrench_base: [0.0; 3],
         flange_wrench_world: [0.0; 6],
         flange: NOWHERE,

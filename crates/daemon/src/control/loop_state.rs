@@ -5,6 +5,7 @@ use crate::control::barrier::BarrierMemory;
 use crate::control::protection::ProtectionState;
 use crate::control::state_check::StateCheck;
 use crate::control::supervisor::Supervisor;
+use crate::control::targets::TargetsState;
 use crate::control::uncovered::UncoveredState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::{Fault, Parameters};
@@ -19,6 +20,8 @@ pub struct LoopState {
     pub state_check: StateCheck,
     /// The mode and what led to it.
     pub supervisor: Supervisor,
+    /// A real arm is on its own controller.
+    pub arm_released: bool,
     /// Why the robot stands, and the board whose fault that is.
     pub blamed: (Option<Fault>, Option<u8>),
     /// The law, its live parameters and what protects people.
@@ -37,6 +40,7 @@ pub struct MotionState {
     pub(super) protection: ProtectionState,
     pub(super) barrier: Option<BarrierMemory>,
     pub(super) uncovered: Option<UncoveredState>,
+    pub(super) targets: TargetsState,
 }
 
 /// What the law for an arm of so many joints remembers.

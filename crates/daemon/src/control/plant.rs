@@ -1,7 +1,7 @@
 //! The plant: whatever has a base and an arm. The only line that simulation and robot do not share.
 
 use crate::robot::JOINTS;
-use moca_msgs::{Actuation, Fault, Outcome, RobotState};
+use moca_msgs::{Actuation, ArmLink, Fault, Outcome, Refusal, RobotState};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -21,14 +21,7 @@ pub struct NoRobot(RobotState<JOINTS>);
 impl NoRobot {
     /// Shown to clients with its arm at `q_rad`.
     pub const fn at(q_rad: [f64; JOINTS]) -> Self {
-        Self(RobotState {
-            base_pose_world: [0.0; 3],
-            base_velocity_world: [0.0; 3],
-            q_rad,
-            dq_rad_s: [0.0; JOINTS],
-            torque_measured_nm: [0.0; JOINTS],
-            flange_wrench_world: None,
-        })
+        Self(RobotState::at_rest(q_rad))
     }
 }
 
@@ -44,15 +37,31 @@ impl Plant for NoRobot {
 
 /// A robot, simulated or real.
 pub trait Plant {
-    /// The state measured at this tick.
+    /// The state measured at this tick. A part whose state is old is judged by its age: where the arm is known and the base
+    /// is not, this is a state.
     ///
     /// # Errors
-    /// The fault that the supervisor has to react to, [`Fault::PlantLost`] for one that no longer answers.
+    /// The fault that the supervisor has to react to: [`Fault::ArmReflex`] and its like for an arm that does not let itself
+    /// be controlled now, [`Fault::PlantLost`] for a robot that no longer answers and needs a restart.
     fn read(&mut self) -> Result<RobotState<JOINTS>, Fault>;
 
     /// Age of the state that [`Plant::read`] last gave.
     fn age(&self) -> SourceAge {
         SourceAge::default()
+    }
+
+    /// What a real arm says about itself and the way to it.
+    fn link(&self) -> Option<ArmLink> {
+        None
+    }
+
+    /// Begins to recover the arm from its reflex; asked for once for each resume, and answered at once: the recovery ends
+    /// when [`Plant::read`] gives a state again.
+    ///
+    /// # Errors
+    /// [`Refusal::Recovering`] if it has begun, else why not.
+    fn recover(&mut self) -> Outcome {
+        Err(Refusal::CauseRemains(Fault::ArmReflex))
     }
 
     /// Carries out an order that stands for `ticks` control periods (more than 1 after missed slots).

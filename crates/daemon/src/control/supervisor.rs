@@ -78,6 +78,8 @@ pub struct Facts {
     pub zero: Zero,
     /// What is wrong with the plant or the controller now.
     pub plant_fault: Option<Fault>,
+    /// The joint (0 is the first) of a real arm that is too far from its posture to be armed, and how far, rad.
+    pub far_joint: Option<(u8, f64)>,
     /// Who touches the cover.
     pub touch: Option<Touch>,
 }
@@ -166,8 +168,14 @@ impl Supervisor {
             Some(
                 request @ (Request::PressTaxel { .. }
                 | Request::MaskTaxel { .. }
-                | Request::SetParameter { .. }),
+                | Request::SetParameter { .. }
+                | Request::Target(_)
+                | Request::Waypoint { .. }
+                | Request::EndTarget),
             ) => (None, Some(request)),
+            Some(Request::Resume) if facts.plant_fault == Some(Fault::ArmReflex) => {
+                (None, Some(Request::Resume))
+            }
             Some(request) => (Some(self.answer(request, facts)), None),
         };
         self.proceed(facts);
@@ -181,7 +189,8 @@ impl Supervisor {
     }
 
     fn react(&mut self, facts: &Facts) {
-        if let Some(fault) = facts.plant_fault {
+        let awaited = facts.plant_fault.filter(|fault| self.mode == Mode::Starting && fault.is_absence());
+        if let Some(fault) = facts.plant_fault.filter(|_| awaited.is_none()) {
             self.stop(fault);
         }
         match self.mode {
@@ -189,7 +198,7 @@ impl Supervisor {
             // Nothing moves yet: say what is missing and wait for it.
             Mode::Starting => {
                 let refused = (facts.zero == Zero::Refused).then_some(Fault::ZeroInvalid);
-                self.cause = facts.cover_fault.or(refused);
+                self.cause = awaited.or(facts.cover_fault).or(refused);
             }
             Mode::Taring | Mode::Ready | Mode::Impedance | Mode::FollowMe => {
                 let taring = self.mode == Mode::Taring;
@@ -242,6 +251,9 @@ impl Supervisor {
                 if let Some(Touch { taxel, force_n }) = facts.touch {
                     return Err(Refusal::Touched { taxel, force_n });
                 }
+                if let Some((joint, off_rad)) = facts.far_joint {
+                    return Err(Refusal::FarFromPosture { joint, off_rad });
+                }
                 self.go(self.law.into());
                 Ok(())
             }
@@ -257,9 +269,12 @@ impl Supervisor {
                 Ok(())
             }
             Request::Resume => self.resume(facts),
-            Request::PressTaxel { .. } | Request::MaskTaxel { .. } | Request::SetParameter { .. } => {
-                Err(Refusal::Mode(self.mode))
-            }
+            Request::PressTaxel { .. }
+            | Request::MaskTaxel { .. }
+            | Request::SetParameter { .. }
+            | Request::Target(_)
+            | Request::Waypoint { .. }
+            | Request::EndTarget => Err(Refusal::Mode(self.mode)),
         }
     }
 
@@ -349,8 +364,14 @@ mod tests {
     use super::*;
     use moca_msgs::TaxelStatus;
 
-    const GOOD: Facts =
-        Facts { cover_seen: true, cover_fault: None, zero: Zero::Valid, plant_fault: None, touch: None };
+    const GOOD: Facts = Facts {
+        cover_seen: true,
+        cover_fault: None,
+        zero: Zero::Valid,
+        plant_fault: None,
+        far_joint: None,
+        touch: None,
+    };
     const DRIFTED: Fault = Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Drifted };
     const HAND: Touch = Touch { taxel: 5, force_n: 12.0 };
     const ALL_MODES: [Mode; 7] = [
@@ -373,7 +394,7 @@ mod tests {
         Some(Request::OperatorLost),
         Some(Request::Resume),
     ];
-    const FACTS: [Facts; 10] = [
+    const FACTS: [Facts; 13] = [
         Facts { cover_seen: false, zero: Zero::Invalid, ..GOOD },
         Facts { zero: Zero::Invalid, ..GOOD },
         Facts { zero: Zero::Taring, ..GOOD },
@@ -384,6 +405,9 @@ mod tests {
         Facts { touch: Some(HAND), ..GOOD },
         Facts { plant_fault: Some(Fault::StateInvalid), ..GOOD },
         Facts { plant_fault: Some(Fault::BaseStale), ..GOOD },
+        Facts { plant_fault: Some(Fault::ArmReflex), ..GOOD },
+        Facts { plant_fault: Some(Fault::ArmRefused), zero: Zero::Invalid, ..GOOD },
+        Facts { far_joint: Some((3, 0.3)), ..GOOD },
     ];
 
     fn manual() -> Supervisor {
@@ -430,6 +454,7 @@ mod tests {
         }
         if mode.moves() && !before.moves() {
             assert_eq!(facts.touch, None, "armed under a hand");
+            assert_eq!(facts.far_joint, None, "armed far from the posture");
         }
         if before == Mode::Fault {
             assert_eq!(mode, Mode::Fault, "fault is left only by a restart");

@@ -3,15 +3,17 @@
 use crate::control::cover::{CoverSource, CoverState};
 use crate::control::law::{self, Motion};
 use crate::control::loop_state::{LoopState, OtherRobot};
-use crate::control::plant::Plant;
+use crate::control::plant::{Plant, SourceAge};
 use crate::control::protection::Protected;
 use crate::control::stage::{Stage, StageTimer};
-use crate::control::state_check::StateCheck;
+use crate::control::state_check::{Checked, StateCheck};
 use crate::control::supervisor::{Facts, Supervisor, Touch};
 use crate::control::tick_input::{Slot, TickInput};
 use crate::robot::JOINTS;
 use heapless::Vec;
-use moca_msgs::{Actuation, Fault, Mode, Outcome, Refusal, Request, RobotState, Sample};
+use moca_msgs::{
+    Actuation, ArmLink, Fault, Link, Mode, Outcome, Refusal, Request, RobotCommand, RobotState, Sample,
+};
 use moca_wbc::{ControlError, ControlOutput};
 
 /// The parts of a running robot, and nothing that knows how the tick is timed or who watches.
@@ -24,6 +26,8 @@ pub struct ControlLoop<P, S> {
     supervisor: Supervisor,
     motion: Motion,
     period_s: f64,
+    /// A real arm is on its own controller; torque control begins with [`Mode::Ready`].
+    arm_released: bool,
     /// Of the present tick.
     protected: Protected,
     /// Why the robot stands, and the board whose fault that is.
@@ -45,24 +49,29 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// A loop that has not ticked yet.
     pub fn new(plant: P, cover: S, supervisor: Supervisor, motion: Motion, period_s: f64) -> Self {
         let (state_check, protected) = (StateCheck::default(), Protected::default());
-        Self { plant, cover, state_check, supervisor, motion, period_s, protected, blamed: (None, None) }
+        let (arm_released, blamed) = (motion.is_of_a_real_robot(), (None, None));
+        Self { plant, cover, state_check, supervisor, motion, period_s, arm_released, protected, blamed }
     }
 
     /// One tick: read, decide, command, write; `timer` hears of each stage's end.
     pub fn tick(&mut self, slot: &Slot, request: Option<Request>, timer: &mut impl StageTimer) -> Ticked {
-        // Of what is measured the bits beyond single precision are noise, which no log could keep in little room: gone before
-        // anybody computes with them, they are missed by no replay.
+        // The bits of a measurement beyond single precision are noise that would fill a log. They are dropped before anything
+        // is computed from them, so that a replay does not miss them.
         let exact = self.plant.simulated().is_some();
         let measured = self.plant.read().map(|state| if exact { state } else { state.in_single_precision() });
-        let age = self.plant.age();
-        let robot = measured.and_then(|state| self.state_check.check(state, age, self.elapsed_s(slot)));
+        let (age, link) = (self.plant.age(), self.plant.link());
+        let (deadlines, elapsed_s) = (self.motion.deadlines(), self.elapsed_s(slot));
+        let robot = match measured {
+            Ok(state) => self.state_check.check(state, age, deadlines, elapsed_s),
+            Err(fault) => Checked::none(fault),
+        };
         timer.end(Stage::Read);
 
         let cover = self.cover.read(slot.now_ns);
         timer.end(Stage::Cover);
 
         let (outcome, output) = self.decide(slot, &robot, &cover, request);
-        let actuation = law::actuation(output.as_ref());
+        let actuation = self.actuation(&robot, output.as_ref());
         timer.end(Stage::Control);
 
         let refused = self.plant.write(&actuation, slot.ticks).err();
@@ -73,12 +82,13 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
 
         self.blame(&cover);
         Ticked {
-            sample: self.sample(slot, robot.ok().as_ref(), &cover, &actuation, output.as_ref()),
+            sample: self.sample(slot, (robot.state.as_ref(), age, link), &cover, &actuation, output.as_ref()),
             outcome,
             input: TickInput {
                 slot: *slot,
                 state: measured,
                 age,
+                link,
                 request,
                 outcome,
                 refused,
@@ -89,10 +99,10 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
 
     /// What the loop remembers between this tick and the next: a copy, for which nothing is allocated.
     pub fn state(&self) -> LoopState {
-        let Self { plant: _, cover, state_check, supervisor, motion, period_s: _, protected: _, blamed } =
-            self;
+        let Self { plant: _, cover, state_check, supervisor, motion, arm_released, blamed, .. } = self;
         let (state_check, supervisor, blamed) = (*state_check, *supervisor, *blamed);
-        LoopState { state_check, supervisor, blamed, motion: motion.state(), cover: cover.state() }
+        let (arm_released, motion, cover) = (*arm_released, motion.state(), cover.state());
+        LoopState { state_check, supervisor, arm_released, blamed, motion, cover }
     }
 
     /// Goes on from where `state` was taken.
@@ -103,6 +113,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         self.motion.restore(&state.motion)?;
         (self.state_check, self.supervisor, self.blamed) =
             (state.state_check, state.supervisor, state.blamed);
+        self.arm_released = state.arm_released;
         self.cover.restore(&state.cover);
         Ok(())
     }
@@ -139,7 +150,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     fn decide(
         &mut self,
         slot: &Slot,
-        robot: &Result<RobotState<JOINTS>, Fault>,
+        robot: &Checked,
         cover: &CoverState,
         request: Option<Request>,
     ) -> (Option<Outcome>, Option<ControlOutput<JOINTS>>) {
@@ -147,14 +158,18 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             cover_seen: cover.frames_good > 0 || !self.motion.parts().has_cover(),
             cover_fault: cover.fault,
             zero: cover.zero,
-            plant_fault: robot.err(),
+            plant_fault: robot.fault,
+            far_joint: robot.state.as_ref().and_then(|state| self.motion.far_joint(state)),
             touch: cover.forces.ok().and_then(|forces_n| Touch::strongest(&forces_n)),
         };
         let decision = self.supervisor.step(&facts, request);
         if decision.start_tare {
             self.cover.start_tare(slot.now_ns);
         }
-        let outcome = decision.carry_out.map(|request| self.carry_out(request)).or(decision.outcome);
+        let outcome = decision
+            .carry_out
+            .map(|request| self.carry_out(request, slot.now_ns, decision.mode, robot, facts.touch))
+            .or(decision.outcome);
         match self.command(slot, robot, cover, decision.mode) {
             Ok(output) => (outcome, output),
             Err(fault) => {
@@ -165,12 +180,24 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     }
 
     /// What the supervisor permits and a part of the robot has to do.
-    fn carry_out(&mut self, request: Request) -> Outcome {
+    fn carry_out(
+        &mut self,
+        request: Request,
+        now_ns: u64,
+        mode: Mode,
+        robot: &Checked,
+        touch: Option<Touch>,
+    ) -> Outcome {
         match request {
+            Request::Target(_) | Request::Waypoint { .. } | Request::EndTarget => match &robot.state {
+                Some(robot) => self.motion.take_target(now_ns, &request, mode, robot, touch),
+                None => Err(Refusal::Mode(mode)),
+            },
             Request::PressTaxel { taxel, force_n } => {
                 let world = self.plant.simulated().ok_or(Refusal::NotSimulated)?;
                 world.press(usize::from(taxel), force_n)
             }
+            Request::Resume => self.plant.recover(),
             Request::MaskTaxel { taxel, masked } => self.cover.mask(usize::from(taxel), masked),
             Request::SetParameter { parameter, values } => {
                 self.motion.set_parameter(usize::from(parameter), &values)
@@ -182,27 +209,54 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     fn command(
         &mut self,
         slot: &Slot,
-        robot: &Result<RobotState<JOINTS>, Fault>,
+        robot: &Checked,
         cover: &CoverState,
         mode: Mode,
     ) -> Result<Option<ControlOutput<JOINTS>>, Fault> {
         self.protected = self.motion.protect(slot.now_ns, cover, mode);
-        let (Ok(robot), false) = (robot, mode == Mode::Fault) else {
+        self.release_arm(robot, mode);
+        let (Some(robot), false) = (&robot.state, mode == Mode::Fault) else {
             // Whatever runs next starts from where the robot then is.
             self.motion.leave();
             return Ok(None);
         };
-        let (output, stop) = self.motion.command(mode, robot, &cover.forces, self.elapsed_s(slot))?;
+        let (output, stop) =
+            self.motion.command(slot.now_ns, mode, robot, &cover.forces, self.elapsed_s(slot))?;
         if let Some(fault) = stop {
             self.supervisor.stop_for(fault);
         }
         Ok(Some(output))
     }
 
+    /// Whether a real arm is left to its own controller in this tick. It is until the robot is ready for the first time, and
+    /// after a stop in which it could not be driven until somebody resumes: nothing else gives it torques again.
+    fn release_arm(&mut self, robot: &Checked, mode: Mode) {
+        let released = match mode {
+            Mode::Ready | Mode::Impedance | Mode::FollowMe => false,
+            Mode::Starting | Mode::Fault => true,
+            Mode::Taring | Mode::ProtectiveStop => self.arm_released || robot.state.is_none(),
+        };
+        self.arm_released = released && self.motion.is_of_a_real_robot();
+        if self.arm_released {
+            self.motion.leave();
+        }
+    }
+
+    /// The order to each part. A base whose state is old stands, whatever the arm does.
+    fn actuation(&self, robot: &Checked, output: Option<&ControlOutput<JOINTS>>) -> Actuation<JOINTS> {
+        match law::actuation(output) {
+            Actuation::Drive(_) if self.arm_released => Actuation::Brake,
+            Actuation::Drive(command) if robot.fault.is_some() => {
+                Actuation::Drive(RobotCommand { base_velocity_body: [0.0; 3], ..command })
+            }
+            actuation => actuation,
+        }
+    }
+
     fn sample(
         &self,
         slot: &Slot,
-        robot: Option<&RobotState<JOINTS>>,
+        (robot, age, link): (Option<&RobotState<JOINTS>>, SourceAge, Option<ArmLink>),
         cover: &CoverState,
         actuation: &Actuation<JOINTS>,
         output: Option<&ControlOutput<JOINTS>>,
@@ -227,6 +281,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             contact_reaction: self.protected.reaction,
             contact_events: self.protected.events.clone(),
             contact_rows: self.motion.contact_rows(),
+            target: self.motion.target(),
+            link: link.map(|arm| Link { arm_age_s: age.arm_s, base_age_s: age.base_s, arm }),
             ..Sample::default()
         };
         let (parts, joints) = (self.motion.parts(), ..self.motion.joints());
@@ -288,14 +344,7 @@ mod tests {
 
     impl Plant for Standing {
         fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
-            Ok(RobotState {
-                base_pose_world: [0.0; 3],
-                base_velocity_world: [0.0; 3],
-                q_rad: Config::default().control.gains.posture_rad,
-                dq_rad_s: [0.0; JOINTS],
-                torque_measured_nm: [0.0; JOINTS],
-                flange_wrench_world: None,
-            })
+            Ok(RobotState::at_rest(Config::default().control.gains.posture_rad))
         }
 
         fn age(&self) -> SourceAge {

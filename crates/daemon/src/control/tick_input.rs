@@ -2,7 +2,7 @@
 
 use crate::control::plant::SourceAge;
 use crate::robot::JOINTS;
-use moca_msgs::{Fault, Outcome, Request, RobotState, STAGES};
+use moca_msgs::{ArmLink, Fault, Outcome, Request, RobotState, STAGES};
 use serde::{Deserialize, Serialize};
 
 /// When a tick runs.
@@ -31,6 +31,8 @@ pub struct TickInput {
     pub state: Result<RobotState<JOINTS>, Fault>,
     /// How old that was.
     pub age: SourceAge,
+    /// What a real arm said about itself.
+    pub link: Option<ArmLink>,
     /// What was asked.
     pub request: Option<Request>,
     /// What was answered.

@@ -31,16 +31,12 @@ pub fn free_scene(config: &Config) -> Scene {
     };
     Scene {
         robot,
-        arm: *config.arm(),
         arm_posture_rad: config.control.gains.posture_rad,
         payload: config.robot.payload(),
         foam: foam(config),
-        mount: config.robot.mount,
-        base: config.robot.base,
-        cover: config.robot.cover.placements(),
         control_period_s,
         physics_step_s: control_period_s / substeps,
-        ..Scene::default()
+        ..Scene::new(config.arm(), &config.robot.base, &config.robot.mount, &config.robot.cover.placements())
     }
 }
 

@@ -6,7 +6,7 @@ use crate::control::tick_input::{Slot, TickInput};
 use crate::record::tick_log::{PortEvent, TickRecord};
 use crate::robot::JOINTS;
 use anyhow::{Context, Result, ensure};
-use moca_msgs::{Fault, Outcome, Request, RobotState, STAGES, Sample};
+use moca_msgs::{ArmLink, Fault, Outcome, Request, RobotState, STAGES, Sample};
 use moca_telemetry::log::columns::{ColumnReader, ColumnWriter, DamagedColumns, Rate};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -35,7 +35,7 @@ pub fn fingerprint(sample: &Sample) -> u32 {
     crc32fast::hash(&postcard::to_stdvec(sample).unwrap_or_default())
 }
 
-/// Puts ticks and samples, which come on different ways, together into blocks.
+/// Joins ticks and samples, which come through different rings, into blocks.
 #[derive(Debug, Default)]
 pub struct BlockBuilder {
     period_s: f64,
@@ -119,6 +119,15 @@ struct Rare {
 /// What further boards said, each event with the tick's place in the block and the board.
 type Further = Vec<(u32, u8, PortEvent)>;
 
+/// What the arm said about itself, where that is other than in the tick before; nothing before the first.
+type Links = Vec<(u32, Option<ArmLink>)>;
+
+fn link_changes(ticks: &[ComparedTick]) -> Links {
+    let mut last = None;
+    let links = (0..).zip(ticks.iter().map(|tick| tick.record.input.link));
+    links.filter(|(_, link)| std::mem::replace(&mut last, *link) != *link).collect()
+}
+
 impl Rare {
     fn of(ticks: &[ComparedTick]) -> Self {
         let mut rare = Self::default();
@@ -143,7 +152,7 @@ impl Rare {
     }
 }
 
-/// `period_s` is the loop's period: it helps to foretell angles from their rates, s.
+/// `period_s` is the loop's period: it helps to predict angles from their rates, s.
 pub fn encode(ticks: &[ComparedTick], period_s: f64) -> Vec<u8> {
     let mut out = ColumnWriter::default();
     let slots: Vec<Slot> = ticks.iter().map(|tick| tick.record.input.slot).collect();
@@ -196,12 +205,13 @@ pub fn encode(ticks: &[ComparedTick], period_s: f64) -> Vec<u8> {
         out.numbers(&wrenches.iter().map(|wrench| wrench[axis]).collect::<Vec<_>>(), None);
     }
     out.blob(&ticks.iter().filter_map(|tick| tick.sample).flat_map(u32::to_le_bytes).collect::<Vec<_>>());
-    // These types always encode; nothing at all would be found by whoever reads it back.
+    // These types always encode; an empty record would be refused by whoever reads it.
     let mut rare = postcard::to_stdvec(&Rare::of(ticks)).unwrap_or_default();
     let further = Rare::further(ticks);
-    if !further.is_empty() {
-        // Behind the rest, so that a log of one board is what it always was.
-        rare.extend(postcard::to_stdvec(&further).unwrap_or_default());
+    let links = link_changes(ticks);
+    if !(further.is_empty() && links.is_empty()) {
+        // After everything else, so that the log of a single board keeps its form.
+        rare.extend(postcard::to_stdvec(&(further, links)).unwrap_or_default());
     }
     out.blob(&rare);
     out.finish()
@@ -265,14 +275,7 @@ impl Columns<'_> {
         let rows = slots.len();
         let period_s = self.numbers(None, 1)?[0];
         let step_s: Vec<f64> = slots.iter().map(|slot| step_s(slot, period_s)).collect();
-        let nowhere = RobotState {
-            base_pose_world: [0.0; 3],
-            base_velocity_world: [0.0; 3],
-            q_rad: [0.0; JOINTS],
-            dq_rad_s: [0.0; JOINTS],
-            torque_measured_nm: [0.0; JOINTS],
-            flange_wrench_world: None,
-        };
+        let nowhere = RobotState::at_rest([0.0; JOINTS]);
         let mut states = vec![nowhere; rows];
         for axis in 0..3 {
             let per_s = self.numbers(None, rows)?;
@@ -324,7 +327,8 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<ComparedTick>> {
     let mut prints =
         prints.chunks_exact(4).filter_map(|print| Some(u32::from_le_bytes(print.try_into().ok()?)));
     let (rare, behind): (Rare, &[u8]) = postcard::take_from_bytes(columns.reader.blob()?)?;
-    let further: Further = if behind.is_empty() { Vec::new() } else { postcard::from_bytes(behind)? };
+    let (further, links): (Further, Links) =
+        if behind.is_empty() { Default::default() } else { postcard::from_bytes(behind)? };
 
     let mut states = states.into_iter();
     let mut ticks = Vec::with_capacity(rows);
@@ -334,6 +338,7 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<ComparedTick>> {
             slot: slots[row],
             state: state.context("a state is missing")?,
             age: SourceAge { arm_s: arm_s[row], base_s: base_s[row] },
+            link: None,
             request: None,
             outcome: None,
             refused: None,
@@ -346,6 +351,13 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<ComparedTick>> {
             None
         };
         ticks.push(ComparedTick { record, sample });
+    }
+    let (mut link, mut links) = (None, links.into_iter().peekable());
+    for (row, tick) in (0..).zip(&mut ticks) {
+        if let Some((_, changed)) = links.next_if(|(of, _)| *of == row) {
+            link = changed;
+        }
+        tick.record.input.link = link;
     }
     put(&mut ticks, rare.no_state, |record, fault| record.input.state = Err(fault))?;
     put(&mut ticks, rare.requests, |record, request| record.input.request = Some(request))?;
@@ -398,6 +410,7 @@ mod tests {
             age: SourceAge { arm_s: x, base_s: 2.0 * x },
             request: number.is_multiple_of(10).then_some(pressed),
             outcome: number.is_multiple_of(10).then_some(Err(Refusal::Mode(Mode::Ready))),
+            link: (number / 30 % 3 > 0).then(|| ArmLink { lost: number / 40, ..ArmLink::default() }),
             refused: (number == 17).then_some(Fault::PlantLost),
             cover_events: number / 4,
         };

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 const RING: usize = 4096;
 /// How often what the loop remembers is noted, ns.
 const STATE_EVERY_NS: u64 = 1_000_000_000;
-/// As many seconds of it as of ticks.
+/// States of the loop on their way: as many seconds of them as of ticks.
 const STATES: usize = 4;
 
 /// The loop's end of the tick log.
@@ -183,6 +183,7 @@ pub(super) mod tests {
             slot: Slot { tick, now_ns: tick * 1_000_000, ..Slot::default() },
             state: Err(Fault::PlantLost),
             age: SourceAge::default(),
+            link: None,
             request: None,
             outcome: None,
             refused: None,
@@ -195,6 +196,7 @@ pub(super) mod tests {
         LoopState {
             state_check: StateCheck::default(),
             supervisor: supervisor(&config),
+            arm_released: false,
             blamed: (None, None),
             motion: motion(&config).unwrap().state(),
             cover: None,

@@ -13,9 +13,9 @@ use crate::runtime::notice::{Notice, Reporter};
 use crate::runtime::options::Options;
 use crate::runtime::watchdog::Heartbeat;
 use anyhow::{Context, Result, anyhow};
+use moca_msgs::robot::AnyArm;
 use moca_msgs::{Refusal, Sample};
 use moca_telemetry::RobotDescription;
-use moca_telemetry::description::ArmDescription;
 use moca_telemetry::net::{
     self, Address, CalibrationPort, Judge, Ports, ProposedChange, RequestSender, Server,
 };
@@ -95,25 +95,26 @@ pub(crate) fn serve(
 }
 
 fn description(config: &Config) -> RobotDescription {
-    let parameters = crate::config::schema::describe(config);
-    let robot = RobotDescription::new(
-        &config.robot.name,
-        config.plant.kind == PlantKind::Simulated,
-        1.0 / f64::from(config.control_loop.rate_hz),
-        &config.robot.base,
-        &config.robot.mount,
-        &config.arm().table,
-        &config.robot.cover.placements(),
-        &config.parameters().limits,
-        Duration::from_nanos(moca_tactile::board::SILENT_AFTER_NS).as_secs_f64(),
-    );
-    let speed_override = config.protection.override_statement.clone();
-    let uncalibrated = config.uncalibrated().unwrap_or_default();
-    let mut robot = RobotDescription { parameters, speed_override, uncalibrated, ..robot };
-    robot.arm.joint_origin.truncate(config.arm().joints);
-    robot.arm.name.clone_from(&config.robot.arm.name);
+    let limits = &config.parameters().limits;
+    let mut robot = RobotDescription {
+        name: config.robot.name.clone(),
+        simulated: config.plant.kind == PlantKind::Simulated,
+        period_s: 1.0 / f64::from(config.control_loop.rate_hz),
+        base_size_m: config.robot.base.size_m,
+        arm_name: config.robot.arm.name.clone(),
+        arm: *config.arm(),
+        mount: config.robot.mount,
+        taxels: config.robot.cover.placements(),
+        frame_deadline_s: Duration::from_nanos(moca_tactile::board::SILENT_AFTER_NS).as_secs_f64(),
+        taxel_force_max_n: limits.taxel_force_n,
+        base_velocity_max: limits.base_velocity,
+        parameters: crate::config::schema::describe(config),
+        speed_override: config.protection.override_statement.clone(),
+        uncalibrated: config.uncalibrated().unwrap_or_default(),
+        urdf: crate::config::urdf::urdf(&config.robot, config.plant.parts),
+    };
     if !config.plant.parts.has_arm() {
-        robot.arm = ArmDescription { name: "no arm".into(), ..ArmDescription::default() };
+        (robot.arm_name, robot.arm) = (String::new(), AnyArm::NONE);
     }
     if !config.plant.parts.has_cover() {
         robot.taxels.clear();
@@ -142,13 +143,13 @@ fn recording(
     Ok(Some(recording))
 }
 
-/// Lets a telemetry client do the fault that the command line asks for, if it is one of those.
+/// Starts the telemetry client that causes the fault that the command line asks for, if a client can cause it.
 pub(crate) fn spoil_telemetry(
     options: &Options,
     server: Option<&Server>,
     strike: Option<&Strike>,
 ) -> Result<()> {
-    // In lock-step what reaches the loop of a fault is asked of it in its tick: no socket is as punctual.
+    // In lock-step the part of a fault that reaches the loop is requested in its own tick: no socket is as punctual.
     let by_socket = |fault: &OutsideFault| {
         !(fault.is_of_disk()
             || *fault == OutsideFault::Panic

@@ -20,13 +20,12 @@ pub struct Step {
 #[derive(Debug)]
 pub struct Held(#[expect(dead_code, reason = "held open, never read")] Option<File>);
 
-/// Tries every wish for the calling thread (memory: for the process).
+/// Tries every setting for the calling thread (memory: for the process).
 pub fn apply(wishes: &RealtimeConfig) -> (Vec<Step>, Held) {
     let mut steps = Vec::new();
     let mut tried = |what: String, result: io::Result<()>| steps.push(Step { what, result });
-    if wishes.lock_memory {
-        let all = MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE;
-        tried("memory locked".into(), mlockall(all).map_err(io::Error::from));
+    if let Some(locked) = lock_memory(wishes) {
+        tried(locked.what, locked.result);
     }
     if let Ok(cpu) = usize::try_from(wishes.cpu) {
         tried(format!("pinned to core {cpu}"), pin(cpu));
@@ -40,6 +39,13 @@ pub fn apply(wishes: &RealtimeConfig) -> (Vec<Step>, Held) {
         tried("processors kept awake (/dev/cpu_dma_latency)".into(), result);
     }
     (steps, Held(latency))
+}
+
+/// Locks the process's memory, if that is wished for.
+pub(crate) fn lock_memory(wishes: &RealtimeConfig) -> Option<Step> {
+    let all = MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE;
+    let lock = || Step { what: "memory locked".into(), result: mlockall(all).map_err(io::Error::from) };
+    wishes.lock_memory.then(lock)
 }
 
 /// While it lives the calling thread, and with it every thread that it starts, has a SCHED_FIFO priority.

@@ -11,7 +11,7 @@ use crate::record::tick_log::{StateRecord, TickRecord};
 use crate::robot::JOINTS;
 use crate::runtime::assemble::{cover_config, motion, supervisor};
 use anyhow::{Context, Result, anyhow, bail};
-use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState, Sample};
+use moca_msgs::{Actuation, ArmLink, Fault, Outcome, Refusal, RobotState, Sample};
 use moca_tactile::{BoardEvent, Cover};
 use moca_telemetry::log::records::Configuration;
 use moca_telemetry::log::{LogReader, Record, shown};
@@ -126,12 +126,22 @@ impl std::error::Error for Failure {}
 /// # Errors
 /// A [`Failure`], or a file that is no log of a run.
 pub fn run(parts: &[PathBuf]) -> Result<Report> {
+    run_watched(parts, &mut |_| {})
+}
+
+/// The same; `progress` hears which part is done, 0 to 1.
+///
+/// # Errors
+/// As for [`run`].
+#[expect(clippy::cast_precision_loss, reason = "a share of some files")]
+pub fn run_watched(parts: &[PathBuf], progress: &mut dyn FnMut(f64)) -> Result<Report> {
     let started = Instant::now();
     let mut replay: Option<Replay> = None;
     let mut report = Report::default();
-    for part in parts {
+    for (number, part) in parts.iter().enumerate() {
         let mut reader = LogReader::open(part)?;
-        for record in &mut reader {
+        while let Some(record) = reader.next() {
+            progress((number as f64 + reader.part_read()) / parts.len() as f64);
             match (record, &mut replay) {
                 (Record::Configuration(configuration), None) => {
                     let ours = env!("CARGO_PKG_VERSION");
@@ -270,7 +280,8 @@ impl Replay {
             state: input.state,
             age: input.age,
             refused: input.refused,
-            pressed: input.outcome.unwrap_or(Ok(())),
+            link: input.link,
+            outcome: input.outcome.unwrap_or(Ok(())),
         };
         let Ticked { sample, outcome, .. } = self.control.tick(&input.slot, input.request, &mut Untimed);
         self.last = Some((number, record.number));
@@ -369,13 +380,15 @@ struct RecordedPlant {
     state: Result<RobotState<JOINTS>, Fault>,
     age: SourceAge,
     refused: Option<Fault>,
-    pressed: Outcome,
+    link: Option<ArmLink>,
+    /// Of what only the robot can answer.
+    outcome: Outcome,
 }
 
 impl Default for RecordedPlant {
     fn default() -> Self {
-        let (state, pressed) = (Err(Fault::PlantLost), Err(Refusal::NotSimulated));
-        Self { state, age: SourceAge::default(), refused: None, pressed }
+        let (state, outcome) = (Err(Fault::PlantLost), Err(Refusal::NotSimulated));
+        Self { state, age: SourceAge::default(), refused: None, link: None, outcome }
     }
 }
 
@@ -386,6 +399,14 @@ impl Plant for RecordedPlant {
 
     fn age(&self) -> SourceAge {
         self.age
+    }
+
+    fn link(&self) -> Option<ArmLink> {
+        self.link
+    }
+
+    fn recover(&mut self) -> Outcome {
+        self.outcome
     }
 
     fn write(&mut self, _actuation: &Actuation<JOINTS>, _ticks: u64) -> Result<(), Fault> {
@@ -399,7 +420,7 @@ impl Plant for RecordedPlant {
 
 impl Simulated for RecordedPlant {
     fn press(&mut self, _taxel: usize, _force_n: f64) -> Outcome {
-        self.pressed
+        self.outcome
     }
 }
 
@@ -419,7 +440,7 @@ impl TemporaryFile {
 
 impl Drop for TemporaryFile {
     fn drop(&mut self) {
-        // A file that stays behind in the temporary folder harms nobody.
+        // A file left behind in the temporary folder does no harm.
         let _ = std::fs::remove_file(&self.0);
     }
 }

@@ -9,8 +9,8 @@ use crate::inject::FaultSite;
 #[cfg(feature = "sim")]
 use crate::record::tick_log::TickLogReader;
 use crate::record::tick_log::{TickLog, tick_log};
-use crate::robot::PlantKind;
-use crate::runtime::assemble::{OpenBoard, Subscribers, motion, open_boards, supervisor};
+use crate::robot::{ArmDriver, BaseDriver, PlantKind};
+use crate::runtime::assemble::{HeldBoard, OpenBoard, Subscribers, motion, open_boards, supervisor};
 use crate::runtime::clients::{Clients, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
 use crate::runtime::clock::Clock;
 use crate::runtime::live::{self, LiveReport, Shared};
@@ -18,7 +18,7 @@ use crate::runtime::notice::{Notice, Reporter, Summary};
 use crate::runtime::options::Options;
 use crate::runtime::panics::PanicWatch;
 use crate::runtime::realtime;
-use crate::runtime::tick_source::Timer;
+use crate::runtime::tick_source::{TickSource, Timer};
 use crate::runtime::timing::Timing;
 use anyhow::{Context, Result, anyhow};
 use moca_msgs::Sample;
@@ -28,7 +28,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// `--require-realtime` was given and the operating system refused this many wishes.
+/// `--require-realtime` was given and the operating system refused this many settings.
 #[derive(Debug)]
 pub struct RealtimeRefused(pub usize);
 
@@ -61,6 +61,14 @@ fn run_plant(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
         (PlantKind::None, true) => {
             Err(anyhow!("plant.kind = \"none\" runs live only: lock-step simulates its board"))
         }
+        (PlantKind::Robot, true) => {
+            Err(anyhow!("plant.kind = \"robot\" runs live only: a real robot goes at its own pace"))
+        }
+        (PlantKind::Robot, false) => {
+            let run = live_robot(options, shared, reporter)?;
+            reporter.report(Notice::Ended(&run.summary()));
+            Ok(())
+        }
         (PlantKind::None, false) => {
             let run = live_board_only(options, shared, reporter)?;
             reporter.report(Notice::Ended(&run.summary()));
@@ -91,8 +99,8 @@ fn check_injection(options: &Options) -> Result<()> {
         FaultSite::Cable(_) if !plant.parts.has_cover() => {
             Err(anyhow!("--inject {name}: plant.parts = \"arm\" has no cover and no cable to spoil"))
         }
-        FaultSite::Plant(_) | FaultSite::MissedSlots(_) if plant.kind == PlantKind::None => {
-            Err(anyhow!("--inject {name}: plant.kind = \"none\" has no robot that could fail"))
+        FaultSite::Plant(_) | FaultSite::MissedSlots(_) if plant.kind != PlantKind::Simulated => {
+            Err(anyhow!("--inject {name}: only a simulated robot can be made to fail (plant.kind)"))
         }
         _ => Ok(()),
     }
@@ -153,13 +161,96 @@ pub fn live_simulated(
         crate::runtime::assemble::assemble(&options.config, clock, options.inject.as_ref(), subscribers)?;
     let simulated = options.config.board.port.are_simulated();
     let calibration = robot.board.as_mut().and_then(|board| {
-        reporter.report(Notice::Board { port: Some(&board.ports), simulated });
-        if let Some(step) = &board.priority {
-            reporter.report(Notice::RealTime(step));
-        }
+        report_board(board, simulated, reporter);
         board.calibration.take()
     });
-    live(options, robot.control, (clock, log), (clients, calibration), shared, reporter)
+    live(options, robot.control, (clock, log), Timer::new, (clients, calibration), shared, reporter)
+}
+
+/// Runs a robot of the caller's until `shared.stop` is set or the duration is over, with telemetry, log and flight recorder
+/// as `mocad` has them. `connect` is called once, after the process's memory is locked: what answers to a robot every
+/// millisecond must not wait for pages. `ticks` is [`PlantTicks::new`](crate::runtime::tick_source::PlantTicks::new) for a
+/// plant whose datagrams are the loop's clock, else [`Timer::new`]. The configuration says `plant.kind = "robot"`.
+///
+/// # Errors
+/// As for [`run`], and what `connect` says.
+pub fn with_plant<P: Plant + Send, T: TickSource<P>>(
+    options: &Options,
+    connect: impl FnOnce() -> Result<P>,
+    ticks: impl FnOnce(Clock, u64) -> T + Send,
+    shared: &Arc<Shared>,
+    reporter: &mut dyn Reporter,
+) -> Result<LiveRun> {
+    let mut options = options.clone();
+    if let Some(step) = realtime::lock_memory(&options.config.realtime) {
+        reporter.report(Notice::RealTime(&step));
+        if options.require_realtime && step.result.is_err() {
+            return Err(RealtimeRefused(1).into());
+        }
+        options.config.realtime.lock_memory = false;
+    }
+    let config = &options.config;
+    let clock = Clock::start()?;
+    let (log, copies, log_reader) = tick_log();
+    let clients = Clients::new(&options, log_reader, reporter)?;
+    let plant = connect()?;
+    let (mut cover, mut held, mut calibration) = (None, None, None);
+    if config.plant.parts.has_cover() {
+        let subscribers = Subscribers {
+            copies: Some(copies),
+            moving: Arc::clone(&shared.moving),
+            pulses: vec![Arc::clone(&shared.pulse)],
+            ..Subscribers::default()
+        };
+        let ports = config.board.port.to_vec();
+        let mut open = open_boards(config, clock, ports, options.inject.as_ref(), subscribers)?;
+        calibration = open.held.calibration.take();
+        report_board(&open.held, false, reporter);
+        (cover, held) = (Some(open.cover), Some(open.held));
+    }
+    let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
+    let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s);
+    let run = live(&options, control, (clock, log), ticks, (clients, calibration), shared, reporter);
+    drop(held);
+    run
+}
+
+/// Runs the real robot that the configuration names.
+fn live_robot(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
+    let plant = &options.config.plant;
+    let on_a_base = plant.parts.has_cover();
+    match (plant.arm.driver, plant.base.driver) {
+        (ArmDriver::Fci, _) if plant.parts.has_arm() && !on_a_base => live_fci(options, shared, reporter),
+        (ArmDriver::Fci, BaseDriver::Simulated) if plant.parts.has_arm() => {
+            live_fci(options, shared, reporter)
+        }
+        _ => Err(anyhow!(
+            "plant.kind = \"robot\": `mocad` drives an arm (plant.arm.driver = \"fci\") on a stand (plant.parts = \"arm\") or \
+             on a base that is simulated (plant.base.driver = \"simulated\"); a program with a driver of its own runs the \
+             loop with `moca_daemon::runtime::run::with_plant`"
+        )),
+    }
+}
+
+#[cfg(not(feature = "fci"))]
+fn live_fci(_: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
+    Err(anyhow!(
+        "plant.arm.driver = \"fci\" needs a build with the feature `fci` (cargo build --release --features fci)"
+    ))
+}
+
+#[cfg(feature = "fci")]
+fn live_fci(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
+    use crate::devices::franka_arm::FrankaArm;
+    let connect = || FrankaArm::connect(&options.config, |text| eprintln!("{text}"));
+    with_plant(options, connect, crate::runtime::tick_source::PlantTicks::new, shared, reporter)
+}
+
+fn report_board(board: &HeldBoard, simulated: bool, reporter: &mut dyn Reporter) {
+    reporter.report(Notice::Board { port: Some(&board.ports), simulated });
+    if let Some(step) = &board.priority {
+        reporter.report(Notice::RealTime(step));
+    }
 }
 
 /// Runs the loop with a Touch Board and no robot: what the cover feels, for clients and logs.
@@ -174,14 +265,11 @@ fn live_board_only(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn R
     let subscribers = Subscribers { copies: Some(copies), pulses, ..Subscribers::default() };
     let OpenBoard { cover, mut held } =
         open_boards(config, clock, ports, options.inject.as_ref(), subscribers)?;
-    reporter.report(Notice::Board { port: Some(&held.ports), simulated: false });
-    if let Some(step) = &held.priority {
-        reporter.report(Notice::RealTime(step));
-    }
+    report_board(&held, false, reporter);
     let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let plant = NoRobot::at(config.control.gains.posture_rad);
     let control = ControlLoop::new(plant, cover, supervisor(config), motion(config)?, period_s);
-    live(options, control, (clock, log), (clients, held.calibration.take()), shared, reporter)
+    live(options, control, (clock, log), Timer::new, (clients, held.calibration.take()), shared, reporter)
 }
 
 /// Tells the thread that watches when the loop has ended, whichever way.
@@ -195,10 +283,11 @@ impl Drop for DoneAtEnd<'_> {
 
 /// Runs a finished loop on a thread of its own and passes on from this one what it says. The log is closed however it
 /// ends.
-fn live<P: Plant + Send, S: CoverSource + Send>(
+fn live<P: Plant + Send, S: CoverSource + Send, T: TickSource<P>>(
     options: &Options,
     mut control: ControlLoop<P, S>,
     (clock, log): (Clock, TickLog),
+    ticks: impl FnOnce(Clock, u64) -> T + Send,
     (mut clients, calibration): (Clients, Option<CalibrationPort>),
     shared: &Arc<Shared>,
     reporter: &mut dyn Reporter,
@@ -232,8 +321,8 @@ fn live<P: Plant + Send, S: CoverSource + Send>(
             // The receiver waits for exactly this.
             let _ = steps_sender.send(steps);
             if run {
-                let mut timer = Timer::new(clock, config.period_ns());
-                live::run(control, &mut timer, timing, options.duration, &mut rings, shared)
+                let mut ticks = ticks(clock, config.period_ns());
+                live::run(control, &mut ticks, timing, options.duration, &mut rings, shared)
             } else {
                 LiveReport::default()
             }

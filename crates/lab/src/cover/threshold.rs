@@ -4,10 +4,11 @@
 
 use anyhow::{Context, Result, ensure};
 use moca_daemon::config::{Config, HandConfig};
+use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_msgs::{Mode, Request, Sample};
-use moca_sim::{Scene, VirtualBoardConfig};
+use moca_sim::VirtualBoardConfig;
 
 /// Arguments of `moca-lab threshold`.
 #[derive(clap::Args)]
@@ -55,7 +56,7 @@ fn armed(seed: u64) -> Result<World> {
     let mut config = Config::default();
     config.simulation.hand = HandConfig::none();
     let board = VirtualBoardConfig { seed, ..VirtualBoardConfig::default() };
-    let mut world = LockStep::with_board(&config, &Scene::default(), board, None)?;
+    let mut world = LockStep::with_board(&config, &free_scene(&config), board, None)?;
     for _ in 0..5000 {
         if world.step(None).0.mode == Mode::Impedance {
             return Ok(world);

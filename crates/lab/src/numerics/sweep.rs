@@ -37,7 +37,7 @@ pub(crate) struct Arguments {
 /// A sweep file.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Plan {
+pub(super) struct Plan {
     /// Settings of every run.
     #[serde(default)]
     set: BTreeMap<String, toml::Value>,
@@ -63,7 +63,7 @@ struct Random {
 
 impl Plan {
     /// Names of the varied keys, in the order of their columns.
-    fn columns(&self) -> Vec<String> {
+    pub(super) fn columns(&self) -> Vec<String> {
         let random = self.random.iter().flat_map(|r| r.uniform.keys().chain(r.log.keys()));
         self.grid.keys().chain(random).cloned().collect()
     }
@@ -72,12 +72,12 @@ impl Plan {
         self.grid.values().fold(1usize, |product, values| product.saturating_mul(values.len()))
     }
 
-    fn runs(&self) -> usize {
+    pub(super) fn runs(&self) -> usize {
         self.points().saturating_mul(self.random.as_ref().map_or(1, |r| r.samples))
     }
 
     /// Values of run `id`, one for each column.
-    fn values(&self, id: usize) -> Vec<String> {
+    pub(super) fn values(&self, id: usize) -> Vec<String> {
         let samples = self.random.as_ref().map_or(1, |r| r.samples.max(1));
         let mut point = id / samples;
         let mut values = vec![String::new(); self.grid.len()];
@@ -99,7 +99,7 @@ impl Plan {
         values
     }
 
-    fn settings(&self, columns: &[String], values: &[String]) -> Result<Settings> {
+    pub(super) fn settings(&self, columns: &[String], values: &[String]) -> Result<Settings> {
         let mut settings = Settings::paper(Law::Impedance);
         collision::defaults(&mut settings);
         settings.sensor = crate::rig::settings::Sensor::Ideal;

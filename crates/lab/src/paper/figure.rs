@@ -361,6 +361,7 @@ fn csv(rows: &[Row]) -> String {
 mod tests {
     use super::*;
     use crate::rig::JOINTS;
+    use crate::rig::free_scene;
 
     #[test]
     fn a_force_is_turned_into_the_frame_and_not_out_of_it() {
@@ -405,14 +406,10 @@ mod tests {
                 .map(|(name, row)| Moment { name: (*name).into(), row })
                 .collect();
             let drawing =
-                draw(&Scene::default(), &rows, &moments, vec![taxel_forces(&rows), flange_error(&rows)]);
+                draw(&free_scene(), &rows, &moments, vec![taxel_forces(&rows), flange_error(&rows)]);
             assert_eq!(drawing.texts_outside().unwrap(), Vec::<String>::new());
-            let view = View {
-                scene: &Scene::default(),
-                start: &rows[0],
-                now: &rows[49],
-                m_per_n: ARROW_M / force_n,
-            };
+            let view =
+                View { scene: &free_scene(), start: &rows[0], now: &rows[49], m_per_n: ARROW_M / force_n };
             let [middle_x, middle_y] = view.middle();
             for [x, y] in view.arrows().into_iter().flatten() {
                 assert!((x - middle_x).abs().max((y - middle_y).abs()) < view.half_extent_m());

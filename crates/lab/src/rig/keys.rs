@@ -197,16 +197,22 @@ const KEYS: &[Key] = &[
         flag(&mut s.person.fixed, v)
     }),
     key("base.size", "m,m,m", "length, width, height: its inertia is the box's; the cover stays", |s, v| {
-        list(&mut s.base.table.size_m, v, 0.1, 10.0)
+        list(&mut s.config.robot.base.size_m, v, 0.1, 10.0)?;
+        s.box_inertia();
+        Ok(())
     }),
     key("base.mass", "kg", "mass of the base; its inertia grows with it", |s, v| {
-        store(&mut s.base.table.mass_kg, v, 1.0, 1e5)
+        store(&mut s.config.robot.base.mass_kg, v, 1.0, 1e5)?;
+        s.box_inertia();
+        Ok(())
     }),
     key("base.inertia", "kg·m²", "about the vertical, instead of the box's", |s, v| {
-        some(&mut s.base.inertia, v, 0.01, 1e6)
+        some(&mut s.base_inertia, v, 0.01, 1e6)?;
+        s.box_inertia();
+        Ok(())
     }),
     key("base.servo_ms", "ms", "time constant of the base's velocity servo", |s, v| {
-        s.base.table.servo_time_constant_s = 1e-3 * number(v, 0.1, 1e4)?;
+        s.config.robot.base.servo_time_constant_s = 1e-3 * number(v, 0.1, 1e4)?;
         Ok(())
     }),
     key(
@@ -215,9 +221,10 @@ const KEYS: &[Key] = &[
         "what the base's servo can do: along x and y, yaw",
         |s, v| {
             let values = numbers(v, 2, 1e-3, 1e4)?;
-            s.base.table.acceleration_max_m_s2 = values[0];
+            let base = &mut s.config.robot.base;
+            base.acceleration_max_m_s2 = values[0];
             if let Some(yaw) = values.get(1) {
-                s.base.table.yaw_acceleration_max_rad_s2 = *yaw;
+                base.yaw_acceleration_max_rad_s2 = *yaw;
             }
             Ok(())
         },
@@ -371,6 +378,7 @@ fn word<T: Copy>(text: &str, allowed: &[(&str, T)]) -> Result<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rig::free_scene;
     use moca_msgs::Law;
     use moca_msgs::robot::{AnyArm, FR3, SUMMIT_XL};
     use moca_sim::Scene;
@@ -504,7 +512,7 @@ mod tests {
 
     #[test]
     fn a_scene_without_settings_is_the_paper_s_robot() {
-        let base = Scene { flange_sensor: true, ..Scene::default() };
+        let base = Scene { flange_sensor: true, ..free_scene() };
         assert_eq!(scene(&[]), base);
     }
 

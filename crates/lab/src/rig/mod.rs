@@ -1,7 +1,10 @@
 //! The rig of every experiment: settings with their keys, the closed loop under test, what is measured of it, and how
 //! many cores it may take.
 
+use moca_daemon::config::Config;
+use moca_daemon::devices::simulated_robot;
 use moca_msgs::robot::{PANDA, PAPER_COVER};
+use moca_sim::Scene;
 
 /// Joints and taxels of the paper's robot, which the experiments are about.
 pub(crate) const JOINTS: usize = PANDA.joints();
@@ -15,6 +18,11 @@ pub(crate) mod keys;
 pub(crate) mod measure;
 pub(crate) mod parallel;
 pub(crate) mod settings;
+
+/// The free robot that the daemon simulates by default.
+pub(crate) fn free_scene() -> Scene {
+    simulated_robot::free_scene(&Config::default())
+}
 
 /// Bits of functions that differ between C libraries: where these differ, bits of a simulation do too.
 pub(crate) fn c_library() -> u64 {

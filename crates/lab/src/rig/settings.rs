@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Result, ensure};
 use moca_daemon::config::{AssumedModel, Config, HandConfig, OVERRIDE_MAX_M_S, ProtectionConfig};
+use moca_daemon::devices::simulated_robot;
 use moca_msgs::Law;
 use moca_msgs::robot::{BaseTable, TaxelPlacement};
 use moca_sim::foam::{ElasticLaw, Foam};
@@ -118,29 +119,6 @@ impl FoamSettings {
     }
 }
 
-/// The base: a box, whose inertia follows from mass and size unless it is given.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct BaseSettings {
-    pub table: BaseTable,
-    /// About the vertical, kg·m².
-    pub inertia: Option<f64>,
-}
-
-impl BaseSettings {
-    fn table(&self) -> BaseTable {
-        let squares = |[x, y, z]: [f64; 3]| [y * y + z * z, x * x + z * z, x * x + y * y];
-        let base = Config::default().robot.base;
-        let (ours, its) = (squares(self.table.size_m), squares(base.size_m));
-        let mut inertia = base.inertia_com_diagonal;
-        for (i, inertia) in inertia.iter_mut().enumerate() {
-            *inertia *= self.table.mass_kg / base.mass_kg * (ours[i] / its[i]);
-        }
-        // The base never tilts: only the vertical axis acts, the other two keep the box's proportions.
-        let given = self.inertia.map_or(1.0, |about_vertical| about_vertical / inertia[2]);
-        BaseTable { inertia_com_diagonal: inertia.map(|inertia| given * inertia), ..self.table }
-    }
-}
-
 /// One run, completely described.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Settings {
@@ -154,7 +132,8 @@ pub(crate) struct Settings {
     pub firmware: Firmware,
     pub foam: FoamSettings,
     pub person: PersonSettings,
-    pub base: BaseSettings,
+    /// Inertia of the base about the vertical, kg·m²; `None` is that of its box.
+    pub base_inertia: Option<f64>,
     /// Speed of the flange's target, m/s.
     pub speed_m_s: f64,
     pub duration_s: f64,
@@ -204,7 +183,7 @@ impl Settings {
                 scale: 1.0,
             },
             person: PersonSettings { gap_m: 0.25, steps_away_s: 1.5, ..PersonSettings::default() },
-            base: BaseSettings { table: Config::default().robot.base, inertia: None },
+            base_inertia: None,
             speed_m_s: 0.2,
             duration_s: 8.0,
             push_s: 3.0,
@@ -214,6 +193,20 @@ impl Settings {
             step_ms: 1.0,
             integrator: Integrator::default(),
         }
+    }
+
+    /// Gives the base the inertia of a box of its mass and size, or the one that is set. It never tilts: only the
+    /// vertical axis acts, and the other two keep the box's proportions.
+    pub(crate) fn box_inertia(&mut self) {
+        let squares = |[x, y, z]: [f64; 3]| [y * y + z * z, x * x + z * z, x * x + y * y];
+        let (standard, base) = (BaseTable::default(), &mut self.config.robot.base);
+        let (ours, its) = (squares(base.size_m), squares(standard.size_m));
+        let mut inertia = standard.inertia_com_diagonal;
+        for (i, inertia) in inertia.iter_mut().enumerate() {
+            *inertia *= base.mass_kg / standard.mass_kg * (ours[i] / its[i]);
+        }
+        let given = self.base_inertia.map_or(1.0, |about_vertical| about_vertical / inertia[2]);
+        base.inertia_com_diagonal = inertia.map(|inertia| given * inertia);
     }
 
     /// Checks what single keys cannot know.
@@ -246,15 +239,9 @@ impl Settings {
         Scene {
             flange_sensor: true,
             foam: self.foam.foam(),
-            control_period_s: 1.0 / f64::from(self.config.control_loop.rate_hz),
             physics_step_s: 1e-3 * self.step_ms,
             integrator: self.integrator,
-            base: self.base.table(),
-            arm: *self.config.arm(),
-            mount: self.config.robot.mount,
-            cover: self.config.robot.cover.placements(),
-            arm_posture_rad: self.config.control.gains.posture_rad,
-            ..Scene::default()
+            ..simulated_robot::free_scene(&self.config)
         }
     }
 

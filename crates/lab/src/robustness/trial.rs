@@ -3,6 +3,7 @@
 use anyhow::{Context, Result, ensure};
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::tick::Ticked;
+use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::inject::{Disk, FaultSite, Injection, Named, Strike, client};
 use moca_daemon::record::recording::Recording;
 use moca_daemon::record::tick_log::{TickLog, TickLogReader, tick_log};
@@ -11,7 +12,7 @@ use moca_daemon::runtime::clients::rings;
 use moca_daemon::runtime::live::{Rings, Shared};
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_msgs::{Fault, Mode, Outcome, Request, Sample};
-use moca_sim::{Scene, VirtualBoardConfig};
+use moca_sim::VirtualBoardConfig;
 use moca_telemetry::RobotDescription;
 use moca_telemetry::net::{self, Server};
 use std::net::{Ipv4Addr, SocketAddr};
@@ -121,7 +122,7 @@ pub(crate) fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
     config.simulation.hand = HandConfig::none();
     config.simulation.seed = seed;
     let board = VirtualBoardConfig { seed, ..VirtualBoardConfig::default() };
-    let mut world = LockStep::with_board(&config, &Scene::default(), board, None)?;
+    let mut world = LockStep::with_board(&config, &free_scene(&config), board, None)?;
     let at_ns = STRIKE_TICK * config.period_ns();
     world.inject(&Injection { fault, at_ns }, seed);
     let (strike, shared) = (Strike::new(at_ns), Shared::default());

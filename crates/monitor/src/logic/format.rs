@@ -1,7 +1,7 @@
 //! Numbers and states as text.
 
 use moca_msgs::{
-    ContactEvent, SpeedLimitReason,
+    ArmLink, ContactEvent, SpeedLimitReason, arm_errors,
     board::{Diagnosis, OpenFailure},
 };
 
@@ -39,6 +39,18 @@ pub fn speed_limit(reason: SpeedLimitReason) -> &'static str {
         SpeedLimitReason::Overridden => "the configuration overrides what the board allows",
         SpeedLimitReason::Contact => "a contact crossed a limit",
     }
+}
+
+/// What an arm says about itself and the orders that reach it.
+pub fn arm_link(arm: &ArmLink) -> String {
+    let ArmLink { mode, success_rate, lost, repeated, errors } = *arm;
+    let rate = number(success_rate, 2);
+    let mut text = format!("Arm {}: success rate {rate}, {lost} lost, {repeated} repeated", mode.name());
+    for error in arm_errors::set_in(errors) {
+        text += "; ";
+        text += error.name;
+    }
+    text
 }
 
 /// A contact that crossed a limit.

@@ -49,15 +49,16 @@ pub fn axes([x, y, z, w]: [f64; 4]) -> [[f64; 3]; 3] {
 
 /// Origins of the arm's base, of each joint and of the flange, in B, m. Joints without an angle stay at 0.
 pub fn points_base_m(description: &RobotDescription, q_rad: &[f64]) -> Vec<[f64; 3]> {
-    let arm = &description.arm;
-    let mut pose = Pose::from_origin(arm.mount);
+    let (arm, mount) = (&description.arm, &description.mount);
+    let ([x, y, z], [roll, pitch, yaw]) = (mount.position_base_m, mount.rpy_rad);
+    let mut pose = Pose::from_origin([x, y, z, roll, pitch, yaw]);
     let mut points = vec![pose.position];
-    for (i, origin) in arm.joint_origin.iter().enumerate() {
+    for (i, origin) in arm.table.joint_origin.iter().take(arm.joints).enumerate() {
         let turn = Pose::from_origin([0.0, 0.0, 0.0, 0.0, 0.0, q_rad.get(i).copied().unwrap_or(0.0)]);
         pose = pose.then(Pose::from_origin(*origin)).then(turn);
         points.push(pose.position);
     }
-    points.push(pose.then(Pose::from_origin(arm.flange_origin)).position);
+    points.push(pose.then(Pose::from_origin(arm.table.flange_origin)).position);
     points
 }
 

@@ -11,7 +11,7 @@ use super::{
         timing::Timing,
     },
 };
-use moca_msgs::{Law, Mode, Refusal, Request, Sample, protection::ContactPhase, seconds};
+use moca_msgs::{Law, Mode, Refusal, Request, Sample, TargetRefusal, protection::ContactPhase, seconds};
 use moca_telemetry::{
     RobotDescription,
     calibration::CalibrationProgress,
@@ -209,7 +209,8 @@ impl Model {
         self.timing_panels = panel::timing_panels();
         let panels = self.panels.iter().chain(&self.timing_panels);
         let signals = panels.flat_map(|p| p.traces.iter().map(|(_, signal)| *signal));
-        self.history = History::new(signals.collect());
+        let signals = signals.collect();
+        self.history = if self.recorded { History::of_log(signals) } else { History::new(signals) };
         self.timing = Timing::default();
         self.robot = robot;
         self.latest = None;
@@ -254,7 +255,10 @@ impl Model {
             self.law = law;
         }
         // Pushing with the mouse speaks for itself unless it fails.
-        if !matches!(reply, Reply { request: Request::PressTaxel { .. }, outcome: Ok(()) }) {
+        // What is asked many times a second is seen on the robot.
+        let many = matches!(reply.request, Request::PressTaxel { .. } | Request::Target(_));
+        let overtaken = matches!(reply.outcome, Err(Refusal::Target(TargetRefusal::Overtaken)));
+        if !(many && (reply.outcome.is_ok() || overtaken)) {
             self.answers.push(answer);
         }
     }

@@ -39,7 +39,7 @@ pub fn has_robot(robot: &RobotDescription) -> bool {
 /// Whether there is an arm.
 pub fn has_arm(robot: &RobotDescription) -> bool {
     let parts = text_parameter(robot, "plant.parts");
-    has_robot(robot) && parts != Some("base") && !robot.arm.joint_origin.is_empty()
+    has_robot(robot) && parts != Some("base") && robot.arm.joints > 0
 }
 
 /// Whether there is a base that moves.

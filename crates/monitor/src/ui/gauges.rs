@@ -2,12 +2,15 @@
 
 use super::theme;
 use crate::logic::{
-    format::{number, speed_limit},
+    format::{arm_link, number, speed_limit},
     model::{Freshness, Model, SILENCE_S},
     parts::{has_arm, has_base, has_cover, has_robot, number_parameter},
 };
 use egui::{Align, Grid, Label, Layout, RichText, Role, Sense, Ui, WidgetInfo, pos2, vec2};
 use moca_msgs::{Sample, SpeedLimit, seconds};
+
+/// Share of commands that reach an arm in time below which its reflex is near.
+const SUCCESS_RATE_LOW: f64 = 0.95;
 
 /// Width from which on two counters stand beside each other, points.
 const TWO_COUNTERS: f32 = 378.0;
@@ -65,6 +68,17 @@ fn gauges(ui: &mut Ui, model: &Model, sample: &Sample, now_s: f64) {
             let age_ms = if sample.frame_age_s < 0.0 { f64::NAN } else { sample.frame_age_s * 1e3 };
             gauge(ui, "Frame age", age_ms, deadline_ms, "ms", 0);
         }
+        if let Some(link) = &sample.link {
+            let of = |name: &str| number_parameter(robot, name).unwrap_or(f64::NAN);
+            if has_arm(robot) {
+                let deadline_ms = of("plant.arm.deadline_s") * 1e3;
+                gauge(ui, "Arm state age", link.arm_age_s * 1e3, deadline_ms, "ms", 0);
+            }
+            if has_base(robot) {
+                let deadline_ms = of("plant.base.deadline_s") * 1e3;
+                gauge(ui, "Base state age", link.base_age_s * 1e3, deadline_ms, "ms", 0);
+            }
+        }
         if has_base(robot) {
             let [x, y, yaw] = sample.base_velocity_world;
             let [x_max, y_max, yaw_max] = robot.base_velocity_max;
@@ -80,6 +94,11 @@ fn gauges(ui: &mut Ui, model: &Model, sample: &Sample, now_s: f64) {
         let SpeedLimit { m_s, reason } = sample.speed_limit;
         let text = format!("Speed limit {} m/s: {}", number(m_s, 2), speed_limit(reason));
         ui.add(Label::new(text).truncate());
+    }
+    if let Some(link) = sample.link.filter(|_| has_arm(robot)) {
+        let text = RichText::new(arm_link(&link.arm));
+        let odd = !link.arm.mode.follows() || link.arm.success_rate < SUCCESS_RATE_LOW;
+        ui.add(Label::new(if odd { text.color(theme::WARNING) } else { text }).truncate());
     }
 }
 

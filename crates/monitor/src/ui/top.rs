@@ -171,7 +171,7 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
         Commander::You => " · you have the command",
         Commander::Another => " · another dashboard has the command",
     };
-    let arm = model.robot.arm.name.as_str();
+    let arm = model.robot.arm_name.as_str();
     let what = match (has_robot(&model.robot), has_arm(&model.robot)) {
         (false, _) => "cover alone",
         (true, false) => "base alone",

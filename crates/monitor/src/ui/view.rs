@@ -6,18 +6,24 @@ use crate::logic::{
     model::Model,
     signals::{axis::TimeAxis, history::History},
 };
+use moca_msgs::TwistAxes;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::ops::Range;
 
 /// How one robot is looked at.
 pub(super) struct View {
     /// The plots' axis of time.
     pub(super) axis: TimeAxis,
+    /// What the strip under a log shows of it, s of loop time; `None` is all.
+    pub(super) strip_s: Option<Range<f64>>,
     /// Where the mouse points on the axis of time, s of loop time.
     pub(super) cursor_s: Option<f64>,
     /// What the plots showed when they were paused: it stays, however long that is.
     paused: Option<Box<Paused>>,
     /// Force of a push with the mouse, N.
     pub(super) push_n: f64,
+    /// Speed of the jog pad, m/s, and in whose axes.
+    pub(super) jog: (f64, TwistAxes),
     /// What is chosen on the page of the calibration.
     pub(super) calibration: CalibrationChoice,
     /// Parameters that were edited and not applied yet, by number.
@@ -35,9 +41,11 @@ impl Default for View {
     fn default() -> Self {
         Self {
             axis: TimeAxis::default(),
+            strip_s: None,
             cursor_s: None,
             paused: None,
             push_n: 20.0,
+            jog: (0.05, TwistAxes::World),
             calibration: CalibrationChoice::default(),
             drafts: BTreeMap::new(),
             camera: OrbitCamera::default(),

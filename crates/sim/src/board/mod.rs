@@ -15,6 +15,8 @@ use moca_tactile::datastream::{Dialect, ELECTRODES, Frame, Line, MAX_COLUMNS, MA
 
 use stamped::StampedBoard;
 
+/// The board feels nobody who does not touch it, m to each taxel.
+const FAR: [f64; ELECTRODES] = [f64::INFINITY; ELECTRODES];
 /// Stock touch and release thresholds, counts.
 const THRESHOLDS: (u8, u8) = (40, 20);
 /// With the chip lost on I²C a frame takes this percentage of its normal time (17.8 ms for 24.7 ms, traced).
@@ -79,7 +81,6 @@ pub struct VirtualBoard {
     foam: Foam,
     foams: [FoamState; ELECTRODES],
     sensor: CoverSensor<ELECTRODES>,
-    distance_m: [f64; ELECTRODES],
     fault: Option<BoardFault>,
     frame: Frame,
     next_sample_ns: u64,
@@ -137,7 +138,6 @@ impl VirtualBoard {
             foam: config.foam,
             foams: [FoamState::default(); ELECTRODES],
             sensor: sensor().with_noise(noise_counts),
-            distance_m: [f64::INFINITY; ELECTRODES],
             fault: None,
             frame: Frame { dialect: dialect(config.firmware), ..Frame::default() },
             next_sample_ns: SAMPLE_INTERVAL_NS,
@@ -146,7 +146,7 @@ impl VirtualBoard {
         };
         // The chip has been running: its first value is there before the first read.
         for _ in 0..crate::sensor::SAMPLES_PER_VALUE {
-            board.sensor.sample(&[0.0; ELECTRODES], &board.distance_m);
+            board.sensor.sample(&[0.0; ELECTRODES], &FAR);
         }
         board.read_chip();
         Ok(board)
@@ -157,18 +157,11 @@ impl VirtualBoard {
         self.fault = fault;
     }
 
-    /// Distance of the nearest body to each taxel, m, for boards that feel bodies before they touch.
-    pub fn set_distances(&mut self, distance_m: &[f64]) {
-        for (place, distance_m) in self.distance_m.iter_mut().zip(distance_m) {
-            *place = *distance_m;
-        }
-    }
-
-    /// Lets the board run until `now_ns` with steady true forces on its electrodes (N, T1 first; no more than it has) and gives every line to `sink` once it
-    /// is completely out. A force that is not finite counts as none: a hand cannot press with NaN.
+    /// Lets the board run until `now_ns` with steady true forces on its electrodes (N, T1 first; no more than it has)
+    /// and gives every line to `sink` once it is completely out. A force that is not finite counts as none.
     pub fn advance(&mut self, now_ns: u64, force_n: &[f64], sink: &mut impl FnMut(&[u8])) {
         if let Some(stamped) = &mut self.stamped {
-            return stamped.advance(now_ns, force_n, &self.distance_m, self.fault, sink);
+            return stamped.advance(now_ns, force_n, self.fault, sink);
         }
         loop {
             let line_ns = self.next_line_ns();
@@ -209,7 +202,7 @@ impl VirtualBoard {
             let force_n = if force_n.is_finite() { *force_n } else { 0.0 };
             deformation_m[i] = foam.step_force(&self.foam, force_n, DT_S);
         }
-        self.sensor.sample(&deformation_m, &self.distance_m);
+        self.sensor.sample(&deformation_m, &FAR);
         self.next_sample_ns += SAMPLE_INTERVAL_NS;
     }
 

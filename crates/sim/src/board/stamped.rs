@@ -1,7 +1,7 @@
 //! The board with our own firmware: each refresh of the chip one line, at the times that the firmware's simulation
 //! shows (`crates/firmware-sim`).
 
-use super::BoardFault;
+use super::{BoardFault, FAR};
 use crate::foam::{Foam, FoamState};
 use crate::sensor::CoverSensor;
 use moca_tactile::board::LEAST_TRANSPORT_NS;
@@ -79,7 +79,7 @@ impl StampedBoard {
         clock_start_us: u32,
     ) -> Self {
         for _ in 0..SAMPLES_PER_VALUE {
-            sensor.sample(&[0.0; ELECTRODES], &[f64::INFINITY; ELECTRODES]);
+            sensor.sample(&[0.0; ELECTRODES], &FAR);
         }
         let values = *sensor.fdat();
         Self {
@@ -106,7 +106,6 @@ impl StampedBoard {
         &mut self,
         now_ns: u64,
         force_n: &[f64],
-        distance_m: &[f64; ELECTRODES],
         fault: Option<BoardFault>,
         sink: &mut impl FnMut(&[u8]),
     ) {
@@ -117,7 +116,7 @@ impl StampedBoard {
                 return;
             }
             if self.next_sample_ns == next_ns {
-                self.sample(force_n, distance_m);
+                self.sample(force_n);
             } else if self.next_read_ns == next_ns {
                 self.read(next_ns, fault);
                 self.next_read_ns += READ_INTERVAL_NS;
@@ -127,7 +126,7 @@ impl StampedBoard {
         }
     }
 
-    fn sample(&mut self, force_n: &[f64], distance_m: &[f64; ELECTRODES]) {
+    fn sample(&mut self, force_n: &[f64]) {
         const DT_S: f64 = 1e-9 * SAMPLE_INTERVAL_NS as f64;
         let mut deformation_m = [0.0; ELECTRODES];
         for (i, (foam, force_n)) in self.foams.iter_mut().zip(force_n).enumerate() {
@@ -135,7 +134,7 @@ impl StampedBoard {
             deformation_m[i] = foam.step_force(&self.foam, force_n, DT_S);
         }
         let before = *self.sensor.fdat();
-        if self.sensor.sample(&deformation_m, distance_m) {
+        if self.sensor.sample(&deformation_m, &FAR) {
             self.before = before;
             self.refreshed_ns = self.next_sample_ns;
         }

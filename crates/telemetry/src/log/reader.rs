@@ -4,7 +4,7 @@ use super::{
     LogError, SerialBytes,
     framing::{self, Fields, Message, Records, op},
     records::{
-        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC,
+        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC, Link,
         ModeChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Timing,
     },
     writer::FORM,
@@ -107,6 +107,12 @@ impl LogReader {
     /// The robot, known from the first entry on.
     pub fn description(&self) -> &RobotDescription {
         &self.decoder.description
+    }
+
+    /// How much of the file has been read, 0 to 1.
+    #[expect(clippy::cast_precision_loss, reason = "a share of a file")]
+    pub fn part_read(&self) -> f64 {
+        self.records.at() as f64 / self.records.end().max(1) as f64
     }
 
     /// Why the log ended before its end, and how much of the file is missing, once the iterator has ended.
@@ -227,6 +233,7 @@ struct Partial {
     command: Option<Command>,
     cover: Option<Cover>,
     contacts: Vec<Contact>,
+    link: Option<Link>,
 }
 
 impl Decoder {
@@ -270,6 +277,7 @@ impl Decoder {
             BoardChange::TOPIC => self.board = parse::<BoardChange>(message)?.board()?,
             State::TOPIC => self.partial.state = Some(parse(message)?),
             Command::TOPIC => self.partial.command = Some(parse(message)?),
+            Link::TOPIC => self.partial.link = Some(parse(message)?),
             Cover::TOPIC => self.partial.cover = Some(parse(message)?),
             Contact::TOPIC => self.partial.contacts.push(parse(message)?),
             Timing::TOPIC => return Ok(self.complete(message.time_ns, &parse(message)?)),
@@ -289,7 +297,7 @@ impl Decoder {
     }
     /// The sample, if all messages of its tick are there; `Timing` is the last one written.
     fn complete(&mut self, log_time: u64, timing: &Timing) -> Option<Record> {
-        let Partial { state, command, cover, contacts } = std::mem::take(&mut self.partial);
+        let Partial { state, command, cover, contacts, link } = std::mem::take(&mut self.partial);
         let (state, command, cover) = (state?, command?, cover?);
         if [state.tick, command.tick, cover.tick] != [timing.tick; 3] {
             return None;
@@ -329,9 +337,11 @@ impl Decoder {
             contact_reaction,
             contact_events: bounded(events),
             contact_rows: heapless::Vec::new(),
+            target: None,
             lateness_s: timing.lateness_s,
             overruns: timing.overruns,
             stages_ns: timing.stages_ns,
+            link: link.filter(|link| link.tick == timing.tick).map(|link| link.link()),
         })))
     }
 }

@@ -12,8 +12,8 @@
 
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
-    ContactEvent, ContactReaction, Fault, Law, Mode, SpeedLimit, SpeedLimitReason, TaxelStatus,
-    board::Diagnosis,
+    ArmLink, ArmMode, ContactEvent, ContactReaction, Fault, Law, Mode, SpeedLimit, SpeedLimitReason,
+    TaxelStatus, board::Diagnosis,
 };
 use schemars::{JsonSchema, generate::SchemaSettings};
 use serde::{Deserialize, Deserializer, Serialize, de::Error};
@@ -30,8 +30,8 @@ pub trait Channel: Serialize + JsonSchema {
     }
 }
 
-/// Channels of the Touch Boards' bytes as they came in, the first board's first: one message for each read, its time the
-/// arrival.
+/// Channels of the Touch Boards' bytes as they came in, the first board's first: one message for
+/// each tenth of a second or each read, its time the arrival of the first byte.
 pub const SERIAL_TOPICS: [&str; 2] = ["/serial", "/serial/2"];
 /// Channel of the daemon's own blocks of what its ticks were given.
 pub const REPLAY_TOPIC: &str = "/replay";
@@ -209,6 +209,47 @@ impl Contact {
     }
 }
 
+/// The way to a real robot; nothing of a simulated one.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct Link {
+    /// Tick count.
+    pub tick: u64,
+    /// Age of the arm's state, s.
+    #[serde(deserialize_with = "scalar")]
+    pub arm_age_s: f64,
+    /// Age of the base's state, s.
+    #[serde(deserialize_with = "scalar")]
+    pub base_age_s: f64,
+    /// What the arm does.
+    #[schemars(with = "String")]
+    pub arm_mode: ArmMode,
+    /// Share of the last commands that reached it in time, as it says itself.
+    #[serde(deserialize_with = "scalar")]
+    pub success_rate: f64,
+    /// Its states that never came, since the start.
+    pub lost: u64,
+    /// Orders that were repeated because none came in time, since the start.
+    pub repeated: u64,
+    /// Its error flags, bit 0 is the first of its list.
+    pub errors: u64,
+}
+
+impl Link {
+    /// `link`, which a sample of `tick` carried.
+    pub const fn new(tick: u64, link: &moca_msgs::Link) -> Self {
+        let ArmLink { mode: arm_mode, success_rate, lost, repeated, errors } = link.arm;
+        let (arm_age_s, base_age_s) = (link.arm_age_s, link.base_age_s);
+        Self { tick, arm_age_s, base_age_s, arm_mode, success_rate, lost, repeated, errors }
+    }
+
+    /// What the sample carried.
+    pub const fn link(&self) -> moca_msgs::Link {
+        let Self { tick: _, arm_age_s, base_age_s, arm_mode: mode, success_rate, lost, repeated, errors } =
+            *self;
+        moca_msgs::Link { arm_age_s, base_age_s, arm: ArmLink { mode, success_rate, lost, repeated, errors } }
+    }
+}
+
 /// What the cover felt, T1 first.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Cover {
@@ -370,6 +411,7 @@ channels! {
     State => "/state",
     Command => "/command",
     Contact => "/contact",
+    Link => "/link",
     Cover => "/cover",
     Timing => "/timing",
     ModeChange => "/mode",

@@ -23,6 +23,7 @@ pub(super) struct ArmTick<'a, const N: usize, T> {
     pub inertias: &'a LinkInertias<N, T>,
     pub mass: &'a MassMatrix<N, T>,
     pub bias: [T; N],
+    pub gravity: [T; N],
     pub flange: Pose<T>,
 }
 
@@ -119,8 +120,7 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
         }
         let (robot, kinematics) = (self.robot, self.kinematics);
         let momentum = kinematics.momentum(self.inertias, &robot.base_velocity_world, &robot.dq_rad_s);
-        let gravity = kinematics.gravity(self.inertias);
-        state.observer.update(&momentum, &gravity, &robot.torque_measured_nm, self.dt_s);
+        state.observer.update(&momentum, &self.gravity, &robot.torque_measured_nm, self.dt_s);
         let about_tool = arm.wrench(state.observer.external_torque())?;
         Ok(follow_me::moved(&about_tool, &(kinematics.tool_position - kinematics.flange_position)))
     }

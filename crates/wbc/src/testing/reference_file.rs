@@ -18,6 +18,12 @@ use std::{format, vec, vec::Vec};
 pub const TOLERANCE: f64 = 1e-11;
 
 /// Whether an error is small enough; NaN is not.
+///
+/// ```
+/// use moca_wbc::testing::reference_file::{TOLERANCE, passes};
+///
+/// assert!(passes(0.5 * TOLERANCE) && !passes(2.0 * TOLERANCE) && !passes(f64::NAN));
+/// ```
 pub fn passes(error: f64) -> bool {
     error <= TOLERANCE
 }
@@ -139,7 +145,6 @@ type Computed = BTreeMap<&'static str, Vec<f64>>;
 impl<const N: usize> Robot<N> {
     fn read(meta: &Value) -> Result<Self, Malformed> {
         let mut arm = ArmTable::<N> {
-            name: "reference",
             joint_origin: [[0.0; 6]; N],
             flange_origin: [0.0; 6],
             links: [Payload::NONE.inertial; N],

@@ -5,6 +5,7 @@ mod parts;
 use crate::paper::collision;
 use crate::rig::JOINTS;
 use crate::rig::cpu_time;
+use crate::rig::free_scene;
 use crate::rig::settings::Settings;
 use anyhow::Result;
 use moca_daemon::runtime::lockstep::LockStep;
@@ -286,7 +287,11 @@ fn trajectory(scene: &Scene, drives: bool) -> Result<(Vec<[f64; 10]>, Vec<f64>)>
             *torque += stiffness * (PANDA.home_rad[i] - state.q_rad[i]) - stiffness / 9.0 * state.dq_rad_s[i];
         }
         let speed = if drives && tick > 100 { 0.15 } else { 0.0 };
-        let command = RobotCommand { base_velocity_body: [0.0, speed, 0.0], arm_torque_nm };
+        let command = RobotCommand {
+            base_velocity_body: [0.0, speed, 0.0],
+            arm_torque_nm,
+            arm_gravity_nm: [0.0; JOINTS],
+        };
         plant.apply(&Actuation::Drive(command))?;
         let started = Instant::now();
         plant.step()?;
@@ -301,7 +306,7 @@ fn trajectory(scene: &Scene, drives: bool) -> Result<(Vec<[f64; 10]>, Vec<f64>)>
 
 /// Torques that hold the home posture, N·m: the same for every scene.
 fn gravity(scene: &Scene) -> Result<[f64; JOINTS]> {
-    let plant = SimPlant::new(&Scene { arm_posture_rad: scene.arm_posture_rad, ..Scene::default() })?;
+    let plant = SimPlant::new(&Scene { arm_posture_rad: scene.arm_posture_rad, ..free_scene() })?;
     let mut torque = [0.0; JOINTS];
     torque.copy_from_slice(&plant.bias()[3..10]);
     Ok(torque)
@@ -311,7 +316,8 @@ fn gravity(scene: &Scene) -> Result<[f64; JOINTS]> {
 pub(crate) fn bare_step_us(scene: &Scene) -> Result<f64> {
     const STRETCH: u32 = 50;
     let mut plant = SimPlant::new(scene)?;
-    let hold = RobotCommand { base_velocity_body: [0.0; 3], arm_torque_nm: gravity(scene)? };
+    let arm_gravity_nm = gravity(scene)?;
+    let hold = RobotCommand { base_velocity_body: [0.0; 3], arm_torque_nm: arm_gravity_nm, arm_gravity_nm };
     let mut best = f64::INFINITY;
     for _ in 0..100 {
         plant.set_state(&scene.base_pose_world, &[0.0; 3], &scene.arm_posture_rad, &[0.0; JOINTS]);

@@ -285,14 +285,7 @@ fn entered() -> anyhow::Result<(WholeBodyController<JOINTS, TAXELS>, ControllerS
 }
 
 fn at_home() -> RobotState<JOINTS> {
-    RobotState {
-        base_pose_world: [0.0; 3],
-        base_velocity_world: [0.0; 3],
-        q_rad: PANDA.home_rad,
-        dq_rad_s: [0.0; JOINTS],
-        torque_measured_nm: [0.0; JOINTS],
-        flange_wrench_world: Some([0.0; 6]),
-    }
+    RobotState { flange_wrench_world: Some([0.0; 6]), ..RobotState::at_rest(PANDA.home_rad) }
 }
 
 fn input(robot: RobotState<JOINTS>) -> ControlInput<JOINTS, TAXELS> {

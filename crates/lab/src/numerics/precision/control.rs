@@ -5,10 +5,10 @@ use crate::paper::push;
 use crate::rig::closed_loop::Rig;
 use crate::rig::cpu_time;
 use crate::rig::settings::Settings;
-use crate::rig::{JOINTS, TAXELS};
+use crate::rig::{JOINTS, TAXELS, free_scene};
 use anyhow::Result;
 use moca_msgs::{Actuation, Law, RobotState};
-use moca_sim::{Scene, SimPlant};
+use moca_sim::SimPlant;
 use moca_wbc::testing::reference_file::{explicit_euler, implicit_euler};
 use moca_wbc::{ControlInput, ControlLaw};
 use serde::Serialize;
@@ -257,7 +257,7 @@ pub(crate) fn single_precision() -> Result<(f64, f64, f64)> {
 
 /// States of the robot for a second, T3 pressed with 20 N for the first 0.4 s.
 fn states() -> Result<Vec<RobotState<JOINTS>>> {
-    let mut plant = SimPlant::new(&Scene::default())?;
+    let mut plant = SimPlant::new(&free_scene())?;
     let controller = controller::<f64>()?;
     let mut state = controller.enter(ControlLaw::Impedance, &plant.state().resized())?;
     let mut states = Vec::new();

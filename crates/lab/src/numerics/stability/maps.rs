@@ -128,7 +128,7 @@ pub(crate) fn stable_in_theory(settings: &Settings) -> Result<bool> {
             1e-3 * settings.period_ms(),
             1.0 / f64::from(settings.config.control_loop.rate_hz),
         ),
-        servo_s: settings.base.table.servo_time_constant_s,
+        servo_s: settings.config.robot.base.servo_time_constant_s,
     };
     let mass = theory::at_taxel(&gains.virtual_mass, taxel);
     let damping = theory::at_taxel(&gains.virtual_damping, taxel);

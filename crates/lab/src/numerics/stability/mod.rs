@@ -109,14 +109,20 @@ impl Case {
     pub(crate) const fn touched(&self) -> bool {
         self.contact || !self.finite
     }
+
+    /// Which case stopped the robot, and the cause.
+    pub(crate) fn stop(&self) -> Option<String> {
+        let why = self.stopped.as_ref()?;
+        Some(format!("{}: {}", self.name, why.split(':').next().unwrap_or(why)))
+    }
 }
 
 /// Every case as a table in Markdown.
 pub(crate) fn markdown() -> Result<String> {
     let cases = one_in(1)?;
+    let listed = |names: Vec<String>| format!("{} ({})", names.len(), names.join(", "));
     let named = |pick: &dyn Fn(&&Case) -> bool| {
-        let names: Vec<&str> = cases.iter().filter(pick).map(|case| case.name.as_str()).collect();
-        format!("{} ({})", names.len(), names.join(", "))
+        listed(cases.iter().filter(pick).map(|case| case.name.clone()).collect())
     };
     let touched = |case: &&Case| case.touched();
     Ok(format!(
@@ -127,7 +133,7 @@ pub(crate) fn markdown() -> Result<String> {
         named(&|case| !touched(case)),
         cases.iter().filter(|case| touched(case) && case.bounded).count(),
         named(&|case| touched(case) && !case.bounded),
-        named(&|case| case.stopped.is_some()),
+        listed(cases.iter().filter_map(Case::stop).collect()),
         named(&|case| case.bounded && !case.within_budget),
     ))
 }
@@ -206,11 +212,13 @@ impl Trial {
         let mut scene = settings.collision_scene()?;
         match self.special {
             Special::BothSides => {
-                let opposite = Person::beside(7, settings.person.gap_m).context("no T8")?;
+                let opposite = Person::beside(&scene.cover, 7, settings.person.gap_m).context("no T8")?;
                 scene.people.push(opposite);
             }
             Special::Blocked => {
-                scene.people.push(Person::part(BodyPart::Wall, 9, 0.005, 0.0).context("no T10")?);
+                scene
+                    .people
+                    .push(Person::part(BodyPart::Wall, &scene.cover, 9, 0.005, 0.0).context("no T10")?);
             }
             Special::Upright => scene.arm_posture_rad = resized(&[0.0, 0.0, 0.0, -0.0699, 0.0, 0.0, 0.0]),
             Special::None | Special::NotANumber => {}

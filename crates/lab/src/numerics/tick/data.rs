@@ -97,7 +97,6 @@ fn arm(rows: &mut [Row]) -> anyhow::Result<ArmTable<JOINTS>> {
         bail!("model.csv has {} rows, expected 7 joints and the tool frame", rows.len());
     }
     let mut arm = moca_msgs::robot::PANDA;
-    arm.name = "anchor";
     arm.link0 = Payload::NONE.inertial;
     for (i, row) in rows.iter_mut().enumerate() {
         let origin = placement(row)?;

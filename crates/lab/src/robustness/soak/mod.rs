@@ -5,22 +5,24 @@ mod onlookers;
 
 use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result, ensure};
+use moca_daemon::cli::progress::Progress;
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::supervisor::EDGES;
+use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::inject::Random;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_msgs::robot::resized;
 use moca_msgs::{Law, Mode, Request, Sample};
+use moca_sim::VirtualBoardConfig;
 use moca_sim::board::BoardFault;
-use moca_sim::{Scene, VirtualBoardConfig};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::{LogReader, LogWriter, Meta, Record};
 use onlookers::Onlookers;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufWriter, IsTerminal, Write};
+use std::io::BufWriter;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -96,6 +98,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
+#[expect(clippy::cast_precision_loss, reason = "a share")]
 fn soak(ticks: u64, seed: u64) -> Result<Report> {
     let mut config = Config::default();
     config.simulation.hand = HandConfig::none();
@@ -103,13 +106,14 @@ fn soak(ticks: u64, seed: u64) -> Result<Report> {
     // The operator arms: every change of mode is then one row of the table and one sample.
     config.startup.arm = false;
     let board = VirtualBoardConfig { seed, ..VirtualBoardConfig::default() };
-    let mut world = LockStep::with_board(&config, &Scene::default(), board, None)?;
+    let mut world = LockStep::with_board(&config, &free_scene(&config), board, None)?;
     let mut hands = Hands::new(seed);
     let mut watch = Watch::new(&config);
     let mut onlookers = Onlookers::new()?;
     let mut log = None;
     let mut report = Report::default();
     let started = Instant::now();
+    let mut progress = Progress::new("soak");
     for tick in 0..ticks {
         if tick % SEGMENT_TICKS == 0 {
             log = Some(LoggedMinute::start(seed, tick)?);
@@ -134,22 +138,15 @@ fn soak(ticks: u64, seed: u64) -> Result<Report> {
             if report.resident_first_kib == 0 {
                 report.resident_first_kib = report.resident_last_kib;
             }
-            progress(tick, ticks);
         }
+        progress.at(tick as f64 / ticks as f64);
     }
+    progress.end();
     report.ticks = ticks;
     report.clients_killed = onlookers.killed;
     (report.samples_dropped, report.lines_lost) = (onlookers.dropped, onlookers.lines_lost());
     report.wall_s = started.elapsed().as_secs_f64();
     Ok(report)
-}
-
-fn progress(tick: u64, ticks: u64) {
-    let mut terminal = std::io::stderr();
-    if terminal.is_terminal() {
-        // A terminal that went away is no reason to stop.
-        let _ = write!(terminal, "\rsoak {} of {} min", tick / 60_000, ticks / 60_000);
-    }
 }
 
 /// Whoever touches, asks and breaks things.

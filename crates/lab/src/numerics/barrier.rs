@@ -1,0 +1,101 @@
+//! What the contact barrier is worth: the sweeps of `scenes/barrier-*.toml` as the table of docs/math.md.
+
+use super::sweep::Plan;
+use crate::paper::collision;
+use crate::rig::parallel;
+use anyhow::{Context, Result};
+use std::fmt::Write as _;
+
+/// A row of the table: the sensor and the person, and the runs that stand for them.
+const ROWS: [(&str, &str, &str); 4] = [
+    ("100 Hz, 50 N/mm", IDEAL, "50000"),
+    ("100 Hz, rigid", IDEAL, "10000000"),
+    ("stock, 50 N/mm", STOCK, "50000"),
+    ("stock, rigid", STOCK, "10000000"),
+];
+const IDEAL: &str = include_str!("../../../../scenes/barrier-ideal.toml");
+const STOCK: &str = include_str!("../../../../scenes/barrier-stock.toml");
+
+/// One run: the cell it belongs to, who was met when, and what came of it.
+struct Run {
+    cell: (usize, bool),
+    met: String,
+    approach_m_s: f64,
+    peak_n: f64,
+    flange_mm: f64,
+    stopped: bool,
+}
+
+/// The collisions that the cells of a table name, beside them: each cell with what it begins with now.
+#[cfg(test)]
+pub(crate) fn named_by(shown: &str) -> Result<Vec<(String, String)>> {
+    let cell = |row: usize, on: bool| {
+        let line = shown.lines().find(|line| line.starts_with(&format!("| {} |", ROWS[row].0)));
+        line.and_then(|line| line.split(" | ").nth(if on { 2 } else { 3 })).unwrap_or_default()
+    };
+    let runs = runs(|row, on, met| cell(row, on).contains(&format!("({met})")))?;
+    Ok(runs.iter().map(|run| (cell(run.cell.0, run.cell.1).to_owned(), peak(run))).collect())
+}
+
+/// The runs that `chosen` picks by row, whether the barrier is on, and who is met when.
+fn runs(chosen: impl Fn(usize, bool, &str) -> bool) -> Result<Vec<Run>> {
+    let mut todo = Vec::new();
+    for (row, (_, plan, stiffness)) in ROWS.into_iter().enumerate() {
+        let plan: Plan = toml::from_str(plan)?;
+        let columns = plan.columns();
+        for values in (0..plan.runs()).map(|id| plan.values(id)) {
+            let value = |key: &str| {
+                let place = columns.iter().position(|column| column == key);
+                place.and_then(|place| values.get(place)).context("a plan without this key")
+            };
+            let on = value("barrier")? != "off";
+            let met = format!("{}, {} ms", value("person.taxel")?, value("sensor.phase_ms")?);
+            if value("person.stiffness")? == stiffness && chosen(row, on, &met) {
+                todo.push(((row, on), met, plan.settings(&columns, &values)?));
+            }
+        }
+    }
+    let run = |((row, on), met, settings): &_| {
+        let report = collision::single(settings)?;
+        Ok(Run {
+            cell: (*row, *on),
+            met: String::clone(met),
+            approach_m_s: report.approach_m_s,
+            peak_n: report.measures.peak_force_n,
+            flange_mm: report.measures.flange_max_mm,
+            stopped: report.stopped().is_some(),
+        })
+    };
+    parallel::run("collisions", &todo, run, |_| ()).into_iter().collect()
+}
+
+/// Force of the hardest run as the table has it.
+fn peak(run: &Run) -> String {
+    let digits = usize::from(run.peak_n < 100.0);
+    format!("**{:.digits$} N** ({})", run.peak_n, run.met)
+}
+
+/// The table in Markdown: speeds at the touch under the barrier; of each cell the hardest run with who was met when, and
+/// the largest error of the flange.
+pub(crate) fn markdown() -> Result<String> {
+    let runs = runs(|_, _, _| true)?;
+    let mut out = String::from("| sensor, leg | touched at | barrier | without |\n|---|---|---|---|\n");
+    for (row, (name, ..)) in ROWS.into_iter().enumerate() {
+        let speeds = || runs.iter().filter(|run| run.cell == (row, true)).map(|run| run.approach_m_s);
+        let (least, most) = (speeds().fold(f64::INFINITY, f64::min), speeds().fold(0.0, f64::max));
+        let mut cells = vec![format!("{least:.3} to {most:.3} m/s")];
+        for on in [true, false] {
+            let of_cell = || runs.iter().filter(|run| run.cell == (row, on));
+            let hardest = of_cell().max_by(|a, b| a.peak_n.total_cmp(&b.peak_n)).context("no runs")?;
+            let flange_mm = of_cell().map(|run| run.flange_mm).fold(0.0, f64::max);
+            let stops = match of_cell().filter(|run| run.stopped).count() {
+                0 => String::new(),
+                stops => format!("; {stops} of {} end in a stop", of_cell().count()),
+            };
+            cells.push(format!("{}, {flange_mm:.1} mm{stops}", peak(hardest)));
+        }
+        // Writing to a string cannot fail.
+        let _ = writeln!(out, "| {name} | {} |", cells.join(" | "));
+    }
+    Ok(out)
+}

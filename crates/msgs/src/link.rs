@@ -1,0 +1,106 @@
+//! What is known of the way to a real robot: how old its states are, what its arm says about the orders it gets.
+//!
+//! ```
+//! use moca_msgs::link::{ArmLink, ArmMode};
+//!
+//! let arm = ArmLink { mode: ArmMode::Torque, success_rate: 0.98, ..ArmLink::default() };
+//! assert!(arm.mode.follows() && arm.errors == 0);
+//! assert_eq!(ArmMode::Reflex.hindrance(), Some(moca_msgs::Fault::ArmReflex));
+//! ```
+
+use crate::Fault;
+
+/// What an arm with a controller of its own does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum ArmMode {
+    /// Being reached.
+    #[default]
+    Connecting,
+    /// On its own controller; its states come.
+    Idle,
+    /// Follows our torques.
+    Torque,
+    /// Stopped by its own reflex until it is recovered.
+    Reflex,
+    /// Stopped by its user-stop device.
+    UserStopped,
+    /// Being recovered from a reflex.
+    Recovering,
+    /// Reached before, silent now.
+    Lost,
+    /// Reached, but not to be controlled: another version, no FCI, brakes closed.
+    Refused,
+}
+
+impl ArmMode {
+    /// Every mode.
+    pub const ALL: [Self; 8] = [
+        Self::Connecting,
+        Self::Idle,
+        Self::Torque,
+        Self::Reflex,
+        Self::UserStopped,
+        Self::Recovering,
+        Self::Lost,
+        Self::Refused,
+    ];
+
+    /// Whether it follows our torques.
+    pub const fn follows(self) -> bool {
+        matches!(self, Self::Torque)
+    }
+
+    /// What keeps it from being driven, if anything does.
+    pub const fn hindrance(self) -> Option<Fault> {
+        match self {
+            Self::Idle | Self::Torque => None,
+            Self::Connecting | Self::Lost => Some(Fault::ArmStale),
+            Self::Reflex | Self::Recovering => Some(Fault::ArmReflex),
+            Self::UserStopped => Some(Fault::ArmUserStopped),
+            Self::Refused => Some(Fault::ArmRefused),
+        }
+    }
+
+    /// Name as shown to users.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Connecting => "connecting",
+            Self::Idle => "idle",
+            Self::Torque => "torque control",
+            Self::Reflex => "reflex",
+            Self::UserStopped => "user stop",
+            Self::Recovering => "recovering",
+            Self::Lost => "lost",
+            Self::Refused => "refused",
+        }
+    }
+}
+
+/// What an arm says about itself and about the orders that reach it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct ArmLink {
+    /// What it does.
+    pub mode: ArmMode,
+    /// Share of the last commands that reached it in time, 0 to 1, as it says itself.
+    pub success_rate: f64,
+    /// Its states that never came, since the start.
+    pub lost: u64,
+    /// Orders that were repeated because the loop gave none in time, since the start.
+    pub repeated: u64,
+    /// Its error flags, bit 0 is the first of its list.
+    pub errors: u64,
+}
+
+/// The way to a real robot at one tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct Link {
+    /// Age of the arm's state, s.
+    pub arm_age_s: f64,
+    /// Age of the base's state, s.
+    pub base_age_s: f64,
+    /// The arm.
+    pub arm: ArmLink,
+}

@@ -1,0 +1,381 @@
+//! A base's thread, and the loop's end of it: neither waits for the other.
+
+use super::odometry::{BaseReading, OdometryJudge, Refused};
+use super::order::OrderWatch;
+use crate::cdr;
+use crate::latest::Latest;
+use crate::messages::{Header, Message, Odometry, Time, Twist, TwistStamped, Vector3};
+use crate::transport::{
+    Qos, ReaderId, Transport, TransportError, WriterId, problems_of_reader, problems_of_writer,
+};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+/// How often it is asked who else is on the topics, ns.
+const LOOK_AROUND_NS: u64 = 1_000_000_000;
+
+/// A base, as its owner describes it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BaseSettings {
+    /// Topic of the velocity orders.
+    pub cmd_vel: String,
+    /// Whether they are `TwistStamped`, else `Twist`.
+    pub stamped: bool,
+    /// Frame named in a `TwistStamped`.
+    pub frame: String,
+    /// Topic of the odometry.
+    pub odom: String,
+    /// How often orders are sent, Hz.
+    pub rate_hz: f64,
+    /// Without an order of the loop for so long zero is sent, s.
+    pub silence_s: f64,
+    /// Oldest odometry that is driven with, s.
+    pub deadline_s: f64,
+    /// Fastest that this base moves: m/s, m/s, rad/s. What is faster in its odometry is a jump.
+    pub velocity_max: [f64; 3],
+}
+
+/// What happened so far.
+#[derive(Debug, Default)]
+pub struct BaseCounts {
+    /// Orders sent.
+    pub sent: AtomicU64,
+    /// Orders that the transport did not take.
+    pub unsent: AtomicU64,
+    /// Odometry that was used.
+    pub odometry: AtomicU64,
+    /// Payloads that are no odometry.
+    pub garbled: AtomicU64,
+    /// Odometry that was not used, for whatever reason of [`Refused`].
+    pub refused: AtomicU64,
+    /// Times that a moving base was stopped because the loop ordered nothing.
+    pub silences: AtomicU64,
+}
+
+#[derive(Debug, Default)]
+struct Shared {
+    /// measured_ns, pose, velocity.
+    reading: Latest<7>,
+    /// ordered_ns, velocity.
+    order: Latest<4>,
+    stop: AtomicBool,
+    counts: BaseCounts,
+    problems: Mutex<Vec<String>>,
+}
+
+/// The loop's end: a velocity-controlled base whose thread does all the waiting.
+pub struct Ros2Base {
+    shared: Arc<Shared>,
+    start: Instant,
+    last: Option<BaseReading>,
+    deadline_ns: u64,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// The base at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BaseState {
+    /// Pose of B in the odometry's frame, carried on to now: m, m, rad.
+    pub pose_world: [f64; 3],
+    /// Its rate: m/s, m/s, rad/s.
+    pub velocity_world: [f64; 3],
+    /// Age of the odometry behind it, s.
+    pub age_s: f64,
+}
+
+impl Ros2Base {
+    /// Announces the topics on `transport`, and serves them from a thread of its own.
+    ///
+    /// # Errors
+    /// A topic that has no name, or no thread.
+    pub fn spawn(
+        settings: BaseSettings,
+        mut transport: Box<dyn Transport + Send>,
+    ) -> Result<Self, TransportError> {
+        let (start, shared) = (Instant::now(), Arc::new(Shared::default()));
+        let deadline_ns = ns(settings.deadline_s);
+        let mut worker = Worker::new(transport.as_mut(), settings)?;
+        let in_thread = Arc::clone(&shared);
+        let serve = move || {
+            while !in_thread.stop.load(Ordering::Acquire) {
+                let now_ns = since(start);
+                let next_ns = worker.step(transport.as_mut(), &in_thread, now_ns, unix_ns());
+                transport.wait(Duration::from_nanos(next_ns.saturating_sub(since(start))));
+            }
+            worker.send(transport.as_mut(), &in_thread.counts, [0.0; 3], unix_ns());
+        };
+        let thread = std::thread::Builder::new().name("ros2-base".into()).spawn(serve);
+        let thread = thread.map_err(|error| TransportError(format!("no thread for the base: {error}")))?;
+        Ok(Self { shared, start, last: None, deadline_ns, thread: Some(thread) })
+    }
+
+    /// The base now; `None` before the first odometry. Never waits.
+    pub fn state(&mut self) -> Option<BaseState> {
+        if let Some((_, words)) = self.shared.reading.read() {
+            let [measured_ns, rest @ ..] = words;
+            let [x, y, yaw, vx, vy, rate] = rest.map(f64::from_bits);
+            self.last =
+                Some(BaseReading { measured_ns, pose_world: [x, y, yaw], velocity_body: [vx, vy, rate] });
+        }
+        let (reading, now_ns) = (self.last?, since(self.start));
+        let (pose_world, velocity_world) = reading.predicted(now_ns, self.deadline_ns);
+        Some(BaseState { pose_world, velocity_world, age_s: reading.age_s(now_ns) })
+    }
+
+    /// Orders a velocity in the axes of B: m/s, m/s, rad/s. Never waits.
+    pub fn order(&self, velocity_body: [f64; 3]) {
+        let [x, y, yaw] = velocity_body.map(f64::to_bits);
+        self.shared.order.write([since(self.start), x, y, yaw]);
+    }
+
+    /// What happened so far.
+    pub fn counts(&self) -> &BaseCounts {
+        &self.shared.counts
+    }
+
+    /// What is wrong on the network, in sentences; looked up once a second. Not for the loop: it may wait for a lock.
+    pub fn problems(&self) -> Vec<String> {
+        self.shared.problems.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+impl Drop for Ros2Base {
+    fn drop(&mut self) {
+        self.shared.stop.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            // A panic there has been printed by its own thread, and its base stops by its own time-out.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// What the thread does, a step at a time.
+struct Worker {
+    settings: BaseSettings,
+    cmd_vel: WriterId,
+    odom: ReaderId,
+    orders: OrderWatch,
+    judge: OdometryJudge,
+    taken: u64,
+    look_ns: u64,
+    said: Option<Refused>,
+}
+
+impl Worker {
+    fn new(transport: &mut dyn Transport, settings: BaseSettings) -> Result<Self, TransportError> {
+        let of = if settings.stamped { TwistStamped::TYPE } else { Twist::TYPE };
+        let cmd_vel = transport.writer(&settings.cmd_vel, of, Qos::Reliable)?;
+        let odom = transport.reader(&settings.odom, Odometry::TYPE, Qos::BestEffort)?;
+        let orders = OrderWatch::new(ns(1.0 / settings.rate_hz), ns(settings.silence_s));
+        let judge = OdometryJudge::new(ns(settings.deadline_s), settings.velocity_max);
+        Ok(Self { settings, cmd_vel, odom, orders, judge, taken: 0, look_ns: 0, said: None })
+    }
+
+    /// Passes on what has come and sends what is due; says when to come again, ns.
+    fn step(&mut self, transport: &mut dyn Transport, shared: &Shared, now_ns: u64, unix_ns: u64) -> u64 {
+        while let Some(payload) = transport.take(self.odom) {
+            self.odometry(&payload, shared, now_ns);
+        }
+        if let Some((count, [ordered_ns, velocity @ ..])) = shared.order.read()
+            && count != self.taken
+        {
+            self.taken = count;
+            self.orders.order(ordered_ns, velocity.map(f64::from_bits));
+        }
+        if let Some(velocity_body) = self.orders.due(now_ns) {
+            self.send(transport, &shared.counts, velocity_body, unix_ns);
+        }
+        shared.counts.silences.store(self.orders.silences(), Ordering::Relaxed);
+        if now_ns >= self.look_ns {
+            self.look_ns = now_ns + LOOK_AROUND_NS;
+            let problems = self.problems(transport);
+            *shared.problems.lock().unwrap_or_else(PoisonError::into_inner) = problems;
+        }
+        self.orders.next_ns().clamp(now_ns + 1_000_000, now_ns + ns(1.0 / self.settings.rate_hz))
+    }
+
+    fn odometry(&mut self, payload: &[u8], shared: &Shared, now_ns: u64) {
+        let Ok(message) = cdr::decode::<Odometry>(payload) else {
+            shared.counts.garbled.fetch_add(1, Ordering::Relaxed);
+            return;
+        };
+        match self.judge.judge(&message, now_ns) {
+            Ok(BaseReading { measured_ns, pose_world: [x, y, yaw], velocity_body: [vx, vy, rate] }) => {
+                let [x, y, yaw, vx, vy, rate] = [x, y, yaw, vx, vy, rate].map(f64::to_bits);
+                shared.reading.write([measured_ns, x, y, yaw, vx, vy, rate]);
+                shared.counts.odometry.fetch_add(1, Ordering::Relaxed);
+            }
+            Err(refused) => {
+                shared.counts.refused.fetch_add(1, Ordering::Relaxed);
+                if refused != Refused::Repeated {
+                    self.said = Some(refused);
+                }
+            }
+        }
+    }
+
+    fn send(&self, transport: &mut dyn Transport, counts: &BaseCounts, velocity: [f64; 3], unix_ns: u64) {
+        let [x, y, yaw] = velocity;
+        let twist = Twist { linear: Vector3::of([x, y, 0.0]), angular: Vector3::of([0.0, 0.0, yaw]) };
+        let payload = if self.settings.stamped {
+            let header = Header { stamp: Time::from_unix_ns(unix_ns), frame_id: self.settings.frame.clone() };
+            cdr::encode(&TwistStamped { header, twist })
+        } else {
+            cdr::encode(&twist)
+        };
+        let outcome = transport.write(self.cmd_vel, &payload);
+        let count = if outcome.is_ok() { &counts.sent } else { &counts.unsent };
+        count.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// What is wrong on the network; a refusal of odometry is told once.
+    fn problems(&mut self, transport: &dyn Transport) -> Vec<String> {
+        let (endpoints, settings) = (transport.endpoints(), &self.settings);
+        let of = if settings.stamped { TwistStamped::TYPE } else { Twist::TYPE };
+        let mut problems = problems_of_writer(&endpoints, &settings.cmd_vel, of);
+        problems.extend(problems_of_reader(&endpoints, &settings.odom, Odometry::TYPE));
+        problems.extend(self.said.take().map(|refused| refused.to_string()));
+        problems
+    }
+}
+
+fn ns(seconds: f64) -> u64 {
+    u64::try_from(Duration::from_secs_f64(seconds.clamp(0.0, 1e6)).as_nanos()).unwrap_or(u64::MAX)
+}
+
+fn since(start: Instant) -> u64 {
+    u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX)
+}
+
+fn unix_ns() -> u64 {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::Quaternion;
+    use crate::transport::tests::{Memory, end};
+
+    const MS: u64 = 1_000_000;
+    const UNIX_NS: u64 = 1_700_000_000_000_000_000;
+
+    fn settings(stamped: bool) -> BaseSettings {
+        BaseSettings {
+            cmd_vel: "/cmd_vel".into(),
+            stamped,
+            frame: "base_link".into(),
+            odom: "/odom".into(),
+            rate_hz: 100.0,
+            silence_s: 0.05,
+            deadline_s: 0.1,
+            velocity_max: [1.5, 1.5, 2.0],
+        }
+    }
+
+    fn order(shared: &Shared, now_ns: u64, velocity: [f64; 3]) {
+        let [x, y, yaw] = velocity.map(f64::to_bits);
+        shared.order.write([now_ns, x, y, yaw]);
+    }
+
+    fn odometry(stamp_ns: u64, x: f64) -> Vec<u8> {
+        let mut message = Odometry::default();
+        message.header.stamp = Time::from_unix_ns(UNIX_NS + stamp_ns);
+        message.pose.pose.position.x = x;
+        message.pose.pose.orientation = Quaternion::about_z(0.0);
+        cdr::encode(&message)
+    }
+
+    /// One step a millisecond; the loop orders 0.3 m/s every millisecond while `orders` says so.
+    fn run(stamped: bool, ms: u64, orders: impl Fn(u64) -> bool) -> (Memory, Shared) {
+        let (mut memory, shared) = (Memory::default(), Shared::default());
+        let mut worker = Worker::new(&mut memory, settings(stamped)).unwrap();
+        for now_ns in (0..ms).map(|ms| ms * MS) {
+            if orders(now_ns / MS) {
+                order(&shared, now_ns, [0.3, 0.0, -0.1]);
+            }
+            worker.step(&mut memory, &shared, now_ns, UNIX_NS + now_ns);
+        }
+        (memory, shared)
+    }
+
+    #[test]
+    fn a_loop_that_hangs_stops_the_base_before_the_base_does() {
+        let (memory, shared) = run(false, 400, |ms| ms < 200);
+        let sent: Vec<Twist> =
+            memory.written[0].1.iter().map(|payload| cdr::decode(payload).unwrap()).collect();
+        let driven = sent.iter().rposition(|twist| twist.linear.x > 0.0).unwrap();
+        assert_eq!((sent.len(), driven), (40, 24), "the last order is of 199 ms, zero from 250 ms on");
+        assert!(sent[..=driven].iter().all(|twist| twist.linear.array() == [0.3, 0.0, 0.0]));
+        assert!(sent[driven + 1..].iter().all(|twist| *twist == Twist::default()));
+        assert_eq!(shared.counts.silences.load(Ordering::Relaxed), 1);
+    }
+
+    #[test]
+    fn a_stamped_twist_has_frame_and_time() {
+        let (memory, _) = run(true, 20, |_| true);
+        let second = cdr::decode::<TwistStamped>(&memory.written[0].1[1]).unwrap();
+        assert_eq!(second.header.frame_id, "base_link");
+        assert_eq!(second.header.stamp.unix_ns(), UNIX_NS + 10 * MS);
+        assert_eq!(second.twist.angular.array(), [0.0, 0.0, -0.1]);
+    }
+
+    #[test]
+    fn nobody_is_sent_anything_before_the_loop_orders() {
+        let (memory, _) = run(false, 300, |_| false);
+        assert!(memory.written[0].1.is_empty());
+    }
+
+    #[test]
+    fn odometry_that_is_refused_or_garbled_is_counted_and_changes_nothing() {
+        let (mut memory, shared) = (Memory::default(), Shared::default());
+        let mut worker = Worker::new(&mut memory, settings(false)).unwrap();
+        let mut come = |memory: &mut Memory, now_ns, payload| {
+            memory.unread[0].1.push_back(payload);
+            worker.step(memory, &shared, now_ns, UNIX_NS + now_ns);
+        };
+        come(&mut memory, 20 * MS, odometry(20 * MS, 0.0));
+        let seen = shared.reading.read();
+        assert!(seen.is_some());
+        come(&mut memory, 40 * MS, odometry(40 * MS, f64::NAN));
+        come(&mut memory, 60 * MS, odometry(60 * MS, 0.0)[..100].to_vec());
+        come(&mut memory, 900 * MS, odometry(80 * MS, 0.0));
+        assert_eq!(shared.reading.read(), seen);
+        let counts = &shared.counts;
+        let [used, garbled, refused] =
+            [&counts.odometry, &counts.garbled, &counts.refused].map(|count| count.load(Ordering::Relaxed));
+        assert_eq!((used, garbled, refused), (1, 1, 2));
+    }
+
+    #[test]
+    fn who_else_drives_is_named() {
+        let (mut memory, shared) = (Memory::default(), Shared::default());
+        memory.others = vec![
+            end("/cmd_vel", Twist::TYPE, false, "the base"),
+            end("/cmd_vel", Twist::TYPE, true, "pad_teleop"),
+            end("/odom", Odometry::TYPE, true, "the base"),
+        ];
+        let mut worker = Worker::new(&mut memory, settings(false)).unwrap();
+        worker.step(&mut memory, &shared, 0, UNIX_NS);
+        let problems = shared.problems.lock().unwrap().clone();
+        assert!(problems.len() == 1 && problems[0].contains("pad_teleop"), "{problems:?}");
+    }
+
+    #[test]
+    fn the_loops_end_orders_through_a_thread_and_stops_the_base_at_the_end() {
+        let (heard, sent) = std::sync::mpsc::channel();
+        let memory = Memory { heard: Some(heard), waiting: vec![odometry(MS, 0.25)], ..Memory::default() };
+        let mut base = Ros2Base::spawn(settings(false), Box::new(memory)).unwrap();
+        while base.state().is_none() || base.counts().sent.load(Ordering::Relaxed) == 0 {
+            base.order([0.2, 0.0, 0.0]);
+        }
+        assert_eq!(base.state().unwrap().pose_world, [0.25, 0.0, 0.0]);
+        drop(base);
+        let sent: Vec<Twist> = sent.iter().map(|payload| cdr::decode(&payload).unwrap()).collect();
+        assert!(sent[0].linear.x > 0.0);
+        assert_eq!(sent.last(), Some(&Twist::default()));
+    }
+}

@@ -1,0 +1,242 @@
+//! CDR, version 1, as ROS 2 puts it on the wire: four bytes that say the byte order, then each field at a multiple of its
+//! own size.
+//!
+//! ```
+//! use moca_ros2::cdr::{self, CdrError};
+//! use moca_ros2::messages::{Twist, Vector3};
+//!
+//! let twist = Twist { linear: Vector3 { x: 0.1, ..Vector3::default() }, ..Twist::default() };
+//! let bytes = cdr::encode(&twist);
+//! assert_eq!(cdr::decode::<Twist>(&bytes), Ok(twist));
+//! assert_eq!(cdr::decode::<Twist>(&bytes[..20]), Err(CdrError::Truncated { at: 16, wanted: 8 }));
+//! ```
+
+/// What all payloads of ours begin with: little-endian, no options.
+pub const LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
+/// Bytes that a transport may append to fill a word.
+const PADDING_MAX: usize = 3;
+
+/// Why bytes are not the message that they should be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CdrError {
+    /// A payload begins with 0, 0 (big-endian) or 0, 1 (little-endian), and two bytes more.
+    #[error("payload does not begin as CDR version 1 does")]
+    Encoding,
+    /// The message ends within a field.
+    #[error("{wanted} bytes wanted at byte {at}, and the message ends before")]
+    Truncated {
+        /// Where, counted from the first field.
+        at: usize,
+        /// How many bytes were wanted.
+        wanted: usize,
+    },
+    /// The message is longer than its type.
+    #[error("{bytes} bytes are left over: another type")]
+    LeftOver {
+        /// How many.
+        bytes: usize,
+    },
+    /// A text is not UTF-8 with a zero behind it.
+    #[error("text at byte {at} is not UTF-8 that ends with 0")]
+    Text {
+        /// Where, counted from the first field.
+        at: usize,
+    },
+    /// A flag is neither 0 nor 1.
+    #[error("flag at byte {at} is {value}; allowed: 0 or 1")]
+    Flag {
+        /// Where, counted from the first field.
+        at: usize,
+        /// What it is.
+        value: u8,
+    },
+}
+
+/// A value that CDR can carry.
+pub trait Cdr: Sized {
+    /// Least number of bytes on the wire: what a list's announced length is held against before memory is taken.
+    const BYTES_MIN: usize;
+    /// Appends this value.
+    fn write(&self, to: &mut Writer);
+    /// Takes the next value.
+    ///
+    /// # Errors
+    /// Bytes that are none.
+    fn read(from: &mut Reader<'_>) -> Result<Self, CdrError>;
+}
+
+/// A payload: byte order, then the message.
+pub fn encode(message: &impl Cdr) -> Vec<u8> {
+    let mut writer = Writer { bytes: LITTLE_ENDIAN.to_vec() };
+    message.write(&mut writer);
+    writer.bytes
+}
+
+/// The message of a whole payload.
+///
+/// # Errors
+/// Bytes that are not exactly one message of this type.
+pub fn decode<T: Cdr>(payload: &[u8]) -> Result<T, CdrError> {
+    let mut reader = Reader::new(payload)?;
+    let message = T::read(&mut reader)?;
+    let bytes = reader.body.len() - reader.at;
+    if bytes > PADDING_MAX { Err(CdrError::LeftOver { bytes }) } else { Ok(message) }
+}
+
+/// A payload that grows.
+#[derive(Debug)]
+pub struct Writer {
+    bytes: Vec<u8>,
+}
+
+impl Writer {
+    fn put<const N: usize>(&mut self, value: [u8; N]) {
+        let at = self.bytes.len() - LITTLE_ENDIAN.len();
+        self.bytes.resize(LITTLE_ENDIAN.len() + at.next_multiple_of(N), 0);
+        self.bytes.extend_from_slice(&value);
+    }
+
+    fn count(&mut self, count: usize) {
+        // A message of 4 GiB could not be sent either.
+        self.put(u32::try_from(count).unwrap_or(u32::MAX).to_le_bytes());
+    }
+}
+
+/// A payload that is read.
+#[derive(Debug)]
+pub struct Reader<'a> {
+    body: &'a [u8],
+    at: usize,
+    big_endian: bool,
+}
+
+impl<'a> Reader<'a> {
+    fn new(payload: &'a [u8]) -> Result<Self, CdrError> {
+        let (start, body) = payload.split_first_chunk::<4>().ok_or(CdrError::Encoding)?;
+        let big_endian = match start {
+            [0, 0, ..] => true,
+            [0, 1, ..] => false,
+            _ => return Err(CdrError::Encoding),
+        };
+        Ok(Self { body, at: 0, big_endian })
+    }
+
+    fn bytes(&mut self, count: usize) -> Result<&'a [u8], CdrError> {
+        let end = self.at.checked_add(count).filter(|end| *end <= self.body.len());
+        let end = end.ok_or(CdrError::Truncated { at: self.at, wanted: count })?;
+        let bytes = &self.body[self.at..end];
+        self.at = end;
+        Ok(bytes)
+    }
+
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], CdrError> {
+        let padding = self.at.next_multiple_of(N) - self.at;
+        if self.body.len() - self.at < padding {
+            return Err(CdrError::Truncated { at: self.at, wanted: N });
+        }
+        self.at += padding;
+        let mut value = [0; N];
+        value.copy_from_slice(self.bytes(N)?);
+        if self.big_endian {
+            value.reverse();
+        }
+        Ok(value)
+    }
+
+    /// An announced number of elements, each of at least `bytes_min` bytes.
+    fn count(&mut self, bytes_min: usize) -> Result<usize, CdrError> {
+        let count = usize::try_from(u32::from_le_bytes(self.take()?)).unwrap_or(usize::MAX);
+        let wanted = count.saturating_mul(bytes_min.max(1));
+        if wanted > self.body.len() - self.at {
+            return Err(CdrError::Truncated { at: self.at, wanted });
+        }
+        Ok(count)
+    }
+}
+
+macro_rules! number {
+    ($($type:ty),*) => {$(
+        impl Cdr for $type {
+            const BYTES_MIN: usize = size_of::<$type>();
+
+            fn write(&self, to: &mut Writer) {
+                to.put(self.to_le_bytes());
+            }
+
+            fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
+                Ok(Self::from_le_bytes(from.take()?))
+            }
+        }
+    )*};
+}
+number!(u8, i32, u32, i64, u64, f64);
+
+impl Cdr for bool {
+    const BYTES_MIN: usize = 1;
+
+    fn write(&self, to: &mut Writer) {
+        to.put([u8::from(*self)]);
+    }
+
+    fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
+        let at = from.at;
+        match u8::read(from)? {
+            0 => Ok(false),
+            1 => Ok(true),
+            value => Err(CdrError::Flag { at, value }),
+        }
+    }
+}
+
+impl Cdr for String {
+    const BYTES_MIN: usize = 4;
+
+    fn write(&self, to: &mut Writer) {
+        to.count(self.len() + 1);
+        to.bytes.extend_from_slice(self.as_bytes());
+        to.bytes.push(0);
+    }
+
+    fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
+        let count = from.count(1)?;
+        let at = from.at;
+        let bytes = from.bytes(count)?;
+        // Some writers announce an empty text as no bytes at all.
+        let text = if count == 0 { Some(&[][..]) } else { bytes.strip_suffix(&[0]) };
+        text.and_then(|text| Self::from_utf8(text.to_vec()).ok()).ok_or(CdrError::Text { at })
+    }
+}
+
+impl<T: Cdr> Cdr for Vec<T> {
+    const BYTES_MIN: usize = 4;
+
+    fn write(&self, to: &mut Writer) {
+        to.count(self.len());
+        for element in self {
+            element.write(to);
+        }
+    }
+
+    fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
+        let count = from.count(T::BYTES_MIN)?;
+        (0..count).map(|_| T::read(from)).collect()
+    }
+}
+
+impl<T: Cdr + Copy + Default, const N: usize> Cdr for [T; N] {
+    const BYTES_MIN: usize = N * T::BYTES_MIN;
+
+    fn write(&self, to: &mut Writer) {
+        for element in self {
+            element.write(to);
+        }
+    }
+
+    fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
+        let mut elements = [T::default(); N];
+        for element in &mut elements {
+            *element = T::read(from)?;
+        }
+        Ok(elements)
+    }
+}

@@ -1,0 +1,24 @@
+//! ROS 2 without a ROS installation: messages as CDR, a velocity-controlled base behind `cmd_vel` and `odom`, and what
+//! ROS users see of the robot.
+//!
+//! Without a feature this crate is pure: [`cdr`] and [`messages`], [`base::order`] (what is sent, and zero when the loop
+//! hangs) and [`base::odometry`] (what is believed) as functions of time given as an argument. The transports are
+//! features: `dds`.
+
+#![cfg_attr(
+    test,
+    allow(
+        clippy::unwrap_used,
+        clippy::expect_used,
+        clippy::panic,
+        reason = "tests stop at the first surprise"
+    )
+)]
+
+pub mod base;
+pub mod cdr;
+#[cfg(feature = "dds")]
+pub mod dds;
+pub mod latest;
+pub mod messages;
+pub mod transport;

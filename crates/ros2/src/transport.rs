@@ -1,0 +1,218 @@
+//! What this crate needs of a way to other nodes, and who else is on a topic.
+
+use crate::messages::TypeName;
+use std::time::Duration;
+
+/// What a writer or reader offers or asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Qos {
+    /// The newest only; a lost message is not sent again. As a reader it goes with every writer.
+    BestEffort,
+    /// Sent again until it has arrived, the newest only.
+    Reliable,
+    /// Reliable, and whoever comes later gets the last one too: a robot's description.
+    Latched,
+}
+
+/// Why a transport does not do what it is asked.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct TransportError(pub String);
+
+/// A topic that is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WriterId(pub usize);
+/// A topic that is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReaderId(pub usize);
+/// A service that is offered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ServiceId(pub usize);
+
+/// Who called a service and waits, in a transport's own words.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Caller(pub Vec<u8>);
+
+/// Somebody on a topic.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Endpoint {
+    /// The topic, as ROS writes it.
+    pub topic: String,
+    /// The type's name on the wire.
+    pub type_dds: String,
+    /// Whether it writes; else it reads.
+    pub writes: bool,
+    /// Who it is, as well as the transport knows.
+    pub who: String,
+}
+
+/// A way to other nodes: payloads in, payloads out. Nothing here waits but [`Transport::wait`].
+pub trait Transport {
+    /// Announces a writer.
+    ///
+    /// # Errors
+    /// A name that is none, or a transport that is gone; so too below.
+    fn writer(&mut self, topic: &str, of: TypeName, qos: Qos) -> Result<WriterId, TransportError>;
+    /// Announces a reader.
+    fn reader(&mut self, topic: &str, of: TypeName, qos: Qos) -> Result<ReaderId, TransportError>;
+    /// Announces a service of this type, such as `std_srvs/srv/Trigger`.
+    fn service(&mut self, name: &str, of: TypeName) -> Result<ServiceId, TransportError>;
+    /// Sends a whole CDR payload.
+    fn write(&mut self, to: WriterId, payload: &[u8]) -> Result<(), TransportError>;
+    /// The oldest payload that has not been taken.
+    fn take(&mut self, from: ReaderId) -> Option<Vec<u8>>;
+    /// The oldest call that has not been taken.
+    fn take_call(&mut self, of: ServiceId) -> Option<(Caller, Vec<u8>)>;
+    /// Answers a call.
+    fn answer(&mut self, of: ServiceId, caller: &Caller, payload: &[u8]) -> Result<(), TransportError>;
+    /// Waits until something may have come, at most for `most`.
+    fn wait(&mut self, most: Duration);
+    /// Everybody else who has been heard of.
+    fn endpoints(&self) -> Vec<Endpoint>;
+}
+
+/// What is wrong with who else is on a topic that we write: nobody listens, somebody wants another type, somebody else
+/// writes too. Empty if all is well.
+///
+/// ```
+/// use moca_ros2::messages::{Message, Twist};
+/// use moca_ros2::transport::{Endpoint, problems_of_writer};
+///
+/// let other = Endpoint {
+///     topic: "/cmd_vel".into(), type_dds: Twist::TYPE.dds(), writes: true, who: "node /joy".into(),
+/// };
+/// let problems = problems_of_writer(&[other], "/cmd_vel", Twist::TYPE);
+/// assert_eq!(problems[0], "/cmd_vel is also written by node /joy: the base obeys both; switch the other off");
+/// ```
+pub fn problems_of_writer(endpoints: &[Endpoint], topic: &str, ours: TypeName) -> Vec<String> {
+    let (readers, writers): (Vec<_>, Vec<_>) = on(endpoints, topic).partition(|end| !end.writes);
+    let mut problems: Vec<_> = readers.iter().filter_map(|end| mismatch(end, topic, ours)).collect();
+    problems.extend(writers.iter().map(|end| {
+        format!("{topic} is also written by {}: the base obeys both; switch the other off", end.who)
+    }));
+    if readers.is_empty() {
+        problems.push(format!(
+            "nobody reads {topic}: the base is off, on another domain, or has another name for it"
+        ));
+    }
+    problems
+}
+
+/// What is wrong with who else is on a topic that we read.
+pub fn problems_of_reader(endpoints: &[Endpoint], topic: &str, ours: TypeName) -> Vec<String> {
+    let writers: Vec<_> = on(endpoints, topic).filter(|end| end.writes).collect();
+    let mut problems: Vec<_> = writers.iter().filter_map(|end| mismatch(end, topic, ours)).collect();
+    match writers.len() {
+        0 => problems.push(format!(
+            "nobody writes {topic}: the base is off, on another domain, or has another name for it"
+        )),
+        1 => {}
+        count => problems.push(format!("{topic} is written by {count} nodes: which one is the base?")),
+    }
+    problems
+}
+
+fn on<'a>(endpoints: &'a [Endpoint], topic: &'a str) -> impl Iterator<Item = &'a Endpoint> {
+    endpoints.iter().filter(move |end| end.topic == topic)
+}
+
+/// DDS and zenoh say nothing when two ends differ in their type: they just do not meet.
+fn mismatch(end: &Endpoint, topic: &str, ours: TypeName) -> Option<String> {
+    let remedy = match (end.type_dds.as_str(), ours.0) {
+        ("geometry_msgs::msg::dds_::TwistStamped_", "geometry_msgs/msg/Twist") => "; set stamped = true",
+        ("geometry_msgs::msg::dds_::Twist_", "geometry_msgs/msg/TwistStamped") => "; set stamped = false",
+        _ => "",
+    };
+    let does = if end.writes { "writes" } else { "reads" };
+    (end.type_dds != ours.dds())
+        .then(|| format!("{} {does} {topic} as {}, we have {}{remedy}", end.who, end.type_dds, ours.0))
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::messages::{Message, Odometry, Twist, TwistStamped};
+    use std::collections::VecDeque;
+
+    /// A transport in memory: what was written to each writer, and what is to be read.
+    #[derive(Default)]
+    pub(crate) struct Memory {
+        pub(crate) written: Vec<(String, Vec<Vec<u8>>)>,
+        pub(crate) unread: Vec<(String, VecDeque<Vec<u8>>)>,
+        pub(crate) others: Vec<Endpoint>,
+        /// Payloads that the first reader finds.
+        pub(crate) waiting: Vec<Vec<u8>>,
+        /// Who hears what is written, on another thread.
+        pub(crate) heard: Option<std::sync::mpsc::Sender<Vec<u8>>>,
+    }
+
+    impl Transport for Memory {
+        fn writer(&mut self, topic: &str, _: TypeName, _: Qos) -> Result<WriterId, TransportError> {
+            self.written.push((topic.into(), Vec::new()));
+            Ok(WriterId(self.written.len() - 1))
+        }
+
+        fn reader(&mut self, topic: &str, _: TypeName, _: Qos) -> Result<ReaderId, TransportError> {
+            self.unread.push((topic.into(), std::mem::take(&mut self.waiting).into()));
+            Ok(ReaderId(self.unread.len() - 1))
+        }
+
+        fn service(&mut self, name: &str, _: TypeName) -> Result<ServiceId, TransportError> {
+            Err(TransportError(format!("{name}: no services in memory")))
+        }
+
+        fn write(&mut self, to: WriterId, payload: &[u8]) -> Result<(), TransportError> {
+            self.written[to.0].1.push(payload.to_vec());
+            if let Some(heard) = &self.heard {
+                heard.send(payload.to_vec()).map_err(|error| TransportError(error.to_string()))?;
+            }
+            Ok(())
+        }
+
+        fn take(&mut self, from: ReaderId) -> Option<Vec<u8>> {
+            self.unread[from.0].1.pop_front()
+        }
+
+        fn take_call(&mut self, _: ServiceId) -> Option<(Caller, Vec<u8>)> {
+            None
+        }
+
+        fn answer(&mut self, _: ServiceId, _: &Caller, _: &[u8]) -> Result<(), TransportError> {
+            Ok(())
+        }
+
+        fn wait(&mut self, most: Duration) {
+            std::thread::sleep(most);
+        }
+
+        fn endpoints(&self) -> Vec<Endpoint> {
+            self.others.clone()
+        }
+    }
+
+    pub(crate) fn end(topic: &str, of: TypeName, writes: bool, who: &str) -> Endpoint {
+        Endpoint { topic: topic.into(), type_dds: of.dds(), writes, who: who.into() }
+    }
+
+    #[test]
+    fn who_is_missing_wrong_or_too_many_is_told() {
+        let base = end("/cmd_vel", Twist::TYPE, false, "the base");
+        let found = |ends: &[Endpoint]| problems_of_writer(ends, "/cmd_vel", Twist::TYPE);
+        assert!(found(&[base.clone()]).is_empty());
+        assert!(found(&[]).concat().contains("nobody reads /cmd_vel"));
+        let joy = end("/cmd_vel", Twist::TYPE, true, "node /joy");
+        assert!(found(&[base, joy]).concat().contains("also written by node /joy"));
+        let stamped = end("/cmd_vel", TwistStamped::TYPE, false, "the base");
+        assert!(found(&[stamped]).concat().ends_with("set stamped = true"));
+        let odom = |ends: &[Endpoint]| problems_of_reader(ends, "/odom", Odometry::TYPE);
+        let one = end("/odom", Odometry::TYPE, true, "the base");
+        assert!(odom(&[one.clone()]).is_empty());
+        assert!(odom(&[]).concat().contains("nobody writes /odom"));
+        assert!(odom(&[one.clone(), one]).concat().contains("written by 2 nodes"));
+        assert!(
+            odom(&[end("/odom", Twist::TYPE, true, "x")])
+                .concat()
+                .contains("as geometry_msgs::msg::dds_::Twist_")
+        );
+    }
+}

@@ -1,0 +1,197 @@
+//! The daemon's samples as messages: connects, comes back by itself, and says when there is nothing to show.
+
+use crate::hub::Hub;
+use moca_telemetry::{
+    RobotDescription,
+    display::{
+        Display, Periods, Sink,
+        cdr::{self, Cdr, Message},
+    },
+    log::{LogError, records::Channel},
+    net::{
+        Address, Client, NetError,
+        client::Incoming,
+        wire::{Batch, FromServer},
+    },
+};
+use std::time::Duration;
+use tokio::time::timeout;
+
+/// Pause before the next attempt to connect.
+const RETRY: Duration = Duration::from_millis(250);
+/// How long a daemon may say nothing: a loop that runs sends 100 batches a second.
+const SILENCE: Duration = Duration::from_secs(2);
+/// What changes seldom is said again after this, ns of loop time.
+const REPEAT_NS: u64 = 1_000_000_000;
+/// The time between loop and wall is looked at once in so many batches: one that comes late says nothing.
+const BATCHES_PER_LOOK: u32 = 100;
+/// Beyond this the two have drifted apart, ns: ticks were lost, or the clock was set.
+const DRIFT_NS: u64 = 50_000_000;
+
+/// What moves is shown at most so often, ns.
+const POSES_NS: u64 = 10_000_000;
+
+/// Why a session ended.
+#[derive(Debug)]
+enum End {
+    /// The connection did.
+    Net(NetError),
+    /// No samples came.
+    Silent,
+    /// A message could not be made.
+    Message(LogError),
+}
+
+impl From<NetError> for End {
+    fn from(error: NetError) -> Self {
+        Self::Net(error)
+    }
+}
+
+impl From<LogError> for End {
+    fn from(error: LogError) -> Self {
+        Self::Message(error)
+    }
+}
+
+/// Feeds the hub, for ever.
+pub(crate) async fn feed(daemon: &Address, period_ns: u64, hub: &Hub) {
+    loop {
+        let Err(end) = session(daemon, period_ns, hub).await;
+        let why = match end {
+            End::Net(error) => format!("{daemon}: {error}"),
+            End::Silent => format!("{daemon} sends no samples"),
+            End::Message(error) => error.to_string(),
+        };
+        hub.end(&why);
+        tokio::time::sleep(RETRY).await;
+    }
+}
+
+async fn session(daemon: &Address, period_ns: u64, hub: &Hub) -> Result<std::convert::Infallible, End> {
+    let Client { description, mut incoming, outgoing: _open } =
+        timeout(SILENCE, Client::connect(daemon)).await.map_err(|_| End::Silent)??;
+    hub.begin(&description);
+    let first = next_batch(&mut incoming, hub).await?;
+    let mut shown = Shown::begin(&description, start_unix_ns(&first), period_ns, hub)?;
+    hub.announce();
+    let mut batch = first;
+    loop {
+        shown.batch(&batch)?;
+        batch = next_batch(&mut incoming, hub).await?;
+    }
+}
+
+/// The next batch that has samples; parameters that come before it are noted.
+async fn next_batch(incoming: &mut Incoming, hub: &Hub) -> Result<Batch, End> {
+    let samples = async {
+        loop {
+            match incoming.next().await? {
+                FromServer::Batch(batch) if !batch.samples.is_empty() => return Ok(batch),
+                FromServer::Parameters(changed) => hub.note_parameters(|robot| {
+                    let note = |(number, values): &(u8, _)| {
+                        robot.note_parameter(usize::from(*number), values);
+                        Some(robot.parameters.get(usize::from(*number))?.name.clone())
+                    };
+                    changed.iter().filter_map(note).collect()
+                }),
+                FromServer::Goodbye(why) => return Err(NetError::Refused(why)),
+                _ => {}
+            }
+        }
+    };
+    Ok(timeout(SILENCE, samples).await.map_err(|_| End::Silent)??)
+}
+
+/// Unix time of loop time 0 as this batch has it, ns.
+fn start_unix_ns(batch: &Batch) -> u64 {
+    batch.sent_unix_ns.saturating_sub(batch.samples.last().map_or(0, |sample| sample.time_ns))
+}
+
+struct Shown<'a> {
+    display: Display,
+    to: ToHub<'a>,
+    next_repeat_ns: u64,
+    /// Earliest Unix time of loop time 0 that batches since the last look had, ns, and how many there were.
+    earliest: (u64, u32),
+}
+
+impl<'a> Shown<'a> {
+    fn begin(
+        robot: &RobotDescription,
+        start_unix_ns: u64,
+        period_ns: u64,
+        hub: &'a Hub,
+    ) -> Result<Self, LogError> {
+        let periods = Periods { numbers_ns: period_ns, poses_ns: POSES_NS.max(period_ns) };
+        let display = Display::new(robot, start_unix_ns, periods);
+        let mut to = ToHub { hub, start_unix_ns, cdr: Cdr::default(), keeps: true };
+        display.begin(&mut to)?;
+        to.keeps = false;
+        Ok(Self { display, to, next_repeat_ns: 0, earliest: (u64::MAX, 0) })
+    }
+
+    /// Follows the wall clock; of a batch that came late the time between loop and wall is too long, of none too short.
+    fn follow_clock(&mut self, batch: &Batch) {
+        let (earliest_ns, batches) = self.earliest;
+        self.earliest = (earliest_ns.min(start_unix_ns(batch)), batches + 1);
+        if self.earliest.1 == BATCHES_PER_LOOK {
+            let (earliest_ns, _) = std::mem::replace(&mut self.earliest, (u64::MAX, 0));
+            if earliest_ns.abs_diff(self.to.start_unix_ns) > DRIFT_NS {
+                self.to.start_unix_ns = earliest_ns;
+                self.display.started_at(earliest_ns);
+            }
+        }
+    }
+
+    fn batch(&mut self, batch: &Batch) -> Result<(), LogError> {
+        self.follow_clock(batch);
+        for sample in &batch.samples {
+            let again = sample.time_ns >= self.next_repeat_ns;
+            if again {
+                self.next_repeat_ns = sample.time_ns + REPEAT_NS;
+            }
+            self.display.sample(sample, again, &mut self.to)?;
+        }
+        Ok(())
+    }
+}
+
+struct ToHub<'a> {
+    hub: &'a Hub,
+    /// Unix time of loop time 0, ns.
+    start_unix_ns: u64,
+    cdr: Cdr,
+    /// Whether what comes now is kept for viewers that come later.
+    keeps: bool,
+}
+
+impl Sink for ToHub<'_> {
+    fn offer_record<C: Channel + Message>(&mut self) -> Result<(), LogError> {
+        self.offer::<C>(C::TOPIC)
+    }
+
+    fn offer<M: Message>(&mut self, topic: &'static str) -> Result<(), LogError> {
+        self.hub.add(topic, M::NAME, &cdr::definition::<M>());
+        Ok(())
+    }
+
+    fn record<C: Channel + Message>(&mut self, time_ns: u64, record: &C) -> Result<(), LogError> {
+        self.message(C::TOPIC, time_ns, record)
+    }
+
+    fn message<M: Message>(
+        &mut self,
+        topic: &'static str,
+        time_ns: u64,
+        message: &M,
+    ) -> Result<(), LogError> {
+        let unix_ns = self.start_unix_ns.saturating_add(time_ns);
+        if self.keeps {
+            self.hub.keep(topic, unix_ns, self.cdr.encode(message));
+        } else if self.hub.is_watched(topic) {
+            self.hub.publish(topic, unix_ns, self.cdr.encode(message));
+        }
+        Ok(())
+    }
+}
