@@ -150,16 +150,15 @@ mod tests {
     #[test]
     fn what_stands_at_a_bound_is_still_let_in() {
         let mut states = StateCheck::default();
-        let oldest = SourceAge { arm_s: ARM_DEADLINE_S, base_s: BASE_DEADLINE_S };
-        assert!(states.check(state(), oldest, 1e-3).is_ok());
+        assert!(states.good(state(), DEADLINES, 1e-3).is_ok());
         let mut moved = state();
         moved.q_rad[0] = JOINT_RATE_MAX.1;
         assert!(
-            states.check(moved, oldest, 0.0).is_ok(),
-            "less than that is no jump, however short the time"
+            states.good(moved, FRESH, 0.0).is_ok(),
+            "no more than that is no jump, however short the time"
         );
         moved.q_rad[0] *= 2.001;
-        assert_eq!(states.check(moved, oldest, 0.0), Err(Fault::StateInvalid));
+        assert_eq!(states.good(moved, FRESH, 0.0), Err(Fault::StateInvalid));
     }
 
     #[test]
