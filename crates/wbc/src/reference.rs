@@ -133,7 +133,7 @@ impl<T: Scalar> Reference<T> {
 
     /// Is where a generator has it, with its twist.
     pub(crate) fn follow(&mut self, pose: Pose<T>, twist: [T; 6]) {
-        *self = Self { target: pose, twist: [T::zero(); 6], given: twist, now: pose };
+        *self = Self { carried: self.carried, target: pose, twist: [T::zero(); 6], given: twist, now: pose };
     }
 
     /// Twist the law is given, m/s and rad/s.
