@@ -289,6 +289,17 @@ pub enum PlantKind {
 
 choice!(PlantKind { Simulated: "simulated", Robot: "robot", None: "none" });
 
+/// What drives a real base.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BaseDriver {
+    /// ROS 2: velocity orders and odometry.
+    Ros2,
+    /// That of the program that runs the loop.
+    Own,
+}
+
+choice!(BaseDriver { Ros2: "ros2", Own: "own" });
+
 /// Which parts the robot has. What it lacks is neither simulated, started nor shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Parts {

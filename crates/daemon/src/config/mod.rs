@@ -7,6 +7,7 @@ pub mod live;
 pub mod load;
 mod own_arm;
 mod ports;
+mod ros2;
 pub mod schema;
 pub mod stability;
 pub mod urdf;
@@ -17,8 +18,9 @@ pub(crate) use ports::AUTO_PORT;
 #[cfg(feature = "board")]
 pub(crate) use ports::NAMED_PORT;
 pub use ports::Ports;
+pub use ros2::Ros2Config;
 
-use crate::robot::{Arm, JOINTS, Parts, PlantKind, Robot, TAXELS};
+use crate::robot::{Arm, BaseDriver, JOINTS, Parts, PlantKind, Robot, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::robot::AnyArm;
 use moca_msgs::table::{Field, ParameterSpec};
@@ -143,8 +145,14 @@ parameter_table! {
     /// `[plant.base]`: a real base.
     #[derive(Clone, Debug, PartialEq)]
     pub struct BasePlantConfig in "plant.base" {
+        /// What drives it: "own" is the driver of a program that runs the loop as a library.
+        driver: BaseDriver = BaseDriver::Own;
         /// Oldest odometry that is driven with: five periods at 50 Hz.
         deadline_s: f64 = 0.100 => [.range(0.01, 1.0).units(&["s"])];
+    }
+    besides {
+        /// `[plant.base.ros2]`
+        ros2: Ros2Config = Ros2Config::default();
     }
 }
 
@@ -374,6 +382,7 @@ impl Config {
         self.plant.each(visit);
         self.plant.arm.each(visit);
         self.plant.base.each(visit);
+        self.plant.base.ros2.each(visit);
         self.board.each(visit);
         self.startup.each(visit);
         self.protection.each(visit);

@@ -9,7 +9,7 @@ use crate::inject::FaultSite;
 #[cfg(feature = "sim")]
 use crate::record::tick_log::TickLogReader;
 use crate::record::tick_log::{TickLog, tick_log};
-use crate::robot::PlantKind;
+use crate::robot::{BaseDriver, PlantKind};
 use crate::runtime::assemble::{HeldBoard, OpenBoard, Subscribers, motion, open_boards, supervisor};
 use crate::runtime::clients::{Clients, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
 use crate::runtime::clock::Clock;
@@ -64,10 +64,11 @@ fn run_plant(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
         (PlantKind::Robot, true) => {
             Err(anyhow!("plant.kind = \"robot\" runs live only: a real robot goes at its own pace"))
         }
-        (PlantKind::Robot, false) => Err(anyhow!(
-            "plant.kind = \"robot\": this build has no driver for an arm or a base; a program that has one runs the loop \
-             with `moca_daemon::runtime::run::with_plant`"
-        )),
+        (PlantKind::Robot, false) => {
+            let run = live_robot(options, shared, reporter)?;
+            reporter.report(Notice::Ended(&run.summary()));
+            Ok(())
+        }
         (PlantKind::None, false) => {
             let run = live_board_only(options, shared, reporter)?;
             reporter.report(Notice::Ended(&run.summary()));
@@ -212,6 +213,27 @@ pub fn with_plant<P: Plant + Send, T: TickSource<P>>(
     let run = live(&options, control, (clock, log), ticks, (clients, calibration), shared, reporter);
     drop(held);
     run
+}
+
+/// Runs the real robot that the configuration names.
+fn live_robot(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
+    let plant = &options.config.plant;
+    match plant.base.driver {
+        #[cfg(feature = "ros2")]
+        BaseDriver::Ros2 if !plant.parts.has_arm() => {
+            use crate::devices::ros2_base::{OnRos2Base, connect};
+            let no_arm = NoRobot::at(options.config.control.gains.posture_rad);
+            let connect = || Ok(OnRos2Base::new(no_arm, connect(&options.config)?));
+            with_plant(options, connect, Timer::new, shared, reporter)
+        }
+        BaseDriver::Ros2 if cfg!(not(feature = "ros2")) => Err(anyhow!(
+            "plant.base.driver = \"ros2\" needs a build with the feature `ros2` (cargo build --release --features ros2)"
+        )),
+        BaseDriver::Ros2 | BaseDriver::Own => Err(anyhow!(
+            "plant.kind = \"robot\": `mocad` drives a base (plant.base.driver = \"ros2\") without an arm (plant.parts = \
+             \"base\"); a program with a driver of its own runs the loop with `moca_daemon::runtime::run::with_plant`"
+        )),
+    }
 }
 
 fn report_board(board: &HeldBoard, simulated: bool, reporter: &mut dyn Reporter) {
