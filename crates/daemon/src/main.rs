@@ -38,6 +38,7 @@ enum Command {
         #[arg(required = true)]
         log: Vec<PathBuf>,
     },
+    Log(moca_daemon::cli::log::Arguments),
     /// List parameters, change them in a running daemon, or print their schema.
     #[command(subcommand)]
     Params(moca_daemon::cli::params::Command),
@@ -109,6 +110,7 @@ fn main() -> ExitCode {
         Some(Command::Calibrate(calibrate)) => moca_daemon::cli::calibrate::run(&calibrate),
         Some(Command::Doctor(doctor)) => moca_daemon::cli::doctor::run(&doctor),
         Some(Command::Replay { log }) => replay(&log),
+        Some(Command::Log(arguments)) => moca_daemon::cli::log::run(&arguments).map(|text| print(&text)),
         Some(Command::Params(command)) => moca_daemon::cli::params::run(&command),
         Some(Command::DefaultConfig) => {
             print(moca_daemon::config::DEFAULT_TOML);
@@ -176,7 +178,10 @@ fn time(text: &str) -> Result<std::time::Duration, String> {
 }
 
 fn replay(log: &[PathBuf]) -> anyhow::Result<()> {
-    print(&moca_daemon::runtime::replay::run(log)?.to_string());
+    let mut progress = moca_daemon::cli::progress::Progress::new("replay");
+    let report = moca_daemon::runtime::replay::run_watched(log, &mut |part| progress.at(part));
+    progress.end();
+    print(&report?.to_string());
     Ok(())
 }
 

@@ -1,5 +1,6 @@
-//! A long log, written and opened: `cargo run --release --example long_log --features moca-telemetry/log -- [HOURS]`
-//! (default 8). Prints the file's size, how long opening and a look into its middle take, and the memory of both.
+//! A long log, written and opened: `cargo run --release --example long_log --features moca-telemetry/log -- [HOURS
+//! [FILE]]` (default 8; FILE is kept). Prints the file's size, how long opening and a look into its middle take, and the memory
+//! of both.
 #![allow(clippy::print_stdout, reason = "a program that prints its result")]
 
 use moca_msgs::{Mode, Sample, TaxelReading, TaxelStatus};
@@ -14,9 +15,13 @@ const PERIOD_NS: u64 = 20_000_000;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let hours: u64 = std::env::args().nth(1).map_or(Ok(8), |hours| hours.parse())?;
-    let path = std::env::temp_dir().join(format!("moca-long-log-{}.mcap", std::process::id()));
+    let kept = std::env::args().nth(2);
+    let name = format!("moca-long-log-{}.mcap", std::process::id());
+    let path = kept.as_ref().map_or_else(|| std::env::temp_dir().join(name), Into::into);
     let result = write(&path, hours).and_then(|()| open(&path));
-    std::fs::remove_file(&path)?;
+    if kept.is_none() {
+        std::fs::remove_file(&path)?;
+    }
     result
 }
 

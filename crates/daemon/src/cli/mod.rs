@@ -3,8 +3,10 @@
 mod board_report;
 pub mod calibrate;
 pub mod doctor;
+pub mod log;
 pub mod operate;
 pub mod params;
+pub mod progress;
 pub mod remote;
 pub mod report;
 mod status;

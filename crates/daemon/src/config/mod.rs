@@ -20,7 +20,7 @@ pub(crate) use ports::NAMED_PORT;
 pub use ports::Ports;
 pub use ros2::Ros2Config;
 
-use crate::robot::{Arm, BaseDriver, JOINTS, Parts, PlantKind, Robot, TAXELS};
+use crate::robot::{Arm, ArmDriver, BaseDriver, JOINTS, Parts, PlantKind, Robot, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::robot::AnyArm;
 use moca_msgs::table::{Field, ParameterSpec};
@@ -136,6 +136,17 @@ parameter_table! {
     /// `[plant.arm]`: a real arm.
     #[derive(Clone, Debug, PartialEq)]
     pub struct ArmPlantConfig in "plant.arm" {
+        /// What drives it: "own" is the driver of a program that runs the loop as a library.
+        driver: ArmDriver = ArmDriver::Own;
+        /// Address of its controller.
+        host: String = "172.16.0.2".into();
+        /// How long an order of the loop's is waited for before the last one is repeated.
+        answer_s: f64 = 0.0006 => [.range(0.0001, 0.0009).units(&["s"])];
+        /// Joint torques above which it has a reflex.
+        collision_torque_nm: [f64; 7] = [40.0, 40.0, 40.0, 40.0, 25.0, 25.0, 25.0] => [.range(5.0, 100.0).units(&["N·m"])];
+        /// Forces and moments at the hand above which it has a reflex.
+        collision_wrench: [f64; 6] = [60.0, 60.0, 60.0, 25.0, 25.0, 25.0]
+            => [.range(5.0, 200.0).units(&["N", "N", "N", "N·m", "N·m", "N·m"])];
         /// Oldest state that is controlled with.
         deadline_s: f64 = 0.010 => [.range(0.002, 1.0).units(&["s"])];
     }
@@ -145,7 +156,7 @@ parameter_table! {
     /// `[plant.base]`: a real base.
     #[derive(Clone, Debug, PartialEq)]
     pub struct BasePlantConfig in "plant.base" {
-        /// What drives it: "own" is the driver of a program that runs the loop as a library.
+        /// What drives it: "simulated" is a base that is not there under an arm that is.
         driver: BaseDriver = BaseDriver::Own;
         /// Oldest odometry that is driven with: five periods at 50 Hz.
         deadline_s: f64 = 0.100 => [.range(0.01, 1.0).units(&["s"])];

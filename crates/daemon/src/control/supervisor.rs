@@ -388,7 +388,7 @@ mod tests {
         Some(Request::OperatorLost),
         Some(Request::Resume),
     ];
-    const FACTS: [Facts; 10] = [
+    const FACTS: [Facts; 13] = [
         Facts { cover_seen: false, zero: Zero::Invalid, ..GOOD },
         Facts { zero: Zero::Invalid, ..GOOD },
         Facts { zero: Zero::Taring, ..GOOD },
@@ -399,6 +399,9 @@ mod tests {
         Facts { touch: Some(HAND), ..GOOD },
         Facts { plant_fault: Some(Fault::StateInvalid), ..GOOD },
         Facts { plant_fault: Some(Fault::BaseStale), ..GOOD },
+        Facts { plant_fault: Some(Fault::ArmReflex), ..GOOD },
+        Facts { plant_fault: Some(Fault::ArmRefused), zero: Zero::Invalid, ..GOOD },
+        Facts { far_joint: Some((3, 0.3)), ..GOOD },
     ];
 
     fn manual() -> Supervisor {
@@ -445,6 +448,7 @@ mod tests {
         }
         if mode.moves() && !before.moves() {
             assert_eq!(facts.touch, None, "armed under a hand");
+            assert_eq!(facts.far_joint, None, "armed far from the posture");
         }
         if before == Mode::Fault {
             assert_eq!(mode, Mode::Fault, "fault is left only by a restart");

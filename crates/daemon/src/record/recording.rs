@@ -16,6 +16,8 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Samples on their way to the recorder.
 const RING: usize = 4096;
+/// A board's bytes of so long are one message of the log, ns: hundreds of reads a second would each pay for its own.
+const TOGETHER_NS: u64 = 100_000_000;
 /// How long to wait when the disk is behind.
 const WAIT: Duration = Duration::from_millis(1);
 
@@ -24,6 +26,8 @@ pub struct Recording {
     recorder: Recorder,
     samples: rtrb::Producer<Sample>,
     blocks: BlockBuilder,
+    /// Bytes that wait for more of their board.
+    bytes: Vec<SerialBytes>,
     live: bool,
     lost: u64,
     told: bool,
@@ -72,7 +76,7 @@ impl Recording {
         let recorder = recorder(&meta, from_here)?;
         recorder.configuration(configuration);
         let blocks = BlockBuilder::new(1.0 / f64::from(config.control_loop.rate_hz));
-        Ok(Self { recorder, samples, blocks, live, lost: 0, told: false })
+        Ok(Self { recorder, samples, blocks, bytes: Vec::new(), live, lost: 0, told: false })
     }
 
     /// Adds what one tick was given. A live run does not wait for its disk: what finds no room counts as lost.
@@ -80,8 +84,7 @@ impl Recording {
         let time_ns = record.input.slot.now_ns;
         for (board, event) in &record.events {
             if let PortEvent::Bytes(arrival_ns, bytes) = event {
-                let (board, arrival_ns) = (*board, *arrival_ns);
-                self.recorder.serial(SerialBytes { board, arrival_ns, bytes: bytes.clone() });
+                self.add_bytes(*board, *arrival_ns, bytes);
             }
         }
         if let Some(change) = parameter_change(record) {
@@ -90,6 +93,20 @@ impl Recording {
         self.lost = record.lost;
         if let Some((time_ns, block)) = self.blocks.tick(record.clone()) {
             self.recorder.replay(time_ns, block);
+        }
+    }
+
+    /// Adds what was read of a board; each read's own time is in the blocks.
+    fn add_bytes(&mut self, board: u8, arrival_ns: u64, bytes: &[u8]) {
+        match self.bytes.iter_mut().find(|waiting| waiting.board == board) {
+            Some(waiting) if arrival_ns.saturating_sub(waiting.arrival_ns) < TOGETHER_NS => {
+                waiting.bytes.extend_from_slice(bytes);
+            }
+            Some(waiting) => {
+                let next = SerialBytes { board, arrival_ns, bytes: bytes.to_vec() };
+                self.recorder.serial(std::mem::replace(waiting, next));
+            }
+            None => self.bytes.push(SerialBytes { board, arrival_ns, bytes: bytes.to_vec() }),
         }
     }
 
@@ -120,6 +137,7 @@ impl Recording {
         for (time_ns, block) in self.blocks.finish() {
             self.recorder.replay(time_ns, block);
         }
+        std::mem::take(&mut self.bytes).into_iter().for_each(|bytes| self.recorder.serial(bytes));
         let summary = self.recorder.finish()?;
         Ok(LogSummary { dropped: summary.dropped + self.lost, ..summary })
     }

@@ -126,12 +126,22 @@ impl std::error::Error for Failure {}
 /// # Errors
 /// A [`Failure`], or a file that is no log of a run.
 pub fn run(parts: &[PathBuf]) -> Result<Report> {
+    run_watched(parts, &mut |_| {})
+}
+
+/// The same; `progress` hears which part is done, 0 to 1.
+///
+/// # Errors
+/// As for [`run`].
+#[expect(clippy::cast_precision_loss, reason = "a share of some files")]
+pub fn run_watched(parts: &[PathBuf], progress: &mut dyn FnMut(f64)) -> Result<Report> {
     let started = Instant::now();
     let mut replay: Option<Replay> = None;
     let mut report = Report::default();
-    for part in parts {
+    for (number, part) in parts.iter().enumerate() {
         let mut reader = LogReader::open(part)?;
-        for record in &mut reader {
+        while let Some(record) = reader.next() {
+            progress((number as f64 + reader.part_read()) / parts.len() as f64);
             match (record, &mut replay) {
                 (Record::Configuration(configuration), None) => {
                     let ours = env!("CARGO_PKG_VERSION");

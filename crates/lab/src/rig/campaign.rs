@@ -62,12 +62,12 @@ impl Campaign<'_> {
         let header = (part == 1).then_some(self.header);
         let (mut file, before) = open(self.out, header, &range)?;
         let (started, cpu_before_s) = (Instant::now(), cpu_time::of_process_s());
-        let todo: Vec<usize> = range.clone().skip(before).collect();
+        let todo: Vec<usize> = range.skip(before).collect();
         let work = |id: &usize| row(*id);
+        let mut count = parallel::Count::new(&self.out.display().to_string(), todo.len());
         for stretch in todo.chunks(STRETCH.max(todo.len().div_ceil(200))) {
-            let what = format!("runs {}..{} of {}", stretch[0], stretch[stretch.len() - 1] + 1, range.end);
             let mut failed = None;
-            parallel::run(&what, stretch, work, |line: &Result<String>| match line {
+            parallel::run_part(&mut count, stretch, work, |line: &Result<String>| match line {
                 Ok(line) if failed.is_none() => {
                     failed = writeln!(file, "{line}").err().map(anyhow::Error::from)
                 }

@@ -1,13 +1,43 @@
-//! The same work on many inputs, on all cores, with progress on the terminal.
+//! The same work on many inputs, on all cores, with its progress.
 
-use std::io::{IsTerminal, Write};
+use moca_daemon::cli::progress::Progress;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// How many of so many inputs are done.
+pub(crate) struct Count {
+    progress: Progress,
+    ready: usize,
+    all: usize,
+}
+
+impl Count {
+    /// Of `all` inputs none.
+    pub(crate) fn new(what: &str, all: usize) -> Self {
+        Self { progress: Progress::new(what), ready: 0, all }
+    }
+
+    /// One more is done.
+    pub(crate) fn one_more(&mut self) {
+        self.ready += 1;
+        self.progress.count(self.ready, self.all);
+    }
+}
 
 /// `work` on every input, results in the order of the inputs and the same for any number of cores. `done` is called,
 /// on one thread at a time, with each finished stretch from the first input on.
 pub(crate) fn run<I: Sync, O: Send>(
     what: &str,
+    inputs: &[I],
+    work: impl Fn(&I) -> O + Sync,
+    done: impl FnMut(&O) + Send,
+) -> Vec<O> {
+    run_part(&mut Count::new(what, inputs.len()), inputs, work, done)
+}
+
+/// The same on a part of the inputs that `count` counts.
+pub(crate) fn run_part<I: Sync, O: Send>(
+    count: &mut Count,
     inputs: &[I],
     work: impl Fn(&I) -> O + Sync,
     mut done: impl FnMut(&O) + Send,
@@ -36,10 +66,8 @@ pub(crate) fn run<I: Sync, O: Send>(
             });
         }
         drop(finished);
-        let mut ready = 0;
         while received.recv().is_ok() {
-            ready += 1;
-            progress(what, ready, inputs.len());
+            count.one_more();
             while let Some(output) = slots.get(results.len()).and_then(|slot| slot.lock().ok()?.take()) {
                 done(&output);
                 results.push(output);
@@ -47,21 +75,6 @@ pub(crate) fn run<I: Sync, O: Send>(
         }
     });
     results
-}
-
-/// A bar on a terminal, nothing elsewhere.
-fn progress(what: &str, ready: usize, all: usize) {
-    let mut terminal = std::io::stderr();
-    if !terminal.is_terminal() {
-        return;
-    }
-    const CELLS: usize = 30;
-    let filled = CELLS * ready / all.max(1);
-    let bar: String = (0..CELLS).map(|cell| if cell < filled { '#' } else { '.' }).collect();
-    let end = if ready == all { "\n" } else { "" };
-    // A terminal that went away is no reason to stop.
-    let _ = write!(terminal, "\r{what} [{bar}] {ready}/{all}{end}");
-    let _ = terminal.flush();
 }
 
 #[cfg(test)]

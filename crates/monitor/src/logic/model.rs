@@ -209,7 +209,8 @@ impl Model {
         self.timing_panels = panel::timing_panels();
         let panels = self.panels.iter().chain(&self.timing_panels);
         let signals = panels.flat_map(|p| p.traces.iter().map(|(_, signal)| *signal));
-        self.history = History::new(signals.collect());
+        let signals = signals.collect();
+        self.history = if self.recorded { History::of_log(signals) } else { History::new(signals) };
         self.timing = Timing::default();
         self.robot = robot;
         self.latest = None;

@@ -7,11 +7,14 @@ use crate::logic::{
     signals::{axis::TimeAxis, history::History},
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::ops::Range;
 
 /// How one robot is looked at.
 pub(super) struct View {
     /// The plots' axis of time.
     pub(super) axis: TimeAxis,
+    /// What the strip under a log shows of it, s of loop time; `None` is all.
+    pub(super) strip_s: Option<Range<f64>>,
     /// Where the mouse points on the axis of time, s of loop time.
     pub(super) cursor_s: Option<f64>,
     /// What the plots showed when they were paused: it stays, however long that is.
@@ -35,6 +38,7 @@ impl Default for View {
     fn default() -> Self {
         Self {
             axis: TimeAxis::default(),
+            strip_s: None,
             cursor_s: None,
             paused: None,
             push_n: 20.0,

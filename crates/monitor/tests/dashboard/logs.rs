@@ -150,3 +150,25 @@ fn logs_are_found_in_folders_and_the_last_ones_are_remembered() {
     assert!(next.shows("log of"));
     std::fs::remove_dir_all(&folder).unwrap();
 }
+
+#[test]
+fn the_strip_under_a_log_goes_where_it_is_clicked() {
+    let samples = (0..20_000).map(|tick| sample(tick, Mode::Ready, None)).collect();
+    let log = Playback::of(RobotDescription::paper("logged robot", true), samples);
+    let app = App::new(&egui::Context::default(), log, String::new(), None);
+    let mut harness = Harness::builder().with_size([1160.0, 640.0]).build_ui_state(
+        |ui, app: &mut App| {
+            app.update(&ui.ctx().clone());
+            app.show(ui);
+        },
+        app,
+    );
+    harness.run_steps(3);
+    harness.get_by_label("Pause").click();
+    harness.run_steps(2);
+    // The middle of the widget is the middle of the log.
+    harness.get_by_label("Time of the log").click();
+    harness.run_steps(3);
+    let at = harness.state().model().latest.as_ref().map_or(0, |s| s.tick);
+    assert!((9_900..10_100).contains(&at), "{at}");
+}

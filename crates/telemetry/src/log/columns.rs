@@ -2,7 +2,8 @@
 //!
 //! A measured quantity changes little from tick to tick, so a column stores how many representable numbers lie between
 //! each value and what its predecessors foretell: the high bytes of these distances are zero. They are stored plane by
-//! plane, highest bytes first, so that zeros lie beside zeros.
+//! plane, highest bytes first, so that zeros lie beside zeros. Numbers that are all multiples of one power of two, as a
+//! rounded measurement is, are counted in it: near zero, where doubles lie close, the distances stay small.
 //!
 //! ```
 //! use moca_telemetry::log::columns::{ColumnReader, ColumnWriter};
@@ -32,10 +33,28 @@ enum Guess {
     Rate = 3,
     /// The same, rounded to single precision.
     RateSingle = 4,
+    /// On the cubic through the four before.
+    Cubic = 5,
+    /// On the polynomial through the five before.
+    Quartic = 6,
+    /// On the polynomial through the six before.
+    Quintic = 7,
 }
 
 impl Guess {
-    const ALL: [Self; 5] = [Self::Same, Self::Line, Self::Parabola, Self::Rate, Self::RateSingle];
+    /// What needs no rate, in the order of what it needs.
+    const PLAIN: [Self; 6] =
+        [Self::Same, Self::Line, Self::Parabola, Self::Cubic, Self::Quartic, Self::Quintic];
+    const ALL: [Self; 8] = [
+        Self::Same,
+        Self::Line,
+        Self::Parabola,
+        Self::Rate,
+        Self::RateSingle,
+        Self::Cubic,
+        Self::Quartic,
+        Self::Quintic,
+    ];
 
     fn of(self, before: &[f64], rate: Option<&Rate<'_>>) -> f64 {
         let at = |back: usize| before.len().checked_sub(back).map_or(0.0, |i| before[i]);
@@ -44,14 +63,98 @@ impl Guess {
             Self::Same => at(1),
             Self::Line => 2.0 * at(1) - at(2),
             Self::Parabola => 3.0 * (at(1) - at(2)) + at(3),
+            // Until there are as many before, as there are.
+            Self::Cubic | Self::Quartic | Self::Quintic if before.len() < self.needs() => {
+                Self::Parabola.of(before, rate)
+            }
+            Self::Cubic => 4.0 * (at(1) + at(3)) - 6.0 * at(2) - at(4),
+            Self::Quartic => 5.0 * (at(1) - at(4)) - 10.0 * (at(2) - at(3)) + at(5),
+            Self::Quintic => 6.0 * (at(1) + at(5)) - 15.0 * (at(2) + at(4)) + 20.0 * at(3) - at(6),
             Self::Rate => moved(),
-            #[expect(
-                clippy::cast_possible_truncation,
-                reason = "to the nearest single, as the plant's door does"
-            )]
+            #[expect(clippy::cast_possible_truncation, reason = "to the nearest single")]
             Self::RateSingle => f64::from(moved() as f32),
         }
     }
+}
+
+impl Guess {
+    /// How many values before the next one it looks at.
+    const fn needs(self) -> usize {
+        match self {
+            Self::Same | Self::Rate | Self::RateSingle => 1,
+            Self::Line => 2,
+            Self::Parabola => 3,
+            Self::Cubic => 4,
+            Self::Quartic => 5,
+            Self::Quintic => 6,
+        }
+    }
+
+    /// Of counts, exactly; where there are fewer before, with as many as there are.
+    fn of_counts(self, before: &[i64]) -> i64 {
+        const BINOMIAL: [[i64; 6]; 6] = [
+            [1, 0, 0, 0, 0, 0],
+            [2, -1, 0, 0, 0, 0],
+            [3, -3, 1, 0, 0, 0],
+            [4, -6, 4, -1, 0, 0],
+            [5, -10, 10, -5, 1, 0],
+            [6, -15, 20, -15, 6, -1],
+        ];
+        let Some(row) = self.needs().min(before.len()).checked_sub(1) else { return 0 };
+        let terms = before.iter().rev().zip(BINOMIAL[row]);
+        terms.fold(0, |sum: i64, (value, factor)| sum.wrapping_add(value.wrapping_mul(factor)))
+    }
+}
+
+/// Numbers that are counts of one power of two.
+struct Grid {
+    /// Halvings of 1 that make the unit.
+    halvings: u8,
+    counts: Vec<i64>,
+}
+
+/// Mark of a column of counts, with the guess's number.
+const GRID: u8 = 0x80;
+/// Finest unit, as halvings of 1, and largest count.
+const HALVINGS_MAX: u8 = 40;
+const COUNT_MAX: f64 = 4_503_599_627_370_496.0;
+
+impl Grid {
+    /// The coarsest on which every value lies, to the bit.
+    fn of(values: &[f64]) -> Option<Self> {
+        let mut halvings = 0;
+        for value in values {
+            while !on_grid(*value, halvings) {
+                halvings += 1;
+                if halvings > HALVINGS_MAX || !value.is_finite() {
+                    return None;
+                }
+            }
+        }
+        let counts = values.iter().map(|value| count_of(*value, halvings)).collect();
+        // A finer unit than the first values asked for: all of them lie on it.
+        values.iter().all(|value| on_grid(*value, halvings)).then_some(Self { halvings, counts })
+    }
+}
+
+/// 1, halved so often.
+const fn unit(halvings: u8) -> f64 {
+    f64::from_bits((1023 - halvings as u64) << 52)
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "below 2^52 where it counts")]
+fn count_of(value: f64, halvings: u8) -> i64 {
+    (value / unit(halvings)) as i64
+}
+
+#[expect(clippy::cast_precision_loss, reason = "below 2^52")]
+fn value_of(count: i64, halvings: u8) -> f64 {
+    count as f64 * unit(halvings)
+}
+
+fn on_grid(value: f64, halvings: u8) -> bool {
+    (value / unit(halvings)).abs() < COUNT_MAX
+        && value_of(count_of(value, halvings), halvings).to_bits() == value.to_bits()
 }
 
 /// What a column changes by: its rate per second, and the time since the row before, s.
@@ -99,11 +202,22 @@ impl ColumnWriter {
         let bits = |distances: &Vec<u64>| -> u64 {
             distances.iter().map(|distance| u64::from(u64::BITS - distance.leading_zeros())).sum()
         };
-        let usable = if rate.is_some() { &Guess::ALL[..] } else { &Guess::ALL[..3] };
-        let best = usable.iter().map(|guess| (*guess, distances(*guess))).min_by_key(|(_, d)| bits(d));
-        let (guess, distances) = best.unwrap_or((Guess::Same, Vec::new()));
+        let usable = if rate.is_some() { &Guess::ALL[..] } else { &Guess::PLAIN[..] };
+        let doubles = usable.iter().map(|guess| (vec![*guess as u8], distances(*guess)));
+        let grid = Grid::of(values);
+        let counted = |grid: &Grid, guess: Guess| -> Vec<u64> {
+            let counts = &grid.counts;
+            let guessed = (0..counts.len()).map(|row| guess.of_counts(&counts[..row]));
+            let pairs = counts.iter().zip(guessed);
+            pairs.map(|(count, guessed)| zigzag(count.wrapping_sub(guessed).cast_unsigned())).collect()
+        };
+        let on_grid = grid.iter().flat_map(|grid| {
+            Guess::PLAIN.iter().map(|guess| (vec![GRID | *guess as u8, grid.halvings], counted(grid, *guess)))
+        });
+        let best = doubles.chain(on_grid).min_by_key(|(_, d)| bits(d));
+        let (form, distances) = best.unwrap_or((vec![Guess::Same as u8], Vec::new()));
         self.count(values.len() as u64);
-        self.bytes.push(guess as u8);
+        self.bytes.extend(form);
         for plane in 0..8 {
             self.bytes.extend(distances.iter().map(|distance| distance.to_be_bytes()[plane]));
         }
@@ -170,16 +284,30 @@ impl<'a> ColumnReader<'a> {
     /// As for [`Self::integers`].
     pub fn numbers(&mut self, rate: Option<Rate<'_>>) -> Result<Vec<f64>, DamagedColumns> {
         let rows = self.rows(8)?;
-        let guess = *self.take(1)?.first().ok_or(DamagedColumns)?;
-        let guess = Guess::ALL.into_iter().find(|known| *known as u8 == guess).ok_or(DamagedColumns)?;
-        let planes = self.take(8 * rows)?;
+        let form = *self.take(1)?.first().ok_or(DamagedColumns)?;
+        let guess =
+            Guess::ALL.into_iter().find(|known| *known as u8 == form & !GRID).ok_or(DamagedColumns)?;
+        if form & GRID != 0 {
+            let halvings = *self.take(1)?.first().filter(|h| **h <= HALVINGS_MAX).ok_or(DamagedColumns)?;
+            let mut counts: Vec<i64> = Vec::with_capacity(rows);
+            for distance in self.distances(rows)? {
+                counts.push(guess.of_counts(&counts).wrapping_add(distance.cast_signed()));
+            }
+            return Ok(counts.into_iter().map(|count| value_of(count, halvings)).collect());
+        }
         let mut values = Vec::with_capacity(rows);
-        for row in 0..rows {
-            let distance = std::array::from_fn(|plane| planes[plane * rows + row]);
+        for distance in self.distances(rows)? {
             let guessed = guess.of(&values, rate.as_ref()).to_bits();
-            values.push(f64::from_bits(guessed.wrapping_add(unzigzag(u64::from_be_bytes(distance)))));
+            values.push(f64::from_bits(guessed.wrapping_add(distance)));
         }
         Ok(values)
+    }
+
+    /// Distances from what was foretold, out of their planes.
+    fn distances(&mut self, rows: usize) -> Result<impl Iterator<Item = u64> + use<'a>, DamagedColumns> {
+        let planes = self.take(8 * rows)?;
+        let distance = move |row: usize| std::array::from_fn(|plane| planes[plane * rows + row]);
+        Ok((0..rows).map(move |row| unzigzag(u64::from_be_bytes(distance(row)))))
     }
 
     /// The next bytes.
@@ -269,6 +397,35 @@ mod tests {
             // Length, guess, and the planes of the first value only.
             assert!(bytes.iter().filter(|byte| **byte != 0).count() < 12, "single {single}: {bytes:?}");
         }
+    }
+
+    #[test]
+    fn a_rounded_measurement_costs_its_noise_and_not_its_digits() {
+        // Noise of some 16 steps of a millionth about zero: half a byte each, where doubles would take six.
+        let noisy: Vec<f64> = (0..250_i32).map(|i| f64::from((i * 7919) % 17 - 8) * unit(20)).collect();
+        let smooth: Vec<f64> = (0..250).map(|i| (f64::from(i) * 0.01).sin()).collect();
+        let mut writer = ColumnWriter::default();
+        writer.numbers(&noisy, None);
+        let planes = writer.bytes.clone();
+        assert!(planes[4..4 + 7 * 250].iter().all(|byte| *byte == 0), "only the lowest plane is in use");
+        writer.numbers(&smooth, None);
+        writer.numbers(&[1.0, -0.0], None);
+        let bytes = writer.finish();
+        let mut reader = ColumnReader::new(&bytes);
+        assert_eq!(reader.numbers(None).unwrap(), noisy);
+        assert_eq!(reader.numbers(None).unwrap(), smooth);
+        assert!(reader.numbers(None).unwrap()[1].is_sign_negative());
+    }
+
+    #[test]
+    fn a_smooth_signal_is_foretold_by_many_before_it() {
+        let smooth: Vec<f64> = (0..250).map(|i| (f64::from(i) * 0.01).sin()).collect();
+        let used = |values: &[f64]| {
+            let mut writer = ColumnWriter::default();
+            writer.numbers(values, None);
+            writer.bytes.iter().filter(|byte| **byte != 0).count()
+        };
+        assert!(used(&smooth) < 3 * 250, "{}", used(&smooth));
     }
 
     #[test]

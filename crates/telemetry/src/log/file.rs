@@ -106,8 +106,9 @@ impl LogFile {
     /// First and last instant, ns of loop time.
     pub fn range_ns(&self) -> (u64, u64) {
         let end = self.chunks.iter().map(|chunk| chunk.end_ns).max();
-        // The first chunks hold description and configuration, at time 0 whenever the run begins.
-        let start = self.overview.as_ref().and_then(|overview| Some(overview.spans.first()?.start_ns));
+        // The first chunks hold description and configuration, at time 0 whenever the run begins; the first mark is the mode
+        // of the first sample.
+        let start = self.overview.as_ref().and_then(|overview| Some(overview.marks.first()?.time_ns));
         (start.unwrap_or(0), end.unwrap_or(0))
     }
 
@@ -146,7 +147,6 @@ impl LogFile {
     pub fn build_overview(&mut self, progress: &mut dyn FnMut(f64)) -> &Overview {
         let mut builder = OverviewBuilder::default();
         let chunks = self.chunks.clone();
-        let end = self.records.end();
         for chunk in chunks {
             let decoded = self.decode(chunk, &mut |record| {
                 if let Record::Sample(sample) = record {
@@ -157,19 +157,46 @@ impl LogFile {
                 self.cut = Some(why);
                 break;
             }
-            #[expect(clippy::cast_precision_loss, reason = "a share of a file")]
-            progress(chunk.at as f64 / end.max(1) as f64);
+            progress(self.part_before(chunk));
         }
         self.overview.insert(builder.finish())
     }
 
+    /// Length of the file, bytes.
+    pub(super) const fn length(&self) -> u64 {
+        self.records.end()
+    }
+
+    /// Hands over the records of one chunk after the other.
+    pub(super) fn each_chunk(
+        &mut self,
+        progress: &mut dyn FnMut(f64),
+        take: &mut dyn FnMut(&[u8]) -> Result<(), String>,
+    ) -> Result<(), LogError> {
+        for chunk in self.chunks.clone() {
+            self.read(chunk).and_then(|records| take(&records)).map_err(LogError::Damaged)?;
+            progress(self.part_before(chunk));
+        }
+        Ok(())
+    }
+
+    /// How much of the file lies before a chunk, 0 to 1.
+    #[expect(clippy::cast_precision_loss, reason = "a share of a file")]
+    fn part_before(&self, chunk: Chunk) -> f64 {
+        chunk.at as f64 / self.length().max(1) as f64
+    }
+
     fn decode(&mut self, chunk: Chunk, entry: &mut dyn FnMut(Record)) -> Result<(), String> {
+        let records = self.read(chunk)?;
+        self.decoder.decode(&records, entry)
+    }
+
+    fn read(&mut self, chunk: Chunk) -> Result<Vec<u8>, String> {
         self.records.seek(chunk.at).map_err(|error| error.to_string())?;
         let record = self.records.next(|_| true)?;
         let records =
             if record.op == op::CHUNK { framing::chunk(record.body) } else { Err("no chunk".into()) };
-        let records = records.map_err(|why| format!("{why} (at byte {})", chunk.at))?;
-        self.decoder.decode(&records, entry)
+        records.map_err(|why| format!("{why} (at byte {})", chunk.at))
     }
 }
 

@@ -19,6 +19,7 @@ mod reader;
 mod recorder;
 pub mod records;
 pub(crate) mod shown;
+mod sizes;
 mod writer;
 
 pub use file::LogFile;
@@ -26,6 +27,7 @@ pub use overview::Overview;
 pub use reader::{Log, LogReader, Record, read_log};
 pub use recorder::{Recorder, RecorderOptions, part_path};
 pub use shown::shown;
+pub use sizes::LogSizes;
 pub use writer::{LogSummary, LogWriter, Meta};
 
 use std::path::PathBuf;
@@ -35,9 +37,9 @@ use std::path::PathBuf;
 pub struct SerialBytes {
     /// Which board, 0 is the first.
     pub board: u8,
-    /// Arrival, ns of loop time.
+    /// Arrival of the first of them, ns of loop time.
     pub arrival_ns: u64,
-    /// The bytes of one read.
+    /// The bytes of one read, or of several that followed each other.
     pub bytes: Vec<u8>,
 }
 

@@ -109,6 +109,12 @@ impl LogReader {
         &self.decoder.description
     }
 
+    /// How much of the file has been read, 0 to 1.
+    #[expect(clippy::cast_precision_loss, reason = "a share of a file")]
+    pub fn part_read(&self) -> f64 {
+        self.records.at() as f64 / self.records.end().max(1) as f64
+    }
+
     /// Why the log ended before its end, and how much of the file is missing, once the iterator has ended.
     pub fn cut(&self) -> Option<&str> {
         self.cut.as_deref()

@@ -30,8 +30,8 @@ pub trait Channel: Serialize + JsonSchema {
     }
 }
 
-/// Channels of the Touch Boards' bytes as they came in, the first board's first: one message for each read, its time the
-/// arrival.
+/// Channels of the Touch Boards' bytes as they came in, the first board's first: one message for
+/// each tenth of a second or each read, its time the arrival of the first byte.
 pub const SERIAL_TOPICS: [&str; 2] = ["/serial", "/serial/2"];
 /// Channel of the daemon's own blocks of what its ticks were given.
 pub const REPLAY_TOPIC: &str = "/replay";

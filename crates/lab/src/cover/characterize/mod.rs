@@ -5,6 +5,7 @@ mod figure;
 mod tables;
 mod trials;
 
+use crate::rig::parallel::Count;
 use anyhow::{Context, ensure};
 use moca_sim::foam::Foam;
 use moca_tactile::calibration::quality::{evaluation_cost_ns, quality};
@@ -111,17 +112,15 @@ pub(crate) fn models_on_the_cover(trials: usize, seed: u64) -> anyhow::Result<Ve
 fn simulate(trials: usize, seed: u64) -> anyhow::Result<(Vec<Vec<Recording>>, Vec<Material>)> {
     let recordings: Vec<Vec<Recording>> =
         Foam::PAPER.iter().map(|foam| trials::record(foam, Protocol::Ramps, trials, seed)).collect();
+    let mut count = Count::new("characterize", Foam::PAPER.len());
     let materials = Foam::PAPER
         .iter()
         .zip(tables::PAPER)
         .zip(&recordings)
         .map(|((foam, paper), recordings)| {
-            Ok(Material {
-                name: foam.name,
-                table: table_row(foam, recordings)?,
-                paper,
-                held_out: held_out(foam, recordings, seed)?,
-            })
+            let (table, held_out) = (table_row(foam, recordings)?, held_out(foam, recordings, seed)?);
+            count.one_more();
+            Ok(Material { name: foam.name, table, paper, held_out })
         })
         .collect::<anyhow::Result<Vec<_>>>()?;
     Ok((recordings, materials))

@@ -8,6 +8,7 @@ use crate::rig::TAXELS;
 use crate::rig::cpu_time;
 use crate::rig::free_scene;
 use anyhow::{Context, Result};
+use moca_daemon::cli::progress::Progress;
 use moca_msgs::Actuation;
 use moca_sim::foam::Foam;
 use moca_sim::{Integrator, Person, Scene, SimPlant};
@@ -109,6 +110,11 @@ fn play(scene: &Scene, integrator: Integrator, step_ms: f64, base_velocity: Opti
     Ok(End { state, peak_n: plant.contact_peak_true_n(), cpu_s })
 }
 
+/// Evaluations of the dynamics for each millisecond: what a run costs beside another.
+fn steps(integrator: Integrator, step_ms: f64) -> f64 {
+    if integrator == Integrator::RungeKutta4 { 4.0 / step_ms } else { 1.0 / step_ms }
+}
+
 fn distance(a: &End, b: &End) -> f64 {
     a.state.iter().zip(b.state).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
@@ -120,13 +126,24 @@ fn work_precision(
     quick: bool,
 ) -> Result<SceneReport> {
     let [fine, coarse] = if quick { [0.02, 0.05] } else { REFERENCE_MS };
-    let reference = play(scene, Integrator::RungeKutta4, fine, base_velocity)?;
-    let check = play(scene, Integrator::RungeKutta4, coarse, base_velocity)?;
+    let steps_ms = || STEPS_MS.into_iter().filter(|step| !quick || *step > 0.1);
+    let all = METHODS.into_iter().flat_map(|(integrator, _)| steps_ms().map(move |ms| steps(integrator, ms)));
+    let all =
+        all.sum::<f64>() + steps(Integrator::RungeKutta4, fine) + steps(Integrator::RungeKutta4, coarse);
+    let (mut progress, mut done) = (Progress::new(format!("precision, {name}")), 0.0);
+    let mut play = |integrator, step_ms| {
+        let end = play(scene, integrator, step_ms, base_velocity);
+        done += steps(integrator, step_ms);
+        progress.at(done / all);
+        end
+    };
+    let reference = play(Integrator::RungeKutta4, fine)?;
+    let check = play(Integrator::RungeKutta4, coarse)?;
     let touches = reference.peak_n > 0.0;
     let peak_off = |end: &End| touches.then(|| (end.peak_n / reference.peak_n - 1.0).abs());
     let mut points = Vec::new();
     for (integrator, method) in METHODS {
-        for step_ms in STEPS_MS.into_iter().filter(|step| !quick || *step > 0.1) {
+        for step_ms in steps_ms() {
             let mut point = Point {
                 integrator: method,
                 step_ms,
@@ -135,7 +152,7 @@ fn work_precision(
                 peak_error: None,
                 failed: None,
             };
-            match play(scene, integrator, step_ms, base_velocity) {
+            match play(integrator, step_ms) {
                 Ok(end) => {
                     point.cpu_s_per_s = end.cpu_s;
                     point.state_error = distance(&end, &reference);

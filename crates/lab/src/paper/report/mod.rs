@@ -43,18 +43,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 
 fn page() -> Result<String> {
     let mut body = String::new();
-    say("Tables I and II, Figure 4");
     let (tables, figure_4) = characterize::tables_and_figure_4(10, 1)?;
     section(&mut body, "Tables I and II, Figure 4: the taxel", &tables, &figure_4);
 
     let sensors = [Sensor::Ideal, Sensor::Stock];
-    say("Figure 5");
-    let b1 = parallel::run("B1", &sensors, |s| pushes::b1(&with(Law::Impedance, *s)), |_| ());
-    say("Figure 6");
-    let b2 = parallel::run("B2", &sensors, |s| pushes::b2(&with(Law::FollowMe, *s)), |_| ());
-    say("Figure 7");
+    let b1 = parallel::run("report, Figure 5", &sensors, |s| pushes::b1(&with(Law::Impedance, *s)), |_| ());
+    let b2 = parallel::run("report, Figure 6", &sensors, |s| pushes::b2(&with(Law::FollowMe, *s)), |_| ());
     let sensors = [Sensor::Ideal, Sensor::Stock, Sensor::Off];
-    let c = parallel::run("collision", &sensors, |s| collision::run(&collision_with(*s)), |_| ());
+    let c = parallel::run("report, Figure 7", &sensors, |s| collision::run(&collision_with(*s)), |_| ());
     let under_barrier = collision::run(&collision_under_barrier()?)?;
     let b1 = b1.into_iter().collect::<Result<Vec<_>>>()?;
     let b2 = b2.into_iter().collect::<Result<Vec<_>>>()?;
@@ -86,7 +82,6 @@ fn page() -> Result<String> {
         let title = format!("{title}: {}", run.report.verdict);
         section(&mut body, &title, &run.report.text(), &drawing.svg());
     }
-    say("collision against nine parameters");
     section(
         &mut body,
         "What the paper does not show: the collision's peak force",
@@ -95,7 +90,6 @@ fn page() -> Result<String> {
          sensor, base servo, foam and tissue at 20 N) changes its verdict for the ideal sensor; it knows no speed.",
         &sweeps::draw()?.svg(),
     );
-    say("stability maps");
     section(
         &mut body,
         "Stability: simulation and theory",
@@ -111,11 +105,6 @@ fn page() -> Result<String> {
          text-align:left}}svg{{max-width:100%;height:auto}}.no{{color:#b00;font-weight:bold}}</style></head><body>\
          <h1>MOCA-S in simulation</h1><p>{TUNED}</p>{head}{body}</body></html>\n"
     ))
-}
-
-/// Progress on the terminal.
-fn say(what: &str) {
-    eprintln!("{what}");
 }
 
 pub(crate) fn with(law: Law, sensor: Sensor) -> Settings {

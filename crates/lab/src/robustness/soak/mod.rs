@@ -5,6 +5,7 @@ mod onlookers;
 
 use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result, ensure};
+use moca_daemon::cli::progress::Progress;
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::supervisor::EDGES;
 use moca_daemon::devices::simulated_robot::free_scene;
@@ -21,7 +22,7 @@ use onlookers::Onlookers;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufWriter, IsTerminal, Write};
+use std::io::BufWriter;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -97,6 +98,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
+#[expect(clippy::cast_precision_loss, reason = "a share")]
 fn soak(ticks: u64, seed: u64) -> Result<Report> {
     let mut config = Config::default();
     config.simulation.hand = HandConfig::none();
@@ -111,6 +113,7 @@ fn soak(ticks: u64, seed: u64) -> Result<Report> {
     let mut log = None;
     let mut report = Report::default();
     let started = Instant::now();
+    let mut progress = Progress::new("soak");
     for tick in 0..ticks {
         if tick % SEGMENT_TICKS == 0 {
             log = Some(LoggedMinute::start(seed, tick)?);
@@ -135,22 +138,15 @@ fn soak(ticks: u64, seed: u64) -> Result<Report> {
             if report.resident_first_kib == 0 {
                 report.resident_first_kib = report.resident_last_kib;
             }
-            progress(tick, ticks);
         }
+        progress.at(tick as f64 / ticks as f64);
     }
+    progress.end();
     report.ticks = ticks;
     report.clients_killed = onlookers.killed;
     (report.samples_dropped, report.lines_lost) = (onlookers.dropped, onlookers.lines_lost());
     report.wall_s = started.elapsed().as_secs_f64();
     Ok(report)
-}
-
-fn progress(tick: u64, ticks: u64) {
-    let mut terminal = std::io::stderr();
-    if terminal.is_terminal() {
-        // A terminal that went away is no reason to stop.
-        let _ = write!(terminal, "\rsoak {} of {} min", tick / 60_000, ticks / 60_000);
-    }
 }
 
 /// Whoever touches, asks and breaks things.

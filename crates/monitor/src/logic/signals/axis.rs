@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 /// Shortest and longest stretch that can be shown, s.
-pub const SPAN_S: Range<f64> = 0.02..60.0;
+pub const SPAN_S: Range<f64> = 0.01..60.0;
 
 /// Which stretch of loop time is shown.
 #[derive(Clone, Copy, Debug, PartialEq)]

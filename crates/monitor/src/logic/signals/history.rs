@@ -7,8 +7,10 @@ use super::{
 use moca_msgs::{Sample, seconds};
 use std::{collections::VecDeque, ops::Range};
 
-/// A longer time without a sample is a gap, s. A slot that the loop missed is none: nothing happened in it.
+/// A longer time without a sample of a loop is a gap, s. A slot that the loop missed is none: nothing happened in it.
 const GAP_S: f64 = 0.02;
+/// The same in a log, which shows a sample each 20 ms.
+const LOG_GAP_S: f64 = 0.05;
 
 /// Signals over time.
 #[derive(Clone, Debug, Default)]
@@ -17,6 +19,8 @@ pub struct History {
     columns: Vec<Pyramid>,
     /// Time of each sample, s of loop time, never falling.
     times_s: VecDeque<f64>,
+    /// What is a gap, s.
+    gap_s: f64,
 }
 
 /// What to draw of one signal.
@@ -29,10 +33,15 @@ pub struct Curve {
 }
 
 impl History {
-    /// An empty history of `signals`.
+    /// An empty history of `signals` of a loop.
     pub fn new(signals: Vec<Signal>) -> Self {
         let columns = signals.iter().map(|_| Pyramid::default()).collect();
-        Self { signals, columns, times_s: VecDeque::new() }
+        Self { signals, columns, times_s: VecDeque::new(), gap_s: GAP_S }
+    }
+
+    /// An empty history of `signals` of a log.
+    pub fn of_log(signals: Vec<Signal>) -> Self {
+        Self { gap_s: LOG_GAP_S, ..Self::new(signals) }
     }
 
     /// Appends a sample. One that is older than the last, which no healthy daemon sends, is left out.
@@ -42,7 +51,7 @@ impl History {
             if time_s <= last_s {
                 return;
             }
-            if time_s - last_s > GAP_S {
+            if time_s - last_s > self.gap_s {
                 self.append(last_s.midpoint(time_s), |_| f64::NAN);
             }
         }
@@ -76,7 +85,9 @@ impl History {
             return curve;
         };
         let mut piece = Vec::new();
-        column.draw(self.indices(&window_s), pixels, |index, value| {
+        // With a neighbour on each side: lines go on to the edges, and between two samples there is one.
+        let Range { start, end } = self.indices(&window_s);
+        column.draw(start.saturating_sub(1)..end + 1, pixels, |index, value| {
             if value.is_finite() {
                 let value = f64::from(value);
                 let (min, max) = curve.extremes.unwrap_or((value, value));
@@ -258,7 +269,8 @@ mod tests {
         (0..1000).for_each(|tick| history.push(&sample(tick, 2.0)));
         let curve = history.curve(FORCE, 0.5..0.999, 10_000);
         let piece = &curve.pieces[0];
-        assert!((piece[0][0] + 0.499).abs() < 1e-9 && piece[piece.len() - 1][0].abs() < 1e-9);
+        // With the neighbour before it.
+        assert!((piece[0][0] + 0.5).abs() < 1e-9 && piece[piece.len() - 1][0].abs() < 1e-9);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Where samples come from: a robot that runs ([`live`]) or a log ([`playback`]); [`recording`] writes a log.
 
 pub mod live;
+mod log_thread;
 pub mod playback;
 pub mod recording;
 

@@ -1,31 +1,50 @@
-//! A log, played at the speed at which it was recorded.
+//! A log, played at the speed at which it was recorded. Only what is shown of it is in memory.
 
-use moca_msgs::{Sample, TaxelStatus, protection::ContactPhase, seconds};
+use super::log_thread::{LogThread, Opened, Stretch, Told};
+use moca_msgs::{Sample, seconds};
 use moca_telemetry::{
     RobotDescription,
     calibration::CalibrationProgress,
-    log::{LogReader, Record},
+    log::{
+        Overview,
+        overview::{Happening, Mark, OverviewBuilder},
+    },
     net::{Link, Status, Update},
 };
-use std::{
-    path::PathBuf,
-    sync::{
-        Arc,
-        mpsc::{Receiver, TryRecvError, channel},
-    },
-};
+use std::{path::PathBuf, sync::Arc, time::Instant};
 
-/// Samples of a log that are kept in memory, over 16 minutes at 1 kHz and 1.4 GB: the first ones.
-const MAX_SAMPLES: usize = 1_000_000;
-/// What is shown before the chosen instant, s.
-const SHOWN_S: f64 = 60.0;
+/// What is shown before the chosen instant, ns.
+const SHOWN_NS: u64 = 60_000_000_000;
+/// What is read ahead of it, ns; half of it is left when the next stretch is asked for.
+const AHEAD_NS: u64 = 10_000_000_000;
 
 /// A log and the instant of it that is shown.
 pub struct Playback {
     path: PathBuf,
-    loading: Option<Receiver<Result<Loaded, String>>>,
-    log: Loaded,
+    robot: Arc<RobotDescription>,
+    overview: Overview,
+    range_ns: (u64, u64),
+    note: String,
+    reading: Option<Reading>,
+    held: Held,
     state: State,
+}
+
+/// A file that is being read.
+struct Reading {
+    thread: LogThread,
+    began: Instant,
+    /// Which part has been looked through, until the log is open.
+    opening: Option<f64>,
+    /// Whether a stretch is on its way.
+    asked: bool,
+}
+
+/// What is in memory.
+#[derive(Default)]
+struct Held {
+    stretch: Option<Stretch>,
+    samples: Vec<Sample>,
 }
 
 /// What a log can be searched for.
@@ -38,37 +57,8 @@ pub enum Landmark {
 }
 
 impl Landmark {
-    fn is_between(self, a: &Sample, b: &Sample) -> bool {
-        let crossed = |s: &Sample| s.contact_events.iter().any(|c| c.phase == ContactPhase::LimitCrossed);
-        let felt = |s: &Sample| s.taxels.iter().any(|t| t.status == TaxelStatus::Ok && t.force_n > 0.0);
-        match self {
-            Self::Event => (a.mode, a.fault) != (b.mode, b.fault) || crossed(b),
-            Self::Touch => felt(b) && !felt(a),
-        }
-    }
-}
-
-#[derive(Default)]
-struct Loaded {
-    robot: Arc<RobotDescription>,
-    samples: Vec<Sample>,
-    /// When what happened, s of loop time, in order.
-    events_s: Vec<f64>,
-    touches_s: Vec<f64>,
-    note: String,
-}
-
-impl Loaded {
-    fn new(robot: RobotDescription, samples: Vec<Sample>, note: String) -> Self {
-        let times = |what: Landmark| {
-            let found = samples.windows(2).filter_map(|pair| match pair {
-                [a, b] if what.is_between(a, b) => Some(seconds(b.time_ns)),
-                _ => None,
-            });
-            found.collect()
-        };
-        let (events_s, touches_s) = (times(Landmark::Event), times(Landmark::Touch));
-        Self { robot: Arc::new(robot), samples, events_s, touches_s, note }
+    fn is(self, mark: &Mark) -> bool {
+        (mark.what == Happening::Touch) == (self == Self::Touch)
     }
 }
 
@@ -78,40 +68,54 @@ struct State {
     at_s: f64,
     playing: bool,
     last_poll_s: Option<f64>,
-    /// Samples already given out in this session.
-    given: Option<usize>,
+    /// Until when samples have been given out in this session, ns.
+    given_ns: Option<u64>,
 }
 
 impl Playback {
-    /// Starts to read `path`; `wake` is called when that is done.
-    pub fn open(path: PathBuf, wake: impl FnOnce() + Send + 'static) -> std::io::Result<Self> {
-        let (sender, loading) = channel();
-        let from = path.clone();
-        std::thread::Builder::new().name("log reader".into()).spawn(move || {
-            // The window may have been closed meanwhile.
-            let _ = sender.send(load(&from));
-            wake();
-        })?;
-        Ok(Self::new(path, Some(loading), Loaded::default()))
+    /// Starts to read `path`; `wake` is called when something of it has been read.
+    pub fn open(path: PathBuf, wake: impl Fn() + Send + 'static) -> std::io::Result<Self> {
+        let thread = LogThread::start(path.clone(), wake)?;
+        let reading = Reading { thread, began: Instant::now(), opening: Some(0.0), asked: false };
+        Ok(Self::new(path, Some(reading)))
     }
 
     /// Plays samples that are already there.
     pub fn of(robot: RobotDescription, samples: Vec<Sample>) -> Self {
-        Self::new(PathBuf::new(), None, Loaded::new(robot, samples, String::new()))
+        let mut playback = Self::new(PathBuf::new(), None);
+        let mut overview = OverviewBuilder::default();
+        samples.iter().for_each(|sample| overview.add(sample));
+        let time = |sample: Option<&Sample>| sample.map_or(0, |sample| sample.time_ns);
+        let range_ns = (time(samples.first()), time(samples.last()));
+        let overview = overview.finish();
+        playback.take_opened(Opened { robot, range_ns, overview, note: String::new() });
+        playback.held = Held { stretch: Some(range_ns.0..=range_ns.1), samples };
+        playback
     }
 
-    fn new(path: PathBuf, loading: Option<Receiver<Result<Loaded, String>>>, log: Loaded) -> Self {
+    fn new(path: PathBuf, reading: Option<Reading>) -> Self {
         let state =
-            State { failure: None, session: 1, at_s: 0.0, playing: true, last_poll_s: None, given: None };
-        let mut playback = Self { path, loading, log, state };
-        playback.state.at_s = playback.range_s().0;
-        playback
+            State { failure: None, session: 1, at_s: 0.0, playing: true, last_poll_s: None, given_ns: None };
+        Self {
+            path,
+            robot: Arc::default(),
+            overview: Overview::default(),
+            range_ns: (0, 0),
+            note: String::new(),
+            reading,
+            held: Held::default(),
+            state,
+        }
     }
 
     /// First and last instant of the log, s of loop time.
     pub fn range_s(&self) -> (f64, f64) {
-        let time = |sample: Option<&Sample>| sample.map_or(0.0, |s| seconds(s.time_ns));
-        (time(self.log.samples.first()), time(self.log.samples.last()))
+        (seconds(self.range_ns.0), seconds(self.range_ns.1))
+    }
+
+    /// The whole log at a glance.
+    pub const fn overview(&self) -> &Overview {
+        &self.overview
     }
 
     /// The instant that is shown, s of loop time.
@@ -124,8 +128,7 @@ impl Playback {
         let (first, last) = self.range_s();
         self.state.at_s = at_s.clamp(first, last);
         // Going back needs a new history; going on a little does not.
-        self.state.given = None;
-        self.state.session += 1;
+        self.state.given_ns = None;
     }
 
     /// Whether it runs.
@@ -141,94 +144,155 @@ impl Playback {
         }
     }
 
-    /// The next `what` after the shown instant (`forwards`), or the last one before it, s of loop time.
+    /// The next `what` after the shown instant (`forwards`), or the last one before it, s of loop time. The mode that the log
+    /// begins with is no event.
     pub fn find(&self, what: Landmark, forwards: bool) -> Option<f64> {
-        let times = match what {
-            Landmark::Event => &self.log.events_s,
-            Landmark::Touch => &self.log.touches_s,
-        };
+        let first = self.range_s().0;
+        let marks = self.overview.marks.iter().filter(|mark| what.is(mark));
+        let mut times = marks.map(|mark| seconds(mark.time_ns)).filter(|time_s| *time_s > first);
         if forwards {
-            times.get(times.partition_point(|t| *t <= self.at_s() + 1e-6)).copied()
+            times.find(|time_s| *time_s > self.at_s() + 1e-6)
         } else {
-            times.get(times.partition_point(|t| *t < self.at_s() - 1e-6).checked_sub(1)?).copied()
+            times.take_while(|time_s| *time_s < self.at_s() - 1e-6).last()
         }
     }
 
     /// The file, and what is missing of it.
     pub fn title(&self) -> String {
-        format!("{} {}", self.path.display(), self.log.note)
+        format!("{} {}", self.path.display(), self.note)
     }
 
-    fn take_loaded(&mut self) {
-        let Some(loading) = &self.loading else { return };
-        match loading.try_recv() {
-            Ok(Ok(log)) => {
-                self.log = log;
-                self.state.at_s = self.range_s().0;
-            }
-            Ok(Err(failure)) => self.state.failure = Some(failure),
-            Err(TryRecvError::Empty) => return,
-            Err(TryRecvError::Disconnected) => {
-                self.state.failure = Some("reading the log was given up".into())
+    fn take_opened(&mut self, opened: Opened) {
+        let Opened { robot, range_ns, overview, note } = opened;
+        self.robot = Arc::new(robot);
+        (self.range_ns, self.overview, self.note) = (range_ns, overview, note);
+        self.state.at_s = self.range_s().0;
+    }
+
+    fn hear(&mut self) {
+        while let Some(told) = self.reading.as_ref().and_then(|reading| reading.thread.next()) {
+            let Some(reading) = &mut self.reading else { return };
+            match told {
+                Told::Progress(part) => reading.opening = Some(part),
+                Told::Opened(opened) => {
+                    reading.opening = None;
+                    self.take_opened(*opened);
+                }
+                Told::Samples(stretch, samples) => {
+                    reading.asked = false;
+                    self.held.take(stretch, samples);
+                }
+                Told::Failed(failure) => self.state.failure = Some(failure),
             }
         }
-        self.loading = None;
+    }
+
+    /// Asks for what will be shown next and is not in memory.
+    fn ask(&mut self) {
+        let at_ns = nanoseconds(self.state.at_s);
+        let last_ns = self.range_ns.1;
+        let Some(reading) = self.reading.as_mut().filter(|r| r.opening.is_none() && !r.asked) else { return };
+        let until_ns = at_ns.saturating_add(AHEAD_NS).min(last_ns);
+        let wanted = match &self.held.stretch {
+            Some(held) if held.contains(&at_ns) => {
+                let near = *held.end() < at_ns.saturating_add(AHEAD_NS / 2).min(last_ns);
+                near.then(|| held.end() + 1..=until_ns)
+            }
+            _ => Some(at_ns.saturating_sub(SHOWN_NS)..=until_ns),
+        };
+        if let Some(stretch) = wanted {
+            reading.asked = true;
+            reading.thread.ask(stretch);
+        }
     }
 
     /// What happened since the last call, at the speed at which it happened; `now_s` never runs backwards, s.
     pub fn poll(&mut self, now_s: f64) -> Update {
-        self.take_loaded();
+        self.hear();
         let elapsed_s = self.state.last_poll_s.map_or(0.0, |last| now_s - last);
         self.state.last_poll_s = Some(now_s);
-        if self.state.playing && self.loading.is_none() {
+        let held_to_ns = self.held.until(nanoseconds(self.state.at_s));
+        if let (true, Some(held_to_ns)) = (self.state.playing, held_to_ns) {
             let end_s = self.range_s().1;
-            self.state.at_s = (self.state.at_s + elapsed_s).min(end_s);
+            // What is not read yet is waited for.
+            self.state.at_s = (self.state.at_s + elapsed_s).min(end_s).min(seconds(held_to_ns));
             self.state.playing = self.state.at_s < end_s;
         }
-        let samples = &self.log.samples;
-        let until = |time_s: f64| samples.partition_point(|s| seconds(s.time_ns) <= time_s);
-        let to = until(self.state.at_s);
-        let from = self.state.given.unwrap_or_else(|| until(self.state.at_s - SHOWN_S)).min(to);
-        self.state.given = Some(to);
-        let link = match (&self.state.failure, &self.loading) {
-            (Some(failure), _) => Link::Down { reason: failure.clone() },
-            (None, Some(_)) => Link::Down { reason: format!("reading {} …", self.path.display()) },
-            (None, None) => {
-                Link::Up { session: self.state.session, description: Arc::clone(&self.log.robot) }
-            }
-        };
+        self.ask();
+        let samples = if held_to_ns.is_some() { self.give() } else { Vec::new() };
         Update {
-            link,
+            link: self.link(),
             status: Status::default(),
-            samples: samples.get(from..to).unwrap_or_default().to_vec(),
+            samples,
             replies: Vec::new(),
             calibration: CalibrationProgress::Idle,
             notices: Vec::new(),
             unread_dropped: 0,
         }
     }
-}
 
-fn load(path: &std::path::Path) -> Result<Loaded, String> {
-    let mut reader = LogReader::open(path).map_err(|error| error.to_string())?;
-    let mut samples = Vec::new();
-    let mut note = String::new();
-    for record in &mut reader {
-        if let Record::Sample(sample) = record {
-            if samples.len() == MAX_SAMPLES {
-                note = format!("(only its first {MAX_SAMPLES} samples)");
-                break;
-            }
-            samples.push(*sample);
+    /// The samples up to the shown instant that have not been given out: after a jump, those of the minute before it.
+    fn give(&mut self) -> Vec<Sample> {
+        let at_ns = nanoseconds(self.state.at_s);
+        if self.state.given_ns.is_none() {
+            self.state.session += 1;
+        }
+        let given = self.state.given_ns.replace(at_ns);
+        let from_ns = given.or_else(|| at_ns.checked_sub(SHOWN_NS)).map_or(0, |before_ns| before_ns + 1);
+        let place = |time_ns: u64| self.held.samples.partition_point(|sample| sample.time_ns < time_ns);
+        self.held.samples.get(place(from_ns)..place(at_ns + 1)).unwrap_or_default().to_vec()
+    }
+
+    fn link(&self) -> Link {
+        if let Some(reason) = self.state.failure.clone() {
+            return Link::Down { reason };
+        }
+        let path = self.path.display();
+        match &self.reading {
+            Some(Reading { opening: Some(part), began, .. }) => Link::Down {
+                reason: format!("reading {path} …{}", how_far(*part, began.elapsed().as_secs_f64())),
+            },
+            _ => Link::Up { session: self.state.session, description: Arc::clone(&self.robot) },
         }
     }
-    if let Some(cut) = reader.cut() {
-        note = format!("({cut})");
+}
+
+impl Held {
+    /// Takes a stretch that was read; what lies more than a minute before it is forgotten.
+    fn take(&mut self, stretch: Stretch, samples: Vec<Sample>) {
+        match &self.stretch {
+            Some(held) if *stretch.start() == held.end() + 1 => {
+                let from_ns = stretch.start().saturating_sub(SHOWN_NS + AHEAD_NS).max(*held.start());
+                self.stretch = Some(from_ns..=*stretch.end());
+                self.samples.retain(|sample| sample.time_ns >= from_ns);
+                self.samples.extend(samples);
+            }
+            _ => (self.stretch, self.samples) = (Some(stretch), samples),
+        }
     }
-    if samples.is_empty() {
-        return Err(format!("{} holds no samples {note}", path.display()));
+
+    /// Until when what follows `at_ns` is in memory.
+    fn until(&self, at_ns: u64) -> Option<u64> {
+        self.stretch.as_ref().filter(|held| held.contains(&at_ns)).map(|held| *held.end())
     }
-    Ok(Loaded::new(reader.description().clone(), samples, note))
+}
+
+/// The nearest instant to `time_s`, ns.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a time of a log, which saturates"
+)]
+fn nanoseconds(time_s: f64) -> u64 {
+    (time_s * 1e9).round() as u64
+}
+
+/// How far something has come that takes more than a moment, and how long it will yet take.
+fn how_far(part: f64, elapsed_s: f64) -> String {
+    if part <= 0.0 || elapsed_s < 1.0 {
+        return String::new();
+    }
+    format!(" {:.0} %, {:.0} s left", 100.0 * part, (elapsed_s * (1.0 / part - 1.0)).max(1.0))
 }
 
 #[cfg(test)]
@@ -288,7 +352,7 @@ mod tests {
 
     #[test]
     fn each_touch_of_an_untouched_cover_is_found_once() {
-        use moca_msgs::TaxelReading;
+        use moca_msgs::{TaxelReading, TaxelStatus};
         let touched = |tick: u64| (1000..1200).contains(&tick) || (3000..3001).contains(&tick);
         let samples = (0..5000).map(|tick| {
             let mut sample = Sample { tick, time_ns: tick * 1_000_000, ..Sample::default() };
@@ -306,11 +370,65 @@ mod tests {
 
     #[test]
     fn a_file_that_is_no_log_is_told() {
-        let (sender, done) = channel();
+        let (sender, done) = std::sync::mpsc::channel();
         let path = std::env::temp_dir().join("moca-monitor-no-such-log.mcap");
-        let mut playback = Playback::open(path, move || sender.send(()).unwrap()).unwrap();
+        let mut playback = Playback::open(path, move || {
+            let _ = sender.send(());
+        })
+        .unwrap();
         done.recv().unwrap();
         let update = playback.poll(0.0);
         assert!(matches!(update.link, Link::Down { reason } if reason.contains("cannot open the log")));
+    }
+
+    /// Half an hour in a file, looked into at its end: only a minute and a little is in memory.
+    #[test]
+    fn a_long_log_is_read_where_it_is_shown() {
+        use moca_telemetry::log::{LogWriter, Meta};
+        let path = std::env::temp_dir().join(format!("moca-playback-{}.mcap", std::process::id()));
+        let description = RobotDescription::paper("logged", false);
+        let meta = Meta { description, start_unix_ns: 0 };
+        let mut log = LogWriter::new(std::fs::File::create(&path).unwrap(), &meta).unwrap();
+        for shown in 0..90_000 {
+            let mode = if shown < 85_000 { Mode::Ready } else { Mode::Impedance };
+            let sample = Sample { tick: 20 * shown, time_ns: shown * 20_000_000, mode, ..Sample::default() };
+            log.sample(&sample).unwrap();
+        }
+        log.finish().unwrap();
+        let (sender, woken) = std::sync::mpsc::channel();
+        let mut playback = Playback::open(path.clone(), move || {
+            let _ = sender.send(());
+        })
+        .unwrap();
+        playback.play(false);
+        let until = |playback: &mut Playback, tick: u64| loop {
+            let update = playback.poll(0.0);
+            if let Some(last) = update.samples.last() {
+                assert_eq!(last.tick, tick);
+                break (session(&update), update.samples.len());
+            }
+            woken.recv_timeout(std::time::Duration::from_secs(60)).unwrap();
+        };
+        assert_eq!(until(&mut playback, 0).1, 1, "it begins at the beginning");
+        let event_s = playback.find(Landmark::Event, true).unwrap();
+        assert!((event_s - 1700.0).abs() < 1e-9);
+        playback.seek(event_s);
+        let (before, shown) = until(&mut playback, 1_700_000);
+        assert_eq!(shown, 3000, "the minute before it");
+        assert!(playback.held.samples.len() <= 3501, "{}", playback.held.samples.len());
+        playback.seek(10.0);
+        let (after, shown) = until(&mut playback, 10_000);
+        assert!(shown == 501 && after > before);
+        // On from there without a gap, however late the next stretch comes.
+        playback.play(true);
+        let mut ticks = Vec::new();
+        let mut now_s = 0.0;
+        while playback.at_s() < 40.0 {
+            now_s += 0.5;
+            ticks.extend(playback.poll(now_s).samples.iter().map(|sample| sample.tick));
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        assert!(ticks.windows(2).all(|pair| pair[1] - pair[0] == 20) && ticks[0] == 10_020, "{ticks:?}");
+        std::fs::remove_file(path).unwrap();
     }
 }

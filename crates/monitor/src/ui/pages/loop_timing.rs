@@ -24,6 +24,10 @@ const TABLE: f32 = 330.0;
 
 /// Draws the page.
 pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, pressed: &mut PageRequests) {
+    if model.timing.lateness_us.total() == 0 {
+        ui.weak("How late loop and board were appears here once samples come.");
+        return;
+    }
     let (height, top) = (ui.available_height(), ui.cursor().top());
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
         histograms(ui, model);
@@ -52,7 +56,9 @@ fn histograms(ui: &mut Ui, model: &Model) {
     let width = available / columns - GAP;
     ui.horizontal_wrapped(|ui| {
         ui.spacing_mut().item_spacing.x = GAP;
-        for (title, unit, histogram, limit, limit_name) in histograms {
+        // A log shows no two ticks in a row, and not every robot has a cover.
+        for (title, unit, histogram, limit, limit_name) in histograms.into_iter().filter(|h| h.2.total() > 0)
+        {
             column(ui, width, |ui| {
                 heading(ui, title, unit, histogram);
                 chart(ui, title, &[(histogram, theme::curve(0))], limit, width);

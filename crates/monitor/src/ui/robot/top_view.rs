@@ -21,6 +21,8 @@ use moca_msgs::{Sample, TaxelStatus, request::PRESS_FORCE_MAX_N};
 const HEIGHT: (f32, f32) = (165.0, 640.0);
 /// Height of a number beside a taxel that nobody touches, m: three stand beside each other in front.
 const SMALL_M: f64 = 0.075;
+/// Below so many points for a metre three numbers do not stand beside each other.
+const CROWDED: f64 = 120.0;
 /// Room for a taxel's number and force beside the base, points.
 const LABEL: f32 = 84.0;
 /// The same above it, points.
@@ -285,7 +287,12 @@ impl Taxel<'_> {
             } else {
                 (Align2::CENTER_BOTTOM, -font.size - 2.0)
             };
-            painter.text(at, align, value, font.clone(), colour);
+            // In a small picture neighbours would write over each other: who is not touched has a name only.
+            let crowded = self.camera.points_per_m < CROWDED && !touched && value.ends_with(" N");
+            let line = if crowded { 0.0 } else { line };
+            if !crowded {
+                painter.text(at, align, value, font.clone(), colour);
+            }
             painter.text(at + vec2(0.0, line), align, name, font, colour);
         }
     }

@@ -1,0 +1,39 @@
+//! Samples at equal distances, as learning takes them.
+
+use moca_msgs::{Sample, seconds};
+
+/// A longer time without a sample ends an episode, ns: a log shows one each 20 ms.
+const GAP_NS: u64 = 100_000_000;
+
+/// One instant of an episode.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Frame<'a> {
+    /// The last sample that was there then.
+    pub(super) sample: &'a Sample,
+    /// How old it was then, s.
+    pub(super) age_s: f64,
+}
+
+/// The stretches of a log without a gap.
+pub(super) fn episodes(samples: &[Sample]) -> impl Iterator<Item = &[Sample]> {
+    samples.chunk_by(|a, b| b.time_ns.saturating_sub(a.time_ns) <= GAP_NS)
+}
+
+/// Frames of one stretch, `fps` each second, from its first sample on.
+pub(super) fn frames(samples: &[Sample], fps: u32) -> Vec<Frame<'_>> {
+    let (Some(first), Some(last)) = (samples.first(), samples.last()) else { return Vec::new() };
+    let mut at = 0;
+    let mut frames = Vec::new();
+    for number in 0_u64.. {
+        let time_ns = first.time_ns + number * 1_000_000_000 / u64::from(fps);
+        if time_ns > last.time_ns {
+            break;
+        }
+        while samples.get(at + 1).is_some_and(|next| next.time_ns <= time_ns) {
+            at += 1;
+        }
+        let sample = &samples[at];
+        frames.push(Frame { sample, age_s: seconds(time_ns - sample.time_ns) });
+    }
+    frames
+}

@@ -1,0 +1,116 @@
+//! What a log costs, of the run that starts without arguments; with the noise of a real robot too.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that cannot go on has to stop"
+)]
+
+use moca_daemon::record::tick_blocks::{decode, encode};
+use moca_daemon::robot::JOINTS;
+use moca_msgs::RobotState;
+use moca_telemetry::log::{LogFile, LogReader, LogWriter, Meta, Record};
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::PathBuf;
+use std::process::Command;
+
+/// What a log for viewers alone may cost, GB for each hour.
+const DISPLAY_GB_H: f64 = 0.1;
+/// What a log may cost that also holds the boards' bytes and every bit of what each tick was given.
+const ALL_GB_H: f64 = 0.4;
+/// Noise of a measured joint angle, rad, and of what else is measured, in its unit.
+const NOISE: (f64, f64) = (1e-5, 1e-3);
+
+fn path(name: &str) -> PathBuf {
+    let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_file(&path);
+    path
+}
+
+fn record(name: &str, duration_s: &str) -> PathBuf {
+    let path = path(name);
+    let config = path.with_extension("toml");
+    std::fs::write(&config, "[telemetry]\nlisten = \"\"\n").unwrap();
+    let mut mocad = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"));
+    mocad
+        .arg("--config")
+        .arg(&config)
+        .args(["--as-fast-as-possible", "--duration", duration_s, "--record"])
+        .arg(&path);
+    let ran = mocad.output().unwrap();
+    assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
+    std::fs::remove_file(config).unwrap();
+    path
+}
+
+#[test]
+fn a_log_costs_no_more_than_it_may() {
+    let path = record("log-size.mcap", "60");
+    let sizes = LogFile::open(&path).unwrap().sizes(&mut |_| {}).unwrap();
+    let display = sizes.gigabytes_per_hour(sizes.display);
+    let all = sizes.gigabytes_per_hour(sizes.file);
+    assert!(sizes.span_ns > 59_900_000_000, "{sizes:?}");
+    assert!(display < DISPLAY_GB_H, "{display} GB an hour for viewers, allowed are {DISPLAY_GB_H}");
+    assert!(all < ALL_GB_H, "{all} GB an hour in all, allowed are {ALL_GB_H}");
+    // And `mocad log` says the same.
+    let told = Command::new(env!("CARGO_BIN_EXE_mocad-under-test")).arg("log").arg(&path).output().unwrap();
+    let told = String::from_utf8(told.stdout).unwrap();
+    assert!(told.contains(&format!("{all:.3} GB an hour\n")), "{told}");
+    std::fs::remove_file(path).unwrap();
+}
+
+/// Pseudorandom numbers between -1 and 1.
+struct Noise(u64);
+
+impl Noise {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        f64::from(u32::try_from(self.0 >> 32).unwrap()) / f64::from(u32::MAX) * 2.0 - 1.0
+    }
+
+    fn on(&mut self, state: &RobotState<JOINTS>) -> RobotState<JOINTS> {
+        let mut noisy = *state;
+        noisy.q_rad.iter_mut().for_each(|q| *q += NOISE.0 * self.next());
+        let torques = noisy.torque_measured_nm.iter_mut();
+        let others = noisy.base_pose_world.iter_mut().chain(&mut noisy.base_velocity_world);
+        others.chain(&mut noisy.dq_rad_s).chain(torques).for_each(|value| *value += NOISE.1 * self.next());
+        noisy.in_single_precision()
+    }
+}
+
+/// The loop takes a robot's state in single precision (`control::tick`), so that noise costs half of what it would.
+#[test]
+fn a_log_of_a_robot_with_noise_costs_no_more_than_it_may() {
+    let clean = record("log-size-clean.mcap", "20");
+    let noisy = path("log-size-noisy.mcap");
+    let description = LogFile::open(&clean).unwrap().description().clone();
+    let meta = Meta { description, start_unix_ns: 0 };
+    let mut log = LogWriter::new(BufWriter::new(File::create_new(&noisy).unwrap()), &meta).unwrap();
+    let mut noise = Noise(1);
+    let mut last_ns = 0;
+    for record in LogReader::open(&clean).unwrap() {
+        match record {
+            Record::Sample(sample) => {
+                last_ns = sample.time_ns;
+                log.sample(&sample).unwrap();
+            }
+            Record::Serial(serial) => log.serial(&serial).unwrap(),
+            Record::Replay(block) => {
+                let mut ticks = decode(&block).unwrap();
+                for tick in &mut ticks {
+                    let state = &mut tick.record.input.state;
+                    *state = state.map(|state| noise.on(&state));
+                }
+                log.replay(last_ns, &encode(&ticks, 1e-3)).unwrap();
+            }
+            _ => {}
+        }
+    }
+    log.finish().unwrap();
+    let sizes = LogFile::open(&noisy).unwrap().sizes(&mut |_| {}).unwrap();
+    let all = sizes.gigabytes_per_hour(sizes.file);
+    assert!(all < ALL_GB_H, "{all} GB an hour in all, allowed are {ALL_GB_H}: {sizes:?}");
+    std::fs::remove_file(clean).unwrap();
+    std::fs::remove_file(noisy).unwrap();
+}
