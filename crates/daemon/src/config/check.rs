@@ -85,12 +85,14 @@ fn ros2(config: &Config, report: Report<'_>) {
             ),
         );
     }
-    let wrong = |address: &&String| address.parse::<IpAddr>().is_err();
-    if let Some(address) = plant.ros2.interfaces.iter().find(wrong) {
-        let name = "plant.base.ros2.interfaces";
+    let address = &plant.ros2.interface;
+    if !address.is_empty() && address.parse::<IpAddr>().is_err() {
+        let name = "plant.base.ros2.interface";
         report(
             name,
-            format!("{name}: {address:?} is no address of this PC; allowed: such as \"192.168.0.10\""),
+            format!(
+                "{name} = {address:?} is no address of this PC; allowed: such as \"192.168.0.10\", or empty"
+            ),
         );
     }
 }

@@ -8,8 +8,8 @@ parameter_table! {
     pub struct Ros2Config in "plant.base.ros2" {
         /// Domain of the base's nodes, their ROS_DOMAIN_ID.
         domain: u8 = 0 => [.range(0.0, 232.0)];
-        /// Addresses of this PC on the base's networks; none for all: discovery is by multicast.
-        interfaces: Vec<String> = Vec::new();
+        /// Address of this PC on the base's network; empty for all networks: discovery is by multicast.
+        interface: String = String::new();
         /// Topic of the velocity orders, with its namespace.
         cmd_vel: String = "/robot/robotnik_base_control/cmd_vel".into();
         /// Whether the base wants TwistStamped; it says so itself: `ros2 topic info`.

@@ -27,9 +27,11 @@ pub fn connect(config: &Config) -> Result<Ros2Base> {
         deadline_s: plant.deadline_s,
         velocity_max: config.limits.base_velocity,
     };
-    let interfaces = ros2.interfaces.iter().map(|address| address.parse::<IpAddr>());
-    let interfaces = interfaces.collect::<Result<Vec<_>, _>>().context("plant.base.ros2.interfaces")?;
-    let transport = Dds::join(u16::from(ros2.domain), &interfaces).context("plant.base.driver = \"ros2\"")?;
+    let interface = Some(&ros2.interface).filter(|address| !address.is_empty());
+    let interface = interface.map(|address| address.parse::<IpAddr>()).transpose();
+    let interface = interface.context("plant.base.ros2.interface")?;
+    let transport =
+        Dds::join(u16::from(ros2.domain), interface.as_slice()).context("plant.base.driver = \"ros2\"")?;
     Ros2Base::spawn(settings, Box::new(transport)).context("plant.base.driver = \"ros2\"")
 }
 

@@ -57,9 +57,9 @@ pub struct BaseCounts {
 #[derive(Debug, Default)]
 struct Shared {
     /// measured_ns, pose, velocity.
-    reading: Latest<7>,
+    reading: Latest<{ 1 + 3 + 3 }>,
     /// ordered_ns, velocity.
-    order: Latest<4>,
+    order: Latest<{ 1 + 3 }>,
     stop: AtomicBool,
     counts: BaseCounts,
     problems: Mutex<Vec<String>>,
