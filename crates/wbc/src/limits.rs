@@ -111,6 +111,11 @@ impl<const N: usize, T: Scalar> From<&Limits<N>> for BaseLimits<T> {
 }
 
 impl<T: Scalar> BaseLimits<T> {
+    /// Largest speed along each axis of B.
+    pub(crate) fn velocity_max(&self) -> &[T; 3] {
+        &self.velocity
+    }
+
     /// Largest change of the velocity along axis `i` in a step of `dt_s`; as for torques, a late step earns no more
     /// than a punctual one.
     fn change(&self, i: usize, dt_s: T) -> T {
@@ -252,6 +257,11 @@ impl<const N: usize, T: Scalar> JointSpeeds<N, T> {
         let distance = if dq > T::zero() { high - q } else { q - low };
         let braked = (twice_deceleration * distance.max(T::zero())).sqrt() - offset;
         self.most[i].min(braked.max(of(JOINT_STANDSTILL_RAD_S)))
+    }
+
+    /// How much of its largest speed the fastest joint has: 1 is all of it.
+    pub fn share(&self, q: &[T; N], dq: &[T; N]) -> T {
+        (0..N).fold(T::zero(), |most, i| most.max(dq[i].abs() / self.largest(i, q[i], dq[i])))
     }
 
     /// The first joint that is too fast.

@@ -35,8 +35,8 @@ pub(super) fn check(config: &Config, report: Report<'_>) {
     timeout(config, report);
 }
 
-/// Gains that are each in range and make the robot's loop unstable. An experiment may want them, a robot does not: it is
-/// asked of files, and after every other check has passed.
+/// Gains that are each in range and together make the robot's loop unstable. Only files are checked for this, and after
+/// every other check: an experiment may want such gains, a robot may not have them.
 pub(super) fn stability(config: &Config, report: Report<'_>) {
     let (parameters, stability) = (config.parameters(), Stability::new(config));
     if config.plant.kind == PlantKind::None || stability.is_stable(&parameters, &parameters.gains.posture_rad)

@@ -37,11 +37,11 @@ use moca_telemetry::net::{Address, DEFAULT_ADDRESS};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// `telemetry.listen` that asks the environment.
+/// Value of `telemetry.listen` with which the environment decides where that is.
 const AUTO_LISTEN: &str = "auto";
 /// The service's socket in systemd's RuntimeDirectory.
 const SOCKET_NAME: &str = "telemetry.sock";
-/// `flight_recorder.folder` that asks the environment.
+/// Value of `flight_recorder.folder` with which the environment decides where that is.
 pub const AUTO_FOLDER: &str = "auto";
 /// Largest speed that an override of the speed limit may state, m/s.
 pub const OVERRIDE_MAX_M_S: f64 = 10.0;

@@ -133,7 +133,7 @@ impl Protection {
         self.state.tracker.update(now_ns, &cover.reading.taxels);
         let speed_limit = self.speed_limit(now_ns, cover.early.sampled_at_ns, limits);
         let mut protected = Protected {
-            // Whoever is felt by data that is not confirmed yet is not driven into; no law hears of it.
+            // Data that is not confirmed yet only keeps the base from driving into whoever it feels; no law uses it.
             guard: BaseGuard {
                 speed_m_s: Some(speed_limit.m_s),
                 blocked: cover.early.touched,
@@ -299,7 +299,7 @@ fn nominal_speed_m_s(config: &Config, firmware: Firmware) -> f64 {
 
 /// Speed limit of the cover's fastest point for a reading that is `delay_s` late and an impact of `force_limit_n`, m/s.
 pub fn speed_for_delay_m_s(config: &Config, force_limit_n: f64, delay_s: f64) -> f64 {
-    // around taxels that are nowhere nothing moves
+    // taxels without a finite place: nothing may move
     let Ok(mut protection) = Protection::new(config, [ContactLimits::default(); TAXELS]) else { return 0.0 };
     protection.settings.force_limit_n = force_limit_n;
     let limits = config.parameters().limits;

@@ -168,7 +168,10 @@ impl Supervisor {
             Some(
                 request @ (Request::PressTaxel { .. }
                 | Request::MaskTaxel { .. }
-                | Request::SetParameter { .. }),
+                | Request::SetParameter { .. }
+                | Request::Target(_)
+                | Request::Waypoint { .. }
+                | Request::EndTarget),
             ) => (None, Some(request)),
             Some(Request::Resume) if facts.plant_fault == Some(Fault::ArmReflex) => {
                 (None, Some(Request::Resume))
@@ -266,9 +269,12 @@ impl Supervisor {
                 Ok(())
             }
             Request::Resume => self.resume(facts),
-            Request::PressTaxel { .. } | Request::MaskTaxel { .. } | Request::SetParameter { .. } => {
-                Err(Refusal::Mode(self.mode))
-            }
+            Request::PressTaxel { .. }
+            | Request::MaskTaxel { .. }
+            | Request::SetParameter { .. }
+            | Request::Target(_)
+            | Request::Waypoint { .. }
+            | Request::EndTarget => Err(Refusal::Mode(self.mode)),
         }
     }
 

@@ -1,4 +1,4 @@
-//! What can stand behind the loop's traits: Touch Board, ideal cover, simulated robot; and the ports they are read from.
+//! Implementations of the loop's traits: Touch Board, ideal cover, simulated robot; and the ports they are read from.
 
 pub mod board_events;
 #[cfg(feature = "sim")]

@@ -208,7 +208,7 @@ fn write_log(
     let mut blocks = BlockBuilder::new(period_s);
     let begin = kept.begin();
     if let Some(state) = begin {
-        // It always encodes; nothing at all would be found by whoever reads it back.
+        // These types always encode; an empty record would be refused by whoever reads it.
         log.loop_state(state.time_ns, &postcard::to_stdvec(state).unwrap_or_default())?;
     }
     let first = begin.map_or(0, |state| state.number + 1);
@@ -246,7 +246,7 @@ fn write_block(log: &mut LogWriter<BufWriter<File>>, block: Option<Block>) -> Re
 type Dated = (u64, PathBuf);
 
 /// Beyond [`FILES_MAX`] files one goes of the cause that has most of them, so that a cause that comes and goes does not push
-/// out the one file of another: of a story the first file tells most, so a later one of it; or else the oldest.
+/// out the one file of another. Of one cause the first file tells most, so a later one goes; otherwise the oldest.
 fn forget_surplus(folder: &Path) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     let mut by_cause: BTreeMap<String, Vec<Dated>> = BTreeMap::new();

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 const RING: usize = 4096;
 /// How often what the loop remembers is noted, ns.
 const STATE_EVERY_NS: u64 = 1_000_000_000;
-/// As many seconds of it as of ticks.
+/// States of the loop on their way: as many seconds of them as of ticks.
 const STATES: usize = 4;
 
 /// The loop's end of the tick log.

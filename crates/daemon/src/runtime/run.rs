@@ -28,7 +28,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// `--require-realtime` was given and the operating system refused this many wishes.
+/// `--require-realtime` was given and the operating system refused this many settings.
 #[derive(Debug)]
 pub struct RealtimeRefused(pub usize);
 

@@ -99,7 +99,7 @@ fn in_other_frames(arm: &AnyArm) -> String {
     ];
     let mut text = String::from("<robot name=\"r\">");
     let mut body = |link: &str, inertial: &moca_msgs::robot::LinkInertial, share: f64| {
-        // about its own principal-ish axes: turned by a made-up angle
+        // in axes turned by an arbitrary angle
         let turn = [0.0, 0.0, 0.0, 0.4, -0.7, 1.1];
         let [x, y, z] = inertial.com_m;
         let only = moca_msgs::robot::LinkInertial { com_m: [0.0; 3], ..*inertial };
