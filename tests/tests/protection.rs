@@ -479,9 +479,9 @@ fn walked_into(config: &Config, firmware: Firmware, taxel: usize, walk_m_s: f64)
         walk_m_s,
         mobility: Mobility::Fixed, // nothing slows it down
         steps_away_after_s: None,
-        ..Person::beside(taxel, 0.02).unwrap()
+        ..Person::beside(&PAPER_COVER, taxel, 0.02).unwrap()
     };
-    let scene = Scene { people: vec![person], ..Scene::default() };
+    let scene = Scene { people: vec![person], ..free_scene(config) };
     let board = VirtualBoardConfig { firmware, ..VirtualBoardConfig::default() };
     let mut world = LockStep::with_board(config, &scene, board, None).unwrap();
     world.control.plant.world.set_people_waiting(true);
