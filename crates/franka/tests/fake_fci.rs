@@ -8,9 +8,8 @@
 )]
 
 use franka::wire::HeaderLayout;
-use franka::wire::robot::codec::{self, CommandKind, FciVersion};
 use franka::wire::robot::{ControllerMode, MotionGeneratorMode, RobotCommand, RobotMode, RobotState, v5};
-use franka::{ERROR_NAMES, MoveStatus};
+use franka::{ERROR_NAMES, FciVersion, MoveStatus};
 use moca_franka::limiter::CHANGE_NM;
 use moca_franka::{Fci, REPEATS_MAX, Settings};
 use moca_msgs::ArmMode;
@@ -155,7 +154,7 @@ impl Peer {
         let mut arm = self.arm.lock().unwrap();
         arm.driven = false;
         let id = arm.move_id;
-        let command = codec::command_id(arm.version, CommandKind::Move).unwrap();
+        let command = CommandKind::Move.number(arm.version);
         respond(arm.commands.as_mut().unwrap(), command, id, &[MoveStatus::ReflexAborted.to_u8()]);
         drop(arm);
         self.say(mode, errors);
@@ -166,6 +165,35 @@ fn respond(stream: &mut TcpStream, command: u32, id: u32, payload: &[u8]) {
     let mut message = HeaderLayout::Robot.encode_header(command, id, payload.len());
     message.extend_from_slice(payload);
     stream.write_all(&message).unwrap();
+}
+
+/// Commands that the driver asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum CommandKind {
+    Connect,
+    Move,
+    StopMove,
+    SetCollisionBehavior,
+    AutomaticErrorRecovery,
+    GetRobotModel,
+}
+
+impl CommandKind {
+    /// As both versions of FCI number it; a Panda gives no model.
+    const fn number(self, version: FciVersion) -> u32 {
+        let (of_v10, of_v5) = match self {
+            Self::Connect => (0, 0),
+            Self::Move => (1, 1),
+            Self::StopMove => (2, 2),
+            Self::SetCollisionBehavior => (3, 4),
+            Self::AutomaticErrorRecovery => (10, 12),
+            Self::GetRobotModel => (11, u32::MAX),
+        };
+        match version {
+            FciVersion::V10 => of_v10,
+            FciVersion::V5 => of_v5,
+        }
+    }
 }
 
 const KINDS: [CommandKind; 6] = [
@@ -191,7 +219,7 @@ fn serve(
         let mut payload = vec![0; usize::try_from(size).unwrap() - header.len()];
         stream.read_exact(&mut payload).unwrap();
         let mut arm = arm.lock().unwrap();
-        let is = |kind: &&CommandKind| codec::command_id(arm.version, **kind) == Some(command);
+        let is = |kind: &&CommandKind| kind.number(arm.version) == command;
         let kind = *KINDS.iter().find(is).expect("a command that is expected");
         let (mut reply, mut state_follows) = (vec![0], false);
         match kind {
