@@ -6,7 +6,7 @@ use crate::control::tick_input::{Slot, TickInput};
 use crate::record::tick_log::{PortEvent, TickRecord};
 use crate::robot::JOINTS;
 use anyhow::{Context, Result, ensure};
-use moca_msgs::{ArmLink, Fault, Outcome, Request, RobotState, Sample};
+use moca_msgs::{ArmLink, Fault, Outcome, Request, RobotState, STAGES, Sample};
 use moca_telemetry::log::columns::{ColumnReader, ColumnWriter, DamagedColumns, Rate};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -29,12 +29,10 @@ pub struct ComparedTick {
     pub sample: Option<u32>,
 }
 
-/// A checksum over every bit of a sample but how long its stages took, which nothing follows from and a block leaves out: 1 of 4
-/// billion other samples has the same.
+/// A checksum over every bit of a sample: 1 of 4 billion other samples has the same.
 pub fn fingerprint(sample: &Sample) -> u32 {
-    let sample = Sample { stages_ns: Default::default(), ..sample.clone() };
     // A sample always encodes.
-    crc32fast::hash(&postcard::to_stdvec(&sample).unwrap_or_default())
+    crc32fast::hash(&postcard::to_stdvec(sample).unwrap_or_default())
 }
 
 /// Puts ticks and samples, which come on different ways, together into blocks.
@@ -163,6 +161,9 @@ pub fn encode(ticks: &[ComparedTick], period_s: f64) -> Vec<u8> {
     out.integers(&integers(&|slot| slot.now_ns));
     out.integers(&integers(&|slot| slot.ticks));
     out.integers(&integers(&|slot| slot.overruns));
+    for stage in 0..STAGES.len() {
+        out.integers(&integers(&|slot| slot.stages_ns[stage].into()));
+    }
     let record =
         |of: &dyn Fn(&TickRecord) -> u64| -> Vec<u64> { ticks.iter().map(|t| of(&t.record)).collect() };
     out.integers(&record(&|record| record.number));
@@ -252,7 +253,7 @@ impl Columns<'_> {
         self.rows = tick.len();
         ensure!(now_ns.len() == self.rows, DamagedColumns);
         let (ticks, overruns) = (self.integers()?, self.integers()?);
-        Ok((0..self.rows)
+        let mut slots: Vec<Slot> = (0..self.rows)
             .map(|row| Slot {
                 tick: tick[row],
                 now_ns: now_ns[row],
@@ -260,7 +261,13 @@ impl Columns<'_> {
                 overruns: overruns[row],
                 ..Slot::default()
             })
-            .collect())
+            .collect();
+        for stage in 0..STAGES.len() {
+            for (slot, ns) in slots.iter_mut().zip(self.integers()?) {
+                slot.stages_ns[stage] = u32::try_from(ns)?;
+            }
+        }
+        Ok(slots)
     }
 
     /// The states of the ticks that have one, whose wrenches are still unknown.
@@ -377,7 +384,7 @@ fn put<T>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moca_msgs::{Mode, Refusal, STAGES};
+    use moca_msgs::{Mode, Refusal};
 
     fn tick(number: u64) -> ComparedTick {
         let x = f64::from(u32::try_from(number).unwrap()) * 0.37;
@@ -397,8 +404,7 @@ mod tests {
                 ticks: 1 + number % 2,
                 lateness_s: x * 1e-5,
                 overruns: number / 7,
-                // Those of a tick are not in its block.
-                stages_ns: [0; STAGES.len()],
+                stages_ns: [1, 2, u32::MAX, 4, 5],
             },
             state: if number % 11 == 5 { Err(Fault::BaseStale) } else { Ok(state) },
             age: SourceAge { arm_s: x, base_s: 2.0 * x },

@@ -106,34 +106,34 @@ impl Guess {
     }
 }
 
-/// Numbers that are counts of one unit.
+/// Numbers that are counts of one power of two.
 struct Grid {
-    /// Halvings of 1 that make the unit, or [`BILLIONTHS`].
-    unit: u8,
+    /// Halvings of 1 that make the unit.
+    halvings: u8,
     counts: Vec<i64>,
 }
 
-/// A unit that is a count of nanoseconds in seconds.
-const BILLIONTHS: u8 = 64;
-
 /// Mark of a column of counts, with the guess's number.
 const GRID: u8 = 0x80;
-/// Finest unit, as halvings of 1: counts of values below 4096 are below 2⁵².
+/// Finest unit, as halvings of 1, and largest count.
 const HALVINGS_MAX: u8 = 40;
+const COUNT_MAX: f64 = 4_503_599_627_370_496.0;
 
 impl Grid {
     /// The coarsest on which every value lies, to the bit.
     fn of(values: &[f64]) -> Option<Self> {
         let mut halvings = 0;
         for value in values {
-            while halvings <= HALVINGS_MAX && !on_grid(*value, halvings) {
+            while !on_grid(*value, halvings) {
                 halvings += 1;
+                if halvings > HALVINGS_MAX || !value.is_finite() {
+                    return None;
+                }
             }
         }
+        let counts = values.iter().map(|value| count_of(*value, halvings)).collect();
         // A finer unit than the first values asked for: all of them lie on it.
-        let fits = |unit: &u8| values.iter().all(|value| on_grid(*value, *unit));
-        let unit = [halvings, BILLIONTHS].into_iter().find(|unit| is_unit(*unit) && fits(unit))?;
-        Some(Self { unit, counts: values.iter().map(|value| count_of(*value, unit)).collect() })
+        values.iter().all(|value| on_grid(*value, halvings)).then_some(Self { halvings, counts })
     }
 }
 
@@ -143,23 +143,18 @@ const fn unit(halvings: u8) -> f64 {
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "below 2^52 where it counts")]
-fn count_of(value: f64, unit_of: u8) -> i64 {
-    if unit_of == BILLIONTHS { (value * 1e9).round() as i64 } else { (value / unit(unit_of)) as i64 }
+fn count_of(value: f64, halvings: u8) -> i64 {
+    (value / unit(halvings)) as i64
 }
 
 #[expect(clippy::cast_precision_loss, reason = "below 2^52")]
-fn value_of(count: i64, unit_of: u8) -> f64 {
-    // Divided, as whoever made seconds of nanoseconds did.
-    if unit_of == BILLIONTHS { count as f64 / 1e9 } else { count as f64 * unit(unit_of) }
+fn value_of(count: i64, halvings: u8) -> f64 {
+    count as f64 * unit(halvings)
 }
 
-const fn is_unit(unit: u8) -> bool {
-    unit <= HALVINGS_MAX || unit == BILLIONTHS
-}
-
-fn on_grid(value: f64, unit_of: u8) -> bool {
-    // As a count it has to be small, whatever the unit.
-    value.abs() < 4096.0 && value_of(count_of(value, unit_of), unit_of).to_bits() == value.to_bits()
+fn on_grid(value: f64, halvings: u8) -> bool {
+    (value / unit(halvings)).abs() < COUNT_MAX
+        && value_of(count_of(value, halvings), halvings).to_bits() == value.to_bits()
 }
 
 /// What a column changes by: its rate per second, and the time since the row before, s.
@@ -217,7 +212,7 @@ impl ColumnWriter {
             pairs.map(|(count, guessed)| zigzag(count.wrapping_sub(guessed).cast_unsigned())).collect()
         };
         let on_grid = grid.iter().flat_map(|grid| {
-            Guess::PLAIN.iter().map(|guess| (vec![GRID | *guess as u8, grid.unit], counted(grid, *guess)))
+            Guess::PLAIN.iter().map(|guess| (vec![GRID | *guess as u8, grid.halvings], counted(grid, *guess)))
         });
         let best = doubles.chain(on_grid).min_by_key(|(_, d)| bits(d));
         let (form, distances) = best.unwrap_or((vec![Guess::Same as u8], Vec::new()));
@@ -293,12 +288,12 @@ impl<'a> ColumnReader<'a> {
         let guess =
             Guess::ALL.into_iter().find(|known| *known as u8 == form & !GRID).ok_or(DamagedColumns)?;
         if form & GRID != 0 {
-            let unit = *self.take(1)?.first().filter(|unit| is_unit(**unit)).ok_or(DamagedColumns)?;
+            let halvings = *self.take(1)?.first().filter(|h| **h <= HALVINGS_MAX).ok_or(DamagedColumns)?;
             let mut counts: Vec<i64> = Vec::with_capacity(rows);
             for distance in self.distances(rows)? {
                 counts.push(guess.of_counts(&counts).wrapping_add(distance.cast_signed()));
             }
-            return Ok(counts.into_iter().map(|count| value_of(count, unit)).collect());
+            return Ok(counts.into_iter().map(|count| value_of(count, halvings)).collect());
         }
         let mut values = Vec::with_capacity(rows);
         for distance in self.distances(rows)? {
@@ -415,17 +410,11 @@ mod tests {
         assert!(planes[4..4 + 7 * 250].iter().all(|byte| *byte == 0), "only the lowest plane is in use");
         writer.numbers(&smooth, None);
         writer.numbers(&[1.0, -0.0], None);
-        // So many nanoseconds late, in seconds.
-        let late: Vec<f64> = (0..250_i32).map(|i| f64::from((i * 7919) % 120) / 1e9).collect();
-        let before = writer.bytes.len();
-        writer.numbers(&late, None);
-        assert!(writer.bytes[before + 4..before + 4 + 7 * 250].iter().all(|byte| *byte == 0));
         let bytes = writer.finish();
         let mut reader = ColumnReader::new(&bytes);
         assert_eq!(reader.numbers(None).unwrap(), noisy);
         assert_eq!(reader.numbers(None).unwrap(), smooth);
         assert!(reader.numbers(None).unwrap()[1].is_sign_negative());
-        assert_eq!(reader.numbers(None).unwrap(), late);
     }
 
     #[test]
