@@ -8,6 +8,7 @@ use std::process::Command;
 const TABLE: &[(&str, &[&str], &[&str])] = &[
     ("moca-msgs", &[], &["nalgebra", "serde", "schemars"]),
     ("moca-figures", &[], &["moca-msgs", "egui", "serde", "resvg"]),
+    ("moca-franka", &["moca-msgs"], &["nalgebra", "egui", "mujoco-rs", "franka-rs"]),
     ("moca-qp", &[], &["moca-msgs", "nalgebra", "serde", "clarabel", "num-traits"]),
     ("moca-telemetry", &["moca-msgs"], &["nalgebra", "egui", "mujoco-rs", "serialport"]),
     ("moca-tactile", &["moca-msgs"], &["nalgebra", "egui", "tokio", "mujoco-rs"]),
@@ -20,8 +21,17 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
     ("moca-sim", &["moca-msgs", "moca-tactile"], &["egui", "tokio", "nalgebra"]),
     (
         "moca-daemon",
-        &["moca-figures", "moca-msgs", "moca-telemetry", "moca-tactile", "moca-wbc", "moca-sim"],
-        &["egui", "eframe", "resvg", "tungstenite", "moca-monitor", "moca-lab"],
+        &[
+            "moca-figures",
+            "moca-msgs",
+            "moca-telemetry",
+            "moca-tactile",
+            "moca-wbc",
+            "moca-sim",
+            "moca-ros2",
+            "moca-franka",
+        ],
+        &["egui", "eframe", "resvg", "rustdds", "tungstenite", "moca-monitor", "moca-lab"],
     ),
     ("moca-monitor", &["moca-msgs", "moca-telemetry"], &["nalgebra", "mujoco-rs", "serialport"]),
     ("moca-viewer", &["moca-telemetry"], &["nalgebra", "mujoco-rs", "serialport", "egui"]),

@@ -6,10 +6,11 @@
     reason = "a test that cannot go on has to stop"
 )]
 
+use moca_telemetry::net::{Address, Connection};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
-use std::io::Read;
+use std::io::{BufRead, BufReader, Read};
 use std::net::TcpListener;
 use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};
@@ -64,6 +65,19 @@ impl Daemon {
                 return status;
             }
             assert!(Instant::now() < until, "never {mode}: {status}");
+        }
+    }
+
+    /// Where the flange is, m in W.
+    fn flange(&self) -> [f64; 3] {
+        let connection = Connection::spawn(self.address.parse::<Address>().unwrap(), || {}).unwrap();
+        let until = Instant::now() + HANGS_AFTER;
+        loop {
+            if let Some(sample) = connection.poll().samples.last() {
+                return sample.flange_position_world;
+            }
+            assert!(Instant::now() < until, "no sample");
+            std::thread::sleep(Duration::from_millis(5));
         }
     }
 
@@ -192,6 +206,87 @@ fn a_cover_is_tared_and_its_status_names_every_taxel_over_a_socket_file() {
         return;
     }
     panic!("ten daemons were starved before they were tared");
+}
+
+#[test]
+fn a_flange_is_led_and_a_program_that_dies_on_the_way_stops_the_robot() {
+    let daemon = Daemon::start("operate-target.toml", "arm", None);
+    daemon.wait_for("ready");
+    let start = daemon.flange();
+    let [x, y, z] = start.map(|v| v.to_string());
+    daemon.refused(&["target", "pose", &x, &y, &z], "not possible in mode ready");
+    let higher = (start[2] + 0.03).to_string();
+    let led = daemon.mocad(&["target", "pose", &x, &y, &higher, "--arm", "--json"]);
+    assert_eq!(led.status.code(), Some(0), "{}", String::from_utf8_lossy(&led.stderr));
+    let led: Value = serde_json::from_slice(&led.stdout).unwrap();
+    assert_eq!(
+        (&led["target"]["kind"], &led["target"]["phase"]),
+        (&"pose".into(), &"reached".into()),
+        "{led}"
+    );
+    let raised = daemon.wait_for("ready");
+    assert_eq!((&raised["target"], &raised["commander"]), (&Value::Null, &"nobody".into()));
+    assert!((daemon.flange()[2] - start[2] - 0.03).abs() < 5e-3);
+
+    for (target, said) in [
+        (&["twist", "0.5", "0", "0", "0", "0", "0"][..], "linear speed 0 = 0.500000 m/s"),
+        (&["twist", "nan", "0", "0", "0", "0", "0"], "linear speed 0 is not a finite number"),
+        (&["pose", "5", "0", "1"], "distance from the arm's shoulder"),
+        (&["pose", "0", "0", "0.1"], "depth inside the base"),
+        (&["posture", "0", "0", "0"], "number of joints"),
+        (&["base", "0.1", "0", "0"], "the robot has no such part"),
+    ] {
+        let arguments: Vec<&str> = ["target"].iter().chain(target).copied().chain(["--arm"]).collect();
+        daemon.refused(&arguments, said);
+        daemon.wait_for("ready");
+    }
+
+    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
+    let file = folder.join("operate-target.csv");
+    let pose = |time_s: f64, dy: f64| format!("{time_s},{x},{},{higher},1,0,0,0\n", start[1] + dy);
+    std::fs::write(&file, format!("# t,x,y,z,q\n{}{}", pose(0.0, 0.0), pose(0.5, 0.02))).unwrap();
+    daemon.done(&["target", "trajectory", file.to_str().unwrap(), "--arm"]);
+    std::fs::write(&file, "0,1,2\n").unwrap();
+    let wrong = daemon.mocad(&["target", "trajectory", file.to_str().unwrap()]);
+    let text = String::from_utf8(wrong.stderr).unwrap();
+    assert!(wrong.status.code() == Some(1) && text.contains("operate-target.csv:1: allowed: time"), "{text}");
+
+    // between two targets, without a word
+    daemon.wait_for("ready");
+    let mut command =
+        mocad(&["target", "twist", "0", "0.01", "0", "0", "0", "0", "--duration", "60", "--arm"]);
+    let mut killed = command.args(["--address", &daemon.address]).spawn().unwrap();
+    let until = Instant::now() + HANGS_AFTER;
+    while daemon.wait_for("impedance")["target"]["phase"] != "moving" {
+        assert!(Instant::now() < until, "it is never led");
+    }
+    daemon.refused(&["target", "twist", "0", "0.01", "0", "0", "0", "0"], "another client has the command");
+    killed.kill().unwrap();
+    killed.wait().unwrap();
+    assert_eq!(daemon.wait_for("protective stop")["fault"]["code"], "operator-lost");
+}
+
+#[test]
+fn watch_tells_every_change_until_it_is_ended() {
+    let daemon = Daemon::start("operate-watch.toml", "arm", None);
+    daemon.wait_for("ready");
+    let mut command = mocad(&["watch", "--json", "--address", &daemon.address]);
+    let mut watching = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let lines = BufReader::new(watching.stdout.take().unwrap()).lines();
+    let mut modes = lines.map(|line| {
+        let status: Value = serde_json::from_str(&line.unwrap()).unwrap();
+        status["mode"].as_str().unwrap().to_owned()
+    });
+    let mut wait_for = |wanted: &str| assert!(modes.any(|mode| mode == wanted), "{wanted}");
+    wait_for("ready");
+    daemon.done(&["stop"]);
+    wait_for("protective stop");
+    daemon.done(&["resume"]);
+    wait_for("ready");
+    // who only watches holds nothing
+    assert_eq!(daemon.status()["commander"], "nobody");
+    signal(&watching, Signal::SIGINT);
+    watching.wait().unwrap();
 }
 
 #[test]

@@ -9,12 +9,21 @@ use moca_daemon::control::stage::Untimed;
 use moca_daemon::control::supervisor::Zero;
 use moca_daemon::control::tick::{ControlLoop, Ticked};
 use moca_daemon::control::tick_input::Slot;
-use moca_daemon::robot::{JOINTS, PlantKind, TAXELS};
+use moca_daemon::robot::{JOINTS, Parts, PlantKind, TAXELS};
 use moca_daemon::runtime::assemble::{motion, supervisor};
+use moca_daemon::runtime::live::Shared;
+use moca_daemon::runtime::notice::Silent;
+use moca_daemon::runtime::options::Options;
+use moca_daemon::runtime::replay;
+use moca_daemon::runtime::run::with_plant;
+use moca_daemon::runtime::tick_source::Timer;
 use moca_msgs::{
     Actuation, ArmLink, ArmMode, Fault, Law, Mode, Outcome, Refusal, Request, RobotCommand, RobotState,
     Sample,
 };
+use moca_telemetry::log::{LogReader, Record};
+use std::sync::Arc;
+use std::time::Duration;
 
 /// Stands as it is told to; remembers the last order.
 struct Scripted {
@@ -265,4 +274,34 @@ fn what_is_known_of_the_way_to_the_arm_is_in_every_sample() {
     world.control.plant.age = SourceAge { arm_s: 0.004, base_s: 0.05 };
     let link = world.run(1).link.unwrap();
     assert_eq!((link.arm, link.arm_age_s, link.base_age_s), (arm, 0.004, 0.05));
+}
+
+#[test]
+fn a_robot_of_ones_own_is_recorded_and_replayed_with_its_link() {
+    let mut config = Config::default();
+    (config.plant.kind, config.plant.parts) = (PlantKind::Robot, Parts::Arm);
+    config.telemetry.listen = String::new();
+    config.flight_recorder.folder = String::new();
+    (config.realtime.priority, config.realtime.lock_memory, config.realtime.dma_latency) = (0, false, false);
+    let log = std::env::temp_dir().join(format!("moca-own-robot-{}.mcap", std::process::id()));
+    let _ = std::fs::remove_file(&log);
+    let duration = Some(Duration::from_millis(700));
+    let options = Options { config, duration, record: Some(log.clone()), ..Options::default() };
+    let arm = ArmLink { mode: ArmMode::Torque, success_rate: 0.5, lost: 7, ..ArmLink::default() };
+    let connect = || {
+        let (age, order) = (SourceAge::default(), Actuation::Brake);
+        Ok(Scripted { state: Ok(at_home()), age, link: arm, order, recoveries: 0 })
+    };
+    let run = with_plant(&options, connect, Timer::new, &Arc::new(Shared::default()), &mut Silent).unwrap();
+    let mut links = 0;
+    for record in &mut LogReader::open(&log).unwrap() {
+        if let Record::Sample(sample) = record {
+            assert_eq!(sample.link.unwrap().arm, arm);
+            links += 1;
+        }
+    }
+    assert!(links > 0);
+    let report = replay::run(std::slice::from_ref(&log)).unwrap();
+    assert_eq!(report.compared + report.without_sample, run.report.ticks);
+    std::fs::remove_file(&log).unwrap();
 }

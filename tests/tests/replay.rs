@@ -16,7 +16,7 @@ use moca_daemon::record::tick_log::{PortEvent, TickLog, TickLogReader, TickRecor
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_daemon::runtime::replay::{self, Failure};
 use moca_msgs::params::CONTROLLER;
-use moca_msgs::{Law, Mode, ParameterValues, Request, Sample};
+use moca_msgs::{Law, Mode, ParameterValues, Request, Sample, Target, TimedTarget, TouchPolicy, Waypoint};
 use moca_sim::VirtualBoardConfig;
 use moca_tactile::Firmware;
 use moca_tactile::calibration::Quality;
@@ -104,6 +104,38 @@ fn write(name: &str, config: &Config, records: &[TickRecord], samples: &[Sample]
 
 fn failure(path: &std::path::Path) -> Failure {
     replay::run(&[path.to_owned()]).unwrap_err().downcast::<Failure>().unwrap()
+}
+
+#[test]
+fn a_run_that_is_led_from_outside_comes_out_the_same() {
+    let mut run = Run::start(&config());
+    assert_eq!(run.run(1500), Mode::Impedance);
+    let start = run.samples.last().unwrap().clone();
+    let at = |by: f64| {
+        let [x, y, z] = start.flange_desired_position_world;
+        ([x + by, y - by, z], start.flange_desired_quaternion_world)
+    };
+    for i in 0..40 {
+        let (position_world, quaternion_world) = at(0.002 * f64::from(i));
+        run.ask(Request::Target(TimedTarget::new(Target::Pose { position_world, quaternion_world })));
+        run.run(30);
+    }
+    for (index, time_s) in [(0, 0.0), (1, 1.0)] {
+        let (position_world, quaternion_world) = at(0.05 * time_s);
+        let waypoint = Waypoint { time_s, position_world, quaternion_world };
+        run.ask(Request::Waypoint { index, count: 2, waypoint, touch: TouchPolicy::TouchWins });
+    }
+    run.run(500);
+    run.ask(Request::SelectLaw(Law::FollowMe));
+    run.run(100);
+    let velocity_body = [0.05, 0.0, 0.1];
+    run.ask(Request::Target(TimedTarget::new(Target::BaseVelocity { velocity_body })));
+    run.run(400);
+    let led = run.samples.iter().filter(|sample| sample.target.is_some()).count();
+    assert!(led > 1500, "{led}");
+    let path = write("led.mcap", &config(), &run.records, &run.samples);
+    let report = replay::run(&[path]).unwrap();
+    assert_eq!(report.compared, run.samples.len() as u64);
 }
 
 #[test]

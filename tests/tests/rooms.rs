@@ -185,7 +185,6 @@ const NO_ROBOT: &[(&str, &str)] = &[
     ("daemon/src/control/law.rs", "<7>"),        // which controllers there are
     ("daemon/src/control/loop_state.rs", "<7>"), // the same
     ("daemon/src/config/stability.rs", "<7>"),   // the same
-    ("telemetry/src/log/writer.rs", "; 11]"),    // lists of a sample
     ("monitor/src/ui/theme.rs", "; 11]"),        // colours
     ("figures/src/drawing.rs", "; 7]"),          // colours
 ];

@@ -92,7 +92,7 @@ struct RunArguments {
     /// How much the terminal or the journal shows of a run.
     #[arg(long, value_enum, default_value_t)]
     log_level: moca_daemon::cli::report::Level,
-    /// End at once if the operating system refuses a wish of `[realtime]`.
+    /// End at once if the operating system refuses a setting of `[realtime]`.
     #[arg(long)]
     require_realtime: bool,
 }
@@ -160,7 +160,7 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
         ExitCode::from(3)
     } else if error.is::<moca_daemon::cli::remote::Refused>() {
         ExitCode::from(4)
-    } else if error.is::<moca_daemon::cli::operate::Stopped>() {
+    } else if error.is::<moca_daemon::cli::operator::Stopped>() {
         ExitCode::from(5)
     } else {
         ExitCode::FAILURE

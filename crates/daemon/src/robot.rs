@@ -289,6 +289,30 @@ pub enum PlantKind {
 
 choice!(PlantKind { Simulated: "simulated", Robot: "robot", None: "none" });
 
+/// What drives a real arm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ArmDriver {
+    /// FCI: a Franka Research 3 or a Panda.
+    Fci,
+    /// That of the program that runs the loop.
+    Own,
+}
+
+choice!(ArmDriver { Fci: "fci", Own: "own" });
+
+/// What drives a real base.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BaseDriver {
+    /// ROS 2: velocity orders and odometry.
+    Ros2,
+    /// None: the base is simulated under a real arm.
+    Simulated,
+    /// That of the program that runs the loop.
+    Own,
+}
+
+choice!(BaseDriver { Ros2: "ros2", Simulated: "simulated", Own: "own" });
+
 /// Which parts the robot has. What it lacks is neither simulated, started nor shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Parts {

@@ -149,6 +149,53 @@ mod tests {
         is_what_is_printed("boards");
     }
 
+    /// What a document says in words that a table of another place has: file, words, table, beginning of the row.
+    const QUOTED: [(&str, &str, &str, &str); 14] = [
+        ("README.md", "an ideal 100 Hz cover | 24.2 N |", "paper", "C peak force, 100 Hz sensor"),
+        ("README.md", "| 179.8 N |", "paper", "C without the cover"),
+        ("README.md", "the speed limit that goes with it | 6.5 N |", "paper", "C with the contact barrier"),
+        ("README.md", "met at up to 0.064 m/s", "barrier", "stock, 50 N/mm"),
+        ("README.md", "contact barrier on | 18 N | 181 N |", "barrier", "stock, 50 N/mm"),
+        ("docs/safety.md", "feels 18 N instead of 181 N", "barrier", "stock, 50 N/mm"),
+        ("docs/safety.md", "21 N instead of 189 N", "barrier", "100 Hz, 50 N/mm"),
+        (
+            "docs/what-no-hardware-has-confirmed.md",
+            "| 247 refreshes a second",
+            "boards",
+            "moca firmware, as read",
+        ),
+        ("docs/what-no-hardware-has-confirmed.md", "at most 9.7 ms old", "boards", "moca |"),
+        ("firmware/moca_touch/README.md", "(about 247 a second)", "boards", "moca firmware, as read"),
+        ("crates/tactile/README.md", "40.5 frames/s, data up to 56.0 ms old", "boards", "stock-2018"),
+        ("crates/tactile/README.md", "67.6 and 38.0 ms", "boards", "stock-2015"),
+        ("crates/tactile/README.md", "246.8 and 9.5 ms", "boards", "moca firmware, as read"),
+        ("CHANGELOG.md", "247 refreshes a second", "boards", "moca firmware, as read"),
+    ];
+
+    #[test]
+    fn what_is_quoted_of_a_table_stands_in_it() {
+        let numbers = |text: &str| -> Vec<String> {
+            let parts = text.split(|c: char| !(c.is_ascii_digit() || c == '.'));
+            let numbers = parts.filter(|part| part.parse::<f64>().is_ok());
+            numbers.map(|number| number.trim_end_matches('.').to_owned()).collect()
+        };
+        for (file, words, table, row) in QUOTED {
+            let text = read(&Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join(file)).unwrap();
+            let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+            assert!(text.contains(words), "{file} no longer says: {words}");
+            let Some(shown) = shown(table) else { continue };
+            let line = shown.lines().find(|line| line.starts_with(&format!("| {row}"))).unwrap();
+            let there = |number: &String| {
+                let digits = number.split_once('.').map_or(0, |(_, digits)| digits.len());
+                let rounded = |other: &String| format!("{:.digits$}", other.parse::<f64>().unwrap());
+                numbers(line).iter().any(|other| rounded(other) == *number)
+            };
+            // The sensor of a scene is its name, not a figure.
+            let quoted = numbers(words.trim_start_matches("an ideal 100 Hz cover"));
+            assert!(!quoted.is_empty() && quoted.iter().all(there), "{file}: {words}\n{table}: {line}");
+        }
+    }
+
     #[test]
     fn a_table_without_a_place_is_refused() {
         assert!(split("text", "paper").is_err());

@@ -7,7 +7,8 @@
 //! 4. [`params`]: the controllers' parameters and their defaults; [`table`]: what a parameter's row is.
 //! 5. [`mode`]: modes, faults, how each is cleared.
 //! 6. [`protection`]: speed limit and contact events.
-//! 7. [`request`] and [`sample`]: what a client may ask and what it is shown.
+//! 7. [`target`]: where another program wants flange, arm or base.
+//! 8. [`request`] and [`sample`]: what a client may ask and what it is shown.
 //!
 //! # Conventions
 //! SI units and radians. Frames: **W** world; **B** mobile base (x forward, y left, z up, origin on the floor at
@@ -34,6 +35,7 @@ pub mod robot;
 pub mod sample;
 pub mod state;
 pub mod table;
+pub mod target;
 pub mod taxel;
 
 pub use link::{ArmLink, ArmMode, Link};
@@ -44,6 +46,7 @@ pub use request::{Outcome, Refusal, Request};
 pub use robot::{ArmTable, BaseTable, Mount, Payload, TaxelPlacement};
 pub use sample::{MAX_JOINTS, MAX_TAXELS, STAGES, Sample};
 pub use state::{Actuation, RobotCommand, RobotState};
+pub use target::{Target, TargetRefusal, TargetState, TimedTarget, TouchPolicy, TwistAxes, Waypoint};
 pub use taxel::{CoverReading, TaxelReading, TaxelStatus};
 
 /// A time of the loop, ns, as seconds.

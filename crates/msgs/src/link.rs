@@ -5,7 +5,10 @@
 //!
 //! let arm = ArmLink { mode: ArmMode::Torque, success_rate: 0.98, ..ArmLink::default() };
 //! assert!(arm.mode.follows() && arm.errors == 0);
+//! assert_eq!(ArmMode::Reflex.hindrance(), Some(moca_msgs::Fault::ArmReflex));
 //! ```
+
+use crate::Fault;
 
 /// What an arm with a controller of its own does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -46,6 +49,17 @@ impl ArmMode {
     /// Whether it follows our torques.
     pub const fn follows(self) -> bool {
         matches!(self, Self::Torque)
+    }
+
+    /// What keeps it from being driven, if anything does.
+    pub const fn hindrance(self) -> Option<Fault> {
+        match self {
+            Self::Idle | Self::Torque => None,
+            Self::Connecting | Self::Lost => Some(Fault::ArmStale),
+            Self::Reflex | Self::Recovering => Some(Fault::ArmReflex),
+            Self::UserStopped => Some(Fault::ArmUserStopped),
+            Self::Refused => Some(Fault::ArmRefused),
+        }
     }
 
     /// Name as shown to users.

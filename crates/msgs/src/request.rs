@@ -15,7 +15,7 @@
 //! ```
 
 use crate::params::ParameterValues;
-use crate::{Law, Mode};
+use crate::{Law, Mode, TargetRefusal, TimedTarget, TouchPolicy, Waypoint};
 use core::fmt;
 
 /// Largest force of a [`Request::PressTaxel`], N.
@@ -63,6 +63,22 @@ pub enum Request {
         /// All of its elements; a flag is 1 or 0.
         values: ParameterValues,
     },
+    /// Lead flange, arm or base to a target. It is one of many: 10 to 100 a second.
+    Target(TimedTarget),
+    /// One pose of a trajectory, in its turn; the last one starts it. The daemon's own telemetry makes them of one
+    /// request.
+    Waypoint {
+        /// Which, from 0.
+        index: u8,
+        /// Of how many.
+        count: u8,
+        /// When and where.
+        waypoint: Waypoint,
+        /// What a touch does to the trajectory.
+        touch: TouchPolicy,
+    },
+    /// End target or trajectory: the reference holds.
+    EndTarget,
 }
 
 impl Request {
@@ -76,7 +92,9 @@ impl Request {
             }
             Self::Tare => &[Starting, Ready, ProtectiveStop],
             Self::Arm => &[Ready],
-            Self::Disarm => &[Impedance, FollowMe],
+            Self::Disarm | Self::Target(_) | Self::Waypoint { .. } | Self::EndTarget => {
+                &[Impedance, FollowMe]
+            }
             Self::Resume => &[ProtectiveStop],
             Self::MaskTaxel { .. } => &[Starting, Taring, Ready, ProtectiveStop, Fault],
             Self::PressTaxel { .. } | Self::SetParameter { .. } => {
@@ -136,6 +154,14 @@ pub enum Refusal {
         /// How far, rad.
         off_rad: f64,
     },
+    /// A target that is not taken.
+    Target(TargetRefusal),
+}
+
+impl From<TargetRefusal> for Refusal {
+    fn from(refusal: TargetRefusal) -> Self {
+        Self::Target(refusal)
+    }
 }
 
 /// Why not, and what to do.
@@ -148,6 +174,7 @@ impl fmt::Display for Refusal {
                 let number = u16::from(taxel) + 1;
                 return write!(f, "T{number} feels {force_n:.1} N: let go of the cover first");
             }
+            Self::Target(refusal) => return refusal.fmt(f),
             Self::FarFromPosture { joint, off_rad } => {
                 let number = u16::from(joint) + 1;
                 return write!(

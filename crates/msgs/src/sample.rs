@@ -10,7 +10,9 @@
 
 use crate::board::Diagnosis;
 use crate::protection::{MAX_CONTACT_EVENTS, MAX_CONTACT_ROWS};
-use crate::{ContactEvent, ContactReaction, ContactRow, Fault, Law, Link, Mode, SpeedLimit, TaxelReading};
+use crate::{
+    ContactEvent, ContactReaction, ContactRow, Fault, Law, Link, Mode, SpeedLimit, TargetState, TaxelReading,
+};
 use heapless::Vec;
 
 /// Most arm joints a sample can carry.
@@ -63,6 +65,8 @@ pub struct Sample {
     pub flange_desired_quaternion_world: [f64; 4],
     /// External wrench on the robot about the flange origin, world axes \[N; N·m\]; zero where none is known.
     pub flange_wrench_world: [f64; 6],
+    /// The last target from another program since the law was entered; not in logs, a replay finds it again.
+    pub target: Option<TargetState>,
     /// Cover wrench, eq. (4): \[N, N, N·m\] in B about its origin.
     pub cover_wrench_base: [f64; 3],
     /// Cover, T1 first.

@@ -1,7 +1,7 @@
 //! MuJoCo's model of a scene, written from the robot tables. What the scene does not ask for is not in the text.
 //!
-//! Unless a scene asks for everything, there are no geoms: inertias come from the tables, and forces between people and cover are computed from the
-//! geometric gap (see `contact`), not by MuJoCo's collision detection.
+//! Unless a scene asks for everything, there are no geoms: inertias come from the tables, and forces between people and
+//! cover are computed from the geometric gap (see `contact`), not by MuJoCo's collision detection.
 
 use crate::scene::{Integrator, Mobility, Robot, Scene, Shape};
 use moca_msgs::robot::LinkInertial;

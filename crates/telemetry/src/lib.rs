@@ -2,7 +2,7 @@
 //!
 //! - [`description`]: what a client must know once to draw the robot and read its samples.
 //! - [`parameter`]: the schema of parameters with present values.
-//! - `net` (feature `net`): TCP server and client: batches of samples out, requests in.
+//! - `net` (feature `net`): server and client over TCP or a Unix socket: batches of samples out, requests in.
 //! - `log` (feature `log`): MCAP writer and reader: every sample, every byte of the Touch Board.
 //! - `display` (feature `log`): what people are shown, in a log and live: messages that every viewer knows.
 //!

@@ -4,7 +4,7 @@ use crate::hub::Hub;
 use moca_telemetry::{
     RobotDescription,
     display::{
-        Display, Sink,
+        Display, Periods, Sink,
         cdr::{self, Cdr, Message},
     },
     log::{LogError, records::Channel},
@@ -23,8 +23,13 @@ const RETRY: Duration = Duration::from_millis(250);
 const SILENCE: Duration = Duration::from_secs(2);
 /// What changes seldom is said again after this, ns of loop time.
 const REPEAT_NS: u64 = 1_000_000_000;
-/// A wall clock that is set by more than this begins a new session, ns.
-const CLOCK_STEP_NS: u64 = 50_000_000;
+/// The time between loop and wall is looked at once in so many batches: one that comes late says nothing.
+const BATCHES_PER_LOOK: u32 = 100;
+/// Beyond this the two have drifted apart, ns: ticks were lost, or the clock was set.
+const DRIFT_NS: u64 = 50_000_000;
+
+/// What moves is shown at most so often, ns.
+const POSES_NS: u64 = 10_000_000;
 
 /// Why a session ended.
 #[derive(Debug)]
@@ -35,8 +40,6 @@ enum End {
     Silent,
     /// A message could not be made.
     Message(LogError),
-    /// The wall clock was set: what is shown would have two times.
-    ClockSet,
 }
 
 impl From<NetError> for End {
@@ -59,7 +62,6 @@ pub(crate) async fn feed(daemon: &Address, period_ns: u64, hub: &Hub) {
             End::Net(error) => format!("{daemon}: {error}"),
             End::Silent => format!("{daemon} sends no samples"),
             End::Message(error) => error.to_string(),
-            End::ClockSet => "the clock of this machine was set".into(),
         };
         hub.end(&why);
         tokio::time::sleep(RETRY).await;
@@ -75,9 +77,6 @@ async fn session(daemon: &Address, period_ns: u64, hub: &Hub) -> Result<std::con
     hub.announce();
     let mut batch = first;
     loop {
-        if start_unix_ns(&batch).abs_diff(shown.to.start_unix_ns) > CLOCK_STEP_NS {
-            return Err(End::ClockSet);
-        }
         shown.batch(&batch)?;
         batch = next_batch(&mut incoming, hub).await?;
     }
@@ -113,6 +112,8 @@ struct Shown<'a> {
     display: Display,
     to: ToHub<'a>,
     next_repeat_ns: u64,
+    /// Earliest Unix time of loop time 0 that batches since the last look had, ns, and how many there were.
+    earliest: (u64, u32),
 }
 
 impl<'a> Shown<'a> {
@@ -122,14 +123,29 @@ impl<'a> Shown<'a> {
         period_ns: u64,
         hub: &'a Hub,
     ) -> Result<Self, LogError> {
-        let display = Display::new(robot, start_unix_ns, period_ns);
+        let periods = Periods { numbers_ns: period_ns, poses_ns: POSES_NS.max(period_ns) };
+        let display = Display::new(robot, start_unix_ns, periods);
         let mut to = ToHub { hub, start_unix_ns, cdr: Cdr::default(), keeps: true };
         display.begin(&mut to)?;
         to.keeps = false;
-        Ok(Self { display, to, next_repeat_ns: 0 })
+        Ok(Self { display, to, next_repeat_ns: 0, earliest: (u64::MAX, 0) })
+    }
+
+    /// Follows the wall clock; of a batch that came late the time between loop and wall is too long, of none too short.
+    fn follow_clock(&mut self, batch: &Batch) {
+        let (earliest_ns, batches) = self.earliest;
+        self.earliest = (earliest_ns.min(start_unix_ns(batch)), batches + 1);
+        if self.earliest.1 == BATCHES_PER_LOOK {
+            let (earliest_ns, _) = std::mem::replace(&mut self.earliest, (u64::MAX, 0));
+            if earliest_ns.abs_diff(self.to.start_unix_ns) > DRIFT_NS {
+                self.to.start_unix_ns = earliest_ns;
+                self.display.started_at(earliest_ns);
+            }
+        }
     }
 
     fn batch(&mut self, batch: &Batch) -> Result<(), LogError> {
+        self.follow_clock(batch);
         for sample in &batch.samples {
             let again = sample.time_ns >= self.next_repeat_ns;
             if again {

@@ -13,7 +13,7 @@ use tokio::sync::Notify;
 
 /// Data that is older than this when it could be sent is not: a viewer that did not read for a while goes on with the
 /// present.
-const MAX_AGE: Duration = Duration::from_millis(250);
+const MAX_AGE: Duration = Duration::from_millis(500);
 /// Most bytes of data that wait for one viewer.
 const MAX_WAITING_BYTES: usize = 1 << 20;
 /// Most texts that wait for one viewer; who asks for more without reading is hung up on.

@@ -11,7 +11,9 @@
 //!    [`cover_map`], [`limits`], [`guard`], [`momentum_observer`].
 //! 3. **The model** alone: [`ArmModel`] from a table of [`robot`]; [`model::Kinematics`] gives poses, Jacobians, mass
 //!    matrix and bias in world axes; [`coupled`] adds the physical base.
-//! 4. **Analysis**: [`contact_stability`] answers whether a cover is stable against a body and how fast its base may go,
+//! 4. **References from outside**: [`online_trajectory`] and [`reference_generator`] make of targets, however they come,
+//!    a motion with bounded velocity, acceleration and jerk; [`ControllerState::lead`] lets a law follow it.
+//! 5. **Analysis**: [`contact_stability`] answers whether a cover is stable against a body and how fast its base may go,
 //!    [`loop_stability`] whether gains are stable with a period and a robot in a posture.
 //!
 //! Numbers of joints and taxels are const generics, the scalar is `f32` or `f64`. What a user needs of `moca-msgs` and
@@ -35,8 +37,8 @@
 //! # What the literal law leaves out
 //! Each of [`moca_msgs::Corrections`] is off by default in the paper's experiments. Largest flange error in 3 s pushes
 //! of 20 N at T1 and at T6 (closed loop of `tests/closed_loop.rs`): literal 4.7 and 10.4 mm; `null_space_damping` 1.1
-//! and 1.8 mm; with `base_coupling` as well 0.30 and 0.38 mm. `flange_wrench_feedforward`: 15 N sideways at the flange moves it 8.8 mm
-//! and the base against the push; fed, 18.8 mm (its stiffness) and the base follows.
+//! and 1.8 mm; with `base_coupling` as well 0.30 and 0.38 mm. `flange_wrench_feedforward`: 15 N sideways at the flange
+//! move it 8.8 mm and the base against the push; with it the flange moves 18.8 mm (its stiffness) and the base follows.
 //!
 //! # Signs and points
 //! Every wrench is the one **on the robot**. A flange wrench is about the flange's origin in world axes; it is moved to
@@ -45,7 +47,7 @@
 //!
 //! # What the base is refused
 //! Guard, speed and acceleration limits take from the base's motion what eq. (6) has already counted on; left to the arm
-//! it would throw it (100 N on T6 60 mm, 60 N at reactivity 10 958 mm). [`opspace::ArmDynamics::torque_for_refused`]
+//! it would throw it. [`opspace::ArmDynamics::torque_for_refused`]
 //! gives the tool what the base does not do: `moca-lab lean` prints what is left of every lean and blow. A joint beyond
 //! the arm's own speed limit, a flange beyond [`Limits`]' speed or pose error ends the law: [`Exceeded`], and the posture
 //! is held.
@@ -96,8 +98,10 @@ pub mod linalg;
 pub mod loop_stability;
 pub mod model;
 pub mod momentum_observer;
+pub mod online_trajectory;
 pub mod opspace;
 pub mod reference;
+pub mod reference_generator;
 pub mod rotation;
 mod scalar;
 mod spatial;
@@ -111,7 +115,7 @@ struct Readme;
 
 pub use controller::{
     ArmController, ArmInput, ArmOutput, ArmState, BaseController, BaseInput, BaseOutput, BaseState,
-    ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose, WholeBodyController,
+    ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose, Target, WholeBodyController,
 };
 pub use cover_map::cover_wrench;
 pub use error::ControlError;
@@ -120,7 +124,7 @@ pub use guard::BaseGuard;
 pub use limits::{Exceeded, LimitsHit};
 pub use moca_msgs::{
     ArmTable, BaseTable, Corrections, ImpedanceGains, Law, Limits, Mount, ParameterError, Parameters,
-    Payload, RobotCommand, RobotState, TaxelPlacement, robot,
+    Payload, RobotCommand, RobotState, TaxelPlacement, TwistAxes, robot,
 };
 pub use model::ArmModel;
 pub use nalgebra;

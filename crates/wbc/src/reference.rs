@@ -9,6 +9,7 @@
 //! ```
 
 use crate::error::{ControlError, finite};
+use crate::reference_generator::unit;
 use crate::rotation;
 use crate::scalar::{Scalar, all, of};
 use nalgebra::{Matrix3, Vector3};
@@ -63,7 +64,7 @@ impl<T: Scalar> HeldBack<T> {
     }
 
     /// `velocity` no faster in that direction than the base: who is led waits for whoever is in the way.
-    fn slowed(&self, mut velocity: Vector3<T>) -> Vector3<T> {
+    pub(crate) fn slowed(&self, mut velocity: Vector3<T>) -> Vector3<T> {
         let [x, y] = self.direction;
         let ahead = (x * velocity.x + y * velocity.y - self.speed).max(T::zero());
         velocity.x -= ahead * x;
@@ -97,12 +98,7 @@ impl<T: Scalar> Reference<T> {
 
     pub(crate) fn set_pose(&mut self, position: [T; 3], quaternion: [T; 4]) -> Result<(), ControlError> {
         finite("target position", &position)?;
-        finite("target quaternion", &quaternion)?;
-        let norm = crate::linalg::dot(&quaternion, &quaternion).sqrt();
-        if !(of::<T>(0.999)..=of(1.001)).contains(&norm) {
-            return Err(ControlError::NotUnit { norm: nalgebra::try_convert(norm).unwrap_or(f64::NAN) });
-        }
-        let rotation = rotation::from_quaternion(quaternion);
+        let rotation = unit(quaternion)?;
         self.target = Pose { position: Vector3::from(position), rotation };
         (self.twist, self.given) = ([T::zero(); 6], [T::zero(); 6]);
         Ok(())
@@ -123,6 +119,11 @@ impl<T: Scalar> Reference<T> {
         let shift = Vector3::new(x, y, T::zero());
         self.target.position += shift;
         self.now.position += shift;
+    }
+
+    /// Is where a generator has it, with its twist.
+    pub(crate) fn follow(&mut self, pose: Pose<T>, twist: [T; 6]) {
+        *self = Self { target: pose, twist: [T::zero(); 6], given: twist, now: pose };
     }
 
     /// Twist the law is given, m/s and rad/s.

@@ -16,7 +16,7 @@ use std::time::Duration;
 /// What to measure.
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// Configuration whose rate and `[realtime]` wishes are tried.
+    /// Configuration whose rate and `[realtime]` settings are tried.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// How long each loop runs, s.

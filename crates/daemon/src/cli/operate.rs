@@ -1,14 +1,15 @@
-//! `mocad tare | arm | disarm | stop | resume | law | status | watch`: a running robot without a screen.
+//! `mocad tare | arm | disarm | stop | resume | law | status | watch | target`: a running robot without a screen.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
-use crate::cli::remote::{DaemonArguments, LOOK_EVERY, Refused, ask, connect, news, settled};
+use crate::cli::operator::{Arguments, Operator, Stopped};
+use crate::cli::remote::{LOOK_EVERY, news, settled};
 use crate::cli::report::{Level, Report};
-use crate::cli::status::{Robot, Status};
+use crate::cli::status::Status;
+use crate::cli::target::{self, TargetArguments};
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use moca_msgs::{Law, Mode, Request, Sample, TaxelStatus};
-use moca_telemetry::net::{Commander, Connection, Link, Update};
-use std::fmt;
+use moca_telemetry::net::{Commander, Link, Update};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -32,16 +33,8 @@ pub enum Command {
     Status(Arguments),
     /// A line a second and one at every change, until Ctrl-C.
     Watch(Arguments),
-}
-
-/// Which daemon, and how its answer is written.
-#[derive(Args)]
-pub struct Arguments {
-    #[command(flatten)]
-    daemon: DaemonArguments,
-    /// Print the robot's status as JSON, an object a line; null is what is not known.
-    #[arg(long)]
-    json: bool,
+    /// Lead flange, arm or base to a target, and hold the command meanwhile.
+    Target(TargetArguments),
 }
 
 /// How to arm.
@@ -83,24 +76,6 @@ impl From<LawName> for Law {
     }
 }
 
-/// The robot stopped while it was armed or tared, or is out of reach and has to: exit code 5.
-#[derive(Debug)]
-pub struct Stopped(String);
-
-impl fmt::Display for Stopped {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "the robot stopped: {}", self.0)
-    }
-}
-
-impl std::error::Error for Stopped {}
-
-impl Stopped {
-    fn because(sample: &Sample) -> Self {
-        Self(sample.fault.map_or_else(|| sample.mode.name().into(), |fault| fault.to_string()))
-    }
-}
-
 fn seconds(text: &str) -> Result<Duration, String> {
     let allowed = || "allowed: 0.1 to 86400 s".to_owned();
     let seconds = text.parse().ok().filter(|seconds| (0.1..=86_400.0).contains(seconds));
@@ -123,67 +98,21 @@ pub fn run(command: &Command) -> Result<()> {
         }
         Command::Status(arguments) => {
             let operator = Operator::connect(arguments)?;
-            operator.print(&settled(&operator.connection)?.1);
+            operator.print(&settled(operator.connection())?.1);
             Ok(())
         }
         Command::Watch(arguments) => watch(&Operator::connect(arguments)?),
-    }
-}
-
-/// A connection, and how what comes over it is written.
-struct Operator {
-    connection: Connection,
-    robot: Robot,
-    json: bool,
-}
-
-impl Operator {
-    fn connect(arguments: &Arguments) -> Result<Self> {
-        let (connection, description) = connect(&arguments.daemon.address)
-            .context("is a daemon running, and does it listen there (telemetry.listen)?")?;
-        Ok(Self { connection, robot: Robot::new(&description), json: arguments.json })
-    }
-
-    /// One request from somebody who leaves again: the command is given back, so that a moving robot goes on.
-    fn once(&self, request: Request) -> Result<()> {
-        let outcome = self.ask(request);
-        self.connection.release();
-        outcome?;
-        let carried_out = |sample: &Sample| match request {
-            Request::Stop => matches!(sample.mode, Mode::ProtectiveStop | Mode::Fault),
-            Request::SelectLaw(law) => sample.law == Some(law),
-            Request::Disarm => !sample.mode.moves(),
-            _ => sample.mode == Mode::Ready,
-        };
-        // Samples from before the answer may come after it; and by now the next thing may have happened.
-        let update = news(&self.connection, carried_out).or_else(|_| news(&self.connection, |_| true))?;
-        self.print(&update);
-        Ok(())
-    }
-
-    fn ask(&self, request: Request) -> Result<()> {
-        Ok(ask(&self.connection, request)?.map_err(|refusal| Refused(refusal.to_string()))?)
-    }
-
-    /// The last sample of some news.
-    fn print(&self, update: &Update) {
-        let Some(sample) = update.samples.last() else { return };
-        let status = Status::new(&self.robot, sample, update.status.commander);
-        if self.json {
-            println!("{}", status.json());
-        } else {
-            print!("{status}");
-        }
+        Command::Target(arguments) => target::run(arguments),
     }
 }
 
 fn tare(operator: &Operator) -> Result<()> {
-    let before = news(&operator.connection, |_| true)?;
+    let before = news(operator.connection(), |_| true)?;
     operator.ask(Request::Tare)?;
-    news(&operator.connection, |sample| sample.mode == Mode::Taring)?;
-    let update = news(&operator.connection, |sample| sample.mode != Mode::Taring)?;
+    news(operator.connection(), |sample| sample.mode == Mode::Taring)?;
+    let update = news(operator.connection(), |sample| sample.mode != Mode::Taring)?;
     // Nothing moves: whoever comes next may have the command.
-    operator.connection.release();
+    operator.connection().release();
     operator.print(&update);
     match (before.samples.last(), update.samples.last()) {
         (Some(before), Some(after)) if tared(before, after) => Ok(()),
@@ -212,29 +141,31 @@ fn arm(arguments: &ArmArguments) -> Result<()> {
         operator.ask(Request::SelectLaw(law.into()))?;
     }
     operator.ask(Request::Arm)?;
-    if !operator.json {
+    if !operator.json() {
         println!("armed; this program holds the command, and the robot stops if it dies. Ctrl-C disarms.");
     }
     let until = arguments.duration.map(|duration| Instant::now() + duration);
     let mut lines = Lines::new(&operator);
     let mut armed = false;
     while !ended.load(Ordering::Relaxed) && until.is_none_or(|until| Instant::now() < until) {
-        operator.connection.alive();
-        let update = operator.connection.poll();
+        operator.connection().alive();
+        let update = operator.connection().poll();
         if let Link::Down { reason } = &update.link {
-            return Err(Stopped(format!("the daemon hung up ({reason}), and its commander is gone")).into());
+            return Err(
+                Stopped::new(format!("the daemon hung up ({reason}), and its commander is gone")).into()
+            );
         }
         lines.print(&update);
         for sample in &update.samples {
             armed |= sample.mode.moves();
             if matches!(sample.mode, Mode::ProtectiveStop | Mode::Fault) {
-                operator.connection.release();
+                operator.connection().release();
                 return Err(Stopped::because(sample).into());
             }
         }
         if armed && update.status.commander != Commander::You {
             return Err(
-                Stopped("this program was silent for too long and has lost the command".into()).into()
+                Stopped::new("this program was silent for too long and has lost the command".into()).into()
             );
         }
         std::thread::sleep(LOOK_EVERY);
@@ -245,7 +176,7 @@ fn arm(arguments: &ArmArguments) -> Result<()> {
 fn watch(operator: &Operator) -> Result<()> {
     let mut lines = Lines::new(operator);
     loop {
-        let update = operator.connection.poll();
+        let update = operator.connection().poll();
         if let Link::Down { reason } = &update.link {
             bail!("the daemon hung up: {reason}");
         }
@@ -268,12 +199,12 @@ impl<'a> Lines<'a> {
     fn print(&mut self, update: &Update) {
         for sample in &update.samples {
             let lines = self.report.lines(sample);
-            if self.operator.json && !lines.is_empty() {
-                println!("{}", Status::new(&self.operator.robot, sample, update.status.commander).json());
+            if self.operator.json() && !lines.is_empty() {
+                println!("{}", Status::new(self.operator.robot(), sample, update.status.commander).json());
             } else {
                 lines.iter().for_each(|line| println!("{line}"));
             }
         }
-        update.notices.iter().filter(|_| !self.operator.json).for_each(|notice| println!("{notice}"));
+        update.notices.iter().filter(|_| !self.operator.json()).for_each(|notice| println!("{notice}"));
     }
 }

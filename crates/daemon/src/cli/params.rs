@@ -106,7 +106,7 @@ fn set(arguments: &SetArguments) -> Result<()> {
     let checked = parameter.checked(&values).map_err(|message| anyhow!(message))?;
     let request = Request::SetParameter { parameter: u8::try_from(number)?, values: checked };
     let outcome = ask(&connection, request);
-    // To go without a word would stop a moving robot.
+    // Leaving without giving the command back would stop a moving robot.
     connection.release();
     let (name, value) = (&parameter.name, &arguments.value);
     outcome?.map_err(|refusal| Refused(format!("{name} = {value}: {}", parameter.why(refusal))))?;

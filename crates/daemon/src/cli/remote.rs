@@ -81,7 +81,7 @@ pub(crate) fn news(connection: &Connection, wanted: impl Fn(&Sample) -> bool) ->
     }
 }
 
-/// Asks, and waits for the answer. Who does not release the command afterwards, and goes, stops a moving robot.
+/// Asks, and waits for the answer. A caller that then goes without releasing the command stops a moving robot.
 ///
 /// # Errors
 /// No answer.

@@ -37,6 +37,8 @@ pub(crate) struct Status {
     base_pose_world: Option<BasePose>,
     /// Distance of the flange from where it is wanted; null where there is no arm, or no law to want it anywhere.
     flange_error_m: Option<f64>,
+    /// The last target from another program; null where the law has had none.
+    target: Option<TargetStatus>,
     /// Null of a simulated robot.
     link: Option<Link>,
     taxels: Vec<TaxelForce>,
@@ -46,6 +48,14 @@ pub(crate) struct Status {
 struct FaultStatus {
     code: &'static str,
     text: String,
+}
+
+#[derive(Debug, Serialize)]
+struct TargetStatus {
+    kind: &'static str,
+    phase: &'static str,
+    /// 0 to 1.
+    progress: f64,
 }
 
 #[derive(Debug, Serialize)]
@@ -71,7 +81,7 @@ impl Status {
         );
         let known = !unknown && sample.mode != Mode::Fault && (!robot.arm || !sample.q_rad.is_empty());
         let [x_m, y_m, yaw_rad] = sample.base_pose_world;
-        // A brake has no flange: the zeros of an unset orientation say so.
+        // In a brake no flange is computed: its orientation is then all zeros.
         let placed = sample.flange_quaternion_world.iter().any(|part| *part != 0.0);
         let (at, wanted) = (sample.flange_position_world, sample.flange_desired_position_world);
         let error_m = at.iter().zip(wanted).map(|(at, wanted)| (at - wanted).powi(2)).sum::<f64>().sqrt();
@@ -95,6 +105,11 @@ impl Status {
             },
             base_pose_world: (robot.base && known).then_some(BasePose { x_m, y_m, yaw_rad }),
             flange_error_m: (robot.arm && known && placed).then_some(error_m),
+            target: sample.target.map(|target| TargetStatus {
+                kind: target.kind.name(),
+                phase: target.phase.name(),
+                progress: target.progress,
+            }),
             link: sample.link,
             taxels: sample.taxels.iter().enumerate().map(force).collect(),
         }
@@ -126,6 +141,9 @@ impl fmt::Display for Status {
         writeln!(f, "base         {}", known(pose))?;
         let off = self.flange_error_m.map(|error_m| format!("off by {:.1} mm", 1e3 * error_m));
         writeln!(f, "flange       {}", known(off))?;
+        if let Some(TargetStatus { kind, phase, progress }) = &self.target {
+            writeln!(f, "target       {kind}: {phase}, {:.0} %", 100.0 * progress)?;
+        }
         if let Some(Link { arm_age_s, base_age_s, arm }) = self.link {
             let (mode, success) = (arm.mode.name(), arm.success_rate);
             let ages = format!("states {:.0} and {:.0} ms old", 1e3 * arm_age_s, 1e3 * base_age_s);

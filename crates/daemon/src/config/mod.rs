@@ -7,6 +7,7 @@ pub mod live;
 pub mod load;
 mod own_arm;
 mod ports;
+mod ros2;
 pub mod schema;
 pub mod stability;
 pub mod urdf;
@@ -17,8 +18,9 @@ pub(crate) use ports::AUTO_PORT;
 #[cfg(feature = "board")]
 pub(crate) use ports::NAMED_PORT;
 pub use ports::Ports;
+pub use ros2::Ros2Config;
 
-use crate::robot::{Arm, JOINTS, Parts, PlantKind, Robot, TAXELS};
+use crate::robot::{Arm, ArmDriver, BaseDriver, JOINTS, Parts, PlantKind, Robot, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::robot::AnyArm;
 use moca_msgs::table::{Field, ParameterSpec};
@@ -35,11 +37,11 @@ use moca_telemetry::net::{Address, DEFAULT_ADDRESS};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// `telemetry.listen` that asks the environment.
+/// Value of `telemetry.listen` with which the environment decides where that is.
 const AUTO_LISTEN: &str = "auto";
 /// The service's socket in systemd's RuntimeDirectory.
 const SOCKET_NAME: &str = "telemetry.sock";
-/// `flight_recorder.folder` that asks the environment.
+/// Value of `flight_recorder.folder` with which the environment decides where that is.
 pub const AUTO_FOLDER: &str = "auto";
 /// Largest speed that an override of the speed limit may state, m/s.
 pub const OVERRIDE_MAX_M_S: f64 = 10.0;
@@ -134,6 +136,17 @@ parameter_table! {
     /// `[plant.arm]`: a real arm.
     #[derive(Clone, Debug, PartialEq)]
     pub struct ArmPlantConfig in "plant.arm" {
+        /// What drives it: "own" is the driver of a program that runs the loop as a library.
+        driver: ArmDriver = ArmDriver::Own;
+        /// Address of its controller.
+        host: String = "172.16.0.2".into();
+        /// How long an order of the loop's is waited for before the last one is repeated.
+        answer_s: f64 = 0.0006 => [.range(0.0001, 0.0009).units(&["s"])];
+        /// Joint torques above which it has a reflex.
+        collision_torque_nm: [f64; 7] = [40.0, 40.0, 40.0, 40.0, 25.0, 25.0, 25.0] => [.range(5.0, 100.0).units(&["N·m"])];
+        /// Forces and moments at the hand above which it has a reflex.
+        collision_wrench: [f64; 6] = [60.0, 60.0, 60.0, 25.0, 25.0, 25.0]
+            => [.range(5.0, 200.0).units(&["N", "N", "N", "N·m", "N·m", "N·m"])];
         /// Oldest state that is controlled with.
         deadline_s: f64 = 0.010 => [.range(0.002, 1.0).units(&["s"])];
     }
@@ -143,8 +156,14 @@ parameter_table! {
     /// `[plant.base]`: a real base.
     #[derive(Clone, Debug, PartialEq)]
     pub struct BasePlantConfig in "plant.base" {
+        /// What drives it: "simulated" is a base that is not there under an arm that is.
+        driver: BaseDriver = BaseDriver::Own;
         /// Oldest odometry that is driven with: five periods at 50 Hz.
         deadline_s: f64 = 0.100 => [.range(0.01, 1.0).units(&["s"])];
+    }
+    besides {
+        /// `[plant.base.ros2]`
+        ros2: Ros2Config = Ros2Config::default();
     }
 }
 
@@ -374,6 +393,7 @@ impl Config {
         self.plant.each(visit);
         self.plant.arm.each(visit);
         self.plant.base.each(visit);
+        self.plant.base.ros2.each(visit);
         self.board.each(visit);
         self.startup.each(visit);
         self.protection.each(visit);

@@ -9,7 +9,7 @@ use moca_msgs::robot::AnyArm;
 use moca_msgs::{Corrections, Law, Mount, ParameterValues, Parameters, Payload};
 use moca_wbc::loop_stability::{ClosedLoop, Command, NO_GROWTH_PER_S};
 
-/// Periods that a loop has to bear for each one that it has: what the linearised loop does not know must not matter.
+/// The loop must be stable with a period this many times its own: a margin for what the linearised loop leaves out.
 pub const SPARE: f64 = 1.25;
 /// Longest period that a controller counts, s.
 const PERIOD_MAX_S: f64 = 0.01;
@@ -107,7 +107,7 @@ impl Stability {
                 high = middle;
             }
         }
-        // a person who rounds it to four digits is still within
+        // A little less, so that the value is still stable when somebody types it with four digits.
         Some(at(0.999 * low))
     }
 

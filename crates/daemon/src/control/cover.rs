@@ -14,7 +14,7 @@ pub struct CoverState {
     pub reading: CoverReading<TAXELS>,
     /// Forces for the controller, N, or the first taxel (0 is T1) that has none.
     pub forces: Result<[f64; TAXELS], (usize, TaxelStatus)>,
-    /// What data says that nothing has confirmed yet: it slows the base or stops it, and nothing else.
+    /// What data shows that is not confirmed yet: it may slow or stop the base, and nothing else.
     pub early: EarlyContact<TAXELS>,
     /// What is wrong with the cover now, a missing zero left out.
     pub fault: Option<Fault>,

@@ -7,6 +7,8 @@ use crate::control::cover::CoverState;
 use crate::control::loop_state::{JointsState, LawState, MotionState, OtherRobot};
 use crate::control::plant::SourceAge;
 use crate::control::protection::{Protected, Protection};
+use crate::control::supervisor::Touch;
+use crate::control::targets::{Order, Targets, arm_target};
 use crate::control::uncovered::Uncovered;
 use crate::robot::{JOINTS, Parts, PlantKind, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_ROWS;
@@ -14,8 +16,9 @@ use moca_msgs::request::ARMING_POSTURE_RAD;
 use moca_msgs::robot::resized;
 use moca_msgs::{
     Actuation, ContactRow, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, Refusal,
-    RobotCommand, RobotState, TaxelStatus,
+    Request, RobotCommand, RobotState, Target, TargetState, TaxelStatus,
 };
+use moca_wbc::reference_generator::{ReferenceBounds, Workspace};
 use moca_wbc::{
     ArmController, ArmInput, ArmState, BaseController, BaseGuard, BaseInput, BaseState, ControlError,
     ControlInput, ControlLaw, ControlOutput, ControllerState, Exceeded, FlangePose, LimitsHit,
@@ -57,6 +60,7 @@ pub struct Motion {
     barrier: Option<Barrier>,
     /// Of a base: what no taxel covers.
     uncovered: Option<Uncovered>,
+    targets: Targets,
     parts: Parts,
     guard: BaseGuard<TAXELS>,
     real: bool,
@@ -79,6 +83,7 @@ impl Motion {
         let barrier = either!(&controller, controller => controller.barrier(config))?;
         let uncovered = parts.has_cover().then(|| Uncovered::new(config));
         let guard = Protected::default().guard;
+        let targets = Targets::new(config);
         let real = config.plant.kind == PlantKind::Robot;
         let deadlines =
             SourceAge { arm_s: config.plant.arm.deadline_s, base_s: config.plant.base.deadline_s };
@@ -90,6 +95,7 @@ impl Motion {
             protection,
             barrier,
             uncovered,
+            targets,
             parts,
             guard,
             real,
@@ -186,6 +192,7 @@ impl Motion {
             protection: self.protection.state().clone(),
             barrier: self.barrier.as_ref().map(Barrier::state),
             uncovered: self.uncovered.as_ref().map(Uncovered::state),
+            targets: self.targets.state().clone(),
         }
     }
 
@@ -215,11 +222,13 @@ impl Motion {
             (None, None) => {}
             _ => return Err(OtherRobot),
         }
+        self.targets.restore(&state.targets);
         Ok(())
     }
 
     /// Forgets targets and controller state: the next command is entered anew from the measured state.
     pub fn leave(&mut self) {
+        self.targets.enter(ControlLaw::Hold);
         either!(&mut self.controller, controller => controller.leave());
     }
 
@@ -232,24 +241,57 @@ impl Motion {
         either!(&mut self.controller, controller => controller.set_target_twist(twist))
     }
 
-    /// One tick's command in `mode`, `dt_s` after the last one, and why the robot must stop: the command then holds.
+    /// Answers a request for a target, or for its end, in `mode`.
+    ///
+    /// # Errors
+    /// Why it is not taken.
+    pub fn take_target(
+        &mut self,
+        now_ns: u64,
+        request: &Request,
+        mode: Mode,
+        robot: &RobotState<JOINTS>,
+        touch: Option<Touch>,
+    ) -> Outcome {
+        let law = law_of(mode);
+        self.targets.enter(law);
+        self.targets.take(now_ns, request, law, &self.parameters.limits.base_velocity, robot, touch)
+    }
+
+    /// The last target since the law was entered, and how it stands.
+    pub const fn target(&self) -> Option<TargetState> {
+        self.targets.shown()
+    }
+
+    /// Leads the running law where the target that counts wants it.
+    fn lead(
+        &mut self,
+        now_ns: u64,
+        law: ControlLaw,
+        robot: &RobotState<JOINTS>,
+        forces_n: &[f64; TAXELS],
+    ) -> Result<(), ControlError> {
+        self.targets.enter(law);
+        let touched = Touch::strongest(forces_n).is_some();
+        let reached = either!(&self.controller, controller => controller.has_reached());
+        let Some(order) = self.targets.advance(now_ns, touched, reached) else { return Ok(()) };
+        let workspace = self.targets.workspace();
+        either!(&mut self.controller, controller => controller.lead(&order, robot, workspace))
+    }
+
+    /// One tick's command in `mode` at `now_ns`, `dt_s` after the last one, and why the robot must stop: the command then holds.
     ///
     /// # Errors
     /// The fault to stop with; the order of that tick must then be [`Actuation::Brake`].
     pub fn command(
         &mut self,
+        now_ns: u64,
         mode: Mode,
         robot: &RobotState<JOINTS>,
         forces: &Result<[f64; TAXELS], (usize, TaxelStatus)>,
         dt_s: f64,
     ) -> Result<(ControlOutput<JOINTS>, Option<Fault>), Fault> {
-        let law = match mode {
-            Mode::Impedance => ControlLaw::Impedance,
-            Mode::FollowMe => ControlLaw::FollowMe,
-            Mode::Starting | Mode::Taring | Mode::Ready | Mode::ProtectiveStop | Mode::Fault => {
-                ControlLaw::Hold
-            }
-        };
+        let law = law_of(mode);
         // Standing still needs no cover; a law never runs on a force that is not there.
         let mut taxel_force_n = match (law, *forces) {
             (ControlLaw::Hold, _) => [0.0; TAXELS],
@@ -258,6 +300,7 @@ impl Motion {
                 return Err(Fault::TaxelInvalid { taxel: u8::try_from(taxel).unwrap_or(u8::MAX), status });
             }
         };
+        self.lead(now_ns, law, robot, &taxel_force_n).map_err(|_| Fault::ControlRefused)?;
         let mut guard = self.guard;
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.advance(robot, dt_s);
@@ -299,6 +342,15 @@ impl Motion {
             Exceeded::PoseError => Fault::PoseError,
         });
         Ok((output, fault))
+    }
+}
+
+/// The law that runs in a mode.
+const fn law_of(mode: Mode) -> ControlLaw {
+    match mode {
+        Mode::Impedance => ControlLaw::Impedance,
+        Mode::FollowMe => ControlLaw::FollowMe,
+        Mode::Starting | Mode::Taring | Mode::Ready | Mode::ProtectiveStop | Mode::Fault => ControlLaw::Hold,
     }
 }
 
@@ -383,6 +435,38 @@ impl<const N: usize> Controller<N> {
             Self::Whole(_, Some(state)) => state.set_target_twist(twist),
             Self::Arm(_, Some(state)) => state.set_target_twist(twist),
             Self::Whole(_, None) | Self::Arm(_, None) | Self::Base(..) => Ok(()),
+        }
+    }
+
+    fn has_reached(&self) -> bool {
+        match self {
+            Self::Whole(_, Some(state)) => state.has_reached(),
+            Self::Arm(_, Some(state)) => state.has_reached(),
+            Self::Whole(_, None) | Self::Arm(_, None) | Self::Base(..) => true,
+        }
+    }
+
+    /// A law that has not been entered yet cannot be led.
+    fn lead(
+        &mut self,
+        order: &Order,
+        robot: &RobotState<JOINTS>,
+        workspace: &Workspace,
+    ) -> Result<(), ControlError> {
+        let (robot, bounds) = (robot.resized(), &ReferenceBounds::DEFAULT);
+        let velocity_body = match order {
+            Order::To(Target::BaseVelocity { velocity_body }) => *velocity_body,
+            _ => [0.0; 3],
+        };
+        let target = arm_target(order).unwrap_or(moca_wbc::Target::Hold);
+        match self {
+            Self::Whole(_, Some(state)) => {
+                state.lead(&target, &robot, bounds, Some(workspace))?;
+                state.lead_base(velocity_body)
+            }
+            Self::Arm(_, Some(state)) => state.lead(&target, &robot, bounds, Some(workspace)),
+            Self::Base(_, state) => state.lead(velocity_body),
+            Self::Whole(_, None) | Self::Arm(_, None) => Ok(()),
         }
     }
 

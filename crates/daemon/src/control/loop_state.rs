@@ -5,6 +5,7 @@ use crate::control::barrier::BarrierMemory;
 use crate::control::protection::ProtectionState;
 use crate::control::state_check::StateCheck;
 use crate::control::supervisor::Supervisor;
+use crate::control::targets::TargetsState;
 use crate::control::uncovered::UncoveredState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::{Fault, Parameters};
@@ -39,6 +40,7 @@ pub struct MotionState {
     pub(super) protection: ProtectionState,
     pub(super) barrier: Option<BarrierMemory>,
     pub(super) uncovered: Option<UncoveredState>,
+    pub(super) targets: TargetsState,
 }
 
 /// What the law for an arm of so many joints remembers.

@@ -11,6 +11,7 @@ pub mod protection;
 pub mod stage;
 pub mod state_check;
 pub mod supervisor;
+pub mod targets;
 pub mod tick;
 pub mod tick_input;
 pub mod uncovered;

@@ -168,7 +168,10 @@ impl Supervisor {
             Some(
                 request @ (Request::PressTaxel { .. }
                 | Request::MaskTaxel { .. }
-                | Request::SetParameter { .. }),
+                | Request::SetParameter { .. }
+                | Request::Target(_)
+                | Request::Waypoint { .. }
+                | Request::EndTarget),
             ) => (None, Some(request)),
             Some(Request::Resume) if facts.plant_fault == Some(Fault::ArmReflex) => {
                 (None, Some(Request::Resume))
@@ -266,9 +269,12 @@ impl Supervisor {
                 Ok(())
             }
             Request::Resume => self.resume(facts),
-            Request::PressTaxel { .. } | Request::MaskTaxel { .. } | Request::SetParameter { .. } => {
-                Err(Refusal::Mode(self.mode))
-            }
+            Request::PressTaxel { .. }
+            | Request::MaskTaxel { .. }
+            | Request::SetParameter { .. }
+            | Request::Target(_)
+            | Request::Waypoint { .. }
+            | Request::EndTarget => Err(Refusal::Mode(self.mode)),
         }
     }
 
@@ -388,7 +394,7 @@ mod tests {
         Some(Request::OperatorLost),
         Some(Request::Resume),
     ];
-    const FACTS: [Facts; 10] = [
+    const FACTS: [Facts; 13] = [
         Facts { cover_seen: false, zero: Zero::Invalid, ..GOOD },
         Facts { zero: Zero::Invalid, ..GOOD },
         Facts { zero: Zero::Taring, ..GOOD },
@@ -399,6 +405,9 @@ mod tests {
         Facts { touch: Some(HAND), ..GOOD },
         Facts { plant_fault: Some(Fault::StateInvalid), ..GOOD },
         Facts { plant_fault: Some(Fault::BaseStale), ..GOOD },
+        Facts { plant_fault: Some(Fault::ArmReflex), ..GOOD },
+        Facts { plant_fault: Some(Fault::ArmRefused), zero: Zero::Invalid, ..GOOD },
+        Facts { far_joint: Some((3, 0.3)), ..GOOD },
     ];
 
     fn manual() -> Supervisor {
@@ -445,6 +454,7 @@ mod tests {
         }
         if mode.moves() && !before.moves() {
             assert_eq!(facts.touch, None, "armed under a hand");
+            assert_eq!(facts.far_joint, None, "armed far from the posture");
         }
         if before == Mode::Fault {
             assert_eq!(mode, Mode::Fault, "fault is left only by a restart");
@@ -543,6 +553,7 @@ mod tests {
             Ok(()),
             "a law may change"
         );
+        assert_eq!(supervisor.law(), Law::FollowMe);
         assert_eq!(ask(&mut supervisor, touched, Request::Stop), Ok(()));
         assert_eq!(ask(&mut supervisor, touched, Request::Resume), Ok(()), "which moves nothing");
         assert_eq!(ask(&mut supervisor, touched, Request::Arm), refusal);
@@ -577,6 +588,12 @@ mod tests {
         supervisor.step(&Facts { cover_fault: Some(Fault::BoardSilent), ..GOOD }, None);
         supervisor.step(&Facts { zero: Zero::Invalid, ..GOOD }, None);
         assert_eq!(supervisor.cause(), Some(Fault::ZeroInvalid));
+
+        // What stopped the robot for another reason stays the reason.
+        let mut supervisor = armed();
+        supervisor.step(&Facts { plant_fault: Some(Fault::BaseStale), ..GOOD }, None);
+        supervisor.step(&Facts { zero: Zero::Invalid, ..GOOD }, None);
+        assert_eq!(supervisor.cause(), Some(Fault::BaseStale));
     }
 
     #[test]

@@ -55,8 +55,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
 
     /// One tick: read, decide, command, write; `timer` hears of each stage's end.
     pub fn tick(&mut self, slot: &Slot, request: Option<Request>, timer: &mut impl StageTimer) -> Ticked {
-        // Of what is measured the bits beyond single precision are noise, which no log could keep in little room: gone before
-        // anybody computes with them, they are missed by no replay.
+        // The bits of a measurement beyond single precision are noise that would fill a log. They are dropped before anything
+        // is computed from them, so that a replay does not miss them.
         let exact = self.plant.simulated().is_some();
         let measured = self.plant.read().map(|state| if exact { state } else { state.in_single_precision() });
         let (age, link) = (self.plant.age(), self.plant.link());
@@ -166,7 +166,10 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         if decision.start_tare {
             self.cover.start_tare(slot.now_ns);
         }
-        let outcome = decision.carry_out.map(|request| self.carry_out(request)).or(decision.outcome);
+        let outcome = decision
+            .carry_out
+            .map(|request| self.carry_out(request, slot.now_ns, decision.mode, robot, facts.touch))
+            .or(decision.outcome);
         match self.command(slot, robot, cover, decision.mode) {
             Ok(output) => (outcome, output),
             Err(fault) => {
@@ -177,8 +180,19 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     }
 
     /// What the supervisor permits and a part of the robot has to do.
-    fn carry_out(&mut self, request: Request) -> Outcome {
+    fn carry_out(
+        &mut self,
+        request: Request,
+        now_ns: u64,
+        mode: Mode,
+        robot: &Checked,
+        touch: Option<Touch>,
+    ) -> Outcome {
         match request {
+            Request::Target(_) | Request::Waypoint { .. } | Request::EndTarget => match &robot.state {
+                Some(robot) => self.motion.take_target(now_ns, &request, mode, robot, touch),
+                None => Err(Refusal::Mode(mode)),
+            },
             Request::PressTaxel { taxel, force_n } => {
                 let world = self.plant.simulated().ok_or(Refusal::NotSimulated)?;
                 world.press(usize::from(taxel), force_n)
@@ -206,7 +220,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             self.motion.leave();
             return Ok(None);
         };
-        let (output, stop) = self.motion.command(mode, robot, &cover.forces, self.elapsed_s(slot))?;
+        let (output, stop) =
+            self.motion.command(slot.now_ns, mode, robot, &cover.forces, self.elapsed_s(slot))?;
         if let Some(fault) = stop {
             self.supervisor.stop_for(fault);
         }
@@ -266,6 +281,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             contact_reaction: self.protected.reaction,
             contact_events: self.protected.events.clone(),
             contact_rows: self.motion.contact_rows(),
+            target: self.motion.target(),
             link: link.map(|arm| Link { arm_age_s: age.arm_s, base_age_s: age.base_s, arm }),
             ..Sample::default()
         };

@@ -69,7 +69,7 @@ impl IdealCover {
 
 impl CoverSource for IdealCover {
     fn read(&mut self, now_ns: u64) -> CoverState {
-        // Before the first mean nobody has touched the cover, and that is known now.
+        // Before the first mean the cover counts as untouched, with data of this instant.
         let shown = if self.delayed.len() > self.delay_ticks { self.delayed[0] } else { None };
         let Mean { force_n, at_ns } = shown.unwrap_or(Mean { force_n: [0.0; TAXELS], at_ns: now_ns });
         let taxels = force_n.map(|force_n| TaxelReading { force_n, status: TaxelStatus::Ok });

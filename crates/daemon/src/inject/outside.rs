@@ -36,7 +36,7 @@ impl OutsideFault {
         matches!(self, Self::DiskFull | Self::DiskSlow)
     }
 
-    /// What reaches the loop of it, if it reaches the loop.
+    /// The request by which it reaches the loop, if it does.
     pub fn request(self) -> Option<Request> {
         let set = |value: f64| Request::SetParameter {
             parameter: 0,
@@ -148,7 +148,7 @@ pub fn client(fault: OutsideFault, address: SocketAddr, strike: Strike, seed: u6
         _ => {
             let socket = TcpStream::connect(address)?;
             socket.set_read_timeout(Some(LOOK_EVERY))?;
-            // A closed socket ends the client, which is all that it is for.
+            // A closed socket ends this client, and it has no other purpose.
             client.spawn(move || drop(disturb(fault, socket, &strike, seed)))?;
         }
     }

@@ -35,7 +35,7 @@ pub fn fingerprint(sample: &Sample) -> u32 {
     crc32fast::hash(&postcard::to_stdvec(sample).unwrap_or_default())
 }
 
-/// Puts ticks and samples, which come on different ways, together into blocks.
+/// Joins ticks and samples, which come through different rings, into blocks.
 #[derive(Debug, Default)]
 pub struct BlockBuilder {
     period_s: f64,
@@ -152,7 +152,7 @@ impl Rare {
     }
 }
 
-/// `period_s` is the loop's period: it helps to foretell angles from their rates, s.
+/// `period_s` is the loop's period: it helps to predict angles from their rates, s.
 pub fn encode(ticks: &[ComparedTick], period_s: f64) -> Vec<u8> {
     let mut out = ColumnWriter::default();
     let slots: Vec<Slot> = ticks.iter().map(|tick| tick.record.input.slot).collect();
@@ -205,12 +205,12 @@ pub fn encode(ticks: &[ComparedTick], period_s: f64) -> Vec<u8> {
         out.numbers(&wrenches.iter().map(|wrench| wrench[axis]).collect::<Vec<_>>(), None);
     }
     out.blob(&ticks.iter().filter_map(|tick| tick.sample).flat_map(u32::to_le_bytes).collect::<Vec<_>>());
-    // These types always encode; nothing at all would be found by whoever reads it back.
+    // These types always encode; an empty record would be refused by whoever reads it.
     let mut rare = postcard::to_stdvec(&Rare::of(ticks)).unwrap_or_default();
     let further = Rare::further(ticks);
     let links = link_changes(ticks);
     if !(further.is_empty() && links.is_empty()) {
-        // Behind the rest, so that a log of one board is what it always was.
+        // After everything else, so that the log of a single board keeps its form.
         rare.extend(postcard::to_stdvec(&(further, links)).unwrap_or_default());
     }
     out.blob(&rare);

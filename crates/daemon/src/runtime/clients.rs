@@ -143,13 +143,13 @@ fn recording(
     Ok(Some(recording))
 }
 
-/// Lets a telemetry client do the fault that the command line asks for, if it is one of those.
+/// Starts the telemetry client that causes the fault that the command line asks for, if a client can cause it.
 pub(crate) fn spoil_telemetry(
     options: &Options,
     server: Option<&Server>,
     strike: Option<&Strike>,
 ) -> Result<()> {
-    // In lock-step what reaches the loop of a fault is asked of it in its tick: no socket is as punctual.
+    // In lock-step the part of a fault that reaches the loop is requested in its own tick: no socket is as punctual.
     let by_socket = |fault: &OutsideFault| {
         !(fault.is_of_disk()
             || *fault == OutsideFault::Panic

@@ -64,8 +64,8 @@ pub struct Shared {
     pub moving: Arc<AtomicBool>,
     /// Samples no client had room for.
     pub samples_dropped: Arc<AtomicU64>,
-    /// A count that the thread of the clients raises whenever it runs, at normal priority: where it does not, neither
-    /// does what the kernel does for a port.
+    /// A count that the clients' thread raises whenever it runs, at normal priority: while it is starved, so is the
+    /// kernel's work for a port.
     pub pulse: Arc<AtomicU64>,
 }
 

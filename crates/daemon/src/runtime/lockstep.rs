@@ -305,7 +305,7 @@ impl LockStep<Option<ByteCover>, NoCover> {
 }
 
 impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
-    /// Without clocks and histograms: what ticks take is of no interest to who only looks at the robot.
+    /// Without clocks and histograms, for callers who do not need to know how long ticks take.
     #[must_use]
     pub fn untimed(mut self) -> Self {
         self.timing.switch_off();

@@ -22,7 +22,7 @@ pub struct Options {
     pub record_split: Option<Duration>,
     /// A fault on purpose (simulated robot only).
     pub inject: Option<Injection>,
-    /// Whether a refused wish to the operating system ends the run before it starts.
+    /// Whether the run ends before it starts if the operating system refuses a setting of `[realtime]`.
     pub require_realtime: bool,
 }
 

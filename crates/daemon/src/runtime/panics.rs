@@ -1,4 +1,4 @@
-//! A panic on any thread ends the run: the loop brakes, logs are closed, and the program fails with the panic's words.
+//! A panic on any thread ends the run: the loop brakes, logs are closed, and the program fails with the panic's message.
 
 use crate::runtime::live::Shared;
 use std::panic::PanicHookInfo;

@@ -20,7 +20,7 @@ pub struct Step {
 #[derive(Debug)]
 pub struct Held(#[expect(dead_code, reason = "held open, never read")] Option<File>);
 
-/// Tries every wish for the calling thread (memory: for the process).
+/// Tries every setting for the calling thread (memory: for the process).
 pub fn apply(wishes: &RealtimeConfig) -> (Vec<Step>, Held) {
     let mut steps = Vec::new();
     let mut tried = |what: String, result: io::Result<()>| steps.push(Step { what, result });

@@ -440,7 +440,7 @@ impl TemporaryFile {
 
 impl Drop for TemporaryFile {
     fn drop(&mut self) {
-        // A file that stays behind in the temporary folder harms nobody.
+        // A file left behind in the temporary folder does no harm.
         let _ = std::fs::remove_file(&self.0);
     }
 }

@@ -9,7 +9,7 @@ use crate::inject::FaultSite;
 #[cfg(feature = "sim")]
 use crate::record::tick_log::TickLogReader;
 use crate::record::tick_log::{TickLog, tick_log};
-use crate::robot::PlantKind;
+use crate::robot::{ArmDriver, BaseDriver, PlantKind};
 use crate::runtime::assemble::{HeldBoard, OpenBoard, Subscribers, motion, open_boards, supervisor};
 use crate::runtime::clients::{Clients, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
 use crate::runtime::clock::Clock;
@@ -28,7 +28,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// `--require-realtime` was given and the operating system refused this many wishes.
+/// `--require-realtime` was given and the operating system refused this many settings.
 #[derive(Debug)]
 pub struct RealtimeRefused(pub usize);
 
@@ -64,10 +64,11 @@ fn run_plant(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
         (PlantKind::Robot, true) => {
             Err(anyhow!("plant.kind = \"robot\" runs live only: a real robot goes at its own pace"))
         }
-        (PlantKind::Robot, false) => Err(anyhow!(
-            "plant.kind = \"robot\": this build has no driver for an arm or a base; a program that has one runs the loop \
-             with `moca_daemon::runtime::run::with_plant`"
-        )),
+        (PlantKind::Robot, false) => {
+            let run = live_robot(options, shared, reporter)?;
+            reporter.report(Notice::Ended(&run.summary()));
+            Ok(())
+        }
         (PlantKind::None, false) => {
             let run = live_board_only(options, shared, reporter)?;
             reporter.report(Notice::Ended(&run.summary()));
@@ -212,6 +213,74 @@ pub fn with_plant<P: Plant + Send, T: TickSource<P>>(
     let run = live(&options, control, (clock, log), ticks, (clients, calibration), shared, reporter);
     drop(held);
     run
+}
+
+/// Runs the real robot that the configuration names.
+fn live_robot(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
+    let plant = &options.config.plant;
+    let on_a_base = plant.parts.has_cover();
+    match (plant.arm.driver, plant.base.driver) {
+        (ArmDriver::Fci, _) if plant.parts.has_arm() && !on_a_base => live_fci(options, shared, reporter),
+        (ArmDriver::Fci, BaseDriver::Simulated) if plant.parts.has_arm() => {
+            live_fci(options, shared, reporter)
+        }
+        (ArmDriver::Fci, BaseDriver::Ros2) if plant.parts.has_arm() => live_whole(options, shared, reporter),
+        (_, BaseDriver::Ros2) if !plant.parts.has_arm() => live_base(options, shared, reporter),
+        _ => Err(anyhow!(
+            "plant.kind = \"robot\": `mocad` drives an arm (plant.arm.driver = \"fci\") on a stand (plant.parts = \"arm\"), on \
+             a base that is simulated or real (plant.base.driver = \"simulated\" or \"ros2\"), or a base alone (plant.parts = \
+             \"base\"); a program with a driver of its own runs the loop with `moca_daemon::runtime::run::with_plant`"
+        )),
+    }
+}
+
+/// No arm on a base behind ROS 2.
+#[cfg(feature = "ros2")]
+fn live_base(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
+    use crate::devices::ros2_base::{OnRos2Base, connect};
+    let no_arm = NoRobot::at(options.config.control.gains.posture_rad);
+    let connect = || Ok(OnRos2Base::new(no_arm, connect(&options.config)?));
+    with_plant(options, connect, Timer::new, shared, reporter)
+}
+
+#[cfg(all(feature = "fci", feature = "ros2"))]
+fn live_whole(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
+    use crate::devices::franka_arm::FrankaArm;
+    use crate::devices::ros2_base::{OnRos2Base, connect};
+    let connect = || {
+        let arm = FrankaArm::connect(&options.config, |text| eprintln!("{text}"))?;
+        Ok(OnRos2Base::new(arm, connect(&options.config)?))
+    };
+    with_plant(options, connect, crate::runtime::tick_source::PlantTicks::new, shared, reporter)
+}
+
+#[cfg(not(feature = "ros2"))]
+fn live_base(_: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
+    Err(anyhow!(
+        "plant.base.driver = \"ros2\" needs a build with the feature `ros2` (cargo build --release --features ros2)"
+    ))
+}
+
+#[cfg(not(all(feature = "fci", feature = "ros2")))]
+fn live_whole(_: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
+    Err(anyhow!(
+        "plant.arm.driver = \"fci\" on plant.base.driver = \"ros2\" needs a build with both features (cargo build \
+         --release --features fci,ros2)"
+    ))
+}
+
+#[cfg(not(feature = "fci"))]
+fn live_fci(_: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
+    Err(anyhow!(
+        "plant.arm.driver = \"fci\" needs a build with the feature `fci` (cargo build --release --features fci)"
+    ))
+}
+
+#[cfg(feature = "fci")]
+fn live_fci(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
+    use crate::devices::franka_arm::FrankaArm;
+    let connect = || FrankaArm::connect(&options.config, |text| eprintln!("{text}"));
+    with_plant(options, connect, crate::runtime::tick_source::PlantTicks::new, shared, reporter)
 }
 
 fn report_board(board: &HeldBoard, simulated: bool, reporter: &mut dyn Reporter) {

@@ -115,7 +115,7 @@ struct ContactReport {
     foam: &'static str,
     /// Foam and tissue in series at 25 N, N/m.
     stiffness_n_m: f64,
-    /// Total delay T of the law in controllers.md, s.
+    /// Total delay T of the contact stability law, s.
     delay_s: f64,
     /// Taxels (T1 = 1) whose contact is stable at the paper's gains.
     stable_taxels: Vec<usize>,
@@ -477,7 +477,7 @@ fn as_text(report: &Report, base: &BaseTable) -> String {
          speed, of moca simulated. \
          Measured: {PUSH_N} N steps on the virtual\nboard at {PHASES} phases, bytes to 1 kHz loop; parse includes the \
          board's own emission.\n\nIN CONTACT with {} N/m of tissue at {FORCE_LIMIT_N} N, gains of the paper's text, \
-         servo {:.0} ms, braking {} m/s2\n\n{:<19}{:<22}{:>10}{:>9}{:>14}{:>12}{:>14}  stable taxels",
+         servo {:.0} ms, braking {} m/s2\n\n{:<32}{:<22}{:>10}{:>9}{:>14}{:>12}{:>14}  stable taxels",
         TISSUE_N_M,
         1e3 * base.servo_time_constant_s,
         base.acceleration_max_m_s2,
@@ -496,7 +496,7 @@ fn as_text(report: &Report, base: &BaseTable) -> String {
         };
         let _ = writeln!(
             out,
-            "{:<19}{:<22}{:>10.0}{:>9.1}{:>14.0}{:>12.0}{:>10.3} m/s  {stable}",
+            "{:<32}{:<22}{:>10.0}{:>9.1}{:>14.0}{:>12.0}{:>10.3} m/s  {stable}",
             c.reading,
             c.foam,
             c.stiffness_n_m,

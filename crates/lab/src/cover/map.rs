@@ -19,7 +19,7 @@ const BOARDS: [Firmware; 3] = [Firmware::Stock2018, Firmware::Stock2015, Firmwar
 const PERSONS: [(&str, f64); 2] = [("leg of 50 N/mm", 50e3), ("rigid", 1e7)];
 const FOAMS: [f64; 3] = [0.5, 1.0, 2.0];
 const DECELERATIONS: [f64; 2] = [3.0, 6.0];
-/// Fastest that a flange is led, m/s: what a simulation can tell of.
+/// Fastest that a flange is led, m/s: faster speeds are not simulated.
 const FASTEST_M_S: f64 = 0.25;
 const PHASES: u32 = 4;
 const HALVINGS: u32 = 6;

@@ -20,6 +20,7 @@ const STOCK: &str = include_str!("../../../../scenes/barrier-stock.toml");
 struct Run {
     cell: (usize, bool),
     met: String,
+    approach_m_s: f64,
     peak_n: f64,
     flange_mm: f64,
     stopped: bool,
@@ -30,7 +31,7 @@ struct Run {
 pub(crate) fn named_by(shown: &str) -> Result<Vec<(String, String)>> {
     let cell = |row: usize, on: bool| {
         let line = shown.lines().find(|line| line.starts_with(&format!("| {} |", ROWS[row].0)));
-        line.and_then(|line| line.split(" | ").nth(if on { 1 } else { 2 })).unwrap_or_default()
+        line.and_then(|line| line.split(" | ").nth(if on { 2 } else { 3 })).unwrap_or_default()
     };
     let runs = runs(|row, on, met| cell(row, on).contains(&format!("({met})")))?;
     Ok(runs.iter().map(|run| (cell(run.cell.0, run.cell.1).to_owned(), peak(run))).collect())
@@ -59,6 +60,7 @@ fn runs(chosen: impl Fn(usize, bool, &str) -> bool) -> Result<Vec<Run>> {
         Ok(Run {
             cell: (*row, *on),
             met: String::clone(met),
+            approach_m_s: report.approach_m_s,
             peak_n: report.measures.peak_force_n,
             flange_mm: report.measures.flange_max_mm,
             stopped: report.stopped().is_some(),
@@ -73,12 +75,15 @@ fn peak(run: &Run) -> String {
     format!("**{:.digits$} N** ({})", run.peak_n, run.met)
 }
 
-/// The table in Markdown: of each cell the hardest run with who was met when, and the largest error of the flange.
+/// The table in Markdown: speeds at the touch under the barrier; of each cell the hardest run with who was met when, and
+/// the largest error of the flange.
 pub(crate) fn markdown() -> Result<String> {
     let runs = runs(|_, _, _| true)?;
-    let mut out = String::from("| sensor, leg | barrier | without |\n|---|---|---|\n");
+    let mut out = String::from("| sensor, leg | touched at | barrier | without |\n|---|---|---|---|\n");
     for (row, (name, ..)) in ROWS.into_iter().enumerate() {
-        let mut cells = Vec::new();
+        let speeds = || runs.iter().filter(|run| run.cell == (row, true)).map(|run| run.approach_m_s);
+        let (least, most) = (speeds().fold(f64::INFINITY, f64::min), speeds().fold(0.0, f64::max));
+        let mut cells = vec![format!("{least:.3} to {most:.3} m/s")];
         for on in [true, false] {
             let of_cell = || runs.iter().filter(|run| run.cell == (row, on));
             let hardest = of_cell().max_by(|a, b| a.peak_n.total_cmp(&b.peak_n)).context("no runs")?;

@@ -154,7 +154,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         Experiment::Collision(common) => {
             let settings = common.settings(Law::Impedance, collision::defaults)?;
             let run = collision::run(&settings)?;
-            // The true force beside the stock board's bytes, and the other way: one without the other misleads.
+            // Each experiment is shown with the true force and with a stock board's bytes: one without the other misleads.
             let sensor = match settings.sensor {
                 settings::Sensor::Stock => settings::Sensor::Ideal,
                 settings::Sensor::Ideal | settings::Sensor::Off => settings::Sensor::Stock,

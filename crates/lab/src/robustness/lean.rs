@@ -111,8 +111,7 @@ impl Outcome {
     }
 }
 
-/// Every cell of the claim, or the ones that the arm was thrown furthest in before it was told what the base was
-/// refused.
+/// Every cell, or only those in which an arm that is not told what the base is refused would be thrown furthest.
 fn cells(short: bool) -> Vec<Cell> {
     let taxels: &[usize] = if short { &[1, 6, 7] } else { &std::array::from_fn::<_, TAXELS, _>(|i| i + 1) };
     let forces: &[f64] = if short { &[60.0, 200.0] } else { &[20.0, 60.0, 100.0, 150.0, 200.0] };

@@ -2,7 +2,7 @@
 //!
 //! [`model`] takes in what a [`source`] delivers and remembers it: [`signals`] over time, [`event`]s, the latest sample.
 //! [`requests`] says what may be asked when · [`answers`] what came of it · [`parts`] which parts the robot has ·
-//! [`tuning`] what was changed about its parameters · [`kinematics`] where the arm's joints are, [`camera`] where they
+//! [`tuning`] what differs from its default parameters · [`kinematics`] where the arm's joints are, [`camera`] where they
 //! are in a picture · [`simulated_press`] presses a simulated taxel slowly · [`format`](mod@format) turns numbers and
 //! states into text.
 

@@ -11,7 +11,7 @@ use super::{
         timing::Timing,
     },
 };
-use moca_msgs::{Law, Mode, Refusal, Request, Sample, protection::ContactPhase, seconds};
+use moca_msgs::{Law, Mode, Refusal, Request, Sample, TargetRefusal, protection::ContactPhase, seconds};
 use moca_telemetry::{
     RobotDescription,
     calibration::CalibrationProgress,
@@ -255,7 +255,10 @@ impl Model {
             self.law = law;
         }
         // Pushing with the mouse speaks for itself unless it fails.
-        if !matches!(reply, Reply { request: Request::PressTaxel { .. }, outcome: Ok(()) }) {
+        // What is asked many times a second is seen on the robot.
+        let many = matches!(reply.request, Request::PressTaxel { .. } | Request::Target(_));
+        let overtaken = matches!(reply.outcome, Err(Refusal::Target(TargetRefusal::Overtaken)));
+        if !(many && (reply.outcome.is_ok() || overtaken)) {
             self.answers.push(answer);
         }
     }

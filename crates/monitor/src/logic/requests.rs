@@ -53,6 +53,9 @@ pub fn request_text(request: Request) -> String {
         Request::MaskTaxel { taxel, masked } => {
             format!("{} T{}", if masked { "Mask" } else { "Use" }, u16::from(taxel) + 1)
         }
+        Request::Target(target) => format!("Lead: {}", target.target.kind().name()),
+        Request::Waypoint { count, .. } => format!("Lead along {count} poses"),
+        Request::EndTarget => "End the target".into(),
         Request::SetParameter { parameter, .. } => match CONTROLLER.get(usize::from(parameter)) {
             Some(spec) => format!("Set {}", spec.name),
             None => format!("Set parameter {parameter}"),

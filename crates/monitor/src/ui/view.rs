@@ -6,6 +6,7 @@ use crate::logic::{
     model::Model,
     signals::{axis::TimeAxis, history::History},
 };
+use moca_msgs::TwistAxes;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ops::Range;
 
@@ -21,6 +22,8 @@ pub(super) struct View {
     paused: Option<Box<Paused>>,
     /// Force of a push with the mouse, N.
     pub(super) push_n: f64,
+    /// Speed of the jog pad, m/s, and in whose axes.
+    pub(super) jog: (f64, TwistAxes),
     /// What is chosen on the page of the calibration.
     pub(super) calibration: CalibrationChoice,
     /// Parameters that were edited and not applied yet, by number.
@@ -42,6 +45,7 @@ impl Default for View {
             cursor_s: None,
             paused: None,
             push_n: 20.0,
+            jog: (0.05, TwistAxes::World),
             calibration: CalibrationChoice::default(),
             drafts: BTreeMap::new(),
             camera: OrbitCamera::default(),

@@ -236,3 +236,35 @@ fn each_taxel_is_masked_and_taken_back_by_its_button_unless_the_robot_moves() {
     assert_eq!(bench.asked(), [], "while a law moves the robot");
     assert!(bench.shows("Disarm to change masks"));
 }
+
+#[test]
+fn the_jog_pad_leads_while_it_is_held_and_ends_when_let_go() {
+    let jogs =
+        |asked: &[Request]| asked.iter().filter(|request| matches!(request, Request::Target(_))).count();
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    bench.click("3-D");
+    let place = bench.harness.get_by_label("+y").rect().center();
+    bench.pointer(place, true);
+    (0..5).for_each(|_| bench.frames(Mode::Impedance, None));
+    let asked = bench.asked();
+    assert!(jogs(&asked) >= 2, "again and again: {asked:?}");
+    let Some(Request::Target(first)) = asked.iter().find(|request| matches!(request, Request::Target(_)))
+    else {
+        panic!("no target")
+    };
+    let twist = [0.0, 0.05, 0.0, 0.0, 0.0, 0.0];
+    assert_eq!(first.target, moca_msgs::Target::Twist { axes: moca_msgs::TwistAxes::World, twist });
+    bench.pointer(place, false);
+    bench.frames(Mode::Impedance, None);
+    assert!(bench.asked().contains(&Request::EndTarget));
+    bench.frames(Mode::Impedance, None);
+    assert_eq!(bench.asked(), [], "and then nothing");
+
+    // no law, no jog
+    let mut bench = Bench::in_mode(Mode::Ready);
+    bench.click("3-D");
+    let place = bench.harness.get_by_label("+y").rect().center();
+    bench.pointer(place, true);
+    bench.frames(Mode::Ready, None);
+    assert_eq!(jogs(&bench.asked()), 0);
+}

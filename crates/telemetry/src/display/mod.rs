@@ -40,8 +40,6 @@ const TOUCH: &str = "/scene/touch";
 const LOG: &str = "/log";
 const URDF: &str = "/robot_description";
 
-/// What moves is shown at most so often, ns.
-const POSE_PERIOD_NS: u64 = 10_000_000;
 /// A touch is drawn at most so often, ns.
 const TOUCH_PERIOD_NS: u64 = 40_000_000;
 /// What does not change is said again, for a viewer that came later, ns.
@@ -63,6 +61,15 @@ pub trait Sink {
     -> Result<(), LogError>;
 }
 
+/// How often something is shown, ns of loop time; a period of 0 is each tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Periods {
+    /// The records.
+    pub numbers_ns: u64,
+    /// Transforms, poses, joints, the cover's wrench.
+    pub poses_ns: u64,
+}
+
 /// What changes now and then: mode, fault with the board that it is of, and what is known of the board.
 type Situation = (Mode, (Option<Fault>, Option<u8>), Diagnosis);
 
@@ -71,8 +78,7 @@ pub struct Display {
     robot: RobotDescription,
     /// Unix time of loop time 0, ns.
     start_unix_ns: u64,
-    /// Numbers are shown so often, ns of loop time.
-    period_ns: u64,
+    periods: Periods,
     last: Option<Situation>,
     next_numbers_ns: u64,
     next_poses_ns: u64,
@@ -84,12 +90,12 @@ pub struct Display {
 }
 
 impl Display {
-    /// Shows `robot`, its numbers once in `period_ns`.
-    pub fn new(robot: &RobotDescription, start_unix_ns: u64, period_ns: u64) -> Self {
+    /// Shows `robot`, whose loop time 0 was at `start_unix_ns`.
+    pub fn new(robot: &RobotDescription, start_unix_ns: u64, periods: Periods) -> Self {
         Self {
             robot: robot.clone(),
             start_unix_ns,
-            period_ns: period_ns.max(1),
+            periods,
             last: None,
             next_numbers_ns: 0,
             next_poses_ns: 0,
@@ -98,6 +104,11 @@ impl Display {
             touched: false,
             worst: Default::default(),
         }
+    }
+
+    /// Loop time 0 was at `unix_ns`, as is known now.
+    pub const fn started_at(&mut self, unix_ns: u64) {
+        self.start_unix_ns = unix_ns;
     }
 
     /// Says what there will be, and who the robot is.
@@ -140,7 +151,7 @@ impl Display {
             to.message(LOG, time_ns, &sentences::contact(&self.stamp(time_ns), event))?;
         }
         self.scene(sample, to)?;
-        let due = is_due(&mut self.next_numbers_ns, time_ns, self.period_ns)
+        let due = is_due(&mut self.next_numbers_ns, time_ns, self.periods.numbers_ns)
             || changed
             || !sample.contact_events.is_empty();
         if due {
@@ -194,7 +205,7 @@ impl Display {
             self.touched = touched;
             to.message(TOUCH, time_ns, &scene::touch(&self.robot, sample, &at))?;
         }
-        if is_due(&mut self.next_poses_ns, time_ns, POSE_PERIOD_NS.max(self.period_ns)) {
+        if is_due(&mut self.next_poses_ns, time_ns, self.periods.poses_ns) {
             to.message(TF, time_ns, &frames::moving(&self.robot, sample, &at))?;
             to.message(COVER_WRENCH, time_ns, &frames::cover_wrench(sample, &at))?;
             if frames::has_arm(&self.robot) {
@@ -224,7 +235,7 @@ impl Display {
 fn is_due(next_ns: &mut u64, time_ns: u64, period_ns: u64) -> bool {
     let due = time_ns >= *next_ns;
     if due {
-        *next_ns = time_ns - time_ns % period_ns + period_ns;
+        *next_ns = time_ns - time_ns.checked_rem(period_ns).unwrap_or(0) + period_ns;
     }
     due
 }

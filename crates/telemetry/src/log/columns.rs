@@ -1,7 +1,7 @@
 //! Lossless columns of numbers: what a block of ticks was given, in few bytes after a general compressor.
 //!
 //! A measured quantity changes little from tick to tick, so a column stores how many representable numbers lie between
-//! each value and what its predecessors foretell: the high bytes of these distances are zero. They are stored plane by
+//! each value and what its predecessors predict: the high bytes of these distances are zero. They are stored plane by
 //! plane, highest bytes first, so that zeros lie beside zeros. Numbers that are all multiples of one power of two, as a
 //! rounded measurement is, are counted in it: near zero, where doubles lie close, the distances stay small.
 //!
@@ -20,7 +20,7 @@
 /// Most values of one column; a reader refuses more.
 const MAX_ROWS: usize = 1 << 16;
 
-/// How a value is foretold.
+/// How a value is predicted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Guess {
     /// As the one before.
@@ -192,7 +192,7 @@ impl ColumnWriter {
         }
     }
 
-    /// A column of numbers, NaN and infinity included; `rate` may foretell it.
+    /// A column of numbers, NaN and infinity included; `rate` may help to predict it.
     pub fn numbers(&mut self, values: &[f64], rate: Option<Rate<'_>>) {
         let distances = |guess: Guess| -> Vec<u64> {
             let guessed = (0..values.len()).map(|row| guess.of(&values[..row], rate.as_ref()));

@@ -337,6 +337,7 @@ impl Decoder {
             contact_reaction,
             contact_events: bounded(events),
             contact_rows: heapless::Vec::new(),
+            target: None,
             lateness_s: timing.lateness_s,
             overruns: timing.overruns,
             stages_ns: timing.stages_ns,

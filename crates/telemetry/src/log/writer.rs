@@ -10,7 +10,7 @@ use super::{
 use crate::{
     RobotDescription,
     display::{
-        Display, Sink,
+        Display, Periods, Sink,
         cdr::{self, Cdr, Message},
     },
 };
@@ -30,8 +30,9 @@ pub(super) const FORM: &str = "moca-s/2";
 const CHUNK_NS: u64 = 500_000_000;
 /// Bytes after which a chunk ends all the same.
 const CHUNK_BYTES: u64 = 4 << 20;
-/// How often a sample is written for viewers, ns: 50 Hz.
-const DISPLAY_PERIOD_NS: u64 = 20_000_000;
+/// How often a sample is written for viewers: its numbers at 50 Hz, where everything is at 25 Hz. At 50 Hz transforms and
+/// joints would be as large as all numbers together.
+const PERIODS: Periods = Periods { numbers_ns: 20_000_000, poses_ns: 40_000_000 };
 /// Name of the overview among a log's attachments.
 pub(super) const OVERVIEW: &str = "overview.json";
 /// Name of the robot's URDF among them.
@@ -108,7 +109,7 @@ impl<W: Write> LogWriter<W> {
         };
         let mut log = Self {
             channels,
-            display: Display::new(&meta.description, meta.start_unix_ns, DISPLAY_PERIOD_NS),
+            display: Display::new(&meta.description, meta.start_unix_ns, PERIODS),
             chunk_ns: None,
             overview: OverviewBuilder::default(),
             summary: LogSummary::default(),

@@ -18,7 +18,7 @@ use super::{
     wire::{self, FromClient, FromServer},
 };
 use crate::{RobotDescription, calibration::CalibrationRequest};
-use moca_msgs::Request;
+use moca_msgs::{Request, TouchPolicy, Waypoint};
 use tokio::io::AsyncWriteExt;
 
 /// A greeted connection, in two halves that may be used at the same time.
@@ -69,6 +69,16 @@ impl Outgoing {
     /// Sends a request; the reply carries the same `id`.
     pub async fn request(&mut self, id: u64, request: Request) -> Result<(), NetError> {
         self.send(FromClient::Request { id, request }).await
+    }
+
+    /// Leads the flange along poses and times; the reply carries the same `id`.
+    pub async fn trajectory(
+        &mut self,
+        id: u64,
+        touch: TouchPolicy,
+        waypoints: Vec<Waypoint>,
+    ) -> Result<(), NetError> {
+        self.send(FromClient::Trajectory { id, touch, waypoints }).await
     }
 
     /// Asks the calibrator.

@@ -1,9 +1,13 @@
 //! Who may command, what is asked of the loop, and what it has not answered yet.
 
 use super::requests::{ROOM, RequestSender};
-use super::wire::{COMMAND_LEASE, Commander};
+use super::wire::{COMMAND_LEASE, Commander, unix_now_ns};
 use crate::RobotDescription;
-use moca_msgs::{Outcome, ParameterValues, Refusal, Request, request::PRESS_FORCE_MAX_N};
+use moca_msgs::target::check_trajectory;
+use moca_msgs::{
+    Outcome, ParameterValues, Refusal, Request, TargetRefusal, TimedTarget, TouchPolicy, Waypoint,
+    request::PRESS_FORCE_MAX_N,
+};
 use std::{
     collections::BTreeMap,
     time::{Duration, Instant},
@@ -11,6 +15,9 @@ use std::{
 
 /// How long the loop may take to answer.
 pub(super) const ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// Targets that may be on their way to the loop: beyond them a client sends more than ten for each tick.
+const TARGETS_MAX: u8 = 16;
 
 /// Number of a client, unique in a server's life.
 pub(super) type ClientId = u64;
@@ -34,6 +41,8 @@ struct Pending {
     id: u64,
     deadline: Instant,
     stop: bool,
+    /// Of the requests that this one was split into: the first refusal of any is the answer.
+    first_ticket: u64,
 }
 
 /// A change of a parameter that somebody asks for.
@@ -104,12 +113,20 @@ impl Desk {
         &mut self,
         client: ClientId,
         id: u64,
-        request: Request,
+        mut request: Request,
         now: Instant,
     ) -> Option<Answer> {
         let refuse = |refusal| Some(Answer { client, id, outcome: Err(refusal) });
         if request != Request::Stop && !self.claim(client, now) {
             return refuse(Refusal::NotCommander);
+        }
+        if let Request::Target(target) = &mut request
+            && let Err(refusal) = self.check_target(target)
+        {
+            return refuse(refusal.into());
+        }
+        if matches!(request, Request::Waypoint { .. }) {
+            return refuse(TargetRefusal::OutOfTurn.into());
         }
         if let Request::PressTaxel { taxel, force_n } = request {
             if usize::from(taxel) >= self.taxels || !(0.0..=PRESS_FORCE_MAX_N).contains(&force_n) {
@@ -139,8 +156,59 @@ impl Desk {
             return refuse(Refusal::NoAnswer);
         }
         let (deadline, stop) = (now + ANSWER_TIMEOUT, request == Request::Stop);
-        self.pending.insert(self.next_ticket, Pending { client, id, deadline, stop });
+        let first_ticket = self.next_ticket;
+        self.pending.insert(self.next_ticket, Pending { client, id, deadline, stop, first_ticket });
         None
+    }
+
+    /// Passes a trajectory on to the loop, pose by pose, or refuses it at once. The answer to its last pose is the answer
+    /// to it: after one that is refused all others are out of turn.
+    pub(super) fn ask_trajectory(
+        &mut self,
+        client: ClientId,
+        id: u64,
+        touch: TouchPolicy,
+        waypoints: &[Waypoint],
+        now: Instant,
+    ) -> Option<Answer> {
+        let refuse = |refusal| Some(Answer { client, id, outcome: Err(refusal) });
+        if !self.claim(client, now) {
+            return refuse(Refusal::NotCommander);
+        }
+        if let Err(refusal) = check_trajectory(waypoints) {
+            return refuse(refusal.into());
+        }
+        if self.unanswered + waypoints.len() > ROOM {
+            return refuse(TargetRefusal::TooMany { most: TARGETS_MAX }.into());
+        }
+        let count = u8::try_from(waypoints.len()).unwrap_or(u8::MAX);
+        let first_ticket = self.next_ticket + 1;
+        for (index, waypoint) in (0..count).zip(waypoints) {
+            let request = Request::Waypoint { index, count, waypoint: *waypoint, touch };
+            if !self.submit(request) {
+                return refuse(Refusal::NoAnswer);
+            }
+        }
+        let pending = Pending { client, id, deadline: now + ANSWER_TIMEOUT, stop: false, first_ticket };
+        self.pending.insert(self.next_ticket, pending);
+        None
+    }
+
+    /// Dates a target by the daemon's clock, and refuses what the loop need not hear of.
+    fn check_target(&self, timed: &mut TimedTarget) -> Result<(), TargetRefusal> {
+        timed.age_s = match timed.stamp_unix_ns {
+            0 => 0.0,
+            stamp => {
+                let now = unix_now_ns();
+                moca_msgs::seconds(now.saturating_sub(stamp)) - moca_msgs::seconds(stamp.saturating_sub(now))
+            }
+        };
+        timed.check()?;
+        timed.check_age()?;
+        if self.unanswered >= usize::from(TARGETS_MAX) {
+            return Err(TargetRefusal::TooMany { most: TARGETS_MAX });
+        }
+        Ok(())
     }
 
     /// Notes the joint angles of the latest sample, rad.
@@ -201,6 +269,9 @@ impl Desk {
             if let (Some((number, values)), Ok(())) = (self.changes.remove(&ticket), outcome) {
                 self.parameters.insert(number, values);
             }
+            if let (Err(refusal), false) = (outcome, self.pending.contains_key(&ticket)) {
+                self.refuse_split(ticket, refusal, &mut answers);
+            }
             if let Some(Pending { client, id, stop, .. }) = self.pending.remove(&ticket) {
                 answers.push(Answer { client, id, outcome });
                 if stop {
@@ -219,6 +290,17 @@ impl Desk {
             answers.push(Answer { client, id, outcome: Err(Refusal::NoAnswer) });
         }
         answers
+    }
+
+    /// Answers a request of several parts as soon as one of them is refused.
+    fn refuse_split(&mut self, ticket: u64, refusal: Refusal, answers: &mut Vec<Answer>) {
+        let whole = self.pending.range(ticket..).next().map(|(last, pending)| (*last, pending.first_ticket));
+        if let Some((last, first)) = whole
+            && (first..last).contains(&ticket)
+            && let Some(Pending { client, id, .. }) = self.pending.remove(&last)
+        {
+            answers.push(Answer { client, id, outcome: Err(refusal) });
+        }
     }
 
     /// Present values of the parameters that have been changed.
@@ -252,6 +334,7 @@ impl Desk {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has to stop")]
 mod tests {
     use super::super::requests::{RequestReceiver, request_channel};
     use super::*;
@@ -284,6 +367,140 @@ mod tests {
         assert_eq!(asked(&mut robot), Some(Request::OperatorLost));
         assert_eq!(asked(&mut robot), Some(Request::PressTaxel { taxel: 2, force_n: 0.0 }));
         assert_eq!(desk.ask(2, 1, Request::Tare, alive + COMMAND_LEASE), None);
+    }
+
+    fn refusal(answer: Option<Answer>) -> Option<Refusal> {
+        answer.and_then(|answer| answer.outcome.err())
+    }
+
+    #[test]
+    fn one_client_commands_and_any_other_may_only_stop_the_robot() {
+        let (mut desk, mut robot) = desk();
+        let now = Instant::now();
+        assert_eq!(desk.commander_seen_by(1), Commander::Nobody);
+        assert_eq!(desk.ask(2, 1, Request::Stop, now), None, "who stops the robot need not command it");
+        assert_eq!((asked(&mut robot), desk.commander_seen_by(2)), (Some(Request::Stop), Commander::Nobody));
+        assert!(desk.claim(1, now) && desk.claim(1, now) && !desk.claim(2, now));
+        assert_eq!((desk.is_commander(1), desk.is_commander(2)), (true, false));
+        assert_eq!(
+            (desk.commander_seen_by(1), desk.commander_seen_by(2)),
+            (Commander::You, Commander::Another)
+        );
+        let refused = Answer { client: 2, id: 5, outcome: Err(Refusal::NotCommander) };
+        assert_eq!(desk.ask(2, 5, Request::Arm, now), Some(refused));
+        // an onlooker's going is no loss
+        desk.release(2);
+        desk.lose(2);
+        assert_eq!((asked(&mut robot), desk.commander_seen_by(1)), (None, Commander::You));
+        desk.release(1);
+        assert_eq!(asked(&mut robot), None);
+        assert!(desk.claim(2, now), "who gives the command back leaves it to the next");
+    }
+
+    #[test]
+    fn a_press_is_of_a_taxel_there_is_with_a_force_it_may_have() {
+        let (mut desk, mut robot) = desk();
+        let now = Instant::now();
+        let mut press = |taxel, force_n| {
+            let answer = desk.ask(1, 1, Request::PressTaxel { taxel, force_n }, now);
+            (refusal(answer), asked(&mut robot).is_some())
+        };
+        for (taxel, force_n) in [(11, 5.0), (0, -0.1), (0, 1.001 * PRESS_FORCE_MAX_N), (0, f64::NAN)] {
+            assert_eq!(
+                press(taxel, force_n),
+                (Some(Refusal::OutOfRange), false),
+                "T{} {force_n} N",
+                taxel + 1
+            );
+        }
+        for (taxel, force_n) in [(10, 5.0), (0, 0.0), (0, PRESS_FORCE_MAX_N)] {
+            assert_eq!(press(taxel, force_n), (None, true), "T{} {force_n} N", taxel + 1);
+        }
+    }
+
+    #[test]
+    fn who_leaves_lets_go_of_what_it_holds_and_of_nothing_else() {
+        let press = |taxel, force_n| Request::PressTaxel { taxel, force_n };
+        let (mut desk, mut robot) = desk();
+        let now = Instant::now();
+        for request in [press(3, 10.0), press(2, 10.0), press(2, 0.0)] {
+            assert_eq!(desk.ask(1, 1, request, now), None);
+            assert_eq!(asked(&mut robot), Some(request));
+        }
+        desk.release(1);
+        assert_eq!((asked(&mut robot), asked(&mut robot)), (Some(press(3, 0.0)), None));
+
+        // No room when it leaves; the next one presses the same taxel before there is.
+        for taxel in [4, 5] {
+            desk.ask(1, 1, press(taxel, 10.0), now);
+        }
+        while refusal(desk.ask(1, 1, Request::Disarm, now)).is_none() {}
+        desk.release(1);
+        while asked(&mut robot).is_some() {}
+        assert_eq!(desk.ask(2, 1, press(4, 20.0), now), None);
+        assert_eq!(asked(&mut robot), Some(press(4, 20.0)));
+        desk.answers(now);
+        assert_eq!((asked(&mut robot), asked(&mut robot)), (Some(press(5, 0.0)), None));
+    }
+
+    #[test]
+    fn each_request_has_its_answer_and_one_that_the_loop_does_not_give_in_time_is_said() {
+        let (mut desk, mut robot) = desk();
+        let start = Instant::now();
+        assert!(!desk.waits());
+        for id in [7, 8] {
+            assert_eq!(desk.ask(1, id, Request::Disarm, start), None);
+        }
+        let (ticket, _) = robot.take().unwrap();
+        robot.answer(ticket, Err(Refusal::NoRobot));
+        let almost = start + ANSWER_TIMEOUT - Duration::from_millis(1);
+        assert_eq!(desk.answers(almost), [Answer { client: 1, id: 7, outcome: Err(Refusal::NoRobot) }]);
+        assert!(desk.waits());
+        let late = desk.answers(start + ANSWER_TIMEOUT);
+        assert_eq!(late, [Answer { client: 1, id: 8, outcome: Err(Refusal::NoAnswer) }]);
+        assert!(!desk.waits());
+    }
+
+    #[test]
+    fn changes_of_parameters_leave_room_for_their_answers_and_for_everything_else() {
+        let (mut desk, mut robot) = desk();
+        let now = Instant::now();
+        let values = ParameterValues::new(&[2.0]).unwrap();
+        let change = Request::SetParameter { parameter: 3, values };
+        for _ in 0..ROOM / 2 {
+            assert_eq!(desk.ask(1, 1, change, now), None);
+        }
+        assert_eq!(refusal(desk.ask(1, 1, change, now)), Some(Refusal::NoAnswer));
+        assert_eq!(desk.ask(1, 1, Request::Disarm, now), None);
+        for _ in 0..2 {
+            let (ticket, _) = robot.take().unwrap();
+            robot.answer(ticket, Ok(()));
+        }
+        desk.answers(now);
+        assert_eq!(desk.ask(1, 1, change, now), None, "two are answered");
+        assert_eq!(refusal(desk.ask(1, 1, change, now)), Some(Refusal::NoAnswer));
+    }
+
+    #[test]
+    fn a_change_is_judged_where_the_robot_stands_and_with_those_on_their_way() {
+        let (requests, mut robot) = request_channel();
+        let judge: Judge = Box::new(|change| {
+            let bent = change.q_rad.first().is_some_and(|q_rad| *q_rad > 1.0);
+            if bent || change.changed.contains_key(&9) { Err(Refusal::OutOfRange) } else { Ok(()) }
+        });
+        let mut desk = Desk::new(requests, &RobotDescription::paper("test", true), Some(judge));
+        let now = Instant::now();
+        let mut change = |desk: &mut Desk, parameter| {
+            let values = ParameterValues::new(&[2.0]).unwrap();
+            refusal(desk.ask(1, 1, Request::SetParameter { parameter, values }, now))
+        };
+        assert_eq!(change(&mut desk, 3), None);
+        desk.see_posture(&[1.5]);
+        assert_eq!(change(&mut desk, 3), Some(Refusal::OutOfRange));
+        desk.see_posture(&[0.5]);
+        assert_eq!(change(&mut desk, 9), None);
+        assert_eq!(change(&mut desk, 3), Some(Refusal::OutOfRange), "another one is on its way");
+        assert_eq!(std::iter::from_fn(|| asked(&mut robot)).count(), 2, "what is refused does not leave");
     }
 
     #[test]
@@ -349,6 +566,118 @@ mod tests {
         let mut answered: Vec<ClientId> = desk.answers(now).iter().map(|answer| answer.client).collect();
         answered.sort_unstable();
         assert_eq!(answered, [1, 2, 3]);
+    }
+
+    fn twist(speed: f64) -> TimedTarget {
+        let twist = [speed, 0.0, 0.0, 0.0, 0.0, 0.0];
+        TimedTarget::new(moca_msgs::Target::Twist { axes: moca_msgs::TwistAxes::World, twist })
+    }
+
+    #[test]
+    fn of_a_flood_of_targets_the_newest_counts_and_a_stop_passes_it() {
+        let (mut desk, mut robot) = desk();
+        let now = Instant::now();
+        // 10 kHz for a tenth of a second, a loop of 1 kHz that answers at once
+        let (mut taken, mut overtaken, mut refused) = (0, 0, 0);
+        for id in 0..1000_u32 {
+            let target = twist(0.1 * f64::from(id) / 1000.0);
+            match desk.ask(1, u64::from(id), Request::Target(target), now).map(|answer| answer.outcome) {
+                Some(Err(Refusal::Target(TargetRefusal::TooMany { most: TARGETS_MAX }))) => refused += 1,
+                other => assert_eq!(other, None),
+            }
+            if id % 10 == 9 {
+                let (ticket, request) = robot.take().unwrap();
+                assert_eq!(request, Request::Target(target), "the newest");
+                robot.answer(ticket, Ok(()));
+                assert_eq!(robot.take(), None, "one for a tick");
+                for answer in desk.answers(now) {
+                    match answer.outcome {
+                        Ok(()) => taken += 1,
+                        Err(refusal) => {
+                            assert_eq!(refusal, Refusal::Target(TargetRefusal::Overtaken));
+                            overtaken += 1;
+                        }
+                    }
+                }
+            }
+        }
+        assert_eq!((taken, overtaken, refused), (100, 900, 0));
+        // a loop that takes none: the queue is bounded, the rest is told so
+        let told = (0..100).filter_map(|id| desk.ask(1, id, Request::Target(twist(0.1)), now)).count();
+        assert_eq!(told, 100 - usize::from(TARGETS_MAX));
+        desk.ask(2, 1, Request::Stop, now);
+        assert_eq!(asked(&mut robot), Some(Request::Stop));
+    }
+
+    #[test]
+    fn an_end_behind_a_target_ends_it() {
+        let (mut desk, mut robot) = desk();
+        let now = Instant::now();
+        desk.ask(1, 1, Request::Target(twist(0.1)), now);
+        desk.ask(1, 2, Request::EndTarget, now);
+        assert_eq!(asked(&mut robot), Some(Request::EndTarget));
+        assert_eq!(asked(&mut robot), None);
+        let outcome = desk.answers(now).pop().unwrap().outcome;
+        assert_eq!(outcome, Err(Refusal::Target(TargetRefusal::Overtaken)));
+    }
+
+    #[test]
+    fn targets_are_dated_by_the_daemons_clock_and_one_client_writes() {
+        let (mut desk, mut robot) = desk();
+        let now = Instant::now();
+        let stamped = |ago_s: f64| {
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "some nanoseconds")]
+            let stamp_unix_ns = unix_now_ns().saturating_sub((ago_s * 1e9) as u64);
+            Request::Target(TimedTarget { stamp_unix_ns, age_s: -7.0, ..twist(0.1) })
+        };
+        assert_eq!(desk.ask(1, 1, stamped(0.1), now), None);
+        let Some(Request::Target(TimedTarget { age_s, .. })) = asked(&mut robot) else {
+            panic!("the target goes on to the loop")
+        };
+        assert!((0.1..60.0).contains(&age_s), "{age_s}");
+        let refusal = |desk: &mut Desk, client, request| {
+            desk.ask(client, 2, request, now).unwrap().outcome.unwrap_err().to_string()
+        };
+        assert!(refusal(&mut desk, 1, stamped(90.0)).starts_with("age of the target 0 = 90."));
+        let ahead = TimedTarget { stamp_unix_ns: unix_now_ns() + 90_000_000_000, ..twist(0.1) };
+        assert!(refusal(&mut desk, 1, Request::Target(ahead)).starts_with("age of the target 0 = -"));
+        assert_eq!(
+            refusal(&mut desk, 1, Request::Target(twist(f64::NAN))),
+            "linear speed 0 is not a finite number"
+        );
+        assert!(refusal(&mut desk, 2, Request::Target(twist(0.1))).starts_with("another client"));
+        assert_eq!(asked(&mut robot), None, "no refused target reaches the loop");
+    }
+
+    #[test]
+    fn a_trajectory_is_answered_once_by_its_last_pose_or_its_first_refusal() {
+        let waypoint =
+            |time_s| Waypoint { time_s, position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] };
+        let now = Instant::now();
+        for refused in [None, Some(0), Some(2)] {
+            let (mut desk, mut robot) = desk();
+            let poses = [waypoint(0.0), waypoint(1.0), waypoint(2.0)];
+            assert_eq!(desk.ask_trajectory(1, 9, TouchPolicy::TouchWins, &poses, now), None);
+            for index in 0..3_u8 {
+                let (ticket, request) = robot.take().unwrap();
+                assert!(matches!(request, Request::Waypoint { index: i, count: 3, .. } if i == index));
+                let refusal = Refusal::Target(TargetRefusal::NoSuchPart);
+                robot.answer(ticket, if refused == Some(index) { Err(refusal) } else { Ok(()) });
+            }
+            let answers = desk.answers(now);
+            assert_eq!(answers.len(), 1);
+            assert_eq!((answers[0].id, answers[0].outcome.is_ok()), (9, refused.is_none()));
+        }
+        let (mut desk, mut robot) = desk();
+        let backwards = [waypoint(1.0), waypoint(0.0)];
+        let answer = desk.ask_trajectory(1, 9, TouchPolicy::TouchWins, &backwards, now).unwrap();
+        assert!(answer.outcome.unwrap_err().to_string().starts_with("time of a pose"));
+        assert!(desk.ask_trajectory(1, 9, TouchPolicy::TouchWins, &[], now).unwrap().outcome.is_err());
+        // a client cannot feed poses past that check
+        let request =
+            Request::Waypoint { index: 0, count: 1, waypoint: waypoint(0.0), touch: TouchPolicy::TouchWins };
+        assert!(desk.ask(1, 1, request, now).unwrap().outcome.is_err());
+        assert_eq!(asked(&mut robot), None);
     }
 
     #[test]

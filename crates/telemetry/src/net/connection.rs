@@ -19,7 +19,7 @@ use crate::{
     RobotDescription,
     calibration::{CalibrationProgress, CalibrationRequest},
 };
-use moca_msgs::{Outcome, Refusal, Request, Sample};
+use moca_msgs::{Outcome, Refusal, Request, Sample, TouchPolicy, Waypoint};
 use std::{
     collections::{BTreeMap, VecDeque},
     sync::{
@@ -95,9 +95,9 @@ pub struct Connection {
     thread: Option<JoinHandle<()>>,
 }
 
-#[derive(Clone, Copy)]
 enum Command {
     Request(Request),
+    Trajectory(TouchPolicy, Vec<Waypoint>),
     Calibrate(CalibrationRequest),
     Release,
 }
@@ -163,6 +163,16 @@ impl Connection {
     /// Asks the loop; the answer comes with a later [`Self::poll`], [`Refusal::NoAnswer`] if there is no daemon.
     pub fn request(&self, request: Request) {
         if !self.send(Command::Request(request)) {
+            lock(&self.shared).replies.push(Reply { request, outcome: Err(Refusal::NoAnswer) });
+        }
+    }
+
+    /// Leads the flange along poses and times. The answer comes with a later [`Self::poll`], as that to the last pose's
+    /// [`Request::Waypoint`].
+    pub fn trajectory(&self, touch: TouchPolicy, waypoints: Vec<Waypoint>) {
+        let Some(&waypoint) = waypoints.last() else { return };
+        let request = as_request(&waypoints, waypoint, touch);
+        if !self.send(Command::Trajectory(touch, waypoints)) {
             lock(&self.shared).replies.push(Reply { request, outcome: Err(Refusal::NoAnswer) });
         }
     }
@@ -295,6 +305,13 @@ async fn speak(
                 lock(shared).waiting.insert(id, request);
                 outgoing.request(id, request).await
             }
+            Some(Command::Trajectory(touch, waypoints)) => {
+                id += 1;
+                if let Some(&last) = waypoints.last() {
+                    lock(shared).waiting.insert(id, as_request(&waypoints, last, touch));
+                }
+                outgoing.trajectory(id, touch, waypoints).await
+            }
             Some(Command::Calibrate(request)) => outgoing.calibrate(request).await,
             Some(Command::Release) => outgoing.release().await,
         };
@@ -302,6 +319,12 @@ async fn speak(
             return Some(error.to_string());
         }
     }
+}
+
+/// The request that a trajectory's answer belongs to.
+fn as_request(waypoints: &[Waypoint], waypoint: Waypoint, touch: TouchPolicy) -> Request {
+    let count = u8::try_from(waypoints.len()).unwrap_or(u8::MAX);
+    Request::Waypoint { index: count.saturating_sub(1), count, waypoint, touch }
 }
 
 /// Answers commands while there is no daemon; ends when there will be no more commands.

@@ -1,6 +1,6 @@
 //! Requests on their way to the loop: a bounded ring, and beside it two flags for what must not wait behind a full one.
 
-use moca_msgs::{Outcome, Refusal, Request};
+use moca_msgs::{Outcome, Refusal, Request, TargetRefusal};
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::{
     Arc,
@@ -88,6 +88,11 @@ impl RequestReceiver {
             }
         }
         while let Ok((ticket, request)) = self.requests.pop() {
+            // Of targets that come faster than ticks the newest counts.
+            if matches!(request, Request::Target(_)) && self.leads_next() {
+                self.answer(ticket, Err(Refusal::Target(TargetRefusal::Overtaken)));
+                continue;
+            }
             let moves = matches!(request, Request::Arm | Request::Resume);
             if !(moves && ticket < self.stopped_at) {
                 return Some((ticket, request));
@@ -95,6 +100,11 @@ impl RequestReceiver {
             self.answer(ticket, Err(Refusal::Stopped));
         }
         None
+    }
+
+    /// Whether the next one in the ring sets a target or ends one.
+    fn leads_next(&self) -> bool {
+        self.requests.peek().is_ok_and(|(_, next)| matches!(next, Request::Target(_) | Request::EndTarget))
     }
 
     /// Answers the request with this ticket.

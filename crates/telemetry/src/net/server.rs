@@ -515,6 +515,14 @@ async fn read_requests(mut reader: Reader, client: &Client, hub: &Hub) -> Result
                 }
                 hub.asked.notify_one();
             }
+            FromClient::Trajectory { id, touch, waypoints } => {
+                let now = Instant::now();
+                let refused = hub.desk.borrow_mut().ask_trajectory(client.id, id, touch, &waypoints, now);
+                if let Some(answer) = refused {
+                    hub.reply(answer.client, answer.id, answer.outcome);
+                }
+                hub.asked.notify_one();
+            }
             FromClient::Calibrate(request) => hub.calibrate(client.id, request),
             FromClient::Release => hub.desk.borrow_mut().release(client.id),
         }

@@ -20,7 +20,7 @@ use crate::{
     RobotDescription,
     calibration::{CalibrationProgress, CalibrationRequest},
 };
-use moca_msgs::{Outcome, ParameterValues, Request, Sample};
+use moca_msgs::{Outcome, ParameterValues, Request, Sample, TouchPolicy, Waypoint};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncReadExt};
@@ -30,7 +30,7 @@ pub const SCHEMA_VERSION: u32 = 13;
 /// Longest frame a server sends, bytes.
 pub const MAX_SERVER_FRAME: usize = 1 << 20;
 /// Longest frame a client sends, bytes.
-pub const MAX_CLIENT_FRAME: usize = 256;
+pub const MAX_CLIENT_FRAME: usize = 4096;
 
 /// How long a commander may be silent: one that hangs must not keep others from the robot.
 pub const COMMAND_LEASE: Duration = Duration::from_secs(3);
@@ -96,7 +96,7 @@ pub enum Commander {
 }
 
 /// What a client sends.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum FromClient {
     /// Ask the loop. Anything but `Stop` also asks for the command.
     Request {
@@ -104,6 +104,15 @@ pub enum FromClient {
         id: u64,
         /// What is asked.
         request: Request,
+    },
+    /// Lead the flange along poses and times; answered once it has begun, or is refused. Also asks for the command.
+    Trajectory {
+        /// Returned with the reply.
+        id: u64,
+        /// What a touch does to it.
+        touch: TouchPolicy,
+        /// At most [`moca_msgs::target::MAX_WAYPOINTS`].
+        waypoints: Vec<Waypoint>,
     },
     /// Calibrate. Also asks for the command; from a client that does not get it, this is not heard.
     Calibrate(CalibrationRequest),

@@ -45,6 +45,9 @@ pub struct ArmController<const N: usize, T = f64> {
     hold_stiffness: [T; N],
 }
 
+/// Share of its largest speed beyond which no joint is led on.
+const LED_JOINT_SHARE: f64 = 0.3;
+
 /// One step's measurements of an arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmInput<const N: usize, T = f64> {
@@ -234,6 +237,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
                 entering: true,
                 held_back: None,
                 observer: MomentumObserver::new(),
+                lead: None,
             };
             state.retarget(tick);
             finite("entry torque", &state.torque_nm)?;
@@ -259,6 +263,16 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
     /// Moves reference and posture on by one step.
     #[inline]
     pub(super) fn advance(&self, tick: &ArmTick<'_, N, T>, state: &mut ArmState<N, T>) {
+        if state.is_led() {
+            // Near a singular posture a slow flange has fast joints: who leads it waits for them.
+            let waits =
+                self.joint_speeds.share(&tick.robot.q_rad, &tick.robot.dq_rad_s) > of(LED_JOINT_SHARE);
+            state.advance_lead(&self.model, tick, waits);
+            if !state.leads_posture() {
+                approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
+            }
+            return;
+        }
         let actual = match state.law {
             ControlLaw::FollowMe => seen_from_base(&tick.flange, tick.kinematics, tick.robot),
             ControlLaw::Hold | ControlLaw::Impedance => tick.flange,
@@ -332,6 +346,7 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
     /// # Errors
     /// A value that is not finite, or a quaternion that is not of length 1.
     pub fn set_target_pose(&mut self, position: [T; 3], quaternion: [T; 4]) -> Result<(), ControlError> {
+        self.lead = None;
         self.reference.set_pose(position, quaternion)
     }
 
@@ -342,6 +357,7 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
     /// # Errors
     /// A value that is not finite.
     pub fn set_target_twist(&mut self, twist: [T; 6]) -> Result<(), ControlError> {
+        self.lead = None;
         self.reference.set_twist(twist)
     }
 
@@ -362,6 +378,7 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
 
     /// Makes the measured state the target.
     fn retarget(&mut self, tick: &ArmTick<'_, N, T>) {
+        self.lead = None;
         self.posture_rad = tick.robot.q_rad;
         self.reference = Reference::hold(match self.law {
             ControlLaw::FollowMe => seen_from_base(&tick.flange, tick.kinematics, tick.robot),

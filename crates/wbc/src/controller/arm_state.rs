@@ -1,6 +1,7 @@
 //! What the controller of an arm remembers.
 
 use super::law::ControlLaw;
+use super::lead::Lead;
 use crate::gains::ArmGains;
 use crate::momentum_observer::MomentumObserver;
 use crate::reference::{HeldBack, Reference};
@@ -29,4 +30,6 @@ pub struct ArmState<const N: usize, T = f64> {
     /// Law or corrections have changed and `carried_nm` is not known yet.
     pub(super) entering: bool,
     pub(super) observer: MomentumObserver<N, T>,
+    /// Who leads the reference from outside; `None` costs a step nothing.
+    pub(super) lead: Option<Lead<N, T>>,
 }

@@ -1,5 +1,6 @@
 //! A base with a cover: eq. (2) on anything that is driven by velocities.
 
+use super::lead::BaseLead;
 use super::{LONGEST_STEP_S, check};
 use crate::admittance::admitted;
 use crate::error::{ControlError, finite};
@@ -39,6 +40,32 @@ pub struct BaseState<T = f64> {
     pub(super) gains: BaseGains<T>,
     /// v_d of eq. (2) as last commanded: axes of B.
     pub(super) velocity_body: [T; 3],
+    /// Who drives it from outside.
+    pub(super) lead: Option<BaseLead<T>>,
+}
+
+impl<T: Scalar> BaseState<T> {
+    /// Drives the base with `velocity_body` (axes of B: m/s, m/s, rad/s) until told otherwise: what the cover feels is
+    /// added to it. It is reached within the base's speed limits at 1 m/s² and rad/s², 10 m/s³ and rad/s³.
+    ///
+    /// # Errors
+    /// A value that is not finite.
+    pub fn lead(&mut self, velocity_body: [T; 3]) -> Result<(), ControlError> {
+        finite("target base velocity", &velocity_body)?;
+        let lead = self.lead.unwrap_or_else(BaseLead::at_rest);
+        self.lead = Some(lead.to(velocity_body));
+        Ok(())
+    }
+
+    /// Moves what leads the base on by one step: its velocity (axes of B) before and after; `None` without one.
+    pub(super) fn advance_lead(&mut self, velocity_max: &[T; 3], dt_s: T) -> Option<([T; 3], [T; 3])> {
+        let lead = self.lead.as_mut()?;
+        let (before, after, ended) = lead.advance(velocity_max, dt_s);
+        if ended {
+            self.lead = None;
+        }
+        Some((before, after))
+    }
 }
 
 /// One step's measurements of a base.
@@ -106,7 +133,7 @@ impl<const K: usize, T: Scalar> BaseController<K, T> {
 
     /// State of a base that stands still.
     pub fn enter(&self) -> BaseState<T> {
-        BaseState { gains: self.gains, velocity_body: [T::zero(); 3] }
+        BaseState { gains: self.gains, velocity_body: [T::zero(); 3], lead: None }
     }
 
     /// One step: the base gives way to its cover, eqs. (2) and (4).
@@ -122,7 +149,7 @@ impl<const K: usize, T: Scalar> BaseController<K, T> {
         self.run(state, input, &input.guard, |cover_wrench_base, state, dt_s| {
             let force = heading.to_world(cover_wrench_base).map(|f| state.gains.reactivity * f);
             let before = heading.to_world(state.velocity_body);
-            heading.to_base(admitted(&state.gains, &before, &force, dt_s))
+            heading.to_base(self.admitted(state, &heading, &before, &force, dt_s))
         })
     }
 
@@ -137,7 +164,29 @@ impl<const K: usize, T: Scalar> BaseController<K, T> {
         input: &BaseInput<K, T>,
     ) -> Result<BaseOutput<T>, ControlError> {
         let room = BaseGuard { outward_m_s: input.guard.outward_m_s, ..BaseGuard::NONE };
-        self.run(state, input, &room, |_, _, _| [T::zero(); 3])
+        self.run(state, input, &room, |_, state, _| {
+            state.lead = None;
+            [T::zero(); 3]
+        })
+    }
+
+    /// eq. (2) about the velocity with which the base is led, if it is; world axes.
+    #[inline]
+    pub(super) fn admitted(
+        &self,
+        state: &mut BaseState<T>,
+        heading: &Heading<T>,
+        before: &[T; 3],
+        force: &[T; 3],
+        dt_s: T,
+    ) -> [T; 3] {
+        let Some((led_before, led)) = state.advance_lead(self.limits.velocity_max(), dt_s) else {
+            return admitted(&state.gains, before, force, dt_s);
+        };
+        let (led_before, led) = (heading.to_world(led_before), heading.to_world(led));
+        let own: [T; 3] = core::array::from_fn(|i| before[i] - led_before[i]);
+        let own = admitted(&state.gains, &own, force, dt_s);
+        core::array::from_fn(|i| own[i] + led[i])
     }
 
     fn run(
@@ -145,7 +194,7 @@ impl<const K: usize, T: Scalar> BaseController<K, T> {
         state: &mut BaseState<T>,
         input: &BaseInput<K, T>,
         guard: &BaseGuard<K, T>,
-        wanted_body: impl FnOnce([T; 3], &BaseState<T>, T) -> [T; 3],
+        wanted_body: impl FnOnce([T; 3], &mut BaseState<T>, T) -> [T; 3],
     ) -> Result<BaseOutput<T>, ControlError> {
         check_step(input.dt_s)?;
         finite("yaw_world_rad", &[input.yaw_world_rad])?;
@@ -155,7 +204,7 @@ impl<const K: usize, T: Scalar> BaseController<K, T> {
         let dt_s = input.dt_s.min(of(LONGEST_STEP_S));
         let mut next = *state;
         next.gains.approach(&self.gains, dt_s);
-        let wanted = wanted_body(cover_wrench_base, &next, dt_s);
+        let wanted = wanted_body(cover_wrench_base, &mut next, dt_s);
         next.velocity_body = self.limited(guard, &wanted, &next.velocity_body, dt_s, &mut limits);
         finite("base velocity command", &next.velocity_body)?;
         *state = next;

@@ -25,6 +25,7 @@ mod arm;
 mod arm_state;
 mod base;
 mod law;
+mod lead;
 mod tick;
 mod whole_body;
 
@@ -32,6 +33,7 @@ pub use arm::{ArmController, ArmInput, ArmOutput};
 pub use arm_state::ArmState;
 pub use base::{BaseController, BaseInput, BaseOutput, BaseState};
 pub use law::ControlLaw;
+pub use lead::Target;
 pub use whole_body::{ControlInput, ControlOutput, ControllerState, WholeBodyController};
 
 use crate::reference::Pose;

@@ -4,6 +4,7 @@ use super::arm::ArmController;
 use super::arm_state::ArmState;
 use super::base::{BaseController, BaseState};
 use super::law::ControlLaw;
+use super::lead::Target;
 use super::tick::{ArmTick, Tracking};
 use super::{FlangePose, LIGHTEST_DAMPED_BASE, check};
 use crate::admittance::{admitted, damped_in_null_space, mean_share};
@@ -16,6 +17,7 @@ use crate::linalg::times;
 use crate::model::ArmModel;
 use crate::opspace::{ArmDynamics, BlockWeight, TaskDynamics, WholeBodyForce};
 use crate::reference::HeldBack;
+use crate::reference_generator::{ReferenceBounds, Workspace};
 use crate::scalar::{Scalar, of};
 use crate::state_check::{check_robot, check_step, check_wrench};
 use moca_msgs::{
@@ -213,6 +215,9 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         let cover_wrench_base = self.base.cover_wrench(&input.taxel_force_n, &mut hit);
         let mut next = *state;
         let output = self.arm.at(&input.robot, input.dt_s, |tick| {
+            if law != ControlLaw::FollowMe {
+                next.base.lead = None;
+            }
             next.arm.enter_law(law, tick);
             self.approach(&mut next, tick.dt_s);
             let arm = ArmDynamics::new(tick.kinematics.arm_jacobian(), &tick.mass.arm)?;
@@ -324,9 +329,11 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
     ) -> Result<Wanted<N, T>, ControlError> {
         let (torque, tracking) = self.arm.on_the_base(step.tick, &mut state.arm, step.arm, hit)?;
         let led = self.flange_wrench_on_base_world(step);
-        let gains = &state.base.gains;
-        let force = core::array::from_fn(|i| gains.reactivity * (step.cover_world[i] + led[i]));
-        let base_velocity = admitted(gains, &step.base_velocity, &force, step.tick.dt_s);
+        let reactivity = state.base.gains.reactivity;
+        let force = core::array::from_fn(|i| reactivity * (step.cover_world[i] + led[i]));
+        let heading = &step.tick.kinematics.heading;
+        let base_velocity =
+            self.base.admitted(&mut state.base, heading, &step.base_velocity, &force, step.tick.dt_s);
         Ok(Wanted { torque, base_velocity, counted_per_s: None, tracking: Some(tracking) })
     }
 
@@ -431,7 +438,36 @@ impl<const N: usize, T: Scalar> ControllerState<N, T> {
     pub fn carry_target(&mut self, shift_m: [T; 2]) -> Result<(), ControlError> {
         finite("target shift", &shift_m)?;
         self.arm.reference.carry(shift_m);
+        self.arm.carry_lead(shift_m);
         Ok(())
+    }
+
+    /// As [`ArmState::lead`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn lead(
+        &mut self,
+        target: &Target<N, T>,
+        robot: &RobotState<N, T>,
+        bounds: &ReferenceBounds<T>,
+        workspace: Option<&Workspace<T>>,
+    ) -> Result<(), ControlError> {
+        self.arm.lead(target, robot, bounds, workspace)
+    }
+
+    /// As [`ArmState::has_reached`].
+    pub fn has_reached(&self) -> bool {
+        self.arm.has_reached()
+    }
+
+    /// As [`BaseState::lead`], in [`ControlLaw::FollowMe`]: the impedance law's flange stays in W, and no base can be
+    /// driven away from it. Another law ends it.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn lead_base(&mut self, velocity_body: [T; 3]) -> Result<(), ControlError> {
+        self.base.lead(velocity_body)
     }
 
     /// Estimated external joint torques of the momentum observer, N·m, on the robot.

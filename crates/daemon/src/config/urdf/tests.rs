@@ -2,7 +2,7 @@ use super::frames::{inverse, placed, then};
 use super::{read, urdf};
 use crate::config::OwnArm;
 use crate::robot::{Arm, Parts, Robot};
-use moca_msgs::robot::{AnyArm, ArmTable, Payload, UR10E};
+use moca_msgs::robot::{AnyArm, ArmTable, PANDA, Payload, UR10E};
 use moca_wbc::{ArmModel, robot::MOCA_MOUNT};
 use std::fmt::Write;
 use std::path::Path;
@@ -99,7 +99,7 @@ fn in_other_frames(arm: &AnyArm) -> String {
     ];
     let mut text = String::from("<robot name=\"r\">");
     let mut body = |link: &str, inertial: &moca_msgs::robot::LinkInertial, share: f64| {
-        // about its own principal-ish axes: turned by a made-up angle
+        // in axes turned by an arbitrary angle
         let turn = [0.0, 0.0, 0.0, 0.4, -0.7, 1.1];
         let [x, y, z] = inertial.com_m;
         let only = moca_msgs::robot::LinkInertial { com_m: [0.0; 3], ..*inertial };
@@ -321,4 +321,34 @@ fn a_section_gives_its_arm_and_an_arm_its_section() {
         wrong(&|arm| arm.speed_offset_rad_s = vec![0.1; 6])
             .starts_with("arm.speed_deceleration_rad_s2 has 0")
     );
+}
+
+/// What Pinocchio computes from the file that is written here (tests/fixtures/urdf/panda.py).
+#[test]
+fn a_foreign_library_computes_the_same_robot_from_what_is_written() {
+    let written = urdf(&Robot::default(), Parts::Whole);
+    assert_eq!(written, include_str!("../../../../../tests/fixtures/urdf/panda.urdf"));
+    let foreign: serde_json::Value =
+        serde_json::from_str(include_str!("../../../../../tests/fixtures/urdf/panda.json")).unwrap();
+    let model = ArmModel::<7, f64>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE).unwrap();
+    let list = |value: &serde_json::Value| -> Vec<f64> {
+        value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
+    };
+    // Rows of a symmetric matrix are its columns; a rotation's are not.
+    let matrix =
+        |value: &serde_json::Value| value.as_array().unwrap().iter().flat_map(list).collect::<Vec<_>>();
+    let rows = foreign["rows"].as_array().unwrap();
+    assert_eq!(rows.len(), 20);
+    for row in rows {
+        let kinematics = model.kinematics(0.0, &list(&row["q"]).try_into().unwrap());
+        let inertias = model.link_inertias(&kinematics);
+        for (ours, theirs) in [
+            (kinematics.tool_position.as_slice(), list(&row["flange_base"])),
+            (kinematics.tool_rotation.transpose().as_slice(), matrix(&row["rotation"])),
+            (kinematics.mass_matrix(&inertias).arm.as_slice(), matrix(&row["mass"])),
+        ] {
+            assert_eq!(ours.len(), theirs.len());
+            assert!(ours.iter().zip(theirs).all(|(a, b)| (a - b).abs() < 1e-9), "{ours:?}");
+        }
+    }
 }

@@ -28,7 +28,7 @@ pub(crate) const METHODS: [(Integrator, &str); 4] = [
     (Integrator::Implicit, "implicit"),
     (Integrator::RungeKutta4, "RK4"),
 ];
-/// What is asked of a scene: state (m, rad) and, in contact, share of the peak force.
+/// Accuracy asked of a scene: error of the state (m, rad) and, in contact, of the peak force as a share of it.
 const WANTED: (f64, f64) = (1e-3, 0.01);
 /// A tick of the daemon is 1 ms: a recommended step fits into it.
 const STEP_MAX_MS: f64 = 1.0;
@@ -229,6 +229,11 @@ mod tests {
             };
             let best = recommended(&scene.points, evaluations).unwrap();
             assert!(is_default(best), "{}: {best:?}", scene.scene);
+            let figures = match best.peak_error {
+                None => format!("{:.0e} m, rad in free motion", best.state_error),
+                Some(peak) => format!("{:.0e} m, rad and {:.1} %", best.state_error, 100.0 * peak),
+            };
+            assert!(include_str!("../../../../../docs/results.md").contains(&figures), "no longer {figures}");
             assert!(scene.self_consistency < 0.1 * best.state_error, "{} {best:?}", scene.self_consistency);
             let at = |method: &str, step_ms: f64| {
                 let wanted = |p: &&Point| p.integrator == method && (p.step_ms - step_ms).abs() < 1e-9;

@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod cover;
+mod jog;
 mod loop_timing;
 mod parameters;
 mod plots;
@@ -97,7 +98,10 @@ impl Page {
                 plots::toolbar(ui, model, view, pressed);
                 plots::show(ui, model, &model.panels, 2, view);
             }
-            Self::Robot3d => robot_3d::show(ui, model, view, now_s),
+            Self::Robot3d => {
+                jog::show(ui, model, view, now_s, pressed);
+                robot_3d::show(ui, model, view, now_s);
+            }
             Self::Loop => loop_timing::show(ui, model, view, pressed),
             Self::Parameters => parameters::show(ui, model, view, pressed),
             Self::Cover => cover::show(ui, model, now_s, pressed),

@@ -1,0 +1,102 @@
+//! A connection to a running daemon, as the commands of an operator use it.
+#![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
+
+use crate::cli::remote::{DaemonArguments, Refused, ask, connect, news};
+use crate::cli::status::{Robot, Status};
+use anyhow::{Context, Result};
+use clap::Args;
+use moca_msgs::{Mode, Request, Sample};
+use moca_telemetry::net::{Connection, Update};
+use std::fmt;
+
+/// Which daemon, and how its answer is written.
+#[derive(Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    daemon: DaemonArguments,
+    /// Print the robot's status as JSON, an object a line; null is what is not known.
+    #[arg(long)]
+    json: bool,
+}
+
+/// The robot stopped while it was armed or tared, or is out of reach and has to: exit code 5.
+#[derive(Debug)]
+pub struct Stopped(String);
+
+impl fmt::Display for Stopped {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "the robot stopped: {}", self.0)
+    }
+}
+
+impl std::error::Error for Stopped {}
+
+impl Stopped {
+    pub(super) fn new(why: String) -> Self {
+        Self(why)
+    }
+
+    pub(super) fn because(sample: &Sample) -> Self {
+        Self(sample.fault.map_or_else(|| sample.mode.name().into(), |fault| fault.to_string()))
+    }
+}
+
+/// A connection, and how what comes over it is written.
+pub(super) struct Operator {
+    connection: Connection,
+    robot: Robot,
+    json: bool,
+}
+
+impl Operator {
+    pub(super) const fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    /// Whether a status is written as JSON.
+    pub(super) const fn json(&self) -> bool {
+        self.json
+    }
+
+    pub(super) const fn connection(&self) -> &Connection {
+        &self.connection
+    }
+
+    pub(super) fn connect(arguments: &Arguments) -> Result<Self> {
+        let (connection, description) = connect(&arguments.daemon.address)
+            .context("is a daemon running, and does it listen there (telemetry.listen)?")?;
+        Ok(Self { connection, robot: Robot::new(&description), json: arguments.json })
+    }
+
+    /// One request from somebody who leaves again: the command is given back, so that a moving robot goes on.
+    pub(super) fn once(&self, request: Request) -> Result<()> {
+        let outcome = self.ask(request);
+        self.connection.release();
+        outcome?;
+        let carried_out = |sample: &Sample| match request {
+            Request::Stop => matches!(sample.mode, Mode::ProtectiveStop | Mode::Fault),
+            Request::SelectLaw(law) => sample.law == Some(law),
+            Request::Disarm => !sample.mode.moves(),
+            _ => sample.mode == Mode::Ready,
+        };
+        // Samples from before the answer may come after it; and by now the next thing may have happened.
+        let update = news(&self.connection, carried_out).or_else(|_| news(&self.connection, |_| true))?;
+        self.print(&update);
+        Ok(())
+    }
+
+    pub(super) fn ask(&self, request: Request) -> Result<()> {
+        Ok(ask(&self.connection, request)?.map_err(|refusal| Refused(refusal.to_string()))?)
+    }
+
+    /// The last sample of some news.
+    pub(super) fn print(&self, update: &Update) {
+        let Some(sample) = update.samples.last() else { return };
+        let status = Status::new(&self.robot, sample, update.status.commander);
+        if self.json {
+            println!("{}", status.json());
+        } else {
+            print!("{status}");
+        }
+    }
+}

@@ -1,0 +1,285 @@
+//! `mocad target pose | twist | posture | base | trajectory`: leads flange, arm or base of a running robot.
+
+use crate::cli::operator::{Arguments, Operator, Stopped};
+use crate::cli::remote::{LOOK_EVERY, Refused, news};
+use anyhow::{Context, Result, bail, ensure};
+use clap::{Args, Subcommand, ValueEnum};
+use moca_msgs::target::TargetPhase;
+use moca_msgs::{
+    Mode, Outcome, ParameterValues, Request, Sample, Target, TargetState, TimedTarget, TouchPolicy,
+    TwistAxes, Waypoint,
+};
+use moca_telemetry::net::wire::unix_now_ns;
+use moca_telemetry::net::{Link, Update};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// How often a target is sent again: it would be too old after four of these.
+const SEND_EVERY: Duration = Duration::from_millis(50);
+
+/// Where to.
+#[derive(Args)]
+pub struct TargetArguments {
+    #[command(subcommand)]
+    target: TargetCommand,
+}
+
+#[derive(Subcommand)]
+enum TargetCommand {
+    /// Lead the flange to a pose in the world, and wait until the reference is there.
+    Pose {
+        /// m.
+        #[arg(value_names = ["X", "Y", "Z"], num_args = 3, required = true, allow_negative_numbers = true)]
+        position: Vec<f64>,
+        /// Unit quaternion; without it the flange keeps its orientation.
+        #[arg(long, value_names = ["QX", "QY", "QZ", "QW"], num_args = 4, allow_negative_numbers = true)]
+        quaternion: Option<Vec<f64>>,
+        #[command(flatten)]
+        how: How,
+    },
+    /// Move the flange with a twist.
+    Twist {
+        /// m/s and rad/s.
+        #[arg(value_names = ["VX", "VY", "VZ", "WX", "WY", "WZ"], num_args = 6, required = true,
+              allow_negative_numbers = true)]
+        twist: Vec<f64>,
+        /// In whose axes.
+        #[arg(long, value_enum, default_value_t = Axes::World)]
+        axes: Axes,
+        /// For so long, s.
+        #[arg(long, default_value_t = 1.0)]
+        duration: f64,
+        #[command(flatten)]
+        how: How,
+    },
+    /// Lead the arm to a posture, and wait until the reference is there.
+    Posture {
+        /// Joint angles, rad, the first joint first.
+        #[arg(value_name = "Q", num_args = 1..=8, required = true, allow_negative_numbers = true)]
+        q: Vec<f64>,
+        #[command(flatten)]
+        how: How,
+    },
+    /// Drive the base, in follow-me or where there is no arm.
+    Base {
+        /// Forward, left, yaw: m/s, m/s, rad/s.
+        #[arg(value_names = ["VX", "VY", "WZ"], num_args = 3, required = true, allow_negative_numbers = true)]
+        velocity: Vec<f64>,
+        /// For so long, s.
+        #[arg(long, default_value_t = 1.0)]
+        duration: f64,
+        #[command(flatten)]
+        how: How,
+    },
+    /// Lead the flange along poses and times, and wait until the reference is at the last one.
+    Trajectory {
+        /// Lines of `time,x,y,z,qx,qy,qz,qw` in s, m and a unit quaternion; lines that begin with # are none.
+        file: PathBuf,
+        #[command(flatten)]
+        how: How,
+    },
+}
+
+#[derive(Args)]
+struct How {
+    /// What becomes of it while the cover feels a touch.
+    #[arg(long, value_enum, default_value_t = Touch::Wins)]
+    touch: Touch,
+    /// Arm first, and disarm in the end.
+    #[arg(long)]
+    arm: bool,
+    #[command(flatten)]
+    common: Arguments,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Touch {
+    /// It ends.
+    Wins,
+    /// It is set aside until nobody touches.
+    PassThrough,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Axes {
+    World,
+    Base,
+    Flange,
+}
+
+/// What is asked of the loop.
+enum Wanted {
+    /// Again and again, until it is reached or so long.
+    Target(Target, Option<Duration>),
+    Trajectory(Vec<Waypoint>),
+}
+
+/// Leads, and waits for the end.
+///
+/// # Errors
+/// As for the other commands; [`Stopped`] if the robot stopped, [`Refused`] if the target was, or a touch ended it.
+pub fn run(arguments: &TargetArguments) -> Result<()> {
+    let ended = Arc::new(AtomicBool::new(false));
+    let on_signal = Arc::clone(&ended);
+    ctrlc::set_handler(move || on_signal.store(true, Ordering::Relaxed)).context("Ctrl-C handler")?;
+    let how = arguments.target.how();
+    let operator = Operator::connect(&how.common)?;
+    let wanted = arguments.target.wanted(&operator)?;
+    if how.arm {
+        operator.ask(Request::Arm)?;
+        news(operator.connection(), |sample| sample.mode.moves())?;
+    }
+    let touch = match how.touch {
+        Touch::Wins => TouchPolicy::TouchWins,
+        Touch::PassThrough => TouchPolicy::PassThrough,
+    };
+    let led = lead(&operator, &wanted, touch, &ended);
+    let last = if how.arm { Request::Disarm } else { Request::EndTarget };
+    let ended = match led {
+        // Whoever is gone, or stopped, has ended it already.
+        Err(error) if error.is::<Stopped>() => return Err(error),
+        _ => operator.ask(last),
+    };
+    operator.connection().release();
+    let update = led?;
+    ended?;
+    operator.print(&update);
+    Ok(())
+}
+
+impl TargetCommand {
+    fn how(&self) -> &How {
+        match self {
+            Self::Pose { how, .. }
+            | Self::Twist { how, .. }
+            | Self::Posture { how, .. }
+            | Self::Base { how, .. }
+            | Self::Trajectory { how, .. } => how,
+        }
+    }
+
+    fn wanted(&self, operator: &Operator) -> Result<Wanted> {
+        Ok(match self {
+            Self::Pose { position, quaternion, .. } => {
+                let quaternion_world = match quaternion {
+                    Some(quaternion) => exactly(quaternion)?,
+                    None => present(operator)?.flange_quaternion_world,
+                };
+                Wanted::Target(Target::Pose { position_world: exactly(position)?, quaternion_world }, None)
+            }
+            Self::Twist { twist, axes, duration, .. } => {
+                let axes = match axes {
+                    Axes::World => TwistAxes::World,
+                    Axes::Base => TwistAxes::Base,
+                    Axes::Flange => TwistAxes::Flange,
+                };
+                Wanted::Target(Target::Twist { axes, twist: exactly(twist)? }, Some(seconds(*duration)?))
+            }
+            Self::Posture { q, .. } => {
+                let q = ParameterValues::new(q).context("more joints than any arm has")?;
+                Wanted::Target(Target::Posture(q), None)
+            }
+            Self::Base { velocity, duration, .. } => {
+                let velocity_body = exactly(velocity)?;
+                Wanted::Target(Target::BaseVelocity { velocity_body }, Some(seconds(*duration)?))
+            }
+            Self::Trajectory { file, .. } => Wanted::Trajectory(waypoints(file)?),
+        })
+    }
+}
+
+/// Follows a target to its end; the news it ended with.
+fn lead(operator: &Operator, wanted: &Wanted, touch: TouchPolicy, ended: &AtomicBool) -> Result<Update> {
+    let connection = operator.connection();
+    let (begun, mut sent) = (Instant::now(), None::<Instant>);
+    if let Wanted::Trajectory(waypoints) = wanted {
+        connection.trajectory(touch, waypoints.clone());
+    }
+    let mut accepted = false;
+    loop {
+        if let Wanted::Target(target, _) = wanted
+            && sent.is_none_or(|sent| sent.elapsed() >= SEND_EVERY)
+        {
+            let target = TimedTarget { stamp_unix_ns: unix_now_ns(), touch, ..TimedTarget::new(*target) };
+            connection.request(Request::Target(target));
+            sent = Some(Instant::now());
+        }
+        connection.alive();
+        let update = connection.poll();
+        if let Link::Down { reason } = &update.link {
+            return Err(
+                Stopped::new(format!("the daemon hung up ({reason}), and its commander is gone")).into()
+            );
+        }
+        for outcome in answers(&update) {
+            match outcome {
+                Ok(()) => accepted = true,
+                Err(refusal) => return Err(Refused(refusal.to_string()).into()),
+            }
+        }
+        for sample in &update.samples {
+            if matches!(sample.mode, Mode::ProtectiveStop | Mode::Fault) {
+                connection.release();
+                return Err(Stopped::because(sample).into());
+            }
+        }
+        let state = update.samples.last().filter(|_| accepted).and_then(|sample| sample.target);
+        let over = match wanted {
+            Wanted::Target(_, Some(duration)) => begun.elapsed() >= *duration,
+            _ => false,
+        };
+        if over || ended.load(Ordering::Relaxed) || has_ended(state)? {
+            return if update.samples.is_empty() { news(connection, |_| true) } else { Ok(update) };
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+}
+
+fn answers(update: &Update) -> impl Iterator<Item = Outcome> + '_ {
+    let replies = update.replies.iter();
+    replies
+        .filter(|reply| matches!(reply.request, Request::Target(_) | Request::Waypoint { .. }))
+        .map(|reply| reply.outcome)
+}
+
+/// Whether the reference is there.
+fn has_ended(state: Option<TargetState>) -> Result<bool> {
+    match state.map(|state| state.phase) {
+        Some(TargetPhase::Reached) => Ok(true),
+        Some(phase @ TargetPhase::EndedByTouch) => Err(Refused(phase.name().into()).into()),
+        _ => Ok(false),
+    }
+}
+
+fn present(operator: &Operator) -> Result<Sample> {
+    let update = news(operator.connection(), |_| true)?;
+    update.samples.last().cloned().context("the daemon sends nothing new")
+}
+
+fn exactly<const N: usize>(values: &[f64]) -> Result<[f64; N]> {
+    values.try_into().with_context(|| format!("{} numbers, {N} are needed", values.len()))
+}
+
+fn seconds(seconds: f64) -> Result<Duration> {
+    ensure!((0.05..=86_400.0).contains(&seconds), "--duration {seconds}: allowed: 0.05 to 86400 s");
+    Ok(Duration::from_secs_f64(seconds))
+}
+
+/// The poses of a file.
+fn waypoints(file: &Path) -> Result<Vec<Waypoint>> {
+    let text = std::fs::read_to_string(file).with_context(|| file.display().to_string())?;
+    let lines = text.lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
+    let mut waypoints = Vec::new();
+    for (number, line) in lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#')) {
+        let place = || format!("{}:{number}: allowed: time,x,y,z,qx,qy,qz,qw as numbers", file.display());
+        let numbers = line.split(',').map(|number| number.trim().parse()).collect::<Result<Vec<f64>, _>>();
+        let [time_s, x, y, z, qx, qy, qz, qw] = exactly(&numbers.with_context(place)?).with_context(place)?;
+        waypoints.push(Waypoint { time_s, position_world: [x, y, z], quaternion_world: [qx, qy, qz, qw] });
+    }
+    if waypoints.is_empty() {
+        bail!("{}: no poses", file.display());
+    }
+    Ok(waypoints)
+}

@@ -1,0 +1,458 @@
+//! The thread that owns the connection, and the loop's end of it.
+
+use crate::count::Count;
+use crate::limiter::TorqueLimiter;
+use crate::mode::{Asked, Next, Phase, Said};
+use crate::{JOINTS, REPEATS_MAX};
+use franka::robot::ActiveTorqueControl;
+use franka::{Errors, FrankaError, RealtimeConfig, Robot, RobotMode, Torques};
+use moca_msgs::{ArmLink, ArmMode, arm_errors};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::thread::{JoinHandle, Thread};
+use std::time::{Duration, Instant};
+use triple_buffer::{Input, Output, triple_buffer};
+
+/// Time between two attempts to reach the arm at first; it doubles up to the second.
+const PAUSE: (Duration, Duration) = (Duration::from_millis(200), Duration::from_secs(2));
+
+/// How the arm is reached and set up.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Address of its controller, with a port if it is not FCI's own.
+    pub host: String,
+    /// SCHED_FIFO priority of the thread, 1 at least: the client raises itself wherever it may.
+    pub priority: u8,
+    /// Joint torques, N·m, and forces and moments at the hand, N and N·m, above which the arm has a reflex.
+    pub collision: ([f64; JOINTS], [f64; 6]),
+    /// How long an order is waited for before the last one is repeated.
+    pub answer_within: Duration,
+    /// What the controllers believe that it carries, kg.
+    pub carries_kg: f64,
+}
+
+/// Difference to what the arm was told in Desk from which on it is said, kg.
+const CARRIES_APART_KG: f64 = 0.05;
+
+/// One state of the arm, as much of it as a loop uses.
+#[derive(Clone, Copy, Debug)]
+pub struct ArmState {
+    /// The arm's own count of milliseconds.
+    pub count: u64,
+    /// Joint angles, rad.
+    pub q_rad: [f64; JOINTS],
+    /// Joint rates, rad/s.
+    pub dq_rad_s: [f64; JOINTS],
+    /// Joint torques that it measures, N·m; with gravity, if [`Self::feels_gravity`].
+    pub torque_nm: [f64; JOINTS],
+    /// Whether it knows where down is, as every real one does: a simulated one gives torques without gravity.
+    pub feels_gravity: bool,
+    /// Share of the last commands that reached it in time.
+    pub success_rate: f64,
+    /// When it came.
+    pub received: Instant,
+}
+
+/// What the loop wants, and the state that it wants it for.
+#[derive(Clone, Copy, Debug)]
+struct Order {
+    answers: u64,
+    /// `None`: the arm's own controller.
+    torque_nm: Option<[f64; JOINTS]>,
+}
+
+#[derive(Default)]
+struct Shared {
+    mode: AtomicU8,
+    errors: AtomicU64,
+    lost: AtomicU64,
+    repeated: AtomicU64,
+    recover: AtomicBool,
+    ended: AtomicBool,
+    /// The loop's thread, from its first wait on.
+    waits: OnceLock<Thread>,
+}
+
+impl Shared {
+    fn mode(&self) -> ArmMode {
+        ArmMode::ALL.get(usize::from(self.mode.load(Ordering::Acquire))).copied().unwrap_or_default()
+    }
+}
+
+/// The loop's end of an arm. Nothing here waits but [`Fci::receive`].
+pub struct Fci {
+    states: Output<Option<ArmState>>,
+    orders: Input<Order>,
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+    silent_since: Instant,
+}
+
+impl Fci {
+    /// Starts the thread, which reaches the arm again and again. `say` hears in words what happens to the connection; it is
+    /// not called while torque control runs.
+    ///
+    /// # Errors
+    /// The thread could not be started.
+    pub fn spawn(settings: Settings, say: impl FnMut(&str) + Send + 'static) -> std::io::Result<Self> {
+        let (to_loop, states) = triple_buffer(&None);
+        let (orders, from_loop) = triple_buffer(&Order { answers: 0, torque_nm: None });
+        let shared = Arc::new(Shared::default());
+        let mut worker = Worker {
+            settings,
+            states: to_loop,
+            orders: from_loop,
+            shared: Arc::clone(&shared),
+            phase: Phase::default(),
+            count: Count::default(),
+            say: Box::new(say),
+        };
+        let thread = std::thread::Builder::new().name("fci".into()).spawn(move || worker.run())?;
+        Ok(Self { states, orders, shared, thread: Some(thread), silent_since: Instant::now() })
+    }
+
+    /// Waits for the next state, at most `timeout`, and gives its count; the newest counts.
+    pub fn receive(&mut self, timeout: Duration) -> Option<u64> {
+        self.shared.waits.get_or_init(std::thread::current);
+        let deadline = Instant::now() + timeout;
+        loop {
+            if self.states.update()
+                && let Some(state) = self.states.output_buffer()
+            {
+                self.silent_since = state.received;
+                return Some(state.count);
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return None;
+            }
+            std::thread::park_timeout(left);
+        }
+    }
+
+    /// The state that [`Self::receive`] last gave.
+    pub fn state(&self) -> Option<&ArmState> {
+        self.states.output_buffer().as_ref()
+    }
+
+    /// Its age, s.
+    pub fn age_s(&self) -> f64 {
+        self.silent_since.elapsed().as_secs_f64()
+    }
+
+    /// What is known of the arm and the way to it.
+    pub fn link(&self) -> ArmLink {
+        let shared = &self.shared;
+        ArmLink {
+            mode: shared.mode(),
+            success_rate: self.state().map_or(0.0, |state| state.success_rate),
+            lost: shared.lost.load(Ordering::Relaxed),
+            repeated: shared.repeated.load(Ordering::Relaxed),
+            errors: shared.errors.load(Ordering::Relaxed),
+        }
+    }
+
+    /// Answers the newest state with torques **without** gravity, N·m; torque control starts if it does not run.
+    pub fn drive(&mut self, torque_nm: &[f64; JOINTS]) {
+        self.order(Some(*torque_nm));
+    }
+
+    /// Leaves the arm to its own controller.
+    pub fn brake(&mut self) {
+        self.order(None);
+    }
+
+    /// Asks for a recovery from a reflex; it begins with the arm's next state.
+    pub fn recover(&mut self) {
+        self.shared.recover.store(true, Ordering::Release);
+    }
+
+    fn order(&mut self, torque_nm: Option<[f64; JOINTS]>) {
+        let answers = self.state().map_or(0, |state| state.count);
+        self.orders.write(Order { answers, torque_nm });
+        if let Some(thread) = &self.thread {
+            thread.thread().unpark();
+        }
+    }
+}
+
+impl Drop for Fci {
+    fn drop(&mut self) {
+        self.shared.ended.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            thread.thread().unpark();
+            // It may be waiting for an arm that is silent: at most the second that its client waits.
+            let _ = thread.join();
+        }
+    }
+}
+
+struct Worker {
+    settings: Settings,
+    states: Input<Option<ArmState>>,
+    orders: Output<Order>,
+    shared: Arc<Shared>,
+    phase: Phase,
+    count: Count,
+    say: Box<dyn FnMut(&str) + Send>,
+}
+
+impl Worker {
+    fn run(&mut self) {
+        let mut pause = PAUSE.0;
+        while !self.over() {
+            match self.connect() {
+                Ok(robot) => {
+                    pause = PAUSE.0;
+                    let version = robot.server_version();
+                    let (torque_nm, wrench) = self.settings.collision;
+                    self.tell(&format!(
+                        "the arm at {} answers (FCI {version}); it has a reflex above {torque_nm:?} N·m in a joint, {wrench:?} N \
+                         and N·m at its hand",
+                        self.settings.host
+                    ));
+                    let error = self.session(&robot);
+                    self.phase.lost();
+                    self.tell(&error.to_string());
+                }
+                Err(error) => {
+                    self.phase.lost();
+                    if matches!(error, FrankaError::IncompatibleVersion { .. }) {
+                        self.phase.refused();
+                    }
+                    self.tell(&explained(&self.settings.host, &error));
+                }
+            }
+            self.count.interrupt();
+            self.show();
+            if !self.over() {
+                std::thread::park_timeout(pause);
+            }
+            pause = (2 * pause).min(PAUSE.1);
+        }
+    }
+
+    fn connect(&self) -> Result<Robot, FrankaError> {
+        // This raises the thread as far as it may; `Enforce` would refuse kernels that do well.
+        let robot = Robot::new_with_log_size(&self.settings.host, RealtimeConfig::Ignore, 0)?;
+        // Without the right to it the thread stays as it is, and the daemon's own steps have said so.
+        let _ = franka::realtime::set_current_thread_scheduler_priority(self.settings.priority.max(1).into());
+        let (torque_nm, wrench) = self.settings.collision;
+        robot.set_collision_behavior_simple(torque_nm, torque_nm, wrench, wrench)?;
+        Ok(robot)
+    }
+
+    /// Reads and obeys until the connection ends.
+    fn session(&mut self, robot: &Robot) -> FrankaError {
+        let mut first = true;
+        loop {
+            if self.over() {
+                return FrankaError::Network("the loop has ended".into());
+            }
+            let state = match robot.read_once() {
+                Ok(state) => state,
+                Err(error) => return error,
+            };
+            if std::mem::take(&mut first)
+                && (state.m_total - self.settings.carries_kg).abs() > CARRIES_APART_KG
+            {
+                self.tell(&self.other_load(&state));
+            }
+            let before = self.phase.mode();
+            let asked = self.asked();
+            let next = self.phase.state(said(state.robot_mode), bits(&state.current_errors), asked);
+            self.publish(&state);
+            if self.phase.mode() != before {
+                self.tell(&described(self.phase.mode(), bits(&state.current_errors)));
+            }
+            let done = match next {
+                Next::Start => self.torque(robot),
+                Next::Recover => self.recover(robot),
+                Next::Read | Next::Answer | Next::End => Ok(()),
+            };
+            if let Err(error) = done {
+                return error;
+            }
+        }
+    }
+
+    fn other_load(&self, state: &franka::RobotState) -> String {
+        let ([x, y, z], ours) = (state.F_x_Ctotal, self.settings.carries_kg);
+        format!(
+            "the arm carries {:.2} kg at ({x:.3}, {y:.3}, {z:.3}) m of its flange, as Desk says, the configuration {ours:.2} \
+             kg: write robot.tool and robot.load as in Desk, or the laws take the difference for a push",
+            state.m_total
+        )
+    }
+
+    fn recover(&mut self, robot: &Robot) -> Result<(), FrankaError> {
+        self.shared.recover.store(false, Ordering::Release);
+        let recovered = robot.automatic_error_recovery();
+        self.count.interrupt();
+        match recovered {
+            Ok(()) => self.tell("the arm has recovered"),
+            Err(error @ FrankaError::Network(_)) => return Err(error),
+            Err(error) => self.tell(&format!("the arm does not recover: {error}")),
+        }
+        Ok(())
+    }
+
+    /// Torque control, until the loop lets go, the arm stops itself or the connection ends.
+    fn torque(&mut self, robot: &Robot) -> Result<(), FrankaError> {
+        let mut control = match robot.start_torque_control() {
+            Ok(control) => control,
+            Err(error @ FrankaError::Network(_)) => return Err(error),
+            Err(error) => {
+                self.phase.refused();
+                self.show();
+                self.tell(&format!("the arm refuses torque control: {error}"));
+                return Ok(());
+            }
+        };
+        self.phase.started();
+        self.count.interrupt();
+        let ended = self.follow(&mut control);
+        // The arm's own controller takes over: torques that fade out would let the arm sink.
+        drop(control);
+        self.count.interrupt();
+        match ended {
+            Ok(()) => self.phase.ended(),
+            Err(FrankaError::Control(why)) => {
+                self.phase.aborted();
+                let errors = bits(&why.last_motion_errors);
+                self.shared.errors.store(errors, Ordering::Relaxed);
+                self.show();
+                self.tell(&described(ArmMode::Reflex, errors));
+            }
+            Err(error) => return Err(error),
+        }
+        Ok(())
+    }
+
+    /// Answers state after state. No allocation, no lock.
+    fn follow(&mut self, control: &mut ActiveTorqueControl<'_>) -> Result<(), FrankaError> {
+        let (mut limiter, mut last, mut repeats) = (TorqueLimiter::new(), None, 0);
+        loop {
+            let (state, _) = control.read_once()?;
+            let errors = bits(&state.current_errors);
+            let asked = self.asked();
+            let next = self.phase.state(said(state.robot_mode), errors, asked);
+            self.publish(&state);
+            if next != Next::Answer || self.over() {
+                return Ok(());
+            }
+            let wanted = match self.answer(state.time.as_millis()) {
+                Some(Order { torque_nm: None, .. }) => return Ok(()),
+                Some(Order { torque_nm: Some(torque_nm), .. }) => {
+                    repeats = 0;
+                    torque_nm
+                }
+                None if repeats == REPEATS_MAX => return Ok(()),
+                None => {
+                    repeats += 1;
+                    self.shared.repeated.fetch_add(1, Ordering::Relaxed);
+                    last.unwrap_or(state.tau_J_d)
+                }
+            };
+            let sent = limiter.limit(&wanted, &state.tau_J_d);
+            last = Some(sent);
+            control.write_once(&Torques::new(sent))?;
+        }
+    }
+
+    /// The loop's order for the state with this count, if it comes in time.
+    fn answer(&mut self, count: u64) -> Option<Order> {
+        let deadline = Instant::now() + self.settings.answer_within;
+        loop {
+            let order = *self.orders.read();
+            if order.answers >= count || order.torque_nm.is_none() {
+                return Some(order);
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() || self.over() {
+                return None;
+            }
+            std::thread::park_timeout(left);
+        }
+    }
+
+    fn asked(&mut self) -> Asked {
+        match self.orders.read().torque_nm {
+            Some(_) => Asked::Drive,
+            None if self.shared.recover.load(Ordering::Acquire) => Asked::Recover,
+            None => Asked::Brake,
+        }
+    }
+
+    fn publish(&mut self, state: &franka::RobotState) {
+        let count = state.time.as_millis();
+        self.count.take(count);
+        self.shared.lost.store(self.count.lost(), Ordering::Relaxed);
+        self.shared.errors.store(bits(&state.current_errors), Ordering::Relaxed);
+        let down = state.O_ddP_O.iter().map(|part| part * part).sum::<f64>();
+        self.states.write(Some(ArmState {
+            count,
+            q_rad: state.q,
+            dq_rad_s: state.dq,
+            torque_nm: state.tau_J,
+            feels_gravity: down > 1.0,
+            success_rate: state.control_command_success_rate,
+            received: Instant::now(),
+        }));
+        self.show();
+    }
+
+    /// Shows the mode to the loop and wakes it.
+    fn show(&self) {
+        let mode = ArmMode::ALL.iter().position(|mode| *mode == self.phase.mode());
+        self.shared.mode.store(mode.and_then(|mode| u8::try_from(mode).ok()).unwrap_or(0), Ordering::Release);
+        if let Some(waits) = self.shared.waits.get() {
+            waits.unpark();
+        }
+    }
+
+    fn tell(&mut self, text: &str) {
+        (self.say)(text);
+    }
+
+    fn over(&self) -> bool {
+        self.shared.ended.load(Ordering::Acquire)
+    }
+}
+
+const fn said(mode: RobotMode) -> Said {
+    match mode {
+        RobotMode::Other => Said::Other,
+        RobotMode::Idle => Said::Idle,
+        RobotMode::Move => Said::Moves,
+        RobotMode::Guiding => Said::Guided,
+        RobotMode::Reflex => Said::Reflex,
+        RobotMode::UserStopped => Said::UserStopped,
+        RobotMode::AutomaticErrorRecovery => Said::Recovers,
+    }
+}
+
+fn bits(errors: &Errors) -> u64 {
+    errors.0.iter().enumerate().fold(0, |all, (bit, set)| all | (u64::from(*set) << bit))
+}
+
+/// A mode and its errors in words.
+fn described(mode: ArmMode, errors: u64) -> String {
+    let mut text = format!("the arm: {}", mode.name());
+    for error in arm_errors::set_in(errors) {
+        text += &format!(". {} ({}) {}", error.text, error.name, error.remedy);
+    }
+    text
+}
+
+/// Why the arm could not be reached, and what to do.
+fn explained(host: &str, error: &FrankaError) -> String {
+    match error {
+        FrankaError::IncompatibleVersion { server_version, .. } => format!(
+            "the arm at {host} speaks FCI {server_version}; this program speaks 10 (a Franka Research 3 with the system \
+             image that libfranka 0.21 asks for) and 5 (a Panda with system image 4.2, as libfranka 0.9 asks for): install \
+             one of these in Desk"
+        ),
+        error => format!("the arm at {host} cannot be reached: {error}"),
+    }
+}

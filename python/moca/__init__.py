@@ -1,0 +1,275 @@
+"""MOCA-S from Python: a running robot, its logs and its simulation.
+
+SI units, radians. Frames: W world, B mobile base, E flange; a name says which. Quaternions are x, y, z, w.
+
+A program that commands is watched over: only a call of its own is a sign of life, and after three seconds without one
+it loses the command and a moving robot stops.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import Any, Iterator, Sequence
+
+import numpy as np
+
+from moca._moca import Client as _Client
+from moca._moca import Disconnected, Refused
+from moca._moca import Log as _Log
+from moca._moca import Simulation as _Simulation
+from moca._moca import State as _State
+
+__all__ = ["Disconnected", "Log", "Refused", "Robot", "Sim", "State", "connect", "read"]
+
+DEFAULT_ADDRESS = "127.0.0.1:7611"
+AGE_LIMIT_S = 0.2
+
+
+def _array(data: bytes) -> np.ndarray:
+    return np.frombuffer(data, dtype=np.float64)
+
+
+def _numbers(values: Any) -> list[float]:
+    return np.asarray(values, dtype=np.float64).ravel().tolist()
+
+
+class State:
+    """One tick of a robot. Arrays are read-only; one without elements is of a part that the robot has not."""
+
+    __slots__ = ("_state",)
+
+    def __init__(self, state: _State) -> None:
+        self._state = state
+
+    def __getattr__(self, field: str) -> Any:
+        numbers = _array(self._state.numbers(field))
+        return float(numbers[0]) if field in _SCALARS else numbers
+
+    @property
+    def tick(self) -> int:
+        """Ticks since the loop started."""
+        return self._state.tick
+
+    @property
+    def mode(self) -> str:
+        """What the robot does: "ready", "impedance", "protective stop" and others."""
+        return self._state.mode
+
+    @property
+    def law(self) -> str | None:
+        """The law that arming starts."""
+        return self._state.law
+
+    @property
+    def fault(self) -> str | None:
+        """Why the robot is stopped, if it is."""
+        return self._state.fault
+
+    @property
+    def target(self) -> tuple[str, str] | None:
+        """Kind and phase of the last target: ("pose", "moving")."""
+        return self._state.target
+
+    def __repr__(self) -> str:
+        return f"<moca.State tick {self.tick}, {self.mode}>"
+
+
+_SCALARS = {"time_s", "cover_speed_m_s", "speed_limit_m_s", "frame_age_s", "target_progress"}
+
+
+class _Commanded:
+    """What a robot and a simulation may be asked. A refusal raises `Refused` with its reason."""
+
+    _inner: Any
+
+    def tare(self) -> Any:
+        """Measures the cover's zero; nobody may touch the robot."""
+        return self._request("tare")
+
+    def arm(self) -> Any:
+        """Hands the robot to its law."""
+        return self._request("arm")
+
+    def disarm(self) -> Any:
+        """Takes it back: it holds still."""
+        return self._request("disarm")
+
+    def stop(self) -> Any:
+        """Protective stop; taken from anybody."""
+        return self._request("stop")
+
+    def resume(self) -> Any:
+        """Leaves the protective stop."""
+        return self._request("resume")
+
+    def select_law(self, law: str) -> Any:
+        """Chooses "impedance" or "follow-me"."""
+        return self._request(law)
+
+    def end_target(self) -> Any:
+        """Ends target or trajectory: the reference holds."""
+        return self._request("end-target")
+
+    def target_pose(self, position: Any, quaternion: Any, *, age_limit: float = AGE_LIMIT_S, touch: str = "wins") -> Any:
+        """Leads the flange to a pose in W, m; renew it before it is `age_limit` s old, or the reference holds."""
+        return self._target("pose", [*_numbers(position), *_numbers(quaternion)], age_limit, touch)
+
+    def target_twist(
+        self, twist: Any, *, axes: str = "world", age_limit: float = AGE_LIMIT_S, touch: str = "wins"
+    ) -> Any:
+        """Moves the flange, m/s and rad/s, in the axes of "world", "base" or "flange"."""
+        return self._target(f"twist {axes}", _numbers(twist), age_limit, touch)
+
+    def target_posture(self, q: Any, *, age_limit: float = AGE_LIMIT_S, touch: str = "wins") -> Any:
+        """Leads all joints to a posture, rad."""
+        return self._target("posture", _numbers(q), age_limit, touch)
+
+    def target_base(self, velocity: Any, *, age_limit: float = AGE_LIMIT_S, touch: str = "pass-through") -> Any:
+        """Drives the base, in the axes of B: m/s, m/s, rad/s. In follow-me, while nobody touches it."""
+        return self._target("base", _numbers(velocity), age_limit, touch)
+
+    def trajectory(self, times: Any, positions: Any, quaternions: Any, *, touch: str = "wins") -> Any:
+        """Leads the flange along poses in W: (n,) s, (n, 3) m, (n, 4)."""
+        columns = [np.reshape(times, (-1, 1)), np.reshape(positions, (-1, 3)), np.reshape(quaternions, (-1, 4))]
+        return self._result(self._inner.trajectory(_numbers(np.hstack(columns)), touch))
+
+    def press(self, taxel: int, force: float) -> Any:
+        """Simulated robots only: presses a taxel (1 is T1) with a steady force, N; 0 lets go."""
+        return self._result(self._inner.press(taxel - 1, float(force)))
+
+    def _request(self, name: str) -> Any:
+        return self._result(self._inner.request(name))
+
+    def _target(self, kind: str, values: Sequence[float], age_limit: float, touch: str) -> Any:
+        raise NotImplementedError
+
+    def _result(self, result: Any) -> Any:
+        return result
+
+
+class Robot(_Commanded):
+    """A running daemon. Iterating gives its states, a thousand a second, without end."""
+
+    def __init__(self, address: str) -> None:
+        self._inner = _Client(address)
+
+    @property
+    def name(self) -> str:
+        """What the robot is called."""
+        return self._inner.name
+
+    @property
+    def parameters(self) -> dict[str, np.ndarray]:
+        """Present values of all parameters that are numbers."""
+        return {name: np.asarray(values) for name, values, _unit in self._inner.parameters()}
+
+    def set_parameter(self, name: str, values: Any) -> None:
+        """Changes a live parameter."""
+        self._inner.set_parameter(name, _numbers(values))
+
+    @property
+    def state(self) -> State:
+        """The newest state."""
+        return State(self._inner.latest())
+
+    def __iter__(self) -> Iterator[State]:
+        return self
+
+    def __next__(self) -> State:
+        return State(self._inner.next())
+
+    def release(self) -> None:
+        """Gives the command back; a moving robot goes on."""
+        self._inner.release()
+
+    def __enter__(self) -> Robot:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+        # The connection says so before it closes.
+        time.sleep(0.05)
+
+    def _target(self, kind: str, values: Sequence[float], age_limit: float, touch: str) -> None:
+        self._inner.target(kind, values, time.time_ns(), age_limit, touch)
+
+
+class Sim(_Commanded):
+    """A simulated robot in lock-step, deterministic: board bytes, law and plant as in `mocad`.
+
+    `config` is the path of a file, a text of TOML, or nothing for the built-in one. Every request takes a tick and
+    gives its state.
+    """
+
+    def __init__(self, config: str | os.PathLike[str] | None = None, *, seed: int | None = None) -> None:
+        text = config if isinstance(config, str) and ("\n" in config or "=" in config) else None
+        path = None if config is None or text is not None else os.fspath(config)
+        self._inner = _Simulation(path, text, seed)
+
+    @property
+    def period(self) -> float:
+        """Of a tick, s."""
+        return self._inner.period_s
+
+    def step(self, ticks: int = 1) -> State:
+        """Goes on by so many ticks."""
+        return State(self._inner.step(ticks))
+
+    def _target(self, kind: str, values: Sequence[float], age_limit: float, touch: str) -> State:
+        return State(self._inner.target(kind, values, age_limit, touch))
+
+    def _result(self, result: Any) -> State:
+        return State(result)
+
+
+class Log:
+    """What a log shows of a run, 50 rows a second and one for whatever happened: `log["q_rad"]` is an (n, 7) array."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._inner = _Log(os.fspath(path))
+        self._columns: dict[str, np.ndarray] = {}
+
+    @property
+    def name(self) -> str:
+        """What the robot is called."""
+        return self._inner.name
+
+    @property
+    def cut(self) -> str | None:
+        """Where the file breaks off and why, if it is not whole."""
+        return self._inner.cut
+
+    @property
+    def start_unix_ns(self) -> int:
+        """Unix time of loop time 0."""
+        return self._inner.start_unix_ns
+
+    def keys(self) -> list[str]:
+        """The names of the columns."""
+        return [*_Log.fields(), "mode"]
+
+    def __len__(self) -> int:
+        return len(self._inner)
+
+    def __getitem__(self, field: str) -> np.ndarray:
+        if field not in self._columns:
+            self._columns[field] = self._read(field)
+        return self._columns[field]
+
+    def _read(self, field: str) -> np.ndarray:
+        if field == "mode":
+            return np.asarray(self._inner.modes())
+        data, width = self._inner.column(field)
+        column = _array(data)
+        return column if field in _SCALARS else column.reshape(-1, width) if width else column.reshape(len(self), 0)
+
+
+def connect(address: str = DEFAULT_ADDRESS) -> Robot:
+    """Connects to a running daemon: HOST:PORT, or unix:PATH."""
+    return Robot(address)
+
+
+def read(path: str | os.PathLike[str]) -> Log:
+    """Reads a log."""
+    return Log(path)

@@ -1,0 +1,22 @@
+//! The Python package `moca`, half of it: what `moca/__init__.py` gives names, units and numpy arrays to.
+
+mod client;
+mod log;
+mod request;
+mod simulation;
+mod state;
+
+use pyo3::prelude::*;
+
+pyo3::create_exception!(_moca, Refused, pyo3::exceptions::PyRuntimeError, "The robot does not do what it was asked.");
+pyo3::create_exception!(_moca, Disconnected, pyo3::exceptions::PyConnectionError, "There is no daemon, or no more.");
+
+#[pymodule]
+fn _moca(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("Refused", module.py().get_type::<Refused>())?;
+    module.add("Disconnected", module.py().get_type::<Disconnected>())?;
+    module.add_class::<state::State>()?;
+    module.add_class::<client::Client>()?;
+    module.add_class::<log::Log>()?;
+    module.add_class::<simulation::Simulation>()
+}

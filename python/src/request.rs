@@ -1,0 +1,79 @@
+//! Requests by name.
+
+use crate::Refused;
+use moca_msgs::{
+    Law, Outcome, ParameterValues, Request, Target, TimedTarget, TouchPolicy, TwistAxes, Waypoint,
+};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+/// One that takes no numbers.
+pub(crate) fn plain(name: &str) -> PyResult<Request> {
+    Ok(match name {
+        "tare" => Request::Tare,
+        "arm" => Request::Arm,
+        "disarm" => Request::Disarm,
+        "stop" => Request::Stop,
+        "resume" => Request::Resume,
+        "end-target" => Request::EndTarget,
+        "impedance" => Request::SelectLaw(Law::Impedance),
+        "follow-me" => Request::SelectLaw(Law::FollowMe),
+        _ => return Err(PyValueError::new_err(format!("no request is called {name:?}"))),
+    })
+}
+
+/// A target: its kind, its numbers, how old it may become, and what a touch does to it.
+pub(crate) fn target(
+    kind: &str,
+    values: &[f64],
+    stamp_unix_ns: u64,
+    age_limit_s: f64,
+    touch: &str,
+) -> PyResult<Request> {
+    let axes = match kind {
+        "twist base" => TwistAxes::Base,
+        "twist flange" => TwistAxes::Flange,
+        _ => TwistAxes::World,
+    };
+    let target = match kind {
+        "pose" => {
+            let [x, y, z, qx, qy, qz, qw] = exactly(values)?;
+            Target::Pose { position_world: [x, y, z], quaternion_world: [qx, qy, qz, qw] }
+        }
+        "twist world" | "twist base" | "twist flange" => Target::Twist { axes, twist: exactly(values)? },
+        "posture" => {
+            let q_rad = ParameterValues::new(values);
+            Target::Posture(q_rad.ok_or_else(|| PyValueError::new_err("more joints than any arm has"))?)
+        }
+        "base" => Target::BaseVelocity { velocity_body: exactly(values)? },
+        _ => return Err(PyValueError::new_err(format!("no target is called {kind:?}"))),
+    };
+    let touch = policy(touch)?;
+    Ok(Request::Target(TimedTarget { target, stamp_unix_ns, age_s: 0.0, age_limit_s, touch }))
+}
+
+pub(crate) fn policy(touch: &str) -> PyResult<TouchPolicy> {
+    match touch {
+        "wins" => Ok(TouchPolicy::TouchWins),
+        "pass-through" => Ok(TouchPolicy::PassThrough),
+        _ => Err(PyValueError::new_err(format!("touch = {touch:?}: allowed: \"wins\", \"pass-through\""))),
+    }
+}
+
+/// Rows of time, position, quaternion.
+pub(crate) fn waypoints(rows: &[f64]) -> PyResult<Vec<Waypoint>> {
+    rows.chunks(8)
+        .map(|row| {
+            let [time_s, x, y, z, qx, qy, qz, qw] = exactly(row)?;
+            Ok(Waypoint { time_s, position_world: [x, y, z], quaternion_world: [qx, qy, qz, qw] })
+        })
+        .collect()
+}
+
+pub(crate) fn exactly<const N: usize>(values: &[f64]) -> PyResult<[f64; N]> {
+    values.try_into().map_err(|_| PyValueError::new_err(format!("{} numbers, {N} are needed", values.len())))
+}
+
+pub(crate) fn answered(outcome: Outcome) -> PyResult<()> {
+    outcome.map_err(|refusal| Refused::new_err(refusal.to_string()))
+}

@@ -1,0 +1,45 @@
+import os
+import socket
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+import moca
+
+ROOT = Path(__file__).parents[2]
+MOCAD = Path(os.environ.get("MOCAD", ROOT / "target/release/mocad"))
+CALM = "simulation.hand.taxels = []\n"
+
+
+@pytest.fixture(scope="session")
+def mocad():
+    assert MOCAD.exists(), "cargo build --release, or MOCAD"
+    return MOCAD
+
+
+@pytest.fixture
+def daemon(mocad, tmp_path):
+    """A live robot without a cover, which no busy machine can stop; it arms nothing by itself."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = "127.0.0.1:%d" % free.getsockname()[1]
+    config = tmp_path / "mocad.toml"
+    config.write_text(
+        f'[telemetry]\nlisten = "{address}"\n[startup]\narm = false\n[simulation.hand]\ntaxels = []\n'
+        '[plant]\nparts = "arm"\n'
+    )
+    process = subprocess.Popen([mocad, "--config", config], stdout=subprocess.DEVNULL)
+    try:
+        yield address
+    finally:
+        process.kill()
+        process.wait()
+
+
+def wait_for(robot, mode):
+    until = time.monotonic() + 60
+    while (state := robot.state).mode != mode:
+        assert time.monotonic() < until, f"never {mode}: {state}"
+    return state

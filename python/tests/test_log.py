@@ -1,0 +1,39 @@
+import subprocess
+import time
+
+import numpy as np
+import pytest
+
+import moca
+
+
+@pytest.fixture(scope="module")
+def log_file(mocad, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("log")
+    (folder / "mocad.toml").write_text('[telemetry]\nlisten = ""\n')
+    path = folder / "run.mcap"
+    command = [mocad, "--config", folder / "mocad.toml", "--as-fast-as-possible", "--duration", "600", "--record", path]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return path
+
+
+def test_ten_minutes_are_read_as_columns(log_file, capsys):
+    start = time.perf_counter()
+    log = moca.read(log_file)
+    columns = {name: log[name] for name in log.keys()}
+    seconds = time.perf_counter() - start
+    with capsys.disabled():
+        print(f"\nmoca.read: {len(log)} rows of ten minutes in {seconds:.2f} s")
+    assert log.cut is None and 29_000 < len(log) < 40_000
+    assert columns["q_rad"].shape == (len(log), 7) and columns["taxel_force_n"].shape == (len(log), 11)
+    assert np.all(np.diff(columns["time_s"]) > 0) and columns["time_s"][-1] > 599
+    assert set(columns["mode"]) >= {"taring", "impedance"}
+    assert np.nanmax(columns["taxel_force_n"]) > 5
+
+
+def test_a_column_that_is_none_and_a_file_that_is_no_log(log_file, tmp_path):
+    with pytest.raises(KeyError):
+        moca.read(log_file)["no_such_column"]
+    (tmp_path / "no.mcap").write_text("no")
+    with pytest.raises(OSError):
+        moca.read(tmp_path / "no.mcap")

@@ -1,0 +1,73 @@
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import moca
+from conftest import ROOT, wait_for
+
+
+def test_states_come_tick_by_tick_as_arrays(daemon):
+    robot = moca.connect(daemon)
+    states = [next(robot) for _ in range(200)]
+    ticks = [state.tick for state in states]
+    assert ticks == list(range(ticks[0], ticks[0] + 200))
+    assert states[0].q_rad.shape == (7,) and states[0].q_rad.dtype == np.float64
+    assert states[0].taxel_force_n.shape == (0,)
+    with pytest.raises(AttributeError):
+        states[0].no_such_field
+
+
+def test_the_program_of_the_readme_runs(daemon):
+    text = (ROOT / "README.md").read_text()
+    program = text.split("```python\n")[1].split("```")[0]
+    robot = moca.connect(daemon)
+    wait_for(robot, "ready")
+    robot.release()
+    time.sleep(0.1)
+    start = robot.state.flange_position_world[0]
+    program = program.replace("127.0.0.1:7611", daemon).replace("0.7", str(start + 0.02))
+    assert len(program.splitlines()) == 6
+    names = {}
+    exec(program, names)
+    names["robot"].release()
+    assert robot.state.flange_position_world[0] > start + 0.015
+
+
+def test_parameters_are_read_changed_and_refused(daemon):
+    robot = moca.connect(daemon)
+    wait_for(robot, "ready")
+    assert robot.parameters["control.gains.damping_ratio"].shape == (1,)
+    robot.set_parameter("control.gains.damping_ratio", [0.8])
+    until = time.monotonic() + 10
+    while robot.parameters["control.gains.damping_ratio"][0] != 0.8:
+        assert time.monotonic() < until
+    with pytest.raises(ValueError, match="outside"):
+        robot.set_parameter("control.gains.damping_ratio", [70.0])
+
+
+def test_only_one_program_commands(daemon):
+    first, second = moca.connect(daemon), moca.connect(daemon)
+    wait_for(first, "ready")
+    first.arm()
+    wait_for(first, "impedance")
+    with pytest.raises(moca.Refused, match="another client"):
+        second.target_twist([0.05, 0, 0, 0, 0, 0])
+    second.stop()
+    wait_for(first, "protective stop")
+
+
+def test_a_program_that_makes_no_call_loses_the_command(daemon):
+    robot = moca.connect(daemon)
+    wait_for(robot, "ready")
+    robot.arm()
+    wait_for(robot, "impedance")
+    # Its threads run on, the connection's among them; but nobody calls.
+    threading.Event().wait(4.0)
+    assert wait_for(robot, "protective stop").fault is not None
+
+
+def test_without_a_daemon_it_says_so():
+    with pytest.raises(moca.Disconnected, match="no/such/socket"):
+        moca.connect("unix:/no/such/socket")

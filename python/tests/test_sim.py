@@ -1,0 +1,79 @@
+import time
+
+import numpy as np
+import pytest
+
+import moca
+from conftest import CALM
+
+
+def ready(law="impedance", **more):
+    sim = moca.Sim(f'startup.law = "{law}"\n' + CALM, **more)
+    for _ in range(30):
+        state = sim.step(100)
+        if state.mode not in ("starting", "taring", "ready"):
+            return sim, state
+    raise AssertionError(state)
+
+
+def test_the_same_seed_gives_the_same_bits():
+    runs = []
+    for seed in (1, 1, 2):
+        sim, _ = ready(seed=seed)
+        sim.press(6, 15.0)
+        runs.append(sim.step(500))
+    assert np.array_equal(runs[0].q_rad, runs[1].q_rad)
+    assert np.array_equal(runs[0].base_pose_world, runs[1].base_pose_world)
+    assert not np.array_equal(runs[0].taxel_force_n, runs[2].taxel_force_n)
+
+
+def test_a_pose_is_reached_and_a_press_moves_the_base():
+    sim, state = ready()
+    wanted = state.flange_position_world + [0.03, 0.0, 0.05]
+    for _ in range(100):
+        sim.target_pose(wanted, state.flange_desired_quaternion_world)
+        state = sim.step(19)
+    assert state.target == ("pose", "reached") and state.target_progress == 1.0
+    assert np.linalg.norm(state.flange_position_world - wanted) < 5e-3
+    sim.press(6, 20.0)
+    assert sim.step(2000).base_pose_world[0] < -0.05
+
+
+def test_a_refusal_says_why_with_value_and_range():
+    sim, state = ready()
+    with pytest.raises(moca.Refused, match=r"linear speed 0 = 0.5\d* m/s is outside -0.25"):
+        sim.target_twist([0.5, 0, 0, 0, 0, 0])
+    with pytest.raises(moca.Refused, match="not a finite number"):
+        sim.target_pose([np.nan, 0, 0], [0, 0, 0, 1])
+    with pytest.raises(moca.Refused, match="choose follow-me"):
+        sim.target_base([0.1, 0, 0])
+    with pytest.raises(ValueError, match="numbers, 6 are needed"):
+        sim.target_twist([0.1])
+    with pytest.raises(ValueError):
+        moca.Sim("no.such.key = 1\n")
+
+
+def test_a_trajectory_runs_to_its_end():
+    sim, state = ready()
+    p, q = state.flange_desired_position_world, state.flange_desired_quaternion_world
+    sim.trajectory([0, 1, 2], [p, p + [0, 0.05, 0], p], [q, q, q])
+    assert 0.4 < sim.step(1000).target_progress < 0.6
+    assert sim.step(1500).target == ("trajectory", "reached")
+
+
+def test_the_environment_of_the_examples_steps():
+    gym = pytest.importorskip("gymnasium")
+    from gymnasium.utils.env_checker import check_env
+
+    import lean_env
+
+    check_env(lean_env.LeanEnv(), skip_render_check=True)
+
+
+def test_how_much_faster_than_real_time_is_printed(capsys):
+    sim, _ = ready()
+    start = time.perf_counter()
+    sim.step(20_000)
+    factor = 20.0 / (time.perf_counter() - start)
+    with capsys.disabled():
+        print(f"\nmoca.Sim: {factor:.0f} times real time")
