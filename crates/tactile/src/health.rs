@@ -153,6 +153,19 @@ mod tests {
     }
 
     #[test]
+    fn a_rise_at_its_bound_is_borne_and_one_count_more_is_a_lost_plate_or_a_zero_under_a_hand() {
+        for (fdat, status) in [(760, None), (761, Some(TaxelStatus::Dead))] {
+            assert_eq!(after(DEAD_FRAMES, fdat, 0.025, ZERO), status, "{fdat} counts");
+        }
+        let too_low = |fdat: u16| {
+            let mut health = TaxelHealth::default();
+            (0..40).for_each(|_| health.update(fdat, Some(&ZERO), 4.0, 0.025));
+            health.zero_too_low()
+        };
+        assert_eq!([724, 725, 760, 761].map(too_low), [false, true, true, false]);
+    }
+
+    #[test]
     fn noise_at_its_bound_is_borne_and_beyond_it_is_not() {
         let noisy = |deviation: f64| TaxelHealth {
             latest: 720,

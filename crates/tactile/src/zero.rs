@@ -267,6 +267,13 @@ mod tests {
     }
 
     #[test]
+    fn a_zero_may_move_as_far_as_its_budget() {
+        let moved = |counts| TaxelZero { counts, tared_counts: 720.0, deviation: 0.7, gain: 1.0 }.drifted();
+        let budget = 720.0 - DRIFT_BUDGET;
+        assert_eq!([budget, budget - 0.01, 720.0 + DRIFT_BUDGET + 0.01].map(moved), [false, true, true]);
+    }
+
+    #[test]
     fn slow_drift_is_followed_with_its_time_constant_and_fast_drift_at_its_limit() {
         let zero = TaxelZero { counts: 700.0, tared_counts: 700.0, deviation: 0.7, gain: 1.0 };
         // One whole count at 0.1 s: the limit is 0.002 counts, 1/300 of the error would be 0.0033.

@@ -4,8 +4,8 @@
 use moca_msgs::Fault;
 use moca_tactile::Firmware;
 use moca_tactile::board::{
-    BoardEvent, BoardMonitor, Diagnosis, FROZEN_FRAMES, FrameSource, MAX_ELECTRODES, SILENT_AFTER_NS,
-    STALL_GAP_NS, SampledFrame,
+    BoardEvent, BoardMonitor, Diagnosis, FROZEN_FRAMES, FrameSource, MAX_ELECTRODES, OpenFailure,
+    SILENT_AFTER_NS, STALL_GAP_NS, SampledFrame,
 };
 use moca_tactile::datastream::{BadFrame, Frame, Line, emit, emit_line};
 use moca_tactile::touchline::{self, Content, Flags};
@@ -111,7 +111,9 @@ fn a_frame_under_way_is_told_from_its_data_on_and_not_where_its_age_is_unknown()
         for line in [Line::Baseline, Line::Difference] {
             let mut bytes = Vec::new();
             emit_line(&counts(filtered), line, &mut bytes);
-            stream.take(&bytes);
+            if let (Some(early), Some(whole)) = (early, stream.take(&bytes)) {
+                assert_eq!(early.sampled_at_ns, whole.sampled_at_ns, "the whole frame is no younger");
+            }
         }
         assert_eq!(stream.board.early(), None, "it is complete");
         early.map(|early| early.fdat[11])
@@ -152,6 +154,53 @@ fn what_our_firmware_says_of_its_chips_is_there_to_be_read() {
     let stats = stream.board.stats();
     let counted = (stats.frames_good, stats.frames_lost, stats.frames_discarded, stats.stalls);
     assert_eq!(counted, (4, 2, 3, 3));
+}
+
+#[test]
+fn a_board_of_ours_that_is_told_to_speak_datastream_keeps_its_counts_and_its_clock() {
+    let mut stream = Stream::new();
+    let content = Content::Data(Flags::default());
+    let line = touchline::Line { bank: 0, sequence: 1, device_us: 5, values: [700; 12], content };
+    let mut bytes = Vec::new();
+    touchline::emit(&line, &mut bytes);
+    stream.take(&bytes);
+    assert_eq!(stream.board.firmware(), Some(Firmware::Moca));
+    let counted = stream.board.stats().frames_good;
+    stream.now_ns += PERIOD_NS;
+    stream.line(&counts(700), Line::Touch);
+    assert_eq!((stream.board.firmware(), stream.board.stats().frames_good), (None, counted));
+    // A chunk that comes later than any frame's is a stall.
+    stream.now_ns += STALL_GAP_NS + 1;
+    stream.line(&counts(700), Line::Touch);
+    assert_eq!(stream.board.stats().stalls, 1);
+    stream.now_ns += STALL_GAP_NS;
+    stream.line(&counts(700), Line::Touch);
+    assert_eq!(stream.board.stats().stalls, 1);
+}
+
+#[test]
+fn a_port_that_does_not_open_is_a_lost_board_that_says_why() {
+    let mut stream = Stream::new();
+    stream.send(&counts(700));
+    stream.board.open_failed(OpenFailure::Busy);
+    assert_eq!(stream.board.diagnosis(), Diagnosis::NotOpen(OpenFailure::Busy));
+    assert_eq!(stream.board.fault(stream.now_ns), Some(Fault::BoardLost));
+}
+
+#[test]
+fn what_another_sketch_writes_says_which_one_it_is() {
+    for (text, diagnosis) in [
+        ("pin 3 was just touched", Diagnosis::WrongSketch),
+        ("error setting up MPR121", Diagnosis::ChipInitFailed),
+        ("good morning", Diagnosis::Unknown),
+    ] {
+        let mut stream = Stream::new();
+        stream.take(b"\r\n");
+        stream.take(format!("{text}\r\n").as_bytes());
+        assert_eq!(stream.board.diagnosis(), diagnosis, "{text}");
+        stream.take(b"good morning\r\n");
+        assert_eq!(stream.board.diagnosis(), diagnosis, "what is known already says more");
+    }
 }
 
 #[test]

@@ -40,6 +40,9 @@ pub struct BaseGuard<const K: usize, T = f64> {
     /// Least and largest velocity along each axis of B, m/s, m/s, rad/s; standing still is between them. For motions
     /// that no taxel would feel the end of.
     pub bounds_body: Option<[[T; 3]; 2]>,
+    /// The same for a motion that [`Self::outward_m_s`] demands, and as much of it as it demands: whoever is felt is given
+    /// room where a law on its own would not go. `None` is no more than `bounds_body`.
+    pub room_body: Option<[[T; 3]; 2]>,
     /// What the base does instead of what the law wants: m/s, m/s, rad/s.
     pub instead_body: Option<[T; 3]>,
 }
@@ -51,6 +54,7 @@ impl<const K: usize, T: Scalar> BaseGuard<K, T> {
         blocked: [false; K],
         outward_m_s: None,
         bounds_body: None,
+        room_body: None,
         instead_body: None,
     };
 
@@ -72,12 +76,15 @@ impl<const K: usize, T: Scalar> BaseGuard<K, T> {
                 return Err(ControlError::NotFinite { what: "guard.outward_m_s", index });
             }
         }
-        for (axis, (least, most)) in
-            self.bounds_body.iter().flat_map(|[least, most]| least.iter().zip(most)).enumerate()
+        for (what, bounds) in [("guard.bounds_body", &self.bounds_body), ("guard.room_body", &self.room_body)]
         {
-            finite("guard.bounds_body", &[*least, *most])?;
-            if *least > T::zero() || *most < T::zero() {
-                return Err(ControlError::GuardBounds { axis });
+            for (axis, (least, most)) in
+                bounds.iter().flat_map(|[least, most]| least.iter().zip(most)).enumerate()
+            {
+                finite(what, &[*least, *most])?;
+                if *least > T::zero() || *most < T::zero() {
+                    return Err(ControlError::GuardBounds { axis });
+                }
             }
         }
         let Some(speed) = self.speed_m_s else { return Ok(()) };
@@ -193,7 +200,9 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
     /// The nearest translation, and the yaw rate or none, that `guard` permits; slowed down as one motion.
     pub fn guarded(&self, guard: &BaseGuard<K, T>, wanted: &[T; 3]) -> [T; 3] {
         let [vx, vy, yaw] = guard.instead_body.unwrap_or(*wanted);
-        let turns_out = self.blocked(guard).any(|[_, _, lever]| *lever * yaw < T::zero());
+        // the lever of a taxel in the middle of its side is rounding, and has a sign
+        let least = -of::<T>(STANDSTILL);
+        let turns_out = self.blocked(guard).any(|[_, _, lever]| *lever * yaw < least);
         let [vx, vy] = self.nearest_translation(guard, [vx, vy]);
         let free = [vx, vy, if turns_out { T::zero() } else { yaw }];
         let velocity = self.bounded(guard, free);
@@ -266,6 +275,89 @@ mod tests {
         BaseGuard { blocked: core::array::from_fn(|i| taxels.contains(&i)), ..BaseGuard::NONE }
     }
 
+    /// T1 of a cover that has no other: on the rounded corner, forward and left; inward is backwards and to the right.
+    const CORNER: TaxelPlacement =
+        TaxelPlacement { position_base_m: [0.4, 0.3], inward_angle_base_rad: -0.75 * core::f64::consts::PI };
+
+    fn on_a_corner() -> CoverOutline<11, f64> {
+        CoverOutline::new(&[CORNER]).unwrap()
+    }
+
+    const MOTIONS: [[f64; 3]; 5] =
+        [[0.3, -0.2, 0.0], [0.3, -0.2, 0.5], [-0.1, 0.4, 0.7], [-0.2, -0.1, -0.6], [0.0, 0.1, -0.2]];
+
+    fn velocity_of([x, y]: [f64; 2], [vx, vy, yaw]: [f64; 3]) -> [f64; 2] {
+        [vx - yaw * y, vy + yaw * x]
+    }
+
+    #[test]
+    fn no_corner_is_faster_than_the_fastest_point_and_one_is_as_fast() {
+        for motion in MOTIONS {
+            let speeds = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]].map(|[side, end]| {
+                let [x, y] = velocity_of([0.489 * side, 0.388 * end], motion);
+                x.hypot(y)
+            });
+            let fastest = speeds.into_iter().fold(0.0, f64::max);
+            assert!((outline().fastest(&motion) - fastest).abs() < 1e-12, "{motion:?}");
+        }
+    }
+
+    #[test]
+    fn a_taxel_s_speed_outward_is_that_of_its_place_and_its_braking_that_of_all_axes_together() {
+        for placements in [&PAPER_COVER[..], &[CORNER]] {
+            let outline: CoverOutline<11, f64> = CoverOutline::new(placements).unwrap();
+            for (taxel, placement) in placements.iter().enumerate() {
+                let outward_of = |motion: [f64; 3]| {
+                    let [x, y] = velocity_of(placement.position_base_m, motion);
+                    let (sin, cos) = placement.inward_angle_base_rad.sin_cos();
+                    -(x * cos + y * sin)
+                };
+                for motion in MOTIONS {
+                    let outward = outline.outward(taxel, &motion);
+                    assert!((outward - outward_of(motion)).abs() < 1e-12, "T{} in {motion:?}", taxel + 1);
+                }
+                let axes = [2.0, 3.0, 5.0];
+                let most = (0..8_u32)
+                    .map(|signs| [0, 1, 2].map(|j| if signs >> j & 1 == 0 { axes[j] } else { -axes[j] }))
+                    .fold(0.0_f64, |most, change| most.max(outward_of(change)));
+                let deceleration = outline.deceleration(taxel, &axes);
+                assert!((deceleration - most).abs() < 1e-12, "T{}: {deceleration}", taxel + 1);
+            }
+        }
+    }
+
+    #[test]
+    fn a_taxel_keeps_its_speed_outward_up_to_the_last_bit_and_places_without_a_taxel_do_not_count() {
+        let outline = on_a_corner();
+        let motion = [0.3, -0.2, 0.5];
+        let outward = outline.outward(0, &motion);
+        let most = |of_taxel: f64| core::array::from_fn(|i| if i == 0 { of_taxel } else { -1.0 });
+        assert!(outline.keeps(&most(outward), &motion) && outline.keeps(&most(f64::INFINITY), &motion));
+        assert!(!outline.keeps(&most(outward - 1e-9), &motion));
+        assert!(!outline.keeps(&most(-0.1), &[0.0; 3]), "it has to give way");
+    }
+
+    /// T6 is in front; T2 and T3 are on the left, as far behind the middle as before it.
+    #[test]
+    fn the_nearest_motion_keeps_every_taxel_s_speed_and_gives_way_where_it_must() {
+        let nearest = |most: &[(usize, f64)], wanted: [f64; 3]| {
+            let mut outward_m_s = [f64::INFINITY; 11];
+            most.iter().for_each(|(taxel, speed)| outward_m_s[*taxel] = *speed);
+            outline().nearest(&outward_m_s, &wanted, &[-1.0; 3], &[1.0; 3])
+        };
+        // a soft bound gives by a ten-thousandth of what it takes away
+        let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4);
+        for (most, wanted, expected) in [
+            (&[][..], [0.3, 0.2, 0.4], [0.3, 0.2, 0.4]),
+            (&[(5, 0.1)], [0.3, 0.2, 0.4], [0.1, 0.2, 0.4]),
+            (&[(5, 0.1), (1, 0.05), (2, 0.05)], [0.3, 0.2, 0.0], [0.1, 0.05, 0.0]),
+            (&[(5, -0.1)], [0.0, 0.2, 0.0], [-0.1, 0.2, 0.0]),
+        ] {
+            let kept = nearest(most, wanted);
+            assert!(near(kept, expected), "{most:?}: {kept:?}");
+        }
+    }
+
     #[test]
     fn the_fastest_point_of_a_turning_base_is_a_corner() {
         let corner = 0.489_f64.hypot(0.388);
@@ -297,6 +389,40 @@ mod tests {
         assert!((vx - 0.2).abs() < 1e-12 && vy.abs() < 1e-12 && yaw == 0.0);
         let [.., yaw] = outline.guarded(&blocking(&[2]), &[0.0, 0.0, -0.3]);
         assert_eq!(yaw, -0.3);
+        // in the middle of the front a turn goes past the hand, either way
+        assert_eq!(outline.guarded(&blocking(&[5]), &[0.0, 0.0, -0.3]), [0.0, 0.0, -0.3]);
+        // forward is into the hand; to the right, however slowly, is not
+        let [vx, vy, _] = outline.guarded(&blocking(&[5]), &[0.2, -0.1, 0.0]);
+        assert!(vx.abs() < 1e-12 && (vy + 0.1).abs() < 1e-12, "{vx} {vy}");
+    }
+
+    #[test]
+    fn standing_still_and_going_exactly_as_fast_as_allowed_are_permitted() {
+        let outline = outline();
+        let hands: [usize; 11] = core::array::from_fn(|i| i);
+        for zero in [0.0, -0.0] {
+            assert!(outline.permits(&blocking(&hands), &[zero; 3]));
+        }
+        let limited = BaseGuard { speed_m_s: Some(0.05), ..BaseGuard::NONE };
+        assert!(outline.permits(&limited, &[0.05, 0.0, 0.0]));
+        assert!(!outline.permits(&limited, &[0.05 + 1e-9, 0.0, 0.0]));
+        // forward and to the left only
+        let ahead = BaseGuard { bounds_body: Some([[0.0; 3], [0.2; 3]]), ..BaseGuard::NONE };
+        assert!(ahead.check(11).is_ok() && outline.permits(&ahead, &[0.2, 0.0, 0.2]));
+        assert!(!outline.permits(&ahead, &[0.2, 0.0, 0.2 + 1e-8]));
+        let behind = BaseGuard { bounds_body: Some([[-0.2; 3], [0.0; 3]]), ..BaseGuard::NONE };
+        assert!(behind.check(11).is_ok() && outline.permits(&behind, &[-0.2, 0.0, -0.2]));
+    }
+
+    /// A hand on the corner allows to the right as much as forward; a bound takes some of the way to the right.
+    #[test]
+    fn a_translation_ends_where_a_bound_would_turn_it_into_the_hand() {
+        let outline = on_a_corner();
+        let kept = |least: [f64; 3], most: [f64; 3], wanted: [f64; 3]| {
+            outline.guarded(&BaseGuard { bounds_body: Some([least, most]), ..blocking(&[0]) }, &wanted)
+        };
+        assert_eq!(kept([-9.0, -0.1, -9.0], [9.0; 3], [0.2, -0.3, 0.0]), [0.0; 3]);
+        assert_eq!(kept([-9.0; 3], [0.1, 9.0, 9.0], [0.2, -0.3, 0.0]), [0.1, -0.3, 0.0]);
     }
 
     #[test]

@@ -171,7 +171,7 @@ impl<T: Scalar> BaseLimits<T> {
                 outline.guarded(&without, wanted)
             };
             let (mut low, mut high) = self.reachable(last, dt_s);
-            if let Some([least, largest]) = &guard.bounds_body {
+            if let Some([least, largest]) = guard.room_body.as_ref().or(guard.bounds_body.as_ref()) {
                 for i in 0..3 {
                     let (slowest, fastest) = (low[i], high[i]);
                     low[i] = least[i].clamp(slowest, fastest);
@@ -347,4 +347,112 @@ impl<const N: usize, T: Scalar> JointRepulsion<N, T> {
 fn clamp<T: Scalar>(value: T, min: T, max: T, hit: &mut bool) -> T {
     *hit |= value < min || value > max;
     value.clamp(min, max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use moca_msgs::robot::{PANDA, PAPER_COVER};
+
+    /// What the base does when its cover allows T6, in front, so many m/s outward.
+    fn driven(
+        outward_m_s: Option<f64>,
+        instead_body: Option<[f64; 3]>,
+        wanted: [f64; 3],
+        last: [f64; 3],
+    ) -> ([f64; 3], LimitsHit) {
+        let limits = Limits {
+            base_velocity: [0.3, 0.3, 0.5],
+            base_acceleration: [1000.0; 3],
+            ..Limits::for_arm(&PANDA)
+        };
+        let outline: CoverOutline<11, f64> = CoverOutline::new(&PAPER_COVER).unwrap();
+        let outward_m_s =
+            outward_m_s.map(|most| core::array::from_fn(|i| if i == 5 { most } else { f64::INFINITY }));
+        let guard = BaseGuard { outward_m_s, instead_body, ..BaseGuard::NONE };
+        let mut hit = LimitsHit::NONE;
+        let velocity =
+            BaseLimits::from(&limits).guarded_velocity(&outline, &guard, &wanted, &last, 1e-3, &mut hit);
+        (velocity, hit)
+    }
+
+    fn near(a: [f64; 3], b: [f64; 3]) -> bool {
+        a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4)
+    }
+
+    #[test]
+    fn a_taxel_s_limit_and_the_base_s_own_hold_together() {
+        let (velocity, hit) = driven(Some(0.1), None, [0.6, 0.6, -0.9], [0.0; 3]);
+        assert!(near(velocity, [0.1, 0.3, -0.5]) && hit.guard && hit.contact, "{velocity:?} {hit:?}");
+        let (velocity, hit) = driven(Some(0.1), None, [0.1, 0.2, 0.0], [0.0; 3]);
+        assert!(near(velocity, [0.1, 0.2, 0.0]) && !hit.guard && !hit.contact, "{velocity:?} {hit:?}");
+    }
+
+    #[test]
+    fn what_the_guard_orders_instead_is_what_a_taxel_s_limit_bounds() {
+        let (velocity, _) = driven(Some(0.1), Some([0.25, 0.0, 0.0]), [0.0, 0.2, 0.0], [0.0; 3]);
+        assert!(near(velocity, [0.1, 0.0, 0.0]), "{velocity:?}");
+    }
+
+    #[test]
+    fn what_the_guard_orders_instead_is_no_faster_than_the_base_may_go_and_keeps_its_direction() {
+        let (velocity, hit) = driven(None, Some([0.6, -0.2, 0.0]), [0.0; 3], [0.0; 3]);
+        assert!(near(velocity, [0.3, -0.1, 0.0]) && hit.guard && hit.base_velocity, "{velocity:?} {hit:?}");
+        // as fast as it may go, and as much faster in one step as it may become: 1 m/s
+        let (velocity, hit) = driven(None, Some([0.3, 0.0, 0.0]), [0.0; 3], [-0.7, 0.0, 0.0]);
+        assert!(near(velocity, [0.3, 0.0, 0.0]) && hit.guard, "{velocity:?} {hit:?}");
+        assert!(!hit.base_velocity && !hit.base_acceleration, "{hit:?}");
+    }
+
+    #[test]
+    fn a_motion_at_its_limit_goes_on_and_beyond_it_stops() {
+        let own = Limits::for_arm(&PANDA);
+        let limits = FlangeLimits::<f64>::from(&own);
+        // 3, 4 and 12 are the sides of a box whose diagonal is 13
+        let error = |metres: f64, radians: f64| {
+            let along = |of_all: f64| [3.0, 4.0, 12.0].map(|side| side / 13.0 * of_all);
+            let ([x, y, z], [rx, ry, rz]) = (along(metres), along(radians));
+            [x, y, z, rx, ry, rz]
+        };
+        let (metres, radians) = (own.pose_error_m, own.pose_error_rad);
+        for (speed_m_s, error, exceeded) in [
+            (own.flange_speed_m_s, error(0.999 * metres, 0.999 * radians), None),
+            (1.001 * own.flange_speed_m_s, error(0.0, 0.0), Some(Exceeded::FlangeSpeed)),
+            (0.0, error(1.001 * metres, 0.0), Some(Exceeded::PoseError)),
+            (0.0, error(0.0, 1.001 * radians), Some(Exceeded::PoseError)),
+            (0.0, [metres, 0.0, 0.0, 0.0, 0.0, radians], None),
+        ] {
+            assert_eq!(limits.exceeded(speed_m_s, &error), exceeded, "{speed_m_s} m/s, {error:?}");
+        }
+        let joints = JointSpeeds::<7, f64>::new(&PANDA);
+        let mut dq = [0.0; 7];
+        dq[3] = -joints.largest(3, PANDA.home_rad[3], -1.0);
+        assert_eq!(joints.exceeded(&PANDA.home_rad, &dq), None);
+        dq[3] *= 1.001;
+        assert_eq!(joints.exceeded(&PANDA.home_rad, &dq), Some(3));
+    }
+
+    #[test]
+    fn the_end_of_a_range_pushes_with_the_joint_s_own_torque_and_a_damper_of_0_7_of_critical() {
+        let repulsion = JointRepulsion::<7, f64>::new(&PANDA);
+        let pushed = |q: f64, dq: f64| {
+            let (mut q_rad, mut dq_rad_s) = (PANDA.home_rad, [0.0; 7]);
+            (q_rad[3], dq_rad_s[3]) = (q, dq);
+            repulsion.torque(&q_rad, &dq_rad_s, |_| 0.8)[3]
+        };
+        let (low, high, most_nm) = (PANDA.q_min_rad[3], PANDA.q_max_rad[3], PANDA.torque_max_nm[3]);
+        let close = |a: f64, b: f64| (a - b).abs() < 1e-9 * most_nm;
+        assert!(close(pushed(high, 0.0), -most_nm) && close(pushed(low, 0.0), most_nm));
+        assert!(close(pushed(low + 0.5 * REPULSION_BAND_RAD, 0.0), 0.5 * most_nm), "a spring");
+        assert!(close(pushed(high - REPULSION_BAND_RAD, 1.0), 0.0), "where it begins nothing jumps");
+        // critical is 2·√(k·m); the damper has grown to half of its own in the middle of the band
+        let damper = 0.7 * 2.0 * (most_nm / REPULSION_BAND_RAD * 0.8).sqrt();
+        for (into_band, dq) in [(1.0, 0.3), (1.0, -0.3), (0.5, 0.3)] {
+            let q = high - (1.0 - into_band) * REPULSION_BAND_RAD;
+            let expected = -into_band * (most_nm + damper * dq);
+            assert!(close(pushed(q, dq), expected), "{into_band} {dq}: {}", pushed(q, dq));
+        }
+        let beyond = -most_nm * 1.2 - damper * 0.3;
+        assert!(close(pushed(high + 0.2 * REPULSION_BAND_RAD, 0.3), beyond), "and no more than that");
+    }
 }

@@ -279,6 +279,10 @@ mod tests {
         assert_eq!(tracker.crossed(), None, "over with the contact");
 
         let mut tracker = ContactTracker::new(11, limits(50.0, 15.0), ContactReaction::Retreat);
+        feed(&mut tracker, [0.0, 50.0]);
+        assert_eq!(tracker.crossed(), None, "the limit itself is not beyond it");
+
+        let mut tracker = ContactTracker::new(11, limits(50.0, 15.0), ContactReaction::Retreat);
         let events = feed(&mut tracker, [0.0, 51.0]);
         assert_eq!(events[1].1.crossed_n, Some(50.0));
         assert_eq!(tracker.crossed(), Some(core::array::from_fn(|i| i == 2)));
@@ -299,7 +303,7 @@ mod tests {
         let mut tracker = ContactTracker::new(11, [ContactLimits::default(); TAXELS], ContactReaction::Slow);
         feed(&mut tracker, [10.0, 10.0]);
         let row = |taxel, excess_m_s| ContactRow { taxel, excess_m_s, ..ContactRow::default() };
-        tracker.squeezed(2 * MS, &[row(2, 0.019)]);
+        tracker.squeezed(2 * MS, &[row(2, NO_ROOM_M_S)]);
         assert!(tracker.take::<4>().is_empty(), "rounding and braking are no event");
         tracker.squeezed(3 * MS, &[row(1, 0.2), row(2, 0.05)]);
         tracker.squeezed(4 * MS, &[row(2, 0.3)]);
@@ -307,6 +311,22 @@ mod tests {
         let [event] = &events[..] else { panic!("{events:?}") };
         assert_eq!((event.taxel, event.phase), (2, ContactPhase::NoRoom));
         assert!(near(event.excess_m_s, 0.05) && near(event.peak_n, 10.0));
+    }
+
+    #[test]
+    fn no_event_is_lost_when_every_taxel_is_struck_at_once() {
+        let mut tracker = ContactTracker::new(TAXELS, limits(5.0, 5.0), ContactReaction::Slow);
+        let struck = [TaxelReading { force_n: 9.0, status: TaxelStatus::Ok }; TAXELS];
+        let let_go = [TaxelReading { force_n: 0.0, status: TaxelStatus::Ok }; TAXELS];
+        tracker.update(MS, &struck);
+        assert_eq!((tracker.touched(), tracker.crossed()), ([true; TAXELS], Some([true; TAXELS])));
+        tracker.update(2 * MS, &let_go);
+        assert_eq!((tracker.touched(), tracker.crossed()), ([false; TAXELS], None));
+        let taken = std::iter::repeat_with(|| tracker.take::<4>()).take_while(|events| !events.is_empty());
+        let phases: Vec<ContactPhase> = taken.flatten().map(|event| event.phase).collect();
+        for phase in [ContactPhase::Started, ContactPhase::LimitCrossed, ContactPhase::Finished] {
+            assert_eq!(phases.iter().filter(|p| **p == phase).count(), TAXELS, "{phase:?}");
+        }
     }
 
     #[test]

@@ -309,6 +309,227 @@ pub fn speed_for_delay_m_s(config: &Config, force_limit_n: f64, delay_s: f64) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+    use moca_msgs::protection::ContactPhase;
+
+    const MS: u64 = 1_000_000;
+    /// On the left side.
+    const LEFT: usize = 2;
+    /// In front.
+    const FRONT: usize = 5;
+    const NO_LIMITS: [ContactLimits; TAXELS] =
+        [ContactLimits { transient_n: None, quasi_static_n: None }; TAXELS];
+
+    /// A protection, and the loop round it: a tick a millisecond, a frame every 25 ms that is 10 ms old when it comes.
+    struct Loop {
+        protection: Protection,
+        limits: Limits<JOINTS>,
+        cover: CoverState,
+        ms: u64,
+    }
+
+    impl Loop {
+        fn new(config: &Config, limits: [ContactLimits; TAXELS]) -> Self {
+            let protection = Protection::new(config, limits).unwrap();
+            Self { protection, limits: config.parameters().limits, cover: CoverState::NONE, ms: 0 }
+        }
+
+        /// On until the frame that was sampled at `frame` times 25 ms has come.
+        fn until_frame(&mut self, frame: u64) -> Protected {
+            while self.ms + 1 < 25 * frame + 10 {
+                self.tick(true);
+            }
+            self.tick(true)
+        }
+
+        fn tick(&mut self, moving: bool) -> Protected {
+            self.ms += 1;
+            self.cover.early.sampled_at_ns = self.ms.checked_sub(10).map(|seen| seen / 25 * 25 * MS);
+            self.silent_tick(moving)
+        }
+
+        /// One in which nothing new has come.
+        fn silent_tick(&mut self, moving: bool) -> Protected {
+            self.protection.update(self.ms * MS, &self.cover, &self.limits, moving)
+        }
+
+        fn press(&mut self, taxel: usize, force_n: f64) {
+            self.cover.reading.taxels[taxel].force_n = force_n;
+        }
+    }
+
+    /// A reaction at 10 N on any taxel, at a speed that no board's rate decides.
+    fn reacting(reaction: ContactReaction, change: impl Fn(&mut ProtectionConfig)) -> Loop {
+        let mut config = Config::default();
+        config.protection.reaction = reaction;
+        config.protection.override_speed_limit_m_s = 0.4;
+        change(&mut config.protection);
+        Loop::new(&config, [ContactLimits { transient_n: Some(10.0), quasi_static_n: Some(10.0) }; TAXELS])
+    }
+
+    fn taxels(which: &[usize]) -> [bool; TAXELS] {
+        std::array::from_fn(|i| which.contains(&i))
+    }
+
+    #[test]
+    fn a_delay_allows_the_speed_that_presses_no_further_than_the_felt_part_of_the_force_limit() {
+        let mut config = Config::default();
+        config.protection.contact_travel_m = 0.1; // stopping is no matter
+        let servo_s = config.robot.base.servo_time_constant_s;
+        for (force_limit_n, felt_n) in [(25.0, 19.8), (65.0, 59.8)] {
+            for delay_s in [0.05, 0.2] {
+                let speed_m_s = speed_for_delay_m_s(&config, force_limit_n, delay_s);
+                let pressed_n = 7783.0 * speed_m_s * (delay_s + servo_s);
+                assert!((pressed_n - felt_n).abs() < 1e-9, "{pressed_n} N of {felt_n} N after {delay_s} s");
+            }
+        }
+    }
+
+    #[test]
+    fn a_base_stands_until_its_board_is_known_and_then_goes_as_its_slowest_frames_allow() {
+        let config = Config::default();
+        let for_delay = |delay_s| speed_for_delay_m_s(&config, config.protection.force_limit_n, delay_s);
+        let near = |limit: SpeedLimit, delay_s: f64| (limit.m_s - for_delay(delay_s)).abs() < 1e-12;
+        let mut run = Loop::new(&config, NO_LIMITS);
+        let unknown = run.until_frame(15);
+        assert_eq!((unknown.speed_limit, unknown.guard.speed_m_s), (SpeedLimit::default(), Some(0.0)));
+        // Sampled 25 ms apart and 10 ms old when they come: one is 34 ms old in the tick before the next.
+        let known = run.until_frame(16);
+        assert_eq!(known.speed_limit.reason, SpeedLimitReason::BoardRate);
+        assert_eq!(known.guard.speed_m_s, Some(known.speed_limit.m_s));
+        assert!(near(known.speed_limit, 0.034), "{known:?}");
+        // The next one does not come.
+        for _ in 0..26 {
+            run.ms += 1;
+            let late = run.silent_tick(true).speed_limit;
+            let age_ms = run.ms - 400;
+            let reason = if age_ms > 35 { SpeedLimitReason::Stale } else { SpeedLimitReason::BoardRate };
+            #[expect(clippy::cast_precision_loss, reason = "some ms")]
+            let delay_s = 1e-3 * age_ms.max(34) as f64;
+            assert_eq!(late.reason, reason, "{age_ms} ms");
+            assert!(near(late, delay_s), "{age_ms} ms: {late:?}");
+        }
+        // After a silence nothing is known of the board that comes.
+        run.ms += seconds_in_ms(SILENT_AFTER_NS) + 25;
+        assert_eq!(run.tick(true).speed_limit, SpeedLimit::default());
+
+        let mut run = Loop::new(&config, NO_LIMITS);
+        run.limits.base_velocity = [0.003, 0.004, 0.0];
+        let limit = run.until_frame(16).speed_limit;
+        assert_eq!(limit.reason, SpeedLimitReason::Configured);
+        assert!((limit.m_s - 0.005).abs() < 1e-12, "{limit:?}");
+
+        let mut own = config.clone();
+        own.protection.override_speed_limit_m_s = 0.4;
+        let overridden = SpeedLimit { m_s: 0.4, reason: SpeedLimitReason::Overridden };
+        assert_eq!(Loop::new(&own, NO_LIMITS).tick(true).speed_limit, overridden);
+    }
+
+    const fn seconds_in_ms(ns: u64) -> u64 {
+        ns / MS
+    }
+
+    #[test]
+    fn one_late_frame_slows_the_base_for_half_a_second_at_least_and_a_second_at_most() {
+        let mut delay = ReadingDelay::default();
+        let mut now_ms = 10_000;
+        let mut frame = |delay: &mut ReadingDelay, after_ms: u64| {
+            now_ms += after_ms;
+            delay.update(now_ms * MS, Some(now_ms * MS));
+            (delay.worst_s(0.0).unwrap_or(0.0) * 1e3).round()
+        };
+        (0..30).for_each(|_| assert!(frame(&mut delay, 7) <= 7.0));
+        assert!((frame(&mut delay, 60) - 60.0).abs() < 1e-9);
+        (1..72).for_each(|i| assert!((frame(&mut delay, 7) - 60.0).abs() < 1e-9, "{} ms after", 7 * i));
+        let after = (0..75).map(|_| frame(&mut delay, 7)).last();
+        assert_eq!(after, Some(7.0), "more than a second after");
+    }
+
+    #[test]
+    fn who_crosses_a_limit_stops_the_directions_in_which_anybody_is_felt() {
+        let mut run = reacting(ContactReaction::StopDirection, |_| {});
+        run.cover.early.touched[FRONT] = true;
+        run.press(LEFT, 10.0);
+        let below = run.tick(true);
+        assert_eq!((below.reaction, below.guard.blocked), (None, taxels(&[FRONT])));
+        run.press(LEFT, 10.1);
+        let standing = run.tick(false);
+        assert_eq!((standing.reaction, standing.guard.blocked), (None, taxels(&[FRONT])), "nothing moves");
+        let crossed = run.tick(true);
+        assert_eq!(crossed.reaction, Some(ContactReaction::StopDirection));
+        assert_eq!((crossed.guard.blocked, crossed.guard.instead_body), (taxels(&[LEFT, FRONT]), None));
+        // what the barrier cannot keep is among the next tick's events
+        run.protection
+            .squeezed(run.ms * MS, &[ContactRow { taxel: 2, excess_m_s: 0.3, ..ContactRow::default() }]);
+        let events = run.tick(true).events;
+        assert!(events.iter().any(|event| event.phase == ContactPhase::NoRoom), "{events:?}");
+    }
+
+    #[test]
+    fn slow_is_the_slower_of_both() {
+        let slowed = |own_m_s: f64| {
+            let mut run = reacting(ContactReaction::Slow, |p| p.override_speed_limit_m_s = own_m_s);
+            run.press(LEFT, 20.0);
+            let protected = run.tick(true);
+            assert_eq!(protected.guard.speed_m_s, Some(protected.speed_limit.m_s));
+            assert_eq!(protected.reaction, Some(ContactReaction::Slow));
+            protected.speed_limit
+        };
+        assert_eq!(slowed(0.4), SpeedLimit { m_s: 0.01, reason: SpeedLimitReason::Contact });
+        assert_eq!(slowed(0.005), SpeedLimit { m_s: 0.005, reason: SpeedLimitReason::Overridden });
+    }
+
+    #[test]
+    fn a_retreat_goes_its_stated_way_from_who_crossed_and_into_nobody() {
+        let mut run = reacting(ContactReaction::Retreat, |p| p.retreat_m = 0.02);
+        run.tick(true);
+        for _ in 0..2 {
+            run.press(LEFT, 20.0);
+            run.press(FRONT, 5.0);
+            let mut way_m = 0.0;
+            for tick in 0..1000 {
+                let protected = run.tick(true);
+                assert_eq!(protected.guard.blocked, taxels(&[LEFT, FRONT]));
+                let Some([x, y, yaw]) = protected.guard.instead_body else { continue };
+                assert!(x.abs() < 1e-12 && (y + 0.05).abs() < 1e-12 && yaw.abs() < 1e-12, "to the right");
+                way_m -= y * 1e-3;
+                // a tick that comes late is not way that was gone
+                run.ms += if tick == 100 { 2000 } else { 0 };
+            }
+            // the late one counts as ten
+            assert!((way_m - 0.02 + 9.0 * 5e-5).abs() < 1.01 * 5e-5, "{way_m} m");
+            run.press(LEFT, 0.0);
+            run.tick(true);
+        }
+        let mut run = reacting(ContactReaction::Retreat, |p| p.retreat_m = 0.0);
+        run.press(LEFT, 20.0);
+        assert_eq!(run.tick(true).guard.instead_body, None, "no way is none");
+    }
+
+    #[test]
+    fn who_goes_on_from_a_state_protects_as_before() {
+        let config = Config::default();
+        let mut run = Loop::new(&config, NO_LIMITS);
+        run.until_frame(20);
+        let mut other = Loop { ms: run.ms, cover: run.cover, ..Loop::new(&config, NO_LIMITS) };
+        other.protection.restore(run.protection.state());
+        let next = run.tick(true);
+        assert_eq!(next.speed_limit.reason, SpeedLimitReason::BoardRate);
+        assert_eq!(other.tick(true), next);
+    }
+
+    #[test]
+    fn the_start_says_what_each_board_allows_and_shouts_an_override() {
+        let mut config = Config::default();
+        let said = introduction(&config);
+        for firmware in [Firmware::Moca, Firmware::Stock2018, Firmware::Stock2015] {
+            let delay_s = seconds(firmware.worst_hold_ns()) - 1e-3;
+            let speed_m_s = speed_for_delay_m_s(&config, 25.0, delay_s);
+            let line = format!("{} {speed_m_s:.3} m/s", firmware.name());
+            assert!(speed_m_s > 0.02 && said.contains(&line), "{line} | {said}");
+        }
+        config.protection.override_speed_limit_m_s = 0.4;
+        assert!(introduction(&config).starts_with("SPEED LIMIT OVERRIDDEN: 0.4 m/s"));
+    }
 
     #[test]
     fn the_speed_of_the_cover_is_that_of_its_fastest_corner_wherever_the_base_looks() {

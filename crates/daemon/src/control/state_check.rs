@@ -148,6 +148,20 @@ mod tests {
     }
 
     #[test]
+    fn what_stands_at_a_bound_is_still_let_in() {
+        let mut states = StateCheck::default();
+        assert!(states.good(state(), DEADLINES, 1e-3).is_ok());
+        let mut moved = state();
+        moved.q_rad[0] = JOINT_RATE_MAX.1;
+        assert!(
+            states.good(moved, FRESH, 0.0).is_ok(),
+            "no more than that is no jump, however short the time"
+        );
+        moved.q_rad[0] *= 2.001;
+        assert_eq!(states.good(moved, FRESH, 0.0), Err(Fault::StateInvalid));
+    }
+
+    #[test]
     fn a_robot_that_was_moved_while_its_state_was_stale_is_taken_where_it_is() {
         let mut states = StateCheck::default();
         states.good(state(), FRESH, 1e-3).unwrap();

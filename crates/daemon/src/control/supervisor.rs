@@ -553,6 +553,7 @@ mod tests {
             Ok(()),
             "a law may change"
         );
+        assert_eq!(supervisor.law(), Law::FollowMe);
         assert_eq!(ask(&mut supervisor, touched, Request::Stop), Ok(()));
         assert_eq!(ask(&mut supervisor, touched, Request::Resume), Ok(()), "which moves nothing");
         assert_eq!(ask(&mut supervisor, touched, Request::Arm), refusal);
@@ -587,6 +588,12 @@ mod tests {
         supervisor.step(&Facts { cover_fault: Some(Fault::BoardSilent), ..GOOD }, None);
         supervisor.step(&Facts { zero: Zero::Invalid, ..GOOD }, None);
         assert_eq!(supervisor.cause(), Some(Fault::ZeroInvalid));
+
+        // What stopped the robot for another reason stays the reason.
+        let mut supervisor = armed();
+        supervisor.step(&Facts { plant_fault: Some(Fault::BaseStale), ..GOOD }, None);
+        supervisor.step(&Facts { zero: Zero::Invalid, ..GOOD }, None);
+        assert_eq!(supervisor.cause(), Some(Fault::BaseStale));
     }
 
     #[test]

@@ -270,7 +270,9 @@ fn forget_surplus(folder: &Path) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moca_telemetry::log::read_log;
+    use crate::record::tick_blocks::decode;
+    use crate::record::tick_log::tests::{input, state};
+    use moca_telemetry::log::{LogReader, Record, read_log};
 
     fn recorder(name: &str) -> FlightRecorder {
         let mut config = Config::default();
@@ -283,6 +285,94 @@ mod tests {
     fn sample(tick: u64, fault: Option<Fault>) -> Sample {
         let mode = if fault.is_some() { Mode::ProtectiveStop } else { Mode::Impedance };
         Sample { tick, time_ns: tick * 1_000_000, mode, fault, ..Sample::default() }
+    }
+
+    /// What the loop tells of the tick at so many milliseconds, the `number`th of its run; each reads one byte of the board.
+    fn tell(recorder: &mut FlightRecorder, tick: u64, number: u64, fault: Option<Fault>) -> Option<PathBuf> {
+        if tick.is_multiple_of(1000) {
+            let time_ns = tick * 1_000_000;
+            recorder.add_state(StateRecord { number, tick, time_ns, cover_events: 0, state: state() });
+        }
+        let events = vec![(0, PortEvent::Bytes(tick, vec![7]))];
+        recorder.add_tick(TickRecord { input: input(tick, 0), number, lost: 0, events });
+        recorder.add(&sample(tick, fault))
+    }
+
+    /// First tick, last tick and count of what a log holds: of states of the loop, of ticks to run again, of samples.
+    fn held(path: &Path) -> [(u64, u64, usize); 3] {
+        let (mut states, mut ticks, mut samples) = (Vec::new(), Vec::new(), Vec::new());
+        for record in LogReader::open(path).unwrap() {
+            match record {
+                Record::LoopState(bytes) => {
+                    states.push(postcard::from_bytes::<StateRecord>(&bytes).unwrap().tick);
+                }
+                Record::Replay(block) => {
+                    ticks.extend(decode(&block).unwrap().iter().map(|tick| tick.record.input.slot.tick));
+                }
+                Record::Sample(sample) => samples.push(sample.tick),
+                _ => {}
+            }
+        }
+        [states, ticks, samples].map(|all| {
+            (all.first().copied().unwrap_or_default(), all.last().copied().unwrap_or_default(), all.len())
+        })
+    }
+
+    #[test]
+    fn the_last_ten_seconds_can_be_run_again_from_the_state_before_them() {
+        let mut recorder = recorder("again");
+        let start_ms = recorder.meta.start_unix_ns / 1_000_000;
+        for tick in 0..25_000 {
+            assert_eq!(tell(&mut recorder, tick, tick, None), None);
+        }
+        let path = tell(&mut recorder, 25_000, 25_000, Some(Fault::BoardLost)).unwrap();
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        let folder = recorder.folder.clone();
+        // Who goes waits until the file is whole.
+        drop(recorder);
+        // 15.0 s is not more than ten seconds ago: what the loop remembered at 15 s is not needed, that at 14 s is not old.
+        let [states, ticks, samples] = held(&path);
+        assert_eq!(states, (14_000, 14_000, 1));
+        assert_eq!(ticks, (14_001, 25_000, 11_000));
+        assert_eq!(samples.1, 25_000);
+        assert!(samples.0 <= 14_001 && samples.0 >= 14_000, "{samples:?}");
+        let log = read_log(&path).unwrap();
+        assert_eq!((log.cut, log.serial.len()), (None, ticks.2), "every byte that the ticks were given");
+        let (at_ms, code) = name.strip_prefix(PREFIX).unwrap().split_once('-').unwrap();
+        let after_ms = at_ms.parse::<u64>().unwrap() - start_ms;
+        assert!((25_000..=25_001).contains(&after_ms) && code == "board-lost.mcap", "{name}");
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn a_short_run_begins_at_its_beginning_and_one_whose_beginning_was_lost_after_its_first_state() {
+        for (lost, begins, state) in [(0, 0, None), (500, 1001, Some(1000))] {
+            let mut recorder = recorder(&format!("short-{lost}"));
+            for tick in lost..3000 {
+                tell(&mut recorder, tick, tick, None);
+            }
+            let path = tell(&mut recorder, 3000, 3000, Some(Fault::BoardLost)).unwrap();
+            let folder = recorder.folder.clone();
+            drop(recorder);
+            let [states, ticks, _] = held(&path);
+            assert_eq!((states.0, states.2 > 0), (state.unwrap_or_default(), state.is_some()));
+            assert_eq!((ticks.0, ticks.1), (begins, 3000));
+            fs::remove_dir_all(folder).unwrap();
+        }
+    }
+
+    #[test]
+    fn a_file_that_the_disk_has_no_time_for_is_said() {
+        let mut recorder = recorder("behind");
+        let (jobs, _disk) = sync_channel(1);
+        let (say, said) = channel();
+        recorder.writer = Writer { jobs, say, said, thread: None };
+        assert!(recorder.add(&sample(1, Some(Fault::BoardLost))).is_some());
+        assert_eq!(recorder.trouble(), None);
+        assert_eq!(recorder.add(&sample(2, Some(Fault::BoardSilent))), None, "there is no such file");
+        let said = recorder.trouble().expect("a file is missing");
+        assert!(said.contains("board-silent") && said.contains("the disk is behind"), "{said}");
+        fs::remove_dir_all(&recorder.folder).unwrap();
     }
 
     /// Waits until the thread has written what it was asked for: a finished file is followed by one that is not asked for.
@@ -348,10 +438,36 @@ mod tests {
         let said = recorder.writer.said.recv().unwrap();
         assert!(said.contains("cannot create the log") && said.contains("board-lost"), "{said}");
 
-        let mut config = Config::default();
-        config.flight_recorder.folder = "/proc/mocad".into();
-        let refused = FlightRecorder::new(&config, RobotDescription::default()).err().unwrap();
-        assert!(format!("{refused:#}").contains("/proc/mocad"), "{refused:#}");
+        // One that cannot be made, and one that is there and takes no file.
+        for folder in ["/proc/mocad", "/proc"] {
+            let mut config = Config::default();
+            config.flight_recorder.folder = folder.into();
+            let refused = FlightRecorder::new(&config, RobotDescription::default()).err().unwrap();
+            assert!(format!("{refused:#}").contains(folder), "{refused:#}");
+        }
+        assert!(auto_folder().is_absolute(), "wherever mocad is started");
+    }
+
+    #[test]
+    fn of_a_story_the_second_file_goes_and_of_stops_that_are_none_the_oldest() {
+        const BEGIN_MS: u64 = 1_700_000_000_000;
+        let recorder = recorder("stories");
+        let file = |at_ms: u64| recorder.folder.join(format!("{PREFIX}{}-x.mcap", BEGIN_MS + at_ms));
+        let remain = |times_ms: &[u64]| -> Vec<u64> {
+            times_ms.iter().for_each(|at_ms| fs::write(file(*at_ms), "").unwrap());
+            forget_surplus(&recorder.folder);
+            let (remain, gone): (Vec<u64>, Vec<u64>) =
+                times_ms.iter().partition(|at_ms| file(**at_ms).exists());
+            assert_eq!(remain.len(), FILES_MAX);
+            remain.iter().for_each(|at_ms| fs::remove_file(file(*at_ms)).unwrap());
+            gone
+        };
+        let every_minute: Vec<u64> = (0..=FILES_MAX as u64).map(|i| i * STORY_MS).collect();
+        assert_eq!(remain(&every_minute), [0]);
+        let mut once_sooner = every_minute;
+        once_sooner[5] -= 1;
+        assert_eq!(remain(&once_sooner), [5 * STORY_MS - 1]);
+        fs::remove_dir_all(&recorder.folder).unwrap();
     }
 
     #[test]

@@ -168,7 +168,7 @@ impl From<&PortEvent> for BoardEvent {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::config::Config;
     use crate::control::plant::SourceAge;
@@ -177,7 +177,8 @@ mod tests {
     use crate::runtime::assemble::{motion, supervisor};
     use moca_msgs::Fault;
 
-    fn input(tick: u64, cover_events: u64) -> TickInput {
+    /// Of the tick at so many milliseconds.
+    pub(in crate::record) fn input(tick: u64, cover_events: u64) -> TickInput {
         TickInput {
             slot: Slot { tick, now_ns: tick * 1_000_000, ..Slot::default() },
             state: Err(Fault::PlantLost),
@@ -190,7 +191,7 @@ mod tests {
         }
     }
 
-    fn state() -> LoopState {
+    pub(in crate::record) fn state() -> LoopState {
         let config = Config::default();
         LoopState {
             state_check: StateCheck::default(),

@@ -369,6 +369,140 @@ mod tests {
         assert_eq!(desk.ask(2, 1, Request::Tare, alive + COMMAND_LEASE), None);
     }
 
+    fn refusal(answer: Option<Answer>) -> Option<Refusal> {
+        answer.and_then(|answer| answer.outcome.err())
+    }
+
+    #[test]
+    fn one_client_commands_and_any_other_may_only_stop_the_robot() {
+        let (mut desk, mut robot) = desk();
+        let now = Instant::now();
+        assert_eq!(desk.commander_seen_by(1), Commander::Nobody);
+        assert_eq!(desk.ask(2, 1, Request::Stop, now), None, "who stops the robot need not command it");
+        assert_eq!((asked(&mut robot), desk.commander_seen_by(2)), (Some(Request::Stop), Commander::Nobody));
+        assert!(desk.claim(1, now) && desk.claim(1, now) && !desk.claim(2, now));
+        assert_eq!((desk.is_commander(1), desk.is_commander(2)), (true, false));
+        assert_eq!(
+            (desk.commander_seen_by(1), desk.commander_seen_by(2)),
+            (Commander::You, Commander::Another)
+        );
+        let refused = Answer { client: 2, id: 5, outcome: Err(Refusal::NotCommander) };
+        assert_eq!(desk.ask(2, 5, Request::Arm, now), Some(refused));
+        // an onlooker's going is no loss
+        desk.release(2);
+        desk.lose(2);
+        assert_eq!((asked(&mut robot), desk.commander_seen_by(1)), (None, Commander::You));
+        desk.release(1);
+        assert_eq!(asked(&mut robot), None);
+        assert!(desk.claim(2, now), "who gives the command back leaves it to the next");
+    }
+
+    #[test]
+    fn a_press_is_of_a_taxel_there_is_with_a_force_it_may_have() {
+        let (mut desk, mut robot) = desk();
+        let now = Instant::now();
+        let mut press = |taxel, force_n| {
+            let answer = desk.ask(1, 1, Request::PressTaxel { taxel, force_n }, now);
+            (refusal(answer), asked(&mut robot).is_some())
+        };
+        for (taxel, force_n) in [(11, 5.0), (0, -0.1), (0, 1.001 * PRESS_FORCE_MAX_N), (0, f64::NAN)] {
+            assert_eq!(
+                press(taxel, force_n),
+                (Some(Refusal::OutOfRange), false),
+                "T{} {force_n} N",
+                taxel + 1
+            );
+        }
+        for (taxel, force_n) in [(10, 5.0), (0, 0.0), (0, PRESS_FORCE_MAX_N)] {
+            assert_eq!(press(taxel, force_n), (None, true), "T{} {force_n} N", taxel + 1);
+        }
+    }
+
+    #[test]
+    fn who_leaves_lets_go_of_what_it_holds_and_of_nothing_else() {
+        let press = |taxel, force_n| Request::PressTaxel { taxel, force_n };
+        let (mut desk, mut robot) = desk();
+        let now = Instant::now();
+        for request in [press(3, 10.0), press(2, 10.0), press(2, 0.0)] {
+            assert_eq!(desk.ask(1, 1, request, now), None);
+            assert_eq!(asked(&mut robot), Some(request));
+        }
+        desk.release(1);
+        assert_eq!((asked(&mut robot), asked(&mut robot)), (Some(press(3, 0.0)), None));
+
+        // No room when it leaves; the next one presses the same taxel before there is.
+        for taxel in [4, 5] {
+            desk.ask(1, 1, press(taxel, 10.0), now);
+        }
+        while refusal(desk.ask(1, 1, Request::Disarm, now)).is_none() {}
+        desk.release(1);
+        while asked(&mut robot).is_some() {}
+        assert_eq!(desk.ask(2, 1, press(4, 20.0), now), None);
+        assert_eq!(asked(&mut robot), Some(press(4, 20.0)));
+        desk.answers(now);
+        assert_eq!((asked(&mut robot), asked(&mut robot)), (Some(press(5, 0.0)), None));
+    }
+
+    #[test]
+    fn each_request_has_its_answer_and_one_that_the_loop_does_not_give_in_time_is_said() {
+        let (mut desk, mut robot) = desk();
+        let start = Instant::now();
+        assert!(!desk.waits());
+        for id in [7, 8] {
+            assert_eq!(desk.ask(1, id, Request::Disarm, start), None);
+        }
+        let (ticket, _) = robot.take().unwrap();
+        robot.answer(ticket, Err(Refusal::NoRobot));
+        let almost = start + ANSWER_TIMEOUT - Duration::from_millis(1);
+        assert_eq!(desk.answers(almost), [Answer { client: 1, id: 7, outcome: Err(Refusal::NoRobot) }]);
+        assert!(desk.waits());
+        let late = desk.answers(start + ANSWER_TIMEOUT);
+        assert_eq!(late, [Answer { client: 1, id: 8, outcome: Err(Refusal::NoAnswer) }]);
+        assert!(!desk.waits());
+    }
+
+    #[test]
+    fn changes_of_parameters_leave_room_for_their_answers_and_for_everything_else() {
+        let (mut desk, mut robot) = desk();
+        let now = Instant::now();
+        let values = ParameterValues::new(&[2.0]).unwrap();
+        let change = Request::SetParameter { parameter: 3, values };
+        for _ in 0..ROOM / 2 {
+            assert_eq!(desk.ask(1, 1, change, now), None);
+        }
+        assert_eq!(refusal(desk.ask(1, 1, change, now)), Some(Refusal::NoAnswer));
+        assert_eq!(desk.ask(1, 1, Request::Disarm, now), None);
+        for _ in 0..2 {
+            let (ticket, _) = robot.take().unwrap();
+            robot.answer(ticket, Ok(()));
+        }
+        desk.answers(now);
+        assert_eq!(desk.ask(1, 1, change, now), None, "two are answered");
+        assert_eq!(refusal(desk.ask(1, 1, change, now)), Some(Refusal::NoAnswer));
+    }
+
+    #[test]
+    fn a_change_is_judged_where_the_robot_stands_and_with_those_on_their_way() {
+        let (requests, mut robot) = request_channel();
+        let judge: Judge = Box::new(|change| {
+            let bent = change.q_rad.first().is_some_and(|q_rad| *q_rad > 1.0);
+            if bent || change.changed.contains_key(&9) { Err(Refusal::OutOfRange) } else { Ok(()) }
+        });
+        let mut desk = Desk::new(requests, &RobotDescription::paper("test", true), Some(judge));
+        let now = Instant::now();
+        let mut change = |desk: &mut Desk, parameter| {
+            let values = ParameterValues::new(&[2.0]).unwrap();
+            refusal(desk.ask(1, 1, Request::SetParameter { parameter, values }, now))
+        };
+        assert_eq!(change(&mut desk, 3), None);
+        desk.see_posture(&[1.5]);
+        assert_eq!(change(&mut desk, 3), Some(Refusal::OutOfRange));
+        desk.see_posture(&[0.5]);
+        assert_eq!(change(&mut desk, 9), None);
+        assert_eq!(change(&mut desk, 3), Some(Refusal::OutOfRange), "another one is on its way");
+        assert_eq!(std::iter::from_fn(|| asked(&mut robot)).count(), 2, "what is refused does not leave");
+    }
+
     #[test]
     fn any_commander_that_vanishes_stops_the_robot_and_who_gives_the_command_back_does_not() {
         // The robot may have armed itself, or an earlier commander did.
