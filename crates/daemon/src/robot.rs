@@ -303,13 +303,15 @@ choice!(ArmDriver { Fci: "fci", Own: "own" });
 /// What drives a real base.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BaseDriver {
+    /// ROS 2: velocity orders and odometry.
+    Ros2,
     /// None: the base is simulated under a real arm.
     Simulated,
     /// That of the program that runs the loop.
     Own,
 }
 
-choice!(BaseDriver { Simulated: "simulated", Own: "own" });
+choice!(BaseDriver { Ros2: "ros2", Simulated: "simulated", Own: "own" });
 
 /// Which parts the robot has. What it lacks is neither simulated, started nor shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

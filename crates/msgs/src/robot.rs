@@ -244,9 +244,11 @@ pub enum Drive {
     /// In every direction of the plane at once: mecanum or omni wheels, or steered ones.
     #[default]
     Holonomic,
+    /// Forwards and about its middle only: known so that it can be refused with the reason.
+    Differential,
 }
 
-crate::choice!(Drive { Holonomic: "holonomic" });
+crate::choice!(Drive { Holonomic: "holonomic", Differential: "differential" });
 
 /// Where one taxel sits on the cover and which way it is pressed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

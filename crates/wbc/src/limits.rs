@@ -171,7 +171,7 @@ impl<T: Scalar> BaseLimits<T> {
                 outline.guarded(&without, wanted)
             };
             let (mut low, mut high) = self.reachable(last, dt_s);
-            if let Some([least, largest]) = &guard.bounds_body {
+            if let Some([least, largest]) = guard.room_body.as_ref().or(guard.bounds_body.as_ref()) {
                 for i in 0..3 {
                     let (slowest, fastest) = (low[i], high[i]);
                     low[i] = least[i].clamp(slowest, fastest);

@@ -2,11 +2,13 @@
 
 use super::stability::Stability;
 use super::{AUTO_LISTEN, AUTO_PORT, Config, Ports, ProtectionConfig, TelemetryConfig};
-use crate::robot::{Parts, PlantKind};
+use crate::robot::{BaseDriver, Parts, PlantKind};
 use moca_msgs::params::CONTROLLER;
+use moca_msgs::robot::Drive;
 use moca_tactile::cover::MaskPolicy;
 use moca_telemetry::net::Address;
 use moca_telemetry::{ParameterDescription, ParameterValue};
+use std::net::IpAddr;
 
 /// What the ramps of a scripted press take, s, with a moment of rest.
 const PRESS_RAMPS_S: f64 = 0.7;
@@ -25,6 +27,8 @@ pub(super) fn check(config: &Config, report: Report<'_>) {
     }
     hand(config, report);
     protection(&config.protection, report);
+    drive(config, report);
+    ros2(config, report);
     uncalibrated(config, report);
     telemetry(&config.telemetry, report);
     plant(config, report);
@@ -60,6 +64,46 @@ pub(super) fn stability(config: &Config, report: Report<'_>) {
                 "control.gains: not stable in control.gains.posture_rad at loop.rate_hz = {rate_hz} Hz, though each is in \
                  its range; lower stiffnesses and dampings or raise the rate"
             ),
+        );
+    }
+}
+
+/// A base that is driven over ROS 2.
+fn ros2(config: &Config, report: Report<'_>) {
+    let (plant, timeout_s) = (&config.plant.base, config.robot.base.command_timeout_s);
+    if plant.driver != BaseDriver::Ros2 {
+        return;
+    }
+    let silence_s = plant.ros2.silence_s;
+    if silence_s >= timeout_s {
+        let name = "plant.base.ros2.silence_s";
+        report(
+            name,
+            format!(
+                "{name} = {silence_s} s is not below robot.base.command_timeout_s = {timeout_s} s: the base would stop by \
+                 itself first"
+            ),
+        );
+    }
+    let address = &plant.ros2.interface;
+    if !address.is_empty() && address.parse::<IpAddr>().is_err() {
+        let name = "plant.base.ros2.interface";
+        report(
+            name,
+            format!(
+                "{name} = {address:?} is no address of this PC; allowed: such as \"192.168.0.10\", or empty"
+            ),
+        );
+    }
+}
+
+fn drive(config: &Config, report: Report<'_>) {
+    if config.robot.base.drive == Drive::Differential {
+        report(
+            "robot.base.drive",
+            "robot.base.drive = \"differential\": a hand on the side of such a base cannot push it away, and the law would \
+             answer with a turn; allowed: \"holonomic\" (mecanum, omni or steered wheels)"
+                .into(),
         );
     }
 }

@@ -7,6 +7,7 @@ pub mod live;
 pub mod load;
 mod own_arm;
 mod ports;
+mod ros2;
 pub mod schema;
 pub mod stability;
 pub mod urdf;
@@ -17,6 +18,7 @@ pub(crate) use ports::AUTO_PORT;
 #[cfg(feature = "board")]
 pub(crate) use ports::NAMED_PORT;
 pub use ports::Ports;
+pub use ros2::Ros2Config;
 
 use crate::robot::{Arm, ArmDriver, BaseDriver, JOINTS, Parts, PlantKind, Robot, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
@@ -159,6 +161,10 @@ parameter_table! {
         /// Oldest odometry that is driven with: five periods at 50 Hz.
         deadline_s: f64 = 0.100 => [.range(0.01, 1.0).units(&["s"])];
     }
+    besides {
+        /// `[plant.base.ros2]`
+        ros2: Ros2Config = Ros2Config::default();
+    }
 }
 
 parameter_table! {
@@ -236,6 +242,8 @@ parameter_table! {
         uncovered_m_s: f64 = 3.0 => [.range(0.0, 3.0).units(&["m/s"])];
         /// Longest way towards a side that no taxel covers, until nobody touches the robot and it has rested.
         uncovered_m: f64 = 0.10 => [.range(0.0, 100.0).units(&["m"])];
+        /// The same for a way that the contact barrier makes for somebody who presses from the other side.
+        uncovered_room_m: f64 = 1.0 => [.range(0.0, 100.0).units(&["m"])];
     }
 }
 
@@ -387,6 +395,7 @@ impl Config {
         self.plant.each(visit);
         self.plant.arm.each(visit);
         self.plant.base.each(visit);
+        self.plant.base.ros2.each(visit);
         self.board.each(visit);
         self.startup.each(visit);
         self.protection.each(visit);

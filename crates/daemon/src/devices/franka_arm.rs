@@ -3,7 +3,7 @@
 use crate::config::Config;
 use crate::control::plant::{Datagram, Plant, PlantClock, SourceAge};
 use crate::devices::stand_in_base::StandInBase;
-use crate::robot::JOINTS;
+use crate::robot::{BaseDriver, JOINTS};
 use anyhow::{Context, Result, ensure};
 use moca_franka::{ArmState, Fci, Settings};
 use moca_msgs::robot::resized;
@@ -16,7 +16,7 @@ const ABOVE_LOOP: u8 = 1;
 /// Arm and base.
 pub struct FrankaArm {
     arm: Fci,
-    /// `None` on a stand.
+    /// `None` on a stand, and on a base that has a driver of its own.
     base: Option<StandInBase>,
     /// Of the last order, N·m: what an arm that does not know where down is leaves out of its torques.
     gravity_nm: [f64; JOINTS],
@@ -45,7 +45,8 @@ impl FrankaArm {
             carries_kg: config.robot.payload().inertial.mass_kg,
         };
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
-        let base = config.plant.parts.has_cover().then(|| StandInBase::new(&config.robot.base, period_s));
+        let stands_in = config.plant.parts.has_cover() && config.plant.base.driver == BaseDriver::Simulated;
+        let base = stands_in.then(|| StandInBase::new(&config.robot.base, period_s));
         let arm = Fci::spawn(settings, say).context("the arm's thread")?;
         Ok(Self { arm, base, gravity_nm: [0.0; JOINTS] })
     }

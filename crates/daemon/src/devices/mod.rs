@@ -10,6 +10,8 @@ pub mod franka_arm;
 pub mod ideal_cover;
 #[cfg_attr(not(feature = "board"), path = "ports_absent.rs")]
 pub(crate) mod ports;
+#[cfg(feature = "ros2")]
+pub mod ros2_base;
 pub mod scripted_press;
 #[cfg(feature = "sim")]
 pub mod simulated_robot;

@@ -224,12 +224,49 @@ fn live_robot(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Report
         (ArmDriver::Fci, BaseDriver::Simulated) if plant.parts.has_arm() => {
             live_fci(options, shared, reporter)
         }
+        (ArmDriver::Fci, BaseDriver::Ros2) if plant.parts.has_arm() => live_whole(options, shared, reporter),
+        (_, BaseDriver::Ros2) if !plant.parts.has_arm() => live_base(options, shared, reporter),
         _ => Err(anyhow!(
-            "plant.kind = \"robot\": `mocad` drives an arm (plant.arm.driver = \"fci\") on a stand (plant.parts = \"arm\") or \
-             on a base that is simulated (plant.base.driver = \"simulated\"); a program with a driver of its own runs the \
-             loop with `moca_daemon::runtime::run::with_plant`"
+            "plant.kind = \"robot\": `mocad` drives an arm (plant.arm.driver = \"fci\") on a stand (plant.parts = \"arm\"), on \
+             a base that is simulated or real (plant.base.driver = \"simulated\" or \"ros2\"), or a base alone (plant.parts = \
+             \"base\"); a program with a driver of its own runs the loop with `moca_daemon::runtime::run::with_plant`"
         )),
     }
+}
+
+/// No arm on a base behind ROS 2.
+#[cfg(feature = "ros2")]
+fn live_base(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
+    use crate::devices::ros2_base::{OnRos2Base, connect};
+    let no_arm = NoRobot::at(options.config.control.gains.posture_rad);
+    let connect = || Ok(OnRos2Base::new(no_arm, connect(&options.config)?));
+    with_plant(options, connect, Timer::new, shared, reporter)
+}
+
+#[cfg(all(feature = "fci", feature = "ros2"))]
+fn live_whole(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
+    use crate::devices::franka_arm::FrankaArm;
+    use crate::devices::ros2_base::{OnRos2Base, connect};
+    let connect = || {
+        let arm = FrankaArm::connect(&options.config, |text| eprintln!("{text}"))?;
+        Ok(OnRos2Base::new(arm, connect(&options.config)?))
+    };
+    with_plant(options, connect, crate::runtime::tick_source::PlantTicks::new, shared, reporter)
+}
+
+#[cfg(not(feature = "ros2"))]
+fn live_base(_: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
+    Err(anyhow!(
+        "plant.base.driver = \"ros2\" needs a build with the feature `ros2` (cargo build --release --features ros2)"
+    ))
+}
+
+#[cfg(not(all(feature = "fci", feature = "ros2")))]
+fn live_whole(_: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
+    Err(anyhow!(
+        "plant.arm.driver = \"fci\" on plant.base.driver = \"ros2\" needs a build with both features (cargo build \
+         --release --features fci,ros2)"
+    ))
 }
 
 #[cfg(not(feature = "fci"))]

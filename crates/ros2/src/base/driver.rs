@@ -57,9 +57,9 @@ pub struct BaseCounts {
 #[derive(Debug, Default)]
 struct Shared {
     /// measured_ns, pose, velocity.
-    reading: Latest<7>,
+    reading: Latest<{ 1 + 3 + 3 }>,
     /// ordered_ns, velocity.
-    order: Latest<4>,
+    order: Latest<{ 1 + 3 }>,
     stop: AtomicBool,
     counts: BaseCounts,
     problems: Mutex<Vec<String>>,
@@ -258,7 +258,8 @@ fn unix_ns() -> u64 {
 mod tests {
     use super::*;
     use crate::messages::Quaternion;
-    use crate::transport::tests::{Memory, end};
+    use crate::transport::memory::Memory;
+    use crate::transport::tests::end;
 
     const MS: u64 = 1_000_000;
     const UNIX_NS: u64 = 1_700_000_000_000_000_000;

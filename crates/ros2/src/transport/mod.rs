@@ -3,6 +3,8 @@
 use crate::messages::TypeName;
 use std::time::Duration;
 
+pub mod memory;
+
 /// What a writer or reader offers or asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Qos {
@@ -132,63 +134,6 @@ fn mismatch(end: &Endpoint, topic: &str, ours: TypeName) -> Option<String> {
 pub(crate) mod tests {
     use super::*;
     use crate::messages::{Message, Odometry, Twist, TwistStamped};
-    use std::collections::VecDeque;
-
-    /// A transport in memory: what was written to each writer, and what is to be read.
-    #[derive(Default)]
-    pub(crate) struct Memory {
-        pub(crate) written: Vec<(String, Vec<Vec<u8>>)>,
-        pub(crate) unread: Vec<(String, VecDeque<Vec<u8>>)>,
-        pub(crate) others: Vec<Endpoint>,
-        /// Payloads that the first reader finds.
-        pub(crate) waiting: Vec<Vec<u8>>,
-        /// Who hears what is written, on another thread.
-        pub(crate) heard: Option<std::sync::mpsc::Sender<Vec<u8>>>,
-    }
-
-    impl Transport for Memory {
-        fn writer(&mut self, topic: &str, _: TypeName, _: Qos) -> Result<WriterId, TransportError> {
-            self.written.push((topic.into(), Vec::new()));
-            Ok(WriterId(self.written.len() - 1))
-        }
-
-        fn reader(&mut self, topic: &str, _: TypeName, _: Qos) -> Result<ReaderId, TransportError> {
-            self.unread.push((topic.into(), std::mem::take(&mut self.waiting).into()));
-            Ok(ReaderId(self.unread.len() - 1))
-        }
-
-        fn service(&mut self, name: &str, _: TypeName) -> Result<ServiceId, TransportError> {
-            Err(TransportError(format!("{name}: no services in memory")))
-        }
-
-        fn write(&mut self, to: WriterId, payload: &[u8]) -> Result<(), TransportError> {
-            self.written[to.0].1.push(payload.to_vec());
-            if let Some(heard) = &self.heard {
-                heard.send(payload.to_vec()).map_err(|error| TransportError(error.to_string()))?;
-            }
-            Ok(())
-        }
-
-        fn take(&mut self, from: ReaderId) -> Option<Vec<u8>> {
-            self.unread[from.0].1.pop_front()
-        }
-
-        fn take_call(&mut self, _: ServiceId) -> Option<(Caller, Vec<u8>)> {
-            None
-        }
-
-        fn answer(&mut self, _: ServiceId, _: &Caller, _: &[u8]) -> Result<(), TransportError> {
-            Ok(())
-        }
-
-        fn wait(&mut self, most: Duration) {
-            std::thread::sleep(most);
-        }
-
-        fn endpoints(&self) -> Vec<Endpoint> {
-            self.others.clone()
-        }
-    }
 
     pub(crate) fn end(topic: &str, of: TypeName, writes: bool, who: &str) -> Endpoint {
         Endpoint { topic: topic.into(), type_dds: of.dds(), writes, who: who.into() }

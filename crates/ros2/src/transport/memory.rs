@@ -1,0 +1,66 @@
+//! A transport in memory, for tests.
+
+use super::{Caller, Endpoint, Qos, ReaderId, ServiceId, Transport, TransportError, WriterId};
+use crate::messages::TypeName;
+use std::collections::VecDeque;
+use std::sync::mpsc::Sender;
+use std::time::Duration;
+
+/// A transport in memory: what was written to each writer, and what is to be read.
+#[derive(Debug, Default)]
+pub struct Memory {
+    /// Each writer's topic, and what was written to it.
+    pub written: Vec<(String, Vec<Vec<u8>>)>,
+    /// Each reader's topic, and what it has not taken yet.
+    pub unread: Vec<(String, VecDeque<Vec<u8>>)>,
+    /// Who else there is.
+    pub others: Vec<Endpoint>,
+    /// Payloads that the first reader finds.
+    pub waiting: Vec<Vec<u8>>,
+    /// Who hears what is written, on another thread.
+    pub heard: Option<Sender<Vec<u8>>>,
+}
+
+impl Transport for Memory {
+    fn writer(&mut self, topic: &str, _: TypeName, _: Qos) -> Result<WriterId, TransportError> {
+        self.written.push((topic.into(), Vec::new()));
+        Ok(WriterId(self.written.len() - 1))
+    }
+
+    fn reader(&mut self, topic: &str, _: TypeName, _: Qos) -> Result<ReaderId, TransportError> {
+        self.unread.push((topic.into(), std::mem::take(&mut self.waiting).into()));
+        Ok(ReaderId(self.unread.len() - 1))
+    }
+
+    fn service(&mut self, name: &str, _: TypeName) -> Result<ServiceId, TransportError> {
+        Err(TransportError(format!("{name}: no services in memory")))
+    }
+
+    fn write(&mut self, to: WriterId, payload: &[u8]) -> Result<(), TransportError> {
+        self.written[to.0].1.push(payload.to_vec());
+        if let Some(heard) = &self.heard {
+            heard.send(payload.to_vec()).map_err(|error| TransportError(error.to_string()))?;
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, from: ReaderId) -> Option<Vec<u8>> {
+        self.unread[from.0].1.pop_front()
+    }
+
+    fn take_call(&mut self, _: ServiceId) -> Option<(Caller, Vec<u8>)> {
+        None
+    }
+
+    fn answer(&mut self, _: ServiceId, _: &Caller, _: &[u8]) -> Result<(), TransportError> {
+        Ok(())
+    }
+
+    fn wait(&mut self, most: Duration) {
+        std::thread::sleep(most);
+    }
+
+    fn endpoints(&self) -> Vec<Endpoint> {
+        self.others.clone()
+    }
+}
