@@ -20,7 +20,7 @@ def test_states_come_tick_by_tick_as_arrays(daemon):
 
 
 def test_the_program_of_the_readme_runs(daemon):
-    text = (ROOT / "README.md").read_text()
+    text = (ROOT / "python/README.md").read_text()
     program = text.split("```python\n")[1].split("```")[0]
     robot = moca.connect(daemon)
     wait_for(robot, "ready")

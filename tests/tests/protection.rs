@@ -7,7 +7,7 @@
 )]
 
 use moca_daemon::config::stability::Stability;
-use moca_daemon::config::{Config, HandConfig};
+use moca_daemon::config::{BarrierReadings, Config, HandConfig};
 use moca_daemon::control::protection::speed_for_delay_m_s;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
@@ -18,7 +18,7 @@ use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::robot::{PANDA, PAPER_COVER};
 use moca_msgs::{ContactEvent, ContactReaction, Law, ParameterValues, Request, Sample, SpeedLimitReason};
 use moca_sim::foam::Foam;
-use moca_sim::{Person, Scene, VirtualBoardConfig};
+use moca_sim::{Mobility, Person, Scene, VirtualBoardConfig};
 use moca_tactile::Firmware;
 use moca_wbc::guard::CoverOutline;
 
@@ -470,6 +470,57 @@ fn a_base_that_is_pushed_towards_its_bare_rear_stops_after_a_tenth_of_a_metre() 
         }
         assert!(sideways[0] > 0.15 && unlimited[0] > 0.15, "{law:?}: the limit is not met: it shows nothing");
     }
+}
+
+/// Largest force of a leg that walks on into `taxel` for a quarter of a metre after it has touched the standing robot, N,
+/// and how far back that has taken the base, m.
+fn walked_into(config: &Config, firmware: Firmware, taxel: usize, walk_m_s: f64) -> (f64, f64) {
+    let person = Person {
+        walk_m_s,
+        mobility: Mobility::Fixed, // nothing slows it down
+        steps_away_after_s: None,
+        ..Person::beside(&PAPER_COVER, taxel, 0.02).unwrap()
+    };
+    let scene = Scene { people: vec![person], ..free_scene(config) };
+    let board = VirtualBoardConfig { firmware, ..VirtualBoardConfig::default() };
+    let mut world = LockStep::with_board(config, &scene, board, None).unwrap();
+    world.control.plant.world.set_people_waiting(true);
+    while !world.step(None).0.mode.moves() {}
+    world.control.plant.world.set_people_waiting(false);
+    let (mut walked_m, mut peak_n, mut back_m) = (0.0, 0.0_f64, 0.0);
+    while walked_m < 0.25 {
+        let sample = world.step(None).0;
+        let force_n = world.control.plant.world.contact_largest_true_n();
+        walked_m += if walked_m > 0.0 || force_n > 0.0 { 1e-3 * walk_m_s } else { 0.0 };
+        peak_n = peak_n.max(force_n);
+        back_m = -sample.base_pose_world[0];
+    }
+    (peak_n, back_m)
+}
+
+/// With the contact barrier nobody is caught between the own walk and a base that fears its bare rear.
+#[test]
+fn who_walks_on_into_the_front_is_given_room_beyond_the_tenth_of_a_metre() {
+    let mut config = config();
+    config.protection.contact_barrier = BarrierReadings::PuLd30;
+    // as fast as a base with this board may go: the bound is the same whoever comes
+    for (firmware, taxels) in [(Firmware::Stock2018, &[4, 5][..]), (Firmware::Moca, &[4, 5, 6])] {
+        let delay_s = 1e-9 * firmware.worst_hold_ns() as f64 - 0.001;
+        let walk_m_s = 0.95 * speed_for_delay_m_s(&config, 25.0, delay_s);
+        for &taxel in taxels {
+            let (peak_n, back_m) = walked_into(&config, firmware, taxel, walk_m_s);
+            println!("T{} {firmware:?} {walk_m_s} m/s: {peak_n:.1} N, base {back_m:.3} m back", taxel + 1);
+            assert!(peak_n < 25.0, "T{} {walk_m_s} m/s: {peak_n} N", taxel + 1);
+            assert!(back_m > 0.2, "the law's own way is not used up: it shows nothing ({back_m} m)");
+        }
+    }
+    // the room ends as well, and without it the base stands in the way
+    config.protection.uncovered_room_m = 0.2;
+    let (_, back_m) = walked_into(&config, Firmware::Moca, FRONT, 0.12);
+    assert!(back_m > 0.195 && back_m < 0.21, "{back_m} m");
+    config.protection.uncovered_room_m = 0.0;
+    let (peak_n, back_m) = walked_into(&config, Firmware::Moca, FRONT, 0.12);
+    assert!(peak_n > 100.0 && back_m < 0.11, "{peak_n} N, {back_m} m: nothing needs the room");
 }
 
 #[test]

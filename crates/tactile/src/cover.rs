@@ -19,6 +19,7 @@ pub use config::{
 use crate::board::{
     BoardEvent, BoardMonitor, FrameSource, MAX_ELECTRODES, SILENT_AFTER_NS, SampledFrame, voids_zero,
 };
+use crate::cusum::Cusum;
 use crate::datastream::ELECTRODES;
 use crate::health::TaxelHealth;
 use crate::model::{FoamMemory, TaxelModel};
@@ -52,11 +53,14 @@ pub struct Poll<const K: usize> {
     pub early: EarlyContact<K>,
 }
 
-/// Contact by data that nothing has confirmed yet: it may slow a robot down or stop it, and nothing else.
+/// Contact by data that nothing has confirmed yet, or too light for a force: it may slow a robot down or stop it, and
+/// nothing else.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EarlyContact<const K: usize> {
     /// Taxels that the reading does not feel, and these data do.
     pub touched: [bool; K],
+    /// Taxels that the reading does not feel, and the last frames together do: see [`crate::cusum`].
+    pub light: [bool; K],
     /// As [`CoverReading::sampled_at_ns`], with these data counted.
     pub sampled_at_ns: Option<u64>,
 }
@@ -67,6 +71,7 @@ struct Taxel {
     fdat: u16,
     force_n: f64,
     in_contact: bool,
+    light: Cusum,
     zero: Option<TaxelZero>,
     health: TaxelHealth,
     memory: FoamMemory,
@@ -350,6 +355,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         let bank = usize::from(frame.bank);
         let Some(entry) = self.boards.get_mut(board).and_then(|b| b.banks.get_mut(bank)) else { return };
         let dt_ns = frame.complete_ns.saturating_sub(entry.complete_ns).min(SILENT_AFTER_NS);
+        let refreshed = entry.sampled_at_ns != Some(frame.sampled_at_ns);
         entry.sampled_at_ns = Some(frame.sampled_at_ns);
         entry.complete_ns = frame.complete_ns;
         #[expect(clippy::cast_precision_loss, reason = "at most 120 ms")]
@@ -365,6 +371,10 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
                     self.config.force_max_n,
                     dt_s,
                 );
+                if refreshed {
+                    let recovers = frame.complete_ns.saturating_sub(self.last_contact_ns) < SETTLE_NS;
+                    self.taxels[i].sum_up(recovers);
+                }
                 if taring {
                     self.taxels[i].tare.add(frame.fdat[electrode], frame.baseline[electrode]);
                 }
@@ -377,6 +387,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
 
     fn early(&self) -> EarlyContact<K> {
         let mut touched = [false; K];
+        let light = core::array::from_fn(|i| !self.config.masked[i] && self.taxels[i].touched_lightly());
         let mut times: heapless::Vec<Option<u64>, { MAX_BOARDS * BANKS }> = heapless::Vec::new();
         for (number, board) in self.boards.iter().enumerate() {
             let early = board.source.early();
@@ -392,7 +403,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
                 }
             }
         }
-        EarlyContact { touched, sampled_at_ns: oldest(times.into_iter()) }
+        EarlyContact { touched, light, sampled_at_ns: oldest(times.into_iter()) }
     }
 
     fn follow_drift(&mut self, board: usize, bank: usize, now_ns: u64, dt_s: f64) {
@@ -463,6 +474,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         for (taxel, zero) in self.taxels.iter_mut().zip(zeros) {
             taxel.zero = zero;
             taxel.in_contact = false;
+            taxel.light = Cusum::default();
             taxel.memory = FoamMemory::default();
             taxel.force_n = 0.0;
         }
@@ -480,6 +492,19 @@ impl Taxel {
     fn would_touch<const K: usize>(&self, fdat: u16, config: &CoverConfig<K>) -> bool {
         let delta = self.zero.as_ref().map_or(0.0, |zero| zero.gain * zero.drop(fdat));
         !self.in_contact && delta >= config.contact_on_counts
+    }
+
+    /// Whether the last frames together tell of a touch that gives no force.
+    const fn touched_lightly(&self) -> bool {
+        self.light.touched() && !self.in_contact
+    }
+
+    /// Takes the present counts into the test of the last frames; none while the foam still `recovers` from a touch.
+    fn sum_up(&mut self, recovers: bool) {
+        match &self.zero {
+            Some(zero) if !recovers => _ = self.light.update(zero.drop(self.fdat), zero.deviation),
+            _ => self.light = Cusum::default(),
+        }
     }
 
     fn update(&mut self, fdat: u16, model: &TaxelModel, [on, off]: [f64; 2], force_max_n: f64, dt_s: f64) {

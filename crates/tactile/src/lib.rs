@@ -22,6 +22,7 @@ pub mod board;
 #[cfg(feature = "calibration")]
 pub mod calibration;
 pub mod cover;
+pub mod cusum;
 pub mod datastream;
 pub mod firmware;
 pub mod health;

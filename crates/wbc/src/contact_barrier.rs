@@ -131,17 +131,21 @@ pub struct BarrierSettings {
     pub response_s: f64,
     /// Time constant of the base's velocity servo τ, s.
     pub servo_s: f64,
+    /// Damping over stiffness of the contact as a law feels it when the base leaves the person T_d, s: it does not flee.
+    pub damping_s: f64,
     /// Share η of the base's deceleration that is counted on.
     pub braking_share: f64,
-    /// Weight of a new estimate of the person's speed.
-    pub speed_weight: f64,
+    /// Time over which estimates of the person's speed are averaged, s: a fast board's readings are each little to go by.
+    pub speed_s: f64,
+    /// Time constant in which it is forgotten after a release, s.
+    pub forget_s: f64,
     /// Speed that a person is believed to have at the first reading, m/s: one reading cannot tell.
     pub first_speed_m_s: f64,
     /// Fastest that a person is believed to come, m/s.
     pub fastest_person_m_s: f64,
     /// Fastest retreat, m/s.
     pub retreat_m_s: f64,
-    /// Speed outward after a release, m/s,
+    /// Speed at which a taxel closes in on a person after a release, m/s,
     pub creep_m_s: f64,
     /// for this long, s,
     pub creep_s: f64,
@@ -175,8 +179,10 @@ impl BarrierSettings {
             yield_m: foam.depth_m(YIELD_SHARE * force_limit_n),
             response_s: 0.08,
             servo_s,
+            damping_s: 0.05,
             braking_share: 0.7,
-            speed_weight: 0.5,
+            speed_s: 0.035,
+            forget_s: 0.3,
             first_speed_m_s: 0.1,
             fastest_person_m_s: 0.6,
             retreat_m_s: 0.3,
@@ -336,7 +342,9 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             let depth = track.depth_now(way_now);
             limits.depth_m[i] = depth;
             limits.person_m_s[i] = track.person_m_s();
-            limits.force_n[i] = track.believed_n(&self.settings.reading, depth);
+            let leaving = self.outline.outward(i, &input.velocity_body) + track.person_m_s();
+            let eased = depth + of::<T>(self.settings.damping_s) * leaving.min(T::zero());
+            limits.force_n[i] = track.believed_n(&self.settings.reading, eased);
             limits.outward_m_s[i] = match input.samples[i] {
                 None => {
                     let most = track.blind_limit(&self.settings, way_now);

@@ -40,6 +40,9 @@ pub struct BaseGuard<const K: usize, T = f64> {
     /// Least and largest velocity along each axis of B, m/s, m/s, rad/s; standing still is between them. For motions
     /// that no taxel would feel the end of.
     pub bounds_body: Option<[[T; 3]; 2]>,
+    /// The same for a motion that [`Self::outward_m_s`] demands, and as much of it as it demands: whoever is felt is given
+    /// room where a law on its own would not go. `None` is no more than `bounds_body`.
+    pub room_body: Option<[[T; 3]; 2]>,
     /// What the base does instead of what the law wants: m/s, m/s, rad/s.
     pub instead_body: Option<[T; 3]>,
 }
@@ -51,6 +54,7 @@ impl<const K: usize, T: Scalar> BaseGuard<K, T> {
         blocked: [false; K],
         outward_m_s: None,
         bounds_body: None,
+        room_body: None,
         instead_body: None,
     };
 
@@ -72,12 +76,15 @@ impl<const K: usize, T: Scalar> BaseGuard<K, T> {
                 return Err(ControlError::NotFinite { what: "guard.outward_m_s", index });
             }
         }
-        for (axis, (least, most)) in
-            self.bounds_body.iter().flat_map(|[least, most]| least.iter().zip(most)).enumerate()
+        for (what, bounds) in [("guard.bounds_body", &self.bounds_body), ("guard.room_body", &self.room_body)]
         {
-            finite("guard.bounds_body", &[*least, *most])?;
-            if *least > T::zero() || *most < T::zero() {
-                return Err(ControlError::GuardBounds { axis });
+            for (axis, (least, most)) in
+                bounds.iter().flat_map(|[least, most]| least.iter().zip(most)).enumerate()
+            {
+                finite(what, &[*least, *most])?;
+                if *least > T::zero() || *most < T::zero() {
+                    return Err(ControlError::GuardBounds { axis });
+                }
             }
         }
         let Some(speed) = self.speed_m_s else { return Ok(()) };

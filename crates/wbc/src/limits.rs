@@ -171,7 +171,7 @@ impl<T: Scalar> BaseLimits<T> {
                 outline.guarded(&without, wanted)
             };
             let (mut low, mut high) = self.reachable(last, dt_s);
-            if let Some([least, largest]) = &guard.bounds_body {
+            if let Some([least, largest]) = guard.room_body.as_ref().or(guard.bounds_body.as_ref()) {
                 for i in 0..3 {
                     let (slowest, fastest) = (low[i], high[i]);
                     low[i] = least[i].clamp(slowest, fastest);
@@ -378,6 +378,19 @@ mod tests {
 
     fn near(a: [f64; 3], b: [f64; 3]) -> bool {
         a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4)
+    }
+
+    #[test]
+    fn what_is_asked_at_a_limit_meets_none_and_beyond_it_one_however_many_axes_ask() {
+        let (velocity, hit) = driven(None, None, [0.3, -0.3, 0.5], [0.0; 3]);
+        assert!(near(velocity, [0.3, -0.3, 0.5]) && hit == LimitsHit::NONE, "{velocity:?} {hit:?}");
+        for wanted in [[9.0, 0.0, 0.0], [0.0, -9.0, 0.0], [9.0, -9.0, 0.0]] {
+            let (velocity, hit) = driven(None, None, wanted, [0.0; 3]);
+            assert!(
+                near(velocity, wanted.map(|v| 0.3 * v / 9.0)) && hit.base_velocity,
+                "{velocity:?} {hit:?}"
+            );
+        }
     }
 
     #[test]

@@ -9,7 +9,6 @@
 //! ```
 
 use crate::error::{ControlError, finite};
-use crate::reference_generator::unit;
 use crate::rotation;
 use crate::scalar::{Scalar, all, of};
 use nalgebra::{Matrix3, Vector3};
@@ -86,6 +85,8 @@ pub(crate) struct Reference<T> {
     twist: [T; 6],
     /// The twist on its way to what a held-back base leaves of it.
     given: [T; 6],
+    /// Velocity along the plane at which the base takes it along, m/s.
+    carried: [T; 2],
     /// What the law is given.
     pub now: Pose<T>,
 }
@@ -93,12 +94,18 @@ pub(crate) struct Reference<T> {
 impl<T: Scalar> Reference<T> {
     /// Holds `pose`.
     pub(crate) fn hold(pose: Pose<T>) -> Self {
-        Self { target: pose, twist: [T::zero(); 6], given: [T::zero(); 6], now: pose }
+        Self {
+            target: pose,
+            twist: [T::zero(); 6],
+            given: [T::zero(); 6],
+            carried: [T::zero(); 2],
+            now: pose,
+        }
     }
 
     pub(crate) fn set_pose(&mut self, position: [T; 3], quaternion: [T; 4]) -> Result<(), ControlError> {
         finite("target position", &position)?;
-        let rotation = unit(quaternion)?;
+        let rotation = rotation::from_unit_quaternion(quaternion)?;
         self.target = Pose { position: Vector3::from(position), rotation };
         (self.twist, self.given) = ([T::zero(); 6], [T::zero(); 6]);
         Ok(())
@@ -114,21 +121,28 @@ impl<T: Scalar> Reference<T> {
         Ok(())
     }
 
-    /// Moves target and reference by `shift` m at once, along the plane.
-    pub(crate) fn carry(&mut self, [x, y]: [T; 2]) {
-        let shift = Vector3::new(x, y, T::zero());
-        self.target.position += shift;
-        self.now.position += shift;
+    /// Takes target and reference along at `velocity` m/s along the plane, from now on.
+    pub(crate) const fn carry(&mut self, velocity: [T; 2]) {
+        self.carried = velocity;
+    }
+
+    fn is_carried(&self) -> bool {
+        self.carried != [T::zero(); 2]
     }
 
     /// Is where a generator has it, with its twist.
     pub(crate) fn follow(&mut self, pose: Pose<T>, twist: [T; 6]) {
-        *self = Self { target: pose, twist: [T::zero(); 6], given: twist, now: pose };
+        *self = Self { carried: self.carried, target: pose, twist: [T::zero(); 6], given: twist, now: pose };
     }
 
     /// Twist the law is given, m/s and rad/s.
-    pub(crate) fn given(&self) -> &[T; 6] {
-        &self.given
+    pub(crate) fn given(&self) -> [T; 6] {
+        let mut given = self.given;
+        if self.is_carried() {
+            given[0] += self.carried[0];
+            given[1] += self.carried[1];
+        }
+        given
     }
 
     /// The linear twist, not faster where the base is held back; what it changes by comes at [`REFERENCE_M_S2`].
@@ -146,6 +160,11 @@ impl<T: Scalar> Reference<T> {
     /// Moves target and reference on by `dt_s`. Both wait while the tool is as far behind as the law pulls, and while the
     /// base is held back.
     pub(crate) fn advance(&mut self, actual: &Pose<T>, held_back: Option<&HeldBack<T>>, dt_s: T) {
+        if self.is_carried() {
+            let shift = Vector3::new(self.carried[0], self.carried[1], T::zero()) * dt_s;
+            self.target.position += shift;
+            self.now.position += shift;
+        }
         if self.now == self.target && self.twist == [T::zero(); 6] {
             return;
         }

@@ -22,7 +22,6 @@
 //! ```
 
 use crate::error::{ControlError, finite};
-use crate::linalg::dot;
 use crate::online_trajectory::{ARRIVED, Axis, AxisBounds};
 use crate::reference::{
     ERROR_SATURATION_M, ERROR_SATURATION_RAD, REFERENCE_SPEED_M_S, REFERENCE_SPEED_RAD_S,
@@ -139,7 +138,7 @@ impl<T: Scalar> Goal<T> {
     /// A value that is not finite, a quaternion that is not of length 1.
     pub fn pose(position: [T; 3], quaternion: [T; 4]) -> Result<Self, ControlError> {
         finite("target position", &position)?;
-        Ok(Self::Pose { position: position.into(), rotation: unit(quaternion)? })
+        Ok(Self::Pose { position: position.into(), rotation: rotation::from_unit_quaternion(quaternion)? })
     }
 
     /// A twist: m/s, rad/s.
@@ -150,16 +149,6 @@ impl<T: Scalar> Goal<T> {
         finite("target twist", &twist)?;
         Ok(Self::Twist(twist))
     }
-}
-
-/// The rotation of a quaternion of length 1.
-pub(crate) fn unit<T: Scalar>(quaternion: [T; 4]) -> Result<Matrix3<T>, ControlError> {
-    finite("target quaternion", &quaternion)?;
-    let norm = dot(&quaternion, &quaternion).sqrt();
-    if !(of::<T>(0.999)..=of(1.001)).contains(&norm) {
-        return Err(ControlError::NotUnit { norm: nalgebra::try_convert(norm).unwrap_or(f64::NAN) });
-    }
-    Ok(rotation::from_quaternion(quaternion))
 }
 
 /// A reference on its way: pose and twist in one frame, whose axes those of the twist are too.
@@ -183,7 +172,7 @@ impl<T: Scalar> PoseGenerator<T> {
     /// A value that is not finite, a quaternion that is not of length 1.
     pub fn at_rest(position: [T; 3], quaternion: [T; 4]) -> Result<Self, ControlError> {
         finite("position", &position)?;
-        Ok(Self::at(position.into(), unit(quaternion)?))
+        Ok(Self::at(position.into(), rotation::from_unit_quaternion(quaternion)?))
     }
 
     pub(crate) fn at(position: Vector3<T>, rotation: Matrix3<T>) -> Self {

@@ -10,6 +10,7 @@
 //! assert_eq!(rotation::from_quaternion([x, y, z, w]), rotation::from_quaternion([-x, -y, -z, -w]));
 //! ```
 
+use crate::error::{ControlError, finite};
 use crate::scalar::{Scalar, of};
 use nalgebra::{Matrix3, Vector3};
 
@@ -103,6 +104,19 @@ pub fn from_quaternion<T: Scalar>([x, y, z, w]: [T; 4]) -> Matrix3<T> {
         s * (y * z + x * w),
         T::one() - s * (x * x + y * y),
     )
+}
+
+/// The same of a quaternion (x, y, z, w) that somebody else has made.
+///
+/// # Errors
+/// A value that is not finite, a length that is not 1.
+pub(crate) fn from_unit_quaternion<T: Scalar>(quaternion: [T; 4]) -> Result<Matrix3<T>, ControlError> {
+    finite("target quaternion", &quaternion)?;
+    let norm = quaternion.iter().fold(T::zero(), |sum, x| sum + *x * *x).sqrt();
+    if !(of::<T>(0.999)..=of(1.001)).contains(&norm) {
+        return Err(ControlError::NotUnit { norm: nalgebra::try_convert(norm).unwrap_or(f64::NAN) });
+    }
+    Ok(from_quaternion(quaternion))
 }
 
 /// Orientation error R·log(Rᵀ·R_d) = log(R_d·Rᵀ), rad, in the axes in which both are given, length in \[0, π\].

@@ -53,6 +53,9 @@ struct Scene {
     duration_s: f64,
     /// From here on the readings cannot be believed, s.
     blind_s: f64,
+    /// What the base really does: its deceleration, m/s², and the time constant of its servo, s.
+    base_m_s2: f64,
+    base_servo_s: f64,
 }
 
 const SCENE: Scene = Scene {
@@ -65,6 +68,8 @@ const SCENE: Scene = Scene {
     barrier: true,
     duration_s: 3.0,
     blind_s: f64::INFINITY,
+    base_m_s2: f64::INFINITY,
+    base_servo_s: SERVO_S,
 };
 
 #[derive(Default)]
@@ -112,7 +117,7 @@ fn run(scene: &Scene) -> Outcome {
         let mut force = 0.0;
         for sub in 0..10 {
             let person = scene.gap_m - scene.person_m_s * (time_s + f64::from(sub) * 1e-4);
-            u += 1e-4 * (commanded[0] - u) / SERVO_S;
+            u += 1e-4 * ((commanded[0] - u) / scene.base_servo_s).clamp(-scene.base_m_s2, scene.base_m_s2);
             x += 1e-4 * u;
             force = force_n(x - person, scene);
             outcome.peak_n = outcome.peak_n.max(force);
@@ -234,6 +239,27 @@ fn the_base_may_go_nearly_as_fast_as_the_latency_allows() {
     }
 }
 
+/// A base that brakes a third less than its description says, or follows half as fast: what the bound is short by then is
+/// in the speed.
+#[test]
+fn a_base_that_is_worse_than_described_keeps_the_force_at_seven_tenths_of_the_speed() {
+    for sensor in [HUNDRED_HZ, OWN_FIRMWARE] {
+        let law = largest_speed(0.3, |speed| worst(&Scene { sensor, wanted_m_s: speed, ..SCENE }).peak_n);
+        let weak = Scene { sensor, base_m_s2: 2.0, ..SCENE };
+        let slow = Scene { sensor, base_servo_s: 2.0 * SERVO_S, ..SCENE };
+        let at = |scene: &Scene, share: f64| worst(&Scene { wanted_m_s: share * law, ..*scene }).peak_n;
+        println!(
+            "{law:.3} m/s: weak {:.1} N, at 0.7 {:.1} N; slow {:.1} N, at 0.7 {:.1} N",
+            at(&weak, 1.0),
+            at(&weak, 0.7),
+            at(&slow, 1.0),
+            at(&slow, 0.7)
+        );
+        assert!(at(&weak, 1.0) > 25.0 && at(&slow, 1.0) > 25.0, "it is as described: nothing is shown");
+        assert!(at(&weak, 0.7) < 25.0 && at(&slow, 0.7) < 25.0);
+    }
+}
+
 #[test]
 fn no_peak_grows_whatever_the_foam_the_person_and_the_delay() {
     for sensor in [HUNDRED_HZ, OWN_FIRMWARE, STOCK, Sensor { period: 10, delay: 90 }] {
@@ -258,6 +284,7 @@ fn whoever_walks_into_the_base_is_given_room() {
         assert!(outcome.peak_n < 25.0, "{walking_m_s}: {}", outcome.peak_n);
         let came_m = walking_m_s * scene.duration_s - scene.gap_m;
         assert!((outcome.place_m + came_m).abs() < 0.02, "{} of {came_m}", outcome.place_m);
+        assert!(outcome.peaks_n.len() <= 2, "tapped: {:?}", outcome.peaks_n);
         assert!(worst(&Scene { barrier: false, ..scene }).peak_n > 100.0);
     }
 }
@@ -314,6 +341,43 @@ fn hands_that_leave_no_way_out_share_what_is_too_much() {
     let excess = [1, 8].map(|i| outline.outward(i, &velocity) - outward_m_s[i]);
     assert!((excess[0] - excess[1]).abs() < 1e-3 && excess[0] > 0.0, "{excess:?}");
     assert!((velocity[0] - 0.1).abs() < 1e-3, "along them it goes on: {velocity:?}");
+}
+
+/// Backwards, where nobody would be felt, the law may not go at all; for who is pressed in front the base makes room
+/// there, and only as much as asked for.
+#[test]
+fn room_for_who_is_felt_goes_beyond_a_bound_of_the_law() {
+    let outline = CoverOutline::<11, f64>::new(&PAPER_COVER).unwrap();
+    let limits = BaseLimits::<f64>::from(&Parameters::PAPER.limits);
+    let back_m_s = |least: f64, room: Option<f64>, allowed: f64, wanted: f64| {
+        let mut outward_m_s = [f64::INFINITY; 11];
+        outward_m_s[FRONT] = allowed;
+        let to = |least: f64| [[least, -1.0, -1.0], [1.0; 3]];
+        let guard = BaseGuard {
+            outward_m_s: Some(outward_m_s),
+            bounds_body: Some(to(least)),
+            room_body: room.map(to),
+            ..BaseGuard::NONE
+        };
+        let mut velocity = [0.0; 3];
+        for _ in 0..200 {
+            let mut hit = LimitsHit::NONE;
+            velocity =
+                limits.guarded_velocity(&outline, &guard, &[wanted, 0.0, 0.0], &velocity, DT_S, &mut hit);
+        }
+        -velocity[0]
+    };
+    for (least, room, allowed, wanted, back) in [
+        (0.0, Some(-1.0), -0.2, 0.0, 0.2),
+        (0.0, Some(-1.0), -0.2, -0.3, 0.2), // what the law would like adds nothing
+        (0.0, Some(-0.15), -0.2, 0.0, 0.15),
+        (0.0, None, -0.2, 0.0, 0.0),
+        (-0.1, Some(-1.0), 0.05, -0.3, 0.1), // nobody needs room: the law's own bound
+        (-0.1, Some(-1.0), -0.02, -0.3, 0.1),
+    ] {
+        let found = back_m_s(least, room, allowed, wanted);
+        assert!((found - back).abs() < 1e-4, "{least} {room:?} {allowed} {wanted}: {found}");
+    }
 }
 
 #[test]

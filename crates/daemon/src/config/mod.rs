@@ -242,6 +242,8 @@ parameter_table! {
         uncovered_m_s: f64 = 3.0 => [.range(0.0, 3.0).units(&["m/s"])];
         /// Longest way towards a side that no taxel covers, until nobody touches the robot and it has rested.
         uncovered_m: f64 = 0.10 => [.range(0.0, 100.0).units(&["m"])];
+        /// The same for a way that the contact barrier makes for somebody who presses from the other side.
+        uncovered_room_m: f64 = 1.0 => [.range(0.0, 100.0).units(&["m"])];
     }
 }
 

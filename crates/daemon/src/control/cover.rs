@@ -44,7 +44,7 @@ impl CoverState {
             sampled_at_ns: None,
         },
         forces: Ok([0.0; TAXELS]),
-        early: EarlyContact { touched: [false; TAXELS], sampled_at_ns: None },
+        early: EarlyContact { touched: [false; TAXELS], light: [false; TAXELS], sampled_at_ns: None },
         fault: None,
         fault_board: None,
         zero: Zero::Valid,

@@ -148,6 +148,10 @@ impl Motion {
         if let Some(barrier) = &mut self.barrier {
             self.protection.squeezed(now_ns, barrier.rows());
             barrier.take_cover(now_ns, cover);
+            // a touch too light for a force is not driven into either
+            for (blocked, light) in self.guard.blocked.iter_mut().zip(cover.early.light) {
+                *blocked |= light;
+            }
         }
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.feel(cover);
@@ -304,7 +308,9 @@ impl Motion {
         let mut guard = self.guard;
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.advance(robot, dt_s);
-            guard.bounds_body = uncovered.bounds_body(self.parameters.limits.base_acceleration);
+            let deceleration = self.parameters.limits.base_acceleration;
+            guard.bounds_body = uncovered.bounds_body(deceleration);
+            guard.room_body = uncovered.room_body(deceleration);
         }
         if let Some(barrier) = &mut self.barrier {
             let deceleration = self.parameters.limits.base_acceleration;
@@ -314,10 +320,10 @@ impl Motion {
             if law != ControlLaw::Hold {
                 taxel_force_n = contacts.force_n;
             }
-            if law == ControlLaw::Impedance && contacts.carried > 0.0 {
+            if law == ControlLaw::Impedance {
                 let [vx, vy, _] = robot.base_velocity_world;
-                let shift_m = [vx, vy].map(|v| contacts.carried * v * dt_s);
-                either!(&mut self.controller, controller => controller.carry_target(shift_m))
+                let velocity_m_s = [vx, vy].map(|v| contacts.carried * v);
+                either!(&mut self.controller, controller => controller.carry_target(velocity_m_s, dt_s))
                     .map_err(|_| Fault::ControlRefused)?;
             }
             // who is pressed when a taxel fails is given room even in a stop
@@ -470,9 +476,9 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    fn carry_target(&mut self, shift_world_m: [f64; 2]) -> Result<(), ControlError> {
+    fn carry_target(&mut self, velocity_world_m_s: [f64; 2], dt_s: f64) -> Result<(), ControlError> {
         match self {
-            Self::Whole(_, Some(state)) => state.carry_target(shift_world_m),
+            Self::Whole(_, Some(state)) => state.carry_target(velocity_world_m_s, dt_s),
             Self::Whole(_, None) | Self::Arm(..) | Self::Base(..) => Ok(()),
         }
     }

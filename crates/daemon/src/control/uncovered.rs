@@ -3,6 +3,10 @@
 //! A side of the base's outline is covered by a taxel in use that is pressed within 45° of the way into it. The middle
 //! of an uncovered side goes outward with the base's translation; a corner that two uncovered sides share, with its
 //! turning too. The way counts from the last rest: nobody touches the cover, and the base stands of its own accord.
+//!
+//! Somebody who presses from the other side is felt, and gets the room that the contact barrier asks for over a longer
+//! way: the one who is hurt for certain before the one who may stand there. Both ways are the same count, so that room
+//! that was made is used up for the law.
 
 use crate::config::Config;
 use crate::control::cover::CoverState;
@@ -28,6 +32,8 @@ const FREE: f64 = 1e3;
 pub struct Uncovered {
     speed_m_s: f64,
     most_m: f64,
+    /// The longest way for somebody who presses, m.
+    room_m: f64,
     approach_s: f64,
     /// Half the diagonal of the outline, m.
     corner_m: f64,
@@ -56,6 +62,7 @@ impl Uncovered {
         Self {
             speed_m_s: config.protection.uncovered_m_s,
             most_m: config.protection.uncovered_m,
+            room_m: config.protection.uncovered_room_m.max(config.protection.uncovered_m),
             approach_s: APPROACH_S.max(SERVOS * config.robot.base.servo_time_constant_s),
             corner_m: 0.5 * length.hypot(width),
             covers: config.robot.cover.placements().iter().map(sides_of).collect(),
@@ -129,6 +136,15 @@ impl Uncovered {
     /// Least and largest velocity along the axes of B, m/s, m/s, rad/s, for a base that brakes with `deceleration`;
     /// `None` where every side is covered.
     pub fn bounds_body(&self, deceleration: [f64; 3]) -> Option<[[f64; 3]; 2]> {
+        self.bounds(deceleration, self.speed_m_s, self.most_m)
+    }
+
+    /// The same for room that somebody needs who is felt.
+    pub fn room_body(&self, deceleration: [f64; 3]) -> Option<[[f64; 3]; 2]> {
+        self.bounds(deceleration, FREE, self.room_m)
+    }
+
+    fn bounds(&self, deceleration: [f64; 3], speed_m_s: f64, most_m: f64) -> Option<[[f64; 3]; 2]> {
         let sides = self.sides();
         if sides == [false; 4] {
             return None;
@@ -137,8 +153,8 @@ impl Uncovered {
             if !uncovered {
                 return FREE;
             }
-            let left_m = (self.most_m - gone_m).max(0.0);
-            self.speed_m_s.min(left_m / self.approach_s).min((m_s2 * left_m).sqrt())
+            let left_m = (most_m - gone_m).max(0.0);
+            speed_m_s.min(left_m / self.approach_s).min((m_s2 * left_m).sqrt())
         };
         let [x, y, yaw] = deceleration;
         let [front, left, rear, right] = std::array::from_fn(|side| {
@@ -236,6 +252,12 @@ mod tests {
         let mut fast = Uncovered::new(&Config::default());
         go(&mut fast, [-3.0, 0.0, 0.0], 3.0);
         assert!(fast.way_m() <= 0.1, "{} m", fast.way_m());
+        // whoever presses in front is given more, out of the same count
+        let [least, _] = uncovered.room_body(BRAKES).unwrap();
+        assert!(least[0] < -1.0 && least[1] == -FREE, "{least:?}");
+        uncovered.state.gone_m[2] = 1.0;
+        assert!(uncovered.room_body(BRAKES).unwrap()[0][0].abs() < 1e-9, "a metre and no more");
+        uncovered.state.gone_m[2] = way_m;
         // what it comes back is gained again
         go(&mut uncovered, [0.05, 0.0, 0.0], 1.0);
         assert!((uncovered.way_m() - (way_m - 0.05)).abs() < 1e-4, "{} m", uncovered.way_m());

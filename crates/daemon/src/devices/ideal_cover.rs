@@ -76,7 +76,11 @@ impl CoverSource for IdealCover {
         CoverState {
             reading: CoverReading { taxels, sampled_at_ns: Some(at_ns) },
             forces: Ok(force_n),
-            early: EarlyContact { touched: [false; TAXELS], sampled_at_ns: Some(at_ns) },
+            early: EarlyContact {
+                touched: [false; TAXELS],
+                light: [false; TAXELS],
+                sampled_at_ns: Some(at_ns),
+            },
             fault: None,
             fault_board: None,
             zero: Zero::Valid,

@@ -1,10 +1,11 @@
 //! `moca-lab latency --map FOLDER`: how fast the base may meet a body, by physics, by the law, and in the simulation.
+//! What was computed stands in a file there and is not computed again.
 
 use crate::paper::collision;
 use crate::rig::bound::Meeting;
-use crate::rig::parallel;
+use crate::rig::campaign::Campaign;
 use crate::rig::settings::{Sensor, Settings};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use moca_daemon::config::{AssumedModel, BarrierReadings, Config};
 use moca_daemon::control::protection::speed_for_delay_m_s;
 use moca_figures::{Colour, Drawing, Map};
@@ -22,7 +23,14 @@ const DECELERATIONS: [f64; 2] = [3.0, 6.0];
 /// Fastest that a flange is led, m/s: faster speeds are not simulated.
 const FASTEST_M_S: f64 = 0.25;
 const PHASES: u32 = 4;
-const HALVINGS: u32 = 6;
+/// The search begins between nothing and this many times the bound, and is halved so often: to 4 % of the bound.
+const SEARCHED: f64 = 1.25;
+const HALVINGS: u32 = 5;
+/// Time for which the base is led before it meets the body, and for which the contact is watched, s.
+const LEAD_S: f64 = 1.2;
+const WATCHED_S: f64 = 1.0;
+
+const HEADER: &str = "cell,board,limit_n,body,foam,deceleration_m_s2,bound_m_s,law_m_s,measured_m_s,or_more";
 
 struct Cell {
     meeting: Meeting,
@@ -34,6 +42,19 @@ struct Speeds {
     bound: f64,
     law: f64,
     measured: f64,
+    /// It kept the limit at the fastest that was tried.
+    or_more: bool,
+}
+
+impl Speeds {
+    fn columns(&self) -> String {
+        format!("{:.4},{:.4},{:.4},{}", self.bound, self.law, self.measured, self.or_more)
+    }
+
+    /// Whether the simulation bears the law's speed.
+    fn keeps(&self) -> bool {
+        self.law <= self.measured || self.or_more
+    }
 }
 
 /// Computes the map, prints it as a table and writes it as a figure.
@@ -55,29 +76,36 @@ pub(super) fn run(forces_n: &[f64], folder: &Path) -> Result<()> {
             }
         }
     }
-    let speeds =
-        parallel::run("map", &cells, Cell::speeds, |_| ()).into_iter().collect::<Result<Vec<_>>>()?;
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot use {}", folder.display()))?;
+    let out = folder.join("safe-speed.csv");
+    let row = |id: usize| Ok(format!("{id},{},{}", cells[id].name(), cells[id].speeds()?.columns()));
+    let campaign = Campaign { out: &out, shard: (1, 1), rows: cells.len(), header: HEADER };
+    println!("{}", campaign.run(row)?);
+    let speeds = read(&out, &cells)?;
     let text = table(&cells, &speeds);
     print!("{text}");
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot use {}", folder.display()))?;
     let path = folder.join("safe-speed.svg");
     std::fs::write(&path, figure(&cells, &speeds, forces_n).svg())
         .with_context(|| format!("cannot write {}", path.display()))
 }
 
 impl Cell {
+    fn name(&self) -> String {
+        let Meeting { board, limit_n, deceleration_m_s2, .. } = self.meeting;
+        format!("{},{limit_n},{},{},{deceleration_m_s2}", board.name(), self.person, self.scale)
+    }
+
     fn speeds(&self) -> Result<Speeds> {
         let config = self.settings(0.0, 0)?.config;
         let delay_s = seconds(self.meeting.board.worst_hold_ns()) - 1e-3;
-        Ok(Speeds {
-            bound: self.meeting.bound_m_s()?,
-            law: speed_for_delay_m_s(&config, self.meeting.limit_n, delay_s),
-            measured: self.measured_m_s()?,
-        })
+        let (measured, or_more) = self.measured_m_s()?;
+        let law = speed_for_delay_m_s(&config, self.meeting.limit_n, delay_s);
+        Ok(Speeds { bound: self.meeting.bound_m_s()?, law, measured, or_more })
     }
 
-    /// Largest speed at which the worst phase stays under the limit, led into a held body, m/s.
-    fn measured_m_s(&self) -> Result<f64> {
+    /// Largest speed at which the worst phase stays under the limit, led into a held body, m/s, and whether a faster one
+    /// was not tried.
+    fn measured_m_s(&self) -> Result<(f64, bool)> {
         let keeps = |speed: f64| -> Result<bool> {
             for phase in 0..PHASES {
                 if collision::single(&self.settings(speed, phase)?)?.measures.peak_force_n
@@ -88,15 +116,15 @@ impl Cell {
             }
             Ok(true)
         };
-        let (mut low, mut high) = (0.0, FASTEST_M_S);
+        let (mut low, mut high) = (0.0, FASTEST_M_S.min(SEARCHED * self.meeting.bound_m_s()?));
         if keeps(high)? {
-            return Ok(high);
+            return Ok((high, true));
         }
         for _ in 0..HALVINGS {
             let middle = 0.5 * (low + high);
             if keeps(middle)? { low = middle } else { high = middle }
         }
-        Ok(low)
+        Ok((low, false))
     }
 
     fn settings(&self, speed_m_s: f64, phase: u32) -> Result<Settings> {
@@ -120,12 +148,32 @@ impl Cell {
         settings.person.taxel = 5;
         settings.person.stiffness = Some(meeting.tissue_n_m);
         settings.person.fixed = true;
-        settings.person.gap_m = 2.0 * speed_m_s;
+        settings.person.gap_m = LEAD_S * speed_m_s;
         settings.speed_m_s = speed_m_s;
-        settings.duration_s = 4.0;
+        settings.duration_s = LEAD_S + WATCHED_S + 0.2;
         settings.check()?;
         Ok(settings)
     }
+}
+
+/// The speeds of all cells from their file.
+fn read(path: &Path, cells: &[Cell]) -> Result<Vec<Speeds>> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let speeds = text.lines().skip(1).zip(cells).map(|(line, cell)| {
+        let numbers = line.split_once(&format!(",{},", cell.name())).map(|(_, numbers)| numbers);
+        let numbers = numbers.with_context(|| format!("{}: '{line}' is of other cells", path.display()))?;
+        let [bound, law, measured, or_more] = numbers.split(',').collect::<Vec<_>>()[..] else {
+            bail!("{}: '{line}' is torn", path.display());
+        };
+        let number = |text: &str| text.parse::<f64>().with_context(|| format!("'{text}' is not a number"));
+        Ok(Speeds {
+            bound: number(bound)?,
+            law: number(law)?,
+            measured: number(measured)?,
+            or_more: or_more == "true",
+        })
+    });
+    speeds.collect()
 }
 
 /// Bound, law and measured, and whether the law stays below what was measured.
@@ -135,8 +183,8 @@ fn table(cells: &[Cell], speeds: &[Speeds]) -> String {
     );
     for (cell, speed) in cells.iter().zip(speeds) {
         let Meeting { board, limit_n, deceleration_m_s2, .. } = cell.meeting;
-        let least = if speed.measured >= FASTEST_M_S { "≥ " } else { "" };
-        let beyond = if speed.law > speed.measured && least.is_empty() { " **law is faster**" } else { "" };
+        let least = if speed.or_more { "≥ " } else { "" };
+        let beyond = if speed.keeps() { "" } else { " **law is faster**" };
         // Writing to a string cannot fail.
         let _ = writeln!(
             out,
@@ -170,7 +218,7 @@ fn figure(cells: &[Cell], speeds: &[Speeds], forces_n: &[f64]) -> Drawing {
             let cell = &cells[index(0, row)];
             format!("{}, × {}, {:.0} m/s²", cell.person, cell.scale, cell.meeting.deceleration_m_s2)
         });
-        let kept = |i: usize| speeds[i].law <= speeds[i].measured || speeds[i].measured >= FASTEST_M_S;
+        let kept = |i: usize| speeds[i].keeps();
         let order = (0..rows).flat_map(|row| (0..forces_n.len()).map(move |force| index(force, row)));
         let map = Map {
             title: format!("{}: speed under the contact barrier [m/s]", board.name()),

@@ -1,6 +1,7 @@
 //! The cover: foams and calibrations, from touch to force, thresholds, recorded streams.
 
 pub(crate) mod characterize;
+pub(crate) mod detection;
 pub(crate) mod latency;
 mod map;
 pub(crate) mod stream;

@@ -490,7 +490,7 @@ mod tests {
         });
         let mut desk = Desk::new(requests, &RobotDescription::paper("test", true), Some(judge));
         let now = Instant::now();
-        let mut change = |desk: &mut Desk, parameter| {
+        let change = |desk: &mut Desk, parameter| {
             let values = ParameterValues::new(&[2.0]).unwrap();
             refusal(desk.ask(1, 1, Request::SetParameter { parameter, values }, now))
         };

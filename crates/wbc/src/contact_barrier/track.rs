@@ -7,6 +7,8 @@ use crate::scalar::{Scalar, of};
 const KEPT: usize = 128;
 /// Readings further apart than this say nothing of a speed, s.
 const APART_S: f64 = 0.2;
+/// As far below 0 as noise takes the estimate of a speed, m/s: cut at 0, its mean would lie above it.
+const NOISE_M_S: f64 = 0.05;
 
 /// Where the base was in the last steps: the integral of its measured velocity in its own axes. Over the age of a
 /// reading these hardly turn.
@@ -59,6 +61,7 @@ pub(super) struct Track<T> {
     depth: T,
     force: T,
     way: T,
+    /// Estimate of the person's speed, m/s; after a release what is still remembered of it.
     person: T,
     /// Time since the last reading was taken, s.
     since: T,
@@ -89,7 +92,7 @@ impl<T: Scalar> Track<T> {
     }
 
     pub(super) fn person_m_s(&self) -> T {
-        self.person
+        self.person.max(T::zero())
     }
 
     /// Takes in one step: `way` is how far outward a place of the odometry is.
@@ -103,6 +106,9 @@ impl<T: Scalar> Track<T> {
     ) {
         self.since += dt_s;
         self.released += dt_s;
+        if !self.touched() {
+            self.person -= self.person * (dt_s / of(settings.forget_s)).min(T::one());
+        }
         let Some(sample) = sample else {
             if self.blind_from.is_none() {
                 self.blind_from = Some(way(odometry.now()));
@@ -122,14 +128,18 @@ impl<T: Scalar> Track<T> {
         }
         let (depth, way) = (settings.reading.depth_m(sample.force_n), way(odometry.at_age(sample.age_s)));
         if sample.force_n < of(settings.touch_n) {
-            *self = Self { way, since: self.since, released: T::zero(), ..Self::none() };
+            // one reading's speed was assumed and not seen
+            let person = if self.readings > 1 { self.person_m_s() } else { T::zero() };
+            *self = Self { way, since: self.since, released: T::zero(), person, ..Self::none() };
             return;
         }
+        let known = self.released < of(settings.forget_s);
+        let assumed = if known { self.person } else { of(settings.first_speed_m_s) };
         if interval < of(APART_S) {
             self.estimate(settings, depth, way, interval);
         }
         if !self.touched() {
-            self.person = self.person.max(of(settings.first_speed_m_s));
+            self.person = self.person.max(assumed);
         }
         self.readings = self.readings.saturating_add(1);
         (self.depth, self.force, self.way) = (depth, sample.force_n, way);
@@ -139,15 +149,16 @@ impl<T: Scalar> Track<T> {
     fn estimate(&mut self, settings: &BarrierSettings, depth: T, way: T, interval: T) {
         let before = if self.touched() { self.depth } else { T::zero() };
         let raw = (depth - before - (way - self.way)) / interval;
-        // the second reading replaces what the first had to assume
-        let weight = if self.readings > 1 { of(settings.speed_weight) } else { T::one() };
+        // the second reading replaces what the first had to assume, and the next are averaged
+        let recent = interval / (interval + of(settings.speed_s));
+        let weight = recent.max(T::one() / of(f64::from(self.readings.max(1))));
         let person = self.person + weight * (raw - self.person);
-        self.person = person.clamp(T::zero(), of(settings.fastest_person_m_s));
+        self.person = person.clamp(of(-NOISE_M_S), of(settings.fastest_person_m_s));
     }
 
     /// Compression now, m, the base being `way` outward.
     pub(super) fn depth_now(&self, way: T) -> T {
-        self.depth + way - self.way + self.person * self.since
+        self.depth + way - self.way + self.person_m_s() * self.since
     }
 
     /// Force that a law may count on, N: never more than was felt.
@@ -155,11 +166,16 @@ impl<T: Scalar> Track<T> {
         reading.force_n(depth).min(self.force)
     }
 
-    /// Speed outward after a release, m/s.
+    /// Speed outward after a release, m/s: who walked into the base, and got more room than was needed, is met again
+    /// as slowly as who stood.
     pub(super) fn released_limit(&self, s: &BarrierSettings) -> T {
         let rising = (self.released - of(s.creep_s)).max(T::zero());
-        let most = of::<T>(s.creep_m_s) + of::<T>(s.recovery_m_s2) * rising;
-        if most < T::one() { most } else { of(f64::INFINITY) }
+        let closing = of::<T>(s.creep_m_s) + of::<T>(s.recovery_m_s2) * rising;
+        if closing < T::one() {
+            (closing - self.person_m_s()).max(of(-s.retreat_m_s))
+        } else {
+            of(f64::INFINITY)
+        }
     }
 
     /// Speed outward of a touched taxel without readings, m/s: back for a while, then no further out.

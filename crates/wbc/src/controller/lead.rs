@@ -1,19 +1,9 @@
-//! A law led from outside: targets in the world, followed in the frame of the law's reference.
+//! What leads a law from outside, as it is remembered.
 
 use super::FlangePose;
-use super::arm_state::ArmState;
-use super::law::ControlLaw;
-use super::tick::{ArmTick, seen_from_base};
-use crate::error::{ControlError, finite};
-use crate::linalg::times;
-use crate::model::ArmModel;
-use crate::online_trajectory::Axis;
-use crate::reference::{HeldBack, Pose};
-use crate::reference_generator::{Goal, PoseGenerator, ReferenceBounds, TwistAxes, Workspace, unit};
-use crate::rotation;
+use crate::online_trajectory::{Axis, AxisBounds};
+use crate::reference_generator::{Goal, PoseGenerator, ReferenceBounds, TwistAxes, Workspace};
 use crate::scalar::{Scalar, of};
-use moca_msgs::RobotState;
-use nalgebra::{Matrix3, Vector3};
 
 /// What a tool or an arm is led to.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,10 +31,10 @@ pub enum Target<const N: usize, T = f64> {
     serde(bound = "T: crate::Scalar")
 )]
 pub(super) struct Lead<const N: usize, T> {
-    bounds: ReferenceBounds<T>,
-    workspace: Option<Workspace<T>>,
-    way: Way<N, T>,
-    reached: bool,
+    pub(super) bounds: ReferenceBounds<T>,
+    pub(super) workspace: Option<Workspace<T>>,
+    pub(super) way: Way<N, T>,
+    pub(super) reached: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,7 +44,7 @@ pub(super) struct Lead<const N: usize, T> {
     serde(bound = "T: crate::Scalar")
 )]
 #[expect(clippy::large_enum_variant, reason = "there is one for each robot, and nothing may allocate")]
-enum Way<const N: usize, T> {
+pub(super) enum Way<const N: usize, T> {
     Tool {
         generator: PoseGenerator<T>,
         target: ToolTarget<T>,
@@ -77,215 +67,9 @@ enum Way<const N: usize, T> {
     derive(serde::Serialize, serde::Deserialize),
     serde(bound = "T: crate::Scalar")
 )]
-enum ToolTarget<T> {
+pub(super) enum ToolTarget<T> {
     World(Goal<T>),
     Twist(TwistAxes, [T; 6]),
-}
-
-impl<const N: usize, T: Scalar> ArmState<N, T> {
-    /// Leads the law's reference to `target` within `bounds`, and stops it before it leaves `workspace`. It starts from
-    /// where the reference is and how fast; a change of law ends it.
-    ///
-    /// # Errors
-    /// A value that is not finite, or a quaternion that is not of length 1; the reference goes on as it did.
-    pub fn lead(
-        &mut self,
-        target: &Target<N, T>,
-        robot: &RobotState<N, T>,
-        bounds: &ReferenceBounds<T>,
-        workspace: Option<&Workspace<T>>,
-    ) -> Result<(), ControlError> {
-        let way = match target {
-            Target::Posture(wanted) => {
-                finite("target posture", wanted)?;
-                let axes = match self.lead {
-                    Some(Lead { way: Way::Posture { axes, .. }, .. }) => axes,
-                    // From where the arm is: what the tool's reference is away from it is given up, and what the torque would
-                    // jump by fades.
-                    _ => {
-                        self.entering = true;
-                        robot.q_rad.map(Axis::at_rest)
-                    }
-                };
-                Way::Posture { axes, target: Some(*wanted), base_pose_world: robot.base_pose_world }
-            }
-            Target::Hold => match self.lead {
-                None => return Ok(()),
-                Some(Lead { way: Way::Posture { axes, base_pose_world, .. }, .. }) => {
-                    Way::Posture { axes, target: None, base_pose_world }
-                }
-                Some(Lead { way: Way::Tool { generator, .. }, .. }) => {
-                    Way::Tool { generator, target: ToolTarget::World(Goal::Hold) }
-                }
-            },
-            Target::Pose(FlangePose { position_world, quaternion_world }) => {
-                finite("target position", position_world)?;
-                let rotation = unit(*quaternion_world)?;
-                let goal = Goal::Pose { position: Vector3::from(*position_world), rotation };
-                Way::Tool { generator: self.generator(), target: ToolTarget::World(goal) }
-            }
-            Target::Twist { axes, twist } => {
-                finite("target twist", twist)?;
-                Way::Tool { generator: self.generator(), target: ToolTarget::Twist(*axes, *twist) }
-            }
-        };
-        self.lead = Some(Lead { bounds: *bounds, workspace: workspace.copied(), way, reached: false });
-        Ok(())
-    }
-
-    /// Whether the reference stands at the target that it was last led to.
-    pub fn has_reached(&self) -> bool {
-        self.lead.as_ref().is_none_or(|lead| lead.reached)
-    }
-
-    fn generator(&self) -> PoseGenerator<T> {
-        match self.lead {
-            Some(Lead { way: Way::Tool { generator, .. }, .. }) => generator,
-            _ => PoseGenerator::at(self.reference.now.position, self.reference.now.rotation),
-        }
-    }
-
-    /// Whether something leads the reference.
-    pub(super) fn is_led(&self) -> bool {
-        self.lead.is_some()
-    }
-
-    /// Moves reference and posture on by one step where something leads them; to rest if it `waits`.
-    pub(super) fn advance_lead(&mut self, model: &ArmModel<N, T>, tick: &ArmTick<'_, N, T>, waits: bool) {
-        let Some(mut lead) = self.lead else { return };
-        let frame = Frame { tick, law: self.law };
-        let Lead { bounds, workspace, way, reached } = &mut lead;
-        match way {
-            Way::Tool { generator, target } => {
-                let wanted = frame.goal(target, generator.rotation());
-                let goal = if waits { Goal::Hold } else { wanted };
-                let actual = frame.actual();
-                let outside = |position: &[T; 3]| {
-                    workspace.map_or(T::zero(), |workspace| workspace.outside(&frame.base_from(position)))
-                };
-                let slowed =
-                    |velocity| self.held_back.map_or(velocity, |held: HeldBack<T>| held.slowed(velocity));
-                let place = (&actual.position, &actual.rotation);
-                generator.step_on_leash(&goal, bounds, place, outside, slowed, tick.dt_s);
-                *reached = generator.has_reached(&wanted);
-                let pose = Pose { position: generator.position().into(), rotation: *generator.rotation() };
-                self.reference.follow(pose, generator.twist());
-            }
-            Way::Posture { axes, target, base_pose_world } => {
-                let actual = frame.actual();
-                let near = (self.reference.now.position - actual.position).norm() < bounds.leash_m
-                    && rotation::error(&actual.rotation, &self.reference.now.rotation).norm()
-                        < bounds.leash_rad;
-                for (i, axis) in axes.iter_mut().enumerate() {
-                    match target.filter(|_| near && !waits) {
-                        Some(target) => {
-                            axis.step_to_position(target[i] - axis.position, &bounds.joint, tick.dt_s);
-                        }
-                        None => axis.step_to_velocity(T::zero(), &bounds.joint, tick.dt_s),
-                    }
-                }
-                let q_rad = axes.map(|axis| axis.position);
-                *reached = target.is_none_or(|target| (0..N).all(|i| axes[i].rests_at(target[i])))
-                    && axes.iter().all(Axis::rests);
-                let (pose, twist) =
-                    frame.of_posture(model, &q_rad, &axes.map(|axis| axis.velocity), base_pose_world);
-                self.reference.follow(pose, twist);
-                self.posture_rad = q_rad;
-            }
-        }
-        self.lead = Some(lead);
-    }
-
-    /// Whether a posture is led, which the configured one then does not pull at.
-    pub(super) fn leads_posture(&self) -> bool {
-        matches!(self.lead, Some(Lead { way: Way::Posture { .. }, .. }))
-    }
-
-    /// The reference is carried along with its frame.
-    pub(super) fn carry_lead(&mut self, shift_m: [T; 2]) {
-        match &mut self.lead {
-            Some(Lead { way: Way::Tool { generator, .. }, .. }) => generator.carry(shift_m),
-            Some(Lead { way: Way::Posture { base_pose_world: [x, y, _], .. }, .. }) => {
-                *x += shift_m[0];
-                *y += shift_m[1];
-            }
-            None => {}
-        }
-    }
-}
-
-/// The frame of a law's reference: B for follow-me, else W.
-struct Frame<'a, const N: usize, T> {
-    tick: &'a ArmTick<'a, N, T>,
-    law: ControlLaw,
-}
-
-impl<const N: usize, T: Scalar> Frame<'_, N, T> {
-    fn is_base(&self) -> bool {
-        self.law == ControlLaw::FollowMe
-    }
-
-    /// The tool.
-    fn actual(&self) -> Pose<T> {
-        if self.is_base() {
-            seen_from_base(&self.tick.flange, self.tick.kinematics, self.tick.robot)
-        } else {
-            self.tick.flange
-        }
-    }
-
-    /// A place of this frame, in B.
-    fn base_from(&self, position: &[T; 3]) -> [T; 3] {
-        if self.is_base() {
-            return *position;
-        }
-        let [x, y, _] = self.tick.robot.base_pose_world;
-        let from_base = Vector3::from(*position) - Vector3::new(x, y, T::zero());
-        (self.tick.kinematics.base_rotation.transpose() * from_base).into()
-    }
-
-    /// `target` in this frame, for a reference with these axes.
-    fn goal(&self, target: &ToolTarget<T>, rotation: &Matrix3<T>) -> Goal<T> {
-        match *target {
-            ToolTarget::World(Goal::Pose { position, rotation }) if self.is_base() => {
-                let pose = Pose { position, rotation };
-                let Pose { position, rotation } =
-                    seen_from_base(&pose, self.tick.kinematics, self.tick.robot);
-                Goal::Pose { position, rotation }
-            }
-            ToolTarget::World(goal) => goal,
-            ToolTarget::Twist(axes, twist) => {
-                let base = &self.tick.kinematics.base_rotation;
-                Goal::Twist(match (axes, self.is_base()) {
-                    (TwistAxes::World, true) => turned(&base.transpose(), &twist),
-                    (TwistAxes::Base, false) => turned(base, &twist),
-                    (TwistAxes::Flange, _) => turned(rotation, &twist),
-                    (TwistAxes::World, false) | (TwistAxes::Base, true) => twist,
-                })
-            }
-        }
-    }
-
-    /// The tool of a posture and its twist: on the base, or in W on the base as it stood at `base_pose_world`.
-    fn of_posture(
-        &self,
-        model: &ArmModel<N, T>,
-        q_rad: &[T; N],
-        dq_rad_s: &[T; N],
-        base_pose_world: &[T; 3],
-    ) -> (Pose<T>, [T; 6]) {
-        let [x, y, yaw] = if self.is_base() { [T::zero(); 3] } else { *base_pose_world };
-        let kinematics = model.kinematics(yaw, q_rad);
-        let position = kinematics.tool_from_base() + Vector3::new(x, y, T::zero());
-        let pose = Pose { position, rotation: kinematics.tool_rotation };
-        (pose, times(&kinematics.arm_jacobian(), dq_rad_s))
-    }
-}
-
-/// Both halves of a twist in other axes.
-fn turned<T: Scalar>(rotation: &Matrix3<T>, &[vx, vy, vz, wx, wy, wz]: &[T; 6]) -> [T; 6] {
-    let (v, w) = (rotation * Vector3::new(vx, vy, vz), rotation * Vector3::new(wx, wy, wz));
-    [v.x, v.y, v.z, w.x, w.y, w.z]
 }
 
 /// Most that a base which is led may do along an axis of B: m/s² and rad/s², m/s³ and rad/s³.
@@ -317,7 +101,7 @@ impl<T: Scalar> BaseLead<T> {
             // A limit of 0 leaves nothing to reach; a bound of 0 is none.
             let velocity = velocity_max[i].max(of(1e-9));
             let target = self.target[i].clamp(-velocity_max[i], velocity_max[i]);
-            let bounds = crate::online_trajectory::AxisBounds { velocity, acceleration, jerk };
+            let bounds = AxisBounds { velocity, acceleration, jerk };
             axis.step_to_velocity(target, &bounds, dt_s);
         }
         let ended = self.target == [T::zero(); 3] && self.axes.iter().all(Axis::rests);

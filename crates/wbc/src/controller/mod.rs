@@ -26,6 +26,7 @@ mod arm_state;
 mod base;
 mod law;
 mod lead;
+mod led;
 mod tick;
 mod whole_body;
 

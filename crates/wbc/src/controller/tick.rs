@@ -94,7 +94,7 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
 
     /// The reference's twist, world axes.
     fn desired_twist(&self, state: &ArmState<N, T>) -> [T; 6] {
-        let twist = *state.reference.given();
+        let twist = state.reference.given();
         if state.law != ControlLaw::FollowMe {
             return twist;
         }

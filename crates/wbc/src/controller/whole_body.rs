@@ -430,15 +430,15 @@ impl<const N: usize, T: Scalar> ControllerState<N, T> {
         self.arm.set_target_twist(twist)
     }
 
-    /// Moves the target and the way there by `shift_m`, axes of its frame: a tool that the arm cannot hold in its place any
-    /// further goes along with the base.
+    /// Takes the target and the way there along at `velocity_m_s`, axes of its frame, in the step of `dt_s` that follows, and
+    /// until told otherwise: a tool that the arm cannot hold in its place any further goes with the base, and as fast.
     ///
     /// # Errors
     /// A value that is not finite.
-    pub fn carry_target(&mut self, shift_m: [T; 2]) -> Result<(), ControlError> {
-        finite("target shift", &shift_m)?;
-        self.arm.reference.carry(shift_m);
-        self.arm.carry_lead(shift_m);
+    pub fn carry_target(&mut self, velocity_m_s: [T; 2], dt_s: T) -> Result<(), ControlError> {
+        finite("velocity of a carried target", &velocity_m_s)?;
+        self.arm.reference.carry(velocity_m_s);
+        self.arm.carry_lead(velocity_m_s.map(|v| v * dt_s));
         Ok(())
     }
 

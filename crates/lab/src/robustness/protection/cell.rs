@@ -117,6 +117,33 @@ impl Cell {
         cells
     }
 
+    /// A leg that nothing holds back walks into the middle of `taxel` (0 is T1).
+    pub(super) fn walk_in(board: Firmware, taxel: usize, walk_m_s: f64) -> Result<Self> {
+        let cell = Self {
+            place: PLACES[taxel],
+            meeting: Meeting::Walks,
+            board,
+            person: PERSONS[3],
+            foam: 1.0,
+            share: 1.0,
+        };
+        Ok(Self { share: walk_m_s / cell.bound_m_s()?, ..cell })
+    }
+
+    /// Every place both ways, with every board, body, foam and share among them.
+    pub(super) fn short() -> Vec<Self> {
+        let count = PLACES.len() * MEETINGS.len();
+        let cell = |i: usize| Self {
+            place: PLACES[i % PLACES.len()],
+            meeting: MEETINGS[i / PLACES.len()],
+            board: BOARDS[(i + i / 6) % BOARDS.len()],
+            person: PERSONS[i % PERSONS.len()],
+            foam: FOAMS[(i / 2 + i / PLACES.len()) % FOAMS.len()],
+            share: SHARES[(i / 3 + i / 9) % SHARES.len()],
+        };
+        (0..count).map(cell).collect()
+    }
+
     /// So many cells of the grid, or all there are, in a random order: more are the same ones and others.
     pub(super) fn sample(count: usize, seed: u64) -> Vec<Self> {
         let mut cells = Self::grid();
@@ -144,6 +171,11 @@ impl Cell {
 
     /// Largest speed that physics allows here, m/s.
     pub(super) fn bound_m_s(&self) -> Result<f64> {
+        self.meeting_there().bound_m_s()
+    }
+
+    /// Cover and body.
+    pub(super) fn meeting_there(&self) -> bound::Meeting {
         let base = Config::default().robot.base;
         bound::Meeting {
             foam: Foam::COLLISION_ASSUMED.stiffened(self.foam),
@@ -153,7 +185,6 @@ impl Cell {
             servo_s: base.servo_time_constant_s,
             board: self.board,
         }
-        .bound_m_s()
     }
 
     /// The run of one phase under a law.
@@ -167,7 +198,9 @@ impl Cell {
             settings.config.protection = ProtectionConfig::default();
         }
         if law != Law::Shipped {
+            // on by default where the cover is calibrated, which says how stiff its foam is
             settings.config.protection.contact_barrier = BarrierReadings::PuLd30;
+            settings.config.robot.cover.foam_stiffness_n_m *= self.foam;
         }
         let speed_m_s = self.share * self.bound_m_s()?;
         settings.sensor = Sensor::Stock;

@@ -3,12 +3,14 @@
 
 mod cell;
 mod table;
+mod walk_in;
 
 use crate::paper::collision::{self, approach_m_s};
 use crate::rig::TAXELS;
 use crate::rig::campaign::{self, Campaign};
 use crate::rig::closed_loop::{Loads, Rig, Row};
 use crate::rig::measure::{Measures, peak_force_n};
+use crate::rig::parallel;
 use anyhow::Result;
 use cell::{COLUMNS, Cell, Law, PHASES};
 use std::path::PathBuf;
@@ -20,14 +22,13 @@ const LONGEST_S: f64 = 12.0;
 /// How often a run is asked whether it has seen enough, s.
 const LOOK_S: f64 = 0.25;
 /// Columns after the cell's own.
-const RESULTS: &str =
-    "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after_s,felt_after_s,taps,grows,flange_mm,stopped";
+const RESULTS: &str = "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after_s,felt_after_s,least_n,taps,grows,flange_mm,stopped";
 
 /// Collisions all round the cover, with what ships and with the contact barrier.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// CSV file; rows that are already in it are kept and not run again.
-    #[arg(long, value_name = "CSV", required_unless_present = "table")]
+    #[arg(long, value_name = "CSV", required_unless_present_any = ["table", "short", "walk_in"])]
     out: Option<PathBuf>,
     /// How many cells of the grid, in an order that its seed shuffles: a larger number goes on where a smaller one ended.
     #[arg(long, default_value_t = 4860)]
@@ -41,6 +42,12 @@ pub(crate) struct Arguments {
     /// Prints the table of a file instead, and what failed in it.
     #[arg(long, value_name = "CSV")]
     table: Option<PathBuf>,
+    /// Instead: 30 cells, every place both ways, each with the barrier off and on, as a table.
+    #[arg(long)]
+    short: bool,
+    /// Instead: who walks into the front and on, as a table.
+    #[arg(long)]
+    walk_in: bool,
 }
 
 /// Runs what is missing, or prints what is there.
@@ -49,6 +56,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     if let Some(path) = &arguments.table {
         print!("{}\n{}", table::of_file(path)?, table::failures(path)?);
         return Ok(());
+    }
+    if arguments.short {
+        print!("{}", markdown()?);
+    }
+    if arguments.walk_in {
+        print!("{}", walk_in::markdown()?);
     }
     let Some(out) = &arguments.out else { return Ok(()) };
     let cells = Cell::sample(arguments.cells, arguments.seed);
@@ -59,6 +72,41 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
+/// Phases that the short table looks at.
+const SHORT_PHASES: u32 = 2;
+
+/// The short table: a cell a line, under both laws that ship.
+fn markdown() -> Result<String> {
+    let lines = parallel::run("protection", &Cell::short(), short_line, |_| ());
+    let mut out = String::from(
+        "| place | who moves | board | body | foam | share | m/s | barrier off | barrier on | least | taps | flange | why |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
+    );
+    for line in lines {
+        out.push_str(&line?);
+    }
+    Ok(out)
+}
+
+fn short_line(cell: &Cell) -> Result<String> {
+    let shipped = Outcome::of(cell, Law::Shipped, SHORT_PHASES)?;
+    let kept = Outcome::of(cell, Law::Barrier, SHORT_PHASES)?;
+    let stopped = |outcome: &Outcome| if outcome.stopped.is_empty() { "" } else { ", stop" };
+    let row = format!("0,{},{},{}", cell.columns()?, Law::Barrier.name(), kept.columns());
+    Ok(format!(
+        "| {} | {:.0} N{} | {:.1} N{} | {:.1} N | {} | {:.1} mm | {} |\n",
+        cell.columns()?.replace(',', " | "),
+        shipped.peak_n,
+        stopped(&shipped),
+        kept.peak_n,
+        stopped(&kept),
+        kept.least_n,
+        kept.taps,
+        kept.flange_mm,
+        table::why(&row)?
+    ))
+}
+
 fn header() -> String {
     format!("run,{COLUMNS},{RESULTS}")
 }
@@ -66,7 +114,8 @@ fn header() -> String {
 /// A cell under one of the laws.
 fn row(cells: &[Cell], id: usize) -> Result<String> {
     let (cell, law) = (&cells[id / Law::ALL.len()], Law::ALL[id % Law::ALL.len()]);
-    Ok(format!("{id},{},{},{}", cell.columns()?, law.name(), Outcome::of(cell, law)?.columns()))
+    let outcome = Outcome::of(cell, law, PHASES)?;
+    Ok(format!("{id},{},{},{}", cell.columns()?, law.name(), outcome.columns()))
 }
 
 /// What the worst phase of a cell came to; flange, taps and stops of any phase.
@@ -80,6 +129,8 @@ struct Outcome {
     peak_after_s: f64,
     /// From the first touch until the cover feels anything, s.
     felt_after_s: f64,
+    /// What the base at its hardest, from that reading on, could not have kept from the person, N.
+    least_n: f64,
     taps: usize,
     /// A later peak is higher than the first.
     grows: bool,
@@ -88,9 +139,10 @@ struct Outcome {
 }
 
 impl Outcome {
-    fn of(cell: &Cell, law: Law) -> Result<Self> {
+    /// The worst of some of the phases, evenly apart.
+    fn of(cell: &Cell, law: Law, phases: u32) -> Result<Self> {
         let mut worst = Self::default();
-        for phase in 0..PHASES {
+        for phase in (0..PHASES).step_by((PHASES / phases.clamp(1, PHASES)) as usize) {
             let one = Self::of_phase(cell, law, phase)?;
             let (taps, grows) = (worst.taps.max(one.taps), worst.grows | one.grows);
             let flange_mm = worst.flange_mm.max(one.flange_mm);
@@ -129,14 +181,17 @@ impl Outcome {
         let contact = &rows[first..];
         let most = contact.iter().max_by(|a, b| a.largest_force_n.total_cmp(&b.largest_force_n));
         let felt = contact.iter().find(|row| (0..TAXELS).any(|i| row.force_sensed[i] > 0.0));
+        let closing_m_s = approach_m_s(&rows[first.saturating_sub(1)], &settings);
+        let felt_after_s = felt.map_or(f64::NAN, since);
         let later_n = measures.peaks_n.iter().skip(1).fold(0.0, |most: f64, peak| most.max(*peak));
         Ok(Self {
-            approach_m_s: approach_m_s(&rows[first.saturating_sub(1)], &settings),
+            approach_m_s: closing_m_s,
             first_touch_n: measures.first_touch_n,
             impact_n: measures.impact_n,
             peak_n: peak_force_n(rows),
             peak_after_s: most.map_or(0.0, since),
-            felt_after_s: felt.map_or(f64::NAN, since),
+            felt_after_s,
+            least_n: cell.meeting_there().least_n(closing_m_s, felt_after_s),
             taps: measures.peaks_n.len(),
             grows: later_n > 1.02 * measures.peaks_n.first().copied().unwrap_or(0.0),
             flange_mm: measures.flange_max_mm,
@@ -146,13 +201,14 @@ impl Outcome {
 
     fn columns(&self) -> String {
         format!(
-            "{:.4},{:.2},{:.2},{:.2},{:.3},{:.3},{},{},{:.2},{}",
+            "{:.4},{:.2},{:.2},{:.2},{:.3},{:.3},{:.2},{},{},{:.2},{}",
             self.approach_m_s,
             self.first_touch_n,
             self.impact_n,
             self.peak_n,
             self.peak_after_s,
             self.felt_after_s,
+            self.least_n,
             self.taps,
             self.grows,
             self.flange_mm,
@@ -177,6 +233,14 @@ mod tests {
         assert_eq!(distinct.len(), all.len());
         for cell in Cell::sample(40, 1) {
             assert!(cell.bound_m_s().unwrap() > 0.0);
+        }
+        let values = |cells: &[Cell], column: usize| -> std::collections::BTreeSet<String> {
+            let lines = cells.iter().map(|cell| cell.columns().unwrap());
+            lines.map(|line| line.split(',').nth(column).unwrap().to_owned()).collect()
+        };
+        let (short, grid) = (Cell::short(), Cell::sample(usize::MAX, 1));
+        for column in 0..6 {
+            assert_eq!(values(&short, column), values(&grid, column), "column {column}");
         }
     }
 }

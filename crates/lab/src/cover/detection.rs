@@ -1,0 +1,300 @@
+//! `moca-lab docs --only detection`: how light a touch each test of the counts feels, how late, how often it is wrong, and
+//! how fast the base may therefore go.
+
+use anyhow::Result;
+use moca_daemon::config::{Config, ProtectionConfig};
+use moca_msgs::seconds;
+use moca_sim::foam::Foam;
+use moca_sim::sensor::{IDLE_COUNTS, Noise, quantise};
+use moca_tactile::cover::CONTACT_ON_COUNTS;
+use moca_tactile::cusum::{ALARM, Cusum, LEAST_DEVIATION, REFERENCE};
+use moca_tactile::{Firmware, zero};
+use moca_wbc::contact_stability::{Contact, speed_for_stopping};
+use std::fmt::Write as _;
+
+/// Noise of a frame, counts, and how often one comes, Hz.
+const BOARDS: [(Firmware, f64, f64); 2] = [(Firmware::Stock2018, 0.70, 40.5), (Firmware::Moca, 0.62, 235.0)];
+const FORCES_N: [f64; 4] = [1.5, 3.0, 5.2, 8.0];
+/// Touches of each kind.
+const TRIALS: u32 = 2000;
+/// Cells of the sum's range in the chain.
+const STATES: usize = 96;
+/// A steady force that is not felt in this time is not felt, s.
+const PATIENCE_S: f64 = 2.0;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Test {
+    /// Four counts in one frame.
+    Threshold,
+    /// The sum of the last frames, or four counts in one.
+    Cusum,
+}
+
+/// A taxel with its tare, frame by frame.
+struct Taxel {
+    noise: Noise,
+    noise_counts: f64,
+    rest: f64,
+    zero: f64,
+    deviation: f64,
+    cusum: Cusum,
+    test: Test,
+}
+
+impl Taxel {
+    fn tared(test: Test, noise_counts: f64, rate_hz: f64, seed: u64) -> Self {
+        let mut noise = Noise::new(seed);
+        let rest = IDLE_COUNTS + noise.uniform();
+        let (mut count, mut mean, mut squares) = (0.0, 0.0, 0.0);
+        while count < tare_frames(rate_hz) {
+            let value = f64::from(quantise(rest + noise_counts * noise.standard_normal()));
+            count += 1.0;
+            let delta = value - mean;
+            mean += delta / count;
+            squares += delta * (value - mean);
+        }
+        let deviation = (squares / (count - 1.0)).sqrt();
+        Self { noise, noise_counts, rest, zero: mean, deviation, cusum: Cusum::default(), test }
+    }
+
+    /// Whether a frame with `drop` counts of a touch in it alarms.
+    fn feels(&mut self, drop: f64) -> bool {
+        let fdat = quantise(self.rest - drop + self.noise_counts * self.noise.standard_normal());
+        let below = self.zero - f64::from(fdat);
+        let summed = self.test == Test::Cusum && self.cusum.update(below, self.deviation);
+        summed || below >= CONTACT_ON_COUNTS
+    }
+}
+
+fn tare_frames(rate_hz: f64) -> f64 {
+    f64::from(zero::TARE_FRAMES).max((rate_hz * seconds(zero::TARE_TIME_NS)).floor())
+}
+
+/// Share of the normal distribution below `x`: Abramowitz and Stegun 7.1.26, to 1.5e-7, and its asymptote in the tail.
+fn below(x: f64) -> f64 {
+    if x < -4.0 {
+        let density = (-0.5 * x * x).exp() / (2.0 * std::f64::consts::PI).sqrt();
+        return density / -x * (1.0 - 1.0 / (x * x) + 3.0 / x.powi(4) - 15.0 / x.powi(6));
+    }
+    if x > 0.0 {
+        return 1.0 - below(-x);
+    }
+    let z = -x / std::f64::consts::SQRT_2;
+    let t = 1.0 / (1.0 + 0.327_591_1 * z);
+    let sum = [1.061_405_429, -1.453_152_027, 1.421_413_741, -0.284_496_736, 0.254_829_592]
+        .iter()
+        .fold(0.0, |s, c| s * t + c);
+    0.5 * sum * t * (-z * z).exp()
+}
+
+/// Counts below zero of an untouched taxel that rests at `rest` past a whole count, with their probabilities.
+fn at_rest(noise_counts: f64, rest: f64) -> Vec<(f64, f64)> {
+    (-12..=12)
+        .map(|count: i32| {
+            let count = f64::from(count);
+            let to = |edge: f64| below((count + edge - rest) / noise_counts);
+            (rest - count, to(0.5) - to(-0.5))
+        })
+        .collect()
+}
+
+/// Mean of frames until an untouched taxel alarms, of a tare that was `off` counts too high and found `deviation`.
+fn frames_to_alarm(test: Test, noise_counts: f64, rest: f64, off: f64, deviation: f64) -> f64 {
+    let drops = at_rest(noise_counts, rest);
+    if test == Test::Threshold {
+        // the tail in closed form: the table of counts has too few digits there
+        let most = (rest + off - CONTACT_ON_COUNTS).floor() + 0.5;
+        return 1.0 / below((most - rest) / noise_counts);
+    }
+    let width = ALARM / as_f64(STATES);
+    let deviation = deviation.max(LEAST_DEVIATION);
+    let mut rows = vec![vec![0.0; STATES + 2]; STATES + 1];
+    for (state, row) in rows.iter_mut().enumerate() {
+        let sum = if state == 0 { 0.0 } else { (as_f64(state) - 0.5) * width };
+        row[state] += 1.0;
+        row[STATES + 1] = 1.0;
+        for (drop, share) in &drops {
+            let next = sum + (drop + off) / deviation - REFERENCE;
+            if next < ALARM {
+                #[expect(
+                    clippy::cast_possible_truncation,
+                    clippy::cast_sign_loss,
+                    reason = "within the range"
+                )]
+                let next = (next.max(0.0) / width).ceil() as usize;
+                row[next.min(STATES)] -= share;
+            }
+        }
+    }
+    solved(rows)
+}
+
+/// First unknown of a diagonally dominant system of rows with their right-hand sides.
+fn solved(mut rows: Vec<Vec<f64>>) -> f64 {
+    let n = rows.len();
+    for pivot in (0..n).rev() {
+        let (above, from) = rows.split_at_mut(pivot);
+        let pivot_row = &from[0];
+        for row in above {
+            let factor = row[pivot] / pivot_row[pivot];
+            for column in (0..pivot).chain([n]) {
+                row[column] -= factor * pivot_row[column];
+            }
+        }
+    }
+    rows[0][n] / rows[0][0]
+}
+
+fn as_f64(count: usize) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "some cells")]
+    let count = count as f64;
+    count
+}
+
+/// False alarms of one taxel in an hour, over tares and places between two counts.
+fn alarms_per_hour(test: Test, noise_counts: f64, rate_hz: f64) -> f64 {
+    let spread = noise_counts.mul_add(noise_counts, 1.0 / 12.0).sqrt();
+    let frames = tare_frames(rate_hz);
+    // Gauss and Hermite's three points
+    let nodes = [(-3.0_f64.sqrt(), 1.0 / 6.0), (0.0, 2.0 / 3.0), (3.0_f64.sqrt(), 1.0 / 6.0)];
+    let mut per_frame = 0.0;
+    for rest in [0.0, 0.2, 0.4, 0.6, 0.8] {
+        for (off, of_mean) in nodes {
+            for (scale, of_deviation) in nodes {
+                let deviation = spread * (1.0 + scale / (2.0 * frames).sqrt());
+                let off = off * spread / frames.sqrt();
+                per_frame +=
+                    0.2 * of_mean * of_deviation / frames_to_alarm(test, noise_counts, rest, off, deviation);
+            }
+        }
+    }
+    3600.0 * rate_hz * per_frame
+}
+
+/// Time in which nine of ten feel a steady force, ms; `None` if they do not.
+fn felt_after_ms(test: Test, noise_counts: f64, rate_hz: f64, force_n: f64) -> Option<f64> {
+    let drop = Foam::PU_LD30.counts_drop(Foam::PU_LD30.ramp_deformation_m(force_n));
+    let mut frames: Vec<u32> = (0..TRIALS)
+        .map(|trial| {
+            let mut taxel = Taxel::tared(test, noise_counts, rate_hz, u64::from(trial));
+            let mut frames = 1;
+            while !taxel.feels(drop) && f64::from(frames) < PATIENCE_S * rate_hz {
+                frames += 1;
+            }
+            frames
+        })
+        .collect();
+    frames.sort_unstable();
+    let late = f64::from(frames[frames.len() * 9 / 10]) / rate_hz;
+    (late < PATIENCE_S).then_some(1e3 * late)
+}
+
+/// Depth that a touch at `speed_m_s` hides from 99 of 100, m: that of the frame that alarms, less the way in the interval
+/// before it, which the delay of the board counts.
+fn hidden_m(test: Test, noise_counts: f64, rate_hz: f64, speed_m_s: f64) -> f64 {
+    let step_m = speed_m_s / rate_hz;
+    let mut depths: Vec<f64> = (0..TRIALS)
+        .map(|trial| {
+            let mut taxel = Taxel::tared(test, noise_counts, rate_hz, u64::from(trial));
+            let mut depth = taxel.noise.uniform() * step_m;
+            while depth < 0.01 && !taxel.feels(Foam::PU_LD30.counts_drop(depth)) {
+                depth += step_m;
+            }
+            depth
+        })
+        .collect();
+    depths.sort_by(f64::total_cmp);
+    (depths[depths.len() * 99 / 100] - step_m).max(0.0)
+}
+
+/// Largest speed at which the base stops within the collision foam's way at the force limit, m/s, and what is hidden
+/// there, m.
+fn safe_speed(test: Test, firmware: Firmware, noise_counts: f64, rate_hz: f64) -> Result<(f64, f64)> {
+    let base = Config::default().robot.base;
+    let contact = Contact {
+        stiffness_n_m: 1.0, // not asked for
+        damping_n_s_m: 0.0,
+        delay_s: seconds(firmware.worst_hold_ns()),
+        servo_s: base.servo_time_constant_s,
+    };
+    let way_m = Foam::COLLISION_ASSUMED.deformation_m(ProtectionConfig::default().force_limit_n);
+    let (mut low, mut high) = (0.0, 0.3);
+    for _ in 0..10 {
+        let middle = 0.5 * (low + high);
+        let left_m = way_m - hidden_m(test, noise_counts, rate_hz, middle);
+        let allowed = speed_for_stopping(left_m.max(0.0), base.acceleration_max_m_s2, &contact)?;
+        if middle <= allowed { low = middle } else { high = middle }
+    }
+    Ok((low, hidden_m(test, noise_counts, rate_hz, low)))
+}
+
+/// The table.
+pub(crate) fn markdown() -> Result<String> {
+    let mut out = String::from("| board | test | false alarms of a taxel in an hour |");
+    for force_n in FORCES_N {
+        // Writing to a string cannot fail.
+        let _ = write!(out, " {force_n} N felt after |");
+    }
+    out.push_str(" hides at that speed | largest safe speed |\n|---|---|---|---|---|---|---|---|---|\n");
+    for (firmware, noise_counts, rate_hz) in BOARDS {
+        for (test, name) in [(Test::Threshold, "4 counts in a frame"), (Test::Cusum, "or the sum of frames")]
+        {
+            let alarms = alarms_per_hour(test, noise_counts, rate_hz);
+            let _ = write!(out, "| {} | {name} | {alarms:.1e} |", firmware.name());
+            for force_n in FORCES_N {
+                let felt = felt_after_ms(test, noise_counts, rate_hz, force_n);
+                let _ = write!(out, " {} |", felt.map_or("not".into(), |ms| format!("{ms:.0} ms")));
+            }
+            let (speed_m_s, hidden_m) = safe_speed(test, firmware, noise_counts, rate_hz)?;
+            let _ = writeln!(out, " {:.2} mm | {speed_m_s:.3} m/s |", 1e3 * hidden_m);
+        }
+    }
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sum_of_frames_is_wrong_less_than_once_an_hour_and_feels_a_newton_and_a_half() {
+        for (_, noise_counts, rate_hz) in BOARDS {
+            let alarms = alarms_per_hour(Test::Cusum, noise_counts, rate_hz);
+            assert!(alarms < 1.0, "{alarms} an hour");
+            assert!(felt_after_ms(Test::Cusum, noise_counts, rate_hz, 1.5).is_some());
+            assert!(felt_after_ms(Test::Threshold, noise_counts, rate_hz, 1.5).is_none());
+        }
+    }
+
+    /// The chain against what it stands for: noise so large that it alarms often.
+    #[test]
+    fn the_chain_counts_the_alarms_that_there_are() {
+        let (noise_counts, deviation) = (0.7, 0.5);
+        let mut noise = Noise::new(5);
+        let (mut cusum, mut alarms, frames) = (Cusum::default(), 0.0, 400_000);
+        for _ in 0..frames {
+            let fdat = quantise(IDLE_COUNTS + noise_counts * noise.standard_normal());
+            if cusum.update(IDLE_COUNTS - f64::from(fdat), deviation) {
+                (cusum, alarms) = (Cusum::default(), alarms + 1.0);
+            }
+        }
+        let counted = f64::from(frames) / alarms;
+        let chain = frames_to_alarm(Test::Cusum, noise_counts, 0.0, 0.0, deviation);
+        assert!((chain / counted - 1.0).abs() < 0.15, "{chain} {counted}, {alarms} alarms");
+    }
+
+    #[test]
+    fn the_normal_distribution_is_one() {
+        for (x, share) in [(0.0, 0.5), (1.0, 0.841_344_7), (-2.0, 0.022_750_1), (-5.0, 2.866_516e-7)] {
+            assert!((below(x) / share - 1.0).abs() < 1e-3, "{x}: {}", below(x));
+        }
+    }
+
+    #[test]
+    fn the_documents_have_what_the_command_prints() {
+        let Some(shown) = crate::docs::shown("detection") else { return };
+        for line in markdown().unwrap().lines() {
+            assert!(shown.contains(line), "{line}");
+        }
+    }
+}
