@@ -187,6 +187,8 @@ const NO_ROBOT: &[(&str, &str)] = &[
     ("daemon/src/config/stability.rs", "<7>"),   // the same
     ("monitor/src/ui/theme.rs", "; 11]"),        // colours
     ("figures/src/drawing.rs", "; 7]"),          // colours
+    ("daemon/src/config/mod.rs", "; 7]"),        // thresholds of an arm that speaks FCI
+    ("franka/src/mode.rs", "; 7]"),              // what such an arm can say that it does
 ];
 /// Where the built-in tables are.
 const TABLES: &str = "msgs/src/robot.rs";

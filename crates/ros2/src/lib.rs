@@ -16,9 +16,12 @@
 )]
 
 pub mod base;
+#[cfg(feature = "bridge")]
+pub mod bridge;
 pub mod cdr;
 #[cfg(feature = "dds")]
 pub mod dds;
 pub mod latest;
 pub mod messages;
+pub mod outputs;
 pub mod transport;

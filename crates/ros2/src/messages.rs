@@ -306,6 +306,13 @@ message! {
     }
 }
 message! {
+    /// A sign of life: nothing, which IDL gives one byte.
+    Empty = "std_msgs/msg/Empty" {
+        /// Of no meaning.
+        structure_needs_at_least_one_member: u8,
+    }
+}
+message! {
     /// The question of a trigger: nothing, which IDL gives one byte.
     TriggerRequest = "std_srvs/srv/Trigger_Request" {
         /// Of no meaning.

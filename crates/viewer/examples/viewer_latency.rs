@@ -25,6 +25,8 @@ use tokio_tungstenite::tungstenite::{self, Message, http::Request};
 
 type Failure = Box<dyn Error + Send + Sync>;
 
+type Measuring = thread::JoinHandle<Result<Vec<Duration>, Failure>>;
+
 const PERIOD: Duration = Duration::from_millis(1);
 const ANY: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
@@ -42,14 +44,14 @@ fn main() -> Result<(), Failure> {
     thread::spawn(move || -> Result<(), Failure> {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         // Nobody waits for the address any more only where the program ends.
-        runtime.block_on(serve(options, |address| drop(told.send(address))))?;
+        runtime.block_on(serve(options, |address| told.send(address).unwrap_or_default()))?;
         Ok(())
     });
     let viewer = listening.recv()?;
 
     let start = Instant::now();
     let ticks = seconds * 1000;
-    let rows: Vec<(&str, thread::JoinHandle<Result<Vec<Duration>, Failure>>)> = vec![
+    let rows: [(&str, Measuring); 3] = [
         ("sample to telemetry client", thread::spawn(move || telemetry(&daemon, start, ticks))),
         ("sample to viewer", thread::spawn(move || watch(viewer, start, ticks))),
         ("bare TCP echo, there and back", thread::spawn(move || echo(ticks))),

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use std::{
     collections::BTreeMap,
     net::{Ipv4Addr, SocketAddr, TcpStream},
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicU64, Ordering},
@@ -37,7 +37,7 @@ struct Daemon {
 }
 
 impl Daemon {
-    fn start(socket: &PathBuf) -> Self {
+    fn start(socket: &Path) -> Self {
         let (mut samples, from_loop) = RingBuffer::new(4096);
         let (requests, _robot) = request_channel();
         let ports = Ports {
@@ -60,7 +60,7 @@ impl Daemon {
             urdf: "<robot name=\"test\"/>".into(),
             ..RobotDescription::paper("test", true)
         };
-        let server = serve_telemetry(&Address::Unix(socket.clone()), 0o600, robot, ports).unwrap();
+        let server = serve_telemetry(&Address::Unix(socket.into()), 0o600, robot, ports).unwrap();
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
         let feeding = std::thread::spawn(move || {
@@ -100,9 +100,9 @@ fn socket(name: &str) -> PathBuf {
 }
 
 /// A server for the daemon behind `socket`; it ends with the test's process.
-fn server(socket: &PathBuf) -> SocketAddr {
+fn server(socket: &Path) -> SocketAddr {
     let options = Options {
-        daemon: Address::Unix(socket.clone()),
+        daemon: Address::Unix(socket.into()),
         listen: SocketAddr::new(Ipv4Addr::LOCALHOST.into(), 0),
         origins: Origins::default(),
         rate_hz: 200,

@@ -381,6 +381,19 @@ mod tests {
     }
 
     #[test]
+    fn what_is_asked_at_a_limit_meets_none_and_beyond_it_one_however_many_axes_ask() {
+        let (velocity, hit) = driven(None, None, [0.3, -0.3, 0.5], [0.0; 3]);
+        assert!(near(velocity, [0.3, -0.3, 0.5]) && hit == LimitsHit::NONE, "{velocity:?} {hit:?}");
+        for wanted in [[9.0, 0.0, 0.0], [0.0, -9.0, 0.0], [9.0, -9.0, 0.0]] {
+            let (velocity, hit) = driven(None, None, wanted, [0.0; 3]);
+            assert!(
+                near(velocity, wanted.map(|v| 0.3 * v / 9.0)) && hit.base_velocity,
+                "{velocity:?} {hit:?}"
+            );
+        }
+    }
+
+    #[test]
     fn a_taxel_s_limit_and_the_base_s_own_hold_together() {
         let (velocity, hit) = driven(Some(0.1), None, [0.6, 0.6, -0.9], [0.0; 3]);
         assert!(near(velocity, [0.1, 0.3, -0.5]) && hit.guard && hit.contact, "{velocity:?} {hit:?}");

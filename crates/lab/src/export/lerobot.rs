@@ -40,7 +40,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<String> {
     for (number, log) in logs.iter().enumerate() {
         let run = super::read(log)?;
         let parts = Parts::of(&run.description, &run.samples);
-        let set = set.get_or_insert_with(|| Set::new(*fps, parts, &run.description.arm.name));
+        let set = set.get_or_insert_with(|| Set::new(*fps, parts, &run.description.arm_name));
         ensure!(
             set.parts == parts,
             "{}: {} joints and {} taxels, the logs before have {} and {}",

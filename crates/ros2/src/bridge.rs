@@ -1,0 +1,273 @@
+//! The robot for ROS users: a client of the daemon's telemetry like any other, so that the daemon carries nothing of ROS, and
+//! who may command is decided where it always is.
+//!
+//! Out: what every viewer is shown (`/tf`, `/tf_static`, `/joint_states`, `/robot_description`, poses, cover wrench) and
+//! [`crate::outputs`]. In: services that ask the loop, and signs of life. Whoever armed the robot over ROS has to be heard
+//! from: any call counts, and any message on `alive`; without one the daemon takes the command away and a moving robot
+//! stops. The bridge itself never vouches for anybody.
+
+use crate::cdr;
+use crate::messages::{
+    DiagnosticArray, Empty, Float64MultiArray, Message, Time, TriggerResponse, TypeName, WrenchStamped,
+};
+use crate::outputs;
+use crate::transport::{Caller, Qos, ReaderId, ServiceId, Transport, TransportError, WriterId};
+use moca_msgs::{Outcome, Request, Sample};
+use moca_telemetry::RobotDescription;
+use moca_telemetry::display::{self, Display, Periods, Sink};
+use moca_telemetry::log::{LogError, records::Channel};
+use moca_telemetry::net::{Connection, Link, Reply};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// How long a step waits for calls at most.
+const STEP: Duration = Duration::from_millis(2);
+/// Forces and wrenches are sent at most so often, ns of loop time.
+const NUMBERS_NS: u64 = 10_000_000;
+/// So often is shown what every viewer is shown.
+const PERIODS: Periods = Periods { numbers_ns: DIAGNOSTICS_NS, poses_ns: NUMBERS_NS };
+/// Diagnostics are sent so often, ns of loop time.
+const DIAGNOSTICS_NS: u64 = 1_000_000_000;
+/// Topics whose names ROS tools expect; all others are under the prefix.
+const GLOBAL: [&str; 4] = ["/tf", "/tf_static", "/joint_states", "/robot_description"];
+/// What whoever comes later gets too.
+const LATCHED: [&str; 2] = ["/tf_static", "/robot_description"];
+/// Sentences have a log's type, which is no message of ROS nodes.
+const LOG: &str = "/log";
+const TRIGGER: TypeName = TypeName("std_srvs/srv/Trigger");
+/// Services, and what each asks the loop.
+const SERVICES: [(&str, Request); 5] = [
+    ("tare", Request::Tare),
+    ("arm", Request::Arm),
+    ("disarm", Request::Disarm),
+    ("stop", Request::Stop),
+    ("resume", Request::Resume),
+];
+
+/// What is named how.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BridgeSettings {
+    /// Namespace of topics and services that are not global, such as `/moca`.
+    pub prefix: String,
+    /// Whether `/tf` and `/tf_static` are sent: not where the base's own node says where `base_link` is.
+    pub tf: bool,
+}
+
+/// Passes on between a daemon and ROS.
+pub struct Bridge<T> {
+    transport: T,
+    settings: BridgeSettings,
+    writers: BTreeMap<&'static str, WriterId>,
+    taxels: WriterId,
+    wrench: WriterId,
+    diagnostics: WriterId,
+    alive: ReaderId,
+    services: Vec<(ServiceId, Request)>,
+    waiting: Vec<(Request, ServiceId, Caller)>,
+    shown: Option<Shown>,
+    said: String,
+}
+
+/// One session of a daemon.
+struct Shown {
+    session: u64,
+    robot: Arc<RobotDescription>,
+    display: Display,
+    start_unix_ns: u64,
+    next_numbers_ns: u64,
+    next_diagnostics_ns: u64,
+}
+
+impl<T: Transport> Bridge<T> {
+    /// Announces topics and services.
+    ///
+    /// # Errors
+    /// A prefix that is no name, or a transport that is gone.
+    pub fn new(mut transport: T, settings: BridgeSettings) -> Result<Self, TransportError> {
+        let name = |name: &str| format!("{}/{name}", settings.prefix);
+        let taxels = transport.writer(&name("taxels"), Float64MultiArray::TYPE, Qos::Reliable)?;
+        let wrench = transport.writer(&name("flange_wrench"), WrenchStamped::TYPE, Qos::Reliable)?;
+        let diagnostics = transport.writer("/diagnostics", DiagnosticArray::TYPE, Qos::Reliable)?;
+        let alive = transport.reader(&name("alive"), Empty::TYPE, Qos::BestEffort)?;
+        let mut services = Vec::new();
+        for (service, request) in SERVICES {
+            services.push((transport.service(&name(service), TRIGGER)?, request));
+        }
+        Ok(Self {
+            transport,
+            settings,
+            writers: BTreeMap::new(),
+            taxels,
+            wrench,
+            diagnostics,
+            alive,
+            services,
+            waiting: Vec::new(),
+            shown: None,
+            said: String::new(),
+        })
+    }
+
+    /// Passes on what has come either way, and waits a little for more; `say` hears why there is no daemon.
+    ///
+    /// # Errors
+    /// The transport is gone.
+    pub fn step(&mut self, daemon: &Connection, say: impl Fn(&str)) -> Result<(), TransportError> {
+        let update = daemon.poll();
+        match (&update.link, update.samples.last()) {
+            (Link::Up { session, description }, Some(newest)) => {
+                if self.shown.as_ref().is_none_or(|shown| shown.session != *session) {
+                    self.begin(*session, description, newest)?;
+                }
+                self.show(&update.samples)?;
+            }
+            (Link::Up { .. }, None) => {}
+            (Link::Down { reason }, _) => {
+                self.shown = None;
+                if self.said != *reason {
+                    self.said.clone_from(reason);
+                    say(reason);
+                }
+            }
+        }
+        for reply in &update.replies {
+            self.answer(reply, daemon)?;
+        }
+        self.ask(daemon);
+        self.transport.wait(STEP);
+        Ok(())
+    }
+
+    /// Calls and signs of life go to the daemon; nothing else keeps the command.
+    fn ask(&mut self, daemon: &Connection) {
+        while self.transport.take(self.alive).is_some() {
+            daemon.alive();
+        }
+        for (service, request) in self.services.clone() {
+            while let Some((caller, _)) = self.transport.take_call(service) {
+                daemon.alive();
+                daemon.request(request);
+                self.waiting.push((request, service, caller));
+            }
+        }
+    }
+
+    fn answer(&mut self, reply: &Reply, daemon: &Connection) -> Result<(), TransportError> {
+        let asked = self.waiting.iter().position(|(request, ..)| *request == reply.request);
+        let Some((request, service, caller)) = asked.map(|i| self.waiting.remove(i)) else { return Ok(()) };
+        if reply.outcome.is_ok() && matches!(request, Request::Disarm | Request::Stop) {
+            // The robot stands: somebody else may want it.
+            daemon.release();
+        }
+        self.transport.answer(service, &caller, &cdr::encode(&response(reply.outcome)))
+    }
+
+    fn begin(
+        &mut self,
+        session: u64,
+        robot: &Arc<RobotDescription>,
+        newest: &Sample,
+    ) -> Result<(), TransportError> {
+        let start_unix_ns = unix_ns().saturating_sub(newest.time_ns);
+        let display = Display::new(robot, start_unix_ns, PERIODS);
+        let mut to =
+            ToRos { transport: &mut self.transport, writers: &mut self.writers, settings: &self.settings };
+        display.begin(&mut to).map_err(unsent)?;
+        let robot = Arc::clone(robot);
+        let (next_numbers_ns, next_diagnostics_ns) = (0, 0);
+        self.shown =
+            Some(Shown { session, robot, display, start_unix_ns, next_numbers_ns, next_diagnostics_ns });
+        Ok(())
+    }
+
+    fn show(&mut self, samples: &[Sample]) -> Result<(), TransportError> {
+        let Some(shown) = &mut self.shown else { return Ok(()) };
+        for sample in samples {
+            let mut to = ToRos {
+                transport: &mut self.transport,
+                writers: &mut self.writers,
+                settings: &self.settings,
+            };
+            shown.display.sample(sample, false, &mut to).map_err(unsent)?;
+            let (now_ns, stamp) =
+                (sample.time_ns, Time::from_unix_ns(shown.start_unix_ns.saturating_add(sample.time_ns)));
+            if now_ns >= shown.next_numbers_ns {
+                shown.next_numbers_ns = now_ns + NUMBERS_NS;
+                if !sample.taxels.is_empty() {
+                    self.transport.write(self.taxels, &cdr::encode(&outputs::taxels(sample)))?;
+                }
+                if !sample.q_rad.is_empty() {
+                    let wrench = outputs::flange_wrench(sample, stamp.clone());
+                    self.transport.write(self.wrench, &cdr::encode(&wrench))?;
+                }
+            }
+            if now_ns >= shown.next_diagnostics_ns {
+                shown.next_diagnostics_ns = now_ns + DIAGNOSTICS_NS;
+                let message = outputs::diagnostics(&shown.robot.name, sample, stamp);
+                self.transport.write(self.diagnostics, &cdr::encode(&message))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What the caller of a service is told.
+fn response(outcome: Outcome) -> TriggerResponse {
+    let message = outcome.map_or_else(|refusal| refusal.to_string(), |()| "done".to_owned());
+    TriggerResponse { success: outcome.is_ok(), message }
+}
+
+fn unsent(error: LogError) -> TransportError {
+    TransportError(error.to_string())
+}
+
+fn unix_ns() -> u64 {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
+}
+
+/// The messages that ROS nodes know, as topics.
+struct ToRos<'a, T> {
+    transport: &'a mut T,
+    writers: &'a mut BTreeMap<&'static str, WriterId>,
+    settings: &'a BridgeSettings,
+}
+
+impl<T: Transport> Sink for ToRos<'_, T> {
+    /// Records are types of our own: they are in the log, and for viewers.
+    fn offer_record<C: Channel + display::cdr::Message>(&mut self) -> Result<(), LogError> {
+        Ok(())
+    }
+
+    fn offer<M: display::cdr::Message>(&mut self, topic: &'static str) -> Result<(), LogError> {
+        let hidden = topic == LOG || !self.settings.tf && topic.starts_with("/tf");
+        if hidden || self.writers.contains_key(topic) {
+            return Ok(());
+        }
+        let prefix = if GLOBAL.contains(&topic) { "" } else { &self.settings.prefix };
+        let qos = if LATCHED.contains(&topic) { Qos::Latched } else { Qos::Reliable };
+        // A topic that cannot be announced is missed by whoever looks for it; the others go on.
+        if let Ok(writer) = self.transport.writer(&format!("{prefix}{topic}"), TypeName(M::NAME), qos) {
+            self.writers.insert(topic, writer);
+        }
+        Ok(())
+    }
+
+    fn record<C: Channel + display::cdr::Message>(&mut self, _: u64, _: &C) -> Result<(), LogError> {
+        Ok(())
+    }
+
+    fn message<M: display::cdr::Message>(
+        &mut self,
+        topic: &'static str,
+        _: u64,
+        message: &M,
+    ) -> Result<(), LogError> {
+        if let Some(writer) = self.writers.get(topic) {
+            // What is not sent now is superseded by the next.
+            let _ = self.transport.write(*writer, display::cdr::Cdr::default().encode(message));
+        }
+        Ok(())
+    }
+}
