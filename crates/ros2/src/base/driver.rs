@@ -255,6 +255,7 @@ fn unix_ns() -> u64 {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "values that are handed on unchanged, and zero")]
 mod tests {
     use super::*;
     use crate::messages::Quaternion;

@@ -125,7 +125,7 @@ impl OdometryJudge {
         let velocity_body = [twist.linear.x, twist.linear.y, twist.angular.z];
         let finite = pose_world.iter().chain(&velocity_body).all(|value| value.is_finite());
         // A NaN length is not long enough either.
-        if !finite || !(length > QUATERNION_MIN && length < 1.0 / QUATERNION_MIN) {
+        if !(finite && length > QUATERNION_MIN && length < 1.0 / QUATERNION_MIN) {
             return Err(Refused::NotFinite);
         }
         let stamp_ns = message.header.stamp.unix_ns();
@@ -212,6 +212,7 @@ fn seconds(ns: u64) -> f64 {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "values that are handed on unchanged, and zero")]
 mod tests {
     use super::*;
     use crate::messages::{Quaternion, Time};

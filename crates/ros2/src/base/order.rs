@@ -47,7 +47,9 @@ impl OrderWatch {
     /// What has to be sent now, if it is time.
     pub fn due(&mut self, now_ns: u64) -> Option<[f64; 3]> {
         let ordered_ns = self.ordered_ns?;
-        if now_ns.saturating_sub(ordered_ns) > self.silence_ns && self.velocity_body != [0.0; 3] {
+        if now_ns.saturating_sub(ordered_ns) > self.silence_ns
+            && self.velocity_body.iter().any(|v| v.abs() > 0.0)
+        {
             self.velocity_body = [0.0; 3];
             self.silences += 1;
         }
@@ -76,6 +78,7 @@ impl OrderWatch {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "values that are handed on unchanged, and zero")]
 mod tests {
     use super::*;
 

@@ -143,7 +143,7 @@ pub(crate) mod tests {
     fn who_is_missing_wrong_or_too_many_is_told() {
         let base = end("/cmd_vel", Twist::TYPE, false, "the base");
         let found = |ends: &[Endpoint]| problems_of_writer(ends, "/cmd_vel", Twist::TYPE);
-        assert!(found(&[base.clone()]).is_empty());
+        assert!(found(std::slice::from_ref(&base)).is_empty());
         assert!(found(&[]).concat().contains("nobody reads /cmd_vel"));
         let joy = end("/cmd_vel", Twist::TYPE, true, "node /joy");
         assert!(found(&[base, joy]).concat().contains("also written by node /joy"));
@@ -151,7 +151,7 @@ pub(crate) mod tests {
         assert!(found(&[stamped]).concat().ends_with("set stamped = true"));
         let odom = |ends: &[Endpoint]| problems_of_reader(ends, "/odom", Odometry::TYPE);
         let one = end("/odom", Odometry::TYPE, true, "the base");
-        assert!(odom(&[one.clone()]).is_empty());
+        assert!(odom(std::slice::from_ref(&one)).is_empty());
         assert!(odom(&[]).concat().contains("nobody writes /odom"));
         assert!(odom(&[one.clone(), one]).concat().contains("written by 2 nodes"));
         assert!(
