@@ -73,7 +73,12 @@ fn a_fault_of_a_part_that_is_not_there_is_refused() {
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
     for (name, plant, fault, said) in [
         ("arm", "parts = \"arm\"", "unplugged@1", "no cable to spoil"),
-        ("none", "kind = \"none\"\n[board]\nport = \"/dev/none\"", "joint-nan@1", "no robot that could fail"),
+        (
+            "none",
+            "kind = \"none\"\n[board]\nport = \"/dev/none\"",
+            "joint-nan@1",
+            "only a simulated robot can be made to fail",
+        ),
     ] {
         let path = folder.join(format!("inject-{name}.toml"));
         std::fs::write(&path, format!("[plant]\n{plant}\n[telemetry]\nlisten = \"\"\n")).unwrap();

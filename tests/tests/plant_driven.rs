@@ -134,8 +134,7 @@ fn an_arms_datagrams_drive_the_loop_lost_ones_are_counted_and_silence_is_a_stop(
             sample = next(&mut watched);
         }
         assert_eq!((sample.tick, sample.mode), (499, Mode::Impedance));
-        #[expect(clippy::cast_possible_truncation, reason = "the rounding under test")]
-        let rounded = robot::PANDA.home_rad.map(|q_rad| f64::from(q_rad as f32));
+        let rounded = robot::PANDA.home_rad.map(|q_rad| (q_rad * 1_048_576.0).round() / 1_048_576.0);
         assert!(rounded != robot::PANDA.home_rad && sample.q_rad == rounded, "{:?}", sample.q_rad);
         let before = sample.overruns;
 

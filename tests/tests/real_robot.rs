@@ -1,6 +1,7 @@
 //! A real robot at the loop's seam, in lock-step: it comes later than the daemon, has reflexes, loses its base, and its arm
 //! is on its own controller whenever nobody has asked for torques.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
+#![allow(clippy::float_cmp, reason = "what does not move stays equal to the bit")]
 
 use moca_daemon::config::Config;
 use moca_daemon::control::cover::{CoverSource, CoverState};

@@ -1,5 +1,6 @@
 //! References from outside: what is taken, how the robot goes there, and what is refused.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
+#![allow(clippy::float_cmp, reason = "what does not move stays equal to the bit")]
 
 use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::devices::ideal_cover::IdealCover;

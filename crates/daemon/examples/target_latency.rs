@@ -47,6 +47,7 @@ impl Plant for Standing {
         Ok(self.state)
     }
 
+    #[expect(clippy::float_cmp, reason = "a torque that is not asked to change is the same to the bit")]
     fn write(&mut self, actuation: &Actuation<JOINTS>, _ticks: u64) -> Result<(), Fault> {
         if let Actuation::Drive(command) = actuation {
             if command.arm_torque_nm == self.last {

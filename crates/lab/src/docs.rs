@@ -28,7 +28,7 @@ struct Table {
     make: fn() -> Result<String>,
 }
 
-const TABLES: [Table; 7] = [
+const TABLES: &[Table] = &[
     Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
     Table { name: "lean", file: "docs/safety.md", make: lean::markdown },
     Table { name: "detection", file: "docs/results.md", make: detection::markdown },
@@ -42,7 +42,7 @@ const TABLES: [Table; 7] = [
 #[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let chosen = |table: &&Table| arguments.only.as_deref().is_none_or(|only| only == table.name);
-    let names = || TABLES.map(|table| table.name).join(", ");
+    let names = || TABLES.iter().map(|table| table.name).collect::<Vec<_>>().join(", ");
     ensure!(TABLES.iter().any(|table| chosen(&table)), "--only: not one of {}", names());
     for table in TABLES.iter().filter(chosen) {
         let path = arguments.repository.join(table.file);

@@ -41,7 +41,7 @@ errors! {
     "joint_position_limits_violation", "A joint is beyond its range.", GUIDE_BACK;
     "cartesian_position_limits_violation", "The hand is beyond the workspace set in Desk.", GUIDE_BACK;
     "self_collision_avoidance_violation", "The arm is about to touch itself.", GUIDE_BACK;
-    "joint_velocity_violation", "A joint is too fast.", SLOWER;
+    "joint_velocity_violation", "A joint moves too fast.", SLOWER;
     "cartesian_velocity_violation", "The hand is too fast.", SLOWER;
     "force_control_safety_violation", "The force controller left its safe range.", NOT_OURS;
     "joint_reflex", "A joint met more torque than its collision threshold.", FREE;

@@ -524,7 +524,7 @@ fn the_mcap_library_alone_finds_schemas_and_messages() {
         }
     }
     for topic in ["/tf", "/joint_states", "/flange", "/flange_desired", "/cover_wrench"] {
-        assert_eq!(counts[topic], 25, "{topic}");
+        assert_eq!(counts[topic], 10, "{topic}");
     }
     assert_eq!((counts["/tf_static"], counts["/scene/robot"]), (1, 1));
     for topic in ["/state", "/command", "/cover", "/timing"] {

@@ -60,12 +60,13 @@ proptest! {
         let from_rest = steps == 0;
         // the longest way, there and back, at half the speed and with room to speed up
         let longest = 8.0 / bounds.velocity + 8.0 * (bounds.velocity / bounds.acceleration + bounds.acceleration / bounds.jerk);
-        let mut left = (longest / DT_S) as usize;
+        let mut left_s = longest;
         let mut beyond = 0.0_f64;
         while !axis.rests_at(target) {
             axis.step_to_position(target - axis.position, &bounds, DT_S);
             beyond = beyond.max((axis.position - target) * target.signum());
-            left = left.checked_sub(1).expect("it never arrives");
+            left_s -= DT_S;
+            assert!(left_s > 0.0, "it never arrives");
         }
         if from_rest {
             prop_assert!(beyond <= 1e-6 + bounds.acceleration * DT_S * DT_S, "{beyond} m beyond");

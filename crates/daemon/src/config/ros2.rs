@@ -19,7 +19,7 @@ parameter_table! {
         /// Topic of the odometry, with its namespace.
         odom: String = "/robot/robotnik_base_control/odom".into();
         /// How often the base is sent an order.
-        rate_hz: f64 = 100.0 => [.range(10.0, 1000.0).units(&["Hz"])];
+        order_rate_hz: f64 = 100.0 => [.range(10.0, 1000.0).units(&["Hz"])];
         /// Without an order of the loop for so long the base is sent zero: before its own time-out.
         silence_s: f64 = 0.05 => [.range(0.005, 1.0).units(&["s"])];
     }

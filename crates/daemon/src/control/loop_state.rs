@@ -52,6 +52,7 @@ pub(super) enum JointsState {
 
 /// What the law of the parts that the robot has remembers.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[expect(clippy::large_enum_variant, reason = "there is one in a loop, and the loop does not allocate")]
 pub(super) enum LawState<const N: usize> {
     Whole(Option<ControllerState<N>>),
     Base(BaseState),

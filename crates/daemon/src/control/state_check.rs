@@ -209,11 +209,15 @@ mod tests {
         assert_eq!(held.fault, Some(Fault::BaseStale));
         let held = held.state.unwrap();
         assert_eq!((held.base_pose_world, held.base_velocity_world), ([1.0, 2.0, 0.3], [0.0; 3]));
-        assert_eq!(held.q_rad, moving.q_rad, "the arm's part is of now");
+        assert_eq!((held.q_rad, held.dq_rad_s), (moving.q_rad, moving.dq_rad_s), "the arm's part is of now");
         moving.q_rad[1] = 0.5;
         assert_eq!(states.check(moving, old, DEADLINES, 1e-3), Checked::none(Fault::StateInvalid));
         moving.q_rad[1] = 0.02;
         let unknown = StateCheck::default().check(moving, old, DEADLINES, 1e-3).state.unwrap();
-        assert_eq!(unknown.base_pose_world, [0.0; 3], "it was never known");
+        assert_eq!(
+            (unknown.base_pose_world, unknown.base_velocity_world),
+            ([0.0; 3], [0.0; 3]),
+            "it was never known"
+        );
     }
 }

@@ -410,7 +410,8 @@ mod tests {
             age: SourceAge { arm_s: x, base_s: 2.0 * x },
             request: number.is_multiple_of(10).then_some(pressed),
             outcome: number.is_multiple_of(10).then_some(Err(Refusal::Mode(Mode::Ready))),
-            link: (number / 30 % 3 > 0).then(|| ArmLink { lost: number / 40, ..ArmLink::default() }),
+            link: (!(number / 30).is_multiple_of(3))
+                .then(|| ArmLink { lost: number / 40, ..ArmLink::default() }),
             refused: (number == 17).then_some(Fault::PlantLost),
             cover_events: number / 4,
         };

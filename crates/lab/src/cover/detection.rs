@@ -106,11 +106,12 @@ fn frames_to_alarm(test: Test, noise_counts: f64, rest: f64, off: f64, deviation
         let most = (rest + off - CONTACT_ON_COUNTS).floor() + 0.5;
         return 1.0 / below((most - rest) / noise_counts);
     }
-    let width = ALARM / as_f64(STATES);
+    let per_cell = as_f64(STATES) / ALARM;
     let deviation = deviation.max(LEAST_DEVIATION);
     let mut rows = vec![vec![0.0; STATES + 2]; STATES + 1];
     for (state, row) in rows.iter_mut().enumerate() {
-        let sum = if state == 0 { 0.0 } else { (as_f64(state) - 0.5) * width };
+        // a cell's middle: sums of whole counts over a whole deviation are then what they are, at the alarm too
+        let sum = as_f64(state) / per_cell;
         row[state] += 1.0;
         row[STATES + 1] = 1.0;
         for (drop, share) in &drops {
@@ -121,7 +122,7 @@ fn frames_to_alarm(test: Test, noise_counts: f64, rest: f64, off: f64, deviation
                     clippy::cast_sign_loss,
                     reason = "within the range"
                 )]
-                let next = (next.max(0.0) / width).ceil() as usize;
+                let next = (next.max(0.0) * per_cell).round() as usize;
                 row[next.min(STATES)] -= share;
             }
         }

@@ -23,7 +23,7 @@ const ZSTD_LEVEL: i32 = 3;
 /// writer.finish()?;
 /// let mut log = LogFile::over(std::io::Cursor::new(bytes), "in memory".as_ref())?;
 /// let sizes = log.sizes(&mut |_part| {})?;
-/// assert!(sizes.display > 0 && sizes.replay == 0);
+/// assert!(sizes.display > 10 * sizes.replay, "a replay that is not written costs the name of its channel");
 /// assert!(sizes.gigabytes_per_hour(sizes.file) > sizes.gigabytes_per_hour(sizes.display));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```

@@ -30,9 +30,9 @@ pub(super) const FORM: &str = "moca-s/2";
 const CHUNK_NS: u64 = 500_000_000;
 /// Bytes after which a chunk ends all the same.
 const CHUNK_BYTES: u64 = 4 << 20;
-/// How often a sample is written for viewers: its numbers at 50 Hz, where everything is at 25 Hz. At 50 Hz transforms and
+/// How often a sample is written for viewers: its numbers at 50 Hz, where everything is at 10 Hz. At 50 Hz transforms and
 /// joints would be as large as all numbers together.
-const PERIODS: Periods = Periods { numbers_ns: 20_000_000, poses_ns: 40_000_000 };
+const PERIODS: Periods = Periods { numbers_ns: 20_000_000, poses_ns: 100_000_000 };
 /// Name of the overview among a log's attachments.
 pub(super) const OVERVIEW: &str = "overview.json";
 /// Name of the robot's URDF among them.

@@ -43,7 +43,6 @@ pub(super) struct Lead<const N: usize, T> {
     derive(serde::Serialize, serde::Deserialize),
     serde(bound = "T: crate::Scalar")
 )]
-#[expect(clippy::large_enum_variant, reason = "there is one for each robot, and nothing may allocate")]
 pub(super) enum Way<const N: usize, T> {
     Tool {
         generator: PoseGenerator<T>,

@@ -6,7 +6,7 @@
 //! // eq. (2) from rest under 8 N for 0.1 s: with M_v = 4 kg and D_v = 80 N·s/m the speed goes to 0.1 (1 − e⁻²) m/s
 //! let after = 0.1 * (1.0 - (-2.0_f64).exp());
 //! let step = Step { mass: 4.0, damping: 80.0, dt: 0.1, velocity: 0.0, force: 8.0, after };
-//! assert!((admitted::<f64>(&step) - after).abs() < 1e-15);
+//! assert!(admitted::<f64>(&step) < 1e-15, "the error");
 //! ```
 
 use crate::opspace::{ArmDynamics, BlockWeight, TaskDynamics, WholeBodyForce};

@@ -45,8 +45,11 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, pres
         {
             ui.selectable_value(axes, choice, name);
         }
+        // In a row of its own: it is drawn before its width is known, and does not go to the next row by itself.
+        ui.end_row();
         let slider = Slider::new(speed, 0.01..=SPEED_MAX_M_S).suffix(" m/s").fixed_decimals(2);
         ui.add(slider).labelled_by(label.id).on_hover_text("Speed; 4 rad for each metre");
+        ui.end_row();
         for (name, element, sign) in BUTTONS {
             let button = Button::new(name).sense(Sense::click_and_drag());
             let button = ui.add_enabled(possible, button).on_hover_text(hint);
