@@ -85,7 +85,7 @@ fn seconds(text: &str) -> Result<Duration, String> {
 /// Carries out one command.
 ///
 /// # Errors
-/// No daemon or no answer; [`Refused`] with the reason; [`Stopped`] if the robot stopped meanwhile.
+/// No daemon or no answer; refused, with the reason; stopped, if the robot stopped meanwhile.
 pub fn run(command: &Command) -> Result<()> {
     match command {
         Command::Tare(arguments) => tare(&Operator::connect(arguments)?),

@@ -81,7 +81,7 @@ pub trait Simulated {
     /// Presses a taxel (0 is T1) with a steady force, N.
     ///
     /// # Errors
-    /// [`Refusal::OutOfRange`](moca_msgs::Refusal::OutOfRange) for a taxel or force that does not exist.
+    /// [`Refusal::OutOfRange`] for a taxel or force that does not exist.
     fn press(&mut self, taxel: usize, force_n: f64) -> Outcome;
 }
 

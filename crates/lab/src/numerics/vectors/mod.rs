@@ -11,7 +11,7 @@ pub(crate) struct Arguments {
     file: PathBuf,
 }
 
-/// Errs if any quantity is off by more than [`reference_file::TOLERANCE`].
+/// Errs if any quantity is off by more than [`moca_wbc::testing::reference_file::TOLERANCE`].
 #[expect(clippy::print_stdout, reason = "the answer of a command")]
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let errors = errors_of(&arguments.file)?;
