@@ -472,8 +472,11 @@ fn a_base_that_is_pushed_towards_its_bare_rear_stops_after_a_tenth_of_a_metre() 
     }
 }
 
+/// Force on a leg from which on the base does not give way any more, N.
+const STANDS_N: f64 = 50.0;
+
 /// Largest force of a leg that walks on into `taxel` for a quarter of a metre after it has touched the standing robot, N,
-/// and how far back that has taken the base, m.
+/// and how far back that has taken the base, m: before it stood in the way, where a leg that nothing slows down pushes it.
 fn walked_into(config: &Config, firmware: Firmware, taxel: usize, walk_m_s: f64) -> (f64, f64) {
     let person = Person {
         walk_m_s,
@@ -493,7 +496,9 @@ fn walked_into(config: &Config, firmware: Firmware, taxel: usize, walk_m_s: f64)
         let force_n = world.control.plant.world.contact_largest_true_n();
         walked_m += if walked_m > 0.0 || force_n > 0.0 { 1e-3 * walk_m_s } else { 0.0 };
         peak_n = peak_n.max(force_n);
-        back_m = -sample.base_pose_world[0];
+        if peak_n < STANDS_N {
+            back_m = -sample.base_pose_world[0];
+        }
     }
     (peak_n, back_m)
 }
@@ -519,7 +524,7 @@ fn who_walks_on_into_the_front_is_given_room_beyond_the_tenth_of_a_metre() {
     // the room ends as well, and without it the base stands in the way
     config.protection.uncovered_room_m = 0.2;
     let (_, back_m) = walked_into(&config, Firmware::Moca, FRONT, 0.12);
-    assert!(back_m > 0.195 && back_m < 0.21, "{back_m} m");
+    assert!(back_m > 0.19 && back_m < 0.201, "{back_m} m");
     config.protection.uncovered_room_m = 0.0;
     let (peak_n, back_m) = walked_into(&config, Firmware::Moca, FRONT, 0.12);
     assert!(peak_n > 100.0 && back_m < 0.11, "{peak_n} N, {back_m} m: nothing needs the room");
