@@ -15,11 +15,10 @@ use std::io::BufWriter;
 use std::path::PathBuf;
 use std::process::Command;
 
-/// What viewers read of a log may cost, GB for each hour: 0.1 without the messages for other people's viewers, which were 0.05 to
-/// 0.07 of it when this was measured.
-const DISPLAY_GB_H: f64 = 0.14;
-/// What a log may cost that also holds the boards' bytes and every bit of what each tick was given: 0.4 without those messages.
-const ALL_GB_H: f64 = 0.5;
+/// What viewers read of a log may cost, GB for each hour.
+const DISPLAY_GB_H: f64 = 0.1;
+/// What a log may cost that also holds the boards' bytes and every bit of what each tick was given.
+const ALL_GB_H: f64 = 0.4;
 /// Noise of a measured joint angle, rad, and of what else is measured, in its unit.
 const NOISE: (f64, f64) = (1e-5, 1e-3);
 

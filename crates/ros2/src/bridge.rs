@@ -26,7 +26,8 @@ const STEP: Duration = Duration::from_millis(2);
 /// Forces and wrenches are sent at most so often, ns of loop time.
 const NUMBERS_NS: u64 = 10_000_000;
 /// So often is shown what every viewer is shown.
-const PERIODS: Periods = Periods { numbers_ns: DIAGNOSTICS_NS, poses_ns: NUMBERS_NS };
+const PERIODS: Periods =
+    Periods { numbers_ns: DIAGNOSTICS_NS, poses_ns: NUMBERS_NS, fixed_ns: 1_000_000_000 };
 /// Diagnostics are sent so often, ns of loop time.
 const DIAGNOSTICS_NS: u64 = 1_000_000_000;
 /// Topics whose names ROS tools expect; all others are under the prefix.

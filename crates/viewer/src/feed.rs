@@ -123,7 +123,8 @@ impl<'a> Shown<'a> {
         period_ns: u64,
         hub: &'a Hub,
     ) -> Result<Self, LogError> {
-        let periods = Periods { numbers_ns: period_ns, poses_ns: POSES_NS.max(period_ns) };
+        let periods =
+            Periods { numbers_ns: period_ns, poses_ns: POSES_NS.max(period_ns), fixed_ns: REPEAT_NS };
         let display = Display::new(robot, start_unix_ns, periods);
         let mut to = ToHub { hub, start_unix_ns, cdr: Cdr::default(), keeps: true };
         display.begin(&mut to)?;

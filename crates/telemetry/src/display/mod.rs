@@ -42,8 +42,6 @@ const URDF: &str = "/robot_description";
 
 /// A touch is drawn at most so often, ns.
 const TOUCH_PERIOD_NS: u64 = 40_000_000;
-/// What does not change is said again, for a viewer that came later, ns.
-const REPEAT_NS: u64 = 1_000_000_000;
 
 /// Where messages go.
 pub trait Sink {
@@ -68,6 +66,8 @@ pub struct Periods {
     pub numbers_ns: u64,
     /// Transforms, poses, joints, the cover's wrench.
     pub poses_ns: u64,
+    /// What does not change: again for a viewer that came later.
+    pub fixed_ns: u64,
 }
 
 /// What changes now and then: mode, fault with the board that it is of, and what is known of the board.
@@ -193,7 +193,7 @@ impl Display {
     /// What a three-dimensional view needs.
     fn scene(&mut self, sample: &Sample, to: &mut impl Sink) -> Result<(), LogError> {
         let (time_ns, at) = (sample.time_ns, self.stamp(sample.time_ns));
-        let repeat = is_due(&mut self.next_repeat_ns, time_ns, REPEAT_NS);
+        let repeat = is_due(&mut self.next_repeat_ns, time_ns, self.periods.fixed_ns);
         if repeat {
             to.message(TF_STATIC, time_ns, &frames::fixed(&self.robot, &at))?;
             to.message(BODIES, time_ns, &scene::bodies(&self.robot, &at))?;

@@ -31,8 +31,8 @@ const CHUNK_NS: u64 = 500_000_000;
 /// Bytes after which a chunk ends all the same.
 const CHUNK_BYTES: u64 = 4 << 20;
 /// How often a sample is written for viewers: its numbers at 50 Hz, where everything is at 10 Hz. At 50 Hz transforms and
-/// joints would be as large as all numbers together.
-const PERIODS: Periods = Periods { numbers_ns: 20_000_000, poses_ns: 100_000_000 };
+/// joints would be as large as all numbers together. Whoever seeks in a file finds the last of each message before that time.
+const PERIODS: Periods = Periods { numbers_ns: 20_000_000, poses_ns: 100_000_000, fixed_ns: 600_000_000_000 };
 /// Name of the overview among a log's attachments.
 pub(super) const OVERVIEW: &str = "overview.json";
 /// Name of the robot's URDF among them.
