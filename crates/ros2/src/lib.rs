@@ -21,7 +21,6 @@ pub mod bridge;
 pub mod cdr;
 #[cfg(feature = "dds")]
 pub mod dds;
-pub mod latest;
 pub mod messages;
 pub mod outputs;
 pub mod transport;

@@ -3,7 +3,6 @@
 use super::odometry::{BaseReading, OdometryJudge, Refused};
 use super::order::OrderWatch;
 use crate::cdr;
-use crate::latest::Latest;
 use crate::messages::{Header, Message, Odometry, Time, Twist, TwistStamped, Vector3};
 use crate::transport::{
     Qos, ReaderId, Transport, TransportError, WriterId, problems_of_reader, problems_of_writer,
@@ -12,6 +11,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use triple_buffer::{Input, Output, triple_buffer};
 
 /// How often it is asked who else is on the topics, ns.
 const LOOK_AROUND_NS: u64 = 1_000_000_000;
@@ -54,12 +54,16 @@ pub struct BaseCounts {
     pub silences: AtomicU64,
 }
 
+/// What the loop orders.
+#[derive(Clone, Copy, Debug)]
+struct Order {
+    /// When, ns since the start.
+    ordered_ns: u64,
+    velocity_body: [f64; 3],
+}
+
 #[derive(Debug, Default)]
 struct Shared {
-    /// measured_ns, pose, velocity.
-    reading: Latest<{ 1 + 3 + 3 }>,
-    /// ordered_ns, velocity.
-    order: Latest<{ 1 + 3 }>,
     stop: AtomicBool,
     counts: BaseCounts,
     problems: Mutex<Vec<String>>,
@@ -69,7 +73,8 @@ struct Shared {
 pub struct Ros2Base {
     shared: Arc<Shared>,
     start: Instant,
-    last: Option<BaseReading>,
+    readings: Output<Option<BaseReading>>,
+    orders: Input<Option<Order>>,
     deadline_ns: u64,
     thread: Option<JoinHandle<()>>,
 }
@@ -96,7 +101,9 @@ impl Ros2Base {
     ) -> Result<Self, TransportError> {
         let (start, shared) = (Instant::now(), Arc::new(Shared::default()));
         let deadline_ns = ns(settings.deadline_s);
-        let mut worker = Worker::new(transport.as_mut(), settings)?;
+        let (to_loop, readings) = triple_buffer(&None);
+        let (orders, from_loop) = triple_buffer(&None);
+        let mut worker = Worker::new(transport.as_mut(), settings, to_loop, from_loop)?;
         let in_thread = Arc::clone(&shared);
         let serve = move || {
             while !in_thread.stop.load(Ordering::Acquire) {
@@ -108,26 +115,20 @@ impl Ros2Base {
         };
         let thread = std::thread::Builder::new().name("ros2-base".into()).spawn(serve);
         let thread = thread.map_err(|error| TransportError(format!("no thread for the base: {error}")))?;
-        Ok(Self { shared, start, last: None, deadline_ns, thread: Some(thread) })
+        Ok(Self { shared, start, readings, orders, deadline_ns, thread: Some(thread) })
     }
 
     /// The base now; `None` before the first odometry. Never waits.
     pub fn state(&mut self) -> Option<BaseState> {
-        if let Some((_, words)) = self.shared.reading.read() {
-            let [measured_ns, rest @ ..] = words;
-            let [x, y, yaw, vx, vy, rate] = rest.map(f64::from_bits);
-            self.last =
-                Some(BaseReading { measured_ns, pose_world: [x, y, yaw], velocity_body: [vx, vy, rate] });
-        }
-        let (reading, now_ns) = (self.last?, since(self.start));
+        let reading = (*self.readings.read())?;
+        let now_ns = since(self.start);
         let (pose_world, velocity_world) = reading.predicted(now_ns, self.deadline_ns);
         Some(BaseState { pose_world, velocity_world, age_s: reading.age_s(now_ns) })
     }
 
     /// Orders a velocity in the axes of B: m/s, m/s, rad/s. Never waits.
-    pub fn order(&self, velocity_body: [f64; 3]) {
-        let [x, y, yaw] = velocity_body.map(f64::to_bits);
-        self.shared.order.write([since(self.start), x, y, yaw]);
+    pub fn order(&mut self, velocity_body: [f64; 3]) {
+        self.orders.write(Some(Order { ordered_ns: since(self.start), velocity_body }));
     }
 
     /// What happened so far.
@@ -156,21 +157,27 @@ struct Worker {
     settings: BaseSettings,
     cmd_vel: WriterId,
     odom: ReaderId,
+    readings: Input<Option<BaseReading>>,
+    ordered: Output<Option<Order>>,
     orders: OrderWatch,
     judge: OdometryJudge,
-    taken: u64,
     look_ns: u64,
     said: Option<Refused>,
 }
 
 impl Worker {
-    fn new(transport: &mut dyn Transport, settings: BaseSettings) -> Result<Self, TransportError> {
+    fn new(
+        transport: &mut dyn Transport,
+        settings: BaseSettings,
+        readings: Input<Option<BaseReading>>,
+        ordered: Output<Option<Order>>,
+    ) -> Result<Self, TransportError> {
         let of = if settings.stamped { TwistStamped::TYPE } else { Twist::TYPE };
         let cmd_vel = transport.writer(&settings.cmd_vel, of, Qos::Reliable)?;
         let odom = transport.reader(&settings.odom, Odometry::TYPE, Qos::BestEffort)?;
         let orders = OrderWatch::new(ns(1.0 / settings.rate_hz), ns(settings.silence_s));
         let judge = OdometryJudge::new(ns(settings.deadline_s), settings.velocity_max);
-        Ok(Self { settings, cmd_vel, odom, orders, judge, taken: 0, look_ns: 0, said: None })
+        Ok(Self { settings, cmd_vel, odom, readings, ordered, orders, judge, look_ns: 0, said: None })
     }
 
     /// Passes on what has come and sends what is due; says when to come again, ns.
@@ -178,11 +185,10 @@ impl Worker {
         while let Some(payload) = transport.take(self.odom) {
             self.odometry(&payload, shared, now_ns);
         }
-        if let Some((count, [ordered_ns, velocity @ ..])) = shared.order.read()
-            && count != self.taken
+        if self.ordered.update()
+            && let Some(order) = *self.ordered.output_buffer()
         {
-            self.taken = count;
-            self.orders.order(ordered_ns, velocity.map(f64::from_bits));
+            self.orders.order(order.ordered_ns, order.velocity_body);
         }
         if let Some(velocity_body) = self.orders.due(now_ns) {
             self.send(transport, &shared.counts, velocity_body, unix_ns);
@@ -202,9 +208,8 @@ impl Worker {
             return;
         };
         match self.judge.judge(&message, now_ns) {
-            Ok(BaseReading { measured_ns, pose_world: [x, y, yaw], velocity_body: [vx, vy, rate] }) => {
-                let [x, y, yaw, vx, vy, rate] = [x, y, yaw, vx, vy, rate].map(f64::to_bits);
-                shared.reading.write([measured_ns, x, y, yaw, vx, vy, rate]);
+            Ok(reading) => {
+                self.readings.write(Some(reading));
                 shared.counts.odometry.fetch_add(1, Ordering::Relaxed);
             }
             Err(refused) => {
@@ -278,9 +283,14 @@ mod tests {
         }
     }
 
-    fn order(shared: &Shared, now_ns: u64, velocity: [f64; 3]) {
-        let [x, y, yaw] = velocity.map(f64::to_bits);
-        shared.order.write([now_ns, x, y, yaw]);
+    /// A worker on `memory`, and the loop's ends of what it hands on.
+    fn worker(
+        memory: &mut Memory,
+        stamped: bool,
+    ) -> (Worker, Output<Option<BaseReading>>, Input<Option<Order>>) {
+        let (to_loop, readings) = triple_buffer(&None);
+        let (orders, from_loop) = triple_buffer(&None);
+        (Worker::new(memory, settings(stamped), to_loop, from_loop).unwrap(), readings, orders)
     }
 
     fn odometry(stamp_ns: u64, x: f64) -> Vec<u8> {
@@ -294,10 +304,10 @@ mod tests {
     /// One step a millisecond; the loop orders 0.3 m/s every millisecond while `orders` says so.
     fn run(stamped: bool, ms: u64, orders: impl Fn(u64) -> bool) -> (Memory, Shared) {
         let (mut memory, shared) = (Memory::default(), Shared::default());
-        let mut worker = Worker::new(&mut memory, settings(stamped)).unwrap();
+        let (mut worker, _readings, mut order) = worker(&mut memory, stamped);
         for now_ns in (0..ms).map(|ms| ms * MS) {
             if orders(now_ns / MS) {
-                order(&shared, now_ns, [0.3, 0.0, -0.1]);
+                order.write(Some(Order { ordered_ns: now_ns, velocity_body: [0.3, 0.0, -0.1] }));
             }
             worker.step(&mut memory, &shared, now_ns, UNIX_NS + now_ns);
         }
@@ -334,18 +344,18 @@ mod tests {
     #[test]
     fn odometry_that_is_refused_or_garbled_is_counted_and_changes_nothing() {
         let (mut memory, shared) = (Memory::default(), Shared::default());
-        let mut worker = Worker::new(&mut memory, settings(false)).unwrap();
+        let (mut worker, mut readings, _orders) = worker(&mut memory, false);
         let mut come = |memory: &mut Memory, now_ns, payload| {
             memory.unread[0].1.push_back(payload);
             worker.step(memory, &shared, now_ns, UNIX_NS + now_ns);
         };
         come(&mut memory, 20 * MS, odometry(20 * MS, 0.0));
-        let seen = shared.reading.read();
+        let seen = *readings.read();
         assert!(seen.is_some());
         come(&mut memory, 40 * MS, odometry(40 * MS, f64::NAN));
         come(&mut memory, 60 * MS, odometry(60 * MS, 0.0)[..100].to_vec());
         come(&mut memory, 900 * MS, odometry(80 * MS, 0.0));
-        assert_eq!(shared.reading.read(), seen);
+        assert_eq!(*readings.read(), seen);
         let counts = &shared.counts;
         let [used, garbled, refused] =
             [&counts.odometry, &counts.garbled, &counts.refused].map(|count| count.load(Ordering::Relaxed));
@@ -360,7 +370,7 @@ mod tests {
             end("/cmd_vel", Twist::TYPE, true, "pad_teleop"),
             end("/odom", Odometry::TYPE, true, "the base"),
         ];
-        let mut worker = Worker::new(&mut memory, settings(false)).unwrap();
+        let (mut worker, _readings, _orders) = worker(&mut memory, false);
         worker.step(&mut memory, &shared, 0, UNIX_NS);
         let problems = shared.problems.lock().unwrap().clone();
         assert!(problems.len() == 1 && problems[0].contains("pad_teleop"), "{problems:?}");
