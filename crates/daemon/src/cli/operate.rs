@@ -1,17 +1,16 @@
 //! `mocad tare | arm | disarm | stop | resume | law | status | watch | target`: a running robot without a screen.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
-use crate::cli::operator::{Arguments, Operator, Stopped};
+use crate::cli::operator::{Arguments, Operator, Stopped, interrupted};
 use crate::cli::remote::{LOOK_EVERY, news, settled};
 use crate::cli::report::{Level, Report};
 use crate::cli::status::Status;
 use crate::cli::target::{self, TargetArguments};
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use moca_msgs::{Law, Mode, Request, Sample, TaxelStatus};
 use moca_telemetry::net::{Commander, Link, Update};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 /// What an operator may want of a running daemon.
@@ -133,9 +132,7 @@ fn tared(before: &Sample, after: &Sample) -> bool {
 
 /// Arms and stays: a robot that moves has somebody who watches over it.
 fn arm(arguments: &ArmArguments) -> Result<()> {
-    let ended = Arc::new(AtomicBool::new(false));
-    let on_signal = Arc::clone(&ended);
-    ctrlc::set_handler(move || on_signal.store(true, Ordering::Relaxed)).context("Ctrl-C handler")?;
+    let ended = interrupted()?;
     let operator = Operator::connect(&arguments.common)?;
     if let Some(law) = arguments.law {
         operator.ask(Request::SelectLaw(law.into()))?;
@@ -148,25 +145,12 @@ fn arm(arguments: &ArmArguments) -> Result<()> {
     let mut lines = Lines::new(&operator);
     let mut armed = false;
     while !ended.load(Ordering::Relaxed) && until.is_none_or(|until| Instant::now() < until) {
-        operator.connection().alive();
-        let update = operator.connection().poll();
-        if let Link::Down { reason } = &update.link {
-            return Err(
-                Stopped::new(format!("the daemon hung up ({reason}), and its commander is gone")).into()
-            );
-        }
+        let update = operator.stay()?;
         lines.print(&update);
-        for sample in &update.samples {
-            armed |= sample.mode.moves();
-            if matches!(sample.mode, Mode::ProtectiveStop | Mode::Fault) {
-                operator.connection().release();
-                return Err(Stopped::because(sample).into());
-            }
-        }
+        operator.leave_if_stopped(&update)?;
+        armed |= update.samples.iter().any(|sample| sample.mode.moves());
         if armed && update.status.commander != Commander::You {
-            return Err(
-                Stopped::new("this program was silent for too long and has lost the command".into()).into()
-            );
+            return Err(Stopped::new("this program was silent for too long and has lost the command").into());
         }
         std::thread::sleep(LOOK_EVERY);
     }

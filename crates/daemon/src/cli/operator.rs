@@ -6,8 +6,10 @@ use crate::cli::status::{Robot, Status};
 use anyhow::{Context, Result};
 use clap::Args;
 use moca_msgs::{Mode, Request, Sample};
-use moca_telemetry::net::{Connection, Update};
+use moca_telemetry::net::{Connection, Link, Update};
 use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Which daemon, and how its answer is written.
 #[derive(Args)]
@@ -32,13 +34,24 @@ impl fmt::Display for Stopped {
 impl std::error::Error for Stopped {}
 
 impl Stopped {
-    pub(super) fn new(why: String) -> Self {
-        Self(why)
+    pub(super) fn new(why: impl Into<String>) -> Self {
+        Self(why.into())
     }
 
     pub(super) fn because(sample: &Sample) -> Self {
         Self(sample.fault.map_or_else(|| sample.mode.name().into(), |fault| fault.to_string()))
     }
+}
+
+/// Set once somebody has pressed Ctrl-C.
+///
+/// # Errors
+/// The handler is not accepted.
+pub(super) fn interrupted() -> Result<Arc<AtomicBool>> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let on_signal = Arc::clone(&interrupted);
+    ctrlc::set_handler(move || on_signal.store(true, Ordering::Relaxed)).context("Ctrl-C handler")?;
+    Ok(interrupted)
 }
 
 /// A connection, and how what comes over it is written.
@@ -83,6 +96,33 @@ impl Operator {
         let update = news(&self.connection, carried_out).or_else(|_| news(&self.connection, |_| true))?;
         self.print(&update);
         Ok(())
+    }
+
+    /// Shows that somebody is there; what has come meanwhile.
+    ///
+    /// # Errors
+    /// [`Stopped`]: the daemon is gone, and with it whoever commands.
+    pub(super) fn stay(&self) -> Result<Update> {
+        self.connection.alive();
+        let update = self.connection.poll();
+        match &update.link {
+            Link::Down { reason } => {
+                let why = format!("the daemon hung up ({reason}), and its commander is gone");
+                Err(Stopped::new(why).into())
+            }
+            _ => Ok(update),
+        }
+    }
+
+    /// Gives the command back if the robot has stopped.
+    ///
+    /// # Errors
+    /// [`Stopped`], with the cause.
+    pub(super) fn leave_if_stopped(&self, update: &Update) -> Result<()> {
+        let stops = |sample: &&Sample| matches!(sample.mode, Mode::ProtectiveStop | Mode::Fault);
+        let Some(sample) = update.samples.iter().find(stops) else { return Ok(()) };
+        self.connection.release();
+        Err(Stopped::because(sample).into())
     }
 
     pub(super) fn ask(&self, request: Request) -> Result<()> {

@@ -1,18 +1,17 @@
 //! `mocad target pose | twist | posture | base | trajectory`: leads flange, arm or base of a running robot.
 
-use crate::cli::operator::{Arguments, Operator, Stopped};
+use crate::cli::operator::{Arguments, Operator, Stopped, interrupted};
 use crate::cli::remote::{LOOK_EVERY, Refused, news};
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Args, Subcommand, ValueEnum};
 use moca_msgs::target::TargetPhase;
 use moca_msgs::{
-    Mode, Outcome, ParameterValues, Request, Sample, Target, TargetState, TimedTarget, TouchPolicy,
-    TwistAxes, Waypoint,
+    Outcome, ParameterValues, Request, Sample, Target, TargetState, TimedTarget, TouchPolicy, TwistAxes,
+    Waypoint,
 };
+use moca_telemetry::net::Update;
 use moca_telemetry::net::wire::unix_now_ns;
-use moca_telemetry::net::{Link, Update};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -121,9 +120,7 @@ enum Wanted {
 /// # Errors
 /// As for the other commands; [`Stopped`] if the robot stopped, [`Refused`] if the target was, or a touch ended it.
 pub fn run(arguments: &TargetArguments) -> Result<()> {
-    let ended = Arc::new(AtomicBool::new(false));
-    let on_signal = Arc::clone(&ended);
-    ctrlc::set_handler(move || on_signal.store(true, Ordering::Relaxed)).context("Ctrl-C handler")?;
+    let ended = interrupted()?;
     let how = arguments.target.how();
     let operator = Operator::connect(&how.common)?;
     let wanted = arguments.target.wanted(&operator)?;
@@ -206,25 +203,14 @@ fn lead(operator: &Operator, wanted: &Wanted, touch: TouchPolicy, ended: &Atomic
             connection.request(Request::Target(target));
             sent = Some(Instant::now());
         }
-        connection.alive();
-        let update = connection.poll();
-        if let Link::Down { reason } = &update.link {
-            return Err(
-                Stopped::new(format!("the daemon hung up ({reason}), and its commander is gone")).into()
-            );
-        }
+        let update = operator.stay()?;
         for outcome in answers(&update) {
             match outcome {
                 Ok(()) => accepted = true,
                 Err(refusal) => return Err(Refused(refusal.to_string()).into()),
             }
         }
-        for sample in &update.samples {
-            if matches!(sample.mode, Mode::ProtectiveStop | Mode::Fault) {
-                connection.release();
-                return Err(Stopped::because(sample).into());
-            }
-        }
+        operator.leave_if_stopped(&update)?;
         let state = update.samples.last().filter(|_| accepted).and_then(|sample| sample.target);
         let over = match wanted {
             Wanted::Target(_, Some(duration)) => begun.elapsed() >= *duration,
