@@ -82,7 +82,7 @@ impl Recorder {
         let path = path.to_owned();
         let parts = move |number| {
             let path = part_path(&path, number);
-            let file = File::create_new(&path).map_err(|source| LogError::Create { path, source })?;
+            let file = File::create_new(&path).map_err(|cause| LogError::Create { path, cause })?;
             Ok(BufWriter::new(Box::new(file) as Box<dyn Write + Send>))
         };
         Self::start_parts(Box::new(parts), meta, samples, options)
@@ -134,7 +134,7 @@ impl Recorder {
                 let finished = end.and_then(|()| writer.finish(thread_dropped.load(Ordering::Relaxed)));
                 if let Err(error) = &finished {
                     // Set once, here.
-                    let _ = thread_failure.set(with_causes(error));
+                    let _ = thread_failure.set(error.to_string());
                 }
                 finished
             })
@@ -189,15 +189,6 @@ impl Recorder {
         self.stop.store(true, Ordering::Release);
         self.thread.join().map_err(|_| LogError::Panicked)?
     }
-}
-
-/// An error with what lies beneath it: a full disk hides under the compressor.
-fn with_causes(error: &dyn std::error::Error) -> String {
-    let causes = std::iter::successors(error.source(), |cause| cause.source());
-    causes.fold(error.to_string(), |text, cause| match cause.to_string() {
-        cause if text.ends_with(&cause) => text,
-        cause => format!("{text}: {cause}"),
-    })
 }
 
 /// What the recorder's thread works on.
