@@ -227,7 +227,11 @@ fn flags(tick: &ComparedTick) -> u64 {
 }
 
 /// The nearest whole ns, 0 of what has none.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates, and the same each time")]
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "saturates, and the same each time"
+)]
 fn whole_ns(time_s: f64) -> u64 {
     (time_s * 1e9).round() as u64
 }

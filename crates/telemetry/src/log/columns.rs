@@ -2,7 +2,7 @@
 //!
 //! A measured quantity changes little from tick to tick, so a column stores how many representable numbers lie between
 //! each value and what its predecessors predict: the high bytes of these distances are zero. They are stored plane by
-//! plane, highest bytes first, so that zeros lie beside zeros. Numbers that are all multiples of one power of two, as a
+//! plane, highest bytes first, without the planes that are all zero, so that small bytes lie beside small ones. Numbers that are all multiples of one power of two, as a
 //! rounded measurement is, or whole nanoseconds in seconds, are counted in it: near zero, where doubles lie close, the
 //! distances stay small.
 //!
@@ -19,7 +19,7 @@
 //! ```
 
 /// Most values of one column; a reader refuses more.
-const MAX_ROWS: usize = 1 << 16;
+const MAX_ROWS: usize = 1 << 12;
 
 /// How a value is predicted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -220,7 +220,7 @@ impl ColumnWriter {
         self.cheapest(values.len(), doubles.chain(on_grid));
     }
 
-    /// A column in that of its forms whose distances have the fewest bits: form, then distances plane by plane.
+    /// A column in that of its forms whose distances have the fewest bits: form, number of planes, then those planes.
     fn cheapest(&mut self, rows: usize, forms: impl Iterator<Item = (Vec<u8>, Vec<u64>)>) {
         let bits = |distances: &Vec<u64>| -> u64 {
             distances.iter().map(|distance| u64::from(u64::BITS - distance.leading_zeros())).sum()
@@ -229,7 +229,10 @@ impl ColumnWriter {
         let (form, distances) = best.unwrap_or((vec![Guess::Same as u8], Vec::new()));
         self.count(rows as u64);
         self.bytes.extend(form);
-        for plane in 0..8 {
+        let widest = distances.iter().fold(0, |all, distance| all | distance);
+        let unused = widest.leading_zeros() as usize / 8;
+        self.bytes.push((8 - unused).to_le_bytes()[0]);
+        for plane in unused..8 {
             self.bytes.extend(distances.iter().map(|distance| distance.to_be_bytes()[plane]));
         }
     }
@@ -275,11 +278,12 @@ impl<'a> ColumnReader<'a> {
     /// The next column of integers.
     ///
     /// # Errors
-    /// Damage; no length in the bytes makes this allocate more than a few times their size.
+    /// Damage; no length in the bytes makes this allocate more than a few times their size, or 32 KiB.
     pub fn integers(&mut self) -> Result<Vec<u64>, DamagedColumns> {
-        let rows = self.rows(8)?;
+        let rows = self.rows()?;
         let form = *self.take(1)?.first().ok_or(DamagedColumns)?;
-        let guess = Guess::OF_INTEGERS.into_iter().find(|known| *known as u8 == form).ok_or(DamagedColumns)?;
+        let guess =
+            Guess::OF_INTEGERS.into_iter().find(|known| *known as u8 == form).ok_or(DamagedColumns)?;
         Ok(self.counts(rows, guess)?.into_iter().map(i64::cast_unsigned).collect())
     }
 
@@ -296,7 +300,7 @@ impl<'a> ColumnReader<'a> {
     /// # Errors
     /// As for [`Self::integers`].
     pub fn numbers(&mut self, rate: Option<Rate<'_>>) -> Result<Vec<f64>, DamagedColumns> {
-        let rows = self.rows(8)?;
+        let rows = self.rows()?;
         let form = *self.take(1)?.first().ok_or(DamagedColumns)?;
         let guess =
             Guess::ALL.into_iter().find(|known| *known as u8 == form & !GRID).ok_or(DamagedColumns)?;
@@ -316,9 +320,12 @@ impl<'a> ColumnReader<'a> {
 
     /// Distances from what was foretold, out of their planes.
     fn distances(&mut self, rows: usize) -> Result<impl Iterator<Item = u64> + use<'a>, DamagedColumns> {
-        let planes = self.take(8 * rows)?;
-        let distance = move |row: usize| std::array::from_fn(|plane| planes[plane * rows + row]);
-        Ok((0..rows).map(move |row| unzigzag(u64::from_be_bytes(distance(row)))))
+        let used = usize::from(*self.take(1)?.first().filter(|used| **used <= 8).ok_or(DamagedColumns)?);
+        let planes = self.take(used * rows)?;
+        let distance = move |row: usize| {
+            (0..used).fold(0, |high: u64, plane| high << 8 | u64::from(planes[plane * rows + row]))
+        };
+        Ok((0..rows).map(move |row| unzigzag(distance(row))))
     }
 
     /// The next bytes.
@@ -330,10 +337,10 @@ impl<'a> ColumnReader<'a> {
         self.take(length)
     }
 
-    /// A number of rows, each of at least so many bytes, that these bytes can hold.
-    fn rows(&mut self, bytes_each: usize) -> Result<usize, DamagedColumns> {
+    /// A number of rows that a column may have.
+    fn rows(&mut self) -> Result<usize, DamagedColumns> {
         let rows = usize::try_from(self.count()?).map_err(|_| DamagedColumns)?;
-        if rows > MAX_ROWS || rows * bytes_each > self.bytes.len() { Err(DamagedColumns) } else { Ok(rows) }
+        if rows > MAX_ROWS { Err(DamagedColumns) } else { Ok(rows) }
     }
 
     fn count(&mut self) -> Result<u64, DamagedColumns> {
@@ -418,7 +425,7 @@ mod tests {
         let mut writer = ColumnWriter::default();
         writer.numbers(&noisy, None);
         let planes = writer.bytes.clone();
-        assert!(planes[4..4 + 7 * 250].iter().all(|byte| *byte == 0), "only the lowest plane is in use");
+        assert_eq!(planes.len(), 2 + 2 + 1 + 250, "only the lowest plane is in use");
         writer.numbers(&smooth, None);
         writer.numbers(&[1.0, -0.0], None);
         let bytes = writer.finish();

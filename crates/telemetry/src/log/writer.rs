@@ -149,6 +149,11 @@ impl<W: Write> LogWriter<W> {
         Ok(())
     }
 
+    /// Loop time at which the present chunk began, ns; `None` before its first sample.
+    pub(super) const fn chunk_ns(&self) -> Option<u64> {
+        self.chunk_ns
+    }
+
     /// Writes how the run is configured.
     pub fn configuration(&mut self, configuration: &Configuration) -> Result<(), LogError> {
         self.channels.write(0, configuration)?;

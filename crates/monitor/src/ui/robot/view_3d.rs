@@ -365,7 +365,8 @@ fn free(wanted: Rect, picture: Rect, taken: &[Rect]) -> Rect {
     let moved = |down: bool| {
         let mut place = inside;
         while let Some(other) = taken.iter().find(|other| other.intersects(place)) {
-            let by = if down { other.bottom() + GAP - place.top() } else { other.top() - GAP - place.bottom() };
+            let by =
+                if down { other.bottom() + GAP - place.top() } else { other.top() - GAP - place.bottom() };
             place = place.translate(vec2(0.0, by));
         }
         place
