@@ -4,7 +4,8 @@ use super::{
     LogError, SerialBytes,
     overview::OverviewBuilder,
     records::{
-        Channel, Configuration, LOOP_STATE_TOPIC, ParameterChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS,
+        Channel, Configuration, DriverWords, LOOP_STATE_TOPIC, ParameterChange, REPLAY_TOPIC, Robot,
+        SERIAL_TOPICS,
     },
 };
 use crate::{
@@ -170,6 +171,14 @@ impl<W: Write> LogWriter<W> {
         self.channels.write(time_ns, change)
     }
 
+    /// Writes what a driver of the robot said; a log of a robot without drivers has no such channel.
+    pub fn driver(&mut self, time_ns: u64, words: &DriverWords) -> Result<(), LogError> {
+        if !self.channels.by_topic.contains_key(DriverWords::TOPIC) {
+            self.channels.add_record::<DriverWords>()?;
+        }
+        self.channels.write(time_ns, words)
+    }
+
     /// Writes one read of a Touch Board's port; a board beyond the last channel has none.
     pub fn serial(&mut self, serial: &SerialBytes) -> Result<(), LogError> {
         self.summary.serial_bytes += serial.bytes.len() as u64;
@@ -234,7 +243,7 @@ impl<W: Write> Channels<W> {
 
     fn write_bytes(&mut self, topic: &str, time_ns: u64, bytes: &[u8]) -> Result<(), LogError> {
         let Some(&channel_id) = self.by_topic.get(topic) else {
-            return Ok(()); // Every channel is added by `new`.
+            return Ok(()); // Every channel is added before it is written.
         };
         let time = self.start_unix_ns.saturating_add(time_ns);
         let header = MessageHeader { channel_id, sequence: 0, log_time: time, publish_time: time };
