@@ -3,6 +3,7 @@
 use crate::config::Config;
 use crate::control::plant::{Datagram, Plant, PlantClock, SourceAge};
 use crate::robot::JOINTS;
+use crate::runtime::realtime::Raised;
 use anyhow::{Context, Result};
 use moca_msgs::{Actuation, ArmLink, Fault, Outcome, RobotCommand, RobotState};
 use moca_ros2::base::{BaseSettings, Reliable, Ros2Base};
@@ -17,6 +18,8 @@ use std::time::Duration;
 /// # Errors
 /// No network, or a topic whose name is none.
 pub fn connect(config: &Config, say: impl FnMut(&str) + Send + 'static) -> Result<Ros2Base> {
+    // A base that is not heard stops the robot, as a board does: its threads are raised as the board's are.
+    let (_raised, _) = Raised::below(config.realtime.priority);
     Ros2Base::spawn(settings(config), transport(config)?, say).context("plant.base.driver = \"ros2\"")
 }
 

@@ -3,7 +3,6 @@
 //! that a law moves gets faster than the arm allows where it is.
 #![expect(clippy::print_stdout, reason = "this is what the command is for")]
 
-use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result, ensure};
 use moca_daemon::cli::progress::Progress;
 use moca_daemon::config::{Config, HandConfig};
@@ -14,7 +13,7 @@ use moca_daemon::control::tick_input::Slot;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::inject::Random;
-use moca_daemon::robot::PlantKind;
+use moca_daemon::robot::{JOINTS, PlantKind, TAXELS};
 use moca_daemon::runtime::assemble::{motion, supervisor};
 use moca_franka::limiter::{ARM_CHANGE_NM, TorqueLimiter};
 use moca_msgs::{Actuation, Fault, Law, Mode, Request, RobotCommand, RobotState};
