@@ -117,7 +117,8 @@ fn a_held_push_comes_to_rest_inside_the_joint_limits() {
 /// What the crate's documentation says of these pushes.
 #[test]
 fn the_documented_errors_are_those_of_this_loop() {
-    let page: Vec<_> = include_str!("../src/lib.rs").lines().filter_map(|line| line.strip_prefix("//! ")).collect();
+    let page: Vec<_> =
+        include_str!("../src/lib.rs").lines().filter_map(|line| line.strip_prefix("//! ")).collect();
     let page = page.join(" ");
     let of = |corrections| [1, 6].map(|taxel| pushed(corrections, &Push::taxels(&[taxel], 20.0)).1);
     let [literal, damped, coupled] = [LITERAL, DAMPED, COUPLED].map(of);
