@@ -6,7 +6,7 @@ use crate::cover::{detection, latency, other_senses};
 use crate::numerics::{barrier, stability};
 use crate::paper::report::claims;
 use crate::rig::c_library;
-use crate::robustness::{faults, lean, protection};
+use crate::robustness::{faults, lean};
 use anyhow::{Context, Result, bail, ensure};
 use std::path::{Path, PathBuf};
 
@@ -36,7 +36,6 @@ const TABLES: &[Table] = &[
     Table { name: "boards", file: "README.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
     Table { name: "barrier", file: "docs/math.md", make: barrier::markdown },
-    Table { name: "protection", file: "docs/results.md", make: protection::documented },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
 ];
 
@@ -111,11 +110,6 @@ mod tests {
     #[test]
     fn what_other_senses_say_of_a_touch_is_what_is_printed() {
         is_what_is_printed("other-senses");
-    }
-
-    #[test]
-    fn what_the_scan_s_file_says_is_what_the_document_shows_of_it() {
-        is_what_is_printed("protection");
     }
 
     #[test]

@@ -13,7 +13,7 @@ use crate::rig::measure::{Measures, peak_force_n};
 use crate::rig::parallel;
 use anyhow::Result;
 use cell::{COLUMNS, Cell, Law, PHASES};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// A contact is watched for so long, s.
 const WATCHED_S: f64 = 3.0;
@@ -23,8 +23,6 @@ const LONGEST_S: f64 = 12.0;
 const LOOK_S: f64 = 0.25;
 /// Seed of the order of cells.
 const SEED: u64 = 1;
-/// How many of them the document has.
-const DOCUMENTED: usize = 36;
 /// Columns after the cell's own.
 const RESULTS: &str = "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after_s,felt_after_s,least_n,taps,grows,flange_mm,stopped";
 
@@ -74,15 +72,6 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let campaign = Campaign { out, shard: arguments.shard, rows, header: &header };
     println!("{}", campaign.run(|id| row(&cells, id))?);
     Ok(())
-}
-
-/// The table of the document: what is missing in its file is run, what is there is kept.
-pub(crate) fn documented() -> Result<String> {
-    let out = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/protection.csv"));
-    let cells = Cell::sample(DOCUMENTED, SEED);
-    let rows = cells.len() * Law::ALL.len();
-    Campaign { out, shard: (1, 1), rows, header: &header() }.run(|id| row(&cells, id))?;
-    Ok(format!("{}\n{}\n{}", table::of_file(out)?, table::failures(out)?, table::missed(out)?))
 }
 
 /// Phases that the short table looks at.
@@ -252,32 +241,8 @@ mod tests {
             lines.map(|line| line.split(',').nth(column).unwrap().to_owned()).collect()
         };
         let (short, grid) = (Cell::short(), Cell::sample(usize::MAX, 1));
-        let documented = Cell::sample(DOCUMENTED, SEED);
-        for column in 0..8 {
-            if column < 6 {
-                assert_eq!(values(&short, column), values(&grid, column), "column {column}");
-            }
-            assert_eq!(values(&documented, column), values(&grid, column), "column {column}");
-        }
-    }
-
-    /// All of them take half an hour: of two cells that the file has, every law is run.
-    #[test]
-    fn cells_of_the_document_s_file_come_out_as_it_has_them() {
-        if crate::docs::shown("protection").is_none() {
-            return; // written with another C library
-        }
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/protection.csv");
-        let text = std::fs::read_to_string(path).unwrap();
-        let cells = Cell::sample(DOCUMENTED, SEED);
-        assert_eq!(text.lines().count(), 1 + cells.len() * Law::ALL.len());
-        let ids: Vec<usize> = (0..2 * Law::ALL.len()).collect();
-        for (id, fresh) in ids.iter().zip(parallel::run("protection", &ids, |id| row(&cells, *id), |_| ())) {
-            assert_eq!(
-                text.lines().nth(1 + id),
-                Some(fresh.unwrap().as_str()),
-                "delete {path} to run it anew"
-            );
+        for column in 0..6 {
+            assert_eq!(values(&short, column), values(&grid, column), "column {column}");
         }
     }
 }
