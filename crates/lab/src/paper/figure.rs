@@ -1,8 +1,8 @@
 //! Figures 5 to 7: the trace of a run in panels, the moments marked, a picture of the robot from above at each.
 
 use crate::picture::Picture as _;
-use crate::rig::{JOINTS, TAXELS};
 use crate::rig::closed_loop::Row;
+use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result};
 use moca_figures::{Anchor, BLACK, Drawing, GREY, PALETTE, Panel, RED, Series};
 use moca_sim::{Scene, Shape};
