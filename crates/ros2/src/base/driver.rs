@@ -2,8 +2,9 @@
 
 use super::odometry::{BaseReading, OdometryJudge, Refused};
 use super::order::OrderWatch;
+use crate::Message;
 use crate::cdr;
-use crate::messages::{Header, Message, Odometry, Time, Twist, TwistStamped, Vector3};
+use crate::messages::{Header, Odometry, Time, Twist, TwistStamped, Vector3};
 use crate::transport::{
     Qos, ReaderId, Transport, TransportError, WriterId, problems_of_reader, problems_of_writer,
 };
@@ -336,7 +337,7 @@ impl Worker {
 
 /// An order as this base wants it.
 pub(super) fn twist_payload(settings: &BaseSettings, [x, y, yaw]: [f64; 3], unix_ns: u64) -> Vec<u8> {
-    let twist = Twist { linear: Vector3::of([x, y, 0.0]), angular: Vector3::of([0.0, 0.0, yaw]) };
+    let twist = Twist { linear: Vector3::from([x, y, 0.0]), angular: Vector3::from([0.0, 0.0, yaw]) };
     if settings.stamped {
         let header = Header { stamp: Time::from_unix_ns(unix_ns), frame_id: settings.frame.clone() };
         cdr::encode(&TwistStamped { header, twist })

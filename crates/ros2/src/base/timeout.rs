@@ -2,7 +2,8 @@
 
 use super::driver::{qos, twist_payload};
 use super::{BaseSettings, odometry_velocity};
-use crate::messages::{Message, Odometry, Twist, TwistStamped};
+use crate::Message;
+use crate::messages::{Odometry, Twist, TwistStamped};
 use crate::transport::{Transport, TransportError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -89,25 +90,15 @@ mod tests {
     }
 
     impl Transport for Obedient {
-        fn writer(
-            &mut self,
-            _: &str,
-            _: crate::messages::TypeName,
-            _: Qos,
-        ) -> Result<WriterId, TransportError> {
+        fn writer(&mut self, _: &str, _: crate::TypeName, _: Qos) -> Result<WriterId, TransportError> {
             Ok(WriterId(0))
         }
 
-        fn reader(
-            &mut self,
-            _: &str,
-            _: crate::messages::TypeName,
-            _: Qos,
-        ) -> Result<ReaderId, TransportError> {
+        fn reader(&mut self, _: &str, _: crate::TypeName, _: Qos) -> Result<ReaderId, TransportError> {
             Ok(ReaderId(0))
         }
 
-        fn service(&mut self, _: &str, _: crate::messages::TypeName) -> Result<ServiceId, TransportError> {
+        fn service(&mut self, _: &str, _: crate::TypeName) -> Result<ServiceId, TransportError> {
             Err(TransportError("no services".into()))
         }
 

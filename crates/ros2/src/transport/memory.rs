@@ -1,7 +1,7 @@
 //! A transport in memory, for tests.
 
 use super::{Caller, Endpoint, Qos, ReaderId, ServiceId, Transport, TransportError, WriterId};
-use crate::messages::TypeName;
+use crate::TypeName;
 use std::collections::VecDeque;
 use std::sync::mpsc::Sender;
 use std::time::Duration;

@@ -10,10 +10,8 @@ use super::{
 };
 use crate::{
     RobotDescription,
-    display::{
-        Display, Periods, Sink,
-        cdr::{self, Cdr, Message},
-    },
+    display::{Display, Periods, Sink},
+    ros::{self, Message, cdr},
 };
 use mcap::{
     Attachment, Compression, WriteOptions,
@@ -88,7 +86,7 @@ struct Channels<W: Write> {
     by_topic: BTreeMap<&'static str, u16>,
     start_unix_ns: u64,
     json: Vec<u8>,
-    cdr: Cdr,
+    cdr: cdr::Writer,
 }
 
 impl<W: Write> LogWriter<W> {
@@ -106,7 +104,7 @@ impl<W: Write> LogWriter<W> {
             by_topic: BTreeMap::new(),
             start_unix_ns: meta.start_unix_ns,
             json: Vec::new(),
-            cdr: Cdr::rounded(),
+            cdr: cdr::Writer::rounded(),
         };
         let mut log = Self {
             channels,
@@ -258,7 +256,7 @@ impl<W: Write> Sink for Channels<W> {
     }
 
     fn offer<M: Message>(&mut self, topic: &'static str) -> Result<(), LogError> {
-        let schema = self.mcap.add_schema(M::NAME, "ros2msg", cdr::definition::<M>().as_bytes())?;
+        let schema = self.mcap.add_schema(M::TYPE.0, "ros2msg", ros::definition::<M>().as_bytes())?;
         self.add(schema, topic, "cdr")
     }
 
