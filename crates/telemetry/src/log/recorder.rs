@@ -2,7 +2,7 @@
 
 use super::{
     LogError, SerialBytes,
-    records::{Configuration, ParameterChange},
+    records::{Configuration, DriverWords, ParameterChange},
     writer::{LogSummary, LogWriter, Meta},
 };
 use moca_msgs::Sample;
@@ -25,6 +25,7 @@ enum Entry {
     Serial(SerialBytes),
     Replay { time_ns: u64, block: Vec<u8> },
     Parameter { time_ns: u64, change: ParameterChange },
+    Driver { time_ns: u64, words: DriverWords },
     Configuration(Box<Configuration>),
 }
 
@@ -164,6 +165,11 @@ impl Recorder {
         self.put(Entry::Parameter { time_ns, change });
     }
 
+    /// Records what a driver of the robot said.
+    pub fn driver(&self, time_ns: u64, text: &str) {
+        self.put(Entry::Driver { time_ns, words: DriverWords { text: text.into() } });
+    }
+
     fn put(&self, entry: Entry) {
         // After an error of the disk nobody takes entries any more; `failure` tells it.
         let sent =
@@ -245,6 +251,7 @@ impl PartWriter {
             Entry::Serial(bytes) => self.log.serial(&bytes),
             Entry::Replay { time_ns, block } => self.log.replay(time_ns, &block),
             Entry::Parameter { time_ns, change } => self.log.parameter(time_ns, &change),
+            Entry::Driver { time_ns, words } => self.log.driver(time_ns, &words),
             Entry::Configuration(configuration) => {
                 let written = self.log.configuration(&configuration);
                 self.configuration = Some(configuration);
