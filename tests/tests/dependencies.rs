@@ -17,7 +17,7 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
         &["moca-msgs", "moca-qp"],
         &["serde", "log", "tracing", "tokio", "serialport", "mujoco-rs", "egui"],
     ),
-    ("moca-ros2", &["moca-msgs", "moca-telemetry"], &["rustdds", "tokio", "serde", "nalgebra", "egui"]),
+    ("moca-ros2", &["moca-msgs", "moca-telemetry"], &["rustdds", "tokio", "nalgebra", "egui"]),
     ("moca-sim", &["moca-msgs", "moca-tactile"], &["egui", "tokio", "nalgebra"]),
     (
         "moca-daemon",
@@ -44,6 +44,7 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
             "moca-tactile",
             "moca-wbc",
             "moca-sim",
+            "moca-franka",
             "moca-daemon",
         ],
         &["egui", "eframe", "moca-monitor"],

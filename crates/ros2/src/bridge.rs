@@ -7,14 +7,13 @@
 //! stops. The bridge itself never vouches for anybody.
 
 use crate::cdr;
-use crate::messages::{
-    DiagnosticArray, Empty, Float64MultiArray, Message, Time, TriggerResponse, TypeName, WrenchStamped,
-};
+use crate::messages::{DiagnosticArray, Empty, Float64MultiArray, Time, TriggerResponse, WrenchStamped};
 use crate::outputs;
 use crate::transport::{Caller, Qos, ReaderId, ServiceId, Transport, TransportError, WriterId};
+use crate::{Message, TypeName};
 use moca_msgs::{Outcome, Request, Sample};
 use moca_telemetry::RobotDescription;
-use moca_telemetry::display::{self, Display, Periods, Sink};
+use moca_telemetry::display::{Display, Periods, Sink};
 use moca_telemetry::log::{LogError, records::Channel};
 use moca_telemetry::net::{Connection, Link, Reply};
 use std::collections::BTreeMap;
@@ -237,11 +236,11 @@ struct ToRos<'a, T> {
 
 impl<T: Transport> Sink for ToRos<'_, T> {
     /// Records are types of our own: they are in the log, and for viewers.
-    fn offer_record<C: Channel + display::cdr::Message>(&mut self) -> Result<(), LogError> {
+    fn offer_record<C: Channel + Message>(&mut self) -> Result<(), LogError> {
         Ok(())
     }
 
-    fn offer<M: display::cdr::Message>(&mut self, topic: &'static str) -> Result<(), LogError> {
+    fn offer<M: Message>(&mut self, topic: &'static str) -> Result<(), LogError> {
         let hidden = topic == LOG || !self.settings.tf && topic.starts_with("/tf");
         if hidden || self.writers.contains_key(topic) {
             return Ok(());
@@ -249,25 +248,20 @@ impl<T: Transport> Sink for ToRos<'_, T> {
         let prefix = if GLOBAL.contains(&topic) { "" } else { &self.settings.prefix };
         let qos = if LATCHED.contains(&topic) { Qos::Latched } else { Qos::Reliable };
         // A topic that cannot be announced is missed by whoever looks for it; the others go on.
-        if let Ok(writer) = self.transport.writer(&format!("{prefix}{topic}"), TypeName(M::NAME), qos) {
+        if let Ok(writer) = self.transport.writer(&format!("{prefix}{topic}"), M::TYPE, qos) {
             self.writers.insert(topic, writer);
         }
         Ok(())
     }
 
-    fn record<C: Channel + display::cdr::Message>(&mut self, _: u64, _: &C) -> Result<(), LogError> {
+    fn record<C: Channel + Message>(&mut self, _: u64, _: &C) -> Result<(), LogError> {
         Ok(())
     }
 
-    fn message<M: display::cdr::Message>(
-        &mut self,
-        topic: &'static str,
-        _: u64,
-        message: &M,
-    ) -> Result<(), LogError> {
+    fn message<M: Message>(&mut self, topic: &'static str, _: u64, message: &M) -> Result<(), LogError> {
         if let Some(writer) = self.writers.get(topic) {
             // What is not sent now is superseded by the next.
-            let _ = self.transport.write(*writer, display::cdr::Cdr::default().encode(message));
+            let _ = self.transport.write(*writer, cdr::Writer::default().encode(message));
         }
         Ok(())
     }

@@ -4,7 +4,7 @@
 //! 16 bytes (Cyclone DDS). A call of a service without arguments tells by its length which; the answer goes back the same
 //! way.
 
-use crate::messages::TypeName;
+use crate::TypeName;
 use crate::transport::{Caller, Endpoint, Qos, ReaderId, ServiceId, Transport, TransportError, WriterId};
 use bytes::Bytes;
 use rustdds::no_key::{

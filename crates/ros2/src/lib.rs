@@ -18,9 +18,9 @@
 pub mod base;
 #[cfg(feature = "bridge")]
 pub mod bridge;
-pub mod cdr;
 #[cfg(feature = "dds")]
 pub mod dds;
-pub mod messages;
 pub mod outputs;
 pub mod transport;
+
+pub use moca_telemetry::ros::{Message, TypeName, cdr, messages};

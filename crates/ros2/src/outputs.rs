@@ -36,7 +36,7 @@ pub fn flange_wrench(sample: &Sample, stamp: Time) -> WrenchStamped {
     let [fx, fy, fz, mx, my, mz] = sample.flange_wrench_world;
     let [x, y, z, w] = sample.flange_quaternion_world;
     // World axes into the flange's: the turn back.
-    let turn = |v: [f64; 3]| Vector3::of(turned([-x, -y, -z, w], v));
+    let turn = |v: [f64; 3]| Vector3::from(turned([-x, -y, -z, w], v));
     let wrench = Wrench { force: turn([fx, fy, fz]), torque: turn([mx, my, mz]) };
     WrenchStamped { header: Header { stamp, frame_id: "flange".into() }, wrench }
 }

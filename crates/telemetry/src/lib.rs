@@ -1,6 +1,7 @@
 //! The only place that knows a transport or a log format.
 //!
 //! - [`description`]: what a client must know once to draw the robot and read its samples.
+//! - `ros` (feature `ros`): messages of ROS 2 as bytes, both ways, and their definitions.
 //! - [`parameter`]: the schema of parameters with present values.
 //! - `net` (feature `net`): server and client over TCP or a Unix socket: batches of samples out, requests in.
 //! - `log` (feature `log`): MCAP writer and reader: every sample, every byte of the Touch Board.
@@ -20,6 +21,8 @@ pub mod log;
 #[cfg(feature = "net")]
 pub mod net;
 pub mod parameter;
+#[cfg(feature = "ros")]
+pub mod ros;
 
 pub use description::RobotDescription;
 pub use parameter::{ParameterDescription, ParameterForm, ParameterValue};

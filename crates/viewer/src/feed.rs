@@ -3,16 +3,14 @@
 use crate::hub::Hub;
 use moca_telemetry::{
     RobotDescription,
-    display::{
-        Display, Periods, Sink,
-        cdr::{self, Cdr, Message},
-    },
+    display::{Display, Periods, Sink},
     log::{LogError, records::Channel},
     net::{
         Address, Client, NetError,
         client::Incoming,
         wire::{Batch, FromServer},
     },
+    ros::{self, Message, cdr::Writer},
 };
 use std::time::Duration;
 use tokio::time::timeout;
@@ -126,7 +124,7 @@ impl<'a> Shown<'a> {
         let periods =
             Periods { numbers_ns: period_ns, poses_ns: POSES_NS.max(period_ns), fixed_ns: REPEAT_NS };
         let display = Display::new(robot, start_unix_ns, periods);
-        let mut to = ToHub { hub, start_unix_ns, cdr: Cdr::default(), keeps: true };
+        let mut to = ToHub { hub, start_unix_ns, cdr: Writer::default(), keeps: true };
         display.begin(&mut to)?;
         to.keeps = false;
         Ok(Self { display, to, next_repeat_ns: 0, earliest: (u64::MAX, 0) })
@@ -162,7 +160,7 @@ struct ToHub<'a> {
     hub: &'a Hub,
     /// Unix time of loop time 0, ns.
     start_unix_ns: u64,
-    cdr: Cdr,
+    cdr: Writer,
     /// Whether what comes now is kept for viewers that come later.
     keeps: bool,
 }
@@ -173,7 +171,7 @@ impl Sink for ToHub<'_> {
     }
 
     fn offer<M: Message>(&mut self, topic: &'static str) -> Result<(), LogError> {
-        self.hub.add(topic, M::NAME, &cdr::definition::<M>());
+        self.hub.add(topic, M::TYPE.0, &ros::definition::<M>());
         Ok(())
     }
 

@@ -116,10 +116,12 @@ impl Motion {
     /// The joint (0 is the first) of a real arm that is furthest from its posture, and how far, rad, where that is further
     /// than arming allows: the null space would bring it there at once, and the base with it.
     pub fn far_joint(&self, robot: &RobotState<JOINTS>) -> Option<(u8, f64)> {
+        if !(self.real && self.parts.has_arm()) {
+            return None;
+        }
         let posture = &self.parameters.gains.posture_rad[..self.joints];
         let off_rad = (0..).zip(robot.q_rad.iter().zip(posture).map(|(q, wanted)| (q - wanted).abs()));
-        let furthest = off_rad.max_by(|a, b| a.1.total_cmp(&b.1));
-        furthest.filter(|(_, off_rad)| self.real && self.parts.has_arm() && *off_rad > ARMING_POSTURE_RAD)
+        off_rad.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, off_rad)| *off_rad > ARMING_POSTURE_RAD)
     }
 
     /// How many joints the arm has.

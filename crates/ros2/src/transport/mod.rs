@@ -1,6 +1,6 @@
 //! What this crate needs of a way to other nodes, and who else is on a topic.
 
-use crate::messages::TypeName;
+use crate::TypeName;
 use std::time::Duration;
 
 pub mod memory;
@@ -77,7 +77,7 @@ pub trait Transport {
 /// writes too. Empty if all is well.
 ///
 /// ```
-/// use moca_ros2::messages::{Message, Twist};
+/// use moca_ros2::{Message, messages::Twist};
 /// use moca_ros2::transport::{Endpoint, problems_of_writer};
 ///
 /// let other = Endpoint {
@@ -133,7 +133,8 @@ fn mismatch(end: &Endpoint, topic: &str, ours: TypeName) -> Option<String> {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::messages::{Message, Odometry, Twist, TwistStamped};
+    use crate::Message;
+    use crate::messages::{Odometry, Twist, TwistStamped};
 
     pub(crate) fn end(topic: &str, of: TypeName, writes: bool, who: &str) -> Endpoint {
         Endpoint { topic: topic.into(), type_dds: of.dds(), writes, who: who.into() }

@@ -1,11 +1,11 @@
 //! Where every frame of the robot is. Frames have the names of the links in the robot's URDF; `world` is where the base
 //! started and `flange_desired` where the flange is wanted.
 
-use super::ros::{
-    Header, JointState, Pose, PoseStamped, Time, Transform, TransformStamped, Transforms, Wrench,
+use crate::RobotDescription;
+use crate::ros::messages::{
+    Header, JointState, Pose, PoseStamped, TFMessage, Time, Transform, TransformStamped, Wrench,
     WrenchStamped,
 };
-use crate::RobotDescription;
 use moca_msgs::Sample;
 
 pub(super) const WORLD: &str = "world";
@@ -65,7 +65,7 @@ fn split([x, y, z, roll, pitch, yaw]: [f64; 6]) -> ([f64; 3], [f64; 4]) {
 }
 
 /// What never moves: the arm on the base, the flange on the last link, the taxels on the base.
-pub(super) fn fixed(robot: &RobotDescription, at: &Time) -> Transforms {
+pub(super) fn fixed(robot: &RobotDescription, at: &Time) -> TFMessage {
     let mut transforms = Vec::new();
     if has_arm(robot) {
         let turn = from_rpy(robot.mount.rpy_rad);
@@ -79,11 +79,11 @@ pub(super) fn fixed(robot: &RobotDescription, at: &Time) -> Transforms {
         let turn = from_rpy([0.0, 0.0, placement.inward_angle_base_rad]);
         transforms.push(transform(at, BASE, taxel(i), [x, y, robot.base_size_m[2] / 2.0], turn));
     }
-    Transforms { transforms }
+    TFMessage { transforms }
 }
 
 /// What moves: the base, the links, the desired flange.
-pub(super) fn moving(robot: &RobotDescription, sample: &Sample, at: &Time) -> Transforms {
+pub(super) fn moving(robot: &RobotDescription, sample: &Sample, at: &Time) -> TFMessage {
     let [x, y, yaw] = sample.base_pose_world;
     let mut transforms = vec![transform(at, WORLD, BASE.into(), [x, y, 0.0], from_rpy([0.0, 0.0, yaw]))];
     for (i, (origin, q_rad)) in joint_origins(robot).iter().zip(&sample.q_rad).enumerate() {
@@ -95,7 +95,7 @@ pub(super) fn moving(robot: &RobotDescription, sample: &Sample, at: &Time) -> Tr
         let (place, turn) = (sample.flange_desired_position_world, sample.flange_desired_quaternion_world);
         transforms.push(transform(at, WORLD, DESIRED.into(), place, unit_or_unturned(turn)));
     }
-    Transforms { transforms }
+    TFMessage { transforms }
 }
 
 pub(super) fn has_arm(robot: &RobotDescription) -> bool {
@@ -170,7 +170,7 @@ mod tests {
         point
     }
 
-    use super::super::ros::Quaternion;
+    use crate::ros::messages::Quaternion;
 
     #[test]
     fn the_tree_of_frames_leads_to_the_flange() {

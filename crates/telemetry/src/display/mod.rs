@@ -3,13 +3,12 @@
 //! Two kinds: records of our own ([`crate::log::records`]), and the messages that every viewer of ROS 2 data knows: transforms,
 //! poses, joint states, markers, sentences. Frames, units and names are those of the robot's URDF.
 //!
-//! Layers: [`cdr`] (bytes and definitions) · `ros` (messages of ROS 2) · `numbers` (ours in the same form) · `frames`,
+//! Layers: [`crate::ros`] (messages of ROS 2) · `markers` (those for viewers) · `numbers` (ours in the same form) · `frames`,
 //! `scene`, `sentences` (a sample as such messages) · [`Display`] (when).
 
-pub mod cdr;
 mod frames;
+mod markers;
 mod numbers;
-mod ros;
 mod scene;
 mod sentences;
 
@@ -22,14 +21,17 @@ use crate::{
         },
         shown::shown,
     },
+    ros::{
+        Message,
+        messages::{JointState, PoseStamped, TFMessage, Text, Time, WrenchStamped},
+    },
 };
-use cdr::Message;
+use markers::{Log, Markers};
 use moca_msgs::{Fault, Mode, STAGES, Sample, board::Diagnosis};
-use ros::{JointState, Log, Markers, PoseStamped, Text, Time, Transforms, WrenchStamped};
 
-/// Transforms that change.
+/// TFMessage that change.
 const TF: &str = "/tf";
-/// Transforms that never change.
+/// TFMessage that never change.
 const TF_STATIC: &str = "/tf_static";
 const FLANGE: &str = "/flange";
 const FLANGE_DESIRED: &str = "/flange_desired";
@@ -64,7 +66,7 @@ pub trait Sink {
 pub struct Periods {
     /// The records.
     pub numbers_ns: u64,
-    /// Transforms, poses, joints, the cover's wrench.
+    /// TFMessage, poses, joints, the cover's wrench.
     pub poses_ns: u64,
     /// What does not change: again for a viewer that came later.
     pub fixed_ns: u64,
@@ -122,8 +124,8 @@ impl Display {
         to.offer_record::<FaultChange>()?;
         to.offer_record::<BoardChange>()?;
         to.offer_record::<Contact>()?;
-        to.offer::<Transforms>(TF)?;
-        to.offer::<Transforms>(TF_STATIC)?;
+        to.offer::<TFMessage>(TF)?;
+        to.offer::<TFMessage>(TF_STATIC)?;
         to.offer::<Markers>(BODIES)?;
         to.offer::<Markers>(TOUCH)?;
         to.offer::<PoseStamped>(FLANGE)?;

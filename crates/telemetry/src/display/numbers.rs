@@ -1,9 +1,9 @@
 //! The messages of a log as ROS 2 messages of our own: live viewers plot the same numbers under the same names.
 
-use super::cdr::{message, names};
 use crate::log::records::{
     BoardChange, Command, Contact, Cover, FaultChange, Link, ModeChange, State, Timing,
 };
+use crate::ros::{message, names};
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{ArmMode, Mode, SpeedLimitReason, TaxelStatus};
 

@@ -4,9 +4,12 @@
 
 use super::{
     frames::{self, BASE, DESIRED, WORLD, link, taxel},
-    ros::{Color, Header, Marker, Markers, Point, Pose, Quaternion, Time},
+    markers::{Color, Marker, Markers},
 };
-use crate::RobotDescription;
+use crate::{
+    RobotDescription,
+    ros::messages::{Header, Point, Pose, Quaternion, Time},
+};
 use moca_msgs::{Sample, TaxelReading, TaxelStatus};
 
 const ARROW: i32 = 0;

@@ -1,6 +1,7 @@
 //! What happened, in sentences for a viewer's log panel.
 
-use super::ros::{Log, Time};
+use super::markers::Log;
+use crate::ros::messages::Time;
 use moca_msgs::protection::ContactPhase;
 use moca_msgs::{ContactEvent, Fault, Mode, Reaction};
 

@@ -2,8 +2,8 @@
 //! own size.
 //!
 //! ```
-//! use moca_ros2::cdr::{self, CdrError};
-//! use moca_ros2::messages::{Twist, Vector3};
+//! use moca_telemetry::ros::cdr::{self, CdrError};
+//! use moca_telemetry::ros::messages::{Twist, Vector3};
 //!
 //! let twist = Twist { linear: Vector3 { x: 0.1, ..Vector3::default() }, ..Twist::default() };
 //! let bytes = cdr::encode(&twist);
@@ -11,8 +11,10 @@
 //! assert_eq!(cdr::decode::<Twist>(&bytes[..20]), Err(CdrError::Truncated { at: 16, wanted: 8 }));
 //! ```
 
+use super::definition::Definitions;
+
 /// What all payloads of ours begin with: little-endian, no options.
-pub const LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
+const LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
 /// Bytes that a transport may append to fill a word.
 const PADDING_MAX: usize = 3;
 
@@ -52,12 +54,26 @@ pub enum CdrError {
     },
 }
 
-/// A value that CDR can carry.
-pub trait Cdr: Sized {
-    /// Least number of bytes on the wire: what a list's announced length is held against before memory is taken.
-    const BYTES_MIN: usize;
+/// What a field of a message can be.
+pub trait Field {
+    /// Its type in a definition.
+    fn ros_type() -> String;
     /// Appends this value.
     fn write(&self, to: &mut Writer);
+    /// Adds the definitions of the messages that it is made of.
+    fn define(_types: &mut Definitions) {}
+}
+
+/// Adds a field of a message to its definition; the function that picks it says what it is.
+pub(crate) fn define<M, F: Field>(types: &mut Definitions, message: usize, name: &str, _: fn(&M) -> &F) {
+    types.line(message, name, &F::ros_type());
+    F::define(types);
+}
+
+/// A field that comes in as well.
+pub trait Decode: Field + Sized {
+    /// Least number of bytes on the wire: what a list's announced length is held against before memory is taken.
+    const BYTES_MIN: usize;
     /// Takes the next value.
     ///
     /// # Errors
@@ -66,9 +82,9 @@ pub trait Cdr: Sized {
 }
 
 /// A payload: byte order, then the message.
-pub fn encode(message: &impl Cdr) -> Vec<u8> {
-    let mut writer = Writer { bytes: LITTLE_ENDIAN.to_vec() };
-    message.write(&mut writer);
+pub fn encode(message: &impl Field) -> Vec<u8> {
+    let mut writer = Writer::default();
+    writer.encode(message);
     writer.bytes
 }
 
@@ -76,24 +92,40 @@ pub fn encode(message: &impl Cdr) -> Vec<u8> {
 ///
 /// # Errors
 /// Bytes that are not exactly one message of this type.
-pub fn decode<T: Cdr>(payload: &[u8]) -> Result<T, CdrError> {
+pub fn decode<T: Decode>(payload: &[u8]) -> Result<T, CdrError> {
     let mut reader = Reader::new(payload)?;
     let message = T::read(&mut reader)?;
     let bytes = reader.body.len() - reader.at;
     if bytes > PADDING_MAX { Err(CdrError::LeftOver { bytes }) } else { Ok(message) }
 }
 
-/// A payload that grows.
-#[derive(Debug)]
+/// Payloads, one after the other in the same memory.
+#[derive(Clone, Debug, Default)]
 pub struct Writer {
     bytes: Vec<u8>,
+    /// Whether numbers keep only the precision of an `f32`: the rest is noise that no compressor can take out.
+    rounded: bool,
 }
 
 impl Writer {
+    /// For messages that are kept: with 24 bits of each number.
+    pub const fn rounded() -> Self {
+        Self { bytes: Vec::new(), rounded: true }
+    }
+
+    /// The payload of `message`.
+    pub fn encode(&mut self, message: &impl Field) -> &[u8] {
+        self.bytes.clear();
+        self.bytes.extend(LITTLE_ENDIAN);
+        message.write(self);
+        &self.bytes
+    }
+
+    /// A number lies at a multiple of its own size, counted from the first field.
     fn put<const N: usize>(&mut self, value: [u8; N]) {
         let at = self.bytes.len() - LITTLE_ENDIAN.len();
         self.bytes.resize(LITTLE_ENDIAN.len() + at.next_multiple_of(N), 0);
-        self.bytes.extend_from_slice(&value);
+        self.bytes.extend(value);
     }
 
     fn count(&mut self, count: usize) {
@@ -155,13 +187,19 @@ impl<'a> Reader<'a> {
 }
 
 macro_rules! number {
-    ($($type:ty),*) => {$(
-        impl Cdr for $type {
-            const BYTES_MIN: usize = size_of::<$type>();
+    ($($type:ty => $ros:literal),*) => {$(
+        impl Field for $type {
+            fn ros_type() -> String {
+                $ros.into()
+            }
 
             fn write(&self, to: &mut Writer) {
                 to.put(self.to_le_bytes());
             }
+        }
+
+        impl Decode for $type {
+            const BYTES_MIN: usize = size_of::<$type>();
 
             fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
                 Ok(Self::from_le_bytes(from.take()?))
@@ -169,14 +207,42 @@ macro_rules! number {
         }
     )*};
 }
-number!(u8, i32, u32, i64, u64, f64);
+number!(
+    u8 => "uint8", u16 => "uint16", u32 => "uint32", u64 => "uint64", i32 => "int32", i64 => "int64", f32 => "float32"
+);
 
-impl Cdr for bool {
-    const BYTES_MIN: usize = 1;
+impl Field for f64 {
+    fn ros_type() -> String {
+        "float64".into()
+    }
+
+    fn write(&self, to: &mut Writer) {
+        #[expect(clippy::cast_possible_truncation, reason = "rounding is what is asked for")]
+        let number = if to.rounded { Self::from(*self as f32) } else { *self };
+        to.put(number.to_le_bytes());
+    }
+}
+
+impl Decode for f64 {
+    const BYTES_MIN: usize = 8;
+
+    fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
+        Ok(Self::from_le_bytes(from.take()?))
+    }
+}
+
+impl Field for bool {
+    fn ros_type() -> String {
+        "bool".into()
+    }
 
     fn write(&self, to: &mut Writer) {
         to.put([u8::from(*self)]);
     }
+}
+
+impl Decode for bool {
+    const BYTES_MIN: usize = 1;
 
     fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
         let at = from.at;
@@ -188,14 +254,30 @@ impl Cdr for bool {
     }
 }
 
-impl Cdr for String {
-    const BYTES_MIN: usize = 4;
+impl Field for str {
+    fn ros_type() -> String {
+        "string".into()
+    }
 
     fn write(&self, to: &mut Writer) {
         to.count(self.len() + 1);
-        to.bytes.extend_from_slice(self.as_bytes());
+        to.bytes.extend(self.as_bytes());
         to.bytes.push(0);
     }
+}
+
+impl Field for String {
+    fn ros_type() -> String {
+        str::ros_type()
+    }
+
+    fn write(&self, to: &mut Writer) {
+        self.as_str().write(to);
+    }
+}
+
+impl Decode for String {
+    const BYTES_MIN: usize = 4;
 
     fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
         let count = from.count(1)?;
@@ -207,35 +289,51 @@ impl Cdr for String {
     }
 }
 
-impl<T: Cdr> Cdr for Vec<T> {
-    const BYTES_MIN: usize = 4;
+impl<F: Field> Field for Vec<F> {
+    fn ros_type() -> String {
+        format!("{}[]", F::ros_type())
+    }
 
     fn write(&self, to: &mut Writer) {
         to.count(self.len());
-        for element in self {
-            element.write(to);
-        }
+        self.iter().for_each(|element| element.write(to));
     }
 
-    fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
-        let count = from.count(T::BYTES_MIN)?;
-        (0..count).map(|_| T::read(from)).collect()
+    fn define(types: &mut Definitions) {
+        F::define(types);
     }
 }
 
-impl<T: Cdr + Copy + Default, const N: usize> Cdr for [T; N] {
-    const BYTES_MIN: usize = N * T::BYTES_MIN;
-
-    fn write(&self, to: &mut Writer) {
-        for element in self {
-            element.write(to);
-        }
-    }
+impl<F: Decode> Decode for Vec<F> {
+    const BYTES_MIN: usize = 4;
 
     fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
-        let mut elements = [T::default(); N];
+        let count = from.count(F::BYTES_MIN)?;
+        (0..count).map(|_| F::read(from)).collect()
+    }
+}
+
+impl<F: Field, const N: usize> Field for [F; N] {
+    fn ros_type() -> String {
+        format!("{}[{N}]", F::ros_type())
+    }
+
+    fn write(&self, to: &mut Writer) {
+        self.iter().for_each(|element| element.write(to));
+    }
+
+    fn define(types: &mut Definitions) {
+        F::define(types);
+    }
+}
+
+impl<F: Decode + Copy + Default, const N: usize> Decode for [F; N] {
+    const BYTES_MIN: usize = N * F::BYTES_MIN;
+
+    fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
+        let mut elements = [F::default(); N];
         for element in &mut elements {
-            *element = T::read(from)?;
+            *element = F::read(from)?;
         }
         Ok(elements)
     }

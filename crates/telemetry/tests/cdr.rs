@@ -1,8 +1,11 @@
 //! The messages against bytes that another implementation wrote (`cdr/write.py`), and against bytes that nobody should.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests stop at the first surprise")]
 
-use moca_ros2::cdr::{self, Cdr, CdrError};
-use moca_ros2::messages::*;
+use moca_telemetry::ros::{
+    Message,
+    cdr::{self, CdrError, Decode},
+    messages::*,
+};
 use proptest::prelude::*;
 
 fn header(frame_id: &str) -> Header {
@@ -10,15 +13,15 @@ fn header(frame_id: &str) -> Header {
 }
 
 fn twist() -> Twist {
-    Twist { linear: Vector3::of([0.1, -0.2, 0.3]), angular: Vector3::of([-0.4, 0.5, -0.6]) }
+    Twist { linear: Vector3::from([0.1, -0.2, 0.3]), angular: Vector3::from([-0.4, 0.5, -0.6]) }
 }
 
 fn turn() -> Quaternion {
-    Quaternion::of([0.0, 0.0, 0.6, 0.8])
+    Quaternion::from([0.0, 0.0, 0.6, 0.8])
 }
 
 fn pose() -> Pose {
-    Pose { position: Vector3::of([1.5, -2.25, 0.125]), orientation: turn() }
+    Pose { position: Point::from([1.5, -2.25, 0.125]), orientation: turn() }
 }
 
 fn covariance() -> Covariance {
@@ -48,7 +51,7 @@ fn tf() -> TFMessage {
     let frame = |name: &str| TransformStamped {
         header: header("odom"),
         child_frame_id: name.into(),
-        transform: Transform { translation: Vector3::of([7.0, 8.0, 9.0]), rotation: turn() },
+        transform: Transform { translation: Vector3::from([7.0, 8.0, 9.0]), rotation: turn() },
     };
     TFMessage { transforms: vec![frame("base_link"), frame("f")] }
 }
@@ -74,7 +77,7 @@ fn array() -> Float64MultiArray {
 }
 
 fn wrench() -> WrenchStamped {
-    let wrench = Wrench { force: Vector3::of([1.0, 2.0, 3.0]), torque: Vector3::of([4.0, 5.0, 6.0]) };
+    let wrench = Wrench { force: Vector3::from([1.0, 2.0, 3.0]), torque: Vector3::from([4.0, 5.0, 6.0]) };
     WrenchStamped { header: header("flange"), wrench }
 }
 
@@ -91,7 +94,7 @@ fn fixtures() -> Vec<(&'static str, bool, Vec<u8>)> {
 }
 
 /// Reads both byte orders, writes the same bytes, and refuses every shorter and every longer payload.
-fn check<T: Message + PartialEq + std::fmt::Debug>(message: &T) {
+fn check<T: Message + Decode + PartialEq + std::fmt::Debug>(message: &T) {
     let name = T::TYPE.0.rsplit('/').next().unwrap();
     let of_name: Vec<_> = fixtures().into_iter().filter(|(fixture, ..)| *fixture == name).collect();
     assert_eq!(of_name.len(), 2, "{name}");
@@ -149,7 +152,7 @@ fn nan_travels_and_is_for_the_reader_to_judge() {
     assert!(back.pose.pose.position.x.is_nan() && back.twist.twist.angular.z == f64::NEG_INFINITY);
 }
 
-fn survives<T: Cdr>(bytes: &[u8]) {
+fn survives<T: Decode>(bytes: &[u8]) {
     // Whatever it is, what can be read can be written, and then read again to the same bytes.
     if let Ok(message) = cdr::decode::<T>(bytes) {
         let written = cdr::encode(&message);

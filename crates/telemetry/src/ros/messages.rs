@@ -1,85 +1,37 @@
 //! The ROS 2 messages that this robot speaks, field for field as their definitions have them.
 //!
 //! ```
-//! use moca_ros2::messages::{Message, Odometry, Quaternion, TwistStamped};
+//! use moca_telemetry::ros::{Message, messages::{Odometry, Quaternion, TwistStamped}};
 //!
 //! assert_eq!(Odometry::TYPE.0, "nav_msgs/msg/Odometry");
 //! assert_eq!(TwistStamped::TYPE.dds(), "geometry_msgs::msg::dds_::TwistStamped_");
 //! assert!((Quaternion::about_z(0.3).yaw_rad() - 0.3).abs() < 1e-15);
 //! ```
 
-use crate::cdr::{Cdr, CdrError, Reader, Writer};
+use super::cdr::{CdrError, Decode, Field, Reader, Writer};
+use super::message;
 
-/// Name of a type as ROS writes it: `geometry_msgs/msg/Twist`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TypeName(pub &'static str);
-
-impl TypeName {
-    /// As DDS and zenoh see it: `geometry_msgs::msg::dds_::Twist_`.
-    pub fn dds(self) -> String {
-        let mut parts = self.0.split('/');
-        let mut next = || parts.next().unwrap_or_default();
-        format!("{}::{}::dds_::{}_", next(), next(), next())
-    }
-}
-
-/// A message that can be a topic's.
-pub trait Message: Cdr {
-    /// Its name.
-    const TYPE: TypeName;
-}
-
-macro_rules! fields {
-    ($(#[$doc:meta])* $name:ident { $($(#[$field_doc:meta])* $field:ident : $type:ty),* $(,)? }) => {
-        $(#[$doc])*
-        #[derive(Clone, Debug, Default, PartialEq)]
-        pub struct $name { $($(#[$field_doc])* pub $field: $type),* }
-
-        impl Cdr for $name {
-            const BYTES_MIN: usize = 0 $(+ <$type as Cdr>::BYTES_MIN)*;
-
-            fn write(&self, to: &mut Writer) {
-                $(self.$field.write(to);)*
-            }
-
-            fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
-                Ok(Self { $($field: Cdr::read(from)?),* })
-            }
-        }
-    };
-}
-
-macro_rules! message {
-    ($(#[$doc:meta])* $name:ident = $ros:literal { $($fields:tt)* }) => {
-        fields! { $(#[$doc])* $name { $($fields)* } }
-
-        impl Message for $name {
-            const TYPE: TypeName = TypeName($ros);
-        }
-    };
-}
-
-fields! {
+message! { "builtin_interfaces/msg/Time" =
     /// Since the Unix epoch.
-    Time {
+    pub struct Time {
         /// s.
         sec: i32,
         /// ns within the second.
         nanosec: u32,
     }
 }
-fields! {
+message! { "std_msgs/msg/Header" =
     /// When, and in which frame.
-    Header {
+    pub struct Header {
         /// When it was measured, by the sender's clock.
         stamp: Time,
         /// The frame's name.
         frame_id: String,
     }
 }
-fields! {
-    /// A vector, or a point.
-    Vector3 {
+message! { "geometry_msgs/msg/Vector3" =
+    /// A vector.
+    pub struct Vector3 {
         /// x.
         x: f64,
         /// y.
@@ -88,9 +40,20 @@ fields! {
         z: f64,
     }
 }
-fields! {
+message! { "geometry_msgs/msg/Point" =
+    /// A point.
+    pub struct Point {
+        /// m.
+        x: f64,
+        /// m.
+        y: f64,
+        /// m.
+        z: f64,
+    }
+}
+message! { "geometry_msgs/msg/Quaternion" =
     /// An orientation as a unit quaternion.
-    Quaternion {
+    pub struct Quaternion {
         /// x.
         x: f64,
         /// y.
@@ -101,54 +64,54 @@ fields! {
         w: f64,
     }
 }
-fields! {
+message! { "geometry_msgs/msg/Pose" =
     /// Position, m, and orientation.
-    Pose {
+    pub struct Pose {
         /// m.
-        position: Vector3,
+        position: Point,
         /// As a unit quaternion.
         orientation: Quaternion,
     }
 }
-fields! {
+message! { "geometry_msgs/msg/PoseWithCovariance" =
     /// A pose and how uncertain it is.
-    PoseWithCovariance {
+    pub struct PoseWithCovariance {
         /// The pose.
         pose: Pose,
         /// 6 × 6, row by row.
         covariance: Covariance,
     }
 }
-fields! {
+message! { "geometry_msgs/msg/TwistWithCovariance" =
     /// A twist and how uncertain it is.
-    TwistWithCovariance {
+    pub struct TwistWithCovariance {
         /// The twist.
         twist: Twist,
         /// 6 × 6, row by row.
         covariance: Covariance,
     }
 }
-fields! {
+message! { "geometry_msgs/msg/Wrench" =
     /// Force, N, and torque, N·m.
-    Wrench {
+    pub struct Wrench {
         /// N.
         force: Vector3,
         /// N·m.
         torque: Vector3,
     }
 }
-fields! {
+message! { "geometry_msgs/msg/Transform" =
     /// A frame in its parent.
-    Transform {
+    pub struct Transform {
         /// m.
         translation: Vector3,
         /// As a unit quaternion.
         rotation: Quaternion,
     }
 }
-fields! {
+message! { "geometry_msgs/msg/TransformStamped" =
     /// A frame in its parent, at a time.
-    TransformStamped {
+    pub struct TransformStamped {
         /// When, and the parent's name.
         header: Header,
         /// The frame's name.
@@ -157,18 +120,18 @@ fields! {
         transform: Transform,
     }
 }
-fields! {
+message! { "diagnostic_msgs/msg/KeyValue" =
     /// A value with its name.
-    KeyValue {
+    pub struct KeyValue {
         /// Name.
         key: String,
         /// Value, as text.
         value: String,
     }
 }
-fields! {
+message! { "diagnostic_msgs/msg/DiagnosticStatus" =
     /// How a part is.
-    DiagnosticStatus {
+    pub struct DiagnosticStatus {
         /// 0 fine, 1 warning, 2 error, 3 stale.
         level: u8,
         /// Which part.
@@ -181,9 +144,9 @@ fields! {
         values: Vec<KeyValue>,
     }
 }
-fields! {
+message! { "std_msgs/msg/MultiArrayDimension" =
     /// One dimension of a list.
-    MultiArrayDimension {
+    pub struct MultiArrayDimension {
         /// What it counts.
         label: String,
         /// How many.
@@ -192,9 +155,9 @@ fields! {
         stride: u32,
     }
 }
-fields! {
+message! { "std_msgs/msg/MultiArrayLayout" =
     /// Dimensions of a list, outermost first.
-    MultiArrayLayout {
+    pub struct MultiArrayLayout {
         /// The dimensions.
         dim: Vec<MultiArrayDimension>,
         /// Elements before the first that counts.
@@ -202,45 +165,45 @@ fields! {
     }
 }
 
-message! {
+message! { "geometry_msgs/msg/Twist" =
     /// Linear velocity, m/s, and angular velocity, rad/s.
-    Twist = "geometry_msgs/msg/Twist" {
+    pub struct Twist {
         /// m/s.
         linear: Vector3,
         /// rad/s.
         angular: Vector3,
     }
 }
-message! {
+message! { "geometry_msgs/msg/TwistStamped" =
     /// A twist with time and frame.
-    TwistStamped = "geometry_msgs/msg/TwistStamped" {
+    pub struct TwistStamped {
         /// When, and in which axes.
         header: Header,
         /// The twist.
         twist: Twist,
     }
 }
-message! {
+message! { "geometry_msgs/msg/PoseStamped" =
     /// A pose with time and frame.
-    PoseStamped = "geometry_msgs/msg/PoseStamped" {
+    pub struct PoseStamped {
         /// When, and in which frame.
         header: Header,
         /// The pose.
         pose: Pose,
     }
 }
-message! {
+message! { "geometry_msgs/msg/WrenchStamped" =
     /// A wrench with time and frame.
-    WrenchStamped = "geometry_msgs/msg/WrenchStamped" {
+    pub struct WrenchStamped {
         /// When, and in which axes.
         header: Header,
         /// The wrench.
         wrench: Wrench,
     }
 }
-message! {
+message! { "nav_msgs/msg/Odometry" =
     /// Where a base is, in `header.frame_id`, and how it moves, in `child_frame_id`.
-    Odometry = "nav_msgs/msg/Odometry" {
+    pub struct Odometry {
         /// When, and the frame of the pose.
         header: Header,
         /// The frame of the twist.
@@ -251,9 +214,9 @@ message! {
         twist: TwistWithCovariance,
     }
 }
-message! {
+message! { "sensor_msgs/msg/JointState" =
     /// Joints by name; a list is empty where nothing is known.
-    JointState = "sensor_msgs/msg/JointState" {
+    pub struct JointState {
         /// When.
         header: Header,
         /// Names.
@@ -266,62 +229,62 @@ message! {
         effort: Vec<f64>,
     }
 }
-message! {
+message! { "tf2_msgs/msg/TFMessage" =
     /// Frames in their parents.
-    TFMessage = "tf2_msgs/msg/TFMessage" {
+    pub struct TFMessage {
         /// One for each frame.
         transforms: Vec<TransformStamped>,
     }
 }
-message! {
+message! { "diagnostic_msgs/msg/DiagnosticArray" =
     /// How the parts of a robot are.
-    DiagnosticArray = "diagnostic_msgs/msg/DiagnosticArray" {
+    pub struct DiagnosticArray {
         /// When.
         header: Header,
         /// One for each part.
         status: Vec<DiagnosticStatus>,
     }
 }
-message! {
+message! { "std_msgs/msg/Float64MultiArray" =
     /// Numbers in rows.
-    Float64MultiArray = "std_msgs/msg/Float64MultiArray" {
+    pub struct Float64MultiArray {
         /// How the numbers are laid out.
         layout: MultiArrayLayout,
         /// The numbers.
         data: Vec<f64>,
     }
 }
-message! {
+message! { "std_msgs/msg/Float64" =
     /// A number.
-    Float64 = "std_msgs/msg/Float64" {
+    pub struct Float64 {
         /// The number.
         data: f64,
     }
 }
-message! {
+message! { "std_msgs/msg/String" =
     /// A text.
-    Text = "std_msgs/msg/String" {
+    pub struct Text {
         /// The text.
         data: String,
     }
 }
-message! {
+message! { "std_msgs/msg/Empty" =
     /// A sign of life: nothing, which IDL gives one byte.
-    Empty = "std_msgs/msg/Empty" {
+    pub struct Empty {
         /// Of no meaning.
         structure_needs_at_least_one_member: u8,
     }
 }
-message! {
+message! { "std_srvs/srv/Trigger_Request" =
     /// The question of a trigger: nothing, which IDL gives one byte.
-    TriggerRequest = "std_srvs/srv/Trigger_Request" {
+    pub struct TriggerRequest {
         /// Of no meaning.
         structure_needs_at_least_one_member: u8,
     }
 }
-message! {
+message! { "std_srvs/srv/Trigger_Response" =
     /// The answer of a trigger.
-    TriggerResponse = "std_srvs/srv/Trigger_Response" {
+    pub struct TriggerResponse {
         /// Whether it was carried out.
         success: bool,
         /// Why not, or what was done.
@@ -339,15 +302,21 @@ impl Default for Covariance {
     }
 }
 
-impl Cdr for Covariance {
-    const BYTES_MIN: usize = <[f64; 36]>::BYTES_MIN;
+impl Field for Covariance {
+    fn ros_type() -> String {
+        <[f64; 36]>::ros_type()
+    }
 
     fn write(&self, to: &mut Writer) {
         self.0.write(to);
     }
+}
+
+impl Decode for Covariance {
+    const BYTES_MIN: usize = <[f64; 36]>::BYTES_MIN;
 
     fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
-        Ok(Self(Cdr::read(from)?))
+        Ok(Self(Decode::read(from)?))
     }
 }
 
@@ -365,29 +334,32 @@ impl Time {
     }
 }
 
-impl Vector3 {
-    /// From x, y, z.
-    pub const fn of([x, y, z]: [f64; 3]) -> Self {
-        Self { x, y, z }
-    }
-
-    /// x, y, z.
-    pub const fn array(&self) -> [f64; 3] {
-        [self.x, self.y, self.z]
+impl Header {
+    /// Of `frame_id` at `stamp`.
+    pub fn new(stamp: &Time, frame_id: &str) -> Self {
+        Self { stamp: stamp.clone(), frame_id: frame_id.into() }
     }
 }
 
+macro_rules! array {
+    ($($name:ident = [$($axis:ident),*] of $n:literal),*) => {$(
+        impl From<[f64; $n]> for $name {
+            fn from([$($axis),*]: [f64; $n]) -> Self {
+                Self { $($axis),* }
+            }
+        }
+
+        impl $name {
+            /// Its fields in their order.
+            pub const fn array(&self) -> [f64; $n] {
+                [$(self.$axis),*]
+            }
+        }
+    )*};
+}
+array!(Vector3 = [x, y, z] of 3, Point = [x, y, z] of 3, Quaternion = [x, y, z, w] of 4);
+
 impl Quaternion {
-    /// From x, y, z, w.
-    pub const fn of([x, y, z, w]: [f64; 4]) -> Self {
-        Self { x, y, z, w }
-    }
-
-    /// x, y, z, w.
-    pub const fn array(&self) -> [f64; 4] {
-        [self.x, self.y, self.z, self.w]
-    }
-
     /// A turn about z, rad.
     pub fn about_z(yaw_rad: f64) -> Self {
         let (z, w) = (0.5 * yaw_rad).sin_cos();
