@@ -50,6 +50,26 @@ fn an_upright_arm_is_asked_for_no_torque_without_bound() {
     }
 }
 
+/// From the home posture the elbow opens through a posture in which the tool cannot follow the base along one direction.
+#[test]
+fn nor_is_an_arm_whose_elbow_passes_a_singularity() {
+    let model = ArmModel::<7, f64>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE).unwrap();
+    let (mut most, mut exact) = (0.0_f64, 0.0_f64);
+    for step in 0..4000 {
+        let mut q = PANDA.home_rad;
+        q[3] = -0.3 - 1e-4 * f64::from(step);
+        let dynamics = model.dynamics(0.2, &q, &[0.0; 7]);
+        let arm = ArmDynamics::new(&dynamics).unwrap();
+        let refused = [5.0, 0.0, 0.0];
+        let torque = arm.torque_for_refused(&refused).unwrap();
+        most = torque.iter().fold(most, |most, torque| most.max(torque.abs()));
+        let missed = nalgebra::SVector::from(dynamics.kinematics.twist_from_base(&refused));
+        let wrench = arm.inverse_task_inertia().lu().solve(&missed).unwrap();
+        exact = exact.max((dynamics.kinematics.arm_jacobian().transpose() * wrench).amax());
+    }
+    assert!(most < 200.0 && exact > 1e5, "{most} N·m for 5 m/s², {exact} N·m exactly");
+}
+
 /// Largest flange error, m, and largest share of a joint's speed limit, of a press of 2 s.
 fn pressed(corrections: Corrections, reactivity: f64, push: &Push) -> (f64, f64) {
     let gains = ImpedanceGains { reactivity, ..ImpedanceGains::PAPER };
