@@ -89,7 +89,7 @@ pub struct Bridge<T> {
 struct Input {
     name: &'static str,
     reader: ReaderId,
-    read: fn(&[u8]) -> Result<TimedTarget, String>,
+    read: Read,
 }
 
 /// One session of a daemon.
@@ -289,6 +289,7 @@ impl<T: Transport> Bridge<T> {
     }
 }
 
+/// What is made of a payload, or why nothing is.
 type Read = fn(&[u8]) -> Result<TimedTarget, String>;
 
 /// Topics of targets, their types, and what is made of a payload.

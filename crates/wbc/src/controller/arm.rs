@@ -1,7 +1,7 @@
 //! An arm: Cartesian impedance of its tool on the base it stands on.
 
 use super::arm_state::ArmState;
-use super::joint_pace::{LED_SHARE, slowing_torque};
+use super::joint_pace::{JointLimits, LED_SHARE, slowing_torque};
 use super::law::ControlLaw;
 use super::tick::{ArmTick, Tracking, seen_from_base, tool_pose};
 use super::{CARRY_FADE_S, FlangePose, LONGEST_STEP_S, check};
@@ -262,11 +262,12 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
     #[inline]
     pub(super) fn advance(&self, tick: &ArmTick<'_, N, T>, state: &mut ArmState<N, T>) {
         if state.is_led() {
-            state.advance_lead(&self.model, tick, &self.joint_speeds);
+            let limits = JointLimits { speeds: &self.joint_speeds, repulsion: &self.repulsion };
+            state.advance_lead(&self.model, tick, limits);
             if !state.leads_posture() {
                 approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
-                self.keep_posture_near(tick, state);
             }
+            self.keep_posture_near(tick, state);
             return;
         }
         let actual = match state.law {

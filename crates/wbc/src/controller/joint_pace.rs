@@ -7,7 +7,7 @@
 //! slowed down joint by joint ([`slowing_torque`]), by dampers that only take energy.
 
 use super::tick::ArmTick;
-use crate::limits::JointSpeeds;
+use crate::limits::{JointRepulsion, JointSpeeds};
 use crate::linalg::{Cholesky, times, transpose_times};
 use crate::scalar::{Scalar, of};
 use nalgebra::SMatrix;
@@ -16,10 +16,12 @@ use nalgebra::SMatrix;
 pub(super) const LED_SHARE: f64 = 0.3;
 /// Share beyond which they are led no further, whatever moves them.
 pub(super) const WAITING_SHARE: f64 = 2.0 * LED_SHARE;
+/// What is left of a speed at the end of a range.
+const LEAST_ROOM: f64 = 1e-3;
 /// Share from which a damper slows a joint that is led.
-const SLOWING_SHARE: f64 = 0.5;
-/// How fast it does, 1/s: five steps of a loop of 1 kHz.
-const SLOWING_PER_S: f64 = 200.0;
+const SLOWING_SHARE: f64 = 0.4;
+/// How fast it does, 1/s: a third of what an inertia bears in a loop of 1 kHz that answers a step late.
+const SLOWING_PER_S: f64 = 300.0;
 /// 1/e: a critically damped spring makes up for an error e with e·ω/e at most.
 const CRITICAL_SPEED: f64 = 0.367_879_441_171_442_33;
 
@@ -44,8 +46,15 @@ pub(super) struct JointPace<'a, const N: usize, T> {
     inverse_task_inertia: Cholesky<6, T>,
     /// How fast the law makes up for an error along and about each axis of W, 1/s.
     catches_up: [T; 6],
-    speeds: &'a JointSpeeds<N, T>,
+    limits: JointLimits<'a, N, T>,
     q_rad: &'a [T; N],
+}
+
+/// What joints may do where they are.
+#[derive(Clone, Copy)]
+pub(super) struct JointLimits<'a, const N: usize, T> {
+    pub(super) speeds: &'a JointSpeeds<N, T>,
+    pub(super) repulsion: &'a JointRepulsion<N, T>,
 }
 
 impl<'a, const N: usize, T: Scalar> JointPace<'a, N, T> {
@@ -53,7 +62,7 @@ impl<'a, const N: usize, T: Scalar> JointPace<'a, N, T> {
     pub(super) fn at(
         tick: &ArmTick<'a, N, T>,
         stiffness: &[T; 6],
-        speeds: &'a JointSpeeds<N, T>,
+        limits: JointLimits<'a, N, T>,
     ) -> Option<Self> {
         let jacobian = tick.kinematics.arm_jacobian();
         let mass = Cholesky::new(&tick.mass.arm)?;
@@ -69,14 +78,20 @@ impl<'a, const N: usize, T: Scalar> JointPace<'a, N, T> {
             of::<T>(CRITICAL_SPEED) * (stiffness[i] * mobility[(i, i)]).max(T::zero()).sqrt()
         });
         let inverse_task_inertia = Cholesky::new_shifted(&mobility)?;
-        Some(Self { jacobian, mass, inverse_task_inertia, catches_up, speeds, q_rad: &tick.robot.q_rad })
+        Some(Self { jacobian, mass, inverse_task_inertia, catches_up, limits, q_rad: &tick.robot.q_rad })
     }
 
-    /// How much of its largest speed the fastest joint has when the tool has this twist, world axes: 1 is all of it.
+    /// How much of its largest speed the fastest joint has when the tool has this twist, world axes: 1 is all of it. Towards
+    /// the end of a range less and less is allowed: where the arm is pushed back nobody leads it on.
     pub(super) fn share(&self, twist_world: &[T; 6]) -> T {
         let wrench = self.inverse_task_inertia.solve(twist_world);
         let dq_rad_s = self.mass.solve(&transpose_times(&self.jacobian, &wrench));
-        self.speeds.share(self.q_rad, &dq_rad_s)
+        let JointLimits { speeds, repulsion } = self.limits;
+        (0..N).fold(T::zero(), |most, i| {
+            let (q, dq) = (self.q_rad[i], dq_rad_s[i]);
+            let room = repulsion.room(i, q, dq).max(of(LEAST_ROOM));
+            most.max(dq.abs() / (room * speeds.largest(i, q, dq)))
+        })
     }
 
     /// The same where the law makes up for this error \[m; rad\], world axes, from rest.

@@ -2,12 +2,11 @@
 
 use super::FlangePose;
 use super::arm_state::ArmState;
-use super::joint_pace::{JointPace, LED_SHARE, WAITING_SHARE};
+use super::joint_pace::{JointLimits, JointPace, LED_SHARE, WAITING_SHARE};
 use super::law::ControlLaw;
 use super::lead::{Lead, Target, ToolTarget, Way};
 use super::tick::{ArmTick, seen_from_base};
 use crate::error::{ControlError, finite};
-use crate::limits::JointSpeeds;
 use crate::linalg::times;
 use crate::model::ArmModel;
 use crate::online_trajectory::{Axis, AxisBounds};
@@ -91,9 +90,10 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
         &mut self,
         model: &ArmModel<N, T>,
         tick: &ArmTick<'_, N, T>,
-        speeds: &JointSpeeds<N, T>,
+        limits: JointLimits<'_, N, T>,
     ) {
         let Some(mut lead) = self.lead else { return };
+        let speeds = limits.speeds;
         let waits = speeds.share(&tick.robot.q_rad, &tick.robot.dq_rad_s) > of(WAITING_SHARE);
         let frame = Frame { tick, law: self.law };
         let Lead { bounds, workspace, way, reached } = &mut lead;
@@ -106,7 +106,7 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
                     actual: frame.actual(),
                     workspace: workspace.as_ref(),
                     held_back: self.held_back.as_ref(),
-                    pace: JointPace::at(tick, &self.gains.stiffness, speeds),
+                    pace: JointPace::at(tick, &self.gains.stiffness, limits),
                 };
                 generator.step_on_leash(&goal, bounds, &leash, tick.dt_s);
                 *reached = generator.has_reached(&wanted);
@@ -117,7 +117,8 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
                 let actual = frame.actual();
                 let near = (self.reference.now.position - actual.position).norm() < bounds.leash_m
                     && rotation::error(&actual.rotation, &self.reference.now.rotation).norm()
-                        < bounds.leash_rad;
+                        < bounds.leash_rad
+                    && (0..N).all(|i| (axes[i].position - tick.robot.q_rad[i]).abs() < bounds.leash_rad);
                 for (i, axis) in axes.iter_mut().enumerate() {
                     match target.filter(|_| near && !waits) {
                         Some(target) => {
