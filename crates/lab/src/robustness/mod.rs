@@ -5,4 +5,5 @@ pub(crate) mod faults;
 pub(crate) mod lean;
 pub(crate) mod protection;
 pub(crate) mod soak;
+pub(crate) mod targets;
 mod trial;
