@@ -2,7 +2,7 @@
 //!
 //! A table stands between `<!-- moca-lab docs NAME … -->` and `<!-- end of NAME -->`; the text around it is for people.
 
-use crate::cover::{detection, latency};
+use crate::cover::{detection, latency, other_senses};
 use crate::numerics::{barrier, stability};
 use crate::paper::report::claims;
 use crate::rig::c_library;
@@ -32,6 +32,7 @@ const TABLES: &[Table] = &[
     Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
     Table { name: "lean", file: "docs/safety.md", make: lean::markdown },
     Table { name: "detection", file: "docs/results.md", make: detection::markdown },
+    Table { name: "other-senses", file: "docs/results.md", make: other_senses::markdown },
     Table { name: "boards", file: "README.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
     Table { name: "barrier", file: "docs/math.md", make: barrier::markdown },
@@ -104,6 +105,11 @@ mod tests {
     #[test]
     fn the_paper_s_claims_in_the_documents_are_what_the_experiments_print() {
         is_what_is_printed("paper");
+    }
+
+    #[test]
+    fn what_other_senses_say_of_a_touch_is_what_is_printed() {
+        is_what_is_printed("other-senses");
     }
 
     #[test]

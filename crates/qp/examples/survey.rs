@@ -6,7 +6,7 @@
 #[path = "../tests/common/mod.rs"]
 mod common;
 
-use common::{FAMILIES, Family, Problem, Random, metric, optimality_error, problem};
+use common::{FAMILIES, Family, Problem, Random, metric, optimality_error, problem, survey_seed};
 use moca_qp::{QpError, WorkingSet};
 use std::time::Instant;
 
@@ -67,7 +67,7 @@ fn share(sorted: &[u32], of_all: f64) -> u32 {
 
 fn family<const N: usize>(family: Family, rows: usize, count: usize) {
     let mut tally = Tally::default();
-    let mut random = Random::new(1 + family as u64 * 1000 + N as u64);
+    let mut random = Random::new(survey_seed::<N>(family));
     for _ in 0..count {
         once(&mut tally, &problem::<N>(family, rows, &mut random));
     }

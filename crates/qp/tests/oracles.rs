@@ -8,7 +8,7 @@ mod common;
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverStatus, SupportedConeT};
-use common::{FAMILIES, Family, Problem, Random, dot, metric, problem};
+use common::{FAMILIES, Family, Problem, Random, dot, metric, optimality_error, problem, survey_seed};
 use moca_qp::WorkingSet;
 
 /// Rows as normal·x ≥ bound, one for each finite side.
@@ -184,4 +184,37 @@ fn clarabel_finds_no_better_point_and_no_other_verdict() {
     }
     against_clarabel::<20>(Family::Random, 40, 30);
     against_clarabel::<20>(Family::Ball, 60, 30);
+}
+
+/// Most iterations and worst error of the survey's first problems of a kind.
+fn surveyed<const N: usize>(family: Family, rows: usize) -> (usize, f64) {
+    let mut random = Random::new(survey_seed::<N>(family));
+    let (mut most, mut worst) = (0, 0.0_f64);
+    for _ in 0..2000 {
+        let problem = problem::<N>(family, rows, &mut random);
+        if let Ok(solution) = metric(&problem).nearest(&problem.target, &problem.rows, &WorkingSet::EMPTY) {
+            assert!(problem.feasible, "{family:?}: a point for a contradiction");
+            most = most.max(solution.iterations);
+            worst = worst.max(optimality_error(&problem, &solution));
+        }
+    }
+    (most, worst)
+}
+
+/// The README's table is of ten million problems; the first of the same ones stay within it.
+#[test]
+fn the_survey_in_the_readme_bounds_its_first_problems() {
+    let readme = include_str!("../README.md");
+    for family in FAMILIES {
+        let row = format!("| {} |", format!("{family:?}").to_lowercase());
+        let row = readme.lines().find(|line| line.starts_with(&row)).unwrap();
+        let columns: Vec<&str> = row.split('|').map(str::trim).collect();
+        let most: Vec<usize> = columns[3].split(", ").filter_map(|most| most.parse().ok()).collect();
+        let worst = columns[4].split(' ').next().and_then(|worst| worst.parse().ok()).unwrap_or(0.0);
+        let found = [surveyed::<4>(family, 36), surveyed::<7>(family, 20), surveyed::<10>(family, 30)];
+        for (i, (iterations, error)) in found.into_iter().enumerate() {
+            assert!(iterations <= most.get(i).copied().unwrap_or(0), "{row}: {iterations}");
+            assert!(error <= worst, "{row}: {error:e}");
+        }
+    }
 }

@@ -45,6 +45,10 @@ const STOP_SHARE: f64 = 0.3165;
 /// Share of the force limit from which on it makes room at the person's speed: what is left to the limit is for errors
 /// of the person's estimated speed over one age.
 const YIELD_SHARE: f64 = 0.7313;
+/// Taxels that are no further apart may feel one body, m: half a trunk;
+const BODY_M: f64 = 0.3;
+/// and so may neighbours of a coarser cover, whose taxels have their nearest one at most this much closer.
+const UNEVEN: f64 = 1.2;
 /// Way that a touched taxel goes back once its readings cannot be believed any more, m,
 pub const BLIND_RETREAT_M: f64 = 0.03;
 /// and when it stops trying, s after the last of them: something is behind it.
@@ -123,6 +127,8 @@ pub struct BarrierSettings {
     pub reading: FoamCurve,
     /// Below this reading nothing touches, N.
     pub touch_n: f64,
+    /// What a taxel may feel and not read, N: its reader's threshold.
+    pub hidden_n: f64,
     /// The base itself presses no deeper than this, m.
     pub stop_m: f64,
     /// From here on the base makes room at the person's speed, m.
@@ -175,6 +181,7 @@ impl BarrierSettings {
         Ok(Self {
             reading,
             touch_n: 1.0,
+            hidden_n: 1.0,
             stop_m: foam.depth_m(STOP_SHARE * force_limit_n),
             yield_m: foam.depth_m(YIELD_SHARE * force_limit_n),
             response_s: 0.08,
@@ -208,6 +215,8 @@ pub struct TaxelSample<T = f64> {
 pub struct BarrierInput<const K: usize, T = f64> {
     /// Readings, T1 first; `None` where there is none that can be believed.
     pub samples: [Option<TaxelSample<T>>; K],
+    /// Taxels that are touched too lightly for a reading.
+    pub light: [bool; K],
     /// Measured velocity of the base, axes of B: m/s, m/s, rad/s.
     pub velocity_body: [T; 3],
     /// What the base can brake with, m/s², m/s², rad/s².
@@ -227,7 +236,7 @@ impl<const K: usize, T: Scalar> BarrierInput<K, T> {
         deceleration: [T; 3],
         dt_s: T,
     ) -> Self {
-        Self { samples, velocity_body, deceleration, stretch_body_m: [T::zero(); 2], dt_s }
+        Self { samples, light: [false; K], velocity_body, deceleration, stretch_body_m: [T::zero(); 2], dt_s }
     }
 
     fn check(&self, taxels: usize) -> Result<(), ControlError> {
@@ -267,6 +276,9 @@ pub struct ContactLimits<const K: usize, T = f64> {
 #[derive(Clone, Debug)]
 pub struct ContactBarrier<const K: usize, T = f64> {
     outline: CoverOutline<K, T>,
+    /// Where the taxels are, axes of B, m, and how far apart two of them may be that feel one body, squared.
+    places: [[T; 2]; K],
+    span_squared: T,
     settings: BarrierSettings,
     state: BarrierState<K, T>,
 }
@@ -286,8 +298,15 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
     /// # Errors
     /// More than `K` taxels, or a position or angle out of range.
     pub fn new(taxels: &[TaxelPlacement], settings: &BarrierSettings) -> Result<Self, ParameterError> {
+        let outline = CoverOutline::new(taxels)?;
+        let mut places = [[T::zero(); 2]; K];
+        for (place, taxel) in places.iter_mut().zip(taxels) {
+            *place = taxel.position_base_m.map(of);
+        }
         Ok(Self {
-            outline: CoverOutline::new(taxels)?,
+            outline,
+            places,
+            span_squared: of(span_squared(taxels)),
             settings: *settings,
             state: BarrierState { odometry: Odometry::new(), tracks: [Track::none(); K] },
         })
@@ -325,20 +344,21 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             carried: T::zero(),
         };
         for i in 0..taxels {
-            let way = |place: &[T; 3]| self.outline.outward(i, place);
-            self.state.tracks[i].advance(
+            let mut track = self.state.tracks[i];
+            track.advance(
                 &self.settings,
                 &self.state.odometry,
                 input.samples[i],
                 input.dt_s,
-                way,
+                |place| self.outline.outward(i, place),
+                || self.body_n(i, input),
             );
-            let track = &self.state.tracks[i];
+            self.state.tracks[i] = track;
             if !track.touched() {
                 limits.outward_m_s[i] = track.released_limit(&self.settings);
                 continue;
             }
-            let way_now = way(self.state.odometry.now());
+            let way_now = self.outline.outward(i, self.state.odometry.now());
             let depth = track.depth_now(way_now);
             limits.depth_m[i] = depth;
             limits.person_m_s[i] = track.person_m_s();
@@ -379,6 +399,25 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
         own.min(room).max(of(-s.retreat_m_s))
     }
 
+    /// Force of the body that taxel `i` feels, N. One that lies on a seam presses either taxel with a part of its force,
+    /// and how deep it is follows from all of it; a neighbour that is touched lightly, or was just now, hides its part.
+    /// No more than twice what the taxel feels itself: of two that share a body one feels half, and two hands so look no
+    /// more than twice as stiff.
+    fn body_n(&self, i: usize, input: &BarrierInput<K, T>) -> T {
+        let own = input.samples[i].map_or(T::zero(), |sample| sample.force_n);
+        let mut all = own;
+        for j in (0..self.outline.map().taxels()).filter(|j| *j != i) {
+            if squared(&self.places[i], &self.places[j]) > self.span_squared {
+                continue;
+            }
+            let felt =
+                input.samples[j].map(|sample| sample.force_n).filter(|n| *n >= of(self.settings.touch_n));
+            let hidden = input.light[j] || self.state.tracks[j].was_touched();
+            all += felt.unwrap_or(if hidden { of(self.settings.hidden_n) } else { T::zero() });
+        }
+        all.min(own + own)
+    }
+
     /// Share of the base's way that the tool has to go along while taxel `i` gives way: all of it at the end of the reach.
     fn carried(&self, i: usize, stretch_body_m: [T; 2]) -> T {
         let [x, y] = stretch_body_m;
@@ -389,6 +428,24 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
         let length = (x * x + y * y).sqrt();
         ((length - of(soft)) / of(hard - soft)).clamp(T::zero(), T::one())
     }
+}
+
+/// How far apart taxels may be that feel one body, m, squared.
+fn span_squared(taxels: &[TaxelPlacement]) -> f64 {
+    let nearest = |i: usize| {
+        let others = taxels.iter().enumerate().filter(|(j, _)| *j != i);
+        others.fold(f64::INFINITY, |least, (_, other)| {
+            least.min(squared(&taxels[i].position_base_m, &other.position_base_m))
+        })
+    };
+    let coarsest = (0..taxels.len()).map(nearest).filter(|d| d.is_finite()).fold(0.0, f64::max);
+    (BODY_M * BODY_M).max(UNEVEN * UNEVEN * coarsest)
+}
+
+/// Distance of two places, m, squared.
+fn squared<T: Scalar>(a: &[T; 2], b: &[T; 2]) -> T {
+    let [x, y] = [a[0] - b[0], a[1] - b[1]];
+    x * x + y * y
 }
 
 fn within(

@@ -24,8 +24,9 @@ pub const STANDSTILL: f64 = 1e-9;
 
 /// Weights of "nearest": x, y, yaw (m²), and the slack that all taxels share.
 const NEARNESS: [f64; 4] = [1.0, 1.0, 0.5, 1e4];
-/// Bounds of the axes, and as many touched taxels as are looked at.
+/// Bounds of the axes, and as many touched taxels as are looked at; and as few as it nearly always is.
 const MOST_ROWS: usize = 3 + 32;
+const FEW_ROWS: usize = 3 + 3;
 
 /// What the base may do, besides its [`moca_msgs::Limits`]. Velocities in the axes of B.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -103,6 +104,8 @@ pub struct CoverOutline<const K: usize, T> {
     /// Corner of the rectangle round all taxels, x and y, m.
     corner: [T; 2],
     map: CoverMap<K, T>,
+    /// Of "nearest".
+    metric: Metric<4, T>,
 }
 
 impl<const K: usize, T: Scalar> CoverOutline<K, T> {
@@ -112,7 +115,14 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
     /// As for [`CoverMap::new`].
     pub fn new(taxels: &[TaxelPlacement]) -> Result<Self, ParameterError> {
         let most = |axis: usize| taxels.iter().fold(0.0_f64, |m, t| m.max(t.position_base_m[axis].abs()));
-        Ok(Self { map: CoverMap::new(taxels)?, corner: [of(most(0)), of(most(1))] })
+        let metric = Metric::diagonal(&NEARNESS.map(of)).map_err(|_| ParameterError {
+            name: "weights of the nearest motion",
+            value: f64::NAN,
+            unit: "",
+            min: 0.0,
+            max: f64::INFINITY,
+        })?;
+        Ok(Self { map: CoverMap::new(taxels)?, corner: [of(most(0)), of(most(1))], metric })
     }
 
     /// What each taxel adds to the wrench on the base.
@@ -151,22 +161,40 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
     /// The velocity nearest to `wanted` between `low` and `high` at which no taxel goes outward faster than `most`, or,
     /// where there is none, at which the worst does by the least.
     pub(crate) fn nearest(&self, most: &[T; K], wanted: &[T; 3], low: &[T; 3], high: &[T; 3]) -> [T; 3] {
-        let mut rows = [Row::bound(0, low[0], high[0]); MOST_ROWS];
+        // no velocity in the box is too fast for most of them
+        let acts = |(inward, most): &(&[T; 3], &T)| {
+            let fastest =
+                (0..3).fold(T::zero(), |sum, j| sum + (-inward[j] * low[j]).max(-inward[j] * high[j]));
+            fastest > **most
+        };
+        let rows = || self.map.columns().iter().zip(most).filter(acts);
+        if rows().count() + 3 <= FEW_ROWS {
+            self.solved::<FEW_ROWS>(rows(), wanted, low, high)
+        } else {
+            self.solved::<MOST_ROWS>(rows(), wanted, low, high)
+        }
+    }
+
+    fn solved<'a, const R: usize>(
+        &self,
+        taxels: impl Iterator<Item = (&'a [T; 3], &'a T)>,
+        wanted: &[T; 3],
+        low: &[T; 3],
+        high: &[T; 3],
+    ) -> [T; 3] {
+        let mut rows = [Row::bound(0, low[0], high[0]); R];
         let mut count = 3;
         for j in 1..3 {
             rows[j] = Row::bound(j, low[j], high[j]);
         }
-        for ([x, y, lever], most) in self.map.columns().iter().zip(most) {
-            if most.is_finite() {
-                let Some(row) = rows.get_mut(count) else { break };
-                *row = Row::at_least([*x, *y, *lever, T::zero()], -*most).softened(3);
-                count += 1;
-            }
+        for ([x, y, lever], most) in taxels {
+            let Some(row) = rows.get_mut(count) else { break };
+            *row = Row::at_least([*x, *y, *lever, T::zero()], -*most).softened(3);
+            count += 1;
         }
         let [x, y, yaw] = *wanted;
-        let solution = Metric::diagonal(&NEARNESS.map(of)).and_then(|metric| {
-            metric.nearest(&[x, y, yaw, T::zero()], rows.get(..count).unwrap_or(&rows), &WorkingSet::EMPTY)
-        });
+        let rows = rows.get(..count).unwrap_or(&rows);
+        let solution = self.metric.nearest(&[x, y, yaw, T::zero()], rows, &WorkingSet::EMPTY);
         // soft rows between bounds always have a nearest point; should rounding ever hide it, the base brakes
         let [x, y, yaw, _] = solution.map_or([T::zero(); 4], |solution| solution.x);
         let inside = |v: T, j: usize| v.clamp(low[j], high[j]);

@@ -113,3 +113,24 @@ fn a_held_push_comes_to_rest_inside_the_joint_limits() {
         assert!(robot.robot.base_pose_world[0] > -0.2, "not held back: {:?}", robot.robot.base_pose_world);
     }
 }
+
+/// What the crate's documentation says of these pushes.
+#[test]
+fn the_documented_errors_are_those_of_this_loop() {
+    let page: Vec<_> =
+        include_str!("../src/lib.rs").lines().filter_map(|line| line.strip_prefix("//! ")).collect();
+    let page = page.join(" ");
+    let of = |corrections| [1, 6].map(|taxel| pushed(corrections, &Push::taxels(&[taxel], 20.0)).1);
+    let [literal, damped, coupled] = [LITERAL, DAMPED, COUPLED].map(of);
+    let fed = Corrections { flange_wrench_feedforward: true, ..COUPLED };
+    let [alone, with] = [LITERAL, fed].map(|corrections| pushed(corrections, &flange(0.0, 15.0, 0.0)).1);
+    for said in [
+        format!("literal {:.1} and {:.1} mm", literal[0], literal[1]),
+        format!("`null_space_damping` {:.1} and {:.1} mm", damped[0], damped[1]),
+        format!("`base_coupling` as well {:.2} and {:.2} mm", coupled[0], coupled[1]),
+        format!("move it {alone:.1} mm"),
+        format!("the flange moves {with:.1} mm"),
+    ] {
+        assert!(page.contains(&said), "{said}");
+    }
+}

@@ -15,7 +15,7 @@ use moca_wbc::limits::BaseLimits;
 use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_wbc::{
     BaseController, BaseGuard, BaseInput, ControlInput, ControlLaw, ControlOutput, LimitsHit, Parameters,
-    Payload, RobotState, WholeBodyController,
+    Payload, RobotState, TaxelPlacement, WholeBodyController,
 };
 use std::collections::VecDeque;
 
@@ -56,6 +56,8 @@ struct Scene {
     /// What the base really does: its deceleration, m/s², and the time constant of its servo, s.
     base_m_s2: f64,
     base_servo_s: f64,
+    /// Taxels that feel the person, and how much of the force each.
+    felt_by: &'static [(usize, f64)],
 }
 
 const SCENE: Scene = Scene {
@@ -70,6 +72,7 @@ const SCENE: Scene = Scene {
     blind_s: f64::INFINITY,
     base_m_s2: f64::INFINITY,
     base_servo_s: SERVO_S,
+    felt_by: &[(FRONT, 1.0)],
 };
 
 #[derive(Default)]
@@ -142,7 +145,10 @@ fn run(scene: &Scene) -> Outcome {
         let (reading, ticks) = shown[0];
         let age_s = DT_S * ((ticks + scene.sensor.delay) as f64 + 0.5 * (scene.sensor.period as f64 - 1.0));
         let mut samples = [Some(TaxelSample { force_n: 0.0, age_s }); 11];
-        samples[FRONT] = (time_s < scene.blind_s).then_some(TaxelSample { force_n: reading, age_s });
+        for &(taxel, share) in scene.felt_by {
+            let sample = TaxelSample { force_n: share * reading, age_s };
+            samples[taxel] = (time_s < scene.blind_s).then_some(sample);
+        }
         let contacts =
             barrier.update(&BarrierInput::new(samples, [u, 0.0, 0.0], acceleration, DT_S)).unwrap();
         if force > 2.0 && felt.is_none() {
@@ -273,6 +279,34 @@ fn no_peak_grows_whatever_the_foam_the_person_and_the_delay() {
             }
         }
     }
+}
+
+/// The limit is the body's and not a taxel's, however its force is shared; hands further apart have one each.
+#[test]
+fn a_body_that_two_taxels_feel_is_one() {
+    for (sensor, walking_m_s) in [(HUNDRED_HZ, 0.12), (OWN_FIRMWARE, 0.13), (STOCK, 0.05)] {
+        for felt_by in [&[(4, 0.5), (FRONT, 0.5)][..], &[(FRONT, 0.8), (6, 0.2)]] {
+            let outcome = worst(&Scene { sensor, person_m_s: walking_m_s, felt_by, ..SCENE });
+            println!("{walking_m_s} m/s on {felt_by:?}: {:.1} N", outcome.peak_n);
+            assert!(outcome.peak_n < 25.0, "{walking_m_s} on {felt_by:?}: {}", outcome.peak_n);
+        }
+    }
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    let allowed = |taxels: &[TaxelPlacement], forces_n: &[(usize, f64)]| {
+        let mut barrier = ContactBarrier::<11>::new(taxels, &settings).unwrap();
+        let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
+        forces_n.iter().for_each(|&(i, force_n)| samples[i] = Some(TaxelSample { force_n, age_s: 0.0 }));
+        barrier.update(&BarrierInput::new(samples, [0.0; 3], [3.0; 3], DT_S)).unwrap().outward_m_s
+    };
+    let alone = allowed(&PAPER_COVER, &[(1, 16.0)])[1];
+    assert!((allowed(&PAPER_COVER, &[(1, 16.0), (FRONT, 16.0)])[1] - alone).abs() < 1e-12);
+    assert!((allowed(&PAPER_COVER, &[(1, 16.0), (3, 16.0)])[1] - alone).abs() < 1e-12, "0.49 m");
+    assert!(allowed(&PAPER_COVER, &[(1, 16.0), (2, 16.0)])[1] < alone - 0.005, "neighbours");
+    // neighbours of a coarse cover are further apart
+    let coarse = [-0.5, 0.0, 0.6].map(|y| TaxelPlacement { position_base_m: [0.5, y], ..PAPER_COVER[FRONT] });
+    let alone = allowed(&coarse, &[(1, 16.0)])[1];
+    assert!(allowed(&coarse, &[(1, 16.0), (2, 16.0)])[1] < alone - 0.005);
+    assert!((allowed(&coarse, &[(0, 16.0), (2, 16.0)])[0] - allowed(&coarse, &[(0, 16.0)])[0]).abs() < 1e-12);
 }
 
 #[test]

@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 pub struct Barrier {
     contacts: ContactBarrier<TAXELS>,
     samples: [Option<TaxelSample>; TAXELS],
+    light: [bool; TAXELS],
     /// What the base's servo can brake with, m/s², m/s², rad/s².
     deceleration: [f64; 3],
     /// Flange from the base with the arm in its posture, axes of B, m; of an arm that holds its place in the world.
@@ -50,6 +51,7 @@ impl Barrier {
         Ok(Some(Self {
             contacts: ContactBarrier::new(&config.robot.cover.placements(), &settings)?,
             samples: [None; TAXELS],
+            light: [false; TAXELS],
             deceleration: [
                 base.acceleration_max_m_s2,
                 base.acceleration_max_m_s2,
@@ -79,6 +81,7 @@ impl Barrier {
 
     /// Takes in what the cover says in the tick at `now_ns`.
     pub fn take_cover(&mut self, now_ns: u64, cover: &CoverState) {
+        self.light = cover.early.light;
         let age_s = cover.reading.age_s(now_ns);
         for (sample, taxel) in self.samples.iter_mut().zip(&cover.reading.taxels) {
             let valid = taxel.status == TaxelStatus::Ok;
@@ -102,6 +105,7 @@ impl Barrier {
         let [vx, vy] = to_base([vx, vy], robot);
         let deceleration = std::array::from_fn(|i| limit[i].min(self.deceleration[i]));
         let mut input = BarrierInput::new(self.samples, [vx, vy, yaw], deceleration, dt_s);
+        input.light = self.light;
         if let (true, Some(home), Some(flange)) = (holds_place, self.home_body_m, self.flange_body_m) {
             input.stretch_body_m = [flange[0] - home[0], flange[1] - home[1]];
         }
@@ -197,9 +201,10 @@ fn curves(config: &Config) -> Option<(FoamCurve, FoamCurve)> {
 
 fn settings(config: &Config) -> Result<Option<BarrierSettings>, ParameterError> {
     let servo_s = config.robot.base.servo_time_constant_s;
-    curves(config)
-        .map(|(reading, foam)| BarrierSettings::new(reading, foam, config.protection.force_limit_n, servo_s))
-        .transpose()
+    let protection = &config.protection;
+    let Some((reading, foam)) = curves(config) else { return Ok(None) };
+    let settings = BarrierSettings::new(reading, foam, protection.force_limit_n, servo_s)?;
+    Ok(Some(BarrierSettings { hidden_n: protection.threshold_force_n, ..settings }))
 }
 
 /// Way that the foam alone yields between what the cover hides and the force limit, m: what a base under a barrier has
@@ -210,13 +215,37 @@ pub fn travel_m(config: &Config) -> Option<f64> {
     Some((foam.depth_m(p.force_limit_n) - reading.depth_m(p.threshold_force_n)).max(0.0))
 }
 
-#[cfg(all(test, feature = "sim"))]
+#[cfg(test)]
 mod tests {
     use super::*;
-    use crate::devices::simulated_robot;
 
     #[test]
+    fn it_is_on_where_the_cover_is_calibrated_unless_somebody_says_otherwise() {
+        let barrier = |calibration: &str, readings: Option<&str>| {
+            let mut config = Config::default();
+            config.board.calibration = calibration.into();
+            if let Some(readings) = readings {
+                config.set("protection.contact_barrier", &readings.into()).unwrap();
+            }
+            let barrier = Barrier::new::<7>(&config, None).unwrap();
+            assert_eq!(
+                barrier.is_some(),
+                travel_m(&config).is_some(),
+                "and the speed limit that goes with it"
+            );
+            barrier.is_some()
+        };
+        assert!(barrier("cover.toml", None) && !barrier("", None));
+        assert!(!barrier("cover.toml", Some("off")));
+        for readings in ["foam", "pu-ld30"] {
+            assert!(barrier("", Some(readings)), "{readings}");
+        }
+    }
+
+    #[cfg(feature = "sim")]
+    #[test]
     fn every_foam_yields_as_the_simulated_one() {
+        use crate::devices::simulated_robot;
         for foam in ["pu-ld30", "cc", "pe5", "pe3", "hyperbolic"] {
             let mut config = Config::default();
             config.set("robot.cover.foam", &foam.into()).unwrap();

@@ -4,7 +4,7 @@
 use crate::rig::TAXELS;
 use crate::rig::settings::{self, Sensor, Settings};
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use moca_daemon::config::{Config, ProtectionConfig};
+use moca_daemon::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
 use moca_msgs::table::{FieldValue, ParameterKind, ParameterSpec, Size};
 use moca_sim::foam::Foam;
 use moca_sim::{BodyPart, Integrator};
@@ -72,6 +72,25 @@ const KEYS: &[Key] = &[
         s.sensor = word(v, &[("stock", Sensor::Stock), ("ideal", Sensor::Ideal), ("off", Sensor::Off)])?;
         Ok(())
     }),
+    key(
+        "law",
+        "paper|barrier",
+        "the law as published, or as a calibrated cover has it: the contact barrier with its speed limit and both \
+         corrections (after sensor)",
+        |s, v| {
+            let barrier = word(v, &[("paper", false), ("barrier", true)])?;
+            let corrections = &mut s.config.control.corrections;
+            (corrections.null_space_damping, corrections.base_coupling) = (barrier, barrier);
+            s.config.protection = if barrier { ProtectionConfig::default() } else { settings::unprotected() };
+            if barrier && s.sensor == Sensor::Stock {
+                s.config.board.model = AssumedModel::PuLd30;
+                s.config.protection.contact_barrier = BarrierReadings::PuLd30;
+            } else if barrier {
+                s.config.protection.contact_barrier = BarrierReadings::Foam;
+            }
+            Ok(())
+        },
+    ),
     key(
         "sensor.period_ms",
         "ms",

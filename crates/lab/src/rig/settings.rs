@@ -42,6 +42,8 @@ pub(crate) struct PersonSettings {
     pub gap_m: f64,
     /// Along the panel from the taxel's centre, m.
     pub offset_m: f64,
+    /// Another one like this stands before the middle of this taxel.
+    pub also: Option<usize>,
     pub mass_kg: Option<f64>,
     pub stiffness: Option<f64>,
     pub damping: f64,
@@ -132,6 +134,11 @@ pub(crate) struct Settings {
     pub firmware: Firmware,
     pub foam: FoamSettings,
     pub person: PersonSettings,
+    /// What the base brakes with and how late its servo is, over what its description says; what the cover reads, over
+    /// what presses it.
+    pub true_braking: f64,
+    pub true_servo: f64,
+    pub true_reading: f64,
     /// Inertia of the base about the vertical, kg·m²; `None` is that of its box.
     pub base_inertia: Option<f64>,
     /// Speed of the flange's target, m/s.
@@ -183,6 +190,9 @@ impl Settings {
                 scale: 1.0,
             },
             person: PersonSettings { gap_m: 0.25, steps_away_s: 1.5, ..PersonSettings::default() },
+            true_braking: 1.0,
+            true_servo: 1.0,
+            true_reading: 1.0,
             base_inertia: None,
             speed_m_s: 0.2,
             duration_s: 8.0,
@@ -236,21 +246,31 @@ impl Settings {
 
     /// The scene without anybody in it; the flange is measured.
     pub(crate) fn free_scene(&self) -> Scene {
+        let scene = simulated_robot::free_scene(&self.config);
+        let described = scene.base;
         Scene {
+            base: BaseTable {
+                acceleration_max_m_s2: self.true_braking * described.acceleration_max_m_s2,
+                yaw_acceleration_max_rad_s2: self.true_braking * described.yaw_acceleration_max_rad_s2,
+                servo_time_constant_s: self.true_servo * described.servo_time_constant_s,
+                ..described
+            },
             flange_sensor: true,
             foam: self.foam.foam(),
             physics_step_s: 1e-3 * self.step_ms,
             integrator: self.integrator,
-            ..simulated_robot::free_scene(&self.config)
+            ..scene
         }
     }
 
     /// The same scene with the person beside the cover.
     pub(crate) fn collision_scene(&self) -> Result<Scene> {
-        Ok(Scene {
-            people: vec![self.person.person(&self.config.robot.cover.placements())?],
-            ..self.free_scene()
-        })
+        let cover = self.config.robot.cover.placements();
+        let mut people = vec![self.person.person(&cover)?];
+        if let Some(taxel) = self.person.also {
+            people.push(PersonSettings { taxel, offset_m: 0.0, ..self.person }.person(&cover)?);
+        }
+        Ok(Scene { people, ..self.free_scene() })
     }
 
     /// Period of the sensor, ms.
@@ -265,7 +285,7 @@ impl Settings {
     pub(crate) fn board(&self) -> VirtualBoardConfig {
         VirtualBoardConfig {
             firmware: self.firmware,
-            foam: self.foam.foam(),
+            foam: self.foam.foam().stiffened(1.0 / self.true_reading),
             noise_counts: self.noise_counts,
             #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "1 to 1000 ms")]
             frame_period_ns: self.sensor_period_ms.map(|ms| (1e6 * ms) as u64),

@@ -1,9 +1,9 @@
 //! What is shown of a robot that is whole, in parts, faulty, silent or away.
 
-use crate::bench::{Bench, parameter};
+use crate::bench::{Bench, parameter, sample};
 use egui_kittest::kittest::Queryable;
 use moca_msgs::{
-    Fault, Mode, ParameterValues, Refusal, Request, TaxelStatus,
+    ContactRow, Fault, Mode, ParameterValues, Refusal, Request, TaxelStatus,
     board::{Diagnosis, OpenFailure},
 };
 use moca_telemetry::{
@@ -58,6 +58,33 @@ fn the_way_towards_a_side_without_a_taxel_stands_beside_its_limit() {
     bench.daemon.borrow_mut().parameters = vec![most];
     bench.frames(Mode::Impedance, None);
     assert!(bench.shows("Uncovered way 0.00 m of 0.10"));
+}
+
+#[test]
+fn what_the_contact_barrier_allows_a_touched_taxel_stands_on_the_page_of_the_cover() {
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    bench.click("Cover");
+    assert!(!bench.shows("Contact barrier"), "nobody touches it");
+    let row = ContactRow {
+        taxel: 5,
+        depth_m: 0.004_21,
+        person_m_s: 0.117,
+        allowed_m_s: -0.141,
+        outward_m_s: -0.082,
+        excess_m_s: 0.059,
+    };
+    let mut touched = sample(bench.tick, Mode::Impedance, None);
+    touched.contact_rows.push(row).unwrap();
+    bench.daemon.borrow_mut().samples.push_back(touched);
+    bench.harness.step();
+    for text in
+        ["Contact barrier", "Allowed m/s", "Too fast m/s", "4.2", "0.117", "−0.141", "−0.082", "0.059"]
+    {
+        assert!(bench.shows(text), "{text}");
+    }
+    bench.tick += 1;
+    bench.frames(Mode::Impedance, None);
+    assert!(!bench.shows("Contact barrier"), "it let go");
 }
 
 #[test]
@@ -195,7 +222,9 @@ fn the_robot_is_seen_in_three_dimensions_and_turned_with_the_mouse() {
     let drawn = |bench: &Bench| -> Vec<egui::Pos2> {
         let shapes = bench.harness.output().shapes.iter();
         let corners = shapes.filter_map(|clipped| match &clipped.shape {
-            egui::Shape::Path(path) if path.closed && path.points.len() == 4 => Some(path.points.clone()),
+            egui::Shape::Mesh(mesh) if mesh.vertices.len() == 4 => {
+                Some(mesh.vertices.iter().map(|vertex| vertex.pos).collect::<Vec<_>>())
+            }
             _ => None,
         });
         corners.flatten().collect()

@@ -92,6 +92,11 @@ pub struct Problem<const N: usize> {
     pub feasible: bool,
 }
 
+/// What the survey draws its problems of a kind and size from.
+pub fn survey_seed<const N: usize>(family: Family) -> u64 {
+    1 + family as u64 * 1000 + N as u64
+}
+
 /// A problem of `family` with about `m` rows.
 pub fn problem<const N: usize>(family: Family, m: usize, random: &mut Random) -> Problem<N> {
     let inside: [f64; N] = random.vector(1.0);

@@ -7,6 +7,8 @@ use crate::scalar::{Scalar, of};
 const KEPT: usize = 128;
 /// Readings further apart than this say nothing of a speed, s.
 const APART_S: f64 = 0.2;
+/// After a release the foam is still recovering, and a light touch is not told from none, s.
+const RECOVERS_S: f64 = 2.0;
 /// As far below 0 as noise takes the estimate of a speed, m/s: cut at 0, its mean would lie above it.
 const NOISE_M_S: f64 = 0.05;
 
@@ -41,12 +43,9 @@ impl<T: Scalar> Odometry<T> {
 
     /// The place at the step nearest to `age_s` ago, or the oldest that is known.
     fn at_age(&self, age_s: T) -> &[T; 3] {
-        let mut back = 0;
-        let mut left = age_s / self.dt_s - of(0.5);
-        while left > T::zero() && back + 1 < self.known {
-            back += 1;
-            left -= T::one();
-        }
+        let steps = nalgebra::try_convert((age_s / self.dt_s - of(0.5)).ceil()).unwrap_or(0.0);
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates")]
+        let back = (steps as usize).min(self.known - 1);
         &self.places[(self.head + KEPT - back) % KEPT]
     }
 }
@@ -57,9 +56,11 @@ impl<T: Scalar> Odometry<T> {
 pub(super) struct Track<T> {
     /// Readings since the touch began; 0: nothing touches.
     readings: u8,
-    /// Compression at the last reading, m, its force, N, and the way outward that the base had gone then, m.
+    /// Compression at the last reading, m, its force, N, as a share of the body's, and the way outward that the base had
+    /// gone then, m.
     depth: T,
     force: T,
+    share: T,
     way: T,
     /// Estimate of the person's speed, m/s; after a release what is still remembered of it.
     person: T,
@@ -79,6 +80,7 @@ impl<T: Scalar> Track<T> {
             readings: 0,
             depth: zero,
             force: zero,
+            share: T::one(),
             way: zero,
             person: zero,
             since: long_ago,
@@ -91,11 +93,16 @@ impl<T: Scalar> Track<T> {
         self.readings > 0
     }
 
+    /// Whether a touch ended so short a time ago that it may go on unfelt.
+    pub(super) fn was_touched(&self) -> bool {
+        self.released < of(RECOVERS_S)
+    }
+
     pub(super) fn person_m_s(&self) -> T {
         self.person.max(T::zero())
     }
 
-    /// Takes in one step: `way` is how far outward a place of the odometry is.
+    /// Takes in one step: `way` is how far outward a place of the odometry is, `body_n` the force on all of the body.
     pub(super) fn advance(
         &mut self,
         settings: &BarrierSettings,
@@ -103,6 +110,7 @@ impl<T: Scalar> Track<T> {
         sample: Option<TaxelSample<T>>,
         dt_s: T,
         way: impl Fn(&[T; 3]) -> T,
+        body_n: impl FnOnce() -> T,
     ) {
         self.since += dt_s;
         self.released += dt_s;
@@ -126,13 +134,15 @@ impl<T: Scalar> Track<T> {
             self.way = way(odometry.at_age(sample.age_s));
             return;
         }
-        let (depth, way) = (settings.reading.depth_m(sample.force_n), way(odometry.at_age(sample.age_s)));
+        let way = way(odometry.at_age(sample.age_s));
         if sample.force_n < of(settings.touch_n) {
             // one reading's speed was assumed and not seen
             let person = if self.readings > 1 { self.person_m_s() } else { T::zero() };
             *self = Self { way, since: self.since, released: T::zero(), person, ..Self::none() };
             return;
         }
+        let body_n = body_n();
+        let depth = settings.reading.depth_m(body_n);
         let known = self.released < of(settings.forget_s);
         let assumed = if known { self.person } else { of(settings.first_speed_m_s) };
         if interval < of(APART_S) {
@@ -143,6 +153,7 @@ impl<T: Scalar> Track<T> {
         }
         self.readings = self.readings.saturating_add(1);
         (self.depth, self.force, self.way) = (depth, sample.force_n, way);
+        self.share = if body_n > sample.force_n { sample.force_n / body_n } else { T::one() };
     }
 
     /// The person's speed: what the compression has gained that the base has not gone.
@@ -163,7 +174,7 @@ impl<T: Scalar> Track<T> {
 
     /// Force that a law may count on, N: never more than was felt.
     pub(super) fn believed_n(&self, reading: &FoamCurve, depth: T) -> T {
-        reading.force_n(depth).min(self.force)
+        (self.share * reading.force_n(depth)).min(self.force)
     }
 
     /// Speed outward after a release, m/s: who walked into the base, and got more room than was needed, is met again

@@ -35,13 +35,13 @@ pub(super) fn slowing_torque<const N: usize, T: Scalar>(
         let dq = robot.dq_rad_s[i];
         let free = of::<T>(SLOWING_SHARE) * speeds.largest(i, robot.q_rad[i], dq);
         let beyond = (dq.abs() - free).max(T::zero()).copysign(dq);
-        -of::<T>(SLOWING_PER_S) * tick.mass.arm[(i, i)] * beyond
+        -of::<T>(SLOWING_PER_S) * tick.dynamics.mass[(i, i)] * beyond
     })
 }
 
 /// The joint rates that the law gives an arm whose tool it moves: q̇ = M⁻¹Jᵀ(J·M⁻¹Jᵀ)⁻¹·ν, on a standing base.
 pub(super) struct JointPace<'a, const N: usize, T> {
-    jacobian: SMatrix<T, 6, N>,
+    jacobian: &'a SMatrix<T, 6, N>,
     mass: Cholesky<N, T>,
     inverse_task_inertia: Cholesky<6, T>,
     /// How fast the law makes up for an error along and about each axis of W, 1/s.
@@ -65,11 +65,11 @@ impl<'a, const N: usize, T: Scalar> JointPace<'a, N, T> {
         limits: JointLimits<'a, N, T>,
     ) -> Option<Self> {
         let jacobian = tick.kinematics.arm_jacobian();
-        let mass = Cholesky::new(&tick.mass.arm)?;
+        let mass = Cholesky::new(&tick.dynamics.mass)?;
         let mut mobility = SMatrix::<T, 6, 6>::zeros();
         for i in 0..6 {
             let row: [T; N] = core::array::from_fn(|joint| jacobian[(i, joint)]);
-            let column = times(&jacobian, &mass.solve(&row));
+            let column = times(jacobian, &mass.solve(&row));
             for j in 0..6 {
                 mobility[(j, i)] = column[j];
             }
@@ -85,7 +85,7 @@ impl<'a, const N: usize, T: Scalar> JointPace<'a, N, T> {
     /// the end of a range less and less is allowed: where the arm is pushed back nobody leads it on.
     pub(super) fn share(&self, twist_world: &[T; 6]) -> T {
         let wrench = self.inverse_task_inertia.solve(twist_world);
-        let dq_rad_s = self.mass.solve(&transpose_times(&self.jacobian, &wrench));
+        let dq_rad_s = self.mass.solve(&transpose_times(self.jacobian, &wrench));
         let JointLimits { speeds, repulsion } = self.limits;
         (0..N).fold(T::zero(), |most, i| {
             let (q, dq) = (self.q_rad[i], dq_rad_s[i]);

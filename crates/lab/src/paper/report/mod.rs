@@ -121,10 +121,7 @@ pub(crate) fn collision_with(sensor: Sensor) -> Settings {
 /// corrections.
 pub(crate) fn collision_under_barrier() -> Result<Settings> {
     let mut settings = collision_with(Sensor::Ideal);
-    for assignment in ["protection=default", "barrier=foam", "null_space_damping=true", "base_coupling=true"]
-    {
-        settings.set(assignment)?;
-    }
+    settings.set("law=barrier")?;
     Ok(settings)
 }
 

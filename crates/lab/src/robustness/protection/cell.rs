@@ -15,23 +15,29 @@ pub(super) const PHASES: u32 = 8;
 /// Time for which the base is led before the touch: as long as it needs to run evenly, s.
 const LEAD_S: f64 = 2.0;
 
-/// Centres of the taxels, and beside two of them the front corners.
-const PLACES: [(&str, usize, f64); 15] = [
-    ("T1", 0, 0.0),
-    ("T2", 1, 0.0),
-    ("T3", 2, 0.0),
-    ("T4", 3, 0.0),
-    ("T5", 4, 0.0),
-    ("T6", 5, 0.0),
-    ("T7", 6, 0.0),
-    ("T8", 7, 0.0),
-    ("T9", 8, 0.0),
-    ("T10", 9, 0.0),
-    ("T11", 10, 0.0),
-    ("corner T4", 3, -0.11),
-    ("corner T8", 7, 0.11),
-    ("off T6", 5, 0.1),
-    ("off T5", 4, -0.1),
+/// Half the distance of two taxels in front.
+const HALF_M: f64 = 0.776 / 6.0;
+/// Centres of the taxels, the front corners, off the middle, a seam, and two at once.
+const PLACES: [Place; 19] = [
+    Place::at("T1", 0, 0.0),
+    Place::at("T2", 1, 0.0),
+    Place::at("T3", 2, 0.0),
+    Place::at("T4", 3, 0.0),
+    Place::at("T5", 4, 0.0),
+    Place::at("T6", 5, 0.0),
+    Place::at("T7", 6, 0.0),
+    Place::at("T8", 7, 0.0),
+    Place::at("T9", 8, 0.0),
+    Place::at("T10", 9, 0.0),
+    Place::at("T11", 10, 0.0),
+    Place::at("corner T4", 3, -0.11),
+    Place::at("corner T8", 7, 0.11),
+    Place::at("off T6", 5, 0.1),
+    Place::at("off T5", 4, -0.1),
+    Place::at("seam T5 T6", 5, HALF_M),
+    Place::two("T5 and T7", 4, 6),
+    Place::two("T2 and T4", 1, 3),
+    Place::two("T2 and T9", 1, 8),
 ];
 const BOARDS: [Firmware; 3] = [Firmware::Stock2018, Firmware::Stock2015, Firmware::Moca];
 /// Name, stiffness in N/m, held against a wall or standing free.
@@ -45,7 +51,39 @@ const PERSONS: [(&str, f64, bool); 6] = [
 ];
 const FOAMS: [f64; 3] = [0.5, 1.0, 2.0];
 const SHARES: [f64; 3] = [0.6, 0.8, 0.95];
-const MEETINGS: [Meeting; 2] = [Meeting::Led, Meeting::Walks];
+/// What is leant with at each of them, N.
+const LEANS_N: [f64; 3] = [10.0, 20.0, 40.0];
+const MEETINGS: [Meeting; 3] = [Meeting::Led, Meeting::Walks, Meeting::Leans];
+/// Name; what the base brakes with, how late its servo is and what the cover reads, over what is believed of it.
+const TRUTHS: [(&str, [f64; 3]); 5] = [
+    ("as described", [1.0, 1.0, 1.0]),
+    ("brakes 30 % less", [0.7, 1.0, 1.0]),
+    ("servo twice as late", [1.0, 2.0, 1.0]),
+    ("reads 20 % less", [1.0, 1.0, 0.8]),
+    ("reads 20 % more", [1.0, 1.0, 1.2]),
+];
+const SEEDS: [u64; 3] = [1, 2, 3];
+
+/// Where somebody is met.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    name: &'static str,
+    /// 0 is T1.
+    taxel: usize,
+    offset_m: f64,
+    /// Another one at the same time.
+    also: Option<usize>,
+}
+
+impl Place {
+    const fn at(name: &'static str, taxel: usize, offset_m: f64) -> Self {
+        Self { name, taxel, offset_m, also: None }
+    }
+
+    const fn two(name: &'static str, taxel: usize, also: usize) -> Self {
+        Self { name, taxel, offset_m: 0.0, also: Some(also) }
+    }
+}
 
 /// Who comes to whom.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,6 +92,18 @@ pub(super) enum Meeting {
     Led,
     /// The person walks into the standing base.
     Walks,
+    /// The person stands before it and leans on it, on purpose.
+    Leans,
+}
+
+impl Meeting {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Led => "led",
+            Self::Walks => "walks",
+            Self::Leans => "leans",
+        }
+    }
 }
 
 /// What protects the person.
@@ -81,34 +131,41 @@ impl Law {
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cell {
-    place: (&'static str, usize, f64),
+    place: Place,
     pub(super) meeting: Meeting,
     pub(super) board: Firmware,
     person: (&'static str, f64, bool),
     pub(super) foam: f64,
     pub(super) share: f64,
+    truth: (&'static str, [f64; 3]),
+    seed: u64,
 }
 
 /// Names of a cell's columns.
-pub(super) const COLUMNS: &str = "place,meeting,board,person,foam,share,speed_m_s";
+pub(super) const COLUMNS: &str = "place,meeting,board,person,foam,share,truth,seed,speed_m_s";
 
 impl Cell {
-    /// The whole grid.
+    /// The whole grid: all seeds of a robot as described, one of each that is otherwise.
     fn grid() -> Vec<Self> {
         let mut cells = Vec::new();
         for place in PLACES {
             for meeting in MEETINGS {
                 for board in BOARDS {
                     for person in PERSONS {
-                        for foam in FOAMS {
-                            cells.extend(SHARES.map(|share| Self {
+                        for (foam, share) in FOAMS.iter().flat_map(|foam| SHARES.map(|share| (*foam, share)))
+                        {
+                            let cell = |truth, seed| Self {
                                 place,
                                 meeting,
                                 board,
                                 person,
                                 foam,
                                 share,
-                            }));
+                                truth,
+                                seed,
+                            };
+                            cells.extend(SEEDS.map(|seed| cell(TRUTHS[0], seed)));
+                            cells.extend(TRUTHS[1..].iter().map(|truth| cell(*truth, SEEDS[0])));
                         }
                     }
                 }
@@ -126,11 +183,13 @@ impl Cell {
             person: PERSONS[3],
             foam: 1.0,
             share: 1.0,
+            truth: TRUTHS[0],
+            seed: SEEDS[0],
         };
         Ok(Self { share: walk_m_s / cell.bound_m_s()?, ..cell })
     }
 
-    /// Every place both ways, with every board, body, foam and share among them.
+    /// Every place in each way, with every board, body, foam and share among them, of a robot as described.
     pub(super) fn short() -> Vec<Self> {
         let count = PLACES.len() * MEETINGS.len();
         let cell = |i: usize| Self {
@@ -140,6 +199,8 @@ impl Cell {
             person: PERSONS[i % PERSONS.len()],
             foam: FOAMS[(i / 2 + i / PLACES.len()) % FOAMS.len()],
             share: SHARES[(i / 3 + i / 9) % SHARES.len()],
+            truth: TRUTHS[0],
+            seed: SEEDS[0],
         };
         (0..count).map(cell).collect()
     }
@@ -159,30 +220,27 @@ impl Cell {
 
     /// As [`COLUMNS`].
     pub(super) fn columns(&self) -> Result<String> {
-        let meeting = if self.meeting == Meeting::Led { "led" } else { "walks" };
-        let (place, person, board) = (self.place.0, self.person.0, self.board.name());
-        Ok(format!(
-            "{place},{meeting},{board},{person},{},{},{:.4}",
-            self.foam,
-            self.share,
-            self.share * self.bound_m_s()?
-        ))
+        let speed_m_s = if self.meeting == Meeting::Leans { 0.0 } else { self.share * self.bound_m_s()? };
+        let Self { place, meeting, board, person, foam, share, truth, seed } = self;
+        let (place, meeting, board) = (place.name, meeting.name(), board.name());
+        Ok(format!("{place},{meeting},{board},{},{foam},{share},{},{seed},{speed_m_s:.4}", person.0, truth.0))
     }
 
-    /// Largest speed that physics allows here, m/s.
+    /// Largest speed that physics allows here for a robot as described, m/s.
     pub(super) fn bound_m_s(&self) -> Result<f64> {
-        self.meeting_there().bound_m_s()
+        Self { truth: TRUTHS[0], ..*self }.meeting_there().bound_m_s()
     }
 
-    /// Cover and body.
+    /// Cover and body, and the base as it really is.
     pub(super) fn meeting_there(&self) -> bound::Meeting {
         let base = Config::default().robot.base;
+        let [braking, servo, _] = self.truth.1;
         bound::Meeting {
             foam: Foam::COLLISION_ASSUMED.stiffened(self.foam),
             tissue_n_m: self.person.1,
             limit_n: ProtectionConfig::default().force_limit_n,
-            deceleration_m_s2: base.acceleration_max_m_s2,
-            servo_s: base.servo_time_constant_s,
+            deceleration_m_s2: braking * base.acceleration_max_m_s2,
+            servo_s: servo * base.servo_time_constant_s,
             board: self.board,
         }
     }
@@ -207,9 +265,12 @@ impl Cell {
         settings.firmware = self.board;
         settings.foam.scale = self.foam;
         settings.sensor_phase_ms = settings.period_ms() * f64::from(phase) / f64::from(PHASES);
+        [settings.true_braking, settings.true_servo, settings.true_reading] = self.truth.1;
+        settings.config.simulation.seed = self.seed;
         let (_, stiffness, held) = self.person;
-        settings.person.taxel = self.place.1;
-        settings.person.offset_m = self.place.2;
+        settings.person.taxel = self.place.taxel;
+        settings.person.offset_m = self.place.offset_m;
+        settings.person.also = self.place.also;
         settings.person.stiffness = Some(stiffness);
         settings.person.fixed = held;
         settings.person.steps_away_s = 1000.0;
@@ -217,6 +278,11 @@ impl Cell {
         match self.meeting {
             Meeting::Led => settings.speed_m_s = speed_m_s.min(0.25),
             Meeting::Walks => (settings.speed_m_s, settings.person.walk_m_s) = (0.0, speed_m_s),
+            Meeting::Leans => {
+                let share = SHARES.iter().position(|share| share.total_cmp(&self.share).is_eq());
+                (settings.speed_m_s, settings.person.gap_m) = (0.0, 0.002);
+                (settings.person.lean_n, settings.person.fixed) = (LEANS_N[share.unwrap_or(0)], false);
+            }
         }
         settings.check()?;
         Ok(settings)

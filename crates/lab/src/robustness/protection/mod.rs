@@ -21,6 +21,8 @@ const WATCHED_S: f64 = 3.0;
 const LONGEST_S: f64 = 12.0;
 /// How often a run is asked whether it has seen enough, s.
 const LOOK_S: f64 = 0.25;
+/// Seed of the order of cells.
+const SEED: u64 = 1;
 /// Columns after the cell's own.
 const RESULTS: &str = "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after_s,felt_after_s,least_n,taps,grows,flange_mm,stopped";
 
@@ -31,10 +33,10 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "CSV", required_unless_present_any = ["table", "short", "walk_in"])]
     out: Option<PathBuf>,
     /// How many cells of the grid, in an order that its seed shuffles: a larger number goes on where a smaller one ended.
-    #[arg(long, default_value_t = 4860)]
+    #[arg(long, default_value_t = 64_638)]
     cells: usize,
     /// Seed of that order.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = SEED)]
     seed: u64,
     /// Part of the rows, as in `sweep`.
     #[arg(long, value_name = "I/N", value_parser = campaign::shard, default_value = "1/1")]
@@ -42,7 +44,7 @@ pub(crate) struct Arguments {
     /// Prints the table of a file instead, and what failed in it.
     #[arg(long, value_name = "CSV")]
     table: Option<PathBuf>,
-    /// Instead: 30 cells, every place both ways, each with the barrier off and on, as a table.
+    /// Instead: 57 cells, every place in each way, with the barrier off and on, as a table.
     #[arg(long)]
     short: bool,
     /// Instead: who walks into the front and on, as a table.
@@ -54,7 +56,7 @@ pub(crate) struct Arguments {
 #[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     if let Some(path) = &arguments.table {
-        print!("{}\n{}", table::of_file(path)?, table::failures(path)?);
+        print!("{}\n{}\n{}", table::of_file(path)?, table::failures(path)?, table::missed(path)?);
         return Ok(());
     }
     if arguments.short {
@@ -79,8 +81,8 @@ const SHORT_PHASES: u32 = 2;
 fn markdown() -> Result<String> {
     let lines = parallel::run("protection", &Cell::short(), short_line, |_| ());
     let mut out = String::from(
-        "| place | who moves | board | body | foam | share | m/s | barrier off | barrier on | least | taps | flange | why |\n\
-         |---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
+        "| place | who moves | board | body | foam | share | robot | seed | m/s | barrier off | barrier on | least | taps | flange | why |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
     );
     for line in lines {
         out.push_str(&line?);
@@ -228,7 +230,7 @@ mod tests {
         };
         let (some, all) = (places(40), places(usize::MAX));
         assert_eq!(some[..], all[..40]);
-        assert_eq!(all.len(), 4860);
+        assert_eq!(all.len(), 64_638);
         let distinct: std::collections::BTreeSet<&String> = all.iter().collect();
         assert_eq!(distinct.len(), all.len());
         for cell in Cell::sample(40, 1) {
