@@ -13,7 +13,7 @@ use moca_daemon::control::tick_input::Slot;
 use moca_daemon::robot::{JOINTS, Parts, PlantKind, TAXELS};
 use moca_daemon::runtime::assemble::{motion, supervisor};
 use moca_daemon::runtime::live::Shared;
-use moca_daemon::runtime::notice::Silent;
+use moca_daemon::runtime::notice::{DriverWords, Silent};
 use moca_daemon::runtime::options::Options;
 use moca_daemon::runtime::replay;
 use moca_daemon::runtime::run::with_plant;
@@ -289,7 +289,8 @@ fn a_robot_of_ones_own_is_recorded_and_replayed_with_its_link() {
     let duration = Some(Duration::from_millis(700));
     let options = Options { config, duration, record: Some(log.clone()), ..Options::default() };
     let arm = ArmLink { mode: ArmMode::Torque, success_rate: 0.5, lost: 7, ..ArmLink::default() };
-    let connect = || {
+    let connect = |words: &DriverWords| {
+        words.send("arm: it is there".into()).unwrap();
         let (age, order) = (SourceAge::default(), Actuation::Brake);
         Ok(Scripted { state: Ok(at_home()), age, link: arm, order, recoveries: 0 })
     };

@@ -53,6 +53,24 @@ fn systemd_hears_ready_the_heartbeat_and_the_end() {
     assert_eq!(process.wait().unwrap().code(), Some(0), "SIGTERM is the usual end");
 }
 
+/// What the parts of a real robot ask of the operating system, and what the unit's sandbox lets through. No systemd runs here:
+/// this is the text.
+#[test]
+fn the_unit_lets_a_real_robots_drivers_through() {
+    let unit = include_str!("../../systemd/mocad.service");
+    let value = |key: &str| unit.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix('='));
+    assert_eq!(value("LimitRTPRIO"), Some("99"), "the arm's client asks for it first");
+    assert_eq!(value("LimitMEMLOCK"), Some("infinity"));
+    let families: Vec<_> = value("RestrictAddressFamilies").unwrap().split(' ').collect();
+    for needed in ["AF_UNIX", "AF_INET", "AF_NETLINK"] {
+        assert!(
+            families.contains(&needed),
+            "{needed}: telemetry, FCI and DDS, the networks of this PC: {families:?}"
+        );
+    }
+    assert_eq!(value("After"), Some("network-online.target"), "arm and base are behind the network");
+}
+
 #[test]
 fn exit_codes_tell_a_wrong_configuration_from_another_failure() {
     let wrong = file("wrong.toml", "[loop]\nrate_hz = 5\n");

@@ -45,7 +45,7 @@ fn main() -> anyhow::Result<()> {
     let state = RobotState::at_rest(config.control.gains.posture_rad);
     let options = Options { config, duration: Some(Duration::from_secs(2)), ..Options::default() };
     let run =
-        with_plant(&options, || Ok(MyRobot(state)), Timer::new, &Arc::new(Shared::default()), &mut Silent)?;
+        with_plant(&options, |_| Ok(MyRobot(state)), Timer::new, &Arc::new(Shared::default()), &mut Silent)?;
     eprintln!("{} ticks, {} slots missed", run.report.ticks, run.report.overruns);
     Ok(())
 }

@@ -294,11 +294,24 @@ choice!(PlantKind { Simulated: "simulated", Robot: "robot", None: "none" });
 pub enum ArmDriver {
     /// FCI: a Franka Research 3 or a Panda.
     Fci,
+    /// None: the arm is simulated on a real base.
+    Simulated,
     /// That of the program that runs the loop.
     Own,
 }
 
-choice!(ArmDriver { Fci: "fci", Own: "own" });
+choice!(ArmDriver { Fci: "fci", Simulated: "simulated", Own: "own" });
+
+/// Who is believed about a real arm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Believed {
+    /// This program: its configuration, its own estimate.
+    Ours,
+    /// The arm itself.
+    Arm,
+}
+
+choice!(Believed { Ours: "ours", Arm: "arm" });
 
 /// What drives a real base.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

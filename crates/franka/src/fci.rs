@@ -3,6 +3,7 @@
 use crate::count::Count;
 use crate::limiter::TorqueLimiter;
 use crate::mode::{Asked, Next, Phase, Said};
+use crate::wrench::at_flange;
 use crate::{JOINTS, REPEATS_MAX};
 use franka::robot::ActiveTorqueControl;
 use franka::{Errors, FrankaError, RealtimeConfig, Robot, RobotMode, Torques};
@@ -32,7 +33,7 @@ pub struct Settings {
 }
 
 /// Difference to what the arm was told in Desk from which on it is said, kg.
-const CARRIES_APART_KG: f64 = 0.05;
+pub const CARRIES_APART_KG: f64 = 0.05;
 
 /// One state of the arm, as much of it as a loop uses.
 #[derive(Clone, Copy, Debug)]
@@ -47,6 +48,13 @@ pub struct ArmState {
     pub torque_nm: [f64; JOINTS],
     /// Whether it knows where down is, as every real one does: a simulated one gives torques without gravity.
     pub feels_gravity: bool,
+    /// What it says that pushes it, about the flange's origin, in the axes of its base: N, N·m. It takes its base for one that
+    /// stands.
+    pub wrench_base: [f64; 6],
+    /// What it does.
+    pub said: Said,
+    /// What it carries as Desk says, kg.
+    pub carries_kg: f64,
     /// Share of the last commands that reached it in time.
     pub success_rate: f64,
     /// When it came.
@@ -396,6 +404,9 @@ impl Worker {
             dq_rad_s: state.dq,
             torque_nm: state.tau_J,
             feels_gravity: down > 1.0,
+            wrench_base: at_flange(&state.O_F_ext_hat_K, &state.O_T_EE, &state.F_T_EE, &state.EE_T_K),
+            said: said(state.robot_mode),
+            carries_kg: state.m_total,
             success_rate: state.control_command_success_rate,
             received: Instant::now(),
         }));
@@ -446,12 +457,12 @@ fn described(mode: ArmMode, errors: u64) -> String {
 }
 
 /// Why the arm could not be reached, and what to do.
-fn explained(host: &str, error: &FrankaError) -> String {
+pub(crate) fn explained(host: &str, error: &FrankaError) -> String {
     match error {
         FrankaError::IncompatibleVersion { server_version, .. } => format!(
-            "the arm at {host} speaks FCI {server_version}; this program speaks 10 (a Franka Research 3 with the system \
-             image that libfranka 0.21 asks for) and 5 (a Panda with system image 4.2, as libfranka 0.9 asks for): install \
-             one of these in Desk"
+            "the arm at {host} speaks FCI {server_version}; this program speaks 10 (a Franka Research 3 with robot system 5.9.0 or \
+             newer, as libfranka 0.18 and later) and 5 (a Panda with robot system 4.2.1 or newer, as libfranka 0.9): install one \
+             of these in Desk"
         ),
         error => format!("the arm at {host} cannot be reached: {error}"),
     }

@@ -6,16 +6,22 @@
 //! does not come in time is replaced by the last one, counted, and after [`REPEATS_MAX`] in a row the arm is left to its own
 //! controller.
 //!
-//! What can be decided without a connection is pure and stands in [`limiter`], [`mode`] and [`count`].
+//! What can be decided without a connection is pure and stands in [`limiter`], [`mode`], [`count`] and
+//! [`wrench`].
 
+#[cfg(feature = "fci")]
+mod carried;
 pub mod count;
 #[cfg(feature = "fci")]
 mod fci;
 pub mod limiter;
 pub mod mode;
+pub mod wrench;
 
 #[cfg(feature = "fci")]
-pub use fci::{ArmState, Fci, Settings};
+pub use carried::{Carried, carried};
+#[cfg(feature = "fci")]
+pub use fci::{ArmState, CARRIES_APART_KG, Fci, Settings};
 
 /// Joints of every arm that speaks FCI.
 pub const JOINTS: usize = 7;

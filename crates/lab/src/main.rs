@@ -14,7 +14,7 @@ use clap::{Parser, Subcommand};
 use cover::{characterize, latency, stream, threshold};
 use numerics::{economy, extremes, precision, stability, sweep, tick, vectors};
 use paper::report;
-use robustness::{clients, faults, lean, protection, soak};
+use robustness::{clients, faults, lean, lost_packets, protection, soak};
 use std::process::ExitCode;
 
 /// Experiments and checks of MOCA-S.
@@ -37,6 +37,7 @@ enum Command {
     Extremes(extremes::Arguments),
     Faults(faults::Arguments),
     Lean(lean::Arguments),
+    LostPackets(lost_packets::Arguments),
     /// From touch to force, stage by stage; whether the contact is stable and how fast the base may go.
     Latency(latency::Arguments),
     /// What watching costs the live loop: overruns and publish stage with and without clients.
@@ -85,6 +86,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Extremes(arguments) => extremes::run(&arguments),
         Command::Faults(arguments) => faults::run(&arguments),
         Command::Lean(arguments) => lean::run(&arguments),
+        Command::LostPackets(arguments) => lost_packets::run(&arguments),
         Command::Latency(arguments) => latency::run(&arguments),
         Command::Clients(arguments) => clients::run(&arguments),
         Command::Precision(arguments) => precision::run(&arguments),

@@ -3,9 +3,9 @@
 //!     cargo run -p moca-ros2 --features dds --example drive_base -- 42 /cmd_vel /odom twist 5 0.02
 //!
 //! Domain, topics, `twist` or `stamped`, seconds, m/s. The last line is JSON, for `.ci/ros2`.
-#![allow(clippy::print_stdout, reason = "a program")]
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program")]
 
-use moca_ros2::base::{BaseSettings, Ros2Base};
+use moca_ros2::base::{BaseSettings, Reliable, Ros2Base};
 use moca_ros2::dds::Dds;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
@@ -26,10 +26,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         rate_hz: 100.0,
         silence_s: 0.05,
         deadline_s: 0.1,
+        reliable: Reliable::default(),
         velocity_max: [1.5, 1.5, 2.0],
     };
     let speed_m_s: f64 = speed_m_s.parse()?;
-    let mut base = Ros2Base::spawn(settings, Box::new(Dds::join(domain.parse()?, &[])?))?;
+    let mut base =
+        Ros2Base::spawn(settings, Box::new(Dds::join(domain.parse()?, &[])?), |text| eprintln!("{text}"))?;
     let end = Instant::now() + Duration::from_secs_f64(seconds.parse()?);
     let (mut stale, mut was_stale, mut heard) = (0, true, false);
     while Instant::now() < end {

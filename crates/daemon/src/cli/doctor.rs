@@ -2,7 +2,10 @@
 //! about it.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
+use crate::cli::finding::{self, Finding};
+use crate::cli::network;
 use crate::config::Config;
+use crate::robot::{ArmDriver, BaseDriver, PlantKind};
 use crate::runtime::clock::Clock;
 use crate::runtime::realtime::{self, Step};
 use crate::runtime::schedule::Schedule;
@@ -31,6 +34,15 @@ pub struct Arguments {
     /// Listen to the Touch Board for --seconds instead, and print a report of it to send back.
     #[arg(long)]
     board: bool,
+    /// Look at the real robot that the configuration names, for --seconds: arm, base and the way to them. Nothing moves.
+    #[arg(long)]
+    robot: bool,
+    /// Then hold the arm where it is for --seconds, to see which of the orders reach it.
+    #[arg(long, requires = "robot")]
+    hold: bool,
+    /// Then drive the base forwards at 2 cm/s and fall silent, to see when it stops by itself.
+    #[arg(long, requires = "robot")]
+    drive: bool,
 }
 
 /// Lateness of one loop.
@@ -57,11 +69,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return crate::cli::board_report::run(&config, length);
     }
     println!("What this PC offers");
-    for Finding { what, good, found, remedy } in findings() {
-        println!("  {} {what}: {found}", if good { "ok  " } else { "CARE" });
-        if !good {
-            println!("       {remedy}");
-        }
+    finding::print(&findings());
+    if arguments.robot {
+        return look_at_robot(&config, length, arguments);
     }
     println!(
         "\nWhat the loop gets ({} Hz, {} s each{})",
@@ -85,6 +95,40 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         idle.store(true, Ordering::Relaxed);
         result
     })
+}
+
+/// Every part that the configuration says is real.
+fn look_at_robot(config: &Config, length: Duration, arguments: &Arguments) -> Result<()> {
+    let plant = &config.plant;
+    ensure!(
+        plant.kind == PlantKind::Robot,
+        "doctor --robot looks at a real robot: a configuration (--config) with plant.kind = \"robot\""
+    );
+    if plant.parts.has_arm() && plant.arm.driver == ArmDriver::Fci {
+        println!("\nThe arm");
+        finding::print(&look_at_arm(config, length, arguments.hold)?);
+        finding::print(&[network::card_of(&plant.arm.host, usize::try_from(config.realtime.cpu).ok())]);
+    }
+    if plant.parts.has_cover() && plant.base.driver == BaseDriver::Ros2 {
+        println!("\nThe base");
+        finding::print(&look_at_base(config, length, arguments.drive)?);
+    }
+    Ok(())
+}
+
+#[cfg(feature = "fci")]
+use super::doctor_arm::look as look_at_arm;
+#[cfg(feature = "ros2")]
+use super::doctor_base::look as look_at_base;
+
+#[cfg(not(feature = "fci"))]
+fn look_at_arm(_: &Config, _: Duration, _: bool) -> Result<Vec<Finding>> {
+    Err(anyhow!("plant.arm.driver = \"fci\" needs a build with the feature `fci`"))
+}
+
+#[cfg(not(feature = "ros2"))]
+fn look_at_base(_: &Config, _: Duration, _: bool) -> Result<Vec<Finding>> {
+    Err(anyhow!("plant.base.driver = \"ros2\" needs a build with the feature `ros2`"))
 }
 
 fn measure(config: &Config, length: Duration, pairs: usize) -> Result<()> {
@@ -117,7 +161,7 @@ fn measure(config: &Config, length: Duration, pairs: usize) -> Result<()> {
 }
 
 const REMEDY: &str = "systemd/mocad.service grants it (LimitRTPRIO, LimitMEMLOCK, DeviceAllow); by hand: \
-                      /etc/security/limits.d (rtprio 98, memlock unlimited) for the user's group";
+                      /etc/security/limits.d (rtprio 99, memlock unlimited) for the user's group";
 
 fn on_a_thread_of_its_own(work: impl FnOnce() -> Result<Lateness> + Send) -> Result<Lateness> {
     std::thread::scope(|scope| scope.spawn(work).join().map_err(|_| anyhow!("the measured loop panicked"))?)
@@ -169,14 +213,6 @@ fn print_row(name: &str, measured: &Lateness) {
     println!("  {name:<15} {p50:>9.0} {p99:>9.0} {p999:>9.0} {max:>9.0} {:>14}", measured.overruns);
 }
 
-/// One thing that matters to a loop that must not be late.
-struct Finding {
-    what: &'static str,
-    good: bool,
-    found: String,
-    remedy: &'static str,
-}
-
 fn findings() -> Vec<Finding> {
     let read = |path: &str| fs::read_to_string(path).map(|text| text.trim().to_owned()).ok();
     let preempt = read("/sys/kernel/realtime").as_deref() == Some("1");
@@ -186,41 +222,41 @@ fn findings() -> Vec<Finding> {
     let virtual_machine = read("/proc/cpuinfo").is_some_and(|text| text.contains("hypervisor"));
     let board = crate::devices::ports::look();
     vec![
-        Finding {
-            what: "kernel",
-            good: preempt,
-            found: if preempt { "PREEMPT_RT".into() } else { "no PREEMPT_RT".into() },
-            remedy: "install your distribution's real-time kernel; a stock one is late by milliseconds under load",
-        },
-        Finding {
-            what: "hardware",
-            good: !virtual_machine,
-            found: if virtual_machine { "a virtual machine".into() } else { "no hypervisor".into() },
-            remedy: "run the robot on bare metal: a halted virtual processor wakes late, whatever the guest does",
-        },
-        Finding {
-            what: "real-time throttling",
-            good: throttle.as_deref() == Some("-1"),
-            found: throttle.map_or("unknown".into(), |us| format!("sched_rt_runtime_us = {us}")),
-            remedy: "harmless while a tick takes far less than its period; sysctl kernel.sched_rt_runtime_us=-1 lifts it",
-        },
-        Finding {
-            what: "frequency governor",
-            good: governor.as_deref().is_none_or(|governor| governor == "performance"),
-            found: governor.unwrap_or_else(|| "none (fixed frequency)".into()),
-            remedy: "cpupower frequency-set -g performance",
-        },
-        Finding {
-            what: "isolated cores",
-            good: isolated.is_some(),
-            found: isolated.unwrap_or_else(|| "none".into()),
-            remedy: "optional: boot with isolcpus=N nohz_full=N and set realtime.cpu = N",
-        },
-        Finding {
-            what: "Touch Board",
-            good: board.is_ok(),
-            found: board.unwrap_or_else(Into::into),
-            remedy: "the simulation has a virtual one",
-        },
+        Finding::new(
+            "kernel",
+            preempt,
+            if preempt { "PREEMPT_RT" } else { "no PREEMPT_RT" },
+            "install your distribution's real-time kernel; a stock one is late by milliseconds under load",
+        ),
+        Finding::new(
+            "hardware",
+            !virtual_machine,
+            if virtual_machine { "a virtual machine" } else { "no hypervisor" },
+            "run the robot on bare metal: a halted virtual processor wakes late, whatever the guest does",
+        ),
+        Finding::new(
+            "real-time throttling",
+            throttle.as_deref() == Some("-1"),
+            throttle.map_or("unknown".into(), |us| format!("sched_rt_runtime_us = {us}")),
+            "harmless while a tick takes far less than its period; sysctl kernel.sched_rt_runtime_us=-1 lifts it",
+        ),
+        Finding::new(
+            "frequency governor",
+            governor.as_deref().is_none_or(|governor| governor == "performance"),
+            governor.unwrap_or_else(|| "none (fixed frequency)".into()),
+            "cpupower frequency-set -g performance",
+        ),
+        Finding::new(
+            "isolated cores",
+            isolated.is_some(),
+            isolated.unwrap_or_else(|| "none".into()),
+            "optional: boot with isolcpus=N nohz_full=N and set realtime.cpu = N",
+        ),
+        Finding::new(
+            "Touch Board",
+            board.is_ok(),
+            board.unwrap_or_else(Into::into),
+            "the simulation has a virtual one",
+        ),
     ]
 }

@@ -3,7 +3,13 @@
 mod board_report;
 pub mod calibrate;
 pub mod doctor;
+#[cfg(feature = "fci")]
+mod doctor_arm;
+#[cfg(feature = "ros2")]
+mod doctor_base;
+mod finding;
 pub mod log;
+mod network;
 pub mod operate;
 pub mod operator;
 pub mod params;

@@ -54,6 +54,7 @@ pub struct Report {
     /// What each board is called, where there are several.
     boards: Vec<String>,
     next_status_s: f64,
+    time_s: f64,
 }
 
 const STATUS_EVERY_S: f64 = 1.0;
@@ -68,6 +69,7 @@ impl Report {
     /// Lines to print for this sample; usually none.
     pub fn lines(&mut self, sample: &Sample) -> Vec<Line> {
         let time_s = seconds(sample.time_ns);
+        self.time_s = time_s;
         let mut lines = Vec::new();
         if self.mode.replace(sample.mode) != Some(sample.mode) || self.fault != sample.fault {
             self.fault = sample.fault;
@@ -78,7 +80,7 @@ impl Report {
             };
             let whose = sample.fault_board.and_then(|board| self.boards.get(usize::from(board)));
             let whose = whose.map_or_else(String::new, |board| format!(" {board}."));
-            let text = format!("[{time_s:7.2} s] mode: {}{}{whose}", sample.mode.name(), why(sample.fault));
+            let text = format!("[{}] mode: {}{}{whose}", at(time_s), sample.mode.name(), why(sample.fault));
             lines.push(Line { level, text });
         }
         // A port takes a moment to open and a board to speak: only a state that lasts is worth a line.
@@ -99,6 +101,11 @@ impl Report {
         lines.retain(|line| line.level <= self.level);
         lines
     }
+}
+
+/// Loop time as every line begins with it.
+fn at(time_s: f64) -> String {
+    format!("{time_s:7.2} s")
 }
 
 /// What a terminal shows of one notice, in lines; usually none.
@@ -131,6 +138,10 @@ pub fn lines_of(report: &mut Report, notice: Notice<'_>) -> Vec<String> {
         }
         Notice::FaultLog(path) => vec![format!("  the seconds before it: {}", path.display())],
         Notice::Trouble(words) => vec![Line { level: Level::Warning, text: words.into() }.to_string()],
+        Notice::Driver(words) => {
+            let text = format!("[{}] {words}", at(report.time_s));
+            vec![Line { level: Level::Warning, text }.to_string()]
+        }
         Notice::Recorded(summary) => {
             let mut lines = vec![format!(
                 "recorded {} samples and {} bytes of the board",

@@ -20,7 +20,7 @@ pub(crate) use ports::NAMED_PORT;
 pub use ports::Ports;
 pub use ros2::Ros2Config;
 
-use crate::robot::{Arm, ArmDriver, BaseDriver, JOINTS, Parts, PlantKind, Robot, TAXELS};
+use crate::robot::{Arm, ArmDriver, BaseDriver, Believed, JOINTS, Parts, PlantKind, Robot, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::robot::AnyArm;
 use moca_msgs::table::{Field, ParameterSpec};
@@ -136,7 +136,8 @@ parameter_table! {
     /// `[plant.arm]`: a real arm.
     #[derive(Clone, Debug, PartialEq)]
     pub struct ArmPlantConfig in "plant.arm" {
-        /// What drives it: "own" is the driver of a program that runs the loop as a library.
+        /// What drives it: "simulated" is an arm that is not there on a base that is, "own" the driver of a program that runs the
+        /// loop as a library.
         driver: ArmDriver = ArmDriver::Own;
         /// Address of its controller.
         host: String = "172.16.0.2".into();
@@ -147,6 +148,12 @@ parameter_table! {
         /// Forces and moments at the hand above which it has a reflex.
         collision_wrench: [f64; 6] = [60.0, 60.0, 60.0, 25.0, 25.0, 25.0]
             => [.range(5.0, 200.0).units(&["N", "N", "N", "N·m", "N·m", "N·m"])];
+        /// What it carries: "ours" is robot.tool and robot.load, "arm" what somebody entered in Desk; then it has to be on when
+        /// this program starts.
+        payload: Believed = Believed::Ours;
+        /// What pushes its flange: "ours" is the momentum observer, which knows how the base accelerates, "arm" the arm's own
+        /// estimate, which takes its base for one that stands.
+        external_wrench: Believed = Believed::Ours;
         /// Oldest state that is controlled with.
         deadline_s: f64 = 0.010 => [.range(0.002, 1.0).units(&["s"])];
     }

@@ -18,6 +18,10 @@ parameter_table! {
         frame: String = "base_link".into();
         /// Topic of the odometry, with its namespace.
         odom: String = "/robot/robotnik_base_control/odom".into();
+        /// Whether a lost order is sent again; a base whose reader is best-effort takes either.
+        reliable_orders: bool = true;
+        /// Whether lost odometry is asked for again; needs a base that offers it.
+        reliable_odom: bool = false;
         /// How often the base is sent an order.
         order_rate_hz: f64 = 100.0 => [.range(10.0, 1000.0).units(&["Hz"])];
         /// Without an order of the loop for so long the base is sent zero: before its own time-out.

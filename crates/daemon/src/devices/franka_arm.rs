@@ -3,9 +3,9 @@
 use crate::config::Config;
 use crate::control::plant::{Datagram, Plant, PlantClock, SourceAge};
 use crate::devices::stand_in_base::StandInBase;
-use crate::robot::{BaseDriver, JOINTS};
-use anyhow::{Context, Result, ensure};
-use moca_franka::{ArmState, Fci, Settings};
+use crate::robot::{BaseDriver, Believed, JOINTS};
+use anyhow::{Context, Result, anyhow, ensure};
+use moca_franka::{ArmState, Carried, Fci, Settings};
 use moca_msgs::robot::resized;
 use moca_msgs::{Actuation, ArmLink, Fault, Outcome, Refusal, RobotState};
 use std::time::Duration;
@@ -18,6 +18,8 @@ pub struct FrankaArm {
     arm: Fci,
     /// `None` on a stand, and on a base that has a driver of its own.
     base: Option<StandInBase>,
+    /// Rotation of the arm's base in B, row by row, if the arm's own estimate of what pushes it is believed.
+    mounted: Option<[[f64; 3]; 3]>,
     /// Of the last order, N·m: what an arm that does not know where down is leaves out of its torques.
     gravity_nm: [f64; JOINTS],
 }
@@ -28,27 +30,13 @@ impl FrankaArm {
     /// # Errors
     /// An arm that is none of Franka's, or a thread that cannot be started.
     pub fn connect(config: &Config, say: impl FnMut(&str) + Send + 'static) -> Result<Self> {
-        let (arm, joints) = (&config.plant.arm, config.arm().joints);
-        ensure!(
-            joints == moca_franka::JOINTS,
-            "plant.arm.driver = \"fci\" drives 7 joints; robot.arm has {joints}"
-        );
-        ensure!(
-            config.control_loop.rate_hz == 1000,
-            "loop.rate_hz: the datagrams of plant.arm.driver = \"fci\" come at 1000 Hz"
-        );
-        let settings = Settings {
-            host: arm.host.clone(),
-            priority: config.realtime.priority + ABOVE_LOOP,
-            collision: (arm.collision_torque_nm, arm.collision_wrench),
-            answer_within: Duration::from_secs_f64(arm.answer_s),
-            carries_kg: config.robot.payload().inertial.mass_kg,
-        };
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
         let stands_in = config.plant.parts.has_cover() && config.plant.base.driver == BaseDriver::Simulated;
         let base = stands_in.then(|| StandInBase::new(&config.robot.base, period_s));
-        let arm = Fci::spawn(settings, say).context("the arm's thread")?;
-        Ok(Self { arm, base, gravity_nm: [0.0; JOINTS] })
+        let believed = config.plant.arm.external_wrench == Believed::Arm;
+        let mounted = believed.then(|| rotation(config.robot.mount.rpy_rad));
+        let arm = Fci::spawn(settings(config)?, say).context("the arm's thread")?;
+        Ok(Self { arm, base, mounted, gravity_nm: [0.0; JOINTS] })
     }
 
     fn torque_measured_nm(&self, state: &ArmState) -> [f64; JOINTS] {
@@ -58,6 +46,71 @@ impl FrankaArm {
         }
         torque_nm
     }
+}
+
+/// How the arm that the configuration names is reached and set up.
+///
+/// # Errors
+/// An arm that is none of Franka's, or a rate that is not FCI's.
+pub(crate) fn settings(config: &Config) -> Result<Settings> {
+    let (arm, joints) = (&config.plant.arm, config.arm().joints);
+    ensure!(
+        joints == moca_franka::JOINTS,
+        "plant.arm.driver = \"fci\" drives 7 joints; robot.arm has {joints}"
+    );
+    ensure!(
+        config.control_loop.rate_hz == 1000,
+        "loop.rate_hz: the datagrams of plant.arm.driver = \"fci\" come at 1000 Hz"
+    );
+    Ok(Settings {
+        host: arm.host.clone(),
+        priority: config.realtime.priority + ABOVE_LOOP,
+        collision: (arm.collision_torque_nm, arm.collision_wrench),
+        answer_within: Duration::from_secs_f64(arm.answer_s),
+        carries_kg: config.robot.payload().inertial.mass_kg,
+    })
+}
+
+/// Takes tool and load from the arm's own state, where the configuration says so. Waits for the arm.
+///
+/// # Errors
+/// It cannot be reached, or what it says is no body.
+pub(crate) fn ask_for_payload(config: &mut Config) -> Result<()> {
+    if config.plant.arm.payload == Believed::Ours {
+        return Ok(());
+    }
+    let host = config.plant.arm.host.clone();
+    // The client raises the thread that it runs on.
+    let asked = std::thread::spawn(move || moca_franka::carried(&host));
+    let answer = asked.join().map_err(|_| anyhow!("the arm's client panicked"))?;
+    let Carried { tool, load } = answer.map_err(|why| anyhow!("plant.arm.payload = \"arm\": {why}"))?;
+    let robot = &mut config.robot;
+    (robot.tool.mass_kg, robot.tool.com_m, robot.tool.inertia_com) =
+        (tool.mass_kg, tool.com_m, tool.inertia_com);
+    (robot.load.mass_kg, robot.load.com_m, robot.load.inertia_com) =
+        (load.mass_kg, load.com_m, load.inertia_com);
+    let mut mistakes = Vec::new();
+    config.check(|_, mistake| mistakes.push(mistake));
+    ensure!(mistakes.is_empty(), "plant.arm.payload = \"arm\", which carries:\n{}", mistakes.join("\n"));
+    Ok(())
+}
+
+/// Rz·Ry·Rx, row by row.
+fn rotation(rpy_rad: [f64; 3]) -> [[f64; 3]; 3] {
+    let [(sr, cr), (sp, cp), (sy, cy)] = rpy_rad.map(f64::sin_cos);
+    [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+}
+
+/// A wrench in other axes.
+fn turned(rotation: &[[f64; 3]; 3], wrench: &[f64; 6]) -> [f64; 6] {
+    std::array::from_fn(|i| {
+        let (row, part) = (&rotation[i % 3], &wrench[3 * (i / 3)..][..3]);
+        row.iter().zip(part).map(|(r, v)| r * v).sum()
+    })
 }
 
 impl Plant for FrankaArm {
@@ -74,8 +127,11 @@ impl Plant for FrankaArm {
             q_rad: resized(&state.q_rad),
             dq_rad_s: resized(&state.dq_rad_s),
             torque_measured_nm: self.torque_measured_nm(state),
-            // The arm's own estimate takes a base that accelerates for a push: our observer knows it.
-            flange_wrench_world: None,
+            flange_wrench_world: self.mounted.map(|mounted| {
+                let (sin, cos) = base_pose_world[2].sin_cos();
+                let in_body = turned(&mounted, &state.wrench_base);
+                turned(&[[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]], &in_body)
+            }),
         })
     }
 
@@ -113,5 +169,20 @@ impl Plant for FrankaArm {
 impl PlantClock for FrankaArm {
     fn receive(&mut self, timeout: Duration) -> Datagram {
         self.arm.receive(timeout).map_or(Datagram::Missing, Datagram::Count)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::FRAC_PI_2;
+
+    #[test]
+    fn a_push_on_an_arm_that_is_mounted_askew_is_felt_where_it_comes_from() {
+        // Its x axis points up: a push along it lifts the robot.
+        let wrench = turned(&rotation([0.0, -FRAC_PI_2, 0.0]), &[10.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
+        for (found, expected) in wrench.iter().zip([0.0, 0.0, 10.0, 0.0, 2.0, 0.0]) {
+            assert!((found - expected).abs() < 1e-12, "{wrench:?}");
+        }
     }
 }

@@ -3,21 +3,42 @@
 use crate::config::Config;
 use crate::control::plant::{Datagram, Plant, PlantClock, SourceAge};
 use crate::robot::JOINTS;
+use crate::runtime::realtime::Raised;
 use anyhow::{Context, Result};
 use moca_msgs::{Actuation, ArmLink, Fault, Outcome, RobotCommand, RobotState};
-use moca_ros2::base::{BaseSettings, Ros2Base};
+use moca_ros2::base::{BaseSettings, Reliable, Ros2Base};
 use moca_ros2::dds::Dds;
+use moca_ros2::transport::Transport;
 use std::net::IpAddr;
 use std::time::Duration;
 
-/// Begins to serve the base that the configuration names; it may come later.
+/// Begins to serve the base that the configuration names; it may come later. `say` hears in sentences what is wrong on the
+/// network.
 ///
 /// # Errors
 /// No network, or a topic whose name is none.
-pub fn connect(config: &Config) -> Result<Ros2Base> {
+pub fn connect(config: &Config, say: impl FnMut(&str) + Send + 'static) -> Result<Ros2Base> {
+    // A base that is not heard stops the robot, as a board does: its threads are raised as the board's are.
+    let (_raised, _) = Raised::below(config.realtime.priority);
+    Ros2Base::spawn(settings(config), transport(config)?, say).context("plant.base.driver = \"ros2\"")
+}
+
+/// The way to the base's network.
+pub(crate) fn transport(config: &Config) -> Result<Box<dyn Transport + Send>> {
+    let ros2 = &config.plant.base.ros2;
+    let interface = Some(&ros2.interface).filter(|address| !address.is_empty());
+    let interface = interface.map(|address| address.parse::<IpAddr>()).transpose();
+    let interface = interface.context("plant.base.ros2.interface")?;
+    let transport =
+        Dds::join(u16::from(ros2.domain), interface.as_slice()).context("plant.base.driver = \"ros2\"")?;
+    Ok(Box::new(transport))
+}
+
+/// The base that the configuration names.
+pub(crate) fn settings(config: &Config) -> BaseSettings {
     let plant = &config.plant.base;
     let ros2 = &plant.ros2;
-    let settings = BaseSettings {
+    BaseSettings {
         cmd_vel: ros2.cmd_vel.clone(),
         stamped: ros2.stamped,
         frame: ros2.frame.clone(),
@@ -25,14 +46,9 @@ pub fn connect(config: &Config) -> Result<Ros2Base> {
         rate_hz: ros2.order_rate_hz,
         silence_s: ros2.silence_s,
         deadline_s: plant.deadline_s,
+        reliable: Reliable { orders: ros2.reliable_orders, odom: ros2.reliable_odom },
         velocity_max: config.limits.base_velocity,
-    };
-    let interface = Some(&ros2.interface).filter(|address| !address.is_empty());
-    let interface = interface.map(|address| address.parse::<IpAddr>()).transpose();
-    let interface = interface.context("plant.base.ros2.interface")?;
-    let transport =
-        Dds::join(u16::from(ros2.domain), interface.as_slice()).context("plant.base.driver = \"ros2\"")?;
-    Ros2Base::spawn(settings, Box::new(transport)).context("plant.base.driver = \"ros2\"")
+    }
 }
 
 /// An arm, or none at all, on a base behind ROS 2.
@@ -102,6 +118,7 @@ fn turned([fx, fy, fz, mx, my, mz]: [f64; 6], yaw_rad: f64) -> [f64; 6] {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "values that are handed on unchanged")]
 mod tests {
     use super::*;
     use moca_ros2::cdr;
@@ -138,20 +155,9 @@ mod tests {
 
     fn robot(waiting: Vec<Vec<u8>>) -> (OnRos2Base<Arm>, mpsc::Receiver<Vec<u8>>) {
         let config = Config::default();
-        let ros2 = config.plant.base.ros2;
         let (heard, sent) = mpsc::channel();
-        let settings = BaseSettings {
-            cmd_vel: ros2.cmd_vel,
-            stamped: false,
-            frame: ros2.frame,
-            odom: ros2.odom,
-            rate_hz: ros2.order_rate_hz,
-            silence_s: ros2.silence_s,
-            deadline_s: config.plant.base.deadline_s,
-            velocity_max: config.limits.base_velocity,
-        };
         let memory = Memory { heard: Some(heard), waiting, ..Memory::default() };
-        let base = Ros2Base::spawn(settings, Box::new(memory)).unwrap();
+        let base = Ros2Base::spawn(settings(&config), Box::new(memory), |_| {}).unwrap();
         let mut state = RobotState::at_rest([0.1; JOINTS]);
         state.flange_wrench_world = Some([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         (OnRos2Base::new(Arm(state, None), base), sent)

@@ -122,6 +122,11 @@ impl Recording {
         }
     }
 
+    /// Adds what a driver of the robot said.
+    pub fn add_words(&self, time_ns: u64, words: &str) {
+        self.recorder.driver(time_ns, words);
+    }
+
     /// Why nothing is recorded any more: once, as soon as that is so.
     pub fn trouble(&mut self) -> Option<String> {
         let failure = self.recorder.failure().filter(|_| !self.told)?.to_owned();

@@ -9,7 +9,7 @@ use crate::record::recording::{Recording, parameter_change};
 use crate::record::tick_log::TickLogReader;
 use crate::robot::PlantKind;
 use crate::runtime::live::{Rings, Shared};
-use crate::runtime::notice::{Notice, Reporter};
+use crate::runtime::notice::{DriverWords, Notice, Reporter};
 use crate::runtime::options::Options;
 use crate::runtime::watchdog::Heartbeat;
 use anyhow::{Context, Result, anyhow};
@@ -22,7 +22,7 @@ use moca_telemetry::net::{
 use std::fs::File;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::Sender;
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
 /// Samples a ring to clients holds: four seconds at 1 kHz.
@@ -181,6 +181,8 @@ pub(crate) struct Clients {
     panics: bool,
     flight: Option<FlightRecorder>,
     ticks: TickLogReader,
+    /// What the drivers of a real robot say.
+    drivers: (DriverWords, Receiver<String>),
     /// Where dashboards hear of trouble with the disk.
     pub(crate) notices: Option<Sender<String>>,
 }
@@ -193,7 +195,7 @@ impl Clients {
         let recording = recording(options, strike.as_ref(), reporter)?;
         let flight = if options.lock_step { None } else { flight_recorder(&options.config, reporter)? };
         let panics = options.outside_fault() == Some(OutsideFault::Panic);
-        Ok(Self { strike, recording, panics, flight, ticks, notices: None })
+        Ok(Self { strike, recording, panics, flight, ticks, drivers: channel(), notices: None })
     }
 
     pub(crate) fn see(&mut self, sample: &Sample, reporter: &mut dyn Reporter) {
@@ -217,10 +219,31 @@ impl Clients {
         let flight = flight.map(|why| format!("the flight recorder failed: {why}"));
         for trouble in recording.into_iter().chain(flight) {
             reporter.report(Notice::Trouble(&trouble));
-            if let Some(notices) = &self.notices {
-                // A server that has ended has nobody to tell.
-                let _ = notices.send(trouble);
+            self.show(trouble);
+        }
+    }
+
+    /// Shows words in dashboards.
+    fn show(&self, words: String) {
+        if let Some(notices) = &self.notices {
+            // A server that has ended has nobody to tell.
+            let _ = notices.send(words);
+        }
+    }
+
+    /// Where the drivers of a robot say what they have to say.
+    pub(crate) fn driver_words(&self) -> DriverWords {
+        self.drivers.0.clone()
+    }
+
+    /// Passes on what the drivers have said.
+    fn take_words(&mut self, time_ns: u64, reporter: &mut dyn Reporter) {
+        while let Ok(words) = self.drivers.1.try_recv() {
+            reporter.report(Notice::Driver(&words));
+            if let Some(recording) = &mut self.recording {
+                recording.add_words(time_ns, &words);
             }
+            self.show(words);
         }
     }
 
@@ -277,6 +300,7 @@ pub(crate) fn watch(
             last = sample;
         }
         clients.take_ticks(reporter);
+        clients.take_words(last.time_ns, reporter);
         if finished {
             return last;
         }

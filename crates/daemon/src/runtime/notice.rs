@@ -9,6 +9,7 @@ use moca_telemetry::log::LogSummary;
 use moca_telemetry::log::records::ParameterChange;
 use moca_telemetry::net::Address;
 use std::path::Path;
+use std::sync::mpsc::Sender;
 use std::time::Duration;
 
 /// One thing to say.
@@ -53,11 +54,17 @@ pub enum Notice<'a> {
     FaultLog(&'a Path),
     /// Something that somebody should look after, in words; the run goes on.
     Trouble(&'a str),
+    /// What a driver of arm or base says.
+    Driver(&'a str),
     /// The log is complete.
     Recorded(&'a LogSummary),
     /// The run is over.
     Ended(&'a Summary<'a>),
 }
+
+/// Takes what the drivers of a robot say in words, from threads of their own: it goes to the terminal, to dashboards and into the
+/// log. Never from the loop's thread.
+pub type DriverWords = Sender<String>;
 
 /// Somebody who is told. It waits for nobody: what cannot be said at once is dropped and counted.
 pub trait Reporter {

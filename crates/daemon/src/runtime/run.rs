@@ -14,7 +14,7 @@ use crate::runtime::assemble::{HeldBoard, OpenBoard, Subscribers, motion, open_b
 use crate::runtime::clients::{Clients, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
 use crate::runtime::clock::Clock;
 use crate::runtime::live::{self, LiveReport, Shared};
-use crate::runtime::notice::{Notice, Reporter, Summary};
+use crate::runtime::notice::{DriverWords, Notice, Reporter, Summary};
 use crate::runtime::options::Options;
 use crate::runtime::panics::PanicWatch;
 use crate::runtime::realtime;
@@ -169,14 +169,14 @@ pub fn live_simulated(
 
 /// Runs a robot of the caller's until `shared.stop` is set or the duration is over, with telemetry, log and flight recorder
 /// as `mocad` has them. `connect` is called once, after the process's memory is locked: what answers to a robot every
-/// millisecond must not wait for pages. `ticks` is [`PlantTicks::new`](crate::runtime::tick_source::PlantTicks::new) for a
+/// millisecond must not wait for pages. What its drivers have to say in words goes to the sender that it is given. `ticks` is [`PlantTicks::new`](crate::runtime::tick_source::PlantTicks::new) for a
 /// plant whose datagrams are the loop's clock, else [`Timer::new`]. The configuration says `plant.kind = "robot"`.
 ///
 /// # Errors
 /// As for [`run`], and what `connect` says.
 pub fn with_plant<P: Plant + Send, T: TickSource<P>>(
     options: &Options,
-    connect: impl FnOnce() -> Result<P>,
+    connect: impl FnOnce(&DriverWords) -> Result<P>,
     ticks: impl FnOnce(Clock, u64) -> T + Send,
     shared: &Arc<Shared>,
     reporter: &mut dyn Reporter,
@@ -193,7 +193,7 @@ pub fn with_plant<P: Plant + Send, T: TickSource<P>>(
     let clock = Clock::start()?;
     let (log, copies, log_reader) = tick_log();
     let clients = Clients::new(&options, log_reader, reporter)?;
-    let plant = connect()?;
+    let plant = connect(&clients.driver_words())?;
     let (mut cover, mut held, mut calibration) = (None, None, None);
     if config.plant.parts.has_cover() {
         let subscribers = Subscribers {
@@ -225,13 +225,24 @@ fn live_robot(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Report
             live_fci(options, shared, reporter)
         }
         (ArmDriver::Fci, BaseDriver::Ros2) if plant.parts.has_arm() => live_whole(options, shared, reporter),
+        (ArmDriver::Simulated, BaseDriver::Ros2) if plant.parts.has_arm() && on_a_base => {
+            live_simulated_arm(options, shared, reporter)
+        }
         (_, BaseDriver::Ros2) if !plant.parts.has_arm() => live_base(options, shared, reporter),
         _ => Err(anyhow!(
             "plant.kind = \"robot\": `mocad` drives an arm (plant.arm.driver = \"fci\") on a stand (plant.parts = \"arm\"), on \
-             a base that is simulated or real (plant.base.driver = \"simulated\" or \"ros2\"), or a base alone (plant.parts = \
-             \"base\"); a program with a driver of its own runs the loop with `moca_daemon::runtime::run::with_plant`"
+             a base that is simulated or real (plant.base.driver = \"simulated\" or \"ros2\"), a simulated arm (plant.arm.driver = \
+             \"simulated\") on a real base, or a base alone (plant.parts = \"base\"); a program with a driver of its own runs the loop with `moca_daemon::runtime::run::with_plant`"
         )),
     }
+}
+
+/// What a driver calls to say something.
+#[cfg(any(feature = "fci", feature = "ros2"))]
+fn saying(words: &DriverWords, part: &'static str) -> impl FnMut(&str) + Send + 'static {
+    let words = words.clone();
+    // A run that has ended has nobody to tell.
+    move |text| drop(words.send(format!("{part}: {text}")))
 }
 
 /// No arm on a base behind ROS 2.
@@ -239,19 +250,53 @@ fn live_robot(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Report
 fn live_base(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
     use crate::devices::ros2_base::{OnRos2Base, connect};
     let no_arm = NoRobot::at(options.config.control.gains.posture_rad);
-    let connect = || Ok(OnRos2Base::new(no_arm, connect(&options.config)?));
+    let connect =
+        |words: &DriverWords| Ok(OnRos2Base::new(no_arm, connect(&options.config, saying(words, "base"))?));
     with_plant(options, connect, Timer::new, shared, reporter)
 }
 
 #[cfg(all(feature = "fci", feature = "ros2"))]
 fn live_whole(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
-    use crate::devices::franka_arm::FrankaArm;
+    use crate::devices::franka_arm::{FrankaArm, ask_for_payload};
     use crate::devices::ros2_base::{OnRos2Base, connect};
-    let connect = || {
-        let arm = FrankaArm::connect(&options.config, |text| eprintln!("{text}"))?;
-        Ok(OnRos2Base::new(arm, connect(&options.config)?))
+    let options = &mut options.clone();
+    ask_for_payload(&mut options.config)?;
+    let connect = |words: &DriverWords| {
+        let arm = FrankaArm::connect(&options.config, saying(words, "arm"))?;
+        Ok(OnRos2Base::new(arm, connect(&options.config, saying(words, "base"))?))
     };
     with_plant(options, connect, crate::runtime::tick_source::PlantTicks::new, shared, reporter)
+}
+
+/// A simulated arm on a base behind ROS 2. It feels nothing of how its base moves.
+#[cfg(all(feature = "sim", feature = "ros2"))]
+fn live_simulated_arm(
+    options: &Options,
+    shared: &Arc<Shared>,
+    reporter: &mut dyn Reporter,
+) -> Result<LiveRun> {
+    use crate::config::{HandConfig, SimulationConfig};
+    use crate::devices::ros2_base::{OnRos2Base, connect};
+    use crate::devices::simulated_robot::{SimulatedRobot, free_scene};
+    // Whoever presses does so on the real cover.
+    let config = Config {
+        simulation: SimulationConfig { hand: HandConfig::none(), ..options.config.simulation.clone() },
+        ..options.config.clone()
+    };
+    let connect = |words: &DriverWords| {
+        let arm = SimulatedRobot::new(&config, &free_scene(&config), Vec::new())?;
+        saying(words, "arm")(&format!("simulated by MuJoCo {}", moca_sim::mujoco_version()));
+        Ok(OnRos2Base::new(arm, connect(&options.config, saying(words, "base"))?))
+    };
+    with_plant(options, connect, Timer::new, shared, reporter)
+}
+
+#[cfg(not(all(feature = "sim", feature = "ros2")))]
+fn live_simulated_arm(_: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
+    Err(anyhow!(
+        "plant.arm.driver = \"simulated\" on plant.base.driver = \"ros2\" needs a build with both features (cargo build \
+         --release --features sim,ros2)"
+    ))
 }
 
 #[cfg(not(feature = "ros2"))]
@@ -278,8 +323,10 @@ fn live_fci(_: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRu
 
 #[cfg(feature = "fci")]
 fn live_fci(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
-    use crate::devices::franka_arm::FrankaArm;
-    let connect = || FrankaArm::connect(&options.config, |text| eprintln!("{text}"));
+    use crate::devices::franka_arm::{FrankaArm, ask_for_payload};
+    let options = &mut options.clone();
+    ask_for_payload(&mut options.config)?;
+    let connect = |words: &DriverWords| FrankaArm::connect(&options.config, saying(words, "arm"));
     with_plant(options, connect, crate::runtime::tick_source::PlantTicks::new, shared, reporter)
 }
 

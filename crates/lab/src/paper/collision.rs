@@ -161,6 +161,7 @@ pub(crate) fn panels(rows: &[Row]) -> Vec<Panel> {
         figure::lead(rows),
         figure::taxel_forces(rows),
         figure::cover_wrench(rows),
+        figure::flange_position(rows),
         figure::flange_error(rows),
         figure::base_pose(rows),
         figure::base_velocity(rows),

@@ -1,8 +1,8 @@
 //! Figures 5 to 7: the trace of a run in panels, the moments marked, a picture of the robot from above at each.
 
 use crate::picture::Picture as _;
-use crate::rig::TAXELS;
 use crate::rig::closed_loop::Row;
+use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result};
 use moca_figures::{Anchor, BLACK, Drawing, GREY, PALETTE, Panel, RED, Series};
 use moca_sim::{Scene, Shape};
@@ -262,6 +262,17 @@ fn cross(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
+/// Where the flange is, and in a paler colour where it is wanted, from its start.
+pub(crate) fn flange_position(rows: &[Row]) -> Panel {
+    let start = rows[0].flange_world;
+    let mut lines = Vec::new();
+    for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+        lines.push(series(axis, "", rows, |row| row.flange_desired_world[axis] - start[axis]).pale());
+        lines.push(series(axis, name, rows, |row| row.flange_world[axis] - start[axis]));
+    }
+    panel("flange from its start, world axes: actual (strong) and desired (pale)", "m", lines)
+}
+
 /// p − p_d of the flange.
 pub(crate) fn flange_error(rows: &[Row]) -> Panel {
     let pick = |axis: usize| move |row: &Row| 1e3 * (row.flange_world[axis] - row.flange_desired_world[axis]);
@@ -300,14 +311,21 @@ pub(crate) fn base_pose(rows: &[Row]) -> Panel {
     )
 }
 
-/// Velocity of the base.
+/// Velocity of the base, and in a paler colour the one that it is told.
 pub(crate) fn base_velocity(rows: &[Row]) -> Panel {
-    let pick = |axis: usize| move |row: &Row| row.base_velocity_world[axis];
-    panel(
-        "base velocity, world axes",
-        "m/s, m/s, rad/s",
-        vec![series(0, "x", rows, pick(0)), series(1, "y", rows, pick(1)), series(2, "yaw", rows, pick(2))],
-    )
+    let mut lines = Vec::new();
+    for (axis, name) in ["x", "y", "yaw"].into_iter().enumerate() {
+        lines.push(series(axis, "", rows, |row| command_world(row)[axis]).pale());
+        lines.push(series(axis, name, rows, |row| row.base_velocity_world[axis]));
+    }
+    panel("base velocity, world axes: actual (strong) and commanded (pale)", "m/s, m/s, rad/s", lines)
+}
+
+/// The base's command in world axes, m/s, m/s, rad/s.
+fn command_world(row: &Row) -> [f64; 3] {
+    let (sin, cos) = row.base_pose_world[2].sin_cos();
+    let [x, y, yaw_rate] = row.base_command_body;
+    [cos * x - sin * y, sin * x + cos * y, yaw_rate]
 }
 
 /// Writes NAME.svg, NAME.png, NAME.csv and NAME.json into `folder`.
@@ -331,22 +349,28 @@ pub(crate) fn write(
     Ok(())
 }
 
-/// The trace: one line a tick.
+/// The trace: one line a tick; velocities in world axes.
 fn csv(rows: &[Row]) -> String {
     let mut out =
         String::from("t_s,base_x_m,base_y_m,base_yaw_rad,base_vx_m_s,base_vy_m_s,base_yaw_rate_rad_s");
+    out.push_str(",commanded_vx_m_s,commanded_vy_m_s,commanded_yaw_rate_rad_s");
+    for joint in 1..=JOINTS {
+        // Writing to a string cannot fail.
+        let _ = write!(out, ",q{joint}_rad");
+    }
     out.push_str(",flange_x_m,flange_y_m,flange_z_m,desired_x_m,desired_y_m,desired_z_m,flange_fx_n,flange_fy_n,flange_fz_n");
     out.push_str(",fx_true_n,fy_true_n,mz_true_nm,fx_sensed_n,fy_sensed_n,mz_sensed_nm");
     for kind in ["true", "sensed"] {
         for taxel in 1..=TAXELS {
-            // Writing to a string cannot fail.
             let _ = write!(out, ",t{taxel}_{kind}_n");
         }
     }
     out.push('\n');
     for row in rows {
         let _ = write!(out, "{:.3}", row.t_s);
+        let commanded = command_world(row);
         let values = row.base_pose_world.iter().chain(&row.base_velocity_world);
+        let values = values.chain(&commanded).chain(&row.q_rad);
         let values = values.chain(&row.flange_world).chain(&row.flange_desired_world);
         let values = values.chain(&row.flange_wrench_world[..3]).chain(&row.wrench_true);
         for value in values.chain(&row.wrench_sensed).chain(&row.force_true).chain(&row.force_sensed) {
@@ -360,7 +384,6 @@ fn csv(rows: &[Row]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rig::JOINTS;
     use crate::rig::free_scene;
 
     #[test]
@@ -392,6 +415,18 @@ mod tests {
             largest_force_n: force_n,
             person_world: Some([0.0, 0.5]),
         }
+    }
+
+    #[test]
+    fn the_trace_has_a_name_for_each_value_and_the_command_in_the_worlds_axes() {
+        let mut turned = row(0.25, [1.0, 2.0, std::f64::consts::FRAC_PI_2], 0.0);
+        (turned.base_command_body, turned.q_rad[6]) = ([0.3, 0.1, -0.2], 0.7);
+        let text = csv(&[turned]);
+        let [names, values] = text.lines().collect::<Vec<_>>().try_into().unwrap();
+        let of: std::collections::BTreeMap<_, _> = names.split(',').zip(values.split(',')).collect();
+        assert_eq!(names.split(',').count(), values.split(',').count());
+        assert_eq!((of["commanded_vx_m_s"], of["commanded_vy_m_s"]), ("-0.100000", "0.300000"));
+        assert_eq!((of["commanded_yaw_rate_rad_s"], of["q7_rad"]), ("-0.200000", "0.700000"));
     }
 
     #[test]

@@ -136,6 +136,7 @@ pub(crate) fn panels_b1(rows: &[Row]) -> Vec<Panel> {
         figure::flange_force(rows, false),
         figure::taxel_forces(rows),
         figure::cover_wrench(rows),
+        figure::flange_position(rows),
         figure::flange_error(rows),
         figure::base_pose(rows),
         figure::base_velocity(rows),

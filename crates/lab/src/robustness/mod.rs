@@ -3,6 +3,7 @@
 pub(crate) mod clients;
 pub(crate) mod faults;
 pub(crate) mod lean;
+pub(crate) mod lost_packets;
 pub(crate) mod protection;
 pub(crate) mod soak;
 mod trial;

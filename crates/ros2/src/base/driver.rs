@@ -8,7 +8,8 @@ use crate::messages::{Header, Odometry, Time, Twist, TwistStamped, Vector3};
 use crate::transport::{
     Qos, ReaderId, Transport, TransportError, WriterId, problems_of_reader, problems_of_writer,
 };
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::mem::Discriminant;
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -16,6 +17,21 @@ use triple_buffer::{Input, Output, triple_buffer};
 
 /// How often it is asked who else is on the topics, ns.
 const LOOK_AROUND_NS: u64 = 1_000_000_000;
+
+/// Which way lost messages are sent again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reliable {
+    /// Orders: a reliable writer goes with every reader.
+    pub orders: bool,
+    /// Odometry: a best-effort reader goes with every writer.
+    pub odom: bool,
+}
+
+impl Default for Reliable {
+    fn default() -> Self {
+        Self { orders: true, odom: false }
+    }
+}
 
 /// A base, as its owner describes it.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,6 +50,8 @@ pub struct BaseSettings {
     pub silence_s: f64,
     /// Oldest odometry that is driven with, s.
     pub deadline_s: f64,
+    /// Whether a lost order is sent again, and lost odometry asked for again. The other end has to offer or accept it.
+    pub reliable: Reliable,
     /// Fastest that this base moves: m/s, m/s, rad/s. What is faster in its odometry is a jump.
     pub velocity_max: [f64; 3],
 }
@@ -53,6 +71,8 @@ pub struct BaseCounts {
     pub refused: AtomicU64,
     /// Times that a moving base was stopped because the loop ordered nothing.
     pub silences: AtomicU64,
+    /// Least difference between this PC's clock and the stamps of odometry, ns: how far the clocks are apart, and the way here.
+    pub clock_offset_ns: AtomicI64,
 }
 
 /// What the loop orders.
@@ -92,13 +112,15 @@ pub struct BaseState {
 }
 
 impl Ros2Base {
-    /// Announces the topics on `transport`, and serves them from a thread of its own.
+    /// Announces the topics on `transport`, and serves them from a thread of its own. `say` hears in sentences what is wrong on
+    /// the network, once each time that it begins, and when it is over.
     ///
     /// # Errors
     /// A topic that has no name, or no thread.
     pub fn spawn(
         settings: BaseSettings,
         mut transport: Box<dyn Transport + Send>,
+        mut say: impl FnMut(&str) + Send + 'static,
     ) -> Result<Self, TransportError> {
         let (start, shared) = (Instant::now(), Arc::new(Shared::default()));
         let deadline_ns = ns(settings.deadline_s);
@@ -108,8 +130,8 @@ impl Ros2Base {
         let in_thread = Arc::clone(&shared);
         let serve = move || {
             while !in_thread.stop.load(Ordering::Acquire) {
-                let now_ns = since(start);
-                let next_ns = worker.step(transport.as_mut(), &in_thread, now_ns, unix_ns());
+                let next_ns =
+                    worker.step(transport.as_mut(), &in_thread, &|| since(start), unix_ns(), &mut say);
                 transport.wait(Duration::from_nanos(next_ns.saturating_sub(since(start))));
             }
             worker.send(transport.as_mut(), &in_thread.counts, [0.0; 3], unix_ns());
@@ -163,7 +185,38 @@ struct Worker {
     orders: OrderWatch,
     judge: OdometryJudge,
     look_ns: u64,
-    said: Option<Refused>,
+    /// Why odometry was not used last, since the last look around, and at that.
+    refused: Option<Refused>,
+    refused_before: Option<Discriminant<Refused>>,
+    told: Told,
+}
+
+/// What has been said of the network.
+#[derive(Debug, Default)]
+struct Told {
+    /// Problems of the last look around.
+    seen: Vec<String>,
+    said: Vec<String>,
+}
+
+impl Told {
+    /// Says what is wrong for the second time in a row, as nodes take a moment to find each other, and what no longer is.
+    fn look(&mut self, problems: &[String], say: &mut dyn FnMut(&str)) {
+        self.said.retain(|problem| {
+            let remains = problems.contains(problem);
+            if !remains {
+                say(&format!("over: {problem}"));
+            }
+            remains
+        });
+        for problem in problems.iter().filter(|problem| self.seen.contains(problem)) {
+            if !self.said.contains(problem) {
+                say(problem);
+                self.said.push(problem.clone());
+            }
+        }
+        self.seen = problems.to_vec();
+    }
 }
 
 impl Worker {
@@ -174,18 +227,51 @@ impl Worker {
         ordered: Output<Option<Order>>,
     ) -> Result<Self, TransportError> {
         let of = if settings.stamped { TwistStamped::TYPE } else { Twist::TYPE };
-        let cmd_vel = transport.writer(&settings.cmd_vel, of, Qos::Reliable)?;
-        let odom = transport.reader(&settings.odom, Odometry::TYPE, Qos::BestEffort)?;
+        let cmd_vel = transport.writer(&settings.cmd_vel, of, qos(settings.reliable.orders))?;
+        let odom = transport.reader(&settings.odom, Odometry::TYPE, qos(settings.reliable.odom))?;
         let orders = OrderWatch::new(ns(1.0 / settings.rate_hz), ns(settings.silence_s));
         let judge = OdometryJudge::new(ns(settings.deadline_s), settings.velocity_max);
-        Ok(Self { settings, cmd_vel, odom, readings, ordered, orders, judge, look_ns: 0, said: None })
+        Ok(Self {
+            settings,
+            cmd_vel,
+            odom,
+            readings,
+            ordered,
+            orders,
+            judge,
+            look_ns: 0,
+            refused: None,
+            refused_before: None,
+            told: Told::default(),
+        })
     }
 
     /// Passes on what has come and sends what is due; says when to come again, ns.
-    fn step(&mut self, transport: &mut dyn Transport, shared: &Shared, now_ns: u64, unix_ns: u64) -> u64 {
+    fn step(
+        &mut self,
+        transport: &mut dyn Transport,
+        shared: &Shared,
+        clock: &dyn Fn() -> u64,
+        unix_ns: u64,
+        say: &mut dyn FnMut(&str),
+    ) -> u64 {
         while let Some(payload) = transport.take(self.odom) {
-            self.odometry(&payload, shared, now_ns);
+            // Asked after it has come: a thread that was held up in between would take it for one from the future, and by that
+            // measure every later one for old.
+            self.odometry(&payload, shared, clock());
+            if let Some(offset_s) = self.judge.offset_s() {
+                // Between the stamps and a clock that began when this did.
+                let began_ns = i128::from(unix_ns) - i128::from(clock());
+                let offset_ns = Duration::from_secs_f64(offset_s.abs()).as_nanos();
+                let offset_ns = i128::try_from(offset_ns).unwrap_or(0);
+                let apart = began_ns + if offset_s < 0.0 { -offset_ns } else { offset_ns };
+                shared
+                    .counts
+                    .clock_offset_ns
+                    .store(i64::try_from(apart).unwrap_or(i64::MAX), Ordering::Relaxed);
+            }
         }
+        let now_ns = clock();
         if self.ordered.update()
             && let Some(order) = *self.ordered.output_buffer()
         {
@@ -197,7 +283,17 @@ impl Worker {
         shared.counts.silences.store(self.orders.silences(), Ordering::Relaxed);
         if now_ns >= self.look_ns {
             self.look_ns = now_ns + LOOK_AROUND_NS;
-            let problems = self.problems(transport);
+            let mut problems = self.problems(transport);
+            self.told.look(&problems, say);
+            let kind = self.refused.as_ref().map(std::mem::discriminant);
+            if let Some(refused) = self.refused.take() {
+                let refused = refused.to_string();
+                if self.refused_before != kind {
+                    say(&refused);
+                }
+                problems.push(refused);
+            }
+            self.refused_before = kind;
             *shared.problems.lock().unwrap_or_else(PoisonError::into_inner) = problems;
         }
         self.orders.next_ns().clamp(now_ns + 1_000_000, now_ns + ns(1.0 / self.settings.rate_hz))
@@ -216,35 +312,42 @@ impl Worker {
             Err(refused) => {
                 shared.counts.refused.fetch_add(1, Ordering::Relaxed);
                 if refused != Refused::Repeated {
-                    self.said = Some(refused);
+                    self.refused = Some(refused);
                 }
             }
         }
     }
 
     fn send(&self, transport: &mut dyn Transport, counts: &BaseCounts, velocity: [f64; 3], unix_ns: u64) {
-        let [x, y, yaw] = velocity;
-        let twist = Twist { linear: Vector3::from([x, y, 0.0]), angular: Vector3::from([0.0, 0.0, yaw]) };
-        let payload = if self.settings.stamped {
-            let header = Header { stamp: Time::from_unix_ns(unix_ns), frame_id: self.settings.frame.clone() };
-            cdr::encode(&TwistStamped { header, twist })
-        } else {
-            cdr::encode(&twist)
-        };
+        let payload = twist_payload(&self.settings, velocity, unix_ns);
         let outcome = transport.write(self.cmd_vel, &payload);
         let count = if outcome.is_ok() { &counts.sent } else { &counts.unsent };
         count.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// What is wrong on the network; a refusal of odometry is told once.
-    fn problems(&mut self, transport: &dyn Transport) -> Vec<String> {
+    /// Who else is on the topics and should not be, or is not and should.
+    fn problems(&self, transport: &dyn Transport) -> Vec<String> {
         let (endpoints, settings) = (transport.endpoints(), &self.settings);
         let of = if settings.stamped { TwistStamped::TYPE } else { Twist::TYPE };
         let mut problems = problems_of_writer(&endpoints, &settings.cmd_vel, of);
         problems.extend(problems_of_reader(&endpoints, &settings.odom, Odometry::TYPE));
-        problems.extend(self.said.take().map(|refused| refused.to_string()));
         problems
     }
+}
+
+/// An order as this base wants it.
+pub(super) fn twist_payload(settings: &BaseSettings, [x, y, yaw]: [f64; 3], unix_ns: u64) -> Vec<u8> {
+    let twist = Twist { linear: Vector3::from([x, y, 0.0]), angular: Vector3::from([0.0, 0.0, yaw]) };
+    if settings.stamped {
+        let header = Header { stamp: Time::from_unix_ns(unix_ns), frame_id: settings.frame.clone() };
+        cdr::encode(&TwistStamped { header, twist })
+    } else {
+        cdr::encode(&twist)
+    }
+}
+
+pub(super) const fn qos(reliable: bool) -> Qos {
+    if reliable { Qos::Reliable } else { Qos::BestEffort }
 }
 
 fn ns(seconds: f64) -> u64 {
@@ -280,6 +383,7 @@ mod tests {
             rate_hz: 100.0,
             silence_s: 0.05,
             deadline_s: 0.1,
+            reliable: Reliable::default(),
             velocity_max: [1.5, 1.5, 2.0],
         }
     }
@@ -310,7 +414,7 @@ mod tests {
             if orders(now_ns / MS) {
                 order.write(Some(Order { ordered_ns: now_ns, velocity_body: [0.3, 0.0, -0.1] }));
             }
-            worker.step(&mut memory, &shared, now_ns, UNIX_NS + now_ns);
+            worker.step(&mut memory, &shared, &|| now_ns, UNIX_NS + now_ns, &mut |_| {});
         }
         (memory, shared)
     }
@@ -348,7 +452,7 @@ mod tests {
         let (mut worker, mut readings, _orders) = worker(&mut memory, false);
         let mut come = |memory: &mut Memory, now_ns, payload| {
             memory.unread[0].1.push_back(payload);
-            worker.step(memory, &shared, now_ns, UNIX_NS + now_ns);
+            worker.step(memory, &shared, &|| now_ns, UNIX_NS + now_ns, &mut |_| {});
         };
         come(&mut memory, 20 * MS, odometry(20 * MS, 0.0));
         let seen = *readings.read();
@@ -364,6 +468,27 @@ mod tests {
     }
 
     #[test]
+    fn a_thread_that_was_held_up_does_not_take_later_odometry_for_old() {
+        let (told, took) = std::sync::mpsc::channel();
+        let (mut memory, shared) = (Memory { took: Some(told), ..Memory::default() }, Shared::default());
+        let (mut worker, _readings, _orders) = worker(&mut memory, false);
+        for message in 1..=20_u64 {
+            // The fifth comes while the thread is held up for 0.3 s, just before it looks.
+            let late_ns = if message >= 5 { 300 * MS } else { 0 };
+            let held_ns = std::cell::Cell::new(if message > 5 { 300 * MS } else { 0 });
+            let clock = || {
+                if took.try_recv().is_ok() {
+                    held_ns.set(late_ns);
+                }
+                message * 20 * MS + held_ns.get()
+            };
+            memory.unread[0].1.push_back(odometry(message * 20 * MS + late_ns, 0.0));
+            worker.step(&mut memory, &shared, &clock, UNIX_NS, &mut |_| {});
+        }
+        assert_eq!(shared.counts.odometry.load(Ordering::Relaxed), 20);
+    }
+
+    #[test]
     fn who_else_drives_is_named() {
         let (mut memory, shared) = (Memory::default(), Shared::default());
         memory.others = vec![
@@ -372,16 +497,39 @@ mod tests {
             end("/odom", Odometry::TYPE, true, "the base"),
         ];
         let (mut worker, _readings, _orders) = worker(&mut memory, false);
-        worker.step(&mut memory, &shared, 0, UNIX_NS);
+        worker.step(&mut memory, &shared, &|| 0, UNIX_NS, &mut |_| {});
         let problems = shared.problems.lock().unwrap().clone();
         assert!(problems.len() == 1 && problems[0].contains("pad_teleop"), "{problems:?}");
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_once_when_it_lasts_and_when_it_is_over() {
+        let (mut memory, shared) = (Memory::default(), Shared::default());
+        memory.others =
+            vec![end("/cmd_vel", Twist::TYPE, false, "it"), end("/odom", Odometry::TYPE, true, "it")];
+        let joy = end("/cmd_vel", Twist::TYPE, true, "pad_teleop");
+        let (mut worker, _readings, _orders) = worker(&mut memory, false);
+        let mut said = Vec::new();
+        for second in 0..30 {
+            match second {
+                5 | 10 => memory.others.push(joy.clone()),
+                6 | 20 => drop(memory.others.pop()),
+                _ => {}
+            }
+            let now_ns = second * 1000 * MS;
+            worker.step(&mut memory, &shared, &|| now_ns, UNIX_NS, &mut |text| {
+                said.push((second, text.to_owned()))
+            });
+        }
+        let [(11, named), (20, over)] = &said[..] else { panic!("{said:?}") };
+        assert!(named.contains("also written by pad_teleop") && *over == format!("over: {named}"));
     }
 
     #[test]
     fn the_loops_end_orders_through_a_thread_and_stops_the_base_at_the_end() {
         let (heard, sent) = std::sync::mpsc::channel();
         let memory = Memory { heard: Some(heard), waiting: vec![odometry(MS, 0.25)], ..Memory::default() };
-        let mut base = Ros2Base::spawn(settings(false), Box::new(memory)).unwrap();
+        let mut base = Ros2Base::spawn(settings(false), Box::new(memory), |_| {}).unwrap();
         while base.state().is_none() || base.counts().sent.load(Ordering::Relaxed) == 0 {
             base.order([0.2, 0.0, 0.0]);
         }

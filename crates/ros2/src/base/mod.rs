@@ -7,5 +7,16 @@
 pub mod driver;
 pub mod odometry;
 pub mod order;
+pub mod timeout;
 
-pub use driver::{BaseCounts, BaseSettings, BaseState, Ros2Base};
+use crate::cdr;
+use crate::messages::Odometry;
+
+pub use driver::{BaseCounts, BaseSettings, BaseState, Reliable, Ros2Base};
+
+/// How fast a base says that it drives, whichever way, m/s; `None` of what is no odometry.
+pub(crate) fn odometry_velocity(payload: &[u8]) -> Option<f64> {
+    let twist = cdr::decode::<Odometry>(payload).ok()?.twist.twist;
+    let speed = twist.linear.x.hypot(twist.linear.y);
+    speed.is_finite().then_some(speed)
+}

@@ -17,6 +17,8 @@ pub struct Memory {
     pub others: Vec<Endpoint>,
     /// Payloads that the first reader finds.
     pub waiting: Vec<Vec<u8>>,
+    /// Who hears that something was taken.
+    pub took: Option<Sender<()>>,
     /// Who hears what is written, on another thread.
     pub heard: Option<Sender<Vec<u8>>>,
 }
@@ -45,7 +47,12 @@ impl Transport for Memory {
     }
 
     fn take(&mut self, from: ReaderId) -> Option<Vec<u8>> {
-        self.unread[from.0].1.pop_front()
+        let payload = self.unread[from.0].1.pop_front();
+        if let (Some(took), true) = (&self.took, payload.is_some()) {
+            // A test that has seen enough has ended.
+            let _ = took.send(());
+        }
+        payload
     }
 
     fn take_call(&mut self, _: ServiceId) -> Option<(Caller, Vec<u8>)> {

@@ -392,6 +392,13 @@ pub struct ParameterChange {
     pub values: Vec<f64>,
 }
 
+/// What a driver of a real arm or base said: where it was reached, why it refuses, who else is on its network.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct DriverWords {
+    /// In sentences.
+    pub text: String,
+}
+
 /// How the run was configured, once at the start.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Configuration {
@@ -418,6 +425,7 @@ channels! {
     FaultChange => "/fault",
     BoardChange => "/board",
     ParameterChange => "/parameter",
+    DriverWords => "/driver",
     Configuration => "/configuration",
 }
 

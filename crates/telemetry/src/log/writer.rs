@@ -4,7 +4,8 @@ use super::{
     LogError, SerialBytes,
     overview::OverviewBuilder,
     records::{
-        Channel, Configuration, LOOP_STATE_TOPIC, ParameterChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS,
+        Channel, Configuration, DriverWords, LOOP_STATE_TOPIC, ParameterChange, REPLAY_TOPIC, Robot,
+        SERIAL_TOPICS,
     },
 };
 use crate::{
@@ -23,7 +24,7 @@ use std::{collections::BTreeMap, io::Write};
 /// Number that a channel of bytes has where others have their schema's.
 const NO_SCHEMA: u16 = 0;
 /// Name of this form in a file's header; a reader refuses others by name.
-pub(super) const FORM: &str = "moca-s/2";
+pub(super) const FORM: &str = "moca-s/3";
 /// What a cut can lose, ns of loop time.
 const CHUNK_NS: u64 = 500_000_000;
 /// Bytes after which a chunk ends all the same.
@@ -147,6 +148,11 @@ impl<W: Write> LogWriter<W> {
         Ok(())
     }
 
+    /// Loop time at which the present chunk began, ns; `None` before its first sample.
+    pub(super) const fn chunk_ns(&self) -> Option<u64> {
+        self.chunk_ns
+    }
+
     /// Writes how the run is configured.
     pub fn configuration(&mut self, configuration: &Configuration) -> Result<(), LogError> {
         self.channels.write(0, configuration)?;
@@ -166,6 +172,14 @@ impl<W: Write> LogWriter<W> {
     /// Writes a change of a parameter.
     pub fn parameter(&mut self, time_ns: u64, change: &ParameterChange) -> Result<(), LogError> {
         self.channels.write(time_ns, change)
+    }
+
+    /// Writes what a driver of the robot said; a log of a robot without drivers has no such channel.
+    pub fn driver(&mut self, time_ns: u64, words: &DriverWords) -> Result<(), LogError> {
+        if !self.channels.by_topic.contains_key(DriverWords::TOPIC) {
+            self.channels.add_record::<DriverWords>()?;
+        }
+        self.channels.write(time_ns, words)
     }
 
     /// Writes one read of a Touch Board's port; a board beyond the last channel has none.
@@ -232,7 +246,7 @@ impl<W: Write> Channels<W> {
 
     fn write_bytes(&mut self, topic: &str, time_ns: u64, bytes: &[u8]) -> Result<(), LogError> {
         let Some(&channel_id) = self.by_topic.get(topic) else {
-            return Ok(()); // Every channel is added by `new`.
+            return Ok(()); // Every channel is added before it is written.
         };
         let time = self.start_unix_ns.saturating_add(time_ns);
         let header = MessageHeader { channel_id, sequence: 0, log_time: time, publish_time: time };

@@ -212,7 +212,7 @@ impl<const N: usize, T: Scalar> Frame<'_, N, T> {
         let kinematics = model.kinematics(yaw, q_rad);
         let position = kinematics.tool_from_base() + Vector3::new(x, y, T::zero());
         let pose = Pose { position, rotation: kinematics.tool_rotation };
-        (pose, times(&kinematics.arm_jacobian(), dq_rad_s))
+        (pose, times(kinematics.arm_jacobian(), dq_rad_s))
     }
 }
 

@@ -1,0 +1,57 @@
+//! What the arm says that it carries, as somebody entered it in Desk.
+
+use crate::fci::explained;
+use franka::{RealtimeConfig, Robot, RobotState};
+use moca_msgs::robot::LinkInertial;
+
+/// End effector and load, each about its own centre of mass in the flange's axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Carried {
+    /// What is fixed to the flange.
+    pub tool: LinkInertial,
+    /// What that holds.
+    pub load: LinkInertial,
+}
+
+/// Asks the arm at `host` once; waits for its answer.
+///
+/// # Errors
+/// Why it cannot be reached, and what to do.
+pub fn carried(host: &str) -> Result<Carried, String> {
+    let state = Robot::new_with_log_size(host, RealtimeConfig::Ignore, 0).and_then(|robot| robot.read_once());
+    state.map(|state| Carried::of(&state)).map_err(|error| explained(host, &error))
+}
+
+impl Carried {
+    fn of(state: &RobotState) -> Self {
+        let body = |mass_kg: f64, com_m: [f64; 3], inertia: &[f64; 9]| LinkInertial {
+            mass_kg,
+            com_m,
+            inertia_com: [inertia[0], inertia[3], inertia[6], inertia[4], inertia[7], inertia[8]],
+        };
+        Self {
+            tool: body(state.m_ee, state.F_x_Cee, &state.I_ee),
+            load: body(state.m_load, state.F_x_Cload, &state.I_load),
+        }
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::float_cmp, reason = "values that are handed on unchanged")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_inertia_is_taken_by_rows() {
+        let state = RobotState {
+            m_ee: 0.73,
+            F_x_Cee: [-0.01, 0.0, 0.03],
+            I_ee: [1.0, 2.0, 3.0, 2.0, 4.0, 5.0, 3.0, 5.0, 6.0],
+            ..RobotState::default()
+        };
+        let Carried { tool, load } = Carried::of(&state);
+        assert_eq!((tool.mass_kg, tool.com_m), (0.73, [-0.01, 0.0, 0.03]));
+        assert_eq!(tool.inertia_com, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "xx, xy, xz, yy, yz, zz");
+        assert_eq!(load.mass_kg, 0.0);
+    }
+}
