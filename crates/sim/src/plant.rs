@@ -40,6 +40,10 @@ pub struct ModelSize {
     pub model_bytes: usize,
     /// `mjData`'s buffer and arena, bytes.
     pub data_bytes: usize,
+    /// The arena, bytes.
+    pub arena_bytes: usize,
+    /// Most of it that a step has used so far, stack included, bytes.
+    pub arena_used_bytes: usize,
 }
 
 /// The simulated robot with everything that can push it.
@@ -181,6 +185,8 @@ impl SimPlant {
             sensors: count(model.nsensor),
             model_bytes: count(model.nbuffer),
             data_bytes: count(self.data.nbuffer()) + count(self.data.narena()),
+            arena_bytes: count(self.data.narena()),
+            arena_used_bytes: count(self.data.maxuse_arena()) + count(self.data.maxuse_stack()),
         }
     }
 

@@ -341,6 +341,24 @@ fn base_only_and_arm_only_scenes_hold_only_their_own_joints() {
 }
 
 #[test]
+fn a_scene_without_contacts_takes_the_memory_that_it_uses() {
+    for integrator in
+        [Integrator::Euler, Integrator::RungeKutta4, Integrator::Implicit, Integrator::ImplicitFast]
+    {
+        let people = (0..8).map(|taxel| Person::beside(&PAPER_COVER, taxel, 0.01).unwrap()).collect();
+        let mut plant = SimPlant::new(&Scene { people, integrator, ..paper_scene() }).unwrap();
+        // every joint beyond its end: all limits push at once
+        let beyond = PANDA.q_max_rad.map(|q| q + 0.05);
+        plant.set_state(&STILL, &STILL, &beyond, &[0.0; 7]);
+        drive(&mut plant, [0.2, 0.1, 0.1], 200);
+        let size = plant.model_size();
+        println!("{integrator:?}: {} of {} bytes", size.arena_used_bytes, size.arena_bytes);
+        assert!(size.arena_used_bytes > 0 && 4 * size.arena_used_bytes < size.arena_bytes, "{size:?}");
+        assert!(size.arena_bytes <= 256 << 10, "{size:?}");
+    }
+}
+
+#[test]
 fn the_same_commands_give_the_same_bits() {
     let run = || {
         let person = Person::beside(&PAPER_COVER, 0, 0.01).unwrap();

@@ -175,3 +175,16 @@ async fn write(mut to_viewer: SplitSink<Socket, Message>, viewer: &Viewer) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_viewers_connection_holds_no_message_back() {
+        let listener = bind(SocketAddr::from(([127, 0, 0, 1], 0))).unwrap();
+        let _viewer = std::net::TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+        let (accepted, _) = listener.accept().await.unwrap();
+        assert!(accepted.nodelay().unwrap(), "inherited from the listener");
+    }
+}

@@ -250,6 +250,46 @@ fn every_topic_comes_and_what_was_said_once_comes_to_the_late() {
     assert!(seen["/state"] > seen["/tf"], "numbers come with each tick, poses at 100 Hz: {seen:?}");
 }
 
+/// Every topic that a layout names, alone or as `/topic.field[index]`.
+fn named_in(layout: &Value, names: &mut Vec<String>) {
+    let mut take = |text: &str| names.extend(text.starts_with('/').then(|| text.to_owned()));
+    match layout {
+        Value::String(text) => take(text),
+        Value::Array(all) => all.iter().for_each(|part| named_in(part, names)),
+        Value::Object(all) => {
+            all.keys().for_each(|key| take(key));
+            all.values().for_each(|part| named_in(part, names));
+        }
+        _ => {}
+    }
+}
+
+#[test]
+fn the_layout_that_is_shipped_names_topics_and_fields_that_there_are() {
+    let layout = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/foxglove-layout.json");
+    let mut names = Vec::new();
+    named_in(&serde_json::from_str(&std::fs::read_to_string(layout).unwrap()).unwrap(), &mut names);
+    assert!(names.len() > 15, "{names:?}");
+    let path = socket("layout");
+    let _daemon = Daemon::start(&path);
+    let mut viewer = Viewer::connect(server(&path));
+    let channels = loop {
+        let channels = viewer.wait("advertise")["channels"].as_array().unwrap().clone();
+        if !channels.is_empty() {
+            break channels;
+        }
+    };
+    for name in names {
+        let (topic, field) = name.split_once('.').unwrap_or((&name, ""));
+        let channel = channels.iter().find(|channel| channel["topic"] == topic);
+        let schema = channel.unwrap_or_else(|| panic!("{name}"))["schema"].as_str().unwrap().to_owned();
+        let field = field.split('[').next().unwrap();
+        // `type name` on a line of its own.
+        let known = schema.lines().any(|line| line.split(' ').nth(1) == Some(field));
+        assert!(field.is_empty() || known, "{name} in {schema}");
+    }
+}
+
 #[test]
 fn parameters_are_read_and_never_written() {
     let path = socket("parameters");

@@ -58,43 +58,39 @@ fn parts<const N: usize, T: Scalar>(c: &mut Criterion, arm: &ArmTable<N>, name: 
     group.bench_function(BenchmarkId::new("kinematics", name), |b| {
         b.iter(|| model.kinematics(black_box(yaw), black_box(&q)));
     });
-    let kinematics = model.kinematics(yaw, &q);
-    group.bench_function(BenchmarkId::new("link-inertias", name), |b| {
-        b.iter(|| model.link_inertias(black_box(&kinematics)));
+    group.bench_function(BenchmarkId::new("dynamics", name), |b| {
+        b.iter(|| model.dynamics(black_box(yaw), black_box(&q), black_box(&dq)));
     });
-    let inertias = model.link_inertias(&kinematics);
-    group.bench_function(BenchmarkId::new("mass-matrix", name), |b| {
-        b.iter(|| black_box(&kinematics).mass_matrix(black_box(&inertias)));
+    let dynamics = model.dynamics(yaw, &q, &dq);
+    let base_velocity = [0.1, -0.05, 0.2].map(convert);
+    group.bench_function(BenchmarkId::new("momentum", name), |b| {
+        b.iter(|| {
+            let (base_velocity, dynamics) = (black_box(&base_velocity), black_box(&dynamics));
+            let drift = model.momentum_drift(&dynamics.kinematics, base_velocity, &dq);
+            (dynamics.momentum(base_velocity, &dq), drift)
+        });
     });
-    group.bench_function(BenchmarkId::new("bias", name), |b| {
-        b.iter(|| black_box(&kinematics).bias(black_box(&inertias), black_box(&dq)));
-    });
-    let mass = kinematics.mass_matrix(&inertias).arm;
-    let jacobians = (kinematics.base_jacobian(), kinematics.arm_jacobian());
     let virtual_mass = [4.0, 4.0, 2.0].map(convert);
     let wrench = [1.0, -2.0, 3.0, 0.1, 0.2, -0.3].map(convert);
     let null = WholeBodyForce { base: [5.0, 1.0, -2.0].map(convert), arm: [1.0; N].map(convert) };
     let block = BlockWeight::<T>::new(convert(3.0), convert(1.0));
     group.bench_function(BenchmarkId::new("law-block-h", name), |b| {
         b.iter(|| {
-            let (base, arm) = *black_box(&jacobians);
-            let arm = ArmDynamics::new(arm, black_box(&mass)).unwrap();
-            let task = TaskDynamics::new(base, virtual_mass, &arm);
+            let arm = ArmDynamics::new(black_box(&dynamics)).unwrap();
+            let task = TaskDynamics::new(virtual_mass, &arm);
             block.factor(&task).unwrap().force(black_box(&wrench), black_box(&null))
         });
     });
     let general = AxisWeight::<N, T>::new([1.0, 1.2, 0.8], [0.9; N]).unwrap();
     group.bench_function(BenchmarkId::new("law-general-h", name), |b| {
         b.iter(|| {
-            let (base, arm) = *black_box(&jacobians);
-            let arm = ArmDynamics::new(arm, black_box(&mass)).unwrap();
-            let task = TaskDynamics::new(base, virtual_mass, &arm);
+            let arm = ArmDynamics::new(black_box(&dynamics)).unwrap();
+            let task = TaskDynamics::new(virtual_mass, &arm);
             general.force(&task, black_box(&wrench), black_box(&null)).unwrap()
         });
     });
-    let arm_dynamics = ArmDynamics::new(jacobians.1, &mass).unwrap();
-    let inverse_task_inertia =
-        TaskDynamics::new(jacobians.0, virtual_mass, &arm_dynamics).inverse_task_inertia();
+    let arm_dynamics = ArmDynamics::new(&dynamics).unwrap();
+    let inverse_task_inertia = TaskDynamics::new(virtual_mass, &arm_dynamics).inverse_task_inertia();
     let stiffness = ImpedanceGains::PAPER.stiffness.map(convert);
     group.bench_function(BenchmarkId::new("damping-design", name), |b| {
         b.iter(|| impedance::damping(black_box(&inverse_task_inertia), &stiffness, convert(0.9)).unwrap());

@@ -50,13 +50,10 @@ fn move_plant(
     let [vx, vy, wz] = command.base_velocity_body;
     let velocity = [c * vx - s * vy, s * vx + c * vy, wz];
     let acceleration: [f64; 3] = std::array::from_fn(|i| (velocity[i] - robot.base_velocity_world[i]) / DT_S);
-    let kinematics = controller.model().kinematics(robot.base_pose_world[2], &robot.q_rad);
-    let inertias = controller.model().link_inertias(&kinematics);
-    let mass = kinematics.mass_matrix(&inertias);
-    let bias = kinematics.bias(&inertias, &robot.dq_rad_s);
-    let coupled = times(&mass.base_coupling, &acceleration);
-    let torque = std::array::from_fn(|i| command.arm_torque_nm[i] - bias[i] - coupled[i]);
-    let ddq = Cholesky::new(&mass.arm).ok_or("mass matrix")?.solve(&torque);
+    let dynamics = controller.model().dynamics(robot.base_pose_world[2], &robot.q_rad, &robot.dq_rad_s);
+    let coupled = times(&dynamics.base_coupling, &acceleration);
+    let torque = std::array::from_fn(|i| command.arm_torque_nm[i] - dynamics.bias[i] - coupled[i]);
+    let ddq = Cholesky::new(&dynamics.mass).ok_or("mass matrix")?.solve(&torque);
     for (i, ddq) in ddq.into_iter().enumerate() {
         robot.dq_rad_s[i] += DT_S * ddq;
         robot.q_rad[i] += DT_S * robot.dq_rad_s[i];

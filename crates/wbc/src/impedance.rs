@@ -15,9 +15,10 @@
 //! ```
 
 use crate::error::ControlError;
-use crate::linalg::{Cholesky, inverse_square_root};
+use crate::linalg::Cholesky;
 use crate::rotation;
 use crate::scalar::{Scalar, of};
+use crate::square_root::inverse_square_root;
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// Pose error \[p_d − p; R·log(Rᵀ·R_d)\], m and rad, in the axes in which both poses are given. eq. (10)

@@ -9,8 +9,8 @@
 //!    without an arm is a [`BaseController`], an arm without a cover an [`ArmController`]; the whole is made of these two.
 //! 2. **The laws** alone, to build another controller: [`opspace`], [`impedance`], [`follow_me`], [`admittance`],
 //!    [`cover_map`], [`limits`], [`guard`], [`momentum_observer`].
-//! 3. **The model** alone: [`ArmModel`] from a table of [`robot`]; [`model::Kinematics`] gives poses, Jacobians, mass
-//!    matrix and bias in world axes; [`coupled`] adds the physical base.
+//! 3. **The model** alone: [`ArmModel`] from a table of [`robot`]; [`ArmModel::kinematics`] gives poses and Jacobians in
+//!    world axes, [`ArmModel::dynamics`] mass matrix and bias as well; [`coupled`] adds the physical base.
 //! 4. **References from outside**: [`online_trajectory`] and [`reference_generator`] make of targets, however they come,
 //!    a motion with bounded velocity, acceleration and jerk; [`ControllerState::lead`] lets a law follow it.
 //! 5. **Analysis**: [`contact_stability`] answers whether a cover is stable against a body and how fast its base may go,
@@ -24,7 +24,7 @@
 //! | eq. | what | where |
 //! |---|---|---|
 //! | (2) | base admittance, exact zero-order hold | [`admittance::step`] |
-//! | (3) | M = blkdiag(M_v, M_A), C q̇ + g of the arm | [`opspace::TaskDynamics::new`], [`model::Kinematics::bias`] |
+//! | (3) | M = blkdiag(M_v, M_A), C q̇ + g of the arm | [`opspace::TaskDynamics::new`], [`model::Dynamics::bias`] |
 //! | (4), (5) | cover wrench on the base | [`cover_wrench`], [`cover_map::CoverMap::wrench`] |
 //! | (6), (7), (9) | weighted torques, η_B and η_A | [`opspace::BlockWeight`] |
 //! | (6)–(8) | weighted torques, any diagonal H | [`opspace::AxisWeight`] |
@@ -71,10 +71,11 @@
 //! # What this crate refuses to know
 //! A clock (time is an argument), an allocator, a port, a log, a file, the simulator, which taxel reading is still
 //! fresh (the caller decides; stale is not zero), and any state but the one the caller passes in. It never hangs:
-//! Cholesky of fixed size is the only factorisation, and every iteration has a fixed bound.
+//! factorisations have a fixed size, and every iteration has a fixed bound.
 //!
 //! # Cost
-//! `cargo bench -p moca-wbc` times steps and parts; `moca-lab tick --anchor DIR` puts the tick beside Pinocchio's.
+//! `cargo bench -p moca-wbc` times steps and parts; `moca-lab tick` times them hot, cold and live, counts instructions and
+//! bytes, and with `--anchor DIR` puts the tick beside Pinocchio's. `.ci/size` holds instructions and bytes to a file.
 #![no_std]
 #![forbid(unsafe_code)]
 #![expect(clippy::needless_range_loop, reason = "matrix algorithms read as in the books: by index")]
@@ -83,6 +84,7 @@
 extern crate std;
 
 pub mod admittance;
+mod chain;
 pub mod contact_barrier;
 pub mod contact_stability;
 pub mod controller;
@@ -105,6 +107,7 @@ pub mod reference_generator;
 pub mod rotation;
 mod scalar;
 mod spatial;
+pub mod square_root;
 mod state_check;
 #[cfg(feature = "testing")]
 pub mod testing;

@@ -1,4 +1,4 @@
-//! Small dense kernels with constant sizes. Cholesky is the only factorisation in the control path: it takes a fixed
+//! Small dense kernels with constant sizes. Cholesky is what the control path factorises with: it takes a fixed
 //! number of steps for any input and refuses what is not positive definite, NaN included.
 //!
 //! ```
@@ -176,26 +176,6 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
             row
         })
     }
-
-    /// out = A⁻¹ = L⁻ᵀ·D⁻¹·L⁻¹.
-    #[inline]
-    fn write_inverse(&self, out: &mut [[T; D]; D]) {
-        let lower = self.solve_lower_rows(&SMatrix::<T, D, D>::identity().data.0);
-        let mut scaled = lower;
-        for i in 0..D {
-            for j in 0..D {
-                scaled[i][j] *= self.inverse_diagonal[i];
-            }
-        }
-        for i in 0..D {
-            let mut row = [T::zero(); D];
-            // L⁻¹ is lower triangular
-            for k in i..D {
-                subtract_scaled(&mut row, -lower[k][i], &scaled[k]);
-            }
-            out[i] = row;
-        }
-    }
 }
 
 /// aᵀ·b.
@@ -224,11 +204,16 @@ pub fn weighted_outer<const R: usize, const C: usize, T: Scalar>(
 ) -> SMatrix<T, R, R> {
     let mut out = [[T::zero(); R]; R];
     for (column, &w) in a.data.0.iter().zip(weights) {
-        for (out, &scale) in out.iter_mut().zip(column) {
-            let scale = scale * w;
-            for (out, &x) in out.iter_mut().zip(column) {
-                *out += scale * x;
+        for j in 0..R {
+            let scale = column[j] * w;
+            for i in j..R {
+                out[j][i] += scale * column[i];
             }
+        }
+    }
+    for j in 0..R {
+        for i in 0..j {
+            out[j][i] = out[i][j];
         }
     }
     SMatrix::from(out)
@@ -247,110 +232,6 @@ pub fn transpose_times<const R: usize, const C: usize, T: Scalar>(
     x: &[T; R],
 ) -> [T; C] {
     core::array::from_fn(|i| dot(&a.data.0[i], x))
-}
-
-/// A^(−1/2) of a symmetric positive-definite matrix, by the scaled product form of the Denman–Beavers iteration
-/// (Cheng, Higham, Kenney, Laub 2001): X ← X·(I + M⁻¹)/2 while M goes to I and X·M^(−1/2) stays what is sought. Once M
-/// is near I its series ends it. At most 12 inverses, whatever the input; of an ordinary arm 3.
-pub fn inverse_square_root<const D: usize, T: Scalar>(a: &SMatrix<T, D, D>) -> Option<SMatrix<T, D, D>> {
-    let (one, half) = (T::one(), of::<T>(0.5));
-    // added as a matrix: a number written alone makes the wide loads after it wait
-    let half_unit = SMatrix::<T, D, D>::identity().data.0.map(|column| column.map(|unit| half * unit));
-    let zero = [[T::zero(); D]; D];
-    let (mut m, mut x, mut average, mut error, mut inverse, mut next) =
-        (a.data.0, zero, zero, zero, zero, zero);
-    let mut factor_m = Cholesky::unset();
-    let (mut spread, mut scaled) = (one, one);
-    for step in 0..12 {
-        if !factor_m.factorise(&m) {
-            factor_m = Cholesky::shifted(&SMatrix::from(m))?;
-        }
-        factor_m.write_inverse(&mut inverse);
-        let factor = if step == 0 {
-            // near 1/√(λ_min·λ_max), which is the best; M's eigenvalues are then within 1/spread and spread
-            let (large, small) = (sum_of_squares(&m), sum_of_squares(&inverse));
-            spread = (large * small).sqrt().sqrt();
-            (small / large).sqrt().sqrt()
-        } else {
-            // M is within 1 and the square of this: the best factor is known without a look at it
-            spread = (half * (one + half * (spread + one / spread))).sqrt();
-            one / spread
-        };
-        if !(factor > T::zero() && factor.is_finite()) {
-            return None;
-        }
-        scaled *= factor;
-        let (of_inverse, of_m) = (half / factor, half * half * factor);
-        let of_inverse_next = half * of_inverse;
-        for i in 0..D {
-            for j in 0..D {
-                average[i][j] = of_inverse * inverse[i][j] + half_unit[i][j];
-                // the next M less I
-                error[i][j] = of_m * m[i][j] + of_inverse_next * inverse[i][j] - half_unit[i][j];
-                m[i][j] = error[i][j] + (half_unit[i][j] + half_unit[i][j]);
-            }
-        }
-        if step == 0 {
-            x = average;
-        } else {
-            write_product(&mut next, &x, &average);
-            x = next;
-        }
-        if sum_of_squares(&error) < of(SERIES_FROM * SERIES_FROM) {
-            write_series(&mut average, &error);
-            write_product(&mut next, &x, &average);
-            // the iterates commute, so the limit is symmetric up to rounding
-            let half = half * scaled.sqrt();
-            return Some(SMatrix::from_fn(|i, j| half * (next[j][i] + next[i][j])));
-        }
-    }
-    None
-}
-
-/// Norm of E from which on the series of (I + E)^(−1/2) to the sixth power is exact to rounding.
-const SERIES_FROM: f64 = 0.01;
-
-/// out = (I + E)^(−1/2) for a small E: Σ c_k·E^k to the sixth power, as p(E) + E³·q(E).
-#[inline]
-fn write_series<const D: usize, T: Scalar>(out: &mut [[T; D]; D], e: &[[T; D]; D]) {
-    let c = [1.0, -0.5, 0.375, -0.3125, 0.273_437_5, -0.246_093_75, 0.225_585_937_5].map(of::<T>);
-    let zero = [[T::zero(); D]; D];
-    let (mut square, mut cube, mut q) = (zero, zero, zero);
-    write_product(&mut square, e, e);
-    write_product(&mut cube, &square, e);
-    for i in 0..D {
-        for j in 0..D {
-            let unit = if i == j { c[3] } else { T::zero() };
-            q[i][j] = unit + c[4] * e[i][j] + c[5] * square[i][j] + c[6] * cube[i][j];
-        }
-    }
-    write_product(out, &cube, &q);
-    for i in 0..D {
-        for j in 0..D {
-            let unit = if i == j { c[0] } else { T::zero() };
-            out[i][j] += unit + c[1] * e[i][j] + c[2] * square[i][j];
-        }
-    }
-}
-
-/// Squared Frobenius norm.
-#[inline]
-fn sum_of_squares<const D: usize, T: Scalar>(a: &[[T; D]; D]) -> T {
-    let mut lanes = [T::zero(); D];
-    for column in a {
-        for (lane, &value) in lanes.iter_mut().zip(column) {
-            *lane += value * value;
-        }
-    }
-    lanes.into_iter().fold(T::zero(), |sum, lane| sum + lane)
-}
-
-/// out = A·B of D×D matrices.
-#[inline]
-fn write_product<const D: usize, T: Scalar>(out: &mut [[T; D]; D], a: &[[T; D]; D], b: &[[T; D]; D]) {
-    for (out, column) in out.iter_mut().zip(b) {
-        *out = combined(a, column);
-    }
 }
 
 /// Σ weights_k·rows_k.

@@ -185,18 +185,16 @@ impl<const N: usize> ClosedLoop<N> {
         command_body: [f64; 3],
     ) -> Result<RobotState<N>, ControlError> {
         let dt_s = self.period_s;
-        let kinematics = self.controller.model().kinematics(robot.base_pose_world[2], &robot.q_rad);
-        let inertias = self.controller.model().link_inertias(&kinematics);
-        let mass = kinematics.mass_matrix(&inertias);
-        let bias = kinematics.bias(&inertias, &robot.dq_rad_s);
-        let command = kinematics.heading.to_world(command_body);
+        let model = self.controller.model();
+        let dynamics = model.dynamics(robot.base_pose_world[2], &robot.q_rad, &robot.dq_rad_s);
+        let command = dynamics.kinematics.heading.to_world(command_body);
         let share = -(-dt_s / self.servo_s).exp_m1();
         let mut next = *robot;
         let base: [f64; 3] =
             core::array::from_fn(|i| share / dt_s * (command[i] - robot.base_velocity_world[i]));
-        let carried = times(&mass.base_coupling, &base);
-        let free = core::array::from_fn(|i| torque_nm[i] - bias[i] - carried[i]);
-        let arm = Cholesky::new(&mass.arm).ok_or(ControlError::NotPositiveDefinite { what: "M_A" })?;
+        let carried = times(&dynamics.base_coupling, &base);
+        let free = core::array::from_fn(|i| torque_nm[i] - dynamics.bias[i] - carried[i]);
+        let arm = Cholesky::new(&dynamics.mass).ok_or(ControlError::NotPositiveDefinite { what: "M_A" })?;
         let arm = arm.solve(&free);
         // half a period less of the change of speed is what continuous motion has gone
         let late_s = match motion {

@@ -1,57 +1,37 @@
-//! Kinematics and dynamics of a serial arm on a yawing base: one recursion for any table of [`moca_msgs::robot`].
+//! Kinematics and dynamics of a serial arm on a yawing base: one set of recursions for any table of
+//! [`moca_msgs::robot`], or of a URDF.
 //!
-//! Everything is computed in world axes about the arm base's origin (A), so that Jacobian, mass matrix and bias need
-//! no later rotation and lose no digits to the base's place in the world. The four passes over the joints are never
-//! inlined: inside a whole step compilers stop unrolling their loops.
+//! [`ArmModel::new`] brings a table to normal form once (see `chain.rs`). [`ArmModel::dynamics`] then goes once out along
+//! the arm and once back: poses and Jacobian in world axes, relative to the arm base's origin (A), so that they lose no
+//! digits to the base's place in the world; forces and inertias in the links' own axes, where they turn for least.
 //!
 //! ```
 //! use moca_wbc::robot::{MOCA_MOUNT, PANDA};
 //! use moca_wbc::{ArmModel, Payload};
 //!
 //! let model: ArmModel<7, f64> = ArmModel::new(&PANDA, &MOCA_MOUNT, &Payload::NONE)?;
-//! let kinematics = model.kinematics(0.0, &PANDA.home_rad);
-//! let inertias = model.link_inertias(&kinematics);
-//! let mass = kinematics.mass_matrix(&inertias).arm;
-//! assert_eq!(mass, mass.transpose());
-//! assert_eq!(kinematics.bias(&inertias, &[0.0; 7]).len(), 7);
-//! assert!(kinematics.tool_from_base().z > 1.0, "the flange is above a metre");
+//! let dynamics = model.dynamics(0.0, &PANDA.home_rad, &[0.0; 7]);
+//! assert_eq!(dynamics.mass, dynamics.mass.transpose());
+//! assert_eq!(dynamics.bias.len(), 7);
+//! assert!(dynamics.kinematics.tool_from_base().z > 1.0, "the flange is above a metre");
+//! assert_eq!(model.kinematics(0.0, &PANDA.home_rad), dynamics.kinematics, "where no forces are needed");
 //! # Ok::<(), moca_wbc::ParameterError>(())
 //! ```
 
-use crate::rotation::{self, Heading};
-use crate::scalar::{Scalar, all, of};
-use crate::spatial::{Force, Inertia, Motion, rotate_symmetric};
-use moca_msgs::robot::LinkInertial;
+use crate::chain::{Chain, Placement};
+use crate::rotation::Heading;
+use crate::scalar::{Scalar, of};
+use crate::spatial::{Inertia, Turn, TurningInertia, symmetric_times};
 use moca_msgs::{ArmTable, Mount, ParameterError, Payload};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// Standard gravity of the model, m/s², along −z of W.
 pub const GRAVITY_M_S2: f64 = 9.81;
 
-/// A fixed transform: place and axes of a child frame in its parent.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Placement<T> {
-    rotation: Matrix3<T>,
-    origin: Vector3<T>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Link<T> {
-    mass: T,
-    com: Vector3<T>,
-    inertia_com: [T; 6],
-}
-
 /// Constant model of an arm of `N` revolute joints with its mount, payload and tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmModel<const N: usize, T> {
-    joints: [Placement<T>; N],
-    links: [Link<T>; N],
-    link0: Link<T>,
-    /// Flange in the last link.
-    flange: Placement<T>,
-    /// Tool frame E in the last link; the flange if there is no tool.
-    tool: Placement<T>,
+    chain: Chain<N, T>,
     /// Arm base A in the mobile base B.
     mount: Placement<T>,
 }
@@ -59,18 +39,17 @@ pub struct ArmModel<const N: usize, T> {
 /// Where everything is at one configuration: world axes, positions relative to the arm base's origin (A).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Kinematics<const N: usize, T> {
-    /// Axes of each link.
-    link_rotation: [Matrix3<T>; N],
+    /// How far each joint of the normal form is turned.
+    turn: [Turn<T>; N],
+    /// Axes of each link of the normal form.
+    link_axes: [Matrix3<T>; N],
     /// Origin of each joint, m.
     joint_position: [Vector3<T>; N],
-    /// Twist about A per joint rate.
-    joint_motion: [Motion<T>; N],
+    jacobian: SMatrix<T, 6, N>,
     /// Of the base: from B to W.
     pub heading: Heading<T>,
     /// Axes of B.
     pub base_rotation: Matrix3<T>,
-    /// Axes of A.
-    pub arm_rotation: Matrix3<T>,
     /// A's origin relative to B's, m.
     pub arm_from_base: Vector3<T>,
     /// Tool frame E relative to A, m.
@@ -81,18 +60,20 @@ pub struct Kinematics<const N: usize, T> {
     pub flange_position: Vector3<T>,
 }
 
-/// Mass matrix of the arm and what couples it to the base.
+/// Kinematics, and what the arm's masses make of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MassMatrix<const N: usize, T> {
+pub struct Dynamics<const N: usize, T> {
+    /// Where everything is.
+    pub kinematics: Kinematics<N, T>,
     /// M_A: kg·m², joint by joint.
-    pub arm: SMatrix<T, N, N>,
+    pub mass: SMatrix<T, N, N>,
     /// M_AB: joint torque per base acceleration (world x, y, yaw).
     pub base_coupling: SMatrix<T, N, 3>,
+    /// C q̇ + g of the arm on a standing base, N·m.
+    pub bias: [T; N],
+    /// Upward momentum of all that a joint moves, per joint rate, kg·m.
+    lift: [T; N],
 }
-
-/// Inertia of every link about A's origin, world axes.
-#[derive(Clone, Copy, Debug)]
-pub struct LinkInertias<const N: usize, T>([Inertia<T>; N]);
 
 impl<const N: usize, T: Scalar> ArmModel<N, T> {
     /// Model of `arm` on `mount` with `payload` fused into its last link.
@@ -101,22 +82,10 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     /// The first number of a table that is not finite, or a mass outside 0 to 1000 kg.
     pub fn new(arm: &ArmTable<N>, mount: &Mount, payload: &Payload) -> Result<Self, ParameterError> {
         check_tables(arm, mount, payload)?;
-        let flange = Placement::of(&arm.flange_origin);
-        let mut links = arm.links;
-        if let Some(last) = links.last_mut() {
-            *last = fuse(last, &payload.inertial, &flange);
-        }
         let [x, y, z] = mount.position_base_m;
         let [roll, pitch, yaw] = mount.rpy_rad;
-        let tool = flange.then(&Placement::of(&payload.tool_origin));
-        Ok(Self {
-            joints: arm.joint_origin.map(|origin| Placement::of(&origin).cast()),
-            links: links.map(|link| Link::of(&link)),
-            link0: Link::of(&arm.link0),
-            flange: flange.cast(),
-            tool: tool.cast(),
-            mount: Placement::of(&[x, y, z, roll, pitch, yaw]).cast(),
-        })
+        let mount = Placement::of(&[x, y, z, roll, pitch, yaw]);
+        Ok(Self { chain: Chain::new(arm, payload, &mount.rotation).cast(), mount: mount.cast() })
     }
 
     /// Axes and origin (m) of the arm base A in B.
@@ -125,80 +94,282 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     }
 
     /// Forward kinematics at base yaw `yaw` and joint angles `q`, rad.
-    #[inline(never)]
     pub fn kinematics(&self, yaw: T, q: &[T; N]) -> Kinematics<N, T> {
-        let heading = Heading::at(yaw);
-        let base_rotation = heading.matrix();
-        let arm_rotation = base_rotation * self.mount.rotation;
-        let mut link_rotation = [Matrix3::zeros(); N];
-        let mut joint_position = [Vector3::zeros(); N];
-        let mut joint_motion = [Motion::zero(); N];
-        let (mut axes, mut position) = (arm_rotation, Vector3::zeros());
-        for i in 0..N {
-            let joint = &self.joints[i];
-            position += axes * joint.origin;
-            axes = turned_about_z(&(axes * joint.rotation), q[i]);
-            link_rotation[i] = axes;
-            joint_position[i] = position;
-            joint_motion[i] = Motion::revolute(&axes.column(2).into_owned(), &position);
-        }
-        Kinematics {
-            link_rotation,
-            joint_position,
-            joint_motion,
-            heading,
-            base_rotation,
-            arm_rotation,
-            arm_from_base: base_rotation * self.mount.origin,
-            tool_position: position + axes * self.tool.origin,
-            tool_rotation: axes * self.tool.rotation,
-            flange_position: position + axes * self.flange.origin,
-        }
+        let mut kinematics = Kinematics::unset();
+        self.place(yaw, q, &mut kinematics);
+        kinematics
     }
 
-    /// Inertia of every link at `kinematics`.
+    /// Kinematics, mass matrix and bias at base yaw `yaw`, joint angles `q`, rad, and joint rates `dq`, rad/s.
+    pub fn dynamics(&self, yaw: T, q: &[T; N], dq: &[T; N]) -> Dynamics<N, T> {
+        let mut dynamics = Dynamics::unset();
+        self.place(yaw, q, &mut dynamics.kinematics);
+        self.compose(&mut dynamics);
+        self.newton_euler(&dynamics.kinematics, T::zero(), dq, &mut dynamics.bias);
+        dynamics
+    }
+
+    /// Out along the arm: where everything is. Written where it stands: returned, it would be copied.
     #[inline(never)]
-    pub fn link_inertias(&self, kinematics: &Kinematics<N, T>) -> LinkInertias<N, T> {
-        let mut inertias = [Inertia::zero(); N];
+    fn place(&self, yaw: T, q: &[T; N], out: &mut Kinematics<N, T>) {
+        let chain = &self.chain;
+        out.heading = Heading::at(yaw);
+        out.base_rotation = out.heading.matrix();
+        out.arm_from_base = out.base_rotation * self.mount.origin;
+        let (mut axes, mut position) = (out.base_rotation * chain.root_axes, Vector3::zeros());
         for i in 0..N {
-            inertias[i] = self.links[i].inertia(&kinematics.link_rotation[i], &kinematics.joint_position[i]);
+            let joint = &chain.joints[i];
+            let turn = Turn::by(q[i] + joint.zero);
+            position += axes * joint.offset;
+            axes = turn.frame_about_z(&joint.twist.frame_about_x(&axes));
+            out.turn[i] = turn;
+            out.link_axes[i] = axes;
+            out.joint_position[i] = position;
         }
-        LinkInertias(inertias)
+        out.flange_position = position + axes * chain.flange.origin;
+        out.tool_position = position + axes * chain.tool.origin;
+        out.tool_rotation = axes * chain.tool.rotation;
+        for i in 0..N {
+            let axis = out.link_axes[i].column(2).into_owned();
+            let linear = axis.cross(&(out.tool_position - out.joint_position[i]));
+            out.jacobian.data.0[i] = [linear.x, linear.y, linear.z, axis.x, axis.y, axis.z];
+        }
     }
 
-    /// Inertia of link 0, which stands on the base, about A's origin, world axes.
-    pub(crate) fn link0_inertia(&self, kinematics: &Kinematics<N, T>) -> Inertia<T> {
-        self.link0.inertia(&kinematics.arm_rotation, &Vector3::zeros())
+    /// Back along the arm: M_A and M_AB by composite bodies, each in its own link's axes. Gives the composite of all
+    /// links, in the chain's root.
+    #[inline(never)]
+    fn compose(&self, out: &mut Dynamics<N, T>) -> TurningInertia<T> {
+        let kinematics = &out.kinematics;
+        let mut composite = TurningInertia::zero();
+        for i in (0..N).rev() {
+            let joint = &self.chain.joints[i];
+            composite = composite + self.chain.links[i];
+            // momentum about the joint that a unit rate of it gives to everything beyond it
+            let (axes, [_, _, xz, _, yz, zz]) = (&kinematics.link_axes[i], composite.rotational);
+            let force = axes.column(1) * composite.first_moment.x - axes.column(0) * composite.first_moment.y;
+            let moment = axes * Vector3::new(xz, yz, zz);
+            let lever = kinematics.arm_from_base + kinematics.joint_position[i];
+            out.base_coupling.data.0[0][i] = force.x;
+            out.base_coupling.data.0[1][i] = force.y;
+            out.base_coupling.data.0[2][i] = moment.z + lever.x * force.y - lever.y * force.x;
+            out.lift[i] = force.z;
+            let moment = moment + (kinematics.joint_position[i] - kinematics.tool_position).cross(&force);
+            let momentum = [force.x, force.y, force.z, moment.x, moment.y, moment.z];
+            out.mass.data.0[i][i] = zz;
+            for k in 0..i {
+                let value = crate::linalg::dot(&kinematics.jacobian.data.0[k], &momentum);
+                out.mass.data.0[k][i] = value;
+                out.mass.data.0[i][k] = value;
+            }
+            composite = composite.in_parent(&kinematics.turn[i], &joint.twist, &joint.offset);
+        }
+        composite
+    }
+
+    /// Newton–Euler with zero joint accelerations on a base that turns at `yaw_rate`, constant: joint torques, and the
+    /// force and moment on the chain's root, in its axes, about its origin.
+    ///
+    /// What a body's points feel is the acceleration of its origin and U = \[α\]× + \[ω\]×²: f = U·h, and about the origin
+    /// h × a and the skew part of U·Σ, Σ its second moments.
+    #[inline(never)]
+    fn newton_euler(
+        &self,
+        kinematics: &Kinematics<N, T>,
+        yaw_rate: T,
+        dq: &[T; N],
+        torque: &mut [T; N],
+    ) -> (Vector3<T>, Vector3<T>) {
+        let chain = &self.chain;
+        let mut omega = chain.up * yaw_rate;
+        let mut alpha = Vector3::zeros();
+        let mut acceleration = self.root_acceleration(yaw_rate);
+        let mut felt = felt(&omega, &alpha);
+        let mut forces = [Vector3::zeros(); N];
+        let mut moments = [Vector3::zeros(); N];
+        for i in 0..N {
+            let (joint, body) = (&chain.joints[i], &chain.links[i]);
+            let (twist, turn) = (joint.twist.back(), kinematics.turn[i].back());
+            let into = |v: &Vector3<T>| turn.about_z(&twist.about_x(v));
+            acceleration = into(&(acceleration + felt * joint.offset));
+            omega = into(&omega);
+            alpha = into(&alpha);
+            alpha.x += omega.y * dq[i];
+            alpha.y -= omega.x * dq[i];
+            omega.z += dq[i];
+            felt = self::felt(&omega, &alpha);
+            // a turning link has no first moment along its axis
+            let (hx, hy) = (body.first_moment.x, body.first_moment.y);
+            forces[i] = felt.column(0) * hx + felt.column(1) * hy;
+            let [xx, xy, xz, yy, yz, zz] = chain.second_moments[i];
+            let row = |i: usize, [a, b, c]: [T; 3]| felt[(i, 0)] * a + felt[(i, 1)] * b + felt[(i, 2)] * c;
+            let (of_x, of_y, of_z) = ([xx, xy, xz], [xy, yy, yz], [xz, yz, zz]);
+            moments[i] = Vector3::new(
+                row(2, of_y) - row(1, of_z) + hy * acceleration.z,
+                row(0, of_z) - row(2, of_x) - hx * acceleration.z,
+                row(1, of_x) - row(0, of_y) + (hx * acceleration.y - hy * acceleration.x),
+            );
+        }
+        let (mut force, mut moment) = (Vector3::zeros(), Vector3::zeros());
+        for i in (0..N).rev() {
+            let joint = &chain.joints[i];
+            force += forces[i];
+            moment += moments[i];
+            torque[i] = moment.z;
+            let turn = &kinematics.turn[i];
+            force = joint.twist.about_x(&turn.about_z(&force));
+            moment = joint.twist.about_x(&turn.about_z(&moment)) + joint.offset.cross(&force);
+        }
+        (force, moment)
+    }
+
+    /// Acceleration of A's origin on a base that turns at `yaw_rate`, in the chain's root axes. Gravity is an upward
+    /// acceleration of everything.
+    fn root_acceleration(&self, yaw_rate: T) -> Vector3<T> {
+        let lever = &self.mount.origin;
+        let inwards = Vector3::new(lever.x, lever.y, T::zero()) * (-yaw_rate * yaw_rate);
+        self.chain.up * of::<T>(GRAVITY_M_S2) + self.chain.root_axes.tr_mul(&inwards)
+    }
+
+    /// Cᵀq̇, N·m, what a momentum observer needs beside the momentum itself: ∂T/∂q, the momentum that each joint's moving
+    /// axis carries, (v_i × S_i)·h_i. The base moves at `base_velocity_world` (m/s, m/s, rad/s).
+    #[inline(never)]
+    pub fn momentum_drift(
+        &self,
+        kinematics: &Kinematics<N, T>,
+        base_velocity_world: &[T; 3],
+        dq: &[T; N],
+    ) -> [T; N] {
+        let chain = &self.chain;
+        let [vx, vy, yaw_rate] = kinematics.heading.to_base(*base_velocity_world);
+        let lever = &self.mount.origin;
+        let of_arm_base = Vector3::new(vx - yaw_rate * lever.y, vy + yaw_rate * lever.x, T::zero());
+        let mut velocity = chain.root_axes.tr_mul(&of_arm_base);
+        let mut omega = chain.up * yaw_rate;
+        let mut twists = [(Vector3::zeros(), Vector3::zeros()); N];
+        for i in 0..N {
+            let joint = &chain.joints[i];
+            let (twist, turn) = (joint.twist.back(), kinematics.turn[i].back());
+            velocity = turn.about_z(&twist.about_x(&(velocity + omega.cross(&joint.offset))));
+            omega = turn.about_z(&twist.about_x(&omega));
+            omega.z += dq[i];
+            twists[i] = (velocity, omega);
+        }
+        let mut drift = [T::zero(); N];
+        let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
+        for i in (0..N).rev() {
+            let (joint, body, turn) = (&chain.joints[i], &chain.links[i], &kinematics.turn[i]);
+            let (v, w) = &twists[i];
+            linear += w.cross(&body.first_moment);
+            angular += symmetric_times(&body.rotational, w) + body.first_moment.cross(v);
+            drift[i] = w.y * angular.x - w.x * angular.y + v.y * linear.x - v.x * linear.y;
+            linear = joint.twist.about_x(&turn.about_z(&linear));
+            angular = joint.twist.about_x(&turn.about_z(&angular)) + joint.offset.cross(&linear);
+        }
+        drift
+    }
+
+    /// [`crate::coupled::CoupledDynamics`] without what stands on the base: kinematics, arm and coupling, bias of the arm,
+    /// and of all links with link 0 the inertia in B about its origin, and the force that keeps them on a base that turns at
+    /// `yaw_rate`, constant: axes of B, about its origin.
+    pub(crate) fn on_moving_base(&self, yaw: T, q: &[T; N], yaw_rate: T, dq: &[T; N]) -> OnMovingBase<N, T> {
+        let chain = &self.chain;
+        let mut arm = Dynamics::unset();
+        self.place(yaw, q, &mut arm.kinematics);
+        let composite = self.compose(&mut arm);
+        let (mut force, mut moment) = self.newton_euler(&arm.kinematics, yaw_rate, dq, &mut arm.bias);
+        let standing = &chain.root_body;
+        let omega = chain.up * yaw_rate;
+        let acceleration = self.root_acceleration(yaw_rate);
+        let turning = symmetric_times(&standing.rotational, &omega);
+        force += acceleration * standing.mass + omega.cross(&omega.cross(&standing.first_moment));
+        moment += standing.first_moment.cross(&acceleration) + omega.cross(&turning);
+        let all = *standing
+            + Inertia {
+                mass: T::zero(),
+                first_moment: composite.first_moment,
+                rotational: composite.rotational,
+            };
+        let force = chain.root_axes * force;
+        OnMovingBase {
+            arm,
+            inertia: all.rotated(&chain.root_axes).moved(&self.mount.origin),
+            moment: chain.root_axes * moment + self.mount.origin.cross(&force),
+            force,
+        }
     }
 }
 
+/// What [`ArmModel::on_moving_base`] gives.
+pub(crate) struct OnMovingBase<const N: usize, T> {
+    pub arm: Dynamics<N, T>,
+    pub inertia: Inertia<T>,
+    pub force: Vector3<T>,
+    pub moment: Vector3<T>,
+}
+
+/// U = \[α\]× + \[ω\]×².
+#[inline]
+fn felt<T: Scalar>(w: &Vector3<T>, a: &Vector3<T>) -> Matrix3<T> {
+    let (xx, yy, zz) = (w.x * w.x, w.y * w.y, w.z * w.z);
+    let (xy, xz, yz) = (w.x * w.y, w.x * w.z, w.y * w.z);
+    Matrix3::new(
+        -(yy + zz),
+        xy - a.z,
+        xz + a.y,
+        xy + a.z,
+        -(xx + zz),
+        yz - a.x,
+        xz - a.y,
+        yz + a.x,
+        -(xx + yy),
+    )
+}
+
 impl<const N: usize, T: Scalar> Kinematics<N, T> {
-    fn axis(&self, joint: usize) -> Vector3<T> {
-        self.joint_motion[joint].angular
+    fn unset() -> Self {
+        let turn = Turn { sin: T::zero(), cos: T::zero() };
+        Self {
+            turn: [turn; N],
+            link_axes: [Matrix3::zeros(); N],
+            joint_position: [Vector3::zeros(); N],
+            jacobian: SMatrix::zeros(),
+            heading: Heading::at(T::zero()),
+            base_rotation: Matrix3::zeros(),
+            arm_from_base: Vector3::zeros(),
+            tool_position: Vector3::zeros(),
+            tool_rotation: Matrix3::zeros(),
+            flange_position: Vector3::zeros(),
+        }
     }
 
     /// J_A: twist of E \[m/s; rad/s\] in world axes per joint rate.
-    #[inline]
-    pub fn arm_jacobian(&self) -> SMatrix<T, 6, N> {
-        let mut columns = [[T::zero(); 6]; N];
-        for i in 0..N {
-            let axis = self.axis(i);
-            let linear = axis.cross(&(self.tool_position - self.joint_position[i]));
-            columns[i] = [linear.x, linear.y, linear.z, axis.x, axis.y, axis.z];
-        }
-        SMatrix::from(columns)
+    pub fn arm_jacobian(&self) -> &SMatrix<T, 6, N> {
+        &self.jacobian
     }
 
     /// J_B: twist of E in world axes per rate of the base's pose (world x, y, yaw).
-    #[inline]
     pub fn base_jacobian(&self) -> SMatrix<T, 6, 3> {
-        let lever = self.tool_from_base();
-        let (zero, one) = (T::zero(), T::one());
+        let unit = |axis| core::array::from_fn(|i| if i == axis { T::one() } else { T::zero() });
         SMatrix::from([
-            [one, zero, zero, zero, zero, zero],
-            [zero, one, zero, zero, zero, zero],
-            [-lever.y, lever.x, zero, zero, zero, one],
+            self.twist_from_base(&unit(0)),
+            self.twist_from_base(&unit(1)),
+            self.twist_from_base(&unit(2)),
         ])
+    }
+
+    /// J_B·v: twist of E in world axes from a base velocity (world x, y, yaw).
+    #[inline]
+    pub fn twist_from_base(&self, &[vx, vy, yaw_rate]: &[T; 3]) -> [T; 6] {
+        let (lever, zero) = (self.tool_from_base(), T::zero());
+        [vx - lever.y * yaw_rate, vy + lever.x * yaw_rate, zero, zero, zero, yaw_rate]
+    }
+
+    /// J_Bᵀ·F: what a wrench at E, world axes, is on a planar base (world x, y, yaw).
+    #[inline]
+    pub fn force_on_base(&self, &[fx, fy, _, _, _, mz]: &[T; 6]) -> [T; 3] {
+        let lever = self.tool_from_base();
+        [fx, fy, mz + lever.x * fy - lever.y * fx]
     }
 
     /// E relative to B's origin, world axes, m.
@@ -217,7 +388,7 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
             let step = self.joint_position[i] - point;
             acceleration += alpha.cross(&step) + omega.cross(&omega.cross(&step));
             point = self.joint_position[i];
-            let rate = self.axis(i) * dq[i];
+            let rate = self.link_axes[i].column(2) * dq[i];
             alpha += omega.cross(&rate);
             omega += rate;
         }
@@ -225,187 +396,34 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
         acceleration += alpha.cross(&step) + omega.cross(&omega.cross(&step));
         [acceleration.x, acceleration.y, acceleration.z, alpha.x, alpha.y, alpha.z]
     }
+}
 
-    /// M_A and M_AB by composite rigid bodies.
-    #[inline(never)]
-    pub fn mass_matrix(&self, inertias: &LinkInertias<N, T>) -> MassMatrix<N, T> {
-        let mut arm = [[T::zero(); N]; N];
-        let mut coupling = [[T::zero(); N]; 3];
-        let mut composite = Inertia::zero();
-        for j in (0..N).rev() {
-            composite = composite + inertias.0[j];
-            let momentum = composite.times(&self.joint_motion[j]);
-            for i in 0..=j {
-                let value = self.joint_motion[i].dot(&momentum);
-                arm[i][j] = value;
-                arm[j][i] = value;
-            }
-            coupling[0][j] = momentum.force.x;
-            coupling[1][j] = momentum.force.y;
-            coupling[2][j] = self.planar(&momentum)[2];
+impl<const N: usize, T: Scalar> Dynamics<N, T> {
+    fn unset() -> Self {
+        Self {
+            kinematics: Kinematics::unset(),
+            mass: SMatrix::zeros(),
+            base_coupling: SMatrix::zeros(),
+            bias: [T::zero(); N],
+            lift: [T::zero(); N],
         }
-        MassMatrix { arm: SMatrix::from(arm), base_coupling: SMatrix::from(coupling) }
-    }
-
-    /// C q̇ + g of the arm on a standing base, N·m.
-    #[inline]
-    pub fn bias(&self, inertias: &LinkInertias<N, T>, dq: &[T; N]) -> [T; N] {
-        self.newton_euler(inertias, dq, Motion::zero(), Self::against_gravity()).0
-    }
-
-    /// C q̇ of the arm on a standing base, N·m.
-    pub fn coriolis(&self, inertias: &LinkInertias<N, T>, dq: &[T; N]) -> [T; N] {
-        self.newton_euler(inertias, dq, Motion::zero(), Motion::zero()).0
     }
 
     /// Gravity torques of the arm, N·m.
     #[inline]
-    pub fn gravity(&self, inertias: &LinkInertias<N, T>) -> [T; N] {
-        let up = of::<T>(GRAVITY_M_S2);
-        let mut composite = Inertia::zero();
-        let mut torque = [T::zero(); N];
-        for i in (0..N).rev() {
-            composite = composite + inertias.0[i];
-            let force = Vector3::new(T::zero(), T::zero(), up * composite.mass);
-            let moment = composite.first_moment.cross(&Vector3::new(T::zero(), T::zero(), up));
-            torque[i] = self.joint_motion[i].dot(&Force { force, moment });
-        }
-        torque
+    pub fn gravity(&self) -> [T; N] {
+        self.lift.map(|lift| lift * of(GRAVITY_M_S2))
     }
 
-    /// Acceleration that stands for gravity: the whole robot pushed upwards.
-    pub(crate) fn against_gravity() -> Motion<T> {
-        Motion { angular: Vector3::zeros(), linear: Vector3::new(T::zero(), T::zero(), of(GRAVITY_M_S2)) }
-    }
-
-    /// Twist of A about its own origin for a base rate (world x, y, yaw).
-    pub(crate) fn base_motion(&self, rate: &[T; 3]) -> Motion<T> {
-        let angular = Vector3::new(T::zero(), T::zero(), rate[2]);
-        let linear = Vector3::new(rate[0], rate[1], T::zero()) + angular.cross(&self.arm_from_base);
-        Motion { angular, linear }
-    }
-
-    /// A force about A's origin as a planar wrench about B's origin, world axes: \[f_x, f_y, m_z\].
+    /// Generalised momentum of the arm, p = M_A q̇_A + M_AB q̇_B, N·m·s.
     #[inline]
-    pub(crate) fn planar(&self, f: &Force<T>) -> [T; 3] {
-        let lever = &self.arm_from_base;
-        [f.force.x, f.force.y, f.moment.z + lever.x * f.force.y - lever.y * f.force.x]
+    pub fn momentum(&self, base_velocity_world: &[T; 3], dq: &[T; N]) -> [T; N] {
+        let (of_arm, of_base) = (
+            crate::linalg::times(&self.mass, dq),
+            crate::linalg::times(&self.base_coupling, base_velocity_world),
+        );
+        core::array::from_fn(|i| of_arm[i] + of_base[i])
     }
-
-    /// Recursive Newton–Euler with zero joint accelerations: joint torques, and the force on the arm base, for a given
-    /// twist and acceleration of A.
-    #[inline(never)]
-    pub(crate) fn newton_euler(
-        &self,
-        inertias: &LinkInertias<N, T>,
-        dq: &[T; N],
-        base_velocity: Motion<T>,
-        base_acceleration: Motion<T>,
-    ) -> ([T; N], Force<T>) {
-        let (mut velocity, mut acceleration) = (base_velocity, base_acceleration);
-        let mut forces = [Force::zero(); N];
-        for i in 0..N {
-            let rate = self.joint_motion[i].scaled(dq[i]);
-            acceleration = acceleration + velocity.cross(&rate);
-            velocity = velocity + rate;
-            forces[i] = inertias.0[i].rate_of_momentum(&velocity, &acceleration);
-        }
-        let mut torque = [T::zero(); N];
-        let mut total = Force::zero();
-        for i in (0..N).rev() {
-            total += forces[i];
-            torque[i] = self.joint_motion[i].dot(&total);
-        }
-        (torque, total)
-    }
-
-    /// Generalised momentum of the arm, p = M_A q̇_A + M_AB q̇_B, and Cᵀq̇, both N·m(·s): what a momentum observer
-    /// needs. Cᵀq̇ is the momentum carried by each joint's moving axis, (v_i × S_i)·h_i.
-    pub fn momentum(
-        &self,
-        inertias: &LinkInertias<N, T>,
-        base_velocity_world: &[T; 3],
-        dq: &[T; N],
-    ) -> ([T; N], [T; N]) {
-        let mut velocity = self.base_motion(base_velocity_world);
-        let mut axis_rate = [Motion::zero(); N];
-        let mut momenta = [Force::zero(); N];
-        for i in 0..N {
-            let axis = self.joint_motion[i];
-            velocity = velocity + axis.scaled(dq[i]);
-            axis_rate[i] = velocity.cross(&axis);
-            momenta[i] = inertias.0[i].times(&velocity);
-        }
-        let (mut p, mut drift) = ([T::zero(); N], [T::zero(); N]);
-        let mut total = Force::zero();
-        for i in (0..N).rev() {
-            total += momenta[i];
-            p[i] = self.joint_motion[i].dot(&total);
-            drift[i] = axis_rate[i].dot(&total);
-        }
-        (p, drift)
-    }
-}
-
-impl<const N: usize, T: Scalar> LinkInertias<N, T> {
-    /// Inertia of all links together about A's origin.
-    pub(crate) fn total(&self) -> Inertia<T> {
-        self.0.iter().fold(Inertia::zero(), |sum, link| sum + *link)
-    }
-}
-
-impl Placement<f64> {
-    fn of(origin: &[f64; 6]) -> Self {
-        let [x, y, z, roll, pitch, yaw] = *origin;
-        Self { rotation: rotation::from_rpy([roll, pitch, yaw]), origin: Vector3::new(x, y, z) }
-    }
-
-    fn then(&self, child: &Self) -> Self {
-        Self { rotation: self.rotation * child.rotation, origin: self.origin + self.rotation * child.origin }
-    }
-
-    fn cast<T: Scalar>(&self) -> Placement<T> {
-        Placement { rotation: self.rotation.map(of), origin: self.origin.map(of) }
-    }
-}
-
-impl<T: Scalar> Link<T> {
-    fn of(link: &LinkInertial) -> Self {
-        Self {
-            mass: of(link.mass_kg),
-            com: Vector3::from(all(&link.com_m)),
-            inertia_com: all(&link.inertia_com),
-        }
-    }
-
-    #[inline]
-    fn inertia(&self, axes: &Matrix3<T>, origin: &Vector3<T>) -> Inertia<T> {
-        let com = origin + axes * self.com;
-        Inertia::about(self.mass, &com, &rotate_symmetric(axes, &self.inertia_com))
-    }
-}
-
-/// R·Rz(angle).
-#[inline]
-fn turned_about_z<T: Scalar>(r: &Matrix3<T>, angle: T) -> Matrix3<T> {
-    let (s, c) = angle.sin_cos();
-    let (x, y) = (r.column(0), r.column(1));
-    Matrix3::from_columns(&[x * c + y * s, y * c - x * s, r.column(2).into_owned()])
-}
-
-/// `link` with `payload`, given in flange axes, fixed to it.
-fn fuse(link: &LinkInertial, payload: &LinkInertial, flange: &Placement<f64>) -> LinkInertial {
-    let mass_kg = link.mass_kg + payload.mass_kg;
-    if payload.mass_kg <= 0.0 {
-        return *link;
-    }
-    let com_link = Vector3::from(link.com_m);
-    let com_payload = flange.origin + flange.rotation * Vector3::from(payload.com_m);
-    let com = (com_link * link.mass_kg + com_payload * payload.mass_kg) / mass_kg;
-    let of_link = Inertia::about(link.mass_kg, &(com_link - com), &link.inertia_com);
-    let turned = rotate_symmetric(&flange.rotation, &payload.inertia_com);
-    let of_payload = Inertia::about(payload.mass_kg, &(com_payload - com), &turned);
-    LinkInertial { mass_kg, com_m: com.into(), inertia_com: (of_link + of_payload).rotational }
 }
 
 fn check_tables<const N: usize>(

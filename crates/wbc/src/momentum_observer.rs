@@ -43,7 +43,8 @@ impl<const N: usize, T: Scalar> MomentumObserver<N, T> {
         Self { integral: [T::zero(); N], residual: [T::zero(); N], started: false }
     }
 
-    /// One step: momentum and Cᵀq̇ now (see [`crate::model::Kinematics::momentum`]), gravity torques now, and the
+    /// One step: momentum and Cᵀq̇ now (see [`crate::model::Dynamics::momentum`] and
+    /// [`crate::ArmModel::momentum_drift`]), gravity torques now, and the
     /// joint torques that acted since the last step. Implicit in r: stable for every step.
     pub fn update(
         &mut self,

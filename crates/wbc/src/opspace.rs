@@ -10,10 +10,9 @@
 //! use moca_wbc::{ArmModel, Payload};
 //!
 //! let model: ArmModel<7, f64> = ArmModel::new(&PANDA, &MOCA_MOUNT, &Payload::NONE)?;
-//! let kinematics = model.kinematics(0.0, &PANDA.home_rad);
-//! let mass = kinematics.mass_matrix(&model.link_inertias(&kinematics)).arm;
-//! let arm = ArmDynamics::new(kinematics.arm_jacobian(), &mass)?;
-//! let task = TaskDynamics::new(kinematics.base_jacobian(), [4.0, 4.0, 2.0], &arm);
+//! let dynamics = model.dynamics(0.0, &PANDA.home_rad, &[0.0; 7]);
+//! let arm = ArmDynamics::new(&dynamics)?;
+//! let task = TaskDynamics::new([4.0, 4.0, 2.0], &arm);
 //! let null = WholeBodyForce { base: [5.0, 0.0, 1.0], arm: [0.5; 7] };
 //! let wrench = [1.0, -2.0, 3.0, 0.1, 0.0, 0.2];
 //! let force = BlockWeight::new(3.0, 1.0).factor(&task)?.force(&wrench, &null);
@@ -25,6 +24,7 @@
 
 use crate::error::ControlError;
 use crate::linalg::{Cholesky, dot, times, transpose_times, weighted_outer};
+use crate::model::{Dynamics, Kinematics};
 use crate::scalar::{Scalar, of};
 use moca_msgs::ParameterError;
 use nalgebra::SMatrix;
@@ -40,8 +40,8 @@ pub struct WholeBodyForce<const N: usize, T> {
 
 /// The arm as its tool frame sees it: M_A and J_A.
 #[derive(Clone, Copy, Debug)]
-pub struct ArmDynamics<const N: usize, T> {
-    jacobian: SMatrix<T, 6, N>,
+pub struct ArmDynamics<'a, const N: usize, T> {
+    kinematics: &'a Kinematics<N, T>,
     mass: Cholesky<N, T>,
     /// (L⁻¹·J_Aᵀ)ᵀ with M_A = L·D·Lᵀ.
     reduced: SMatrix<T, 6, N>,
@@ -49,26 +49,22 @@ pub struct ArmDynamics<const N: usize, T> {
     inverse_task_inertia: SMatrix<T, 6, 6>,
 }
 
-impl<const N: usize, T: Scalar> ArmDynamics<N, T> {
+impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
     /// From the arm's Jacobian and mass matrix.
     ///
     /// # Errors
     /// [`ControlError::NotPositiveDefinite`] if the mass matrix is not.
     #[inline(never)]
-    pub fn new(jacobian: SMatrix<T, 6, N>, mass: &SMatrix<T, N, N>) -> Result<Self, ControlError> {
-        let mass = Cholesky::new(mass).ok_or(ControlError::NotPositiveDefinite { what: "M_A" })?;
-        let reduced = SMatrix::from(mass.solve_lower_rows(&jacobian.data.0));
+    pub fn new(dynamics: &'a Dynamics<N, T>) -> Result<Self, ControlError> {
+        let kinematics = &dynamics.kinematics;
+        let mass = Cholesky::new(&dynamics.mass).ok_or(ControlError::NotPositiveDefinite { what: "M_A" })?;
+        let reduced = SMatrix::from(mass.solve_lower_rows(&kinematics.arm_jacobian().data.0));
         Ok(Self {
-            jacobian,
+            kinematics,
             inverse_task_inertia: weighted_outer(&reduced, mass.inverse_diagonal()),
             reduced,
             mass,
         })
-    }
-
-    /// J_A.
-    pub fn jacobian(&self) -> &SMatrix<T, 6, N> {
-        &self.jacobian
     }
 
     /// Λ⁻¹ = J_A M_A⁻¹ J_Aᵀ of the arm alone.
@@ -87,11 +83,10 @@ impl<const N: usize, T: Scalar> ArmDynamics<N, T> {
     ///
     /// # Errors
     /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
-    #[inline]
     pub fn torque(&self, wrench: &[T; 6], null_torque: &[T; N]) -> Result<[T; N], ControlError> {
         let factor = Cholesky::new_shifted(&self.inverse_task_inertia).ok_or(SINGULAR)?;
         let wanted = difference(&times(&self.inverse_task_inertia, wrench), &self.acceleration(null_torque));
-        let task = transpose_times(&self.jacobian, &factor.solve(&wanted));
+        let task = transpose_times(self.kinematics.arm_jacobian(), &factor.solve(&wanted));
         Ok(core::array::from_fn(|i| null_torque[i] + task[i]))
     }
 
@@ -109,11 +104,7 @@ impl<const N: usize, T: Scalar> ArmDynamics<N, T> {
     ///
     /// # Errors
     /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
-    pub fn torque_for_refused(
-        &self,
-        base_jacobian: &SMatrix<T, 6, 3>,
-        refused: &[T; 3],
-    ) -> Result<[T; N], ControlError> {
+    pub fn torque_for_refused(&self, refused: &[T; 3]) -> Result<[T; N], ControlError> {
         let mut factor = Cholesky::new_shifted(&self.inverse_task_inertia).ok_or(SINGULAR)?;
         let short = factor.diagonal().iter().fold(T::zero(), |most, &pivot| most.max(of::<T>(HEAVY) - pivot));
         if short > T::zero() {
@@ -123,7 +114,8 @@ impl<const N: usize, T: Scalar> ArmDynamics<N, T> {
             }
             factor = Cholesky::new_shifted(&shifted).ok_or(SINGULAR)?;
         }
-        Ok(transpose_times(&self.jacobian, &factor.solve(&times(base_jacobian, refused))))
+        let missed = factor.solve(&self.kinematics.twist_from_base(refused));
+        Ok(transpose_times(self.kinematics.arm_jacobian(), &missed))
     }
 
     /// Wrench at the tool that moves it as the joint torques do: J̄ᵀτ of the arm alone.
@@ -139,35 +131,49 @@ impl<const N: usize, T: Scalar> ArmDynamics<N, T> {
 /// The whole robot as the tool frame sees it: M = blkdiag(M_v, M_A) of eq. (3) and J = \[J_B J_A\].
 #[derive(Clone, Copy, Debug)]
 pub struct TaskDynamics<'a, const N: usize, T> {
-    base_jacobian: SMatrix<T, 6, 3>,
     virtual_mass: [T; 3],
-    /// A_B = J_B M_v⁻¹ J_Bᵀ.
-    base_inverse_task_inertia: SMatrix<T, 6, 6>,
-    arm: &'a ArmDynamics<N, T>,
+    arm: &'a ArmDynamics<'a, N, T>,
 }
 
 impl<'a, const N: usize, T: Scalar> TaskDynamics<'a, N, T> {
-    /// From the Jacobian of the base, its virtual mass (> 0) and the arm on it.
+    /// From the virtual mass (> 0) of the base and the arm on it.
     #[inline]
-    pub fn new(base_jacobian: SMatrix<T, 6, 3>, virtual_mass: [T; 3], arm: &'a ArmDynamics<N, T>) -> Self {
-        let base_inverse_task_inertia = weighted_outer(&base_jacobian, &virtual_mass.map(|m| T::one() / m));
-        Self { base_jacobian, virtual_mass, base_inverse_task_inertia, arm }
-    }
-
-    /// J_B.
-    pub fn base_jacobian(&self) -> &SMatrix<T, 6, 3> {
-        &self.base_jacobian
+    pub fn new(virtual_mass: [T; 3], arm: &'a ArmDynamics<'a, N, T>) -> Self {
+        Self { virtual_mass, arm }
     }
 
     /// The arm on the base.
-    pub fn arm(&self) -> &'a ArmDynamics<N, T> {
+    pub fn arm(&self) -> &'a ArmDynamics<'a, N, T> {
         self.arm
     }
 
     /// Λ⁻¹ = J M⁻¹ Jᵀ of base and arm together.
     #[inline]
     pub fn inverse_task_inertia(&self) -> SMatrix<T, 6, 6> {
-        self.base_inverse_task_inertia + self.arm.inverse_task_inertia
+        let mut sum = self.arm.inverse_task_inertia;
+        self.add_base(&mut sum, &self.virtual_mass.map(|mass| T::one() / mass));
+        sum
+    }
+
+    /// Adds J_B·diag(w)·J_Bᵀ: a planar base moves the tool in x, y and about z.
+    #[inline]
+    fn add_base(&self, sum: &mut SMatrix<T, 6, 6>, &[wx, wy, w]: &[T; 3]) {
+        let lever = self.arm.kinematics.tool_from_base();
+        let (x, y) = (lever.x * w, -(lever.y * w));
+        sum[(0, 0)] += wx - lever.y * y;
+        sum[(1, 1)] += wy + lever.x * x;
+        sum[(5, 5)] += w;
+        for (i, j, value) in [(1, 0, lever.x * y), (5, 0, y), (5, 1, x)] {
+            sum[(i, j)] += value;
+            sum[(j, i)] += value;
+        }
+    }
+
+    /// Λ⁻¹·F.
+    #[inline]
+    fn acceleration_of_wrench(&self, wrench: &[T; 6]) -> [T; 6] {
+        let by_base = self.base_acceleration(&self.arm.kinematics.force_on_base(wrench));
+        sum(&times(&self.arm.inverse_task_inertia, wrench), &by_base)
     }
 
     /// J M⁻¹ τ: acceleration of the tool under generalised forces.
@@ -178,7 +184,7 @@ impl<'a, const N: usize, T: Scalar> TaskDynamics<'a, N, T> {
 
     #[inline]
     fn base_acceleration(&self, force: &[T; 3]) -> [T; 6] {
-        times(&self.base_jacobian, &core::array::from_fn(|i| force[i] / self.virtual_mass[i]))
+        self.arm.kinematics.twist_from_base(&core::array::from_fn(|i| force[i] / self.virtual_mass[i]))
     }
 
     /// J̄ᵀτ of base and arm together.
@@ -222,7 +228,8 @@ impl<T: Scalar> BlockWeight<T> {
         &self,
         task: &'a TaskDynamics<'a, N, T>,
     ) -> Result<BlockWeighted<'a, N, T>, ControlError> {
-        let weighted = task.base_inverse_task_inertia * self.base + task.arm.inverse_task_inertia * self.arm;
+        let mut weighted = task.arm.inverse_task_inertia * self.arm;
+        task.add_base(&mut weighted, &task.virtual_mass.map(|mass| self.base / mass));
         let factor = Cholesky::new_shifted(&weighted).ok_or(SINGULAR)?;
         Ok(BlockWeighted { task, weight: *self, factor })
     }
@@ -254,7 +261,7 @@ impl<const N: usize, T: Scalar> BlockWeighted<'_, N, T> {
     /// What F and the arm's part of τ_0 do to the tool.
     #[inline]
     pub(crate) fn goal(&self, wrench: &[T; 6], null_arm: &[T; N]) -> Goal<T> {
-        let wanted = times(&self.task.inverse_task_inertia(), wrench);
+        let wanted = self.task.acceleration_of_wrench(wrench);
         Goal { wanted, by_arm: self.task.arm.acceleration(null_arm) }
     }
 
@@ -268,25 +275,27 @@ impl<const N: usize, T: Scalar> BlockWeighted<'_, N, T> {
     /// τ_v of eq. (6).
     #[inline]
     pub(crate) fn base_force(&self, y: &[T; 6], null_base: &[T; 3]) -> [T; 3] {
-        let base = transpose_times(&self.task.base_jacobian, y);
+        let base = self.task.arm.kinematics.force_on_base(y);
         core::array::from_fn(|i| null_base[i] + self.weight.base * base[i])
     }
 
     /// τ_A of eq. (6).
     #[inline]
     pub(crate) fn arm_force(&self, y: &[T; 6], null_arm: &[T; N]) -> [T; N] {
-        let arm = transpose_times(&self.task.arm.jacobian, y);
+        let arm = transpose_times(self.task.arm.kinematics.arm_jacobian(), y);
         core::array::from_fn(|i| null_arm[i] + self.weight.arm * arm[i])
     }
 
     /// S = M_v − J_Bᵀ(A_B + ρ A_A)⁻¹J_B, symmetric: S·M_v⁻¹·f is what the null space leaves of a force f on the base.
-    #[inline]
     pub fn free_base_mass(&self) -> SMatrix<T, 3, 3> {
-        let columns = self.task.base_jacobian.data.0.map(|column| self.factor.solve(&column));
+        let inverse = self.factor.inverse_diagonal();
+        let columns =
+            self.task.arm.kinematics.base_jacobian().data.0.map(|column| self.factor.solve_lower(&column));
         let mut out = SMatrix::<T, 3, 3>::zeros();
         for (i, column) in columns.iter().enumerate() {
+            let scaled = core::array::from_fn(|k| -self.weight.base * column[k] * inverse[k]);
             for j in 0..=i {
-                let value = -self.weight.base * dot(column, &self.task.base_jacobian.data.0[j]);
+                let value = dot(&scaled, &columns[j]);
                 out[(i, j)] = value;
                 out[(j, i)] = value;
             }
@@ -340,14 +349,13 @@ impl<const N: usize, T: Scalar> AxisWeight<N, T> {
         let v: SMatrix<T, 6, N> = SMatrix::from(arm.transpose_times_rows(&z));
         let base_weights =
             core::array::from_fn(|i| T::one() / (self.base[i] * self.base[i] * task.virtual_mass[i]));
-        let weighted =
-            weighted_outer(&task.base_jacobian, &base_weights) + weighted_outer(&v, arm.diagonal());
+        let mut weighted = weighted_outer(&v, arm.diagonal());
+        task.add_base(&mut weighted, &base_weights);
         let factor = Cholesky::new_shifted(&weighted).ok_or(SINGULAR)?;
-        let y =
-            factor.solve(&difference(&times(&task.inverse_task_inertia(), wrench), &task.acceleration(null)));
+        let y = factor.solve(&difference(&task.acceleration_of_wrench(wrench), &task.acceleration(null)));
         let along = transpose_times(&v, &y);
         let arm = arm.times(&core::array::from_fn(|i| arm.diagonal()[i] * along[i]));
-        let base = transpose_times(&task.base_jacobian, &y);
+        let base = task.arm.kinematics.force_on_base(&y);
         Ok(WholeBodyForce {
             base: core::array::from_fn(|i| null.base[i] + base[i] / (self.base[i] * self.base[i])),
             arm: core::array::from_fn(|i| null.arm[i] + arm[i] / self.arm[i]),

@@ -1,93 +1,8 @@
-//! Compact spatial algebra: twists, wrenches and rigid-body inertias about one point, in one set of axes
-//! (Featherstone 2008, with the ten numbers of an inertia instead of a 6×6 matrix).
+//! Rigid-body inertias about one point, in one set of axes: ten numbers instead of a 6×6 matrix (Featherstone 2008).
 
-use crate::scalar::Scalar;
-use core::ops::{Add, AddAssign};
+use crate::scalar::{Scalar, of};
+use core::ops::Add;
 use nalgebra::{Matrix3, Vector3};
-
-/// Spatial velocity or acceleration about the reference point.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Motion<T> {
-    pub angular: Vector3<T>,
-    pub linear: Vector3<T>,
-}
-
-/// Spatial force or momentum about the reference point.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Force<T> {
-    pub force: Vector3<T>,
-    pub moment: Vector3<T>,
-}
-
-impl<T: Scalar> Motion<T> {
-    pub(crate) fn zero() -> Self {
-        Self { angular: Vector3::zeros(), linear: Vector3::zeros() }
-    }
-
-    /// Turning about `axis` through `point`, both relative to the reference point.
-    #[inline]
-    pub(crate) fn revolute(axis: &Vector3<T>, point: &Vector3<T>) -> Self {
-        Self { angular: *axis, linear: point.cross(axis) }
-    }
-
-    #[inline]
-    pub(crate) fn scaled(&self, s: T) -> Self {
-        Self { angular: self.angular * s, linear: self.linear * s }
-    }
-
-    /// self × other: rate of `other` as it is carried along by `self`.
-    #[inline]
-    pub(crate) fn cross(&self, other: &Self) -> Self {
-        Self {
-            angular: self.angular.cross(&other.angular),
-            linear: self.angular.cross(&other.linear) + self.linear.cross(&other.angular),
-        }
-    }
-
-    /// self ×* momentum: rate of a momentum that is carried along by `self`.
-    #[inline]
-    pub(crate) fn cross_force(&self, h: &Force<T>) -> Force<T> {
-        Force {
-            force: self.angular.cross(&h.force),
-            moment: self.angular.cross(&h.moment) + self.linear.cross(&h.force),
-        }
-    }
-
-    /// Power of `f` along `self`.
-    #[inline]
-    pub(crate) fn dot(&self, f: &Force<T>) -> T {
-        self.angular.dot(&f.moment) + self.linear.dot(&f.force)
-    }
-}
-
-impl<T: Scalar> Add for Motion<T> {
-    type Output = Self;
-    #[inline]
-    fn add(self, other: Self) -> Self {
-        Self { angular: self.angular + other.angular, linear: self.linear + other.linear }
-    }
-}
-
-impl<T: Scalar> Force<T> {
-    pub(crate) fn zero() -> Self {
-        Self { force: Vector3::zeros(), moment: Vector3::zeros() }
-    }
-}
-
-impl<T: Scalar> Add for Force<T> {
-    type Output = Self;
-    #[inline]
-    fn add(self, other: Self) -> Self {
-        Self { force: self.force + other.force, moment: self.moment + other.moment }
-    }
-}
-
-impl<T: Scalar> AddAssign for Force<T> {
-    #[inline]
-    fn add_assign(&mut self, other: Self) {
-        *self = *self + other;
-    }
-}
 
 /// Rigid-body inertia about the reference point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -100,79 +15,202 @@ pub(crate) struct Inertia<T> {
 }
 
 impl<T: Scalar> Inertia<T> {
-    pub(crate) fn zero() -> Self {
-        Self { mass: T::zero(), first_moment: Vector3::zeros(), rotational: [T::zero(); 6] }
-    }
-
     /// From mass, centre of mass relative to the reference point, and inertia about the centre of mass.
-    #[inline]
     pub(crate) fn about(mass: T, com: &Vector3<T>, inertia_com: &[T; 6]) -> Self {
-        let h = com * mass;
-        let [xx, xy, xz, yy, yz, zz] = *inertia_com;
-        let (hxx, hyy, hzz) = (h.x * com.x, h.y * com.y, h.z * com.z);
+        let centred = Self { mass, first_moment: Vector3::zeros(), rotational: *inertia_com };
+        centred.moved(com)
+    }
+
+    /// About the point from which the present one is `step` away.
+    pub(crate) fn moved(&self, step: &Vector3<T>) -> Self {
+        let middle = self.first_moment + step * (self.mass * of(0.5));
+        let mut moved = *self;
+        moved.rotational = shifted(&self.rotational, &middle, step);
+        moved.first_moment += step * self.mass;
+        moved
+    }
+
+    /// In the axes in which the present ones are `rotation`.
+    pub(crate) fn rotated(&self, rotation: &Matrix3<T>) -> Self {
         Self {
-            mass,
-            first_moment: h,
-            rotational: [
-                xx + hyy + hzz,
-                xy - h.x * com.y,
-                xz - h.x * com.z,
-                yy + hxx + hzz,
-                yz - h.y * com.z,
-                zz + hxx + hyy,
-            ],
+            mass: self.mass,
+            first_moment: rotation * self.first_moment,
+            rotational: rotate_symmetric(rotation, &self.rotational),
         }
-    }
-
-    #[inline]
-    pub(crate) fn times(&self, v: &Motion<T>) -> Force<T> {
-        let [xx, xy, xz, yy, yz, zz] = self.rotational;
-        let w = &v.angular;
-        let turned = Vector3::new(
-            xx * w.x + xy * w.y + xz * w.z,
-            xy * w.x + yy * w.y + yz * w.z,
-            xz * w.x + yz * w.y + zz * w.z,
-        );
-        Force {
-            force: v.linear * self.mass + w.cross(&self.first_moment),
-            moment: turned + self.first_moment.cross(&v.linear),
-        }
-    }
-}
-
-impl<T: Scalar> Inertia<T> {
-    /// I·a + v ×* I·v: the force that gives `acceleration` at `velocity`.
-    #[inline]
-    pub(crate) fn rate_of_momentum(&self, velocity: &Motion<T>, acceleration: &Motion<T>) -> Force<T> {
-        self.times(acceleration) + velocity.cross_force(&self.times(velocity))
     }
 }
 
 impl<T: Scalar> Add for Inertia<T> {
     type Output = Self;
-    #[inline]
     fn add(self, other: Self) -> Self {
-        let mut rotational = self.rotational;
-        for (a, b) in rotational.iter_mut().zip(other.rotational) {
-            *a += b;
-        }
         Self {
             mass: self.mass + other.mass,
             first_moment: self.first_moment + other.first_moment,
-            rotational,
+            rotational: sum(&self.rotational, &other.rotational),
         }
     }
 }
 
-/// R·I·Rᵀ of a symmetric 3×3 matrix (xx, xy, xz, yy, yz, zz).
+/// What of a link resists the turning of its joint and of those before it. The rest of it (its mass, and a thin rod
+/// along the joint's axis) moves as if it sat on the link before, and is counted there: no link that turns has a mass,
+/// and its recursions are shorter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct TurningInertia<T> {
+    /// Mass × centre of mass, about the frame's origin.
+    pub first_moment: Vector3<T>,
+    /// Rotational inertia about the frame's origin: xx, xy, xz, yy, yz, zz.
+    pub rotational: [T; 6],
+}
+
+impl<T: Scalar> TurningInertia<T> {
+    pub(crate) fn zero() -> Self {
+        Self { first_moment: Vector3::zeros(), rotational: [T::zero(); 6] }
+    }
+
+    /// Parts `body` into what turns with a joint about z, and what the joint's turning does not change.
+    pub(crate) fn parted(body: &Inertia<T>) -> (Self, Inertia<T>) {
+        let zero = T::zero();
+        let [xx, xy, xz, yy, yz, zz] = body.rotational;
+        let h = &body.first_moment;
+        let turning =
+            Self { first_moment: Vector3::new(h.x, h.y, zero), rotational: [xx - yy, xy, xz, zero, yz, zz] };
+        let rod = Inertia {
+            mass: body.mass,
+            first_moment: Vector3::new(zero, zero, h.z),
+            rotational: [yy, zero, zero, yy, zero, zero],
+        };
+        (turning, rod)
+    }
+
+    /// ∫ r·rᵀ dm about the frame's origin: xx, xy, xz, yy, yz, zz.
+    pub(crate) fn second_moment(&self) -> [T; 6] {
+        let [xx, xy, xz, yy, yz, zz] = self.rotational;
+        let half = (xx + yy + zz) * of(0.5);
+        [half - xx, -xy, -xz, half - yy, -yz, half - zz]
+    }
+
+    /// In the axes of the parent, about its origin: `turn` is of the joint, `twist` and `offset` of its place.
+    #[inline]
+    pub(crate) fn in_parent(&self, turn: &Turn<T>, twist: &Turn<T>, offset: &Vector3<T>) -> Self {
+        let first_moment = twist.about_x(&turn.about_z(&self.first_moment));
+        let rotational = twist.tensor_about_x(&turn.tensor_about_z(&self.rotational));
+        Self { rotational: shifted(&rotational, &first_moment, offset), first_moment }
+    }
+}
+
+impl<T: Scalar> Add for TurningInertia<T> {
+    type Output = Self;
+    #[inline]
+    fn add(self, other: Self) -> Self {
+        Self {
+            first_moment: self.first_moment + other.first_moment,
+            rotational: sum(&self.rotational, &other.rotational),
+        }
+    }
+}
+
+/// Sine and cosine of a turn about a coordinate axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Turn<T> {
+    pub sin: T,
+    pub cos: T,
+}
+
+impl<T: Scalar> Turn<T> {
+    #[inline]
+    pub(crate) fn by(angle: T) -> Self {
+        let (sin, cos) = angle.sin_cos();
+        Self { sin, cos }
+    }
+
+    /// The way back.
+    #[inline]
+    pub(crate) fn back(&self) -> Self {
+        Self { sin: -self.sin, cos: self.cos }
+    }
+
+    /// Rx·v.
+    #[inline]
+    pub(crate) fn about_x(&self, v: &Vector3<T>) -> Vector3<T> {
+        let Self { sin, cos } = *self;
+        Vector3::new(v.x, cos * v.y - sin * v.z, sin * v.y + cos * v.z)
+    }
+
+    /// Rz·v.
+    #[inline]
+    pub(crate) fn about_z(&self, v: &Vector3<T>) -> Vector3<T> {
+        let Self { sin, cos } = *self;
+        Vector3::new(cos * v.x - sin * v.y, sin * v.x + cos * v.y, v.z)
+    }
+
+    /// `axes`·Rx: a frame turned about its own x axis.
+    #[inline]
+    pub(crate) fn frame_about_x(&self, axes: &Matrix3<T>) -> Matrix3<T> {
+        let (y, z) = (axes.column(1), axes.column(2));
+        let (turned_y, turned_z) = (y * self.cos + z * self.sin, z * self.cos - y * self.sin);
+        Matrix3::from_columns(&[axes.column(0).into_owned(), turned_y, turned_z])
+    }
+
+    /// `axes`·Rz: a frame turned about its own z axis.
+    #[inline]
+    pub(crate) fn frame_about_z(&self, axes: &Matrix3<T>) -> Matrix3<T> {
+        let (x, y) = (axes.column(0), axes.column(1));
+        let (turned_x, turned_y) = (x * self.cos + y * self.sin, y * self.cos - x * self.sin);
+        Matrix3::from_columns(&[turned_x, turned_y, axes.column(2).into_owned()])
+    }
+
+    /// Rx·I·Rxᵀ: what the turn takes from yy it gives to zz.
+    #[inline]
+    fn tensor_about_x(&self, &[xx, xy, xz, yy, yz, zz]: &[T; 6]) -> [T; 6] {
+        let Self { sin, cos } = *self;
+        let (a, b) = (cos * yy - sin * yz, cos * yz - sin * zz);
+        let turned = cos * a - sin * b;
+        [xx, cos * xy - sin * xz, sin * xy + cos * xz, turned, sin * a + cos * b, yy + zz - turned]
+    }
+
+    /// Rz·I·Rzᵀ: what the turn takes from xx it gives to yy.
+    #[inline]
+    fn tensor_about_z(&self, &[xx, xy, xz, yy, yz, zz]: &[T; 6]) -> [T; 6] {
+        let Self { sin, cos } = *self;
+        let (a, b) = (cos * xx - sin * xy, cos * xy - sin * yy);
+        let turned = cos * a - sin * b;
+        [turned, sin * a + cos * b, cos * xz - sin * yz, xx + yy - turned, sin * xz + cos * yz, zz]
+    }
+}
+
+/// The inertia `of` a body with first moment h about a point from which the present one is `step` away, but for its mass:
+/// I + 2·(s·h)·1 − s·hᵀ − h·sᵀ.
 #[inline]
-pub(crate) fn rotate_symmetric<T: Scalar>(r: &Matrix3<T>, [xx, xy, xz, yy, yz, zz]: &[T; 6]) -> [T; 6] {
-    let (xx, xy, xz, yy, yz, zz) = (*xx, *xy, *xz, *yy, *yz, *zz);
-    let row = |i: usize| {
-        let (a, b, c) = (r[(i, 0)], r[(i, 1)], r[(i, 2)]);
-        [a * xx + b * xy + c * xz, a * xy + b * yy + c * yz, a * xz + b * yz + c * zz]
-    };
-    let dot = |b: &[T; 3], i: usize| b[0] * r[(i, 0)] + b[1] * r[(i, 1)] + b[2] * r[(i, 2)];
-    let (b0, b1, b2) = (row(0), row(1), row(2));
-    [dot(&b0, 0), dot(&b0, 1), dot(&b0, 2), dot(&b1, 1), dot(&b1, 2), dot(&b2, 2)]
+fn shifted<T: Scalar>(&[xx, xy, xz, yy, yz, zz]: &[T; 6], h: &Vector3<T>, step: &Vector3<T>) -> [T; 6] {
+    let (x, y, z) = (h.x * step.x, h.y * step.y, h.z * step.z);
+    let (x, y, z) = (x + x, y + y, z + z);
+    [
+        xx + (y + z),
+        xy - (h.x * step.y + h.y * step.x),
+        xz - (h.x * step.z + h.z * step.x),
+        yy + (x + z),
+        yz - (h.y * step.z + h.z * step.y),
+        zz + (x + y),
+    ]
+}
+
+#[inline]
+fn sum<T: Scalar>(a: &[T; 6], b: &[T; 6]) -> [T; 6] {
+    core::array::from_fn(|i| a[i] + b[i])
+}
+
+/// S·v of a symmetric 3×3 matrix (xx, xy, xz, yy, yz, zz).
+#[inline]
+pub(crate) fn symmetric_times<T: Scalar>(&[xx, xy, xz, yy, yz, zz]: &[T; 6], v: &Vector3<T>) -> Vector3<T> {
+    Vector3::new(
+        xx * v.x + xy * v.y + xz * v.z,
+        xy * v.x + yy * v.y + yz * v.z,
+        xz * v.x + yz * v.y + zz * v.z,
+    )
+}
+
+/// R·S·Rᵀ of a symmetric 3×3 matrix (xx, xy, xz, yy, yz, zz).
+pub(crate) fn rotate_symmetric<T: Scalar>(r: &Matrix3<T>, &[xx, xy, xz, yy, yz, zz]: &[T; 6]) -> [T; 6] {
+    let turned = r * Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz) * r.transpose();
+    [turned[(0, 0)], turned[(1, 0)], turned[(2, 0)], turned[(1, 1)], turned[(2, 1)], turned[(2, 2)]]
 }

@@ -41,15 +41,14 @@ fn check<const N: usize>(arm: &ArmTable<N>, case: &Value) {
         tool_origin: array(&case["tool"]),
     };
     let model = ArmModel::<N, f64>::new(arm, &mount, &payload).unwrap();
-    let kinematics = model.kinematics(case["yaw"].as_f64().unwrap(), &array(&case["q"]));
-    let inertias = model.link_inertias(&kinematics);
-    let dq = array(&case["dq"]);
+    let dynamics = model.dynamics(case["yaw"].as_f64().unwrap(), &array(&case["q"]), &array(&case["dq"]));
+    let kinematics = &dynamics.kinematics;
     assert_close("tool", kinematics.tool_from_base().as_slice(), &case["tool_from_base"]);
     assert_close("axes", kinematics.tool_rotation.transpose().as_slice(), &case["tool_rotation"]);
     assert_close("Jacobian", kinematics.arm_jacobian().transpose().as_slice(), &case["jacobian"]);
-    assert_close("mass matrix", kinematics.mass_matrix(&inertias).arm.as_slice(), &case["mass"]);
-    assert_close("bias", &kinematics.bias(&inertias, &dq), &case["bias"]);
-    assert_close("gravity", &kinematics.gravity(&inertias), &case["gravity"]);
+    assert_close("mass matrix", dynamics.mass.as_slice(), &case["mass"]);
+    assert_close("bias", &dynamics.bias, &case["bias"]);
+    assert_close("gravity", &dynamics.gravity(), &case["gravity"]);
 }
 
 #[test]

@@ -29,8 +29,7 @@ fn input(robot: RobotState<7>) -> ControlInput<7, 11> {
 #[test]
 fn a_law_entered_at_rest_gives_gravity_torques_and_a_standing_base() {
     let controller = controller();
-    let kinematics = controller.model().kinematics(0.4, &PANDA.home_rad);
-    let gravity = kinematics.gravity(&controller.model().link_inertias(&kinematics));
+    let gravity = controller.model().dynamics(0.4, &PANDA.home_rad, &[0.0; 7]).gravity();
     for law in LAWS {
         let mut state = controller.enter(law, &at_home()).unwrap();
         let output = controller.step(law, &mut state, &input(at_home())).unwrap();

@@ -202,7 +202,7 @@ fn write_log(
     period_s: f64,
     kept: &Kept,
 ) -> Result<(), LogError> {
-    let file = File::create_new(path).map_err(|source| LogError::Create { path: path.into(), source })?;
+    let file = File::create_new(path).map_err(|cause| LogError::Create { path: path.into(), cause })?;
     let mut log = LogWriter::new(BufWriter::new(file), meta)?;
     log.configuration(configuration)?;
     let mut blocks = BlockBuilder::new(period_s);

@@ -158,7 +158,8 @@ pub fn encode(ticks: &[ComparedTick], period_s: f64) -> Vec<u8> {
     let slots: Vec<Slot> = ticks.iter().map(|tick| tick.record.input.slot).collect();
     let integers = |of: &dyn Fn(&Slot) -> u64| -> Vec<u64> { slots.iter().map(of).collect() };
     out.integers(&integers(&|slot| slot.tick));
-    out.integers(&integers(&|slot| slot.now_ns));
+    // When it was due goes on in equal steps: what it was late is noise, and is paid for once.
+    out.integers(&integers(&|slot| slot.now_ns.wrapping_sub(whole_ns(slot.lateness_s))));
     out.integers(&integers(&|slot| slot.ticks));
     out.integers(&integers(&|slot| slot.overruns));
     for stage in 0..STAGES.len() {
@@ -225,6 +226,16 @@ fn flags(tick: &ComparedTick) -> u64 {
         | flag(tick.sample.is_some(), SAMPLE_KNOWN)
 }
 
+/// The nearest whole ns, 0 of what has none.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "saturates, and the same each time"
+)]
+fn whole_ns(time_s: f64) -> u64 {
+    (time_s * 1e9).round() as u64
+}
+
 fn step_s(slot: &Slot, period_s: f64) -> f64 {
     #[expect(clippy::cast_precision_loss, reason = "a count of missed slots")]
     let ticks = slot.ticks as f64;
@@ -248,15 +259,16 @@ impl Columns<'_> {
         if column.len() == rows { Ok(column) } else { Err(DamagedColumns) }
     }
 
+    /// The slots, which are not late yet.
     fn slots(&mut self) -> Result<Vec<Slot>> {
-        let (tick, now_ns) = (self.reader.integers()?, self.reader.integers()?);
+        let (tick, due_ns) = (self.reader.integers()?, self.reader.integers()?);
         self.rows = tick.len();
-        ensure!(now_ns.len() == self.rows, DamagedColumns);
+        ensure!(due_ns.len() == self.rows, DamagedColumns);
         let (ticks, overruns) = (self.integers()?, self.integers()?);
         let mut slots: Vec<Slot> = (0..self.rows)
             .map(|row| Slot {
                 tick: tick[row],
-                now_ns: now_ns[row],
+                now_ns: due_ns[row],
                 ticks: ticks[row],
                 overruns: overruns[row],
                 ..Slot::default()
@@ -312,7 +324,10 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<ComparedTick>> {
     let flags = columns.integers()?;
     let has = |row: usize, flag: u64| flags[row] & flag != 0;
     let lateness_s = columns.numbers(None, rows)?;
-    slots.iter_mut().zip(lateness_s).for_each(|(slot, lateness_s)| slot.lateness_s = lateness_s);
+    for (slot, lateness_s) in slots.iter_mut().zip(lateness_s) {
+        slot.now_ns = slot.now_ns.wrapping_add(whole_ns(lateness_s));
+        slot.lateness_s = lateness_s;
+    }
     let (arm_s, base_s) = (columns.numbers(None, rows)?, columns.numbers(None, rows)?);
     let known: Vec<usize> = (0..rows).filter(|row| has(*row, STATE_KNOWN)).collect();
     let known_slots: Vec<Slot> = known.iter().map(|row| slots[*row]).collect();

@@ -76,7 +76,9 @@ impl Files {
     /// Draws the window, if it is open, and notes which log was chosen.
     pub(super) fn show(&mut self, ctx: &Context, pressed: &mut PageRequests) {
         let mut still = self.open;
-        Window::new("Open a log").open(&mut still).default_width(520.0).show(ctx, |ui| {
+        let window = Window::new("Open a log").open(&mut still).default_width(520.0);
+        // The mode stays in sight.
+        window.default_pos([420.0, 140.0]).show(ctx, |ui| {
             ui.label(
                 "An MCAP file of `mocad --record` or of this window. Dropping one on the window works too.",
             );

@@ -1,6 +1,6 @@
 //! Nothing is clipped where the window is small.
 
-use crate::bench::{Bench, parameter};
+use crate::bench::{Bench, parameter, sample};
 use egui::{Rect, Vec2};
 use egui_kittest::kittest::{NodeT, Queryable};
 use moca_msgs::Mode;
@@ -71,5 +71,66 @@ fn every_button_of_the_top_row_is_free_and_the_numbers_are_in_sight() {
             let last = bench.harness.get_by_label_contains("Speed limit").rect();
             assert!(last.bottom() <= size.y, "the last number at {size}: {last:?}");
         }
+    }
+}
+
+/// Every text that is drawn, and where.
+fn texts(bench: &Bench) -> Vec<(String, Rect)> {
+    let shapes = bench.harness.output().shapes.iter();
+    let text = |shape: &egui::Shape| match shape {
+        egui::Shape::Text(text) => Some((text.galley.text().to_owned(), text.visual_bounding_rect())),
+        _ => None,
+    };
+    shapes.filter_map(|clipped| text(&clipped.shape)).collect()
+}
+
+/// Pairs of texts that are drawn over each other.
+fn overlapping(texts: &[(String, Rect)]) -> Vec<(&str, &str)> {
+    let pairs =
+        texts.iter().enumerate().flat_map(|(i, one)| texts[i + 1..].iter().map(move |two| (one, two)));
+    let over = pairs.filter(|((_, one), (_, two))| one.shrink(0.5).intersects(two.shrink(0.5)));
+    over.map(|((one, _), (two, _))| (one.as_str(), two.as_str())).collect()
+}
+
+/// Three frames of a robot whose taxels are pressed, T1 being 0, and whose loop woke late.
+fn pressed(bench: &mut Bench, taxels: &[usize]) {
+    for _ in 0..3 {
+        let mut next = sample(bench.tick, Mode::Impedance, None);
+        taxels.iter().for_each(|taxel| next.taxels[*taxel].force_n = 12.3);
+        next.lateness_s = 0.019_493;
+        bench.tick += 1;
+        bench.daemon.borrow_mut().samples.push_back(next);
+        bench.harness.step();
+    }
+}
+
+#[test]
+fn no_text_of_a_picture_or_a_table_is_written_over_another() {
+    for size in SIZES.map(Vec2::from) {
+        let mut bench = Bench::new();
+        bench.harness.set_size(size);
+        pressed(&mut bench, &[5]);
+        let of_the_front: Vec<_> = texts(&bench)
+            .into_iter()
+            .filter(|(text, rect)| {
+                rect.right() < 400.0 && ["T5", "T6", "T7", "12.3 N"].contains(&text.as_str())
+            })
+            .collect();
+        assert!(of_the_front.len() >= 4, "{of_the_front:?}");
+        assert!(overlapping(&of_the_front).is_empty(), "{size}: {of_the_front:?}");
+
+        bench.click("3-D");
+        pressed(&mut bench, &[4, 5, 6]);
+        let forces: Vec<_> =
+            texts(&bench).into_iter().filter(|(text, _)| text.ends_with(" 12.3 N")).collect();
+        assert_eq!(forces.len(), 3);
+        assert!(overlapping(&forces).is_empty(), "{size}: {forces:?}");
+
+        bench.click("Loop");
+        pressed(&mut bench, &[]);
+        let late: Vec<_> =
+            texts(&bench).into_iter().filter(|(text, _)| text.parse::<f64>().is_ok()).collect();
+        assert!(late.iter().filter(|(text, _)| text == "19493").count() >= 1, "{late:?}");
+        assert!(overlapping(&late).is_empty(), "{size}: {:?}", overlapping(&late));
     }
 }

@@ -222,7 +222,9 @@ fn the_robot_is_seen_in_three_dimensions_and_turned_with_the_mouse() {
     let drawn = |bench: &Bench| -> Vec<egui::Pos2> {
         let shapes = bench.harness.output().shapes.iter();
         let corners = shapes.filter_map(|clipped| match &clipped.shape {
-            egui::Shape::Path(path) if path.closed && path.points.len() == 4 => Some(path.points.clone()),
+            egui::Shape::Mesh(mesh) if mesh.vertices.len() == 4 => {
+                Some(mesh.vertices.iter().map(|vertex| vertex.pos).collect::<Vec<_>>())
+            }
             _ => None,
         });
         corners.flatten().collect()

@@ -2,8 +2,9 @@
 //!
 //! A measured quantity changes little from tick to tick, so a column stores how many representable numbers lie between
 //! each value and what its predecessors predict: the high bytes of these distances are zero. They are stored plane by
-//! plane, highest bytes first, so that zeros lie beside zeros. Numbers that are all multiples of one power of two, as a
-//! rounded measurement is, are counted in it: near zero, where doubles lie close, the distances stay small.
+//! plane, highest bytes first, without the planes that are all zero, so that small bytes lie beside small ones. Numbers that are all multiples of one power of two, as a
+//! rounded measurement is, or whole nanoseconds in seconds, are counted in it: near zero, where doubles lie close, the
+//! distances stay small.
 //!
 //! ```
 //! use moca_telemetry::log::columns::{ColumnReader, ColumnWriter};
@@ -18,7 +19,7 @@
 //! ```
 
 /// Most values of one column; a reader refuses more.
-const MAX_ROWS: usize = 1 << 16;
+const MAX_ROWS: usize = 1 << 12;
 
 /// How a value is predicted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,6 +46,7 @@ impl Guess {
     /// What needs no rate, in the order of what it needs.
     const PLAIN: [Self; 6] =
         [Self::Same, Self::Line, Self::Parabola, Self::Cubic, Self::Quartic, Self::Quintic];
+    const OF_INTEGERS: [Self; 2] = [Self::Same, Self::Line];
     const ALL: [Self; 8] = [
         Self::Same,
         Self::Line,
@@ -106,9 +108,9 @@ impl Guess {
     }
 }
 
-/// Numbers that are counts of one power of two.
+/// Numbers that are counts of one unit.
 struct Grid {
-    /// Halvings of 1 that make the unit.
+    /// Halvings of 1 that make the unit, or [`NANO`].
     halvings: u8,
     counts: Vec<i64>,
 }
@@ -118,6 +120,8 @@ const GRID: u8 = 0x80;
 /// Finest unit, as halvings of 1, and largest count.
 const HALVINGS_MAX: u8 = 40;
 const COUNT_MAX: f64 = 4_503_599_627_370_496.0;
+/// In place of halvings: the unit is a billionth, as of a time in s that was whole ns.
+const NANO: u8 = 0xff;
 
 impl Grid {
     /// The coarsest on which every value lies, to the bit.
@@ -127,12 +131,16 @@ impl Grid {
             while !on_grid(*value, halvings) {
                 halvings += 1;
                 if halvings > HALVINGS_MAX || !value.is_finite() {
-                    return None;
+                    return Self::counted_in(NANO, values);
                 }
             }
         }
-        let counts = values.iter().map(|value| count_of(*value, halvings)).collect();
         // A finer unit than the first values asked for: all of them lie on it.
+        Self::counted_in(halvings, values)
+    }
+
+    fn counted_in(halvings: u8, values: &[f64]) -> Option<Self> {
+        let counts = values.iter().map(|value| count_of(*value, halvings)).collect();
         values.iter().all(|value| on_grid(*value, halvings)).then_some(Self { halvings, counts })
     }
 }
@@ -144,17 +152,24 @@ const fn unit(halvings: u8) -> f64 {
 
 #[expect(clippy::cast_possible_truncation, reason = "below 2^52 where it counts")]
 fn count_of(value: f64, halvings: u8) -> i64 {
-    (value / unit(halvings)) as i64
+    if halvings == NANO { (value * 1e9).round() as i64 } else { (value / unit(halvings)) as i64 }
 }
 
 #[expect(clippy::cast_precision_loss, reason = "below 2^52")]
 fn value_of(count: i64, halvings: u8) -> f64 {
-    count as f64 * unit(halvings)
+    if halvings == NANO { count as f64 / 1e9 } else { count as f64 * unit(halvings) }
 }
 
 fn on_grid(value: f64, halvings: u8) -> bool {
-    (value / unit(halvings)).abs() < COUNT_MAX
-        && value_of(count_of(value, halvings), halvings).to_bits() == value.to_bits()
+    let count = count_of(value, halvings);
+    // What has no such count saturates.
+    value_of(count, halvings).to_bits() == value.to_bits() && value_of(count, 0).abs() < COUNT_MAX
+}
+
+fn distances_of_counts(counts: &[i64], guess: Guess) -> Vec<u64> {
+    let guessed = (0..counts.len()).map(|row| guess.of_counts(&counts[..row]));
+    let pairs = counts.iter().zip(guessed);
+    pairs.map(|(count, guessed)| zigzag(count.wrapping_sub(guessed).cast_unsigned())).collect()
 }
 
 /// What a column changes by: its rate per second, and the time since the row before, s.
@@ -181,15 +196,11 @@ pub struct ColumnWriter {
 }
 
 impl ColumnWriter {
-    /// A column of counts or times, whose steps are nearly equal.
+    /// A column of counts or times: those that stay or go on in equal steps cost nothing.
     pub fn integers(&mut self, values: &[u64]) {
-        self.count(values.len() as u64);
-        let (mut last, mut step) = (0_u64, 0_u64);
-        for &value in values {
-            let next = value.wrapping_sub(last);
-            self.count(zigzag(next.wrapping_sub(step)));
-            (last, step) = (value, next);
-        }
+        let counts: Vec<i64> = values.iter().map(|value| value.cast_signed()).collect();
+        let forms = Guess::OF_INTEGERS.map(|guess| (vec![guess as u8], distances_of_counts(&counts, guess)));
+        self.cheapest(values.len(), forms.into_iter());
     }
 
     /// A column of numbers, NaN and infinity included; `rate` may help to predict it.
@@ -199,26 +210,29 @@ impl ColumnWriter {
             let pairs = values.iter().zip(guessed);
             pairs.map(|(value, guessed)| zigzag(value.to_bits().wrapping_sub(guessed.to_bits()))).collect()
         };
-        let bits = |distances: &Vec<u64>| -> u64 {
-            distances.iter().map(|distance| u64::from(u64::BITS - distance.leading_zeros())).sum()
-        };
         let usable = if rate.is_some() { &Guess::ALL[..] } else { &Guess::PLAIN[..] };
         let doubles = usable.iter().map(|guess| (vec![*guess as u8], distances(*guess)));
         let grid = Grid::of(values);
-        let counted = |grid: &Grid, guess: Guess| -> Vec<u64> {
-            let counts = &grid.counts;
-            let guessed = (0..counts.len()).map(|row| guess.of_counts(&counts[..row]));
-            let pairs = counts.iter().zip(guessed);
-            pairs.map(|(count, guessed)| zigzag(count.wrapping_sub(guessed).cast_unsigned())).collect()
-        };
         let on_grid = grid.iter().flat_map(|grid| {
-            Guess::PLAIN.iter().map(|guess| (vec![GRID | *guess as u8, grid.halvings], counted(grid, *guess)))
+            let form = |guess: Guess| vec![GRID | guess as u8, grid.halvings];
+            Guess::PLAIN.map(|guess| (form(guess), distances_of_counts(&grid.counts, guess)))
         });
-        let best = doubles.chain(on_grid).min_by_key(|(_, d)| bits(d));
+        self.cheapest(values.len(), doubles.chain(on_grid));
+    }
+
+    /// A column in that of its forms whose distances have the fewest bits: form, number of planes, then those planes.
+    fn cheapest(&mut self, rows: usize, forms: impl Iterator<Item = (Vec<u8>, Vec<u64>)>) {
+        let bits = |distances: &Vec<u64>| -> u64 {
+            distances.iter().map(|distance| u64::from(u64::BITS - distance.leading_zeros())).sum()
+        };
+        let best = forms.min_by_key(|(_, distances)| bits(distances));
         let (form, distances) = best.unwrap_or((vec![Guess::Same as u8], Vec::new()));
-        self.count(values.len() as u64);
+        self.count(rows as u64);
         self.bytes.extend(form);
-        for plane in 0..8 {
+        let widest = distances.iter().fold(0, |all, distance| all | distance);
+        let unused = widest.leading_zeros() as usize / 8;
+        self.bytes.push((8 - unused).to_le_bytes()[0]);
+        for plane in unused..8 {
             self.bytes.extend(distances.iter().map(|distance| distance.to_be_bytes()[plane]));
         }
     }
@@ -264,18 +278,21 @@ impl<'a> ColumnReader<'a> {
     /// The next column of integers.
     ///
     /// # Errors
-    /// Damage; no length in the bytes makes this allocate more than a few times their size.
+    /// Damage; no length in the bytes makes this allocate more than a few times their size, or 32 KiB.
     pub fn integers(&mut self) -> Result<Vec<u64>, DamagedColumns> {
-        // Each takes a byte at least.
-        let rows = self.rows(1)?;
-        let (mut last, mut step) = (0_u64, 0_u64);
-        let mut values = Vec::with_capacity(rows);
-        for _ in 0..rows {
-            step = step.wrapping_add(unzigzag(self.count()?));
-            last = last.wrapping_add(step);
-            values.push(last);
+        let rows = self.rows()?;
+        let form = *self.take(1)?.first().ok_or(DamagedColumns)?;
+        let guess =
+            Guess::OF_INTEGERS.into_iter().find(|known| *known as u8 == form).ok_or(DamagedColumns)?;
+        Ok(self.counts(rows, guess)?.into_iter().map(i64::cast_unsigned).collect())
+    }
+
+    fn counts(&mut self, rows: usize, guess: Guess) -> Result<Vec<i64>, DamagedColumns> {
+        let mut counts: Vec<i64> = Vec::with_capacity(rows);
+        for distance in self.distances(rows)? {
+            counts.push(guess.of_counts(&counts).wrapping_add(distance.cast_signed()));
         }
-        Ok(values)
+        Ok(counts)
     }
 
     /// The next column of numbers; `rate` as it was written with.
@@ -283,16 +300,14 @@ impl<'a> ColumnReader<'a> {
     /// # Errors
     /// As for [`Self::integers`].
     pub fn numbers(&mut self, rate: Option<Rate<'_>>) -> Result<Vec<f64>, DamagedColumns> {
-        let rows = self.rows(8)?;
+        let rows = self.rows()?;
         let form = *self.take(1)?.first().ok_or(DamagedColumns)?;
         let guess =
             Guess::ALL.into_iter().find(|known| *known as u8 == form & !GRID).ok_or(DamagedColumns)?;
         if form & GRID != 0 {
-            let halvings = *self.take(1)?.first().filter(|h| **h <= HALVINGS_MAX).ok_or(DamagedColumns)?;
-            let mut counts: Vec<i64> = Vec::with_capacity(rows);
-            for distance in self.distances(rows)? {
-                counts.push(guess.of_counts(&counts).wrapping_add(distance.cast_signed()));
-            }
+            let known = |halvings: &&u8| **halvings <= HALVINGS_MAX || **halvings == NANO;
+            let halvings = *self.take(1)?.first().filter(known).ok_or(DamagedColumns)?;
+            let counts = self.counts(rows, guess)?;
             return Ok(counts.into_iter().map(|count| value_of(count, halvings)).collect());
         }
         let mut values = Vec::with_capacity(rows);
@@ -305,9 +320,12 @@ impl<'a> ColumnReader<'a> {
 
     /// Distances from what was foretold, out of their planes.
     fn distances(&mut self, rows: usize) -> Result<impl Iterator<Item = u64> + use<'a>, DamagedColumns> {
-        let planes = self.take(8 * rows)?;
-        let distance = move |row: usize| std::array::from_fn(|plane| planes[plane * rows + row]);
-        Ok((0..rows).map(move |row| unzigzag(u64::from_be_bytes(distance(row)))))
+        let used = usize::from(*self.take(1)?.first().filter(|used| **used <= 8).ok_or(DamagedColumns)?);
+        let planes = self.take(used * rows)?;
+        let distance = move |row: usize| {
+            (0..used).fold(0, |high: u64, plane| high << 8 | u64::from(planes[plane * rows + row]))
+        };
+        Ok((0..rows).map(move |row| unzigzag(distance(row))))
     }
 
     /// The next bytes.
@@ -319,10 +337,10 @@ impl<'a> ColumnReader<'a> {
         self.take(length)
     }
 
-    /// A number of rows, each of at least so many bytes, that these bytes can hold.
-    fn rows(&mut self, bytes_each: usize) -> Result<usize, DamagedColumns> {
+    /// A number of rows that a column may have.
+    fn rows(&mut self) -> Result<usize, DamagedColumns> {
         let rows = usize::try_from(self.count()?).map_err(|_| DamagedColumns)?;
-        if rows > MAX_ROWS || rows * bytes_each > self.bytes.len() { Err(DamagedColumns) } else { Ok(rows) }
+        if rows > MAX_ROWS { Err(DamagedColumns) } else { Ok(rows) }
     }
 
     fn count(&mut self) -> Result<u64, DamagedColumns> {
@@ -407,7 +425,7 @@ mod tests {
         let mut writer = ColumnWriter::default();
         writer.numbers(&noisy, None);
         let planes = writer.bytes.clone();
-        assert!(planes[4..4 + 7 * 250].iter().all(|byte| *byte == 0), "only the lowest plane is in use");
+        assert_eq!(planes.len(), 2 + 2 + 1 + 250, "only the lowest plane is in use");
         writer.numbers(&smooth, None);
         writer.numbers(&[1.0, -0.0], None);
         let bytes = writer.finish();
@@ -415,6 +433,23 @@ mod tests {
         assert_eq!(reader.numbers(None).unwrap(), noisy);
         assert_eq!(reader.numbers(None).unwrap(), smooth);
         assert!(reader.numbers(None).unwrap()[1].is_sign_negative());
+    }
+
+    #[test]
+    fn times_in_whole_nanoseconds_and_counts_cost_their_noise() {
+        // Some 20 µs late, give or take 8: two bytes each, where doubles would take seven.
+        let late_ns: Vec<u64> = (0..250_u64).map(|i| 12_000 + i * 7919 % 16_384).collect();
+        let late_s: Vec<f64> = late_ns.iter().map(|ns| moca_msgs::seconds(*ns)).collect();
+        let mut writer = ColumnWriter::default();
+        writer.numbers(&late_s, None);
+        let used = writer.bytes.iter().filter(|byte| **byte != 0).count();
+        writer.integers(&late_ns);
+        let both = writer.bytes.iter().filter(|byte| **byte != 0).count();
+        assert!(used <= 2 * 250 + 8 && both <= 2 * used, "{used}, {both}");
+        let bytes = writer.finish();
+        let mut reader = ColumnReader::new(&bytes);
+        assert_eq!(reader.numbers(None).unwrap(), late_s);
+        assert_eq!(reader.integers().unwrap(), late_ns);
     }
 
     #[test]

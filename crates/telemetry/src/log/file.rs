@@ -72,7 +72,7 @@ impl LogFile {
         let (chunks, overview, cut) = match indexed {
             Ok((chunks, overview)) => (chunks, overview, None),
             Err(why) => {
-                let damaged = |source| LogError::Open { path: path.into(), source };
+                let damaged = |cause| LogError::Open { path: path.into(), cause };
                 records.seek(start).map_err(damaged)?;
                 (scan(&mut records), None, Some(why))
             }

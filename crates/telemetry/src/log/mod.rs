@@ -43,24 +43,24 @@ pub struct SerialBytes {
     pub bytes: Vec<u8>,
 }
 
-/// What can go wrong with a log.
+/// What can go wrong with a log. The text says the cause, all the way down; `source` does not say it again.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The file could not be created; an existing one is never overwritten.
-    #[error("cannot create the log {path}: {source}")]
+    #[error("cannot create the log {path}: {cause}")]
     Create {
         /// The file.
         path: PathBuf,
         /// Why not.
-        source: std::io::Error,
+        cause: std::io::Error,
     },
     /// The file could not be opened.
-    #[error("cannot open the log {path}: {source}")]
+    #[error("cannot open the log {path}: {cause}")]
     Open {
         /// The file.
         path: PathBuf,
         /// Why not.
-        source: std::io::Error,
+        cause: std::io::Error,
     },
     /// The file has not even the first bytes of an MCAP file.
     #[error("{0} is not an MCAP file")]
@@ -80,15 +80,59 @@ pub enum LogError {
     #[error("the log is damaged: {0}")]
     Damaged(String),
     /// Writing failed: disk full, medium gone.
-    #[error("cannot write the log: {0}")]
-    Mcap(#[from] mcap::McapError),
+    #[error("cannot write the log: {}", with_causes(.0))]
+    Mcap(mcap::McapError),
     /// A message could not be put into JSON.
     #[error("cannot encode a log message: {0}")]
-    Encode(#[from] serde_json::Error),
+    Encode(serde_json::Error),
     /// The recorder's thread could not be started.
     #[error("cannot start the recorder's thread: {0}")]
     Thread(std::io::Error),
     /// The recorder's thread panicked.
     #[error("the recorder stopped for an internal error, printed above")]
     Panicked,
+}
+
+impl From<mcap::McapError> for LogError {
+    fn from(error: mcap::McapError) -> Self {
+        Self::Mcap(error)
+    }
+}
+
+impl From<serde_json::Error> for LogError {
+    fn from(error: serde_json::Error) -> Self {
+        Self::Encode(error)
+    }
+}
+
+/// An error with what lies beneath it: a full disk hides under the compressor.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(error.source(), |cause| cause.source());
+    causes.fold(error.to_string(), |text, cause| match cause.to_string() {
+        cause if text.ends_with(&cause) => text,
+        cause => format!("{text}: {cause}"),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_says_its_cause_once() {
+        let full = || std::io::Error::other("no space left");
+        let errors = [
+            LogError::Create { path: "run.mcap".into(), cause: full() },
+            LogError::Open { path: "run.mcap".into(), cause: full() },
+            LogError::Mcap(full().into()),
+            LogError::Encode(serde_json::Error::io(full())),
+            LogError::Thread(full()),
+        ];
+        for error in &errors {
+            let error: &dyn std::error::Error = error;
+            let causes = std::iter::successors(error.source(), |cause| cause.source());
+            let said = causes.fold(error.to_string(), |text, cause| format!("{text}: {cause}"));
+            assert_eq!(said.matches("no space left").count(), 1, "{said}");
+        }
+    }
 }

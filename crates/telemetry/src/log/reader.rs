@@ -177,7 +177,7 @@ impl<T: Read + Seek + Send> ReadSeek for T {}
 
 /// A file; a FIFO, a device or a folder is none, and would never end.
 pub(super) fn open_file(path: &Path) -> Result<File, LogError> {
-    let open = |source| LogError::Open { path: path.into(), source };
+    let open = |cause| LogError::Open { path: path.into(), cause };
     if !std::fs::metadata(path).map_err(open)?.is_file() {
         return Err(LogError::NotMcap(path.into()));
     }
@@ -189,7 +189,7 @@ pub(super) fn begin(
     input: impl Read + Seek + Send + 'static,
     path: &Path,
 ) -> Result<(Records<Input>, bool), LogError> {
-    let open = |source| LogError::Open { path: path.into(), source };
+    let open = |cause| LogError::Open { path: path.into(), cause };
     let mut input: Input = BufReader::new(Box::new(input));
     let mut magic = [0; mcap::MAGIC.len()];
     if input.read_exact(&mut magic).is_err() || magic != mcap::MAGIC {

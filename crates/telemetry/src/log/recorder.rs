@@ -33,8 +33,9 @@ enum Entry {
 const MAX_ENTRIES: usize = 4096;
 /// How often the rings are looked at.
 const POLL: Duration = Duration::from_millis(5);
-/// How often an unfinished chunk is ended, so that a slow loop's samples are not held back.
-const FLUSH_PERIOD: Duration = Duration::from_millis(500);
+/// After how long a chunk is ended that a loop which stands still leaves unfinished. A loop that runs ends each after half a
+/// second of its own time: to end one between would cost a log its repeated first records.
+const FLUSH_AFTER: Duration = Duration::from_secs(1);
 
 /// How a recorder treats what it is given.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -83,7 +84,7 @@ impl Recorder {
         let path = path.to_owned();
         let parts = move |number| {
             let path = part_path(&path, number);
-            let file = File::create_new(&path).map_err(|source| LogError::Create { path, source })?;
+            let file = File::create_new(&path).map_err(|cause| LogError::Create { path, cause })?;
             Ok(BufWriter::new(Box::new(file) as Box<dyn Write + Send>))
         };
         Self::start_parts(Box::new(parts), meta, samples, options)
@@ -122,6 +123,7 @@ impl Recorder {
             log,
             parts,
             meta: meta.clone(),
+            waits: options.wait,
             split_ns,
             began_ns: None,
             part: 1,
@@ -135,7 +137,7 @@ impl Recorder {
                 let finished = end.and_then(|()| writer.finish(thread_dropped.load(Ordering::Relaxed)));
                 if let Err(error) = &finished {
                     // Set once, here.
-                    let _ = thread_failure.set(with_causes(error));
+                    let _ = thread_failure.set(error.to_string());
                 }
                 finished
             })
@@ -197,20 +199,13 @@ impl Recorder {
     }
 }
 
-/// An error with what lies beneath it: a full disk hides under the compressor.
-fn with_causes(error: &dyn std::error::Error) -> String {
-    let causes = std::iter::successors(error.source(), |cause| cause.source());
-    causes.fold(error.to_string(), |text, cause| match cause.to_string() {
-        cause if text.ends_with(&cause) => text,
-        cause => format!("{text}: {cause}"),
-    })
-}
-
 /// What the recorder's thread works on.
 struct PartWriter {
     log: LogWriter<Output>,
     parts: Parts,
     meta: Meta,
+    /// Whether the run has no clock, so that a chunk may take its time.
+    waits: bool,
     split_ns: Option<u64>,
     /// Loop time of the first sample in the present part.
     began_ns: Option<u64>,
@@ -227,7 +222,7 @@ impl PartWriter {
         entries: &Receiver<Entry>,
         stop: &AtomicBool,
     ) -> Result<(), LogError> {
-        let mut flushed = Instant::now();
+        let (mut chunk, mut since) = (self.log.chunk_ns(), Instant::now());
         loop {
             // Looked at before draining: what was there when the stop came is written.
             let last_round = stop.load(Ordering::Acquire);
@@ -241,9 +236,11 @@ impl PartWriter {
             if last_round {
                 return Ok(());
             }
-            if flushed.elapsed() >= FLUSH_PERIOD {
+            if self.log.chunk_ns() != chunk {
+                (chunk, since) = (self.log.chunk_ns(), Instant::now());
+            } else if !self.waits && since.elapsed() >= FLUSH_AFTER {
                 self.log.flush()?;
-                flushed = Instant::now();
+                since = Instant::now();
             }
             std::thread::sleep(POLL);
         }

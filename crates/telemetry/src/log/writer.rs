@@ -24,7 +24,7 @@ use std::{collections::BTreeMap, io::Write};
 /// Number that a channel of bytes has where others have their schema's.
 const NO_SCHEMA: u16 = 0;
 /// Name of this form in a file's header; a reader refuses others by name.
-pub(super) const FORM: &str = "moca-s/2";
+pub(super) const FORM: &str = "moca-s/3";
 /// What a cut can lose, ns of loop time.
 const CHUNK_NS: u64 = 500_000_000;
 /// Bytes after which a chunk ends all the same.
@@ -146,6 +146,11 @@ impl<W: Write> LogWriter<W> {
         self.summary.samples += 1;
         self.summary.displayed += u64::from(displayed);
         Ok(())
+    }
+
+    /// Loop time at which the present chunk began, ns; `None` before its first sample.
+    pub(super) const fn chunk_ns(&self) -> Option<u64> {
+        self.chunk_ns
     }
 
     /// Writes how the run is configured.

@@ -139,7 +139,7 @@ impl Listener {
             Address::Tcp(address) => bind_tcp(*address).map(Self::Tcp),
             Address::Unix(path) => bind_unix(path, mode).map(|listener| Self::Unix(listener, path.clone())),
         };
-        bound.map_err(|source| NetError::Bind { address: address.clone(), source })
+        bound.map_err(|cause| NetError::Bind { address: address.clone(), cause })
     }
 
     /// Where it listens, with the port that the system chose.

@@ -30,19 +30,19 @@ use std::net::{Ipv4Addr, SocketAddr};
 /// Where a daemon listens that is no service, unless told otherwise.
 pub const DEFAULT_ADDRESS: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 7611);
 
-/// What can go wrong on the transport.
+/// What can go wrong on the transport. The text says the cause; `source` does not say it again.
 #[derive(Debug, thiserror::Error)]
 pub enum NetError {
     /// The transport has no authentication.
     #[error("telemetry address {0} is not loopback: bind 127.0.0.1 and reach it through an SSH tunnel")]
     NotLoopback(Address),
     /// The socket could not be bound.
-    #[error("cannot listen on {address}: {source}")]
+    #[error("cannot listen on {address}: {cause}")]
     Bind {
         /// Address asked for.
         address: Address,
         /// Why not.
-        source: std::io::Error,
+        cause: std::io::Error,
     },
     /// The telemetry thread could not be started.
     #[error("cannot start the telemetry thread: {0}")]
@@ -77,7 +77,13 @@ pub enum NetError {
     },
     /// A frame could not be decoded.
     #[error("malformed frame: {0}")]
-    Malformed(#[from] postcard::Error),
+    Malformed(postcard::Error),
+}
+
+impl From<postcard::Error> for NetError {
+    fn from(error: postcard::Error) -> Self {
+        Self::Malformed(error)
+    }
 }
 
 impl From<std::io::Error> for NetError {

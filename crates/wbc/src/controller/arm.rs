@@ -1,6 +1,7 @@
 //! An arm: Cartesian impedance of its tool on the base it stands on.
 
 use super::arm_state::ArmState;
+use super::joint_pace::{JointLimits, LED_SHARE, slowing_torque};
 use super::law::ControlLaw;
 use super::tick::{ArmTick, Tracking, seen_from_base, tool_pose};
 use super::{CARRY_FADE_S, FlangePose, LONGEST_STEP_S, check};
@@ -8,7 +9,6 @@ use crate::error::{ControlError, finite};
 use crate::gains::ArmGains;
 use crate::impedance;
 use crate::limits::{Exceeded, FlangeLimits, JointRepulsion, JointSpeeds, LimitsHit, TorqueLimits};
-use crate::linalg::times;
 use crate::model::ArmModel;
 use crate::momentum_observer::MomentumObserver;
 use crate::opspace::ArmDynamics;
@@ -44,9 +44,6 @@ pub struct ArmController<const N: usize, T = f64> {
     /// Joint stiffness with which a posture is held, N·m/rad.
     hold_stiffness: [T; N],
 }
-
-/// Share of its largest speed beyond which no joint is led on.
-const LED_JOINT_SHARE: f64 = 0.3;
 
 /// One step's measurements of an arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -169,19 +166,23 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         let output = self.at(&input.robot, input.dt_s, |tick| {
             next.enter_law(law, tick);
             next.gains.approach(&self.gains, tick.dt_s);
-            let arm = ArmDynamics::new(tick.kinematics.arm_jacobian(), &tick.mass.arm)?;
-            let flange_wrench_world = tick.flange_wrench(&mut next, input.flange_wrench_world, &arm)?;
-            let (wanted, tracking) = match law {
-                ControlLaw::Hold => (self.holding(tick, &next), None),
+            let measured = input.flange_wrench_world;
+            let (wanted, tracking, flange_wrench_world) = match law {
+                ControlLaw::Hold => {
+                    let flange_wrench = tick.flange_wrench(&mut next, measured, None)?;
+                    (self.holding(tick, &next), None, flange_wrench)
+                }
                 ControlLaw::Impedance | ControlLaw::FollowMe => {
+                    let arm = ArmDynamics::new(tick.dynamics)?;
+                    let flange_wrench = tick.flange_wrench(&mut next, measured, Some(&arm))?;
                     let (torque, tracking) = self.on_the_base(tick, &mut next, &arm, &mut hit)?;
-                    (torque, Some(tracking))
+                    (torque, Some(tracking), flange_wrench)
                 }
             };
             let torque_nm = self.limited(tick, &mut next, &wanted, &mut hit)?;
             Ok(ArmOutput {
                 torque_nm,
-                gravity_nm: tick.gravity,
+                gravity_nm: tick.dynamics.gravity(),
                 flange_wrench_world,
                 flange: (&tick.flange).into(),
                 flange_desired: (&tick.desired(&next)).into(),
@@ -205,18 +206,14 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         dt_s: T,
         law: impl FnOnce(&ArmTick<'_, N, T>) -> R,
     ) -> R {
-        let kinematics = self.model.kinematics(robot.base_pose_world[2], &robot.q_rad);
-        let inertias = self.model.link_inertias(&kinematics);
-        let mass = kinematics.mass_matrix(&inertias);
+        let dynamics = self.model.dynamics(robot.base_pose_world[2], &robot.q_rad, &robot.dq_rad_s);
         law(&ArmTick {
             robot,
             dt_s: dt_s.min(of(LONGEST_STEP_S)),
-            kinematics: &kinematics,
-            inertias: &inertias,
-            mass: &mass,
-            bias: kinematics.bias(&inertias, &robot.dq_rad_s),
-            gravity: kinematics.gravity(&inertias),
-            flange: tool_pose(&kinematics, robot),
+            model: &self.model,
+            kinematics: &dynamics.kinematics,
+            dynamics: &dynamics,
+            flange: tool_pose(&dynamics.kinematics, robot),
         })
     }
 
@@ -232,7 +229,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
                 reference: Reference::hold(tick.flange),
                 posture_rad: robot.q_rad,
                 gains: self.gains,
-                torque_nm: tick.bias,
+                torque_nm: tick.dynamics.bias,
                 carried_nm: [T::zero(); N],
                 entering: true,
                 held_back: None,
@@ -248,7 +245,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
     /// Joint torques that hold the posture, N·m.
     pub(super) fn holding(&self, tick: &ArmTick<'_, N, T>, state: &ArmState<N, T>) -> [T; N] {
         let damping = core::array::from_fn(|i| {
-            of::<T>(1.4) * (self.hold_stiffness[i] * tick.mass.arm[(i, i)].max(T::zero())).sqrt()
+            of::<T>(1.4) * (self.hold_stiffness[i] * tick.dynamics.mass[(i, i)].max(T::zero())).sqrt()
         });
         let posture = impedance::posture_torque(
             &self.hold_stiffness,
@@ -257,20 +254,19 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             &tick.robot.q_rad,
             &tick.robot.dq_rad_s,
         );
-        core::array::from_fn(|i| posture[i] + tick.bias[i])
+        core::array::from_fn(|i| posture[i] + tick.dynamics.bias[i])
     }
 
     /// Moves reference and posture on by one step.
     #[inline]
     pub(super) fn advance(&self, tick: &ArmTick<'_, N, T>, state: &mut ArmState<N, T>) {
         if state.is_led() {
-            // Near a singular posture a slow flange has fast joints: who leads it waits for them.
-            let waits =
-                self.joint_speeds.share(&tick.robot.q_rad, &tick.robot.dq_rad_s) > of(LED_JOINT_SHARE);
-            state.advance_lead(&self.model, tick, waits);
+            let limits = JointLimits { speeds: &self.joint_speeds, repulsion: &self.repulsion };
+            state.advance_lead(&self.model, tick, limits);
             if !state.leads_posture() {
                 approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
             }
+            self.keep_posture_near(tick, state);
             return;
         }
         let actual = match state.law {
@@ -281,20 +277,33 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
     }
 
+    /// Keeps the posture so near that the null space goes there no faster than joints are led: at K_0·e/D_0.
+    fn keep_posture_near(&self, tick: &ArmTick<'_, N, T>, state: &mut ArmState<N, T>) {
+        let gains = &state.gains;
+        for i in 0..N {
+            let q = tick.robot.q_rad[i];
+            let error = state.posture_rad[i] - q;
+            let fastest = of::<T>(LED_SHARE) * self.joint_speeds.largest(i, q, error);
+            let (stiffness, damping) = (gains.posture_stiffness[i], gains.posture_damping[i]);
+            if stiffness * error.abs() > damping * fastest {
+                state.posture_rad[i] = q + (damping * fastest / stiffness).copysign(error);
+            }
+        }
+    }
+
     /// Joint torques that keep the tool on the base, N·m, and what they were computed from. eqs. (15), (16)
     #[inline]
     pub(super) fn on_the_base(
         &self,
         tick: &ArmTick<'_, N, T>,
         state: &mut ArmState<N, T>,
-        arm: &ArmDynamics<N, T>,
+        arm: &ArmDynamics<'_, N, T>,
         hit: &mut LimitsHit,
     ) -> Result<([T; N], Tracking<T>), ControlError> {
         self.advance(tick, state);
-        let (wrench, tracking) =
-            tick.task_wrench(state, arm, &[T::zero(); 6], arm.inverse_task_inertia(), hit)?;
+        let (wrench, tracking) = tick.task_wrench(state, &[T::zero(); 6], arm.inverse_task_inertia(), hit)?;
         let torque = arm.torque(&wrench, &tick.posture_torque(state))?;
-        Ok((core::array::from_fn(|i| torque[i] + tick.bias[i]), tracking))
+        Ok((core::array::from_fn(|i| torque[i] + tick.dynamics.bias[i]), tracking))
     }
 
     /// Why a law must not go on; one that tracks no pose may.
@@ -308,7 +317,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         if let Some(joint) = self.joint_speeds.exceeded(&robot.q_rad, &robot.dq_rad_s) {
             return Some(Exceeded::JointSpeed(joint));
         }
-        let base = times(&tick.kinematics.base_jacobian(), &robot.base_velocity_world);
+        let base = tick.kinematics.twist_from_base(&robot.base_velocity_world);
         let [vx, vy, vz] = core::array::from_fn(|i| base[i] + arm_twist[i]);
         let speed_m_s = (vx * vx + vy * vy + vz * vz).sqrt();
         self.flange_limits.exceeded(speed_m_s, error)
@@ -323,13 +332,17 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         wanted: &[T; N],
         hit: &mut LimitsHit,
     ) -> Result<[T; N], ControlError> {
-        let repulsion =
-            self.repulsion.torque(&tick.robot.q_rad, &tick.robot.dq_rad_s, |i| tick.mass.arm[(i, i)]);
+        let mut repulsion =
+            self.repulsion.torque(&tick.robot.q_rad, &tick.robot.dq_rad_s, |i| tick.dynamics.mass[(i, i)]);
+        hit.joint_range = repulsion.iter().any(|torque| *torque != T::zero());
+        if state.is_led() {
+            let slowing = slowing_torque(tick, &self.joint_speeds);
+            repulsion = core::array::from_fn(|i| repulsion[i] + slowing[i]);
+        }
         if state.entering {
             state.entering = false;
             state.carried_nm = core::array::from_fn(|i| state.torque_nm[i] - wanted[i] - repulsion[i]);
         }
-        hit.joint_range = repulsion.iter().any(|torque| *torque != T::zero());
         let total = core::array::from_fn(|i| wanted[i] + state.carried_nm[i] + repulsion[i]);
         state.torque_nm = self.limits.limited(&total, &state.torque_nm, tick.dt_s, hit);
         let fade = (-tick.dt_s / of(CARRY_FADE_S)).exp();

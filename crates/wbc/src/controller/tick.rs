@@ -7,7 +7,7 @@ use crate::follow_me;
 use crate::impedance;
 use crate::limits::LimitsHit;
 use crate::linalg::times;
-use crate::model::{Kinematics, LinkInertias, MassMatrix};
+use crate::model::{ArmModel, Dynamics, Kinematics};
 use crate::momentum_observer::MomentumObserver;
 use crate::opspace::ArmDynamics;
 use crate::reference::{Pose, saturated};
@@ -19,11 +19,9 @@ use nalgebra::{SMatrix, Vector3};
 pub(super) struct ArmTick<'a, const N: usize, T> {
     pub robot: &'a RobotState<N, T>,
     pub dt_s: T,
+    pub model: &'a ArmModel<N, T>,
     pub kinematics: &'a Kinematics<N, T>,
-    pub inertias: &'a LinkInertias<N, T>,
-    pub mass: &'a MassMatrix<N, T>,
-    pub bias: [T; N],
-    pub gravity: [T; N],
+    pub dynamics: &'a Dynamics<N, T>,
     pub flange: Pose<T>,
 }
 
@@ -43,7 +41,6 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
     pub(super) fn task_wrench(
         &self,
         state: &ArmState<N, T>,
-        arm: &ArmDynamics<N, T>,
         base_twist: &[T; 6],
         inverse_task_inertia: &SMatrix<T, 6, 6>,
         hit: &mut LimitsHit,
@@ -56,7 +53,7 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
         );
         let (saturated_error, saturated) = saturated(&error);
         hit.error_saturation = saturated;
-        let arm_twist = times(arm.jacobian(), &self.robot.dq_rad_s);
+        let arm_twist = times(self.kinematics.arm_jacobian(), &self.robot.dq_rad_s);
         let wanted = self.desired_twist(state);
         let rate = core::array::from_fn(|i| wanted[i] - base_twist[i] - arm_twist[i]);
         let damping = impedance::damping(inverse_task_inertia, &gains.stiffness, gains.damping_ratio)?;
@@ -106,12 +103,13 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
     }
 
     /// The external wrench from the best source there is: `measured` by the caller, else the robot's own, else the
-    /// observer's, which runs where the other two are missing.
+    /// observer's, which runs where the other two are missing. `arm` is asked for only then.
+    #[inline]
     pub(super) fn flange_wrench(
         &self,
         state: &mut ArmState<N, T>,
         measured: Option<[T; 6]>,
-        arm: &ArmDynamics<N, T>,
+        arm: Option<&ArmDynamics<'_, N, T>>,
     ) -> Result<[T; 6], ControlError> {
         if let Some(wrench) = measured.or(self.robot.flange_wrench_world) {
             // an observer that missed steps would take what happened in them for a push
@@ -119,9 +117,16 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
             return Ok(wrench);
         }
         let (robot, kinematics) = (self.robot, self.kinematics);
-        let momentum = kinematics.momentum(self.inertias, &robot.base_velocity_world, &robot.dq_rad_s);
-        state.observer.update(&momentum, &self.gravity, &robot.torque_measured_nm, self.dt_s);
-        let about_tool = arm.wrench(state.observer.external_torque())?;
+        let (base_velocity, dq) = (&robot.base_velocity_world, &robot.dq_rad_s);
+        let momentum = self.dynamics.momentum(base_velocity, dq);
+        let drift = self.model.momentum_drift(kinematics, base_velocity, dq);
+        let gravity = self.dynamics.gravity();
+        state.observer.update(&(momentum, drift), &gravity, &robot.torque_measured_nm, self.dt_s);
+        let torque = state.observer.external_torque();
+        let about_tool = match arm {
+            Some(arm) => arm.wrench(torque)?,
+            None => ArmDynamics::new(self.dynamics)?.wrench(torque)?,
+        };
         Ok(follow_me::moved(&about_tool, &(kinematics.tool_position - kinematics.flange_position)))
     }
 }

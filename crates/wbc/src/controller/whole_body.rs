@@ -24,7 +24,6 @@ use moca_msgs::{
     ArmTable, Corrections, Mount, ParameterError, Parameters, Payload, RobotCommand, RobotState,
     TaxelPlacement,
 };
-use nalgebra::Vector3;
 
 /// One step's measurements.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -111,13 +110,13 @@ pub struct WholeBodyController<const N: usize, const K: usize, T = f64> {
 }
 
 /// What a law wants before any limit.
-struct Wanted<const N: usize, T> {
+struct Wanted<'a, const N: usize, T> {
     torque: [T; N],
     /// World axes.
     base_velocity: [T; 3],
     /// Acceleration of the base that the arm's torque counts on per change of its velocity in this step, 1/s, world
     /// axes; `None` where it counts on none.
-    counted_per_s: Option<[T; 3]>,
+    counted_on: Option<(&'a ArmDynamics<'a, N, T>, [T; 3])>,
     /// `None` where no pose is tracked.
     tracking: Option<Tracking<T>>,
 }
@@ -125,7 +124,6 @@ struct Wanted<const N: usize, T> {
 /// One step's quantities of base and arm.
 struct Step<'a, const N: usize, T> {
     tick: &'a ArmTick<'a, N, T>,
-    arm: &'a ArmDynamics<N, T>,
     cover_world: [T; 3],
     flange_wrench: [T; 6],
     /// v_d of eq. (2), world axes.
@@ -220,22 +218,27 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             }
             next.arm.enter_law(law, tick);
             self.approach(&mut next, tick.dt_s);
-            let arm = ArmDynamics::new(tick.kinematics.arm_jacobian(), &tick.mass.arm)?;
+            // a robot that holds its posture has no task
+            let arm = match law {
+                ControlLaw::Hold => None,
+                ControlLaw::Impedance | ControlLaw::FollowMe => Some(ArmDynamics::new(tick.dynamics)?),
+            };
             let heading = &tick.kinematics.heading;
             let step = Step {
                 tick,
-                arm: &arm,
                 cover_world: heading.to_world(cover_wrench_base),
-                flange_wrench: tick.flange_wrench(&mut next.arm, input.flange_wrench_world, &arm)?,
+                flange_wrench: tick.flange_wrench(&mut next.arm, input.flange_wrench_world, arm.as_ref())?,
                 base_velocity: heading.to_world(next.base.velocity_body),
             };
-            let wanted = match law {
-                ControlLaw::Hold => {
+            let wanted = match &arm {
+                None => {
                     let torque = self.arm.holding(tick, &next.arm);
-                    Wanted { torque, base_velocity: [T::zero(); 3], counted_per_s: None, tracking: None }
+                    Wanted { torque, base_velocity: [T::zero(); 3], counted_on: None, tracking: None }
                 }
-                ControlLaw::Impedance => self.impedance(&step, &mut next, &mut hit)?,
-                ControlLaw::FollowMe => self.follow_me(&step, &mut next, &mut hit)?,
+                Some(arm) if law == ControlLaw::Impedance => {
+                    self.impedance(&step, arm, &mut next, &mut hit)?
+                }
+                Some(arm) => self.follow_me(&step, arm, &mut next, &mut hit)?,
             };
             let command = self.limited(&step, &mut next, &input.guard, &wanted, &mut hit)?;
             Ok(ControlOutput {
@@ -271,19 +274,19 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
 
     /// eqs. (2), (6)–(11), with the corrections that are switched on.
     #[inline]
-    fn impedance(
+    fn impedance<'a>(
         &self,
         step: &Step<'_, N, T>,
+        arm: &'a ArmDynamics<'a, N, T>,
         state: &mut ControllerState<N, T>,
         hit: &mut LimitsHit,
-    ) -> Result<Wanted<N, T>, ControlError> {
-        let Step { tick, arm, .. } = *step;
+    ) -> Result<Wanted<'a, N, T>, ControlError> {
+        let tick = step.tick;
         self.arm.advance(tick, &mut state.arm);
         let gains = &state.base.gains;
-        let task = TaskDynamics::new(tick.kinematics.base_jacobian(), gains.virtual_mass, arm);
-        let base = times(task.base_jacobian(), &tick.robot.base_velocity_world);
-        let (wrench, tracking) =
-            tick.task_wrench(&state.arm, arm, &base, &task.inverse_task_inertia(), hit)?;
+        let task = TaskDynamics::new(gains.virtual_mass, arm);
+        let base = tick.kinematics.twist_from_base(&tick.robot.base_velocity_world);
+        let (wrench, tracking) = tick.task_wrench(&state.arm, &base, &task.inverse_task_inertia(), hit)?;
         let mut null = WholeBodyForce {
             base: step.cover_world.map(|f| f * gains.reactivity),
             arm: tick.posture_torque(&state.arm),
@@ -294,7 +297,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         let mut y = weighted.multiplier(&goal, &null.base);
         let base_force = weighted.base_force(&y, &null.base);
         let fed = if self.corrections.flange_wrench_feedforward {
-            self.flange_wrench_on_base_world(step)
+            flange_wrench_on_base_world(step)
         } else {
             [T::zero(); 3]
         };
@@ -315,38 +318,27 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             admitted(gains, &step.base_velocity, &pushed, tick.dt_s)
         };
         let arm_force = weighted.arm_force(&y, &null.arm);
-        let torque = core::array::from_fn(|i| arm_force[i] + tick.bias[i]);
-        Ok(Wanted { torque, base_velocity, counted_per_s: Some(counted_per_s), tracking: Some(tracking) })
+        let torque = core::array::from_fn(|i| arm_force[i] + tick.dynamics.bias[i]);
+        Ok(Wanted { torque, base_velocity, counted_on: Some((arm, counted_per_s)), tracking: Some(tracking) })
     }
 
     /// eqs. (2), (12)–(16): the tool keeps its pose on the base, the base follows cover and flange.
     #[inline]
-    fn follow_me(
+    fn follow_me<'a>(
         &self,
         step: &Step<'_, N, T>,
+        arm: &'a ArmDynamics<'a, N, T>,
         state: &mut ControllerState<N, T>,
         hit: &mut LimitsHit,
-    ) -> Result<Wanted<N, T>, ControlError> {
-        let (torque, tracking) = self.arm.on_the_base(step.tick, &mut state.arm, step.arm, hit)?;
-        let led = self.flange_wrench_on_base_world(step);
+    ) -> Result<Wanted<'a, N, T>, ControlError> {
+        let (torque, tracking) = self.arm.on_the_base(step.tick, &mut state.arm, arm, hit)?;
+        let led = flange_wrench_on_base_world(step);
         let reactivity = state.base.gains.reactivity;
         let force = core::array::from_fn(|i| reactivity * (step.cover_world[i] + led[i]));
         let heading = &step.tick.kinematics.heading;
         let base_velocity =
             self.base.admitted(&mut state.base, heading, &step.base_velocity, &force, step.tick.dt_s);
-        Ok(Wanted { torque, base_velocity, counted_per_s: None, tracking: Some(tracking) })
-    }
-
-    /// What a planar base can follow of the wrench at the flange, world axes. eqs. (12)–(14)
-    fn flange_wrench_on_base_world(&self, step: &Step<'_, N, T>) -> [T; 3] {
-        let kinematics = step.tick.kinematics;
-        let about_arm = follow_me::moved(&step.flange_wrench, &kinematics.flange_position);
-        let [fx, fy, fz, mx, my, mz] = about_arm;
-        let to_arm = kinematics.arm_rotation.transpose();
-        let (f, m) = (to_arm * Vector3::new(fx, fy, fz), to_arm * Vector3::new(mx, my, mz));
-        let (rotation, position) = self.model().mount();
-        let base = follow_me::base_wrench(rotation, position, &[f.x, f.y, f.z, m.x, m.y, m.z]);
-        kinematics.heading.to_world(base)
+        Ok(Wanted { torque, base_velocity, counted_on: None, tracking: Some(tracking) })
     }
 
     /// The command inside every limit, and the state that goes with it.
@@ -356,7 +348,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         step: &Step<'_, N, T>,
         state: &mut ControllerState<N, T>,
         guard: &BaseGuard<K, T>,
-        wanted: &Wanted<N, T>,
+        wanted: &Wanted<'_, N, T>,
         hit: &mut LimitsHit,
     ) -> Result<RobotCommand<N, T>, ControlError> {
         let (tick, heading) = (step.tick, &step.tick.kinematics.heading);
@@ -371,7 +363,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         state.arm.held_back = (hit.guard && state.law() == ControlLaw::Impedance)
             .then(|| {
                 let carried = |velocity_world: &[T; 3]| {
-                    let [x, y, ..] = times(&tick.kinematics.base_jacobian(), velocity_world);
+                    let [x, y, ..] = tick.kinematics.twist_from_base(velocity_world);
                     [x, y]
                 };
                 HeldBack::between(
@@ -381,24 +373,24 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             })
             .flatten();
         let mut torque = wanted.torque;
-        if let Some(per_s) = wanted.counted_per_s
+        if let Some((arm, per_s)) = wanted.counted_on
             && wanted_body != base_velocity_body
         {
             let refused = heading.to_world(core::array::from_fn(|i| wanted_body[i] - base_velocity_body[i]));
             let refused = core::array::from_fn(|i| refused[i] * per_s[i]);
-            let instead = step.arm.torque_for_refused(&tick.kinematics.base_jacobian(), &refused)?;
+            let instead = arm.torque_for_refused(&refused)?;
             torque = core::array::from_fn(|i| torque[i] + instead[i]);
         }
         if self.corrections.base_coupling && moves {
             let commanded = heading.to_world(base_velocity_body);
             let acceleration: [T; 3] =
                 core::array::from_fn(|i| (commanded[i] - step.base_velocity[i]) / tick.dt_s);
-            let coupling = times(&tick.mass.base_coupling, &acceleration);
+            let coupling = times(&tick.dynamics.base_coupling, &acceleration);
             torque = core::array::from_fn(|i| torque[i] + coupling[i]);
         }
         let arm_torque_nm = self.arm.limited(tick, &mut state.arm, &torque, hit)?;
         state.base.velocity_body = base_velocity_body;
-        Ok(RobotCommand { base_velocity_body, arm_torque_nm, arm_gravity_nm: tick.gravity })
+        Ok(RobotCommand { base_velocity_body, arm_torque_nm, arm_gravity_nm: tick.dynamics.gravity() })
     }
 }
 
@@ -474,6 +466,15 @@ impl<const N: usize, T: Scalar> ControllerState<N, T> {
     pub fn external_torque_nm(&self) -> &[T; N] {
         self.arm.external_torque_nm()
     }
+}
+
+/// What a planar base can follow of the wrench at the flange, world axes. eqs. (12)–(14): on the way over the axes of A
+/// nothing changes.
+fn flange_wrench_on_base_world<const N: usize, T: Scalar>(step: &Step<'_, N, T>) -> [T; 3] {
+    let kinematics = step.tick.kinematics;
+    let flange_from_base = kinematics.arm_from_base + kinematics.flange_position;
+    let [fx, fy, _, _, _, mz] = follow_me::moved(&step.flange_wrench, &flange_from_base);
+    [fx, fy, mz]
 }
 
 fn eta<const N: usize, T: Scalar>(parameters: &Parameters<N>) -> [T; 2] {

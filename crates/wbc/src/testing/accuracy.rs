@@ -119,10 +119,9 @@ impl From<ControlError> for Failure {
 pub fn accuracy<T: Scalar>(case: &Case) -> Result<Accuracy, Failure> {
     let model = ArmModel::<7, T>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE)?;
     let [_, _, yaw, joints @ ..] = case.q.map(nalgebra::convert::<f64, T>);
-    let kinematics = model.kinematics(yaw, &joints);
-    let mass = kinematics.mass_matrix(&model.link_inertias(&kinematics));
-    let arm = ArmDynamics::new(kinematics.arm_jacobian(), &mass.arm)?;
-    let task = TaskDynamics::new(kinematics.base_jacobian(), case.virtual_mass.map(nalgebra::convert), &arm);
+    let dynamics = model.dynamics(yaw, &joints, &[T::zero(); 7]);
+    let arm = ArmDynamics::new(&dynamics)?;
+    let task = TaskDynamics::new(case.virtual_mass.map(nalgebra::convert), &arm);
     let [b0, b1, b2, joints @ ..] = case.null.map(nalgebra::convert::<f64, T>);
     let null = WholeBodyForce { base: [b0, b1, b2], arm: joints };
     let weight = BlockWeight::new(nalgebra::convert(case.eta_base), nalgebra::convert(case.eta_arm));

@@ -1,4 +1,4 @@
-//! Comparisons with reference results that this crate's tests and the laboratory share (feature `testing`; needs std).
+//! Comparisons with reference results, and measures of a step, that this crate's tests and the laboratory share (feature `testing`; needs std).
 //!
 //! ```
 //! use moca_wbc::testing::reference_file;
@@ -10,4 +10,6 @@
 //! ```
 
 pub mod accuracy;
+pub mod footprint;
 pub mod reference_file;
+pub mod steps;

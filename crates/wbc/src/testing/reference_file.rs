@@ -3,7 +3,7 @@
 //! The file carries its own arm, mount, base and cover in `meta`, and one set of inputs and results per configuration.
 
 use crate::coupled::CoupledDynamics;
-use crate::model::{ArmModel, Kinematics, LinkInertias};
+use crate::model::{ArmModel, Dynamics, Kinematics};
 use crate::opspace::{ArmDynamics, AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
 use crate::{admittance, cover_wrench, follow_me, rotation};
 use moca_msgs::robot::LinkInertial;
@@ -188,15 +188,15 @@ impl<const N: usize> Robot<N> {
         let (null_base, null_arm) = split::<N>(vector, "tau0")?;
         let null = WholeBodyForce { base: null_base, arm: null_arm };
         let inputs = Inputs { base, q, base_rate, dq, wrench: array(&vector["F"], "F")?, null };
-        let kinematics = self.model.kinematics(base[2], &q);
-        let inertias = self.model.link_inertias(&kinematics);
+        let dynamics = self.model.dynamics(base[2], &q, &dq);
+        let kinematics = &dynamics.kinematics;
         let mut out = Computed::new();
-        self.kinematics(&inputs, &kinematics, &mut out);
-        self.dynamics(&inputs, &kinematics, &inertias, &mut out);
-        self.torques(vector, &inputs, &kinematics, &inertias, &mut out)?;
+        self.kinematics(&inputs, kinematics, &mut out);
+        self.dynamics(&inputs, &dynamics, &mut out);
+        self.torques(vector, &inputs, &dynamics, &mut out)?;
         self.in_arm_axes(vector, &inputs, &mut out)?;
         self.cover(vector, &mut out)?;
-        orientation(vector, &kinematics, &mut out)?;
+        orientation(vector, kinematics, &mut out)?;
         admitted(vector, &mut out)?;
         Ok(out)
     }
@@ -213,24 +213,17 @@ impl<const N: usize> Robot<N> {
         out.insert("Jdot_qd", rate.to_vec());
     }
 
-    fn dynamics(
-        &self,
-        inputs: &Inputs<N>,
-        kinematics: &Kinematics<N, f64>,
-        inertias: &LinkInertias<N, f64>,
-        out: &mut Computed,
-    ) {
-        out.insert("M_A", kinematics.mass_matrix(inertias).arm.as_slice().to_vec());
-        out.insert("gravity_A", kinematics.gravity(inertias).to_vec());
-        out.insert("coriolis_A", kinematics.coriolis(inertias, &inputs.dq).to_vec());
-        out.insert("nle_A", kinematics.bias(inertias, &inputs.dq).to_vec());
+    fn dynamics(&self, inputs: &Inputs<N>, dynamics: &Dynamics<N, f64>, out: &mut Computed) {
+        let gravity = dynamics.gravity();
+        out.insert("M_A", dynamics.mass.as_slice().to_vec());
+        out.insert("coriolis_A", dynamics.bias.iter().zip(gravity).map(|(all, g)| all - g).collect());
+        out.insert("gravity_A", gravity.to_vec());
+        out.insert("nle_A", dynamics.bias.to_vec());
         let plant = CoupledDynamics::new(
             &self.model,
             &self.base,
-            kinematics,
-            inertias,
-            &inputs.base_rate,
-            &inputs.dq,
+            (inputs.base[2], &inputs.q),
+            (&inputs.base_rate, &inputs.dq),
         );
         let mut full = Vec::with_capacity((N + 3) * (N + 3));
         for i in 0..3 {
@@ -250,13 +243,11 @@ impl<const N: usize> Robot<N> {
         &self,
         vector: &Value,
         inputs: &Inputs<N>,
-        kinematics: &Kinematics<N, f64>,
-        inertias: &LinkInertias<N, f64>,
+        dynamics: &Dynamics<N, f64>,
         out: &mut Computed,
     ) -> Result<(), Malformed> {
-        let arm = ArmDynamics::new(kinematics.arm_jacobian(), &kinematics.mass_matrix(inertias).arm)
-            .map_err(|e| e.to_string())?;
-        let task = TaskDynamics::new(kinematics.base_jacobian(), array(&vector["M_v"], "M_v")?, &arm);
+        let arm = ArmDynamics::new(dynamics).map_err(|e| e.to_string())?;
+        let task = TaskDynamics::new(array(&vector["M_v"], "M_v")?, &arm);
         let (eta_base, eta_arm) = (number(&vector["eta_B"], "eta_B")?, number(&vector["eta_A"], "eta_A")?);
         let (weight_base, weight_arm) = split::<N>(vector, "H_diag_general")?;
         let block = |wrench: &[f64; 6], null: &WholeBodyForce<N, f64>, eta: f64| {
@@ -291,13 +282,11 @@ impl<const N: usize> Robot<N> {
         let (rotation, position) = self.model.mount();
         // with the base turned back by the mount's yaw, world axes are those of A
         let yaw = -rotation[(1, 0)].atan2(rotation[(0, 0)]);
-        let kinematics = self.model.kinematics(yaw, &inputs.q);
-        let inertias = self.model.link_inertias(&kinematics);
-        let jacobian = kinematics.arm_jacobian();
-        out.insert("J_A", transposed(jacobian.as_slice(), 6));
+        let dynamics = self.model.dynamics(yaw, &inputs.q, &inputs.dq);
+        let kinematics = &dynamics.kinematics;
+        out.insert("J_A", transposed(kinematics.arm_jacobian().as_slice(), 6));
         out.insert("p_ee_A", kinematics.tool_position.as_slice().to_vec());
-        let mass = kinematics.mass_matrix(&inertias);
-        let arm = ArmDynamics::new(jacobian, &mass.arm).map_err(|e| e.to_string())?;
+        let arm = ArmDynamics::new(&dynamics).map_err(|e| e.to_string())?;
         let torque = arm.torque(&inputs.wrench, &inputs.null.arm).map_err(|e| e.to_string())?;
         out.insert("tau_A_eq15", torque.to_vec());
         let external: [f64; 6] = array(&vector["F_A_ext_at_EE"], "F_A_ext_at_EE")?;

@@ -133,18 +133,14 @@ impl Loop {
             let wanted = (command[i] - robot.base_velocity_world[i]) / SUMMIT_XL.servo_time_constant_s;
             wanted.clamp(-most[i], most[i])
         });
-        let kinematics = self.model.kinematics(robot.base_pose_world[2], &robot.q_rad);
-        let inertias = self.model.link_inertias(&kinematics);
         let dynamics = CoupledDynamics::new(
             &self.model,
             &SUMMIT_XL,
-            &kinematics,
-            &inertias,
-            &robot.base_velocity_world,
-            &robot.dq_rad_s,
+            (robot.base_pose_world[2], &robot.q_rad),
+            (&robot.base_velocity_world, &robot.dq_rad_s),
         );
         let [fx, fy, fz] = flange_n;
-        let external = transpose_times(&kinematics.arm_jacobian(), &[fx, fy, fz, 0.0, 0.0, 0.0]);
+        let external = transpose_times(dynamics.kinematics.arm_jacobian(), &[fx, fy, fz, 0.0, 0.0, 0.0]);
         let coupled = times(&dynamics.coupling, &base_acceleration);
         let torque = core::array::from_fn(|i| {
             output.command.arm_torque_nm[i] + external[i] - dynamics.bias.arm[i] - coupled[i]

@@ -34,15 +34,15 @@ fn difference<const N: usize>(one: &ArmTable<N>, other: &ArmTable<N>) -> f64 {
         let angle = |i: usize, a: f64| 2.5 * (a * f64::from(k) + 1.7 * i as f64).sin();
         let (q, dq) = (std::array::from_fn(|i| angle(i, 0.37)), std::array::from_fn(|i| angle(i, 0.53)));
         let numbers = |model: &ArmModel<N, f64>| {
-            let kinematics = model.kinematics(0.3, &q);
-            let inertias = model.link_inertias(&kinematics);
+            let dynamics = model.dynamics(0.3, &q, &dq);
+            let kinematics = &dynamics.kinematics;
             [
                 kinematics.tool_position.as_slice().to_vec(),
                 kinematics.tool_rotation.as_slice().to_vec(),
                 kinematics.arm_jacobian().as_slice().to_vec(),
-                kinematics.mass_matrix(&inertias).arm.as_slice().to_vec(),
-                kinematics.mass_matrix(&inertias).base_coupling.as_slice().to_vec(),
-                kinematics.bias(&inertias, &dq).to_vec(),
+                dynamics.mass.as_slice().to_vec(),
+                dynamics.base_coupling.as_slice().to_vec(),
+                dynamics.bias.to_vec(),
             ]
         };
         for (one, other) in numbers(&one).iter().zip(&numbers(&other)) {
@@ -340,13 +340,13 @@ fn a_foreign_library_computes_the_same_robot_from_what_is_written() {
     let rows = foreign["rows"].as_array().unwrap();
     assert_eq!(rows.len(), 20);
     for row in rows {
-        let kinematics = model.kinematics(0.0, &list(&row["q"]).try_into().unwrap());
-        let inertias = model.link_inertias(&kinematics);
+        let dynamics = model.dynamics(0.0, &list(&row["q"]).try_into().unwrap(), &[0.0; 7]);
+        let kinematics = &dynamics.kinematics;
         let flange_base = kinematics.tool_from_base();
         for (ours, theirs) in [
             (flange_base.as_slice(), list(&row["flange_base"])),
             (kinematics.tool_rotation.transpose().as_slice(), matrix(&row["rotation"])),
-            (kinematics.mass_matrix(&inertias).arm.as_slice(), matrix(&row["mass"])),
+            (dynamics.mass.as_slice(), matrix(&row["mass"])),
         ] {
             assert_eq!(ours.len(), theirs.len());
             assert!(ours.iter().zip(theirs).all(|(a, b)| (a - b).abs() < 1e-9), "{ours:?}");

@@ -1,19 +1,28 @@
-//! `moca-lab tick --anchor DIR`: the whole-body tick on the data of an independent implementation, checked and timed.
+//! `moca-lab tick`: what a control step costs, hot, cold and live, and beside others.
 //!
-//! DIR holds model.csv, params.csv, inputs.csv and ref.csv as `tests/peers/pinocchio/generate.py` writes them. One tick: state →
+//! A loop of 1 kHz runs cold: between two steps the rest of the system has the caches. So a step is timed twice, one after
+//! the other and with [`REPLACED_BYTES`] written in between, and what it needs of any machine is counted where valgrind is
+//! installed: instructions, bytes of code and data. `--live S` runs the daemon's loop with the simulated robot and says
+//! what its control stage took.
+//!
+//! `--anchor DIR` adds the whole-body tick on the data of an independent implementation, checked and timed. DIR holds
+//! model.csv, params.csv, inputs.csv and ref.csv as `tests/peers/pinocchio/generate.py` writes them. One such tick: state →
 //! kinematics, Jacobian, mass matrix, bias, task force, eq. (6), torques. The pose error is part of the anchor's law:
-//! e = \[p_d − p; ½ Σ R_k × R_dk\].
+//! e = \[p_d − p; ½ Σ R_k × R_dk\]. `--peer COMMAND` puts others' ticks into the same table in the same run: the command
+//! prints a JSON object a line, with `name`, `ns_min` and `ns_median`.
 
 mod data;
+mod steps;
 
 use crate::rig::JOINTS;
+use anyhow::Context as _;
 use data::{Anchor, Input};
 use moca_wbc::ControlError;
 use moca_wbc::linalg::times;
 use moca_wbc::model::ArmModel;
 use moca_wbc::opspace::{ArmDynamics, AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
 use nalgebra::{Matrix3, Vector3};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::hint::black_box;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -22,21 +31,35 @@ use std::time::Instant;
 const TOLERANCE: f64 = 1e-9;
 /// Timed passes over all inputs.
 const PASSES: usize = 400;
+/// Written between two cold steps: more than a core's own caches hold.
+pub(crate) const REPLACED_BYTES: usize = 8 << 20;
 
-/// Times the control tick against the data of an independent implementation.
+/// What a control step costs: hot, cold and live; with `--anchor` on the data of an independent implementation.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// Folder with model.csv, params.csv, inputs.csv and ref.csv.
     #[arg(long)]
-    anchor: PathBuf,
-    /// One JSON object instead of a table.
+    anchor: Option<PathBuf>,
+    /// A command that times others' ticks and prints a JSON object for each, with name, ns_min and ns_median.
+    #[arg(long, value_name = "COMMAND", requires = "anchor")]
+    peer: Vec<String>,
+    /// Runs the live loop for so many seconds, 2 to 600.
+    #[arg(long, value_name = "SECONDS")]
+    live: Option<f64>,
+    /// One JSON object instead of tables.
     #[arg(long)]
     json: bool,
+    /// Only runs the steps of one case, for a program that watches.
+    #[arg(long, hide = true)]
+    marked: Option<String>,
 }
 
 #[derive(Serialize)]
 struct Report {
+    steps: Vec<steps::Row>,
+    live: Option<steps::Live>,
     variants: Vec<Variant>,
+    peers: Vec<Peer>,
 }
 
 #[derive(Serialize)]
@@ -47,23 +70,49 @@ struct Variant {
     max_rel_error: f64,
 }
 
+/// What somebody else's tick took, as its command says.
+#[derive(Serialize, Deserialize)]
+struct Peer {
+    name: String,
+    ns_min: f64,
+    ns_median: f64,
+}
+
 /// Errs if a tick is off by more than [`TOLERANCE`].
 #[expect(clippy::print_stdout, reason = "the answer of a command")]
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let anchor = Anchor::read(&arguments.anchor)?;
-    let ticker = Ticker::new(&anchor)?;
-    let mut variants = vec![measured("general-h", &ticker, &anchor, Ticker::general)?];
-    // through the block form any other H would be wrong by a factor
-    if anchor.block().is_some() {
-        variants.push(measured("block-h", &ticker, &anchor, Ticker::block)?);
+    if let Some(case) = &arguments.marked {
+        return steps::marked(case);
     }
-    let report = Report { variants };
+    let mut report =
+        Report { steps: steps::measured()?, live: None, variants: Vec::new(), peers: Vec::new() };
+    if let Some(folder) = &arguments.anchor {
+        let anchor = Anchor::read(folder)?;
+        let ticker = Ticker::new(&anchor)?;
+        report.variants.push(measured("general-h", &ticker, &anchor, Ticker::general)?);
+        // through the block form any other H would be wrong by a factor
+        if anchor.block().is_some() {
+            report.variants.push(measured("block-h", &ticker, &anchor, Ticker::block)?);
+        }
+        for command in &arguments.peer {
+            report.peers.extend(peers(command)?);
+        }
+    }
+    if let Some(seconds) = arguments.live {
+        report.live = Some(steps::live(seconds)?);
+    }
     if arguments.json {
         println!("{}", serde_json::to_string(&report)?);
     } else {
-        println!("{:16} {:>10} {:>10} {:>14}", "tick", "ns least", "ns median", "max rel. error");
+        print!("{}", steps::table(&report.steps, report.live.as_ref()));
+        if !report.variants.is_empty() {
+            println!("\n{:40} {:>10} {:>10} {:>14}", "tick", "ns least", "ns median", "max rel. error");
+        }
         for Variant { name, ns_least, ns_median, max_rel_error } in &report.variants {
-            println!("{name:16} {ns_least:10.0} {ns_median:10.0} {max_rel_error:14.1e}");
+            println!("{name:40} {ns_least:10.0} {ns_median:10.0} {max_rel_error:14.1e}");
+        }
+        for Peer { name, ns_min, ns_median } in &report.peers {
+            println!("{name:40} {ns_min:10.0} {ns_median:10.0}");
         }
     }
     for Variant { name, max_rel_error, .. } in &report.variants {
@@ -71,6 +120,15 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         anyhow::ensure!(passes, "{name} is off by {max_rel_error:.1e}, more than {TOLERANCE:.0e}");
     }
     Ok(())
+}
+
+fn peers(command: &str) -> anyhow::Result<Vec<Peer>> {
+    let done = std::process::Command::new("sh").args(["-c", command]).output()?;
+    anyhow::ensure!(done.status.success(), "{command}: {}", String::from_utf8_lossy(&done.stderr));
+    let text = String::from_utf8(done.stdout)?;
+    text.lines()
+        .map(|line| serde_json::from_str(line).with_context(|| format!("{command} printed {line}")))
+        .collect()
 }
 
 fn measured(
@@ -157,13 +215,13 @@ impl Ticker {
             &WholeBodyForce<JOINTS, f64>,
         ) -> Result<WholeBodyForce<JOINTS, f64>, ControlError>,
     ) -> Result<WholeBodyForce<JOINTS, f64>, ControlError> {
-        let kinematics = self.model.kinematics(input.base_pose[2], &input.q);
-        let inertias = self.model.link_inertias(&kinematics);
-        let (base, arm) = (kinematics.base_jacobian(), kinematics.arm_jacobian());
+        let dynamics = self.model.dynamics(input.base_pose[2], &input.q, &input.dq);
+        let kinematics = &dynamics.kinematics;
         let tool = kinematics.tool_from_base() + Vector3::new(input.base_pose[0], input.base_pose[1], 0.0);
         let error =
             pose_error(&(input.desired_position - tool), &kinematics.tool_rotation, &input.desired_rotation);
-        let (of_base, of_arm) = (times(&base, &input.base_rate), times(&arm, &input.dq));
+        let of_base = kinematics.twist_from_base(&input.base_rate);
+        let of_arm = times(kinematics.arm_jacobian(), &input.dq);
         let wrench = core::array::from_fn(|i| {
             self.damping[i] * (input.twist[i] - of_base[i] - of_arm[i]) + self.stiffness[i] * error[i]
         });
@@ -175,12 +233,10 @@ impl Ticker {
             &input.dq,
         );
         let null = WholeBodyForce { base: input.cover, arm: posture };
-        let mass = kinematics.mass_matrix(&inertias).arm;
-        let arm = ArmDynamics::new(arm, &mass)?;
-        let task = TaskDynamics::new(base, self.virtual_mass, &arm);
+        let arm = ArmDynamics::new(&dynamics)?;
+        let task = TaskDynamics::new(self.virtual_mass, &arm);
         let mut force = law(&task, &wrench, &null)?;
-        let bias = kinematics.bias(&inertias, &input.dq);
-        force.arm.iter_mut().zip(bias).for_each(|(torque, bias)| *torque += bias);
+        force.arm.iter_mut().zip(dynamics.bias).for_each(|(torque, bias)| *torque += bias);
         Ok(force)
     }
 }

@@ -173,15 +173,16 @@ fn decades(input: GridInput) -> Vec<GridMark> {
 
 /// A row for each histogram: its name in the colour of its curve, unless it has none, and its quantiles.
 fn quantiles(ui: &mut Ui, title: &str, rows: &[(&str, &str, &Histogram)]) {
-    // Beside four quantiles stand name and unit.
-    let width = ((ui.available_width() - 110.0) / 4.0 - 4.0).clamp(CELL.0, CELL.1);
+    let named = rows.iter().any(|(name, ..)| !name.is_empty());
+    // Beside four quantiles stand unit and name.
+    let beside = if named { 110.0 } else { 34.0 };
+    let width = ((ui.available_width() - beside) / 4.0 - 4.0).clamp(CELL.0, CELL.1);
     let cell = |ui: &mut Ui, text: RichText| {
         ui.allocate_ui_with_layout(vec2(width, 18.0), Layout::right_to_left(Align::Center), |ui| {
             ui.set_min_width(width);
             ui.label(text);
         });
     };
-    let named = rows.iter().any(|(name, ..)| !name.is_empty());
     Grid::new(("quantiles", title)).min_col_width(0.0).spacing([4.0, 2.0]).show(ui, |ui| {
         if named {
             ui.label("");

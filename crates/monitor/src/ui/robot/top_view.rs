@@ -288,7 +288,11 @@ impl Taxel<'_> {
                 (Align2::CENTER_BOTTOM, -font.size - 2.0)
             };
             // In a small picture neighbours would write over each other: who is not touched has a name only.
-            let crowded = self.camera.points_per_m < CROWDED && !touched && value.ends_with(" N");
+            let small_picture = self.camera.points_per_m < CROWDED;
+            if small_picture && touched {
+                at += outward * (small + 2.0);
+            }
+            let crowded = small_picture && !touched && value.ends_with(" N");
             let line = if crowded { 0.0 } else { line };
             if !crowded {
                 painter.text(at, align, value, font.clone(), colour);

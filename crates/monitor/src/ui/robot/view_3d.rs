@@ -11,7 +11,7 @@ use crate::logic::{
     signals::panel::Signal,
 };
 use crate::ui::theme;
-use egui::{Align2, Color32, FontId, Painter, Pos2, Rect, Shape, Stroke, Visuals, pos2, vec2};
+use egui::{Color32, FontId, Mesh, Painter, Pos2, Rect, Shape, Stroke, Visuals, pos2, vec2};
 use moca_msgs::TaxelPlacement;
 use moca_msgs::{Sample, TaxelStatus};
 
@@ -33,6 +33,8 @@ const TRAIL_S: f64 = 10.0;
 const TRAIL_POINTS: u64 = 160;
 /// Radius of the arc of the base's moment, m.
 const ARC_M: f64 = 0.22;
+/// Between two texts, points.
+const GAP: f32 = 1.0;
 
 /// Draws what `sample` says into the painter's rectangle.
 pub(in crate::ui) fn view_3d(
@@ -48,7 +50,10 @@ pub(in crate::ui) fn view_3d(
     picture.floor();
     let plates = || model.robot.taxels.iter().enumerate();
     let front = |taxel: &TaxelPlacement| picture.shows_front(taxel);
-    plates().filter(|(_, taxel)| !front(taxel)).for_each(|(i, taxel)| picture.plate(i, taxel, model, sample));
+    for (i, taxel) in plates().filter(|(_, taxel)| !front(taxel)) {
+        picture.plate(i, taxel, model, sample);
+        picture.press(taxel, model, valid_force_n(sample, i));
+    }
     picture.base(model);
     plates().filter(|(_, taxel)| front(taxel)).for_each(|(i, taxel)| picture.plate(i, taxel, model, sample));
     if has_arm(&model.robot) {
@@ -59,7 +64,10 @@ pub(in crate::ui) fn view_3d(
     if has_robot(&model.robot) {
         picture.wrench(model, sample);
     }
-    plates().for_each(|(i, taxel)| picture.press(i, taxel, model, sample));
+    for (i, taxel) in plates().filter(|(_, taxel)| front(taxel)) {
+        picture.press(taxel, model, valid_force_n(sample, i));
+    }
+    picture.forces(model, sample);
 }
 
 struct Picture<'a> {
@@ -151,21 +159,39 @@ impl Picture<'_> {
         self.block(out(PLATE_THICK_M / 2.0), angle, half, z, fill, Stroke::new(1.0, stroke));
     }
 
-    /// An arrow on a plate that is pressed, with its number and force.
-    fn press(&self, index: usize, taxel: &TaxelPlacement, model: &Model, sample: &Sample) {
-        let Some(force_n) = valid_force_n(sample, index).filter(|force_n| *force_n > 0.0) else { return };
+    /// Tail and tip of the arrow on a plate that is pressed with so much, in the world.
+    fn arrow_of(&self, taxel: &TaxelPlacement, model: &Model, force_n: f64) -> [[f64; 3]; 2] {
         let ([x, y], (sin, cos)) = (taxel.position_base_m, taxel.inward_angle_base_rad.sin_cos());
         let z = PLATE_Z.0.midpoint(PLATE_Z.1) * model.robot.base_size_m[2];
         let out = |by_m: f64| self.in_world([x - by_m * cos, y - by_m * sin, z]);
         let length = (force_n * ARROW_M_PER_N).min(ARROW_MAX_M);
-        let from = out(PLATE_THICK_M + length);
-        self.arrow(from, out(PLATE_THICK_M), theme::BAD);
-        if let (Some((tail, _)), Some((tip, _))) = (self.at(from), self.at(out(0.0))) {
-            let text = format!("{} {} N", taxel_name(index), number(force_n, 1));
-            let (align, away) =
-                if tail.x < tip.x { (Align2::RIGHT_CENTER, -8.0) } else { (Align2::LEFT_CENTER, 8.0) };
-            let (at, font) = (tail + vec2(away, 0.0), FontId::proportional(16.0));
-            self.painter.text(at, align, text, font, theme::strong(self.visuals));
+        [out(PLATE_THICK_M + length), out(PLATE_THICK_M)]
+    }
+
+    /// An arrow on a plate, if it is pressed.
+    fn press(&self, taxel: &TaxelPlacement, model: &Model, force_n: Option<f64>) {
+        if let Some(force_n) = force_n.filter(|force_n| *force_n > 0.0) {
+            let [tail, tip] = self.arrow_of(taxel, model, force_n);
+            self.arrow(tail, tip, theme::BAD);
+        }
+    }
+
+    /// Number and force of each plate that is pressed at the tail of its arrow, none over another nor outside.
+    fn forces(&self, model: &Model, sample: &Sample) {
+        let mut taken: Vec<Rect> = Vec::new();
+        for (index, taxel) in model.robot.taxels.iter().enumerate() {
+            let pressed = valid_force_n(sample, index).filter(|force_n| *force_n > 0.0);
+            let Some(force_n) = pressed else { continue };
+            let [tail, tip] = self.arrow_of(taxel, model, force_n).map(|end| self.at(end));
+            let (Some((tail, _)), Some((tip, _))) = (tail, tip) else { continue };
+            let (text, font) =
+                (format!("{} {} N", taxel_name(index), number(force_n, 1)), FontId::proportional(16.0));
+            let galley = self.painter.layout_no_wrap(text, font, theme::strong(self.visuals));
+            let away = if tail.x < tip.x { -8.0 - galley.size().x } else { 8.0 };
+            let corner = tail + vec2(away, -galley.size().y / 2.0);
+            let place = free(Rect::from_min_size(corner, galley.size()), self.rect, &taken);
+            taken.push(place);
+            self.painter.galley(place.min, galley, Color32::PLACEHOLDER);
         }
     }
 
@@ -206,8 +232,19 @@ impl Picture<'_> {
             }
             let points: Vec<Pos2> = corners.iter().filter_map(|c| Some(self.at(*c)?.0)).collect();
             if points.len() == corners.len() {
-                self.painter.add(Shape::convex_polygon(points, lit(fill, light), stroke));
+                self.face(&points, lit(fill, light), stroke);
             }
+        }
+    }
+
+    /// A convex face and its edges one by one: a polygon's feathered outline has spikes where the face is seen from its edge.
+    fn face(&self, corners: &[Pos2], fill: Color32, stroke: Stroke) {
+        let mut mesh = Mesh::default();
+        corners.iter().for_each(|corner| mesh.colored_vertex(*corner, fill));
+        (2..).zip(corners.iter().skip(2)).for_each(|(third, _)| mesh.add_triangle(0, third - 1, third));
+        self.painter.add(Shape::mesh(mesh));
+        for (from, to) in corners.iter().zip(corners.iter().cycle().skip(1)) {
+            self.painter.line_segment([*from, *to], stroke);
         }
     }
 
@@ -321,6 +358,23 @@ impl Picture<'_> {
     }
 }
 
+/// Where a text that would be at `wanted` has room inside `picture`: below or above those that are there already.
+fn free(wanted: Rect, picture: Rect, taken: &[Rect]) -> Rect {
+    let most = (picture.max - wanted.size()).max(picture.min);
+    let inside = Rect::from_min_size(wanted.min.clamp(picture.min, most), wanted.size());
+    let moved = |down: bool| {
+        let mut place = inside;
+        while let Some(other) = taken.iter().find(|other| other.intersects(place)) {
+            let by =
+                if down { other.bottom() + GAP - place.top() } else { other.top() - GAP - place.bottom() };
+            place = place.translate(vec2(0.0, by));
+        }
+        place
+    };
+    let below = moved(true);
+    if picture.contains_rect(below) { below } else { moved(false) }
+}
+
 /// Force of a taxel with a valid reading, N.
 fn valid_force_n(sample: &Sample, taxel: usize) -> Option<f64> {
     let reading = sample.taxels.get(taxel)?;
@@ -333,4 +387,25 @@ fn lit(colour: Color32, light: f32) -> Color32 {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a byte")]
     let dim = |part: u8| (f32::from(part) * light) as u8;
     Color32::from_rgba_unmultiplied(dim(r), dim(g), dim(b), a)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_stand_beside_each_other_and_in_the_picture() {
+        let picture = Rect::from_min_size(pos2(0.0, 0.0), vec2(200.0, 100.0));
+        let size = vec2(60.0, 18.0);
+        for corner in [[20.0, 40.0], [-30.0, -5.0], [190.0, 95.0]] {
+            let mut taken = Vec::new();
+            for nudge in 0_u8..4 {
+                let wanted = Rect::from_min_size(pos2(corner[0], corner[1] + f32::from(nudge)), size);
+                let place = free(wanted, picture, &taken);
+                assert!(picture.contains_rect(place), "{place:?}");
+                assert!(taken.iter().all(|other: &Rect| !other.intersects(place)), "{place:?} in {taken:?}");
+                taken.push(place);
+            }
+        }
+    }
 }

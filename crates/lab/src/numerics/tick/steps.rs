@@ -1,0 +1,134 @@
+//! Whole steps of the controllers: hot, cold, live, and what they need of any machine.
+
+use super::{PASSES, REPLACED_BYTES};
+use anyhow::{Result, anyhow, ensure};
+use moca_daemon::config::Config;
+use moca_daemon::control::stage::Stage;
+use moca_daemon::runtime::live::Shared;
+use moca_daemon::runtime::notice::Silent;
+use moca_daemon::runtime::options::Options;
+use moca_daemon::runtime::run::live_simulated;
+use moca_wbc::testing::footprint::{self, Footprint};
+use moca_wbc::testing::steps::{Case, Steps};
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::hint::black_box;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Rounds over the robots with replaced caches.
+const COLD_ROUNDS: usize = 8;
+
+/// One law.
+#[derive(Serialize)]
+pub(super) struct Row {
+    name: &'static str,
+    hot_ns_least: f64,
+    hot_ns_median: f64,
+    cold_ns_median: f64,
+    /// Where valgrind is installed.
+    instructions: Option<u64>,
+    code_bytes: Option<u64>,
+    code_lines_bytes: Option<u64>,
+    data_lines_bytes: Option<u64>,
+}
+
+/// The control stage of the live loop, simulated robot, one period after the other.
+#[derive(Serialize)]
+pub(super) struct Live {
+    control_us_p50: f64,
+    control_us_p99: f64,
+    ticks: u64,
+}
+
+/// Steps between marks, for [`footprint::measured`].
+pub(super) fn marked(case: &str) -> Result<()> {
+    let case = Case::named(case).ok_or_else(|| anyhow!("there is no case {case}"))?;
+    footprint::marked(case).map_err(|error| anyhow!("{error}"))
+}
+
+pub(super) fn measured() -> Result<Vec<Row>> {
+    Case::ALL.into_iter().map(row).collect()
+}
+
+fn row(case: Case) -> Result<Row> {
+    let mut steps = Steps::new(case).map_err(|error| anyhow!("{error}"))?;
+    let mut passes = Vec::with_capacity(PASSES);
+    for _ in 0..PASSES {
+        let start = Instant::now();
+        for robot in 0..Steps::ROBOTS {
+            black_box(steps.step(robot)?);
+        }
+        #[expect(clippy::cast_precision_loss, reason = "a small constant")]
+        passes.push(start.elapsed().as_secs_f64() * 1e9 / Steps::ROBOTS as f64);
+    }
+    passes.sort_by(f64::total_cmp);
+    let mut cold = Vec::with_capacity(COLD_ROUNDS * Steps::ROBOTS);
+    let mut others = vec![0_u8; REPLACED_BYTES];
+    for robot in (0..COLD_ROUNDS).flat_map(|_| 0..Steps::ROBOTS) {
+        others.iter_mut().step_by(64).for_each(|byte| *byte = byte.wrapping_add(1));
+        black_box(&mut others);
+        let start = Instant::now();
+        black_box(steps.step(robot)?);
+        cold.push(start.elapsed().as_secs_f64() * 1e9);
+    }
+    cold.sort_by(f64::total_cmp);
+    let program = std::env::current_exe()?;
+    let counted = footprint::measured(&program, &["tick", "--marked", case.name()]);
+    let counted: Option<Footprint> = counted.map_err(|error| anyhow!("{error}"))?;
+    Ok(Row {
+        name: case.name(),
+        hot_ns_least: passes[0],
+        hot_ns_median: passes[PASSES / 2],
+        cold_ns_median: cold[cold.len() / 2],
+        instructions: counted.map(|counted| counted.instructions),
+        code_bytes: counted.map(|counted| counted.code_bytes),
+        code_lines_bytes: counted.map(|counted| counted.code_lines_bytes),
+        data_lines_bytes: counted.map(|counted| counted.data_lines_bytes),
+    })
+}
+
+pub(super) fn live(seconds: f64) -> Result<Live> {
+    ensure!((2.0..=600.0).contains(&seconds), "--live {seconds} s is outside 2 to 600 s");
+    let mut config = Config::default();
+    config.telemetry.listen = String::new();
+    let options = Options { config, duration: Some(Duration::from_secs_f64(seconds)), ..Options::default() };
+    let run = live_simulated(&options, &Arc::new(Shared::default()), &mut Silent)?;
+    let control = &run.timing.stages[Stage::Control as usize];
+    Ok(Live {
+        control_us_p50: control.quantile_us(0.5),
+        control_us_p99: control.quantile_us(0.99),
+        ticks: run.report.ticks,
+    })
+}
+
+pub(super) fn table(rows: &[Row], live: Option<&Live>) -> String {
+    let mut table = format!(
+        "{:12} {:>10} {:>10} {:>10} {:>13} {:>11} {:>11} {:>11}\n",
+        "step", "ns least", "ns median", "ns cold", "instructions", "code bytes", "code lines", "data lines"
+    );
+    let number = |count: Option<u64>| count.map_or("-".to_owned(), |count| count.to_string());
+    for row in rows {
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            table,
+            "{:12} {:10.0} {:10.0} {:10.0} {:>13} {:>11} {:>11} {:>11}",
+            row.name,
+            row.hot_ns_least,
+            row.hot_ns_median,
+            row.cold_ns_median,
+            number(row.instructions),
+            number(row.code_bytes),
+            number(row.code_lines_bytes),
+            number(row.data_lines_bytes),
+        );
+    }
+    let _ = writeln!(table, "lines: bytes of the cache lines of 64 bytes that a step touches");
+    if let Some(Live { control_us_p50, control_us_p99, ticks }) = live {
+        let _ = writeln!(
+            table,
+            "live, {ticks} ticks: control stage p50 {control_us_p50:.1} µs, p99 {control_us_p99:.1} µs"
+        );
+    }
+    table
+}
