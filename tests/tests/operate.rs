@@ -6,7 +6,8 @@
     reason = "a test that cannot go on has to stop"
 )]
 
-use moca_telemetry::net::{Address, Connection};
+use moca_msgs::{Mode, Refusal, Request, Target, TargetRefusal, TimedTarget, TwistAxes};
+use moca_telemetry::net::{Address, Connection, Link};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
@@ -264,6 +265,75 @@ fn a_flange_is_led_and_a_program_that_dies_on_the_way_stops_the_robot() {
     killed.kill().unwrap();
     killed.wait().unwrap();
     assert_eq!(daemon.wait_for("protective stop")["fault"]["code"], "operator-lost");
+}
+
+#[test]
+fn a_flood_of_targets_is_answered_one_by_one_and_a_second_program_has_no_say() {
+    let daemon = Daemon::start("operate-flood.toml", "arm", None);
+    daemon.wait_for("ready");
+    let start = daemon.flange();
+    let connect = || Connection::spawn(daemon.address.parse::<Address>().unwrap(), || {}).unwrap();
+    let (floods, other) = (connect(), connect());
+    let until = Instant::now() + HANGS_AFTER;
+    let waited = |what: &str| assert!(Instant::now() < until, "never {what}");
+    for connection in [&floods, &other] {
+        while !matches!(connection.poll().link, Link::Up { .. }) {
+            waited("connected");
+        }
+    }
+    floods.request(Request::Arm);
+    while !floods.poll().samples.iter().any(|sample| sample.mode == Mode::Impedance) {
+        floods.alive();
+        waited("armed");
+    }
+    // Ten thousand and more a second, of which a loop of 1 kHz takes the newest.
+    let (mut asked, mut taken, mut overtaken, mut unsent) = (0_u32, 0_u32, 0_u32, 0_u32);
+    let mut refused = 0_u32;
+    let twist = Target::Twist { axes: TwistAxes::World, twist: [0.0, 0.01, 0.0, 0.0, 0.0, 0.0] };
+    while taken < 200 || asked < 5000 || taken + overtaken + unsent < asked {
+        waited("through with its flood");
+        floods.alive();
+        if taken < 200 || asked < 5000 {
+            for _ in 0..20 {
+                floods.request(Request::Target(TimedTarget::new(twist)));
+            }
+            asked += 20;
+            other.request(Request::Target(TimedTarget::new(twist)));
+        }
+        let update = floods.poll();
+        assert!(
+            update.samples.iter().all(|sample| sample.mode == Mode::Impedance),
+            "{:?}",
+            update.samples.last()
+        );
+        for reply in update.replies.iter().filter(|reply| matches!(reply.request, Request::Target(_))) {
+            match reply.outcome {
+                Ok(()) => taken += 1,
+                Err(Refusal::Target(TargetRefusal::Overtaken | TargetRefusal::TooMany { .. })) => {
+                    overtaken += 1
+                }
+                // The connection's own queue is full: it never left this program.
+                Err(Refusal::NoAnswer) => unsent += 1,
+                Err(refusal) => panic!("{refusal}"),
+            }
+        }
+        for reply in other.poll().replies {
+            assert!(
+                matches!(reply.outcome, Err(Refusal::NotCommander | Refusal::NoAnswer)),
+                "a second program: {:?}",
+                reply.outcome
+            );
+            refused += u32::from(reply.outcome == Err(Refusal::NotCommander));
+        }
+        std::thread::sleep(Duration::from_micros(500));
+    }
+    assert!(
+        overtaken > 0 && refused > 0,
+        "{taken} taken, {overtaken} overtaken, {unsent} unsent, {refused} refused"
+    );
+    assert!(daemon.flange()[1] > start[1], "it was led all the while");
+    floods.request(Request::Disarm);
+    daemon.wait_for("ready");
 }
 
 #[test]

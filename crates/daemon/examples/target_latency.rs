@@ -68,13 +68,19 @@ impl Plant for Standing {
 fn main() -> Result<()> {
     let targets: usize = std::env::args().nth(1).map_or(Ok(300), |count| count.parse())?;
     let socket = std::env::temp_dir().join(format!("moca-latency-{}.sock", std::process::id()));
-    println!("| transport | target to torque p50 | p99 | bare echo p50 | p99 |\n|---|---|---|---|---|");
+    println!("| transport | target to torque p50 | p99 | grown old on the way | bare echo p50 | p99 |");
+    println!("|---|---|---|---|---|---|");
     for (name, address) in
         [("TCP", "127.0.0.1:0".into()), ("Unix socket", format!("unix:{}", socket.display()))]
     {
-        let latency = percentiles(through_the_loop(&address.parse()?, targets)?)?;
+        let measured = through_the_loop(&address.parse()?, targets)?;
+        let old = targets - measured.len();
+        let latency = percentiles(measured)?;
         let echo = percentiles(echoes(name == "TCP", &socket.with_extension("echo"), targets)?)?;
-        println!("| {name} | {} | {} | {} | {} |", latency[0], latency[1], echo[0], echo[1]);
+        println!(
+            "| {name} | {} | {} | {old} of {targets} | {} | {} |",
+            latency[0], latency[1], echo[0], echo[1]
+        );
     }
     Ok(())
 }
@@ -136,8 +142,10 @@ fn measure(
         let target = TimedTarget { age_limit_s: 0.02, ..TimedTarget::new(twist) };
         let called = Instant::now();
         connection.request(Request::Target(target));
-        let change = changes.recv_timeout(Duration::from_secs(2)).context("no torque follows")?;
-        measured.push(change - called);
+        // On a starved machine a target may be too old for the loop when it comes.
+        if let Ok(change) = changes.recv_timeout(Duration::from_secs(2)) {
+            measured.push(change - called);
+        }
         if let Some(refused) = connection.poll().replies.iter().find_map(|reply| reply.outcome.err()) {
             bail!("refused: {refused}");
         }

@@ -14,7 +14,7 @@ use clap::{Parser, Subcommand};
 use cover::{characterize, latency, stream, threshold};
 use numerics::{economy, extremes, precision, stability, sweep, tick, vectors};
 use paper::report;
-use robustness::{clients, faults, lean, lost_packets, protection, soak};
+use robustness::{clients, faults, lean, lost_packets, protection, soak, targets};
 use std::process::ExitCode;
 
 /// Experiments and checks of MOCA-S.
@@ -58,6 +58,7 @@ enum Command {
     Stream(stream::Arguments),
     /// The smallest force that is felt and its delay; how little an untouched robot creeps.
     Threshold(threshold::Arguments),
+    Targets(targets::Arguments),
     Tick(tick::Arguments),
     Vectors(vectors::Arguments),
 }
@@ -98,6 +99,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Soak(arguments) => soak::run(&arguments),
         Command::Stream(arguments) => stream::run(&arguments),
         Command::Threshold(arguments) => threshold::run(&arguments),
+        Command::Targets(arguments) => targets::run(&arguments),
         Command::Tick(arguments) => tick::run(&arguments),
         Command::Vectors(arguments) => vectors::run(&arguments),
     }

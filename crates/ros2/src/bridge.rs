@@ -2,23 +2,29 @@
 //! who may command is decided where it always is.
 //!
 //! Out: what every viewer is shown (`/tf`, `/tf_static`, `/joint_states`, `/robot_description`, poses, cover wrench) and
-//! [`crate::outputs`]. In: services that ask the loop, and signs of life. Whoever armed the robot over ROS has to be heard
-//! from: any call counts, and any message on `alive`; without one the daemon takes the command away and a moving robot
-//! stops. The bridge itself never vouches for anybody.
+//! [`crate::outputs`]. In: services that ask the loop, targets ([`crate::inputs`]), and signs of life. Whoever armed the robot
+//! over ROS, or leads it, has to be heard from: any call and any target counts, and any message on `alive`; without one the
+//! daemon takes the command away and a moving robot stops. The bridge itself never vouches for anybody.
+//!
+//! A topic gives no answer: why a target is refused is told on `target_refused`.
 
 use crate::cdr;
-use crate::messages::{DiagnosticArray, Empty, Float64MultiArray, Time, TriggerResponse, WrenchStamped};
+use crate::inputs::{self, Leader};
+use crate::messages::{
+    DiagnosticArray, Empty, Float64MultiArray, PoseStamped, Text, Time, TriggerResponse, Twist, TwistStamped,
+    WrenchStamped,
+};
 use crate::outputs;
 use crate::transport::{Caller, Qos, ReaderId, ServiceId, Transport, TransportError, WriterId};
 use crate::{Message, TypeName};
-use moca_msgs::{Outcome, Request, Sample};
+use moca_msgs::{Outcome, Request, Sample, TimedTarget};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::display::{Display, Periods, Sink};
 use moca_telemetry::log::{LogError, records::Channel};
 use moca_telemetry::net::{Connection, Link, Reply};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// How long a step waits for calls at most.
 const STEP: Duration = Duration::from_millis(2);
@@ -37,13 +43,16 @@ const LATCHED: [&str; 2] = ["/tf_static", "/robot_description"];
 const LOG: &str = "/log";
 const TRIGGER: TypeName = TypeName("std_srvs/srv/Trigger");
 /// Services, and what each asks the loop.
-const SERVICES: [(&str, Request); 5] = [
+const SERVICES: [(&str, Request); 6] = [
     ("tare", Request::Tare),
     ("arm", Request::Arm),
     ("disarm", Request::Disarm),
     ("stop", Request::Stop),
     ("resume", Request::Resume),
+    ("end_target", Request::EndTarget),
 ];
+/// A refusal is told again after this at the earliest, unless it is another one.
+const REFUSALS_EVERY: Duration = Duration::from_millis(100);
 
 /// What is named how.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -63,10 +72,24 @@ pub struct Bridge<T> {
     wrench: WriterId,
     diagnostics: WriterId,
     alive: ReaderId,
+    targets: Vec<Input>,
+    leader: Leader,
+    refused: WriterId,
+    told: Option<(String, Instant)>,
+    /// Whether the robot was armed over ROS: whoever did so is then watched over until it is disarmed.
+    armed: bool,
     services: Vec<(ServiceId, Request)>,
     waiting: Vec<(Request, ServiceId, Caller)>,
     shown: Option<Shown>,
     said: String,
+}
+
+/// A topic of targets.
+#[derive(Clone, Copy)]
+struct Input {
+    name: &'static str,
+    reader: ReaderId,
+    read: Read,
 }
 
 /// One session of a daemon.
@@ -90,6 +113,12 @@ impl<T: Transport> Bridge<T> {
         let wrench = transport.writer(&name("flange_wrench"), WrenchStamped::TYPE, Qos::Reliable)?;
         let diagnostics = transport.writer("/diagnostics", DiagnosticArray::TYPE, Qos::Reliable)?;
         let alive = transport.reader(&name("alive"), Empty::TYPE, Qos::BestEffort)?;
+        let refused = transport.writer(&name("target_refused"), Text::TYPE, Qos::Reliable)?;
+        let mut targets = Vec::new();
+        for (topic, of, read) in inputs() {
+            let reader = transport.reader(&name(topic), of, Qos::BestEffort)?;
+            targets.push(Input { name: topic, reader, read });
+        }
         let mut services = Vec::new();
         for (service, request) in SERVICES {
             services.push((transport.service(&name(service), TRIGGER)?, request));
@@ -102,6 +131,11 @@ impl<T: Transport> Bridge<T> {
             wrench,
             diagnostics,
             alive,
+            targets,
+            leader: Leader::default(),
+            refused,
+            told: None,
+            armed: false,
             services,
             waiting: Vec::new(),
             shown: None,
@@ -135,6 +169,7 @@ impl<T: Transport> Bridge<T> {
             self.answer(reply, daemon)?;
         }
         self.ask(daemon);
+        self.lead(daemon)?;
         self.transport.wait(STEP);
         Ok(())
     }
@@ -153,12 +188,54 @@ impl<T: Transport> Bridge<T> {
         }
     }
 
+    /// Targets go to the daemon; they are signs of life of the node that leads.
+    fn lead(&mut self, daemon: &Connection) -> Result<(), TransportError> {
+        for Input { name, reader, read } in self.targets.clone() {
+            while let Some((node, payload)) = self.transport.take_from_node(reader) {
+                let target = if self.leader.takes(&node, Instant::now()) {
+                    read(&payload)
+                } else {
+                    Err("another node leads".into())
+                };
+                match target {
+                    Ok(target) => {
+                        daemon.alive();
+                        daemon.request(Request::Target(target));
+                    }
+                    Err(why) => self.refuse(&format!("{name}: {why}"))?,
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn refuse(&mut self, why: &str) -> Result<(), TransportError> {
+        let now = Instant::now();
+        let again = self.told.as_ref().is_some_and(|(told, at)| told == why && now - *at < REFUSALS_EVERY);
+        if again {
+            return Ok(());
+        }
+        self.told = Some((why.to_owned(), now));
+        self.transport.write(self.refused, &cdr::encode(&Text { data: why.to_owned() }))
+    }
+
     fn answer(&mut self, reply: &Reply, daemon: &Connection) -> Result<(), TransportError> {
+        if let (Request::Target(timed), Err(refusal)) = (reply.request, reply.outcome) {
+            return self.refuse(&format!("{}: {refusal}", timed.target.kind().name()));
+        }
         let asked = self.waiting.iter().position(|(request, ..)| *request == reply.request);
         let Some((request, service, caller)) = asked.map(|i| self.waiting.remove(i)) else { return Ok(()) };
-        if reply.outcome.is_ok() && matches!(request, Request::Disarm | Request::Stop) {
-            // The robot stands: somebody else may want it.
-            daemon.release();
+        if reply.outcome.is_ok() {
+            self.armed = match request {
+                Request::Arm => true,
+                Request::Disarm | Request::Stop => false,
+                _ => self.armed,
+            };
+            // The robot stands, or does without this node as before: somebody else may want it.
+            if matches!(request, Request::Disarm | Request::Stop | Request::EndTarget) && !self.armed {
+                self.leader.release();
+                daemon.release();
+            }
         }
         self.transport.answer(service, &caller, &cdr::encode(&response(reply.outcome)))
     }
@@ -210,6 +287,26 @@ impl<T: Transport> Bridge<T> {
         }
         Ok(())
     }
+}
+
+/// What is made of a payload, or why nothing is.
+type Read = fn(&[u8]) -> Result<TimedTarget, String>;
+
+/// Topics of targets, their types, and what is made of a payload.
+fn inputs() -> [(&'static str, TypeName, Read); 4] {
+    [
+        ("target_pose", PoseStamped::TYPE, |bytes| inputs::pose(&decoded(bytes)?)),
+        ("target_twist", TwistStamped::TYPE, |bytes| inputs::twist(&decoded(bytes)?)),
+        ("cmd_vel", Twist::TYPE, |bytes| inputs::base(&decoded(bytes)?)),
+        ("cmd_vel_stamped", TwistStamped::TYPE, |bytes| {
+            let TwistStamped { header, twist } = decoded(bytes)?;
+            inputs::base(&twist).map(|timed| TimedTarget { stamp_unix_ns: header.stamp.unix_ns(), ..timed })
+        }),
+    ]
+}
+
+fn decoded<M: cdr::Decode>(bytes: &[u8]) -> Result<M, String> {
+    cdr::decode(bytes).map_err(|error| error.to_string())
 }
 
 /// What the caller of a service is told.

@@ -24,6 +24,8 @@ use std::time::Duration;
 
 /// What Cyclone DDS puts before a call's arguments: the caller, and its number of the call.
 const CALL_HEADER_BYTES: usize = 16;
+/// The first bytes of an endpoint's number are those of its process.
+const PARTICIPANT_BYTES: usize = 12;
 /// The byte order before every payload.
 const ENCODING_BYTES: usize = 4;
 /// Longest call that carries no header: a byte order, an empty request and what fills it up to a word.
@@ -190,6 +192,12 @@ impl Transport for Dds {
     fn take(&mut self, from: ReaderId) -> Option<Vec<u8>> {
         // What cannot be taken is as good as not there; who waits for it sees its age.
         self.readers[from.0].take_next_sample().ok()?.map(|sample| sample.into_value().0)
+    }
+
+    fn take_from_node(&mut self, from: ReaderId) -> Option<(Vec<u8>, Vec<u8>)> {
+        let sample = self.readers[from.0].take_next_sample().ok()??;
+        let writer = sample.sample_info().sample_identity().writer_guid.to_bytes();
+        Some((writer[..PARTICIPANT_BYTES].to_vec(), sample.into_value().0))
     }
 
     fn take_call(&mut self, of: ServiceId) -> Option<(Caller, Vec<u8>)> {

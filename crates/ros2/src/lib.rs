@@ -20,6 +20,8 @@ pub mod base;
 pub mod bridge;
 #[cfg(feature = "dds")]
 pub mod dds;
+#[cfg(feature = "bridge")]
+pub mod inputs;
 pub mod outputs;
 pub mod transport;
 

@@ -328,6 +328,14 @@ impl<const N: usize, T: Scalar> JointRepulsion<N, T> {
         }
     }
 
+    /// What is left of the way of joint `i` to the end of its range in the direction of `dq`, from 1 two bands before the end
+    /// to 0 at it.
+    pub fn room(&self, i: usize, q: T, dq: T) -> T {
+        let band = self.band[i];
+        let way = if dq > T::zero() { self.begin_high[i] + band - q } else { q - self.begin_low[i] + band };
+        (way / (band + band)).clamp(T::zero(), T::one())
+    }
+
     /// Joint torques, N·m. `inertia` is the diagonal of M_A: the damper is 0.7 of critical.
     #[inline]
     pub fn torque(&self, q: &[T; N], dq: &[T; N], inertia: impl Fn(usize) -> T) -> [T; N] {
@@ -443,6 +451,19 @@ mod tests {
         assert_eq!(joints.exceeded(&PANDA.home_rad, &dq), None);
         dq[3] *= 1.001;
         assert_eq!(joints.exceeded(&PANDA.home_rad, &dq), Some(3));
+    }
+
+    #[test]
+    fn the_room_before_the_end_of_a_range_is_used_up_there() {
+        let repulsion = JointRepulsion::<7, f64>::new(&PANDA);
+        let (low, high) = (PANDA.q_min_rad[3], PANDA.q_max_rad[3]);
+        for (before_end, room) in
+            [(1.0, 1.0), (2.0 * REPULSION_BAND_RAD, 1.0), (0.15, 0.5), (0.0, 0.0), (-0.1, 0.0)]
+        {
+            assert!((repulsion.room(3, high - before_end, 1.0) - room).abs() < 1e-9, "{before_end}");
+            assert!((repulsion.room(3, low + before_end, -1.0) - room).abs() < 1e-9, "{before_end}");
+        }
+        assert!((repulsion.room(3, high, -1.0) - 1.0).abs() < 1e-9, "the way back is free");
     }
 
     #[test]

@@ -63,7 +63,12 @@ pub struct Axis<T = f64> {
 impl<T: Scalar> Axis<T> {
     /// Stands at `position`.
     pub fn at_rest(position: T) -> Self {
-        Self { position, velocity: T::zero(), acceleration: T::zero() }
+        Self::moving(position, T::zero())
+    }
+
+    /// Passes `position` with a steady velocity, m/s or rad/s.
+    pub fn moving(position: T, velocity: T) -> Self {
+        Self { position, velocity, acceleration: T::zero() }
     }
 
     /// Whether it stands, within [`ARRIVED`] of `position`.

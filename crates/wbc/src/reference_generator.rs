@@ -24,7 +24,7 @@
 use crate::error::{ControlError, finite};
 use crate::online_trajectory::{ARRIVED, Axis, AxisBounds};
 use crate::reference::{
-    ERROR_SATURATION_M, ERROR_SATURATION_RAD, REFERENCE_SPEED_M_S, REFERENCE_SPEED_RAD_S,
+    ERROR_SATURATION_M, ERROR_SATURATION_RAD, Pose, REFERENCE_SPEED_M_S, REFERENCE_SPEED_RAD_S,
 };
 use crate::rotation;
 use crate::scalar::{Scalar, of};
@@ -151,6 +151,26 @@ impl<T: Scalar> Goal<T> {
     }
 }
 
+/// What holds a reference back; everything in its frame.
+pub(crate) trait Leash<T> {
+    /// The tool.
+    fn actual(&self) -> (&Vector3<T>, &Matrix3<T>);
+    /// How far a place is from where the reference may be, m.
+    fn outside(&self, position: &[T; 3]) -> T;
+    /// What is left of a twist.
+    fn slowed(&self, twist: &[T; 6]) -> [T; 6];
+    /// How much faster than they are led the joints would go to make up for an error \[m; rad\].
+    fn joints_beyond(&self, error: &[T; 6]) -> T;
+}
+
+/// How far beyond what holds it back a reference would come to rest.
+struct Ahead<T> {
+    along: T,
+    about: T,
+    outside: T,
+    joints: T,
+}
+
 /// A reference on its way: pose and twist in one frame, whose axes those of the twist are too.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(
@@ -172,12 +192,14 @@ impl<T: Scalar> PoseGenerator<T> {
     /// A value that is not finite, a quaternion that is not of length 1.
     pub fn at_rest(position: [T; 3], quaternion: [T; 4]) -> Result<Self, ControlError> {
         finite("position", &position)?;
-        Ok(Self::at(position.into(), rotation::from_unit_quaternion(quaternion)?))
+        let rotation = rotation::from_unit_quaternion(quaternion)?;
+        Ok(Self::moving(&Pose { position: position.into(), rotation }, &[T::zero(); 6]))
     }
 
-    pub(crate) fn at(position: Vector3<T>, rotation: Matrix3<T>) -> Self {
-        let along = [position.x, position.y, position.z].map(Axis::at_rest);
-        Self { along, about: [Axis::at_rest(T::zero()); 3], rotation }
+    /// From a reference that moves: m/s, rad/s.
+    pub(crate) fn moving(pose: &Pose<T>, twist: &[T; 6]) -> Self {
+        let axis = |i: usize| Axis::moving(if i < 3 { pose.position[i] } else { T::zero() }, twist[i]);
+        Self { along: [0, 1, 2].map(axis), about: [3, 4, 5].map(axis), rotation: pose.rotation }
     }
 
     /// m.
@@ -238,44 +260,47 @@ impl<T: Scalar> PoseGenerator<T> {
         self.step_about(goal, bounds, dt_s);
     }
 
-    /// One step of `dt_s` on a leash: `actual` is where the tool is, `outside` says how far a place of the reference is
-    /// from where it may be, `slowed` what is left of a velocity, m/s.
+    /// One step of `dt_s` on a leash.
     pub(crate) fn step_on_leash(
         &mut self,
         goal: &Goal<T>,
         bounds: &ReferenceBounds<T>,
-        (actual_position, actual_rotation): (&Vector3<T>, &Matrix3<T>),
-        outside: impl Fn(&[T; 3]) -> T,
-        slowed: impl Fn(Vector3<T>) -> Vector3<T>,
+        leash: &impl Leash<T>,
         dt_s: T,
     ) {
         let before = *self;
-        self.step_along(goal, bounds, dt_s);
-        let velocity = Vector3::from(self.along.map(|axis| axis.velocity));
-        let left = slowed(velocity);
-        if left != velocity {
-            self.along = before.along;
-            let twist = [left.x, left.y, left.z, T::zero(), T::zero(), T::zero()];
-            self.step_along(&Goal::Twist(twist), bounds, dt_s);
+        self.step(goal, bounds, dt_s);
+        let twist = self.twist();
+        let left = leash.slowed(&twist);
+        if left != twist {
+            *self = before;
+            self.step(&Goal::Twist(left), bounds, dt_s);
         }
-        let beyond = |generator: &Self| {
-            let rest = generator.rest_position(bounds);
-            let lead = (Vector3::from(rest) - actual_position).norm() - bounds.leash_m;
-            (lead.max(T::zero()), outside(&rest))
-        };
-        let ((lead, out), (lead_before, out_before)) = (beyond(self), beyond(&before));
-        if lead > lead_before || out > out_before {
+        let (ahead, ahead_before) = (self.ahead(bounds, leash), before.ahead(bounds, leash));
+        if ahead.along > ahead_before.along
+            || ahead.outside > ahead_before.outside
+            || ahead.joints > ahead_before.joints
+        {
             self.along = before.along;
             self.step_along(&Goal::Hold, bounds, dt_s);
         }
-        self.step_about(goal, bounds, dt_s);
-        let turned = |generator: &Self| {
-            (rotation::error(actual_rotation, &generator.rotation) + generator.rest_turn(bounds)).norm()
-        };
-        let angle = turned(self);
-        if angle > bounds.leash_rad && angle > turned(&before) {
+        if ahead.about > ahead_before.about || ahead.joints > ahead_before.joints {
             (self.about, self.rotation) = (before.about, before.rotation);
             self.step_about(&Goal::Hold, bounds, dt_s);
+        }
+    }
+
+    fn ahead(&self, bounds: &ReferenceBounds<T>, leash: &impl Leash<T>) -> Ahead<T> {
+        let (actual_position, actual_rotation) = leash.actual();
+        let rest = self.rest_position(bounds);
+        let along = Vector3::from(rest) - actual_position;
+        let about = rotation::error(actual_rotation, &self.rotation) + self.rest_turn(bounds);
+        let beyond = |length: T, most: T| (length - most).max(T::zero());
+        Ahead {
+            along: beyond(along.norm(), bounds.leash_m),
+            about: beyond(about.norm(), bounds.leash_rad),
+            outside: leash.outside(&rest),
+            joints: leash.joints_beyond(&[along.x, along.y, along.z, about.x, about.y, about.z]),
         }
     }
 

@@ -6,12 +6,13 @@
 use crate::config::Config;
 use crate::control::supervisor::Touch;
 use crate::robot::{JOINTS, Parts};
-use moca_msgs::robot::resized;
+use moca_msgs::robot::AnyArm;
 use moca_msgs::target::{MAX_WAYPOINTS, Quantity, TargetKind, TargetPhase, check_trajectory};
 use moca_msgs::{
     Outcome, Refusal, Request, RobotState, Target, TargetRefusal, TargetState, TimedTarget, TouchPolicy,
     Waypoint, seconds,
 };
+use moca_wbc::limits::REPULSION_BAND_RAD;
 use moca_wbc::nalgebra::Vector3;
 use moca_wbc::reference_generator::Workspace;
 use moca_wbc::{ControlLaw, FlangePose, rotation};
@@ -25,6 +26,7 @@ const CLEARANCE_M: f64 = 0.03;
 pub struct Targets {
     parts: Parts,
     joints: usize,
+    /// Between which a posture may be wanted: nearer to the end of a joint's range the arm is pushed back.
     q_min_rad: [f64; JOINTS],
     q_max_rad: [f64; JOINTS],
     workspace: Workspace,
@@ -88,8 +90,8 @@ impl Targets {
         Self {
             parts: config.plant.parts,
             joints: arm.joints,
-            q_min_rad: resized(&arm.table.q_min_rad),
-            q_max_rad: resized(&arm.table.q_max_rad),
+            q_min_rad: std::array::from_fn(|i| arm.table.q_min_rad[i] + free_of_ends(arm, i)),
+            q_max_rad: std::array::from_fn(|i| arm.table.q_max_rad[i] - free_of_ends(arm, i)),
             workspace,
             state: TargetsState::default(),
         }
@@ -318,6 +320,11 @@ impl Targets {
         self.state.active = Some(active);
         order
     }
+}
+
+/// What a posture keeps from the ends of a joint's range, rad.
+fn free_of_ends(arm: &AnyArm, joint: usize) -> f64 {
+    REPULSION_BAND_RAD.min(0.5 * (arm.table.q_max_rad[joint] - arm.table.q_min_rad[joint]))
 }
 
 /// The pose of a trajectory at a time, s: straight between its poses, turning about a fixed axis.

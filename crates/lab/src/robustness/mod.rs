@@ -6,4 +6,5 @@ pub(crate) mod lean;
 pub(crate) mod lost_packets;
 pub(crate) mod protection;
 pub(crate) mod soak;
+pub(crate) mod targets;
 mod trial;

@@ -63,6 +63,10 @@ pub trait Transport {
     fn write(&mut self, to: WriterId, payload: &[u8]) -> Result<(), TransportError>;
     /// The oldest payload that has not been taken.
     fn take(&mut self, from: ReaderId) -> Option<Vec<u8>>;
+    /// The same with the node that wrote it, in a transport's own words; empty where it cannot tell.
+    fn take_from_node(&mut self, from: ReaderId) -> Option<(Vec<u8>, Vec<u8>)> {
+        self.take(from).map(|payload| (Vec::new(), payload))
+    }
     /// The oldest call that has not been taken.
     fn take_call(&mut self, of: ServiceId) -> Option<(Caller, Vec<u8>)>;
     /// Answers a call.

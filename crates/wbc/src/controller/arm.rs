@@ -1,6 +1,7 @@
 //! An arm: Cartesian impedance of its tool on the base it stands on.
 
 use super::arm_state::ArmState;
+use super::joint_pace::{JointLimits, LED_SHARE, slowing_torque};
 use super::law::ControlLaw;
 use super::tick::{ArmTick, Tracking, seen_from_base, tool_pose};
 use super::{CARRY_FADE_S, FlangePose, LONGEST_STEP_S, check};
@@ -43,9 +44,6 @@ pub struct ArmController<const N: usize, T = f64> {
     /// Joint stiffness with which a posture is held, N·m/rad.
     hold_stiffness: [T; N],
 }
-
-/// Share of its largest speed beyond which no joint is led on.
-const LED_JOINT_SHARE: f64 = 0.3;
 
 /// One step's measurements of an arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -263,13 +261,12 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
     #[inline]
     pub(super) fn advance(&self, tick: &ArmTick<'_, N, T>, state: &mut ArmState<N, T>) {
         if state.is_led() {
-            // Near a singular posture a slow flange has fast joints: who leads it waits for them.
-            let waits =
-                self.joint_speeds.share(&tick.robot.q_rad, &tick.robot.dq_rad_s) > of(LED_JOINT_SHARE);
-            state.advance_lead(&self.model, tick, waits);
+            let limits = JointLimits { speeds: &self.joint_speeds, repulsion: &self.repulsion };
+            state.advance_lead(&self.model, tick, limits);
             if !state.leads_posture() {
                 approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
             }
+            self.keep_posture_near(tick, state);
             return;
         }
         let actual = match state.law {
@@ -278,6 +275,20 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         };
         state.reference.advance(&actual, state.held_back.as_ref(), tick.dt_s);
         approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
+    }
+
+    /// Keeps the posture so near that the null space goes there no faster than joints are led: at K_0·e/D_0.
+    fn keep_posture_near(&self, tick: &ArmTick<'_, N, T>, state: &mut ArmState<N, T>) {
+        let gains = &state.gains;
+        for i in 0..N {
+            let q = tick.robot.q_rad[i];
+            let error = state.posture_rad[i] - q;
+            let fastest = of::<T>(LED_SHARE) * self.joint_speeds.largest(i, q, error);
+            let (stiffness, damping) = (gains.posture_stiffness[i], gains.posture_damping[i]);
+            if stiffness * error.abs() > damping * fastest {
+                state.posture_rad[i] = q + (damping * fastest / stiffness).copysign(error);
+            }
+        }
     }
 
     /// Joint torques that keep the tool on the base, N·m, and what they were computed from. eqs. (15), (16)
@@ -321,13 +332,17 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         wanted: &[T; N],
         hit: &mut LimitsHit,
     ) -> Result<[T; N], ControlError> {
-        let repulsion =
+        let mut repulsion =
             self.repulsion.torque(&tick.robot.q_rad, &tick.robot.dq_rad_s, |i| tick.dynamics.mass[(i, i)]);
+        hit.joint_range = repulsion.iter().any(|torque| *torque != T::zero());
+        if state.is_led() {
+            let slowing = slowing_torque(tick, &self.joint_speeds);
+            repulsion = core::array::from_fn(|i| repulsion[i] + slowing[i]);
+        }
         if state.entering {
             state.entering = false;
             state.carried_nm = core::array::from_fn(|i| state.torque_nm[i] - wanted[i] - repulsion[i]);
         }
-        hit.joint_range = repulsion.iter().any(|torque| *torque != T::zero());
         let total = core::array::from_fn(|i| wanted[i] + state.carried_nm[i] + repulsion[i]);
         state.torque_nm = self.limits.limited(&total, &state.torque_nm, tick.dt_s, hit);
         let fade = (-tick.dt_s / of(CARRY_FADE_S)).exp();

@@ -2,17 +2,18 @@
 
 use super::FlangePose;
 use super::arm_state::ArmState;
+use super::joint_pace::{JointLimits, JointPace, LED_SHARE, WAITING_SHARE};
 use super::law::ControlLaw;
 use super::lead::{Lead, Target, ToolTarget, Way};
 use super::tick::{ArmTick, seen_from_base};
 use crate::error::{ControlError, finite};
 use crate::linalg::times;
 use crate::model::ArmModel;
-use crate::online_trajectory::Axis;
+use crate::online_trajectory::{Axis, AxisBounds};
 use crate::reference::{HeldBack, Pose};
-use crate::reference_generator::{Goal, PoseGenerator, ReferenceBounds, TwistAxes, Workspace};
+use crate::reference_generator::{Goal, Leash, PoseGenerator, ReferenceBounds, TwistAxes, Workspace};
 use crate::rotation;
-use crate::scalar::Scalar;
+use crate::scalar::{Scalar, of};
 use moca_msgs::RobotState;
 use nalgebra::{Matrix3, Vector3};
 
@@ -38,7 +39,7 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
                     // jump by fades.
                     _ => {
                         self.entering = true;
-                        robot.q_rad.map(Axis::at_rest)
+                        core::array::from_fn(|i| Axis::moving(robot.q_rad[i], robot.dq_rad_s[i]))
                     }
                 };
                 Way::Posture { axes, target: Some(*wanted), base_pose_world: robot.base_pose_world }
@@ -75,7 +76,7 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
     fn generator(&self) -> PoseGenerator<T> {
         match self.lead {
             Some(Lead { way: Way::Tool { generator, .. }, .. }) => generator,
-            _ => PoseGenerator::at(self.reference.now.position, self.reference.now.rotation),
+            _ => PoseGenerator::moving(&self.reference.now, &self.reference.given()),
         }
     }
 
@@ -84,23 +85,30 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
         self.lead.is_some()
     }
 
-    /// Moves reference and posture on by one step where something leads them; to rest if it `waits`.
-    pub(super) fn advance_lead(&mut self, model: &ArmModel<N, T>, tick: &ArmTick<'_, N, T>, waits: bool) {
+    /// Moves reference and posture on by one step where something leads them; to rest while joints are too fast.
+    pub(super) fn advance_lead(
+        &mut self,
+        model: &ArmModel<N, T>,
+        tick: &ArmTick<'_, N, T>,
+        limits: JointLimits<'_, N, T>,
+    ) {
         let Some(mut lead) = self.lead else { return };
+        let speeds = limits.speeds;
+        let waits = speeds.share(&tick.robot.q_rad, &tick.robot.dq_rad_s) > of(WAITING_SHARE);
         let frame = Frame { tick, law: self.law };
         let Lead { bounds, workspace, way, reached } = &mut lead;
         match way {
             Way::Tool { generator, target } => {
                 let wanted = frame.goal(target, generator.rotation());
                 let goal = if waits { Goal::Hold } else { wanted };
-                let actual = frame.actual();
-                let outside = |position: &[T; 3]| {
-                    workspace.map_or(T::zero(), |workspace| workspace.outside(&frame.base_from(position)))
+                let leash = ToolLeash {
+                    frame: &frame,
+                    actual: frame.actual(),
+                    workspace: workspace.as_ref(),
+                    held_back: self.held_back.as_ref(),
+                    pace: JointPace::at(tick, &self.gains.stiffness, limits),
                 };
-                let slowed =
-                    |velocity| self.held_back.map_or(velocity, |held: HeldBack<T>| held.slowed(velocity));
-                let place = (&actual.position, &actual.rotation);
-                generator.step_on_leash(&goal, bounds, place, outside, slowed, tick.dt_s);
+                generator.step_on_leash(&goal, bounds, &leash, tick.dt_s);
                 *reached = generator.has_reached(&wanted);
                 let pose = Pose { position: generator.position().into(), rotation: *generator.rotation() };
                 self.reference.follow(pose, generator.twist());
@@ -109,11 +117,15 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
                 let actual = frame.actual();
                 let near = (self.reference.now.position - actual.position).norm() < bounds.leash_m
                     && rotation::error(&actual.rotation, &self.reference.now.rotation).norm()
-                        < bounds.leash_rad;
+                        < bounds.leash_rad
+                    && (0..N).all(|i| (axes[i].position - tick.robot.q_rad[i]).abs() < bounds.leash_rad);
                 for (i, axis) in axes.iter_mut().enumerate() {
                     match target.filter(|_| near && !waits) {
                         Some(target) => {
-                            axis.step_to_position(target[i] - axis.position, &bounds.joint, tick.dt_s);
+                            let ahead = target[i] - axis.position;
+                            let fastest = of::<T>(LED_SHARE) * speeds.largest(i, tick.robot.q_rad[i], ahead);
+                            let velocity = bounds.joint.velocity.min(fastest);
+                            axis.step_to_position(ahead, &AxisBounds { velocity, ..bounds.joint }, tick.dt_s);
                         }
                         None => axis.step_to_velocity(T::zero(), &bounds.joint, tick.dt_s),
                     }
@@ -145,6 +157,47 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
             }
             None => {}
         }
+    }
+}
+
+/// What holds back the reference of a tool that is led.
+struct ToolLeash<'a, const N: usize, T> {
+    frame: &'a Frame<'a, N, T>,
+    actual: Pose<T>,
+    workspace: Option<&'a Workspace<T>>,
+    held_back: Option<&'a HeldBack<T>>,
+    pace: Option<JointPace<'a, N, T>>,
+}
+
+impl<const N: usize, T: Scalar> ToolLeash<'_, N, T> {
+    /// A twist or an error of the reference's frame, in world axes.
+    fn world(&self, twist: &[T; 6]) -> [T; 6] {
+        if self.frame.is_base() { turned(&self.frame.tick.kinematics.base_rotation, twist) } else { *twist }
+    }
+}
+
+impl<const N: usize, T: Scalar> Leash<T> for ToolLeash<'_, N, T> {
+    fn actual(&self) -> (&Vector3<T>, &Matrix3<T>) {
+        (&self.actual.position, &self.actual.rotation)
+    }
+
+    fn outside(&self, position: &[T; 3]) -> T {
+        self.workspace.map_or(T::zero(), |workspace| workspace.outside(&self.frame.base_from(position)))
+    }
+
+    fn slowed(&self, twist: &[T; 6]) -> [T; 6] {
+        let [vx, vy, vz, wx, wy, wz] = *twist;
+        let v = Vector3::new(vx, vy, vz);
+        let v = self.held_back.map_or(v, |held| held.slowed(v));
+        let twist = [v.x, v.y, v.z, wx, wy, wz];
+        let share = self.pace.as_ref().map_or(T::zero(), |pace| pace.share(&self.world(&twist)));
+        let most = of(LED_SHARE);
+        if share > most { twist.map(|v| v * most / share) } else { twist }
+    }
+
+    fn joints_beyond(&self, error: &[T; 6]) -> T {
+        let share = self.pace.as_ref().map_or(T::zero(), |pace| pace.share_to_catch_up(&self.world(error)));
+        (share - of(LED_SHARE)).max(T::zero())
     }
 }
 

@@ -24,6 +24,7 @@
 mod arm;
 mod arm_state;
 mod base;
+mod joint_pace;
 mod law;
 mod lead;
 mod led;

@@ -281,6 +281,7 @@ impl Cell {
             Meeting::Leans => {
                 let share = SHARES.iter().position(|share| share.total_cmp(&self.share).is_eq());
                 (settings.speed_m_s, settings.person.gap_m) = (0.0, 0.002);
+                settings.person.at_s = 0.1; // not into the tare
                 (settings.person.lean_n, settings.person.fixed) = (LEANS_N[share.unwrap_or(0)], false);
             }
         }
