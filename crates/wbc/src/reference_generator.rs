@@ -159,8 +159,28 @@ pub(crate) trait Leash<T> {
     fn outside(&self, position: &[T; 3]) -> T;
     /// What is left of a twist.
     fn slowed(&self, twist: &[T; 6]) -> [T; 6];
+    /// How many times faster than they are led the joints go with a twist.
+    fn joints_too_fast(&self, twist: &[T; 6]) -> T;
     /// How much faster than they are led the joints would go to make up for an error \[m; rad\].
     fn joints_beyond(&self, error: &[T; 6]) -> T;
+}
+
+/// The same goal, approached so many times slower than with `twist`: whoever stops at a pose has to slow down towards it all
+/// the while, and not to keep a speed.
+fn slower<T: Scalar>(
+    goal: &Goal<T>,
+    bounds: &ReferenceBounds<T>,
+    twist: &[T; 6],
+    times: T,
+) -> (Goal<T>, ReferenceBounds<T>) {
+    if let Goal::Twist(_) = goal {
+        return (Goal::Twist(twist.map(|v| v / times)), *bounds);
+    }
+    let of_bound = |v: &[T], most: T| v.iter().fold(T::zero(), |share, v| share.max(v.abs() / most));
+    let share =
+        of_bound(&twist[..3], bounds.linear.velocity).max(of_bound(&twist[3..], bounds.angular.velocity));
+    let slower = |axis: AxisBounds<T>| AxisBounds { velocity: axis.velocity * share / times, ..axis };
+    (*goal, ReferenceBounds { linear: slower(bounds.linear), angular: slower(bounds.angular), ..*bounds })
 }
 
 /// How far beyond what holds it back a reference would come to rest.
@@ -270,6 +290,12 @@ impl<T: Scalar> PoseGenerator<T> {
     ) {
         let before = *self;
         self.step(goal, bounds, dt_s);
+        let times = leash.joints_too_fast(&self.twist());
+        if times > T::one() {
+            let (goal, bounds) = slower(goal, bounds, &self.twist(), times);
+            *self = before;
+            self.step(&goal, &bounds, dt_s);
+        }
         let twist = self.twist();
         let left = leash.slowed(&twist);
         if left != twist {

@@ -189,10 +189,11 @@ impl<const N: usize, T: Scalar> Leash<T> for ToolLeash<'_, N, T> {
         let [vx, vy, vz, wx, wy, wz] = *twist;
         let v = Vector3::new(vx, vy, vz);
         let v = self.held_back.map_or(v, |held| held.slowed(v));
-        let twist = [v.x, v.y, v.z, wx, wy, wz];
-        let share = self.pace.as_ref().map_or(T::zero(), |pace| pace.share(&self.world(&twist)));
-        let most = of(LED_SHARE);
-        if share > most { twist.map(|v| v * most / share) } else { twist }
+        [v.x, v.y, v.z, wx, wy, wz]
+    }
+
+    fn joints_too_fast(&self, twist: &[T; 6]) -> T {
+        self.pace.as_ref().map_or(T::zero(), |pace| pace.share(&self.world(twist)) / of(LED_SHARE))
     }
 
     fn joints_beyond(&self, error: &[T; 6]) -> T {

@@ -88,8 +88,8 @@ struct Outcome {
 
 impl Outcome {
     /// The limits with their shares.
-    const fn shares(&self) -> [(&'static str, f64); 7] {
-        [
+    fn shares(&self) -> Vec<(&'static str, f64)> {
+        vec![
             ("joint speed", self.joint_speed),
             ("joint range", self.joint_range),
             ("torque", self.torque),
