@@ -344,16 +344,17 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             carried: T::zero(),
         };
         for i in 0..taxels {
-            let mut track = self.state.tracks[i];
-            track.advance(
+            let is_new = self.state.tracks[i].is_new(input.samples[i], input.dt_s);
+            let body_n = if is_new { self.body_n(i, input) } else { T::zero() };
+            self.state.tracks[i].advance(
                 &self.settings,
                 &self.state.odometry,
                 input.samples[i],
                 input.dt_s,
                 |place| self.outline.outward(i, place),
-                || self.body_n(i, input),
+                body_n,
             );
-            self.state.tracks[i] = track;
+            let track = &self.state.tracks[i];
             if !track.touched() {
                 limits.outward_m_s[i] = track.released_limit(&self.settings);
                 continue;
@@ -405,6 +406,9 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
     /// more than twice as stiff.
     fn body_n(&self, i: usize, input: &BarrierInput<K, T>) -> T {
         let own = input.samples[i].map_or(T::zero(), |sample| sample.force_n);
+        if own < of(self.settings.touch_n) {
+            return T::zero();
+        }
         let mut all = own;
         for j in (0..self.outline.map().taxels()).filter(|j| *j != i) {
             if squared(&self.places[i], &self.places[j]) > self.span_squared {

@@ -161,13 +161,7 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
     /// The velocity nearest to `wanted` between `low` and `high` at which no taxel goes outward faster than `most`, or,
     /// where there is none, at which the worst does by the least.
     pub(crate) fn nearest(&self, most: &[T; K], wanted: &[T; 3], low: &[T; 3], high: &[T; 3]) -> [T; 3] {
-        // no velocity in the box is too fast for most of them
-        let acts = |(inward, most): &(&[T; 3], &T)| {
-            let fastest =
-                (0..3).fold(T::zero(), |sum, j| sum + (-inward[j] * low[j]).max(-inward[j] * high[j]));
-            fastest > **most
-        };
-        let rows = || self.map.columns().iter().zip(most).filter(acts);
+        let rows = || self.map.columns().iter().zip(most).filter(|(_, most)| most.is_finite());
         if rows().count() + 3 <= FEW_ROWS {
             self.solved::<FEW_ROWS>(rows(), wanted, low, high)
         } else {

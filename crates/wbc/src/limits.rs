@@ -156,30 +156,42 @@ impl<T: Scalar> BaseLimits<T> {
         dt_s: T,
         hit: &mut LimitsHit,
     ) -> [T; 3] {
-        if let Some(most) = &guard.outward_m_s {
-            let without = BaseGuard { outward_m_s: None, ..*guard };
-            let mut free_hit = *hit;
-            let free = self.guarded_velocity(outline, &without, wanted, last, dt_s, &mut free_hit);
-            if outline.keeps(most, &free) {
-                *hit = free_hit;
-                return free;
-            }
-            (hit.guard, hit.contact) = (true, true);
-            let plain = if without.instead_body.is_none() && outline.permits(&without, wanted) {
-                *wanted
-            } else {
-                outline.guarded(&without, wanted)
-            };
-            let (mut low, mut high) = self.reachable(last, dt_s);
-            if let Some([least, largest]) = guard.room_body.as_ref().or(guard.bounds_body.as_ref()) {
-                for i in 0..3 {
-                    let (slowest, fastest) = (low[i], high[i]);
-                    low[i] = least[i].clamp(slowest, fastest);
-                    high[i] = largest[i].clamp(slowest, fastest);
-                }
-            }
-            return outline.nearest(most, &plain, &low, &high);
+        let Some(most) = &guard.outward_m_s else {
+            return self.guarded_alone(outline, guard, wanted, last, dt_s, hit);
+        };
+        let mut free_hit = *hit;
+        let free = self.guarded_alone(outline, guard, wanted, last, dt_s, &mut free_hit);
+        if outline.keeps(most, &free) {
+            *hit = free_hit;
+            return free;
         }
+        (hit.guard, hit.contact) = (true, true);
+        let plain = if guard.instead_body.is_none() && outline.permits(guard, wanted) {
+            *wanted
+        } else {
+            outline.guarded(guard, wanted)
+        };
+        let (mut low, mut high) = self.reachable(last, dt_s);
+        if let Some([least, largest]) = guard.room_body.as_ref().or(guard.bounds_body.as_ref()) {
+            for i in 0..3 {
+                let (slowest, fastest) = (low[i], high[i]);
+                low[i] = least[i].clamp(slowest, fastest);
+                high[i] = largest[i].clamp(slowest, fastest);
+            }
+        }
+        outline.nearest(most, &plain, &low, &high)
+    }
+
+    /// The same whatever touched taxels allow.
+    fn guarded_alone<const K: usize>(
+        &self,
+        outline: &CoverOutline<K, T>,
+        guard: &BaseGuard<K, T>,
+        wanted: &[T; 3],
+        last: &[T; 3],
+        dt_s: T,
+        hit: &mut LimitsHit,
+    ) -> [T; 3] {
         let mut unguarded_hit = *hit;
         let unguarded = self.velocity(wanted, last, dt_s, &mut unguarded_hit);
         if guard.instead_body.is_none() && outline.permits(guard, &unguarded) {
@@ -449,7 +461,9 @@ mod tests {
         let mut dq = [0.0; 7];
         dq[3] = -joints.largest(3, PANDA.home_rad[3], -1.0);
         assert_eq!(joints.exceeded(&PANDA.home_rad, &dq), None);
-        dq[3] *= 1.001;
+        (dq[1], dq[3]) = (0.25 * joints.largest(1, PANDA.home_rad[1], 1.0), 0.5 * dq[3]);
+        assert!((joints.share(&PANDA.home_rad, &dq) - 0.5).abs() < 1e-12, "of the fastest");
+        dq[3] *= 2.0 * 1.001;
         assert_eq!(joints.exceeded(&PANDA.home_rad, &dq), Some(3));
     }
 

@@ -5,8 +5,8 @@ use moca_wbc::online_trajectory::{Axis, AxisBounds};
 use moca_wbc::reference_generator::{Goal, PoseGenerator, ReferenceBounds, Workspace};
 use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_wbc::{
-    ControlInput, ControlLaw, Parameters, Payload, RobotState, Target, TwistAxes, WholeBodyController,
-    rotation,
+    ControlInput, ControlLaw, ImpedanceGains, Parameters, Payload, RobotState, Target, TwistAxes,
+    WholeBodyController, rotation,
 };
 use proptest::prelude::*;
 
@@ -172,16 +172,24 @@ fn what_is_no_number_or_no_rotation_is_no_goal() {
     assert!(PoseGenerator::<f64>::at_rest([0.0; 3], [0.0; 4]).is_err());
 }
 
+fn of(parameters: &Parameters<7>) -> WholeBodyController<7, 11> {
+    WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, parameters).unwrap()
+}
+
 #[test]
 fn a_law_is_led_on_a_leash_within_its_workspace_and_a_base_about_its_admittance() {
-    let controller: WholeBodyController<7, 11> =
-        WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER)
-            .unwrap();
+    let stiff = Parameters::<7>::PAPER;
+    let controller: WholeBodyController<7, 11> = of(&stiff);
+    let soft = ImpedanceGains { stiffness: stiff.gains.stiffness.map(|k| 0.01 * k), ..stiff.gains };
+    let soft: WholeBodyController<7, 11> = of(&Parameters { gains: soft, ..stiff });
     let robot = RobotState::at_rest(PANDA.home_rad);
     let mut input = ControlInput::new(robot, [0.0; 11], DT_S);
     input.flange_wrench_world = Some([0.0; 6]);
     let bounds = ReferenceBounds::DEFAULT;
-    let lead = |law: ControlLaw, target: &Target<7>, workspace: Option<&Workspace>| {
+    let lead = |controller: &WholeBodyController<7, 11>,
+                law: ControlLaw,
+                target: &Target<7>,
+                workspace: Option<&Workspace>| {
         let mut state = controller.enter(law, &robot).unwrap();
         state.lead(target, &robot, &bounds, workspace).unwrap();
         let mut output = controller.step(law, &mut state, &input).unwrap();
@@ -195,13 +203,16 @@ fn a_law_is_led_on_a_leash_within_its_workspace_and_a_base_about_its_admittance(
     let up = Target::Twist { axes: TwistAxes::World, twist: [0.0, 0.0, 0.1, 0.0, 0.0, 0.0] };
     for law in [ControlLaw::Impedance, ControlLaw::FollowMe] {
         // the arm of this test does not move: the reference waits at the end of its leash
-        let [_, _, z] = lead(law, &up, None);
+        let [_, _, z] = lead(&soft, law, &up, None);
         assert!((0.9 * bounds.leash_m..=bounds.leash_m + 1e-9).contains(&z), "{law:?}: {z}");
+        // or sooner, where the law's spring would bring it there faster than joints are led
+        let [_, _, stiff] = lead(&controller, law, &up, None);
+        assert!((0.5 * z..0.9 * z).contains(&stiff), "{law:?}: {stiff}");
         let state = controller.enter(law, &robot).unwrap();
         let at = controller.step(law, &mut state.clone(), &input).unwrap().flange.position_world;
         let reach_m = Workspace { shoulder_base_m: [at[0], at[1], 0.0], reach_m: 0.0, base_size_m: [0.1; 3] };
         let workspace = Workspace { reach_m: reach_m.distance(&at) + 0.02, ..reach_m };
-        let [_, _, z] = lead(law, &up, Some(&workspace));
+        let [_, _, z] = lead(&controller, law, &up, Some(&workspace));
         assert!((0.015..=0.02 + 1e-9).contains(&z), "{law:?}: {z}");
     }
     let mut state = controller.enter(ControlLaw::Impedance, &robot).unwrap();

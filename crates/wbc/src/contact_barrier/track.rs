@@ -102,6 +102,11 @@ impl<T: Scalar> Track<T> {
         self.person.max(T::zero())
     }
 
+    /// Whether the step that follows takes `sample` in as a reading of its own.
+    pub(super) fn is_new(&self, sample: Option<TaxelSample<T>>, dt_s: T) -> bool {
+        sample.is_some_and(|sample| sample.age_s - of::<T>(0.5) * dt_s < self.since)
+    }
+
     /// Takes in one step: `way` is how far outward a place of the odometry is, `body_n` the force on all of the body.
     pub(super) fn advance(
         &mut self,
@@ -110,7 +115,7 @@ impl<T: Scalar> Track<T> {
         sample: Option<TaxelSample<T>>,
         dt_s: T,
         way: impl Fn(&[T; 3]) -> T,
-        body_n: impl FnOnce() -> T,
+        body_n: T,
     ) {
         self.since += dt_s;
         self.released += dt_s;
@@ -141,7 +146,7 @@ impl<T: Scalar> Track<T> {
             *self = Self { way, since: self.since, released: T::zero(), person, ..Self::none() };
             return;
         }
-        let body_n = body_n();
+        let body_n = body_n.max(sample.force_n);
         let depth = settings.reading.depth_m(body_n);
         let known = self.released < of(settings.forget_s);
         let assumed = if known { self.person } else { of(settings.first_speed_m_s) };
