@@ -541,6 +541,19 @@ mod tests {
     }
 
     #[test]
+    fn out_of_a_reflex_the_arm_itself_is_asked_to_resume() {
+        let mut supervisor = armed();
+        let reflex = Facts { plant_fault: Some(Fault::ArmReflex), ..GOOD };
+        assert_eq!(supervisor.step(&reflex, None).mode, Mode::ProtectiveStop);
+        let decision = supervisor.step(&reflex, Some(Request::Resume));
+        assert_eq!((decision.outcome, decision.carry_out), (None, Some(Request::Resume)));
+        assert_eq!(decision.mode, Mode::ProtectiveStop);
+        let decision = supervisor.step(&GOOD, Some(Request::Resume));
+        assert_eq!((decision.outcome, decision.carry_out), (Some(Ok(())), None));
+        assert_eq!(decision.mode, Mode::Ready);
+    }
+
+    #[test]
     fn nobody_arms_a_robot_that_is_being_touched() {
         let touched = Facts { touch: Touch::strongest(&[0.0, 3.0, 12.0, 12.0, 0.0]), ..GOOD };
         let refusal = Err(Refusal::Touched { taxel: 3, force_n: 12.0 });
