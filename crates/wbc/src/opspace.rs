@@ -84,7 +84,7 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
     /// # Errors
     /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
     pub fn torque(&self, wrench: &[T; 6], null_torque: &[T; N]) -> Result<[T; N], ControlError> {
-        let factor = Cholesky::new_shifted(&self.inverse_task_inertia).ok_or(SINGULAR)?;
+        let factor = self.task_inertia()?;
         let wanted = difference(&times(&self.inverse_task_inertia, wrench), &self.acceleration(null_torque));
         let task = transpose_times(self.kinematics.arm_jacobian(), &factor.solve(&wanted));
         Ok(core::array::from_fn(|i| null_torque[i] + task[i]))
@@ -105,7 +105,7 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
     /// # Errors
     /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
     pub fn torque_for_refused(&self, refused: &[T; 3]) -> Result<[T; N], ControlError> {
-        let mut factor = Cholesky::new_shifted(&self.inverse_task_inertia).ok_or(SINGULAR)?;
+        let mut factor = self.task_inertia()?;
         let short = factor.diagonal().iter().fold(T::zero(), |most, &pivot| most.max(of::<T>(HEAVY) - pivot));
         if short > T::zero() {
             let mut shifted = self.inverse_task_inertia;
@@ -123,8 +123,18 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
     /// # Errors
     /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
     pub fn wrench(&self, torque: &[T; N]) -> Result<[T; 6], ControlError> {
-        let factor = Cholesky::new_shifted(&self.inverse_task_inertia).ok_or(SINGULAR)?;
-        Ok(factor.solve(&self.acceleration(torque)))
+        Ok(self.task_inertia()?.solve(&self.acceleration(torque)))
+    }
+
+    /// Λ of the arm alone, as the factors of its inverse.
+    #[inline]
+    pub(crate) fn task_inertia(&self) -> Result<Cholesky<6, T>, ControlError> {
+        Cholesky::new_shifted(&self.inverse_task_inertia).ok_or(SINGULAR)
+    }
+
+    /// M_A⁻¹ J_Aᵀ·F: what a wrench at the tool makes the joints do.
+    pub(crate) fn response(&self, wrench: &[T; 6]) -> [T; N] {
+        self.mass.solve(&transpose_times(self.kinematics.arm_jacobian(), wrench))
     }
 }
 

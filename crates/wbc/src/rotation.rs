@@ -65,6 +65,20 @@ impl<T: Scalar> Heading<T> {
     }
 }
 
+/// Both halves of a twist or wrench in other axes, about the same point.
+///
+/// ```
+/// use moca_wbc::rotation::{Heading, turned};
+///
+/// let facing_left = Heading::at(std::f64::consts::FRAC_PI_2).matrix();
+/// let [fx, fy, ..] = turned(&facing_left, &[10.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+/// assert!(fx.abs() < 1e-12 && (fy - 10.0).abs() < 1e-12);
+/// ```
+pub fn turned<T: Scalar>(rotation: &Matrix3<T>, &[vx, vy, vz, wx, wy, wz]: &[T; 6]) -> [T; 6] {
+    let (v, w) = (rotation * Vector3::new(vx, vy, vz), rotation * Vector3::new(wx, wy, wz));
+    [v.x, v.y, v.z, w.x, w.y, w.z]
+}
+
 /// Unit quaternion (x, y, z, w), w ≥ 0, of a rotation matrix (Shepperd's method: accurate at any angle).
 pub fn to_quaternion<T: Scalar>(r: &Matrix3<T>) -> [T; 4] {
     let (one, two) = (T::one(), of::<T>(2.0));

@@ -8,6 +8,8 @@ use anyhow::{Context, Result, anyhow, ensure};
 use moca_franka::{ArmState, Carried, Fci, Settings};
 use moca_msgs::robot::resized;
 use moca_msgs::{Actuation, ArmLink, Fault, Outcome, Refusal, RobotState};
+use moca_wbc::nalgebra::Matrix3;
+use moca_wbc::rotation::{self, Heading};
 use std::time::Duration;
 
 /// The arm's thread runs above the loop: where the loop does not answer in time, it does.
@@ -18,8 +20,8 @@ pub struct FrankaArm {
     arm: Fci,
     /// `None` on a stand, and on a base that has a driver of its own.
     base: Option<StandInBase>,
-    /// Rotation of the arm's base in B, row by row, if the arm's own estimate of what pushes it is believed.
-    mounted: Option<[[f64; 3]; 3]>,
+    /// Axes of the arm's base in B, if the arm's own estimate of what pushes it is believed.
+    mounted: Option<Matrix3<f64>>,
     /// Of the last order, N·m: what an arm that does not know where down is leaves out of its torques.
     gravity_nm: [f64; JOINTS],
 }
@@ -34,7 +36,7 @@ impl FrankaArm {
         let stands_in = config.plant.parts.has_cover() && config.plant.base.driver == BaseDriver::Simulated;
         let base = stands_in.then(|| StandInBase::new(&config.robot.base, period_s));
         let believed = config.plant.arm.external_wrench == Believed::Arm;
-        let mounted = believed.then(|| rotation(config.robot.mount.rpy_rad));
+        let mounted = believed.then(|| rotation::from_rpy(config.robot.mount.rpy_rad));
         let arm = Fci::spawn(settings(config)?, say).context("the arm's thread")?;
         Ok(Self { arm, base, mounted, gravity_nm: [0.0; JOINTS] })
     }
@@ -95,24 +97,6 @@ pub(crate) fn ask_for_payload(config: &mut Config) -> Result<()> {
     Ok(())
 }
 
-/// Rz·Ry·Rx, row by row.
-fn rotation(rpy_rad: [f64; 3]) -> [[f64; 3]; 3] {
-    let [(sr, cr), (sp, cp), (sy, cy)] = rpy_rad.map(f64::sin_cos);
-    [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-}
-
-/// A wrench in other axes.
-fn turned(rotation: &[[f64; 3]; 3], wrench: &[f64; 6]) -> [f64; 6] {
-    std::array::from_fn(|i| {
-        let (row, part) = (&rotation[i % 3], &wrench[3 * (i / 3)..][..3]);
-        row.iter().zip(part).map(|(r, v)| r * v).sum()
-    })
-}
-
 impl Plant for FrankaArm {
     fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
         if let Some(fault) = self.arm.link().mode.hindrance() {
@@ -128,9 +112,8 @@ impl Plant for FrankaArm {
             dq_rad_s: resized(&state.dq_rad_s),
             torque_measured_nm: self.torque_measured_nm(state),
             flange_wrench_world: self.mounted.map(|mounted| {
-                let (sin, cos) = base_pose_world[2].sin_cos();
-                let in_body = turned(&mounted, &state.wrench_base);
-                turned(&[[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]], &in_body)
+                let axes_world = Heading::at(base_pose_world[2]).matrix() * mounted;
+                rotation::turned(&axes_world, &state.wrench_base)
             }),
         })
     }
@@ -180,7 +163,8 @@ mod tests {
     #[test]
     fn a_push_on_an_arm_that_is_mounted_askew_is_felt_where_it_comes_from() {
         // Its x axis points up: a push along it lifts the robot.
-        let wrench = turned(&rotation([0.0, -FRAC_PI_2, 0.0]), &[10.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
+        let mounted = rotation::from_rpy([0.0, -FRAC_PI_2, 0.0]);
+        let wrench = rotation::turned(&mounted, &[10.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
         for (found, expected) in wrench.iter().zip([0.0, 0.0, 10.0, 0.0, 2.0, 0.0]) {
             assert!((found - expected).abs() < 1e-12, "{wrench:?}");
         }

@@ -9,6 +9,7 @@ use moca_msgs::{Actuation, ArmLink, Fault, Outcome, RobotCommand, RobotState};
 use moca_ros2::base::{BaseSettings, Reliable, Ros2Base};
 use moca_ros2::dds::Dds;
 use moca_ros2::transport::Transport;
+use moca_wbc::rotation::{self, Heading};
 use std::net::IpAddr;
 use std::time::Duration;
 
@@ -73,8 +74,9 @@ impl<A: Plant> Plant for OnRos2Base<A> {
         let mut state = self.arm.read()?;
         if let Some(base) = base {
             (state.base_pose_world, state.base_velocity_world) = (base.pose_world, base.velocity_world);
+            let axes = Heading::at(base.pose_world[2]).matrix();
             state.flange_wrench_world =
-                state.flange_wrench_world.map(|wrench| turned(wrench, base.pose_world[2]));
+                state.flange_wrench_world.map(|wrench| rotation::turned(&axes, &wrench));
         }
         Ok(state)
     }
@@ -109,12 +111,6 @@ impl<A: PlantClock> PlantClock for OnRos2Base<A> {
     fn receive(&mut self, timeout: Duration) -> Datagram {
         self.arm.receive(timeout)
     }
-}
-
-/// A wrench in the axes of B, in those of W.
-fn turned([fx, fy, fz, mx, my, mz]: [f64; 6], yaw_rad: f64) -> [f64; 6] {
-    let (sin, cos) = yaw_rad.sin_cos();
-    [cos * fx - sin * fy, sin * fx + cos * fy, fz, cos * mx - sin * my, sin * mx + cos * my, mz]
 }
 
 #[cfg(test)]

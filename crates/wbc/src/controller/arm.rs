@@ -259,15 +259,20 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
 
     /// Moves reference and posture on by one step.
     #[inline]
-    pub(super) fn advance(&self, tick: &ArmTick<'_, N, T>, state: &mut ArmState<N, T>) {
+    pub(super) fn advance(
+        &self,
+        tick: &ArmTick<'_, N, T>,
+        arm: &ArmDynamics<'_, N, T>,
+        state: &mut ArmState<N, T>,
+    ) -> Result<(), ControlError> {
         if state.is_led() {
             let limits = JointLimits { speeds: &self.joint_speeds, repulsion: &self.repulsion };
-            state.advance_lead(&self.model, tick, limits);
+            state.advance_lead(&self.model, tick, arm, limits)?;
             if !state.leads_posture() {
                 approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
             }
             self.keep_posture_near(tick, state);
-            return;
+            return Ok(());
         }
         let actual = match state.law {
             ControlLaw::FollowMe => seen_from_base(&tick.flange, tick.kinematics, tick.robot),
@@ -275,6 +280,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         };
         state.reference.advance(&actual, state.held_back.as_ref(), tick.dt_s);
         approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
+        Ok(())
     }
 
     /// Keeps the posture so near that the null space goes there no faster than joints are led: at K_0·e/D_0.
@@ -300,7 +306,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         arm: &ArmDynamics<'_, N, T>,
         hit: &mut LimitsHit,
     ) -> Result<([T; N], Tracking<T>), ControlError> {
-        self.advance(tick, state);
+        self.advance(tick, arm, state)?;
         let (wrench, tracking) = tick.task_wrench(state, &[T::zero(); 6], arm.inverse_task_inertia(), hit)?;
         let torque = arm.torque(&wrench, &tick.posture_torque(state))?;
         Ok((core::array::from_fn(|i| torque[i] + tick.dynamics.bias[i]), tracking))

@@ -7,10 +7,11 @@
 //! slowed down joint by joint ([`slowing_torque`]), by dampers that only take energy.
 
 use super::tick::ArmTick;
+use crate::error::ControlError;
 use crate::limits::{JointRepulsion, JointSpeeds};
-use crate::linalg::{Cholesky, times, transpose_times};
+use crate::linalg::Cholesky;
+use crate::opspace::ArmDynamics;
 use crate::scalar::{Scalar, of};
-use nalgebra::SMatrix;
 
 /// Share of their largest speeds at which joints are led.
 pub(super) const LED_SHARE: f64 = 0.3;
@@ -41,9 +42,8 @@ pub(super) fn slowing_torque<const N: usize, T: Scalar>(
 
 /// The joint rates that the law gives an arm whose tool it moves: q̇ = M⁻¹Jᵀ(J·M⁻¹Jᵀ)⁻¹·ν, on a standing base.
 pub(super) struct JointPace<'a, const N: usize, T> {
-    jacobian: &'a SMatrix<T, 6, N>,
-    mass: Cholesky<N, T>,
-    inverse_task_inertia: Cholesky<6, T>,
+    arm: &'a ArmDynamics<'a, N, T>,
+    task_inertia: Cholesky<6, T>,
     /// How fast the law makes up for an error along and about each axis of W, 1/s.
     catches_up: [T; 6],
     limits: JointLimits<'a, N, T>,
@@ -58,34 +58,27 @@ pub(super) struct JointLimits<'a, const N: usize, T> {
 }
 
 impl<'a, const N: usize, T: Scalar> JointPace<'a, N, T> {
-    /// At a step's posture and the law's stiffness, N/m and N·m/rad; `None` where the inertia is not positive.
+    /// Of an arm at joint angles `q_rad` under a law of this stiffness, N/m and N·m/rad.
+    ///
+    /// # Errors
+    /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
     pub(super) fn at(
-        tick: &ArmTick<'a, N, T>,
+        arm: &'a ArmDynamics<'a, N, T>,
+        q_rad: &'a [T; N],
         stiffness: &[T; 6],
         limits: JointLimits<'a, N, T>,
-    ) -> Option<Self> {
-        let jacobian = tick.kinematics.arm_jacobian();
-        let mass = Cholesky::new(&tick.dynamics.mass)?;
-        let mut mobility = SMatrix::<T, 6, 6>::zeros();
-        for i in 0..6 {
-            let row: [T; N] = core::array::from_fn(|joint| jacobian[(i, joint)]);
-            let column = times(jacobian, &mass.solve(&row));
-            for j in 0..6 {
-                mobility[(j, i)] = column[j];
-            }
-        }
+    ) -> Result<Self, ControlError> {
+        let mobility = arm.inverse_task_inertia();
         let catches_up = core::array::from_fn(|i| {
             of::<T>(CRITICAL_SPEED) * (stiffness[i] * mobility[(i, i)]).max(T::zero()).sqrt()
         });
-        let inverse_task_inertia = Cholesky::new_shifted(&mobility)?;
-        Some(Self { jacobian, mass, inverse_task_inertia, catches_up, limits, q_rad: &tick.robot.q_rad })
+        Ok(Self { arm, task_inertia: arm.task_inertia()?, catches_up, limits, q_rad })
     }
 
     /// How much of its largest speed the fastest joint has when the tool has this twist, world axes: 1 is all of it. Towards
     /// the end of a range less and less is allowed: where the arm is pushed back nobody leads it on.
     pub(super) fn share(&self, twist_world: &[T; 6]) -> T {
-        let wrench = self.inverse_task_inertia.solve(twist_world);
-        let dq_rad_s = self.mass.solve(&transpose_times(self.jacobian, &wrench));
+        let dq_rad_s = self.arm.response(&self.task_inertia.solve(twist_world));
         let JointLimits { speeds, repulsion } = self.limits;
         (0..N).fold(T::zero(), |most, i| {
             let (q, dq) = (self.q_rad[i], dq_rad_s[i]);

@@ -10,6 +10,7 @@ use crate::error::{ControlError, finite};
 use crate::linalg::times;
 use crate::model::ArmModel;
 use crate::online_trajectory::{Axis, AxisBounds};
+use crate::opspace::ArmDynamics;
 use crate::reference::{HeldBack, Pose};
 use crate::reference_generator::{Goal, Leash, PoseGenerator, ReferenceBounds, TwistAxes, Workspace};
 use crate::rotation;
@@ -86,13 +87,17 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
     }
 
     /// Moves reference and posture on by one step where something leads them; to rest while joints are too fast.
+    ///
+    /// # Errors
+    /// As for [`JointPace::at`].
     pub(super) fn advance_lead(
         &mut self,
         model: &ArmModel<N, T>,
         tick: &ArmTick<'_, N, T>,
+        arm: &ArmDynamics<'_, N, T>,
         limits: JointLimits<'_, N, T>,
-    ) {
-        let Some(mut lead) = self.lead else { return };
+    ) -> Result<(), ControlError> {
+        let Some(mut lead) = self.lead else { return Ok(()) };
         let speeds = limits.speeds;
         let waits = speeds.share(&tick.robot.q_rad, &tick.robot.dq_rad_s) > of(WAITING_SHARE);
         let frame = Frame { tick, law: self.law };
@@ -106,7 +111,7 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
                     actual: frame.actual(),
                     workspace: workspace.as_ref(),
                     held_back: self.held_back.as_ref(),
-                    pace: JointPace::at(tick, &self.gains.stiffness, limits),
+                    pace: JointPace::at(arm, &tick.robot.q_rad, &self.gains.stiffness, limits)?,
                 };
                 generator.step_on_leash(&goal, bounds, &leash, tick.dt_s);
                 *reached = generator.has_reached(&wanted);
@@ -140,6 +145,7 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
             }
         }
         self.lead = Some(lead);
+        Ok(())
     }
 
     /// Whether a posture is led, which the configured one then does not pull at.
@@ -166,13 +172,17 @@ struct ToolLeash<'a, const N: usize, T> {
     actual: Pose<T>,
     workspace: Option<&'a Workspace<T>>,
     held_back: Option<&'a HeldBack<T>>,
-    pace: Option<JointPace<'a, N, T>>,
+    pace: JointPace<'a, N, T>,
 }
 
 impl<const N: usize, T: Scalar> ToolLeash<'_, N, T> {
     /// A twist or an error of the reference's frame, in world axes.
     fn world(&self, twist: &[T; 6]) -> [T; 6] {
-        if self.frame.is_base() { turned(&self.frame.tick.kinematics.base_rotation, twist) } else { *twist }
+        if self.frame.is_base() {
+            rotation::turned(&self.frame.tick.kinematics.base_rotation, twist)
+        } else {
+            *twist
+        }
     }
 }
 
@@ -193,12 +203,11 @@ impl<const N: usize, T: Scalar> Leash<T> for ToolLeash<'_, N, T> {
     }
 
     fn joints_too_fast(&self, twist: &[T; 6]) -> T {
-        self.pace.as_ref().map_or(T::zero(), |pace| pace.share(&self.world(twist)) / of(LED_SHARE))
+        self.pace.share(&self.world(twist)) / of(LED_SHARE)
     }
 
     fn joints_beyond(&self, error: &[T; 6]) -> T {
-        let share = self.pace.as_ref().map_or(T::zero(), |pace| pace.share_to_catch_up(&self.world(error)));
-        (share - of(LED_SHARE)).max(T::zero())
+        (self.pace.share_to_catch_up(&self.world(error)) - of(LED_SHARE)).max(T::zero())
     }
 }
 
@@ -245,9 +254,9 @@ impl<const N: usize, T: Scalar> Frame<'_, N, T> {
             ToolTarget::Twist(axes, twist) => {
                 let base = &self.tick.kinematics.base_rotation;
                 Goal::Twist(match (axes, self.is_base()) {
-                    (TwistAxes::World, true) => turned(&base.transpose(), &twist),
-                    (TwistAxes::Base, false) => turned(base, &twist),
-                    (TwistAxes::Flange, _) => turned(rotation, &twist),
+                    (TwistAxes::World, true) => rotation::turned(&base.transpose(), &twist),
+                    (TwistAxes::Base, false) => rotation::turned(base, &twist),
+                    (TwistAxes::Flange, _) => rotation::turned(rotation, &twist),
                     (TwistAxes::World, false) | (TwistAxes::Base, true) => twist,
                 })
             }
@@ -268,10 +277,4 @@ impl<const N: usize, T: Scalar> Frame<'_, N, T> {
         let pose = Pose { position, rotation: kinematics.tool_rotation };
         (pose, times(kinematics.arm_jacobian(), dq_rad_s))
     }
-}
-
-/// Both halves of a twist in other axes.
-fn turned<T: Scalar>(rotation: &Matrix3<T>, &[vx, vy, vz, wx, wy, wz]: &[T; 6]) -> [T; 6] {
-    let (v, w) = (rotation * Vector3::new(vx, vy, vz), rotation * Vector3::new(wx, wy, wz));
-    [v.x, v.y, v.z, w.x, w.y, w.z]
 }

@@ -282,7 +282,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         hit: &mut LimitsHit,
     ) -> Result<Wanted<'a, N, T>, ControlError> {
         let tick = step.tick;
-        self.arm.advance(tick, &mut state.arm);
+        self.arm.advance(tick, arm, &mut state.arm)?;
         let gains = &state.base.gains;
         let task = TaskDynamics::new(gains.virtual_mass, arm);
         let base = tick.kinematics.twist_from_base(&tick.robot.base_velocity_world);
