@@ -117,6 +117,7 @@ impl<T: Scalar> Track<T> {
         way: impl Fn(&[T; 3]) -> T,
         body_n: T,
     ) {
+        let is_new = self.is_new(sample, dt_s);
         self.since += dt_s;
         self.released += dt_s;
         if !self.touched() {
@@ -129,7 +130,7 @@ impl<T: Scalar> Track<T> {
             return;
         };
         self.blind_from = None;
-        if sample.age_s + of::<T>(0.5) * dt_s >= self.since {
+        if !is_new {
             return; // the same reading as before
         }
         let interval = self.since - sample.age_s;
