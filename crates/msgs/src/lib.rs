@@ -59,3 +59,20 @@ pub const fn seconds(ns: u64) -> f64 {
     let ns = ns as f64;
     ns / 1e9
 }
+
+/// A time in seconds as the nearest ns; what lies outside of a `u64` ends there, and NaN is 0.
+///
+/// ```
+/// assert_eq!(moca_msgs::nanoseconds(0.002_5), 2_500_000);
+/// assert_eq!(moca_msgs::nanoseconds(1.6e-9), 2);
+/// assert_eq!(moca_msgs::nanoseconds(-1.0), 0);
+/// assert_eq!(moca_msgs::nanoseconds(f64::INFINITY), u64::MAX);
+/// ```
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates, as it says")]
+#[expect(clippy::cast_precision_loss, reason = "a whole number that was one before")]
+pub const fn nanoseconds(time_s: f64) -> u64 {
+    let ns = time_s * 1e9;
+    let whole = ns as u64;
+    // `round` is not in `core`
+    if ns - whole as f64 >= 0.5 { whole.saturating_add(1) } else { whole }
+}

@@ -6,7 +6,7 @@ use crate::control::tick_input::{Slot, TickInput};
 use crate::record::tick_log::{PortEvent, TickRecord};
 use crate::robot::JOINTS;
 use anyhow::{Context, Result, ensure};
-use moca_msgs::{ArmLink, Fault, Outcome, Request, RobotState, STAGES, Sample};
+use moca_msgs::{ArmLink, Fault, Outcome, Request, RobotState, STAGES, Sample, nanoseconds};
 use moca_telemetry::log::columns::{ColumnReader, ColumnWriter, DamagedColumns, Rate};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -159,7 +159,7 @@ pub fn encode(ticks: &[ComparedTick], period_s: f64) -> Vec<u8> {
     let integers = |of: &dyn Fn(&Slot) -> u64| -> Vec<u64> { slots.iter().map(of).collect() };
     out.integers(&integers(&|slot| slot.tick));
     // When it was due goes on in equal steps: what it was late is noise, and is paid for once.
-    out.integers(&integers(&|slot| slot.now_ns.wrapping_sub(whole_ns(slot.lateness_s))));
+    out.integers(&integers(&|slot| slot.now_ns.wrapping_sub(nanoseconds(slot.lateness_s))));
     out.integers(&integers(&|slot| slot.ticks));
     out.integers(&integers(&|slot| slot.overruns));
     for stage in 0..STAGES.len() {
@@ -224,16 +224,6 @@ fn flags(tick: &ComparedTick) -> u64 {
     flag(state.is_ok(), STATE_KNOWN)
         | flag(state.is_ok_and(|state| state.flange_wrench_world.is_some()), WRENCH_KNOWN)
         | flag(tick.sample.is_some(), SAMPLE_KNOWN)
-}
-
-/// The nearest whole ns, 0 of what has none.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "saturates, and the same each time"
-)]
-fn whole_ns(time_s: f64) -> u64 {
-    (time_s * 1e9).round() as u64
 }
 
 fn step_s(slot: &Slot, period_s: f64) -> f64 {
@@ -325,7 +315,7 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<ComparedTick>> {
     let has = |row: usize, flag: u64| flags[row] & flag != 0;
     let lateness_s = columns.numbers(None, rows)?;
     for (slot, lateness_s) in slots.iter_mut().zip(lateness_s) {
-        slot.now_ns = slot.now_ns.wrapping_add(whole_ns(lateness_s));
+        slot.now_ns = slot.now_ns.wrapping_add(nanoseconds(lateness_s));
         slot.lateness_s = lateness_s;
     }
     let (arm_s, base_s) = (columns.numbers(None, rows)?, columns.numbers(None, rows)?);

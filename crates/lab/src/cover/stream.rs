@@ -1,7 +1,7 @@
 //! `moca-lab stream`: what the reader makes of a recorded byte stream.
 
 use anyhow::{Context, ensure};
-use moca_msgs::{Fault, seconds};
+use moca_msgs::{Fault, nanoseconds, seconds};
 use moca_tactile::Firmware;
 use moca_tactile::board::{BoardMonitor, Diagnosis, MAX_ELECTRODES, STALL_GAP_NS, SampledFrame};
 use moca_tactile::datastream::{ELECTRODES, FDAT_MAX};
@@ -99,13 +99,7 @@ fn read_times(path: &Path, stream_bytes: usize) -> anyhow::Result<Vec<Read>> {
             number + 1
         );
         last_s = seconds;
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "checked to be 0 to 1e18 ns"
-        )]
-        let arrival_ns = (seconds * 1e9).round() as u64;
-        reads.push(Read { arrival_ns, bytes });
+        reads.push(Read { arrival_ns: nanoseconds(seconds), bytes });
     }
     let total: usize = reads.iter().map(|read| read.bytes).sum();
     ensure!(

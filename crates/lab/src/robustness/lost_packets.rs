@@ -103,10 +103,7 @@ impl Line {
         self.report.ticks += 1;
         if moves {
             let state = self.world.state();
-            let joints = moca_franka::JOINTS;
-            let share = (0..joints)
-                .map(|i| state.dq_rad_s[i].abs() / speeds.largest(i, state.q_rad[i], state.dq_rad_s[i]))
-                .fold(0.0, f64::max);
+            let share = speeds.share(&state.q_rad, &state.dq_rad_s);
             self.report.driven += 1;
             self.report.largest_share_of_joint_speed = self.report.largest_share_of_joint_speed.max(share);
         }

@@ -1,7 +1,7 @@
 //! A log, played at the speed at which it was recorded. Only what is shown of it is in memory.
 
 use super::log_thread::{LogThread, Opened, Stretch, Told};
-use moca_msgs::{Sample, seconds};
+use moca_msgs::{Sample, nanoseconds, seconds};
 use moca_telemetry::{
     RobotDescription,
     calibration::CalibrationProgress,
@@ -275,16 +275,6 @@ impl Held {
     fn until(&self, at_ns: u64) -> Option<u64> {
         self.stretch.as_ref().filter(|held| held.contains(&at_ns)).map(|held| *held.end())
     }
-}
-
-/// The nearest instant to `time_s`, ns.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "a time of a log, which saturates"
-)]
-fn nanoseconds(time_s: f64) -> u64 {
-    (time_s * 1e9).round() as u64
 }
 
 /// How far something has come that takes more than a moment, and how long it will yet take.
