@@ -374,6 +374,8 @@ mod tests {
             (&[(5, 0.1)], [0.3, 0.2, 0.4], [0.1, 0.2, 0.4]),
             (&[(5, 0.1), (1, 0.05), (2, 0.05)], [0.3, 0.2, 0.0], [0.1, 0.05, 0.0]),
             (&[(5, -0.1)], [0.0, 0.2, 0.0], [-0.1, 0.2, 0.0]),
+            // more than nearly always are limited, and only the last of them acts
+            (&[(1, 0.9), (2, 0.9), (3, 0.9), (5, 0.1)], [0.3, 0.2, 0.0], [0.1, 0.2, 0.0]),
         ] {
             let kept = nearest(most, wanted);
             assert!(near(kept, expected), "{most:?}: {kept:?}");
