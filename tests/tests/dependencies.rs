@@ -18,7 +18,7 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
         &["serde", "log", "tracing", "tokio", "serialport", "mujoco-rs", "egui"],
     ),
     ("moca-ros2", &["moca-msgs", "moca-telemetry"], &["rustdds", "tokio", "nalgebra", "egui"]),
-    ("moca-sim", &["moca-msgs", "moca-tactile"], &["egui", "tokio", "nalgebra"]),
+    ("moca-sim", &["moca-msgs", "moca-tactile", "moca-wbc"], &["egui", "tokio"]),
     (
         "moca-daemon",
         &[

@@ -39,6 +39,7 @@ const READ_ELSEWHERE: &[(&str, &str)] = &[
     ("plant.base.driver", "daemon/src/runtime/run.rs"),
     ("plant.base.deadline_s", "daemon/src/control/law.rs"),
     ("plant.base.ros2.domain", "daemon/src/devices/ros2_base.rs"),
+    ("plant.base.ros2.router", "daemon/src/devices/ros2_base.rs"),
     ("plant.base.ros2.interface", "daemon/src/devices/ros2_base.rs"),
     ("plant.base.ros2.cmd_vel", "daemon/src/devices/ros2_base.rs"),
     ("plant.base.ros2.stamped", "daemon/src/devices/ros2_base.rs"),

@@ -6,7 +6,7 @@ use crate::cover::{detection, latency, other_senses};
 use crate::numerics::{barrier, stability};
 use crate::paper::report::claims;
 use crate::rig::c_library;
-use crate::robustness::{faults, lean, targets};
+use crate::robustness::{faults, lean, protection, targets};
 use anyhow::{Context, Result, bail, ensure};
 use std::path::{Path, PathBuf};
 
@@ -37,6 +37,7 @@ const TABLES: &[Table] = &[
     Table { name: "boards", file: "README.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
     Table { name: "barrier", file: "docs/math.md", make: barrier::markdown },
+    Table { name: "protection", file: "docs/results.md", make: protection::markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
 ];
 

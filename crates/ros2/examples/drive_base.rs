@@ -1,12 +1,14 @@
-//! Drives a base slowly over DDS and says what came back: orders at the loop's rate for a while, then none at all.
+//! Drives a base slowly over DDS, or over zenoh if a router is given, and says what came back: orders at the loop's rate for a while, then none at all.
 //!
 //!     cargo run -p moca-ros2 --features dds --example drive_base -- 42 /cmd_vel /odom twist 5 0.02
+//!     cargo run -p moca-ros2 --features dds,zenoh --example drive_base -- 42 /cmd_vel /odom twist 5 0.02 tcp/127.0.0.1:7447
 //!
-//! Domain, topics, `twist` or `stamped`, seconds, m/s. The last line is JSON, for `.ci/ros2`.
+//! Domain, topics, `twist` or `stamped`, seconds, m/s, router. The last line is JSON, for `.ci/ros2`.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program")]
 
 use moca_ros2::base::{BaseSettings, Reliable, Ros2Base};
 use moca_ros2::dds::Dds;
+use moca_ros2::transport::Transport;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 
@@ -15,8 +17,14 @@ const SILENT: Duration = Duration::from_secs(1);
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [domain, cmd_vel, odom, kind, seconds, speed_m_s] = &arguments[..] else {
-        return Err("give DOMAIN CMD_VEL ODOM twist|stamped SECONDS SPEED_M_S".into());
+    let [domain, cmd_vel, odom, kind, seconds, speed_m_s, router @ ..] = &arguments[..] else {
+        return Err("give DOMAIN CMD_VEL ODOM twist|stamped SECONDS SPEED_M_S [ROUTER]".into());
+    };
+    let transport: Box<dyn Transport + Send> = match router {
+        #[cfg(feature = "zenoh")]
+        [router] => Box::new(moca_ros2::zenoh::Zenoh::join(domain.parse()?, router)?),
+        [] => Box::new(Dds::join(domain.parse()?, &[])?),
+        _ => return Err("a router needs a build with --features dds,zenoh".into()),
     };
     let settings = BaseSettings {
         cmd_vel: cmd_vel.clone(),
@@ -30,8 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         velocity_max: [1.5, 1.5, 2.0],
     };
     let speed_m_s: f64 = speed_m_s.parse()?;
-    let mut base =
-        Ros2Base::spawn(settings, Box::new(Dds::join(domain.parse()?, &[])?), |text| eprintln!("{text}"))?;
+    let mut base = Ros2Base::spawn(settings, transport, |text| eprintln!("{text}"))?;
     let end = Instant::now() + Duration::from_secs_f64(seconds.parse()?);
     let (mut stale, mut was_stale, mut heard) = (0, true, false);
     while Instant::now() < end {

@@ -3,9 +3,15 @@
 //! A call says who calls in one of two ways, by the caller's ROS middleware: beside the payload (Fast DDS) or in its first
 //! 16 bytes (Cyclone DDS). A call of a service without arguments tells by its length which; the answer goes back the same
 //! way.
+//!
+//! The threads of `rustdds` end, without a word, when a signal interrupts them while they wait: after SIGSTOP and SIGCONT, a
+//! debugger, a computer that was suspended. Nothing is heard from then on. This is noticed by what they leave behind, and
+//! the domain is joined anew under the same ids.
 
 use crate::TypeName;
-use crate::transport::{Caller, Endpoint, Qos, ReaderId, ServiceId, Transport, TransportError, WriterId};
+use crate::transport::{
+    Caller, Endpoint, Qos, ReaderId, ServiceId, Transport, TransportError, WriterId, absolute,
+};
 use bytes::Bytes;
 use rustdds::no_key::{
     DataReader, DataWriter, Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter,
@@ -16,11 +22,11 @@ use rustdds::{
     RepresentationIdentifier, SampleIdentity, SequenceNumber, Subscriber, Topic, TopicKind,
     WriteOptionsBuilder, mio1 as mio,
 };
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::convert::Infallible;
 use std::fmt::Display;
 use std::net::IpAddr;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// What Cyclone DDS puts before a call's arguments: the caller, and its number of the call.
 const CALL_HEADER_BYTES: usize = 16;
@@ -32,6 +38,8 @@ const ENCODING_BYTES: usize = 4;
 const BARE_CALL_BYTES: usize = ENCODING_BYTES + 4;
 /// How long a reliable writer may keep a message that nobody confirms.
 const RELIABLE_FOR: rustdds::Duration = rustdds::Duration::from_millis(100);
+/// How often discovery is asked whether it still runs, and a domain that was lost is joined at most.
+const LOOK_AFTER: Duration = Duration::from_secs(1);
 
 /// A payload as it is, byte order first.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -83,8 +91,26 @@ impl DefaultDecoder<Payload> for AsItIs {
 type Writer = DataWriter<Payload, AsItIs>;
 type Reader = DataReader<Payload, AsItIs>;
 
+/// What somebody asked for, and asks for again in a new participant.
+#[derive(Clone)]
+enum Announced {
+    Writer(String, TypeName, Qos),
+    Reader(String, TypeName, Qos),
+    Service(String, TypeName),
+}
+
 /// A participant of one domain.
 pub struct Dds {
+    domain: u16,
+    interfaces: Vec<IpAddr>,
+    announced: Vec<Announced>,
+    /// The last payload of each writer that is [`Qos::Latched`].
+    latched: BTreeMap<usize, Vec<u8>>,
+    /// Whether a thread of the participant has ended, and when discovery was asked last.
+    ended: bool,
+    looked: Instant,
+    tried: Option<Instant>,
+    rejoined: u64,
     participant: DomainParticipant,
     publisher: Publisher,
     subscriber: Subscriber,
@@ -114,6 +140,14 @@ impl Dds {
         let publisher = participant.create_publisher(&qos).map_err(|error| failed("DDS", &error))?;
         let subscriber = participant.create_subscriber(&qos).map_err(|error| failed("DDS", &error))?;
         Ok(Self {
+            domain,
+            interfaces: interfaces.to_vec(),
+            announced: Vec::new(),
+            latched: BTreeMap::new(),
+            ended: false,
+            looked: Instant::now(),
+            tried: None,
+            rejoined: 0,
             participant,
             publisher,
             subscriber,
@@ -124,6 +158,38 @@ impl Dds {
             poll: mio::Poll::new().map_err(|error| failed("DDS", &error))?,
             events: mio::Events::with_capacity(32),
         })
+    }
+
+    /// Whether a thread of the participant has ended. The one that receives holds the other end of each reader's socket, the
+    /// one of discovery that of its commands.
+    fn has_ended(&mut self) -> bool {
+        self.ended |= self.events.iter().any(mio::event::Event::is_read_closed);
+        if !self.ended && self.looked.elapsed() > LOOK_AFTER {
+            self.looked = Instant::now();
+            // A command that changes nothing here: no writer of ours is alive by its participant's word.
+            self.ended = self.participant.assert_liveliness().is_err();
+        }
+        self.ended
+    }
+
+    /// Another participant in place of this one, with the same readers, writers and services.
+    fn rejoin(&mut self) -> Result<(), TransportError> {
+        let mut anew = Self::join(self.domain, &self.interfaces)?;
+        for announced in self.announced.clone() {
+            match announced {
+                Announced::Writer(topic, of, qos) => drop(anew.writer(&topic, of, qos)?),
+                Announced::Reader(topic, of, qos) => drop(anew.reader(&topic, of, qos)?),
+                Announced::Service(name, of) => drop(anew.service(&name, of)?),
+            }
+        }
+        for (writer, payload) in self.latched.iter().filter(|(_, payload)| !payload.is_empty()) {
+            anew.write(WriterId(*writer), payload)?;
+        }
+        // Others believe in the old one for a while; it is no stranger.
+        anew.ours.append(&mut self.ours);
+        anew.rejoined = self.rejoined + 1;
+        *self = anew;
+        Ok(())
     }
 
     fn topic(&self, name: &str, type_dds: String, qos: &QosPolicies) -> Result<Topic, TransportError> {
@@ -164,13 +230,18 @@ impl Dds {
 impl Transport for Dds {
     fn writer(&mut self, topic: &str, of: TypeName, qos: Qos) -> Result<WriterId, TransportError> {
         let writer = self.write_to(&format!("rt{}", absolute(topic)?), of.dds(), &policies(qos))?;
+        if qos == Qos::Latched {
+            self.latched.insert(self.writers.len(), Vec::new());
+        }
         self.writers.push(writer);
+        self.announced.push(Announced::Writer(topic.into(), of, qos));
         Ok(WriterId(self.writers.len() - 1))
     }
 
     fn reader(&mut self, topic: &str, of: TypeName, qos: Qos) -> Result<ReaderId, TransportError> {
         let reader = self.read_from(&format!("rt{}", absolute(topic)?), of.dds(), &policies(qos))?;
         self.readers.push(reader);
+        self.announced.push(Announced::Reader(topic.into(), of, qos));
         Ok(ReaderId(self.readers.len() - 1))
     }
 
@@ -181,10 +252,17 @@ impl Transport for Dds {
         let calls = self.read_from(&format!("rq{name}Request"), half("Request"), &kept)?;
         let answers = self.write_to(&format!("rr{name}Reply"), half("Response"), &kept)?;
         self.services.push((calls, answers));
+        self.announced.push(Announced::Service(name.into(), of));
         Ok(ServiceId(self.services.len() - 1))
     }
 
     fn write(&mut self, to: WriterId, payload: &[u8]) -> Result<(), TransportError> {
+        if let Some(last) = self.latched.get_mut(&to.0) {
+            *last = payload.to_vec();
+        }
+        if let Some(problem) = self.problem() {
+            return Err(TransportError(problem));
+        }
         let written = self.writers[to.0].write(Payload(payload.to_vec()), None);
         written.map_err(|error| TransportError(format!("DDS: {error}")))
     }
@@ -233,9 +311,25 @@ impl Transport for Dds {
     }
 
     fn wait(&mut self, most: Duration) {
+        if self.has_ended() && self.tried.is_none_or(|tried| tried.elapsed() > LOOK_AFTER) {
+            self.tried = Some(Instant::now());
+            // A network that is not back yet is tried again.
+            if self.rejoin().is_ok() {
+                return;
+            }
+        }
         if self.poll.poll(&mut self.events, Some(most)).is_err() {
             std::thread::sleep(most);
         }
+    }
+
+    fn problem(&self) -> Option<String> {
+        self.ended
+            .then(|| format!("DDS has ended and domain {} cannot be joined anew: no network", self.domain))
+    }
+
+    fn rejoined(&self) -> u64 {
+        self.rejoined
     }
 
     fn endpoints(&self) -> Vec<Endpoint> {
@@ -259,21 +353,6 @@ impl Transport for Dds {
 fn named(guid: GUID) -> String {
     let bytes: Vec<String> = guid.to_bytes().iter().map(|byte| format!("{byte:02x}")).collect();
     format!("DDS endpoint {}", bytes.join("."))
-}
-
-fn absolute(name: &str) -> Result<&str, TransportError> {
-    let parts = name.strip_prefix('/').map(|rest| rest.split('/')).into_iter().flatten();
-    let good = |part: &str| {
-        part.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
-            && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
-    };
-    let (count, named) = parts.fold((0, true), |(count, all), part| (count + 1, all && good(part)));
-    if count > 0 && named {
-        return Ok(name);
-    }
-    Err(TransportError(format!(
-        "{name:?} is no ROS name; allowed: /name or /name/name, of letters, digits and _"
-    )))
 }
 
 fn policies(qos: Qos) -> QosPolicies {
@@ -300,19 +379,4 @@ const fn reliable() -> Reliability {
 
 fn failed(what: &str, error: &impl Display) -> TransportError {
     TransportError(format!("{what}: {error}"))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_name_is_one_or_is_refused() {
-        for good in ["/cmd_vel", "/robot/robotnik_base_control/odom", "/_x1"] {
-            assert_eq!(absolute(good), Ok(good));
-        }
-        for bad in ["", "/", "cmd_vel", "/a//b", "/a/", "/1a", "/a b", "/grün", "~/odom"] {
-            assert!(absolute(bad).is_err_and(|error| error.0.contains("no ROS name")), "{bad}");
-        }
-    }
 }

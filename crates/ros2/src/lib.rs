@@ -3,7 +3,7 @@
 //!
 //! Without a feature this crate is pure: [`cdr`] and [`messages`], [`base::order`] (what is sent, and zero when the loop
 //! hangs) and [`base::odometry`] (what is believed) as functions of time given as an argument. The transports are
-//! features: `dds`.
+//! features: `dds`, `zenoh`.
 
 #![cfg_attr(
     test,
@@ -23,6 +23,9 @@ pub mod dds;
 #[cfg(feature = "bridge")]
 pub mod inputs;
 pub mod outputs;
+pub mod rmw_zenoh;
 pub mod transport;
+#[cfg(feature = "zenoh")]
+pub mod zenoh;
 
 pub use moca_telemetry::ros::{Message, TypeName, cdr, messages};

@@ -59,8 +59,7 @@ impl ContactState {
     pub fn step(&mut self, pressing: &Pressing<'_>) -> ContactForce {
         let &Pressing { foam, tissue, overlap_m, dt_s, yield_m_per_n, .. } = pressing;
         if overlap_m <= 0.0 {
-            (self.tissue_m, self.shear_m) = (0.0, 0.0);
-            return ContactForce { normal_n: self.foam.step(foam, 0.0, dt_s), along_n: 0.0 };
+            return ContactForce { normal_n: self.leave(foam, dt_s), along_n: 0.0 };
         }
         let before = *self;
         let damping = tissue.damping_n_s_per_m / dt_s;
@@ -74,6 +73,12 @@ impl ContactState {
         let normal_n = self.foam.step(foam, x_m, dt_s);
         self.tissue_m = overlap_m - x_m - normal_n * yield_m_per_n;
         ContactForce { normal_n, along_n: self.friction_n(pressing, x_m, normal_n) }
+    }
+
+    /// Nobody touches: the foam goes on by itself for `dt_s`. Gives its force on a plate that is gone, 0 N.
+    pub(crate) fn leave(&mut self, foam: &Foam, dt_s: f64) -> f64 {
+        (self.tissue_m, self.shear_m) = (0.0, 0.0);
+        self.foam.step(foam, 0.0, dt_s)
     }
 
     /// The foam shears until Coulomb's limit, then the body slips.

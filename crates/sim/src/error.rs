@@ -27,8 +27,14 @@ pub enum SimError {
         /// Physics step, s.
         step_s: f64,
     },
-    /// MuJoCo refused the model.
-    #[error("MuJoCo refused the model: {0}")]
+    /// The analytic engine was asked for what only MuJoCo can do.
+    #[error("the analytic engine cannot do {what}: take MuJoCo")]
+    NeedsMuJoCo {
+        /// What that is.
+        what: &'static str,
+    },
+    /// The engine refused the model.
+    #[error("the engine refused the model: {0}")]
     Model(String),
     /// A command that is not a number; nothing of it was applied.
     #[error("command: {name} = {value} is not finite")]
@@ -58,10 +64,10 @@ pub enum SimError {
         /// What the system says.
         reason: String,
     },
-    /// MuJoCo raised a warning: the state is no longer to be trusted.
+    /// The engine raised a warning: the state is no longer to be trusted.
     #[error("simulation failed at t = {time_s} s: {warning}")]
     Unstable {
-        /// What MuJoCo says.
+        /// What it says.
         warning: &'static str,
         /// Simulation time, s.
         time_s: f64,

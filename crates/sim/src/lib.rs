@@ -1,7 +1,8 @@
 //! The simulated robot: everything that `mocad` would otherwise find in the laboratory.
 //!
 //! Read in this order:
-//! 1. [`scene`]: what there is ([`Scene`], [`Person`]); the MuJoCo model follows from it and holds nothing else.
+//! 1. [`scene`]: what there is ([`Scene`], [`Person`]) and what integrates it ([`Engine`]: MuJoCo, or base and arm by
+//!    the model of `moca-wbc`); the model follows from it and holds nothing else.
 //! 2. [`plant`]: [`SimPlant`], the Panda on its velocity-controlled base, stepped one control period at a time.
 //! 3. [`foam`] and [`sensor`]: how a force on a taxel becomes a plate gap, counts, and noise.
 //! 4. [`board`]: [`VirtualBoard`], which turns forces into the bytes of a Touch Board at its rate and age;
@@ -13,6 +14,7 @@ pub mod board;
 pub mod contact;
 mod error;
 pub mod foam;
+mod mechanics;
 mod mjcf;
 mod outline;
 mod people;
@@ -27,7 +29,7 @@ pub use contact::Tissue;
 pub use error::SimError;
 pub use plant::{ModelSize, SimPlant};
 pub use pty::{PtyBoard, SharedForces};
-pub use scene::{BodyPart, Integrator, Mobility, Person, Robot, Scene, Shape};
+pub use scene::{BodyPart, Engine, Integrator, Mobility, Person, Robot, Scene, Shape};
 
 /// Version of the MuJoCo library that is linked.
 pub fn mujoco_version() -> &'static str {

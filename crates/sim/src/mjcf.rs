@@ -1,6 +1,6 @@
 //! MuJoCo's model of a scene, written from the robot tables. What the scene does not ask for is not in the text.
 //!
-//! Unless a scene asks for everything, there are no geoms: inertias come from the tables, and forces between people and
+//! Unless a scene asks for geoms, there are none: inertias come from the tables, and forces between people and
 //! cover are computed from the geometric gap (see `contact`), not by MuJoCo's collision detection.
 
 use crate::scene::{Integrator, Mobility, Robot, Scene, Shape};
@@ -37,19 +37,17 @@ pub(crate) fn mjcf(scene: &Scene) -> Result<String, fmt::Error> {
             write!(xml, "<body pos=\"{x} {y} 0\"><joint type=\"slide\" axis=\"1 0 0\"/>")?;
             xml.push_str("<joint type=\"slide\" axis=\"0 1 0\"/>");
             writeln!(xml, "<inertial pos=\"0 0 0\" mass=\"{mass_kg}\" diaginertia=\"1 1 1\"/>")?;
-            if let (true, Shape::Cylinder { radius_m }) = (scene.everything, person.shape) {
-                // Smaller than the leg: hard bodies would meet only after the foam is crushed.
-                let radius = (radius_m - 0.03).max(0.005);
-                writeln!(xml, "<geom type=\"cylinder\" size=\"{radius} 0.4\" pos=\"0 0 0.45\"/>")?;
+            if let (true, Shape::Cylinder { radius_m }) = (scene.geoms, person.shape) {
+                writeln!(xml, "<geom type=\"cylinder\" size=\"{radius_m} 0.4\" pos=\"0 0 0.45\"/>")?;
             }
             xml.push_str("</body>\n");
         }
     }
-    if scene.everything {
+    if scene.geoms {
         xml.push_str("<geom type=\"plane\" size=\"20 20 1\" pos=\"0 0 -0.01\"/>\n");
     }
     xml.push_str("</worldbody>\n");
-    if scene.everything {
+    if scene.geoms {
         sensors(&mut xml, scene)?;
     }
     xml.push_str("</mujoco>\n");
@@ -63,7 +61,7 @@ fn options(xml: &mut String, scene: &Scene) -> fmt::Result {
         Integrator::Implicit => "implicit",
         Integrator::ImplicitFast => "implicitfast",
     };
-    let contact = if scene.everything { "enable" } else { "disable" };
+    let contact = if scene.geoms { "enable" } else { "disable" };
     let constraint = if scene.joint_limits { "enable" } else { "disable" };
     writeln!(xml, "<mujoco model=\"moca\">")?;
     // Upper-case axes are fixed axes: R = Rz·Ry·Rx, as in the tables.
@@ -74,10 +72,11 @@ fn options(xml: &mut String, scene: &Scene) -> fmt::Result {
         scene.physics_step_s
     )?;
     // Without autoreset="disable" a NaN would silently become the start state at time 0.
-    let energy = if scene.everything { " energy=\"enable\"" } else { "" };
-    write!(xml, "<flag autoreset=\"disable\" contact=\"{contact}\"{energy} ")?;
-    writeln!(xml, "constraint=\"{constraint}\"/></option>")?;
-    if !scene.everything {
+    writeln!(
+        xml,
+        "<flag autoreset=\"disable\" contact=\"{contact}\" constraint=\"{constraint}\"/></option>"
+    )?;
+    if !scene.geoms {
         // What MuJoCo sets aside for contacts has no use where there are none; `tests/plant.rs` says what a step takes.
         writeln!(xml, "<size memory=\"256K\"/>")?;
     }
@@ -95,7 +94,7 @@ fn base(xml: &mut String, scene: &Scene) -> fmt::Result {
     ] {
         writeln!(xml, "<joint name=\"{name}\" type=\"{kind}\" axis=\"{axis}\" damping=\"{damping}\"/>")?;
     }
-    if scene.everything {
+    if scene.geoms {
         hull(xml, scene)?;
     }
     let mass = scene.base.mass_kg;
@@ -119,7 +118,7 @@ fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
         }
         xml.push_str("/>\n");
         inertial(xml, &table.links[i])?;
-        if scene.everything {
+        if scene.geoms {
             let [x, y, z] = table.links[i].com_m;
             writeln!(xml, "<geom type=\"sphere\" size=\"0.02\" pos=\"{x} {y} {z}\"/>")?;
         }
@@ -132,7 +131,7 @@ fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
         inertial(xml, &scene.payload.inertial)?;
         xml.push_str("</body>\n");
     }
-    if scene.everything {
+    if scene.geoms {
         xml.push_str("<site name=\"flange\"/>\n");
     }
     for _ in 0..joints + 2 {
@@ -157,44 +156,41 @@ fn inertial(xml: &mut String, link: &LinkInertial) -> fmt::Result {
     )
 }
 
-/// The base as a hard body inside its foam, with a touch pad at every taxel.
+/// The base as a box out to its taxels, a touch pad at each.
 fn hull(xml: &mut String, scene: &Scene) -> fmt::Result {
     let [x, y, z] = scene.base.size_m.map(|length| 0.5 * length);
-    let (inner_x, inner_y, inner_z) = (x - 0.02, y - 0.02, z - 0.02);
-    writeln!(xml, "<geom type=\"box\" size=\"{inner_x} {inner_y} {inner_z}\" pos=\"0 0 {z}\"/>")?;
+    let furthest = |half: f64, axis: usize| {
+        scene.cover.iter().map(|taxel| taxel.position_base_m[axis].abs()).fold(half, f64::max)
+    };
+    writeln!(xml, "<geom type=\"box\" size=\"{} {} {z}\" pos=\"0 0 {z}\"/>", furthest(x, 0), furthest(y, 1))?;
     for (i, taxel) in scene.cover.iter().enumerate() {
         let [x, y] = taxel.position_base_m;
         let yaw = taxel.inward_angle_base_rad;
         writeln!(
             xml,
-            "<site name=\"t{}\" type=\"box\" size=\"0.02 0.09 0.02\" pos=\"{x} {y} 0.3\" euler=\"0 0 {yaw}\"/>",
+            "<site name=\"t{}\" type=\"box\" size=\"0.05 0.095 {z}\" pos=\"{x} {y} {z}\" euler=\"0 0 {yaw}\"/>",
             i + 1
         )?;
     }
-    writeln!(xml, "<site name=\"imu\" pos=\"0 0 0.2\"/>")
+    Ok(())
 }
 
+/// What a controller reads: taxels first, then joints and the wrench at the flange.
 fn sensors(xml: &mut String, scene: &Scene) -> fmt::Result {
     xml.push_str("<sensor>\n");
     let base: &[&str] = if scene.robot == Robot::ArmOnly { &[] } else { &["base_x", "base_y", "base_yaw"] };
     let joints = if scene.robot == Robot::BaseOnly { 0 } else { scene.arm.joints };
+    if !base.is_empty() {
+        for taxel in 1..=scene.cover.len() {
+            writeln!(xml, "<touch site=\"t{taxel}\"/>")?;
+        }
+    }
     let arm: Vec<String> = (1..=joints).map(|joint| format!("q{joint}")).collect();
     for joint in base.iter().copied().chain(arm.iter().map(String::as_str)) {
         writeln!(xml, "<jointpos joint=\"{joint}\"/><jointvel joint=\"{joint}\"/>")?;
     }
-    if !base.is_empty() {
-        for taxel in 1..=scene.cover.len() {
-            writeln!(xml, "<touch site=\"t{taxel}\"/><framepos objtype=\"site\" objname=\"t{taxel}\"/>")?;
-        }
-        writeln!(xml, "<accelerometer site=\"imu\"/><gyro site=\"imu\"/><velocimeter site=\"imu\"/>")?;
-    }
     if !arm.is_empty() {
-        for kind in ["force", "torque", "accelerometer", "gyro"] {
-            writeln!(xml, "<{kind} site=\"flange\"/>")?;
-        }
-        for kind in ["framepos", "framequat", "framelinvel", "frameangvel", "framelinacc"] {
-            writeln!(xml, "<{kind} objtype=\"site\" objname=\"flange\"/>")?;
-        }
+        writeln!(xml, "<force site=\"flange\"/><torque site=\"flange\"/>")?;
     }
     writeln!(xml, "</sensor>")
 }

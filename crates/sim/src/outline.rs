@@ -48,6 +48,8 @@ pub(crate) struct Outline {
     edges: Vec<Edge>,
     strips: Vec<Strip>,
     radius_m: f64,
+    /// Out of the cover at each taxel, unit, axes of B.
+    taxel_outward: Vec<[f64; 2]>,
 }
 
 /// The point of the outline that is nearest to some point.
@@ -80,7 +82,8 @@ impl Outline {
         let radius_m = scene.foam.gap_m;
         let sides = sides(scene);
         let corners = sides.iter().fold(square(1e3), |polygon, side| cut(&polygon, side, radius_m));
-        let mut outline = Self { edges: Vec::new(), strips: Vec::new(), radius_m };
+        let taxel_outward = scene.cover.iter().map(outward_base).collect();
+        let mut outline = Self { edges: Vec::new(), strips: Vec::new(), radius_m, taxel_outward };
         let edges: Vec<([f64; 2], [f64; 2], f64)> =
             (0..corners.len()).filter_map(|i| edge(corners[i], corners[(i + 1) % corners.len()])).collect();
         for (i, &(start_base, along, length_m)) in edges.iter().enumerate() {
@@ -117,6 +120,18 @@ impl Outline {
             self.strips.push(Strip { length_m: end_m - start_m, curvature_per_m: 0.0, taxel });
             start_m = end_m;
         }
+    }
+
+    /// Direction out of the cover at a taxel (0 is T1), unit, axes of B.
+    pub(crate) fn taxel_outward_base(&self, taxel: usize) -> [f64; 2] {
+        self.taxel_outward[taxel]
+    }
+
+    /// Whether one side alone shows that `point_base`, m, is further than this from the cover: cheaper than
+    /// [`Outline::nearest`], and true of most who stand about.
+    pub(crate) fn is_further_than(&self, distance_m: f64, point_base: [f64; 2]) -> bool {
+        let height_m = |edge: &Edge| dot(edge.outward, difference(point_base, edge.start_base));
+        self.edges.iter().any(|edge| height_m(edge) > distance_m + self.radius_m)
     }
 
     /// The point of the outline nearest to `point_base`, m. Inside the core the nearest side counts.

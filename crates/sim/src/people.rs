@@ -3,8 +3,7 @@
 use crate::contact::{ContactState, Pressing};
 use crate::foam::Foam;
 use crate::outline::Outline;
-use crate::scene::outward_base;
-use crate::scene::{Mobility, Person, Shape};
+use crate::scene::{Mobility, Person, Scene, Shape};
 use moca_msgs::{MAX_TAXELS, TaxelPlacement};
 
 /// Room for the largest cover.
@@ -14,27 +13,51 @@ const FACING_COS_MIN: f64 = 0.5;
 
 /// The cover at one instant.
 pub(crate) struct CoverInstant<'a> {
-    pub taxels: &'a [TaxelPlacement],
-    pub outline: &'a Outline,
-    pub foam: &'a Foam,
+    taxels: &'a [TaxelPlacement],
+    outline: &'a Outline,
+    foam: &'a Foam,
     /// Physics step, s.
-    pub dt_s: f64,
-    /// Pose of B in W: x m, y m, yaw rad.
-    pub pose_world: [f64; 3],
+    dt_s: f64,
+    /// Pose of B in W: x m, y m, yaw rad; sine and cosine of the yaw.
+    pose_world: [f64; 3],
+    heading: (f64, f64),
     /// Velocity of B in W: m/s, m/s, rad/s.
-    pub velocity_world: [f64; 3],
+    velocity_world: [f64; 3],
 }
 
-impl CoverInstant<'_> {
+impl<'a> CoverInstant<'a> {
+    pub(crate) fn new(
+        scene: &'a Scene,
+        outline: &'a Outline,
+        pose_world: [f64; 3],
+        velocity_world: [f64; 3],
+    ) -> Self {
+        Self {
+            taxels: &scene.cover,
+            outline,
+            foam: &scene.foam,
+            dt_s: scene.physics_step_s,
+            pose_world,
+            heading: pose_world[2].sin_cos(),
+            velocity_world,
+        }
+    }
+
     /// A vector of W in the axes of B, and the other way.
     fn to_base(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        let (sin, cos) = self.pose_world[2].sin_cos();
+        let (sin, cos) = self.heading;
         [cos * x + sin * y, -sin * x + cos * y]
     }
 
     fn to_world(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        let (sin, cos) = self.pose_world[2].sin_cos();
+        let (sin, cos) = self.heading;
         [cos * x - sin * y, sin * x + cos * y]
+    }
+
+    /// A planar velocity or wrench of B's axes in W's.
+    pub(crate) fn planar_to_world(&self, [x, y, about_vertical]: [f64; 3]) -> [f64; 3] {
+        let [x, y] = self.to_world([x, y]);
+        [x, y, about_vertical]
     }
 
     /// Velocity of a point of B in the axes of B, m/s.
@@ -57,6 +80,24 @@ pub(crate) struct Felt {
 }
 
 impl Felt {
+    pub(crate) const NOTHING: Self =
+        Self { taxel_force_n: [0.0; K], wrench_base: [0.0; 3], total_n: 0.0, largest_n: 0.0 };
+
+    /// Forces on taxels at their centres, N, T1 first, each on a body of its own.
+    pub(crate) fn sensed(&mut self, scene: &Scene, outline: &Outline, forces_n: &[f64]) {
+        for (i, (taxel, &force_n)) in scene.cover.iter().zip(forces_n).enumerate() {
+            if force_n > 0.0 {
+                let ([nx, ny], [x, y]) = (outline.taxel_outward_base(i), taxel.position_base_m);
+                let (fx, fy) = (-force_n * nx, -force_n * ny);
+                self.taxel_force_n[i] += force_n;
+                self.wrench_base[0] += fx;
+                self.wrench_base[1] += fy;
+                self.wrench_base[2] += x * fy - y * fx;
+                self.on_body(force_n);
+            }
+        }
+    }
+
     /// A force on one body, N.
     fn on_body(&mut self, force_n: f64) {
         self.total_n += force_n;
@@ -68,6 +109,8 @@ impl Felt {
 #[derive(Clone, Debug)]
 pub(crate) struct People {
     bodies: Vec<Body>,
+    /// They meet the cover on its foam; otherwise the engine's geoms meet.
+    on_foam: bool,
     /// Simulation time at which the people's own time begins, s; `None` while they wait.
     begin_s: Option<f64>,
 }
@@ -104,9 +147,9 @@ struct Meeting {
 
 impl People {
     /// `first_dof` is the first degree of freedom after the robot's.
-    pub(crate) fn new(people: &[Person], first_dof: usize) -> Self {
+    pub(crate) fn new(scene: &Scene, first_dof: usize) -> Self {
         let mut next_dof = first_dof;
-        let bodies = people.iter().map(|&person| {
+        let bodies = scene.people.iter().map(|&person| {
             let dof = matches!(person.mobility, Mobility::Standing { .. }).then_some(next_dof);
             next_dof += if dof.is_some() { 2 } else { 0 };
             Body {
@@ -119,7 +162,7 @@ impl People {
                 force_world: [0.0; 2],
             }
         });
-        Self { bodies: bodies.collect(), begin_s: Some(0.0) }
+        Self { bodies: bodies.collect(), on_foam: !scene.geoms, begin_s: Some(0.0) }
     }
 
     /// Sets when the people's own time begins.
@@ -150,7 +193,9 @@ impl People {
         let time_s = self.own_time_s(time_s);
         for body in &mut self.bodies {
             body.force_world = [0.0; 2];
-            body.press(cover, time_s, qpos, qvel, felt);
+            if self.on_foam {
+                body.press(cover, time_s, qpos, qvel, felt);
+            }
             body.hold(time_s, cover.dt_s, qpos, qvel);
         }
     }
@@ -184,6 +229,9 @@ impl Body {
         let place_base = cover.to_base([x + dx - base_x, y + dy - base_y]);
         let velocity_world = self.velocity(time_s, qvel);
         match self.person.shape {
+            Shape::Cylinder { radius_m } if cover.outline.is_further_than(radius_m, place_base) => {
+                self.contacts[0].leave(cover.foam, cover.dt_s);
+            }
             Shape::Cylinder { radius_m } => {
                 let nearest = cover.outline.nearest(place_base);
                 let meeting = Meeting {
@@ -224,7 +272,7 @@ impl Body {
         velocity_world: [f64; 2],
         taxel: usize,
     ) -> Option<Meeting> {
-        let outward_base = outward_base(&cover.taxels[taxel]);
+        let outward_base = cover.outline.taxel_outward_base(taxel);
         let [nx, ny] = outward_base;
         let [fx, fy] = cover.to_base(self.person.towards_robot_world);
         if -(fx * nx + fy * ny) < FACING_COS_MIN {

@@ -33,6 +33,27 @@ pub enum Integrator {
     ImplicitFast,
 }
 
+/// What integrates the bodies of a scene.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Engine {
+    /// MuJoCo: the reference, and the only one for parts of a robot, other integrators and bodies that meet as geoms.
+    #[default]
+    MuJoCo,
+    /// Base and arm by the model of `moca-wbc`, people as masses: for scenes in which no two rigid bodies meet, at a
+    /// fraction of the time. The step is the same to rounding (`tests/engines.rs`).
+    Analytic,
+}
+
+impl Engine {
+    /// What it is, and why a scene runs on it.
+    pub const fn reason(self) -> &'static str {
+        match self {
+            Self::MuJoCo => "MuJoCo: the reference for whatever a scene holds",
+            Self::Analytic => "analytic: base, arm and people move, and no two rigid bodies meet",
+        }
+    }
+}
+
 /// How a person moves when pushed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Mobility {
@@ -216,9 +237,11 @@ pub struct Scene {
     pub flange_sensor: bool,
     /// Foam of the cover.
     pub foam: Foam,
-    /// Everything a model of this robot could hold, needed or not: geoms with collision detection, sensors, energy.
-    /// It changes no trajectory; it is what scene economy is measured against.
-    pub everything: bool,
+    /// The scene as a user of MuJoCo alone would write it: floor, base, links and people as geoms that collide, a touch
+    /// sensor at every taxel, and the joint and flange sensors that a controller reads. People then meet the base in
+    /// MuJoCo's contacts and not on the foam; until somebody touches it the trajectory is the same. It is what scene
+    /// economy is measured against.
+    pub geoms: bool,
     /// The base: its body and its velocity servo, first order and limited in acceleration in the axes of B.
     pub base: BaseTable,
     /// Where the arm sits on it.
@@ -233,6 +256,8 @@ pub struct Scene {
     pub physics_step_s: f64,
     /// Integrator.
     pub integrator: Integrator,
+    /// What integrates.
+    pub engine: Engine,
 }
 
 impl Scene {
@@ -247,7 +272,7 @@ impl Scene {
             joint_limits: true,
             flange_sensor: false,
             foam: Foam::default(),
-            everything: false,
+            geoms: false,
             base: *base,
             mount: *mount,
             cover: cover.to_vec(),
@@ -255,6 +280,21 @@ impl Scene {
             control_period_s: 1e-3,
             physics_step_s: 1e-3,
             integrator: Integrator::default(),
+            engine: Engine::default(),
+        }
+    }
+
+    /// What of this scene MuJoCo alone can do; `None` if [`Engine::Analytic`] can do all of it.
+    pub const fn needs_mujoco(&self) -> Option<&'static str> {
+        match (self.robot, self.integrator, self.arm.joints) {
+            _ if self.geoms => Some("geoms and sensors"),
+            (Robot::BaseOnly, ..) => Some("a base without its arm"),
+            (Robot::ArmOnly, ..) => Some("an arm without its base"),
+            (_, Integrator::RungeKutta4 | Integrator::Implicit, _) => {
+                Some("an integrator other than Euler and implicitfast")
+            }
+            (.., 6 | 7) => None,
+            _ => Some("an arm of neither six nor seven joints"),
         }
     }
 

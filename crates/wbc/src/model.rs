@@ -269,14 +269,17 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         drift
     }
 
-    /// [`crate::coupled::CoupledDynamics`] without what stands on the base: kinematics, arm and coupling, bias of the arm,
-    /// and of all links with link 0 the inertia in B about its origin, and the force that keeps them on a base that turns at
-    /// `yaw_rate`, constant: axes of B, about its origin.
-    pub(crate) fn on_moving_base(&self, yaw: T, q: &[T; N], yaw_rate: T, dq: &[T; N]) -> OnMovingBase<N, T> {
+    /// [`crate::coupled::CoupledDynamics`] without what stands on the base: `arm` becomes kinematics, arm, coupling, and
+    /// bias of the arm on a base that turns at `yaw_rate`, constant. Gives what the base carries.
+    pub(crate) fn on_moving_base(
+        &self,
+        (yaw, q): (T, &[T; N]),
+        (yaw_rate, dq): (T, &[T; N]),
+        arm: &mut Dynamics<N, T>,
+    ) -> Load<T> {
         let chain = &self.chain;
-        let mut arm = Dynamics::unset();
         self.place(yaw, q, &mut arm.kinematics);
-        let composite = self.compose(&mut arm);
+        let composite = self.compose(arm);
         let (mut force, mut moment) = self.newton_euler(&arm.kinematics, yaw_rate, dq, &mut arm.bias);
         let standing = &chain.root_body;
         let omega = chain.up * yaw_rate;
@@ -291,8 +294,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
                 rotational: composite.rotational,
             };
         let force = chain.root_axes * force;
-        OnMovingBase {
-            arm,
+        Load {
             inertia: all.rotated(&chain.root_axes).moved(&self.mount.origin),
             moment: chain.root_axes * moment + self.mount.origin.cross(&force),
             force,
@@ -300,9 +302,9 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     }
 }
 
-/// What [`ArmModel::on_moving_base`] gives.
-pub(crate) struct OnMovingBase<const N: usize, T> {
-    pub arm: Dynamics<N, T>,
+/// Of all links with link 0: the inertia in B about its origin, and the force that keeps them on a base that turns at a
+/// constant rate, axes of B, about its origin.
+pub(crate) struct Load<T> {
     pub inertia: Inertia<T>,
     pub force: Vector3<T>,
     pub moment: Vector3<T>,
@@ -399,7 +401,8 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
 }
 
 impl<const N: usize, T: Scalar> Dynamics<N, T> {
-    fn unset() -> Self {
+    /// Room for dynamics that are computed where they stand: returned, they would be copied.
+    pub(crate) fn unset() -> Self {
         Self {
             kinematics: Kinematics::unset(),
             mass: SMatrix::zeros(),

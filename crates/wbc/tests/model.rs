@@ -4,12 +4,15 @@
 mod world_axes;
 
 use moca_wbc::coupled::CoupledDynamics;
+use moca_wbc::opspace::WholeBodyForce;
 use moca_wbc::robot::{FR3, LinkInertial, MOCA_MOUNT, PANDA, SUMMIT_XL, UR10E};
 use moca_wbc::{ArmModel, ArmTable, Mount, Payload};
 use world_axes::Arm;
 
 /// Of every quantity, relative to the largest of its numbers in all states.
 const TOLERANCE: f64 = 3e-15;
+/// Of forces for the accelerations that are computed from them.
+const SOLVED: f64 = 1e-13;
 const STATES: usize = 10_000;
 
 /// Numbers from −1 to 1, the same on every machine.
@@ -46,6 +49,28 @@ impl Worst {
     }
 }
 
+/// The most that is left of forces on base and arm less bias and (M + added)·acceleration.
+fn forward<const N: usize>(plant: &CoupledDynamics<N, f64>, base: &[f64; 3], arm: &[f64; N]) -> f64 {
+    let force = WholeBodyForce { base: base.map(|f| 30.0 * f), arm: arm.map(|f| 10.0 * f) };
+    let added = (&[100.0, 50.0, 0.0], &core::array::from_fn(|i| if i == 1 { 0.3 } else { 0.0 }));
+    let (ddq_base, ddq_arm) = plant.acceleration(&force, added).unwrap();
+    let coupling = &plant.arm.base_coupling;
+    let of_arm: Vec<f64> = (0..N)
+        .map(|i| {
+            let arm: f64 = (0..N).map(|j| plant.arm.mass[(i, j)] * ddq_arm[j]).sum();
+            let base: f64 = (0..3).map(|j| coupling[(i, j)] * ddq_base[j]).sum();
+            force.arm[i] - plant.arm.bias[i] - arm - base - added.1[i] * ddq_arm[i]
+        })
+        .collect();
+    let worst_of_arm = of_arm.iter().fold(0.0f64, |most, left| most.max(left.abs()));
+    let of_base = |i: usize| {
+        let arm: f64 = (0..N).map(|j| coupling[(j, i)] * ddq_arm[j]).sum();
+        let base: f64 = (0..3).map(|j| plant.base[(i, j)] * ddq_base[j]).sum();
+        force.base[i] - plant.base_bias[i] - arm - base - added.0[i] * ddq_base[i]
+    };
+    (0..3).map(|i| of_base(i).abs()).fold(worst_of_arm, f64::max)
+}
+
 fn check<const N: usize>(name: &str, table: &ArmTable<N>, mount: &Mount, payload: &Payload) {
     let model = ArmModel::<N, f64>::new(table, mount, payload).unwrap();
     // what the torques are made of, at a metre, also of an arm whose axes all stand upright
@@ -76,9 +101,11 @@ fn check<const N: usize>(name: &str, table: &ArmTable<N>, mount: &Mount, payload
         let plant = CoupledDynamics::new(&model, &SUMMIT_XL, (yaw, &q), (&rate, &dq));
         let (block, base_bias, arm_bias) = arm.coupled(&SUMMIT_XL, &rate, &dq);
         worst.compare("base block", plant.base.as_slice(), block.as_slice(), 0.0);
-        worst.compare("base bias", &plant.bias.base, &base_bias, weight_n);
-        worst.compare("bias on a moving base", &plant.bias.arm, &arm_bias, weight_n);
-        assert_eq!((plant.arm, plant.coupling), (dynamics.mass, dynamics.base_coupling));
+        worst.compare("base bias", &plant.base_bias, &base_bias, weight_n);
+        worst.compare("bias on a moving base", &plant.arm.bias, &arm_bias, weight_n);
+        assert_eq!((plant.arm.mass, plant.arm.base_coupling), (dynamics.mass, dynamics.base_coupling));
+        let left = forward(&plant, &rate, &dq);
+        assert!(left <= SOLVED * weight_n, "{name}: {left:e} of {weight_n}");
         assert_eq!(model.kinematics(yaw, &q), *kinematics);
     }
     for (what, worst, scale) in worst.0 {

@@ -85,7 +85,22 @@ fn ros2(config: &Config, report: Report<'_>) {
             ),
         );
     }
+    let router = &plant.ros2.router;
+    let socket = router.strip_prefix("tcp/").and_then(|socket| socket.rsplit_once(':'));
+    if !router.is_empty()
+        && !socket.is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok())
+    {
+        let name = "plant.base.ros2.router";
+        report(name, format!("{name} = {router:?}; allowed: such as \"tcp/192.168.0.200:7447\", or empty"));
+    }
     let address = &plant.ros2.interface;
+    if !address.is_empty() && !router.is_empty() {
+        let name = "plant.base.ros2.interface";
+        report(
+            name,
+            format!("{name} is of DDS, and plant.base.ros2.router = {router:?} of zenoh: leave one empty"),
+        );
+    }
     if !address.is_empty() && address.parse::<IpAddr>().is_err() {
         let name = "plant.base.ros2.interface";
         report(

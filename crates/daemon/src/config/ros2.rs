@@ -8,7 +8,9 @@ parameter_table! {
     pub struct Ros2Config in "plant.base.ros2" {
         /// Domain of the base's nodes, their ROS_DOMAIN_ID.
         domain: u8 = 0 => [.range(0.0, 232.0)];
-        /// Address of this PC on the base's network; empty for all networks: discovery is by multicast.
+        /// The base's zenoh router where its nodes are on rmw_zenoh, such as "tcp/192.168.0.200:7447"; empty for DDS.
+        router: String = String::new();
+        /// Address of this PC on the base's network; empty for all networks: DDS finds its peers by multicast.
         interface: String = String::new();
         /// Topic of the velocity orders, with its namespace.
         cmd_vel: String = "/robot/robotnik_base_control/cmd_vel".into();

@@ -83,6 +83,8 @@ pub(crate) struct RunInfo {
     experiment: &'static str,
     sensor: &'static str,
     foam: &'static str,
+    /// What integrated the scene, and why.
+    engine: &'static str,
     /// Frames of the stock board, Hz; null without one.
     frame_rate_hz: Option<f64>,
     /// Why the robot stopped; null if it did not.
@@ -99,6 +101,7 @@ impl RunInfo {
             experiment,
             sensor: settings.sensor.name(),
             foam: settings.foam.material.name,
+            engine: settings.engine.reason(),
             frame_rate_hz: (settings.sensor == settings::Sensor::Stock).then_some(rig.frame_rate_hz),
             stopped: rig.stopped.clone(),
             sim_s: rig.sim_s,
@@ -236,8 +239,8 @@ fn head(info: &RunInfo) -> String {
     let rate = info.frame_rate_hz.map_or(String::new(), |rate| format!(" at {rate:.1} frames/s"));
     let stopped = info.stopped.as_ref().map_or(String::new(), |why| format!("\n  STOPPED: {why}"));
     format!(
-        "{}: sensor {}{rate}, foam {}, {:.1} s simulated in {:.2} s{stopped}",
-        info.experiment, info.sensor, info.foam, info.sim_s, info.wall_s
+        "{}: sensor {}{rate}, foam {}, {:.1} s simulated in {:.2} s\n  on {}{stopped}",
+        info.experiment, info.sensor, info.foam, info.sim_s, info.wall_s, info.engine
     )
 }
 

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, anyhow, bail, ensure};
 use moca_daemon::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
 use moca_msgs::table::{FieldValue, ParameterKind, ParameterSpec, Size};
 use moca_sim::foam::Foam;
-use moca_sim::{BodyPart, Integrator};
+use moca_sim::{BodyPart, Engine, Integrator};
 use moca_tactile::Firmware;
 use std::path::Path;
 
@@ -119,18 +119,32 @@ const KEYS: &[Key] = &[
         Ok(())
     }),
     key("step_ms", "ms", "physics step", |s, v| store(&mut s.step_ms, v, 1e-3, 100.0)),
-    key("integrator", "euler|rk4|implicit|implicitfast", "MuJoCo's integrator", |s, v| {
-        s.integrator = word(
-            v,
-            &[
-                ("euler", Integrator::Euler),
-                ("rk4", Integrator::RungeKutta4),
-                ("implicit", Integrator::Implicit),
-                ("implicitfast", Integrator::ImplicitFast),
-            ],
-        )?;
-        Ok(())
-    }),
+    key(
+        "integrator",
+        "euler|rk4|implicit|implicitfast",
+        "integrator; the analytic engine has Euler and implicitfast, which are one there",
+        |s, v| {
+            s.integrator = word(
+                v,
+                &[
+                    ("euler", Integrator::Euler),
+                    ("rk4", Integrator::RungeKutta4),
+                    ("implicit", Integrator::Implicit),
+                    ("implicitfast", Integrator::ImplicitFast),
+                ],
+            )?;
+            Ok(())
+        },
+    ),
+    key(
+        "engine",
+        "mujoco|analytic",
+        "what integrates: MuJoCo, or the model of base and arm with people as masses, in less time",
+        |s, v| {
+            s.engine = word(v, &[("mujoco", Engine::MuJoCo), ("analytic", Engine::Analytic)])?;
+            Ok(())
+        },
+    ),
     key("foam", "pu|cc|pe5|pe3|collision-assumed", "foam of the cover", |s, v| {
         s.foam.material = word(
             v,

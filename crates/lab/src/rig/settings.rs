@@ -6,7 +6,7 @@ use moca_daemon::devices::simulated_robot;
 use moca_msgs::Law;
 use moca_msgs::robot::{BaseTable, TaxelPlacement};
 use moca_sim::foam::{ElasticLaw, Foam};
-use moca_sim::{BodyPart, Integrator, Mobility, Person, Scene, Shape, VirtualBoardConfig};
+use moca_sim::{BodyPart, Engine, Integrator, Mobility, Person, Scene, Shape, VirtualBoardConfig};
 use moca_tactile::Firmware;
 
 /// Averaging and holding period of the ideal sensor, ms.
@@ -151,6 +151,7 @@ pub(crate) struct Settings {
     pub rest_s: f64,
     pub step_ms: f64,
     pub integrator: Integrator,
+    pub engine: Engine,
 }
 
 /// The paper's robot has no speed limit but its own, and goes wherever it is pushed; limits this high change no bit.
@@ -202,6 +203,7 @@ impl Settings {
             rest_s: 2.0,
             step_ms: 1.0,
             integrator: Integrator::default(),
+            engine: Engine::default(),
         }
     }
 
@@ -259,6 +261,7 @@ impl Settings {
             foam: self.foam.foam(),
             physics_step_s: 1e-3 * self.step_ms,
             integrator: self.integrator,
+            engine: self.engine,
             ..scene
         }
     }

@@ -189,6 +189,7 @@ struct Worker {
     refused: Option<Refused>,
     refused_before: Option<Discriminant<Refused>>,
     told: Told,
+    rejoined: u64,
 }
 
 /// What has been said of the network.
@@ -243,6 +244,7 @@ impl Worker {
             refused: None,
             refused_before: None,
             told: Told::default(),
+            rejoined: 0,
         })
     }
 
@@ -283,6 +285,12 @@ impl Worker {
         shared.counts.silences.store(self.orders.silences(), Ordering::Relaxed);
         if now_ns >= self.look_ns {
             self.look_ns = now_ns + LOOK_AROUND_NS;
+            if transport.rejoined() != self.rejoined {
+                self.rejoined = transport.rejoined();
+                say(
+                    "the network was joined anew: what served it had ended, as when a program or its computer is suspended",
+                );
+            }
             let mut problems = self.problems(transport);
             self.told.look(&problems, say);
             let kind = self.refused.as_ref().map(std::mem::discriminant);
@@ -327,6 +335,9 @@ impl Worker {
 
     /// Who else is on the topics and should not be, or is not and should.
     fn problems(&self, transport: &dyn Transport) -> Vec<String> {
+        if let Some(problem) = transport.problem() {
+            return vec![problem];
+        }
         let (endpoints, settings) = (transport.endpoints(), &self.settings);
         let of = if settings.stamped { TwistStamped::TYPE } else { Twist::TYPE };
         let mut problems = problems_of_writer(&endpoints, &settings.cmd_vel, of);

@@ -73,6 +73,14 @@ pub trait Transport {
     fn answer(&mut self, of: ServiceId, caller: &Caller, payload: &[u8]) -> Result<(), TransportError>;
     /// Waits until something may have come, at most for `most`.
     fn wait(&mut self, most: Duration);
+    /// Why nothing can be sent and heard at all now.
+    fn problem(&self) -> Option<String> {
+        None
+    }
+    /// How often the network was joined anew because what served it had ended.
+    fn rejoined(&self) -> u64 {
+        0
+    }
     /// Everybody else who has been heard of.
     fn endpoints(&self) -> Vec<Endpoint>;
 }
@@ -116,6 +124,23 @@ pub fn problems_of_reader(endpoints: &[Endpoint], topic: &str, ours: TypeName) -
         count => problems.push(format!("{topic} is written by {count} nodes: which one is the base?")),
     }
     problems
+}
+
+/// A name of ROS that begins at the root.
+#[cfg(any(feature = "dds", feature = "zenoh", test))]
+pub(crate) fn absolute(name: &str) -> Result<&str, TransportError> {
+    let parts = name.strip_prefix('/').map(|rest| rest.split('/')).into_iter().flatten();
+    let good = |part: &str| {
+        part.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
+            && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+    };
+    let (count, named) = parts.fold((0, true), |(count, all), part| (count + 1, all && good(part)));
+    if count > 0 && named {
+        return Ok(name);
+    }
+    Err(TransportError(format!(
+        "{name:?} is no ROS name; allowed: /name or /name/name, of letters, digits and _"
+    )))
 }
 
 fn on<'a>(endpoints: &'a [Endpoint], topic: &'a str) -> impl Iterator<Item = &'a Endpoint> {
@@ -164,5 +189,15 @@ pub(crate) mod tests {
                 .concat()
                 .contains("as geometry_msgs::msg::dds_::Twist_")
         );
+    }
+
+    #[test]
+    fn a_name_is_one_or_is_refused() {
+        for good in ["/cmd_vel", "/robot/robotnik_base_control/odom", "/_x1"] {
+            assert_eq!(absolute(good), Ok(good));
+        }
+        for bad in ["", "/", "cmd_vel", "/a//b", "/a/", "/1a", "/a b", "/grün", "~/odom"] {
+            assert!(absolute(bad).is_err_and(|error| error.0.contains("no ROS name")), "{bad}");
+        }
     }
 }

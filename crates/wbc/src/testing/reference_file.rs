@@ -228,14 +228,14 @@ impl<const N: usize> Robot<N> {
         let mut full = Vec::with_capacity((N + 3) * (N + 3));
         for i in 0..3 {
             full.extend((0..3).map(|j| plant.base[(i, j)]));
-            full.extend((0..N).map(|j| plant.coupling[(j, i)]));
+            full.extend((0..N).map(|j| plant.arm.base_coupling[(j, i)]));
         }
         for i in 0..N {
-            full.extend((0..3).map(|j| plant.coupling[(i, j)]));
-            full.extend((0..N).map(|j| plant.arm[(i, j)]));
+            full.extend((0..3).map(|j| plant.arm.base_coupling[(i, j)]));
+            full.extend((0..N).map(|j| plant.arm.mass[(i, j)]));
         }
         out.insert("M_full", full);
-        out.insert("bias_full", joined(&plant.bias));
+        out.insert("bias_full", [&plant.base_bias[..], &plant.arm.bias].concat());
     }
 
     /// eqs. (6)–(9), with the identities that every weight must keep.

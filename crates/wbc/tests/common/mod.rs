@@ -140,12 +140,12 @@ impl Loop {
             (&robot.base_velocity_world, &robot.dq_rad_s),
         );
         let [fx, fy, fz] = flange_n;
-        let external = transpose_times(dynamics.kinematics.arm_jacobian(), &[fx, fy, fz, 0.0, 0.0, 0.0]);
-        let coupled = times(&dynamics.coupling, &base_acceleration);
+        let external = transpose_times(dynamics.arm.kinematics.arm_jacobian(), &[fx, fy, fz, 0.0, 0.0, 0.0]);
+        let coupled = times(&dynamics.arm.base_coupling, &base_acceleration);
         let torque = core::array::from_fn(|i| {
-            output.command.arm_torque_nm[i] + external[i] - dynamics.bias.arm[i] - coupled[i]
+            output.command.arm_torque_nm[i] + external[i] - dynamics.arm.bias[i] - coupled[i]
         });
-        let ddq = Cholesky::new(&dynamics.arm).unwrap().solve(&torque);
+        let ddq = Cholesky::new(&dynamics.arm.mass).unwrap().solve(&torque);
         for i in 0..3 {
             robot.base_velocity_world[i] += dt * base_acceleration[i];
             robot.base_pose_world[i] += dt * robot.base_velocity_world[i];

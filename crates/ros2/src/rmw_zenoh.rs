@@ -1,0 +1,186 @@
+//! What ROS 2 nodes on `rmw_zenoh` put on the wire, as texts and bytes; the session is [`crate::zenoh`]'s.
+//!
+//! A topic's data has a key with domain, name, type and the type's hash. Who is on it is told by liveliness tokens. A
+//! payload is CDR as over DDS; number, time and writer go beside it, without which `rmw_zenoh_cpp` drops it.
+//!
+//! ```
+//! use moca_ros2::rmw_zenoh::{data_key, endpoint};
+//! use moca_ros2::{Message, messages::Twist};
+//!
+//! let token = "@ros2_lv/0/a1/0/3/MS/%/%robot/base_control/%robot%cmd_vel/geometry_msgs::msg::dds_::Twist_/TypeHashNotSupported/::,10:,:,:,,";
+//! let base = endpoint(token, "b2").unwrap();
+//! assert_eq!((base.topic.as_str(), base.writes, base.who.as_str()), ("/robot/cmd_vel", false, "node /robot/base_control"));
+//! assert_eq!(endpoint(token, "a1"), None, "that is we");
+//! assert_eq!(data_key(0, "/robot/cmd_vel", Twist::TYPE, "*"), "0/robot/cmd_vel/geometry_msgs::msg::dds_::Twist_/*");
+//! ```
+
+use crate::messages::{Odometry, Twist, TwistStamped};
+use crate::transport::{Endpoint, Qos};
+use crate::{Message, TypeName};
+
+/// What Humble's nodes have in place of a hash.
+pub const NO_HASH: &str = "TypeHashNotSupported";
+/// Length of what goes beside a payload.
+pub const ATTACHMENT_BYTES: usize = 33;
+/// Length of a writer's number.
+pub const GID_BYTES: usize = 16;
+
+/// RIHS01 of a base's messages (REP-2016), by their definitions in every distribution since Iron; `None` for others.
+pub fn type_hash(of: TypeName) -> Option<&'static str> {
+    [
+        (Twist::TYPE, "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"),
+        (TwistStamped::TYPE, "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64"),
+        (Odometry::TYPE, "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
+    ]
+    .into_iter()
+    .find_map(|(known, hash)| (known == of).then_some(hash))
+}
+
+/// Key of a topic's data. A reader that takes a type whatever its hash gives `*`.
+pub fn data_key(domain: u16, topic: &str, of: TypeName, hash: &str) -> String {
+    format!("{domain}/{}/{}/{hash}", topic.trim_matches('/'), of.dds())
+}
+
+/// Key of every token of a domain.
+pub fn tokens(domain: u16) -> String {
+    format!("@ros2_lv/{domain}/**")
+}
+
+/// This program as a node, without a namespace.
+#[derive(Clone, Copy, Debug)]
+pub struct Node<'a> {
+    /// `ROS_DOMAIN_ID`.
+    pub domain: u16,
+    /// Number of its session.
+    pub session: &'a str,
+    /// Its name.
+    pub name: &'a str,
+}
+
+impl Node<'_> {
+    /// The token of the node itself.
+    pub fn token(&self) -> String {
+        let Self { domain, session, name } = self;
+        format!("@ros2_lv/{domain}/{session}/0/0/NN/%/%/{name}")
+    }
+
+    /// The token of its writer or reader `id` of a topic; ids begin at 1.
+    pub fn endpoint_token(
+        &self,
+        id: usize,
+        writes: bool,
+        topic: &str,
+        of: TypeName,
+        hash: &str,
+        qos: Qos,
+    ) -> String {
+        let Self { domain, session, name } = self;
+        let kind = if writes { "MP" } else { "MS" };
+        let (topic, of) = (topic.replace('/', "%"), of.dds());
+        // Reliability, durability, history and depth; what is left out is as ROS has it: reliable, volatile, keep last.
+        let qos = match qos {
+            Qos::BestEffort => "2::,1:,:,:,,",
+            Qos::Reliable => "::,1:,:,:,,",
+            Qos::Latched => ":1:,1:,:,:,,",
+        };
+        format!("@ros2_lv/{domain}/{session}/0/{id}/{kind}/%/%/{name}/{topic}/{of}/{hash}/{qos}")
+    }
+}
+
+/// The writer or reader that a token announces. `None` for a node, a service, something foreign, and for what session
+/// `ours` announced. A reader that wants our type by another hash gets nothing from us: its type says so.
+pub fn endpoint(token: &str, ours: &str) -> Option<Endpoint> {
+    let parts: Vec<&str> = token.split('/').collect();
+    let [space, _, session, _, _, kind, _, namespace, node, topic, of, hash, ..] = parts[..] else {
+        return None;
+    };
+    if space != "@ros2_lv" || session == ours || !matches!(kind, "MP" | "MS") {
+        return None;
+    }
+    let writes = kind == "MP";
+    let known = [Twist::TYPE, TwistStamped::TYPE, Odometry::TYPE].into_iter().find(|known| known.dds() == of);
+    let expected = known.and_then(type_hash);
+    let other_hash = !writes && hash != NO_HASH && expected.is_some_and(|expected| expected != hash);
+    Some(Endpoint {
+        topic: topic.replace('%', "/"),
+        type_dds: if other_hash { format!("{of} with the hash {hash}") } else { of.into() },
+        writes,
+        who: format!("node {}/{node}", namespace.replace('%', "/").trim_end_matches('/')),
+    })
+}
+
+/// What goes beside payload number `sequence` of a writer.
+pub fn attachment(sequence: i64, unix_ns: u64, gid: [u8; GID_BYTES]) -> [u8; ATTACHMENT_BYTES] {
+    let mut bytes = [0; ATTACHMENT_BYTES];
+    bytes[..8].copy_from_slice(&sequence.to_le_bytes());
+    bytes[8..16].copy_from_slice(&unix_ns.to_le_bytes());
+    bytes[16] = 16;
+    bytes[17..].copy_from_slice(&gid);
+    bytes
+}
+
+/// The writer that something beside a payload names.
+pub fn writer_of(attachment: &[u8]) -> Option<[u8; GID_BYTES]> {
+    let bytes: &[u8; ATTACHMENT_BYTES] = attachment.try_into().ok()?;
+    (bytes[16] == 16).then(|| std::array::from_fn(|i| bytes[17 + i]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transport::problems_of_writer;
+
+    const US: Node<'_> = Node { domain: 7, session: "c3", name: "mocad" };
+
+    fn twist_token(writes: bool, of: TypeName, hash: &str) -> String {
+        US.endpoint_token(1, writes, "/robot/cmd_vel", of, hash, Qos::Reliable)
+    }
+
+    #[test]
+    fn what_we_announce_is_read_back_by_others_and_is_nobody_to_us() {
+        let token = twist_token(true, Twist::TYPE, type_hash(Twist::TYPE).unwrap());
+        let end = endpoint(&token, "somebody else").unwrap();
+        assert_eq!(
+            (end.topic.as_str(), end.writes, end.who.as_str()),
+            ("/robot/cmd_vel", true, "node /mocad")
+        );
+        assert_eq!(end.type_dds, Twist::TYPE.dds());
+        assert_eq!(endpoint(&token, "c3"), None);
+        assert_eq!(endpoint(&US.token(), "d4"), None, "a node is on no topic");
+    }
+
+    #[test]
+    fn a_reader_that_gets_nothing_is_told_with_what_it_wants() {
+        let problems = |of: TypeName, hash: &str| {
+            let end = endpoint(&twist_token(false, of, hash), "d4").unwrap();
+            problems_of_writer(&[end], "/robot/cmd_vel", Twist::TYPE)
+        };
+        assert!(problems(Twist::TYPE, type_hash(Twist::TYPE).unwrap()).is_empty());
+        assert!(problems(Twist::TYPE, NO_HASH).is_empty(), "Humble");
+        assert!(problems(Twist::TYPE, "RIHS01_abab")[0].contains("with the hash RIHS01_abab"));
+        let stamped = problems(TwistStamped::TYPE, type_hash(TwistStamped::TYPE).unwrap());
+        assert!(stamped[0].ends_with("set stamped = true"), "{stamped:?}");
+    }
+
+    #[test]
+    fn foreign_tokens_are_nobody() {
+        for token in ["", "/", "@ros2_lv", "a/0/s/0/1/MP/%/%/n/t/T/h/q", "@ros2_lv/0/s/0/1/SS/%/%/n/%t/T/h/q"]
+        {
+            assert_eq!(endpoint(token, "d4"), None, "{token}");
+        }
+        let cut = twist_token(true, Twist::TYPE, NO_HASH);
+        for length in 0..cut.len() {
+            let _ = endpoint(&cut[..length], "d4");
+        }
+    }
+
+    #[test]
+    fn number_time_and_writer_go_beside_a_payload() {
+        let gid = std::array::from_fn(|i| u8::try_from(i).unwrap());
+        let bytes = attachment(258, 3, gid);
+        assert_eq!(bytes[..18], [2, 1, 0, 0, 0, 0, 0, 0, 3, 0, 0, 0, 0, 0, 0, 0, 16, 0]);
+        assert_eq!(writer_of(&bytes), Some(gid));
+        assert_eq!(writer_of(&bytes[..32]), None);
+        assert_eq!(writer_of(&[0; 33]), None);
+    }
+}

@@ -1,0 +1,70 @@
+//! What moves in a scene, as generalised coordinates: x, y, yaw of the base, joint angles of the arm, then x, y of everybody
+//! who can move; only what the scene holds. Forces of servos, hands, people and foam come from outside.
+
+mod analytic;
+mod joint_limits;
+mod mujoco;
+
+use crate::scene::{Engine, Scene};
+use crate::{ModelSize, SimError};
+
+/// What a state must not become, in the order in which it is looked for.
+const BAD_POSITION: &str = "a position is not a number or too large";
+const BAD_RATE: &str = "a velocity is not a number or too large";
+const BAD_ACCELERATION: &str = "an acceleration is not a number or too large";
+const SINGULAR: &str = "the inertia matrix is close to singular";
+
+/// Bodies under forces, one physics step at a time.
+pub(crate) trait Mechanics: std::fmt::Debug + Send {
+    /// s since the start.
+    fn time_s(&self) -> f64;
+
+    /// m, rad.
+    fn positions(&self) -> &[f64];
+
+    /// m/s, rad/s.
+    fn rates(&self) -> &[f64];
+
+    /// Puts the coordinates from `first` on to these positions and rates; [`Mechanics::refresh`] follows.
+    fn put(&mut self, first: usize, positions: &[f64], rates: &[f64]);
+
+    /// Brings mass matrix, bias and the flange's place up to the state.
+    fn refresh(&mut self);
+
+    /// Forces from outside on each coordinate, N, N·m.
+    fn forces_mut(&mut self) -> &mut [f64];
+
+    /// Wrench on the flange about its origin, world axes \[N; N·m\].
+    fn set_flange_wrench_world(&mut self, wrench: &[f64; 6]);
+
+    /// One physics step.
+    ///
+    /// # Errors
+    /// A state that is not to be trusted any more.
+    fn step(&mut self) -> Result<(), SimError>;
+
+    /// Coriolis, centrifugal and gravity forces as of the start of the last step, N, N·m.
+    fn bias(&self) -> &[f64];
+
+    /// Mass matrix as of the start of the last step, row-major.
+    fn mass_matrix(&mut self) -> &[f64];
+
+    /// Flange origin in W as of the start of the last step, m; `None` without an arm.
+    fn flange_position_world(&self) -> Option<[f64; 3]>;
+
+    /// What the touch sensors of a scene with geoms felt in the last step, N, T1 first.
+    fn touched_n(&self) -> &[f64] {
+        &[]
+    }
+
+    /// What it consists of.
+    fn size(&self) -> ModelSize;
+}
+
+/// The mechanics that `scene` asks for.
+pub(crate) fn of(scene: &Scene) -> Result<Box<dyn Mechanics>, SimError> {
+    match scene.engine {
+        Engine::MuJoCo => Ok(Box::new(mujoco::MuJoCo::new(scene)?)),
+        Engine::Analytic => analytic::of(scene),
+    }
+}
