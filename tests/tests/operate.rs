@@ -315,9 +315,6 @@ fn flood(floods: &Connection, other: &Connection, burst: u32) {
         }
         std::thread::sleep(Duration::from_millis(2));
     }
-    println!(
-        "{burst} in two milliseconds: {asked} asked, {taken} taken, {overtaken} overtaken, {unsent} unsent"
-    );
     assert!(overtaken > 0 && refused > 0, "{taken} taken, {overtaken} overtaken, {refused} refused");
 }
 
