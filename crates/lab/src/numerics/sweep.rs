@@ -10,6 +10,7 @@ use crate::rig::campaign::{self, Campaign};
 use crate::rig::settings::Settings;
 use anyhow::{Context, Result, ensure};
 use moca_msgs::Law;
+use moca_sim::{Engine, Scene};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -157,9 +158,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let ran = campaign.run(|id| row(&plan, &columns, id))?;
     println!("{ran}");
     println!(
-        "{:.1} runs per second of CPU; bare mj_step of the same scene for the same simulated time would allow {:.1}",
+        "{:.1} runs per second of CPU; for the same simulated time bare mj_step of the same scene would allow {:.1}, the \
+         bare step of its engine {:.1}\n{}",
         ran.per_cpu_s(),
-        bare_runs_per_cpu_s(&plan)?,
+        bare_runs_per_cpu_s(&plan, Some(Engine::MuJoCo))?,
+        bare_runs_per_cpu_s(&plan, None)?,
+        plan.settings(&columns, &plan.values(0))?.engine.reason(),
     );
     Ok(())
 }
@@ -204,10 +208,12 @@ fn results(report: &Report) -> String {
     )
 }
 
-/// Runs per second of CPU time if a run were nothing but MuJoCo's steps.
-fn bare_runs_per_cpu_s(plan: &Plan) -> Result<f64> {
+/// Runs per second of CPU time if a run were nothing but steps of this engine, or of the plan's.
+fn bare_runs_per_cpu_s(plan: &Plan, engine: Option<Engine>) -> Result<f64> {
     let settings = plan.settings(&plan.columns(), &plan.values(0))?;
-    let step_s = 1e-6 * economy::bare_step_us(&settings.collision_scene()?)?;
+    let scene = settings.collision_scene()?;
+    let scene = Scene { engine: engine.unwrap_or(scene.engine), ..scene };
+    let step_s = 1e-6 * economy::bare_step_us(&scene)?;
     Ok(settings.step_ms / (1e3 * settings.duration_s * step_s))
 }
 

@@ -30,6 +30,48 @@ fn run(push: &Push, assignments: &[&str]) -> Outcome {
     outcome.unwrap()
 }
 
+/// Largest difference of base, arm and flange (m, rad) and of forces on taxels (N) along two runs.
+fn apart(one: &Rig, other: &Rig) -> (f64, f64) {
+    assert_eq!((one.rows.len(), &one.stopped), (other.rows.len(), &other.stopped));
+    let largest = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    one.rows.iter().zip(&other.rows).fold((0.0f64, 0.0f64), |(place, force), (a, b)| {
+        let [of_a, of_b] =
+            [a, b].map(|row| [&row.base_pose_world[..], &row.q_rad, &row.flange_world].concat());
+        (place.max(largest(&of_a, &of_b)), force.max(largest(&a.force_true, &b.force_true)))
+    })
+}
+
+#[test]
+fn the_closed_loop_goes_the_same_way_on_either_engine() {
+    const ENGINES: [&str; 2] = ["engine=mujoco", "engine=analytic"];
+    let pushes = [push::single(&[0], 20.0), Push::taxels("pull", &[(5, 10.0)]).and_flange([0.0, 15.0, 5.0])];
+    for sensor in ["sensor=ideal", "sensor=stock"] {
+        let [one, other] = ENGINES.map(|engine| {
+            let settings = settings(&[sensor, engine]);
+            let mut rig = Rig::start(&settings, &settings.free_scene()).unwrap();
+            push::run(&mut rig, &settings, &pushes).unwrap();
+            rig
+        });
+        let (place, force_n) = apart(&one, &other);
+        println!("pushes, {sensor}: {place:.1e} m, rad; {force_n:.1e} N");
+        assert!(place < 1e-9 && force_n < 1e-9, "{place:e} {force_n:e}");
+    }
+    for taxel in ["person.taxel=T1", "person.taxel=T6"] {
+        let [one, other] = ENGINES.map(|engine| {
+            let mut settings = Settings::paper(Law::Impedance);
+            collision::defaults(&mut settings);
+            for assignment in ["sensor=ideal", "duration=5", taxel, engine] {
+                settings.set(assignment).unwrap();
+            }
+            collision::once(&settings).unwrap()
+        });
+        let (place, force_n) = apart(&one, &other);
+        println!("collision, {taxel}: {place:.1e} m, rad; {force_n:.1e} N");
+        assert!(place < 1e-9 && force_n < 1e-7, "{place:e} {force_n:e}");
+        assert!(one.rows.iter().any(|row| row.total_force_n > 5.0), "{taxel}: nobody was met");
+    }
+}
+
 #[test]
 fn a_push_is_as_hard_as_its_scale_says() {
     let half = push(&[5], 20.0, &["sensor=ideal", "push.scale=0.5"]).base_displacement;

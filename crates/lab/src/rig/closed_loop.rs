@@ -8,7 +8,7 @@ use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::SimulatedRobot;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards, TrueForces};
-use moca_msgs::{Sample, TaxelStatus};
+use moca_msgs::{Mode, Sample, TaxelStatus};
 use moca_sim::Scene;
 
 /// Longest time from power-up to a moving law, s of simulation.
@@ -111,7 +111,7 @@ impl Rig {
         let mut rig =
             Self { cover, period_s, rows: Vec::new(), stopped: None, frame_rate_hz: 0.0, sim_s: 0.0 };
         rig.robot().world.set_people_waiting(true);
-        while !rig.tick(&Loads::default())?.mode.moves() {
+        while !rig.tick(&Loads::default())?.moves() {
             if let Some(cause) = &rig.stopped {
                 bail!("the robot stopped before it was armed: {cause}");
             }
@@ -127,6 +127,7 @@ impl Rig {
     /// robot stops.
     pub(crate) fn run_for(&mut self, duration_s: f64, loads: impl Fn(f64) -> Loads) -> Result<()> {
         let ticks = whole(duration_s / self.period_s);
+        self.rows.reserve(usize::try_from(ticks)?);
         for tick in 0..ticks {
             #[expect(clippy::cast_precision_loss, reason = "tick counts are far below 2^53")]
             let t_s = tick as f64 * self.period_s;
@@ -164,7 +165,8 @@ impl Rig {
         }
     }
 
-    fn tick(&mut self, loads: &Loads) -> Result<Sample> {
+    /// One tick, and the mode after it.
+    fn tick(&mut self, loads: &Loads) -> Result<Mode> {
         let robot = self.robot();
         for (taxel, &force_n) in loads.taxel_n.iter().enumerate() {
             if robot.press(taxel, force_n).is_err() {
@@ -177,17 +179,18 @@ impl Rig {
         let total_force_n = robot.world.contact_total_true_n();
         let largest_force_n = robot.world.contact_largest_true_n();
         let person_world = robot.world.person_position_world(0);
-        let (sample, _) = match &mut self.cover {
-            SensorModel::Board(lock_step) => lock_step.step(None),
-            SensorModel::True(lock_step) => lock_step.step(None),
+        let ticked = match &mut self.cover {
+            SensorModel::Board(lock_step) => lock_step.tick(None),
+            SensorModel::True(lock_step) => lock_step.tick(None),
         };
+        let sample = &ticked.sample;
         self.sim_s += self.period_s;
         self.frame_rate_hz = sample.frame_rate_hz;
         if let Some(fault) = sample.fault {
             self.stopped = Some(format!("{}: {}", fault.code(), fault.text()));
         }
         if sample.q_rad.is_empty() {
-            return Ok(sample); // no state was accepted, and none is not zero
+            return Ok(sample.mode); // no state was accepted, and none is not zero
         }
         #[expect(clippy::cast_precision_loss, reason = "tick counts are far below 2^53")]
         let t_s = self.rows.len() as f64 * self.period_s;
@@ -204,12 +207,12 @@ impl Rig {
             wrench_true,
             wrench_sensed: sample.cover_wrench_base,
             force_true,
-            force_sensed: sensed(&sample),
+            force_sensed: sensed(sample),
             total_force_n,
             largest_force_n,
             person_world,
         });
-        Ok(sample)
+        Ok(sample.mode)
     }
 }
 

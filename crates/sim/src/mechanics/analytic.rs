@@ -94,7 +94,7 @@ impl<const N: usize> Analytic<N> {
             arm: std::array::from_fn(|i| arm[i]),
         };
         let [fx, fy, fz, mx, my, mz] = self.flange_wrench_world;
-        if self.flange_wrench_world != [0.0; 6] {
+        if self.flange_wrench_world.iter().any(|w| w.abs() > 0.0) {
             let kinematics = &self.dynamics.arm.kinematics;
             // about the tool, which the Jacobian is of
             let lever = kinematics.flange_position - kinematics.tool_position;
@@ -107,8 +107,8 @@ impl<const N: usize> Analytic<N> {
                 mz + lever.x * fy - lever.y * fx,
             ];
             let on_base = kinematics.force_on_base(&wrench);
-            for i in 0..BASE {
-                force.base[i] += on_base[i];
+            for (sum, on_base) in force.base.iter_mut().zip(on_base) {
+                *sum += on_base;
             }
             for (torque, column) in force.arm.iter_mut().zip(kinematics.arm_jacobian().column_iter()) {
                 *torque += column.iter().zip(wrench).map(|(j, w)| j * w).sum::<f64>();
