@@ -9,13 +9,13 @@ import pytest
 import moca
 
 ROOT = Path(__file__).parents[2]
-MOCAD = Path(os.environ.get("MOCAD", ROOT / "target/release/mocad"))
+MOCAD = Path(os.environ.get("MOCAD", ROOT / "target/debug/mocad"))
 CALM = "simulation.hand.taxels = []\n"
 
 
 @pytest.fixture(scope="session")
 def mocad():
-    assert MOCAD.exists(), "cargo build --release, or MOCAD"
+    assert MOCAD.exists(), "cargo build --bin mocad, or MOCAD"
     return MOCAD
 
 

@@ -1,5 +1,4 @@
 import subprocess
-import time
 
 import numpy as np
 import pytest
@@ -12,21 +11,17 @@ def log_file(mocad, tmp_path_factory):
     folder = tmp_path_factory.mktemp("log")
     (folder / "mocad.toml").write_text('[telemetry]\nlisten = ""\n')
     path = folder / "run.mcap"
-    command = [mocad, "--config", folder / "mocad.toml", "--as-fast-as-possible", "--duration", "600", "--record", path]
+    command = [mocad, "--config", folder / "mocad.toml", "--as-fast-as-possible", "--duration", "60", "--record", path]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return path
 
 
-def test_ten_minutes_are_read_as_columns(log_file, capsys):
-    start = time.perf_counter()
+def test_a_log_is_read_as_columns(log_file):
     log = moca.read(log_file)
     columns = {name: log[name] for name in log.keys()}
-    seconds = time.perf_counter() - start
-    with capsys.disabled():
-        print(f"\nmoca.read: {len(log)} rows of ten minutes in {seconds:.2f} s")
-    assert log.cut is None and 29_000 < len(log) < 40_000
+    assert log.cut is None and 2_900 < len(log) < 6_000
     assert columns["q_rad"].shape == (len(log), 7) and columns["taxel_force_n"].shape == (len(log), 11)
-    assert np.all(np.diff(columns["time_s"]) > 0) and columns["time_s"][-1] > 599
+    assert np.all(np.diff(columns["time_s"]) > 0) and columns["time_s"][-1] > 59
     assert set(columns["mode"]) >= {"taring", "impedance"}
     assert np.nanmax(columns["taxel_force_n"]) > 5
 

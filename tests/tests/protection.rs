@@ -569,7 +569,8 @@ fn a_hand_that_stays_is_a_quasi_static_contact_with_its_clamp_force() {
     let end = events.find(|event| event.phase == ContactPhase::Finished).expect("it let go");
     println!("30 N for 2 s on T3: {end:?}");
     assert_eq!((usize::from(end.taxel), end.kind), (LEFT, ContactKind::QuasiStatic));
-    // the foam creeps back, so the hand is felt 0.25 s after it let go; a line through zero under-reads this foam by up to 17 N; the figures are of what the board reads
+    // the foam creeps back, so the hand is felt 0.25 s after it let go; a line through zero under-reads this foam by up to
+    // 17 N; the figures are of what the board reads
     assert!(
         end.duration_s > 2.0 && end.duration_s < 2.4 && end.clamp_mean_n > 12.0 && end.clamp_mean_n < 32.0,
         "{end:?}"

@@ -1,4 +1,5 @@
-//! Which file may import which: no circle between the files of a crate, and `control/` of the daemon is pure. And no robot but in tables.
+//! Which file may import which: no circle between the files of a crate, and `control/` of the daemon is pure. And no robot
+//! but in tables.
 #![allow(clippy::unwrap_used, reason = "a test that cannot read its input has to stop")]
 
 use std::collections::{BTreeMap, BTreeSet};

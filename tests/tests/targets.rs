@@ -248,6 +248,8 @@ fn what_no_robot_could_follow_is_refused_with_its_value_and_range() {
     let posture = |q: &[f64]| Target::Posture(ParameterValues::new(q).unwrap());
     let mut beyond = PANDA.home_rad;
     beyond[3] = 0.5;
+    let mut pushed_back = PANDA.home_rad;
+    pushed_back[3] = PANDA.q_max_rad[3] - 0.14;
     let refused = [
         (at([f64::NAN, 0.0, 0.5]), "position 0 is not a finite number"),
         (at([0.0, f64::INFINITY, 0.5]), "position 1 is not a finite number"),
@@ -260,6 +262,7 @@ fn what_no_robot_could_follow_is_refused_with_its_value_and_range() {
         (twist(0.3, 0.0), "linear speed 0 = 0.300000 m/s is outside -0.250000 to 0.250000 m/s"),
         (twist(0.0, f64::NAN), "angular speed 1 is not a finite number"),
         (posture(&beyond), "joint angle 0 = 0.500000 rad is outside"),
+        (posture(&pushed_back), "joint angle 0 = -0.209800 rad is outside"),
         (posture(&PANDA.home_rad[..5]), "number of joints 0 = 5.000000  is outside 7"),
     ];
     for (target, text) in refused {
@@ -272,6 +275,44 @@ fn what_no_robot_could_follow_is_refused_with_its_value_and_range() {
     assert_eq!(said, "age limit 0 = 60.000000 s is outside 0.020000 to 2.000000 s");
     ask(&mut world, Request::Disarm).unwrap();
     assert_eq!(lead(&mut world, twist(0.1, 0.0)), Err(Refusal::Mode(Mode::Ready)));
+}
+
+#[test]
+fn a_pose_that_no_posture_has_is_approached_as_far_as_the_leash() {
+    for law in [Law::Impedance, Law::FollowMe] {
+        let mut world = armed(law);
+        let start = run(&mut world, 1);
+        // As high as the joints' distances add up to, which no arm can be stretched to.
+        let target = pose(&start, [0.0, 0.0, 0.62]);
+        let Target::Pose { position_world, .. } = target else { unreachable!("a pose") };
+        let mut furthest = 0.0_f64;
+        for _ in 0..200 {
+            let now = stream(&mut world, target, 50);
+            assert_eq!((now.mode, now.fault), (law.into(), None));
+            furthest = furthest.max(distance(now.flange_position_world, now.flange_desired_position_world));
+            for i in 0..7 {
+                assert!(PANDA.q_min_rad[i] < now.q_rad[i] && now.q_rad[i] < PANDA.q_max_rad[i], "{now:?}");
+            }
+        }
+        let there = run(&mut world, 1);
+        let left = distance(there.flange_position_world, position_world);
+        let went = there.flange_position_world[2] - start.flange_position_world[2];
+        println!("{law:?}: {went} m up, {left} m are left, the reference at most {furthest} m ahead");
+        assert!(went > 0.1 && left > 0.02 && phase(&there) == Some(TargetPhase::Moving), "{went}, {left}");
+        assert!(furthest < 0.06, "{law:?}: {furthest} m ahead");
+        // On a base that stays a stretched arm hardly leaves again; on one that gives way it does.
+        let mut back = there;
+        for _ in 0..600 {
+            back = stream(&mut world, pose(&start, [0.0; 3]), 50);
+            assert_eq!((back.mode, back.fault), (law.into(), None));
+            if phase(&back) == Some(TargetPhase::Reached) {
+                break;
+            }
+        }
+        let off = distance(back.flange_position_world, start.flange_position_world);
+        println!("{law:?}: {off} m from where it came from");
+        assert!(law == Law::FollowMe || off < 0.02, "{off} m");
+    }
 }
 
 #[test]

@@ -6,7 +6,7 @@ use crate::cover::{detection, latency, other_senses};
 use crate::numerics::{barrier, stability};
 use crate::paper::report::claims;
 use crate::rig::c_library;
-use crate::robustness::{faults, lean};
+use crate::robustness::{faults, lean, protection, targets};
 use anyhow::{Context, Result, bail, ensure};
 use std::path::{Path, PathBuf};
 
@@ -31,11 +31,13 @@ struct Table {
 const TABLES: &[Table] = &[
     Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
     Table { name: "lean", file: "docs/safety.md", make: lean::markdown },
+    Table { name: "targets", file: "docs/command-line.md", make: targets::markdown },
     Table { name: "detection", file: "docs/results.md", make: detection::markdown },
     Table { name: "other-senses", file: "docs/results.md", make: other_senses::markdown },
     Table { name: "boards", file: "README.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
     Table { name: "barrier", file: "docs/math.md", make: barrier::markdown },
+    Table { name: "protection", file: "docs/results.md", make: protection::markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
 ];
 

@@ -103,7 +103,8 @@ impl SimPlant {
         Ok(plant)
     }
 
-    /// Measured state; entries beyond the arm's last joint are zero, [`RobotState::resized`] cuts them. The flange wrench is the true one if the scene has a sensor for it, else `None`.
+    /// Measured state; entries beyond the arm's last joint are zero, [`RobotState::resized`] cuts them. The flange wrench
+    /// is the true one if the scene has a sensor for it, else `None`.
     pub fn state(&self) -> RobotState<MAX_JOINTS> {
         let (qpos, qvel) = (self.mechanics.positions(), self.mechanics.rates());
         let mut state = RobotState {

@@ -228,7 +228,7 @@ fn an_old_log_is_refused_by_the_name_of_its_form() {
     drop(old);
     std::fs::write(&file.0, bytes).unwrap();
     let refused = read_log(&file.0).unwrap_err().to_string();
-    assert!(refused.contains("is a log of form moca-s/1, this program reads moca-s/3"), "{refused}");
+    assert!(refused.contains("is a log of form moca-s/1, this program reads moca-s/4"), "{refused}");
     assert!(matches!(LogFile::open(&file.0), Err(LogError::OtherForm { .. })));
 }
 

@@ -2,7 +2,7 @@
 #![cfg(feature = "net")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "test helpers fail by panicking")]
 
-use moca_msgs::{Mode, Outcome, Refusal, Request, Sample};
+use moca_msgs::{Mode, Outcome, Refusal, Request, Sample, Target, TargetRefusal, TimedTarget, TwistAxes};
 use moca_telemetry::{
     RobotDescription,
     net::{
@@ -16,7 +16,7 @@ use std::{
     net::{SocketAddr, TcpListener, TcpStream},
     sync::{
         Arc,
-        atomic::{AtomicU64, Ordering},
+        atomic::{AtomicBool, AtomicU64, Ordering},
     },
     time::{Duration, Instant},
 };
@@ -235,6 +235,82 @@ fn a_flood_of_requests_and_a_closed_socket_stop_the_robot() {
     wait_for(|| robot.server.stats().clients == 0);
     assert_eq!(robot.requests.take().map(|(_, request)| request), Some(Request::OperatorLost));
     assert_eq!(robot.requests.take(), None, "nothing that was asked before arms it again");
+}
+
+/// Asks for a target again and again, as fast as the socket takes it, and reads every answer; how many were taken and refused.
+async fn flood(client: Client, asks: u64) -> [u64; 2] {
+    let Client { mut incoming, mut outgoing, .. } = client;
+    let twist = Target::Twist { axes: TwistAxes::World, twist: [0.0, 0.01, 0.0, 0.0, 0.0, 0.0] };
+    let asking = async {
+        for id in 0..asks {
+            outgoing.request(id, Request::Target(TimedTarget::new(twist))).await.unwrap();
+        }
+    };
+    let reading = async {
+        let mut counts = [0, 0];
+        while counts.iter().sum::<u64>() < asks {
+            if let FromServer::Reply { outcome, .. } = incoming.next().await.unwrap() {
+                counts[usize::from(outcome.is_err())] += 1;
+                let known = TargetRefusal::TooMany { most: 16 };
+                assert!(
+                    outcome.is_ok()
+                        || [TargetRefusal::Overtaken, known].map(|why| Err(why.into())).contains(&outcome),
+                    "{outcome:?}"
+                );
+            }
+        }
+        counts
+    };
+    tokio::join!(asking, reading).1
+}
+
+#[test]
+fn a_flood_as_fast_as_a_socket_takes_it_is_answered_one_by_one_and_keeps_the_command() {
+    let socket = std::env::temp_dir().join(format!("moca-flood-{}.sock", std::process::id()));
+    for address in [Address::from(ANY), Address::Unix(socket)] {
+        let Loop { server, samples: _samples, mut requests, .. } = start(address, None);
+        let ended = Arc::new(AtomicBool::new(false));
+        let ends = Arc::clone(&ended);
+        let ticks = std::thread::spawn(move || {
+            let mut others = Vec::new();
+            while !ends.load(Ordering::Relaxed) {
+                while let Some((ticket, request)) = requests.take() {
+                    requests.answer(ticket, Ok(()));
+                    if !matches!(request, Request::Target(_)) {
+                        others.push(request);
+                    }
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            others
+        });
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let [taken, refused] = runtime.block_on(async {
+            let client = Client::connect(server.address()).await.unwrap();
+            flood(client, 20_000).await
+        });
+        assert!(taken > 0 && refused > 0, "{taken} taken, {refused} refused");
+        // Only its end was the loss of its command, and nothing that it asked before.
+        let onlooker = connect(server.address());
+        wait_for(|| server.stats().clients == 1);
+        onlooker.request(Request::Stop);
+        assert_eq!(reply(&onlooker).outcome, Ok(()));
+        ended.store(true, Ordering::Relaxed);
+        let heard = ticks.join().unwrap();
+        let each = [Request::OperatorLost, Request::Stop].iter().all(|request| heard.contains(request));
+        assert!(each && heard.len() == 2, "{}: {heard:?}", server.address());
+    }
+}
+
+#[test]
+fn who_asks_and_reads_no_answer_is_closed_and_the_robot_stops() {
+    let mut robot = start(ANY, None);
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let mut client = runtime.block_on(Client::connect(robot.server.address())).unwrap();
+    let asking = async { while client.outgoing.request(1, Request::Arm).await.is_ok() {} };
+    runtime.block_on(async { tokio::time::timeout(HANG, asking).await }).unwrap();
+    wait_for(|| robot.server.stats().clients == 0);
+    assert_eq!(robot.requests.take().map(|(_, request)| request), Some(Request::OperatorLost));
 }
 
 #[test]

@@ -340,12 +340,21 @@ impl<const N: usize, T: Scalar> JointRepulsion<N, T> {
         }
     }
 
-    /// What is left of the way of joint `i` to the end of its range in the direction of `dq`, from 1 two bands before the end
-    /// to 0 at it.
+    /// The way of joint `i` to the end of its range in the direction of `dq`, rad.
+    pub fn way(&self, i: usize, q: T, dq: T) -> T {
+        let band = self.band[i];
+        if dq > T::zero() { self.begin_high[i] + band - q } else { q - self.begin_low[i] + band }
+    }
+
+    /// What is left of that way, from 1 two bands before the end to 0 at it.
     pub fn room(&self, i: usize, q: T, dq: T) -> T {
         let band = self.band[i];
-        let way = if dq > T::zero() { self.begin_high[i] + band - q } else { q - self.begin_low[i] + band };
-        (way / (band + band)).clamp(T::zero(), T::one())
+        (self.way(i, q, dq) / (band + band)).clamp(T::zero(), T::one())
+    }
+
+    /// Whether joint `i` is so near to an end of its range that it is pushed back.
+    pub fn pushes(&self, i: usize, q: T) -> bool {
+        q < self.begin_low[i] || q > self.begin_high[i]
     }
 
     /// Joint torques, N·m. `inertia` is the diagonal of M_A: the damper is 0.7 of critical.
@@ -478,6 +487,8 @@ mod tests {
             assert!((repulsion.room(3, low + before_end, -1.0) - room).abs() < 1e-9, "{before_end}");
         }
         assert!((repulsion.room(3, high, -1.0) - 1.0).abs() < 1e-9, "the way back is free");
+        let (up, down) = (repulsion.way(3, high - 0.2, 1.0), repulsion.way(3, high - 0.2, -1.0));
+        assert!((up - 0.2).abs() < 1e-9 && (down - (high - 0.2 - low)).abs() < 1e-9, "{up}, {down}");
     }
 
     #[test]

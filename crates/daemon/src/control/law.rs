@@ -176,7 +176,8 @@ impl Motion {
         self.uncovered.as_ref().map_or(0.0, Uncovered::way_m)
     }
 
-    /// Changes a parameter (its number in [`moca_msgs::params::CONTROLLER`]) from the next step on; gains reach the law through a filter.
+    /// Changes a parameter (its number in [`moca_msgs::params::CONTROLLER`]) from the next step on; gains reach the law
+    /// through a filter.
     ///
     /// # Errors
     /// No such parameter, not live, out of range, or at odds with another one; nothing is changed.

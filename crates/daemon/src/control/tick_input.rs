@@ -18,7 +18,7 @@ pub struct Slot {
     pub lateness_s: f64,
     /// Missed slots so far.
     pub overruns: u64,
-    /// How long each stage of the tick before took, ns; an input, so that a replay says the same.
+    /// How long each stage of the tick before took, ns; only for the sample, and not replayed.
     pub stages_ns: [u32; STAGES.len()],
 }
 

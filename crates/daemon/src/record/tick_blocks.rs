@@ -1,12 +1,13 @@
 //! Blocks of ticks as a log holds them: every number with all its bits, in columns, and a fingerprint of each tick's sample
-//! by which a replay knows whether it does the same.
+//! by which a replay knows whether it does the same. How long a tick's stages took is noise that nothing follows from: it is
+//! left out, and a viewer's samples have the longest of each 20 ms.
 
 use crate::control::plant::SourceAge;
 use crate::control::tick_input::{Slot, TickInput};
 use crate::record::tick_log::{PortEvent, TickRecord};
 use crate::robot::JOINTS;
 use anyhow::{Context, Result, ensure};
-use moca_msgs::{ArmLink, Fault, Outcome, Request, RobotState, STAGES, Sample, nanoseconds};
+use moca_msgs::{ArmLink, Fault, Outcome, Request, RobotState, Sample, nanoseconds};
 use moca_telemetry::log::columns::{ColumnReader, ColumnWriter, DamagedColumns, Rate};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -29,10 +30,11 @@ pub struct ComparedTick {
     pub sample: Option<u32>,
 }
 
-/// A checksum over every bit of a sample: 1 of 4 billion other samples has the same.
+/// A checksum over every bit of a sample but the times of its stages: 1 of 4 billion other samples has the same.
 pub fn fingerprint(sample: &Sample) -> u32 {
+    let timeless = Sample { stages_ns: Default::default(), ..sample.clone() };
     // A sample always encodes.
-    crc32fast::hash(&postcard::to_stdvec(sample).unwrap_or_default())
+    crc32fast::hash(&postcard::to_stdvec(&timeless).unwrap_or_default())
 }
 
 /// Joins ticks and samples, which come through different rings, into blocks.
@@ -162,9 +164,6 @@ pub fn encode(ticks: &[ComparedTick], period_s: f64) -> Vec<u8> {
     out.integers(&integers(&|slot| slot.now_ns.wrapping_sub(nanoseconds(slot.lateness_s))));
     out.integers(&integers(&|slot| slot.ticks));
     out.integers(&integers(&|slot| slot.overruns));
-    for stage in 0..STAGES.len() {
-        out.integers(&integers(&|slot| slot.stages_ns[stage].into()));
-    }
     let record =
         |of: &dyn Fn(&TickRecord) -> u64| -> Vec<u64> { ticks.iter().map(|t| of(&t.record)).collect() };
     out.integers(&record(&|record| record.number));
@@ -255,21 +254,14 @@ impl Columns<'_> {
         self.rows = tick.len();
         ensure!(due_ns.len() == self.rows, DamagedColumns);
         let (ticks, overruns) = (self.integers()?, self.integers()?);
-        let mut slots: Vec<Slot> = (0..self.rows)
-            .map(|row| Slot {
-                tick: tick[row],
-                now_ns: due_ns[row],
-                ticks: ticks[row],
-                overruns: overruns[row],
-                ..Slot::default()
-            })
-            .collect();
-        for stage in 0..STAGES.len() {
-            for (slot, ns) in slots.iter_mut().zip(self.integers()?) {
-                slot.stages_ns[stage] = u32::try_from(ns)?;
-            }
-        }
-        Ok(slots)
+        let slot = |row: usize| Slot {
+            tick: tick[row],
+            now_ns: due_ns[row],
+            ticks: ticks[row],
+            overruns: overruns[row],
+            ..Slot::default()
+        };
+        Ok((0..self.rows).map(slot).collect())
     }
 
     /// The states of the ticks that have one, whose wrenches are still unknown.
@@ -409,7 +401,7 @@ mod tests {
                 ticks: 1 + number % 2,
                 lateness_s: x * 1e-5,
                 overruns: number / 7,
-                stages_ns: [1, 2, u32::MAX, 4, 5],
+                stages_ns: [0; 5],
             },
             state: if number % 11 == 5 { Err(Fault::BaseStale) } else { Ok(state) },
             age: SourceAge { arm_s: x, base_s: 2.0 * x },
@@ -445,6 +437,15 @@ mod tests {
         };
         assert_eq!(bits(&back), bits(&ticks));
         assert!(back.iter().map(|tick| tick.sample).eq(ticks.iter().map(|tick| tick.sample)));
+    }
+
+    #[test]
+    fn a_fingerprint_is_of_everything_but_how_long_the_stages_took() {
+        let sample = Sample { tick: 7, lateness_s: 1e-5, ..Sample::default() };
+        let slower = Sample { stages_ns: [9; 5], ..sample.clone() };
+        let later = Sample { lateness_s: 2e-5, ..sample.clone() };
+        assert_eq!(fingerprint(&slower), fingerprint(&sample));
+        assert_ne!(fingerprint(&later), fingerprint(&sample));
     }
 
     #[test]

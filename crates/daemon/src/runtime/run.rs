@@ -169,8 +169,9 @@ pub fn live_simulated(
 
 /// Runs a robot of the caller's until `shared.stop` is set or the duration is over, with telemetry, log and flight recorder
 /// as `mocad` has them. `connect` is called once, after the process's memory is locked: what answers to a robot every
-/// millisecond must not wait for pages. What its drivers have to say in words goes to the sender that it is given. `ticks` is [`PlantTicks::new`](crate::runtime::tick_source::PlantTicks::new) for a
-/// plant whose datagrams are the loop's clock, else [`Timer::new`]. The configuration says `plant.kind = "robot"`.
+/// millisecond must not wait for pages. What its drivers have to say in words goes to the sender that it is given. `ticks`
+/// is [`PlantTicks::new`](crate::runtime::tick_source::PlantTicks::new) for a plant whose datagrams are the loop's clock,
+/// else [`Timer::new`]. The configuration says `plant.kind = "robot"`.
 ///
 /// # Errors
 /// As for [`run`], and what `connect` says.

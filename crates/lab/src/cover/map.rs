@@ -60,6 +60,22 @@ impl Speeds {
 /// Computes the map, prints it as a table and writes it as a figure.
 #[expect(clippy::print_stdout, reason = "the command's output")]
 pub(super) fn run(forces_n: &[f64], folder: &Path) -> Result<()> {
+    let cells = cells(forces_n);
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot use {}", folder.display()))?;
+    let out = folder.join("safe-speed.csv");
+    let row = |id: usize| Ok(format!("{id},{},{}", cells[id].name(), cells[id].speeds()?.columns()));
+    let campaign = Campaign { out: &out, shard: (1, 1), rows: cells.len(), header: HEADER };
+    println!("{}", campaign.run(row)?);
+    let speeds = read(&out, &cells)?;
+    let text = table(&cells, &speeds);
+    print!("{text}");
+    let path = folder.join("safe-speed.svg");
+    std::fs::write(&path, figure(&cells, &speeds, forces_n).svg())
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Every board, limit, body, foam and deceleration.
+fn cells(forces_n: &[f64]) -> Vec<Cell> {
     let servo_s = Config::default().robot.base.servo_time_constant_s;
     let mut cells = Vec::new();
     for board in BOARDS {
@@ -76,17 +92,7 @@ pub(super) fn run(forces_n: &[f64], folder: &Path) -> Result<()> {
             }
         }
     }
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot use {}", folder.display()))?;
-    let out = folder.join("safe-speed.csv");
-    let row = |id: usize| Ok(format!("{id},{},{}", cells[id].name(), cells[id].speeds()?.columns()));
-    let campaign = Campaign { out: &out, shard: (1, 1), rows: cells.len(), header: HEADER };
-    println!("{}", campaign.run(row)?);
-    let speeds = read(&out, &cells)?;
-    let text = table(&cells, &speeds);
-    print!("{text}");
-    let path = folder.join("safe-speed.svg");
-    std::fs::write(&path, figure(&cells, &speeds, forces_n).svg())
-        .with_context(|| format!("cannot write {}", path.display()))
+    cells
 }
 
 impl Cell {
@@ -236,4 +242,26 @@ fn figure(cells: &[Cell], speeds: &[Speeds], forces_n: &[f64]) -> Drawing {
         map.draw(&mut drawing, [90.0, height * of(row)], CELL);
     }
     drawing
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// All of them take minutes: one is run, and has to come out as the document's map has it.
+    #[test]
+    fn the_map_in_the_documents_holds_no_speed_that_the_simulation_does_not_bear() {
+        let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/safe-speed.csv"));
+        let cells = cells(&Config::default().protection.assessed_forces_n);
+        let shown = read(path, &cells).unwrap();
+        assert_eq!(shown.len(), cells.len());
+        for (cell, speeds) in cells.iter().zip(&shown) {
+            assert!(speeds.keeps(), "{}", cell.name());
+        }
+        let one = cells.iter().position(|cell| cell.name() == "moca,25,leg of 50 N/mm,1,3").unwrap();
+        let (fresh, shown) = (cells[one].speeds().unwrap(), &shown[one]);
+        let halving = SEARCHED * fresh.bound / f64::from(1 << HALVINGS);
+        assert!((fresh.bound - shown.bound).abs() < 1e-4 && (fresh.law - shown.law).abs() < 1e-4);
+        assert!((fresh.measured - shown.measured).abs() < 1.1 * halving, "{}", fresh.measured);
+    }
 }

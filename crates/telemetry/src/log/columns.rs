@@ -1,10 +1,10 @@
 //! Lossless columns of numbers: what a block of ticks was given, in few bytes after a general compressor.
 //!
-//! A measured quantity changes little from tick to tick, so a column stores how many representable numbers lie between
-//! each value and what its predecessors predict: the high bytes of these distances are zero. They are stored plane by
-//! plane, highest bytes first, without the planes that are all zero, so that small bytes lie beside small ones. Numbers that are all multiples of one power of two, as a
-//! rounded measurement is, or whole nanoseconds in seconds, are counted in it: near zero, where doubles lie close, the
-//! distances stay small.
+//! A measured quantity changes little from tick to tick, so a column stores how many representable numbers lie between each
+//! value and what its predecessors predict: the high bytes of these distances are zero. They are stored plane by plane,
+//! highest bytes first, without the planes that are all zero, so that small bytes lie beside small ones. Numbers that are
+//! all multiples of one power of two, as a rounded measurement is, or whole nanoseconds in seconds, are counted in it: near
+//! zero, where doubles lie close, the distances stay small.
 //!
 //! ```
 //! use moca_telemetry::log::columns::{ColumnReader, ColumnWriter};

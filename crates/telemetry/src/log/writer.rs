@@ -24,7 +24,7 @@ use std::{collections::BTreeMap, io::Write};
 /// Number that a channel of bytes has where others have their schema's.
 const NO_SCHEMA: u16 = 0;
 /// Name of this form in a file's header; a reader refuses others by name.
-pub(super) const FORM: &str = "moca-s/3";
+pub(super) const FORM: &str = "moca-s/4";
 /// What a cut can lose, ns of loop time.
 const CHUNK_NS: u64 = 500_000_000;
 /// Bytes after which a chunk ends all the same.

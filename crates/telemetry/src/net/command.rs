@@ -338,7 +338,7 @@ impl Desk {
 mod tests {
     use super::super::requests::{RequestReceiver, request_channel};
     use super::*;
-    use moca_msgs::ParameterValues;
+    use moca_msgs::{ParameterValues, target::MAX_WAYPOINTS};
 
     fn desk() -> (Desk, RequestReceiver) {
         let (requests, robot) = request_channel();
@@ -678,6 +678,42 @@ mod tests {
             Request::Waypoint { index: 0, count: 1, waypoint: waypoint(0.0), touch: TouchPolicy::TouchWins };
         assert!(desk.ask(1, 1, request, now).unwrap().outcome.is_err());
         assert_eq!(asked(&mut robot), None);
+    }
+
+    #[test]
+    fn a_trajectory_finds_room_as_a_whole_waits_its_time_and_is_not_refused_for_what_came_before_it() {
+        let waypoint =
+            |time_s| Waypoint { time_s, position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] };
+        let trajectory = |count: u8| (0..count).map(|i| waypoint(f64::from(i))).collect::<Vec<_>>();
+        let ask = |desk: &mut Desk, count, now| {
+            desk.ask_trajectory(1, 9, TouchPolicy::TouchWins, &trajectory(count), now)
+        };
+        let (mut desk, mut robot) = desk();
+        let now = Instant::now();
+        // what the loop refuses without anybody waiting for it any more is no refusal of the trajectory behind it
+        assert_eq!(desk.ask(1, 1, Request::Disarm, now), None);
+        let later = now + ANSWER_TIMEOUT;
+        desk.hear(1, later);
+        assert_eq!(desk.answers(later).len(), 1);
+        assert_eq!(ask(&mut desk, 2, later), None);
+        let (ticket, _) = robot.take().unwrap();
+        robot.answer(ticket, Err(Refusal::NoRobot));
+        let end = later + ANSWER_TIMEOUT;
+        desk.hear(1, end);
+        assert_eq!(desk.answers(end - Duration::from_millis(1)), []);
+        let late = Answer { client: 1, id: 9, outcome: Err(Refusal::NoAnswer) };
+        assert_eq!(desk.answers(end), [late]);
+        // its two poses are still on their way, with what follows one more than leaves room for the longest trajectory
+        let longest = u8::try_from(MAX_WAYPOINTS).unwrap();
+        for _ in 0..ROOM - MAX_WAYPOINTS - 1 {
+            assert_eq!(desk.ask(1, 1, Request::Disarm, end), None);
+        }
+        let too_many = Refusal::Target(TargetRefusal::TooMany { most: TARGETS_MAX });
+        assert_eq!(refusal(ask(&mut desk, longest, end)), Some(too_many));
+        let (ticket, _) = robot.take().unwrap();
+        robot.answer(ticket, Ok(()));
+        desk.answers(end);
+        assert_eq!(ask(&mut desk, longest, end), None);
     }
 
     #[test]

@@ -5,7 +5,8 @@ use std::{collections::VecDeque, rc::Rc};
 
 /// Most batches that wait for one client: 0.64 s at 10 ms a batch.
 pub(super) const MAX_BATCHES: usize = 64;
-/// Most answers that wait for one client. One that asks without reading is cut off.
+/// With so many answers waiting a client is asked for nothing more until it has read some: it may ask as fast as it likes,
+/// and is heard as fast as it reads.
 const MAX_REPLIES: usize = 64;
 
 /// One encoded batch, shared by all clients.
@@ -48,10 +49,14 @@ impl Queue {
         self.batches.push_back(batch);
     }
 
-    /// Takes an answer; `false` when the client asks without reading.
-    pub(super) fn push_reply(&mut self, frame: Vec<u8>) -> bool {
+    /// Takes an answer. No more of them wait than [`MAX_REPLIES`] and those to what the loop has on its way.
+    pub(super) fn push_reply(&mut self, frame: Vec<u8>) {
         self.replies.push_back(Rc::new(frame));
-        self.replies.len() <= MAX_REPLIES
+    }
+
+    /// Whether there is room for the answers to what the client asks next.
+    pub(super) fn has_room(&self) -> bool {
+        self.replies.len() < MAX_REPLIES
     }
 
     /// Takes the parameters' values, encoded.

@@ -247,10 +247,10 @@ struct Calibration {
 struct Client {
     id: ClientId,
     queue: RefCell<Queue>,
-    /// Wakes the task that writes.
+    /// Wakes who writes.
     filled: Notify,
-    /// Ends the client's tasks.
-    closed: Notify,
+    /// Wakes who reads and waits for room.
+    emptied: Notify,
 }
 
 impl Hub {
@@ -283,9 +283,7 @@ impl Hub {
         else {
             return; // It left before the answer came.
         };
-        if !client.queue.borrow_mut().push_reply(frame) {
-            client.closed.notify_waiters();
-        }
+        client.queue.borrow_mut().push_reply(frame);
         client.filled.notify_one();
     }
 
@@ -457,7 +455,7 @@ async fn refuse(mut writer: Writer) {
 /// One client from greeting to goodbye.
 async fn attend(id: ClientId, reader: Reader, writer: Writer, hub: Rc<Hub>) {
     let client =
-        Rc::new(Client { id, queue: RefCell::default(), filled: Notify::new(), closed: Notify::new() });
+        Rc::new(Client { id, queue: RefCell::default(), filled: Notify::new(), emptied: Notify::new() });
     if let Some(frame) = &hub.parameters.borrow().frame {
         client.queue.borrow_mut().set_parameters(Rc::clone(frame));
     }
@@ -473,7 +471,6 @@ async fn attend(id: ClientId, reader: Reader, writer: Writer, hub: Rc<Hub>) {
         _ = read_requests(reader, &client, &hub) => {}
         _ = write_queue(writer, &client, &hub.greeting) => {}
         () = leave_commanders_place(&client, &hub) => {}
-        () = client.closed.notified() => {}
     }
     hub.clients.borrow_mut().remove(&id);
     hub.desk.borrow_mut().lose(id);
@@ -501,9 +498,13 @@ async fn leave_commanders_place(client: &Client, hub: &Hub) {
     }
 }
 
+/// Hears a client as fast as it reads its answers. One that asks and reads nothing is heard no more, and closed by the writer.
 async fn read_requests(mut reader: Reader, client: &Client, hub: &Hub) -> Result<(), NetError> {
     let mut payload = Vec::new();
     loop {
+        while !client.queue.borrow().has_room() {
+            client.emptied.notified().await;
+        }
         wire::read_frame(&mut reader, &mut payload, wire::MAX_CLIENT_FRAME).await?;
         hub.desk.borrow_mut().hear(client.id, Instant::now());
         match wire::decode_from_client(&payload)? {
@@ -536,7 +537,10 @@ async fn write_queue(mut writer: Writer, client: &Client, greeting: &[u8]) -> Re
         let next = client.queue.borrow_mut().pop();
         match next {
             Some(Outgoing::Batch(batch)) => write(&mut writer, &batch.frame).await?,
-            Some(Outgoing::Frame(frame)) => write(&mut writer, &frame).await?,
+            Some(Outgoing::Frame(frame)) => {
+                client.emptied.notify_one();
+                write(&mut writer, &frame).await?;
+            }
             Some(Outgoing::Status(status)) => {
                 write(&mut writer, &wire::encode(&FromServer::Status(status))?).await?;
             }

@@ -1,7 +1,7 @@
 //! An arm: Cartesian impedance of its tool on the base it stands on.
 
 use super::arm_state::ArmState;
-use super::joint_pace::{JointLimits, LED_SHARE, slowing_torque};
+use super::joint_pace::{JointLimits, LED_SHARE, braking_torque};
 use super::law::ControlLaw;
 use super::tick::{ArmTick, Tracking, seen_from_base, tool_pose};
 use super::{CARRY_FADE_S, FlangePose, LONGEST_STEP_S, check};
@@ -179,7 +179,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
                     (torque, Some(tracking), flange_wrench)
                 }
             };
-            let torque_nm = self.limited(tick, &mut next, &wanted, &mut hit)?;
+            let torque_nm = self.limited(tick, &mut next, &wanted, &[T::zero(); N], &mut hit)?;
             Ok(ArmOutput {
                 torque_nm,
                 gravity_nm: tick.dynamics.gravity(),
@@ -266,8 +266,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         state: &mut ArmState<N, T>,
     ) -> Result<(), ControlError> {
         if state.is_led() {
-            let limits = JointLimits { speeds: &self.joint_speeds, repulsion: &self.repulsion };
-            state.advance_lead(&self.model, tick, arm, limits)?;
+            state.advance_lead(&self.model, tick, arm, self.joint_limits())?;
             if !state.leads_posture() {
                 approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
             }
@@ -281,6 +280,10 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         state.reference.advance(&actual, state.held_back.as_ref(), tick.dt_s);
         approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
         Ok(())
+    }
+
+    const fn joint_limits(&self) -> JointLimits<'_, N, T> {
+        JointLimits { speeds: &self.joint_speeds, repulsion: &self.repulsion }
     }
 
     /// Keeps the posture so near that the null space goes there no faster than joints are led: at K_0·e/D_0.
@@ -329,28 +332,34 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         self.flange_limits.exceeded(speed_m_s, error)
     }
 
-    /// `wanted` inside every limit of the arm, and the state that goes with it.
+    /// `wanted` inside every limit of the arm, and the state that goes with it. `coupling` of it only carries the arm along
+    /// with its base.
     #[inline]
     pub(super) fn limited(
         &self,
         tick: &ArmTick<'_, N, T>,
         state: &mut ArmState<N, T>,
         wanted: &[T; N],
+        coupling: &[T; N],
         hit: &mut LimitsHit,
     ) -> Result<[T; N], ControlError> {
-        let mut repulsion =
+        let repulsion =
             self.repulsion.torque(&tick.robot.q_rad, &tick.robot.dq_rad_s, |i| tick.dynamics.mass[(i, i)]);
         hit.joint_range = repulsion.iter().any(|torque| *torque != T::zero());
-        if state.is_led() {
-            let slowing = slowing_torque(tick, &self.joint_speeds);
-            repulsion = core::array::from_fn(|i| repulsion[i] + slowing[i]);
-        }
         if state.entering {
             state.entering = false;
             state.carried_nm = core::array::from_fn(|i| state.torque_nm[i] - wanted[i] - repulsion[i]);
         }
         let total = core::array::from_fn(|i| wanted[i] + state.carried_nm[i] + repulsion[i]);
-        state.torque_nm = self.limits.limited(&total, &state.torque_nm, tick.dt_s, hit);
+        let mut torque = self.limits.limited(&total, &state.torque_nm, tick.dt_s, hit);
+        if state.is_led() {
+            // What brakes answers what this step can give, not what the law would have: torques change only so fast.
+            let moving = core::array::from_fn(|i| torque[i] - coupling[i]);
+            let braking = braking_torque(tick, self.joint_limits(), &moving)?;
+            let braked = core::array::from_fn(|i| torque[i] + braking[i]);
+            torque = self.limits.limited(&braked, &state.torque_nm, tick.dt_s, hit);
+        }
+        state.torque_nm = torque;
         let fade = (-tick.dt_s / of(CARRY_FADE_S)).exp();
         state.carried_nm = state.carried_nm.map(|carried| carried * fade);
         finite("torque command", &state.torque_nm)?;

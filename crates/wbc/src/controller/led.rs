@@ -34,16 +34,19 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
         let way = match target {
             Target::Posture(wanted) => {
                 finite("target posture", wanted)?;
-                let axes = match self.lead {
-                    Some(Lead { way: Way::Posture { axes, .. }, .. }) => axes,
+                match self.lead {
+                    // On the way to another one the base goes on counting as where it stood: the tool's reference does not jump.
+                    Some(Lead { way: Way::Posture { axes, target: Some(_), base_pose_world }, .. }) => {
+                        Way::Posture { axes, target: Some(*wanted), base_pose_world }
+                    }
                     // From where the arm is: what the tool's reference is away from it is given up, and what the torque would
                     // jump by fades.
                     _ => {
                         self.entering = true;
-                        core::array::from_fn(|i| Axis::moving(robot.q_rad[i], robot.dq_rad_s[i]))
+                        let axes = core::array::from_fn(|i| Axis::moving(robot.q_rad[i], robot.dq_rad_s[i]));
+                        Way::Posture { axes, target: Some(*wanted), base_pose_world: robot.base_pose_world }
                     }
-                };
-                Way::Posture { axes, target: Some(*wanted), base_pose_world: robot.base_pose_world }
+                }
             }
             Target::Hold => match self.lead {
                 None => return Ok(()),

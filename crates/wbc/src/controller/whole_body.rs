@@ -381,14 +381,15 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             let instead = arm.torque_for_refused(&refused)?;
             torque = core::array::from_fn(|i| torque[i] + instead[i]);
         }
+        let mut coupling = [T::zero(); N];
         if self.corrections.base_coupling && moves {
             let commanded = heading.to_world(base_velocity_body);
             let acceleration: [T; 3] =
                 core::array::from_fn(|i| (commanded[i] - step.base_velocity[i]) / tick.dt_s);
-            let coupling = times(&tick.dynamics.base_coupling, &acceleration);
+            coupling = times(&tick.dynamics.base_coupling, &acceleration);
             torque = core::array::from_fn(|i| torque[i] + coupling[i]);
         }
-        let arm_torque_nm = self.arm.limited(tick, &mut state.arm, &torque, hit)?;
+        let arm_torque_nm = self.arm.limited(tick, &mut state.arm, &torque, &coupling, hit)?;
         state.base.velocity_body = base_velocity_body;
         Ok(RobotCommand { base_velocity_body, arm_torque_nm, arm_gravity_nm: tick.dynamics.gravity() })
     }

@@ -1,4 +1,5 @@
-//! Comparisons with reference results, and measures of a step, that this crate's tests and the laboratory share (feature `testing`; needs std).
+//! Comparisons with reference results, and measures of a step, that this crate's tests and the laboratory share (feature
+//! `testing`; needs std).
 //!
 //! ```
 //! use moca_wbc::testing::reference_file;

@@ -78,7 +78,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 const SHORT_PHASES: u32 = 2;
 
 /// The short table: a cell a line, under both laws that ship.
-fn markdown() -> Result<String> {
+pub(crate) fn markdown() -> Result<String> {
     let lines = parallel::run("protection", &Cell::short(), short_line, |_| ());
     let mut out = String::from(
         "| place | who moves | board | body | foam | share | robot | seed | m/s | barrier off | barrier on | least | taps | flange | why |\n\
@@ -243,6 +243,18 @@ mod tests {
         let (short, grid) = (Cell::short(), Cell::sample(usize::MAX, 1));
         for column in 0..6 {
             assert_eq!(values(&short, column), values(&grid, column), "column {column}");
+        }
+    }
+
+    /// All of them take minutes: every ninth is run, and has to come out as the document has it.
+    #[test]
+    fn cells_of_the_short_table_come_out_as_the_document_has_them() {
+        let Some(shown) = crate::docs::shown("protection") else { return };
+        assert_eq!(shown.lines().filter(|line| line.starts_with("| ")).count(), 1 + Cell::short().len());
+        let cells: Vec<Cell> = Cell::short().into_iter().step_by(9).collect();
+        for line in parallel::run("protection", &cells, short_line, |_| ()) {
+            let line = line.unwrap();
+            assert!(shown.contains(&line), "`moca-lab docs --only protection` writes it anew: {line}");
         }
     }
 }

@@ -37,7 +37,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64) {
     if response.double_clicked() {
         view.camera = OrbitCamera::default();
     }
-    painter.rect_filled(response.rect, 4.0, ui.visuals().extreme_bg_color);
+    // No background of its own: filling it costs a software rasteriser more than the robot does.
     let Some(sample) = &model.latest else { return };
     let mut painter = painter;
     if model.freshness(now_s) != Freshness::Live {

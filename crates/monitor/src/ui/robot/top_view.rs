@@ -66,8 +66,8 @@ impl Camera {
     }
 }
 
-/// Draws the robot `height` points high, with what belongs to it below, and returns the taxel that is pressed with mouse or keyboard, with
-/// the force chosen for it, N.
+/// Draws the robot `height` points high, with what belongs to it below, and returns the taxel that is pressed with mouse or
+/// keyboard, with the force chosen for it, N.
 pub(in crate::ui) fn show(
     ui: &mut Ui,
     model: &Model,
