@@ -186,6 +186,7 @@ const NO_ROBOT: &[(&str, &str)] = &[
     ("daemon/src/control/law.rs", "<7>"),        // which controllers there are
     ("daemon/src/control/loop_state.rs", "<7>"), // the same
     ("daemon/src/config/stability.rs", "<7>"),   // the same
+    ("sim/src/mechanics/analytic.rs", "<7>"),    // which arms it is built for
     ("monitor/src/ui/theme.rs", "; 11]"),        // colours
     ("figures/src/drawing.rs", "; 7]"),          // colours
     ("daemon/src/config/mod.rs", "; 7]"),        // thresholds of an arm that speaks FCI

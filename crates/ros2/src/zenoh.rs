@@ -330,7 +330,6 @@ fn unanswered(router: &str) -> String {
     format!("no zenoh router answers at {router}: rmw_zenohd is off, or elsewhere")
 }
 
-#[expect(clippy::needless_pass_by_value, reason = "what map_err hands on")]
 fn failed(error: impl Display) -> TransportError {
     TransportError(format!("zenoh: {error}"))
 }

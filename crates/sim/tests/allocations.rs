@@ -8,7 +8,7 @@
 
 use moca_msgs::robot::{AnyArm, MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
 use moca_msgs::{Actuation, RobotCommand};
-use moca_sim::{Person, Scene, SimPlant, VirtualBoard, VirtualBoardConfig};
+use moca_sim::{Engine, Person, Scene, SimPlant, VirtualBoard, VirtualBoardConfig};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
@@ -36,8 +36,14 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 #[test]
-fn state_apply_step_and_the_board_allocate_nothing() {
+fn state_apply_step_and_the_board_allocate_nothing_on_either_engine() {
+    run(Engine::MuJoCo);
+    run(Engine::Analytic);
+}
+
+fn run(engine: Engine) {
     let scene = Scene {
+        engine,
         people: vec![Person::beside(&PAPER_COVER, 0, 0.01).unwrap()],
         flange_sensor: true,
         ..Scene::new(&AnyArm::of(&PANDA), &SUMMIT_XL, &MOCA_MOUNT, &PAPER_COVER)
