@@ -37,7 +37,8 @@ const TABLES: &[Table] = &[
     Table { name: "boards", file: "README.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
     Table { name: "barrier", file: "docs/math.md", make: barrier::markdown },
-    Table { name: "protection", file: "docs/results.md", make: protection::markdown },
+    Table { name: "protection-short", file: "docs/results.md", make: protection::markdown },
+    Table { name: "protection-campaign", file: "docs/results.md", make: protection::campaign_markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
 ];
 
@@ -107,6 +108,11 @@ mod tests {
     #[test]
     fn the_paper_s_claims_in_the_documents_are_what_the_experiments_print() {
         is_what_is_printed("paper");
+    }
+
+    #[test]
+    fn the_table_of_the_campaign_round_the_cover_is_that_of_its_file() {
+        is_what_is_printed("protection-campaign");
     }
 
     #[test]

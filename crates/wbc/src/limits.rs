@@ -487,6 +487,13 @@ mod tests {
             assert!((repulsion.room(3, low + before_end, -1.0) - room).abs() < 1e-9, "{before_end}");
         }
         assert!((repulsion.room(3, high, -1.0) - 1.0).abs() < 1e-9, "the way back is free");
+        // it pushes back from where it exerts a torque on, and not at its beginning
+        let (begin_low, begin_high) = (repulsion.begin_low[3], repulsion.begin_high[3]);
+        for (q, pushes) in [(begin_low - 1e-6, true), (begin_high + 1e-6, true), (0.5 * (low + high), false)]
+        {
+            assert_eq!(repulsion.pushes(3, q), pushes, "{q}");
+        }
+        assert!(!repulsion.pushes(3, begin_low) && !repulsion.pushes(3, begin_high));
         let (up, down) = (repulsion.way(3, high - 0.2, 1.0), repulsion.way(3, high - 0.2, -1.0));
         assert!((up - 0.2).abs() < 1e-9 && (down - (high - 0.2 - low)).abs() < 1e-9, "{up}, {down}");
     }
