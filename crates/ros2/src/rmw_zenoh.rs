@@ -1,4 +1,4 @@
-//! What ROS 2 nodes on `rmw_zenoh` put on the wire, as texts and bytes; the session is [`crate::zenoh`]'s.
+//! What ROS 2 nodes on `rmw_zenoh` put on the wire, as texts and bytes; the session is the module `zenoh`'s (feature `zenoh`).
 //!
 //! A topic's data has a key with domain, name, type and the type's hash. Who is on it is told by liveliness tokens. A
 //! payload is CDR as over DDS; number, time and writer go beside it, without which `rmw_zenoh_cpp` drops it.
