@@ -134,7 +134,12 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
 
     /// M_A⁻¹ J_Aᵀ·F: what a wrench at the tool makes the joints do.
     pub(crate) fn response(&self, wrench: &[T; 6]) -> [T; N] {
-        self.mass.solve(&transpose_times(self.kinematics.arm_jacobian(), wrench))
+        self.joint_acceleration(&transpose_times(self.kinematics.arm_jacobian(), wrench))
+    }
+
+    /// M_A⁻¹ τ: what joint torques make the joints do on a standing base, rad/s².
+    pub(crate) fn joint_acceleration(&self, torque: &[T; N]) -> [T; N] {
+        self.mass.solve(torque)
     }
 }
 

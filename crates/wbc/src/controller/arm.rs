@@ -167,19 +167,21 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             next.enter_law(law, tick);
             next.gains.approach(&self.gains, tick.dt_s);
             let measured = input.flange_wrench_world;
-            let (wanted, tracking, flange_wrench_world) = match law {
-                ControlLaw::Hold => {
-                    let flange_wrench = tick.flange_wrench(&mut next, measured, None)?;
-                    (self.holding(tick, &next), None, flange_wrench)
-                }
-                ControlLaw::Impedance | ControlLaw::FollowMe => {
-                    let arm = ArmDynamics::new(tick.dynamics)?;
-                    let flange_wrench = tick.flange_wrench(&mut next, measured, Some(&arm))?;
-                    let (torque, tracking) = self.on_the_base(tick, &mut next, &arm, &mut hit)?;
-                    (torque, Some(tracking), flange_wrench)
+            // an arm that holds its posture has no task
+            let arm = match law {
+                ControlLaw::Hold => None,
+                ControlLaw::Impedance | ControlLaw::FollowMe => Some(ArmDynamics::new(tick.dynamics)?),
+            };
+            let flange_wrench_world = tick.flange_wrench(&mut next, measured, arm.as_ref())?;
+            let (wanted, tracking) = match &arm {
+                None => (self.holding(tick, &next), None),
+                Some(arm) => {
+                    let (torque, tracking) = self.on_the_base(tick, &mut next, arm, &mut hit)?;
+                    (torque, Some(tracking))
                 }
             };
-            let torque_nm = self.limited(tick, &mut next, &wanted, &[T::zero(); N], &mut hit)?;
+            let torque_nm =
+                self.limited(tick, arm.as_ref(), &mut next, &wanted, &[T::zero(); N], &mut hit)?;
             Ok(ArmOutput {
                 torque_nm,
                 gravity_nm: tick.dynamics.gravity(),
@@ -333,11 +335,12 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
     }
 
     /// `wanted` inside every limit of the arm, and the state that goes with it. `coupling` of it only carries the arm along
-    /// with its base.
+    /// with its base. `None` for `arm` is a law without a task, under which nothing leads.
     #[inline]
     pub(super) fn limited(
         &self,
         tick: &ArmTick<'_, N, T>,
+        arm: Option<&ArmDynamics<'_, N, T>>,
         state: &mut ArmState<N, T>,
         wanted: &[T; N],
         coupling: &[T; N],
@@ -352,10 +355,10 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         }
         let total = core::array::from_fn(|i| wanted[i] + state.carried_nm[i] + repulsion[i]);
         let mut torque = self.limits.limited(&total, &state.torque_nm, tick.dt_s, hit);
-        if state.is_led() {
+        if let (true, Some(arm)) = (state.is_led(), arm) {
             // What brakes answers what this step can give, not what the law would have: torques change only so fast.
             let moving = core::array::from_fn(|i| torque[i] - coupling[i]);
-            let braking = braking_torque(tick, self.joint_limits(), &moving)?;
+            let braking = braking_torque(tick, arm, self.joint_limits(), &moving);
             let braked = core::array::from_fn(|i| torque[i] + braking[i]);
             torque = self.limits.limited(&braked, &state.torque_nm, tick.dt_s, hit);
         }

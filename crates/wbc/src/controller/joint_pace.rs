@@ -53,22 +53,20 @@ const ROUNDS: usize = 4;
 const CRITICAL_SPEED: f64 = 0.367_879_441_171_442_33;
 
 /// What has to be added to `torque` N·m, which moves the joints of a led arm, so that none gets faster than it is held to.
-///
-/// # Errors
-/// [`ControlError::NotPositiveDefinite`] if M_A is not.
 pub(super) fn braking_torque<const N: usize, T: Scalar>(
     tick: &ArmTick<'_, N, T>,
+    arm: &ArmDynamics<'_, N, T>,
     JointLimits { speeds, repulsion }: JointLimits<'_, N, T>,
     torque: &[T; N],
-) -> Result<[T; N], ControlError> {
-    let (robot, dynamics) = (tick.robot, tick.dynamics);
+) -> [T; N] {
+    let robot = tick.robot;
     let mut braking = [T::zero(); N];
     let pushed_back = (0..N).any(|i| repulsion.pushes(i, robot.q_rad[i]));
     if !pushed_back && speeds.share(&robot.q_rad, &robot.dq_rad_s) < of(LED_SHARE) {
-        return Ok(braking);
+        return braking;
     }
-    let mass = Cholesky::new(&dynamics.mass).ok_or(ControlError::NotPositiveDefinite { what: "M_A" })?;
-    let mut acceleration = mass.solve(&core::array::from_fn(|i| torque[i] - dynamics.bias[i]));
+    let bias = &tick.dynamics.bias;
+    let mut acceleration = arm.joint_acceleration(&core::array::from_fn(|i| torque[i] - bias[i]));
     let (kappa, held) = (of::<T>(APPROACH_PER_S), of::<T>(HELD_SHARE));
     let directions: [T; N] =
         core::array::from_fn(|i| (robot.dq_rad_s[i] + acceleration[i] * tick.dt_s).signum());
@@ -80,7 +78,7 @@ pub(super) fn braking_torque<const N: usize, T: Scalar>(
         kappa * (held - dq * direction)
     });
     let response: [[T; N]; N] = core::array::from_fn(|i| {
-        mass.solve(&core::array::from_fn(|j| if i == j { T::one() } else { T::zero() }))
+        arm.joint_acceleration(&core::array::from_fn(|j| if i == j { T::one() } else { T::zero() }))
     });
     // Projected Gauss-Seidel: each joint brakes for what is left of its own excess.
     for _ in 0..ROUNDS {
@@ -96,7 +94,7 @@ pub(super) fn braking_torque<const N: usize, T: Scalar>(
             }
         }
     }
-    Ok(braking)
+    braking
 }
 
 /// The joint rates that the law gives an arm whose tool it moves: q̇ = M⁻¹Jᵀ(J·M⁻¹Jᵀ)⁻¹·ν, on a standing base.

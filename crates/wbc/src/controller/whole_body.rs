@@ -110,13 +110,13 @@ pub struct WholeBodyController<const N: usize, const K: usize, T = f64> {
 }
 
 /// What a law wants before any limit.
-struct Wanted<'a, const N: usize, T> {
+struct Wanted<const N: usize, T> {
     torque: [T; N],
     /// World axes.
     base_velocity: [T; 3],
     /// Acceleration of the base that the arm's torque counts on per change of its velocity in this step, 1/s, world
     /// axes; `None` where it counts on none.
-    counted_on: Option<(&'a ArmDynamics<'a, N, T>, [T; 3])>,
+    counted_on: Option<[T; 3]>,
     /// `None` where no pose is tracked.
     tracking: Option<Tracking<T>>,
 }
@@ -240,7 +240,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
                 }
                 Some(arm) => self.follow_me(&step, arm, &mut next, &mut hit)?,
             };
-            let command = self.limited(&step, &mut next, &input.guard, &wanted, &mut hit)?;
+            let command = self.limited(&step, arm.as_ref(), &mut next, &input.guard, &wanted, &mut hit)?;
             Ok(ControlOutput {
                 command,
                 cover_wrench_base,
@@ -274,13 +274,13 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
 
     /// eqs. (2), (6)–(11), with the corrections that are switched on.
     #[inline]
-    fn impedance<'a>(
+    fn impedance(
         &self,
         step: &Step<'_, N, T>,
-        arm: &'a ArmDynamics<'a, N, T>,
+        arm: &ArmDynamics<'_, N, T>,
         state: &mut ControllerState<N, T>,
         hit: &mut LimitsHit,
-    ) -> Result<Wanted<'a, N, T>, ControlError> {
+    ) -> Result<Wanted<N, T>, ControlError> {
         let tick = step.tick;
         self.arm.advance(tick, arm, &mut state.arm)?;
         let gains = &state.base.gains;
@@ -319,18 +319,18 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         };
         let arm_force = weighted.arm_force(&y, &null.arm);
         let torque = core::array::from_fn(|i| arm_force[i] + tick.dynamics.bias[i]);
-        Ok(Wanted { torque, base_velocity, counted_on: Some((arm, counted_per_s)), tracking: Some(tracking) })
+        Ok(Wanted { torque, base_velocity, counted_on: Some(counted_per_s), tracking: Some(tracking) })
     }
 
     /// eqs. (2), (12)–(16): the tool keeps its pose on the base, the base follows cover and flange.
     #[inline]
-    fn follow_me<'a>(
+    fn follow_me(
         &self,
         step: &Step<'_, N, T>,
-        arm: &'a ArmDynamics<'a, N, T>,
+        arm: &ArmDynamics<'_, N, T>,
         state: &mut ControllerState<N, T>,
         hit: &mut LimitsHit,
-    ) -> Result<Wanted<'a, N, T>, ControlError> {
+    ) -> Result<Wanted<N, T>, ControlError> {
         let (torque, tracking) = self.arm.on_the_base(step.tick, &mut state.arm, arm, hit)?;
         let led = flange_wrench_on_base_world(step);
         let reactivity = state.base.gains.reactivity;
@@ -346,9 +346,10 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
     fn limited(
         &self,
         step: &Step<'_, N, T>,
+        arm: Option<&ArmDynamics<'_, N, T>>,
         state: &mut ControllerState<N, T>,
         guard: &BaseGuard<K, T>,
-        wanted: &Wanted<'_, N, T>,
+        wanted: &Wanted<N, T>,
         hit: &mut LimitsHit,
     ) -> Result<RobotCommand<N, T>, ControlError> {
         let (tick, heading) = (step.tick, &step.tick.kinematics.heading);
@@ -373,7 +374,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             })
             .flatten();
         let mut torque = wanted.torque;
-        if let Some((arm, per_s)) = wanted.counted_on
+        if let (Some(arm), Some(per_s)) = (arm, wanted.counted_on)
             && wanted_body != base_velocity_body
         {
             let refused = heading.to_world(core::array::from_fn(|i| wanted_body[i] - base_velocity_body[i]));
@@ -389,7 +390,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             coupling = times(&tick.dynamics.base_coupling, &acceleration);
             torque = core::array::from_fn(|i| torque[i] + coupling[i]);
         }
-        let arm_torque_nm = self.arm.limited(tick, &mut state.arm, &torque, &coupling, hit)?;
+        let arm_torque_nm = self.arm.limited(tick, arm, &mut state.arm, &torque, &coupling, hit)?;
         state.base.velocity_body = base_velocity_body;
         Ok(RobotCommand { base_velocity_body, arm_torque_nm, arm_gravity_nm: tick.dynamics.gravity() })
     }
