@@ -7,10 +7,9 @@ use crate::scene::{Integrator, Mobility, Robot, Scene, Shape};
 use moca_msgs::robot::LinkInertial;
 use std::fmt::{self, Write};
 
-/// Velocity gain of the inner base servo, N·s/m: 20 N push it back by 0.2 mm/s. ASSUMED.
-pub(crate) const BASE_SERVO_DAMPING: f64 = 1e5;
-/// The same about the vertical, N·m·s/rad. ASSUMED.
-pub(crate) const YAW_SERVO_DAMPING: f64 = 2.5e4;
+/// Velocity gain of the inner base servo along x and y and about the vertical, N·s/m, N·s/m, N·m·s/rad: 20 N push it back by
+/// 0.2 mm/s. ASSUMED.
+pub(crate) const SERVO_DAMPING: [f64; 3] = [1e5, 1e5, 2.5e4];
 /// Name of the massless body that marks the flange.
 pub(crate) const FLANGE: &str = "flange";
 
@@ -88,9 +87,9 @@ fn base(xml: &mut String, scene: &Scene) -> fmt::Result {
     let [cx, cy, cz] = scene.base.com_m;
     xml.push_str("<body name=\"base\">\n");
     for (name, kind, axis, damping) in [
-        ("base_x", "slide", "1 0 0", BASE_SERVO_DAMPING),
-        ("base_y", "slide", "0 1 0", BASE_SERVO_DAMPING),
-        ("base_yaw", "hinge", "0 0 1", YAW_SERVO_DAMPING),
+        ("base_x", "slide", "1 0 0", SERVO_DAMPING[0]),
+        ("base_y", "slide", "0 1 0", SERVO_DAMPING[1]),
+        ("base_yaw", "hinge", "0 0 1", SERVO_DAMPING[2]),
     ] {
         writeln!(xml, "<joint name=\"{name}\" type=\"{kind}\" axis=\"{axis}\" damping=\"{damping}\"/>")?;
     }

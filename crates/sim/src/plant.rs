@@ -2,7 +2,7 @@
 
 use crate::SimError;
 use crate::mechanics::{self, Mechanics};
-use crate::mjcf::{BASE_SERVO_DAMPING, YAW_SERVO_DAMPING};
+use crate::mjcf::SERVO_DAMPING;
 use crate::outline::Outline;
 use crate::people::{CoverInstant, Felt, People};
 use crate::scene::{Robot, Scene};
@@ -311,12 +311,12 @@ impl SimPlant {
         if let Some(dof) = self.base_dof {
             let (push_world, velocity_world) =
                 (cover.planar_to_world(on_base), cover.planar_to_world(self.servo_velocity_body));
-            let damping = [BASE_SERVO_DAMPING, BASE_SERVO_DAMPING, YAW_SERVO_DAMPING];
             let force = mechanics.forces_mut();
             for i in 0..3 {
                 // The joint's own damping (implicit in the integrator) is the other half of the servo.
-                let held = damping[i] * state.base_velocity_world[i];
-                let servo = (damping[i] * velocity_world[i] - held).clamp(-TRACTION[i], TRACTION[i]) + held;
+                let held = SERVO_DAMPING[i] * state.base_velocity_world[i];
+                let servo =
+                    (SERVO_DAMPING[i] * velocity_world[i] - held).clamp(-TRACTION[i], TRACTION[i]) + held;
                 force[dof + i] = servo + push_world[i];
             }
         }

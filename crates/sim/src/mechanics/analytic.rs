@@ -5,18 +5,17 @@
 
 use super::joint_limits::JointLimits;
 use super::{BAD_ACCELERATION, BAD_POSITION, BAD_RATE, Mechanics, SINGULAR};
-use crate::mjcf::{BASE_SERVO_DAMPING, YAW_SERVO_DAMPING};
+use crate::mjcf::SERVO_DAMPING;
 use crate::scene::Mobility;
 use crate::{ModelSize, Scene, SimError};
 use moca_msgs::BaseTable;
 use moca_wbc::ArmModel;
 use moca_wbc::coupled::CoupledDynamics;
+use moca_wbc::linalg::transpose_times;
 use moca_wbc::opspace::WholeBodyForce;
 
 /// Coordinates of the base.
 const BASE: usize = 3;
-/// What the wheels take from each coordinate of the base, N·s/m, N·s/m, N·m·s/rad.
-const DAMPING: [f64; BASE] = [BASE_SERVO_DAMPING, BASE_SERVO_DAMPING, YAW_SERVO_DAMPING];
 /// Numbers beyond this count as infinite, as MuJoCo has it.
 const LARGEST: f64 = 1e10;
 
@@ -90,7 +89,7 @@ impl<const N: usize> Analytic<N> {
     fn force(&self) -> WholeBodyForce<N, f64> {
         let (base, arm) = self.forces.split_at(BASE);
         let mut force = WholeBodyForce {
-            base: std::array::from_fn(|i| base[i] - DAMPING[i] * self.rates[i]),
+            base: std::array::from_fn(|i| base[i] - SERVO_DAMPING[i] * self.rates[i]),
             arm: std::array::from_fn(|i| arm[i]),
         };
         let [fx, fy, fz, mx, my, mz] = self.flange_wrench_world;
@@ -110,8 +109,9 @@ impl<const N: usize> Analytic<N> {
             for (sum, on_base) in force.base.iter_mut().zip(on_base) {
                 *sum += on_base;
             }
-            for (torque, column) in force.arm.iter_mut().zip(kinematics.arm_jacobian().column_iter()) {
-                *torque += column.iter().zip(wrench).map(|(j, w)| j * w).sum::<f64>();
+            let on_arm = transpose_times(kinematics.arm_jacobian(), &wrench);
+            for (sum, on_arm) in force.arm.iter_mut().zip(on_arm) {
+                *sum += on_arm;
             }
         }
         force
@@ -185,7 +185,7 @@ impl<const N: usize> Mechanics for Analytic<N> {
         let h = self.step_s;
         let (base, arm) = self
             .dynamics
-            .acceleration(&force, (&DAMPING.map(|damping| h * damping), &[0.0; N]))
+            .acceleration(&force, (&SERVO_DAMPING.map(|damping| h * damping), &[0.0; N]))
             .ok_or_else(|| self.unstable(SINGULAR))?;
         if !(usable(&base) && usable(&arm)) {
             return Err(self.unstable(BAD_ACCELERATION));
