@@ -5,6 +5,7 @@ use moca_msgs::robot::{AnyArm, FR3, LinkInertial, MOCA_MOUNT, Mount, PANDA, PAPE
 use moca_msgs::{Actuation, Payload, RobotCommand};
 use moca_sim::foam::Foam;
 use moca_sim::{BodyPart, Engine, Integrator, Person, Robot, Scene, SimError, SimPlant};
+use moca_wbc::testing::Numbers;
 
 /// Largest difference after one step from equal states: m, rad, m/s, rad/s.
 const STEP: f64 = 1e-9;
@@ -22,20 +23,6 @@ fn both(scene: &Scene) -> [SimPlant; 2] {
         .map(|engine| SimPlant::new(&Scene { engine, ..scene.clone() }).unwrap())
 }
 
-/// Numbers from −1 to 1, the same on every machine.
-struct Numbers(u64);
-
-impl Numbers {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        f64::from(u32::try_from(self.0 >> 33).unwrap()) / f64::from(1_u32 << 30) - 1.0
-    }
-
-    fn array<const D: usize>(&mut self, most: f64) -> [f64; D] {
-        std::array::from_fn(|_| most * self.next())
-    }
-}
-
 /// Every coordinate and rate of base and arm.
 fn state(plant: &SimPlant) -> Vec<f64> {
     let state = plant.state();
@@ -50,7 +37,7 @@ fn difference(a: &[f64], b: &[f64]) -> f64 {
 /// Largest difference after one step, from states anywhere, an arm's joints up to `beyond_rad` beyond their ends.
 fn one_step(scene: &Scene, beyond_rad: f64) -> f64 {
     let mut plants = both(scene);
-    let (mut numbers, mut worst) = (Numbers(7), 0.0f64);
+    let (mut numbers, mut worst) = (Numbers::from_seed(7), 0.0f64);
     let (table, joints) = (&scene.arm.table, scene.arm.joints);
     for case in 0..400 {
         let base: [f64; 3] = numbers.array(3.0);
@@ -58,7 +45,7 @@ fn one_step(scene: &Scene, beyond_rad: f64) -> f64 {
         let dq: [f64; 8] = numbers.array(1.0);
         let q: [f64; 8] = std::array::from_fn(|i| {
             let (min, max) = (table.q_min_rad[i] - beyond_rad, table.q_max_rad[i] + beyond_rad);
-            0.5 * (min + max) + 0.5 * (max - min) * numbers.next()
+            0.5 * (min + max) + 0.5 * (max - min) * numbers.next_number()
         });
         let command = RobotCommand {
             base_velocity_body: numbers.array(0.5),

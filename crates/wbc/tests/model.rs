@@ -6,6 +6,7 @@ mod world_axes;
 use moca_wbc::coupled::CoupledDynamics;
 use moca_wbc::opspace::WholeBodyForce;
 use moca_wbc::robot::{FR3, LinkInertial, MOCA_MOUNT, PANDA, SUMMIT_XL, UR10E};
+use moca_wbc::testing::Numbers;
 use moca_wbc::{ArmModel, ArmTable, Mount, Payload};
 use world_axes::Arm;
 
@@ -14,20 +15,6 @@ const TOLERANCE: f64 = 3e-15;
 /// Of forces for the accelerations that are computed from them.
 const SOLVED: f64 = 1e-13;
 const STATES: usize = 10_000;
-
-/// Numbers from −1 to 1, the same on every machine.
-struct Numbers(u64);
-
-impl Numbers {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        f64::from(u32::try_from(self.0 >> 33).unwrap()) / f64::from(1_u32 << 30) - 1.0
-    }
-
-    fn array<const D: usize>(&mut self, most: f64) -> [f64; D] {
-        std::array::from_fn(|_| most * self.next())
-    }
-}
 
 /// Of each quantity the largest difference so far, and its largest number or what its terms are made of.
 #[derive(Default)]
@@ -75,10 +62,10 @@ fn check<const N: usize>(name: &str, table: &ArmTable<N>, mount: &Mount, payload
     let model = ArmModel::<N, f64>::new(table, mount, payload).unwrap();
     // what the torques are made of, at a metre, also of an arm whose axes all stand upright
     let weight_n = 9.81 * table.links.iter().map(|link| link.mass_kg).sum::<f64>();
-    let mut numbers = Numbers(1);
+    let mut numbers = Numbers::from_seed(1);
     let mut worst = Worst::default();
     for _ in 0..STATES {
-        let yaw = 4.0 * numbers.next();
+        let yaw = 4.0 * numbers.next_number();
         let (q, dq): ([f64; N], [f64; N]) = (numbers.array(3.0), numbers.array(2.0));
         let rate: [f64; 3] = numbers.array(1.0);
         let arm = Arm::at(table, mount, payload, yaw, &q);
@@ -142,7 +129,7 @@ fn every_table_on_every_mount_is_what_it_is_in_world_axes() {
 /// No two axes of it parallel or square, as a URDF from a drawing program has them; its first joint lies.
 #[test]
 fn so_is_an_arm_whose_axes_are_turned_every_way() {
-    let mut numbers = Numbers(2);
+    let mut numbers = Numbers::from_seed(2);
     let joint_origin = std::array::from_fn(|_| {
         let ([x, y, z], [roll, pitch, yaw]) = (numbers.array(0.3), numbers.array(3.1));
         [x, y, z, roll, pitch, yaw]

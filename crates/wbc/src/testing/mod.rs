@@ -12,5 +12,8 @@
 
 pub mod accuracy;
 pub mod footprint;
+mod numbers;
 pub mod reference_file;
 pub mod steps;
+
+pub use numbers::Numbers;
