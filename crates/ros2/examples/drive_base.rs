@@ -1,4 +1,5 @@
-//! Drives a base slowly over DDS, or over zenoh if a router is given, and says what came back: orders at the loop's rate for a while, then none at all.
+//! Drives a base slowly over DDS, or over zenoh if a router is given, and says what came back: orders at the loop's rate
+//! for a while, then none at all.
 //!
 //!     cargo run -p moca-ros2 --features dds --example drive_base -- 42 /cmd_vel /odom twist 5 0.02
 //!     cargo run -p moca-ros2 --features dds,zenoh --example drive_base -- 42 /cmd_vel /odom twist 5 0.02 tcp/127.0.0.1:7447

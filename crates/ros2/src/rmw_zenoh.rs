@@ -25,15 +25,16 @@ pub const ATTACHMENT_BYTES: usize = 33;
 /// Length of a writer's number.
 pub const GID_BYTES: usize = 16;
 
-/// RIHS01 of a base's messages (REP-2016), by their definitions in every distribution since Iron; `None` for others.
+/// RIHS01 of a base's messages (REP-2016), by their definitions in every distribution since Iron.
+const HASHES: [(TypeName, &str); 3] = [
+    (Twist::TYPE, "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"),
+    (TwistStamped::TYPE, "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64"),
+    (Odometry::TYPE, "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
+];
+
+/// RIHS01 of a message of a base; `None` for others.
 pub fn type_hash(of: TypeName) -> Option<&'static str> {
-    [
-        (Twist::TYPE, "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"),
-        (TwistStamped::TYPE, "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64"),
-        (Odometry::TYPE, "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
-    ]
-    .into_iter()
-    .find_map(|(known, hash)| (known == of).then_some(hash))
+    HASHES.into_iter().find_map(|(known, hash)| (known == of).then_some(hash))
 }
 
 /// Key of a topic's data. A reader that takes a type whatever its hash gives `*`.
@@ -98,8 +99,7 @@ pub fn endpoint(token: &str, ours: &str) -> Option<Endpoint> {
         return None;
     }
     let writes = kind == "MP";
-    let known = [Twist::TYPE, TwistStamped::TYPE, Odometry::TYPE].into_iter().find(|known| known.dds() == of);
-    let expected = known.and_then(type_hash);
+    let expected = HASHES.into_iter().find_map(|(known, hash)| (known.dds() == of).then_some(hash));
     let other_hash = !writes && hash != NO_HASH && expected.is_some_and(|expected| expected != hash);
     Some(Endpoint {
         topic: topic.replace('%', "/"),
