@@ -165,13 +165,25 @@ mod tests {
     }
 
     /// What a document says in words that a table of another place has: file, words, table, beginning of the row.
-    const QUOTED: [(&str, &str, &str, &str); 14] = [
+    const QUOTED: [(&str, &str, &str, &str); 16] = [
         ("README.md", "an ideal 100 Hz cover | 24.2 N |", "paper", "C peak force, 100 Hz sensor"),
         ("README.md", "| 179.8 N |", "paper", "C without the cover"),
         ("README.md", "the speed limit that goes with it | 6.5 N |", "paper", "C with the contact barrier"),
         ("README.md", "met at up to 0.064 m/s", "barrier", "stock, 50 N/mm"),
         ("README.md", "contact barrier on | 18 N | 181 N |", "barrier", "stock, 50 N/mm"),
         ("docs/safety.md", "feels 18 N instead of 181 N", "barrier", "stock, 50 N/mm"),
+        (
+            "docs/results.md",
+            "one on a seam at 26.0 N",
+            "protection-campaign",
+            "barrier | as described | led | 0.6 |",
+        ),
+        (
+            "docs/results.md",
+            "without the barrier up to 609 N",
+            "protection-campaign",
+            "shipped | as described | led | 0.95",
+        ),
         ("docs/safety.md", "21 N instead of 189 N", "barrier", "100 Hz, 50 N/mm"),
         (
             "docs/what-no-hardware-has-confirmed.md",

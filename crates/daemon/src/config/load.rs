@@ -466,6 +466,26 @@ mod tests {
     }
 
     #[test]
+    fn the_way_to_a_base_is_one_and_an_address() {
+        let found = |keys: &str| {
+            mistakes(&format!("[plant.base]\ndriver = \"ros2\"\n[plant.base.ros2]\nsilence_s = 9.0\n{keys}"))
+                .into_iter()
+                .filter(|mistake| mistake.contains("ros2.router") || mistake.contains("ros2.interface"))
+                .collect::<Vec<_>>()
+        };
+        for good in ["", "router = \"tcp/192.168.0.200:7447\"\n", "interface = \"192.168.0.10\"\n"] {
+            assert_eq!(found(good), [""; 0], "{good}");
+        }
+        for router in ["192.168.0.200:7447", "tcp/:7447", "tcp/base", "tcp/base:70000", "udp/base:7447"] {
+            let said = found(&format!("router = {router:?}\n"));
+            assert!(said.len() == 1 && said[0].contains(&format!("router = {router:?}; allowed: such as")));
+        }
+        assert!(found("interface = \"eth0\"\n")[0].contains("\"eth0\" is no address of this PC"));
+        let both = found("router = \"tcp/base:7447\"\ninterface = \"192.168.0.10\"\n");
+        assert!(both.len() == 1 && both[0].contains("leave one empty"), "{both:?}");
+    }
+
+    #[test]
     fn a_key_that_was_renamed_is_refused_with_its_new_name() {
         assert_eq!(
             mistakes("robot = \"moca\"\n[geometry]\narm = \"fr3\"\ntaxel_x_m = []\n"),
