@@ -52,6 +52,11 @@ class State:
         return self._state.tick
 
     @property
+    def overruns(self) -> int:
+        """Ticks that the loop has missed since it started: it was late, and no state has their number."""
+        return self._state.overruns
+
+    @property
     def mode(self) -> str:
         """What the robot does: "ready", "impedance", "protective stop" and others."""
         return self._state.mode

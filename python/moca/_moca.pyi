@@ -3,6 +3,7 @@ class Disconnected(ConnectionError): ...
 
 class State:
     tick: int
+    overruns: int
     mode: str
     law: str | None
     fault: str | None

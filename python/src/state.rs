@@ -81,6 +81,11 @@ impl State {
     }
 
     #[getter]
+    fn overruns(&self) -> u64 {
+        self.0.overruns
+    }
+
+    #[getter]
     fn mode(&self) -> &'static str {
         self.0.mode.name()
     }

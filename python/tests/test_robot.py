@@ -12,7 +12,9 @@ def test_states_come_tick_by_tick_as_arrays(daemon):
     robot = moca.connect(daemon)
     states = [next(robot) for _ in range(200)]
     ticks = [state.tick for state in states]
-    assert ticks == list(range(ticks[0], ticks[0] + 200))
+    # A tick that is missing is one that the loop itself missed and counted.
+    missed = [state.overruns - states[0].overruns for state in states]
+    assert ticks == [ticks[0] + i + overruns for i, overruns in enumerate(missed)]
     assert states[0].q_rad.shape == (7,) and states[0].q_rad.dtype == np.float64
     assert states[0].taxel_force_n.shape == (0,)
     with pytest.raises(AttributeError):

@@ -52,7 +52,7 @@ def test_a_pressed_base_goes_as_fast_as_the_force_that_is_felt_and_the_damping_s
 
 def test_a_refusal_says_why_with_value_and_range():
     sim, state = ready()
-    with pytest.raises(moca.Refused, match=r"linear speed 0 = 0.5\d* m/s is outside -0.25"):
+    with pytest.raises(moca.Refused, match=r"linear speed x = 0.5\d* m/s is outside -0.25"):
         sim.target_twist([0.5, 0, 0, 0, 0, 0])
     with pytest.raises(moca.Refused, match="not a finite number"):
         sim.target_pose([np.nan, 0, 0], [0, 0, 0, 1])

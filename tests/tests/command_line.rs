@@ -61,6 +61,18 @@ fn a_lock_step_run_writes_the_same_command_log_twice() {
 }
 
 #[test]
+fn an_accuracy_runs_in_lock_step_and_is_refused_by_a_live_loop_with_its_reason() {
+    let config = file("accuracy.toml", &format!("{ANY_PORT}[simulation]\naccuracy = 1e-3\n"));
+    let arguments = ["--duration", "3", "--config", config.to_str().unwrap()];
+    let live = mocad(&arguments);
+    let said = text(&live.stderr);
+    assert!(!live.status.success() && said.contains("a live loop takes steps of one length"), "{said}");
+    let output = mocad(&[&arguments[..], &["--as-fast-as-possible"]].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert!(text(&output.stdout).contains("mode: impedance"), "{}", text(&output.stdout));
+}
+
+#[test]
 fn a_bad_configuration_is_refused_with_every_mistake() {
     let path = file("bad.toml", "[control.gains]\nvirtual_mass = [nan, 4.0, 2.0]\n[loop]\nrate_hz = 7\n");
     let output = mocad(&["--config", path.to_str().unwrap()]);

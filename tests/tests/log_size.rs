@@ -28,16 +28,12 @@ fn path(name: &str) -> PathBuf {
     path
 }
 
-fn record(name: &str, duration_s: &str) -> PathBuf {
+fn record(name: &str, duration_s: &str, options: &[&str]) -> PathBuf {
     let path = path(name);
     let config = path.with_extension("toml");
     std::fs::write(&config, "[telemetry]\nlisten = \"\"\n").unwrap();
     let mut mocad = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"));
-    mocad
-        .arg("--config")
-        .arg(&config)
-        .args(["--as-fast-as-possible", "--duration", duration_s, "--record"])
-        .arg(&path);
+    mocad.arg("--config").arg(&config).args(options).args(["--duration", duration_s, "--record"]).arg(&path);
     let ran = mocad.output().unwrap();
     assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
     std::fs::remove_file(config).unwrap();
@@ -46,7 +42,7 @@ fn record(name: &str, duration_s: &str) -> PathBuf {
 
 #[test]
 fn a_log_costs_no_more_than_it_may() {
-    let path = record("log-size.mcap", "60");
+    let path = record("log-size.mcap", "60", &["--as-fast-as-possible"]);
     let sizes = LogFile::open(&path).unwrap().sizes(&mut |_| {}).unwrap();
     let display = sizes.gigabytes_per_hour(sizes.display);
     let all = sizes.gigabytes_per_hour(sizes.file);
@@ -82,7 +78,7 @@ impl Noise {
 /// The loop takes a robot's state in single precision (`control::tick`), so that noise costs half of what it would.
 #[test]
 fn a_log_of_a_robot_with_noise_costs_no_more_than_it_may() {
-    let clean = record("log-size-clean.mcap", "20");
+    let clean = record("log-size-clean.mcap", "20", &["--as-fast-as-possible"]);
     let noisy = path("log-size-noisy.mcap");
     let description = LogFile::open(&clean).unwrap().description().clone();
     let meta = Meta { description, start_unix_ns: 0 };
@@ -113,4 +109,30 @@ fn a_log_of_a_robot_with_noise_costs_no_more_than_it_may() {
     assert!(all < ALL_GB_H, "{all} GB an hour in all, allowed are {ALL_GB_H}: {sizes:?}");
     std::fs::remove_file(clean).unwrap();
     std::fs::remove_file(noisy).unwrap();
+}
+
+/// In real time a simulated robot tells no more of its state than a real one's sensors would; in lock-step it tells every bit.
+#[test]
+fn a_live_simulation_is_measured_like_a_robot() {
+    for (name, options, measured) in
+        [("log-size-live.mcap", &[][..], true), ("log-size-exact.mcap", &["--as-fast-as-possible"], false)]
+    {
+        let path = record(name, "3", options);
+        let mut states = Vec::new();
+        for record in LogReader::open(&path).unwrap() {
+            if let Record::Replay(block) = record {
+                states.extend(
+                    decode(&block).unwrap().into_iter().filter_map(|tick| tick.record.input.state.ok()),
+                );
+            }
+        }
+        assert!(states.len() > 1000, "{} states in {name}", states.len());
+        let coarse = states.iter().filter(|state| **state == state.in_single_precision()).count();
+        assert!(
+            if measured { coarse == states.len() } else { coarse < states.len() / 2 },
+            "{name}: {coarse} of {}",
+            states.len()
+        );
+        std::fs::remove_file(path).unwrap();
+    }
 }

@@ -230,8 +230,8 @@ fn a_flange_is_led_and_a_program_that_dies_on_the_way_stops_the_robot() {
     assert!((daemon.flange()[2] - start[2] - 0.03).abs() < 5e-3);
 
     for (target, said) in [
-        (&["twist", "0.5", "0", "0", "0", "0", "0"][..], "linear speed 0 = 0.500000 m/s"),
-        (&["twist", "nan", "0", "0", "0", "0", "0"], "linear speed 0 is not a finite number"),
+        (&["twist", "0.5", "0", "0", "0", "0", "0"][..], "linear speed x = 0.500000 m/s"),
+        (&["twist", "nan", "0", "0", "0", "0", "0"], "linear speed x is not a finite number"),
         (&["pose", "5", "0", "1"], "distance from the arm's shoulder"),
         (&["pose", "0", "0", "0.1"], "depth inside the base"),
         (&["posture", "0", "0", "0"], "number of joints"),

@@ -27,7 +27,7 @@ fn example(name: &str) -> Config {
     let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/robots")).join(name);
     let config = Config::load(&path).unwrap_or_else(|error| panic!("{}:\n{error}", path.display()));
     Config {
-        simulation: moca_daemon::config::SimulationConfig { hand: HandConfig::none(), seed: 1 },
+        simulation: moca_daemon::config::SimulationConfig { hand: HandConfig::none(), ..Default::default() },
         ..config
     }
 }

@@ -56,6 +56,21 @@ fn pose(sample: &Sample, by: [f64; 3]) -> Target {
     Target::Pose { position_world, quaternion_world: sample.flange_desired_quaternion_world }
 }
 
+/// The reference at a later time, as it is but `dy_m` to the left.
+fn sideways(sample: &Sample, time_s: f64, dy_m: f64) -> Waypoint {
+    let [x, y, z] = sample.flange_desired_position_world;
+    let quaternion_world = sample.flange_desired_quaternion_world;
+    Waypoint { time_s, position_world: [x, y + dy_m, z], quaternion_world }
+}
+
+/// A trajectory, pose after pose.
+fn send(world: &mut World, waypoints: &[Waypoint], touch: TouchPolicy) -> Outcome {
+    let count = u8::try_from(waypoints.len()).unwrap();
+    (0..count)
+        .zip(waypoints)
+        .try_for_each(|(index, &waypoint)| ask(world, Request::Waypoint { index, count, waypoint, touch }))
+}
+
 fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
@@ -102,7 +117,7 @@ fn a_target_that_nobody_renews_holds_after_its_age() {
     // what is old when it arrives is refused
     let old = TimedTarget { age_s: 0.25, ..TimedTarget::new(pose(&start, [0.0; 3])) };
     let refused = ask(&mut world, Request::Target(old)).unwrap_err().to_string();
-    assert_eq!(refused, "age of the target 0 = 0.250000 s is outside -0.050000 to 0.200000 s");
+    assert_eq!(refused, "age of the target = 0.250000 s is outside -0.050000 to 0.200000 s");
     let early = TimedTarget { age_s: -0.3, ..old };
     assert!(ask(&mut world, Request::Target(early)).is_err(), "from the future");
 }
@@ -193,20 +208,45 @@ fn a_touch_wins_or_is_waited_for() {
 }
 
 #[test]
+fn a_trajectory_waits_for_who_touches_and_goes_on_where_it_was() {
+    let mut world = armed(Law::Impedance);
+    let start = run(&mut world, 1);
+    let y = start.flange_desired_position_world[1];
+    let waypoints = [(0.0, 0.0), (2.0, 0.1), (4.0, 0.0)].map(|(time_s, dy)| sideways(&start, time_s, dy));
+    send(&mut world, &waypoints, TouchPolicy::PassThrough).unwrap();
+    run(&mut world, 1000);
+    ask(&mut world, Request::PressTaxel { taxel: 2, force_n: 20.0 }).unwrap();
+    let touched = run(&mut world, 500);
+    assert_eq!(phase(&touched), Some(TargetPhase::SetAside));
+    let aside = touched.target.unwrap().progress;
+    ask(&mut world, Request::PressTaxel { taxel: 2, force_n: 0.0 }).unwrap();
+    let waits = |sample: &Sample| phase(sample) == Some(TargetPhase::SetAside);
+    let mut sample = run(&mut world, 1);
+    for _ in 0..3000 {
+        if waits(&sample) {
+            assert_eq!(sample.target.unwrap().progress, aside, "it waits");
+            sample = run(&mut world, 1);
+        }
+    }
+    assert!(!waits(&sample), "nobody touches any more");
+    let on = run(&mut world, 100).target.unwrap().progress;
+    assert!((on - aside - 0.025).abs() < 1e-3, "a tenth of a second after {aside}: {on}");
+    let mut furthest = 0.0_f64;
+    for _ in 0..60 {
+        furthest = furthest.max(run(&mut world, 50).flange_desired_position_world[1] - y);
+    }
+    assert!((furthest - 0.1).abs() < 0.01, "no pose is left out: {furthest}");
+}
+
+#[test]
 fn a_trajectory_is_one_request_with_progress_and_an_end() {
     let mut world = armed(Law::Impedance);
     let start = run(&mut world, 1);
     let [x, y, z] = start.flange_desired_position_world;
-    let quaternion_world = start.flange_desired_quaternion_world;
-    let at = |time_s, dy| Waypoint { time_s, position_world: [x, y + dy, z], quaternion_world };
+    let at = |time_s, dy| sideways(&start, time_s, dy);
     let waypoints = [at(0.0, 0.0), at(1.0, 0.1), at(2.0, 0.0)];
-    let send = |world: &mut World, waypoints: &[Waypoint]| -> Outcome {
-        let count = u8::try_from(waypoints.len()).unwrap();
-        (0..count).zip(waypoints).try_for_each(|(index, waypoint)| {
-            ask(world, Request::Waypoint { index, count, waypoint: *waypoint, touch: TouchPolicy::TouchWins })
-        })
-    };
-    send(&mut world, &waypoints).unwrap();
+    let touch = TouchPolicy::TouchWins;
+    send(&mut world, &waypoints, touch).unwrap();
     let half = run(&mut world, 1000);
     let state = half.target.unwrap();
     assert_eq!((state.kind, state.phase), (TargetKind::Trajectory, TargetPhase::Moving));
@@ -216,7 +256,7 @@ fn a_trajectory_is_one_request_with_progress_and_an_end() {
     assert_eq!((phase(&end), end.target.unwrap().progress), (Some(TargetPhase::Reached), 1.0));
     assert!(distance(end.flange_desired_position_world, [x, y, z]) < 1e-5);
 
-    send(&mut world, &waypoints).unwrap();
+    send(&mut world, &waypoints, touch).unwrap();
     run(&mut world, 500);
     ask(&mut world, Request::EndTarget).unwrap();
     let ended = run(&mut world, 1000);
@@ -224,14 +264,13 @@ fn a_trajectory_is_one_request_with_progress_and_an_end() {
     assert_eq!(ended.flange_desired_position_world, run(&mut world, 500).flange_desired_position_world);
 
     let too_fast = [at(0.0, 0.0), at(0.1, 0.1)];
-    let refused = send(&mut world, &too_fast).unwrap_err().to_string();
-    assert!(refused.contains("linear speed 0 = 1.0"), "{refused}");
+    let refused = send(&mut world, &too_fast, touch).unwrap_err().to_string();
+    assert!(refused.contains("linear speed y = 1.0"), "{refused}");
     let backwards = [at(1.0, 0.0), at(0.5, 0.0)];
-    let refused = send(&mut world, &backwards).unwrap_err().to_string();
-    assert!(refused.contains("time of a pose 0 = 0.500000 s is outside 1.001000"), "{refused}");
+    let refused = send(&mut world, &backwards, touch).unwrap_err().to_string();
+    assert!(refused.contains("time of a pose = 0.500000 s is outside 1.001000"), "{refused}");
     // after a pose that is refused the rest is out of turn, and nothing begins
-    let rest =
-        Request::Waypoint { index: 1, count: 2, waypoint: at(1.0, 0.0), touch: TouchPolicy::TouchWins };
+    let rest = Request::Waypoint { index: 1, count: 2, waypoint: at(1.0, 0.0), touch };
     assert_eq!(ask(&mut world, rest), Err(Refusal::Target(TargetRefusal::OutOfTurn)));
 }
 
@@ -251,19 +290,19 @@ fn what_no_robot_could_follow_is_refused_with_its_value_and_range() {
     let mut pushed_back = PANDA.home_rad;
     pushed_back[3] = PANDA.q_max_rad[3] - 0.14;
     let refused = [
-        (at([f64::NAN, 0.0, 0.5]), "position 0 is not a finite number"),
-        (at([0.0, f64::INFINITY, 0.5]), "position 1 is not a finite number"),
-        (at([2.5, 0.0, 0.8]), "distance from the arm's shoulder 0 = 2."),
-        (at([0.0, 0.0, 0.2]), "depth inside the base 0 = 0."),
+        (at([f64::NAN, 0.0, 0.5]), "position x is not a finite number"),
+        (at([0.0, f64::INFINITY, 0.5]), "position y is not a finite number"),
+        (at([2.5, 0.0, 0.8]), "distance from the arm's shoulder = 2."),
+        (at([0.0, 0.0, 0.2]), "depth inside the base = 0."),
         (
             Target::Pose { position_world, quaternion_world: [0.0; 4] },
-            "squared length of the quaternion 0 = 0.",
+            "squared length of the quaternion = 0 is outside 0.998 to 1.002",
         ),
-        (twist(0.3, 0.0), "linear speed 0 = 0.300000 m/s is outside -0.250000 to 0.250000 m/s"),
-        (twist(0.0, f64::NAN), "angular speed 1 is not a finite number"),
-        (posture(&beyond), "joint angle 0 = 0.500000 rad is outside"),
-        (posture(&pushed_back), "joint angle 0 = -0.209800 rad is outside"),
-        (posture(&PANDA.home_rad[..5]), "number of joints 0 = 5.000000  is outside 7"),
+        (twist(0.3, 0.0), "linear speed x = 0.300000 m/s is outside -0.250000 to 0.250000 m/s"),
+        (twist(0.0, f64::NAN), "angular speed y is not a finite number"),
+        (posture(&beyond), "joint angle J4 = 0.500000 rad is outside"),
+        (posture(&pushed_back), "joint angle J4 = -0.209800 rad is outside"),
+        (posture(&PANDA.home_rad[..5]), "number of joints = 5 is outside 7 to 7"),
     ];
     for (target, text) in refused {
         let said = lead(&mut world, target).unwrap_err().to_string();
@@ -272,7 +311,7 @@ fn what_no_robot_could_follow_is_refused_with_its_value_and_range() {
     }
     let patient = TimedTarget { age_limit_s: 60.0, ..TimedTarget::new(twist(0.1, 0.0)) };
     let said = ask(&mut world, Request::Target(patient)).unwrap_err().to_string();
-    assert_eq!(said, "age limit 0 = 60.000000 s is outside 0.020000 to 2.000000 s");
+    assert_eq!(said, "age limit = 60.000000 s is outside 0.020000 to 2.000000 s");
     ask(&mut world, Request::Disarm).unwrap();
     assert_eq!(lead(&mut world, twist(0.1, 0.0)), Err(Refusal::Mode(Mode::Ready)));
 }

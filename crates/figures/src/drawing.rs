@@ -25,6 +25,13 @@ pub const PALETTE: [Colour; 7] = [
 /// Size of all text, px.
 pub(crate) const FONT_PX: f64 = 11.0;
 
+/// Room that so many characters take at most, but for wide ones alone, px.
+pub(crate) fn text_px(characters: usize) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "some tens")]
+    let characters = characters as f64;
+    0.62 * FONT_PX * characters
+}
+
 /// Where a text's anchor is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {

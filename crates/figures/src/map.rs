@@ -1,9 +1,10 @@
 //! A map: one coloured cell for each pair of an x and a y value.
 
-use crate::drawing::{Anchor, BLACK, Colour, Drawing};
+use crate::drawing::{Anchor, BLACK, Colour, Drawing, text_px};
 
-/// Room for the numbers of the y axis, px.
+/// Room for the names of the rows at least, px, and beside them for the y axis's own.
 const LEFT: f64 = 84.0;
+const LABEL: f64 = 30.0;
 /// Height of what stands above and below the cells, px.
 const ABOVE: f64 = 20.0;
 const BELOW: f64 = 56.0;
@@ -35,9 +36,19 @@ impl Map {
         ABOVE + cell_height * count(self.y.len()) + BELOW
     }
 
+    /// Width of the names and of the cells, px.
+    pub fn width(&self, cell_width: f64) -> f64 {
+        self.left() + cell_width * count(self.x.len())
+    }
+
+    fn left(&self) -> f64 {
+        let longest = self.y.iter().map(|name| name.chars().count()).max().unwrap_or(0);
+        LEFT.max(LABEL + text_px(longest))
+    }
+
     /// Draws it with cells of `cell` pixels.
     pub fn draw(&self, drawing: &mut Drawing, [left, top]: [f64; 2], cell: [f64; 2]) {
-        let x0 = left + LEFT;
+        let x0 = left + self.left();
         let height = cell[1] * count(self.y.len());
         let bottom = top + ABOVE + height;
         drawing.text([x0, top + 12.0], Anchor::Start, &self.title, BLACK);

@@ -1,9 +1,9 @@
 //! A panel: axes, lines, dots, bands, marks, and a legend beside it.
 
 use crate::axis::{Axis, Scale, range};
-use crate::drawing::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED};
+use crate::drawing::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED, text_px};
 
-/// Room for the numbers and for the legend, px.
+/// Room for the numbers and, at least, for the legend, px.
 const LEFT: f64 = 74.0;
 const RIGHT: f64 = 176.0;
 const TOP: f64 = 20.0;
@@ -58,6 +58,18 @@ impl Series {
     pub fn failures(name: impl Into<String>, x: impl IntoIterator<Item = f64>) -> Self {
         let points = x.into_iter().map(|x| [x, f64::NAN]).collect();
         Self { style: Style::Failures, colour: RED, ..Self::line(0, name, points) }
+    }
+
+    /// With the band between two lines through as many points: least and most.
+    #[must_use]
+    pub fn between(mut self, least: Vec<[f64; 2]>, most: impl DoubleEndedIterator<Item = [f64; 2]>) -> Self {
+        self.band = least.into_iter().chain(most.rev()).collect();
+        self
+    }
+
+    /// What grey vertical lines mean, for the legend.
+    pub fn marks(name: impl Into<String>) -> Self {
+        Self { colour: GREY, ..Self::line(0, name, Vec::new()) }
     }
 
     /// The same line in a paler colour and without a place in the legend.
@@ -149,8 +161,8 @@ impl Panel {
     }
 
     fn frame(&self, [left, top]: [f64; 2], [width, height]: [f64; 2]) -> Frame {
-        let listed = self.series.iter().any(|series| !series.name.is_empty());
-        let right = if listed { RIGHT } else { RIGHT_BARE };
+        let longest = self.series.iter().map(|series| series.name.chars().count()).max().unwrap_or(0);
+        let right = if longest > 0 { RIGHT.max(32.0 + text_px(longest)) } else { RIGHT_BARE };
         let values = |axis: usize| {
             let shown = self.series.iter().flat_map(|s| s.points.iter().chain(&s.band));
             shown.map(move |point| point[axis])

@@ -17,6 +17,9 @@ use triple_buffer::{Input, Output, triple_buffer};
 /// Time between two attempts to reach the arm at first; it doubles up to the second.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(200), Duration::from_secs(2));
 
+/// How long whoever drops the arm waits for its thread: longer than the client waits for the next state.
+const DROP_WAIT: Duration = Duration::from_millis(1500);
+
 /// How the arm is reached and set up.
 #[derive(Clone, Debug)]
 pub struct Settings {
@@ -189,10 +192,26 @@ impl Drop for Fci {
         self.shared.ended.store(true, Ordering::Release);
         if let Some(thread) = self.thread.take() {
             thread.thread().unpark();
-            // It may be waiting for an arm that is silent: at most the second that its client waits.
-            let _ = thread.join();
+            // It may be waiting for an arm that is silent, and a command's answer has no time-out: then it is left behind.
+            let deadline = Instant::now() + DROP_WAIT;
+            while !thread.is_finished() && Instant::now() < deadline {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            if thread.is_finished() {
+                let _ = thread.join();
+            }
         }
     }
+}
+
+/// How torque control ended without an error.
+enum Ended {
+    /// It let go, or is over.
+    ByTheLoop,
+    /// The arm does something else.
+    ByTheArm,
+    /// The loop hangs.
+    Unanswered,
 }
 
 struct Worker {
@@ -296,6 +315,8 @@ impl Worker {
     fn recover(&mut self, robot: &Robot) -> Result<(), FrankaError> {
         self.shared.recover.store(false, Ordering::Release);
         let recovered = robot.automatic_error_recovery();
+        // Who asked again meanwhile asked for this one.
+        self.shared.recover.store(false, Ordering::Release);
         self.count.interrupt();
         match recovered {
             Ok(()) => self.tell("the arm has recovered"),
@@ -324,7 +345,18 @@ impl Worker {
         drop(control);
         self.count.interrupt();
         match ended {
-            Ok(()) => self.phase.ended(),
+            Ok(Ended::ByTheLoop) => self.phase.ended(),
+            Ok(Ended::ByTheArm) => {
+                self.phase.cut_off();
+                self.show();
+            }
+            Ok(Ended::Unanswered) => {
+                self.phase.cut_off();
+                self.show();
+                self.tell(&format!(
+                    "the loop did not answer {REPEATS_MAX} states of the arm: it is on its own controller until the loop lets go of it"
+                ));
+            }
             Err(FrankaError::Control(why)) => {
                 self.phase.aborted();
                 let errors = bits(&why.last_motion_errors);
@@ -338,7 +370,7 @@ impl Worker {
     }
 
     /// Answers state after state. No allocation, no lock.
-    fn follow(&mut self, control: &mut ActiveTorqueControl<'_>) -> Result<(), FrankaError> {
+    fn follow(&mut self, control: &mut ActiveTorqueControl<'_>) -> Result<Ended, FrankaError> {
         let (mut limiter, mut last, mut repeats) = (TorqueLimiter::new(), None, 0);
         loop {
             let (state, _) = control.read_once()?;
@@ -346,16 +378,19 @@ impl Worker {
             let asked = self.asked();
             let next = self.phase.state(said(state.robot_mode), errors, asked);
             self.publish(&state);
-            if next != Next::Answer || self.over() {
-                return Ok(());
+            if asked != Asked::Drive || self.over() {
+                return Ok(Ended::ByTheLoop);
+            }
+            if next != Next::Answer {
+                return Ok(Ended::ByTheArm);
             }
             let wanted = match self.answer(state.time.as_millis()) {
-                Some(Order { torque_nm: None, .. }) => return Ok(()),
+                Some(Order { torque_nm: None, .. }) => return Ok(Ended::ByTheLoop),
                 Some(Order { torque_nm: Some(torque_nm), .. }) => {
                     repeats = 0;
                     torque_nm
                 }
-                None if repeats == REPEATS_MAX => return Ok(()),
+                None if repeats == REPEATS_MAX => return Ok(Ended::Unanswered),
                 None => {
                     repeats += 1;
                     self.shared.repeated.fetch_add(1, Ordering::Relaxed);
@@ -373,7 +408,8 @@ impl Worker {
         let deadline = Instant::now() + self.settings.answer_within;
         loop {
             let order = *self.orders.read();
-            if order.answers >= count || order.torque_nm.is_none() {
+            // An arm that began anew counts from zero: an order for an earlier one answers nothing.
+            if order.answers == count || order.torque_nm.is_none() {
                 return Some(order);
             }
             let left = deadline.saturating_duration_since(Instant::now());
@@ -397,6 +433,12 @@ impl Worker {
         self.count.take(count);
         self.shared.lost.store(self.count.lost(), Ordering::Relaxed);
         self.shared.errors.store(bits(&state.current_errors), Ordering::Relaxed);
+        if self.phase.mode() != ArmMode::Reflex {
+            // Recovered by somebody else, or never one: the next one is not to be recovered by an old wish.
+            self.shared.recover.store(false, Ordering::Release);
+        }
+        // Before the state: whoever sees that knows what the arm does.
+        self.store_mode();
         let down = state.O_ddP_O.iter().map(|part| part * part).sum::<f64>();
         self.states.write(Some(ArmState {
             count,
@@ -410,13 +452,21 @@ impl Worker {
             success_rate: state.control_command_success_rate,
             received: Instant::now(),
         }));
-        self.show();
+        self.wake();
     }
 
     /// Shows the mode to the loop and wakes it.
     fn show(&self) {
+        self.store_mode();
+        self.wake();
+    }
+
+    fn store_mode(&self) {
         let mode = ArmMode::ALL.iter().position(|mode| *mode == self.phase.mode());
         self.shared.mode.store(mode.and_then(|mode| u8::try_from(mode).ok()).unwrap_or(0), Ordering::Release);
+    }
+
+    fn wake(&self) {
         if let Some(waits) = self.shared.waits.get() {
             waits.unpark();
         }

@@ -71,7 +71,7 @@ pub enum Next {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Phase {
     mode: ArmMode,
-    /// Torque control was refused, and is not asked for again before the loop has let go of it.
+    /// Torque control was refused, or ended while the loop drove, and is not asked for again before the loop has let go of it.
     refused: bool,
 }
 
@@ -86,14 +86,22 @@ impl Phase {
         self.mode = ArmMode::Torque;
     }
 
-    /// Torque control has ended, or a recovery: the next state says what is.
+    /// The loop has let go: the arm is on its own controller.
     pub const fn ended(&mut self) {
         self.mode = ArmMode::Idle;
     }
 
+    /// Torque control has ended although the loop drove: by the arm, or because the loop did not answer.
+    pub const fn cut_off(&mut self) {
+        self.refused = true;
+        if self.mode.follows() {
+            self.mode = ArmMode::Refused;
+        }
+    }
+
     /// The arm stopped itself while it was driven.
     pub const fn aborted(&mut self) {
-        self.mode = ArmMode::Reflex;
+        (self.mode, self.refused) = (ArmMode::Reflex, true);
     }
 
     /// Torque control or a connection was refused.
@@ -187,6 +195,29 @@ mod tests {
         assert_eq!(phase.state(Said::Idle, 0, Asked::Brake), Next::Read);
         assert_eq!(phase.mode(), ArmMode::Idle);
         assert_eq!(phase.state(Said::Idle, 0, Asked::Drive), Next::Start);
+    }
+
+    #[test]
+    fn torque_control_that_was_cut_off_begins_again_only_after_the_loop_let_go() {
+        for cut_off in [Phase::cut_off, Phase::aborted] {
+            for said in Said::ALL {
+                let mut phase = Phase::default();
+                phase.started();
+                cut_off(&mut phase);
+                assert!(!matches!(phase.mode(), ArmMode::Idle | ArmMode::Torque));
+                phase.state(said, 0, Asked::Drive);
+                assert!(!matches!(phase.mode(), ArmMode::Idle | ArmMode::Torque), "{said:?}");
+                assert_eq!(phase.state(Said::Idle, 0, Asked::Drive), Next::Read, "{said:?}");
+                assert_eq!(phase.mode(), ArmMode::Refused);
+                phase.state(Said::Idle, 0, Asked::Brake);
+                assert_eq!(phase.state(Said::Idle, 0, Asked::Drive), Next::Start);
+            }
+        }
+        let mut phase = Phase::default();
+        phase.started();
+        phase.state(Said::Reflex, 1, Asked::Drive);
+        phase.cut_off();
+        assert_eq!(phase.mode(), ArmMode::Reflex, "why it ended stays");
     }
 
     #[test]

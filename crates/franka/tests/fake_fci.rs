@@ -401,6 +401,47 @@ fn a_loop_that_hangs_gets_its_last_torque_repeated_and_then_the_arm_is_let_go() 
     assert_eq!(arm.link().repeated, u64::from(REPEATS_MAX));
     heard(&peer, &mut arm, RobotMode::Move, 0);
     peer.await_command(CommandKind::StopMove);
+    // The loop goes on as if nothing had been: torque control begins again only after it let go.
+    for _ in 0..5 {
+        heard(&peer, &mut arm, RobotMode::Idle, 0);
+        assert_eq!(arm.link().mode, ArmMode::Refused);
+        arm.drive(&[0.5; 7]);
+    }
+    assert_eq!(peer.answered.try_recv().ok(), None, "nothing is asked of the arm");
+    arm.brake();
+    heard(&peer, &mut arm, RobotMode::Idle, 0);
+    assert_eq!(arm.link().mode, ArmMode::Idle);
+    arm.drive(&[0.5; 7]);
+    heard(&peer, &mut arm, RobotMode::Idle, 0);
+    peer.await_command(CommandKind::Move);
+}
+
+#[test]
+fn an_old_wish_recovers_no_later_reflex() {
+    let (peer, mut arm) = reached(FciVersion::V10);
+    heard(&peer, &mut arm, RobotMode::Reflex, 1 << 6);
+    arm.recover();
+    heard(&peer, &mut arm, RobotMode::Idle, 0);
+    heard(&peer, &mut arm, RobotMode::Reflex, 1 << 6);
+    heard(&peer, &mut arm, RobotMode::Reflex, 1 << 6);
+    let asked: Vec<_> = peer.answered.try_iter().collect();
+    assert!(!asked.contains(&CommandKind::AutomaticErrorRecovery), "{asked:?}");
+    assert_eq!(arm.link().mode, ArmMode::Reflex);
+}
+
+#[test]
+fn an_arm_that_accepts_and_says_nothing_holds_nobody_up() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let peer = Peer::start(FciVersion::V10);
+    let host = listener.local_addr().unwrap().to_string();
+    let arm = Fci::spawn(Settings { host, ..settings(&peer) }, |_| {}).unwrap();
+    let _silent = listener.accept().unwrap();
+    let (sender, dropped) = channel();
+    std::thread::spawn(move || {
+        drop(arm);
+        let _ = sender.send(());
+    });
+    dropped.recv_timeout(PATIENCE).expect("the drop comes to an end");
 }
 
 #[test]

@@ -3,8 +3,9 @@
 //! A table stands between `<!-- moca-lab docs NAME … -->` and `<!-- end of NAME -->`; the text around it is for people.
 
 use crate::cover::{detection, latency, other_senses};
-use crate::numerics::{barrier, stability};
-use crate::paper::report::claims;
+use crate::numerics::{barrier, peers, stability, tick};
+use crate::paper::report::{claims, errors};
+use crate::paper::{kept_pushes, opposite_hands};
 use crate::rig::c_library;
 use crate::robustness::{faults, lean, protection, targets};
 use anyhow::{Context, Result, bail, ensure};
@@ -36,9 +37,15 @@ const TABLES: &[Table] = &[
     Table { name: "other-senses", file: "docs/results.md", make: other_senses::markdown },
     Table { name: "boards", file: "README.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
+    Table { name: "pushes", file: "docs/results.md", make: kept_pushes::markdown },
+    Table { name: "opposite-hands", file: "docs/results.md", make: opposite_hands::markdown },
     Table { name: "barrier", file: "docs/math.md", make: barrier::markdown },
     Table { name: "protection-short", file: "docs/results.md", make: protection::markdown },
     Table { name: "protection-campaign", file: "docs/results.md", make: protection::campaign_markdown },
+    Table { name: "step-size", file: "docs/results.md", make: tick::markdown },
+    Table { name: "errors", file: "docs/results.md", make: errors::markdown },
+    Table { name: "contact", file: "docs/results.md", make: stability::contact::markdown },
+    Table { name: "peers", file: "docs/simulation.md", make: peers::markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
 ];
 
@@ -111,8 +118,23 @@ mod tests {
     }
 
     #[test]
+    fn the_paper_s_pushes_under_the_barrier_are_what_is_printed() {
+        is_what_is_printed("pushes");
+    }
+
+    #[test]
+    fn hands_that_cancel_move_the_base_as_the_document_says() {
+        is_what_is_printed("opposite-hands");
+    }
+
+    #[test]
     fn the_table_of_the_campaign_round_the_cover_is_that_of_its_file() {
         is_what_is_printed("protection-campaign");
+    }
+
+    #[test]
+    fn what_a_step_needs_is_what_it_is_held_to() {
+        is_what_is_printed("step-size");
     }
 
     #[test]
@@ -148,6 +170,39 @@ mod tests {
         }
     }
 
+    /// All of them take minutes: the paper's collision, hands that add up and the hardest contacts at the front are run.
+    #[test]
+    fn error_bars_in_the_documents_are_what_is_printed() {
+        let Some(shown) = shown("errors") else { return };
+        let short = ["C, 100 Hz sensor", "B2-iii, hands that add up", "a leg of 50 N/mm at T6, barrier on"];
+        let rows = errors::rows(|group| short.contains(&group)).unwrap();
+        assert_eq!(rows.len(), 7 + 1 + 1);
+        for row in rows {
+            assert!(
+                shown.lines().any(|line| line == row),
+                "`moca-lab docs --only errors` writes it anew: {row}"
+            );
+        }
+    }
+
+    /// All of them take minutes: a few are run.
+    #[test]
+    fn cases_of_the_loop_in_contact_come_out_as_the_table_has_them() {
+        let Some(shown) = shown("contact") else { return };
+        let cases = stability::contact::few().unwrap();
+        assert_eq!(cases.len(), 4);
+        let (map, rows) = cases.split_at(2);
+        for case in map {
+            let verdict = stability::contact::verdict(case);
+            assert!(shown.contains(&format!("| {verdict} |")), "{case:?}");
+        }
+        for row in rows.iter().map(stability::contact::row) {
+            assert!(shown.lines().any(|line| line.starts_with(&row)), "{row}");
+        }
+        let (single, _) = stability::contact::single_line(1.0).unwrap();
+        assert!(shown.lines().any(|line| line.starts_with(&single)), "{single}");
+    }
+
     /// All of them take minutes: of each cell the hardest collision, which it names, is run.
     #[test]
     fn the_hardest_collisions_with_and_without_the_barrier_come_out_as_the_table_has_them() {
@@ -165,7 +220,7 @@ mod tests {
     }
 
     /// What a document says in words that a table of another place has: file, words, table, beginning of the row.
-    const QUOTED: [(&str, &str, &str, &str); 16] = [
+    const QUOTED: [(&str, &str, &str, &str); 18] = [
         ("README.md", "an ideal 100 Hz cover | 24.2 N |", "paper", "C peak force, 100 Hz sensor"),
         ("README.md", "| 179.8 N |", "paper", "C without the cover"),
         ("README.md", "the speed limit that goes with it | 6.5 N |", "paper", "C with the contact barrier"),
@@ -174,9 +229,21 @@ mod tests {
         ("docs/safety.md", "feels 18 N instead of 181 N", "barrier", "stock, 50 N/mm"),
         (
             "docs/results.md",
-            "one on a seam at 26.0 N",
+            "one on a seam at 27.9 N",
             "protection-campaign",
             "barrier | as described | led | 0.6 |",
+        ),
+        (
+            "docs/results.md",
+            "at 0.6 of the bound 22 of 47 have one",
+            "protection-campaign",
+            "barrier | as described | led | 0.6 |",
+        ),
+        (
+            "docs/results.md",
+            "passes 25 N in one of 156, at 25.4 N",
+            "protection-campaign",
+            "barrier | otherwise | led | all",
         ),
         (
             "docs/results.md",

@@ -8,7 +8,7 @@
 //! assert_eq!(TimedTarget::new(target).check(), Ok(()));
 //! let target = Target::BaseVelocity { velocity_body: [f64::NAN, 0.0, 0.0] };
 //! let refused = TimedTarget::new(target).check().unwrap_err();
-//! assert_eq!(refused.to_string(), "base velocity 0 is not a finite number");
+//! assert_eq!(refused.to_string(), "base velocity x is not a finite number");
 //! ```
 
 use crate::params::ParameterValues;
@@ -181,10 +181,10 @@ pub fn check_trajectory(waypoints: &[Waypoint]) -> Result<(), TargetRefusal> {
         Quantity::WaypointTime.within(&[waypoint.time_s], earliest, TRAJECTORY_MAX_S)?;
         if let Some(before) = before {
             let seconds = waypoint.time_s - before.time_s;
-            for axis in 0..3 {
-                let speed = (waypoint.position_world[axis] - before.position_world[axis]) / seconds;
-                Quantity::LinearSpeed.within(&[speed], -SPEED_MAX_M_S, SPEED_MAX_M_S)?;
-            }
+            let speed: [f64; 3] = core::array::from_fn(|axis| {
+                (waypoint.position_world[axis] - before.position_world[axis]) / seconds
+            });
+            Quantity::LinearSpeed.within(&speed, -SPEED_MAX_M_S, SPEED_MAX_M_S)?;
         }
     }
     Ok(())
@@ -244,12 +244,32 @@ impl Quantity {
         }
     }
 
+    /// Name of one of several, after a space; nothing where there is only one.
+    const fn element(self, index: u8) -> &'static str {
+        let names: &[&str] = match self {
+            Self::Position | Self::LinearSpeed | Self::AngularSpeed => &[" x", " y", " z"],
+            Self::Quaternion => &[" x", " y", " z", " w"],
+            Self::BaseVelocity => &[" x", " y", " yaw"],
+            Self::JointAngle => &[" J1", " J2", " J3", " J4", " J5", " J6", " J7", " J8"],
+            _ => &[],
+        };
+        if (index as usize) < names.len() { names[index as usize] } else { "" }
+    }
+
     /// Errs on the first of `values` that is not from `min` to `max`.
     ///
     /// # Errors
     /// That one, with the range.
     pub fn within(self, values: &[f64], min: f64, max: f64) -> Result<(), TargetRefusal> {
-        for (index, &value) in values.iter().enumerate() {
+        self.each_within(values.iter().map(|value| (*value, min, max)))
+    }
+
+    /// Errs on the first value that is not from its own least to its own most.
+    ///
+    /// # Errors
+    /// That one, with its range.
+    pub fn each_within(self, values: impl Iterator<Item = (f64, f64, f64)>) -> Result<(), TargetRefusal> {
+        for (index, (value, min, max)) in values.enumerate() {
             let index = u8::try_from(index).unwrap_or(u8::MAX);
             if !value.is_finite() {
                 return Err(TargetRefusal::NotFinite { quantity: self, index });
@@ -305,11 +325,14 @@ impl fmt::Display for TargetRefusal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::NotFinite { quantity, index } => {
-                write!(f, "{} {index} is not a finite number", quantity.words().0)
+                write!(f, "{}{} is not a finite number", quantity.words().0, quantity.element(index))
             }
             Self::OutOfRange { quantity, index, value, min, max } => {
-                let (name, unit) = quantity.words();
-                write!(f, "{name} {index} = {value:.6} {unit} is outside {min:.6} to {max:.6} {unit}")
+                let ((name, unit), element) = (quantity.words(), quantity.element(index));
+                if unit.is_empty() {
+                    return write!(f, "{name}{element} = {value} is outside {min} to {max}");
+                }
+                write!(f, "{name}{element} = {value:.6} {unit} is outside {min:.6} to {max:.6} {unit}")
             }
             Self::NeedsFollowMe => f.write_str(
                 "the impedance law keeps the flange in the world: choose follow-me to drive the base",

@@ -8,8 +8,7 @@
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program")]
 
 use moca_ros2::base::{BaseSettings, Reliable, Ros2Base};
-use moca_ros2::dds::Dds;
-use moca_ros2::transport::Transport;
+use moca_ros2::network::Network;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 
@@ -21,12 +20,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [domain, cmd_vel, odom, kind, seconds, speed_m_s, router @ ..] = &arguments[..] else {
         return Err("give DOMAIN CMD_VEL ODOM twist|stamped SECONDS SPEED_M_S [ROUTER]".into());
     };
-    let transport: Box<dyn Transport + Send> = match router {
-        #[cfg(feature = "zenoh")]
-        [router] => Box::new(moca_ros2::zenoh::Zenoh::join(domain.parse()?, router)?),
-        [] => Box::new(Dds::join(domain.parse()?, &[])?),
-        _ => return Err("a router needs a build with --features dds,zenoh".into()),
-    };
+    let (domain, router) = (domain.parse()?, router.first().cloned());
+    let transport = Network { domain, interfaces: Vec::new(), router, node: "drive_base" }.join()?;
     let settings = BaseSettings {
         cmd_vel: cmd_vel.clone(),
         stamped: kind == "stamped",

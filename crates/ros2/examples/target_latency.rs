@@ -63,16 +63,16 @@ impl Plant for Standing {
     #[expect(clippy::float_cmp, reason = "a torque that is not asked to change is the same to the bit")]
     fn write(&mut self, actuation: &Actuation<JOINTS>, _ticks: u64) -> Result<(), Fault> {
         if let Actuation::Drive(command) = actuation {
-            if command.arm_torque_nm == self.last {
-                self.same += 1;
-            } else {
-                if self.same > 0 {
-                    // Who has stopped listening has measured enough.
-                    let _ = self.changed.send(Instant::now());
-                }
-                (self.same, self.last) = (0, command.arm_torque_nm);
+            let moves = command.arm_torque_nm != self.last;
+            let rested = self.same > 0;
+            self.same = if moves { 0 } else { self.same + 1 };
+            self.last = command.arm_torque_nm;
+            // Before the news: who hears of a change must not find the rest before it.
+            self.quiet.store(self.same, Ordering::Release);
+            if moves && rested {
+                // Who has stopped listening has measured enough.
+                let _ = self.changed.send(Instant::now());
             }
-            self.quiet.store(self.same, Ordering::Relaxed);
         }
         Ok(())
     }
@@ -203,7 +203,7 @@ impl Robot {
     fn settle(&self, measured: &mut Measured) -> Result<()> {
         let until = Instant::now() + PATIENCE;
         let mut moves = None;
-        while moves == Some(false) || self.quiet.load(Ordering::Relaxed) < 50 {
+        while moves == Some(false) || self.quiet.load(Ordering::Acquire) < 50 {
             ensure!(Instant::now() < until, "the reference never rests");
             self.watch.alive();
             let update = self.watch.poll();
@@ -232,14 +232,15 @@ impl Robot {
         let mut node = Dds::join(DOMAIN, &[])?;
         let writer = node.writer("/moca/target_twist", TwistStamped::TYPE, Qos::Reliable)?;
         let settings = BridgeSettings { prefix: "/moca".into(), tf: true };
-        let (mut bridge, client) = (Bridge::new(Dds::join(DOMAIN, &[])?, settings)?, connected(daemon)?);
+        let (mut bridge, client) =
+            (Bridge::new(Box::new(Dds::join(DOMAIN, &[])?), settings)?, connected(daemon)?);
         let ended = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&ended);
         let thread = thread::spawn(move || {
             while !ends.load(Ordering::Relaxed) {
                 bridge.step(&client, |reason| eprintln!("{reason}"))?;
             }
-            Ok::<_, moca_ros2::transport::TransportError>(())
+            Ok::<_, moca_telemetry::log::LogError>(())
         });
         let mut send = |target| {
             let Target::Twist { twist: [x, y, z, roll, pitch, yaw], .. } = target else { bail!("no twist") };
@@ -250,7 +251,7 @@ impl Robot {
         // Until the two have found each other.
         let until = Instant::now() + PATIENCE;
         self.settle(&mut Measured::default())?;
-        while self.quiet.load(Ordering::Relaxed) > 0 {
+        while self.quiet.load(Ordering::Acquire) > 0 {
             ensure!(Instant::now() < until, "the bridge hears no target");
             send(Target::Twist { axes: TwistAxes::World, twist: [0.001, 0.0, 0.0, 0.0, 0.0, 0.0] })?;
             thread::sleep(Duration::from_millis(100));

@@ -12,7 +12,7 @@ class Motion:
         self.received = self.sent = self.timeouts = self.zeros = 0
         self.wanted, self.velocity, self.pose = [0.0] * 3, [0.0] * 3, [0.0] * 3
         self.ordered_at, self.moving_order = time.monotonic(), False
-        self.frames, self.stamps = set(), []
+        self.frames, self.stamps, self.oldest_s = set(), [], 0.0
 
     def orders(self):
         """The orders since the last call, oldest first."""
@@ -29,6 +29,7 @@ class Motion:
             if self.stamped:
                 self.frames.add(order.header.frame_id)
                 self.stamps.append(order.header.stamp.sec)
+                self.oldest_s = max(self.oldest_s, time.time() - order.header.stamp.sec - 1e-9 * order.header.stamp.nanosec)
             self.wanted = [twist.linear.x, twist.linear.y, twist.angular.z]
             self.received += 1
             self.zeros += self.wanted == [0.0] * 3

@@ -15,7 +15,7 @@ use crate::messages::{
     WrenchStamped,
 };
 use crate::outputs;
-use crate::transport::{Caller, Qos, ReaderId, ServiceId, Transport, TransportError, WriterId};
+use crate::transport::{Caller, Qos, ReaderId, ServiceId, Transport, TransportError, WriterId, unix_ns};
 use crate::{Message, TypeName};
 use moca_msgs::{Outcome, Request, Sample, TimedTarget};
 use moca_telemetry::RobotDescription;
@@ -24,7 +24,7 @@ use moca_telemetry::log::{LogError, records::Channel};
 use moca_telemetry::net::{Connection, Link, Reply};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 /// How long a step waits for calls at most.
 const STEP: Duration = Duration::from_millis(2);
@@ -51,6 +51,8 @@ const SERVICES: [(&str, Request); 6] = [
     ("resume", Request::Resume),
     ("end_target", Request::EndTarget),
 ];
+/// The network is asked so often whether there is one.
+const LOOK_AFTER: Duration = Duration::from_secs(1);
 /// A refusal is told again after this at the earliest, unless it is another one.
 const REFUSALS_EVERY: Duration = Duration::from_millis(100);
 
@@ -64,8 +66,8 @@ pub struct BridgeSettings {
 }
 
 /// Passes on between a daemon and ROS.
-pub struct Bridge<T> {
-    transport: T,
+pub struct Bridge {
+    transport: Box<dyn Transport + Send>,
     settings: BridgeSettings,
     writers: BTreeMap<&'static str, WriterId>,
     taxels: WriterId,
@@ -81,7 +83,9 @@ pub struct Bridge<T> {
     services: Vec<(ServiceId, Request)>,
     waiting: Vec<(Request, ServiceId, Caller)>,
     shown: Option<Shown>,
-    said: String,
+    /// What was said of the daemon and of the network, and when the latter was looked at.
+    said: [Option<String>; 2],
+    looked: Instant,
 }
 
 /// A topic of targets.
@@ -102,12 +106,15 @@ struct Shown {
     next_diagnostics_ns: u64,
 }
 
-impl<T: Transport> Bridge<T> {
+impl Bridge {
     /// Announces topics and services.
     ///
     /// # Errors
     /// A prefix that is no name, or a transport that is gone.
-    pub fn new(mut transport: T, settings: BridgeSettings) -> Result<Self, TransportError> {
+    pub fn new(
+        mut transport: Box<dyn Transport + Send>,
+        settings: BridgeSettings,
+    ) -> Result<Self, TransportError> {
         let name = |name: &str| format!("{}/{name}", settings.prefix);
         let taxels = transport.writer(&name("taxels"), Float64MultiArray::TYPE, Qos::Reliable)?;
         let wrench = transport.writer(&name("flange_wrench"), WrenchStamped::TYPE, Qos::Reliable)?;
@@ -139,16 +146,19 @@ impl<T: Transport> Bridge<T> {
             services,
             waiting: Vec::new(),
             shown: None,
-            said: String::new(),
+            said: [None, None],
+            looked: Instant::now(),
         })
     }
 
-    /// Passes on what has come either way, and waits a little for more; `say` hears why there is no daemon.
+    /// Passes on what has come either way, and waits a little for more; `say` hears what there is not, daemon or network,
+    /// and when it is there again. Both may come and go.
     ///
     /// # Errors
-    /// The transport is gone.
-    pub fn step(&mut self, daemon: &Connection, say: impl Fn(&str)) -> Result<(), TransportError> {
+    /// A sample that is no message.
+    pub fn step(&mut self, daemon: &Connection, say: impl Fn(&str)) -> Result<(), LogError> {
         let update = daemon.poll();
+        let mut down = None;
         match (&update.link, update.samples.last()) {
             (Link::Up { session, description }, Some(newest)) => {
                 if self.shown.as_ref().is_none_or(|shown| shown.session != *session) {
@@ -159,17 +169,19 @@ impl<T: Transport> Bridge<T> {
             (Link::Up { .. }, None) => {}
             (Link::Down { reason }, _) => {
                 self.shown = None;
-                if self.said != *reason {
-                    self.said.clone_from(reason);
-                    say(reason);
-                }
+                down = Some(reason.clone());
             }
         }
+        tell(&mut self.said[0], down, &say);
+        if self.looked.elapsed() > LOOK_AFTER {
+            self.looked = Instant::now();
+            tell(&mut self.said[1], self.transport.problem(), &say);
+        }
         for reply in &update.replies {
-            self.answer(reply, daemon)?;
+            self.answer(reply, daemon);
         }
         self.ask(daemon);
-        self.lead(daemon)?;
+        self.lead(daemon);
         self.transport.wait(STEP);
         Ok(())
     }
@@ -189,7 +201,7 @@ impl<T: Transport> Bridge<T> {
     }
 
     /// Targets go to the daemon; they are signs of life of the node that leads.
-    fn lead(&mut self, daemon: &Connection) -> Result<(), TransportError> {
+    fn lead(&mut self, daemon: &Connection) {
         for Input { name, reader, read } in self.targets.clone() {
             while let Some((node, payload)) = self.transport.take_from_node(reader) {
                 let target = if self.leader.takes(&node, Instant::now()) {
@@ -202,29 +214,27 @@ impl<T: Transport> Bridge<T> {
                         daemon.alive();
                         daemon.request(Request::Target(target));
                     }
-                    Err(why) => self.refuse(&format!("{name}: {why}"))?,
+                    Err(why) => self.refuse(&format!("{name}: {why}")),
                 }
             }
         }
-        Ok(())
     }
 
-    fn refuse(&mut self, why: &str) -> Result<(), TransportError> {
+    fn refuse(&mut self, why: &str) {
         let now = Instant::now();
         let again = self.told.as_ref().is_some_and(|(told, at)| told == why && now - *at < REFUSALS_EVERY);
-        if again {
-            return Ok(());
+        if !again {
+            self.told = Some((why.to_owned(), now));
+            send(self.transport.as_mut(), self.refused, &Text { data: why.to_owned() });
         }
-        self.told = Some((why.to_owned(), now));
-        self.transport.write(self.refused, &cdr::encode(&Text { data: why.to_owned() }))
     }
 
-    fn answer(&mut self, reply: &Reply, daemon: &Connection) -> Result<(), TransportError> {
+    fn answer(&mut self, reply: &Reply, daemon: &Connection) {
         if let (Request::Target(timed), Err(refusal)) = (reply.request, reply.outcome) {
             return self.refuse(&format!("{}: {refusal}", timed.target.kind().name()));
         }
         let asked = self.waiting.iter().position(|(request, ..)| *request == reply.request);
-        let Some((request, service, caller)) = asked.map(|i| self.waiting.remove(i)) else { return Ok(()) };
+        let Some((request, service, caller)) = asked.map(|i| self.waiting.remove(i)) else { return };
         if reply.outcome.is_ok() {
             self.armed = match request {
                 Request::Arm => true,
@@ -237,7 +247,8 @@ impl<T: Transport> Bridge<T> {
                 daemon.release();
             }
         }
-        self.transport.answer(service, &caller, &cdr::encode(&response(reply.outcome)))
+        // A caller who has gone waits for none.
+        let _ = self.transport.answer(service, &caller, &cdr::encode(&response(reply.outcome)));
     }
 
     fn begin(
@@ -245,12 +256,15 @@ impl<T: Transport> Bridge<T> {
         session: u64,
         robot: &Arc<RobotDescription>,
         newest: &Sample,
-    ) -> Result<(), TransportError> {
+    ) -> Result<(), LogError> {
         let start_unix_ns = unix_ns().saturating_sub(newest.time_ns);
         let display = Display::new(robot, start_unix_ns, PERIODS);
-        let mut to =
-            ToRos { transport: &mut self.transport, writers: &mut self.writers, settings: &self.settings };
-        display.begin(&mut to).map_err(unsent)?;
+        let mut to = ToRos {
+            transport: self.transport.as_mut(),
+            writers: &mut self.writers,
+            settings: &self.settings,
+        };
+        display.begin(&mut to)?;
         let robot = Arc::clone(robot);
         let (next_numbers_ns, next_diagnostics_ns) = (0, 0);
         self.shown =
@@ -258,31 +272,31 @@ impl<T: Transport> Bridge<T> {
         Ok(())
     }
 
-    fn show(&mut self, samples: &[Sample]) -> Result<(), TransportError> {
+    fn show(&mut self, samples: &[Sample]) -> Result<(), LogError> {
         let Some(shown) = &mut self.shown else { return Ok(()) };
         for sample in samples {
             let mut to = ToRos {
-                transport: &mut self.transport,
+                transport: self.transport.as_mut(),
                 writers: &mut self.writers,
                 settings: &self.settings,
             };
-            shown.display.sample(sample, false, &mut to).map_err(unsent)?;
+            shown.display.sample(sample, false, &mut to)?;
             let (now_ns, stamp) =
                 (sample.time_ns, Time::from_unix_ns(shown.start_unix_ns.saturating_add(sample.time_ns)));
             if now_ns >= shown.next_numbers_ns {
                 shown.next_numbers_ns = now_ns + NUMBERS_NS;
                 if !sample.taxels.is_empty() {
-                    self.transport.write(self.taxels, &cdr::encode(&outputs::taxels(sample)))?;
+                    send(self.transport.as_mut(), self.taxels, &outputs::taxels(sample));
                 }
                 if !sample.q_rad.is_empty() {
                     let wrench = outputs::flange_wrench(sample, stamp.clone());
-                    self.transport.write(self.wrench, &cdr::encode(&wrench))?;
+                    send(self.transport.as_mut(), self.wrench, &wrench);
                 }
             }
             if now_ns >= shown.next_diagnostics_ns {
                 shown.next_diagnostics_ns = now_ns + DIAGNOSTICS_NS;
                 let message = outputs::diagnostics(&shown.robot.name, sample, stamp);
-                self.transport.write(self.diagnostics, &cdr::encode(&message))?;
+                send(self.transport.as_mut(), self.diagnostics, &message);
             }
         }
         Ok(())
@@ -315,23 +329,29 @@ fn response(outcome: Outcome) -> TriggerResponse {
     TriggerResponse { success: outcome.is_ok(), message }
 }
 
-fn unsent(error: LogError) -> TransportError {
-    TransportError(error.to_string())
+/// What cannot be sent now is superseded by the next.
+fn send<M: cdr::Field>(transport: &mut dyn Transport, to: WriterId, message: &M) {
+    let _ = transport.write(to, &cdr::encode(message));
 }
 
-fn unix_ns() -> u64 {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
+/// Says what there is not, once, and when it is there again.
+fn tell(said: &mut Option<String>, now: Option<String>, say: &impl Fn(&str)) {
+    match (&now, &*said) {
+        (Some(reason), _) if now != *said => say(reason),
+        (None, Some(reason)) => say(&format!("over: {reason}")),
+        _ => {}
+    }
+    *said = now;
 }
 
 /// The messages that ROS nodes know, as topics.
-struct ToRos<'a, T> {
-    transport: &'a mut T,
+struct ToRos<'a> {
+    transport: &'a mut dyn Transport,
     writers: &'a mut BTreeMap<&'static str, WriterId>,
     settings: &'a BridgeSettings,
 }
 
-impl<T: Transport> Sink for ToRos<'_, T> {
+impl Sink for ToRos<'_> {
     /// Records are types of our own: they are in the log, and for viewers.
     fn offer_record<C: Channel + Message>(&mut self) -> Result<(), LogError> {
         Ok(())
@@ -357,8 +377,7 @@ impl<T: Transport> Sink for ToRos<'_, T> {
 
     fn message<M: Message>(&mut self, topic: &'static str, _: u64, message: &M) -> Result<(), LogError> {
         if let Some(writer) = self.writers.get(topic) {
-            // What is not sent now is superseded by the next.
-            let _ = self.transport.write(*writer, cdr::Writer::default().encode(message));
+            send(self.transport, *writer, message);
         }
         Ok(())
     }

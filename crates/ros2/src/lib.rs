@@ -22,6 +22,7 @@ pub mod bridge;
 pub mod dds;
 #[cfg(feature = "bridge")]
 pub mod inputs;
+pub mod network;
 pub mod outputs;
 pub mod rmw_zenoh;
 pub mod transport;

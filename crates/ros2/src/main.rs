@@ -3,7 +3,7 @@
 
 use clap::Parser;
 use moca_ros2::bridge::{Bridge, BridgeSettings};
-use moca_ros2::dds::Dds;
+use moca_ros2::network::Network;
 use moca_telemetry::net::{Address, Connection};
 use std::net::IpAddr;
 
@@ -20,6 +20,9 @@ struct Arguments {
     /// Address of this PC on the nodes' network; without it all of its networks. May be given more than once.
     #[arg(long, value_name = "IP")]
     interface: Vec<IpAddr>,
+    /// Zenoh router of nodes on rmw_zenoh, such as tcp/192.168.0.200:7447; without it they are on DDS.
+    #[arg(long, value_name = "ROUTER", conflicts_with = "interface")]
+    router: Option<String>,
     /// Namespace of topics and services.
     #[arg(long, default_value = "/moca")]
     prefix: String,
@@ -33,9 +36,15 @@ fn main() -> anyhow::Result<()> {
     let address = arguments.address.unwrap_or_else(Address::of_this_machine);
     let daemon = Connection::spawn(address.clone(), || {})?;
     let settings = BridgeSettings { prefix: arguments.prefix, tf: !arguments.no_tf };
-    let mut bridge = Bridge::new(Dds::join(arguments.domain, &arguments.interface)?, settings)?;
+    let network = Network {
+        domain: arguments.domain,
+        interfaces: arguments.interface,
+        router: arguments.router,
+        node: "moca",
+    };
+    let mut bridge = Bridge::new(network.join()?, settings)?;
     println!("{address} for ROS 2, domain {}", arguments.domain);
     loop {
-        bridge.step(&daemon, |why| eprintln!("{address}: {why}"))?;
+        bridge.step(&daemon, |what| eprintln!("{address}: {what}"))?;
     }
 }

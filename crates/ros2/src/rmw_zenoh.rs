@@ -1,7 +1,8 @@
 //! What ROS 2 nodes on `rmw_zenoh` put on the wire, as texts and bytes; the session is the module `zenoh`'s (feature `zenoh`).
 //!
-//! A topic's data has a key with domain, name, type and the type's hash. Who is on it is told by liveliness tokens. A
-//! payload is CDR as over DDS; number, time and writer go beside it, without which `rmw_zenoh_cpp` drops it.
+//! A topic's data has a key with domain, name, type and the type's hash, and so has a service. Who is on it is told by
+//! liveliness tokens. A payload is CDR as over DDS; number, time and writer go beside it, without which `rmw_zenoh_cpp` drops
+//! it. A writer's number is XXH3-128 of its token.
 //!
 //! ```
 //! use moca_ros2::rmw_zenoh::{data_key, endpoint};
@@ -14,9 +15,13 @@
 //! assert_eq!(data_key(0, "/robot/cmd_vel", Twist::TYPE, "*"), "0/robot/cmd_vel/geometry_msgs::msg::dds_::Twist_/*");
 //! ```
 
-use crate::messages::{Odometry, Twist, TwistStamped};
+use crate::messages::{
+    DiagnosticArray, Empty, Float64MultiArray, JointState, Odometry, PoseStamped, TFMessage, Text, Twist,
+    TwistStamped, WrenchStamped,
+};
 use crate::transport::{Endpoint, Qos};
 use crate::{Message, TypeName};
+use twox_hash::XxHash3_128;
 
 /// What Humble's nodes have in place of a hash.
 pub const NO_HASH: &str = "TypeHashNotSupported";
@@ -25,19 +30,53 @@ pub const ATTACHMENT_BYTES: usize = 33;
 /// Length of a writer's number.
 pub const GID_BYTES: usize = 16;
 
-/// RIHS01 of a base's messages (REP-2016), by their definitions in every distribution since Iron.
-const HASHES: [(TypeName, &str); 3] = [
+/// RIHS01 of messages and services (REP-2016), by their definitions in every distribution since Iron.
+const HASHES: [(TypeName, &str); 13] = [
     (Twist::TYPE, "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"),
     (TwistStamped::TYPE, "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64"),
     (Odometry::TYPE, "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
+    (PoseStamped::TYPE, "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"),
+    (WrenchStamped::TYPE, "RIHS01_8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77"),
+    (JointState::TYPE, "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"),
+    (TFMessage::TYPE, "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"),
+    (DiagnosticArray::TYPE, "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e"),
+    (Float64MultiArray::TYPE, "RIHS01_1025ddc6b9552d191f89ef1a8d2f60f3d373e28b283d8891ddcc974e8c55397f"),
+    (Text::TYPE, "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"),
+    (Empty::TYPE, "RIHS01_20b625256f32d5dbc0d04fee44f43c41e51c70d3502f84b4a08e7a9c26a96312"),
+    (MARKERS, "RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf"),
+    (TRIGGER, "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"),
 ];
+const MARKERS: TypeName = TypeName("visualization_msgs/msg/MarkerArray");
+const TRIGGER: TypeName = TypeName("std_srvs/srv/Trigger");
 
-/// RIHS01 of a message of a base; `None` for others.
+/// RIHS01 of a message or service that is spoken here; `None` for others.
 pub fn type_hash(of: TypeName) -> Option<&'static str> {
     HASHES.into_iter().find_map(|(known, hash)| (known == of).then_some(hash))
 }
 
-/// Key of a topic's data. A reader that takes a type whatever its hash gives `*`.
+/// What an end of a topic or service is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Writes a topic.
+    Writer,
+    /// Reads a topic.
+    Reader,
+    /// Answers calls.
+    Service,
+}
+
+impl Kind {
+    /// As tokens name it.
+    const fn code(self) -> &'static str {
+        match self {
+            Self::Writer => "MP",
+            Self::Reader => "MS",
+            Self::Service => "SS",
+        }
+    }
+}
+
+/// Key of a topic's data, or of a service's calls. Who takes a type whatever its hash gives `*`.
 pub fn data_key(domain: u16, topic: &str, of: TypeName, hash: &str) -> String {
     format!("{domain}/{}/{}/{hash}", topic.trim_matches('/'), of.dds())
 }
@@ -65,19 +104,18 @@ impl Node<'_> {
         format!("@ros2_lv/{domain}/{session}/0/0/NN/%/%/{name}")
     }
 
-    /// The token of its writer or reader `id` of a topic; ids begin at 1.
+    /// The token of its end `id` of a topic or service; ids begin at 1.
     pub fn endpoint_token(
         &self,
         id: usize,
-        writes: bool,
+        kind: Kind,
         topic: &str,
         of: TypeName,
         hash: &str,
         qos: Qos,
     ) -> String {
         let Self { domain, session, name } = self;
-        let kind = if writes { "MP" } else { "MS" };
-        let (topic, of) = (topic.replace('/', "%"), of.dds());
+        let (kind, topic, of) = (kind.code(), topic.replace('/', "%"), of.dds());
         // Reliability, durability, history and depth; what is left out is as ROS has it: reliable, volatile, keep last.
         let qos = match qos {
             Qos::BestEffort => "2::,1:,:,:,,",
@@ -95,10 +133,10 @@ pub fn endpoint(token: &str, ours: &str) -> Option<Endpoint> {
     let [space, _, session, _, _, kind, _, namespace, node, topic, of, hash, ..] = parts[..] else {
         return None;
     };
-    if space != "@ros2_lv" || session == ours || !matches!(kind, "MP" | "MS") {
+    let writes = kind == Kind::Writer.code();
+    if space != "@ros2_lv" || session == ours || !(writes || kind == Kind::Reader.code()) {
         return None;
     }
-    let writes = kind == "MP";
     let expected = HASHES.into_iter().find_map(|(known, hash)| (known.dds() == of).then_some(hash));
     let other_hash = !writes && hash != NO_HASH && expected.is_some_and(|expected| expected != hash);
     Some(Endpoint {
@@ -107,6 +145,16 @@ pub fn endpoint(token: &str, ours: &str) -> Option<Endpoint> {
         writes,
         who: format!("node {}/{node}", namespace.replace('%', "/").trim_end_matches('/')),
     })
+}
+
+/// The session that announced a token: a process, or a part of one.
+pub fn session_of(token: &str) -> &str {
+    token.split('/').nth(2).unwrap_or_default()
+}
+
+/// The number of the writer with this token.
+pub fn gid(token: &str) -> [u8; GID_BYTES] {
+    XxHash3_128::oneshot(token.as_bytes()).to_le_bytes()
 }
 
 /// What goes beside payload number `sequence` of a writer.
@@ -125,6 +173,13 @@ pub fn writer_of(attachment: &[u8]) -> Option<[u8; GID_BYTES]> {
     (bytes[16] == 16).then(|| std::array::from_fn(|i| bytes[17 + i]))
 }
 
+/// What goes beside the answer to a call, by what came beside the call.
+pub fn answer_to(call: &[u8], unix_ns: u64) -> Option<[u8; ATTACHMENT_BYTES]> {
+    let gid = writer_of(call)?;
+    let sequence = i64::from_le_bytes(*call.first_chunk()?);
+    Some(attachment(sequence, unix_ns, gid))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -132,13 +187,13 @@ mod tests {
 
     const US: Node<'_> = Node { domain: 7, session: "c3", name: "mocad" };
 
-    fn twist_token(writes: bool, of: TypeName, hash: &str) -> String {
-        US.endpoint_token(1, writes, "/robot/cmd_vel", of, hash, Qos::Reliable)
+    fn twist_token(kind: Kind, of: TypeName, hash: &str) -> String {
+        US.endpoint_token(1, kind, "/robot/cmd_vel", of, hash, Qos::Reliable)
     }
 
     #[test]
     fn what_we_announce_is_read_back_by_others_and_is_nobody_to_us() {
-        let token = twist_token(true, Twist::TYPE, type_hash(Twist::TYPE).unwrap());
+        let token = twist_token(Kind::Writer, Twist::TYPE, type_hash(Twist::TYPE).unwrap());
         let end = endpoint(&token, "somebody else").unwrap();
         assert_eq!(
             (end.topic.as_str(), end.writes, end.who.as_str()),
@@ -147,12 +202,15 @@ mod tests {
         assert_eq!(end.type_dds, Twist::TYPE.dds());
         assert_eq!(endpoint(&token, "c3"), None);
         assert_eq!(endpoint(&US.token(), "d4"), None, "a node is on no topic");
+        assert_eq!(session_of(&token), "c3");
+        let service = US.endpoint_token(2, Kind::Service, "/arm", TRIGGER, NO_HASH, Qos::Reliable);
+        assert_eq!(endpoint(&service, "d4"), None, "a service is on no topic");
     }
 
     #[test]
     fn a_reader_that_gets_nothing_is_told_with_what_it_wants() {
         let problems = |of: TypeName, hash: &str| {
-            let end = endpoint(&twist_token(false, of, hash), "d4").unwrap();
+            let end = endpoint(&twist_token(Kind::Reader, of, hash), "d4").unwrap();
             problems_of_writer(&[end], "/robot/cmd_vel", Twist::TYPE)
         };
         assert!(problems(Twist::TYPE, type_hash(Twist::TYPE).unwrap()).is_empty());
@@ -168,7 +226,7 @@ mod tests {
         {
             assert_eq!(endpoint(token, "d4"), None, "{token}");
         }
-        let cut = twist_token(true, Twist::TYPE, NO_HASH);
+        let cut = twist_token(Kind::Writer, Twist::TYPE, NO_HASH);
         for length in 0..cut.len() {
             let _ = endpoint(&cut[..length], "d4");
         }
@@ -182,5 +240,7 @@ mod tests {
         assert_eq!(writer_of(&bytes), Some(gid));
         assert_eq!(writer_of(&bytes[..32]), None);
         assert_eq!(writer_of(&[0; 33]), None);
+        assert_eq!(answer_to(&bytes, 9), Some(attachment(258, 9, gid)), "by its number the caller knows it");
+        assert_eq!(answer_to(&bytes[..32], 9), None);
     }
 }

@@ -2,21 +2,24 @@
 //!
 //! The router may come later, go and come back; what was announced is announced again. Orders are urgent and dropped rather
 //! than kept when the line is full, and the router forgets a client that was silent for [`LEASE_MS`]: an order never
-//! arrives long after it was given, which a robot would obey. No services, and nothing for whoever comes later.
+//! arrives long after it was given, which a robot would obey. Whoever comes later is told the last of what is
+//! [`Qos::Latched`] by writing it again; there is no store that others could ask.
 
-use crate::TypeName;
-use crate::rmw_zenoh::{self, GID_BYTES, NO_HASH, Node};
+use crate::messages::{Twist, TwistStamped};
+use crate::rmw_zenoh::{self, GID_BYTES, Kind, NO_HASH, Node};
 use crate::transport::{
-    Caller, Endpoint, Qos, ReaderId, ServiceId, Transport, TransportError, WriterId, absolute,
+    Caller, Endpoint, Qos, ReaderId, ServiceId, Transport, TransportError, WriterId, absolute, unix_ns,
 };
-use std::collections::{BTreeMap, VecDeque};
+use crate::{Message, TypeName};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fmt::Display;
 use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{Query, Queryable};
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Config, Session, Wait};
 
@@ -24,20 +27,30 @@ use zenoh::{Config, Session, Wait};
 pub const LEASE_MS: u32 = 500;
 /// A router that does not answer is tried again after this.
 const RETRY: Duration = Duration::from_millis(500);
-/// Payloads that a reader keeps; older ones make room.
+/// Payloads that a reader keeps, and calls that wait for an answer; older ones make room.
 const KEPT: usize = 32;
+/// A reader that has announced itself hears us after this: some announce themselves before they listen.
+const LISTENS_AFTER: Duration = Duration::from_millis(500);
 /// A writer that announced nothing is named for so long after its last payload.
 const STRANGER_FOR: Duration = Duration::from_secs(1);
-/// What we are called in the graph.
-const NODE: &str = "mocad";
 
 /// What zenoh's threads leave for ours.
 #[derive(Default)]
 struct Inbox {
-    unread: Vec<VecDeque<Vec<u8>>>,
+    unread: Vec<VecDeque<Written>>,
+    calls: Vec<VecDeque<Query>>,
+    /// By their tokens.
     endpoints: BTreeMap<String, Endpoint>,
+    /// Topics that somebody has come to, and when.
+    newcomers: Vec<(String, Instant)>,
     /// Who else wrote on a topic of ours, by writer and topic, and when last.
     others: BTreeMap<(usize, Vec<u8>), Instant>,
+}
+
+/// A payload, and the number of who wrote it; empty without one.
+struct Written {
+    gid: Vec<u8>,
+    payload: Vec<u8>,
 }
 
 #[derive(Default)]
@@ -52,14 +65,15 @@ impl Shared {
     }
 }
 
-/// A topic that is written or read.
+/// A topic that is written or read, or a service.
+#[derive(Clone)]
 struct Topic {
     name: String,
     of: TypeName,
     qos: Qos,
-    /// Which of the readers or writers it is.
+    /// Which of its kind it is.
     index: usize,
-    writes: bool,
+    kind: Kind,
 }
 
 /// The keys that one topic is written under.
@@ -69,34 +83,48 @@ struct Writer {
     keys: Vec<Publisher<'static>>,
     gid: [u8; GID_BYTES],
     sequence: i64,
+    /// The last payload, empty before there is one, if they are [`Qos::Latched`].
+    latched: Option<Vec<u8>>,
+}
+
+/// What lasts as long as a topic is announced.
+struct Announced {
+    _token: LivelinessToken,
+    _subscriber: Option<Subscriber<()>>,
+    _queryable: Option<Queryable<()>>,
 }
 
 /// A session, and what lasts as long as it.
 struct Opened {
     session: Session,
-    _subscribers: Vec<Subscriber<()>>,
-    _tokens: Vec<LivelinessToken>,
+    zid: String,
+    _token: LivelinessToken,
+    _watch: Subscriber<()>,
+    announced: Vec<Announced>,
 }
 
 /// A client of one router, in one domain.
 pub struct Zenoh {
     domain: u16,
     router: String,
+    node: &'static str,
     shared: Arc<Shared>,
     opening: Receiver<Session>,
     topics: Vec<Topic>,
     writers: Vec<Writer>,
-    readers: usize,
+    /// Calls that wait for an answer, by their number, and how many there were.
+    called: BTreeMap<u64, Query>,
+    calls: u64,
     /// Or why there is none.
     opened: Result<Opened, TransportError>,
 }
 
 impl Zenoh {
-    /// Joins `domain` by a router such as `tcp/192.168.0.200:7447`, as soon as it answers.
+    /// Joins `domain` as `node` by a router such as `tcp/192.168.0.200:7447`, as soon as it answers.
     ///
     /// # Errors
     /// A router whose address is none, or no thread to open the session from.
-    pub fn join(domain: u16, router: &str) -> Result<Self, TransportError> {
+    pub fn join(domain: u16, router: &str, node: &'static str) -> Result<Self, TransportError> {
         let config = client_of(router)?;
         let (opened, opening) = channel();
         // A router that is not there fails at once, one whose network is not after seconds.
@@ -114,62 +142,114 @@ impl Zenoh {
         Ok(Self {
             domain,
             router: router.into(),
+            node,
             shared: Arc::default(),
             opening,
             topics: Vec::new(),
             writers: Vec::new(),
-            readers: 0,
+            called: BTreeMap::new(),
+            calls: 0,
             opened: Err(TransportError(unanswered(router))),
         })
     }
 
-    fn topic(&mut self, name: &str, of: TypeName, qos: Qos, writes: bool) -> Result<usize, TransportError> {
+    fn topic(&mut self, name: &str, of: TypeName, qos: Qos, kind: Kind) -> Result<usize, TransportError> {
         let name = absolute(name)?.to_owned();
-        if rmw_zenoh::type_hash(of).is_none() || qos == Qos::Latched {
+        if rmw_zenoh::type_hash(of).is_none() {
             return Err(TransportError(format!("{name}: {} is not carried over zenoh", of.0)));
         }
-        let index = if writes { self.writers.len() } else { self.readers };
-        if writes {
-            self.writers.push(Writer::default());
-        } else {
-            self.readers += 1;
-            self.shared.inbox().unread.push(VecDeque::new());
+        let index = self.topics.iter().filter(|topic| topic.kind == kind).count();
+        match kind {
+            Kind::Writer => {
+                let latched = (qos == Qos::Latched).then(Vec::new);
+                self.writers.push(Writer { latched, ..Writer::default() });
+            }
+            Kind::Reader => self.shared.inbox().unread.push(VecDeque::new()),
+            Kind::Service => self.shared.inbox().calls.push(VecDeque::new()),
         }
-        self.topics.push(Topic { name, of, qos, index, writes });
-        if let Ok(Opened { session, .. }) = &self.opened {
-            self.opened = self.announce(session.clone());
+        let topic = Topic { name, of, qos, index, kind };
+        self.topics.push(topic.clone());
+        if let Ok(Opened { session, zid, .. }) = &self.opened {
+            let (session, zid) = (session.clone(), zid.clone());
+            let announced = self.announce(&session, &zid, self.topics.len(), &topic)?;
+            if let Ok(opened) = &mut self.opened {
+                opened.announced.push(announced);
+            }
         }
         Ok(index)
     }
 
     /// Announces everything on a session that has been opened.
-    fn announce(&mut self, session: Session) -> Result<Opened, TransportError> {
+    fn begin(&mut self, session: Session) -> Result<Opened, TransportError> {
         let zid = session.zid().to_string();
-        let node = Node { domain: self.domain, session: &zid, name: NODE };
-        let token = |token: String| session.liveliness().declare_token(token).wait();
-        let mut tokens = vec![token(node.token()).map_err(failed)?];
-        let mut subscribers = vec![self.watch(&session, zid.clone())?];
-        for (id, topic) in (1..).zip(&self.topics) {
-            let hash = rmw_zenoh::type_hash(topic.of).unwrap_or(NO_HASH);
-            let key = |hash: &str| rmw_zenoh::data_key(self.domain, &topic.name, topic.of, hash);
-            let text = node.endpoint_token(id, topic.writes, &topic.name, topic.of, hash, topic.qos);
-            tokens.push(token(text).map_err(failed)?);
-            let (shared, index) = (Arc::clone(&self.shared), topic.index);
-            let any = session.declare_subscriber(key("*"));
-            if topic.writes {
-                let gid = gid(&session, &topic.name);
-                let keys = [hash, NO_HASH].map(|hash| urgent(&session, key(hash)));
-                let keys = keys.into_iter().collect::<Result<_, _>>()?;
-                self.writers[index] = Writer { keys, gid, sequence: 0 };
-                let other = any.callback(move |sample| shared.other(index, &sample, gid)).wait();
-                subscribers.push(other.map_err(failed)?);
-            } else {
-                // Whatever its hash: the reader of the payload refuses what is none.
-                let read = any.callback(move |sample| shared.payload(index, &sample)).wait();
-                subscribers.push(read.map_err(failed)?);
+        let node = Node { domain: self.domain, session: &zid, name: self.node };
+        let token = session.liveliness().declare_token(node.token()).wait().map_err(failed)?;
+        let watch = self.watch(&session, zid.clone())?;
+        let mut announced = Vec::new();
+        for (id, topic) in (1..).zip(self.topics.clone()) {
+            announced.push(self.announce(&session, &zid, id, &topic)?);
+        }
+        Ok(Opened { session, zid, _token: token, _watch: watch, announced })
+    }
+
+    /// Announces one topic; by its token others know that it is served already.
+    fn announce(
+        &mut self,
+        session: &Session,
+        zid: &str,
+        id: usize,
+        topic: &Topic,
+    ) -> Result<Announced, TransportError> {
+        let Topic { name, of, index, kind, .. } = topic;
+        let (index, hash) = (*index, rmw_zenoh::type_hash(*of).unwrap_or(NO_HASH));
+        let node = Node { domain: self.domain, session: zid, name: self.node };
+        let token = node.endpoint_token(id, *kind, name, *of, hash, topic.qos);
+        let key = |hash: &str| rmw_zenoh::data_key(self.domain, name, *of, hash);
+        let shared = Arc::clone(&self.shared);
+        // Whatever its hash: the reader of the payload refuses what is none.
+        let any = session.declare_subscriber(key("*"));
+        let (mut subscriber, mut queryable) = (None, None);
+        match kind {
+            Kind::Writer => {
+                let gid = rmw_zenoh::gid(&token);
+                let keys = [hash, NO_HASH].map(|hash| publisher(session, key(hash), *of));
+                let writer = &mut self.writers[index];
+                writer.keys = keys.into_iter().collect::<Result<_, _>>()?;
+                (writer.gid, writer.sequence) = (gid, 0);
+                let other = any.callback(move |sample| shared.other(index, &sample, gid));
+                subscriber = Some(other.wait().map_err(failed)?);
+                self.shared.inbox().newcomers.push((name.clone(), Instant::now()));
+            }
+            Kind::Reader => {
+                let read = any.callback(move |sample| shared.payload(index, &sample));
+                subscriber = Some(read.wait().map_err(failed)?);
+            }
+            Kind::Service => {
+                let calls = session.declare_queryable(key("*")).complete(true);
+                let taken = calls.callback(move |query| shared.call(index, query));
+                queryable = Some(taken.wait().map_err(failed)?);
             }
         }
-        Ok(Opened { session, _subscribers: subscribers, _tokens: tokens })
+        let token = session.liveliness().declare_token(token).wait().map_err(failed)?;
+        Ok(Announced { _token: token, _subscriber: subscriber, _queryable: queryable })
+    }
+
+    /// Tells whoever has come what is latched; nothing else is told again.
+    fn welcome(&mut self) {
+        if self.opened.is_err() {
+            return;
+        }
+        let listens = |(_, came): &mut (String, Instant)| came.elapsed() > LISTENS_AFTER;
+        let topics: BTreeSet<_> =
+            self.shared.inbox().newcomers.extract_if(.., listens).map(|(topic, _)| topic).collect();
+        let written = self.topics.iter().filter(|topic| topic.kind == Kind::Writer);
+        for topic in written.filter(|topic| topics.contains(&topic.name)) {
+            let writer = &mut self.writers[topic.index];
+            if let Some(payload) = writer.latched.clone().filter(|payload| !payload.is_empty()) {
+                // What the line does not take now, the next one to come brings.
+                let _ = writer.put(&payload);
+            }
+        }
     }
 
     /// Keeps book of who is on the domain's topics.
@@ -179,11 +259,16 @@ impl Zenoh {
         let watch = all.callback(move |sample| {
             let token = sample.key_expr().as_str();
             let Some(end) = rmw_zenoh::endpoint(token, &zid) else { return };
-            let endpoints = &mut shared.inbox().endpoints;
+            let mut inbox = shared.inbox();
             match sample.kind() {
-                SampleKind::Put => endpoints.insert(token.to_owned(), end),
-                SampleKind::Delete => endpoints.remove(token),
-            };
+                SampleKind::Put => {
+                    if !end.writes {
+                        inbox.newcomers.push((end.topic.clone(), Instant::now()));
+                    }
+                    inbox.endpoints.insert(token.to_owned(), end);
+                }
+                SampleKind::Delete => drop(inbox.endpoints.remove(token)),
+            }
         });
         watch.wait().map_err(failed)
     }
@@ -191,72 +276,133 @@ impl Zenoh {
 
 impl Shared {
     fn payload(&self, reader: usize, sample: &Sample) {
+        let gid = writer_of(sample);
         let payload = sample.payload().to_bytes().into_owned();
-        let unread = &mut self.inbox().unread[reader];
-        if unread.len() == KEPT {
-            unread.pop_front();
-        }
-        unread.push_back(payload);
+        keep(&mut self.inbox().unread[reader], Written { gid, payload });
+        self.came.notify_one();
+    }
+
+    fn call(&self, service: usize, query: Query) {
+        keep(&mut self.inbox().calls[service], query);
         self.came.notify_one();
     }
 
     /// Somebody wrote on a topic that we write: who needs no token for that is seen by what arrives.
     fn other(&self, writer: usize, sample: &Sample, ours: [u8; GID_BYTES]) {
-        let beside = sample.attachment().map(|beside| beside.to_bytes().into_owned()).unwrap_or_default();
-        let gid = rmw_zenoh::writer_of(&beside);
-        if gid != Some(ours) {
-            let gid = gid.map(|gid| gid.to_vec()).unwrap_or_default();
+        let gid = writer_of(sample);
+        if gid != ours {
             self.inbox().others.insert((writer, gid), Instant::now());
         }
     }
 }
 
-impl Transport for Zenoh {
-    fn writer(&mut self, topic: &str, of: TypeName, qos: Qos) -> Result<WriterId, TransportError> {
-        self.topic(topic, of, qos, true).map(WriterId)
+/// Adds the newest; the oldest makes room.
+fn keep<T>(queue: &mut VecDeque<T>, newest: T) {
+    if queue.len() == KEPT {
+        queue.pop_front();
     }
+    queue.push_back(newest);
+}
 
-    fn reader(&mut self, topic: &str, of: TypeName, qos: Qos) -> Result<ReaderId, TransportError> {
-        self.topic(topic, of, qos, false).map(ReaderId)
-    }
+/// The number of who wrote a sample; empty without one.
+fn writer_of(sample: &Sample) -> Vec<u8> {
+    let beside = sample.attachment().map(|beside| beside.to_bytes().into_owned()).unwrap_or_default();
+    rmw_zenoh::writer_of(&beside).map(|gid| gid.to_vec()).unwrap_or_default()
+}
 
-    fn service(&mut self, name: &str, _: TypeName) -> Result<ServiceId, TransportError> {
-        Err(TransportError(format!("{name}: no services over zenoh")))
-    }
-
-    fn write(&mut self, to: WriterId, payload: &[u8]) -> Result<(), TransportError> {
-        if let Err(error) = &self.opened {
-            return Err(error.clone());
+/// Who wrote on `topic` under the number `gid`: the session whose token has that number; where numbers are not made of tokens,
+/// the only one that writes there; else whoever has that number.
+fn author(endpoints: &BTreeMap<String, Endpoint>, topic: &str, gid: &[u8]) -> Vec<u8> {
+    let mut sessions = BTreeSet::new();
+    for (token, _) in endpoints.iter().filter(|(_, end)| end.writes && end.topic == topic) {
+        let session = rmw_zenoh::session_of(token);
+        if rmw_zenoh::gid(token) == gid {
+            return session.into();
         }
-        let writer = &mut self.writers[to.0];
-        writer.sequence += 1;
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let unix_ns = u64::try_from(now.as_nanos()).unwrap_or(u64::MAX);
-        let beside = rmw_zenoh::attachment(writer.sequence, unix_ns, writer.gid);
-        for key in &writer.keys {
+        sessions.insert(session);
+    }
+    match sessions.pop_first() {
+        Some(only) if sessions.is_empty() => only.into(),
+        _ => gid.to_vec(),
+    }
+}
+
+impl Writer {
+    fn put(&mut self, payload: &[u8]) -> Result<(), TransportError> {
+        self.sequence += 1;
+        let beside = rmw_zenoh::attachment(self.sequence, unix_ns(), self.gid);
+        for key in &self.keys {
             key.put(payload).attachment(&beside[..]).wait().map_err(failed)?;
         }
         Ok(())
     }
+}
+
+impl Transport for Zenoh {
+    fn writer(&mut self, topic: &str, of: TypeName, qos: Qos) -> Result<WriterId, TransportError> {
+        self.topic(topic, of, qos, Kind::Writer).map(WriterId)
+    }
+
+    fn reader(&mut self, topic: &str, of: TypeName, qos: Qos) -> Result<ReaderId, TransportError> {
+        self.topic(topic, of, qos, Kind::Reader).map(ReaderId)
+    }
+
+    fn service(&mut self, name: &str, of: TypeName) -> Result<ServiceId, TransportError> {
+        self.topic(name, of, Qos::Reliable, Kind::Service).map(ServiceId)
+    }
+
+    fn write(&mut self, to: WriterId, payload: &[u8]) -> Result<(), TransportError> {
+        let writer = &mut self.writers[to.0];
+        if let Some(last) = &mut writer.latched {
+            *last = payload.to_vec();
+        }
+        match &self.opened {
+            Ok(_) => writer.put(payload),
+            Err(error) => Err(error.clone()),
+        }
+    }
 
     fn take(&mut self, from: ReaderId) -> Option<Vec<u8>> {
-        self.shared.inbox().unread[from.0].pop_front()
+        self.shared.inbox().unread[from.0].pop_front().map(|written| written.payload)
     }
 
-    fn take_call(&mut self, _: ServiceId) -> Option<(Caller, Vec<u8>)> {
-        None
+    fn take_from_node(&mut self, from: ReaderId) -> Option<(Vec<u8>, Vec<u8>)> {
+        let mut inbox = self.shared.inbox();
+        let Written { gid, payload } = inbox.unread[from.0].pop_front()?;
+        let read = |topic: &&Topic| (topic.kind, topic.index) == (Kind::Reader, from.0);
+        let topic = self.topics.iter().find(read)?;
+        Some((author(&inbox.endpoints, &topic.name, &gid), payload))
     }
 
-    fn answer(&mut self, _: ServiceId, _: &Caller, _: &[u8]) -> Result<(), TransportError> {
-        Err(TransportError("no services over zenoh".into()))
+    fn take_call(&mut self, of: ServiceId) -> Option<(Caller, Vec<u8>)> {
+        let query = self.shared.inbox().calls[of.0].pop_front()?;
+        let payload = query.payload().map(|payload| payload.to_bytes().into_owned()).unwrap_or_default();
+        self.calls += 1;
+        if self.called.len() == KEPT {
+            // Whoever called is told that there is no answer.
+            self.called.pop_first();
+        }
+        self.called.insert(self.calls, query);
+        Some((Caller(self.calls.to_le_bytes().into()), payload))
+    }
+
+    fn answer(&mut self, _: ServiceId, caller: &Caller, payload: &[u8]) -> Result<(), TransportError> {
+        let number = caller.0.as_slice().try_into().map(u64::from_le_bytes);
+        let query = number.ok().and_then(|number| self.called.remove(&number));
+        let query = query.ok_or_else(|| TransportError("zenoh: an answer to nobody".into()))?;
+        let beside =
+            query.attachment().and_then(|beside| rmw_zenoh::answer_to(&beside.to_bytes(), unix_ns()));
+        let answer = query.reply(query.key_expr().clone(), payload);
+        answer.attachment(beside.map(Vec::from)).wait().map_err(failed)
     }
 
     fn wait(&mut self, most: Duration) {
         if let Ok(session) = self.opening.try_recv() {
-            self.opened = self.announce(session);
+            self.opened = self.begin(session);
         }
+        self.welcome();
         let inbox = self.shared.inbox();
-        if inbox.unread.iter().all(VecDeque::is_empty) {
+        if inbox.unread.iter().all(VecDeque::is_empty) && inbox.calls.iter().all(VecDeque::is_empty) {
             // Whoever looks too early looks again.
             drop(self.shared.came.wait_timeout(inbox, most));
         }
@@ -276,7 +422,7 @@ impl Transport for Zenoh {
         let mut inbox = self.shared.inbox();
         inbox.others.retain(|_, last| last.elapsed() < STRANGER_FOR);
         let mut endpoints: Vec<Endpoint> = inbox.endpoints.values().cloned().collect();
-        for topic in self.topics.iter().filter(|topic| topic.writes) {
+        for topic in self.topics.iter().filter(|topic| topic.kind == Kind::Writer) {
             // Which of the announced writers a number is cannot be told.
             if endpoints.iter().any(|end| end.writes && end.topic == topic.name) {
                 continue;
@@ -296,17 +442,15 @@ fn stranger(topic: &Topic, gid: &[u8]) -> Endpoint {
     Endpoint { topic: topic.name.clone(), type_dds: topic.of.dds(), writes: true, who }
 }
 
-/// Nothing is kept for a line that is full, and nothing waits for others to be sent along.
-fn urgent(session: &Session, key: String) -> Result<Publisher<'static>, TransportError> {
+/// Nothing is kept for a line that is full; an order waits for nothing else to be sent along.
+fn publisher(session: &Session, key: String, of: TypeName) -> Result<Publisher<'static>, TransportError> {
     let publisher = session.declare_publisher(key).congestion_control(CongestionControl::Drop);
-    publisher.priority(Priority::RealTime).express(true).wait().map_err(failed)
-}
-
-/// A number for a writer that no other has: its session's, and its topic's name.
-fn gid(session: &Session, topic: &str) -> [u8; GID_BYTES] {
-    let mut gid = session.zid().to_le_bytes();
-    gid.iter_mut().zip(topic.bytes().cycle()).for_each(|(byte, of_name)| *byte ^= of_name);
-    gid
+    let publisher = if matches!(of, Twist::TYPE | TwistStamped::TYPE) {
+        publisher.priority(Priority::RealTime).express(true)
+    } else {
+        publisher
+    };
+    publisher.wait().map_err(failed)
 }
 
 /// A client: a peer whose router is of today hears nothing of others, and nobody says so.
@@ -332,4 +476,31 @@ fn unanswered(router: &str) -> String {
 
 fn failed(error: impl Display) -> TransportError {
     TransportError(format!("zenoh: {error}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_writes_is_known_by_the_number_or_because_nobody_else_does() {
+        let node = |session| Node { domain: 7, session, name: "planner" };
+        let token = |session, id, topic: &str| {
+            node(session).endpoint_token(id, Kind::Writer, topic, Twist::TYPE, NO_HASH, Qos::Reliable)
+        };
+        let mut endpoints = BTreeMap::new();
+        let mut announce = |token: &str| {
+            endpoints.insert(token.to_owned(), rmw_zenoh::endpoint(token, "us").unwrap());
+            endpoints.clone()
+        };
+        let (a, b) = (token("a1", 1, "/cmd_vel"), token("b2", 1, "/cmd_vel"));
+        let nobody = announce(&token("c3", 2, "/elsewhere"));
+        assert_eq!(author(&nobody, "/cmd_vel", &[1; 16]), [1; 16], "a stranger is its number");
+        let alone = announce(&a);
+        assert_eq!(author(&alone, "/cmd_vel", &[1; 16]), b"a1", "its number is no token's");
+        let both = announce(&b);
+        assert_eq!(author(&both, "/cmd_vel", &rmw_zenoh::gid(&a)), b"a1");
+        assert_eq!(author(&both, "/cmd_vel", &rmw_zenoh::gid(&b)), b"b2");
+        assert_eq!(author(&both, "/cmd_vel", &[1; 16]), [1; 16], "one of two, and nobody knows which");
+    }
 }

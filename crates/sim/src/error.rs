@@ -33,6 +33,14 @@ pub enum SimError {
         /// What that is.
         what: &'static str,
     },
+    /// Two parts of a scene that do not go together.
+    #[error("scene: {what} is not possible: {why}")]
+    Unsupported {
+        /// Which.
+        what: &'static str,
+        /// Why.
+        why: &'static str,
+    },
     /// The engine refused the model.
     #[error("the engine refused the model: {0}")]
     Model(String),

@@ -216,6 +216,15 @@ pub struct FoamState {
     elastic_n: f64,
 }
 
+/// How a step takes the decay of the branches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Memory {
+    /// Exactly, for a force that is linear in time: a whole step.
+    Exact,
+    /// By backward Euler: a stage of an implicit Runge–Kutta method.
+    BackwardEuler,
+}
+
 /// Force response of one step: F = offset + gain·ΔFe, from the exact solution for a force that is linear in time.
 struct Response {
     offset_n: f64,
@@ -229,10 +238,15 @@ impl FoamState {
     ///
     /// Stable for every `dt_s` > 0. An untouched foam at rest costs one comparison.
     pub fn step(&mut self, foam: &Foam, x_m: f64, dt_s: f64) -> f64 {
+        self.step_by(Memory::Exact, foam, x_m, dt_s)
+    }
+
+    /// The same by the given rule for the memory.
+    pub(crate) fn step_by(&mut self, memory: Memory, foam: &Foam, x_m: f64, dt_s: f64) -> f64 {
         if x_m <= 0.0 && self.is_at_rest() {
             return 0.0;
         }
-        let response = self.response(foam, dt_s);
+        let response = self.response(memory, foam, dt_s);
         let change_n = foam.elastic_force_n(x_m) - self.elastic_n;
         self.advance(&response, change_n);
         if x_m <= 0.0 {
@@ -247,7 +261,7 @@ impl FoamState {
         if force_n <= 0.0 && self.is_at_rest() {
             return 0.0;
         }
-        let response = self.response(foam, dt_s);
+        let response = self.response(Memory::Exact, foam, dt_s);
         let change_n = (force_n.max(0.0) - response.offset_n) / response.gain;
         let change_n = change_n.max(-self.elastic_n);
         self.advance(&response, change_n);
@@ -259,7 +273,16 @@ impl FoamState {
         self.elastic_n <= 1e-6 && self.branch_n.iter().all(|h| h.abs() < 1e-6)
     }
 
-    fn response(&self, foam: &Foam, dt_s: f64) -> Response {
+    /// The state `share` times as far from this one as `there` is.
+    pub(crate) fn towards(&self, there: &Self, share: f64) -> Self {
+        let beyond = |from: f64, to: f64| from + share * (to - from);
+        Self {
+            branch_n: std::array::from_fn(|i| beyond(self.branch_n[i], there.branch_n[i])),
+            elastic_n: beyond(self.elastic_n, there.elastic_n).max(0.0),
+        }
+    }
+
+    fn response(&self, memory: Memory, foam: &Foam, dt_s: f64) -> Response {
         let share = foam.branch_gain();
         let held = 1.0 - foam.relaxation;
         let damping = foam.damping_time_s / dt_s;
@@ -271,9 +294,17 @@ impl FoamState {
         };
         if foam.relaxation > 0.0 {
             for i in 0..3 {
-                let decay = (-dt_s / BRANCH_TIME_S[i]).exp();
-                response.decay[i] = decay;
-                response.branch_gain[i] = share[i] * (1.0 - decay) * BRANCH_TIME_S[i] / dt_s;
+                let (decay, gain) = match memory {
+                    Memory::Exact => {
+                        let decay = (-dt_s / BRANCH_TIME_S[i]).exp();
+                        (decay, share[i] * (1.0 - decay) * BRANCH_TIME_S[i] / dt_s)
+                    }
+                    Memory::BackwardEuler => {
+                        let decay = 1.0 / (1.0 + dt_s / BRANCH_TIME_S[i]);
+                        (decay, share[i] * decay)
+                    }
+                };
+                (response.decay[i], response.branch_gain[i]) = (decay, gain);
                 response.offset_n += self.branch_n[i] * decay;
                 response.gain += response.branch_gain[i];
             }

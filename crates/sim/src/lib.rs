@@ -23,6 +23,7 @@ pub mod pty;
 mod quiet;
 pub mod scene;
 pub mod sensor;
+mod stepping;
 
 pub use board::{BoardFault, VirtualBoard, VirtualBoardConfig};
 pub use contact::Tissue;
@@ -30,6 +31,7 @@ pub use error::SimError;
 pub use plant::{ModelSize, SimPlant};
 pub use pty::{PtyBoard, SharedForces};
 pub use scene::{BodyPart, Engine, Integrator, Mobility, Person, Robot, Scene, Shape};
+pub use stepping::StepsSpent;
 
 /// Version of the MuJoCo library that is linked.
 pub fn mujoco_version() -> &'static str {

@@ -10,6 +10,13 @@ use std::fmt::{self, Write};
 /// Velocity gain of the inner base servo along x and y and about the vertical, N·s/m, N·s/m, N·m·s/rad: 20 N push it back by
 /// 0.2 mm/s. ASSUMED.
 pub(crate) const SERVO_DAMPING: [f64; 3] = [1e5, 1e5, 2.5e4];
+/// What of [`SERVO_DAMPING`] an engine applies itself, on the speed at the step's end: all of it, or for the trapezoidal
+/// rule the half that does not act on the speed at its start.
+pub(crate) fn implicit_damping(scene: &Scene) -> [f64; 3] {
+    let share = if scene.integrator == Integrator::Leapfrog { 0.5 } else { 1.0 };
+    SERVO_DAMPING.map(|damping| share * damping)
+}
+
 /// Name of the massless body that marks the flange.
 pub(crate) const FLANGE: &str = "flange";
 
@@ -58,7 +65,7 @@ fn options(xml: &mut String, scene: &Scene) -> fmt::Result {
         Integrator::Euler => "Euler",
         Integrator::RungeKutta4 => "RK4",
         Integrator::Implicit => "implicit",
-        Integrator::ImplicitFast => "implicitfast",
+        Integrator::ImplicitFast | Integrator::Leapfrog => "implicitfast",
     };
     let contact = if scene.geoms { "enable" } else { "disable" };
     let constraint = if scene.joint_limits { "enable" } else { "disable" };
@@ -86,10 +93,11 @@ fn base(xml: &mut String, scene: &Scene) -> fmt::Result {
     let [ix, iy, iz] = scene.base.inertia_com_diagonal;
     let [cx, cy, cz] = scene.base.com_m;
     xml.push_str("<body name=\"base\">\n");
+    let [along_x, along_y, yaw] = implicit_damping(scene);
     for (name, kind, axis, damping) in [
-        ("base_x", "slide", "1 0 0", SERVO_DAMPING[0]),
-        ("base_y", "slide", "0 1 0", SERVO_DAMPING[1]),
-        ("base_yaw", "hinge", "0 0 1", SERVO_DAMPING[2]),
+        ("base_x", "slide", "1 0 0", along_x),
+        ("base_y", "slide", "0 1 0", along_y),
+        ("base_yaw", "hinge", "0 0 1", yaw),
     ] {
         writeln!(xml, "<joint name=\"{name}\" type=\"{kind}\" axis=\"{axis}\" damping=\"{damping}\"/>")?;
     }

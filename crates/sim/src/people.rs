@@ -1,7 +1,8 @@
 //! People and walls in the running scene: where they are, what they do, and what they and the cover do to each other.
 
-use crate::contact::{ContactState, Pressing};
+use crate::contact::{ContactForce, ContactState, Pressing};
 use crate::foam::Foam;
+use crate::mechanics::Mechanics;
 use crate::outline::Outline;
 use crate::scene::{Mobility, Person, Scene, Shape};
 use moca_msgs::{MAX_TAXELS, TaxelPlacement};
@@ -10,14 +11,31 @@ use moca_msgs::{MAX_TAXELS, TaxelPlacement};
 const K: usize = MAX_TAXELS;
 /// A plane presses a taxel only if it faces it within 60°.
 const FACING_COS_MIN: f64 = 0.5;
+/// Faster than anybody and the base meet, m/s.
+const CLOSING_MAX_M_S: f64 = 10.0;
+
+/// The physics step whose forces are asked for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Step {
+    /// s.
+    pub dt_s: f64,
+    /// Positions and time are those of its middle and its forces of second order; else those of its start.
+    pub from_the_middle: bool,
+}
+
+impl Step {
+    /// How much closer a body can be at the step's end than where its forces are asked for, m.
+    fn reach_m(self) -> f64 {
+        if self.from_the_middle { 0.5 * self.dt_s * CLOSING_MAX_M_S } else { 0.0 }
+    }
+}
 
 /// The cover at one instant.
 pub(crate) struct CoverInstant<'a> {
     taxels: &'a [TaxelPlacement],
     outline: &'a Outline,
     foam: &'a Foam,
-    /// Physics step, s.
-    dt_s: f64,
+    step: Step,
     /// Pose of B in W: x m, y m, yaw rad; sine and cosine of the yaw.
     pose_world: [f64; 3],
     heading: (f64, f64),
@@ -29,14 +47,14 @@ impl<'a> CoverInstant<'a> {
     pub(crate) fn new(
         scene: &'a Scene,
         outline: &'a Outline,
-        pose_world: [f64; 3],
-        velocity_world: [f64; 3],
+        step: Step,
+        (pose_world, velocity_world): ([f64; 3], [f64; 3]),
     ) -> Self {
         Self {
             taxels: &scene.cover,
             outline,
             foam: &scene.foam,
-            dt_s: scene.physics_step_s,
+            step,
             pose_world,
             heading: pose_world[2].sin_cos(),
             velocity_world,
@@ -74,14 +92,21 @@ pub(crate) struct Felt {
     pub taxel_force_n: [f64; K],
     /// Wrench on the base about its origin, axes of B: N, N, N·m.
     pub wrench_base: [f64; 3],
+    /// The same on average over the step: what moves the base.
+    pub push_base: [f64; 3],
     /// Normal forces on all bodies and on the one that is pressed hardest, felt by a taxel or not, N.
     pub total_n: f64,
     pub largest_n: f64,
 }
 
 impl Felt {
-    pub(crate) const NOTHING: Self =
-        Self { taxel_force_n: [0.0; K], wrench_base: [0.0; 3], total_n: 0.0, largest_n: 0.0 };
+    pub(crate) const NOTHING: Self = Self {
+        taxel_force_n: [0.0; K],
+        wrench_base: [0.0; 3],
+        push_base: [0.0; 3],
+        total_n: 0.0,
+        largest_n: 0.0,
+    };
 
     /// Forces on taxels at their centres, N, T1 first, each on a body of its own.
     pub(crate) fn sensed(&mut self, scene: &Scene, outline: &Outline, forces_n: &[f64]) {
@@ -125,11 +150,24 @@ struct Body {
     contacts: [ContactState; K],
     /// Walking has begun.
     walks: bool,
+    /// In the last step.
+    touches: bool,
     first_contact_s: Option<f64>,
     /// Outward normal at first contact, world axes: the way the person steps away.
     away_world: [f64; 2],
     /// All forces on the person at this step, world axes, N.
     force_world: [f64; 2],
+}
+
+/// What somebody is at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Stage {
+    /// The cover's foam, in the last step.
+    touches: bool,
+    /// Walks or leans.
+    has_set_out: bool,
+    steps_away: bool,
+    has_stepped_away: bool,
 }
 
 /// One place where a body and the cover meet, axes of B.
@@ -145,6 +183,23 @@ struct Meeting {
     velocity_world: [f64; 2],
 }
 
+impl Meeting {
+    /// Speed at which the overlap grows, m/s.
+    fn closing_m_s(&self, cover: &CoverInstant<'_>) -> f64 {
+        let [vx, vy] = cover.to_base(self.velocity_world);
+        let [cover_vx, cover_vy] = cover.velocity_base(self.point_base);
+        let [nx, ny] = self.outward_base;
+        (cover_vx - vx) * nx + (cover_vy - vy) * ny
+    }
+
+    /// Depth at the end of the step, m.
+    fn overlap_at_end_m(&self, cover: &CoverInstant<'_>) -> f64 {
+        let Step { dt_s, from_the_middle } = cover.step;
+        let half_m = if from_the_middle { 0.5 * dt_s * self.closing_m_s(cover) } else { 0.0 };
+        self.overlap_m + half_m
+    }
+}
+
 impl People {
     /// `first_dof` is the first degree of freedom after the robot's.
     pub(crate) fn new(scene: &Scene, first_dof: usize) -> Self {
@@ -157,6 +212,7 @@ impl People {
                 dof,
                 contacts: [ContactState::default(); K],
                 walks: false,
+                touches: false,
                 first_contact_s: None,
                 away_world: [0.0; 2],
                 force_world: [0.0; 2],
@@ -181,6 +237,31 @@ impl People {
         Some([x + dx, y + dy])
     }
 
+    /// What everybody is at: where it changes, forces change at once.
+    pub(crate) fn stages(&self, time_s: f64) -> impl Iterator<Item = Stage> {
+        let time_s = self.own_time_s(time_s);
+        self.bodies.iter().map(move |body| body.stage(time_s))
+    }
+
+    /// Lets those begin to walk whose time has come, at full speed: a step that starts at `time_s` and takes its forces in
+    /// its middle has to be told before.
+    pub(crate) fn set_out(&mut self, time_s: f64, mechanics: &mut dyn Mechanics) {
+        let time_s = self.own_time_s(time_s);
+        for body in &mut self.bodies {
+            let Person { starts_after_s, walk_m_s, towards_robot_world, .. } = body.person;
+            if let (Some(dof), false) =
+                (body.dof, body.walks || time_s < starts_after_s || self.begin_s.is_none())
+            {
+                body.walks = true;
+                let place = [mechanics.positions()[dof], mechanics.positions()[dof + 1]];
+                let rate = [mechanics.rates()[dof], mechanics.rates()[dof + 1]];
+                let rate =
+                    std::array::from_fn::<_, 2, _>(|axis| rate[axis] + walk_m_s * towards_robot_world[axis]);
+                mechanics.put(dof, &place, &rate);
+            }
+        }
+    }
+
     /// Contact, posture and lean of everybody; adds the contact forces to what is `felt`.
     pub(crate) fn touch(
         &mut self,
@@ -192,11 +273,11 @@ impl People {
     ) {
         let time_s = self.own_time_s(time_s);
         for body in &mut self.bodies {
-            body.force_world = [0.0; 2];
+            (body.force_world, body.touches) = ([0.0; 2], false);
             if self.on_foam {
                 body.press(cover, time_s, qpos, qvel, felt);
             }
-            body.hold(time_s, cover.dt_s, qpos, qvel);
+            body.hold(time_s, cover.step, qpos, qvel);
         }
     }
 
@@ -229,8 +310,10 @@ impl Body {
         let place_base = cover.to_base([x + dx - base_x, y + dy - base_y]);
         let velocity_world = self.velocity(time_s, qvel);
         match self.person.shape {
-            Shape::Cylinder { radius_m } if cover.outline.is_further_than(radius_m, place_base) => {
-                self.contacts[0].leave(cover.foam, cover.dt_s);
+            Shape::Cylinder { radius_m }
+                if cover.outline.is_further_than(radius_m + cover.step.reach_m(), place_base) =>
+            {
+                self.contacts[0].leave(cover.foam, cover.step.dt_s);
             }
             Shape::Cylinder { radius_m } => {
                 let nearest = cover.outline.nearest(place_base);
@@ -242,8 +325,9 @@ impl Body {
                     velocity_world,
                 };
                 let force_n = self.meet(cover, &meeting, time_s, felt);
-                if force_n > 0.0 && meeting.overlap_m > 0.0 {
-                    let shares = cover.outline.shares(&nearest, meeting.overlap_m, radius_m);
+                let overlap_m = meeting.overlap_at_end_m(cover);
+                if force_n > 0.0 && overlap_m > 0.0 {
+                    let shares = cover.outline.shares(&nearest, overlap_m, radius_m);
                     for (taxel_n, share) in felt.taxel_force_n.iter_mut().zip(shares.0) {
                         *taxel_n += share * force_n;
                     }
@@ -295,54 +379,79 @@ impl Body {
         let &Meeting { contact, overlap_m, point_base: [px, py], outward_base: [nx, ny], .. } = meeting;
         let [vx, vy] = cover.to_base(meeting.velocity_world);
         let [cover_vx, cover_vy] = cover.velocity_base(meeting.point_base);
-        let force = self.contacts[contact].step(&Pressing {
+        let Step { dt_s, from_the_middle } = cover.step;
+        let pressing = Pressing {
             foam: cover.foam,
             tissue: self.person.tissue,
             friction: self.person.friction,
             overlap_m,
             sliding_m_s: (vy - cover_vy) * nx - (vx - cover_vx) * ny,
-            dt_s: cover.dt_s,
+            dt_s,
             yield_m_per_n: match (self.dof, self.person.mobility) {
-                (Some(_), Mobility::Standing { mass_kg, .. }) => cover.dt_s * cover.dt_s / mass_kg,
+                (Some(_), Mobility::Standing { mass_kg, .. }) => dt_s * dt_s / mass_kg,
                 _ => 0.0,
             },
-        });
-        if force.normal_n <= 0.0 {
+        };
+        let closing_m_s = meeting.closing_m_s(cover);
+        let (mean, end) = if from_the_middle {
+            self.contacts[contact].second_order(&pressing, closing_m_s)
+        } else {
+            let force = self.contacts[contact].step(&pressing);
+            (force, force)
+        };
+        if mean.normal_n <= 0.0 && end.normal_n <= 0.0 {
             return 0.0;
         }
         // Along the cover is the outward normal turned by +90°.
-        let [fx, fy] = [force.normal_n * nx - force.along_n * ny, force.normal_n * ny + force.along_n * nx];
-        felt.wrench_base[0] -= fx;
-        felt.wrench_base[1] -= fy;
-        felt.wrench_base[2] -= px * fy - py * fx;
-        let [on_x, on_y] = cover.to_world([fx, fy]);
+        let on_body = |force: ContactForce| {
+            [force.normal_n * nx - force.along_n * ny, force.normal_n * ny + force.along_n * nx]
+        };
+        for (wrench, force) in [(&mut felt.wrench_base, end), (&mut felt.push_base, mean)] {
+            let [fx, fy] = on_body(force);
+            wrench[0] -= fx;
+            wrench[1] -= fy;
+            wrench[2] -= px * fy - py * fx;
+        }
+        let [on_x, on_y] = cover.to_world(on_body(mean));
         self.force_world[0] += on_x;
         self.force_world[1] += on_y;
+        self.touches = true;
         if self.first_contact_s.is_none() {
-            self.first_contact_s = Some(time_s);
+            let touched_for_s =
+                if from_the_middle && closing_m_s > 0.0 { overlap_m / closing_m_s } else { 0.0 };
+            self.first_contact_s = Some(time_s - touched_for_s.clamp(-0.5 * dt_s, 0.5 * dt_s));
             self.away_world = cover.to_world([nx, ny]);
         }
-        force.normal_n
+        end.normal_n
     }
 
     /// Adds posture and lean of a person who can move. Who begins to walk walks at full speed from the first step on.
-    fn hold(&mut self, time_s: f64, dt_s: f64, qpos: &[f64], qvel: &[f64]) {
+    fn hold(&mut self, time_s: f64, step: Step, qpos: &[f64], qvel: &[f64]) {
         let (Some(dof), Mobility::Standing { mass_kg, stiffness_n_per_m, damping_n_s_per_m }) =
             (self.dof, self.person.mobility)
         else {
             return;
         };
         let offset = self.displacement(time_s, qpos);
-        let (anchor, anchor_velocity) = self.anchor(time_s);
+        let (anchor, mut anchor_velocity) = self.anchor(time_s);
+        if step.from_the_middle {
+            // on average over the step, in which a stride may begin or end
+            let [start, end] = [-0.5, 0.5].map(|share| self.anchor(time_s + share * step.dt_s).0);
+            anchor_velocity = std::array::from_fn(|axis| (end[axis] - start[axis]) / step.dt_s);
+        }
         let leans = time_s >= self.person.starts_after_s && self.stepping_s(time_s) <= 0.0;
         let lean_n = if leans { self.person.lean_n } else { 0.0 };
-        let starts = !self.walks && time_s > self.person.starts_after_s;
+        let starts = !self.walks && !step.from_the_middle && time_s > self.person.starts_after_s;
         self.walks |= starts;
-        let start_n = if starts { mass_kg * self.person.walk_m_s / dt_s } else { 0.0 };
+        let start_n = if starts { mass_kg * self.person.walk_m_s / step.dt_s } else { 0.0 };
         for axis in 0..2 {
             self.force_world[axis] += (lean_n + start_n) * self.person.towards_robot_world[axis]
                 + stiffness_n_per_m * (anchor[axis] - offset[axis])
                 + damping_n_s_per_m * (anchor_velocity[axis] - qvel[dof + axis]);
+            if step.from_the_middle {
+                // half of the damping acts on the speed at the step's end: the trapezoidal rule
+                self.force_world[axis] /= 1.0 + 0.5 * step.dt_s * damping_n_s_per_m / mass_kg;
+            }
         }
     }
 
@@ -351,6 +460,17 @@ impl Body {
         match (self.first_contact_s, self.person.steps_away_after_s) {
             (Some(contact_s), Some(after_s)) => time_s - contact_s - after_s,
             _ => 0.0,
+        }
+    }
+
+    fn stage(&self, time_s: f64) -> Stage {
+        let (step_speed, step_length) = Person::STEP_AWAY;
+        let stepping_s = self.stepping_s(time_s);
+        Stage {
+            touches: self.touches,
+            has_set_out: time_s >= self.person.starts_after_s,
+            steps_away: stepping_s > 0.0,
+            has_stepped_away: step_speed * stepping_s >= step_length,
         }
     }
 

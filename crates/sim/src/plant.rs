@@ -4,8 +4,9 @@ use crate::SimError;
 use crate::mechanics::{self, Mechanics};
 use crate::mjcf::SERVO_DAMPING;
 use crate::outline::Outline;
-use crate::people::{CoverInstant, Felt, People};
-use crate::scene::{Robot, Scene};
+use crate::people::{CoverInstant, Felt, People, Step};
+use crate::scene::{Integrator, Robot, Scene};
+use crate::stepping::{End, Repeatable, Start, Stepping, StepsSpent};
 use moca_msgs::{Actuation, MAX_JOINTS, MAX_TAXELS, RobotCommand, RobotState};
 
 /// What the wheels can push before they slip: N, N, N·m (about 0.8 of the weight). ASSUMED.
@@ -51,6 +52,8 @@ pub struct SimPlant {
     mechanics: Box<dyn Mechanics>,
     scene: Scene,
     substeps: u32,
+    /// How many steps a period takes, if the scene asks for an accuracy.
+    stepping: Option<Stepping>,
     outline: Outline,
     /// First coordinate of base and arm, where they exist.
     base_dof: Option<usize>,
@@ -61,6 +64,8 @@ pub struct SimPlant {
     servo_velocity_body: [f64; 3],
     pressed_n: [f64; K],
     taxel_force_n: [f64; K],
+    /// Mean over the steps of the last period.
+    taxel_force_mean_n: [f64; K],
     cover_wrench_base: [f64; 3],
     contact_total_n: f64,
     contact_largest_n: f64,
@@ -80,10 +85,12 @@ impl SimPlant {
         let has_arm = scene.robot != Robot::BaseOnly;
         let arm_dof = has_arm.then_some(if has_base { 3 } else { 0 });
         let first_person_dof = if has_base { 3 } else { 0 } + if has_arm { scene.arm.joints } else { 0 };
+        let substeps = scene.substeps()?;
         let mut plant = Self {
             mechanics: mechanics::of(scene)?,
             scene: scene.clone(),
-            substeps: scene.substeps()?,
+            substeps,
+            stepping: scene.accuracy.map(|accuracy| Stepping::new(accuracy, substeps)),
             outline: Outline::new(scene),
             base_dof: has_base.then_some(0),
             arm_dof,
@@ -92,6 +99,7 @@ impl SimPlant {
             servo_velocity_body: [0.0; 3],
             pressed_n: [0.0; K],
             taxel_force_n: [0.0; K],
+            taxel_force_mean_n: [0.0; K],
             cover_wrench_base: [0.0; 3],
             contact_total_n: 0.0,
             contact_largest_n: 0.0,
@@ -148,16 +156,38 @@ impl SimPlant {
         }
     }
 
-    /// One control period: as many physics steps as the scene asks for.
+    /// One control period: as many physics steps as the scene, or the accuracy it asks for, takes.
     ///
     /// # Errors
     /// Any warning of the engine (NaN, divergence, full buffers); the state is then no longer to be trusted.
     pub fn step(&mut self) -> Result<(), SimError> {
         self.advance_base_servo();
-        for _ in 0..self.substeps {
-            self.load();
-            self.mechanics.step()?;
+        match self.stepping.take() {
+            Some(mut stepping) => {
+                let result = stepping.period(self, self.scene.control_period_s);
+                self.stepping = Some(stepping);
+                result
+            }
+            None => self.run(self.substeps, self.scene.physics_step_s),
         }
+    }
+
+    /// What the steps have cost that an accuracy asked for; `None` for steps of one length.
+    pub fn steps_spent(&self) -> Option<StepsSpent> {
+        self.stepping.as_ref().map(|stepping| stepping.spent)
+    }
+
+    fn physics_step(&mut self, dt_s: f64) -> Result<(), SimError> {
+        if self.scene.integrator != Integrator::Leapfrog {
+            self.load(Step { dt_s, from_the_middle: false });
+            return self.mechanics.step();
+        }
+        self.people.set_out(self.mechanics.time_s(), &mut *self.mechanics);
+        self.mechanics.drift(0.5 * dt_s);
+        self.load(Step { dt_s, from_the_middle: true });
+        self.mechanics.step()?;
+        // the engine moves the middle by a whole step at the new rates
+        self.mechanics.drift(-0.5 * dt_s);
         Ok(())
     }
 
@@ -202,9 +232,15 @@ impl SimPlant {
         Ok(())
     }
 
-    /// True force on each taxel over the last physics step, N, T1 first.
+    /// True force on each taxel over the last physics step (under [`Integrator::Leapfrog`] at its end), N, T1 first.
     pub fn taxel_force_true_n(&self) -> &[f64] {
         &self.taxel_force_n[..self.scene.cover.len()]
+    }
+
+    /// Mean of these over the physics steps of the last control period, N: what a sensor that averages would say, however
+    /// often anybody asks it.
+    pub fn taxel_force_mean_n(&self) -> &[f64] {
+        &self.taxel_force_mean_n[..self.scene.cover.len()]
     }
 
     /// Sum of the normal forces on everybody who touches the cover, felt by a taxel or not, over the last physics step, N.
@@ -290,16 +326,21 @@ impl SimPlant {
     }
 
     /// Writes every force of one physics step.
-    fn load(&mut self) {
+    fn load(&mut self, step: Step) {
         let state = self.state();
-        let cover =
-            CoverInstant::new(&self.scene, &self.outline, state.base_pose_world, state.base_velocity_world);
+        let cover = CoverInstant::new(
+            &self.scene,
+            &self.outline,
+            step,
+            (state.base_pose_world, state.base_velocity_world),
+        );
         let mut felt = Felt::NOTHING;
         felt.sensed(&self.scene, &self.outline, &self.pressed_n);
-        let (time_s, mechanics) = (self.mechanics.time_s(), &mut self.mechanics);
+        felt.push_base = felt.wrench_base;
+        let mechanics = &mut self.mechanics;
+        let time_s = mechanics.time_s() + if step.from_the_middle { 0.5 * step.dt_s } else { 0.0 };
         self.people.touch(&cover, time_s, mechanics.positions(), mechanics.rates(), &mut felt);
         self.people.write_forces(mechanics.forces_mut());
-        let on_base = felt.wrench_base;
         if self.scene.geoms {
             // forces between geoms act already
             felt.sensed(&self.scene, &self.outline, mechanics.touched_n());
@@ -310,14 +351,16 @@ impl SimPlant {
 
         if let Some(dof) = self.base_dof {
             let (push_world, velocity_world) =
-                (cover.planar_to_world(on_base), cover.planar_to_world(self.servo_velocity_body));
+                (cover.planar_to_world(felt.push_base), cover.planar_to_world(self.servo_velocity_body));
             let force = mechanics.forces_mut();
             for i in 0..3 {
-                // The joint's own damping (implicit in the integrator) is the other half of the servo.
+                // The joint's own damping (implicit in the integrator) is the other half of the servo; by the trapezoidal rule
+                // it is but half of that.
                 let held = SERVO_DAMPING[i] * state.base_velocity_world[i];
                 let servo =
                     (SERVO_DAMPING[i] * velocity_world[i] - held).clamp(-TRACTION[i], TRACTION[i]) + held;
-                force[dof + i] = servo + push_world[i];
+                let at_start = if step.from_the_middle { 0.5 * held } else { 0.0 };
+                force[dof + i] = servo - at_start + push_world[i];
             }
         }
         if let Some(dof) = self.arm_dof {
@@ -342,6 +385,47 @@ impl SimPlant {
             *torque -= row.iter().zip(dq).map(|(m, dq)| m * dq).sum::<f64>() / BRAKE_TIME_S;
         }
         torque
+    }
+}
+
+impl Repeatable for SimPlant {
+    fn start(&self) -> Start {
+        Start {
+            time_s: self.mechanics.time_s(),
+            positions: self.mechanics.positions().to_vec(),
+            rates: self.mechanics.rates().to_vec(),
+            people: self.people.clone(),
+            contact_peak_n: self.contact_peak_true_n(),
+        }
+    }
+
+    fn put_back(&mut self, start: &Start) {
+        self.mechanics.put(0, &start.positions, &start.rates);
+        self.mechanics.set_time_s(start.time_s);
+        self.people.clone_from(&start.people);
+        self.contact_peak_n = start.contact_peak_n;
+    }
+
+    fn run(&mut self, steps: u32, step_s: f64) -> Result<(), SimError> {
+        if self.scene.accuracy.is_some() {
+            self.mechanics.set_step_s(step_s);
+        }
+        let taxels = self.scene.cover.len();
+        self.taxel_force_mean_n[..taxels].fill(0.0);
+        for _ in 0..steps {
+            self.physics_step(step_s)?;
+            for (mean, force_n) in self.taxel_force_mean_n[..taxels].iter_mut().zip(self.taxel_force_n) {
+                *mean += force_n / f64::from(steps);
+            }
+        }
+        Ok(())
+    }
+
+    fn end(&self) -> End {
+        let mut forces_n = self.taxel_force_true_n().to_vec();
+        forces_n.push(self.contact_largest_true_n());
+        let stages = self.people.stages(self.mechanics.time_s()).collect();
+        End { positions: self.mechanics.positions().to_vec(), forces_n, stages }
     }
 }
 

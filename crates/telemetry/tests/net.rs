@@ -2,12 +2,17 @@
 #![cfg(feature = "net")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "test helpers fail by panicking")]
 
-use moca_msgs::{Mode, Outcome, Refusal, Request, Sample, Target, TargetRefusal, TimedTarget, TwistAxes};
+use moca_msgs::{
+    Mode, Outcome, Refusal, Request, Sample, Target, TargetRefusal, TimedTarget, TouchPolicy, TwistAxes,
+    Waypoint,
+};
 use moca_telemetry::{
     RobotDescription,
     net::{
         Address, Client, Commander, Connection, Link, NetError, Ports, Reply, RequestReceiver,
-        SCHEMA_VERSION, Server, Update, request_channel, serve, server::ServerStats, wire::FromServer,
+        SCHEMA_VERSION, Server, Update, request_channel, serve,
+        server::ServerStats,
+        wire::{FromClient, FromServer, encode_from_client},
     },
 };
 use rtrb::{Producer, RingBuffer};
@@ -20,6 +25,7 @@ use std::{
     },
     time::{Duration, Instant},
 };
+use tokio::{io::AsyncWriteExt, net::TcpSocket};
 
 const ANY: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 0);
 /// Only to end a test that would hang: nothing is asserted about times.
@@ -172,7 +178,7 @@ fn idle_sockets_do_not_lock_out_who_wants_to_stop() {
     // Some are told why they are not served.
     let told = |mut stream: &TcpStream| {
         let mut bytes = [0; 4096];
-        stream.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
+        stream.set_read_timeout(Some(HANG)).unwrap();
         let n = stream.read(&mut bytes).unwrap_or(0);
         String::from_utf8_lossy(&bytes[..n]).contains("places and the one for a commander are taken")
     };
@@ -306,8 +312,14 @@ fn a_flood_as_fast_as_a_socket_takes_it_is_answered_one_by_one_and_keeps_the_com
 fn who_asks_and_reads_no_answer_is_closed_and_the_robot_stops() {
     let mut robot = start(ANY, None);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    let mut client = runtime.block_on(Client::connect(robot.server.address())).unwrap();
-    let asking = async { while client.outgoing.request(1, Request::Arm).await.is_ok() {} };
+    let ask = encode_from_client(&FromClient::Request { id: 1, request: Request::Arm }).unwrap();
+    let asking = async {
+        // Of a buffer left to the kernel nobody knows how many answers it takes: it may grow to 32 MiB.
+        let socket = TcpSocket::new_v4().unwrap();
+        socket.set_recv_buffer_size(4096).unwrap();
+        let mut stream = socket.connect(robot.port()).await.unwrap();
+        while stream.write_all(&ask).await.is_ok() {}
+    };
     runtime.block_on(async { tokio::time::timeout(HANG, asking).await }).unwrap();
     wait_for(|| robot.server.stats().clients == 0);
     assert_eq!(robot.requests.take().map(|(_, request)| request), Some(Request::OperatorLost));
@@ -329,6 +341,30 @@ fn a_notice_reaches_who_is_there_and_who_comes_later() {
     assert_eq!(notice(&there), ["the disk is full"]);
     let later = Connection::spawn(robot.server.address().clone(), || {}).unwrap();
     assert_eq!(notice(&later), ["the disk is full"]);
+}
+
+#[test]
+fn a_trajectory_that_no_daemon_takes_is_refused_before_it_is_sent() {
+    let mut robot = start(ANY, None);
+    let client = connect(robot.server.address());
+    let pose = |k: u32| Waypoint {
+        time_s: f64::from(k),
+        position_world: [0.5, 0.0, 0.8],
+        quaternion_world: [1.0, 0.0, 0.0, 0.0],
+    };
+    for count in [33, 64, 1000] {
+        client.trajectory(TouchPolicy::TouchWins, (0..count).map(pose).collect());
+        let refused = reply(&client).outcome.unwrap_err().to_string();
+        assert!(refused.contains(&format!("number of poses = {count} is outside 1 to 32")), "{refused}");
+    }
+    client.request(Request::Tare);
+    assert_eq!(robot.answer(Ok(())), Request::Tare);
+    assert_eq!(reply(&client).outcome, Ok(()), "nobody was cut off");
+
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let mut bare = runtime.block_on(Client::connect(robot.server.address())).unwrap();
+    let long = bare.outgoing.trajectory(1, TouchPolicy::TouchWins, (0..1000).map(pose).collect());
+    assert!(matches!(runtime.block_on(long), Err(NetError::FrameTooLong { max: 4096, .. })));
 }
 
 #[test]

@@ -48,7 +48,9 @@ pub(crate) fn bind(address: SocketAddr) -> anyhow::Result<TcpListener> {
         socket.set_reuseaddr(true)?;
         // Accepted connections inherit both. Nagle's algorithm would hold messages back for 40 ms.
         socket.set_send_buffer_size(SEND_BUFFER)?;
-        socket.set_nodelay(true)?;
+        if let Err(error) = socket.set_nodelay(true) {
+            eprintln!("messages may come late: {error}");
+        }
         socket.bind(address)?;
         socket.listen(BACKLOG)
     };

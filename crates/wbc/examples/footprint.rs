@@ -39,11 +39,13 @@ fn compared(allowed: &str, table: &str) -> Result<(), Box<dyn Error>> {
         return Err("the file has other cases".into());
     }
     let mut beyond = String::new();
+    let columns: Vec<&str> = HEADER.trim_end().split('\t').collect();
     for (allowed, now) in allowed.lines().zip(table.lines()).skip(1) {
-        for (allowed, now) in allowed.split('\t').zip(now.split('\t')).skip(1) {
+        let case = now.split('\t').next().unwrap_or_default();
+        for ((allowed, now), what) in allowed.split('\t').zip(now.split('\t')).zip(&columns).skip(1) {
             let (most, is) = (allowed.parse::<f64>()? * 1.02, now.parse::<f64>()?);
             if is > most {
-                writeln!(beyond, "{is} is more than {allowed} by over 2 %")?;
+                writeln!(beyond, "{case}: {is} {what} are more than {allowed} by over 2 %")?;
             }
         }
     }

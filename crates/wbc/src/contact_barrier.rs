@@ -41,7 +41,7 @@ mod track;
 use track::{Odometry, Track};
 
 /// Share of the force limit up to which the base itself may press.
-const STOP_SHARE: f64 = 0.3165;
+pub const STOP_SHARE: f64 = 0.3165;
 /// Share of the force limit from which on it makes room at the person's speed: what is left to the limit is for errors
 /// of the person's estimated speed over one age.
 const YIELD_SHARE: f64 = 0.7313;
@@ -101,6 +101,21 @@ impl FoamCurve {
         }
     }
 
+    /// Stiffness at a compression in m, N/m; no more than at 95 % of a hyperbolic foam's thickness.
+    pub fn slope_n_m<T: Scalar>(&self, depth_m: T) -> T {
+        let depth = depth_m.max(T::zero());
+        match *self {
+            Self::Hyperbolic { stiffness_n_m, thickness_m } => {
+                let left = T::one() - (depth / of(thickness_m)).min(of(0.95));
+                of::<T>(stiffness_n_m) / (left * left)
+            }
+            Self::Power { depth_at_100n_m, exponent } => {
+                of::<T>(100.0 * exponent / depth_at_100n_m)
+                    * (depth / of(depth_at_100n_m)).powf(of(exponent - 1.0))
+            }
+        }
+    }
+
     fn check(&self) -> Result<(), ParameterError> {
         let (first, second) = match *self {
             Self::Hyperbolic { stiffness_n_m, thickness_m } => (
@@ -125,6 +140,8 @@ impl FoamCurve {
 pub struct BarrierSettings {
     /// What the reader's calibration takes the foam for: undone to get from a reading to a depth.
     pub reading: FoamCurve,
+    /// The foam.
+    pub foam: FoamCurve,
     /// Below this reading nothing touches, N.
     pub touch_n: f64,
     /// What a taxel may feel and not read, N: its reader's threshold.
@@ -143,6 +160,11 @@ pub struct BarrierSettings {
     pub braking_share: f64,
     /// Time over which estimates of the person's speed are averaged, s: a fast board's readings are each little to go by.
     pub speed_s: f64,
+    /// Stiffness of the softest body that is counted on, N/m: it yields beside the foam, which so shows less of its speed.
+    pub softest_n_m: f64,
+    /// Error of such an estimate, m/s: the noise of a taxel over [`Self::speed_s`]. No smaller speed counts as leaving the
+    /// person, or noise alone would take from every force that the law feels.
+    pub speed_noise_m_s: f64,
     /// Time constant in which it is forgotten after a release, s.
     pub forget_s: f64,
     /// Speed that a person is believed to have at the first reading, m/s: one reading cannot tell.
@@ -180,6 +202,7 @@ impl BarrierSettings {
         within("time constant of the base's servo", servo_s, "s", 0.0, 1.0)?;
         Ok(Self {
             reading,
+            foam,
             touch_n: 1.0,
             hidden_n: 1.0,
             stop_m: foam.depth_m(STOP_SHARE * force_limit_n),
@@ -189,6 +212,8 @@ impl BarrierSettings {
             damping_s: 0.05,
             braking_share: 0.7,
             speed_s: 0.035,
+            softest_n_m: 5e3,
+            speed_noise_m_s: 0.01,
             forget_s: 0.3,
             first_speed_m_s: 0.1,
             fastest_person_m_s: 0.6,
@@ -363,7 +388,8 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             let depth = track.depth_now(way_now);
             limits.depth_m[i] = depth;
             limits.person_m_s[i] = track.person_m_s();
-            let leaving = self.outline.outward(i, &input.velocity_body) + track.person_m_s();
+            let relative = self.outline.outward(i, &input.velocity_body) + track.person_m_s();
+            let leaving = relative + of(self.settings.speed_noise_m_s);
             let eased = depth + of::<T>(self.settings.damping_s) * leaving.min(T::zero());
             limits.force_n[i] = track.believed_n(&self.settings.reading, eased);
             limits.outward_m_s[i] = match input.samples[i] {

@@ -345,6 +345,11 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
         }
     }
 
+    /// Origin of each joint relative to A's, world axes, m.
+    pub fn joint_positions(&self) -> &[Vector3<T>; N] {
+        &self.joint_position
+    }
+
     /// J_A: twist of E \[m/s; rad/s\] in world axes per joint rate.
     pub fn arm_jacobian(&self) -> &SMatrix<T, 6, N> {
         &self.jacobian

@@ -13,6 +13,7 @@ use moca_wbc::contact_barrier::{
 use moca_wbc::guard::CoverOutline;
 use moca_wbc::limits::BaseLimits;
 use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
+use moca_wbc::testing::Numbers;
 use moca_wbc::{
     BaseController, BaseGuard, BaseInput, ControlInput, ControlLaw, ControlOutput, LimitsHit, Parameters,
     Payload, RobotState, TaxelPlacement, WholeBodyController,
@@ -45,6 +46,8 @@ struct Scene {
     /// The person comes at this, m/s, and presses with this stiffness in series with the foam, N/m.
     person_m_s: f64,
     person_n_m: f64,
+    /// The softest body that the barrier counts on, N/m.
+    softest_n_m: f64,
     /// The foam's true stiffness over the believed one.
     scale: f64,
     /// Distance at the start, m.
@@ -65,6 +68,7 @@ const SCENE: Scene = Scene {
     wanted_m_s: 0.0,
     person_m_s: 0.0,
     person_n_m: 50e3,
+    softest_n_m: 5e3,
     scale: 1.0,
     gap_m: 0.05,
     barrier: true,
@@ -107,6 +111,7 @@ fn run(scene: &Scene) -> Outcome {
     let limits = BaseLimits::<f64>::from(&Parameters::PAPER.limits);
     let acceleration = Parameters::PAPER.limits.base_acceleration;
     let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    let settings = BarrierSettings { softest_n_m: scene.softest_n_m, ..settings };
     let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
     let (mut x, mut u, mut commanded) = (0.0, scene.wanted_m_s, [scene.wanted_m_s, 0.0, 0.0]);
     let mut outcome = Outcome::default();
@@ -323,6 +328,57 @@ fn whoever_walks_into_the_base_is_given_room() {
     }
 }
 
+/// A soft body yields beside the foam, which so shows less of its speed than a barrier has to make room at that takes every
+/// body for a rigid one.
+#[test]
+fn whoever_is_soft_is_given_room_in_time() {
+    for (sensor, walking_m_s) in [(HUNDRED_HZ, 0.18), (OWN_FIRMWARE, 0.19), (STOCK, 0.1)] {
+        let soft = Scene { sensor, person_m_s: walking_m_s, person_n_m: 5e3, ..SCENE };
+        let [kept_n, taken_for_rigid_n, rigid_n] = [
+            worst(&soft).peak_n,
+            worst(&Scene { softest_n_m: 1e9, ..soft }).peak_n,
+            worst(&Scene { person_n_m: 1e7, person_m_s: 0.5 * walking_m_s, ..soft }).peak_n,
+        ];
+        println!(
+            "{walking_m_s} m/s: {kept_n:.1} N, taken for rigid {taken_for_rigid_n:.1} N; rigid at half of it {rigid_n:.1} N"
+        );
+        assert!(kept_n < 25.0 && taken_for_rigid_n > kept_n + 2.0, "{kept_n} {taken_for_rigid_n}");
+        assert!(rigid_n < 25.0, "who is rigid: {rigid_n}");
+    }
+}
+
+/// A hand presses steadily and walks with the base, and only the readings are noisy, by 0.3 mm of foam.
+#[test]
+fn noise_takes_nothing_from_the_force_that_a_law_feels() {
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    let felt_and_counted_on = |speed_noise_m_s: f64| {
+        let settings = BarrierSettings { speed_noise_m_s, ..settings };
+        let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
+        let mut draw = Numbers::from_seed(1);
+        let (mut felt, mut counted_on) = (0.0, 0.0);
+        let mut force_n = 0.0;
+        for step in 0..4000 {
+            if step % 4 == 0 {
+                let noise: f64 = draw.array::<3>(1.0).iter().sum();
+                force_n = FOAM.force_n(FOAM.depth_m(10.0) + 3e-4 * noise);
+            }
+            let age_s = DT_S * f64::from(4 + step % 4);
+            let mut samples = [Some(TaxelSample { force_n: 0.0, age_s }); 11];
+            samples[FRONT] = Some(TaxelSample { force_n, age_s });
+            let input = BarrierInput::new(samples, [-0.05, 0.0, 0.0], [3.0; 3], DT_S);
+            let contacts = barrier.update(&input).unwrap();
+            if step >= 1000 {
+                felt += force_n;
+                counted_on += contacts.force_n[FRONT];
+            }
+        }
+        counted_on / felt
+    };
+    let [share, without] = [settings.speed_noise_m_s, 0.0].map(felt_and_counted_on);
+    println!("{share:.3} of the force, {without:.3} if every smallest speed away counted");
+    assert!(share > 0.95 && share <= 1.0 && without < share - 0.02, "{share} {without}");
+}
+
 #[test]
 fn a_taxel_whose_readings_end_backs_off_and_stands() {
     let scene = Scene { wanted_m_s: 0.05, blind_s: 1.3, ..SCENE };
@@ -464,6 +520,12 @@ fn a_foam_read_backwards_is_itself() {
         }
     }
     assert!((FOAM.depth_m(25.0_f64) - 0.0066).abs() < 5e-5);
+    for curve in [FOAM, stock] {
+        for depth_m in [1e-4_f64, 2e-3, 9e-3] {
+            let rise = (curve.force_n(depth_m + 1e-8) - curve.force_n(depth_m - 1e-8)) / 2e-8;
+            assert!((curve.slope_n_m(depth_m) / rise - 1.0).abs() < 1e-5, "{curve:?} {depth_m}: {rise}");
+        }
+    }
 }
 
 /// One second of a whole robot with `force_n` on T6.

@@ -74,14 +74,15 @@ fn ros2(config: &Config, report: Report<'_>) {
     if plant.driver != BaseDriver::Ros2 {
         return;
     }
-    let silence_s = plant.ros2.silence_s;
-    if silence_s >= timeout_s {
+    // The zero goes out with the first order after the silence.
+    let (silence_s, order_s) = (plant.ros2.silence_s, 1.0 / plant.ros2.order_rate_hz);
+    if silence_s + order_s >= timeout_s {
         let name = "plant.base.ros2.silence_s";
         report(
             name,
             format!(
-                "{name} = {silence_s} s is not below robot.base.command_timeout_s = {timeout_s} s: the base would stop by \
-                 itself first"
+                "{name} = {silence_s} s and the {order_s} s between two orders are not below robot.base.command_timeout_s = \
+                 {timeout_s} s: the base would stop by itself first"
             ),
         );
     }

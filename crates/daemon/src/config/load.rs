@@ -486,6 +486,29 @@ mod tests {
     }
 
     #[test]
+    fn a_base_stands_before_its_own_time_out_and_can_go_any_way() {
+        let wrong = "plant.base.ros2.interface = \"eth0\"\n";
+        let found = |keys: &str| mistakes(&format!("plant.base.driver = \"ros2\"\n{wrong}{keys}"));
+        let timing = |silence: &str, rate: &str, timeout: &str| {
+            found(&format!(
+                "plant.base.ros2.silence_s = {silence}\nplant.base.ros2.order_rate_hz = {rate}\n\
+                 robot.base.command_timeout_s = {timeout}\n"
+            ))
+            .into_iter()
+            .filter(|mistake| mistake.contains("the base would stop by itself first"))
+            .count()
+        };
+        assert_eq!(timing("0.05", "100.0", "0.25"), 0);
+        assert_eq!(timing("0.2", "10.0", "0.25"), 1, "the zero may go out at 0.3 s");
+        assert_eq!(timing("0.3", "100.0", "0.25"), 1);
+        let differential = found("robot.base.drive = \"differential\"\n");
+        assert!(
+            differential.iter().any(|mistake| mistake.contains("cannot push it away")),
+            "{differential:?}"
+        );
+    }
+
+    #[test]
     fn a_key_that_was_renamed_is_refused_with_its_new_name() {
         assert_eq!(
             mistakes("robot = \"moca\"\n[geometry]\narm = \"fr3\"\ntaxel_x_m = []\n"),

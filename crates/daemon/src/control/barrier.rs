@@ -207,6 +207,17 @@ fn settings(config: &Config) -> Result<Option<BarrierSettings>, ParameterError> 
     Ok(Some(BarrierSettings { hidden_n: protection.threshold_force_n, ..settings }))
 }
 
+/// Forces of pushes so slow that the foam follows, at the depth where the base stops pressing and `noise_m` before the
+/// one from which on it makes room, N. `None` without a barrier.
+///
+/// # Errors
+/// As for [`Barrier::new`].
+pub fn slow_pushes_n(config: &Config, noise_m: f64) -> Result<Option<[f64; 2]>, ParameterError> {
+    let slow = pressed(&config.robot.cover);
+    Ok(settings(config)?
+        .map(|settings| [settings.stop_m, settings.yield_m - noise_m].map(|depth_m| slow.force_n(depth_m))))
+}
+
 /// Way that the foam alone yields between what the cover hides and the force limit, m: what a base under a barrier has
 /// to stop in. `None` without a barrier.
 pub fn travel_m(config: &Config) -> Option<f64> {

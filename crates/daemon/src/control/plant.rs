@@ -74,6 +74,11 @@ pub trait Plant {
     fn simulated(&mut self) -> Option<&mut dyn Simulated> {
         None
     }
+
+    /// Whether every bit of its state counts; else the loop rounds it to what sensors tell.
+    fn is_exact(&mut self) -> bool {
+        self.simulated().is_some()
+    }
 }
 
 /// A robot in a simulated world.

@@ -56,8 +56,10 @@ struct Active {
 enum What {
     Target(Target),
     Trajectory {
-        /// Loop time of its start, less what it has been set aside.
+        /// Loop time of its start, and as much later as it has been set aside.
         start_ns: u64,
+        /// Since when somebody touches.
+        aside_since_ns: Option<u64>,
     },
 }
 
@@ -149,7 +151,7 @@ impl Targets {
                 self.collect(*index, *count, waypoint, robot)?;
                 if index + 1 == *count {
                     self.untouched(*policy, touch)?;
-                    self.begin(What::Trajectory { start_ns: now_ns }, None, *policy);
+                    self.begin(What::Trajectory { start_ns: now_ns, aside_since_ns: None }, None, *policy);
                 }
             }
             _ => self.end(TargetPhase::Ended),
@@ -203,7 +205,7 @@ impl Targets {
                     (Parts::Base, _) | (Parts::Whole, ControlLaw::FollowMe) => {}
                 }
                 let axes = velocity_body.iter().zip(base_velocity_max);
-                axes.into_iter().try_for_each(|(v, most)| Quantity::BaseVelocity.within(&[*v], -most, *most))
+                Quantity::BaseVelocity.each_within(axes.map(|(v, most)| (*v, -most, *most)))
             }
             _ if !self.parts.has_arm() => Err(TargetRefusal::NoSuchPart),
             Target::Pose { position_world, .. } => self.check_place(position_world, robot),
@@ -214,10 +216,8 @@ impl Targets {
                 let [given, joints] = [q_rad.len(), self.joints].map(|count| count as f64);
                 Quantity::Joints.within(&[given], joints, joints)?;
                 let ranges = self.q_min_rad.iter().zip(&self.q_max_rad);
-                q_rad
-                    .iter()
-                    .zip(ranges)
-                    .try_for_each(|(q, (least, most))| Quantity::JointAngle.within(&[*q], *least, *most))
+                let joints = q_rad.iter().zip(ranges);
+                Quantity::JointAngle.each_within(joints.map(|(q, (least, most))| (*q, *least, *most)))
             }
         }
     }
@@ -288,6 +288,9 @@ impl Targets {
             let order = (shown.phase != TargetPhase::SetAside).then_some(Order::Hold);
             shown.phase = TargetPhase::SetAside;
             active.told = false;
+            if let What::Trajectory { aside_since_ns, .. } = &mut active.what {
+                aside_since_ns.get_or_insert(now_ns);
+            }
             self.state.active = Some(active);
             return order;
         }
@@ -300,7 +303,11 @@ impl Targets {
                 shown.progress = f64::from(u8::from(there));
                 (!active.told).then_some(Order::To(target))
             }
-            What::Trajectory { start_ns } => {
+            What::Trajectory { start_ns, aside_since_ns } => {
+                // It goes on where it was, and not where it would be.
+                let start_ns =
+                    start_ns + aside_since_ns.map_or(0, |since_ns| now_ns.saturating_sub(since_ns));
+                active.what = What::Trajectory { start_ns, aside_since_ns: None };
                 let waypoints = &self.state.waypoints;
                 let time_s = seconds(now_ns.saturating_sub(start_ns));
                 let end_s = waypoints.last().map_or(0.0, |last| last.time_s);

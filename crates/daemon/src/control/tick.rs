@@ -57,7 +57,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     pub fn tick(&mut self, slot: &Slot, request: Option<Request>, timer: &mut impl StageTimer) -> Ticked {
         // The bits of a measurement beyond single precision are noise that would fill a log. They are dropped before anything
         // is computed from them, so that a replay does not miss them.
-        let exact = self.plant.simulated().is_some();
+        let exact = self.plant.is_exact();
         let measured = self.plant.read().map(|state| if exact { state } else { state.in_single_precision() });
         let (age, link) = (self.plant.age(), self.plant.link());
         let (deadlines, elapsed_s) = (self.motion.deadlines(), self.elapsed_s(slot));

@@ -7,7 +7,7 @@ use crate::runtime::realtime::Raised;
 use anyhow::{Context, Result};
 use moca_msgs::{Actuation, ArmLink, Fault, Outcome, RobotCommand, RobotState};
 use moca_ros2::base::{BaseSettings, Reliable, Ros2Base};
-use moca_ros2::dds::Dds;
+use moca_ros2::network::Network;
 use moca_ros2::transport::Transport;
 use moca_wbc::rotation::{self, Heading};
 use std::net::IpAddr;
@@ -27,29 +27,15 @@ pub fn connect(config: &Config, say: impl FnMut(&str) + Send + 'static) -> Resul
 /// The way to the base's network.
 pub(crate) fn transport(config: &Config) -> Result<Box<dyn Transport + Send>> {
     let ros2 = &config.plant.base.ros2;
-    if !ros2.router.is_empty() {
-        return by_zenoh(u16::from(ros2.domain), &ros2.router);
-    }
     let interface = Some(&ros2.interface).filter(|address| !address.is_empty());
     let interface = interface.map(|address| address.parse::<IpAddr>()).transpose();
-    let interface = interface.context("plant.base.ros2.interface")?;
-    let transport =
-        Dds::join(u16::from(ros2.domain), interface.as_slice()).context("plant.base.driver = \"ros2\"")?;
-    Ok(Box::new(transport))
-}
-
-#[cfg(feature = "ros2-zenoh")]
-fn by_zenoh(domain: u16, router: &str) -> Result<Box<dyn Transport + Send>> {
-    let transport = moca_ros2::zenoh::Zenoh::join(domain, router).context("plant.base.ros2.router")?;
-    Ok(Box::new(transport))
-}
-
-#[cfg(not(feature = "ros2-zenoh"))]
-fn by_zenoh(_: u16, router: &str) -> Result<Box<dyn Transport + Send>> {
-    Err(anyhow::anyhow!(
-        "plant.base.ros2.router = {router:?} needs a build with the feature `ros2-zenoh` (cargo build --release --features \
-         ros2-zenoh)"
-    ))
+    let network = Network {
+        domain: u16::from(ros2.domain),
+        interfaces: interface.context("plant.base.ros2.interface")?.into_iter().collect(),
+        router: Some(&ros2.router).filter(|router| !router.is_empty()).cloned(),
+        node: "mocad",
+    };
+    network.join().context("plant.base.driver = \"ros2\"")
 }
 
 /// The base that the configuration names.

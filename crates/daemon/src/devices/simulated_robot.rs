@@ -9,7 +9,7 @@ use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
 use moca_sim::foam::{ElasticLaw, Foam};
 use moca_sim::scene::Robot;
-use moca_sim::{Scene, SharedForces, SimError, SimPlant};
+use moca_sim::{Integrator, Scene, SharedForces, SimError, SimPlant};
 use moca_tactile::cover::Electrode;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -29,8 +29,11 @@ pub fn free_scene(config: &Config) -> Scene {
         Parts::Base => Robot::BaseOnly,
         Parts::Arm => Robot::ArmOnly,
     };
+    let accuracy = Some(config.simulation.accuracy).filter(|accuracy| *accuracy > 0.0);
     Scene {
         robot,
+        accuracy,
+        integrator: if accuracy.is_some() { Integrator::Leapfrog } else { Integrator::default() },
         arm_posture_rad: config.control.gains.posture_rad,
         payload: config.robot.payload(),
         foam: foam(config),
@@ -73,6 +76,7 @@ pub struct SimulatedRobot {
     shared: Vec<SharedForces>,
     period_s: f64,
     ticks: u64,
+    measured: bool,
 }
 
 impl SimulatedRobot {
@@ -98,7 +102,16 @@ impl SimulatedRobot {
             shared,
             period_s,
             ticks: 0,
+            measured: false,
         })
+    }
+
+    /// Tells of its state what a real robot's sensors would ([`RobotState::in_single_precision`]), so that a log of it costs
+    /// what theirs does.
+    #[must_use]
+    pub const fn as_sensors_tell(mut self) -> Self {
+        self.measured = true;
+        self
     }
 
     /// Lets the robot fail, or in real time stall the loop; other faults do nothing here.
@@ -159,6 +172,10 @@ impl Plant for SimulatedRobot {
 
     fn simulated(&mut self) -> Option<&mut dyn Simulated> {
         Some(self)
+    }
+
+    fn is_exact(&mut self) -> bool {
+        !self.measured
     }
 }
 

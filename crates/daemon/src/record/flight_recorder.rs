@@ -2,7 +2,7 @@
 //! configuration, calibration and contact limits. Works on the clients' side of the rings.
 
 use crate::config::{AUTO_FOLDER, Config};
-use crate::record::recording::{configuration, parameter_change, unix_now_ns};
+use crate::record::recording::{configuration, parameter_change};
 use crate::record::tick_blocks::{Block, BlockBuilder};
 use crate::record::tick_log::{PortEvent, StateRecord, TickRecord};
 use anyhow::{Context, Result};
@@ -10,6 +10,7 @@ use moca_msgs::{Fault, Mode, Sample};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::records::Configuration;
 use moca_telemetry::log::{LogError, LogWriter, Meta, SerialBytes};
+use moca_telemetry::net::wire::unix_now_ns;
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::{self, File};
 use std::io::BufWriter;

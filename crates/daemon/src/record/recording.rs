@@ -10,9 +10,10 @@ use moca_tactile::calibration::read_text;
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::records::{Configuration, ParameterChange};
 use moca_telemetry::log::{LogError, LogSummary, Meta, Recorder, RecorderOptions, SerialBytes};
+use moca_telemetry::net::wire::unix_now_ns;
 use std::io::Write;
 use std::path::Path;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 /// Samples on their way to the recorder.
 const RING: usize = 4096;
@@ -146,12 +147,6 @@ impl Recording {
         let summary = self.recorder.finish()?;
         Ok(LogSummary { dropped: summary.dropped + self.lost, ..summary })
     }
-}
-
-/// Now, ns since the Unix epoch.
-pub(crate) fn unix_now_ns() -> u64 {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(now.as_nanos()).unwrap_or(0)
 }
 
 /// How a run is configured, with the texts of the files that its configuration names.

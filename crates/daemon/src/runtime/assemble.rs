@@ -147,7 +147,7 @@ pub(crate) fn assemble(
     } else {
         (None, None)
     };
-    let mut plant = SimulatedRobot::new(config, &free_scene(config), forces)?;
+    let mut plant = SimulatedRobot::new(config, &free_scene(config), forces)?.as_sensors_tell();
     if let Some(injection) = injection {
         plant.inject(injection);
     }

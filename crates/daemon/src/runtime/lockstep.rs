@@ -14,7 +14,7 @@ use crate::runtime::assemble::{cover_config, fit_virtual_boards, motion, nth_boa
 use crate::runtime::timing::Timing;
 use anyhow::Result;
 use moca_msgs::{Outcome, Request, Sample};
-use moca_sim::{Scene, VirtualBoard, VirtualBoardConfig};
+use moca_sim::{Scene, SimPlant, VirtualBoard, VirtualBoardConfig};
 use moca_tactile::board::Chunk;
 use moca_tactile::cover::Electrode;
 use moca_tactile::datastream::ELECTRODES;
@@ -30,6 +30,11 @@ const RING_EVENTS: usize = 256;
 pub trait Feed<S> {
     /// Lets everything pass through a spoiled cable, where there is one.
     fn spoil(&mut self, _cable: Cable) {}
+
+    /// What there is to feel of the last control period, N, T1 first.
+    fn felt<'a>(&self, world: &'a SimPlant) -> &'a [f64] {
+        world.taxel_force_true_n()
+    }
 
     /// Lets `cover` have what the true forces, N, give it until `now_ns`.
     fn feed(&mut self, cover: &mut S, now_ns: u64, true_force_n: &[f64]);
@@ -199,9 +204,22 @@ fn by_electrode(wiring: &[Electrode], board: usize, true_force_n: &[f64]) -> [f6
 }
 
 /// Feeds an [`IdealCover`] with the true forces.
-pub struct TrueForces;
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TrueForces {
+    /// Those of the last physics step: what is averaged depends on how often the loop runs.
+    AtTicks,
+    /// Their mean over the physics steps of the last control period: the same for every rate of the loop.
+    OfSteps,
+}
 
 impl Feed<IdealCover> for TrueForces {
+    fn felt<'a>(&self, world: &'a SimPlant) -> &'a [f64] {
+        match self {
+            Self::AtTicks => world.taxel_force_true_n(),
+            Self::OfSteps => world.taxel_force_mean_n(),
+        }
+    }
+
     fn feed(&mut self, cover: &mut IdealCover, now_ns: u64, true_force_n: &[f64]) {
         cover.take_forces(now_ns, true_force_n);
     }
@@ -290,7 +308,7 @@ impl LockStep<IdealCover, TrueForces> {
     /// # Errors
     /// A scene or parameter outside its range.
     pub fn with_true_forces(config: &Config, scene: &Scene, cover: IdealCover) -> Result<Self> {
-        Self::new(config, scene, cover, TrueForces)
+        Self::new(config, scene, cover, TrueForces::AtTicks)
     }
 }
 
@@ -352,7 +370,7 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
         self.next_tick += missed;
         self.overruns += missed;
         let now_ns = self.next_tick * self.period_ns;
-        let force_n = self.control.plant.world.taxel_force_true_n();
+        let force_n = self.feed.felt(&self.control.plant.world);
         self.feed.feed(&mut self.control.cover, now_ns, force_n);
         let slot = Slot {
             tick: self.next_tick,

@@ -147,6 +147,12 @@ pub fn live_simulated(
     shared: &Arc<Shared>,
     reporter: &mut dyn Reporter,
 ) -> Result<LiveRun> {
+    anyhow::ensure!(
+        options.config.simulation.accuracy <= 0.0,
+        "simulation.accuracy = {}: a live loop takes steps of one length, for it has one period for each and a step that is \
+         repeated until it is exact enough may take longer; add --as-fast-as-possible, or set it to 0",
+        options.config.simulation.accuracy
+    );
     introduce_simulation(&options.config, reporter);
     let clock = Clock::start()?;
     let (log, copies, log_reader) = tick_log();

@@ -5,7 +5,7 @@ use crate::paper::collision;
 use crate::rig::bound::Meeting;
 use crate::rig::campaign::Campaign;
 use crate::rig::settings::{Sensor, Settings};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use moca_daemon::config::{AssumedModel, BarrierReadings, Config};
 use moca_daemon::control::protection::speed_for_delay_m_s;
 use moca_figures::{Colour, Drawing, Map};
@@ -149,7 +149,7 @@ impl Cell {
         }
         settings.sensor = Sensor::Stock;
         settings.firmware = meeting.board;
-        settings.sensor_phase_ms = settings.period_ms() * f64::from(phase) / f64::from(PHASES);
+        settings.shift_phase(f64::from(phase) / f64::from(PHASES));
         settings.foam.scale = self.scale;
         settings.person.taxel = 5;
         settings.person.stiffness = Some(meeting.tissue_n_m);
@@ -162,14 +162,29 @@ impl Cell {
     }
 }
 
-/// The speeds of all cells from their file.
+/// One cell in `step` at the law's speed: name, and one run a phase.
+pub(crate) fn at_the_law_s_speed(step: usize) -> Result<Vec<(String, Vec<Settings>)>> {
+    let at = |cell: &Cell| {
+        let config = cell.settings(0.0, 0)?.config;
+        let delay_s = seconds(cell.meeting.board.worst_hold_ns()) - 1e-3;
+        let law_m_s = speed_for_delay_m_s(&config, cell.meeting.limit_n, delay_s).min(FASTEST_M_S);
+        let phases = (0..PHASES).map(|phase| cell.settings(law_m_s, phase));
+        Ok((cell.name().replace(',', ", "), phases.collect::<Result<_>>()?))
+    };
+    cells(&Config::default().protection.assessed_forces_n).iter().step_by(step).map(at).collect()
+}
+
+/// The speeds of all cells from their file, whatever the order of its rows.
 fn read(path: &Path, cells: &[Cell]) -> Result<Vec<Speeds>> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let speeds = text.lines().skip(1).zip(cells).map(|(line, cell)| {
-        let numbers = line.split_once(&format!(",{},", cell.name())).map(|(_, numbers)| numbers);
-        let numbers = numbers.with_context(|| format!("{}: '{line}' is of other cells", path.display()))?;
+    let lines = text.lines().skip(1).count();
+    ensure!(lines == cells.len(), "{}: {lines} rows of {} cells", path.display(), cells.len());
+    let speeds = cells.iter().map(|cell| {
+        let name = format!(",{},", cell.name());
+        let numbers = text.lines().find_map(|line| line.split_once(&name).map(|(_, numbers)| numbers));
+        let numbers = numbers.with_context(|| format!("{}: no row of {}", path.display(), cell.name()))?;
         let [bound, law, measured, or_more] = numbers.split(',').collect::<Vec<_>>()[..] else {
-            bail!("{}: '{line}' is torn", path.display());
+            bail!("{}: the row of {} is torn", path.display(), cell.name());
         };
         let number = |text: &str| text.parse::<f64>().with_context(|| format!("'{text}' is not a number"));
         Ok(Speeds {
@@ -210,13 +225,12 @@ fn table(cells: &[Cell], speeds: &[Speeds]) -> String {
 fn figure(cells: &[Cell], speeds: &[Speeds], forces_n: &[f64]) -> Drawing {
     const KEPT: Colour = [196, 230, 196];
     const BEYOND: Colour = [240, 190, 185];
-    const CELL: [f64; 2] = [84.0, 22.0];
+    const CELL: [f64; 2] = [136.0, 22.0];
     let rows = PERSONS.len() * FOAMS.len() * DECELERATIONS.len();
     #[expect(clippy::cast_precision_loss, reason = "a few cells")]
     let of = |count: usize| count as f64;
     let height = CELL[1] * of(rows) + 90.0;
-    let width = CELL[0] * of(forces_n.len()) + 220.0;
-    let mut drawing = Drawing::new(width, height * of(BOARDS.len()));
+    let mut maps = Vec::new();
     for (row, board) in BOARDS.into_iter().enumerate() {
         let start = row * rows * forces_n.len();
         let index = |force: usize, row: usize| start + force * rows + row;
@@ -226,20 +240,38 @@ fn figure(cells: &[Cell], speeds: &[Speeds], forces_n: &[f64]) -> Drawing {
         });
         let kept = |i: usize| speeds[i].keeps();
         let order = (0..rows).flat_map(|row| (0..forces_n.len()).map(move |force| index(force, row)));
-        let map = Map {
-            title: format!("{}: speed under the contact barrier [m/s]", board.name()),
+        maps.push(Map {
+            title: format!("{}: speed that the law allows, of what the simulation bears [m/s]", board.name()),
             x_label: "force limit [N]".into(),
             y_label: "body, foam, deceleration".into(),
             x: forces_n.iter().map(|force_n| format!("{force_n:.0}")).collect(),
             y: names.collect(),
             cells: order
                 .clone()
-                .map(|i| (if kept(i) { KEPT } else { BEYOND }, format!("{:.3}", speeds[i].law)))
+                .map(|i| {
+                    let (law, measured) = (speeds[i].law, speeds[i].measured);
+                    // the search ends between this and one more halving
+                    let open = FASTEST_M_S.min(SEARCHED * speeds[i].bound) / f64::from(1 << HALVINGS);
+                    let shown = if speeds[i].or_more {
+                        format!("{law:.3} of ≥ {measured:.3}")
+                    } else {
+                        format!("{law:.3} of {measured:.3}–{:.3}", measured + open)
+                    };
+                    let mark = if kept(i) { "" } else { " ×" };
+                    (if kept(i) { KEPT } else { BEYOND }, shown + mark)
+                })
                 .collect(),
             sides: order.map(kept).collect(),
-            legend: vec![(KEPT, "kept in the simulation"), (BEYOND, "beyond the limit in the simulation")],
-        };
-        map.draw(&mut drawing, [90.0, height * of(row)], CELL);
+            legend: vec![
+                (KEPT, "kept in the simulation (≥: faster not tried)"),
+                (BEYOND, "× beyond the limit in the simulation"),
+            ],
+        });
+    }
+    let width = maps.iter().map(|map| map.width(CELL[0])).fold(0.0, f64::max);
+    let mut drawing = Drawing::new(width + 20.0, height * of(BOARDS.len()));
+    for (row, map) in maps.iter().enumerate() {
+        map.draw(&mut drawing, [6.0, height * of(row) + 4.0], CELL);
     }
     drawing
 }
@@ -247,6 +279,7 @@ fn figure(cells: &[Cell], speeds: &[Speeds], forces_n: &[f64]) -> Drawing {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::picture::Picture as _;
 
     /// All of them take minutes: one is run, and has to come out as the document's map has it.
     #[test]
@@ -258,6 +291,8 @@ mod tests {
         for (cell, speeds) in cells.iter().zip(&shown) {
             assert!(speeds.keeps(), "{}", cell.name());
         }
+        let drawing = figure(&cells, &shown, &Config::default().protection.assessed_forces_n);
+        assert_eq!(drawing.texts_outside().unwrap(), Vec::<String>::new());
         let one = cells.iter().position(|cell| cell.name() == "moca,25,leg of 50 N/mm,1,3").unwrap();
         let (fresh, shown) = (cells[one].speeds().unwrap(), &shown[one]);
         let halving = SEARCHED * fresh.bound / f64::from(1 << HALVINGS);

@@ -3,7 +3,7 @@
 pub(crate) mod characterize;
 pub(crate) mod detection;
 pub(crate) mod latency;
-mod map;
+pub(crate) mod map;
 pub(crate) mod other_senses;
 pub(crate) mod stream;
 pub(crate) mod threshold;

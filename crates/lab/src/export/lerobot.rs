@@ -3,7 +3,9 @@
 
 use crate::export::frames::{Frame, episodes, frames};
 use crate::export::parquet_file::{Column, Values, write};
-use crate::export::quantities::{Parts, Quantity, action, forces, state, torque, valid};
+use crate::export::quantities::{
+    Parts, Quantity, action, base, forces, join_quaternions, joint_state, state, torque, valid,
+};
 use anyhow::{Context, Result, ensure};
 use moca_daemon::cli::progress::Progress;
 use serde_json::{Map, Value, json};
@@ -28,6 +30,14 @@ pub(crate) struct Arguments {
 
 const DATA: &str = "data/chunk-000/file-000.parquet";
 const EPISODES: &str = "meta/episodes/chunk-000/file-000.parquet";
+/// Features that are numbers of a sample.
+const OF_SAMPLES: [(&str, fn(Parts) -> Vec<Quantity>); 5] = [
+    ("observation.state", state),
+    ("observation.base", |_| base()),
+    ("observation.joints", joint_state),
+    ("observation.torque", torque),
+    ("action", action),
+];
 /// Quantiles that LeRobot's statistics have.
 const QUANTILES: [(&str, f64); 5] = [("q01", 0.01), ("q10", 0.1), ("q50", 0.5), ("q90", 0.9), ("q99", 0.99)];
 
@@ -38,7 +48,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<String> {
     let mut set: Option<Set> = None;
     let mut progress = Progress::new("export");
     for (number, log) in logs.iter().enumerate() {
-        let run = super::read(log)?;
+        let mut run = super::read(log)?;
         let parts = Parts::of(&run.description, &run.samples);
         let set = set.get_or_insert_with(|| Set::new(*fps, parts, &run.description.arm_name));
         ensure!(
@@ -50,6 +60,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<String> {
             set.parts.joints,
             set.parts.taxels
         );
+        join_quaternions(&mut run.samples);
         episodes(&run.samples).for_each(|stretch| set.add(&frames(stretch, *fps)));
         progress.count(number + 1, logs.len());
     }
@@ -164,11 +175,11 @@ impl Set {
         let taxels: Vec<String> = (1..=parts.taxels).map(|i| format!("t{i}")).collect();
         let singles = |name: &str, names: Vec<String>| Feature::new(name, names, Values::Singles(vec![]));
         let integers = |name: &str| Feature::new(name, vec![], Values::Integers(vec![]));
-        let mut features =
-            vec![singles("observation.state", names(state(parts))), singles("action", names(action(parts)))];
-        if parts.joints > 0 {
-            features.push(singles("observation.torque", names(torque(parts))));
-        }
+        let mut features: Vec<Feature> = OF_SAMPLES
+            .iter()
+            .map(|(name, of)| singles(name, names(of(parts))))
+            .filter(|feature| !feature.names.is_empty())
+            .collect();
         if parts.taxels > 0 {
             features.push(singles("observation.tactile.force", taxels.clone()));
             features.push(Feature::new("observation.tactile.valid", taxels, Values::Flags(vec![])));
@@ -197,10 +208,8 @@ impl Set {
             let singles = |quantities: Vec<Quantity>| -> Vec<f32> {
                 frames.iter().flat_map(|f| quantities.iter().map(|q| finite(q.of(f.sample)) as f32)).collect()
             };
+            let of_samples = OF_SAMPLES.iter().find(|(name, _)| *name == feature.column.name);
             match (feature.column.name.as_str(), &mut feature.column.values) {
-                ("observation.state", Values::Singles(v)) => v.extend(singles(state(parts))),
-                ("action", Values::Singles(v)) => v.extend(singles(action(parts))),
-                ("observation.torque", Values::Singles(v)) => v.extend(singles(torque(parts))),
                 ("observation.tactile.force", Values::Singles(v)) => v.extend(singles(forces(parts))),
                 ("observation.tactile.valid", Values::Flags(v)) => v.extend(
                     frames.iter().flat_map(|f| (0..parts.taxels).map(|taxel| valid(f.sample, taxel))),
@@ -215,6 +224,9 @@ impl Set {
                 ("episode_index", Values::Integers(v)) => v.extend(frames.iter().map(|_| episode as i64)),
                 ("index", Values::Integers(v)) => v.extend((before..before + frames.len()).map(|i| i as i64)),
                 ("task_index", Values::Integers(v)) => v.extend(frames.iter().map(|_| 0)),
+                (_, Values::Singles(v)) => {
+                    v.extend(of_samples.into_iter().flat_map(|(_, of)| singles(of(parts))))
+                }
                 _ => {}
             }
         }

@@ -94,6 +94,7 @@ fn export(table: &TableArguments, write: impl Fn(&Path, &[Column]) -> Result<()>
         description = run.description;
         samples.extend(run.samples);
     }
+    quantities::join_quaternions(&mut samples);
     let columns = columns(Parts::of(&description, &samples), &samples);
     write(out, &columns)?;
     Ok(format!("{}: {} rows, {} columns", out.display(), samples.len(), columns.len()))

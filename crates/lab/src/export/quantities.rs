@@ -2,6 +2,7 @@
 
 use moca_msgs::{Sample, TaxelStatus};
 use moca_telemetry::RobotDescription;
+use moca_wbc::rotation::Heading;
 
 /// Which parts a run has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,13 +50,32 @@ fn joints(parts: Parts, name: fn(usize) -> String, of: fn(&Sample) -> &[f64]) ->
     (0..parts.joints).map(|i| Quantity::new(name(i + 1), move |s| element(of(s), i))).collect()
 }
 
-/// What a policy sees of the robot: base in the world, joints, flange in the world.
+/// What was measured of each thing that an [`action`] commands, in its order: base velocity in the base's own axes, flange pose in
+/// the world.
 pub(super) fn state(parts: Parts) -> Vec<Quantity> {
-    let mut all = Vec::new();
-    all.extend(elements(["base_x_m", "base_y_m", "base_yaw_rad"], |s| &s.base_pose_world));
-    all.extend(elements(["base_vx_m_s", "base_vy_m_s", "base_yaw_rate_rad_s"], |s| &s.base_velocity_world));
-    all.extend(joints(parts, |i| format!("q{i}_rad"), |s| &s.q_rad));
+    let velocity =
+        |i: usize| move |s: &Sample| Heading::at(s.base_pose_world[2]).to_base(s.base_velocity_world)[i];
+    let names = ["base_vx_body_m_s", "base_vy_body_m_s", "base_yaw_rate_rad_s"];
+    let mut all: Vec<_> = (0..).zip(names).map(|(i, name)| Quantity::new(name, velocity(i))).collect();
+    all.extend(flange(parts));
+    all
+}
+
+/// Where the base is, in the world.
+pub(super) fn base() -> Vec<Quantity> {
+    elements(["base_x_m", "base_y_m", "base_yaw_rad"], |s| &s.base_pose_world)
+}
+
+/// Angles, then rates of the joints.
+pub(super) fn joint_state(parts: Parts) -> Vec<Quantity> {
+    let mut all = joints(parts, |i| format!("q{i}_rad"), |s| &s.q_rad);
     all.extend(joints(parts, |i| format!("dq{i}_rad_s"), |s| &s.dq_rad_s));
+    all
+}
+
+/// Where the flange is, in the world; nothing without an arm.
+fn flange(parts: Parts) -> Vec<Quantity> {
+    let mut all = Vec::new();
     if parts.joints > 0 {
         all.extend(elements(["flange_x_m", "flange_y_m", "flange_z_m"], |s| &s.flange_position_world));
         all.extend(elements(["flange_qx", "flange_qy", "flange_qz", "flange_qw"], |s| {
@@ -96,9 +116,31 @@ pub(super) fn forces(parts: Parts) -> Vec<Quantity> {
     (0..parts.taxels).map(|i| Quantity::new(format!("t{}_n", i + 1), force(i))).collect()
 }
 
+/// Gives each quaternion the sign next to the one before it, and the first its largest element positive: both signs are one
+/// orientation, and a jump from one to the other would be learned as a motion.
+pub(super) fn join_quaternions(samples: &mut [Sample]) {
+    let mut before: Option<[[f64; 4]; 2]> = None;
+    for sample in samples {
+        let now = [&mut sample.flange_quaternion_world, &mut sample.flange_desired_quaternion_world];
+        for (i, quaternion) in now.into_iter().enumerate() {
+            let likeness: f64 = match &before {
+                Some(before) => before[i].iter().zip(&*quaternion).map(|(a, b)| a * b).sum(),
+                None => quaternion.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0),
+            };
+            if likeness < 0.0 {
+                *quaternion = quaternion.map(|element| -element);
+            }
+        }
+        before = Some([sample.flange_quaternion_world, sample.flange_desired_quaternion_world]);
+    }
+}
+
 /// Everything that a table has.
 pub(super) fn all(parts: Parts) -> Vec<Quantity> {
-    let mut all = state(parts);
+    let mut all = base();
+    all.extend(elements(["base_vx_m_s", "base_vy_m_s", "base_yaw_rate_rad_s"], |s| &s.base_velocity_world));
+    all.extend(joint_state(parts));
+    all.extend(flange(parts));
     let commands = action(parts).into_iter();
     all.extend(commands.map(|q| Quantity { name: format!("command_{}", q.name), ..q }));
     all.extend(torque(parts));

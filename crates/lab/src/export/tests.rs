@@ -1,6 +1,7 @@
 //! What is exported is read back by the library that wrote it.
 
 use super::frames::{episodes, frames};
+use super::quantities::join_quaternions;
 use super::{Form, TableArguments, lerobot, run};
 use moca_msgs::{Mode, Sample, TaxelReading, TaxelStatus};
 use moca_telemetry::RobotDescription;
@@ -38,6 +39,12 @@ fn sample(tick: u64) -> Sample {
         ..Sample::default()
     };
     sample.base_pose_world[0] = 1e-3 * f64::from(u32::try_from(tick).unwrap());
+    sample.base_pose_world[2] = std::f64::consts::FRAC_PI_2;
+    sample.base_velocity_world[0] = 0.5;
+    // The same orientation, whatever its sign.
+    let sign = if tick % 3 == 0 { -1.0 } else { 1.0 };
+    sample.flange_quaternion_world = [sign * 0.8, 0.0, 0.0, sign * -0.6];
+    sample.flange_desired_quaternion_world = [-sign, 0.0, 0.0, 0.0];
     sample.q_rad.extend([0.5; 7]);
     sample.dq_rad_s.extend([0.0; 7]);
     sample.arm_torque_nm.extend([2.0; 7]);
@@ -85,6 +92,27 @@ fn a_gap_ends_an_episode_and_frames_stand_at_equal_distances() {
 }
 
 #[test]
+fn quaternions_turn_without_a_jump() {
+    // Two turns about z: every element passes through zero, and the recorded sign is that of a positive real part.
+    let angle = |k: u32| f64::from(k) * 0.02;
+    let mut samples: Vec<Sample> = (0..628)
+        .map(|k| {
+            let (sin, cos) = (angle(k) / 2.0).sin_cos();
+            let sign = cos.signum();
+            let mut sample = sample(k.into());
+            sample.flange_quaternion_world = [0.0, 0.0, sign * sin, sign * cos];
+            sample
+        })
+        .collect();
+    join_quaternions(&mut samples);
+    for (k, sample) in (0..).zip(&samples) {
+        let (sin, cos) = (angle(k) / 2.0).sin_cos();
+        assert_eq!(sample.flange_quaternion_world, [0.0, 0.0, sin, cos], "{k}");
+        assert_eq!(sample.flange_desired_quaternion_world, [1.0, 0.0, 0.0, 0.0], "{k}");
+    }
+}
+
+#[test]
 fn a_data_set_says_what_it_holds_and_holds_it() {
     let folder = Folder::new("lerobot");
     let logs = [log(&folder.0, "a.mcap", 0..2000), log(&folder.0, "b.mcap", (0..500).chain(1500..2000))];
@@ -105,7 +133,13 @@ fn a_data_set_says_what_it_holds_and_holds_it() {
     assert_eq!((info["codebase_version"].as_str(), info["total_frames"].as_u64()), (Some("v3.0"), Some(150)));
     let features = info["features"].as_object().unwrap();
     assert_eq!(features["observation.tactile.valid"]["dtype"], "bool");
-    assert_eq!(features["observation.state"]["names"].as_array().unwrap().len(), 3 + 3 + 7 + 7 + 7);
+    let named = |feature: &str| features[feature]["names"].as_array().unwrap();
+    assert_eq!((named("observation.base").len(), named("observation.joints").len()), (3, 14));
+    // What was measured stands where it was commanded.
+    for (measured, commanded) in named("observation.state").iter().zip(named("action")) {
+        assert_eq!(measured.as_str().unwrap(), commanded.as_str().unwrap().replace("_desired", ""));
+    }
+    assert_eq!((named("observation.state").len(), named("action").len()), (10, 10));
 
     let rows = rows(&out.join("data/chunk-000/file-000.parquet"));
     assert_eq!(rows.len(), 150);
@@ -131,7 +165,12 @@ fn a_data_set_says_what_it_holds_and_holds_it() {
     assert_eq!((valid(74), valid(75)), (Field::Bool(true), Field::Bool(false)));
     assert_eq!(*field(&rows[60], "timestamp"), Field::Float(1.2));
     assert_eq!(*field(&rows[60], "observation.tactile.age"), Field::Float(0.025));
-    assert_eq!(list(&rows[60], "observation.state")[0], Field::Float(1.2));
+    assert_eq!(list(&rows[60], "observation.base")[0], Field::Float(1.2));
+    // A quarter turn to the left: what goes along x in the world goes to the robot's right.
+    assert_eq!(list(&rows[60], "observation.state")[1], Field::Float(-0.5));
+
+    let first = named("observation.state").iter().position(|name| name == "flange_qx").unwrap();
+    assert!(rows.iter().all(|row| list(row, "observation.state")[first] == Field::Float(0.8)), "one sign");
 
     let stats: serde_json::Value =
         serde_json::from_slice(&std::fs::read(out.join("meta/stats.json")).unwrap()).unwrap();
@@ -140,7 +179,7 @@ fn a_data_set_says_what_it_holds_and_holds_it() {
     let episodes = self::rows(&out.join("meta/episodes/chunk-000/file-000.parquet"));
     assert_eq!(*field(&episodes[1], "dataset_from_index"), Field::Long(100));
     assert_eq!(list(&episodes[1], "tasks"), [Field::Str("be led".into())]);
-    assert_eq!(list(&episodes[2], "stats/observation.state/max").len(), 27);
+    assert_eq!(list(&episodes[2], "stats/observation.state/max").len(), 10);
 }
 
 #[test]
@@ -163,6 +202,7 @@ fn a_table_has_a_row_for_each_sample_of_all_parts_and_names_with_units() {
     let lines: Vec<Vec<&str>> = lines.map(|line| line.split(',').collect()).collect();
     assert!(lines.len() == 100 && lines.iter().all(|line| line.len() == names.len()));
     assert_eq!((lines[60][place("time_s")], lines[60][place("mode")]), ("1.2", Mode::Impedance.name()));
+    assert!(lines.iter().all(|line| line[place("flange_qw")] == "-0.6"), "one sign");
     assert_eq!((lines[60][place("t6_n")], lines[80][place("t3_n")]), ("20", ""), "no force is no zero");
     let rows = rows(&parquet);
     assert_eq!(rows.len(), 100);

@@ -3,6 +3,7 @@
 use super::sweep::Plan;
 use crate::paper::collision;
 use crate::rig::parallel;
+use crate::rig::settings::Settings;
 use anyhow::{Context, Result};
 use std::fmt::Write as _;
 
@@ -15,6 +16,13 @@ const ROWS: [(&str, &str, &str); 4] = [
 ];
 const IDEAL: &str = include_str!("../../../../scenes/barrier-ideal.toml");
 const STOCK: &str = include_str!("../../../../scenes/barrier-stock.toml");
+
+/// A run that is asked for: its cell, and who is met when.
+struct Planned {
+    cell: (usize, bool),
+    met: String,
+    settings: Settings,
+}
 
 /// One run: the cell it belongs to, who was met when, and what came of it.
 struct Run {
@@ -37,8 +45,18 @@ pub(crate) fn named_by(shown: &str) -> Result<Vec<(String, String)>> {
     Ok(runs.iter().map(|run| (cell(run.cell.0, run.cell.1).to_owned(), peak(run))).collect())
 }
 
-/// The runs that `chosen` picks by row, whether the barrier is on, and who is met when.
-fn runs(chosen: impl Fn(usize, bool, &str) -> bool) -> Result<Vec<Run>> {
+/// Runs of the table before `taxel` on a leg of 50 N/mm, with the barrier on or off: name, and one run a phase.
+pub(crate) fn before(taxel: &str, barrier: bool) -> Result<Vec<(String, Vec<Settings>)>> {
+    let mut cells = Vec::new();
+    for (row, (name, ..)) in ROWS.iter().enumerate().filter(|(_, (_, _, stiffness))| *stiffness == "50000") {
+        let runs = plan(|other, on, met| other == row && on == barrier && met.starts_with(taxel))?;
+        cells.push(((*name).to_owned(), runs.into_iter().map(|run| run.settings).collect()));
+    }
+    Ok(cells)
+}
+
+/// The runs that `chosen` picks by row, whether the barrier is on, and who is met when: not yet run.
+fn plan(chosen: impl Fn(usize, bool, &str) -> bool) -> Result<Vec<Planned>> {
     let mut todo = Vec::new();
     for (row, (_, plan, stiffness)) in ROWS.into_iter().enumerate() {
         let plan: Plan = toml::from_str(plan)?;
@@ -51,22 +69,27 @@ fn runs(chosen: impl Fn(usize, bool, &str) -> bool) -> Result<Vec<Run>> {
             let on = value("barrier")? != "off";
             let met = format!("{}, {} ms", value("person.taxel")?, value("sensor.phase_ms")?);
             if value("person.stiffness")? == stiffness && chosen(row, on, &met) {
-                todo.push(((row, on), met, plan.settings(&columns, &values)?));
+                todo.push(Planned { cell: (row, on), met, settings: plan.settings(&columns, &values)? });
             }
         }
     }
-    let run = |((row, on), met, settings): &_| {
-        let report = collision::single(settings)?;
+    Ok(todo)
+}
+
+/// What came of them.
+fn runs(chosen: impl Fn(usize, bool, &str) -> bool) -> Result<Vec<Run>> {
+    let run = |planned: &Planned| {
+        let report = collision::single(&planned.settings)?;
         Ok(Run {
-            cell: (*row, *on),
-            met: String::clone(met),
+            cell: planned.cell,
+            met: planned.met.clone(),
             approach_m_s: report.approach_m_s,
             peak_n: report.measures.peak_force_n,
             flange_mm: report.measures.flange_max_mm,
             stopped: report.stopped().is_some(),
         })
     };
-    parallel::run("collisions", &todo, run, |_| ()).into_iter().collect()
+    parallel::run("collisions", &plan(chosen)?, run, |_| ()).into_iter().collect()
 }
 
 /// Force of the hardest run as the table has it.

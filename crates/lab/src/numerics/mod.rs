@@ -3,6 +3,7 @@
 pub(crate) mod barrier;
 pub(crate) mod economy;
 pub(crate) mod extremes;
+pub(crate) mod peers;
 pub(crate) mod precision;
 pub(crate) mod stability;
 pub(crate) mod sweep;

@@ -30,6 +30,9 @@ pub(crate) struct Arguments {
     /// CSV file; rows that are already in it are kept and not run again.
     #[arg(long, value_name = "CSV")]
     out: PathBuf,
+    /// Error of a tick, over 25 N and 15 mm, for which physics steps are chosen in every run, e.g. 1e-3.
+    #[arg(long)]
+    accuracy: Option<f64>,
     /// Part of the runs, e.g. 2/8 for the second of eight; joined in order the parts are the whole.
     #[arg(long, value_name = "I/N", value_parser = campaign::shard, default_value = "1/1")]
     shard: (usize, usize),
@@ -150,7 +153,10 @@ fn plain(value: &toml::Value) -> String {
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let text = std::fs::read_to_string(&arguments.file)
         .with_context(|| format!("cannot read {}", arguments.file.display()))?;
-    let plan: Plan = toml::from_str(&text).with_context(|| format!("{}", arguments.file.display()))?;
+    let mut plan: Plan = toml::from_str(&text).with_context(|| format!("{}", arguments.file.display()))?;
+    if let Some(accuracy) = arguments.accuracy {
+        plan.set.insert("accuracy".into(), accuracy.into());
+    }
     plan.check().with_context(|| format!("{}", arguments.file.display()))?;
     let columns = plan.columns();
     let campaign =
@@ -229,7 +235,7 @@ mod tests {
         let file = folder.join("plan.toml");
         std::fs::write(&file, PLAN).unwrap();
         let out = folder.join(name);
-        run(&Arguments { file, out: out.clone(), shard }).unwrap();
+        run(&Arguments { file, out: out.clone(), accuracy: None, shard }).unwrap();
         std::fs::read_to_string(out).unwrap()
     }
 

@@ -1,19 +1,20 @@
 //! Experiment C: the flange is led sideways, the base follows, and a person stands in its way.
 
-use super::figure::{self, Moment};
+use super::figure::{self, Figure, Trace};
+use super::robot_picture::Moment;
 use super::{RunInfo, head, wrench_text};
 use crate::rig::closed_loop::{Loads, Rig, Row};
 use crate::rig::measure::{Measures, peak_force_n};
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
 use moca_daemon::robot::FoamKind;
-use moca_figures::Panel;
+use moca_sim::Scene;
 use moca_sim::foam::Foam;
 use serde::Serialize;
 use std::time::Instant;
 
 /// Sensor phases over which the worst is reported, as shares of the sensor's period.
-const PHASES: [f64; 5] = [0.0, 0.2, 0.4, 0.6, 0.8];
+pub(crate) const PHASES: [f64; 5] = [0.0, 0.2, 0.4, 0.6, 0.8];
 
 /// What the collision scene changes of the common settings.
 pub(crate) fn defaults(settings: &mut Settings) {
@@ -86,30 +87,33 @@ impl Report {
 pub(crate) struct Run {
     pub report: Report,
     pub rows: Vec<Row>,
+    /// Of the other phases.
+    pub others: Vec<Vec<Row>>,
     pub moments: Vec<Moment>,
 }
 
 /// One collision for each phase of the sensor; the worst is reported.
 pub(crate) fn run(settings: &Settings) -> Result<Run> {
     let started = Instant::now();
-    let period_ms = settings.period_ms();
     let phases: &[f64] = if settings.sensor == Sensor::Off { &PHASES[..1] } else { &PHASES };
-    let mut worst: Option<(f64, Rig)> = None;
-    let mut peaks = Vec::new();
+    let (mut worst, mut most_n) = (0, f64::NEG_INFINITY);
+    let (mut rigs, mut peaks) = (Vec::new(), Vec::new());
     for phase in phases {
         let mut shifted = settings.clone();
-        shifted.sensor_phase_ms += phase * period_ms;
+        shifted.shift_phase(*phase);
         let rig = once(&shifted)?;
         let peak_n = peak_force_n(&rig.rows);
-        peaks.push(peak_n);
-        if worst.as_ref().is_none_or(|(most, _)| peak_n > *most) {
-            worst = Some((peak_n, rig));
+        if peak_n > most_n {
+            (worst, most_n) = (rigs.len(), peak_n);
         }
+        peaks.push(peak_n);
+        rigs.push(rig);
     }
-    let Some((_, rig)) = worst else { anyhow::bail!("no phase was run") };
+    let rig = rigs.swap_remove(worst);
     let info = RunInfo::new("collision", settings, &rig, started);
     let report = measure(info, settings, &rig.rows, peaks);
-    Ok(Run { report, moments: moments(&rig.rows), rows: rig.rows })
+    let others = rigs.into_iter().map(|rig| rig.rows).collect();
+    Ok(Run { report, moments: moments(&rig.rows), rows: rig.rows, others })
 }
 
 /// One collision at the sensor's phase of the settings, measured.
@@ -155,17 +159,20 @@ fn moments(rows: &[Row]) -> Vec<Moment> {
     .to_vec()
 }
 
-/// Panels of Fig. 7.
-pub(crate) fn panels(rows: &[Row]) -> Vec<Panel> {
-    vec![
-        figure::lead(rows),
-        figure::taxel_forces(rows),
-        figure::cover_wrench(rows),
-        figure::flange_position(rows),
-        figure::flange_error(rows),
-        figure::base_pose(rows),
-        figure::base_velocity(rows),
-    ]
+impl Run {
+    /// Fig. 7.
+    pub(crate) fn figure<'a>(&'a self, scene: &'a Scene) -> Figure<'a> {
+        let trace = Trace { rows: &self.rows, others: &self.others };
+        let (moments, panels) = (&self.moments[..], figure::panels(figure::lead(trace), trace));
+        Figure {
+            scene,
+            trace,
+            moments,
+            panels,
+            another: "phase of the sensor",
+            stopped: self.report.stopped(),
+        }
+    }
 }
 
 fn measure(info: RunInfo, settings: &Settings, rows: &[Row], peak_by_phase_n: Vec<f64>) -> Report {

@@ -5,12 +5,16 @@ pub(crate) mod collision;
 pub(crate) mod figure;
 #[cfg(test)]
 mod golden;
+pub(crate) mod kept_pushes;
+pub(crate) mod opposite_hands;
 pub(crate) mod push;
 pub(crate) mod pushes;
 pub(crate) mod report;
+mod robot_picture;
 #[cfg(test)]
 mod tests;
 
+use self::figure::{Figure, Trace};
 use crate::rig::settings::{self, Settings};
 use crate::rig::{closed_loop, keys, measure};
 use anyhow::{Result, ensure};
@@ -53,6 +57,9 @@ pub(crate) struct Common {
     /// Sets a parameter, e.g. sensor=ideal; may be repeated. A wrong key lists all.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
+    /// Error of a tick, over 25 N and 15 mm, for which physics steps are chosen, e.g. 1e-3: the same as --set accuracy=…
+    #[arg(long)]
+    accuracy: Option<f64>,
     /// Prints one JSON object.
     #[arg(long)]
     json: bool,
@@ -69,9 +76,8 @@ impl Common {
     fn settings(&self, law: Law, adjust: impl Fn(&mut Settings)) -> Result<Settings> {
         let mut settings = Settings::paper(law);
         adjust(&mut settings);
-        for assignment in &self.set {
-            settings.set(assignment)?;
-        }
+        settings.set_all(&self.set)?;
+        settings.set_all(self.accuracy.map(|accuracy| format!("accuracy={accuracy}")))?;
         settings.check()?;
         Ok(settings)
     }
@@ -83,16 +89,52 @@ pub(crate) struct RunInfo {
     experiment: &'static str,
     sensor: &'static str,
     foam: &'static str,
+    /// Where the wrench at the flange comes from.
+    flange: &'static str,
     /// What integrated the scene, and why.
     engine: &'static str,
+    /// What `accuracy` asked for took, of the phase that is reported; null for steps of one length.
+    steps: Option<Steps>,
     /// Frames of the stock board, Hz; null without one.
     frame_rate_hz: Option<f64>,
     /// Why the robot stopped; null if it did not.
     stopped: Option<String>,
     /// Simulated time, starting included, s.
     sim_s: f64,
-    /// Wall-clock time of the run, s.
+    /// Wall-clock time, s: of a collision the five phases together.
     wall_s: f64,
+}
+
+/// What physics steps cost that were chosen.
+#[derive(Clone, Debug, Serialize)]
+struct Steps {
+    accuracy: f64,
+    /// Steps a tick, those of the estimates included, and those whose result was kept.
+    per_tick: f64,
+    kept_per_tick: f64,
+    /// Ticks in which the most steps that are tried were not enough.
+    ticks_missed: u64,
+}
+
+impl Steps {
+    fn of(settings: &Settings, rig: &closed_loop::Rig) -> Option<Self> {
+        let spent = rig.steps_spent()?;
+        #[expect(clippy::cast_precision_loss, reason = "counts of one run")]
+        let per_tick = |steps: u64| steps as f64 / spent.periods.max(1) as f64;
+        Some(Self {
+            accuracy: settings.config.simulation.accuracy,
+            per_tick: per_tick(spent.steps),
+            kept_per_tick: per_tick(spent.kept),
+            ticks_missed: spent.missed,
+        })
+    }
+
+    fn text(&self) -> String {
+        format!(
+            "\n  accuracy {:.0e}: {:.2} physics steps a tick, {:.2} of them kept, {} ticks not within it",
+            self.accuracy, self.per_tick, self.kept_per_tick, self.ticks_missed
+        )
+    }
 }
 
 impl RunInfo {
@@ -101,7 +143,9 @@ impl RunInfo {
             experiment,
             sensor: settings.sensor.name(),
             foam: settings.foam.material.name,
+            flange: if settings.flange_observed { "observed" } else { "true" },
             engine: settings.engine.reason(),
+            steps: Steps::of(settings, rig),
             frame_rate_hz: (settings.sensor == settings::Sensor::Stock).then_some(rig.frame_rate_hz),
             stopped: rig.stopped.clone(),
             sim_s: rig.sim_s,
@@ -129,30 +173,30 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             let settings = common.settings(Law::Impedance, |_| ())?;
             let (report, rows) = push_report(taxels, *newton, &settings)?;
             let draw = || {
-                figure::draw(
-                    &settings.free_scene(),
-                    &rows,
-                    &pushes::middles(&rows, 1, 0.0),
-                    pushes::panels_b1(&rows),
-                )
+                let trace = Trace { rows: &rows, others: &[] };
+                let stopped = report.info.stopped.as_deref();
+                let (scene, moments) = (&settings.free_scene(), &pushes::middles(&rows, 1, 0.0)[..]);
+                let panels = pushes::panels_b1(trace);
+                Figure { scene, trace, moments, panels, another: "", stopped }.draw()
             };
             finish(common, "push", &report, &rows, draw, || push_text(&report))
         }
         Experiment::B1(common) => {
             let settings = common.settings(Law::Impedance, |_| ())?;
             let run = pushes::b1(&settings)?;
-            let draw = || {
-                figure::draw(&settings.free_scene(), &run.rows, &run.moments, pushes::panels_b1(&run.rows))
-            };
+            let draw = || pushes::figure_5(&settings, &run);
             finish(common, "b1", &run.report, &run.rows, draw, || run.report.text())
         }
         Experiment::B2(common) => {
             let settings = common.settings(Law::FollowMe, |_| ())?;
             let run = pushes::b2(&settings)?;
-            let draw = || {
-                figure::draw(&settings.free_scene(), &run.rows, &run.moments, pushes::panels_b2(&run.rows))
-            };
-            finish(common, "b2", &run.report, &run.rows, draw, || run.report.text())
+            // The paper's base follows what its arm estimates; the true wrench beside it shows what that costs.
+            let beside = Settings { flange_observed: !settings.flange_observed, ..settings.clone() };
+            let beside = pushes::b2(&beside)?.report;
+            let report = Beside { own: &run.report, beside: &beside };
+            let draw = || pushes::figure_6(&settings, &run);
+            let text = || format!("{}\nbeside it {}", run.report.text(), beside.text());
+            finish(common, "b2", &report, &run.rows, draw, text)
         }
         Experiment::Collision(common) => {
             let settings = common.settings(Law::Impedance, collision::defaults)?;
@@ -163,22 +207,20 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
                 settings::Sensor::Ideal | settings::Sensor::Off => settings::Sensor::Stock,
             };
             let beside = collision::run(&Settings { sensor, ..settings.clone() })?.report;
-            let report = CollisionReport { own: &run.report, beside: &beside };
-            let draw = || {
-                figure::draw(&settings.free_scene(), &run.rows, &run.moments, collision::panels(&run.rows))
-            };
+            let report = Beside { own: &run.report, beside: &beside };
+            let draw = || run.figure(&settings.free_scene()).draw();
             let text = || format!("{}\nbeside it {}", run.report.text(), beside.text());
             finish(common, "collision", &report, &run.rows, draw, text)
         }
     }
 }
 
-/// A collision, and the same one felt in the other way.
+/// An experiment, and the same one felt in the other way.
 #[derive(Debug, Serialize)]
-struct CollisionReport<'a> {
+struct Beside<'a, T: Serialize> {
     #[serde(flatten)]
-    own: &'a collision::Report,
-    beside: &'a collision::Report,
+    own: &'a T,
+    beside: &'a T,
 }
 
 fn push_report(
@@ -207,12 +249,12 @@ fn finish(
     name: &str,
     report: &impl Serialize,
     rows: &[closed_loop::Row],
-    draw: impl Fn() -> moca_figures::Drawing,
+    draw: impl Fn() -> Result<moca_figures::Drawing>,
     text: impl Fn() -> String,
 ) -> Result<()> {
     if let Some(folder) = &common.out {
         ensure!(!rows.is_empty(), "nothing was recorded");
-        figure::write(folder, name, &draw(), rows, report)?;
+        figure::write(folder, name, &draw()?, rows, report)?;
     }
     print(common.json, report, text)
 }
@@ -238,9 +280,10 @@ fn push_text(report: &PushReport) -> String {
 fn head(info: &RunInfo) -> String {
     let rate = info.frame_rate_hz.map_or(String::new(), |rate| format!(" at {rate:.1} frames/s"));
     let stopped = info.stopped.as_ref().map_or(String::new(), |why| format!("\n  STOPPED: {why}"));
+    let steps = info.steps.as_ref().map_or(String::new(), Steps::text);
     format!(
-        "{}: sensor {}{rate}, foam {}, {:.1} s simulated in {:.2} s\n  on {}{stopped}",
-        info.experiment, info.sensor, info.foam, info.sim_s, info.wall_s, info.engine
+        "{}: sensor {}{rate}, wrench at the flange {}, foam {}, {:.1} s simulated in {:.2} s\n  on {}{steps}{stopped}",
+        info.experiment, info.sensor, info.flange, info.foam, info.sim_s, info.wall_s, info.engine
     )
 }
 
@@ -248,14 +291,20 @@ fn outcome_text(outcome: &push::Outcome) -> String {
     let [x, y, yaw] = outcome.base_displacement;
     format!(
         "  {:24} base moved ({x:+.4} m, {y:+.4} m, {yaw:+.4} rad), flange off by {:.2} mm at most, {:.2} mm RMS\n  \
-         {:24} wrench on the base {} true, {} sensed",
+         {:24} wrench on the base {} true, {} sensed; force at the flange {} true, {} felt",
         outcome.name,
         outcome.flange_max_mm,
         outcome.flange_rms_mm,
         "",
         wrench_text(&outcome.wrench_true),
-        wrench_text(&outcome.wrench_sensed)
+        wrench_text(&outcome.wrench_sensed),
+        force_text(&outcome.flange_true_n),
+        force_text(&outcome.flange_felt_n),
     )
+}
+
+fn force_text([x, y, z]: &[f64; 3]) -> String {
+    format!("({x:.2}, {y:.2}, {z:.2}) N")
 }
 
 fn wrench_text([fx, fy, mz]: &[f64; 3]) -> String {

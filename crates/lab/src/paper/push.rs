@@ -68,6 +68,9 @@ pub(crate) struct Outcome {
     /// Mean over the plateau: N, N, N·m.
     pub wrench_true: [f64; 3],
     pub wrench_sensed: [f64; 3],
+    /// Force at the flange, axes of W, mean over the plateau: true, and as the controller believes, N.
+    pub flange_true_n: [f64; 3],
+    pub flange_felt_n: [f64; 3],
     /// At the end of the plateau: m/s, m/s, rad/s.
     pub base_velocity: [f64; 3],
     /// Displacement of the flange from its place at the start at the end of the plateau, m.
@@ -112,10 +115,16 @@ fn measure(push: &Push, rows: &[Row], first: usize, last: usize, settings: &Sett
         flange_rms_mm: 1e3 * rms(window.iter().map(Row::flange_error_m)),
         wrench_true: mean(plateau.iter().map(|row| row.wrench_true)),
         wrench_sensed: mean(plateau.iter().map(|row| row.wrench_sensed)),
+        flange_true_n: mean(plateau.iter().map(|row| force(&row.flange_wrench_world))),
+        flange_felt_n: mean(plateau.iter().map(|row| force(&row.flange_wrench_felt_world))),
         base_velocity: plateau_end.base_velocity_world,
         flange_displacement: difference(&plateau_end.flange_world, &start.flange_world),
         arm_residual_rad: (0..7).map(|i| (after.q_rad[i] - start.q_rad[i]).abs()).fold(0.0, f64::max),
     }
+}
+
+const fn force(&[x, y, z, ..]: &[f64; 6]) -> [f64; 3] {
+    [x, y, z]
 }
 
 /// Componentwise a − b.

@@ -1,15 +1,20 @@
 //! Experiments B1 and B2: the paper's pushes, in one continuous run each.
 
-use super::figure::{self, Moment};
+use super::figure::{self, Figure, Trace};
 use super::push::{self, Outcome, Push};
+use super::robot_picture::Moment;
 use super::{RunInfo, head, outcome_text};
 use crate::rig::closed_loop::{Rig, Row};
 use crate::rig::measure::Measures;
-use crate::rig::settings::Settings;
+use crate::rig::parallel;
+use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
-use moca_figures::Panel;
+use moca_figures::{Drawing, Panel};
 use serde::Serialize;
 use std::time::Instant;
+
+/// Seeds added and phases of the sensor as shares of its period; the first is the run itself.
+const PHASES: [(u64, f64); 5] = [(0, 0.0), (1, 0.2), (2, 0.4), (3, 0.6), (4, 0.8)];
 
 /// Report of B1 or B2.
 #[derive(Debug, Serialize)]
@@ -53,31 +58,89 @@ pub(crate) struct Run {
 }
 
 /// Fig. 5: flange +z 15 N; T1 20 N; T6 20 N; T4 + T8 15 N each; T1 + T11 15 N each.
-pub(crate) fn b1(settings: &Settings) -> Result<Run> {
-    let pushes = [
+pub(super) fn pushes_b1() -> [Push; 5] {
+    [
         Push::taxels("B1-i flange +z 15 N", &[]).and_flange([0.0, 0.0, 15.0]),
         Push::taxels("B1-ii T1 20 N", &[(0, 20.0)]),
         Push::taxels("B1-iii T6 20 N", &[(5, 20.0)]),
         Push::taxels("B1-iv T4+T8 15 N", &[(3, 15.0), (7, 15.0)]),
         Push::taxels("B1-iv T1+T11 15 N", &[(0, 15.0), (10, 15.0)]),
-    ];
-    continuous("b1", settings, &pushes, None)
+    ]
+}
+
+pub(crate) fn b1(settings: &Settings) -> Result<Run> {
+    continuous("b1", settings, &pushes_b1(), None)
 }
 
 /// Fig. 6: flange +x 15 N; T1 and T2 + T3 10 N each; hands on cover and flange the same way; the opposite way.
-pub(crate) fn b2(settings: &Settings) -> Result<Run> {
-    let pushes = [
+pub(super) fn pushes_b2() -> [Push; 5] {
+    [
         Push::taxels("B2-i flange +x 15 N", &[]).and_flange([15.0, 0.0, 0.0]),
         Push::taxels("B2-ii T1 10 N", &[(0, 10.0)]),
         Push::taxels("B2-ii T2+T3 10 N", &[(1, 10.0), (2, 10.0)]),
         Push::taxels("B2-iii T10 10 N, flange +y 10 N", &[(9, 10.0)]).and_flange([0.0, 10.0, 0.0]),
-        Push::taxels("B2-iv T6 15 N, flange +x 15 N", &[(5, 15.0)]).and_flange([15.0, 0.0, 0.0]),
-    ];
-    continuous("b2", settings, &pushes, Some(superposition(settings)?))
+        opposite_hands(),
+    ]
+}
+
+pub(crate) fn b2(settings: &Settings) -> Result<Run> {
+    continuous("b2", settings, &pushes_b2(), Some(superposition(settings)?))
+}
+
+/// The same run in the other phases of the sensor, and with other seeds of a board's noise.
+fn others(settings: &Settings, pushes: &[Push]) -> Result<Vec<Vec<Row>>> {
+    let runs = parallel::run(
+        "bands",
+        &PHASES[1..],
+        |(seed, phase)| {
+            let mut other = settings.clone();
+            other.shift_phase(*phase);
+            other.config.simulation.seed = other.config.simulation.seed.wrapping_add(*seed);
+            let mut rig = Rig::start(&other, &other.free_scene())?;
+            push::run(&mut rig, &other, pushes)?;
+            Ok(rig.rows)
+        },
+        |_| (),
+    );
+    runs.into_iter().collect()
+}
+
+/// Fig. 5 of one run.
+pub(crate) fn figure_5(settings: &Settings, run: &Run) -> Result<Drawing> {
+    run.draw(settings, &others(settings, &pushes_b1())?, panels_b1)
+}
+
+/// Fig. 6 of one run.
+pub(crate) fn figure_6(settings: &Settings, run: &Run) -> Result<Drawing> {
+    run.draw(settings, &others(settings, &pushes_b2())?, panels_b2)
+}
+
+impl Run {
+    fn draw(
+        &self,
+        settings: &Settings,
+        others: &[Vec<Row>],
+        panels: fn(Trace<'_>) -> Vec<Panel>,
+    ) -> Result<Drawing> {
+        let trace = Trace { rows: &self.rows, others };
+        let another = match settings.sensor {
+            Sensor::Stock => "phase of the board and another seed of its noise",
+            Sensor::Ideal | Sensor::Off => "phase of the sensor",
+        };
+        let scene = &settings.free_scene();
+        let (moments, panels, stopped) =
+            (&self.moments[..], panels(trace), self.report.info.stopped.as_deref());
+        Figure { scene, trace, moments, panels, another, stopped }.draw()
+    }
+}
+
+/// B2-iv: hands on cover and flange against each other, on one line.
+pub(super) fn opposite_hands() -> Push {
+    Push::taxels("B2-iv T6 15 N, flange +x 15 N", &[(5, 15.0)]).and_flange([15.0, 0.0, 0.0])
 }
 
 /// B2-iii from the home posture: each hand alone, then both; both act along x = 0.12 m and the flange's line.
-fn superposition(settings: &Settings) -> Result<[f64; 3]> {
+pub(super) fn superposition(settings: &Settings) -> Result<[f64; 3]> {
     let cover = Push::taxels("cover", &[(9, 10.0)]);
     let flange = Push::taxels("flange", &[]).and_flange([0.0, 10.0, 0.0]);
     let both = cover.clone().and_flange([0.0, 10.0, 0.0]);
@@ -131,21 +194,13 @@ pub(crate) fn middles(rows: &[Row], count: usize, rest_s: f64) -> Vec<Moment> {
 }
 
 /// Panels of Fig. 5.
-pub(crate) fn panels_b1(rows: &[Row]) -> Vec<Panel> {
-    vec![
-        figure::flange_force(rows, false),
-        figure::taxel_forces(rows),
-        figure::cover_wrench(rows),
-        figure::flange_position(rows),
-        figure::flange_error(rows),
-        figure::base_pose(rows),
-        figure::base_velocity(rows),
-    ]
+pub(crate) fn panels_b1(trace: Trace<'_>) -> Vec<Panel> {
+    figure::panels(figure::flange_force(trace, false), trace)
 }
 
 /// Panels of Fig. 6.
-pub(crate) fn panels_b2(rows: &[Row]) -> Vec<Panel> {
-    let mut panels = panels_b1(rows);
-    panels.insert(1, figure::flange_force(rows, true));
+fn panels_b2(trace: Trace<'_>) -> Vec<Panel> {
+    let mut panels = panels_b1(trace);
+    panels.insert(1, figure::flange_force(trace, true));
     panels
 }

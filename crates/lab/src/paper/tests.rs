@@ -2,7 +2,8 @@
 
 use super::push::{self, Outcome, Push};
 use super::{collision, pushes};
-use crate::rig::closed_loop::Rig;
+use crate::rig::TAXELS;
+use crate::rig::closed_loop::{Rig, Row};
 use crate::rig::settings::Settings;
 use moca_msgs::Law;
 
@@ -182,6 +183,31 @@ fn b2_the_base_follows_hands_on_cover_and_flange() {
     assert!(cover > 0.1 && ((cover + flange) / both - 1.0).abs() < 0.01, "{cover} {flange} {both}");
 }
 
+/// The robot's own estimate has the sign of the force on the robot, and nearly its size, while the base runs away under it.
+#[test]
+fn b2_the_base_follows_what_the_observer_makes_of_a_hand_at_the_flange() {
+    let follow = |assignments: &[&str]| {
+        let mut settings = Settings::paper(Law::FollowMe);
+        for assignment in LITERAL.iter().chain(assignments) {
+            settings.set(assignment).unwrap();
+        }
+        pushes::b2(&settings).unwrap().report
+    };
+    let (truly, observed) = (follow(&[]), follow(&["flange=observed"]));
+    for (a, b) in truly.pushes.iter().zip(&observed.pushes) {
+        assert_eq!(a.flange_felt_n.map(f64::to_bits), a.flange_true_n.map(f64::to_bits), "{}", a.name);
+        for (felt, force) in b.flange_felt_n.iter().zip(b.flange_true_n) {
+            println!("{}: {force:.2} N felt as {felt:.2} N", b.name);
+            assert!((felt - force).abs() < 0.5, "{b:?}");
+        }
+        for (way, other) in a.base_displacement.iter().zip(b.base_displacement) {
+            assert!((way - other).abs() < 0.02, "{a:?} {b:?}");
+        }
+    }
+    let [led, ..] = &observed.pushes[..] else { panic!("five pushes") };
+    assert!(led.base_displacement[0] > 0.3 && led.flange_felt_n[0] > 14.0, "{led:?}");
+}
+
 #[test]
 fn the_collision_stays_below_25_n_with_a_100_hz_sensor_and_not_without() {
     let mut base = Settings::paper(Law::Impedance);
@@ -276,4 +302,29 @@ fn rate_and_age_of_a_stock_board_can_be_set_and_matter() {
     let (late_n, _) = peak(&["sensor.delay_ms=40"]);
     assert!((stock_hz - 40.5).abs() < 1.0 && (quick_hz - 100.0).abs() < 5.0, "{stock_hz} {quick_hz}");
     assert!(quick_n < stock_n && stock_n < late_n, "{quick_n} {stock_n} {late_n}");
+}
+
+/// The arm stands at home.
+pub(super) fn row(t_s: f64, base_pose_world: [f64; 3], force_n: f64) -> Row {
+    let mut force_true = [0.0; TAXELS];
+    (force_true[0], force_true[5]) = (force_n, 0.3 * force_n);
+    Row {
+        t_s,
+        base_pose_world,
+        base_velocity_world: [0.0; 3],
+        base_command_body: [0.0; 3],
+        q_rad: moca_msgs::robot::PANDA.home_rad,
+        flange_world: [base_pose_world[0] + 0.75, base_pose_world[1], 0.9],
+        flange_quaternion: [0.0, 0.0, 0.0, 1.0],
+        flange_desired_world: [0.75, 0.0, 0.9],
+        flange_wrench_world: [0.0, force_n, 0.0, 0.0, 0.0, 0.0],
+        flange_wrench_felt_world: [0.0; 6],
+        wrench_true: [0.0; 3],
+        wrench_sensed: [0.0; 3],
+        force_true,
+        force_sensed: force_true,
+        total_force_n: force_n,
+        largest_force_n: force_n,
+        person_world: Some([0.0, 0.5]),
+    }
 }

@@ -1,6 +1,6 @@
 //! Rows of a CSV file, each computed once: resumable, and in shards.
 
-use super::{cpu_time, parallel};
+use super::{count, cpu_time, parallel};
 use anyhow::{Context, Result, bail, ensure};
 use std::fmt;
 use std::fs::{File, OpenOptions};
@@ -131,12 +131,6 @@ fn open(path: &Path, header: Option<&str>, range: &std::ops::Range<usize>) -> Re
         writeln!(file, "{header}").with_context(context)?;
     }
     Ok((file, done))
-}
-
-fn count(n: usize) -> f64 {
-    #[expect(clippy::cast_precision_loss, reason = "runs of one campaign")]
-    let n = n as f64;
-    n
 }
 
 #[cfg(test)]

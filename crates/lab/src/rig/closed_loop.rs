@@ -7,9 +7,11 @@ use moca_daemon::control::plant::Simulated;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::SimulatedRobot;
 use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::inject::Injection;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards, TrueForces};
 use moca_msgs::{Mode, Sample, TaxelStatus};
 use moca_sim::Scene;
+use moca_sim::StepsSpent;
 
 /// Longest time from power-up to a moving law, s of simulation.
 const START_WITHIN_S: f64 = 30.0;
@@ -44,7 +46,9 @@ pub(crate) struct Row {
     pub flange_world: [f64; 3],
     pub flange_quaternion: [f64; 4],
     pub flange_desired_world: [f64; 3],
+    /// Wrench on the robot about the flange origin: true, and as the controller believes.
     pub flange_wrench_world: [f64; 6],
+    pub flange_wrench_felt_world: [f64; 6],
     /// Wrench of the cover on the robot, axes and origin of B: true, and as the controller believes.
     pub wrench_true: [f64; 3],
     pub wrench_sensed: [f64; 3],
@@ -105,7 +109,9 @@ impl Rig {
                 }
                 let delay = usize::try_from(ticks(settings.sensor_delay_ms))?;
                 let ideal = IdealCover::new(ticks(settings.period_ms()), delay);
-                SensorModel::True(Box::new(LockStep::with_true_forces(&config, scene, ideal)?.untimed()))
+                let mut lock_step = LockStep::with_true_forces(&config, scene, ideal)?.untimed();
+                lock_step.feed = settings.sensor_samples;
+                SensorModel::True(Box::new(lock_step))
             }
         };
         let mut rig =
@@ -150,12 +156,28 @@ impl Rig {
         Ok(())
     }
 
+    /// Lets a fault strike at the loop's time that it names.
+    pub(crate) fn inject(&mut self, injection: &Injection) {
+        match &mut self.cover {
+            SensorModel::Board(lock_step) => lock_step.inject(injection, 1),
+            SensorModel::True(lock_step) => lock_step.inject(injection, 1),
+        }
+    }
+
     /// Makes the plant's state not a number, as a bug in it would.
     pub(crate) fn break_state(&mut self) {
         let state = self.robot().world.state();
         let mut base = state.base_pose_world;
         base[0] = f64::NAN;
         self.robot().world.set_state(&base, &state.base_velocity_world, &state.q_rad, &state.dq_rad_s);
+    }
+
+    /// What the physics steps cost that `accuracy` asked for; `None` for steps of one length.
+    pub(crate) fn steps_spent(&self) -> Option<StepsSpent> {
+        match &self.cover {
+            SensorModel::Board(lock_step) => lock_step.control.plant.world.steps_spent(),
+            SensorModel::True(lock_step) => lock_step.control.plant.world.steps_spent(),
+        }
     }
 
     fn robot(&mut self) -> &mut SimulatedRobot {
@@ -204,6 +226,7 @@ impl Rig {
             flange_quaternion: sample.flange_quaternion_world,
             flange_desired_world: sample.flange_desired_position_world,
             flange_wrench_world: loads.flange_world,
+            flange_wrench_felt_world: sample.flange_wrench_world,
             wrench_true,
             wrench_sensed: sample.cover_wrench_base,
             force_true,

@@ -5,6 +5,7 @@ use crate::rig::TAXELS;
 use crate::rig::settings::{self, Sensor, Settings};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use moca_daemon::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
+use moca_daemon::runtime::lockstep::TrueForces;
 use moca_msgs::table::{FieldValue, ParameterKind, ParameterSpec, Size};
 use moca_sim::foam::Foam;
 use moca_sim::{BodyPart, Engine, Integrator};
@@ -12,6 +13,14 @@ use moca_tactile::Firmware;
 use std::path::Path;
 
 impl Settings {
+    /// Applies assignments in their order.
+    ///
+    /// # Errors
+    /// As for [`Settings::set`].
+    pub(crate) fn set_all<A: AsRef<str>>(&mut self, assignments: impl IntoIterator<Item = A>) -> Result<()> {
+        assignments.into_iter().try_for_each(|assignment| self.set(assignment.as_ref()))
+    }
+
     /// Applies `key=value`.
     ///
     /// # Errors
@@ -97,6 +106,15 @@ const KEYS: &[Key] = &[
         "ideal sensor: averaging and holding period; stock board: period of a frame",
         |s, v| some(&mut s.sensor_period_ms, v, 1.0, 1000.0),
     ),
+    key(
+        "sensor.samples",
+        "ticks|steps",
+        "ideal sensor: the mean of the forces at the control's ticks, or of the physics steps whatever the control's rate",
+        |s, v| {
+            s.sensor_samples = word(v, &[("ticks", TrueForces::AtTicks), ("steps", TrueForces::OfSteps)])?;
+            Ok(())
+        },
+    ),
     key("sensor.delay_ms", "ms", "further delay, either sensor", |s, v| {
         store(&mut s.sensor_delay_ms, v, 0.0, 1000.0)
     }),
@@ -118,21 +136,31 @@ const KEYS: &[Key] = &[
         )?;
         Ok(())
     }),
+    key(
+        "flange",
+        "true|observed",
+        "wrench at the flange: the true one, or the momentum observer's",
+        |s, v| {
+            s.flange_observed = word(v, &[("true", false), ("observed", true)])?;
+            Ok(())
+        },
+    ),
     key("step_ms", "ms", "physics step", |s, v| store(&mut s.step_ms, v, 1e-3, 100.0)),
     key(
         "integrator",
-        "euler|rk4|implicit|implicitfast",
-        "integrator; the analytic engine has Euler and implicitfast, which are one there",
+        "euler|rk4|implicit|implicitfast|leapfrog",
+        "integrator; the analytic engine has Euler and implicitfast, which are one there, and leapfrog, of second order",
         |s, v| {
-            s.integrator = word(
+            s.integrator = Some(word(
                 v,
                 &[
                     ("euler", Integrator::Euler),
                     ("rk4", Integrator::RungeKutta4),
                     ("implicit", Integrator::Implicit),
                     ("implicitfast", Integrator::ImplicitFast),
+                    ("leapfrog", Integrator::Leapfrog),
                 ],
-            )?;
+            )?);
             Ok(())
         },
     ),

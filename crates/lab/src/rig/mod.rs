@@ -3,6 +3,7 @@
 
 use moca_daemon::config::Config;
 use moca_daemon::devices::simulated_robot;
+use moca_msgs::RobotState;
 use moca_msgs::robot::{PANDA, PAPER_COVER};
 use moca_sim::Scene;
 
@@ -22,6 +23,23 @@ pub(crate) mod settings;
 /// The free robot that the daemon simulates by default.
 pub(crate) fn free_scene() -> Scene {
     simulated_robot::free_scene(&Config::default())
+}
+
+/// The same state in another scalar.
+pub(crate) fn state_in<T>(robot: &RobotState<JOINTS>, of: fn(f64) -> T) -> RobotState<JOINTS, T> {
+    RobotState {
+        base_pose_world: robot.base_pose_world.map(of),
+        base_velocity_world: robot.base_velocity_world.map(of),
+        q_rad: robot.q_rad.map(of),
+        dq_rad_s: robot.dq_rad_s.map(of),
+        torque_measured_nm: robot.torque_measured_nm.map(of),
+        flange_wrench_world: robot.flange_wrench_world.map(|wrench| wrench.map(of)),
+    }
+}
+
+/// A number of things, to reckon with.
+pub(crate) fn count(n: usize) -> f64 {
+    u32::try_from(n).map_or(f64::INFINITY, f64::from)
 }
 
 /// Bits of functions that differ between C libraries: where these differ, bits of a simulation do too.

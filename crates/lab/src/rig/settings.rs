@@ -3,6 +3,7 @@
 use anyhow::{Context, Result, ensure};
 use moca_daemon::config::{AssumedModel, Config, HandConfig, OVERRIDE_MAX_M_S, ProtectionConfig};
 use moca_daemon::devices::simulated_robot;
+use moca_daemon::runtime::lockstep::TrueForces;
 use moca_msgs::Law;
 use moca_msgs::robot::{BaseTable, TaxelPlacement};
 use moca_sim::foam::{ElasticLaw, Foam};
@@ -128,10 +129,14 @@ pub(crate) struct Settings {
     pub sensor: Sensor,
     /// `None` is 10 ms for the ideal sensor and what the firmware takes for the virtual board.
     pub sensor_period_ms: Option<f64>,
+    /// Of what the ideal sensor takes its mean.
+    pub sensor_samples: TrueForces,
     pub sensor_delay_ms: f64,
     pub sensor_phase_ms: f64,
     pub noise_counts: Option<f64>,
     pub firmware: Firmware,
+    /// The wrench at the flange is what the momentum observer makes of it; else the true one.
+    pub flange_observed: bool,
     pub foam: FoamSettings,
     pub person: PersonSettings,
     /// What the base brakes with and how late its servo is, over what its description says; what the cover reads, over
@@ -150,7 +155,8 @@ pub(crate) struct Settings {
     pub push_scale: f64,
     pub rest_s: f64,
     pub step_ms: f64,
-    pub integrator: Integrator,
+    /// `None` is what the scene takes: the default, or under `accuracy` the leapfrog.
+    pub integrator: Option<Integrator>,
     pub engine: Engine,
 }
 
@@ -179,10 +185,12 @@ impl Settings {
             config,
             sensor: Sensor::Stock,
             sensor_period_ms: None,
+            sensor_samples: TrueForces::AtTicks,
             sensor_delay_ms: 0.0,
             sensor_phase_ms: 0.0,
             noise_counts: None,
             firmware: Firmware::Stock2018,
+            flange_observed: false,
             foam: FoamSettings {
                 material: Foam::default(),
                 thickness_m: None,
@@ -202,7 +210,7 @@ impl Settings {
             push_scale: 1.0,
             rest_s: 2.0,
             step_ms: 1.0,
-            integrator: Integrator::default(),
+            integrator: None,
             engine: Engine::default(),
         }
     }
@@ -246,7 +254,7 @@ impl Settings {
         Ok(())
     }
 
-    /// The scene without anybody in it; the flange is measured.
+    /// The scene without anybody in it.
     pub(crate) fn free_scene(&self) -> Scene {
         let scene = simulated_robot::free_scene(&self.config);
         let described = scene.base;
@@ -257,10 +265,10 @@ impl Settings {
                 servo_time_constant_s: self.true_servo * described.servo_time_constant_s,
                 ..described
             },
-            flange_sensor: true,
+            flange_sensor: !self.flange_observed,
             foam: self.foam.foam(),
             physics_step_s: 1e-3 * self.step_ms,
-            integrator: self.integrator,
+            integrator: self.integrator.unwrap_or(scene.integrator),
             engine: self.engine,
             ..scene
         }
@@ -282,6 +290,11 @@ impl Settings {
         let of_firmware_ms = 1e-6 * self.firmware.frame_period_ns() as f64;
         let usual_ms = if self.sensor == Sensor::Stock { of_firmware_ms } else { IDEAL_PERIOD_MS };
         self.sensor_period_ms.unwrap_or(usual_ms)
+    }
+
+    /// Shows what the sensor feels by a share of its period later.
+    pub(crate) fn shift_phase(&mut self, share: f64) {
+        self.sensor_phase_ms += share * self.period_ms();
     }
 
     /// The virtual board of this run.

@@ -6,13 +6,13 @@ use crate::Message;
 use crate::cdr;
 use crate::messages::{Header, Odometry, Time, Twist, TwistStamped, Vector3};
 use crate::transport::{
-    Qos, ReaderId, Transport, TransportError, WriterId, problems_of_reader, problems_of_writer,
+    Qos, ReaderId, Transport, TransportError, WriterId, problems_of_reader, problems_of_writer, unix_ns,
 };
 use std::mem::Discriminant;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 use triple_buffer::{Input, Output, triple_buffer};
 
 /// How often it is asked who else is on the topics, ns.
@@ -367,11 +367,6 @@ fn ns(seconds: f64) -> u64 {
 
 fn since(start: Instant) -> u64 {
     u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX)
-}
-
-fn unix_ns() -> u64 {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
 }
 
 #[cfg(test)]

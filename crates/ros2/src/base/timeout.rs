@@ -4,8 +4,8 @@ use super::driver::{qos, twist_payload};
 use super::{BaseSettings, odometry_velocity};
 use crate::Message;
 use crate::messages::{Odometry, Twist, TwistStamped};
-use crate::transport::{Transport, TransportError};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use crate::transport::{Transport, TransportError, unix_ns};
+use std::time::{Duration, Instant};
 
 /// Slower than this share of the speed that was ordered, a base has stopped.
 const STOPPED: f64 = 0.3;
@@ -39,9 +39,7 @@ pub fn measure(
     let cmd_vel = transport.writer(&settings.cmd_vel, of, qos(settings.reliable.orders))?;
     let odom = transport.reader(&settings.odom, Odometry::TYPE, qos(settings.reliable.odom))?;
     let order = |transport: &mut dyn Transport, x_m_s: f64| {
-        let unix = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let unix_ns = u64::try_from(unix.as_nanos()).unwrap_or(u64::MAX);
-        transport.write(cmd_vel, &twist_payload(settings, [x_m_s, 0.0, 0.0], unix_ns))
+        transport.write(cmd_vel, &twist_payload(settings, [x_m_s, 0.0, 0.0], unix_ns()))
     };
     let period = Duration::from_secs_f64(1.0 / settings.rate_hz);
     let speed = |transport: &mut dyn Transport| {

@@ -1,7 +1,7 @@
 //! What this crate needs of a way to other nodes, and who else is on a topic.
 
 use crate::TypeName;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 pub mod memory;
 
@@ -124,6 +124,12 @@ pub fn problems_of_reader(endpoints: &[Endpoint], topic: &str, ours: TypeName) -
         count => problems.push(format!("{topic} is written by {count} nodes: which one is the base?")),
     }
     problems
+}
+
+/// What this PC's clock says, ns since the Unix epoch: the stamp of what is sent.
+pub(crate) fn unix_ns() -> u64 {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
 }
 
 /// A name of ROS that begins at the root.

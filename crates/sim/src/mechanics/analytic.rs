@@ -1,11 +1,11 @@
 //! Base and arm by the model of `moca-wbc`, people as masses: for scenes in which no two rigid bodies meet.
 //!
-//! The step is MuJoCo's: semi-implicit Euler, with the wheels' damping at the end of the step ("implicitfast", which is
-//! "Euler" where only joints damp). `tests/engines.rs` compares both along whole trajectories.
+//! The step is MuJoCo's: semi-implicit Euler, with the wheels' damping at the end of the step: "implicitfast", and "Euler"
+//! as well, for they differ only where something else than a joint damps. `tests/engines.rs` compares both along whole trajectories.
 
 use super::joint_limits::JointLimits;
 use super::{BAD_ACCELERATION, BAD_POSITION, BAD_RATE, Mechanics, SINGULAR};
-use crate::mjcf::SERVO_DAMPING;
+use crate::mjcf::implicit_damping;
 use crate::scene::Mobility;
 use crate::{ModelSize, Scene, SimError};
 use moca_msgs::BaseTable;
@@ -37,6 +37,8 @@ struct Analytic<const N: usize> {
     base: BaseTable,
     limits: Option<JointLimits<N>>,
     people_kg: Vec<f64>,
+    /// Of the wheels at the end of a step, N·s/m, N·s/m, N·m·s/rad.
+    damping: [f64; BASE],
     step_s: f64,
     time_s: f64,
     positions: Vec<f64>,
@@ -72,6 +74,7 @@ impl<const N: usize> Analytic<N> {
             base: scene.base,
             limits: limits.transpose()?,
             people_kg,
+            damping: implicit_damping(scene),
             step_s: scene.physics_step_s,
             time_s: 0.0,
             positions: vec![0.0; coordinates],
@@ -89,7 +92,7 @@ impl<const N: usize> Analytic<N> {
     fn force(&self) -> WholeBodyForce<N, f64> {
         let (base, arm) = self.forces.split_at(BASE);
         let mut force = WholeBodyForce {
-            base: std::array::from_fn(|i| base[i] - SERVO_DAMPING[i] * self.rates[i]),
+            base: std::array::from_fn(|i| base[i] - self.damping[i] * self.rates[i]),
             arm: std::array::from_fn(|i| arm[i]),
         };
         let [fx, fy, fz, mx, my, mz] = self.flange_wrench_world;
@@ -149,6 +152,20 @@ impl<const N: usize> Mechanics for Analytic<N> {
         self.rates[first..first + rates.len()].copy_from_slice(rates);
     }
 
+    fn drift(&mut self, dt_s: f64) {
+        for (position, rate) in self.positions.iter_mut().zip(&self.rates) {
+            *position += dt_s * rate;
+        }
+    }
+
+    fn set_step_s(&mut self, step_s: f64) {
+        self.step_s = step_s;
+    }
+
+    fn set_time_s(&mut self, time_s: f64) {
+        self.time_s = time_s;
+    }
+
     fn refresh(&mut self) {
         let (q, dq) = self.arm_state();
         let [x, y, yaw] = std::array::from_fn(|i| self.positions[i]);
@@ -185,7 +202,7 @@ impl<const N: usize> Mechanics for Analytic<N> {
         let h = self.step_s;
         let (base, arm) = self
             .dynamics
-            .acceleration(&force, (&SERVO_DAMPING.map(|damping| h * damping), &[0.0; N]))
+            .acceleration(&force, (&self.damping.map(|damping| h * damping), &[0.0; N]))
             .ok_or_else(|| self.unstable(SINGULAR))?;
         if !(usable(&base) && usable(&arm)) {
             return Err(self.unstable(BAD_ACCELERATION));

@@ -28,6 +28,15 @@ pub(crate) trait Mechanics: std::fmt::Debug + Send {
     /// Puts the coordinates from `first` on to these positions and rates; [`Mechanics::refresh`] follows.
     fn put(&mut self, first: usize, positions: &[f64], rates: &[f64]);
 
+    /// Moves every coordinate by its rate times `dt_s`, s; neither rates nor time change.
+    fn drift(&mut self, dt_s: f64);
+
+    /// Length of the steps to come, s.
+    fn set_step_s(&mut self, step_s: f64);
+
+    /// Puts the clock to `time_s`, s.
+    fn set_time_s(&mut self, time_s: f64);
+
     /// Brings mass matrix, bias and the flange's place up to the state.
     fn refresh(&mut self);
 

@@ -63,6 +63,22 @@ impl Mechanics for MuJoCo {
         self.data.qvel_mut()[first..first + rates.len()].copy_from_slice(rates);
     }
 
+    fn drift(&mut self, dt_s: f64) {
+        for i in 0..self.data.qpos().len() {
+            // slides and hinges only: a coordinate each
+            let way = dt_s * self.data.qvel()[i];
+            self.data.qpos_mut()[i] += way;
+        }
+    }
+
+    fn set_step_s(&mut self, step_s: f64) {
+        self.data.model_opt_mut().timestep = step_s;
+    }
+
+    fn set_time_s(&mut self, time_s: f64) {
+        self.data.set_time(time_s);
+    }
+
     fn refresh(&mut self) {
         self.data.forward();
     }

@@ -28,6 +28,8 @@ pub const SERVICE_SOCKET: &str = "/run/mocad/telemetry.sock";
 const UNIX: &str = "unix:";
 /// What the kernel may hold for one client, bytes: what a client that stops reading can fall behind before it is noticed.
 const SEND_BUFFER: u32 = 128 * 1024;
+/// What the kernel may hold from one client, bytes: left to itself it lets megabytes of requests grow old.
+const RECEIVE_BUFFER: u32 = 64 * 1024;
 /// Connections that wait to be accepted.
 const BACKLOG: u32 = 128;
 
@@ -114,9 +116,9 @@ pub(super) async fn connect(address: &Address) -> io::Result<(Reader, Writer)> {
     }
 }
 
-/// Without `TCP_NODELAY` Nagle's algorithm holds small messages back for tens of milliseconds.
+/// Without `TCP_NODELAY` Nagle's algorithm holds small messages back for tens of milliseconds: late, but served.
 fn tcp_halves(stream: TcpStream) -> io::Result<(Reader, Writer)> {
-    stream.set_nodelay(true)?;
+    let _ = stream.set_nodelay(true);
     let (reader, writer) = stream.into_split();
     Ok((Box::new(reader), Box::new(writer)))
 }
@@ -170,8 +172,9 @@ impl Drop for Listener {
 fn bind_tcp(address: SocketAddr) -> io::Result<TcpListener> {
     let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
     socket.set_reuseaddr(true)?;
-    // Accepted connections inherit it.
+    // Accepted connections inherit both.
     socket.set_send_buffer_size(SEND_BUFFER)?;
+    socket.set_recv_buffer_size(RECEIVE_BUFFER)?;
     socket.bind(address)?;
     socket.listen(BACKLOG)
 }

@@ -97,6 +97,6 @@ impl Outgoing {
     }
 
     async fn send(&mut self, message: FromClient) -> Result<(), NetError> {
-        Ok(self.stream.write_all(&wire::encode(&message)?).await?)
+        Ok(self.stream.write_all(&wire::encode_from_client(&message)?).await?)
     }
 }

@@ -19,6 +19,7 @@ use crate::{
     RobotDescription,
     calibration::{CalibrationProgress, CalibrationRequest},
 };
+use moca_msgs::target::check_trajectory;
 use moca_msgs::{Outcome, Refusal, Request, Sample, TouchPolicy, Waypoint};
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -172,6 +173,11 @@ impl Connection {
     pub fn trajectory(&self, touch: TouchPolicy, waypoints: Vec<Waypoint>) {
         let Some(&waypoint) = waypoints.last() else { return };
         let request = as_request(&waypoints, waypoint, touch);
+        // What no daemon takes is refused here: of a frame that is too long it could only hang up.
+        if let Err(refusal) = check_trajectory(&waypoints) {
+            lock(&self.shared).replies.push(Reply { request, outcome: Err(refusal.into()) });
+            return;
+        }
         if !self.send(Command::Trajectory(touch, waypoints)) {
             lock(&self.shared).replies.push(Reply { request, outcome: Err(Refusal::NoAnswer) });
         }
@@ -330,7 +336,14 @@ fn as_request(waypoints: &[Waypoint], waypoint: Waypoint, touch: TouchPolicy) ->
 /// Answers commands while there is no daemon; ends when there will be no more commands.
 async fn refuse_all(shared: &Mutex<Shared>, commands: &mut mpsc::Receiver<Command>) {
     while let Some(command) = commands.recv().await {
-        if let Command::Request(request) = command {
+        let request = match command {
+            Command::Request(request) => Some(request),
+            Command::Trajectory(touch, waypoints) => {
+                waypoints.last().map(|&waypoint| as_request(&waypoints, waypoint, touch))
+            }
+            Command::Calibrate(_) | Command::Release => None,
+        };
+        if let Some(request) = request {
             lock(shared).replies.push(Reply { request, outcome: Err(Refusal::NoAnswer) });
         }
     }

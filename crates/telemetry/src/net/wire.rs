@@ -6,9 +6,9 @@
 //!
 //! ```
 //! use moca_msgs::Request;
-//! use moca_telemetry::net::wire::{FromClient, decode_from_client, encode};
+//! use moca_telemetry::net::wire::{FromClient, decode_from_client, encode_from_client};
 //! let asked = FromClient::Request { id: 1, request: Request::Tare };
-//! let frame = encode(&asked)?;
+//! let frame = encode_from_client(&asked)?;
 //! let (length, payload) = frame.split_first_chunk::<4>().unwrap();
 //! assert_eq!(u32::from_be_bytes(*length) as usize, payload.len());
 //! assert_eq!(decode_from_client(payload)?, asked);
@@ -127,7 +127,15 @@ pub enum FromClient {
 /// # Errors
 /// One that is longer than [`MAX_SERVER_FRAME`].
 pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, NetError> {
-    finish(postcard::to_extend(message, vec![0; 4])?)
+    finish(postcard::to_extend(message, vec![0; 4])?, MAX_SERVER_FRAME)
+}
+
+/// What a client asks as a whole frame, length included.
+///
+/// # Errors
+/// One that is longer than [`MAX_CLIENT_FRAME`]: the daemon would hang up.
+pub fn encode_from_client(message: &FromClient) -> Result<Vec<u8>, NetError> {
+    finish(postcard::to_extend(message, vec![0; 4])?, MAX_CLIENT_FRAME)
 }
 
 /// The greeting as a whole frame.
@@ -144,7 +152,7 @@ fn first_frame(content: &Result<&RobotDescription, &str>) -> Result<Vec<u8>, Net
     let mut bytes = vec![0; 4];
     bytes.extend_from_slice(&MAGIC);
     bytes.extend_from_slice(&SCHEMA_VERSION.to_be_bytes());
-    finish(postcard::to_extend(content, bytes)?)
+    finish(postcard::to_extend(content, bytes)?, MAX_SERVER_FRAME)
 }
 
 /// Reads a greeting's payload: a frame without its length.
@@ -195,11 +203,11 @@ pub(crate) async fn read_frame(
     Ok(())
 }
 
-fn finish(mut bytes: Vec<u8>) -> Result<Vec<u8>, NetError> {
+fn finish(mut bytes: Vec<u8>, max: usize) -> Result<Vec<u8>, NetError> {
     let length = bytes.len() - 4;
-    let too_long = NetError::FrameTooLong { bytes: length, max: MAX_SERVER_FRAME };
+    let too_long = NetError::FrameTooLong { bytes: length, max };
     match u32::try_from(length) {
-        Ok(prefix) if length <= MAX_SERVER_FRAME => {
+        Ok(prefix) if length <= max => {
             bytes[..4].copy_from_slice(&prefix.to_be_bytes());
             Ok(bytes)
         }

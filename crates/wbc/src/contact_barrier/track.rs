@@ -64,6 +64,9 @@ pub(super) struct Track<T> {
     way: T,
     /// Estimate of the person's speed, m/s; after a release what is still remembered of it.
     person: T,
+    /// How fast the compression grows, m/s, and how fast the softest body that is counted on would yield with it, m/s.
+    rate: T,
+    yields: T,
     /// Time since the last reading was taken, s.
     since: T,
     /// Time since the release, s.
@@ -83,6 +86,8 @@ impl<T: Scalar> Track<T> {
             share: T::one(),
             way: zero,
             person: zero,
+            rate: zero,
+            yields: zero,
             since: long_ago,
             released: long_ago,
             blind_from: None,
@@ -99,7 +104,7 @@ impl<T: Scalar> Track<T> {
     }
 
     pub(super) fn person_m_s(&self) -> T {
-        self.person.max(T::zero())
+        (self.person + self.yields).max(T::zero())
     }
 
     /// Whether the step that follows takes `sample` in as a reading of its own.
@@ -164,13 +169,28 @@ impl<T: Scalar> Track<T> {
 
     /// The person's speed: what the compression has gained that the base has not gone.
     fn estimate(&mut self, settings: &BarrierSettings, depth: T, way: T, interval: T) {
-        let before = if self.touched() { self.depth } else { T::zero() };
-        let raw = (depth - before - (way - self.way)) / interval;
+        let before = if self.touched() {
+            self.depth
+        } else if self.was_touched() {
+            // who was touched a moment ago may still be, by what the threshold hides
+            depth.min(settings.reading.depth_m(of(settings.hidden_n)))
+        } else {
+            T::zero()
+        };
+        let rate = (depth - before) / interval;
+        let raw = rate - (way - self.way) / interval;
         // the second reading replaces what the first had to assume, and the next are averaged
         let recent = interval / (interval + of(settings.speed_s));
         let weight = recent.max(T::one() / of(f64::from(self.readings.max(1))));
         let person = self.person + weight * (raw - self.person);
         self.person = person.clamp(of(-NOISE_M_S), of(settings.fastest_person_m_s));
+        self.rate += weight * (rate - self.rate);
+        // of a soft body the foam shows only a part of how it comes; what the base itself closes says nothing of it, and
+        // noise alone, of which only what lies above 0 counts, shows nearly half its own size
+        let noise = of::<T>(0.5 * settings.speed_noise_m_s);
+        let seen = (self.rate.min(self.person) - noise).max(T::zero());
+        let yields = seen * settings.foam.slope_n_m(depth) / of(settings.softest_n_m);
+        self.yields = yields.min(of::<T>(settings.fastest_person_m_s) - self.person);
     }
 
     /// Compression now, m, the base being `way` outward.

@@ -17,7 +17,10 @@ const SIZE: [f64; 2] = [680.0, 420.0];
 /// deviation along x; loading and unloading apart.
 pub(super) fn figure_4(recordings: &[Vec<Recording>]) -> Drawing {
     let x_labels = ["deformation [mm]", "counts below rest"];
-    let titles = ["force over deformation: mean ± one standard deviation", "force over counts"];
+    let titles = [
+        "force over deformation: loading strong, unloading pale",
+        "force over counts: means, bands of one standard deviation",
+    ];
     let values: [fn(&Sample) -> f64; 2] =
         [|sample| 1e3 * sample.deformation_m, |sample| IDLE_COUNTS - f64::from(sample.fdat)];
     let mut drawing = Drawing::new(2.0 * SIZE[0], SIZE[1] + 8.0);
@@ -29,11 +32,10 @@ pub(super) fn figure_4(recordings: &[Vec<Recording>]) -> Drawing {
                 let shifted = |sign: f64| {
                     curve.iter().map(move |&(force_n, mean, deviation)| [mean + sign * deviation, force_n])
                 };
-                let name = if rising { foam.name } else { "" };
-                let mut series = Series::line(colour, name, shifted(0.0).collect());
+                let series = Series::line(colour, foam.name, shifted(0.0).collect());
                 let upper: Vec<[f64; 2]> = shifted(1.0).collect();
-                series.band = shifted(-1.0).chain(upper.into_iter().rev()).collect();
-                panel.series.push(series);
+                let series = series.between(shifted(-1.0).collect(), upper.into_iter());
+                panel.series.push(if rising { series } else { series.pale() });
             }
         }
         let left = if i == 0 { 0.0 } else { SIZE[0] };

@@ -62,8 +62,8 @@ pub(crate) struct HeldOut {
     pub model: &'static str,
     /// The other half of the trials, N.
     pub rmse_n: f64,
-    rmse_loading_n: f64,
-    rmse_unloading_n: f64,
+    pub rmse_loading_n: f64,
+    pub rmse_unloading_n: f64,
     /// Ramps of 3 s with a pause of 10 s at 60 N, N.
     rmse_other_protocol_n: f64,
     /// What it reads untouched, N.
@@ -101,6 +101,18 @@ pub(crate) fn tables_and_figure_4(trials: usize, seed: u64) -> anyhow::Result<(S
     let (recordings, materials) = simulate(trials, seed)?;
     let figure_4 = figure::figure_4(&recordings).svg();
     Ok((tables::report(&materials, trials, Path::new("out/characterize")), figure_4))
+}
+
+/// Table I with steps of the foam that are `finer` times shorter: each material with its largest deformation, mm, the counts
+/// there, and the RMSE of both lines, N.
+pub(crate) fn table_1(finer: u32, trials: usize, seed: u64) -> anyhow::Result<Vec<(&'static str, [f64; 4])>> {
+    let row = |foam: &Foam| {
+        let steps = finer * trials::STEPS;
+        let row = table_row(foam, &trials::record_in_steps(foam, Protocol::Ramps, trials, seed, steps))?;
+        let deformation_mm = row.deformation_mm.unwrap_or(f64::NAN);
+        Ok((foam.name, [deformation_mm, row.counts, row.rmse_deformation_n, row.rmse_counts_n]))
+    };
+    Foam::PAPER.iter().map(row).collect()
 }
 
 /// Every calibration model on the cover's own foam.

@@ -7,7 +7,7 @@ use moca_tactile::calibration::{Trial, TrialSample};
 /// Sample rate of the paper's recordings, Hz.
 const RATE_HZ: f64 = 35.0;
 /// Steps of the foam per sample.
-const STEPS: u32 = 4;
+pub(super) const STEPS: u32 = 4;
 /// Spread of a ramp's duration over trials, relative. ASSUMED: a bench set by hand.
 const DURATION_SPREAD: f64 = 0.03;
 
@@ -76,18 +76,29 @@ impl Recording {
 
 /// `count` trials of a fresh foam each.
 pub(super) fn record(foam: &Foam, protocol: Protocol, count: usize, seed: u64) -> Vec<Recording> {
+    record_in_steps(foam, protocol, count, seed, STEPS)
+}
+
+/// The same with so many steps of the foam per sample.
+pub(super) fn record_in_steps(
+    foam: &Foam,
+    protocol: Protocol,
+    count: usize,
+    seed: u64,
+    steps: u32,
+) -> Vec<Recording> {
     let exponent = match foam.elastic {
         ElasticLaw::Power { exponent, .. } => exponent,
         ElasticLaw::Hyperbolic { .. } => 1.0,
     };
     // Noise of its own for every foam.
     let mut noise = Noise::new(seed.wrapping_mul(31).wrapping_add(foam.gap_m.to_bits() ^ exponent.to_bits()));
-    (0..count).map(|_| one(foam, protocol, &mut noise)).collect()
+    (0..count).map(|_| one(foam, protocol, &mut noise, steps)).collect()
 }
 
-fn one(foam: &Foam, protocol: Protocol, noise: &mut Noise) -> Recording {
+fn one(foam: &Foam, protocol: Protocol, noise: &mut Noise, steps: u32) -> Recording {
     let pace = 1.0 + DURATION_SPREAD * noise.standard_normal().clamp(-2.0, 2.0);
-    let dt_s = 1.0 / (RATE_HZ * f64::from(STEPS));
+    let dt_s = 1.0 / (RATE_HZ * f64::from(steps));
     let mut state = FoamState::default();
     let mut samples = Vec::new();
     let mut step = 0u32;
@@ -99,7 +110,7 @@ fn one(foam: &Foam, protocol: Protocol, noise: &mut Noise) -> Recording {
         }
         let force_n = protocol.force_n(time_s * pace);
         let deformation_m = state.step_force(foam, force_n, dt_s);
-        if step.is_multiple_of(STEPS) {
+        if step.is_multiple_of(steps) {
             let counts =
                 IDLE_COUNTS - foam.counts_drop(deformation_m) + foam.noise_counts * noise.standard_normal();
             samples.push(Sample { time_s, force_n, deformation_m, fdat: quantise(counts) });

@@ -125,14 +125,22 @@ fn write_text(out: &mut String, report: &Report) -> std::fmt::Result {
     writeln!(out, "  {}", report.control_rate_recommendation)?;
     writeln!(
         out,
-        "admittance, M/D = 10 ms: largest velocity error for a smooth force and for a held reading, CPU"
+        "admittance, M/D = 10 ms, from samples up to the present: largest error along the way of base, yaw, flange under a smooth force | a held reading, CPU"
     )?;
     for p in &report.admittance {
         let failed = if p.failed { "  FAILED" } else { "" };
         writeln!(
             out,
-            "  {:18} {:5} ms  {:.1e} m/s  {:.1e} m/s  {:.1e} s/s{failed}",
-            p.method, p.step_ms, p.smooth_error_m_s, p.held_error_m_s, p.cpu_s_per_s
+            "  {:32} {:5} ms  {:.1e} m {:.1e} rad {:.1e} m | {:.1e} m {:.1e} rad {:.1e} m  {:.1e} s/s{failed}",
+            p.method,
+            p.step_ms,
+            p.smooth.base_m,
+            p.smooth.yaw_rad,
+            p.smooth.flange_m,
+            p.held.base_m,
+            p.held.yaw_rad,
+            p.held.flange_m,
+            p.cpu_s_per_s
         )?;
     }
     writeln!(out, "  {}", report.admittance_recommendation)?;

@@ -1,6 +1,7 @@
 //! Maps of peak force and swing over two parameters, with the contact stability law drawn over them.
 
-use super::trial;
+use super::{Trial, trial};
+use crate::rig::count;
 use crate::rig::parallel;
 use crate::rig::settings::Settings;
 use anyhow::Result;
@@ -11,6 +12,8 @@ use serde::Serialize;
 /// Force at which foam and tissue are linearised, N.
 const LINEARISED_AT_N: f64 = 20.0;
 const CELL: [f64; 2] = [86.0, 40.0];
+/// Phases of the sensor, as shares of its period.
+const PHASES: [f64; 3] = [0.0, 1.0 / 3.0, 2.0 / 3.0];
 
 /// One parameter of a map: what `--set` is told for a value, label, values.
 struct Axis {
@@ -75,8 +78,12 @@ pub(crate) struct Map {
 struct Cell {
     x: f64,
     y: f64,
-    peak_n: f64,
+    /// Least and most of the sensor's phases.
+    peak_n: [f64; 2],
+    /// In every phase.
     bounded: bool,
+    /// The robot stopped by itself in one of them.
+    stopped: bool,
     /// What the contact stability law says.
     theory_stable: bool,
 }
@@ -97,13 +104,22 @@ fn map(name: &'static str, x: &'static Axis, y: &'static Axis) -> Result<Map> {
             inputs.push((u, v, trial("ideal", &assignments)?));
         }
     }
-    let cases = parallel::run(&format!("map {name}"), &inputs, |(.., trial)| trial.run(""), |_| ());
-    let cells = inputs.iter().zip(cases).map(|((u, v, trial), case)| {
+    let run = |(.., trial): &(f64, f64, Trial)| {
+        PHASES.map(|phase| {
+            let mut trial = trial.clone();
+            trial.settings.shift_phase(phase);
+            trial.run("")
+        })
+    };
+    let cases = parallel::run(&format!("map {name}"), &inputs, run, |_| ());
+    let cells = inputs.iter().zip(cases).map(|((u, v, trial), cases)| {
+        let peaks = || cases.iter().map(|case| case.peak_n);
         Ok(Cell {
             x: *u,
             y: *v,
-            peak_n: case.peak_n,
-            bounded: case.bounded,
+            peak_n: [peaks().fold(f64::INFINITY, f64::min), peaks().fold(0.0, f64::max)],
+            bounded: cases.iter().all(|case| case.bounded),
+            stopped: cases.iter().any(|case| case.stopped.is_some()),
             theory_stable: stable_in_theory(&trial.settings)?,
         })
     });
@@ -137,7 +153,6 @@ pub(crate) fn stable_in_theory(settings: &Settings) -> Result<bool> {
 
 /// The maps under each other.
 pub(crate) fn draw(maps: &[Map]) -> Drawing {
-    let count = |n: usize| f64::from(u32::try_from(n).unwrap_or(u32::MAX));
     let maps: Vec<moca_figures::Map> = maps.iter().map(shown).collect();
     let height = maps.first().map_or(0.0, |map| map.height(CELL[1])) + 20.0;
     let mut drawing = Drawing::new(760.0, height * count(maps.len()));
@@ -154,11 +169,14 @@ const UNTOUCHED: Colour = [228, 228, 228];
 
 fn shown(map: &Map) -> moca_figures::Map {
     let cells = map.cells.iter().map(|cell| {
-        let text = if cell.peak_n > 0.0 { format!("{:.0}", cell.peak_n) } else { "–".into() };
-        (colour(cell), text)
+        let [least, most] = cell.peak_n.map(|n| format!("{n:.0}"));
+        let force = if least == most { most } else { format!("{least}–{most}") };
+        let text = if cell.peak_n[1] > 0.0 { force } else { "–".into() };
+        (colour(cell), if cell.stopped { format!("{text} stop") } else { text })
     });
     moca_figures::Map {
-        title: "peak force [N]; the line is the boundary of the contact stability law".into(),
+        title: "peak force [N], least and most of three phases of the sensor; the line is the boundary of the contact stability law"
+            .into(),
         x_label: map.x.into(),
         y_label: map.y.into(),
         x: map.x_values.iter().map(|v| number(*v)).collect(),
@@ -168,17 +186,17 @@ fn shown(map: &Map) -> moca_figures::Map {
         legend: vec![
             (SAFE, "bounded, below 25 N"),
             (HARD, "bounded, 25 to 150 N"),
-            (UNBOUNDED, "above 150 N, swings on or stopped"),
+            (UNBOUNDED, "above 150 N, swings on or stops"),
             (UNTOUCHED, "no touch"),
         ],
     }
 }
 
 const fn colour(cell: &Cell) -> Colour {
-    if cell.peak_n <= 0.0 {
+    if cell.peak_n[1] <= 0.0 {
         return UNTOUCHED;
     }
-    match (cell.bounded, cell.peak_n < 25.0) {
+    match (cell.bounded, cell.peak_n[1] < 25.0) {
         (true, true) => SAFE,
         (true, false) => HARD,
         (false, _) => UNBOUNDED,

@@ -1,6 +1,8 @@
 //! `moca-lab stability`: the whole system at the stiff and extreme ends of its parameters.
 
+pub(crate) mod contact;
 pub(crate) mod maps;
+mod single_precision;
 
 use crate::paper::collision;
 use crate::picture::Picture as _;
@@ -12,7 +14,7 @@ use crate::rig::settings::Settings;
 use anyhow::{Context, Result, ensure};
 use moca_msgs::Law;
 use moca_msgs::robot::resized;
-use moca_sim::{BodyPart, Person};
+use moca_sim::{BodyPart, Mobility, Person};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -22,6 +24,9 @@ const RUN_S: f64 = 6.0;
 const LASTING_SWING: f64 = 0.5;
 /// Largest force of a contact that counts as bounded, N: what a taxel can read.
 const BOUNDED_N: f64 = 150.0;
+/// Drift is what the base does from here on, s, in runs that are at least so long, s.
+const SETTLED_S: f64 = 20.0;
+const DRIFT_SEEN_S: f64 = 60.0;
 /// Arguments of `moca-lab stability`.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
@@ -31,6 +36,9 @@ pub(crate) struct Arguments {
     /// Writes the maps (SVG, PNG) and the table (JSON) into this folder.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Only the tables of the loop in contact: its rate, the age of what it feels, faults, what is not as described, cost.
+    #[arg(long)]
+    contact: bool,
     /// Sensor for all cases that do not set one: ideal (default) or stock.
     #[arg(long, default_value = "ideal")]
     sensor: String,
@@ -46,7 +54,7 @@ pub(crate) struct Case {
     contact: bool,
     /// The contact force stays below [`BOUNDED_N`] and does not go on swinging.
     pub bounded: bool,
-    peak_n: f64,
+    pub peak_n: f64,
     /// Work of the cover on people less theirs on it, over the run, J.
     energy_out_j: f64,
     /// Work of the flange's moving reference over the run, J.
@@ -55,6 +63,11 @@ pub(crate) struct Case {
     excess_j: f64,
     within_budget: bool,
     cpu_s: f64,
+    /// Simulated, the start included, s.
+    sim_s: f64,
+    /// Furthest that the base goes from where it is 20 s after the start, a radian counted as a metre, mm; null for runs
+    /// that are shorter than a minute.
+    drift_mm: Option<f64>,
     /// Why the robot stopped, if it did.
     pub stopped: Option<String>,
 }
@@ -74,6 +87,11 @@ const BUDGET: &str = "at no time may the cover have given people more energy tha
 /// Runs every case and the maps.
 #[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
+    if arguments.contact {
+        let cases = contact::cases()?;
+        println!("{}", if arguments.json { serde_json::to_string_pretty(&cases)? } else { table(&cases) });
+        return if arguments.json { Ok(()) } else { contact::print_single_precision() };
+    }
     let cases = cases(&arguments.sensor)?;
     let cases = parallel::run("cases", &cases, |(name, trial)| trial.run(name), |_| ());
     let maps = maps::all()?;
@@ -139,11 +157,15 @@ pub(crate) fn markdown() -> Result<String> {
 }
 
 fn text(report: &Report) -> String {
+    format!("{}\nbudget: {}", table(&report.cases), report.budget)
+}
+
+fn table(cases: &[Case]) -> String {
     let mut lines = vec![format!(
         "{:44} {:>7} {:>8} {:>9} {:>9} {:>12} {:>9} {:>7} {:>7}",
         "case", "finite", "bounded", "peak N", "out J", "reference J", "excess J", "budget", "CPU s"
     )];
-    for case in &report.cases {
+    for case in cases {
         lines.push(format!(
             "{:44} {:>7} {:>8} {:>9.1} {:>9.2} {:>12.2} {:>9.3} {:>7} {:>7.2} {}",
             case.name,
@@ -158,7 +180,9 @@ fn text(report: &Report) -> String {
             case.stopped.as_deref().unwrap_or("")
         ));
     }
-    lines.push(format!("bounded: below {BOUNDED_N} N and not swinging on; budget: {}", report.budget));
+    lines.push(format!(
+        "bounded: below {BOUNDED_N} N and not swinging on; CPU s: of the whole run, {RUN_S} s unless named"
+    ));
     lines.join("\n")
 }
 
@@ -168,13 +192,13 @@ const fn word(yes: bool) -> &'static str {
 
 /// One case: settings, and what they cannot say.
 #[derive(Clone, Debug)]
-struct Trial {
-    settings: Settings,
-    special: Special,
+pub(crate) struct Trial {
+    pub settings: Settings,
+    pub special: Special,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Special {
+pub(crate) enum Special {
     None,
     /// A second person on the other side.
     BothSides,
@@ -182,12 +206,14 @@ enum Special {
     Blocked,
     /// The arm starts stretched upwards.
     Upright,
+    /// A fault of `mocad --inject` strikes when somebody is first touched.
+    Fault(&'static str),
     /// The plant's state becomes NaN after one second.
     NotANumber,
 }
 
 impl Trial {
-    fn run(&self, name: &str) -> Case {
+    pub(crate) fn run(&self, name: &str) -> Case {
         let (rig, cpu_s) = cpu_time::timed(|| self.simulate());
         match rig {
             Ok(rig) => judge(name, &self.settings, &rig, cpu_s),
@@ -202,6 +228,8 @@ impl Trial {
                 excess_j: f64::NAN,
                 within_budget: false,
                 cpu_s,
+                sim_s: f64::NAN,
+                drift_mm: None,
                 stopped: Some(format!("{error:#}")),
             },
         }
@@ -212,7 +240,10 @@ impl Trial {
         let mut scene = settings.collision_scene()?;
         match self.special {
             Special::BothSides => {
-                let opposite = Person::beside(&scene.cover, 7, settings.person.gap_m).context("no T8")?;
+                let mut opposite = Person::beside(&scene.cover, 7, settings.person.gap_m).context("no T8")?;
+                if settings.person.fixed {
+                    opposite.mobility = Mobility::Fixed;
+                }
                 scene.people.push(opposite);
             }
             Special::Blocked => {
@@ -221,10 +252,19 @@ impl Trial {
                     .push(Person::part(BodyPart::Wall, &scene.cover, 9, 0.005, 0.0).context("no T10")?);
             }
             Special::Upright => scene.arm_posture_rad = resized(&[0.0, 0.0, 0.0, -0.0699, 0.0, 0.0, 0.0]),
-            Special::None | Special::NotANumber => {}
+            Special::None | Special::NotANumber | Special::Fault(_) => {}
         }
         let mut rig = Rig::start(settings, &scene)?;
-        rig.move_target([0.0, settings.speed_m_s, 0.0])?;
+        rig.move_target(collision::towards_person(settings))?;
+        if let Special::Fault(fault) = self.special {
+            // at the very touch, when the peak is still to come
+            while rig.rows.last().is_none_or(|row| row.total_force_n <= 0.0) && rig.stopped.is_none() {
+                ensure!(rig.rows.len() < 10_000, "nobody was touched that {fault} could strike");
+                rig.run_for(1e-3, |_| Loads::default())?;
+            }
+            let injection = format!("{fault}@{}", rig.sim_s).parse();
+            rig.inject(&injection.map_err(|error: String| anyhow::anyhow!(error))?);
+        }
         if self.special == Special::NotANumber {
             rig.run_for(1.0, |_| Loads::default())?;
             rig.break_state();
@@ -260,8 +300,21 @@ fn judge(name: &str, settings: &Settings, rig: &Rig, cpu_s: f64) -> Case {
         excess_j,
         within_budget: excess_j <= BUDGET_J,
         cpu_s,
+        sim_s: rig.sim_s,
+        drift_mm: drift_mm(rows),
         stopped: rig.stopped.clone(),
     }
+}
+
+fn drift_mm(rows: &[Row]) -> Option<f64> {
+    let long = rows.last().is_some_and(|row| row.t_s > DRIFT_SEEN_S);
+    let settled = rows.partition_point(|row| row.t_s < SETTLED_S);
+    let start = rows.get(settled).filter(|_| long)?.base_pose_world;
+    let away = |row: &Row| {
+        let [x, y, yaw] = std::array::from_fn(|i| row.base_pose_world[i] - start[i]);
+        f64::hypot(x, y).hypot(yaw)
+    };
+    Some(1e3 * rows[settled..].iter().map(away).fold(0.0, f64::max))
 }
 
 /// Power of the cover's contact forces on the base, W.
@@ -312,9 +365,7 @@ fn trial(sensor: &str, assignments: &[String]) -> Result<Trial> {
         format!("duration={RUN_S}"),
         "person.steps_away_s=100".into(),
     ];
-    for assignment in common.iter().chain(assignments) {
-        settings.set(assignment)?;
-    }
+    settings.set_all(common.iter().chain(assignments))?;
     Ok(Trial { settings, special: Special::None })
 }
 

@@ -158,8 +158,3 @@ fn rows(folder: &Path, name: &str) -> anyhow::Result<Vec<Row>> {
         })
         .collect()
 }
-
-/// A count as a divisor.
-pub(super) fn count(n: usize) -> f64 {
-    u32::try_from(n).map_or(f64::INFINITY, f64::from)
-}

@@ -14,7 +14,7 @@
 mod data;
 mod steps;
 
-use crate::rig::JOINTS;
+use crate::rig::{JOINTS, count};
 use anyhow::Context as _;
 use data::{Anchor, Input};
 use moca_wbc::ControlError;
@@ -23,6 +23,7 @@ use moca_wbc::model::ArmModel;
 use moca_wbc::opspace::{ArmDynamics, AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
+use std::fmt::Write as _;
 use std::hint::black_box;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -33,6 +34,19 @@ const TOLERANCE: f64 = 1e-9;
 const PASSES: usize = 400;
 /// Written between two cold steps: more than a core's own caches hold.
 pub(crate) const REPLACED_BYTES: usize = 8 << 20;
+
+/// What `.ci/size` holds a step to, as a table for the documents.
+pub(crate) fn markdown() -> anyhow::Result<String> {
+    let mut table =
+        String::from("\n| step | instructions | code, bytes | data, bytes |\n|---|---|---|---|\n");
+    for row in include_str!("../../../../../.ci/size.tsv").lines().skip(1) {
+        let [case, instructions, code, _, data] = row.split('\t').collect::<Vec<_>>()[..] else {
+            anyhow::bail!("{row}: no case with four numbers")
+        };
+        writeln!(table, "| {case} | {instructions} | {code} | {data} |")?;
+    }
+    Ok(table)
+}
 
 /// What a control step costs: hot, cold and live; with `--anchor` on the data of an independent implementation.
 #[derive(clap::Args)]
@@ -149,7 +163,7 @@ fn measured(
         for input in &anchor.inputs {
             black_box(tick(black_box(ticker), black_box(input))?);
         }
-        passes.push(start.elapsed().as_secs_f64() * 1e9 / data::count(anchor.inputs.len()));
+        passes.push(start.elapsed().as_secs_f64() * 1e9 / count(anchor.inputs.len()));
     }
     passes.sort_by(f64::total_cmp);
     Ok(Variant { name, ns_least: passes[0], ns_median: passes[PASSES / 2], max_rel_error })

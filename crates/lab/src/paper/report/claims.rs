@@ -6,7 +6,7 @@ use crate::paper::push::{self, Outcome, Push};
 use crate::paper::pushes;
 use crate::rig::closed_loop::Rig;
 use crate::rig::parallel;
-use crate::rig::settings::Sensor;
+use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
 use moca_msgs::Law;
 use std::fmt::Write as _;
@@ -44,6 +44,9 @@ pub(super) fn all(b1: &pushes::Run, b2: &pushes::Run, c: &[collision::Run]) -> R
     let mut claims = pushes_b1(b1);
     claims.extend(corrections()?);
     claims.extend(pushes_b2(b2));
+    let observed = Settings { flange_observed: true, ..with(Law::FollowMe, Sensor::Ideal) };
+    let observed = pushes_b2(&pushes::b2(&observed)?).into_iter();
+    claims.extend(observed.map(|claim| Claim { what: format!("{}, observed", claim.what), ..claim }));
     claims.extend(collisions(c)?);
     Ok(claims)
 }
@@ -78,9 +81,7 @@ fn pushes_b1(b1: &pushes::Run) -> Vec<Claim> {
 /// One push from the home posture, ideal sensor.
 fn single(push: &Push, assignments: &[&str]) -> Result<Option<Outcome>> {
     let mut settings = with(Law::Impedance, Sensor::Ideal);
-    for assignment in assignments {
-        settings.set(assignment)?;
-    }
+    settings.set_all(assignments)?;
     let mut rig = Rig::start(&settings, &settings.free_scene())?;
     Ok(push::run(&mut rig, &settings, std::slice::from_ref(push))?.pop())
 }
@@ -236,9 +237,7 @@ fn collisions(c: &[collision::Run]) -> Result<Vec<Claim>> {
         ("a person walks into the standing robot at 0.2 m/s, T1", &["speed=0", "person.walk=0.2"][..]),
     ] {
         let mut settings = collision_with(Sensor::Ideal);
-        for assignment in assignments {
-            settings.set(assignment)?;
-        }
+        settings.set_all(assignments)?;
         let peak = collision::run(&settings)?.report.measures.peak_force_n;
         claims.push(claim(what, "< 25 N", format!("{peak:.1} N"), peak < 25.0));
     }

@@ -1,15 +1,17 @@
 //! `moca-lab report`: the paper and what it leaves out, on one self-contained HTML page.
 
 pub(crate) mod claims;
+pub(crate) mod errors;
 mod sweeps;
 
 use crate::cover::characterize;
 use crate::numerics::stability;
-use crate::paper::{collision, figure, pushes};
+use crate::paper::{collision, pushes};
 use crate::rig::free_scene;
 use crate::rig::parallel;
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::{Context, Result};
+use moca_figures::Drawing;
 use moca_msgs::Law;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -57,19 +59,21 @@ fn page() -> Result<String> {
     let c = c.into_iter().collect::<Result<Vec<_>>>()?;
     let texts =
         |runs: &[pushes::Run]| runs.iter().map(|run| run.report.text()).collect::<Vec<_>>().join("\n");
-    for (title, runs, panels) in [
+    for (title, law, runs, draw) in [
         (
             "Figure 5: expanded impedance (ideal sensor drawn, stock board beside it as text)",
+            Law::Impedance,
             &b1,
-            pushes::panels_b1 as fn(&[_]) -> _,
+            pushes::figure_5 as fn(&Settings, &pushes::Run) -> Result<Drawing>,
         ),
         (
             "Figure 6: expanded follow-me (ideal sensor drawn, stock board beside it as text)",
+            Law::FollowMe,
             &b2,
-            pushes::panels_b2 as fn(&[_]) -> _,
+            pushes::figure_6 as fn(&Settings, &pushes::Run) -> Result<Drawing>,
         ),
     ] {
-        let drawing = figure::draw(&free_scene(), &runs[0].rows, &runs[0].moments, panels(&runs[0].rows));
+        let drawing = draw(&with(law, Sensor::Ideal), &runs[0])?;
         section(&mut body, title, &texts(runs), &drawing.svg());
     }
     for (title, run) in [
@@ -78,14 +82,15 @@ fn page() -> Result<String> {
         ("The same collision without a cover", &c[2]),
         ("The same collision with the contact barrier and its speed limit, ideal sensor", &under_barrier),
     ] {
-        let drawing = figure::draw(&free_scene(), &run.rows, &run.moments, collision::panels(&run.rows));
+        let drawing = run.figure(&free_scene()).draw()?;
         let title = format!("{title}: {}", run.report.verdict);
         section(&mut body, &title, &run.report.text(), &drawing.svg());
     }
     section(
         &mut body,
         "What the paper does not show: the collision's peak force",
-        "Each dot is a collision with a person who stays. The red line is 25 N: what lies above is UNSAFE. A grey vertical \
+        "Each dot is the worst of five collisions, one a phase of the sensor, with a person who stays; the band goes down to the least, a \
+         cross is where the robot stops. The red line is 25 N: what lies above is UNSAFE. A grey vertical \
          line is where the contact stability law (virtual mass and damping at the taxel, delay and period of the ideal \
          sensor, base servo, foam and tissue at 20 N) changes its verdict for the ideal sensor; it knows no speed.",
         &sweeps::draw()?.svg(),

@@ -2,7 +2,7 @@
 
 use super::collision_with;
 use crate::numerics::stability::maps::stable_in_theory;
-use crate::paper::{collision, measure};
+use crate::paper::collision;
 use crate::rig::parallel;
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
@@ -39,9 +39,7 @@ const AXES: [Axis; 9] = [
 fn settings(sensor: Sensor, axis: &Axis, value: f64) -> Result<Settings> {
     let mut settings = collision_with(sensor);
     let own = format!("{}={value}", axis.key);
-    for assignment in ["person.gap=0.1", "duration=6", "person.steps_away_s=100", &own] {
-        settings.set(assignment)?;
-    }
+    settings.set_all(["person.gap=0.1", "duration=6", "person.steps_away_s=100", &own])?;
     Ok(settings)
 }
 
@@ -61,30 +59,53 @@ pub(super) fn draw() -> Result<Drawing> {
     let peaks = parallel::run(
         "collisions",
         &inputs,
-        |(.., settings)| collision::once(settings).map(|rig| measure::peak_force_n(&rig.rows)),
+        |(.., settings)| collision::run(settings).map(|run| run.report),
         |_| (),
     );
     let mut points = vec![[Vec::new(), Vec::new()]; AXES.len()];
-    for ((panel, sensor, value, _), peak) in inputs.iter().zip(peaks) {
-        let peak = peak?;
-        if peak > 0.0 {
-            points[*panel][usize::from(*sensor == Sensor::Stock)].push([*value, peak]);
+    let mut stops = vec![[Vec::new(), Vec::new()]; AXES.len()];
+    for ((panel, sensor, value, _), report) in inputs.iter().zip(peaks) {
+        let (report, board) = (report?, usize::from(*sensor == Sensor::Stock));
+        let peaks = || report.peak_by_phase_n.iter().copied();
+        let [least, most] = [peaks().fold(f64::INFINITY, f64::min), peaks().fold(0.0, f64::max)];
+        if most > 0.0 {
+            points[*panel][board].push([*value, least, most]);
+        }
+        if report.stopped().is_some() {
+            stops[*panel][board].push(*value);
         }
     }
     let mut drawing = Drawing::new(900.0, HEIGHT * 9.0 + 20.0);
     let mut top = 10.0;
-    for (axis, [ideal, stock]) in AXES.iter().zip(points) {
-        let mut series = vec![Series::dots(0, "ideal, 100 Hz", ideal)];
+    for ((axis, [ideal, stock]), stops) in AXES.iter().zip(points).zip(stops) {
+        let line = |i, name, points: Vec<[f64; 3]>| {
+            let end = |which: usize| points.iter().map(move |point| [point[0], point[which]]);
+            Series::dots(i, name, end(2).collect()).between(end(1).collect(), end(2))
+        };
+        let mut series = vec![line(0, "ideal, 100 Hz", ideal)];
         if !stock.is_empty() {
-            series.push(Series::dots(1, "stock board", stock));
+            series.push(line(1, "stock board", stock));
+        }
+        for (name, stops) in ["ideal: stops", "stock board: stops"].into_iter().zip(stops) {
+            if !stops.is_empty() {
+                series.push(Series::failures(name, stops));
+            }
+        }
+        let boundaries = theory_boundaries(axis)?;
+        if !boundaries.is_empty() {
+            series.push(Series::marks("theory's boundary"));
         }
         Panel {
             x_scale: axis.scale,
             y_scale: Scale::Log,
             series,
-            marks: theory_boundaries(axis)?,
+            marks: boundaries,
             levels: vec![(SAFE_N, "UNSAFE above 25 N")],
-            ..Panel::new(axis.label, axis.label, "peak force [N]")
+            ..Panel::new(
+                "worst of five phases of the sensor, band down to the least; a cross: the robot stops",
+                axis.label,
+                "peak force [N]",
+            )
         }
         .draw(&mut drawing, [0.0, top], [900.0, HEIGHT]);
         top += HEIGHT;

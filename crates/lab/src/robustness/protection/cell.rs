@@ -218,6 +218,13 @@ impl Cell {
         cells
     }
 
+    /// Where, who comes, felt by which board, who is met, on which foam, how fast.
+    pub(super) fn words(&self) -> String {
+        let Self { place, meeting, board, person, foam, share, .. } = self;
+        let (place, meeting, board, person) = (place.name, meeting.name(), board.name(), person.0);
+        format!("{place}, {meeting}, {board}, {person}, foam × {foam}, {share}")
+    }
+
     /// As [`COLUMNS`].
     pub(super) fn columns(&self) -> Result<String> {
         let speed_m_s = if self.meeting == Meeting::Leans { 0.0 } else { self.share * self.bound_m_s()? };
@@ -264,7 +271,7 @@ impl Cell {
         settings.sensor = Sensor::Stock;
         settings.firmware = self.board;
         settings.foam.scale = self.foam;
-        settings.sensor_phase_ms = settings.period_ms() * f64::from(phase) / f64::from(PHASES);
+        settings.shift_phase(f64::from(phase) / f64::from(PHASES));
         [settings.true_braking, settings.true_servo, settings.true_reading] = self.truth.1;
         settings.config.simulation.seed = self.seed;
         let (_, stiffness, held) = self.person;

@@ -11,8 +11,10 @@ use crate::rig::campaign::{self, Campaign};
 use crate::rig::closed_loop::{Loads, Rig, Row};
 use crate::rig::measure::{Measures, peak_force_n};
 use crate::rig::parallel;
+use crate::rig::settings::Settings;
 use anyhow::Result;
 use cell::{COLUMNS, Cell, Law, PHASES};
+use moca_wbc::contact_barrier::STOP_SHARE;
 use std::path::{Path, PathBuf};
 
 /// A contact is watched for so long, s.
@@ -118,6 +120,37 @@ fn short_line(cell: &Cell) -> Result<String> {
     ))
 }
 
+/// A cell of a table under one law, in the phases that the table takes the worst of.
+pub(crate) struct Printed {
+    pub name: String,
+    pub phases: Vec<Settings>,
+    cell: Cell,
+}
+
+impl Printed {
+    fn of(cell: Cell, law: Law, phases: u32) -> Result<Self> {
+        let phases = (0..PHASES).step_by((PHASES / phases) as usize).map(|phase| cell.settings(law, phase));
+        Ok(Self { name: cell.words(), phases: phases.collect::<Result<_>>()?, cell })
+    }
+
+    /// Largest force, N, and distance of the flange, mm.
+    pub(crate) fn figures(&self, settings: &Settings) -> Result<[f64; 2]> {
+        let outcome = Outcome::of_run(&self.cell, settings)?;
+        Ok([outcome.peak_n, outcome.flange_mm])
+    }
+}
+
+/// Every ninth cell of the short table, as its test runs them.
+pub(crate) fn of_the_short_table(barrier: bool) -> Result<Vec<Printed>> {
+    let law = if barrier { Law::Barrier } else { Law::Shipped };
+    Cell::short().into_iter().step_by(9).map(|cell| Printed::of(cell, law, SHORT_PHASES)).collect()
+}
+
+/// The first cells of the campaign under the barrier.
+pub(crate) fn of_the_campaign(cells: usize) -> Result<Vec<Printed>> {
+    Cell::sample(cells, SEED).into_iter().map(|cell| Printed::of(cell, Law::Barrier, PHASES)).collect()
+}
+
 fn header() -> String {
     format!("run,{COLUMNS},{RESULTS}")
 }
@@ -143,7 +176,7 @@ struct Outcome {
     /// What the base at its hardest, from that reading on, could not have kept from the person, N.
     least_n: f64,
     taps: usize,
-    /// A later peak is higher than the first.
+    /// A later peak is higher than the first, and than the base itself may press.
     grows: bool,
     flange_mm: f64,
     stopped: String,
@@ -169,9 +202,12 @@ impl Outcome {
     }
 
     fn of_phase(cell: &Cell, law: Law, phase: u32) -> Result<Self> {
-        let settings = cell.settings(law, phase)?;
-        let mut rig = Rig::start(&settings, &settings.collision_scene()?)?;
-        rig.move_target(collision::towards_person(&settings))?;
+        Self::of_run(cell, &cell.settings(law, phase)?)
+    }
+
+    fn of_run(cell: &Cell, settings: &Settings) -> Result<Self> {
+        let mut rig = Rig::start(settings, &settings.collision_scene()?)?;
+        rig.move_target(collision::towards_person(settings))?;
         let touching = |row: &Row| row.total_force_n > 0.0;
         let mut first = None;
         loop {
@@ -192,8 +228,9 @@ impl Outcome {
         let contact = &rows[first..];
         let most = contact.iter().max_by(|a, b| a.largest_force_n.total_cmp(&b.largest_force_n));
         let felt = contact.iter().find(|row| (0..TAXELS).any(|i| row.force_sensed[i] > 0.0));
-        let closing_m_s = approach_m_s(&rows[first.saturating_sub(1)], &settings);
+        let closing_m_s = approach_m_s(&rows[first.saturating_sub(1)], settings);
         let felt_after_s = felt.map_or(f64::NAN, since);
+        let own_n = STOP_SHARE * settings.config.protection.force_limit_n;
         let later_n = measures.peaks_n.iter().skip(1).fold(0.0, |most: f64, peak| most.max(*peak));
         Ok(Self {
             approach_m_s: closing_m_s,
@@ -204,7 +241,7 @@ impl Outcome {
             felt_after_s,
             least_n: cell.meeting_there().least_n(closing_m_s, felt_after_s),
             taps: measures.peaks_n.len(),
-            grows: later_n > 1.02 * measures.peaks_n.first().copied().unwrap_or(0.0),
+            grows: later_n > 1.02 * measures.peaks_n.first().copied().unwrap_or(0.0).max(own_n),
             flange_mm: measures.flange_max_mm,
             stopped,
         })

@@ -1,0 +1,183 @@
+"""What a user's nodes do with the robot behind its bridge, over whatever link a node has."""
+import os
+import signal
+import subprocess
+import time
+
+STRING, POSE, WRENCH = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
+TWIST, STAMPED, VECTOR = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Vector3"
+HEADER, TIME, PLACE = "std_msgs/msg/Header", "builtin_interfaces/msg/Time", "geometry_msgs/msg/Pose"
+SHOWN = {
+    "/tf": "tf2_msgs/msg/TFMessage", "/tf_static": "tf2_msgs/msg/TFMessage", "/joint_states": "sensor_msgs/msg/JointState",
+    "/moca/cover_wrench": WRENCH, "/moca/flange_wrench": WRENCH, "/moca/flange": POSE,
+    "/moca/taxels": "std_msgs/msg/Float64MultiArray", "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray"}
+
+
+class User:
+    """Hears `topics`, and leads the robot."""
+
+    def __init__(self, node, topics):
+        self.node = node
+        self.readers = {topic: node.reader(topic, name) for topic, name in topics.items()}
+        told = {"target_pose": POSE, "target_twist": STAMPED, "cmd_vel": TWIST}
+        self.writers = {topic: node.writer("/moca/" + topic, name) for topic, name in told.items()}
+        self.refusals, self.counts, self.last, self.base = [], {}, {}, None
+
+    def call(self, service):
+        answer = self.node.call("/moca/" + service)
+        print(f"  {service}: {answer}", flush=True)
+        return answer
+
+    def hear(self, seconds=0.05):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            for topic, take in self.readers.items():
+                for message in take():
+                    self.counts[topic], self.last[topic] = self.counts.get(topic, 0) + 1, message
+                    if topic == "/moca/target_refused":
+                        self.refusals.append(message.data)
+                    if topic == "/tf":
+                        for frame in message.transforms:
+                            if frame.child_frame_id == "base_link":
+                                self.base = frame.transform.translation
+            time.sleep(0.005)
+
+    def flange(self):
+        position = self.last["/moca/flange"].pose.position
+        return [position.x, position.y, position.z]
+
+    def robot(self):
+        return self.last["/diagnostics"].status[0]
+
+    def mode(self):
+        return {value.key: value.value for value in self.robot().values}["mode"]
+
+    def vector(self, x=0.0, y=0.0, z=0.0):
+        return self.node.made(VECTOR, x, y, z)
+
+    def header(self, frame, ns=0):
+        return self.node.made(HEADER, self.node.made(TIME, ns // 10**9, ns % 10**9), frame)
+
+    def twist(self, vy, frame="world", ago_s=0.0):
+        twist = self.node.made(TWIST, self.vector(y=vy), self.vector())
+        self.writers["target_twist"](self.node.made(STAMPED, self.header(frame, time.time_ns() - int(ago_s * 1e9)), twist))
+
+    def pose(self, position):
+        pose = self.last["/moca/flange"].pose
+        place = self.node.made(PLACE, type(pose.position)(*position), pose.orientation)
+        self.writers["target_pose"](self.node.made(POSE, self.header("world"), place))
+
+    def drive(self, vx, vz=0.0):
+        self.writers["cmd_vel"](self.node.made(TWIST, self.vector(vx, 0.0, vz), self.vector()))
+
+    def until(self, done, ask, what):
+        for _ in range(400):
+            ask()
+            self.hear()
+            if done():
+                return
+        raise AssertionError(f"never {what}: {self.refusals[-3:]} {self.last.get('/diagnostics')}")
+
+    def refused(self, ask, said):
+        self.refusals.clear()
+        self.until(lambda: any(said in why for why in self.refusals), ask, f"refused as {said!r}")
+        print("  refused:", next(why for why in self.refusals if said in why), flush=True)
+
+
+def talk(node):
+    """Topics out, services in, and the dead-man's rule."""
+    user = User(node, SHOWN)
+    user.hear(8)
+    urdf = node.reader("/robot_description", STRING, latched=True)
+    assert user.call("arm")[0]
+    user.hear(1.5)
+    assert user.mode() == "impedance"
+    assert user.call("stop")[0]
+    user.hear(1.5)
+    assert user.mode() == "protective stop" and user.robot().level == 2
+    assert user.call("resume")[0] and user.call("arm")[0]
+    user.hear(6)
+    print("  nobody shows life:", user.mode(), user.robot().message)
+    assert user.mode() == "protective stop", "whoever armed and is not heard from has gone"
+    descriptions = urdf()
+    print("  received", user.counts, "robot_description", [len(text.data) for text in descriptions], flush=True)
+    assert set(user.counts) == set(SHOWN), set(SHOWN) - set(user.counts)
+    assert len(user.last["/joint_states"].name) == len(user.last["/joint_states"].position) == 7
+    assert len(user.last["/moca/taxels"].data) == 33 and user.last["/moca/taxels"].data[1] == 1.0
+    assert descriptions and descriptions[0].data.startswith("<?xml"), "who comes later gets the description too"
+    return user
+
+
+def lead(node, peer, daemon):
+    """Flange and base led by nodes: one of them at a time, under the daemon's own rule of who commands. `peer(what)` is another
+    process of the same link that listens, or pushes once it is told to, `daemon(*words)` one that asks the daemon without ROS."""
+    user = User(node, SHOWN | {"/moca/target_refused": STRING})
+    user.hear(8)
+    frozen, other = peer("listen"), peer("push")
+    user.refused(lambda: user.twist(0.03), "not possible in mode ready")
+    assert user.call("arm")[0]
+    start = user.flange()
+    user.until(lambda: user.flange()[1] > start[1] + 0.02, lambda: user.twist(0.03), "led along y")
+    user.until(lambda: user.mode() == "follow-me", lambda: user.twist(0.0), "in follow-me")
+    wanted = [start[0], start[1], start[2] + 0.03]
+    near = lambda: max(abs(a - b) for a, b in zip(user.flange(), wanted)) < 6e-3
+    user.until(near, lambda: user.pose(wanted), "at the pose")
+    x = user.base.x
+    user.until(lambda: user.base.x > x + 0.05, lambda: user.drive(0.1), "driven")
+
+    other.stdin.write(b"now\n")
+    other.stdin.flush()
+    user.refused(lambda: user.twist(0.0), "target_twist: another node leads")
+    # The other is refused, not this one, whichever of its topics it leads on.
+    user.refused(lambda: user.twist(0.03, frame="map"), 'frame_id "map": allowed: "world", "base_link", "flange"')
+    user.refused(lambda: user.drive(0.1, vz=0.1), "linear.z = 0.1: allowed: 0, a base moves in the plane")
+    other.kill()
+    other.wait()
+    user.refused(lambda: user.twist(0.5), "linear speed y = 0.5")
+    user.refused(lambda: user.twist(float("nan")), "not a finite number")
+    user.refused(lambda: user.twist(0.03, ago_s=5.0), "age of the target")
+    user.refused(lambda: user.pose([5.0, 0.0, 1.0]), "distance from the arm's shoulder")
+
+    # A subscriber that has frozen is waited for by nobody.
+    os.kill(frozen.pid, signal.SIGSTOP)
+    user.counts.clear()
+    for _ in range(60):
+        user.twist(0.0)
+        user.hear()
+    os.kill(frozen.pid, signal.SIGCONT)
+    frozen.kill()
+    frozen.wait()
+    print("  beside a frozen subscriber:", user.counts, flush=True)
+    assert min(user.counts[topic] for topic in ("/moca/flange", "/tf", "/joint_states")) > 60
+    assert user.mode() == "follow-me", user.last["/diagnostics"]
+
+    assert user.call("disarm")[0]
+    user.until(lambda: user.mode() == "ready", lambda: None, "disarmed")
+    holds = daemon("arm", stdout=subprocess.DEVNULL)
+    user.until(lambda: user.mode() == "follow-me", lambda: None, "armed by somebody else")
+    user.refused(lambda: user.twist(0.03), "another client has the command")
+    holds.send_signal(signal.SIGINT)
+    holds.wait()
+    assert user.call("arm")[0]
+    user.until(lambda: user.mode() == "follow-me", lambda: user.twist(0.0), "armed again")
+    # The node dies between two targets.
+    user.until(lambda: user.mode() == "protective stop", lambda: None, "stopped when nobody leads it any more")
+
+
+def listen(node):
+    take = node.reader("/joint_states", SHOWN["/joint_states"])
+    while not take():
+        time.sleep(0.01)
+    print("begun", flush=True)
+    while True:
+        take()
+        time.sleep(0.01)
+
+
+def push(node):
+    user = User(node, {})
+    print("begun", flush=True)
+    input()
+    while True:
+        user.twist(0.03)
+        time.sleep(0.02)

@@ -1,0 +1,1 @@
+"""The robot in continuous time, integrated by Drake with error control."""
