@@ -4,11 +4,9 @@ use super::{
     LogError, LogFile,
     framing::{self, Message, op},
     records::{LOOP_STATE_TOPIC, REPLAY_TOPIC, SERIAL_TOPICS},
+    writer::ZSTD_LEVEL,
 };
 use std::collections::BTreeMap;
-
-/// As the `mcap` crate compresses chunks.
-const ZSTD_LEVEL: i32 = 3;
 
 /// Bytes of a log. Its three parts lie in the same chunks; each is counted as if it had been compressed alone.
 ///
@@ -92,7 +90,7 @@ impl LogFile {
                 parts.entry(purpose).or_default().extend_from_slice(record.body);
             }
             for (purpose, part) in parts {
-                let alone = zstd::bulk::compress(&part, ZSTD_LEVEL).map_err(|error| error.to_string())?;
+                let alone = zstd::bulk::compress(&part, ZSTD_LEVEL.cast_signed()).map_err(|error| error.to_string())?;
                 *bytes.entry(purpose).or_default() += alone.len() as u64;
             }
             Ok(())
