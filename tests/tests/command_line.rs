@@ -19,6 +19,30 @@ fn file(name: &str, contents: &str) -> PathBuf {
     path
 }
 
+#[test]
+fn a_split_log_runs_again_from_all_its_parts_and_says_what_a_part_alone_is() {
+    let config = file("split.toml", ANY_PORT);
+    let parts = ["split.mcap", "split-2.mcap", "split-3.mcap"]
+        .map(|name| PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name));
+    parts.iter().for_each(|part| drop(std::fs::remove_file(part)));
+    let [one, two, three] = parts.each_ref().map(|part| part.to_str().unwrap());
+    let options = ["--as-fast-as-possible", "--duration", "25", "--record-split", "10s", "--record", one];
+    let output = mocad(&[&options[..], &["--config", config.to_str().unwrap()]].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let output = mocad(&["replay", one, two, three]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let told = text(&output.stdout);
+    assert!(told.contains("25000 ticks"), "{told}");
+    let middle = "the log begins at tick 9750, in the middle of a run";
+    let gap = "incomplete after tick 9749: the next tick in it is 19750";
+    for (parts, why) in [(&[two][..], middle), (&[one, three], gap), (&[two, one], middle)] {
+        let output = mocad(&[&["replay"], parts].concat());
+        let told = text(&output.stderr);
+        assert!(output.status.code() == Some(1) && told.contains(why), "{parts:?}: {told}");
+    }
+    parts.iter().for_each(|part| std::fs::remove_file(part).unwrap());
+}
+
 /// Telemetry on any free port: several daemons may run at once here.
 const ANY_PORT: &str = "[telemetry]\nlisten = \"127.0.0.1:0\"\n";
 

@@ -27,6 +27,8 @@ use tokio_tungstenite::tungstenite::{
 };
 
 /// Only to end a test that would hang: nothing is asserted about times.
+/// What a viewer receives into, bytes.
+const RECEIVE_BUFFER: u32 = 16 * 1024;
 const HANG: Duration = Duration::from_secs(60);
 
 /// A daemon whose loop gives a sample each millisecond.
@@ -117,8 +119,20 @@ fn server(socket: &Path) -> SocketAddr {
 
 type Handshake = Result<WebSocket<TcpStream>, tungstenite::Error>;
 
+/// A stream that receives into little: what a viewer did not read waits at the server.
+fn connected(address: SocketAddr) -> TcpStream {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build().unwrap();
+    let stream = runtime.block_on(async {
+        let socket = tokio::net::TcpSocket::new_v4().unwrap();
+        socket.set_recv_buffer_size(RECEIVE_BUFFER).unwrap();
+        socket.connect(address).await.unwrap().into_std().unwrap()
+    });
+    stream.set_nonblocking(false).unwrap();
+    stream
+}
+
 fn connect(address: SocketAddr, protocol: &str, origin: Option<&str>) -> Handshake {
-    let stream = TcpStream::connect(address).unwrap();
+    let stream = connected(address);
     stream.set_read_timeout(Some(HANG)).unwrap();
     let mut request = Request::get(format!("ws://{address}/"))
         .header(header::HOST, address.to_string())
@@ -325,7 +339,11 @@ fn a_viewer_that_does_not_drain_holds_nobody_up_and_is_not_shown_the_past_as_pre
     }
     let asleep_until = last;
     let (mut told, mut old_bytes, mut oldest_after_gap) = (false, 0, None);
-    while oldest_after_gap.is_none() || !told {
+    for read in 0.. {
+        if oldest_after_gap.is_some() && told {
+            break;
+        }
+        assert!(read < 100_000, "nobody says that messages were left out: told {told}, {oldest_after_gap:?}");
         match mute.socket.read().unwrap() {
             Message::Text(text) => told |= text.contains("messages were left out"),
             Message::Binary(frame) => {
@@ -340,9 +358,8 @@ fn a_viewer_that_does_not_drain_holds_nobody_up_and_is_not_shown_the_past_as_pre
             _ => {}
         }
     }
-    // Only what the kernel held on both sides: our 64 KiB, and what it gives a client to receive into.
-    println!("{old_bytes} bytes of the past");
-    assert!(old_bytes < 4 << 20, "{old_bytes}");
+    // Only what the kernel held on both sides, which may be more than it was asked for.
+    assert!(old_bytes < 512 * 1024, "{old_bytes}");
 }
 
 #[test]

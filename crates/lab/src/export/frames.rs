@@ -14,9 +14,13 @@ pub(super) struct Frame<'a> {
     pub(super) age_s: f64,
 }
 
-/// The stretches of a log without a gap.
-pub(super) fn episodes(samples: &[Sample]) -> impl Iterator<Item = &[Sample]> {
-    samples.chunk_by(|a, b| b.time_ns.saturating_sub(a.time_ns) <= GAP_NS)
+/// The stretches of a log without a gap in which every sample is one to learn from.
+pub(super) fn episodes(
+    samples: &[Sample],
+    learned: impl Fn(&Sample) -> bool,
+) -> impl Iterator<Item = &[Sample]> {
+    let near = |a: &Sample, b: &Sample| b.time_ns.saturating_sub(a.time_ns) <= GAP_NS;
+    samples.split(move |sample| !learned(sample)).flat_map(move |stretch| stretch.chunk_by(near))
 }
 
 /// Frames of one stretch, `fps` each second, from its first sample on.

@@ -8,6 +8,7 @@ use crate::export::quantities::{
 };
 use anyhow::{Context, Result, ensure};
 use moca_daemon::cli::progress::Progress;
+use moca_msgs::Sample;
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
 
@@ -61,7 +62,12 @@ pub(super) fn run(arguments: &Arguments) -> Result<String> {
             set.parts.taxels
         );
         join_quaternions(&mut run.samples);
-        episodes(&run.samples).for_each(|stretch| set.add(&frames(stretch, *fps)));
+        let before = set.lengths.len();
+        // A robot that waits or brakes does not do the task, and what it was told before it was armed is nothing.
+        let whole: Vec<Quantity> = OF_SAMPLES.iter().flat_map(|(_, of)| of(parts)).collect();
+        let learned = |sample: &Sample| sample.mode.moves() && whole.iter().all(|q| q.of(sample).is_finite());
+        episodes(&run.samples, learned).for_each(|stretch| set.add(&frames(stretch, *fps)));
+        ensure!(set.lengths.len() > before, "{}: no law was in control", log.display());
         progress.count(number + 1, logs.len());
     }
     progress.end();
@@ -206,11 +212,14 @@ impl Set {
             (self.index(), self.lengths.len(), self.parts, f64::from(self.fps));
         for feature in &mut self.features {
             let singles = |quantities: Vec<Quantity>| -> Vec<f32> {
-                frames.iter().flat_map(|f| quantities.iter().map(|q| finite(q.of(f.sample)) as f32)).collect()
+                frames.iter().flat_map(|f| quantities.iter().map(|q| q.of(f.sample) as f32)).collect()
             };
             let of_samples = OF_SAMPLES.iter().find(|(name, _)| *name == feature.column.name);
             match (feature.column.name.as_str(), &mut feature.column.values) {
-                ("observation.tactile.force", Values::Singles(v)) => v.extend(singles(forces(parts))),
+                // One number that is none would spoil all that is learned: a force that means nothing is 0, and `valid` says so.
+                ("observation.tactile.force", Values::Singles(v)) => {
+                    v.extend(singles(forces(parts)).into_iter().map(|n| if n.is_finite() { n } else { 0.0 }))
+                }
                 ("observation.tactile.valid", Values::Flags(v)) => v.extend(
                     frames.iter().flat_map(|f| (0..parts.taxels).map(|taxel| valid(f.sample, taxel))),
                 ),
@@ -348,9 +357,4 @@ impl Set {
 fn age_s(frame: &Frame<'_>) -> f64 {
     let then_s = frame.sample.frame_age_s;
     if then_s < 0.0 || !then_s.is_finite() { -1.0 } else { then_s + frame.age_s }
-}
-
-/// One number that is none would spoil all that is learned: what means nothing is 0, and `valid` says so of forces.
-fn finite(value: f64) -> f64 {
-    if value.is_finite() { value } else { 0.0 }
 }

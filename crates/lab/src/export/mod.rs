@@ -24,7 +24,7 @@ pub(crate) struct Arguments {
 
 #[derive(clap::Subcommand)]
 enum Form {
-    /// A LeRobot data set, version 3.0: each log is an episode, and what follows a gap in one is another.
+    /// A LeRobot data set, version 3.0: each stretch of a log without a gap in which a law is in control is an episode.
     Lerobot(lerobot::Arguments),
     /// A table as text: a row for each instant that a viewer is shown, names with units.
     Csv(TableArguments),

@@ -66,6 +66,16 @@ fn log(folder: &Path, name: &str, ticks: impl Iterator<Item = u64>) -> PathBuf {
     path
 }
 
+fn parsed(arguments: &[&str]) -> lerobot::Arguments {
+    #[derive(clap::Parser)]
+    struct Command {
+        #[command(flatten)]
+        arguments: lerobot::Arguments,
+    }
+    let arguments = std::iter::once("lerobot").chain(arguments.iter().copied());
+    <Command as clap::Parser>::parse_from(arguments).arguments
+}
+
 fn rows(path: &Path) -> Vec<Row> {
     let reader = SerializedFileReader::new(File::open(path).unwrap()).unwrap();
     reader.get_row_iter(None).unwrap().map(Result::unwrap).collect()
@@ -83,12 +93,57 @@ fn list(row: &Row, name: &str) -> Vec<Field> {
 #[test]
 fn a_gap_ends_an_episode_and_frames_stand_at_equal_distances() {
     let samples: Vec<Sample> = (0..100).chain(400..500).map(sample).collect();
-    let lengths: Vec<usize> = episodes(&samples).map(|stretch| frames(stretch, 50).len()).collect();
+    let all = |_: &Sample| true;
+    let lengths: Vec<usize> = episodes(&samples, all).map(|stretch| frames(stretch, 50).len()).collect();
     assert_eq!(lengths, [5, 5]);
-    let last = episodes(&samples).last().unwrap();
+    let last = episodes(&samples, all).last().unwrap();
     let at: Vec<_> = frames(last, 30).iter().map(|frame| (frame.sample.tick, frame.age_s)).collect();
     assert_eq!(at.iter().map(|(tick, _)| *tick).collect::<Vec<_>>(), [400, 433, 466]);
     assert!((at[1].1 - 0.000_333_333).abs() < 1e-9, "as old as it is: {at:?}");
+}
+
+/// A log, changed, as a data set; what it says, and the frames of each episode.
+fn data_set(folder: &Folder, change: impl Fn(&mut Sample)) -> anyhow::Result<(String, Vec<Row>)> {
+    let (path, out) = (folder.0.join("run.mcap"), folder.0.join("set"));
+    let meta = Meta { description: RobotDescription::paper("test", true), start_unix_ns: 0 };
+    let mut writer = LogWriter::new(File::create(&path)?, &meta)?;
+    for tick in 0..2000 {
+        let mut sample = sample(tick);
+        change(&mut sample);
+        writer.sample(&sample)?;
+    }
+    writer.finish()?;
+    let told = lerobot::run(&parsed(&[&path.display().to_string(), "--out", &out.display().to_string()]))?;
+    Ok((told, rows(&out.join("data/chunk-000/file-000.parquet"))))
+}
+
+#[test]
+fn nobody_learns_from_a_robot_that_waits_or_whose_state_is_not_known() {
+    let folder = Folder::new("waits");
+    let (told, rows) = data_set(&folder, |sample| {
+        if sample.tick < 400 {
+            sample.mode = Mode::Ready;
+            sample.flange_desired_quaternion_world = [0.0; 4];
+        } else if (1000..1200).contains(&sample.tick) {
+            sample.q_rad[3] = f64::NAN;
+        } else if sample.tick >= 1600 {
+            sample.mode = Mode::ProtectiveStop;
+        }
+    })
+    .unwrap();
+    assert!(told.ends_with("2 episodes, 50 frames at 50 Hz"), "{told}");
+    let base_x = |row: usize| list(&rows[row], "observation.base")[0].clone();
+    assert_eq!(base_x(0), Field::Float(0.4), "the first frame is the first of the law's");
+    assert_eq!((base_x(29), base_x(30)), (Field::Float(0.98), Field::Float(1.2)));
+    assert_eq!(list(&rows[30], "observation.joints")[3], Field::Float(0.5));
+}
+
+#[test]
+fn a_log_in_which_no_law_was_in_control_is_no_data_set() {
+    let folder = Folder::new("never");
+    let error = data_set(&folder, |sample| sample.mode = Mode::Ready).unwrap_err();
+    assert!(error.to_string().ends_with("run.mcap: no law was in control"), "{error}");
+    assert!(!folder.0.join("set").exists());
 }
 
 #[test]
@@ -118,14 +173,8 @@ fn a_data_set_says_what_it_holds_and_holds_it() {
     let logs = [log(&folder.0, "a.mcap", 0..2000), log(&folder.0, "b.mcap", (0..500).chain(1500..2000))];
     let out = folder.0.join("set");
     let [a, b] = logs.map(|path| path.display().to_string());
-    let arguments =
-        ["lerobot", &a, &b, "--out", &out.display().to_string(), "--task", "be led"].map(str::to_owned);
-    #[derive(clap::Parser)]
-    struct Command {
-        #[command(flatten)]
-        arguments: lerobot::Arguments,
-    }
-    let told = lerobot::run(&<Command as clap::Parser>::parse_from(arguments).arguments).unwrap();
+    let told =
+        lerobot::run(&parsed(&[&a, &b, "--out", &out.display().to_string(), "--task", "be led"])).unwrap();
     assert!(told.ends_with("3 episodes, 150 frames at 50 Hz"), "{told}");
 
     let info: serde_json::Value =

@@ -4,7 +4,10 @@ use crate::bench::{Bench, sample};
 use egui_kittest::{Harness, kittest::Queryable};
 use moca_monitor::{logic::source::playback::Playback, ui::App};
 use moca_msgs::Mode;
-use moca_telemetry::RobotDescription;
+use moca_telemetry::{
+    RobotDescription,
+    log::{LogWriter, Meta},
+};
 use std::collections::BTreeMap;
 
 #[test]
@@ -171,4 +174,65 @@ fn the_strip_under_a_log_goes_where_it_is_clicked() {
     harness.run_steps(3);
     let at = harness.state().model().latest.as_ref().map_or(0, |s| s.tick);
     assert!((9_900..10_100).contains(&at), "{at}");
+}
+
+/// Eight hours in a file, a touch in the sixth: the strip shows the whole, and plots its ten milliseconds.
+#[test]
+fn eight_hours_are_seen_at_once_and_looked_into_down_to_ten_milliseconds() {
+    const TOUCH_S: u64 = 5 * 3600 + 1234;
+    let path = std::env::temp_dir().join(format!("moca-eight-hours-{}.mcap", std::process::id()));
+    let meta = Meta { description: RobotDescription::paper("logged robot", true), start_unix_ns: 0 };
+    let mut log =
+        LogWriter::new(std::io::BufWriter::new(std::fs::File::create(&path).unwrap()), &meta).unwrap();
+    for second in (0..8 * 3600).step_by(10) {
+        log.sample(&sample(1000 * second, Mode::Impedance, None)).unwrap();
+        // One after the other where somebody touches.
+        if (second..second + 10).contains(&TOUCH_S) {
+            for tick in 1000 * TOUCH_S - 500..1000 * TOUCH_S + 500 {
+                let mut sample = sample(tick, Mode::Impedance, None);
+                sample.taxels[5].force_n = if tick >= 1000 * TOUCH_S { 17.5 } else { 0.0 };
+                log.sample(&sample).unwrap();
+            }
+        }
+    }
+    log.finish().unwrap();
+    let playback = Playback::open(path.clone(), || {}).unwrap();
+    let app = App::new(&egui::Context::default(), playback, String::new(), None);
+    let mut harness = Harness::builder().with_size([1280.0, 800.0]).build_ui_state(
+        |ui, app: &mut App| {
+            app.update(&ui.ctx().clone());
+            app.show(ui);
+        },
+        app,
+    );
+    let deadline = std::time::Instant::now() + std::time::Duration::from_secs(20);
+    let until = |harness: &mut Harness<'_, App>, done: &dyn Fn(&Harness<'_, App>) -> bool| {
+        while !done(harness) {
+            let shown = harness.state().model().latest.as_ref().map(|sample| sample.tick);
+            assert!(std::time::Instant::now() < deadline, "the log was not read: {shown:?}");
+            std::thread::sleep(std::time::Duration::from_millis(5));
+            harness.step();
+        }
+    };
+    let tick = |harness: &Harness<'_, App>| harness.state().model().latest.as_ref().map(|s| s.tick);
+    until(&mut harness, &|harness| tick(harness).is_some());
+    harness.get_by_label("Pause").click();
+    harness.run_steps(2);
+    harness.get_by_label("Next touch").click();
+    // A little after its beginning, so that it is seen.
+    until(&mut harness, &|harness| tick(harness) == Some(1000 * TOUCH_S + 200));
+    let mut memory = Memory::default();
+    for _ in 0..60 {
+        harness.get_by_label("Zoom in").click();
+        harness.run_steps(2);
+    }
+    eframe::App::save(harness.state_mut(), &mut memory);
+    assert_eq!(memory.0["span_s"], "0.01");
+    let plot = harness.get_by_label("Plot Taxel forces in N").rect();
+    let shows =
+        |harness: &Harness<'_, App>, text: &str| harness.query_all_by_label_contains(text).next().is_some();
+    harness.hover_at(plot.center());
+    harness.run_steps(60);
+    assert!(shows(&harness, "17.5 N T6") && shows(&harness, "0.0 N the others"));
+    std::fs::remove_file(&path).unwrap();
 }

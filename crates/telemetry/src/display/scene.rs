@@ -158,3 +158,69 @@ pub(super) fn touch(robot: &RobotDescription, sample: &Sample, at: &Time) -> Mar
     }
     Markers { markers }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The first marker of a kind and a number.
+    fn found<'a>(markers: &'a Markers, ns: &str, id: i32) -> &'a Marker {
+        markers.markers.iter().find(|marker| (marker.ns.as_str(), marker.id) == (ns, id)).unwrap()
+    }
+
+    fn at(point: &Point) -> [f64; 3] {
+        [point.x, point.y, point.z]
+    }
+
+    #[test]
+    fn plates_take_the_colour_of_their_force_and_arrows_its_length() {
+        let robot = RobotDescription::paper("test", true);
+        let mut sample = Sample::default();
+        let reading = |force_n, status| TaxelReading { force_n, status };
+        let half_n = robot.taxel_force_max_n / 2.0;
+        sample.taxels.extend([
+            reading(0.0, TaxelStatus::Ok),
+            reading(half_n, TaxelStatus::Ok),
+            reading(2.0 * robot.taxel_force_max_n, TaxelStatus::Ok),
+            reading(half_n, TaxelStatus::Stuck),
+            reading(f64::NAN, TaxelStatus::Ok),
+        ]);
+        sample.cover_wrench_base = [3.0, -4.0, 1.25];
+        let drawn = touch(&robot, &sample, &Time::default());
+        let rgb = |id| {
+            let Color { r, g, b, .. } = found(&drawn, "plates", id).color;
+            [r, g, b]
+        };
+        assert_eq!(rgb(0), [0.0, 0.3, 0.7], "blue: nobody touches it");
+        assert_eq!(rgb(1), [1.0, 0.8, 0.0], "yellow: half of the largest force");
+        assert_eq!(rgb(2), [1.0, 0.0, 0.0], "red: the largest and more");
+        assert_eq!([rgb(3), rgb(4)], [[0.6, 0.2, 0.7], rgb(0)], "what means nothing has a colour of its own");
+
+        let press = found(&drawn, "contacts", 1);
+        assert_eq!((&*press.header.frame_id, press.action), (&*taxel(1), 0));
+        // The frame's x axis points inward: the hand comes from outside and ends at the plate.
+        assert_eq!(press.points.iter().map(at).collect::<Vec<_>>(), [[-0.01 * half_n, 0.0, 0.0], [0.0; 3]]);
+        for untouched in [0, 3, 4] {
+            assert_eq!(found(&drawn, "contacts", untouched).action, DELETE, "T{}", untouched + 1);
+        }
+        let wrench = found(&drawn, "cover wrench", 0);
+        let [from, to] = [at(&wrench.points[0]), at(&wrench.points[1])];
+        assert_eq!([to[0] - from[0], to[1] - from[1], to[2] - from[2]], [0.03, -0.04, 0.0]);
+        assert_eq!(found(&drawn, "cover wrench", 1).text, "5 N, 1.2 N·m");
+    }
+
+    #[test]
+    fn the_wanted_flange_is_a_ghost_in_its_own_frame_and_the_flange_is_pulled_from_where_it_is() {
+        let robot = RobotDescription::paper("test", true);
+        let ghost = bodies(&robot, &Time::default());
+        let ghost = found(&ghost, "wanted flange", 0);
+        assert_eq!(&*ghost.header.frame_id, DESIRED);
+        assert!(ghost.color.a < 1.0 && ghost.frame_locked);
+        let mut sample = Sample { flange_position_world: [1.0, 2.0, 1.5], ..Sample::default() };
+        sample.flange_wrench_world = [0.0, 10.0, -20.0, 0.0, 0.0, 0.0];
+        let drawn = touch(&robot, &sample, &Time::default());
+        let pull = found(&drawn, "flange wrench", 0);
+        assert_eq!(&*pull.header.frame_id, WORLD);
+        assert_eq!(pull.points.iter().map(at).collect::<Vec<_>>(), [[1.0, 2.0, 1.5], [1.0, 2.1, 1.3]]);
+    }
+}

@@ -90,7 +90,8 @@ impl LogFile {
                 parts.entry(purpose).or_default().extend_from_slice(record.body);
             }
             for (purpose, part) in parts {
-                let alone = zstd::bulk::compress(&part, ZSTD_LEVEL.cast_signed()).map_err(|error| error.to_string())?;
+                let alone = zstd::bulk::compress(&part, ZSTD_LEVEL.cast_signed())
+                    .map_err(|error| error.to_string())?;
                 *bytes.entry(purpose).or_default() += alone.len() as u64;
             }
             Ok(())
