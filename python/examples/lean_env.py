@@ -13,9 +13,10 @@ class LeanEnv(gym.Env):
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         self.sim = moca.Sim('startup.law = "follow-me"\nsimulation.hand.taxels = []\n', seed=seed)
-        while (state := self.sim.step(10)).mode != "follow-me":
-            pass
-        return self._observation(state), {}
+        for _ in range(1000):
+            if (state := self.sim.step(10)).mode == "follow-me":
+                return self._observation(state), {}
+        raise RuntimeError(f"{state.mode} after {state.time_s} s: {state.fault}")
 
     def step(self, action):
         if self.np_random.random() < 0.05:

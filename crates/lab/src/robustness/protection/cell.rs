@@ -2,6 +2,7 @@
 
 use crate::paper::collision;
 use crate::rig::bound;
+use crate::rig::closed_loop::{Loads, Row};
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
 use moca_daemon::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
@@ -11,9 +12,12 @@ use moca_sim::sensor::Noise;
 use moca_tactile::Firmware;
 
 /// Phases of the sensor against the motion: the worst counts.
-pub(super) const PHASES: u32 = 8;
+pub(super) const PHASES: u32 = 16;
 /// Time for which the base is led before the touch: as long as it needs to run evenly, s.
 const LEAD_S: f64 = 2.0;
+
+/// Time that a hand takes to push with all its force: at once, its moment would throw the wrist, s.
+const TAKES_HOLD_S: f64 = 0.5;
 
 /// Half the distance of two taxels in front.
 const HALF_M: f64 = 0.776 / 6.0;
@@ -53,7 +57,7 @@ const FOAMS: [f64; 3] = [0.5, 1.0, 2.0];
 const SHARES: [f64; 3] = [0.6, 0.8, 0.95];
 /// What is leant with at each of them, N.
 const LEANS_N: [f64; 3] = [10.0, 20.0, 40.0];
-const MEETINGS: [Meeting; 3] = [Meeting::Led, Meeting::Walks, Meeting::Leans];
+const MEETINGS: [Meeting; 4] = [Meeting::Led, Meeting::Walks, Meeting::Leans, Meeting::ByHand];
 /// Name; what the base brakes with, how late its servo is and what the cover reads, over what is believed of it.
 const TRUTHS: [(&str, [f64; 3]); 5] = [
     ("as described", [1.0, 1.0, 1.0]),
@@ -94,6 +98,8 @@ pub(super) enum Meeting {
     Walks,
     /// The person stands before it and leans on it, on purpose.
     Leans,
+    /// A hand at the flange leads the robot in follow-me, and the base goes into the person.
+    ByHand,
 }
 
 impl Meeting {
@@ -102,6 +108,7 @@ impl Meeting {
             Self::Led => "led",
             Self::Walks => "walks",
             Self::Leans => "leans",
+            Self::ByHand => "by hand",
         }
     }
 }
@@ -254,7 +261,8 @@ impl Cell {
 
     /// The run of one phase under a law.
     pub(super) fn settings(&self, law: Law, phase: u32) -> Result<Settings> {
-        let mut settings = Settings::paper(Mode::Impedance);
+        let follows = self.meeting == Meeting::ByHand;
+        let mut settings = Settings::paper(if follows { Mode::FollowMe } else { Mode::Impedance });
         collision::defaults(&mut settings);
         settings.config.control.corrections.null_space_damping = true;
         settings.config.control.corrections.base_coupling = true;
@@ -283,7 +291,7 @@ impl Cell {
         settings.person.steps_away_s = 1000.0;
         settings.person.gap_m = LEAD_S * speed_m_s;
         match self.meeting {
-            Meeting::Led => settings.speed_m_s = speed_m_s.min(0.25),
+            Meeting::Led | Meeting::ByHand => settings.speed_m_s = speed_m_s.min(0.25),
             Meeting::Walks => (settings.speed_m_s, settings.person.walk_m_s) = (0.0, speed_m_s),
             Meeting::Leans => {
                 let share = SHARES.iter().position(|share| share.total_cmp(&self.share).is_eq());
@@ -294,5 +302,21 @@ impl Cell {
         }
         settings.check()?;
         Ok(settings)
+    }
+
+    /// What a hand does from `row` on that leads the robot: takes hold, pushes as hard as eq. (2) needs for the cell's speed, and
+    /// turns the flange so that the base does not turn.
+    pub(super) fn hand(&self, settings: &Settings, row: &Row) -> impl Fn(f64) -> Loads + use<> {
+        let held_s = row.t_s;
+        let pushed = if self.meeting == Meeting::ByHand { Self::push(settings, row) } else { Loads::default() };
+        move |t_s| pushed.scaled(((held_s + t_s) / TAKES_HOLD_S).min(1.0))
+    }
+
+    fn push(settings: &Settings, row: &Row) -> Loads {
+        let towards = collision::towards_person(settings);
+        let damping = settings.config.control.gains.virtual_damping;
+        let [x_n, y_n] = [0, 1].map(|axis| damping[axis] * towards[axis]);
+        let [x_m, y_m] = [0, 1].map(|axis| row.flange_world[axis] - row.base_pose_world[axis]);
+        Loads { flange_world: [x_n, y_n, 0.0, 0.0, 0.0, y_m * x_n - x_m * y_n], ..Loads::default() }
     }
 }

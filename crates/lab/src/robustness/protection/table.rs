@@ -171,7 +171,7 @@ fn as_table(entries: &[Entry<'_>]) -> String {
         }
     };
     for law in ["shipped", "barrier", "barrier-alone"] {
-        for meeting in ["led", "walks", "leans"] {
+        for meeting in ["led", "by hand", "walks", "leans"] {
             for share in ["0.6", "0.8", "0.95"] {
                 row(law, Some(DESCRIBED), meeting, Some(share));
             }
