@@ -19,7 +19,7 @@ import websockets
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 # What comes only when something happens, or only of a real robot.
-RARE = {"/contact", "/link", "/log"}
+RARE = {"/contact", "/link", "/log", "/target"}
 # A loaded machine is slow; nothing is claimed about times.
 PATIENCE_S = 60
 # ROS 2's own definitions.

@@ -124,14 +124,34 @@ fn a_target_that_nobody_renews_holds_after_its_age() {
 
 #[test]
 fn a_twist_moves_the_flange_in_its_axes_and_a_posture_all_joints() {
-    for (axes, law) in [(TwistAxes::World, Law::FollowMe), (TwistAxes::Base, Law::Impedance)] {
-        let mut world = armed(law);
-        let start = run(&mut world, 1);
-        let twist = Target::Twist { axes, twist: [0.0, 0.05, 0.0, 0.0, 0.0, 0.0] };
-        let end = stream(&mut world, twist, 1000);
-        let way = end.flange_desired_position_world[1] - start.flange_desired_position_world[1];
-        // at 1 m/s² and 20 m/s³ it takes 0.1 s to 0.05 m/s
-        assert!((0.045..0.05).contains(&way), "{axes:?}: {way}");
+    // A base that has turned tells the axes apart.
+    for law in [Law::FollowMe, Law::Impedance] {
+        for axes in [TwistAxes::World, TwistAxes::Base, TwistAxes::Flange] {
+            let mut world = armed(Law::FollowMe);
+            stream(&mut world, Target::BaseVelocity { velocity_body: [0.0, 0.0, 0.4] }, 2500);
+            ask(&mut world, Request::SelectLaw(law)).unwrap();
+            let start = run(&mut world, 1000);
+            let yaw = start.base_pose_world[2];
+            assert!((0.3..0.6).contains(&yaw), "{yaw}");
+            let (sin, cos) = yaw.sin_cos();
+            let y_axis = match axes {
+                TwistAxes::World => [0.0, 1.0],
+                TwistAxes::Base => [-sin, cos],
+                TwistAxes::Flange => {
+                    let [x, y, z, w] = start.flange_quaternion_world;
+                    [2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z)]
+                }
+            };
+            let twist = Target::Twist { axes, twist: [0.0, 0.05, 0.0, 0.0, 0.0, 0.0] };
+            let end = stream(&mut world, twist, 1000);
+            let way: [f64; 2] = std::array::from_fn(|i| {
+                end.flange_desired_position_world[i] - start.flange_desired_position_world[i]
+            });
+            let along = way[0] * y_axis[0] + way[1] * y_axis[1];
+            let across = way[0] * y_axis[1] - way[1] * y_axis[0];
+            // at 1 m/s² and 20 m/s³ it takes 0.1 s to 0.05 m/s
+            assert!((0.045..0.05).contains(&along) && across.abs() < 2e-3, "{law:?} {axes:?}: {way:?}");
+        }
     }
     // turned about its own z axis the flange stays where it is
     let mut world = armed(Law::Impedance);
@@ -266,6 +286,17 @@ fn a_trajectory_is_one_request_with_progress_and_an_end() {
     let too_fast = [at(0.0, 0.0), at(0.1, 0.1)];
     let refused = send(&mut world, &too_fast, touch).unwrap_err().to_string();
     assert!(refused.contains("linear speed y = 1.0"), "{refused}");
+    // About whatever axis, and by the shorter way round: 0.3 rad in 0.25 s.
+    let mut turned = at(1.25, 0.0);
+    let [qx, qy, qz, qw] = turned.quaternion_world;
+    let (sin, cos) = 0.15_f64.sin_cos();
+    turned.quaternion_world =
+        [-(qx * cos + qw * sin), -(qy * cos - qz * sin), -(qz * cos + qy * sin), -(qw * cos - qx * sin)];
+    let refused = send(&mut world, &[at(1.0, 0.0), turned], touch).unwrap_err().to_string();
+    assert!(refused.contains("speed of turning = 1.2000"), "{refused}");
+    turned.time_s = 1.31;
+    send(&mut world, &[at(1.0, 0.0), turned], touch).unwrap();
+    ask(&mut world, Request::EndTarget).unwrap();
     let backwards = [at(1.0, 0.0), at(0.5, 0.0)];
     let refused = send(&mut world, &backwards, touch).unwrap_err().to_string();
     assert!(refused.contains("time of a pose = 0.500000 s is outside 1.001000"), "{refused}");

@@ -65,7 +65,7 @@ pub struct Sample {
     pub flange_desired_quaternion_world: [f64; 4],
     /// External wrench on the robot about the flange origin, world axes \[N; N·m\]; zero where none is known.
     pub flange_wrench_world: [f64; 6],
-    /// The last target from another program since the law was entered; not in logs, a replay finds it again.
+    /// The last target from another program since the law was entered.
     pub target: Option<TargetState>,
     /// Cover wrench, eq. (4): \[N, N, N·m\] in B about its origin.
     pub cover_wrench_base: [f64; 3],

@@ -168,7 +168,7 @@ pub struct Waypoint {
 ///
 /// # Errors
 /// The first number that is wrong: no pose or too many, a time that does not rise, a way between two poses that is
-/// faster than [`SPEED_MAX_M_S`] along an axis.
+/// faster than [`SPEED_MAX_M_S`] along an axis or [`SPEED_MAX_RAD_S`] about any.
 pub fn check_trajectory(waypoints: &[Waypoint]) -> Result<(), TargetRefusal> {
     #[expect(clippy::cast_precision_loss, reason = "numbers of poses")]
     let [count, most] = [waypoints.len(), MAX_WAYPOINTS].map(|count| count as f64);
@@ -185,9 +185,17 @@ pub fn check_trajectory(waypoints: &[Waypoint]) -> Result<(), TargetRefusal> {
                 (waypoint.position_world[axis] - before.position_world[axis]) / seconds
             });
             Quantity::LinearSpeed.within(&speed, -SPEED_MAX_M_S, SPEED_MAX_M_S)?;
+            let turn = angle_rad(&before.quaternion_world, &waypoint.quaternion_world);
+            Quantity::TurnSpeed.within(&[turn / seconds], 0.0, SPEED_MAX_RAD_S)?;
         }
     }
     Ok(())
+}
+
+/// Angle of the turn that takes one orientation to the other, 0 to π.
+fn angle_rad(a: &[f64; 4], b: &[f64; 4]) -> f64 {
+    let likeness: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
+    2.0 * libm::acos(likeness.abs().min(1.0))
 }
 
 /// A number of a target.
@@ -204,6 +212,8 @@ pub enum Quantity {
     LinearSpeed,
     /// rad/s.
     AngularSpeed,
+    /// rad/s, about whatever axis leads from pose to pose.
+    TurnSpeed,
     /// rad.
     JointAngle,
     /// Number of joints.
@@ -232,6 +242,7 @@ impl Quantity {
             Self::QuaternionSquared => ("squared length of the quaternion", ""),
             Self::LinearSpeed => ("linear speed", "m/s"),
             Self::AngularSpeed => ("angular speed", "rad/s"),
+            Self::TurnSpeed => ("speed of turning", "rad/s"),
             Self::JointAngle => ("joint angle", "rad"),
             Self::Joints => ("number of joints", ""),
             Self::BaseVelocity => ("base velocity", "m/s or rad/s"),

@@ -11,6 +11,7 @@ use moca_msgs::{
     ArmLink, ArmMode, ContactEvent, ContactReaction, Fault, Link, Mode, Sample, SpeedLimit, SpeedLimitReason,
     TaxelReading, TaxelStatus,
     board::{Diagnosis, OpenFailure},
+    target::{TargetKind, TargetPhase, TargetState},
 };
 use moca_telemetry::{
     RobotDescription,
@@ -30,6 +31,22 @@ use std::{
 };
 
 const START: u64 = 1_790_000_000_000_000_000;
+
+const KINDS: [TargetKind; 5] = [
+    TargetKind::Pose,
+    TargetKind::Twist,
+    TargetKind::Posture,
+    TargetKind::BaseVelocity,
+    TargetKind::Trajectory,
+];
+const PHASES: [TargetPhase; 6] = [
+    TargetPhase::Moving,
+    TargetPhase::Reached,
+    TargetPhase::Aged,
+    TargetPhase::SetAside,
+    TargetPhase::EndedByTouch,
+    TargetPhase::Ended,
+];
 
 /// A path of its own for each test, removed at the end.
 struct TempFile(PathBuf);
@@ -101,6 +118,11 @@ fn sample(tick: u32) -> Sample {
                 repeated: u64::from(tick / 11),
                 errors: 1 << (tick % 41),
             },
+        }),
+        target: (tick % 800 >= 300).then(|| TargetState {
+            kind: KINDS[usize::try_from(tick / 20).unwrap() % KINDS.len()],
+            phase: PHASES[usize::try_from(tick / 20).unwrap() % PHASES.len()],
+            progress: value(),
         }),
         ..Sample::default()
     };

@@ -248,7 +248,7 @@ fn every_topic_comes_and_what_was_said_once_comes_to_the_late() {
     let mut viewer = Viewer::connect(server(&path));
     viewer.subscribe(|_| true);
     let mut seen: BTreeMap<String, usize> = BTreeMap::new();
-    // Each second what does not change is said again; faults and contacts did not happen, links are of real robots.
+    // Each second what does not change is said again; faults, contacts and targets did not happen, links are of real robots.
     let often =
         |seen: &BTreeMap<String, usize>, topic: &str, times| seen.get(topic).is_some_and(|n| *n >= times);
     while !(often(&seen, "/scene/robot", 3) && often(&seen, "/tf_static", 3) && often(&seen, "/mode", 3)) {
@@ -257,7 +257,7 @@ fn every_topic_comes_and_what_was_said_once_comes_to_the_late() {
         *seen.entry(topic).or_default() += 1;
     }
     for topic in viewer.channels.values() {
-        let comes = !["/contact", "/link", "/log"].contains(&topic.as_str());
+        let comes = !["/contact", "/link", "/log", "/target"].contains(&topic.as_str());
         assert_eq!(seen.contains_key(topic), comes, "{topic}: {seen:?}");
     }
     assert_eq!(seen["/robot_description"], 1);

@@ -286,6 +286,52 @@ fn no_peak_grows_whatever_the_foam_the_person_and_the_delay() {
     }
 }
 
+/// Largest speed outward of T6 at each step of `forces_n`, read 100 times a second without delay while the base goes at `u`.
+fn allowed_m_s(barrier: &mut ContactBarrier<11>, forces_n: impl Iterator<Item = f64>, u: f64) -> Vec<f64> {
+    let step = |(step, force_n): (usize, f64)| {
+        let age_s = (step % 10) as f64 * DT_S;
+        let mut samples = [Some(TaxelSample { force_n: 0.0, age_s }); 11];
+        samples[FRONT] = Some(TaxelSample { force_n, age_s });
+        let input = BarrierInput::new(samples, [u, 0.0, 0.0], [3.0, 3.0, 6.0], DT_S);
+        barrier.update(&input).unwrap().outward_m_s[FRONT]
+    };
+    forces_n.enumerate().map(step).collect()
+}
+
+/// An arm that reached ahead while the base made room would pull it on faster than before.
+#[test]
+fn whom_the_base_met_it_meets_again_at_half_the_speed_for_two_seconds() {
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    let n = std::iter::repeat_n::<f64>;
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
+    let led = allowed_m_s(&mut barrier, n(0.0, 100), 0.024);
+    assert!(led.iter().all(|limit| *limit > 9.0), "nobody was touched");
+    allowed_m_s(&mut barrier, n(8.0, 50), 0.024);
+    let after = allowed_m_s(&mut barrier, n(0.0, 3000), 0.0);
+    // What is remembered of the person's own speed has faded by now.
+    for limit in &after[1500..1990] {
+        assert!((limit - 0.012).abs() < 1e-4, "{limit}");
+    }
+    let risen = after[2500] - 0.012;
+    assert!((risen - 0.05).abs() < 1e-3, "0.1 m/s² from then on: {risen}");
+
+    // Met once more while that lasts: slower again, but not for ever.
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
+    allowed_m_s(&mut barrier, n(0.0, 100).chain(n(8.0, 50)).chain(n(0.0, 1000)), 0.024);
+    for (met, expected) in [(0.016, 0.008), (0.02, 0.008), (0.002, 0.005)] {
+        allowed_m_s(&mut barrier, n(0.0, 20).chain(n(8.0, 50)), met);
+        let again = allowed_m_s(&mut barrier, n(0.0, 1500), 0.0);
+        assert!((again[1490] - expected).abs() < 1e-4, "{met}: {}", again[1490]);
+    }
+
+    // Who comes to a base that stands is not one it met: creep, then more and more.
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
+    allowed_m_s(&mut barrier, n(0.0, 100).chain(n(8.0, 50)), 0.0);
+    let after = allowed_m_s(&mut barrier, n(0.0, 2000), 0.0);
+    let expected = 0.03 + 0.1 * (1.5 - 0.15);
+    assert!((after[1500] - expected).abs() < 2e-3, "{} {expected}", after[1500]);
+}
+
 /// The limit is the body's and not a taxel's, however its force is shared; hands further apart have one each.
 #[test]
 fn a_body_that_two_taxels_feel_is_one() {

@@ -32,7 +32,11 @@ fn target(kind: usize, by: &[f64; 9], robot: &Loop) -> Target<7> {
             Target::Pose(FlangePose { position_world: [bx + x, by_ + y, z], quaternion_world })
         }
         2 => {
-            let axes = [TwistAxes::World, TwistAxes::Base, TwistAxes::Flange][usize::from(by[6] > 0.0)];
+            let axes = match by[6] {
+                ..-0.33 => TwistAxes::World,
+                ..0.33 => TwistAxes::Base,
+                _ => TwistAxes::Flange,
+            };
             let most = |i| if i < 3 { 0.25_f64 } else { 1.0 };
             Target::Twist { axes, twist: std::array::from_fn(|i| most(i) * by[i].signum()) }
         }

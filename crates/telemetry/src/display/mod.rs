@@ -17,7 +17,8 @@ use crate::{
     log::{
         LogError,
         records::{
-            BoardChange, Channel, Command, Contact, Cover, FaultChange, Link, ModeChange, State, Timing,
+            BoardChange, Channel, Command, Contact, Cover, FaultChange, Link, ModeChange, State, Target,
+            Timing,
         },
         shown::shown,
     },
@@ -119,6 +120,7 @@ impl Display {
         to.offer_record::<Command>()?;
         to.offer_record::<Cover>()?;
         to.offer_record::<Link>()?;
+        to.offer_record::<Target>()?;
         to.offer_record::<Timing>()?;
         to.offer_record::<ModeChange>()?;
         to.offer_record::<FaultChange>()?;
@@ -228,6 +230,9 @@ impl Display {
         to.record(time_ns, &Cover::from(&shown))?;
         if let Some(link) = &shown.link {
             to.record(time_ns, &Link::new(shown.tick, link))?;
+        }
+        if let Some(target) = &shown.target {
+            to.record(time_ns, &Target::new(shown.tick, target))?;
         }
         to.record(time_ns, &Timing::from(&shown))
     }

@@ -1,13 +1,14 @@
 //! The messages of a log as ROS 2 messages of our own: live viewers plot the same numbers under the same names.
 
 use crate::log::records::{
-    BoardChange, Command, Contact, Cover, FaultChange, Link, ModeChange, State, Timing,
+    BoardChange, Command, Contact, Cover, FaultChange, Link, ModeChange, State, Target, Timing,
 };
 use crate::ros::{message, names};
 use moca_msgs::protection::{ContactKind, ContactPhase};
+use moca_msgs::target::{TargetKind, TargetPhase};
 use moca_msgs::{ArmMode, Mode, SpeedLimitReason, TaxelStatus};
 
-names!(ArmMode, Mode, SpeedLimitReason, TaxelStatus, ContactPhase, ContactKind);
+names!(ArmMode, Mode, SpeedLimitReason, TaxelStatus, ContactPhase, ContactKind, TargetKind, TargetPhase);
 
 message! { "moca_msgs/msg/State" State {
     tick,
@@ -51,6 +52,7 @@ message! { "moca_msgs/msg/Link" Link {
     repeated,
     errors,
 } }
+message! { "moca_msgs/msg/Target" Target { tick, kind, phase, progress } }
 message! { "moca_msgs/msg/Timing" Timing {
     tick,
     lateness_s,

@@ -5,7 +5,7 @@ use super::{
     framing::{self, Fields, Message, Records, op},
     records::{
         BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC, Link,
-        ModeChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Timing,
+        ModeChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Target, Timing,
     },
     writer::FORM,
 };
@@ -234,6 +234,7 @@ struct Partial {
     cover: Option<Cover>,
     contacts: Vec<Contact>,
     link: Option<Link>,
+    target: Option<Target>,
 }
 
 impl Decoder {
@@ -278,6 +279,7 @@ impl Decoder {
             State::TOPIC => self.partial.state = Some(parse(message)?),
             Command::TOPIC => self.partial.command = Some(parse(message)?),
             Link::TOPIC => self.partial.link = Some(parse(message)?),
+            Target::TOPIC => self.partial.target = Some(parse(message)?),
             Cover::TOPIC => self.partial.cover = Some(parse(message)?),
             Contact::TOPIC => self.partial.contacts.push(parse(message)?),
             Timing::TOPIC => return Ok(self.complete(message.time_ns, &parse(message)?)),
@@ -297,7 +299,7 @@ impl Decoder {
     }
     /// The sample, if all messages of its tick are there; `Timing` is the last one written.
     fn complete(&mut self, log_time: u64, timing: &Timing) -> Option<Record> {
-        let Partial { state, command, cover, contacts, link } = std::mem::take(&mut self.partial);
+        let Partial { state, command, cover, contacts, link, target } = std::mem::take(&mut self.partial);
         let (state, command, cover) = (state?, command?, cover?);
         if [state.tick, command.tick, cover.tick] != [timing.tick; 3] {
             return None;
@@ -337,7 +339,7 @@ impl Decoder {
             contact_reaction,
             contact_events: bounded(events),
             contact_rows: heapless::Vec::new(),
-            target: None,
+            target: target.filter(|target| target.tick == timing.tick).map(|target| target.state()),
             lateness_s: timing.lateness_s,
             overruns: timing.overruns,
             stages_ns: timing.stages_ns,

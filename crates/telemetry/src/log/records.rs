@@ -13,7 +13,9 @@
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
     ArmLink, ArmMode, ContactEvent, ContactReaction, Fault, Law, Mode, SpeedLimit, SpeedLimitReason,
-    TaxelStatus, board::Diagnosis,
+    TaxelStatus,
+    board::Diagnosis,
+    target::{TargetKind, TargetPhase, TargetState},
 };
 use schemars::{JsonSchema, generate::SchemaSettings};
 use serde::{Deserialize, Deserializer, Serialize, de::Error};
@@ -250,6 +252,34 @@ impl Link {
     }
 }
 
+/// How the last target from another program stands; nothing before the first.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct Target {
+    /// Tick count.
+    pub tick: u64,
+    /// What is led, and how.
+    #[schemars(with = "String")]
+    pub kind: TargetKind,
+    /// How it stands.
+    #[schemars(with = "String")]
+    pub phase: TargetPhase,
+    /// Share of a trajectory's time that has passed, 0 to 1; of everything else 1 when it is reached.
+    #[serde(deserialize_with = "scalar")]
+    pub progress: f64,
+}
+
+impl Target {
+    /// `target`, which a sample of `tick` carried.
+    pub const fn new(tick: u64, target: &TargetState) -> Self {
+        Self { tick, kind: target.kind, phase: target.phase, progress: target.progress }
+    }
+
+    /// What the sample carried.
+    pub const fn state(&self) -> TargetState {
+        TargetState { kind: self.kind, phase: self.phase, progress: self.progress }
+    }
+}
+
 /// What the cover felt, T1 first.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Cover {
@@ -419,6 +449,7 @@ channels! {
     Command => "/command",
     Contact => "/contact",
     Link => "/link",
+    Target => "/target",
     Cover => "/cover",
     Timing => "/timing",
     ModeChange => "/mode",

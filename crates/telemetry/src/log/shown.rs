@@ -32,13 +32,15 @@ pub fn shown(sample: &Sample) -> Sample {
         .link
         .iter_mut()
         .flat_map(|link| [&mut link.arm_age_s, &mut link.base_age_s, &mut link.arm.success_rate]);
+    let progress = shown.target.iter_mut().map(|target| &mut target.progress);
     let numbers = lists
         .into_iter()
         .flatten()
         .chain(&mut shown.cover_wrench_base)
         .chain(forces)
         .chain(singles)
-        .chain(link);
+        .chain(link)
+        .chain(progress);
     numbers.for_each(|number| *number = seven_digits(*number));
     shown
 }

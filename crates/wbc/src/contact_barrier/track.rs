@@ -9,6 +9,10 @@ const KEPT: usize = 128;
 const APART_S: f64 = 0.2;
 /// After a release the foam is still recovering, and a light touch is not told from none, s.
 const RECOVERS_S: f64 = 2.0;
+/// Share of the speed at which somebody was met at which he is met again meanwhile,
+const AGAIN: f64 = 0.5;
+/// but no slower than this, m/s; nor does a base that is slower meet anybody: he comes.
+const SLOWEST_M_S: f64 = 0.005;
 /// As far below 0 as noise takes the estimate of a speed, m/s: cut at 0, its mean would lie above it.
 const NOISE_M_S: f64 = 0.05;
 
@@ -71,6 +75,8 @@ pub(super) struct Track<T> {
     since: T,
     /// Time since the release, s.
     released: T,
+    /// Speed at which the base met who touches, or did until a moment ago, m/s.
+    met: T,
     /// Way outward where the readings ended that could be believed, m.
     blind_from: Option<T>,
 }
@@ -90,6 +96,7 @@ impl<T: Scalar> Track<T> {
             yields: zero,
             since: long_ago,
             released: long_ago,
+            met: of(f64::INFINITY),
             blind_from: None,
         }
     }
@@ -149,7 +156,8 @@ impl<T: Scalar> Track<T> {
         if sample.force_n < of(settings.touch_n) {
             // one reading's speed was assumed and not seen
             let person = if self.readings > 1 { self.person_m_s() } else { T::zero() };
-            *self = Self { way, since: self.since, released: T::zero(), person, ..Self::none() };
+            let (since, met) = (self.since, self.met);
+            *self = Self { way, since, released: T::zero(), met, person, ..Self::none() };
             return;
         }
         let body_n = body_n.max(sample.force_n);
@@ -161,6 +169,12 @@ impl<T: Scalar> Track<T> {
         }
         if !self.touched() {
             self.person = self.person.max(assumed);
+            let met = (way - self.way) / interval;
+            if self.was_touched() {
+                self.met = self.met.min(met.max(of(SLOWEST_M_S)));
+            } else {
+                self.met = if met > of(SLOWEST_M_S) { met } else { of(f64::INFINITY) };
+            }
         }
         self.readings = self.readings.saturating_add(1);
         (self.depth, self.force, self.way) = (depth, sample.force_n, way);
@@ -207,7 +221,9 @@ impl<T: Scalar> Track<T> {
     /// as slowly as who stood.
     pub(super) fn released_limit(&self, s: &BarrierSettings) -> T {
         let rising = (self.released - of(s.creep_s)).max(T::zero());
-        let closing = of::<T>(s.creep_m_s) + of::<T>(s.recovery_m_s2) * rising;
+        let again = (self.met * of(AGAIN)).max(of(SLOWEST_M_S));
+        let again = again + of::<T>(s.recovery_m_s2) * (self.released - of(RECOVERS_S)).max(T::zero());
+        let closing = (of::<T>(s.creep_m_s) + of::<T>(s.recovery_m_s2) * rising).min(again);
         if closing < T::one() {
             (closing - self.person_m_s()).max(of(-s.retreat_m_s))
         } else {

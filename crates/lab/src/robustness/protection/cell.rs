@@ -308,7 +308,8 @@ impl Cell {
     /// turns the flange so that the base does not turn.
     pub(super) fn hand(&self, settings: &Settings, row: &Row) -> impl Fn(f64) -> Loads + use<> {
         let held_s = row.t_s;
-        let pushed = if self.meeting == Meeting::ByHand { Self::push(settings, row) } else { Loads::default() };
+        let pushed =
+            if self.meeting == Meeting::ByHand { Self::push(settings, row) } else { Loads::default() };
         move |t_s| pushed.scaled(((held_s + t_s) / TAKES_HOLD_S).min(1.0))
     }
 

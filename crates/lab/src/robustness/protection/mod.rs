@@ -14,6 +14,7 @@ use crate::rig::parallel;
 use crate::rig::settings::Settings;
 use anyhow::Result;
 use cell::{COLUMNS, Cell, Law, Meeting, PHASES};
+use moca_daemon::config::ProtectionConfig;
 use moca_wbc::contact_barrier::STOP_SHARE;
 use std::path::{Path, PathBuf};
 
@@ -26,7 +27,7 @@ const LOOK_S: f64 = 0.25;
 /// Seed of the order of cells.
 const SEED: u64 = 1;
 /// Columns after the cell's own.
-const RESULTS: &str = "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after_s,felt_after_s,least_n,taps,grows,flange_mm,stopped";
+const RESULTS: &str = "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after_s,felt_after_s,least_n,taps,grows,first_peak_n,later_n,flange_mm,stopped";
 
 /// Collisions all round the cover, with what ships and with the contact barrier.
 #[derive(clap::Args)]
@@ -162,6 +163,11 @@ fn row(cells: &[Cell], id: usize) -> Result<String> {
     Ok(format!("{id},{},{},{}", cell.columns()?, law.name(), outcome.columns()))
 }
 
+/// Whether a later tap is harder than a first one, by more than 2 %, and than the base itself may press.
+fn grows(first_peak_n: f64, later_n: f64) -> bool {
+    later_n > 1.02 * first_peak_n.max(STOP_SHARE * ProtectionConfig::default().force_limit_n)
+}
+
 /// What the worst phase of a cell came to; flange, taps and stops of any phase.
 #[derive(Clone, Debug, Default)]
 struct Outcome {
@@ -176,8 +182,11 @@ struct Outcome {
     /// What the base at its hardest, from that reading on, could not have kept from the person, N.
     least_n: f64,
     taps: usize,
-    /// A later peak is higher than the first, and than the base itself may press.
+    /// A later peak is higher than the first of the same phase, and than the base itself may press.
     grows: bool,
+    /// Highest first peak, and highest later one, N.
+    first_peak_n: f64,
+    later_n: f64,
     flange_mm: f64,
     stopped: String,
 }
@@ -193,10 +202,13 @@ impl Outcome {
             let stopped = if one.stopped.is_empty() { worst.stopped.clone() } else { one.stopped.clone() };
             let [first_touch_n, impact_n] =
                 [worst.first_touch_n.max(one.first_touch_n), worst.impact_n.max(one.impact_n)];
+            let [first_peak_n, later_n] =
+                [worst.first_peak_n.max(one.first_peak_n), worst.later_n.max(one.later_n)];
             if phase == 0 || one.peak_n > worst.peak_n {
                 worst = one;
             }
-            worst = Self { first_touch_n, impact_n, taps, grows, flange_mm, stopped, ..worst };
+            let peaks = Self { first_touch_n, impact_n, first_peak_n, later_n, ..worst };
+            worst = Self { taps, grows, flange_mm, stopped, ..peaks };
         }
         Ok(worst)
     }
@@ -235,8 +247,8 @@ impl Outcome {
         let felt = contact.iter().find(|row| (0..TAXELS).any(|i| row.force_sensed[i] > 0.0));
         let closing_m_s = approach_m_s(&rows[first.saturating_sub(1)], settings);
         let felt_after_s = felt.map_or(f64::NAN, since);
-        let own_n = STOP_SHARE * settings.config.protection.force_limit_n;
         let later_n = measures.peaks_n.iter().skip(1).fold(0.0, |most: f64, peak| most.max(*peak));
+        let first_peak_n = measures.peaks_n.first().copied().unwrap_or(0.0);
         Ok(Self {
             approach_m_s: closing_m_s,
             first_touch_n: measures.first_touch_n,
@@ -246,7 +258,9 @@ impl Outcome {
             felt_after_s,
             least_n: cell.meeting_there().least_n(closing_m_s, felt_after_s),
             taps: measures.peaks_n.len(),
-            grows: later_n > 1.02 * measures.peaks_n.first().copied().unwrap_or(0.0).max(own_n),
+            grows: grows(first_peak_n, later_n),
+            first_peak_n,
+            later_n,
             flange_mm: measures.flange_max_mm,
             stopped,
         })
@@ -254,7 +268,7 @@ impl Outcome {
 
     fn columns(&self) -> String {
         format!(
-            "{:.4},{:.2},{:.2},{:.2},{:.3},{:.3},{:.2},{},{},{:.2},{}",
+            "{:.4},{:.2},{:.2},{:.2},{:.3},{:.3},{:.2},{},{},{:.2},{:.2},{:.2},{}",
             self.approach_m_s,
             self.first_touch_n,
             self.impact_n,
@@ -264,6 +278,8 @@ impl Outcome {
             self.least_n,
             self.taps,
             self.grows,
+            self.first_peak_n,
+            self.later_n,
             self.flange_mm,
             self.stopped
         )
