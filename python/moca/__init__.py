@@ -22,7 +22,6 @@ from moca._moca import State as _State
 
 __all__ = ["Disconnected", "Log", "Refused", "Robot", "Sim", "State", "connect", "read"]
 
-DEFAULT_ADDRESS = "127.0.0.1:7611"
 AGE_LIMIT_S = 0.2
 
 
@@ -141,6 +140,8 @@ class _Commanded:
 
     def press(self, taxel: int, force: float) -> Any:
         """Simulated robots only: presses a taxel (1 is T1) with a steady force, N; 0 lets go."""
+        if not 1 <= taxel <= 256:
+            raise ValueError(f"taxel {taxel}: allowed: 1 (T1) to the number of taxels")
         return self._result(self._inner.press(taxel - 1, float(force)))
 
     def _request(self, name: str) -> Any:
@@ -156,7 +157,7 @@ class _Commanded:
 class Robot(_Commanded):
     """A running daemon. Iterating gives its states, a thousand a second, without end."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str | None = None) -> None:
         self._inner = _Client(address)
 
     @property
@@ -188,13 +189,15 @@ class Robot(_Commanded):
         """Gives the command back; a moving robot goes on."""
         self._inner.release()
 
+    def close(self) -> None:
+        """Gives the command back and ends the connection; a moving robot goes on."""
+        self._inner.close()
+
     def __enter__(self) -> Robot:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.release()
-        # The connection says so before it closes.
-        time.sleep(0.05)
+        self.close()
 
     def _target(self, kind: str, values: Sequence[float], age_limit: float, touch: str) -> None:
         self._inner.target(kind, values, time.time_ns(), age_limit, touch)
@@ -270,8 +273,8 @@ class Log:
         return column if field in _SCALARS else column.reshape(-1, width) if width else column.reshape(len(self), 0)
 
 
-def connect(address: str = DEFAULT_ADDRESS) -> Robot:
-    """Connects to a running daemon: HOST:PORT, or unix:PATH."""
+def connect(address: str | None = None) -> Robot:
+    """Connects to a running daemon: HOST:PORT, or unix:PATH; without one where `mocad status` finds it."""
     return Robot(address)
 
 

@@ -8,8 +8,18 @@ mod state;
 
 use pyo3::prelude::*;
 
-pyo3::create_exception!(_moca, Refused, pyo3::exceptions::PyRuntimeError, "The robot does not do what it was asked.");
-pyo3::create_exception!(_moca, Disconnected, pyo3::exceptions::PyConnectionError, "There is no daemon, or no more.");
+pyo3::create_exception!(
+    _moca,
+    Refused,
+    pyo3::exceptions::PyRuntimeError,
+    "The robot does not do what it was asked."
+);
+pyo3::create_exception!(
+    _moca,
+    Disconnected,
+    pyo3::exceptions::PyConnectionError,
+    "There is no daemon, or no more."
+);
 
 #[pymodule]
 fn _moca(module: &Bound<'_, PyModule>) -> PyResult<()> {

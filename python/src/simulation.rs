@@ -12,6 +12,9 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
+/// Ticks between two looks for Ctrl-C.
+const SIGNALS_EVERY: u64 = 1000;
+
 enum World {
     Covered(LockStep<ByteCover, MemoryBoards>),
     Bare(LockStep<Option<ByteCover>, NoCover>),
@@ -43,7 +46,8 @@ impl Simulation {
         }
         let scene = free_scene(&config);
         let world = if config.plant.parts.has_cover() {
-            LockStep::with_board(&config, &scene, board_config(&config), None).map(|w| World::Covered(w.untimed()))
+            LockStep::with_board(&config, &scene, board_config(&config), None)
+                .map(|w| World::Covered(w.untimed()))
         } else {
             LockStep::without_cover(&config, &scene).map(|w| World::Bare(w.untimed()))
         };
@@ -57,9 +61,12 @@ impl Simulation {
     }
 
     /// So many ticks; the last one's state.
-    fn step(&mut self, ticks: u64) -> PyResult<State> {
+    fn step(&mut self, py: Python<'_>, ticks: u64) -> PyResult<State> {
         let mut last = None;
-        for _ in 0..ticks {
+        for done in 0..ticks {
+            if done % SIGNALS_EVERY == 0 {
+                py.check_signals()?;
+            }
             last = Some(self.tick(None).0);
         }
         last.map(State).ok_or_else(|| PyValueError::new_err("ticks = 0: allowed: 1 or more"))
@@ -76,7 +83,8 @@ impl Simulation {
 
     fn trajectory(&mut self, rows: Vec<f64>, touch: &str) -> PyResult<State> {
         let (waypoints, touch) = (waypoints(&rows)?, policy(touch)?);
-        let count = u8::try_from(waypoints.len()).map_err(|error| PyValueError::new_err(error.to_string()))?;
+        let count =
+            u8::try_from(waypoints.len()).map_err(|error| PyValueError::new_err(error.to_string()))?;
         let mut last = None;
         for (index, waypoint) in (0..count).zip(waypoints) {
             last = Some(self.ask(Request::Waypoint { index, count, waypoint, touch })?);

@@ -27,7 +27,6 @@ def test_the_program_of_the_readme_runs(daemon):
     robot = moca.connect(daemon)
     wait_for(robot, "ready")
     robot.release()
-    time.sleep(0.1)
     start = robot.state.flange_position_world[0]
     program = program.replace("127.0.0.1:7611", daemon).replace("0.7", str(start + 0.02))
     assert len(program.splitlines()) == 6
@@ -68,6 +67,80 @@ def test_a_program_that_makes_no_call_loses_the_command(daemon):
     # Its threads run on, the connection's among them; but nobody calls.
     threading.Event().wait(4.0)
     assert wait_for(robot, "protective stop").fault is not None
+
+
+def test_a_second_thread_stops_the_robot_while_the_first_one_waits(daemon):
+    robot = moca.connect(daemon)
+    wait_for(robot, "ready")
+    robot.arm()
+    wait_for(robot, "impedance")
+    failed = []
+
+    def stop():
+        try:
+            for _ in range(20):
+                robot.stop()
+        except BaseException as error:
+            failed.append(error)
+
+    second = threading.Thread(target=stop)
+    second.start()
+    for state in robot:
+        if state.mode == "protective stop" and not second.is_alive():
+            break
+    second.join()
+    assert failed == []
+
+
+def test_each_thread_gets_the_answer_to_what_it_asked(daemon):
+    robot = moca.connect(daemon)
+    wait_for(robot, "ready")
+    wrong = []
+
+    def ask(call, refused):
+        for _ in range(100):
+            try:
+                call()
+                answer = None
+            except moca.Refused as error:
+                answer = str(error)
+            if (answer is not None) != refused:
+                wrong.append(answer)
+
+    # The first is taken in this mode, the second is not.
+    calls = [(lambda: robot.select_law("impedance"), False), (lambda: robot.target_twist([0.0] * 6), True)]
+    threads = [threading.Thread(target=ask, args=call) for call in calls]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert wrong == []
+
+
+def test_a_program_that_ends_in_order_stops_no_robot(daemon):
+    second = moca.connect(daemon)
+    with moca.connect(daemon) as first:
+        wait_for(first, "ready")
+        first.arm()
+        wait_for(first, "impedance")
+    with pytest.raises(moca.Disconnected, match="closed"):
+        first.state
+    newest = second.state
+    assert {newest.mode, *(next(second).mode for _ in range(1000))} == {"impedance"}
+    until = time.monotonic() + 10
+    while True:
+        try:
+            second.disarm()
+            break
+        except moca.Refused:
+            assert time.monotonic() < until
+    wait_for(second, "ready")
+
+
+def test_a_taxel_that_there_is_none_of_is_named(daemon):
+    robot = moca.connect(daemon)
+    with pytest.raises(ValueError, match="taxel 0: allowed: 1"):
+        robot.press(0, 1.0)
 
 
 def test_without_a_daemon_it_says_so():

@@ -1,3 +1,5 @@
+import signal
+
 import numpy as np
 import pytest
 
@@ -70,6 +72,18 @@ def test_a_trajectory_runs_to_its_end():
     sim.trajectory([0, 1, 2], [p, p + [0, 0.05, 0], p], [q, q, q])
     assert 0.4 < sim.step(1000).target_progress < 0.6
     assert sim.step(1500).target == ("trajectory", "reached")
+
+
+def test_a_long_step_is_interrupted():
+    sim, _ = ready()
+    handler = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.2)
+        with pytest.raises(KeyboardInterrupt):
+            sim.step(10**9)
+    finally:
+        signal.signal(signal.SIGALRM, handler)
+    assert sim.step(1).mode == "impedance"
 
 
 def test_the_environment_of_the_examples_steps():

@@ -242,6 +242,13 @@ fn a_flange_is_led_and_a_program_that_dies_on_the_way_stops_the_robot() {
         daemon.wait_for("ready");
     }
 
+    let far = (start[2] - 0.3).to_string();
+    daemon.refused(
+        &["target", "pose", &x, &y, &far, "--arm", "--timeout", "0.2"],
+        "not reached in 0.2 s, 0 % of it",
+    );
+    daemon.wait_for("ready");
+
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
     let file = folder.join("operate-target.csv");
     let pose = |time_s: f64, dy: f64| format!("{time_s},{x},{},{higher},1,0,0,0\n", start[1] + dy);

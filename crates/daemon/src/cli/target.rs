@@ -17,6 +17,8 @@ use std::time::{Duration, Instant};
 
 /// How often a target is sent again: it would be too old after four of these.
 const SEND_EVERY: Duration = Duration::from_millis(50);
+/// A daemon that has not answered by then is given up.
+const ANSWER_WITHIN: Duration = Duration::from_secs(3);
 
 /// Where to.
 #[derive(Args)]
@@ -89,6 +91,9 @@ struct How {
     /// Arm first, and disarm in the end.
     #[arg(long)]
     arm: bool,
+    /// Give up what has not been reached after so long, of a trajectory so long after its own time, s.
+    #[arg(long, default_value_t = 60.0)]
+    timeout: f64,
     #[command(flatten)]
     common: Arguments,
 }
@@ -115,6 +120,26 @@ enum Wanted {
     Trajectory(Vec<Waypoint>),
 }
 
+impl Wanted {
+    /// How long it is asked for, if not until it is reached.
+    fn duration(&self) -> Option<Duration> {
+        match self {
+            Self::Target(_, duration) => *duration,
+            Self::Trajectory(_) => None,
+        }
+    }
+
+    /// How long it takes by itself.
+    fn own_time(&self) -> Duration {
+        match self {
+            Self::Target(_, duration) => duration.unwrap_or_default(),
+            Self::Trajectory(waypoints) => {
+                Duration::from_secs_f64(waypoints.last().map_or(0.0, |last| last.time_s.clamp(0.0, 1e6)))
+            }
+        }
+    }
+}
+
 /// Leads, and waits for the end.
 ///
 /// # Errors
@@ -132,7 +157,8 @@ pub fn run(arguments: &TargetArguments) -> Result<()> {
         Touch::Wins => TouchPolicy::TouchWins,
         Touch::PassThrough => TouchPolicy::PassThrough,
     };
-    let led = lead(&operator, &wanted, touch, &ended);
+    let timeout = seconds("--timeout", how.timeout)?;
+    let led = lead(&operator, &wanted, touch, timeout, &ended);
     let last = if how.arm { Request::Disarm } else { Request::EndTarget };
     let ended = match led {
         // Whoever is gone, or stopped, has ended it already.
@@ -172,7 +198,10 @@ impl TargetCommand {
                     Axes::Base => TwistAxes::Base,
                     Axes::Flange => TwistAxes::Flange,
                 };
-                Wanted::Target(Target::Twist { axes, twist: exactly(twist)? }, Some(seconds(*duration)?))
+                Wanted::Target(
+                    Target::Twist { axes, twist: exactly(twist)? },
+                    Some(seconds("--duration", *duration)?),
+                )
             }
             Self::Posture { q, .. } => {
                 let q = ParameterValues::new(q).context("more joints than any arm has")?;
@@ -180,7 +209,10 @@ impl TargetCommand {
             }
             Self::Base { velocity, duration, .. } => {
                 let velocity_body = exactly(velocity)?;
-                Wanted::Target(Target::BaseVelocity { velocity_body }, Some(seconds(*duration)?))
+                Wanted::Target(
+                    Target::BaseVelocity { velocity_body },
+                    Some(seconds("--duration", *duration)?),
+                )
             }
             Self::Trajectory { file, .. } => Wanted::Trajectory(waypoints(file)?),
         })
@@ -188,7 +220,13 @@ impl TargetCommand {
 }
 
 /// Follows a target to its end; the news it ended with.
-fn lead(operator: &Operator, wanted: &Wanted, touch: TouchPolicy, ended: &AtomicBool) -> Result<Update> {
+fn lead(
+    operator: &Operator,
+    wanted: &Wanted,
+    touch: TouchPolicy,
+    timeout: Duration,
+    ended: &AtomicBool,
+) -> Result<Update> {
     let connection = operator.connection();
     let (begun, mut sent) = (Instant::now(), None::<Instant>);
     if let Wanted::Trajectory(waypoints) = wanted {
@@ -212,10 +250,16 @@ fn lead(operator: &Operator, wanted: &Wanted, touch: TouchPolicy, ended: &Atomic
         }
         operator.leave_if_stopped(&update)?;
         let state = update.samples.last().filter(|_| accepted).and_then(|sample| sample.target);
-        let over = match wanted {
-            Wanted::Target(_, Some(duration)) => begun.elapsed() >= *duration,
-            _ => false,
-        };
+        ensure!(accepted || begun.elapsed() < ANSWER_WITHIN, "the daemon does not answer");
+        let over = accepted && wanted.duration().is_some_and(|duration| begun.elapsed() >= duration);
+        let most = timeout + wanted.own_time();
+        if begun.elapsed() >= most {
+            let how_far = state.map_or(0.0, |state| 100.0 * state.progress);
+            bail!(Refused(format!(
+                "not reached in {} s, {how_far:.0} % of it: --timeout",
+                most.as_secs_f64()
+            )));
+        }
         if over || ended.load(Ordering::Relaxed) || has_ended(state)? {
             return if update.samples.is_empty() { news(connection, |_| true) } else { Ok(update) };
         }
@@ -248,8 +292,8 @@ fn exactly<const N: usize>(values: &[f64]) -> Result<[f64; N]> {
     values.try_into().with_context(|| format!("{} numbers, {N} are needed", values.len()))
 }
 
-fn seconds(seconds: f64) -> Result<Duration> {
-    ensure!((0.05..=86_400.0).contains(&seconds), "--duration {seconds}: allowed: 0.05 to 86400 s");
+fn seconds(option: &str, seconds: f64) -> Result<Duration> {
+    ensure!((0.05..=86_400.0).contains(&seconds), "{option} {seconds}: allowed: 0.05 to 86400 s");
     Ok(Duration::from_secs_f64(seconds))
 }
 
