@@ -3,6 +3,8 @@
 use crate::fci::explained;
 use franka::{RealtimeConfig, Robot, RobotState};
 use moca_msgs::robot::LinkInertial;
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::time::Duration;
 
 /// End effector and load, each about its own centre of mass in the flange's axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,13 +15,30 @@ pub struct Carried {
     pub load: LinkInertial,
 }
 
-/// Asks the arm at `host` once; waits for its answer.
+/// Asks the arm at `host` once; waits for its answer, at most `within`.
 ///
 /// # Errors
 /// Why it cannot be reached, and what to do.
-pub fn carried(host: &str) -> Result<Carried, String> {
-    let state = Robot::new_with_log_size(host, RealtimeConfig::Ignore, 0).and_then(|robot| robot.read_once());
-    state.map(|state| Carried::of(&state)).map_err(|error| explained(host, &error))
+pub fn carried(host: &str, within: Duration) -> Result<Carried, String> {
+    let (answers, answer) = sync_channel(1);
+    let address = host.to_owned();
+    // The client raises the thread that it runs on, and waits for an answer without end: then it is left behind.
+    let ask = move || {
+        let robot = Robot::new_with_log_size(&address, RealtimeConfig::Ignore, 0);
+        // Nobody waits any more: nobody is to be told.
+        let _ = answers.send(robot.and_then(|robot| robot.read_once()));
+    };
+    let asked = std::thread::Builder::new().name("fci-payload".into()).spawn(ask);
+    asked.map_err(|error| format!("no thread to ask the arm from: {error}"))?;
+    match answer.recv_timeout(within) {
+        Ok(state) => state.map(|state| Carried::of(&state)).map_err(|error| explained(host, &error)),
+        Err(RecvTimeoutError::Timeout) => Err(format!(
+            "the arm at {host} has not answered within {} s: its controller accepts and says nothing, as while it starts; wait \
+             until Desk shows the arm, or look at plant.arm.host",
+            within.as_secs_f64()
+        )),
+        Err(RecvTimeoutError::Disconnected) => Err("the arm's client panicked".into()),
+    }
 }
 
 impl Carried {

@@ -4,11 +4,11 @@ use crate::count::Count;
 use crate::limiter::TorqueLimiter;
 use crate::mode::{Asked, Next, Phase, Said};
 use crate::wrench::at_flange;
-use crate::{JOINTS, REPEATS_MAX};
+use crate::{JOINTS, Model, REPEATS_MAX};
 use franka::robot::ActiveTorqueControl;
 use franka::{Errors, FrankaError, RealtimeConfig, Robot, RobotMode, Torques};
 use moca_msgs::{ArmLink, ArmMode, arm_errors};
-use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU16, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::{JoinHandle, Thread};
 use std::time::{Duration, Instant};
@@ -25,6 +25,8 @@ const DROP_WAIT: Duration = Duration::from_millis(1500);
 pub struct Settings {
     /// Address of its controller, with a port if it is not FCI's own.
     pub host: String,
+    /// Which arm the laws were given; another one is refused. `None` of an arm with a description of its own.
+    pub model: Option<Model>,
     /// SCHED_FIFO priority of the thread, 1 at least: the client raises itself wherever it may.
     pub priority: u8,
     /// Joint torques, N·m, and forces and moments at the hand, N and N·m, above which the arm has a reflex.
@@ -75,6 +77,8 @@ struct Order {
 #[derive(Default)]
 struct Shared {
     mode: AtomicU8,
+    /// Of FCI, 0 before the arm has answered.
+    version: AtomicU16,
     errors: AtomicU64,
     lost: AtomicU64,
     repeated: AtomicU64,
@@ -151,6 +155,11 @@ impl Fci {
         self.silent_since.elapsed().as_secs_f64()
     }
 
+    /// The version of FCI that the arm spoke when it last answered.
+    pub fn version(&self) -> Option<u16> {
+        Some(self.shared.version.load(Ordering::Relaxed)).filter(|version| *version > 0)
+    }
+
     /// What is known of the arm and the way to it.
     pub fn link(&self) -> ArmLink {
         let shared = &self.shared;
@@ -204,6 +213,20 @@ impl Drop for Fci {
     }
 }
 
+/// Why there is no connection.
+struct Unreached {
+    /// It answers, and is not to be driven.
+    refused: bool,
+    why: String,
+}
+
+impl Unreached {
+    fn by(host: &str, error: &FrankaError) -> Self {
+        let refused = matches!(error, FrankaError::IncompatibleVersion { .. });
+        Self { refused, why: explained(host, error) }
+    }
+}
+
 /// How torque control ended without an error.
 enum Ended {
     /// It let go, or is over.
@@ -242,12 +265,12 @@ impl Worker {
                     self.phase.lost();
                     self.tell(&error.to_string());
                 }
-                Err(error) => {
+                Err(unreached) => {
                     self.phase.lost();
-                    if matches!(error, FrankaError::IncompatibleVersion { .. }) {
+                    if unreached.refused {
                         self.phase.refused();
                     }
-                    self.tell(&explained(&self.settings.host, &error));
+                    self.tell(&unreached.why);
                 }
             }
             self.count.interrupt();
@@ -259,13 +282,19 @@ impl Worker {
         }
     }
 
-    fn connect(&self) -> Result<Robot, FrankaError> {
+    fn connect(&self) -> Result<Robot, Unreached> {
+        let Settings { host, model, .. } = &self.settings;
+        let unreached = |error: FrankaError| Unreached::by(host, &error);
         // This raises the thread as far as it may; `Enforce` would refuse kernels that do well.
-        let robot = Robot::new_with_log_size(&self.settings.host, RealtimeConfig::Ignore, 0)?;
+        let robot = Robot::new_with_log_size(host, RealtimeConfig::Ignore, 0).map_err(unreached)?;
+        self.shared.version.store(robot.server_version(), Ordering::Relaxed);
+        if let Some(why) = model.and_then(|model| another(host, robot.server_version(), model)) {
+            return Err(Unreached { refused: true, why });
+        }
         // Without the right to it the thread stays as it is, and the daemon's own steps have said so.
         let _ = franka::realtime::set_current_thread_scheduler_priority(self.settings.priority.max(1).into());
         let (torque_nm, wrench) = self.settings.collision;
-        robot.set_collision_behavior_simple(torque_nm, torque_nm, wrench, wrench)?;
+        robot.set_collision_behavior_simple(torque_nm, torque_nm, wrench, wrench).map_err(unreached)?;
         Ok(robot)
     }
 
@@ -504,6 +533,19 @@ fn described(mode: ArmMode, errors: u64) -> String {
         text += &format!(". {} ({}) {}", error.text, error.name, error.remedy);
     }
     text
+}
+
+/// What is said of an arm that is not the one that the laws were given.
+fn another(host: &str, version: u16, wanted: Model) -> Option<String> {
+    let found = Model::of_version(version).filter(|found| *found != wanted)?;
+    Some(format!(
+        "the arm at {host} is a {} (FCI {version}), the configuration's a {} (FCI {}), whose masses and limits are others: write \
+         robot.arm = \"{}\", or the other arm's address in plant.arm.host",
+        found.name(),
+        wanted.name(),
+        wanted.version(),
+        found.key()
+    ))
 }
 
 /// Why the arm could not be reached, and what to do.

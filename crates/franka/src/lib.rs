@@ -16,12 +16,15 @@ pub mod count;
 mod fci;
 pub mod limiter;
 pub mod mode;
+mod model;
 pub mod wrench;
 
 #[cfg(feature = "fci")]
 pub use carried::{Carried, carried};
 #[cfg(feature = "fci")]
 pub use fci::{ArmState, CARRIES_APART_KG, Fci, Settings};
+
+pub use model::Model;
 
 /// Joints of every arm that speaks FCI.
 pub const JOINTS: usize = 7;

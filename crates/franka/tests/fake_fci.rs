@@ -11,11 +11,12 @@ use franka::wire::HeaderLayout;
 use franka::wire::robot::{ControllerMode, MotionGeneratorMode, RobotCommand, RobotMode, RobotState, v5};
 use franka::{ERROR_NAMES, FciVersion, MoveStatus};
 use moca_franka::limiter::CHANGE_NM;
-use moca_franka::{Fci, REPEATS_MAX, Settings};
-use moca_msgs::ArmMode;
+use moca_franka::{Fci, Model, REPEATS_MAX, Settings, carried};
 use moca_msgs::arm_errors::ARM_ERRORS;
+use moca_msgs::{ArmMode, Fault};
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -44,6 +45,8 @@ struct Peer {
     address: String,
     /// Commands that have been answered.
     answered: Receiver<CommandKind>,
+    /// Whoever connects is turned away.
+    gone: Arc<AtomicBool>,
 }
 
 impl Arm {
@@ -111,12 +114,17 @@ impl Peer {
         }));
         let (sender, answered) = channel();
         let (of_thread, udp) = (Arc::clone(&arm), Arc::clone(&states));
+        let gone = Arc::new(AtomicBool::new(false));
+        let is_gone = Arc::clone(&gone);
         std::thread::spawn(move || {
             for stream in listener.incoming() {
+                if is_gone.load(Ordering::Relaxed) {
+                    continue;
+                }
                 serve(stream.unwrap(), &of_thread, &udp, only, &sender);
             }
         });
-        Self { arm, states, address, answered }
+        Self { arm, states, address, answered, gone }
     }
 
     fn await_command(&self, kind: CommandKind) {
@@ -274,6 +282,7 @@ fn urdf() -> String {
 fn settings(peer: &Peer) -> Settings {
     Settings {
         host: peer.address.clone(),
+        model: None,
         priority: 0,
         collision: ([20.0; 7], [30.0; 6]),
         answer_within: PATIENCE,
@@ -469,4 +478,83 @@ fn another_version_is_refused_with_the_one_to_install() {
     let _arm = Fci::spawn(settings(&peer), move |text| drop(sender.send(text.to_owned()))).unwrap();
     let text = said.recv_timeout(PATIENCE).unwrap();
     assert!(text.contains("speaks FCI 8; this program speaks 10") && text.contains("install"), "{text}");
+}
+
+#[test]
+fn an_arm_that_is_not_the_configurations_is_refused_with_both_names_and_gets_no_order() {
+    for (version, found, wanted) in
+        [(FciVersion::V10, Model::Fr3, Model::Panda), (FciVersion::V5, Model::Panda, Model::Fr3)]
+    {
+        let peer = Peer::start(version);
+        let (sender, said) = channel();
+        let other = Settings { model: Some(wanted), ..settings(&peer) };
+        let mut arm = Fci::spawn(other, move |text| drop(sender.send(text.to_owned()))).unwrap();
+        arm.drive(&[0.0; 7]);
+        let text = said.recv_timeout(PATIENCE).unwrap();
+        assert!(text.contains(found.name()) && text.contains(wanted.name()), "{text}");
+        assert!(text.contains(&format!("robot.arm = \"{}\"", found.key())), "{text}");
+        // The next attempt says the same: in between the arm has been refused, and nothing but the connection was asked for.
+        said.recv_timeout(PATIENCE).unwrap();
+        assert_eq!((arm.link().mode, arm.version()), (ArmMode::Refused, Some(found.version())));
+        let asked: Vec<_> = peer.answered.try_iter().collect();
+        let harmless = |kind: &CommandKind| matches!(kind, CommandKind::Connect | CommandKind::GetRobotModel);
+        assert!(!asked.is_empty() && asked.iter().all(harmless), "{asked:?}");
+
+        let peer = Peer::start(version);
+        let same = Settings { model: Some(found), ..settings(&peer) };
+        let mut arm = Fci::spawn(same, |_| {}).unwrap();
+        peer.await_command(CommandKind::SetCollisionBehavior);
+        heard(&peer, &mut arm, RobotMode::Idle, 0);
+        assert_eq!(arm.link().mode, ArmMode::Idle);
+    }
+}
+
+#[test]
+fn an_arm_that_does_not_say_what_it_carries_is_not_waited_for_without_end() {
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let host = silent.local_addr().unwrap().to_string();
+    let why = carried(&host, Duration::from_millis(50)).unwrap_err();
+    assert!(why.contains("not answered within 0.05 s") && why.contains(&host), "{why}");
+    let peer = Peer::start(FciVersion::V10);
+    std::thread::scope(|scope| {
+        let asked = scope.spawn(|| carried(&peer.address, PATIENCE));
+        peer.await_command(CommandKind::Connect);
+        while !asked.is_finished() {
+            peer.say(RobotMode::Idle, 0);
+            std::thread::yield_now();
+        }
+        assert_eq!(asked.join().unwrap().map(|carried| carried.tool.mass_kg), Ok(0.0));
+    });
+}
+
+#[test]
+fn an_arm_that_falls_silent_is_lost_and_one_that_recovers_is_not_driven() {
+    let (peer, mut arm) = driven(FciVersion::V10);
+    heard(&peer, &mut arm, RobotMode::Move, 0);
+    arm.drive(&[0.0; 7]);
+    peer.torque();
+    // Nobody is there any more: no state comes, and who knocks is not let in.
+    peer.gone.store(true, Ordering::Relaxed);
+    while arm.link().mode != ArmMode::Lost {
+        arm.receive(Duration::from_millis(50));
+    }
+    assert_eq!(arm.link().mode.hindrance(), Some(Fault::ArmStale));
+    peer.gone.store(false, Ordering::Relaxed);
+    {
+        let mut arm = peer.arm.lock().unwrap();
+        (arm.driven, arm.mode) = (false, RobotMode::AutomaticErrorRecovery);
+    }
+    peer.await_command(CommandKind::SetCollisionBehavior);
+    // Although the loop still drives: torque control begins when the recovery has ended, and not before.
+    while peer.answered.try_recv().is_ok() {}
+    for _ in 0..5 {
+        heard(&peer, &mut arm, RobotMode::AutomaticErrorRecovery, 0);
+        let mode = arm.link().mode;
+        assert_eq!((mode, mode.hindrance()), (ArmMode::Recovering, Some(Fault::ArmReflex)));
+        arm.drive(&[0.0; 7]);
+    }
+    assert_eq!(peer.answered.try_recv().ok(), None, "nothing is asked of an arm that recovers");
+    arm.brake();
+    heard(&peer, &mut arm, RobotMode::Idle, 0);
+    assert_eq!(arm.link().mode, ArmMode::Idle);
 }

@@ -6,7 +6,7 @@ use crate::devices::franka_arm::settings;
 use crate::runtime::realtime;
 use anyhow::{Context, Result, anyhow};
 use moca_franka::mode::Said;
-use moca_franka::{ArmState, CARRIES_APART_KG, Fci, JOINTS};
+use moca_franka::{ArmState, CARRIES_APART_KG, Fci, JOINTS, Model};
 use moca_msgs::arm_errors;
 use moca_msgs::{ArmLink, ArmMode};
 use std::sync::mpsc::{Receiver, channel};
@@ -29,6 +29,8 @@ const HOLD: ([f64; JOINTS], [f64; JOINTS]) =
 /// What was seen of an arm.
 struct Facts {
     host: String,
+    /// Of FCI.
+    version: Option<u16>,
     /// What its driver said, oldest first.
     said: Vec<String>,
     state: Option<ArmState>,
@@ -65,11 +67,11 @@ fn look_in_time(config: &Config, length: Duration, hold: bool) -> Result<Vec<Fin
     let begin = Instant::now();
     while begin.elapsed() < REACH_WITHIN && arm.receive(STATE_WITHIN).is_none() {}
     let (states, period_ms) = listen(&mut arm, length);
-    let (state, link) = (arm.state().copied(), arm.link());
+    let (state, link, version) = (arm.state().copied(), arm.link(), arm.version());
     let held = (hold && state.is_some()).then(|| held(&mut arm, length));
     drop(arm);
     let said = Receiver::try_iter(&said).collect();
-    Ok(findings(&Facts { host, said, state, link, states, period_ms, carries_kg, held }))
+    Ok(findings(&Facts { host, version, said, state, link, states, period_ms, carries_kg, held }))
 }
 
 /// States that came, and how far apart: median and 99th percentile, ms.
@@ -114,7 +116,11 @@ fn held(arm: &mut Fci, length: Duration) -> Option<f64> {
 
 fn findings(facts: &Facts) -> Vec<Finding> {
     let Some(state) = &facts.state else { return vec![unreached(facts)] };
-    let mut findings = vec![Finding::new("arm", true, format!("answers at {}", facts.host), "")];
+    let version = facts.version.map_or(String::new(), |version| {
+        let model = Model::of_version(version).map_or("an arm", Model::name);
+        format!(": {model}, FCI {version}")
+    });
+    let mut findings = vec![Finding::new("arm", true, format!("answers at {}{version}", facts.host), "")];
     findings.push(mode(state, facts.link));
     for error in arm_errors::set_in(facts.link.errors) {
         findings.push(Finding::new(
@@ -163,7 +169,9 @@ fn findings(facts: &Facts) -> Vec<Finding> {
 fn unreached(facts: &Facts) -> Finding {
     let said = facts.said.last().cloned().unwrap_or_else(|| format!("nothing answers at {}", facts.host));
     let remedy = match facts.link.mode {
-        ArmMode::Refused => "the system of arm and this program have to fit: Desk, Settings, System",
+        ArmMode::Refused => {
+            "arm, robot.arm and the arm's system (Desk, Settings, System) have to fit this program"
+        }
         _ => {
             "the arm's power and cable, plant.arm.host, this PC's address on the same network; FCI activated in Desk"
         }
@@ -173,7 +181,8 @@ fn unreached(facts: &Facts) -> Finding {
 
 fn mode(state: &ArmState, link: ArmLink) -> Finding {
     let (found, remedy) = match state.said {
-        Said::Idle | Said::Recovers => ("ready", ""),
+        Said::Idle => ("ready", ""),
+        Said::Recovers => ("recovers from a reflex", "wait until it has recovered, then look again"),
         Said::Moves if link.mode.follows() => ("driven by this program", ""),
         Said::Moves => ("another program drives it", "end the other program, or release its control in Desk"),
         Said::Other => {
@@ -186,4 +195,51 @@ fn mode(state: &ArmState, link: ArmLink) -> Finding {
         Said::UserStopped => ("its user stop is pressed", "release it; the lights turn from yellow to blue"),
     };
     Finding::new("arm's mode", remedy.is_empty(), found, remedy)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn answering(said: Said, mode: ArmMode) -> Facts {
+        let state = ArmState {
+            count: 1,
+            q_rad: [0.0; JOINTS],
+            dq_rad_s: [0.0; JOINTS],
+            torque_nm: [0.0; JOINTS],
+            feels_gravity: true,
+            wrench_base: [0.0; 6],
+            said,
+            carries_kg: 0.0,
+            success_rate: 1.0,
+            received: Instant::now(),
+        };
+        Facts {
+            host: "172.16.0.2".into(),
+            version: Some(5),
+            said: Vec::new(),
+            state: Some(state),
+            link: ArmLink { mode, ..ArmLink::default() },
+            states: 10_000,
+            period_ms: [1.0, 1.1],
+            carries_kg: 0.0,
+            held: None,
+        }
+    }
+
+    #[test]
+    fn only_an_arm_on_its_own_controller_or_driven_by_us_is_ready() {
+        for said in Said::ALL {
+            let of = |mode| findings(&answering(said, mode)).iter().all(|finding| finding.good);
+            assert_eq!(of(ArmMode::Idle), said == Said::Idle, "{said:?}");
+            assert_eq!(of(ArmMode::Torque), matches!(said, Said::Idle | Said::Moves), "{said:?}");
+        }
+    }
+
+    #[test]
+    fn which_arm_answers_and_the_version_that_it_speaks_are_said() {
+        let findings = findings(&answering(Said::Idle, ArmMode::Idle));
+        let text = &findings[0].found;
+        assert!(text.contains("172.16.0.2: Franka Emika Panda, FCI 5"), "{text}");
+    }
 }

@@ -5,7 +5,7 @@ use crate::control::plant::{Datagram, Plant, PlantClock, SourceAge};
 use crate::devices::stand_in_base::StandInBase;
 use crate::robot::{BaseDriver, Believed, JOINTS};
 use anyhow::{Context, Result, anyhow, ensure};
-use moca_franka::{ArmState, Carried, Fci, Settings};
+use moca_franka::{ArmState, Carried, Fci, Model, Settings};
 use moca_msgs::robot::resized;
 use moca_msgs::{Actuation, ArmLink, Fault, Outcome, Refusal, RobotState};
 use moca_wbc::nalgebra::Matrix3;
@@ -14,6 +14,9 @@ use std::time::Duration;
 
 /// The arm's thread runs above the loop: where the loop does not answer in time, it does.
 const ABOVE_LOOP: u8 = 1;
+
+/// How long an arm may take to say what it carries.
+const CARRIES_WITHIN: Duration = Duration::from_secs(10);
 
 /// Arm and base.
 pub struct FrankaArm {
@@ -40,13 +43,29 @@ impl FrankaArm {
         let arm = Fci::spawn(settings(config)?, say).context("the arm's thread")?;
         Ok(Self { arm, base, mounted, gravity_nm: [0.0; JOINTS] })
     }
+}
 
-    fn torque_measured_nm(&self, state: &ArmState) -> [f64; JOINTS] {
-        let mut torque_nm: [f64; JOINTS] = resized(&state.torque_nm);
-        if !state.feels_gravity {
-            torque_nm.iter_mut().zip(self.gravity_nm).for_each(|(torque, gravity)| *torque += gravity);
-        }
-        torque_nm
+/// The robot as the laws see it, of what the arm says; see the fields of [`FrankaArm`].
+fn robot_state(
+    state: &ArmState,
+    (base_pose_world, base_velocity_world): ([f64; 3], [f64; 3]),
+    mounted: Option<&Matrix3<f64>>,
+    gravity_nm: &[f64; JOINTS],
+) -> RobotState<JOINTS> {
+    let mut torque_measured_nm: [f64; JOINTS] = resized(&state.torque_nm);
+    if !state.feels_gravity {
+        torque_measured_nm.iter_mut().zip(gravity_nm).for_each(|(torque, gravity)| *torque += gravity);
+    }
+    RobotState {
+        base_pose_world,
+        base_velocity_world,
+        q_rad: resized(&state.q_rad),
+        dq_rad_s: resized(&state.dq_rad_s),
+        torque_measured_nm,
+        flange_wrench_world: mounted.map(|mounted| {
+            let axes_world = Heading::at(base_pose_world[2]).matrix() * mounted;
+            rotation::turned(&axes_world, &state.wrench_base)
+        }),
     }
 }
 
@@ -66,6 +85,7 @@ pub(crate) fn settings(config: &Config) -> Result<Settings> {
     );
     Ok(Settings {
         host: arm.host.clone(),
+        model: Model::of_key(&config.robot.arm.source),
         priority: config.realtime.priority + ABOVE_LOOP,
         collision: (arm.collision_torque_nm, arm.collision_wrench),
         answer_within: Duration::from_secs_f64(arm.answer_s),
@@ -82,9 +102,7 @@ pub(crate) fn ask_for_payload(config: &mut Config) -> Result<()> {
         return Ok(());
     }
     let host = config.plant.arm.host.clone();
-    // The client raises the thread that it runs on.
-    let asked = std::thread::spawn(move || moca_franka::carried(&host));
-    let answer = asked.join().map_err(|_| anyhow!("the arm's client panicked"))?;
+    let answer = moca_franka::carried(&host, CARRIES_WITHIN);
     let Carried { tool, load } = answer.map_err(|why| anyhow!("plant.arm.payload = \"arm\": {why}"))?;
     let robot = &mut config.robot;
     (robot.tool.mass_kg, robot.tool.com_m, robot.tool.inertia_com) =
@@ -103,19 +121,8 @@ impl Plant for FrankaArm {
             return Err(fault);
         }
         let state = self.arm.state().ok_or(Fault::ArmStale)?;
-        let (base_pose_world, base_velocity_world) =
-            self.base.map_or(([0.0; 3], [0.0; 3]), |base| base.state_world());
-        Ok(RobotState {
-            base_pose_world,
-            base_velocity_world,
-            q_rad: resized(&state.q_rad),
-            dq_rad_s: resized(&state.dq_rad_s),
-            torque_measured_nm: self.torque_measured_nm(state),
-            flange_wrench_world: self.mounted.map(|mounted| {
-                let axes_world = Heading::at(base_pose_world[2]).matrix() * mounted;
-                rotation::turned(&axes_world, &state.wrench_base)
-            }),
-        })
+        let base = self.base.map_or(([0.0; 3], [0.0; 3]), |base| base.state_world());
+        Ok(robot_state(state, base, self.mounted.as_ref(), &self.gravity_nm))
     }
 
     fn age(&self) -> SourceAge {
@@ -158,15 +165,53 @@ impl PlantClock for FrankaArm {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use moca_franka::mode::Said;
     use std::f64::consts::FRAC_PI_2;
+    use std::time::Instant;
+
+    fn pushed() -> ArmState {
+        ArmState {
+            count: 1,
+            q_rad: [0.1; moca_franka::JOINTS],
+            dq_rad_s: [0.2; moca_franka::JOINTS],
+            torque_nm: [3.0; moca_franka::JOINTS],
+            feels_gravity: true,
+            wrench_base: [10.0, 0.0, 0.0, 0.0, 2.0, 0.0],
+            said: Said::Moves,
+            carries_kg: 0.0,
+            success_rate: 1.0,
+            received: Instant::now(),
+        }
+    }
 
     #[test]
     fn a_push_on_an_arm_that_is_mounted_askew_is_felt_where_it_comes_from() {
-        // Its x axis points up: a push along it lifts the robot.
+        // Its x axis points up: a push along it lifts the robot, whichever way the base looks.
         let mounted = rotation::from_rpy([0.0, -FRAC_PI_2, 0.0]);
-        let wrench = rotation::turned(&mounted, &[10.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
-        for (found, expected) in wrench.iter().zip([0.0, 0.0, 10.0, 0.0, 2.0, 0.0]) {
-            assert!((found - expected).abs() < 1e-12, "{wrench:?}");
+        for (yaw_rad, expected) in
+            [(0.0, [0.0, 0.0, 10.0, 0.0, 2.0, 0.0]), (FRAC_PI_2, [0.0, 0.0, 10.0, -2.0, 0.0, 0.0])]
+        {
+            let base = ([1.0, 2.0, yaw_rad], [0.0; 3]);
+            let robot = robot_state(&pushed(), base, Some(&mounted), &[0.0; JOINTS]);
+            let wrench = robot.flange_wrench_world.unwrap();
+            for (found, expected) in wrench.iter().zip(expected) {
+                assert!((found - expected).abs() < 1e-12, "{wrench:?}");
+            }
         }
+    }
+
+    #[test]
+    fn what_the_arm_says_of_a_push_is_left_out_where_our_observer_is_believed() {
+        let robot = robot_state(&pushed(), ([0.0; 3], [0.0; 3]), None, &[0.0; JOINTS]);
+        assert_eq!(robot.flange_wrench_world, None);
+    }
+
+    #[test]
+    fn an_arm_that_does_not_know_where_down_is_has_gravity_added_to_its_torques() {
+        let torques = |feels_gravity| {
+            let state = ArmState { feels_gravity, ..pushed() };
+            robot_state(&state, ([0.0; 3], [0.0; 3]), None, &[4.0; JOINTS]).torque_measured_nm[0]
+        };
+        assert_eq!((torques(true), torques(false)), (3.0, 7.0));
     }
 }
