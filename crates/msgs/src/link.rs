@@ -31,11 +31,13 @@ pub enum ArmMode {
     Lost,
     /// Reached, but not to be controlled: another version, no FCI, brakes closed.
     Refused,
+    /// There is none, or it is simulated.
+    NotThere,
 }
 
 impl ArmMode {
     /// Every mode.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Connecting,
         Self::Idle,
         Self::Torque,
@@ -44,6 +46,7 @@ impl ArmMode {
         Self::Recovering,
         Self::Lost,
         Self::Refused,
+        Self::NotThere,
     ];
 
     /// Whether it follows our torques.
@@ -54,7 +57,7 @@ impl ArmMode {
     /// What keeps it from being driven, if anything does.
     pub const fn hindrance(self) -> Option<Fault> {
         match self {
-            Self::Idle | Self::Torque => None,
+            Self::Idle | Self::Torque | Self::NotThere => None,
             Self::Connecting | Self::Lost => Some(Fault::ArmStale),
             Self::Reflex | Self::Recovering => Some(Fault::ArmReflex),
             Self::UserStopped => Some(Fault::ArmUserStopped),
@@ -73,6 +76,7 @@ impl ArmMode {
             Self::Recovering => "recovering",
             Self::Lost => "lost",
             Self::Refused => "refused",
+            Self::NotThere => "not there",
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The robot's status for people and programs. What is not known is null, never zero.
 
-use moca_msgs::{Fault, Law, Link, Mode, Sample, TaxelStatus, seconds};
+use moca_msgs::{ArmMode, Fault, Law, Link, Mode, Sample, TaxelStatus, seconds};
 use moca_telemetry::net::Commander;
 use moca_telemetry::{ParameterValue, RobotDescription};
 use serde::Serialize;
@@ -146,9 +146,14 @@ impl fmt::Display for Status {
         }
         if let Some(Link { arm_age_s, base_age_s, arm }) = self.link {
             let (mode, success) = (arm.mode.name(), arm.success_rate);
-            let ages = format!("states {:.0} and {:.0} ms old", 1e3 * arm_age_s, 1e3 * base_age_s);
             let counts = format!("{} lost, {} orders repeated", arm.lost, arm.repeated);
-            writeln!(f, "link         arm {mode}, success rate {success:.2}, {counts}, {ages}")?;
+            let base_ms = 1e3 * base_age_s;
+            if arm.mode == ArmMode::NotThere {
+                writeln!(f, "link         base's state {base_ms:.0} ms old")?;
+            } else {
+                let ages = format!("states {:.0} and {base_ms:.0} ms old", 1e3 * arm_age_s);
+                writeln!(f, "link         arm {mode}, success rate {success:.2}, {counts}, {ages}")?;
+            }
         }
         let forces = self.taxels.iter().map(|taxel| match taxel.force_n {
             Some(force_n) => format!("{} {force_n:.1} N", taxel.name),
@@ -161,10 +166,24 @@ impl fmt::Display for Status {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moca_msgs::TaxelReading;
+    use moca_msgs::{ArmLink, TaxelReading};
 
     fn status(sample: &Sample) -> Status {
         Status::new(&Robot::new(&RobotDescription::paper("test", true)), sample, Commander::Nobody)
+    }
+
+    #[test]
+    fn a_base_without_a_real_arm_shows_how_old_its_own_state_is() {
+        let arm = ArmLink { mode: ArmMode::NotThere, ..ArmLink::default() };
+        let link = Link { arm_age_s: 0.0, base_age_s: 0.034, arm };
+        let shown = |link| status(&Sample { link: Some(link), ..Sample::default() }).to_string();
+        assert!(shown(link).contains("link         base's state 34 ms old\n"), "{}", shown(link));
+        let arm = ArmLink { mode: ArmMode::Torque, success_rate: 0.98, ..arm };
+        let text = shown(Link { arm_age_s: 0.002, arm, ..link });
+        assert!(
+            text.contains("arm torque control, success rate 0.98") && text.contains("2 and 34 ms old"),
+            "{text}"
+        );
     }
 
     #[test]

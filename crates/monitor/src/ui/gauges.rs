@@ -7,7 +7,7 @@ use crate::logic::{
     parts::{has_arm, has_base, has_cover, has_robot, number_parameter},
 };
 use egui::{Align, Grid, Label, Layout, RichText, Role, Sense, Ui, WidgetInfo, pos2, vec2};
-use moca_msgs::{Sample, SpeedLimit, seconds};
+use moca_msgs::{ArmMode, Sample, SpeedLimit, seconds};
 
 /// Share of commands that reach an arm in time below which its reflex is near.
 const SUCCESS_RATE_LOW: f64 = 0.95;
@@ -70,7 +70,7 @@ fn gauges(ui: &mut Ui, model: &Model, sample: &Sample, now_s: f64) {
         }
         if let Some(link) = &sample.link {
             let of = |name: &str| number_parameter(robot, name).unwrap_or(f64::NAN);
-            if has_arm(robot) {
+            if link.arm.mode != ArmMode::NotThere {
                 let deadline_ms = of("plant.arm.deadline_s") * 1e3;
                 gauge(ui, "Arm state age", link.arm_age_s * 1e3, deadline_ms, "ms", 0);
             }
@@ -95,7 +95,7 @@ fn gauges(ui: &mut Ui, model: &Model, sample: &Sample, now_s: f64) {
         let text = format!("Speed limit {} m/s: {}", number(m_s, 2), speed_limit(reason));
         ui.add(Label::new(text).truncate());
     }
-    if let Some(link) = sample.link.filter(|_| has_arm(robot)) {
+    if let Some(link) = sample.link.filter(|link| link.arm.mode != ArmMode::NotThere) {
         let text = RichText::new(arm_link(&link.arm));
         let odd = !link.arm.mode.follows() || link.arm.success_rate < SUCCESS_RATE_LOW;
         ui.add(Label::new(if odd { text.color(theme::WARNING) } else { text }).truncate());

@@ -3,7 +3,7 @@
 use crate::bench::{Bench, parameter, sample};
 use egui_kittest::kittest::Queryable;
 use moca_msgs::{
-    ContactRow, Fault, Mode, ParameterValues, Refusal, Request, TaxelStatus,
+    ArmLink, ArmMode, ContactRow, Fault, Link, Mode, ParameterValues, Refusal, Request, Sample, TaxelStatus,
     board::{Diagnosis, OpenFailure},
 };
 use moca_telemetry::{
@@ -243,4 +243,26 @@ fn the_robot_is_seen_in_three_dimensions_and_turned_with_the_mouse() {
     bench.click("Corner");
     assert_eq!(drawn(&bench), before, "and back");
     assert_ne!(above, before);
+}
+
+#[test]
+fn how_old_the_states_of_arm_and_base_are_stands_beside_their_deadlines() {
+    let mut bench = Bench::new();
+    let deadline =
+        |part: &str, s| parameter(&format!("plant.{part}.deadline_s"), ParameterForm::Number, &[s], false);
+    bench.daemon.borrow_mut().parameters = vec![deadline("arm", 0.01), deadline("base", 0.1)];
+    bench.frames(Mode::Impedance, None);
+    assert!(!bench.shows("state age"), "a simulated robot is not far away");
+    let of = |mode| Link { arm_age_s: 0.002, base_age_s: 0.034, arm: ArmLink { mode, ..ArmLink::default() } };
+    for (mode, has_arm) in [(ArmMode::Torque, true), (ArmMode::NotThere, false)] {
+        let linked = Sample { link: Some(of(mode)), ..sample(bench.tick, Mode::Impedance, None) };
+        bench.daemon.borrow_mut().samples.push_back(linked);
+        bench.tick += 1;
+        bench.harness.step();
+        bench.harness.step();
+        assert!(bench.shows("Base state age 34 ms of 100"), "{mode:?}");
+        assert_eq!(bench.shows("Arm state age 2 ms of 10"), has_arm);
+        assert_eq!(bench.shows("Arm torque control: success rate"), has_arm);
+        assert_eq!(bench.shows("success rate"), has_arm);
+    }
 }
