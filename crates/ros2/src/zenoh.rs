@@ -127,9 +127,11 @@ impl Zenoh {
     pub fn join(domain: u16, router: &str, node: &'static str) -> Result<Self, TransportError> {
         let config = client_of(router)?;
         let (opened, opening) = channel();
+        let shared = Arc::<Shared>::default();
+        let waited_for = Arc::downgrade(&shared);
         // A router that is not there fails at once, one whose network is not after seconds.
         let open = move || {
-            loop {
+            while waited_for.strong_count() > 0 {
                 match zenoh::open(config.clone()).wait() {
                     // Nobody waits for it any more: it closes.
                     Ok(session) => return drop(opened.send(session)),
@@ -143,7 +145,7 @@ impl Zenoh {
             domain,
             router: router.into(),
             node,
-            shared: Arc::default(),
+            shared,
             opening,
             topics: Vec::new(),
             writers: Vec::new(),
@@ -481,6 +483,26 @@ fn failed(error: impl Display) -> TransportError {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn opening_threads() -> usize {
+        let names = std::fs::read_dir("/proc/self/task").unwrap().flatten();
+        let names = names.filter_map(|task| std::fs::read_to_string(task.path().join("comm")).ok());
+        names.filter(|name| name.trim() == "zenoh-open").count()
+    }
+
+    #[test]
+    fn whoever_stops_waiting_for_a_router_leaves_no_thread_behind_that_looks_for_it() {
+        // A port that nobody listens on.
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let waits = Zenoh::join(0, &format!("tcp/127.0.0.1:{port}"), "mocad").unwrap();
+        while opening_threads() == 0 {
+            std::thread::yield_now();
+        }
+        drop(waits);
+        while opening_threads() > 0 {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
 
     #[test]
     fn who_writes_is_known_by_the_number_or_because_nobody_else_does() {

@@ -9,7 +9,7 @@ use crate::record::recording::{Recording, parameter_change};
 use crate::record::tick_log::TickLogReader;
 use crate::robot::PlantKind;
 use crate::runtime::live::{Rings, Shared};
-use crate::runtime::notice::{DriverWords, Notice, Reporter};
+use crate::runtime::notice::{DriverWords, Notice, Reporter, SaidByDrivers};
 use crate::runtime::options::Options;
 use crate::runtime::watchdog::Heartbeat;
 use anyhow::{Context, Result, anyhow};
@@ -22,7 +22,7 @@ use moca_telemetry::net::{
 use std::fs::File;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::Sender;
 use std::time::Duration;
 
 /// Samples a ring to clients holds: four seconds at 1 kHz.
@@ -182,7 +182,7 @@ pub(crate) struct Clients {
     flight: Option<FlightRecorder>,
     ticks: TickLogReader,
     /// What the drivers of a real robot say.
-    drivers: (DriverWords, Receiver<String>),
+    drivers: (DriverWords, SaidByDrivers),
     /// Where dashboards hear of trouble with the disk.
     pub(crate) notices: Option<Sender<String>>,
 }
@@ -195,7 +195,7 @@ impl Clients {
         let recording = recording(options, strike.as_ref(), reporter)?;
         let flight = if options.lock_step { None } else { flight_recorder(&options.config, reporter)? };
         let panics = options.outside_fault() == Some(OutsideFault::Panic);
-        Ok(Self { strike, recording, panics, flight, ticks, drivers: channel(), notices: None })
+        Ok(Self { strike, recording, panics, flight, ticks, drivers: DriverWords::channel(), notices: None })
     }
 
     pub(crate) fn see(&mut self, sample: &Sample, reporter: &mut dyn Reporter) {
@@ -238,7 +238,7 @@ impl Clients {
 
     /// Passes on what the drivers have said.
     fn take_words(&mut self, time_ns: u64, reporter: &mut dyn Reporter) {
-        while let Ok(words) = self.drivers.1.try_recv() {
+        while let Some(words) = self.drivers.1.next() {
             reporter.report(Notice::Driver(&words));
             if let Some(recording) = &mut self.recording {
                 recording.add_words(time_ns, &words);

@@ -9,7 +9,9 @@ use moca_telemetry::log::LogSummary;
 use moca_telemetry::log::records::ParameterChange;
 use moca_telemetry::net::Address;
 use std::path::Path;
-use std::sync::mpsc::Sender;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
 /// One thing to say.
@@ -62,9 +64,49 @@ pub enum Notice<'a> {
     Ended(&'a Summary<'a>),
 }
 
+/// What drivers may have said before somebody takes it up; that is done every 20 ms.
+const WORDS_MAX: usize = 256;
+
 /// Takes what the drivers of a robot say in words, from threads of their own: it goes to the terminal, to dashboards and into the
 /// log. Never from the loop's thread.
-pub type DriverWords = Sender<String>;
+#[derive(Clone, Debug)]
+pub struct DriverWords {
+    said: SyncSender<String>,
+    dropped: Arc<AtomicU64>,
+}
+
+impl DriverWords {
+    /// Both ends.
+    pub(crate) fn channel() -> (Self, SaidByDrivers) {
+        let (said, words) = sync_channel(WORDS_MAX);
+        let dropped = Arc::<AtomicU64>::default();
+        (Self { said, dropped: Arc::clone(&dropped) }, SaidByDrivers { words, dropped })
+    }
+
+    /// Says something; what finds no room is dropped and counted.
+    pub fn say(&self, words: impl Into<String>) {
+        if self.said.try_send(words.into()).is_err() {
+            self.dropped.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+/// What the drivers have said and nobody has taken up.
+#[derive(Debug)]
+pub(crate) struct SaidByDrivers {
+    words: Receiver<String>,
+    dropped: Arc<AtomicU64>,
+}
+
+impl SaidByDrivers {
+    /// The next, oldest first; after them how many found no room.
+    pub(crate) fn next(&self) -> Option<String> {
+        let dropped = || Some(self.dropped.swap(0, Ordering::Relaxed)).filter(|dropped| *dropped > 0);
+        let lost =
+            |dropped| format!("the drivers said {dropped} sentences more than the {WORDS_MAX} that are kept");
+        self.words.try_recv().ok().or_else(|| dropped().map(lost))
+    }
+}
 
 /// Somebody who is told. It waits for nobody: what cannot be said at once is dropped and counted.
 pub trait Reporter {
@@ -97,4 +139,23 @@ pub struct Summary<'a> {
     pub samples_dropped: u64,
     /// Wall time of the run.
     pub wall: Duration,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_driver_that_never_stops_talking_fills_no_memory_and_what_is_dropped_is_counted() {
+        let (driver, said) = DriverWords::channel();
+        for number in 0..WORDS_MAX + 7 {
+            driver.say(number.to_string());
+        }
+        let heard: Vec<_> = std::iter::from_fn(|| said.next()).collect();
+        assert_eq!(heard.len(), WORDS_MAX + 1);
+        assert_eq!((heard[0].as_str(), heard[WORDS_MAX - 1].as_str()), ("0", &*(WORDS_MAX - 1).to_string()));
+        assert!(heard[WORDS_MAX].contains("7 sentences more"), "{}", heard[WORDS_MAX]);
+        driver.say("again");
+        assert_eq!([said.next(), said.next()], [Some("again".into()), None]);
+    }
 }

@@ -188,14 +188,7 @@ pub fn with_plant<P: Plant + Send, T: TickSource<P>>(
     shared: &Arc<Shared>,
     reporter: &mut dyn Reporter,
 ) -> Result<LiveRun> {
-    let mut options = options.clone();
-    if let Some(step) = realtime::lock_memory(&options.config.realtime) {
-        reporter.report(Notice::RealTime(&step));
-        if options.require_realtime && step.result.is_err() {
-            return Err(RealtimeRefused(1).into());
-        }
-        options.config.realtime.lock_memory = false;
-    }
+    let options = with_locked_memory(options, reporter)?;
     let config = &options.config;
     let clock = Clock::start()?;
     let (log, copies, log_reader) = tick_log();
@@ -220,6 +213,19 @@ pub fn with_plant<P: Plant + Send, T: TickSource<P>>(
     let run = live(&options, control, (clock, log), ticks, (clients, calibration), shared, reporter);
     drop(held);
     run
+}
+
+/// Locks the process's memory, if that is wished for and not done; the options say so no more.
+fn with_locked_memory(options: &Options, reporter: &mut dyn Reporter) -> Result<Options> {
+    let mut options = options.clone();
+    if let Some(step) = realtime::lock_memory(&options.config.realtime) {
+        reporter.report(Notice::RealTime(&step));
+        if options.require_realtime && step.result.is_err() {
+            return Err(RealtimeRefused(1).into());
+        }
+        options.config.realtime.lock_memory = false;
+    }
+    Ok(options)
 }
 
 /// Runs the real robot that the configuration names.
@@ -248,8 +254,7 @@ fn live_robot(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Report
 #[cfg(any(feature = "fci", feature = "ros2"))]
 fn saying(words: &DriverWords, part: &'static str) -> impl FnMut(&str) + Send + 'static {
     let words = words.clone();
-    // A run that has ended has nobody to tell.
-    move |text| drop(words.send(format!("{part}: {text}")))
+    move |text| words.say(format!("{part}: {text}"))
 }
 
 /// No arm on a base behind ROS 2.
@@ -266,7 +271,8 @@ fn live_base(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
 fn live_whole(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
     use crate::devices::franka_arm::{FrankaArm, ask_for_payload};
     use crate::devices::ros2_base::{OnRos2Base, connect};
-    let options = &mut options.clone();
+    // Asking is a first connection: it has to find the memory locked.
+    let options = &mut with_locked_memory(options, reporter)?;
     ask_for_payload(&mut options.config)?;
     let connect = |words: &DriverWords| {
         let arm = FrankaArm::connect(&options.config, saying(words, "arm"))?;
@@ -331,7 +337,8 @@ fn live_fci(_: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRu
 #[cfg(feature = "fci")]
 fn live_fci(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
     use crate::devices::franka_arm::{FrankaArm, ask_for_payload};
-    let options = &mut options.clone();
+    // As in `live_whole`.
+    let options = &mut with_locked_memory(options, reporter)?;
     ask_for_payload(&mut options.config)?;
     let connect = |words: &DriverWords| FrankaArm::connect(&options.config, saying(words, "arm"));
     with_plant(options, connect, crate::runtime::tick_source::PlantTicks::new, shared, reporter)
@@ -554,4 +561,45 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     };
     reporter.report(Notice::Ended(&summary));
     finish(clients.recording, options, reporter)
+}
+
+#[cfg(all(test, feature = "fci"))]
+mod tests {
+    use super::*;
+    use crate::robot::{Believed, Parts};
+    use std::net::TcpListener;
+    use std::sync::mpsc::{Sender, channel};
+
+    struct Told(Sender<String>);
+
+    impl Reporter for Told {
+        fn report(&mut self, notice: Notice<'_>) {
+            if let Notice::RealTime(step) = notice {
+                // The test that listens has failed.
+                let _ = self.0.send(step.what.clone());
+            }
+        }
+    }
+
+    #[test]
+    fn the_memory_is_locked_before_the_arm_is_asked_what_it_carries() {
+        let arm = TcpListener::bind("127.0.0.1:0").unwrap();
+        let (told, order) = channel();
+        let mut config = Config::default();
+        (config.plant.kind, config.plant.parts) = (PlantKind::Robot, Parts::Arm);
+        (config.plant.arm.driver, config.plant.arm.payload) = (ArmDriver::Fci, Believed::Arm);
+        config.plant.arm.host = arm.local_addr().unwrap().to_string();
+        config.realtime.lock_memory = true;
+        let asked = told.clone();
+        std::thread::spawn(move || {
+            // Hangs up: the arm cannot be asked.
+            drop(arm.accept());
+            asked.send("asked".into()).unwrap();
+        });
+        let options = Options { config, ..Options::default() };
+        let why = live_robot(&options, &Arc::default(), &mut Told(told)).unwrap_err();
+        let _ = nix::sys::mman::munlockall();
+        assert!(why.to_string().contains("plant.arm.payload"), "{why}");
+        assert_eq!([order.recv().unwrap(), order.recv().unwrap()], ["memory locked", "asked"]);
+    }
 }
