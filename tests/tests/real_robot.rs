@@ -13,7 +13,7 @@ use moca_daemon::control::tick_input::Slot;
 use moca_daemon::robot::{JOINTS, Parts, PlantKind, TAXELS};
 use moca_daemon::runtime::assemble::{motion, supervisor};
 use moca_daemon::runtime::live::Shared;
-use moca_daemon::runtime::notice::{DriverWords, Silent};
+use moca_daemon::runtime::notice::{DriverWords, Notice, Reporter, Silent};
 use moca_daemon::runtime::options::Options;
 use moca_daemon::runtime::replay;
 use moca_daemon::runtime::run::with_plant;
@@ -23,7 +23,11 @@ use moca_msgs::{
     Sample,
 };
 use moca_telemetry::log::{LogReader, Record};
+use moca_telemetry::net::{Address, Connection};
+use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Sender, channel};
 use std::time::Duration;
 
 /// Stands as it is told to; remembers the last order.
@@ -268,6 +272,40 @@ fn an_arm_far_from_its_posture_is_not_armed() {
 }
 
 #[test]
+fn an_arm_is_armed_a_tenth_of_a_radian_from_its_posture_and_not_further() {
+    for (off_rad, armed) in [(0.10, true), (0.11, false)] {
+        // Just inside: what the loop is given has single precision.
+        for (joint, sign) in [(0, 1.0), (3, 1.0), (6, -1.0)] {
+            let mut world = World::new();
+            let mut state = at_home();
+            state.q_rad[joint] += sign * (off_rad - 1e-6);
+            world.control.plant.state = Ok(state);
+            assert_eq!(world.run(10).mode, Mode::Ready);
+            let outcome = world.step(Some(Request::Arm)).1.unwrap();
+            assert_eq!(outcome.is_ok(), armed, "{off_rad} rad, joint {joint}: {outcome:?}");
+            let refused =
+                matches!(outcome, Err(Refusal::FarFromPosture { joint: j, .. }) if usize::from(j) == joint);
+            assert_eq!(refused, !armed, "{outcome:?}");
+        }
+    }
+}
+
+#[test]
+fn the_arms_own_estimate_of_a_push_is_what_the_law_yields_to() {
+    let [pulled, pushed] = [20.0, -20.0].map(|force_n| {
+        let mut world = World::ready();
+        assert_eq!(world.step(Some(Request::SelectLaw(Law::FollowMe))).1, Some(Ok(())));
+        assert_eq!(world.step(Some(Request::Arm)).1, Some(Ok(())));
+        let push = [force_n, 0.0, 0.0, 0.0, 0.0, 0.0];
+        world.control.plant.state.as_mut().unwrap().flange_wrench_world = Some(push);
+        let sample = world.run(200);
+        assert_eq!(sample.flange_wrench_world, push);
+        world.driven().unwrap().base_velocity_body[0]
+    });
+    assert!(pulled > 0.01 && pushed < -0.01, "the base follows the hand: {pulled} and {pushed} m/s");
+}
+
+#[test]
 fn what_is_known_of_the_way_to_the_arm_is_in_every_sample() {
     let mut world = World::ready();
     let arm = ArmLink { mode: ArmMode::Torque, success_rate: 0.97, lost: 3, repeated: 2, errors: 1 << 40 };
@@ -275,6 +313,85 @@ fn what_is_known_of_the_way_to_the_arm_is_in_every_sample() {
     world.control.plant.age = SourceAge { arm_s: 0.004, base_s: 0.05 };
     let link = world.run(1).link.unwrap();
     assert_eq!((link.arm, link.arm_age_s, link.base_age_s), (arm, 0.004, 0.05));
+}
+
+/// A robot whose arm has a reflex as soon as somebody wants it.
+struct Falls(Scripted, Arc<AtomicBool>);
+
+impl Plant for Falls {
+    fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
+        if self.1.load(Ordering::Relaxed) { Err(Fault::ArmReflex) } else { self.0.read() }
+    }
+
+    fn link(&self) -> Option<ArmLink> {
+        self.0.link()
+    }
+
+    fn write(&mut self, actuation: &Actuation<JOINTS>, ticks: u64) -> Result<(), Fault> {
+        self.0.write(actuation, ticks)
+    }
+}
+
+/// Passes on where telemetry listens and where the last seconds are written.
+struct Places(Sender<Address>, Sender<PathBuf>);
+
+impl Reporter for Places {
+    fn report(&mut self, notice: Notice<'_>) {
+        match notice {
+            Notice::Telemetry(address) => self.0.send(address.clone()).unwrap(),
+            Notice::FaultLog(path) => self.1.send(path.into()).unwrap(),
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn a_robot_of_ones_own_has_telemetry_and_a_flight_recorder() {
+    let mut config = Config::default();
+    (config.plant.kind, config.plant.parts) = (PlantKind::Robot, Parts::Arm);
+    config.telemetry.listen = "127.0.0.1:0".into();
+    let folder = std::env::temp_dir().join(format!("moca-own-flight-{}", std::process::id()));
+    config.flight_recorder.folder = folder.display().to_string();
+    (config.realtime.priority, config.realtime.lock_memory, config.realtime.dma_latency) = (0, false, false);
+    let options = Options { config, ..Options::default() };
+    let arm = ArmLink { mode: ArmMode::Torque, success_rate: 0.5, ..ArmLink::default() };
+    let (shared, falls) = (Arc::new(Shared::default()), Arc::new(AtomicBool::new(false)));
+    let (addresses, address) = channel();
+    let (paths, path) = channel();
+    let (stop, fall) = (Arc::clone(&shared), Arc::clone(&falls));
+    let log = std::thread::scope(|scope| {
+        scope.spawn(move || {
+            let client = Connection::spawn(address.recv().unwrap(), || {}).unwrap();
+            let seen = |mode: Mode| {
+                while !client.poll().samples.iter().any(|s| s.mode == mode && s.link.unwrap().arm == arm) {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+            };
+            seen(Mode::Ready);
+            fall.store(true, Ordering::Relaxed);
+            seen(Mode::ProtectiveStop);
+            path.recv().unwrap();
+            stop.stop.store(true, Ordering::Relaxed);
+        });
+        let connect = |_: &DriverWords| {
+            let (age, order) = (SourceAge::default(), Actuation::Brake);
+            let robot = Scripted { state: Ok(at_home()), age, link: arm, order, recoveries: 0 };
+            Ok(Falls(robot, Arc::clone(&falls)))
+        };
+        with_plant(&options, connect, Timer::new, &shared, &mut Places(addresses, paths)).unwrap();
+        let mut files = std::fs::read_dir(&folder).unwrap();
+        files.find_map(|file| file.ok().filter(|f| f.path().to_string_lossy().ends_with("arm-reflex.mcap")))
+    });
+    let log = log.expect("the seconds before the reflex").path();
+    let mut modes = Vec::new();
+    for record in &mut LogReader::open(&log).unwrap() {
+        if let Record::Sample(sample) = record {
+            modes.push((sample.mode, sample.fault));
+        }
+    }
+    assert!(modes.contains(&(Mode::Ready, None)), "what was before");
+    assert_eq!(modes.last(), Some(&(Mode::ProtectiveStop, Some(Fault::ArmReflex))));
+    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 #[test]
@@ -290,7 +407,7 @@ fn a_robot_of_ones_own_is_recorded_and_replayed_with_its_link() {
     let options = Options { config, duration, record: Some(log.clone()), ..Options::default() };
     let arm = ArmLink { mode: ArmMode::Torque, success_rate: 0.5, lost: 7, ..ArmLink::default() };
     let connect = |words: &DriverWords| {
-        words.send("arm: it is there".into()).unwrap();
+        words.say("arm: it is there");
         let (age, order) = (SourceAge::default(), Actuation::Brake);
         Ok(Scripted { state: Ok(at_home()), age, link: arm, order, recoveries: 0 })
     };

@@ -11,7 +11,7 @@ use moca_daemon::config::{Config, HandConfig};
 use moca_daemon::control::cover::CoverSource;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::robot::Arm;
+use moca_daemon::robot::{Arm, BaseDriver, PlantKind};
 use moca_daemon::runtime::assemble::board_config;
 use moca_daemon::runtime::lockstep::{Feed, LockStep};
 use moca_msgs::params::CONTROLLER;
@@ -105,6 +105,17 @@ fn a_base_with_four_taxels_on_scattered_electrodes_runs_from_bytes_to_motion() {
     let config = example("base-4-taxels.toml");
     let world = LockStep::with_board(&config, &free_scene(&config), board_config(&config), None).unwrap();
     every_taxel_pushes_its_way(&config, world);
+}
+
+#[test]
+fn the_bases_behind_ros_2_that_are_shipped_as_files_give_way_to_every_taxel() {
+    for (name, stamped) in [("mecanum-ros2.toml", true), ("holonomic-ros2.toml", false)] {
+        let mut config = example(name);
+        assert_eq!(config.plant.base.driver, BaseDriver::Ros2);
+        assert_eq!(config.plant.base.ros2.stamped, stamped);
+        config.plant.kind = PlantKind::Simulated;
+        every_taxel_pushes_its_way(&config, ideal(&config));
+    }
 }
 
 #[test]

@@ -5,7 +5,7 @@ use crate::control::plant::{Datagram, Plant, PlantClock, SourceAge};
 use crate::robot::JOINTS;
 use crate::runtime::realtime::Raised;
 use anyhow::{Context, Result};
-use moca_msgs::{Actuation, ArmLink, Fault, Outcome, RobotCommand, RobotState};
+use moca_msgs::{Actuation, ArmLink, ArmMode, Fault, Outcome, RobotCommand, RobotState};
 use moca_ros2::base::{BaseSettings, Reliable, Ros2Base};
 use moca_ros2::network::Network;
 use moca_ros2::transport::Transport;
@@ -88,8 +88,10 @@ impl<A: Plant> Plant for OnRos2Base<A> {
         SourceAge { base_s: self.base_age_s, ..self.arm.age() }
     }
 
+    /// Without a real arm there is still a way to a base, and its age.
     fn link(&self) -> Option<ArmLink> {
-        self.arm.link()
+        let no_arm = ArmLink { mode: ArmMode::NotThere, ..ArmLink::default() };
+        Some(self.arm.link().unwrap_or(no_arm))
     }
 
     fn recover(&mut self) -> Outcome {
@@ -121,7 +123,7 @@ impl<A: PlantClock> PlantClock for OnRos2Base<A> {
 mod tests {
     use super::*;
     use moca_ros2::cdr;
-    use moca_ros2::messages::{Odometry, Quaternion, Time, Twist};
+    use moca_ros2::messages::{Odometry, Quaternion, Time, Twist, TwistStamped};
     use moca_ros2::transport::memory::Memory;
     use std::sync::mpsc;
 
@@ -182,6 +184,144 @@ mod tests {
         let (mut robot, _sent) = robot(Vec::new());
         assert_eq!(robot.read().unwrap().q_rad, [0.1; JOINTS]);
         assert_eq!(robot.age(), SourceAge { arm_s: 0.004, base_s: f64::INFINITY });
+        assert_eq!(robot.link().map(|arm| arm.mode), Some(ArmMode::NotThere), "clients are shown its age");
+    }
+
+    /// A simulated robot whose base is heard of at 50 Hz only, carried on for `most_ns` at the most.
+    #[cfg(feature = "sim")]
+    struct Heard {
+        robot: crate::devices::simulated_robot::SimulatedRobot,
+        last: moca_ros2::base::odometry::BaseReading,
+        most_ns: u64,
+        now_ns: u64,
+    }
+
+    #[cfg(feature = "sim")]
+    impl Plant for Heard {
+        fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
+            const ODOMETRY_NS: u64 = 20_000_000;
+            let mut state = self.robot.read()?;
+            if self.now_ns.is_multiple_of(ODOMETRY_NS) {
+                let [vx, vy, yaw_rate] = state.base_velocity_world;
+                let (sin, cos) = state.base_pose_world[2].sin_cos();
+                self.last = moca_ros2::base::odometry::BaseReading {
+                    measured_ns: self.now_ns,
+                    pose_world: state.base_pose_world,
+                    velocity_body: [cos * vx + sin * vy, cos * vy - sin * vx, yaw_rate],
+                };
+            }
+            (state.base_pose_world, state.base_velocity_world) =
+                self.last.predicted(self.now_ns, self.most_ns);
+            self.now_ns += 1_000_000;
+            Ok(state)
+        }
+
+        fn write(&mut self, actuation: &Actuation<JOINTS>, ticks: u64) -> Result<(), Fault> {
+            self.robot.write(actuation, ticks)
+        }
+    }
+
+    /// A cover that is pushed at its left side.
+    #[cfg(feature = "sim")]
+    struct Pushed(crate::control::cover::CoverState);
+
+    #[cfg(feature = "sim")]
+    impl crate::control::cover::CoverSource for Pushed {
+        fn read(&mut self, now_ns: u64) -> crate::control::cover::CoverState {
+            self.0.reading.sampled_at_ns = Some(now_ns);
+            self.0.frames_good += 1;
+            self.0
+        }
+
+        fn start_tare(&mut self, _now_ns: u64) {
+            self.0.zero = crate::control::supervisor::Zero::Valid;
+        }
+    }
+
+    /// Largest step of a joint's torque from one tick to the next while the base is pushed away, N·m.
+    #[cfg(feature = "sim")]
+    fn torque_step_nm(most_ns: u64) -> f64 {
+        use crate::control::stage::Untimed;
+        use crate::control::supervisor::Zero;
+        use crate::control::tick::ControlLoop;
+        use crate::control::tick_input::Slot;
+        use crate::devices::simulated_robot::{SimulatedRobot, free_scene};
+        use moca_msgs::{Mode, TaxelReading, TaxelStatus};
+        let mut config = Config::default();
+        config.protection.override_speed_limit_m_s = 0.5;
+        config.protection.override_statement = "this cover's rate is not what is tested".into();
+        let robot = SimulatedRobot::new(&config, &free_scene(&config), Vec::new()).unwrap();
+        let plant = Heard { robot, last: Default::default(), most_ns, now_ns: 0 };
+        let none = crate::control::cover::CoverState::NONE;
+        let mut cover = Pushed(crate::control::cover::CoverState {
+            frames_good: 1,
+            rate_hz: 250.0,
+            zero: Zero::Invalid,
+            ..none
+        });
+        cover.0.reading.taxels.fill(TaxelReading { force_n: 0.0, status: TaxelStatus::Ok });
+        let (supervisor, motion) = (
+            crate::runtime::assemble::supervisor(&config),
+            crate::runtime::assemble::motion(&config).unwrap(),
+        );
+        let mut control = ControlLoop::new(plant, cover, supervisor, motion, 1e-3);
+        let (mut before, mut most_nm) = (None, 0.0_f64);
+        for tick in 0..3000_u64 {
+            let pushes = tick >= 1000;
+            let force_n = if pushes { 20.0 } else { 0.0 };
+            control.cover.0.reading.taxels[1].force_n = force_n;
+            control.cover.0.forces = Ok(std::array::from_fn(|taxel| if taxel == 1 { force_n } else { 0.0 }));
+            let slot = Slot { tick, now_ns: tick * 1_000_000, ticks: 1, ..Slot::default() };
+            let sample = control.tick(&slot, None, &mut Untimed).sample;
+            let torque_nm = sample.arm_torque_nm.clone();
+            // From when it moves on: the push itself is a step in both.
+            if tick >= 1500 {
+                assert_eq!((sample.mode, sample.fault), (Mode::Impedance, None), "tick {tick}");
+                for (now, before) in torque_nm.iter().zip(before.iter().flatten()) {
+                    let (now, before): (&f64, &f64) = (now, before);
+                    most_nm = most_nm.max((now - before).abs());
+                }
+            }
+            before = Some(torque_nm);
+            if tick == 2999 {
+                assert!(sample.base_pose_world[1].abs() > 0.05, "it gives way: {:?}", sample.base_pose_world);
+            }
+        }
+        most_nm
+    }
+
+    #[test]
+    #[cfg(feature = "sim")]
+    fn odometry_that_is_carried_on_by_its_twist_makes_smaller_steps_of_torque() {
+        let [staircase, carried_on] = [0, 100_000_000].map(torque_step_nm);
+        let said =
+            format!("{carried_on:.2} N·m instead of {staircase:.2} N·m, {:.2} of it", carried_on / staircase);
+        println!("{said}");
+        assert!(carried_on < 0.5 * staircase, "{said}");
+        let docs = include_str!("../../../../docs/robot.md");
+        assert!(docs.contains(&said), "docs/robot.md does not say: {said}");
+    }
+
+    #[test]
+    fn each_base_that_is_shipped_as_a_file_gets_the_message_that_it_reads() {
+        let order = |name: &str| {
+            let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/robots/");
+            let config = Config::load(std::path::Path::new(&format!("{folder}{name}"))).unwrap();
+            let (heard, sent) = mpsc::channel();
+            let memory = Memory { heard: Some(heard), ..Memory::default() };
+            let mut base = Ros2Base::spawn(settings(&config), Box::new(memory), |_| {}).unwrap();
+            base.order([0.1, 0.2, 0.3]);
+            (settings(&config).cmd_vel, sent.recv().unwrap())
+        };
+        let moves = |twist: &Twist| (twist.linear.array(), twist.angular.array());
+        let expected = ([0.1, 0.2, 0.0], [0.0, 0.0, 0.3]);
+        let (topic, payload) = order("mecanum-ros2.toml");
+        let stamped: TwistStamped = cdr::decode(&payload).unwrap();
+        assert_eq!((&*topic, moves(&stamped.twist)), ("/mecanum_drive_controller/reference", expected));
+        assert_eq!(stamped.header.frame_id, "base_link");
+        assert!(stamped.header.stamp.unix_ns() > 0, "the controller drops orders that are too old");
+        let (topic, payload) = order("holonomic-ros2.toml");
+        assert_eq!((&*topic, moves(&cdr::decode(&payload).unwrap())), ("/cmd_vel", expected));
     }
 
     #[test]
