@@ -231,15 +231,18 @@ impl Client {
 
     fn trajectory(&mut self, sample: &Sample) -> Vec<Waypoint> {
         let [mut x, mut y, mut z] = sample.flange_desired_position_world;
-        let mut time_s = 0.0;
+        let (mut time_s, mut way_s, mut before) = (0.0, 0.0_f64, None);
         let count = 2 + self.random.below(POSES_MAX - 1);
         (0..count)
             .map(|_| {
-                let waypoint =
-                    Waypoint { time_s, position_world: [x, y, z], quaternion_world: self.quaternion() };
-                let way: [f64; 3] = self.in_ball().map(|v: f64| 0.4 * v);
+                let quaternion_world = self.quaternion();
                 // At 0.8 of the fastest that is allowed.
-                time_s += way.iter().fold(0.05, |most, v| v.abs().max(most)) / (0.8 * SPEED_MAX_M_S);
+                let turn_rad = before.map_or(0.0, |before| angle_rad(&before, &quaternion_world));
+                time_s += way_s.max(turn_rad / (0.8 * SPEED_MAX_RAD_S));
+                before = Some(quaternion_world);
+                let waypoint = Waypoint { time_s, position_world: [x, y, z], quaternion_world };
+                let way: [f64; 3] = self.in_ball().map(|v: f64| 0.4 * v);
+                way_s = way.iter().fold(0.05, |most, v| v.abs().max(most)) / (0.8 * SPEED_MAX_M_S);
                 [x, y, z] = [x + way[0], y + way[1], z + way[2]];
                 waypoint
             })
@@ -284,4 +287,9 @@ impl Client {
             None => TimedTarget { age_limit_s: 60.0, ..good },
         }
     }
+}
+
+/// Angle of the turn from one orientation to the other, rad.
+fn angle_rad(a: &[f64; 4], b: &[f64; 4]) -> f64 {
+    2.0 * a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>().abs().min(1.0).acos()
 }
