@@ -165,6 +165,11 @@ class Text(IdlStruct, typename=of("std_msgs", "String")):
 
 
 @dataclass
+class Empty(IdlStruct, typename=of("std_msgs", "Empty")):
+    structure_needs_at_least_one_member: uint8 = 0
+
+
+@dataclass
 class TriggerCall(IdlStruct, typename=of("std_srvs", "Trigger_Request", "srv")):
     """With the header that Cyclone's ROS middleware puts before the arguments."""
     client: uint64 = 0

@@ -1,10 +1,13 @@
 """What a user's nodes do with the robot behind its bridge, over whatever link a node has."""
+import json
+import math
 import os
 import signal
 import subprocess
 import time
 
-STRING, POSE, WRENCH = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
+STRING, EMPTY = "std_msgs/msg/String", "std_msgs/msg/Empty"
+POSE, WRENCH = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
 TWIST, STAMPED, VECTOR = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Vector3"
 HEADER, TIME, PLACE = "std_msgs/msg/Header", "builtin_interfaces/msg/Time", "geometry_msgs/msg/Pose"
 SHOWN = {
@@ -19,9 +22,9 @@ class User:
     def __init__(self, node, topics):
         self.node = node
         self.readers = {topic: node.reader(topic, name) for topic, name in topics.items()}
-        told = {"target_pose": POSE, "target_twist": STAMPED, "cmd_vel": TWIST}
+        told = {"target_pose": POSE, "target_twist": STAMPED, "cmd_vel": TWIST, "cmd_vel_stamped": STAMPED, "alive": EMPTY}
         self.writers = {topic: node.writer("/moca/" + topic, name) for topic, name in told.items()}
-        self.refusals, self.counts, self.last, self.base = [], {}, {}, None
+        self.refusals, self.counts, self.last, self.base, self.yaw = [], {}, {}, None, 0.0
 
     def call(self, service):
         answer = self.node.call("/moca/" + service)
@@ -39,12 +42,19 @@ class User:
                     if topic == "/tf":
                         for frame in message.transforms:
                             if frame.child_frame_id == "base_link":
-                                self.base = frame.transform.translation
+                                self.base, turn = frame.transform.translation, frame.transform.rotation
+                                self.yaw = 2.0 * math.atan2(turn.z, turn.w)
             time.sleep(0.005)
 
     def flange(self):
         position = self.last["/moca/flange"].pose.position
         return [position.x, position.y, position.z]
+
+    def flange_y(self):
+        """The y axis of the flange, in the world."""
+        turn = self.last["/moca/flange"].pose.orientation
+        x, y, z, w = turn.x, turn.y, turn.z, turn.w
+        return [2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)]
 
     def robot(self):
         return self.last["/diagnostics"].status[0]
@@ -67,8 +77,28 @@ class User:
         place = self.node.made(PLACE, type(pose.position)(*position), pose.orientation)
         self.writers["target_pose"](self.node.made(POSE, self.header("world"), place))
 
-    def drive(self, vx, vz=0.0):
-        self.writers["cmd_vel"](self.node.made(TWIST, self.vector(vx, 0.0, vz), self.vector()))
+    def drive(self, vx, vz=0.0, turn=0.0):
+        self.writers["cmd_vel"](self.node.made(TWIST, self.vector(vx, 0.0, vz), self.vector(z=turn)))
+
+    def drive_stamped(self, vx, ago_s=0.0):
+        twist = self.node.made(TWIST, self.vector(vx), self.vector())
+        self.writers["cmd_vel_stamped"](
+            self.node.made(STAMPED, self.header("base_link", time.time_ns() - int(ago_s * 1e9)), twist))
+
+    def live(self):
+        self.writers["alive"](self.node.made(EMPTY, 0))
+
+    def led_along(self, frame, axis):
+        """Leads the flange 20 mm along y of a frame, which is `axis` in the world."""
+        start, way = self.flange(), [0.0] * 3
+
+        def far():
+            way[:] = [a - b for a, b in zip(self.flange(), start)]
+            return math.hypot(*way) > 0.02
+        self.until(far, lambda: self.twist(0.03, frame), f"led along y of {frame}")
+        along = sum(a * b for a, b in zip(way, axis)) / math.hypot(*way)
+        print(f"  y of {frame}: {[round(x, 2) for x in axis]}, led by {[round(x, 4) for x in way]}", flush=True)
+        assert along > 0.97, along
 
     def until(self, done, ask, what):
         for _ in range(400):
@@ -89,13 +119,18 @@ def talk(node):
     user = User(node, SHOWN)
     user.hear(8)
     urdf = node.reader("/robot_description", STRING, latched=True)
-    assert user.call("arm")[0]
+    assert user.call("tare")[0] and user.call("arm")[0]
     user.hear(1.5)
     assert user.mode() == "impedance"
     assert user.call("stop")[0]
     user.hear(1.5)
     assert user.mode() == "protective stop" and user.robot().level == 2
     assert user.call("resume")[0] and user.call("arm")[0]
+    for _ in range(12):
+        user.live()
+        user.hear(0.5)
+    print("  signs of life alone:", user.mode(), user.robot().message)
+    assert user.mode() == "impedance", "a sign of life is enough"
     user.hear(6)
     print("  nobody shows life:", user.mode(), user.robot().message)
     assert user.mode() == "protective stop", "whoever armed and is not heard from has gone"
@@ -115,7 +150,7 @@ def lead(node, peer, daemon):
     user.hear(8)
     frozen, other = peer("listen"), peer("push")
     user.refused(lambda: user.twist(0.03), "not possible in mode ready")
-    assert user.call("arm")[0]
+    assert user.call("arm")[0] and user.call("end_target")[0]
     start = user.flange()
     user.until(lambda: user.flange()[1] > start[1] + 0.02, lambda: user.twist(0.03), "led along y")
     user.until(lambda: user.mode() == "follow-me", lambda: user.twist(0.0), "in follow-me")
@@ -124,6 +159,28 @@ def lead(node, peer, daemon):
     user.until(near, lambda: user.pose(wanted), "at the pose")
     x = user.base.x
     user.until(lambda: user.base.x > x + 0.05, lambda: user.drive(0.1), "driven")
+
+    x = user.base.x
+    user.until(lambda: user.base.x > x + 0.05, lambda: user.drive_stamped(0.1), "driven by stamped velocities")
+    user.refused(lambda: user.drive_stamped(0.1, ago_s=5.0), "age of the target")
+    user.until(lambda: user.yaw > 0.3, lambda: user.drive(0.0, turn=0.3), "turned")
+    # Let it come to rest: what is led next is measured.
+    for _ in range(20):
+        user.twist(0.0)
+        user.hear()
+    user.led_along("base_link", [-math.sin(user.yaw), math.cos(user.yaw), 0.0])
+    user.led_along("flange", user.flange_y())
+    user.led_along("world", [0.0, 1.0, 0.0])
+    wanted = user.flange()
+    wanted[2] += 0.1
+    for _ in range(5):
+        user.pose(wanted)
+        user.hear()
+    assert user.call("end_target")[0]
+    target = json.loads(daemon("status", "--json", stdout=subprocess.PIPE).communicate()[0])["target"]
+    print("  target:", target, flush=True)
+    assert (target["kind"], target["phase"]) == ("pose", "ended"), "by the request, not by its age"
+    user.until(lambda: user.mode() == "follow-me", lambda: user.twist(0.0), "still leading")
 
     other.stdin.write(b"now\n")
     other.stdin.flush()

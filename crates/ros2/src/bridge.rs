@@ -101,7 +101,6 @@ struct Shown {
     session: u64,
     robot: Arc<RobotDescription>,
     display: Display,
-    start_unix_ns: u64,
     next_numbers_ns: u64,
     next_diagnostics_ns: u64,
 }
@@ -162,9 +161,9 @@ impl Bridge {
         match (&update.link, update.samples.last()) {
             (Link::Up { session, description }, Some(newest)) => {
                 if self.shown.as_ref().is_none_or(|shown| shown.session != *session) {
-                    self.begin(*session, description, newest)?;
+                    self.begin(*session, description, newest, unix_ns())?;
                 }
-                self.show(&update.samples)?;
+                self.show(&update.samples, unix_ns())?;
             }
             (Link::Up { .. }, None) => {}
             (Link::Down { reason }, _) => {
@@ -204,16 +203,13 @@ impl Bridge {
     fn lead(&mut self, daemon: &Connection) {
         for Input { name, reader, read } in self.targets.clone() {
             while let Some((node, payload)) = self.transport.take_from_node(reader) {
-                let target = if self.leader.takes(&node, Instant::now()) {
-                    read(&payload)
-                } else {
-                    Err("another node leads".into())
-                };
-                match target {
-                    Ok(target) => {
+                // Who sends nothing that can be read does not lead.
+                match read(&payload) {
+                    Ok(target) if self.leader.takes(&node, Instant::now()) => {
                         daemon.alive();
                         daemon.request(Request::Target(target));
                     }
+                    Ok(_) => self.refuse(&format!("{name}: another node leads")),
                     Err(why) => self.refuse(&format!("{name}: {why}")),
                 }
             }
@@ -256,8 +252,9 @@ impl Bridge {
         session: u64,
         robot: &Arc<RobotDescription>,
         newest: &Sample,
+        now_unix_ns: u64,
     ) -> Result<(), LogError> {
-        let start_unix_ns = unix_ns().saturating_sub(newest.time_ns);
+        let start_unix_ns = now_unix_ns.saturating_sub(newest.time_ns);
         let display = Display::new(robot, start_unix_ns, PERIODS);
         let mut to = ToRos {
             transport: self.transport.as_mut(),
@@ -267,13 +264,15 @@ impl Bridge {
         display.begin(&mut to)?;
         let robot = Arc::clone(robot);
         let (next_numbers_ns, next_diagnostics_ns) = (0, 0);
-        self.shown =
-            Some(Shown { session, robot, display, start_unix_ns, next_numbers_ns, next_diagnostics_ns });
+        self.shown = Some(Shown { session, robot, display, next_numbers_ns, next_diagnostics_ns });
         Ok(())
     }
 
-    fn show(&mut self, samples: &[Sample]) -> Result<(), LogError> {
-        let Some(shown) = &mut self.shown else { return Ok(()) };
+    /// Shows what came at `now_unix_ns`.
+    fn show(&mut self, samples: &[Sample], now_unix_ns: u64) -> Result<(), LogError> {
+        let (Some(shown), Some(newest)) = (&mut self.shown, samples.last()) else { return Ok(()) };
+        shown.display.follow_clock(now_unix_ns, newest.time_ns);
+        let start_unix_ns = shown.display.start_unix_ns();
         for sample in samples {
             let mut to = ToRos {
                 transport: self.transport.as_mut(),
@@ -282,7 +281,7 @@ impl Bridge {
             };
             shown.display.sample(sample, false, &mut to)?;
             let (now_ns, stamp) =
-                (sample.time_ns, Time::from_unix_ns(shown.start_unix_ns.saturating_add(sample.time_ns)));
+                (sample.time_ns, Time::from_unix_ns(start_unix_ns.saturating_add(sample.time_ns)));
             if now_ns >= shown.next_numbers_ns {
                 shown.next_numbers_ns = now_ns + NUMBERS_NS;
                 if !sample.taxels.is_empty() {
@@ -380,5 +379,85 @@ impl Sink for ToRos<'_> {
             send(self.transport, *writer, message);
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::{Header, Vector3};
+    use crate::transport::memory::Memory;
+    use moca_msgs::{Target, TwistAxes};
+    use moca_telemetry::net::Address;
+    use std::sync::mpsc;
+
+    const MS: u64 = 1_000_000;
+    const SECOND: u64 = 1000 * MS;
+
+    fn bridge(memory: Memory) -> Bridge {
+        let settings = BridgeSettings { prefix: "/moca".into(), tf: true };
+        Bridge::new(Box::new(memory), settings).unwrap()
+    }
+
+    #[test]
+    fn who_sends_what_cannot_be_read_does_not_take_the_lead() {
+        let sent = |node: &str, frame_id: &str, x| {
+            let header = Header { frame_id: frame_id.into(), ..Header::default() };
+            let twist = Twist { linear: Vector3::from([x, 0.0, 0.0]), ..Twist::default() };
+            let payload = cdr::encode(&TwistStamped { header, twist });
+            ("/moca/target_twist".to_owned(), node.as_bytes().to_vec(), payload)
+        };
+        let mut cut = sent("joystick", "world", 0.5);
+        cut.2.truncate(20);
+        let from_nodes = vec![
+            cut,
+            sent("joystick", "map", 0.4),
+            sent("planner", "world", 0.1),
+            sent("joystick", "world", 0.2),
+            sent("planner", "world", 0.3),
+        ];
+        let mut bridge = bridge(Memory { from_nodes, ..Memory::default() });
+        // A daemon that there is not answers every request so.
+        let nowhere = std::env::temp_dir().join(format!("moca-ros2-{}-nobody.sock", std::process::id()));
+        let daemon = Connection::spawn(Address::Unix(nowhere), || {}).unwrap();
+        bridge.lead(&daemon);
+        let asked = daemon.poll().replies.into_iter().map(|reply| reply.request);
+        let wanted = [0.1, 0.3].map(|x| {
+            let twist = [x, 0.0, 0.0, 0.0, 0.0, 0.0];
+            Request::Target(TimedTarget::new(Target::Twist { axes: TwistAxes::World, twist }))
+        });
+        assert_eq!(asked.collect::<Vec<_>>(), wanted, "what the planner wants, and it alone");
+    }
+
+    #[test]
+    fn stamps_follow_a_clock_that_is_set_and_ticks_that_are_lost() {
+        let (heard, written) = mpsc::channel();
+        let mut bridge = bridge(Memory { heard: Some(heard), ..Memory::default() });
+        let robot = Arc::new(RobotDescription::paper("test", true));
+        let sample = |time_ns| {
+            let mut sample = Sample { time_ns, ..Sample::default() };
+            sample.q_rad.extend([0.1; 7]);
+            sample
+        };
+        let start = 1_790_000_000 * SECOND;
+        bridge.begin(1, &robot, &sample(0), start).unwrap();
+        let mut loop_ns = 0;
+        // Set back, set ahead or without ticks: what the clock says when a sample of that loop time comes.
+        for behind_s in [0, -30, 0, 12] {
+            let mut stamp = 0;
+            for arrival in 0..250_u64 {
+                loop_ns += 10 * MS;
+                // One that comes late says nothing.
+                let late_ns = if arrival % 5 == 0 { 80_000_000 } else { 0 };
+                let now = (start + loop_ns).saturating_add_signed(behind_s * 1_000_000_000 + late_ns);
+                bridge.show(&[sample(loop_ns)], now).unwrap();
+                // The flange's wrench comes last, but for diagnostics.
+                let stamps =
+                    written.try_iter().filter_map(|payload| cdr::decode::<WrenchStamped>(&payload).ok());
+                stamp = stamps.last().map_or(stamp, |wrench| wrench.header.stamp.unix_ns());
+            }
+            let wanted = (start + loop_ns).saturating_add_signed(behind_s * 1_000_000_000);
+            assert_eq!(stamp, wanted, "{behind_s} s");
+        }
     }
 }

@@ -21,11 +21,6 @@ const RETRY: Duration = Duration::from_millis(250);
 const SILENCE: Duration = Duration::from_secs(2);
 /// What changes seldom is said again after this, ns of loop time.
 const REPEAT_NS: u64 = 1_000_000_000;
-/// The time between loop and wall is looked at once in so many batches: one that comes late says nothing.
-const BATCHES_PER_LOOK: u32 = 100;
-/// Beyond this the two have drifted apart, ns: ticks were lost, or the clock was set.
-const DRIFT_NS: u64 = 50_000_000;
-
 /// What moves is shown at most so often, ns.
 const POSES_NS: u64 = 10_000_000;
 
@@ -71,7 +66,7 @@ async fn session(daemon: &Address, period_ns: u64, hub: &Hub) -> Result<std::con
         timeout(SILENCE, Client::connect(daemon)).await.map_err(|_| End::Silent)??;
     hub.begin(&description);
     let first = next_batch(&mut incoming, hub).await?;
-    let mut shown = Shown::begin(&description, start_unix_ns(&first), period_ns, hub)?;
+    let mut shown = Shown::begin(&description, &first, period_ns, hub)?;
     hub.announce();
     let mut batch = first;
     loop {
@@ -101,50 +96,37 @@ async fn next_batch(incoming: &mut Incoming, hub: &Hub) -> Result<Batch, End> {
     Ok(timeout(SILENCE, samples).await.map_err(|_| End::Silent)??)
 }
 
-/// Unix time of loop time 0 as this batch has it, ns.
-fn start_unix_ns(batch: &Batch) -> u64 {
-    batch.sent_unix_ns.saturating_sub(batch.samples.last().map_or(0, |sample| sample.time_ns))
+/// Loop time of the newest sample, ns.
+fn newest_ns(batch: &Batch) -> u64 {
+    batch.samples.last().map_or(0, |sample| sample.time_ns)
 }
 
 struct Shown<'a> {
     display: Display,
     to: ToHub<'a>,
     next_repeat_ns: u64,
-    /// Earliest Unix time of loop time 0 that batches since the last look had, ns, and how many there were.
-    earliest: (u64, u32),
 }
 
 impl<'a> Shown<'a> {
     fn begin(
         robot: &RobotDescription,
-        start_unix_ns: u64,
+        first: &Batch,
         period_ns: u64,
         hub: &'a Hub,
     ) -> Result<Self, LogError> {
+        let start_unix_ns = first.sent_unix_ns.saturating_sub(newest_ns(first));
         let periods =
             Periods { numbers_ns: period_ns, poses_ns: POSES_NS.max(period_ns), fixed_ns: REPEAT_NS };
         let display = Display::new(robot, start_unix_ns, periods);
         let mut to = ToHub { hub, start_unix_ns, cdr: Writer::default(), keeps: true };
         display.begin(&mut to)?;
         to.keeps = false;
-        Ok(Self { display, to, next_repeat_ns: 0, earliest: (u64::MAX, 0) })
-    }
-
-    /// Follows the wall clock; of a batch that came late the time between loop and wall is too long, of none too short.
-    fn follow_clock(&mut self, batch: &Batch) {
-        let (earliest_ns, batches) = self.earliest;
-        self.earliest = (earliest_ns.min(start_unix_ns(batch)), batches + 1);
-        if self.earliest.1 == BATCHES_PER_LOOK {
-            let (earliest_ns, _) = std::mem::replace(&mut self.earliest, (u64::MAX, 0));
-            if earliest_ns.abs_diff(self.to.start_unix_ns) > DRIFT_NS {
-                self.to.start_unix_ns = earliest_ns;
-                self.display.started_at(earliest_ns);
-            }
-        }
+        Ok(Self { display, to, next_repeat_ns: 0 })
     }
 
     fn batch(&mut self, batch: &Batch) -> Result<(), LogError> {
-        self.follow_clock(batch);
+        self.display.follow_clock(batch.sent_unix_ns, newest_ns(batch));
+        self.to.start_unix_ns = self.display.start_unix_ns();
         for sample in &batch.samples {
             let again = sample.time_ns >= self.next_repeat_ns;
             if again {

@@ -43,6 +43,10 @@ const TOUCH: &str = "/scene/touch";
 const LOG: &str = "/log";
 const URDF: &str = "/robot_description";
 
+/// The time between loop and wall is looked at once in so many arrivals: one that comes late says nothing.
+const ARRIVALS_PER_LOOK: u32 = 100;
+/// Beyond this the two have drifted apart, ns: ticks were lost, or the clock was set.
+const DRIFT_NS: u64 = 50_000_000;
 /// A touch is drawn at most so often, ns.
 const TOUCH_PERIOD_NS: u64 = 40_000_000;
 
@@ -81,6 +85,8 @@ pub struct Display {
     robot: RobotDescription,
     /// Unix time of loop time 0, ns.
     start_unix_ns: u64,
+    /// Earliest Unix time of loop time 0 that arrivals since the last look had, ns, and how many there were.
+    earliest: (u64, u32),
     periods: Periods,
     last: Option<Situation>,
     next_numbers_ns: u64,
@@ -98,6 +104,7 @@ impl Display {
         Self {
             robot: robot.clone(),
             start_unix_ns,
+            earliest: (u64::MAX, 0),
             periods,
             last: None,
             next_numbers_ns: 0,
@@ -109,9 +116,22 @@ impl Display {
         }
     }
 
-    /// Loop time 0 was at `unix_ns`, as is known now.
-    pub const fn started_at(&mut self, unix_ns: u64) {
-        self.start_unix_ns = unix_ns;
+    /// Unix time of loop time 0 as is known now, ns.
+    pub const fn start_unix_ns(&self) -> u64 {
+        self.start_unix_ns
+    }
+
+    /// Follows the wall clock: samples whose newest is of `newest_ns`, loop time, came at `now_unix_ns`. Of some that came
+    /// late the time between loop and wall is too long, of none too short.
+    pub fn follow_clock(&mut self, now_unix_ns: u64, newest_ns: u64) {
+        let (earliest_ns, arrivals) = self.earliest;
+        self.earliest = (earliest_ns.min(now_unix_ns.saturating_sub(newest_ns)), arrivals + 1);
+        if self.earliest.1 == ARRIVALS_PER_LOOK {
+            let (earliest_ns, _) = std::mem::replace(&mut self.earliest, (u64::MAX, 0));
+            if earliest_ns.abs_diff(self.start_unix_ns) > DRIFT_NS {
+                self.start_unix_ns = earliest_ns;
+            }
+        }
     }
 
     /// Says what there will be, and who the robot is.

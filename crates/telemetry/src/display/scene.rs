@@ -160,6 +160,7 @@ pub(super) fn touch(robot: &RobotDescription, sample: &Sample, at: &Time) -> Mar
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "what is drawn is given, not computed")]
 mod tests {
     use super::*;
 
