@@ -119,7 +119,9 @@ def talk(node):
     user = User(node, SHOWN)
     user.hear(8)
     urdf = node.reader("/robot_description", STRING, latched=True)
-    assert user.call("tare")[0] and user.call("arm")[0]
+    assert user.call("tare")[0]
+    # It is answered when it begins.
+    user.until(lambda: user.call("arm")[0], lambda: None, "armed after the tare")
     user.hear(1.5)
     assert user.mode() == "impedance"
     assert user.call("stop")[0]
