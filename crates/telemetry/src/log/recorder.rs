@@ -227,12 +227,14 @@ impl PartWriter {
             // Looked at before draining: what was there when the stop came is written.
             let last_round = stop.load(Ordering::Acquire);
             while let Ok(sample) = samples.pop() {
-                self.turn_over(sample.time_ns)?;
+                if self.is_long_enough(sample.time_ns) {
+                    // What came before goes into the part before, and how the run is configured is known to the next.
+                    self.write_all(entries)?;
+                    self.turn_over(sample.time_ns)?;
+                }
                 self.log.sample(&sample)?;
             }
-            for entry in entries.try_iter() {
-                self.write(entry)?;
-            }
+            self.write_all(entries)?;
             if last_round {
                 return Ok(());
             }
@@ -244,6 +246,10 @@ impl PartWriter {
             }
             std::thread::sleep(POLL);
         }
+    }
+
+    fn write_all(&mut self, entries: &Receiver<Entry>) -> Result<(), LogError> {
+        entries.try_iter().try_for_each(|entry| self.write(entry))
     }
 
     fn write(&mut self, entry: Entry) -> Result<(), LogError> {
@@ -260,12 +266,14 @@ impl PartWriter {
         }
     }
 
-    /// Begins the next part once the present one is long enough.
-    fn turn_over(&mut self, now_ns: u64) -> Result<(), LogError> {
+    /// Whether a sample of this time begins the next part.
+    fn is_long_enough(&mut self, now_ns: u64) -> bool {
         let began_ns = *self.began_ns.get_or_insert(now_ns);
-        if self.split_ns.is_none_or(|split_ns| now_ns.saturating_sub(began_ns) < split_ns) {
-            return Ok(());
-        }
+        self.split_ns.is_some_and(|split_ns| now_ns.saturating_sub(began_ns) >= split_ns)
+    }
+
+    /// Begins the next part.
+    fn turn_over(&mut self, now_ns: u64) -> Result<(), LogError> {
         self.part += 1;
         let next = LogWriter::new((self.parts)(self.part)?, &self.meta)?;
         let written = std::mem::replace(&mut self.log, next).finish()?;
