@@ -121,6 +121,7 @@ impl Fci {
             phase: Phase::default(),
             count: Count::default(),
             say: Box::new(say),
+            said_last: String::new(),
         };
         let thread = std::thread::Builder::new().name("fci".into()).spawn(move || worker.run())?;
         Ok(Self { states, orders, shared, thread: Some(thread), silent_since: Instant::now() })
@@ -245,6 +246,7 @@ struct Worker {
     phase: Phase,
     count: Count,
     say: Box<dyn FnMut(&str) + Send>,
+    said_last: String,
 }
 
 impl Worker {
@@ -501,8 +503,12 @@ impl Worker {
         }
     }
 
+    /// Each attempt to reach an arm that is not there ends alike: that is said once.
     fn tell(&mut self, text: &str) {
-        (self.say)(text);
+        if self.said_last != text {
+            (self.say)(text);
+            text.clone_into(&mut self.said_last);
+        }
     }
 
     fn over(&self) -> bool {
