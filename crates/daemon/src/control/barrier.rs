@@ -219,11 +219,13 @@ pub fn slow_pushes_n(config: &Config, noise_m: f64) -> Result<Option<[f64; 2]>, 
 }
 
 /// Way that the foam alone yields between what the cover hides and the force limit, m: what a base under a barrier has
-/// to stop in. `None` without a barrier.
-pub fn travel_m(config: &Config) -> Option<f64> {
+/// to stop in before a body whose force `sharing` taxels feel equal parts of, so that each one's threshold hides it. `None`
+/// without a barrier.
+pub fn travel_m(config: &Config, sharing: u8) -> Option<f64> {
     let p = &config.protection;
     let (reading, foam) = curves(config)?;
-    Some((foam.depth_m(p.force_limit_n) - reading.depth_m(p.threshold_force_n)).max(0.0))
+    let hidden_n = f64::from(sharing) * foam.force_n(reading.depth_m(p.threshold_force_n));
+    Some((foam.depth_m(p.force_limit_n) - foam.depth_m(hidden_n)).max(0.0))
 }
 
 #[cfg(test)]
@@ -241,7 +243,7 @@ mod tests {
             let barrier = Barrier::new::<7>(&config, None).unwrap();
             assert_eq!(
                 barrier.is_some(),
-                travel_m(&config).is_some(),
+                travel_m(&config, 2).is_some(),
                 "and the speed limit that goes with it"
             );
             barrier.is_some()
@@ -251,6 +253,21 @@ mod tests {
         for readings in ["foam", "pu-ld30"] {
             assert!(barrier("", Some(readings)), "{readings}");
         }
+    }
+
+    #[test]
+    fn two_thresholds_hide_a_body_on_a_seam() {
+        let mut config = Config::default();
+        config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
+        let (reading, foam) = curves(&config).unwrap();
+        let one_n = foam.force_n(reading.depth_m(config.protection.threshold_force_n));
+        for sharing in [1, 2] {
+            let hidden_n = foam.force_n(foam.depth_m(25.0) - travel_m(&config, sharing).unwrap());
+            assert!((hidden_n - f64::from(sharing) * one_n).abs() < 1e-9, "{hidden_n} N");
+        }
+        config.protection.force_limit_n = 1.5 * one_n;
+        assert!(travel_m(&config, 1).unwrap() > 0.0);
+        assert_eq!(travel_m(&config, 2), Some(0.0), "nothing is left: the base stands");
     }
 
     #[cfg(feature = "sim")]

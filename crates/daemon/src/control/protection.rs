@@ -62,8 +62,8 @@ pub struct Protection {
     settings: ProtectionConfig,
     /// The contact whose delay is measured.
     contact: Contact,
-    /// Way that a base under a contact barrier has to stop in, m.
-    barrier_travel_m: Option<f64>,
+    /// Ways that a base under a contact barrier has to stop in, m: on a seam, and in the middle of a taxel.
+    barrier_travel_m: Option<[f64; 2]>,
     /// What the base's servo can brake with, m/s².
     base_acceleration_m_s2: f64,
     tick_s: f64,
@@ -89,6 +89,7 @@ impl Protection {
     pub fn new(config: &Config, limits: [ContactLimits; TAXELS]) -> Result<Self, ParameterError> {
         let settings = config.protection.clone();
         let outline = CoverOutline::new(&config.robot.cover.placements())?;
+        let sharing = if config.robot.cover.count() > 1 { 2 } else { 1 };
         Ok(Self {
             contact: Contact {
                 stiffness_n_m: settings.contact_stiffness_n_m,
@@ -96,7 +97,9 @@ impl Protection {
                 delay_s: 0.0,
                 servo_s: config.robot.base.servo_time_constant_s,
             },
-            barrier_travel_m: barrier::travel_m(config),
+            barrier_travel_m: barrier::travel_m(config, sharing)
+                .zip(barrier::travel_m(config, 1))
+                .map(<[f64; 2]>::from),
             base_acceleration_m_s2: config.robot.base.acceleration_max_m_s2,
             tick_s: 1.0 / f64::from(config.control_loop.rate_hz.max(1)),
             outline,
@@ -164,13 +167,15 @@ impl Protection {
 
     /// Speed limit for a reading that is `delay_s` late, m/s: F/(k(T + τ)) for the part F of the force limit that the
     /// cover feels, and slow enough to stop within what cover and body yield meanwhile. Under a contact barrier, whose
-    /// loop does not go through k, only the latter, and of the foam alone: the body may be rigid.
-    fn speed_m_s(&self, delay_s: f64, limits: &Limits<JOINTS>) -> f64 {
+    /// loop does not go through k, only the latter, and of the foam alone: the body may be rigid. Whoever is met next may
+    /// stand before a seam; while somebody is `felt`, the base has to be able to give way, as fast as a middle allows.
+    fn speed_m_s(&self, delay_s: f64, felt: bool, limits: &Limits<JOINTS>) -> f64 {
         let contact = Contact { delay_s, ..self.contact };
         let felt_n = self.settings.force_limit_n - self.settings.threshold_force_n;
         let deceleration =
             limits.base_acceleration[0].min(limits.base_acceleration[1]).min(self.base_acceleration_m_s2);
-        if let Some(travel_m) = self.barrier_travel_m {
+        if let Some([seam_m, middle_m]) = self.barrier_travel_m {
+            let travel_m = if felt { middle_m } else { seam_m };
             return speed_for_stopping(travel_m, deceleration, &contact).unwrap_or(0.0);
         }
         // out of range is a delay of more than 10 s
@@ -190,7 +195,8 @@ impl Protection {
         }
         let Some(explained_s) = self.state.delay.worst_s(self.tick_s) else { return SpeedLimit::default() };
         let age_s = sampled_at_ns.map_or(f64::INFINITY, |t| seconds(now_ns.saturating_sub(t)));
-        let m_s = self.speed_m_s(explained_s.max(age_s), limits);
+        let felt = self.state.tracker.touched().contains(&true);
+        let m_s = self.speed_m_s(explained_s.max(age_s), felt, limits);
         let configured_m_s = self.outline.fastest(&limits.base_velocity);
         if age_s > explained_s + self.tick_s {
             SpeedLimit { m_s: m_s.min(configured_m_s), reason: SpeedLimitReason::Stale }
@@ -297,18 +303,21 @@ fn nominal_speed_m_s(config: &Config, firmware: Firmware) -> f64 {
     speed_for_delay_m_s(config, config.protection.force_limit_n, seconds(firmware.worst_hold_ns()) - tick_s)
 }
 
-/// Speed limit of the cover's fastest point for a reading that is `delay_s` late and an impact of `force_limit_n`, m/s.
+/// Speed limit of the cover's fastest point, while nobody is felt, for a reading that is `delay_s` late and an impact of
+/// `force_limit_n`, m/s.
 pub fn speed_for_delay_m_s(config: &Config, force_limit_n: f64, delay_s: f64) -> f64 {
+    let mut config = config.clone();
+    config.protection.force_limit_n = force_limit_n;
     // taxels without a finite place: nothing may move
-    let Ok(mut protection) = Protection::new(config, [ContactLimits::default(); TAXELS]) else { return 0.0 };
-    protection.settings.force_limit_n = force_limit_n;
+    let Ok(protection) = Protection::new(&config, [ContactLimits::default(); TAXELS]) else { return 0.0 };
     let limits = config.parameters().limits;
-    protection.speed_m_s(delay_s, &limits).min(protection.outline.fastest(&limits.base_velocity))
+    protection.speed_m_s(delay_s, false, &limits).min(protection.outline.fastest(&limits.base_velocity))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::BarrierReadings;
     use moca_msgs::protection::ContactPhase;
 
     const MS: u64 = 1_000_000;
@@ -382,6 +391,36 @@ mod tests {
                 assert!((pressed_n - felt_n).abs() < 1e-9, "{pressed_n} N of {felt_n} N after {delay_s} s");
             }
         }
+    }
+
+    #[test]
+    fn under_a_barrier_the_next_one_may_stand_before_a_seam_and_who_is_felt_is_given_way_to_faster() {
+        let mut config = Config::default();
+        config.protection.contact_barrier = BarrierReadings::Foam;
+        let mut run = Loop::new(&config, NO_LIMITS);
+        let contact = Contact { delay_s: 0.034, ..run.protection.contact };
+        let for_travel = |sharing| {
+            let travel_m = barrier::travel_m(&config, sharing).unwrap();
+            speed_for_stopping(travel_m, config.robot.base.acceleration_max_m_s2, &contact).unwrap()
+        };
+        let near = |limit: SpeedLimit, m_s: f64| (limit.m_s - m_s).abs() < 1e-12;
+        let free = run.until_frame(16).speed_limit;
+        assert!(near(free, for_travel(2)) && free.m_s < 0.9 * for_travel(1), "{free:?}");
+        assert!(near(free, speed_for_delay_m_s(&config, 25.0, 0.034)));
+        assert!(
+            speed_for_delay_m_s(&config, 65.0, 0.034) > 1.2 * free.m_s,
+            "a barrier has its own way for each force"
+        );
+        run.press(LEFT, 0.1);
+        let felt = run.tick(true).speed_limit;
+        assert!(near(felt, for_travel(1)), "{felt:?}");
+        run.press(LEFT, 0.0);
+        assert!(near(run.tick(true).speed_limit, for_travel(2)));
+
+        let mut one_taxel = config.clone();
+        one_taxel.robot.cover.x_m.truncate(1);
+        let mut alone = Loop::new(&one_taxel, NO_LIMITS);
+        assert!(near(alone.until_frame(16).speed_limit, for_travel(1)), "one taxel has no seam");
     }
 
     #[test]

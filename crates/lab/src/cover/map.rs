@@ -2,7 +2,7 @@
 //! What was computed stands in a file there and is not computed again.
 
 use crate::paper::collision;
-use crate::rig::bound::Meeting;
+use crate::rig::bound::{Meeting, TO_THE_SEAM_M};
 use crate::rig::campaign::Campaign;
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::{Context, Result, bail, ensure};
@@ -84,8 +84,15 @@ fn cells(forces_n: &[f64]) -> Vec<Cell> {
                 for scale in FOAMS {
                     cells.extend(DECELERATIONS.map(|deceleration_m_s2| {
                         let foam = Foam::COLLISION_ASSUMED.stiffened(scale);
-                        let meeting =
-                            Meeting { foam, tissue_n_m, limit_n, deceleration_m_s2, servo_s, board };
+                        let meeting = Meeting {
+                            foam,
+                            tissue_n_m,
+                            limit_n,
+                            deceleration_m_s2,
+                            servo_s,
+                            board,
+                            sharing: 2.0,
+                        };
                         Cell { meeting, scale, person }
                     }));
                 }
@@ -151,7 +158,8 @@ impl Cell {
         settings.firmware = meeting.board;
         settings.shift_phase(f64::from(phase) / f64::from(PHASES));
         settings.foam.scale = self.scale;
-        settings.person.taxel = 5;
+        // where the touch is hidden for longest
+        (settings.person.taxel, settings.person.offset_m) = (5, TO_THE_SEAM_M);
         settings.person.stiffness = Some(meeting.tissue_n_m);
         settings.person.fixed = true;
         settings.person.gap_m = LEAD_S * speed_m_s;

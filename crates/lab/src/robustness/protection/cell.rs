@@ -19,8 +19,6 @@ const LEAD_S: f64 = 2.0;
 /// Time that a hand takes to push with all its force: at once, its moment would throw the wrist, s.
 const TAKES_HOLD_S: f64 = 0.5;
 
-/// Half the distance of two taxels in front.
-const HALF_M: f64 = 0.776 / 6.0;
 /// Centres of the taxels, the front corners, off the middle, a seam, and two at once.
 const PLACES: [Place; 19] = [
     Place::at("T1", 0, 0.0),
@@ -38,11 +36,13 @@ const PLACES: [Place; 19] = [
     Place::at("corner T8", 7, 0.11),
     Place::at("off T6", 5, 0.1),
     Place::at("off T5", 4, -0.1),
-    Place::at("seam T5 T6", 5, HALF_M),
+    Place { sharing: 2.0, ..Place::at("seam T5 T6", 5, bound::TO_THE_SEAM_M) },
     Place::two("T5 and T7", 4, 6),
     Place::two("T2 and T4", 1, 3),
     Place::two("T2 and T9", 1, 8),
 ];
+/// Those of them that go all round: the taxels, the corners and the seam.
+pub(super) const AROUND: [usize; 14] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 15];
 const BOARDS: [Firmware; 3] = [Firmware::Stock2018, Firmware::Stock2015, Firmware::Moca];
 /// Name, stiffness in N/m, held against a wall or standing free.
 const PERSONS: [(&str, f64, bool); 6] = [
@@ -77,15 +77,17 @@ struct Place {
     offset_m: f64,
     /// Another one at the same time.
     also: Option<usize>,
+    /// How many taxels feel equal parts of a body there.
+    sharing: f64,
 }
 
 impl Place {
     const fn at(name: &'static str, taxel: usize, offset_m: f64) -> Self {
-        Self { name, taxel, offset_m, also: None }
+        Self { name, taxel, offset_m, also: None, sharing: 1.0 }
     }
 
     const fn two(name: &'static str, taxel: usize, also: usize) -> Self {
-        Self { name, taxel, offset_m: 0.0, also: Some(also) }
+        Self { name, taxel, offset_m: 0.0, also: Some(also), sharing: 1.0 }
     }
 }
 
@@ -103,7 +105,7 @@ pub(super) enum Meeting {
 }
 
 impl Meeting {
-    const fn name(self) -> &'static str {
+    pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Led => "led",
             Self::Walks => "walks",
@@ -181,11 +183,11 @@ impl Cell {
         cells
     }
 
-    /// A leg that nothing holds back walks into the middle of `taxel` (0 is T1).
-    pub(super) fn walk_in(board: Firmware, taxel: usize, walk_m_s: f64) -> Result<Self> {
+    /// A held leg of 50 N/mm at one of [`PLACES`], met at a speed instead of a share of the bound.
+    pub(super) fn at_speed(place: usize, meeting: Meeting, board: Firmware, speed_m_s: f64) -> Result<Self> {
         let cell = Self {
-            place: PLACES[taxel],
-            meeting: Meeting::Walks,
+            place: PLACES[place],
+            meeting,
             board,
             person: PERSONS[3],
             foam: 1.0,
@@ -193,7 +195,11 @@ impl Cell {
             truth: TRUTHS[0],
             seed: SEEDS[0],
         };
-        Ok(Self { share: walk_m_s / cell.bound_m_s()?, ..cell })
+        Ok(Self { share: speed_m_s / cell.bound_m_s()?, ..cell })
+    }
+
+    pub(super) const fn place_name(place: usize) -> &'static str {
+        PLACES[place].name
     }
 
     /// Every place in each way, with every board, body, foam and share among them, of a robot as described.
@@ -256,6 +262,7 @@ impl Cell {
             deceleration_m_s2: braking * base.acceleration_max_m_s2,
             servo_s: servo * base.servo_time_constant_s,
             board: self.board,
+            sharing: self.place.sharing,
         }
     }
 

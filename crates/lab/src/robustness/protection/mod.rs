@@ -2,6 +2,7 @@
 //! by which board, who, on which foam, how fast.
 
 mod cell;
+mod leads;
 mod table;
 mod walk_in;
 
@@ -14,6 +15,7 @@ use crate::rig::parallel;
 use crate::rig::settings::Settings;
 use anyhow::Result;
 use cell::{COLUMNS, Cell, Law, Meeting, PHASES};
+pub(crate) use leads::markdown as leads_markdown;
 use moca_daemon::config::ProtectionConfig;
 use moca_wbc::contact_barrier::STOP_SHARE;
 use std::path::{Path, PathBuf};
@@ -33,7 +35,7 @@ const RESULTS: &str = "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// CSV file; rows that are already in it are kept and not run again.
-    #[arg(long, value_name = "CSV", required_unless_present_any = ["table", "short", "walk_in"])]
+    #[arg(long, value_name = "CSV", required_unless_present_any = ["table", "short", "walk_in", "leads"])]
     out: Option<PathBuf>,
     /// How many cells of the grid, in an order that its seed shuffles: a larger number goes on where a smaller one ended.
     #[arg(long, default_value_t = 86_184)]
@@ -53,6 +55,9 @@ pub(crate) struct Arguments {
     /// Instead: who walks into the front and on, as a table.
     #[arg(long)]
     walk_in: bool,
+    /// Instead: who is driven into at 0.04 to 0.25 m/s, all round, as a table.
+    #[arg(long)]
+    leads: bool,
 }
 
 /// Runs what is missing, or prints what is there.
@@ -67,6 +72,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     }
     if arguments.walk_in {
         print!("{}", walk_in::markdown()?);
+    }
+    if arguments.leads {
+        print!("{}", leads::markdown()?);
     }
     let Some(out) = &arguments.out else { return Ok(()) };
     let cells = Cell::sample(arguments.cells, arguments.seed);

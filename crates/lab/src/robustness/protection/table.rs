@@ -80,7 +80,7 @@ impl Entry<'_> {
 /// Of a robot that is as it is believed to be.
 const DESCRIBED: &str = "as described";
 
-fn limit_n() -> f64 {
+pub(super) fn limit_n() -> f64 {
     ProtectionConfig::default().force_limit_n
 }
 

@@ -2,7 +2,7 @@
 //! feels anybody.
 
 use super::Outcome;
-use super::cell::{Cell, Law};
+use super::cell::{Cell, Law, Meeting};
 use crate::rig::parallel;
 use anyhow::Result;
 use moca_tactile::Firmware;
@@ -40,7 +40,7 @@ impl Walk {
         let mut bound_m_s = 0.0;
         let mut peaks = String::new();
         for taxel in FRONT {
-            let cell = Cell::walk_in(board, taxel, walk_m_s)?;
+            let cell = Cell::at_speed(taxel, Meeting::Walks, board, walk_m_s)?;
             bound_m_s = cell.bound_m_s()?;
             let outcome = Outcome::of(&cell, law, PHASES)?;
             // Writing to a string cannot fail.
