@@ -48,6 +48,7 @@ const TABLES: &[Table] = &[
     Table { name: "contact", file: "docs/results.md", make: stability::contact::markdown },
     Table { name: "peers", file: "docs/simulation.md", make: peers::markdown },
     Table { name: "stability", file: "docs/results.md", make: stability::markdown },
+    Table { name: "stability-maps", file: "docs/results.md", make: stability::maps::markdown },
 ];
 
 /// Computes the tables and puts each in its place.
@@ -221,7 +222,7 @@ mod tests {
     }
 
     /// What a document says in words that a table of another place has: file, words, table, beginning of the row.
-    const QUOTED: [(&str, &str, &str, &str); 20] = [
+    const QUOTED: [(&str, &str, &str, &str); 22] = [
         ("README.md", "an ideal 100 Hz cover | 24.2 N |", "paper", "C peak force, 100 Hz sensor"),
         ("README.md", "| 179.8 N |", "paper", "C without the cover"),
         ("README.md", "the speed limit that goes with it | 6.4 N |", "paper", "C with the contact barrier"),
@@ -263,6 +264,13 @@ mod tests {
             "at 0.6 of the bound in 5 of 25 cells, and in 5 beyond",
             "protection-campaign",
             "barrier | as described | led | 0.6 |",
+        ),
+        ("docs/results.md", "at that moment leaves 19 N", "contact", "no bytes any more"),
+        (
+            "docs/results.md",
+            "asked for: 23.2 N at most",
+            "protection-leads",
+            "stock-2018 | on | by hand | 0.25 |",
         ),
         ("docs/safety.md", "21 N instead of 189 N", "barrier", "100 Hz, 50 N/mm"),
         (

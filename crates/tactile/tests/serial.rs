@@ -5,7 +5,14 @@ use moca_tactile::serial::{PortSelection, SerialBoard};
 use moca_tactile::{BoardEvent, CloseReason, OpenFailure};
 use serialport::{SerialPort, TTYPort};
 use std::io::Write;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
+
+/// One at a time: a terminal that is let go gives its name to the next one, where a reader that still looks for it would find it.
+fn terminals() -> MutexGuard<'static, ()> {
+    static TERMINALS: Mutex<()> = Mutex::new(());
+    TERMINALS.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// Waits for an event that `wanted` accepts; gives up after 20 s, so that a broken reader fails instead of hanging.
 fn wait_for(
@@ -25,6 +32,7 @@ fn wait_for(
 
 #[test]
 fn bytes_cross_and_an_unplugged_board_is_reported_and_looked_for_again() {
+    let _alone = terminals();
     let (mut board, end) = TTYPort::pair().unwrap();
     let path = end.name().unwrap();
     drop(end);
@@ -47,6 +55,7 @@ fn bytes_cross_and_an_unplugged_board_is_reported_and_looked_for_again() {
 
 #[test]
 fn a_port_held_by_another_program_is_busy() {
+    let _alone = terminals();
     let (_board, mut end) = TTYPort::pair().unwrap();
     end.set_exclusive(true).unwrap();
     let path = end.name().unwrap();
