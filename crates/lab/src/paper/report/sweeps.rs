@@ -30,7 +30,7 @@ const AXES: [Axis; 9] = [
     axis("person.stiffness", "tissue [N/m]", Scale::Log, &[1e3, 5e3, 2.5e4, 1e5, 1e6]),
     axis("foam.scale", "foam stiffness, 1 is ours", Scale::Log, &[0.25, 0.5, 1.0, 2.0, 4.0]),
     axis("m_v", "virtual mass [kg]", Scale::Log, &[0.1, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 100.0]),
-    axis("d_v", "virtual damping [N.s/m]", Scale::Log, &[20.0, 40.0, 80.0, 160.0, 320.0]),
+    axis("d_v", "virtual damping [N·s/m]", Scale::Log, &[20.0, 40.0, 80.0, 160.0, 320.0]),
     axis("sensor.period_ms", "sensor period [ms]", Scale::Log, &[1.0, 5.0, 10.0, 20.0, 33.0, 50.0, 100.0]),
     axis("sensor.delay_ms", "sensor age [ms]", Scale::Linear, &[0.0, 5.0, 10.0, 20.0, 40.0]),
     axis("person.taxel", "taxel", Scale::Linear, &[1.0, 2.0, 3.0, 4.0]),
