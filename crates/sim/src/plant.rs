@@ -60,7 +60,9 @@ pub struct SimPlant {
     arm_dof: Option<usize>,
     people: People,
     command: Command,
-    /// Velocity that the outer base servo asks of the wheels, axes of B.
+    /// Share of what is missing by which the outer base servo comes closer in a control period.
+    servo_gain: f64,
+    /// Velocity that it asks of the wheels, axes of B.
     servo_velocity_body: [f64; 3],
     pressed_n: [f64; K],
     taxel_force_n: [f64; K],
@@ -96,6 +98,7 @@ impl SimPlant {
             arm_dof,
             people: People::new(scene, first_person_dof),
             command: Command::Brake,
+            servo_gain: 1.0 - (-scene.control_period_s / scene.base.servo_time_constant_s).exp(),
             servo_velocity_body: [0.0; 3],
             pressed_n: [0.0; K],
             taxel_force_n: [0.0; K],
@@ -317,10 +320,9 @@ impl SimPlant {
         };
         let dt_s = self.scene.control_period_s;
         let base = &self.scene.base;
-        let gain = 1.0 - (-dt_s / base.servo_time_constant_s).exp();
         let (linear, yaw) = (base.acceleration_max_m_s2, base.yaw_acceleration_max_rad_s2);
         for (i, limit) in [linear, linear, yaw].into_iter().enumerate() {
-            let change = gain * (target[i] - self.servo_velocity_body[i]);
+            let change = self.servo_gain * (target[i] - self.servo_velocity_body[i]);
             self.servo_velocity_body[i] += change.clamp(-limit * dt_s, limit * dt_s);
         }
     }

@@ -103,10 +103,16 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     /// Kinematics, mass matrix and bias at base yaw `yaw`, joint angles `q`, rad, and joint rates `dq`, rad/s.
     pub fn dynamics(&self, yaw: T, q: &[T; N], dq: &[T; N]) -> Dynamics<N, T> {
         let mut dynamics = Dynamics::unset();
-        self.place(yaw, q, &mut dynamics.kinematics);
-        self.compose(&mut dynamics);
-        self.newton_euler(&dynamics.kinematics, T::zero(), dq, &mut dynamics.bias);
+        self.dynamics_at(yaw, q, dq, &mut dynamics);
         dynamics
+    }
+
+    /// `out` becomes what [`ArmModel::dynamics`] gives: nothing is copied.
+    #[inline]
+    pub(crate) fn dynamics_at(&self, yaw: T, q: &[T; N], dq: &[T; N], out: &mut Dynamics<N, T>) {
+        self.place(yaw, q, &mut out.kinematics);
+        self.compose(out);
+        self.newton_euler(&out.kinematics, T::zero(), dq, &mut out.bias);
     }
 
     /// Out along the arm: where everything is. Written where it stands: returned, it would be copied.
@@ -336,7 +342,7 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
             link_axes: [Matrix3::zeros(); N],
             joint_position: [Vector3::zeros(); N],
             jacobian: SMatrix::zeros(),
-            heading: Heading::at(T::zero()),
+            heading: Heading::unset(),
             base_rotation: Matrix3::zeros(),
             arm_from_base: Vector3::zeros(),
             tool_position: Vector3::zeros(),

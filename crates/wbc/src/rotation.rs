@@ -45,6 +45,11 @@ impl<T: Scalar> Heading<T> {
         Self { sin, cos }
     }
 
+    /// Room for a heading: no direction at all.
+    pub(crate) fn unset() -> Self {
+        Self { sin: T::zero(), cos: T::zero() }
+    }
+
     /// A planar wrench or velocity in the axes of B, in W: the moment or yaw rate does not change.
     #[inline]
     pub fn to_world(&self, [x, y, z]: [T; 3]) -> [T; 3] {

@@ -11,7 +11,6 @@ use crate::control::supervisor::Touch;
 use crate::control::targets::{Order, Targets, arm_target};
 use crate::control::uncovered::Uncovered;
 use crate::robot::{JOINTS, Parts, PlantKind, TAXELS};
-use moca_msgs::protection::MAX_CONTACT_ROWS;
 use moca_msgs::request::ARMING_POSTURE_RAD;
 use moca_msgs::robot::resized;
 use moca_msgs::{
@@ -162,8 +161,8 @@ impl Motion {
     }
 
     /// What the contact barrier says of this tick, taxel by taxel; nothing without one.
-    pub fn contact_rows(&self) -> heapless::Vec<ContactRow, MAX_CONTACT_ROWS> {
-        self.barrier.as_ref().map(|barrier| barrier.rows().clone()).unwrap_or_default()
+    pub fn contact_rows(&self) -> &[ContactRow] {
+        self.barrier.as_ref().map_or(&[], |barrier| barrier.rows())
     }
 
     /// Speed of the fastest point of the cover at the base's measured velocity, m/s; 0 without a cover.

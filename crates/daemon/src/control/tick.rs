@@ -253,6 +253,10 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         }
     }
 
+    #[expect(
+        clippy::field_reassign_with_default,
+        reason = "a sample is large with its lists: put together elsewhere it would be copied"
+    )]
     fn sample(
         &self,
         slot: &Slot,
@@ -262,34 +266,30 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         output: Option<&ControlOutput<JOINTS>>,
     ) -> Sample {
         let age_s = cover.reading.age_s(slot.now_ns);
-        let mut sample = Sample {
-            tick: slot.tick,
-            time_ns: slot.now_ns,
-            mode: self.supervisor.mode(),
-            fault: self.blamed.0,
-            fault_board: self.blamed.1,
-            law: Some(self.supervisor.law()),
-            frame_age_s: age_s.unwrap_or(-1.0),
-            frame_rate_hz: cover.rate_hz,
-            frames_good: cover.frames_good,
-            frames_bad: cover.frames_bad,
-            board: cover.board,
-            lateness_s: slot.lateness_s,
-            overruns: slot.overruns,
-            stages_ns: slot.stages_ns,
-            speed_limit: self.protected.speed_limit,
-            contact_reaction: self.protected.reaction,
-            contact_events: self.protected.events.clone(),
-            contact_rows: self.motion.contact_rows(),
-            target: self.motion.target(),
-            link: link.map(|arm| Link { arm_age_s: age.arm_s, base_age_s: age.base_s, arm }),
-            ..Sample::default()
-        };
+        let mut sample = Sample::default();
+        sample.tick = slot.tick;
+        sample.time_ns = slot.now_ns;
+        sample.mode = self.supervisor.mode();
+        (sample.fault, sample.fault_board) = self.blamed;
+        sample.law = Some(self.supervisor.law());
+        sample.frame_age_s = age_s.unwrap_or(-1.0);
+        sample.frame_rate_hz = cover.rate_hz;
+        (sample.frames_good, sample.frames_bad) = (cover.frames_good, cover.frames_bad);
+        sample.board = cover.board;
+        sample.lateness_s = slot.lateness_s;
+        sample.overruns = slot.overruns;
+        sample.stages_ns = slot.stages_ns;
+        sample.speed_limit = self.protected.speed_limit;
+        sample.contact_reaction = self.protected.reaction;
+        fill(&mut sample.contact_events, &self.protected.events);
+        fill(&mut sample.contact_rows, self.motion.contact_rows());
+        sample.target = self.motion.target();
+        sample.link = link.map(|arm| Link { arm_age_s: age.arm_s, base_age_s: age.base_s, arm });
         let (parts, joints) = (self.motion.parts(), ..self.motion.joints());
         if parts.has_cover() {
             let taxels = ..self.motion.taxels();
-            sample.taxels = vec_of(&cover.reading.taxels[taxels]);
-            sample.counts = vec_of(&cover.counts[taxels]);
+            fill(&mut sample.taxels, &cover.reading.taxels[taxels]);
+            fill(&mut sample.counts, &cover.counts[taxels]);
         }
         if let Some(robot) = robot {
             sample.base_pose_world = robot.base_pose_world;
@@ -298,13 +298,13 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             sample.uncovered_way_m = self.motion.uncovered_way_m();
         }
         if let Some(robot) = robot.filter(|_| parts.has_arm()) {
-            sample.q_rad = vec_of(&robot.q_rad[joints]);
-            sample.dq_rad_s = vec_of(&robot.dq_rad_s[joints]);
+            fill(&mut sample.q_rad, &robot.q_rad[joints]);
+            fill(&mut sample.dq_rad_s, &robot.dq_rad_s[joints]);
         }
         if let Actuation::Drive(command) = actuation {
             sample.base_velocity_command_body = command.base_velocity_body;
             if parts.has_arm() {
-                sample.arm_torque_nm = vec_of(&command.arm_torque_nm[joints]);
+                fill(&mut sample.arm_torque_nm, &command.arm_torque_nm[joints]);
             }
         }
         if let Some(output) = output {
@@ -321,9 +321,9 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     }
 }
 
-fn vec_of<T: Clone, const N: usize>(values: &[T]) -> Vec<T, N> {
+fn fill<T: Clone, const N: usize>(list: &mut Vec<T, N>, values: &[T]) {
     // The capacities of a sample exceed this robot's numbers of joints and taxels.
-    Vec::from_slice(&values[..values.len().min(N)]).unwrap_or_default()
+    let _ = list.extend_from_slice(&values[..values.len().min(N)]);
 }
 
 #[cfg(test)]

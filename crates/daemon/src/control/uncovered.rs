@@ -40,6 +40,8 @@ pub struct Uncovered {
     /// Which sides each taxel covers while it is in use.
     covers: Vec<[bool; 4]>,
     usable: [bool; TAXELS],
+    /// The sides that no taxel in use covers, as in [`INTO`].
+    bare: [bool; 4],
     touched: bool,
     state: UncoveredState,
 }
@@ -59,14 +61,17 @@ impl Uncovered {
     /// Of the configured base and cover; with every taxel in use.
     pub fn new(config: &Config) -> Self {
         let [length, width, _] = config.robot.base.size_m;
+        let covers: Vec<_> = config.robot.cover.placements().iter().map(sides_of).collect();
+        let usable = [true; TAXELS];
         Self {
             speed_m_s: config.protection.uncovered_m_s,
             most_m: config.protection.uncovered_m,
             room_m: config.protection.uncovered_room_m.max(config.protection.uncovered_m),
             approach_s: APPROACH_S.max(SERVOS * config.robot.base.servo_time_constant_s),
             corner_m: 0.5 * length.hypot(width),
-            covers: config.robot.cover.placements().iter().map(sides_of).collect(),
-            usable: [true; TAXELS],
+            bare: bare_sides(&covers, &usable),
+            covers,
+            usable,
             touched: false,
             state: UncoveredState::default(),
         }
@@ -90,21 +95,21 @@ impl Uncovered {
     /// Takes in which taxels are in use and whether anybody touches them.
     pub fn feel(&mut self, cover: &CoverState) {
         self.touched = false;
-        for (usable, taxel) in self.usable.iter_mut().zip(&cover.reading.taxels) {
-            *usable = taxel.status != TaxelStatus::Masked;
+        let mut changed = false;
+        for (usable, taxel) in self.usable.iter_mut().zip(&cover.reading.taxels).take(self.covers.len()) {
+            let is_usable = taxel.status != TaxelStatus::Masked;
+            changed |= is_usable != *usable;
+            *usable = is_usable;
             self.touched |= taxel.status == TaxelStatus::Ok && taxel.force_n > 0.0;
+        }
+        if changed {
+            self.bare = bare_sides(&self.covers, &self.usable);
         }
     }
 
     /// The sides that no taxel covers: front, left, rear, right.
-    pub fn sides(&self) -> [bool; 4] {
-        let mut bare = [true; 4];
-        for (covers, _) in self.covers.iter().zip(&self.usable).filter(|(_, usable)| **usable) {
-            for (bare, covered) in bare.iter_mut().zip(covers) {
-                *bare &= !covered;
-            }
-        }
-        bare
+    pub const fn sides(&self) -> [bool; 4] {
+        self.bare
     }
 
     /// The longest way gone towards an uncovered side since the last rest, m.
@@ -167,6 +172,17 @@ impl Uncovered {
         });
         Some([[-rear, -right, -to_right], [front, left, to_left]])
     }
+}
+
+/// The sides that none of the usable taxels covers.
+fn bare_sides(covers: &[[bool; 4]], usable: &[bool; TAXELS]) -> [bool; 4] {
+    let mut bare = [true; 4];
+    for (covers, _) in covers.iter().zip(usable).filter(|(_, usable)| **usable) {
+        for (bare, covered) in bare.iter_mut().zip(covers) {
+            *bare &= !covered;
+        }
+    }
+    bare
 }
 
 /// The sides that a taxel covers, as in [`INTO`].

@@ -9,7 +9,7 @@ use crate::error::{ControlError, finite};
 use crate::gains::ArmGains;
 use crate::impedance;
 use crate::limits::{Exceeded, FlangeLimits, JointRepulsion, JointSpeeds, LimitsHit, TorqueLimits};
-use crate::model::ArmModel;
+use crate::model::{ArmModel, Dynamics};
 use crate::momentum_observer::MomentumObserver;
 use crate::opspace::ArmDynamics;
 use crate::reference::{Reference, approach_posture};
@@ -208,7 +208,8 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         dt_s: T,
         law: impl FnOnce(&ArmTick<'_, N, T>) -> R,
     ) -> R {
-        let dynamics = self.model.dynamics(robot.base_pose_world[2], &robot.q_rad, &robot.dq_rad_s);
+        let mut dynamics = Dynamics::unset();
+        self.model.dynamics_at(robot.base_pose_world[2], &robot.q_rad, &robot.dq_rad_s, &mut dynamics);
         law(&ArmTick {
             robot,
             dt_s: dt_s.min(of(LONGEST_STEP_S)),
