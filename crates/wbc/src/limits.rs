@@ -81,12 +81,23 @@ impl<const N: usize, T: Scalar> TorqueLimits<N, T> {
     /// `wanted` inside the torque limits and no further from `last` than the rate allows, N·m. A late step may not
     /// change more than a punctual one, because the robot sees one change at one instant.
     pub fn limited(&self, wanted: &[T; N], last: &[T; N], dt_s: T, hit: &mut LimitsHit) -> [T; N] {
-        let change = self.torque_rate * dt_s.min(self.period_s);
+        let change = self.change(dt_s);
         core::array::from_fn(|i| {
             let inside = clamp(wanted[i], -self.torque[i], self.torque[i], &mut hit.torque);
             let last = last[i].clamp(-self.torque[i], self.torque[i]);
             clamp(inside, last - change, last + change, &mut hit.torque_rate)
         })
+    }
+
+    fn change(&self, dt_s: T) -> T {
+        self.torque_rate * dt_s.min(self.period_s)
+    }
+
+    /// Least and largest torque of joint `i` that [`Self::limited`] lets pass in one step from `last`.
+    pub(crate) fn reachable(&self, i: usize, last: T, dt_s: T) -> [T; 2] {
+        let (most, change) = (self.torque[i], self.change(dt_s));
+        let last = last.clamp(-most, most);
+        [(-most).max(last - change), most.min(last + change)]
     }
 }
 
@@ -171,6 +182,17 @@ impl<T: Scalar> BaseLimits<T> {
         } else {
             outline.guarded(guard, wanted)
         };
+        let (low, high) = self.room(guard, last, dt_s);
+        outline.nearest(most, &plain, &low, &high)
+    }
+
+    /// Least and largest velocity of each axis in one step from `last` where somebody is given room.
+    pub(crate) fn room<const K: usize>(
+        &self,
+        guard: &BaseGuard<K, T>,
+        last: &[T; 3],
+        dt_s: T,
+    ) -> ([T; 3], [T; 3]) {
         let (mut low, mut high) = self.reachable(last, dt_s);
         if let Some([least, largest]) = guard.room_body.as_ref().or(guard.bounds_body.as_ref()) {
             for i in 0..3 {
@@ -179,7 +201,7 @@ impl<T: Scalar> BaseLimits<T> {
                 high[i] = largest[i].clamp(slowest, fastest);
             }
         }
-        outline.nearest(most, &plain, &low, &high)
+        (low, high)
     }
 
     /// The same whatever touched taxels allow.

@@ -105,17 +105,23 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
     /// # Errors
     /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
     pub fn torque_for_refused(&self, refused: &[T; 3]) -> Result<[T; N], ControlError> {
-        let mut factor = self.task_inertia()?;
-        let short = factor.diagonal().iter().fold(T::zero(), |most, &pivot| most.max(of::<T>(HEAVY) - pivot));
-        if short > T::zero() {
-            let mut shifted = self.inverse_task_inertia;
-            for i in 0..6 {
-                shifted[(i, i)] += short;
-            }
-            factor = Cholesky::new_shifted(&shifted).ok_or(SINGULAR)?;
-        }
-        let missed = factor.solve(&self.kinematics.twist_from_base(refused));
+        let missed = self.bearable_task_inertia()?.solve(&self.kinematics.twist_from_base(refused));
         Ok(transpose_times(self.kinematics.arm_jacobian(), &missed))
+    }
+
+    /// Λ of the arm alone, no heavier than 1/[`HEAVY`], as the factors of its inverse.
+    #[inline]
+    pub(crate) fn bearable_task_inertia(&self) -> Result<Cholesky<6, T>, ControlError> {
+        let factor = self.task_inertia()?;
+        let short = factor.diagonal().iter().fold(T::zero(), |most, &pivot| most.max(of::<T>(HEAVY) - pivot));
+        if short <= T::zero() {
+            return Ok(factor);
+        }
+        let mut shifted = self.inverse_task_inertia;
+        for i in 0..6 {
+            shifted[(i, i)] += short;
+        }
+        Cholesky::new_shifted(&shifted).ok_or(SINGULAR)
     }
 
     /// Wrench at the tool that moves it as the joint torques do: J̄ᵀτ of the arm alone.
@@ -299,6 +305,17 @@ impl<const N: usize, T: Scalar> BlockWeighted<'_, N, T> {
     pub(crate) fn arm_force(&self, y: &[T; 6], null_arm: &[T; N]) -> [T; N] {
         let arm = transpose_times(self.task.arm.kinematics.arm_jacobian(), y);
         core::array::from_fn(|i| null_arm[i] + self.weight.arm * arm[i])
+    }
+
+    /// x of which ‖x‖² is νᵀ(A_B + ρ A_A)⁻¹ν for an acceleration ν of the tool.
+    pub(crate) fn whitened(&self, acceleration: &[T; 6]) -> [T; 6] {
+        let (lower, inverse) = (self.factor.solve_lower(acceleration), self.factor.inverse_diagonal());
+        core::array::from_fn(|i| lower[i] * inverse[i].sqrt())
+    }
+
+    /// W of eq. (6) as it weighs accelerations of the base (its diagonal), and its share of M_A⁻¹ for torques of the arm.
+    pub(crate) fn metric(&self) -> ([T; 3], T) {
+        (self.task.virtual_mass.map(|mass| mass / self.weight.base), T::one() / self.weight.arm)
     }
 
     /// S = M_v − J_Bᵀ(A_B + ρ A_A)⁻¹J_B, symmetric: S·M_v⁻¹·f is what the null space leaves of a force f on the base.

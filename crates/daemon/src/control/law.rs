@@ -20,7 +20,7 @@ use moca_msgs::{
 use moca_wbc::reference_generator::{ReferenceBounds, Workspace};
 use moca_wbc::{
     ArmController, ArmInput, ArmState, BaseController, BaseGuard, BaseInput, BaseState, ControlError,
-    ControlInput, ControlLaw, ControlOutput, ControllerState, Exceeded, FlangePose, LimitsHit,
+    ControlInput, ControlLaw, ControlOutput, ControllerState, Exceeded, FlangePose, LimitsHit, QpUse,
     WholeBodyController,
 };
 
@@ -64,6 +64,27 @@ pub struct Motion {
     guard: BaseGuard<TAXELS>,
     real: bool,
     deadlines: SourceAge,
+    /// What keeping all limits together has taken so far, where they are.
+    by_qp: Option<QpTally>,
+}
+
+/// What [`Motion::keep_limits_by_qp`] has taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct QpTally {
+    /// Steps with a quadratic programme.
+    pub steps: u64,
+    /// Most rows that one step took up or dropped.
+    pub most_iterations: usize,
+    /// Steps that fell back on keeping the limits one after the other.
+    pub fell_back: u64,
+}
+
+impl QpTally {
+    fn count(&mut self, used: &QpUse) {
+        self.steps += u64::from(used.programmes > 0);
+        self.most_iterations = self.most_iterations.max(used.iterations);
+        self.fell_back += u64::from(used.fell_back);
+    }
 }
 
 impl Motion {
@@ -99,7 +120,19 @@ impl Motion {
             guard,
             real,
             deadlines,
+            by_qp: None,
         })
+    }
+
+    /// Lets a whole robot keep all its limits together ([`WholeBodyController::step_by_qp`]) from the next step on. For
+    /// experiments: no configuration asks for it, and no replay knows of it.
+    pub fn keep_limits_by_qp(&mut self) {
+        self.by_qp = Some(QpTally::default());
+    }
+
+    /// What that has taken; `None` where the limits are kept one after the other.
+    pub const fn by_qp(&self) -> Option<QpTally> {
+        self.by_qp
     }
 
     /// Whether the robot is a real one, whose arm holds itself on a controller of its own while it gets no torques.
@@ -334,7 +367,8 @@ impl Motion {
             }
         }
         let input = LawInput { law, taxel_force_n, guard, dt_s };
-        let output = either!(&mut self.controller, controller => controller.step(robot, &input))?;
+        let by_qp = self.by_qp.as_mut();
+        let output = either!(&mut self.controller, controller => controller.step(robot, &input, by_qp))?;
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.remember(output.limits.guard);
         }
@@ -485,14 +519,28 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    fn step(&mut self, robot: &RobotState<JOINTS>, input: &LawInput) -> Result<ControlOutput<JOINTS>, Fault> {
+    fn step(
+        &mut self,
+        robot: &RobotState<JOINTS>,
+        input: &LawInput,
+        by_qp: Option<&mut QpTally>,
+    ) -> Result<ControlOutput<JOINTS>, Fault> {
         let robot: RobotState<N> = robot.resized();
         let LawInput { law, taxel_force_n, guard, dt_s } = *input;
         match self {
             Self::Whole(controller, state) => {
                 let state = entered(state, || controller.enter(law, &robot))?;
                 let input = ControlInput { robot, taxel_force_n, flange_wrench_world: None, guard, dt_s };
-                controller.step(law, state, &input).map(|output| ControlOutput {
+                let output = match by_qp {
+                    None => controller.step(law, state, &input),
+                    Some(tally) => {
+                        let mut used = QpUse::default();
+                        let output = controller.step_by_qp(law, state, &input, &mut used);
+                        tally.count(&used);
+                        output
+                    }
+                };
+                output.map(|output| ControlOutput {
                     command: output.command.resized(),
                     cover_wrench_base: output.cover_wrench_base,
                     flange_wrench_world: output.flange_wrench_world,

@@ -101,6 +101,9 @@ impl Rig {
             Sensor::Stock => {
                 let mut lock_step = LockStep::with_board(&config, scene, settings.board(), None)?.untimed();
                 lock_step.feed.set_delay(usize::try_from(ticks(settings.sensor_delay_ms))?);
+                if settings.by_qp {
+                    lock_step.control.keep_limits_by_qp();
+                }
                 SensorModel::Board(Box::new(lock_step))
             }
             Sensor::Ideal | Sensor::Off => {
@@ -111,6 +114,9 @@ impl Rig {
                 let ideal = IdealCover::new(ticks(settings.period_ms()), delay);
                 let mut lock_step = LockStep::with_true_forces(&config, scene, ideal)?.untimed();
                 lock_step.feed = settings.sensor_samples;
+                if settings.by_qp {
+                    lock_step.control.keep_limits_by_qp();
+                }
                 SensorModel::True(Box::new(lock_step))
             }
         };

@@ -83,11 +83,13 @@ const KEYS: &[Key] = &[
     }),
     key(
         "law",
-        "paper|barrier",
+        "paper|barrier|qp",
         "the law as published, or as a calibrated cover has it: the contact barrier with its speed limit and both \
-         corrections (after sensor)",
+         corrections (after sensor), and with every limit of arm and base in one quadratic programme",
         |s, v| {
-            let barrier = word(v, &[("paper", false), ("barrier", true)])?;
+            let (barrier, by_qp) =
+                word(v, &[("paper", (false, false)), ("barrier", (true, false)), ("qp", (true, true))])?;
+            s.by_qp = by_qp;
             let corrections = &mut s.config.control.corrections;
             (corrections.null_space_damping, corrections.base_coupling) = (barrier, barrier);
             s.config.protection = if barrier { ProtectionConfig::default() } else { settings::unprotected() };

@@ -158,6 +158,8 @@ pub(crate) struct Settings {
     /// `None` is what the scene takes: the default, or under `accuracy` the leapfrog.
     pub integrator: Option<Integrator>,
     pub engine: Engine,
+    /// All limits are kept together by one quadratic programme.
+    pub by_qp: bool,
 }
 
 /// The paper's robot has no speed limit but its own, and goes wherever it is pushed; limits this high change no bit.
@@ -212,6 +214,7 @@ impl Settings {
             step_ms: 1.0,
             integrator: None,
             engine: Engine::default(),
+            by_qp: false,
         }
     }
 

@@ -37,7 +37,7 @@ pub struct ArmController<const N: usize, T = f64> {
     model: ArmModel<N, T>,
     pub(super) gains: ArmGains<N, T>,
     posture_rad: [f64; N],
-    limits: TorqueLimits<N, T>,
+    pub(super) limits: TorqueLimits<N, T>,
     joint_speeds: JointSpeeds<N, T>,
     flange_limits: FlangeLimits<T>,
     repulsion: JointRepulsion<N, T>,
@@ -285,7 +285,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         Ok(())
     }
 
-    const fn joint_limits(&self) -> JointLimits<'_, N, T> {
+    pub(super) const fn joint_limits(&self) -> JointLimits<'_, N, T> {
         JointLimits { speeds: &self.joint_speeds, repulsion: &self.repulsion }
     }
 
@@ -365,6 +365,20 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         }
         state.torque_nm = torque;
         let fade = (-tick.dt_s / of(CARRY_FADE_S)).exp();
+        state.carried_nm = state.carried_nm.map(|carried| carried * fade);
+        finite("torque command", &state.torque_nm)?;
+        Ok(state.torque_nm)
+    }
+
+    /// `total`, which keeps the limits of torque and its rate but for rounding, and the state that goes with it.
+    pub(super) fn sent(
+        &self,
+        total: &[T; N],
+        state: &mut ArmState<N, T>,
+        dt_s: T,
+    ) -> Result<[T; N], ControlError> {
+        state.torque_nm = self.limits.limited(total, &state.torque_nm, dt_s, &mut LimitsHit::default());
+        let fade = (-dt_s / of(CARRY_FADE_S)).exp();
         state.carried_nm = state.carried_nm.map(|carried| carried * fade);
         finite("torque command", &state.torque_nm)?;
         Ok(state.torque_nm)

@@ -30,7 +30,7 @@ use moca_msgs::{ParameterError, Parameters, TaxelPlacement};
 pub struct BaseController<const K: usize, T = f64> {
     outline: CoverOutline<K, T>,
     pub(super) gains: BaseGains<T>,
-    limits: BaseLimits<T>,
+    pub(super) limits: BaseLimits<T>,
 }
 
 /// What a [`BaseController`] remembers between steps.

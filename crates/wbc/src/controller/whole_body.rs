@@ -6,6 +6,7 @@ use super::base::{BaseController, BaseState};
 use super::law::ControlLaw;
 use super::lead::Target;
 use super::tick::{ArmTick, Tracking};
+use super::whole_body_qp::QpUse;
 use super::{FlangePose, LIGHTEST_DAMPED_BASE, check};
 use crate::admittance::{admitted, damped_in_null_space, mean_share};
 use crate::error::{ControlError, finite};
@@ -76,10 +77,10 @@ pub struct ControlOutput<const N: usize, T = f64> {
     serde(bound = "T: crate::Scalar")
 )]
 pub struct ControllerState<const N: usize, T = f64> {
-    arm: ArmState<N, T>,
-    base: BaseState<T>,
+    pub(super) arm: ArmState<N, T>,
+    pub(super) base: BaseState<T>,
     /// η_B and η_A on their way to the configured ones.
-    eta: [T; 2],
+    pub(super) eta: [T; 2],
     /// As of the last step: a change is entered like a change of law.
     corrections: Corrections,
 }
@@ -102,32 +103,32 @@ pub struct ControllerState<const N: usize, T = f64> {
 /// ```
 #[derive(Clone, Copy, Debug)]
 pub struct WholeBodyController<const N: usize, const K: usize, T = f64> {
-    arm: ArmController<N, T>,
-    base: BaseController<K, T>,
+    pub(super) arm: ArmController<N, T>,
+    pub(super) base: BaseController<K, T>,
     /// η_B and η_A of eq. (9).
     eta: [T; 2],
-    corrections: Corrections,
+    pub(super) corrections: Corrections,
 }
 
 /// What a law wants before any limit.
-struct Wanted<const N: usize, T> {
-    torque: [T; N],
+pub(super) struct Wanted<const N: usize, T> {
+    pub(super) torque: [T; N],
     /// World axes.
-    base_velocity: [T; 3],
+    pub(super) base_velocity: [T; 3],
     /// Acceleration of the base that the arm's torque counts on per change of its velocity in this step, 1/s, world
     /// axes; `None` where it counts on none.
-    counted_on: Option<[T; 3]>,
+    pub(super) counted_on: Option<[T; 3]>,
     /// `None` where no pose is tracked.
     tracking: Option<Tracking<T>>,
 }
 
 /// One step's quantities of base and arm.
-struct Step<'a, const N: usize, T> {
-    tick: &'a ArmTick<'a, N, T>,
+pub(super) struct Step<'a, const N: usize, T> {
+    pub(super) tick: &'a ArmTick<'a, N, T>,
     cover_world: [T; 3],
     flange_wrench: [T; 6],
     /// v_d of eq. (2), world axes.
-    base_velocity: [T; 3],
+    pub(super) base_velocity: [T; 3],
 }
 
 impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
@@ -205,6 +206,51 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         state: &mut ControllerState<N, T>,
         input: &ControlInput<N, K, T>,
     ) -> Result<ControlOutput<N, T>, ControlError> {
+        self.stepped(law, state, input, |step, arm, next, wanted, hit| {
+            self.limited(step, arm, next, &input.guard, wanted, hit)
+        })
+    }
+
+    /// [`Self::step`] with all limits kept together, by one quadratic programme of arm and base, where some are not kept
+    /// by what the law wants; where all are, the same to the bit, but for the repulsion from the ends of the joints' ranges,
+    /// in whose place the programme has bounds. `docs/math.md` derives it. `used` says what it took.
+    ///
+    /// # Errors
+    /// As for [`Self::step`].
+    pub fn step_by_qp(
+        &self,
+        law: ControlLaw,
+        state: &mut ControllerState<N, T>,
+        input: &ControlInput<N, K, T>,
+        used: &mut QpUse,
+    ) -> Result<ControlOutput<N, T>, ControlError> {
+        *used = QpUse::default();
+        self.stepped(law, state, input, |step, arm, next, wanted, hit| {
+            if let Some(arm) = arm
+                && let Some(command) =
+                    self.limited_together(step, arm, next, &input.guard, wanted, (&mut *hit, used))?
+            {
+                return Ok(command);
+            }
+            self.limited(step, arm, next, &input.guard, wanted, hit)
+        })
+    }
+
+    /// One control step; `within` makes what the law wants a command inside every limit.
+    #[inline]
+    fn stepped(
+        &self,
+        law: ControlLaw,
+        state: &mut ControllerState<N, T>,
+        input: &ControlInput<N, K, T>,
+        within: impl FnOnce(
+            &Step<'_, N, T>,
+            Option<&ArmDynamics<'_, N, T>>,
+            &mut ControllerState<N, T>,
+            &Wanted<N, T>,
+            &mut LimitsHit,
+        ) -> Result<RobotCommand<N, T>, ControlError>,
+    ) -> Result<ControlOutput<N, T>, ControlError> {
         check_step(input.dt_s)?;
         check_robot(&input.robot)?;
         self.base.check_cover(&input.taxel_force_n, &input.guard)?;
@@ -240,7 +286,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
                 }
                 Some(arm) => self.follow_me(&step, arm, &mut next, &mut hit)?,
             };
-            let command = self.limited(&step, arm.as_ref(), &mut next, &input.guard, &wanted, &mut hit)?;
+            let command = within(&step, arm.as_ref(), &mut next, &wanted, &mut hit)?;
             Ok(ControlOutput {
                 command,
                 cover_wrench_base,
@@ -360,19 +406,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         let base_velocity_body =
             self.base.limited(guard, &wanted_body, &state.base.velocity_body, tick.dt_s, hit);
         finite("base velocity command", &base_velocity_body)?;
-        // follow-me's reference stands on the base and is carried along by it
-        state.arm.held_back = (hit.guard && state.law() == ControlLaw::Impedance)
-            .then(|| {
-                let carried = |velocity_world: &[T; 3]| {
-                    let [x, y, ..] = tick.kinematics.twist_from_base(velocity_world);
-                    [x, y]
-                };
-                HeldBack::between(
-                    carried(&wanted.base_velocity),
-                    carried(&heading.to_world(base_velocity_body)),
-                )
-            })
-            .flatten();
+        state.hold_back(step, wanted, &base_velocity_body, hit);
         let mut torque = wanted.torque;
         if let (Some(arm), Some(per_s)) = (arm, wanted.counted_on)
             && wanted_body != base_velocity_body
@@ -397,6 +431,31 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
 }
 
 impl<const N: usize, T: Scalar> ControllerState<N, T> {
+    /// Remembers where a guard refused the base its way.
+    #[inline]
+    pub(super) fn hold_back(
+        &mut self,
+        step: &Step<'_, N, T>,
+        wanted: &Wanted<N, T>,
+        base_velocity_body: &[T; 3],
+        hit: &LimitsHit,
+    ) {
+        let kinematics = step.tick.kinematics;
+        // follow-me's reference stands on the base and is carried along by it
+        self.arm.held_back = (hit.guard && self.law() == ControlLaw::Impedance)
+            .then(|| {
+                let carried = |velocity_world: &[T; 3]| {
+                    let [x, y, ..] = kinematics.twist_from_base(velocity_world);
+                    [x, y]
+                };
+                HeldBack::between(
+                    carried(&wanted.base_velocity),
+                    carried(&kinematics.heading.to_world(*base_velocity_body)),
+                )
+            })
+            .flatten();
+    }
+
     /// The law of the last step.
     pub fn law(&self) -> ControlLaw {
         self.arm.law
