@@ -7,7 +7,7 @@ use crate::numerics::{barrier, peers, stability, tick};
 use crate::paper::report::{claims, errors};
 use crate::paper::{kept_pushes, opposite_hands};
 use crate::rig::c_library;
-use crate::robustness::{faults, lean, protection, targets};
+use crate::robustness::{faults, joint_limits, lean, protection, targets};
 use anyhow::{Context, Result, bail, ensure};
 use std::path::{Path, PathBuf};
 
@@ -32,6 +32,7 @@ struct Table {
 const TABLES: &[Table] = &[
     Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
     Table { name: "lean", file: "docs/safety.md", make: lean::markdown },
+    Table { name: "together", file: "docs/results.md", make: joint_limits::markdown },
     Table { name: "targets", file: "docs/command-line.md", make: targets::markdown },
     Table { name: "detection", file: "docs/results.md", make: detection::markdown },
     Table { name: "other-senses", file: "docs/results.md", make: other_senses::markdown },
@@ -271,6 +272,49 @@ mod tests {
             "asked for: 23.2 N at most",
             "protection-leads",
             "stock-2018 | on | by hand | 0.25 |",
+        ),
+        ("docs/results.md", "impedance, 13 of 44", "together", "stretched | impedance | 10 to 40 | together"),
+        (
+            "docs/results.md",
+            "instead of 38 of 44",
+            "together",
+            "stretched | impedance | 10 to 40 | one by one",
+        ),
+        (
+            "docs/results.md",
+            "in follow-me 0 of 44",
+            "together",
+            "stretched | follow-me | 10 to 40 | together",
+        ),
+        (
+            "docs/results.md",
+            "instead of 24 of 44",
+            "together",
+            "stretched | follow-me | 10 to 40 | one by one",
+        ),
+        ("docs/results.md", "199.99 mm at home", "together", "home | impedance | 10 to 40 | together"),
+        ("docs/results.md", "off by 5.21 mm until", "together", "home | impedance | 10 to 40 | one by one"),
+        (
+            "docs/results.md",
+            "99.7 % of the range",
+            "together",
+            "near an end | impedance | 100 to 150 | together",
+        ),
+        (
+            "docs/results.md",
+            "the spring keeps 90.5",
+            "together",
+            "near an end | impedance | 100 to 150 | one by one",
+        ),
+        ("docs/results.md", "a flange of 2.36 mm", "together", "home | follow-me | 10 to 40 | together"),
+        ("docs/results.md", "instead of 2.70", "together", "home | follow-me | 10 to 40 | one by one"),
+        ("docs/results.md", "and 1.64 instead", "together", "near an end | follow-me | 10 to 40 | together"),
+        ("docs/results.md", "instead of 2.14", "together", "near an end | follow-me | 10 to 40 | one by one"),
+        (
+            "docs/results.md",
+            "takes 226 changes",
+            "together",
+            "near an end | impedance | 100 to 150 | together",
         ),
         ("docs/safety.md", "21 N instead of 189 N", "barrier", "100 Hz, 50 N/mm"),
         (

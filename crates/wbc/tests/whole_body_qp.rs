@@ -1,6 +1,9 @@
 //! All limits in one quadratic programme: what it is nearest to, what it keeps, and what happens where it fails.
 #![allow(clippy::unwrap_used, clippy::float_cmp, clippy::needless_range_loop, reason = "tests")]
 
+mod common;
+
+use common::{Loop, Push, flange_error};
 use moca_qp::{Metric, Row, WorkingSet};
 use moca_wbc::guard::CoverOutline;
 use moca_wbc::linalg::Cholesky;
@@ -268,4 +271,27 @@ fn a_programme_that_fails_leaves_the_limits_to_the_closed_form() {
         }
     }
     assert!((1..100).contains(&fell_back), "{fell_back}");
+}
+
+/// Leant on for a second, joint 4 between the end of its range and where the repulsion from it begins.
+#[test]
+fn near_the_end_of_a_range_the_flange_keeps_its_place() {
+    let posture = [0.0, -1.2, 0.0, -2.95, 0.0, 1.75, 0.785];
+    let worst = |by_qp: bool| {
+        let mut parameters = Parameters { corrections: CORRECTED, ..Parameters::PAPER };
+        parameters.gains.posture_rad = posture;
+        let robot = RobotState { flange_wrench_world: Some([0.0; 6]), ..RobotState::at_rest(posture) };
+        let mut run = Loop::starting(ControlLaw::Impedance, &parameters, robot, 1e-3);
+        run.guard.speed_m_s = Some(0.1);
+        run.by_qp = by_qp.then(QpUse::default);
+        (1..1000).fold(0.0_f64, |worst, tick| {
+            let push = Push::taxels(&[6], 40.0).scaled((f64::from(tick) / 300.0).min(1.0));
+            let output = run.step(&push);
+            assert!(output.exceeded.is_none() && !run.by_qp.is_some_and(|used| used.fell_back));
+            assert!(run.robot.q_rad[3] > PANDA.q_min_rad[3]);
+            worst.max(flange_error(&output))
+        })
+    };
+    let [one_by_one, together] = [worst(false), worst(true)];
+    assert!(together < 5e-4 && one_by_one > 2e-3, "{together} {one_by_one}");
 }

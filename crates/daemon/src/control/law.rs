@@ -20,7 +20,7 @@ use moca_msgs::{
 use moca_wbc::reference_generator::{ReferenceBounds, Workspace};
 use moca_wbc::{
     ArmController, ArmInput, ArmState, BaseController, BaseGuard, BaseInput, BaseState, ControlError,
-    ControlInput, ControlLaw, ControlOutput, ControllerState, Exceeded, FlangePose, LimitsHit, QpUse,
+    ControlInput, ControlLaw, ControlOutput, ControllerState, Exceeded, FlangePose, LimitsHit,
     WholeBodyController,
 };
 
@@ -79,8 +79,9 @@ pub struct QpTally {
     pub fell_back: u64,
 }
 
+#[cfg(feature = "qp")]
 impl QpTally {
-    fn count(&mut self, used: &QpUse) {
+    fn count(&mut self, used: &moca_wbc::QpUse) {
         self.steps += u64::from(used.programmes > 0);
         self.most_iterations = self.most_iterations.max(used.iterations);
         self.fell_back += u64::from(used.fell_back);
@@ -126,6 +127,7 @@ impl Motion {
 
     /// Lets a whole robot keep all its limits together ([`WholeBodyController::step_by_qp`]) from the next step on. For
     /// experiments: no configuration asks for it, and no replay knows of it.
+    #[cfg(feature = "qp")]
     pub fn keep_limits_by_qp(&mut self) {
         self.by_qp = Some(QpTally::default());
     }
@@ -532,13 +534,14 @@ impl<const N: usize> Controller<N> {
                 let state = entered(state, || controller.enter(law, &robot))?;
                 let input = ControlInput { robot, taxel_force_n, flange_wrench_world: None, guard, dt_s };
                 let output = match by_qp {
-                    None => controller.step(law, state, &input),
+                    #[cfg(feature = "qp")]
                     Some(tally) => {
-                        let mut used = QpUse::default();
+                        let mut used = moca_wbc::QpUse::default();
                         let output = controller.step_by_qp(law, state, &input, &mut used);
                         tally.count(&used);
                         output
                     }
+                    _ => controller.step(law, state, &input),
                 };
                 output.map(|output| ControlOutput {
                     command: output.command.resized(),

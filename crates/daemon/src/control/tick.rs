@@ -127,6 +127,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     }
 
     /// See [`Motion::keep_limits_by_qp`].
+    #[cfg(feature = "qp")]
     pub fn keep_limits_by_qp(&mut self) {
         self.motion.keep_limits_by_qp();
     }

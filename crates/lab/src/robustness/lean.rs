@@ -41,7 +41,7 @@ pub(crate) struct Arguments {
 /// How the hand comes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-enum Hand {
+pub(super) enum Hand {
     /// Within half a second, for six.
     Held,
     /// Within 50 ms, for 200 ms.
@@ -58,13 +58,13 @@ impl Hand {
     }
 
     /// Share of the force at `t_s` after the touch.
-    fn share(self, t_s: f64) -> f64 {
+    pub(super) fn share(self, t_s: f64) -> f64 {
         let (ramp_s, hold_s) = self.times_s();
         (t_s / ramp_s).min((2.0 * ramp_s + hold_s - t_s) / ramp_s).clamp(0.0, 1.0)
     }
 
     /// With a second to come to rest, s.
-    fn duration_s(self) -> f64 {
+    pub(super) fn duration_s(self) -> f64 {
         let (ramp_s, hold_s) = self.times_s();
         2.0 * ramp_s + hold_s + 1.0
     }

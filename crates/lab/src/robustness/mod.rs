@@ -2,6 +2,7 @@
 
 pub(crate) mod clients;
 pub(crate) mod faults;
+pub(crate) mod joint_limits;
 pub(crate) mod lean;
 pub(crate) mod lost_packets;
 pub(crate) mod protection;
