@@ -45,6 +45,9 @@ pub struct QpUse {
     pub fell_back: bool,
 }
 
+/// Torques and base velocity inside every limit; `None` where the programme fails.
+type Found<const N: usize, T> = Option<([T; N], [T; 3])>;
+
 /// The programme of one step.
 struct Programme<'a, const N: usize, const K: usize, T> {
     controller: &'a WholeBodyController<N, K, T>,
@@ -168,7 +171,7 @@ impl<const N: usize, const K: usize, T: Scalar> Programme<'_, N, K, T> {
         alone: &[T; 3],
         before_body: &[T; 3],
         used: &mut QpUse,
-    ) -> Result<Option<([T; N], [T; 3])>, ControlError> {
+    ) -> Result<Found<N, T>, ControlError> {
         let (base, dt_s) = (&self.controller.base, self.step.tick.dt_s);
         // a speed limit of every point of the cover bounds no polyhedron: the base does not help where it is in the way
         let free = guard.instead_body.is_none() && base.outline().permits(guard, &self.velocity_body);
@@ -183,12 +186,7 @@ impl<const N: usize, const K: usize, T: Scalar> Programme<'_, N, K, T> {
     }
 
     /// Torques and base velocity nearest to what is wanted, the base between `least` and `most`.
-    fn solved(
-        &self,
-        least: &[T; 3],
-        most: &[T; 3],
-        used: &mut QpUse,
-    ) -> Result<Option<([T; N], [T; 3])>, ControlError> {
+    fn solved(&self, least: &[T; 3], most: &[T; 3], used: &mut QpUse) -> Result<Found<N, T>, ControlError> {
         used.programmes += 1;
         let metric = self.metric()?;
         let (rows, count) = self.rows(least, most);
