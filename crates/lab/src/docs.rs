@@ -223,7 +223,7 @@ mod tests {
     }
 
     /// What a document says in words that a table of another place has: file, words, table, beginning of the row.
-    const QUOTED: [(&str, &str, &str, &str); 22] = [
+    const QUOTED: [(&str, &str, &str, &str); 35] = [
         ("README.md", "an ideal 100 Hz cover | 24.2 N |", "paper", "C peak force, 100 Hz sensor"),
         ("README.md", "| 179.8 N |", "paper", "C without the cover"),
         ("README.md", "the speed limit that goes with it | 6.4 N |", "paper", "C with the contact barrier"),
