@@ -10,6 +10,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+use crate::contact_barrier::{BarrierInput, BarrierSettings, ContactBarrier, FoamCurve, TaxelSample};
 use crate::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use crate::{
     ControlError, ControlInput, ControlLaw, ControlOutput, ControllerState, Corrections, Parameters, Payload,
@@ -32,11 +33,26 @@ pub enum Case {
     Corrected,
     /// Follow-me.
     FollowMe,
+    /// Impedance with every correction under a contact barrier that nobody touches, as in the next two.
+    BarrierNobody,
+    /// T6 is touched.
+    BarrierTouched,
+    /// T2 and T9 are pressed against each other, so that no way keeps both rows.
+    BarrierBetween,
 }
 
 impl Case {
     /// In the order in which they are shown.
-    pub const ALL: [Self; 5] = [Self::HoldGiven, Self::Hold, Self::Literal, Self::Corrected, Self::FollowMe];
+    pub const ALL: [Self; 8] = [
+        Self::HoldGiven,
+        Self::Hold,
+        Self::Literal,
+        Self::Corrected,
+        Self::FollowMe,
+        Self::BarrierNobody,
+        Self::BarrierTouched,
+        Self::BarrierBetween,
+    ];
 
     /// As shown, and as asked for.
     pub const fn name(self) -> &'static str {
@@ -46,7 +62,21 @@ impl Case {
             Self::Literal => "literal",
             Self::Corrected => "corrected",
             Self::FollowMe => "follow-me",
+            Self::BarrierNobody => "barrier-nobody",
+            Self::BarrierTouched => "barrier-touched",
+            Self::BarrierBetween => "barrier-between",
         }
+    }
+
+    /// What each taxel feels under a barrier, N.
+    fn felt_n(self) -> Option<[f64; 11]> {
+        let pressed: &[usize] = match self {
+            Self::BarrierNobody => &[],
+            Self::BarrierTouched => &[5],
+            Self::BarrierBetween => &[1, 8],
+            _ => return None,
+        };
+        Some(core::array::from_fn(|i| if pressed.contains(&i) { 20.0 } else { 0.0 }))
     }
 
     /// The case of this name.
@@ -62,7 +92,45 @@ type Controller = WholeBodyController<7, 11>;
 pub struct Steps {
     controller: Controller,
     law: ControlLaw,
-    robots: Vec<(ControlInput<7, 11>, ControllerState<7>)>,
+    robots: Vec<Robot>,
+}
+
+#[derive(Clone, Debug)]
+struct Robot {
+    input: ControlInput<7, 11>,
+    state: ControllerState<7>,
+    felt: Option<Felt>,
+}
+
+/// What a cover feels, with a barrier that takes it in.
+#[derive(Clone, Debug)]
+struct Felt {
+    barrier: ContactBarrier<11>,
+    force_n: [f64; 11],
+    /// Steps that the robot has gone: of 250 readings a second one step in four has a new one.
+    steps: u32,
+}
+
+impl Felt {
+    fn new(force_n: [f64; 11], steps: u32) -> Result<Self, Box<dyn Error>> {
+        let foam = FoamCurve::Hyperbolic { stiffness_n_m: 2105.0, thickness_m: 0.015 };
+        let barrier = ContactBarrier::new(&PAPER_COVER, &BarrierSettings::new(foam, foam, 25.0, 0.015)?)?;
+        Ok(Self { barrier, force_n, steps })
+    }
+
+    #[inline]
+    fn limit(&mut self, input: &mut ControlInput<7, 11>) -> Result<(), ControlError> {
+        self.steps += 1;
+        let age_s = f64::from(3 + self.steps % 4) * input.dt_s;
+        let samples = self.force_n.map(|force_n| Some(TaxelSample { force_n, age_s }));
+        // in the axes of W: what a step costs does not depend on it
+        let velocity = input.robot.base_velocity_world;
+        let measured = BarrierInput::new(samples, velocity, [3.0, 3.0, 6.0], input.dt_s);
+        let contacts = self.barrier.update(&measured)?;
+        input.taxel_force_n = contacts.force_n;
+        input.guard.outward_m_s = Some(contacts.outward_m_s);
+        Ok(())
+    }
 }
 
 impl Steps {
@@ -79,7 +147,9 @@ impl Steps {
         let (law, corrections) = match case {
             Case::HoldGiven | Case::Hold => (ControlLaw::Hold, Corrections::LITERAL),
             Case::Literal => (ControlLaw::Impedance, Corrections::LITERAL),
-            Case::Corrected => (ControlLaw::Impedance, all),
+            Case::Corrected | Case::BarrierNobody | Case::BarrierTouched | Case::BarrierBetween => {
+                (ControlLaw::Impedance, all)
+            }
             Case::FollowMe => (ControlLaw::FollowMe, Corrections::LITERAL),
         };
         let parameters = Parameters { corrections, ..Parameters::PAPER };
@@ -90,7 +160,7 @@ impl Steps {
             f64::from(random) / f64::from(u32::MAX) - 0.5
         };
         let mut robots = Vec::new();
-        for _ in 0..Self::ROBOTS {
+        for number in 0..Self::ROBOTS {
             let robot = RobotState {
                 base_pose_world: [0.3, -0.2, 0.4],
                 base_velocity_world: [0.1, -0.05, 0.2],
@@ -99,7 +169,11 @@ impl Steps {
                 torque_measured_nm: [0.0; 7],
                 flange_wrench_world: (case == Case::HoldGiven).then_some([1.0; 6]),
             };
-            robots.push((ControlInput::new(robot, [2.0; 11], 1e-3), controller.enter(law, &robot)?));
+            robots.push(Robot {
+                input: ControlInput::new(robot, [2.0; 11], 1e-3),
+                state: controller.enter(law, &robot)?,
+                felt: case.felt_n().map(|force_n| Felt::new(force_n, u32::try_from(number)?)).transpose()?,
+            });
         }
         let mut steps = Self { controller, law, robots };
         for robot in 0..3 * Self::ROBOTS {
@@ -114,7 +188,10 @@ impl Steps {
     /// None of these robots'.
     #[inline]
     pub fn step(&mut self, robot: usize) -> Result<ControlOutput<7>, ControlError> {
-        let (input, state) = &mut self.robots[robot];
+        let Robot { input, state, felt } = &mut self.robots[robot];
+        if let Some(felt) = felt {
+            felt.limit(input)?;
+        }
         self.controller.step(self.law, state, core::hint::black_box(input))
     }
 }

@@ -1,0 +1,379 @@
+//! The contact barrier beside the equations of docs/math.md, written down again for one taxel: from its whole history instead
+//! of what is remembered of it, and in steps instead of seconds.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::float_cmp,
+    reason = "tests"
+)]
+
+use moca_wbc::TaxelPlacement;
+use moca_wbc::contact_barrier::{
+    BarrierInput, BarrierSettings, ContactBarrier, ContactLimits, FoamCurve, TaxelSample,
+};
+use moca_wbc::robot::PAPER_COVER;
+use moca_wbc::testing::Numbers;
+
+/// A power of two: times add up without rounding, so what ends after a time ends at one step.
+const DT_S: f64 = 1.0 / 1024.0;
+const FOAM: FoamCurve = FoamCurve::Hyperbolic { stiffness_n_m: 2105.0, thickness_m: 0.015 };
+/// T6, in front: its way outward is that of the base along x.
+const FRONT: usize = 5;
+
+fn settings() -> BarrierSettings {
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, 0.015).unwrap();
+    BarrierSettings { forget_s: 0.25, creep_s: 0.125, ..settings }
+}
+
+fn barrier() -> ContactBarrier<11> {
+    ContactBarrier::new(&PAPER_COVER, &settings()).unwrap()
+}
+
+fn seconds(steps: usize) -> f64 {
+    steps as f64 * DT_S
+}
+
+/// What T6 has in one step.
+#[derive(Clone, Copy, Debug)]
+struct Felt {
+    /// The last reading, N, and the steps since it was taken.
+    force_n: f64,
+    age: usize,
+    /// The base's speed forward and what it can brake with, m/s, m/s².
+    speed: f64,
+    deceleration: f64,
+}
+
+impl Felt {
+    fn given_to(self, barrier: &mut ContactBarrier<11>) -> ContactLimits<11> {
+        let age_s = seconds(self.age);
+        let mut samples = [Some(TaxelSample { force_n: 0.0, age_s }); 11];
+        samples[FRONT] = Some(TaxelSample { force_n: self.force_n, age_s });
+        let deceleration = [self.deceleration, 3.0, 6.0];
+        barrier.update(&BarrierInput::new(samples, [self.speed, 0.0, 0.0], deceleration, DT_S)).unwrap()
+    }
+}
+
+/// The law of docs/math.md for one taxel that nothing else is near to.
+#[derive(Default)]
+struct Equations {
+    /// Where the base has been, m, from its start on.
+    ways_m: Vec<f64>,
+    /// Step at which the last reading was taken, how far outward the base was then, m, and the depth and force of each
+    /// reading of a touch.
+    taken: Option<usize>,
+    way_m: f64,
+    touch: Vec<(f64, f64)>,
+    released: Option<usize>,
+    /// Estimate of the person's speed, what a soft body's yielding adds, how fast the compression grows, m/s.
+    person: f64,
+    yields: f64,
+    rate: f64,
+    /// Speed at which the base met who is touched, m/s.
+    met: Option<f64>,
+}
+
+impl Equations {
+    /// Depth, m, the person's speed, m/s, the largest speed outward, m/s, and the force that the law is given, N.
+    fn step(&mut self, felt: Felt) -> [f64; 4] {
+        let s = settings();
+        if self.ways_m.is_empty() {
+            self.ways_m.push(0.0);
+        }
+        let way_m = self.ways_m[self.ways_m.len() - 1] + felt.speed * DT_S;
+        self.ways_m.push(way_m);
+        let now = self.ways_m.len() - 1;
+        if self.touch.is_empty() {
+            self.person -= self.person * DT_S / s.forget_s;
+        }
+        // before the start nothing is known; 128 places are kept
+        let taken = now + 1000 - felt.age;
+        if self.taken.is_none_or(|last| taken > last) {
+            let place = self.ways_m[now - felt.age.min(127).min(now)];
+            self.read(&s, felt.force_n, taken, now, place);
+        }
+        let w = (self.person + self.yields).max(0.0);
+        let Some((depth_m, force_n)) = self.touch.last().copied() else {
+            return [0.0, 0.0, self.released_limit(&s, now, w), 0.0];
+        };
+        let since_s = seconds(now + 1000 - self.taken.unwrap());
+        let depth_m = depth_m + way_m - self.way_m + w * since_s;
+        let soon_m = depth_m + s.servo_s * (felt.speed + w);
+        let closing = |left: f64| {
+            let braking = (2.0 * s.braking_share * felt.deceleration * left.max(0.0)).sqrt();
+            let steady = left / s.response_s;
+            if left > 0.0 { steady.min(braking) } else { steady }
+        };
+        let own = closing(s.stop_m - soon_m).max(0.0);
+        let room = closing(s.yield_m - soon_m) - w;
+        let eased_m = depth_m + s.damping_s * (felt.speed + w + s.speed_noise_m_s).min(0.0);
+        [depth_m, w, own.min(room).max(-s.retreat_m_s), FOAM.force_n(eased_m).min(force_n)]
+    }
+
+    /// Seconds since the last release.
+    fn released_s(&self, now: usize) -> f64 {
+        self.released.map_or(f64::INFINITY, |released| seconds(now - released))
+    }
+
+    fn read(&mut self, s: &BarrierSettings, force_n: f64, taken: usize, now: usize, place_m: f64) {
+        let interval_s = self.taken.replace(taken).map_or(f64::INFINITY, |last| seconds(taken - last));
+        let gone_m = place_m - core::mem::replace(&mut self.way_m, place_m);
+        let released_s = self.released_s(now);
+        if force_n < s.touch_n {
+            if !self.touch.is_empty() {
+                let seen = self.touch.len() > 1;
+                self.person = if seen { (self.person + self.yields).max(0.0) } else { 0.0 };
+                (self.yields, self.rate, self.released) = (0.0, 0.0, Some(now));
+                self.touch.clear();
+            }
+            return;
+        }
+        let (remembered, readings) = (self.person, self.touch.len());
+        let depth_m = FOAM.depth_m(force_n);
+        if interval_s < 0.2 {
+            let before_m = match self.touch.last() {
+                Some((depth_m, _)) => *depth_m,
+                None if released_s < 2.0 => FOAM.depth_m(s.hidden_n),
+                None => 0.0,
+            };
+            let rate = (depth_m - before_m) / interval_s;
+            let weight = (interval_s / (interval_s + s.speed_s)).max(1.0 / readings.max(1) as f64);
+            self.person += weight * (rate - gone_m / interval_s - self.person);
+            self.person = self.person.clamp(-0.05, s.fastest_person_m_s);
+            self.rate += weight * (rate - self.rate);
+            let seen = (self.rate.min(self.person) - 0.5 * s.speed_noise_m_s).max(0.0);
+            self.yields =
+                (seen * FOAM.slope_n_m(depth_m) / s.softest_n_m).min(s.fastest_person_m_s - self.person);
+        }
+        if readings == 0 {
+            let assumed = if released_s < s.forget_s { remembered } else { s.first_speed_m_s };
+            self.person = self.person.max(assumed);
+            let met = gone_m / interval_s;
+            self.met = match self.met {
+                Some(before) if released_s < 2.0 => Some(before.min(met.max(0.005))),
+                None if released_s < 2.0 => Some(met.max(0.005)),
+                _ => (met > 0.005).then_some(met),
+            };
+        }
+        self.touch.push((depth_m, force_n));
+    }
+
+    fn released_limit(&self, s: &BarrierSettings, now: usize, w: f64) -> f64 {
+        let released_s = self.released_s(now);
+        let creeping = s.creep_m_s + s.recovery_m_s2 * (released_s - s.creep_s).max(0.0);
+        let again = self.met.map_or(f64::INFINITY, |met| (0.5 * met).max(0.005))
+            + s.recovery_m_s2 * (released_s - 2.0).max(0.0);
+        let most = creeping.min(again);
+        if most < 1.0 { (most - w).max(-s.retreat_m_s) } else { f64::INFINITY }
+    }
+}
+
+/// Hands that come, press and go, at any rate and delay of the readings, on a base that drives about.
+#[test]
+fn every_step_is_that_of_the_equations() {
+    let mut random = Numbers::from_seed(3);
+    let mut draw = |from: f64, to: f64| from + (to - from) * 0.5 * (random.next_number() + 1.0);
+    let (mut readings, mut limits) = ([0; 3], [0; 4]);
+    for _ in 0..60 {
+        let (mut barrier, mut equations) = (barrier(), Equations::default());
+        let mut felt = Felt { force_n: 0.0, age: 0, speed: 0.0, deceleration: 3.0 };
+        for _ in 0..12 {
+            let pick = |from: &[usize], at: f64| from[(at * from.len() as f64) as usize];
+            let period = pick(&[1, 4, 10, 40, 250], draw(0.0, 1.0));
+            let delay = pick(&[0, 3, 35, 140], draw(0.0, 1.0));
+            let length = pick(&[20, 100, 256, 400, 2100], draw(0.0, 1.0));
+            let (pressed, slow) = (draw(0.0, 1.0) < 0.5, draw(0.0, 1.0) < 0.3);
+            felt.force_n = if pressed { draw(1.0, 20.0) } else { 0.0 };
+            felt.deceleration = if draw(0.0, 1.0) < 0.5 { 3.0 } else { 0.05 };
+            for step in 0..length {
+                if step % period == 0 {
+                    felt.speed = if slow { draw(-0.001, 0.006) } else { draw(-0.2, 0.2) };
+                    let lost = draw(0.0, 1.0) < 0.02;
+                    let next_n = (felt.force_n + draw(-1.0, 1.0)).clamp(1.0, 40.0);
+                    felt.force_n = if pressed && !lost { next_n } else { 0.0 };
+                }
+                felt.age = delay + step % period;
+                let found = felt.given_to(&mut barrier);
+                let found = [
+                    found.depth_m[FRONT],
+                    found.person_m_s[FRONT],
+                    found.outward_m_s[FRONT],
+                    found.force_n[FRONT],
+                ];
+                let expected = equations.step(felt);
+                for (i, (found, expected)) in found.into_iter().zip(expected).enumerate() {
+                    let same = found == expected || (found - expected).abs() < 1e-9 * (1.0 + expected.abs());
+                    assert!(same, "{i}: {found} instead of {expected}, {felt:?}");
+                }
+                let touched = !equations.touch.is_empty();
+                readings[0] += usize::from(touched);
+                limits[0] += usize::from(touched && expected[2] == 0.0);
+                limits[1] += usize::from(touched && expected[2] < 0.0);
+                limits[2] += usize::from(touched && expected[2] > 0.0);
+                limits[3] += usize::from(!touched && expected[2].is_finite());
+                readings[1] += usize::from(equations.met.is_some());
+                readings[2] += usize::from(expected[1] > 0.0 && expected[1] < 0.59);
+            }
+        }
+    }
+    println!("{readings:?} {limits:?}");
+    assert!(readings.into_iter().chain(limits).all(|seen| seen > 2000), "{readings:?} {limits:?}");
+}
+
+/// The whole cover in one step, all of it read now on a base that stands.
+fn pressed(
+    barrier: &mut ContactBarrier<11>,
+    forces_n: &[(usize, f64)],
+    light: &[usize],
+) -> ContactLimits<11> {
+    let mut input = BarrierInput::new([None; 11], [0.0; 3], [3.0, 3.0, 6.0], DT_S);
+    input.samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
+    for &(taxel, force_n) in forces_n {
+        input.samples[taxel] = Some(TaxelSample { force_n, age_s: 0.0 });
+    }
+    light.iter().for_each(|&taxel| input.light[taxel] = true);
+    barrier.update(&input).unwrap()
+}
+
+/// A body on a seam is as deep as all of its force says, of which a taxel is only told its share.
+#[test]
+fn a_seam_counts_with_what_both_taxels_feel_and_hide() {
+    let depth_m = |forces_n: &[(usize, f64)], light: &[usize]| {
+        let limits = pressed(&mut barrier(), forces_n, light);
+        (limits.depth_m[FRONT], limits.force_n[FRONT])
+    };
+    // T5 and T7 beside T6; T2 is far away
+    for (forces_n, light, body_n) in [
+        (&[(FRONT, 6.0)][..], &[][..], 6.0),
+        (&[(FRONT, 6.0), (4, 2.0)], &[], 8.0),
+        (&[(FRONT, 6.0), (4, 2.0), (6, 3.0)], &[], 11.0),
+        (&[(FRONT, 6.0), (4, 10.0)], &[], 12.0),
+        (&[(FRONT, 1.5), (4, 10.0)], &[], 3.0),
+        (&[(FRONT, 1.0), (4, 10.0)], &[], 2.0),
+        (&[(FRONT, 6.0), (4, 0.9)], &[], 6.0),
+        (&[(FRONT, 6.0), (4, 1.0)], &[], 7.0),
+        (&[(FRONT, 6.0)], &[4], 7.0),
+        (&[(FRONT, 6.0)], &[4, 6], 8.0),
+        (&[(FRONT, 6.0), (4, 3.0)], &[4], 9.0),
+        (&[(FRONT, 6.0), (1, 5.0)], &[1], 6.0),
+    ] {
+        let (depth, force) = depth_m(forces_n, light);
+        assert!((depth - FOAM.depth_m(body_n)).abs() < 1e-12, "{forces_n:?} {light:?}: {depth}");
+        assert!((force - forces_n[0].1).abs() < 1e-9, "never more than was felt: {force}");
+    }
+    // what was let go of a moment ago may be pressed still
+    let mut barrier = barrier();
+    pressed(&mut barrier, &[(4, 5.0)], &[]);
+    pressed(&mut barrier, &[], &[]);
+    let depth = pressed(&mut barrier, &[(FRONT, 6.0)], &[]).depth_m[FRONT];
+    assert!((depth - FOAM.depth_m(7.0)).abs() < 1e-12, "{depth}");
+}
+
+/// Of half the body's force half is believed once the base has gone away from it.
+#[test]
+fn of_a_body_on_a_seam_each_taxel_is_believed_its_share() {
+    let mut barrier = barrier();
+    let away = |barrier: &mut ContactBarrier<11>, age: usize| {
+        let age_s = seconds(age);
+        let mut input = BarrierInput::new([None; 11], [-0.13, 0.0, 0.0], [3.0, 3.0, 6.0], DT_S);
+        input.samples = [Some(TaxelSample { force_n: 0.0, age_s }); 11];
+        input.samples[FRONT] = Some(TaxelSample { force_n: 6.0, age_s });
+        input.samples[4] = Some(TaxelSample { force_n: 2.0, age_s });
+        barrier.update(&input).unwrap()
+    };
+    away(&mut barrier, 0);
+    let limits = away(&mut barrier, 1);
+    let eased_m = limits.depth_m[FRONT] + 0.05 * (-0.13 + limits.person_m_s[FRONT] + 0.01);
+    let expected = 0.75 * FOAM.force_n(eased_m);
+    assert!(eased_m > 0.0 && (limits.force_n[FRONT] - expected).abs() < 1e-9, "{expected} {limits:?}");
+}
+
+/// Neighbours of a cover are at most a fifth further apart than the loneliest of its taxels is from its own.
+#[test]
+fn neighbours_are_a_fifth_further_apart_at_most() {
+    let sharing = |far_m: f64| {
+        // an isosceles triangle with two sides of 0.5 m
+        let cos = 1.0 - 0.5 * (far_m / 0.5) * (far_m / 0.5);
+        let places = [[0.0, 0.0], [0.0, 0.5], [0.5 * (1.0 - cos * cos).sqrt(), 0.5 * cos]];
+        let taxels = places.map(|position_base_m| TaxelPlacement { position_base_m, ..PAPER_COVER[FRONT] });
+        let mut barrier = ContactBarrier::<11>::new(&taxels, &settings()).unwrap();
+        let depth_m = pressed(&mut barrier, &[(1, 6.0), (2, 6.0)], &[]).depth_m[1];
+        (depth_m - FOAM.depth_m(12.0)).abs() < 1e-12
+    };
+    assert!(sharing(0.51) && sharing(0.59) && !sharing(0.61));
+}
+
+/// The tool goes along where a retreat would stretch the arm, and nowhere else.
+#[test]
+fn the_tool_goes_along_with_a_retreat_from_where_the_arm_is_stretched_to() {
+    for (force_n, stretch_body_m, share) in [
+        (22.0, [0.18, 0.24], 0.5),
+        (22.0, [0.24, -0.18], 0.5),
+        (22.0, [0.0, 0.4], 0.0),
+        // between the depths the base stands and makes no room
+        (12.0, [0.4, 0.0], 0.0),
+    ] {
+        let mut input = BarrierInput::new([None; 11], [0.0; 3], [3.0, 3.0, 6.0], DT_S);
+        input.samples[FRONT] = Some(TaxelSample { force_n, age_s: 0.0 });
+        input.stretch_body_m = stretch_body_m;
+        let settings = BarrierSettings { first_speed_m_s: 0.0, ..settings() };
+        let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
+        let limits = barrier.update(&input).unwrap();
+        assert_eq!(limits.outward_m_s[FRONT] == 0.0, force_n < 20.0, "{limits:?}");
+        assert!(
+            (limits.carried - share).abs() < 1e-9,
+            "{force_n} N, {stretch_body_m:?} m: {}",
+            limits.carried
+        );
+    }
+}
+
+/// Three centimetres back at most, for 0.6 s at most, and only then does a robot in a stop stand.
+#[test]
+fn what_ends_in_a_touch_is_backed_off_from_as_far_as_said() {
+    for (speed, steps) in [(-0.2, 154), (-0.01, 614)] {
+        let mut barrier = barrier();
+        pressed(&mut barrier, &[(FRONT, 6.0)], &[]);
+        let mut input = BarrierInput::new([None; 11], [0.0; 3], [3.0, 3.0, 6.0], DT_S);
+        for step in 0..1000 {
+            let limits = barrier.update(&input).unwrap();
+            let backs = limits.outward_m_s[FRONT] == -0.3;
+            assert_eq!(backs, step < steps, "{speed} m/s, step {step}: {limits:?}");
+            assert_eq!(limits.backs_off, backs);
+            assert!(backs || limits.outward_m_s[FRONT] == 0.0);
+            input.velocity_body[0] = speed;
+        }
+    }
+}
+
+#[test]
+fn a_barrier_goes_on_from_what_another_remembers() {
+    let (mut first, mut second) = (barrier(), barrier());
+    let felt = |step: usize| Felt { force_n: 6.0, age: step % 7, speed: 0.02, deceleration: 3.0 };
+    (0..50).for_each(|step| _ = felt(step).given_to(&mut first));
+    second.restore(first.state());
+    for step in 50..80 {
+        assert_eq!(felt(step).given_to(&mut first), felt(step).given_to(&mut second));
+    }
+    assert_ne!(felt(80).given_to(&mut first), felt(80).given_to(&mut barrier()));
+}
+
+#[test]
+fn a_foam_out_of_range_is_named_with_its_range() {
+    let hyperbolic = |stiffness_n_m, thickness_m| FoamCurve::Hyperbolic { stiffness_n_m, thickness_m };
+    let power = |depth_at_100n_m, exponent| FoamCurve::Power { depth_at_100n_m, exponent };
+    for (foam, name) in [
+        (hyperbolic(0.5, 0.015), "foam stiffness"),
+        (hyperbolic(f64::NAN, 0.015), "foam stiffness"),
+        (hyperbolic(2105.0, 2.0), "foam thickness"),
+        (power(0.0, 1.5), "foam depth at 100 N"),
+        (power(0.01, 11.0), "foam exponent"),
+    ] {
+        for (reading, foam) in [(FOAM, foam), (foam, FOAM)] {
+            assert_eq!(BarrierSettings::new(reading, foam, 25.0, 0.015).unwrap_err().name, name);
+        }
+    }
+}
