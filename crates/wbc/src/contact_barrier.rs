@@ -38,7 +38,7 @@ use moca_msgs::{ParameterError, TaxelPlacement};
 
 mod track;
 
-use track::{Odometry, Track};
+use track::{Felt, Odometry, Track};
 
 /// Share of the force limit up to which the base itself may press.
 pub const STOP_SHARE: f64 = 0.3165;
@@ -374,10 +374,9 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             self.state.tracks[i].advance(
                 &self.settings,
                 &self.state.odometry,
-                input.samples[i],
+                Felt { sample: input.samples[i], light: input.light[i], body_n },
                 input.dt_s,
                 |place| self.outline.outward(i, place),
-                body_n,
             );
             let track = &self.state.tracks[i];
             if !track.touched() {

@@ -332,6 +332,30 @@ fn whom_the_base_met_it_meets_again_at_half_the_speed_for_two_seconds() {
     assert!((after[1500] - expected).abs() < 2e-3, "{} {expected}", after[1500]);
 }
 
+/// A light touch stops the base before there is a reading: what it then meets at a standstill it met at its speed before.
+#[test]
+fn who_was_touched_lightly_first_is_met_again_no_faster() {
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    let again_m_s = |is_light: bool| {
+        let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
+        let mut step = |step: usize, u: f64, light: bool, force_n: f64| {
+            let age_s = (step % 10) as f64 * DT_S;
+            let mut samples = [Some(TaxelSample { force_n: 0.0, age_s }); 11];
+            samples[FRONT] = Some(TaxelSample { force_n, age_s });
+            let mut input = BarrierInput::new(samples, [u, 0.0, 0.0], [3.0, 3.0, 6.0], DT_S);
+            input.light[FRONT] = light;
+            barrier.update(&input).unwrap().outward_m_s[FRONT]
+        };
+        (0..100).for_each(|i| _ = step(i, 0.024, false, 0.0));
+        (100..200).for_each(|i| _ = step(i, 0.0, is_light, 0.0));
+        (200..250).for_each(|i| _ = step(i, 0.0, false, 8.0));
+        (250..1750).map(|i| step(i, 0.0, false, 0.0)).last().unwrap()
+    };
+    let [light, none] = [true, false].map(again_m_s);
+    assert!((light - 0.012).abs() < 1e-4, "half of 0.024: {light}");
+    assert!(none > 0.1, "who comes to a base that stands is not one it met: {none}");
+}
+
 /// The limit is the body's and not a taxel's, however its force is shared; hands further apart have one each.
 #[test]
 fn a_body_that_two_taxels_feel_is_one() {

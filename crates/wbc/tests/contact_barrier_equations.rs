@@ -39,9 +39,10 @@ fn seconds(steps: usize) -> f64 {
 /// What T6 has in one step.
 #[derive(Clone, Copy, Debug)]
 struct Felt {
-    /// The last reading, N, and the steps since it was taken.
+    /// The last reading, N, the steps since it was taken, and whether there is a touch too light for one.
     force_n: f64,
     age: usize,
+    light: bool,
     /// The base's speed forward and what it can brake with, m/s, m/s².
     speed: f64,
     deceleration: f64,
@@ -53,7 +54,9 @@ impl Felt {
         let mut samples = [Some(TaxelSample { force_n: 0.0, age_s }); 11];
         samples[FRONT] = Some(TaxelSample { force_n: self.force_n, age_s });
         let deceleration = [self.deceleration, 3.0, 6.0];
-        barrier.update(&BarrierInput::new(samples, [self.speed, 0.0, 0.0], deceleration, DT_S)).unwrap()
+        let mut input = BarrierInput::new(samples, [self.speed, 0.0, 0.0], deceleration, DT_S);
+        input.light[FRONT] = self.light;
+        barrier.update(&input).unwrap()
     }
 }
 
@@ -72,7 +75,8 @@ struct Equations {
     person: f64,
     yields: f64,
     rate: f64,
-    /// Speed at which the base met who is touched, m/s.
+    /// Speed of the base before the last reading without even a light touch, and at which it met who is touched, m/s.
+    approach: f64,
     met: Option<f64>,
 }
 
@@ -93,7 +97,7 @@ impl Equations {
         let taken = now + 1000 - felt.age;
         if self.taken.is_none_or(|last| taken > last) {
             let place = self.ways_m[now - felt.age.min(127).min(now)];
-            self.read(&s, felt.force_n, taken, now, place);
+            self.read(&s, felt, taken, now, place);
         }
         let w = (self.person + self.yields).max(0.0);
         let Some((depth_m, force_n)) = self.touch.last().copied() else {
@@ -118,15 +122,19 @@ impl Equations {
         self.released.map_or(f64::INFINITY, |released| seconds(now - released))
     }
 
-    fn read(&mut self, s: &BarrierSettings, force_n: f64, taken: usize, now: usize, place_m: f64) {
+    fn read(&mut self, s: &BarrierSettings, felt: Felt, taken: usize, now: usize, place_m: f64) {
+        let Felt { force_n, light, .. } = felt;
         let interval_s = self.taken.replace(taken).map_or(f64::INFINITY, |last| seconds(taken - last));
         let gone_m = place_m - core::mem::replace(&mut self.way_m, place_m);
         let released_s = self.released_s(now);
         if force_n < s.touch_n {
-            if !self.touch.is_empty() {
+            if self.touch.is_empty() {
+                self.approach = if light { self.approach } else { gone_m / interval_s };
+            } else {
                 let seen = self.touch.len() > 1;
                 self.person = if seen { (self.person + self.yields).max(0.0) } else { 0.0 };
                 (self.yields, self.rate, self.released) = (0.0, 0.0, Some(now));
+                self.approach = 0.0;
                 self.touch.clear();
             }
             return;
@@ -151,7 +159,7 @@ impl Equations {
         if readings == 0 {
             let assumed = if released_s < s.forget_s { remembered } else { s.first_speed_m_s };
             self.person = self.person.max(assumed);
-            let met = gone_m / interval_s;
+            let met = (gone_m / interval_s).max(self.approach);
             self.met = match self.met {
                 Some(before) if released_s < 2.0 => Some(before.min(met.max(0.005))),
                 None if released_s < 2.0 => Some(met.max(0.005)),
@@ -179,7 +187,7 @@ fn every_step_is_that_of_the_equations() {
     let (mut readings, mut limits) = ([0; 3], [0; 4]);
     for _ in 0..60 {
         let (mut barrier, mut equations) = (barrier(), Equations::default());
-        let mut felt = Felt { force_n: 0.0, age: 0, speed: 0.0, deceleration: 3.0 };
+        let mut felt = Felt { force_n: 0.0, age: 0, light: false, speed: 0.0, deceleration: 3.0 };
         for _ in 0..12 {
             let pick = |from: &[usize], at: f64| from[(at * from.len() as f64) as usize];
             let period = pick(&[1, 4, 10, 40, 250], draw(0.0, 1.0));
@@ -192,6 +200,7 @@ fn every_step_is_that_of_the_equations() {
                 if step % period == 0 {
                     felt.speed = if slow { draw(-0.001, 0.006) } else { draw(-0.2, 0.2) };
                     let lost = draw(0.0, 1.0) < 0.02;
+                    felt.light = draw(0.0, 1.0) < 0.3;
                     let next_n = (felt.force_n + draw(-1.0, 1.0)).clamp(1.0, 40.0);
                     felt.force_n = if pressed && !lost { next_n } else { 0.0 };
                 }
@@ -352,7 +361,8 @@ fn what_ends_in_a_touch_is_backed_off_from_as_far_as_said() {
 #[test]
 fn a_barrier_goes_on_from_what_another_remembers() {
     let (mut first, mut second) = (barrier(), barrier());
-    let felt = |step: usize| Felt { force_n: 6.0, age: step % 7, speed: 0.02, deceleration: 3.0 };
+    let felt =
+        |step: usize| Felt { force_n: 6.0, age: step % 7, light: false, speed: 0.02, deceleration: 3.0 };
     (0..50).for_each(|step| _ = felt(step).given_to(&mut first));
     second.restore(first.state());
     for step in 50..80 {

@@ -54,6 +54,15 @@ impl<T: Scalar> Odometry<T> {
     }
 }
 
+/// What a taxel feels in one step.
+pub(super) struct Felt<T> {
+    pub(super) sample: Option<TaxelSample<T>>,
+    /// A touch too light for a reading.
+    pub(super) light: bool,
+    /// Force on all of the body, N; 0 where there is no reading of it.
+    pub(super) body_n: T,
+}
+
 /// What is known of one taxel's contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -75,6 +84,8 @@ pub(super) struct Track<T> {
     since: T,
     /// Time since the release, s.
     released: T,
+    /// Speed outward before the last reading without even a light touch, m/s.
+    approach: T,
     /// Speed at which the base met who touches, or did until a moment ago, m/s.
     met: T,
     /// Way outward where the readings ended that could be believed, m.
@@ -96,6 +107,7 @@ impl<T: Scalar> Track<T> {
             yields: zero,
             since: long_ago,
             released: long_ago,
+            approach: zero,
             met: of(f64::INFINITY),
             blind_from: None,
         }
@@ -119,15 +131,14 @@ impl<T: Scalar> Track<T> {
         sample.is_some_and(|sample| sample.age_s - of::<T>(0.5) * dt_s < self.since)
     }
 
-    /// Takes in one step: `way` is how far outward a place of the odometry is, `body_n` the force on all of the body.
+    /// Takes in one step: `way` is how far outward a place of the odometry is.
     pub(super) fn advance(
         &mut self,
         settings: &BarrierSettings,
         odometry: &Odometry<T>,
-        sample: Option<TaxelSample<T>>,
+        Felt { sample, light, body_n }: Felt<T>,
         dt_s: T,
         way: impl Fn(&[T; 3]) -> T,
-        body_n: T,
     ) {
         let is_new = self.is_new(sample, dt_s);
         self.since += dt_s;
@@ -149,7 +160,11 @@ impl<T: Scalar> Track<T> {
         self.since = sample.age_s;
         if sample.force_n < of(settings.touch_n) && !self.touched() {
             // what a first reading is measured against
-            self.way = way(odometry.at_age(sample.age_s));
+            let way = way(odometry.at_age(sample.age_s));
+            if !light {
+                self.approach = (way - self.way) / interval;
+            }
+            self.way = way;
             return;
         }
         let way = way(odometry.at_age(sample.age_s));
@@ -169,7 +184,8 @@ impl<T: Scalar> Track<T> {
         }
         if !self.touched() {
             self.person = self.person.max(assumed);
-            let met = (way - self.way) / interval;
+            // a light touch may have stopped the base before there was a reading
+            let met = ((way - self.way) / interval).max(self.approach);
             if self.was_touched() {
                 self.met = self.met.min(met.max(of(SLOWEST_M_S)));
             } else {
