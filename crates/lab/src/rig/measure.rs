@@ -22,6 +22,8 @@ pub(crate) struct Measures {
     pub impact_n: f64,
     /// Local maxima of the total true force on the cover, N, in time order.
     pub peaks_n: Vec<f64>,
+    /// Largest total true force of each contact, from touch to release, N, in time order.
+    pub contacts_n: Vec<f64>,
     /// Taxels that were touched, in the order of the cover.
     pub contact_taxels: Vec<String>,
     /// First contact, s after the run's start; null without one.
@@ -49,6 +51,7 @@ impl Measures {
             first_touch_n: peak_within_n(rows, FIRST_TOUCH_S),
             impact_n: peak_within_n(rows, IMPACT_S),
             peaks_n: peaks(rows),
+            contacts_n: contacts(rows),
             contact_taxels: (0..TAXELS)
                 .filter(|&taxel| rows.iter().any(|row| row.force_true[taxel] > 0.0))
                 .map(|taxel| format!("T{}", taxel + 1))
@@ -114,6 +117,13 @@ fn peaks(rows: &[Row]) -> Vec<f64> {
         }
     }
     found
+}
+
+/// Largest total force of each stretch of rows in which somebody is touched.
+fn contacts(rows: &[Row]) -> Vec<f64> {
+    let touching = |a: &Row, b: &Row| (a.total_force_n > 0.0) == (b.total_force_n > 0.0);
+    let most = |rows: &[Row]| rows.iter().map(|row| row.total_force_n).fold(0.0, f64::max);
+    rows.chunk_by(touching).map(most).filter(|force_n| *force_n > 0.0).collect()
 }
 
 fn to_f64(count: usize) -> f64 {

@@ -29,7 +29,7 @@ const LOOK_S: f64 = 0.25;
 /// Seed of the order of cells.
 const SEED: u64 = 1;
 /// Columns after the cell's own.
-const RESULTS: &str = "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after_s,felt_after_s,least_n,taps,grows,first_peak_n,later_n,flange_mm,stopped";
+const RESULTS: &str = "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after_s,felt_after_s,least_n,taps,grows,again,first_peak_n,later_n,flange_mm,stopped";
 
 /// Collisions all round the cover, with what ships and with the contact barrier.
 #[derive(clap::Args)]
@@ -176,6 +176,12 @@ fn grows(first_peak_n: f64, later_n: f64) -> bool {
     later_n > 1.02 * first_peak_n.max(STOP_SHARE * ProtectionConfig::default().force_limit_n)
 }
 
+/// The first of some forces, and the largest of the others, N.
+fn first_and_later(forces_n: &[f64]) -> [f64; 2] {
+    let [first, later @ ..] = forces_n else { return [0.0; 2] };
+    [*first, later.iter().copied().fold(0.0, f64::max)]
+}
+
 /// What the worst phase of a cell came to; flange, taps and stops of any phase.
 #[derive(Clone, Debug, Default)]
 struct Outcome {
@@ -192,6 +198,8 @@ struct Outcome {
     taps: usize,
     /// A later peak is higher than the first of the same phase, and than the base itself may press.
     grows: bool,
+    /// A later contact is harder than the first of the same phase: somebody was let go of in between.
+    again: bool,
     /// Highest first peak, and highest later one, N.
     first_peak_n: f64,
     later_n: f64,
@@ -206,6 +214,7 @@ impl Outcome {
         for phase in (0..PHASES).step_by((PHASES / phases.clamp(1, PHASES)) as usize) {
             let one = Self::of_phase(cell, law, phase)?;
             let (taps, grows) = (worst.taps.max(one.taps), worst.grows | one.grows);
+            let again = worst.again | one.again;
             let flange_mm = worst.flange_mm.max(one.flange_mm);
             let stopped = if one.stopped.is_empty() { worst.stopped.clone() } else { one.stopped.clone() };
             let [first_touch_n, impact_n] =
@@ -216,7 +225,7 @@ impl Outcome {
                 worst = one;
             }
             let peaks = Self { first_touch_n, impact_n, first_peak_n, later_n, ..worst };
-            worst = Self { taps, grows, flange_mm, stopped, ..peaks };
+            worst = Self { taps, grows, again, flange_mm, stopped, ..peaks };
         }
         Ok(worst)
     }
@@ -255,8 +264,8 @@ impl Outcome {
         let felt = contact.iter().find(|row| (0..TAXELS).any(|i| row.force_sensed[i] > 0.0));
         let closing_m_s = approach_m_s(&rows[first.saturating_sub(1)], settings);
         let felt_after_s = felt.map_or(f64::NAN, since);
-        let later_n = measures.peaks_n.iter().skip(1).fold(0.0, |most: f64, peak| most.max(*peak));
-        let first_peak_n = measures.peaks_n.first().copied().unwrap_or(0.0);
+        let [first_peak_n, later_n] = first_and_later(&measures.peaks_n);
+        let [first_contact_n, again_n] = first_and_later(&measures.contacts_n);
         Ok(Self {
             approach_m_s: closing_m_s,
             first_touch_n: measures.first_touch_n,
@@ -267,6 +276,7 @@ impl Outcome {
             least_n: cell.meeting_there().least_n(closing_m_s, felt_after_s),
             taps: measures.peaks_n.len(),
             grows: grows(first_peak_n, later_n),
+            again: grows(first_contact_n, again_n),
             first_peak_n,
             later_n,
             flange_mm: measures.flange_max_mm,
@@ -276,7 +286,7 @@ impl Outcome {
 
     fn columns(&self) -> String {
         format!(
-            "{:.4},{:.2},{:.2},{:.2},{:.3},{:.3},{:.2},{},{},{:.2},{:.2},{:.2},{}",
+            "{:.4},{:.2},{:.2},{:.2},{:.3},{:.3},{:.2},{},{},{},{:.2},{:.2},{:.2},{}",
             self.approach_m_s,
             self.first_touch_n,
             self.impact_n,
@@ -286,6 +296,7 @@ impl Outcome {
             self.least_n,
             self.taps,
             self.grows,
+            self.again,
             self.first_peak_n,
             self.later_n,
             self.flange_mm,

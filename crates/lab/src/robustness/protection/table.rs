@@ -151,8 +151,8 @@ fn failures_of(entries: &[Entry<'_>]) -> String {
 
 fn as_table(entries: &[Entry<'_>]) -> String {
     let mut out = format!(
-        "| law | robot | who moves | share of the bound | cells | above {:.0} N | worst in 0.1 s | in 0.5 s | in 3 s | taps | grows | beyond all first | flange | stopped |\n\
-         |---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
+        "| law | robot | who moves | share of the bound | cells | above {:.0} N | worst in 0.1 s | in 0.5 s | in 3 s | taps | grows | let go between | beyond all first | flange | stopped |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
         limit_n()
     );
     let mut row = |law: &str, truth: Option<&str>, meeting: &str, share: Option<&str>| {
@@ -184,19 +184,21 @@ fn as_table(entries: &[Entry<'_>]) -> String {
 fn line(group: &[&Entry<'_>]) -> String {
     let most = |name: &str| group.iter().map(|entry| entry.number(name)).fold(0.0, f64::max);
     let above = group.iter().filter(|entry| entry.above()).count();
-    let grows = group.iter().filter(|entry| entry.text("grows") == "true").count();
+    let count = |name: &str| group.iter().filter(|entry| entry.text(name) == "true").count();
     let beyond = |entry: &&&Entry<'_>| super::grows(entry.number("first_peak_n"), entry.number("later_n"));
     let beyond = group.iter().filter(beyond).count();
     let stopped = group.iter().filter(|entry| !entry.text("stopped").is_empty()).count();
     #[expect(clippy::cast_precision_loss, reason = "cells of one scan")]
     let percent = 100.0 * above as f64 / group.len().max(1) as f64;
     format!(
-        "{} | {percent:.1} % | {:.1} N | {:.1} N | {:.1} N | {:.0} | {grows} | {beyond} | {:.1} mm | {stopped} |",
+        "{} | {percent:.1} % | {:.1} N | {:.1} N | {:.1} N | {:.0} | {} | {} | {beyond} | {:.1} mm | {stopped} |",
         group.len(),
         most("first_touch_n"),
         most("impact_n"),
         most("peak_n"),
         most("taps"),
+        count("grows"),
+        count("again"),
         most("flange_mm"),
     )
 }
@@ -206,21 +208,24 @@ fn line(group: &[&Entry<'_>]) -> String {
 fn a_table_counts_what_is_above_the_limit_and_failures_have_a_reason() {
     let text = format!(
         "{}\n\
-         0,T5,led,moca,held rigid,1,0.6,as described,1,0.08,shipped,0.08,9,30,31,0.3,0.02,9,9,true,20,31,1,\n\
-         1,T5,led,moca,held rigid,1,0.6,as described,1,0.08,barrier,0.08,9,9,9,0.1,0.02,9,1,false,9,0,1,\n\
-         2,T5,led,moca,held rigid,1,0.6,as described,1,0.08,barrier-alone,0.08,9,9,27,2.5,0.02,9,3,true,27,27.5,1,taxel-invalid\n\
-         3,T5,walks,moca,held rigid,1,0.6,as described,1,0.08,barrier,0.08,9,28,28,0.1,0.09,26,1,false,9,0,1,\n\
-         4,T5,walks,moca,held rigid,1,0.6,as described,1,0.08,barrier,0.08,9,28,28,0.1,0.02,24,1,false,9,0,1,\n",
+         0,T5,led,moca,held rigid,1,0.6,as described,1,0.08,shipped,0.08,9,30,31,0.3,0.02,9,9,true,true,20,31,1,\n\
+         1,T5,led,moca,held rigid,1,0.6,as described,1,0.08,barrier,0.08,9,9,9,0.1,0.02,9,1,false,false,9,0,1,\n\
+         2,T5,led,moca,held rigid,1,0.6,as described,1,0.08,barrier-alone,0.08,9,9,27,2.5,0.02,9,3,true,false,27,27.5,1,taxel-invalid\n\
+         3,T5,walks,moca,held rigid,1,0.6,as described,1,0.08,barrier,0.08,9,28,28,0.1,0.09,26,1,false,false,9,0,1,\n\
+         4,T5,walks,moca,held rigid,1,0.6,as described,1,0.08,barrier,0.08,9,28,28,0.1,0.02,24,1,false,false,9,0,1,\n",
         super::header()
     );
     let table = entries(&text, as_table).unwrap();
     let rows: Vec<&str> = table.lines().skip(2).collect();
     assert_eq!(rows.len(), 4, "{table}");
     assert!(
-        rows[0].contains("| 1 | 100.0 % | 9.0 N | 30.0 N | 31.0 N | 9 | 1 | 1 | 1.0 mm | 0 |"),
+        rows[0].contains("| 1 | 100.0 % | 9.0 N | 30.0 N | 31.0 N | 9 | 1 | 1 | 1 | 1.0 mm | 0 |"),
         "{table}"
     );
-    assert!(rows[1].contains("| 1 | 0.0 % |") && rows[3].ends_with("| 1.0 mm | 1 |"), "{table}");
+    assert!(
+        rows[1].contains("| 1 | 0.0 % |") && rows[3].ends_with("| 3 | 1 | 0 | 0 | 1.0 mm | 1 |"),
+        "{table}"
+    );
     let failures = entries(&text, failures_of).unwrap();
     assert!(failures.contains("| shipped | the admittance alone: no row stops it"), "{failures}");
     assert!(
