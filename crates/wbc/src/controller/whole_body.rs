@@ -6,7 +6,6 @@ use super::base::{BaseController, BaseState};
 use super::law::ControlLaw;
 use super::lead::Target;
 use super::tick::{ArmTick, Tracking};
-use super::whole_body_qp::QpUse;
 use super::{FlangePose, LIGHTEST_DAMPED_BASE, check};
 use crate::admittance::{admitted, damped_in_null_space, mean_share};
 use crate::error::{ControlError, finite};
@@ -211,34 +210,9 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         })
     }
 
-    /// [`Self::step`] with all limits kept together, by one quadratic programme of arm and base, where some are not kept
-    /// by what the law wants; where all are, the same to the bit, but for the repulsion from the ends of the joints' ranges,
-    /// in whose place the programme has bounds. `docs/math.md` derives it. `used` says what it took.
-    ///
-    /// # Errors
-    /// As for [`Self::step`].
-    pub fn step_by_qp(
-        &self,
-        law: ControlLaw,
-        state: &mut ControllerState<N, T>,
-        input: &ControlInput<N, K, T>,
-        used: &mut QpUse,
-    ) -> Result<ControlOutput<N, T>, ControlError> {
-        *used = QpUse::default();
-        self.stepped(law, state, input, |step, arm, next, wanted, hit| {
-            if let Some(arm) = arm
-                && let Some(command) =
-                    self.limited_together(step, arm, next, &input.guard, wanted, (&mut *hit, used))?
-            {
-                return Ok(command);
-            }
-            self.limited(step, arm, next, &input.guard, wanted, hit)
-        })
-    }
-
     /// One control step; `within` makes what the law wants a command inside every limit.
     #[inline]
-    fn stepped(
+    pub(super) fn stepped(
         &self,
         law: ControlLaw,
         state: &mut ControllerState<N, T>,
@@ -389,7 +363,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
 
     /// The command inside every limit, and the state that goes with it.
     #[inline]
-    fn limited(
+    pub(super) fn limited(
         &self,
         step: &Step<'_, N, T>,
         arm: Option<&ArmDynamics<'_, N, T>>,

@@ -6,7 +6,8 @@
 //! w says how much dearer a force is that the tool feels. `docs/math.md` has the derivation and what it is worth.
 
 use super::joint_pace::acceleration_bounds;
-use super::whole_body::{ControllerState, Step, Wanted, WholeBodyController};
+use super::law::ControlLaw;
+use super::whole_body::{ControlInput, ControlOutput, ControllerState, Step, Wanted, WholeBodyController};
 use crate::error::{ControlError, finite};
 use crate::guard::BaseGuard;
 use crate::limits::LimitsHit;
@@ -65,6 +66,31 @@ struct Programme<'a, const N: usize, const K: usize, T> {
 }
 
 impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
+    /// [`Self::step`] with all limits kept together, by one quadratic programme of arm and base, where some are not kept
+    /// by what the law wants; where all are, the same to the bit, but for the repulsion from the ends of the joints' ranges,
+    /// in whose place the programme has bounds. `docs/math.md` derives it. `used` says what it took.
+    ///
+    /// # Errors
+    /// As for [`Self::step`].
+    pub fn step_by_qp(
+        &self,
+        law: ControlLaw,
+        state: &mut ControllerState<N, T>,
+        input: &ControlInput<N, K, T>,
+        used: &mut QpUse,
+    ) -> Result<ControlOutput<N, T>, ControlError> {
+        *used = QpUse::default();
+        self.stepped(law, state, input, |step, arm, next, wanted, hit| {
+            if let Some(arm) = arm
+                && let Some(command) =
+                    self.limited_together(step, arm, next, &input.guard, wanted, (&mut *hit, used))?
+            {
+                return Ok(command);
+            }
+            self.limited(step, arm, next, &input.guard, wanted, hit)
+        })
+    }
+
     /// The command inside every limit, and the state that goes with it; `None` where that is not found.
     pub(super) fn limited_together(
         &self,
