@@ -47,8 +47,6 @@ struct Outcome {
     speed: f64,
     torque: f64,
     torque_step: f64,
-    /// Way of the base, m.
-    base_m: f64,
     stopped: Option<Fault>,
     ticks: u64,
     tally: QpTally,
@@ -180,8 +178,6 @@ impl Watch {
         let (at, wanted) = (sample.flange_position_world, sample.flange_desired_position_world);
         let error = (0..3).map(|i| (at[i] - wanted[i]).powi(2)).sum::<f64>().sqrt();
         worst.flange_m = worst.flange_m.max(error);
-        let [x, y, _] = sample.base_pose_world;
-        worst.base_m = worst.base_m.max(x.hypot(y));
         for i in 0..JOINTS {
             let (q, dq, torque) = (sample.q_rad[i], sample.dq_rad_s[i], sample.arm_torque_nm[i]);
             let (low, high) = (table.q_min_rad[i], table.q_max_rad[i]);

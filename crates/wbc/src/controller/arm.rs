@@ -363,11 +363,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             let braked = core::array::from_fn(|i| torque[i] + braking[i]);
             torque = self.limits.limited(&braked, &state.torque_nm, tick.dt_s, hit);
         }
-        state.torque_nm = torque;
-        let fade = (-tick.dt_s / of(CARRY_FADE_S)).exp();
-        state.carried_nm = state.carried_nm.map(|carried| carried * fade);
-        finite("torque command", &state.torque_nm)?;
-        Ok(state.torque_nm)
+        state.send(torque, tick.dt_s)
     }
 
     /// `total`, which keeps the limits of torque and its rate but for rounding, and the state that goes with it.
@@ -377,15 +373,22 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         state: &mut ArmState<N, T>,
         dt_s: T,
     ) -> Result<[T; N], ControlError> {
-        state.torque_nm = self.limits.limited(total, &state.torque_nm, dt_s, &mut LimitsHit::default());
-        let fade = (-dt_s / of(CARRY_FADE_S)).exp();
-        state.carried_nm = state.carried_nm.map(|carried| carried * fade);
-        finite("torque command", &state.torque_nm)?;
-        Ok(state.torque_nm)
+        let torque = self.limits.limited(total, &state.torque_nm, dt_s, &mut LimitsHit::default());
+        state.send(torque, dt_s)
     }
 }
 
 impl<const N: usize, T: Scalar> ArmState<N, T> {
+    /// Remembers a torque that keeps its limits as the last one, and lets what was carried over fade.
+    #[inline]
+    fn send(&mut self, torque_nm: [T; N], dt_s: T) -> Result<[T; N], ControlError> {
+        self.torque_nm = torque_nm;
+        let fade = (-dt_s / of(CARRY_FADE_S)).exp();
+        self.carried_nm = self.carried_nm.map(|carried| carried * fade);
+        finite("torque command", &self.torque_nm)?;
+        Ok(self.torque_nm)
+    }
+
     /// Wants the controlled frame at `position` m with axes `quaternion` (x, y, z, w), in B. The reference travels there
     /// at [`crate::reference::REFERENCE_SPEED_M_S`] and [`crate::reference::REFERENCE_SPEED_RAD_S`].
     ///
