@@ -27,9 +27,9 @@ use crate::touchline::BANKS;
 use crate::zero::{
     TARE_FRAMES, TARE_TIME_NS, TARE_TIMEOUT_NS, TareQuality, TareRefusal, TareStatus, TareSum, TaxelZero,
 };
-use moca_msgs::{CoverReading, Fault, TaxelReading, TaxelStatus};
+use moca_msgs::{CoverReading, Fault, TaxelReading, TaxelStatus, seconds};
 
-/// Drift is not followed for this long after the last contact, ns: the foam is still recovering.
+/// For this long after a contact the foam is still recovering, ns: drift is not followed.
 const SETTLE_NS: u64 = 2_000_000_000;
 /// Taxels needed to tell a common-mode shift from hands.
 const COMMON_MODE_TAXELS: usize = 3;
@@ -71,6 +71,8 @@ struct Taxel {
     fdat: u16,
     force_n: f64,
     in_contact: bool,
+    /// For how long the foam still recovers from a touch, s.
+    recovers_s: f64,
     light: Cusum,
     zero: Option<TaxelZero>,
     health: TaxelHealth,
@@ -372,8 +374,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
                     dt_s,
                 );
                 if refreshed {
-                    let recovers = frame.complete_ns.saturating_sub(self.last_contact_ns) < SETTLE_NS;
-                    self.taxels[i].sum_up(recovers);
+                    self.taxels[i].sum_up(self.config.contact_off_counts, dt_s);
                 }
                 if taring {
                     self.taxels[i].tare.add(frame.fdat[electrode], frame.baseline[electrode]);
@@ -499,11 +500,22 @@ impl Taxel {
         self.light.touched() && !self.in_contact
     }
 
-    /// Takes the present counts into the test of the last frames; none while the foam still `recovers` from a touch.
-    fn sum_up(&mut self, recovers: bool) {
-        match &self.zero {
-            Some(zero) if !recovers => _ = self.light.update(zero.drop(self.fdat), zero.deviation),
-            _ => self.light = Cusum::default(),
+    /// Takes the present counts, `dt_s` after the last ones, into the test of the last frames; a contact ends `off` counts below
+    /// zero.
+    fn sum_up(&mut self, off: f64, dt_s: f64) {
+        let Some(zero) = &self.zero else {
+            self.light = Cusum::default();
+            return;
+        };
+        let below = zero.drop(self.fdat);
+        if self.in_contact {
+            self.light = Cusum::recovering_from(off / zero.gain);
+            self.recovers_s = seconds(SETTLE_NS);
+        } else if self.recovers_s > 0.0 {
+            self.light.update_recovering(below, zero.deviation, dt_s);
+            self.recovers_s -= dt_s;
+        } else {
+            self.light.update(below, zero.deviation);
         }
     }
 

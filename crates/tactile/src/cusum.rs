@@ -3,7 +3,8 @@
 //! A threshold on one frame hides what stays below it however long. The sum of what each frame lies below zero, less a
 //! reference, drifts down while nothing touches and up under a touch; it alarms at a height that noise of the deviation
 //! measured at the tare reaches less than once an hour (`moca-lab docs --only detection`). What it finds is that somebody is
-//! there, not how hard: it may hold a base back and gives no force.
+//! there, not how hard: it may hold a base back and gives no force. Of a foam that recovers from a touch zero is not known: what
+//! it rests at is followed, quickly down and slowly up.
 //!
 //! ```
 //! use moca_tactile::cusum::Cusum;
@@ -18,6 +19,13 @@
 pub const REFERENCE: f64 = 1.0;
 /// Height of the alarm over the deviation at the tare.
 pub const ALARM: f64 = 8.0;
+/// Time in which the rest of a recovering foam follows counts that fall, as they do, and
+const FALLS_S: f64 = 0.15;
+/// that rise, as they do under the next touch, s.
+const RISES_S: f64 = 1.0;
+/// How far so followed noise lies below its own mean, over the deviation: of a normal distribution those above it weigh
+/// RISES_S/FALLS_S times as much as those below.
+const FOLLOWS_BELOW: f64 = 0.75;
 /// Least deviation that is believed, counts: a whole count's own, with some noise to dither it.
 pub const LEAST_DEVIATION: f64 = 0.5;
 
@@ -28,9 +36,16 @@ pub struct Cusum {
     /// Over the deviation.
     sum: f64,
     touched: bool,
+    /// What a recovering foam rests at, counts below zero.
+    rest: f64,
 }
 
 impl Cusum {
+    /// Of a foam that recovers from a touch, which ended `below` counts below zero.
+    pub const fn recovering_from(below: f64) -> Self {
+        Self { sum: 0.0, touched: false, rest: below }
+    }
+
     /// Takes one frame, `below` counts below zero, of a taxel whose noise had this `deviation` at the tare; whether
     /// somebody touches it: from the alarm until the sum is gone again.
     pub fn update(&mut self, below: f64, deviation: f64) -> bool {
@@ -38,6 +53,15 @@ impl Cusum {
         self.sum = (self.sum + step).clamp(0.0, ALARM);
         self.touched = self.sum >= ALARM || (self.touched && self.sum > 0.0);
         self.touched
+    }
+
+    /// The same while the foam recovers, `dt_s` after the frame before: what counts is how far below its rest the frame
+    /// lies.
+    pub fn update_recovering(&mut self, below: f64, deviation: f64, dt_s: f64) -> bool {
+        let deviation = deviation.max(LEAST_DEVIATION);
+        let follows_s = if below < self.rest { FALLS_S } else { RISES_S };
+        self.rest += (below - self.rest) * dt_s / (dt_s + follows_s);
+        self.update(below - self.rest - FOLLOWS_BELOW * deviation, deviation)
     }
 
     /// Whether somebody touched it at the last frame.
@@ -61,6 +85,29 @@ mod tests {
         assert!(test.update(6.4, 0.7) && test.touched(), "one frame of more than nine deviations");
         let held = (1..100).find(|_| !test.update(0.0, 0.7));
         assert_eq!((held, test), (Some(8), Cusum::default()), "held until the sum is gone");
+    }
+
+    #[test]
+    fn a_recovering_foam_is_measured_from_where_it_rests() {
+        let mut test = Cusum::recovering_from(2.0);
+        assert!(!(0..400_u16).any(|i| test.update_recovering(
+            2.0 * (-f64::from(i) / 100.0).exp(),
+            0.7,
+            0.01
+        )));
+        assert!(test.sum <= 0.0, "nothing is left of it");
+        // as fast down as it is slow up
+        let step = |to: f64| {
+            let mut test = Cusum::recovering_from(1.0);
+            test.update_recovering(to, 0.7, 0.01);
+            test.rest - 1.0
+        };
+        assert!((step(0.0) + 0.01 / 0.16).abs() < 1e-12 && (step(2.0) - 0.01 / 1.01).abs() < 1e-12);
+        // three counts more, each frame's less than the sum needs
+        let frames = (1..100).find(|_| test.update_recovering(3.0, 0.7, 0.01));
+        assert_eq!(frames, Some(4));
+        let mut dull = Cusum::recovering_from(0.0);
+        assert!(!(0..1000).any(|_| dull.update_recovering(0.7 * (REFERENCE + FOLLOWS_BELOW), 0.7, 1e-6)));
     }
 
     #[test]

@@ -159,6 +159,48 @@ fn a_touch_too_light_for_a_force_is_found_in_some_frames_and_lost_again() {
 }
 
 #[test]
+fn a_light_touch_is_found_beside_a_firm_one() {
+    let mut bench = Bench::tared();
+    (bench.drop[4], bench.drop[5]) = (20.0, 1.7);
+    let found = (1..100).find(|_| {
+        bench.frame();
+        bench.cover.poll(bench.now_ns).early.light[5]
+    });
+    assert!((3..20).contains(&found.unwrap()), "{found:?}");
+    assert!(!bench.cover.poll(bench.now_ns).early.light[4], "that one has a force");
+}
+
+/// After a touch the foam comes back by an exponential: that is not felt, and who comes again meanwhile is.
+#[test]
+fn a_light_touch_is_found_while_the_foam_recovers_and_the_recovery_is_none() {
+    let mut bench = Bench::tared();
+    let light = |bench: &mut Bench| bench.cover.poll(bench.now_ns).early.light[4];
+    let left = |frames: f64| 1.9 * (-frames * 0.0247 / 0.4).exp();
+    for again_after in [8.0, 20.0, 40.0, 80.0] {
+        let mut false_alarms = 0;
+        for _ in 0..40 {
+            bench.drop[4] = 20.0;
+            bench.frames(40);
+            let mut frames = 0.0;
+            while frames < again_after {
+                bench.drop[4] = left(frames);
+                bench.frame();
+                false_alarms += u32::from(light(&mut bench));
+                frames += 1.0;
+            }
+            let found = (1..200).find(|_| {
+                bench.drop[4] = left(frames) + 3.0;
+                bench.frame();
+                frames += 1.0;
+                light(&mut bench) || bench.cover.poll(bench.now_ns).forces.unwrap()[4] > 0.0
+            });
+            assert!(found.is_some_and(|frames| frames <= 12), "{found:?}, {again_after}");
+        }
+        assert_eq!(false_alarms, 0, "in {again_after} frames after each of 40 releases");
+    }
+}
+
+#[test]
 fn a_tare_is_refused_while_touched_noisy_or_without_frames() {
     let mut bench = Bench::new(CoverConfig::default());
     bench.drop[2] = 20.0;

@@ -6,7 +6,7 @@ use moca_daemon::config::{Config, ProtectionConfig};
 use moca_msgs::seconds;
 use moca_sim::foam::Foam;
 use moca_sim::sensor::{IDLE_COUNTS, Noise, quantise};
-use moca_tactile::cover::CONTACT_ON_COUNTS;
+use moca_tactile::cover::{CONTACT_OFF_COUNTS, CONTACT_ON_COUNTS};
 use moca_tactile::cusum::{ALARM, Cusum, LEAST_DEVIATION, REFERENCE};
 use moca_tactile::{Firmware, zero};
 use moca_wbc::contact_stability::{Contact, speed_for_stopping};
@@ -21,6 +21,10 @@ const TRIALS: u32 = 2000;
 const STATES: usize = 96;
 /// A steady force that is not felt in this time is not felt, s.
 const PATIENCE_S: f64 = 2.0;
+/// Time constant with which a foam comes back from a touch, s: ASSUMED.
+const RECOVERS_S: f64 = 0.4;
+/// When after a release somebody comes again, s.
+const AGAIN_S: f64 = 0.5;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Test {
@@ -57,10 +61,21 @@ impl Taxel {
         Self { noise, noise_counts, rest, zero: mean, deviation, cusum: Cusum::default(), test }
     }
 
+    /// How far below zero a frame with `drop` counts of a touch in it lies.
+    fn below(&mut self, drop: f64) -> f64 {
+        self.zero - f64::from(quantise(self.rest - drop + self.noise_counts * self.noise.standard_normal()))
+    }
+
+    /// Whether the sum of frames alarms at one that comes `dt_s` after the one before, with `drop` counts of a touch and of the
+    /// foam that recovers from the last one in it.
+    fn feels_recovering(&mut self, drop: f64, dt_s: f64) -> bool {
+        let below = self.below(drop);
+        self.cusum.update_recovering(below, self.deviation, dt_s)
+    }
+
     /// Whether a frame with `drop` counts of a touch in it alarms.
     fn feels(&mut self, drop: f64) -> bool {
-        let fdat = quantise(self.rest - drop + self.noise_counts * self.noise.standard_normal());
-        let below = self.zero - f64::from(fdat);
+        let below = self.below(drop);
         let summed = self.test == Test::Cusum && self.cusum.update(below, self.deviation);
         summed || below >= CONTACT_ON_COUNTS
     }
@@ -190,6 +205,42 @@ fn felt_after_ms(test: Test, noise_counts: f64, rate_hz: f64, force_n: f64) -> O
     (late < PATIENCE_S).then_some(1e3 * late)
 }
 
+/// What is seen of a taxel that was let go of.
+struct Released {
+    /// Share of the releases after which the sum of frames alarms in 2 s though nobody comes again.
+    wrong: f64,
+    /// Time in which nine of ten feel who comes again with 3 N, ms.
+    again_ms: f64,
+}
+
+impl Released {
+    fn of(noise_counts: f64, rate_hz: f64) -> Self {
+        let drop = Foam::PU_LD30.counts_drop(Foam::PU_LD30.ramp_deformation_m(3.0));
+        let (mut wrong, mut late_s) = (0, Vec::new());
+        for trial in 0..TRIALS {
+            let run = |comes_after_s: f64| {
+                let mut taxel = Taxel::tared(Test::Cusum, noise_counts, rate_hz, u64::from(trial));
+                taxel.cusum = Cusum::recovering_from(CONTACT_OFF_COUNTS);
+                (0..tick_count(PATIENCE_S * rate_hz)).map(|frame| f64::from(frame) / rate_hz).find(|&t| {
+                    let pressed = if t >= comes_after_s { drop } else { 0.0 };
+                    let left = CONTACT_OFF_COUNTS * (-t / RECOVERS_S).exp();
+                    taxel.feels_recovering(left + pressed, 1.0 / rate_hz)
+                })
+            };
+            wrong += u32::from(run(f64::INFINITY).is_some());
+            late_s.push(run(AGAIN_S).map_or(f64::INFINITY, |t| t - AGAIN_S));
+        }
+        late_s.sort_by(f64::total_cmp);
+        Self { wrong: f64::from(wrong) / f64::from(TRIALS), again_ms: 1e3 * late_s[late_s.len() * 9 / 10] }
+    }
+}
+
+fn tick_count(frames: f64) -> u32 {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "some hundred")]
+    let frames = frames as u32;
+    frames
+}
+
 /// Depth that a touch at `speed_m_s` hides from 99 of 100, m: that of the frame that alarms, less the way in the interval
 /// before it, which the delay of the board counts.
 fn hidden_m(test: Test, noise_counts: f64, rate_hz: f64, speed_m_s: f64) -> f64 {
@@ -236,7 +287,10 @@ pub(crate) fn markdown() -> Result<String> {
         // Writing to a string cannot fail.
         let _ = write!(out, " {force_n} N felt after |");
     }
-    out.push_str(" hides at that speed | largest safe speed |\n|---|---|---|---|---|---|---|---|---|\n");
+    out.push_str(
+        " hides at that speed | largest safe speed | false alarms in 100 releases | 3 N felt after, half a second after a release |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|\n",
+    );
     for (firmware, noise_counts, rate_hz) in BOARDS {
         for (test, name) in [(Test::Threshold, "4 counts in a frame"), (Test::Cusum, "or the sum of frames")]
         {
@@ -247,7 +301,14 @@ pub(crate) fn markdown() -> Result<String> {
                 let _ = write!(out, " {} |", felt.map_or("not".into(), |ms| format!("{ms:.0} ms")));
             }
             let (speed_m_s, hidden_m) = safe_speed(test, firmware, noise_counts, rate_hz)?;
-            let _ = writeln!(out, " {:.2} mm | {speed_m_s:.3} m/s |", 1e3 * hidden_m);
+            let _ = write!(out, " {:.2} mm | {speed_m_s:.3} m/s |", 1e3 * hidden_m);
+            let released = (test == Test::Cusum).then(|| Released::of(noise_counts, rate_hz));
+            let _ = match released {
+                Some(Released { wrong, again_ms }) => {
+                    writeln!(out, " {:.2} | {again_ms:.0} ms |", 100.0 * wrong)
+                }
+                None => writeln!(out, " | |"),
+            };
         }
     }
     Ok(out)
@@ -264,6 +325,15 @@ mod tests {
             assert!(alarms < 1.0, "{alarms} an hour");
             assert!(felt_after_ms(Test::Cusum, noise_counts, rate_hz, 1.5).is_some());
             assert!(felt_after_ms(Test::Threshold, noise_counts, rate_hz, 1.5).is_none());
+        }
+    }
+
+    #[test]
+    fn a_foam_that_recovers_is_seldom_taken_for_a_touch_and_hides_none() {
+        for (_, noise_counts, rate_hz) in BOARDS {
+            let Released { wrong, again_ms } = Released::of(noise_counts, rate_hz);
+            assert!(wrong < 0.002, "{wrong} of the releases");
+            assert!(again_ms < 300.0, "{again_ms} ms");
         }
     }
 
