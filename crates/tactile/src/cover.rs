@@ -27,7 +27,7 @@ use crate::touchline::BANKS;
 use crate::zero::{
     TARE_FRAMES, TARE_TIME_NS, TARE_TIMEOUT_NS, TareQuality, TareRefusal, TareStatus, TareSum, TaxelZero,
 };
-use moca_msgs::{CoverReading, Fault, TaxelReading, TaxelStatus, seconds};
+use moca_msgs::{CoverReading, Fault, TaxelReading, TaxelStatus};
 
 /// For this long after a contact the foam is still recovering, ns: drift is not followed.
 const SETTLE_NS: u64 = 2_000_000_000;
@@ -71,8 +71,6 @@ struct Taxel {
     fdat: u16,
     force_n: f64,
     in_contact: bool,
-    /// For how long the foam still recovers from a touch, s.
-    recovers_s: f64,
     light: Cusum,
     zero: Option<TaxelZero>,
     health: TaxelHealth,
@@ -374,7 +372,8 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
                     dt_s,
                 );
                 if refreshed {
-                    self.taxels[i].sum_up(self.config.contact_off_counts, dt_s);
+                    let drifts = frame.complete_ns.saturating_sub(self.last_contact_ns) < SETTLE_NS;
+                    self.taxels[i].sum_up(drifts, self.config.contact_off_counts, dt_s);
                 }
                 if taring {
                     self.taxels[i].tare.add(frame.fdat[electrode], frame.baseline[electrode]);
@@ -500,9 +499,9 @@ impl Taxel {
         self.light.touched() && !self.in_contact
     }
 
-    /// Takes the present counts, `dt_s` after the last ones, into the test of the last frames; a contact ends `off` counts below
-    /// zero.
-    fn sum_up(&mut self, off: f64, dt_s: f64) {
+    /// Takes the present counts, `dt_s` after the last ones, into the test of the last frames. A contact ends `off` counts below
+    /// zero; while the foam recovers from it, or `drifts` as all do while somebody touches any, zero is not known.
+    fn sum_up(&mut self, drifts: bool, off: f64, dt_s: f64) {
         let Some(zero) = &self.zero else {
             self.light = Cusum::default();
             return;
@@ -510,10 +509,8 @@ impl Taxel {
         let below = zero.drop(self.fdat);
         if self.in_contact {
             self.light = Cusum::recovering_from(off / zero.gain);
-            self.recovers_s = seconds(SETTLE_NS);
-        } else if self.recovers_s > 0.0 {
+        } else if drifts || !self.light.has_recovered(zero.deviation) {
             self.light.update_recovering(below, zero.deviation, dt_s);
-            self.recovers_s -= dt_s;
         } else {
             self.light.update(below, zero.deviation);
         }

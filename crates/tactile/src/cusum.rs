@@ -3,8 +3,8 @@
 //! A threshold on one frame hides what stays below it however long. The sum of what each frame lies below zero, less a
 //! reference, drifts down while nothing touches and up under a touch; it alarms at a height that noise of the deviation
 //! measured at the tare reaches less than once an hour (`moca-lab docs --only detection`). What it finds is that somebody is
-//! there, not how hard: it may hold a base back and gives no force. Of a foam that recovers from a touch zero is not known: what
-//! it rests at is followed, quickly down and slowly up.
+//! there, not how hard: it may hold a base back and gives no force. Of a foam that recovers from a touch zero is not known, nor of
+//! any while drift is not followed: what it rests at is followed then, quickly down and slowly up.
 //!
 //! ```
 //! use moca_tactile::cusum::Cusum;
@@ -26,6 +26,8 @@ const RISES_S: f64 = 1.0;
 /// How far so followed noise lies below its own mean, over the deviation: of a normal distribution those above it weigh
 /// RISES_S/FALLS_S times as much as those below.
 const FOLLOWS_BELOW: f64 = 0.75;
+/// How far below zero the rest so lies once the foam has recovered but for half a deviation, over that.
+const RECOVERED_BELOW: f64 = FOLLOWS_BELOW - 0.5;
 /// Least deviation that is believed, counts: a whole count's own, with some noise to dither it.
 pub const LEAST_DEVIATION: f64 = 0.5;
 
@@ -36,32 +38,42 @@ pub struct Cusum {
     /// Over the deviation.
     sum: f64,
     touched: bool,
-    /// What a recovering foam rests at, counts below zero.
-    rest: f64,
+    /// What the foam rests at, counts below zero, while that is not zero.
+    rest: Option<f64>,
 }
 
 impl Cusum {
     /// Of a foam that recovers from a touch, which ended `below` counts below zero.
     pub const fn recovering_from(below: f64) -> Self {
-        Self { sum: 0.0, touched: false, rest: below }
+        Self { sum: 0.0, touched: false, rest: Some(below) }
+    }
+
+    /// Whether a foam that recovered has, as far as a taxel can tell whose noise had this `deviation` at the tare.
+    pub fn has_recovered(&self, deviation: f64) -> bool {
+        self.rest.is_none_or(|rest| rest <= -RECOVERED_BELOW * deviation.max(LEAST_DEVIATION))
     }
 
     /// Takes one frame, `below` counts below zero, of a taxel whose noise had this `deviation` at the tare; whether
     /// somebody touches it: from the alarm until the sum is gone again.
     pub fn update(&mut self, below: f64, deviation: f64) -> bool {
-        let step = below / deviation.max(LEAST_DEVIATION) - REFERENCE;
-        self.sum = (self.sum + step).clamp(0.0, ALARM);
-        self.touched = self.sum >= ALARM || (self.touched && self.sum > 0.0);
-        self.touched
+        self.rest = None;
+        self.add(below / deviation.max(LEAST_DEVIATION))
     }
 
-    /// The same while the foam recovers, `dt_s` after the frame before: what counts is how far below its rest the frame
+    /// The same where zero is not known, `dt_s` after the frame before: what counts is how far below its rest the frame
     /// lies.
     pub fn update_recovering(&mut self, below: f64, deviation: f64, dt_s: f64) -> bool {
-        let deviation = deviation.max(LEAST_DEVIATION);
-        let follows_s = if below < self.rest { FALLS_S } else { RISES_S };
-        self.rest += (below - self.rest) * dt_s / (dt_s + follows_s);
-        self.update(below - self.rest - FOLLOWS_BELOW * deviation, deviation)
+        let rest = self.rest.unwrap_or(0.0);
+        let follows_s = if below < rest { FALLS_S } else { RISES_S };
+        let rest = rest + (below - rest) * dt_s / (dt_s + follows_s);
+        self.rest = Some(rest);
+        self.add((below - rest) / deviation.max(LEAST_DEVIATION) - FOLLOWS_BELOW)
+    }
+
+    fn add(&mut self, deviations: f64) -> bool {
+        self.sum = (self.sum + deviations - REFERENCE).clamp(0.0, ALARM);
+        self.touched = self.sum >= ALARM || (self.touched && self.sum > 0.0);
+        self.touched
     }
 
     /// Whether somebody touched it at the last frame.
@@ -100,13 +112,21 @@ mod tests {
         let step = |to: f64| {
             let mut test = Cusum::recovering_from(1.0);
             test.update_recovering(to, 0.7, 0.01);
-            test.rest - 1.0
+            test.rest.unwrap() - 1.0
         };
         assert!((step(0.0) + 0.01 / 0.16).abs() < 1e-12 && (step(2.0) - 0.01 / 1.01).abs() < 1e-12);
         // three counts more, each frame's less than the sum needs
         let frames = (1..100).find(|_| test.update_recovering(3.0, 0.7, 0.01));
         assert_eq!(frames, Some(4));
-        let mut dull = Cusum::recovering_from(0.0);
+        let held = Cusum { rest: Some(-0.175), ..test };
+        assert!(!test.has_recovered(0.7) && held.has_recovered(0.7) && !held.has_recovered(0.8));
+        assert!(
+            Cusum { rest: Some(-0.125), ..test }.has_recovered(0.1),
+            "the least deviation that is believed"
+        );
+        test.update(0.0, 0.7);
+        assert!(test.has_recovered(0.7) && test.rest.is_none());
+        let mut dull = Cusum::default();
         assert!(!(0..1000).any(|_| dull.update_recovering(0.7 * (REFERENCE + FOLLOWS_BELOW), 0.7, 1e-6)));
     }
 

@@ -200,6 +200,26 @@ fn a_light_touch_is_found_while_the_foam_recovers_and_the_recovery_is_none() {
     }
 }
 
+/// While somebody leans on one taxel for minutes the others' drift is not followed, and a foam that is slow keeps counts
+/// below zero for longer than drift waits: neither is a touch.
+#[test]
+fn what_drifts_beside_a_long_touch_or_recovers_for_long_is_no_light_touch() {
+    let mut bench = Bench::tared();
+    let light = |bench: &mut Bench| bench.cover.poll(bench.now_ns).early.light;
+    bench.drop[4] = 20.0;
+    for frame in 0..2400 {
+        bench.drop[7] = 1.5 * f64::from(frame) / 2400.0;
+        bench.frame();
+        assert_eq!(light(&mut bench), [false; 11], "frame {frame}");
+    }
+    bench.drop[7] = 0.0;
+    for frame in 0..400 {
+        bench.drop[4] = 1.5 * (-f64::from(frame) * 0.0247 / 4.0).exp();
+        bench.frame();
+        assert!(!light(&mut bench)[4], "{frame} frames after the release");
+    }
+}
+
 #[test]
 fn a_tare_is_refused_while_touched_noisy_or_without_frames() {
     let mut bench = Bench::new(CoverConfig::default());

@@ -7,7 +7,7 @@ use crate::scalar::{Scalar, of};
 const KEPT: usize = 128;
 /// Readings further apart than this say nothing of a speed, s.
 const APART_S: f64 = 0.2;
-/// After a release the foam is still recovering, and a light touch is not told from none, s.
+/// After a release the foam is still recovering, and a light touch is told from none later, s.
 const RECOVERS_S: f64 = 2.0;
 /// Share of the speed at which somebody was met at which he is met again meanwhile,
 const AGAIN: f64 = 0.5;

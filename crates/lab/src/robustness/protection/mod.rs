@@ -88,10 +88,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 /// The campaign that the documents hold: `--out` goes on with it.
 const CAMPAIGN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/protection.csv");
 
-/// What came of that campaign, and why forces were above the limit.
+/// What came of that campaign, whose taps grow, and why forces were above the limit.
 pub(crate) fn campaign_markdown() -> Result<String> {
     let path = Path::new(CAMPAIGN);
-    Ok(format!("{}\n{}", table::of_file(path)?, table::failures(path)?))
+    Ok([table::of_file(path)?, table::growth(path)?, table::failures(path)?].join("\n"))
 }
 
 /// Phases that the short table looks at.

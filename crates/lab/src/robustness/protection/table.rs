@@ -118,6 +118,37 @@ pub(super) fn missed(path: &Path) -> Result<String> {
     entries(&read(path)?, missed_of)
 }
 
+/// Whether later taps grow, by how stiff the foam is over what it was calibrated as: of whoever is driven into.
+pub(super) fn growth(path: &Path) -> Result<String> {
+    entries(&read(path)?, growth_of)
+}
+
+fn growth_of(entries: &[Entry<'_>]) -> String {
+    let mut out = String::from(
+        "| law | foam over calibration | cells | grows | let go between | later harder than any first by at most |\n\
+         |---|---|---|---|---|---|\n",
+    );
+    for law in ["shipped", "barrier", "barrier-alone"] {
+        for foam in ["0.5", "1", "2"] {
+            let driven = |entry: &&Entry<'_>| ["led", "by hand"].contains(&entry.text("meeting"));
+            let of = |entry: &&Entry<'_>| entry.text("law") == law && entry.text("foam") == foam;
+            let group: Vec<&Entry<'_>> =
+                entries.iter().filter(driven).filter(of).filter(|entry| entry.met()).collect();
+            let count = |name: &str| group.iter().filter(|entry| entry.text(name) == "true").count();
+            let by_n = |entry: &&Entry<'_>| entry.number("later_n") - entry.number("first_peak_n");
+            let (most_n, cells) = (group.iter().map(by_n).fold(0.0, f64::max), group.len());
+            // Writing to a string cannot fail.
+            let _ = writeln!(
+                out,
+                "| {law} | × {foam} | {cells} | {} | {} | {most_n:.1} N |",
+                count("grows"),
+                count("again")
+            );
+        }
+    }
+    out
+}
+
 fn missed_of(entries: &[Entry<'_>]) -> String {
     let mut out = String::from(
         "| above the limit with the barrier | force | of them at least | met at | why |\n|---|---|---|---|---|\n",
@@ -226,6 +257,13 @@ fn a_table_counts_what_is_above_the_limit_and_failures_have_a_reason() {
         rows[1].contains("| 1 | 0.0 % |") && rows[3].ends_with("| 3 | 1 | 0 | 0 | 1.0 mm | 1 |"),
         "{table}"
     );
+    let growth = entries(&text, growth_of).unwrap();
+    for row in
+        ["shipped | × 1 | 1 | 1 | 1 | 11.0 N", "barrier | × 1 | 1 | 0 | 0 | 0.0 N", "alone | × 2 | 0 | 0 | 0"]
+    {
+        assert!(growth.contains(row), "{growth}");
+    }
+    assert!(growth.contains("| barrier-alone | × 1 | 1 | 1 | 0 | 0.5 N |"), "{growth}");
     let failures = entries(&text, failures_of).unwrap();
     assert!(failures.contains("| shipped | the admittance alone: no row stops it"), "{failures}");
     assert!(
