@@ -209,8 +209,8 @@ fn felt_after_ms(test: Test, noise_counts: f64, rate_hz: f64, force_n: f64) -> O
 struct Released {
     /// Share of the releases after which the sum of frames alarms in 2 s though nobody comes again.
     wrong: f64,
-    /// Time in which nine of ten feel who comes again with 3 N, ms.
-    again_ms: f64,
+    /// Time in which nine of ten feel who comes again with 3 N, ms; `None` if they do not.
+    again_ms: Option<f64>,
 }
 
 impl Released {
@@ -231,7 +231,8 @@ impl Released {
             late_s.push(run(AGAIN_S).map_or(f64::INFINITY, |t| t - AGAIN_S));
         }
         late_s.sort_by(f64::total_cmp);
-        Self { wrong: f64::from(wrong) / f64::from(TRIALS), again_ms: 1e3 * late_s[late_s.len() * 9 / 10] }
+        let again_ms = Some(1e3 * late_s[late_s.len() * 9 / 10]).filter(|ms| ms.is_finite());
+        Self { wrong: f64::from(wrong) / f64::from(TRIALS), again_ms }
     }
 }
 
@@ -297,21 +298,24 @@ pub(crate) fn markdown() -> Result<String> {
             let alarms = alarms_per_hour(test, noise_counts, rate_hz);
             let _ = write!(out, "| {} | {name} | {alarms:.1e} |", firmware.name());
             for force_n in FORCES_N {
-                let felt = felt_after_ms(test, noise_counts, rate_hz, force_n);
-                let _ = write!(out, " {} |", felt.map_or("not".into(), |ms| format!("{ms:.0} ms")));
+                let _ = write!(out, " {} |", after(felt_after_ms(test, noise_counts, rate_hz, force_n)));
             }
             let (speed_m_s, hidden_m) = safe_speed(test, firmware, noise_counts, rate_hz)?;
             let _ = write!(out, " {:.2} mm | {speed_m_s:.3} m/s |", 1e3 * hidden_m);
             let released = (test == Test::Cusum).then(|| Released::of(noise_counts, rate_hz));
             let _ = match released {
                 Some(Released { wrong, again_ms }) => {
-                    writeln!(out, " {:.2} | {again_ms:.0} ms |", 100.0 * wrong)
+                    writeln!(out, " {:.2} | {} |", 100.0 * wrong, after(again_ms))
                 }
                 None => writeln!(out, " | |"),
             };
         }
     }
     Ok(out)
+}
+
+fn after(time_ms: Option<f64>) -> String {
+    time_ms.map_or("not".into(), |ms| format!("{ms:.0} ms"))
 }
 
 #[cfg(test)]
@@ -329,12 +333,15 @@ mod tests {
     }
 
     #[test]
-    fn a_foam_that_recovers_is_seldom_taken_for_a_touch_and_hides_none() {
-        for (_, noise_counts, rate_hz) in BOARDS {
-            let Released { wrong, again_ms } = Released::of(noise_counts, rate_hz);
-            assert!(wrong < 0.002, "{wrong} of the releases");
-            assert!(again_ms < 300.0, "{again_ms} ms");
-        }
+    fn a_foam_that_recovers_is_seldom_taken_for_a_touch_and_our_firmware_feels_one_on_it() {
+        let [stock, moca] = BOARDS.map(|(_, noise_counts, rate_hz)| Released::of(noise_counts, rate_hz));
+        assert!(
+            stock.wrong < 0.002 && moca.wrong < 0.002,
+            "{} and {} of the releases",
+            stock.wrong,
+            moca.wrong
+        );
+        assert!(moca.again_ms.is_some_and(|ms| ms < 50.0), "{:?} ms", moca.again_ms);
     }
 
     /// The chain against what it stands for: noise so large that it alarms often.

@@ -34,8 +34,8 @@ const HALF: [[f64; 2]; 14] = [
 /// Poles that are taken side by side.
 const LANES: usize = 4;
 /// s_j and w_j of all.
-const POLES: [[[f64; LANES]; 2]; 7] = {
-    let mut poles = [[[0.0; LANES]; 2]; 7];
+const POLES: [[[f64; LANES]; 2]; HALF.len() / 2] = {
+    let mut poles = [[[0.0; LANES]; 2]; HALF.len() / 2];
     let mut i = 0;
     while i < HALF.len() {
         let ([s, w], group) = (HALF[i], &mut poles[i / 2]);
