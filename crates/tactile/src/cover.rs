@@ -361,6 +361,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         #[expect(clippy::cast_precision_loss, reason = "at most 120 ms")]
         let dt_s = dt_ns as f64 * 1e-9;
         let taring = matches!(self.tare, TareStatus::InProgress { .. });
+        let settles = self.settles(frame.complete_ns);
         for (i, wire) in self.config.wiring.iter().enumerate().take(self.config.taxels) {
             if wire.is_on(board, bank) {
                 let electrode = wire.of_bank();
@@ -372,8 +373,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
                     dt_s,
                 );
                 if refreshed {
-                    let drifts = frame.complete_ns.saturating_sub(self.last_contact_ns) < SETTLE_NS;
-                    self.taxels[i].sum_up(drifts, self.config.contact_off_counts, dt_s);
+                    self.taxels[i].sum_up(settles, self.config.contact_off_counts, dt_s);
                 }
                 if taring {
                     self.taxels[i].tare.add(frame.fdat[electrode], frame.baseline[electrode]);
@@ -406,11 +406,16 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         EarlyContact { touched, light, sampled_at_ns: oldest(times.into_iter()) }
     }
 
+    /// Whether somebody touches, or has so lately that a foam may still recover: drift is not followed.
+    const fn settles(&self, now_ns: u64) -> bool {
+        now_ns.saturating_sub(self.last_contact_ns) < SETTLE_NS
+    }
+
     fn follow_drift(&mut self, board: usize, bank: usize, now_ns: u64, dt_s: f64) {
         if self.taxels.iter().take(self.config.taxels).any(|taxel| taxel.in_contact) {
             self.last_contact_ns = now_ns;
         }
-        if now_ns.saturating_sub(self.last_contact_ns) < SETTLE_NS {
+        if self.settles(now_ns) {
             return;
         }
         for (taxel, wire) in self.taxels.iter_mut().zip(&self.config.wiring).take(self.config.taxels) {
@@ -500,8 +505,8 @@ impl Taxel {
     }
 
     /// Takes the present counts, `dt_s` after the last ones, into the test of the last frames. A contact ends `off` counts below
-    /// zero; while the foam recovers from it, or `drifts` as all do while somebody touches any, zero is not known.
-    fn sum_up(&mut self, drifts: bool, off: f64, dt_s: f64) {
+    /// zero; while the foam recovers from it, or the cover `settles` and drifts unfollowed, zero is not known.
+    fn sum_up(&mut self, settles: bool, off: f64, dt_s: f64) {
         let Some(zero) = &self.zero else {
             self.light = Cusum::default();
             return;
@@ -509,7 +514,7 @@ impl Taxel {
         let below = zero.drop(self.fdat);
         if self.in_contact {
             self.light = Cusum::recovering_from(off / zero.gain);
-        } else if drifts || !self.light.has_recovered(zero.deviation) {
+        } else if settles || !self.light.has_recovered(zero.deviation) {
             self.light.update_recovering(below, zero.deviation, dt_s);
         } else {
             self.light.update(below, zero.deviation);

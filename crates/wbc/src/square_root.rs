@@ -2,7 +2,8 @@
 //!
 //! Reflections make A tridiagonal, a sum of rational functions takes the root of that, and the reflections turn it back: the
 //! same steps for every A whose condition is ordinary. Any other is left to its eigenvalues. Both only turn the matrix, so
-//! the result errs by ε times the condition of A, as that of any method that does not know A's factors.
+//! the result errs by ε times the condition of A, as that of any method that does not know A's factors; the sum by 1.4e-14
+//! besides.
 //!
 //! ```
 //! use moca_wbc::nalgebra::Matrix2;

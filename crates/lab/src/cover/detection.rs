@@ -221,7 +221,8 @@ impl Released {
             let run = |comes_after_s: f64| {
                 let mut taxel = Taxel::tared(Test::Cusum, noise_counts, rate_hz, u64::from(trial));
                 taxel.cusum = Cusum::recovering_from(CONTACT_OFF_COUNTS);
-                (0..tick_count(PATIENCE_S * rate_hz)).map(|frame| f64::from(frame) / rate_hz).find(|&t| {
+                let times_s = (0_u32..).map(|frame| f64::from(frame) / rate_hz);
+                times_s.take_while(|t| *t < PATIENCE_S).find(|&t| {
                     let pressed = if t >= comes_after_s { drop } else { 0.0 };
                     let left = CONTACT_OFF_COUNTS * (-t / RECOVERS_S).exp();
                     taxel.feels_recovering(left + pressed, 1.0 / rate_hz)
@@ -234,12 +235,6 @@ impl Released {
         let again_ms = Some(1e3 * late_s[late_s.len() * 9 / 10]).filter(|ms| ms.is_finite());
         Self { wrong: f64::from(wrong) / f64::from(TRIALS), again_ms }
     }
-}
-
-fn tick_count(frames: f64) -> u32 {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "some hundred")]
-    let frames = frames as u32;
-    frames
 }
 
 /// Depth that a touch at `speed_m_s` hides from 99 of 100, m: that of the frame that alarms, less the way in the interval

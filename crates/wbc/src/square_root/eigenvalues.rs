@@ -14,7 +14,7 @@ const MOST_STEPS: usize = 8;
 pub(super) fn inverse_square_root<const D: usize, T: Scalar>(
     t: &Tridiagonal<D, T>,
 ) -> Option<SMatrix<T, D, D>> {
-    let trace = t.diagonal.iter().fold(T::zero(), |sum, &d| sum + d);
+    let trace = t.trace();
     if !(trace > T::zero() && trace.is_finite()) {
         return None;
     }

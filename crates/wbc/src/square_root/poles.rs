@@ -51,7 +51,7 @@ const POLES: [[[f64; LANES]; 2]; HALF.len() / 2] = {
 /// of T⁻¹ at most κ: no eigenvalue is then above the one, nor below the inverse of the other.
 #[inline]
 pub(super) fn inverse_square_root<const D: usize, T: Scalar>(t: &Tridiagonal<D, T>) -> Option<[[T; D]; D]> {
-    let trace = t.diagonal.iter().fold(T::zero(), |sum, &d| sum + d);
+    let trace = t.trace();
     let scale = of::<T>(SPAN).sqrt() / trace;
     let diagonal = t.diagonal.map(|d| d * scale);
     let beside = t.beside.map(|b| b * scale);

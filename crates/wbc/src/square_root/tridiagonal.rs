@@ -41,6 +41,10 @@ impl<const D: usize, T: Scalar> Tridiagonal<D, T> {
         t
     }
 
+    pub(super) fn trace(&self) -> T {
+        self.diagonal.iter().fold(T::zero(), |sum, &d| sum + d)
+    }
+
     /// V·F·Vᵀ of a symmetric F.
     #[inline]
     pub(super) fn turned_back(&self, mut f: [[T; D]; D]) -> [[T; D]; D] {
