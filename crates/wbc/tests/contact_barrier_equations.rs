@@ -75,7 +75,8 @@ struct Equations {
     person: f64,
     yields: f64,
     rate: f64,
-    /// Speed of the base before the last reading without even a light touch, and at which it met who is touched, m/s.
+    /// Speed of the base before the last reading without even a light touch, and at which it met who is touched, m/s; 0 if
+    /// it stood.
     approach: f64,
     met: Option<f64>,
 }
@@ -148,7 +149,9 @@ impl Equations {
                 None => 0.0,
             };
             let rate = (depth_m - before_m) / interval_s;
-            let weight = (interval_s / (interval_s + s.speed_s)).max(1.0 / readings.max(1) as f64);
+            let came = self.met.is_some_and(|met| met <= 0.005);
+            let seen = (readings + usize::from(came)).max(1) as f64;
+            let weight = (interval_s / (interval_s + s.speed_s)).max(1.0 / seen);
             self.person += weight * (rate - gone_m / interval_s - self.person);
             self.person = self.person.clamp(-0.05, s.fastest_person_m_s);
             self.rate += weight * (rate - self.rate);
@@ -163,7 +166,7 @@ impl Equations {
             self.met = match self.met {
                 Some(before) if released_s < 2.0 => Some(before.min(met.max(0.005))),
                 None if released_s < 2.0 => Some(met.max(0.005)),
-                _ => (met > 0.005).then_some(met),
+                _ => Some(met.max(0.0)),
             };
         }
         self.touch.push((depth_m, force_n));
@@ -172,8 +175,13 @@ impl Equations {
     fn released_limit(&self, s: &BarrierSettings, now: usize, w: f64) -> f64 {
         let released_s = self.released_s(now);
         let creeping = s.creep_m_s + s.recovery_m_s2 * (released_s - s.creep_s).max(0.0);
-        let again = self.met.map_or(f64::INFINITY, |met| (0.5 * met).max(0.005))
-            + s.recovery_m_s2 * (released_s - 2.0).max(0.0);
+        let again = match self.met {
+            Some(met) if met > 0.005 => {
+                (0.5 * met).max(0.005) + s.recovery_m_s2 * (released_s - 2.0).max(0.0)
+            }
+            Some(_) if released_s < 2.0 => 0.005,
+            _ => f64::INFINITY,
+        };
         let most = creeping.min(again);
         if most < 1.0 { (most - w).max(-s.retreat_m_s) } else { f64::INFINITY }
     }

@@ -86,7 +86,7 @@ pub(super) struct Track<T> {
     released: T,
     /// Speed outward before the last reading without even a light touch, m/s.
     approach: T,
-    /// Speed at which the base met who touches, or did until a moment ago, m/s.
+    /// Speed at which the base met who touches, or did until a moment ago, m/s: 0 if it stood.
     met: T,
     /// Way outward where the readings ended that could be believed, m.
     blind_from: Option<T>,
@@ -120,6 +120,11 @@ impl<T: Scalar> Track<T> {
     /// Whether a touch ended so short a time ago that it may go on unfelt.
     pub(super) fn was_touched(&self) -> bool {
         self.released < of(RECOVERS_S)
+    }
+
+    /// Whether who touches came to a base that stood.
+    fn came(&self) -> bool {
+        self.met <= of(SLOWEST_M_S)
     }
 
     pub(super) fn person_m_s(&self) -> T {
@@ -189,7 +194,7 @@ impl<T: Scalar> Track<T> {
             if self.was_touched() {
                 self.met = self.met.min(met.max(of(SLOWEST_M_S)));
             } else {
-                self.met = if met > of(SLOWEST_M_S) { met } else { of(f64::INFINITY) };
+                self.met = met.max(T::zero());
             }
         }
         self.readings = self.readings.saturating_add(1);
@@ -209,9 +214,11 @@ impl<T: Scalar> Track<T> {
         };
         let rate = (depth - before) / interval;
         let raw = rate - (way - self.way) / interval;
-        // the second reading replaces what the first had to assume, and the next are averaged
+        // Readings are averaged. What the first one had to assume is replaced by the second where the base itself moved, and
+        // counts like any other where it stood: who touches it then has come.
         let recent = interval / (interval + of(settings.speed_s));
-        let weight = recent.max(T::one() / of(f64::from(self.readings.max(1))));
+        let seen = self.readings.saturating_add(u8::from(self.came())).max(1);
+        let weight = recent.max(T::one() / of(f64::from(seen)));
         let person = self.person + weight * (raw - self.person);
         self.person = person.clamp(of(-NOISE_M_S), of(settings.fastest_person_m_s));
         self.rate += weight * (rate - self.rate);
@@ -233,13 +240,18 @@ impl<T: Scalar> Track<T> {
         (self.share * reading.force_n(depth)).min(self.force)
     }
 
-    /// Speed outward after a release, m/s: who walked into the base, and got more room than was needed, is met again
-    /// as slowly as who stood.
+    /// Speed outward after a release, m/s: who walked into the base, and got more room than was needed, may still be
+    /// walking.
     pub(super) fn released_limit(&self, s: &BarrierSettings) -> T {
         let rising = (self.released - of(s.creep_s)).max(T::zero());
-        let again = (self.met * of(AGAIN)).max(of(SLOWEST_M_S));
-        let again = again + of::<T>(s.recovery_m_s2) * (self.released - of(RECOVERS_S)).max(T::zero());
-        let closing = (of::<T>(s.creep_m_s) + of::<T>(s.recovery_m_s2) * rising).min(again);
+        let creeping = of::<T>(s.creep_m_s) + of::<T>(s.recovery_m_s2) * rising;
+        let closing = if self.came() && !self.was_touched() {
+            creeping
+        } else {
+            let again = (self.met * of(AGAIN)).max(of(SLOWEST_M_S));
+            let later = (self.released - of(RECOVERS_S)).max(T::zero());
+            creeping.min(again + of::<T>(s.recovery_m_s2) * later)
+        };
         if closing < T::one() {
             (closing - self.person_m_s()).max(of(-s.retreat_m_s))
         } else {

@@ -14,7 +14,7 @@ use std::hint::black_box;
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::process::Command;
-use std::string::String;
+use std::string::{String, ToString as _};
 
 /// Bytes of a line of the caches.
 const LINE: u64 = 64;
@@ -46,8 +46,15 @@ fn end() {
 ///
 /// # Errors
 /// As [`Steps::step`].
-#[expect(clippy::print_stdout, reason = "the answer to who has started it")]
 pub fn marked(case: Case) -> Result<(), Box<dyn Error>> {
+    // The first thread's stack begins behind the environment, and which lines it shares with what lies there differs from
+    // one environment to the next; another thread's begins at a page.
+    let run = std::thread::spawn(move || steps_between_marks(case).map_err(|error| error.to_string()));
+    Ok(run.join().map_err(|_| "the step panicked")??)
+}
+
+#[expect(clippy::print_stdout, reason = "the answer to who has started it")]
+fn steps_between_marks(case: Case) -> Result<(), Box<dyn Error>> {
     let mut steps = Steps::new(case)?;
     std::println!("{:x} {:x}", begin as fn() as usize, end as fn() as usize);
     for robot in 0..Steps::ROBOTS {

@@ -122,9 +122,10 @@ impl Pyramid {
             return;
         }
         let count = range.end - range.start;
-        // Three points a column where there is a gap, so two thirds as many columns as pixels; one is partly outside.
-        let columns = (pixels as u64 * 2 / 3).saturating_sub(1).max(1);
-        if count <= columns {
+        let pixels = pixels as u64;
+        // Two points a column: as many points as pixels. One column is partly outside.
+        let columns = (pixels / 2).saturating_sub(1).max(1);
+        if count <= pixels {
             for index in range {
                 emit(index, self.get(index).unwrap_or(f32::NAN));
             }
