@@ -1,7 +1,8 @@
 //! The paper's pushes under the contact barrier, beside the same law without it.
 
-use super::push::{Outcome, Push};
+use super::push::{self, Outcome, Push};
 use super::pushes;
+use crate::rig::closed_loop::Rig;
 use crate::rig::parallel;
 use crate::rig::settings::Settings;
 use anyhow::{Context, Result};
@@ -47,10 +48,16 @@ impl Run {
         if self.law == Law::Impedance { pushes::pushes_b1() } else { pushes::pushes_b2() }
     }
 
+    /// Each push from home: one after the other they would begin where the one before has left the robot, with the barrier
+    /// elsewhere than without it.
     fn outcomes(&self) -> Result<Vec<Outcome>> {
         let settings = self.settings()?;
-        let run = if self.law == Law::Impedance { pushes::b1(&settings)? } else { pushes::b2(&settings)? };
-        Ok(run.report.pushes)
+        let alone = |push: &Push| -> Result<Outcome> {
+            let mut rig = Rig::start(&settings, &settings.free_scene())?;
+            let outcome = push::run(&mut rig, &settings, std::slice::from_ref(push))?.pop();
+            outcome.with_context(|| format!("{}: {}", push.name, rig.stopped.unwrap_or_default()))
+        };
+        self.pushes().iter().map(alone).collect()
     }
 }
 
@@ -115,11 +122,11 @@ fn body_n(push: &Push, cover: &[TaxelPlacement]) -> f64 {
     (0..cover.len()).map(of).fold(0.0, f64::max)
 }
 
-/// Whether the base, which faced `yaw_rad` at the start, mostly moved into one of the pressing hands.
-fn pressed_back(push: &Push, cover: &[TaxelPlacement], moved: [f64; 3], yaw_rad: f64) -> bool {
+/// Whether the base mostly moved into one of the pressing hands.
+fn pressed_back(push: &Push, cover: &[TaxelPlacement], moved: [f64; 3]) -> bool {
     let [x, y, _] = moved;
     let pressed = cover.iter().zip(push.loads.taxel_n).filter(|(_, force_n)| *force_n > 0.0);
-    pressed.map(|(taxel, _)| taxel.inward_angle_base_rad + yaw_rad).any(|inward_rad| {
+    pressed.map(|(taxel, _)| taxel.inward_angle_base_rad).any(|inward_rad| {
         let (sin, cos) = inward_rad.sin_cos();
         x * cos + y * sin < -0.5 * Pair::way_m(moved)
     })
@@ -132,7 +139,6 @@ fn pairs() -> Result<Vec<Pair>> {
     for (run, both) in Run::ALL.iter().step_by(2).zip(outcomes.chunks(2)) {
         let cover = run.settings()?.config.robot.cover.placements();
         let [without, with] = both else { continue };
-        let mut yaw_rad = 0.0;
         for (push, (without, with)) in run.pushes().iter().zip(without.iter().zip(with)) {
             let moved = without.base_displacement;
             pairs.push(Pair {
@@ -140,9 +146,8 @@ fn pairs() -> Result<Vec<Pair>> {
                 body_n: body_n(push, &cover),
                 without: moved,
                 with: with.base_displacement,
-                pressed_back: pressed_back(push, &cover, moved, yaw_rad),
+                pressed_back: pressed_back(push, &cover, moved),
             });
-            yaw_rad += moved[2];
         }
     }
     Ok(pairs)
