@@ -368,16 +368,21 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             backs_off: false,
             carried: T::zero(),
         };
+        let way = |i: usize, place: &[T; 3]| self.outline.outward(i, place);
+        let forgotten = (input.dt_s / of(self.settings.forget_s)).min(T::one());
         for i in 0..taxels {
             let is_new = self.state.tracks[i].is_new(input.samples[i], input.dt_s);
             let body_n = if is_new { self.body_n(i, input) } else { T::zero() };
-            self.state.tracks[i].advance(
-                &self.settings,
-                &self.state.odometry,
-                Felt { sample: input.samples[i], light: input.light[i], body_n },
-                input.dt_s,
-                |place| self.outline.outward(i, place),
-            );
+            let BarrierState { odometry, tracks } = &mut self.state;
+            tracks[i].wait(input.dt_s, forgotten);
+            match input.samples[i] {
+                None => tracks[i].lose(way(i, odometry.now())),
+                Some(sample) if is_new => {
+                    let way = way(i, odometry.at_age(sample.age_s));
+                    tracks[i].take(&self.settings, &Felt { sample, light: input.light[i], body_n, way });
+                }
+                Some(_) => tracks[i].find(),
+            }
             let track = &self.state.tracks[i];
             if !track.touched() {
                 limits.outward_m_s[i] = track.released_limit(&self.settings);

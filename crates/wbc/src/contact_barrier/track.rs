@@ -46,7 +46,7 @@ impl<T: Scalar> Odometry<T> {
     }
 
     /// The place at the step nearest to `age_s` ago, or the oldest that is known.
-    fn at_age(&self, age_s: T) -> &[T; 3] {
+    pub(super) fn at_age(&self, age_s: T) -> &[T; 3] {
         let steps = nalgebra::try_convert((age_s / self.dt_s - of(0.5)).ceil()).unwrap_or(0.0);
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates")]
         let back = (steps as usize).min(self.known - 1);
@@ -54,13 +54,15 @@ impl<T: Scalar> Odometry<T> {
     }
 }
 
-/// What a taxel feels in one step.
+/// A reading, with what belongs to it.
 pub(super) struct Felt<T> {
-    pub(super) sample: Option<TaxelSample<T>>,
+    pub(super) sample: TaxelSample<T>,
     /// A touch too light for a reading.
     pub(super) light: bool,
-    /// Force on all of the body, N; 0 where there is no reading of it.
+    /// Force on all of the body, N.
     pub(super) body_n: T,
+    /// How far outward the base was when it was taken, m.
+    pub(super) way: T,
 }
 
 /// What is known of one taxel's contact.
@@ -136,43 +138,41 @@ impl<T: Scalar> Track<T> {
         sample.is_some_and(|sample| sample.age_s - of::<T>(0.5) * dt_s < self.since)
     }
 
-    /// Takes in one step: `way` is how far outward a place of the odometry is.
-    pub(super) fn advance(
-        &mut self,
-        settings: &BarrierSettings,
-        odometry: &Odometry<T>,
-        Felt { sample, light, body_n }: Felt<T>,
-        dt_s: T,
-        way: impl Fn(&[T; 3]) -> T,
-    ) {
-        let is_new = self.is_new(sample, dt_s);
+    /// Time passes: of a speed that is remembered the share `forgotten` is.
+    pub(super) fn wait(&mut self, dt_s: T, forgotten: T) {
         self.since += dt_s;
         self.released += dt_s;
         if !self.touched() {
-            self.person -= self.person * (dt_s / of(settings.forget_s)).min(T::one());
+            self.person -= self.person * forgotten;
         }
-        let Some(sample) = sample else {
-            if self.blind_from.is_none() {
-                self.blind_from = Some(way(odometry.now()));
-            }
-            return;
-        };
+    }
+
+    /// There is no reading that can be believed; the base is `way` outward.
+    pub(super) fn lose(&mut self, way: T) {
+        if self.blind_from.is_none() {
+            self.blind_from = Some(way);
+        }
+    }
+
+    /// The reading can be believed.
+    pub(super) fn find(&mut self) {
         self.blind_from = None;
-        if !is_new {
-            return; // the same reading as before
-        }
+    }
+
+    /// Takes in a reading of its own.
+    pub(super) fn take(&mut self, settings: &BarrierSettings, felt: &Felt<T>) {
+        let Felt { sample, light, body_n, way } = *felt;
+        self.find();
         let interval = self.since - sample.age_s;
         self.since = sample.age_s;
         if sample.force_n < of(settings.touch_n) && !self.touched() {
             // what a first reading is measured against
-            let way = way(odometry.at_age(sample.age_s));
             if !light {
                 self.approach = (way - self.way) / interval;
             }
             self.way = way;
             return;
         }
-        let way = way(odometry.at_age(sample.age_s));
         if sample.force_n < of(settings.touch_n) {
             // one reading's speed was assumed and not seen
             let person = if self.readings > 1 { self.person_m_s() } else { T::zero() };
