@@ -236,7 +236,10 @@ pub fn transpose_times<const R: usize, const C: usize, T: Scalar>(
 
 /// Σ weights_k·rows_k.
 #[inline]
-fn combined<const R: usize, const C: usize, T: Scalar>(rows: &[[T; C]; R], weights: &[T; R]) -> [T; C] {
+pub(crate) fn combined<const R: usize, const C: usize, T: Scalar>(
+    rows: &[[T; C]; R],
+    weights: &[T; R],
+) -> [T; C] {
     let mut out = [T::zero(); C];
     for (row, &weight) in rows.iter().zip(weights) {
         for (out, &value) in out.iter_mut().zip(row) {

@@ -29,8 +29,10 @@ use tridiagonal::Tridiagonal;
 #[inline(never)]
 pub fn inverse_square_root<const D: usize, T: Scalar>(a: &SMatrix<T, D, D>) -> Option<SMatrix<T, D, D>> {
     let t = Tridiagonal::of(&a.data.0);
-    match poles::inverse_square_root(&t) {
-        Some(root) => Some(SMatrix::from(t.turned_back(root))),
-        None => eigenvalues::inverse_square_root(&t),
+    let mut root = [[T::zero(); D]; D];
+    if !poles::inverse_square_root(&t, &mut root) {
+        return eigenvalues::inverse_square_root(&t);
     }
+    t.turn_back(&mut root);
+    Some(SMatrix::from(root))
 }

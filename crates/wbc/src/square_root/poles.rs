@@ -6,10 +6,12 @@
 //! and Trefethen, SIAM J. Numer. Anal. 46, 2008, method 3): 1.2e-16, half an ε, for n = 32 and κ = 10⁶. r(1/z)/z = r(z), as it
 //! is of z^(−1/2): beside each pole s with its w there is one at 1/s with w/s.
 //!
-//! Of (T + s)⁻¹ only the minors of T + s that lead and those that trail differ from pole to pole: entry (i, j) is the one before
-//! row j times the one behind row i over the determinant, times what stands beside the diagonal from j to i.
+//! Entry (i, j) of (T + s)⁻¹ is the minor before row j times the one behind row i over the determinant, times what stands beside
+//! the diagonal from j to i. Minors are polynomials in s, so that of all poles only n moments are needed, those of w/det(T + s):
+//! Σ w·s^m/det. Every coefficient and every moment is positive: nothing cancels where they are put together.
 
 use super::tridiagonal::Tridiagonal;
+use crate::linalg::combined;
 use crate::scalar::{Scalar, of};
 
 /// κ
@@ -34,111 +36,127 @@ const HALF: [[f64; 2]; 16] = [
     [0.771_474_845_743_238_7, 0.145_079_651_150_878_17],
 ];
 /// Poles that are taken side by side.
-const LANES: usize = 4;
+const LANES: usize = 8;
 /// s_j and w_j of all.
-const POLES: [[[f64; LANES]; 2]; HALF.len() / 2] = {
-    let mut poles = [[[0.0; LANES]; 2]; HALF.len() / 2];
+const POLES: [[[f64; LANES]; 2]; 2 * HALF.len() / LANES] = {
+    let half = LANES / 2;
+    let mut poles = [[[0.0; LANES]; 2]; 2 * HALF.len() / LANES];
     let mut i = 0;
     while i < HALF.len() {
-        let ([s, w], group) = (HALF[i], &mut poles[i / 2]);
-        let lane = i % 2;
+        let ([s, w], group, lane) = (HALF[i], &mut poles[i / half], i % half);
         (group[0][lane], group[1][lane]) = (s, w);
-        (group[0][lane + 2], group[1][lane + 2]) = (1.0 / s, w / s);
+        (group[0][lane + half], group[1][lane + half]) = (1.0 / s, w / s);
         i += 1;
     }
     poles
 };
 
-/// T^(−1/2), exact but for rounding; `None` unless T is positive definite and its trace times that of T⁻¹ at most κ: no
-/// eigenvalue is then above the one, nor below the inverse of the other.
+/// `root` becomes T^(−1/2), exact but for rounding; false unless T is positive definite and its trace times that of T⁻¹ at
+/// most κ: no eigenvalue is then above the one, nor below the inverse of the other.
 #[inline]
-pub(super) fn inverse_square_root<const D: usize, T: Scalar>(t: &Tridiagonal<D, T>) -> Option<[[T; D]; D]> {
+pub(super) fn inverse_square_root<const D: usize, T: Scalar>(
+    t: &Tridiagonal<D, T>,
+    root: &mut [[T; D]; D],
+) -> bool {
     let trace = t.trace();
     let scale = of::<T>(SPAN).sqrt() / trace;
-    let diagonal = t.diagonal.map(|d| d * scale);
-    let beside = t.beside.map(|b| b * scale);
+    let (diagonal, beside) = (t.diagonal.map(|d| d * scale), t.beside.map(|b| b * scale));
     let squares = beside.map(|b| b * b);
-    let minors = Minors::of(&diagonal, &squares, &[T::zero()]);
+    let minors = Minors::of(&diagonal, &squares);
     let mut definite = trace > T::zero() && minors.determinant[0] > T::zero();
     let mut trace_of_inverse = T::zero();
-    for ([before], [behind]) in minors.before.iter().zip(&minors.behind) {
+    for (before, behind) in minors.before.iter().zip(&minors.behind[0]) {
         definite &= *before > T::zero();
         trace_of_inverse += *before * *behind;
     }
     // NaN is neither
     if !(definite && trace_of_inverse <= of::<T>(SPAN).sqrt() * minors.determinant[0]) {
-        return None;
+        return false;
     }
-    let mut sums = [[[T::zero(); LANES]; D]; D];
-    for group in &POLES {
-        add_poles(&mut sums, &diagonal, &squares, group);
-    }
-    let mut root = [[T::zero(); D]; D];
-    let scale = scale.sqrt();
+    let (mut of_row, mut of_last, mut square) = (moments(&minors.determinant), [T::zero(); D], T::zero());
     for j in 0..D {
-        let mut beside_them = scale;
+        let row = combined(&minors.behind, &of_row);
+        let mut beside_them = scale.sqrt();
         for i in j..D {
-            let [a, b, c, d] = sums[j][i];
-            root[j][i] = beside_them * ((a + c) + (b + d));
+            root[j][i] = beside_them * row[i];
             root[i][j] = root[j][i];
             beside_them *= -beside[i];
         }
+        // the minor before the next row, as it is of this and the last one; of its last moments nobody asks
+        let next = core::array::from_fn(|m| {
+            let higher = if m + 1 < D { of_row[m + 1] } else { T::zero() };
+            diagonal[j] * of_row[m] + higher - square * of_last[m]
+        });
+        (of_row, of_last, square) = (next, of_row, squares[j]);
     }
-    Some(root)
+    true
 }
 
-/// Adds some poles' share of every entry, less what stands beside the diagonal, to the `sums` of the lower triangle.
+/// Σ w·s^m/det(T + s) over the poles, for m from 0 on, of the determinant's coefficients.
+fn moments<const D: usize, T: Scalar>(determinant: &[T; D]) -> [T; D] {
+    let mut sums = [[T::zero(); LANES]; D];
+    for group in &POLES {
+        add_poles(&mut sums, determinant, group);
+    }
+    sums.map(|lanes| lanes.iter().fold(T::zero(), |sum, &lane| sum + lane))
+}
+
+/// Adds some poles' share of every moment: into memory, lane beside lane, which is what makes compilers take them at once.
 #[inline(never)]
 fn add_poles<const D: usize, T: Scalar>(
-    sums: &mut [[[T; LANES]; D]; D],
-    diagonal: &[T; D],
-    squares: &[T; D],
+    sums: &mut [[T; LANES]; D],
+    determinant: &[T; D],
     [poles, weights]: &[[f64; LANES]; 2],
 ) {
-    let minors = Minors::of(diagonal, squares, &poles.map(of));
-    let scale: [T; LANES] = core::array::from_fn(|k| of::<T>(weights[k]) / minors.determinant[k]);
-    for j in 0..D {
-        let before: [T; LANES] = core::array::from_fn(|k| minors.before[j][k] * scale[k]);
-        for i in j..D {
-            for k in 0..LANES {
-                sums[j][i][k] += before[k] * minors.behind[i][k];
-            }
-        }
+    let poles = poles.map(of::<T>);
+    let mut values = [T::one(); LANES];
+    for &coefficient in determinant.iter().rev() {
+        values = core::array::from_fn(|k| values[k] * poles[k] + coefficient);
+    }
+    let mut terms: [T; LANES] = core::array::from_fn(|k| of::<T>(weights[k]) / values[k]);
+    for sum in sums {
+        *sum = core::array::from_fn(|k| sum[k] + terms[k]);
+        terms = core::array::from_fn(|k| terms[k] * poles[k]);
     }
 }
 
-/// Minors of T + s for each of some s.
-struct Minors<const D: usize, const L: usize, T> {
-    /// Of the rows before each.
-    before: [[T; L]; D],
-    /// Of the rows behind each.
-    behind: [[T; L]; D],
-    determinant: [T; L],
+/// Minors of T + s, polynomials in s.
+struct Minors<const D: usize, T> {
+    /// Of the rows before each, at s = 0.
+    before: [T; D],
+    /// Coefficients of those of the rows behind each: of every row's s^0, then of s^1 and on.
+    behind: [[T; D]; D],
+    /// Coefficients of the determinant from s^0 on; that of s^D, which is 1, is left out.
+    determinant: [T; D],
 }
 
-impl<const D: usize, const L: usize, T: Scalar> Minors<D, L, T> {
+impl<const D: usize, T: Scalar> Minors<D, T> {
     /// `squares` are those of what stands beside the diagonal.
     #[inline]
-    fn of(diagonal: &[T; D], squares: &[T; D], shifts: &[T; L]) -> Self {
-        let (none, all) = ([T::zero(); L], [T::one(); L]);
-        let mut minors = Self { before: [none; D], behind: [none; D], determinant: all };
-        // the minor that has one row more, by those that have as many and one less
-        let more = |i: usize, [here, less]: [[T; L]; 2], square: T| -> [[T; L]; 2] {
-            [core::array::from_fn(|k| (diagonal[i] + shifts[k]) * here[k] - square * less[k]), here]
-        };
-        let (mut last, mut square) = ([all, none], T::zero());
+    fn of(diagonal: &[T; D], squares: &[T; D]) -> Self {
+        let zero = T::zero();
+        let mut minors = Self { before: [zero; D], behind: [[zero; D]; D], determinant: [zero; D] };
+        let (mut last, mut one_less, mut square) = (T::one(), zero, zero);
         for i in 0..D {
-            minors.before[i] = last[0];
-            last = more(i, last, square);
+            minors.before[i] = last;
+            (last, one_less) = (diagonal[i] * last - square * one_less, last);
             square = squares[i];
         }
-        minors.determinant = last[0];
-        (last, square) = ([all, none], T::zero());
+        let (mut last, mut one_less, mut square) = ([zero; D], [zero; D], zero);
+        last[0] = T::one();
         for i in (0..D).rev() {
-            minors.behind[i] = last[0];
-            last = more(i, last, square);
-            square = if i > 0 { squares[i - 1] } else { square };
+            for m in 0..D - i {
+                minors.behind[m][i] = last[m];
+            }
+            // (d + s) times the one with a row less, less b² times the one with two
+            let next = core::array::from_fn(|m| {
+                let lower = if m > 0 { last[m - 1] } else { zero };
+                diagonal[i] * last[m] + lower - square * one_less[m]
+            });
+            (last, one_less) = (next, last);
+            square = if i > 0 { squares[i - 1] } else { zero };
         }
+        minors.determinant = last;
         minors
     }
 }
@@ -210,21 +228,29 @@ mod tests {
         Tridiagonal::of(&a.data.0)
     }
 
+    fn root_of<const D: usize>(t: &Tridiagonal<D, f64>) -> Option<SMatrix<f64, D, D>> {
+        let mut root = [[0.0; D]; D];
+        inverse_square_root(t, &mut root).then(|| {
+            t.turn_back(&mut root);
+            root.into()
+        })
+    }
+
     #[test]
     fn poles_and_eigenvalues_give_the_same_root() {
         for least in [1.0, 0.1, 1e-2, 1e-3, 1e-4, 1e-5] {
             let t = spread_to(least);
-            let root = Matrix6::from(t.turned_back(inverse_square_root(&t).unwrap()));
+            let root = root_of(&t).unwrap();
             let other = eigenvalues::inverse_square_root(&t).unwrap();
             let apart = (root - other).amax() / other.amax();
             assert!(apart < 8.0 * f64::EPSILON / least, "{least}: {apart}");
             let mut large = spread_to(least);
             large.diagonal = large.diagonal.map(|d| d * 1e40);
             large.beside = large.beside.map(|b| b * 1e40);
-            let scaled = Matrix6::from(t.turned_back(inverse_square_root(&large).unwrap())) * 1e20;
+            let scaled = root_of(&large).unwrap() * 1e20;
             assert!((scaled - root).amax() < 1e-12 * root.amax());
         }
-        assert!(inverse_square_root(&spread_to(1e-6)).is_none(), "its trace is above its largest eigenvalue");
+        assert!(root_of(&spread_to(1e-6)).is_none(), "its trace is above its largest eigenvalue");
     }
 
     #[test]
@@ -232,7 +258,7 @@ mod tests {
         let none = |diagonal: [f64; 3], beside: [f64; 3]| {
             let mut t = Tridiagonal::of(&[[0.0; 3]; 3]);
             (t.diagonal, t.beside) = (diagonal, beside);
-            inverse_square_root(&t).is_none()
+            root_of(&t).is_none()
         };
         assert!(!none([1.0; 3], [0.5, 0.5, 0.0]));
         assert!(none([1.0; 3], [0.8, 0.8, 0.0]), "an eigenvalue of 1 − 0.8·√2");
@@ -242,7 +268,7 @@ mod tests {
         for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             assert!(none([1.0, bad, 1.0], [0.0; 3]) && none([1.0; 3], [0.0, bad, 0.0]), "{bad}");
         }
-        let [[root]] = inverse_square_root(&Tridiagonal::of(&[[4.0_f64]])).unwrap();
-        assert!((root - 0.5).abs() < 1e-15);
+        let root = root_of(&Tridiagonal::of(&[[4.0]])).unwrap();
+        assert!((root[(0, 0)] - 0.5).abs() < 1e-15);
     }
 }

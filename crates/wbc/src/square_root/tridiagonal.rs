@@ -31,7 +31,7 @@ impl<const D: usize, T: Scalar> Tridiagonal<D, T> {
             if half > zero {
                 v[k + 1] = first - reflected;
                 *beta = T::one() / half;
-                reflect(&mut rest, v, *beta, k + 1);
+                reflect(&mut rest, v, *beta, [k + 1; 2]);
             }
         }
         t.diagonal = core::array::from_fn(|i| rest[i][i]);
@@ -45,13 +45,12 @@ impl<const D: usize, T: Scalar> Tridiagonal<D, T> {
         self.diagonal.iter().fold(T::zero(), |sum, &d| sum + d)
     }
 
-    /// V·F·Vᵀ of a symmetric F.
+    /// Turns a symmetric F to V·F·Vᵀ.
     #[inline]
-    pub(super) fn turned_back(&self, mut f: [[T; D]; D]) -> [[T; D]; D] {
-        for (v, beta) in self.reflections[..D.saturating_sub(2)].iter().rev() {
-            reflect(&mut f, v, *beta, 0);
+    pub(super) fn turn_back(&self, f: &mut [[T; D]; D]) {
+        for (k, (v, beta)) in self.reflections[..D.saturating_sub(2)].iter().enumerate().rev() {
+            reflect(f, v, *beta, [k + 1, 0]);
         }
-        f
     }
 
     /// V·F.
@@ -66,11 +65,11 @@ impl<const D: usize, T: Scalar> Tridiagonal<D, T> {
     }
 }
 
-/// (I − β·v·vᵀ)·A·(I − β·v·vᵀ) of a symmetric A, of its columns from `first` on; v is zero before that.
+/// (I − β·v·vᵀ)·A·(I − β·v·vᵀ) of a symmetric A, of its columns from `first` on; v is zero before its row `begins`.
 #[inline(never)]
-fn reflect<const D: usize, T: Scalar>(a: &mut [[T; D]; D], v: &[T; D], beta: T, first: usize) {
+fn reflect<const D: usize, T: Scalar>(a: &mut [[T; D]; D], v: &[T; D], beta: T, [begins, first]: [usize; 2]) {
     let mut p = [T::zero(); D];
-    for j in first..D {
+    for j in begins..D {
         p = core::array::from_fn(|i| p[i] + a[j][i] * v[j]);
     }
     let share = dot(&p, v) * beta * of(0.5);
