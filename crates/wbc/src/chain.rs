@@ -34,6 +34,20 @@ pub(crate) struct Joint<T> {
     pub offset: Vector3<T>,
 }
 
+impl<T: Scalar> Joint<T> {
+    /// A force and its moment, or a momentum and its own, about the origin of the link behind a joint that is turned by
+    /// `turn`, in the axes of that link: about the origin of the link before, in its axes.
+    #[inline]
+    pub(crate) fn in_parent(
+        &self,
+        turn: &Turn<T>,
+        (force, moment): (Vector3<T>, Vector3<T>),
+    ) -> (Vector3<T>, Vector3<T>) {
+        let force = self.twist.about_x(&turn.about_z(&force));
+        (force, self.twist.about_x(&turn.about_z(&moment)) + self.offset.cross(&force))
+    }
+}
+
 /// Constants of an arm of `N` revolute joints with its payload and tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Chain<const N: usize, T> {

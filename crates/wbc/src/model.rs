@@ -119,16 +119,17 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     #[inline(never)]
     fn place(&self, yaw: T, q: &[T; N], out: &mut Kinematics<N, T>) {
         let chain = &self.chain;
-        out.heading = Heading::at(yaw);
+        let angles = core::array::from_fn(|i| q[i] + chain.joints[i].zero);
+        let (yawed, turns) = Turn::all(yaw, &angles);
+        out.turn = turns;
+        out.heading = yawed.into();
         out.base_rotation = out.heading.matrix();
         out.arm_from_base = out.base_rotation * self.mount.origin;
         let (mut axes, mut position) = (out.base_rotation * chain.root_axes, Vector3::zeros());
         for i in 0..N {
             let joint = &chain.joints[i];
-            let turn = Turn::by(q[i] + joint.zero);
             position += axes * joint.offset;
-            axes = turn.frame_about_z(&joint.twist.frame_about_x(&axes));
-            out.turn[i] = turn;
+            axes = out.turn[i].frame_about_z(&joint.twist.frame_about_x(&axes));
             out.link_axes[i] = axes;
             out.joint_position[i] = position;
         }
@@ -143,7 +144,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     }
 
     /// Back along the arm: M_A and M_AB by composite bodies, each in its own link's axes. Gives the composite of all
-    /// links, in the chain's root.
+    /// links, in the axes of the first.
     #[inline(never)]
     fn compose(&self, out: &mut Dynamics<N, T>) -> TurningInertia<T> {
         let kinematics = &out.kinematics;
@@ -168,7 +169,9 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
                 out.mass.data.0[k][i] = value;
                 out.mass.data.0[i][k] = value;
             }
-            composite = composite.in_parent(&kinematics.turn[i], &joint.twist, &joint.offset);
+            if i > 0 {
+                composite = composite.in_parent(&kinematics.turn[i], &joint.twist, &joint.offset);
+            }
         }
         composite
     }
@@ -222,9 +225,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
             force += forces[i];
             moment += moments[i];
             torque[i] = moment.z;
-            let turn = &kinematics.turn[i];
-            force = joint.twist.about_x(&turn.about_z(&force));
-            moment = joint.twist.about_x(&turn.about_z(&moment)) + joint.offset.cross(&force);
+            (force, moment) = joint.in_parent(&kinematics.turn[i], (force, moment));
         }
         (force, moment)
     }
@@ -269,8 +270,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
             linear += w.cross(&body.first_moment);
             angular += symmetric_times(&body.rotational, w) + body.first_moment.cross(v);
             drift[i] = w.y * angular.x - w.x * angular.y + v.y * linear.x - v.x * linear.y;
-            linear = joint.twist.about_x(&turn.about_z(&linear));
-            angular = joint.twist.about_x(&turn.about_z(&angular)) + joint.offset.cross(&linear);
+            (linear, angular) = joint.in_parent(turn, (linear, angular));
         }
         drift
     }
@@ -285,7 +285,8 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     ) -> Load<T> {
         let chain = &self.chain;
         self.place(yaw, q, &mut arm.kinematics);
-        let composite = self.compose(arm);
+        let (joint, turn) = (&chain.joints[0], arm.kinematics.turn[0]);
+        let composite = self.compose(arm).in_parent(&turn, &joint.twist, &joint.offset);
         let (mut force, mut moment) = self.newton_euler(&arm.kinematics, yaw_rate, dq, &mut arm.bias);
         let standing = &chain.root_body;
         let omega = chain.up * yaw_rate;

@@ -12,6 +12,7 @@
 
 use crate::error::{ControlError, finite};
 use crate::scalar::{Scalar, of};
+use crate::spatial::Turn;
 use nalgebra::{Matrix3, Vector3};
 
 /// R = Rz(yaw)·Ry(pitch)·Rx(roll), angles in rad.
@@ -30,6 +31,12 @@ pub fn from_rpy<T: Scalar>([roll, pitch, yaw]: [T; 3]) -> Matrix3<T> {
     )
 }
 
+impl<T> From<Turn<T>> for Heading<T> {
+    fn from(Turn { sin, cos }: Turn<T>) -> Self {
+        Self { sin, cos }
+    }
+}
+
 /// A rotation about the vertical: from B to W.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heading<T> {
@@ -41,7 +48,7 @@ impl<T: Scalar> Heading<T> {
     /// Of a base at `yaw`, rad.
     #[inline]
     pub fn at(yaw: T) -> Self {
-        let (sin, cos) = yaw.sin_cos();
+        let [[sin, ..], [cos, ..]] = T::sin_cos_of_four([yaw; 4]);
         Self { sin, cos }
     }
 

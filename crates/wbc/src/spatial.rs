@@ -123,6 +123,29 @@ impl<T: Scalar> Turn<T> {
         Self { sin, cos }
     }
 
+    /// By each of `angles`, rad, and by one before them: several at once.
+    #[inline]
+    pub(crate) fn all<const N: usize>(first: T, angles: &[T; N]) -> (Self, [Self; N]) {
+        let mut turns = [Self { sin: T::zero(), cos: T::one() }; N];
+        let mut of_first = Self { sin: T::zero(), cos: T::one() };
+        for group in 0..=N / 4 {
+            let angle = |lane: usize| match 4 * group + lane {
+                i if (1..=N).contains(&i) => angles[i - 1],
+                _ => first,
+            };
+            let [sines, cosines] = T::sin_cos_of_four(core::array::from_fn(angle));
+            for lane in 0..4 {
+                let (turn, i) = (Self { sin: sines[lane], cos: cosines[lane] }, 4 * group + lane);
+                if i == 0 {
+                    of_first = turn;
+                } else if i <= N {
+                    turns[i - 1] = turn;
+                }
+            }
+        }
+        (of_first, turns)
+    }
+
     /// The way back.
     #[inline]
     pub(crate) fn back(&self) -> Self {

@@ -161,43 +161,46 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         check_step(input.dt_s)?;
         check_robot(&input.robot)?;
         check_wrench("flange_wrench_world", input.flange_wrench_world.as_ref())?;
-        let mut next = *state;
+        let before = *state;
+        let next = &mut *state;
         let mut hit = LimitsHit::default();
         let output = self.at(&input.robot, input.dt_s, |tick| {
             next.enter_law(law, tick);
             next.gains.approach(&self.gains, tick.dt_s);
             let measured = input.flange_wrench_world;
-            // an arm that holds its posture has no task
-            let arm = match law {
-                ControlLaw::Hold => None,
-                ControlLaw::Impedance | ControlLaw::FollowMe => Some(ArmDynamics::new(tick.dynamics)?),
-            };
-            let flange_wrench_world = tick.flange_wrench(&mut next, measured, arm.as_ref())?;
-            let (wanted, tracking) = match &arm {
-                None => (self.holding(tick, &next), None),
+            let arm = tick.task(law);
+            let arm = arm.as_ref().map(Result::as_ref).transpose().map_err(|error| *error)?;
+            let flange_wrench_world = tick.flange_wrench(next, measured, arm)?;
+            let (wanted, tracking) = match arm {
+                None => (self.holding(tick, next), None),
                 Some(arm) => {
-                    let (torque, tracking) = self.on_the_base(tick, &mut next, arm, &mut hit)?;
+                    let (torque, tracking) = self.on_the_base(tick, next, arm, &mut hit)?;
                     (torque, Some(tracking))
                 }
             };
-            let torque_nm =
-                self.limited(tick, arm.as_ref(), &mut next, &wanted, &[T::zero(); N], &mut hit)?;
+            let torque_nm = self.limited(tick, arm, next, &wanted, &[T::zero(); N], &mut hit)?;
             Ok(ArmOutput {
                 torque_nm,
                 gravity_nm: tick.dynamics.gravity(),
                 flange_wrench_world,
                 flange: (&tick.flange).into(),
-                flange_desired: (&tick.desired(&next)).into(),
+                flange_desired: (&tick.desired(next)).into(),
                 limits: hit,
                 exceeded: self.exceeded(tick, tracking.as_ref()),
             })
-        })?;
-        if output.exceeded.is_some() {
-            let held = self.run(ControlLaw::Hold, state, input)?;
-            return Ok(ArmOutput { exceeded: output.exceeded, ..held });
+        });
+        match &output {
+            Ok(ArmOutput { exceeded: None, .. }) => output,
+            Ok(ArmOutput { exceeded, .. }) => {
+                *state = before;
+                let held = self.run(ControlLaw::Hold, state, input)?;
+                Ok(ArmOutput { exceeded: *exceeded, ..held })
+            }
+            Err(_) => {
+                *state = before;
+                output
+            }
         }
-        *state = next;
-        Ok(output)
     }
 
     /// `law` with what is computed once a step and read by every law.

@@ -35,6 +35,15 @@ pub(super) struct Tracking<T> {
 }
 
 impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
+    /// The arm as its task sees it; a law that holds a posture has none. Read where it stands: taken out, it would be copied.
+    #[inline]
+    pub(super) fn task(&self, law: ControlLaw) -> Option<Result<ArmDynamics<'_, N, T>, ControlError>> {
+        match law {
+            ControlLaw::Hold => None,
+            ControlLaw::Impedance | ControlLaw::FollowMe => Some(ArmDynamics::new(self.dynamics)),
+        }
+    }
+
     /// F = K·e + D·ė, e saturated, and what it was computed from. `base_twist` is what the base's motion gives the tool.
     /// eqs. (10), (16)
     #[inline]

@@ -231,36 +231,32 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         check_wrench("flange_wrench_world", input.flange_wrench_world.as_ref())?;
         let mut hit = LimitsHit::default();
         let cover_wrench_base = self.base.cover_wrench(&input.taxel_force_n, &mut hit);
-        let mut next = *state;
+        let before = *state;
+        let next = &mut *state;
         let output = self.arm.at(&input.robot, input.dt_s, |tick| {
             if law != ControlLaw::FollowMe {
                 next.base.lead = None;
             }
             next.arm.enter_law(law, tick);
-            self.approach(&mut next, tick.dt_s);
-            // a robot that holds its posture has no task
-            let arm = match law {
-                ControlLaw::Hold => None,
-                ControlLaw::Impedance | ControlLaw::FollowMe => Some(ArmDynamics::new(tick.dynamics)?),
-            };
+            self.approach(next, tick.dt_s);
+            let arm = tick.task(law);
+            let arm = arm.as_ref().map(Result::as_ref).transpose().map_err(|error| *error)?;
             let heading = &tick.kinematics.heading;
             let step = Step {
                 tick,
                 cover_world: heading.to_world(cover_wrench_base),
-                flange_wrench: tick.flange_wrench(&mut next.arm, input.flange_wrench_world, arm.as_ref())?,
+                flange_wrench: tick.flange_wrench(&mut next.arm, input.flange_wrench_world, arm)?,
                 base_velocity: heading.to_world(next.base.velocity_body),
             };
-            let wanted = match &arm {
+            let wanted = match arm {
                 None => {
                     let torque = self.arm.holding(tick, &next.arm);
                     Wanted { torque, base_velocity: [T::zero(); 3], counted_on: None, tracking: None }
                 }
-                Some(arm) if law == ControlLaw::Impedance => {
-                    self.impedance(&step, arm, &mut next, &mut hit)?
-                }
-                Some(arm) => self.follow_me(&step, arm, &mut next, &mut hit)?,
+                Some(arm) if law == ControlLaw::Impedance => self.impedance(&step, arm, next, &mut hit)?,
+                Some(arm) => self.follow_me(&step, arm, next, &mut hit)?,
             };
-            let command = within(&step, arm.as_ref(), &mut next, &wanted, &mut hit)?;
+            let command = within(&step, arm, next, &wanted, &mut hit)?;
             Ok(ControlOutput {
                 command,
                 cover_wrench_base,
@@ -270,13 +266,19 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
                 limits: hit,
                 exceeded: self.arm.exceeded(tick, wanted.tracking.as_ref()),
             })
-        })?;
-        if output.exceeded.is_some() {
-            let held = self.step(ControlLaw::Hold, state, input)?;
-            return Ok(ControlOutput { exceeded: output.exceeded, ..held });
+        });
+        match &output {
+            Ok(ControlOutput { exceeded: None, .. }) => output,
+            Ok(ControlOutput { exceeded, .. }) => {
+                *state = before;
+                let held = self.step(ControlLaw::Hold, state, input)?;
+                Ok(ControlOutput { exceeded: *exceeded, ..held })
+            }
+            Err(_) => {
+                *state = before;
+                output
+            }
         }
-        *state = next;
-        Ok(output)
     }
 
     /// Gains on their way to the configured ones, and corrections that have changed.
