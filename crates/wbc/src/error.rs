@@ -56,10 +56,8 @@ impl core::error::Error for ControlError {}
 
 /// Errs on the first value that is NaN or infinite.
 pub(crate) fn finite<T: crate::Scalar>(what: &'static str, values: &[T]) -> Result<(), ControlError> {
-    // all at once, without a branch for each; which one it is matters only where one is
-    if values.iter().fold(true, |all, value| all & value.is_finite()) {
-        return Ok(());
+    match values.iter().position(|value| !value.is_finite()) {
+        None => Ok(()),
+        Some(index) => Err(ControlError::NotFinite { what, index }),
     }
-    let index = values.iter().position(|value| !value.is_finite()).unwrap_or(0);
-    Err(ControlError::NotFinite { what, index })
 }
