@@ -87,6 +87,7 @@ impl<'a> CoverInstant<'a> {
 }
 
 /// What the cover feels at one step.
+#[derive(Debug)]
 pub(crate) struct Felt {
     /// N, T1 first.
     pub taxel_force_n: [f64; K],
@@ -328,7 +329,8 @@ impl Body {
                 let overlap_m = meeting.overlap_at_end_m(cover);
                 if force_n > 0.0 && overlap_m > 0.0 {
                     let shares = cover.outline.shares(&nearest, overlap_m, radius_m);
-                    for (taxel_n, share) in felt.taxel_force_n.iter_mut().zip(shares.0) {
+                    let taxels_n = felt.taxel_force_n[..cover.taxels.len()].iter_mut();
+                    for (taxel_n, share) in taxels_n.zip(&shares.0) {
                         *taxel_n += share * force_n;
                     }
                     felt.on_body(force_n);
