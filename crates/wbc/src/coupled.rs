@@ -86,52 +86,33 @@ impl<const N: usize, T: Scalar> CoupledDynamics<N, T> {
         force: &WholeBodyForce<N, T>,
         (added_base, added_arm): (&[T; 3], &[T; N]),
     ) -> Option<([T; 3], [T; N])> {
-        let (mut mass, [x, y, yaw]) = (self.arm.mass.data.0, self.arm.base_coupling.data.0);
-        let mut columns: [[T; 4]; N] =
-            core::array::from_fn(|i| [x[i], y[i], yaw[i], force.arm[i] - self.arm.bias[i]]);
-        let mut base = self.base.data.0;
-        let mut left: [T; 3] = core::array::from_fn(|i| force.base[i] - self.base_bias[i]);
-        let mut inverse = [T::zero(); N];
-        // no early return: straight-line code is what compilers make fast, and NaN only stays NaN
-        let mut definite = true;
-        for k in 0..N {
-            let pivot = mass[k][k] + added_arm[k];
-            definite &= pivot > T::zero() && pivot.is_finite();
-            inverse[k] = T::one() / pivot;
-            for j in k + 1..N {
-                let factor = mass[k][j] * inverse[k];
-                for i in j..N {
-                    mass[j][i] -= factor * mass[k][i];
-                }
-                for c in 0..4 {
-                    columns[j][c] -= factor * columns[k][c];
-                }
-                mass[k][j] = factor;
-            }
-            for i in 0..3 {
-                let scaled = columns[k][i] * inverse[k];
-                left[i] -= scaled * columns[k][3];
-                for j in i..3 {
-                    base[i][j] -= scaled * columns[k][j];
-                }
-            }
+        let (mut mass, mut base) = (self.arm.mass, self.base);
+        for i in 0..N {
+            mass[(i, i)] += added_arm[i];
         }
-        if !definite {
-            return None;
+        let factor = Cholesky::new(&mass)?;
+        let [x, y, yaw] = self.arm.base_coupling.data.0;
+        let columns = core::array::from_fn(|i| [x[i], y[i], yaw[i], force.arm[i] - self.arm.bias[i]]);
+        let solved = factor.solve_lower_rows::<4>(&columns);
+        let mut left: [T; 3] = core::array::from_fn(|i| force.base[i] - self.base_bias[i]);
+        for (row, &inverse) in solved.iter().zip(factor.inverse_diagonal()) {
+            for i in 0..3 {
+                let scaled = row[i] * inverse;
+                left[i] -= scaled * row[3];
+                for j in i..3 {
+                    base[(j, i)] -= scaled * row[j];
+                }
+            }
         }
         for i in 0..3 {
-            base[i][i] += added_base[i];
+            base[(i, i)] += added_base[i];
         }
-        let base = Cholesky::new(&SMatrix::from(base))?.solve(&left);
-        let mut arm = [T::zero(); N];
-        for k in (0..N).rev() {
-            let [x, y, yaw, own] = columns[k];
-            arm[k] = (own - x * base[0] - y * base[1] - yaw * base[2]) * inverse[k];
-            for j in k + 1..N {
-                arm[k] -= mass[k][j] * arm[j];
-            }
-        }
-        Some((base, arm))
+        let base = Cholesky::new(&base)?.solve(&left);
+        let rest = core::array::from_fn(|i| {
+            let [x, y, yaw, own] = solved[i];
+            [(own - x * base[0] - y * base[1] - yaw * base[2]) * factor.inverse_diagonal()[i]]
+        });
+        Some((base, factor.solve_upper_rows::<1>(&rest).map(|[value]| value)))
     }
 }
 

@@ -131,7 +131,8 @@ impl<const N: usize> Analytic<N> {
 }
 
 fn usable(values: &[f64]) -> bool {
-    values.iter().all(|value| value.abs() < LARGEST)
+    // no early return: several at once
+    values.iter().fold(true, |usable, value| usable & (value.abs() < LARGEST))
 }
 
 impl<const N: usize> Mechanics for Analytic<N> {
@@ -192,11 +193,12 @@ impl<const N: usize> Mechanics for Analytic<N> {
         }
         self.refresh();
         let mut force = self.force();
-        let (q, dq) = self.arm_state();
-        if let Some(torque) = self.limits.as_ref().and_then(|l| l.torque_nm(&self.dynamics, &force, &q, &dq))
-        {
-            for (sum, torque) in force.arm.iter_mut().zip(torque) {
-                *sum += torque;
+        if let Some(limits) = &self.limits {
+            let (q, dq) = self.arm_state();
+            if let Some(torque) = limits.torque_nm(&self.dynamics, &force, &q, &dq) {
+                for (sum, torque) in force.arm.iter_mut().zip(torque) {
+                    *sum += torque;
+                }
             }
         }
         let h = self.step_s;
@@ -207,14 +209,16 @@ impl<const N: usize> Mechanics for Analytic<N> {
         if !(usable(&base) && usable(&arm)) {
             return Err(self.unstable(BAD_ACCELERATION));
         }
-        let (robot, people) = self.rates.split_at_mut(BASE + N);
-        for (rate, acceleration) in robot.iter_mut().zip(base.iter().chain(&arm)) {
-            *rate += h * acceleration;
+        let (of_base, rest) = self.rates.split_at_mut(BASE);
+        let (of_arm, people) = rest.split_at_mut(N);
+        for (rates, accelerations) in [(of_base, &base[..]), (of_arm, &arm[..])] {
+            for (rate, acceleration) in rates.iter_mut().zip(accelerations) {
+                *rate += h * acceleration;
+            }
         }
-        let forces = self.forces[BASE + N..].chunks_exact(2);
-        for ((rates, forces), mass_kg) in people.chunks_exact_mut(2).zip(forces).zip(&self.people_kg) {
-            for (rate, force) in rates.iter_mut().zip(forces) {
-                *rate += h * (force / mass_kg);
+        for (i, mass_kg) in self.people_kg.iter().enumerate() {
+            for axis in [2 * i, 2 * i + 1] {
+                people[axis] += h * (self.forces[BASE + N + axis] / mass_kg);
             }
         }
         for (position, rate) in self.positions.iter_mut().zip(&self.rates) {
