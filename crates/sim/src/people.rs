@@ -111,8 +111,10 @@ impl Felt {
 
     /// Forces on taxels at their centres, N, T1 first, each on a body of its own.
     pub(crate) fn sensed(&mut self, scene: &Scene, outline: &Outline, forces_n: &[f64]) {
-        for (i, (taxel, &force_n)) in scene.cover.iter().zip(forces_n).enumerate() {
-            if force_n > 0.0 {
+        for (i, &force_n) in forces_n.iter().enumerate() {
+            if force_n > 0.0
+                && let Some(taxel) = scene.cover.get(i)
+            {
                 let ([nx, ny], [x, y]) = (outline.taxel_outward_base(i), taxel.position_base_m);
                 let (fx, fy) = (-force_n * nx, -force_n * ny);
                 self.taxel_force_n[i] += force_n;

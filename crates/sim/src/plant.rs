@@ -331,7 +331,7 @@ impl SimPlant {
         let cover = CoverInstant::new(&self.scene, &self.outline, step, (pose_world, velocity_world));
         let felt = &mut self.felt;
         *felt = Felt::NOTHING;
-        felt.sensed(&self.scene, &self.outline, &self.pressed_n);
+        felt.sensed(&self.scene, &self.outline, &self.pressed_n[..self.scene.cover.len()]);
         felt.push_base = felt.wrench_base;
         let time_s = mechanics.time_s() + if step.from_the_middle { 0.5 * step.dt_s } else { 0.0 };
         self.people.touch(&cover, time_s, mechanics.positions(), mechanics.rates(), felt);
@@ -431,6 +431,10 @@ fn planar(values: &[f64], first: usize) -> [f64; 3] {
 }
 
 fn finite(name: &'static str, values: &[f64]) -> Result<(), SimError> {
+    // no early return: several at once
+    if values.iter().fold(true, |finite, value| finite & value.is_finite()) {
+        return Ok(());
+    }
     match values.iter().find(|value| !value.is_finite()) {
         Some(&value) => Err(SimError::Command { name, value }),
         None => Ok(()),

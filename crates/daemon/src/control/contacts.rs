@@ -50,7 +50,8 @@ impl ContactTracker {
     pub fn update(&mut self, now_ns: u64, taxels: &[TaxelReading; TAXELS]) {
         let dt_s = seconds(now_ns.saturating_sub(self.last_ns));
         self.last_ns = now_ns;
-        for (i, reading) in taxels.iter().take(self.taxels).enumerate() {
+        let taxels = taxels.get(..self.taxels).unwrap_or(taxels);
+        for (i, reading) in taxels.iter().enumerate() {
             let valid = reading.status == TaxelStatus::Ok;
             let touched = valid && reading.force_n > 0.0;
             let Some(contact) = &mut self.contacts[i] else {
@@ -86,17 +87,22 @@ impl ContactTracker {
     /// Taxels in a contact that has crossed a limit; `None` where none is.
     pub fn crossed(&self) -> Option<[bool; TAXELS]> {
         let crossed = |contact: &Contact| contact.crossed_n.is_some();
-        self.contacts.iter().take(self.taxels).flatten().any(crossed).then(|| self.taxels_with(crossed))
+        self.contacts().iter().flatten().any(crossed).then(|| self.taxels_with(crossed))
     }
 
     /// Whether any taxel is in contact.
     pub fn is_touched(&self) -> bool {
-        self.contacts.iter().take(self.taxels).any(Option::is_some)
+        self.contacts().iter().any(Option::is_some)
     }
 
     /// Taxels in contact.
     pub fn touched(&self) -> [bool; TAXELS] {
         self.taxels_with(|_| true)
+    }
+
+    /// Of the taxels that there are.
+    fn contacts(&self) -> &[Option<Contact>] {
+        self.contacts.get(..self.taxels).unwrap_or(&self.contacts)
     }
 
     fn taxels_with(&self, is: impl Fn(&Contact) -> bool) -> [bool; TAXELS] {

@@ -90,7 +90,8 @@ fn beyond(moved: f64, (rate, jump): (f64, f64), dt_s: f64) -> bool {
 }
 
 fn joints_jumped(last: &RobotState<JOINTS>, now: &RobotState<JOINTS>, dt_s: f64) -> bool {
-    now.q_rad.iter().zip(&last.q_rad).any(|(now, last)| beyond(now - last, JOINT_RATE_MAX, dt_s))
+    let joints = now.q_rad.iter().zip(&last.q_rad);
+    joints.fold(false, |jumped, (now, last)| jumped | beyond(now - last, JOINT_RATE_MAX, dt_s))
 }
 
 fn base_jumped(last: &RobotState<JOINTS>, now: &RobotState<JOINTS>, dt_s: f64) -> bool {

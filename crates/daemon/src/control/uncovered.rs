@@ -11,7 +11,7 @@
 use crate::config::Config;
 use crate::control::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
-use moca_msgs::{RobotState, TaxelPlacement, TaxelStatus};
+use moca_msgs::{RobotState, TaxelPlacement, TaxelReading, TaxelStatus};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, PI};
 
@@ -94,15 +94,13 @@ impl Uncovered {
 
     /// Takes in which taxels are in use and whether anybody touches them.
     pub fn feel(&mut self, cover: &CoverState) {
-        self.touched = false;
-        let mut changed = false;
-        for (usable, taxel) in self.usable.iter_mut().zip(&cover.reading.taxels).take(self.covers.len()) {
-            let is_usable = taxel.status != TaxelStatus::Masked;
-            changed |= is_usable != *usable;
-            *usable = is_usable;
-            self.touched |= taxel.status == TaxelStatus::Ok && taxel.force_n > 0.0;
-        }
-        if changed {
+        let taxels = &cover.reading.taxels[..self.covers.len()];
+        self.touched = taxels.iter().any(|taxel| taxel.status == TaxelStatus::Ok && taxel.force_n > 0.0);
+        let is_usable = |taxel: &TaxelReading| taxel.status != TaxelStatus::Masked;
+        if taxels.iter().zip(&self.usable).any(|(taxel, usable)| is_usable(taxel) != *usable) {
+            for (usable, taxel) in self.usable.iter_mut().zip(taxels) {
+                *usable = is_usable(taxel);
+            }
             self.bare = bare_sides(&self.covers, &self.usable);
         }
     }
