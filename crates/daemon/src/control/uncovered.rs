@@ -121,7 +121,8 @@ impl Uncovered {
         let (sin, cos) = robot.base_pose_world[2].sin_cos();
         let [forward, left] = [cos * vx + sin * vy, cos * vy - sin * vx];
         let (sides, state) = (self.sides(), &mut self.state);
-        let rests = !state.held && !self.touched && forward.hypot(left) < STANDS && yaw.abs() < STANDS;
+        let speed_m_s = (forward * forward + left * left).sqrt();
+        let rests = !state.held && !self.touched && speed_m_s < STANDS && yaw.abs() < STANDS;
         state.rested_s = if rests { state.rested_s + dt_s } else { 0.0 };
         if state.rested_s >= REST_S {
             (state.gone_m, state.turned_m) = ([0.0; 4], [0.0; 2]);
