@@ -124,8 +124,8 @@ impl World {
     fn step(&mut self, request: Option<Request>) -> (Sample, Option<Outcome>) {
         let slot = Slot { tick: self.tick, now_ns: self.tick * 1_000_000, ticks: 1, ..Slot::default() };
         self.tick += 1;
-        let Ticked { sample, outcome, .. } = self.control.tick(&slot, request, &mut Untimed);
-        (sample, outcome)
+        let Ticked { sample, input } = self.control.tick(&slot, request, &mut Untimed);
+        (sample.clone(), input.outcome)
     }
 
     fn run(&mut self, ticks: u32) -> Sample {

@@ -49,9 +49,10 @@ impl Run {
     }
 
     fn step(&mut self, request: Option<Request>) {
-        let ticked = self.world.tick(request);
+        self.world.tick(request);
+        let ticked = self.world.control.ticked();
         self.loop_end.push(ticked.input, || self.world.control.state());
-        self.samples.push(ticked.sample);
+        self.samples.push(ticked.sample.clone());
         self.records.extend(std::iter::from_fn(|| self.log.next_tick()));
     }
 
@@ -299,7 +300,8 @@ fn flight_log(name: &str, world: &mut Run, recorder: &mut FlightRecorder, ticks:
 impl Run {
     /// One tick, which a flight recorder hears of as it does beside a live loop.
     fn watched(&mut self, request: Option<Request>, recorder: &mut FlightRecorder) -> Option<PathBuf> {
-        let ticked = self.world.tick(request);
+        self.world.tick(request);
+        let ticked = self.world.control.ticked();
         self.loop_end.push(ticked.input, || self.world.control.state());
         while let Some(state) = self.log.next_state() {
             recorder.add_state(state);

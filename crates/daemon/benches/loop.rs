@@ -89,7 +89,7 @@ fn bench(criterion: &mut Criterion) {
             }
             let slot = Slot { tick, now_ns, ticks: 1, ..Slot::default() };
             tick += 1;
-            control.tick(&slot, None, &mut Untimed).sample
+            control.tick(&slot, None, &mut Untimed).sample.clone()
         };
         for _ in 0..6000 {
             run(&mut cable);

@@ -57,10 +57,11 @@ fn watched(world: &mut World, mode: Mode, requests: &[Request]) {
     for tick in 0..TICKS {
         let request = usize::try_from(tick).ok().and_then(|i| requests.get(i)).copied();
         rtsan_standalone::realtime_enter();
-        let Ticked { sample, outcome, input } = world.tick(request);
+        world.tick(request);
+        let Ticked { sample, input } = world.control.ticked();
         rings.note(input, || world.control.state());
         last = Some(sample.mode);
-        rings.publish(sample, Some(tick), outcome, &shared);
+        rings.publish(sample, Some(tick), input.outcome, &shared);
         rtsan_standalone::realtime_exit();
     }
     assert_eq!(last, Some(mode), "the mode at the end");

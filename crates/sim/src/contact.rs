@@ -121,17 +121,16 @@ impl ContactState {
     /// Deformation of the foam, m, and normal force, N, of tissue and foam in series.
     fn press(&mut self, memory: Memory, pressing: &Pressing<'_>) -> (f64, f64) {
         let &Pressing { foam, tissue, overlap_m, dt_s, yield_m_per_n, .. } = pressing;
-        let before = *self;
         let damping = tissue.damping_n_s_per_m / dt_s;
         let stiffness = tissue.stiffness_n_per_m + damping;
+        let damped_n = damping * self.tissue_m;
+        let softened = 1.0 + stiffness * yield_m_per_n;
         // Tissue and the body's own way are one spring in series.
-        let tissue_n = |deformation_m: f64| {
-            (stiffness * deformation_m - damping * before.tissue_m) / (1.0 + stiffness * yield_m_per_n)
-        };
-        let residual =
-            |x_m: f64| before.foam.clone().step_by(memory, foam, x_m, dt_s) - tissue_n(overlap_m - x_m);
+        let tissue_n = |deformation_m: f64| (stiffness * deformation_m - damped_n) / softened;
+        let response = self.foam.response(memory, foam, dt_s);
+        let residual = |x_m: f64| self.foam.force_n(&response, foam, x_m) - tissue_n(overlap_m - x_m);
         let x_m = root(residual, overlap_m);
-        let normal_n = self.foam.step_by(memory, foam, x_m, dt_s);
+        let normal_n = self.foam.go(&response, foam, x_m);
         self.tissue_m = overlap_m - x_m - normal_n * yield_m_per_n;
         (x_m, normal_n)
     }

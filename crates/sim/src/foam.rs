@@ -226,11 +226,18 @@ pub(crate) enum Memory {
 }
 
 /// Force response of one step: F = offset + gain·ΔFe, from the exact solution for a force that is linear in time.
-struct Response {
+pub(crate) struct Response {
     offset_n: f64,
     gain: f64,
     decay: [f64; 3],
     branch_gain: [f64; 3],
+}
+
+impl Response {
+    /// A foam never pulls, and not at all without deformation.
+    fn force_n(&self, x_m: f64, change_n: f64) -> f64 {
+        if x_m <= 0.0 { 0.0 } else { (self.offset_n + self.gain * change_n).max(0.0) }
+    }
 }
 
 impl FoamState {
@@ -247,12 +254,22 @@ impl FoamState {
             return 0.0;
         }
         let response = self.response(memory, foam, dt_s);
-        let change_n = foam.elastic_force_n(x_m) - self.elastic_n;
-        self.advance(&response, change_n);
-        if x_m <= 0.0 {
+        self.go(&response, foam, x_m)
+    }
+
+    /// Ends the step that `response` is of at deformation `x_m`; gives the force, N, ≥ 0.
+    pub(crate) fn go(&mut self, response: &Response, foam: &Foam, x_m: f64) -> f64 {
+        if x_m <= 0.0 && self.is_at_rest() {
             return 0.0;
         }
-        (response.offset_n + response.gain * change_n).max(0.0)
+        let change_n = foam.elastic_force_n(x_m) - self.elastic_n;
+        self.advance(response, change_n);
+        response.force_n(x_m, change_n)
+    }
+
+    /// The force that [`FoamState::go`] would give, N, ≥ 0.
+    pub(crate) fn force_n(&self, response: &Response, foam: &Foam, x_m: f64) -> f64 {
+        response.force_n(x_m, foam.elastic_force_n(x_m) - self.elastic_n)
     }
 
     /// Presses the foam with `force_n` for `dt_s` and gives the deformation it takes, m, ≥ 0 (a load-controlled
@@ -282,7 +299,10 @@ impl FoamState {
         }
     }
 
-    fn response(&self, memory: Memory, foam: &Foam, dt_s: f64) -> Response {
+    /// How the foam answers in a step of `dt_s`. Out of line: a loop over bodies would otherwise take its exponentials
+    /// with it, touched or not.
+    #[inline(never)]
+    pub(crate) fn response(&self, memory: Memory, foam: &Foam, dt_s: f64) -> Response {
         let share = foam.branch_gain();
         let held = 1.0 - foam.relaxation;
         let damping = foam.damping_time_s / dt_s;

@@ -155,7 +155,11 @@ impl Outline {
                 let outward = if on_side { edge.outward } else { away.map(|v| v / distance_m) };
                 // The corner before this side is the one after the side before it, which finds the same.
                 if on_side || along_m > 0.0 {
-                    let turned = cross(edge.outward, outward).atan2(dot(edge.outward, outward));
+                    let turned = if on_side {
+                        0.0
+                    } else {
+                        cross(edge.outward, outward).atan2(dot(edge.outward, outward))
+                    };
                     let (strip, along_m) =
                         self.locate(edge.strip, along_m.min(edge.length_m) + turned * self.radius_m);
                     nearest = Nearest { distance_m, outward, point_base: foot, strip, along_m };
@@ -211,8 +215,12 @@ impl Outline {
                 left_m = self.strips[strip].length_m;
             }
         }
-        let total = pressed.iter().sum::<f64>() + bare;
-        if total > 0.0 { Shares(pressed.map(|area| area / total)) } else { Shares([0.0; K]) }
+        let areas = &mut pressed[..self.taxel_outward.len()];
+        let total = areas.iter().sum::<f64>() + bare;
+        for area in areas {
+            *area = if total > 0.0 { *area / total } else { 0.0 };
+        }
+        Shares(pressed)
     }
 
     /// Ends of what `taxel` answers for on its side, in B, m: where a plane meets it first.

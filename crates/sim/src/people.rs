@@ -87,6 +87,7 @@ impl<'a> CoverInstant<'a> {
 }
 
 /// What the cover feels at one step.
+#[derive(Debug)]
 pub(crate) struct Felt {
     /// N, T1 first.
     pub taxel_force_n: [f64; K],
@@ -110,8 +111,10 @@ impl Felt {
 
     /// Forces on taxels at their centres, N, T1 first, each on a body of its own.
     pub(crate) fn sensed(&mut self, scene: &Scene, outline: &Outline, forces_n: &[f64]) {
-        for (i, (taxel, &force_n)) in scene.cover.iter().zip(forces_n).enumerate() {
-            if force_n > 0.0 {
+        for (i, &force_n) in forces_n.iter().enumerate() {
+            if force_n > 0.0
+                && let Some(taxel) = scene.cover.get(i)
+            {
                 let ([nx, ny], [x, y]) = (outline.taxel_outward_base(i), taxel.position_base_m);
                 let (fx, fy) = (-force_n * nx, -force_n * ny);
                 self.taxel_force_n[i] += force_n;
@@ -328,7 +331,8 @@ impl Body {
                 let overlap_m = meeting.overlap_at_end_m(cover);
                 if force_n > 0.0 && overlap_m > 0.0 {
                     let shares = cover.outline.shares(&nearest, overlap_m, radius_m);
-                    for (taxel_n, share) in felt.taxel_force_n.iter_mut().zip(shares.0) {
+                    let taxels_n = felt.taxel_force_n[..cover.taxels.len()].iter_mut();
+                    for (taxel_n, share) in taxels_n.zip(&shares.0) {
                         *taxel_n += share * force_n;
                     }
                     felt.on_body(force_n);

@@ -65,12 +65,10 @@ pub struct SimPlant {
     /// Velocity that it asks of the wheels, axes of B.
     servo_velocity_body: [f64; 3],
     pressed_n: [f64; K],
-    taxel_force_n: [f64; K],
+    /// In the last step.
+    felt: Felt,
     /// Mean over the steps of the last period.
     taxel_force_mean_n: [f64; K],
-    cover_wrench_base: [f64; 3],
-    contact_total_n: f64,
-    contact_largest_n: f64,
     contact_peak_n: f64,
     flange_wrench_world: [f64; 6],
     torque_nm: [f64; MAX_JOINTS],
@@ -101,11 +99,8 @@ impl SimPlant {
             servo_gain: 1.0 - (-scene.control_period_s / scene.base.servo_time_constant_s).exp(),
             servo_velocity_body: [0.0; 3],
             pressed_n: [0.0; K],
-            taxel_force_n: [0.0; K],
+            felt: Felt::NOTHING,
             taxel_force_mean_n: [0.0; K],
-            cover_wrench_base: [0.0; 3],
-            contact_total_n: 0.0,
-            contact_largest_n: 0.0,
             contact_peak_n: 0.0,
             flange_wrench_world: [0.0; 6],
             torque_nm: [0.0; MAX_JOINTS],
@@ -127,13 +122,12 @@ impl SimPlant {
             flange_wrench_world: self.scene.flange_sensor.then_some(self.flange_wrench_world),
         };
         if let Some(dof) = self.base_dof {
-            state.base_pose_world.copy_from_slice(&qpos[dof..dof + 3]);
-            state.base_velocity_world.copy_from_slice(&qvel[dof..dof + 3]);
+            (state.base_pose_world, state.base_velocity_world) = (planar(qpos, dof), planar(qvel, dof));
         }
         if let Some(dof) = self.arm_dof {
-            let joints = self.scene.arm.joints;
-            state.q_rad[..joints].copy_from_slice(&qpos[dof..dof + joints]);
-            state.dq_rad_s[..joints].copy_from_slice(&qvel[dof..dof + joints]);
+            let joints = ..self.scene.arm.joints;
+            state.q_rad[joints].copy_from_slice(&qpos[dof..][joints]);
+            state.dq_rad_s[joints].copy_from_slice(&qvel[dof..][joints]);
         }
         state
     }
@@ -237,7 +231,7 @@ impl SimPlant {
 
     /// True force on each taxel over the last physics step (under [`Integrator::Leapfrog`] at its end), N, T1 first.
     pub fn taxel_force_true_n(&self) -> &[f64] {
-        &self.taxel_force_n[..self.scene.cover.len()]
+        &self.felt.taxel_force_n[..self.scene.cover.len()]
     }
 
     /// Mean of these over the physics steps of the last control period, N: what a sensor that averages would say, however
@@ -248,12 +242,12 @@ impl SimPlant {
 
     /// Sum of the normal forces on everybody who touches the cover, felt by a taxel or not, over the last physics step, N.
     pub fn contact_total_true_n(&self) -> f64 {
-        self.contact_total_n
+        self.felt.total_n
     }
 
     /// Normal force on the body that is pressed hardest, over the last physics step, N: on a seam more than any taxel's.
     pub fn contact_largest_true_n(&self) -> f64 {
-        self.contact_largest_n
+        self.felt.largest_n
     }
 
     /// The largest of these over every physics step so far, N.
@@ -264,7 +258,7 @@ impl SimPlant {
     /// True wrench of everything that touches the cover on the base over the last physics step, where it acts and with
     /// its friction, axes and origin of B: N, N, N·m. (Eq. (4) places every force at its taxel's centre.)
     pub fn cover_wrench_true_base(&self) -> [f64; 3] {
-        self.cover_wrench_base
+        self.felt.wrench_base
     }
 
     /// Flange origin in W, m, as of the start of the last physics step; `None` without an arm.
@@ -329,47 +323,44 @@ impl SimPlant {
 
     /// Writes every force of one physics step.
     fn load(&mut self, step: Step) {
-        let state = self.state();
-        let cover = CoverInstant::new(
-            &self.scene,
-            &self.outline,
-            step,
-            (state.base_pose_world, state.base_velocity_world),
-        );
-        let mut felt = Felt::NOTHING;
-        felt.sensed(&self.scene, &self.outline, &self.pressed_n);
-        felt.push_base = felt.wrench_base;
         let mechanics = &mut self.mechanics;
+        let (pose_world, velocity_world) = match self.base_dof {
+            Some(dof) => (planar(mechanics.positions(), dof), planar(mechanics.rates(), dof)),
+            None => (self.scene.base_pose_world, [0.0; 3]),
+        };
+        let cover = CoverInstant::new(&self.scene, &self.outline, step, (pose_world, velocity_world));
+        let felt = &mut self.felt;
+        *felt = Felt::NOTHING;
+        felt.sensed(&self.scene, &self.outline, &self.pressed_n[..self.scene.cover.len()]);
+        felt.push_base = felt.wrench_base;
         let time_s = mechanics.time_s() + if step.from_the_middle { 0.5 * step.dt_s } else { 0.0 };
-        self.people.touch(&cover, time_s, mechanics.positions(), mechanics.rates(), &mut felt);
+        self.people.touch(&cover, time_s, mechanics.positions(), mechanics.rates(), felt);
         self.people.write_forces(mechanics.forces_mut());
         if self.scene.geoms {
             // forces between geoms act already
             felt.sensed(&self.scene, &self.outline, mechanics.touched_n());
         }
-        (self.taxel_force_n, self.cover_wrench_base) = (felt.taxel_force_n, felt.wrench_base);
-        (self.contact_total_n, self.contact_largest_n) = (felt.total_n, felt.largest_n);
         self.contact_peak_n = self.contact_peak_n.max(felt.largest_n);
 
         if let Some(dof) = self.base_dof {
-            let (push_world, velocity_world) =
+            let (push_world, wanted_world) =
                 (cover.planar_to_world(felt.push_base), cover.planar_to_world(self.servo_velocity_body));
             let force = mechanics.forces_mut();
             for i in 0..3 {
                 // The joint's own damping (implicit in the integrator) is the other half of the servo; by the trapezoidal rule
                 // it is but half of that.
-                let held = SERVO_DAMPING[i] * state.base_velocity_world[i];
+                let held = SERVO_DAMPING[i] * velocity_world[i];
                 let servo =
-                    (SERVO_DAMPING[i] * velocity_world[i] - held).clamp(-TRACTION[i], TRACTION[i]) + held;
+                    (SERVO_DAMPING[i] * wanted_world[i] - held).clamp(-TRACTION[i], TRACTION[i]) + held;
                 let at_start = if step.from_the_middle { 0.5 * held } else { 0.0 };
                 force[dof + i] = servo - at_start + push_world[i];
             }
         }
         if let Some(dof) = self.arm_dof {
-            match self.command {
-                Command::Drive(command) => self.torque_nm = command.arm_torque_nm,
-                Command::Brake => self.torque_nm = self.brake_torque_nm(dof, &state.dq_rad_s),
-            }
+            self.torque_nm = match &self.command {
+                Command::Drive(command) => command.arm_torque_nm,
+                Command::Brake => self.brake_torque_nm(dof),
+            };
             let joints = self.scene.arm.joints;
             self.mechanics.forces_mut()[dof..dof + joints].copy_from_slice(&self.torque_nm[..joints]);
             self.mechanics.set_flange_wrench_world(&self.flange_wrench_world);
@@ -377,8 +368,9 @@ impl SimPlant {
     }
 
     /// Gravity compensation and a torque that takes the speed out of every joint in [`BRAKE_TIME_S`].
-    fn brake_torque_nm(&mut self, dof: usize, dq: &[f64; MAX_JOINTS]) -> [f64; MAX_JOINTS] {
+    fn brake_torque_nm(&mut self, dof: usize) -> [f64; MAX_JOINTS] {
         let joints = self.scene.arm.joints;
+        let dq = self.state().dq_rad_s;
         let mut torque = [0.0; MAX_JOINTS];
         torque[..joints].copy_from_slice(&self.bias()[dof..dof + joints]);
         let (mass, side) = self.full_mass_matrix();
@@ -416,7 +408,8 @@ impl Repeatable for SimPlant {
         self.taxel_force_mean_n[..taxels].fill(0.0);
         for _ in 0..steps {
             self.physics_step(step_s)?;
-            for (mean, force_n) in self.taxel_force_mean_n[..taxels].iter_mut().zip(self.taxel_force_n) {
+            let forces_n = &self.felt.taxel_force_n;
+            for (mean, force_n) in self.taxel_force_mean_n[..taxels].iter_mut().zip(forces_n) {
                 *mean += force_n / f64::from(steps);
             }
         }
@@ -431,7 +424,17 @@ impl Repeatable for SimPlant {
     }
 }
 
+/// Three coordinates from `first` on.
+fn planar(values: &[f64], first: usize) -> [f64; 3] {
+    let values = &values[first..first + 3];
+    [values[0], values[1], values[2]]
+}
+
 fn finite(name: &'static str, values: &[f64]) -> Result<(), SimError> {
+    // no early return: several at once
+    if values.iter().fold(true, |finite, value| finite & value.is_finite()) {
+        return Ok(());
+    }
     match values.iter().find(|value| !value.is_finite()) {
         Some(&value) => Err(SimError::Command { name, value }),
         None => Ok(()),

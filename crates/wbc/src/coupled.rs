@@ -33,6 +33,8 @@ pub struct CoupledDynamics<const N: usize, T> {
     pub base: SMatrix<T, 3, 3>,
     /// Coriolis forces on the base, world x, y, yaw: N, N, N·m.
     pub base_bias: [T; 3],
+    /// Of the mobile base alone, in its own axes, about its origin.
+    own: Inertia<T>,
 }
 
 impl<const N: usize, T: Scalar> CoupledDynamics<N, T> {
@@ -44,23 +46,27 @@ impl<const N: usize, T: Scalar> CoupledDynamics<N, T> {
         place: (T, &[T; N]),
         rates: (&[T; 3], &[T; N]),
     ) -> Self {
-        let mut dynamics = Self { arm: Dynamics::unset(), base: SMatrix::zeros(), base_bias: [T::zero(); 3] };
-        dynamics.update(model, base, place, rates);
+        let mut dynamics = Self {
+            arm: Dynamics::unset(),
+            base: SMatrix::zeros(),
+            base_bias: [T::zero(); 3],
+            own: own_inertia(base),
+        };
+        dynamics.update(model, place, rates);
         dynamics
     }
 
-    /// Becomes what [`CoupledDynamics::new`] gives: nothing is copied.
+    /// Becomes what [`CoupledDynamics::new`] gives for the same base: nothing is copied.
     pub fn update(
         &mut self,
         model: &ArmModel<N, T>,
-        base: &BaseTable,
         (yaw, q): (T, &[T; N]),
         (base_velocity_world, dq): (&[T; 3], &[T; N]),
     ) {
         let yaw_rate = base_velocity_world[2];
         let load = model.on_moving_base((yaw, q), (yaw_rate, dq), &mut self.arm);
-        let own = own_inertia(base);
-        let Inertia { mass, first_moment, rotational } = own + load.inertia;
+        let own = &self.own;
+        let Inertia { mass, first_moment, rotational } = *own + load.inertia;
         let (zero, heading) = (T::zero(), &self.arm.kinematics.heading);
         // a planar base knows of its load the mass, where it is from above, and how it resists turning about the vertical
         let [hx, hy, _] = heading.to_world([first_moment.x, first_moment.y, zero]);

@@ -79,11 +79,13 @@ impl<const K: usize, T: Scalar> BaseGuard<K, T> {
         }
         for (what, bounds) in [("guard.bounds_body", &self.bounds_body), ("guard.room_body", &self.room_body)]
         {
-            for (axis, (least, most)) in
-                bounds.iter().flat_map(|[least, most]| least.iter().zip(most)).enumerate()
-            {
-                finite(what, &[*least, *most])?;
-                if *least > T::zero() || *most < T::zero() {
+            let Some([least, most]) = bounds else { continue };
+            for axis in 0..3 {
+                let (least, most) = (least[axis], most[axis]);
+                if !(least.is_finite() && most.is_finite()) {
+                    return finite(what, &[least, most]);
+                }
+                if least > T::zero() || most < T::zero() {
                     return Err(ControlError::GuardBounds { axis });
                 }
             }

@@ -50,25 +50,25 @@ impl ContactTracker {
     pub fn update(&mut self, now_ns: u64, taxels: &[TaxelReading; TAXELS]) {
         let dt_s = seconds(now_ns.saturating_sub(self.last_ns));
         self.last_ns = now_ns;
-        for (i, reading) in taxels.iter().take(self.taxels).enumerate() {
+        let taxels = taxels.get(..self.taxels).unwrap_or(taxels);
+        for (i, reading) in taxels.iter().enumerate() {
             let valid = reading.status == TaxelStatus::Ok;
             let touched = valid && reading.force_n > 0.0;
-            if let Some(contact) = &mut self.contacts[i] {
-                contact.stood_for(dt_s, now_ns);
-            }
-            match (&mut self.contacts[i], touched) {
-                (None, false) => {}
-                (None, true) => {
+            let Some(contact) = &mut self.contacts[i] else {
+                if touched {
                     self.contacts[i] = Some(Contact::new(now_ns));
                     self.take_force(i, now_ns, reading.force_n, Some(ContactPhase::Started));
                 }
-                (Some(_), true) => self.take_force(i, now_ns, reading.force_n, None),
-                (Some(contact), false) => {
-                    let phase = if valid { ContactPhase::Finished } else { ContactPhase::Lost };
-                    let event = contact.event(i, phase, now_ns, self.reaction);
-                    self.contacts[i] = None;
-                    self.say(event);
-                }
+                continue;
+            };
+            contact.stood_for(dt_s, now_ns);
+            if touched {
+                self.take_force(i, now_ns, reading.force_n, None);
+            } else {
+                let phase = if valid { ContactPhase::Finished } else { ContactPhase::Lost };
+                let event = contact.event(i, phase, now_ns, self.reaction);
+                self.contacts[i] = None;
+                self.say(event);
             }
         }
     }
@@ -87,7 +87,12 @@ impl ContactTracker {
     /// Taxels in a contact that has crossed a limit; `None` where none is.
     pub fn crossed(&self) -> Option<[bool; TAXELS]> {
         let crossed = |contact: &Contact| contact.crossed_n.is_some();
-        self.contacts.iter().take(self.taxels).flatten().any(crossed).then(|| self.taxels_with(crossed))
+        self.contacts().iter().flatten().any(crossed).then(|| self.taxels_with(crossed))
+    }
+
+    /// Whether any taxel is in contact.
+    pub fn is_touched(&self) -> bool {
+        self.contacts().iter().any(Option::is_some)
     }
 
     /// Taxels in contact.
@@ -95,20 +100,24 @@ impl ContactTracker {
         self.taxels_with(|_| true)
     }
 
+    /// Of the taxels that there are.
+    fn contacts(&self) -> &[Option<Contact>] {
+        self.contacts.get(..self.taxels).unwrap_or(&self.contacts)
+    }
+
     fn taxels_with(&self, is: impl Fn(&Contact) -> bool) -> [bool; TAXELS] {
         std::array::from_fn(|i| self.contacts[i].as_ref().is_some_and(&is))
     }
 
-    /// The oldest events that no sample has carried.
-    pub fn take<const N: usize>(&mut self) -> heapless::Vec<ContactEvent, N> {
-        let mut taken = heapless::Vec::new();
+    /// `taken` becomes the oldest events that no sample has carried.
+    pub fn take<const N: usize>(&mut self, taken: &mut heapless::Vec<ContactEvent, N>) {
+        taken.clear();
         while !taken.is_full()
             && let Some(event) = self.waiting.pop_front()
         {
             // There is room: the loop has looked.
             let _ = taken.push(event);
         }
-        taken
     }
 
     fn take_force(&mut self, taxel: usize, now_ns: u64, force_n: f64, phase: Option<ContactPhase>) {
@@ -210,12 +219,18 @@ mod tests {
         taxels
     }
 
+    fn taken(tracker: &mut ContactTracker) -> heapless::Vec<ContactEvent, 4> {
+        let mut events = heapless::Vec::new();
+        tracker.take(&mut events);
+        events
+    }
+
     /// Feeds T3 a force for each millisecond; returns the events with the ms they came in.
     fn feed(tracker: &mut ContactTracker, forces: impl IntoIterator<Item = f64>) -> Vec<(u64, ContactEvent)> {
         let mut events = Vec::new();
         for (ms, force_n) in (1..).zip(forces) {
             tracker.update(ms * MS, &reading(2, force_n));
-            events.extend(tracker.take::<4>().into_iter().map(|event| (ms, event)));
+            events.extend(taken(tracker).into_iter().map(|event| (ms, event)));
         }
         events
     }
@@ -295,7 +310,7 @@ mod tests {
         let mut stale = reading(2, 10.0);
         stale[2].status = TaxelStatus::Stale;
         tracker.update(2 * MS, &stale);
-        assert_eq!(tracker.take::<4>()[0].phase, ContactPhase::Lost);
+        assert_eq!(taken(&mut tracker)[0].phase, ContactPhase::Lost);
     }
 
     #[test]
@@ -304,10 +319,10 @@ mod tests {
         feed(&mut tracker, [10.0, 10.0]);
         let row = |taxel, excess_m_s| ContactRow { taxel, excess_m_s, ..ContactRow::default() };
         tracker.squeezed(2 * MS, &[row(2, NO_ROOM_M_S)]);
-        assert!(tracker.take::<4>().is_empty(), "rounding and braking are no event");
+        assert!(taken(&mut tracker).is_empty(), "rounding and braking are no event");
         tracker.squeezed(3 * MS, &[row(1, 0.2), row(2, 0.05)]);
         tracker.squeezed(4 * MS, &[row(2, 0.3)]);
-        let events = tracker.take::<4>();
+        let events = taken(&mut tracker);
         let [event] = &events[..] else { panic!("{events:?}") };
         assert_eq!((event.taxel, event.phase), (2, ContactPhase::NoRoom));
         assert!(near(event.excess_m_s, 0.05) && near(event.peak_n, 10.0));
@@ -322,7 +337,7 @@ mod tests {
         assert_eq!((tracker.touched(), tracker.crossed()), ([true; TAXELS], Some([true; TAXELS])));
         tracker.update(2 * MS, &let_go);
         assert_eq!((tracker.touched(), tracker.crossed()), ([false; TAXELS], None));
-        let taken = std::iter::repeat_with(|| tracker.take::<4>()).take_while(|events| !events.is_empty());
+        let taken = std::iter::repeat_with(|| taken(&mut tracker)).take_while(|events| !events.is_empty());
         let phases: Vec<ContactPhase> = taken.flatten().map(|event| event.phase).collect();
         for phase in [ContactPhase::Started, ContactPhase::LimitCrossed, ContactPhase::Finished] {
             assert_eq!(phases.iter().filter(|p| **p == phase).count(), TAXELS, "{phase:?}");
@@ -335,7 +350,7 @@ mod tests {
         let mut taxels = [TaxelReading { force_n: 0.0, status: TaxelStatus::Ok }; TAXELS];
         taxels[..11].fill(TaxelReading { force_n: 9.0, status: TaxelStatus::Ok });
         tracker.update(MS, &taxels);
-        let counts = [4, 4, 3, 0].map(|expected| (tracker.take::<4>().len(), expected));
+        let counts = [4, 4, 3, 0].map(|expected| (taken(&mut tracker).len(), expected));
         assert!(counts.iter().all(|(count, expected)| count == expected), "{counts:?}");
     }
 }

@@ -61,7 +61,8 @@ pub struct Motion {
     uncovered: Option<Uncovered>,
     targets: Targets,
     parts: Parts,
-    guard: BaseGuard<TAXELS>,
+    /// Of the present tick.
+    protected: Protected,
     real: bool,
     deadlines: SourceAge,
     /// What keeping all limits together has taken so far, where they are.
@@ -103,7 +104,7 @@ impl Motion {
         };
         let barrier = either!(&controller, controller => controller.barrier(config))?;
         let uncovered = parts.has_cover().then(|| Uncovered::new(config));
-        let guard = Protected::default().guard;
+        let protected = Protected::default();
         let targets = Targets::new(config);
         let real = config.plant.kind == PlantKind::Robot;
         let deadlines =
@@ -118,7 +119,7 @@ impl Motion {
             uncovered,
             targets,
             parts,
-            guard,
+            protected,
             real,
             deadlines,
             by_qp: None,
@@ -158,14 +159,14 @@ impl Motion {
         off_rad.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, off_rad)| *off_rad > ARMING_POSTURE_RAD)
     }
 
-    /// How many joints the arm has.
+    /// How many joints the robot has.
     pub const fn joints(&self) -> usize {
-        self.joints
+        if self.parts.has_arm() { self.joints } else { 0 }
     }
 
-    /// How many taxels the cover has.
+    /// How many taxels the robot has.
     pub const fn taxels(&self) -> usize {
-        self.taxels
+        if self.parts.has_cover() { self.taxels } else { 0 }
     }
 
     /// Which parts of the robot it moves.
@@ -173,26 +174,28 @@ impl Motion {
         self.parts
     }
 
-    /// What protects the people around the base in the tick at `now_ns`; once a tick, before [`Motion::command`].
-    pub fn protect(&mut self, now_ns: u64, cover: &CoverState, mode: Mode) -> Protected {
-        let protected = if self.parts.has_cover() {
-            self.protection.update(now_ns, cover, &self.parameters.limits, mode.moves())
-        } else {
-            Protected::default()
-        };
-        self.guard = protected.guard;
+    /// Finds what protects the people around the base in the tick at `now_ns`; once a tick, before [`Motion::command`].
+    pub fn protect(&mut self, now_ns: u64, cover: &CoverState, mode: Mode) {
+        if self.parts.has_cover() {
+            let limits = &self.parameters.limits;
+            self.protection.update(now_ns, cover, limits, mode.moves(), &mut self.protected);
+        }
         if let Some(barrier) = &mut self.barrier {
             self.protection.squeezed(now_ns, barrier.rows());
             barrier.take_cover(now_ns, cover);
             // a touch too light for a force is not driven into either
-            for (blocked, light) in self.guard.blocked.iter_mut().zip(cover.early.light) {
+            for (blocked, light) in self.protected.guard.blocked.iter_mut().zip(cover.early.light) {
                 *blocked |= light;
             }
         }
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.feel(cover);
         }
-        protected
+    }
+
+    /// What protects in this tick.
+    pub const fn protected(&self) -> &Protected {
+        &self.protected
     }
 
     /// What the contact barrier says of this tick, taxel by taxel; nothing without one.
@@ -310,17 +313,17 @@ impl Motion {
         now_ns: u64,
         law: ControlLaw,
         robot: &RobotState<JOINTS>,
-        forces_n: &[f64; TAXELS],
+        touched: bool,
     ) -> Result<(), ControlError> {
         self.targets.enter(law);
-        let touched = Touch::strongest(forces_n).is_some();
         let reached = either!(&self.controller, controller => controller.has_reached());
         let Some(order) = self.targets.advance(now_ns, touched, reached) else { return Ok(()) };
         let workspace = self.targets.workspace();
         either!(&mut self.controller, controller => controller.lead(&order, robot, workspace))
     }
 
-    /// One tick's command in `mode` at `now_ns`, `dt_s` after the last one, and why the robot must stop: the command then holds.
+    /// One tick's command in `mode` at `now_ns`, `dt_s` after the last one; it holds in an output with a [`fault_of`].
+    /// [`Motion::remember`] follows.
     ///
     /// # Errors
     /// The fault to stop with; the order of that tick must then be [`Actuation::Brake`].
@@ -331,31 +334,31 @@ impl Motion {
         robot: &RobotState<JOINTS>,
         forces: &Result<[f64; TAXELS], (usize, TaxelStatus)>,
         dt_s: f64,
-    ) -> Result<(ControlOutput<JOINTS>, Option<Fault>), Fault> {
+    ) -> Result<ControlOutput<JOINTS>, Fault> {
         let law = law_of(mode);
         // Standing still needs no cover; a law never runs on a force that is not there.
-        let mut taxel_force_n = match (law, *forces) {
-            (ControlLaw::Hold, _) => [0.0; TAXELS],
+        let mut taxel_force_n = match (law, forces) {
+            (ControlLaw::Hold, _) => &NO_FORCE,
             (_, Ok(forces)) => forces,
-            (_, Err((taxel, status))) => {
+            (_, &Err((taxel, status))) => {
                 return Err(Fault::TaxelInvalid { taxel: u8::try_from(taxel).unwrap_or(u8::MAX), status });
             }
         };
-        self.lead(now_ns, law, robot, &taxel_force_n).map_err(|_| Fault::ControlRefused)?;
-        let mut guard = self.guard;
+        let touched = taxel_force_n[..self.taxels].iter().any(|force_n| *force_n > 0.0);
+        self.lead(now_ns, law, robot, touched).map_err(|_| Fault::ControlRefused)?;
+        let (guard, deceleration) = (&mut self.protected.guard, self.parameters.limits.base_acceleration);
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.advance(robot, dt_s);
-            let deceleration = self.parameters.limits.base_acceleration;
             guard.bounds_body = uncovered.bounds_body(deceleration);
             guard.room_body = uncovered.room_body(deceleration);
         }
+        let contacts;
         if let Some(barrier) = &mut self.barrier {
-            let deceleration = self.parameters.limits.base_acceleration;
-            let contacts = barrier
+            contacts = barrier
                 .update(robot, deceleration, law == ControlLaw::Impedance, dt_s)
                 .map_err(|_| Fault::ControlRefused)?;
             if law != ControlLaw::Hold {
-                taxel_force_n = contacts.force_n;
+                taxel_force_n = &contacts.force_n;
             }
             if law == ControlLaw::Impedance {
                 let [vx, vy, _] = robot.base_velocity_world;
@@ -370,7 +373,11 @@ impl Motion {
         }
         let input = LawInput { law, taxel_force_n, guard, dt_s };
         let by_qp = self.by_qp.as_mut();
-        let output = either!(&mut self.controller, controller => controller.step(robot, &input, by_qp))?;
+        either!(&mut self.controller, controller => controller.step(robot, &input, by_qp))
+    }
+
+    /// Takes in what came of [`Motion::command`].
+    pub fn remember(&mut self, robot: &RobotState<JOINTS>, output: &ControlOutput<JOINTS>) {
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.remember(output.limits.guard);
         }
@@ -378,15 +385,16 @@ impl Motion {
             barrier.remember(&output.flange, robot);
             barrier.ordered(&output.command.base_velocity_body);
         }
-        let fault = output.exceeded.map(|exceeded| match exceeded {
-            Exceeded::JointSpeed(joint) => {
-                Fault::JointSpeed { joint: u8::try_from(joint).unwrap_or(u8::MAX) }
-            }
-            Exceeded::FlangeSpeed => Fault::FlangeSpeed,
-            Exceeded::PoseError => Fault::PoseError,
-        });
-        Ok((output, fault))
     }
+}
+
+/// Why the robot must stop that gave out `output`, if it must.
+pub fn fault_of(output: &ControlOutput<JOINTS>) -> Option<Fault> {
+    output.exceeded.map(|exceeded| match exceeded {
+        Exceeded::JointSpeed(joint) => Fault::JointSpeed { joint: u8::try_from(joint).unwrap_or(u8::MAX) },
+        Exceeded::FlangeSpeed => Fault::FlangeSpeed,
+        Exceeded::PoseError => Fault::PoseError,
+    })
 }
 
 /// The law that runs in a mode.
@@ -398,11 +406,14 @@ const fn law_of(mode: Mode) -> ControlLaw {
     }
 }
 
+/// Nobody is felt, N.
+const NO_FORCE: [f64; TAXELS] = [0.0; TAXELS];
+
 /// What a controller is given besides the robot's state.
-struct LawInput {
+struct LawInput<'a> {
     law: ControlLaw,
-    taxel_force_n: [f64; TAXELS],
-    guard: BaseGuard<TAXELS>,
+    taxel_force_n: &'a [f64; TAXELS],
+    guard: &'a BaseGuard<TAXELS>,
     dt_s: f64,
 }
 
@@ -524,15 +535,20 @@ impl<const N: usize> Controller<N> {
     fn step(
         &mut self,
         robot: &RobotState<JOINTS>,
-        input: &LawInput,
+        input: &LawInput<'_>,
         by_qp: Option<&mut QpTally>,
     ) -> Result<ControlOutput<JOINTS>, Fault> {
-        let robot: RobotState<N> = robot.resized();
-        let LawInput { law, taxel_force_n, guard, dt_s } = *input;
+        let &LawInput { law, taxel_force_n, guard, dt_s } = input;
         match self {
             Self::Whole(controller, state) => {
-                let state = entered(state, || controller.enter(law, &robot))?;
-                let input = ControlInput { robot, taxel_force_n, flange_wrench_world: None, guard, dt_s };
+                let input = ControlInput {
+                    robot: robot.resized(),
+                    taxel_force_n: *taxel_force_n,
+                    flange_wrench_world: None,
+                    guard: *guard,
+                    dt_s,
+                };
+                let state = entered(state, || controller.enter(law, &input.robot))?;
                 let output = match by_qp {
                     #[cfg(feature = "qp")]
                     Some(tally) => {
@@ -543,23 +559,27 @@ impl<const N: usize> Controller<N> {
                     }
                     _ => controller.step(law, state, &input),
                 };
-                output.map(|output| ControlOutput {
-                    command: output.command.resized(),
-                    cover_wrench_base: output.cover_wrench_base,
-                    flange_wrench_world: output.flange_wrench_world,
-                    flange: output.flange,
-                    flange_desired: output.flange_desired,
-                    limits: output.limits,
-                    exceeded: output.exceeded,
-                })
+                match &output {
+                    Ok(output) => Ok(ControlOutput {
+                        command: output.command.resized(),
+                        cover_wrench_base: output.cover_wrench_base,
+                        flange_wrench_world: output.flange_wrench_world,
+                        flange: output.flange,
+                        flange_desired: output.flange_desired,
+                        limits: output.limits,
+                        exceeded: output.exceeded,
+                    }),
+                    Err(_) => Err(Fault::ControlRefused),
+                }
             }
             Self::Base(controller, state) => {
                 let yaw_world_rad = robot.base_pose_world[2];
-                let input = BaseInput { yaw_world_rad, taxel_force_n, guard, dt_s };
+                let input = BaseInput { yaw_world_rad, taxel_force_n: *taxel_force_n, guard: *guard, dt_s };
                 match law {
                     ControlLaw::Hold => controller.hold(state, &input),
                     ControlLaw::Impedance | ControlLaw::FollowMe => controller.step(state, &input),
                 }
+                .map_err(|_| Fault::ControlRefused)
                 .map(|output| ControlOutput {
                     command: RobotCommand {
                         base_velocity_body: output.velocity_body,
@@ -571,12 +591,13 @@ impl<const N: usize> Controller<N> {
                 })
             }
             Self::Arm(controller, state) => {
-                let state = entered(state, || controller.enter(&robot))?;
-                let input = ArmInput { robot, flange_wrench_world: None, dt_s };
+                let input = ArmInput { robot: robot.resized(), flange_wrench_world: None, dt_s };
+                let state = entered(state, || controller.enter(&input.robot))?;
                 match law {
                     ControlLaw::Hold => controller.hold(state, &input),
                     ControlLaw::Impedance | ControlLaw::FollowMe => controller.step(state, &input),
                 }
+                .map_err(|_| Fault::ControlRefused)
                 .map(|output| ControlOutput {
                     command: RobotCommand {
                         base_velocity_body: [0.0; 3],
@@ -592,7 +613,6 @@ impl<const N: usize> Controller<N> {
                 })
             }
         }
-        .map_err(|_| Fault::ControlRefused)
     }
 }
 

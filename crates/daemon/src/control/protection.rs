@@ -123,34 +123,32 @@ impl Protection {
         self.state.clone_from(state);
     }
 
-    /// The tick at `now_ns`; `moving` if a law moves the robot in it, within `limits`.
+    /// The tick at `now_ns`; `moving` if a law moves the robot in it, within `limits`. Everything in `protected` is of this
+    /// tick then.
     pub fn update(
         &mut self,
         now_ns: u64,
         cover: &CoverState,
         limits: &Limits<JOINTS>,
         moving: bool,
-    ) -> Protected {
+        protected: &mut Protected,
+    ) {
         let dt_s = seconds(now_ns.saturating_sub(self.state.last_ns)).min(10.0 * self.tick_s);
         self.state.last_ns = now_ns;
         self.state.tracker.update(now_ns, &cover.reading.taxels);
-        let speed_limit = self.speed_limit(now_ns, cover.early.sampled_at_ns, limits);
-        let mut protected = Protected {
-            // Data that is not confirmed yet only keeps the base from driving into whoever it feels; no law uses it.
-            guard: BaseGuard {
-                speed_m_s: Some(speed_limit.m_s),
-                blocked: cover.early.touched,
-                ..BaseGuard::NONE
-            },
-            speed_limit,
-            reaction: None,
-            events: self.state.tracker.take(),
-        };
+        let limit = self.speed_limit(now_ns, cover.early.sampled_at_ns, limits);
+        let Protected { guard, speed_limit, reaction, events } = &mut *protected;
+        (*speed_limit, *reaction) = (limit, None);
+        let BaseGuard { speed_m_s, blocked, outward_m_s, bounds_body, room_body, instead_body } = guard;
+        *speed_m_s = Some(limit.m_s);
+        // Data that is not confirmed yet only keeps the base from driving into whoever it feels; no law uses it.
+        *blocked = cover.early.touched;
+        (*outward_m_s, *bounds_body, *room_body, *instead_body) = (None, None, None, None);
+        self.state.tracker.take(events);
         match self.state.tracker.crossed().filter(|_| moving) {
-            Some(crossed) => self.react(&crossed, dt_s, &mut protected),
+            Some(crossed) => self.react(&crossed, dt_s, protected),
             None => self.state.retreated_m = 0.0,
         }
-        protected
     }
 
     /// Hears what the contact barrier could not keep at `now_ns`.
@@ -195,7 +193,7 @@ impl Protection {
         }
         let Some(explained_s) = self.state.delay.worst_s(self.tick_s) else { return SpeedLimit::default() };
         let age_s = sampled_at_ns.map_or(f64::INFINITY, |t| seconds(now_ns.saturating_sub(t)));
-        let felt = self.state.tracker.touched().contains(&true);
+        let felt = self.state.tracker.is_touched();
         let m_s = self.speed_m_s(explained_s.max(age_s), felt, limits);
         let configured_m_s = self.outline.fastest(&limits.base_velocity);
         if age_s > explained_s + self.tick_s {
@@ -358,7 +356,9 @@ mod tests {
 
         /// One in which nothing new has come.
         fn silent_tick(&mut self, moving: bool) -> Protected {
-            self.protection.update(self.ms * MS, &self.cover, &self.limits, moving)
+            let mut protected = Protected::default();
+            self.protection.update(self.ms * MS, &self.cover, &self.limits, moving, &mut protected);
+            protected
         }
 
         fn press(&mut self, taxel: usize, force_n: f64) {

@@ -45,7 +45,7 @@ impl StateCheck {
     /// robot makes.
     pub fn check(
         &mut self,
-        measured: RobotState<JOINTS>,
+        measured: &RobotState<JOINTS>,
         age: SourceAge,
         deadlines: SourceAge,
         dt_s: f64,
@@ -56,28 +56,33 @@ impl StateCheck {
             return Checked::none(Fault::ArmStale);
         }
         let base_held = !fresh(age.base_s, deadlines.base_s);
-        let mut state = measured;
-        if base_held {
-            let last = self.last.map_or([0.0; 3], |last| last.base_pose_world);
-            (state.base_pose_world, state.base_velocity_world) = (last, [0.0; 3]);
-        }
+        let held = base_held.then(|| RobotState {
+            base_pose_world: self.last.as_ref().map_or([0.0; 3], |last| last.base_pose_world),
+            base_velocity_world: [0.0; 3],
+            ..*measured
+        });
+        let state = held.as_ref().unwrap_or(measured);
         let jumped = |last: &RobotState<JOINTS>| {
             let same_source = self.base_held == base_held;
-            joints_jumped(last, &state, dt_s) || same_source && base_jumped(last, &state, dt_s)
+            joints_jumped(last, state, dt_s) || same_source && base_jumped(last, state, dt_s)
         };
-        if !finite(&state) || self.last.as_ref().is_some_and(jumped) {
+        if !finite(state) || self.last.as_ref().is_some_and(jumped) {
             return Checked::none(Fault::StateInvalid);
         }
-        (self.last, self.base_held) = (Some(state), base_held);
-        Checked { state: Some(state), fault: base_held.then_some(Fault::BaseStale) }
+        (self.last, self.base_held) = (Some(*state), base_held);
+        Checked { state: Some(*state), fault: base_held.then_some(Fault::BaseStale) }
     }
 }
 
 fn finite(state: &RobotState<JOINTS>) -> bool {
-    let base = state.base_pose_world.iter().chain(&state.base_velocity_world);
-    let arm = state.q_rad.iter().chain(&state.dq_rad_s).chain(&state.torque_measured_nm);
-    let wrench = state.flange_wrench_world.iter().flatten();
-    base.chain(arm).chain(wrench).all(|value| value.is_finite())
+    // no early return: several at once
+    let all = |values: &[f64]| values.iter().fold(true, |finite, value| finite & value.is_finite());
+    all(&state.base_pose_world)
+        && all(&state.base_velocity_world)
+        && all(&state.q_rad)
+        && all(&state.dq_rad_s)
+        && all(&state.torque_measured_nm)
+        && state.flange_wrench_world.as_ref().is_none_or(|wrench| all(wrench))
 }
 
 fn beyond(moved: f64, (rate, jump): (f64, f64), dt_s: f64) -> bool {
@@ -85,14 +90,15 @@ fn beyond(moved: f64, (rate, jump): (f64, f64), dt_s: f64) -> bool {
 }
 
 fn joints_jumped(last: &RobotState<JOINTS>, now: &RobotState<JOINTS>, dt_s: f64) -> bool {
-    now.q_rad.iter().zip(last.q_rad).any(|(now, last)| beyond(now - last, JOINT_RATE_MAX, dt_s))
+    let joints = now.q_rad.iter().zip(&last.q_rad);
+    joints.fold(false, |jumped, (now, last)| jumped | beyond(now - last, JOINT_RATE_MAX, dt_s))
 }
 
 fn base_jumped(last: &RobotState<JOINTS>, now: &RobotState<JOINTS>, dt_s: f64) -> bool {
     let [x, y, yaw] = core::array::from_fn(|i| now.base_pose_world[i] - last.base_pose_world[i]);
     // A full turn between two states is the same pose.
-    let turned = (yaw + PI).rem_euclid(TAU) - PI;
-    beyond(x.hypot(y), BASE_SPEED_MAX, dt_s) || beyond(turned, BASE_RATE_MAX, dt_s)
+    let turned = if yaw.abs() <= PI { yaw } else { (yaw + PI).rem_euclid(TAU) - PI };
+    beyond((x * x + y * y).sqrt(), BASE_SPEED_MAX, dt_s) || beyond(turned, BASE_RATE_MAX, dt_s)
 }
 
 #[cfg(test)]
@@ -110,7 +116,7 @@ mod tests {
             age: SourceAge,
             dt_s: f64,
         ) -> Result<RobotState<JOINTS>, Fault> {
-            let checked = self.check(state, age, DEADLINES, dt_s);
+            let checked = self.check(&state, age, DEADLINES, dt_s);
             assert_eq!(checked.state.is_none(), !matches!(checked.fault, None | Some(Fault::BaseStale)));
             checked.fault.map_or_else(|| Ok(checked.state.unwrap()), Err)
         }
@@ -205,15 +211,15 @@ mod tests {
         let old = SourceAge { arm_s: 0.0, base_s: f64::INFINITY };
         moving.q_rad[1] = 0.02;
         moving.base_pose_world = [f64::NAN; 3];
-        let held = states.check(moving, old, DEADLINES, 1e-3);
+        let held = states.check(&moving, old, DEADLINES, 1e-3);
         assert_eq!(held.fault, Some(Fault::BaseStale));
         let held = held.state.unwrap();
         assert_eq!((held.base_pose_world, held.base_velocity_world), ([1.0, 2.0, 0.3], [0.0; 3]));
         assert_eq!((held.q_rad, held.dq_rad_s), (moving.q_rad, moving.dq_rad_s), "the arm's part is of now");
         moving.q_rad[1] = 0.5;
-        assert_eq!(states.check(moving, old, DEADLINES, 1e-3), Checked::none(Fault::StateInvalid));
+        assert_eq!(states.check(&moving, old, DEADLINES, 1e-3), Checked::none(Fault::StateInvalid));
         moving.q_rad[1] = 0.02;
-        let unknown = StateCheck::default().check(moving, old, DEADLINES, 1e-3).state.unwrap();
+        let unknown = StateCheck::default().check(&moving, old, DEADLINES, 1e-3).state.unwrap();
         assert_eq!(
             (unknown.base_pose_world, unknown.base_velocity_world),
             ([0.0; 3], [0.0; 3]),

@@ -4,7 +4,6 @@ use crate::control::cover::{CoverSource, CoverState};
 use crate::control::law::{self, Motion, QpTally};
 use crate::control::loop_state::{LoopState, OtherRobot};
 use crate::control::plant::{Plant, SourceAge};
-use crate::control::protection::Protected;
 use crate::control::stage::{Stage, StageTimer};
 use crate::control::state_check::{Checked, StateCheck};
 use crate::control::supervisor::{Facts, Supervisor, Touch};
@@ -14,7 +13,7 @@ use heapless::Vec;
 use moca_msgs::{
     Actuation, ArmLink, Fault, Link, Mode, Outcome, Refusal, Request, RobotCommand, RobotState, Sample,
 };
-use moca_wbc::{ControlError, ControlOutput};
+use moca_wbc::{ControlError, ControlOutput, FlangePose};
 
 /// The parts of a running robot, and nothing that knows how the tick is timed or who watches.
 pub struct ControlLoop<P, S> {
@@ -28,49 +27,45 @@ pub struct ControlLoop<P, S> {
     period_s: f64,
     /// A real arm is on its own controller; torque control begins with [`Mode::Ready`].
     arm_released: bool,
-    /// Of the present tick.
-    protected: Protected,
     /// Why the robot stands, and the board whose fault that is.
     blamed: (Option<Fault>, Option<u8>),
+    ticked: Ticked,
 }
 
 /// What one tick leaves behind.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Ticked {
     /// What a client may see.
     pub sample: Sample,
-    /// The answer to the request, if there was one.
-    pub outcome: Option<Outcome>,
-    /// What a replay needs of it.
+    /// What a replay needs of it, the answer to the request included.
     pub input: TickInput,
 }
 
 impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// A loop that has not ticked yet.
     pub fn new(plant: P, cover: S, supervisor: Supervisor, motion: Motion, period_s: f64) -> Self {
-        let (state_check, protected) = (StateCheck::default(), Protected::default());
+        let (state_check, ticked) = (StateCheck::default(), Ticked::default());
         let (arm_released, blamed) = (motion.is_of_a_real_robot(), (None, None));
-        Self { plant, cover, state_check, supervisor, motion, period_s, arm_released, protected, blamed }
+        Self { plant, cover, state_check, supervisor, motion, period_s, arm_released, blamed, ticked }
     }
 
-    /// One tick: read, decide, command, write; `timer` hears of each stage's end.
-    pub fn tick(&mut self, slot: &Slot, request: Option<Request>, timer: &mut impl StageTimer) -> Ticked {
-        // The bits of a measurement beyond single precision are noise that would fill a log. They are dropped before anything
-        // is computed from them, so that a replay does not miss them.
-        let exact = self.plant.is_exact();
-        let measured = self.plant.read().map(|state| if exact { state } else { state.in_single_precision() });
+    /// One tick: read, decide, command, write; `timer` hears of each stage's end. What it leaves behind stays where it is:
+    /// it is large.
+    pub fn tick(&mut self, slot: &Slot, request: Option<Request>, timer: &mut impl StageTimer) -> &Ticked {
+        let measured = self.measured();
         let (age, link) = (self.plant.age(), self.plant.link());
         let (deadlines, elapsed_s) = (self.motion.deadlines(), self.elapsed_s(slot));
-        let robot = match measured {
+        let robot = match &measured {
             Ok(state) => self.state_check.check(state, age, deadlines, elapsed_s),
-            Err(fault) => Checked::none(fault),
+            Err(fault) => Checked::none(*fault),
         };
         timer.end(Stage::Read);
 
         let cover = self.cover.read(slot.now_ns);
         timer.end(Stage::Cover);
 
-        let (outcome, output) = self.decide(slot, &robot, &cover, request);
+        let (outcome, mode) = self.decide(slot, &robot, &cover, request);
+        let output = self.command(slot, &robot, &cover, mode);
         let actuation = self.actuation(&robot, output.as_ref());
         timer.end(Stage::Control);
 
@@ -81,20 +76,23 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         timer.end(Stage::Write);
 
         self.blame(&cover);
-        Ticked {
-            sample: self.sample(slot, (robot.state.as_ref(), age, link), &cover, &actuation, output.as_ref()),
+        self.show(slot, (robot.state.as_ref(), age, link), &cover, &actuation, output.as_ref());
+        self.ticked.input = TickInput {
+            slot: *slot,
+            state: measured,
+            age,
+            link,
+            request,
             outcome,
-            input: TickInput {
-                slot: *slot,
-                state: measured,
-                age,
-                link,
-                request,
-                outcome,
-                refused,
-                cover_events: cover.events,
-            },
-        }
+            refused,
+            cover_events: cover.events,
+        };
+        &self.ticked
+    }
+
+    /// What the last tick left behind.
+    pub const fn ticked(&self) -> &Ticked {
+        &self.ticked
     }
 
     /// What the loop remembers between this tick and the next: a copy, for which nothing is allocated.
@@ -143,6 +141,15 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         let _ = self.plant.write(&Actuation::Brake, 1);
     }
 
+    /// The bits of a measurement beyond single precision are noise that would fill a log. They are dropped before anything
+    /// is computed from them, so that a replay does not miss them.
+    fn measured(&mut self) -> Result<RobotState<JOINTS>, Fault> {
+        if self.plant.is_exact() {
+            return self.plant.read();
+        }
+        self.plant.read().map(|state| state.in_single_precision())
+    }
+
     fn elapsed_s(&self, slot: &Slot) -> f64 {
         #[expect(clippy::cast_precision_loss, reason = "a count of missed slots")]
         let ticks = slot.ticks as f64;
@@ -157,21 +164,22 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         }
     }
 
-    /// The mode, the answer to `request`, and the law's output; no output is the brake.
+    /// The answer to `request`, and the mode.
     fn decide(
         &mut self,
         slot: &Slot,
         robot: &Checked,
         cover: &CoverState,
         request: Option<Request>,
-    ) -> (Option<Outcome>, Option<ControlOutput<JOINTS>>) {
+    ) -> (Option<Outcome>, Mode) {
+        let taxels = ..self.motion.taxels();
         let facts = Facts {
             cover_seen: cover.frames_good > 0 || !self.motion.parts().has_cover(),
             cover_fault: cover.fault,
             zero: cover.zero,
             plant_fault: robot.fault,
             far_joint: robot.state.as_ref().and_then(|state| self.motion.far_joint(state)),
-            touch: cover.forces.ok().and_then(|forces_n| Touch::strongest(&forces_n)),
+            touch: cover.forces.as_ref().ok().and_then(|forces_n| Touch::strongest(&forces_n[taxels])),
         };
         let decision = self.supervisor.step(&facts, request);
         if decision.start_tare {
@@ -181,13 +189,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             .carry_out
             .map(|request| self.carry_out(request, slot.now_ns, decision.mode, robot, facts.touch))
             .or(decision.outcome);
-        match self.command(slot, robot, cover, decision.mode) {
-            Ok(output) => (outcome, output),
-            Err(fault) => {
-                self.supervisor.stop_for(fault);
-                (outcome, None)
-            }
-        }
+        (outcome, decision.mode)
     }
 
     /// What the supervisor permits and a part of the robot has to do.
@@ -217,26 +219,33 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         }
     }
 
+    /// The law's output in `mode`; none is the brake.
     fn command(
         &mut self,
         slot: &Slot,
         robot: &Checked,
         cover: &CoverState,
         mode: Mode,
-    ) -> Result<Option<ControlOutput<JOINTS>>, Fault> {
-        self.protected = self.motion.protect(slot.now_ns, cover, mode);
+    ) -> Option<ControlOutput<JOINTS>> {
+        self.motion.protect(slot.now_ns, cover, mode);
         self.release_arm(robot, mode);
         let (Some(robot), false) = (&robot.state, mode == Mode::Fault) else {
             // Whatever runs next starts from where the robot then is.
             self.motion.leave();
-            return Ok(None);
+            return None;
         };
-        let (output, stop) =
-            self.motion.command(slot.now_ns, mode, robot, &cover.forces, self.elapsed_s(slot))?;
+        let output = self.motion.command(slot.now_ns, mode, robot, &cover.forces, self.elapsed_s(slot));
+        let stop = match &output {
+            Ok(output) => {
+                self.motion.remember(robot, output);
+                law::fault_of(output)
+            }
+            Err(fault) => Some(*fault),
+        };
         if let Some(fault) = stop {
             self.supervisor.stop_for(fault);
         }
-        Ok(Some(output))
+        output.ok()
     }
 
     /// Whether a real arm is left to its own controller in this tick. It is until the robot is ready for the first time, and
@@ -264,75 +273,70 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         }
     }
 
-    #[expect(
-        clippy::field_reassign_with_default,
-        reason = "a sample is large with its lists: put together elsewhere it would be copied"
-    )]
-    fn sample(
-        &self,
+    /// Writes every field of the sample; put together elsewhere it would be copied.
+    fn show(
+        &mut self,
         slot: &Slot,
         (robot, age, link): (Option<&RobotState<JOINTS>>, SourceAge, Option<ArmLink>),
         cover: &CoverState,
         actuation: &Actuation<JOINTS>,
         output: Option<&ControlOutput<JOINTS>>,
-    ) -> Sample {
-        let age_s = cover.reading.age_s(slot.now_ns);
-        let mut sample = Sample::default();
+    ) {
+        let Self { supervisor, motion, blamed, ticked: Ticked { sample, .. }, .. } = self;
         sample.tick = slot.tick;
         sample.time_ns = slot.now_ns;
-        sample.mode = self.supervisor.mode();
-        (sample.fault, sample.fault_board) = self.blamed;
-        sample.law = Some(self.supervisor.law());
-        sample.frame_age_s = age_s.unwrap_or(-1.0);
-        sample.frame_rate_hz = cover.rate_hz;
-        (sample.frames_good, sample.frames_bad) = (cover.frames_good, cover.frames_bad);
-        sample.board = cover.board;
         sample.lateness_s = slot.lateness_s;
         sample.overruns = slot.overruns;
         sample.stages_ns = slot.stages_ns;
-        sample.speed_limit = self.protected.speed_limit;
-        sample.contact_reaction = self.protected.reaction;
-        fill(&mut sample.contact_events, &self.protected.events);
-        fill(&mut sample.contact_rows, self.motion.contact_rows());
-        sample.target = self.motion.target();
+        sample.mode = supervisor.mode();
+        sample.law = Some(supervisor.law());
+        (sample.fault, sample.fault_board) = *blamed;
+        sample.target = motion.target();
         sample.link = link.map(|arm| Link { arm_age_s: age.arm_s, base_age_s: age.base_s, arm });
-        let (parts, joints) = (self.motion.parts(), ..self.motion.joints());
-        if parts.has_cover() {
-            let taxels = ..self.motion.taxels();
-            fill(&mut sample.taxels, &cover.reading.taxels[taxels]);
-            fill(&mut sample.counts, &cover.counts[taxels]);
-        }
-        if let Some(robot) = robot {
-            sample.base_pose_world = robot.base_pose_world;
-            sample.base_velocity_world = robot.base_velocity_world;
-            sample.cover_speed_m_s = self.motion.cover_speed_m_s(robot);
-            sample.uncovered_way_m = self.motion.uncovered_way_m();
-        }
-        if let Some(robot) = robot.filter(|_| parts.has_arm()) {
-            fill(&mut sample.q_rad, &robot.q_rad[joints]);
-            fill(&mut sample.dq_rad_s, &robot.dq_rad_s[joints]);
-        }
-        if let Actuation::Drive(command) = actuation {
-            sample.base_velocity_command_body = command.base_velocity_body;
-            if parts.has_arm() {
-                fill(&mut sample.arm_torque_nm, &command.arm_torque_nm[joints]);
-            }
-        }
-        if let Some(output) = output {
-            sample.cover_wrench_base = output.cover_wrench_base;
-        }
-        if let Some(output) = output.filter(|_| parts.has_arm()) {
-            sample.flange_wrench_world = output.flange_wrench_world;
-            sample.flange_position_world = output.flange.position_world;
-            sample.flange_quaternion_world = output.flange.quaternion_world;
-            sample.flange_desired_position_world = output.flange_desired.position_world;
-            sample.flange_desired_quaternion_world = output.flange_desired.quaternion_world;
-        }
-        sample
+
+        let (taxels, joints) = (..motion.taxels(), ..motion.joints());
+        fill(&mut sample.taxels, &cover.reading.taxels[taxels]);
+        fill(&mut sample.counts, &cover.counts[taxels]);
+        sample.frame_age_s = cover.reading.age_s(slot.now_ns).unwrap_or(-1.0);
+        sample.frame_rate_hz = cover.rate_hz;
+        (sample.frames_good, sample.frames_bad) = (cover.frames_good, cover.frames_bad);
+        sample.board = cover.board;
+
+        let protected = motion.protected();
+        sample.speed_limit = protected.speed_limit;
+        sample.contact_reaction = protected.reaction;
+        fill(&mut sample.contact_events, &protected.events);
+        fill(&mut sample.contact_rows, motion.contact_rows());
+
+        sample.base_pose_world = robot.map_or([0.0; 3], |robot| robot.base_pose_world);
+        sample.base_velocity_world = robot.map_or([0.0; 3], |robot| robot.base_velocity_world);
+        sample.cover_speed_m_s = robot.map_or(0.0, |robot| motion.cover_speed_m_s(robot));
+        sample.uncovered_way_m = robot.map_or(0.0, |_| motion.uncovered_way_m());
+        fill(&mut sample.q_rad, robot.map_or(&[], |robot| &robot.q_rad[joints]));
+        fill(&mut sample.dq_rad_s, robot.map_or(&[], |robot| &robot.dq_rad_s[joints]));
+
+        let command = match actuation {
+            Actuation::Drive(command) => Some(command),
+            Actuation::Brake => None,
+        };
+        sample.base_velocity_command_body = command.map_or([0.0; 3], |command| command.base_velocity_body);
+        fill(&mut sample.arm_torque_nm, command.map_or(&[], |command| &command.arm_torque_nm[joints]));
+        sample.cover_wrench_base = output.map_or([0.0; 3], |output| output.cover_wrench_base);
+
+        let arm = output.filter(|_| motion.parts().has_arm());
+        let pose = |pose: Option<&FlangePose>| {
+            pose.map_or(([0.0; 3], [0.0; 4]), |pose| (pose.position_world, pose.quaternion_world))
+        };
+        sample.flange_wrench_world = arm.map_or([0.0; 6], |output| output.flange_wrench_world);
+        (sample.flange_position_world, sample.flange_quaternion_world) =
+            pose(arm.map(|output| &output.flange));
+        (sample.flange_desired_position_world, sample.flange_desired_quaternion_world) =
+            pose(arm.map(|output| &output.flange_desired));
     }
 }
 
 fn fill<T: Clone, const N: usize>(list: &mut Vec<T, N>, values: &[T]) {
+    list.clear();
     // The capacities of a sample exceed this robot's numbers of joints and taxels.
     let _ = list.extend_from_slice(&values[..values.len().min(N)]);
 }
@@ -351,10 +355,14 @@ mod tests {
     struct Standing {
         brakes: bool,
         refuses: bool,
+        lost: bool,
     }
 
     impl Plant for Standing {
         fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
+            if self.lost {
+                return Err(Fault::PlantLost);
+            }
             Ok(RobotState::at_rest(Config::default().control.gains.posture_rad))
         }
 
@@ -383,7 +391,7 @@ mod tests {
     fn armed() -> ControlLoop<Standing, Scripted> {
         let config = Config::default();
         let cover = Scripted(CoverState { frames_good: 1, zero: Zero::Invalid, ..CoverState::NONE });
-        let plant = Standing { brakes: false, refuses: false };
+        let plant = Standing { brakes: false, refuses: false, lost: false };
         let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
         step(&mut control, 0);
         control.cover.0.zero = Zero::Valid;
@@ -393,7 +401,7 @@ mod tests {
 
     fn step(control: &mut ControlLoop<Standing, Scripted>, tick: u64) -> Sample {
         let slot = Slot { tick, now_ns: tick * 1_000_000, ticks: 1, ..Slot::default() };
-        control.tick(&slot, None, &mut Untimed).sample
+        control.tick(&slot, None, &mut Untimed).sample.clone()
     }
 
     #[test]
@@ -414,7 +422,7 @@ mod tests {
         let mut config = Config::default();
         config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
         let cover = Scripted(CoverState { frames_good: 1, zero: Zero::Invalid, ..CoverState::NONE });
-        let plant = Standing { brakes: false, refuses: false };
+        let plant = Standing { brakes: false, refuses: false, lost: false };
         let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
         step(&mut control, 0);
         control.cover.0.zero = Zero::Valid;
@@ -440,6 +448,19 @@ mod tests {
             .collect();
         assert!(backwards[200] < -0.2 && backwards.iter().all(|v| *v <= 0.0 && *v >= -0.3 - 1e-9));
         assert!(backwards[1000..].iter().all(|v| v.abs() < 1e-12), "and stands");
+    }
+
+    #[test]
+    fn nothing_of_the_last_tick_is_left_in_a_sample() {
+        let (mut used, mut fresh) = (armed(), armed());
+        for control in [&mut used, &mut fresh] {
+            control.plant.lost = true;
+            control.cover.0 = CoverState { fault: Some(Fault::BoardSilent), ..CoverState::NONE };
+        }
+        fresh.ticked = Ticked::default();
+        let sample = step(&mut used, 2);
+        assert_eq!(sample, step(&mut fresh, 2));
+        assert!(sample.q_rad.is_empty() && sample.arm_torque_nm.is_empty(), "none is not zero");
     }
 
     #[test]

@@ -42,3 +42,19 @@ pub struct TickInput {
     /// Events that the cover has taken from its source since the start, this tick's included.
     pub cover_events: u64,
 }
+
+impl Default for TickInput {
+    /// Before the first tick: nothing is known.
+    fn default() -> Self {
+        Self {
+            slot: Slot::default(),
+            state: Err(Fault::StateInvalid),
+            age: SourceAge::default(),
+            link: None,
+            request: None,
+            outcome: None,
+            refused: None,
+            cover_events: 0,
+        }
+    }
+}

@@ -11,7 +11,7 @@
 use crate::config::Config;
 use crate::control::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
-use moca_msgs::{RobotState, TaxelPlacement, TaxelStatus};
+use moca_msgs::{RobotState, TaxelPlacement, TaxelReading, TaxelStatus};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, PI};
 
@@ -94,15 +94,13 @@ impl Uncovered {
 
     /// Takes in which taxels are in use and whether anybody touches them.
     pub fn feel(&mut self, cover: &CoverState) {
-        self.touched = false;
-        let mut changed = false;
-        for (usable, taxel) in self.usable.iter_mut().zip(&cover.reading.taxels).take(self.covers.len()) {
-            let is_usable = taxel.status != TaxelStatus::Masked;
-            changed |= is_usable != *usable;
-            *usable = is_usable;
-            self.touched |= taxel.status == TaxelStatus::Ok && taxel.force_n > 0.0;
-        }
-        if changed {
+        let taxels = &cover.reading.taxels[..self.covers.len()];
+        self.touched = taxels.iter().any(|taxel| taxel.status == TaxelStatus::Ok && taxel.force_n > 0.0);
+        let is_usable = |taxel: &TaxelReading| taxel.status != TaxelStatus::Masked;
+        if taxels.iter().zip(&self.usable).any(|(taxel, usable)| is_usable(taxel) != *usable) {
+            for (usable, taxel) in self.usable.iter_mut().zip(taxels) {
+                *usable = is_usable(taxel);
+            }
             self.bare = bare_sides(&self.covers, &self.usable);
         }
     }
@@ -123,7 +121,8 @@ impl Uncovered {
         let (sin, cos) = robot.base_pose_world[2].sin_cos();
         let [forward, left] = [cos * vx + sin * vy, cos * vy - sin * vx];
         let (sides, state) = (self.sides(), &mut self.state);
-        let rests = !state.held && !self.touched && forward.hypot(left) < STANDS && yaw.abs() < STANDS;
+        let speed_m_s = (forward * forward + left * left).sqrt();
+        let rests = !state.held && !self.touched && speed_m_s < STANDS && yaw.abs() < STANDS;
         state.rested_s = if rests { state.rested_s + dt_s } else { 0.0 };
         if state.rested_s >= REST_S {
             (state.gone_m, state.turned_m) = ([0.0; 4], [0.0; 2]);

@@ -1,11 +1,8 @@
 //! An ideal cover for experiments: the true force, averaged over a period and held; no bytes, noise, threshold or zero.
 
 use crate::control::cover::{CoverSource, CoverState};
-use crate::control::supervisor::Zero;
 use crate::robot::TAXELS;
 use moca_msgs::board::Diagnosis;
-use moca_msgs::{CoverReading, TaxelReading, TaxelStatus};
-use moca_tactile::cover::EarlyContact;
 use std::collections::VecDeque;
 
 /// Forces averaged over a period.
@@ -20,14 +17,17 @@ struct Mean {
 #[derive(Clone, Debug)]
 pub struct IdealCover {
     period_ticks: u64,
-    delay_ticks: usize,
+    delay_ticks: u64,
     sum_n: [f64; TAXELS],
     /// Sum of the times of the forces summed, ns.
     sum_ns: u128,
     summed: u64,
-    held: Option<Mean>,
-    delayed: VecDeque<Option<Mean>>,
-    frames: u64,
+    ticks: u64,
+    /// Means that are not shown yet, each with the tick in which it is.
+    late: VecDeque<(u64, Mean)>,
+    /// Whether a mean has been shown; before, the cover counts as untouched, with data of the instant.
+    has_felt: bool,
+    shown: CoverState,
 }
 
 impl IdealCover {
@@ -35,13 +35,14 @@ impl IdealCover {
     pub fn new(period_ticks: u64, delay_ticks: usize) -> Self {
         Self {
             period_ticks: period_ticks.max(1),
-            delay_ticks,
+            delay_ticks: delay_ticks as u64,
             sum_n: [0.0; TAXELS],
             sum_ns: 0,
             summed: 0,
-            held: None,
-            delayed: VecDeque::with_capacity(delay_ticks + 1),
-            frames: 0,
+            ticks: 0,
+            late: VecDeque::with_capacity(delay_ticks + 1),
+            has_felt: false,
+            shown: CoverState { board: Diagnosis::Frames, frames_good: 1, ..CoverState::NONE },
         }
     }
 
@@ -52,45 +53,43 @@ impl IdealCover {
         }
         self.sum_ns += u128::from(now_ns);
         self.summed += 1;
+        self.ticks += 1;
         if self.summed == self.period_ticks {
             #[expect(clippy::cast_precision_loss, reason = "a small count")]
             let force_n = self.sum_n.map(|sum| sum / self.summed as f64);
             let at_ns = u64::try_from(self.sum_ns / u128::from(self.summed)).unwrap_or(u64::MAX);
-            self.held = Some(Mean { force_n, at_ns });
+            self.late.push_back((self.ticks + self.delay_ticks, Mean { force_n, at_ns }));
             (self.sum_n, self.sum_ns, self.summed) = ([0.0; TAXELS], 0, 0);
-            self.frames += 1;
+            self.shown.frames_good += 1;
         }
-        self.delayed.push_back(self.held);
-        if self.delayed.len() > self.delay_ticks + 1 {
-            self.delayed.pop_front();
+        if self.late.front().is_some_and(|(tick, _)| *tick <= self.ticks)
+            && let Some((_, mean)) = self.late.pop_front()
+        {
+            self.show(&mean);
         }
+    }
+
+    fn show(&mut self, mean: &Mean) {
+        for (taxel, &force_n) in self.shown.reading.taxels.iter_mut().zip(&mean.force_n) {
+            taxel.force_n = force_n;
+        }
+        self.shown.forces = Ok(mean.force_n);
+        self.sampled_at(mean.at_ns);
+        self.has_felt = true;
+    }
+
+    fn sampled_at(&mut self, at_ns: u64) {
+        self.shown.reading.sampled_at_ns = Some(at_ns);
+        self.shown.early.sampled_at_ns = Some(at_ns);
     }
 }
 
 impl CoverSource for IdealCover {
     fn read(&mut self, now_ns: u64) -> CoverState {
-        // Before the first mean the cover counts as untouched, with data of this instant.
-        let shown = if self.delayed.len() > self.delay_ticks { self.delayed[0] } else { None };
-        let Mean { force_n, at_ns } = shown.unwrap_or(Mean { force_n: [0.0; TAXELS], at_ns: now_ns });
-        let taxels = force_n.map(|force_n| TaxelReading { force_n, status: TaxelStatus::Ok });
-        CoverState {
-            reading: CoverReading { taxels, sampled_at_ns: Some(at_ns) },
-            forces: Ok(force_n),
-            early: EarlyContact {
-                touched: [false; TAXELS],
-                light: [false; TAXELS],
-                sampled_at_ns: Some(at_ns),
-            },
-            fault: None,
-            fault_board: None,
-            zero: Zero::Valid,
-            counts: [0; TAXELS],
-            board: Diagnosis::Frames,
-            frames_good: self.frames + 1,
-            frames_bad: 0,
-            rate_hz: 0.0,
-            events: 0,
+        if !self.has_felt {
+            self.sampled_at(now_ns);
         }
+        self.shown
     }
 
     fn start_tare(&mut self, _now_ns: u64) {}

@@ -272,7 +272,7 @@ mod tests {
             control.cover.0.reading.taxels[1].force_n = force_n;
             control.cover.0.forces = Ok(std::array::from_fn(|taxel| if taxel == 1 { force_n } else { 0.0 }));
             let slot = Slot { tick, now_ns: tick * 1_000_000, ticks: 1, ..Slot::default() };
-            let sample = control.tick(&slot, None, &mut Untimed).sample;
+            let sample = &control.tick(&slot, None, &mut Untimed).sample;
             let torque_nm = sample.arm_torque_nm.clone();
             // From when it moves on: the push itself is a step in both.
             if tick >= 1500 {

@@ -68,6 +68,8 @@ pub struct SimulatedRobot {
     hand: HandConfig,
     covered: bool,
     asked_n: [f64; TAXELS],
+    /// The taxel that the scripted hand pressed in the last step.
+    scripted: Option<usize>,
     taxels: usize,
     wiring: Vec<Electrode>,
     command_timeout_s: f64,
@@ -94,6 +96,7 @@ impl SimulatedRobot {
             hand,
             covered,
             asked_n: [0.0; TAXELS],
+            scripted: None,
             taxels: config.robot.cover.count(),
             wiring: config.robot.cover.wiring(),
             command_timeout_s: config.robot.base.command_timeout_s,
@@ -125,14 +128,23 @@ impl SimulatedRobot {
         }
     }
 
+    fn tell_boards(&self) {
+        for (wire, force_n) in self.wiring.iter().zip(self.world.taxel_force_true_n()) {
+            let board = self.shared.get(usize::from(wire.board));
+            if let Some(cell) = board.and_then(|forces| forces.get(usize::from(wire.electrode))) {
+                cell.store(force_n.to_bits(), Ordering::Relaxed);
+            }
+        }
+    }
+
     fn step(&mut self) -> Result<(), SimError> {
         #[expect(clippy::cast_precision_loss, reason = "tick counts are far below 2^53")]
         let scripted = scripted_press(&self.hand, self.ticks as f64 * self.period_s);
-        for (taxel, &asked_n) in self.asked_n.iter().enumerate().take(self.taxels) {
-            let scripted_n =
-                scripted.filter(|(pressed, _)| *pressed == taxel).map_or(0.0, |(_, force_n)| force_n);
-            self.world.press(taxel, asked_n + scripted_n)?;
+        let let_go = self.scripted.map(|taxel| (taxel, 0.0));
+        for (taxel, force_n) in let_go.into_iter().chain(scripted) {
+            self.world.press(taxel, self.asked_n.get(taxel).unwrap_or(&0.0) + force_n)?;
         }
+        self.scripted = scripted.map(|(taxel, _)| taxel);
         self.ticks += 1;
         self.world.step()
     }
@@ -140,8 +152,10 @@ impl SimulatedRobot {
 
 impl Plant for SimulatedRobot {
     fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
-        let state = self.world.state();
-        self.spoiler.as_mut().map_or(Ok(state), |spoiler| spoiler.read(state))
+        match &mut self.spoiler {
+            Some(spoiler) => spoiler.read(self.world.state()),
+            None => Ok(self.world.state()),
+        }
     }
 
     fn age(&self) -> SourceAge {
@@ -157,11 +171,8 @@ impl Plant for SimulatedRobot {
             }
             self.step().map_err(|_| Fault::PlantLost)?;
         }
-        for (wire, force_n) in self.wiring.iter().zip(self.world.taxel_force_true_n()) {
-            let board = self.shared.get(usize::from(wire.board));
-            if let Some(cell) = board.and_then(|forces| forces.get(usize::from(wire.electrode))) {
-                cell.store(force_n.to_bits(), Ordering::Relaxed);
-            }
+        if !self.shared.is_empty() {
+            self.tell_boards();
         }
         if let Some((_, slots)) = self.stall.take_if(|(at, _)| self.ticks >= *at) {
             #[expect(clippy::cast_precision_loss, reason = "a count of missed slots")]
@@ -187,7 +198,7 @@ impl Simulated for SimulatedRobot {
             return Err(Refusal::OutOfRange);
         }
         *asked = force_n;
-        Ok(())
+        self.world.press(taxel, force_n).map_err(|_| Refusal::OutOfRange)
     }
 }
 

@@ -37,19 +37,19 @@ impl Rings {
     }
 
     /// Notes what a tick was given, if somebody records it, and now and then what the loop remembers after it.
-    pub fn note(&mut self, input: TickInput, state: impl FnOnce() -> LoopState) {
+    pub fn note(&mut self, input: &TickInput, state: impl FnOnce() -> LoopState) {
         if let Some(tick_log) = &mut self.tick_log {
-            tick_log.push(input, state);
+            tick_log.push(*input, state);
         }
     }
 
     /// Hands a sample, and the answer to a request, to whoever watches; waits for nobody.
-    pub fn publish(&mut self, sample: Sample, id: Option<u64>, outcome: Option<Outcome>, shared: &Shared) {
+    pub fn publish(&mut self, sample: &Sample, id: Option<u64>, outcome: Option<Outcome>, shared: &Shared) {
         if let (Some(id), Some(outcome)) = (id, outcome) {
             self.requests.answer(id, outcome);
         }
         shared.moving.store(sample.mode.moves(), Ordering::Relaxed);
-        if !self.samples.is_abandoned() && self.samples.push(sample).is_err() {
+        if !self.samples.is_abandoned() && self.samples.push(sample.clone()).is_err() {
             shared.samples_dropped.fetch_add(1, Ordering::Relaxed);
         }
     }
@@ -122,10 +122,11 @@ pub fn run<P: Plant, S: CoverSource>(
             stages_ns: timing.last_stages_ns(),
         };
         timing.start();
-        let Ticked { sample, outcome, input } = control.tick(&slot, request, timing);
+        control.tick(&slot, request, timing);
+        let Ticked { sample, input } = control.ticked();
         timing.count_frame_age(sample.frame_age_s);
         rings.note(input, || control.state());
-        rings.publish(sample, id, outcome, shared);
+        rings.publish(sample, id, input.outcome, shared);
         timing.end(Stage::Publish);
 
         report.ticks += 1;

@@ -359,12 +359,12 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
 
     /// One tick: its sample and the answer to its request.
     pub fn step(&mut self, request: Option<Request>) -> (Sample, Option<Outcome>) {
-        let Ticked { sample, outcome, .. } = self.tick(request);
-        (sample, outcome)
+        let Ticked { sample, input } = self.tick(request);
+        (sample.clone(), input.outcome)
     }
 
     /// One tick with what a replay needs of it.
-    pub fn tick(&mut self, request: Option<Request>) -> Ticked {
+    pub fn tick(&mut self, request: Option<Request>) -> &Ticked {
         let request = request.or_else(|| Some(self.asked.take_if(|(at, _)| self.next_tick >= *at)?.1));
         let missed = self.skip.take_if(|(at, _)| self.next_tick >= *at).map_or(0, |(_, slots)| slots);
         self.next_tick += missed;

@@ -3,7 +3,7 @@
 use crate::config::Config;
 use crate::control::plant::{Plant, Simulated, SourceAge};
 use crate::control::stage::Untimed;
-use crate::control::tick::{ControlLoop, Ticked};
+use crate::control::tick::ControlLoop;
 use crate::devices::board_events::BoardEvents;
 use crate::devices::touch_board::ByteCover;
 use crate::record::tick_blocks::{self, ComparedTick, fingerprint};
@@ -283,7 +283,8 @@ impl Replay {
             link: input.link,
             outcome: input.outcome.unwrap_or(Ok(())),
         };
-        let Ticked { sample, outcome, .. } = self.control.tick(&input.slot, input.request, &mut Untimed);
+        let ticked = self.control.tick(&input.slot, input.request, &mut Untimed);
+        let (sample, outcome) = (ticked.sample.clone(), ticked.input.outcome);
         self.last = Some((number, record.number));
         self.cover_events = input.cover_events;
         if self.differs.is_some() {

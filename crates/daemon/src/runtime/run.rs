@@ -530,10 +530,11 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         while ticks * config.period_ns() < end_ns && !shared.stop.load(Ordering::Relaxed) {
             let before = allocations::on_this_thread();
             let (id, request) = rings.next_request();
-            let Ticked { sample, outcome, input } = world.tick(request);
+            world.tick(request);
+            let Ticked { sample, input } = world.control.ticked();
             rings.note(input, || world.control.state());
-            last = sample;
-            rings.publish(last.clone(), id, outcome, shared);
+            last.clone_from(sample);
+            rings.publish(&last, id, input.outcome, shared);
             ticks += 1;
             warm |= ticks > live::WARM_UP_TICKS;
             allocated += if warm { allocations::on_this_thread() - before } else { 0 };

@@ -77,6 +77,8 @@ enum SensorModel {
 pub(crate) struct Rig {
     cover: SensorModel,
     period_s: f64,
+    /// What pushed the robot in the last tick.
+    loads: Loads,
     /// Every tick since the robot was armed.
     pub rows: Vec<Row>,
     /// Why the robot stopped, if it did.
@@ -120,8 +122,15 @@ impl Rig {
                 SensorModel::True(Box::new(lock_step))
             }
         };
-        let mut rig =
-            Self { cover, period_s, rows: Vec::new(), stopped: None, frame_rate_hz: 0.0, sim_s: 0.0 };
+        let mut rig = Self {
+            cover,
+            period_s,
+            loads: Loads::default(),
+            rows: Vec::new(),
+            stopped: None,
+            frame_rate_hz: 0.0,
+            sim_s: 0.0,
+        };
         rig.robot().world.set_people_waiting(true);
         while !rig.tick(&Loads::default())?.moves() {
             if let Some(cause) = &rig.stopped {
@@ -193,8 +202,7 @@ impl Rig {
         }
     }
 
-    /// One tick, and the mode after it.
-    fn tick(&mut self, loads: &Loads) -> Result<Mode> {
+    fn push(&mut self, loads: &Loads) -> Result<()> {
         let robot = self.robot();
         for (taxel, &force_n) in loads.taxel_n.iter().enumerate() {
             if robot.press(taxel, force_n).is_err() {
@@ -202,6 +210,16 @@ impl Rig {
             }
         }
         robot.world.set_flange_wrench_world(loads.flange_world)?;
+        self.loads = *loads;
+        Ok(())
+    }
+
+    /// One tick, and the mode after it.
+    fn tick(&mut self, loads: &Loads) -> Result<Mode> {
+        if *loads != self.loads {
+            self.push(loads)?;
+        }
+        let robot = self.robot();
         let force_true = fixed(robot.world.taxel_force_true_n());
         let wrench_true = robot.world.cover_wrench_true_base();
         let total_force_n = robot.world.contact_total_true_n();
@@ -246,13 +264,17 @@ impl Rig {
 }
 
 fn sensed(sample: &Sample) -> [f64; TAXELS] {
-    std::array::from_fn(|i| match sample.taxels.get(i) {
-        Some(taxel) if taxel.status == TaxelStatus::Ok => taxel.force_n,
-        _ => f64::NAN,
-    })
+    let mut felt_n = [f64::NAN; TAXELS];
+    for (felt_n, taxel) in felt_n.iter_mut().zip(&sample.taxels) {
+        *felt_n = if taxel.status == TaxelStatus::Ok { taxel.force_n } else { f64::NAN };
+    }
+    felt_n
 }
 
 fn fixed<const N: usize>(values: &[f64]) -> [f64; N] {
+    if let Some(values) = values.first_chunk() {
+        return *values;
+    }
     std::array::from_fn(|i| values.get(i).copied().unwrap_or(f64::NAN))
 }
 

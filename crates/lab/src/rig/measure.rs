@@ -46,6 +46,7 @@ impl Measures {
     pub(crate) fn of(rows: &[Row], period_s: f64) -> Self {
         let touching: Vec<&Row> = rows.iter().filter(|row| row.total_force_n > 0.0).collect();
         let (first, last) = (touching.first(), touching.last());
+        let errors_m: Vec<f64> = rows.iter().map(Row::flange_error_m).collect();
         Self {
             peak_force_n: peak_force_n(rows),
             first_touch_n: peak_within_n(rows, FIRST_TOUCH_S),
@@ -53,13 +54,13 @@ impl Measures {
             peaks_n: peaks(rows),
             contacts_n: contacts(rows),
             contact_taxels: (0..TAXELS)
-                .filter(|&taxel| rows.iter().any(|row| row.force_true[taxel] > 0.0))
+                .filter(|&taxel| touching.iter().any(|row| row.force_true[taxel] > 0.0))
                 .map(|taxel| format!("T{}", taxel + 1))
                 .collect(),
             contact_s: first.map(|row| row.t_s),
             contact_time_s: period_s * to_f64(touching.len()),
-            flange_rms_mm: 1e3 * rms(rows.iter().map(Row::flange_error_m)),
-            flange_max_mm: 1e3 * rows.iter().map(Row::flange_error_m).fold(0.0, f64::max),
+            flange_rms_mm: 1e3 * rms(errors_m.iter().copied()),
+            flange_max_mm: 1e3 * errors_m.iter().copied().fold(0.0, f64::max),
             base_displacement: match (rows.first(), rows.last()) {
                 (Some(first), Some(last)) => difference(&last.base_pose_world, &first.base_pose_world),
                 _ => [0.0; 3],

@@ -207,7 +207,7 @@ fn segment(report: Report, random: Random, end: u64) -> Result<(Report, Random)>
         };
         let slot = Slot { tick: number, now_ns, ticks: 1 + u64::try_from(lost)?, ..Slot::default() };
         number += 1;
-        let sample = control.tick(&slot, request, &mut Untimed).sample;
+        let sample = control.tick(&slot, request, &mut Untimed).sample.clone();
         if sample.mode == Mode::ProtectiveStop && mode.moves() {
             let fault = sample.fault.context("a stop has a cause")?;
             *control.plant.report.stops.entry(fault.code()).or_default() += 1;

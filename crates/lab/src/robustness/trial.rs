@@ -87,7 +87,7 @@ impl Watcher {
     fn see(&mut self, sample: &Sample, shared: &Shared) {
         match self {
             Self::Nobody => {}
-            Self::Telemetry(rings, _) => rings.publish(sample.clone(), None, None, shared),
+            Self::Telemetry(rings, _) => rings.publish(sample, None, None, shared),
             Self::Log(recording, reader) => {
                 while let Some(record) = reader.next_tick() {
                     recording.add_tick(&record);
@@ -128,11 +128,12 @@ pub(crate) fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
     let (strike, shared) = (Strike::new(at_ns), Shared::default());
     let (mut watcher, mut log) = Watcher::new(fault.site, &config, &strike, seed)?;
     let mut step = |world: &mut LockStep<_, _>, request| {
-        let Ticked { sample, outcome, input } = world.tick(request);
+        world.tick(request);
+        let Ticked { sample, input } = world.control.ticked();
         if let Some(log) = &mut log {
-            log.push(input, || world.control.state());
+            log.push(*input, || world.control.state());
         }
-        (sample, outcome)
+        (sample.clone(), input.outcome)
     };
 
     let mut before = Sample::default();

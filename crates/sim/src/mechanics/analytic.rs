@@ -8,7 +8,6 @@ use super::{BAD_ACCELERATION, BAD_POSITION, BAD_RATE, Mechanics, SINGULAR};
 use crate::mjcf::implicit_damping;
 use crate::scene::Mobility;
 use crate::{ModelSize, Scene, SimError};
-use moca_msgs::BaseTable;
 use moca_wbc::ArmModel;
 use moca_wbc::coupled::CoupledDynamics;
 use moca_wbc::linalg::transpose_times;
@@ -34,7 +33,6 @@ pub(super) fn of(scene: &Scene) -> Result<Box<dyn Mechanics>, SimError> {
 #[derive(Debug)]
 struct Analytic<const N: usize> {
     model: ArmModel<N, f64>,
-    base: BaseTable,
     limits: Option<JointLimits<N>>,
     people_kg: Vec<f64>,
     /// Of the wheels at the end of a step, N·s/m, N·s/m, N·m·s/rad.
@@ -71,7 +69,6 @@ impl<const N: usize> Analytic<N> {
         let coordinates = BASE + N + 2 * people_kg.len();
         Ok(Self {
             model,
-            base: scene.base,
             limits: limits.transpose()?,
             people_kg,
             damping: implicit_damping(scene),
@@ -90,7 +87,7 @@ impl<const N: usize> Analytic<N> {
 
     /// What acts on base and arm but the bias: forces from outside, the wheels' damping, the wrench at the flange.
     fn force(&self) -> WholeBodyForce<N, f64> {
-        let (base, arm) = self.forces.split_at(BASE);
+        let (base, arm) = self.forces[..BASE + N].split_at(BASE);
         let mut force = WholeBodyForce {
             base: std::array::from_fn(|i| base[i] - self.damping[i] * self.rates[i]),
             arm: std::array::from_fn(|i| arm[i]),
@@ -121,7 +118,10 @@ impl<const N: usize> Analytic<N> {
     }
 
     fn arm_state(&self) -> ([f64; N], [f64; N]) {
-        let of = |values: &[f64]| std::array::from_fn(|i| values[BASE + i]);
+        let of = |values: &[f64]| {
+            let arm = &values[BASE..BASE + N];
+            std::array::from_fn(|i| arm[i])
+        };
         (of(&self.positions), of(&self.rates))
     }
 
@@ -131,7 +131,8 @@ impl<const N: usize> Analytic<N> {
 }
 
 fn usable(values: &[f64]) -> bool {
-    values.iter().all(|value| value.abs() < LARGEST)
+    // no early return: several at once
+    values.iter().fold(true, |usable, value| usable & (value.abs() < LARGEST))
 }
 
 impl<const N: usize> Mechanics for Analytic<N> {
@@ -170,7 +171,7 @@ impl<const N: usize> Mechanics for Analytic<N> {
         let (q, dq) = self.arm_state();
         let [x, y, yaw] = std::array::from_fn(|i| self.positions[i]);
         let base_rate: [f64; BASE] = std::array::from_fn(|i| self.rates[i]);
-        self.dynamics.update(&self.model, &self.base, (yaw, &q), (&base_rate, &dq));
+        self.dynamics.update(&self.model, (yaw, &q), (&base_rate, &dq));
         self.base_world = [x, y];
         self.bias[..BASE].copy_from_slice(&self.dynamics.base_bias);
         self.bias[BASE..BASE + N].copy_from_slice(&self.dynamics.arm.bias);
@@ -192,11 +193,12 @@ impl<const N: usize> Mechanics for Analytic<N> {
         }
         self.refresh();
         let mut force = self.force();
-        let (q, dq) = self.arm_state();
-        if let Some(torque) = self.limits.as_ref().and_then(|l| l.torque_nm(&self.dynamics, &force, &q, &dq))
-        {
-            for (sum, torque) in force.arm.iter_mut().zip(torque) {
-                *sum += torque;
+        if let Some(limits) = &self.limits {
+            let (q, dq) = self.arm_state();
+            if let Some(torque) = limits.torque_nm(&self.dynamics, &force, &q, &dq) {
+                for (sum, torque) in force.arm.iter_mut().zip(torque) {
+                    *sum += torque;
+                }
             }
         }
         let h = self.step_s;
@@ -207,14 +209,16 @@ impl<const N: usize> Mechanics for Analytic<N> {
         if !(usable(&base) && usable(&arm)) {
             return Err(self.unstable(BAD_ACCELERATION));
         }
-        let (robot, people) = self.rates.split_at_mut(BASE + N);
-        for (rate, acceleration) in robot.iter_mut().zip(base.iter().chain(&arm)) {
-            *rate += h * acceleration;
+        let (of_base, rest) = self.rates.split_at_mut(BASE);
+        let (of_arm, people) = rest.split_at_mut(N);
+        for (rates, accelerations) in [(of_base, &base[..]), (of_arm, &arm[..])] {
+            for (rate, acceleration) in rates.iter_mut().zip(accelerations) {
+                *rate += h * acceleration;
+            }
         }
-        let forces = self.forces[BASE + N..].chunks_exact(2);
-        for ((rates, forces), mass_kg) in people.chunks_exact_mut(2).zip(forces).zip(&self.people_kg) {
-            for (rate, force) in rates.iter_mut().zip(forces) {
-                *rate += h * (force / mass_kg);
+        for (i, mass_kg) in self.people_kg.iter().enumerate() {
+            for axis in [2 * i, 2 * i + 1] {
+                people[axis] += h * (self.forces[BASE + N + axis] / mass_kg);
             }
         }
         for (position, rate) in self.positions.iter_mut().zip(&self.rates) {
