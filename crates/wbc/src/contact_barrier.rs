@@ -38,7 +38,7 @@ use moca_msgs::{ParameterError, TaxelPlacement};
 
 mod track;
 
-use track::{Felt, Odometry, Track};
+use track::{Felt, Odometry, SLOWEST_M_S, Track};
 
 /// Share of the force limit up to which the base itself may press.
 pub const STOP_SHARE: f64 = 0.3165;
@@ -49,6 +49,8 @@ const YIELD_SHARE: f64 = 0.7313;
 const BODY_M: f64 = 0.3;
 /// and so may neighbours of a coarser cover, whose taxels have their nearest one at most this much closer.
 const UNEVEN: f64 = 1.2;
+/// Cosine of the angle between two taxels of one side of the cover: at least this.
+const SAME_SIDE: f64 = 0.7;
 /// Way that a touched taxel goes back once its readings cannot be believed any more, m,
 pub const BLIND_RETREAT_M: f64 = 0.03;
 /// and when it stops trying, s after the last of them: something is behind it.
@@ -368,24 +370,28 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             backs_off: false,
             carried: T::zero(),
         };
-        let way = |i: usize, place: &[T; 3]| self.outline.outward(i, place);
         let forgotten = (input.dt_s / of(self.settings.forget_s)).min(T::one());
         for i in 0..taxels {
             let is_new = self.state.tracks[i].is_new(input.samples[i], input.dt_s);
             let body_n = if is_new { self.body_n(i, input) } else { T::zero() };
+            let way = |place: &[T; 3]| self.outline.outward(i, place);
             let BarrierState { odometry, tracks } = &mut self.state;
             tracks[i].wait(input.dt_s, forgotten);
             match input.samples[i] {
-                None => tracks[i].lose(way(i, odometry.now())),
+                None => tracks[i].lose(way(odometry.now())),
                 Some(sample) if is_new => {
-                    let way = way(i, odometry.at_age(sample.age_s));
+                    let way = way(odometry.at_age(sample.age_s));
                     tracks[i].take(&self.settings, &Felt { sample, light: input.light[i], body_n, way });
                 }
                 Some(_) => tracks[i].find(),
             }
+            if is_new && (self.state.tracks[i].touched() || input.light[i]) {
+                self.hold(i, &input.velocity_body);
+            }
             let track = &self.state.tracks[i];
+            let held = self.held_limit(i, input);
             if !track.touched() {
-                limits.outward_m_s[i] = track.released_limit(&self.settings);
+                limits.outward_m_s[i] = track.released_limit(&self.settings).min(held);
                 continue;
             }
             let way_now = self.outline.outward(i, self.state.odometry.now());
@@ -402,7 +408,7 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
                     limits.backs_off |= most < T::zero();
                     most
                 }
-                Some(_) => self.touched_limit(i, depth, input),
+                Some(_) => self.touched_limit(i, depth, input).min(held),
             };
             if limits.outward_m_s[i] < T::zero() {
                 limits.carried = limits.carried.max(self.carried(i, input.stretch_body_m));
@@ -417,17 +423,42 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
         let speed = self.outline.outward(i, &input.velocity_body);
         let person = self.state.tracks[i].person_m_s();
         let soon = depth + of::<T>(s.servo_s) * (speed + person);
-        let deceleration = self.outline.deceleration(i, &input.deceleration);
-        let closing = |left: T| {
-            let linear = left / of(s.response_s);
-            if left <= T::zero() {
-                return linear;
-            }
-            linear.min((of::<T>(2.0 * s.braking_share) * deceleration * left).sqrt())
-        };
-        let own = closing(of::<T>(s.stop_m) - soon).max(T::zero());
-        let room = closing(of::<T>(s.yield_m) - soon) - person;
+        let own = self.closing(i, of::<T>(s.stop_m) - soon, input).max(T::zero());
+        let room = self.closing(i, of::<T>(s.yield_m) - soon, input) - person;
         own.min(room).max(of(-s.retreat_m_s))
+    }
+
+    /// φ: speed outward of taxel `i` with so much way `left`, m/s.
+    fn closing(&self, i: usize, left: T, input: &BarrierInput<K, T>) -> T {
+        let linear = left / of(self.settings.response_s);
+        if left <= T::zero() {
+            return linear;
+        }
+        let deceleration = self.outline.deceleration(i, &input.deceleration);
+        linear.min((of::<T>(2.0 * self.settings.braking_share) * deceleration * left).sqrt())
+    }
+
+    /// Somebody touches taxel `i`, and may press its neighbours on that side of the cover too, each of which hides its part:
+    /// where the base stands or gives way, none of them goes further out from now on.
+    fn hold(&mut self, i: usize, velocity_body: &[T; 3]) {
+        let stands = self.outline.outward(i, velocity_body) <= of(SLOWEST_M_S);
+        let columns = self.outline.map().columns();
+        let [x, y, _] = columns[i];
+        for (j, [other_x, other_y, _]) in columns.iter().enumerate() {
+            let same_side = x * *other_x + y * *other_y > of(SAME_SIDE);
+            if same_side && squared(&self.places[i], &self.places[j]) <= self.span_squared {
+                let way = self.outline.outward(j, self.state.odometry.now());
+                self.state.tracks[j].hold(stands.then_some(way));
+            }
+        }
+    }
+
+    /// Speed outward of taxel `i` on its way to where the base goes no further, m/s.
+    fn held_limit(&self, i: usize, input: &BarrierInput<K, T>) -> T {
+        let Some(far) = self.state.tracks[i].far() else { return of(f64::INFINITY) };
+        let speed = self.outline.outward(i, &input.velocity_body);
+        let left = far - self.outline.outward(i, self.state.odometry.now());
+        self.closing(i, left - of::<T>(self.settings.servo_s) * speed, input).max(T::zero())
     }
 
     /// Force of the body that taxel `i` feels, N. One that lies on a seam presses either taxel with a part of its force,

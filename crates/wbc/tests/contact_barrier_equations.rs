@@ -79,6 +79,9 @@ struct Equations {
     /// it stood.
     approach: f64,
     met: Option<f64>,
+    /// Step of the last reading of a touch, even of a light one, and how far outward the base goes until 2 s later, m.
+    felt: Option<usize>,
+    far_m: Option<f64>,
 }
 
 impl Equations {
@@ -96,26 +99,39 @@ impl Equations {
         }
         // before the start nothing is known; 128 places are kept
         let taken = now + 1000 - felt.age;
-        if self.taken.is_none_or(|last| taken > last) {
+        let is_new = self.taken.is_none_or(|last| taken > last);
+        if is_new {
             let place = self.ways_m[now - felt.age.min(127).min(now)];
             self.read(&s, felt, taken, now, place);
         }
         let w = (self.person + self.yields).max(0.0);
+        let held = self.held_limit(&s, felt, is_new, now);
         let Some((depth_m, force_n)) = self.touch.last().copied() else {
-            return [0.0, 0.0, self.released_limit(&s, now, w), 0.0];
+            return [0.0, 0.0, self.released_limit(&s, now, w).min(held), 0.0];
         };
         let since_s = seconds(now + 1000 - self.taken.unwrap());
         let depth_m = depth_m + way_m - self.way_m + w * since_s;
         let soon_m = depth_m + s.servo_s * (felt.speed + w);
-        let closing = |left: f64| {
-            let braking = (2.0 * s.braking_share * felt.deceleration * left.max(0.0)).sqrt();
-            let steady = left / s.response_s;
-            if left > 0.0 { steady.min(braking) } else { steady }
-        };
-        let own = closing(s.stop_m - soon_m).max(0.0);
-        let room = closing(s.yield_m - soon_m) - w;
+        let own = closing(&s, felt, s.stop_m - soon_m).max(0.0);
+        let room = closing(&s, felt, s.yield_m - soon_m) - w;
         let eased_m = depth_m + s.damping_s * (felt.speed + w + s.speed_noise_m_s).min(0.0);
-        [depth_m, w, own.min(room).max(-s.retreat_m_s), FOAM.force_n(eased_m).min(force_n)]
+        let most = own.min(room).max(-s.retreat_m_s).min(held);
+        [depth_m, w, most, FOAM.force_n(eased_m).min(force_n)]
+    }
+
+    /// No further outward than where the base stood or gave way at first.
+    fn held_limit(&mut self, s: &BarrierSettings, felt: Felt, is_new: bool, now: usize) -> f64 {
+        if self.felt.is_none_or(|last| seconds(now - last) > 2.0) {
+            self.far_m = None;
+        }
+        let way_m = self.ways_m[now];
+        let stands = felt.speed <= 0.005;
+        if is_new && (felt.light || !self.touch.is_empty()) {
+            self.felt = Some(now);
+            self.far_m = self.far_m.or(stands.then_some(way_m));
+        }
+        let left_m = |far_m: f64| far_m - way_m - s.servo_s * felt.speed;
+        self.far_m.map_or(f64::INFINITY, |far_m| closing(s, felt, left_m(far_m)).max(0.0))
     }
 
     /// Seconds since the last release.
@@ -149,7 +165,7 @@ impl Equations {
                 None => 0.0,
             };
             let rate = (depth_m - before_m) / interval_s;
-            let came = self.met.is_some_and(|met| met <= 0.005);
+            let came = self.met.is_some_and(|met| met < 0.005);
             let seen = (readings + usize::from(came)).max(1) as f64;
             let weight = (interval_s / (interval_s + s.speed_s)).max(1.0 / seen);
             self.person += weight * (rate - gone_m / interval_s - self.person);
@@ -175,16 +191,20 @@ impl Equations {
     fn released_limit(&self, s: &BarrierSettings, now: usize, w: f64) -> f64 {
         let released_s = self.released_s(now);
         let creeping = s.creep_m_s + s.recovery_m_s2 * (released_s - s.creep_s).max(0.0);
-        let again = match self.met {
-            Some(met) if met > 0.005 => {
-                (0.5 * met).max(0.005) + s.recovery_m_s2 * (released_s - 2.0).max(0.0)
-            }
-            Some(_) if released_s < 2.0 => 0.005,
-            _ => f64::INFINITY,
-        };
+        let again = self.met.map_or(f64::INFINITY, |met| {
+            let slow_s = if met < 0.005 { 2.0 } else { 4.0 };
+            (0.5 * met).max(0.005) + s.recovery_m_s2 * (released_s - slow_s).max(0.0)
+        });
         let most = creeping.min(again);
         if most < 1.0 { (most - w).max(-s.retreat_m_s) } else { f64::INFINITY }
     }
+}
+
+/// Speed outward with `left` m to go.
+fn closing(s: &BarrierSettings, felt: Felt, left: f64) -> f64 {
+    let braking = (2.0 * s.braking_share * felt.deceleration * left.max(0.0)).sqrt();
+    let steady = left / s.response_s;
+    if left > 0.0 { steady.min(braking) } else { steady }
 }
 
 /// Hands that come, press and go, at any rate and delay of the readings, on a base that drives about.
@@ -287,6 +307,24 @@ fn a_seam_counts_with_what_both_taxels_feel_and_hide() {
     pressed(&mut barrier, &[], &[]);
     let depth = pressed(&mut barrier, &[(FRONT, 6.0)], &[]).depth_m[FRONT];
     assert!((depth - FOAM.depth_m(7.0)).abs() < 1e-12, "{depth}");
+}
+
+/// Where the base stands before who is touched, however lightly, it goes no further: nor with the neighbours on that side.
+#[test]
+fn who_is_touched_holds_his_side_of_the_cover_for_two_seconds() {
+    let held = |limits: &ContactLimits<11>| -> Vec<usize> {
+        (0..11).filter(|&i| limits.outward_m_s[i] <= 0.0).collect()
+    };
+    // T4 is as near to T5 as T6, and round the corner
+    for (taxel, side) in [(FRONT, vec![4, 5, 6]), (4, vec![4, 5]), (1, vec![0, 1, 2]), (3, vec![2, 3])] {
+        let mut barrier = barrier();
+        for (forces_n, light) in [(&[(taxel, 12.0)][..], &[][..]), (&[], &[taxel])] {
+            pressed(&mut barrier, forces_n, light);
+            assert_eq!(held(&pressed(&mut barrier, forces_n, light)), side, "T{}", taxel + 1);
+            let steps = (0..3000).take_while(|_| held(&pressed(&mut barrier, &[], &[])).contains(&taxel));
+            assert_eq!(steps.count(), 2048, "T{}", taxel + 1);
+        }
+    }
 }
 
 /// Of half the body's force half is believed once the base has gone away from it.

@@ -7,12 +7,13 @@ use crate::scalar::{Scalar, of};
 const KEPT: usize = 128;
 /// Readings further apart than this say nothing of a speed, s.
 const APART_S: f64 = 0.2;
-/// After a release the foam is still recovering, and a light touch is told from none later, s.
+/// After a release the foam is still recovering, and a light touch is told from none later, s. So long the base goes no
+/// further than where it stood,
 const RECOVERS_S: f64 = 2.0;
-/// Share of the speed at which somebody was met at which he is met again meanwhile,
+/// and as long after it at this share of the speed at which it met somebody,
 const AGAIN: f64 = 0.5;
 /// but no slower than this, m/s; nor does a base that is slower meet anybody: he comes.
-const SLOWEST_M_S: f64 = 0.005;
+pub(super) const SLOWEST_M_S: f64 = 0.005;
 /// As far below 0 as noise takes the estimate of a speed, m/s: cut at 0, its mean would lie above it.
 const NOISE_M_S: f64 = 0.05;
 
@@ -92,6 +93,9 @@ pub(super) struct Track<T> {
     met: T,
     /// Way outward where the readings ended that could be believed, m.
     blind_from: Option<T>,
+    /// Way outward beyond which the base does not go for who touches here or beside it, m, and time since somebody did, s.
+    far: Option<T>,
+    near: T,
 }
 
 impl<T: Scalar> Track<T> {
@@ -112,6 +116,8 @@ impl<T: Scalar> Track<T> {
             approach: zero,
             met: of(f64::INFINITY),
             blind_from: None,
+            far: None,
+            near: long_ago,
         }
     }
 
@@ -126,7 +132,7 @@ impl<T: Scalar> Track<T> {
 
     /// Whether who touches came to a base that stood.
     fn came(&self) -> bool {
-        self.met <= of(SLOWEST_M_S)
+        self.met < of(SLOWEST_M_S)
     }
 
     pub(super) fn person_m_s(&self) -> T {
@@ -142,6 +148,10 @@ impl<T: Scalar> Track<T> {
     pub(super) fn wait(&mut self, dt_s: T, forgotten: T) {
         self.since += dt_s;
         self.released += dt_s;
+        self.near += dt_s;
+        if self.near > of(RECOVERS_S) {
+            self.far = None;
+        }
         if !self.touched() {
             self.person -= self.person * forgotten;
         }
@@ -152,6 +162,17 @@ impl<T: Scalar> Track<T> {
         if self.blind_from.is_none() {
             self.blind_from = Some(way);
         }
+    }
+
+    /// Somebody touches here or beside it; the base is `way` outward where it goes no further from now on.
+    pub(super) fn hold(&mut self, way: Option<T>) {
+        self.near = T::zero();
+        self.far = self.far.or(way);
+    }
+
+    /// Way outward beyond which the base does not go, m.
+    pub(super) const fn far(&self) -> Option<T> {
+        self.far
     }
 
     /// The reading can be believed.
@@ -176,8 +197,8 @@ impl<T: Scalar> Track<T> {
         if sample.force_n < of(settings.touch_n) {
             // one reading's speed was assumed and not seen
             let person = if self.readings > 1 { self.person_m_s() } else { T::zero() };
-            let (since, met) = (self.since, self.met);
-            *self = Self { way, since, released: T::zero(), met, person, ..Self::none() };
+            let (since, met, far, near) = (self.since, self.met, self.far, self.near);
+            *self = Self { way, since, released: T::zero(), met, person, far, near, ..Self::none() };
             return;
         }
         let body_n = body_n.max(sample.force_n);
@@ -245,13 +266,11 @@ impl<T: Scalar> Track<T> {
     pub(super) fn released_limit(&self, s: &BarrierSettings) -> T {
         let rising = (self.released - of(s.creep_s)).max(T::zero());
         let creeping = of::<T>(s.creep_m_s) + of::<T>(s.recovery_m_s2) * rising;
-        let closing = if self.came() && !self.was_touched() {
-            creeping
-        } else {
-            let again = (self.met * of(AGAIN)).max(of(SLOWEST_M_S));
-            let later = (self.released - of(RECOVERS_S)).max(T::zero());
-            creeping.min(again + of::<T>(s.recovery_m_s2) * later)
-        };
+        // the base goes on to whom it met when it is no longer held
+        let slow_s = if self.came() { RECOVERS_S } else { 2.0 * RECOVERS_S };
+        let again = (self.met * of(AGAIN)).max(of(SLOWEST_M_S));
+        let later = (self.released - of(slow_s)).max(T::zero());
+        let closing = creeping.min(again + of::<T>(s.recovery_m_s2) * later);
         if closing < T::one() {
             (closing - self.person_m_s()).max(of(-s.retreat_m_s))
         } else {
