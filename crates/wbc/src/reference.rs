@@ -169,9 +169,11 @@ impl<T: Scalar> Reference<T> {
             return;
         }
         let near = (self.now.position - actual.position).norm() < of(ERROR_SATURATION_M);
-        let turned_near =
-            rotation::error(&actual.rotation, &self.now.rotation).norm() < of(ERROR_SATURATION_RAD);
         let (_, angular) = split(&self.twist);
+        let is_turning = angular != Vector3::zeros();
+        // most that are led keep their axes: what only a turn asks for waits for one
+        let turns_near = (is_turning || self.now.rotation != self.target.rotation)
+            && rotation::error(&actual.rotation, &self.now.rotation).norm() < of(ERROR_SATURATION_RAD);
         let linear = self.slow_down(held_back, dt_s);
         if near {
             self.target.position += linear * dt_s;
@@ -184,8 +186,8 @@ impl<T: Scalar> Reference<T> {
             }
             self.now.position = if step == gap { self.target.position } else { self.now.position + step };
         }
-        if turned_near {
-            if self.twist != [T::zero(); 6] {
+        if turns_near {
+            if is_turning {
                 self.target.rotation = turned(&self.target.rotation, &(angular * dt_s));
             }
             let gap = rotation::error(&self.now.rotation, &self.target.rotation);
@@ -230,6 +232,27 @@ fn turned<T: Scalar>(rotation: &Matrix3<T>, by: &Vector3<T>) -> Matrix3<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn who_is_led_without_a_turn_keeps_its_axes_to_the_bit() {
+        let rotation = rotation::exp(&Vector3::new(0.3_f64, -1.1, 0.7));
+        let mut reference = Reference::hold(Pose { position: Vector3::zeros(), rotation });
+        reference.set_twist([0.1, 0.0, 0.02, 0.0, 0.0, 0.0]).unwrap();
+        for _ in 0..1000 {
+            let actual = reference.now;
+            reference.advance(&actual, None, 1e-3);
+        }
+        assert!((reference.now.position.x - 0.1).abs() < 1e-3, "{:?}", reference.now.position);
+        assert_eq!(reference.now.rotation, rotation);
+        assert_eq!(reference.target.rotation, rotation);
+        reference.set_twist([0.0, 0.0, 0.0, 0.0, 0.0, 0.2]).unwrap();
+        for _ in 0..1000 {
+            let actual = reference.now;
+            reference.advance(&actual, None, 1e-3);
+        }
+        let turned = rotation::error(&rotation, &reference.now.rotation);
+        assert!((turned - Vector3::new(0.0, 0.0, 0.2)).norm() < 1e-9, "{turned:?}");
+    }
 
     #[test]
     fn who_is_led_waits_for_a_base_that_is_held_back() {
