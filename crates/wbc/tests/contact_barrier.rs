@@ -352,6 +352,28 @@ fn a_base_does_not_turn_about_who_is_touched() {
     }
 }
 
+/// Which neighbours are on the side of whom is touched: those turned by less than 45 degrees.
+#[test]
+fn a_side_of_the_cover_ends_where_it_turns() {
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    let taxel = |y: f64, degrees: f64| TaxelPlacement {
+        position_base_m: [0.5, y],
+        inward_angle_base_rad: degrees.to_radians(),
+    };
+    let cover = [taxel(0.0, 200.0), taxel(0.1, 230.0), taxel(0.2, 260.0)];
+    for (touched, held) in [(0, [true, true, false]), (1, [true; 3]), (2, [false, true, true])] {
+        let mut barrier = ContactBarrier::<3>::new(&cover, &settings).unwrap();
+        let samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 3];
+        let mut input = BarrierInput::new(samples, [0.0; 3], [3.0, 3.0, 6.0], DT_S);
+        input.light[touched] = true;
+        for _ in 0..10 {
+            barrier.update(&input).unwrap();
+        }
+        let limits = barrier.update(&input).unwrap().outward_m_s;
+        assert_eq!(limits.map(f64::is_finite), held, "T{} touched: {limits:?}", touched + 1);
+    }
+}
+
 /// Largest speed outward of T6 at each step of `forces_n`, read 100 times a second without delay while the base goes at `u`.
 fn allowed_m_s(barrier: &mut ContactBarrier<11>, forces_n: impl Iterator<Item = f64>, u: f64) -> Vec<f64> {
     let step = |(step, force_n): (usize, f64)| {
