@@ -8,7 +8,8 @@
 //!
 //! Entry (i, j) of (T + s)⁻¹ is the minor before row j times the one behind row i over the determinant, times what stands beside
 //! the diagonal from j to i. Minors are polynomials in s, so that of all poles only n moments are needed, those of w/det(T + s):
-//! Σ w·s^m/det. Every coefficient and every moment is positive: nothing cancels where they are put together.
+//! Σ w·s^m/det. Every coefficient and every moment is positive, so that nothing cancels where they are put together; what
+//! cancels does so where a minor is found of those with fewer rows, as in the determinant itself.
 
 use super::tridiagonal::Tridiagonal;
 use crate::linalg::combined;
