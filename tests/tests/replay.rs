@@ -23,6 +23,7 @@ use moca_tactile::calibration::Quality;
 use moca_tactile::calibration::file::{CalibrationFile, TaxelEntry};
 use moca_tactile::model::{MonotoneCurve, TaxelModel};
 use moca_telemetry::RobotDescription;
+use moca_telemetry::log::records::Configuration;
 use moca_telemetry::log::{LogWriter, Meta, read_log};
 use std::fs::File;
 use std::io::BufWriter;
@@ -75,11 +76,22 @@ fn set(name: &str, values: &[f64]) -> Request {
 }
 
 fn write(name: &str, config: &Config, records: &[TickRecord], samples: &[Sample]) -> PathBuf {
+    write_as(moca_daemon::VERSION, name, config, records, samples)
+}
+
+/// As a program of this version would.
+fn write_as(
+    version: &str,
+    name: &str,
+    config: &Config,
+    records: &[TickRecord],
+    samples: &[Sample],
+) -> PathBuf {
     let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
     let _ = std::fs::remove_file(&path);
     let meta = Meta { description: RobotDescription::paper("test", true), start_unix_ns: 0 };
     let mut log = LogWriter::new(BufWriter::new(File::create_new(&path).unwrap()), &meta).unwrap();
-    log.configuration(&configuration(config).unwrap()).unwrap();
+    log.configuration(&Configuration { version: version.into(), ..configuration(config).unwrap() }).unwrap();
     let mut samples = samples.iter().peekable();
     let mut blocks = BlockBuilder::new(1e-3);
     for record in records {
@@ -203,6 +215,16 @@ fn one_bit_is_found_and_a_loss_is_not_taken_for_a_difference() {
     let found = failure(&write("visible.mcap", &config(), &records, &tampered));
     let named = matches!(&found, Failure::Differs { tick, quantity, .. } if *tick == AT as u64 && quantity == "arm_torque_nm");
     assert!(named, "{found}");
+
+    // Of another program a difference is said to be perhaps the program's; a loss is not.
+    let told = |records: &[TickRecord]| {
+        let path = write_as("0.0.9+fma", "other_program.mcap", &config(), records, &tampered);
+        format!("{:#}", replay::run(&[path]).unwrap_err())
+    };
+    let differs = told(&records);
+    assert!(differs.contains("of mocad 0.0.9+fma") && differs.contains("arm_torque_nm"), "{differs}");
+    let incomplete = told(&[&records[..AT - 1], &records[AT..]].concat());
+    assert!(incomplete.contains("incomplete") && !incomplete.contains("0.0.9"), "{incomplete}");
 
     let mut tampered = records.clone();
     let bytes =

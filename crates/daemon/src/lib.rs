@@ -13,6 +13,14 @@
 //!
 //! The loop refuses to know who watches it: samples leave through a bounded ring, requests arrive through another.
 
+/// Of this program. One that is built for fused multiply-add says `+fma`: it rounds a product that is added to once instead of
+/// twice, and its last bits are not those of another.
+pub const VERSION: &str = if cfg!(target_feature = "fma") {
+    concat!(env!("CARGO_PKG_VERSION"), "+fma")
+} else {
+    env!("CARGO_PKG_VERSION")
+};
+
 pub mod calibration;
 pub mod cli;
 pub mod config;

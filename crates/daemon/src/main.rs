@@ -16,7 +16,7 @@ const EXIT_CODES: &str = "Exit codes: 0 ended as asked, 1 something failed, 2 wr
 
 /// Tactile whole-body control of MOCA-S: without arguments, a simulated robot with a virtual Touch Board.
 #[derive(Parser)]
-#[command(name = "mocad", version, args_conflicts_with_subcommands = true, after_help = EXIT_CODES)]
+#[command(name = "mocad", version = moca_daemon::VERSION, args_conflicts_with_subcommands = true, after_help = EXIT_CODES)]
 struct Arguments {
     #[command(subcommand)]
     command: Option<Command>,

@@ -110,14 +110,28 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     /// `out` becomes what [`ArmModel::dynamics`] gives: nothing is copied.
     #[inline]
     pub(crate) fn dynamics_at(&self, yaw: T, q: &[T; N], dq: &[T; N], out: &mut Dynamics<N, T>) {
-        self.place(yaw, q, &mut out.kinematics);
+        let mut felt = [Felt::nothing(); N];
+        self.place_moving((yaw, q), (T::zero(), dq), &mut out.kinematics, &mut felt);
         self.compose(out);
-        self.newton_euler(&out.kinematics, T::zero(), dq, &mut out.bias);
+        self.bear(&felt, &out.kinematics.turn, &mut out.bias);
     }
 
     /// Out along the arm: where everything is. Written where it stands: returned, it would be copied.
     #[inline(never)]
     fn place(&self, yaw: T, q: &[T; N], out: &mut Kinematics<N, T>) {
+        self.place_and(yaw, q, out, |_, _| {});
+    }
+
+    /// [`Self::place`], and on the way `what` else of each link is found from how its joint is turned: two chains of which
+    /// neither waits for the other.
+    #[inline]
+    fn place_and(
+        &self,
+        yaw: T,
+        q: &[T; N],
+        out: &mut Kinematics<N, T>,
+        mut what: impl FnMut(usize, &Turn<T>),
+    ) {
         let chain = &self.chain;
         let angles = core::array::from_fn(|i| q[i] + chain.joints[i].zero);
         let (yawed, turns) = Turn::all(yaw, &angles);
@@ -132,6 +146,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
             axes = out.turn[i].frame_about_z(&joint.twist.frame_about_x(&axes));
             out.link_axes[i] = axes;
             out.joint_position[i] = position;
+            what(i, &out.turn[i]);
         }
         out.flange_position = position + axes * chain.flange.origin;
         out.tool_position = position + axes * chain.tool.origin;
@@ -176,56 +191,65 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         composite
     }
 
-    /// Newton–Euler with zero joint accelerations on a base that turns at `yaw_rate`, constant: joint torques, and the
-    /// force and moment on the chain's root, in its axes, about its origin.
+    /// [`Self::place`], and what each link feels (force and moment about its origin, in its axes) by Newton–Euler with zero
+    /// joint accelerations on a base that turns at `yaw_rate`, constant.
     ///
     /// What a body's points feel is the acceleration of its origin and U = \[α\]× + \[ω\]×²: f = U·h, and about the origin
     /// h × a and the skew part of U·Σ, Σ its second moments.
     #[inline(never)]
-    fn newton_euler(
+    fn place_moving(
         &self,
-        kinematics: &Kinematics<N, T>,
-        yaw_rate: T,
-        dq: &[T; N],
-        torque: &mut [T; N],
-    ) -> (Vector3<T>, Vector3<T>) {
+        (yaw, q): (T, &[T; N]),
+        (yaw_rate, dq): (T, &[T; N]),
+        out: &mut Kinematics<N, T>,
+        felt: &mut [Felt<T>; N],
+    ) {
         let chain = &self.chain;
         let mut omega = chain.up * yaw_rate;
         let mut alpha = Vector3::zeros();
         let mut acceleration = self.root_acceleration(yaw_rate);
-        let mut felt = felt(&omega, &alpha);
-        let mut forces = [Vector3::zeros(); N];
-        let mut moments = [Vector3::zeros(); N];
-        for i in 0..N {
+        let mut u = by_turning(&omega, &alpha);
+        self.place_and(yaw, q, out, |i, turn| {
             let (joint, body) = (&chain.joints[i], &chain.links[i]);
-            let (twist, turn) = (joint.twist.back(), kinematics.turn[i].back());
+            let (twist, turn) = (joint.twist.back(), turn.back());
             let into = |v: &Vector3<T>| turn.about_z(&twist.about_x(v));
-            acceleration = into(&(acceleration + felt * joint.offset));
+            acceleration = into(&(acceleration + u * joint.offset));
             omega = into(&omega);
             alpha = into(&alpha);
             alpha.x += omega.y * dq[i];
             alpha.y -= omega.x * dq[i];
             omega.z += dq[i];
-            felt = self::felt(&omega, &alpha);
+            u = by_turning(&omega, &alpha);
             // a turning link has no first moment along its axis
             let (hx, hy) = (body.first_moment.x, body.first_moment.y);
-            forces[i] = felt.column(0) * hx + felt.column(1) * hy;
             let [xx, xy, xz, yy, yz, zz] = chain.second_moments[i];
-            let row = |i: usize, [a, b, c]: [T; 3]| felt[(i, 0)] * a + felt[(i, 1)] * b + felt[(i, 2)] * c;
+            let row = |i: usize, [a, b, c]: [T; 3]| u[(i, 0)] * a + u[(i, 1)] * b + u[(i, 2)] * c;
             let (of_x, of_y, of_z) = ([xx, xy, xz], [xy, yy, yz], [xz, yz, zz]);
-            moments[i] = Vector3::new(
-                row(2, of_y) - row(1, of_z) + hy * acceleration.z,
-                row(0, of_z) - row(2, of_x) - hx * acceleration.z,
-                row(1, of_x) - row(0, of_y) + (hx * acceleration.y - hy * acceleration.x),
+            let a = &acceleration;
+            felt[i].force = u.column(0) * hx + u.column(1) * hy;
+            felt[i].moment = Vector3::new(
+                row(2, of_y) - row(1, of_z) + hy * a.z,
+                row(0, of_z) - row(2, of_x) - hx * a.z,
+                row(1, of_x) - row(0, of_y) + (hx * a.y - hy * a.x),
             );
-        }
+        });
+    }
+
+    /// Back along the arm: joint torques from what the links feel. Gives the force and moment on the chain's root, in its
+    /// axes, about its origin.
+    #[inline(never)]
+    fn bear(
+        &self,
+        felt: &[Felt<T>; N],
+        turn: &[Turn<T>; N],
+        torque: &mut [T; N],
+    ) -> (Vector3<T>, Vector3<T>) {
         let (mut force, mut moment) = (Vector3::zeros(), Vector3::zeros());
         for i in (0..N).rev() {
-            let joint = &chain.joints[i];
-            force += forces[i];
-            moment += moments[i];
+            force += felt[i].force;
+            moment += felt[i].moment;
             torque[i] = moment.z;
-            (force, moment) = joint.in_parent(&kinematics.turn[i], (force, moment));
+            (force, moment) = self.chain.joints[i].in_parent(&turn[i], (force, moment));
         }
         (force, moment)
     }
@@ -267,8 +291,11 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         for i in (0..N).rev() {
             let (joint, body, turn) = (&chain.joints[i], &chain.links[i], &kinematics.turn[i]);
             let (v, w) = &twists[i];
-            linear += w.cross(&body.first_moment);
-            angular += symmetric_times(&body.rotational, w) + body.first_moment.cross(v);
+            // a turning link has no first moment along its axis
+            let (hx, hy) = (body.first_moment.x, body.first_moment.y);
+            let of_velocity = Vector3::new(hy * v.z, -hx * v.z, hx * v.y - hy * v.x);
+            linear += Vector3::new(-hy * w.z, hx * w.z, hy * w.x - hx * w.y);
+            angular += symmetric_times(&body.rotational, w) + of_velocity;
             drift[i] = w.y * angular.x - w.x * angular.y + v.y * linear.x - v.x * linear.y;
             (linear, angular) = joint.in_parent(turn, (linear, angular));
         }
@@ -284,10 +311,11 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         arm: &mut Dynamics<N, T>,
     ) -> Load<T> {
         let chain = &self.chain;
-        self.place(yaw, q, &mut arm.kinematics);
+        let mut felt = [Felt::nothing(); N];
+        self.place_moving((yaw, q), (yaw_rate, dq), &mut arm.kinematics, &mut felt);
         let (joint, turn) = (&chain.joints[0], arm.kinematics.turn[0]);
         let composite = self.compose(arm).in_parent(&turn, &joint.twist, &joint.offset);
-        let (mut force, mut moment) = self.newton_euler(&arm.kinematics, yaw_rate, dq, &mut arm.bias);
+        let (mut force, mut moment) = self.bear(&felt, &arm.kinematics.turn, &mut arm.bias);
         let standing = &chain.root_body;
         let omega = chain.up * yaw_rate;
         let acceleration = self.root_acceleration(yaw_rate);
@@ -317,9 +345,23 @@ pub(crate) struct Load<T> {
     pub moment: Vector3<T>,
 }
 
+/// What keeps a link on its way: about its origin, in its axes.
+#[derive(Clone, Copy)]
+struct Felt<T> {
+    force: Vector3<T>,
+    moment: Vector3<T>,
+}
+
+impl<T: Scalar> Felt<T> {
+    #[inline]
+    fn nothing() -> Self {
+        Self { force: Vector3::zeros(), moment: Vector3::zeros() }
+    }
+}
+
 /// U = \[α\]× + \[ω\]×².
 #[inline]
-fn felt<T: Scalar>(w: &Vector3<T>, a: &Vector3<T>) -> Matrix3<T> {
+fn by_turning<T: Scalar>(w: &Vector3<T>, a: &Vector3<T>) -> Matrix3<T> {
     let (xx, yy, zz) = (w.x * w.x, w.y * w.y, w.z * w.z);
     let (xy, xz, yz) = (w.x * w.y, w.x * w.z, w.y * w.z);
     Matrix3::new(
@@ -336,19 +378,22 @@ fn felt<T: Scalar>(w: &Vector3<T>, a: &Vector3<T>) -> Matrix3<T> {
 }
 
 impl<const N: usize, T: Scalar> Kinematics<N, T> {
+    #[inline]
     fn unset() -> Self {
-        let turn = Turn { sin: T::zero(), cos: T::zero() };
+        let zero = T::zero();
+        let (turn, vector, matrix) =
+            (Turn { sin: zero, cos: zero }, Vector3::new(zero, zero, zero), [[zero; 3]; 3]);
         Self {
             turn: [turn; N],
-            link_axes: [Matrix3::zeros(); N],
-            joint_position: [Vector3::zeros(); N],
-            jacobian: SMatrix::zeros(),
+            link_axes: [matrix.into(); N],
+            joint_position: [vector; N],
+            jacobian: [[zero; 6]; N].into(),
             heading: Heading::unset(),
-            base_rotation: Matrix3::zeros(),
-            arm_from_base: Vector3::zeros(),
-            tool_position: Vector3::zeros(),
-            tool_rotation: Matrix3::zeros(),
-            flange_position: Vector3::zeros(),
+            base_rotation: matrix.into(),
+            arm_from_base: vector,
+            tool_position: vector,
+            tool_rotation: matrix.into(),
+            flange_position: vector,
         }
     }
 
@@ -414,11 +459,12 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
 
 impl<const N: usize, T: Scalar> Dynamics<N, T> {
     /// Room for dynamics that are computed where they stand: returned, they would be copied.
+    #[inline]
     pub(crate) fn unset() -> Self {
         Self {
             kinematics: Kinematics::unset(),
-            mass: SMatrix::zeros(),
-            base_coupling: SMatrix::zeros(),
+            mass: [[T::zero(); N]; N].into(),
+            base_coupling: [[T::zero(); N]; 3].into(),
             bias: [T::zero(); N],
             lift: [T::zero(); N],
         }

@@ -170,7 +170,7 @@ fn introduction(config: &Config, lock_step: bool) -> Vec<String> {
     };
     let pace = if lock_step { "in lock-step, as fast as possible" } else { "live" };
     let mut lines = vec![
-        format!("mocad {}: robot {:?}", env!("CARGO_PKG_VERSION"), config.robot.name),
+        format!("mocad {}: robot {:?}", crate::VERSION, config.robot.name),
         format!("  controller  {law}, {} Hz, {pace}", config.control_loop.rate_hz),
     ];
     if config.plant.parts.has_cover() {

@@ -156,7 +156,7 @@ impl Recording {
 pub fn configuration(config: &Config) -> Result<Configuration> {
     let text = |path: &str| if path.is_empty() { Ok(String::new()) } else { read_text(Path::new(path)) };
     Ok(Configuration {
-        version: env!("CARGO_PKG_VERSION").into(),
+        version: crate::VERSION.into(),
         toml: toml::to_string(&config.to_toml())?,
         calibration: text(&config.board.calibration)?,
         contact_limits: text(&config.protection.thresholds)?,

@@ -1,5 +1,6 @@
 //! `mocad replay LOG`: the same loop once more, from the recorded states and bytes, compared bit for bit with what it did.
 
+use crate::VERSION;
 use crate::config::Config;
 use crate::control::plant::{Plant, Simulated, SourceAge};
 use crate::control::stage::Untimed;
@@ -41,14 +42,15 @@ pub struct Report {
     pub wall: Duration,
 }
 
+/// What is said of a log that another program wrote.
+fn of_another(version: &str) -> String {
+    format!("the log is of mocad {version}, this is {VERSION}: differences may be those of the program")
+}
+
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(version) = &self.other_version {
-            let ours = env!("CARGO_PKG_VERSION");
-            writeln!(
-                f,
-                "the log is of mocad {version}, this is {ours}: differences may be changes of the program"
-            )?;
+            writeln!(f, "{}", of_another(version))?;
         }
         writeln!(
             f,
@@ -133,20 +135,29 @@ pub fn run(parts: &[PathBuf]) -> Result<Report> {
 ///
 /// # Errors
 /// As for [`run`].
-#[expect(clippy::cast_precision_loss, reason = "a share of some files")]
 pub fn run_watched(parts: &[PathBuf], progress: &mut dyn FnMut(f64)) -> Result<Report> {
     let started = Instant::now();
-    let mut replay: Option<Replay> = None;
     let mut report = Report::default();
+    match compare(parts, progress, &mut report) {
+        Ok(()) => Ok(Report { wall: started.elapsed(), ..report }),
+        Err(error) => Err(match (&report.other_version, error.downcast_ref()) {
+            (Some(version), Some(Failure::Differs { .. })) => error.context(of_another(version)),
+            _ => error,
+        }),
+    }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "a share of some files")]
+fn compare(parts: &[PathBuf], progress: &mut dyn FnMut(f64), report: &mut Report) -> Result<()> {
+    let mut replay: Option<Replay> = None;
     for (number, part) in parts.iter().enumerate() {
         let mut reader = LogReader::open(part)?;
         while let Some(record) = reader.next() {
             progress((number as f64 + reader.part_read()) / parts.len() as f64);
             match (record, &mut replay) {
                 (Record::Configuration(configuration), None) => {
-                    let ours = env!("CARGO_PKG_VERSION");
                     report.other_version =
-                        (configuration.version != ours).then(|| configuration.version.clone());
+                        (configuration.version != VERSION).then(|| configuration.version.clone());
                     replay = Some(Replay::new(&configuration)?);
                 }
                 (Record::Replay(block), Some(replay)) => {
@@ -154,7 +165,7 @@ pub fn run_watched(parts: &[PathBuf], progress: &mut dyn FnMut(f64)) -> Result<R
                         replay.last.map_or("the start".to_owned(), |(tick, _)| format!("tick {tick}"));
                     let ticks = tick_blocks::decode(&block);
                     for tick in ticks.with_context(|| format!("the block after {after} cannot be read"))? {
-                        replay.step(&tick, &mut report)?;
+                        replay.step(&tick, report)?;
                     }
                 }
                 (Record::LoopState(state), Some(replay)) => replay.begin_with(&state)?,
@@ -183,8 +194,7 @@ pub fn run_watched(parts: &[PathBuf], progress: &mut dyn FnMut(f64)) -> Result<R
     if report.compared == 0 {
         bail!("the log holds no tick that could be compared");
     }
-    report.wall = started.elapsed();
-    Ok(report)
+    Ok(())
 }
 
 struct Replay {
