@@ -531,7 +531,7 @@ fn a_base_looks_where_it_met_somebody_before_it_goes_further() {
         } else if way_m < -0.3e-3 {
             comes_m_s = limits[4].min(limits[6]);
         }
-        let held = stood_s < 0.01 || stood_s > 0.49 || looks_m_s < 0.01;
+        let held = !(0.01..0.49).contains(&stood_s) || looks_m_s < 0.01;
         assert!(held, "it would turn about him: {looks_m_s} m/s after {stood_s} s");
     }
     assert!(way_m > 0.0 && stood_s > 0.45 && stood_s < 0.6, "{way_m} m, {stood_s} s");
