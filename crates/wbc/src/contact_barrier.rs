@@ -376,7 +376,7 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             let body_n = if is_new { self.body_n(i, input) } else { T::zero() };
             let way = |place: &[T; 3]| self.outline.outward(i, place);
             let BarrierState { odometry, tracks } = &mut self.state;
-            tracks[i].wait(input.dt_s, forgotten);
+            tracks[i].wait(input.dt_s, forgotten, way(odometry.now()));
             match input.samples[i] {
                 None => tracks[i].lose(way(odometry.now())),
                 Some(sample) if is_new => {
@@ -388,6 +388,7 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             if is_new && (self.state.tracks[i].touched() || input.light[i]) {
                 self.hold(i, &input.velocity_body);
             }
+            self.look(i, input.dt_s);
             let track = &self.state.tracks[i];
             let held = self.held_limit(i, input);
             if !track.touched() {
@@ -442,15 +443,34 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
     /// where the base stands or gives way, none of them goes further out from now on.
     fn hold(&mut self, i: usize, velocity_body: &[T; 3]) {
         let stands = self.outline.outward(i, velocity_body) <= of(SLOWEST_M_S);
-        let columns = self.outline.map().columns();
-        let [x, y, _] = columns[i];
-        for (j, [other_x, other_y, _]) in columns.iter().enumerate() {
-            let same_side = x * *other_x + y * *other_y > of(SAME_SIDE);
-            if same_side && squared(&self.places[i], &self.places[j]) <= self.span_squared {
+        for j in 0..self.outline.map().taxels() {
+            if self.is_beside(i, j) {
                 let way = self.outline.outward(j, self.state.odometry.now());
-                self.state.tracks[j].hold(stands.then_some(way));
+                self.state.tracks[j].hold(stands.then_some(way), i == j);
             }
         }
+    }
+
+    /// While the base looks whether somebody still touches taxel `i`, nothing of that side goes further out, or it would
+    /// turn about who does.
+    fn look(&mut self, i: usize, dt_s: T) {
+        if !self.state.tracks[i].looks(self.outline.outward(i, self.state.odometry.now())) {
+            return;
+        }
+        for j in 0..self.outline.map().taxels() {
+            if j != i && self.is_beside(i, j) {
+                let way = self.outline.outward(j, self.state.odometry.now());
+                self.state.tracks[j].stay(way, dt_s);
+            }
+        }
+    }
+
+    /// Whether a body that touches taxel `i` may press `j` on that side of the cover too.
+    fn is_beside(&self, i: usize, j: usize) -> bool {
+        let columns = self.outline.map().columns();
+        let ([x, y, _], [other_x, other_y, _]) = (columns[i], columns[j]);
+        x * other_x + y * other_y > of(SAME_SIDE)
+            && squared(&self.places[i], &self.places[j]) <= self.span_squared
     }
 
     /// Speed outward of taxel `i` on its way to where the base goes no further, m/s.

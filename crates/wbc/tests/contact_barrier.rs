@@ -476,6 +476,72 @@ fn who_was_touched_lightly_first_is_met_again_no_faster() {
     assert!((none - 0.005).abs() < 1e-4, "who came to a base that stood is waited for: {none}");
 }
 
+/// A touch too light for a reading is a meeting too: he may be there still when he is no longer held.
+#[test]
+fn who_was_touched_lightly_alone_is_met_again_at_half_the_speed() {
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &forgets_soon()).unwrap();
+    let mut step = |u: f64, light: bool| {
+        let samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
+        let mut input = BarrierInput::new(samples, [u, 0.0, 0.0], [3.0, 3.0, 6.0], DT_S);
+        input.light[FRONT] = light;
+        barrier.update(&input).unwrap().outward_m_s[FRONT]
+    };
+    (0..100).for_each(|_| _ = step(0.024, false));
+    (0..100).for_each(|_| _ = step(0.0, true));
+    let after: Vec<f64> = (0..5000).map(|_| step(0.0, false)).collect();
+    assert!(after[..1990].iter().all(|limit| *limit <= 0.0), "held");
+    for limit in &after[2010..3990] {
+        assert!((limit - 0.012).abs() < 1e-4, "{limit}");
+    }
+    let risen = after[4500] - 0.012;
+    assert!((risen - 0.05).abs() < 1e-3, "0.1 m/s² from then on: {risen}");
+}
+
+/// From a base that has gone back a little a threshold may hide who is still there. Before it goes further than where it
+/// met him it comes up to there, and looks.
+#[test]
+fn a_base_looks_where_it_met_somebody_before_it_goes_further() {
+    let back_m = 2e-3;
+    let start = || {
+        let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &forgets_soon()).unwrap();
+        allowed_m_s(&mut barrier, std::iter::repeat_n(8.0, 50), 0.0);
+        allowed_m_s(&mut barrier, std::iter::repeat_n(8.0, 20), -0.1);
+        let held = allowed_m_s(&mut barrier, std::iter::repeat_n(0.0, 2100), 0.0);
+        assert!(held.iter().all(|limit| *limit < back_m / 0.08 + 1e-6), "{held:?}");
+        barrier
+    };
+
+    // as fast as it may, which is up to there, and half a second later on
+    let mut barrier = start();
+    let (mut u, mut way_m, mut stood_s) = (0.0, -back_m, 0.0);
+    // of the taxels beside it
+    let [mut comes_m_s, mut looks_m_s] = [0.0, 0.0];
+    for _ in 0..2000 {
+        let samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
+        let input = BarrierInput::new(samples, [u, 0.0, 0.0], [3.0, 3.0, 6.0], DT_S);
+        let limits = barrier.update(&input).unwrap().outward_m_s;
+        u = limits[FRONT].min(0.02);
+        way_m += u * DT_S;
+        if way_m > 0.0 {
+            break;
+        }
+        if way_m > -0.19e-3 {
+            stood_s += DT_S;
+            looks_m_s = limits[4].max(limits[6]);
+        } else if way_m < -0.3e-3 {
+            comes_m_s = limits[4].min(limits[6]);
+        }
+        let held = !(0.01..0.49).contains(&stood_s) || looks_m_s < 0.01;
+        assert!(held, "it would turn about him: {looks_m_s} m/s after {stood_s} s");
+    }
+    assert!(way_m > 0.0 && stood_s > 0.45 && stood_s < 0.6, "{way_m} m, {stood_s} s");
+    assert!(comes_m_s > 1.0, "nothing else held it: {comes_m_s}");
+
+    // one that does not come back need not have looked for ever
+    let later = allowed_m_s(&mut start(), std::iter::repeat_n(0.0, 2500), 0.0);
+    assert!(later[1800] < back_m / 0.08 + 1e-6 && later[2490] > 0.04, "{} {}", later[1800], later[2490]);
+}
+
 /// The limit is the body's and not a taxel's, however its force is shared; hands further apart have one each.
 #[test]
 fn a_body_that_two_taxels_feel_is_one() {

@@ -79,9 +79,11 @@ struct Equations {
     /// it stood.
     approach: f64,
     met: Option<f64>,
-    /// Step of the last reading of a touch, even of a light one, and how far outward the base goes until 2 s later, m.
+    /// Step of the last reading of a touch, even of a light one, how far outward the base goes until 2 s later, m, and
+    /// whether that time has not ended yet, longer where the base has not looked.
     felt: Option<usize>,
     far_m: Option<f64>,
+    here: bool,
 }
 
 impl Equations {
@@ -98,6 +100,7 @@ impl Equations {
             self.person -= self.person * DT_S / s.forget_s;
         }
         // before the start nothing is known; 128 places are kept
+        self.look(now);
         let taken = now + 1000 - felt.age;
         let is_new = self.taken.is_none_or(|last| taken > last);
         if is_new {
@@ -119,15 +122,26 @@ impl Equations {
         [depth_m, w, most, FOAM.force_n(eased_m).min(force_n)]
     }
 
+    /// Held for 2 s after the last touch, and until it has stood where it is held for half a second, or for 4 s.
+    fn look(&mut self, now: usize) {
+        let Some(last) = self.felt else { return };
+        let felt_s = seconds(now - last);
+        if !self.here || felt_s <= 2.0 {
+            return;
+        }
+        let there = |way_m: &&f64| self.far_m.is_some_and(|far_m| **way_m > far_m - 0.2e-3);
+        let looked_s = seconds(self.ways_m[last + 1..=now].iter().filter(there).count());
+        if looked_s >= 0.5 || felt_s >= 4.0 {
+            (self.far_m, self.here) = (None, false);
+        }
+    }
+
     /// No further outward than where the base stood or gave way at first.
     fn held_limit(&mut self, s: &BarrierSettings, felt: Felt, is_new: bool, now: usize) -> f64 {
-        if self.felt.is_none_or(|last| seconds(now - last) > 2.0) {
-            self.far_m = None;
-        }
         let way_m = self.ways_m[now];
         let stands = felt.speed <= 0.005;
         if is_new && (felt.light || !self.touch.is_empty()) {
-            self.felt = Some(now);
+            (self.felt, self.here) = (Some(now), true);
             self.far_m = self.far_m.or(stands.then_some(way_m));
         }
         let left_m = |far_m: f64| far_m - way_m - s.servo_s * felt.speed;
@@ -144,9 +158,12 @@ impl Equations {
         let interval_s = self.taken.replace(taken).map_or(f64::INFINITY, |last| seconds(taken - last));
         let gone_m = place_m - core::mem::replace(&mut self.way_m, place_m);
         let released_s = self.released_s(now);
+        let still_s = if self.here && self.far_m.is_some() { 4.0 } else { 2.0 };
         if force_n < s.touch_n {
-            if self.touch.is_empty() {
-                self.approach = if light { self.approach } else { gone_m / interval_s };
+            if self.touch.is_empty() && light {
+                self.meet(self.approach);
+            } else if self.touch.is_empty() {
+                self.approach = gone_m / interval_s;
             } else {
                 let seen = self.touch.len() > 1;
                 self.person = if seen { (self.person + self.yields).max(0.0) } else { 0.0 };
@@ -161,7 +178,7 @@ impl Equations {
         if interval_s < 0.2 {
             let before_m = match self.touch.last() {
                 Some((depth_m, _)) => *depth_m,
-                None if released_s < 2.0 => FOAM.depth_m(s.hidden_n),
+                None if released_s < still_s => FOAM.depth_m(s.hidden_n),
                 None => 0.0,
             };
             let rate = (depth_m - before_m) / interval_s;
@@ -178,14 +195,15 @@ impl Equations {
         if readings == 0 {
             let assumed = if released_s < s.forget_s { remembered } else { s.first_speed_m_s };
             self.person = self.person.max(assumed);
-            let met = (gone_m / interval_s).max(self.approach);
-            self.met = match self.met {
-                Some(before) if released_s < 2.0 => Some(before.min(met.max(0.005))),
-                None if released_s < 2.0 => Some(met.max(0.005)),
-                _ => Some(met.max(0.0)),
-            };
+            self.meet((gone_m / interval_s).max(self.approach));
         }
         self.touch.push((depth_m, force_n));
+    }
+
+    /// The least speed at which the base met who touches.
+    fn meet(&mut self, speed: f64) {
+        let before = self.met.filter(|_| self.here);
+        self.met = Some(before.map_or(speed.max(0.0), |before| before.min(speed.max(0.005))));
     }
 
     fn released_limit(&self, s: &BarrierSettings, now: usize, w: f64) -> f64 {
@@ -193,7 +211,8 @@ impl Equations {
         let creeping = s.creep_m_s + s.recovery_m_s2 * (released_s - s.creep_s).max(0.0);
         let again = self.met.map_or(f64::INFINITY, |met| {
             let slow_s = if met < 0.005 { 2.0 } else { 4.0 };
-            (0.5 * met).max(0.005) + s.recovery_m_s2 * (released_s - slow_s).max(0.0)
+            let felt_s = self.felt.map_or(f64::INFINITY, |last| seconds(now - last));
+            (0.5 * met).max(0.005) + s.recovery_m_s2 * (felt_s - slow_s).max(0.0)
         });
         let most = creeping.min(again);
         if most < 1.0 { (most - w).max(-s.retreat_m_s) } else { f64::INFINITY }

@@ -10,7 +10,12 @@ const APART_S: f64 = 0.2;
 /// After a release the foam is still recovering, and a light touch is told from none later, s. So long the base goes no
 /// further than where it stood,
 const RECOVERS_S: f64 = 2.0;
-/// and as long after it at this share of the speed at which it met somebody,
+/// and then no further than where it pressed who touched until it has stood there for so long, s: what a threshold hides
+/// of a touch that is come upon, some of so many frames show of one that rests;
+const LOOKS_S: f64 = 0.5;
+/// it stands there from so little before it on, m.
+const THERE_M: f64 = 0.2e-3;
+/// For as long again it goes on at this share of the speed at which it met somebody,
 const AGAIN: f64 = 0.5;
 /// but no slower than this, m/s; nor does a base that is slower meet anybody: he comes.
 pub(super) const SLOWEST_M_S: f64 = 0.005;
@@ -96,6 +101,9 @@ pub(super) struct Track<T> {
     /// Way outward beyond which the base does not go for who touches here or beside it, m, and time since somebody did, s.
     far: Option<T>,
     near: T,
+    /// Whether it was here, and how long the base has stood there since, s.
+    here: bool,
+    looked: T,
 }
 
 impl<T: Scalar> Track<T> {
@@ -118,6 +126,8 @@ impl<T: Scalar> Track<T> {
             blind_from: None,
             far: None,
             near: long_ago,
+            here: false,
+            looked: zero,
         }
     }
 
@@ -125,9 +135,10 @@ impl<T: Scalar> Track<T> {
         self.readings > 0
     }
 
-    /// Whether a touch ended so short a time ago that it may go on unfelt.
+    /// Whether a touch ended so short a time ago that it may go on unfelt, or that the base has not looked yet.
     pub(super) fn was_touched(&self) -> bool {
-        self.released < of(RECOVERS_S)
+        let looks = self.here && self.far.is_some();
+        self.released < of(if looks { 2.0 * RECOVERS_S } else { RECOVERS_S })
     }
 
     /// Whether who touches came to a base that stood.
@@ -144,13 +155,17 @@ impl<T: Scalar> Track<T> {
         sample.is_some_and(|sample| sample.age_s - of::<T>(0.5) * dt_s < self.since)
     }
 
-    /// Time passes: of a speed that is remembered the share `forgotten` is.
-    pub(super) fn wait(&mut self, dt_s: T, forgotten: T) {
+    /// Time passes, and the base is `way` outward: of a speed that is remembered the share `forgotten` is.
+    pub(super) fn wait(&mut self, dt_s: T, forgotten: T, way: T) {
         self.since += dt_s;
         self.released += dt_s;
         self.near += dt_s;
-        if self.near > of(RECOVERS_S) {
-            self.far = None;
+        if self.is_there(way) {
+            self.looked += dt_s;
+        }
+        let looks = self.here && self.looked < of(LOOKS_S) && self.near < of(2.0 * RECOVERS_S);
+        if self.near > of(RECOVERS_S) && !looks {
+            (self.far, self.here) = (None, false);
         }
         if !self.touched() {
             self.person -= self.person * forgotten;
@@ -164,10 +179,31 @@ impl<T: Scalar> Track<T> {
         }
     }
 
-    /// Somebody touches here or beside it; the base is `way` outward where it goes no further from now on.
-    pub(super) fn hold(&mut self, way: Option<T>) {
-        self.near = T::zero();
+    /// Somebody touches `here` or beside it; the base is `way` outward where it goes no further from now on.
+    pub(super) fn hold(&mut self, way: Option<T>, here: bool) {
+        (self.near, self.looked) = (T::zero(), T::zero());
+        self.here |= here;
         self.far = self.far.or(way);
+    }
+
+    /// The base stands `way` outward to look whether somebody still touches beside it: held over the next step.
+    pub(super) fn stay(&mut self, way: T, dt_s: T) {
+        self.near = self.near.min(of::<T>(RECOVERS_S) - (dt_s + dt_s));
+        self.far = self.far.or(Some(way));
+    }
+
+    /// Whether the base looks, `way` outward, if somebody still touches here whom nobody has felt for long.
+    pub(super) fn looks(&self, way: T) -> bool {
+        self.here && self.near > of(RECOVERS_S) && self.is_there(way)
+    }
+
+    fn is_there(&self, way: T) -> bool {
+        self.far.is_some_and(|far| way > far - of(THERE_M))
+    }
+
+    /// The base met who touches at this speed outward, m/s: the least of them, if it was here a moment ago.
+    fn meet(&mut self, speed: T) {
+        self.met = if self.here { self.met.min(speed.max(of(SLOWEST_M_S))) } else { speed.max(T::zero()) };
     }
 
     /// Way outward beyond which the base does not go, m.
@@ -188,7 +224,9 @@ impl<T: Scalar> Track<T> {
         self.since = sample.age_s;
         if sample.force_n < of(settings.touch_n) && !self.touched() {
             // what a first reading is measured against
-            if !light {
+            if light {
+                self.meet(self.approach);
+            } else {
                 self.approach = (way - self.way) / interval;
             }
             self.way = way;
@@ -197,8 +235,9 @@ impl<T: Scalar> Track<T> {
         if sample.force_n < of(settings.touch_n) {
             // one reading's speed was assumed and not seen
             let person = if self.readings > 1 { self.person_m_s() } else { T::zero() };
-            let (since, met, far, near) = (self.since, self.met, self.far, self.near);
-            *self = Self { way, since, released: T::zero(), met, person, far, near, ..Self::none() };
+            let Self { since, met, far, near, here, looked, .. } = *self;
+            let released = T::zero();
+            *self = Self { way, since, released, met, person, far, near, here, looked, ..Self::none() };
             return;
         }
         let body_n = body_n.max(sample.force_n);
@@ -211,12 +250,7 @@ impl<T: Scalar> Track<T> {
         if !self.touched() {
             self.person = self.person.max(assumed);
             // a light touch may have stopped the base before there was a reading
-            let met = ((way - self.way) / interval).max(self.approach);
-            if self.was_touched() {
-                self.met = self.met.min(met.max(of(SLOWEST_M_S)));
-            } else {
-                self.met = met.max(T::zero());
-            }
+            self.meet(((way - self.way) / interval).max(self.approach));
         }
         self.readings = self.readings.saturating_add(1);
         (self.depth, self.force, self.way) = (depth, sample.force_n, way);
@@ -269,7 +303,7 @@ impl<T: Scalar> Track<T> {
         // the base goes on to whom it met when it is no longer held
         let slow_s = if self.came() { RECOVERS_S } else { 2.0 * RECOVERS_S };
         let again = (self.met * of(AGAIN)).max(of(SLOWEST_M_S));
-        let later = (self.released - of(slow_s)).max(T::zero());
+        let later = (self.near - of(slow_s)).max(T::zero());
         let closing = creeping.min(again + of::<T>(s.recovery_m_s2) * later);
         if closing < T::one() {
             (closing - self.person_m_s()).max(of(-s.retreat_m_s))
