@@ -8,7 +8,8 @@
 //! let limits = TorqueLimits::<7, f64>::from(&Limits::for_arm(&PANDA));
 //! let mut hit = LimitsHit::NONE;
 //! let torque = limits.limited(&[50.0; 7], &[0.0; 7], 1e-3, &mut hit);
-//! assert_eq!(torque, [1.0; 7], "1000 N·m/s for a millisecond");
+//! assert_eq!(torque[..4], [1.0; 4], "1000 N·m/s for a millisecond");
+//! assert_eq!(torque[6], 12.0 / 50.0, "and the others in proportion");
 //! assert!(hit.torque_rate && hit.torque, "the wrist has 12 N·m");
 //! ```
 
@@ -80,12 +81,23 @@ impl<const N: usize, T: Scalar> From<&Limits<N>> for TorqueLimits<N, T> {
 impl<const N: usize, T: Scalar> TorqueLimits<N, T> {
     /// `wanted` inside the torque limits and no further from `last` than the rate allows, N·m. A late step may not
     /// change more than a punctual one, because the robot sees one change at one instant.
+    ///
+    /// A step that is too large for one joint is made smaller for all: what the task asks of the joints together, cut joint
+    /// by joint, would be torques that move the arm in its null space.
     pub fn limited(&self, wanted: &[T; N], last: &[T; N], dt_s: T, hit: &mut LimitsHit) -> [T; N] {
-        let change = self.change(dt_s);
+        let (change, most) = (self.change(dt_s), &self.torque);
+        let last: [T; N] = core::array::from_fn(|i| last[i].clamp(-most[i], most[i]));
+        let inside: [T; N] = core::array::from_fn(|i| clamp(wanted[i], -most[i], most[i], &mut hit.torque));
+        let largest =
+            inside.iter().zip(last).fold(T::zero(), |most, (&to, from)| most.max((to - from).abs()));
+        if largest <= change {
+            return inside;
+        }
+        hit.torque_rate = true;
+        let share = change / largest;
         core::array::from_fn(|i| {
-            let inside = clamp(wanted[i], -self.torque[i], self.torque[i], &mut hit.torque);
-            let last = last[i].clamp(-self.torque[i], self.torque[i]);
-            clamp(inside, last - change, last + change, &mut hit.torque_rate)
+            let step = ((inside[i] - last[i]) * share).clamp(-change, change);
+            (last[i] + step).clamp(-most[i], most[i])
         })
     }
 
@@ -518,6 +530,29 @@ mod tests {
         assert!(!repulsion.pushes(3, begin_low) && !repulsion.pushes(3, begin_high));
         let (up, down) = (repulsion.way(3, high - 0.2, 1.0), repulsion.way(3, high - 0.2, -1.0));
         assert!((up - 0.2).abs() < 1e-9 && (down - (high - 0.2 - low)).abs() < 1e-9, "{up}, {down}");
+    }
+
+    #[test]
+    fn a_torque_that_may_not_change_so_fast_changes_in_its_own_direction() {
+        let limits = TorqueLimits::<7, f64>::from(&Limits::for_arm(&PANDA));
+        let last = [3.0, -2.0, 0.5, 80.0, -1.0, 0.0, 4.0];
+        let way = [30.0, -12.0, 0.3, 7.0, 6.0, -2.5, 1.5];
+        let wanted: [f64; 7] = core::array::from_fn(|i| last[i] + way[i]);
+        let mut hit = LimitsHit::NONE;
+        let sent = limits.limited(&wanted, &last, 1e-3, &mut hit);
+        assert!(hit.torque_rate && !hit.torque);
+        for i in 0..7 {
+            assert!((sent[i] - last[i] - way[i] / 30.0).abs() < 1e-14, "{i}: {sent:?}");
+        }
+        // what is not too fast is what was wanted, to the bit
+        let near = last.map(|torque| torque + 0.3);
+        let mut hit = LimitsHit::NONE;
+        assert_eq!(limits.limited(&near, &last, 1e-3, &mut hit), near);
+        assert_eq!(hit, LimitsHit::NONE);
+        // a number that is none is not lost on the way to who refuses it
+        let mut bad = wanted;
+        bad[2] = f64::NAN;
+        assert!(limits.limited(&bad, &last, 1e-3, &mut LimitsHit::default())[2].is_nan());
     }
 
     #[test]

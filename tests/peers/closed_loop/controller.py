@@ -98,7 +98,8 @@ class Controller:
             torque = torque + _instead(now, refused)
         before = now.bias if self.torque_nm is None else self.torque_nm
         most = TORQUE_RATE_MAX * CONTROL_PERIOD_S
-        self.torque_nm = np.clip(torque, before - most, before + most)
+        change = torque - before
+        self.torque_nm = before + change * min(1.0, most / max(np.abs(change).max(), most))
         return Command(self.desired_velocity_body, self.torque_nm), now.flange, wanted_m
 
     def _impedance(

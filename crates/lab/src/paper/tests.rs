@@ -121,6 +121,19 @@ fn b1_iv_opposite_corners_are_pure_yaw_and_mirror_images() {
     assert!((left.base_displacement[1] + right.base_displacement[1]).abs() < 1e-3, "{left:?} {right:?}");
 }
 
+/// Two pushes of 20 N take the base far from the flange before the last two turn it: the arm is stretched when it has to make up
+/// for a base that makes room.
+#[test]
+fn b1_in_one_go_runs_through_under_the_contact_barrier() {
+    for firmware in ["moca", "stock-2018"] {
+        let assignments = ["board.model=pu-ld30", "barrier=pu-ld30", &format!("sensor.firmware={firmware}")];
+        let settings = settings(&assignments);
+        let mut rig = Rig::start(&settings, &settings.free_scene()).unwrap();
+        let outcomes = push::run(&mut rig, &settings, &pushes::pushes_b1()).unwrap();
+        assert_eq!((outcomes.len(), rig.stopped), (5, None), "{firmware}");
+    }
+}
+
 #[test]
 fn the_flange_wrench_feedforward_lets_the_base_follow_a_push_at_the_flange() {
     let sideways = Push::taxels("sideways", &[]).and_flange([0.0, 15.0, 0.0]);
