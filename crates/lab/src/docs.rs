@@ -288,7 +288,7 @@ mod tests {
         (
             "docs/results.md",
             "errors",
-            &[("go 676.727 mm in one seed and 772.963", "pushes, barrier off and on | way of the base")],
+            &[("go 724.114 mm in one seed and 800.473", "pushes, barrier off and on | way of the base")],
         ),
         ("docs/results.md", "contact", &[("at that moment leaves 19 N", "no bytes any more")]),
         (
