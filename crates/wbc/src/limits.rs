@@ -547,7 +547,7 @@ mod tests {
         // what is not too fast is what was wanted, to the bit
         let near = last.map(|torque| torque + 0.3);
         let mut hit = LimitsHit::NONE;
-        assert_eq!(limits.limited(&near, &last, 1e-3, &mut hit), near);
+        assert_eq!(limits.limited(&near, &last, 1e-3, &mut hit).map(f64::to_bits), near.map(f64::to_bits));
         assert_eq!(hit, LimitsHit::NONE);
         // a number that is none is not lost on the way to who refuses it
         let mut bad = wanted;
