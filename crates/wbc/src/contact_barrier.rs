@@ -42,9 +42,9 @@ use track::{Felt, Odometry, SLOWEST_M_S, Track};
 
 /// Share of the force limit up to which the base itself may press.
 pub const STOP_SHARE: f64 = 0.3165;
-/// Share of the force limit from which on it makes room at the person's speed: what is left to the limit is for errors
-/// of the person's estimated speed over one age.
-const YIELD_SHARE: f64 = 0.7313;
+/// Share of the depth at the force limit from which on it makes room at the person's speed: what is left to the limit is for a
+/// cover that reads a fifth too little, and for errors of the person's estimated speed over one age.
+const YIELD_SHARE: f64 = 0.8;
 /// Taxels that are no further apart may feel one body, m: half a trunk;
 const BODY_M: f64 = 0.3;
 /// and so may neighbours of a coarser cover, whose taxels have their nearest one at most this much closer.
@@ -55,6 +55,9 @@ const SAME_SIDE: f64 = 0.7;
 pub const BLIND_RETREAT_M: f64 = 0.03;
 /// and when it stops trying, s after the last of them: something is behind it.
 pub const BLIND_RETREAT_S: f64 = 0.6;
+
+/// Points of [`FoamCurve::Points`].
+pub const CURVE_POINTS: usize = 10;
 
 /// How a foam's force grows with its compression.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,6 +76,13 @@ pub enum FoamCurve {
         /// n.
         exponent: f64,
     },
+    /// Straight lines from (0, 0) through what was measured, the last one going on.
+    Points {
+        /// Compression, m, rising.
+        depth_m: [f64; CURVE_POINTS],
+        /// Force there, N, rising.
+        force_n: [f64; CURVE_POINTS],
+    },
 }
 
 impl FoamCurve {
@@ -85,6 +95,10 @@ impl FoamCurve {
             }
             Self::Power { depth_at_100n_m, exponent } => {
                 of::<T>(depth_at_100n_m) * (force / of(100.0)).powf(of(1.0 / exponent))
+            }
+            Self::Points { depth_m, force_n } => {
+                let ([from_n, from_m], m_n) = line(&force_n, &depth_m, force);
+                of::<T>(from_m) + (force - of(from_n)) * of(m_n)
             }
         }
     }
@@ -99,6 +113,10 @@ impl FoamCurve {
             }
             Self::Power { depth_at_100n_m, exponent } => {
                 of::<T>(100.0) * (depth / of(depth_at_100n_m)).powf(of(exponent))
+            }
+            Self::Points { depth_m, force_n } => {
+                let ([from_m, from_n], n_m) = line(&depth_m, &force_n, depth);
+                of::<T>(from_n) + (depth - of(from_m)) * of(n_m)
             }
         }
     }
@@ -115,6 +133,7 @@ impl FoamCurve {
                 of::<T>(100.0 * exponent / depth_at_100n_m)
                     * (depth / of(depth_at_100n_m)).powf(of(exponent - 1.0))
             }
+            Self::Points { depth_m, force_n } => of(line(&depth_m, &force_n, depth).1),
         }
     }
 
@@ -128,12 +147,35 @@ impl FoamCurve {
                 ("foam depth at 100 N", depth_at_100n_m, "m", 1e-5, 1.0),
                 ("foam exponent", exponent, "", 0.5, 10.0),
             ),
+            Self::Points { depth_m, force_n } => {
+                let (mut from_m, mut from_n) = (0.0, 0.0);
+                for (depth_m, force_n) in depth_m.into_iter().zip(force_n) {
+                    within("foam depth", depth_m, "m", from_m + 1e-6, 1.0)?;
+                    within("foam force", force_n, "N", from_n + 1e-3, 1e6)?;
+                    (from_m, from_n) = (depth_m, force_n);
+                }
+                return Ok(());
+            }
         };
         for (name, value, unit, min, max) in [first, second] {
             within(name, value, unit, min, max)?;
         }
         Ok(())
     }
+}
+
+/// Where the straight line begins that leads over `x` (point of `xs` and `ys`), and how steep it is.
+fn line<T: Scalar>(xs: &[f64; CURVE_POINTS], ys: &[f64; CURVE_POINTS], x: T) -> ([f64; 2], f64) {
+    let mut from = [0.0; 2];
+    let mut slope = 0.0;
+    for (to_x, to_y) in xs.iter().zip(ys) {
+        slope = (to_y - from[1]) / (to_x - from[0]);
+        if x <= of(*to_x) {
+            break;
+        }
+        from = [*to_x, *to_y];
+    }
+    (from, slope)
 }
 
 /// What the barrier knows of cover and base, and how it acts. SI units. [`Self::new`] gives what was measured with a
@@ -160,7 +202,8 @@ pub struct BarrierSettings {
     pub damping_s: f64,
     /// Share η of the base's deceleration that is counted on.
     pub braking_share: f64,
-    /// Time over which estimates of the person's speed are averaged, s: a fast board's readings are each little to go by.
+    /// Time over which estimates of the person's speed are averaged, s: a fast board's readings are each little to go by, and a
+    /// slow one's are as late as that.
     pub speed_s: f64,
     /// Stiffness of the softest body that is counted on, N/m: it yields beside the foam, which so shows less of its speed.
     pub softest_n_m: f64,
@@ -208,15 +251,15 @@ impl BarrierSettings {
             touch_n: 1.0,
             hidden_n: 1.0,
             stop_m: foam.depth_m(STOP_SHARE * force_limit_n),
-            yield_m: foam.depth_m(YIELD_SHARE * force_limit_n),
+            yield_m: YIELD_SHARE * foam.depth_m(force_limit_n),
             response_s: 0.08,
             servo_s,
             damping_s: 0.05,
             braking_share: 0.7,
-            speed_s: 0.035,
+            speed_s: 0.06,
             softest_n_m: 5e3,
             speed_noise_m_s: 0.01,
-            forget_s: 0.3,
+            forget_s: 1.0,
             first_speed_m_s: 0.1,
             fastest_person_m_s: 0.6,
             retreat_m_s: 0.3,
@@ -225,6 +268,11 @@ impl BarrierSettings {
             recovery_m_s2: 0.1,
             reach_m: [0.25, 0.35],
         })
+    }
+
+    /// What presses the foam as deep as a reading says, N.
+    fn pressed_n<T: Scalar>(&self, reading_n: T) -> T {
+        self.foam.force_n(self.reading.depth_m(reading_n))
     }
 }
 
@@ -391,26 +439,26 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             self.look(i, input.dt_s);
             let track = &self.state.tracks[i];
             let held = self.held_limit(i, input);
-            if !track.touched() {
+            if track.touched() {
+                let way_now = self.outline.outward(i, self.state.odometry.now());
+                let depth = track.depth_now(way_now);
+                limits.depth_m[i] = depth;
+                limits.person_m_s[i] = track.person_m_s();
+                let relative = self.outline.outward(i, &input.velocity_body) + track.person_m_s();
+                let leaving = relative + of(self.settings.speed_noise_m_s);
+                let eased = depth + of::<T>(self.settings.damping_s) * leaving.min(T::zero());
+                limits.force_n[i] = track.believed_n(&self.settings.foam, eased);
+                limits.outward_m_s[i] = match input.samples[i] {
+                    None => {
+                        let most = track.blind_limit(&self.settings, way_now);
+                        limits.backs_off |= most < T::zero();
+                        most
+                    }
+                    Some(_) => self.touched_limit(i, depth, input).min(held),
+                };
+            } else {
                 limits.outward_m_s[i] = track.released_limit(&self.settings).min(held);
-                continue;
             }
-            let way_now = self.outline.outward(i, self.state.odometry.now());
-            let depth = track.depth_now(way_now);
-            limits.depth_m[i] = depth;
-            limits.person_m_s[i] = track.person_m_s();
-            let relative = self.outline.outward(i, &input.velocity_body) + track.person_m_s();
-            let leaving = relative + of(self.settings.speed_noise_m_s);
-            let eased = depth + of::<T>(self.settings.damping_s) * leaving.min(T::zero());
-            limits.force_n[i] = track.believed_n(&self.settings.reading, eased);
-            limits.outward_m_s[i] = match input.samples[i] {
-                None => {
-                    let most = track.blind_limit(&self.settings, way_now);
-                    limits.backs_off |= most < T::zero();
-                    most
-                }
-                Some(_) => self.touched_limit(i, depth, input).min(held),
-            };
             if limits.outward_m_s[i] < T::zero() {
                 limits.carried = limits.carried.max(self.carried(i, input.stretch_body_m));
             }
@@ -486,19 +534,19 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
     /// No more than twice what the taxel feels itself: of two that share a body one feels half, and two hands so look no
     /// more than twice as stiff.
     fn body_n(&self, i: usize, input: &BarrierInput<K, T>) -> T {
-        let own = input.samples[i].map_or(T::zero(), |sample| sample.force_n);
-        if own < of(self.settings.touch_n) {
-            return T::zero();
-        }
+        let felt = |j: usize| {
+            input.samples[j].map(|sample| sample.force_n).filter(|n| *n >= of(self.settings.touch_n))
+        };
+        let Some(own) = felt(i).map(|n| self.settings.pressed_n(n)) else { return T::zero() };
         let mut all = own;
         for j in (0..self.outline.map().taxels()).filter(|j| *j != i) {
             if squared(&self.places[i], &self.places[j]) > self.span_squared {
                 continue;
             }
-            let felt =
-                input.samples[j].map(|sample| sample.force_n).filter(|n| *n >= of(self.settings.touch_n));
             let hidden = input.light[j] || self.state.tracks[j].was_touched();
-            all += felt.unwrap_or(if hidden { of(self.settings.hidden_n) } else { T::zero() });
+            if let Some(n) = felt(j).or_else(|| hidden.then(|| of(self.settings.hidden_n))) {
+                all += self.settings.pressed_n(n);
+            }
         }
         all.min(own + own)
     }

@@ -563,6 +563,18 @@ fn a_body_that_two_taxels_feel_is_one() {
     assert!((allowed(&PAPER_COVER, &[(1, 16.0), (FRONT, 16.0)])[1] - alone).abs() < 1e-12);
     assert!((allowed(&PAPER_COVER, &[(1, 16.0), (3, 16.0)])[1] - alone).abs() < 1e-12, "0.49 m");
     assert!(allowed(&PAPER_COVER, &[(1, 16.0), (2, 16.0)])[1] < alone - 0.005, "neighbours");
+    // forces on a foam add, readings of another one do not: only their sum is as deep as the body
+    let stiff = FoamCurve::Hyperbolic { stiffness_n_m: 4210.0, thickness_m: 0.012 };
+    let settings_of_stiff = BarrierSettings::new(FOAM, stiff, 25.0, SERVO_S).unwrap();
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings_of_stiff).unwrap();
+    let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
+    (samples[4], samples[FRONT]) =
+        (Some(TaxelSample { force_n: 9.0, age_s: 0.0 }), Some(TaxelSample { force_n: 6.0, age_s: 0.0 }));
+    let limits = barrier.update(&BarrierInput::new(samples, [0.0; 3], [3.0; 3], DT_S)).unwrap();
+    let [more_n, less_n] = [9.0, 6.0].map(|reading_n| stiff.force_n::<f64>(FOAM.depth_m(reading_n)));
+    for (taxel, body_n) in [(4, more_n + less_n), (FRONT, 2.0 * less_n)] {
+        assert!((limits.depth_m[taxel] - stiff.depth_m(body_n)).abs() < 1e-12, "{:?}", limits.depth_m);
+    }
     // neighbours of a coarse cover are further apart
     let coarse = [-0.5, 0.0, 0.6].map(|y| TaxelPlacement { position_base_m: [0.5, y], ..PAPER_COVER[FRONT] });
     let alone = allowed(&coarse, &[(1, 16.0)])[1];
@@ -741,6 +753,19 @@ fn who_comes_further_than_the_arm_reaches_takes_the_tool_along() {
         let carried = barrier.update(&input).unwrap().carried;
         assert!((carried - share).abs() < 1e-9, "{force_n} N, {ahead_m} m: {carried}");
     }
+    // who was given room and has let go is believed to walk on: while the base gives way the tool still comes along
+    let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
+    let mut input = BarrierInput::new([None; 11], [0.0; 3], [3.0; 3], DT_S);
+    input.stretch_body_m = [0.4, 0.0];
+    for step in 0..1500 {
+        let force_n = if step < 100 { 0.22 * f64::from(step) } else { 0.0 };
+        input.samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
+        input.samples[FRONT] = Some(TaxelSample { force_n, age_s: 0.0 });
+        let limits = barrier.update(&input).unwrap();
+        let gives_way = limits.outward_m_s[FRONT] < 0.0;
+        assert!(gives_way || !(100..300).contains(&step), "{step}: {limits:?}");
+        assert_eq!(limits.carried > 0.0, gives_way, "{step}: {limits:?}");
+    }
 }
 
 #[test]
@@ -767,17 +792,55 @@ fn what_is_no_number_changes_nothing() {
     }
 }
 
+/// A millimetre and twice as much force as the last millimetre took, point by point.
+const POINTS: FoamCurve = FoamCurve::Points {
+    depth_m: [0.001, 0.002, 0.003, 0.004, 0.005, 0.006, 0.007, 0.008, 0.009, 0.010],
+    force_n: [1.0, 3.0, 7.0, 15.0, 31.0, 63.0, 127.0, 255.0, 511.0, 1023.0],
+};
+
+#[test]
+fn between_points_a_foam_is_straight_and_goes_on_beyond_them() {
+    for (depth_m, force_n) in [
+        (-0.001, 0.0),
+        (0.0, 0.0),
+        (0.0005, 0.5),
+        (0.001, 1.0),
+        (0.0045, 23.0),
+        (0.010, 1023.0),
+        (0.011, 1535.0),
+    ] {
+        assert!((POINTS.force_n::<f64>(depth_m) - force_n).abs() < 1e-9, "{depth_m} m");
+        assert!((POINTS.depth_m::<f64>(force_n) - depth_m.max(0.0)).abs() < 1e-12, "{force_n} N");
+    }
+    assert!((POINTS.slope_n_m(0.0005_f64) - 1e3).abs() < 1e-6);
+    assert!((POINTS.slope_n_m(0.011_f64) - 512e3).abs() < 1e-6);
+    assert!(BarrierSettings::new(POINTS, POINTS, 25.0, SERVO_S).is_ok());
+    let FoamCurve::Points { depth_m: points_m, force_n } = POINTS else { unreachable!() };
+    for (i, value) in [(0, 0.0), (3, 0.003), (9, f64::NAN), (9, 1.5)] {
+        let mut depth_m = points_m;
+        depth_m[i] = value;
+        let error =
+            BarrierSettings::new(FoamCurve::Points { depth_m, force_n }, FOAM, 25.0, SERVO_S).unwrap_err();
+        assert_eq!((error.name, error.unit), ("foam depth", "m"), "{i}: {value}");
+        let mut falling = force_n;
+        falling[i] = 1e3 * value;
+        let curve = FoamCurve::Points { depth_m: points_m, force_n: falling };
+        let refused = BarrierSettings::new(FOAM, curve, 25.0, SERVO_S).is_err_and(|e| e.name == "foam force");
+        assert_eq!(refused, i != 9 || value.is_nan(), "{i}: {}", 1e3 * value);
+    }
+}
+
 #[test]
 fn a_foam_read_backwards_is_itself() {
     let stock = FoamCurve::Power { depth_at_100n_m: 0.0114, exponent: 1.586 };
-    for curve in [FOAM, stock] {
+    for curve in [FOAM, stock, POINTS] {
         for force in [0.0_f64, 0.5, 5.0, 25.0, 130.0] {
             assert!((curve.force_n(curve.depth_m(force)) - force).abs() < 1e-9 * (1.0 + force));
         }
     }
     assert!((FOAM.depth_m(25.0_f64) - 0.0066).abs() < 5e-5);
-    for curve in [FOAM, stock] {
-        for depth_m in [1e-4_f64, 2e-3, 9e-3] {
+    for curve in [FOAM, stock, POINTS] {
+        for depth_m in [1e-4_f64, 2.2e-3, 9.5e-3, 0.012] {
             let rise = (curve.force_n(depth_m + 1e-8) - curve.force_n(depth_m - 1e-8)) / 2e-8;
             assert!((curve.slope_n_m(depth_m) / rise - 1.0).abs() < 1e-5, "{curve:?} {depth_m}: {rise}");
         }

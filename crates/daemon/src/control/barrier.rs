@@ -6,8 +6,10 @@ use crate::robot::{CoverTable, FoamKind, JOINTS, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_ROWS;
 use moca_msgs::robot::resized;
 use moca_msgs::{ContactRow, ParameterError, RobotState, TaxelStatus};
+use moca_tactile::model::{FoamMemory, TaxelModel};
 use moca_wbc::contact_barrier::{
-    BarrierInput, BarrierSettings, BarrierState, ContactBarrier, ContactLimits, FoamCurve, TaxelSample,
+    BarrierInput, BarrierSettings, BarrierState, CURVE_POINTS, ContactBarrier, ContactLimits, FoamCurve,
+    TaxelSample,
 };
 use moca_wbc::{ArmModel, ControlError, FlangePose};
 use serde::{Deserialize, Serialize};
@@ -153,13 +155,38 @@ fn to_base([x, y]: [f64; 2], robot: &RobotState<JOINTS>) -> [f64; 2] {
     [cos * x + sin * y, cos * y - sin * x]
 }
 
-/// PU LD30 pressed for some seconds; an uncalibrated cover is read with it.
-const PU_LD30: FoamCurve = power(0.0114, 1.586);
+/// Readings of a PU LD30 that is not calibrated: how close the plates are when [`TaxelModel::PU_LD30`] says a force. What the
+/// foam remembers is in that model, and not in the plates' distance, so no law of the foam leads back from one to the other.
+fn read_as_pu_ld30() -> FoamCurve {
+    let memory = &mut FoamMemory::default();
+    let depth_m = READ_AT.map(|counts| {
+        let nearer = counts / (IDLE_COUNTS - counts) / SENSITIVITY;
+        GAP_M * nearer / (1.0 + nearer)
+    });
+    FoamCurve::Points {
+        depth_m,
+        force_n: READ_AT.map(|counts| TaxelModel::PU_LD30.force_n(memory, counts, 0.0)),
+    }
+}
 
-/// How a foam yields that is pressed for some seconds, as at a calibration.
+/// Counts at which it is looked up: closer together than the model's knots, between which the plates' distance bends.
+const READ_AT: [f64; CURVE_POINTS] = [2.0, 4.0, 6.0, 8.0, 12.0, 17.0, 29.0, 45.0, 68.0, 85.0];
+/// Counts of an untouched taxel, its plates' distance, m, and what is not fringe and wire of its capacitance: the paper's
+/// Table I, with which [`TaxelModel::PU_LD30`] was fitted.
+const IDLE_COUNTS: f64 = 720.0;
+const GAP_M: f64 = 0.015;
+const SENSITIVITY: f64 = 0.041_71;
+
+/// Readings of a cover that is calibrated, by loading and unloading pooled: those of PU LD30 are like its own, and deeper
+/// than they are where hysteresis is compensated for.
+fn read_as(cover: &CoverTable) -> FoamCurve {
+    if cover.foam == FoamKind::PuLd30 { read_as_pu_ld30() } else { pressed(cover) }
+}
+
+/// How a foam yields that is pressed for some seconds.
 pub(crate) const fn pressed(cover: &CoverTable) -> FoamCurve {
     match cover.foam {
-        FoamKind::PuLd30 => PU_LD30,
+        FoamKind::PuLd30 => power(0.0114, 1.586),
         FoamKind::Cc => power(0.0114, 0.774),
         FoamKind::Pe5 => power(0.0030, 1.0),
         FoamKind::Pe3 => power(0.0029, 1.0),
@@ -191,10 +218,10 @@ fn curves(config: &Config) -> Option<(FoamCurve, FoamCurve)> {
     let cover = &config.robot.cover;
     let calibrated = !config.board.calibration.is_empty();
     let reading = match config.protection.contact_barrier {
-        BarrierReadings::Auto => calibrated.then(|| pressed(cover))?,
+        BarrierReadings::Auto => calibrated.then(|| read_as(cover))?,
         BarrierReadings::Off => return None,
         BarrierReadings::Foam => pressed(cover),
-        BarrierReadings::PuLd30 => PU_LD30,
+        BarrierReadings::PuLd30 => read_as_pu_ld30(),
     };
     Some((reading, struck(cover)))
 }
@@ -268,6 +295,34 @@ mod tests {
         config.protection.force_limit_n = 1.5 * one_n;
         assert!(travel_m(&config, 1).unwrap() > 0.0);
         assert_eq!(travel_m(&config, 2), Some(0.0), "nothing is left: the base stands");
+    }
+
+    #[cfg(feature = "sim")]
+    #[test]
+    fn a_reading_of_pu_ld30_says_how_close_the_plates_are() {
+        use moca_sim::foam::Foam;
+        let mut config = Config::default();
+        config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
+        let assumed = curves(&config).unwrap().0;
+        config.set("protection.contact_barrier", &"auto".into()).unwrap();
+        config.board.calibration = "cover.toml".into();
+        assert_eq!(curves(&config).unwrap().0, assumed, "a calibration of the same foam");
+        let pressed = pressed(&config.robot.cover);
+        let mut worst_pressed = 0.0_f64;
+        for tenths in 5..=115 {
+            let depth_m = 1e-4 * f64::from(tenths);
+            let counts = Foam::PU_LD30.counts_drop(depth_m);
+            let reading_n = TaxelModel::PU_LD30.force_n(&mut FoamMemory::default(), counts, 0.0);
+            let off_m = assumed.depth_m(reading_n) - depth_m;
+            assert!(off_m.abs() < 0.1e-3, "{depth_m} m: {off_m} m off at {reading_n} N");
+            worst_pressed = worst_pressed.min(pressed.depth_m(reading_n) - depth_m);
+        }
+        assert!(
+            worst_pressed < -0.5e-3,
+            "by the foam under a steady force it would be {worst_pressed} m off"
+        );
+        config.set("robot.cover.foam", &"cc".into()).unwrap();
+        assert_eq!(curves(&config).unwrap().0, super::pressed(&config.robot.cover));
     }
 
     #[cfg(feature = "sim")]

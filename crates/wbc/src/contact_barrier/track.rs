@@ -65,7 +65,7 @@ pub(super) struct Felt<T> {
     pub(super) sample: TaxelSample<T>,
     /// A touch too light for a reading.
     pub(super) light: bool,
-    /// Force on all of the body, N.
+    /// Force on all of the body, N, by the foam.
     pub(super) body_n: T,
     /// How far outward the base was when it was taken, m.
     pub(super) way: T,
@@ -77,11 +77,11 @@ pub(super) struct Felt<T> {
 pub(super) struct Track<T> {
     /// Readings since the touch began; 0: nothing touches.
     readings: u8,
-    /// Compression at the last reading, m, its force, N, as a share of the body's, and the way outward that the base had
-    /// gone then, m.
+    /// Compression at the last reading, m, the reading itself and the force on all of the body, N, and the way outward
+    /// that the base had gone then, m.
     depth: T,
     force: T,
-    share: T,
+    body_n: T,
     way: T,
     /// Estimate of the person's speed, m/s; after a release what is still remembered of it.
     person: T,
@@ -114,7 +114,7 @@ impl<T: Scalar> Track<T> {
             readings: 0,
             depth: zero,
             force: zero,
-            share: T::one(),
+            body_n: zero,
             way: zero,
             person: zero,
             rate: zero,
@@ -240,8 +240,7 @@ impl<T: Scalar> Track<T> {
             *self = Self { way, since, released, met, person, far, near, here, looked, ..Self::none() };
             return;
         }
-        let body_n = body_n.max(sample.force_n);
-        let depth = settings.reading.depth_m(body_n);
+        let depth = settings.foam.depth_m(body_n);
         let known = self.released < of(settings.forget_s);
         let assumed = if known { self.person } else { of(settings.first_speed_m_s) };
         if interval < of(APART_S) {
@@ -253,8 +252,7 @@ impl<T: Scalar> Track<T> {
             self.meet(((way - self.way) / interval).max(self.approach));
         }
         self.readings = self.readings.saturating_add(1);
-        (self.depth, self.force, self.way) = (depth, sample.force_n, way);
-        self.share = if body_n > sample.force_n { sample.force_n / body_n } else { T::one() };
+        (self.depth, self.force, self.body_n, self.way) = (depth, sample.force_n, body_n, way);
     }
 
     /// The person's speed: what the compression has gained that the base has not gone.
@@ -271,7 +269,7 @@ impl<T: Scalar> Track<T> {
         let raw = rate - (way - self.way) / interval;
         // Readings are averaged. What the first one had to assume is replaced by the second where the base itself moved, and
         // counts like any other where it stood: who touches it then has come.
-        let recent = interval / (interval + of(settings.speed_s));
+        let recent = interval / interval.max(of(settings.speed_s));
         let seen = self.readings.saturating_add(u8::from(self.came())).max(1);
         let weight = recent.max(T::one() / of(f64::from(seen)));
         let person = self.person + weight * (raw - self.person);
@@ -290,9 +288,9 @@ impl<T: Scalar> Track<T> {
         self.depth + way - self.way + self.person_m_s() * self.since
     }
 
-    /// Force that a law may count on, N: never more than was felt.
-    pub(super) fn believed_n(&self, reading: &FoamCurve, depth: T) -> T {
-        (self.share * reading.force_n(depth)).min(self.force)
+    /// Force that a law may count on at this compression, N: a reading shrinks as the foam's force does, and was never more.
+    pub(super) fn believed_n(&self, foam: &FoamCurve, depth: T) -> T {
+        self.force * (foam.force_n(depth) / self.body_n).min(T::one())
     }
 
     /// Speed outward after a release, m/s: who walked into the base, and got more room than was needed, may still be
