@@ -52,6 +52,7 @@ macro_rules! scalar {
             const KEPT: Self = 64.0 * Self::EPSILON;
             const LOOSE: Self = $loose;
 
+            #[inline]
             fn root_of(x: Self) -> Self {
                 $root(x)
             }
@@ -67,18 +68,15 @@ macro_rules! scalar {
 scalar!(f32, root: libm::sqrtf, loose: 1e-4);
 scalar!(f64, root: libm::sqrt, loose: 1e-9);
 
-/// a·b, summed in two halves, which a processor can do side by side.
+/// a·b, summed in four parts, which a processor can do side by side.
 #[inline]
 pub(crate) fn dot<const N: usize, T: Scalar>(a: &[T; N], b: &[T; N]) -> T {
-    let (mut even, mut odd) = (T::NOTHING, T::NOTHING);
-    for i in 0..N / 2 {
-        even += a[2 * i] * b[2 * i];
-        odd += a[2 * i + 1] * b[2 * i + 1];
+    let mut parts = [T::NOTHING; 4];
+    for i in 0..N {
+        let product = a[i] * b[i];
+        parts[i % 4] = if i < 4 { product } else { parts[i % 4] + product };
     }
-    if N % 2 == 1 {
-        even += a[N - 1] * b[N - 1];
-    }
-    even + odd
+    (parts[0] + parts[2]) + (parts[1] + parts[3])
 }
 
 /// y + f·x.
