@@ -2,17 +2,16 @@
 
 use crate::scalar::{Scalar, add_scaled, dot};
 
-/// J = L⁻ᵀQ and R with L⁻¹A_W = Q₁R: A_W are the inward normals of the active rows as columns, H = LLᵀ. The first
+/// J = L⁻ᵀQ and S = R⁻¹ with L⁻¹A_W = Q₁R: A_W are the inward normals of the active rows as columns, H = LLᵀ. The first
 /// `count` columns of J span the active rows in the metric, the others the directions that move along them.
-/// Goldfarb, Idnani 1983, section 4.
+/// Goldfarb, Idnani 1983, section 4; but R is kept as its inverse and need not be triangular, so that a row comes and
+/// goes by one reflection each, and a step is products with vectors, none of which waits for another's division.
 #[derive(Clone, Copy)]
 pub(crate) struct Factor<const N: usize, T> {
     /// Columns.
     j: [[T; N]; N],
-    /// Columns, upper triangular.
-    r: [[T; N]; N],
-    /// 1/R_ii.
-    inverse: [T; N],
+    /// Columns; zero outside the first `count` rows and columns.
+    s: [[T; N]; N],
     /// ‖L⁻¹a‖² of each active row.
     squared: [T; N],
     pub(crate) count: usize,
@@ -35,84 +34,69 @@ impl<const N: usize, T: Scalar> Factor<N, T> {
     /// No rows; `j` = L⁻ᵀ as columns.
     pub(crate) fn new(j: &[[T; N]; N]) -> Self {
         let zero = [T::NOTHING; N];
-        Self { j: *j, r: [zero; N], inverse: zero, squared: zero, count: 0 }
+        Self { j: *j, s: [zero; N], squared: zero, count: 0 }
     }
 
+    #[inline]
     pub(crate) fn step(&self, normal: &[T; N]) -> Step<N, T> {
         let d: [T; N] = core::array::from_fn(|c| dot(&self.j[c], normal));
-        let mut step =
-            Step { d, primal: [T::NOTHING; N], dual: [T::NOTHING; N], squared: T::NOTHING, left: T::NOTHING };
-        for c in self.count..N {
-            add_scaled(&mut step.primal, d[c], &self.j[c]);
-            step.left += d[c] * d[c];
+        let free = &d[self.count..];
+        Step {
+            primal: combined(&self.j[self.count..], free),
+            dual: combined(&self.s[..self.count], &d),
+            squared: dot(&d, &d),
+            left: free.iter().fold(T::NOTHING, |left, d| left + *d * *d),
+            d,
         }
-        step.squared = step.left;
-        for c in 0..self.count {
-            step.squared += d[c] * d[c];
-        }
-        step.dual = self.solve(d);
-        step
     }
 
-    /// R⁻¹ of the first `count` entries.
-    fn solve(&self, mut d: [T; N]) -> [T; N] {
-        for c in (0..self.count).rev() {
-            d[c] *= self.inverse[c];
-            for i in 0..c {
-                d[i] -= self.r[c][i] * d[c];
-            }
-        }
-        d
+    /// Whether the new row of `step` pulls at active row `i` by more than rounding.
+    #[inline]
+    pub(crate) fn coupled(&self, step: &Step<N, T>, i: usize) -> bool {
+        step.dual[i] * step.dual[i] * self.squared[i] > T::KEPT * T::KEPT * step.squared
     }
 
-    /// How strongly the new row of `step` pulls at active row `i`: cosine-like, squared and without unit.
-    pub(crate) fn coupling_squared(&self, step: &Step<N, T>, i: usize) -> T {
-        step.dual[i] * step.dual[i] * self.squared[i] / step.squared
-    }
-
-    /// Takes up the row of `step`: one Householder reflection of the free columns.
+    /// Takes up the row of `step`: one reflection of the free columns.
+    #[inline]
     pub(crate) fn add(&mut self, step: &Step<N, T>) {
         let q = self.count;
-        let mut column = step.d;
         let length = T::root_of(step.left);
         let alpha = if step.d[q] > T::NOTHING { -length } else { length };
-        // v = d₂ − αe₁, J₂v = primal − α·(first column)
-        let denominator = step.left - alpha * step.d[q];
+        let inverse = T::UNIT / alpha;
+        // v = d₂ − αe₁, J₂v = primal − α·(first column), 2/vᵀv = 1/(d₂ᵀd₂ − αd₂₁)
+        let scale = T::UNIT / (step.left - alpha * step.d[q]);
+        let mut v = step.d;
+        v[q] -= alpha;
         let mut image = step.primal;
         add_scaled(&mut image, -alpha, &self.j[q]);
-        for c in q..N {
-            let v = if c == q { step.d[c] - alpha } else { step.d[c] };
-            add_scaled(&mut self.j[c], -(v / denominator), &image);
+        for (column, v) in self.j[q..].iter_mut().zip(&v[q..]) {
+            add_scaled(column, -(*v * scale), &image);
         }
-        column[q] = alpha;
-        self.r[q] = column;
-        self.inverse[q] = T::UNIT / alpha;
+        self.s[q] = step.dual.map(|dual| -(dual * inverse));
+        self.s[q][q] = inverse;
         self.squared[q] = step.squared;
         self.count += 1;
     }
 
-    /// Lets go of active row `k`: Givens rotations close the gap in R.
+    /// Lets go of active row `k`: one reflection of the active columns turns its row of S into the last axis.
+    #[inline]
     pub(crate) fn drop_row(&mut self, k: usize) {
         self.count -= 1;
-        for c in k..self.count {
-            self.r[c] = self.r[c + 1];
-            self.squared[c] = self.squared[c + 1];
+        let last = self.count;
+        let mut v: [T; N] = core::array::from_fn(|c| self.s[c][k]);
+        let squared = dot(&v, &v);
+        let length = T::root_of(squared);
+        let alpha = if v[last] > T::NOTHING { -length } else { length };
+        let scale = T::UNIT / (squared - alpha * v[last]);
+        v[last] -= alpha;
+        let (along_j, along_s) = (combined(&self.j[..last + 1], &v), combined(&self.s[..last + 1], &v));
+        for c in 0..last + 1 {
+            add_scaled(&mut self.j[c], -(v[c] * scale), &along_j);
+            add_scaled(&mut self.s[c], -(v[c] * scale), &along_s);
+            replace_by_last(&mut self.s[c], k, last);
         }
-        for c in k..self.count {
-            let (a, b) = (self.r[c][c], self.r[c][c + 1]);
-            let length = T::root_of(a * a + b * b);
-            let inverse = T::UNIT / length;
-            let (cos, sin) = (a * inverse, b * inverse);
-            self.inverse[c] = inverse;
-            for column in &mut self.r[c..self.count] {
-                let (a, b) = (column[c], column[c + 1]);
-                (column[c], column[c + 1]) = (cos * a + sin * b, cos * b - sin * a);
-            }
-            for i in 0..N {
-                let (a, b) = (self.j[c][i], self.j[c + 1][i]);
-                (self.j[c][i], self.j[c + 1][i]) = (cos * a + sin * b, cos * b - sin * a);
-            }
-        }
+        self.s[last] = [T::NOTHING; N];
+        replace_by_last(&mut self.squared, k, last);
     }
 
     /// The active row whose multiplier is negative by more than rounding, and by most.
@@ -129,18 +113,28 @@ impl<const N: usize, T: Scalar> Factor<N, T> {
         at.filter(|_| pull > T::KEPT * T::KEPT * push)
     }
 
-    /// The point nearest to `target` *on* the active rows that it misses by `missing`, and their multipliers.
-    pub(crate) fn on_rows(&self, target: &[T; N], missing: &[T; N]) -> ([T; N], [T; N]) {
-        let mut y = [T::NOTHING; N];
-        let mut x = *target;
-        for c in 0..self.count {
-            let mut sum = missing[c];
-            for i in 0..c {
-                sum -= self.r[c][i] * y[i];
-            }
-            y[c] = sum * self.inverse[c];
-            add_scaled(&mut x, y[c], &self.j[c]);
-        }
-        (x, self.solve(y))
+    /// What moves x by the least in the metric so that each active row goes inward by its share of `missing`, and the
+    /// multipliers of that.
+    #[inline]
+    pub(crate) fn onto_rows(&self, missing: &[T; N]) -> ([T; N], [T; N]) {
+        let y: [T; N] = core::array::from_fn(|c| dot(&self.s[c], missing));
+        (combined(&self.j[..self.count], &y), combined(&self.s[..self.count], &y))
     }
+}
+
+/// Σ factor · column.
+#[inline]
+fn combined<const N: usize, T: Scalar>(columns: &[[T; N]], factors: &[T]) -> [T; N] {
+    let mut sum = [T::NOTHING; N];
+    for (column, factor) in columns.iter().zip(factors) {
+        add_scaled(&mut sum, *factor, column);
+    }
+    sum
+}
+
+/// Entry `last`, the last that is not zero, takes the place of entry `k`.
+#[inline]
+pub(crate) fn replace_by_last<const N: usize, T: Scalar>(values: &mut [T; N], k: usize, last: usize) {
+    values[k] = values[last];
+    values[last] = T::NOTHING;
 }

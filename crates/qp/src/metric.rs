@@ -1,12 +1,14 @@
 //! The cost, and the search for the least of it.
 
-use crate::factor::{Factor, Step};
+use crate::factor::{Factor, Step, replace_by_last};
 use crate::row::Row;
 use crate::scalar::{Scalar, add_scaled, dot, is_number};
 use crate::solution::{Active, QpError, Side, Solution, WorkingSet};
 
 /// Most iterations for each variable and each row.
 const ITERATIONS: usize = 4;
+/// Rows whose weights are kept; those of further rows are computed each time.
+const WEIGHTED: usize = 128;
 
 /// A quadratic cost ½(x − target)ᵀH(x − target), factored once: H is the metric in which a solution is nearest.
 ///
@@ -31,7 +33,12 @@ struct Search<'a, const N: usize, T> {
     target: &'a [T; N],
     factor: Factor<N, T>,
     x: [T; N],
-    active: [Active<T>; N],
+    /// By which a row's violation is multiplied when they are compared: 0 for active ones, else about 1/‖normal‖.
+    /// Borrowed, because it would be copied when the rest is put in its place.
+    weights: &'a mut [T; WEIGHTED],
+    active: [(usize, Side); N],
+    /// Zero where nothing is active.
+    multipliers: [T; N],
     iterations: usize,
     /// Share of its terms by which a row may be outside. Grows only where no step can do better.
     kept: T,
@@ -133,49 +140,42 @@ impl<const N: usize, T: Scalar> Metric<N, T> {
         if let Some(index) = target.iter().position(|value| !is_number(*value)) {
             return Err(QpError::NotFinite { what: "target", index });
         }
-        if !rows.iter().fold(true, |fine, row| fine & row.makes_sense()) {
-            let wrong = rows.iter().enumerate().find(|(_, row)| !row.makes_sense());
-            return wrong
-                .map_or(Err(QpError::NotFinite { what: "row", index: 0 }), |(i, row)| Err(row.error(i)));
-        }
-        match self.search(target, rows, from) {
-            // rows that are nearly dependent may be a bad place to start from
-            Err(_) if from.count > 0 => self.search(target, rows, &WorkingSet::EMPTY),
-            result => result,
-        }
-    }
-
-    fn search(
-        &self,
-        target: &[T; N],
-        rows: &[Row<N, T>],
-        from: &WorkingSet<N>,
-    ) -> Result<Solution<N, T>, QpError> {
         let mut search = Search {
             rows,
             target,
             factor: Factor::new(&self.inverse_factor),
             x: *target,
-            active: [Active { row: 0, side: Side::Lower, multiplier: T::NOTHING }; N],
+            weights: &mut [T::NOTHING; WEIGHTED],
+            active: [(0, Side::Lower); N],
+            multipliers: [T::NOTHING; N],
             iterations: 0,
             kept: T::KEPT,
         };
-        search.resume(from);
-        loop {
-            while let Some((row, side)) = search.worst() {
-                search.take_up(row, side)?;
-            }
-            if search.iterations < 2 || search.settle() == Settled::Near {
-                break;
-            }
-            search.count()?;
+        search.weigh()?;
+        let mut ended = search.run(from);
+        if ended.is_err() && from.count > 0 {
+            // rows that are nearly dependent may be a bad place to start from
+            search = Search {
+                factor: Factor::new(&self.inverse_factor),
+                x: *target,
+                multipliers: [T::NOTHING; N],
+                iterations: 0,
+                kept: T::KEPT,
+                ..search
+            };
+            search.weigh()?;
+            ended = search.run(&WorkingSet::EMPTY);
         }
+        ended?;
         match search.x.iter().position(|value| !is_number(*value)) {
             Some(index) => Err(QpError::NotFinite { what: "solution", index }),
             None => Ok(Solution {
                 x: search.x,
                 iterations: search.iterations,
-                active: search.active,
+                active: core::array::from_fn(|i| {
+                    let (row, side) = search.active[i];
+                    Active { row, side, multiplier: search.multipliers[i] }
+                }),
                 count: search.factor.count,
             }),
         }
@@ -183,28 +183,69 @@ impl<const N: usize, T: Scalar> Metric<N, T> {
 }
 
 impl<const N: usize, T: Scalar> Search<'_, N, T> {
-    fn is_active(&self, row: usize) -> bool {
-        self.active[..self.factor.count].iter().any(|active| active.row == row)
-    }
-
-    /// The row that is violated most, if one is by more than rounding.
-    fn worst(&self) -> Option<(usize, Side)> {
-        let mut worst = T::NOTHING;
-        let mut at = self.rows.len();
+    /// Weighs the rows, and refuses those that make no sense.
+    #[inline]
+    fn weigh(&mut self) -> Result<(), QpError> {
+        let mut fine = true;
         for (i, row) in self.rows.iter().enumerate() {
-            let violation = row.violation(&self.x);
-            if violation > worst {
-                (worst, at) = (violation, i);
+            let squared = dot(&row.normal, &row.normal);
+            fine &= row.bounds_make_sense() & (squared < T::UNBOUNDED);
+            if let Some(weight) = self.weights.get_mut(i) {
+                *weight = T::about_inverse_root(squared);
             }
         }
+        // a square may be infinite where its root is not
+        let wrong = if fine { None } else { self.rows.iter().position(|row| !row.makes_sense()) };
+        wrong.map_or(Ok(()), |row| Err(self.rows[row].error(row)))
+    }
+
+    fn run(&mut self, from: &WorkingSet<N>) -> Result<(), QpError> {
+        if from.count > 0 {
+            self.resume(from);
+        }
+        loop {
+            while let Some((row, side)) = self.worst() {
+                self.take_up(row, side)?;
+            }
+            if self.iterations < 2 || self.settle() == Settled::Near {
+                return Ok(());
+            }
+            self.count()?;
+        }
+    }
+
+    fn is_active(&self, row: usize) -> bool {
+        self.active[..self.factor.count].iter().any(|(active, _)| *active == row)
+    }
+
+    /// The row that x is farthest from keeping, as the crow flies, if it is by more than rounding.
+    #[inline]
+    fn worst(&self) -> Option<(usize, Side)> {
+        let (mut worst, mut at) = (T::NOTHING, self.rows.len());
+        let (weighted, others) = self.rows.split_at(self.rows.len().min(WEIGHTED));
+        // selected, not branched: no processor could guess it
+        let mut compare = |i: usize, row: &Row<N, T>, weight: T| {
+            let outside = row.violation(&self.x) * weight;
+            at = if outside > worst { i } else { at };
+            worst = if outside > worst { outside } else { worst };
+        };
+        for (i, (row, weight)) in weighted.iter().zip(self.weights.iter()).enumerate() {
+            compare(i, row, *weight);
+        }
+        for (i, row) in others.iter().enumerate() {
+            compare(WEIGHTED + i, row, row.weight());
+        }
         let row = self.rows.get(at)?;
-        if !self.is_active(at) && worst > self.kept * row.size(&self.x) {
+        // active ones among the first weigh nothing
+        let free = at < WEIGHTED || !self.is_active(at);
+        if free && row.violation(&self.x) > self.kept * row.size(&self.x) {
             return Some((at, row.violated_side(&self.x)));
         }
         self.worst_beyond_rounding()
     }
 
     /// [`Self::worst`] where the largest violation is none: the careful way.
+    #[cold]
     fn worst_beyond_rounding(&self) -> Option<(usize, Side)> {
         let mut worst = T::NOTHING;
         let mut found = None;
@@ -235,9 +276,7 @@ impl<const N: usize, T: Scalar> Search<'_, N, T> {
                 }
                 _ if free => {
                     self.advance(&step, full, true);
-                    let active = Active { row, side, multiplier: multiplier + full };
-                    self.active[self.factor.count] = active;
-                    self.factor.add(&step);
+                    self.add(row, side, multiplier + full, &step);
                     return Ok(());
                 }
                 _ => return self.give_up(row, violation),
@@ -269,32 +308,47 @@ impl<const N: usize, T: Scalar> Search<'_, N, T> {
     }
 
     /// Length of the step at which the first multiplier is used up, and whose it is.
+    #[inline]
     fn first_to_drop(&self, step: &Step<N, T>) -> Option<(T, usize)> {
-        let mut first: Option<(T, usize)> = None;
-        for i in 0..self.factor.count {
-            if step.dual[i] > T::NOTHING && self.factor.coupling_squared(step, i) > T::KEPT * T::KEPT {
-                let length = self.active[i].multiplier / step.dual[i];
-                if first.is_none_or(|(least, _)| length < least) {
-                    first = Some((length, i));
-                }
-            }
+        let (mut least, mut first) = (T::UNBOUNDED, N);
+        for i in 0..N {
+            let falls = (step.dual[i] > T::NOTHING) & self.factor.coupled(step, i);
+            let length = if falls { self.multipliers[i] / step.dual[i] } else { T::UNBOUNDED };
+            first = if length < least { i } else { first };
+            least = if length < least { length } else { least };
         }
-        first
+        (first < N).then_some((least, first))
     }
 
+    #[inline]
     fn advance(&mut self, step: &Step<N, T>, length: T, free: bool) {
         if free {
             add_scaled(&mut self.x, length, &step.primal);
         }
-        for i in 0..self.factor.count {
-            let left = self.active[i].multiplier - length * step.dual[i];
-            self.active[i].multiplier = if left > T::NOTHING { left } else { T::NOTHING };
+        for i in 0..N {
+            self.multipliers[i] = not_negative(self.multipliers[i] - length * step.dual[i]);
         }
     }
 
+    #[inline]
+    fn add(&mut self, row: usize, side: Side, multiplier: T, step: &Step<N, T>) {
+        self.active[self.factor.count] = (row, side);
+        self.multipliers[self.factor.count] = multiplier;
+        self.factor.add(step);
+        if let Some(weight) = self.weights.get_mut(row) {
+            *weight = T::NOTHING;
+        }
+    }
+
+    #[inline]
     fn drop_row(&mut self, k: usize) {
+        let (row, _) = self.active[k];
         self.factor.drop_row(k);
-        self.active.copy_within(k + 1..self.factor.count + 1, k);
+        self.active[k] = self.active[self.factor.count];
+        replace_by_last(&mut self.multipliers, k, self.factor.count);
+        if let Some(weight) = self.weights.get_mut(row) {
+            *weight = self.rows[row].weight();
+        }
     }
 
     /// Starts on the rows of an earlier solution, without those that would pull instead of push.
@@ -306,8 +360,7 @@ impl<const N: usize, T: Scalar> Search<'_, N, T> {
             }
             let step = self.factor.step(&self.rows[row].inward(side));
             if self.factor.count < N && independent(&step) {
-                self.active[self.factor.count] = Active { row, side, multiplier: T::NOTHING };
-                self.factor.add(&step);
+                self.add(row, side, T::NOTHING, &step);
             }
         }
         self.settle();
@@ -318,16 +371,20 @@ impl<const N: usize, T: Scalar> Search<'_, N, T> {
     fn settle(&mut self) -> Settled {
         let before = self.x;
         loop {
-            let mut missing = [T::NOTHING; N];
-            for (missing, active) in missing.iter_mut().zip(&self.active[..self.factor.count]) {
-                *missing = self.rows[active.row].violation_at(self.target, active.side);
-            }
-            let (x, multipliers) = self.factor.on_rows(self.target, &missing);
-            self.x = x;
-            let Some(k) = self.factor.pulling(&multipliers) else {
-                for (active, multiplier) in self.active[..self.factor.count].iter_mut().zip(multipliers) {
-                    active.multiplier = if multiplier > T::NOTHING { multiplier } else { T::NOTHING };
+            self.x = *self.target;
+            let mut multipliers = [T::NOTHING; N];
+            // the second time restores the digits that an inverse loses where rows are nearly dependent
+            for _ in 0..2 {
+                let mut missing = [T::NOTHING; N];
+                for (missing, (row, side)) in missing.iter_mut().zip(&self.active[..self.factor.count]) {
+                    *missing = self.rows[*row].violation_at(&self.x, *side);
                 }
+                let (step, more) = self.factor.onto_rows(&missing);
+                add_scaled(&mut self.x, T::UNIT, &step);
+                add_scaled(&mut multipliers, T::UNIT, &more);
+            }
+            let Some(k) = self.factor.pulling(&multipliers) else {
+                self.multipliers = multipliers.map(not_negative);
                 break;
             };
             self.drop_row(k);
@@ -344,4 +401,9 @@ impl<const N: usize, T: Scalar> Search<'_, N, T> {
 /// Whether the active rows leave a direction in which the row of `step` can be approached.
 fn independent<const N: usize, T: Scalar>(step: &Step<N, T>) -> bool {
     step.left > T::LOOSE * T::LOOSE * step.squared
+}
+
+#[inline]
+fn not_negative<T: Scalar>(x: T) -> T {
+    if x > T::NOTHING { x } else { T::NOTHING }
 }

@@ -105,25 +105,27 @@ impl<const N: usize, T: Scalar> Row<N, T> {
         }
     }
 
-    /// Numbers that are numbers, and bounds that leave something between them. No branch: every row is asked.
+    /// By which violations of rows are compared: about 1/‖normal‖, so that the unit of a row does not matter.
     #[inline]
-    pub(crate) fn makes_sense(&self) -> bool {
-        (self.lower <= self.upper) & self.is_finite()
+    pub(crate) fn weight(&self) -> T {
+        T::about_inverse_root(dot(&self.normal, &self.normal))
     }
 
+    /// Bounds that are none or numbers, and leave something between them: NaN is not ≥ 0, and ∞ − ∞ is NaN.
     #[inline]
-    fn is_finite(&self) -> bool {
-        let mut sum = T::NOTHING;
-        for a in &self.normal {
-            sum += T::size_of(*a);
-        }
-        // a comparison with NaN is false
-        is_number(sum) & (self.lower < T::UNBOUNDED) & (self.upper > -T::UNBOUNDED)
+    pub(crate) fn bounds_make_sense(&self) -> bool {
+        self.upper - self.lower >= T::NOTHING
+    }
+
+    /// The same, and coefficients that are numbers.
+    pub(crate) fn makes_sense(&self) -> bool {
+        self.bounds_make_sense() && self.normal.iter().all(|a| is_number(*a))
     }
 
     /// What is wrong with a row that makes no sense.
     pub(crate) fn error(&self, row: usize) -> QpError {
-        let crossed = self.is_finite() && self.lower > self.upper;
-        if crossed { QpError::Infeasible { row } } else { QpError::NotFinite { what: "row", index: row } }
+        let numbers = self.normal.iter().chain([&self.lower, &self.upper]).all(|a| is_number(*a));
+        // numbers that make no sense are bounds that exclude each other
+        if numbers { QpError::Infeasible { row } } else { QpError::NotFinite { what: "row", index: row } }
     }
 }

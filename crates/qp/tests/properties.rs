@@ -33,9 +33,8 @@ fn every_family_ends_optimal_and_within_its_iterations() {
         }
         println!("{family:?}: most iterations {most}, worst optimality error {worst:.1e}");
         assert!(worst < 1e-8, "{family:?}: {worst:e}");
-        // rows over six decades cost the most; what goes round on rounding ends at half the limit
-        let allowed = if family == Family::Scaled { 90 } else { 40 };
-        assert!(most <= allowed, "{family:?}: {most}");
+        // what goes round on rounding ends at half the limit, which is 80
+        assert!(most <= 40, "{family:?}: {most}");
     }
 }
 
@@ -98,6 +97,8 @@ fn what_is_no_number_is_an_error_wherever_it_stands() {
         Row::at_most([1.0, 0.0, 0.0], f64::NAN),
         Row::at_least([1.0, 0.0, 0.0], f64::INFINITY),
         Row::at_most([1.0, 0.0, 0.0], f64::NEG_INFINITY),
+        Row { normal: [1.0, 0.0, 0.0], lower: f64::INFINITY, upper: f64::NEG_INFINITY },
+        Row { normal: [1.0, f64::NAN, 0.0], lower: 1.0, upper: 0.0 },
     ] {
         let found = plain().nearest(&[0.0; 3], &[row], &COLD);
         assert_eq!(found, Err(QpError::NotFinite { what: "row", index: 0 }), "{row:?}");
@@ -122,6 +123,58 @@ fn the_minimum_of_a_gradient_is_where_the_slope_vanishes() {
     let x = metric(&problem).minimum(&gradient);
     for (row, gradient) in problem.hessian.iter().zip(gradient) {
         assert!((dot(row, &x) + gradient).abs() < 1e-12);
+    }
+}
+
+/// What goes first is the row that the point is farthest from, whatever it is measured in: by powers of 4 to the bit.
+#[test]
+fn the_unit_of_a_row_changes_nothing() {
+    let mut random = Random::new(12);
+    for family in [Family::Contact, Family::Random, Family::Ball] {
+        for _ in 0..200 {
+            let mut problem = problem::<4>(family, 36, &mut random);
+            let metric = metric(&problem);
+            let plain = metric.nearest(&problem.target, &problem.rows, &WorkingSet::EMPTY).unwrap();
+            for row in &mut problem.rows {
+                let unit = 4.0_f64.powi(random.below(9) as i32 - 4);
+                let [lower, upper] = [row.lower, row.upper].map(|bound| bound * unit);
+                *row = Row { normal: row.normal.map(|a| a * unit), lower, upper };
+            }
+            let scaled = metric.nearest(&problem.target, &problem.rows, &WorkingSet::EMPTY).unwrap();
+            assert_eq!((scaled.x, scaled.iterations), (plain.x, plain.iterations), "{family:?}");
+        }
+    }
+}
+
+#[test]
+fn hundreds_of_rows_are_solved_like_a_few() {
+    let mut random = Random::new(13);
+    for family in [Family::Random, Family::Ball, Family::Scaled] {
+        let mut iterations = [0, 0];
+        for _ in 0..200 {
+            let mut problem = problem::<4>(family, 300, &mut random);
+            let metric = metric(&problem);
+            let found = metric.nearest(&problem.target, &problem.rows, &WorkingSet::EMPTY).unwrap();
+            assert!(optimality_error(&problem, &found) < 1e-9);
+            let warm = metric.nearest(&problem.target, &problem.rows, &found.working_set()).unwrap();
+            assert!(warm.iterations <= 2 && optimality_error(&problem, &warm) < 1e-9);
+            // the active ones at the other end
+            problem.rows.reverse();
+            let turned = metric.nearest(&problem.target, &problem.rows, &WorkingSet::EMPTY).unwrap();
+            assert!(optimality_error(&problem, &turned) < 1e-9);
+            iterations = [iterations[0] + found.iterations, iterations[1] + turned.iterations];
+        }
+        assert!(iterations[0].abs_diff(iterations[1]) * 20 < iterations[0], "{family:?}: {iterations:?}");
+        assert!(iterations[0] < 200 * 20, "{family:?}: {iterations:?}");
+    }
+}
+
+/// Their squares are not: 1e200² is infinite, and (1e-200)² is 0.
+#[test]
+fn coefficients_may_be_large_or_small_as_long_as_they_are_numbers() {
+    for size in [1e200, 1e-200] {
+        let kept = [Row::at_least([size, 0.0, 0.0], -size), Row::at_most([0.0, size, size], size)];
+        assert_eq!(plain().nearest(&[0.5, 0.25, 0.25], &kept, &COLD).unwrap().x, [0.5, 0.25, 0.25]);
     }
 }
 
