@@ -1,6 +1,12 @@
 //! The factorisation of the active rows that the method carries along.
 
+use core::ops::Range;
+
 use crate::scalar::{Scalar, add_scaled, dot};
+
+/// Up to so many columns all are added up, with zeros for those that are not meant: that takes a processor less time than
+/// a wrong guess at where a loop ends.
+const ALL: usize = 4;
 
 /// J = L⁻ᵀQ and S = R⁻¹ with L⁻¹A_W = Q₁R: A_W are the inward normals of the active rows as columns, H = LLᵀ. The first
 /// `count` columns of J span the active rows in the metric, the others the directions that move along them.
@@ -19,8 +25,8 @@ pub(crate) struct Factor<const N: usize, T> {
 
 /// Directions for one more row.
 pub(crate) struct Step<const N: usize, T> {
-    /// Jᵀn.
-    d: [T; N],
+    /// Jᵀn along the free columns.
+    free: [T; N],
     /// Of x: the steepest towards the row along the active ones.
     pub(crate) primal: [T; N],
     /// By which each active multiplier falls.
@@ -40,13 +46,18 @@ impl<const N: usize, T: Scalar> Factor<N, T> {
     #[inline]
     pub(crate) fn step(&self, normal: &[T; N]) -> Step<N, T> {
         let d: [T; N] = core::array::from_fn(|c| dot(&self.j[c], normal));
-        let free = &d[self.count..];
+        let free: [T; N] =
+            core::array::from_fn(|c| if N > ALL || c >= self.count { d[c] } else { T::NOTHING });
+        let mut left = T::NOTHING;
+        for c in columns::<N>(self.count..N) {
+            left += free[c] * free[c];
+        }
         Step {
-            primal: combined(&self.j[self.count..], free),
-            dual: combined(&self.s[..self.count], &d),
+            primal: combined(&self.j, &free, self.count..N),
+            dual: combined(&self.s, &d, 0..self.count),
             squared: dot(&d, &d),
-            left: free.iter().fold(T::NOTHING, |left, d| left + *d * *d),
-            d,
+            left,
+            free,
         }
     }
 
@@ -61,16 +72,16 @@ impl<const N: usize, T: Scalar> Factor<N, T> {
     pub(crate) fn add(&mut self, step: &Step<N, T>) {
         let q = self.count;
         let length = T::root_of(step.left);
-        let alpha = if step.d[q] > T::NOTHING { -length } else { length };
+        let alpha = if step.free[q] > T::NOTHING { -length } else { length };
         let inverse = T::UNIT / alpha;
         // v = d₂ − αe₁, J₂v = primal − α·(first column), 2/vᵀv = 1/(d₂ᵀd₂ − αd₂₁)
-        let scale = T::UNIT / (step.left - alpha * step.d[q]);
-        let mut v = step.d;
+        let scale = T::UNIT / (step.left - alpha * step.free[q]);
+        let mut v = step.free;
         v[q] -= alpha;
         let mut image = step.primal;
         add_scaled(&mut image, -alpha, &self.j[q]);
-        for (column, v) in self.j[q..].iter_mut().zip(&v[q..]) {
-            add_scaled(column, -(*v * scale), &image);
+        for c in columns::<N>(q..N) {
+            add_scaled(&mut self.j[c], -(v[c] * scale), &image);
         }
         self.s[q] = step.dual.map(|dual| -(dual * inverse));
         self.s[q][q] = inverse;
@@ -89,8 +100,8 @@ impl<const N: usize, T: Scalar> Factor<N, T> {
         let alpha = if v[last] > T::NOTHING { -length } else { length };
         let scale = T::UNIT / (squared - alpha * v[last]);
         v[last] -= alpha;
-        let (along_j, along_s) = (combined(&self.j[..last + 1], &v), combined(&self.s[..last + 1], &v));
-        for c in 0..last + 1 {
+        let (along_j, along_s) = (combined(&self.j, &v, 0..last + 1), combined(&self.s, &v, 0..last + 1));
+        for c in columns::<N>(0..last + 1) {
             add_scaled(&mut self.j[c], -(v[c] * scale), &along_j);
             add_scaled(&mut self.s[c], -(v[c] * scale), &along_s);
             replace_by_last(&mut self.s[c], k, last);
@@ -118,16 +129,22 @@ impl<const N: usize, T: Scalar> Factor<N, T> {
     #[inline]
     pub(crate) fn onto_rows(&self, missing: &[T; N]) -> ([T; N], [T; N]) {
         let y: [T; N] = core::array::from_fn(|c| dot(&self.s[c], missing));
-        (combined(&self.j[..self.count], &y), combined(&self.s[..self.count], &y))
+        (combined(&self.j, &y, 0..self.count), combined(&self.s, &y, 0..self.count))
     }
 }
 
-/// Σ factor · column.
+/// Those of `used`, or all.
 #[inline]
-fn combined<const N: usize, T: Scalar>(columns: &[[T; N]], factors: &[T]) -> [T; N] {
+fn columns<const N: usize>(used: Range<usize>) -> Range<usize> {
+    if N > ALL { used } else { 0..N }
+}
+
+/// Σ factor · column; outside of `used` one of the two is zero.
+#[inline]
+fn combined<const N: usize, T: Scalar>(of: &[[T; N]; N], factors: &[T; N], used: Range<usize>) -> [T; N] {
     let mut sum = [T::NOTHING; N];
-    for (column, factor) in columns.iter().zip(factors) {
-        add_scaled(&mut sum, *factor, column);
+    for c in columns::<N>(used) {
+        add_scaled(&mut sum, factors[c], &of[c]);
     }
     sum
 }

@@ -136,7 +136,7 @@ fn the_unit_of_a_row_changes_nothing() {
             let metric = metric(&problem);
             let plain = metric.nearest(&problem.target, &problem.rows, &WorkingSet::EMPTY).unwrap();
             for row in &mut problem.rows {
-                let unit = 4.0_f64.powi(random.below(9) as i32 - 4);
+                let unit = [0.0625, 0.25, 1.0, 4.0, 1024.0][random.below(5)];
                 let [lower, upper] = [row.lower, row.upper].map(|bound| bound * unit);
                 *row = Row { normal: row.normal.map(|a| a * unit), lower, upper };
             }
