@@ -48,7 +48,9 @@ pub fn damping<T: Scalar>(
     let root = inverse_square_root(inverse_task_inertia)
         .ok_or(ControlError::NotPositiveDefinite { what: "J M⁻¹ Jᵀ" })?;
     let k = stiffness.map(nalgebra::ComplexField::sqrt);
-    let sum = SMatrix::<T, 6, 6>::from_fn(|i, j| ratio * root[(i, j)] * (k[i] + k[j]));
+    // column by column, which compilers take at once; so they do not take `from_fn`
+    let column = |j: usize| core::array::from_fn(|i| ratio * root[(i, j)] * (k[i] + k[j]));
+    let sum = SMatrix::<T, 6, 6>::from(core::array::from_fn(column));
     let mut shifted = sum;
     let margin = sum.trace() * T::default_epsilon();
     for i in 0..6 {
