@@ -1,6 +1,6 @@
 //! Gains in the scalar of the computation; a change reaches the law through a first-order filter.
 
-use crate::scalar::{Scalar, all, of};
+use crate::scalar::{Scalar, all, of, same};
 use moca_msgs::ImpedanceGains;
 
 /// Time constant with which new gains take effect, s.
@@ -51,7 +51,10 @@ impl<const N: usize, T: Scalar> From<&ImpedanceGains<N>> for ArmGains<N, T> {
 impl<T: Scalar> BaseGains<T> {
     /// One step of `dt_s` towards `target`.
     pub(crate) fn approach(&mut self, target: &Self, dt_s: T) {
-        if self == target {
+        if same(&self.virtual_mass, &target.virtual_mass)
+            & same(&self.virtual_damping, &target.virtual_damping)
+            & (self.reactivity == target.reactivity)
+        {
             return;
         }
         approach(&mut self.virtual_mass, &target.virtual_mass, dt_s);
@@ -63,7 +66,11 @@ impl<T: Scalar> BaseGains<T> {
 impl<const N: usize, T: Scalar> ArmGains<N, T> {
     /// One step of `dt_s` towards `target`.
     pub(crate) fn approach(&mut self, target: &Self, dt_s: T) {
-        if self == target {
+        if same(&self.stiffness, &target.stiffness)
+            & same(&self.posture_stiffness, &target.posture_stiffness)
+            & same(&self.posture_damping, &target.posture_damping)
+            & (self.damping_ratio == target.damping_ratio)
+        {
             return;
         }
         approach(&mut self.stiffness, &target.stiffness, dt_s);

@@ -14,7 +14,7 @@
 //! ```
 
 use crate::guard::{BaseGuard, CoverOutline};
-use crate::scalar::{Scalar, all, of};
+use crate::scalar::{Scalar, all, between, of, same};
 use moca_msgs::{ArmTable, Limits};
 
 /// Share of the joint torque limit with which the repulsion pushes at the joint limit itself.
@@ -86,7 +86,7 @@ impl<const N: usize, T: Scalar> TorqueLimits<N, T> {
     /// by joint, would be torques that move the arm in its null space.
     pub fn limited(&self, wanted: &[T; N], last: &[T; N], dt_s: T, hit: &mut LimitsHit) -> [T; N] {
         let (change, most) = (self.change(dt_s), &self.torque);
-        let last: [T; N] = core::array::from_fn(|i| last[i].clamp(-most[i], most[i]));
+        let last: [T; N] = core::array::from_fn(|i| between(last[i], -most[i], most[i]));
         let inside: [T; N] = core::array::from_fn(|i| clamp(wanted[i], -most[i], most[i], &mut hit.torque));
         let largest =
             inside.iter().zip(last).fold(T::zero(), |most, (&to, from)| most.max((to - from).abs()));
@@ -96,8 +96,8 @@ impl<const N: usize, T: Scalar> TorqueLimits<N, T> {
         hit.torque_rate = true;
         let share = change / largest;
         core::array::from_fn(|i| {
-            let step = ((inside[i] - last[i]) * share).clamp(-change, change);
-            (last[i] + step).clamp(-most[i], most[i])
+            let step = between((inside[i] - last[i]) * share, -change, change);
+            between(last[i] + step, -most[i], most[i])
         })
     }
 
@@ -394,8 +394,14 @@ impl<const N: usize, T: Scalar> JointRepulsion<N, T> {
     /// Joint torques, N·m. `inertia` is the diagonal of M_A: the damper is 0.7 of critical.
     #[inline]
     pub fn torque(&self, q: &[T; N], dq: &[T; N], inertia: impl Fn(usize) -> T) -> [T; N] {
+        let inside: [T; N] =
+            core::array::from_fn(|i| q[i] - between(q[i], self.begin_low[i], self.begin_high[i]));
+        let none = [T::zero(); N];
+        if same(&inside, &none) {
+            return none;
+        }
         core::array::from_fn(|i| {
-            let inside = q[i] - q[i].clamp(self.begin_low[i], self.begin_high[i]);
+            let inside = inside[i];
             if inside == T::zero() {
                 return T::zero();
             }
@@ -409,7 +415,7 @@ impl<const N: usize, T: Scalar> JointRepulsion<N, T> {
 
 fn clamp<T: Scalar>(value: T, min: T, max: T, hit: &mut bool) -> T {
     *hit |= value < min || value > max;
-    value.clamp(min, max)
+    between(value, min, max)
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@
 
 use crate::error::{ControlError, finite};
 use crate::rotation;
-use crate::scalar::{Scalar, all, of};
+use crate::scalar::{Scalar, all, between, of};
 use nalgebra::{Matrix3, Vector3};
 
 /// Largest position error the law acts on, m: the pull on a blocked or fleeing tool saturates there.
@@ -210,7 +210,7 @@ pub(crate) fn saturated<T: Scalar>(error: &[T; 6]) -> ([T; 6], bool) {
 pub(crate) fn approach_posture<const N: usize, T: Scalar>(posture: &mut [T; N], target: &[f64; N], dt_s: T) {
     let most = of::<T>(POSTURE_SPEED_RAD_S) * dt_s;
     for (now, target) in posture.iter_mut().zip(all::<N, T>(target)) {
-        *now += (target - *now).clamp(-most, most);
+        *now += between(target - *now, -most, most);
     }
 }
 

@@ -45,6 +45,19 @@ pub(crate) fn of<T: Scalar>(value: f64) -> T {
     nalgebra::convert(value)
 }
 
+/// `value`, or the bound beyond which it is; `min` is not above `max`. `clamp` asks about that in every step.
+#[inline]
+pub(crate) fn between<T: Scalar>(value: T, min: T, max: T) -> T {
+    let value = if value < min { min } else { value };
+    if value > max { max } else { value }
+}
+
+/// Whether all are equal, without a branch for each.
+#[inline]
+pub(crate) fn same<T: Scalar>(a: &[T], b: &[T]) -> bool {
+    a.iter().zip(b).fold(true, |same, (a, b)| same & (a == b))
+}
+
 /// `values` in the scalar of the computation.
 #[inline]
 pub(crate) fn all<const N: usize, T: Scalar>(values: &[f64; N]) -> [T; N] {
