@@ -342,9 +342,9 @@ pub struct ContactLimits<const K: usize, T = f64> {
     pub person_m_s: [T; K],
     /// A touched taxel whose readings cannot be believed any more is still to go back: a robot that stops does so first.
     pub backs_off: bool,
-    /// Share of the base's way that the tool has to go along because the arm has no more reach, 0 to 1: people first,
-    /// then the tool's place.
-    pub carried: T,
+    /// How fast the tool has to go along because the arm has no more reach, axes of B, m/s: people first, then the tool's
+    /// place.
+    pub carried_body_m_s: [T; 2],
 }
 
 /// The barrier of a cover of up to `K` taxels, with what it remembers: 3 kB of odometry, which no step copies.
@@ -416,8 +416,9 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             depth_m: [T::zero(); K],
             person_m_s: [T::zero(); K],
             backs_off: false,
-            carried: T::zero(),
+            carried_body_m_s: [T::zero(); 2],
         };
+        let mut carried = T::zero();
         let forgotten = (input.dt_s / of(self.settings.forget_s)).min(T::one());
         for i in 0..taxels {
             let is_new = self.state.tracks[i].is_new(input.samples[i], input.dt_s);
@@ -460,8 +461,11 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
                 limits.outward_m_s[i] = track.released_limit(&self.settings).min(held);
             }
             if limits.outward_m_s[i] < T::zero() {
-                limits.carried = limits.carried.max(self.carried(i, input.stretch_body_m));
+                carried = carried.max(self.carried(i, input.stretch_body_m));
             }
+        }
+        if carried > T::zero() {
+            limits.carried_body_m_s = stretching(input).map(|speed| carried * speed);
         }
         Ok(limits)
     }
@@ -551,7 +555,8 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
         all.min(own + own)
     }
 
-    /// Share of the base's way that the tool has to go along while taxel `i` gives way: all of it at the end of the reach.
+    /// Share of what stretches the arm that the tool has to go along with while taxel `i` gives way: all of it at the end of
+    /// the reach.
     fn carried(&self, i: usize, stretch_body_m: [T; 2]) -> T {
         let [x, y] = stretch_body_m;
         if self.outline.outward(i, &[x, y, T::zero()]) <= T::zero() {
@@ -561,6 +566,14 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
         let length = (x * x + y * y).sqrt();
         ((length - of(soft)) / of(hard - soft)).clamp(T::zero(), T::one())
     }
+}
+
+/// The part of the base's velocity that stretches the arm further, axes of B, m/s. Where the base goes otherwise the tool stays:
+/// it pulls the base along, and both would go on for ever.
+fn stretching<const K: usize, T: Scalar>(input: &BarrierInput<K, T>) -> [T; 2] {
+    let ([x, y], [vx, vy, _]) = (input.stretch_body_m, input.velocity_body);
+    let away_per_s = ((x * vx + y * vy) / (x * x + y * y)).min(T::zero());
+    [x * away_per_s, y * away_per_s]
 }
 
 /// How far apart taxels may be that feel one body, m, squared.

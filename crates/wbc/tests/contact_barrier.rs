@@ -748,14 +748,14 @@ fn who_comes_further_than_the_arm_reaches_takes_the_tool_along() {
         let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
         let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
         samples[FRONT] = Some(TaxelSample { force_n, age_s: 0.0 });
-        let mut input = BarrierInput::new(samples, [0.0; 3], [3.0; 3], DT_S);
+        let mut input = BarrierInput::new(samples, [-0.1, 0.05, 0.3], [3.0; 3], DT_S);
         input.stretch_body_m = [ahead_m, 0.0];
-        let carried = barrier.update(&input).unwrap().carried;
-        assert!((carried - share).abs() < 1e-9, "{force_n} N, {ahead_m} m: {carried}");
+        let [x, y] = barrier.update(&input).unwrap().carried_body_m_s;
+        assert!((x + 0.1 * share).abs() < 1e-9 && y.abs() < 1e-9, "{force_n} N, {ahead_m} m: {x}, {y}");
     }
     // who was given room and has let go is believed to walk on: while the base gives way the tool still comes along
     let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
-    let mut input = BarrierInput::new([None; 11], [0.0; 3], [3.0; 3], DT_S);
+    let mut input = BarrierInput::new([None; 11], [-0.01, 0.0, 0.0], [3.0; 3], DT_S);
     input.stretch_body_m = [0.4, 0.0];
     for step in 0..1500 {
         let force_n = if step < 100 { 0.22 * f64::from(step) } else { 0.0 };
@@ -764,7 +764,27 @@ fn who_comes_further_than_the_arm_reaches_takes_the_tool_along() {
         let limits = barrier.update(&input).unwrap();
         let gives_way = limits.outward_m_s[FRONT] < 0.0;
         assert!(gives_way || !(100..300).contains(&step), "{step}: {limits:?}");
-        assert_eq!(limits.carried > 0.0, gives_way, "{step}: {limits:?}");
+        assert_eq!(limits.carried_body_m_s, [if gives_way { -0.01 } else { 0.0 }, 0.0], "{step}: {limits:?}");
+    }
+}
+
+/// The base follows its tool: a tool that went along with a base that comes after it would lead it on and on.
+#[test]
+fn the_tool_stays_where_a_base_that_gives_way_comes_towards_it() {
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    for (velocity_body, carried) in [
+        ([0.2, 0.0, 0.5], [0.0, 0.0]),
+        ([-0.2, 0.0, 0.5], [-0.128, -0.096]),
+        ([0.0, -0.3, 0.0], [-0.144, -0.108]),
+        ([-0.3, 0.4, 0.0], [0.0, 0.0]),
+    ] {
+        let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
+        let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
+        samples[FRONT] = Some(TaxelSample { force_n: 22.0, age_s: 0.0 });
+        let mut input = BarrierInput::new(samples, velocity_body, [3.0; 3], DT_S);
+        input.stretch_body_m = [0.32, 0.24];
+        let found = barrier.update(&input).unwrap().carried_body_m_s;
+        assert!((0..2).all(|i| f64::abs(found[i] - carried[i]) < 1e-12), "{velocity_body:?}: {found:?}");
     }
 }
 

@@ -402,17 +402,19 @@ fn the_tool_goes_along_with_a_retreat_from_where_the_arm_is_stretched_to() {
         // between the depths the base stands and makes no room
         (20.0, [0.4, 0.0], 0.0),
     ] {
-        let mut input = BarrierInput::new([None; 11], [0.0; 3], [3.0, 3.0, 6.0], DT_S);
+        // as fast away from the tool as it is far
+        let away = [-stretch_body_m[0], -stretch_body_m[1], 0.0];
+        let mut input = BarrierInput::new([None; 11], away, [3.0, 3.0, 6.0], DT_S);
         input.samples[FRONT] = Some(TaxelSample { force_n, age_s: 0.0 });
         input.stretch_body_m = stretch_body_m;
         let settings = BarrierSettings { first_speed_m_s: 0.0, ..settings() };
         let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
         let limits = barrier.update(&input).unwrap();
         assert_eq!(limits.outward_m_s[FRONT] == 0.0, force_n < 30.0, "{limits:?}");
+        let carried = limits.carried_body_m_s;
         assert!(
-            (limits.carried - share).abs() < 1e-9,
-            "{force_n} N, {stretch_body_m:?} m: {}",
-            limits.carried
+            (0..2).all(|i| (carried[i] - share * away[i]).abs() < 1e-9),
+            "{force_n} N, {stretch_body_m:?} m: {carried:?}"
         );
     }
 }

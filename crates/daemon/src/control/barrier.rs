@@ -155,6 +155,12 @@ fn to_base([x, y]: [f64; 2], robot: &RobotState<JOINTS>) -> [f64; 2] {
     [cos * x + sin * y, cos * y - sin * x]
 }
 
+/// From axes of B to those of W.
+pub(super) fn to_world([x, y]: [f64; 2], robot: &RobotState<JOINTS>) -> [f64; 2] {
+    let (sin, cos) = robot.base_pose_world[2].sin_cos();
+    [cos * x - sin * y, cos * y + sin * x]
+}
+
 /// Readings of a PU LD30 that is not calibrated: how close the plates are when [`TaxelModel::PU_LD30`] says a force. What the
 /// foam remembers is in that model, and not in the plates' distance, so no law of the foam leads back from one to the other.
 fn read_as_pu_ld30() -> FoamCurve {

@@ -2,7 +2,7 @@
 
 use crate::config::Config;
 use crate::config::live::changed;
-use crate::control::barrier::Barrier;
+use crate::control::barrier::{Barrier, to_world};
 use crate::control::cover::CoverState;
 use crate::control::loop_state::{JointsState, LawState, MotionState, OtherRobot};
 use crate::control::plant::SourceAge;
@@ -361,8 +361,7 @@ impl Motion {
                 taxel_force_n = &contacts.force_n;
             }
             if law == ControlLaw::Impedance {
-                let [vx, vy, _] = robot.base_velocity_world;
-                let velocity_m_s = [vx, vy].map(|v| contacts.carried * v);
+                let velocity_m_s = to_world(contacts.carried_body_m_s, robot);
                 either!(&mut self.controller, controller => controller.carry_target(velocity_m_s, dt_s))
                     .map_err(|_| Fault::ControlRefused)?;
             }
