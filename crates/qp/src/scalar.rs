@@ -6,21 +6,21 @@ use core::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 mod sealed {
     /// What only this crate calls.
     pub trait Sealed {
-        /// 1/√x within 4 %, without a root or a division: half the exponent, negated, and the mantissa with it.
+        /// 1/√x of a normal number within 4 %, without a root or a division: half the exponent, negated, and the mantissa with it.
         fn about_inverse_root(x: Self) -> Self;
     }
 
     impl Sealed for f32 {
         #[inline]
         fn about_inverse_root(x: Self) -> Self {
-            Self::from_bits(0x5F37_5A86 - (x.to_bits() >> 1))
+            Self::from_bits(0x5F37_5A86_u32.wrapping_sub(x.to_bits() >> 1))
         }
     }
 
     impl Sealed for f64 {
         #[inline]
         fn about_inverse_root(x: Self) -> Self {
-            Self::from_bits(0x5FE6_EB50_C7B5_37A9 - (x.to_bits() >> 1))
+            Self::from_bits(0x5FE6_EB50_C7B5_37A9_u64.wrapping_sub(x.to_bits() >> 1))
         }
     }
 }

@@ -99,6 +99,8 @@ fn what_is_no_number_is_an_error_wherever_it_stands() {
         Row::at_most([1.0, 0.0, 0.0], f64::NEG_INFINITY),
         Row { normal: [1.0, 0.0, 0.0], lower: f64::INFINITY, upper: f64::NEG_INFINITY },
         Row { normal: [1.0, f64::NAN, 0.0], lower: 1.0, upper: 0.0 },
+        // as processors make it of 0/0
+        Row::at_least([1.0, -f64::NAN, 0.0], 0.0),
     ] {
         let found = plain().nearest(&[0.0; 3], &[row], &COLD);
         assert_eq!(found, Err(QpError::NotFinite { what: "row", index: 0 }), "{row:?}");

@@ -568,8 +568,8 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
     }
 }
 
-/// The part of the base's velocity that stretches the arm further, axes of B, m/s. Where the base goes otherwise the tool stays:
-/// it pulls the base along, and both would go on for ever.
+/// The part of the base's velocity that stretches the arm further, axes of B, m/s: a turn, for which the shoulder makes up, aside.
+/// Where the base goes otherwise the tool stays: it pulls the base along, and both would go on for ever.
 fn stretching<const K: usize, T: Scalar>(input: &BarrierInput<K, T>) -> [T; 2] {
     let ([x, y], [vx, vy, _]) = (input.stretch_body_m, input.velocity_body);
     let away_per_s = ((x * vx + y * vy) / (x * x + y * y)).min(T::zero());

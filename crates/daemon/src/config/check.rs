@@ -1,7 +1,9 @@
 //! What single rows cannot know: numbers that do not go together.
 
 use super::stability::Stability;
-use super::{AUTO_LISTEN, AUTO_PORT, Config, Ports, ProtectionConfig, TelemetryConfig};
+use super::{
+    AUTO_LISTEN, AUTO_PORT, AssumedModel, BarrierReadings, Config, Ports, ProtectionConfig, TelemetryConfig,
+};
 use crate::robot::{BaseDriver, Parts, PlantKind};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::robot::Drive;
@@ -30,6 +32,7 @@ pub(super) fn check(config: &Config, report: Report<'_>) {
     drive(config, report);
     ros2(config, report);
     uncalibrated(config, report);
+    readings(config, report);
     telemetry(&config.telemetry, report);
     plant(config, report);
     timeout(config, report);
@@ -286,6 +289,21 @@ fn uncalibrated(config: &Config, report: Report<'_>) {
             format!(
                 "protection.thresholds limits contacts of a cover without board.calibration ({uncalibrated}); calibrate it, \
                  or say in protection.uncalibrated_statement who decided that such forces do"
+            ),
+        );
+    }
+}
+
+/// A reading is undone by the curve that it was made with.
+fn readings(config: &Config, report: Report<'_>) {
+    let (board, name) = (&config.board, "protection.contact_barrier");
+    let assumed = board.calibration.is_empty() && board.model == AssumedModel::PuLd30;
+    if config.protection.contact_barrier == BarrierReadings::PuLd30 && !assumed {
+        report(
+            name,
+            format!(
+                "{name} = \"pu-ld30\" is of readings by board.model = \"pu-ld30\" without board.calibration; allowed for \
+                 others: \"auto\", \"foam\", \"off\""
             ),
         );
     }

@@ -577,6 +577,22 @@ mod tests {
     }
 
     #[test]
+    fn readings_are_not_undone_by_another_curve_than_they_were_made_with() {
+        let barrier = "[protection]\ncontact_barrier = \"pu-ld30\"\n";
+        assert!(Config::parse(barrier).is_ok());
+        for board in ["model = \"paper\"", "calibration = \"cover.toml\""] {
+            let found = mistakes(&format!("[board]\n{board}\n{barrier}"));
+            assert!(
+                found.iter().any(|m| m.starts_with("line 4: protection.contact_barrier = \"pu-ld30\"")),
+                "{found:?}"
+            );
+        }
+        assert!(
+            Config::parse("[board]\nmodel = \"paper\"\n[protection]\ncontact_barrier = \"off\"\n").is_ok()
+        );
+    }
+
+    #[test]
     fn geometry_without_sense_is_refused() {
         let cover = |key: &str, taxel: usize, value: f64| {
             let mut config = Config::default();

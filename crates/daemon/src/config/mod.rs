@@ -323,11 +323,11 @@ pub enum AssumedModel {
 /// Whether there is a contact barrier, and what the cover's readings tell it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BarrierReadings {
-    /// As [`Self::Foam`] on a calibrated cover, none on another.
+    /// Those of a calibration where there is one, and no barrier without.
     Auto,
     /// There is none.
     Off,
-    /// Forces on the foam of `robot.cover`: a calibrated cover.
+    /// True forces on the foam of `robot.cover`, such as those of an ideal sensor.
     Foam,
     /// Forces that PU LD30 would need for the same plate gap: a cover that has not been calibrated.
     PuLd30,

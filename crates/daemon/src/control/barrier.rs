@@ -175,7 +175,8 @@ fn read_as_pu_ld30() -> FoamCurve {
     }
 }
 
-/// Counts at which it is looked up: closer together than the model's knots, between which the plates' distance bends.
+/// Counts at which it is looked up: where readings matter closer together than the model's knots, between which the plates' distance
+/// bends.
 const READ_AT: [f64; CURVE_POINTS] = [2.0, 4.0, 6.0, 8.0, 12.0, 17.0, 29.0, 45.0, 68.0, 85.0];
 /// Counts of an untouched taxel, its plates' distance, m, and what is not fringe and wire of its capacitance: the paper's
 /// Table I, with which [`TaxelModel::PU_LD30`] was fitted.
@@ -183,8 +184,8 @@ const IDLE_COUNTS: f64 = 720.0;
 const GAP_M: f64 = 0.015;
 const SENSITIVITY: f64 = 0.041_71;
 
-/// Readings of a cover that is calibrated, by loading and unloading pooled: those of PU LD30 are like its own, and deeper
-/// than they are where hysteresis is compensated for.
+/// Readings of a cover that is calibrated, by loading and unloading pooled: those of PU LD30 are like its own. Where hysteresis is
+/// compensated for it is taken for up to a third deeper than it is, and by a straight line for a seventh less.
 fn read_as(cover: &CoverTable) -> FoamCurve {
     if cover.foam == FoamKind::PuLd30 { read_as_pu_ld30() } else { pressed(cover) }
 }
