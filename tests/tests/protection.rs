@@ -475,7 +475,7 @@ fn a_base_that_is_pushed_towards_its_bare_rear_stops_after_a_tenth_of_a_metre() 
 /// Force on a leg from which on the base does not give way any more, N.
 const STANDS_N: f64 = 50.0;
 
-/// Largest force of a leg that walks on for a quarter of a metre after it has touched the standing robot, N, and how far
+/// Largest force of a leg that walks on for three tenths of a metre after it has touched the standing robot, N, and how far
 /// back that has taken the base, m: before it stood in the way, where a leg that nothing slows down pushes it. The leg
 /// comes before the place on `taxel`'s panel that is `offset_m` to the left of the taxel's middle.
 fn walked_into(
@@ -496,7 +496,7 @@ fn walked_into(
     while !world.step(None).0.mode.moves() {}
     world.control.plant.world.set_people_waiting(false);
     let (mut walked_m, mut peak_n, mut back_m) = (0.0, 0.0_f64, 0.0);
-    while walked_m < 0.25 {
+    while walked_m < 0.3 {
         let sample = world.step(None).0;
         let force_n = world.control.plant.world.contact_largest_true_n();
         walked_m += if walked_m > 0.0 || force_n > 0.0 { 1e-3 * walk_m_s } else { 0.0 };

@@ -402,8 +402,8 @@ fn the_tool_goes_along_with_a_retreat_from_where_the_arm_is_stretched_to() {
         // between the depths the base stands and makes no room
         (20.0, [0.4, 0.0], 0.0),
     ] {
-        // as fast away from the tool as it is far
-        let away = [-stretch_body_m[0], -stretch_body_m[1], 0.0];
+        // slowly away from the tool
+        let away = [-0.01 * stretch_body_m[0], -0.01 * stretch_body_m[1], 0.0];
         let mut input = BarrierInput::new([None; 11], away, [3.0, 3.0, 6.0], DT_S);
         input.samples[FRONT] = Some(TaxelSample { force_n, age_s: 0.0 });
         input.stretch_body_m = stretch_body_m;
