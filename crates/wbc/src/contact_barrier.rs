@@ -32,6 +32,7 @@
 
 use crate::error::{ControlError, finite};
 use crate::guard::CoverOutline;
+use crate::reach::ArmReach;
 use crate::scalar::{Scalar, of};
 use crate::state_check::check_step;
 use moca_msgs::{ParameterError, TaxelPlacement};
@@ -224,9 +225,9 @@ pub struct BarrierSettings {
     pub creep_s: f64,
     /// and what it gains per second afterwards, m/s².
     pub recovery_m_s2: f64,
-    /// How far the flange may be from its place over the base where a retreat begins to take it along, and where it takes
-    /// it along all the way, m.
-    pub reach_m: [f64; 2],
+    /// Of the arm that holds its tool in the world, if there is one: a retreat begins to take the tool along where the reach begins
+    /// to end, and takes it along all the way where it has ended.
+    pub reach: Option<ArmReach>,
 }
 
 impl BarrierSettings {
@@ -266,7 +267,7 @@ impl BarrierSettings {
             creep_m_s: 0.03,
             creep_s: 0.15,
             recovery_m_s2: 0.1,
-            reach_m: [0.25, 0.35],
+            reach: None,
         })
     }
 
@@ -296,29 +297,29 @@ pub struct BarrierInput<const K: usize, T = f64> {
     pub velocity_body: [T; 3],
     /// What the base can brake with, m/s², m/s², rad/s².
     pub deceleration: [T; 3],
-    /// How far the flange is from its place over the base, axes of B, m: the arm holds on to where it is while the base
-    /// makes room. 0 for a base alone and for follow-me.
-    pub stretch_body_m: [T; 2],
+    /// Where the tool is that the arm holds in its place in the world while the base makes room, axes of B, m; `None` for a base
+    /// alone and for follow-me.
+    pub tool_base_m: Option<[T; 2]>,
     /// Time since the last step, s, > 0.
     pub dt_s: T,
 }
 
 impl<const K: usize, T: Scalar> BarrierInput<K, T> {
-    /// With an arm that is where it belongs.
+    /// Without an arm that holds its tool in its place.
     pub fn new(
         samples: [Option<TaxelSample<T>>; K],
         velocity_body: [T; 3],
         deceleration: [T; 3],
         dt_s: T,
     ) -> Self {
-        Self { samples, light: [false; K], velocity_body, deceleration, stretch_body_m: [T::zero(); 2], dt_s }
+        Self { samples, light: [false; K], velocity_body, deceleration, tool_base_m: None, dt_s }
     }
 
     fn check(&self, taxels: usize) -> Result<(), ControlError> {
         check_step(self.dt_s)?;
         finite("velocity_body", &self.velocity_body)?;
         finite("deceleration", &self.deceleration)?;
-        finite("stretch_body_m", &self.stretch_body_m)?;
+        finite("tool_base_m", self.tool_base_m.as_ref().map_or(&[], |tool| tool.as_slice()))?;
         for (index, sample) in self.samples.iter().take(taxels).enumerate() {
             let fine = sample.is_none_or(|s| s.force_n.is_finite() && s.age_s.is_finite());
             if !fine {
@@ -418,7 +419,7 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             backs_off: false,
             carried_body_m_s: [T::zero(); 2],
         };
-        let mut carried = T::zero();
+        let mut gives_way = false;
         let forgotten = (input.dt_s / of(self.settings.forget_s)).min(T::one());
         for i in 0..taxels {
             let is_new = self.state.tracks[i].is_new(input.samples[i], input.dt_s);
@@ -460,12 +461,10 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             } else {
                 limits.outward_m_s[i] = track.released_limit(&self.settings).min(held);
             }
-            if limits.outward_m_s[i] < T::zero() {
-                carried = carried.max(self.carried(i, input.stretch_body_m));
-            }
+            gives_way |= limits.outward_m_s[i] < T::zero();
         }
-        if carried > T::zero() {
-            limits.carried_body_m_s = stretching(input).map(|speed| carried * speed);
+        if let (true, Some(reach), Some(tool)) = (gives_way, &self.settings.reach, &input.tool_base_m) {
+            limits.carried_body_m_s = carried(reach, tool, &input.velocity_body);
         }
         Ok(limits)
     }
@@ -547,33 +546,26 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             if squared(&self.places[i], &self.places[j]) > self.span_squared {
                 continue;
             }
-            let hidden = input.light[j] || self.state.tracks[j].was_touched();
+            // one that has just been let go is so whether its reading has been taken in yet or not
+            let track = &self.state.tracks[j];
+            let hidden = input.light[j] || track.touched() || track.was_touched();
             if let Some(n) = felt(j).or_else(|| hidden.then(|| of(self.settings.hidden_n))) {
                 all += self.settings.pressed_n(n);
             }
         }
         all.min(own + own)
     }
-
-    /// Share of what stretches the arm that the tool has to go along with while taxel `i` gives way: all of it at the end of
-    /// the reach.
-    fn carried(&self, i: usize, stretch_body_m: [T; 2]) -> T {
-        let [x, y] = stretch_body_m;
-        if self.outline.outward(i, &[x, y, T::zero()]) <= T::zero() {
-            return T::zero();
-        }
-        let [soft, hard] = self.settings.reach_m;
-        let length = (x * x + y * y).sqrt();
-        ((length - of(soft)) / of(hard - soft)).clamp(T::zero(), T::one())
-    }
 }
 
-/// The part of the base's velocity that stretches the arm further, axes of B, m/s: a turn, for which the shoulder makes up, aside.
-/// Where the base goes otherwise the tool stays: it pulls the base along, and both would go on for ever.
-fn stretching<const K: usize, T: Scalar>(input: &BarrierInput<K, T>) -> [T; 2] {
-    let ([x, y], [vx, vy, _]) = (input.stretch_body_m, input.velocity_body);
-    let away_per_s = ((x * vx + y * vy) / (x * x + y * y)).min(T::zero());
-    [x * away_per_s, y * away_per_s]
+/// How fast the tool has to go along with a base that gives way, axes of B, m/s: with the part of the shoulder's velocity that
+/// stretches the arm further, all of it at the end of the reach. Where the base goes otherwise the tool stays: it pulls the base
+/// along, and both would go on for ever.
+fn carried<T: Scalar>(reach: &ArmReach, tool_base_m: &[T; 2], &[vx, vy, yaw_rate]: &[T; 3]) -> [T; 2] {
+    let [x, y] = reach.shoulder_base_m.map(of::<T>);
+    let (share, [to_x, to_y]) = reach.used(tool_base_m);
+    let towards = (vx - yaw_rate * y) * to_x + (vy + yaw_rate * x) * to_y;
+    let along = share * towards.min(T::zero());
+    [along * to_x, along * to_y]
 }
 
 /// How far apart taxels may be that feel one body, m, squared.

@@ -102,6 +102,7 @@ pub mod model;
 pub mod momentum_observer;
 pub mod online_trajectory;
 pub mod opspace;
+pub mod reach;
 pub mod reference;
 pub mod reference_generator;
 pub mod rotation;

@@ -12,11 +12,12 @@ use moca_wbc::contact_barrier::{
 };
 use moca_wbc::guard::CoverOutline;
 use moca_wbc::limits::BaseLimits;
+use moca_wbc::reach::ArmReach;
 use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_wbc::testing::Numbers;
 use moca_wbc::{
-    BaseController, BaseGuard, BaseInput, ControlInput, ControlLaw, ControlOutput, LimitsHit, Parameters,
-    Payload, RobotState, TaxelPlacement, WholeBodyController,
+    ArmModel, BaseController, BaseGuard, BaseInput, ControlInput, ControlLaw, ControlOutput, LimitsHit,
+    Parameters, Payload, RobotState, TaxelPlacement, WholeBodyController,
 };
 use std::collections::VecDeque;
 
@@ -738,25 +739,29 @@ fn room_for_who_is_felt_goes_beyond_a_bound_of_the_law() {
     }
 }
 
+/// Of an arm that stands 0.2 m before the middle of the base.
+const REACH: ArmReach = ArmReach { shoulder_base_m: [0.2, 0.0], radius_m: [0.5, 0.6] };
+
 #[test]
 fn who_comes_further_than_the_arm_reaches_takes_the_tool_along() {
-    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
-    // pressed in front beyond the yield depth; the tool is ahead of its place over the base, or behind it
+    let settings =
+        BarrierSettings { reach: Some(REACH), ..BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap() };
+    // pressed in front beyond the yield depth; the tool is ahead of the base, or behind it
     for (force_n, ahead_m, share) in
-        [(22.0, 0.2, 0.0), (22.0, 0.3, 0.5), (22.0, 0.4, 1.0), (22.0, -0.4, 0.0), (0.0, 0.4, 0.0)]
+        [(22.0, 0.65, 0.0), (22.0, 0.75, 0.5), (22.0, 0.85, 1.0), (22.0, -0.45, 0.0), (0.0, 0.85, 0.0)]
     {
         let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
         let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
         samples[FRONT] = Some(TaxelSample { force_n, age_s: 0.0 });
         let mut input = BarrierInput::new(samples, [-0.1, 0.05, 0.3], [3.0; 3], DT_S);
-        input.stretch_body_m = [ahead_m, 0.0];
+        input.tool_base_m = Some([ahead_m, 0.0]);
         let [x, y] = barrier.update(&input).unwrap().carried_body_m_s;
         assert!((x + 0.1 * share).abs() < 1e-9 && y.abs() < 1e-9, "{force_n} N, {ahead_m} m: {x}, {y}");
     }
     // who was given room and has let go is believed to walk on: while the base gives way the tool still comes along
     let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
     let mut input = BarrierInput::new([None; 11], [-0.01, 0.0, 0.0], [3.0; 3], DT_S);
-    input.stretch_body_m = [0.4, 0.0];
+    input.tool_base_m = Some([0.85, 0.0]);
     for step in 0..1500 {
         let force_n = if step < 100 { 0.22 * f64::from(step) } else { 0.0 };
         input.samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
@@ -773,21 +778,82 @@ fn who_comes_further_than_the_arm_reaches_takes_the_tool_along() {
 /// The base follows its tool: a tool that went along with a base that comes after it would lead it on and on.
 #[test]
 fn the_tool_stays_where_a_base_that_gives_way_comes_towards_it() {
-    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    let settings =
+        BarrierSettings { reach: Some(REACH), ..BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap() };
+    // (0.64, 0.48) m from the shoulder, which a turn takes sideways
     for (velocity_body, carried) in [
-        ([0.2, 0.0, 0.5], [0.0, 0.0]),
-        ([-0.2, 0.0, 0.5], [-0.128, -0.096]),
+        ([0.2, 0.0, 0.0], [0.0, 0.0]),
+        ([-0.2, 0.0, 0.0], [-0.128, -0.096]),
         ([0.0, -0.3, 0.0], [-0.144, -0.108]),
         ([-0.3, 0.4, 0.0], [0.0, 0.0]),
+        ([0.0, 0.0, 0.5], [0.0, 0.0]),
+        ([0.0, 0.0, -0.5], [-0.048, -0.036]),
     ] {
         let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
         let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
         samples[FRONT] = Some(TaxelSample { force_n: 22.0, age_s: 0.0 });
         let mut input = BarrierInput::new(samples, velocity_body, [3.0; 3], DT_S);
-        input.stretch_body_m = [0.32, 0.24];
+        input.tool_base_m = Some([0.84, 0.48]);
         let found = barrier.update(&input).unwrap().carried_body_m_s;
         assert!((0..2).all(|i| f64::abs(found[i] - carried[i]) < 1e-12), "{velocity_body:?}: {found:?}");
     }
+}
+
+/// Where the elbow gets straight, and of an arm whose posture is there already all of it, from the start on.
+#[test]
+fn an_arm_reaches_as_far_as_its_joints_can_go_with_a_base_that_makes_room() {
+    let model = ArmModel::new(&PANDA, &MOCA_MOUNT, &Payload::NONE).unwrap();
+    let reach = |posture_rad: &[f64; 7], speed_m_s| ArmReach::new(&PANDA, &model, posture_rad, speed_m_s);
+    let home = reach(&PANDA.home_rad, 0.3);
+    assert_eq!(home.shoulder_base_m, [0.2, 0.0]);
+    // Wrist and shoulder are at most √(0.316² + 0.0825²) + √(0.384² + 0.0825²) m apart; the flange looks down at home, 0.107 m
+    // below the wrist and 0.088 m before it, so the tool is at its end where the elbow is straight.
+    let tool = model.kinematics(0.0, &PANDA.home_rad).tool_position;
+    let wrist_m = 0.316_f64.hypot(0.0825) + 0.384_f64.hypot(0.0825);
+    let straight_m = 0.088 + (wrist_m.powi(2) - (tool.z + 0.107 - 0.333).powi(2)).sqrt();
+    for (radius_m, pace) in home.radius_m.into_iter().zip([0.5, 0.8]) {
+        // the elbow's angle by the law of cosines, and its rate at 0.3 m/s along the ground
+        let (upper, fore) = (0.316_f64.hypot(0.0825), 0.384_f64.hypot(0.0825));
+        let angle = |radius_m: f64| {
+            let squared = (radius_m - 0.088).powi(2) + (tool.z + 0.107 - 0.333).powi(2);
+            ((upper * upper + fore * fore - squared) / (2.0 * upper * fore)).acos()
+        };
+        let share = |radius_m: f64| 0.3 * (angle(radius_m + 1e-6) - angle(radius_m - 1e-6)) / 2e-6 / 2.175;
+        assert!(radius_m < straight_m, "{radius_m} m of {straight_m} m");
+        assert!(
+            share(radius_m) <= pace + 1e-3 && share(radius_m + 0.006) > pace,
+            "{radius_m} m: {}",
+            share(radius_m)
+        );
+    }
+    let slow = reach(&PANDA.home_rad, 0.1);
+    assert!((0..2).all(|i| slow.radius_m[i] > home.radius_m[i] && slow.radius_m[i] < straight_m), "{slow:?}");
+    let stretched = reach(&[0.0, 0.5, 0.0, -0.45, 0.0, 1.2, 0.785], 0.3);
+    assert_eq!(stretched.radius_m, [0.0; 2], "its elbow is straight");
+    assert_eq!(stretched.used(&[0.21, 0.0]).0, 1.0);
+    let outside = reach(&[3.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785], 0.3);
+    assert_eq!(outside.radius_m, [0.0; 2], "joint 1 is beyond its end");
+}
+
+/// A neighbour that is let go in the same frame hides its part, whichever of the two has the lower number.
+#[test]
+fn what_a_neighbour_hides_does_not_depend_on_the_order_of_the_taxels() {
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    let depth_m = |stays: usize, goes: usize| {
+        let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
+        let mut depth_m = 0.0;
+        for goes_n in [6.0, 0.0] {
+            let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
+            samples[stays] = Some(TaxelSample { force_n: 6.0, age_s: 0.0 });
+            samples[goes] = Some(TaxelSample { force_n: goes_n, age_s: 0.0 });
+            let input = BarrierInput::new(samples, [0.0; 3], [3.0; 3], DT_S);
+            depth_m = barrier.update(&input).unwrap().depth_m[stays];
+        }
+        depth_m
+    };
+    let [first, second] = [depth_m(FRONT, FRONT + 1), depth_m(FRONT, FRONT - 1)];
+    assert!((first - second).abs() < 1e-12, "{first} m and {second} m");
+    assert!((first - FOAM.depth_m(6.0 + settings.hidden_n)).abs() < 1e-9, "{first} m");
 }
 
 #[test]

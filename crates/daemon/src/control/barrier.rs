@@ -11,6 +11,7 @@ use moca_wbc::contact_barrier::{
     BarrierInput, BarrierSettings, BarrierState, CURVE_POINTS, ContactBarrier, ContactLimits, FoamCurve,
     TaxelSample,
 };
+use moca_wbc::reach::ArmReach;
 use moca_wbc::{ArmModel, ControlError, FlangePose};
 use serde::{Deserialize, Serialize};
 
@@ -22,8 +23,6 @@ pub struct Barrier {
     light: [bool; TAXELS],
     /// What the base's servo can brake with, m/s², m/s², rad/s².
     deceleration: [f64; 3],
-    /// Flange from the base with the arm in its posture, axes of B, m; of an arm that holds its place in the world.
-    home_body_m: Option<[f64; 2]>,
     /// Flange from the base in the last tick, axes of B, m.
     flange_body_m: Option<[f64; 2]>,
     rows: heapless::Vec<ContactRow, MAX_CONTACT_ROWS>,
@@ -46,10 +45,12 @@ impl Barrier {
         config: &Config,
         arm: Option<&ArmModel<N, f64>>,
     ) -> Result<Option<Self>, ParameterError> {
-        let Some(settings) = settings(config)? else { return Ok(None) };
+        let Some(mut settings) = settings(config)? else { return Ok(None) };
         let base = &config.robot.base;
-        let posture_rad = resized(&config.parameters().gains.posture_rad);
-        let home = arm.map(|model| model.kinematics(0.0, &posture_rad).tool_from_base());
+        settings.reach = arm.zip(config.arm().table::<N>()).map(|(model, table)| {
+            let posture_rad = resized(&config.parameters().gains.posture_rad);
+            ArmReach::new(&table, model, &posture_rad, settings.retreat_m_s)
+        });
         Ok(Some(Self {
             contacts: ContactBarrier::new(&config.robot.cover.placements(), &settings)?,
             samples: [None; TAXELS],
@@ -59,7 +60,6 @@ impl Barrier {
                 base.acceleration_max_m_s2,
                 base.yaw_acceleration_max_rad_s2,
             ],
-            home_body_m: home.map(|home| [home.x, home.y]),
             flange_body_m: None,
             rows: heapless::Vec::new(),
         }))
@@ -108,9 +108,7 @@ impl Barrier {
         let deceleration = std::array::from_fn(|i| limit[i].min(self.deceleration[i]));
         let mut input = BarrierInput::new(self.samples, [vx, vy, yaw], deceleration, dt_s);
         input.light = self.light;
-        if let (true, Some(home), Some(flange)) = (holds_place, self.home_body_m, self.flange_body_m) {
-            input.stretch_body_m = [flange[0] - home[0], flange[1] - home[1]];
-        }
+        input.tool_base_m = self.flange_body_m.filter(|_| holds_place);
         let limits = self.contacts.update(&input)?;
         self.rows.clear();
         let bounded = (0_u8..).zip(limits.outward_m_s).filter(|(_, allowed_m_s)| allowed_m_s.is_finite());
