@@ -557,11 +557,11 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
     }
 }
 
-/// How fast the tool has to go along with a base that gives way, axes of B, m/s: with the part of the shoulder's velocity that
-/// stretches the arm further, all of it at the end of the reach. Where the base goes otherwise the tool stays: it pulls the base
-/// along, and both would go on for ever.
+/// How fast the tool has to go along with a base that gives way, axes of B, m/s: with the part of its place's velocity that leaves
+/// it further behind, all of it at the end of the reach. Where the base goes otherwise the tool stays: it pulls the base along,
+/// and both would go on for ever.
 fn carried<T: Scalar>(reach: &ArmReach, tool_base_m: &[T; 2], &[vx, vy, yaw_rate]: &[T; 3]) -> [T; 2] {
-    let [x, y] = reach.shoulder_base_m.map(of::<T>);
+    let [x, y] = reach.place_base_m.map(of::<T>);
     let (share, [to_x, to_y]) = reach.used(tool_base_m);
     let towards = (vx - yaw_rate * y) * to_x + (vy + yaw_rate * x) * to_y;
     let along = share * towards.min(T::zero());

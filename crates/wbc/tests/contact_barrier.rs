@@ -739,16 +739,15 @@ fn room_for_who_is_felt_goes_beyond_a_bound_of_the_law() {
     }
 }
 
-/// Of an arm that stands 0.2 m before the middle of the base.
-const REACH: ArmReach = ArmReach { shoulder_base_m: [0.2, 0.0], radius_m: [0.5, 0.6] };
+const REACH: ArmReach = ArmReach { place_base_m: [0.5, 0.0], stretch_m: [0.2, 0.3] };
 
 #[test]
 fn who_comes_further_than_the_arm_reaches_takes_the_tool_along() {
     let settings =
         BarrierSettings { reach: Some(REACH), ..BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap() };
-    // pressed in front beyond the yield depth; the tool is ahead of the base, or behind it
+    // pressed in front beyond the yield depth; the tool is ahead of its place, or behind it
     for (force_n, ahead_m, share) in
-        [(22.0, 0.65, 0.0), (22.0, 0.75, 0.5), (22.0, 0.85, 1.0), (22.0, -0.45, 0.0), (0.0, 0.85, 0.0)]
+        [(22.0, 0.65, 0.0), (22.0, 0.75, 0.5), (22.0, 0.85, 1.0), (22.0, 0.15, 0.0), (0.0, 0.85, 0.0)]
     {
         let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
         let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
@@ -780,59 +779,58 @@ fn who_comes_further_than_the_arm_reaches_takes_the_tool_along() {
 fn the_tool_stays_where_a_base_that_gives_way_comes_towards_it() {
     let settings =
         BarrierSettings { reach: Some(REACH), ..BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap() };
-    // (0.64, 0.48) m from the shoulder, which a turn takes sideways
+    // (0.32, 0.24) m from its place, which a turn takes sideways
     for (velocity_body, carried) in [
         ([0.2, 0.0, 0.0], [0.0, 0.0]),
         ([-0.2, 0.0, 0.0], [-0.128, -0.096]),
         ([0.0, -0.3, 0.0], [-0.144, -0.108]),
         ([-0.3, 0.4, 0.0], [0.0, 0.0]),
         ([0.0, 0.0, 0.5], [0.0, 0.0]),
-        ([0.0, 0.0, -0.5], [-0.048, -0.036]),
+        ([0.0, 0.0, -0.5], [-0.12, -0.09]),
     ] {
         let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
         let mut samples = [Some(TaxelSample { force_n: 0.0, age_s: 0.0 }); 11];
         samples[FRONT] = Some(TaxelSample { force_n: 22.0, age_s: 0.0 });
         let mut input = BarrierInput::new(samples, velocity_body, [3.0; 3], DT_S);
-        input.tool_base_m = Some([0.84, 0.48]);
+        input.tool_base_m = Some([0.82, 0.24]);
         let found = barrier.update(&input).unwrap().carried_body_m_s;
         assert!((0..2).all(|i| f64::abs(found[i] - carried[i]) < 1e-12), "{velocity_body:?}: {found:?}");
     }
 }
 
-/// Where the elbow gets straight, and of an arm whose posture is there already all of it, from the start on.
+/// Up to where the elbow gets straight, and not at all where it is in the arm's posture.
 #[test]
 fn an_arm_reaches_as_far_as_its_joints_can_go_with_a_base_that_makes_room() {
     let model = ArmModel::new(&PANDA, &MOCA_MOUNT, &Payload::NONE).unwrap();
     let reach = |posture_rad: &[f64; 7], speed_m_s| ArmReach::new(&PANDA, &model, posture_rad, speed_m_s);
     let home = reach(&PANDA.home_rad, 0.3);
-    assert_eq!(home.shoulder_base_m, [0.2, 0.0]);
-    // Wrist and shoulder are at most √(0.316² + 0.0825²) + √(0.384² + 0.0825²) m apart; the flange looks down at home, 0.107 m
-    // below the wrist and 0.088 m before it, so the tool is at its end where the elbow is straight.
     let tool = model.kinematics(0.0, &PANDA.home_rad).tool_position;
-    let wrist_m = 0.316_f64.hypot(0.0825) + 0.384_f64.hypot(0.0825);
-    let straight_m = 0.088 + (wrist_m.powi(2) - (tool.z + 0.107 - 0.333).powi(2)).sqrt();
-    for (radius_m, pace) in home.radius_m.into_iter().zip([0.5, 0.8]) {
-        // the elbow's angle by the law of cosines, and its rate at 0.3 m/s along the ground
-        let (upper, fore) = (0.316_f64.hypot(0.0825), 0.384_f64.hypot(0.0825));
-        let angle = |radius_m: f64| {
-            let squared = (radius_m - 0.088).powi(2) + (tool.z + 0.107 - 0.333).powi(2);
-            ((upper * upper + fore * fore - squared) / (2.0 * upper * fore)).acos()
-        };
-        let share = |radius_m: f64| 0.3 * (angle(radius_m + 1e-6) - angle(radius_m - 1e-6)) / 2e-6 / 2.175;
-        assert!(radius_m < straight_m, "{radius_m} m of {straight_m} m");
-        assert!(
-            share(radius_m) <= pace + 1e-3 && share(radius_m + 0.006) > pace,
-            "{radius_m} m: {}",
-            share(radius_m)
-        );
+    assert!((home.place_base_m[0] - tool.x - 0.2).abs() < 1e-12 && home.place_base_m[1].abs() < 1e-12);
+    // shoulder, elbow and wrist are a triangle; the flange looks down, 0.107 m below the wrist and 0.088 m before it
+    let (upper_m, fore_m) = (0.316_f64.hypot(0.0825), 0.384_f64.hypot(0.0825));
+    let wrist_up_m = tool.z + 0.107 - 0.333;
+    let straight_m = 0.088 + ((upper_m + fore_m).powi(2) - wrist_up_m.powi(2)).sqrt() - tool.x;
+    let elbow_rad = |stretch_m: f64| {
+        let squared = (tool.x + stretch_m - 0.088).powi(2) + wrist_up_m.powi(2);
+        ((upper_m.powi(2) + fore_m.powi(2) - squared) / (2.0 * upper_m * fore_m)).acos()
+    };
+    for (stretch_m, pace) in home.stretch_m.into_iter().zip([0.5, 0.8]) {
+        let share = |at_m: f64| 0.3 * (elbow_rad(at_m + 1e-6) - elbow_rad(at_m - 1e-6)) / 2e-6 / 2.175;
+        assert!(stretch_m < straight_m, "{stretch_m} m of {straight_m} m");
+        let [here, further] = [stretch_m, stretch_m + 0.005].map(share);
+        assert!(here < pace + 1e-4 && further > pace - 1e-4, "{stretch_m} m: {here} to {further}");
     }
     let slow = reach(&PANDA.home_rad, 0.1);
-    assert!((0..2).all(|i| slow.radius_m[i] > home.radius_m[i] && slow.radius_m[i] < straight_m), "{slow:?}");
+    assert!(
+        (0..2).all(|i| slow.stretch_m[i] > home.stretch_m[i] && slow.stretch_m[i] < straight_m),
+        "{slow:?}"
+    );
     let stretched = reach(&[0.0, 0.5, 0.0, -0.45, 0.0, 1.2, 0.785], 0.3);
-    assert_eq!(stretched.radius_m, [0.0; 2], "its elbow is straight");
-    assert_eq!(stretched.used(&[0.21, 0.0]).0, 1.0);
+    assert_eq!(stretched.stretch_m, [0.0; 2], "its elbow is straight");
+    let [x, y] = stretched.place_base_m;
+    assert_eq!(stretched.used(&[x + 1e-3, y]).0, 1.0);
     let outside = reach(&[3.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785], 0.3);
-    assert_eq!(outside.radius_m, [0.0; 2], "joint 1 is beyond its end");
+    assert_eq!(outside.stretch_m, [0.0; 2], "joint 1 is beyond its end");
 }
 
 /// A neighbour that is let go in the same frame hides its part, whichever of the two has the lower number.

@@ -396,8 +396,8 @@ fn neighbours_are_a_fifth_further_apart_at_most() {
 /// The tool goes along where a retreat would stretch the arm, and nowhere else.
 #[test]
 fn the_tool_goes_along_with_a_retreat_from_where_the_arm_is_stretched_to() {
-    let reach = ArmReach { shoulder_base_m: [0.1, -0.2], radius_m: [0.25, 0.35] };
-    for (force_n, from_shoulder_m, share) in [
+    let reach = ArmReach { place_base_m: [0.1, -0.2], stretch_m: [0.25, 0.35] };
+    for (force_n, from_place_m, share) in [
         (40.0, [0.18, 0.24], 0.5),
         (40.0, [0.24, -0.18], 0.5),
         (40.0, [0.0, 0.4], 1.0),
@@ -406,10 +406,10 @@ fn the_tool_goes_along_with_a_retreat_from_where_the_arm_is_stretched_to() {
         (20.0, [0.4, 0.0], 0.0),
     ] {
         // slowly away from the tool
-        let away = [-0.01 * from_shoulder_m[0], -0.01 * from_shoulder_m[1], 0.0];
+        let away = [-0.01 * from_place_m[0], -0.01 * from_place_m[1], 0.0];
         let mut input = BarrierInput::new([None; 11], away, [3.0, 3.0, 6.0], DT_S);
         input.samples[FRONT] = Some(TaxelSample { force_n, age_s: 0.0 });
-        input.tool_base_m = Some([from_shoulder_m[0] + 0.1, from_shoulder_m[1] - 0.2]);
+        input.tool_base_m = Some([from_place_m[0] + 0.1, from_place_m[1] - 0.2]);
         let settings = BarrierSettings { first_speed_m_s: 0.0, reach: Some(reach), ..settings() };
         let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
         let limits = barrier.update(&input).unwrap();
@@ -417,7 +417,7 @@ fn the_tool_goes_along_with_a_retreat_from_where_the_arm_is_stretched_to() {
         let carried = limits.carried_body_m_s;
         assert!(
             (0..2).all(|i| (carried[i] - share * away[i]).abs() < 1e-9),
-            "{force_n} N, {from_shoulder_m:?} m: {carried:?}"
+            "{force_n} N, {from_place_m:?} m: {carried:?}"
         );
         // without an arm that holds its place there is nothing to take along
         for (tool_base_m, reach) in [(None, Some(reach)), (input.tool_base_m, None)] {
