@@ -4,6 +4,7 @@
 #![expect(clippy::needless_range_loop, reason = "matrix algorithms read as in the books: by index")]
 
 mod factor;
+mod lanes;
 mod metric;
 mod row;
 mod scalar;

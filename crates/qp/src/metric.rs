@@ -1,14 +1,17 @@
 //! The cost, and the search for the least of it.
 
 use crate::factor::{Factor, Step, replace_by_last};
+use crate::lanes::{self, Block, LANES, larger};
 use crate::row::Row;
-use crate::scalar::{Scalar, add_scaled, dot, is_number};
+use crate::scalar::{MARKS, Scalar, add_scaled, dot, is_number};
 use crate::solution::{Active, QpError, Side, Solution, WorkingSet};
 
 /// Most iterations for each variable and each row.
 const ITERATIONS: usize = 4;
-/// Rows whose weights are kept; those of further rows are computed each time.
-const WEIGHTED: usize = 128;
+/// Rows of the first blocks, which are kept.
+const IN_BLOCKS: usize = MARKS as usize;
+/// Rows after those whose weights are kept: what fills no block. Those of further rows are computed each time.
+const WEIGHTED: usize = LANES;
 
 /// A quadratic cost ½(x − target)ᵀH(x − target), factored once: H is the metric in which a solution is nearest.
 ///
@@ -33,8 +36,10 @@ struct Search<'a, const N: usize, T> {
     target: &'a [T; N],
     factor: Factor<N, T>,
     x: [T; N],
-    /// By which a row's violation is multiplied when they are compared: 0 for active ones, else about 1/‖normal‖.
-    /// Borrowed, because it would be copied when the rest is put in its place.
+    /// The first rows once more; active ones have no bounds there. `None` is quickly written, zeros would not be.
+    /// Borrowed, because they would be copied when the rest is put in its place.
+    blocks: &'a mut [Option<Block<N, T>>; IN_BLOCKS / LANES],
+    /// By which the violations of the rows after those are multiplied: 0 for active ones, else about 1/‖normal‖.
     weights: &'a mut [T; WEIGHTED],
     active: [(usize, Side); N],
     /// Zero where nothing is active.
@@ -145,13 +150,14 @@ impl<const N: usize, T: Scalar> Metric<N, T> {
             target,
             factor: Factor::new(&self.inverse_factor),
             x: *target,
+            blocks: &mut [None; IN_BLOCKS / LANES],
             weights: &mut [T::NOTHING; WEIGHTED],
             active: [(0, Side::Lower); N],
             multipliers: [T::NOTHING; N],
             iterations: 0,
             kept: T::KEPT,
         };
-        search.weigh()?;
+        search.line_up()?;
         let mut ended = search.run(from);
         if ended.is_err() && from.count > 0 {
             // rows that are nearly dependent may be a bad place to start from
@@ -163,7 +169,7 @@ impl<const N: usize, T: Scalar> Metric<N, T> {
                 kept: T::KEPT,
                 ..search
             };
-            search.weigh()?;
+            search.line_up()?;
             ended = search.run(&WorkingSet::EMPTY);
         }
         ended?;
@@ -182,12 +188,22 @@ impl<const N: usize, T: Scalar> Metric<N, T> {
     }
 }
 
-impl<const N: usize, T: Scalar> Search<'_, N, T> {
-    /// Weighs the rows, and refuses those that make no sense.
+impl<'a, const N: usize, T: Scalar> Search<'a, N, T> {
+    /// Rows that fill blocks, and the others.
     #[inline]
-    fn weigh(&mut self) -> Result<(), QpError> {
+    fn split(&self) -> (&'a [Row<N, T>], &'a [Row<N, T>]) {
+        self.rows.split_at(self.rows.len().min(IN_BLOCKS) / LANES * LANES)
+    }
+
+    /// Puts the rows side by side, and refuses those that make no sense.
+    #[inline]
+    fn line_up(&mut self) -> Result<(), QpError> {
+        let (in_blocks, others) = self.split();
         let mut fine = true;
-        for (i, row) in self.rows.iter().enumerate() {
+        for (block, rows) in self.blocks.iter_mut().zip(in_blocks.as_chunks().0) {
+            fine &= Block::replace(block, rows);
+        }
+        for (i, row) in others.iter().enumerate() {
             let squared = dot(&row.normal, &row.normal);
             fine &= row.bounds_make_sense() & (squared < T::UNBOUNDED);
             if let Some(weight) = self.weights.get_mut(i) {
@@ -221,23 +237,26 @@ impl<const N: usize, T: Scalar> Search<'_, N, T> {
     /// The row that x is farthest from keeping, as the crow flies, if it is by more than rounding.
     #[inline]
     fn worst(&self) -> Option<(usize, Side)> {
-        let (mut worst, mut at) = (T::NOTHING, self.rows.len());
-        let (weighted, others) = self.rows.split_at(self.rows.len().min(WEIGHTED));
-        // selected, not branched: no processor could guess it
+        let mut worst = lanes::worst(self.blocks, &self.x);
+        let mut at = usize::from(MARKS - 1 - T::mark(worst));
+        let (in_blocks, others) = self.split();
         let mut compare = |i: usize, row: &Row<N, T>, weight: T| {
             let outside = row.violation(&self.x) * weight;
-            at = if outside > worst { i } else { at };
-            worst = if outside > worst { outside } else { worst };
+            at = if outside > worst { in_blocks.len() + i } else { at };
+            worst = larger(outside, worst);
         };
-        for (i, (row, weight)) in weighted.iter().zip(self.weights.iter()).enumerate() {
+        for (i, (row, weight)) in others.iter().zip(self.weights.iter()).enumerate() {
             compare(i, row, *weight);
         }
-        for (i, row) in others.iter().enumerate() {
-            compare(WEIGHTED + i, row, row.weight());
+        for (i, row) in others.iter().enumerate().skip(WEIGHTED) {
+            compare(i, row, row.weight());
+        }
+        if worst <= T::LEAST {
+            return None;
         }
         let row = self.rows.get(at)?;
-        // active ones among the first weigh nothing
-        let free = at < WEIGHTED || !self.is_active(at);
+        // active ones among the first were not looked at
+        let free = at < IN_BLOCKS || !self.is_active(at);
         if free && row.violation(&self.x) > self.kept * row.size(&self.x) {
             return Some((at, row.violated_side(&self.x)));
         }
@@ -262,6 +281,8 @@ impl<const N: usize, T: Scalar> Search<'_, N, T> {
     fn take_up(&mut self, row: usize, side: Side) -> Result<(), QpError> {
         let normal = self.rows[row].inward(side);
         let mut multiplier = T::NOTHING;
+        // now, not when it is active: a processor has to wait before it reads together what it has written apart
+        self.ignore(row);
         loop {
             self.count()?;
             let step = self.factor.step(&normal);
@@ -296,6 +317,7 @@ impl<const N: usize, T: Scalar> Search<'_, N, T> {
 
     /// No step comes nearer to the row: rounding gathered on the way, rounding that stays, or a contradiction.
     fn give_up(&mut self, row: usize, violation: T) -> Result<(), QpError> {
+        self.heed(row);
         if self.settle() == Settled::Moved {
             return Ok(());
         }
@@ -335,9 +357,6 @@ impl<const N: usize, T: Scalar> Search<'_, N, T> {
         self.active[self.factor.count] = (row, side);
         self.multipliers[self.factor.count] = multiplier;
         self.factor.add(step);
-        if let Some(weight) = self.weights.get_mut(row) {
-            *weight = T::NOTHING;
-        }
     }
 
     #[inline]
@@ -346,8 +365,31 @@ impl<const N: usize, T: Scalar> Search<'_, N, T> {
         self.factor.drop_row(k);
         self.active[k] = self.active[self.factor.count];
         replace_by_last(&mut self.multipliers, k, self.factor.count);
-        if let Some(weight) = self.weights.get_mut(row) {
-            *weight = self.rows[row].weight();
+        self.heed(row);
+    }
+
+    /// Does not look at a row among the first any more.
+    #[inline]
+    fn ignore(&mut self, row: usize) {
+        self.set(row, -T::UNBOUNDED, T::UNBOUNDED, T::NOTHING);
+    }
+
+    /// Looks at it again.
+    #[inline]
+    fn heed(&mut self, row: usize) {
+        let Row { lower, upper, .. } = self.rows[row];
+        let weight = self.rows[row].weight();
+        self.set(row, lower * weight, upper * weight, weight);
+    }
+
+    /// What a row is looked at with: its bounds in a block, else its weight.
+    #[inline]
+    fn set(&mut self, row: usize, lower: T, upper: T, weight: T) {
+        let other = row.wrapping_sub(self.split().0.len());
+        if let Some(kept) = self.weights.get_mut(other) {
+            *kept = weight;
+        } else if let Some(Some(block)) = self.blocks.get_mut(row / LANES) {
+            block.set_bounds(row % LANES, lower, upper);
         }
     }
 
@@ -361,6 +403,7 @@ impl<const N: usize, T: Scalar> Search<'_, N, T> {
             let step = self.factor.step(&self.rows[row].inward(side));
             if self.factor.count < N && independent(&step) {
                 self.add(row, side, T::NOTHING, &step);
+                self.ignore(row);
             }
         }
         self.settle();

@@ -3,26 +3,60 @@
 use core::fmt::{Debug, Display};
 use core::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
+/// How many numbers the last digits of a scalar are taken to mark it: a power of two.
+pub(crate) const MARKS: u8 = 64;
+
 mod sealed {
+    use super::MARKS;
+
     /// What only this crate calls.
-    pub trait Sealed {
+    pub trait Sealed: Sized + 'static {
+        /// Numbers from [`super::MARKS`] − 1 down to 0 as the last bits of a scalar.
+        const MARKS: &[Self; MARKS as usize];
+
         /// 1/√x of a normal number within 4 %, without a root or a division: half the exponent, negated, and the mantissa with it.
         fn about_inverse_root(x: Self) -> Self;
+        /// x with a mark in place of its last digits: the largest of many such says by itself which one it was. Infinity
+        /// becomes the largest number, because it would be none with a mark.
+        fn marked(x: Self, mark: Self) -> Self;
+        /// The number that x is marked with.
+        fn mark(x: Self) -> u8;
     }
 
-    impl Sealed for f32 {
-        #[inline]
-        fn about_inverse_root(x: Self) -> Self {
-            Self::from_bits(0x5F37_5A86_u32.wrapping_sub(x.to_bits() >> 1))
-        }
+    macro_rules! sealed {
+        ($float:ty, bits: $bits:ty, inverse_root: $inverse_root:literal) => {
+            impl Sealed for $float {
+                const MARKS: &[Self; MARKS as usize] = &{
+                    let mut marks = [0.0; MARKS as usize];
+                    let mut i = 0;
+                    while i < MARKS {
+                        marks[i as usize] = Self::from_bits((MARKS - 1 - i) as $bits);
+                        i += 1;
+                    }
+                    marks
+                };
+
+                #[inline]
+                fn about_inverse_root(x: Self) -> Self {
+                    Self::from_bits(<$bits>::wrapping_sub($inverse_root, x.to_bits() >> 1))
+                }
+
+                #[inline]
+                fn marked(x: Self, mark: Self) -> Self {
+                    let x = if x > Self::MAX { Self::MAX } else { x };
+                    Self::from_bits(x.to_bits() & !<$bits>::from(MARKS - 1) | mark.to_bits())
+                }
+
+                #[inline]
+                fn mark(x: Self) -> u8 {
+                    x.to_bits().to_le_bytes()[0] & (MARKS - 1)
+                }
+            }
+        };
     }
 
-    impl Sealed for f64 {
-        #[inline]
-        fn about_inverse_root(x: Self) -> Self {
-            Self::from_bits(0x5FE6_EB50_C7B5_37A9_u64.wrapping_sub(x.to_bits() >> 1))
-        }
-    }
+    sealed!(f32, bits: u32, inverse_root: 0x5F37_5A86);
+    sealed!(f64, bits: u64, inverse_root: 0x5FE6_EB50_C7B5_37A9);
 }
 
 /// `f32` or `f64`. Its functions are no methods, so that they cannot be taken for those of another numeric trait.
@@ -47,6 +81,8 @@ pub trait Scalar:
     const UNIT: Self;
     /// No bound.
     const UNBOUNDED: Self;
+    /// The least positive number with all its digits.
+    const LEAST: Self;
     /// Share of its terms by which a row may be outside: rounding.
     const KEPT: Self;
     /// The same where no step can do better, and the sine of the angle to the active rows below which a row is taken
@@ -65,6 +101,7 @@ macro_rules! scalar {
             const NOTHING: Self = 0.0;
             const UNIT: Self = 1.0;
             const UNBOUNDED: Self = Self::INFINITY;
+            const LEAST: Self = Self::MIN_POSITIVE;
             const KEPT: Self = 64.0 * Self::EPSILON;
             const LOOSE: Self = $loose;
 

@@ -102,11 +102,18 @@ fn what_is_no_number_is_an_error_wherever_it_stands() {
         // as processors make it of 0/0
         Row::at_least([1.0, -f64::NAN, 0.0], 0.0),
     ] {
-        let found = plain().nearest(&[0.0; 3], &[row], &COLD);
-        assert_eq!(found, Err(QpError::NotFinite { what: "row", index: 0 }), "{row:?}");
+        // alone, and among as many as are looked at side by side
+        for (rows, index) in [(vec![row], 0), (vec![fine, fine, row, fine, fine], 2)] {
+            let found = plain().nearest(&[0.0; 3], &rows, &COLD);
+            assert_eq!(found, Err(QpError::NotFinite { what: "row", index }), "{row:?}");
+        }
     }
-    let huge = [Row::at_least([1e-200, 0.0, 0.0], 1e200)];
-    assert!(plain().nearest(&[0.0; 3], &huge, &COLD).is_err());
+    for (normal, bound) in [(1e-200, 1e200), (0.0, 1.0), (0.0, 1e300)] {
+        for rows in [1, 4] {
+            let huge = vec![Row::at_least([normal, 0.0, 0.0], bound); rows];
+            assert!(plain().nearest(&[0.0; 3], &huge, &COLD).is_err());
+        }
+    }
 }
 
 #[test]
@@ -176,7 +183,9 @@ fn hundreds_of_rows_are_solved_like_a_few() {
 fn coefficients_may_be_large_or_small_as_long_as_they_are_numbers() {
     for size in [1e200, 1e-200] {
         let kept = [Row::at_least([size, 0.0, 0.0], -size), Row::at_most([0.0, size, size], size)];
-        assert_eq!(plain().nearest(&[0.5, 0.25, 0.25], &kept, &COLD).unwrap().x, [0.5, 0.25, 0.25]);
+        for rows in [kept.to_vec(), [kept, kept].concat()] {
+            assert_eq!(plain().nearest(&[0.5, 0.25, 0.25], &rows, &COLD).unwrap().x, [0.5, 0.25, 0.25]);
+        }
     }
 }
 
