@@ -419,6 +419,19 @@ fn the_tool_goes_along_with_a_retreat_from_where_the_arm_is_stretched_to() {
             (0..2).all(|i| (carried[i] - share * away[i]).abs() < 1e-9),
             "{force_n} N, {from_place_m:?} m: {carried:?}"
         );
+        // the place goes with the base's turns, 0.2 m beside and 0.1 m before its middle
+        let length = f64::hypot(from_place_m[0], from_place_m[1]);
+        for yaw_rate in [-0.05, 0.05] {
+            let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
+            let turning = BarrierInput { velocity_body: [away[0], away[1], yaw_rate], ..input };
+            let carried = barrier.update(&turning).unwrap().carried_body_m_s;
+            let place = [away[0] + 0.2 * yaw_rate, away[1] + 0.1 * yaw_rate];
+            let behind = (0..2).map(|i| place[i] * from_place_m[i] / length).sum::<f64>().min(0.0);
+            assert!(
+                (0..2).all(|i| (carried[i] - share * behind * from_place_m[i] / length).abs() < 1e-9),
+                "{force_n} N, {from_place_m:?} m, {yaw_rate} rad/s: {carried:?}"
+            );
+        }
         // without an arm that holds its place there is nothing to take along
         for (tool_base_m, reach) in [(None, Some(reach)), (input.tool_base_m, None)] {
             let settings = BarrierSettings { reach, ..settings };
