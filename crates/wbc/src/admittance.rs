@@ -21,27 +21,35 @@ use nalgebra::Matrix3;
 /// v + dt·τ/M at D = 0. Stable for every D/M and dt. eq. (2)
 #[inline]
 pub fn step<T: Scalar>(velocity: T, force: T, mass: T, damping: T, dt_s: T) -> T {
-    velocity + mean_share(mass, damping, dt_s) * dt_s / mass * (force - damping * velocity)
+    stepped(velocity, force, mass, damping, dt_s).0
+}
+
+/// [`step`], and its mean acceleration of the one at its start.
+#[inline]
+fn stepped<T: Scalar>(velocity: T, force: T, mass: T, damping: T, dt_s: T) -> (T, T) {
+    let share = mean_share(mass, damping, dt_s);
+    (velocity + share * dt_s / mass * (force - damping * velocity), share)
 }
 
 /// Mean acceleration of [`step`] over its `dt_s`, of the one at its start: (1 − e^(−x))/x with x = D·dt/M.
 #[inline]
-pub(crate) fn mean_share<T: Scalar>(mass: T, damping: T, dt_s: T) -> T {
+fn mean_share<T: Scalar>(mass: T, damping: T, dt_s: T) -> T {
     let x = damping * dt_s / mass;
     // keeps its digits as D → 0
     if x > T::default_epsilon() { -(-x).exp_m1() / x } else { T::one() }
 }
 
-/// Exact zero-order hold of eq. (2) on all three axes.
+/// Exact zero-order hold of eq. (2) on all three axes: velocities, and mean accelerations of those at the start.
 pub(crate) fn admitted<T: Scalar>(
     gains: &BaseGains<T>,
     velocity: &[T; 3],
     force: &[T; 3],
     dt_s: T,
-) -> [T; 3] {
-    core::array::from_fn(|i| {
-        step(velocity[i], force[i], gains.virtual_mass[i], gains.virtual_damping[i], dt_s)
-    })
+) -> ([T; 3], [T; 3]) {
+    let axes: [(T, T); 3] = core::array::from_fn(|i| {
+        stepped(velocity[i], force[i], gains.virtual_mass[i], gains.virtual_damping[i], dt_s)
+    });
+    (axes.map(|(velocity, _)| velocity), axes.map(|(_, share)| share))
 }
 
 /// eq. (2) with its damping moved into τ_0: M_v·v̇ = τ_v − S·M_v⁻¹·D_v·v, S the free base mass. Implicit in v, because

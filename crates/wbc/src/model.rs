@@ -303,7 +303,9 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     }
 
     /// [`crate::coupled::CoupledDynamics`] without what stands on the base: `arm` becomes kinematics, arm, coupling, and
-    /// bias of the arm on a base that turns at `yaw_rate`, constant. Gives what the base carries.
+    /// bias of the arm on a base that turns at `yaw_rate`, constant. Gives what the base carries; what of it nobody reads is
+    /// not even computed where this is inlined.
+    #[inline]
     pub(crate) fn on_moving_base(
         &self,
         (yaw, q): (T, &[T; N]),

@@ -22,6 +22,7 @@ impl<T: Scalar> Inertia<T> {
     }
 
     /// About the point from which the present one is `step` away.
+    #[inline]
     pub(crate) fn moved(&self, step: &Vector3<T>) -> Self {
         let middle = self.first_moment + step * (self.mass * of(0.5));
         let mut moved = *self;
@@ -31,6 +32,7 @@ impl<T: Scalar> Inertia<T> {
     }
 
     /// In the axes in which the present ones are `rotation`.
+    #[inline]
     pub(crate) fn rotated(&self, rotation: &Matrix3<T>) -> Self {
         Self {
             mass: self.mass,
@@ -233,6 +235,7 @@ pub(crate) fn symmetric_times<T: Scalar>(&[xx, xy, xz, yy, yz, zz]: &[T; 6], v: 
 }
 
 /// R·S·Rᵀ of a symmetric 3×3 matrix (xx, xy, xz, yy, yz, zz).
+#[inline]
 pub(crate) fn rotate_symmetric<T: Scalar>(r: &Matrix3<T>, &[xx, xy, xz, yy, yz, zz]: &[T; 6]) -> [T; 6] {
     let turned = r * Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz) * r.transpose();
     [turned[(0, 0)], turned[(1, 0)], turned[(2, 0)], turned[(1, 1)], turned[(2, 1)], turned[(2, 2)]]

@@ -119,7 +119,9 @@ impl Timing {
 
     /// Counts the age of the cover's data that a tick used, s; a negative one is none.
     pub fn count_frame_age(&mut self, age_s: f64) {
-        if let (false, Ok(age)) = (self.off, Duration::try_from_secs_f64(age_s)) {
+        if !self.off
+            && let Ok(age) = Duration::try_from_secs_f64(age_s)
+        {
             self.frame_age.record(age);
         }
     }

@@ -181,11 +181,11 @@ impl<const K: usize, T: Scalar> BaseController<K, T> {
         dt_s: T,
     ) -> [T; 3] {
         let Some((led_before, led)) = state.advance_lead(self.limits.velocity_max(), dt_s) else {
-            return admitted(&state.gains, before, force, dt_s);
+            return admitted(&state.gains, before, force, dt_s).0;
         };
         let (led_before, led) = (heading.to_world(led_before), heading.to_world(led));
         let own: [T; 3] = core::array::from_fn(|i| before[i] - led_before[i]);
-        let own = admitted(&state.gains, &own, force, dt_s);
+        let (own, _) = admitted(&state.gains, &own, force, dt_s);
         core::array::from_fn(|i| own[i] + led[i])
     }
 

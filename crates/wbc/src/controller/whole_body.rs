@@ -7,7 +7,7 @@ use super::law::ControlLaw;
 use super::lead::Target;
 use super::tick::{ArmTick, Tracking};
 use super::{FlangePose, LIGHTEST_DAMPED_BASE, check};
-use crate::admittance::{admitted, damped_in_null_space, mean_share};
+use crate::admittance::{admitted, damped_in_null_space};
 use crate::error::{ControlError, finite};
 use crate::follow_me;
 use crate::gains;
@@ -314,7 +314,8 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             arm: tick.posture_torque(&state.arm),
         };
         let [eta_base, eta_arm] = state.eta;
-        let weighted = BlockWeight::new(eta_base, eta_arm).factor(&task)?;
+        let weighted = BlockWeight::new(eta_base, eta_arm).factor(&task);
+        let weighted = weighted.as_ref().map_err(|error| *error)?; // taken out, it would be copied
         let goal = weighted.goal(&wrench, &null.arm);
         let mut y = weighted.multiplier(&goal, &null.base);
         let base_force = weighted.base_force(&y, &null.base);
@@ -326,18 +327,19 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         let pushed = core::array::from_fn(|i| base_force[i] + fed[i]);
         let mut counted_per_s = [T::one() / tick.dt_s; 3];
         let base_velocity = if self.corrections.null_space_damping {
-            let velocity = damped_in_null_space(&weighted, gains, &step.base_velocity, &pushed, tick.dt_s)?;
+            let velocity = damped_in_null_space(weighted, gains, &step.base_velocity, &pushed, tick.dt_s)?;
             for i in 0..3 {
                 null.base[i] -= gains.virtual_damping[i] * velocity[i];
             }
             y = weighted.multiplier(&goal, &null.base);
             velocity
         } else {
+            let (velocity, mean_shares) = admitted(gains, &step.base_velocity, &pushed, tick.dt_s);
             // eq. (6) knows the acceleration at the step's start, eq. (2) gives its mean
             for i in 0..3 {
-                counted_per_s[i] /= mean_share(gains.virtual_mass[i], gains.virtual_damping[i], tick.dt_s);
+                counted_per_s[i] /= mean_shares[i];
             }
-            admitted(gains, &step.base_velocity, &pushed, tick.dt_s)
+            velocity
         };
         let arm_force = weighted.arm_force(&y, &null.arm);
         let torque = core::array::from_fn(|i| arm_force[i] + tick.dynamics.bias[i]);
@@ -376,8 +378,13 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
     ) -> Result<RobotCommand<N, T>, ControlError> {
         let (tick, heading) = (step.tick, &step.tick.kinematics.heading);
         let moves = state.law() != ControlLaw::Hold;
-        let room = BaseGuard { outward_m_s: guard.outward_m_s, ..BaseGuard::NONE };
-        let guard = if moves { guard } else { &room };
+        let room;
+        let guard = if moves {
+            guard
+        } else {
+            room = BaseGuard { outward_m_s: guard.outward_m_s, ..BaseGuard::NONE };
+            &room
+        };
         let wanted_body = heading.to_base(wanted.base_velocity);
         let base_velocity_body =
             self.base.limited(guard, &wanted_body, &state.base.velocity_body, tick.dt_s, hit);
