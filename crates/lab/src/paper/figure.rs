@@ -13,7 +13,7 @@ use std::path::Path;
 const WIDTH: f64 = 900.0;
 const PANEL_HEIGHT: f64 = 165.0;
 /// Strip above the panels for the names of the moments.
-const HEADER: f64 = 34.0;
+const HEADER: f64 = 46.0;
 /// Line below the pictures, px.
 const NOTES: f64 = 16.0;
 /// Corners along each edge of a band.
@@ -49,11 +49,11 @@ impl Figure<'_> {
         let mut drawing = Drawing::new(WIDTH, height + NOTES);
         let at =
             |moment: &Moment| panels.first().map_or(0.0, |panel| panel.place(rows[moment.row].t_s, WIDTH));
-        let mut taken = [f64::NEG_INFINITY; 2];
+        let mut taken = [f64::NEG_INFINITY; 3];
         for moment in moments {
             let x = at(moment);
-            // Names that would run into each other go into the second lane.
-            let lane = usize::from(x < taken[0]);
+            // Names that would run into each other go into lanes of their own.
+            let lane = taken.iter().position(|end| x >= *end).unwrap_or(taken.len() - 1);
             taken[lane] = x + 7.0 * count(moment.name.chars().count()) + 6.0;
             drawing.text([x, 12.0 + 12.0 * count(lane)], Anchor::Start, &moment.name, BLACK);
             drawing.line(&[[x, 16.0 + 12.0 * count(lane)], [x, HEADER + 16.0]], 1.0, GREY);
