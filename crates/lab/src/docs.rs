@@ -288,7 +288,7 @@ mod tests {
         (
             "docs/results.md",
             "errors",
-            &[("go 66.757 mm in one seed and 276.417", "pushes, barrier off and on | way of the base")],
+            &[("go 29.585 mm in one seed and 208.286", "pushes, barrier off and on | way of the base")],
         ),
         ("docs/results.md", "contact", &[("at that moment leaves 17 N", "no bytes any more")]),
         (

@@ -8,7 +8,7 @@
 //!    remembers; it is yours) and [`WholeBodyController::step`] (measurements in, command inside every limit out). A base
 //!    without an arm is a [`BaseController`], an arm without a cover an [`ArmController`]; the whole is made of these two.
 //! 2. **The laws** alone, to build another controller: [`opspace`], [`impedance`], [`follow_me`], [`admittance`],
-//!    [`cover_map`], [`limits`], [`guard`], [`momentum_observer`].
+//!    [`cover_map`], [`limits`], [`guard`], [`contact_barrier`], [`reach`], [`momentum_observer`].
 //! 3. **The model** alone: [`ArmModel`] from a table of [`robot`]; [`ArmModel::kinematics`] gives poses and Jacobians in
 //!    world axes, [`ArmModel::dynamics`] mass matrix and bias as well; [`coupled`] adds the physical base.
 //! 4. **References from outside**: [`online_trajectory`] and [`reference_generator`] make of targets, however they come,
