@@ -81,7 +81,7 @@ impl ArmReach {
 fn outwards<const N: usize>(model: &ArmModel<N, f64>, q: &[f64; N]) -> Option<[f64; N]> {
     let kinematics = model.kinematics(0.0, q);
     let (jacobian, tool) = (kinematics.arm_jacobian(), kinematics.tool_position);
-    let radius = tool.x.hypot(tool.y).max(f64::MIN_POSITIVE);
+    let radius = tool.xy().norm().max(f64::MIN_POSITIVE);
     let twist = [tool.x / radius, tool.y / radius, 0.0, 0.0, 0.0, 0.0];
     let factor = Cholesky::new(&(jacobian * jacobian.transpose()))?;
     Some(transpose_times(jacobian, &factor.solve(&twist)))
