@@ -3,7 +3,8 @@
 SI units, radians. Frames: W world, B mobile base, E flange; a name says which. Quaternions are x, y, z, w.
 
 A program that commands is watched over: only a call of its own is a sign of life, and after three seconds without one
-it loses the command and a moving robot stops.
+it loses the command and a moving robot stops. The end of a `with moca.connect() as robot:` block disarms the robot that
+the block commanded; an exception that leaves the block, Ctrl-C and `sys.exit` among them, is a protective stop.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from moca._moca import Disconnected, Refused
 from moca._moca import Log as _Log
 from moca._moca import Simulation as _Simulation
 from moca._moca import State as _State
+from moca._moca import stop as _stop
 
-__all__ = ["Disconnected", "Log", "Refused", "Robot", "Sim", "State", "connect", "read"]
+__all__ = ["Disconnected", "Log", "Refused", "Robot", "Sim", "State", "connect", "read", "stop"]
 
 AGE_LIMIT_S = 0.2
 
@@ -79,7 +81,8 @@ class State:
         return f"<moca.State tick {self.tick}, {self.mode}>"
 
 
-_SCALARS = {"time_s", "cover_speed_m_s", "speed_limit_m_s", "frame_age_s", "target_progress"}
+_FIELDS = dict(_State.fields())
+_SCALARS = {name for name, single in _FIELDS.items() if single}
 
 
 class _Commanded:
@@ -107,8 +110,14 @@ class _Commanded:
         """Leaves the protective stop."""
         return self._request("resume")
 
+    def recentre(self) -> Any:
+        """Drives the base slowly back under the arm; a touch or `end_target` ends it."""
+        return self._request("recentre")
+
     def select_law(self, law: str) -> Any:
         """Chooses "impedance" or "follow-me"."""
+        if law not in ("impedance", "follow-me"):
+            raise ValueError(f"law = {law!r}: allowed: 'impedance', 'follow-me'")
         return self._request(law)
 
     def end_target(self) -> Any:
@@ -123,6 +132,8 @@ class _Commanded:
         self, twist: Any, *, axes: str = "world", age_limit: float = AGE_LIMIT_S, touch: str = "wins"
     ) -> Any:
         """Moves the flange, m/s and rad/s, in the axes of "world", "base" or "flange"."""
+        if axes not in ("world", "base", "flange"):
+            raise ValueError(f"axes = {axes!r}: allowed: 'world', 'base', 'flange'")
         return self._target(f"twist {axes}", _numbers(twist), age_limit, touch)
 
     def target_posture(self, q: Any, *, age_limit: float = AGE_LIMIT_S, touch: str = "wins") -> Any:
@@ -186,18 +197,22 @@ class Robot(_Commanded):
         return State(self._inner.next())
 
     def release(self) -> None:
-        """Gives the command back; a moving robot goes on."""
+        """Gives the command back. An armed robot is disarmed, unless it armed itself and no operator has intervened."""
         self._inner.release()
 
     def close(self) -> None:
-        """Gives the command back and ends the connection; a moving robot goes on."""
+        """Disarms the robot if this program has commanded it, and ends the connection."""
         self._inner.close()
 
     def __enter__(self) -> Robot:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self.close()
+        else:
+            # The daemon stops a robot whose commander hangs up without a word.
+            self._inner.abandon()
 
     def _target(self, kind: str, values: Sequence[float], age_limit: float, touch: str) -> None:
         self._inner.target(kind, values, time.time_ns(), age_limit, touch)
@@ -255,7 +270,7 @@ class Log:
 
     def keys(self) -> list[str]:
         """The names of the columns."""
-        return [*_Log.fields(), "mode"]
+        return [*_FIELDS, "mode"]
 
     def __len__(self) -> int:
         return len(self._inner)
@@ -274,8 +289,13 @@ class Log:
 
 
 def connect(address: str | None = None) -> Robot:
-    """Connects to a running daemon: HOST:PORT, or unix:PATH; without one where `mocad status` finds it."""
+    """Connects to a running daemon: unix:PATH, or HOST:PORT; without one where `mocad arm` finds it."""
     return Robot(address)
+
+
+def stop(address: str | None = None) -> None:
+    """Protective stop, from anybody: it needs neither the command nor a place among the daemon's clients."""
+    _stop(address)
 
 
 def read(path: str | os.PathLike[str]) -> Log:

@@ -1,18 +1,20 @@
 //! A running daemon. Only a call of the program's own is a sign of life: a program that hangs loses the command.
 
-use crate::request::{answered, plain, policy, target, waypoints};
+use crate::request::{answered, plain, policy, press, target, waypoints};
 use crate::state::State;
 use crate::{Disconnected, Refused};
 use moca_msgs::{Outcome, Request, Sample};
+use moca_telemetry::net::client::stop_blocking;
 use moca_telemetry::net::{Address, Connection, Link, Reply};
 use moca_telemetry::{ParameterValue, RobotDescription};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// How long a daemon may take to greet, to answer or to say something new.
+/// Longest wait for a daemon to greet, to answer or to send news.
 const PATIENCE: Duration = Duration::from_secs(3);
 const LOOK_EVERY: Duration = Duration::from_micros(200);
 
@@ -25,9 +27,27 @@ pub struct Client {
     /// Nothing once it is closed.
     connection: Mutex<Option<Arc<Connection>>>,
     heard: Mutex<Heard>,
+    /// True once a request other than a stop was carried out: then this program is responsible for the robot.
+    commanded: AtomicBool,
 }
 
-/// What the daemon has said and nobody has taken yet.
+fn address_of(text: Option<&str>) -> PyResult<Address> {
+    match text {
+        Some(text) => text.parse().map_err(|error| PyValueError::new_err(format!("{text}: {error}"))),
+        None => Ok(Address::of_this_machine()),
+    }
+}
+
+/// Stops the robot without being served by its daemon.
+#[pyfunction]
+#[pyo3(signature = (address=None))]
+pub fn stop(py: Python<'_>, address: Option<&str>) -> PyResult<()> {
+    let address = address_of(address)?;
+    let outcome = py.detach(|| stop_blocking(&address));
+    answered(Request::Stop, outcome.map_err(|error| Disconnected::new_err(format!("{address}: {error}")))?)
+}
+
+/// Messages of the daemon that have not been read yet.
 struct Heard {
     description: Arc<RobotDescription>,
     samples: VecDeque<Sample>,
@@ -36,23 +56,24 @@ struct Heard {
 
 #[pymethods]
 impl Client {
-    /// Without an address the service's socket, or where there is none the port that `mocad` listens at.
+    /// Without an address the service's socket, or where there is none that of this user's `mocad`.
     #[new]
     #[pyo3(signature = (address=None))]
     fn new(py: Python<'_>, address: Option<&str>) -> PyResult<Self> {
-        let address: Address = match address {
-            Some(text) => text.parse().map_err(|error| PyValueError::new_err(format!("{text}: {error}")))?,
-            None => Address::of_this_machine(),
-        };
+        let address = address_of(address)?;
         let connection =
             Connection::spawn(address.clone(), || {}).map_err(|e| Disconnected::new_err(e.to_string()))?;
         let until = Instant::now() + PATIENCE;
         loop {
+            if let Some(reason) = connection.refusal() {
+                return Err(Disconnected::new_err(format!("{address}: {reason}")));
+            }
             match connection.poll().link {
                 Link::Up { description, .. } => {
                     let (samples, replies) = Default::default();
                     let heard = Mutex::new(Heard { description, samples, replies });
-                    return Ok(Self { connection: Mutex::new(Some(Arc::new(connection))), heard });
+                    let (connection, commanded) = (Mutex::new(Some(Arc::new(connection))), false.into());
+                    return Ok(Self { connection, heard, commanded });
                 }
                 Link::Down { reason } if Instant::now() >= until => {
                     return Err(Disconnected::new_err(format!("{address}: {reason}")));
@@ -84,7 +105,7 @@ impl Client {
         let description = Arc::clone(&self.heard().description);
         let found = description.parameters.iter().position(|parameter| parameter.name == name);
         let number =
-            found.ok_or_else(|| PyValueError::new_err(format!("no parameter is called {name:?}")))?;
+            found.ok_or_else(|| PyValueError::new_err(no_parameter(&description, name)))?;
         let values = description.parameters[number].checked(&values).map_err(PyValueError::new_err)?;
         let parameter = u8::try_from(number).map_err(|error| PyValueError::new_err(error.to_string()))?;
         let outcome = self.ask(py, Request::SetParameter { parameter, values })?;
@@ -113,7 +134,7 @@ impl Client {
     }
 
     fn request(&self, py: Python<'_>, name: &str) -> PyResult<()> {
-        answered(self.ask(py, plain(name)?)?)
+        self.obey(py, plain(name)?)
     }
 
     fn target(
@@ -125,7 +146,7 @@ impl Client {
         age_limit_s: f64,
         touch: &str,
     ) -> PyResult<()> {
-        answered(self.ask(py, target(kind, &values, stamp_unix_ns, age_limit_s, touch)?)?)
+        self.obey(py, target(kind, &values, stamp_unix_ns, age_limit_s, touch)?)
     }
 
     fn trajectory(&self, py: Python<'_>, rows: Vec<f64>, touch: &str) -> PyResult<()> {
@@ -134,11 +155,13 @@ impl Client {
             return Err(PyValueError::new_err("a trajectory without poses"));
         }
         self.connection()?.trajectory(touch, waypoints);
-        answered(self.answer(py, |request| matches!(request, Request::Waypoint { .. }))?)
+        let Reply { request, outcome } = self.answer(py, |request| matches!(request, Request::Waypoint { .. }))?;
+        answered(request, outcome)
     }
 
     fn press(&self, py: Python<'_>, taxel: u8, force_n: f64) -> PyResult<()> {
-        answered(self.ask(py, Request::PressTaxel { taxel, force_n })?)
+        let count = self.heard().description.taxels.len();
+        self.obey(py, press(taxel, force_n, count)?)
     }
 
     /// Gives the command back.
@@ -147,17 +170,31 @@ impl Client {
         Ok(())
     }
 
-    /// Gives the command back and ends the connection: what was said before has been sent when this returns.
+    /// Disarms, gives the command back and ends the connection: all of it has been sent when this returns.
     fn close(&self, py: Python<'_>) {
-        let connection = self.connection.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some(connection) = connection {
+        if let Some(connection) = self.take() {
+            // One that has only looked on changes nothing. Whoever commands meanwhile is the daemon's to judge.
+            if self.commanded.load(Ordering::Relaxed) {
+                connection.request(Request::Disarm);
+            }
             connection.release();
+            py.detach(|| drop(connection));
+        }
+    }
+
+    /// Ends the connection without a word: a robot that this program commands stops.
+    fn abandon(&self, py: Python<'_>) {
+        if let Some(connection) = self.take() {
             py.detach(|| drop(connection));
         }
     }
 }
 
 impl Client {
+    fn take(&self) -> Option<Arc<Connection>> {
+        self.connection.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+
     fn heard(&self) -> MutexGuard<'_, Heard> {
         self.heard.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -169,17 +206,24 @@ impl Client {
 
     fn ask(&self, py: Python<'_>, request: Request) -> PyResult<Outcome> {
         self.connection()?.request(request);
-        self.answer(py, |asked| *asked == request)
+        Ok(self.answer(py, |asked| *asked == request)?.outcome)
+    }
+
+    fn obey(&self, py: Python<'_>, request: Request) -> PyResult<()> {
+        answered(request, self.ask(py, request)?)
     }
 
     /// The answer to the request that is meant, whatever else is on its way.
-    fn answer(&self, py: Python<'_>, is_meant: impl Fn(&Request) -> bool) -> PyResult<Outcome> {
+    fn answer(&self, py: Python<'_>, is_meant: impl Fn(&Request) -> bool) -> PyResult<Reply> {
         let until = Instant::now() + PATIENCE;
         loop {
             let mut heard = self.poll()?;
             let place = heard.replies.iter().position(|reply| is_meant(&reply.request));
             if let Some(reply) = place.and_then(|place| heard.replies.remove(place)) {
-                return Ok(reply.outcome);
+                if reply.outcome.is_ok() && reply.request != Request::Stop {
+                    self.commanded.store(true, Ordering::Relaxed);
+                }
+                return Ok(reply);
             }
             drop(heard);
             self.wait(py, until, "the daemon does not answer")?;
@@ -212,4 +256,16 @@ impl Client {
         heard.replies.drain(..excess);
         Ok(heard)
     }
+}
+
+/// Error text of an unknown parameter, with those of a like name, or else all that can be changed.
+fn no_parameter(robot: &RobotDescription, name: &str) -> String {
+    let last = name.rsplit('.').next().unwrap_or_default();
+    let names = |wanted: &dyn Fn(&str) -> bool| -> Vec<String> {
+        let live = robot.parameters.iter().filter(|parameter| parameter.live);
+        live.map(|parameter| parameter.name.clone()).filter(|known| wanted(known)).collect()
+    };
+    let like = names(&|known| !last.is_empty() && known.contains(last));
+    let allowed = if like.is_empty() { names(&|_| true) } else { like };
+    format!("no parameter is called {name:?}; allowed: {}", allowed.join(", "))
 }

@@ -25,6 +25,7 @@ pyo3::create_exception!(
 fn _moca(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("Refused", module.py().get_type::<Refused>())?;
     module.add("Disconnected", module.py().get_type::<Disconnected>())?;
+    module.add_function(wrap_pyfunction!(client::stop, module)?)?;
     module.add_class::<state::State>()?;
     module.add_class::<client::Client>()?;
     module.add_class::<log::Log>()?;

@@ -1,9 +1,9 @@
 //! A log as columns.
 
-use crate::state::{FIELDS, bytes, numbers};
+use crate::state::{bytes, field as known, no_field};
 use moca_msgs::Sample;
-use moca_telemetry::log::read_log;
-use pyo3::exceptions::{PyKeyError, PyOSError};
+use moca_telemetry::log::{LogError, read_log};
+use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use std::path::PathBuf;
@@ -20,7 +20,7 @@ pub struct Log {
 impl Log {
     #[new]
     fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        let log = py.detach(|| read_log(&path)).map_err(|error| PyOSError::new_err(error.to_string()))?;
+        let log = py.detach(|| read_log(&path)).map_err(|error| unreadable(&error))?;
         let (samples, cut, start_unix_ns) = (log.samples, log.cut, log.start_unix_ns);
         Ok(Self { samples, cut, name: log.description.name, start_unix_ns })
     }
@@ -44,16 +44,10 @@ impl Log {
         self.samples.len()
     }
 
-    /// The names of the columns.
-    #[staticmethod]
-    fn fields() -> [&'static str; FIELDS.len()] {
-        FIELDS
-    }
-
     /// A column row by row, and how many numbers a row has. A sample without them has no number in their place.
     fn column<'py>(&self, py: Python<'py>, field: &str) -> PyResult<(Bound<'py, PyBytes>, usize)> {
-        let rows: Option<Vec<Vec<f64>>> = self.samples.iter().map(|sample| numbers(sample, field)).collect();
-        let rows = rows.ok_or_else(|| PyKeyError::new_err(field.to_owned()))?;
+        let of = known(field).ok_or_else(|| PyKeyError::new_err(no_field(field)))?.of;
+        let rows: Vec<Vec<f64>> = self.samples.iter().map(of).collect();
         let width = rows.iter().map(Vec::len).max().unwrap_or(0);
         let mut values = Vec::with_capacity(rows.len() * width);
         for row in &rows {
@@ -66,5 +60,13 @@ impl Log {
     /// The mode of each row.
     fn modes(&self) -> Vec<&'static str> {
         self.samples.iter().map(|sample| sample.mode.name()).collect()
+    }
+}
+
+/// The built-in exception of a file that is missing or must not be read; of one that is no log a `ValueError`.
+fn unreadable(error: &LogError) -> PyErr {
+    match error {
+        LogError::Open { cause, .. } => std::io::Error::new(cause.kind(), error.to_string()).into(),
+        _ => PyValueError::new_err(error.to_string()),
     }
 }

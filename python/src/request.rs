@@ -4,23 +4,46 @@ use crate::Refused;
 use moca_msgs::{
     Law, Outcome, ParameterValues, Request, Target, TimedTarget, TouchPolicy, TwistAxes, Waypoint,
 };
+use moca_msgs::request::PRESS_FORCE_MAX_N;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
+/// Requests that take no numbers.
+const PLAIN: [(&str, Request); 9] = [
+    ("tare", Request::Tare),
+    ("arm", Request::Arm),
+    ("disarm", Request::Disarm),
+    ("stop", Request::Stop),
+    ("resume", Request::Resume),
+    ("end-target", Request::EndTarget),
+    ("recentre", Request::Recentre),
+    ("impedance", Request::SelectLaw(Law::Impedance)),
+    ("follow-me", Request::SelectLaw(Law::FollowMe)),
+];
+
 /// One that takes no numbers.
 pub(crate) fn plain(name: &str) -> PyResult<Request> {
-    Ok(match name {
-        "tare" => Request::Tare,
-        "arm" => Request::Arm,
-        "disarm" => Request::Disarm,
-        "stop" => Request::Stop,
-        "resume" => Request::Resume,
-        "end-target" => Request::EndTarget,
-        "impedance" => Request::SelectLaw(Law::Impedance),
-        "follow-me" => Request::SelectLaw(Law::FollowMe),
-        _ => return Err(PyValueError::new_err(format!("no request is called {name:?}"))),
+    let found = PLAIN.iter().find(|(known, _)| *known == name).map(|(_, request)| *request);
+    found.ok_or_else(|| {
+        let names = PLAIN.map(|(known, _)| known).join(", ");
+        PyValueError::new_err(format!("no request is called {name:?}; allowed: {names}"))
     })
 }
+
+/// A press of a taxel (0 is T1) of a cover of `count`.
+pub(crate) fn press(taxel: u8, force_n: f64, count: usize) -> PyResult<Request> {
+    let number = u16::from(taxel) + 1;
+    if usize::from(taxel) >= count {
+        return Err(PyValueError::new_err(format!("taxel {number}: allowed: 1 (T1) to {count} (T{count})")));
+    }
+    if !(0.0..=PRESS_FORCE_MAX_N).contains(&force_n) {
+        return Err(PyValueError::new_err(format!("force {force_n} N: allowed: 0 (let go) to {PRESS_FORCE_MAX_N} N")));
+    }
+    Ok(Request::PressTaxel { taxel, force_n })
+}
+
+/// Kinds of targets.
+const TARGETS: &str = "pose, twist world, twist base, twist flange, posture, base";
 
 /// A target: its kind, its numbers, how old it may become, and what a touch does to it.
 pub(crate) fn target(
@@ -43,10 +66,10 @@ pub(crate) fn target(
         "twist world" | "twist base" | "twist flange" => Target::Twist { axes, twist: exactly(values)? },
         "posture" => {
             let q_rad = ParameterValues::new(values);
-            Target::Posture(q_rad.ok_or_else(|| PyValueError::new_err("more joints than any arm has"))?)
+            Target::Posture(q_rad.ok_or_else(|| PyValueError::new_err(format!("{} joint angles, more than any arm has", values.len())))?)
         }
         "base" => Target::BaseVelocity { velocity_body: exactly(values)? },
-        _ => return Err(PyValueError::new_err(format!("no target is called {kind:?}"))),
+        _ => return Err(PyValueError::new_err(format!("no target is called {kind:?}; allowed: {TARGETS}"))),
     };
     let touch = policy(touch)?;
     Ok(Request::Target(TimedTarget { target, stamp_unix_ns, age_s: 0.0, age_limit_s, touch }))
@@ -74,6 +97,6 @@ pub(crate) fn exactly<const N: usize>(values: &[f64]) -> PyResult<[f64; N]> {
     values.try_into().map_err(|_| PyValueError::new_err(format!("{} numbers, {N} are needed", values.len())))
 }
 
-pub(crate) fn answered(outcome: Outcome) -> PyResult<()> {
-    outcome.map_err(|refusal| Refused::new_err(refusal.to_string()))
+pub(crate) fn answered(request: Request, outcome: Outcome) -> PyResult<()> {
+    outcome.map_err(|refusal| Refused::new_err(request.refused(refusal).to_string()))
 }

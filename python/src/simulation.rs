@@ -1,8 +1,8 @@
 //! A simulated robot in lock-step: bytes, law and plant as in `mocad --as-fast-as-possible`.
 
-use crate::request::{answered, plain, policy, target, waypoints};
+use crate::request::{answered, plain, policy, press, target, waypoints};
 use crate::state::State;
-use moca_daemon::config::Config;
+use moca_control::config::Config;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::assemble::board_config;
@@ -25,6 +25,8 @@ enum World {
 pub struct Simulation {
     world: World,
     period_s: f64,
+    /// Number of taxels.
+    taxels: usize,
 }
 
 #[pymethods]
@@ -36,6 +38,10 @@ impl Simulation {
         let mut config = match (path, toml) {
             (None, None) => Config::default(),
             (Some(path), None) => {
+                // A missing file is Python's own exception.
+                std::fs::metadata(&path).map_err(|error| {
+                    std::io::Error::new(error.kind(), format!("{}: {error}", path.display()))
+                })?;
                 Config::load(&path).map_err(|error| wrong(format!("{}:\n{error}", path.display())))?
             }
             (None, Some(text)) => Config::parse(text).map_err(|error| wrong(error.to_string()))?,
@@ -44,6 +50,7 @@ impl Simulation {
         if let Some(seed) = seed {
             config.simulation.seed = seed;
         }
+        let taxels = config.robot.cover.count();
         let scene = free_scene(&config);
         let world = if config.plant.parts.has_cover() {
             LockStep::with_board(&config, &scene, board_config(&config), None)
@@ -52,7 +59,7 @@ impl Simulation {
             LockStep::without_cover(&config, &scene).map(|w| World::Bare(w.untimed()))
         };
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
-        Ok(Self { world: world.map_err(|error| wrong(format!("{error:#}")))?, period_s })
+        Ok(Self { world: world.map_err(|error| wrong(format!("{error:#}")))?, period_s, taxels })
     }
 
     #[getter]
@@ -60,7 +67,7 @@ impl Simulation {
         self.period_s
     }
 
-    /// So many ticks; the last one's state.
+    /// Steps a number of ticks and returns the last one's state.
     fn step(&mut self, py: Python<'_>, ticks: u64) -> PyResult<State> {
         let mut last = None;
         for done in 0..ticks {
@@ -93,7 +100,7 @@ impl Simulation {
     }
 
     fn press(&mut self, taxel: u8, force_n: f64) -> PyResult<State> {
-        self.ask(Request::PressTaxel { taxel, force_n })
+        self.ask(press(taxel, force_n, self.taxels)?)
     }
 }
 
@@ -108,7 +115,7 @@ impl Simulation {
     /// A request takes a tick.
     fn ask(&mut self, request: Request) -> PyResult<State> {
         let (sample, outcome) = self.tick(Some(request));
-        answered(outcome.unwrap_or(Err(Refusal::NoAnswer)))?;
+        answered(request, outcome.unwrap_or(Err(Refusal::NoAnswer)))?;
         Ok(State(sample))
     }
 }

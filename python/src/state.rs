@@ -1,6 +1,8 @@
 //! A sample, as bytes of doubles under the names of its fields.
 
-use moca_msgs::{Sample, seconds};
+use moca_msgs::{
+    ContactReaction, Law, STAGES, Sample, SpeedLimit, TaxelReading, TaxelStatus, sample_table, seconds,
+};
 use pyo3::exceptions::PyAttributeError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -9,57 +11,126 @@ use pyo3::types::PyBytes;
 #[pyclass(frozen, module = "moca._moca")]
 pub struct State(pub(crate) Sample);
 
-/// Numbers of a sample by the name of their field; `None` for a name that there is not.
-pub(crate) fn numbers(sample: &Sample, field: &str) -> Option<Vec<f64>> {
-    Some(match field {
-        "time_s" => vec![seconds(sample.time_ns)],
-        "base_pose_world" => sample.base_pose_world.to_vec(),
-        "base_velocity_world" => sample.base_velocity_world.to_vec(),
-        "base_velocity_command_body" => sample.base_velocity_command_body.to_vec(),
-        "cover_speed_m_s" => vec![sample.cover_speed_m_s],
-        "speed_limit_m_s" => vec![sample.speed_limit.m_s],
-        "q_rad" => sample.q_rad.to_vec(),
-        "dq_rad_s" => sample.dq_rad_s.to_vec(),
-        "arm_torque_nm" => sample.arm_torque_nm.to_vec(),
-        "flange_position_world" => sample.flange_position_world.to_vec(),
-        "flange_quaternion_world" => sample.flange_quaternion_world.to_vec(),
-        "flange_desired_position_world" => sample.flange_desired_position_world.to_vec(),
-        "flange_desired_quaternion_world" => sample.flange_desired_quaternion_world.to_vec(),
-        "flange_wrench_world" => sample.flange_wrench_world.to_vec(),
-        "cover_wrench_base" => sample.cover_wrench_base.to_vec(),
-        // Stale or dead is not zero: what is not known is no number.
-        "taxel_force_n" => sample
-            .taxels
-            .iter()
-            .map(|taxel| if taxel.status == moca_msgs::TaxelStatus::Ok { taxel.force_n } else { f64::NAN })
-            .collect(),
-        "frame_age_s" => vec![if sample.frame_age_s < 0.0 { f64::NAN } else { sample.frame_age_s }],
-        "target_progress" => vec![sample.target.map_or(f64::NAN, |target| target.progress)],
-        _ => return None,
-    })
+/// The field of numbers with this name.
+pub(crate) fn field(name: &str) -> Option<NumberField> {
+    fields().into_iter().find(|field| field.name == name)
 }
 
-/// The names that [`numbers`] knows.
-pub(crate) const FIELDS: [&str; 18] = [
-    "time_s",
-    "base_pose_world",
-    "base_velocity_world",
-    "base_velocity_command_body",
-    "cover_speed_m_s",
-    "speed_limit_m_s",
-    "q_rad",
-    "dq_rad_s",
-    "arm_torque_nm",
-    "flange_position_world",
-    "flange_quaternion_world",
-    "flange_desired_position_world",
-    "flange_desired_quaternion_world",
-    "flange_wrench_world",
-    "cover_wrench_base",
-    "taxel_force_n",
-    "frame_age_s",
-    "target_progress",
+/// A field of numbers.
+#[derive(Clone, Copy)]
+pub(crate) struct NumberField {
+    pub(crate) name: &'static str,
+    /// True for one number, false for a list of them.
+    pub(crate) single: bool,
+    pub(crate) of: fn(&Sample) -> Vec<f64>,
+}
+
+/// Numbers that no field of a sample has as they are. Stale or dead is not zero: what is not known is no number.
+const MADE: [NumberField; 4] = [
+    NumberField { name: "time_s", single: true, of: |sample| vec![seconds(sample.time_ns)] },
+    NumberField { name: "speed_limit_m_s", single: true, of: |sample| vec![sample.speed_limit.m_s] },
+    NumberField {
+        name: "target_progress",
+        single: true,
+        of: |sample| vec![sample.target.map_or(f64::NAN, |target| target.progress)],
+    },
+    NumberField {
+        name: "taxel_force_n",
+        single: false,
+        of: |sample| {
+            let force = |taxel: &TaxelReading| match taxel.status {
+                TaxelStatus::Ok => taxel.force_n,
+                _ => f64::NAN,
+            };
+            sample.taxels.iter().map(force).collect()
+        },
+    },
 ];
+
+/// Error text of a name that no field of numbers has.
+pub(crate) fn no_field(name: &str) -> String {
+    let names: Vec<&str> = fields().into_iter().map(|field| field.name).collect();
+    format!("no field is called {name:?}; allowed: {}", names.join(", "))
+}
+
+/// A field of a sample as numbers, where it is any.
+trait Numbers {
+    /// True for one number, false for a list of them, `None` for anything else.
+    const SINGLE: Option<bool> = None;
+
+    fn numbers(&self) -> Vec<f64> {
+        Vec::new()
+    }
+}
+
+impl Numbers for f64 {
+    const SINGLE: Option<bool> = Some(true);
+
+    fn numbers(&self) -> Vec<f64> {
+        vec![*self]
+    }
+}
+
+impl<const N: usize> Numbers for [f64; N] {
+    const SINGLE: Option<bool> = Some(false);
+
+    fn numbers(&self) -> Vec<f64> {
+        self.to_vec()
+    }
+}
+
+impl<const N: usize> Numbers for heapless::Vec<f64, N> {
+    const SINGLE: Option<bool> = Some(false);
+
+    fn numbers(&self) -> Vec<f64> {
+        self.to_vec()
+    }
+}
+
+macro_rules! no_numbers {
+    ($($type:ty),* $(,)?) => { $(impl Numbers for $type {})* };
+}
+
+// Whole numbers and words have properties of their own, counts and readings come as forces.
+no_numbers!(u64, [u32; STAGES.len()], SpeedLimit, Option<Law>, Option<ContactReaction>);
+
+impl<const N: usize> Numbers for heapless::Vec<u16, N> {}
+impl<const N: usize> Numbers for heapless::Vec<TaxelReading, N> {}
+
+fn single<T: Numbers>(_: fn(&Sample) -> &T) -> Option<bool> {
+    T::SINGLE
+}
+
+macro_rules! fields {
+    (
+        own $own:tt
+        $(
+            $(#[$record_doc:meta])* $record:ident $topic:literal $ros:literal {
+                $($(#[$doc:meta])* $field:ident: $type:ty $(as $columns:tt)? $(, $word:ident)*;)*
+            }
+        )*
+    ) => {
+        /// All fields of numbers, in the order of the table.
+        pub(crate) fn fields() -> Vec<NumberField> {
+            let mut fields = MADE.to_vec();
+            $($(
+                if let Some(single) = single(|sample| &sample.$field) {
+                    let of = |sample: &Sample| {
+                        let mut numbers = sample.$field.numbers();
+                        if [$(stringify!($word)),*].contains(&"from_zero") {
+                            numbers.iter_mut().filter(|number| **number < 0.0).for_each(|number| *number = f64::NAN);
+                        }
+                        numbers
+                    };
+                    fields.push(NumberField { name: stringify!($field), single, of });
+                }
+            )*)*
+            fields
+        }
+    };
+}
+
+sample_table!(fields);
 
 /// Doubles as bytes, for `numpy.frombuffer`.
 pub(crate) fn bytes<'py>(py: Python<'py>, values: &[f64]) -> Bound<'py, PyBytes> {
@@ -69,10 +140,16 @@ pub(crate) fn bytes<'py>(py: Python<'py>, values: &[f64]) -> Bound<'py, PyBytes>
 
 #[pymethods]
 impl State {
+    /// Name of each field of numbers, and true if it is one number.
+    #[staticmethod]
+    fn fields() -> Vec<(&'static str, bool)> {
+        fields().into_iter().map(|field| (field.name, field.single)).collect()
+    }
+
     /// The numbers of a field.
     fn numbers<'py>(&self, py: Python<'py>, field: &str) -> PyResult<Bound<'py, PyBytes>> {
-        let values = numbers(&self.0, field).ok_or_else(|| PyAttributeError::new_err(field.to_owned()))?;
-        Ok(bytes(py, &values))
+        let of = self::field(field).ok_or_else(|| PyAttributeError::new_err(no_field(field)))?.of;
+        Ok(bytes(py, &of(&self.0)))
     }
 
     #[getter]

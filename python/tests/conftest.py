@@ -1,5 +1,4 @@
 import os
-import socket
 import subprocess
 import time
 from pathlib import Path
@@ -22,9 +21,7 @@ def mocad():
 @pytest.fixture
 def daemon(mocad, tmp_path):
     """A live robot without a cover, which no busy machine can stop; it arms nothing by itself."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = "127.0.0.1:%d" % free.getsockname()[1]
+    address = f"unix:{tmp_path}/mocad.sock"
     config = tmp_path / "mocad.toml"
     config.write_text(
         f'[telemetry]\nlisten = "{address}"\n[startup]\narm = false\n[simulation.hand]\ntaxels = []\n'
@@ -35,7 +32,7 @@ def daemon(mocad, tmp_path):
         yield address
     finally:
         process.kill()
-        process.wait()
+        process.wait(60)
 
 
 def wait_for(robot, mode):

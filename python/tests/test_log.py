@@ -12,7 +12,7 @@ def log_file(mocad, tmp_path_factory):
     (folder / "mocad.toml").write_text('[telemetry]\nlisten = ""\n')
     path = folder / "run.mcap"
     command = [mocad, "--config", folder / "mocad.toml", "--as-fast-as-possible", "--duration", "60", "--record", path]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, timeout=240)
     return path
 
 
@@ -30,5 +30,16 @@ def test_a_column_that_is_none_and_a_file_that_is_no_log(log_file, tmp_path):
     with pytest.raises(KeyError):
         moca.read(log_file)["no_such_column"]
     (tmp_path / "no.mcap").write_text("no")
-    with pytest.raises(OSError):
+    with pytest.raises(ValueError, match="not an MCAP file"):
         moca.read(tmp_path / "no.mcap")
+
+
+def test_a_log_that_ends_within_its_header_is_refused_as_such(tmp_path):
+    (tmp_path / "cut.mcap").write_bytes(b"\x89MCAP0\r\n")
+    with pytest.raises(ValueError, match="cut.mcap ends within its header: nothing in it can be read"):
+        moca.read(tmp_path / "cut.mcap")
+
+
+def test_a_missing_log_is_a_file_that_is_not_found(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no-such.mcap"):
+        moca.read(tmp_path / "no-such.mcap")

@@ -26,13 +26,11 @@ def test_the_program_of_the_readme_runs(daemon):
     program = text.split("```python\n")[1].split("```")[0]
     robot = moca.connect(daemon)
     wait_for(robot, "ready")
-    robot.release()
     start = robot.state.flange_position_world[0]
-    program = program.replace("127.0.0.1:7611", daemon).replace("0.7", str(start + 0.02))
-    assert len(program.splitlines()) == 6
-    names = {}
-    exec(program, names)
-    names["robot"].release()
+    program = program.replace("connect()", f'connect("{daemon}")').replace("0.7", str(start + 0.02))
+    assert len(program.splitlines()) == 5
+    exec(program, {})
+    wait_for(robot, "ready")
     assert robot.state.flange_position_world[0] > start + 0.015
 
 
@@ -117,7 +115,7 @@ def test_each_thread_gets_the_answer_to_what_it_asked(daemon):
     assert wrong == []
 
 
-def test_a_program_that_ends_in_order_stops_no_robot(daemon):
+def test_leaving_the_block_disarms(daemon):
     second = moca.connect(daemon)
     with moca.connect(daemon) as first:
         wait_for(first, "ready")
@@ -125,16 +123,52 @@ def test_a_program_that_ends_in_order_stops_no_robot(daemon):
         wait_for(first, "impedance")
     with pytest.raises(moca.Disconnected, match="closed"):
         first.state
-    newest = second.state
-    assert {newest.mode, *(next(second).mode for _ in range(1000))} == {"impedance"}
-    until = time.monotonic() + 10
-    while True:
-        try:
-            second.disarm()
-            break
-        except moca.Refused:
-            assert time.monotonic() < until
     wait_for(second, "ready")
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_exception_that_leaves_the_block_is_a_protective_stop(daemon, error):
+    second = moca.connect(daemon)
+    with pytest.raises(error):
+        with moca.connect(daemon) as first:
+            wait_for(first, "ready")
+            first.arm()
+            wait_for(first, "impedance")
+            raise error
+    assert wait_for(second, "protective stop").fault is not None
+
+
+def test_exception_of_a_program_that_only_looks_on_stops_no_robot(daemon):
+    robot = moca.connect(daemon)
+    wait_for(robot, "ready")
+    robot.arm()
+    wait_for(robot, "impedance")
+    with pytest.raises(ValueError):
+        with moca.connect(daemon) as onlooker:
+            wait_for(onlooker, "impedance")
+            raise ValueError
+    with moca.connect(daemon) as onlooker:
+        wait_for(onlooker, "impedance")
+    robot.end_target()
+    assert {next(robot).mode for _ in range(1000)} == {"impedance"}
+
+
+def test_release_disarms(daemon):
+    robot = moca.connect(daemon)
+    wait_for(robot, "ready")
+    robot.arm()
+    wait_for(robot, "impedance")
+    robot.release()
+    wait_for(robot, "ready")
+
+
+def test_anybody_stops_without_a_connection(daemon):
+    robot = moca.connect(daemon)
+    wait_for(robot, "ready")
+    robot.arm()
+    wait_for(robot, "impedance")
+    moca.stop(daemon)
+    wait_for(robot, "protective stop")
 
 
 def test_a_taxel_that_there_is_none_of_is_named(daemon):

@@ -93,3 +93,31 @@ def test_the_environment_of_the_examples_steps():
     import lean_env
 
     check_env(lean_env.LeanEnv(), skip_render_check=True)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda sim: sim.press(99, 10.0), r"taxel 99: allowed: 1 \(T1\) to 11 \(T11\)"),
+        (lambda sim: sim.press(1, 999.0), "force 999 N: allowed: 0 .* to 200 N"),
+        (lambda sim: sim.press(1, float("nan")), "force NaN N: allowed"),
+        (lambda sim: sim.select_law("fast"), "allowed: 'impedance', 'follow-me'"),
+        (lambda sim: sim.target_twist([0.0] * 6, axes="tool"), "allowed: 'world', 'base', 'flange'"),
+        (lambda sim: sim.target_twist([0.0] * 6, touch="ignore"), 'allowed: "wins", "pass-through"'),
+    ],
+)
+def test_a_wrong_value_is_named_with_what_is_allowed(call, said):
+    with pytest.raises(ValueError, match=said):
+        call(moca.Sim(CALM))
+
+
+def test_a_refusal_says_what_to_do_first():
+    sim, _ = ready()
+    sim.disarm()
+    with pytest.raises(moca.Refused, match="not possible in mode ready: arm first"):
+        sim.target_twist([0.0] * 6)
+
+
+def test_a_missing_configuration_is_a_file_that_is_not_found():
+    with pytest.raises(FileNotFoundError, match="no-such.toml"):
+        moca.Sim("/nowhere/no-such.toml")

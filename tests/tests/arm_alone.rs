@@ -2,6 +2,7 @@
 //! refuses a cover that is read live and says what to do.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has to stop")]
 
+use moca_tests::Limited;
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
@@ -9,7 +10,7 @@ fn mocad(name: &str, plant: &str, arguments: &[&str]) -> Output {
     let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("arm-alone-{name}.toml"));
     std::fs::write(&path, format!("[plant]\n{plant}\n[telemetry]\nlisten = \"\"\n")).unwrap();
     let mut mocad = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"));
-    mocad.args(["--duration", "1", "--config"]).arg(path).args(arguments).output().unwrap()
+    mocad.args(["--duration", "1", "--config"]).arg(path).args(arguments).run().unwrap()
 }
 
 #[test]

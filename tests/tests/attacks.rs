@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-/// Whether each row of the table under `head` ends with a file and a test in it.
+/// Checks that each row of the table under `head` ends with a file and a test in it.
 fn every_row_has_its_test(document: &str, head: &str, least: usize) {
     let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let text = std::fs::read_to_string(repository.join(document)).unwrap();

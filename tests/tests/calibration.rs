@@ -10,11 +10,11 @@ use moca_msgs::{Mode, Request};
 use moca_sim::{BoardFault, PtyBoard, SharedForces, VirtualBoardConfig};
 use moca_tactile::calibration::CalibrationFile;
 use moca_telemetry::calibration::{CalibrationProgress, CalibrationRequest};
-use moca_telemetry::net::Connection;
-use std::net::{SocketAddr, TcpListener};
+use moca_telemetry::net::{Address, Connection};
+use moca_tests::{Limited, Program};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-use std::sync::atomic::Ordering;
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 /// Ends a test that would hang; no test passes or fails by how long something took before this.
@@ -24,11 +24,14 @@ fn temporary(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-{}", std::process::id()))
 }
 
-struct Daemon(Child);
+struct Daemon(#[expect(dead_code, reason = "ends with its owner")] Program);
 
 impl Daemon {
     fn start(name: &str, text: &str) -> (Self, Connection) {
-        let address: SocketAddr = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let socket = format!("moca-calibration-{}-{number}.sock", std::process::id());
+        let address = Address::Unix(std::env::temp_dir().join(socket));
         let config = temporary(name);
         std::fs::write(&config, format!("[telemetry]\nlisten = \"{address}\"\n{text}")).unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"));
@@ -37,7 +40,7 @@ impl Daemon {
             .arg(config)
             .current_dir(env!("CARGO_TARGET_TMPDIR"))
             .stdout(Stdio::null())
-            .spawn()
+            .start()
             .unwrap();
         (Self(process), Connection::spawn(address, || {}).unwrap())
     }
@@ -57,13 +60,6 @@ impl Daemon {
             }
         }
         panic!("ten daemons stopped before {wanted:?}");
-    }
-}
-
-impl Drop for Daemon {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
     }
 }
 
@@ -93,7 +89,7 @@ fn virtual_board(name: &str, forces: &SharedForces) -> PtyBoard {
 }
 
 #[test]
-fn a_taxel_of_a_board_without_a_robot_is_calibrated_with_a_force_gauge() {
+fn taxel_without_robot_is_calibrated_with_gauge() {
     let forces = SharedForces::default();
     let board = virtual_board("calibrated-board", &forces);
     // A silent port that says what the gauge says.

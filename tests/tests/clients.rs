@@ -1,39 +1,41 @@
 //! Clients cannot change what the loop commands.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 
-use moca_telemetry::net::Connection;
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use moca_telemetry::net::{Address, Connection};
+use moca_tests::{Limited, Program};
+use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-fn free_port() -> SocketAddr {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap()
+fn socket(name: &str) -> Address {
+    Address::Unix(std::env::temp_dir().join(format!("moca-clients-{}-{name}.sock", std::process::id())))
 }
 
 fn scratch(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name)
 }
 
-fn lock_step(listen: SocketAddr, log: &Path) -> Child {
+fn lock_step(listen: &Address, log: &Path) -> Program {
     let config = log.with_extension("toml");
     std::fs::write(&config, format!("[telemetry]\nlisten = \"{listen}\"\n")).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"));
     command.args(["--as-fast-as-possible", "--duration", "30", "--config", config.to_str().unwrap()]);
     command.args(["--command-log", log.to_str().unwrap()]);
-    command.stdout(Stdio::piped()).spawn().unwrap()
+    command.stdout(Stdio::piped()).start().unwrap()
 }
 
-fn end(child: Child) -> String {
-    let output = child.wait_with_output().unwrap();
+fn end(program: Program) -> String {
+    let output = program.output().unwrap();
     assert!(output.status.success());
     String::from_utf8(output.stdout).unwrap()
 }
 
-fn connected(address: SocketAddr) -> TcpStream {
+fn connected(address: &Address) -> UnixStream {
+    let Address::Unix(path) = address else { unreachable!("a socket file") };
     let until = Instant::now() + Duration::from_secs(20);
     loop {
-        match TcpStream::connect(address) {
+        match UnixStream::connect(path) {
             Ok(stream) => return stream,
             Err(error) => assert!(Instant::now() < until, "{error}"),
         }
@@ -44,14 +46,14 @@ fn connected(address: SocketAddr) -> TcpStream {
 #[test]
 fn the_command_log_is_the_same_with_no_client_and_with_three() {
     let alone = scratch("alone.csv");
-    end(lock_step(free_port(), &alone));
+    end(lock_step(&socket("alone"), &alone));
 
     let watched = scratch("watched.csv");
-    let address = free_port();
-    let child = lock_step(address, &watched);
-    let stopped = connected(address); // connects and never reads a byte
-    let killed = Connection::spawn(address, || {}).unwrap();
-    let healthy = Connection::spawn(address, || {}).unwrap();
+    let address = socket("watched");
+    let child = lock_step(&address, &watched);
+    let stopped = connected(&address); // connects and never reads a byte
+    let killed = Connection::spawn(&address, || {}).unwrap();
+    let healthy = Connection::spawn(&address, || {}).unwrap();
     let mut seen = 0;
     let until = Instant::now() + Duration::from_secs(60);
     while seen < 200 {

@@ -6,11 +6,12 @@
     reason = "a test that cannot go on has to stop"
 )]
 
+use moca_tests::Limited;
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
 fn mocad(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_mocad-under-test")).args(arguments).output().expect("mocad starts")
+    Command::new(env!("CARGO_BIN_EXE_mocad-under-test")).args(arguments).run().expect("mocad starts")
 }
 
 fn text(bytes: &[u8]) -> String {
@@ -25,8 +26,31 @@ fn file(name: &str, contents: &str) -> PathBuf {
 }
 
 #[test]
-fn a_split_log_runs_again_from_all_its_parts_and_says_what_a_part_alone_is() {
-    let config = file("split.toml", ANY_PORT);
+fn stopping_distance_of_a_late_base_is_measured_and_entered() {
+    let late = "# ours\n[simulation.true.base]\norder_delay_ms = 50.0\n";
+    let config = file("late-base.toml", late);
+    let path = config.to_str().unwrap();
+    let measured = mocad(&["doctor", "--base", "--config", path]);
+    assert!(measured.status.success(), "{}", text(&measured.stderr));
+    assert_eq!(std::fs::read_to_string(&config).unwrap(), late, "nothing is written unasked");
+    let written = mocad(&["doctor", "--base", "--config", path, "--write"]);
+    assert!(written.status.success(), "{}", text(&written.stderr));
+    let entered = std::fs::read_to_string(&config).unwrap();
+    assert!(entered.starts_with(late), "{entered}");
+    let read = moca_control::config::Config::load(&config).unwrap().protection;
+    assert!((read.order_delay_ms - 50.0).abs() < 1.0, "{entered}");
+    for (speed, distance) in read.stopping_speed_m_s.iter().zip(&read.stopping_distance_m) {
+        let least = 0.05 * speed + speed * speed / 6.0;
+        assert!((least..least + 0.025 * speed).contains(distance), "{speed} m/s: {distance} m");
+    }
+    let none = file("no-base.toml", "[plant]\nparts = \"arm\"\n");
+    let refused = mocad(&["doctor", "--base", "--config", none.to_str().unwrap()]);
+    assert!(!refused.status.success() && text(&refused.stderr).contains("plant.parts"), "{refused:?}");
+}
+
+#[test]
+fn split_log_replays_and_lone_part_is_named() {
+    let config = file("split.toml", NO_TELEMETRY);
     let parts = ["split.mcap", "split-2.mcap", "split-3.mcap"]
         .map(|name| PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name));
     parts.iter().for_each(|part| drop(std::fs::remove_file(part)));
@@ -57,12 +81,12 @@ fn a_split_log_runs_again_from_all_its_parts_and_says_what_a_part_alone_is() {
     parts.iter().for_each(|part| std::fs::remove_file(part).unwrap());
 }
 
-/// Telemetry on any free port: several daemons may run at once here.
-const ANY_PORT: &str = "[telemetry]\nlisten = \"127.0.0.1:0\"\n";
+/// No telemetry: several daemons run at once here.
+const NO_TELEMETRY: &str = "[telemetry]\nlisten = \"\"\n";
 
 #[test]
 fn the_default_run_says_what_runs_and_ends_with_a_summary() {
-    let config = file("live.toml", ANY_PORT);
+    let config = file("live.toml", NO_TELEMETRY);
     // On a machine so busy that even the virtual board is silent for too long the robot rightly stops: then once more.
     let run = |_| mocad(&["run", "--duration", "3", "--config", config.to_str().unwrap()]);
     let armed = |output: &Output| text(&output.stdout).contains("mode: impedance");
@@ -84,8 +108,27 @@ fn the_default_run_says_what_runs_and_ends_with_a_summary() {
 }
 
 #[test]
+fn without_the_scripted_hand_nobody_presses() {
+    let config = file("no-hand.toml", NO_TELEMETRY);
+    let options = ["--as-fast-as-possible", "--duration", "9", "--config", config.to_str().unwrap()];
+    let base = |output: &Output| -> String {
+        let lines = text(&output.stdout);
+        lines.lines().rev().find(|line| line.trim_start().starts_with("base ")).expect("a summary").to_owned()
+    };
+    let pressed = mocad(&options);
+    assert!(
+        text(&pressed.stdout).contains("a scripted hand presses T6, T2, T10"),
+        "it says who moves the base"
+    );
+    let alone = mocad(&[&options[..], &["--no-hand"]].concat());
+    assert!(!text(&alone.stdout).contains("scripted hand"));
+    assert!(base(&alone).contains("x +0.000 m, y +0.000 m"), "{}", base(&alone));
+    assert!(!base(&pressed).contains("x +0.000 m, y +0.000 m"), "{}", base(&pressed));
+}
+
+#[test]
 fn a_lock_step_run_writes_the_same_command_log_twice() {
-    let config = file("lockstep.toml", ANY_PORT);
+    let config = file("lockstep.toml", NO_TELEMETRY);
     let log = |name: &str| {
         let path = file(name, "");
         let arguments = ["--as-fast-as-possible", "--duration", "5", "--command-log", path.to_str().unwrap()];
@@ -99,8 +142,8 @@ fn a_lock_step_run_writes_the_same_command_log_twice() {
 }
 
 #[test]
-fn an_accuracy_runs_in_lock_step_and_is_refused_by_a_live_loop_with_its_reason() {
-    let config = file("accuracy.toml", &format!("{ANY_PORT}[simulation]\naccuracy = 1e-3\n"));
+fn accuracy_runs_in_lock_step_and_is_refused_live() {
+    let config = file("accuracy.toml", &format!("{NO_TELEMETRY}[simulation]\naccuracy = 1e-3\n"));
     let arguments = ["--duration", "3", "--config", config.to_str().unwrap()];
     let live = mocad(&arguments);
     let said = text(&live.stderr);
@@ -126,6 +169,22 @@ fn a_bad_configuration_is_refused_with_every_mistake() {
 }
 
 #[test]
+fn check_says_that_it_passed_or_names_a_missing_driver() {
+    let good = file("good.toml", NO_TELEMETRY);
+    let output = mocad(&["--check", "--config", good.to_str().unwrap()]);
+    let told = text(&output.stdout);
+    assert!(output.status.success() && told.contains("good.toml: no mistakes"), "{told}");
+
+    let arm =
+        "[plant]\nkind = \"robot\"\nparts = \"arm\"\n[plant.arm]\ndriver = \"fci\"\nhost = \"127.0.0.1\"\n";
+    let path = file("no-driver.toml", arm);
+    let output = mocad(&["--check", "--config", path.to_str().unwrap()]);
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(said.contains("needs a build with the feature `fci`"), "{said}");
+}
+
+#[test]
 fn a_missing_file_and_a_bad_duration_are_named() {
     let output = mocad(&["--config", "/nowhere/mocad.toml"]);
     assert!(!output.status.success() && text(&output.stderr).contains("/nowhere/mocad.toml"));
@@ -137,7 +196,8 @@ fn a_missing_file_and_a_bad_duration_are_named() {
 
 #[test]
 fn a_missing_port_is_named_with_what_to_check_and_nothing_moves() {
-    let config = file("no_port.toml", &format!("{ANY_PORT}[board]\nport = \"/dev/moca-no-such-board\"\n"));
+    let config =
+        file("no_port.toml", &format!("{NO_TELEMETRY}[board]\nport = \"/dev/moca-no-such-board\"\n"));
     let output = mocad(&["--duration", "2.5", "--config", config.to_str().unwrap()]);
     let shown = text(&output.stdout);
     assert!(
@@ -159,7 +219,7 @@ fn a_calibration_that_is_missing_or_of_another_board_is_refused() {
 
 #[test]
 fn a_live_recording_replays_bit_for_bit() {
-    let config = file("recorded.toml", ANY_PORT);
+    let config = file("recorded.toml", NO_TELEMETRY);
     let log = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("live.mcap");
     let _ = std::fs::remove_file(&log);
     let (config, log) = (config.to_str().unwrap(), log.to_str().unwrap());
@@ -171,7 +231,7 @@ fn a_live_recording_replays_bit_for_bit() {
 }
 
 #[test]
-fn a_file_that_never_ends_or_never_begins_is_a_mistake_that_is_named() {
+fn endless_or_silent_file_is_refused_by_name() {
     let fifo = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("fifo-{}", std::process::id()));
     let _ = std::fs::remove_file(&fifo);
     assert!(Command::new("mkfifo").arg(&fifo).status().unwrap().success());
@@ -186,14 +246,14 @@ fn a_file_that_never_ends_or_never_begins_is_a_mistake_that_is_named() {
 }
 
 #[test]
-fn a_home_that_cannot_be_written_costs_the_flight_recorder_and_not_the_run() {
-    let config = file("no-home.toml", ANY_PORT);
+fn unwritable_home_costs_only_the_flight_recorder() {
+    let config = file("no-home.toml", NO_TELEMETRY);
     let output = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"))
         .args(["--duration", "1", "--config", config.to_str().unwrap()])
         .env("HOME", "/proc")
         .env_remove("XDG_STATE_HOME")
         .env_remove("STATE_DIRECTORY")
-        .output()
+        .run()
         .unwrap();
     let shown = text(&output.stdout);
     assert!(output.status.success(), "{shown}{}", text(&output.stderr));

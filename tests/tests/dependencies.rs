@@ -1,6 +1,7 @@
-//! Who may know whom: the table of ARCHITECTURE.md, checked against `cargo tree`.
+//! Dependencies between crates: the table of ARCHITECTURE.md, checked against `cargo tree`.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot read its input has to stop")]
 
+use moca_tests::Limited;
 use std::collections::BTreeSet;
 use std::process::Command;
 
@@ -8,6 +9,7 @@ use std::process::Command;
 const TABLE: &[(&str, &[&str], &[&str])] = &[
     ("moca-msgs", &[], &["nalgebra", "serde", "schemars"]),
     ("moca-figures", &[], &["moca-msgs", "egui", "serde", "resvg"]),
+    ("moca-manual", &[], &["moca-msgs", "egui", "serde", "tokio"]),
     ("moca-franka", &["moca-msgs"], &["nalgebra", "egui", "mujoco-rs", "franka-rs"]),
     ("moca-qp", &[], &["moca-msgs", "nalgebra", "serde", "clarabel", "num-traits"]),
     ("moca-telemetry", &["moca-msgs"], &["nalgebra", "egui", "mujoco-rs", "serialport"]),
@@ -20,9 +22,16 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
     ("moca-ros2", &["moca-msgs", "moca-telemetry"], &["rustdds", "tokio", "nalgebra", "egui"]),
     ("moca-sim", &["moca-msgs", "moca-tactile", "moca-wbc"], &["egui", "tokio"]),
     (
+        "moca-control",
+        &["moca-msgs", "moca-telemetry", "moca-tactile", "moca-wbc"],
+        &["egui", "moca-sim", "mujoco-rs", "serialport"],
+    ),
+    (
         "moca-daemon",
         &[
+            "moca-control",
             "moca-figures",
+            "moca-manual",
             "moca-msgs",
             "moca-telemetry",
             "moca-tactile",
@@ -33,12 +42,23 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
         ],
         &["egui", "eframe", "resvg", "rustdds", "tungstenite", "moca-monitor", "moca-lab"],
     ),
-    ("moca-monitor", &["moca-msgs", "moca-telemetry"], &["nalgebra", "mujoco-rs", "serialport"]),
-    ("moca-viewer", &["moca-telemetry"], &["nalgebra", "mujoco-rs", "serialport", "egui"]),
+    (
+        "moca-monitor",
+        &["moca-manual", "moca-msgs", "moca-telemetry"],
+        &["nalgebra", "mujoco-rs", "serialport"],
+    ),
+    (
+        "moca-web",
+        &["moca-manual", "moca-msgs", "moca-telemetry"],
+        &["nalgebra", "mujoco-rs", "serialport", "egui", "openssl"],
+    ),
+    ("moca-viewer", &["moca-manual", "moca-telemetry"], &["nalgebra", "mujoco-rs", "serialport", "egui"]),
     (
         "moca-lab",
         &[
+            "moca-control",
             "moca-figures",
+            "moca-manual",
             "moca-msgs",
             "moca-telemetry",
             "moca-tactile",
@@ -56,7 +76,7 @@ fn tree(package: &str, more: &[&str]) -> BTreeSet<String> {
     let mut command = Command::new(env!("CARGO"));
     command.current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
     command.args(["tree", "--offline", "--edges=normal", "--prefix=none", "--package", package]);
-    let output = command.args(more).output().expect("cargo tree runs");
+    let output = command.args(more).run().expect("cargo tree runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8(output.stdout).unwrap();
     text.lines()
@@ -92,7 +112,7 @@ fn dependencies_point_the_way_the_table_says() {
 }
 
 #[test]
-fn a_daemon_links_mujoco_for_its_simulation_and_serialport_for_its_board_only() {
+fn daemon_links_only_what_its_features_need() {
     let (sim, board): (&[&str], &[&str]) = (&["moca-sim", "mujoco-rs"], &["serialport"]);
     for (features, linked, absent) in [
         ("sim,board", [sim, board].concat(), vec![]),

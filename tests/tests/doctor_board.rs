@@ -3,6 +3,7 @@
 
 use moca_sim::{PtyBoard, SharedForces, VirtualBoardConfig};
 use moca_tactile::Firmware;
+use moca_tests::Limited;
 use std::path::PathBuf;
 use std::process::Command;
 
@@ -26,7 +27,7 @@ fn report(firmwares: &[Firmware], name: &str) -> String {
     let output = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"))
         .args(["doctor", "--board", "--seconds", "1", "--config"])
         .arg(&config)
-        .output()
+        .run()
         .unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
@@ -34,7 +35,7 @@ fn report(firmwares: &[Firmware], name: &str) -> String {
 }
 
 #[test]
-fn every_firmware_is_named_and_a_stock_board_has_no_clock_to_measure() {
+fn firmware_is_named_and_stock_board_has_no_clock() {
     for firmware in [Firmware::Moca, Firmware::Stock2018, Firmware::Stock2015] {
         let named = format!("firmware                    {}", firmware.name());
         let is_right = |text: &str| {

@@ -7,7 +7,7 @@
     reason = "tests; what fails is named, and whole numbers here are small"
 )]
 
-use moca_daemon::config::Config;
+use moca_control::config::Config;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::assemble::board_config;
@@ -22,7 +22,7 @@ use toml::{Table, Value};
 const READ_ELSEWHERE: &[(&str, &str)] = &[
     ("robot.name", "daemon/src/runtime/clients.rs"),
     ("robot.base_name", "daemon/src/cli/report.rs"),
-    ("arm.name", "daemon/src/config/own_arm.rs"),
+    ("arm.name", "control/src/config/own_arm.rs"),
     ("robot.base.size_m", "telemetry/src/description.rs"),
     ("realtime.priority", "daemon/src/runtime/realtime.rs"),
     ("realtime.lock_memory", "daemon/src/runtime/realtime.rs"),
@@ -35,9 +35,9 @@ const READ_ELSEWHERE: &[(&str, &str)] = &[
     ("plant.arm.collision_wrench", "daemon/src/devices/franka_arm.rs"),
     ("plant.arm.payload", "daemon/src/devices/franka_arm.rs"),
     ("plant.arm.external_wrench", "daemon/src/devices/franka_arm.rs"),
-    ("plant.arm.deadline_s", "daemon/src/control/law.rs"),
+    ("plant.arm.deadline_s", "control/src/law.rs"),
     ("plant.base.driver", "daemon/src/runtime/run.rs"),
-    ("plant.base.deadline_s", "daemon/src/control/law.rs"),
+    ("plant.base.deadline_s", "control/src/law.rs"),
     ("plant.base.ros2.domain", "daemon/src/devices/ros2_base.rs"),
     ("plant.base.ros2.router", "daemon/src/devices/ros2_base.rs"),
     ("plant.base.ros2.interface", "daemon/src/devices/ros2_base.rs"),
@@ -49,19 +49,23 @@ const READ_ELSEWHERE: &[(&str, &str)] = &[
     ("plant.base.ros2.reliable_odom", "daemon/src/devices/ros2_base.rs"),
     ("plant.base.ros2.order_rate_hz", "daemon/src/devices/ros2_base.rs"),
     ("plant.base.ros2.silence_s", "daemon/src/devices/ros2_base.rs"),
-    ("board.name", "daemon/src/config/mod.rs"),
+    ("board.name", "control/src/config/mod.rs"),
     ("board.gauge", "daemon/src/runtime/assemble.rs"),
     ("board.gauge_baud", "daemon/src/runtime/assemble.rs"),
-    ("telemetry.listen", "daemon/src/config/mod.rs"),
-    ("telemetry.mode", "daemon/src/config/mod.rs"),
+    ("telemetry.listen", "control/src/config/mod.rs"),
+    ("telemetry.mode", "control/src/config/mod.rs"),
+    ("telemetry.watch", "control/src/config/mod.rs"),
+    ("telemetry.token", "control/src/config/mod.rs"),
     ("flight_recorder.folder", "daemon/src/record/flight_recorder.rs"),
     ("protection.assessed_forces_n", "lab/src/cover/latency.rs"),
+    ("protection.stopping_measured", "control/src/protection.rs"),
+    ("simulation.true.foam.scale", "daemon/src/devices/simulated_robot.rs"),
 ];
 
 /// A robot, and the loads it is looked at under.
 struct Scenario {
     name: &'static str,
-    /// What differs from the defaults.
+    /// Differences from the defaults.
     differs: String,
     /// From bytes, as a board sends them, or with true forces.
     bytes: bool,
@@ -142,7 +146,7 @@ fn urdf_arm() -> String {
     )
 }
 
-/// The same arm as lists, with a speed envelope.
+/// Returns the arm as lists, with a speed envelope.
 fn own_arm() -> String {
     let mut lists = Config::parse(&urdf_arm()).unwrap().to_toml()["arm"].as_table().unwrap().clone();
     lists.insert("speed_offset_rad_s".into(), vec![0.1; 6].into());
@@ -152,7 +156,7 @@ fn own_arm() -> String {
     format!("[robot]\narm = \"own\"\n{hand}{}", toml::to_string(&section).unwrap())
 }
 
-/// What a run of `config` shows of the robot, as a number; or why it does not run.
+/// Returns what a run of `config` shows of the robot, as a number; or the reason why it does not run.
 fn observed(config: &Table, scenario: &Scenario) -> Result<u64, String> {
     let config = Config::parse(&toml::to_string(config).unwrap()).map_err(|error| error.to_string())?;
     let scene = free_scene(&config);
@@ -242,7 +246,7 @@ fn at<'a>(table: &'a mut Table, name: &str) -> &'a mut Value {
     value
 }
 
-/// Whether the robot shows it when this row alone has another value.
+/// Returns true if the robot shows another value of this row alone.
 fn is_seen(row: &ParameterSpec, scenario: &Scenario, base: &Table, before: &Result<u64, String>) -> bool {
     let present = at(&mut base.clone(), row.name).clone();
     others(row, &present).into_iter().filter(|other| *other != present).any(|other| {
@@ -281,7 +285,7 @@ fn every_setting_is_read_by_somebody() {
         let before = observed(&base, &scenario);
         assert!(before.is_ok(), "{}: {before:?}", scenario.name);
         // what [arm] says is refused wherever the arm is a built-in one: that shows nothing
-        let own = config.robot.arm.source == moca_daemon::robot::OWN_ARM;
+        let own = config.robot.arm.source == moca_control::robot::OWN_ARM;
         let (mine, later): (Vec<_>, Vec<_>) =
             unread.into_iter().partition(|row| row.name.starts_with("arm.") == own);
         let half = mine.len() / 2;

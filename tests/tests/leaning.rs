@@ -36,7 +36,7 @@ impl Lean {
 }
 
 #[test]
-fn ten_minutes_of_leaning_read_within_a_tenth_of_the_first_and_the_release_reads_zero() {
+fn ten_minute_lean_reads_within_a_tenth() {
     let board = VirtualBoard::new(VirtualBoardConfig::default()).expect("a board");
     let mut lean = Lean { board, cover: Cover::new(CoverConfig::default()).expect("a cover"), now_ns: 0 };
     lean.cover.start_tare(0);

@@ -1,7 +1,7 @@
 //! The whole chain in lock-step: the virtual board's bytes through the real parser, the real loop and MuJoCo.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 
-use moca_daemon::config::{AssumedModel, Config, HandConfig};
+use moca_control::config::{AssumedModel, Config, HandConfig};
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::command_csv;
@@ -11,6 +11,7 @@ use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Fault, Law, Mode, ParameterValues, Refusal, Request, Sample, TaxelStatus};
 use moca_sim::VirtualBoardConfig;
 use moca_sim::board::BoardFault;
+use moca_tactile::Firmware;
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
@@ -26,8 +27,8 @@ fn config() -> Config {
     config
 }
 
-/// The same with the paper's line, which reads a press of 20 N as 13 N: too little for the base's guard to take a part of
-/// the law's motion away.
+/// Returns a configuration with the paper's line, which reads a press of 20 N as 13 N: too little for the base's guard to limit
+/// the law's motion.
 fn felt_by_the_papers_line() -> Config {
     let mut config = config();
     config.board.model = AssumedModel::Paper;
@@ -117,7 +118,7 @@ fn an_untouched_robot_stands_for_a_minute_under_stock_noise() {
 }
 
 #[test]
-fn an_unplugged_board_stops_the_base_and_comes_back_by_tare_and_resume() {
+fn unplugged_board_stops_until_tare_and_resume() {
     let mut world = armed(&config());
     ask(&mut world, Request::PressTaxel { taxel: 5, force_n: 20.0 }).unwrap();
     assert!(speed(&run(&mut world, 1000)) > 0.02, "the base moves when the cable is pulled");
@@ -254,7 +255,7 @@ fn set(name: &str, values: &[f64]) -> Request {
 }
 
 #[test]
-fn a_parameter_changes_while_the_robot_is_pressed_without_a_jump_and_without_allocating() {
+fn live_parameter_change_has_no_jump_or_allocation() {
     let mut world = armed(&felt_by_the_papers_line());
     ask(&mut world, Request::PressTaxel { taxel: 5, force_n: 20.0 }).unwrap();
     let mut last = run(&mut world, 1000);
@@ -316,7 +317,7 @@ fn a_parameter_that_may_not_change_is_refused_and_nothing_moves() {
 }
 
 #[test]
-fn a_taxel_is_masked_by_request_only_while_no_law_moves_the_robot() {
+fn taxel_is_masked_only_while_robot_stands() {
     let mask = |masked| Request::MaskTaxel { taxel: 5, masked };
     let mut config = config();
     config.board.mask_policy = moca_tactile::cover::MaskPolicy::Ignore;
@@ -340,8 +341,51 @@ fn a_taxel_is_masked_by_request_only_while_no_law_moves_the_robot() {
     assert_eq!(run(&mut world, TARED_TICKS).taxels[5].status, TaxelStatus::Ok);
 }
 
+/// Regression test: a quick lean of 150 N was reported as a noisy taxel, "check plate and wire".
 #[test]
-fn a_masked_taxel_stops_the_robot_unless_it_is_told_to_move_unfeeling() {
+fn hard_lean_is_no_broken_taxel_on_any_firmware() {
+    for firmware in [Firmware::Moca, Firmware::Stock2018] {
+        let mut config = config();
+        config.board.firmware = firmware;
+        let board = VirtualBoardConfig { firmware, ..VirtualBoardConfig::default() };
+        for taxel in [0, 5, 10] {
+            let mut world = LockStep::with_board(&config, &free_scene(&config), board, None).unwrap();
+            while !run(&mut world, 1).mode.moves() {}
+            let press = |force_n| Request::PressTaxel { taxel, force_n };
+            ask(&mut world, press(150.0)).unwrap();
+            for tick in 0..5000 {
+                let sample = run(&mut world, 1);
+                assert_eq!(sample.fault, None, "{firmware:?}, T{} {tick} ms at 150 N", taxel + 1);
+            }
+            // More than the cover can read is named as that, not as a broken plate.
+            ask(&mut world, press(200.0)).unwrap();
+            let saturated = Fault::TaxelInvalid { taxel, status: TaxelStatus::Saturated };
+            assert_eq!(run(&mut world, 1000).fault, Some(saturated), "{firmware:?}, T{} at 200 N", taxel + 1);
+        }
+    }
+}
+
+#[test]
+fn robot_stopped_by_a_masked_taxel_resumes_once_it_is_tared() {
+    let mask = |masked| Request::MaskTaxel { taxel: 0, masked };
+    let mut world = armed(&config());
+    ask(&mut world, Request::Disarm).unwrap();
+    ask(&mut world, mask(true)).unwrap();
+    let masked = Fault::TaxelInvalid { taxel: 0, status: TaxelStatus::Masked };
+    assert_eq!(run(&mut world, 10).fault, Some(masked));
+    assert_eq!(ask(&mut world, Request::Resume), Err(Refusal::CauseRemains(masked)));
+    ask(&mut world, mask(false)).unwrap();
+    run(&mut world, 10);
+    // What happened to it meanwhile is not known.
+    assert_eq!(ask(&mut world, Request::Resume), Err(Refusal::ZeroInvalid));
+    ask(&mut world, Request::Tare).unwrap();
+    run(&mut world, TARED_TICKS);
+    ask(&mut world, Request::Resume).unwrap();
+    assert_eq!(run(&mut world, 1).mode, Mode::Ready);
+}
+
+#[test]
+fn masked_taxel_stops_robot_unless_ignored() {
     let mut config = config();
     config.board.masked = vec![6];
     let mut world = world(&config);

@@ -7,49 +7,54 @@
 )]
 
 use moca_msgs::{Mode, Refusal, Request, Target, TargetRefusal, TimedTarget, TwistAxes};
-use moca_telemetry::net::{Address, Connection, Link};
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use moca_telemetry::net::{Address, Connection, Endpoint, Link};
+use moca_tests::{Limited, Program};
+use nix::sys::signal::Signal;
 use serde_json::Value;
-use std::io::{BufRead, BufReader, Read};
-use std::net::TcpListener;
+use std::io::{BufRead, BufReader};
+use std::os::unix::process::ExitStatusExt;
 use std::path::PathBuf;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 /// Ends a test that would hang; no test passes or fails by how long something took before this.
 const HANGS_AFTER: Duration = Duration::from_secs(60);
-/// What a machine too busy for a live board does to it; another daemon is tried then.
+/// Faults of a machine that is too busy for a live board; another daemon is tried then.
 const STARVED: [&str; 3] = ["board-silent", "board-slow", "host-starved"];
 
 struct Daemon {
-    process: Child,
+    _process: Program,
     address: String,
 }
 
 impl Daemon {
     /// A live one of these parts that arms nothing by itself.
     fn start(name: &str, parts: &str, address: Option<String>) -> Self {
-        let port = || TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
-        let address = address.unwrap_or_else(port);
+        Self::start_with(name, parts, address, false)
+    }
+
+    /// One that arms itself, or does not.
+    fn start_with(name: &str, parts: &str, address: Option<String>, arms: bool) -> Self {
+        let socket = std::env::temp_dir().join(format!("moca-{}-{name}.sock", std::process::id()));
+        let address = address.unwrap_or_else(|| format!("unix:{}", socket.display()));
         let config = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
         let text = format!(
-            "[telemetry]\nlisten = \"{address}\"\n[startup]\narm = false\n[simulation.hand]\ntaxels = []\n\
+            "[telemetry]\nlisten = \"{address}\"\n[startup]\narm = {arms}\n[simulation.hand]\ntaxels = []\n\
              [plant]\nparts = \"{parts}\"\n"
         );
         std::fs::write(&config, text).unwrap();
         let mut command = mocad(&["--config", config.to_str().unwrap()]);
-        Self { process: command.stdout(Stdio::null()).spawn().unwrap(), address }
+        Self { _process: command.stdout(Stdio::null()).start().unwrap(), address }
     }
 
     fn mocad(&self, arguments: &[&str]) -> Output {
-        mocad(arguments).args(["--address", &self.address]).output().unwrap()
+        mocad(arguments).args(["--address", &self.address]).run().unwrap()
     }
 
     /// Holds the command until it is told to end.
-    fn arm(&self, more: &[&str]) -> Child {
+    fn arm(&self, more: &[&str]) -> Program {
         let mut command = mocad(&["arm", "--address", &self.address]);
-        command.args(more).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+        command.args(more).stdout(Stdio::piped()).stderr(Stdio::piped()).start().unwrap()
     }
 
     fn status(&self) -> Value {
@@ -69,7 +74,7 @@ impl Daemon {
         }
     }
 
-    /// Where the flange is, m in W.
+    /// Returns the flange position, m in W.
     fn flange(&self) -> [f64; 3] {
         let connection = Connection::spawn(self.address.parse::<Address>().unwrap(), || {}).unwrap();
         let until = Instant::now() + HANGS_AFTER;
@@ -100,31 +105,19 @@ impl Daemon {
     }
 }
 
-impl Drop for Daemon {
-    fn drop(&mut self) {
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
-}
-
 fn mocad(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"));
     command.args(arguments);
     command
 }
 
-fn signal(child: &Child, signal: Signal) {
-    kill(Pid::from_raw(i32::try_from(child.id()).unwrap()), signal).unwrap();
-}
-
-fn said(mut child: Child) -> (Option<i32>, String) {
-    let mut text = String::new();
-    child.stderr.take().unwrap().read_to_string(&mut text).unwrap();
-    (child.wait().unwrap().code(), text)
+fn said(program: Program) -> (Option<i32>, String) {
+    let output = program.output().unwrap();
+    (output.status.code(), String::from_utf8(output.stderr).unwrap())
 }
 
 #[test]
-fn arming_holds_the_command_while_it_runs_and_its_death_stops_the_robot() {
+fn dead_arming_program_stops_robot() {
     // Without a cover: no busy machine can stop it.
     let daemon = Daemon::start("operate-arm.toml", "arm", None);
     let ready = daemon.wait_for("ready");
@@ -140,7 +133,7 @@ fn arming_holds_the_command_while_it_runs_and_its_death_stops_the_robot() {
     for others in [&["disarm"][..], &["law", "follow-me"], &["arm"]] {
         daemon.refused(others, "another client has the command");
     }
-    signal(&held, Signal::SIGINT);
+    held.signal(Signal::SIGINT).unwrap();
     assert_eq!(said(held), (Some(0), String::new()));
     assert_eq!(daemon.wait_for("ready")["commander"], "nobody");
 
@@ -167,20 +160,68 @@ fn arming_holds_the_command_while_it_runs_and_its_death_stops_the_robot() {
     daemon.wait_for("ready");
 }
 
+/// Regression test: a refused request took the command, and the end of its program stopped the robot that had armed itself.
 #[test]
-fn a_program_that_is_frozen_loses_the_command_and_the_robot_stops() {
+fn refused_tare_and_arm_leave_a_robot_that_armed_itself_alone() {
+    let daemon = Daemon::start_with("operate-itself.toml", "arm", None, true);
+    daemon.wait_for("impedance");
+    for refused in ["tare", "arm"] {
+        daemon.refused(&[refused], "not possible in mode impedance");
+    }
+    daemon.done(&["law", "follow-me"]);
+    daemon.done(&["law", "impedance"]);
+    let status = daemon.wait_for("impedance");
+    assert_eq!((&status["commander"], &status["fault"]), (&"nobody".into(), &Value::Null));
+    // An operator who intervenes ends that.
+    daemon.done(&["stop"]);
+    daemon.done(&["resume"]);
+    daemon.done(&["tare"]);
+    assert_eq!(daemon.status()["mode"], "ready");
+}
+
+#[test]
+fn stop_works_while_every_place_is_taken() {
+    let daemon = Daemon::start("operate-full.toml", "arm", None);
+    daemon.wait_for("ready");
+    let address: Address = daemon.address.parse().unwrap();
+    let up = |connection: &Connection| {
+        let until = Instant::now() + HANGS_AFTER;
+        while !matches!(connection.poll().link, Link::Up { .. }) {
+            assert!(Instant::now() < until, "never connected");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    };
+    let watching: Vec<Connection> =
+        (0..32).map(|_| Connection::spawn(Endpoint::from(&address).to_watch(), || {}).unwrap()).collect();
+    watching.iter().for_each(up);
+    let held = daemon.arm(&[]);
+    while !watching[0].poll().samples.iter().any(|sample| sample.mode == Mode::Impedance) {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let status = daemon.mocad(&["status"]);
+    let text = String::from_utf8(status.stderr).unwrap();
+    assert!(status.status.code() == Some(1) && text.contains("places and the one for a commander"), "{text}");
+    let stopped = daemon.mocad(&["stop"]);
+    assert_eq!(stopped.status.code(), Some(0), "{}", String::from_utf8_lossy(&stopped.stderr));
+    assert_eq!(said(held).0, Some(5), "the commander is told");
+    drop(watching);
+    assert_eq!(daemon.wait_for("protective stop")["fault"]["code"], "operator-stop");
+}
+
+#[test]
+fn frozen_program_loses_command_and_robot_stops() {
     let daemon = Daemon::start("operate-frozen.toml", "arm", None);
     daemon.wait_for("ready");
     let frozen = daemon.arm(&[]);
     daemon.wait_for("impedance");
-    signal(&frozen, Signal::SIGSTOP);
+    frozen.signal(Signal::SIGSTOP).unwrap();
     assert_eq!(daemon.wait_for("protective stop")["fault"]["code"], "operator-lost");
-    signal(&frozen, Signal::SIGCONT);
+    frozen.signal(Signal::SIGCONT).unwrap();
     assert_eq!(said(frozen).0, Some(5), "it is told when it wakes");
 }
 
 #[test]
-fn a_cover_is_tared_and_its_status_names_every_taxel_over_a_socket_file() {
+fn tare_and_status_work_over_unix_socket() {
     let socket = std::env::temp_dir().join(format!("moca-operate-{}.sock", std::process::id()));
     for _ in 0..10 {
         let address = format!("unix:{}", socket.display());
@@ -210,7 +251,7 @@ fn a_cover_is_tared_and_its_status_names_every_taxel_over_a_socket_file() {
 }
 
 #[test]
-fn a_flange_is_led_and_a_program_that_dies_on_the_way_stops_the_robot() {
+fn dead_leading_program_stops_robot() {
     let daemon = Daemon::start("operate-target.toml", "arm", None);
     daemon.wait_for("ready");
     let start = daemon.flange();
@@ -263,7 +304,7 @@ fn a_flange_is_led_and_a_program_that_dies_on_the_way_stops_the_robot() {
     daemon.wait_for("ready");
     let mut command =
         mocad(&["target", "twist", "0", "0.01", "0", "0", "0", "0", "--duration", "60", "--arm"]);
-    let mut killed = command.args(["--address", &daemon.address]).spawn().unwrap();
+    let mut killed = command.args(["--address", &daemon.address]).start().unwrap();
     let until = Instant::now() + HANGS_AFTER;
     while daemon.wait_for("impedance")["target"]["phase"] != "moving" {
         assert!(Instant::now() < until, "it is never led");
@@ -326,7 +367,7 @@ fn flood(floods: &Connection, other: &Connection, burst: u32) {
 }
 
 #[test]
-fn a_flood_of_targets_is_answered_one_by_one_and_a_second_program_has_no_say() {
+fn target_flood_is_answered_and_second_program_refused() {
     let daemon = Daemon::start("operate-flood.toml", "arm", None);
     daemon.wait_for("ready");
     let start = daemon.flange();
@@ -358,7 +399,7 @@ fn watch_tells_every_change_until_it_is_ended() {
     let daemon = Daemon::start("operate-watch.toml", "arm", None);
     daemon.wait_for("ready");
     let mut command = mocad(&["watch", "--json", "--address", &daemon.address]);
-    let mut watching = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut watching = command.stdout(Stdio::piped()).stderr(Stdio::piped()).start().unwrap();
     let lines = BufReader::new(watching.stdout.take().unwrap()).lines();
     let mut modes = lines.map(|line| {
         let status: Value = serde_json::from_str(&line.unwrap()).unwrap();
@@ -372,20 +413,21 @@ fn watch_tells_every_change_until_it_is_ended() {
     wait_for("ready");
     // who only watches holds nothing
     assert_eq!(daemon.status()["commander"], "nobody");
-    signal(&watching, Signal::SIGINT);
-    watching.wait().unwrap();
+    // Who is started in the background, as under nohup, ignores SIGINT for good.
+    watching.signal(Signal::SIGTERM).unwrap();
+    assert_eq!(watching.end().unwrap().signal(), Some(Signal::SIGTERM as i32));
 }
 
 #[test]
 fn without_a_daemon_or_a_reader_it_ends_with_a_word_or_quietly() {
-    let output = mocad(&["status", "--address", "unix:/no/such/socket"]).output().unwrap();
+    let output = mocad(&["status", "--address", "unix:/no/such/socket"]).run().unwrap();
     let text = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("is a daemon running"), "{text}");
 
     // As `mocad params schema | head` does, in the worst moment: before anything is read.
     for command in [&["params", "schema"][..], &["default-config"], &["params", "list", "--offline"]] {
-        let mut child = mocad(command).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut child = mocad(command).stdout(Stdio::piped()).stderr(Stdio::piped()).start().unwrap();
         drop(child.stdout.take());
         assert_eq!(said(child).1, "", "{command:?}");
     }

@@ -1,15 +1,16 @@
 //! A loop without a timer: an arm's datagrams are its clock, as with a robot that waits for a torque to each state.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 
-use moca_daemon::config::Config;
-use moca_daemon::control::plant::{Datagram, Plant, PlantClock, SourceAge};
-use moca_daemon::control::stage::Stage;
-use moca_daemon::control::tick::ControlLoop;
+use moca_control::assemble::{motion, supervisor};
+use moca_control::config::Config;
+use moca_control::plant::{Datagram, Plant, PlantClock, SourceAge};
+use moca_control::robot::{JOINTS, Parts};
+use moca_control::stage::Stage;
+use moca_control::tick::ControlLoop;
 use moca_daemon::devices::touch_board::ByteCover;
-use moca_daemon::robot::{JOINTS, Parts};
-use moca_daemon::runtime::assemble::{motion, supervisor};
 use moca_daemon::runtime::clock::Clock;
 use moca_daemon::runtime::live::{self, Rings, Shared};
+use moca_daemon::runtime::recovery::Recovery;
 use moca_daemon::runtime::tick_source::PlantTicks;
 use moca_daemon::runtime::timing::Timing;
 use moca_msgs::{Actuation, Fault, Mode, RobotState, Sample, robot};
@@ -18,7 +19,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 const PERIOD_NS: u64 = 1_000_000;
-/// How much longer than asked for a datagram is waited for: a busy machine is not a silent arm.
+/// Longest wait for a datagram, in periods: a busy machine is not a silent arm.
 const PATIENCE: u32 = 60;
 const BRAKE: f64 = f64::NAN;
 
@@ -102,7 +103,7 @@ fn connected() -> (DatagramArm, Robot) {
 }
 
 #[test]
-fn an_arms_datagrams_drive_the_loop_lost_ones_are_counted_and_silence_is_a_stop() {
+fn arm_datagrams_drive_loop_and_silence_stops_it() {
     let (plant, robot) = connected();
     let mut config = Config::default();
     config.plant.parts = Parts::Arm;
@@ -110,7 +111,7 @@ fn an_arms_datagrams_drive_the_loop_lost_ones_are_counted_and_silence_is_a_stop(
     let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
     let (samples, mut watched) = rtrb::RingBuffer::new(1 << 14);
     let (_sender, requests) = moca_telemetry::net::request_channel();
-    let mut rings = Rings { samples, requests, tick_log: None };
+    let mut rings = Rings { samples, requests, tick_log: None, recovery: Recovery::default() };
     let mut ticks = PlantTicks::new(Clock::start().unwrap(), PERIOD_NS);
     let mut timing = Timing::new().unwrap();
     let shared = Shared::default();
@@ -166,7 +167,7 @@ fn a_panic_in_the_loop_brakes_the_robot_and_ends_the_loop() {
     let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
     let (samples, _watched) = rtrb::RingBuffer::new(1 << 10);
     let (_sender, requests) = moca_telemetry::net::request_channel();
-    let mut rings = Rings { samples, requests, tick_log: None };
+    let mut rings = Rings { samples, requests, tick_log: None, recovery: Recovery::default() };
     let mut ticks = PlantTicks::new(Clock::start().unwrap(), PERIOD_NS);
     let mut timing = Timing::new().unwrap();
     let shared = Shared::default();

@@ -6,9 +6,9 @@
     reason = "a test that cannot go on has to stop"
 )]
 
-use moca_daemon::config::stability::Stability;
-use moca_daemon::config::{BarrierReadings, Config, HandConfig};
-use moca_daemon::control::protection::speed_for_delay_m_s;
+use moca_control::config::stability::Stability;
+use moca_control::config::{BarrierReadings, Config, HandConfig, RecentrePolicy};
+use moca_control::protection::speed_for_delay_m_s;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};
@@ -35,6 +35,8 @@ const LEFT: usize = 2;
 fn config() -> Config {
     let mut config = Config::default();
     config.simulation.hand = HandConfig::none();
+    // The base follows a flange that is led without a request, as in the experiments.
+    config.control.recentre = RecentrePolicy::Always;
     config
 }
 
@@ -70,7 +72,7 @@ fn outline() -> CoverOutline<11, f64> {
     CoverOutline::new(&PAPER_COVER).unwrap()
 }
 
-/// What a base did that was led into a person.
+/// Motion of a base that was led into a person.
 struct Collision {
     approach_m_s: f64,
     /// Largest force in the first half second, and until the person steps away after 1.5 s.
@@ -106,7 +108,7 @@ fn collide(config: &Config, speed_m_s: f64, phase: u64) -> Collision {
 }
 
 #[test]
-fn at_the_speed_limit_an_impact_stays_under_25_n_and_at_the_papers_speed_it_does_not() {
+fn impact_is_below_25_n_at_speed_limit_only() {
     for phase in 0..4 {
         let limited = collide(&config(), 0.04, phase);
         let paper = collide(&overridden(10.0), 0.2, phase);
@@ -163,7 +165,7 @@ fn the_delay_of_a_stock_board_counts_the_worst_age_in_its_chip() {
 }
 
 #[test]
-fn a_touch_that_is_not_confirmed_yet_stops_the_base_and_reaches_no_law() {
+fn unconfirmed_touch_stops_base_and_reaches_no_law() {
     let board = VirtualBoardConfig { firmware: Firmware::Stock2018, ..VirtualBoardConfig::default() };
     let mut world = armed(&config(), &free_scene(&config()), board);
     world.control.set_target_twist([0.04, 0.0, 0.0, 0.0, 0.0, 0.0]).unwrap();
@@ -182,7 +184,7 @@ fn a_touch_that_is_not_confirmed_yet_stops_the_base_and_reaches_no_law() {
 }
 
 #[test]
-fn data_older_than_a_frame_explains_lowers_the_limit_until_the_stop() {
+fn stale_data_lowers_limit_until_the_stop() {
     let mut world = armed(&config(), &free_scene(&config()), VirtualBoardConfig::default());
     let before = run(&mut world, 200).pop().unwrap().speed_limit.m_s;
     world.feed[0].board().set_fault(Some(moca_sim::board::BoardFault::Silent));
@@ -227,7 +229,7 @@ fn no_push_moves_any_point_of_the_cover_faster_than_the_limit() {
 }
 
 #[test]
-fn an_override_is_refused_without_a_statement_and_shown_in_every_sample() {
+fn override_needs_statement_and_is_in_every_sample() {
     let text = "[protection]\nforce_limit_n = 0.5\noverride_speed_limit_m_s = 0.3\nreaction = \"slow\"\nretreat_m = nan\n";
     let mistakes = Config::parse(text).unwrap_err().mistakes;
     assert_eq!(mistakes.len(), 3, "{mistakes:?}");
@@ -257,7 +259,7 @@ fn an_override_is_refused_without_a_statement_and_shown_in_every_sample() {
     assert!(fastest > 0.1, "{fastest} m/s: the override let nothing through");
 }
 
-/// What a reaction did to a base that was led into a person.
+/// Effect of a reaction on a base that was led into a person.
 #[derive(Debug)]
 struct Reacted {
     crossing: ContactEvent,
@@ -267,7 +269,7 @@ struct Reacted {
     outward_m_s: f64,
     /// Fastest command along the cover meanwhile, m/s.
     along_m_s: f64,
-    /// How far the base went back from where it was at the crossing, m.
+    /// Distance that the base went back from where it was at the crossing, m.
     back_m: f64,
     /// Largest force after the crossing, N.
     pressed_n: f64,
@@ -340,7 +342,7 @@ fn provoke(reaction: ContactReaction) -> Reacted {
 }
 
 #[test]
-fn each_reaction_to_a_crossed_limit_acts_within_milliseconds_and_ends_with_the_contact() {
+fn reaction_to_limit_ends_with_the_contact() {
     let mut durations_s = Vec::new();
     for reaction in ContactReaction::ALL {
         let r = provoke(reaction);
@@ -434,7 +436,7 @@ fn gains_that_are_just_let_through_bear_a_strong_lean() {
     }
 }
 
-/// How far a lean of 40 N on `taxel` takes the base along `axis` within six seconds, and again after a rest, m.
+/// Returns the distances along `axis` that a lean of 40 N on `taxel` moves the base within six seconds, and again after a rest, m.
 fn leaned(config: &Config, taxel: usize, axis: usize) -> [f64; 2] {
     let mut world = armed(config, &free_scene(config), VirtualBoardConfig::default());
     let mut lean = || {
@@ -451,7 +453,7 @@ fn leaned(config: &Config, taxel: usize, axis: usize) -> [f64; 2] {
 }
 
 #[test]
-fn a_base_that_is_pushed_towards_its_bare_rear_stops_after_a_tenth_of_a_metre() {
+fn base_pushed_to_bare_rear_stops_after_0_1_m() {
     for law in [Law::Impedance, Law::FollowMe] {
         let mut config = config();
         config.startup.law = law;
@@ -510,7 +512,7 @@ fn walked_into(
 
 /// With the contact barrier nobody is caught between the own walk and a base that fears its bare rear.
 #[test]
-fn who_walks_on_into_the_front_is_given_room_beyond_the_tenth_of_a_metre() {
+fn walker_into_front_gets_room_beyond_0_1_m() {
     let mut config = config();
     config.protection.contact_barrier = BarrierReadings::PuLd30;
     // pushed off its middle the base turns, and the leg comes from its taxel to a seam
@@ -540,7 +542,7 @@ fn who_walks_on_into_the_front_is_given_room_beyond_the_tenth_of_a_metre() {
 }
 
 #[test]
-fn the_way_towards_a_bare_side_is_in_the_sample_and_a_mask_bares_a_side() {
+fn bare_side_displacement_is_in_sample_and_follows_mask() {
     let mut config = config();
     config.startup.law = Law::FollowMe;
     let mut world = armed(&config, &free_scene(&config), VirtualBoardConfig::default());
@@ -559,7 +561,7 @@ fn the_way_towards_a_bare_side_is_in_the_sample_and_a_mask_bares_a_side() {
 }
 
 #[test]
-fn a_hand_that_stays_is_a_quasi_static_contact_with_its_clamp_force() {
+fn staying_hand_is_quasi_static_contact() {
     let mut world = armed(&config(), &free_scene(&config()), VirtualBoardConfig::default());
     press(&mut world, LEFT, 30.0);
     run(&mut world, 2000);

@@ -3,15 +3,15 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 #![allow(clippy::float_cmp, reason = "what does not move stays equal to the bit")]
 
-use moca_daemon::config::Config;
-use moca_daemon::control::cover::{CoverSource, CoverState};
-use moca_daemon::control::plant::{Plant, SourceAge};
-use moca_daemon::control::stage::Untimed;
-use moca_daemon::control::supervisor::Zero;
-use moca_daemon::control::tick::{ControlLoop, Ticked};
-use moca_daemon::control::tick_input::Slot;
-use moca_daemon::robot::{JOINTS, Parts, PlantKind, TAXELS};
-use moca_daemon::runtime::assemble::{motion, supervisor};
+use moca_control::assemble::{motion, supervisor};
+use moca_control::config::Config;
+use moca_control::cover::{CoverSource, CoverState};
+use moca_control::plant::{Plant, SourceAge};
+use moca_control::robot::{JOINTS, Parts, PlantKind, TAXELS};
+use moca_control::stage::Untimed;
+use moca_control::supervisor::Zero;
+use moca_control::tick::{ControlLoop, Ticked};
+use moca_control::tick_input::Slot;
 use moca_daemon::runtime::live::Shared;
 use moca_daemon::runtime::notice::{DriverWords, Notice, Reporter, Silent};
 use moca_daemon::runtime::options::Options;
@@ -105,7 +105,7 @@ impl World {
         Self { control, tick: 0 }
     }
 
-    /// The same, ready to be armed.
+    /// Returns the robot, ready to be armed.
     fn ready() -> Self {
         let mut world = Self::new();
         world.control.plant.state = Ok(at_home());
@@ -142,7 +142,7 @@ impl World {
 }
 
 #[test]
-fn a_robot_that_is_not_there_yet_is_waited_for_and_gets_no_torque_before_it_is_ready() {
+fn absent_robot_is_awaited_and_gets_no_torque() {
     let mut world = World::new();
     for absent in [Fault::ArmStale, Fault::ArmUserStopped, Fault::ArmRefused, Fault::BaseStale] {
         world.control.plant.state = Err(absent);
@@ -272,7 +272,7 @@ fn an_arm_far_from_its_posture_is_not_armed() {
 }
 
 #[test]
-fn an_arm_is_armed_a_tenth_of_a_radian_from_its_posture_and_not_further() {
+fn arm_is_armed_only_within_0_1_rad_of_posture() {
     for (off_rad, armed) in [(0.10, true), (0.11, false)] {
         // Just inside: what the loop is given has single precision.
         for (joint, sign) in [(0, 1.0), (3, 1.0), (6, -1.0)] {
@@ -349,7 +349,8 @@ impl Reporter for Places {
 fn a_robot_of_ones_own_has_telemetry_and_a_flight_recorder() {
     let mut config = Config::default();
     (config.plant.kind, config.plant.parts) = (PlantKind::Robot, Parts::Arm);
-    config.telemetry.listen = "127.0.0.1:0".into();
+    let socket = std::env::temp_dir().join(format!("moca-own-{}.sock", std::process::id()));
+    config.telemetry.listen = Address::Unix(socket).to_string();
     let folder = std::env::temp_dir().join(format!("moca-own-flight-{}", std::process::id()));
     config.flight_recorder.folder = folder.display().to_string();
     (config.realtime.priority, config.realtime.lock_memory, config.realtime.dma_latency) = (0, false, false);

@@ -6,7 +6,7 @@
     reason = "a test that cannot go on has to stop"
 )]
 
-use moca_daemon::config::{BarrierReadings, Config, HandConfig};
+use moca_control::config::{BarrierReadings, Config, HandConfig};
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::flight_recorder::FlightRecorder;
@@ -152,7 +152,7 @@ fn a_run_that_is_led_from_outside_comes_out_the_same() {
 }
 
 #[test]
-fn a_run_with_faults_tares_laws_and_live_parameters_comes_out_the_same() {
+fn run_with_faults_and_live_changes_replays_bit_equal() {
     let mut run = Run::start(&config());
     assert_eq!(run.run(1500), Mode::Impedance);
     run.ask(Request::PressTaxel { taxel: 5, force_n: 20.0 });
@@ -309,7 +309,7 @@ fn calibration_contact_limits_and_geometry_are_in_the_log() {
     assert!(matches!(failure(&other), Failure::Differs { .. }));
 }
 
-/// What a flight recorder beside a lock-step run writes at its first stop, if that comes within `ticks`.
+/// Returns the log of a flight recorder beside a lock-step run at its first stop, if that comes within `ticks`.
 fn flight_log(name: &str, world: &mut Run, recorder: &mut FlightRecorder, ticks: usize) -> PathBuf {
     for _ in 0..ticks {
         if let Some(path) = world.watched(None, recorder) {

@@ -7,11 +7,11 @@
     reason = "a test that cannot go on has to stop"
 )]
 
-use moca_daemon::config::{Config, HandConfig};
-use moca_daemon::control::cover::CoverSource;
+use moca_control::config::{Config, HandConfig};
+use moca_control::cover::CoverSource;
+use moca_control::robot::{Arm, BaseDriver, PlantKind};
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::robot::{Arm, BaseDriver, PlantKind};
 use moca_daemon::runtime::assemble::board_config;
 use moca_daemon::runtime::lockstep::{Feed, LockStep};
 use moca_msgs::params::CONTROLLER;
@@ -27,7 +27,7 @@ fn example(name: &str) -> Config {
     let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/robots")).join(name);
     let config = Config::load(&path).unwrap_or_else(|error| panic!("{}:\n{error}", path.display()));
     Config {
-        simulation: moca_daemon::config::SimulationConfig { hand: HandConfig::none(), ..Default::default() },
+        simulation: moca_control::config::SimulationConfig { hand: HandConfig::none(), ..Default::default() },
         ..config
     }
 }
@@ -101,14 +101,14 @@ fn its_taxels_run_from_the_bytes_of_two_boards_to_motion() {
 }
 
 #[test]
-fn a_base_with_four_taxels_on_scattered_electrodes_runs_from_bytes_to_motion() {
+fn four_taxels_on_scattered_electrodes_move_base() {
     let config = example("base-4-taxels.toml");
     let world = LockStep::with_board(&config, &free_scene(&config), board_config(&config), None).unwrap();
     every_taxel_pushes_its_way(&config, world);
 }
 
 #[test]
-fn the_bases_behind_ros_2_that_are_shipped_as_files_give_way_to_every_taxel() {
+fn shipped_ros_2_bases_give_way_to_every_taxel() {
     for (name, stamped) in [("mecanum-ros2.toml", true), ("holonomic-ros2.toml", false)] {
         let mut config = example(name);
         assert_eq!(config.plant.base.driver, BaseDriver::Ros2);
@@ -166,7 +166,7 @@ fn live_parameters_have_as_many_elements_as_the_arm_has_joints() {
     );
 }
 
-/// What the arm carries is in the plant and in the controller: it neither lifts nor sags.
+/// Plant and controller both know the arm's load: the arm neither rises nor sags.
 #[test]
 fn tool_and_load_are_carried() {
     let carried = "[robot.tool]\nmass_kg = 1.0\ncom_m = [0.0, 0.0, 0.05]\ninertia_com = [0.002, 0.0, 0.0, 0.002, 0.0, 0.001]\norigin = [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]\n\

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 #![allow(clippy::float_cmp, reason = "what does not move stays equal to the bit")]
 
-use moca_daemon::config::{Config, HandConfig};
+use moca_control::config::{Config, HandConfig};
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::{LockStep, TrueForces};
@@ -80,7 +80,7 @@ fn phase(sample: &Sample) -> Option<TargetPhase> {
 }
 
 #[test]
-fn a_pose_is_reached_under_both_laws_and_no_target_leaves_the_law_alone() {
+fn pose_is_reached_under_both_laws() {
     for law in [Law::Impedance, Law::FollowMe] {
         let mut world = armed(law);
         let start = run(&mut world, 1);
@@ -123,7 +123,7 @@ fn a_target_that_nobody_renews_holds_after_its_age() {
 }
 
 #[test]
-fn a_twist_moves_the_flange_in_its_axes_and_a_posture_all_joints() {
+fn twist_moves_flange_and_posture_all_joints() {
     // A base that has turned tells the axes apart.
     for law in [Law::FollowMe, Law::Impedance] {
         for axes in [TwistAxes::World, TwistAxes::Base, TwistAxes::Flange] {
@@ -306,7 +306,7 @@ fn a_trajectory_is_one_request_with_progress_and_an_end() {
 }
 
 #[test]
-fn what_no_robot_could_follow_is_refused_with_its_value_and_range() {
+fn impossible_target_is_refused_with_value_and_range() {
     let mut world = armed(Law::Impedance);
     let start = run(&mut world, 1);
     let Target::Pose { position_world, quaternion_world } = pose(&start, [0.0; 3]) else {
@@ -386,7 +386,7 @@ fn a_pose_that_no_posture_has_is_approached_as_far_as_the_leash() {
 }
 
 #[test]
-fn a_target_that_jumps_back_and_forth_moves_the_reference_within_its_bounds() {
+fn jumping_target_moves_reference_within_bounds() {
     let mut world = armed(Law::Impedance);
     let start = run(&mut world, 1);
     let ends = [pose(&start, [0.2, 0.15, 0.0]), pose(&start, [-0.2, -0.15, 0.1])];

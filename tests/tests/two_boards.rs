@@ -1,7 +1,7 @@
 //! Two Touch Boards under one cover, from their bytes to the base's motion: each with its clock, its port and its faults.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 
-use moca_daemon::config::{Config, HandConfig};
+use moca_control::config::{Config, HandConfig};
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};
@@ -11,6 +11,7 @@ use moca_msgs::{Fault, Mode, Refusal, Request, Sample, TaxelStatus};
 use moca_sim::BoardFault;
 use moca_tactile::Firmware;
 use moca_telemetry::log::read_log;
+use moca_tests::Limited;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -50,7 +51,7 @@ fn statuses(sample: &Sample) -> [Option<TaxelStatus>; 2] {
 }
 
 #[test]
-fn a_press_on_either_board_moves_the_base_and_a_silent_board_stops_it_by_name() {
+fn press_on_either_board_moves_base() {
     for firmware in [Firmware::Moca, Firmware::Stock2018] {
         let mut config = two_boards();
         config.board.firmware = firmware;
@@ -106,7 +107,7 @@ fn unplugging_one_board_voids_the_zero_of_its_taxels_alone() {
 
 /// The second board's clock wraps after 5 s, the first one's does not.
 #[test]
-fn each_board_s_clock_is_mapped_by_itself_and_the_tick_allocates_nothing() {
+fn board_clocks_are_mapped_separately() {
     let mut world = world(&two_boards());
     run(&mut world, TARED_TICKS);
     let mut oldest_s = 0.0_f64;
@@ -119,7 +120,11 @@ fn each_board_s_clock_is_mapped_by_itself_and_the_tick_allocates_nothing() {
     assert!(oldest_s < hold_s + 0.002, "{oldest_s} s old; one board holds {hold_s} s");
 }
 
-fn mocad(name: &str, arguments: &[&str]) -> (PathBuf, String) {
+/// Exit code of a run that ends in a fault.
+const ENDS_IN_A_FAULT: i32 = 6;
+
+/// Runs and records; the run ends with exit code `code`.
+fn mocad(name: &str, arguments: &[&str], code: i32) -> (PathBuf, String) {
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
     let (config, log) = (folder.join("two_boards.toml"), folder.join(name));
     let _ = std::fs::remove_file(&log);
@@ -133,24 +138,23 @@ fn mocad(name: &str, arguments: &[&str]) -> (PathBuf, String) {
         .arg("--record")
         .arg(&log)
         .args(arguments)
-        .output()
+        .run()
         .unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
-    assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(output.status.code(), Some(code), "{text}{}", String::from_utf8_lossy(&output.stderr));
     (log, text)
 }
 
 fn replayed(log: &Path) -> String {
-    let output =
-        Command::new(env!("CARGO_BIN_EXE_mocad-under-test")).arg("replay").arg(log).output().unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_mocad-under-test")).arg("replay").arg(log).run().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
 }
 
 #[test]
-fn a_run_in_lock_step_is_told_with_its_board_and_replays_to_the_bit() {
+fn lock_step_with_two_boards_replays_bit_equal() {
     let arguments = ["--as-fast-as-possible", "--duration", "4", "--inject", "silent@3"];
-    let (log, text) = mocad("two_boards.mcap", &arguments);
+    let (log, text) = mocad("two_boards.mcap", &arguments, ENDS_IN_A_FAULT);
     assert!(text.contains("Board 1 (virtual) with T1 T2 T3 T4 T5 T6."), "{text}");
     let report = replayed(&log);
     assert!(report.starts_with("4000 ticks compared"), "{report}");
@@ -164,7 +168,7 @@ fn a_run_in_lock_step_is_told_with_its_board_and_replays_to_the_bit() {
 
 #[test]
 fn two_virtual_boards_live_feed_one_loop_and_the_log_replays() {
-    let (log, text) = mocad("two_boards_live.mcap", &["--duration", "3"]);
+    let (log, text) = mocad("two_boards_live.mcap", &["--duration", "3"], 0);
     let line = text.lines().find(|line| line.starts_with("  board")).expect("a line about the boards");
     assert_eq!(line.matches("moca-touch-board-").count(), 2, "{line}");
     let report = replayed(&log);
@@ -174,7 +178,7 @@ fn two_virtual_boards_live_feed_one_loop_and_the_log_replays() {
 }
 
 #[test]
-fn boards_that_cannot_be_told_apart_or_carry_nothing_are_mistakes() {
+fn indistinct_or_unused_boards_are_mistakes() {
     let wired = "robot.cover.board = [1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2]\n";
     let real = "plant.kind = \"none\"\n";
     for (ports, rest, words) in [

@@ -24,7 +24,7 @@ impl Plant for MyRobot {
         Ok(self.0)
     }
 
-    /// How old it is: the loop stops when a part is older than `deadline_s` in `[plant.arm]` and `[plant.base]`.
+    /// Returns the age of the state: the loop stops when a part is older than `deadline_s` in `[plant.arm]` and `[plant.base]`.
     fn age(&self) -> SourceAge {
         SourceAge { arm_s: 0.000_5, base_s: 0.010 }
     }

@@ -13,6 +13,7 @@ use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::tick_log::tick_log;
 use moca_daemon::runtime::live::{Rings, Shared};
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
+use moca_daemon::runtime::recovery::Recovery;
 use moca_msgs::{Law, Mode, Request};
 use moca_sim::VirtualBoardConfig;
 use moca_sim::board::BoardFault;
@@ -52,7 +53,10 @@ fn watched(world: &mut World, mode: Mode, requests: &[Request]) {
     let (samples, _client) = rtrb::RingBuffer::new(1024);
     let (_commander, to_loop) = moca_telemetry::net::request_channel();
     let (log, _copies, _reader) = tick_log();
-    let (mut rings, shared) = (Rings { samples, requests: to_loop, tick_log: Some(log) }, Shared::default());
+    let (mut rings, shared) = (
+        Rings { samples, requests: to_loop, tick_log: Some(log), recovery: Recovery::default() },
+        Shared::default(),
+    );
     let mut last = None;
     for tick in 0..TICKS {
         let request = usize::try_from(tick).ok().and_then(|i| requests.get(i)).copied();

@@ -13,20 +13,32 @@
 //!
 //! The loop refuses to know who watches it: samples leave through a bounded ring, requests arrive through another.
 
-/// Of this program. One that is built for fused multiply-add says `+fma`: it rounds a product that is added to once instead of
-/// twice, and its last bits are not those of another.
+/// Version of this program. A build with fused multiply-add says `+fma`: it rounds a sum with a product once instead of twice,
+/// and its last bits differ from those of other builds.
 pub const VERSION: &str = if cfg!(target_feature = "fma") {
     concat!(env!("CARGO_PKG_VERSION"), "+fma")
 } else {
     env!("CARGO_PKG_VERSION")
 };
 
+/// Features that this program was built with.
+pub fn features() -> Vec<&'static str> {
+    let all = [
+        ("sim", cfg!(feature = "sim")),
+        ("board", cfg!(feature = "board")),
+        ("fci", cfg!(feature = "fci")),
+        ("ros2", cfg!(feature = "ros2")),
+        ("ros2-zenoh", cfg!(feature = "ros2-zenoh")),
+    ];
+    all.into_iter().filter_map(|(name, there)| there.then_some(name)).collect()
+}
+
 pub mod calibration;
 pub mod cli;
-pub mod config;
-pub mod control;
 pub mod devices;
 pub mod inject;
 pub mod record;
-pub mod robot;
 pub mod runtime;
+
+pub use moca_control as control;
+pub use moca_control::{config, robot};

@@ -4,15 +4,16 @@ use clap::{Args, Parser, Subcommand};
 use moca_daemon::cli::terminal::Terminal;
 use moca_daemon::config::Config;
 use moca_daemon::runtime::allocations::CountingAllocator;
+use moca_telemetry::log::LogError;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
-const EXIT_CODES: &str = "Exit codes: 0 ended as asked, 1 something failed, 2 wrong command line or configuration, \
-                          3 real time demanded and refused, 4 a running daemon refused the request, 5 the robot stopped \
-                          while it was armed or tared";
+const EXIT_CODES: &str = "Exit codes: 0 ended as asked, 1 something failed, 2 wrong command line or configuration, or a file \
+                          that is no log, 3 real time demanded and refused, 4 a running daemon refused the request, 5 the robot stopped \
+                          while it was armed or tared, 6 the run ended in a fault";
 
 /// Tactile whole-body control of MOCA-S: without arguments, a simulated robot with a virtual Touch Board.
 #[derive(Parser)]
@@ -20,6 +21,9 @@ const EXIT_CODES: &str = "Exit codes: 0 ended as asked, 1 something failed, 2 wr
 struct Arguments {
     #[command(subcommand)]
     command: Option<Command>,
+    /// Show no progress bar.
+    #[arg(long, global = true)]
+    quiet: bool,
     #[command(flatten)]
     run: RunArguments,
 }
@@ -39,6 +43,7 @@ enum Command {
         log: Vec<PathBuf>,
     },
     Log(moca_daemon::cli::log::Arguments),
+    Logs(moca_daemon::cli::log::ListArguments),
     /// List parameters, change them in a running daemon, or print their schema.
     #[command(subcommand)]
     Params(moca_daemon::cli::params::Command),
@@ -68,6 +73,9 @@ struct RunArguments {
     /// Read this board instead of the configuration's: "avr" is the firmware itself in crates/firmware-sim.
     #[arg(long, value_name = "PORT")]
     board: Option<String>,
+    /// Nobody presses the simulated robot: without the configuration's scripted hand.
+    #[arg(long)]
+    no_hand: bool,
     /// Only check the configuration and report every mistake in it.
     #[arg(long)]
     check: bool,
@@ -89,7 +97,7 @@ struct RunArguments {
     /// Let a fault strike a simulated robot; a wrong NAME lists all there are.
     #[arg(long, value_name = "NAME@SECONDS")]
     inject: Option<moca_daemon::inject::Injection>,
-    /// How much the terminal or the journal shows of a run.
+    /// Importance of the lines that the terminal or the journal shows.
     #[arg(long, value_enum, default_value_t)]
     log_level: moca_daemon::cli::report::Level,
     /// End at once if the operating system refuses a setting of `[realtime]`.
@@ -99,7 +107,10 @@ struct RunArguments {
 
 fn main() -> ExitCode {
     survive_large_files();
-    let arguments = Arguments::parse();
+    let arguments: Arguments = moca_manual::parse("mocad", &moca_daemon::features());
+    if arguments.quiet {
+        moca_daemon::cli::progress::be_quiet();
+    }
     if !matches!(arguments.command, None | Some(Command::Run(_))) {
         moca_daemon::cli::terminal::end_with_the_reader();
     }
@@ -111,6 +122,7 @@ fn main() -> ExitCode {
         Some(Command::Doctor(doctor)) => moca_daemon::cli::doctor::run(&doctor),
         Some(Command::Replay { log }) => replay(&log),
         Some(Command::Log(arguments)) => moca_daemon::cli::log::run(&arguments).map(|text| print(&text)),
+        Some(Command::Logs(arguments)) => moca_daemon::cli::log::list(&arguments).map(|text| print(&text)),
         Some(Command::Params(command)) => moca_daemon::cli::params::run(&command),
         Some(Command::DefaultConfig) => {
             print(moca_daemon::config::DEFAULT_TOML);
@@ -154,7 +166,8 @@ impl std::fmt::Display for WrongConfiguration {
 impl std::error::Error for WrongConfiguration {}
 
 fn exit_code(error: &anyhow::Error) -> ExitCode {
-    if error.is::<WrongConfiguration>() {
+    let no_log = error.downcast_ref::<LogError>().is_some_and(LogError::is_of_no_log);
+    if no_log || error.is::<WrongConfiguration>() {
         ExitCode::from(2)
     } else if error.is::<moca_daemon::runtime::run::RealtimeRefused>() {
         ExitCode::from(3)
@@ -162,6 +175,8 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
         ExitCode::from(4)
     } else if error.is::<moca_daemon::cli::operator::Stopped>() {
         ExitCode::from(5)
+    } else if error.is::<moca_daemon::runtime::run::EndedInFault>() {
+        ExitCode::from(6)
     } else {
         ExitCode::FAILURE
     }
@@ -196,7 +211,7 @@ fn print(text: &str) {
     print!("{text}");
 }
 
-/// Of a file, or the built-in one.
+/// Reads a configuration file, or takes the built-in one.
 fn configuration(path: Option<&Path>) -> anyhow::Result<Config> {
     let Some(path) = path else { return Ok(Config::default()) };
     let config = Config::load(path);
@@ -205,6 +220,9 @@ fn configuration(path: Option<&Path>) -> anyhow::Result<Config> {
 
 fn run(arguments: RunArguments) -> anyhow::Result<()> {
     let mut config = configuration(arguments.config.as_deref())?;
+    if arguments.no_hand {
+        config.simulation.hand = moca_daemon::config::HandConfig::none();
+    }
     if let Some(port) = &arguments.board {
         config.board.port = port.as_str().into();
         let mut mistakes = Vec::new();
@@ -217,13 +235,23 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
         .map_err(|error| WrongConfiguration(format!("{error:#}")))?;
     moca_daemon::runtime::assemble::motion(&config)
         .map_err(|error| WrongConfiguration(format!("{error:#}")))?;
+    moca_daemon::runtime::drivers::check_build(&config)
+        .map_err(|error| WrongConfiguration(format!("{error:#}")))?;
     if arguments.check {
+        let whose = arguments
+            .config
+            .as_ref()
+            .map_or("the built-in configuration".into(), |path| path.display().to_string());
+        print(&format!("{whose}: no mistakes, and this build can run it\n"));
         return Ok(());
     }
     let duration = arguments.duration.map(std::time::Duration::try_from_secs_f64);
     let duration = duration.transpose();
     let duration = duration.map_err(|error| anyhow::anyhow!("--duration: {error}; allowed: 0 s or more"))?;
     let mut terminal = Terminal::stdout(arguments.log_level, arguments.as_fast_as_possible)?;
+    if let Some(duration) = duration.filter(|_| arguments.as_fast_as_possible) {
+        terminal.show_progress(duration);
+    }
     let options = moca_daemon::runtime::options::Options {
         config,
         duration,
@@ -235,4 +263,12 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
         require_realtime: arguments.require_realtime,
     };
     moca_daemon::runtime::run::run(&options, &mut terminal)
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn chapter_of_the_docs_is_what_the_command_line_says() {
+        assert_eq!(moca_manual::check_chapter::<super::Arguments>("mocad"), Ok(()));
+    }
 }

@@ -1,6 +1,6 @@
-//! What an axis maps to where, and what stands beside it.
+//! Mapping of an axis to pixels, and the labels beside it.
 
-/// How an axis maps numbers to pixels.
+/// Mapping of an axis's numbers to pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
     /// Equal steps are equal lengths.

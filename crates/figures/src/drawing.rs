@@ -25,14 +25,54 @@ pub const PALETTE: [Colour; 7] = [
 /// Size of all text, px.
 pub(crate) const FONT_PX: f64 = 11.0;
 
+/// Pixels of one millimetre on paper: 96 px are one inch, so that text is 8.25 pt high.
+const PX_PER_MM: f64 = 96.0 / 25.4;
+
+/// Width of a figure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Width {
+    /// A screen: 900 px.
+    Screen,
+    /// One column of a journal: 88 mm.
+    Single,
+    /// Both columns of a journal: 180 mm.
+    Double,
+}
+
+impl Width {
+    /// Returns the width in px.
+    pub fn px(self) -> f64 {
+        match self {
+            Self::Screen => 900.0,
+            Self::Single => 88.0 * PX_PER_MM,
+            Self::Double => 180.0 * PX_PER_MM,
+        }
+    }
+}
+
+/// Splits a text into lines that are at most `width` wide, px; a longer word stays whole.
+pub fn wrapped(text: &str, width: f64) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split_whitespace() {
+        match lines.last_mut() {
+            Some(line) if text_px(line.chars().count() + 1 + word.chars().count()) <= width => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
+}
+
 /// Room that so many characters take at most, but for wide ones alone, px.
-pub(crate) fn text_px(characters: usize) -> f64 {
+pub fn text_px(characters: usize) -> f64 {
     #[expect(clippy::cast_precision_loss, reason = "some tens")]
     let characters = characters as f64;
     0.62 * FONT_PX * characters
 }
 
-/// Where a text's anchor is.
+/// Horizontal anchor of a text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
     /// At its beginning.
@@ -108,6 +148,11 @@ impl Drawing {
     pub fn text_upwards(&mut self, at: [f64; 2], text: &str, colour: Colour) {
         let text = text.to_owned();
         self.shapes.push(Shape::Text { at, anchor: Anchor::Middle, upwards: true, text, colour });
+    }
+
+    /// Width and height, px.
+    pub fn size(&self) -> [f64; 2] {
+        [self.width, self.height]
     }
 
     /// Every text of the drawing.
@@ -216,6 +261,14 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn widths_are_those_of_journal_columns() {
+        let mm = [Width::Single, Width::Double].map(|width| width.px() / PX_PER_MM);
+        assert!((mm[0] - 88.0).abs() < 1e-9 && (mm[1] - 180.0).abs() < 1e-9, "{mm:?}");
+        assert_eq!(wrapped("force of the hand", 60.0), ["force of", "the hand"]);
+        assert_eq!(wrapped("  unbreakable ", 10.0), ["unbreakable"]);
+    }
 
     #[test]
     fn what_is_not_finite_is_left_out_and_text_is_escaped() {

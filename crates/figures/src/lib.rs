@@ -1,7 +1,7 @@
 //! Figures: panels with axes, maps of coloured cells and free drawings, as SVG.
 //!
 //! One engine for the documents, the lab's `--out` folders, its report and the calibration's residuals. It needs no other
-//! crate: the lab renders the SVG as PNG.
+//! crate: the lab renders the SVG as PNG and PDF.
 //!
 //! ```
 //! use moca_figures::{Drawing, Panel, Scale, Series};
@@ -24,7 +24,7 @@ mod map;
 mod panel;
 
 pub use axis::{Scale, number};
-pub use drawing::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED};
+pub use drawing::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED, Width, text_px, wrapped};
 pub use map::Map;
 pub use panel::{Panel, Series};
 

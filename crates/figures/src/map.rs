@@ -26,7 +26,7 @@ pub struct Map {
     pub cells: Vec<(Colour, String)>,
     /// Which side of a line each cell is on; the line is drawn between cells that differ.
     pub sides: Vec<bool>,
-    /// What each colour means.
+    /// Meaning of each colour.
     pub legend: Vec<(Colour, &'static str)>,
 }
 
@@ -113,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cells_stand_where_their_values_are_and_the_line_between_the_sides() {
+    fn cells_stand_at_their_values_and_line_between_sides() {
         let map = Map {
             title: "t".into(),
             x_label: "x".into(),

@@ -1,7 +1,7 @@
 //! A panel: axes, lines, dots, bands, marks, and a legend beside it.
 
 use crate::axis::{Axis, Scale, range};
-use crate::drawing::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED, text_px};
+use crate::drawing::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED, text_px, wrapped};
 
 /// Room for the numbers and, at least, for the legend, px.
 const LEFT: f64 = 74.0;
@@ -10,8 +10,16 @@ const TOP: f64 = 20.0;
 const BOTTOM: f64 = 38.0;
 /// Without a legend.
 const RIGHT_BARE: f64 = 16.0;
+/// Widest panel that has its legend above the axes instead of beside them, px.
+const NARROW: f64 = 500.0;
+/// Room for the numbers of a narrow panel, px.
+const LEFT_NARROW: f64 = 58.0;
+/// Height of a line of the title, and of the legend of a narrow panel, px.
+const LINE: f64 = 14.0;
+/// Room that an entry of the legend takes besides its name, px.
+const ENTRY: f64 = 27.0;
 
-/// How the points of a series are shown.
+/// Marks that show the points of a series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Style {
     Line,
@@ -19,7 +27,7 @@ enum Style {
     Dots,
     /// Small pale dots alone: many measured values.
     Cloud,
-    /// What failed: a cross at its x, at the top of the panel.
+    /// Failed points: a cross at each x, at the top of the panel.
     Failures,
 }
 
@@ -30,7 +38,7 @@ pub struct Series {
     pub name: String,
     /// x, y.
     pub points: Vec<[f64; 2]>,
-    /// Of line, dots and band.
+    /// Colour of line, dots and band.
     pub colour: Colour,
     /// Outline of a translucent band, for the uncertainty of the line; empty for none.
     pub band: Vec<[f64; 2]>,
@@ -44,7 +52,7 @@ impl Series {
         Self { name: name.into(), points, colour, band: Vec::new(), style: Style::Line }
     }
 
-    /// The same with a dot at every point.
+    /// A line with a dot at every point.
     pub fn dots(i: usize, name: impl Into<String>, points: Vec<[f64; 2]>) -> Self {
         Self { style: Style::Dots, ..Self::line(i, name, points) }
     }
@@ -67,12 +75,12 @@ impl Series {
         self
     }
 
-    /// What grey vertical lines mean, for the legend.
+    /// Legend entry for the grey vertical lines.
     pub fn marks(name: impl Into<String>) -> Self {
         Self { colour: GREY, ..Self::line(0, name, Vec::new()) }
     }
 
-    /// The same line in a paler colour and without a place in the legend.
+    /// Draws the line in a paler colour and without a legend entry.
     #[must_use]
     pub fn pale(mut self) -> Self {
         self.name.clear();
@@ -90,13 +98,13 @@ pub struct Panel {
     pub x_label: String,
     /// With its unit.
     pub y_label: String,
-    /// Of the x axis.
+    /// Scale of the x axis.
     pub x_scale: Scale,
-    /// Of the y axis.
+    /// Scale of the y axis.
     pub y_scale: Scale,
     /// Drawn in this order.
     pub series: Vec<Series>,
-    /// Where vertical lines go.
+    /// Places of the vertical lines on the x axis.
     pub marks: Vec<f64>,
     /// Horizontal lines with their names.
     pub levels: Vec<(f64, &'static str)>,
@@ -115,6 +123,20 @@ impl Panel {
             marks: Vec::new(),
             levels: Vec::new(),
         }
+    }
+
+    /// Puts the letter of the `i`th panel before the title: (a), (b) and so on.
+    #[must_use]
+    pub fn lettered(mut self, i: usize) -> Self {
+        if let Some(letter) = ('a'..='z').nth(i) {
+            self.title = format!("({letter}) {}", self.title);
+        }
+        self
+    }
+
+    /// Returns the height of a panel `width` wide whose axes are `axes` high, px.
+    pub fn height(&self, width: f64, axes: f64) -> f64 {
+        self.above(width) + axes + BOTTOM
     }
 
     /// Draws into the box at `origin` of `size` pixels.
@@ -136,46 +158,92 @@ impl Panel {
                 drawing.text([right - 4.0, py - 3.0], Anchor::End, name, RED);
             }
         }
-        self.legend(drawing, [right + 10.0, frame.top + 8.0]);
+        if size[0] <= NARROW {
+            let top = origin[1] + 13.0 + LINE * lines(self.title_lines(size[0]).len());
+            for (series, [x, line]) in self.named().zip(self.legend_places(size[0])) {
+                Self::legend_entry(drawing, series, [left + x, top + LINE * line]);
+            }
+        } else {
+            for (series, line) in self.named().zip(0u32..) {
+                Self::legend_entry(drawing, series, [right + 10.0, frame.top + 8.0 + 15.0 * f64::from(line)]);
+            }
+        }
     }
 
-    /// Where `x` of a panel `size_x` pixels wide whose left edge is at 0 comes to lie, px.
+    /// Returns the place of `x`, px, in a panel `size_x` pixels wide whose left edge is at 0.
     pub fn place(&self, x: f64, size_x: f64) -> f64 {
         self.frame([0.0; 2], [size_x, 100.0]).x.place(x)
     }
 
-    fn legend(&self, drawing: &mut Drawing, [x, top]: [f64; 2]) {
-        let mut y = top;
-        for series in self.series.iter().filter(|series| !series.name.is_empty()) {
-            let middle = [x + 6.0, y - 4.0];
-            match series.style {
-                Style::Failures => drawing.cross(middle, 3.5, series.colour),
-                Style::Cloud => drawing.circle(middle, 2.6, series.colour, 1.0),
-                Style::Line | Style::Dots => {
-                    drawing.line(&[[x, middle[1]], [x + 12.0, middle[1]]], 2.0, series.colour);
-                }
+    /// Series that the legend lists.
+    fn named(&self) -> impl Iterator<Item = &Series> {
+        self.series.iter().filter(|series| !series.name.is_empty())
+    }
+
+    fn title_lines(&self, width: f64) -> Vec<String> {
+        let left = if width <= NARROW { LEFT_NARROW } else { LEFT };
+        wrapped(&self.title, width - left - 4.0)
+    }
+
+    /// Place of each entry of a narrow panel's legend: px from the left end of the axes, and line.
+    fn legend_places(&self, width: f64) -> Vec<[f64; 2]> {
+        let (mut x, mut line) = (0.0, 0.0);
+        let place = |series: &Series| {
+            let room = ENTRY + text_px(series.name.chars().count());
+            if x > 0.0 && x + room > width - LEFT_NARROW {
+                (x, line) = (0.0, line + 1.0);
             }
-            drawing.text([x + 17.0, y], Anchor::Start, &series.name, BLACK);
-            y += 15.0;
+            let at = [x, line];
+            x += room;
+            at
+        };
+        self.named().map(place).collect()
+    }
+
+    /// Room above the axes, px.
+    fn above(&self, width: f64) -> f64 {
+        let title = LINE * lines(self.title_lines(width).len().max(1));
+        let legend = match self.legend_places(width).last() {
+            Some([_, line]) if width <= NARROW => LINE * (line + 1.0),
+            _ => 0.0,
+        };
+        TOP - LINE + title + legend
+    }
+
+    fn legend_entry(drawing: &mut Drawing, series: &Series, [x, y]: [f64; 2]) {
+        let middle = [x + 6.0, y - 4.0];
+        match series.style {
+            Style::Failures => drawing.cross(middle, 3.5, series.colour),
+            Style::Cloud => drawing.circle(middle, 2.6, series.colour, 1.0),
+            Style::Line | Style::Dots => {
+                drawing.line(&[[x, middle[1]], [x + 12.0, middle[1]]], 2.0, series.colour);
+            }
         }
+        drawing.text([x + 17.0, y], Anchor::Start, &series.name, BLACK);
     }
 
     fn frame(&self, [left, top]: [f64; 2], [width, height]: [f64; 2]) -> Frame {
         let longest = self.series.iter().map(|series| series.name.chars().count()).max().unwrap_or(0);
-        let right = if longest > 0 { RIGHT.max(32.0 + text_px(longest)) } else { RIGHT_BARE };
+        let narrow = width <= NARROW;
+        let beside = longest > 0 && !narrow;
+        let right = if beside { RIGHT.max(32.0 + text_px(longest)) } else { RIGHT_BARE };
+        let room_left = if narrow { LEFT_NARROW } else { LEFT };
         let values = |axis: usize| {
             let shown = self.series.iter().flat_map(|s| s.points.iter().chain(&s.band));
             shown.map(move |point| point[axis])
         };
-        let (top, height) = (top + TOP, height - TOP - BOTTOM);
+        let above = self.above(width);
+        let (title_top, top, height) = (top, top + above, height - above - BOTTOM);
         Frame {
+            title: self.title_lines(width),
+            title_top,
             top,
             height,
             x: Axis {
                 range: range(values(0), self.x_scale, false),
                 scale: self.x_scale,
-                start_px: left + LEFT,
-                length_px: width - LEFT - right,
+                start_px: left + room_left,
+                length_px: width - room_left - right,
             },
             y: Axis {
                 range: range(values(1), self.y_scale, true),
@@ -188,6 +256,9 @@ impl Panel {
 }
 
 struct Frame {
+    title: Vec<String>,
+    /// Upper edge of the box, px.
+    title_top: f64,
     top: f64,
     height: f64,
     x: Axis,
@@ -210,7 +281,9 @@ impl Frame {
     /// Axes, grid, ticks and every text but the legend; `edge` is the left edge of the box.
     fn axes(&self, drawing: &mut Drawing, panel: &Panel, edge: f64) {
         let (left, right, bottom) = (self.x.start_px, self.right(), self.bottom());
-        drawing.text([left, self.top - 7.0], Anchor::Start, &panel.title, BLACK);
+        for (line, i) in self.title.iter().zip(0u32..) {
+            drawing.text([left, self.title_top + 13.0 + LINE * f64::from(i)], Anchor::Start, line, BLACK);
+        }
         drawing.text_upwards([edge + 13.0, self.top + 0.5 * self.height], &panel.y_label, BLACK);
         drawing.text([0.5 * (left + right), bottom + 30.0], Anchor::Middle, &panel.x_label, BLACK);
         for (value, label) in self.y.ticks() {
@@ -250,6 +323,12 @@ impl Frame {
             }
         }
     }
+}
+
+fn lines(count: usize) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "a few lines")]
+    let lines = count as f64;
+    lines
 }
 
 /// Keeps the extremes of each stretch of a long trace and leaves out what lies on a level line: a trace of a minute stays
@@ -309,6 +388,27 @@ mod tests {
         assert!(drawing.texts().any(|text| text == "UNSAFE") && drawing.texts().any(|text| text == "10⁻³"));
         // Two crosses of two lines: in the panel and in the legend.
         assert_eq!(drawing.svg().matches("stroke=\"#c82828\" stroke-width=\"1.6\"").count(), 4);
+    }
+
+    #[test]
+    fn narrow_panel_has_title_and_legend_above_its_axes() {
+        let names = ["flange, actual", "flange, desired", "base"];
+        let series =
+            names.iter().enumerate().map(|(i, name)| Series::line(i, *name, vec![[0.0, 0.0], [10.0, 1.0]]));
+        let title = "displacement from the start, world axes: actual and desired";
+        let panel = Panel { series: series.collect(), ..Panel::new(title, "t [s]", "m") }.lettered(1);
+        let width = crate::Width::Single.px();
+        let height = panel.height(width, 100.0);
+        // Two lines of title, two of legend.
+        assert!((height - (TOP + 3.0 * LINE + 100.0 + BOTTOM)).abs() < 1e-9, "{height}");
+        let mut drawing = Drawing::new(width, height);
+        panel.draw(&mut drawing, [0.0; 2], [width, height]);
+        let [left, top, right, bottom] = drawing.extent().unwrap_or_default();
+        assert!(left >= 0.0 && top >= 0.0 && right <= width && bottom <= height);
+        assert!(drawing.texts().any(|text| text.starts_with("(b) displacement")));
+        // The axes use the width that the legend leaves.
+        assert!((panel.place(10.0, width) - (width - RIGHT_BARE)).abs() < 1e-9);
+        assert!((panel.height(900.0, 100.0) - (TOP + 100.0 + BOTTOM)).abs() < 1e-9);
     }
 
     #[test]

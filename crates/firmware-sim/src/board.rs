@@ -5,16 +5,16 @@ use crate::mpr121::{Chips, Mpr121, Signal};
 use crate::identity::Identity;
 use anyhow::Result;
 
-/// How a board is set up.
+/// Settings of a simulated board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     /// Addresses of the chips on its bus; the board's own is 0x5C.
     pub chips: Vec<u8>,
-    /// How long a millisecond of the chips' oscillators lasts, ms.
+    /// Duration of one millisecond of the chips' oscillators, ms.
     pub chip_clock: f64,
     /// Capacitance of every electrode at rest (plate 5 pF and wire), pF.
     pub capacitance_pf: f64,
-    /// What the electrodes show.
+    /// Signal on the electrodes.
     pub signal: Signal,
     /// Time between two polls of the USB host, us.
     pub poll_us: u64,

@@ -13,9 +13,9 @@ const FAULT_AT_US: u64 = 1_000_000;
 /// One fault and its verdict.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// What was done.
+    /// Name of the fault that was injected.
     pub name: &'static str,
-    /// What was seen, for a person.
+    /// Observed behaviour, as a sentence.
     pub seen: String,
     /// Why that is not what it must be.
     pub failure: Option<String>,

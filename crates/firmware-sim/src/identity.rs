@@ -1,6 +1,6 @@
-//! What a USB device says of itself.
+//! USB device descriptors.
 
-/// What the device said of itself.
+/// Descriptors that the device returned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Identity {
     /// USB vendor.

@@ -11,8 +11,8 @@
 //! # anyhow::Ok(())
 //! ```
 //!
-//! What is simulated exactly: the processor, its clock, the USB device controller (one bank an endpoint), I²C bit times.
-//! What is a model: the chip ([`mpr121`]), the host's polling. simavr lacks the START and address bits of an I²C
+//! Exactly simulated: the processor, its clock, the USB device controller (one bank an endpoint), I²C bit times.
+//! Modelled: the chip ([`mpr121`]) and the host's polling. simavr lacks the START and address bits of an I²C
 //! write and the USB start of frame; both are added here.
 //!
 //! simavr is GPL-3: this crate is a test tool, outside the workspace, and no other crate links it.

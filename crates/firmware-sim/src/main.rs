@@ -18,7 +18,7 @@ struct Arguments {
     /// Chips on the bus: 5C is the board's own.
     #[arg(long, global = true, value_delimiter = ',', default_value = "5C")]
     chips: Vec<String>,
-    /// How long a millisecond of the chips' oscillators lasts, ms.
+    /// Duration of one millisecond of the chips' oscillators, ms.
     #[arg(long, global = true, default_value_t = 1.013)]
     chip_clock: f64,
     /// Time between two polls of the host, us.
@@ -50,7 +50,7 @@ enum Command {
         /// Seconds to record.
         #[arg(long, default_value_t = 4.0)]
         seconds: f64,
-        /// Where the bytes go; the times go beside them, with the ending `.times`.
+        /// File for the bytes; their times go into a file beside it that ends in `.times`.
         out: PathBuf,
     },
     /// Sends a command and prints what the board answers.
@@ -62,7 +62,7 @@ enum Command {
     Pipe,
     /// Makes a pseudo-terminal that a program opens like a board.
     Terminal {
-        /// Where to link it.
+        /// Path of the link.
         path: PathBuf,
         /// Seconds to run.
         #[arg(long, default_value_t = 60.0)]

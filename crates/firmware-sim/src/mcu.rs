@@ -11,7 +11,7 @@ use std::ptr;
 pub(crate) const CYCLES_PER_US: u64 = 16;
 /// Cycles of one bit at 400 kHz.
 const I2C_BIT_CYCLES: u64 = 40;
-/// What simavr leaves out of an I²C transfer: START, and for a write the address with its acknowledge.
+/// Bits of an I²C transfer that simavr leaves out: START, and for a write the address with its acknowledge.
 const MISSING_WRITE_BITS: u64 = 10;
 const MISSING_READ_BITS: u64 = 1;
 
@@ -68,7 +68,7 @@ impl Hex {
     }
 }
 
-/// What callbacks from simavr may touch. Behind a raw pointer: simavr keeps it for the processor's life.
+/// State that simavr's callbacks may touch. It lies behind a raw pointer: simavr keeps that for the processor's life.
 struct Shared {
     avr: *mut ffi::avr_t,
     chips: Chips,

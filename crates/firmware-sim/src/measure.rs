@@ -8,7 +8,7 @@ use moca_tactile::datastream::{Event, Parser};
 use moca_tactile::touchline::{Content, parse};
 use serde::Serialize;
 
-/// What a board's readings are like, as `moca-lab latency` reads it.
+/// Timing of a board's readings, as `moca-lab latency` reads it.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Report {
     /// Which board, and which of the two views.
@@ -17,7 +17,7 @@ pub struct Report {
     pub rate_hz: f64,
     /// Age of the oldest electrode when a frame comes, ms.
     pub age_mean_ms: f64,
-    /// The same, worst.
+    /// Largest age of a reading, ms.
     pub age_worst_ms: f64,
     /// Age of the oldest electrode just before it is replaced, worst, ms.
     pub hold_worst_ms: f64,
@@ -38,8 +38,8 @@ pub struct Measured {
     pub frames: u64,
     /// Least arrival − stamp, us (board and host share a clock here).
     pub least_transport_us: u64,
-    /// How much later than the truth the reader ever took a reading to have been sampled, ms; not above 0 if its ages
-    /// are what they claim.
+    /// Largest error by which the reader took a reading for younger than it was, ms.
+    /// It is not above 0 if the ages are right.
     pub too_young_ms: f64,
     /// Filters of the board's own chip and time of a scan, us.
     pub filters: (u32, u32, f64),

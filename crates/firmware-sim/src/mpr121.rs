@@ -16,7 +16,7 @@ const CODE_BASE: u64 = 515;
 const CODE_STEP: u64 = 37;
 const CODE_ELECTRODE: u64 = 20;
 
-/// What the electrodes show.
+/// Signal on the electrodes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Signal {
     /// Each value encodes its refresh, so that a reader can tell its age: see [`Mpr121::sampled_at_us`].
@@ -39,7 +39,7 @@ pub struct Mpr121 {
     sums: [f64; ELECTRODES],
     samples: u32,
     next_sample_us: f64,
-    /// Of the refresh before and of the last one; the last one shows electrode by electrode.
+    /// Readings of the previous and of the last refresh; the last one appears electrode by electrode.
     values: [[u16; ELECTRODES]; 2],
     shows_at_us: [f64; ELECTRODES],
     /// Middle of the window of each of the last refreshes, by number.
@@ -330,7 +330,7 @@ impl Chips {
         self.0.iter_mut().find(|(own, ..)| *own == address)
     }
 
-    /// Whether a chip acknowledges the address byte.
+    /// Returns true if a chip acknowledges the address byte.
     pub(crate) fn select(&mut self, address_and_direction: u8, now_us: f64) -> bool {
         match self.entry(address_and_direction >> 1) {
             Some((_, chip, transfer)) if !chip.mute => {

@@ -15,17 +15,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// How long a board runs.
+/// Length of a run.
 #[derive(Clone, Copy, Debug)]
 pub enum Until {
-    /// So many seconds.
+    /// A number of seconds.
     Seconds(f64),
     /// As long as somebody writes what the electrodes see to stdin: twelve little-endian `f32` of the board's own chip,
     /// pF, each time they change.
     StdinEnds,
 }
 
-/// What stdin says.
+/// Capacitances read from stdin.
 #[derive(Default)]
 struct Capacitances {
     changed: Mutex<Option<[f32; ELECTRODES]>>,

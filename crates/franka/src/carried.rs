@@ -1,4 +1,4 @@
-//! What the arm says that it carries, as somebody entered it in Desk.
+//! Tool and load that the arm reports, as entered in Desk.
 
 use crate::fci::explained;
 use franka::{RealtimeConfig, Robot, RobotState};
@@ -9,9 +9,9 @@ use std::time::Duration;
 /// End effector and load, each about its own centre of mass in the flange's axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Carried {
-    /// What is fixed to the flange.
+    /// Tool fixed to the flange.
     pub tool: LinkInertial,
-    /// What that holds.
+    /// Load that the tool holds.
     pub load: LinkInertial,
 }
 

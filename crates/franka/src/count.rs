@@ -1,4 +1,4 @@
-//! How many of the arm's states never came.
+//! Count of the arm's states that were lost.
 //!
 //! ```
 //! use moca_franka::count::Count;

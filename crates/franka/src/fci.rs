@@ -17,10 +17,10 @@ use triple_buffer::{Input, Output, triple_buffer};
 /// Time between two attempts to reach the arm at first; it doubles up to the second.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(200), Duration::from_secs(2));
 
-/// How long whoever drops the arm waits for its thread: longer than the client waits for the next state.
+/// Longest wait for the arm's thread to end when the arm is dropped: longer than the client waits for the next state.
 const DROP_WAIT: Duration = Duration::from_millis(1500);
 
-/// How the arm is reached and set up.
+/// Address and settings of an arm.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Address of its controller, with a port if it is not FCI's own.
@@ -31,9 +31,9 @@ pub struct Settings {
     pub priority: u8,
     /// Joint torques, N·m, and forces and moments at the hand, N and N·m, above which the arm has a reflex.
     pub collision: ([f64; JOINTS], [f64; 6]),
-    /// How long an order is waited for before the last one is repeated.
+    /// Longest wait for an order before the last one is repeated.
     pub answer_within: Duration,
-    /// What the controllers believe that it carries, kg.
+    /// Mass that the controllers believe the arm carries, kg.
     pub carries_kg: f64,
 }
 
@@ -51,14 +51,14 @@ pub struct ArmState {
     pub dq_rad_s: [f64; JOINTS],
     /// Joint torques that it measures, N·m; with gravity, if [`Self::feels_gravity`].
     pub torque_nm: [f64; JOINTS],
-    /// Whether it knows where down is, as every real one does: a simulated one gives torques without gravity.
+    /// True if the measured torques include gravity, as those of every real arm do; a simulated arm measures without it.
     pub feels_gravity: bool,
-    /// What it says that pushes it, about the flange's origin, in the axes of its base: N, N·m. It takes its base for one that
-    /// stands.
+    /// External wrench that the arm estimates, about the flange's origin, in the axes of its base: N, N·m.
+    /// The estimate takes the base for standing.
     pub wrench_base: [f64; 6],
-    /// What it does.
+    /// Mode that the arm's state reports.
     pub said: Said,
-    /// What it carries as Desk says, kg.
+    /// Mass of tool and load as entered in Desk, kg.
     pub carries_kg: f64,
     /// Share of the last commands that reached it in time.
     pub success_rate: f64,
@@ -66,7 +66,7 @@ pub struct ArmState {
     pub received: Instant,
 }
 
-/// What the loop wants, and the state that it wants it for.
+/// Order of the loop, and the state for which it was computed.
 #[derive(Clone, Copy, Debug)]
 struct Order {
     answers: u64,
@@ -77,7 +77,7 @@ struct Order {
 #[derive(Default)]
 struct Shared {
     mode: AtomicU8,
-    /// Of FCI, 0 before the arm has answered.
+    /// Version of FCI; 0 before the arm has answered.
     version: AtomicU16,
     errors: AtomicU64,
     lost: AtomicU64,
@@ -161,7 +161,7 @@ impl Fci {
         Some(self.shared.version.load(Ordering::Relaxed)).filter(|version| *version > 0)
     }
 
-    /// What is known of the arm and the way to it.
+    /// Returns the state of the arm and of the connection to it.
     pub fn link(&self) -> ArmLink {
         let shared = &self.shared;
         ArmLink {
@@ -228,7 +228,7 @@ impl Unreached {
     }
 }
 
-/// How torque control ended without an error.
+/// Regular end of torque control.
 enum Ended {
     /// It let go, or is over.
     ByTheLoop,
@@ -541,7 +541,7 @@ fn described(mode: ArmMode, errors: u64) -> String {
     text
 }
 
-/// What is said of an arm that is not the one that the laws were given.
+/// Returns an error text if the arm is not the model that the laws were given.
 fn another(host: &str, version: u16, wanted: Model) -> Option<String> {
     let found = Model::of_version(version).filter(|found| *found != wanted)?;
     Some(format!(

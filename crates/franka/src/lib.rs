@@ -6,7 +6,7 @@
 //! does not come in time is replaced by the last one, counted, and after [`REPEATS_MAX`] in a row the arm is left to its own
 //! controller.
 //!
-//! What can be decided without a connection is pure and stands in [`limiter`], [`mode`], [`count`] and
+//! Decisions that need no connection are pure functions in [`limiter`], [`mode`], [`count`] and
 //! [`wrench`].
 
 #[cfg(feature = "fci")]

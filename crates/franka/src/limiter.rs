@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_that_has_what_was_never_sent_is_followed_from_where_it_is() {
+    fn arm_with_unsent_torque_is_followed_from_it() {
         let mut limiter = TorqueLimiter::new();
         limiter.limit(&[0.0; JOINTS], &[0.0; JOINTS]);
         let sent = limiter.limit(&[0.0; JOINTS], &[10.0; JOINTS]);

@@ -1,4 +1,4 @@
-//! What the arm does, from what its states say and what it was asked: pure.
+//! Mode of the arm, from its states and from the requests to it: pure.
 //!
 //! ```
 //! use moca_franka::mode::{Asked, Next, Phase, Said};
@@ -15,7 +15,7 @@
 
 use moca_msgs::ArmMode;
 
-/// What a state of the arm says that it does.
+/// Mode that a state of the arm reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Said {
     /// Something else: brakes closed, no FCI.
@@ -40,7 +40,7 @@ impl Said {
         [Self::Other, Self::Idle, Self::Moves, Self::Guided, Self::Reflex, Self::UserStopped, Self::Recovers];
 }
 
-/// What the loop wants of the arm.
+/// Request of the loop to the arm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Asked {
     /// Its own controller.
@@ -52,7 +52,7 @@ pub enum Asked {
     Recover,
 }
 
-/// What the thread has to do next.
+/// Next action of the thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Next {
     /// Read the next state.
@@ -67,7 +67,7 @@ pub enum Next {
     End,
 }
 
-/// What the arm does, as far as this PC knows.
+/// Mode of the arm, as far as this PC knows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Phase {
     mode: ArmMode,
@@ -76,7 +76,7 @@ pub struct Phase {
 }
 
 impl Phase {
-    /// What it does.
+    /// Returns the arm's mode.
     pub const fn mode(&self) -> ArmMode {
         self.mode
     }
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn torque_control_starts_from_idle_only_and_is_answered_only_while_it_runs() {
+    fn torque_control_starts_only_from_idle() {
         for said in Said::ALL {
             for asked in ASKED {
                 for before in ArmMode::ALL {
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn torque_control_that_was_cut_off_begins_again_only_after_the_loop_let_go() {
+    fn cut_torque_control_restarts_only_after_release() {
         for cut_off in [Phase::cut_off, Phase::aborted] {
             for said in Said::ALL {
                 let mut phase = Phase::default();

@@ -25,7 +25,7 @@ use zerocopy::{FromBytes, IntoBytes};
 /// A busy machine is not a dead peer.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What the arm is doing, shared by its sockets.
+/// State of the simulated arm, shared by its sockets.
 struct Arm {
     version: FciVersion,
     count: u64,
@@ -318,7 +318,7 @@ fn driven(version: FciVersion) -> (Peer, Fci) {
 }
 
 #[test]
-fn both_versions_are_driven_and_every_torque_answers_its_state_within_the_rate() {
+fn both_versions_get_torques_within_the_rate() {
     for version in [FciVersion::V10, FciVersion::V5] {
         let (peer, mut arm) = driven(version);
         let mut last = 0.0;
@@ -392,7 +392,7 @@ fn every_error_in_every_mode_is_known_with_its_state() {
 }
 
 #[test]
-fn a_loop_that_hangs_gets_its_last_torque_repeated_and_then_the_arm_is_let_go() {
+fn hanging_loop_repeats_torque_then_releases_arm() {
     let peer = Peer::start(FciVersion::V10);
     let settings = Settings { answer_within: Duration::from_micros(600), ..settings(&peer) };
     let mut arm = Fci::spawn(settings, |_| {}).unwrap();
@@ -481,7 +481,7 @@ fn another_version_is_refused_with_the_one_to_install() {
 }
 
 #[test]
-fn an_arm_that_is_not_the_configurations_is_refused_with_both_names_and_gets_no_order() {
+fn wrong_arm_is_refused_by_name_and_gets_no_order() {
     for (version, found, wanted) in
         [(FciVersion::V10, Model::Fr3, Model::Panda), (FciVersion::V5, Model::Panda, Model::Fr3)]
     {
@@ -513,7 +513,7 @@ fn an_arm_that_is_not_the_configurations_is_refused_with_both_names_and_gets_no_
 }
 
 #[test]
-fn an_arm_that_does_not_say_what_it_carries_is_not_waited_for_without_end() {
+fn missing_payload_report_times_out() {
     let silent = TcpListener::bind("127.0.0.1:0").unwrap();
     let host = silent.local_addr().unwrap().to_string();
     let why = carried(&host, Duration::from_millis(50)).unwrap_err();
@@ -531,7 +531,7 @@ fn an_arm_that_does_not_say_what_it_carries_is_not_waited_for_without_end() {
 }
 
 #[test]
-fn an_arm_that_falls_silent_is_lost_and_one_that_recovers_is_not_driven() {
+fn silent_arm_is_lost_and_not_driven_after_recovery() {
     let (peer, mut arm) = driven(FciVersion::V10);
     heard(&peer, &mut arm, RobotMode::Move, 0);
     arm.drive(&[0.0; 7]);

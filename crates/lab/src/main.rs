@@ -14,19 +14,23 @@ use clap::{Parser, Subcommand};
 use cover::{characterize, latency, stream, threshold};
 use numerics::{economy, extremes, precision, stability, sweep, tick, vectors};
 use paper::report;
-use robustness::{clients, faults, lean, lost_packets, protection, soak, targets};
+use robustness::{attack, clients, faults, lean, long_lean, lost_packets, protection, soak, targets};
 use std::process::ExitCode;
 
 /// Experiments and checks of MOCA-S.
 #[derive(Parser)]
-#[command(name = "moca-lab")]
+#[command(name = "moca-lab", version)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,
+    /// Show no progress bar.
+    #[arg(long, global = true)]
+    quiet: bool,
 }
 
 #[derive(Subcommand)]
 enum Command {
+    Attack(attack::Arguments),
     /// Ten trials of four foams: Tables I and II, Figure 4, what better calibrations gain.
     Characterize(characterize::Arguments),
     /// The paper's experiments, deterministic and faster than real time.
@@ -37,10 +41,11 @@ enum Command {
     Extremes(extremes::Arguments),
     Faults(faults::Arguments),
     Lean(lean::Arguments),
+    LongLean(long_lean::Arguments),
     LostPackets(lost_packets::Arguments),
     /// From touch to force, stage by stage; whether the contact is stable and how fast the base may go.
     Latency(latency::Arguments),
-    /// What watching costs the live loop: overruns and publish stage with and without clients.
+    /// Prints the cost of observers to the live loop: overruns and publish stage with and without clients.
     Clients(clients::Arguments),
     /// Error against run time: integrators and steps, control rate, single precision.
     Precision(precision::Arguments),
@@ -51,7 +56,7 @@ enum Command {
     Stability(stability::Arguments),
     /// Many collisions over a grid or a random sample of settings, resumable and in shards.
     Sweep(sweep::Arguments),
-    /// What a scene costs with everything in it and with only what it needs.
+    /// Prints the cost of a scene with everything in it and with only what it needs.
     Economy(economy::Arguments),
     Soak(soak::Arguments),
     /// Reads a recorded Touch Board stream: frames, rate, faults.
@@ -65,7 +70,11 @@ enum Command {
 
 fn main() -> ExitCode {
     moca_daemon::cli::terminal::end_with_the_reader();
-    match run(Arguments::parse().command) {
+    let arguments: Arguments = moca_manual::parse("moca-lab", &[]);
+    if arguments.quiet {
+        moca_daemon::cli::progress::be_quiet();
+    }
+    match run(arguments.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             #[expect(clippy::print_stderr, reason = "the program's last words")]
@@ -79,6 +88,7 @@ fn main() -> ExitCode {
 
 fn run(command: Command) -> anyhow::Result<()> {
     match command {
+        Command::Attack(arguments) => attack::run(&arguments),
         Command::Characterize(arguments) => characterize::run(&arguments),
         Command::Experiment(arguments) => paper::run(&arguments),
         Command::Docs(arguments) => docs::run(&arguments),
@@ -87,6 +97,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Extremes(arguments) => extremes::run(&arguments),
         Command::Faults(arguments) => faults::run(&arguments),
         Command::Lean(arguments) => lean::run(&arguments),
+        Command::LongLean(arguments) => long_lean::run(&arguments),
         Command::LostPackets(arguments) => lost_packets::run(&arguments),
         Command::Latency(arguments) => latency::run(&arguments),
         Command::Clients(arguments) => clients::run(&arguments),
@@ -102,5 +113,13 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Targets(arguments) => targets::run(&arguments),
         Command::Tick(arguments) => tick::run(&arguments),
         Command::Vectors(arguments) => vectors::run(&arguments),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn chapter_of_the_docs_is_what_the_command_line_says() {
+        assert_eq!(moca_manual::check_chapter::<super::Arguments>("moca-lab"), Ok(()));
     }
 }

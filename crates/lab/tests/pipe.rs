@@ -8,9 +8,14 @@ fn nobody_reads_on_and_nothing_panics() {
     let recordings = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/fixtures/recordings");
     let stream = format!("{recordings}/datastream-2020.txt");
     for arguments in [&["stream", &stream][..], &["experiment", "--help"]] {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_moca-lab"));
-        let mut child =
-            command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut command = Command::new("timeout");
+        let mut child = command
+            .args(["-s", "KILL", "240", env!("CARGO_BIN_EXE_moca-lab")])
+            .args(arguments)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
         // In the worst moment: before anything is printed.
         drop(child.stdout.take());
         let output = child.wait_with_output().unwrap();

@@ -17,8 +17,8 @@ use std::{path::PathBuf, time::Duration};
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {
-    /// Where a daemon listens, HOST:PORT or unix:PATH; may be given more than once. Another machine's comes in through an
-    /// SSH tunnel. Without it the last ones, or else this machine's: the service's socket, or 127.0.0.1:7611.
+    /// Address of a daemon, HOST:PORT or unix:PATH; may be given more than once. Use an SSH tunnel for another machine. Without it
+    /// the last ones, or else this machine's: the service's socket, or 127.0.0.1:7611.
     #[arg(long, value_name = "ADDRESS")]
     address: Vec<Address>,
     /// Show a recorded run instead: an MCAP file of `mocad run --record`. May be given more than once.
@@ -27,10 +27,10 @@ struct Arguments {
     /// Page to begin with; without it the last one.
     #[arg(long, value_parser = page)]
     page: Option<Page>,
-    /// How much the plots show at first; without it as much as last time.
+    /// Length of the plots at first; without it as last time.
     #[arg(long, value_name = "SECONDS", value_parser = span)]
     last: Option<f64>,
-    /// Where to look for logs and write recordings.
+    /// Folder for logs and recordings.
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     folder: PathBuf,
     /// Save a PNG of the window and quit.
@@ -45,6 +45,9 @@ struct Arguments {
     /// Colours; without it the last choice, or the desktop's.
     #[arg(long)]
     theme: Option<Theme>,
+    /// Size of everything, 0.7 to 2.5; 1 is the desktop's. Without it as last time.
+    #[arg(long, value_name = "FACTOR", value_parser = zoom)]
+    zoom: Option<f32>,
     /// Size of the window, points.
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
     size: Option<egui::Vec2>,
@@ -68,6 +71,11 @@ fn span(text: &str) -> anyhow::Result<f64> {
     }
 }
 
+fn zoom(text: &str) -> anyhow::Result<f32> {
+    let factor = text.parse().ok().filter(|factor| (0.7..=2.5).contains(factor));
+    factor.with_context(|| format!("{text} is not a size between 0.7 and 2.5"))
+}
+
 fn size(text: &str) -> anyhow::Result<egui::Vec2> {
     let (width, height) = text.split_once('x').context("a size is WIDTHxHEIGHT, such as 1280x800")?;
     let side = |text: &str| match text.parse::<f32>() {
@@ -81,7 +89,7 @@ fn size(text: &str) -> anyhow::Result<egui::Vec2> {
 const KEPT_BYTES: usize = 16 << 20;
 
 fn main() -> anyhow::Result<()> {
-    let arguments = Arguments::parse();
+    let arguments: Arguments = moca_manual::parse("moca-monitor", &[]);
     // glibc gives freed memory back to the kernel beyond twice the largest block freed so far (mallopt(3)); a picture's
     // triangles would be paged in anew each time, a third of its cost. These bytes are never touched.
     drop(std::hint::black_box(Vec::<u8>::with_capacity(KEPT_BYTES)));
@@ -131,7 +139,10 @@ fn main() -> anyhow::Result<()> {
             sources.for_each(|(source, name)| app.add(source, name));
             app.set_folder(arguments.folder);
             if let Some(storage) = storage {
-                app.restore(storage);
+                app.restore(&cc.egui_ctx, storage);
+            }
+            if let Some(zoom) = arguments.zoom {
+                app.zoom(&cc.egui_ctx, zoom);
             }
             if let Some(page) = arguments.page {
                 app.show_page(page);
@@ -174,4 +185,12 @@ fn sources(
         Ok((Playback::open(path, wake())?.into(), name))
     };
     logs.into_iter().map(open).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn chapter_of_the_docs_is_what_the_command_line_says() {
+        assert_eq!(moca_manual::check_chapter::<super::Arguments>("moca-monitor"), Ok(()));
+    }
 }

@@ -17,14 +17,14 @@ pub struct ArmError {
     pub name: &'static str,
     /// One sentence for the person in front of the robot.
     pub text: &'static str,
-    /// What to do before the arm is recovered.
+    /// Remedy before the arm is recovered.
     pub remedy: &'static str,
 }
 
-/// Of a motion that we never ask for.
+/// Cause of an error about a motion that this program never asks for.
 const NOT_OURS: &str = "This program asks for torques only: end the other program that controls the arm.";
 const GUIDE_BACK: &str = "Guide the arm away from its limit with its guiding buttons.";
-const FREE: &str = "Free whoever and whatever is caught; see the collision thresholds in [plant.arm].";
+const FREE: &str = "Free anyone caught; see the collision thresholds in [plant.arm].";
 const SLOWER: &str = "Lower the gains, or the speed with which the arm is led.";
 const LINE: &str = "Check the network and this PC's real-time rights (`mocad doctor`).";
 const MOUNT: &str = "Fix the arm's stand and check its orientation in Desk; restart its controller.";
@@ -72,7 +72,7 @@ errors! {
     "cartesian_motion_generator_joint_velocity_discontinuity", "A Cartesian motion made a joint's speed jump.", NOT_OURS;
     "cartesian_motion_generator_joint_acceleration_discontinuity",
         "A Cartesian motion made a joint's acceleration jump.", NOT_OURS;
-    "cartesian_position_motion_generator_invalid_frame_flag", "A Cartesian motion gave a pose that is none.", NOT_OURS;
+    "cartesian_position_motion_generator_invalid_frame_flag", "A Cartesian motion gave an invalid pose.", NOT_OURS;
     "controller_torque_discontinuity", "Our torque jumped from one millisecond to the next.",
         "Report it with the log: the torque's rate is limited before it leaves this PC.";
     "joint_p2p_insufficient_torque_for_planning", "A planned joint motion needs more torque than there is.", NOT_OURS;

@@ -1,4 +1,4 @@
-//! What can be told about a board from its port and its bytes, in plain words.
+//! State of a board, from its port and its bytes, in plain words.
 //!
 //! ```
 //! use moca_msgs::board::{Diagnosis, OpenFailure};
@@ -53,7 +53,7 @@ impl OpenFailure {
     }
 }
 
-/// What a board's bytes say about its sketch when there are no frames.
+/// Sketch of a board, from its bytes, when there are no frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Diagnosis {
@@ -77,7 +77,7 @@ pub enum Diagnosis {
 }
 
 impl Diagnosis {
-    /// What to tell the user. The causes of silence look the same from outside; they share one list, in the order
+    /// Returns the sentence for the user. The causes of silence look the same from outside; they share one list, in the order
     /// in which to check them.
     pub const fn text(self) -> &'static str {
         match self {

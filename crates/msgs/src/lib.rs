@@ -9,6 +9,7 @@
 //! 6. [`protection`]: speed limit and contact events.
 //! 7. [`target`]: where another program wants flange, arm or base.
 //! 8. [`request`] and [`sample`]: what a client may ask and what it is shown.
+//! 9. [`truth`]: how a simulated robot differs from the one that its controller believes in.
 //!
 //! # Conventions
 //! SI units and radians. Frames: **W** world; **B** mobile base (x forward, y left, z up, origin on the floor at
@@ -37,17 +38,21 @@ pub mod state;
 pub mod table;
 pub mod target;
 pub mod taxel;
+pub mod truth;
 
 pub use link::{ArmLink, ArmMode, Link};
 pub use mode::{Fault, Law, Mode, Reaction};
 pub use params::{Corrections, ImpedanceGains, Limits, ParameterError, ParameterValues, Parameters};
-pub use protection::{ContactEvent, ContactReaction, ContactRow, SpeedLimit, SpeedLimitReason};
+pub use protection::{
+    ContactEvent, ContactReaction, ContactRow, PostureOffset, SpeedLimit, SpeedLimitReason,
+};
 pub use request::{Outcome, Refusal, Request};
 pub use robot::{ArmTable, BaseTable, Mount, Payload, TaxelPlacement};
 pub use sample::{MAX_JOINTS, MAX_TAXELS, STAGES, Sample};
 pub use state::{Actuation, RobotCommand, RobotState};
 pub use target::{Target, TargetRefusal, TargetState, TimedTarget, TouchPolicy, TwistAxes, Waypoint};
 pub use taxel::{CoverReading, TaxelReading, TaxelStatus};
+pub use truth::{TrueBase, TrueFoam, Truth};
 
 /// A time of the loop, ns, as seconds.
 ///

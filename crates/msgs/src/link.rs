@@ -1,4 +1,4 @@
-//! What is known of the way to a real robot: how old its states are, what its arm says about the orders it gets.
+//! Link to a real robot: age of its states, and the arm's report on the orders it receives.
 //!
 //! ```
 //! use moca_msgs::link::{ArmLink, ArmMode};
@@ -10,7 +10,7 @@
 
 use crate::Fault;
 
-/// What an arm with a controller of its own does.
+/// Mode of an arm with a controller of its own.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum ArmMode {
@@ -49,12 +49,12 @@ impl ArmMode {
         Self::NotThere,
     ];
 
-    /// Whether it follows our torques.
+    /// Returns true if the arm follows our torques.
     pub const fn follows(self) -> bool {
         matches!(self, Self::Torque)
     }
 
-    /// What keeps it from being driven, if anything does.
+    /// Returns the fault that keeps the arm from being driven, if any.
     pub const fn hindrance(self) -> Option<Fault> {
         match self {
             Self::Idle | Self::Torque | Self::NotThere => None,
@@ -81,11 +81,11 @@ impl ArmMode {
     }
 }
 
-/// What an arm says about itself and about the orders that reach it.
+/// Report of an arm on itself and on the orders that reach it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ArmLink {
-    /// What it does.
+    /// Mode of the arm.
     pub mode: ArmMode,
     /// Share of the last commands that reached it in time, 0 to 1, as it says itself.
     pub success_rate: f64,

@@ -47,7 +47,7 @@ pub enum Mode {
 }
 
 impl Mode {
-    /// Whether a control law drives the robot.
+    /// Returns true if a control law drives the robot.
     pub const fn moves(self) -> bool {
         matches!(self, Self::Impedance | Self::FollowMe)
     }
@@ -75,7 +75,7 @@ impl From<Law> for Mode {
     }
 }
 
-/// What the supervisor does about a fault.
+/// Reaction of the supervisor to a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reaction {
     /// Base to zero within its limits, arm holds its posture.
@@ -96,7 +96,7 @@ pub enum Fault {
     BoardLost,
     /// Well-formed frames, but the data has not changed: I2C to the sensor chip lost.
     BoardFrozen,
-    /// Every value is 0: the sensor chip reset.
+    /// The sensor chip reset (every value is 0, or the firmware says so), or the board did: its clock or numbers jump.
     BoardReset,
     /// Threshold registers changed: another configuration, or bus garbage.
     BoardThresholds,
@@ -146,9 +146,14 @@ pub enum Fault {
     ArmUserStopped,
     /// The arm answers but is not to be controlled: another version, no FCI, brakes closed.
     ArmRefused,
+    /// A joint runs away with the arm stretched, below its speed limit.
+    ArmStretched {
+        /// 0 is the first joint.
+        joint: u8,
+    },
 }
 
-/// What has to be done before a stop can be resumed, besides that its cause is gone.
+/// Action required before a stop can be resumed, in addition to removing its cause.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Clearing {
     /// Nothing.
@@ -160,6 +165,35 @@ pub enum Clearing {
 }
 
 impl Fault {
+    /// Every code.
+    pub const CODES: [&'static str; 25] = [
+        "operator-stop",
+        "board-silent",
+        "board-lost",
+        "board-frozen",
+        "board-reset",
+        "board-thresholds",
+        "board-chip",
+        "board-common-mode",
+        "calibration-mismatch",
+        "taxel-invalid",
+        "zero-invalid",
+        "state-invalid",
+        "plant-lost",
+        "arm-stale",
+        "base-stale",
+        "operator-lost",
+        "control-refused",
+        "host-starved",
+        "board-slow",
+        "joint-speed",
+        "flange-speed",
+        "pose-error",
+        "arm-reflex",
+        "arm-user-stopped",
+        "arm-refused",
+    ];
+
     /// Stable code for logs and scripts.
     pub const fn code(self) -> &'static str {
         match self {
@@ -185,6 +219,7 @@ impl Fault {
             Self::JointSpeed { .. } => "joint-speed",
             Self::FlangeSpeed => "flange-speed",
             Self::PoseError => "pose-error",
+            Self::ArmStretched { .. } => "arm-stretched",
             Self::ArmReflex => "arm-reflex",
             Self::ArmUserStopped => "arm-user-stopped",
             Self::ArmRefused => "arm-refused",
@@ -200,7 +235,7 @@ impl Fault {
             Self::BoardFrozen => {
                 "The Touch Board sends frames, but its data is frozen: I2C to the sensor chip lost."
             }
-            Self::BoardReset => "The Touch Board's sensor chip was reset.",
+            Self::BoardReset => "The Touch Board or its sensor chip was reset.",
             Self::BoardChip => {
                 "The Touch Board's sensor chip does not measure: over-current, or an electrode out of its range."
             }
@@ -224,13 +259,14 @@ impl Fault {
             Self::JointSpeed { .. } => "A joint moved faster than the arm allows.",
             Self::FlangeSpeed => "The flange moved faster than its limit.",
             Self::PoseError => "The flange was further from where it is wanted than its limit.",
+            Self::ArmStretched { .. } => "The arm is stretched and could not hold the flange.",
             Self::ArmReflex => "The arm stopped by its own reflex.",
             Self::ArmUserStopped => "The arm's user stop is pressed.",
             Self::ArmRefused => "The arm answers, but it does not let itself be controlled.",
         }
     }
 
-    /// What the supervisor does.
+    /// Returns the reaction of the supervisor.
     pub const fn reaction(self) -> Reaction {
         match self.clearing() {
             Clearing::Restart => Reaction::Fault,
@@ -238,7 +274,7 @@ impl Fault {
         }
     }
 
-    /// What the supervisor demands before it resumes; [`Fault::remedy`] says the same.
+    /// Returns the action that the supervisor requires before it resumes; [`Fault::remedy`] describes the same one.
     pub const fn clearing(self) -> Clearing {
         match self {
             Self::OperatorStop
@@ -254,7 +290,8 @@ impl Fault {
             | Self::CalibrationMismatch
             | Self::JointSpeed { .. }
             | Self::FlangeSpeed
-            | Self::PoseError => Clearing::Resume,
+            | Self::PoseError
+            | Self::ArmStretched { .. } => Clearing::Resume,
             Self::BoardLost
             | Self::BoardFrozen
             | Self::BoardReset
@@ -267,8 +304,7 @@ impl Fault {
         }
     }
 
-    /// Whether a tare may be what ends it, so that it must not be refused for it: the zero is what is wrong, or the
-    /// tare itself finds out.
+    /// Returns true if a tare may end the fault: the zero is wrong, or the tare itself finds out. A tare is not refused then.
     pub const fn a_tare_may_end_it(self) -> bool {
         use crate::TaxelStatus::{Dead, Drifted, NoZero, Noisy, Stuck};
         match self {
@@ -278,24 +314,25 @@ impl Fault {
         }
     }
 
-    /// Whether it says that a part of the robot is not there: a robot that has not moved yet waits for it.
+    /// Returns true if a part of the robot is missing: a robot that has not moved yet waits for it.
     pub const fn is_absence(self) -> bool {
         matches!(self, Self::ArmStale | Self::BaseStale | Self::ArmUserStopped | Self::ArmRefused)
     }
 
-    /// How the operator clears it.
+    /// Returns the remedy for the operator.
     pub const fn remedy(self) -> &'static str {
         match self {
             Self::OperatorStop => "Resume when it is safe.",
             Self::JointSpeed { .. } | Self::FlangeSpeed | Self::PoseError => {
                 "See what pushed or blocked the arm, and the gains; resume when it is safe."
             }
+            Self::ArmStretched { .. } => {
+                "Bend the elbow: lead the arm closer to the base, or change control.gains.posture_rad; then resume."
+            }
             Self::ArmStale | Self::BaseStale => {
                 "Check the robot's network and drives; when states come again: resume."
             }
-            Self::ArmReflex => {
-                "Free whoever and whatever is caught; resume recovers the arm, once more resumes."
-            }
+            Self::ArmReflex => "Free anyone caught. Press Resume once to recover the arm, again to continue.",
             Self::ArmUserStopped => "Release the user stop when it is safe; then resume.",
             Self::ArmRefused => "Unlock the brakes and activate FCI in Desk, read the log; then resume.",
             Self::OperatorLost => "Connect a panel; resume when it is safe.",
@@ -303,9 +340,7 @@ impl Fault {
             Self::BoardSlow => {
                 "Check the board's sketch and this PC's load; when frames come in time: resume."
             }
-            Self::HostStarved => {
-                "Run with real-time rights (`mocad doctor`) or end other programs; then resume."
-            }
+            Self::HostStarved => "End other programs (`mocad doctor` says what else helps); then resume.",
             Self::BoardLost => "Check cable and power; when frames come again: tare, then resume.",
             Self::BoardFrozen | Self::BoardReset | Self::BoardThresholds | Self::BoardChip => {
                 "Power-cycle the board; when frames are good: tare, then resume."
@@ -313,6 +348,9 @@ impl Fault {
             Self::BoardCommonMode => "Check the board's supply and ground; then tare and resume.",
             Self::CalibrationMismatch => {
                 "Flash the sketch named in the calibration file, or calibrate again; then resume."
+            }
+            Self::TaxelInvalid { status: TaxelStatus::Saturated, .. } => {
+                "Free anyone who presses there. If nobody does, check its plate and wire; then tare and resume."
             }
             Self::TaxelInvalid { .. } => "Check the taxel's plate and wire; then tare and resume.",
             Self::ZeroInvalid => "Step away from the cover and tare, then resume.",
@@ -342,8 +380,11 @@ impl fmt::Display for Fault {
 
 #[cfg(test)]
 mod tests {
+    extern crate std;
+
     use super::*;
     use crate::TaxelStatus;
+    use std::string::ToString;
 
     #[test]
     fn the_text_of_a_stop_says_what_resuming_demands() {
@@ -370,12 +411,19 @@ mod tests {
             Fault::ArmUserStopped,
             Fault::ArmRefused,
             Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Noisy },
+            Fault::JointSpeed { joint: 2 },
+            Fault::FlangeSpeed,
+            Fault::PoseError,
         ];
+        let pressed = Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Saturated };
+        assert!(pressed.to_string().starts_with("T4 is at its end. Free anyone who presses there."));
+        assert_eq!(faults.len(), Fault::CODES.len());
         faults.sort_by_key(|fault| fault.code());
         for pair in faults.windows(2) {
             assert_ne!(pair[0].code(), pair[1].code());
         }
         for fault in faults {
+            assert!(Fault::CODES.contains(&fault.code()), "{}", fault.code());
             let remedy = fault.remedy();
             let says = (
                 remedy.contains("tare"),

@@ -139,7 +139,7 @@ impl Parameters<{ PANDA.joints() }> {
 }
 
 impl<const N: usize> Parameters<N> {
-    /// The same parameters for another number of joints: per-joint lists are cut, or followed by zeros.
+    /// Returns the parameters for another number of joints: per-joint lists are cut or filled with zeros.
     pub fn resized<const M: usize>(&self) -> Parameters<M> {
         let mut sized = Parameters::for_arm(&resized_arm::<0, M>(&NO_ARM));
         for (number, row) in CONTROLLER.iter().enumerate() {

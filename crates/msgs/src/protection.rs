@@ -1,4 +1,4 @@
-//! What protects the people around the robot, as a client sees it: the speed limit in force, and contacts.
+//! Protection of the people around the robot, as a client sees it: speed limit in force, and contacts.
 //!
 //! ```
 //! use moca_msgs::{SpeedLimit, SpeedLimitReason};
@@ -13,7 +13,7 @@ pub const TRANSIENT_S: f64 = 0.5;
 pub const MAX_CONTACT_EVENTS: usize = 4;
 /// Most taxels whose [`ContactRow`] a sample can carry.
 pub const MAX_CONTACT_ROWS: usize = 4;
-/// What a row of the contact barrier may be exceeded by before that is an event, m/s.
+/// Smallest excess over a row of the contact barrier that is an event, m/s.
 pub const NO_ROOM_M_S: f64 = 0.02;
 
 /// Largest speed of any point of the cover, and why.
@@ -56,7 +56,7 @@ impl SpeedLimitReason {
     }
 }
 
-/// What the robot does when a contact crosses a limit, until that contact ends.
+/// Reaction of the robot to a contact that crosses a limit, until that contact ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "kebab-case"))]
 pub enum ContactReaction {
@@ -72,6 +72,18 @@ pub enum ContactReaction {
 
 crate::choice!(ContactReaction { Slow: "slow", StopDirection: "stop-direction", Retreat: "retreat" });
 
+/// Displacement of the base from where it stands with the tool in its place and the arm in its posture.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct PostureOffset {
+    /// Distance, m.
+    pub distance_m: f64,
+    /// Angle about the vertical, rad.
+    pub angle_rad: f64,
+    /// True while the base drives back on request.
+    pub recentring: bool,
+}
+
 impl ContactReaction {
     /// All of them.
     pub const ALL: [Self; 3] = [Self::Slow, Self::StopDirection, Self::Retreat];
@@ -86,7 +98,7 @@ impl ContactReaction {
     }
 }
 
-/// What happened to a contact.
+/// Event in the course of a contact.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum ContactPhase {
@@ -116,7 +128,7 @@ impl ContactPhase {
     }
 }
 
-/// How long a contact has lasted, in classes.
+/// Class of a contact by its duration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum ContactKind {
@@ -144,7 +156,7 @@ impl ContactKind {
 pub struct ContactEvent {
     /// 0 is T1.
     pub taxel: u8,
-    /// What happened.
+    /// Event of the contact.
     pub phase: ContactPhase,
     /// Class of the contact so far.
     pub kind: ContactKind,
@@ -162,13 +174,13 @@ pub struct ContactEvent {
     pub impulse_n_s: f64,
     /// The user's limit that the contact has crossed, N: the lower one if both.
     pub crossed_n: Option<f64>,
-    /// What the robot does about it.
+    /// Reaction of the robot.
     pub reaction: Option<ContactReaction>,
-    /// How much faster outward the taxel was ordered than the contact barrier allows, m/s, when there was no room.
+    /// Excess of the ordered outward speed over the contact barrier, m/s, when there was no room.
     pub excess_m_s: f64,
 }
 
-/// What the contact barrier lets a touched or lately released taxel do, and what it does.
+/// Bound of the contact barrier on a touched or lately released taxel, and its motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ContactRow {
@@ -182,6 +194,6 @@ pub struct ContactRow {
     pub allowed_m_s: f64,
     /// Outward, as measured, m/s.
     pub outward_m_s: f64,
-    /// How much faster than allowed it was ordered, m/s.
+    /// Excess of the ordered speed over the bound, m/s.
     pub excess_m_s: f64,
 }

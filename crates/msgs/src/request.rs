@@ -1,4 +1,4 @@
-//! What an operator may ask of the loop, and the answer.
+//! Requests of an operator to the loop, and the answers.
 //!
 //! ```
 //! use moca_msgs::{Mode, Outcome, Refusal, Request};
@@ -12,6 +12,8 @@
 //! }
 //! assert_eq!(answer(Request::Stop), Ok(()));
 //! assert_eq!(answer(Request::Disarm), Err(Refusal::Mode(Mode::Ready)));
+//! let refused = Request::Arm.refused(Refusal::Mode(Mode::Impedance));
+//! assert_eq!(refused.to_string(), "not possible in mode impedance: it is armed already");
 //! ```
 
 use crate::params::ParameterValues;
@@ -53,7 +55,7 @@ pub enum Request {
     MaskTaxel {
         /// 0 is T1.
         taxel: u8,
-        /// Whether it is out of use.
+        /// True if it is out of use.
         masked: bool,
     },
     /// Change a parameter while the loop runs.
@@ -70,15 +72,17 @@ pub enum Request {
     Waypoint {
         /// Which, from 0.
         index: u8,
-        /// Of how many.
+        /// Number of all.
         count: u8,
         /// When and where.
         waypoint: Waypoint,
-        /// What a touch does to the trajectory.
+        /// Effect of a touch on the trajectory.
         touch: TouchPolicy,
     },
-    /// End target or trajectory: the reference holds.
+    /// End target, trajectory or recentring: the reference holds, the base rests.
     EndTarget,
+    /// Drive the base back to where the arm is in its posture, slowly, until it is touched or there: in [`Mode::Impedance`].
+    Recentre,
 }
 
 impl Request {
@@ -95,11 +99,101 @@ impl Request {
             Self::Disarm | Self::Target(_) | Self::Waypoint { .. } | Self::EndTarget => {
                 &[Impedance, FollowMe]
             }
+            Self::Recentre => &[Impedance],
             Self::Resume => &[ProtectiveStop],
             Self::MaskTaxel { .. } => &[Starting, Taring, Ready, ProtectiveStop, Fault],
             Self::PressTaxel { .. } | Self::SetParameter { .. } => {
                 &[Starting, Taring, Ready, Impedance, FollowMe, ProtectiveStop, Fault]
             }
+        }
+    }
+}
+
+const RESTART: &str = "read the log, remove the cause, restart the daemon";
+const WAIT_FOR_TARE: &str = "wait until the tare has ended";
+
+impl Request {
+    /// Returns what to do where `mode` refuses it; `None` where no mode is in its way. A daemon without a good frame refuses
+    /// a tare in a mode that takes one.
+    pub const fn remedy_in(&self, mode: Mode) -> Option<&'static str> {
+        use Mode::{Fault, FollowMe, Impedance, ProtectiveStop, Ready, Starting, Taring};
+        Some(match (self, mode) {
+            (Self::Stop | Self::OperatorLost, Fault) => {
+                "the robot is stopped already; to go on, restart the daemon"
+            }
+            (Self::PressTaxel { .. } | Self::SetParameter { .. }, _) => return None,
+            (Self::MaskTaxel { .. }, Impedance | FollowMe) => "disarm first",
+            (Self::MaskTaxel { .. } | Self::Stop | Self::OperatorLost, _) => return None,
+            (_, Fault) => RESTART,
+            (Self::SelectLaw(_), _) => return None,
+            (Self::Tare, Starting) => {
+                "no good frame has come yet: check the board's cable and power, then tare again"
+            }
+            (Self::Tare, Taring) => "a tare is running: wait until it has ended",
+            (Self::Tare, Impedance | FollowMe) => "disarm first",
+            (Self::Arm, Starting) => "tare first",
+            (Self::Arm, Taring) => WAIT_FOR_TARE,
+            (Self::Arm, Impedance | FollowMe) => "it is armed already",
+            (Self::Arm, ProtectiveStop) => "resume first",
+            (Self::Disarm, Starting | Taring | Ready | ProtectiveStop) => "it is not armed",
+            (Self::EndTarget, Starting | Taring | Ready | ProtectiveStop) => {
+                "it is not armed: no target leads it"
+            }
+            (Self::Target(_) | Self::Waypoint { .. } | Self::Recentre, Starting) => "tare, then arm first",
+            (Self::Target(_) | Self::Waypoint { .. } | Self::Recentre, Taring) => {
+                "wait until the tare has ended, then arm"
+            }
+            (Self::Target(_) | Self::Waypoint { .. } | Self::Recentre, Ready) => "arm first",
+            (Self::Target(_) | Self::Waypoint { .. } | Self::Recentre, ProtectiveStop) => {
+                "resume, then arm first"
+            }
+            (Self::Recentre, FollowMe) => "select the law impedance first",
+            (Self::Resume, Starting | Taring | Ready | Impedance | FollowMe) => "it is not stopped",
+            (Self::Tare, Ready | ProtectiveStop)
+            | (Self::Arm, Ready)
+            | (Self::Resume, ProtectiveStop)
+            | (Self::Recentre, Impedance)
+            | (
+                Self::Disarm | Self::Target(_) | Self::Waypoint { .. } | Self::EndTarget,
+                Impedance | FollowMe,
+            ) => {
+                return None;
+            }
+        })
+    }
+
+    /// Returns in words why it was refused, with its values and what to do.
+    pub const fn refused(self, refusal: Refusal) -> Refused {
+        Refused { request: self, refusal }
+    }
+}
+
+/// A refused request; as text why, and what to do. Command line, dashboard and Python show it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Refused {
+    request: Request,
+    refusal: Refusal,
+}
+
+impl fmt::Display for Refused {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.refusal, self.request) {
+            (Refusal::Mode(mode), request) => match request.remedy_in(mode) {
+                Some(remedy) => write!(f, "{}: {remedy}", self.refusal),
+                None => self.refusal.fmt(f),
+            },
+            (Refusal::OutOfRange, Request::PressTaxel { taxel, force_n }) => write!(
+                f,
+                "T{} with {force_n} N is out of range; allowed: the cover's taxels (`status` lists them), 0 to \
+                 {PRESS_FORCE_MAX_N} N",
+                u16::from(taxel) + 1
+            ),
+            (Refusal::OutOfRange, Request::MaskTaxel { taxel, .. }) => write!(
+                f,
+                "the cover has no T{}; allowed: the cover's taxels (`status` lists them)",
+                u16::from(taxel) + 1
+            ),
+            (refusal, _) => refusal.fmt(f),
         }
     }
 }
@@ -128,8 +222,8 @@ pub enum Refusal {
     Conflict,
     /// In its range, but with it the robot's loop would not be stable at this rate and posture.
     Unstable {
-        /// What is nearest on the straight way there from the present values and stable; no elements if the present
-        /// values are not stable either.
+        /// Nearest stable value on the straight way there from the present values; no elements if the present values are not stable
+        /// either.
         nearest: ParameterValues,
     },
     /// A stop came after it and before its turn.
@@ -151,11 +245,13 @@ pub enum Refusal {
     FarFromPosture {
         /// The joint that is furthest; 0 is the first.
         joint: u8,
-        /// How far, rad.
+        /// Distance, rad.
         off_rad: f64,
     },
     /// A target that is not taken.
     Target(TargetRefusal),
+    /// This connection only reads.
+    ReadOnly,
 }
 
 impl From<TargetRefusal> for Refusal {
@@ -197,6 +293,7 @@ impl fmt::Display for Refusal {
             Self::Stopped => "a stop came before its turn",
             Self::NotCommander => "another client has the command: close it, or let it give the command back",
             Self::NoAnswer => "the daemon does not answer",
+            Self::ReadOnly => "this connection may only read and stop: command over the operators' socket",
         };
         f.write_str(text)
     }
@@ -204,3 +301,80 @@ impl fmt::Display for Refusal {
 
 /// The loop's answer.
 pub type Outcome = Result<(), Refusal>;
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use crate::Target;
+    use std::string::ToString;
+
+    const MODES: [Mode; 7] = [
+        Mode::Starting,
+        Mode::Taring,
+        Mode::Ready,
+        Mode::Impedance,
+        Mode::FollowMe,
+        Mode::ProtectiveStop,
+        Mode::Fault,
+    ];
+
+    fn requests() -> [Request; 15] {
+        let waypoint =
+            Waypoint { time_s: 0.0, position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] };
+        [
+            Request::Tare,
+            Request::Arm,
+            Request::Disarm,
+            Request::SelectLaw(Law::Impedance),
+            Request::SelectLaw(Law::FollowMe),
+            Request::Stop,
+            Request::OperatorLost,
+            Request::Resume,
+            Request::PressTaxel { taxel: 0, force_n: 1.0 },
+            Request::MaskTaxel { taxel: 0, masked: true },
+            Request::SetParameter { parameter: 0, values: ParameterValues::default() },
+            Request::Target(TimedTarget::new(Target::BaseVelocity { velocity_body: [0.0; 3] })),
+            Request::Waypoint { index: 0, count: 2, waypoint, touch: TouchPolicy::TouchWins },
+            Request::EndTarget,
+            Request::Recentre,
+        ]
+    }
+
+    #[test]
+    fn every_refused_pair_of_request_and_mode_has_a_remedy() {
+        for request in requests() {
+            for mode in MODES {
+                let taken = request.taken_in().contains(&mode);
+                let before_the_first_frame = (request, mode) == (Request::Tare, Mode::Starting);
+                assert_eq!(
+                    request.remedy_in(mode).is_none(),
+                    taken && !before_the_first_frame,
+                    "{request:?} in {mode:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_remedy_is_a_request_that_the_mode_takes() {
+        let named = [("disarm", Request::Disarm), ("resume", Request::Resume), ("arm first", Request::Arm)];
+        for request in requests() {
+            for mode in MODES {
+                let remedy = request.remedy_in(mode).unwrap_or_default();
+                let first = named.iter().find(|(name, _)| remedy.starts_with(name));
+                if let Some((_, first)) = first {
+                    assert!(first.taken_in().contains(&mode), "{request:?} in {mode:?}: {remedy}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_number_out_of_range_is_named_with_unit_and_range() {
+        let text = Request::PressTaxel { taxel: 98, force_n: 10.0 }.refused(Refusal::OutOfRange).to_string();
+        assert!(text.starts_with("T99 with 10 N is out of range") && text.contains("0 to 200 N"), "{text}");
+        let text = Request::MaskTaxel { taxel: 98, masked: true }.refused(Refusal::OutOfRange).to_string();
+        assert!(text.starts_with("the cover has no T99"), "{text}");
+    }
+}

@@ -54,7 +54,7 @@ pub struct ArmTable<const N: usize> {
     pub q_max_rad: [f64; N],
     /// Joint speed limits, rad/s.
     pub dq_max_rad_s: [f64; N],
-    /// How much slower the joints must be before the ends of their ranges; `None` where the limits are constant.
+    /// Reduction of the joint speeds before the ends of their ranges; `None` where the limits are constant.
     pub speed_envelope: Option<SpeedEnvelope<N>>,
     /// Joint torque limits, N·m.
     pub torque_max_nm: [f64; N],
@@ -96,7 +96,7 @@ crate::parameter_table! {
     #[derive(Clone, Copy, Debug, PartialEq)]
     #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
     pub struct Mount in "robot.mount" {
-        /// Where the arm stands: origin of A in B.
+        /// Position of the arm's base: origin of A in B.
         position_base_m: [f64; 3] = MOCA_MOUNT.position_base_m
             => [.range(-5.0, 5.0).units(&["m"]).lab("mount.position")];
         /// Its axes in B: roll, pitch, yaw (fixed axes, R = Rz·Ry·Rx).
@@ -183,7 +183,7 @@ pub(crate) const fn resized_arm<const N: usize, const M: usize>(arm: &ArmTable<N
     sized
 }
 
-/// The same values in an array of another length: cut, or followed by zeros.
+/// Copies the values into an array of another length: cut or filled with zeros.
 pub const fn resized<const N: usize, const M: usize>(values: &[f64; N]) -> [f64; M] {
     let mut sized = [0.0; M];
     let mut i = 0;
@@ -215,7 +215,7 @@ crate::parameter_table! {
     /// An omnidirectional, velocity-controlled mobile base.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct BaseTable in "robot.base" {
-        /// How it moves; the laws need a base that can drive sideways.
+        /// Drive of the base; the laws need one that can drive sideways.
         drive: Drive = SUMMIT_XL.drive;
         /// Length (x), width (y), height (z).
         size_m: [f64; 3] = SUMMIT_XL.size_m => [.range(0.1, 10.0).units(&["m"])];
@@ -238,7 +238,7 @@ crate::parameter_table! {
     }
 }
 
-/// How a base moves.
+/// Drive of a base.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Drive {
     /// In every direction of the plane at once: mecanum or omni wheels, or steered ones.
@@ -250,7 +250,7 @@ pub enum Drive {
 
 crate::choice!(Drive { Holonomic: "holonomic", Differential: "differential" });
 
-/// Where one taxel sits on the cover and which way it is pressed.
+/// Place of one taxel on the cover, and direction of a press on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct TaxelPlacement {

@@ -11,7 +11,8 @@
 use crate::board::Diagnosis;
 use crate::protection::{MAX_CONTACT_EVENTS, MAX_CONTACT_ROWS};
 use crate::{
-    ContactEvent, ContactReaction, ContactRow, Fault, Law, Link, Mode, SpeedLimit, TargetState, TaxelReading,
+    ContactEvent, ContactReaction, ContactRow, Fault, Law, Link, Mode, PostureOffset, SpeedLimit,
+    TargetState, TaxelReading,
 };
 use heapless::Vec;
 
@@ -23,80 +24,147 @@ pub const MAX_TAXELS: usize = 48;
 /// Stages of a tick, in the order in which the data flows. Writing to a simulated robot includes its physics.
 pub const STAGES: [&str; 5] = ["read state", "cover", "control", "write plant", "publish"];
 
-/// Everything about one tick. Fixed size, no pointers: it crosses threads through a bounded ring.
-#[derive(Clone, Debug, Default, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-pub struct Sample {
-    /// Tick count since the loop started.
-    pub tick: u64,
-    /// Loop time of this tick, ns.
-    pub time_ns: u64,
-    /// Mode after this tick.
-    pub mode: Mode,
-    /// Why the robot is stopped, if it is.
-    pub fault: Option<Fault>,
-    /// The board whose fault it is, 0 is the first; `None` where it is of no board.
-    pub fault_board: Option<u8>,
-    /// The selected law, which arming starts; `None` in a log that does not say.
-    pub law: Option<Law>,
-    /// Pose of B in W: m, m, rad.
-    pub base_pose_world: [f64; 3],
-    /// Rate of the pose: m/s, m/s, rad/s.
-    pub base_velocity_world: [f64; 3],
-    /// Speed of the fastest point of the cover, m/s: what the speed limit limits.
-    pub cover_speed_m_s: f64,
-    /// Way of the base towards a side that no taxel covers since it last rested, m; 0 where all are covered.
-    pub uncovered_way_m: f64,
-    /// Commanded base velocity in the axes of B: m/s, m/s, rad/s.
-    pub base_velocity_command_body: [f64; 3],
-    /// Joint angles, rad.
-    pub q_rad: Vec<f64, MAX_JOINTS>,
-    /// Joint rates, rad/s.
-    pub dq_rad_s: Vec<f64, MAX_JOINTS>,
-    /// Commanded joint torques, gravity included, N·m.
-    pub arm_torque_nm: Vec<f64, MAX_JOINTS>,
-    /// Flange position in W, m.
-    pub flange_position_world: [f64; 3],
-    /// Flange orientation in W as a unit quaternion x, y, z, w.
-    pub flange_quaternion_world: [f64; 4],
-    /// Desired flange position in W, m.
-    pub flange_desired_position_world: [f64; 3],
-    /// Desired flange orientation in W as a unit quaternion x, y, z, w.
-    pub flange_desired_quaternion_world: [f64; 4],
-    /// External wrench on the robot about the flange origin, world axes \[N; N·m\]; zero where none is known.
-    pub flange_wrench_world: [f64; 6],
-    /// The last target from another program since the law was entered.
-    pub target: Option<TargetState>,
-    /// Cover wrench, eq. (4): \[N, N, N·m\] in B about its origin.
-    pub cover_wrench_base: [f64; 3],
-    /// Cover, T1 first.
-    pub taxels: Vec<TaxelReading, MAX_TAXELS>,
-    /// Raw FDAT counts, T1 first.
-    pub counts: Vec<u16, MAX_TAXELS>,
-    /// Age of the cover's data at this tick, s; negative before the first good frame.
-    pub frame_age_s: f64,
-    /// Measured frame rate, Hz; 0 before it is known.
-    pub frame_rate_hz: f64,
-    /// Good frames so far.
-    pub frames_good: u64,
-    /// Rejected frames so far.
-    pub frames_bad: u64,
-    /// What the board's port and bytes say about it.
-    pub board: Diagnosis,
-    /// Speed limit in force.
-    pub speed_limit: SpeedLimit,
-    /// Reaction to a contact in force.
-    pub contact_reaction: Option<ContactReaction>,
-    /// What happened to contacts in this tick, oldest first.
-    pub contact_events: Vec<ContactEvent, MAX_CONTACT_EVENTS>,
-    /// What the contact barrier says of the first taxels that it has a say in; not in logs, a replay finds it again.
-    pub contact_rows: Vec<ContactRow, MAX_CONTACT_ROWS>,
-    /// How late this tick woke, s; 0 in lock-step.
-    pub lateness_s: f64,
-    /// Missed slots so far.
-    pub overruns: u64,
-    /// How long each stage of the tick before took, ns, in the order of [`STAGES`]; all 0 where nobody timed it.
-    pub stages_ns: [u32; STAGES.len()],
-    /// The way to a real robot; `None` of a simulated one.
-    pub link: Option<Link>,
+/// The table of a sample's fields, handed to the macro `$to`. A crate that shows, writes, reads or exports samples expands it
+/// into its own types. So a new field is one row here and the line that computes it.
+///
+/// Fields of `own` have no column of their own in a log. The others are in groups, each of which is one record of a log: its sentence, its name, its
+/// topic and its ROS message. A row is a field's sentence with its unit, its name, its type and words about it:
+/// - `as { … }` says what the record has in its place; else the record has the same name and type.
+/// - `later`: records of earlier versions lack it.
+/// - `from_zero`: a negative number means that the value is not known.
+#[macro_export]
+macro_rules! sample_table {
+    ($to:ident) => {
+        $to! {
+            own {
+                /// Tick count since the loop started.
+                tick: u64;
+                /// Loop time of this tick, ns.
+                time_ns: u64;
+                /// Mode after this tick.
+                mode: Mode;
+                /// Why the robot is stopped, if it is.
+                fault: Option<Fault>;
+                /// The board whose fault it is, 0 is the first; `None` where it is of no board.
+                fault_board: Option<u8>;
+                /// The last target from another program since the law was entered.
+                target: Option<TargetState>;
+                /// Displacement of the base from where the arm's posture wants it; `None` unless the impedance law runs. Not in logs, a
+                /// replay computes it.
+                posture: Option<PostureOffset>;
+                /// Health of the board, from its port and its bytes.
+                board: Diagnosis;
+                /// Events of contacts in this tick, oldest first.
+                contact_events: Vec<ContactEvent, MAX_CONTACT_EVENTS>;
+                /// Rows of the contact barrier, one for each of the first taxels that it limits; not in logs, a replay computes them.
+                contact_rows: Vec<ContactRow, MAX_CONTACT_ROWS>;
+                /// Connection to a real robot; `None` for a simulated one.
+                link: Option<Link>;
+            }
+
+            /// Measured state of the plant.
+            State "/state" "moca_msgs/msg/State" {
+                /// Pose of the base in the world: m, m, rad.
+                base_pose_world: [f64; 3];
+                /// Its rate: m/s, m/s, rad/s.
+                base_velocity_world: [f64; 3];
+                /// Speed of the fastest point of the cover, m/s.
+                cover_speed_m_s: f64, later;
+                /// Way towards a side that no taxel covers since the base last rested, m.
+                uncovered_way_m: f64, later;
+                /// Joint angles, rad.
+                q_rad: Vec<f64, MAX_JOINTS> as { q_rad: Vec<f64> };
+                /// Joint rates, rad/s.
+                dq_rad_s: Vec<f64, MAX_JOINTS> as { dq_rad_s: Vec<f64> };
+                /// Flange position in the world, m.
+                flange_position_world: [f64; 3];
+                /// Flange orientation in the world, quaternion x, y, z, w.
+                flange_quaternion_world: [f64; 4];
+                /// Desired flange position in the world, m.
+                flange_desired_position_world: [f64; 3];
+                /// Desired flange orientation in the world, quaternion x, y, z, w.
+                flange_desired_quaternion_world: [f64; 4];
+                /// External wrench on the robot about the flange, world axes: N, N·m.
+                flange_wrench_world: [f64; 6];
+            }
+
+            /// Commands to the robot.
+            Command "/command" "moca_msgs/msg/Command" {
+                /// Base velocity in the base's own axes: m/s, m/s, rad/s.
+                base_velocity_command_body: [f64; 3] as { base_velocity_body: [f64; 3] };
+                /// Joint torques, gravity included, N·m.
+                arm_torque_nm: Vec<f64, MAX_JOINTS> as { arm_torque_nm: Vec<f64> };
+                /// Speed limit in force.
+                speed_limit: SpeedLimit as {
+                    /// Largest speed that any point of the cover was allowed, m/s.
+                    #[serde(default)]
+                    speed_limit_m_s: f64,
+                    /// Why.
+                    #[serde(default)]
+                    #[schemars(with = "String")]
+                    speed_limit_reason: SpeedLimitReason
+                };
+                /// The selected law, impedance or follow-me; empty where it is not known.
+                law: Option<Law> as { #[serde(default)] law: String };
+                /// Reaction to a contact in force; empty without one.
+                contact_reaction: Option<ContactReaction> as { #[serde(default)] contact_reaction: String };
+            }
+
+            /// Readings of the cover, T1 first.
+            Cover "/cover" "moca_msgs/msg/Cover" {
+                /// Readings of the taxels, T1 first.
+                taxels: Vec<TaxelReading, MAX_TAXELS> as {
+                    /// Force of each taxel, N; meaningful only where the status is Ok.
+                    force_n: Vec<f64>,
+                    /// Health of each taxel.
+                    #[schemars(with = "Vec<String>")]
+                    status: Vec<TaxelStatus>
+                };
+                /// Raw FDAT counts.
+                counts: Vec<u16, MAX_TAXELS> as { counts: Vec<u16> };
+                /// Cover wrench in the base's own axes about its origin: N, N, N·m.
+                cover_wrench_base: [f64; 3] as { wrench_base: [f64; 3] };
+                /// Age of the data, s; negative before the first good frame.
+                frame_age_s: f64, from_zero;
+                /// Measured frame rate, Hz.
+                frame_rate_hz: f64;
+            }
+
+            /// Timing of the loop: the worst since the record before.
+            Timing "/timing" "moca_msgs/msg/Timing" {
+                /// Lateness of the latest wake-up, s.
+                lateness_s: f64;
+                /// Missed slots so far.
+                overruns: u64;
+                /// Longest duration of each stage, ns: read state, cover, control, write plant, publish.
+                stages_ns: [u32; STAGES.len()], later;
+                /// Good frames so far.
+                frames_good: u64;
+                /// Rejected frames so far.
+                frames_bad: u64;
+            }
+        }
+    };
 }
+
+macro_rules! sample {
+    (
+        own { $($(#[$own_doc:meta])* $own:ident: $own_type:ty;)* }
+        $(
+            $(#[$record_doc:meta])* $record:ident $topic:literal $ros:literal {
+                $($(#[$doc:meta])* $field:ident: $type:ty $(as $columns:tt)? $(, $word:ident)*;)*
+            }
+        )*
+    ) => {
+        /// Everything about one tick. Fixed size, no pointers: it crosses threads through a bounded ring. Its fields are the rows
+        /// of [`sample_table`](crate::sample_table).
+        #[derive(Clone, Debug, Default, PartialEq)]
+        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+        pub struct Sample {
+            $($(#[$own_doc])* pub $own: $own_type,)*
+            $($($(#[$doc])* pub $field: $type,)*)*
+        }
+    };
+}
+
+sample_table!(sample);

@@ -1,4 +1,4 @@
-//! What a plant measures and what it is told.
+//! State that a plant measures, and commands to it.
 //!
 //! ```
 //! use moca_msgs::robot::PANDA;
@@ -89,7 +89,7 @@ impl<const N: usize> RobotState<N> {
 }
 
 impl<const N: usize> RobotState<N> {
-    /// The same state with room for another number of joints: cut, or followed by zeros.
+    /// Returns the state with room for another number of joints: cut or filled with zeros.
     pub const fn resized<const M: usize>(&self) -> RobotState<M> {
         RobotState {
             base_pose_world: self.base_pose_world,
@@ -103,7 +103,7 @@ impl<const N: usize> RobotState<N> {
 }
 
 impl<const N: usize> RobotCommand<N> {
-    /// The same command with room for another number of joints: cut, or followed by zeros.
+    /// Returns the command with room for another number of joints: cut or filled with zeros.
     pub const fn resized<const M: usize>(&self) -> RobotCommand<M> {
         RobotCommand {
             base_velocity_body: self.base_velocity_body,
@@ -113,7 +113,7 @@ impl<const N: usize> RobotCommand<N> {
     }
 }
 
-/// What the controllers tell the plant.
+/// Commands of the controllers to the plant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RobotCommand<const N: usize, T = f64> {
     /// Base velocity in the axes of B (a `cmd_vel`): m/s, m/s, rad/s.

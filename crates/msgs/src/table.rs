@@ -21,7 +21,7 @@
 #[cfg(feature = "alloc")]
 use alloc::{borrow::ToOwned, string::String, vec::Vec};
 
-/// What a parameter may hold.
+/// Values that a parameter may hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ParameterKind {
     /// A number, or a list of them.
@@ -36,7 +36,7 @@ pub enum ParameterKind {
     Choice(&'static [&'static str]),
 }
 
-/// How many elements a parameter has.
+/// Number of elements of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
     /// One, written without brackets.
@@ -54,9 +54,9 @@ pub enum Size {
 pub struct ParameterSpec {
     /// Dotted name as in the configuration file.
     pub name: &'static str,
-    /// What it may hold.
+    /// Values that it may hold.
     pub kind: ParameterKind,
-    /// How many of them.
+    /// Number of elements.
     pub size: Size,
     /// Unit of each element, or one for all of them; empty where there is none.
     pub units: &'static [&'static str],
@@ -64,7 +64,7 @@ pub struct ParameterSpec {
     pub min: f64,
     /// Largest allowed value.
     pub max: f64,
-    /// Whether it can be changed while the loop runs.
+    /// True if it can be changed while the loop runs.
     pub live: bool,
     /// Short name in the laboratory; empty where only the dotted name is used.
     pub lab: &'static str,
@@ -85,31 +85,31 @@ impl ParameterSpec {
         Self { name, kind: T::KIND, size: T::SIZE, units: &[], min, max, live: false, lab: "", description }
     }
 
-    /// The same row with its smallest and largest allowed value.
+    /// Returns the row with its smallest and largest allowed value.
     #[must_use]
     pub const fn range(self, min: f64, max: f64) -> Self {
         Self { min, max, ..self }
     }
 
-    /// The same row with the unit of each element, or one for all.
+    /// Returns the row with the unit of each element, or one for all.
     #[must_use]
     pub const fn units(self, units: &'static [&'static str]) -> Self {
         Self { units, ..self }
     }
 
-    /// The same row with one element for each joint of the arm.
+    /// Returns the row with one element for each joint of the arm.
     #[must_use]
     pub const fn per_joint(self) -> Self {
         Self { size: Size::Joints, ..self }
     }
 
-    /// The same row, changeable while the loop runs.
+    /// Returns the row, changeable while the loop runs.
     #[must_use]
     pub const fn live(self) -> Self {
         Self { live: true, ..self }
     }
 
-    /// The same row with a short name in the laboratory.
+    /// Returns the row with a short name in the laboratory.
     #[must_use]
     pub const fn lab(self, lab: &'static str) -> Self {
         Self { lab, ..self }
@@ -172,11 +172,11 @@ pub enum FieldValue<'a> {
     Texts(&'a [&'a str]),
 }
 
-/// What a type of field may hold.
+/// Type of a field, with the values that it may hold.
 pub trait Typed {
     /// Kind of its elements.
     const KIND: ParameterKind;
-    /// How many there are.
+    /// Number of elements.
     const SIZE: Size;
 }
 
@@ -438,7 +438,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_value_that_a_type_cannot_hold_is_refused_and_changes_nothing() {
+    fn unrepresentable_value_is_refused_without_change() {
         let (mut number, mut three, mut byte, mut flag) = (1.0, [1.0; 3], 7_u8, true);
         assert!(!number.take(FieldValue::Numbers(&[1.0, 2.0])));
         assert!(!three.take(FieldValue::Numbers(&[1.0, 2.0])) && !three.take(FieldValue::Numbers(&[0.0; 4])));

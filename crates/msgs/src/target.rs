@@ -1,4 +1,4 @@
-//! Where another program wants flange, arm or base: targets, how long they count, and why one is refused.
+//! Targets of other programs for flange, arm or base: their lifetime, and reasons for a refusal.
 //!
 //! ```
 //! use moca_msgs::target::{Target, TimedTarget};
@@ -14,11 +14,11 @@
 use crate::params::ParameterValues;
 use core::fmt;
 
-/// How old a target may become before the reference holds, unless it says otherwise, s.
+/// Age at which a target expires and the reference holds, unless the target says otherwise, s.
 pub const AGE_LIMIT_S: f64 = 0.2;
-/// What it may say, s.
+/// Range of that age, s.
 pub const AGE_LIMITS_S: [f64; 2] = [0.02, 2.0];
-/// How far ahead of the daemon's clock a stamp may be, s: clocks of two machines differ.
+/// Largest lead of a stamp over the daemon's clock, s: clocks of two machines differ.
 pub const AHEAD_MAX_S: f64 = 0.05;
 /// Most poses of one trajectory.
 pub const MAX_WAYPOINTS: usize = 32;
@@ -44,7 +44,7 @@ pub enum TwistAxes {
     Flange,
 }
 
-/// What is wanted.
+/// Target of another program.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Target {
@@ -72,7 +72,7 @@ pub enum Target {
 }
 
 impl Target {
-    /// What it is, without its numbers.
+    /// Returns the kind of target, without its numbers.
     pub const fn kind(&self) -> TargetKind {
         match self {
             Self::Pose { .. } => TargetKind::Pose,
@@ -83,7 +83,7 @@ impl Target {
     }
 }
 
-/// What becomes of a target while the cover feels a touch.
+/// Effect of a touch on a target.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum TouchPolicy {
@@ -98,15 +98,15 @@ pub enum TouchPolicy {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct TimedTarget {
-    /// What.
+    /// Target.
     pub target: Target,
     /// When it was decided, ns since the Unix epoch; 0 is when it reaches the daemon.
     pub stamp_unix_ns: u64,
-    /// How old it was when it reached the daemon, s. The daemon's to say.
+    /// Age on arrival at the daemon, s. The daemon sets it.
     pub age_s: f64,
-    /// How old it may become, s: [`AGE_LIMITS_S`]. Then the reference holds.
+    /// Age at which it expires, s: [`AGE_LIMITS_S`]. Then the reference holds.
     pub age_limit_s: f64,
-    /// What a touch does to it.
+    /// Effect of a touch on it.
     pub touch: TouchPolicy,
 }
 
@@ -297,20 +297,20 @@ impl Quantity {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum TargetRefusal {
-    /// A number that is none.
+    /// A value is not finite.
     NotFinite {
-        /// Of what.
+        /// Refused quantity.
         quantity: Quantity,
         /// Place in it, from 0.
         index: u8,
     },
     /// A number outside its range.
     OutOfRange {
-        /// Of what.
+        /// Refused quantity.
         quantity: Quantity,
         /// Place in it, from 0.
         index: u8,
-        /// What was given.
+        /// Given value.
         value: f64,
         /// Least.
         min: f64,
@@ -325,7 +325,7 @@ pub enum TargetRefusal {
     Overtaken,
     /// More at once than the loop takes.
     TooMany {
-        /// How many may be on their way.
+        /// Largest number of targets under way.
         most: u8,
     },
     /// A pose of a trajectory came out of its turn.
@@ -356,7 +356,7 @@ impl fmt::Display for TargetRefusal {
     }
 }
 
-/// What a target is, without its numbers.
+/// Kind of a target, without its numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum TargetKind {
@@ -385,7 +385,7 @@ impl TargetKind {
     }
 }
 
-/// How a target stands.
+/// Progress of a target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum TargetPhase {
@@ -421,9 +421,9 @@ impl TargetPhase {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct TargetState {
-    /// What it is.
+    /// Kind of the target.
     pub kind: TargetKind,
-    /// How it stands.
+    /// Progress of the target.
     pub phase: TargetPhase,
     /// Share of a trajectory's time that has passed, 0 to 1; of everything else 1 when it is reached.
     pub progress: f64,

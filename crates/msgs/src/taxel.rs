@@ -1,4 +1,4 @@
-//! What the cover feels.
+//! Readings of the cover.
 //!
 //! ```
 //! use moca_msgs::{CoverReading, TaxelReading, TaxelStatus};

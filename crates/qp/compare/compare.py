@@ -70,7 +70,7 @@ def eiquadprog(path, scratch):
 def main():
     scratch = pathlib.Path(tempfile.mkdtemp())
     path = scratch / "problems"
-    subprocess.run(["cargo", "run", "-q", "--release", "-p", "moca-qp", "--example", "compare", "--", path], check=True)
+    subprocess.run(["cargo", "bench", "-q", "-p", "moca-qp", "--bench", "compare", "--", path], check=True)
     data, at = np.fromfile(path), 0
     for name in NAMES:
         count, n, m = (int(v) for v in data[at:at + 3])

@@ -27,7 +27,7 @@ pub(crate) struct Factor<const N: usize, T> {
 pub(crate) struct Step<const N: usize, T> {
     /// Jᵀn along the free columns.
     free: [T; N],
-    /// Of x: the steepest towards the row along the active ones.
+    /// Step of x: the steepest towards the row along the active rows.
     pub(crate) primal: [T; N],
     /// By which each active multiplier falls.
     pub(crate) dual: [T; N],
@@ -61,7 +61,7 @@ impl<const N: usize, T: Scalar> Factor<N, T> {
         }
     }
 
-    /// Whether the new row of `step` pulls at active row `i` by more than rounding.
+    /// Returns true if the new row of `step` pulls at active row `i` by more than rounding.
     #[inline]
     pub(crate) fn coupled(&self, step: &Step<N, T>, i: usize) -> bool {
         step.dual[i] * step.dual[i] * self.squared[i] > T::KEPT * T::KEPT * step.squared
@@ -124,8 +124,8 @@ impl<const N: usize, T: Scalar> Factor<N, T> {
         at.filter(|_| pull > T::KEPT * T::KEPT * push)
     }
 
-    /// What moves x by the least in the metric so that each active row goes inward by its share of `missing`, and the
-    /// multipliers of that.
+    /// Returns the smallest step of x, in the metric, that moves each active row inward by its share of `missing`, and its
+    /// multipliers.
     #[inline]
     pub(crate) fn onto_rows(&self, missing: &[T; N]) -> ([T; N], [T; N]) {
         let y: [T; N] = core::array::from_fn(|c| dot(&self.s[c], missing));

@@ -15,7 +15,7 @@ pub(crate) struct Block<const N: usize, T> {
 }
 
 impl<const N: usize, T: Scalar> Block<N, T> {
-    /// Puts a block of `rows` in the place of `old`. Whether bounds make sense and squares are numbers.
+    /// Puts a block of `rows` in the place of `old`. Whether bounds make sense and squares are numbers above 0.
     pub(crate) fn replace(old: &mut Option<Self>, rows: &[Row<N, T>; LANES]) -> bool {
         let mut squared = [T::NOTHING; LANES];
         for i in 0..N {
@@ -25,7 +25,9 @@ impl<const N: usize, T: Scalar> Block<N, T> {
         }
         let mut fine = true;
         for lane in 0..LANES {
-            fine &= rows[lane].bounds_make_sense() & (squared[lane] < T::UNBOUNDED);
+            fine &= rows[lane].bounds_make_sense()
+                & (squared[lane] < T::UNBOUNDED)
+                & (squared[lane] > T::NOTHING);
         }
         let weight = squared.map(T::about_inverse_root);
         *old = Some(Self {
@@ -38,13 +40,13 @@ impl<const N: usize, T: Scalar> Block<N, T> {
         fine
     }
 
-    /// Of a normal of a length of about 1.
+    /// Sets the bounds of a row whose normal has a length of about 1.
     #[inline]
     pub(crate) fn set_bounds(&mut self, lane: usize, lower: T, upper: T) {
         (self.lower[lane], self.upper[lane]) = (lower, upper);
     }
 
-    /// How far x is outside; negative: inside.
+    /// Returns the distance of x outside each row; negative inside.
     #[inline]
     fn violation(&self, x: &[T; N]) -> [T; LANES] {
         // in two parts, which a processor can do side by side

@@ -49,7 +49,7 @@ struct Search<'a, const N: usize, T> {
     kept: T,
 }
 
-/// What [`Search::settle`] did to the point.
+/// Result of [`Search::settle`].
 #[derive(PartialEq)]
 enum Settled {
     /// Nothing but rounding.
@@ -121,7 +121,7 @@ impl<const N: usize, T: Scalar> Metric<N, T> {
         Ok(Self { inverse_factor })
     }
 
-    /// Where ½xᵀHx + gradientᵀx is least without any row: −H⁻¹·gradient, the target to give to [`Self::nearest`].
+    /// Returns the unconstrained minimum of ½xᵀHx + gradientᵀx: −H⁻¹·gradient, the target for [`Self::nearest`].
     pub fn minimum(&self, gradient: &[T; N]) -> [T; N] {
         let mut x = [T::NOTHING; N];
         for column in &self.inverse_factor {
@@ -205,14 +205,35 @@ impl<'a, const N: usize, T: Scalar> Search<'a, N, T> {
         }
         for (i, row) in others.iter().enumerate() {
             let squared = dot(&row.normal, &row.normal);
-            fine &= row.bounds_make_sense() & (squared < T::UNBOUNDED);
+            fine &= row.bounds_make_sense() & (squared < T::UNBOUNDED) & (squared > T::NOTHING);
             if let Some(weight) = self.weights.get_mut(i) {
                 *weight = T::about_inverse_root(squared);
             }
         }
-        // a square may be infinite where its root is not
-        let wrong = if fine { None } else { self.rows.iter().position(|row| !row.makes_sense()) };
-        wrong.map_or(Ok(()), |row| Err(self.rows[row].error(row)))
+        if fine { Ok(()) } else { self.line_up_carefully() }
+    }
+
+    /// Looks at each row alone: a square may be infinite, or 0, where its root is not.
+    #[cold]
+    fn line_up_carefully(&mut self) -> Result<(), QpError> {
+        if let Some(row) = self.rows.iter().position(|row| !row.makes_sense()) {
+            return Err(self.rows[row].error(row));
+        }
+        let tolerance = T::KEPT * self.largest_number();
+        for (i, row) in self.rows.iter().enumerate().filter(|(_, row)| row.is_of_zeros()) {
+            if row.violation(self.target) > tolerance {
+                return Err(QpError::Infeasible { row: i });
+            }
+            self.ignore(i);
+        }
+        Ok(())
+    }
+
+    /// Largest size of a number of the target and of the bounds.
+    fn largest_number(&self) -> T {
+        let bounds = self.rows.iter().flat_map(|row| [row.lower, row.upper]);
+        let finite = self.target.iter().copied().chain(bounds).filter(|number| is_number(*number));
+        finite.map(T::size_of).fold(T::NOTHING, larger)
     }
 
     fn run(&mut self, from: &WorkingSet<N>) -> Result<(), QpError> {
@@ -257,7 +278,7 @@ impl<'a, const N: usize, T: Scalar> Search<'a, N, T> {
         let row = self.rows.get(at)?;
         // active ones among the first were not looked at
         let free = at < IN_BLOCKS || !self.is_active(at);
-        if free && row.violation(&self.x) > self.kept * row.size(&self.x) {
+        if free && row.violation(&self.x) > self.kept * row.size(&self.x) && !row.is_of_zeros() {
             return Some((at, row.violated_side(&self.x)));
         }
         self.worst_beyond_rounding()
@@ -270,7 +291,8 @@ impl<'a, const N: usize, T: Scalar> Search<'a, N, T> {
         let mut found = None;
         for (i, row) in self.rows.iter().enumerate() {
             let violation = row.violation(&self.x);
-            if violation > worst && !self.is_active(i) && violation > self.kept * row.size(&self.x) {
+            let free = !self.is_active(i) && !row.is_of_zeros();
+            if violation > worst && free && violation > self.kept * row.size(&self.x) {
                 (worst, found) = (violation, Some((i, row.violated_side(&self.x))));
             }
         }
@@ -382,7 +404,7 @@ impl<'a, const N: usize, T: Scalar> Search<'a, N, T> {
         self.set(row, lower * weight, upper * weight, weight);
     }
 
-    /// What a row is looked at with: its bounds in a block, else its weight.
+    /// Sets the quantities that a scan reads of a row: its bounds in a block, else its weight.
     #[inline]
     fn set(&mut self, row: usize, lower: T, upper: T, weight: T) {
         let other = row.wrapping_sub(self.split().0.len());
@@ -441,7 +463,7 @@ impl<'a, const N: usize, T: Scalar> Search<'a, N, T> {
     }
 }
 
-/// Whether the active rows leave a direction in which the row of `step` can be approached.
+/// Returns true if the active rows leave a direction in which the row of `step` can be approached.
 fn independent<const N: usize, T: Scalar>(step: &Step<N, T>) -> bool {
     step.left > T::LOOSE * T::LOOSE * step.squared
 }

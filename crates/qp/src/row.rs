@@ -1,4 +1,4 @@
-//! What a solution has to keep.
+//! Rows: the constraints of a problem.
 
 use crate::scalar::{Scalar, dot, is_number};
 use crate::solution::{QpError, Side};
@@ -52,7 +52,7 @@ impl<const N: usize, T: Scalar> Row<N, T> {
         self
     }
 
-    /// How far x is outside; negative: inside.
+    /// Returns the distance of x outside the row; negative inside.
     #[inline]
     pub(crate) fn violation(&self, x: &[T; N]) -> T {
         let along = dot(&self.normal, x);
@@ -70,7 +70,7 @@ impl<const N: usize, T: Scalar> Row<N, T> {
         }
     }
 
-    /// How far x is outside on `side`.
+    /// Returns the distance of x outside the row on `side`.
     #[inline]
     pub(crate) fn violation_at(&self, x: &[T; N], side: Side) -> T {
         match side {
@@ -111,18 +111,23 @@ impl<const N: usize, T: Scalar> Row<N, T> {
         T::about_inverse_root(dot(&self.normal, &self.normal))
     }
 
-    /// Bounds that are none or numbers, and leave something between them: NaN is not ≥ 0, and ∞ − ∞ is NaN.
+    /// Returns true if the bounds are infinite or finite, and leave something between them: NaN is not ≥ 0, and ∞ − ∞ is NaN.
     #[inline]
     pub(crate) fn bounds_make_sense(&self) -> bool {
         self.upper - self.lower >= T::NOTHING
     }
 
-    /// The same, and coefficients that are numbers.
+    /// Returns true if the bounds are ordered and all coefficients are finite.
     pub(crate) fn makes_sense(&self) -> bool {
         self.bounds_make_sense() && self.normal.iter().all(|a| is_number(*a))
     }
 
-    /// What is wrong with a row that makes no sense.
+    /// Returns true if the row says nothing of x: it is kept or not, whatever x is.
+    pub(crate) fn is_of_zeros(&self) -> bool {
+        self.normal.iter().all(|a| *a == T::NOTHING)
+    }
+
+    /// Returns the error of an invalid row.
     pub(crate) fn error(&self, row: usize) -> QpError {
         let numbers = self.normal.iter().chain([&self.lower, &self.upper]).all(|a| is_number(*a));
         // numbers that make no sense are bounds that exclude each other

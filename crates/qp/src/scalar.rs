@@ -3,13 +3,13 @@
 use core::fmt::{Debug, Display};
 use core::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
-/// How many numbers the last digits of a scalar are taken to mark it: a power of two.
+/// Number of values that the last digits of a scalar can mark: a power of two.
 pub(crate) const MARKS: u8 = 64;
 
 mod sealed {
     use super::MARKS;
 
-    /// What only this crate calls.
+    /// Functions that only this crate calls.
     pub trait Sealed: Sized + 'static {
         /// Numbers from [`super::MARKS`] − 1 down to 0 as the last bits of a scalar.
         const MARKS: &[Self; MARKS as usize];
@@ -85,8 +85,8 @@ pub trait Scalar:
     const LEAST: Self;
     /// Share of its terms by which a row may be outside: rounding.
     const KEPT: Self;
-    /// The same where no step can do better, and the sine of the angle to the active rows below which a row is taken
-    /// to depend on them: what nearly dependent rows lose.
+    /// Looser tolerance for a step that cannot improve, and smallest sine of the angle to the active rows at which a row
+    /// counts as independent: the loss of nearly dependent rows.
     const LOOSE: Self;
 
     /// √x.
@@ -140,7 +140,7 @@ pub(crate) fn add_scaled<const N: usize, T: Scalar>(y: &mut [T; N], f: T, x: &[T
     }
 }
 
-/// Whether a number is one: neither NaN nor infinite.
+/// Returns true if `x` is finite.
 #[inline]
 pub(crate) fn is_number<T: Scalar>(x: T) -> bool {
     T::size_of(x) < T::UNBOUNDED

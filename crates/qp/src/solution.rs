@@ -1,4 +1,4 @@
-//! What comes out.
+//! Solutions and their working sets.
 
 use crate::scalar::Scalar;
 
@@ -72,7 +72,7 @@ impl<const N: usize, T: Scalar> Solution<N, T> {
         self.active.get(..self.count).unwrap_or_default()
     }
 
-    /// Where the next, similar problem may start from.
+    /// Returns the working set, a start for the next, similar problem.
     pub fn working_set(&self) -> WorkingSet<N> {
         WorkingSet { rows: self.active.map(|active| (active.row, active.side)), count: self.count }
     }

@@ -1,4 +1,4 @@
-//! What holds for every problem, and what every bad input gives.
+//! Properties of every problem, and the error of every bad input.
 #![allow(clippy::unwrap_used, clippy::float_cmp, clippy::cast_possible_truncation, reason = "tests")]
 #![allow(clippy::cast_precision_loss, clippy::cast_sign_loss, reason = "tests")]
 
@@ -14,7 +14,7 @@ fn plain() -> Metric<3> {
     Metric::diagonal(&[1.0; 3]).unwrap()
 }
 
-/// The short form of `cargo run --release -p moca-qp --example survey`.
+/// The short form of `cargo bench -p moca-qp --bench survey`.
 #[test]
 fn every_family_ends_optimal_and_within_its_iterations() {
     for family in FAMILIES {
@@ -135,7 +135,7 @@ fn the_minimum_of_a_gradient_is_where_the_slope_vanishes() {
     }
 }
 
-/// What goes first is the row that the point is farthest from, whatever it is measured in: by powers of 4 to the bit.
+/// The first row is the one that the point is farthest from, in any unit: exact for powers of 4.
 #[test]
 fn the_unit_of_a_row_changes_nothing() {
     let mut random = Random::new(12);
@@ -180,7 +180,7 @@ fn hundreds_of_rows_are_solved_like_a_few() {
 
 /// Their squares are not: 1e200² is infinite, and (1e-200)² is 0.
 #[test]
-fn coefficients_may_be_large_or_small_as_long_as_they_are_numbers() {
+fn finite_coefficients_of_any_size_are_accepted() {
     for size in [1e200, 1e-200] {
         let kept = [Row::at_least([size, 0.0, 0.0], -size), Row::at_most([0.0, size, size], size)];
         for rows in [kept.to_vec(), [kept, kept].concat()] {
@@ -237,4 +237,40 @@ proptest! {
             prop_assert!((f64::from(short.x[i]) - exact.x[i]).abs() < 2e-4, "{:?} {:?}", short.x, exact.x);
         }
     }
+}
+
+/// The rounding of a difference excluded 0, and the whole problem was called infeasible.
+#[test]
+fn row_of_zeros_is_kept_where_its_bound_is_rounding() {
+    let wall = Row::at_most([1.0, 0.0, 0.0], 0.5);
+    let zeros = |lower: f64, upper: f64| Row { normal: [0.0; 3], lower, upper };
+    let alone = plain().nearest(&[1.0, 0.0, 2.0], &[wall], &COLD).unwrap().x;
+    // in a block, next to the blocks, and behind those whose weights are kept
+    for before in [0, 3, 5, 63, 66, 90] {
+        let solve = |row| {
+            let mut rows = vec![wall; before];
+            rows.extend([row, wall]);
+            plain().nearest(&[1.0, 0.0, 2.0], &rows, &COLD)
+        };
+        let none = f64::INFINITY;
+        for (lower, upper) in [(-none, -7e-18), (7e-18, none), (-2e-14, -1e-14), (-1.0, 1.0), (0.0, 0.0)] {
+            let solution = solve(zeros(lower, upper)).unwrap();
+            assert_eq!(solution.x, alone, "{before} {lower} {upper}: it says nothing of x");
+        }
+        for (lower, upper) in [(-none, -1e-12), (1e-12, none), (1.0, 2.0)] {
+            let verdict = solve(zeros(lower, upper));
+            assert_eq!(
+                verdict.map(|found| found.x),
+                Err(QpError::Infeasible { row: before }),
+                "{lower} {upper}"
+            );
+        }
+    }
+    // the largest number of the problem is what rounding is measured by
+    let far = |target: f64| plain().nearest(&[target, 0.0, 0.0], &[zeros(1e-12, f64::INFINITY)], &COLD);
+    assert!(far(1.0).is_err() && far(1e3).is_ok());
+    let single = Metric::<2, f32>::diagonal(&[1.0; 2]).unwrap();
+    let row = |bound: f32| [Row::at_most([0.0, 0.0], bound)];
+    let solve = |bound| single.nearest(&[1.0, 0.0], &row(bound), &WorkingSet::EMPTY);
+    assert!(solve(-1e-7).is_ok() && solve(-1e-4).is_err());
 }

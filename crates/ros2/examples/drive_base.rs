@@ -12,7 +12,7 @@ use moca_ros2::network::Network;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 
-/// How long the loop is silent at the end, to see the base stopped.
+/// Silence of the loop at the end, to see the base stop.
 const SILENT: Duration = Duration::from_secs(1);
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

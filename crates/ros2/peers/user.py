@@ -191,7 +191,7 @@ def lead(node, peer, daemon):
     user.refused(lambda: user.twist(0.03, frame="map"), 'frame_id "map": allowed: "world", "base_link", "flange"')
     user.refused(lambda: user.drive(0.1, vz=0.1), "linear.z = 0.1: allowed: 0, a base moves in the plane")
     other.kill()
-    other.wait()
+    other.wait(60)
     user.refused(lambda: user.twist(0.5), "linear speed y = 0.5")
     user.refused(lambda: user.twist(float("nan")), "not a finite number")
     user.refused(lambda: user.twist(0.03, ago_s=5.0), "age of the target")
@@ -205,7 +205,7 @@ def lead(node, peer, daemon):
         user.hear()
     os.kill(frozen.pid, signal.SIGCONT)
     frozen.kill()
-    frozen.wait()
+    frozen.wait(60)
     print("  beside a frozen subscriber:", user.counts, flush=True)
     assert min(user.counts[topic] for topic in ("/moca/flange", "/tf", "/joint_states")) > 60
     assert user.mode() == "follow-me", user.last["/diagnostics"]
@@ -216,7 +216,7 @@ def lead(node, peer, daemon):
     user.until(lambda: user.mode() == "follow-me", lambda: None, "armed by somebody else")
     user.refused(lambda: user.twist(0.03), "another client has the command")
     holds.send_signal(signal.SIGINT)
-    holds.wait()
+    holds.wait(60)
     assert user.call("arm")[0]
     user.until(lambda: user.mode() == "follow-me", lambda: user.twist(0.0), "armed again")
     # The node dies between two targets.

@@ -26,42 +26,43 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// How long a step waits for calls at most.
+/// Longest wait of a step for calls.
 const STEP: Duration = Duration::from_millis(2);
 /// Forces and wrenches are sent at most so often, ns of loop time.
 const NUMBERS_NS: u64 = 10_000_000;
-/// So often is shown what every viewer is shown.
+/// Periods of the topics that every viewer is shown.
 const PERIODS: Periods =
     Periods { numbers_ns: DIAGNOSTICS_NS, poses_ns: NUMBERS_NS, fixed_ns: 1_000_000_000 };
 /// Diagnostics are sent so often, ns of loop time.
 const DIAGNOSTICS_NS: u64 = 1_000_000_000;
 /// Topics whose names ROS tools expect; all others are under the prefix.
 const GLOBAL: [&str; 4] = ["/tf", "/tf_static", "/joint_states", "/robot_description"];
-/// What whoever comes later gets too.
+/// Topics whose last message later nodes receive too.
 const LATCHED: [&str; 2] = ["/tf_static", "/robot_description"];
 /// Sentences have a log's type, which is no message of ROS nodes.
 const LOG: &str = "/log";
 const TRIGGER: TypeName = TypeName("std_srvs/srv/Trigger");
 /// Services, and what each asks the loop.
-const SERVICES: [(&str, Request); 6] = [
+const SERVICES: &[(&str, Request)] = &[
     ("tare", Request::Tare),
     ("arm", Request::Arm),
     ("disarm", Request::Disarm),
     ("stop", Request::Stop),
     ("resume", Request::Resume),
     ("end_target", Request::EndTarget),
+    ("recentre", Request::Recentre),
 ];
 /// The network is asked so often whether there is one.
 const LOOK_AFTER: Duration = Duration::from_secs(1);
 /// A refusal is told again after this at the earliest, unless it is another one.
 const REFUSALS_EVERY: Duration = Duration::from_millis(100);
 
-/// What is named how.
+/// Names of topics and frames.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BridgeSettings {
     /// Namespace of topics and services that are not global, such as `/moca`.
     pub prefix: String,
-    /// Whether `/tf` and `/tf_static` are sent: not where the base's own node says where `base_link` is.
+    /// True if `/tf` and `/tf_static` are sent. False where the base's own node places `base_link`.
     pub tf: bool,
 }
 
@@ -78,12 +79,12 @@ pub struct Bridge {
     leader: Leader,
     refused: WriterId,
     told: Option<(String, Instant)>,
-    /// Whether the robot was armed over ROS: whoever did so is then watched over until it is disarmed.
+    /// True if the robot was armed over ROS: that node is then watched until the robot is disarmed.
     armed: bool,
     services: Vec<(ServiceId, Request)>,
     waiting: Vec<(Request, ServiceId, Caller)>,
     shown: Option<Shown>,
-    /// What was said of the daemon and of the network, and when the latter was looked at.
+    /// Last reports on the daemon and on the network, and the time of the last look at the network.
     said: [Option<String>; 2],
     looked: Instant,
 }
@@ -126,7 +127,7 @@ impl Bridge {
             targets.push(Input { name: topic, reader, read });
         }
         let mut services = Vec::new();
-        for (service, request) in SERVICES {
+        for &(service, request) in SERVICES {
             services.push((transport.service(&name(service), TRIGGER)?, request));
         }
         Ok(Self {
@@ -227,7 +228,8 @@ impl Bridge {
 
     fn answer(&mut self, reply: &Reply, daemon: &Connection) {
         if let (Request::Target(timed), Err(refusal)) = (reply.request, reply.outcome) {
-            return self.refuse(&format!("{}: {refusal}", timed.target.kind().name()));
+            let why = reply.request.refused(refusal);
+            return self.refuse(&format!("{}: {why}", timed.target.kind().name()));
         }
         let asked = self.waiting.iter().position(|(request, ..)| *request == reply.request);
         let Some((request, service, caller)) = asked.map(|i| self.waiting.remove(i)) else { return };
@@ -244,7 +246,7 @@ impl Bridge {
             }
         }
         // A caller who has gone waits for none.
-        let _ = self.transport.answer(service, &caller, &cdr::encode(&response(reply.outcome)));
+        let _ = self.transport.answer(service, &caller, &cdr::encode(&response(request, reply.outcome)));
     }
 
     fn begin(
@@ -302,7 +304,7 @@ impl Bridge {
     }
 }
 
-/// What is made of a payload, or why nothing is.
+/// Reader of a payload, or the reason why it is refused.
 type Read = fn(&[u8]) -> Result<TimedTarget, String>;
 
 /// Topics of targets, their types, and what is made of a payload.
@@ -322,13 +324,13 @@ fn decoded<M: cdr::Decode>(bytes: &[u8]) -> Result<M, String> {
     cdr::decode(bytes).map_err(|error| error.to_string())
 }
 
-/// What the caller of a service is told.
-fn response(outcome: Outcome) -> TriggerResponse {
-    let message = outcome.map_or_else(|refusal| refusal.to_string(), |()| "done".to_owned());
+/// Returns the answer to the caller of a service.
+fn response(request: Request, outcome: Outcome) -> TriggerResponse {
+    let message = outcome.map_or_else(|refusal| request.refused(refusal).to_string(), |()| "done".to_owned());
     TriggerResponse { success: outcome.is_ok(), message }
 }
 
-/// What cannot be sent now is superseded by the next.
+/// Sends a message, or drops it: the next one supersedes it.
 fn send<M: cdr::Field>(transport: &mut dyn Transport, to: WriterId, message: &M) {
     let _ = transport.write(to, &cdr::encode(message));
 }

@@ -28,7 +28,7 @@ use std::fmt::Display;
 use std::net::IpAddr;
 use std::time::{Duration, Instant};
 
-/// What Cyclone DDS puts before a call's arguments: the caller, and its number of the call.
+/// Bytes that Cyclone DDS puts before a call's arguments: the caller, and its number of the call.
 const CALL_HEADER_BYTES: usize = 16;
 /// The first bytes of an endpoint's number are those of its process.
 const PARTICIPANT_BYTES: usize = 12;
@@ -36,9 +36,9 @@ const PARTICIPANT_BYTES: usize = 12;
 const ENCODING_BYTES: usize = 4;
 /// Longest call that carries no header: a byte order, an empty request and what fills it up to a word.
 const BARE_CALL_BYTES: usize = ENCODING_BYTES + 4;
-/// How long a reliable writer may keep a message that nobody confirms.
+/// Longest time for which a reliable writer keeps a message that nobody confirms.
 const RELIABLE_FOR: rustdds::Duration = rustdds::Duration::from_millis(100);
-/// How often discovery is asked whether it still runs, and a domain that was lost is joined at most.
+/// Period at which discovery is checked, and shortest time between two attempts to join a lost domain.
 const LOOK_AFTER: Duration = Duration::from_secs(1);
 
 /// A payload as it is, byte order first.
@@ -91,7 +91,7 @@ impl DefaultDecoder<Payload> for AsItIs {
 type Writer = DataWriter<Payload, AsItIs>;
 type Reader = DataReader<Payload, AsItIs>;
 
-/// What somebody asked for, and asks for again in a new participant.
+/// Announced writer or reader, announced again in a new participant.
 #[derive(Clone)]
 enum Announced {
     Writer(String, TypeName, Qos),
@@ -106,7 +106,7 @@ pub struct Dds {
     announced: Vec<Announced>,
     /// The last payload of each writer that is [`Qos::Latched`].
     latched: BTreeMap<usize, Vec<u8>>,
-    /// Whether a thread of the participant has ended, and when discovery was asked last.
+    /// True if a thread of the participant has ended, and the time at which discovery was checked last.
     ended: bool,
     looked: Instant,
     tried: Option<Instant>,
@@ -160,8 +160,8 @@ impl Dds {
         })
     }
 
-    /// Whether a thread of the participant has ended. The one that receives holds the other end of each reader's socket, the
-    /// one of discovery that of its commands.
+    /// Returns true if a thread of the participant has ended. The receiving thread holds the other end of each reader's
+    /// socket, the discovery thread that of its commands.
     fn has_ended(&mut self) -> bool {
         self.ended |= self.events.iter().any(mio::event::Event::is_read_closed);
         if !self.ended && self.looked.elapsed() > LOOK_AFTER {

@@ -64,7 +64,7 @@ fn stamped(target: Target, stamp: &Time) -> TimedTarget {
 pub struct Leader(Option<(Vec<u8>, Instant)>);
 
 impl Leader {
-    /// Whether a target of the node `who` counts; it leads from then on.
+    /// Returns true if a target of the node `who` counts; that node leads from then on.
     ///
     /// ```
     /// use moca_ros2::inputs::Leader;
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_target_is_taken_in_the_frame_that_it_names_and_dated_by_its_stamp() {
+    fn target_uses_its_frame_and_stamp() {
         let message = PoseStamped { header: header("world"), pose: Pose::default() };
         let timed = pose(&message).unwrap();
         assert_eq!(timed.stamp_unix_ns, 1_700_000_000_000_000_005);

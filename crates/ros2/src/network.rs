@@ -3,7 +3,7 @@
 use crate::transport::{Transport, TransportError};
 use std::net::IpAddr;
 
-/// Where the other nodes are: on DDS, or behind a zenoh router.
+/// Network of the other nodes: DDS, or a zenoh router.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Network {
     /// `ROS_DOMAIN_ID`.
@@ -12,7 +12,7 @@ pub struct Network {
     pub interfaces: Vec<IpAddr>,
     /// Their zenoh router, such as `tcp/192.168.0.200:7447`; without one they are on DDS.
     pub router: Option<String>,
-    /// What this program is called by nodes behind a router.
+    /// Name of this program for nodes behind a router.
     pub node: &'static str,
 }
 

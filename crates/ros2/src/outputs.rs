@@ -1,4 +1,4 @@
-//! What ROS users see of the robot beside what every viewer is shown: taxel forces with validity and age, the flange's
+//! Messages for ROS users on top of what every viewer is shown: taxel forces with validity and age, the flange's
 //! wrench, diagnostics. Frames are those of the robot's URDF.
 
 use crate::messages::{

@@ -1,4 +1,4 @@
-//! What ROS 2 nodes on `rmw_zenoh` put on the wire, as texts and bytes; the session is the module `zenoh`'s (feature `zenoh`).
+//! Wire format of ROS 2 nodes on `rmw_zenoh`, as texts and bytes; the session is the module `zenoh`'s (feature `zenoh`).
 //!
 //! A topic's data has a key with domain, name, type and the type's hash, and so has a service. Who is on it is told by
 //! liveliness tokens. A payload is CDR as over DDS; number, time and writer go beside it, without which `rmw_zenoh_cpp` drops
@@ -23,7 +23,7 @@ use crate::transport::{Endpoint, Qos};
 use crate::{Message, TypeName};
 use twox_hash::XxHash3_128;
 
-/// What Humble's nodes have in place of a hash.
+/// Text that Humble's nodes send in place of a hash.
 pub const NO_HASH: &str = "TypeHashNotSupported";
 /// Length of what goes beside a payload.
 pub const ATTACHMENT_BYTES: usize = 33;
@@ -54,7 +54,7 @@ pub fn type_hash(of: TypeName) -> Option<&'static str> {
     HASHES.into_iter().find_map(|(known, hash)| (known == of).then_some(hash))
 }
 
-/// What an end of a topic or service is.
+/// Role of an end of a topic or service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Writes a topic.
@@ -157,7 +157,7 @@ pub fn gid(token: &str) -> [u8; GID_BYTES] {
     XxHash3_128::oneshot(token.as_bytes()).to_le_bytes()
 }
 
-/// What goes beside payload number `sequence` of a writer.
+/// Returns the attachment of payload number `sequence` of a writer.
 pub fn attachment(sequence: i64, unix_ns: u64, gid: [u8; GID_BYTES]) -> [u8; ATTACHMENT_BYTES] {
     let mut bytes = [0; ATTACHMENT_BYTES];
     bytes[..8].copy_from_slice(&sequence.to_le_bytes());
@@ -173,7 +173,7 @@ pub fn writer_of(attachment: &[u8]) -> Option<[u8; GID_BYTES]> {
     (bytes[16] == 16).then(|| std::array::from_fn(|i| bytes[17 + i]))
 }
 
-/// What goes beside the answer to a call, by what came beside the call.
+/// Returns the attachment of the answer to a call, from the attachment of the call.
 pub fn answer_to(call: &[u8], unix_ns: u64) -> Option<[u8; ATTACHMENT_BYTES]> {
     let gid = writer_of(call)?;
     let sequence = i64::from_le_bytes(*call.first_chunk()?);

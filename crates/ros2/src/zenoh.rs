@@ -34,7 +34,7 @@ const LISTENS_AFTER: Duration = Duration::from_millis(500);
 /// A writer that announced nothing is named for so long after its last payload.
 const STRANGER_FOR: Duration = Duration::from_secs(1);
 
-/// What zenoh's threads leave for ours.
+/// Messages that zenoh's threads leave for ours.
 #[derive(Default)]
 struct Inbox {
     unread: Vec<VecDeque<Written>>,
@@ -43,7 +43,7 @@ struct Inbox {
     endpoints: BTreeMap<String, Endpoint>,
     /// Topics that somebody has come to, and when.
     newcomers: Vec<(String, Instant)>,
-    /// Who else wrote on a topic of ours, by writer and topic, and when last.
+    /// Other writers on our topics, by writer and topic, with the time of their last message.
     others: BTreeMap<(usize, Vec<u8>), Instant>,
 }
 
@@ -87,7 +87,7 @@ struct Writer {
     latched: Option<Vec<u8>>,
 }
 
-/// What lasts as long as a topic is announced.
+/// Handles that live as long as a topic is announced.
 struct Announced {
     _token: LivelinessToken,
     _subscriber: Option<Subscriber<()>>,
@@ -312,8 +312,8 @@ fn writer_of(sample: &Sample) -> Vec<u8> {
     rmw_zenoh::writer_of(&beside).map(|gid| gid.to_vec()).unwrap_or_default()
 }
 
-/// Who wrote on `topic` under the number `gid`: the session whose token has that number; where numbers are not made of tokens,
-/// the only one that writes there; else whoever has that number.
+/// Returns the node that wrote on `topic` under the number `gid`: the session whose token has that number. Where numbers are
+/// not made of tokens it is the only writer there, or else the node with that number.
 fn author(endpoints: &BTreeMap<String, Endpoint>, topic: &str, gid: &[u8]) -> Vec<u8> {
     let mut sessions = BTreeSet::new();
     for (token, _) in endpoints.iter().filter(|(_, end)| end.writes && end.topic == topic) {
@@ -491,7 +491,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_stops_waiting_for_a_router_leaves_no_thread_behind_that_looks_for_it() {
+    fn cancelled_router_wait_leaves_no_thread() {
         // A port that nobody listens on.
         let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let waits = Zenoh::join(0, &format!("tcp/127.0.0.1:{port}"), "mocad").unwrap();
@@ -505,7 +505,7 @@ mod tests {
     }
 
     #[test]
-    fn who_writes_is_known_by_the_number_or_because_nobody_else_does() {
+    fn writer_is_known_by_number_or_as_only_one() {
         let node = |session| Node { domain: 7, session, name: "planner" };
         let token = |session, id, topic: &str| {
             node(session).endpoint_token(id, Kind::Writer, topic, Twist::TYPE, NO_HASH, Qos::Reliable)

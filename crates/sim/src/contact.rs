@@ -14,7 +14,7 @@ const GAMMA: f64 = 1.0 - FRAC_1_SQRT_2;
 /// in both stages, it makes no speed between them that would damp. Its effect vanishes with the square of the step.
 const STAGE_YIELD: f64 = 0.5;
 
-/// What presses on the foam: a spring and a damper in parallel.
+/// Tissue that presses on the foam: a spring and a damper in parallel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tissue {
     /// N/m.
@@ -23,7 +23,7 @@ pub struct Tissue {
     pub damping_n_s_per_m: f64,
 }
 
-/// What a contact is told at each step.
+/// Inputs of a contact at each step.
 #[derive(Clone, Copy, Debug)]
 pub struct Pressing<'a> {
     /// The cover's foam.
@@ -72,8 +72,8 @@ impl ContactState {
         ContactForce { normal_n, along_n: self.friction_n(pressing, x_m, normal_n) }
     }
 
-    /// The same to second order: `middle` is the contact in the middle of the step, its overlap growing by `closing_m_s`.
-    /// Gives the mean force over the step and the one at its end.
+    /// Takes the step to second order: `middle` is the contact in the middle of the step, its overlap growing by `closing_m_s`.
+    /// Returns the mean force over the step and the force at its end.
     ///
     /// The overlap is taken as linear over the step; the foam's memory goes through two stages of backward Euler.
     pub fn second_order(&mut self, middle: &Pressing<'_>, closing_m_s: f64) -> (ContactForce, ContactForce) {
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn damping_of_the_tissue_adds_force_while_pressed_in_and_none_when_held() {
+    fn tissue_damping_adds_force_only_while_moving() {
         let press = |damping_n_s_per_m| {
             let tissue = Tissue { stiffness_n_per_m: 2e4, damping_n_s_per_m };
             let mut contact = ContactState::default();

@@ -30,7 +30,7 @@ pub enum SimError {
     /// The analytic engine was asked for what only MuJoCo can do.
     #[error("the analytic engine cannot do {what}: take MuJoCo")]
     NeedsMuJoCo {
-        /// What that is.
+        /// Name of the object.
         what: &'static str,
     },
     /// Two parts of a scene that do not go together.
@@ -67,15 +67,15 @@ pub enum SimError {
     /// The operating system refused something.
     #[error("cannot {action}: {reason}")]
     Os {
-        /// What was tried.
+        /// Attempted action.
         action: String,
-        /// What the system says.
+        /// Message of the system.
         reason: String,
     },
     /// The engine raised a warning: the state is no longer to be trusted.
     #[error("simulation failed at t = {time_s} s: {warning}")]
     Unstable {
-        /// What it says.
+        /// Text of the warning.
         warning: &'static str,
         /// Simulation time, s.
         time_s: f64,

@@ -132,7 +132,7 @@ impl Foam {
         within("foam.sensitivity", "", &[self.sensitivity], 0.0, 1e3)
     }
 
-    /// The same foam, `factor` times as stiff.
+    /// Returns the foam, `factor` times as stiff.
     #[must_use]
     pub fn stiffened(mut self, factor: f64) -> Self {
         match &mut self.elastic {
@@ -191,7 +191,7 @@ impl Foam {
         }
     }
 
-    /// Where a force held for some seconds leaves the plate, m: the elastic curve scaled to the table's 100 N point, which
+    /// Returns the deflection under a force held for some seconds, m: the elastic curve scaled to the table's 100 N point, which
     /// includes the relaxation.
     pub fn ramp_deformation_m(&self, force_n: f64) -> f64 {
         let at_reference = self.elastic_force_n(self.deformation_at_100n_m);
@@ -216,7 +216,7 @@ pub struct FoamState {
     elastic_n: f64,
 }
 
-/// How a step takes the decay of the branches.
+/// Rule for the decay of the branches in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Memory {
     /// Exactly, for a force that is linear in time: a whole step.
@@ -248,7 +248,7 @@ impl FoamState {
         self.step_by(Memory::Exact, foam, x_m, dt_s)
     }
 
-    /// The same by the given rule for the memory.
+    /// Takes a step with the given rule for the memory.
     pub(crate) fn step_by(&mut self, memory: Memory, foam: &Foam, x_m: f64, dt_s: f64) -> f64 {
         if x_m <= 0.0 && self.is_at_rest() {
             return 0.0;
@@ -299,7 +299,7 @@ impl FoamState {
         }
     }
 
-    /// How the foam answers in a step of `dt_s`. Out of line: a loop over bodies would otherwise take its exponentials
+    /// Returns the response of the foam in a step of `dt_s`. Out of line: a loop over bodies would otherwise take its exponentials
     /// with it, touched or not.
     #[inline(never)]
     pub(crate) fn response(&self, memory: Memory, foam: &Foam, dt_s: f64) -> Response {

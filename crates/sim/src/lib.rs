@@ -10,6 +10,7 @@
 //!
 //! This crate refuses to know: the controllers, the parser of the bytes it emits, and (but for [`PtyBoard`]) a clock.
 
+mod base_link;
 pub mod board;
 pub mod contact;
 mod error;
@@ -28,6 +29,7 @@ mod stepping;
 pub use board::{BoardFault, VirtualBoard, VirtualBoardConfig};
 pub use contact::Tissue;
 pub use error::SimError;
+pub use mjcf::SERVO_DAMPING;
 pub use plant::{ModelSize, SimPlant};
 pub use pty::{PtyBoard, SharedForces};
 pub use scene::{BodyPart, Engine, Integrator, Mobility, Person, Robot, Scene, Shape};

@@ -9,9 +9,9 @@ use std::fmt::{self, Write};
 
 /// Velocity gain of the inner base servo along x and y and about the vertical, N·s/m, N·s/m, N·m·s/rad: 20 N push it back by
 /// 0.2 mm/s. ASSUMED.
-pub(crate) const SERVO_DAMPING: [f64; 3] = [1e5, 1e5, 2.5e4];
-/// What of [`SERVO_DAMPING`] an engine applies itself, on the speed at the step's end: all of it, or for the trapezoidal
-/// rule the half that does not act on the speed at its start.
+pub const SERVO_DAMPING: [f64; 3] = [1e5, 1e5, 2.5e4];
+/// Returns the part of [`SERVO_DAMPING`] that an engine applies itself, on the speed at the step's end: all of it, or for the
+/// trapezoidal rule the half that does not act on the speed at its start.
 pub(crate) fn implicit_damping(scene: &Scene) -> [f64; 3] {
     let share = if scene.integrator == Integrator::Leapfrog { 0.5 } else { 1.0 };
     SERVO_DAMPING.map(|damping| share * damping)
@@ -156,6 +156,10 @@ fn inertial(xml: &mut String, link: &LinkInertial) -> fmt::Result {
     let [x, y, z] = link.com_m;
     let [xx, xy, xz, yy, yz, zz] = link.inertia_com;
     let mass = link.mass_kg;
+    if link.inertia_com.iter().all(|value| *value == 0.0) {
+        // a point mass, or nothing at all: MuJoCo takes no full inertia of zeros
+        return writeln!(xml, "<inertial pos=\"{x} {y} {z}\" mass=\"{mass}\" diaginertia=\"0 0 0\"/>");
+    }
     // MuJoCo's order: xx yy zz xy xz yz.
     writeln!(
         xml,
@@ -182,7 +186,7 @@ fn hull(xml: &mut String, scene: &Scene) -> fmt::Result {
     Ok(())
 }
 
-/// What a controller reads: taxels first, then joints and the wrench at the flange.
+/// Writes the sensors of a controller: taxels first, then joints and the wrench at the flange.
 fn sensors(xml: &mut String, scene: &Scene) -> fmt::Result {
     xml.push_str("<sensor>\n");
     let base: &[&str] = if scene.robot == Robot::ArmOnly { &[] } else { &["base_x", "base_y", "base_yaw"] };

@@ -55,7 +55,7 @@ pub(crate) struct Outline {
 /// The point of the outline that is nearest to some point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Nearest {
-    /// Of the point from the outline, positive outside, m.
+    /// Distance of the point from the outline, positive outside, m.
     pub(crate) distance_m: f64,
     /// Out of the cover, unit, axes of B.
     pub(crate) outward: [f64; 2],
@@ -66,7 +66,7 @@ pub(crate) struct Nearest {
     along_m: f64,
 }
 
-/// How a contact's force divides over the taxels; what no taxel answers for is missing from the sum.
+/// Shares of the taxels in a contact's force; a share that falls on no taxel is missing from the sum.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Shares(pub(crate) [f64; K]);
 
@@ -127,8 +127,8 @@ impl Outline {
         self.taxel_outward[taxel]
     }
 
-    /// Whether one side alone shows that `point_base`, m, is further than this from the cover: cheaper than
-    /// [`Outline::nearest`], and true of most who stand about.
+    /// Returns true if one side alone shows that `point_base`, m, is further than this from the cover: cheaper than
+    /// [`Outline::nearest`], and true of most bystanders.
     pub(crate) fn is_further_than(&self, distance_m: f64, point_base: [f64; 2]) -> bool {
         let height_m = |edge: &Edge| dot(edge.outward, difference(point_base, edge.start_base));
         self.edges.iter().any(|edge| height_m(edge) > distance_m + self.radius_m)
@@ -281,7 +281,7 @@ fn square(half_m: f64) -> Vec<[f64; 2]> {
     vec![[-half_m, -half_m], [half_m, -half_m], [half_m, half_m], [-half_m, half_m]]
 }
 
-/// What of a convex polygon lies `inset_m` inside `side`.
+/// Returns the part of a convex polygon that lies `inset_m` inside `side`.
 fn cut(polygon: &[[f64; 2]], side: &Side, inset_m: f64) -> Vec<[f64; 2]> {
     let height = |point: [f64; 2]| dot(side.outward, point) - (side.offset_m - inset_m);
     let mut kept = Vec::new();
@@ -404,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn another_cover_is_another_polygon_and_one_without_sense_has_no_outline() {
+    fn outline_follows_cover_and_invalid_has_none() {
         // The left side leans inwards by 45°: seven sides' worth of one octagon corner.
         let mut scene = scene();
         let position = &mut scene.cover[3];

@@ -24,7 +24,7 @@ pub(crate) struct Step {
 }
 
 impl Step {
-    /// How much closer a body can be at the step's end than where its forces are asked for, m.
+    /// Returns how much closer a body can be at the step's end than where its forces are evaluated, m.
     fn reach_m(self) -> f64 {
         if self.from_the_middle { 0.5 * self.dt_s * CLOSING_MAX_M_S } else { 0.0 }
     }
@@ -86,14 +86,14 @@ impl<'a> CoverInstant<'a> {
     }
 }
 
-/// What the cover feels at one step.
+/// Readings of the cover at one step.
 #[derive(Debug)]
 pub(crate) struct Felt {
     /// N, T1 first.
     pub taxel_force_n: [f64; K],
     /// Wrench on the base about its origin, axes of B: N, N, N·m.
     pub wrench_base: [f64; 3],
-    /// The same on average over the step: what moves the base.
+    /// Mean force over the step, which moves the base.
     pub push_base: [f64; 3],
     /// Normal forces on all bodies and on the one that is pressed hardest, felt by a taxel or not, N.
     pub total_n: f64,
@@ -162,7 +162,7 @@ struct Body {
     force_world: [f64; 2],
 }
 
-/// What somebody is at.
+/// Stage of a person's script.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stage {
     /// The cover's foam, in the last step.
@@ -240,7 +240,7 @@ impl People {
         Some([x + dx, y + dy])
     }
 
-    /// What everybody is at: where it changes, forces change at once.
+    /// Returns the stages of all people: forces change at once where a stage changes.
     pub(crate) fn stages(&self, time_s: f64) -> impl Iterator<Item = Stage> {
         let time_s = self.own_time_s(time_s);
         self.bodies.iter().map(move |body| body.stage(time_s))
@@ -478,7 +478,7 @@ impl Body {
         }
     }
 
-    /// Where the posture wants to be: displacement from the start, m, and its velocity, m/s, in W.
+    /// Returns the target of the posture: displacement from the start, m, and its velocity, m/s, in W.
     fn anchor(&self, time_s: f64) -> ([f64; 2], [f64; 2]) {
         let walked_s = (time_s - self.person.starts_after_s).max(0.0);
         let speed = if walked_s > 0.0 { self.person.walk_m_s } else { 0.0 };

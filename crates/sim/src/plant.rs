@@ -1,6 +1,7 @@
 //! The plant: an arm on a velocity-controlled base, one control period at a time.
 
 use crate::SimError;
+use crate::base_link::{BaseLink, Motion};
 use crate::mechanics::{self, Mechanics};
 use crate::mjcf::SERVO_DAMPING;
 use crate::outline::Outline;
@@ -9,7 +10,7 @@ use crate::scene::{Integrator, Robot, Scene};
 use crate::stepping::{End, Repeatable, Start, Stepping, StepsSpent};
 use moca_msgs::{Actuation, MAX_JOINTS, MAX_TAXELS, RobotCommand, RobotState};
 
-/// What the wheels can push before they slip: N, N, N·m (about 0.8 of the weight). ASSUMED.
+/// Largest push of the wheels before they slip: N, N, N·m (about 0.8 of the weight). ASSUMED.
 const TRACTION: [f64; 3] = [1000.0, 1000.0, 400.0];
 /// Time constant in which a braked joint comes to rest, s. ASSUMED.
 const BRAKE_TIME_S: f64 = 0.02;
@@ -18,14 +19,14 @@ const PRESS_MAX_N: f64 = 1000.0;
 /// Room for the largest cover.
 const K: usize = MAX_TAXELS;
 
-/// What the plant was last told.
+/// Last command to the plant.
 #[derive(Clone, Copy, Debug)]
 enum Command {
     Drive(RobotCommand<MAX_JOINTS>),
     Brake,
 }
 
-/// How large the engine's model of a scene is.
+/// Size of the engine's model of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ModelSize {
     /// Degrees of freedom.
@@ -36,9 +37,9 @@ pub struct ModelSize {
     pub geoms: usize,
     /// Sensors.
     pub sensors: usize,
-    /// What is constant (`mjModel`'s buffer), bytes.
+    /// Size of the constant part (`mjModel`'s buffer), bytes.
     pub model_bytes: usize,
-    /// What changes (`mjData`'s buffer and arena), bytes.
+    /// Size of the changing part (`mjData`'s buffer and arena), bytes.
     pub data_bytes: usize,
     /// MuJoCo's arena, bytes.
     pub arena_bytes: usize,
@@ -52,7 +53,7 @@ pub struct SimPlant {
     mechanics: Box<dyn Mechanics>,
     scene: Scene,
     substeps: u32,
-    /// How many steps a period takes, if the scene asks for an accuracy.
+    /// Choice of steps for a period, if the scene asks for an accuracy.
     stepping: Option<Stepping>,
     outline: Outline,
     /// First coordinate of base and arm, where they exist.
@@ -64,6 +65,9 @@ pub struct SimPlant {
     servo_gain: f64,
     /// Velocity that it asks of the wheels, axes of B.
     servo_velocity_body: [f64; 3],
+    /// Deceleration of the servo over its acceleration.
+    braking: f64,
+    link: BaseLink,
     pressed_n: [f64; K],
     /// In the last step.
     felt: Felt,
@@ -98,6 +102,12 @@ impl SimPlant {
             command: Command::Brake,
             servo_gain: 1.0 - (-scene.control_period_s / scene.base.servo_time_constant_s).exp(),
             servo_velocity_body: [0.0; 3],
+            braking: if scene.base_link.deceleration_m_s2 > 0.0 {
+                scene.base_link.deceleration_m_s2 / scene.base.acceleration_max_m_s2
+            } else {
+                1.0
+            },
+            link: BaseLink::new(&scene.base_link, scene.control_period_s),
             pressed_n: [0.0; K],
             felt: Felt::NOTHING,
             taxel_force_mean_n: [0.0; K],
@@ -121,8 +131,9 @@ impl SimPlant {
             torque_measured_nm: self.torque_nm,
             flange_wrench_world: self.scene.flange_sensor.then_some(self.flange_wrench_world),
         };
-        if let Some(dof) = self.base_dof {
-            (state.base_pose_world, state.base_velocity_world) = (planar(qpos, dof), planar(qvel, dof));
+        if let Some(motion) = self.base_motion() {
+            let Motion { pose, velocity } = self.link.reported(motion);
+            (state.base_pose_world, state.base_velocity_world) = (pose, velocity);
         }
         if let Some(dof) = self.arm_dof {
             let joints = ..self.scene.arm.joints;
@@ -163,13 +174,23 @@ impl SimPlant {
             Some(mut stepping) => {
                 let result = stepping.period(self, self.scene.control_period_s);
                 self.stepping = Some(stepping);
-                result
+                result?;
             }
-            None => self.run(self.substeps, self.scene.physics_step_s),
+            None => self.run(self.substeps, self.scene.physics_step_s)?,
         }
+        if let Some(motion) = self.base_motion() {
+            self.link.moved(motion);
+        }
+        Ok(())
     }
 
-    /// What the steps have cost that an accuracy asked for; `None` for steps of one length.
+    /// True motion of the base, if there is one.
+    fn base_motion(&self) -> Option<Motion> {
+        let (qpos, qvel) = (self.mechanics.positions(), self.mechanics.rates());
+        self.base_dof.map(|dof| Motion { pose: planar(qpos, dof), velocity: planar(qvel, dof) })
+    }
+
+    /// Returns the cost of the steps that an accuracy asked for; `None` for steps of one length.
     pub fn steps_spent(&self) -> Option<StepsSpent> {
         self.stepping.as_ref().map(|stepping| stepping.spent)
     }
@@ -188,7 +209,7 @@ impl SimPlant {
         Ok(())
     }
 
-    /// How large the model is.
+    /// Returns the size of the model.
     pub fn model_size(&self) -> ModelSize {
         self.mechanics.size()
     }
@@ -276,6 +297,11 @@ impl SimPlant {
         self.people.begin((!waiting).then(|| self.mechanics.time_s()));
     }
 
+    /// True pose of the base, whatever odometry reports: x m, y m, yaw rad.
+    pub fn true_base_pose_world(&self) -> [f64; 3] {
+        self.base_motion().map_or(self.scene.base_pose_world, |motion| motion.pose)
+    }
+
     /// Simulation time, s.
     pub fn time_s(&self) -> f64 {
         self.mechanics.time_s()
@@ -292,6 +318,9 @@ impl SimPlant {
             self.mechanics.put(dof, &q[..q.len().min(joints)], &dq[..dq.len().min(joints)]);
         }
         self.mechanics.refresh();
+        if let Some(motion) = self.base_motion() {
+            self.link.put(motion);
+        }
     }
 
     /// Joint-space inertia matrix of the whole plant (row-major, base then arm then people) as of the start of the
@@ -306,17 +335,20 @@ impl SimPlant {
         self.mechanics.bias()
     }
 
-    /// Outer servo of the base: first order, limited in acceleration, in the axes of B, once per control period.
+    /// Outer servo of the base: first order, limited in acceleration and deceleration, in the axes of B, once per control
+    /// period.
     fn advance_base_servo(&mut self) {
-        let target = match &self.command {
+        let target = self.link.order(match &self.command {
             Command::Drive(command) => command.base_velocity_body,
             Command::Brake => [0.0; 3],
-        };
+        });
         let dt_s = self.scene.control_period_s;
         let base = &self.scene.base;
         let (linear, yaw) = (base.acceleration_max_m_s2, base.yaw_acceleration_max_rad_s2);
         for (i, limit) in [linear, linear, yaw].into_iter().enumerate() {
             let change = self.servo_gain * (target[i] - self.servo_velocity_body[i]);
+            let brakes = change * self.servo_velocity_body[i] < 0.0;
+            let limit = if brakes { limit * self.braking } else { limit };
             self.servo_velocity_body[i] += change.clamp(-limit * dt_s, limit * dt_s);
         }
     }

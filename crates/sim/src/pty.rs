@@ -20,10 +20,10 @@ use std::{env, fs, process};
 /// True forces on the electrodes of one board, N, as the bits of an `f64`, T1 first.
 pub type SharedForces = Arc<[AtomicU64; ELECTRODES]>;
 
-/// How often the board's thread wakes.
+/// Wake-up period of the board's thread.
 const WAKE: Duration = Duration::from_millis(1);
 
-/// What a test or a demonstration does to the board.
+/// Command of a test or demonstration to the board.
 enum Command {
     Unplug,
     Replug,
@@ -74,7 +74,7 @@ impl PtyBoard {
         Arc::clone(&self.pulse)
     }
 
-    /// Where to open the port.
+    /// Returns the path of the port.
     pub fn path(&self) -> &Path {
         &self.path
     }

@@ -1,10 +1,11 @@
 //! A scene as data. The model, its joints and the forces that are computed each step follow from it.
 
+use crate::base_link::BaseLink;
 use crate::contact::Tissue;
 use crate::error::{SimError, within};
 use crate::foam::Foam;
 use moca_msgs::robot::{AnyArm, BaseTable, Mount, Payload, TaxelPlacement};
-use moca_msgs::{MAX_JOINTS, MAX_TAXELS};
+use moca_msgs::{MAX_JOINTS, MAX_TAXELS, TrueBase};
 
 /// Which parts of the robot exist.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -18,7 +19,7 @@ pub enum Robot {
     ArmOnly,
 }
 
-/// What a physics step does: MuJoCo's integrators, and one of second order round them.
+/// Physics step: MuJoCo's integrators, and one of second order around them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Integrator {
     /// Semi-implicit Euler, joint damping implicit. Nothing here damps but joints, so that it is [`Integrator::ImplicitFast`]
@@ -38,7 +39,7 @@ pub enum Integrator {
     Leapfrog,
 }
 
-/// What integrates the bodies of a scene.
+/// Engine that integrates the bodies of a scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Engine {
     /// MuJoCo: the reference, and the only one for parts of a robot, other integrators and bodies that meet as geoms.
@@ -50,7 +51,7 @@ pub enum Engine {
 }
 
 impl Engine {
-    /// What it is, and why a scene runs on it.
+    /// Returns the name of the engine, and the reason why a scene runs on it.
     pub const fn reason(self) -> &'static str {
         match self {
             Self::MuJoCo => "MuJoCo: the reference for whatever a scene holds",
@@ -59,7 +60,7 @@ impl Engine {
     }
 }
 
-/// How a person moves when pushed.
+/// Motion of a person who is pushed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Mobility {
     /// Does not move at all: a wall, or a person held against one.
@@ -87,7 +88,7 @@ pub enum Shape {
     Plane,
 }
 
-/// What stands beside the robot.
+/// Body next to the robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BodyPart {
     /// A leg, the collision scene's: 75 kg (ISO/TS 15066), 50 N/mm, 0.07 m.
@@ -132,7 +133,7 @@ pub struct Person {
     pub tissue: Tissue,
     /// Coulomb coefficient between clothes or skin and the cover.
     pub friction: f64,
-    /// How the person yields.
+    /// Motion of the person when pushed.
     pub mobility: Mobility,
     /// When walking and leaning begin, s.
     pub starts_after_s: f64,
@@ -169,7 +170,7 @@ impl Person {
         Self::before(cover, taxel, gap_m, offset_m, shape, tissue, mobility)
     }
 
-    /// The same with an outline, tissue and mobility of its own.
+    /// Returns a person with an outline, tissue and mobility of its own.
     pub fn before(
         cover: &[TaxelPlacement],
         taxel: usize,
@@ -234,7 +235,7 @@ pub struct Scene {
     pub arm: AnyArm,
     /// Arm joint angles at the start, rad; entries beyond the last joint are of no meaning.
     pub arm_posture_rad: [f64; MAX_JOINTS],
-    /// What is fixed to the flange.
+    /// Payload fixed to the flange.
     pub payload: Payload,
     /// The arm's mechanical joint limits.
     pub joint_limits: bool,
@@ -249,9 +250,11 @@ pub struct Scene {
     pub geoms: bool,
     /// The base: its body and its velocity servo, first order and limited in acceleration in the axes of B.
     pub base: BaseTable,
-    /// Where the arm sits on it.
+    /// The way from a command to that servo, its deceleration, and odometry.
+    pub base_link: TrueBase,
+    /// Place of the arm on it.
     pub mount: Mount,
-    /// Where the taxels sit on it, up to [`MAX_TAXELS`].
+    /// Places of the taxels on it, up to [`MAX_TAXELS`].
     pub cover: Vec<TaxelPlacement>,
     /// People and walls.
     pub people: Vec<Person>,
@@ -261,7 +264,7 @@ pub struct Scene {
     pub physics_step_s: f64,
     /// Integrator.
     pub integrator: Integrator,
-    /// What integrates.
+    /// Engine that integrates.
     pub engine: Engine,
     /// Error of a control period that is asked for: each is stepped with n and with 2n steps, and n doubles until both agree
     /// within this share of 25 N and of 15 mm (mrad). `None` takes `physics_step_s` as it is; else that is the longest step,
@@ -286,6 +289,7 @@ impl Scene {
             foam: Foam::default(),
             geoms: false,
             base: *base,
+            base_link: TrueBase::AS_DESCRIBED,
             mount: *mount,
             cover: cover.to_vec(),
             people: Vec::new(),
@@ -297,7 +301,7 @@ impl Scene {
         }
     }
 
-    /// What of this scene MuJoCo alone can do; `None` if [`Engine::Analytic`] can do all of it.
+    /// Returns the feature of this scene that needs MuJoCo; `None` if [`Engine::Analytic`] can run it.
     pub const fn needs_mujoco(&self) -> Option<&'static str> {
         match (self.robot, self.integrator, self.arm.joints) {
             _ if self.geoms => Some("geoms and sensors"),
@@ -359,6 +363,7 @@ impl Scene {
         within("base.servo_time_constant", "s", &[self.base.servo_time_constant_s], 1e-4, 10.0)?;
         let (linear, yaw) = (self.base.acceleration_max_m_s2, self.base.yaw_acceleration_max_rad_s2);
         within("base.acceleration", "m/s², rad/s²", &[linear, yaw], 1e-3, 1e4)?;
+        BaseLink::check(&self.base_link)?;
         self.people.iter().try_for_each(Person::check)?;
         self.substeps().map(|_| ())
     }

@@ -27,7 +27,7 @@ impl Foam {
     }
 }
 
-/// What FDAT reads for `counts`: rounded to the nearest whole count, within 10 bits.
+/// Returns the FDAT value for `counts`: rounded to the nearest whole count, within 10 bits.
 pub fn quantise(counts: f64) -> u16 {
     #[expect(
         clippy::cast_possible_truncation,
@@ -112,7 +112,7 @@ pub struct Effects {
 }
 
 impl Effects {
-    /// Whether anything is switched on.
+    /// Returns true if anything is switched on.
     pub fn any(&self) -> bool {
         *self != Self::default()
     }
@@ -150,14 +150,14 @@ impl<const K: usize> CoverSensor<K> {
         }
     }
 
-    /// The same cover with another noise per FDAT value, counts; 0 for none.
+    /// Returns the cover with another noise per FDAT value, counts; 0 for none.
     #[must_use]
     pub fn with_noise(mut self, noise_counts: f64) -> Self {
         self.noise_counts = noise_counts;
         self
     }
 
-    /// The same cover with another second filter (SFI).
+    /// Returns the cover with another second filter (SFI).
     #[must_use]
     pub fn with_samples_per_value(mut self, samples: u32) -> Self {
         self.samples_per_value = samples.max(1);

@@ -1,10 +1,10 @@
-//! How a control period is divided into physics steps: as the scene says, or as many as an accuracy asks for.
+//! Division of a control period into physics steps: as the scene says, or as many as an accuracy asks for.
 
 use crate::SimError;
 use crate::people::{People, Stage};
 
-/// What an error of 1 is: the force of an impact that people bear (ISO/TS 15066 leaves more), N, and the way by which the
-/// paper's flange is off, m and rad.
+/// Scale of an error of 1: the force of an impact that people tolerate (ISO/TS 15066 allows more), N, and the error of the paper's
+/// flange, m and rad.
 const SCALE_N: f64 = 25.0;
 const SCALE_M: f64 = 0.015;
 /// A period in which somebody is first touched, or let go, sets out or steps away, takes at least this many steps at an
@@ -17,7 +17,7 @@ const STEPS_MAX: u32 = 1024;
 /// twice the step has four times the error.
 const COARSEN_BELOW: f64 = 0.125;
 
-/// What chosen steps have cost so far.
+/// Cost of the chosen steps so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StepsSpent {
     /// Control periods.
@@ -36,7 +36,7 @@ pub(crate) struct Stepping {
     accuracy: f64,
     least: u32,
     at_touch: u32,
-    /// Of the coarser of two runs through a period.
+    /// Steps of the coarser of two runs through a period.
     steps: u32,
     pub spent: StepsSpent,
 }
@@ -51,20 +51,20 @@ pub(crate) struct Start {
     pub(crate) contact_peak_n: f64,
 }
 
-/// What two runs through a period are compared by.
+/// State by which two runs through a period are compared.
 #[derive(Debug, Default)]
 pub(crate) struct End {
     pub(crate) positions: Vec<f64>,
     pub(crate) forces_n: Vec<f64>,
-    /// Of everybody, [`People::stages`].
+    /// Stages of all people, [`People::stages`].
     pub(crate) stages: Vec<Stage>,
 }
 
-/// What can go through a period again.
+/// Simulation that can go through a period again.
 pub(crate) trait Repeatable {
     fn start(&self) -> Start;
     fn put_back(&mut self, start: &Start);
-    /// So many physics steps of this length.
+    /// Runs a number of physics steps of this length.
     fn run(&mut self, steps: u32, step_s: f64) -> Result<(), SimError>;
     fn end(&self) -> End;
 }

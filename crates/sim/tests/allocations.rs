@@ -36,7 +36,7 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 #[test]
-fn state_apply_step_and_the_board_allocate_nothing_on_either_engine() {
+fn simulation_step_allocates_nothing_on_either_engine() {
     run(Engine::MuJoCo);
     run(Engine::Analytic);
 }

@@ -72,7 +72,7 @@ fn the_same_seed_gives_the_same_bytes_and_another_seed_others() {
 }
 
 #[test]
-fn a_press_lowers_fdat_of_its_electrode_only_by_the_foam_s_counts() {
+fn press_lowers_only_its_electrode_by_foam_counts() {
     let config = VirtualBoardConfig { noise_counts: Some(0.0), ..VirtualBoardConfig::default() };
     let run = run(&mut board(config), 0, 1500, |ms| if ms >= 500 { 50.0 } else { 0.0 });
     let idle = run.frames[0].frame;
@@ -160,7 +160,7 @@ fn read_until(port: &mut std::fs::File, bytes: &mut Vec<u8>, enough: impl Fn(&[u
 }
 
 #[test]
-fn a_pseudo_terminal_carries_frames_and_can_be_unplugged_and_plugged_in_again() {
+fn pseudo_terminal_survives_replugging() {
     let forces: SharedForces = Arc::new(std::array::from_fn(|_| AtomicU64::new(0)));
     let path = std::env::temp_dir().join(format!("moca-board-test-{}", std::process::id()));
     let board = PtyBoard::spawn(VirtualBoardConfig::default(), Arc::clone(&forces), &path).unwrap();

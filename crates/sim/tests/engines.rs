@@ -76,7 +76,7 @@ fn one_step(scene: &Scene, beyond_rad: f64) -> f64 {
 }
 
 #[test]
-fn one_step_from_equal_states_is_the_same_for_every_arm_mount_payload_and_step() {
+fn engines_agree_on_one_step_for_every_robot() {
     let loaded = Payload {
         inertial: LinkInertial {
             mass_kg: 2.5,

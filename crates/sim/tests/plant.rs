@@ -178,7 +178,7 @@ fn a_scene_with_a_bad_number_names_it() {
 }
 
 #[test]
-fn a_wrench_at_the_flange_moves_the_arm_and_is_reported_only_with_a_sensor() {
+fn flange_wrench_is_reported_only_with_sensor() {
     let mut plant = SimPlant::new(&Scene { flange_sensor: true, ..paper_scene() }).unwrap();
     plant.set_flange_wrench_world([0.0, 0.0, 5.0, 0.0, 0.0, 0.0]).unwrap();
     let before = plant.flange_position_world().unwrap();
@@ -288,7 +288,7 @@ fn friction_along_the_cover_drags_base_and_person_alike() {
 }
 
 #[test]
-fn a_walker_walks_at_the_speed_that_was_asked_for_from_the_start() {
+fn walker_has_requested_speed_from_start() {
     let mut walker = Person::part(BodyPart::Leg, &PAPER_COVER, 5, 0.3, 0.0).unwrap();
     (walker.walk_m_s, walker.starts_after_s) = (0.146, 0.2);
     let mut plant = SimPlant::new(&Scene { people: vec![walker], ..paper_scene() }).unwrap();
@@ -304,7 +304,7 @@ fn a_walker_walks_at_the_speed_that_was_asked_for_from_the_start() {
 }
 
 #[test]
-fn a_light_hand_on_stiff_damped_foam_does_not_blow_the_simulation_up() {
+fn light_hand_on_stiff_damped_foam_stays_finite() {
     for (walk_m_s, stiffness_n_per_m) in [(0.5, 7.5e4), (1.0, 1e7), (3.0, 1e7)] {
         let mut hand = Person::part(BodyPart::Hand, &PAPER_COVER, 5, 0.05, 0.0).unwrap();
         (hand.walk_m_s, hand.tissue.stiffness_n_per_m) = (walk_m_s, stiffness_n_per_m);
@@ -370,7 +370,7 @@ fn the_same_commands_give_the_same_bits() {
 }
 
 #[test]
-fn a_hand_that_walks_in_later_and_one_that_leans_are_felt_when_and_as_they_are_told() {
+fn late_walker_and_leaning_hand_press_as_scheduled() {
     let mut comer = Person::part(BodyPart::Hand, &PAPER_COVER, 5, 0.02, 0.05).unwrap();
     (comer.walk_m_s, comer.starts_after_s) = (0.1, 0.3);
     let mut plant = SimPlant::new(&Scene { people: vec![comer], ..paper_scene() }).unwrap();
@@ -399,7 +399,7 @@ fn a_hand_that_walks_in_later_and_one_that_leans_are_felt_when_and_as_they_are_t
 }
 
 #[test]
-fn a_wall_presses_every_taxel_of_the_panel_that_meets_it_and_stops_the_base() {
+fn wall_presses_whole_panel_and_stops_base() {
     let wall = Person::part(BodyPart::Wall, &PAPER_COVER, 5, 0.02, 0.0).unwrap();
     let mut plant = SimPlant::new(&Scene { people: vec![wall], ..paper_scene() }).unwrap();
     drive(&mut plant, [0.05, 0.0, 0.0], 2000);

@@ -88,7 +88,7 @@ fn fitted_order(errors: &[f64]) -> f64 {
 }
 
 #[test]
-fn leapfrog_is_of_second_order_along_a_collision_and_the_integrators_of_mujoco_of_first() {
+fn leapfrog_is_second_order_along_a_collision() {
     let relaxing = Foam { relaxation: 0.3, ..Foam::COLLISION_ASSUMED };
     for (name, foam) in [("collision foam", Foam::COLLISION_ASSUMED), ("and with memory", relaxing)] {
         let scene = collision(leg(), foam);

@@ -41,8 +41,8 @@ fn parser(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// What a control tick pays for the cover, on average over ticks with and without bytes: those of a stock board that came
-/// within the millisecond go in, and the forces are asked for.
+/// Cost of the cover to a control tick, on average over ticks with and without bytes: the bytes of a stock board within the
+/// millisecond go in, and the forces are read.
 fn tick(criterion: &mut Criterion) {
     let mut frame = Frame { filtered: [720; MAX_COLUMNS], baseline: [720; MAX_COLUMNS], ..Frame::default() };
     let mut frames = Vec::new();

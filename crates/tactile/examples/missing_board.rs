@@ -1,4 +1,4 @@
-//! What the reader costs while it looks for a board that is not there:
+//! Cost of the reader while it looks for a board that is missing:
 //! `cargo run --release -p moca-tactile --features serial --example missing_board`.
 #![allow(clippy::print_stdout, clippy::unwrap_used, reason = "a measurement for the terminal")]
 

@@ -1,6 +1,8 @@
-//! What must hold for every input; shared by the fuzz targets and by the ordinary test that replays the corpus.
+//! Invariants for every input; shared by the fuzz targets and by the ordinary test that replays the corpus.
 
+use moca_tactile::board::{BoardMonitor, FrameSource, MAX_ELECTRODES, voids_zero};
 use moca_tactile::datastream::{Event, Frame, Parser, emit};
+use moca_tactile::touchline::{self, Content, Flags};
 use moca_tactile::{BoardEvent, Chunk, Cover, CoverConfig};
 
 /// Any bytes in any chunking give the events of the same bytes in one piece; good frames come back byte for byte;
@@ -23,6 +25,46 @@ pub(crate) fn stream(data: &[u8]) {
     }
     resynchronises(bytes);
     feed_cover(bytes, seed);
+    stamped_lines(bytes);
+}
+
+/// Lines of our own firmware that arrive whole and say whatever the bytes make them say: no frame is younger than its line,
+/// a fault that voids the zero leaves none, and no force is made up.
+fn stamped_lines(bytes: &[u8]) {
+    let mut cover = Cover::<11>::new(CoverConfig::default()).unwrap();
+    let mut board = BoardMonitor::new([true; MAX_ELECTRODES]);
+    let (mut now_ns, mut sequence, mut device_us) = (0u64, 0u16, 0u32);
+    cover.start_tare(0);
+    for record in bytes.chunks_exact(8) {
+        let [kind, skip, step, wait, value, flags, high, low] = [0, 1, 2, 3, 4, 5, 6, 7].map(|i| record[i]);
+        // Mostly a healthy board: 4 ms from line to line, each with the next number.
+        let jump = u32::from_le_bytes([low, high, 0, 0]) << (kind >> 4);
+        now_ns += if wait < 200 { 4_000_000 } else { u64::from(wait - 200) * 10_000_000 };
+        device_us = device_us.wrapping_add(if step < 200 { 4000 } else { jump });
+        sequence = sequence.wrapping_add(if skip < 200 { 1 } else { u16::from_le_bytes([low, high]) });
+        let data = Content::Data(Flags(if flags < 200 { flags & 3 } else { flags }));
+        let content = if kind & 7 == 7 { Content::Baseline { age_tenths_ms: flags } } else { data };
+        let values = core::array::from_fn(|e| (700 + 4 * u16::from(value) * u16::from(e == 5)) & 1023);
+        let line = touchline::Line { bank: u8::from(kind & 8 != 0), sequence, device_us, values, content };
+        let mut text = Vec::new();
+        touchline::emit(&line, &mut text);
+        assert_eq!(touchline::parse(&text[..touchline::LINE_BYTES]), Ok(line));
+        cover.push(0, &text, now_ns);
+        let mut rest = text.as_slice();
+        while let Some(frame) = FrameSource::next_frame(&mut board, &mut rest, now_ns) {
+            assert!(frame.sampled_at_ns <= frame.expected_sample_ns && frame.expected_sample_ns <= now_ns);
+        }
+        let poll = cover.poll(now_ns);
+        if let Ok(forces) = poll.forces {
+            assert!(cover.zero_valid() && forces.iter().all(|f| f.is_finite() && *f >= 0.0));
+            assert!(poll.reading.sampled_at_ns.is_some_and(|sampled_ns| sampled_ns <= now_ns));
+        }
+        assert!(
+            !(poll.fault.is_some_and(voids_zero) && cover.zero_valid()),
+            "a zero outlives {:?}",
+            poll.fault
+        );
+    }
 }
 
 /// A calibration file is refused or understood, and what is understood is written back the same.

@@ -49,7 +49,7 @@ pub struct Poll<const K: usize> {
     pub fault: Option<Fault>,
     /// The board that it is of, 0 is the first; `None` if it is of none.
     pub fault_board: Option<u8>,
-    /// What frames say that are not complete yet.
+    /// Contact from frames that are not complete yet.
     pub early: EarlyContact<K>,
 }
 
@@ -201,7 +201,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         true
     }
 
-    /// Whether every taxel in use has a valid zero.
+    /// Returns true if every taxel in use has a valid zero.
     pub fn zero_valid(&self) -> bool {
         let mut in_use = self.taxels.iter().zip(&self.config.masked).take(self.config.taxels);
         in_use.all(|(taxel, &masked)| masked || taxel.zero.is_some())
@@ -406,7 +406,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         EarlyContact { touched, light, sampled_at_ns: oldest(times.into_iter()) }
     }
 
-    /// Whether somebody touches, or has so lately that a foam may still recover: drift is not followed.
+    /// Returns true during a touch and shortly after it, while a foam may still recover: drift is not followed then.
     const fn settles(&self, now_ns: u64) -> bool {
         now_ns.saturating_sub(self.last_contact_ns) < SETTLE_NS
     }
@@ -493,13 +493,13 @@ fn oldest(times: impl Iterator<Item = Option<u64>>) -> Option<u64> {
 }
 
 impl Taxel {
-    /// Whether `fdat` would begin a contact.
+    /// Returns true if `fdat` would begin a contact.
     fn would_touch<const K: usize>(&self, fdat: u16, config: &CoverConfig<K>) -> bool {
         let delta = self.zero.as_ref().map_or(0.0, |zero| zero.gain * zero.drop(fdat));
         !self.in_contact && delta >= config.contact_on_counts
     }
 
-    /// Whether the last frames together tell of a touch that gives no force.
+    /// Returns true if the last frames together show a touch that gives no force.
     const fn touched_lightly(&self) -> bool {
         self.light.touched() && !self.in_contact
     }

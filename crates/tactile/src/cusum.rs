@@ -23,10 +23,10 @@ pub const ALARM: f64 = 8.0;
 const FALLS_S: f64 = 0.15;
 /// that rise, as they do under the next touch, s.
 const RISES_S: f64 = 1.0;
-/// How far so followed noise lies below its own mean, over the deviation: of a normal distribution those above it weigh
+/// Depth of noise followed this way below its own mean, over the deviation: the values of a normal distribution above it weigh
 /// RISES_S/FALLS_S times as much as those below.
 const FOLLOWS_BELOW: f64 = 0.75;
-/// How far below zero the rest so lies once the foam has recovered but for half a deviation, over that.
+/// Depth of the rest below zero once the foam has recovered except for half a deviation, over the deviation.
 const RECOVERED_BELOW: f64 = FOLLOWS_BELOW - 0.5;
 /// Least deviation that is believed, counts: a whole count's own, with some noise to dither it.
 pub const LEAST_DEVIATION: f64 = 0.5;
@@ -38,17 +38,17 @@ pub struct Cusum {
     /// Over the deviation.
     sum: f64,
     touched: bool,
-    /// What the foam rests at, counts below zero, while that is not zero.
+    /// Rest of the foam, counts below zero, while it is not zero.
     rest: Option<f64>,
 }
 
 impl Cusum {
-    /// Of a foam that recovers from a touch, which ended `below` counts below zero.
+    /// Starts from a foam that recovers from a touch, which ended `below` counts below zero.
     pub const fn recovering_from(below: f64) -> Self {
         Self { sum: 0.0, touched: false, rest: Some(below) }
     }
 
-    /// Whether a foam that recovered has, as far as a taxel can tell whose noise had this `deviation` at the tare.
+    /// Returns true if the foam has recovered, as far as a taxel can tell whose noise had this `deviation` at the tare.
     pub fn has_recovered(&self, deviation: f64) -> bool {
         self.rest.is_none_or(|rest| rest <= -RECOVERED_BELOW * deviation.max(LEAST_DEVIATION))
     }
@@ -60,8 +60,8 @@ impl Cusum {
         self.add(below / deviation.max(LEAST_DEVIATION))
     }
 
-    /// The same where zero is not known, `dt_s` after the frame before: what counts is how far below its rest the frame
-    /// lies.
+    /// Updates while zero is not known, `dt_s` after the frame before: the depth below the present rest
+    /// counts.
     pub fn update_recovering(&mut self, below: f64, deviation: f64, dt_s: f64) -> bool {
         let rest = self.rest.unwrap_or(0.0);
         let follows_s = if below < rest { FALLS_S } else { RISES_S };
@@ -76,7 +76,7 @@ impl Cusum {
         self.touched
     }
 
-    /// Whether somebody touched it at the last frame.
+    /// Returns true if the last frame showed a touch.
     pub const fn touched(&self) -> bool {
         self.touched
     }

@@ -1,4 +1,4 @@
-//! What runs on a board: it decides rate and age of the data, and a calibration is bound to it.
+//! Firmware of a board: it decides rate and age of the data, and a calibration is bound to it.
 
 /// Worst age of FDAT when a stock board reads it over I²C, ns: 4.5 from the middle of the window to its last sample, 10 until
 /// the next refresh, and the time of a scan.

@@ -19,7 +19,7 @@ pub const MAX_KNOTS: usize = 16;
 
 /// Knots of [`TaxelModel::PU_LD30`], counts below zero.
 const PU_LD30_COUNTS: [f64; 10] = [8.0, 12.0, 17.0, 23.0, 29.0, 36.0, 45.0, 55.0, 68.0, 85.0];
-/// The same, N.
+/// Forces of the curve, N.
 const PU_LD30_FORCE_N: [f64; 10] = [9.62, 19.84, 29.75, 40.74, 50.37, 60.11, 70.62, 80.22, 90.56, 101.12];
 
 /// A monotone piecewise-linear curve through (0, 0): counts below zero to newtons. Beyond its last knot it goes on
@@ -128,7 +128,7 @@ pub struct CompensatedCurve {
     share: [f64; 3],
 }
 
-/// What a foam remembers, N. All 0 at rest.
+/// Memory of a foam, N. All 0 at rest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct FoamMemory {
@@ -211,9 +211,9 @@ impl TaxelModel {
     /// been calibrated. `moca-lab characterize` fits it, and a test there compares.
     pub const PU_LD30: Self = Self::Monotone(MonotoneCurve::fixed(PU_LD30_COUNTS, PU_LD30_FORCE_N));
 
-    /// How wrong a reading of a press of [`ASSUMED_ERROR_FROM_N`] or more may be where this model was assumed and not
-    /// measured, as a share of the force: simulated PU LD30, as soft and as stiff as nominal ± 10 %, pressed and
-    /// released (`moca-lab characterize` prints it). Another foam may be further off.
+    /// Returns the largest error of a press of [`ASSUMED_ERROR_FROM_N`] or more where this model was assumed and not measured, as a
+    /// share of the force: simulated PU LD30, as soft and as stiff as nominal ± 10 %, pressed and
+    /// released (`moca-lab characterize` prints it). The error on another foam may be larger.
     pub fn assumed_error(&self) -> f64 {
         if *self == Self::PU_LD30 { 0.50 } else { 0.55 }
     }

@@ -75,7 +75,7 @@ pub enum TareRefusal {
         taxel: usize,
         /// Mean over the tare, counts.
         counts: f64,
-        /// What the calibration expects.
+        /// Reading at rest that the calibration expects.
         expected: ExpectedRest,
     },
     /// FDAT at rest is too far from where the taxel was calibrated: calibrate again.
@@ -91,7 +91,7 @@ pub enum TareRefusal {
     StreamFault,
 }
 
-/// Where a taxel stands when nothing touches it, from its calibration: a second opinion on every tare.
+/// Reading of an untouched taxel, from its calibration: a second opinion on every tare.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ExpectedRest {
@@ -101,7 +101,7 @@ pub struct ExpectedRest {
     pub range_counts: f64,
 }
 
-/// How good a zero is.
+/// Quality of a zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct TareQuality {
@@ -158,7 +158,7 @@ impl TaxelZero {
         self.counts += (error * dt_s / DRIFT_TIME_S).clamp(-limit, limit);
     }
 
-    /// Whether the zero has moved further than its budget since the tare.
+    /// Returns true if the zero has moved further than its budget since the tare.
     pub fn drifted(&self) -> bool {
         libm::fabs(self.counts - self.tared_counts) > DRIFT_BUDGET
     }
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tare_takes_mean_and_deviation_and_its_bounds_are_still_inside() {
+    fn tare_takes_mean_and_deviation_within_bounds() {
         let zero = tared(&[(719, 720), (721, 724), (720, 716), (720, 720)]).unwrap();
         assert!((zero.counts - 720.0).abs() < 1e-9 && (zero.deviation - (2.0_f64 / 3.0).sqrt()).abs() < 1e-9);
         // The baseline's mean decides, not its last value.
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn slow_drift_is_followed_with_its_time_constant_and_fast_drift_at_its_limit() {
+    fn drift_is_followed_up_to_its_rate_limit() {
         let zero = TaxelZero { counts: 700.0, tared_counts: 700.0, deviation: 0.7, gain: 1.0 };
         // One whole count at 0.1 s: the limit is 0.002 counts, 1/300 of the error would be 0.0033.
         let (mut slow, mut fast) = (TaxelZero { counts: 700.7, ..zero }, zero);

@@ -1,4 +1,4 @@
-//! What a board's reader tells of its stream besides frames.
+//! Events of a board's reader besides frames.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has to stop")]
 
 use moca_msgs::Fault;
@@ -97,7 +97,7 @@ fn each_thing_that_is_wrong_shows_in_its_own_place_and_ends() {
 }
 
 #[test]
-fn a_frame_under_way_is_told_from_its_data_on_and_not_where_its_age_is_unknown() {
+fn pending_frame_is_announced_if_age_is_known() {
     let mut stream = Stream::new();
     let begin = [Line::Touch, Line::TouchThreshold, Line::ReleaseThreshold];
     let data_of = |stream: &mut Stream, filtered: u16| {
@@ -136,7 +136,13 @@ fn what_our_firmware_says_of_its_chips_is_there_to_be_read() {
         [(0, 1, Flags::SETTLING), (0, 4, Flags::SETTLING), (1, 1, Flags::OUT_OF_RANGE)]
     {
         let content = Content::Data(flags);
-        let line = touchline::Line { bank, sequence, device_us: 5, values: [700; 12], content };
+        let line = touchline::Line {
+            bank,
+            sequence,
+            device_us: 5000 * u32::from(sequence),
+            values: [700; 12],
+            content,
+        };
         let mut bytes = Vec::new();
         touchline::emit(&line, &mut bytes);
         assert_eq!(stream.take(&bytes), None, "its clock is not known yet");
@@ -157,7 +163,7 @@ fn what_our_firmware_says_of_its_chips_is_there_to_be_read() {
 }
 
 #[test]
-fn a_board_of_ours_that_is_told_to_speak_datastream_keeps_its_counts_and_its_clock() {
+fn our_board_in_datastream_keeps_counts_and_clock() {
     let mut stream = Stream::new();
     let content = Content::Data(Flags::default());
     let line = touchline::Line { bank: 0, sequence: 1, device_us: 5, values: [700; 12], content };
@@ -204,7 +210,7 @@ fn what_another_sketch_writes_says_which_one_it_is() {
 }
 
 #[test]
-fn bytes_that_make_no_frame_are_silence_for_a_while_and_then_not_a_touch_board() {
+fn bytes_without_frames_become_not_a_touch_board() {
     let mut stream = Stream::new();
     assert_eq!(stream.take(&[b'~'; 1200]), None);
     assert_eq!(stream.board.diagnosis(), Diagnosis::Silent);

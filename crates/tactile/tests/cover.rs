@@ -112,11 +112,13 @@ fn without_a_zero_there_is_a_fault_and_no_force() {
 }
 
 #[test]
-fn a_tare_gives_zero_quality_and_a_robot_that_does_not_feel_noise() {
+fn tare_gives_quality_and_hides_noise() {
     let mut bench = Bench::tared();
     let TareStatus::Done(quality) = bench.cover.tare_status() else { panic!() };
     assert_eq!(quality.frames, TARE_FRAMES);
     assert!((0.5..1.5).contains(&quality.worst_deviation), "{quality:?}");
+    let known = bench.cover.zeros().iter().flatten().fold(0.0, |worst: f64, zero| worst.max(zero.deviation));
+    assert!((known - quality.worst_deviation).abs() < f64::EPSILON, "{known} {quality:?}");
     for _ in 0..2400 {
         bench.frame();
         assert_eq!(bench.cover.poll(bench.now_ns).forces, Ok([0.0; 11]));
@@ -137,7 +139,7 @@ fn contact_begins_at_four_counts_and_ends_below_two() {
 }
 
 #[test]
-fn a_touch_too_light_for_a_force_is_found_in_some_frames_and_lost_again() {
+fn subthreshold_touch_is_found_and_lost_again() {
     let mut bench = Bench::tared();
     let early = |bench: &mut Bench| bench.cover.poll(bench.now_ns).early.light;
     for _ in 0..4000 {
@@ -172,7 +174,7 @@ fn a_light_touch_is_found_beside_a_firm_one() {
 
 /// After a touch the foam comes back by an exponential: that is not felt, and who comes again meanwhile is.
 #[test]
-fn a_light_touch_is_found_while_the_foam_recovers_and_the_recovery_is_none() {
+fn light_touch_is_found_on_recovering_foam() {
     let mut bench = Bench::tared();
     let light = |bench: &mut Bench| bench.cover.poll(bench.now_ns).early.light[4];
     let left = |frames: f64| 1.9 * (-frames * 0.0247 / 0.4).exp();
@@ -203,7 +205,7 @@ fn a_light_touch_is_found_while_the_foam_recovers_and_the_recovery_is_none() {
 /// While somebody leans on one taxel for minutes the others' drift is not followed, and a foam that is slow keeps counts
 /// below zero for longer than drift waits: neither is a touch.
 #[test]
-fn what_drifts_beside_a_long_touch_or_recovers_for_long_is_no_light_touch() {
+fn drift_or_long_recovery_is_no_light_touch() {
     let mut bench = Bench::tared();
     let light = |bench: &mut Bench| bench.cover.poll(bench.now_ns).early.light;
     bench.drop[4] = 20.0;
@@ -280,7 +282,7 @@ fn a_zero_taken_under_a_hand_is_void_once_the_hand_has_gone() {
 }
 
 #[test]
-fn a_rise_below_the_touch_threshold_or_of_a_lost_plate_is_not_a_hand_that_left() {
+fn small_rise_or_lost_plate_is_no_release() {
     let mut bench = Bench::tared();
     bench.drop[2] = -3.0;
     bench.frames(400);
@@ -292,7 +294,7 @@ fn a_rise_below_the_touch_threshold_or_of_a_lost_plate_is_not_a_hand_that_left()
 }
 
 #[test]
-fn a_calibration_refuses_a_tare_where_the_taxel_does_not_stand_at_rest() {
+fn calibration_refuses_tare_away_from_rest() {
     let expected = ExpectedRest { counts: IDLE, range_counts: 10.0 };
     let config = CoverConfig { expected_rest: [Some(expected); 11], ..CoverConfig::default() };
     for (drop, refused) in [(28.0, true), (-28.0, true), (8.0, false), (-8.0, false)] {
@@ -402,7 +404,7 @@ fn silence_while_the_host_did_not_run_is_the_hosts() {
 }
 
 #[test]
-fn frames_that_come_too_seldom_are_called_that_and_no_plate_is_blamed() {
+fn slow_frames_are_named_without_blaming_a_plate() {
     let mut bench = Bench::tared();
     for _ in 0..20 {
         bench.now_ns += 111_000_000 - PERIOD_NS;

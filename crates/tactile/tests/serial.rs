@@ -31,7 +31,7 @@ fn wait_for(
 }
 
 #[test]
-fn bytes_cross_and_an_unplugged_board_is_reported_and_looked_for_again() {
+fn unplugged_board_is_reported_and_found_again() {
     let _alone = terminals();
     let (mut board, end) = TTYPort::pair().unwrap();
     let path = end.name().unwrap();

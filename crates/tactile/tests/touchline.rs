@@ -97,14 +97,25 @@ fn what_is_wrong_with_a_line_is_said() {
     assert!(!is_note(b"# moca-touch 1 chips D name - 695E"));
 }
 
+/// Frames of a stream whose bytes arrive as fast as they were sent, `size` at a time: values and baselines of the last 400.
+fn last_frames(board: &mut BoardMonitor, stream: &[u8], size: usize) -> Vec<([u16; 12], [u16; 12])> {
+    let mut sent = 0;
+    let mut taken = Vec::new();
+    for chunk in stream.chunks(size) {
+        sent += chunk.len() as u64;
+        let arrived = frames(board, chunk, sent * 4_000_000_000 / stream.len() as u64);
+        taken.extend(arrived.iter().map(|frame| (frame.fdat, frame.baseline)));
+    }
+    taken.split_off(taken.len() - 400)
+}
+
 #[test]
 fn a_recording_is_one_stream_however_it_is_cut() {
-    let whole = frames(&mut BoardMonitor::new([true; MAX_ELECTRODES]), &bytes("moca-touch"), 0);
+    let stream = bytes("moca-touch");
+    let whole = last_frames(&mut BoardMonitor::new([true; MAX_ELECTRODES]), &stream, 61);
     for size in [1, 7, 64, 1000] {
         let mut board = BoardMonitor::new([true; MAX_ELECTRODES]);
-        let stream = bytes("moca-touch");
-        let cut: Vec<_> = stream.chunks(size).flat_map(|chunk| frames(&mut board, chunk, 0)).collect();
-        assert_eq!(cut, whole, "chunks of {size}");
+        assert!(last_frames(&mut board, &stream, size) == whole, "chunks of {size}");
         assert_eq!((board.stats().frames_bad, board.stats().frames_lost), (0, 0));
     }
 }
@@ -130,33 +141,57 @@ fn the_recording_has_its_rate_age_and_firmware() {
     assert!(hold_ns <= said_ns + 500_000 && hold_ns > said_ns - 2_000_000, "{hold_ns}, said {said_ns}");
 }
 
+/// A running board, and lines that go on where it is, each with the time at which it arrives.
+struct Continued {
+    board: BoardMonitor,
+    now_ns: u64,
+    next: Line,
+}
+
+impl Continued {
+    fn new() -> Self {
+        let (board, now_ns) = running();
+        let sent: Vec<u8> = reads("moca-touch").into_iter().take(600).flat_map(|(_, bytes)| bytes).collect();
+        let mut data = sent.split(|&byte| byte == b'\n').filter_map(|line| parse(line).ok());
+        let next = data.rfind(|line| matches!(line.content, Content::Data(_))).unwrap();
+        Self { board, now_ns, next }
+    }
+
+    /// Sends a line 4 ms after the last one, with the next number, stamp and values; `change` spoils it.
+    fn send(&mut self, change: impl FnOnce(&mut Line)) -> Vec<SampledFrame> {
+        self.now_ns += 4_000_000;
+        self.next.sequence = self.next.sequence.wrapping_add(1);
+        self.next.device_us = self.next.device_us.wrapping_add(4000);
+        self.next.values[0] ^= 1;
+        self.next.content = Content::Data(Flags::NEW);
+        let mut line = self.next;
+        change(&mut line);
+        let mut bytes = Vec::new();
+        emit(&line, &mut bytes);
+        frames(&mut self.board, &bytes, self.now_ns)
+    }
+
+    fn fault(&self) -> Option<Fault> {
+        self.board.fault(self.now_ns)
+    }
+}
+
 #[test]
 fn a_torn_line_costs_one_frame_and_a_lost_one_is_counted() {
-    let (mut board, mut now_ns) = running();
-    let before = *board.stats();
-    let all = lines("moca-touch");
-    let at = all.iter().position(|line| parse(line).unwrap().sequence == 800).unwrap();
-    let send = |board: &mut BoardMonitor, line: &[u8], now_ns: &mut u64| {
-        *now_ns += 4_000_000;
-        frames(board, &[line, b"\n"].concat(), *now_ns)
-    };
-    let first = board.stats().frames_lost;
-    send(&mut board, &all[at], &mut now_ns);
-    let jump = board.stats().frames_lost - first;
-    send(&mut board, &all[at + 1][..40], &mut now_ns);
-    send(&mut board, &all[at + 2], &mut now_ns);
-    let after = *board.stats();
-    assert_eq!((after.frames_bad - before.frames_bad, after.frames_lost - before.frames_lost - jump), (1, 1));
+    let mut stream = Continued::new();
+    assert_eq!(stream.send(|_| {}).len(), 1);
+    let before = *stream.board.stats();
+    frames(&mut stream.board, b"C 0258 0024A5B4 2C82C82C72C82C8\n", stream.now_ns);
+    stream.next.sequence += 1;
+    stream.next.device_us += 4000;
+    stream.now_ns += 4_000_000;
+    assert_eq!(stream.send(|_| {}).len(), 1);
+    let after = *stream.board.stats();
+    assert_eq!((after.frames_bad - before.frames_bad, after.frames_lost - before.frames_lost), (1, 1));
 }
 
 #[test]
 fn each_flag_is_a_fault_of_its_own_and_ends_with_it() {
-    let (board, now_ns) = running();
-    let last = lines("moca-touch")
-        .into_iter()
-        .map(|line| parse(&line).unwrap())
-        .rfind(|line| matches!(line.content, Content::Data(flags) if flags.is_new()));
-    let template = last.unwrap();
     for (flag, fault) in [
         (Flags::BUS_FAULT, Some(Fault::BoardFrozen)),
         (Flags::CHIP_RESET, Some(Fault::BoardReset)),
@@ -165,16 +200,106 @@ fn each_flag_is_a_fault_of_its_own_and_ends_with_it() {
         (Flags::DROPPED, None),
         (Flags::NEW, None),
     ] {
-        let mut board = board.clone();
-        let mut bytes = Vec::new();
-        emit(&Line { content: Content::Data(flag), ..template }, &mut bytes);
-        frames(&mut board, &bytes, now_ns + 4_000_000);
-        assert_eq!(board.fault(now_ns + 4_000_000), fault, "{flag:?}");
-        let mut bytes = Vec::new();
-        emit(&Line { content: Content::Data(Flags::NEW), ..template }, &mut bytes);
-        frames(&mut board, &bytes, now_ns + 8_000_000);
-        assert_eq!(board.fault(now_ns + 8_000_000), None, "{flag:?}");
+        let mut stream = Continued::new();
+        stream.send(|line| line.content = Content::Data(flag));
+        assert_eq!(stream.fault(), fault, "{flag:?}");
+        stream.send(|_| {});
+        assert_eq!(stream.fault(), None, "{flag:?}");
     }
+}
+
+#[test]
+fn jump_of_clock_or_number_is_a_restart_until_16_lines_agree() {
+    type Spoil = fn(&mut Line);
+    let spoils: [(&str, Spoil); 6] = [
+        ("clock 10 s ahead", |line| line.device_us = line.device_us.wrapping_add(10_000_000)),
+        ("clock 10 s back", |line| line.device_us = line.device_us.wrapping_sub(10_000_000)),
+        ("clock 100 ms back", |line| line.device_us = line.device_us.wrapping_sub(100_000)),
+        ("10 lines skipped in 4 ms", |line| line.sequence = line.sequence.wrapping_add(10)),
+        ("60 000 lines skipped", |line| line.sequence = line.sequence.wrapping_add(60_000)),
+        ("5 lines back", |line| line.sequence = line.sequence.wrapping_sub(5)),
+    ];
+    for (name, spoil) in spoils {
+        let mut stream = Continued::new();
+        assert_eq!((stream.send(|_| {}).len(), stream.fault()), (1, None), "{name}");
+        spoil(&mut stream.next);
+        for line in 0..15 {
+            assert_eq!(stream.send(|_| {}), [], "{name}, line {line}");
+            assert_eq!(stream.fault(), Some(Fault::BoardReset), "{name}, line {line}");
+        }
+        for _ in 0..3 {
+            stream.send(|_| {});
+        }
+        assert_eq!((stream.send(|_| {}).len(), stream.fault()), (1, None), "{name}: believed again");
+    }
+}
+
+#[test]
+fn jump_of_clock_or_number_voids_the_zero() {
+    for jump_us in [0, 10_000_000] {
+        let mut cover = Cover::<11>::new(CoverConfig::default()).unwrap();
+        for (arrival_ns, bytes) in reads("moca-touch") {
+            if (1_000_000_000..1_004_000_000).contains(&arrival_ns) {
+                cover.start_tare(arrival_ns);
+            }
+            let mut spoiled = Vec::new();
+            for line in bytes.split(|&byte| byte == b'\n').filter_map(|line| parse(line).ok()) {
+                let ahead_us = if arrival_ns > 3_000_000_000 { jump_us } else { 0 };
+                emit(&Line { device_us: line.device_us.wrapping_add(ahead_us), ..line }, &mut spoiled);
+            }
+            cover.push(0, &spoiled, arrival_ns);
+        }
+        assert_eq!(cover.zero_valid(), jump_us == 0, "clock {jump_us} us ahead");
+    }
+}
+
+#[test]
+fn delayed_lines_are_as_old_as_their_stamps_say() {
+    let mut stream = Continued::new();
+    let on_time = stream.send(|_| {})[0];
+    stream.now_ns += 100_000_000;
+    for _ in 0..5 {
+        let late = stream.send(|_| {})[0];
+        let older_ns =
+            (late.complete_ns - late.sampled_at_ns) - (on_time.complete_ns - on_time.sampled_at_ns);
+        assert!(older_ns.abs_diff(100_000_000) < 100_000, "{older_ns} ns");
+        assert_eq!(stream.fault(), None);
+    }
+}
+
+#[test]
+fn repeated_number_is_refused_and_nothing_else_is_silence() {
+    let mut stream = Continued::new();
+    stream.send(|_| {});
+    let (before, number) = (*stream.board.stats(), stream.next.sequence);
+    for i in 0..31 {
+        assert_eq!(stream.fault(), None, "after {i} lines");
+        // a stamp of its own, and other values
+        assert_eq!(stream.send(|line| line.sequence = number), [], "line {i}");
+    }
+    assert_eq!(stream.fault(), Some(Fault::BoardSilent));
+    let after = *stream.board.stats();
+    assert_eq!((after.frames_bad - before.frames_bad, after.frames_good - before.frames_good), (31, 0));
+}
+
+#[test]
+fn data_called_new_that_is_what_it_was_is_not_younger_for_it() {
+    let mut stream = Continued::new();
+    let first = stream.send(|_| {})[0];
+    // the same values again, 1 ms later, with a number and a stamp of their own
+    stream.next.values[0] ^= 1;
+    stream.next.device_us -= 3000;
+    stream.now_ns -= 3_000_000;
+    let again = stream.send(|_| {})[0];
+    assert_eq!(again.fdat, first.fdat);
+    assert_eq!((again.complete_ns, again.sampled_at_ns), (stream.now_ns, first.sampled_at_ns));
+}
+
+#[test]
+fn without_a_line_of_baselines_for_3_s_nothing_is_used() {
+    let mut stream = Continued::new();
+    let used: usize = (0..1000).map(|_| stream.send(|_| {}).len()).sum();
+    assert!((700..=750).contains(&used), "{used} of 1000 lines");
 }
 
 #[test]

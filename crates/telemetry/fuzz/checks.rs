@@ -1,11 +1,11 @@
-//! What must hold for every input; shared by the fuzz targets and by the ordinary tests.
+//! Invariants for every input; shared by the fuzz targets and by the ordinary tests.
 
 use moca_telemetry::log::{LogError, LogFile, LogReader, Record};
 use moca_telemetry::net::wire;
 use std::io::Cursor;
 use std::path::Path;
 
-/// What a client sends is refused or understood, and what is understood is sent again as the same bytes mean.
+/// A client's bytes are refused or decoded, and what is decoded encodes to the same meaning.
 pub(crate) fn from_client(data: &[u8]) {
     let Ok(message) = wire::decode_from_client(data) else { return };
     let again = wire::encode(&message).unwrap();
@@ -13,7 +13,7 @@ pub(crate) fn from_client(data: &[u8]) {
     assert_eq!(wire::encode(&back).unwrap(), again, "{message:?}");
 }
 
-/// What a server sends, its greeting first.
+/// Bytes of a server, its greeting first.
 pub(crate) fn from_server(data: &[u8]) {
     // Either it greets or it says why not: any answer will do, for any bytes.
     let _ = wire::decode_greeting(data);

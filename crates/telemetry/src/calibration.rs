@@ -10,7 +10,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// What a client may ask. Only the commander's requests are heard.
+/// Request of a client. Only the commander's requests are taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CalibrationRequest {
     /// Begin with one taxel; what was not saved is forgotten.
@@ -29,7 +29,7 @@ pub enum CalibrationRequest {
     },
 }
 
-/// How far a calibration has come.
+/// Progress of a calibration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum CalibrationProgress {
     /// The daemon cannot calibrate, and why.
@@ -72,7 +72,7 @@ pub enum CalibrationProgress {
     Failed(String),
 }
 
-/// What a taxel's presses gave.
+/// Fit of a taxel's presses.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CalibrationFit {
     /// 0 is T1.
@@ -83,18 +83,18 @@ pub struct CalibrationFit {
     pub models: Vec<FittedModel>,
 }
 
-/// How well one kind of model describes the presses.
+/// Quality of one kind of model on the presses.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FittedModel {
     /// Name shown to users.
     pub name: String,
-    /// Whether a cover can use it; a line with an intercept reads its intercept when untouched.
+    /// True if a cover can use it; a line with an intercept reads its intercept when untouched.
     pub usable: bool,
     /// Root mean square error, N.
     pub rmse_n: f64,
-    /// The same while the force rose, N.
+    /// Root mean square error while the force rose, N.
     pub rmse_loading_n: f64,
-    /// The same while it fell, N.
+    /// Root mean square error while it fell, N.
     pub rmse_unloading_n: f64,
     /// Largest error, N.
     pub worst_n: f64,

@@ -1,4 +1,4 @@
-//! What a client must know once: who the robot is, its geometry, its limits.
+//! Description of the robot that a client receives once: name, geometry, limits.
 //!
 //! ```
 //! use moca_telemetry::RobotDescription;
@@ -17,19 +17,19 @@ use serde::{Deserialize, Serialize};
 pub struct RobotDescription {
     /// Name of this robot, chosen by its owner.
     pub name: String,
-    /// Whether the plant is a simulation, which can be pressed by request.
+    /// True if the plant is a simulation, which can be pressed by request.
     pub simulated: bool,
     /// Period of the loop, s.
     pub period_s: f64,
     /// Length (x), width (y), height (z) of the base, m.
     pub base_size_m: [f64; 3],
-    /// What the arm is called; empty without one.
+    /// Name of the arm; empty without one.
     #[serde(default)]
     pub arm_name: String,
     /// The arm; one without joints is none.
     #[serde(default)]
     pub arm: AnyArm,
-    /// Where it stands on the base.
+    /// Place of the arm on the base.
     #[serde(default)]
     pub mount: Mount,
     /// The taxels, T1 first.
@@ -48,7 +48,7 @@ pub struct RobotDescription {
     /// Why the speed limit that the board's rate sets is overridden, in its owner's words; empty if it is not.
     #[serde(default)]
     pub speed_override: String,
-    /// What a force is worth on a cover that has not been calibrated, in one sentence; empty if it has been.
+    /// Accuracy of forces on an uncalibrated cover, in one sentence; empty if it is calibrated.
     #[serde(default)]
     pub uncalibrated: String,
     /// The robot as a URDF; empty where nobody wrote one.

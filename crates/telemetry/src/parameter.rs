@@ -22,7 +22,7 @@ use std::fmt;
 pub struct ParameterDescription {
     /// Dotted name as in the configuration file.
     pub name: String,
-    /// What it may hold.
+    /// Values that it may hold.
     pub form: ParameterForm,
     /// Unit of each element, or one for all; empty where there is none.
     pub units: Vec<String>,
@@ -30,7 +30,7 @@ pub struct ParameterDescription {
     pub min: f64,
     /// Largest allowed value.
     pub max: f64,
-    /// Whether it can be changed while the loop runs.
+    /// True if it can be changed while the loop runs.
     pub live: bool,
     /// One line for the user.
     pub description: String,
@@ -40,7 +40,7 @@ pub struct ParameterDescription {
     pub value: ParameterValue,
 }
 
-/// What a parameter may hold.
+/// Values that a parameter may hold.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ParameterForm {
     /// A number, or a list of them.
@@ -56,7 +56,7 @@ pub enum ParameterForm {
     Choice(Vec<String>),
 }
 
-/// What a parameter holds.
+/// Value of a parameter.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ParameterValue {
     /// Its elements.

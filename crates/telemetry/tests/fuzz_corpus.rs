@@ -75,7 +75,7 @@ fn log() -> Vec<u8> {
     bytes
 }
 
-/// Where each chunk ends, and how many samples lie before.
+/// Returns the end of each chunk, and the number of samples before it.
 fn chunk_ends(bytes: &[u8]) -> Vec<(usize, usize)> {
     let summary = mcap::Summary::read(bytes).unwrap().unwrap();
     let mut samples = 0;
@@ -125,7 +125,7 @@ fn the_corpus_passes() {
 }
 
 #[test]
-fn of_a_damaged_log_everything_before_the_damage_is_kept_and_what_is_missing_is_said() {
+fn damaged_log_keeps_everything_before_the_damage() {
     // `MUTATIONS=100000` for longer.
     let mutations = std::env::var("MUTATIONS").map_or(1000, |count| count.parse().unwrap());
     let whole = log();

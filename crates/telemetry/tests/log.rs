@@ -177,7 +177,7 @@ fn log(count: u32) -> Vec<u8> {
     bytes
 }
 
-/// Whether a viewer is shown this tick: each 20 ms, and whenever something happens.
+/// Returns true if a viewer is shown this tick: each 20 ms, and at every event.
 fn is_shown(tick: u32) -> bool {
     let slot = |tick: u32| sample(tick).time_ns / 20_000_000;
     let state = |tick: u32| (sample(tick).mode, sample(tick).fault, sample(tick).board);
@@ -186,7 +186,7 @@ fn is_shown(tick: u32) -> bool {
     tick == 0 || eventful || slot(tick - 1) != slot(tick) || state(tick - 1) != state(tick)
 }
 
-/// What a viewer is shown of these ticks: the worst of the loop's timing stands for the ticks that are not.
+/// Returns the samples that a viewer is shown of these ticks: the worst timing stands for the ticks that are left out.
 fn displayed(ticks: std::ops::Range<u32>) -> Vec<Sample> {
     let mut worst = (0.0_f64, [0; 5]);
     let mut samples = Vec::new();
@@ -203,7 +203,7 @@ fn displayed(ticks: std::ops::Range<u32>) -> Vec<Sample> {
 }
 
 #[test]
-fn a_viewer_gets_every_event_and_seven_digits_fifty_times_a_second() {
+fn viewer_gets_events_and_seven_digits_at_50_hz() {
     let file = TempFile::new("round-trip");
     std::fs::write(&file.0, log(2000)).unwrap();
     let read = read_log(&file.0).unwrap();
@@ -245,12 +245,13 @@ fn blocks_of_ticks_come_back_byte_by_byte_in_their_place() {
 fn an_old_log_is_refused_by_the_name_of_its_form() {
     let file = TempFile::new("old");
     let mut bytes = Vec::new();
-    let mut old = mcap::Writer::new(std::io::Cursor::new(&mut bytes)).unwrap();
+    let mut old =
+        mcap::WriteOptions::new().profile("moca-s/2").create(std::io::Cursor::new(&mut bytes)).unwrap();
     old.finish().unwrap();
     drop(old);
     std::fs::write(&file.0, bytes).unwrap();
     let refused = read_log(&file.0).unwrap_err().to_string();
-    assert!(refused.contains("is a log of form moca-s/1, this program reads moca-s/4"), "{refused}");
+    assert!(refused.contains("is a log of form moca-s/2, this program reads moca-s/4"), "{refused}");
     assert!(matches!(LogFile::open(&file.0), Err(LogError::OtherForm { .. })));
 }
 
@@ -331,7 +332,7 @@ impl Seek for Counted {
 }
 
 #[test]
-fn eight_hours_open_by_their_index_and_overview_and_a_look_reads_what_it_shows() {
+fn eight_hour_log_opens_by_index() {
     const SECONDS: u64 = 8 * 3600;
     let file = TempFile::new("eight-hours");
     let output = std::io::BufWriter::new(std::fs::File::create(&file.0).unwrap());
@@ -436,6 +437,27 @@ fn a_disk_that_refuses_is_told_at_once() {
 }
 
 #[test]
+fn recording_that_is_truncated_is_reported() {
+    let file = TempFile::new("truncated");
+    let (mut samples, from_loop) = rtrb::RingBuffer::new(64);
+    let recorder = Recorder::create(&file.0, &meta(), from_loop, RecorderOptions::default()).unwrap();
+    let shorten = || std::fs::OpenOptions::new().write(true).open(&file.0).and_then(|log| log.set_len(0));
+    let mut tick = 0;
+    while recorder.failure().is_none() {
+        // A chunk ends each half second of the loop's time.
+        if samples.push(sample(tick)).is_ok() {
+            tick += 20;
+        }
+        if tick > 20_000 {
+            shorten().unwrap();
+        }
+        assert!(tick < 10_000_000, "nothing was said of a file that is cut all the time");
+    }
+    let said = recorder.finish().unwrap_err().to_string();
+    assert!(said.contains("another program truncated it to 0 of "), "{said}");
+}
+
+#[test]
 fn a_value_that_is_no_number_stays_one() {
     let file = TempFile::new("nan");
     let mut bytes = Vec::new();
@@ -454,7 +476,7 @@ fn a_value_that_is_no_number_stays_one() {
     assert_eq!(read.base_pose_world[0], shown(&bad).base_pose_world[0]);
 }
 
-/// Where each chunk of `bytes` ends, and how many samples the file holds up to there, as the `mcap` library sees it.
+/// Returns the end of each chunk of `bytes`, and the number of samples up to there, as the `mcap` library sees it.
 fn chunk_ends(bytes: &[u8]) -> Vec<(usize, usize)> {
     let summary = mcap::Summary::read(bytes).unwrap().unwrap();
     let mut samples = 0;
@@ -482,8 +504,10 @@ fn a_cut_anywhere_gives_everything_up_to_the_last_whole_chunk() {
     let mut tried = 0;
     for cut in cuts {
         std::fs::write(&file.0, &bytes[..cut]).unwrap();
-        if cut < 8 {
-            assert!(matches!(read_log(&file.0), Err(LogError::NotMcap(_))), "cut at {cut}");
+        if cut < ends[0].0 {
+            let refused = read_log(&file.0).unwrap_err();
+            assert!(refused.is_of_no_log(), "cut at {cut}: {refused}");
+            assert_eq!(matches!(refused, LogError::NotMcap(_)), cut < 8, "cut at {cut}: {refused}");
             continue;
         }
         let read = read_log(&file.0).unwrap();
@@ -580,7 +604,7 @@ fn the_recorder_writes_what_waits_when_it_is_told_to_finish() {
 }
 
 #[test]
-fn an_existing_file_is_not_overwritten_and_other_files_are_refused() {
+fn existing_file_is_kept_and_foreign_file_refused() {
     let file = TempFile::new("existing");
     std::fs::write(&file.0, "somebody's thesis, not a log").unwrap();
     let (_, samples) = rtrb::RingBuffer::new(1);

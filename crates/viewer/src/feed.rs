@@ -6,7 +6,7 @@ use moca_telemetry::{
     display::{Display, Periods, Sink},
     log::{LogError, records::Channel},
     net::{
-        Address, Client, NetError,
+        Address, Client, Endpoint, NetError,
         client::Incoming,
         wire::{Batch, FromServer},
     },
@@ -17,11 +17,11 @@ use tokio::time::timeout;
 
 /// Pause before the next attempt to connect.
 const RETRY: Duration = Duration::from_millis(250);
-/// How long a daemon may say nothing: a loop that runs sends 100 batches a second.
+/// Longest silence of a daemon: a running loop sends 100 batches a second.
 const SILENCE: Duration = Duration::from_secs(2);
-/// What changes seldom is said again after this, ns of loop time.
+/// Repeat period of seldom-changing messages, ns of loop time.
 const REPEAT_NS: u64 = 1_000_000_000;
-/// What moves is shown at most so often, ns.
+/// Shortest period of poses, ns.
 const POSES_NS: u64 = 10_000_000;
 
 /// Why a session ended.
@@ -63,7 +63,9 @@ pub(crate) async fn feed(daemon: &Address, period_ns: u64, hub: &Hub) {
 
 async fn session(daemon: &Address, period_ns: u64, hub: &Hub) -> Result<std::convert::Infallible, End> {
     let Client { description, mut incoming, outgoing: _open } =
-        timeout(SILENCE, Client::connect(daemon)).await.map_err(|_| End::Silent)??;
+        timeout(SILENCE, Client::connect(Endpoint::from(daemon).to_watch()))
+            .await
+            .map_err(|_| End::Silent)??;
     hub.begin(&description);
     let first = next_batch(&mut incoming, hub).await?;
     let mut shown = Shown::begin(&description, &first, period_ns, hub)?;
@@ -143,7 +145,7 @@ struct ToHub<'a> {
     /// Unix time of loop time 0, ns.
     start_unix_ns: u64,
     cdr: Writer,
-    /// Whether what comes now is kept for viewers that come later.
+    /// True while new messages are kept for later viewers.
     keeps: bool,
 }
 

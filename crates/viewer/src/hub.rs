@@ -1,4 +1,4 @@
-//! Who watches what: the channels of the present session, the viewers, and what waits for each of them.
+//! Channels of the present session, its viewers, and the messages that wait for each viewer.
 
 use crate::protocol::{self, FromViewer, Level};
 use moca_telemetry::RobotDescription;
@@ -21,7 +21,7 @@ const MAX_TEXTS: usize = 64;
 /// Most subscriptions of one viewer.
 const MAX_SUBSCRIPTIONS: usize = 256;
 
-/// What a viewer is sent.
+/// Message to a viewer.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Outgoing {
     Text(String),
@@ -73,7 +73,7 @@ impl Viewer {
         self.subscriptions.borrow_mut().clear();
     }
 
-    /// What to send at `now`: texts first, data only while it is fresh.
+    /// Returns the next message to send at `now`: texts first, data only while it is fresh.
     pub(crate) fn next(&self, now: Instant) -> Option<Outgoing> {
         if let Some(text) = self.texts.borrow_mut().pop_front() {
             return Some(Outgoing::Text(text));
@@ -98,7 +98,7 @@ impl Viewer {
 struct Channel {
     topic: String,
     advertised: Value,
-    /// What was said once at the beginning: a viewer that comes later gets it too.
+    /// Message sent once at the beginning and again to each later viewer.
     first: Option<(u64, Vec<u8>)>,
 }
 
@@ -191,7 +191,7 @@ impl Hub {
         (0..).zip(channels.iter()).find(|(_, channel)| channel.topic == topic).map(|(id, _)| id)
     }
 
-    /// Whether anybody would get a message on `topic`.
+    /// Returns true if a viewer subscribes to `topic`.
     pub(crate) fn is_watched(&self, topic: &str) -> bool {
         let Some(id) = self.number(topic) else { return false };
         self.viewers.borrow().values().any(|viewer| viewer.subscriptions.borrow().contains_key(&id))
@@ -278,7 +278,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_viewer_that_slept_goes_on_with_the_present_and_hears_what_it_missed() {
+    fn slept_viewer_resumes_and_hears_what_it_missed() {
         let hub = Hub::default();
         hub.add("/tf", "tf2_msgs/msg/TFMessage", "");
         let (_, viewer) = hub.enter();

@@ -20,16 +20,16 @@ use std::{net::SocketAddr, rc::Rc};
 /// Port that viewers try first.
 pub const DEFAULT_PORT: u16 = 8765;
 
-/// What is served, where and to whom.
+/// Served robot, address and allowed origins.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// The daemon.
     pub daemon: Address,
-    /// Where viewers connect; loopback only.
+    /// Address for viewers; loopback only.
     pub listen: SocketAddr,
     /// Web pages that may connect besides those of this machine.
     pub origins: Origins,
-    /// How often numbers are shown, Hz.
+    /// Rate of numbers, Hz.
     pub rate_hz: u32,
 }
 

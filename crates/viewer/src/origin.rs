@@ -24,7 +24,7 @@ impl Origins {
         Self { more: more.into_iter().collect() }
     }
 
-    /// Whether a connection may be made from `origin`.
+    /// Returns true if a connection may come from `origin`.
     pub fn allow(&self, origin: Option<&str>) -> bool {
         origin.is_none_or(|origin| {
             VIEWERS.contains(&origin)

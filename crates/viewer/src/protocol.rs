@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 /// Names of the protocol that are understood, the preferred one first; they differ in nothing that is used here.
 pub const SUBPROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 
-/// How bad a message for the viewer's user is.
+/// Severity of a message for the viewer's user.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Level {
     /// To be known.
@@ -26,7 +26,7 @@ pub enum Level {
     Error,
 }
 
-/// What a viewer asks.
+/// Message from a viewer.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FromViewer {
     /// Data of channels: number of the subscription, number of the channel.
@@ -39,7 +39,7 @@ pub enum FromViewer {
         names: Vec<String>,
         /// The viewer's own name for this request.
         id: Option<String>,
-        /// Whether it wanted to change them.
+        /// True if the viewer wanted to change the parameters.
         set: bool,
     },
     /// Every change of a parameter, or no more.

@@ -25,7 +25,7 @@ use tokio_tungstenite::{
     },
 };
 
-/// What the kernel may hold for one viewer, bytes: what it is shown first when it wakes after a sleep.
+/// Kernel's send buffer for one viewer, bytes. After a sleep the viewer is shown these bytes first.
 const SEND_BUFFER: u32 = 32 * 1024;
 /// Connections that wait to be accepted.
 const BACKLOG: u32 = 16;
@@ -33,7 +33,7 @@ const BACKLOG: u32 = 16;
 const MAX_VIEWERS: usize = 16;
 /// Longest message of a viewer, bytes.
 const MAX_MESSAGE: usize = 64 * 1024;
-/// How long a handshake may take, and a viewer may read nothing.
+/// Longest duration of a handshake, and of a viewer that reads nothing.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Binds to loopback.

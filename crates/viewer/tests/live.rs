@@ -219,7 +219,7 @@ impl Viewer {
 }
 
 #[test]
-fn pages_of_others_and_other_protocols_are_refused_with_a_reason() {
+fn foreign_pages_and_protocols_are_refused() {
     let address = server(&socket("refused"));
     let refused = |protocol: &str, origin| match connect(address, protocol, origin) {
         Err(tungstenite::Error::Http(response)) => (
@@ -279,7 +279,7 @@ fn named_in(layout: &Value, names: &mut Vec<String>) {
 }
 
 #[test]
-fn the_layout_that_is_shipped_names_topics_and_fields_that_there_are() {
+fn shipped_layout_names_existing_fields() {
     let layout = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/foxglove-layout.json");
     let mut names = Vec::new();
     named_in(&serde_json::from_str(&std::fs::read_to_string(layout).unwrap()).unwrap(), &mut names);
@@ -322,7 +322,7 @@ fn parameters_are_read_and_never_written() {
 }
 
 #[test]
-fn a_viewer_that_does_not_drain_holds_nobody_up_and_is_not_shown_the_past_as_present() {
+fn slow_viewer_blocks_nobody_and_sees_no_stale_data() {
     let path = socket("mute");
     let _daemon = Daemon::start(&path);
     let address = server(&path);
@@ -399,7 +399,7 @@ fn a_thousand_frames_of_garbage_hurt_nobody() {
 }
 
 #[test]
-fn a_daemon_that_goes_takes_its_topics_along_and_one_that_comes_brings_them() {
+fn topics_come_and_go_with_the_daemon() {
     let path = socket("restart");
     let first = Daemon::start(&path);
     let mut viewer = Viewer::connect(server(&path));

@@ -116,13 +116,16 @@ fn barrier(c: &mut Criterion) {
             .unwrap();
     let foam = FoamCurve::Hyperbolic { stiffness_n_m: 2105.0, thickness_m: 0.015 };
     let settings = BarrierSettings::new(foam, foam, 25.0, 0.015).unwrap();
-    for (name, on, touched, speed) in [
-        ("off", false, 0, 0.0),
-        ("nobody touches", true, 0, 0.0),
-        ("one taxel touched", true, 1, 0.0),
-        ("driven into one", true, 1, 0.2),
-        ("driven into three", true, 3, 0.2),
+    for (name, on, touched, speed, order_delay_s) in [
+        ("off", false, 0, 0.0, 0.0),
+        ("nobody touches", true, 0, 0.0, 0.0),
+        ("one taxel touched", true, 1, 0.0, 0.0),
+        ("one taxel touched, orders 50 ms late", true, 1, 0.0, 0.05),
+        ("one taxel touched, orders 100 ms late", true, 1, 0.0, 0.1),
+        ("driven into one", true, 1, 0.2, 0.0),
+        ("driven into three", true, 3, 0.2, 0.0),
     ] {
+        let settings = settings.with_late_orders(order_delay_s, 0.0, 0.0).unwrap();
         let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
         let mut input = input::<7, f64>(&PANDA);
         input.robot.base_velocity_world = [speed, 0.0, 0.0];
@@ -144,7 +147,9 @@ fn barrier(c: &mut Criterion) {
                     input.taxel_force_n = contacts.force_n;
                     input.guard.outward_m_s = Some(contacts.outward_m_s);
                 }
-                controller.step(ControlLaw::Impedance, &mut state, &input).unwrap()
+                let output = controller.step(ControlLaw::Impedance, &mut state, &input).unwrap();
+                barrier.ordered(&output.command.base_velocity_body).unwrap();
+                output
             });
         });
     }

@@ -12,12 +12,12 @@ pub enum ControlError {
     },
     /// Time since the last step not above 0 s.
     Step {
-        /// What was given, s.
+        /// Given period, s.
         dt_s: f64,
     },
     /// Speed limit of a guard below 0 m/s.
     GuardSpeed {
-        /// What was given, m/s.
+        /// Given speed, m/s.
         speed_m_s: f64,
     },
     /// Bounds of a guard within which the base may not stand still.
@@ -27,7 +27,7 @@ pub enum ControlError {
     },
     /// Quaternion whose length is not 1.
     NotUnit {
-        /// What was given.
+        /// Given norm.
         norm: f64,
     },
     /// A matrix that must be positive definite is not: the model's inertias are impossible.

@@ -14,7 +14,8 @@
 //! 4. **References from outside**: [`online_trajectory`] and [`reference_generator`] make of targets, however they come,
 //!    a motion with bounded velocity, acceleration and jerk; [`ControllerState::lead`] lets a law follow it.
 //! 5. **Analysis**: [`contact_stability`] answers whether a cover is stable against a body and how fast its base may go,
-//!    [`loop_stability`] whether gains are stable with a period and a robot in a posture.
+//!    [`loop_stability`] whether gains are stable with a period and a robot in a posture, [`joint_stiffness`] how stiff a
+//!    joint can be held.
 //!
 //! Numbers of joints and taxels are const generics, the scalar is `f32` or `f64`. What a user needs of `moca-msgs` and
 //! `nalgebra` is re-exported: one dependency is enough. Runnable: `cargo run -p moca-wbc --example impedance` and
@@ -83,33 +84,74 @@
 #[cfg(feature = "testing")]
 extern crate std;
 
-pub mod admittance;
-mod chain;
-pub mod contact_barrier;
-pub mod contact_stability;
-pub mod controller;
-pub mod coupled;
-pub mod cover_map;
+// A room is a folder, not a module: a path does not say in which folder its file lies. A room uses those above it.
+
 mod error;
-pub mod follow_me;
-mod gains;
-pub mod guard;
-pub mod impedance;
-pub mod limits;
+
+// math/
+#[path = "math/linalg.rs"]
 pub mod linalg;
-pub mod loop_stability;
-pub mod model;
-pub mod momentum_observer;
-pub mod online_trajectory;
-pub mod opspace;
-pub mod reach;
-pub mod reference;
-pub mod reference_generator;
+#[path = "math/rotation.rs"]
 pub mod rotation;
+#[path = "math/scalar.rs"]
 mod scalar;
+#[path = "math/spatial.rs"]
 mod spatial;
+#[path = "math/square_root/mod.rs"]
 pub mod square_root;
+
+// model/
+#[path = "model/chain.rs"]
+mod chain;
+#[path = "model/coupled.rs"]
+pub mod coupled;
+#[path = "model/cover_map.rs"]
+pub mod cover_map;
+#[path = "model/mod.rs"]
+pub mod model;
+#[path = "model/momentum_observer.rs"]
+pub mod momentum_observer;
+#[path = "model/opspace.rs"]
+pub mod opspace;
+
+// protect/
+#[path = "protect/contact_barrier/mod.rs"]
+pub mod contact_barrier;
+#[path = "protect/contact_stability.rs"]
+pub mod contact_stability;
+#[path = "protect/guard.rs"]
+pub mod guard;
+#[path = "protect/joint_stiffness.rs"]
+pub mod joint_stiffness;
+#[path = "protect/limits.rs"]
+pub mod limits;
+#[path = "protect/reach.rs"]
+pub mod reach;
+#[path = "protect/state_check.rs"]
 mod state_check;
+
+// reference/
+#[path = "reference/online_trajectory.rs"]
+pub mod online_trajectory;
+#[path = "reference/mod.rs"]
+pub mod reference;
+#[path = "reference/reference_generator.rs"]
+pub mod reference_generator;
+
+// law/
+#[path = "law/admittance.rs"]
+pub mod admittance;
+#[path = "law/controller/mod.rs"]
+pub mod controller;
+#[path = "law/follow_me.rs"]
+pub mod follow_me;
+#[path = "law/gains.rs"]
+mod gains;
+#[path = "law/impedance.rs"]
+pub mod impedance;
+#[path = "law/loop_stability.rs"]
+pub mod loop_stability;
+
 #[cfg(feature = "testing")]
 pub mod testing;
 

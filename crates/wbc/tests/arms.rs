@@ -52,7 +52,7 @@ fn check<const N: usize>(arm: &ArmTable<N>, case: &Value) {
 }
 
 #[test]
-fn fr3_and_ur10e_agree_with_pinocchio_on_any_mount_with_any_payload() {
+fn fr3_and_ur10e_agree_with_pinocchio() {
     let document: Value = serde_json::from_str(include_str!("../../../tests/fixtures/arms.json")).unwrap();
     for case in document["fr3"].as_array().unwrap() {
         check(&FR3, case);

@@ -78,7 +78,7 @@ fn a_blocked_robot_is_pulled_no_harder_than_the_saturated_error() {
 }
 
 #[test]
-fn a_moving_target_waits_for_a_blocked_robot_and_leads_a_free_one() {
+fn moving_target_waits_for_blocked_robot() {
     let controller = common::controller(&Parameters::PAPER);
     let mut state = controller.enter(ControlLaw::Impedance, &at_home()).unwrap();
     state.set_target_twist([0.0, 0.2, 0.0, 0.0, 0.0, 0.0]).unwrap();
@@ -114,7 +114,7 @@ fn targets_that_are_not_poses_are_refused() {
 }
 
 #[test]
-fn the_observer_finds_a_push_at_the_flange_with_its_sign_and_its_point() {
+fn observer_finds_flange_push_with_sign_and_point() {
     let mut plant = Loop::new(ControlLaw::Impedance, &Parameters::PAPER);
     plant.estimates = false;
     for flange_n in [[0.0, 0.0, 15.0], [12.0, 0.0, 0.0], [0.0, -10.0, 5.0]] {
@@ -133,7 +133,7 @@ fn the_observer_finds_a_push_at_the_flange_with_its_sign_and_its_point() {
 }
 
 #[test]
-fn an_accelerating_base_is_not_mistaken_for_a_push_at_the_flange() {
+fn accelerating_base_is_no_flange_push() {
     let mut plant = Loop::new(ControlLaw::FollowMe, &Parameters::PAPER);
     plant.estimates = false;
     let mut worst = 0.0_f64;

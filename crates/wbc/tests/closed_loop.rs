@@ -40,7 +40,7 @@ fn a_vertical_push_at_the_flange_meets_the_cartesian_stiffness() {
 }
 
 #[test]
-fn a_push_at_the_rear_corner_turns_the_base_and_each_correction_steadies_the_flange() {
+fn rear_corner_push_turns_base_and_flange_stays() {
     for (corrections, most) in [(LITERAL, 10.0), (DAMPED, 2.5), (COUPLED, 1.0)] {
         let ([_, y, yaw], error) = pushed(corrections, &Push::taxels(&[1], 20.0));
         assert!(y < -0.2 && yaw > 0.2 && error < most, "{corrections:?}: {y} m, {yaw} rad, {error} mm");
@@ -67,7 +67,7 @@ fn opposite_corners_are_opposite_pure_yaw_torques() {
 }
 
 #[test]
-fn the_base_follows_a_lateral_push_at_the_flange_only_if_it_is_fed() {
+fn base_follows_lateral_push_only_with_feedforward() {
     let push = flange(0.0, 15.0, 0.0);
     let ([_, against, _], error) = pushed(LITERAL, &push);
     assert!(against < 0.0 && error < 10.0, "literal: {against} m, {error} mm");
@@ -114,7 +114,7 @@ fn a_held_push_comes_to_rest_inside_the_joint_limits() {
     }
 }
 
-/// What the crate's documentation says of these pushes.
+/// The crate's documentation quotes the errors of these pushes.
 #[test]
 fn the_documented_errors_are_those_of_this_loop() {
     let page: Vec<_> =

@@ -39,7 +39,7 @@ fn seconds(steps: usize) -> f64 {
     steps as f64 * DT_S
 }
 
-/// What T6 has in one step.
+/// Readings of T6 in one step.
 #[derive(Clone, Copy, Debug)]
 struct Felt {
     /// The last reading, N, the steps since it was taken, and whether there is a touch too light for one.
@@ -66,7 +66,7 @@ impl Felt {
 /// The law of docs/math.md for one taxel that nothing else is near to.
 #[derive(Default)]
 struct Equations {
-    /// Where the base has been, m, from its start on.
+    /// Displacements of the base, m, from its start on.
     ways_m: Vec<f64>,
     /// Step at which the last reading was taken, how far outward the base was then, m, and the depth and force of each
     /// reading of a touch.
@@ -297,7 +297,7 @@ fn pressed(
     barrier.update(&input).unwrap()
 }
 
-/// How deep a body is whose force several taxels read a part of, m: forces add, depths do not.
+/// Returns the depth of a body whose force several taxels share, m: forces add, depths do not.
 fn body_m(readings_n: &[f64]) -> f64 {
     FOAM.depth_m(
         readings_n.iter().map(|reading_n| FOAM.force_n::<f64>(READING.depth_m(*reading_n))).sum::<f64>(),
@@ -338,7 +338,7 @@ fn a_seam_counts_with_what_both_taxels_feel_and_hide() {
     assert!((depth - body_m(&[6.0, 1.0])).abs() < 1e-12, "{depth}");
 }
 
-/// Where the base stands before who is touched, however lightly, it goes no further: nor with the neighbours on that side.
+/// The base goes no further before a touched person, however light the touch, nor with the neighbours on that side.
 #[test]
 fn who_is_touched_holds_his_side_of_the_cover_for_two_seconds() {
     let held = |limits: &ContactLimits<11>| -> Vec<usize> {
@@ -356,7 +356,7 @@ fn who_is_touched_holds_his_side_of_the_cover_for_two_seconds() {
     }
 }
 
-/// What is believed of a reading shrinks with the force on the whole body once the base has gone away from it.
+/// A reading's believed depth shrinks with the force on the whole body once the base has retreated from it.
 #[test]
 fn of_a_body_on_a_seam_each_taxel_is_believed_its_share() {
     let mut barrier = barrier();
@@ -395,7 +395,7 @@ fn neighbours_are_a_fifth_further_apart_at_most() {
 
 /// The tool goes along where a retreat would stretch the arm, and nowhere else.
 #[test]
-fn the_tool_goes_along_with_a_retreat_from_where_the_arm_is_stretched_to() {
+fn tool_follows_retreat_of_stretched_arm() {
     let reach = ArmReach { place_base_m: [0.1, -0.2], stretch_m: [0.25, 0.35] };
     for (force_n, from_place_m, share) in [
         (40.0, [0.18, 0.24], 0.5),

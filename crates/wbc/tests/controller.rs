@@ -27,7 +27,7 @@ fn input(robot: RobotState<7>) -> ControlInput<7, 11> {
 }
 
 #[test]
-fn a_law_entered_at_rest_gives_gravity_torques_and_a_standing_base() {
+fn law_entered_at_rest_gives_gravity_torques() {
     let controller = controller();
     let gravity = controller.model().dynamics(0.4, &PANDA.home_rad, &[0.0; 7]).gravity();
     for law in LAWS {
@@ -87,7 +87,7 @@ fn a_number_that_is_not_finite_is_an_error_and_leaves_the_state() {
 }
 
 #[test]
-fn a_base_alone_moves_as_the_base_of_the_whole_robot_that_is_led() {
+fn base_alone_moves_as_base_of_led_robot() {
     let controller = controller();
     let base: BaseController<11> = BaseController::new(&PAPER_COVER, &Parameters::PAPER).unwrap();
     let mut whole = controller.enter(ControlLaw::FollowMe, &at_home()).unwrap();
@@ -150,7 +150,7 @@ fn an_arm_alone_is_the_arm_of_the_whole_robot_untouched() {
 }
 
 #[test]
-fn a_guard_that_is_no_guard_is_refused_and_a_guard_holds_for_its_step_alone() {
+fn invalid_guard_is_refused_guard_holds_one_step() {
     let controller = controller();
     let before = controller.enter(ControlLaw::Impedance, &at_home()).unwrap();
     let mut pressed = input(at_home());
@@ -176,9 +176,9 @@ fn a_guard_that_is_no_guard_is_refused_and_a_guard_holds_for_its_step_alone() {
     assert_eq!(state, before);
 }
 
-/// What a controller gives with room for 48 taxels is to the bit what it gives with room for its own.
+/// A controller with room for 48 taxels gives the same bits as one with room for its own.
 #[test]
-fn room_for_more_taxels_changes_no_bit_and_what_stands_there_is_not_looked_at() {
+fn unused_taxel_room_changes_no_bit() {
     const ROOM: usize = 48;
     let roomy: WholeBodyController<7, ROOM> =
         WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER)
@@ -208,7 +208,7 @@ fn room_for_more_taxels_changes_no_bit_and_what_stands_there_is_not_looked_at() 
 }
 
 #[test]
-fn a_cover_has_as_many_taxels_as_its_table_and_no_more_than_there_is_room_for() {
+fn cover_with_too_many_taxels_is_refused() {
     let of = |count: usize| BaseController::<11>::new(&PAPER_COVER[..count], &Parameters::PAPER).unwrap();
     for count in [0, 1, 11] {
         let input =

@@ -48,7 +48,7 @@ fn target(kind: usize, by: &[f64; 9], robot: &Loop) -> Target<7> {
 }
 
 #[test]
-fn wherever_a_tool_is_led_no_joint_passes_its_speed_and_no_law_ends() {
+fn led_tool_passes_no_joint_speed_and_ends_no_law() {
     let speeds = JointSpeeds::<7, f64>::new(&PANDA);
     let ways = prop::collection::vec((0..4_usize, prop::array::uniform9(-1.0..1.0_f64), 500..2500_u32), 10);
     for law in [ControlLaw::FollowMe, ControlLaw::Impedance] {
@@ -81,7 +81,7 @@ fn wherever_a_tool_is_led_no_joint_passes_its_speed_and_no_law_ends() {
 }
 
 #[test]
-fn who_takes_over_a_reference_on_its_way_goes_on_as_fast_as_it_went() {
+fn taken_over_reference_keeps_its_speed() {
     let mut robot = Loop::new(ControlLaw::FollowMe, &PARAMETERS);
     let mut posture = PANDA.home_rad;
     for (i, q) in posture.iter_mut().enumerate() {

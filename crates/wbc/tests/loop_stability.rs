@@ -1,4 +1,4 @@
-//! Where the linearised loop says that gains stop being stable, the loop itself, with every limit, stops being stable.
+//! The loop with every limit becomes unstable where the linearised loop predicts it.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 mod common;
@@ -89,7 +89,7 @@ fn damped_posture(d: f64) -> Parameters<7> {
 }
 
 #[test]
-fn with_commands_a_period_late_gains_end_within_a_tenth_of_where_it_says() {
+fn late_command_bound_is_within_a_tenth() {
     for law in [Law::Impedance, Law::FollowMe] {
         is_where_it_ends("stiffness", stiff, law, Command::OnePeriodLate, 1.1);
     }
@@ -112,7 +112,7 @@ fn of_arm<const N: usize>(arm: &ArmTable<N>, law: Law, command: Command) -> f64 
 }
 
 #[test]
-fn the_gains_of_every_arm_are_stable_and_less_so_at_a_lower_rate() {
+fn gains_of_every_arm_are_stable_and_margin_falls() {
     for law in [Law::Impedance, Law::FollowMe] {
         for parameters in [Parameters::PAPER, with(|_| {})] {
             assert!(growth_per_s(&parameters, law, Command::OnePeriodLate) < NO_GROWTH_PER_S);

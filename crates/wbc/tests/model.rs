@@ -10,13 +10,13 @@ use moca_wbc::testing::Numbers;
 use moca_wbc::{ArmModel, ArmTable, Mount, Payload};
 use world_axes::Arm;
 
-/// Of every quantity, relative to the largest of its numbers in all states.
+/// Tolerance of every quantity, relative to the largest of its numbers in all states.
 const TOLERANCE: f64 = 3e-15;
-/// Of forces for the accelerations that are computed from them.
+/// Tolerance of forces for the accelerations that are computed from them.
 const SOLVED: f64 = 1e-13;
 const STATES: usize = 10_000;
 
-/// Of each quantity the largest difference so far, and its largest number or what its terms are made of.
+/// Largest difference of each quantity so far, and its largest number or the size of its terms.
 #[derive(Default)]
 struct Worst(Vec<(&'static str, f64, f64)>);
 

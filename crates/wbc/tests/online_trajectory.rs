@@ -49,7 +49,7 @@ proptest! {
     }
 
     #[test]
-    fn from_any_motion_it_ends_at_the_target_and_from_rest_never_beyond(
+    fn trajectory_ends_at_target_and_never_overshoots(
         bounds in any_bounds(),
         first in -1.0..1.0,
         steps in 0..600_usize,
@@ -177,7 +177,7 @@ fn of(parameters: &Parameters<7>) -> WholeBodyController<7, 11> {
 }
 
 #[test]
-fn a_law_is_led_on_a_leash_within_its_workspace_and_a_base_about_its_admittance() {
+fn law_is_led_on_a_leash_within_its_workspace() {
     let stiff = Parameters::<7>::PAPER;
     let controller: WholeBodyController<7, 11> = of(&stiff);
     let soft = ImpedanceGains { stiffness: stiff.gains.stiffness.map(|k| 0.01 * k), ..stiff.gains };

@@ -1,4 +1,4 @@
-//! What the base is refused never reaches the arm, and a motion that the arm must not make ends the law.
+//! Refused base motion never reaches the arm, and a forbidden arm motion ends the law.
 #![allow(clippy::unwrap_used, clippy::float_cmp, reason = "tests; a standing base is zero to the bit")]
 
 mod common;
@@ -126,7 +126,7 @@ fn a_joint_that_is_too_fast_ends_the_law_in_its_step() {
 }
 
 #[test]
-fn a_flange_that_is_too_fast_or_too_far_ends_the_law_in_its_step() {
+fn flange_beyond_limits_ends_law_in_its_step() {
     let controller = controller(&Parameters::PAPER);
     let mut fast = at_home();
     fast.base_velocity_world = [0.0, 1.01, 0.0];

@@ -136,7 +136,7 @@ proptest! {
         }
     }
 
-    /// Where nothing is in the way there is nothing to solve.
+    /// Without an active limit there is nothing to solve.
     #[test]
     fn a_law_that_keeps_all_limits_is_the_same_to_the_bit(
         robot in calm_robot(),
@@ -241,8 +241,8 @@ proptest! {
     }
 }
 
-/// Where the programme fails, here because single precision loses a stretched arm's metric, the limits are kept one after the
-/// other, and it is said so.
+/// If the programme fails, here because single precision loses a stretched arm's metric, the limits are kept one after the
+/// other, and the step reports it.
 #[test]
 fn a_programme_that_fails_leaves_the_limits_to_the_closed_form() {
     let controller = controller::<f32>(CORRECTED);

@@ -22,7 +22,7 @@ const RESIDUALS_SHOWN: usize = 300;
 /// A finished taxel, ready to be stored.
 #[derive(Clone, Debug)]
 pub struct Fitted {
-    /// What was measured.
+    /// Measured values.
     pub measured: Measured,
     /// The board's sketch.
     pub sketch: Firmware,
@@ -41,7 +41,7 @@ pub struct Fit {
     pub quality: Quality,
 }
 
-/// Whether a cover can use a model of this kind.
+/// Returns true if a cover can use a model of this kind.
 pub const fn usable(kind: ModelKind) -> bool {
     !matches!(kind, ModelKind::LineWithIntercept)
 }
@@ -61,12 +61,12 @@ pub struct Engine {
 }
 
 impl Engine {
-    /// How far it is.
+    /// Returns the progress.
     pub const fn progress(&self) -> &CalibrationProgress {
         &self.progress
     }
 
-    /// What the last session gave, until the next one starts.
+    /// Returns the fit of the last session, until the next one starts.
     pub const fn fitted(&self) -> Option<&Fitted> {
         self.fitted.as_ref()
     }
@@ -95,7 +95,7 @@ impl Engine {
         self.progress = CalibrationProgress::Saved { path, taxels };
     }
 
-    /// What the board's port says.
+    /// Takes an event of the board's port.
     pub fn event(&mut self, event: &BoardEvent) {
         match event {
             BoardEvent::Bytes(chunk) => self.bytes(chunk.bytes(), chunk.arrival_ns),
@@ -213,7 +213,7 @@ fn shown(step: &Step) -> CalibrationProgress {
     }
 }
 
-/// What counts as progress: frames at rest, presses.
+/// Returns the counts that are progress: frames at rest, presses.
 const fn steps(progress: &CalibrationProgress) -> (u32, u32) {
     match *progress {
         CalibrationProgress::Rest { frames, .. } => (frames, 0),
@@ -314,7 +314,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_silent_board_and_a_taxel_that_nobody_presses_are_given_up_in_their_time() {
+    fn silent_board_and_unpressed_taxel_time_out() {
         let given_up = |with_bytes: bool| {
             let mut engine = Engine::default();
             engine.start(TARGET, 1, 0);

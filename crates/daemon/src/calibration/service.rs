@@ -18,15 +18,15 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// How often the board's bytes and the reference are looked at.
+/// Period at which the board's bytes and the reference are read.
 const LOOK_EVERY: Duration = Duration::from_millis(5);
 /// Looks from one report of the progress to the next.
 const LOOKS_PER_REPORT: u32 = 20;
 
-/// What the calibrator works for.
+/// Robot, cover and reference of the calibrator.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// Where accepted fits go.
+    /// Store of accepted fits.
     pub store: Store,
     /// Which electrode each taxel is, T1 first.
     pub wiring: Vec<Electrode>,
@@ -46,9 +46,9 @@ impl Settings {
 
 /// The force that counts are compared with.
 pub enum Reference {
-    /// What the simulation presses a taxel (0 is T1) with, N.
+    /// Force with which the simulation presses a taxel (0 is T1), N.
     Simulated(Box<dyn Fn(usize) -> Option<f64> + Send>),
-    /// What a person presses with.
+    /// Gauge with which a person presses.
     Gauge(Gauge),
 }
 

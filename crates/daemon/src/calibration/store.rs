@@ -7,7 +7,7 @@ use moca_tactile::calibration::{CalibrationFile, ModelKind};
 use std::path::PathBuf;
 use std::time::SystemTime;
 
-/// Where fits go; an existing file keeps its other taxels.
+/// File of the fits; an existing file keeps its other taxels.
 #[derive(Clone, Debug)]
 pub struct Store {
     /// The file.

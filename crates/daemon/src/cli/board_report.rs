@@ -2,6 +2,7 @@
 //! back. See docs/what-no-hardware-has-confirmed.md.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
+use crate::cli::progress;
 use crate::config::{AUTO_PORT, Config};
 use crate::devices::ports;
 use anyhow::{Context, Result, bail};
@@ -12,7 +13,7 @@ use moca_tactile::touchline::{Content, Flags, is_note, parse};
 use std::io::ErrorKind;
 use std::time::{Duration, Instant};
 
-/// What the board is asked.
+/// Questions to the board.
 const QUESTIONS: [&str; 4] = ["ID?", "SET?", "THR?", "STAT?"];
 /// Nothing is measured before the port has settled.
 const SETTLE: Duration = Duration::from_millis(1500);
@@ -35,6 +36,7 @@ fn listen(port: &str, length: Duration) -> Result<()> {
         std::thread::sleep(Duration::from_millis(30));
     }
     println!("Listening to the board at {port:?} for {:.0} s. Nobody may touch it.", length.as_secs_f64());
+    let bar = progress::during(port, SETTLE + length);
     let (start, mut bench, mut buffer) = (Instant::now(), Bench::new(), [0; 512]);
     while start.elapsed() < SETTLE + length {
         match line.read(&mut buffer) {
@@ -52,6 +54,7 @@ fn listen(port: &str, length: Duration) -> Result<()> {
             Err(error) => return Err(error).with_context(|| format!("read {port}")),
         }
     }
+    drop(bar);
     print!("{}", bench.report());
     Ok(())
 }

@@ -19,9 +19,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// How long a force gauge may take to its first reading.
+/// Longest wait for the first reading of a force gauge.
 const GAUGE_STARTS_WITHIN: Duration = Duration::from_secs(10);
-/// How often the ports are looked at.
+/// Period at which the ports are read.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// Longest recorded stream or table that is read, bytes: hours of a board.
@@ -369,7 +369,7 @@ mod tests {
 
     #[cfg(feature = "sim")]
     #[test]
-    fn a_recorded_session_becomes_a_calibration_that_its_cover_takes() {
+    fn recorded_session_gives_calibration_for_its_cover() {
         #[derive(clap::Parser)]
         struct Command {
             #[command(flatten)]

@@ -4,6 +4,7 @@
 
 use crate::cli::finding::{self, Finding};
 use crate::cli::network;
+use crate::cli::progress;
 use crate::config::Config;
 use crate::robot::{ArmDriver, BaseDriver, PlantKind};
 use crate::runtime::clock::Clock;
@@ -18,16 +19,16 @@ use std::time::Duration;
 
 /// Without --seconds.
 const LOOP_S: f64 = 5.0;
-/// Of --robot, whose 99th percentile is then over ten thousand states.
+/// Duration with --robot, s: the 99th percentile is then over ten thousand states.
 const ROBOT_S: f64 = 10.0;
 
-/// What to measure.
+/// Parts to measure.
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
     /// Configuration whose rate and `[realtime]` settings are tried.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// How long each loop runs or each part is listened to, s: 5, and with --robot 10.
+    /// Duration of each loop or of listening to each part, s: 5, and with --robot 10.
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<f64>,
     /// Pairs of an empty and a real loop, one after the other.
@@ -48,6 +49,13 @@ pub struct Arguments {
     /// Then drive the base forwards at 2 cm/s and fall silent, to see when it stops by itself.
     #[arg(long, requires = "robot")]
     drive: bool,
+    /// Drive the base a few centimetres forward and back for a minute and a half instead, with everybody away, and measure the
+    /// distance in which it stops.
+    #[arg(long, conflicts_with_all = ["board", "robot"])]
+    base: bool,
+    /// Then write that distance into the configuration.
+    #[arg(long, requires_all = ["base", "config"])]
+    write: bool,
 }
 
 /// Lateness of one loop.
@@ -71,6 +79,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let length = Duration::try_from_secs_f64(seconds).context("--seconds")?;
     ensure!(length >= Duration::from_millis(100), "--seconds {seconds}: allowed: 0.1 s or more");
 
+    if arguments.base {
+        let file = arguments.config.as_deref().filter(|_| arguments.write);
+        return crate::cli::doctor_stops::run(&config, file);
+    }
     if arguments.board {
         return crate::cli::board_report::run(&config, length);
     }
@@ -140,7 +152,9 @@ fn look_at_base(_: &Config, _: Duration, _: bool) -> Result<Vec<Finding>> {
 fn measure(config: &Config, length: Duration, pairs: usize) -> Result<()> {
     let mut ratios = Vec::new();
     for pair in 0..pairs {
+        let bar = progress::during("empty loop", length);
         let floor = on_a_thread_of_its_own(|| empty_loop(config, length))?;
+        drop(bar);
         if pair == 0 {
             for step in floor.steps.iter().filter(|step| step.result.is_err()) {
                 if let Err(error) = &step.result {
@@ -151,7 +165,9 @@ fn measure(config: &Config, length: Duration, pairs: usize) -> Result<()> {
         print_row("empty loop", &floor);
         #[cfg(feature = "sim")]
         {
+            let bar = progress::during("simulated robot", length);
             let real = on_a_thread_of_its_own(|| simulated_loop(config, length))?;
+            drop(bar);
             print_row("simulated robot", &real);
             ratios.push(real.lateness.quantile_us(0.999) / floor.lateness.quantile_us(0.999).max(1e-3));
         }

@@ -12,9 +12,9 @@ use moca_msgs::{ArmLink, ArmMode};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-/// How long the arm is waited for.
+/// Longest wait for the arm.
 const REACH_WITHIN: Duration = Duration::from_secs(5);
-/// How long a next state is waited for.
+/// Longest wait for the next state.
 const STATE_WITHIN: Duration = Duration::from_millis(100);
 /// Worst period at the 99th percentile that a loop of 1 kHz can live with, ms.
 const PERIOD_P99_MS: f64 = 1.5;
@@ -22,16 +22,16 @@ const PERIOD_P99_MS: f64 = 1.5;
 const LOST_SHARE: f64 = 1e-3;
 /// Share of orders that have to reach the arm in time.
 const SUCCESS_RATE: f64 = 0.95;
-/// What holds the arm where it is: N·m/rad and N·m·s/rad, half of what the arm's own examples use.
+/// Gains that hold the arm where it is: N·m/rad and N·m·s/rad, half of those in the arm's own examples.
 const HOLD: ([f64; JOINTS], [f64; JOINTS]) =
     ([300.0, 300.0, 300.0, 300.0, 125.0, 75.0, 25.0], [25.0, 25.0, 25.0, 25.0, 15.0, 12.0, 7.0]);
 
-/// What was seen of an arm.
+/// Observations of an arm.
 struct Facts {
     host: String,
-    /// Of FCI.
+    /// Version of FCI.
     version: Option<u16>,
-    /// What its driver said, oldest first.
+    /// Messages of its driver, oldest first.
     said: Vec<String>,
     state: Option<ArmState>,
     link: ArmLink,

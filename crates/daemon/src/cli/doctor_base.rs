@@ -8,16 +8,16 @@ use moca_ros2::base::timeout::{AfterSilence, measure};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-/// What it is driven with to see when it stops, m/s.
+/// Test speed for the base's time-out, m/s.
 const SPEED_M_S: f64 = 0.02;
 /// Nodes find each other in this time.
 const DISCOVERY: Duration = Duration::from_secs(3);
-/// What the wheels and the odometry may take beyond the time-out, s.
+/// Time that wheels and odometry may take beyond the time-out, s.
 const SLACK_S: f64 = 0.25;
 /// Clocks further apart than this refuse each other's stamps, s.
 const CLOCKS_APART_S: f64 = 0.1;
 
-/// What was seen of a base.
+/// Observations of a base.
 struct Facts {
     seconds: f64,
     odometry: u64,
@@ -100,7 +100,7 @@ fn findings(facts: &Facts) -> Vec<Finding> {
     findings.push(Finding::new(
         "odometry refused",
         facts.refused + facts.garbled == 0,
-        format!("{} refused, {} that are none", facts.refused, facts.garbled),
+        format!("{} refused, {} invalid", facts.refused, facts.garbled),
         "odometry that jumps, has no stamp or is old when it comes; the reason stands above",
     ));
     if heard {

@@ -1,4 +1,4 @@
-//! What a doctor finds.
+//! Findings of a doctor.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
 use std::borrow::Cow;

@@ -1,4 +1,4 @@
-//! What a user sees on a terminal: the commands besides the loop, and the report of a run.
+//! Commands on a terminal besides the loop, and the report of a run.
 
 mod board_report;
 pub mod calibrate;
@@ -7,8 +7,10 @@ pub mod doctor;
 mod doctor_arm;
 #[cfg(feature = "ros2")]
 mod doctor_base;
+mod doctor_stops;
 mod finding;
 pub mod log;
+mod log_story;
 mod network;
 pub mod operate;
 pub mod operator;

@@ -4,7 +4,7 @@ use crate::cli::finding::Finding;
 use std::fs;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 
-/// Whether interrupts of the card to `host` stay away from the loop's core.
+/// Finds out if interrupts of the card to `host` stay away from the loop's core.
 pub(crate) fn card_of(host: &str, loop_cpu: Option<usize>) -> Finding {
     let what = "network card";
     let Some(card) = address_towards(host).and_then(card_with) else {
@@ -43,7 +43,7 @@ fn interrupts_of<'a>(table: &'a str, card: &'a str) -> impl Iterator<Item = u32>
     })
 }
 
-/// Whether a list such as `0-3,5` holds `cpu`.
+/// Returns true if a list such as `0-3,5` holds `cpu`.
 fn holds(list: &str, cpu: usize) -> bool {
     list.split(',').any(|range| {
         let (first, last) = range.split_once('-').unwrap_or((range, range));

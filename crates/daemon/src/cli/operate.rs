@@ -1,4 +1,4 @@
-//! `mocad tare | arm | disarm | stop | resume | law | status | watch | target`: a running robot without a screen.
+//! `mocad tare | arm | disarm | stop | resume | recentre | law | status | watch | target`: a running robot without a screen.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
 use crate::cli::operator::{Arguments, Operator, Stopped, interrupted};
@@ -13,7 +13,7 @@ use moca_telemetry::net::{Commander, Link, Update};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-/// What an operator may want of a running daemon.
+/// Request of an operator to a running daemon.
 #[derive(Subcommand)]
 pub enum Command {
     /// Measure the cover's zero, and wait until it is known. Nobody may touch the robot.
@@ -26,6 +26,8 @@ pub enum Command {
     Stop(Arguments),
     /// Leave the protective stop, once its cause is gone and the cover has a valid zero.
     Resume(Arguments),
+    /// Drive the base slowly back under the arm, after somebody pushed it away. A touch ends it.
+    Recentre(Arguments),
     /// Choose the law that arming starts; an armed robot changes to it.
     Law(LawArguments),
     /// Say what the robot is doing.
@@ -36,7 +38,7 @@ pub enum Command {
     Target(TargetArguments),
 }
 
-/// How to arm.
+/// Options of arming.
 #[derive(Args)]
 pub struct ArmArguments {
     /// Choose this law first.
@@ -90,25 +92,31 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Tare(arguments) => tare(&Operator::connect(arguments)?),
         Command::Arm(arguments) => arm(arguments),
         Command::Disarm(arguments) => Operator::connect(arguments)?.once(Request::Disarm),
-        Command::Stop(arguments) => Operator::connect(arguments)?.once(Request::Stop),
+        Command::Stop(arguments) => Operator::stop(arguments),
         Command::Resume(arguments) => Operator::connect(arguments)?.once(Request::Resume),
+        Command::Recentre(arguments) => recentre(arguments),
         Command::Law(LawArguments { law, common }) => {
             Operator::connect(common)?.once(Request::SelectLaw((*law).into()))
         }
         Command::Status(arguments) => {
-            let operator = Operator::connect(arguments)?;
+            let operator = Operator::look_on(arguments)?;
             operator.print(&settled(operator.connection())?.1);
             Ok(())
         }
-        Command::Watch(arguments) => watch(&Operator::connect(arguments)?),
+        Command::Watch(arguments) => watch(&Operator::look_on(arguments)?),
         Command::Target(arguments) => target::run(arguments),
     }
 }
 
+/// Time after its answer in which a tare shows in samples, however late they come.
+const TARE_SEEN: Duration = Duration::from_millis(300);
+
 fn tare(operator: &Operator) -> Result<()> {
     let before = news(operator.connection(), |_| true)?;
     operator.ask(Request::Tare)?;
-    news(operator.connection(), |sample| sample.mode == Mode::Taring)?;
+    // A robot without a cover tares within a tick, which may have come with the answer.
+    let answered = Instant::now();
+    news(operator.connection(), |sample| sample.mode == Mode::Taring || answered.elapsed() > TARE_SEEN)?;
     let update = news(operator.connection(), |sample| sample.mode != Mode::Taring)?;
     // Nothing moves: whoever comes next may have the command.
     operator.connection().release();
@@ -130,6 +138,26 @@ fn tared(before: &Sample, after: &Sample) -> bool {
     }
 }
 
+/// Drives the base back and stays until it is there: a robot that moves has somebody who watches over it.
+fn recentre(arguments: &Arguments) -> Result<()> {
+    let ended = interrupted()?;
+    let operator = Operator::connect(arguments)?;
+    operator.ask(Request::Recentre)?;
+    let goes = |sample: &Sample| sample.posture.is_some_and(|posture| posture.recentring);
+    let mut update = news(operator.connection(), goes).or_else(|_| news(operator.connection(), |_| true))?;
+    while update.samples.last().is_none_or(goes) && !ended.load(Ordering::Relaxed) {
+        std::thread::sleep(LOOK_EVERY);
+        update = operator.stay()?;
+        operator.leave_if_stopped(&update)?;
+    }
+    let answer = operator.ask(Request::EndTarget);
+    let update = news(operator.connection(), |_| true)?;
+    operator.connection().release();
+    answer?;
+    operator.print(&update);
+    Ok(())
+}
+
 /// Arms and stays: a robot that moves has somebody who watches over it.
 fn arm(arguments: &ArmArguments) -> Result<()> {
     let ended = interrupted()?;
@@ -137,7 +165,8 @@ fn arm(arguments: &ArmArguments) -> Result<()> {
     if let Some(law) = arguments.law {
         operator.ask(Request::SelectLaw(law.into()))?;
     }
-    operator.ask(Request::Arm)?;
+    // A law may have been chosen, and who has commanded and is gone would stop a robot that moves already.
+    operator.ask(Request::Arm).inspect_err(|_| operator.connection().release())?;
     if !operator.json() {
         println!("armed; this program holds the command, and the robot stops if it dies. Ctrl-C disarms.");
     }
@@ -169,7 +198,7 @@ fn watch(operator: &Operator) -> Result<()> {
     }
 }
 
-/// What is printed while samples come: as on the daemon's own terminal, or the status as JSON at the same times.
+/// Output while samples come: as on the daemon's own terminal, or the status as JSON at the same times.
 struct Lines<'a> {
     operator: &'a Operator,
     report: Report,

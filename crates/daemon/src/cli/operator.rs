@@ -6,10 +6,14 @@ use crate::cli::status::{Robot, Status};
 use anyhow::{Context, Result};
 use clap::Args;
 use moca_msgs::{Mode, Request, Sample};
-use moca_telemetry::net::{Connection, Link, Update};
+use moca_telemetry::net::client::stop_blocking;
+use moca_telemetry::net::{Connection, Endpoint, Link, NetError, Update};
 use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Said where nobody answers.
+const IS_ONE_RUNNING: &str = "is a daemon running, and does it listen there (telemetry.listen)?";
 
 /// Which daemon, and how its answer is written.
 #[derive(Args)]
@@ -66,7 +70,7 @@ impl Operator {
         &self.robot
     }
 
-    /// Whether a status is written as JSON.
+    /// Returns true if a status is written as JSON.
     pub(super) const fn json(&self) -> bool {
         self.json
     }
@@ -76,18 +80,49 @@ impl Operator {
     }
 
     pub(super) fn connect(arguments: &Arguments) -> Result<Self> {
-        let (connection, description) = connect(&arguments.daemon.address)
-            .context("is a daemon running, and does it listen there (telemetry.listen)?")?;
+        Self::reach((&arguments.daemon.address).into(), arguments)
+    }
+
+    /// One that only looks on.
+    pub(super) fn look_on(arguments: &Arguments) -> Result<Self> {
+        Self::reach(arguments.daemon.to_watch(), arguments)
+    }
+
+    fn reach(endpoint: Endpoint, arguments: &Arguments) -> Result<Self> {
+        let (connection, description) = connect(endpoint).context(IS_ONE_RUNNING)?;
         Ok(Self { connection, robot: Robot::new(&description), json: arguments.json })
     }
 
-    /// One request from somebody who leaves again: the command is given back, so that a moving robot goes on.
+    /// Stops the robot, then says what it does. Needs no place among the daemon's clients, no token, and
+    /// on this machine no rights but to look on.
+    ///
+    /// # Errors
+    /// No daemon or no answer; refused, with the reason.
+    pub(super) fn stop(arguments: &Arguments) -> Result<()> {
+        let address = &arguments.daemon.address;
+        let stopped = match stop_blocking(address) {
+            Err(NetError::Io(_)) if arguments.daemon.to_watch().address != *address => {
+                stop_blocking(&arguments.daemon.to_watch().address)
+            }
+            stopped => stopped,
+        };
+        let outcome = stopped.with_context(|| format!("{address}: {IS_ONE_RUNNING}"))?;
+        outcome.map_err(|refusal| Refused(refusal.to_string()))?;
+        let stopped = |sample: &Sample| matches!(sample.mode, Mode::ProtectiveStop | Mode::Fault);
+        match Self::look_on(arguments).and_then(|shown| Ok((news(&shown.connection, stopped)?, shown))) {
+            Ok((update, shown)) => shown.print(&update),
+            Err(_) if arguments.json => {}
+            Err(why) => println!("stopped; its status is not shown: {why:#}"),
+        }
+        Ok(())
+    }
+
+    /// One request from somebody who leaves again: the command is given back. A robot that armed itself goes on.
     pub(super) fn once(&self, request: Request) -> Result<()> {
         let outcome = self.ask(request);
         self.connection.release();
         outcome?;
         let carried_out = |sample: &Sample| match request {
-            Request::Stop => matches!(sample.mode, Mode::ProtectiveStop | Mode::Fault),
             Request::SelectLaw(law) => sample.law == Some(law),
             Request::Disarm => !sample.mode.moves(),
             _ => sample.mode == Mode::Ready,
@@ -126,7 +161,8 @@ impl Operator {
     }
 
     pub(super) fn ask(&self, request: Request) -> Result<()> {
-        Ok(ask(&self.connection, request)?.map_err(|refusal| Refused(refusal.to_string()))?)
+        Ok(ask(&self.connection, request)?
+            .map_err(|refusal| Refused(request.refused(refusal).to_string()))?)
     }
 
     /// The last sample of some news.

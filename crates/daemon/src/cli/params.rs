@@ -10,7 +10,7 @@ use moca_msgs::Request;
 use moca_telemetry::{ParameterDescription, ParameterForm, RobotDescription};
 use std::path::PathBuf;
 
-/// What to do with parameters.
+/// Action on parameters.
 #[derive(Subcommand)]
 pub enum Command {
     /// List every parameter with value, unit, range and default, of a running daemon or of a configuration file.
@@ -21,7 +21,7 @@ pub enum Command {
     Schema,
 }
 
-/// What to list.
+/// Parameters to list.
 #[derive(Args)]
 pub struct ListArguments {
     /// Only names that contain this.
@@ -36,7 +36,7 @@ pub struct ListArguments {
     daemon: DaemonArguments,
 }
 
-/// What to set.
+/// Parameter to set.
 #[derive(Args)]
 pub struct SetArguments {
     /// Dotted name as in the configuration file; its last part is enough where it is unique.
@@ -103,7 +103,7 @@ fn set(arguments: &SetArguments) -> Result<()> {
     let (connection, robot) = connect(&arguments.daemon.address)?;
     let number = number_of(&robot, &arguments.name)?;
     let parameter = robot.parameters.get(number).context("the daemon's list of parameters is too short")?;
-    let checked = parameter.checked(&values).map_err(|message| anyhow!(message))?;
+    let checked = parameter.checked(&values).map_err(Refused)?;
     let request = Request::SetParameter { parameter: u8::try_from(number)?, values: checked };
     let outcome = ask(&connection, request);
     // Leaving without giving the command back would stop a moving robot.
@@ -121,7 +121,9 @@ fn number_of(robot: &RobotDescription, name: &str) -> Result<usize> {
     let mut numbers = (0..).zip(&robot.parameters).filter(|(_, parameter)| found(parameter));
     match (numbers.next(), numbers.next()) {
         (Some((number, _)), None) => Ok(number),
-        (None, _) => bail!("no parameter is called {name}: `mocad params list` names them all"),
+        (None, _) => {
+            bail!(Refused(format!("no parameter is called {name}: `mocad params list` names them all")))
+        }
         (Some((_, one)), Some((_, other))) => {
             bail!("{name} may be {} or {}: say which", one.name, other.name)
         }

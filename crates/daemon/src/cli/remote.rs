@@ -4,20 +4,20 @@ use anyhow::{Result, bail, ensure};
 use clap::Args;
 use moca_msgs::{Outcome, Request, Sample};
 use moca_telemetry::RobotDescription;
-use moca_telemetry::net::{Address, Connection, Link, Update};
+use moca_telemetry::net::{Address, Connection, Endpoint, Link, Update};
 use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// How long a daemon on the same machine may take to greet or to answer.
+/// Longest wait for a daemon on the same machine to greet or to answer.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(3);
-/// How often the connection is looked at.
+/// Period at which the connection is read.
 pub(crate) const LOOK_EVERY: Duration = Duration::from_millis(5);
 
 /// Which daemon.
 #[derive(Args)]
 pub(crate) struct DaemonArguments {
-    /// Address of the daemon's telemetry: HOST:PORT, or unix:PATH.
+    /// Address of the daemon's telemetry: unix:PATH, or HOST:PORT.
     #[arg(long, value_name = "ADDRESS", default_value_t = Address::of_this_machine())]
     pub(crate) address: Address,
 }
@@ -34,14 +34,27 @@ impl fmt::Display for Refused {
 
 impl std::error::Error for Refused {}
 
-/// Connects, and waits for the greeting.
+impl DaemonArguments {
+    /// Returns the address for observers: the socket that only shows, if there is one beside the operators'.
+    pub(crate) fn to_watch(&self) -> Endpoint {
+        let shows = self.address.watch_socket().filter(|path| path.exists());
+        Endpoint::from(shows.map_or_else(|| self.address.clone(), Address::Unix)).to_watch()
+    }
+}
+
+/// Connects, and waits for the welcome.
 ///
 /// # Errors
-/// No daemon, or one that speaks another version.
-pub(crate) fn connect(address: &Address) -> Result<(Connection, Arc<RobotDescription>)> {
-    let connection = Connection::spawn(address.clone(), || {})?;
+/// No daemon in three seconds; at once, a daemon that does not serve this client.
+pub(crate) fn connect(endpoint: impl Into<Endpoint>) -> Result<(Connection, Arc<RobotDescription>)> {
+    let endpoint = endpoint.into();
+    let address = endpoint.address.clone();
+    let connection = Connection::spawn(endpoint, || {})?;
     let until = Instant::now() + PATIENCE;
     loop {
+        if let Some(reason) = connection.refusal() {
+            bail!("{address}: {reason}");
+        }
         match connection.poll().link {
             Link::Up { description, .. } => return Ok((connection, description)),
             Link::Down { reason } if Instant::now() >= until => bail!("{address}: {reason}"),

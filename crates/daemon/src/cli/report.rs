@@ -1,16 +1,16 @@
-//! What the terminal shows of a run: one line a second, every change of mode, and the summary.
+//! Output of a run on the terminal: one line a second, every change of mode, and the summary.
 
 use crate::config::{AUTO_PORT, Config};
 use crate::control::protection;
 use crate::control::stage::Stage;
-use crate::robot::Parts;
+use crate::robot::{Parts, PlantKind};
 use crate::runtime::notice::{Notice, Summary};
 use moca_msgs::board::Diagnosis;
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{ContactEvent, Fault, Law, Mode, Sample, SpeedLimit, seconds};
 use std::fmt;
 
-/// How much a line matters.
+/// Importance of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
 pub enum Level {
     /// The robot needs a restart.
@@ -51,8 +51,13 @@ pub struct Report {
     mode: Option<Mode>,
     fault: Option<Fault>,
     board: Option<Diagnosis>,
-    /// What each board is called, where there are several.
+    /// Name of each board, where there are several.
     boards: Vec<String>,
+    /// The operating system refused the loop its priority.
+    rights_missing: bool,
+    /// The robot ends stops for a busy PC by itself, and has ended so many.
+    recovers: bool,
+    recovered: u64,
     next_status_s: f64,
     time_s: f64,
 }
@@ -72,7 +77,7 @@ impl Report {
         self.time_s = time_s;
         let mut lines = Vec::new();
         if self.mode.replace(sample.mode) != Some(sample.mode) || self.fault != sample.fault {
-            self.fault = sample.fault;
+            let before = std::mem::replace(&mut self.fault, sample.fault);
             let level = match (sample.mode, sample.fault) {
                 (Mode::Fault, _) => Level::Error,
                 (_, Some(_)) => Level::Warning,
@@ -80,7 +85,9 @@ impl Report {
             };
             let whose = sample.fault_board.and_then(|board| self.boards.get(usize::from(board)));
             let whose = whose.map_or_else(String::new, |board| format!(" {board}."));
-            let text = format!("[{}] mode: {}{}{whose}", at(time_s), sample.mode.name(), why(sample.fault));
+            let more = self.about_starving(before, sample);
+            let text =
+                format!("[{}] mode: {}{}{whose}{more}", at(time_s), sample.mode.name(), why(sample.fault));
             lines.push(Line { level, text });
         }
         // A port takes a moment to open and a board to speak: only a state that lasts is worth a line.
@@ -101,6 +108,28 @@ impl Report {
         lines.retain(|line| line.level <= self.level);
         lines
     }
+
+    /// Returns advice about a PC that was too busy, and the number of times that a simulated robot resumed.
+    fn about_starving(&mut self, before: Option<Fault>, sample: &Sample) -> String {
+        let starved = Some(Fault::HostStarved);
+        let mut text = String::new();
+        if sample.fault == starved && self.rights_missing {
+            text += " This run has no real-time rights: `mocad doctor` says how to get them.";
+        }
+        if sample.fault == starved && self.recovers {
+            text += " A simulated robot resumes by itself.";
+        }
+        if before == starved && sample.mode == Mode::Ready && self.recovers {
+            self.recovered += 1;
+            text += &format!(" (this PC was too busy; resumed, {} so far)", times(self.recovered));
+        }
+        text
+    }
+}
+
+/// `once`, `2 times`.
+fn times(count: u64) -> String {
+    if count == 1 { "once".into() } else { format!("{count} times") }
 }
 
 /// Loop time as every line begins with it.
@@ -108,12 +137,13 @@ fn at(time_s: f64) -> String {
     format!("{time_s:7.2} s")
 }
 
-/// What a terminal shows of one notice, in lines; usually none.
+/// Returns the lines of one notice for a terminal; usually none.
 pub fn lines_of(report: &mut Report, notice: Notice<'_>) -> Vec<String> {
     let under = |title: &str, text: String| vec![format!("  {title:<11} {text}")];
     match notice {
         Notice::Begins { config, lock_step } => {
             report.boards = boards(config);
+            report.recovers = config.plant.kind == PlantKind::Simulated && config.board.port.are_simulated();
             introduction(config, lock_step)
         }
         Notice::NoRobot => under("plant", "none: the cover alone, nothing moves".into()),
@@ -129,7 +159,10 @@ pub fn lines_of(report: &mut Report, notice: Notice<'_>) -> Vec<String> {
         Notice::Recording(path) => under("record", path.display().to_string()),
         Notice::RealTime(step) => match &step.result {
             Ok(()) => under("real time", format!("{}: yes", step.what)),
-            Err(error) => under("real time", format!("{}: no ({error})", step.what)),
+            Err(error) => {
+                report.rights_missing |= step.is_priority;
+                under("real time", format!("{}: no ({error})", step.what))
+            }
         },
         Notice::Runs => vec!["Ctrl-C stops it.".into()],
         Notice::Sample(sample) => report.lines(sample).iter().map(ToString::to_string).collect(),
@@ -187,12 +220,13 @@ fn simulated(config: &Config, mujoco: &str) -> Vec<String> {
         Parts::Base => format!("{base} without an arm"),
         Parts::Arm => format!("{arm} on a stand, no cover"),
     };
-    let mut lines = vec![format!("  plant       simulated {robot} (MuJoCo {mujoco})")];
+    let mut lines =
+        vec![format!("  plant       simulated {robot} (MuJoCo {mujoco}): nothing moves but the simulation")];
     let hand = &config.simulation.hand;
     if config.plant.parts.has_cover() && !hand.taxels.is_empty() {
         let taxels: Vec<String> = hand.taxels.iter().map(|taxel| format!("T{taxel}")).collect();
         lines.push(format!(
-            "  hand        presses {} with {} N, every {} s",
+            "  hand        a scripted hand presses {} with {} N, every {} s (--no-hand: nobody does)",
             taxels.join(", "),
             hand.force_n,
             hand.every_s
@@ -201,7 +235,7 @@ fn simulated(config: &Config, mujoco: &str) -> Vec<String> {
     lines
 }
 
-/// What people call each board, where there are several.
+/// Returns the name of each board, where there are several.
 fn boards(config: &Config) -> Vec<String> {
     let ports = &config.board.port;
     let name = |(board, port): (u8, &String)| {
@@ -258,9 +292,15 @@ fn limit(sample: &Sample) -> String {
     format!("{m_s:.3} m/s ({})", reason.name())
 }
 
-/// Only of the parts that there are: an arm alone has no base and no board, a base alone no flange.
+/// `impedance`, `protective stop (host-starved)`
+fn mode(sample: &Sample) -> String {
+    let fault = sample.fault.map_or_else(String::new, |fault| format!(" ({})", fault.code()));
+    format!("{}{fault}", sample.mode.name())
+}
+
+/// Mode and fault first, then only of the parts that there are: an arm alone has no base and no board, a base alone no flange.
 fn status(sample: &Sample) -> String {
-    let mut parts = Vec::new();
+    let mut parts = vec![mode(sample)];
     if sample.board != Diagnosis::NoBoard {
         parts.push(format!("base {}", pose(&sample.base_pose_world)));
         parts.push(format!("limit {}", limit(sample)));
@@ -336,10 +376,63 @@ impl fmt::Display for Summary<'_> {
             }
             writeln!(f)?;
         }
+        if self.recoveries > 0 {
+            let times = times(self.recoveries);
+            writeln!(f, "  this PC      was too busy {times}; the simulated robot resumed by itself")?;
+        }
         match self.allocations {
             Some(count) => writeln!(f, "  allocations  {count} on the loop thread after warm-up")?,
             None => writeln!(f, "  allocations  not measured: the run ended before warm-up was over")?,
         }
         writeln!(f, "  clients      {} samples dropped", self.samples_dropped)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::runtime::realtime::Step;
+
+    fn lines(report: &mut Report, time_s: u64, mode: Mode, fault: Option<Fault>) -> String {
+        let sample = Sample { time_ns: time_s * 1_000_000_000, mode, fault, ..Sample::default() };
+        lines_of(report, Notice::Sample(&sample)).join("\n")
+    }
+
+    #[test]
+    fn every_line_of_a_second_says_mode_and_fault() {
+        let mut report = Report::new(Level::Info);
+        let modes = [
+            (Mode::Impedance, None, "] impedance | "),
+            (Mode::ProtectiveStop, Some(Fault::HostStarved), "] protective stop (host-starved) | "),
+            (Mode::Fault, Some(Fault::PlantLost), "] fault (plant-lost) | "),
+        ];
+        for (time_s, (mode, fault, expected)) in (0..).zip(modes) {
+            lines(&mut report, 2 * time_s, mode, fault);
+            let second = lines(&mut report, 2 * time_s + 1, mode, fault);
+            assert!(second.contains(expected), "{second}");
+        }
+    }
+
+    #[test]
+    fn advice_about_rights_is_given_where_they_are_missing() {
+        for (result, missing) in [(Ok(()), false), (Err(std::io::ErrorKind::PermissionDenied.into()), true)] {
+            let mut report = Report::new(Level::Info);
+            let step = Step { what: "SCHED_FIFO 40".into(), result, is_priority: true };
+            lines_of(&mut report, Notice::RealTime(&step));
+            let text = lines(&mut report, 0, Mode::ProtectiveStop, Some(Fault::HostStarved));
+            assert_eq!(text.contains("no real-time rights"), missing, "{text}");
+        }
+    }
+
+    #[test]
+    fn a_simulated_robot_that_resumed_says_how_often() {
+        let mut report = Report::new(Level::Info);
+        lines_of(&mut report, Notice::Begins { config: &Config::default(), lock_step: false });
+        for expected in ["resumed, once so far", "resumed, 2 times so far"] {
+            let stop = lines(&mut report, 1, Mode::ProtectiveStop, Some(Fault::HostStarved));
+            assert!(stop.contains("resumes by itself"), "{stop}");
+            let ready = lines(&mut report, 1, Mode::Ready, None);
+            assert!(ready.contains(expected), "{ready}");
+        }
     }
 }

@@ -1,12 +1,16 @@
 //! The robot's status for people and programs. What is not known is null, never zero.
 
-use moca_msgs::{ArmMode, Fault, Law, Link, Mode, Sample, TaxelStatus, seconds};
+use moca_msgs::{ArmMode, Fault, Law, Link, Mode, PostureOffset, Sample, TaxelStatus, seconds};
 use moca_telemetry::net::Commander;
 use moca_telemetry::{ParameterValue, RobotDescription};
 use serde::Serialize;
 use std::fmt;
 
-/// What must be known of a robot to read its samples.
+/// Displacement from which on recentring is worth it, m and rad.
+const SHOWN_M: f64 = 0.02;
+const SHOWN_RAD: f64 = 0.05;
+
+/// Description of a robot that is needed to read its samples.
 pub(crate) struct Robot {
     base: bool,
     arm: bool,
@@ -30,13 +34,15 @@ pub(crate) struct Status {
     law: Option<Law>,
     speed_limit_m_s: f64,
     speed_limit_reason: &'static str,
-    /// Of the cover's data; null before the first good frame.
+    /// Age of the cover's data, s; null before the first good frame.
     frame_age_s: Option<f64>,
     commander: &'static str,
     /// Null where there is no base, or its state is not known.
     base_pose_world: Option<BasePose>,
     /// Distance of the flange from where it is wanted; null where there is no arm, or no law to want it anywhere.
     flange_error_m: Option<f64>,
+    /// Displacement of the base from where the arm's posture wants it; null unless the impedance law runs.
+    posture: Option<PostureOffset>,
     /// The last target from another program; null where the law has had none.
     target: Option<TargetStatus>,
     /// Null of a simulated robot.
@@ -105,6 +111,7 @@ impl Status {
             },
             base_pose_world: (robot.base && known).then_some(BasePose { x_m, y_m, yaw_rad }),
             flange_error_m: (robot.arm && known && placed).then_some(error_m),
+            posture: sample.posture.filter(|_| known),
             target: sample.target.map(|target| TargetStatus {
                 kind: target.kind.name(),
                 phase: target.phase.name(),
@@ -141,6 +148,17 @@ impl fmt::Display for Status {
         writeln!(f, "base         {}", known(pose))?;
         let off = self.flange_error_m.map(|error_m| format!("off by {:.1} mm", 1e3 * error_m));
         writeln!(f, "flange       {}", known(off))?;
+        if let Some(PostureOffset { distance_m, angle_rad, recentring }) = self.posture {
+            let off = format!("base off by {distance_m:.3} m and {:.1}°", angle_rad.to_degrees());
+            let advice = if recentring {
+                ", going back"
+            } else if distance_m > SHOWN_M || angle_rad.abs() > SHOWN_RAD {
+                ": `mocad recentre` brings it back"
+            } else {
+                ""
+            };
+            writeln!(f, "posture      {off}{advice}")?;
+        }
         if let Some(TargetStatus { kind, phase, progress }) = &self.target {
             writeln!(f, "target       {kind}: {phase}, {:.0} %", 100.0 * progress)?;
         }

@@ -6,21 +6,20 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::{Args, Subcommand, ValueEnum};
 use moca_msgs::target::TargetPhase;
 use moca_msgs::{
-    Outcome, ParameterValues, Request, Sample, Target, TargetState, TimedTarget, TouchPolicy, TwistAxes,
-    Waypoint,
+    ParameterValues, Request, Sample, Target, TargetState, TimedTarget, TouchPolicy, TwistAxes, Waypoint,
 };
-use moca_telemetry::net::Update;
 use moca_telemetry::net::wire::unix_now_ns;
+use moca_telemetry::net::{Reply, Update};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// How often a target is sent again: it would be too old after four of these.
+/// Period at which a target is sent again: it would be too old after four of these.
 const SEND_EVERY: Duration = Duration::from_millis(50);
 /// A daemon that has not answered by then is given up.
 const ANSWER_WITHIN: Duration = Duration::from_secs(3);
 
-/// Where to.
+/// Target and its options.
 #[derive(Args)]
 pub struct TargetArguments {
     #[command(subcommand)]
@@ -85,7 +84,7 @@ enum TargetCommand {
 
 #[derive(Args)]
 struct How {
-    /// What becomes of it while the cover feels a touch.
+    /// Effect of a touch on the target.
     #[arg(long, value_enum, default_value_t = Touch::Wins)]
     touch: Touch,
     /// Arm first, and disarm in the end.
@@ -113,7 +112,7 @@ enum Axes {
     Flange,
 }
 
-/// What is asked of the loop.
+/// Request to the loop.
 enum Wanted {
     /// Again and again, until it is reached or so long.
     Target(Target, Option<Duration>),
@@ -121,7 +120,7 @@ enum Wanted {
 }
 
 impl Wanted {
-    /// How long it is asked for, if not until it is reached.
+    /// Returns the duration for which it is asked for, if not until it is reached.
     fn duration(&self) -> Option<Duration> {
         match self {
             Self::Target(_, duration) => *duration,
@@ -129,7 +128,7 @@ impl Wanted {
         }
     }
 
-    /// How long it takes by itself.
+    /// Returns the duration of the target itself.
     fn own_time(&self) -> Duration {
         match self {
             Self::Target(_, duration) => duration.unwrap_or_default(),
@@ -242,10 +241,10 @@ fn lead(
             sent = Some(Instant::now());
         }
         let update = operator.stay()?;
-        for outcome in answers(&update) {
-            match outcome {
+        for reply in answers(&update) {
+            match reply.outcome {
                 Ok(()) => accepted = true,
-                Err(refusal) => return Err(Refused(refusal.to_string()).into()),
+                Err(refusal) => return Err(Refused(reply.request.refused(refusal).to_string()).into()),
             }
         }
         operator.leave_if_stopped(&update)?;
@@ -267,14 +266,12 @@ fn lead(
     }
 }
 
-fn answers(update: &Update) -> impl Iterator<Item = Outcome> + '_ {
+fn answers(update: &Update) -> impl Iterator<Item = &Reply> {
     let replies = update.replies.iter();
-    replies
-        .filter(|reply| matches!(reply.request, Request::Target(_) | Request::Waypoint { .. }))
-        .map(|reply| reply.outcome)
+    replies.filter(|reply| matches!(reply.request, Request::Target(_) | Request::Waypoint { .. }))
 }
 
-/// Whether the reference is there.
+/// Returns true if the reference is there.
 fn has_ended(state: Option<TargetState>) -> Result<bool> {
     match state.map(|state| state.phase) {
         Some(TargetPhase::Reached) => Ok(true),

@@ -1,17 +1,18 @@
 //! The terminal as one more client: its own thread writes, so that a terminal that stops reading or goes away costs
 //! lines and nothing else.
 
+use crate::cli::progress::Progress;
 use crate::cli::report::{Level, Report, lines_of};
 use crate::runtime::notice::{Notice, Reporter};
-use std::io::{self, Write};
+use std::io::{self, IsTerminal, Write};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::time::{Duration, Instant};
 
 /// Lines on their way to the terminal: a run of 15 minutes at a line a second.
 const QUEUE_LINES: usize = 1024;
-/// How long the end of a run, or of the program, waits for a terminal that does not read.
+/// Longest wait of the end of a run, or of the program, for a terminal that does not read.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// How often a run that may wait looks for room.
+/// Period at which a run that may wait looks for room.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
 
 /// Formats what a run has to say and hands it to the thread that writes.
@@ -21,6 +22,8 @@ pub struct Terminal {
     written: Receiver<()>,
     may_wait: bool,
     lost: u64,
+    /// Progress and duration of a run whose lines go elsewhere.
+    progress: Option<(Progress, Duration)>,
 }
 
 impl Terminal {
@@ -32,7 +35,7 @@ impl Terminal {
         Self::onto(io::stdout(), level, may_wait)
     }
 
-    /// The same onto anything that can be written to.
+    /// Writes onto anything that can be written to.
     ///
     /// # Errors
     /// No thread.
@@ -42,7 +45,21 @@ impl Terminal {
         std::thread::Builder::new()
             .name("terminal".into())
             .spawn(move || write_lines(&queue, output, done))?;
-        Ok(Self { report: Report::new(level), lines: Some(lines), written, may_wait, lost: 0 })
+        Ok(Self {
+            report: Report::new(level),
+            lines: Some(lines),
+            written,
+            may_wait,
+            lost: 0,
+            progress: None,
+        })
+    }
+
+    /// Shows on standard error how much of `duration` of robot time is over, if the lines that say so are not on the terminal.
+    pub fn show_progress(&mut self, duration: Duration) {
+        if !io::stdout().is_terminal() {
+            self.progress = Some((Progress::new("run"), duration));
+        }
     }
 
     /// Lines that found no room.
@@ -64,7 +81,7 @@ impl Terminal {
         }
     }
 
-    /// Whether the line was taken. A terminal that has gone takes everything.
+    /// Returns true if the line was taken. A terminal that has gone takes everything.
     fn offer(&mut self, mut line: String) -> bool {
         let Some(lines) = &self.lines else { return true };
         let until = Instant::now() + if self.may_wait { PATIENCE } else { Duration::ZERO };
@@ -85,6 +102,9 @@ impl Terminal {
 
 impl Reporter for Terminal {
     fn report(&mut self, notice: Notice<'_>) {
+        if let (Notice::Sample(sample), Some((progress, duration))) = (notice, &mut self.progress) {
+            progress.at(moca_msgs::seconds(sample.time_ns) / duration.as_secs_f64().max(1e-9));
+        }
         for line in lines_of(&mut self.report, notice) {
             self.say(line);
         }
@@ -206,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn a_terminal_that_never_reads_does_not_keep_the_program_from_ending() {
+    fn blocked_terminal_does_not_delay_exit() {
         let mut terminal = Terminal::onto(Valve::default(), Level::Info, true).unwrap();
         changes_of_mode(&mut terminal, 5000);
         assert!(terminal.lost() > 0, "even a run that may wait goes on");

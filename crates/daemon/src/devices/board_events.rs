@@ -1,4 +1,4 @@
-//! What a board's port says on its way to the cover, copied for those who keep or calibrate it.
+//! Events of a board's port on their way to the cover, copied for recording and calibration.
 
 use moca_tactile::BoardEvent;
 use moca_tactile::board::STARVED_FOR_NS;
@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// ns. Longer than a reader waits for a byte, shorter than the silence that stops the robot.
 const STARVED_NS: u64 = 100_000_000;
 
-/// How often a starving host is told of, ns.
+/// Period of reports on a starving host, ns.
 const TELL_AGAIN_NS: u64 = STARVED_FOR_NS / 2;
 
 /// A thread's sign of life.
@@ -20,7 +20,7 @@ struct Pulse {
 }
 
 impl Pulse {
-    /// Whether the thread has not run for [`STARVED_NS`].
+    /// Returns true if the thread has not run for [`STARVED_NS`].
     fn has_stopped(&mut self, now_ns: u64) -> bool {
         let count = self.count.load(Ordering::Relaxed);
         if count != self.last {
@@ -37,7 +37,7 @@ pub struct NumberedEvent {
     pub number: u64,
     /// Which board, 0 is the first.
     pub board: u8,
-    /// What its port said.
+    /// Event of its port.
     pub event: BoardEvent,
 }
 
@@ -58,7 +58,7 @@ pub struct BoardEvents {
 }
 
 impl BoardEvents {
-    /// Of the boards under a cover, the first one first, copied for nobody.
+    /// Joins the ports of the boards under a cover, first board first, without copies.
     pub fn new(ports: impl IntoIterator<Item = rtrb::Consumer<BoardEvent>>) -> Self {
         let port = |events| Port { events, pulses: Vec::new(), told_ns: None, arrived_ns: 0 };
         Self { ports: ports.into_iter().map(port).collect(), recorder: None, calibrator: None, taken: 0 }
@@ -86,7 +86,7 @@ impl BoardEvents {
         self
     }
 
-    /// How many boards there are.
+    /// Returns the number of boards.
     pub const fn boards(&self) -> usize {
         self.ports.len()
     }
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_replayed_starvation_belongs_to_its_tick_behind_any_number_of_events() {
+    fn replayed_starvation_stays_in_its_tick() {
         let (mut log, events) = rtrb::RingBuffer::new(8);
         let mut events = BoardEvents::new([events]);
         log.push(BoardEvent::Opened { at_ns: 1 }).unwrap();
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_copy_without_room_is_a_gap_in_the_numbers_and_the_cover_misses_nothing() {
+    fn full_event_copy_leaves_gap_and_cover_misses_nothing() {
         let (mut port, events) = rtrb::RingBuffer::new(8);
         let (recorder, mut copies) = rtrb::RingBuffer::new(2);
         let mut events = BoardEvents::new([events]).with_recorder(Some(recorder));

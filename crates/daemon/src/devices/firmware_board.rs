@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 /// An electrode nobody touches: 5 pF of plate and 12 pF of wire.
 const REST_PF: f64 = 17.0;
-/// How often the foam moves on, ns: the chip samples an electrode as often.
+/// Step of the foam, ns: the chip samples an electrode as often.
 const STEP_NS: u64 = 1_000_000;
 const STEP_S: f64 = 1e-3;
 const STEP: Duration = Duration::from_nanos(STEP_NS);
@@ -34,7 +34,7 @@ impl Plates {
         Self { foam, states: [FoamState::default(); ELECTRODES] }
     }
 
-    /// What the electrodes see after one more [`STEP_NS`] of these forces, N; pF as the program reads it.
+    /// Returns the capacitances after one more [`STEP_NS`] of these forces, N; pF as the program reads it.
     fn step(&mut self, force_n: &[f64; ELECTRODES]) -> [u8; 4 * ELECTRODES] {
         let mut record = [0; 4 * ELECTRODES];
         let (places, _) = record.as_chunks_mut::<4>();

@@ -15,7 +15,7 @@ use std::time::Duration;
 /// The arm's thread runs above the loop: where the loop does not answer in time, it does.
 const ABOVE_LOOP: u8 = 1;
 
-/// How long an arm may take to say what it carries.
+/// Longest wait for an arm's report on its payload.
 const CARRIES_WITHIN: Duration = Duration::from_secs(10);
 
 /// Arm and base.
@@ -25,7 +25,7 @@ pub struct FrankaArm {
     base: Option<StandInBase>,
     /// Axes of the arm's base in B, if the arm's own estimate of what pushes it is believed.
     mounted: Option<Matrix3<f64>>,
-    /// Of the last order, N·m: what an arm that does not know where down is leaves out of its torques.
+    /// Gravity torques of the last order, N·m: left out for an arm that does not compensate gravity.
     gravity_nm: [f64; JOINTS],
 }
 
@@ -33,7 +33,7 @@ impl FrankaArm {
     /// Begins to reach the arm; `say` hears in words what happens to the connection.
     ///
     /// # Errors
-    /// An arm that is none of Franka's, or a thread that cannot be started.
+    /// An arm that Franka does not make, or a thread that cannot be started.
     pub fn connect(config: &Config, say: impl FnMut(&str) + Send + 'static) -> Result<Self> {
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
         let stands_in = config.plant.parts.has_cover() && config.plant.base.driver == BaseDriver::Simulated;
@@ -69,10 +69,10 @@ fn robot_state(
     }
 }
 
-/// How the arm that the configuration names is reached and set up.
+/// Returns the address and settings of the configured arm.
 ///
 /// # Errors
-/// An arm that is none of Franka's, or a rate that is not FCI's.
+/// An arm that Franka does not make, or a rate that is not FCI's.
 pub(crate) fn settings(config: &Config) -> Result<Settings> {
     let (arm, joints) = (&config.plant.arm, config.arm().joints);
     ensure!(
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_push_on_an_arm_that_is_mounted_askew_is_felt_where_it_comes_from() {
+    fn push_on_tilted_arm_has_right_direction() {
         // Its x axis points up: a push along it lifts the robot, whichever way the base looks.
         let mounted = rotation::from_rpy([0.0, -FRAC_PI_2, 0.0]);
         for (yaw_rad, expected) in
@@ -201,13 +201,13 @@ mod tests {
     }
 
     #[test]
-    fn what_the_arm_says_of_a_push_is_left_out_where_our_observer_is_believed() {
+    fn arm_estimate_is_ignored_with_our_observer() {
         let robot = robot_state(&pushed(), ([0.0; 3], [0.0; 3]), None, &[0.0; JOINTS]);
         assert_eq!(robot.flange_wrench_world, None);
     }
 
     #[test]
-    fn an_arm_that_does_not_know_where_down_is_has_gravity_added_to_its_torques() {
+    fn gravity_is_added_for_arm_without_compensation() {
         let torques = |feels_gravity| {
             let state = ArmState { feels_gravity, ..pushed() };
             robot_state(&state, ([0.0; 3], [0.0; 3]), None, &[4.0; JOINTS]).torque_measured_nm[0]

@@ -25,7 +25,7 @@ pub struct IdealCover {
     ticks: u64,
     /// Means that are not shown yet, each with the tick in which it is.
     late: VecDeque<(u64, Mean)>,
-    /// Whether a mean has been shown; before, the cover counts as untouched, with data of the instant.
+    /// True once a mean has been shown; before, the cover counts as untouched, with data of the instant.
     has_felt: bool,
     shown: CoverState,
 }
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mean_is_as_old_as_the_middle_of_its_period_and_grows_older_while_it_is_held() {
+    fn held_mean_ages_from_middle_of_its_period() {
         let mut cover = IdealCover::new(3, 2);
         let mut ages_ns = Vec::new();
         for now_ns in (0..10).map(|tick| 1_000 * tick) {

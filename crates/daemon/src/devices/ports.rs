@@ -36,7 +36,7 @@ pub(crate) fn talk(port: &str) -> Result<Box<dyn Line>> {
     Ok(Box::new(opened.map_err(|failure| anyhow::anyhow!("board.port = {port:?}: {}", failure.text()))?))
 }
 
-/// The same for a force gauge behind a serial adapter of this speed.
+/// Opens a force gauge behind a serial adapter of this speed.
 pub(crate) fn open_gauge(
     path: &str,
     baud: u32,
@@ -45,7 +45,7 @@ pub(crate) fn open_gauge(
     Ok(Reader::spawn_with_baud(PortSelection::Path(path.to_owned()), baud, start)?)
 }
 
-/// Where the only Touch Board is, or why there is none.
+/// Finds the only Touch Board, or returns the reason why there is none.
 pub(crate) fn look() -> Result<String, &'static str> {
     look_for_board().map_err(|failure| failure.text())
 }

@@ -292,7 +292,7 @@ mod tests {
 
     #[test]
     #[cfg(feature = "sim")]
-    fn odometry_that_is_carried_on_by_its_twist_makes_smaller_steps_of_torque() {
+    fn extrapolated_odometry_reduces_torque_steps() {
         let [staircase, carried_on] = [0, 100_000_000].map(torque_step_nm);
         let said =
             format!("{carried_on:.2} N·m instead of {staircase:.2} N·m, {:.2} of it", carried_on / staircase);
@@ -303,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn each_base_that_is_shipped_as_a_file_gets_the_message_that_it_reads() {
+    fn every_shipped_base_gets_its_message_type() {
         let order = |name: &str| {
             let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/robots/");
             let config = Config::load(std::path::Path::new(&format!("{folder}{name}"))).unwrap();

@@ -2,14 +2,15 @@
 
 use crate::config::{Config, HandConfig};
 use crate::control::plant::{Plant, Simulated, SourceAge};
+use crate::control::stopping::{Ladder, Stop};
 use crate::devices::scripted_press::scripted_press;
 use crate::inject::{FaultSite, Injection, PlantSpoiler};
 use crate::robot::{FoamKind, JOINTS, Parts, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
-use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotState};
+use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotCommand, RobotState};
 use moca_sim::foam::{ElasticLaw, Foam};
 use moca_sim::scene::Robot;
-use moca_sim::{Integrator, Scene, SharedForces, SimError, SimPlant};
+use moca_sim::{Engine, Integrator, Scene, SharedForces, SimError, SimPlant};
 use moca_tactile::cover::Electrode;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -20,7 +21,7 @@ const CATCH_UP_MAX_TICKS: u64 = 20;
 /// Longest physics step, s.
 const STEP_MAX_S: f64 = 1e-3;
 
-/// The free robot with the parts it has, stepped at the control rate of `config`.
+/// The free robot with the parts it has, as `[simulation.true]` has it, stepped at the control rate of `config`.
 pub fn free_scene(config: &Config) -> Scene {
     let control_period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     let substeps = (control_period_s / STEP_MAX_S - 1e-9).ceil().max(1.0);
@@ -29,6 +30,8 @@ pub fn free_scene(config: &Config) -> Scene {
         Parts::Base => Robot::BaseOnly,
         Parts::Arm => Robot::ArmOnly,
     };
+    let truth = &config.simulation.truth;
+    let base = truth.base.applied(&config.robot.base);
     let accuracy = Some(config.simulation.accuracy).filter(|accuracy| *accuracy > 0.0);
     Scene {
         robot,
@@ -36,14 +39,15 @@ pub fn free_scene(config: &Config) -> Scene {
         integrator: if accuracy.is_some() { Integrator::Leapfrog } else { Integrator::default() },
         arm_posture_rad: config.control.gains.posture_rad,
         payload: config.robot.payload(),
-        foam: foam(config),
+        foam: foam(config).stiffened(truth.foam.scale),
         control_period_s,
         physics_step_s: control_period_s / substeps,
-        ..Scene::new(config.arm(), &config.robot.base, &config.robot.mount, &config.robot.cover.placements())
+        base_link: truth.base,
+        ..Scene::new(config.arm(), &base, &config.robot.mount, &config.robot.cover.placements())
     }
 }
 
-/// The foam under the cover.
+/// The foam under the cover as believed.
 pub fn foam(config: &Config) -> Foam {
     match config.robot.cover.foam {
         FoamKind::PuLd30 => Foam::PU_LD30,
@@ -59,6 +63,31 @@ pub fn foam(config: &Config) -> Foam {
             }
         }
     }
+}
+
+/// Drives the base of `scene` alone, with nobody near, through the ladder of [`Ladder`].
+///
+/// # Errors
+/// A scene that cannot be built.
+pub fn stops(config: &Config, scene: &Scene) -> Result<Vec<Stop>, SimError> {
+    let alone = Scene {
+        robot: Robot::BaseOnly,
+        people: Vec::new(),
+        engine: Engine::MuJoCo,
+        accuracy: None,
+        ..scene.clone()
+    };
+    let mut base = SimPlant::new(&alone)?;
+    let mut ladder = Ladder::new(config.limits.base_acceleration[0], alone.control_period_s);
+    while let Some(forward_m_s) = ladder.tick(base.state().base_pose_world[0]) {
+        base.apply(&Actuation::Drive(RobotCommand::<JOINTS> {
+            base_velocity_body: [forward_m_s, 0.0, 0.0],
+            arm_torque_nm: [0.0; JOINTS],
+            arm_gravity_nm: [0.0; JOINTS],
+        }))?;
+        base.step()?;
+    }
+    Ok(ladder.stops().collect())
 }
 
 /// MuJoCo behind the [`Plant`] trait, with the hands that press it.
@@ -205,6 +234,10 @@ impl Simulated for SimulatedRobot {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::barrier::{curves, pressed, struck};
+    use moca_msgs::RobotCommand;
+    use moca_tactile::TaxelModel;
+    use moca_tactile::model::FoamMemory;
 
     #[test]
     fn one_tick_is_one_control_period_at_every_rate() {
@@ -216,6 +249,84 @@ mod tests {
                 robot.step().unwrap();
             }
             assert!((robot.world.time_s() - 1.0).abs() < 1e-6, "{rate_hz} Hz: {} s", robot.world.time_s());
+        }
+    }
+
+    /// Speeds of the base, m/s, tick by tick from an order of 0.1 m/s on, as it is and as it is reported.
+    fn starts(change: &str, value: f64) -> [Vec<f64>; 2] {
+        let mut config = Config::default();
+        config.set(&format!("simulation.true.base.{change}"), &value.into()).unwrap();
+        let scene = Scene { robot: Robot::BaseOnly, ..free_scene(&config) };
+        let mut robot = SimulatedRobot::new(&config, &scene, Vec::new()).unwrap();
+        let zero = [0.0; JOINTS];
+        let order =
+            RobotCommand { base_velocity_body: [0.1, 0.0, 0.0], arm_torque_nm: zero, arm_gravity_nm: zero };
+        let mut speeds = [vec![], vec![]];
+        let mut last_m = 0.0;
+        for _ in 0..300 {
+            robot.write(&Actuation::Drive(order), 1).unwrap();
+            let true_m = robot.world.true_base_pose_world()[0];
+            speeds[0].push((true_m - last_m) / 1e-3);
+            last_m = true_m;
+            speeds[1].push(robot.read().unwrap().base_velocity_world[0]);
+        }
+        speeds
+    }
+
+    #[test]
+    fn late_orders_and_odometry_shift_base_by_their_delay() {
+        let moves = |speeds: &[f64]| speeds.iter().position(|speed| *speed > 0.05).unwrap();
+        let [driven, reported] = starts("order_delay_ms", 0.0);
+        let [late, late_reported] = starts("order_delay_ms", 50.0);
+        assert_eq!(
+            (late[50..].to_vec(), late_reported[50..].to_vec()),
+            (driven[..250].to_vec(), reported[..250].to_vec())
+        );
+        let [driven_too, seen_late] = starts("odometry_delay_ms", 30.0);
+        assert_eq!((&driven_too, &seen_late[30..]), (&driven, &reported[..270]));
+        let [slow, _] = starts("servo_ms", 100.0);
+        assert!(moves(&slow) > moves(&driven) + 30, "{} {}", moves(&slow), moves(&driven));
+    }
+
+    #[test]
+    fn a_reading_of_pu_ld30_says_how_close_the_plates_are() {
+        let mut config = Config::default();
+        config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
+        let assumed = curves(&config).unwrap().0;
+        config.set("protection.contact_barrier", &"auto".into()).unwrap();
+        config.board.calibration = "cover.toml".into();
+        assert_eq!(curves(&config).unwrap().0, assumed, "a calibration of the same foam");
+        let slow = pressed(&config.robot.cover);
+        let mut worst_pressed = 0.0_f64;
+        for tenths in 5..=115 {
+            let depth_m = 1e-4 * f64::from(tenths);
+            let counts = Foam::PU_LD30.counts_drop(depth_m);
+            let reading_n = TaxelModel::PU_LD30.force_n(&mut FoamMemory::default(), counts, 0.0);
+            let off_m = assumed.depth_m(reading_n) - depth_m;
+            assert!(off_m.abs() < 0.1e-3, "{depth_m} m: {off_m} m off at {reading_n} N");
+            worst_pressed = worst_pressed.min(slow.depth_m(reading_n) - depth_m);
+        }
+        assert!(
+            worst_pressed < -0.5e-3,
+            "by the foam under a steady force it would be {worst_pressed} m off"
+        );
+        config.set("robot.cover.foam", &"cc".into()).unwrap();
+        assert_eq!(curves(&config).unwrap().0, pressed(&config.robot.cover));
+    }
+
+    #[test]
+    fn every_foam_yields_as_the_simulated_one() {
+        for name in ["pu-ld30", "cc", "pe5", "pe3", "hyperbolic"] {
+            let mut config = Config::default();
+            config.set("robot.cover.foam", &name.into()).unwrap();
+            let (cover, simulated) = (&config.robot.cover, foam(&config));
+            for force_n in [2.0, 25.0, 130.0] {
+                let off_m = struck(cover).depth_m(force_n) - simulated.deformation_m(force_n);
+                assert!(off_m.abs() < 1e-6, "{name}, {force_n} N: {off_m} m");
+                let relaxes = name != "hyperbolic";
+                let off_m = pressed(cover).depth_m(force_n) - simulated.ramp_deformation_m(force_n);
+                assert!(!relaxes || off_m.abs() < 1e-6, "{name}, {force_n} N pressed: {off_m} m");
+            }
         }
     }
 }

@@ -35,7 +35,7 @@ impl StandInBase {
 
     /// Follows `wanted` (axes of B) for `ticks` control periods.
     pub fn follow(&mut self, wanted: [f64; 3], ticks: u64) {
-        /// What a base that hears nothing drives on at most; then it has stopped.
+        /// Longest time for which a base without orders drives on; then it has stopped.
         const MOST: u64 = 250;
         let share = 1.0 - (-self.period_s / self.time_constant_s).exp();
         for _ in 0..ticks.min(MOST) {

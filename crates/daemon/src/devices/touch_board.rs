@@ -58,6 +58,12 @@ impl CoverSource for ByteCover {
             fault: poll.fault.filter(|fault| *fault != Fault::ZeroInvalid),
             fault_board: poll.fault_board,
             zero: self.zero(),
+            deviation_counts: self
+                .cover
+                .zeros()
+                .iter()
+                .flatten()
+                .fold(0.0, |worst, zero| worst.max(zero.deviation)),
             counts: self.cover.counts(),
             board: ill.or_else(|| diagnoses().next()).unwrap_or_default(),
             frames_good: frames(|stats| stats.frames_good),

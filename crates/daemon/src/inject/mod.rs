@@ -1,19 +1,25 @@
 //! Faults on purpose: a seeded injector for tests, for the fault table and for `mocad run --inject NAME@SECONDS`.
 
 mod cable;
+mod cable_fault;
 mod outside;
 mod plant;
+mod values;
 
-pub use cable::{Cable, CableFault, STRUCK_TAXEL};
+pub use cable::Cable;
+pub use cable_fault::CableFault;
 pub use outside::{Disk, OutsideFault, Strike, client};
 pub use plant::{PlantFault, PlantSpoiler};
+pub use values::STRUCK_TAXEL;
 
+use crate::config::Config;
+use crate::robot::PlantKind;
 use crate::runtime::clock::Clock;
-use moca_tactile::BoardEvent;
+use moca_tactile::{BoardEvent, Firmware};
 use std::str::FromStr;
 use std::time::Duration;
 
-/// How often a live spoiled cable looks for bytes.
+/// Period at which a live spoiled cable looks for bytes.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
 /// Events on a live spoiled cable: as many as behind a port.
 const RING_EVENTS: usize = 1024;
@@ -23,13 +29,13 @@ const RING_EVENTS: usize = 1024;
 pub struct Named {
     /// As on the command line.
     pub name: &'static str,
-    /// Where it strikes and how.
+    /// Place and kind of the fault.
     pub site: FaultSite,
     /// In words.
     pub text: &'static str,
 }
 
-/// Where a fault strikes.
+/// Place where a fault strikes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FaultSite {
     /// Bytes or board, on the way to the loop.
@@ -51,17 +57,17 @@ macro_rules! named {
 
 named! {
     "garbage" FaultSite::Cable(CableFault::Garbage), "random bytes between all lines";
-    "torn-line" FaultSite::Cable(CableFault::TornLine), "every FDAT line loses its second half";
+    "torn-line" FaultSite::Cable(CableFault::TornLine), "every line of FDAT loses its second half";
     "byte-lost" FaultSite::Cable(CableFault::ByteLost), "a byte vanishes from one line in six";
     "bit-flipped" FaultSite::Cable(CableFault::BitFlipped), "a bit flips in one line in six";
     "nul-bytes" FaultSite::Cable(CableFault::NulBytes), "runs of zero bytes between lines";
     "no-newline" FaultSite::Cable(CableFault::NoNewline), "digits without an end instead of lines";
-    "number-too-large" FaultSite::Cable(CableFault::NumberTooLarge), "FDAT holds 99999";
-    "not-a-number" FaultSite::Cable(CableFault::NotANumber), "FDAT holds NaN, inf and -1";
+    "number-too-large" FaultSite::Cable(CableFault::NumberTooLarge), "FDAT holds a number beyond its range";
+    "not-a-number" FaultSite::Cable(CableFault::NotANumber), "FDAT holds NaN";
     "column-missing" FaultSite::Cable(CableFault::ColumnMissing), "every line has a column too few";
     "column-extra" FaultSite::Cable(CableFault::ColumnExtra), "every line has a column too many";
     "line-repeated" FaultSite::Cable(CableFault::LineRepeated), "every line comes twice";
-    "line-missing" FaultSite::Cable(CableFault::LineMissing), "no BVAL line any more";
+    "line-missing" FaultSite::Cable(CableFault::LineMissing), "no line of baselines any more";
     "touch-sketch" FaultSite::Cable(CableFault::TouchSketch), "the factory sketch's text instead of DataStream";
     "silent" FaultSite::Cable(CableFault::Silent), "the port stays open, no bytes come";
     "unplugged" FaultSite::Cable(CableFault::Unplugged), "the port closes";
@@ -69,8 +75,8 @@ named! {
     "port-refused" FaultSite::Cable(CableFault::PortRefused), "the port closes, opening it again is denied";
     "host-stall" FaultSite::Cable(CableFault::HostStall), "400 ms of bytes arrive in one burst";
     "frozen" FaultSite::Cable(CableFault::Frozen), "good frames whose values never change";
-    "chip-reset" FaultSite::Cable(CableFault::ChipReset), "good frames of zeros";
-    "thresholds" FaultSite::Cable(CableFault::Thresholds), "the touch thresholds change";
+    "chip-reset" FaultSite::Cable(CableFault::ChipReset), "good frames of zeros; our firmware says that the chip was reset";
+    "thresholds" FaultSite::Cable(CableFault::Thresholds), "the touch thresholds change (DataStream only)";
     "slow-board" FaultSite::Cable(CableFault::SlowBoard), "every other frame is missing";
     "taxel-stuck" FaultSite::Cable(CableFault::TaxelStuck), "T4 stays at one value";
     "taxel-dead" FaultSite::Cable(CableFault::TaxelDead), "T4 reads as if its plate were gone";
@@ -133,6 +139,54 @@ impl FromStr for Injection {
             std::time::Duration::try_from_secs_f64(at).map_err(|error| format!("{seconds} s: {error}"))
         })?;
         Ok(Self { fault: *fault, at_ns: u64::try_from(at.as_nanos()).map_err(|error| error.to_string())? })
+    }
+}
+
+impl Named {
+    /// Returns true if this fault can strike a run with `config`; another one would change nothing and say nothing.
+    fn applies(&self, config: &Config) -> bool {
+        let (plant, simulated) = (&config.plant, config.plant.kind == PlantKind::Simulated);
+        let ports = &config.board.port;
+        match self.site {
+            FaultSite::Cable(fault) => {
+                let stock = ports.are_simulated()
+                    && ports.firmware_program().is_none()
+                    && config.board.firmware != Firmware::Moca;
+                plant.parts.has_cover() && (stock || fault.is_of_our_firmware())
+            }
+            FaultSite::Plant(fault) => {
+                simulated
+                    && (!fault.is_of_arm() || plant.parts.has_arm())
+                    && (!fault.is_of_base() || plant.parts.has_cover())
+            }
+            FaultSite::MissedSlots(_) => simulated,
+            FaultSite::Outside(_) => true,
+        }
+    }
+}
+
+impl Injection {
+    /// Checks that the fault can strike a run with `config`.
+    ///
+    /// # Errors
+    /// It cannot: why, and the faults that can.
+    pub fn check(&self, config: &Config) -> Result<(), String> {
+        if self.fault.applies(config) {
+            return Ok(());
+        }
+        let why = match self.fault.site {
+            FaultSite::Cable(_) if !config.plant.parts.has_cover() => "a robot without a cover has no cable",
+            FaultSite::Cable(_) => {
+                "our firmware's line carries no thresholds (board.firmware = \"stock-2018\" simulates one that does)"
+            }
+            _ if config.plant.kind != PlantKind::Simulated => {
+                "only a simulated robot can be made to fail (plant.kind)"
+            }
+            _ => "the robot lacks that part (plant.parts)",
+        };
+        let apply = FAULTS.iter().filter(|fault| fault.applies(config)).map(|fault| fault.name);
+        let apply = apply.collect::<Vec<_>>().join(", ");
+        Err(format!("--inject {}: {why}; these apply here: {apply}", self.fault.name))
     }
 }
 

@@ -1,21 +1,23 @@
-//! What goes wrong outside the loop: the disk, a subscriber, a panel, a setting.
+//! Faults outside the loop: the disk, a subscriber, a panel, a setting.
 
 use super::Random;
 use moca_msgs::{ParameterValues, Request};
-use moca_telemetry::net::{Connection, Link, Update};
+use moca_telemetry::net::wire::{FromClient, Role, encode_from_client};
+use moca_telemetry::net::{Address, Connection, Link, Update};
 use std::io::{self, ErrorKind, Read, Write};
-use std::net::{SocketAddr, TcpStream};
+use std::net::TcpStream;
+use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// How long a slow disk takes for a write.
+/// Duration of a write to a slow disk.
 const SLOW: Duration = Duration::from_millis(10);
-/// How often a client looks for news and for the strike.
+/// Period at which a client looks for news and for the strike.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 const GARBAGE_BYTES: usize = 1 << 16;
 
-/// What happens outside the loop.
+/// Fault outside the loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[expect(missing_docs, reason = "each is described once, in the table of inject/mod.rs")]
 pub enum OutsideFault {
@@ -31,7 +33,7 @@ pub enum OutsideFault {
 }
 
 impl OutsideFault {
-    /// Whether it strikes the disk that a log is written to.
+    /// Returns true if it strikes the disk that a log is written to.
     pub const fn is_of_disk(self) -> bool {
         matches!(self, Self::DiskFull | Self::DiskSlow)
     }
@@ -138,7 +140,7 @@ impl<W: Write> Write for Disk<W> {
 ///
 /// # Errors
 /// No thread, or nobody listens.
-pub fn client(fault: OutsideFault, address: SocketAddr, strike: Strike, seed: u64) -> io::Result<()> {
+pub fn client(fault: OutsideFault, address: &Address, strike: Strike, seed: u64) -> io::Result<()> {
     let client = std::thread::Builder::new().name("spoiled-client".into());
     match fault {
         OutsideFault::PanelGone | OutsideFault::ParameterNan | OutsideFault::ParameterAbsurd => {
@@ -146,16 +148,44 @@ pub fn client(fault: OutsideFault, address: SocketAddr, strike: Strike, seed: u6
             client.spawn(move || misuse(fault, panel, &strike))?;
         }
         _ => {
-            let socket = TcpStream::connect(address)?;
-            socket.set_read_timeout(Some(LOOK_EVERY))?;
+            let (socket, address) = (connect(address)?, address.clone());
             // A closed socket ends this client, and it has no other purpose.
-            client.spawn(move || drop(disturb(fault, socket, &strike, seed)))?;
+            client.spawn(move || drop(disturb(fault, socket, &address, &strike, seed)))?;
         }
     }
     Ok(())
 }
 
-fn disturb(fault: OutsideFault, mut socket: TcpStream, strike: &Strike, seed: u64) -> io::Result<()> {
+/// A bare connection.
+trait Socket: Read + Write + Send {}
+impl<S: Read + Write + Send> Socket for S {}
+
+/// One that introduces itself where no token is needed, so that it is served.
+fn connect(address: &Address) -> io::Result<Box<dyn Socket>> {
+    let mut socket: Box<dyn Socket> = match address {
+        Address::Tcp(address) => {
+            let socket = TcpStream::connect(address)?;
+            socket.set_read_timeout(Some(LOOK_EVERY))?;
+            Box::new(socket)
+        }
+        Address::Unix(path) => {
+            let socket = UnixStream::connect(path)?;
+            socket.set_read_timeout(Some(LOOK_EVERY))?;
+            Box::new(socket)
+        }
+    };
+    let hello = encode_from_client(&FromClient::Hello { role: Role::Observer, proof: None });
+    socket.write_all(&hello.map_err(io::Error::other)?)?;
+    Ok(socket)
+}
+
+fn disturb(
+    fault: OutsideFault,
+    mut socket: Box<dyn Socket>,
+    address: &Address,
+    strike: &Strike,
+    seed: u64,
+) -> io::Result<()> {
     let mut bytes = vec![0; GARBAGE_BYTES];
     let struck = strike.wait(|| {
         // What it reads means nothing to it; a timeout is no news.
@@ -170,7 +200,7 @@ fn disturb(fault: OutsideFault, mut socket: TcpStream, strike: &Strike, seed: u6
             bytes.fill_with(|| random.byte());
             // The daemon hangs up on it: it comes again.
             if socket.write_all(&bytes).is_err() {
-                socket = TcpStream::connect(socket.peer_addr()?)?;
+                socket = connect(address)?;
             }
         }
         std::thread::sleep(LOOK_EVERY);
@@ -178,7 +208,7 @@ fn disturb(fault: OutsideFault, mut socket: TcpStream, strike: &Strike, seed: u6
     Ok(())
 }
 
-/// Arms the robot and goes away, or sends a setting that is none.
+/// Arms the robot and goes away, or sends an invalid setting.
 fn misuse(fault: OutsideFault, panel: Connection, strike: &Strike) {
     if fault == OutsideFault::PanelGone {
         let answered = |request, update: &Update| {

@@ -7,7 +7,7 @@ use moca_msgs::{Fault, RobotState};
 const JUMP_RAD: f64 = 0.5;
 const JUMP_M: f64 = 0.5;
 
-/// What happens to the robot.
+/// Fault of the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[expect(missing_docs, reason = "each is described once, in the table of inject/mod.rs")]
 pub enum PlantFault {
@@ -21,6 +21,18 @@ pub enum PlantFault {
     ArmStale,
     BaseStale,
     Panic,
+}
+
+impl PlantFault {
+    /// Returns true for a fault of the arm alone.
+    pub(super) const fn is_of_arm(self) -> bool {
+        matches!(self, Self::JointNan | Self::JointRateInfinite | Self::JointJump | Self::ArmStale)
+    }
+
+    /// Returns true for a fault of the base alone.
+    pub(super) const fn is_of_base(self) -> bool {
+        matches!(self, Self::BaseNan | Self::BaseJump | Self::BaseStale)
+    }
 }
 
 /// Spoils what a plant says from its strike on.

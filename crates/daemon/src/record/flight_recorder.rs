@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use moca_msgs::{Fault, Mode, Sample};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::records::Configuration;
-use moca_telemetry::log::{LogError, LogWriter, Meta, SerialBytes};
+use moca_telemetry::log::{LogError, LogWriter, Meta, SerialBytes, create_file};
 use moca_telemetry::net::wire::unix_now_ns;
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::{self, File};
@@ -18,16 +18,36 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, TrySendError, channel, sync_channel};
 use std::thread::JoinHandle;
+use std::time::{Duration, UNIX_EPOCH};
 
-/// How much of the past is kept, ns.
+/// Length of the past that is kept, ns.
 pub const KEPT_NS: u64 = 10_000_000_000;
 /// Files kept in the folder.
 pub const FILES_MAX: usize = 20;
 /// Stops by one cause within so much of each other are one story, ms.
 const STORY_MS: u64 = 60_000;
-/// Files that may wait for the disk.
-const JOBS_MAX: usize = 4;
-const PREFIX: &str = "mocad-fault-";
+/// Files that may wait for the disk, each with its own seconds of memory.
+const JOBS_MAX: usize = 2;
+
+/// `2026-11-25T12-03-04_host-starved.mcap`, UTC; with `fraction` the time to the millisecond.
+fn file_name(at_ms: u64, cause: &str, fraction: bool) -> String {
+    let at = UNIX_EPOCH + Duration::from_millis(at_ms);
+    let stamp = if fraction {
+        humantime::format_rfc3339_millis(at).to_string()
+    } else {
+        humantime::format_rfc3339_seconds(at).to_string()
+    };
+    format!("{}_{cause}.mcap", stamp.trim_end_matches('Z').replace(':', "-"))
+}
+
+/// When a file of this name was written, ms since the Unix epoch, and for which cause; `None` of a file that is not ours.
+fn dated(name: &str) -> Option<(u64, &str)> {
+    let (stamp, cause) = name.strip_suffix(".mcap")?.split_once('_')?;
+    let (day, time) = stamp.split_once('T')?;
+    let at = humantime::parse_rfc3339(&format!("{day}T{}Z", time.replace('-', ":"))).ok()?;
+    let at_ms = u64::try_from(at.duration_since(UNIX_EPOCH).ok()?.as_millis()).ok()?;
+    Fault::CODES.contains(&cause).then_some((at_ms, cause))
+}
 
 /// Keeps the last [`KEPT_NS`] and writes them at every edge into a stop by a fault.
 pub struct FlightRecorder {
@@ -35,15 +55,17 @@ pub struct FlightRecorder {
     meta: Meta,
     kept: Kept,
     stopped: Option<Fault>,
+    /// Name of the last file.
+    last: String,
     writer: Writer,
 }
 
-/// The last seconds.
+/// The last seconds. They are tens of megabytes: whoever writes them to a file shares them.
 #[derive(Clone, Default)]
 struct Kept {
-    samples: VecDeque<Sample>,
-    ticks: VecDeque<TickRecord>,
-    /// What the loop remembered: the oldest is that from which the ticks go on.
+    samples: VecDeque<Arc<Sample>>,
+    ticks: VecDeque<Arc<TickRecord>>,
+    /// Memories of the loop: the ticks continue from the oldest.
     states: VecDeque<Arc<StateRecord>>,
 }
 
@@ -74,7 +96,7 @@ impl Kept {
     }
 }
 
-/// What the thread that writes has been asked for and has to say.
+/// Requests to the writing thread, and its messages.
 struct Writer {
     jobs: SyncSender<Job>,
     say: Sender<String>,
@@ -88,7 +110,7 @@ struct Job {
 }
 
 impl FlightRecorder {
-    /// What the configuration asks for; `None` if it asks for none.
+    /// Starts the configured recorder; `None` if none is configured.
     ///
     /// # Errors
     /// The folder cannot be made or written, a file that the configuration names cannot be read, or no thread.
@@ -106,13 +128,13 @@ impl FlightRecorder {
             format!("flight_recorder.folder = {:?}: {}", config.flight_recorder.folder, folder.display())
         })?;
         let writer = Writer::start(folder.clone(), meta.clone(), configuration, period_s)?;
-        Ok(Some(Self { folder, meta, kept: Kept::default(), stopped: None, writer }))
+        Ok(Some(Self { folder, meta, kept: Kept::default(), stopped: None, last: String::new(), writer }))
     }
 
     /// Keeps what one tick was given.
     pub fn add_tick(&mut self, record: TickRecord) {
         let now_ns = record.input.slot.now_ns;
-        self.kept.ticks.push_back(record);
+        self.kept.ticks.push_back(Arc::new(record));
         self.kept.forget(now_ns);
     }
 
@@ -124,19 +146,25 @@ impl FlightRecorder {
     /// Keeps one sample; at the edge into a stop by a fault, lets a thread write what is kept and returns the file.
     pub fn add(&mut self, sample: &Sample) -> Option<PathBuf> {
         let now_ns = sample.time_ns;
-        self.kept.samples.push_back(sample.clone());
+        self.kept.samples.push_back(Arc::new(sample.clone()));
         self.kept.forget(now_ns);
         let stopped = matches!(sample.mode, Mode::ProtectiveStop | Mode::Fault);
         let fault = sample.fault.filter(|fault| stopped && *fault != Fault::OperatorStop);
         let before = std::mem::replace(&mut self.stopped, fault);
         let fault = fault.filter(|fault| before.map(Fault::code) != Some(fault.code()))?;
         let at_ms = (self.meta.start_unix_ns + now_ns) / 1_000_000;
-        let path = self.folder.join(format!("{PREFIX}{at_ms}-{}.mcap", fault.code()));
+        let mut name = file_name(at_ms, fault.code(), false);
+        if name == self.last {
+            name = file_name(at_ms, fault.code(), true);
+        } else {
+            self.last.clone_from(&name);
+        }
+        let path = self.folder.join(name);
         let said = self.writer.write(Job { path: path.clone(), kept: self.kept.clone() });
         said.then_some(path)
     }
 
-    /// What went wrong with the files since the last call.
+    /// Returns the trouble with the files since the last call.
     pub fn trouble(&mut self) -> Option<String> {
         self.writer.said.try_recv().ok()
     }
@@ -159,7 +187,7 @@ impl Writer {
         Ok(Self { jobs, say, said, thread: Some(thread) })
     }
 
-    /// Whether there is room for one more: the disk may be slower than the faults.
+    /// Returns true if there is room for one more: the disk may be slower than the faults.
     fn write(&self, job: Job) -> bool {
         let Err(refused) = self.jobs.try_send(job) else { return true };
         let (TrySendError::Full(job) | TrySendError::Disconnected(job)) = refused;
@@ -180,7 +208,7 @@ impl Drop for Writer {
     }
 }
 
-/// Whether a file can be made there.
+/// Checks that a file can be created there.
 fn probe(folder: &Path) -> std::io::Result<()> {
     let path = folder.join(format!(".mocad-{}", std::process::id()));
     File::create(&path)?;
@@ -188,7 +216,7 @@ fn probe(folder: &Path) -> std::io::Result<()> {
 }
 
 /// systemd's StateDirectory, or else the user's folder for state (XDG base directories), which outlives a reboot.
-fn auto_folder() -> PathBuf {
+pub(crate) fn auto_folder() -> PathBuf {
     let folder = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     folder("STATE_DIRECTORY")
         .or_else(|| Some(folder("XDG_STATE_HOME")?.join("mocad")))
@@ -203,7 +231,7 @@ fn write_log(
     period_s: f64,
     kept: &Kept,
 ) -> Result<(), LogError> {
-    let file = File::create_new(path).map_err(|cause| LogError::Create { path: path.into(), cause })?;
+    let file = create_file(path).map_err(|cause| LogError::Create { path: path.into(), cause })?;
     let mut log = LogWriter::new(BufWriter::new(file), meta)?;
     log.configuration(configuration)?;
     let mut blocks = BlockBuilder::new(period_s);
@@ -218,7 +246,7 @@ fn write_log(
         log.sample(sample)?;
         while let Some(record) = ticks.next_if(|record| record.input.slot.tick <= sample.tick) {
             tick(&mut log, record)?;
-            write_block(&mut log, blocks.tick(record.clone()))?;
+            write_block(&mut log, blocks.tick(TickRecord::clone(record)))?;
         }
         write_block(&mut log, blocks.sample(sample))?;
     }
@@ -253,8 +281,7 @@ fn forget_surplus(folder: &Path) {
     let mut by_cause: BTreeMap<String, Vec<Dated>> = BTreeMap::new();
     for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
         let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-        let parts = name.strip_prefix(PREFIX).and_then(|rest| rest.split_once('-'));
-        if let Some((Ok(at_ms), cause)) = parts.map(|(at_ms, cause)| (at_ms.parse(), cause)) {
+        if let Some((at_ms, cause)) = dated(name) {
             by_cause.entry(cause.to_owned()).or_default().push((at_ms, path));
         }
     }
@@ -288,7 +315,7 @@ mod tests {
         Sample { tick, time_ns: tick * 1_000_000, mode, fault, ..Sample::default() }
     }
 
-    /// What the loop tells of the tick at so many milliseconds, the `number`th of its run; each reads one byte of the board.
+    /// Reports the tick at a number of milliseconds, the `number`th of its run; each reads one byte of the board.
     fn tell(recorder: &mut FlightRecorder, tick: u64, number: u64, fault: Option<Fault>) -> Option<PathBuf> {
         if tick.is_multiple_of(1000) {
             let time_ns = tick * 1_000_000;
@@ -320,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_ten_seconds_can_be_run_again_from_the_state_before_them() {
+    fn last_ten_seconds_replay_from_stored_state() {
         let mut recorder = recorder("again");
         let start_ms = recorder.meta.start_unix_ns / 1_000_000;
         for tick in 0..25_000 {
@@ -339,14 +366,39 @@ mod tests {
         assert!(samples.0 <= 14_001 && samples.0 >= 14_000, "{samples:?}");
         let log = read_log(&path).unwrap();
         assert_eq!((log.cut, log.serial.len()), (None, ticks.2), "every byte that the ticks were given");
-        let (at_ms, code) = name.strip_prefix(PREFIX).unwrap().split_once('-').unwrap();
-        let after_ms = at_ms.parse::<u64>().unwrap() - start_ms;
-        assert!((25_000..=25_001).contains(&after_ms) && code == "board-lost.mcap", "{name}");
+        let (at_ms, code) = dated(&name).unwrap();
+        assert!(at_ms.abs_diff(start_ms + 25_000) <= 1000 && code == "board-lost", "{name}");
         fs::remove_dir_all(folder).unwrap();
     }
 
     #[test]
-    fn a_short_run_begins_at_its_beginning_and_one_whose_beginning_was_lost_after_its_first_state() {
+    fn memory_is_bounded_and_shared_with_the_file_writer() {
+        let mut recorder = recorder("memory");
+        let (jobs, disk) = sync_channel(JOBS_MAX);
+        let (say, said) = channel();
+        recorder.writer = Writer { jobs, say, said, thread: None };
+        let mut rooms = Vec::new();
+        for tick in 0..60_000 {
+            let fault = (tick % 20_000 == 19_999).then_some(Fault::BoardSilent);
+            tell(&mut recorder, tick, tick, fault);
+            let Kept { samples, ticks, states } = &recorder.kept;
+            assert!(samples.len() <= 11_001 && ticks.len() <= 11_001 && states.len() <= 12);
+            if tick % 20_000 == 19_999 {
+                rooms.push((samples.capacity(), ticks.capacity(), states.capacity()));
+                if let Ok(Job { kept, .. }) = disk.try_recv() {
+                    // One allocation a record, whoever holds it: none is copied for the file.
+                    let shared = |(here, there): (&Arc<Sample>, &Arc<Sample>)| Arc::ptr_eq(here, there);
+                    assert!(samples.iter().zip(&kept.samples).all(shared));
+                    assert!(ticks.iter().zip(&kept.ticks).all(|(here, there)| Arc::ptr_eq(here, there)));
+                }
+            }
+        }
+        assert!(rooms.windows(2).all(|pair| pair[0] == pair[1]), "it grows: {rooms:?}");
+        fs::remove_dir_all(&recorder.folder).unwrap();
+    }
+
+    #[test]
+    fn short_run_is_written_from_its_first_known_state() {
         for (lost, begins, state) in [(0, 0, None), (500, 1001, Some(1000))] {
             let mut recorder = recorder(&format!("short-{lost}"));
             for tick in lost..3000 {
@@ -388,7 +440,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_writes_the_last_ten_seconds_once_and_an_operators_stop_nothing() {
+    fn fault_writes_ten_seconds_once_operator_stop_nothing() {
         let mut recorder = recorder("once");
         for tick in 0..12_000 {
             assert_eq!(recorder.add(&sample(tick, None)), None);
@@ -405,7 +457,7 @@ mod tests {
     }
 
     #[test]
-    fn every_stop_gets_its_file_and_a_cause_that_flaps_pushes_out_neither_another_nor_its_beginning() {
+    fn flapping_cause_displaces_no_other_file() {
         let mut recorder = recorder("flapping");
         let mut files = Vec::new();
         let mut lost = None;
@@ -450,10 +502,10 @@ mod tests {
     }
 
     #[test]
-    fn of_a_story_the_second_file_goes_and_of_stops_that_are_none_the_oldest() {
+    fn second_file_of_a_series_is_removed_first() {
         const BEGIN_MS: u64 = 1_700_000_000_000;
         let recorder = recorder("stories");
-        let file = |at_ms: u64| recorder.folder.join(format!("{PREFIX}{}-x.mcap", BEGIN_MS + at_ms));
+        let file = |at_ms: u64| recorder.folder.join(file_name(BEGIN_MS + at_ms, "board-slow", true));
         let remain = |times_ms: &[u64]| -> Vec<u64> {
             times_ms.iter().for_each(|at_ms| fs::write(file(*at_ms), "").unwrap());
             forget_surplus(&recorder.folder);
@@ -472,17 +524,30 @@ mod tests {
     }
 
     #[test]
+    fn a_file_is_named_after_date_and_cause() {
+        let name = file_name(1_764_072_184_512, "host-starved", false);
+        assert_eq!(name, "2025-11-25T12-03-04_host-starved.mcap");
+        assert_eq!(dated(&name), Some((1_764_072_184_000, "host-starved")));
+        let fine = file_name(1_764_072_184_512, "host-starved", true);
+        assert_eq!(dated(&fine), Some((1_764_072_184_512, "host-starved")));
+        for other in ["run.mcap", "2025-11-25T12-03-04_demo.mcap", "2025-11-25_host-starved.mcap"] {
+            assert_eq!(dated(other), None, "{other}");
+        }
+    }
+
+    #[test]
     fn surplus_files_go_and_others_are_not_touched() {
         let recorder = recorder("oldest");
-        for i in 0..FILES_MAX + 3 {
-            fs::write(recorder.folder.join(format!("{PREFIX}{i:03}-x.mcap")), "").unwrap();
+        let of = |at_ms: u64, cause: &str| recorder.folder.join(file_name(at_ms, cause, true));
+        for i in 0..FILES_MAX as u64 + 3 {
+            fs::write(of(i, "board-slow"), "").unwrap();
         }
-        fs::write(recorder.folder.join(format!("{PREFIX}000-y.mcap")), "").unwrap();
+        fs::write(of(0, "board-lost"), "").unwrap();
         fs::write(recorder.folder.join("mine.mcap"), "").unwrap();
         forget_surplus(&recorder.folder);
         assert_eq!(fs::read_dir(&recorder.folder).unwrap().count(), FILES_MAX + 1);
-        assert!(!recorder.folder.join(format!("{PREFIX}003-x.mcap")).exists());
-        assert!(recorder.folder.join(format!("{PREFIX}000-y.mcap")).exists());
+        assert!(!of(3, "board-slow").exists());
+        assert!(of(0, "board-lost").exists());
         assert!(recorder.folder.join("mine.mcap").exists());
         fs::remove_dir_all(&recorder.folder).unwrap();
     }

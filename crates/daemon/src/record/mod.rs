@@ -1,4 +1,4 @@
-//! What is kept of a run: every tick for a replay, the last seconds for a fault, commands as CSV.
+//! Records of a run: every tick for a replay, the last seconds for a fault, commands as CSV.
 
 pub mod command_csv;
 pub mod flight_recorder;

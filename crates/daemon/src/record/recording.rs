@@ -19,7 +19,7 @@ use std::time::Duration;
 const RING: usize = 4096;
 /// A board's bytes of so long are one message of the log, ns: hundreds of reads a second would each pay for its own.
 const TOGETHER_NS: u64 = 100_000_000;
-/// How long to wait when the disk is behind.
+/// Wait while the disk is behind.
 const WAIT: Duration = Duration::from_millis(1);
 
 /// A log that is being written.
@@ -52,7 +52,7 @@ impl Recording {
         })
     }
 
-    /// The same onto anything that can be written to.
+    /// Records onto anything that can be written to.
     ///
     /// # Errors
     /// It refuses the first write, or the calibration file cannot be read.
@@ -149,7 +149,7 @@ impl Recording {
     }
 }
 
-/// How a run is configured, with the texts of the files that its configuration names.
+/// Returns the configuration of a run, with the texts of the files that it names.
 ///
 /// # Errors
 /// One of them cannot be read.

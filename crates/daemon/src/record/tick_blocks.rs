@@ -24,7 +24,7 @@ const SAMPLE_KNOWN: u64 = 4;
 /// A tick and the fingerprint of its sample; `None` where the sample never came.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ComparedTick {
-    /// What it was given and what it answered.
+    /// Inputs and answers of the tick.
     pub record: TickRecord,
     /// See [`fingerprint`].
     pub sample: Option<u32>,
@@ -107,21 +107,21 @@ impl BlockBuilder {
     }
 }
 
-/// What few ticks have, each with the tick's place in the block.
+/// Values that few ticks have, each with the tick's place in the block.
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 struct Rare {
     no_state: Vec<(u32, Fault)>,
     requests: Vec<(u32, Request)>,
     outcomes: Vec<(u32, Outcome)>,
     refused: Vec<(u32, Fault)>,
-    /// Of the first board.
+    /// Events of the first board.
     events: Vec<(u32, PortEvent)>,
 }
 
-/// What further boards said, each event with the tick's place in the block and the board.
+/// Events of further boards, each with the tick's place in the block and the board.
 type Further = Vec<(u32, u8, PortEvent)>;
 
-/// What the arm said about itself, where that is other than in the tick before; nothing before the first.
+/// Reports of the arm on itself where they change; nothing before the first.
 type Links = Vec<(u32, Option<ArmLink>)>;
 
 fn link_changes(ticks: &[ComparedTick]) -> Links {
@@ -449,7 +449,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_block_is_an_error_or_another_block_and_nothing_worse() {
+    fn damaged_block_is_error_or_another_valid_block() {
         let bytes = encode(&(0..40).map(tick).collect::<Vec<_>>(), 1e-3);
         for at in 0..bytes.len() {
             assert!(decode(&bytes[..at]).is_err(), "cut at {at}");
@@ -462,7 +462,7 @@ mod tests {
     }
 
     #[test]
-    fn ticks_and_samples_find_each_other_whichever_comes_first_and_a_lost_one_is_no_other() {
+    fn ticks_and_samples_pair_in_any_order_despite_losses() {
         let mut builder = BlockBuilder::new(1e-3);
         let sample = |tick: u64| Sample { tick, ..Sample::default() };
         let mut blocks = Vec::new();

@@ -1,6 +1,6 @@
-//! What a tick was given and what it answered: enough to run it again. The loop puts it into a bounded ring; what finds
-//! no room there is counted, and a replay says so. What the loop remembers joins it once a second, so that the last ticks
-//! of a long run can be run again too.
+//! Inputs and answers of a tick: enough to run it again. The loop puts them into a bounded ring; ticks without room there are
+//! counted, and a replay reports them. The loop's memory joins once a second, so that the last ticks of a long run
+//! can be run again too.
 
 use crate::control::loop_state::LoopState;
 use crate::control::tick_input::TickInput;
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 /// Ticks and board events on their way to a recorder: four seconds at 1 kHz.
 const RING: usize = 4096;
-/// How often what the loop remembers is noted, ns.
+/// Period at which the loop's memory is copied, ns.
 const STATE_EVERY_NS: u64 = 1_000_000_000;
 /// States of the loop on their way: as many seconds of them as of ticks.
 const STATES: usize = 4;
@@ -93,7 +93,7 @@ impl TickLogReader {
     }
 }
 
-/// What the loop remembered after a tick, as a log holds it.
+/// Memory of the loop after a tick, as a log holds it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct StateRecord {
     /// Number of the tick in its run, as in [`TickRecord`].
@@ -104,20 +104,20 @@ pub struct StateRecord {
     pub time_ns: u64,
     /// Board events that the cover had taken.
     pub cover_events: u64,
-    /// What the loop remembered.
+    /// Memory of the loop.
     pub state: LoopState,
 }
 
 /// One tick as a log holds it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TickRecord {
-    /// What it was given and what it answered.
+    /// Inputs and answers of the tick.
     pub input: TickInput,
     /// Ticks of this run before this one, lost ones included.
     pub number: u64,
     /// Ticks and board events lost so far for want of room.
     pub lost: u64,
-    /// What it took from the boards' ports, in order, each with its board: 0 is the first.
+    /// Events that it took from the boards' ports, in order, each with its board: 0 is the first.
     pub events: Vec<(u8, PortEvent)>,
 }
 
@@ -177,7 +177,7 @@ pub(super) mod tests {
     use crate::runtime::assemble::{motion, supervisor};
     use moca_msgs::Fault;
 
-    /// Of the tick at so many milliseconds.
+    /// Returns the input of the tick at a number of milliseconds.
     pub(in crate::record) fn input(tick: u64, cover_events: u64) -> TickInput {
         TickInput {
             slot: Slot { tick, now_ns: tick * 1_000_000, ..Slot::default() },
@@ -204,7 +204,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn what_the_loop_remembers_is_asked_for_once_a_second_and_not_where_nobody_takes_it() {
+    fn loop_state_is_copied_once_a_second_if_recorded() {
         let (mut log, _copies, mut reader) = tick_log();
         let mut asked = 0;
         let mut run = |ticks: std::ops::Range<u64>| {

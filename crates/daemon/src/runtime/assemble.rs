@@ -1,10 +1,8 @@
 //! Puts the parts of a robot together as the configuration asks for them.
 
 use crate::calibration::service::{self, Reference};
-use crate::config::{Config, contact_limits};
-use crate::control::law::Motion;
-use crate::control::protection::Protection;
-use crate::control::supervisor::{Automatic, Supervisor};
+use crate::config::Config;
+pub use crate::control::assemble::{motion, supervisor};
 #[cfg(feature = "sim")]
 use crate::control::tick::ControlLoop;
 use crate::devices::board_events::{BoardEvents, NumberedEvent};
@@ -14,7 +12,7 @@ use crate::devices::force_gauge::Gauge;
 use crate::devices::ports;
 use crate::devices::touch_board::ByteCover;
 use crate::inject::{self, Cable, FaultSite, Injection, Named};
-use crate::robot::{PlantKind, TAXELS};
+use crate::robot::TAXELS;
 use crate::runtime::clock::Clock;
 use crate::runtime::realtime::{self, Raised};
 #[cfg(feature = "sim")]
@@ -28,28 +26,6 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 /// Events on their way to the calibrator: over ten seconds of a Touch Board.
 const RING_EVENTS: usize = 4096;
 
-/// The supervisor that the configuration asks for.
-pub fn supervisor(config: &Config) -> Supervisor {
-    let simulated = config.plant.kind == PlantKind::Simulated;
-    let automatic = Automatic { tare: config.startup.tare, arm: config.startup.arm && simulated };
-    let supervisor = Supervisor::new(config.startup.law, automatic);
-    if config.plant.kind == PlantKind::None { supervisor.without_robot() } else { supervisor }
-}
-
-/// The controller and the protection that the configuration asks for.
-///
-/// # Errors
-/// A parameter outside its range, every mistake in the file of contact limits.
-pub fn motion(config: &Config) -> Result<Motion> {
-    let thresholds = &config.protection.thresholds;
-    let limits = if thresholds.is_empty() {
-        [contact_limits::ContactLimits::default(); TAXELS]
-    } else {
-        contact_limits::load(thresholds.as_ref(), config.robot.cover.count())?
-    };
-    Ok(Motion::new(config, Protection::new(config, limits)?)?)
-}
-
 /// The cover that the configuration asks for.
 ///
 /// # Errors
@@ -58,7 +34,7 @@ pub fn cover_config(config: &Config) -> Result<moca_tactile::CoverConfig<TAXELS>
     config.cover().with_context(|| format!("board.calibration = {:?}", config.board.calibration))
 }
 
-/// Whether virtual Touch Boards, which have no further chips, can feel the whole cover.
+/// Checks that virtual Touch Boards, which have no further chips, can read the whole cover.
 ///
 /// # Errors
 /// A taxel on an electrode that they do not have.
@@ -156,7 +132,7 @@ pub(crate) fn assemble(
     Ok(Assembled { control, _virtual_boards: (virtual_boards, firmware), board })
 }
 
-/// Who else gets what the board says, and what they need for it.
+/// Further receivers of the board's events, and their needs.
 #[derive(Default)]
 pub(crate) struct Subscribers {
     pub(crate) copies: Option<rtrb::Producer<NumberedEvent>>,
@@ -164,11 +140,11 @@ pub(crate) struct Subscribers {
     pub(crate) reference: Option<Reference>,
     /// Signs of life of threads without which no bytes come, besides the readers'.
     pub(crate) pulses: Vec<Arc<AtomicU64>>,
-    /// Of the threads that make each virtual board's bytes.
+    /// Heartbeats of the threads that make each virtual board's bytes.
     pub(crate) board_pulses: Vec<Arc<AtomicU64>>,
 }
 
-/// What stands between the ports of the Touch Boards and the loop.
+/// Connection between the ports of the Touch Boards and the loop.
 pub(crate) struct OpenBoard {
     pub(crate) cover: ByteCover,
     pub(crate) held: HeldBoard,
@@ -179,7 +155,7 @@ pub(crate) struct HeldBoard {
     /// The ports as they were opened.
     pub(crate) ports: String,
     pub(crate) calibration: Option<CalibrationPort>,
-    /// What the threads that bring the bytes were given.
+    /// Priority of the threads that bring the bytes.
     pub(crate) priority: Option<realtime::Step>,
     _threads: (service::Calibrator, Vec<ports::Reader>),
 }

@@ -11,15 +11,16 @@ use crate::robot::PlantKind;
 use crate::runtime::live::{Rings, Shared};
 use crate::runtime::notice::{DriverWords, Notice, Reporter, SaidByDrivers};
 use crate::runtime::options::Options;
+use crate::runtime::recovery::Recovery;
 use crate::runtime::watchdog::Heartbeat;
 use anyhow::{Context, Result, anyhow};
 use moca_msgs::robot::AnyArm;
 use moca_msgs::{Refusal, Sample};
 use moca_telemetry::RobotDescription;
+use moca_telemetry::log::create_file;
 use moca_telemetry::net::{
-    self, Address, CalibrationPort, Judge, Ports, ProposedChange, RequestSender, Server,
+    self, Address, CalibrationPort, Judge, Ports, ProposedChange, RequestSender, Server, Serving, Token,
 };
-use std::fs::File;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::Sender;
@@ -28,7 +29,7 @@ use std::time::Duration;
 /// Samples a ring to clients holds: four seconds at 1 kHz.
 pub(crate) const RING_SAMPLES: usize = 4096;
 
-/// How often the terminal looks into its ring.
+/// Period at which the terminal looks into its ring.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// The ends of the rings that belong to telemetry, besides the samples.
@@ -73,7 +74,7 @@ pub fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestPorts) {
     let (sender, requests) = net::request_channel();
     let samples_dropped = Arc::clone(&shared.samples_dropped);
     let ports = RequestPorts { requests: sender, samples_dropped, calibration: None };
-    (Rings { samples, requests, tick_log: None }, from_loop, ports)
+    (Rings { samples, requests, tick_log: None, recovery: Recovery::default() }, from_loop, ports)
 }
 
 pub(crate) fn serve(
@@ -84,14 +85,31 @@ pub(crate) fn serve(
     ports: RequestPorts,
     reporter: &mut dyn Reporter,
 ) -> Result<Server> {
-    let mode = config.telemetry.socket_mode().unwrap_or_default();
+    let serving = serving(config, address)?;
     let ports = Ports { judge: Some(judge(config)), ..ports.with(samples, recorder) };
-    let served = net::serve(address, mode, description(config), ports);
+    let served = net::serve(address, serving, description(config), ports);
     let server = served.with_context(|| {
         format!("telemetry.listen = \"{address}\" (if another mocad runs, choose another address, port 0 for any, or \"\")")
     })?;
     reporter.report(Notice::Telemetry(server.address()));
     Ok(server)
+}
+
+/// Returns the rules by which clients are admitted.
+fn serving(config: &Config, address: &Address) -> Result<Serving> {
+    let token = match address {
+        Address::Tcp(_) => {
+            let path = config.token_path().context("telemetry.token: no home folder; name a file")?;
+            Some(Token::read_or_create(&path).context("telemetry.token")?)
+        }
+        Address::Unix(_) => None,
+    };
+    Ok(Serving {
+        mode: config.telemetry.socket_mode().unwrap_or_default(),
+        token,
+        watch: config.watch_socket(),
+        self_armed: config.startup.arm && config.plant.kind == PlantKind::Simulated,
+    })
 }
 
 fn description(config: &Config) -> RobotDescription {
@@ -135,7 +153,7 @@ fn recording(
     let recording = match spoiled.zip(strike) {
         None => Recording::create(path, options.record_split, description(config), config, live)?,
         Some((fault, strike)) => {
-            let file = File::create_new(path).with_context(|| path.display().to_string())?;
+            let file = create_file(path).with_context(|| path.display().to_string())?;
             Recording::start(Disk::new(file, fault, strike.clone()), description(config), config, live)?
         }
     };
@@ -158,8 +176,7 @@ pub(crate) fn spoil_telemetry(
     let fault = options.outside_fault().filter(by_socket);
     let (Some(fault), Some(strike)) = (fault, strike) else { return Ok(()) };
     let server = server.context("a fault of telemetry needs telemetry.listen")?;
-    let address = server.address().tcp().context("a fault of telemetry needs a port, not a socket file")?;
-    Ok(inject::client(fault, address, strike.clone(), options.config.simulation.seed)?)
+    Ok(inject::client(fault, server.address(), strike.clone(), options.config.simulation.seed)?)
 }
 
 /// The flight recorder that the configuration asks for. A folder that it names must be there; where it leaves the choice,
@@ -174,16 +191,16 @@ fn flight_recorder(config: &Config, reporter: &mut dyn Reporter) -> Result<Optio
     }
 }
 
-/// Who takes what the loop notes of each tick.
+/// Receivers of the loop's record of each tick.
 pub(crate) struct Clients {
     pub(crate) strike: Option<Strike>,
     pub(crate) recording: Option<Recording>,
     panics: bool,
     flight: Option<FlightRecorder>,
     ticks: TickLogReader,
-    /// What the drivers of a real robot say.
+    /// Messages of a real robot's drivers.
     drivers: (DriverWords, SaidByDrivers),
-    /// Where dashboards hear of trouble with the disk.
+    /// Sender of notices about the disk to dashboards.
     pub(crate) notices: Option<Sender<String>>,
 }
 
@@ -231,7 +248,7 @@ impl Clients {
         }
     }
 
-    /// Where the drivers of a robot say what they have to say.
+    /// Returns the sender of the drivers' messages.
     pub(crate) fn driver_words(&self) -> DriverWords {
         self.drivers.0.clone()
     }

@@ -20,7 +20,7 @@ impl Clock {
         Ok(Self { start: monotonic()?, instant: Instant::now() })
     }
 
-    /// The same start for the standard library's clock.
+    /// Returns the start as an instant of the standard library.
     pub const fn instant(&self) -> Instant {
         self.instant
     }

@@ -8,6 +8,7 @@ use crate::control::tick::{ControlLoop, Ticked};
 use crate::control::tick_input::{Slot, TickInput};
 use crate::record::tick_log::TickLog;
 use crate::runtime::allocations;
+use crate::runtime::recovery::Recovery;
 use crate::runtime::tick_source::TickSource;
 use crate::runtime::timing::Timing;
 use moca_msgs::{Outcome, Request, Sample};
@@ -26,14 +27,17 @@ pub struct Rings {
     pub samples: rtrb::Producer<Sample>,
     /// Requests in, answers out.
     pub requests: RequestReceiver,
-    /// What each tick was given, if somebody records it.
+    /// Log of each tick's inputs, if somebody records it.
     pub tick_log: Option<TickLog>,
+    /// Requests of a simulated robot's own.
+    pub recovery: Recovery,
 }
 
 impl Rings {
-    /// At most one request a tick.
+    /// At most one request a tick; without a ticket the robot's own.
     pub fn next_request(&mut self) -> (Option<u64>, Option<Request>) {
-        self.requests.take().unzip()
+        let (id, asked) = self.requests.take().unzip();
+        (id, self.recovery.next(asked))
     }
 
     /// Notes what a tick was given, if somebody records it, and now and then what the loop remembers after it.
@@ -48,6 +52,7 @@ impl Rings {
         if let (Some(id), Some(outcome)) = (id, outcome) {
             self.requests.answer(id, outcome);
         }
+        self.recovery.see(sample);
         shared.moving.store(sample.mode.moves(), Ordering::Relaxed);
         if !self.samples.is_abandoned() && self.samples.push(sample.clone()).is_err() {
             shared.samples_dropped.fetch_add(1, Ordering::Relaxed);
@@ -60,7 +65,7 @@ impl Rings {
 pub struct Shared {
     /// Set to end the loop after the current tick.
     pub stop: AtomicBool,
-    /// Whether a law moves the robot.
+    /// True while a law moves the robot.
     pub moving: Arc<AtomicBool>,
     /// Samples no client had room for.
     pub samples_dropped: Arc<AtomicU64>,
@@ -69,7 +74,7 @@ pub struct Shared {
     pub pulse: Arc<AtomicU64>,
 }
 
-/// What a finished loop leaves behind besides its parts.
+/// Results of a finished loop besides its parts.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LiveReport {
     /// Ticks run.
@@ -78,6 +83,8 @@ pub struct LiveReport {
     pub overruns: u64,
     /// Overruns by the stage that took longest in the tick before, in the order of [`Stage::ALL`].
     pub overruns_by_stage: [u64; 5],
+    /// Stops for a busy PC that a simulated robot has ended by itself.
+    pub recoveries: u64,
     /// Rust allocations on the loop thread after warm-up; `None` if the run ended before.
     pub allocations_after_warm_up: Option<u64>,
 }
@@ -135,6 +142,7 @@ pub fn run<P: Plant, S: CoverSource>(
         }
     }
     drop(guard);
+    report.recoveries = rings.recovery.count();
     report.allocations_after_warm_up = warm.map(|warm| allocations::on_this_thread() - warm);
     report
 }

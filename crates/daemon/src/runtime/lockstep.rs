@@ -26,12 +26,12 @@ use std::path::Path;
 /// Events the ring to the loop holds; a tick sees a handful.
 const RING_EVENTS: usize = 256;
 
-/// What feeds a lock-step cover at each tick.
+/// Source of a lock-step cover's data at each tick.
 pub trait Feed<S> {
     /// Lets everything pass through a spoiled cable, where there is one.
     fn spoil(&mut self, _cable: Cable) {}
 
-    /// What there is to feel of the last control period, N, T1 first.
+    /// Returns the forces of the last control period, N, T1 first.
     fn felt<'a>(&self, world: &'a SimPlant) -> &'a [f64] {
         world.taxel_force_true_n()
     }
@@ -236,9 +236,9 @@ impl Feed<Option<ByteCover>> for NoCover {
 pub struct LockStep<S, F> {
     /// The loop with its plant and cover.
     pub control: ControlLoop<SimulatedRobot, S>,
-    /// What feeds the cover.
+    /// Source of the cover's data.
     pub feed: F,
-    /// How long its stages take.
+    /// Durations of its stages.
     pub timing: Timing,
     period_ns: u64,
     next_tick: u64,

@@ -1,10 +1,11 @@
-//! Who calls the tick, and what runs beside it: the wall clock ([`live`]) or a caller that wants every tick now
-//! ([`lockstep`]); real time, telemetry, recording and the watchdog.
+//! Callers of the tick, and the threads beside it: the wall clock ([`live`]) or a caller that wants every tick now ([`lockstep`]);
+//! real time, telemetry, recording and the watchdog.
 
 pub mod allocations;
 pub mod assemble;
 pub mod clients;
 pub mod clock;
+pub mod drivers;
 pub mod live;
 #[cfg(feature = "sim")]
 pub mod lockstep;
@@ -12,6 +13,7 @@ pub mod notice;
 pub mod options;
 pub(crate) mod panics;
 pub mod realtime;
+pub mod recovery;
 pub mod replay;
 pub mod run;
 pub mod schedule;

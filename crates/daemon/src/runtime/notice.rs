@@ -1,4 +1,4 @@
-//! What a run has to say. The runtime neither formats nor prints: it hands notices to a [`Reporter`], and for a terminal
+//! Notices of a run. The runtime neither formats nor prints: it hands notices to a [`Reporter`], and for a terminal
 //! [`crate::cli::report`] puts them into words.
 
 use crate::config::Config;
@@ -28,12 +28,12 @@ pub enum Notice<'a> {
     NoRobot,
     /// The robot is simulated.
     Simulated {
-        /// What of it there is, and what presses it.
+        /// Configuration of the simulated parts and of the scripted hand.
         config: &'a Config,
         /// Version of MuJoCo.
         mujoco: &'a str,
     },
-    /// Where the board is read.
+    /// Port of the board.
     Board {
         /// Its port; `None` is a board in memory.
         port: Option<&'a str>,
@@ -44,7 +44,7 @@ pub enum Notice<'a> {
     Telemetry(&'a Address),
     /// Everything is written to this file.
     Recording(&'a Path),
-    /// What the operating system was asked for, and its answer.
+    /// Request to the operating system, and its answer.
     RealTime(&'a realtime::Step),
     /// The loop runs.
     Runs,
@@ -56,7 +56,7 @@ pub enum Notice<'a> {
     FaultLog(&'a Path),
     /// Something that somebody should look after, in words; the run goes on.
     Trouble(&'a str),
-    /// What a driver of arm or base says.
+    /// Message of a driver of arm or base.
     Driver(&'a str),
     /// The log is complete.
     Recorded(&'a LogSummary),
@@ -64,7 +64,7 @@ pub enum Notice<'a> {
     Ended(&'a Summary<'a>),
 }
 
-/// What drivers may have said before somebody takes it up; that is done every 20 ms.
+/// Largest number of unread messages of drivers; they are read every 20 ms.
 const WORDS_MAX: usize = 256;
 
 /// Takes what the drivers of a robot say in words, from threads of their own: it goes to the terminal, to dashboards and into the
@@ -91,7 +91,7 @@ impl DriverWords {
     }
 }
 
-/// What the drivers have said and nobody has taken up.
+/// Unread messages of the drivers.
 #[derive(Debug)]
 pub(crate) struct SaidByDrivers {
     words: Receiver<String>,
@@ -125,7 +125,7 @@ impl Reporter for Silent {
 /// A run in one screen.
 #[derive(Clone, Copy)]
 pub struct Summary<'a> {
-    /// How long the stages took.
+    /// Durations of the stages.
     pub timing: &'a Timing,
     /// Its last sample.
     pub last: &'a Sample,
@@ -133,6 +133,8 @@ pub struct Summary<'a> {
     pub ticks: u64,
     /// Missed slots by the stage they are charged to; `None` in lock-step.
     pub overruns_by_stage: Option<[u64; 5]>,
+    /// Stops for a busy PC that a simulated robot has ended by itself.
+    pub recoveries: u64,
     /// Rust allocations on the loop thread after warm-up.
     pub allocations: Option<u64>,
     /// Samples that clients had no room for.
@@ -146,7 +148,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_driver_that_never_stops_talking_fills_no_memory_and_what_is_dropped_is_counted() {
+    fn talkative_driver_is_bounded_and_drops_are_counted() {
         let (driver, said) = DriverWords::channel();
         for number in 0..WORDS_MAX + 7 {
             driver.say(number.to_string());

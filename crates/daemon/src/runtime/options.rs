@@ -1,11 +1,11 @@
-//! What the command line asks of a run.
+//! Options of a run on the command line.
 
 use crate::config::Config;
 use crate::inject::{FaultSite, Injection, OutsideFault, Strike};
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// What the command line asks for.
+/// Options of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
     /// Checked configuration.
@@ -14,15 +14,15 @@ pub struct Options {
     pub duration: Option<Duration>,
     /// Lock-step instead of real time.
     pub lock_step: bool,
-    /// Where the command log goes (lock-step only).
+    /// File of the command log (lock-step only).
     pub command_log: Option<PathBuf>,
-    /// Where the MCAP log goes.
+    /// File of the MCAP log.
     pub record: Option<PathBuf>,
     /// After how much robot time another log file begins.
     pub record_split: Option<Duration>,
     /// A fault on purpose (simulated robot only).
     pub inject: Option<Injection>,
-    /// Whether the run ends before it starts if the operating system refuses a setting of `[realtime]`.
+    /// True if the run ends before it starts when the operating system refuses a setting of `[realtime]`.
     pub require_realtime: bool,
 }
 

@@ -5,7 +5,7 @@ use std::panic::PanicHookInfo;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
-/// What panicked during a run, and where.
+/// Panic of a run, with its place.
 #[derive(Debug)]
 pub(crate) struct Panicked(String);
 
@@ -35,7 +35,7 @@ impl PanicWatch {
         Self(words)
     }
 
-    /// What panicked so far.
+    /// Returns an error if something has panicked.
     pub(crate) fn seen(&self) -> Result<(), Panicked> {
         let words = self.0.lock().map(|words| words.join("; ")).unwrap_or_default();
         if words.is_empty() { Ok(()) } else { Err(Panicked(words)) }

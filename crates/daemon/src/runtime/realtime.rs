@@ -1,4 +1,4 @@
-//! What the operating system can do for a loop that must not be late: each step is tried and its result reported.
+//! Settings of the operating system for a loop that must not be late: each is tried and its result reported.
 
 use crate::config::RealtimeConfig;
 use nix::sched::{CpuSet, sched_setaffinity};
@@ -7,23 +7,31 @@ use nix::unistd::Pid;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 
+/// The scheduling of a loop that must not wait.
+const FIFO: &str = "SCHED_FIFO";
+
 /// One step and how it went.
 #[derive(Debug)]
 pub struct Step {
-    /// What was tried.
+    /// Name of the setting.
     pub what: String,
     /// Why it failed, if it did.
     pub result: io::Result<()>,
+    /// It is about the priority of a thread.
+    pub is_priority: bool,
 }
 
-/// What holds only while it is kept: dropping it gives the processors back their sleep states.
+/// Handle that keeps a setting: dropping it gives the processors back their sleep states.
 #[derive(Debug)]
 pub struct Held(#[expect(dead_code, reason = "held open, never read")] Option<File>);
 
 /// Tries every setting for the calling thread (memory: for the process).
 pub fn apply(wishes: &RealtimeConfig) -> (Vec<Step>, Held) {
     let mut steps = Vec::new();
-    let mut tried = |what: String, result: io::Result<()>| steps.push(Step { what, result });
+    let mut tried = |what: String, result: io::Result<()>| {
+        let is_priority = what.starts_with(FIFO);
+        steps.push(Step { what, result, is_priority });
+    };
     if let Some(locked) = lock_memory(wishes) {
         tried(locked.what, locked.result);
     }
@@ -31,7 +39,7 @@ pub fn apply(wishes: &RealtimeConfig) -> (Vec<Step>, Held) {
         tried(format!("pinned to core {cpu}"), pin(cpu));
     }
     if wishes.priority > 0 {
-        tried(format!("SCHED_FIFO {}", wishes.priority), set_fifo(wishes.priority));
+        tried(format!("{FIFO} {}", wishes.priority), set_fifo(wishes.priority));
     }
     let mut latency = None;
     if wishes.dma_latency {
@@ -44,7 +52,11 @@ pub fn apply(wishes: &RealtimeConfig) -> (Vec<Step>, Held) {
 /// Locks the process's memory, if that is wished for.
 pub(crate) fn lock_memory(wishes: &RealtimeConfig) -> Option<Step> {
     let all = MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE;
-    let lock = || Step { what: "memory locked".into(), result: mlockall(all).map_err(io::Error::from) };
+    let lock = || Step {
+        what: "memory locked".into(),
+        result: mlockall(all).map_err(io::Error::from),
+        is_priority: false,
+    };
     wishes.lock_memory.then(lock)
 }
 
@@ -60,7 +72,8 @@ impl Raised {
         };
         let result = set_fifo(priority);
         let raised = Self(result.is_ok());
-        (raised, Some(Step { what: format!("the board's bytes at SCHED_FIFO {priority}"), result }))
+        let what = format!("the board's bytes at {FIFO} {priority}");
+        (raised, Some(Step { what, result, is_priority: true }))
     }
 }
 
@@ -107,9 +120,9 @@ mod tests {
         unsafe { nix::libc::sched_getscheduler(0) }
     }
 
-    /// What a thread is started with is what its starter had; without the right to FIFO nothing changes and it is told.
+    /// A thread inherits the settings of its starter; without the right to FIFO nothing changes and the test says so.
     #[test]
-    fn threads_started_while_raised_stay_below_the_loop_and_the_starter_comes_down() {
+    fn threads_started_while_raised_stay_below_loop() {
         assert!(Raised::below(0).1.is_none() && Raised::below(1).1.is_none());
         let (raised, step) = Raised::below(41);
         let step = step.unwrap();

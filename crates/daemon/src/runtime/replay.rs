@@ -27,7 +27,7 @@ const RING_EVENTS: usize = 64;
 /// Samples that are kept to name a difference: those of a few blocks.
 const SHOWN_MAX: usize = 4096;
 
-/// What a replay found, if nothing differed.
+/// Result of a replay without a difference.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Report {
     /// Ticks run again and compared with their samples.
@@ -42,7 +42,7 @@ pub struct Report {
     pub wall: Duration,
 }
 
-/// What is said of a log that another program wrote.
+/// Returns the sentence about a log that another program wrote.
 fn of_another(version: &str) -> String {
     format!("the log is of mocad {version}, this is {VERSION}: differences may be those of the program")
 }
@@ -86,7 +86,7 @@ pub enum Failure {
     Incomplete {
         /// Last tick that was whole.
         after: Option<u64>,
-        /// What is missing.
+        /// Missing part.
         missing: String,
         /// Ticks compared until there, all the same.
         compared: u64,
@@ -131,7 +131,7 @@ pub fn run(parts: &[PathBuf]) -> Result<Report> {
     run_watched(parts, &mut |_| {})
 }
 
-/// The same; `progress` hears which part is done, 0 to 1.
+/// Replays; `progress` receives the share that is done, 0 to 1.
 ///
 /// # Errors
 /// As for [`run`].
@@ -178,9 +178,13 @@ fn compare(parts: &[PathBuf], progress: &mut dyn FnMut(f64), report: &mut Report
             break;
         }
     }
-    let replay = replay.context(
-        "the log holds no configuration: it was not written by `mocad --record` (a dashboard's recording has samples only)",
-    )?;
+    let replay = match (replay, &report.cut) {
+        (Some(replay), _) => replay,
+        (None, Some(cut)) => bail!("the log is damaged before its configuration: {cut}"),
+        (None, None) => bail!(
+            "the log holds no configuration: it was not written by `mocad --record` (a dashboard's recording has samples only)"
+        ),
+    };
     if let Some(failure) = replay.differs {
         return Err(failure.into());
     }
@@ -207,7 +211,7 @@ struct Replay {
     cover_events: u64,
     /// Ticks and events that the recorder had lost before the first tick; `None` before that.
     lost_before: Option<u64>,
-    /// What the log shows of ticks that have not been run yet.
+    /// Samples of the log for ticks that have not been run yet.
     shown: VecDeque<Sample>,
     /// The first difference, until a sample that is shown names its quantity.
     differs: Option<Failure>,
@@ -342,7 +346,7 @@ impl Replay {
         Err(failure.into())
     }
 
-    /// Whether nothing was lost between the last tick and this one.
+    /// Checks that nothing was lost between the last tick and this one.
     fn check_whole(&mut self, record: &TickRecord, compared: u64) -> Result<(), Failure> {
         let input = &record.input;
         let after = self.last.map(|(tick, _)| tick);
@@ -392,7 +396,7 @@ struct RecordedPlant {
     age: SourceAge,
     refused: Option<Fault>,
     link: Option<ArmLink>,
-    /// Of what only the robot can answer.
+    /// Answer that only the robot can give.
     outcome: Outcome,
 }
 

@@ -5,23 +5,26 @@ use crate::config::Config;
 use crate::control::cover::CoverSource;
 use crate::control::plant::{NoRobot, Plant};
 use crate::control::tick::ControlLoop;
-use crate::inject::FaultSite;
 #[cfg(feature = "sim")]
 use crate::record::tick_log::TickLogReader;
 use crate::record::tick_log::{TickLog, tick_log};
-use crate::robot::{ArmDriver, BaseDriver, PlantKind};
+use crate::robot::PlantKind;
 use crate::runtime::assemble::{HeldBoard, OpenBoard, Subscribers, motion, open_boards, supervisor};
 use crate::runtime::clients::{Clients, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
 use crate::runtime::clock::Clock;
+#[cfg(not(all(feature = "sim", feature = "fci", feature = "ros2")))]
+use crate::runtime::drivers::check_build;
+use crate::runtime::drivers::{Driven, driven};
 use crate::runtime::live::{self, LiveReport, Shared};
 use crate::runtime::notice::{DriverWords, Notice, Reporter, Summary};
 use crate::runtime::options::Options;
 use crate::runtime::panics::PanicWatch;
 use crate::runtime::realtime;
+use crate::runtime::recovery::Recovery;
 use crate::runtime::tick_source::{TickSource, Timer};
 use crate::runtime::timing::Timing;
 use anyhow::{Context, Result, anyhow};
-use moca_msgs::Sample;
+use moca_msgs::{Fault, Mode, Sample};
 use moca_telemetry::net::{CalibrationPort, Server};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -40,20 +43,52 @@ impl std::fmt::Display for RealtimeRefused {
 
 impl std::error::Error for RealtimeRefused {}
 
+/// The robot was in a fault when the run ended: exit code 6.
+#[derive(Debug)]
+pub struct EndedInFault(pub Fault);
+
+impl std::fmt::Display for EndedInFault {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "the run ended in a fault: {}", self.0)
+    }
+}
+
+impl std::error::Error for EndedInFault {}
+
+/// Reports the end of a run, and its fault if it has one.
+fn end(summary: &Summary<'_>, reporter: &mut dyn Reporter) -> Result<()> {
+    reporter.report(Notice::Ended(summary));
+    let stopped = matches!(summary.last.mode, Mode::ProtectiveStop | Mode::Fault);
+    summary.last.fault.filter(|_| stopped).map_or(Ok(()), |fault| Err(EndedInFault(fault).into()))
+}
+
 /// Runs the daemon until its duration is over or Ctrl-C.
 ///
 /// # Errors
-/// A part could not be built: the scene, the board's port, a log file; the disk refused the log; a thread panicked.
+/// A part could not be built: the scene, the board's port, a log file; the disk refused the log; a thread panicked; the run
+/// ended in a fault.
 pub fn run(options: &Options, reporter: &mut dyn Reporter) -> Result<()> {
-    check_injection(options)?;
+    options
+        .inject
+        .map_or(Ok(()), |injection| injection.check(&options.config))
+        .map_err(|why| anyhow!(why))?;
     let shared = Arc::new(Shared::default());
-    let on_signal = Arc::clone(&shared);
-    ctrlc::set_handler(move || on_signal.stop.store(true, Ordering::Relaxed)).context("Ctrl-C handler")?;
+    let signalled = Arc::new(AtomicBool::new(false));
+    let (on_signal, told) = (Arc::clone(&shared), Arc::clone(&signalled));
+    ctrlc::set_handler(move || {
+        told.store(true, Ordering::Relaxed);
+        on_signal.stop.store(true, Ordering::Relaxed);
+    })
+    .context("Ctrl-C handler")?;
     reporter.report(Notice::Begins { config: &options.config, lock_step: options.lock_step });
     let panics = PanicWatch::start(&shared);
     let result = catch_unwind(AssertUnwindSafe(|| run_plant(options, &shared, reporter)));
     panics.seen()?;
-    result.unwrap_or_else(|_| Err(anyhow!("the run panicked")))
+    match result.unwrap_or_else(|_| Err(anyhow!("the run panicked"))) {
+        // Whoever ends a stopped robot's program has seen that it is stopped.
+        Err(error) if error.is::<EndedInFault>() && signalled.load(Ordering::Relaxed) => Ok(()),
+        ended => ended,
+    }
 }
 
 fn run_plant(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<()> {
@@ -66,43 +101,21 @@ fn run_plant(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
         }
         (PlantKind::Robot, false) => {
             let run = live_robot(options, shared, reporter)?;
-            reporter.report(Notice::Ended(&run.summary()));
-            Ok(())
+            end(&run.summary(), reporter)
         }
         (PlantKind::None, false) => {
             let run = live_board_only(options, shared, reporter)?;
-            reporter.report(Notice::Ended(&run.summary()));
-            Ok(())
+            end(&run.summary(), reporter)
         }
         #[cfg(feature = "sim")]
         (PlantKind::Simulated, true) => lock_step(options, shared, reporter),
         #[cfg(feature = "sim")]
         (PlantKind::Simulated, false) => {
             let run = live_simulated(options, shared, reporter)?;
-            reporter.report(Notice::Ended(&run.summary()));
-            Ok(())
+            end(&run.summary(), reporter)
         }
         #[cfg(not(feature = "sim"))]
-        (PlantKind::Simulated, _) => Err(anyhow!(
-            "plant.kind = \"simulated\" needs a build with the feature `sim` (cargo run --release); \
-             this build has no simulation{}",
-            if cfg!(feature = "board") { " and runs a Touch Board alone: plant.kind = \"none\"" } else { "" }
-        )),
-    }
-}
-
-/// A fault of a part that this run lacks would be no fault at all.
-fn check_injection(options: &Options) -> Result<()> {
-    let (Some(injection), plant) = (&options.inject, &options.config.plant) else { return Ok(()) };
-    let name = injection.fault.name;
-    match injection.fault.site {
-        FaultSite::Cable(_) if !plant.parts.has_cover() => {
-            Err(anyhow!("--inject {name}: plant.parts = \"arm\" has no cover and no cable to spoil"))
-        }
-        FaultSite::Plant(_) | FaultSite::MissedSlots(_) if plant.kind != PlantKind::Simulated => {
-            Err(anyhow!("--inject {name}: only a simulated robot can be made to fail (plant.kind)"))
-        }
-        _ => Ok(()),
+        (PlantKind::Simulated, _) => not_built(options).map(drop),
     }
 }
 
@@ -114,7 +127,7 @@ fn introduce_simulation(config: &Config, reporter: &mut dyn Reporter) {
 /// A finished live run.
 #[derive(Debug)]
 pub struct LiveRun {
-    /// How long the stages took.
+    /// Durations of the stages.
     pub timing: Timing,
     /// Ticks, overruns, allocations.
     pub report: LiveReport,
@@ -130,6 +143,7 @@ impl LiveRun {
             last: &self.last,
             ticks: self.report.ticks,
             overruns_by_stage: Some(self.report.overruns_by_stage),
+            recoveries: self.report.recoveries,
             allocations: self.report.allocations_after_warm_up,
             samples_dropped: self.samples_dropped,
             wall: self.wall,
@@ -230,27 +244,22 @@ fn with_locked_memory(options: &Options, reporter: &mut dyn Reporter) -> Result<
 
 /// Runs the real robot that the configuration names.
 fn live_robot(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
-    let plant = &options.config.plant;
-    let on_a_base = plant.parts.has_cover();
-    match (plant.arm.driver, plant.base.driver) {
-        (ArmDriver::Fci, _) if plant.parts.has_arm() && !on_a_base => live_fci(options, shared, reporter),
-        (ArmDriver::Fci, BaseDriver::Simulated) if plant.parts.has_arm() => {
-            live_fci(options, shared, reporter)
-        }
-        (ArmDriver::Fci, BaseDriver::Ros2) if plant.parts.has_arm() => live_whole(options, shared, reporter),
-        (ArmDriver::Simulated, BaseDriver::Ros2) if plant.parts.has_arm() && on_a_base => {
-            live_simulated_arm(options, shared, reporter)
-        }
-        (_, BaseDriver::Ros2) if !plant.parts.has_arm() => live_base(options, shared, reporter),
-        _ => Err(anyhow!(
-            "plant.kind = \"robot\": `mocad` drives an arm (plant.arm.driver = \"fci\") on a stand (plant.parts = \"arm\"), on \
-             a base that is simulated or real (plant.base.driver = \"simulated\" or \"ros2\"), a simulated arm (plant.arm.driver = \
-             \"simulated\") on a real base, or a base alone (plant.parts = \"base\"); a program with a driver of its own runs the loop with `moca_daemon::runtime::run::with_plant`"
-        )),
+    match driven(&options.config)? {
+        Driven::Arm => live_fci(options, shared, reporter),
+        Driven::Whole => live_whole(options, shared, reporter),
+        Driven::SimulatedArm => live_simulated_arm(options, shared, reporter),
+        Driven::Base => live_base(options, shared, reporter),
     }
 }
 
-/// What a driver calls to say something.
+/// The answer of a build that has no such driver.
+#[cfg(not(all(feature = "sim", feature = "fci", feature = "ros2")))]
+fn not_built(options: &Options) -> Result<LiveRun> {
+    check_build(&options.config)?;
+    Err(anyhow!("this build has no such driver"))
+}
+
+/// Returns the function with which a driver reports a message.
 #[cfg(any(feature = "fci", feature = "ros2"))]
 fn saying(words: &DriverWords, part: &'static str) -> impl FnMut(&str) + Send + 'static {
     let words = words.clone();
@@ -305,33 +314,23 @@ fn live_simulated_arm(
 }
 
 #[cfg(not(all(feature = "sim", feature = "ros2")))]
-fn live_simulated_arm(_: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
-    Err(anyhow!(
-        "plant.arm.driver = \"simulated\" on plant.base.driver = \"ros2\" needs a build with both features (cargo build \
-         --release --features sim,ros2)"
-    ))
+fn live_simulated_arm(options: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
+    not_built(options)
 }
 
 #[cfg(not(feature = "ros2"))]
-fn live_base(_: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
-    Err(anyhow!(
-        "plant.base.driver = \"ros2\" needs a build with the feature `ros2` (cargo build --release --features ros2)"
-    ))
+fn live_base(options: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
+    not_built(options)
 }
 
 #[cfg(not(all(feature = "fci", feature = "ros2")))]
-fn live_whole(_: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
-    Err(anyhow!(
-        "plant.arm.driver = \"fci\" on plant.base.driver = \"ros2\" needs a build with both features (cargo build \
-         --release --features fci,ros2)"
-    ))
+fn live_whole(options: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
+    not_built(options)
 }
 
 #[cfg(not(feature = "fci"))]
-fn live_fci(_: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
-    Err(anyhow!(
-        "plant.arm.driver = \"fci\" needs a build with the feature `fci` (cargo build --release --features fci)"
-    ))
+fn live_fci(options: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<LiveRun> {
+    not_built(options)
 }
 
 #[cfg(feature = "fci")]
@@ -394,6 +393,7 @@ fn live<P: Plant + Send, S: CoverSource + Send, T: TickSource<P>>(
     let (mut rings, from_loop, mut request_ports) = rings(shared);
     request_ports.calibration = calibration;
     rings.tick_log = Some(log);
+    rings.recovery = Recovery::of(config);
     let mut timing = Timing::new()?;
     let (tap, mut watched) = rtrb::RingBuffer::new(RING_SAMPLES);
     let server = match config.telemetry_address() {
@@ -556,18 +556,20 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         last: &last,
         ticks,
         overruns_by_stage: None,
+        recoveries: 0,
         allocations: warm.then_some(allocated),
         samples_dropped: shared.samples_dropped.load(Ordering::Relaxed),
         wall: started.elapsed(),
     };
-    reporter.report(Notice::Ended(&summary));
-    finish(clients.recording, options, reporter)
+    let ended = end(&summary, reporter);
+    finish(clients.recording, options, reporter)?;
+    ended
 }
 
 #[cfg(all(test, feature = "fci"))]
 mod tests {
     use super::*;
-    use crate::robot::{Believed, Parts};
+    use crate::robot::{ArmDriver, Believed, Parts};
     use std::net::TcpListener;
     use std::sync::mpsc::{Sender, channel};
 

@@ -1,4 +1,4 @@
-//! What makes the next tick happen: the loop's own timer, or a plant whose datagrams are the clock.
+//! Source of the next tick: the loop's own timer, or a plant whose datagrams are the clock.
 
 use crate::control::plant::{Datagram, PlantClock};
 use crate::control::stage::Stage;
@@ -20,9 +20,9 @@ pub struct Tick {
     pub now_ns: u64,
     /// Slots skipped since the tick before.
     pub missed: u64,
-    /// Who is to blame for them; `None` is the stage that took longest in the tick before.
+    /// Stage that caused the missed slots; `None` is the stage that took longest in the tick before.
     pub missed_by: Option<Stage>,
-    /// How late it comes.
+    /// Lateness of the tick.
     pub lateness: Duration,
 }
 
@@ -73,7 +73,7 @@ pub struct PlantTicks {
 struct Last {
     number: u64,
     now_ns: u64,
-    /// What has to be added to the plant's count to give the tick; known from its first datagram on.
+    /// Offset from the plant's count to the tick; known from its first datagram on.
     offset: Option<u64>,
 }
 
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plant_that_is_silent_at_first_gets_the_ticks_from_its_first_datagram_on() {
+    fn silent_plant_gets_ticks_from_first_datagram() {
         let mut ticks = PlantTicks::new(Clock::start().unwrap(), 1_000_000_000_000);
         assert_eq!(at(&mut ticks, Datagram::Missing), (0, 0));
         assert_eq!(at(&mut ticks, Datagram::Missing), (1, 0));

@@ -1,4 +1,4 @@
-//! How long each stage of a tick takes and how late the tick woke. Recording is bounded and does not allocate.
+//! Durations of each stage of a tick, and lateness of the wake-up. Recording is bounded and does not allocate.
 
 use crate::control::stage::{Stage, StageTimer};
 use hdrhistogram::Histogram;
@@ -37,7 +37,7 @@ impl Distribution {
         self.0.len()
     }
 
-    /// Whether nothing was recorded.
+    /// Returns true if nothing was recorded.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -65,7 +65,7 @@ fn micros(ns: u64) -> f64 {
 pub struct Timing {
     /// Time between the starts of consecutive ticks.
     pub period: Distribution,
-    /// How late a tick woke after its deadline.
+    /// Delay of a wake-up after its deadline.
     pub lateness: Distribution,
     /// Age of the cover's data at each tick.
     pub frame_age: Distribution,
@@ -126,7 +126,7 @@ impl Timing {
         }
     }
 
-    /// How long each stage took when it last ended, ns; 0 for one that never did.
+    /// Returns the last duration of each stage, ns; 0 for a stage that never ended.
     pub const fn last_stages_ns(&self) -> [u32; STAGES.len()] {
         self.last_stages_ns
     }

@@ -1,4 +1,4 @@
-//! What a service manager hears: ready, the loop's heartbeat, the end. Does nothing where there is none.
+//! Messages to a service manager: ready, the loop's heartbeat, the end. Does nothing where there is none.
 
 use sd_notify::NotifyState;
 use std::time::{Duration, Instant};

@@ -2,7 +2,7 @@
 //! how fast the base may therefore go.
 
 use anyhow::Result;
-use moca_daemon::config::{Config, ProtectionConfig};
+use moca_control::config::{Config, ProtectionConfig};
 use moca_msgs::seconds;
 use moca_sim::foam::Foam;
 use moca_sim::sensor::{IDLE_COUNTS, Noise, quantise};
@@ -25,6 +25,12 @@ const PATIENCE_S: f64 = 2.0;
 const RECOVERS_S: f64 = 0.4;
 /// When after a release somebody comes again, s.
 const AGAIN_S: f64 = 0.5;
+/// Frames of noise before a touch.
+#[cfg(test)]
+const WARMED_FRAMES: u32 = 25;
+/// Depth at which a touch is no longer waited for, m.
+#[cfg(test)]
+const DEEPEST_M: f64 = 0.014;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Test {
@@ -61,19 +67,19 @@ impl Taxel {
         Self { noise, noise_counts, rest, zero: mean, deviation, cusum: Cusum::default(), test }
     }
 
-    /// How far below zero a frame with `drop` counts of a touch in it lies.
+    /// Returns how far a frame lies below zero that holds `drop` counts of a touch.
     fn below(&mut self, drop: f64) -> f64 {
         self.zero - f64::from(quantise(self.rest - drop + self.noise_counts * self.noise.standard_normal()))
     }
 
-    /// Whether the sum of frames alarms at one that comes `dt_s` after the one before, with `drop` counts of a touch and of the
-    /// foam that recovers from the last one in it.
+    /// Returns true if the sum of frames alarms at one that comes `dt_s` after the one before, with `drop` counts of a touch
+    /// and of the foam that recovers from the last one in it.
     fn feels_recovering(&mut self, drop: f64, dt_s: f64) -> bool {
         let below = self.below(drop);
         self.cusum.update_recovering(below, self.deviation, dt_s)
     }
 
-    /// Whether a frame with `drop` counts of a touch in it alarms.
+    /// Returns true if a frame with `drop` counts of a touch in it alarms.
     fn feels(&mut self, drop: f64) -> bool {
         let below = self.below(drop);
         let summed = self.test == Test::Cusum && self.cusum.update(below, self.deviation);
@@ -205,7 +211,7 @@ fn felt_after_ms(test: Test, noise_counts: f64, rate_hz: f64, force_n: f64) -> O
     (late < PATIENCE_S).then_some(1e3 * late)
 }
 
-/// What is seen of a taxel that was let go of.
+/// Readings of a taxel after its release.
 struct Released {
     /// Share of the releases after which the sum of frames alarms in 2 s though nobody comes again.
     wrong: f64,
@@ -253,6 +259,39 @@ fn hidden_m(test: Test, noise_counts: f64, rate_hz: f64, speed_m_s: f64) -> f64 
         .collect();
     depths.sort_by(f64::total_cmp);
     (depths[depths.len() * 99 / 100] - step_m).max(0.0)
+}
+
+#[cfg(test)]
+/// Depth of `plates` that are pressed at once, at the frame that first alarms, but for one touch in a thousand, m; each frame finds
+/// them `advance_m` deeper. The tare has as few frames as it may.
+fn alarm_depth_m(plates: u64, noise_counts: f64, advance_m: f64, trials: u64) -> f64 {
+    let slowest_hz = f64::from(zero::TARE_FRAMES) / seconds(zero::TARE_TIME_NS) - 1.0;
+    let mut depths: Vec<f64> = (0..trials)
+        .map(|trial| {
+            let seeds = (0..plates).map(|plate| plates * trial + plate);
+            let mut taxels: Vec<Taxel> =
+                seeds.map(|seed| Taxel::tared(Test::Cusum, noise_counts, slowest_hz, seed)).collect();
+            let mut depth_m = taxels[0].noise.uniform() * advance_m;
+            // the sum is not zero when the touch begins
+            for taxel in &mut taxels {
+                for _ in 0..WARMED_FRAMES {
+                    if taxel.feels(0.0) {
+                        taxel.cusum = Cusum::default();
+                    }
+                }
+            }
+            let felt = |taxels: &mut [Taxel], depth_m: f64| {
+                let drop = Foam::PU_LD30.counts_drop(depth_m);
+                taxels.iter_mut().fold(false, |felt, taxel| felt | taxel.feels(drop))
+            };
+            while depth_m < DEEPEST_M && !felt(&mut taxels, depth_m) {
+                depth_m += advance_m;
+            }
+            depth_m
+        })
+        .collect();
+    depths.sort_by(f64::total_cmp);
+    depths[depths.len() * 999 / 1000]
 }
 
 /// Largest speed at which the base stops within the collision foam's way at the force limit, m/s, and what is hidden
@@ -316,9 +355,10 @@ fn after(time_ms: Option<f64>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use moca_control::approach::{ADVANCE_RATIO, DEPTH_MM, FIRST_ADVANCE_M, NOISE_COUNTS};
 
     #[test]
-    fn the_sum_of_frames_is_wrong_less_than_once_an_hour_and_feels_a_newton_and_a_half() {
+    fn cusum_false_alarms_stay_below_one_an_hour() {
         for (_, noise_counts, rate_hz) in BOARDS {
             let alarms = alarms_per_hour(Test::Cusum, noise_counts, rate_hz);
             assert!(alarms < 1.0, "{alarms} an hour");
@@ -327,8 +367,25 @@ mod tests {
         }
     }
 
+    /// Every fourth advance of each row of the table.
     #[test]
-    fn a_foam_that_recovers_is_seldom_taken_for_a_touch_and_our_firmware_feels_one_on_it() {
+    fn depths_of_speed_limit_are_what_the_test_detects() {
+        for (plates, rows) in (1..).zip(DEPTH_MM) {
+            for (noise_counts, row) in NOISE_COUNTS.into_iter().zip(rows) {
+                for (i, depth_mm) in (0..).zip(row).skip(3).step_by(4) {
+                    let advance_m = FIRST_ADVANCE_M * ADVANCE_RATIO.powi(i);
+                    let found_mm = 1e3 * alarm_depth_m(plates, noise_counts, advance_m, 20_000);
+                    assert!(
+                        (found_mm - depth_mm).abs() < 2e-3,
+                        "{plates}, {noise_counts}, {i}: {found_mm} {depth_mm}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn recovering_foam_rarely_raises_false_alarm() {
         let [stock, moca] = BOARDS.map(|(_, noise_counts, rate_hz)| Released::of(noise_counts, rate_hz));
         assert!(
             stock.wrong < 0.002 && moca.wrong < 0.002,
@@ -366,7 +423,7 @@ mod tests {
     #[test]
     fn the_documents_have_what_the_command_prints() {
         let Some(shown) = crate::docs::shown("detection") else { return };
-        for line in markdown().unwrap().lines() {
+        for line in crate::docs::as_shown("detection", &markdown().unwrap()).lines() {
             assert!(shown.contains(line), "{line}");
         }
     }

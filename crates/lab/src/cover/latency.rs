@@ -2,8 +2,9 @@
 //! fast the base may go with it, and whether such a cover is stable in contact with this controller.
 
 use crate::rig::TAXELS;
+use crate::rig::parallel::Count;
 use anyhow::Context as _;
-use moca_daemon::config::Config;
+use moca_control::config::Config;
 use moca_msgs::ImpedanceGains;
 use moca_msgs::robot::{BaseTable, PAPER_COVER};
 use moca_sim::board::{VirtualBoard, VirtualBoardConfig};
@@ -30,7 +31,7 @@ const PUSH_N: f64 = 50.0;
 const PHASES: u64 = 40;
 /// USB is polled each millisecond.
 const USB_MEAN_MS: f64 = 0.5;
-/// What four counts of PU LD30 hide, N: protection.threshold_force_n.
+/// Force that four counts of PU LD30 hide, N: protection.threshold_force_n.
 const UNFELT_N: f64 = 5.2;
 /// A still cover is watched for so long.
 const HOLD_TICKS: u64 = 60_000;
@@ -44,14 +45,14 @@ pub(crate) struct Arguments {
     /// Configuration whose protection.assessed_forces_n are printed; without it mocad's defaults.
     #[arg(long)]
     config: Option<PathBuf>,
-    /// The program `firmware-sim` (crates/firmware-sim): measures the firmware itself, instruction by instruction, anew;
+    /// The program `firmware-sim` (crates/firmware-sim): measures the firmware itself, instruction by instruction, again;
     /// without it, what it measured last is shown.
     #[arg(long)]
     avr: Option<PathBuf>,
     /// Instead: speeds by physics, by the law and as simulated, as a table and as FOLDER/safe-speed.svg.
     #[arg(long, value_name = "FOLDER")]
     map: Option<PathBuf>,
-    /// What `firmware-sim` runs.
+    /// Firmware image that `firmware-sim` runs.
     #[arg(long, default_value = "firmware/moca_touch/moca_touch.hex")]
     hex: PathBuf,
 }
@@ -63,7 +64,7 @@ struct Report {
     contacts: Vec<ContactReport>,
 }
 
-/// How old a board's reading gets, and what that allows.
+/// Ages of a board's readings, and the speeds that they allow.
 #[derive(Debug, Serialize, Deserialize)]
 struct Board {
     board: String,
@@ -91,7 +92,7 @@ struct Speed {
 #[derive(Debug, Serialize)]
 struct Latency {
     firmware: &'static str,
-    /// How much of a step's reading has come after 0.1 s, relative to 10 s later: the foam creeps, it does not wait.
+    /// Share of a step's reading after 0.1 s, relative to 10 s later: the foam creeps, it does not wait.
     foam_share_after_100_ms: f64,
     chip_filter_ms: f64,
     wait_for_read_ms: f64,
@@ -155,7 +156,13 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
 const BOARDS: [Firmware; 3] = [Firmware::Stock2018, Firmware::Stock2015, Firmware::Moca];
 
 fn report(boards: Vec<Board>, base: &BaseTable) -> anyhow::Result<Report> {
-    let firmwares = BOARDS.into_iter().map(latency).collect::<anyhow::Result<_>>()?;
+    let mut count = Count::new("latency", BOARDS.len());
+    let one = |firmware| {
+        let latency = latency(firmware);
+        count.one_more();
+        latency
+    };
+    let firmwares = BOARDS.into_iter().map(one).collect::<anyhow::Result<_>>()?;
     let mut contacts = Vec::new();
     for foam in [Foam::PU_LD30, Foam::COLLISION_ASSUMED] {
         contacts.push(contact("ideal, 10 ms".to_owned(), &foam, reading_delay_s(0.0, 0.010, 1e-3), base)?);
@@ -177,7 +184,7 @@ fn all_boards(firmware: Vec<Board>, forces_n: &[f64], base: &BaseTable) -> anyho
     Ok(boards)
 }
 
-/// What `firmware-sim latency --json` printed of the checked-in firmware; `.ci/firmware` compares it with what it prints.
+/// Output of `firmware-sim latency --json` for the checked-in firmware; `.ci/firmware` compares it with a new run.
 fn measured_before() -> anyhow::Result<Vec<Board>> {
     const PRINTED: &str = include_str!("../../../../firmware/moca_touch/latency.json");
     serde_json::from_str(PRINTED).context("firmware/moca_touch/latency.json")
@@ -187,7 +194,7 @@ fn measured_before() -> anyhow::Result<Vec<Board>> {
 pub(crate) fn markdown() -> anyhow::Result<String> {
     let config = Config::default();
     let (forces_n, base) = (&config.protection.assessed_forces_n, &config.robot.base);
-    let mut out = String::from("| board | rate Hz | age on arrival, mean / worst ms | held to ms | T ms |");
+    let mut out = String::from("| board | rate Hz | age on arrival, mean / worst ms | oldest ms | T ms |");
     for force_n in forces_n {
         let _ = write!(out, " at {force_n} N |");
     }
@@ -246,7 +253,7 @@ fn held(firmware: Firmware) -> anyhow::Result<Board> {
     })
 }
 
-/// The same of the firmware itself, by a program of its own: its simulator is GPL-3 and must not link here.
+/// Measures the firmware itself by a separate program: its simulator is GPL-3 and must not be linked here.
 fn simulated_firmware(program: &Path, hex: &Path) -> anyhow::Result<Vec<Board>> {
     let output = Command::new(program)
         .args(["latency", "--json", "--hex"])
@@ -520,7 +527,7 @@ fn boards_as_text(report: &Report, base: &BaseTable, out: &mut String) {
     let _ = write!(
         out,
         "HOW OLD A READING GETS, AND HOW FAST THE BASE MAY GO WITH IT\n\n{:<32}{:>9}{:>14}{:>8}{:>13}{:>9}",
-        "board", "rate [Hz]", "age mean [ms]", "worst", "held to [ms]", "T [ms]"
+        "board", "rate [Hz]", "age mean [ms]", "worst", "oldest [ms]", "T [ms]"
     );
     for speed in report.boards.iter().take(1).flat_map(|board| &board.speeds) {
         let _ = write!(out, "{:>13}", format!("at {} N", speed.force_n));
@@ -569,7 +576,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_firmware_is_said_to_hold_is_what_its_virtual_board_holds() {
+    fn firmware_timing_matches_its_virtual_board() {
         for firmware in BOARDS {
             let board = held(firmware).unwrap();
             let said_ms = milliseconds(firmware.worst_hold_ns());

@@ -2,12 +2,13 @@
 //! What was computed stands in a file there and is not computed again.
 
 use crate::paper::collision;
+use crate::picture::Picture as _;
 use crate::rig::bound::{Meeting, TO_THE_SEAM_M};
 use crate::rig::campaign::Campaign;
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::{Context, Result, bail, ensure};
-use moca_daemon::config::{AssumedModel, BarrierReadings, Config};
-use moca_daemon::control::protection::speed_for_delay_m_s;
+use moca_control::config::{AssumedModel, BarrierReadings, Config};
+use moca_control::protection::speed_for_delay_m_s;
 use moca_figures::{Colour, Drawing, Map};
 use moca_msgs::Law;
 use moca_msgs::seconds;
@@ -51,7 +52,7 @@ impl Speeds {
         format!("{:.4},{:.4},{:.4},{}", self.bound, self.law, self.measured, self.or_more)
     }
 
-    /// Whether the simulation bears the law's speed.
+    /// Returns true if the simulation withstands the law's speed.
     fn keeps(&self) -> bool {
         self.law <= self.measured || self.or_more
     }
@@ -69,9 +70,7 @@ pub(super) fn run(forces_n: &[f64], folder: &Path) -> Result<()> {
     let speeds = read(&out, &cells)?;
     let text = table(&cells, &speeds);
     print!("{text}");
-    let path = folder.join("safe-speed.svg");
-    std::fs::write(&path, figure(&cells, &speeds, forces_n).svg())
-        .with_context(|| format!("cannot write {}", path.display()))
+    figure(&cells, &speeds, forces_n).write(&folder.join("safe-speed"))
 }
 
 /// Every board, limit, body, foam and deceleration.
@@ -157,7 +156,7 @@ impl Cell {
         settings.sensor = Sensor::Stock;
         settings.firmware = meeting.board;
         settings.shift_phase(f64::from(phase) / f64::from(PHASES));
-        settings.foam.scale = self.scale;
+        settings.config.simulation.truth.foam.scale = self.scale;
         // where the touch is hidden for longest
         (settings.person.taxel, settings.person.offset_m) = (5, TO_THE_SEAM_M);
         settings.person.stiffness = Some(meeting.tissue_n_m);
@@ -287,11 +286,10 @@ fn figure(cells: &[Cell], speeds: &[Speeds], forces_n: &[f64]) -> Drawing {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::picture::Picture as _;
 
     /// All of them take minutes: one is run, and has to come out as the document's map has it.
     #[test]
-    fn the_map_in_the_documents_holds_no_speed_that_the_simulation_does_not_bear() {
+    fn every_mapped_speed_is_safe_in_simulation() {
         let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/safe-speed.csv"));
         let cells = cells(&Config::default().protection.assessed_forces_n);
         let shown = read(path, &cells).unwrap();

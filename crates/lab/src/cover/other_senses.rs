@@ -2,8 +2,8 @@
 //! cover before the cover feels it.
 
 use anyhow::{Result, ensure};
-use moca_daemon::config::{Config, HandConfig};
-use moca_daemon::control::plant::Simulated;
+use moca_control::config::{Config, HandConfig};
+use moca_control::plant::Simulated;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_msgs::{Sample, seconds};
@@ -15,12 +15,12 @@ const BOARDS: [Firmware; 2] = [Firmware::Stock2018, Firmware::Moca];
 const FORCES_N: [f64; 5] = [3.0, 5.2, 8.0, 25.0, 100.0];
 /// T6, in front.
 const FRONT: usize = 5;
-/// What is not felt in this time is not felt, ticks.
+/// Ticks after which a press counts as not detected.
 const PATIENCE: u64 = 500;
 /// Time to come to rest before the touch, ticks.
 const REST: u64 = 1000;
 
-/// What a steady press shows until the cover feels it.
+/// Signs of a steady press until the cover detects it.
 struct Shown {
     felt_after_s: Option<f64>,
     /// Largest difference of the base's measured velocity to its order, m/s, and change of the arm's wrench, N.

@@ -22,7 +22,7 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
-/// What a recording holds.
+/// Contents of a recording.
 #[derive(Debug, Serialize)]
 struct Report {
     /// Frames that passed every check.
@@ -41,7 +41,7 @@ struct Report {
     columns: Option<u8>,
     /// Median over the frames of the worst age that their data can have when they are complete; null without times.
     age_ms: Option<f64>,
-    /// What the bytes say about the board.
+    /// State of the board, from its bytes.
     diagnosis: &'static str,
     /// In the order in which they were found.
     faults: Vec<StreamFault>,

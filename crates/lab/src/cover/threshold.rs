@@ -2,8 +2,9 @@
 //! it is felt, and how little an untouched robot creeps under the sensor's noise.
 #![expect(clippy::print_stdout, reason = "a command prints its result")]
 
+use crate::rig::parallel;
 use anyhow::{Context, Result, ensure};
-use moca_daemon::config::{Config, HandConfig};
+use moca_control::config::{Config, HandConfig};
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
@@ -40,10 +41,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         "{:>5} {:>22} {:>20} {:>22} {:>20}",
         "seed", "untouched base moved", "smallest felt", "felt after (smallest)", "felt after (20 N)"
     );
-    for &seed in &arguments.seeds {
-        let moved_m = untouched(seed, arguments.seconds)?;
-        let (smallest_n, late_ms) = smallest_felt(seed)?;
+    // A bar and a line of the table do not mix on one screen: all lines follow the bar.
+    let row = |&seed: &u64| -> Result<_> {
         let soon_ms = felt_after(seed, 20.0)?.context("20 N were not felt")?;
+        Ok((seed, untouched(seed, arguments.seconds)?, smallest_felt(seed)?, soon_ms))
+    };
+    for row in parallel::run("threshold", &arguments.seeds, row, |_| ()) {
+        let (seed, moved_m, (smallest_n, late_ms), soon_ms) = row?;
         println!(
             "{seed:>5} {:>19.6} mm {smallest_n:>18.2} N {late_ms:>19} ms {soon_ms:>17} ms",
             1e3 * moved_m

@@ -10,7 +10,7 @@ const GAP_NS: u64 = 100_000_000;
 pub(super) struct Frame<'a> {
     /// The last sample that was there then.
     pub(super) sample: &'a Sample,
-    /// How old it was then, s.
+    /// Age of the cover's data at the frame, s.
     pub(super) age_s: f64,
 }
 

@@ -24,7 +24,7 @@ pub(crate) struct Arguments {
     /// Frames each second; a log has 50.
     #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=50))]
     fps: u32,
-    /// What the robot does, in words, for policies that read them.
+    /// Task of the robot in words, for policies that read them.
     #[arg(long, default_value = "give way to touch")]
     task: String,
 }
@@ -77,7 +77,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<String> {
     Ok(format!("{}: {} episodes, {frames} frames at {fps} Hz", out.display(), set.lengths.len()))
 }
 
-/// What a column is, beside its values.
+/// Name, type and shape of a column.
 struct Feature {
     column: Column,
     names: Vec<String>,
@@ -150,7 +150,7 @@ impl Feature {
     }
 }
 
-/// Of sorted values, on the line between neighbours.
+/// Returns a quantile of sorted values, interpolated between neighbours.
 #[expect(
     clippy::cast_precision_loss,
     clippy::cast_possible_truncation,
@@ -216,7 +216,7 @@ impl Set {
             };
             let of_samples = OF_SAMPLES.iter().find(|(name, _)| *name == feature.column.name);
             match (feature.column.name.as_str(), &mut feature.column.values) {
-                // One number that is none would spoil all that is learned: a force that means nothing is 0, and `valid` says so.
+                // One NaN would spoil all that is learned: a force that means nothing is 0, and `valid` says so.
                 ("observation.tactile.force", Values::Singles(v)) => {
                     v.extend(singles(forces(parts)).into_iter().map(|n| if n.is_finite() { n } else { 0.0 }))
                 }

@@ -28,7 +28,7 @@ enum Form {
     Lerobot(lerobot::Arguments),
     /// A table as text: a row for each instant that a viewer is shown, names with units.
     Csv(TableArguments),
-    /// The same table as a Parquet file.
+    /// The table as a Parquet file.
     Parquet(TableArguments),
 }
 

@@ -50,8 +50,8 @@ fn joints(parts: Parts, name: fn(usize) -> String, of: fn(&Sample) -> &[f64]) ->
     (0..parts.joints).map(|i| Quantity::new(name(i + 1), move |s| element(of(s), i))).collect()
 }
 
-/// What was measured of each thing that an [`action`] commands, in its order: base velocity in the base's own axes, flange pose in
-/// the world.
+/// Measured value of each quantity that an [`action`] commands, in its order: base velocity in the base's own axes, flange
+/// pose in the world.
 pub(super) fn state(parts: Parts) -> Vec<Quantity> {
     let velocity =
         |i: usize| move |s: &Sample| Heading::at(s.base_pose_world[2]).to_base(s.base_velocity_world)[i];
@@ -61,7 +61,7 @@ pub(super) fn state(parts: Parts) -> Vec<Quantity> {
     all
 }
 
-/// Where the base is, in the world.
+/// Pose of the base in the world.
 pub(super) fn base() -> Vec<Quantity> {
     elements(["base_x_m", "base_y_m", "base_yaw_rad"], |s| &s.base_pose_world)
 }
@@ -73,7 +73,7 @@ pub(super) fn joint_state(parts: Parts) -> Vec<Quantity> {
     all
 }
 
-/// Where the flange is, in the world; nothing without an arm.
+/// Pose of the flange in the world; empty without an arm.
 fn flange(parts: Parts) -> Vec<Quantity> {
     let mut all = Vec::new();
     if parts.joints > 0 {
@@ -85,7 +85,7 @@ fn flange(parts: Parts) -> Vec<Quantity> {
     all
 }
 
-/// What the robot was told that another controller could tell it: base velocity in the base's own axes, desired flange pose in
+/// Commands that another controller could give: base velocity in the base's own axes, desired flange pose in
 /// the world.
 pub(super) fn action(parts: Parts) -> Vec<Quantity> {
     let mut all = elements(["base_vx_body_m_s", "base_vy_body_m_s", "base_yaw_rate_rad_s"], |s| {
@@ -105,7 +105,7 @@ pub(super) fn torque(parts: Parts) -> Vec<Quantity> {
     joints(parts, |i| format!("torque{i}_nm"), |s| &s.arm_torque_nm)
 }
 
-/// Whether a taxel's force means something.
+/// Returns true if a taxel's force is valid.
 pub(super) fn valid(sample: &Sample, taxel: usize) -> bool {
     sample.taxels.get(taxel).is_some_and(|t| t.status == TaxelStatus::Ok && t.force_n.is_finite())
 }

@@ -1,4 +1,4 @@
-//! What is exported is read back by the library that wrote it.
+//! Exported files, read back by the library that wrote them.
 
 use super::frames::{episodes, frames};
 use super::quantities::join_quaternions;
@@ -118,7 +118,7 @@ fn data_set(folder: &Folder, change: impl Fn(&mut Sample)) -> anyhow::Result<(St
 }
 
 #[test]
-fn nobody_learns_from_a_robot_that_waits_or_whose_state_is_not_known() {
+fn episodes_leave_out_waiting_and_unknown_states() {
     let folder = Folder::new("waits");
     let (told, rows) = data_set(&folder, |sample| {
         if sample.tick < 400 {
@@ -232,7 +232,7 @@ fn a_data_set_says_what_it_holds_and_holds_it() {
 }
 
 #[test]
-fn a_table_has_a_row_for_each_sample_of_all_parts_and_names_with_units() {
+fn exported_table_has_all_samples_and_units() {
     let folder = Folder::new("table");
     let logs = vec![log(&folder.0, "run.mcap", 0..1000), log(&folder.0, "run-2.mcap", 1000..2000)];
     let (csv, parquet) = (folder.0.join("run.csv"), folder.0.join("run.parquet"));

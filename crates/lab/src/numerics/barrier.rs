@@ -1,4 +1,4 @@
-//! What the contact barrier is worth: the sweeps of `scenes/barrier-*.toml` as the table of docs/math.md.
+//! Benefit of the contact barrier: the sweeps of `scenes/barrier-*.toml` as the table of docs/math.md.
 
 use super::sweep::Plan;
 use crate::paper::collision;
@@ -76,7 +76,7 @@ fn plan(chosen: impl Fn(usize, bool, &str) -> bool) -> Result<Vec<Planned>> {
     Ok(todo)
 }
 
-/// What came of them.
+/// Results of the chosen runs.
 fn runs(chosen: impl Fn(usize, bool, &str) -> bool) -> Result<Vec<Run>> {
     let run = |planned: &Planned| {
         let report = collision::single(&planned.settings)?;

@@ -1,7 +1,7 @@
 //! `moca-lab docs --only peers`: the closed loop beside the same one on engines, and with a controller, that are not ours.
 //!
-//! What the others did stands in `tests/fixtures/peers`, written by `tests/peers/run`. One is discrete as ours is and
-//! compared at the same step; the other one is continuous, and compared with the limit of ours for small steps.
+//! Results of the others are in `tests/fixtures/peers`, written by `tests/peers/run`. One is discrete like ours and
+//! compared at the same step. The other is continuous and compared with our limit of small steps.
 
 use crate::paper::{collision, push, push::Push};
 use crate::rig::closed_loop::{Rig, Row};
@@ -17,9 +17,9 @@ const COLUMNS: &str = "t_s,base_x_m,base_y_m,base_yaw_rad,flange_x_m,flange_y_m,
 const EVERY: usize = 20;
 /// The two steps that the table's limit is taken from, ms.
 const SMALL_MS: [f64; 2] = [1.0 / 64.0, 1.0 / 128.0];
-/// Where the others' sensor is in its period when the run begins.
+/// Phase of the peers' sensor at the start of the run.
 const THEIR_PHASE: &str = "sensor.phase_ms=8";
-/// Of a continuous plant: where a leg begins to slip, its force has no derivative.
+/// Setting for a continuous plant: where a leg begins to slip, its force has no derivative.
 const WITHOUT_FRICTION: &str = "person.friction=0";
 
 const EXPERIMENTS: [&str; 3] = ["push", "b2-i", "collision"];
@@ -91,7 +91,7 @@ impl Trace {
         })
     }
 
-    /// What our loop tends to, from two steps of which one is half the other: its error is of first order in the step.
+    /// Returns the limit of our loop from two steps of which one is half the other: its error is of first order in the step.
     fn limit(experiment: &str, steps_ms: [f64; 2]) -> Result<Self> {
         let at = |step_ms: &f64| {
             Self::run(
@@ -142,9 +142,9 @@ struct Compared {
 enum Way {
     /// Step for step.
     Discrete,
-    /// What ours tends to beside the continuous one; two steps, ms.
+    /// Our limit next to the continuous one; two steps, ms.
     Limit([f64; 2]),
-    /// What the default step is off by.
+    /// Error of the default step.
     DefaultStep,
 }
 
@@ -206,7 +206,7 @@ mod tests {
     /// Drake integrates the same robot with error control: nothing of MuJoCo and none of our integration. What steps of
     /// 1/16 and 1/32 ms leave of the collision's limit is of second order; those of the table are four times as small.
     #[test]
-    fn the_limit_of_small_steps_is_what_an_error_controlled_engine_finds() {
+    fn limit_of_small_steps_matches_drake() {
         for (experiment, within) in [("push", 1e-7), ("b2-i", 1e-7), ("collision", 4e-6)] {
             let way = Way::Limit([1.0 / 16.0, 1.0 / 32.0]);
             let Compared { ours, theirs, apart } = compared(experiment, &way).unwrap();

@@ -25,7 +25,7 @@ const RESULTS: &str = "peak_force_n,first_touch_n,impact_n,first_peak_n,contact_
 /// Arguments of `moca-lab sweep`.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
-    /// What to vary: see scenes/sweep.toml.
+    /// Plan of the sweep: see scenes/sweep.toml.
     file: PathBuf,
     /// CSV file; rows that are already in it are kept and not run again.
     #[arg(long, value_name = "CSV")]

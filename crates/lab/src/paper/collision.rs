@@ -5,9 +5,10 @@ use super::robot_picture::Moment;
 use super::{RunInfo, head, wrench_text};
 use crate::rig::closed_loop::{Loads, Rig, Row};
 use crate::rig::measure::{Measures, peak_force_n};
+use crate::rig::parallel;
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
-use moca_daemon::robot::FoamKind;
+use moca_control::robot::FoamKind;
 use moca_sim::Scene;
 use moca_sim::foam::Foam;
 use serde::Serialize;
@@ -16,13 +17,13 @@ use std::time::Instant;
 /// Sensor phases over which the worst is reported, as shares of the sensor's period.
 pub(crate) const PHASES: [f64; 5] = [0.0, 0.2, 0.4, 0.6, 0.8];
 
-/// What the collision scene changes of the common settings.
+/// Changes the common settings to those of the collision scene.
 pub(crate) fn defaults(settings: &mut Settings) {
     settings.foam.material = Foam::COLLISION_ASSUMED;
     settings.config.robot.cover.foam = FoamKind::Hyperbolic; // with the same numbers
 }
 
-/// What the collision did: worst phase of the sensor.
+/// Result of the collision in the worst phase of the sensor.
 #[derive(Debug, Serialize)]
 pub(crate) struct Report {
     #[serde(flatten)]
@@ -31,14 +32,14 @@ pub(crate) struct Report {
     pub measures: Measures,
     /// Speed of the touched part of the cover towards the person just before contact, m/s.
     pub approach_m_s: f64,
-    /// How far the flange is ahead of the base along y half a second after the start, m.
+    /// Lead of the flange over the base along y half a second after the start, m.
     pub arm_leads_m: f64,
     /// Speed of the base along y just before contact, at its least in contact, and a second after it, m/s; null
     /// without contact.
     pub base_y_m_s: Option<[f64; 3]>,
     /// Largest force for each phase of the sensor against the motion, N.
     pub peak_by_phase_n: Vec<f64>,
-    /// What the run shows; one that stopped or touched nobody shows no low force.
+    /// Verdict of the run; a run that stopped or touched nobody shows no low force.
     pub verdict: &'static str,
 }
 
@@ -46,6 +47,16 @@ impl Report {
     /// Why the robot stopped, if it did.
     pub(crate) fn stopped(&self) -> Option<&str> {
         self.info.stopped.as_deref()
+    }
+
+    /// Returns for a stock board the command that gives the README's lower figure.
+    fn other_cover(&self) -> &'static str {
+        if self.info.sensor == Sensor::Stock.name() {
+            "\n  This is a stock Touch Board, too slow for this contact; the README's first row has an ideal 100 Hz cover: add --set \
+             sensor=ideal"
+        } else {
+            ""
+        }
     }
 
     pub(crate) fn text(&self) -> String {
@@ -58,7 +69,7 @@ impl Report {
             )
         });
         format!(
-            "{}\n  peak force {:.1} N ({}), {:.1} N in the first 0.1 s of contact, {:.1} N in 0.5 s, peaks {} N, taxels {}, contact at {} s for {:.2} s, approach {:.3} m/s\n  \
+            "{}\n  peak force {:.1} N ({}), {:.1} N in the first 0.1 s of contact, {:.1} N in 0.5 s{}\n  peaks {} N, taxels {}, contact at {} s for {:.2} s, approach {:.3} m/s\n  \
              peak by sensor phase {} N\n  flange off by {:.2} mm RMS, {:.2} mm at most; base moved ({x:+.3} m, {y:+.3} m, \
              {yaw:+.3} rad); yaw in contact {:+.1}°\n  wrench in contact {} true, {} sensed\n  \
              arm {:.3} m ahead of the base after 0.5 s{resumes}",
@@ -67,6 +78,7 @@ impl Report {
             self.verdict,
             m.first_touch_n,
             m.impact_n,
+            self.other_cover(),
             list(&m.peaks_n),
             m.contact_taxels.join(", "),
             m.contact_s.map_or("no".into(), |t| format!("{t:.2}")),
@@ -87,7 +99,7 @@ impl Report {
 pub(crate) struct Run {
     pub report: Report,
     pub rows: Vec<Row>,
-    /// Of the other phases.
+    /// Rows of the other phases.
     pub others: Vec<Vec<Row>>,
     pub moments: Vec<Moment>,
 }
@@ -96,18 +108,19 @@ pub(crate) struct Run {
 pub(crate) fn run(settings: &Settings) -> Result<Run> {
     let started = Instant::now();
     let phases: &[f64] = if settings.sensor == Sensor::Off { &PHASES[..1] } else { &PHASES };
-    let (mut worst, mut most_n) = (0, f64::NEG_INFINITY);
-    let (mut rigs, mut peaks) = (Vec::new(), Vec::new());
-    for phase in phases {
+    let of_phase = |phase: &f64| {
         let mut shifted = settings.clone();
         shifted.shift_phase(*phase);
-        let rig = once(&shifted)?;
-        let peak_n = peak_force_n(&rig.rows);
-        if peak_n > most_n {
-            (worst, most_n) = (rigs.len(), peak_n);
+        once(&shifted)
+    };
+    let rigs = parallel::run("collision", phases, of_phase, |_| ());
+    let mut rigs = rigs.into_iter().collect::<Result<Vec<_>>>()?;
+    let peaks: Vec<f64> = rigs.iter().map(|rig| peak_force_n(&rig.rows)).collect();
+    let (mut worst, mut most_n) = (0, f64::NEG_INFINITY);
+    for (i, peak_n) in peaks.iter().enumerate() {
+        if *peak_n > most_n {
+            (worst, most_n) = (i, *peak_n);
         }
-        peaks.push(peak_n);
-        rigs.push(rig);
     }
     let rig = rigs.swap_remove(worst);
     let info = RunInfo::new("collision", settings, &rig, started);
@@ -201,7 +214,7 @@ fn measure(info: RunInfo, settings: &Settings, rows: &[Row], peak_by_phase_n: Ve
     }
 }
 
-/// What the largest force of a run says, and what a run cannot say.
+/// Returns the verdict on the largest force of a run, and says what a run cannot show.
 const fn verdict(peak_n: f64, stopped: bool) -> &'static str {
     if peak_n >= 25.0 {
         "UNSAFE: above 25 N"

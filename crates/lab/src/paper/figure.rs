@@ -1,30 +1,58 @@
 //! Figures 5 to 7: the trace of a run in panels, the moments marked, pictures of the robot at each.
 
 use super::robot_picture::{Moment, Pictures};
-use crate::picture::Picture as _;
+use crate::picture::{Column, Picture as _};
 use crate::rig::closed_loop::Row;
 use crate::rig::{JOINTS, TAXELS, count};
-use anyhow::{Context, Result};
-use moca_figures::{Anchor, BLACK, Drawing, GREY, Panel, Series};
+use anyhow::{Context, Result, ensure};
+use moca_figures::{Anchor, BLACK, Drawing, GREY, Panel, Series, Width, text_px, wrapped};
 use moca_sim::Scene;
 use std::fmt::Write as _;
+use std::ops::Range;
 use std::path::Path;
 
-const WIDTH: f64 = 900.0;
-const PANEL_HEIGHT: f64 = 165.0;
-/// Strip above the panels for the names of the moments.
-const HEADER: f64 = 46.0;
-/// Line below the pictures, px.
-const NOTES: f64 = 16.0;
+/// Height of a panel's axes, px.
+const AXES: f64 = 107.0;
+/// Height of a line of moments' names or of the note below the pictures, and room for such lines besides them, px.
+const LINE: f64 = 12.0;
+const AROUND: f64 = 10.0;
 /// Corners along each edge of a band.
 const BAND_POINTS: usize = 400;
 
-/// What is drawn: one run, and others of the same experiment that show how far it is one of many.
+/// Drawn data: one run, and others of the same experiment that show its spread.
 #[derive(Clone, Copy)]
 pub(crate) struct Trace<'a> {
     pub rows: &'a [Row],
     /// Each of the same length, or shorter if the robot stopped.
     pub others: &'a [Vec<Row>],
+}
+
+/// Appearance of a figure.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub(crate) struct Layout {
+    /// Width of the figure.
+    #[arg(long, value_enum, default_value_t)]
+    pub width: Column,
+    /// Panels to draw, by their letters in the whole figure, e.g. a,d,f.
+    #[arg(long, value_name = "LETTERS", value_delimiter = ',')]
+    pub panels: Vec<char>,
+}
+
+impl Layout {
+    /// Keeps the chosen panels of a figure; all of them if none is chosen.
+    fn chosen(&self, panels: Vec<Panel>) -> Result<Vec<Panel>> {
+        if self.panels.is_empty() {
+            return Ok(panels);
+        }
+        let lettered: Vec<(char, Panel)> = ('a'..='z').zip(panels).collect();
+        let last = lettered.last().map_or('a', |(letter, _)| *letter);
+        for letter in &self.panels {
+            let known = lettered.iter().any(|(one, _)| one == letter);
+            ensure!(known, "--panels: no panel {letter}, this figure has a to {last}");
+        }
+        let chosen = lettered.into_iter().filter(|(letter, _)| self.panels.contains(letter));
+        Ok(chosen.map(|(_, panel)| panel).collect())
+    }
 }
 
 /// Everything of a figure.
@@ -33,7 +61,7 @@ pub(crate) struct Figure<'a> {
     pub trace: Trace<'a>,
     pub moments: &'a [Moment],
     pub panels: Vec<Panel>,
-    /// What the other runs differ in.
+    /// Difference of the other runs.
     pub another: &'static str,
     /// Why the robot stopped, if it did.
     pub stopped: Option<&'a str>,
@@ -41,39 +69,97 @@ pub(crate) struct Figure<'a> {
 
 impl Figure<'_> {
     /// Names of the moments, panels above each other, then the robot at each moment.
-    pub(crate) fn draw(self) -> Result<Drawing> {
+    /// Over both columns of a journal the panels stand in pairs.
+    pub(crate) fn draw(self, layout: &Layout) -> Result<Drawing> {
         let Self { scene, trace: Trace { rows, others }, moments, panels, another, stopped } = self;
-        let top = HEADER + PANEL_HEIGHT * count(panels.len());
-        let pictures = Pictures::new(scene, rows, moments, WIDTH)?;
-        let height = top + pictures.height();
-        let mut drawing = Drawing::new(WIDTH, height + NOTES);
-        let at =
-            |moment: &Moment| panels.first().map_or(0.0, |panel| panel.place(rows[moment.row].t_s, WIDTH));
-        let mut taken = [f64::NEG_INFINITY; 3];
-        for moment in moments {
-            let x = at(moment);
-            // Names that would run into each other go into lanes of their own.
-            let lane = taken.iter().position(|end| x >= *end).unwrap_or(taken.len() - 1);
-            taken[lane] = x + 7.0 * count(moment.name.chars().count()) + 6.0;
-            drawing.text([x, 12.0 + 12.0 * count(lane)], Anchor::Start, &moment.name, BLACK);
-            drawing.line(&[[x, 16.0 + 12.0 * count(lane)], [x, HEADER + 16.0]], 1.0, GREY);
-        }
+        let panels = layout.chosen(panels)?;
+        let width = Width::from(layout.width);
+        let columns = if width == Width::Double && panels.len() > 1 { 2 } else { 1 };
+        let width = width.px();
+        let column = width / count(columns);
         let end_s = rows.last().map(|row| row.t_s);
-        for (i, mut panel) in panels.into_iter().enumerate() {
+        let letter = |(i, panel): (usize, Panel)| {
+            let mut panel = panel.lettered(i);
             panel.marks = moments.iter().map(|m| rows[m.row].t_s).collect();
             if let (Some(why), Some(end_s)) = (stopped, end_s) {
                 let code = why.split(':').next().unwrap_or(why);
                 panel.series.push(Series::failures(format!("stops: {code}"), [end_s]));
             }
-            panel.draw(&mut drawing, [0.0, HEADER + PANEL_HEIGHT * count(i)], [WIDTH, PANEL_HEIGHT]);
+            panel
+        };
+        let panels: Vec<Panel> = panels.into_iter().enumerate().map(letter).collect();
+        let names = Names::new(moments, column, |moment| {
+            panels.first().map_or(0.0, |panel| panel.place(rows[moment.row].t_s, column))
+        });
+        let header = names.height();
+        let tallest = |row: &[Panel]| row.iter().map(|panel| panel.height(column, AXES)).fold(0.0, f64::max);
+        let top = header + panels.chunks(columns).map(tallest).sum::<f64>();
+        let pictures = Pictures::new(scene, rows, moments, width)?;
+        let height = top + pictures.height();
+        let note = if others.is_empty() {
+            String::new()
+        } else {
+            format!("bands: least and largest of {} runs, each with another {another}", others.len() + 1)
+        };
+        let notes = wrapped(&note, width - 16.0);
+        let mut drawing = Drawing::new(width, height + LINE * count(notes.len()) + 4.0);
+        for i in 0..columns {
+            names.draw(&mut drawing, column * count(i));
+        }
+        let mut y = header;
+        for row in panels.chunks(columns) {
+            let height = tallest(row);
+            for (i, panel) in row.iter().enumerate() {
+                panel.draw(&mut drawing, [column * count(i), y], [column, height]);
+            }
+            y += height;
         }
         pictures.draw(&mut drawing, top);
-        if !others.is_empty() {
-            let runs = others.len() + 1;
-            let note = format!("bands: least and largest of {runs} runs, each with another {another}");
-            drawing.text([8.0, height + 8.0], Anchor::Start, &note, BLACK);
+        for (i, line) in notes.iter().enumerate() {
+            drawing.text([8.0, height + 8.0 + LINE * count(i)], Anchor::Start, line, BLACK);
         }
         Ok(drawing)
+    }
+}
+
+/// Names of the moments above the panels, in as many lanes as keep them apart.
+struct Names<'a> {
+    /// Place of the moment, left end of its name, lane, name.
+    placed: Vec<(f64, f64, usize, &'a str)>,
+    lanes: usize,
+}
+
+impl<'a> Names<'a> {
+    fn new(moments: &'a [Moment], width: f64, place: impl Fn(&Moment) -> f64) -> Self {
+        let mut taken: Vec<Vec<[f64; 2]>> = Vec::new();
+        let placed = moments.iter().map(|moment| {
+            let at = place(moment);
+            let room = text_px(moment.name.chars().count());
+            let left = at.min(width - room).max(0.0);
+            let free =
+                |lane: &Vec<[f64; 2]>| lane.iter().all(|[from, to]| left >= *to || left + room <= *from);
+            let lane = taken.iter().position(free).unwrap_or(taken.len());
+            if lane == taken.len() {
+                taken.push(Vec::new());
+            }
+            taken[lane].push([left, left + room + 6.0]);
+            (at, left, lane, moment.name.as_str())
+        });
+        let placed = placed.collect();
+        Self { placed, lanes: taken.len() }
+    }
+
+    fn height(&self) -> f64 {
+        AROUND + LINE * count(self.lanes)
+    }
+
+    /// Draws them over the column that begins at `x0`.
+    fn draw(&self, drawing: &mut Drawing, x0: f64) {
+        for (at, left, lane, name) in &self.placed {
+            let (y, at) = (LINE * count(lane + 1), x0 + at);
+            drawing.text([x0 + left, y], Anchor::Start, name, BLACK);
+            drawing.line(&[[at, y + 4.0], [at, self.height() + 2.0]], 1.0, GREY);
+        }
     }
 }
 
@@ -82,11 +168,14 @@ pub(crate) fn panels(first: Panel, trace: Trace<'_>) -> Vec<Panel> {
     vec![
         first,
         taxel_forces(trace),
-        cover_wrench(trace),
+        cover_force(trace),
+        cover_moment(trace),
         flange_position(trace),
         flange_error(trace),
-        base_pose(trace),
+        base_position(trace),
+        base_yaw(trace),
         base_velocity(trace),
+        base_turning(trace),
     ]
 }
 
@@ -124,17 +213,22 @@ pub(crate) fn taxel_forces(trace: Trace<'_>) -> Panel {
     panel("force of hands and people on the cover, inward: true (strong) and sensed (pale)", "N", sensed)
 }
 
-/// τ_v,ext as the controller has it, axes of B.
-fn cover_wrench(trace: Trace<'_>) -> Panel {
+/// Force of τ_v,ext as the controller has it, axes of B.
+fn cover_force(trace: Trace<'_>) -> Panel {
     panel(
-        "wrench of the cover on the base, eq. (4), axes of the base, as sensed",
-        "N, N, N·m",
+        "force of the cover on the base, eq. (4), axes of the base, as sensed",
+        "N",
         vec![
             series(0, "f_x", trace, |row| row.wrench_sensed[0]),
             series(1, "f_y", trace, |row| row.wrench_sensed[1]),
-            series(2, "m_z", trace, |row| row.wrench_sensed[2]),
         ],
     )
+}
+
+/// Moment of τ_v,ext as the controller has it.
+fn cover_moment(trace: Trace<'_>) -> Panel {
+    let moment = series(2, "m_z", trace, |row| row.wrench_sensed[2]);
+    panel("moment of the cover on the base, eq. (4), as sensed", "N·m", vec![moment])
 }
 
 /// Force of the hand on the flange, in its own axes or the world's, and in a paler colour what the controller takes it for.
@@ -167,7 +261,7 @@ fn cross(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Where the flange is, and in a paler colour where it is wanted, from its start.
+/// Draws the flange's position and, in a paler colour, the desired one, from its start.
 fn flange_position(trace: Trace<'_>) -> Panel {
     let start = trace.rows[0].flange_world;
     let mut lines = Vec::new();
@@ -205,29 +299,43 @@ pub(crate) fn lead(trace: Trace<'_>) -> Panel {
     )
 }
 
-/// Pose of the base from its start.
-fn base_pose(trace: Trace<'_>) -> Panel {
+/// Elements x, y, yaw of the base's pose and velocity.
+const BASE: [&str; 3] = ["x", "y", "yaw"];
+
+/// Elements of the base's pose from its start.
+fn base_from_start(trace: Trace<'_>, axes: Range<usize>) -> Vec<Series> {
     let start = trace.rows[0].base_pose_world;
-    let pick = |axis: usize| move |row: &Row| row.base_pose_world[axis] - start[axis];
-    panel(
-        "base displacement, world axes",
-        "m, m, rad",
-        vec![
-            series(0, "x", trace, pick(0)),
-            series(1, "y", trace, pick(1)),
-            series(2, "yaw", trace, pick(2)),
-        ],
-    )
+    axes.map(|axis| series(axis, BASE[axis], trace, |row| row.base_pose_world[axis] - start[axis])).collect()
 }
 
-/// Velocity of the base, and in a paler colour the one that it is told.
+/// Position of the base from its start.
+fn base_position(trace: Trace<'_>) -> Panel {
+    panel("base displacement, world axes", "m", base_from_start(trace, 0..2))
+}
+
+/// Turn of the base from its start.
+fn base_yaw(trace: Trace<'_>) -> Panel {
+    panel("base rotation", "rad", base_from_start(trace, 2..3))
+}
+
+/// Elements of the base's velocity, and in a paler colour those of the one that it is told.
+fn base_rates(trace: Trace<'_>, axes: Range<usize>) -> Vec<Series> {
+    let both = |axis: usize| {
+        let commanded = series(axis, "", trace, move |row| command_world(row)[axis]).pale();
+        [commanded, series(axis, BASE[axis], trace, move |row| row.base_velocity_world[axis])]
+    };
+    axes.flat_map(both).collect()
+}
+
+/// Linear velocity of the base.
 fn base_velocity(trace: Trace<'_>) -> Panel {
-    let mut lines = Vec::new();
-    for (axis, name) in ["x", "y", "yaw"].into_iter().enumerate() {
-        lines.push(series(axis, "", trace, |row| command_world(row)[axis]).pale());
-        lines.push(series(axis, name, trace, |row| row.base_velocity_world[axis]));
-    }
-    panel("base velocity, world axes: actual (strong) and commanded (pale)", "m/s, m/s, rad/s", lines)
+    let title = "base velocity, world axes: actual (strong) and commanded (pale)";
+    panel(title, "m/s", base_rates(trace, 0..2))
+}
+
+/// Yaw rate of the base.
+fn base_turning(trace: Trace<'_>) -> Panel {
+    panel("base yaw rate: actual (strong) and commanded (pale)", "rad/s", base_rates(trace, 2..3))
 }
 
 /// The base's command in world axes, m/s, m/s, rad/s.
@@ -237,7 +345,7 @@ fn command_world(row: &Row) -> [f64; 3] {
     [cos * x - sin * y, sin * x + cos * y, yaw_rate]
 }
 
-/// Writes NAME.svg, NAME.png, NAME.csv and NAME.json into `folder`.
+/// Writes NAME.svg, NAME.pdf, NAME.png, NAME.csv and NAME.json into `folder`.
 pub(crate) fn write(
     folder: &Path,
     name: &str,
@@ -246,12 +354,8 @@ pub(crate) fn write(
     report: &impl serde::Serialize,
 ) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    for (ending, bytes) in [
-        ("csv", csv(rows).into_bytes()),
-        ("json", serde_json::to_vec_pretty(report)?),
-        ("svg", drawing.svg().into_bytes()),
-        ("png", drawing.png()?),
-    ] {
+    drawing.write(&folder.join(name))?;
+    for (ending, bytes) in [("csv", csv(rows).into_bytes()), ("json", serde_json::to_vec_pretty(report)?)] {
         let path = folder.join(format!("{name}.{ending}"));
         std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
     }
@@ -305,7 +409,28 @@ mod tests {
     }
 
     #[test]
-    fn the_trace_has_a_name_for_each_value_and_the_command_in_the_worlds_axes() {
+    fn each_panel_of_a_figure_has_one_quantity() {
+        let rows = [row(0.0, [0.0; 3], 0.0), row(0.1, [0.1; 3], 0.0)];
+        let trace = Trace { rows: &rows, others: &[] };
+        let panels = panels(taxel_forces(trace), trace);
+        assert_eq!(panels.len(), 10);
+        for panel in panels {
+            assert!(!panel.y_label.contains(','), "{}: {}", panel.title, panel.y_label);
+        }
+    }
+
+    #[test]
+    fn chosen_panels_are_kept_and_unknown_letter_is_named() {
+        let panels = || vec![panel("first", "N", Vec::new()), panel("second", "m", Vec::new())];
+        let layout = |letters: &[char]| Layout { panels: letters.to_vec(), ..Layout::default() };
+        let kept = |letters: &[char]| layout(letters).chosen(panels()).map(|kept| kept.len());
+        assert_eq!((kept(&[]).unwrap(), kept(&['b']).unwrap()), (2, 1));
+        let error = kept(&['b', 'c']).unwrap_err().to_string();
+        assert_eq!(error, "--panels: no panel c, this figure has a to b");
+    }
+
+    #[test]
+    fn trace_names_every_value_and_uses_world_axes() {
         let mut turned = row(0.25, [1.0, 2.0, std::f64::consts::FRAC_PI_2], 0.0);
         (turned.base_command_body, turned.q_rad[6]) = ([0.3, 0.1, -0.2], 0.7);
         let text = csv(&[turned]);

@@ -12,7 +12,7 @@ use moca_msgs::Law;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// A channel: name with unit, largest difference that is none, value.
+/// A channel: name with unit, tolerance, value.
 type Channel = (&'static str, f64, fn(&Row) -> f64);
 
 /// 10 µm and 10 µrad, 0.1 mm/s, 10 mN: far below what anybody feels, far above another compiler's rounding.

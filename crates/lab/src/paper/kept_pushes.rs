@@ -6,7 +6,7 @@ use crate::rig::closed_loop::Rig;
 use crate::rig::parallel;
 use crate::rig::settings::Settings;
 use anyhow::{Context, Result};
-use moca_daemon::control::barrier;
+use moca_control::barrier;
 use moca_msgs::Law;
 use moca_msgs::robot::TaxelPlacement;
 use std::fmt::Write as _;
@@ -61,14 +61,14 @@ impl Run {
     }
 }
 
-/// What a push did without the barrier and with it.
+/// Result of a push without the barrier and with it.
 struct Pair {
     name: String,
     /// Largest force of one body on the cover, N.
     body_n: f64,
     without: [f64; 3],
     with: [f64; 3],
-    /// Whether it went into who pressed when there was no barrier.
+    /// True if the base pressed against the pressing hand when there was no barrier.
     pressed_back: bool,
 }
 
@@ -122,7 +122,7 @@ fn body_n(push: &Push, cover: &[TaxelPlacement]) -> f64 {
     (0..cover.len()).map(of).fold(0.0, f64::max)
 }
 
-/// Whether the base mostly moved into one of the pressing hands.
+/// Returns true if the base mostly moved into one of the pressing hands.
 fn pressed_back(push: &Push, cover: &[TaxelPlacement], moved: [f64; 3]) -> bool {
     let [x, y, _] = moved;
     let pressed = cover.iter().zip(push.loads.taxel_n).filter(|(_, force_n)| *force_n > 0.0);
@@ -173,7 +173,7 @@ pub(crate) fn markdown() -> Result<String> {
 
 #[cfg(test)]
 #[test]
-fn up_to_the_yield_depth_the_paper_s_pushes_move_the_base_as_without_the_barrier() {
+fn light_pushes_move_base_as_without_barrier() {
     let [stop_n, yield_n] = depths_n().unwrap();
     println!("the base stops pressing at {stop_n:.1} N of a slow push and makes room from {yield_n:.1} N on");
     let pairs = pairs().unwrap();

@@ -14,7 +14,7 @@ mod robot_picture;
 #[cfg(test)]
 mod tests;
 
-use self::figure::{Figure, Trace};
+use self::figure::{Figure, Layout, Trace};
 use crate::rig::settings::{self, Settings};
 use crate::rig::{closed_loop, keys, measure};
 use anyhow::{Result, ensure};
@@ -51,7 +51,7 @@ enum Experiment {
     Collision(Common),
 }
 
-/// What every experiment takes.
+/// Arguments of every experiment.
 #[derive(clap::Args, Clone)]
 pub(crate) struct Common {
     /// Sets a parameter, e.g. sensor=ideal; may be repeated. A wrong key lists all.
@@ -63,9 +63,11 @@ pub(crate) struct Common {
     /// Prints one JSON object.
     #[arg(long)]
     json: bool,
-    /// Writes figure (SVG, PNG), trace (CSV) and report (JSON) into this folder.
+    /// Writes figure (SVG, PDF, PNG), trace (CSV) and report (JSON) into this folder.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    layout: Layout,
 }
 
 fn parse_taxel(text: &str) -> Result<usize, String> {
@@ -83,17 +85,17 @@ impl Common {
     }
 }
 
-/// What every experiment says of its run.
+/// Information that every experiment prints about its run.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct RunInfo {
     experiment: &'static str,
     sensor: &'static str,
     foam: &'static str,
-    /// Where the wrench at the flange comes from.
+    /// Source of the wrench at the flange.
     flange: &'static str,
-    /// What integrated the scene, and why.
+    /// Engine that integrated the scene, and the reason for it.
     engine: &'static str,
-    /// What `accuracy` asked for took, of the phase that is reported; null for steps of one length.
+    /// Steps taken for the requested `accuracy`, of the reported phase; null for steps of one length.
     steps: Option<Steps>,
     /// Frames of the stock board, Hz; null without one.
     frame_rate_hz: Option<f64>,
@@ -105,7 +107,7 @@ pub(crate) struct RunInfo {
     wall_s: f64,
 }
 
-/// What physics steps cost that were chosen.
+/// Cost of the chosen physics steps.
 #[derive(Clone, Debug, Serialize)]
 struct Steps {
     accuracy: f64,
@@ -160,7 +162,7 @@ struct PushReport {
     info: RunInfo,
     taxels: Vec<String>,
     newton: f64,
-    /// Of the push, the rest after it left out.
+    /// Measures of the push, without the rest after it.
     #[serde(flatten)]
     measures: measure::Measures,
     outcome: Option<push::Outcome>,
@@ -177,14 +179,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
                 let stopped = report.info.stopped.as_deref();
                 let (scene, moments) = (&settings.free_scene(), &pushes::middles(&rows, 1, 0.0)[..]);
                 let panels = pushes::panels_b1(trace);
-                Figure { scene, trace, moments, panels, another: "", stopped }.draw()
+                Figure { scene, trace, moments, panels, another: "", stopped }.draw(&common.layout)
             };
             finish(common, "push", &report, &rows, draw, || push_text(&report))
         }
         Experiment::B1(common) => {
             let settings = common.settings(Law::Impedance, |_| ())?;
             let run = pushes::b1(&settings)?;
-            let draw = || pushes::figure_5(&settings, &run);
+            let draw = || pushes::figure_5(&settings, &run, &common.layout);
             finish(common, "b1", &run.report, &run.rows, draw, || run.report.text())
         }
         Experiment::B2(common) => {
@@ -194,7 +196,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             let beside = Settings { flange_observed: !settings.flange_observed, ..settings.clone() };
             let beside = pushes::b2(&beside)?.report;
             let report = Beside { own: &run.report, beside: &beside };
-            let draw = || pushes::figure_6(&settings, &run);
+            let draw = || pushes::figure_6(&settings, &run, &common.layout);
             let text = || format!("{}\nbeside it {}", run.report.text(), beside.text());
             finish(common, "b2", &report, &run.rows, draw, text)
         }
@@ -208,7 +210,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             };
             let beside = collision::run(&Settings { sensor, ..settings.clone() })?.report;
             let report = Beside { own: &run.report, beside: &beside };
-            let draw = || run.figure(&settings.free_scene()).draw();
+            let draw = || run.figure(&settings.free_scene()).draw(&common.layout);
             let text = || format!("{}\nbeside it {}", run.report.text(), beside.text());
             finish(common, "collision", &report, &run.rows, draw, text)
         }

@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use moca_msgs::Law;
 use std::fmt::Write as _;
 
-/// What feels the cover, and with which curve it reads a force from a count.
+/// Sensors of the cover, and the curve with which each reads a force from a count.
 pub(super) const COVERS: &[(&str, &[&str])] = &[
     ("the true force", &["sensor=ideal"]),
     ("stock-2018, the paper's line", &["sensor.firmware=stock-2018"]),

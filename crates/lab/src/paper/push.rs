@@ -2,6 +2,7 @@
 
 use crate::rig::TAXELS;
 use crate::rig::closed_loop::{Loads, Rig, Row};
+use crate::rig::parallel::Count;
 use crate::rig::settings::Settings;
 use anyhow::Result;
 use serde::Serialize;
@@ -25,7 +26,7 @@ impl Push {
         Self { name: name.to_owned(), loads }
     }
 
-    /// The same push with a force at the flange, axes of B at its start, N.
+    /// Adds a force at the flange, axes of B at its start, N.
     #[must_use]
     pub(crate) fn and_flange(mut self, force_base: [f64; 3]) -> Self {
         self.loads.flange_world[..3].copy_from_slice(&force_base);
@@ -42,7 +43,7 @@ impl Push {
         turned
     }
 
-    /// The same push with its forces `scale` times as large.
+    /// Returns the push with its forces `scale` times as large.
     fn scaled(mut self, scale: f64) -> Self {
         self.loads = self.loads.scaled(scale);
         self
@@ -56,7 +57,7 @@ impl Push {
     }
 }
 
-/// What a push did. Poses and velocities in W, wrenches in the axes of B about its origin.
+/// Result of a push. Poses and velocities in W, wrenches in the axes of B about its origin.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Outcome {
     pub name: String,
@@ -82,6 +83,7 @@ pub(crate) struct Outcome {
 /// Pushes one after the other on one robot, each followed by a rest.
 pub(crate) fn run(rig: &mut Rig, settings: &Settings, pushes: &[Push]) -> Result<Vec<Outcome>> {
     let mut outcomes = Vec::new();
+    let mut count = Count::new("pushes", pushes.len());
     for push in pushes {
         let first = rig.rows.len();
         let yaw = rig.rows.last().map_or(0.0, |row| row.base_pose_world[2]);
@@ -93,6 +95,7 @@ pub(crate) fn run(rig: &mut Rig, settings: &Settings, pushes: &[Push]) -> Result
             break;
         }
         outcomes.push(measure(push, &rig.rows, first, last, settings));
+        count.one_more();
     }
     Ok(outcomes)
 }

@@ -1,6 +1,6 @@
 //! Experiments B1 and B2: the paper's pushes, in one continuous run each.
 
-use super::figure::{self, Figure, Trace};
+use super::figure::{self, Figure, Layout, Trace};
 use super::push::{self, Outcome, Push};
 use super::robot_picture::Moment;
 use super::{RunInfo, head, outcome_text};
@@ -21,7 +21,7 @@ const PHASES: [(u64, f64); 5] = [(0, 0.0), (1, 0.2), (2, 0.4), (3, 0.6), (4, 0.8
 pub(crate) struct Report {
     #[serde(flatten)]
     info: RunInfo,
-    /// Of the whole run.
+    /// Measures of the whole run.
     #[serde(flatten)]
     pub measures: Measures,
     /// Each push in its turn.
@@ -87,7 +87,7 @@ pub(crate) fn b2(settings: &Settings) -> Result<Run> {
     continuous("b2", settings, &pushes_b2(), Some(superposition(settings)?))
 }
 
-/// The same run in the other phases of the sensor, and with other seeds of a board's noise.
+/// Runs the pushes in the other phases of the sensor, and with other seeds of a board's noise.
 fn others(settings: &Settings, pushes: &[Push]) -> Result<Vec<Vec<Row>>> {
     let runs = parallel::run(
         "bands",
@@ -106,13 +106,13 @@ fn others(settings: &Settings, pushes: &[Push]) -> Result<Vec<Vec<Row>>> {
 }
 
 /// Fig. 5 of one run.
-pub(crate) fn figure_5(settings: &Settings, run: &Run) -> Result<Drawing> {
-    run.draw(settings, &others(settings, &pushes_b1())?, panels_b1)
+pub(crate) fn figure_5(settings: &Settings, run: &Run, layout: &Layout) -> Result<Drawing> {
+    run.draw(settings, &others(settings, &pushes_b1())?, panels_b1, layout)
 }
 
 /// Fig. 6 of one run.
-pub(crate) fn figure_6(settings: &Settings, run: &Run) -> Result<Drawing> {
-    run.draw(settings, &others(settings, &pushes_b2())?, panels_b2)
+pub(crate) fn figure_6(settings: &Settings, run: &Run, layout: &Layout) -> Result<Drawing> {
+    run.draw(settings, &others(settings, &pushes_b2())?, panels_b2, layout)
 }
 
 impl Run {
@@ -121,6 +121,7 @@ impl Run {
         settings: &Settings,
         others: &[Vec<Row>],
         panels: fn(Trace<'_>) -> Vec<Panel>,
+        layout: &Layout,
     ) -> Result<Drawing> {
         let trace = Trace { rows: &self.rows, others };
         let another = match settings.sensor {
@@ -130,7 +131,7 @@ impl Run {
         let scene = &settings.free_scene();
         let (moments, panels, stopped) =
             (&self.moments[..], panels(trace), self.report.info.stopped.as_deref());
-        Figure { scene, trace, moments, panels, another, stopped }.draw()
+        Figure { scene, trace, moments, panels, another, stopped }.draw(layout)
     }
 }
 

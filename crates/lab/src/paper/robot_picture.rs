@@ -3,13 +3,14 @@
 use crate::rig::closed_loop::Row;
 use crate::rig::{JOINTS, count};
 use anyhow::{Context, Result};
-use moca_figures::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED};
+use moca_figures::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED, text_px};
 use moca_sim::{Scene, Shape};
 use moca_wbc::ArmModel;
 use moca_wbc::rotation::Heading;
 
-/// Largest side of a picture, px.
+/// Largest side of a picture, and the least that leaves room for its name, px.
 const PICTURE: f64 = 220.0;
+const PICTURE_LEAST: f64 = 108.0;
 /// Half of what a picture shows at least, and what it leaves free at its edge, m.
 const AROUND_M: f64 = 0.75;
 const EDGE_M: f64 = 0.05;
@@ -20,10 +21,13 @@ const ARROW_M_PER_N: f64 = 0.02;
 const ARROW_MIN_M: f64 = 0.005;
 /// Radius of a leg, if the scene does not say who stands there, m.
 const LEG_M: f64 = 0.07;
-/// Above the pictures, between the rows, and below with the legend, px.
+/// Radius of the largest mark, px.
+const MARK: f64 = 4.0;
+/// Above the pictures, between the rows, and below before the legend with its lines, px.
 const TITLE: f64 = 20.0;
 const BETWEEN: f64 = 12.0;
-const LEGEND: f64 = 40.0;
+const BEFORE_LEGEND: f64 = 24.0;
+const LINE: f64 = 16.0;
 const HUMAN: Colour = PALETTE[3];
 const ARM: Colour = PALETTE[0];
 
@@ -64,6 +68,9 @@ pub(super) struct Pictures<'a> {
     scene: &'a Scene,
     start: Snapshot<'a>,
     moments: Vec<(&'a str, Snapshot<'a>)>,
+    width_px: f64,
+    /// Moments beside each other.
+    columns: usize,
     side_px: f64,
     px_per_m: f64,
     m_per_n: f64,
@@ -87,12 +94,18 @@ impl<'a> Pictures<'a> {
         let at = |row: &'a Row| Snapshot { row, arm_world: arm_world(&model, row) };
         let start = at(rows.first().context("nothing was recorded")?);
         let moments: Vec<_> = moments.iter().map(|m| (m.name.as_str(), at(&rows[m.row]))).collect();
-        let side_px = (width_px / count(moments.len().max(1))).min(PICTURE);
+        let all = moments.len().max(1);
+        let fit = (1..=all).rev().find(|columns| width_px / count(*columns) >= PICTURE_LEAST).unwrap_or(1);
+        // No row of pictures has more than one less than another.
+        let columns = all.div_ceil(all.div_ceil(fit));
+        let side_px = (width_px / count(columns)).min(PICTURE);
         let largest_n = moments.iter().map(|(_, now)| largest_arrow_n(now.row)).fold(0.0, f64::max);
         let mut pictures = Self {
             scene,
             start,
             moments,
+            width_px,
+            columns,
             side_px,
             px_per_m: 1.0,
             m_per_n: ARROW_M_PER_N.min(ARROW_M / largest_n.max(1.0)),
@@ -108,7 +121,7 @@ impl<'a> Pictures<'a> {
         let height_m = most(&right, 1) + EDGE_M;
         pictures.half_m = pictures.half_m.max(half_m + EDGE_M);
         pictures.height_m = height_m;
-        pictures.px_per_m = 0.5 * side_px / pictures.half_m;
+        pictures.px_per_m = (0.5 * side_px - MARK) / pictures.half_m;
         Ok(pictures)
     }
 
@@ -122,16 +135,23 @@ impl<'a> Pictures<'a> {
         })
     }
 
-    /// Of both rows with their legend, px.
+    /// Returns the height of all rows with their legend, px.
     pub(super) fn height(&self) -> f64 {
-        TITLE + self.side_px + BETWEEN + self.px_per_m * self.height_m + LEGEND
+        let lines = self.legend().last().map_or(1.0, |(_, [_, line])| line + 1.0);
+        self.row_height() * count(self.moments.len().div_ceil(self.columns)) + BEFORE_LEGEND + LINE * lines
     }
 
-    /// Both rows, their upper edge at `top`.
+    /// Height of a row of moments: the view from above, and that from the right.
+    fn row_height(&self) -> f64 {
+        TITLE + self.side_px + BETWEEN + self.px_per_m * self.height_m
+    }
+
+    /// All rows, their upper edge at `top`.
     pub(super) fn draw(&self, drawing: &mut Drawing, top: f64) {
-        let floor = top + TITLE + self.side_px + BETWEEN + self.px_per_m * self.height_m;
         for (i, view) in self.views().enumerate() {
-            let middle = (count(i) + 0.5) * self.side_px;
+            let middle = (count(i % self.columns) + 0.5) * self.side_px;
+            let top = top + self.row_height() * count(i / self.columns);
+            let floor = top + self.row_height();
             drawing.text([middle, top + 14.0], Anchor::Middle, view.name, BLACK);
             let above = Picture {
                 side: Side::Above,
@@ -147,23 +167,76 @@ impl<'a> Pictures<'a> {
             let half = 0.5 * self.side_px - 6.0;
             drawing.line(&[[middle - half, floor], [middle + half, floor]], 1.0, GREY);
         }
-        let (mut x, y) = (8.0, floor + LEGEND - 14.0);
-        if self.has_forces {
-            let length_px = 10.0 * self.m_per_n * self.px_per_m;
-            arrow(drawing, [x, y - 4.0], [x + length_px, y - 4.0]);
-            drawing.text([x + length_px + 6.0, y], Anchor::Start, "10 N on the robot", BLACK);
-            x += length_px + 120.0;
+        let rows = count(self.moments.len().div_ceil(self.columns));
+        let first = top + self.row_height() * rows + BEFORE_LEGEND + 2.0;
+        for (entry, [x, line]) in self.legend() {
+            let y = first + LINE * line;
+            let text_x = match entry.mark {
+                Mark::Arrow => {
+                    let length_px = self.ten_n_px();
+                    arrow(drawing, [x, y - 4.0], [x + length_px, y - 4.0]);
+                    x + length_px + 6.0
+                }
+                Mark::Colour(colour) => {
+                    drawing.rectangle([x, y - 9.0], [10.0, 10.0], colour);
+                    x + 15.0
+                }
+                Mark::None => x,
+            };
+            drawing.text([text_x, y], Anchor::Start, entry.meaning, BLACK);
         }
-        let someone = self.moments.iter().any(|(_, now)| now.row.person_world.is_some());
-        let leg = someone.then_some((HUMAN, "leg"));
-        for (colour, meaning) in [(ARM, "arm"), (GREY, "at the start")].into_iter().chain(leg) {
-            drawing.rectangle([x, y - 9.0], [10.0, 10.0], colour);
-            drawing.text([x + 15.0, y], Anchor::Start, meaning, BLACK);
-            x += 34.0 + 6.5 * count(meaning.chars().count());
-        }
-        let text = "above: from above, world axes; below: from the right, axes of the base";
-        drawing.text([x + 6.0, y], Anchor::Start, text, BLACK);
     }
+
+    /// Length of an arrow of 10 N, px.
+    fn ten_n_px(&self) -> f64 {
+        10.0 * self.m_per_n * self.px_per_m
+    }
+
+    /// Entries of the legend, each with its left end, px, and its line.
+    fn legend(&self) -> Vec<(Entry, [f64; 2])> {
+        let force = self.has_forces.then_some(Entry { mark: Mark::Arrow, meaning: "10 N on the robot" });
+        let someone = self.moments.iter().any(|(_, now)| now.row.person_world.is_some());
+        let leg = someone.then_some(Entry { mark: Mark::Colour(HUMAN), meaning: "leg" });
+        let robot = [
+            Entry { mark: Mark::Colour(ARM), meaning: "arm" },
+            Entry { mark: Mark::Colour(GREY), meaning: "at the start" },
+        ];
+        let views = ["above: from above, world axes;", "below: from the right, axes of the base"]
+            .map(|meaning| Entry { mark: Mark::None, meaning });
+        let (mut x, mut line) = (LEGEND_X, 0.0);
+        let place = |entry: Entry| {
+            let mark = match entry.mark {
+                Mark::Arrow => self.ten_n_px() + 6.0,
+                Mark::Colour(_) => 15.0,
+                Mark::None => 0.0,
+            };
+            let room = mark + text_px(entry.meaning.chars().count());
+            if x > LEGEND_X && x + room > self.width_px {
+                (x, line) = (LEGEND_X, line + 1.0);
+            }
+            let at = [x, line];
+            x += room + if entry.mark == Mark::None { 2.0 } else { 14.0 };
+            (entry, at)
+        };
+        force.into_iter().chain(robot).chain(leg).chain(views).map(place).collect()
+    }
+}
+
+/// Left end of the legend, px.
+const LEGEND_X: f64 = 8.0;
+
+/// Mark before an entry of the legend.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Mark {
+    Arrow,
+    Colour(Colour),
+    None,
+}
+
+/// Entry of the legend.
+struct Entry {
+    mark: Mark,
+    meaning: &'static str,
 }
 
 fn arm_world(model: &ArmModel<JOINTS, f64>, row: &Row) -> Vec<[f64; 3]> {
@@ -254,7 +327,7 @@ impl View<'_> {
     }
 }
 
-/// Where a view stands on the sheet.
+/// Place of a view on the sheet.
 struct Picture {
     side: Side,
     origin_px: [f64; 2],
@@ -321,53 +394,60 @@ fn arrow(drawing: &mut Drawing, tail: [f64; 2], head: [f64; 2]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::paper::figure::{self, Figure, Trace};
+    use crate::paper::figure::{self, Figure, Layout, Trace};
     use crate::paper::tests::row;
-    use crate::picture::Picture as _;
+    use crate::picture::{Column, Picture as _};
     use crate::rig::free_scene;
+    use moca_figures::Width;
 
     fn moments(names: [&str; 4]) -> Vec<Moment> {
         names.iter().zip([0, 10, 20, 49]).map(|(name, row)| Moment { name: (*name).into(), row }).collect()
     }
 
     #[test]
-    fn arrows_arms_and_texts_stay_in_their_picture_however_hard_and_far_the_push() {
+    fn picture_stays_in_bounds_for_any_push() {
         for force_n in [0.5, 20.0, 155.0, 2000.0] {
             let rows: Vec<Row> =
                 (0u32..50).map(|i| row(f64::from(i), [0.03 * f64::from(i), -0.02, 0.02], force_n)).collect();
             let moments = moments(["the arm leads", "contact", "largest force", "the base resumes"]);
             let scene = free_scene();
-            let trace = Trace { rows: &rows, others: std::slice::from_ref(&rows) };
-            let figure = Figure {
-                scene: &scene,
-                trace,
-                moments: &moments,
-                panels: vec![figure::taxel_forces(trace), figure::flange_error(trace)],
-                another: "phase of the board and another seed of its noise",
-                stopped: Some("joint-speed: too fast"),
-            };
-            let drawing = figure.draw().unwrap();
-            assert_eq!(drawing.texts_outside().unwrap(), Vec::<String>::new());
-            assert!(drawing.texts().any(|text| text == "stops: joint-speed"));
-            let pictures = Pictures::new(&scene, &rows, &moments, 900.0).unwrap();
-            for view in pictures.views() {
-                for [x, y] in view.points(Side::Above) {
-                    assert!(x.abs().max(y.abs()) < pictures.half_m, "{force_n} N");
+            for column in [Column::Screen, Column::Single, Column::Double] {
+                let width = Width::from(column);
+                let trace = Trace { rows: &rows, others: std::slice::from_ref(&rows) };
+                let figure = Figure {
+                    scene: &scene,
+                    trace,
+                    moments: &moments,
+                    panels: figure::panels(figure::flange_force(trace, true), trace),
+                    another: "phase of the board and another seed of its noise",
+                    stopped: Some("joint-speed: too fast"),
+                };
+                let layout = Layout { width: column, ..Layout::default() };
+                let drawing = figure.draw(&layout).unwrap();
+                assert_eq!(drawing.texts_outside().unwrap(), Vec::<String>::new(), "{width:?}");
+                assert!((drawing.size()[0] - width.px()).abs() < 1e-9);
+                assert!(drawing.texts().any(|text| text == "stops: joint-speed"));
+                let width = width.px();
+                let pictures = Pictures::new(&scene, &rows, &moments, width).unwrap();
+                for view in pictures.views() {
+                    for [x, y] in view.points(Side::Above) {
+                        assert!(x.abs().max(y.abs()) < pictures.half_m, "{force_n} N");
+                    }
+                    for [x, z] in view.points(Side::Right) {
+                        assert!(
+                            x.abs() < pictures.half_m && (0.0..pictures.height_m).contains(&z),
+                            "{force_n} N"
+                        );
+                    }
                 }
-                for [x, z] in view.points(Side::Right) {
-                    assert!(
-                        x.abs() < pictures.half_m && (0.0..pictures.height_m).contains(&z),
-                        "{force_n} N"
-                    );
-                }
+                let mut alone = Drawing::new(width, pictures.height());
+                pictures.draw(&mut alone, 0.0);
+                let [left, top, right, bottom] = alone.extent().unwrap();
+                assert!(
+                    left >= 0.0 && top >= 0.0 && right <= width && bottom <= pictures.height(),
+                    "{force_n} N"
+                );
             }
-            let mut alone = Drawing::new(900.0, pictures.height());
-            pictures.draw(&mut alone, 0.0);
-            let [left, top, right, bottom] = alone.extent().unwrap();
-            assert!(
-                left >= 0.0 && top >= 0.0 && right <= 900.0 && bottom <= pictures.height(),
-                "{force_n} N"
-            );
         }
     }
 

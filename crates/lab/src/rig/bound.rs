@@ -1,11 +1,11 @@
-//! How fast physics lets a base meet a body, whatever its law.
+//! Fastest speed at which physics lets a base meet a body, whatever its law.
 
 use anyhow::Result;
 use moca_sim::foam::Foam;
 use moca_tactile::Firmware;
 use moca_wbc::contact_stability::{Contact, speed_for_stopping};
 
-/// What four counts hide, read as PU LD30, N.
+/// Force that four counts hide, read as PU LD30, N.
 const THRESHOLD_N: f64 = 5.2;
 
 /// From the middle of T6 to its seam with T5, m: half the distance of two taxels in front.
@@ -19,12 +19,12 @@ pub(crate) struct Meeting {
     pub tissue_n_m: f64,
     /// Force that must not be exceeded, N.
     pub limit_n: f64,
-    /// Of the base, m/s².
+    /// Deceleration of the base, m/s².
     pub deceleration_m_s2: f64,
     /// Time constant of the base's servo, s.
     pub servo_s: f64,
     pub board: Firmware,
-    /// How many taxels feel equal parts of the force: two on a seam.
+    /// Number of taxels that read equal parts of the force: two on a seam.
     pub sharing: f64,
 }
 
@@ -48,7 +48,7 @@ impl Meeting {
         self.sharing * self.foam.elastic_force_n(Foam::PU_LD30.ramp_deformation_m(THRESHOLD_N))
     }
 
-    /// How far foam and body yield to a force, m.
+    /// Returns the compression of foam and body under a force, m.
     fn together_m(&self, force_n: f64) -> f64 {
         self.foam.deformation_m(force_n) + force_n / self.tissue_n_m
     }

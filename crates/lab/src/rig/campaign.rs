@@ -18,13 +18,13 @@ pub(crate) struct Campaign<'a> {
     pub out: &'a Path,
     /// As [`shard`] reads it.
     pub shard: (usize, usize),
-    /// How many rows the whole has.
+    /// Number of rows in all.
     pub rows: usize,
     /// Names of the columns, the row's number first; only the first shard has it.
     pub header: &'a str,
 }
 
-/// What a campaign took.
+/// Cost of a campaign.
 pub(crate) struct Ran {
     out: String,
     now: usize,

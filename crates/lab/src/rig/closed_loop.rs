@@ -1,9 +1,9 @@
 //! The robot of an experiment: the daemon's own loop in lock-step, loads from a script, one row a tick.
 
 use crate::rig::settings::{Sensor, Settings};
-use crate::rig::{JOINTS, TAXELS};
+use crate::rig::{JOINTS, TAXELS, commissioning};
 use anyhow::{Result, bail, ensure};
-use moca_daemon::control::plant::Simulated;
+use moca_control::plant::Simulated;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::SimulatedRobot;
 use moca_daemon::devices::touch_board::ByteCover;
@@ -16,7 +16,7 @@ use moca_sim::StepsSpent;
 /// Longest time from power-up to a moving law, s of simulation.
 const START_WITHIN_S: f64 = 30.0;
 
-/// What pushes the robot at one instant.
+/// Loads on the robot at one instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Loads {
     /// Scripted hands on the cover, N, T1 first.
@@ -26,7 +26,7 @@ pub(crate) struct Loads {
 }
 
 impl Loads {
-    /// The same loads, `factor` times as strong.
+    /// Returns the loads, `factor` times as strong.
     pub(crate) fn scaled(&self, factor: f64) -> Self {
         Self {
             taxel_n: self.taxel_n.map(|f| f * factor),
@@ -77,7 +77,7 @@ enum SensorModel {
 pub(crate) struct Rig {
     cover: SensorModel,
     period_s: f64,
-    /// What pushed the robot in the last tick.
+    /// Loads of the last tick.
     loads: Loads,
     /// Every tick since the robot was armed.
     pub rows: Vec<Row>,
@@ -97,15 +97,15 @@ impl Rig {
     pub(crate) fn start(settings: &Settings, scene: &Scene) -> Result<Self> {
         settings.check()?;
         let mut config = settings.config.clone();
+        if settings.belief_measured {
+            commissioning::commission(&mut config, scene)?;
+        }
         let period_s = scene.control_period_s;
         let ticks = |ms: f64| whole(ms * 1e-3 / period_s);
         let cover = match settings.sensor {
             Sensor::Stock => {
                 let mut lock_step = LockStep::with_board(&config, scene, settings.board(), None)?.untimed();
                 lock_step.feed.set_delay(usize::try_from(ticks(settings.sensor_delay_ms))?);
-                if settings.by_qp {
-                    lock_step.control.keep_limits_by_qp();
-                }
                 SensorModel::Board(Box::new(lock_step))
             }
             Sensor::Ideal | Sensor::Off => {
@@ -116,9 +116,6 @@ impl Rig {
                 let ideal = IdealCover::new(ticks(settings.period_ms()), delay);
                 let mut lock_step = LockStep::with_true_forces(&config, scene, ideal)?.untimed();
                 lock_step.feed = settings.sensor_samples;
-                if settings.by_qp {
-                    lock_step.control.keep_limits_by_qp();
-                }
                 SensorModel::True(Box::new(lock_step))
             }
         };
@@ -187,7 +184,7 @@ impl Rig {
         self.robot().world.set_state(&base, &state.base_velocity_world, &state.q_rad, &state.dq_rad_s);
     }
 
-    /// What the physics steps cost that `accuracy` asked for; `None` for steps of one length.
+    /// Returns the cost of the physics steps that `accuracy` asked for; `None` for steps of one length.
     pub(crate) fn steps_spent(&self) -> Option<StepsSpent> {
         match &self.cover {
             SensorModel::Board(lock_step) => lock_step.control.plant.world.steps_spent(),

@@ -16,7 +16,7 @@ fn seconds(clock: ClockId) -> f64 {
     clock_gettime(clock).map_or(f64::NAN, |time| std::time::Duration::from(time).as_secs_f64())
 }
 
-/// What `work` gives, and the CPU time this thread spent on it, s.
+/// Returns the result of `work`, and the CPU time this thread spent on it, s.
 pub(crate) fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
     let before_s = of_thread_s();
     let result = work();

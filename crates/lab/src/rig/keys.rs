@@ -4,7 +4,7 @@
 use crate::rig::TAXELS;
 use crate::rig::settings::{self, Sensor, Settings};
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use moca_daemon::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
+use moca_control::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
 use moca_daemon::runtime::lockstep::TrueForces;
 use moca_msgs::table::{FieldValue, ParameterKind, ParameterSpec, Size};
 use moca_sim::foam::Foam;
@@ -83,13 +83,11 @@ const KEYS: &[Key] = &[
     }),
     key(
         "law",
-        "paper|barrier|qp",
+        "paper|barrier",
         "the law as published, or as a calibrated cover has it: the contact barrier with its speed limit and both \
-         corrections (after sensor), and with every limit of arm and base in one quadratic programme",
+         corrections (after sensor)",
         |s, v| {
-            let (barrier, by_qp) =
-                word(v, &[("paper", (false, false)), ("barrier", (true, false)), ("qp", (true, true))])?;
-            s.by_qp = by_qp;
+            let barrier = word(v, &[("paper", false), ("barrier", true)])?;
             let corrections = &mut s.config.control.corrections;
             (corrections.null_space_damping, corrections.base_coupling) = (barrier, barrier);
             s.config.protection = if barrier { ProtectionConfig::default() } else { settings::unprotected() };
@@ -147,6 +145,16 @@ const KEYS: &[Key] = &[
             Ok(())
         },
     ),
+    key(
+        "belief",
+        "default|measured",
+        "what the controller believes of its base: the configuration's, or the stopping distance that commissioning of this robot \
+         measures",
+        |s, v| {
+            s.belief_measured = word(v, &[("default", false), ("measured", true)])?;
+            Ok(())
+        },
+    ),
     key("step_ms", "ms", "physics step", |s, v| store(&mut s.step_ms, v, 1e-3, 100.0)),
     key(
         "integrator",
@@ -188,9 +196,7 @@ const KEYS: &[Key] = &[
         )?;
         Ok(())
     }),
-    key("foam.scale", "", "stiffness of the foam over its law's", |s, v| {
-        store(&mut s.foam.scale, v, 1e-3, 1e5)
-    }),
+    key("foam.scale", "", "true.foam.scale by its old name", |s, v| s.set(&format!("true.foam.scale={v}"))),
     key("foam.thickness", "m", "plate gap at rest; the hyperbolic law's h", |s, v| {
         some(&mut s.foam.thickness_m, v, 1e-3, 0.1)
     }),
@@ -544,6 +550,7 @@ mod tests {
             "foam.scale=2",
             "foam.thickness=0.02",
             "foam.damping_ms=2",
+            "belief=measured",
             // The experiments.
             "sensor=ideal",
             "sensor.period_ms=20",
@@ -580,7 +587,7 @@ mod tests {
     }
 
     #[test]
-    fn one_foam_gives_force_and_plate_gap_whatever_the_order_of_the_keys() {
+    fn foam_keys_give_same_scene_in_any_order() {
         let keys = ["foam.thickness=0.02", "foam.stiffness=3000", "foam.damping_ms=2", "foam.scale=2"];
         let before = with(&[&keys[..], &["foam=collision-assumed"]].concat());
         let after = with(&[&["foam=collision-assumed"], &keys[..]].concat());
@@ -610,6 +617,42 @@ mod tests {
         let given = scene(&["base.inertia=20"]).base;
         assert!((given.inertia_com_diagonal[2] - 20.0).abs() < 1e-12, "{given:?}");
         assert_eq!((given.size_m, given.mass_kg), (SUMMIT_XL.size_m, SUMMIT_XL.mass_kg));
+    }
+
+    /// Every key of the truth by its name in the laboratory and in a file of the daemon.
+    #[test]
+    fn keys_of_truth_change_plant_and_no_belief() {
+        let keys = [
+            ("base.order_delay_ms", "base.order_delay_ms", "50"),
+            ("base.order_jitter_ms", "base.order_jitter_ms", "10"),
+            ("base.order_period_ms", "base.order_period_ms", "20"),
+            ("base.servo_ms", "base.servo_ms", "100"),
+            ("base.acceleration", "base.acceleration_m_s2", "2"),
+            ("base.deceleration", "base.deceleration_m_s2", "1"),
+            ("base.odometry_scale", "base.odometry_scale", "0.95"),
+            ("base.odometry_delay_ms", "base.odometry_delay_ms", "30"),
+            ("base.odometry_noise", "base.odometry_noise_m_s", "0.003"),
+            ("base.odometry_rate_hz", "base.odometry_rate_hz", "50"),
+            ("foam.scale", "foam.scale", "1.5"),
+        ];
+        let mut rows = 0;
+        Config::default().simulation.truth.each(&mut |row, _| {
+            rows += 1;
+            assert!(keys.iter().any(|(lab, file, _)| {
+                row.lab == format!("true.{lab}") && row.name == format!("simulation.true.{file}")
+            }));
+        });
+        assert_eq!(rows, keys.len());
+        for (lab, file, value) in keys {
+            let changed = with(&[&format!("true.{lab}={value}")]);
+            assert_eq!(changed, with(&[&format!("simulation.true.{file}={value}")]), "{lab}");
+            assert_ne!(changed.free_scene(), scene(&[]), "{lab}");
+            let believed = |mut config: Config| {
+                config.simulation.truth = moca_msgs::Truth::default();
+                config
+            };
+            assert_eq!(believed(changed.config), with(&[]).config, "{lab}");
+        }
     }
 
     #[test]

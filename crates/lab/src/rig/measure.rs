@@ -1,4 +1,4 @@
-//! What every experiment says of its trace.
+//! Measures of a trace that every experiment reports.
 
 use crate::paper::push::{difference, rms};
 use crate::rig::TAXELS;
@@ -16,9 +16,9 @@ const PEAK_MIN_N: f64 = 2.0;
 pub(crate) struct Measures {
     /// Largest true force on any one body, N; on a seam two taxels share it.
     pub peak_force_n: f64,
-    /// The same within the first 0.1 s of contact: what no law can prevent, N.
+    /// Largest force within the first 0.1 s of contact, which no law can prevent, N.
     pub first_touch_n: f64,
-    /// The same within the first 0.5 s of contact, the transient of ISO/TS 15066, N.
+    /// Largest force within the first 0.5 s of contact, the transient of ISO/TS 15066, N.
     pub impact_n: f64,
     /// Local maxima of the total true force on the cover, N, in time order.
     pub peaks_n: Vec<f64>,

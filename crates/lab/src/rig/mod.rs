@@ -1,7 +1,7 @@
 //! The rig of every experiment: settings with their keys, the closed loop under test, what is measured of it, and how
 //! many cores it may take.
 
-use moca_daemon::config::Config;
+use moca_control::config::Config;
 use moca_daemon::devices::simulated_robot;
 use moca_msgs::RobotState;
 use moca_msgs::robot::{PANDA, PAPER_COVER};
@@ -14,6 +14,7 @@ pub(crate) const TAXELS: usize = PAPER_COVER.len();
 pub(crate) mod bound;
 pub(crate) mod campaign;
 pub(crate) mod closed_loop;
+mod commissioning;
 pub(crate) mod cpu_time;
 pub(crate) mod keys;
 pub(crate) mod measure;
@@ -25,7 +26,7 @@ pub(crate) fn free_scene() -> Scene {
     simulated_robot::free_scene(&Config::default())
 }
 
-/// The same state in another scalar.
+/// Converts the state to another scalar.
 pub(crate) fn state_in<T>(robot: &RobotState<JOINTS>, of: fn(f64) -> T) -> RobotState<JOINTS, T> {
     RobotState {
         base_pose_world: robot.base_pose_world.map(of),

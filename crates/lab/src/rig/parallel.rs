@@ -1,10 +1,10 @@
-//! The same work on many inputs, on all cores, with its progress.
+//! Parallel work on many inputs, on all cores, with its progress.
 
 use moca_daemon::cli::progress::Progress;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// How many of so many inputs are done.
+/// Number of inputs that are done.
 pub(crate) struct Count {
     progress: Progress,
     ready: usize,
@@ -12,7 +12,7 @@ pub(crate) struct Count {
 }
 
 impl Count {
-    /// Of `all` inputs none.
+    /// Starts a count of `all` inputs with none done.
     pub(crate) fn new(what: &str, all: usize) -> Self {
         Self { progress: Progress::new(what), ready: 0, all }
     }
@@ -35,7 +35,7 @@ pub(crate) fn run<I: Sync, O: Send>(
     run_part(&mut Count::new(what, inputs.len()), inputs, work, done)
 }
 
-/// The same on a part of the inputs that `count` counts.
+/// Runs on a part of the inputs that `count` counts.
 pub(crate) fn run_part<I: Sync, O: Send>(
     count: &mut Count,
     inputs: &[I],

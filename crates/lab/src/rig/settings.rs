@@ -1,7 +1,9 @@
 //! One run of an experiment, completely described, and the scene and board that follow from it.
 
 use anyhow::{Context, Result, ensure};
-use moca_daemon::config::{AssumedModel, Config, HandConfig, OVERRIDE_MAX_M_S, ProtectionConfig};
+use moca_control::config::{
+    AssumedModel, Config, HandConfig, OVERRIDE_MAX_M_S, ProtectionConfig, RecentrePolicy,
+};
 use moca_daemon::devices::simulated_robot;
 use moca_daemon::runtime::lockstep::TrueForces;
 use moca_msgs::Law;
@@ -13,7 +15,7 @@ use moca_tactile::Firmware;
 /// Averaging and holding period of the ideal sensor, ms.
 const IDEAL_PERIOD_MS: f64 = 10.0;
 
-/// What the controller feels the cover with.
+/// Sensor of the cover.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sensor {
     /// A stock Touch Board: bytes, age, noise, threshold.
@@ -34,7 +36,7 @@ impl Sensor {
     }
 }
 
-/// Who stands beside the robot. What is `None` is as the body part has it.
+/// Person next to the robot. `None` takes the value of the body part.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct PersonSettings {
     pub part: BodyPart,
@@ -104,12 +106,10 @@ pub(crate) struct FoamSettings {
     /// Initial stiffness of the hyperbolic law, N/m.
     pub stiffness: Option<f64>,
     pub damping_ms: Option<f64>,
-    pub scale: f64,
 }
 
 impl FoamSettings {
-    /// The foam that force and plate gap are computed with.
-    pub(crate) fn foam(&self) -> Foam {
+    fn foam(&self) -> Foam {
         let mut foam = self.material;
         foam.gap_m = self.thickness_m.unwrap_or(foam.gap_m);
         foam.damping_time_s = self.damping_ms.map_or(foam.damping_time_s, |ms| 1e-3 * ms);
@@ -118,7 +118,7 @@ impl FoamSettings {
         {
             *stiffness_n_per_m = stiffness;
         }
-        foam.stiffened(self.scale)
+        foam
     }
 }
 
@@ -129,7 +129,7 @@ pub(crate) struct Settings {
     pub sensor: Sensor,
     /// `None` is 10 ms for the ideal sensor and what the firmware takes for the virtual board.
     pub sensor_period_ms: Option<f64>,
-    /// Of what the ideal sensor takes its mean.
+    /// Source of the ideal sensor's mean.
     pub sensor_samples: TrueForces,
     pub sensor_delay_ms: f64,
     pub sensor_phase_ms: f64,
@@ -139,10 +139,7 @@ pub(crate) struct Settings {
     pub flange_observed: bool,
     pub foam: FoamSettings,
     pub person: PersonSettings,
-    /// What the base brakes with and how late its servo is, over what its description says; what the cover reads, over
-    /// what presses it.
-    pub true_braking: f64,
-    pub true_servo: f64,
+    /// Reading of the cover, relative to the true force.
     pub true_reading: f64,
     /// Inertia of the base about the vertical, kg·m²; `None` is that of its box.
     pub base_inertia: Option<f64>,
@@ -158,8 +155,8 @@ pub(crate) struct Settings {
     /// `None` is what the scene takes: the default, or under `accuracy` the leapfrog.
     pub integrator: Option<Integrator>,
     pub engine: Engine,
-    /// All limits are kept together by one quadratic programme.
-    pub by_qp: bool,
+    /// The controller believes what commissioning of this robot measures; else what its configuration says.
+    pub belief_measured: bool,
 }
 
 /// The paper's robot has no speed limit but its own, and goes wherever it is pushed; limits this high change no bit.
@@ -180,6 +177,7 @@ impl Settings {
         config.simulation.hand = HandConfig::none();
         config.board.model = AssumedModel::Paper;
         config.protection = unprotected();
+        config.control.recentre = RecentrePolicy::Always;
         config.control.corrections.null_space_damping = false;
         config.control.corrections.base_coupling = false;
         config.control.corrections.flange_wrench_feedforward = false;
@@ -198,11 +196,8 @@ impl Settings {
                 thickness_m: None,
                 stiffness: None,
                 damping_ms: None,
-                scale: 1.0,
             },
             person: PersonSettings { gap_m: 0.25, steps_away_s: 1.5, ..PersonSettings::default() },
-            true_braking: 1.0,
-            true_servo: 1.0,
             true_reading: 1.0,
             base_inertia: None,
             speed_m_s: 0.2,
@@ -214,7 +209,7 @@ impl Settings {
             step_ms: 1.0,
             integrator: None,
             engine: Engine::default(),
-            by_qp: false,
+            belief_measured: false,
         }
     }
 
@@ -257,19 +252,17 @@ impl Settings {
         Ok(())
     }
 
+    /// The foam that force and plate gap are computed with.
+    pub(crate) fn true_foam(&self) -> Foam {
+        self.foam.foam().stiffened(self.config.simulation.truth.foam.scale)
+    }
+
     /// The scene without anybody in it.
     pub(crate) fn free_scene(&self) -> Scene {
         let scene = simulated_robot::free_scene(&self.config);
-        let described = scene.base;
         Scene {
-            base: BaseTable {
-                acceleration_max_m_s2: self.true_braking * described.acceleration_max_m_s2,
-                yaw_acceleration_max_rad_s2: self.true_braking * described.yaw_acceleration_max_rad_s2,
-                servo_time_constant_s: self.true_servo * described.servo_time_constant_s,
-                ..described
-            },
             flange_sensor: !self.flange_observed,
-            foam: self.foam.foam(),
+            foam: self.true_foam(),
             physics_step_s: 1e-3 * self.step_ms,
             integrator: self.integrator.unwrap_or(scene.integrator),
             engine: self.engine,
@@ -277,7 +270,7 @@ impl Settings {
         }
     }
 
-    /// The same scene with the person beside the cover.
+    /// Returns the scene with the person next to the cover.
     pub(crate) fn collision_scene(&self) -> Result<Scene> {
         let cover = self.config.robot.cover.placements();
         let mut people = vec![self.person.person(&cover)?];
@@ -304,7 +297,7 @@ impl Settings {
     pub(crate) fn board(&self) -> VirtualBoardConfig {
         VirtualBoardConfig {
             firmware: self.firmware,
-            foam: self.foam.foam().stiffened(1.0 / self.true_reading),
+            foam: self.true_foam().stiffened(1.0 / self.true_reading),
             noise_counts: self.noise_counts,
             #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "1 to 1000 ms")]
             frame_period_ns: self.sensor_period_ms.map(|ms| (1e6 * ms) as u64),

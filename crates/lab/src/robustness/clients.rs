@@ -2,14 +2,15 @@
 #![expect(clippy::print_stdout, reason = "a command prints its result")]
 
 use anyhow::{Context, Result};
-use moca_daemon::config::Config;
-use moca_daemon::control::stage::Stage;
+use moca_control::config::Config;
+use moca_control::stage::Stage;
+use moca_daemon::cli::progress;
 use moca_daemon::runtime::live::Shared;
 use moca_daemon::runtime::notice::Silent;
 use moca_daemon::runtime::options::Options;
 use moca_daemon::runtime::run::{LiveRun, live_simulated};
-use moca_telemetry::net::Connection;
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use moca_telemetry::net::{Address, Connection};
+use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -31,9 +32,16 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     println!("-- nobody watches");
     let alone = live(duration, None)?;
     println!("-- three clients: one reads, one is killed half way, one never reads");
-    let address = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
-    let clients = std::thread::spawn(move || watch(address, duration));
-    let watched = live(duration, Some(address))?;
+    let socket = std::env::temp_dir().join(format!("moca-clients-{}.sock", std::process::id()));
+    let address = Address::Unix(socket.clone());
+    let watched_at = address.clone();
+    let clients = std::thread::spawn(move || {
+        // The daemon needs a moment to listen.
+        std::thread::sleep(Duration::from_millis(500));
+        let _never_reads = UnixStream::connect(socket).context("no telemetry")?;
+        watch(&watched_at, duration)
+    });
+    let watched = live(duration, Some(&address))?;
     let received = clients.join().map_err(|_| anyhow::anyhow!("the clients' thread panicked"))??;
     println!("\n{:<34} {:>12} {:>12}", "", "nobody", "three");
     let row = |name: &str, of: &dyn Fn(&LiveRun) -> String| {
@@ -51,17 +59,15 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-fn live(duration: Duration, telemetry: Option<SocketAddr>) -> Result<LiveRun> {
+fn live(duration: Duration, telemetry: Option<&Address>) -> Result<LiveRun> {
     let mut config = Config::default();
     config.telemetry.listen = telemetry.map(|address| address.to_string()).unwrap_or_default();
     let options = Options { config, duration: Some(duration), ..Options::default() };
+    let _bar = progress::during("clients", duration);
     live_simulated(&options, &Arc::new(Shared::default()), &mut Silent)
 }
 
-fn watch(address: SocketAddr, duration: Duration) -> Result<usize> {
-    // The daemon needs a moment to listen.
-    std::thread::sleep(Duration::from_millis(500));
-    let _never_reads = TcpStream::connect(address).context("no telemetry")?;
+fn watch(address: &Address, duration: Duration) -> Result<usize> {
     let mut killed = Some(Connection::spawn(address, || {})?);
     let reads = Connection::spawn(address, || {})?;
     let (step, mut received) = (Duration::from_millis(20), 0);

@@ -10,8 +10,8 @@
 use crate::rig::parallel;
 use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result, ensure};
-use moca_daemon::config::{Config, HandConfig};
-use moca_daemon::control::plant::Simulated;
+use moca_control::config::{Config, HandConfig};
+use moca_control::plant::Simulated;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_msgs::{Fault, Law, Limits, Mode, Sample};
@@ -27,7 +27,7 @@ const START_TICKS: u32 = 5000;
 /// Time from a stop to the end of braking, s: 50 mm/s at 3 m/s² and five time constants of the base's servo.
 const BRAKED_S: f64 = 0.1;
 
-/// What a strong lean or blow on the cover does to the arm: every taxel, force, law, reactivity and correction.
+/// Effect of a strong lean or blow on the arm: every taxel, force, law, reactivity and correction.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// The hardest cells only: seconds instead of minutes.
@@ -38,7 +38,7 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
-/// How the hand comes.
+/// Course of the hand's force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Hand {
@@ -96,7 +96,7 @@ struct Outcome {
     torque_step_share: f64,
     /// Why the robot stopped, if it did.
     stopped: Option<Fault>,
-    /// How far the base was pushed after it had braked, m, and the fastest that it was told to go meanwhile, m/s or rad/s.
+    /// Displacement of the base after it had braked, m, and its fastest command meanwhile, m/s or rad/s.
     pushed_m: f64,
     told_m_s: f64,
 }
@@ -180,7 +180,7 @@ fn outcomes(cells: Vec<Cell>) -> Result<Vec<(Cell, Outcome)>> {
 }
 
 impl Cell {
-    /// What a row of the table sums up.
+    /// Returns the row of the table that holds it.
     fn group(&self) -> (Law, Hand, f64) {
         (self.law, self.hand, self.force_n)
     }
@@ -267,7 +267,7 @@ fn lean(cell: &Cell) -> Result<Outcome> {
     Ok(watch.worst)
 }
 
-/// What is measured tick by tick.
+/// Measures taken tick by tick.
 struct Watch {
     law: Law,
     dt_s: f64,
@@ -299,7 +299,7 @@ impl Watch {
         })
     }
 
-    /// Where the flange is: in W, or on the base.
+    /// Returns the place of the flange: in W, or on the base.
     fn place(&self, sample: &Sample) -> [f64; 3] {
         let [x, y, z] = sample.flange_position_world;
         match self.law {

@@ -4,17 +4,17 @@
 #![expect(clippy::print_stdout, reason = "this is what the command is for")]
 
 use anyhow::{Context, Result, ensure};
+use moca_control::assemble::{motion, supervisor};
+use moca_control::config::{Config, HandConfig};
+use moca_control::plant::Plant;
+use moca_control::robot::{JOINTS, PlantKind, TAXELS};
+use moca_control::stage::Untimed;
+use moca_control::tick::ControlLoop;
+use moca_control::tick_input::Slot;
 use moca_daemon::cli::progress::Progress;
-use moca_daemon::config::{Config, HandConfig};
-use moca_daemon::control::plant::Plant;
-use moca_daemon::control::stage::Untimed;
-use moca_daemon::control::tick::ControlLoop;
-use moca_daemon::control::tick_input::Slot;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::inject::Random;
-use moca_daemon::robot::{JOINTS, PlantKind, TAXELS};
-use moca_daemon::runtime::assemble::{motion, supervisor};
 use moca_franka::limiter::{ARM_CHANGE_NM, TorqueLimiter};
 use moca_msgs::{Actuation, Fault, Law, Mode, Request, RobotCommand, RobotState};
 use moca_sim::SimPlant;
@@ -47,19 +47,19 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
-/// What was seen.
+/// Observations.
 #[derive(Debug, Default, Serialize)]
 struct Report {
     /// Milliseconds of the arm.
     ticks: u64,
-    /// Of them with a law in command.
+    /// Number of them with a law in command.
     driven: u64,
     states_lost: u64,
     orders_lost: u64,
     presses: u64,
     /// Largest change of a torque from one millisecond to the next where it arrived, as a rate.
     largest_rate_nm_s: f64,
-    /// Of the arm's largest speed where it is: 1 is all of it.
+    /// Share of the arm's largest speed where it is: 1 is all of it.
     largest_share_of_joint_speed: f64,
     stops: BTreeMap<&'static str, u64>,
 }
@@ -68,7 +68,7 @@ struct Report {
 struct Line {
     world: SimPlant,
     limiter: TorqueLimiter,
-    /// What the arm has, without gravity, N·m.
+    /// Torques of the arm, without gravity, N·m.
     has_nm: [f64; moca_franka::JOINTS],
     random: Random,
     lose_orders: usize,
@@ -76,7 +76,7 @@ struct Line {
 }
 
 impl Line {
-    /// How many datagrams in a row are lost now.
+    /// Returns the number of datagrams that are lost now in a row.
     fn burst(&mut self) -> usize {
         if self.random.one_in(LOST_ONE_IN) { 1 + self.random.below(LOST_MAX) } else { 0 }
     }
@@ -134,7 +134,7 @@ impl Plant for Line {
     }
 }
 
-/// Who presses which taxel, and until when.
+/// Pressed taxel and end of the press.
 #[derive(Default)]
 struct Hand {
     taxel: usize,
@@ -265,7 +265,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lost_packets_leave_torque_rate_and_joint_speeds_within_their_limits() {
+    fn lost_packets_keep_torque_rate_and_speeds_in_limits() {
         let report = campaign(30_000, 7, |_| {}).unwrap();
         report.check().unwrap();
         assert!(report.states_lost > 1000 && report.orders_lost > 1000 && report.presses > 10, "{report:?}");

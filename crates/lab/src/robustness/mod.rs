@@ -1,11 +1,17 @@
 //! Faults on purpose, hours of random handling, and what watching costs.
 
+pub(crate) mod attack;
 pub(crate) mod clients;
+mod cover_speed;
 pub(crate) mod faults;
-pub(crate) mod joint_limits;
+mod hands;
 pub(crate) mod lean;
+pub(crate) mod long_lean;
 pub(crate) mod lost_packets;
 pub(crate) mod protection;
+#[cfg(test)]
+mod recentre;
 pub(crate) mod soak;
 pub(crate) mod targets;
 mod trial;
+mod watch;

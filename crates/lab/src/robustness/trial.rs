@@ -1,8 +1,8 @@
 //! One injected fault against the whole chain in lock-step: what the robot does about it, and how soon.
 
-use anyhow::{Context, Result, ensure};
-use moca_daemon::config::{Config, HandConfig};
-use moca_daemon::control::tick::Ticked;
+use anyhow::{Result, ensure};
+use moca_control::config::{Config, HandConfig};
+use moca_control::tick::Ticked;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::inject::{Disk, FaultSite, Injection, Named, Strike, client};
 use moca_daemon::record::recording::Recording;
@@ -13,20 +13,26 @@ use moca_daemon::runtime::live::{Rings, Shared};
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_msgs::{Fault, Mode, Outcome, Request, Sample};
 use moca_sim::VirtualBoardConfig;
+use moca_tactile::Firmware;
 use moca_telemetry::RobotDescription;
-use moca_telemetry::net::{self, Server};
-use std::net::{Ipv4Addr, SocketAddr};
-use std::sync::atomic::Ordering;
+use moca_telemetry::net::{self, Address, Server};
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Numbers the sockets of trials that run side by side.
+static TRIALS: AtomicU64 = AtomicU64::new(0);
 
 /// The hand presses from here on, so that the robot moves when the fault strikes, ticks.
 const PRESS_TICK: u64 = 2000;
 const STRIKE_TICK: u64 = 3000;
-/// How long after its stop the robot has to stand, ticks.
+/// Time for which the robot has to stand after its stop, ticks.
 const STAND_TICKS: u64 = 500;
+/// Ticks between two samples in the digest.
+const DIGEST_TICKS: u64 = 20;
 const PRESSED_TAXEL: u8 = 5;
 const PRESS_N: f64 = 20.0;
 
-/// What became of one fault.
+/// Result of one fault.
 #[derive(Clone, Debug)]
 pub(crate) struct Trial {
     /// The fault.
@@ -47,11 +53,13 @@ pub(crate) struct Trial {
     pub(crate) overruns: u64,
     /// Rust allocations on the loop's thread after the strike.
     pub(crate) allocations: u64,
-    /// What clients are sent or answered, where the fault is outside the loop.
+    /// Message or answer to clients, where the fault is outside the loop.
     pub(crate) reported: Option<String>,
+    /// Digest of the samples from the strike on: two runs that differ have two.
+    pub(crate) digest: u64,
 }
 
-/// Who watches a trial: a log, telemetry, or nobody.
+/// Observer of a trial: a log, telemetry, or none.
 enum Watcher {
     Nobody,
     Log(Box<Recording>, TickLogReader),
@@ -72,14 +80,10 @@ impl Watcher {
             return Ok((Self::Log(Box::new(recording), reader), Some(log)));
         }
         let (rings, samples, ports) = rings(&Shared::default());
-        let server = net::serve(
-            &SocketAddr::from((Ipv4Addr::LOCALHOST, 0)).into(),
-            0o600,
-            description,
-            ports.with(samples, None),
-        )?;
-        let address = server.address().tcp().context("a port")?;
-        client(fault, address, strike.clone(), seed)?;
+        let number = TRIALS.fetch_add(1, Ordering::Relaxed);
+        let socket = std::env::temp_dir().join(format!("moca-trial-{}-{number}.sock", std::process::id()));
+        let server = net::serve(&Address::Unix(socket), 0o600, description, ports.with(samples, None))?;
+        client(fault, server.address(), strike.clone(), seed)?;
         Ok((Self::Telemetry(Box::new(rings), server), None))
     }
 
@@ -112,19 +116,23 @@ impl Watcher {
     }
 }
 
-/// Runs `fault` with its bytes spoiled by `seed`, until `ticks` after its strike.
+/// Runs `fault` with its bytes spoiled by `seed`, until `ticks` after its strike, on a virtual board with `firmware`.
 ///
 /// # Errors
-/// The scene could not be built, or the robot did not move before the strike, which would show nothing.
-pub(crate) fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
+/// The scene could not be built, the fault cannot strike there, or the robot did not move before the strike, which would show
+/// nothing.
+pub(crate) fn run(fault: Named, firmware: Firmware, seed: u64, ticks: u64) -> Result<Trial> {
     let end_tick = STRIKE_TICK + ticks;
     let mut config = Config::default();
     config.simulation.hand = HandConfig::none();
     config.simulation.seed = seed;
-    let board = VirtualBoardConfig { seed, ..VirtualBoardConfig::default() };
+    config.board.firmware = firmware;
+    let board = VirtualBoardConfig { seed, firmware, ..VirtualBoardConfig::default() };
     let mut world = LockStep::with_board(&config, &free_scene(&config), board, None)?;
     let at_ns = STRIKE_TICK * config.period_ns();
-    world.inject(&Injection { fault, at_ns }, seed);
+    let injection = Injection { fault, at_ns };
+    injection.check(&config).map_err(anyhow::Error::msg)?;
+    world.inject(&injection, seed);
     let (strike, shared) = (Strike::new(at_ns), Shared::default());
     let (mut watcher, mut log) = Watcher::new(fault.site, &config, &strike, seed)?;
     let mut step = |world: &mut LockStep<_, _>, request| {
@@ -161,7 +169,9 @@ pub(crate) fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
         overruns: 0,
         allocations: 0,
         reported: None,
+        digest: 0,
     };
+    let mut digest = DefaultHasher::new();
     let mut last = before.clone();
     let mut pose = before.base_pose_world;
     while last.tick < end_tick {
@@ -172,6 +182,9 @@ pub(crate) fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
         watcher.see(&sample, &shared);
         trial.reported = outcome.map(answered).or(trial.reported);
         last = sample;
+        if last.tick.is_multiple_of(DIGEST_TICKS) {
+            format!("{last:?}").hash(&mut digest);
+        }
         if trial.reaction_ticks.is_none() && !last.mode.moves() {
             trial.reaction_ticks = Some(last.tick - STRIKE_TICK);
             trial.cause = last.fault;
@@ -189,6 +202,7 @@ pub(crate) fn run(fault: Named, seed: u64, ticks: u64) -> Result<Trial> {
     trial.mode = last.mode;
     trial.frames_bad = last.frames_bad - before.frames_bad;
     trial.overruns = last.overruns - before.overruns;
+    trial.digest = digest.finish();
     Ok(trial)
 }
 

@@ -1,9 +1,9 @@
-//! What the dashboard says to its user: the answer to a request, what became of a file. Each is shown in full until it
-//! has had time to be read.
+//! Messages of the dashboard to its user: the answer to a request, the result of writing a file. Each is shown in full until
+//! there was time to read it.
 
 use std::collections::VecDeque;
 
-/// How long a good answer stays on the screen, and a bad one, s.
+/// Time for which a good answer is shown, and a bad one, s.
 const GOOD_S: f64 = 6.0;
 const BAD_S: f64 = 20.0;
 /// Most answers on the screen: the oldest makes room.
@@ -14,7 +14,7 @@ const MOST: usize = 5;
 pub struct Answer {
     /// For the user.
     pub text: String,
-    /// Whether what was asked for was done.
+    /// True if the request was carried out.
     pub good: bool,
 }
 
@@ -53,7 +53,7 @@ impl Answers {
         }
     }
 
-    /// What is on the screen at `now_s`.
+    /// Returns the answers on the screen at `now_s`.
     pub fn at(&mut self, now_s: f64) -> impl Iterator<Item = &Answer> {
         self.shown.retain(|(until_s, _)| *until_s > now_s);
         self.shown.iter().map(|(_, answer)| answer)
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_refusal_stays_longer_than_a_success_and_neither_stays_for_ever() {
+    fn refusal_is_shown_longer_than_success() {
         let mut answers = Answers::default();
         answers.add(Answer::good("done"), 1.0);
         answers.add(Answer::bad("refused"), 1.0);

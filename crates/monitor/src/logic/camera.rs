@@ -1,5 +1,7 @@
 //! A camera that orbits about a point of the world, with perspective. World axes: x forward, y left, z up.
 
+use crate::logic::limited::Limited;
+
 /// Distance of the picture plane in half heights of the picture: a field of view of 40 degrees.
 const FOCAL: f64 = 2.747;
 /// Nearest and farthest, m.
@@ -7,7 +9,7 @@ const DISTANCE_M: (f64, f64) = (0.8, 12.0);
 /// Lowest and highest angle above the floor, rad.
 const ELEVATION_RAD: (f64, f64) = (0.05, std::f64::consts::FRAC_PI_2);
 
-/// Where the camera is.
+/// Pose of the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OrbitCamera {
     /// Angle about z: 0 looks along x, from behind the robot, rad.
@@ -36,14 +38,15 @@ impl OrbitCamera {
     pub fn orbit(&mut self, azimuth_rad: f64, elevation_rad: f64) {
         if azimuth_rad.is_finite() && elevation_rad.is_finite() {
             self.azimuth_rad = (self.azimuth_rad + azimuth_rad).rem_euclid(std::f64::consts::TAU);
-            self.elevation_rad = (self.elevation_rad + elevation_rad).clamp(ELEVATION_RAD.0, ELEVATION_RAD.1);
+            self.elevation_rad =
+                (self.elevation_rad + elevation_rad).limited(ELEVATION_RAD.0, ELEVATION_RAD.1);
         }
     }
 
     /// Moves it away by `factor`.
     pub fn zoom(&mut self, factor: f64) {
         if factor.is_finite() {
-            self.distance_m = (self.distance_m * factor).clamp(DISTANCE_M.0, DISTANCE_M.1);
+            self.distance_m = (self.distance_m * factor).limited(DISTANCE_M.0, DISTANCE_M.1);
         }
     }
 
@@ -82,7 +85,7 @@ pub struct Projected {
 }
 
 impl Projection {
-    /// Where a point of the world is in the picture; `None` for one behind the camera or not finite.
+    /// Returns the place of a point of the world in the picture; `None` for one behind the camera or not finite.
     pub fn project(&self, point: [f64; 3]) -> Option<Projected> {
         let from_target = difference(point, self.target);
         let depth_m = dot(self.forward, from_target) + self.distance_m;
@@ -96,7 +99,7 @@ impl Projection {
         FOCAL / depth_m
     }
 
-    /// Whether a surface at `point` with outward `normal` shows its front.
+    /// Returns true if a surface at `point` with outward `normal` shows its front.
     pub fn faces(&self, point: [f64; 3], normal: [f64; 3]) -> bool {
         let from_target = difference(point, self.target);
         let view: [f64; 3] = std::array::from_fn(|i| from_target[i] + self.forward[i] * self.distance_m);

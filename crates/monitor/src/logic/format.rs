@@ -20,7 +20,7 @@ pub fn taxel_name(taxel: impl Into<usize>) -> String {
     format!("T{}", taxel.into() + 1)
 }
 
-/// What is known about the board at `port`, as the configuration names it.
+/// Describes the state of the board at `port`, as the configuration names it.
 pub fn board_text(board: Diagnosis, port: Option<&str>) -> String {
     match (board, port) {
         (Diagnosis::NotOpen(OpenFailure::NotFound), Some(path)) if path.starts_with('/') => format!(
@@ -41,7 +41,7 @@ pub fn speed_limit(reason: SpeedLimitReason) -> &'static str {
     }
 }
 
-/// What an arm says about itself and the orders that reach it.
+/// Describes the arm's report on itself and on its orders.
 pub fn arm_link(arm: &ArmLink) -> String {
     let ArmLink { mode, success_rate, lost, repeated, errors } = *arm;
     let rate = number(success_rate, 2);

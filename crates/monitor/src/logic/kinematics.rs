@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_quarter_turn_of_the_base_takes_its_front_to_the_left_and_that_of_a_frame_its_x_axis_to_y() {
+    fn quarter_turn_takes_front_left_and_x_to_y() {
         let front = in_world([1.0, 2.0, std::f64::consts::FRAC_PI_2], [0.5, 0.0, 0.3]);
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let [x, y, z] = axes([0.0, 0.0, half, half]);

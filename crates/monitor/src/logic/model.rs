@@ -24,7 +24,7 @@ const MAX_REMEMBERED: usize = 200;
 /// Without a sample for this long, what is shown is old, s.
 pub const SILENCE_S: f64 = 0.5;
 
-/// How fresh what is shown is.
+/// Freshness of the shown data.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Freshness {
     /// Samples come.
@@ -43,7 +43,7 @@ pub struct Model {
     pub panels: Vec<Panel>,
     /// The plots of loop and board.
     pub timing_panels: Vec<Panel>,
-    /// How well loop and board keep time.
+    /// Timing of loop and board.
     pub timing: Timing,
     /// The plotted signals.
     pub history: History,
@@ -51,13 +51,13 @@ pub struct Model {
     pub latest: Option<Sample>,
     /// Changes of mode and fault, oldest first.
     pub events: VecDeque<Event>,
-    /// What the daemon says about this connection.
+    /// Status of this connection at the daemon.
     pub status: Status,
-    /// How far the calibration has come.
+    /// Progress of the calibration.
     pub calibration: CalibrationProgress,
     /// The law that arming leads to, as far as this dashboard knows.
     pub law: Law,
-    /// Whether a recorded run is shown: it is never old, and cannot be commanded.
+    /// True for a recorded run: it is never old, and cannot be commanded.
     pub recorded: bool,
     link: Link,
     session: u64,
@@ -124,7 +124,7 @@ impl Model {
         }
     }
 
-    /// How fresh what is shown is.
+    /// Returns the freshness of the shown data.
     pub fn freshness(&self, now_s: f64) -> Freshness {
         match &self.link {
             Link::Down { reason } => Freshness::Down(reason.clone()),
@@ -152,30 +152,30 @@ impl Model {
         self.mode(now_s).filter(|_| !self.recorded)
     }
 
-    /// Whether a robot that runs is at the other end: it can be stopped, whoever has the command.
+    /// Returns true if a running robot is at the other end: it can be stopped, whoever has the command.
     pub fn connected(&self) -> bool {
         !self.recorded && matches!(self.link, Link::Up { .. })
     }
 
-    /// Whether a request makes sense now.
+    /// Returns true if a request makes sense now.
     pub fn allows(&self, request: Request, now_s: f64) -> bool {
         let may_ask = if request == Request::Stop { self.connected() } else { self.may_command() };
         may_ask && requests::fits(request, self.mode(now_s))
     }
 
-    /// Whether this dashboard has the command, or can take it.
+    /// Returns true if this dashboard has the command, or can take it.
     pub fn may_command(&self) -> bool {
         self.connected() && self.status.commander != Commander::Another
     }
 
-    /// Whether a cover feels what pushes the simulated robot: a real board beside it does not.
+    /// Returns true if a cover reads pushes on the simulated robot: a real board beside it does not.
     pub fn feels_pushes(&self) -> bool {
         let simulated = |port: &str| port.starts_with("virtual") || port == "avr" || port.starts_with("avr:");
         let real = text_parameter(&self.robot, "board.port").is_some_and(|port| !simulated(port));
         self.robot.simulated && !self.robot.taxels.is_empty() && !real
     }
 
-    /// Whether taxels can be pushed with the mouse.
+    /// Returns true if taxels can be pushed with the mouse.
     pub fn can_push(&self) -> bool {
         self.feels_pushes() && self.may_command()
     }
@@ -240,8 +240,8 @@ impl Model {
                 .robot
                 .parameters
                 .get(usize::from(parameter))
-                .map_or_else(|| refusal.to_string(), |parameter| parameter.why(refusal)),
-            _ => refusal.to_string(),
+                .map_or_else(|| request.refused(refusal).to_string(), |parameter| parameter.why(refusal)),
+            _ => request.refused(refusal).to_string(),
         }
     }
 

@@ -19,7 +19,7 @@ pub fn number_parameter(robot: &RobotDescription, name: &str) -> Option<f64> {
     }
 }
 
-/// What a board (0 is the first) is called, with its taxels, where there are several.
+/// Returns the name of a board (0 is the first) with its taxels, where there are several.
 pub fn board_name(robot: &RobotDescription, board: u8) -> Option<String> {
     let port = text_parameter(robot, "board.port")?.split(", ").nth(usize::from(board))?;
     let of_taxel = robot.parameters.iter().find(|parameter| parameter.name == "robot.cover.board")?;
@@ -31,23 +31,23 @@ pub fn board_name(robot: &RobotDescription, board: u8) -> Option<String> {
     (!taxels.is_empty()).then(|| format!("Board {} ({port}) with {}", board + 1, taxels.join(" ")))
 }
 
-/// Whether there is a base or an arm at all: a daemon may read a cover alone.
+/// Returns true if there is a base or an arm: a daemon may read a cover alone.
 pub fn has_robot(robot: &RobotDescription) -> bool {
     text_parameter(robot, "plant.kind") != Some("none")
 }
 
-/// Whether there is an arm.
+/// Returns true if there is an arm.
 pub fn has_arm(robot: &RobotDescription) -> bool {
     let parts = text_parameter(robot, "plant.parts");
     has_robot(robot) && parts != Some("base") && robot.arm.joints > 0
 }
 
-/// Whether there is a base that moves.
+/// Returns true if there is a base that moves.
 pub fn has_base(robot: &RobotDescription) -> bool {
     has_robot(robot) && has_cover(robot)
 }
 
-/// Whether there is a cover.
+/// Returns true if there is a cover.
 pub fn has_cover(robot: &RobotDescription) -> bool {
     !robot.taxels.is_empty()
 }

@@ -1,9 +1,9 @@
-//! What an operator may ask, when it makes sense, and how it is written. The daemon decides; this only greys out buttons.
+//! Requests of an operator: when they make sense, and their labels. The daemon decides; this only greys out buttons.
 
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Law, Mode, Request};
 
-/// What is written on the button of a request, which is also its accessible label; empty for requests without one.
+/// Returns the label of a request's button, also its accessible label; empty for requests without one.
 pub fn label(request: Request) -> &'static str {
     match request {
         Request::Tare => "Tare",
@@ -12,12 +12,13 @@ pub fn label(request: Request) -> &'static str {
         Request::SelectLaw(Law::Impedance) => "Impedance",
         Request::SelectLaw(Law::FollowMe) => "Follow-me",
         Request::Resume => "Resume",
+        Request::Recentre => "Recentre",
         Request::Stop => "STOP (space)",
         _ => "",
     }
 }
 
-/// What the button does, for a tooltip.
+/// Returns the tooltip of a request's button.
 pub fn explanation(request: Request) -> &'static str {
     match request {
         Request::Tare => "Measure the cover's zero. Nobody may touch the robot.",
@@ -26,12 +27,13 @@ pub fn explanation(request: Request) -> &'static str {
         Request::SelectLaw(Law::Impedance) => "The flange keeps its place, the base gives way.",
         Request::SelectLaw(Law::FollowMe) => "Base and arm follow the hand.",
         Request::Resume => "Leave the protective stop, once its cause is gone.",
+        Request::Recentre => "Drive the base slowly back under the arm. A touch ends it.",
         Request::Stop => "Protective stop of every robot that is connected: the base stops, the arm holds.",
         _ => "",
     }
 }
 
-/// Whether the daemon would take it in `mode`; `None` is a daemon that has not said its mode yet. A stop is never greyed out.
+/// Returns true if the daemon would take it in `mode`; `None` is a daemon without a known mode. A stop is never greyed out.
 pub fn fits(request: Request, mode: Option<Mode>) -> bool {
     request == Request::Stop || mode.is_some_and(|mode| request.taken_in().contains(&mode))
 }
@@ -56,6 +58,7 @@ pub fn request_text(request: Request) -> String {
         Request::Target(target) => format!("Lead: {}", target.target.kind().name()),
         Request::Waypoint { count, .. } => format!("Lead along {count} poses"),
         Request::EndTarget => "End the target".into(),
+        Request::Recentre => "Recentre".into(),
         Request::SetParameter { parameter, .. } => match CONTROLLER.get(usize::from(parameter)) {
             Some(spec) => format!("Set {}", spec.name),
             None => format!("Set parameter {parameter}"),

@@ -3,7 +3,7 @@
 use moca_telemetry::{ParameterDescription, ParameterForm, ParameterValue, RobotDescription};
 use std::fmt::Write as _;
 
-/// What an element of a vector is called: an axis of a twist or of a planar motion, a joint, a taxel.
+/// Returns the name of a vector's element: an axis of a twist or of a planar motion, a joint, a taxel.
 pub fn element_name(parameter: &ParameterDescription, element: usize) -> String {
     let ParameterValue::Numbers(values) = &parameter.value else { return String::new() };
     let one_unit = parameter.units.len() <= 1;
@@ -18,7 +18,7 @@ pub fn element_name(parameter: &ParameterDescription, element: usize) -> String 
     axes.get(element).map_or_else(String::new, |axis| (*axis).to_owned())
 }
 
-/// Whether the parameter has another value than its default.
+/// Returns true if the parameter has another value than its default.
 pub fn is_changed(parameter: &ParameterDescription) -> bool {
     parameter.value != parameter.default
 }

@@ -6,6 +6,7 @@ use super::{
 };
 use crate::logic::{
     answers::{Answer, Answers},
+    limited::Limited,
     model::Model,
     source::{Source, playback::Playback},
 };
@@ -21,7 +22,7 @@ const LEFT_SHARE: f32 = 0.3;
 const LITTLE_ROOM: f32 = 620.0;
 /// Height of the numbers below the robot in the first frame, points.
 const NUMBERS: f32 = 420.0;
-/// How often ages and silence are looked at while nothing new comes.
+/// Period at which ages and silence are checked while nothing new comes.
 const LOOK: Duration = Duration::from_millis(250);
 
 /// The dashboard: one robot or log in front, others behind it.
@@ -32,8 +33,10 @@ pub struct App {
     files: Files,
     answers: Answers,
     screenshot: Option<Screenshot>,
-    /// Whether a picture has been laid out before; it is on the screen once the next one is.
+    /// True once a picture has been laid out; it is on the screen once the next one is.
     laid_out: bool,
+    /// Size of everything; 1 is the desktop's.
+    zoom: f32,
 }
 
 impl App {
@@ -61,6 +64,7 @@ impl App {
             files: Files::default(),
             screenshot,
             laid_out: false,
+            zoom: 1.0,
         }
     }
 
@@ -69,7 +73,7 @@ impl App {
         self.tabs.push(Tab::new(source.into(), address));
     }
 
-    /// Where recordings go and logs are looked for; the current folder without it.
+    /// Sets the folder for recordings and logs; the current folder without it.
     pub fn set_folder(&mut self, folder: PathBuf) {
         self.files.folder = folder;
     }
@@ -79,12 +83,17 @@ impl App {
         self.front().view.axis.show(span_s);
     }
 
+    /// Sets the size of everything; 1 is the desktop's, which knows of high resolution.
+    pub fn zoom(&mut self, ctx: &Context, zoom: f32) {
+        top::set_zoom(ctx, zoom);
+    }
+
     /// The page in the middle.
     pub fn show_page(&mut self, page: Page) {
         self.page = page;
     }
 
-    /// What it knows of the robot in front.
+    /// Returns the model of the robot in front.
     pub fn model(&self) -> &Model {
         &self.tabs[self.shown].model
     }
@@ -96,6 +105,7 @@ impl App {
     /// Takes in what is new, and the space bar before any widget can have it.
     pub fn update(&mut self, ctx: &Context) {
         let now_s = ctx.input(|i| i.time);
+        self.zoom = ctx.zoom_factor();
         for tab in &mut self.tabs {
             tab.update(now_s);
             // A robot grows old, and its commander must be seen to live; a log that stands still does neither.
@@ -121,7 +131,7 @@ impl App {
         }
     }
 
-    /// Who presses stop in a hurry does not look which robot is in front.
+    /// Stops every connected robot: a person who presses stop in a hurry does not look which robot is in front.
     fn stop_all(&mut self) {
         for robot in self.tabs.iter_mut().filter_map(|tab| tab.source.live()) {
             robot.request(Request::Stop);
@@ -181,36 +191,26 @@ impl App {
         let Self { tabs, shown, page, files, .. } = self;
         Panel::top("top").frame(bare.side).show(ui, |ui| {
             if tabs.len() > 1 {
-                let names = tabs.iter().map(|tab| (tab.name(now_s), tab.model.live_mode(now_s)));
+                let names = tabs.iter().map(|tab| tab.name(now_s));
                 top::tabs(ui, names, shown);
             }
             let Tab { model, address, .. } = &tabs[*shown];
             top::show(ui, model, address, now_s, anybody_to_stop, pressed);
         });
-        let Tab { source, model, view, recording, .. } = &mut tabs[*shown];
+        let Tab { source, model, view, guard, recording, .. } = &mut tabs[*shown];
         if let Some(log) = source.log() {
-            Panel::bottom("playback")
-                .frame(bare.side)
-                .show(ui, |ui| playback::show(ui, log, view, closable, pressed));
-        }
-        let width = (ui.available_width() * LEFT_SHARE).clamp(LEFT_WIDTH.0, LEFT_WIDTH.1);
-        Panel::left("left").frame(bare.side).exact_size(width).resizable(false).show(ui, |ui| {
-            let height = ui.available_height();
-            // The picture has what the numbers left of the column in the frame before.
-            let numbers = ui.ctx().data(|data| data.get_temp(Id::unique("numbers"))).unwrap_or(NUMBERS);
-            ScrollArea::vertical().show(ui, |ui| {
-                let top = ui.cursor().top();
-                let picture = height - numbers;
-                pressed.push = robot::show(ui, model, view, now_s, picture);
-                gauges::show(ui, model, now_s, height < LITTLE_ROOM);
-                let numbers = ui.cursor().top() - top - robot::height(picture);
-                ui.ctx().data_mut(|data| data.insert_temp(Id::unique("numbers"), numbers));
+            Panel::bottom("playback").frame(bare.side).show(ui, |ui| {
+                guard.draw(ui, "The log", |ui| playback::show(ui, log, view, closable, pressed));
             });
+        }
+        let width = (ui.available_width() * LEFT_SHARE).limited(LEFT_WIDTH.0, LEFT_WIDTH.1);
+        Panel::left("left").frame(bare.side).exact_size(width).resizable(false).show(ui, |ui| {
+            guard.draw(ui, "The robot", |ui| left(ui, model, view, now_s, pressed));
         });
         files.show(ui.ctx(), pressed);
         CentralPanel::default().frame(bare.centre).show(ui, |ui| {
             page.tabs(ui, model, recording.as_ref(), pressed);
-            page.show(ui, model, view, now_s, pressed);
+            guard.draw(ui, page.name(), |ui| page.show(ui, model, view, now_s, pressed));
         });
     }
 
@@ -251,6 +251,21 @@ impl App {
     }
 }
 
+/// Draws the column on the left: the robot from above and its numbers.
+fn left(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, pressed: &mut PageRequests) {
+    let height = ui.available_height();
+    // The picture has what the numbers left of the column in the frame before.
+    let numbers = ui.ctx().data(|data| data.get_temp(Id::unique("numbers"))).unwrap_or(NUMBERS);
+    ScrollArea::vertical().show(ui, |ui| {
+        let top = ui.cursor().top();
+        let picture = height - numbers;
+        pressed.push = robot::show(ui, model, view, now_s, picture);
+        gauges::show(ui, model, now_s, height < LITTLE_ROOM, pressed);
+        let numbers = ui.cursor().top() - top - robot::height(picture);
+        ui.ctx().data_mut(|data| data.insert_temp(Id::unique("numbers"), numbers));
+    });
+}
+
 /// Panels without a background of their own: the window is cleared with it. A software rasteriser pays for each pixel
 /// each time it is painted.
 struct Bare {
@@ -284,6 +299,7 @@ impl eframe::App for App {
         storage.set_string("page", self.page.name().to_owned());
         storage.set_string("span_s", axis.span_s().to_string());
         storage.set_string("push_n", push_n.to_string());
+        storage.set_string("zoom", self.zoom.to_string());
         let live = self.tabs.iter().filter(|tab| !tab.model.recorded);
         let addresses: Vec<&str> = live.map(|tab| tab.address.as_str()).collect();
         // Who looked at a log only has not left the robots.
@@ -299,14 +315,14 @@ impl eframe::App for App {
 }
 
 impl App {
-    /// Where the robots listened that were shown when the last window was closed.
+    /// Returns the addresses of the robots that were shown when the last window was closed.
     pub fn last_connected(storage: &dyn eframe::Storage) -> Vec<Address> {
         let list = storage.get_string("connect").unwrap_or_default();
         list.split(' ').filter_map(|address| address.parse().ok()).collect()
     }
 
     /// Takes up what was looked at when the last window was closed.
-    pub fn restore(&mut self, storage: &dyn eframe::Storage) {
+    pub fn restore(&mut self, ctx: &Context, storage: &dyn eframe::Storage) {
         let text = |key| storage.get_string(key);
         let number = |key| text(key)?.parse::<f64>().ok().filter(|v| v.is_finite());
         self.page = text("page").and_then(|name| Page::named(&name)).unwrap_or_default();
@@ -314,19 +330,22 @@ impl App {
         self.shown = front.unwrap_or(self.shown);
         let recent = text("recent_logs").unwrap_or_default();
         self.files.recent = recent.lines().map(PathBuf::from).collect();
+        if let Some(zoom) = text("zoom").and_then(|zoom| zoom.parse().ok()) {
+            self.zoom(ctx, zoom);
+        }
         for tab in &mut self.tabs {
             if let Some(span_s) = number("span_s") {
                 tab.view.axis.show(span_s);
             }
             if let Some(push_n) = number("push_n") {
-                tab.view.push_n = push_n.clamp(1.0, moca_msgs::request::PRESS_FORCE_MAX_N);
+                tab.view.push_n = push_n.limited(1.0, moca_msgs::request::PRESS_FORCE_MAX_N);
             }
         }
     }
 }
 
-/// Whether the space bar was pressed. Nobody else gets to see it: on a focused button it would also be a click, and a
-/// stop must not depend on where the keyboard's focus is.
+/// Returns true if the space bar was pressed. No other widget receives it: on a focused button it would also be a click, and a
+/// stop must not depend on the keyboard's focus.
 fn take_space_bar(ctx: &Context) -> bool {
     ctx.input_mut(|input| {
         let mut pressed = false;

@@ -1,7 +1,7 @@
 //! Choosing a log: those that were opened last, those in a folder, a path, or a file dropped on the window.
 
 use super::requests::PageRequests;
-use egui::{Button, Context, Grid, ScrollArea, TextEdit, Ui, Window};
+use egui::{Button, Context, Grid, Key, Modifiers, ScrollArea, TextEdit, Ui, Window};
 use std::{
     path::{Path, PathBuf},
     time::SystemTime,
@@ -14,7 +14,7 @@ const REMEMBERED: usize = 8;
 
 /// The window that chooses a log, while it is open.
 pub(super) struct Files {
-    /// Where recordings and tables go, and where the search for logs begins.
+    /// Folder of recordings and tables, in which the search for logs begins.
     pub(super) folder: PathBuf,
     /// Logs that were opened, the last one first.
     pub(super) recent: Vec<PathBuf>,
@@ -23,7 +23,7 @@ pub(super) struct Files {
     listed: Folder,
 }
 
-/// What is in a folder.
+/// Contents of a folder.
 #[derive(Default)]
 struct Folder {
     path: PathBuf,
@@ -75,6 +75,9 @@ impl Files {
 
     /// Draws the window, if it is open, and notes which log was chosen.
     pub(super) fn show(&mut self, ctx: &Context, pressed: &mut PageRequests) {
+        if self.open && ctx.input_mut(|input| input.consume_key(Modifiers::NONE, Key::Escape)) {
+            self.open = false;
+        }
         let mut still = self.open;
         let window = Window::new("Open a log").open(&mut still).default_width(520.0);
         // The mode stays in sight.
@@ -156,7 +159,7 @@ impl Files {
 }
 
 impl Folder {
-    /// What is in the folder at `path`: logs, the newest first, and folders that are not hidden.
+    /// Lists the folder at `path`: logs, the newest first, and folders that are not hidden.
     fn list(path: PathBuf) -> Self {
         let entries = match std::fs::read_dir(&path) {
             Ok(entries) => entries,
@@ -192,7 +195,7 @@ fn size(bytes: u64) -> String {
     }
 }
 
-/// How long ago something was, in a unit that reads well.
+/// Describes an age in a suitable unit.
 fn ago(seconds: u64) -> String {
     match seconds {
         0..120 => "just now".into(),

@@ -1,23 +1,30 @@
 //! Numbers beside the robot: wrenches and pose, and how healthy connection, loop and board are.
 
+use super::requests::PageRequests;
 use super::theme;
 use crate::logic::{
     format::{arm_link, number, speed_limit},
+    limited::Limited,
     model::{Freshness, Model, SILENCE_S},
     parts::{has_arm, has_base, has_cover, has_robot, number_parameter},
+    requests::{explanation, label},
 };
-use egui::{Align, Grid, Label, Layout, RichText, Role, Sense, Ui, WidgetInfo, pos2, vec2};
-use moca_msgs::{ArmMode, Sample, SpeedLimit, seconds};
+use egui::{Align, Button, Grid, Label, Layout, RichText, Role, Sense, Ui, WidgetInfo, pos2, vec2};
+use moca_msgs::{ArmMode, PostureOffset, Request, Sample, SpeedLimit, seconds};
 
 /// Share of commands that reach an arm in time below which its reflex is near.
 const SUCCESS_RATE_LOW: f64 = 0.95;
+
+/// Displacement of the base from which on recentring is offered, m and rad.
+const OFFSET_M: f64 = 0.02;
+const OFFSET_RAD: f64 = 0.05;
 
 /// Width from which on two counters stand beside each other, points.
 const TWO_COUNTERS: f32 = 378.0;
 
 /// Draws the numbers of the parts that the robot has: wrenches and pose, then gauges, then counters.
 /// Where there is little room, the counters are on the page Loop only.
-pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, little_room: bool) {
+pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, little_room: bool, pressed: &mut PageRequests) {
     let Some(sample) = &model.latest else { return };
     let live = model.freshness(now_s) == Freshness::Live;
     ui.add_enabled_ui(live, |ui| {
@@ -27,6 +34,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, little_room: bool) {
         }
         ui.separator();
         gauges(ui, model, sample, now_s);
+        posture(ui, model, sample, now_s, pressed);
         if !little_room {
             ui.separator();
             counters(ui, model, sample);
@@ -59,35 +67,31 @@ fn wrenches(ui: &mut Ui, model: &Model, sample: &Sample) {
 fn gauges(ui: &mut Ui, model: &Model, sample: &Sample, now_s: f64) {
     let robot = &model.robot;
     let deadline_ms = robot.frame_deadline_s * 1e3;
+    let ms = |name, value: f64, limit: f64, hint| Gauge { name, value, limit, unit: "ms", decimals: 0, hint };
     Grid::new("gauges").num_columns(3).spacing([10.0, 1.0]).show(ui, |ui| {
         if !model.recorded {
-            gauge(ui, "Connection", model.silent_for_s(now_s) * 1e3, SILENCE_S * 1e3, "ms", 0);
+            ms("Connection", model.silent_for_s(now_s) * 1e3, SILENCE_S * 1e3, hints::CONNECTION).show(ui);
         }
-        gauge(ui, "Loop lateness", sample.lateness_s * 1e6, robot.period_s * 1e6, "µs", 0);
+        let (value, limit) = (sample.lateness_s * 1e6, robot.period_s * 1e6);
+        Gauge { name: "Loop lateness", value, limit, unit: "µs", decimals: 0, hint: hints::LATENESS }
+            .show(ui);
         if has_cover(robot) {
             let age_ms = if sample.frame_age_s < 0.0 { f64::NAN } else { sample.frame_age_s * 1e3 };
-            gauge(ui, "Frame age", age_ms, deadline_ms, "ms", 0);
+            ms("Frame age", age_ms, deadline_ms, hints::FRAME_AGE).show(ui);
         }
         if let Some(link) = &sample.link {
             let of = |name: &str| number_parameter(robot, name).unwrap_or(f64::NAN);
             if link.arm.mode != ArmMode::NotThere {
                 let deadline_ms = of("plant.arm.deadline_s") * 1e3;
-                gauge(ui, "Arm state age", link.arm_age_s * 1e3, deadline_ms, "ms", 0);
+                ms("Arm state age", link.arm_age_s * 1e3, deadline_ms, hints::STATE_AGE).show(ui);
             }
             if has_base(robot) {
                 let deadline_ms = of("plant.base.deadline_s") * 1e3;
-                gauge(ui, "Base state age", link.base_age_s * 1e3, deadline_ms, "ms", 0);
+                ms("Base state age", link.base_age_s * 1e3, deadline_ms, hints::STATE_AGE).show(ui);
             }
         }
         if has_base(robot) {
-            let [x, y, yaw] = sample.base_velocity_world;
-            let [x_max, y_max, yaw_max] = robot.base_velocity_max;
-            gauge(ui, "Cover speed", sample.cover_speed_m_s, sample.speed_limit.m_s, "m/s", 2);
-            if let Some(most_m) = number_parameter(robot, "protection.uncovered_m") {
-                gauge(ui, "Uncovered way", sample.uncovered_way_m, most_m, "m", 2);
-            }
-            gauge(ui, "Base speed", x.hypot(y), x_max.min(y_max), "m/s", 2);
-            gauge(ui, "Base turning", yaw.abs(), yaw_max, "rad/s", 2);
+            speeds(ui, model, sample);
         }
     });
     if has_base(robot) {
@@ -102,7 +106,39 @@ fn gauges(ui: &mut Ui, model: &Model, sample: &Sample, now_s: f64) {
     }
 }
 
-/// What has been counted since the start.
+/// Displacement of the base from where the arm's posture wants it, and the button that brings it back.
+fn posture(ui: &mut Ui, model: &Model, sample: &Sample, now_s: f64, pressed: &mut PageRequests) {
+    let Some(PostureOffset { distance_m, angle_rad, recentring }) = sample.posture else { return };
+    if !recentring && distance_m < OFFSET_M && angle_rad.abs() < OFFSET_RAD {
+        return;
+    }
+    ui.horizontal(|ui| {
+        let off = format!("Base off by {} m, {}°", number(distance_m, 2), number(angle_rad.to_degrees(), 0));
+        ui.label(if recentring { off + ": going back" } else { off });
+        let button = Button::new(label(Request::Recentre));
+        let response = ui.add_enabled(!recentring && model.allows(Request::Recentre, now_s), button);
+        let hint = explanation(Request::Recentre);
+        if response.on_hover_text(hint).on_disabled_hover_text(hint).clicked() {
+            pressed.requests.push(Request::Recentre);
+        }
+    });
+}
+
+/// Draws the gauges of the base's speeds, and of its way towards a side without a taxel.
+fn speeds(ui: &mut Ui, model: &Model, sample: &Sample) {
+    let robot = &model.robot;
+    let [x, y, yaw] = sample.base_velocity_world;
+    let [x_max, y_max, yaw_max] = robot.base_velocity_max;
+    let gauge = |name, value, limit, unit, hint| Gauge { name, value, limit, unit, decimals: 2, hint };
+    gauge("Cover speed", sample.cover_speed_m_s, sample.speed_limit.m_s, "m/s", hints::COVER_SPEED).show(ui);
+    if let Some(most_m) = number_parameter(robot, "protection.uncovered_m") {
+        gauge("Uncovered way", sample.uncovered_way_m, most_m, "m", hints::UNCOVERED).show(ui);
+    }
+    gauge("Base speed", x.hypot(y), x_max.min(y_max), "m/s", hints::BASE_SPEED).show(ui);
+    gauge("Base turning", yaw.abs(), yaw_max, "rad/s", hints::BASE_SPEED).show(ui);
+}
+
+/// Shows the counters since the start.
 pub(super) fn counters(ui: &mut Ui, model: &Model, sample: &Sample) {
     let dropped = model.status.ring_dropped + model.status.client_dropped;
     let counters = [
@@ -150,30 +186,63 @@ fn counter(ui: &mut Ui, name: &str, value: &str, unit: &str, conspicuous: bool) 
 }
 
 /// A bar from 0 to one and a half times `limit`, with a mark at `limit`.
-fn gauge(ui: &mut Ui, name: &str, value: f64, limit: f64, unit: &str, decimals: usize) {
-    ui.label(name);
-    let (response, painter) = ui.allocate_painter(vec2(120.0, 12.0), Sense::hover());
-    let rect = response.rect;
-    #[expect(clippy::cast_possible_truncation, reason = "a fraction")]
-    let part =
-        if value.is_finite() && limit > 0.0 { (value / (1.5 * limit)).clamp(0.0, 1.0) as f32 } else { 0.0 };
-    let colour = theme::share(if limit > 0.0 { value / limit } else { f64::NAN });
-    painter.rect_filled(rect, 2.0, ui.visuals().extreme_bg_color);
-    let mut bar = rect;
-    bar.set_width(rect.width() * part);
-    painter.rect_filled(bar, 2.0, colour);
-    let mark = rect.left() + rect.width() / 1.5;
-    let stroke = (1.5, ui.visuals().text_color());
-    painter.line_segment([pos2(mark, rect.top()), pos2(mark, rect.bottom())], stroke);
-    let said = format!("{name} {} {unit} of {}", number(value, decimals), number(limit, decimals));
-    response.widget_info(|| WidgetInfo::labeled(Role::Meter, true, &said));
-    response.on_hover_text(format!("limit {} {unit}", number(limit, decimals)));
-    ui.allocate_ui_with_layout(vec2(150.0, 18.0), Layout::left_to_right(Align::Center), |ui| {
-        ui.spacing_mut().item_spacing.x = 3.0;
-        let over = limit > 0.0 && value >= theme::OVER * limit;
-        let text = RichText::new(format!("{:>6} {unit:<5}", number(value, decimals))).monospace();
-        ui.label(if over { text.color(theme::BAD) } else { text });
-        ui.weak(format!("of {}", number(limit, decimals)));
-    });
-    ui.end_row();
+struct Gauge {
+    name: &'static str,
+    value: f64,
+    limit: f64,
+    unit: &'static str,
+    decimals: usize,
+    /// Normal values, and what to do about others.
+    hint: &'static str,
+}
+
+impl Gauge {
+    fn show(&self, ui: &mut Ui) {
+        let Self { name, value, limit, unit, decimals, hint } = *self;
+        let [now, most] = [value, limit].map(|value| number(value, decimals));
+        let explained = format!("{name}: {now} {unit}, limit {most} {unit}\n{hint}");
+        ui.label(name).on_hover_text(&explained);
+        let (response, painter) = ui.allocate_painter(vec2(120.0, 12.0), Sense::hover());
+        let rect = response.rect;
+        #[expect(clippy::cast_possible_truncation, reason = "a fraction")]
+        let part = if value.is_finite() && limit > 0.0 {
+            (value / (1.5 * limit)).limited(0.0, 1.0) as f32
+        } else {
+            0.0
+        };
+        let colour = theme::share(if limit > 0.0 { value / limit } else { f64::NAN });
+        painter.rect_filled(rect, 2.0, ui.visuals().extreme_bg_color);
+        let mut bar = rect;
+        bar.set_width(rect.width() * part);
+        painter.rect_filled(bar, 2.0, colour);
+        let mark = rect.left() + rect.width() / 1.5;
+        let stroke = (1.5, ui.visuals().text_color());
+        painter.line_segment([pos2(mark, rect.top()), pos2(mark, rect.bottom())], stroke);
+        let said = format!("{name} {now} {unit} of {most}");
+        response.widget_info(|| WidgetInfo::labeled(Role::Meter, true, &said));
+        response.on_hover_text(explained);
+        ui.allocate_ui_with_layout(vec2(150.0, 18.0), Layout::left_to_right(Align::Center), |ui| {
+            ui.spacing_mut().item_spacing.x = 3.0;
+            let over = limit > 0.0 && value >= theme::OVER * limit;
+            let text = RichText::new(format!("{now:>6} {unit:<6}")).monospace();
+            ui.label(if over { text.color(theme::BAD) } else { text });
+            ui.weak(format!("of {most}"));
+        });
+        ui.end_row();
+    }
+}
+
+/// Normal values of the gauges, and what to do about others.
+mod hints {
+    pub(super) const CONNECTION: &str = "Time since the last sample. Normal: below 50 ms. Above the limit what is shown is old: look at the network.";
+    pub(super) const LATENESS: &str = "How late the loop woke. Normal: below a tenth of the limit, one period. More: end other programs, or \
+                                       give the loop real-time rights (`mocad doctor`).";
+    pub(super) const FRAME_AGE: &str = "Age of the cover's data. Normal: below half of the limit. At the limit the robot stops: look at cable, board \
+                                        and this PC's load.";
+    pub(super) const STATE_AGE: &str = "Age of what the robot said last. Normal: a few ms. At the limit the robot stops: look at its network.";
+    pub(super) const COVER_SPEED: &str = "Speed of the cover's fastest point. Normal: below the limit, which is slower the older the board's data \
+                                          is; the line below says why.";
+    pub(super) const UNCOVERED: &str = "How far the base has gone towards a side without a taxel. Normal: 0. Near the limit it slows down: touch \
+                                        or lead it elsewhere.";
+    pub(super) const BASE_SPEED: &str = "Speed of the base's middle. Normal: up to the limit. Over it for long: stop, and look at the base's driver.";
 }

@@ -1,14 +1,16 @@
-//! How it looks: [`App`] lays out `top` (mode, reason, buttons), `robot` with its ring of taxels, `gauges`, one of the
-//! `pages` in the middle, and `playback` under a log. Everything that is pressed in a frame is gathered in
+//! Layout of the window: [`App`] lays out `top` (mode, reason, buttons), `robot` with its ring of taxels, `gauges`, one of the
+//! `pages` in the middle, and `playback` under a log. All presses of a frame are gathered in
 //! `requests::PageRequests` and sent by the app at its end.
 
 mod app;
 mod files;
 mod gauges;
+mod guard;
 mod pages;
 mod playback;
 mod requests;
 mod robot;
+mod row;
 mod screenshot;
 mod tab;
 mod theme;

@@ -1,11 +1,13 @@
 //! The bar under a recorded run: play, look at all of it, jump from event to event.
 
-use super::{requests::PageRequests, theme, view::View};
+use super::{requests::PageRequests, row, theme, view::View};
 use crate::logic::{
     format::number,
-    source::playback::{Landmark, Playback},
+    limited::Limited,
+    source::playback::{Landmark, Playback, SPEEDS},
+    time_window,
 };
-use egui::{Button, Pos2, Rangef, Rect, Response, Role, Sense, Stroke, Ui, WidgetInfo, vec2};
+use egui::{Button, ComboBox, Pos2, Rangef, Rect, Response, Role, Sense, Stroke, Ui, WidgetInfo, vec2};
 use moca_msgs::{Mode, seconds};
 use moca_telemetry::log::overview::{Happening, Overview};
 use std::ops::Range;
@@ -13,8 +15,6 @@ use std::ops::Range;
 /// Height of the strip, points, and of the marks at its lower edge.
 const STRIP: f32 = 44.0;
 const MARKS: f32 = 8.0;
-/// Shortest stretch that the strip shows, s: the plots show what is shorter.
-const SHORTEST_S: f64 = 60.0;
 /// Zoom of the mouse wheel for each point of scrolling.
 const WHEEL: f64 = 0.005;
 /// A mark this near to the mouse is named, points.
@@ -33,13 +33,14 @@ pub(super) fn show(
     let mut sought = None;
     ui.horizontal_wrapped(|ui| {
         let playing = playback.playing();
-        if ui.button(if playing { "Pause" } else { "Play" }).clicked() {
+        let button = Button::new(if playing { "Pause" } else { "Play" }).min_size(vec2(64.0, 0.0));
+        if ui.add(button).clicked() {
             playback.play(!playing);
         }
         let jumps = [
-            ("Last touch", Landmark::Touch, false),
+            ("Previous touch", Landmark::Touch, false),
             ("Next touch", Landmark::Touch, true),
-            ("Last event", Landmark::Event, false),
+            ("Previous event", Landmark::Event, false),
             ("Next event", Landmark::Event, true),
         ];
         for (label, what, forwards) in jumps {
@@ -52,9 +53,12 @@ pub(super) fn show(
                 playback.play(false);
             }
         }
-        ui.monospace(format!("{} of {} s", number(playback.at_s(), 1), number(playback.range_s().1, 1)));
+        speed(ui, playback);
+        // As wide at the beginning as at the end: what stands beside it stays.
+        let end = number(playback.range_s().1, 1);
+        ui.monospace(format!("{:>width$} of {end} s", number(playback.at_s(), 1), width = end.len()));
         pressed.close_log = closable && ui.button("Close log").clicked();
-        ui.add(egui::Label::new(egui::RichText::new(playback.title()).weak()).truncate());
+        row::rest(ui, egui::RichText::new(playback.title()).weak());
     });
     if let Some(at_s) = strip(ui, playback, &mut view.strip_s) {
         sought = Some(at_s);
@@ -66,12 +70,30 @@ pub(super) fn show(
     }
 }
 
+/// Draws the choice of the playback's speed.
+fn speed(ui: &mut Ui, playback: &mut Playback) {
+    let hint = "Speed of the playback; 1 is as fast as it happened";
+    let named = |speed: f64| format!("{speed} ×");
+    let mut chosen = playback.speed();
+    ComboBox::from_id_salt("speed")
+        .width(64.0)
+        .selected_text(named(chosen))
+        .show_ui(ui, |ui| {
+            for speed in SPEEDS {
+                ui.selectable_value(&mut chosen, speed, named(speed));
+            }
+        })
+        .response
+        .on_hover_text(hint);
+    playback.set_speed(chosen);
+}
+
 /// Draws the log at a glance, the largest force of each stretch and a mark for all that happened; gives the instant that was
 /// clicked.
 fn strip(ui: &mut Ui, playback: &Playback, shown_s: &mut Option<Range<f64>>) -> Option<f64> {
     let (rect, response) = ui.allocate_exact_size(vec2(ui.available_width(), STRIP), Sense::click_and_drag());
     let (first, last) = playback.range_s();
-    let whole = first..last.max(first + 1e-3);
+    let whole = time_window::whole(first, last);
     let shown = shown_s.clone().filter(|s| s.start < whole.end).unwrap_or_else(|| whole.clone());
     let strip = Strip { rect, shown, overview: playback.overview() };
     strip.draw(ui, playback.at_s());
@@ -87,10 +109,10 @@ fn strip(ui: &mut Ui, playback: &Playback, shown_s: &mut Option<Range<f64>>) -> 
     }
     let moved = response.dragged() || response.clicked();
     let at = response.interact_pointer_pos().filter(|_| moved)?;
-    Some(strip.time_s(at.x).clamp(first, last))
+    Some(strip.time_s(at.x).limited(first, last))
 }
 
-/// What a strip shows, and where.
+/// Range and place of a strip.
 struct Strip<'a> {
     rect: Rect,
     shown: Range<f64>,
@@ -147,24 +169,16 @@ impl Strip<'_> {
         painter.vline(self.x(at_s), self.rect.y_range(), Stroke::new(2.0, theme::strong(visuals)));
     }
 
-    /// What it shows after what the mouse did: the wheel zooms about it, a double click shows all.
+    /// Returns its range after the mouse's gesture: the wheel zooms about the mouse, a double click shows all.
     fn zoomed(&self, ui: &Ui, response: &Response, whole: &Range<f64>) -> Option<Range<f64>> {
-        let length_s = self.shown.end - self.shown.start;
-        let all_s = whole.end - whole.start;
         if response.double_clicked() {
             return None;
         }
-        let mut shown = self.shown.clone();
-        if let Some(at) = response.hover_pos() {
+        let (about_s, factor) = response.hover_pos().map_or((self.shown.start, 1.0), |at| {
             let (scroll, pinch) = ui.input(|i| (i.smooth_scroll_delta.y, i.zoom_delta()));
-            let factor = (-f64::from(scroll) * WHEEL).exp() / f64::from(pinch);
-            let wanted_s = (length_s * factor).clamp(SHORTEST_S.min(all_s), all_s);
-            let about_s = self.time_s(at.x);
-            let start = about_s - (about_s - shown.start) * wanted_s / length_s;
-            let start = start.clamp(whole.start, whole.end - wanted_s);
-            shown = start..start + wanted_s;
-        }
-        (shown.end - shown.start < 0.999 * all_s).then_some(shown)
+            (self.time_s(at.x), (-f64::from(scroll) * WHEEL).exp() / f64::from(pinch))
+        });
+        time_window::zoomed(&self.shown, whole, about_s, factor)
     }
 
     /// The instant at the mouse, and what happened there.

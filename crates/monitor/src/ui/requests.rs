@@ -1,4 +1,4 @@
-//! What was pressed in a frame.
+//! Presses of a frame.
 
 use crate::logic::answers::Answer;
 use moca_msgs::Request;
@@ -26,6 +26,6 @@ pub(super) struct PageRequests {
     pub(super) export: bool,
     /// Save the parameters that differ from their defaults.
     pub(super) save_parameters: bool,
-    /// What is to be said.
+    /// Answers to show.
     pub(super) answers: Vec<Answer>,
 }

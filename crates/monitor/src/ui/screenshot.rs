@@ -16,7 +16,7 @@ pub struct Screenshot {
     frame_times: Option<FrameTimes>,
 }
 
-/// What frames cost the processor, ms: this thread's share, and that of all threads (a software rasteriser has some).
+/// Processor time of frames, ms: this thread's share, and that of all threads (a software rasteriser has some).
 #[derive(Default)]
 struct FrameTimes {
     thread_ms: Vec<f64>,
@@ -59,7 +59,7 @@ impl Screenshot {
         Self { frame_times: Some(FrameTimes::default()), ..self }
     }
 
-    /// Where it says why it failed, if it did.
+    /// Returns the place of its error, if it failed.
     pub fn failure(&self) -> Arc<Mutex<Option<String>>> {
         Arc::clone(&self.failure)
     }

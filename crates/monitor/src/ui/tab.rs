@@ -1,6 +1,6 @@
 //! One robot or log, and how it is looked at.
 
-use super::view::View;
+use super::{guard::Guard, top::TabName, view::View};
 use crate::logic::{
     answers::Answer,
     model::{Freshness, Model},
@@ -17,10 +17,12 @@ use std::path::Path;
 /// One robot or log.
 pub(super) struct Tab {
     pub(super) source: Source,
-    /// Where the daemon listens, or the file.
+    /// Address of the daemon, or the file.
     pub(super) address: String,
     pub(super) model: Model,
     pub(super) view: View,
+    /// Parts that could not be drawn.
+    pub(super) guard: Guard,
     pub(super) recording: Option<Recording>,
     answers: Vec<Answer>,
 }
@@ -29,22 +31,33 @@ impl Tab {
     pub(super) fn new(source: Source, address: String) -> Self {
         let mut model = Model::default();
         model.recorded = matches!(source, Source::Log(_));
-        Self { source, address, model, view: View::default(), recording: None, answers: Vec::new() }
+        Self {
+            source,
+            address,
+            model,
+            view: View::default(),
+            guard: Guard::default(),
+            recording: None,
+            answers: Vec::new(),
+        }
     }
 
-    /// What is written on its button: its name and, of a robot, its mode.
-    pub(super) fn name(&self, now_s: f64) -> String {
+    /// Returns the label of its button: its name and, of a robot, its mode.
+    pub(super) fn name(&self, now_s: f64) -> TabName {
         let name = &self.model.robot.name;
         let what = if name.is_empty() { &self.address } else { name };
+        let mode = self.model.live_mode(now_s);
         if self.model.recorded {
-            return format!("log of {what}");
+            let name = format!("log of {what}");
+            return TabName { longest: name.clone(), name, mode };
         }
         let state = match self.model.freshness(now_s) {
             Freshness::Live => self.model.live_mode(now_s).map_or("no samples", Mode::name),
             Freshness::Silent => "no samples",
             Freshness::Down(_) => "no daemon",
         };
-        format!("{what}: {state}")
+        let longest = format!("{what}: {}", Mode::ProtectiveStop.name());
+        TabName { name: format!("{what}: {state}"), longest, mode }
     }
 
     /// Takes in what is new.
@@ -77,7 +90,7 @@ impl Tab {
         }
     }
 
-    /// What there is to say since the last call.
+    /// Returns the answers since the last call.
     pub(super) fn take_answers(&mut self) -> Vec<Answer> {
         let mut answers = std::mem::take(&mut self.answers);
         answers.append(&mut self.model.take_answers());

@@ -1,5 +1,6 @@
 //! Colours that mean something, for light and dark.
 
+use crate::logic::limited::Limited;
 use egui::{Color32, Visuals};
 use moca_msgs::Mode;
 
@@ -29,13 +30,17 @@ pub(super) const GOOD: Color32 = Color32::from_rgb(0, 140, 95);
 pub(super) const WARNING: Color32 = Color32::from_rgb(214, 130, 0);
 /// It has stopped, or will.
 pub(super) const BAD: Color32 = Color32::from_rgb(205, 45, 40);
-/// The arrow of the base's wrench.
+/// The arrow of the base's force.
 pub(super) const WRENCH: Color32 = Color32::from_rgb(213, 94, 0);
+/// The arc of the base's moment.
+pub(super) const MOMENT: Color32 = Color32::from_rgb(160, 140, 0);
 
 /// The arrow of the force on the flange.
 pub(super) const FLANGE_WRENCH: Color32 = Color32::from_rgb(150, 90, 200);
+/// The double arrow of the moment on the flange.
+pub(super) const FLANGE_MOMENT: Color32 = Color32::from_rgb(86, 180, 233);
 
-/// What is held at its limit may be this much over it, as a share.
+/// Share by which a value held at its limit may exceed it.
 pub(super) const OVER: f64 = 1.05;
 
 /// Colour of a share of a limit; one that is not known is as bad as one that is passed.
@@ -62,7 +67,7 @@ pub(super) fn mode(mode: Option<Mode>) -> Color32 {
 /// Colour of a force from 0 to `max_n`: from the background's grey over yellow to red.
 pub(super) fn force(force_n: f64, max_n: f64, visuals: &Visuals) -> Color32 {
     #[expect(clippy::cast_possible_truncation, reason = "a fraction")]
-    let part = (force_n / max_n).clamp(0.0, 1.0).sqrt() as f32;
+    let part = (force_n / max_n).limited(0.0, 1.0).sqrt() as f32;
     let none = if visuals.dark_mode { Color32::from_gray(70) } else { Color32::from_gray(200) };
     let (from, to, part) = if part < 0.5 {
         (none, Color32::from_rgb(235, 180, 20), part * 2.0)

@@ -3,29 +3,59 @@
 use super::{requests::PageRequests, theme};
 use crate::logic::{
     format::{board_text, taxel_name},
+    limited::Limited,
     model::{Freshness, Model},
     parts::{board_name, has_arm, has_robot, text_parameter},
     requests::{explanation, label},
 };
-use egui::{Align, Button, Color32, Frame, Label, Layout, Margin, RichText, Theme, Ui, vec2};
+use egui::{
+    Align, Button, Color32, Context, FontId, Galley, Label, Layout, Rect, RichText, Sense, Theme, Ui,
+    UiBuilder, pos2, text::LayoutJob, vec2,
+};
 use moca_msgs::{Law, Mode, Request, Sample, TaxelStatus, board::Diagnosis};
 use moca_telemetry::net::Commander;
+use std::sync::Arc;
 
 /// Narrowest and widest banner, and what the buttons and STOP beside it take, points.
 const BANNER: (f32, f32) = (190.0, 310.0);
 const BUTTONS: f32 = 540.0;
 const STOP: f32 = 186.0;
-/// Text that is longer is written smaller, bytes.
-const LONG: usize = 160;
+const BANNER_HEIGHT: f32 = 50.0;
+/// Height of a line of the banner as a share of its letters.
+const LINE: f32 = 1.2;
+/// Rows of the reason at most.
+const REASON_ROWS: usize = 3;
+/// Height of the reason's place, which is the same for every text, and the sizes of its letters, points.
+const REASON: f32 = 44.0;
+const REASON_SIZES: [f32; 4] = [18.0, 15.0, 13.0, 11.5];
+/// Size of a tab's letters, points.
+const TAB: f32 = 15.0;
+/// Steps of the size of everything, and its range.
+const ZOOM_STEP: f32 = 0.1;
+const ZOOM: (f32, f32) = (0.7, 2.5);
+
+/// A robot or log as its button shows it.
+pub(super) struct TabName {
+    /// Text on the button.
+    pub(super) name: String,
+    /// The longest that is ever written on it: the buttons beside it stay where they are.
+    pub(super) longest: String,
+    /// Its mode, which colours its dot.
+    pub(super) mode: Option<Mode>,
+}
 
 /// Draws a button for each robot and log; the chosen one comes to the front.
-pub(super) fn tabs(ui: &mut Ui, names: impl Iterator<Item = (String, Option<Mode>)>, shown: &mut usize) {
+pub(super) fn tabs(ui: &mut Ui, names: impl Iterator<Item = TabName>, shown: &mut usize) {
     ui.add_space(4.0);
     ui.horizontal_wrapped(|ui| {
-        for (index, (name, mode)) in names.enumerate() {
+        for (index, TabName { name, longest, mode }) in names.enumerate() {
             let (dot, _) = ui.allocate_exact_size(vec2(12.0, 12.0), egui::Sense::hover());
             ui.painter().circle_filled(dot.center(), 6.0, theme::mode(mode));
-            if ui.selectable_label(*shown == index, RichText::new(name).size(15.0)).clicked() {
+            let colour = ui.visuals().text_color();
+            let widest = ui.painter().layout_no_wrap(longest, FontId::proportional(TAB), colour).size().x;
+            let width = widest + 2.0 * ui.spacing().button_padding.x;
+            let button = Button::selectable(*shown == index, RichText::new(name).size(TAB));
+            if ui.add(button.min_size(vec2(width, 0.0))).clicked() {
                 *shown = index;
             }
         }
@@ -43,7 +73,8 @@ pub(super) fn show(
 ) {
     ui.add_space(4.0);
     let narrow = ui.available_width() < BUTTONS + STOP + BANNER.0;
-    let banner = (ui.available_width() - STOP - if narrow { 0.0 } else { BUTTONS }).clamp(BANNER.0, BANNER.1);
+    let banner =
+        (ui.available_width() - STOP - if narrow { 0.0 } else { BUTTONS }).limited(BANNER.0, BANNER.1);
     ui.horizontal(|ui| {
         mode(ui, model, now_s, banner);
         if !narrow {
@@ -54,23 +85,57 @@ pub(super) fn show(
     if narrow {
         ui.horizontal_wrapped(|ui| buttons(ui, model, now_s, pressed));
     }
-    let line = vec2(ui.available_width(), 24.0);
-    ui.allocate_ui_with_layout(line, Layout::right_to_left(Align::TOP), |ui| {
-        for theme in [Theme::Dark, Theme::Light] {
-            let chosen = ui.theme() == theme;
-            if ui.selectable_label(chosen, if theme == Theme::Dark { "Dark" } else { "Light" }).clicked() {
-                ui.set_theme(theme);
-            }
+    let (line, _) = ui.allocate_exact_size(vec2(ui.available_width(), REASON), Sense::hover());
+    let layout = Layout::right_to_left(Align::TOP);
+    let ui = &mut ui.new_child(UiBuilder::new().max_rect(line).layout(layout));
+    looks(ui);
+    let (colour, text) = reason(model, address, now_s);
+    let colour = colour.unwrap_or_else(|| ui.visuals().text_color());
+    let rest = Rect::from_min_max(line.min, pos2(ui.cursor().right(), line.bottom()));
+    let layout = Layout::top_down(Align::Min);
+    in_place(&mut ui.new_child(UiBuilder::new().max_rect(rest).layout(layout)), &text, colour);
+}
+
+/// Light or dark, and how large everything is.
+fn looks(ui: &mut Ui) {
+    for theme in [Theme::Dark, Theme::Light] {
+        let chosen = ui.theme() == theme;
+        if ui.selectable_label(chosen, if theme == Theme::Dark { "Dark" } else { "Light" }).clicked() {
+            ui.set_theme(theme);
         }
-        ui.with_layout(Layout::top_down(Align::Min), |ui| {
-            let (colour, text) = reason(model, address, now_s);
-            let colour = colour.unwrap_or_else(|| ui.visuals().text_color());
-            // A list of causes is longer than the name of a robot.
-            let size = if text.len() > LONG { 14.0 } else { 18.0 };
-            ui.add(Label::new(RichText::new(text).size(size).color(colour)).wrap());
-        });
-    });
-    ui.add_space(2.0);
+    }
+    for (label, step) in [("A+", ZOOM_STEP), ("A−", -ZOOM_STEP)] {
+        let hint =
+            format!("Size of everything: {:.0} %. Ctrl + and Ctrl − do it too.", 100.0 * ui.zoom_factor());
+        if ui.button(label).on_hover_text(hint).clicked() {
+            set_zoom(ui, ui.zoom_factor() + step);
+        }
+    }
+}
+
+/// Sets the size of everything, 1 is the desktop's.
+pub(super) fn set_zoom(ctx: &Context, zoom: f32) {
+    ctx.set_zoom_factor(zoom.limited(ZOOM.0, ZOOM.1));
+}
+
+/// Writes a text of any length into a place of fixed size, smaller if need be; the rest of a longer one is in its hint.
+fn in_place(ui: &mut Ui, text: &str, colour: Color32) {
+    let room = ui.available_size();
+    let laid_out = |size: f32| {
+        let mut job = LayoutJob::simple(text.to_owned(), FontId::proportional(size), colour, room.x);
+        // A smallest line is 1.25 of its letters high.
+        job.wrap.max_rows = REASON_ROWS;
+        ui.painter().layout_job(job)
+    };
+    let fits = |galley: &Arc<Galley>| !galley.elided && galley.size().y <= room.y;
+    let mut galleys = REASON_SIZES.into_iter().map(laid_out);
+    let galley = galleys.find(fits);
+    let whole = galley.is_some();
+    let galley = galley.unwrap_or_else(|| laid_out(REASON_SIZES[REASON_SIZES.len() - 1]));
+    let label = ui.add(Label::new(galley).selectable(false));
+    if !whole {
+        label.on_hover_text(text);
+    }
 }
 
 /// A button for each request that makes sense for the parts that the robot has.
@@ -81,7 +146,9 @@ fn buttons(ui: &mut Ui, model: &Model, now_s: f64, pressed: &mut PageRequests) {
             .min_size(vec2(66.0, 46.0));
         let response = ui.add_enabled(model.allows(request, now_s), widget);
         let hint = explanation(request);
-        if response.on_hover_text(hint).on_disabled_hover_text(hint).clicked() {
+        let why_not = model.mode(now_s).and_then(|mode| request.remedy_in(mode));
+        let why_not = why_not.map_or_else(|| hint.to_owned(), |remedy| format!("{hint}\nNot now: {remedy}."));
+        if response.on_hover_text(hint).on_disabled_hover_text(why_not).clicked() {
             pressed.requests.push(request);
         }
     };
@@ -107,18 +174,19 @@ fn mode(ui: &mut Ui, model: &Model, now_s: f64, width: f32) {
         Freshness::Silent => "no samples",
         Freshness::Down(_) => "no daemon",
     };
-    Frame::new().fill(theme::mode(mode)).corner_radius(4).inner_margin(Margin::symmetric(12, 2)).show(
-        ui,
-        |ui| {
-            ui.allocate_ui_with_layout(
-                vec2(width - 24.0, 46.0),
-                Layout::centered_and_justified(egui::Direction::LeftToRight),
-                |ui| {
-                    ui.label(RichText::new(name).size(38.0 * width / BANNER.1).strong().color(Color32::WHITE))
-                },
-            );
-        },
-    );
+    let (rect, _) = ui.allocate_exact_size(vec2(width, BANNER_HEIGHT), Sense::hover());
+    ui.painter().rect_filled(rect, 4.0, theme::mode(mode));
+    let armed = mode.is_some_and(Mode::moves) && !model.recorded;
+    let lines: &[(&str, f32)] = if armed { &[("ARMED", 24.0), (name, 16.0)] } else { &[(name, 38.0)] };
+    let scale = width / BANNER.1;
+    let height: f32 = lines.iter().map(|(_, size)| LINE * size * scale).sum();
+    let mut top = rect.center().y - height / 2.0;
+    for (text, size) in lines {
+        let line = Rect::from_min_size(pos2(rect.left(), top), vec2(rect.width(), LINE * size * scale));
+        let text = RichText::new(*text).size(size * scale).strong().color(Color32::WHITE);
+        ui.put(line, Label::new(text).selectable(false).truncate());
+        top = line.bottom();
+    }
 }
 
 /// Stops every robot that is connected, whatever is in front.
@@ -130,7 +198,7 @@ fn stop(ui: &mut Ui, enabled: bool, pressed: &mut PageRequests) {
     }
 }
 
-/// What is wrong and what to do, or which robot this is.
+/// Returns the fault with its remedy, or the name of the robot.
 fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String) {
     match model.freshness(now_s) {
         Freshness::Down(reason) => {

@@ -1,4 +1,4 @@
-//! What the user has chosen to look at.
+//! Choices of the user about the view.
 
 use crate::logic::{
     camera::OrbitCamera,
@@ -10,26 +10,28 @@ use moca_msgs::TwistAxes;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ops::Range;
 
-/// How one robot is looked at.
+/// View of one robot.
 pub(super) struct View {
     /// The plots' axis of time.
     pub(super) axis: TimeAxis,
-    /// What the strip under a log shows of it, s of loop time; `None` is all.
+    /// Range of a log's strip, s of loop time; `None` is all.
     pub(super) strip_s: Option<Range<f64>>,
-    /// Where the mouse points on the axis of time, s of loop time.
+    /// Place of the mouse on the axis of time, s of loop time.
     pub(super) cursor_s: Option<f64>,
-    /// What the plots showed when they were paused: it stays, however long that is.
+    /// Contents of the plots when they were paused: they stay, however long that is.
     paused: Option<Box<Paused>>,
     /// Force of a push with the mouse, N.
     pub(super) push_n: f64,
     /// Speed of the jog pad, m/s, and in whose axes.
     pub(super) jog: (f64, TwistAxes),
-    /// What is chosen on the page of the calibration.
+    /// Choices on the page of the calibration.
     pub(super) calibration: CalibrationChoice,
     /// Parameters that were edited and not applied yet, by number.
     pub(super) drafts: BTreeMap<usize, Vec<f64>>,
     /// From where the robot is seen on the page 3-D.
     pub(super) camera: OrbitCamera,
+    /// The plate that the mouse holds pressed there, 0 is T1.
+    pub(super) held_plate: Option<u8>,
 }
 
 struct Paused {
@@ -49,6 +51,7 @@ impl Default for View {
             calibration: CalibrationChoice::default(),
             drafts: BTreeMap::new(),
             camera: OrbitCamera::default(),
+            held_plate: None,
         }
     }
 }
@@ -75,7 +78,7 @@ impl View {
     }
 }
 
-/// What is chosen on the page of the calibration.
+/// Choices on the page of the calibration.
 pub(super) struct CalibrationChoice {
     /// 0 is T1.
     pub(super) taxel: u8,
@@ -83,13 +86,13 @@ pub(super) struct CalibrationChoice {
     pub(super) presses: u8,
     /// Place of the model in the fit.
     pub(super) model: usize,
-    /// Of which taxel's fit the best model has been chosen.
+    /// Taxel for whose fit the best model has been chosen.
     pub(super) model_chosen_for: Option<u8>,
-    /// Whether the simulated hand presses.
+    /// True while the simulated hand presses.
     pub(super) simulated_press: bool,
     /// Since when, s.
     pub(super) pressing_since_s: Option<f64>,
-    /// Whether the next taxel follows by itself.
+    /// True if the next taxel follows by itself.
     pub(super) all: bool,
     /// Taxels that are in the file.
     pub(super) done: BTreeSet<u8>,

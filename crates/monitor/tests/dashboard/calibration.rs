@@ -58,7 +58,7 @@ fn calibration_goes_step_by_step_and_asks_the_daemon() {
 }
 
 #[test]
-fn beside_a_real_board_the_gauge_is_named_and_nobody_pushes_by_mouse() {
+fn real_board_shows_gauge_and_disables_mouse_press() {
     let mut bench = Bench::new();
     bench.daemon.borrow_mut().simulated = false;
     bench.frames(Mode::Ready, None);
@@ -84,7 +84,7 @@ fn beside_a_real_board_the_gauge_is_named_and_nobody_pushes_by_mouse() {
 }
 
 #[test]
-fn every_taxel_is_calibrated_one_after_the_other_and_what_is_done_is_seen() {
+fn taxels_are_calibrated_in_turn_with_progress() {
     let mut bench = Bench::in_mode(Mode::Ready);
     bench.click("Calibrate");
     bench.click("Calibrate all");

@@ -1,4 +1,4 @@
-//! What is asked of the daemon, by which control, and when.
+//! Requests to the daemon: by which control, and when.
 
 use crate::bench::{Bench, Daemon, Fake, moving_log, sample};
 use crate::logs::Memory;
@@ -64,7 +64,7 @@ fn the_space_bar_stops_from_everywhere_and_does_nothing_else() {
 }
 
 #[test]
-fn the_space_bar_stops_while_plots_are_paused_on_every_page_and_while_typing() {
+fn space_bar_stops_on_every_page_and_while_typing() {
     for page in ["Plots", "Loop", "Parameters", "Cover", "Calibrate"] {
         let mut bench = Bench::in_mode(Mode::Impedance);
         bench.click("Pause plots");
@@ -80,7 +80,7 @@ fn the_space_bar_stops_while_plots_are_paused_on_every_page_and_while_typing() {
 }
 
 #[test]
-fn stop_works_while_a_log_is_in_front_and_the_robot_behind_it_stays_in_sight() {
+fn stop_works_while_a_log_is_shown() {
     let mut bench = Bench::in_mode(Mode::FollowMe);
     bench.harness.state_mut().add(moving_log(), "run.mcap".into());
     bench.frames(Mode::FollowMe, None);
@@ -151,7 +151,8 @@ fn several_robots_have_names_and_stop_stops_them_all() {
     bench.harness.query_all_by_label_contains("test robot: ").next().unwrap().click();
     bench.frames(Mode::Impedance, None);
     assert!(bench.harness.query_by_label("impedance").is_some(), "the first robot is in front");
-    bench.harness.state_mut().restore(&memory);
+    let ctx = bench.harness.ctx.clone();
+    bench.harness.state_mut().restore(&ctx, &memory);
     (3..6).for_each(|tick| step(&mut bench, tick));
     assert!(bench.harness.query_by_label("ready").is_some(), "the second robot is in front again");
     bench.harness.get_by_label("Arm").click();
@@ -220,7 +221,7 @@ fn a_real_robot_cannot_be_pushed_with_the_mouse() {
 }
 
 #[test]
-fn each_taxel_is_masked_and_taken_back_by_its_button_unless_the_robot_moves() {
+fn mask_button_toggles_unless_robot_moves() {
     let mut bench = Bench::in_mode(Mode::Ready);
     bench.click("Cover");
     for taxel in 0..11 {
@@ -267,4 +268,31 @@ fn the_jog_pad_leads_while_it_is_held_and_ends_when_let_go() {
     bench.pointer(place, true);
     bench.frames(Mode::Ready, None);
     assert_eq!(jogs(&bench.asked()), 0);
+}
+
+#[test]
+fn plate_in_3d_is_pressed_until_the_mouse_lets_go() {
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    bench.click("3-D");
+    bench.asked();
+    let picture = bench.harness.get_by_label("The robot in 3-D").rect();
+    let mut plates = std::collections::BTreeSet::new();
+    for i in 0..196_u8 {
+        let part = egui::vec2(f32::from(i % 14) + 0.5, f32::from(i / 14) + 0.5) / 14.0;
+        let place = picture.min + part * picture.size();
+        bench.pointer(place, true);
+        bench.frames(Mode::Impedance, None);
+        let pressed = bench.asked();
+        bench.pointer(place, false);
+        bench.frames(Mode::Impedance, None);
+        let released = bench.asked();
+        let Some(&Request::PressTaxel { taxel, force_n }) = pressed.first() else {
+            assert!(pressed.is_empty() && released.is_empty(), "{pressed:?}");
+            continue;
+        };
+        assert!(force_n > 0.0);
+        assert_eq!(released, [Request::PressTaxel { taxel, force_n: 0.0 }]);
+        plates.insert(taxel);
+    }
+    assert!(plates.len() >= 3, "seen from a corner: {plates:?}");
 }

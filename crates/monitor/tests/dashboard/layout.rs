@@ -1,10 +1,10 @@
 //! Nothing is clipped where the window is small.
 
 use crate::bench::{Bench, parameter, sample};
-use egui::{Rect, Vec2};
+use egui::{Rect, Role, Vec2};
 use egui_kittest::kittest::{NodeT, Queryable};
-use moca_msgs::Mode;
-use moca_telemetry::ParameterForm;
+use moca_msgs::{Fault, Mode, TaxelStatus};
+use moca_telemetry::{ParameterForm, net::Commander};
 
 /// A usual small window, halves of two usual screens, and a usual one.
 const SIZES: [[f32; 2]; 4] = [[1160.0, 640.0], [960.0, 1040.0], [683.0, 700.0], [1280.0, 800.0]];
@@ -43,7 +43,7 @@ fn nothing_reaches_out_of_a_small_window_on_any_page() {
 }
 
 #[test]
-fn every_button_of_the_top_row_is_free_and_the_numbers_are_in_sight() {
+fn top_row_buttons_and_numbers_are_unobscured() {
     for size in SIZES.map(Vec2::from) {
         let mut bench = Bench::new();
         bench.harness.set_size(size);
@@ -132,5 +132,110 @@ fn no_text_of_a_picture_or_a_table_is_written_over_another() {
             texts(&bench).into_iter().filter(|(text, _)| text.parse::<f64>().is_ok()).collect();
         assert!(late.iter().filter(|(text, _)| text == "19493").count() >= 1, "{late:?}");
         assert!(overlapping(&late).is_empty(), "{size}: {:?}", overlapping(&late));
+    }
+}
+
+/// Every button, check box and tab of the window, in order, with its name.
+fn buttons(bench: &Bench) -> Vec<(String, Rect)> {
+    let roles = [Role::Button, Role::CheckBox, Role::RadioButton, Role::Slider];
+    let nodes = bench.harness.query_all_by(|node| roles.contains(&node.role()) && node.label().is_some());
+    nodes.map(|node| (node.accesskit_node().label().unwrap_or_default(), node.rect())).collect()
+}
+
+#[test]
+fn words_of_health_are_not_written_over_each_other() {
+    for size in [SIZES[0], SIZES[2]].map(Vec2::from) {
+        for status in [TaxelStatus::Stale, TaxelStatus::NoZero] {
+            let mut bench = Bench::new();
+            bench.harness.set_size(size);
+            bench.frames(Mode::Ready, None);
+            for _ in 0..3 {
+                let mut next = sample(bench.tick, Mode::Ready, None);
+                next.taxels.iter_mut().for_each(|taxel| taxel.status = status);
+                bench.tick += 1;
+                bench.daemon.borrow_mut().samples.push_back(next);
+                bench.harness.step();
+            }
+            let of_taxels = |(text, rect): &(String, Rect)| {
+                rect.right() < 560.0
+                    && (text.contains(status.name()) || text.starts_with('T') && text.len() <= 3)
+            };
+            let shown: Vec<_> = texts(&bench).into_iter().filter(of_taxels).collect();
+            assert!(shown.len() >= 11, "{shown:?}");
+            assert!(overlapping(&shown).is_empty(), "{size}, {status:?}: {:?}", overlapping(&shown));
+        }
+    }
+}
+
+/// Regression test: a reason of two lines moved every button by 17 points, and a click on one hit another.
+#[test]
+fn no_button_moves_when_a_text_changes() {
+    let faults = [
+        Fault::HostStarved,
+        Fault::BoardChip,
+        Fault::ArmRefused,
+        Fault::StateInvalid,
+        Fault::TaxelInvalid { taxel: 9, status: TaxelStatus::Masked },
+    ];
+    for size in SIZES.map(Vec2::from) {
+        let mut bench = Bench::new();
+        bench.harness.set_size(size);
+        bench.frames(Mode::Ready, None);
+        bench.frames(Mode::Ready, None);
+        let before = buttons(&bench);
+        assert!(before.len() > 20, "{before:?}");
+        let compare = |bench: &Bench, what: &str| {
+            let now = buttons(bench);
+            for ((name, rect), (other, moved)) in before.iter().zip(&now) {
+                // What is written on one may change, where it is may not.
+                let off = (rect.min - moved.min).abs().max_elem();
+                assert!(off < 0.5, "{name} is {other} at {size}, {what}: {rect:?} is {moved:?}");
+            }
+            assert_eq!(before.len(), now.len(), "at {size}, {what}");
+        };
+        for fault in faults {
+            bench.frames(Mode::ProtectiveStop, Some(fault));
+            compare(&bench, fault.code());
+        }
+        bench.frames(Mode::FollowMe, None);
+        compare(&bench, "armed");
+        bench.daemon.borrow_mut().commander = Commander::Another;
+        bench.frames(Mode::Impedance, None);
+        compare(&bench, "another commander");
+        bench.harness.run_steps(4);
+        compare(&bench, "silent");
+        bench.daemon.borrow_mut().down =
+            Some("the daemon closed the connection, and a long reason follows ".repeat(3));
+        bench.harness.step();
+        compare(&bench, "down");
+    }
+}
+
+#[test]
+fn text_without_room_is_cut_off_and_whole_in_its_label() {
+    let mut bench = Bench::new();
+    bench.harness.set_size(Vec2::new(683.0, 700.0));
+    bench.daemon.borrow_mut().down = Some("word ".repeat(200));
+    bench.harness.step();
+    assert!(bench.shows("trying again"), "the end of the text is there for a screen reader");
+    let reason = bench.harness.get_by_label_contains("trying again").rect();
+    assert!(reason.height() <= 46.0, "{reason:?}");
+}
+
+#[test]
+fn everything_larger_still_fits_into_the_window() {
+    // A window of 1160 by 640 points with everything 1.3 times as large.
+    let size = Vec2::new(1160.0, 640.0) / 1.3;
+    let mut bench = Bench::new();
+    bench.harness.set_size(size);
+    bench.frames(Mode::Impedance, None);
+    bench.frames(Mode::Impedance, None);
+    let outside = outside(&bench, size);
+    assert!(outside.is_empty(), "{outside:#?}");
+    let ctx = bench.harness.ctx.clone();
+    for (wanted, zoom) in [(1.3, 1.3), (f32::NAN, 0.7), (100.0, 2.5)] {
+        bench.harness.state_mut().zoom(&ctx, wanted);
+        bench.frames(Mode::Impedance, None);
+        assert!((ctx.zoom_factor() - zoom).abs() < 1e-6, "{wanted}");
     }
 }

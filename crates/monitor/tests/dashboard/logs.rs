@@ -50,7 +50,7 @@ fn a_recorded_run_can_be_held_scrubbed_and_never_commanded() {
     }
 }
 
-/// What a window leaves behind, as eframe writes it to a file.
+/// State that a window leaves behind, as eframe writes it to a file.
 #[derive(Default)]
 pub(crate) struct Memory(pub(crate) BTreeMap<String, String>);
 
@@ -81,7 +81,8 @@ fn the_next_window_looks_at_what_the_last_one_did() {
 
     let mut next = Bench::in_mode(Mode::Ready);
     assert!(!next.shows("Histogram Loop lateness"));
-    next.harness.state_mut().restore(&memory);
+    let ctx = next.harness.ctx.clone();
+    next.harness.state_mut().restore(&ctx, &memory);
     next.frames(Mode::Ready, None);
     assert!(next.shows("Histogram Loop lateness"));
     let mut again = Memory::default();
@@ -96,12 +97,67 @@ fn the_next_window_looks_at_what_the_last_one_did() {
         memory.0.insert(key.into(), value.into());
     }
     let mut next = Bench::in_mode(Mode::Ready);
-    next.harness.state_mut().restore(&memory);
+    let ctx = next.harness.ctx.clone();
+    next.harness.state_mut().restore(&ctx, &memory);
     next.frames(Mode::Ready, None);
     assert!(next.harness.query_by_label("Plot Base force in N").is_some(), "the first page");
     eframe::App::save(next.harness.state_mut(), &mut again);
     assert_eq!((again.0["span_s"].as_str(), again.0["push_n"].as_str()), ("10", "200"));
     assert_eq!(App::last_connected(&memory), ["1.2.3.4:5".parse().unwrap()]);
+}
+
+/// Regression test: the strip under a log whose length rounds took the window, and STOP, down with it.
+#[test]
+fn any_log_under_the_mouse_leaves_the_window_alive() {
+    let mut seed = 1_u64;
+    let mut random = |most: u64| {
+        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (seed >> 11) % most
+    };
+    for _ in 0..6 {
+        let (first_ns, step_ns) = (random(1 << 60), 1 + random(1 << 30));
+        let samples = (0..8).map(|tick| {
+            let mut sample = sample(tick, Mode::Impedance, None);
+            sample.time_ns = first_ns + tick * step_ns;
+            sample.taxels[5].force_n = if tick == 3 { 1e300 } else { 0.0 };
+            sample
+        });
+        let log = Playback::of(RobotDescription::paper("logged robot", true), samples.collect());
+        let app = App::new(&egui::Context::default(), log, String::new(), None);
+        let mut harness = Harness::builder().with_size([1160.0, 640.0]).build_ui_state(
+            |ui, app: &mut App| {
+                app.update(&ui.ctx().clone());
+                app.show(ui);
+            },
+            app,
+        );
+        harness.run_steps(2);
+        let strip = harness.get_by_label("Time of the log").rect();
+        for part in [0.0, 0.6] {
+            harness.hover_at(strip.left_center() + egui::vec2(part * strip.width(), 0.0));
+            for delta in [400.0, -4000.0] {
+                harness.event(egui::Event::MouseWheel {
+                    unit: egui::MouseWheelUnit::Point,
+                    delta: egui::vec2(0.0, delta),
+                    phase: egui::TouchPhase::Move,
+                    source: egui::MouseWheelSource::Unknown,
+                    modifiers: egui::Modifiers::NONE,
+                });
+                harness.run_steps(2);
+            }
+        }
+        assert!(harness.query_by_label_contains("cannot be drawn").is_none(), "{first_ns} {step_ns}");
+    }
+}
+
+#[test]
+fn escape_closes_the_window_that_chooses_a_log() {
+    let mut bench = Bench::in_mode(Mode::Ready);
+    bench.click("Open log");
+    assert!(bench.shows("An MCAP file of"));
+    bench.harness.key_press(egui::Key::Escape);
+    bench.frames(Mode::Ready, None);
+    assert!(!bench.shows("An MCAP file of"));
 }
 
 #[test]
@@ -147,7 +203,8 @@ fn logs_are_found_in_folders_and_the_last_ones_are_remembered() {
     let mut memory = Memory::default();
     eframe::App::save(bench.harness.state_mut(), &mut memory);
     let mut next = Bench::in_mode(Mode::Ready);
-    next.harness.state_mut().restore(&memory);
+    let ctx = next.harness.ctx.clone();
+    next.harness.state_mut().restore(&ctx, &memory);
     next.click("Open log");
     next.click("bump.mcap (again)");
     assert!(next.shows("log of"));
@@ -178,7 +235,7 @@ fn the_strip_under_a_log_goes_where_it_is_clicked() {
 
 /// Eight hours in a file, a touch in the sixth: the strip shows the whole, and plots its ten milliseconds.
 #[test]
-fn eight_hours_are_seen_at_once_and_looked_into_down_to_ten_milliseconds() {
+fn eight_hour_log_zooms_down_to_ten_ms() {
     const TOUCH_S: u64 = 5 * 3600 + 1234;
     let path = std::env::temp_dir().join(format!("moca-eight-hours-{}.mcap", std::process::id()));
     let meta = Meta { description: RobotDescription::paper("logged robot", true), start_unix_ns: 0 };

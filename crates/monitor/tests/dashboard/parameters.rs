@@ -52,7 +52,7 @@ fn a_live_parameter_is_edited_checked_and_applied() {
 }
 
 #[test]
-fn what_was_typed_is_never_made_another_number_but_shown_red_with_its_range() {
+fn invalid_typed_value_is_kept_red_with_range() {
     let mut bench = Bench::new();
     let damping = parameter("control.gains.damping_ratio", ParameterForm::Number, &[0.9], true);
     bench.daemon.borrow_mut().parameters = vec![ParameterDescription { max: 5.0, ..damping }];

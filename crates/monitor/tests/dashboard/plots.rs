@@ -44,7 +44,7 @@ fn the_loop_page_tells_every_stage_of_a_tick() {
 }
 
 #[test]
-fn plots_zoom_with_the_wheel_pan_with_the_mouse_and_show_values_under_the_cursor() {
+fn plots_zoom_pan_and_show_cursor_values() {
     let mut bench = Bench::in_mode(Mode::Ready);
     bench.daemon.borrow_mut().samples.extend((10..2000).map(|tick| sample(tick, Mode::Ready, None)));
     bench.tick = 2000;

@@ -1,4 +1,4 @@
-//! What is shown of a robot that is whole, in parts, faulty, silent or away.
+//! Display of a robot that is whole, in parts, faulty, silent or away.
 
 use crate::bench::{Bench, parameter, sample};
 use egui_kittest::kittest::Queryable;
@@ -50,7 +50,7 @@ fn it_works_without_a_daemon_and_when_one_comes_and_goes() {
 }
 
 #[test]
-fn the_way_towards_a_side_without_a_taxel_stands_beside_its_limit() {
+fn bare_side_displacement_stands_next_to_its_limit() {
     let mut bench = Bench::new();
     bench.frames(Mode::Impedance, None);
     assert!(!bench.shows("Uncovered way"), "a daemon that says no limit has none");
@@ -61,7 +61,7 @@ fn the_way_towards_a_side_without_a_taxel_stands_beside_its_limit() {
 }
 
 #[test]
-fn what_the_contact_barrier_allows_a_touched_taxel_stands_on_the_page_of_the_cover() {
+fn cover_page_shows_barrier_of_touched_taxel() {
     let mut bench = Bench::in_mode(Mode::Impedance);
     bench.click("Cover");
     assert!(!bench.shows("Contact barrier"), "nobody touches it");
@@ -110,7 +110,7 @@ fn samples_that_stop_coming_are_shown_as_old() {
 }
 
 #[test]
-fn a_fault_is_told_in_words_with_its_remedy_and_a_sick_taxel_is_named() {
+fn fault_shows_remedy_and_names_taxel() {
     let mut bench = Bench::new();
     bench.frames(Mode::ProtectiveStop, Some(Fault::BoardLost));
     assert!(bench.shows(Fault::BoardLost.text()) && bench.shows(Fault::BoardLost.remedy()));
@@ -140,7 +140,7 @@ fn text(name: &str, value: &str) -> moca_telemetry::ParameterDescription {
 
 #[test]
 fn a_cover_alone_shows_no_arm_no_flange_and_nothing_to_arm() {
-    let of_a_robot = ["Flange force", "Base pose", "Base speed", "Franka", "on the flange"];
+    let of_a_robot = ["Flange force", "Base pose", "Base speed", "Franka", "flange force"];
     let mut bench = Bench::in_mode(Mode::Ready);
     assert!(of_a_robot.iter().all(|text| bench.shows(text)));
     bench.daemon.borrow_mut().parameters = vec![text("plant.kind", "none")];
@@ -187,7 +187,7 @@ fn a_port_that_does_not_exist_is_named() {
 }
 
 #[test]
-fn an_answer_is_shown_in_full_until_it_is_dismissed_or_has_been_read() {
+fn answer_stays_until_dismissed_or_read() {
     let mut bench = Bench::in_mode(Mode::Ready);
     let refusal = Refusal::CauseRemains(Fault::TaxelInvalid { taxel: 4, status: TaxelStatus::Noisy });
     let reply = Reply { request: Request::Resume, outcome: Err(refusal) };
@@ -208,7 +208,7 @@ fn an_answer_is_shown_in_full_until_it_is_dismissed_or_has_been_read() {
 #[test]
 fn arrows_have_a_legend() {
     let mut bench = Bench::in_mode(Mode::Impedance);
-    for text in ["on the base", "on the flange", "flange", "desired"] {
+    for text in ["base force", "base moment", "flange force", "flange", "desired"] {
         assert!(bench.harness.query_by_label(text).is_some(), "{text}");
     }
     bench.daemon.borrow_mut().no_cover = true;
@@ -216,7 +216,7 @@ fn arrows_have_a_legend() {
 }
 
 #[test]
-fn the_robot_is_seen_in_three_dimensions_and_turned_with_the_mouse() {
+fn robot_view_in_3d_turns_with_mouse() {
     let mut bench = Bench::in_mode(Mode::Impedance);
     bench.click("3-D");
     let drawn = |bench: &Bench| -> Vec<egui::Pos2> {
@@ -246,7 +246,7 @@ fn the_robot_is_seen_in_three_dimensions_and_turned_with_the_mouse() {
 }
 
 #[test]
-fn how_old_the_states_of_arm_and_base_are_stands_beside_their_deadlines() {
+fn ages_of_arm_and_base_stand_next_to_deadlines() {
     let mut bench = Bench::new();
     let deadline =
         |part: &str, s| parameter(&format!("plant.{part}.deadline_s"), ParameterForm::Number, &[s], false);
@@ -265,4 +265,16 @@ fn how_old_the_states_of_arm_and_base_are_stands_beside_their_deadlines() {
         assert_eq!(bench.shows("Arm torque control: success rate"), has_arm);
         assert_eq!(bench.shows("success rate"), has_arm);
     }
+}
+
+#[test]
+fn an_armed_robot_says_so_with_its_law() {
+    for (mode, law) in [(Mode::Impedance, "impedance"), (Mode::FollowMe, "follow-me")] {
+        let bench = Bench::in_mode(mode);
+        assert!(
+            bench.harness.query_by_label("ARMED").is_some() && bench.harness.query_by_label(law).is_some()
+        );
+    }
+    let bench = Bench::in_mode(Mode::Ready);
+    assert!(bench.harness.query_by_label("ARMED").is_none());
 }

@@ -92,7 +92,7 @@ pub struct Problem<const N: usize> {
     pub feasible: bool,
 }
 
-/// What the survey draws its problems of a kind and size from.
+/// Seed of the survey's problems of a family and size.
 pub fn survey_seed<const N: usize>(family: Family) -> u64 {
     1 + family as u64 * 1000 + N as u64
 }

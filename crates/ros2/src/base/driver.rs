@@ -15,7 +15,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use triple_buffer::{Input, Output, triple_buffer};
 
-/// How often it is asked who else is on the topics, ns.
+/// Period at which other nodes on the topics are looked up, ns.
 const LOOK_AROUND_NS: u64 = 1_000_000_000;
 
 /// Which way lost messages are sent again.
@@ -38,25 +38,25 @@ impl Default for Reliable {
 pub struct BaseSettings {
     /// Topic of the velocity orders.
     pub cmd_vel: String,
-    /// Whether they are `TwistStamped`, else `Twist`.
+    /// True for orders as `TwistStamped`, false for `Twist`.
     pub stamped: bool,
     /// Frame named in a `TwistStamped`.
     pub frame: String,
     /// Topic of the odometry.
     pub odom: String,
-    /// How often orders are sent, Hz.
+    /// Rate of orders, Hz.
     pub rate_hz: f64,
     /// Without an order of the loop for so long zero is sent, s.
     pub silence_s: f64,
     /// Oldest odometry that is driven with, s.
     pub deadline_s: f64,
-    /// Whether a lost order is sent again, and lost odometry asked for again. The other end has to offer or accept it.
+    /// Retransmission of lost orders and lost odometry. The other end has to offer or accept it.
     pub reliable: Reliable,
     /// Fastest that this base moves: m/s, m/s, rad/s. What is faster in its odometry is a jump.
     pub velocity_max: [f64; 3],
 }
 
-/// What happened so far.
+/// Events so far.
 #[derive(Debug, Default)]
 pub struct BaseCounts {
     /// Orders sent.
@@ -75,7 +75,7 @@ pub struct BaseCounts {
     pub clock_offset_ns: AtomicI64,
 }
 
-/// What the loop orders.
+/// Order of the loop.
 #[derive(Clone, Copy, Debug)]
 struct Order {
     /// When, ns since the start.
@@ -154,12 +154,12 @@ impl Ros2Base {
         self.orders.write(Some(Order { ordered_ns: since(self.start), velocity_body }));
     }
 
-    /// What happened so far.
+    /// Returns the events so far.
     pub fn counts(&self) -> &BaseCounts {
         &self.shared.counts
     }
 
-    /// What is wrong on the network, in sentences; looked up once a second. Not for the loop: it may wait for a lock.
+    /// Returns the problems of the network, in sentences, looked up once a second. Not for the loop: it may wait for a lock.
     pub fn problems(&self) -> Vec<String> {
         self.shared.problems.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -175,7 +175,7 @@ impl Drop for Ros2Base {
     }
 }
 
-/// What the thread does, a step at a time.
+/// Work of the thread, a step at a time.
 struct Worker {
     settings: BaseSettings,
     cmd_vel: WriterId,
@@ -192,7 +192,7 @@ struct Worker {
     rejoined: u64,
 }
 
-/// What has been said of the network.
+/// Network problems that were already reported.
 #[derive(Debug, Default)]
 struct Told {
     /// Problems of the last look around.
@@ -333,7 +333,7 @@ impl Worker {
         count.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Who else is on the topics and should not be, or is not and should.
+    /// Returns the nodes that should not be on the topics, and those that are missing.
     fn problems(&self, transport: &dyn Transport) -> Vec<String> {
         if let Some(problem) = transport.problem() {
             return vec![problem];
@@ -453,7 +453,7 @@ mod tests {
     }
 
     #[test]
-    fn odometry_that_is_refused_or_garbled_is_counted_and_changes_nothing() {
+    fn bad_odometry_is_counted_and_changes_nothing() {
         let (mut memory, shared) = (Memory::default(), Shared::default());
         let (mut worker, mut readings, _orders) = worker(&mut memory, false);
         let mut come = |memory: &mut Memory, now_ns, payload| {
@@ -474,7 +474,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_that_was_held_up_does_not_take_later_odometry_for_old() {
+    fn delayed_thread_does_not_age_later_odometry() {
         let (told, took) = std::sync::mpsc::channel();
         let (mut memory, shared) = (Memory { took: Some(told), ..Memory::default() }, Shared::default());
         let (mut worker, _readings, _orders) = worker(&mut memory, false);
@@ -532,7 +532,7 @@ mod tests {
     }
 
     #[test]
-    fn the_loops_end_orders_through_a_thread_and_stops_the_base_at_the_end() {
+    fn orders_pass_thread_and_end_with_stop() {
         let (heard, sent) = std::sync::mpsc::channel();
         let memory = Memory { heard: Some(heard), waiting: vec![odometry(MS, 0.25)], ..Memory::default() };
         let mut base = Ros2Base::spawn(settings(false), Box::new(memory), |_| {}).unwrap();

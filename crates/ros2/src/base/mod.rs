@@ -14,7 +14,7 @@ use crate::messages::Odometry;
 
 pub use driver::{BaseCounts, BaseSettings, BaseState, Reliable, Ros2Base};
 
-/// How fast a base says that it drives, whichever way, m/s; `None` of what is no odometry.
+/// Returns the speed in an odometry message, in any direction, m/s; `None` if the payload is not odometry.
 pub(crate) fn odometry_velocity(payload: &[u8]) -> Option<f64> {
     let twist = cdr::decode::<Odometry>(payload).ok()?.twist.twist;
     let speed = twist.linear.x.hypot(twist.linear.y);

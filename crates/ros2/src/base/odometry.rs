@@ -1,4 +1,4 @@
-//! Whether odometry can be believed, how old it is, and where the base is until the next comes.
+//! Odometry: its validity, its age, and the base's pose until the next message.
 //!
 //! A message's age is judged by its own stamp, not by when it arrived: a network that comes back delivers what it had
 //! kept. The two clocks differ; the least difference seen in the last seconds is taken for their offset, so what is
@@ -22,18 +22,18 @@
 use crate::messages::Odometry;
 use std::f64::consts::{PI, TAU};
 
-/// How long a clock offset is remembered at least, ns; at most twice as long.
+/// Shortest time for which a clock offset is remembered, ns; the longest is twice that.
 const OFFSET_WINDOW_NS: u64 = 10_000_000_000;
 /// Stamps that lie less than this behind the newest are late or repeated, others are of a clock that was set, ns.
 const REORDER_NS: u64 = 1_000_000_000;
-/// How much faster than its limit a base may move before its pose has jumped.
+/// Factor over its speed limit at which a base's pose has jumped.
 const SPEED_MARGIN: f64 = 1.5;
-/// What a pose may move besides: m, m, rad.
+/// Allowed displacement on top of that: m, m, rad.
 const JUMP_MARGIN: [f64; 3] = [0.05, 0.05, 0.1];
 /// Least length of an orientation's quaternion that still says something.
 const QUATERNION_MIN: f64 = 0.5;
 
-/// Where a base was at a time, and how it moved.
+/// Pose and velocity of a base at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BaseReading {
     /// When it was measured, ns of our clock.
@@ -200,7 +200,7 @@ impl Offset {
     }
 }
 
-/// The same angle within ±π.
+/// Returns the angle within ±π.
 fn wrapped(angle_rad: f64) -> f64 {
     (angle_rad + PI).rem_euclid(TAU) - PI
 }
@@ -268,14 +268,14 @@ mod tests {
     }
 
     #[test]
-    fn the_age_is_that_beyond_the_quickest_message_whatever_the_clocks() {
+    fn age_is_relative_to_quickest_message() {
         let (mut judge, last) = heard();
         let reading = judge.judge(&at(last + 20), (last + 70) * MS).unwrap();
         assert!((reading.age_s((last + 70) * MS) - 0.050).abs() < 1e-9, "{reading:?}");
     }
 
     #[test]
-    fn a_clock_that_is_set_back_is_a_stale_base_until_the_offset_is_forgotten() {
+    fn clock_set_back_makes_base_stale_until_forgotten() {
         let (mut judge, last) = heard();
         let mut ok_again = None;
         for ms in (last + 20..last + 40_000).step_by(20) {

@@ -1,4 +1,4 @@
-//! What is sent to a base: the loop's newest order at a steady rate, and zero when the loop says nothing.
+//! Orders to a base: the loop's newest one at a steady rate, and zero when the loop is silent.
 //!
 //! ```
 //! use moca_ros2::base::order::OrderWatch;
@@ -44,7 +44,7 @@ impl OrderWatch {
         self.ordered_ns = Some(now_ns);
     }
 
-    /// What has to be sent now, if it is time.
+    /// Returns the order to send now, if it is time.
     pub fn due(&mut self, now_ns: u64) -> Option<[f64; 3]> {
         let ordered_ns = self.ordered_ns?;
         if now_ns.saturating_sub(ordered_ns) > self.silence_ns
@@ -66,7 +66,7 @@ impl OrderWatch {
         self.next_ns
     }
 
-    /// How often a moving base was stopped because the loop said nothing.
+    /// Returns how often a moving base was stopped because the loop was silent.
     pub const fn silences(&self) -> u64 {
         self.silences
     }
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn orders_of_a_kilohertz_leave_at_a_hundred_hertz_and_the_newest_counts() {
+    fn orders_leave_at_100_hz_and_newest_counts() {
         let mut orders = watch();
         let mut sent = Vec::new();
         for ms in 0..1000_u32 {
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn a_silent_loop_is_a_base_at_rest_within_its_limit_and_never_again_by_itself() {
+    fn silent_loop_stops_base_and_it_stays_stopped() {
         let mut orders = watch();
         orders.order(0, [0.5, -0.1, 0.2]);
         let sent: Vec<(u64, [f64; 3])> =

@@ -1,4 +1,4 @@
-//! How long a base drives on when nobody orders anything any more: its own time-out, measured.
+//! A base's own time-out, measured: how long it drives on without orders.
 
 use super::driver::{qos, twist_payload};
 use super::{BaseSettings, odometry_velocity};
@@ -11,10 +11,10 @@ use std::time::{Duration, Instant};
 const STOPPED: f64 = 0.3;
 /// Faster than this share it drives.
 const DRIVES: f64 = 0.7;
-/// How long it is given to begin, and to stop.
+/// Longest wait for the base to start, and to stop.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// What a base did when the orders ended.
+/// Behaviour of a base after its last order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum AfterSilence {
     /// It never drove as ordered.

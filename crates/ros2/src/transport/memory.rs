@@ -13,15 +13,15 @@ pub struct Memory {
     pub written: Vec<(String, Vec<Vec<u8>>)>,
     /// Each reader's topic, and what it has not taken yet.
     pub unread: Vec<(String, VecDeque<Vec<u8>>)>,
-    /// Who else there is.
+    /// Other ends on the topics.
     pub others: Vec<Endpoint>,
     /// Payloads that the first reader finds.
     pub waiting: Vec<Vec<u8>>,
     /// Topic, node and payload of what is to be read with the node that wrote it.
     pub from_nodes: Vec<(String, Vec<u8>, Vec<u8>)>,
-    /// Who hears that something was taken.
+    /// Receiver of a signal for each message taken.
     pub took: Option<Sender<()>>,
-    /// Who hears what is written, on another thread.
+    /// Receiver of each written message, on another thread.
     pub heard: Option<Sender<Vec<u8>>>,
 }
 

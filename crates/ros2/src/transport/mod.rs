@@ -1,11 +1,11 @@
-//! What this crate needs of a way to other nodes, and who else is on a topic.
+//! Interface to other nodes that this crate needs, and the other ends of a topic.
 
 use crate::TypeName;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 pub mod memory;
 
-/// What a writer or reader offers or asks for.
+/// Quality of service that a writer offers or a reader asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Qos {
     /// The newest only; a lost message is not sent again. As a reader it goes with every writer.
@@ -31,7 +31,7 @@ pub struct ReaderId(pub usize);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ServiceId(pub usize);
 
-/// Who called a service and waits, in a transport's own words.
+/// Caller of a service that waits for an answer, in a transport's own encoding.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Caller(pub Vec<u8>);
 
@@ -42,9 +42,9 @@ pub struct Endpoint {
     pub topic: String,
     /// The type's name on the wire.
     pub type_dds: String,
-    /// Whether it writes; else it reads.
+    /// True for a writer, false for a reader.
     pub writes: bool,
-    /// Who it is, as well as the transport knows.
+    /// Name of the node, as well as the transport knows it.
     pub who: String,
 }
 
@@ -53,7 +53,7 @@ pub trait Transport {
     /// Announces a writer.
     ///
     /// # Errors
-    /// A name that is none, or a transport that is gone; so too below.
+    /// An invalid name, or a transport that is gone; so too below.
     fn writer(&mut self, topic: &str, of: TypeName, qos: Qos) -> Result<WriterId, TransportError>;
     /// Announces a reader.
     fn reader(&mut self, topic: &str, of: TypeName, qos: Qos) -> Result<ReaderId, TransportError>;
@@ -63,7 +63,7 @@ pub trait Transport {
     fn write(&mut self, to: WriterId, payload: &[u8]) -> Result<(), TransportError>;
     /// The oldest payload that has not been taken.
     fn take(&mut self, from: ReaderId) -> Option<Vec<u8>>;
-    /// The same with the node that wrote it, in a transport's own words; empty where it cannot tell.
+    /// Takes a message with the node that wrote it, in a transport's own encoding; empty where it cannot tell.
     fn take_from_node(&mut self, from: ReaderId) -> Option<(Vec<u8>, Vec<u8>)> {
         self.take(from).map(|payload| (Vec::new(), payload))
     }
@@ -77,7 +77,7 @@ pub trait Transport {
     fn problem(&self) -> Option<String> {
         None
     }
-    /// How often the network was joined anew because what served it had ended.
+    /// Returns how often the network was joined again because its threads had ended.
     fn rejoined(&self) -> u64 {
         0
     }
@@ -85,8 +85,8 @@ pub trait Transport {
     fn endpoints(&self) -> Vec<Endpoint>;
 }
 
-/// What is wrong with who else is on a topic that we write: nobody listens, somebody wants another type, somebody else
-/// writes too. Empty if all is well.
+/// Returns the problems of a topic that we write: no reader, a reader of another type, a second writer. Empty if there
+/// are none.
 ///
 /// ```
 /// use moca_ros2::{Message, messages::Twist};
@@ -112,7 +112,7 @@ pub fn problems_of_writer(endpoints: &[Endpoint], topic: &str, ours: TypeName) -
     problems
 }
 
-/// What is wrong with who else is on a topic that we read.
+/// Returns the problems of a topic that we read.
 pub fn problems_of_reader(endpoints: &[Endpoint], topic: &str, ours: TypeName) -> Vec<String> {
     let writers: Vec<_> = on(endpoints, topic).filter(|end| end.writes).collect();
     let mut problems: Vec<_> = writers.iter().filter_map(|end| mismatch(end, topic, ours)).collect();
@@ -126,7 +126,7 @@ pub fn problems_of_reader(endpoints: &[Endpoint], topic: &str, ours: TypeName) -
     problems
 }
 
-/// What this PC's clock says, ns since the Unix epoch: the stamp of what is sent.
+/// Returns this PC's clock, ns since the Unix epoch: the stamp of sent messages.
 pub(crate) fn unix_ns() -> u64 {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)

@@ -1,9 +1,9 @@
 //! A Touch Board that exists only in memory: true forces in, the bytes of its firmware out, at a real board's rate and
 //! age. Time is an argument, so a run is as deterministic as its seed.
 //!
-//! What ages the data of a stock board, as traced from its firmware: foam → chip (a sample each millisecond, FDAT
-//! refreshed every 10 ms with their mean) → one I²C read a frame → six lines printed one after the other. With our own
-//! firmware: a refresh every 4 ms, a read each millisecond, one line as soon as a value changed.
+//! Ages of a stock board's data, as traced from its firmware: foam → chip (a sample each millisecond, FDAT refreshed every
+//! 10 ms with their mean) → one I²C read a frame → six lines printed one after the other. Our own firmware: a refresh every
+//! 4 ms, a read each millisecond, one line as soon as a value changed.
 
 mod stamped;
 
@@ -22,7 +22,7 @@ const THRESHOLDS: (u8, u8) = (40, 20);
 /// With the chip lost on I²C a frame takes this percentage of its normal time (17.8 ms for 24.7 ms, traced).
 const I2C_LOST_PERCENT: u64 = 72;
 
-/// What kind of board, and how it is disturbed.
+/// Kind of a board, and its disturbances.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VirtualBoardConfig {
     /// Frame rate and age follow from it.
@@ -39,7 +39,7 @@ pub struct VirtualBoardConfig {
     pub frame_period_ns: Option<u64>,
     /// When the first frame is read, ns: the board's phase against the loop.
     pub first_read_ns: u64,
-    /// What the board's clock says at time 0, us; of our own firmware.
+    /// Reading of the board's clock at time 0, us; of our own firmware.
     pub clock_start_us: u32,
 }
 
@@ -59,7 +59,7 @@ impl Default for VirtualBoardConfig {
     }
 }
 
-/// How a board fails; each as the firmware was seen to fail.
+/// Fault of a board, as seen on the firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BoardFault {
     /// I²C to the chip lost. Stock: good frames go on a little faster, FDAT frozen, thresholds garbage (newer sketch).

@@ -11,7 +11,7 @@ use std::collections::VecDeque;
 
 /// Samples in one refresh.
 pub(super) const SAMPLES_PER_VALUE: u32 = 4;
-/// Of a chip whose oscillator is 1.3 % slow, so that its refreshes slide against the reads.
+/// Sample interval of a chip whose oscillator is 1.3 % slow, so that its refreshes slide against the reads.
 const SAMPLE_INTERVAL_NS: u64 = 1_013_000;
 /// Noise of 34 × 4 samples where stock's 10 × 10 have 0.7 counts (computed for white noise; nobody has measured it).
 pub(super) const NOISE_SHARE: f64 = 0.62 / 0.7;
@@ -141,7 +141,7 @@ impl StampedBoard {
         self.next_sample_ns += SAMPLE_INTERVAL_NS;
     }
 
-    /// What the chip shows at `at_ns`.
+    /// Returns the values of the chip at `at_ns`.
     fn shown(&self, at_ns: u64) -> [u16; ELECTRODES] {
         let after = self.sensor.fdat();
         let mut shows_ns = self.refreshed_ns;

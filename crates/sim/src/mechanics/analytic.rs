@@ -35,7 +35,7 @@ struct Analytic<const N: usize> {
     model: ArmModel<N, f64>,
     limits: Option<JointLimits<N>>,
     people_kg: Vec<f64>,
-    /// Of the wheels at the end of a step, N·s/m, N·s/m, N·m·s/rad.
+    /// Damping of the wheels at the end of a step, N·s/m, N·s/m, N·m·s/rad.
     damping: [f64; BASE],
     step_s: f64,
     time_s: f64,
@@ -85,7 +85,7 @@ impl<const N: usize> Analytic<N> {
         })
     }
 
-    /// What acts on base and arm but the bias: forces from outside, the wheels' damping, the wrench at the flange.
+    /// Returns the forces on base and arm except the bias: external forces, wheel damping, flange wrench.
     fn force(&self) -> WholeBodyForce<N, f64> {
         let (base, arm) = self.forces[..BASE + N].split_at(BASE);
         let mut force = WholeBodyForce {

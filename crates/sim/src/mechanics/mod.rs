@@ -1,5 +1,5 @@
-//! What moves in a scene, as generalised coordinates: x, y, yaw of the base, joint angles of the arm, then x, y of everybody
-//! who can move; only what the scene holds. Forces of servos, hands, people and foam come from outside.
+//! Bodies that move in a scene, as generalised coordinates: x, y, yaw of the base, joint angles of the arm, then x, y of every
+//! movable person; only what the scene holds. Forces of servos, hands, people and foam come from outside.
 
 mod analytic;
 mod joint_limits;
@@ -8,7 +8,7 @@ mod mujoco;
 use crate::scene::{Engine, Scene};
 use crate::{ModelSize, SimError};
 
-/// What a state must not become, in the order in which it is looked for.
+/// Errors of a state, in the order in which they are checked.
 const BAD_POSITION: &str = "a position is not a number or too large";
 const BAD_RATE: &str = "a velocity is not a number or too large";
 const BAD_ACCELERATION: &str = "an acceleration is not a number or too large";
@@ -61,12 +61,12 @@ pub(crate) trait Mechanics: std::fmt::Debug + Send {
     /// Flange origin in W as of the start of the last step, m; `None` without an arm.
     fn flange_position_world(&self) -> Option<[f64; 3]>;
 
-    /// What the touch sensors of a scene with geoms felt in the last step, N, T1 first.
+    /// Returns the readings of the touch sensors of a scene with geoms in the last step, N, T1 first.
     fn touched_n(&self) -> &[f64] {
         &[]
     }
 
-    /// What it consists of.
+    /// Returns the size of its model.
     fn size(&self) -> ModelSize;
 }
 

@@ -39,7 +39,7 @@ pub const SILENT_AFTER_NS: u64 = 120_000_000;
 /// A gap this long between bytes means that the host stalled: the next frame's data is as old as the gap, so it is
 /// counted but not used, ns.
 pub const STALL_GAP_NS: u64 = 100_000_000;
-/// How long a host that did not run is to blame for silence, ns: then a board would have been heard again.
+/// Longest time for which a host that did not run explains silence, ns: after it a board would have been received again.
 pub const STARVED_FOR_NS: u64 = 1_000_000_000;
 /// Consecutive frames with all used columns bit-identical that make a frozen board. Noise of 0.7 count makes this less
 /// likely than once in 10 h for a single taxel, and never for two.
@@ -88,7 +88,7 @@ pub enum CloseReason {
     Stopped,
 }
 
-/// What one board's byte source says. A serial port, a board in memory and a replay all speak this.
+/// Event of one board's byte source. A serial port, a board in memory and a replay all send these.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[expect(clippy::large_enum_variant, reason = "fixed-size element of a ring between threads")]
 pub enum BoardEvent {
@@ -103,7 +103,7 @@ pub enum BoardEvent {
     Gap {
         /// ns of loop time.
         at_ns: u64,
-        /// How many.
+        /// Number of lost bytes.
         bytes_lost: u64,
     },
     /// The port closed.
@@ -185,8 +185,8 @@ pub struct EarlyFrame {
     pub sampled_at_ns: u64,
 }
 
-/// Where a cover's frames come from: what one board's port says in, frames and faults out. No clock, no port: bytes and
-/// times are arguments.
+/// Source of a cover's frames: events of one board's port in, frames and faults out. No clock, no port: bytes and times are
+/// arguments.
 ///
 /// A skin of one's own implements `next_frame` and `fault`; the rest has defaults.
 ///
@@ -227,13 +227,13 @@ pub trait FrameSource {
     /// The next usable frame in `bytes`, which arrived at `arrival_ns`; call until it gives none.
     fn next_frame(&mut self, bytes: &mut &[u8], arrival_ns: u64) -> Option<SampledFrame>;
 
-    /// What is wrong with the stream at `now_ns`, the gravest first.
+    /// Returns the most severe fault of the stream at `now_ns`.
     fn fault(&self, now_ns: u64) -> Option<Fault>;
 
-    /// What the port says besides bytes.
+    /// Takes an event of the port other than bytes.
     fn event(&mut self, _event: &BoardEvent) {}
 
-    /// What runs on the board, once it is known: a calibration is bound to it.
+    /// Returns the firmware of the board, once it is known: a calibration is bound to it.
     fn firmware(&self) -> Option<Firmware> {
         None
     }
@@ -244,7 +244,7 @@ pub trait FrameSource {
     }
 }
 
-/// Whether `fault` means that chip or board restarted or cannot be trusted, so that its zero is void.
+/// Returns true if `fault` means that chip or board restarted or cannot be trusted, so that its zero is void.
 pub const fn voids_zero(fault: Fault) -> bool {
     matches!(
         fault,

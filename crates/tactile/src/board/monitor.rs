@@ -125,7 +125,7 @@ impl BoardMonitor {
         &self.reader.stats
     }
 
-    /// What the bytes so far say about the board.
+    /// Returns the state of the board, from its bytes so far.
     pub const fn diagnosis(&self) -> Diagnosis {
         match self.reader.diagnosis {
             Diagnosis::Silent if self.reader.bytes_without_frame > UNKNOWN_AFTER_BYTES => Diagnosis::Unknown,
@@ -139,7 +139,7 @@ impl BoardMonitor {
         if self.reader.intervals == 0 { 0.0 } else { 1e9 / self.reader.mean_period_ns }
     }
 
-    /// What runs on the board, from its lines; `None` before the first good frame.
+    /// Returns the firmware of the board, from its lines; `None` before the first good frame.
     pub const fn firmware(&self) -> Option<Firmware> {
         self.reader.firmware
     }
@@ -174,7 +174,7 @@ impl BoardMonitor {
         self.reader.identical
     }
 
-    /// What our own firmware says about its chips, all together; none for a stock board.
+    /// Returns the flags of our own firmware over all chips; empty for a stock board.
     pub fn flags(&self) -> Flags {
         self.reader.stamped.flags()
     }
@@ -327,9 +327,12 @@ impl Reader {
         self.stalled = false;
         self.diagnosis = Diagnosis::Frames;
         self.bytes_without_frame = 0;
+        let Ok(taken) = self.stamped.take(line, arrival_ns, &self.used) else {
+            return self.bad(BadFrame::Repeated);
+        };
         self.last_good_ns = Some(arrival_ns);
         self.starved_ns = None;
-        let taken = self.stamped.take(line, arrival_ns, &self.used)?;
+        let taken = taken?;
         self.stats.frames_good += 1;
         self.stats.frames_lost += u64::from(taken.lost);
         if taken.refresh {

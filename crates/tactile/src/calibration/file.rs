@@ -123,8 +123,13 @@ pub enum FileError {
         /// Its answer.
         error: std::io::Error,
     },
-    /// Not the TOML that this module writes; the message has line and column.
+    /// A calibration with a key or value that does not belong there; the message has line and column.
     Syntax(String),
+    /// Something else: nothing of it is quoted, for it may be secret.
+    NotACalibration {
+        /// Why it is none.
+        why: String,
+    },
     /// Another [`SCHEMA_VERSION`].
     Schema {
         /// In the file.
@@ -134,7 +139,7 @@ pub enum FileError {
     Value {
         /// 1 is T1.
         taxel: usize,
-        /// What and which range.
+        /// Name of the value, and its range.
         what: String,
     },
     /// The file belongs to something else.
@@ -155,6 +160,10 @@ impl core::fmt::Display for FileError {
         match self {
             Self::Io { path, error } => write!(f, "calibration file {}: {error}", path.display()),
             Self::Syntax(text) => write!(f, "calibration file: {text}"),
+            Self::NotACalibration { why } => write!(
+                f,
+                "not a calibration file: {why}; name a file that `mocad calibrate` or the dashboard wrote"
+            ),
             Self::Schema { found } => write!(
                 f,
                 "calibration file has schema {found}, this program reads schema {SCHEMA_VERSION}: calibrate again"
@@ -177,7 +186,7 @@ impl core::fmt::Display for FileError {
 impl std::error::Error for FileError {}
 
 impl TaxelEntry {
-    /// What a fit gave, for taxel `number` (1 is T1).
+    /// Builds the entry of taxel `number` (1 is T1) from a fit.
     pub fn new(number: usize, rest_counts: f64, model: &TaxelModel, quality: &Quality) -> Self {
         Self {
             number,
@@ -193,7 +202,7 @@ impl TaxelEntry {
         }
     }
 
-    /// Where the taxel stands untouched, checked.
+    /// Returns the taxel's reading at rest, checked.
     pub fn expected_rest(&self) -> Result<ExpectedRest, FileError> {
         let within = |what: &str, value: f64, low: f64, high: f64| {
             let what = || std::format!("{what} must be {low} to {high} counts, got {value}");
@@ -265,18 +274,30 @@ impl CalibrationFile {
         Self::parse(&text)
     }
 
-    /// The same from text. The schema is looked at first, so that an old file is called old, not wrong.
+    /// Parses a text. The schema is checked first, so that an old file is called old, not wrong, and so that nothing of a file
+    /// that is no calibration gets into an error.
     pub fn parse(text: &str) -> Result<Self, FileError> {
-        #[derive(Deserialize)]
-        struct Schema {
-            schema: u32,
+        let place = |error: &toml::de::Error| {
+            let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or("");
+            let line = 1 + before.bytes().filter(|&byte| byte == b'\n').count();
+            std::format!(
+                "line {line}, column {}",
+                1 + before.chars().rev().take_while(|&c| c != '\n').count()
+            )
+        };
+        let table = toml::from_str::<toml::Table>(text).map_err(|error| FileError::NotACalibration {
+            why: std::format!("{} is not TOML", place(&error)),
+        })?;
+        let schema = table.get("schema").and_then(toml::Value::as_integer);
+        let Some(found) = schema.and_then(|schema| u32::try_from(schema).ok()) else {
+            return Err(FileError::NotACalibration { why: "it has no schema = 1".to_string() });
+        };
+        if found != SCHEMA_VERSION {
+            return Err(FileError::Schema { found });
         }
-        let syntax = |error: toml::de::Error| FileError::Syntax(error.to_string());
-        let Schema { schema } = toml::from_str(text).map_err(syntax)?;
-        if schema != SCHEMA_VERSION {
-            return Err(FileError::Schema { found: schema });
-        }
-        toml::from_str(text).map_err(syntax)
+        toml::from_str(text).map_err(|error: toml::de::Error| {
+            FileError::Syntax(std::format!("{}: {}", place(&error), error.message()))
+        })
     }
 
     /// The file's text.
@@ -405,6 +426,24 @@ mod tests {
     }
 
     #[test]
+    fn file_that_is_no_calibration_is_not_quoted() {
+        for secret in [
+            "root:$y$secret$hash:19000:0:99999:7:::\n",
+            "secret\n",
+            "secret = \"hash\"\n",
+            "[secret]\nhash = 1\n",
+            "schema = \"secret hash\"\n",
+            "schema = secret-hash\n",
+            "key = 1\nsecret-hash\n",
+            "\"secret\\uhash\" = 1",
+        ] {
+            let said = CalibrationFile::parse(secret).unwrap_err().to_string();
+            assert!(said.starts_with("not a calibration file: "), "{said}");
+            assert!(!said.contains("secret") && !said.contains("hash"), "{said}");
+        }
+    }
+
+    #[test]
     fn other_schemas_unknown_keys_and_garbage_are_refused() {
         let text = file().to_toml().unwrap();
         let parse = |text: &str| CalibrationFile::parse(text).unwrap_err().to_string();
@@ -412,6 +451,10 @@ mod tests {
         assert!(parse(&text.replace("material", "materiel")).contains("materiel"));
         assert!(parse("").contains("schema"));
         assert!(parse("\u{0}").contains("calibration file"));
+        assert!(
+            parse(&text.replace("rmse_n = ", "rmse_n = \"x\" #"))
+                .contains("line 12, column 10: invalid type")
+        );
         let mut file = file();
         file.sketch = "2031".to_string();
         assert!(message::<3>(&file, "left").contains("2031"));

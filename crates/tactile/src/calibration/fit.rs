@@ -167,7 +167,7 @@ fn knots(trials: &[Trial]) -> Vec<f64> {
     knots
 }
 
-/// How far `drop` has come through segment `segment` of the knots, 0 to 1; the last segment goes on.
+/// Returns the progress of `drop` through segment `segment` of the knots, 0 to 1; the last segment continues.
 fn ramp(knots: &[f64], segment: usize, drop: f64) -> f64 {
     let from = if segment == 0 { 0.0 } else { knots[segment - 1] };
     let along = (drop.max(0.0) - from) / (knots[segment] - from);

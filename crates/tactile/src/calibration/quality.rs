@@ -1,4 +1,4 @@
-//! How good a model is on given trials.
+//! Quality of a model on given trials.
 
 use super::Trial;
 use crate::model::{FoamMemory, TaxelModel};
@@ -12,9 +12,9 @@ pub struct Quality {
     pub samples: usize,
     /// Root mean square error over everything, N.
     pub rmse_n: f64,
-    /// The same while the force rises, N.
+    /// Root mean square error while the force rises, N.
     pub rmse_loading_n: f64,
-    /// The same while it falls, N.
+    /// Root mean square error while it falls, N.
     pub rmse_unloading_n: f64,
     /// Largest error, N.
     pub worst_n: f64,

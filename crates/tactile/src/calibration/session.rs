@@ -28,7 +28,7 @@ pub struct Target {
     pub electrode: u8,
 }
 
-/// What the person should do now.
+/// Next action of the person.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Step {
     /// Nothing may touch the cover.
@@ -127,7 +127,7 @@ impl Session {
         }
     }
 
-    /// What to do now.
+    /// Returns the next action.
     pub fn step(&self) -> Step {
         let Some(target) = self.targets.get(self.current).copied() else { return Step::Done };
         match self.rest_counts {
@@ -142,7 +142,7 @@ impl Session {
         }
     }
 
-    /// What the board's bytes say, when no step advances.
+    /// Returns the state of the board, from its bytes, when no step advances.
     pub fn diagnosis(&self) -> Diagnosis {
         self.monitor.diagnosis()
     }

@@ -1,4 +1,4 @@
-//! What a cover is made of: wiring, calibration, masks, thresholds.
+//! Settings of a cover: wiring, calibration, masks, thresholds.
 
 use crate::board::MAX_ELECTRODES;
 use crate::datastream::ELECTRODES;
@@ -13,7 +13,7 @@ pub const CONTACT_ON_COUNTS: f64 = 4.0;
 /// Contact ends below this many counts below zero. ASSUMED.
 pub const CONTACT_OFF_COUNTS: f64 = 2.0;
 
-/// Where a taxel is wired.
+/// Wiring of a taxel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Electrode {
@@ -40,7 +40,7 @@ impl Electrode {
     }
 }
 
-/// What the reading does about a taxel that the operator masked.
+/// Treatment of a taxel that the operator masked.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum MaskPolicy {
@@ -57,7 +57,7 @@ moca_msgs::choice!(MaskPolicy { Stop: "stop", Ignore: "ignore" });
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct CoverConfig<const K: usize> {
-    /// How many taxels there are, at most `K`; what the lists below say of further ones has no meaning.
+    /// Number of taxels, at most `K`; entries of the lists below beyond it have no meaning.
     pub taxels: usize,
     /// T1 first. Default: twelve to a board, in order.
     #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
@@ -68,10 +68,10 @@ pub struct CoverConfig<const K: usize> {
     /// Taxels out of use.
     #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     pub masked: [bool; K],
-    /// What a masked taxel means.
+    /// Meaning of a masked taxel.
     pub mask_policy: MaskPolicy,
-    /// Where each taxel stood untouched when it was calibrated; `None` where the model was not measured. A tare
-    /// elsewhere is refused. Counts scale with FDAT at rest, so a board that comes up with another gain still reads
+    /// Reading at rest of each taxel when it was calibrated; `None` where the model was not measured. A tare elsewhere is refused.
+    /// Counts scale with FDAT at rest, so a board that comes up with another gain still reads
     /// newtons.
     #[cfg_attr(feature = "serde", serde(with = "serde_big_array::BigArray"))]
     pub expected_rest: [Option<ExpectedRest>; K],

@@ -101,7 +101,7 @@ impl Line {
     }
 }
 
-/// How a sketch lays out its lines.
+/// Layout of a sketch's lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Dialect {

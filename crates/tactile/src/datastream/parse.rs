@@ -46,6 +46,8 @@ pub enum BadFrame {
     LineTooLong,
     /// A line of our own firmware that is torn or whose checksum does not fit.
     Damaged,
+    /// A line of our own firmware with the number of the one before it.
+    Repeated,
 }
 
 impl core::fmt::Display for BadFrame {
@@ -60,6 +62,7 @@ impl core::fmt::Display for BadFrame {
             }
             Self::Inconsistent { column } => write!(f, "BVAL - FDAT is not DIFF in column {column}"),
             Self::Damaged => write!(f, "a torn line, or one whose checksum does not fit"),
+            Self::Repeated => write!(f, "a line with the number of the one before it"),
             Self::LineTooLong => write!(f, "a line longer than {MAX_LINE_BYTES} bytes"),
         }
     }
@@ -76,7 +79,7 @@ pub enum ForeignText {
     Other,
 }
 
-/// What the bytes said.
+/// Event in the bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
     /// All six lines and every check passed.

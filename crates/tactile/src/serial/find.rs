@@ -20,7 +20,7 @@ pub const ARDUINO_USB: [(u16, u16); 4] =
     [(0x2341, 0x8036), (0x2341, 0x8037), (0x2a03, 0x8036), (0x2a03, 0x8037)];
 /// USB CDC ignores it, but 1200 would start the bootloader.
 pub(super) const BAUD: u32 = 115_200;
-/// How long one read waits; also the longest wait for the reader's thread to stop.
+/// Longest wait of one read; also the longest wait for the reader's thread to stop.
 pub(super) const READ_TIMEOUT: Duration = Duration::from_millis(50);
 /// A board answers `ID?` within one of its lines.
 const ANSWER_WITHIN: Duration = Duration::from_millis(400);
@@ -37,7 +37,7 @@ pub enum PortSelection {
     Named(String),
 }
 
-/// What a port said when it was asked who it is.
+/// Answer of a port to the request for its name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Answer {
     /// Our firmware, and its name; `-` for none.
@@ -126,7 +126,7 @@ fn ask(path: &str) -> Answer {
     answer(&text)
 }
 
-/// What `text` says of who sent it.
+/// Returns the sender of `text`.
 fn answer(text: &[u8]) -> Answer {
     let lines = || text.split(|&byte| byte == b'\n');
     let identity = lines().filter(|line| is_note(line)).find_map(|line| {
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_flashed_as_another_arduino_is_found_because_it_answers() {
+    fn board_with_other_usb_id_is_found_by_its_answer() {
         let (moca, stock) = (Answer::Moca("-".to_string()), Answer::Stock);
         for answer in [moca.clone(), stock] {
             let ids = [(OTHER, Answer::Nothing), (LEONARDO, Answer::Nothing), (ARDUINO_USB[1], answer)];

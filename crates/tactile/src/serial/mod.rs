@@ -58,7 +58,7 @@ impl SerialBoard {
         Self::spawn_with_baud(port, BAUD, start)
     }
 
-    /// The same for another device, such as a force gauge behind a serial adapter.
+    /// Opens another device, such as a force gauge behind a serial adapter.
     pub fn spawn_with_baud(
         port: PortSelection,
         baud: u32,
@@ -91,7 +91,7 @@ impl Drop for SerialBoard {
     }
 }
 
-/// How long to wait after `failures` failures in a row (from 1).
+/// Returns the wait after `failures` failures in a row (from 1).
 fn back_off(failures: u32) -> Duration {
     BACK_OFF_FIRST.saturating_mul(1 << failures.saturating_sub(1).min(10)).min(BACK_OFF_MAX)
 }

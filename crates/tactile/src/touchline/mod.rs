@@ -43,11 +43,11 @@ pub struct Line {
     pub device_us: u32,
     /// FDAT or baselines of E0 to E11, 0–1023 counts.
     pub values: [u16; ELECTRODES],
-    /// What the values are.
+    /// Content of the values.
     pub content: Content,
 }
 
-/// What a line carries.
+/// Content of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
     /// FDAT.
@@ -59,7 +59,7 @@ pub enum Content {
     },
 }
 
-/// What the firmware says about its data; the bits are those of `enum Flag` in `firmware/moca_touch/chip.h`.
+/// Flags of the firmware about its data; the bits are those of `enum Flag` in `firmware/moca_touch/chip.h`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Flags(pub u8);
@@ -67,7 +67,7 @@ pub struct Flags(pub u8);
 impl Flags {
     /// At least one value differs from the read before.
     pub const NEW: Self = Self(0x01);
-    /// So it did in the read before: both show one refresh of the chip.
+    /// Set in the read before too: both show one refresh of the chip.
     pub const CONTINUES: Self = Self(0x02);
     /// The chip could not bring an electrode to its target.
     pub const OUT_OF_RANGE: Self = Self(0x04);
@@ -82,7 +82,7 @@ impl Flags {
     /// Lines before this one were not sent, because the host did not read.
     pub const DROPPED: Self = Self(0x80);
 
-    /// Whether every bit of `flag` is set.
+    /// Returns true if every bit of `flag` is set.
     pub const fn has(self, flag: Self) -> bool {
         self.0 & flag.0 == flag.0
     }

@@ -3,7 +3,7 @@
 use super::{Content, Flags, LETTERS, LINE_BYTES, Line, crc16};
 use crate::datastream::{ELECTRODES, FDAT_MAX};
 
-/// Where the spaces are.
+/// Places of the spaces.
 const SPACES: [usize; 5] = [1, 6, 15, 52, 55];
 /// The checksum covers what stands before its space.
 const CHECKED: usize = 55;
@@ -11,13 +11,13 @@ const CHECKED: usize = 55;
 /// Why a line was rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BadLine {
-    /// Not of this shape: length, letter, spaces, or a digit that is none.
+    /// Not of this shape: length, letter, spaces, or an invalid digit.
     Shape,
     /// The checksum does not fit.
     Checksum,
     /// A value above 1023.
     OutOfRange {
-        /// Of this electrode of the chip.
+        /// Electrode of the chip.
         electrode: u8,
     },
 }
@@ -38,14 +38,14 @@ impl core::fmt::Display for BadLine {
 
 impl core::error::Error for BadLine {}
 
-/// Whether `line` has a line's letter and spaces, so that it was meant to be one.
+/// Returns true if `line` has a line's letter and spaces, so that it was meant to be one.
 pub fn looks_like(line: &[u8]) -> bool {
     line.len() == LINE_BYTES
         && LETTERS.contains(&line[0].to_ascii_uppercase())
         && SPACES.iter().all(|&place| line[place] == b' ')
 }
 
-/// Whether `line` is an answer of the firmware (`# text cccc`) whose checksum fits.
+/// Returns true if `line` is an answer of the firmware (`# text cccc`) whose checksum fits.
 pub fn is_note(line: &[u8]) -> bool {
     let Some(end) = line.len().checked_sub(5) else { return false };
     let (text, sum) = line.split_at(end);

@@ -1,5 +1,5 @@
-//! Where every frame of the robot is. Frames have the names of the links in the robot's URDF; `world` is where the base
-//! started and `flange_desired` where the flange is wanted.
+//! Poses of every frame of the robot. Frames have the names of the links in the robot's URDF; `world` is where the base
+//! started and `flange_desired` the desired flange.
 
 use crate::RobotDescription;
 use crate::ros::messages::{
@@ -64,7 +64,7 @@ fn split([x, y, z, roll, pitch, yaw]: [f64; 6]) -> ([f64; 3], [f64; 4]) {
     ([x, y, z], from_rpy([roll, pitch, yaw]))
 }
 
-/// What never moves: the arm on the base, the flange on the last link, the taxels on the base.
+/// Returns the fixed frames: the arm on the base, the flange on the last link, the taxels on the base.
 pub(super) fn fixed(robot: &RobotDescription, at: &Time) -> TFMessage {
     let mut transforms = Vec::new();
     if has_arm(robot) {
@@ -82,7 +82,7 @@ pub(super) fn fixed(robot: &RobotDescription, at: &Time) -> TFMessage {
     TFMessage { transforms }
 }
 
-/// What moves: the base, the links, the desired flange.
+/// Returns the moving frames: the base, the links, the desired flange.
 pub(super) fn moving(robot: &RobotDescription, sample: &Sample, at: &Time) -> TFMessage {
     let [x, y, yaw] = sample.base_pose_world;
     let mut transforms = vec![transform(at, WORLD, BASE.into(), [x, y, 0.0], from_rpy([0.0, 0.0, yaw]))];
@@ -107,7 +107,7 @@ pub(super) fn joint_origins(robot: &RobotDescription) -> &[[f64; 6]] {
     robot.arm.table.joint_origin.get(..robot.arm.joints).unwrap_or_default()
 }
 
-/// Before the first tick of a law nothing is desired, and its quaternion is zero: viewers refuse a rotation that is none.
+/// Before the first tick of a law nothing is desired, and its quaternion is zero: viewers refuse an invalid rotation.
 fn unit_or_unturned(quaternion: [f64; 4]) -> [f64; 4] {
     if quaternion.iter().any(|part| *part != 0.0) { quaternion } else { UNTURNED }
 }

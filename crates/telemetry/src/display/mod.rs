@@ -1,4 +1,4 @@
-//! What people are shown, by a log and by a live viewer alike: which messages a run has, and when each is due.
+//! Messages for people, in a log and in a live viewer alike: the messages of a run, and when each is due.
 //!
 //! Two kinds: records of our own ([`crate::log::records`]), and the messages that every viewer of ROS 2 data knows: transforms,
 //! poses, joint states, markers, sentences. Frames, units and names are those of the robot's URDF.
@@ -50,7 +50,7 @@ const DRIFT_NS: u64 = 50_000_000;
 /// A touch is drawn at most so often, ns.
 const TOUCH_PERIOD_NS: u64 = 40_000_000;
 
-/// Where messages go.
+/// Receiver of messages.
 pub trait Sink {
     /// There will be records of this kind.
     fn offer_record<C: Channel + Message>(&mut self) -> Result<(), LogError>;
@@ -66,18 +66,18 @@ pub trait Sink {
     -> Result<(), LogError>;
 }
 
-/// How often something is shown, ns of loop time; a period of 0 is each tick.
+/// Periods of messages, ns of loop time; a period of 0 is each tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Periods {
     /// The records.
     pub numbers_ns: u64,
     /// TFMessage, poses, joints, the cover's wrench.
     pub poses_ns: u64,
-    /// What does not change: again for a viewer that came later.
+    /// Period of constant messages, for a viewer that connects later.
     pub fixed_ns: u64,
 }
 
-/// What changes now and then: mode, fault with the board that it is of, and what is known of the board.
+/// State that changes now and then: mode, fault with its board, and state of the board.
 type Situation = (Mode, (Option<Fault>, Option<u8>), Diagnosis);
 
 /// Turns samples into the messages that are due.
@@ -214,7 +214,7 @@ impl Display {
         Ok(last != Some(now))
     }
 
-    /// What a three-dimensional view needs.
+    /// Writes the messages of a three-dimensional view.
     fn scene(&mut self, sample: &Sample, to: &mut impl Sink) -> Result<(), LogError> {
         let (time_ns, at) = (sample.time_ns, self.stamp(sample.time_ns));
         let repeat = is_due(&mut self.next_repeat_ns, time_ns, self.periods.fixed_ns);
@@ -258,7 +258,7 @@ impl Display {
     }
 }
 
-/// Whether something is due that happens once in `period_ns`, at whole multiples of it.
+/// Returns true if a message is due that comes once in `period_ns`, at whole multiples of it.
 fn is_due(next_ns: &mut u64, time_ns: u64, period_ns: u64) -> bool {
     let due = time_ns >= *next_ns;
     if due {

@@ -1,6 +1,6 @@
-//! What a three-dimensional view draws: base, arm and the wanted flange, plates coloured by force, arrows of contacts and
-//! wrenches. Each array is whole by itself: what is no longer there is deleted in it, so that a viewer that missed one
-//! shows nothing that has ended.
+//! Drawing of a three-dimensional view: base, arm and the desired flange, plates coloured by force, arrows of contacts and
+//! wrenches. Each array is complete: markers that have ended are deleted in it, so that a viewer that missed one shows
+//! nothing that has ended.
 
 use super::{
     frames::{self, BASE, DESIRED, WORLD, link, taxel},
@@ -119,7 +119,7 @@ fn force_n(taxel: &TaxelReading) -> f64 {
     if taxel.status == TaxelStatus::Ok && taxel.force_n.is_finite() { taxel.force_n } else { 0.0 }
 }
 
-/// Whether somebody touches the robot, anywhere, by more than an arrow can show.
+/// Returns true if the robot is touched, anywhere, by more than an arrow can show.
 pub(super) fn is_touched(sample: &Sample) -> bool {
     let flange = sample.flange_wrench_world;
     sample.taxels.iter().any(|taxel| force_n(taxel) > SMALLEST_N)
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn the_wanted_flange_is_a_ghost_in_its_own_frame_and_the_flange_is_pulled_from_where_it_is() {
+    fn desired_flange_is_a_ghost_in_its_own_frame() {
         let robot = RobotDescription::paper("test", true);
         let ghost = bodies(&robot, &Time::default());
         let ghost = found(&ghost, "wanted flange", 0);

@@ -1,4 +1,4 @@
-//! What happened, in sentences for a viewer's log panel.
+//! Events, in sentences for a viewer's log panel.
 
 use super::markers::Log;
 use crate::ros::messages::Time;

@@ -21,7 +21,7 @@
 /// Most values of one column; a reader refuses more.
 const MAX_ROWS: usize = 1 << 12;
 
-/// How a value is predicted.
+/// Prediction of a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Guess {
     /// As the one before.
@@ -32,7 +32,7 @@ enum Guess {
     Parabola = 2,
     /// The one before, moved on at its rate.
     Rate = 3,
-    /// The same, rounded to single precision.
+    /// Prediction by a rate, rounded to single precision.
     RateSingle = 4,
     /// On the cubic through the four before.
     Cubic = 5,
@@ -43,7 +43,7 @@ enum Guess {
 }
 
 impl Guess {
-    /// What needs no rate, in the order of what it needs.
+    /// Predictions without a rate, ordered by the number of earlier values.
     const PLAIN: [Self; 6] =
         [Self::Same, Self::Line, Self::Parabola, Self::Cubic, Self::Quartic, Self::Quintic];
     const OF_INTEGERS: [Self; 2] = [Self::Same, Self::Line];
@@ -80,7 +80,7 @@ impl Guess {
 }
 
 impl Guess {
-    /// How many values before the next one it looks at.
+    /// Returns the number of earlier values that it uses.
     const fn needs(self) -> usize {
         match self {
             Self::Same | Self::Rate | Self::RateSingle => 1,
@@ -92,7 +92,7 @@ impl Guess {
         }
     }
 
-    /// Of counts, exactly; where there are fewer before, with as many as there are.
+    /// Predicts counts, exactly; with fewer earlier values it uses those that exist.
     fn of_counts(self, before: &[i64]) -> i64 {
         const BINOMIAL: [[i64; 6]; 6] = [
             [1, 0, 0, 0, 0, 0],
@@ -172,7 +172,7 @@ fn distances_of_counts(counts: &[i64], guess: Guess) -> Vec<u64> {
     pairs.map(|(count, guessed)| zigzag(count.wrapping_sub(guessed).cast_unsigned())).collect()
 }
 
-/// What a column changes by: its rate per second, and the time since the row before, s.
+/// Rate of a column per second, and the time since the row before, s.
 #[derive(Clone, Copy, Debug)]
 pub struct Rate<'a> {
     /// Rate in each row.
@@ -258,7 +258,7 @@ impl ColumnWriter {
     }
 }
 
-/// Columns that are none: cut, damaged, or written by something else.
+/// Truncated or corrupt column data, or data of another writer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("columns of numbers are damaged")]
 pub struct DamagedColumns;

@@ -4,7 +4,7 @@ use super::{
     LogError, Overview,
     framing::{self, Fields, Records, op},
     overview::OverviewBuilder,
-    reader::{self, Decoder, Input, Record},
+    reader::{self, Begun, Carried, Decoder, Input, Record},
     writer::OVERVIEW,
 };
 use crate::RobotDescription;
@@ -44,12 +44,14 @@ pub struct LogFile {
     cut: Option<String>,
 }
 
-/// Where a chunk lies.
-#[derive(Clone, Copy, Debug)]
+/// Place of a chunk.
+#[derive(Clone)]
 struct Chunk {
     start_ns: u64,
     end_ns: u64,
     at: u64,
+    /// State from the chunks before it; `None` where the chunk holds it itself.
+    carried: Option<Box<Carried>>,
 }
 
 impl LogFile {
@@ -61,28 +63,37 @@ impl LogFile {
         Self::over(reader::open_file(path)?, path)
     }
 
-    /// The same over anything that holds the bytes of a log; `path` names it in errors.
+    /// Opens anything that holds the bytes of a log; `path` names it in errors.
     ///
     /// # Errors
     /// As for [`Self::open`].
     pub fn over(input: impl Read + Seek + Send + 'static, path: &Path) -> Result<Self, LogError> {
-        let (mut records, ended_well) = reader::begin(input, path)?;
+        let Begun { mut records, ended_well, by_us } = reader::begin(input, path)?;
         let start = records.at();
         let indexed = if ended_well { index(&mut records) } else { Err("the file breaks off".into()) };
         let (chunks, overview, cut) = match indexed {
-            Ok((chunks, overview)) => (chunks, overview, None),
-            Err(why) => {
+            Ok((chunks, overview)) if !chunks.is_empty() => (chunks, overview, None),
+            indexed => {
                 let damaged = |cause| LogError::Open { path: path.into(), cause };
                 records.seek(start).map_err(damaged)?;
-                (scan(&mut records), None, Some(why))
+                let (chunks, whole) = scan(&mut records);
+                // a file need not have an index
+                let why = indexed.err().filter(|_| !(whole && ended_well));
+                (chunks, None, why)
             }
         };
+        // others may have left out what an overview that they copied still counts
+        let overview = overview.filter(|_| by_us);
         let mut log = Self { records, decoder: Decoder::default(), chunks, overview, cut };
-        // The robot and the channels are in the first chunk.
-        if let Some(first) = log.chunks.first().copied()
-            && let Err(why) = log.decode(first, &mut |_| {})
-        {
-            log.cut = Some(why);
+        if by_us {
+            // The robot and the channels are in the first chunk.
+            if let Some(first) = log.chunks.first().cloned()
+                && let Err(why) = log.decode(&first, &mut |_| {})
+            {
+                log.cut = Some(why);
+            }
+        } else {
+            log.carry();
         }
         // From here on chunks are read in any order: each says all that its samples need.
         let start_unix_ns = log.decoder.start_unix_ns;
@@ -91,6 +102,21 @@ impl LogFile {
             chunk.end_ns = chunk.end_ns.saturating_sub(start_unix_ns);
         }
         Ok(log)
+    }
+
+    /// Notes for each chunk what those before it have said; the file ends before one that is damaged.
+    fn carry(&mut self) {
+        for number in 0..self.chunks.len() {
+            let mut chunk = self.chunks[number].clone();
+            let carried = Box::new(self.decoder.carried.clone());
+            if let Err(why) = self.decode(&chunk, &mut |_| {}) {
+                self.cut = Some(why);
+                self.chunks.truncate(number);
+                return;
+            }
+            chunk.carried = Some(carried);
+            self.chunks[number] = chunk;
+        }
     }
 
     /// The robot.
@@ -122,16 +148,16 @@ impl LogFile {
         self.cut.as_deref()
     }
 
-    /// What a viewer shows from `from_ns` to `to_ns`, ns of loop time, both included: only the chunks that hold it are read.
+    /// Reads the samples for viewers from `from_ns` to `to_ns`, ns of loop time, both included: only the chunks that hold them are read.
     ///
     /// # Errors
     /// A chunk is damaged; the message says where.
     pub fn samples(&mut self, from_ns: u64, to_ns: u64) -> Result<Vec<Sample>, LogError> {
         let wanted = |chunk: &&Chunk| chunk.start_ns <= to_ns && chunk.end_ns >= from_ns;
-        let chunks: Vec<Chunk> = self.chunks.iter().filter(wanted).copied().collect();
+        let chunks: Vec<Chunk> = self.chunks.iter().filter(wanted).cloned().collect();
         let mut samples = Vec::new();
         for chunk in chunks {
-            self.decode(chunk, &mut |record| match record {
+            self.decode(&chunk, &mut |record| match record {
                 Record::Sample(sample) if (from_ns..=to_ns).contains(&sample.time_ns) => {
                     samples.push(*sample)
                 }
@@ -148,7 +174,7 @@ impl LogFile {
         let mut builder = OverviewBuilder::default();
         let chunks = self.chunks.clone();
         for chunk in chunks {
-            let decoded = self.decode(chunk, &mut |record| {
+            let decoded = self.decode(&chunk, &mut |record| {
                 if let Record::Sample(sample) = record {
                     builder.add(&sample);
                 }
@@ -157,7 +183,7 @@ impl LogFile {
                 self.cut = Some(why);
                 break;
             }
-            progress(self.part_before(chunk));
+            progress(self.part_before(&chunk));
         }
         self.overview.insert(builder.finish())
     }
@@ -174,24 +200,27 @@ impl LogFile {
         take: &mut dyn FnMut(&[u8]) -> Result<(), String>,
     ) -> Result<(), LogError> {
         for chunk in self.chunks.clone() {
-            self.read(chunk).and_then(|records| take(&records)).map_err(LogError::Damaged)?;
-            progress(self.part_before(chunk));
+            self.read(&chunk).and_then(|records| take(&records)).map_err(LogError::Damaged)?;
+            progress(self.part_before(&chunk));
         }
         Ok(())
     }
 
-    /// How much of the file lies before a chunk, 0 to 1.
+    /// Returns the share of the file before a chunk, 0 to 1.
     #[expect(clippy::cast_precision_loss, reason = "a share of a file")]
-    fn part_before(&self, chunk: Chunk) -> f64 {
+    fn part_before(&self, chunk: &Chunk) -> f64 {
         chunk.at as f64 / self.length().max(1) as f64
     }
 
-    fn decode(&mut self, chunk: Chunk, entry: &mut dyn FnMut(Record)) -> Result<(), String> {
+    fn decode(&mut self, chunk: &Chunk, entry: &mut dyn FnMut(Record)) -> Result<(), String> {
         let records = self.read(chunk)?;
+        if let Some(carried) = &chunk.carried {
+            self.decoder.carried = (**carried).clone();
+        }
         self.decoder.decode(&records, entry)
     }
 
-    fn read(&mut self, chunk: Chunk) -> Result<Vec<u8>, String> {
+    fn read(&mut self, chunk: &Chunk) -> Result<Vec<u8>, String> {
         self.records.seek(chunk.at).map_err(|error| error.to_string())?;
         let record = self.records.next(|_| true)?;
         let records =
@@ -219,7 +248,7 @@ fn index(records: &mut Records<Input>) -> Result<(Vec<Chunk>, Option<Overview>),
                 let (Some(start_ns), Some(end_ns), Some(at)) = entry else {
                     return Err("the index is damaged".into());
                 };
-                chunks.push(Chunk { start_ns, end_ns, at });
+                chunks.push(Chunk { start_ns, end_ns, at, carried: None });
             }
             op::ATTACHMENT_INDEX => {
                 let at = fields.u64();
@@ -247,11 +276,15 @@ fn overview(attachment: &[u8]) -> Option<Overview> {
     (crc32fast::hash(body) == u32::from_le_bytes(*crc)).then(|| serde_json::from_slice(data).ok())?
 }
 
-/// The chunks that lie in the file before its damage.
-fn scan(records: &mut Records<Input>) -> Vec<Chunk> {
+/// The chunks that lie in the file before its damage, and whether there is none.
+fn scan(records: &mut Records<Input>) -> (Vec<Chunk>, bool) {
     let mut chunks = Vec::new();
-    while let Ok(Some((at, times))) = records.next_chunk() {
-        chunks.push(Chunk { start_ns: times[0], end_ns: times[1], at });
+    loop {
+        match records.next_chunk() {
+            Ok(Some((at, [start_ns, end_ns]))) => {
+                chunks.push(Chunk { start_ns, end_ns, at, carried: None });
+            }
+            ended => return (chunks, ended.is_ok()),
+        }
     }
-    chunks
 }

@@ -46,7 +46,7 @@ impl<R: Read + Seek> Records<R> {
         Ok(Self { input, at, end, body: Vec::new() })
     }
 
-    /// Where the next record begins.
+    /// Returns the place of the next record.
     pub(super) const fn at(&self) -> u64 {
         self.at
     }
@@ -89,7 +89,7 @@ impl<R: Read + Seek> Records<R> {
         }
     }
 
-    /// Where the next chunk begins and its first and last time, its body left unread; `None` behind the last one.
+    /// Returns the place of the next chunk and its first and last time, its body left unread; `None` behind the last one.
     pub(super) fn next_chunk(&mut self) -> Result<Option<(u64, [u64; 2])>, String> {
         loop {
             let at = self.at;
@@ -169,25 +169,47 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// First and last time of a chunk's messages, and its records, decompressed and checked against its checksum.
-pub(super) fn chunk(body: &[u8]) -> Result<Vec<u8>, String> {
-    let mut fields = Fields(body);
-    let mut header = || {
+/// A chunk as it lies in the file.
+struct Chunk<'a> {
+    /// Length of its records, bytes.
+    size: u64,
+    /// Checksum of its records; 0 is none.
+    crc: u32,
+    compression: &'a str,
+    records: &'a [u8],
+}
+
+impl<'a> Chunk<'a> {
+    fn parse(body: &'a [u8]) -> Option<Self> {
+        let mut fields = Fields(body);
         let _times = (fields.u64()?, fields.u64()?);
         let (size, crc, compression) = (fields.u64()?, fields.u32()?, fields.text()?);
         let length = usize::try_from(fields.u64()?).ok()?;
-        Some((size, crc, compression, fields.take(length)?))
-    };
-    let (size, crc, compression, records) = header().ok_or("a chunk is damaged")?;
+        Some(Self { size, crc, compression, records: fields.take(length)? })
+    }
+}
+
+/// Name of a chunk's compression, where it is one that is not read.
+pub(super) fn unread_compression(body: &[u8]) -> Option<&str> {
+    let Chunk { compression, .. } = Chunk::parse(body)?;
+    (!matches!(compression, "" | "zstd")).then_some(compression)
+}
+
+/// Records of a chunk, decompressed, and checked against its checksum if it has one.
+pub(super) fn chunk(body: &[u8]) -> Result<Vec<u8>, String> {
+    let Chunk { size, crc, compression, records } = Chunk::parse(body).ok_or("a chunk is damaged")?;
     let capacity = usize::try_from(size).ok().filter(|_| size <= MAX_CHUNK);
     let capacity = capacity.ok_or_else(|| format!("a chunk of {size} bytes, allowed are {MAX_CHUNK}"))?;
     let records = match compression {
         "zstd" => zstd::bulk::decompress(records, capacity)
             .map_err(|error| format!("a chunk is damaged: {error}"))?,
         "" => records.to_vec(),
-        other => return Err(format!("a chunk is compressed with {other:?}, which no log of this form is")),
+        other => {
+            return Err(format!("a chunk is compressed with {other:?}; zstd and no compression are read"));
+        }
     };
-    if records.len() != capacity || crc32fast::hash(&records) != crc {
+    // the format's word for a checksum that was not computed is 0
+    if records.len() != capacity || (crc != 0 && crc32fast::hash(&records) != crc) {
         return Err("a chunk does not fit its checksum".into());
     }
     Ok(records)

@@ -15,6 +15,7 @@ pub mod columns;
 mod file;
 mod framing;
 pub mod overview;
+mod own_file;
 mod reader;
 mod recorder;
 pub mod records;
@@ -30,7 +31,21 @@ pub use shown::shown;
 pub use sizes::LogSizes;
 pub use writer::{LogSummary, LogWriter, Meta};
 
-use std::path::PathBuf;
+use std::fs::{File, OpenOptions};
+use std::io;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+
+/// Permission bits of a recording: nobody but its owner and the group reads who leaned on a robot.
+const RECORDING_MODE: u32 = 0o640;
+
+/// Creates the file of a recording, with mode 0640 or what the umask leaves of it; one that exists is never overwritten.
+///
+/// # Errors
+/// It exists, or cannot be created.
+pub fn create_file(path: &Path) -> io::Result<File> {
+    OpenOptions::new().write(true).create_new(true).mode(RECORDING_MODE).open(path)
+}
 
 /// Bytes of the Touch Board as they came in.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -43,7 +58,7 @@ pub struct SerialBytes {
     pub bytes: Vec<u8>,
 }
 
-/// What can go wrong with a log. The text says the cause, all the way down; `source` does not say it again.
+/// Error of a log. The text names the cause completely; `source` does not repeat it.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The file could not be created; an existing one is never overwritten.
@@ -76,6 +91,37 @@ pub enum LogError {
         /// Its form.
         theirs: String,
     },
+    /// An MCAP file with another profile than a log's.
+    #[error("{path} is {}, a log's is {}", with_profile(.profile), writer::FORM)]
+    OtherProfile {
+        /// The file.
+        path: PathBuf,
+        /// Its profile.
+        profile: String,
+    },
+    /// An MCAP file that holds messages outside of chunks.
+    #[error(
+        "{0} holds messages outside of chunks, which no log does: write it again in chunks, such as with `mcap compress`"
+    )]
+    NotInChunks(PathBuf),
+    /// Chunks are compressed in a way that is not read.
+    #[error(
+        "{path} is compressed with {compression}, a log with zstd: write it again with `mcap compress --compression zstd`"
+    )]
+    OtherCompression {
+        /// The file.
+        path: PathBuf,
+        /// Its compression.
+        compression: String,
+    },
+    /// The file has a beginning and nothing that can be read after it.
+    #[error("{path} {why}: nothing in it can be read")]
+    Nothing {
+        /// The file.
+        path: PathBuf,
+        /// Reason of the end.
+        why: &'static str,
+    },
     /// A part of the file is damaged.
     #[error("the log is damaged: {0}")]
     Damaged(String),
@@ -91,6 +137,30 @@ pub enum LogError {
     /// The recorder's thread panicked.
     #[error("the recorder stopped for an internal error, printed above")]
     Panicked,
+}
+
+impl LogError {
+    /// Returns true if the file is not a log that this program can read.
+    pub const fn is_of_no_log(&self) -> bool {
+        matches!(
+            self,
+            Self::NotMcap(_)
+                | Self::OtherForm { .. }
+                | Self::OtherProfile { .. }
+                | Self::NotInChunks(_)
+                | Self::OtherCompression { .. }
+                | Self::Nothing { .. }
+        )
+    }
+}
+
+/// Returns the likely origin of a file with another profile.
+fn with_profile(profile: &str) -> String {
+    if profile.is_empty() {
+        return "an MCAP file without a profile (a log of form moca-s/1, or one that another program has written again)"
+            .into();
+    }
+    format!("an MCAP file of another program, with the profile {profile:?}")
 }
 
 impl From<mcap::McapError> for LogError {

@@ -27,9 +27,9 @@ const MAX_MARKS: usize = 1 << 14;
 pub struct Overview {
     /// Length of each span, ns of loop time: a second, or more in a long run.
     pub span_ns: u64,
-    /// What happened in each span, in order; spans without a sample are left out.
+    /// Summary of each span, in order; spans without a sample are left out.
     pub spans: Vec<Span>,
-    /// What happened at one instant, in order.
+    /// Events at single instants, in order.
     pub marks: Vec<Mark>,
     /// Marks that found no room.
     pub marks_dropped: u64,
@@ -57,11 +57,11 @@ pub struct Span {
 pub struct Mark {
     /// When, ns of loop time.
     pub time_ns: u64,
-    /// What.
+    /// Event.
     pub what: Happening,
 }
 
-/// What a mark stands for.
+/// Event that a mark stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Happening {
     /// A hand on an untouched cover.

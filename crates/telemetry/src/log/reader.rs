@@ -5,12 +5,12 @@ use super::{
     framing::{self, Fields, Message, Records, op},
     records::{
         BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC, Link,
-        ModeChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Target, Timing,
+        ModeChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Target, Timing, bounded,
     },
-    writer::FORM,
+    writer::{FORM, FORMS, LIBRARY},
 };
 use crate::RobotDescription;
-use moca_msgs::{Fault, Mode, Sample, TaxelReading, board::Diagnosis};
+use moca_msgs::{Fault, Mode, Sample, board::Diagnosis};
 use serde::de::DeserializeOwned;
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -22,30 +22,30 @@ use std::{
 /// One entry of a log.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Record {
-    /// What a viewer shows of one tick, numbers with seven digits.
+    /// Sample of one tick for a viewer, numbers with seven digits.
     Sample(Box<Sample>),
     /// One read of the Touch Board's port.
     Serial(SerialBytes),
     /// A block of what ticks were given, in the daemon's own form.
     Replay(Vec<u8>),
-    /// What the loop remembered when a log begins in the middle of a run, in the daemon's own form.
+    /// Memory of the loop where a log begins in the middle of a run, in the daemon's own form.
     LoopState(Vec<u8>),
-    /// How the run was configured.
+    /// Configuration of the run.
     Configuration(Box<Configuration>),
 }
 
-/// What a viewer shows of a whole log, in memory: about 75 KB for each second of it.
+/// Contents of a whole log for a viewer, in memory: about 75 KB for each second of it.
 #[derive(Clone, Debug, Default)]
 pub struct Log {
     /// The robot.
     pub description: RobotDescription,
     /// Unix time of loop time 0, ns.
     pub start_unix_ns: u64,
-    /// What a viewer shows, tick by tick.
+    /// Samples for a viewer, tick by tick.
     pub samples: Vec<Sample>,
     /// Every read of the Touch Board's port.
     pub serial: Vec<SerialBytes>,
-    /// Where the file breaks off and why, if it is not whole.
+    /// Place and reason of the break, if the file is not whole.
     pub cut: Option<String>,
 }
 
@@ -87,12 +87,12 @@ impl LogReader {
         Self::over(open_file(path)?, path)
     }
 
-    /// The same over anything that holds the bytes of a log; `path` names it in errors.
+    /// Opens anything that holds the bytes of a log; `path` names it in errors.
     ///
     /// # Errors
     /// As for [`Self::open`].
     pub fn over(input: impl Read + Seek + Send + 'static, path: &Path) -> Result<Self, LogError> {
-        let (records, ended_well) = begin(input, path)?;
+        let Begun { records, ended_well, .. } = begin(input, path)?;
         Ok(Self {
             records,
             decoder: Decoder::default(),
@@ -109,7 +109,7 @@ impl LogReader {
         &self.decoder.description
     }
 
-    /// How much of the file has been read, 0 to 1.
+    /// Returns the share of the file that has been read, 0 to 1.
     #[expect(clippy::cast_precision_loss, reason = "a share of a file")]
     pub fn part_read(&self) -> f64 {
         self.records.at() as f64 / self.records.end().max(1) as f64
@@ -144,7 +144,12 @@ impl LogReader {
             listed += 1;
         }
         let found = self.chunks_read;
-        if listed == found { Ok(()) } else { Err(format!("{found} of {listed} chunks were found")) }
+        // a file need not have an index
+        if listed == found || listed == 0 {
+            Ok(())
+        } else {
+            Err(format!("{found} of {listed} chunks were found"))
+        }
     }
 }
 
@@ -167,7 +172,7 @@ impl Iterator for LogReader {
     }
 }
 
-/// What a log is read from.
+/// Input of a log.
 pub(super) type Input = BufReader<Box<dyn ReadSeek>>;
 
 /// Bytes that are read anywhere.
@@ -184,11 +189,18 @@ pub(super) fn open_file(path: &Path) -> Result<File, LogError> {
     File::open(path).map_err(open)
 }
 
-/// The records of a log after its first bytes, and whether it ends as it should.
-pub(super) fn begin(
-    input: impl Read + Seek + Send + 'static,
-    path: &Path,
-) -> Result<(Records<Input>, bool), LogError> {
+/// Begin and end of a log.
+pub(super) struct Begun {
+    /// Its records, the header first.
+    pub(super) records: Records<Input>,
+    /// True if it ends as an MCAP file should.
+    pub(super) ended_well: bool,
+    /// True if this library wrote it: its chunks then can be read in any order.
+    pub(super) by_us: bool,
+}
+
+/// Opens a log, or says in one sentence why it is none.
+pub(super) fn begin(input: impl Read + Seek + Send + 'static, path: &Path) -> Result<Begun, LogError> {
     let open = |cause| LogError::Open { path: path.into(), cause };
     let mut input: Input = BufReader::new(Box::new(input));
     let mut magic = [0; mcap::MAGIC.len()];
@@ -201,16 +213,42 @@ pub(super) fn begin(
     input.read_exact(&mut magic).map_err(open)?;
     let ended_well = length > start && magic == mcap::MAGIC;
     let mut records = Records::new(input, start).map_err(open)?;
-    if let Ok(header) = records.next(|_| true) {
-        let form = Fields(header.body).text().unwrap_or_default();
-        if header.op == op::HEADER && form != FORM {
-            let theirs = if form.is_empty() { "moca-s/1" } else { form };
-            return Err(LogError::OtherForm { path: path.into(), theirs: theirs.into() });
-        }
-    }
-    // A header that is cut or damaged is told by who reads on.
+    let by_us = header(&mut records, path)?;
+    first_chunk(&mut records, path)?;
     records.seek(start).map_err(open)?;
-    Ok((records, ended_well))
+    Ok(Begun { records, ended_well, by_us })
+}
+
+/// Returns true if this library wrote the file, if its header is that of a log.
+fn header(records: &mut Records<Input>, path: &Path) -> Result<bool, LogError> {
+    let nothing = LogError::Nothing { path: path.into(), why: "ends within its header" };
+    let Ok(header) = records.next(|_| true) else { return Err(nothing) };
+    if header.op != op::HEADER {
+        return Err(LogError::NotMcap(path.into()));
+    }
+    let mut fields = Fields(header.body);
+    let (Some(form), Some(library)) = (fields.text(), fields.text()) else { return Err(nothing) };
+    match form {
+        FORM => Ok(library.starts_with(LIBRARY)),
+        _ if form.starts_with(FORMS) => Err(LogError::OtherForm { path: path.into(), theirs: form.into() }),
+        _ => Err(LogError::OtherProfile { path: path.into(), profile: form.into() }),
+    }
+}
+
+/// Fails unless the first messages lie in a chunk that can be read.
+fn first_chunk(records: &mut Records<Input>, path: &Path) -> Result<(), LogError> {
+    let wanted = |kind| matches!(kind, op::CHUNK | op::MESSAGE | op::DATA_END | op::FOOTER);
+    let why = match records.next(wanted) {
+        Ok(framing::Record { op: op::CHUNK, body }) => {
+            return framing::unread_compression(body).map_or(Ok(()), |compression| {
+                Err(LogError::OtherCompression { path: path.into(), compression: compression.into() })
+            });
+        }
+        Ok(framing::Record { op: op::MESSAGE, .. }) => return Err(LogError::NotInChunks(path.into())),
+        Ok(_) => "holds no messages",
+        Err(_) => "ends within its first chunk",
+    };
+    Err(LogError::Nothing { path: path.into(), why })
 }
 
 /// Turns messages into entries; remembers what later messages leave unsaid.
@@ -219,6 +257,12 @@ pub(super) struct Decoder {
     topics: BTreeMap<u16, String>,
     pub(super) description: RobotDescription,
     pub(super) start_unix_ns: u64,
+    pub(super) carried: Carried,
+}
+
+/// State that a message leaves out because earlier ones hold it.
+#[derive(Clone, Default)]
+pub(super) struct Carried {
     mode: Mode,
     fault: Option<Fault>,
     fault_board: Option<u8>,
@@ -238,7 +282,7 @@ struct Partial {
 }
 
 impl Decoder {
-    /// Hands over every entry of a chunk, up to the first message that is none of ours.
+    /// Hands over every entry of a chunk, up to the first foreign message.
     pub(super) fn decode(&mut self, chunk: &[u8], entry: &mut dyn FnMut(Record)) -> Result<(), String> {
         for record in framing::records_in(chunk) {
             match record.op {
@@ -270,19 +314,20 @@ impl Decoder {
                 self.start_unix_ns = robot.start_unix_ns;
                 self.description = serde_json::from_str(&robot.json)?;
             }
-            ModeChange::TOPIC => self.mode = parse::<ModeChange>(message)?.mode,
+            ModeChange::TOPIC => self.carried.mode = parse::<ModeChange>(message)?.mode,
             FaultChange::TOPIC => {
                 let change: FaultChange = parse(message)?;
-                (self.fault, self.fault_board) = (change.fault()?, change.board.checked_sub(1));
+                (self.carried.fault, self.carried.fault_board) =
+                    (change.fault()?, change.board.checked_sub(1));
             }
-            BoardChange::TOPIC => self.board = parse::<BoardChange>(message)?.board()?,
-            State::TOPIC => self.partial.state = Some(parse(message)?),
-            Command::TOPIC => self.partial.command = Some(parse(message)?),
-            Link::TOPIC => self.partial.link = Some(parse(message)?),
-            Target::TOPIC => self.partial.target = Some(parse(message)?),
-            Cover::TOPIC => self.partial.cover = Some(parse(message)?),
-            Contact::TOPIC => self.partial.contacts.push(parse(message)?),
-            Timing::TOPIC => return Ok(self.complete(message.time_ns, &parse(message)?)),
+            BoardChange::TOPIC => self.carried.board = parse::<BoardChange>(message)?.board()?,
+            State::TOPIC => self.carried.partial.state = Some(parse(message)?),
+            Command::TOPIC => self.carried.partial.command = Some(parse(message)?),
+            Link::TOPIC => self.carried.partial.link = Some(parse(message)?),
+            Target::TOPIC => self.carried.partial.target = Some(parse(message)?),
+            Cover::TOPIC => self.carried.partial.cover = Some(parse(message)?),
+            Contact::TOPIC => self.carried.partial.contacts.push(parse(message)?),
+            Timing::TOPIC => return Ok(self.complete(message.time_ns, parse(message)?)),
             LOOP_STATE_TOPIC => return Ok(Some(Record::LoopState(message.data.to_vec()))),
             REPLAY_TOPIC => return Ok(Some(Record::Replay(message.data.to_vec()))),
             Configuration::TOPIC => return Ok(Some(Record::Configuration(Box::new(parse(message)?)))),
@@ -297,60 +342,34 @@ impl Decoder {
         }
         Ok(None)
     }
+
     /// The sample, if all messages of its tick are there; `Timing` is the last one written.
-    fn complete(&mut self, log_time: u64, timing: &Timing) -> Option<Record> {
-        let Partial { state, command, cover, contacts, link, target } = std::mem::take(&mut self.partial);
+    fn complete(&mut self, log_time: u64, timing: Timing) -> Option<Record> {
+        let Partial { state, command, cover, contacts, link, target } =
+            std::mem::take(&mut self.carried.partial);
         let (state, command, cover) = (state?, command?, cover?);
         if [state.tick, command.tick, cover.tick] != [timing.tick; 3] {
             return None;
         }
-        let (speed_limit, contact_reaction) = (command.speed_limit(), command.contact_reaction());
         let events = contacts.iter().filter(|contact| contact.tick == timing.tick).map(Contact::event);
-        let readings = cover.force_n.iter().zip(&cover.status);
-        Some(Record::Sample(Box::new(Sample {
+        let mut sample = Sample {
             tick: timing.tick,
             time_ns: log_time.saturating_sub(self.start_unix_ns),
-            mode: self.mode,
-            fault: self.fault,
-            fault_board: self.fault_board,
-            law: command.law(),
-            base_pose_world: state.base_pose_world,
-            base_velocity_world: state.base_velocity_world,
-            cover_speed_m_s: state.cover_speed_m_s,
-            uncovered_way_m: state.uncovered_way_m,
-            base_velocity_command_body: command.base_velocity_body,
-            q_rad: bounded(state.q_rad),
-            dq_rad_s: bounded(state.dq_rad_s),
-            arm_torque_nm: bounded(command.arm_torque_nm),
-            flange_position_world: state.flange_position_world,
-            flange_quaternion_world: state.flange_quaternion_world,
-            flange_desired_position_world: state.flange_desired_position_world,
-            flange_desired_quaternion_world: state.flange_desired_quaternion_world,
-            flange_wrench_world: state.flange_wrench_world,
-            cover_wrench_base: cover.wrench_base,
-            taxels: bounded(readings.map(|(&force_n, &status)| TaxelReading { force_n, status })),
-            counts: bounded(cover.counts),
-            frame_age_s: cover.frame_age_s,
-            frame_rate_hz: cover.frame_rate_hz,
-            frames_good: timing.frames_good,
-            frames_bad: timing.frames_bad,
-            board: self.board,
-            speed_limit,
-            contact_reaction,
+            mode: self.carried.mode,
+            fault: self.carried.fault,
+            fault_board: self.carried.fault_board,
+            board: self.carried.board,
             contact_events: bounded(events),
-            contact_rows: heapless::Vec::new(),
             target: target.filter(|target| target.tick == timing.tick).map(|target| target.state()),
-            lateness_s: timing.lateness_s,
-            overruns: timing.overruns,
-            stages_ns: timing.stages_ns,
             link: link.filter(|link| link.tick == timing.tick).map(|link| link.link()),
-        })))
+            ..Sample::default()
+        };
+        state.give(&mut sample);
+        command.give(&mut sample);
+        cover.give(&mut sample);
+        timing.give(&mut sample);
+        Some(Record::Sample(Box::new(sample)))
     }
-}
-
-/// As many as a sample holds: a file from elsewhere may have more.
-fn bounded<T, const N: usize>(values: impl IntoIterator<Item = T>) -> heapless::Vec<T, N> {
-    values.into_iter().take(N).collect()
 }
 
 fn parse<C: DeserializeOwned>(message: &Message<'_>) -> Result<C, serde_json::Error> {

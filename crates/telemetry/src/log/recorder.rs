@@ -1,14 +1,14 @@
 //! A log writer on a thread of its own.
 
 use super::{
-    LogError, SerialBytes,
+    LogError, SerialBytes, create_file,
+    own_file::OwnFile,
     records::{Configuration, DriverWords, ParameterChange},
     writer::{LogSummary, LogWriter, Meta},
 };
 use moca_msgs::Sample;
 use rtrb::Consumer;
 use std::{
-    fs::File,
     io::{BufWriter, Write},
     path::{Path, PathBuf},
     sync::{
@@ -20,7 +20,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// What reaches the recorder besides samples.
+/// Entry for the recorder other than a sample.
 enum Entry {
     Serial(SerialBytes),
     Replay { time_ns: u64, block: Vec<u8> },
@@ -31,13 +31,13 @@ enum Entry {
 
 /// Most entries that wait for the recorder: over 10 s of a Touch Board.
 const MAX_ENTRIES: usize = 4096;
-/// How often the rings are looked at.
+/// Period at which the rings are read.
 const POLL: Duration = Duration::from_millis(5);
 /// After how long a chunk is ended that a loop which stands still leaves unfinished. A loop that runs ends each after half a
 /// second of its own time: to end one between would cost a log its repeated first records.
 const FLUSH_AFTER: Duration = Duration::from_secs(1);
 
-/// How a recorder treats what it is given.
+/// Options of a recorder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RecorderOptions {
     /// Without room entries wait for the disk instead of being dropped and counted: for a run that has no clock.
@@ -84,13 +84,13 @@ impl Recorder {
         let path = path.to_owned();
         let parts = move |number| {
             let path = part_path(&path, number);
-            let file = File::create_new(&path).map_err(|cause| LogError::Create { path, cause })?;
-            Ok(BufWriter::new(Box::new(file) as Box<dyn Write + Send>))
+            let file = create_file(&path).map_err(|cause| LogError::Create { path, cause })?;
+            Ok(BufWriter::new(Box::new(OwnFile::new(file)) as Box<dyn Write + Send>))
         };
         Self::start_parts(Box::new(parts), meta, samples, options)
     }
 
-    /// The same onto anything that can be written to, in one part.
+    /// Records onto anything that can be written to, in one part.
     ///
     /// # Errors
     /// As for [`Self::create`].
@@ -179,7 +179,7 @@ impl Recorder {
         }
     }
 
-    /// Whether it still records; `false` after an error.
+    /// Returns true while it records; `false` after an error.
     pub fn is_recording(&self) -> bool {
         !self.thread.is_finished()
     }
@@ -199,18 +199,18 @@ impl Recorder {
     }
 }
 
-/// What the recorder's thread works on.
+/// Work of the recorder's thread.
 struct PartWriter {
     log: LogWriter<Output>,
     parts: Parts,
     meta: Meta,
-    /// Whether the run has no clock, so that a chunk may take its time.
+    /// True if the run has no clock, so that a chunk may take its time.
     waits: bool,
     split_ns: Option<u64>,
     /// Loop time of the first sample in the present part.
     began_ns: Option<u64>,
     part: u64,
-    /// What the parts before hold.
+    /// Contents of the parts before.
     before: LogSummary,
     configuration: Option<Box<Configuration>>,
 }
@@ -266,7 +266,7 @@ impl PartWriter {
         }
     }
 
-    /// Whether a sample of this time begins the next part.
+    /// Returns true if a sample of this time begins the next part.
     fn is_long_enough(&mut self, now_ns: u64) -> bool {
         let began_ns = *self.began_ns.get_or_insert(now_ns);
         self.split_ns.is_some_and(|split_ns| now_ns.saturating_sub(began_ns) >= split_ns)

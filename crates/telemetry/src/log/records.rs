@@ -10,11 +10,13 @@
 //! # Ok::<(), serde_json::Error>(())
 //! ```
 
+use crate::ros::message;
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
-    ArmLink, ArmMode, ContactEvent, ContactReaction, Fault, Law, Mode, SpeedLimit, SpeedLimitReason,
-    TaxelStatus,
+    ArmLink, ArmMode, ContactEvent, ContactReaction, Fault, Law, Mode, STAGES, Sample, SpeedLimit,
+    SpeedLimitReason, TaxelReading, TaxelStatus,
     board::Diagnosis,
+    sample_table,
     target::{TargetKind, TargetPhase, TargetState},
 };
 use schemars::{JsonSchema, generate::SchemaSettings};
@@ -49,88 +51,298 @@ pub fn seven_digits(value: f64) -> f64 {
     format!("{value:.6e}").parse().unwrap_or(value)
 }
 
-/// What the plant measured.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-pub struct State {
-    /// Tick count.
-    pub tick: u64,
-    /// Pose of the base in the world: m, m, rad.
-    #[serde(deserialize_with = "array")]
-    pub base_pose_world: [f64; 3],
-    /// Its rate: m/s, m/s, rad/s.
-    #[serde(deserialize_with = "array")]
-    pub base_velocity_world: [f64; 3],
-    /// Speed of the fastest point of the cover, m/s.
-    #[serde(default, deserialize_with = "scalar")]
-    pub cover_speed_m_s: f64,
-    /// Way towards a side that no taxel covers since the base last rested, m.
-    #[serde(default, deserialize_with = "scalar")]
-    pub uncovered_way_m: f64,
-    /// Joint angles, rad.
-    #[serde(deserialize_with = "list")]
-    pub q_rad: Vec<f64>,
-    /// Joint rates, rad/s.
-    #[serde(deserialize_with = "list")]
-    pub dq_rad_s: Vec<f64>,
-    /// Flange position in the world, m.
-    #[serde(deserialize_with = "array")]
-    pub flange_position_world: [f64; 3],
-    /// Flange orientation in the world, quaternion x, y, z, w.
-    #[serde(deserialize_with = "array")]
-    pub flange_quaternion_world: [f64; 4],
-    /// Desired flange position in the world, m.
-    #[serde(deserialize_with = "array")]
-    pub flange_desired_position_world: [f64; 3],
-    /// Desired flange orientation in the world, quaternion x, y, z, w.
-    #[serde(deserialize_with = "array")]
-    pub flange_desired_quaternion_world: [f64; 4],
-    /// External wrench on the robot about the flange, world axes: N, N·m.
-    #[serde(deserialize_with = "array")]
-    pub flange_wrench_world: [f64; 6],
+/// A field of a sample as one column of a record, or two.
+trait Columns {
+    /// The columns.
+    type In;
+
+    fn split(&self) -> Self::In;
+    fn join(columns: Self::In) -> Self;
+
+    /// Rounds to the digits of a record.
+    fn shorten(&mut self) {}
 }
 
-/// What the robot was told.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-pub struct Command {
-    /// Tick count.
-    pub tick: u64,
-    /// Base velocity in the base's own axes: m/s, m/s, rad/s.
-    #[serde(deserialize_with = "array")]
-    pub base_velocity_body: [f64; 3],
-    /// Joint torques, gravity included, N·m.
-    #[serde(deserialize_with = "list")]
-    pub arm_torque_nm: Vec<f64>,
-    /// Largest speed that any point of the cover was allowed, m/s.
-    #[serde(default, deserialize_with = "scalar")]
-    pub speed_limit_m_s: f64,
-    /// Why.
-    #[serde(default)]
-    #[schemars(with = "String")]
-    pub speed_limit_reason: SpeedLimitReason,
-    /// The selected law, impedance or follow-me; empty where it is not known.
-    #[serde(default)]
-    pub law: String,
-    /// Reaction to a contact in force; empty without one.
-    #[serde(default)]
-    pub contact_reaction: String,
-}
+impl Columns for f64 {
+    type In = (Self,);
 
-impl Command {
-    /// The speed limit.
-    pub fn speed_limit(&self) -> SpeedLimit {
-        SpeedLimit { m_s: self.speed_limit_m_s, reason: self.speed_limit_reason }
+    fn split(&self) -> Self::In {
+        (*self,)
     }
 
-    /// The selected law.
-    pub fn law(&self) -> Option<Law> {
-        [Law::Impedance, Law::FollowMe].into_iter().find(|law| Mode::from(*law).name() == self.law)
+    fn join((value,): Self::In) -> Self {
+        value
     }
 
-    /// The reaction to a contact.
-    pub fn contact_reaction(&self) -> Option<ContactReaction> {
-        named(&self.contact_reaction)
+    fn shorten(&mut self) {
+        *self = seven_digits(*self);
     }
 }
+
+impl Columns for u64 {
+    type In = (Self,);
+
+    fn split(&self) -> Self::In {
+        (*self,)
+    }
+
+    fn join((value,): Self::In) -> Self {
+        value
+    }
+}
+
+impl<const N: usize> Columns for [u32; N] {
+    type In = (Self,);
+
+    fn split(&self) -> Self::In {
+        (*self,)
+    }
+
+    fn join((values,): Self::In) -> Self {
+        values
+    }
+}
+
+impl<const N: usize> Columns for [f64; N] {
+    type In = (Self,);
+
+    fn split(&self) -> Self::In {
+        (*self,)
+    }
+
+    fn join((values,): Self::In) -> Self {
+        values
+    }
+
+    fn shorten(&mut self) {
+        self.iter_mut().for_each(Columns::shorten);
+    }
+}
+
+impl<const N: usize> Columns for heapless::Vec<f64, N> {
+    type In = (Vec<f64>,);
+
+    fn split(&self) -> Self::In {
+        (self.to_vec(),)
+    }
+
+    fn join((values,): Self::In) -> Self {
+        bounded(values)
+    }
+
+    fn shorten(&mut self) {
+        self.iter_mut().for_each(Columns::shorten);
+    }
+}
+
+impl<const N: usize> Columns for heapless::Vec<u16, N> {
+    type In = (Vec<u16>,);
+
+    fn split(&self) -> Self::In {
+        (self.to_vec(),)
+    }
+
+    fn join((values,): Self::In) -> Self {
+        bounded(values)
+    }
+}
+
+impl<const N: usize> Columns for heapless::Vec<TaxelReading, N> {
+    type In = (Vec<f64>, Vec<TaxelStatus>);
+
+    fn split(&self) -> Self::In {
+        self.iter().map(|taxel| (taxel.force_n, taxel.status)).unzip()
+    }
+
+    fn join((forces, statuses): Self::In) -> Self {
+        bounded(forces.into_iter().zip(statuses).map(|(force_n, status)| TaxelReading { force_n, status }))
+    }
+
+    fn shorten(&mut self) {
+        self.iter_mut().for_each(|taxel| taxel.force_n.shorten());
+    }
+}
+
+impl Columns for SpeedLimit {
+    type In = (f64, SpeedLimitReason);
+
+    fn split(&self) -> Self::In {
+        (self.m_s, self.reason)
+    }
+
+    fn join((m_s, reason): Self::In) -> Self {
+        Self { m_s, reason }
+    }
+
+    fn shorten(&mut self) {
+        self.m_s.shorten();
+    }
+}
+
+impl Columns for Option<Law> {
+    type In = (String,);
+
+    fn split(&self) -> Self::In {
+        (self.map_or("", |law| Mode::from(law).name()).into(),)
+    }
+
+    fn join((name,): Self::In) -> Self {
+        [Law::Impedance, Law::FollowMe].into_iter().find(|law| Mode::from(*law).name() == name)
+    }
+}
+
+impl Columns for Option<ContactReaction> {
+    type In = (String,);
+
+    fn split(&self) -> Self::In {
+        (name_of(*self),)
+    }
+
+    fn join((name,): Self::In) -> Self {
+        named(&name)
+    }
+}
+
+/// As many as a sample holds: a file from elsewhere may have more.
+pub(super) fn bounded<T, const N: usize>(values: impl IntoIterator<Item = T>) -> heapless::Vec<T, N> {
+    values.into_iter().take(N).collect()
+}
+
+/// A column of a record, in which a number that is not finite is `null`.
+trait Column: Sized {
+    fn read<'de, D: Deserializer<'de>>(d: D) -> Result<Self, D::Error>;
+}
+
+macro_rules! plain_columns {
+    ($($type:ty),* $(,)?) => { $(
+        impl Column for $type {
+            fn read<'de, D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
+                Self::deserialize(d)
+            }
+        }
+    )* };
+}
+
+plain_columns!(u64, [u32; STAGES.len()], String, SpeedLimitReason, Vec<u16>, Vec<TaxelStatus>);
+
+impl Column for f64 {
+    fn read<'de, D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
+        scalar(d)
+    }
+}
+
+impl Column for Vec<f64> {
+    fn read<'de, D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
+        list(d)
+    }
+}
+
+impl<const N: usize> Column for [f64; N] {
+    fn read<'de, D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
+        array(d)
+    }
+}
+
+fn column<'de, D: Deserializer<'de>, C: Column>(d: D) -> Result<C, D::Error> {
+    C::read(d)
+}
+
+/// The record of one group of [`moca_msgs::sample_table`]. Its rows become, one by one, columns of the record and how a field of
+/// the sample goes there and back.
+macro_rules! record {
+    (
+        { $(#[$doc:meta])* $field:ident: $type:ty, later; $($rest:tt)* }
+        $head:tt [$($columns:tt)*] [$($fields:tt)*]
+    ) => {
+        record! {
+            { $($rest)* } $head
+            [$($columns)* { $(#[$doc])* #[serde(default)] $field: $type }] [$($fields)* $field($field)]
+        }
+    };
+    (
+        { $(#[$doc:meta])* $field:ident: $type:ty $(, $word:ident)*; $($rest:tt)* }
+        $head:tt [$($columns:tt)*] [$($fields:tt)*]
+    ) => {
+        record! {
+            { $($rest)* } $head
+            [$($columns)* { $(#[$doc])* $field: $type }] [$($fields)* $field($field)]
+        }
+    };
+    (
+        { $(#[$doc:meta])* $field:ident: $type:ty as { $(#[$meta:meta])* $a:ident: $a_type:ty }; $($rest:tt)* }
+        $head:tt [$($columns:tt)*] [$($fields:tt)*]
+    ) => {
+        record! {
+            { $($rest)* } $head
+            [$($columns)* { $(#[$doc])* $(#[$meta])* $a: $a_type }] [$($fields)* $field($a)]
+        }
+    };
+    (
+        {
+            $(#[$doc:meta])* $field:ident: $type:ty as {
+                $(#[$a_meta:meta])* $a:ident: $a_type:ty,
+                $(#[$b_meta:meta])* $b:ident: $b_type:ty
+            };
+            $($rest:tt)*
+        }
+        $head:tt [$($columns:tt)*] [$($fields:tt)*]
+    ) => {
+        record! {
+            { $($rest)* } $head
+            [$($columns)* { $(#[$a_meta])* $a: $a_type } { $(#[$b_meta])* $b: $b_type }]
+            [$($fields)* $field($a, $b)]
+        }
+    };
+    (
+        {} { $(#[$record_doc:meta])* $record:ident $topic:literal $ros:literal }
+        [$({ $(#[$meta:meta])* $column:ident: $type:ty })*] [$($field:ident($($part:ident),+))*]
+    ) => {
+        $(#[$record_doc])*
+        #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+        pub struct $record {
+            /// Tick count.
+            pub tick: u64,
+            $($(#[$meta])* #[serde(deserialize_with = "column")] pub $column: $type,)*
+        }
+
+        impl From<&Sample> for $record {
+            fn from(sample: &Sample) -> Self {
+                $(let ($($part,)+) = Columns::split(&sample.$field);)*
+                Self { tick: sample.tick, $($column),* }
+            }
+        }
+
+        impl $record {
+            /// Gives a sample the fields of this record.
+            pub(super) fn give(self, sample: &mut Sample) {
+                let Self { tick: _, $($column),* } = self;
+                $(sample.$field = Columns::join(($($part,)+));)*
+            }
+
+            /// Rounds the fields of this record in a sample.
+            pub(super) fn shorten(sample: &mut Sample) {
+                $(Columns::shorten(&mut sample.$field);)*
+            }
+        }
+
+        impl Channel for $record {
+            const TOPIC: &'static str = $topic;
+        }
+
+        message! { $ros $record { tick, $($column),* } }
+    };
+}
+
+macro_rules! records {
+    (
+        own $own:tt
+        $($(#[$doc:meta])* $record:ident $topic:literal $ros:literal $rows:tt)*
+    ) => {
+        $(record! { $rows { $(#[$doc])* $record $topic $ros } [] [] })*
+    };
+}
+
+sample_table!(records);
 
 /// Something that happened to a contact of one taxel.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -167,7 +379,7 @@ pub struct Contact {
     pub crossed_n: f64,
     /// Reaction to it; empty without one.
     pub reaction: String,
-    /// Of NoRoom: how much faster outward the taxel was ordered than the contact barrier allows, m/s.
+    /// Excess of a NoRoom event: ordered outward speed over the contact barrier's bound, m/s.
     #[serde(default, deserialize_with = "scalar")]
     pub excess_m_s: f64,
 }
@@ -222,7 +434,7 @@ pub struct Link {
     /// Age of the base's state, s.
     #[serde(deserialize_with = "scalar")]
     pub base_age_s: f64,
-    /// What the arm does.
+    /// Mode of the arm.
     #[schemars(with = "String")]
     pub arm_mode: ArmMode,
     /// Share of the last commands that reached it in time, as it says itself.
@@ -244,7 +456,7 @@ impl Link {
         Self { tick, arm_age_s, base_age_s, arm_mode, success_rate, lost, repeated, errors }
     }
 
-    /// What the sample carried.
+    /// Returns the link as the sample carried it.
     pub const fn link(&self) -> moca_msgs::Link {
         let Self { tick: _, arm_age_s, base_age_s, arm_mode: mode, success_rate, lost, repeated, errors } =
             *self;
@@ -252,15 +464,15 @@ impl Link {
     }
 }
 
-/// How the last target from another program stands; nothing before the first.
+/// Progress of the last target from another program; nothing before the first.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Target {
     /// Tick count.
     pub tick: u64,
-    /// What is led, and how.
+    /// Kind of the target.
     #[schemars(with = "String")]
     pub kind: TargetKind,
-    /// How it stands.
+    /// Progress of it.
     #[schemars(with = "String")]
     pub phase: TargetPhase,
     /// Share of a trajectory's time that has passed, 0 to 1; of everything else 1 when it is reached.
@@ -274,53 +486,10 @@ impl Target {
         Self { tick, kind: target.kind, phase: target.phase, progress: target.progress }
     }
 
-    /// What the sample carried.
+    /// Returns the state as the sample carried it.
     pub const fn state(&self) -> TargetState {
         TargetState { kind: self.kind, phase: self.phase, progress: self.progress }
     }
-}
-
-/// What the cover felt, T1 first.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-pub struct Cover {
-    /// Tick count.
-    pub tick: u64,
-    /// Force of each taxel, N; meaningful only where the status is Ok.
-    #[serde(deserialize_with = "list")]
-    pub force_n: Vec<f64>,
-    /// Health of each taxel.
-    #[schemars(with = "Vec<String>")]
-    pub status: Vec<TaxelStatus>,
-    /// Raw FDAT counts.
-    pub counts: Vec<u16>,
-    /// Cover wrench in the base's own axes about its origin: N, N, N·m.
-    #[serde(deserialize_with = "array")]
-    pub wrench_base: [f64; 3],
-    /// Age of the data, s; negative before the first good frame.
-    #[serde(deserialize_with = "scalar")]
-    pub frame_age_s: f64,
-    /// Measured frame rate, Hz.
-    #[serde(deserialize_with = "scalar")]
-    pub frame_rate_hz: f64,
-}
-
-/// How well the loop kept time: the worst since the record before.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-pub struct Timing {
-    /// Tick count.
-    pub tick: u64,
-    /// How late the latest tick woke, s.
-    #[serde(deserialize_with = "scalar")]
-    pub lateness_s: f64,
-    /// Missed slots so far.
-    pub overruns: u64,
-    /// How long each stage took at most, ns: read state, cover, control, write plant, publish.
-    #[serde(default)]
-    pub stages_ns: [u32; 5],
-    /// Good frames so far.
-    pub frames_good: u64,
-    /// Rejected frames so far.
-    pub frames_bad: u64,
 }
 
 /// A change of mode.
@@ -340,9 +509,9 @@ pub struct FaultChange {
     pub tick: u64,
     /// Stable code; empty when the fault was cleared.
     pub code: String,
-    /// What happened.
+    /// Event.
     pub text: String,
-    /// What to do about it.
+    /// Remedy.
     pub remedy: String,
     /// Number of the board whose fault it is, 1 is the first; 0 where it is of no board.
     #[serde(default)]
@@ -375,7 +544,7 @@ impl FaultChange {
 pub struct BoardChange {
     /// First tick of the change.
     pub tick: u64,
-    /// What is known, and what to do about it.
+    /// State of the board, and its remedy.
     pub text: String,
     /// The diagnosis in the form this library reads back.
     pub json: String,
@@ -422,14 +591,14 @@ pub struct ParameterChange {
     pub values: Vec<f64>,
 }
 
-/// What a driver of a real arm or base said: where it was reached, why it refuses, who else is on its network.
+/// Message of a driver of a real arm or base: where it was reached, why it refuses, which other nodes are on its network.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct DriverWords {
     /// In sentences.
     pub text: String,
 }
 
-/// How the run was configured, once at the start.
+/// Configuration of the run, once at the start.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Configuration {
     /// Version of the daemon.
@@ -445,13 +614,9 @@ pub struct Configuration {
 
 channels! {
     Robot => "/robot",
-    State => "/state",
-    Command => "/command",
     Contact => "/contact",
     Link => "/link",
     Target => "/target",
-    Cover => "/cover",
-    Timing => "/timing",
     ModeChange => "/mode",
     FaultChange => "/fault",
     BoardChange => "/board",
@@ -461,7 +626,7 @@ channels! {
 }
 
 /// Name of a reaction as a log shows it.
-pub(super) fn name_of(reaction: Option<ContactReaction>) -> String {
+fn name_of(reaction: Option<ContactReaction>) -> String {
     reaction.map_or("", ContactReaction::name).into()
 }
 

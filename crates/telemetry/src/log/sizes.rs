@@ -1,4 +1,4 @@
-//! What a log costs on a disk, and which part of it for what.
+//! Size of a log on a disk, by purpose.
 
 use super::{
     LogError, LogFile,
@@ -31,23 +31,23 @@ pub struct LogSizes {
     pub span_ns: u64,
     /// The whole file, bytes.
     pub file: u64,
-    /// What viewers show, bytes.
+    /// Bytes for viewers.
     pub display: u64,
     /// The Touch Boards' bytes, bytes.
     pub board: u64,
-    /// What a replay needs, bytes.
+    /// Bytes for a replay.
     pub replay: u64,
 }
 
 impl LogSizes {
-    /// So many bytes of this log, as GB for each hour of the run; NaN of a run without length.
+    /// Returns the bytes of this log as GB for each hour of the run; NaN for a run without length.
     #[expect(clippy::cast_precision_loss, reason = "a figure for people")]
     pub fn gigabytes_per_hour(&self, bytes: u64) -> f64 {
         if self.span_ns == 0 { f64::NAN } else { bytes as f64 * 3600.0 / self.span_ns as f64 }
     }
 }
 
-/// What a message is for.
+/// Purpose of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Purpose {
     Display,

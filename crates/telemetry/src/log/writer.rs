@@ -25,22 +25,26 @@ use std::{collections::BTreeMap, io::Write};
 const NO_SCHEMA: u16 = 0;
 /// Name of this form in a file's header; a reader refuses others by name.
 pub(super) const FORM: &str = "moca-s/4";
-/// How hard chunks are pressed. A log of a minute takes 4 % less than at the library's own level, for 8 ms more of the recorder's
-/// thread a second of the run; beyond it nothing is gained.
+/// Common beginning of the names of all forms.
+pub(super) const FORMS: &str = "moca-s/";
+/// Beginning of the library's name in a log's header.
+pub(super) const LIBRARY: &str = "moca-telemetry ";
+/// Compression level of chunks. A log of a minute is 4 % smaller than at the library's own level, for 8 ms more of the recorder's
+/// thread a second of the run; higher levels gain nothing.
 pub(super) const ZSTD_LEVEL: u32 = 9;
-/// What a cut can lose, ns of loop time.
+/// Largest loss by a cut, ns of loop time.
 const CHUNK_NS: u64 = 500_000_000;
 /// Bytes after which a chunk ends all the same.
 const CHUNK_BYTES: u64 = 4 << 20;
-/// How often a sample is written for viewers: its numbers at 50 Hz, where everything is at 10 Hz. At 50 Hz transforms and
-/// joints would be as large as all numbers together. Whoever seeks in a file finds the last of each message before that time.
+/// Periods of samples for viewers: numbers at 50 Hz, everything else at 10 Hz. At 50 Hz transforms and joints would be as large as all
+/// numbers together. A seeking reader finds the last of each message before that time.
 const PERIODS: Periods = Periods { numbers_ns: 20_000_000, poses_ns: 100_000_000, fixed_ns: 600_000_000_000 };
 /// Name of the overview among a log's attachments.
 pub(super) const OVERVIEW: &str = "overview.json";
 /// Name of the robot's URDF among them.
 const ROBOT: &str = "robot.urdf";
 
-/// What a log says about itself.
+/// Description of a log in itself.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Meta {
     /// The robot.
@@ -49,7 +53,7 @@ pub struct Meta {
     pub start_unix_ns: u64,
 }
 
-/// What has been written so far.
+/// Contents written so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LogSummary {
     /// Samples given.

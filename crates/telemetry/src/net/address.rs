@@ -1,4 +1,4 @@
-//! Where a daemon listens: a port on loopback, or a Unix socket whose file mode says who may come in.
+//! Address of a daemon: a Unix socket whose file mode decides who may connect, or a port on loopback.
 //!
 //! ```
 //! use moca_telemetry::net::Address;
@@ -9,31 +9,40 @@
 //! # Ok::<(), moca_telemetry::net::address::AddressError>(())
 //! ```
 
-use super::NetError;
+use super::{NetError, Token, wire::Role};
 use std::{
-    fmt, io,
+    env, fmt,
+    fs::DirBuilder,
+    io,
     net::SocketAddr,
-    os::unix::fs::{FileTypeExt, PermissionsExt},
+    os::unix::fs::{DirBuilderExt, FileTypeExt, MetadataExt, PermissionsExt},
     path::{Path, PathBuf},
     str::FromStr,
+    time::Duration,
 };
 use tokio::{
     io::{AsyncRead, AsyncWrite},
-    net::{TcpListener, TcpSocket, TcpStream, UnixListener, UnixStream},
+    net::{TcpListener, TcpSocket, TcpStream, UnixListener, UnixSocket, UnixStream},
 };
 
-/// Where the packaged service listens.
-pub const SERVICE_SOCKET: &str = "/run/mocad/telemetry.sock";
+/// Folder of the packaged service's sockets.
+const SERVICE_FOLDER: &str = "/run/mocad";
+/// Name of the socket of operators.
+pub const SOCKET_NAME: &str = "telemetry.sock";
+/// Name of the socket that only shows, beside the other one.
+pub const WATCH_SOCKET_NAME: &str = "watch.sock";
 /// Before the path of a Unix socket.
 const UNIX: &str = "unix:";
-/// What the kernel may hold for one client, bytes: what a client that stops reading can fall behind before it is noticed.
+/// Kernel's send buffer for one client, bytes: how far a client that stops reading falls behind before it is noticed.
 const SEND_BUFFER: u32 = 128 * 1024;
-/// What the kernel may hold from one client, bytes: left to itself it lets megabytes of requests grow old.
+/// Kernel's receive buffer for one client, bytes: with its default, megabytes of requests would grow old.
 const RECEIVE_BUFFER: u32 = 64 * 1024;
-/// Connections that wait to be accepted.
-const BACKLOG: u32 = 128;
+/// Connections that wait to be accepted: a stop behind them must not find the queue full.
+const BACKLOG: u32 = 1024;
+/// Period and number of a client's attempts at a socket whose queue is full.
+const QUEUE_FULL: (Duration, u32) = (Duration::from_millis(1), 500);
 
-/// Where a daemon listens: `127.0.0.1:7611` or `unix:/run/mocad/telemetry.sock`.
+/// Address of a daemon: `127.0.0.1:7611` or `unix:/run/mocad/telemetry.sock`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Address {
     /// A port, reachable by every user of the machine.
@@ -43,14 +52,33 @@ pub enum Address {
 }
 
 impl Address {
-    /// Where a daemon on this machine most likely listens: the packaged service's socket if there is one, or else
-    /// [`super::DEFAULT_ADDRESS`].
+    /// Returns the most likely address of a daemon on this machine: the packaged service's socket if there is one, or else that of
+    /// this user's own daemon.
     pub fn of_this_machine() -> Self {
-        let service = Path::new(SERVICE_SOCKET);
-        if service.exists() {
-            return Self::Unix(service.into());
+        Self::in_folder_of_this_machine(SOCKET_NAME)
+    }
+
+    /// Returns the most likely address at which a daemon on this machine shows its robot and takes no request but a stop.
+    pub fn of_this_machine_to_watch() -> Self {
+        Self::in_folder_of_this_machine(WATCH_SOCKET_NAME)
+    }
+
+    fn in_folder_of_this_machine(name: &str) -> Self {
+        let service = Path::new(SERVICE_FOLDER).join(name);
+        Self::Unix(if service.exists() { service } else { user_folder().join(name) })
+    }
+
+    /// Returns the default address of a daemon that is not a service.
+    pub fn of_this_user() -> Self {
+        Self::Unix(user_folder().join(SOCKET_NAME))
+    }
+
+    /// The socket file that only shows, beside the one of operators; a port has none.
+    pub fn watch_socket(&self) -> Option<PathBuf> {
+        match self {
+            Self::Tcp(_) => None,
+            Self::Unix(path) => Some(path.with_file_name(WATCH_SOCKET_NAME)),
         }
-        Self::Tcp(super::DEFAULT_ADDRESS)
     }
 
     /// The port, if it is one.
@@ -61,7 +89,7 @@ impl Address {
         }
     }
 
-    /// Whether only this machine reaches it.
+    /// Returns true if only this machine reaches it.
     pub const fn is_local(&self) -> bool {
         match self {
             Self::Tcp(address) => address.ip().is_loopback(),
@@ -83,6 +111,72 @@ impl fmt::Display for Address {
             Self::Unix(path) => write!(f, "{UNIX}{}", path.display()),
         }
     }
+}
+
+/// A daemon as a client reaches it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Endpoint {
+    /// Address of the daemon.
+    pub address: Address,
+    /// Role that the client asks for.
+    pub role: Role,
+    /// The file with the token, if the daemon asks for one.
+    pub token: Option<PathBuf>,
+}
+
+impl Endpoint {
+    /// For a client that only reads.
+    #[must_use]
+    pub fn to_watch(self) -> Self {
+        Self { role: Role::Observer, ..self }
+    }
+}
+
+/// For an operator, with the token of [`Token::default_path`].
+impl From<Address> for Endpoint {
+    fn from(address: Address) -> Self {
+        Self { address, role: Role::Operator, token: Token::default_path() }
+    }
+}
+
+impl From<&Address> for Endpoint {
+    fn from(address: &Address) -> Self {
+        address.clone().into()
+    }
+}
+
+impl From<SocketAddr> for Endpoint {
+    fn from(address: SocketAddr) -> Self {
+        Address::Tcp(address).into()
+    }
+}
+
+/// `$XDG_RUNTIME_DIR/mocad`, `/run/user/UID/mocad` where that variable is missing, or `mocad-UID` in the folder of
+/// temporary files.
+fn user_folder() -> PathBuf {
+    let told = env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from).filter(|folder| folder.is_absolute());
+    let user = user();
+    let usual = || Some(PathBuf::from(format!("/run/user/{user}"))).filter(|folder| folder.is_dir());
+    told.or_else(usual)
+        .map_or_else(|| env::temp_dir().join(format!("mocad-{user}")), |folder| folder.join("mocad"))
+}
+
+/// Number of the user that runs this program.
+fn user() -> u32 {
+    // Without /proc nobody is anybody's owner, and the folder is refused.
+    std::fs::metadata("/proc/self").map_or(u32::MAX, |metadata| metadata.uid())
+}
+
+/// Makes this user's folder, and refuses one that another user could have prepared.
+fn prepare_user_folder(folder: &Path) -> io::Result<()> {
+    DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
+    let there = std::fs::symlink_metadata(folder)?;
+    let mode = there.mode() & 0o777;
+    if there.is_dir() && there.uid() == user() && mode & 0o022 == 0 {
+        return Ok(());
+    }
+    let why = format!("{} has mode {mode:04o} or another owner; allowed: 0700, yours", folder.display());
+    Err(io::Error::new(io::ErrorKind::PermissionDenied, why))
 }
 
 /// A text that is no [`Address`].
@@ -112,7 +206,17 @@ pub(super) type Writer = Box<dyn AsyncWrite + Send + Unpin>;
 pub(super) async fn connect(address: &Address) -> io::Result<(Reader, Writer)> {
     match address {
         Address::Tcp(address) => tcp_halves(TcpStream::connect(address).await?),
-        Address::Unix(path) => Ok(unix_halves(UnixStream::connect(path).await?)),
+        Address::Unix(path) => {
+            let mut tries = 1..QUEUE_FULL.1;
+            loop {
+                match UnixStream::connect(path).await {
+                    Err(error) if error.kind() == io::ErrorKind::WouldBlock && tries.next().is_some() => {
+                        tokio::time::sleep(QUEUE_FULL.0).await;
+                    }
+                    connected => return Ok(unix_halves(connected?)),
+                }
+            }
+        }
     }
 }
 
@@ -128,7 +232,7 @@ fn unix_halves(stream: UnixStream) -> (Reader, Writer) {
     (Box::new(reader), Box::new(writer))
 }
 
-/// What a server listens on. Dropping it removes its socket file.
+/// Listener of a server. Dropping it removes its socket file.
 pub(super) enum Listener {
     Tcp(TcpListener),
     Unix(UnixListener, PathBuf),
@@ -144,7 +248,7 @@ impl Listener {
         bound.map_err(|cause| NetError::Bind { address: address.clone(), cause })
     }
 
-    /// Where it listens, with the port that the system chose.
+    /// Returns its address, with the port that the system chose.
     pub(super) fn address(&self) -> io::Result<Address> {
         match self {
             Self::Tcp(listener) => listener.local_addr().map(Address::Tcp),
@@ -189,11 +293,17 @@ fn bind_unix(path: &Path, mode: u32) -> io::Result<UnixListener> {
             return Err(io::Error::new(io::ErrorKind::AddrInUse, "another daemon listens there"));
         }
     }
+    if let Some(folder) = path.parent().filter(|folder| *folder == user_folder()) {
+        prepare_user_folder(folder)?;
+    }
     let mut hidden = path.as_os_str().to_owned();
     hidden.push(format!(".{}", std::process::id()));
     let hidden = PathBuf::from(hidden);
-    let bound = UnixListener::bind(&hidden).and_then(|listener| {
+    let bound = UnixSocket::new_stream().and_then(|socket| {
+        socket.bind(&hidden)?;
+        // Nobody gets in before the mode is set: it listens only afterwards.
         std::fs::set_permissions(&hidden, std::fs::Permissions::from_mode(mode))?;
+        let listener = socket.listen(BACKLOG)?;
         std::fs::rename(&hidden, path)?;
         Ok(listener)
     });

@@ -13,21 +13,27 @@
 //! ```
 
 use super::{
-    Address, NetError,
+    Address, Endpoint, NetError, Token,
     address::{self, Reader, Writer},
-    wire::{self, FromClient, FromServer},
+    wire::{self, Challenge, FromClient, FromServer},
 };
 use crate::{RobotDescription, calibration::CalibrationRequest};
-use moca_msgs::{Request, TouchPolicy, Waypoint};
-use tokio::io::AsyncWriteExt;
+use moca_msgs::{Outcome, Request, TouchPolicy, Waypoint};
+use std::time::{Duration, Instant};
+use tokio::{io::AsyncWriteExt, time::timeout};
+
+/// Time for which [`stop`] keeps trying.
+const STOP_PATIENCE: Duration = Duration::from_secs(3);
+/// Pause before the next try of a stop.
+const STOP_RETRY: Duration = Duration::from_millis(2);
 
 /// A greeted connection, in two halves that may be used at the same time.
 pub struct Client {
     /// The robot on the other side.
     pub description: RobotDescription,
-    /// What the daemon says.
+    /// Messages of the daemon.
     pub incoming: Incoming,
-    /// What the daemon is asked.
+    /// Messages to the daemon.
     pub outgoing: Outgoing,
 }
 
@@ -43,21 +49,84 @@ pub struct Outgoing {
 }
 
 impl Client {
-    /// Connects and reads the greeting.
-    pub async fn connect(address: &Address) -> Result<Self, NetError> {
-        let (mut stream, outgoing) = address::connect(address).await?;
-        let mut payload = Vec::new();
-        wire::read_frame(&mut stream, &mut payload, wire::MAX_SERVER_FRAME).await?;
-        let description = wire::decode_greeting(&payload)?;
-        Ok(Self {
-            description,
-            incoming: Incoming { stream, payload },
-            outgoing: Outgoing { stream: outgoing },
-        })
+    /// Connects, says who it is and reads the welcome.
+    ///
+    /// # Errors
+    /// No daemon, another version, or the daemon's reason not to serve this client.
+    pub async fn connect(endpoint: impl Into<Endpoint>) -> Result<Self, NetError> {
+        let Endpoint { address, role, token } = endpoint.into();
+        let (incoming, stream) = address::connect(&address).await?;
+        let mut incoming = Incoming { stream: incoming, payload: Vec::new() };
+        let mut outgoing = Outgoing { stream };
+        let Challenge { nonce, token_needed } = incoming.greeting().await?;
+        let proof = if token_needed {
+            let path = token.ok_or(NetError::NoToken(address))?;
+            Some(Token::read(&path)?.proof(&nonce))
+        } else {
+            None
+        };
+        outgoing.send(FromClient::Hello { role, proof }).await?;
+        loop {
+            match incoming.next().await? {
+                FromServer::Welcome(description) => {
+                    return Ok(Self { description: *description, incoming, outgoing });
+                }
+                FromServer::Goodbye(reason) => return Err(NetError::Refused(reason)),
+                _ => {}
+            }
+        }
+    }
+}
+
+/// Stops the robot without being served: needs neither a place among the clients nor the token. Returns the loop's answer.
+///
+/// # Errors
+/// No daemon, or no answer in three seconds.
+pub async fn stop(address: &Address) -> Result<Outcome, NetError> {
+    let until = Instant::now() + STOP_PATIENCE;
+    loop {
+        let left = until.saturating_duration_since(Instant::now());
+        match timeout(left, stop_once(address)).await {
+            Err(_) => return Err(NetError::Io(std::io::ErrorKind::TimedOut.into())),
+            // Whoever crowds the daemon may have pushed this connection out before it was read.
+            Ok(Err(error)) if error.may_pass() && Instant::now() < until => {
+                tokio::time::sleep(STOP_RETRY).await;
+            }
+            Ok(answered) => return answered,
+        }
+    }
+}
+
+/// As [`stop`], for a program without a runtime.
+///
+/// # Errors
+/// As [`stop`].
+pub fn stop_blocking(address: &Address) -> Result<Outcome, NetError> {
+    tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(stop(address))
+}
+
+async fn stop_once(address: &Address) -> Result<Outcome, NetError> {
+    let (stream, outgoing) = address::connect(address).await?;
+    let (mut incoming, mut outgoing) =
+        (Incoming { stream, payload: Vec::new() }, Outgoing { stream: outgoing });
+    // Before anything is read: a daemon that is slow to greet still hears it.
+    outgoing.request(0, Request::Stop).await?;
+    incoming.greeting().await?;
+    loop {
+        match incoming.next().await? {
+            FromServer::Reply { outcome, .. } => return Ok(outcome),
+            FromServer::Goodbye(reason) => return Err(NetError::Refused(reason)),
+            _ => {}
+        }
     }
 }
 
 impl Incoming {
+    async fn greeting(&mut self) -> Result<Challenge, NetError> {
+        wire::read_frame(&mut self.stream, &mut self.payload, wire::MAX_SERVER_FRAME).await?;
+        wire::decode_greeting(&self.payload)
+    }
+
     /// The next message. Not cancel-safe: a call that is dropped half-way loses the frame's boundary.
     pub async fn next(&mut self) -> Result<FromServer, NetError> {
         wire::read_frame(&mut self.stream, &mut self.payload, wire::MAX_SERVER_FRAME).await?;
@@ -94,6 +163,12 @@ impl Outgoing {
     /// Shows that this client is alive, which keeps the command.
     pub async fn alive(&mut self) -> Result<(), NetError> {
         self.send(FromClient::Alive).await
+    }
+
+    /// Sets how long this client may be silent while it commands, ms, [`wire::LEASE_MS`].
+    pub async fn lease(&mut self, lease_ms: u16) -> Result<(), NetError> {
+        wire::check_lease(lease_ms)?;
+        self.send(FromClient::Lease(lease_ms)).await
     }
 
     async fn send(&mut self, message: FromClient) -> Result<(), NetError> {

@@ -1,4 +1,4 @@
-//! Who may command, what is asked of the loop, and what it has not answered yet.
+//! Right to command, requests to the loop, and requests without an answer.
 
 use super::requests::{ROOM, RequestSender};
 use super::wire::{COMMAND_LEASE, Commander, unix_now_ns};
@@ -13,7 +13,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// How long the loop may take to answer.
+/// Longest wait for an answer of the loop.
 pub(super) const ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Targets that may be on their way to the loop: beyond them a client sends more than ten for each tick.
@@ -30,18 +30,24 @@ pub(super) struct Answer {
     pub(super) outcome: Outcome,
 }
 
-/// Who holds the command, and when it was last heard.
+/// The client that holds the command or has asked for it.
 struct Commanding {
     client: ClientId,
+    /// Last sign of life.
     heard: Instant,
+    /// True once a request of its own was carried out. Until then it only keeps others from asking meanwhile: one whose requests
+    /// are all refused never had the command, and its end is no loss.
+    proven: bool,
+    /// True if it has hung up before its first answer.
+    gone: bool,
 }
 
 struct Pending {
     client: ClientId,
     id: u64,
     deadline: Instant,
-    stop: bool,
-    /// Of the requests that this one was split into: the first refusal of any is the answer.
+    request: Request,
+    /// First of the requests that this one was split into: the first refusal of any is the answer.
     first_ticket: u64,
 }
 
@@ -68,6 +74,10 @@ pub(super) struct Desk {
     requests: RequestSender,
     taxels: usize,
     commander: Option<Commanding>,
+    /// True if the robot may move with nobody in command: it arms itself, and no operator has intervened since the start.
+    self_armed: bool,
+    /// Leases of clients that asked for one of their own.
+    leases: BTreeMap<ClientId, Duration>,
     /// Taxels the commander holds pressed, let go when it leaves.
     pressed: Vec<u8>,
     /// Taxels to be let go as soon as there is room for the request.
@@ -82,13 +92,20 @@ pub(super) struct Desk {
 }
 
 impl Desk {
-    pub(super) fn new(requests: RequestSender, description: &RobotDescription, judge: Option<Judge>) -> Self {
+    pub(super) fn new(
+        requests: RequestSender,
+        description: &RobotDescription,
+        judge: Option<Judge>,
+        self_armed: bool,
+    ) -> Self {
         Self {
+            self_armed,
             judge,
             q_rad: Vec::new(),
             requests,
             taxels: description.taxels.len(),
             commander: None,
+            leases: BTreeMap::new(),
             pressed: Vec::new(),
             let_go: Vec::new(),
             pending: BTreeMap::new(),
@@ -101,11 +118,36 @@ impl Desk {
 
     /// Gives the command to a client unless another has it; whether this one has it now.
     pub(super) fn claim(&mut self, client: ClientId, now: Instant) -> bool {
-        let free = self.commander.as_ref().is_none_or(|c| c.client == client);
+        let free = self.is_free_for(client);
         if free {
-            self.commander = Some(Commanding { client, heard: now });
+            self.commander = Some(Commanding { client, heard: now, proven: true, gone: false });
         }
         free
+    }
+
+    fn is_free_for(&self, client: ClientId) -> bool {
+        self.commander.as_ref().is_none_or(|c| c.client == client)
+    }
+
+    /// Keeps others from commanding until the loop has answered a request of this client.
+    fn reserve(&mut self, client: ClientId, now: Instant) {
+        let asks = || Commanding { client, heard: now, proven: false, gone: false };
+        self.commander.get_or_insert_with(asks).heard = now;
+    }
+
+    /// The command after an answer to `client`: a first request that is carried out gives it, a refusal leaves it free.
+    fn settle(&mut self, client: ClientId, carried_out: bool) {
+        let asks = |pending: &Pending| pending.client == client && pending.request != Request::Stop;
+        let waits = self.pending.values().any(asks);
+        let Some(commander) = self.commander.as_mut().filter(|c| c.client == client && !c.proven) else {
+            return;
+        };
+        commander.proven = carried_out;
+        if carried_out && commander.gone {
+            self.lose(client);
+        } else if !carried_out && !waits {
+            self.vacate();
+        }
     }
 
     /// Passes a request on to the loop, or refuses it at once.
@@ -117,7 +159,7 @@ impl Desk {
         now: Instant,
     ) -> Option<Answer> {
         let refuse = |refusal| Some(Answer { client, id, outcome: Err(refusal) });
-        if request != Request::Stop && !self.claim(client, now) {
+        if request != Request::Stop && !self.is_free_for(client) {
             return refuse(Refusal::NotCommander);
         }
         if let Request::Target(target) = &mut request
@@ -155,9 +197,11 @@ impl Desk {
         if !self.submit(request) {
             return refuse(Refusal::NoAnswer);
         }
-        let (deadline, stop) = (now + ANSWER_TIMEOUT, request == Request::Stop);
-        let first_ticket = self.next_ticket;
-        self.pending.insert(self.next_ticket, Pending { client, id, deadline, stop, first_ticket });
+        if request != Request::Stop {
+            self.reserve(client, now);
+        }
+        let (deadline, first_ticket) = (now + ANSWER_TIMEOUT, self.next_ticket);
+        self.pending.insert(self.next_ticket, Pending { client, id, deadline, request, first_ticket });
         None
     }
 
@@ -172,7 +216,7 @@ impl Desk {
         now: Instant,
     ) -> Option<Answer> {
         let refuse = |refusal| Some(Answer { client, id, outcome: Err(refusal) });
-        if !self.claim(client, now) {
+        if !self.is_free_for(client) {
             return refuse(Refusal::NotCommander);
         }
         if let Err(refusal) = check_trajectory(waypoints) {
@@ -188,9 +232,13 @@ impl Desk {
             if !self.submit(request) {
                 return refuse(Refusal::NoAnswer);
             }
+            if index + 1 == count {
+                self.reserve(client, now);
+                let deadline = now + ANSWER_TIMEOUT;
+                self.pending
+                    .insert(self.next_ticket, Pending { client, id, deadline, request, first_ticket });
+            }
         }
-        let pending = Pending { client, id, deadline: now + ANSWER_TIMEOUT, stop: false, first_ticket };
-        self.pending.insert(self.next_ticket, pending);
         None
     }
 
@@ -217,24 +265,54 @@ impl Desk {
     }
 
     /// Takes the command from a client that has gone without giving it back. A moving robot stops, whoever armed it: with
-    /// its commander the person who watched it is gone.
+    /// its commander the person who watched it is gone. One that waits for its first answer is judged by that answer, and
+    /// meanwhile nothing that it asked for sets the robot in motion.
     pub(super) fn lose(&mut self, client: ClientId) {
-        if self.is_commander(client) {
+        let Some(commander) = self.commander.as_mut().filter(|c| c.client == client) else { return };
+        if commander.proven {
+            self.self_armed = false;
+            self.submit(Request::OperatorLost);
+            self.vacate();
+        } else {
+            commander.gone = true;
+            self.next_ticket += 1;
+            self.requests.withdraw(self.next_ticket);
+        }
+    }
+
+    /// Sets how long a client may be silent while it commands.
+    pub(super) fn set_lease(&mut self, client: ClientId, lease: Duration) {
+        self.leases.insert(client, lease);
+    }
+
+    /// Forgets a client whose connection has ended.
+    pub(super) fn forget(&mut self, client: ClientId) {
+        self.lose(client);
+        self.leases.remove(&client);
+    }
+
+    /// Takes the command from a client that gives it back. Nothing moves without somebody responsible: an armed robot is
+    /// disarmed, unless it armed itself and no operator has intervened.
+    pub(super) fn release(&mut self, client: ClientId) {
+        if !self.is_commander(client) {
+            return;
+        }
+        let arms = |pending: &Pending| pending.client == client && pending.request == Request::Arm;
+        let stays = self.self_armed && !self.pending.values().any(arms);
+        // Without room in the queue the robot stops at once instead.
+        if !stays && !self.submit(Request::Disarm) {
             self.submit(Request::OperatorLost);
         }
-        self.release(client);
+        self.vacate();
     }
 
-    /// Takes the command from a client that gives it back.
-    pub(super) fn release(&mut self, client: ClientId) {
-        if self.is_commander(client) {
-            self.commander = None;
-            self.let_go.append(&mut self.pressed);
-            self.let_go_of_taxels();
-        }
+    fn vacate(&mut self) {
+        self.commander = None;
+        self.let_go.append(&mut self.pressed);
+        self.let_go_of_taxels();
     }
 
-    /// Whether this client holds the command.
+    /// Returns true if this client holds the command.
     pub(super) fn is_commander(&self, client: ClientId) -> bool {
         self.commander.as_ref().is_some_and(|c| c.client == client)
     }
@@ -255,11 +333,14 @@ impl Desk {
         }
     }
 
-    /// What the loop has answered, and what it has failed to answer in time. Takes the command from a silent client.
+    /// Returns the loop's answers, and the requests that it failed to answer in time. Takes the command from a silent client.
     pub(super) fn answers(&mut self, now: Instant) -> Vec<Answer> {
-        let silent =
-            self.commander.as_ref().filter(|c| now.saturating_duration_since(c.heard) > COMMAND_LEASE);
-        if let Some(client) = silent.map(|c| c.client) {
+        let silent = self.commander.as_ref().filter(|commander| {
+            let lease = self.leases.get(&commander.client).copied().unwrap_or(COMMAND_LEASE);
+            now.saturating_duration_since(commander.heard) > lease
+        });
+        let silent = silent.map(|commander| commander.client);
+        if let Some(client) = silent {
             self.lose(client);
         }
         self.let_go_of_taxels();
@@ -272,13 +353,14 @@ impl Desk {
             if let (Err(refusal), false) = (outcome, self.pending.contains_key(&ticket)) {
                 self.refuse_split(ticket, refusal, &mut answers);
             }
-            if let Some(Pending { client, id, stop, .. }) = self.pending.remove(&ticket) {
-                answers.push(Answer { client, id, outcome });
-                if stop {
+            if let Some(answered) = self.pending.remove(&ticket) {
+                if answered.request == Request::Stop {
                     // Those that it overtook wanted the same.
-                    let overtaken = self.pending.extract_if(..ticket, |_, pending| pending.stop);
+                    let overtaken =
+                        self.pending.extract_if(..ticket, |_, pending| pending.request == Request::Stop);
                     answers.extend(overtaken.map(|(_, p)| Answer { client: p.client, id: p.id, outcome }));
                 }
+                self.close(answered, outcome, outcome.is_ok(), &mut answers);
             }
         }
         // Tickets rise with time, so the first that is not yet due ends the search.
@@ -286,10 +368,31 @@ impl Desk {
             if first.get().deadline > now {
                 break;
             }
-            let Pending { client, id, .. } = first.remove();
-            answers.push(Answer { client, id, outcome: Err(Refusal::NoAnswer) });
+            let late = first.remove();
+            // The loop may still carry it out: whoever asked is responsible for it.
+            self.close(late, Err(Refusal::NoAnswer), true, &mut answers);
         }
         answers
+    }
+
+    /// Notes the end of a request, and who commands after it. One that nobody answered may have been carried out.
+    fn close(
+        &mut self,
+        pending: Pending,
+        outcome: Outcome,
+        maybe_carried_out: bool,
+        answers: &mut Vec<Answer>,
+    ) {
+        let Pending { client, id, request, .. } = pending;
+        answers.push(Answer { client, id, outcome });
+        let intervenes = matches!(
+            request,
+            Request::Stop | Request::Tare | Request::Resume | Request::Arm | Request::Disarm
+        );
+        self.self_armed &= !(maybe_carried_out && intervenes);
+        if request != Request::Stop {
+            self.settle(client, maybe_carried_out);
+        }
     }
 
     /// Answers a request of several parts as soon as one of them is refused.
@@ -297,9 +400,9 @@ impl Desk {
         let whole = self.pending.range(ticket..).next().map(|(last, pending)| (*last, pending.first_ticket));
         if let Some((last, first)) = whole
             && (first..last).contains(&ticket)
-            && let Some(Pending { client, id, .. }) = self.pending.remove(&last)
+            && let Some(whole) = self.pending.remove(&last)
         {
-            answers.push(Answer { client, id, outcome: Err(refusal) });
+            self.close(whole, Err(refusal), false, answers);
         }
     }
 
@@ -308,12 +411,12 @@ impl Desk {
         &self.parameters
     }
 
-    /// Whether an answer is awaited.
+    /// Returns true if an answer is awaited.
     pub(super) fn waits(&self) -> bool {
         !self.pending.is_empty()
     }
 
-    /// Who holds the command, as `client` sees it.
+    /// Returns the holder of the command, as `client` sees it.
     pub(super) fn commander_seen_by(&self, client: ClientId) -> Commander {
         match &self.commander {
             None => Commander::Nobody,
@@ -342,11 +445,20 @@ mod tests {
 
     fn desk() -> (Desk, RequestReceiver) {
         let (requests, robot) = request_channel();
-        (Desk::new(requests, &RobotDescription::paper("test", true), None), robot)
+        (Desk::new(requests, &RobotDescription::paper("test", true), None, false), robot)
     }
 
     fn asked(robot: &mut RequestReceiver) -> Option<Request> {
         robot.take().map(|(_, request)| request)
+    }
+
+    /// Asks, and has the loop carry it out.
+    fn carried_out(desk: &mut Desk, robot: &mut RequestReceiver, request: Request, now: Instant) {
+        assert_eq!(desk.ask(1, 0, request, now), None);
+        let (ticket, taken) = robot.take().unwrap();
+        assert_eq!(taken, request);
+        robot.answer(ticket, Ok(()));
+        assert_eq!(desk.answers(now).len(), 1);
     }
 
     #[test]
@@ -354,8 +466,7 @@ mod tests {
         let (mut desk, mut robot) = desk();
         let start = Instant::now();
         let press = Request::PressTaxel { taxel: 2, force_n: 10.0 };
-        assert_eq!(desk.ask(1, 1, press, start), None);
-        assert_eq!(asked(&mut robot), Some(press));
+        carried_out(&mut desk, &mut robot, press, start);
 
         let alive = start + COMMAND_LEASE;
         desk.hear(1, alive);
@@ -367,6 +478,27 @@ mod tests {
         assert_eq!(asked(&mut robot), Some(Request::OperatorLost));
         assert_eq!(asked(&mut robot), Some(Request::PressTaxel { taxel: 2, force_n: 0.0 }));
         assert_eq!(desk.ask(2, 1, Request::Tare, alive + COMMAND_LEASE), None);
+    }
+
+    #[test]
+    fn commander_with_a_lease_of_its_own_loses_the_command_after_it() {
+        let (mut desk, mut robot) = desk();
+        let start = Instant::now();
+        let lease = Duration::from_millis(200);
+        desk.set_lease(1, lease);
+        carried_out(&mut desk, &mut robot, Request::Arm, start);
+        desk.answers(start + lease);
+        assert_eq!(desk.commander_seen_by(1), Commander::You);
+        desk.answers(start + lease + Duration::from_millis(1));
+        assert_eq!(asked(&mut robot), Some(Request::OperatorLost));
+        // A late sign of life does not bring the command back, and the lease is of one connection only.
+        desk.hear(1, start + lease + Duration::from_millis(2));
+        assert_eq!(desk.commander_seen_by(1), Commander::Nobody);
+        desk.forget(1);
+        let later = start + Duration::from_secs(1);
+        assert_eq!(desk.ask(1, 2, Request::Tare, later), None);
+        desk.answers(later + COMMAND_LEASE);
+        assert_eq!(desk.commander_seen_by(1), Commander::You);
     }
 
     fn refusal(answer: Option<Answer>) -> Option<Refusal> {
@@ -393,7 +525,7 @@ mod tests {
         desk.lose(2);
         assert_eq!((asked(&mut robot), desk.commander_seen_by(1)), (None, Commander::You));
         desk.release(1);
-        assert_eq!(asked(&mut robot), None);
+        assert_eq!((asked(&mut robot), asked(&mut robot)), (Some(Request::Disarm), None));
         assert!(desk.claim(2, now), "who gives the command back leaves it to the next");
     }
 
@@ -428,6 +560,7 @@ mod tests {
             assert_eq!(asked(&mut robot), Some(request));
         }
         desk.release(1);
+        assert_eq!(asked(&mut robot), Some(Request::Disarm));
         assert_eq!((asked(&mut robot), asked(&mut robot)), (Some(press(3, 0.0)), None));
 
         // No room when it leaves; the next one presses the same taxel before there is.
@@ -444,7 +577,7 @@ mod tests {
     }
 
     #[test]
-    fn each_request_has_its_answer_and_one_that_the_loop_does_not_give_in_time_is_said() {
+    fn every_request_is_answered_or_times_out() {
         let (mut desk, mut robot) = desk();
         let start = Instant::now();
         assert!(!desk.waits());
@@ -462,7 +595,7 @@ mod tests {
     }
 
     #[test]
-    fn changes_of_parameters_leave_room_for_their_answers_and_for_everything_else() {
+    fn parameter_changes_leave_room_for_other_requests() {
         let (mut desk, mut robot) = desk();
         let now = Instant::now();
         let values = ParameterValues::new(&[2.0]).unwrap();
@@ -482,13 +615,13 @@ mod tests {
     }
 
     #[test]
-    fn a_change_is_judged_where_the_robot_stands_and_with_those_on_their_way() {
+    fn change_is_judged_with_posture_and_pending_changes() {
         let (requests, mut robot) = request_channel();
         let judge: Judge = Box::new(|change| {
             let bent = change.q_rad.first().is_some_and(|q_rad| *q_rad > 1.0);
             if bent || change.changed.contains_key(&9) { Err(Refusal::OutOfRange) } else { Ok(()) }
         });
-        let mut desk = Desk::new(requests, &RobotDescription::paper("test", true), Some(judge));
+        let mut desk = Desk::new(requests, &RobotDescription::paper("test", true), Some(judge), false);
         let now = Instant::now();
         let change = |desk: &mut Desk, parameter| {
             let values = ParameterValues::new(&[2.0]).unwrap();
@@ -504,30 +637,115 @@ mod tests {
     }
 
     #[test]
-    fn any_commander_that_vanishes_stops_the_robot_and_who_gives_the_command_back_does_not() {
+    fn vanished_commander_stops_and_released_one_disarms() {
         // The robot may have armed itself, or an earlier commander did.
         for request in [Request::Arm, Request::SelectLaw(moca_msgs::Law::FollowMe), Request::Tare] {
-            for (gives_back, stops) in [(false, true), (true, false)] {
+            for (releases, expected) in [(false, Request::OperatorLost), (true, Request::Disarm)] {
                 let (mut desk, mut robot) = desk();
-                desk.ask(1, 1, request, Instant::now());
-                assert_eq!(asked(&mut robot), Some(request));
-                if gives_back {
+                carried_out(&mut desk, &mut robot, request, Instant::now());
+                if releases {
                     desk.release(1);
                 }
                 desk.lose(1);
-                assert_eq!(asked(&mut robot) == Some(Request::OperatorLost), stops, "{request:?}");
+                let heard: Vec<Request> = std::iter::from_fn(|| asked(&mut robot)).collect();
+                assert_eq!(heard, [expected], "{request:?}");
             }
         }
     }
 
     #[test]
-    fn no_number_of_requests_keeps_a_lost_operator_or_a_stop_from_the_loop() {
+    fn refused_request_takes_no_command() {
+        let now = Instant::now();
+        for hangs_up_first in [false, true] {
+            let (mut desk, mut robot) = desk();
+            assert_eq!(desk.ask(1, 1, Request::Tare, now), None);
+            assert_eq!(refusal(desk.ask(2, 1, Request::Tare, now)), Some(Refusal::NotCommander), "meanwhile");
+            let (ticket, _) = robot.take().unwrap();
+            robot.answer(ticket, Err(Refusal::Mode(moca_msgs::Mode::Impedance)));
+            if hangs_up_first {
+                desk.lose(1);
+            }
+            assert_eq!(desk.answers(now).len(), 1);
+            desk.lose(1);
+            assert_eq!((asked(&mut robot), desk.commander_seen_by(2)), (None, Commander::Nobody));
+        }
+        // Nor does what the loop never hears of take the command.
+        let (mut desk, mut robot) = desk();
+        let nowhere = Request::PressTaxel { taxel: 99, force_n: 1.0 };
+        assert_eq!(refusal(desk.ask(1, 1, nowhere, now)), Some(Refusal::OutOfRange));
+        assert!(desk.ask_trajectory(1, 1, TouchPolicy::TouchWins, &[], now).is_some());
+        desk.lose(1);
+        assert_eq!((asked(&mut robot), desk.commander_seen_by(2)), (None, Commander::Nobody));
+    }
+
+    #[test]
+    fn client_that_hangs_up_before_its_answer_leaves_no_armed_robot() {
+        let now = Instant::now();
+        // The loop has taken the request, has not yet, or does not answer in time.
+        for (taken, answered) in [(true, true), (false, true), (true, false)] {
+            let (mut desk, mut robot) = desk();
+            assert_eq!(desk.ask(1, 1, Request::Arm, now), None);
+            let ticket = if taken { robot.take().map(|(ticket, _)| ticket) } else { None };
+            desk.lose(1);
+            if let Some(ticket) = ticket.filter(|_| answered) {
+                robot.answer(ticket, Ok(()));
+            }
+            if !taken {
+                assert_eq!(robot.take(), None, "nothing arms the robot any more");
+            }
+            desk.answers(if answered { now } else { now + ANSWER_TIMEOUT });
+            assert_eq!(asked(&mut robot), taken.then_some(Request::OperatorLost), "{taken} {answered}");
+            assert_eq!(desk.commander_seen_by(2), Commander::Nobody);
+        }
+    }
+
+    #[test]
+    fn self_armed_robot_stays_armed_until_operator_intervenes() {
+        let now = Instant::now();
+        let law = Request::SelectLaw(moca_msgs::Law::FollowMe);
+        for intervention in [Request::Stop, Request::Tare, Request::Resume, Request::Arm, Request::Disarm] {
+            let (requests, mut robot) = request_channel();
+            let mut desk = Desk::new(requests, &RobotDescription::paper("test", true), None, true);
+            carried_out(&mut desk, &mut robot, law, now);
+            desk.release(1);
+            assert_eq!(asked(&mut robot), None, "startup.arm says so");
+            assert_eq!(desk.ask(1, 1, intervention, now), None);
+            let (ticket, _) = robot.take().unwrap();
+            robot.answer(ticket, Err(Refusal::ZeroInvalid));
+            desk.answers(now);
+            carried_out(&mut desk, &mut robot, law, now);
+            desk.release(1);
+            assert_eq!(asked(&mut robot), None, "a refused request changes nothing");
+            carried_out(&mut desk, &mut robot, intervention, now);
+            carried_out(&mut desk, &mut robot, law, now);
+            desk.release(1);
+            assert_eq!(asked(&mut robot), Some(Request::Disarm), "{intervention:?}");
+        }
+        // One that asks to arm and leaves before the answer.
+        let (requests, mut robot) = request_channel();
+        let mut desk = Desk::new(requests, &RobotDescription::paper("test", true), None, true);
+        desk.ask(1, 1, Request::Arm, now);
+        desk.release(1);
+        let heard: Vec<Request> = std::iter::from_fn(|| asked(&mut robot)).collect();
+        assert_eq!(heard, [Request::Arm, Request::Disarm]);
+    }
+
+    #[test]
+    fn release_behind_a_full_queue_stops_the_robot() {
+        let (mut desk, mut robot) = desk();
+        let now = Instant::now();
+        while refusal(desk.ask(1, 1, Request::EndTarget, now)).is_none() {}
+        desk.release(1);
+        assert_eq!(asked(&mut robot), Some(Request::OperatorLost));
+    }
+
+    #[test]
+    fn flood_never_delays_stop_or_lost_operator() {
         let now = Instant::now();
         let press = Request::PressTaxel { taxel: 4, force_n: 20.0 };
         for by_stop in [false, true] {
             let (mut desk, mut robot) = desk();
-            desk.ask(1, 0, press, now);
-            assert_eq!(asked(&mut robot), Some(press));
+            carried_out(&mut desk, &mut robot, press, now);
             for id in 0..50 {
                 desk.ask(1, id, Request::Disarm, now);
                 desk.ask(1, id, Request::Resume, now);
@@ -650,7 +868,7 @@ mod tests {
     }
 
     #[test]
-    fn a_trajectory_is_answered_once_by_its_last_pose_or_its_first_refusal() {
+    fn trajectory_is_answered_once() {
         let waypoint =
             |time_s| Waypoint { time_s, position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] };
         let now = Instant::now();
@@ -681,7 +899,7 @@ mod tests {
     }
 
     #[test]
-    fn a_trajectory_finds_room_as_a_whole_waits_its_time_and_is_not_refused_for_what_came_before_it() {
+    fn trajectory_is_queued_whole_and_not_refused_for_others() {
         let waypoint =
             |time_s| Waypoint { time_s, position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] };
         let trajectory = |count: u8| (0..count).map(|i| waypoint(f64::from(i))).collect::<Vec<_>>();

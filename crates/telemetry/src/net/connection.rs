@@ -11,8 +11,8 @@
 //! ```
 
 use super::{
-    Address, NetError,
-    client::{Client, Incoming, Outgoing},
+    Address, Endpoint, NetError,
+    client::{self, Client, Incoming, Outgoing},
     wire::{FromServer, Status},
 };
 use crate::{
@@ -30,7 +30,7 @@ use std::{
     thread::JoinHandle,
     time::Duration,
 };
-use tokio::sync::mpsc;
+use tokio::{sync::mpsc, task::JoinSet};
 
 /// Most samples kept for a reader that does not poll: 10 s at 1 kHz. The oldest are dropped.
 const MAX_SAMPLES: usize = 10_000;
@@ -38,9 +38,9 @@ const MAX_SAMPLES: usize = 10_000;
 const MAX_REQUESTS: usize = 64;
 /// Pause before the next attempt to connect.
 const RETRY: Duration = Duration::from_millis(250);
-/// How often a sign of life is passed on, if one was given.
+/// Period at which a sign of life is passed on, if one was given.
 const BEAT: Duration = Duration::from_millis(250);
-/// How long connecting and greeting may take.
+/// Longest duration of connecting and greeting.
 const GREETING_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// State of the connection.
@@ -63,26 +63,26 @@ pub enum Link {
 /// The answer to a request.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reply {
-    /// What was asked.
+    /// Request.
     pub request: Request,
     /// The answer.
     pub outcome: Outcome,
 }
 
-/// What has come in since the last poll.
+/// News since the last poll.
 #[derive(Clone, Debug)]
 pub struct Update {
     /// State of the connection.
     pub link: Link,
-    /// What the daemon says about this connection.
+    /// Status of this connection at the daemon.
     pub status: Status,
     /// Samples of the present session, oldest first.
     pub samples: Vec<Sample>,
     /// Answers.
     pub replies: Vec<Reply>,
-    /// How far the calibration has come.
+    /// Progress of the calibration.
     pub calibration: CalibrationProgress,
-    /// What the daemon's owner should know and is no fault of the robot.
+    /// Notices to the daemon's owner that are no fault of the robot.
     pub notices: Vec<String>,
     /// Samples dropped because nobody polled, so far.
     pub unread_dropped: u64,
@@ -113,12 +113,13 @@ struct Shared {
     calibration: CalibrationProgress,
     notices: Vec<String>,
     waiting: BTreeMap<u64, Request>,
+    refusal: Option<String>,
 }
 
 impl Connection {
-    /// Starts to connect to `address`; `wake` is called from the connection's thread whenever there is news.
-    pub fn spawn(address: impl Into<Address>, wake: impl Fn() + Send + 'static) -> Result<Self, NetError> {
-        let address = address.into();
+    /// Starts to connect to `endpoint`; `wake` is called from the connection's thread whenever there is news.
+    pub fn spawn(endpoint: impl Into<Endpoint>, wake: impl Fn() + Send + 'static) -> Result<Self, NetError> {
+        let endpoint = endpoint.into();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (commands, from_user) = mpsc::channel(MAX_REQUESTS);
         let shared = Arc::new(Mutex::new(Shared {
@@ -131,11 +132,12 @@ impl Connection {
             calibration: CalibrationProgress::default(),
             notices: Vec::new(),
             waiting: BTreeMap::new(),
+            refusal: None,
         }));
         let alive = Arc::new(AtomicBool::new(false));
         let (thread_shared, thread_alive) = (Arc::clone(&shared), Arc::clone(&alive));
         let thread = std::thread::Builder::new().name("connection".into()).spawn(move || {
-            runtime.block_on(keep_connected(&address, &thread_shared, &thread_alive, from_user, &wake));
+            runtime.block_on(keep_connected(&endpoint, &thread_shared, &thread_alive, from_user, &wake));
         });
         Ok(Self { shared, alive, commands: Some(commands), thread: Some(thread.map_err(NetError::Thread)?) })
     }
@@ -154,6 +156,12 @@ impl Connection {
         }
     }
 
+    /// The reason why the daemon, which was reached, does not serve this client. The connection goes on trying: a place may
+    /// become free.
+    pub fn refusal(&self) -> Option<String> {
+        lock(&self.shared).refusal.clone()
+    }
+
     /// A sign of life from the person or program that commands: a window calls this for each picture that it has drawn, a
     /// program wherever it makes progress. Only such a sign keeps the command, never the connection's own thread: a
     /// commander without one for [`super::wire::COMMAND_LEASE`] loses the command, and a moving robot stops.
@@ -161,7 +169,8 @@ impl Connection {
         self.alive.store(true, Ordering::Relaxed);
     }
 
-    /// Asks the loop; the answer comes with a later [`Self::poll`], [`Refusal::NoAnswer`] if there is no daemon.
+    /// Asks the loop; the answer comes with a later [`Self::poll`], [`Refusal::NoAnswer`] if there is no daemon. A stop is
+    /// taken even where the daemon does not serve this client.
     pub fn request(&self, request: Request) {
         if !self.send(Command::Request(request)) {
             lock(&self.shared).replies.push(Reply { request, outcome: Err(Refusal::NoAnswer) });
@@ -197,7 +206,8 @@ impl Connection {
 
     fn send(&self, command: Command) -> bool {
         let up = matches!(lock(&self.shared).link, Link::Up { .. });
-        up && self.commands.as_ref().is_some_and(|o| o.try_send(command).is_ok())
+        let stops = matches!(command, Command::Request(Request::Stop));
+        (up || stops) && self.commands.as_ref().is_some_and(|o| o.try_send(command).is_ok())
     }
 }
 
@@ -216,16 +226,18 @@ fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
 }
 
 async fn keep_connected(
-    address: &Address,
-    shared: &Mutex<Shared>,
+    endpoint: &Endpoint,
+    shared: &Arc<Mutex<Shared>>,
     alive: &AtomicBool,
     mut commands: mpsc::Receiver<Command>,
     wake: &impl Fn(),
 ) {
+    let mut stops = JoinSet::new();
+    let address = &endpoint.address;
     loop {
         let greeted = tokio::select! {
-            greeted = tokio::time::timeout(GREETING_TIMEOUT, Client::connect(address)) => greeted,
-            () = refuse_all(shared, &mut commands) => return,
+            greeted = tokio::time::timeout(GREETING_TIMEOUT, Client::connect(endpoint.clone())) => greeted,
+            () = without_daemon(address, shared, &mut commands, &mut stops) => break,
         };
         let reason = match greeted {
             Ok(Ok(Client { description, mut incoming, mut outgoing })) => {
@@ -235,10 +247,13 @@ async fn keep_connected(
                     end = listen(&mut incoming, shared, wake) => Some(end),
                     end = speak(&mut outgoing, shared, alive, &mut commands) => end,
                 };
-                let Some(reason) = end else { return };
+                let Some(reason) = end else { break };
                 reason
             }
-            Ok(Err(error)) => error.to_string(),
+            Ok(Err(error)) => {
+                lock(shared).refusal = error.is_refusal().then(|| error.to_string());
+                error.to_string()
+            }
             Err(_) => format!("{address} does not greet: not a MOCA-S daemon?"),
         };
         if hang_up(shared, reason) {
@@ -246,9 +261,11 @@ async fn keep_connected(
         }
         tokio::select! {
             () = tokio::time::sleep(RETRY) => {}
-            () = refuse_all(shared, &mut commands) => return,
+            () = without_daemon(address, shared, &mut commands, &mut stops) => break,
         }
     }
+    // A stop that was asked for just before the end is still sent.
+    while stops.join_next().await.is_some() {}
 }
 
 /// Reads until the connection breaks, and says why it did.
@@ -277,6 +294,8 @@ async fn listen(incoming: &mut Incoming, shared: &Mutex<Shared>, wake: &impl Fn(
             }
             FromServer::Goodbye(reason) => return reason,
             FromServer::Notice(notice) => s.notices.push(notice),
+            // It came before.
+            FromServer::Welcome(_) => {}
             FromServer::Calibration(progress) => s.calibration = progress,
             FromServer::Reply { id, outcome } => {
                 if let Some(request) = s.waiting.remove(&id) {
@@ -333,10 +352,24 @@ fn as_request(waypoints: &[Waypoint], waypoint: Waypoint, touch: TouchPolicy) ->
     Request::Waypoint { index: count.saturating_sub(1), count, waypoint, touch }
 }
 
-/// Answers commands while there is no daemon; ends when there will be no more commands.
-async fn refuse_all(shared: &Mutex<Shared>, commands: &mut mpsc::Receiver<Command>) {
+/// Answers commands while this client is not served; ends when there will be no more commands. A stop goes its own way, in
+/// `stops`.
+async fn without_daemon(
+    address: &Address,
+    shared: &Arc<Mutex<Shared>>,
+    commands: &mut mpsc::Receiver<Command>,
+    stops: &mut JoinSet<()>,
+) {
     while let Some(command) = commands.recv().await {
         let request = match command {
+            Command::Request(Request::Stop) => {
+                let (address, shared) = (address.clone(), Arc::clone(shared));
+                stops.spawn(async move {
+                    let outcome = client::stop(&address).await.unwrap_or(Err(Refusal::NoAnswer));
+                    lock(&shared).replies.push(Reply { request: Request::Stop, outcome });
+                });
+                None
+            }
             Command::Request(request) => Some(request),
             Command::Trajectory(touch, waypoints) => {
                 waypoints.last().map(|&waypoint| as_request(&waypoints, waypoint, touch))
@@ -352,6 +385,7 @@ async fn refuse_all(shared: &Mutex<Shared>, commands: &mut mpsc::Receiver<Comman
 fn greet(shared: &Mutex<Shared>, description: RobotDescription) {
     let mut s = lock(shared);
     s.session += 1;
+    s.refusal = None;
     s.samples.clear();
     s.status = Status::default();
     s.calibration = CalibrationProgress::default();

@@ -1,41 +1,60 @@
-//! Samples out, requests in, over loopback TCP or a Unix socket.
+//! Samples out, requests in, over a Unix socket or loopback TCP.
 //!
-//! Layers: [`wire`] (messages and frames) · [`address`] (where) · `queue` (what waits for one client) · `command` (who
-//! may command) · [`requests`] (the way to the loop) · [`server`] (the daemon's side) · [`client`] (one connection) ·
-//! [`connection`] (a thread that keeps one alive; what a dashboard wants).
+//! Layers: [`wire`] (messages and frames) · [`address`] (where) · [`token`] (the secret of a TCP port) · `queue` (what waits
+//! for one client) · `command` (who may command) · [`requests`] (the way to the loop) · `door` (connections that are not
+//! served yet) · `attend` (served ones) · `hub` (what they share) · [`server`] (the daemon's side) · [`client`] (one
+//! connection) · [`connection`] (a thread that keeps one alive; what a dashboard wants).
 //!
-//! The transport has no authentication. A Unix socket admits who may write to its file; a TCP port on loopback admits
-//! every user of the machine. Another machine comes in through an SSH tunnel (`ssh -L 7611:127.0.0.1:7611 robot`, or
-//! `ssh -L 7611:/run/mocad/telemetry.sock robot`).
+//! Reading is separate from commanding. A Unix socket admits those who may write to its file; a second one shows the robot to
+//! everybody and takes no request but a stop. A TCP port on loopback, which every user of the machine reaches, admits those
+//! who know a token. A stop needs neither: it is taken from any connection. Another machine comes in through an SSH
+//! tunnel (`ssh -L /tmp/robot.sock:/run/mocad/telemetry.sock robot`).
 
 pub mod address;
+mod attend;
 pub mod client;
 mod command;
 pub mod connection;
+mod door;
+#[cfg(feature = "fleet")]
+pub mod fleet;
+mod hub;
 mod queue;
 pub mod requests;
 pub mod server;
+#[cfg(feature = "testing")]
+pub mod testing;
+pub mod token;
 pub mod wire;
 
-pub use address::Address;
+pub use address::{Address, Endpoint};
 pub use client::Client;
 pub use command::{Judge, ProposedChange};
 pub use connection::{Connection, Link, Reply, Update};
 pub use requests::{RequestReceiver, RequestSender, request_channel};
-pub use server::{CalibrationPort, Ports, Server, serve};
-pub use wire::{Commander, SCHEMA_VERSION, Status};
+pub use server::{CalibrationPort, Ports, Server, Serving, serve};
+pub use token::Token;
+pub use wire::{Commander, Role, SCHEMA_VERSION, Status};
 
-use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
 
-/// Where a daemon listens that is no service, unless told otherwise.
-pub const DEFAULT_ADDRESS: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 7611);
-
-/// What can go wrong on the transport. The text says the cause; `source` does not say it again.
+/// Error of the transport. The text names the cause; `source` does not repeat it.
 #[derive(Debug, thiserror::Error)]
 pub enum NetError {
-    /// The transport has no authentication.
+    /// The transport is not encrypted.
     #[error("telemetry address {0} is not loopback: bind 127.0.0.1 and reach it through an SSH tunnel")]
     NotLoopback(Address),
+    /// A port without a token would admit every user of the machine.
+    #[error("telemetry address {0} needs a token: name a token file, or listen on a Unix socket")]
+    NoToken(Address),
+    /// The file with the token cannot be used.
+    #[error("token file {path}: {why}", path = path.display())]
+    Token {
+        /// The file.
+        path: PathBuf,
+        /// Reason of the refusal.
+        why: String,
+    },
     /// The socket could not be bound.
     #[error("cannot listen on {address}: {cause}")]
     Bind {
@@ -75,9 +94,28 @@ pub enum NetError {
         /// Allowed length.
         max: usize,
     },
+    /// A connection asks for a lease that is not allowed.
+    #[error("a lease of {} ms is outside {} to {} ms", .0, wire::LEASE_MS.start(), wire::LEASE_MS.end())]
+    Lease(u16),
     /// A frame could not be decoded.
     #[error("malformed frame: {0}")]
     Malformed(postcard::Error),
+}
+
+impl NetError {
+    /// Returns true if another attempt may succeed a moment later.
+    pub(crate) fn may_pass(&self) -> bool {
+        matches!(self, Self::Closed)
+            || matches!(self, Self::Io(error) if error.kind() == std::io::ErrorKind::WouldBlock)
+    }
+
+    /// Returns true if the daemon was reached and refuses this client, however often it tries.
+    pub(crate) fn is_refusal(&self) -> bool {
+        matches!(
+            self,
+            Self::Refused(_) | Self::NoToken(_) | Self::Token { .. } | Self::Schema { .. } | Self::NotMoca
+        )
+    }
 }
 
 impl From<postcard::Error> for NetError {

@@ -1,4 +1,4 @@
-//! What waits to be written to one client: bounded, oldest samples dropped first.
+//! Messages that wait for one client: bounded, oldest samples dropped first.
 
 use super::wire::{Commander, Status};
 use std::{collections::VecDeque, rc::Rc};
@@ -15,7 +15,7 @@ pub(super) struct EncodedBatch {
     pub(super) samples: u64,
 }
 
-/// What is to be written next.
+/// Next message to write.
 pub(super) enum Outgoing {
     Batch(Rc<EncodedBatch>),
     Frame(Rc<Vec<u8>>),
@@ -50,11 +50,16 @@ impl Queue {
     }
 
     /// Takes an answer. No more of them wait than [`MAX_REPLIES`] and those to what the loop has on its way.
-    pub(super) fn push_reply(&mut self, frame: Vec<u8>) {
-        self.replies.push_back(Rc::new(frame));
+    pub(super) fn push_reply(&mut self, frame: Rc<Vec<u8>>) {
+        self.replies.push_back(frame);
     }
 
-    /// Whether there is room for the answers to what the client asks next.
+    /// The next answer, for a client that is sent nothing else.
+    pub(super) fn pop_reply(&mut self) -> Option<Rc<Vec<u8>>> {
+        self.replies.pop_front()
+    }
+
+    /// Returns true if there is room for the answers to the client's next requests.
     pub(super) fn has_room(&self) -> bool {
         self.replies.len() < MAX_REPLIES
     }
@@ -67,11 +72,6 @@ impl Queue {
     /// Takes the calibration's progress, encoded.
     pub(super) fn set_calibration(&mut self, frame: Rc<Vec<u8>>) {
         self.calibration = Some(frame);
-    }
-
-    /// Takes a notice, encoded; there are few.
-    pub(super) fn push_notice(&mut self, frame: Rc<Vec<u8>>) {
-        self.replies.push_back(frame);
     }
 
     /// Takes the last frame of this client.
@@ -95,7 +95,7 @@ impl Queue {
         self.batches.len()
     }
 
-    /// What to write next: parameters and answers first, then news, then samples.
+    /// Returns the next message: parameters and answers first, then news, then samples.
     pub(super) fn pop(&mut self) -> Option<Outgoing> {
         if let Some(frame) = self.goodbye.take() {
             return Some(Outgoing::Goodbye(frame));

@@ -10,11 +10,14 @@ use std::sync::{
 /// Requests and answers on their way.
 pub(super) const ROOM: usize = 64;
 
-/// Each holds the ticket of the last request of its kind that the loop has not taken, 0 without one. Tickets begin at 1.
+/// The first two hold the ticket of the last request of their kind that the loop has not taken, 0 without one. Tickets
+/// begin at 1.
 #[derive(Debug, Default)]
 struct Urgent {
     stop: AtomicU64,
     operator_lost: AtomicU64,
+    /// Requests before this ticket have no effect any more.
+    withdrawn: AtomicU64,
 }
 
 /// The end of those who ask.
@@ -49,7 +52,8 @@ pub struct RequestReceiver {
 /// ```
 pub fn request_channel() -> (RequestSender, RequestReceiver) {
     let (requests, from_sender) = RingBuffer::new(ROOM);
-    let (outcomes, from_receiver) = RingBuffer::new(ROOM);
+    // As much again for the answers to stops, which need no room in the other ring.
+    let (outcomes, from_receiver) = RingBuffer::new(2 * ROOM);
     let urgent = Arc::new(Urgent::default());
     let receiver =
         RequestReceiver { requests: from_sender, outcomes, urgent: Arc::clone(&urgent), stopped_at: 0 };
@@ -67,6 +71,12 @@ impl RequestSender {
             _ => return self.requests.push((ticket, request)).is_ok(),
         }
         true
+    }
+
+    /// Withdraws what was asked before `ticket` and would set the robot in motion: the loop refuses it with
+    /// [`Refusal::Stopped`]. A robot that moves goes on.
+    pub fn withdraw(&mut self, ticket: u64) {
+        self.urgent.withdrawn.fetch_max(ticket, Ordering::AcqRel);
     }
 
     /// The loop's next answer.
@@ -87,13 +97,14 @@ impl RequestReceiver {
                 return Some((ticket, request));
             }
         }
+        self.stopped_at = self.stopped_at.max(self.urgent.withdrawn.load(Ordering::Acquire));
         while let Ok((ticket, request)) = self.requests.pop() {
             // Of targets that come faster than ticks the newest counts.
             if matches!(request, Request::Target(_)) && self.leads_next() {
                 self.answer(ticket, Err(Refusal::Target(TargetRefusal::Overtaken)));
                 continue;
             }
-            let moves = matches!(request, Request::Arm | Request::Resume);
+            let moves = matches!(request, Request::Arm | Request::Resume | Request::Recentre);
             if !(moves && ticket < self.stopped_at) {
                 return Some((ticket, request));
             }
@@ -102,7 +113,7 @@ impl RequestReceiver {
         None
     }
 
-    /// Whether the next one in the ring sets a target or ends one.
+    /// Returns true if the next request in the ring sets or ends a target.
     fn leads_next(&self) -> bool {
         self.requests.peek().is_ok_and(|(_, next)| matches!(next, Request::Target(_) | Request::EndTarget))
     }

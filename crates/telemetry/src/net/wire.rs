@@ -1,8 +1,9 @@
 //! Messages, and frames around them: a big-endian `u32` length, then that many bytes of postcard.
 //!
 //! The first frame of a server is special, so that any version can read it: `MOCA`, the schema version as
-//! big-endian `u32`, then a [`RobotDescription`], or else why the client is not served. Every later frame is a
-//! [`FromServer`].
+//! big-endian `u32`, then a [`Challenge`]. A client answers with [`FromClient::Hello`], and is told the robot
+//! ([`FromServer::Welcome`]) or why it is not served ([`FromServer::Goodbye`]). [`moca_msgs::Request::Stop`] is taken and
+//! answered at any time, before a Hello and after a refusal too. Every frame of a server but the first is a [`FromServer`].
 //!
 //! ```
 //! use moca_msgs::Request;
@@ -26,25 +27,51 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncReadExt};
 
 /// Version of everything below, [`Sample`] included. Raised with every change.
-pub const SCHEMA_VERSION: u32 = 13;
+pub const SCHEMA_VERSION: u32 = 15;
 /// Longest frame a server sends, bytes.
 pub const MAX_SERVER_FRAME: usize = 1 << 20;
 /// Longest frame a client sends, bytes.
 pub const MAX_CLIENT_FRAME: usize = 4096;
+/// Longest frame of a client that is not served yet, bytes: a Hello or a stop.
+pub(crate) const MAX_FIRST_FRAME: usize = 64;
+/// Longest wait for a client's role.
+pub const HELLO_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// How long a commander may be silent: one that hangs must not keep others from the robot.
+/// Longest silence of a commander: one that hangs must not keep others from the robot.
 pub const COMMAND_LEASE: Duration = Duration::from_secs(3);
+
+/// Leases that a connection may ask for, ms.
+pub const LEASE_MS: std::ops::RangeInclusive<u16> = 200..=3000;
 
 const MAGIC: [u8; 4] = *b"MOCA";
 
-/// What a server sends after its greeting.
+/// Challenge that a client receives before it names its role.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Challenge {
+    /// Random, of this connection alone.
+    pub nonce: [u8; 32],
+    /// True if the client has to prove that it knows the daemon's token.
+    pub token_needed: bool,
+}
+
+/// Role that a client may ask for, besides a stop.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Role {
+    /// Nothing: it reads.
+    Observer,
+    /// Everything, one client at a time.
+    #[default]
+    Operator,
+}
+
+/// Message of a server after its greeting.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum FromServer {
     /// Consecutive samples.
     Batch(Batch),
-    /// What this client should know about its own connection; sent when it changes.
+    /// Status of this client's own connection; sent when it changes.
     Status(Status),
-    /// How far the calibration has come; sent on every change and to every new client.
+    /// Progress of the calibration; sent on every change and to every new client.
     Calibration(CalibrationProgress),
     /// The answer to one request.
     Reply {
@@ -61,6 +88,8 @@ pub enum FromServer {
     /// Something that the daemon's owner should know and that is no fault of the robot: nothing is recorded any more. New
     /// clients are told what was said before.
     Notice(String),
+    /// The robot: this client is served from now on.
+    Welcome(Box<RobotDescription>),
 }
 
 /// Consecutive samples, oldest first.
@@ -72,18 +101,18 @@ pub struct Batch {
     pub samples: Vec<Sample>,
 }
 
-/// What a client should know about its own connection.
+/// Status of a client's own connection.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Status {
     /// Samples the loop could not put into its ring, so far.
     pub ring_dropped: u64,
     /// Samples dropped because this client read too slowly, so far.
     pub client_dropped: u64,
-    /// Who holds the command.
+    /// Holder of the command.
     pub commander: Commander,
 }
 
-/// Who holds the command, as one client sees it.
+/// Holder of the command, as one client sees it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Commander {
     /// Nobody: the first to ask gets it.
@@ -95,31 +124,41 @@ pub enum Commander {
     Another,
 }
 
-/// What a client sends.
+/// Message of a client.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum FromClient {
     /// Ask the loop. Anything but `Stop` also asks for the command.
     Request {
         /// Returned with the reply.
         id: u64,
-        /// What is asked.
+        /// Request.
         request: Request,
     },
     /// Lead the flange along poses and times; answered once it has begun, or is refused. Also asks for the command.
     Trajectory {
         /// Returned with the reply.
         id: u64,
-        /// What a touch does to it.
+        /// Effect of a touch on it.
         touch: TouchPolicy,
         /// At most [`moca_msgs::target::MAX_WAYPOINTS`].
         waypoints: Vec<Waypoint>,
     },
     /// Calibrate. Also asks for the command; from a client that does not get it, this is not heard.
     Calibrate(CalibrationRequest),
-    /// Give the command back.
+    /// Give the command back. An armed robot is disarmed, unless it armed itself (`startup.arm`) and no operator has
+    /// intervened since.
     Release,
-    /// Nothing but a sign of life: a commander that is silent for [`COMMAND_LEASE`] loses the command.
+    /// Nothing but a sign of life: a commander that is silent for its lease loses the command.
     Alive,
+    /// Lease of this connection as a commander, ms, [`LEASE_MS`]; without it [`COMMAND_LEASE`].
+    Lease(u16),
+    /// The first frame of a client that wants to be served.
+    Hello {
+        /// Role that it asks for; a read-only socket makes an observer of every client.
+        role: Role,
+        /// The answer to the challenge, where a token is needed.
+        proof: Option<[u8; 32]>,
+    },
 }
 
 /// A message as a whole frame, length included.
@@ -130,7 +169,7 @@ pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, NetError> {
     finish(postcard::to_extend(message, vec![0; 4])?, MAX_SERVER_FRAME)
 }
 
-/// What a client asks as a whole frame, length included.
+/// Encodes a client's message as a whole frame, length included.
 ///
 /// # Errors
 /// One that is longer than [`MAX_CLIENT_FRAME`]: the daemon would hang up.
@@ -139,27 +178,18 @@ pub fn encode_from_client(message: &FromClient) -> Result<Vec<u8>, NetError> {
 }
 
 /// The greeting as a whole frame.
-pub(crate) fn greeting(description: &RobotDescription) -> Result<Vec<u8>, NetError> {
-    first_frame(&Ok(description))
-}
-
-/// What a client reads instead of the greeting if it is not served.
-pub(crate) fn refusal(reason: &str) -> Result<Vec<u8>, NetError> {
-    first_frame(&Err(reason))
-}
-
-fn first_frame(content: &Result<&RobotDescription, &str>) -> Result<Vec<u8>, NetError> {
+pub(crate) fn greeting(challenge: &Challenge) -> Result<Vec<u8>, NetError> {
     let mut bytes = vec![0; 4];
     bytes.extend_from_slice(&MAGIC);
     bytes.extend_from_slice(&SCHEMA_VERSION.to_be_bytes());
-    finish(postcard::to_extend(content, bytes)?, MAX_SERVER_FRAME)
+    finish(postcard::to_extend(challenge, bytes)?, MAX_SERVER_FRAME)
 }
 
 /// Reads a greeting's payload: a frame without its length.
 ///
 /// # Errors
-/// Another program, another version, or the reason why the client is not served.
-pub fn decode_greeting(payload: &[u8]) -> Result<RobotDescription, NetError> {
+/// Another program or another version.
+pub fn decode_greeting(payload: &[u8]) -> Result<Challenge, NetError> {
     let (magic, rest) = payload.split_first_chunk::<4>().ok_or(NetError::NotMoca)?;
     let (version, rest) = rest.split_first_chunk::<4>().ok_or(NetError::NotMoca)?;
     if *magic != MAGIC {
@@ -169,10 +199,10 @@ pub fn decode_greeting(payload: &[u8]) -> Result<RobotDescription, NetError> {
     if theirs != SCHEMA_VERSION {
         return Err(NetError::Schema { theirs, ours: SCHEMA_VERSION });
     }
-    postcard::from_bytes::<Result<RobotDescription, String>>(rest)?.map_err(NetError::Refused)
+    Ok(postcard::from_bytes(rest)?)
 }
 
-/// What a server says in a frame's payload.
+/// Decodes a server's message from a frame's payload.
 ///
 /// # Errors
 /// Bytes that are no message.
@@ -180,7 +210,7 @@ pub fn decode_from_server(payload: &[u8]) -> Result<FromServer, NetError> {
     Ok(postcard::from_bytes(payload)?)
 }
 
-/// What a client says in a frame's payload.
+/// Decodes a client's message from a frame's payload.
 ///
 /// # Errors
 /// Bytes that are no message.
@@ -213,6 +243,17 @@ fn finish(mut bytes: Vec<u8>, max: usize) -> Result<Vec<u8>, NetError> {
         }
         _ => Err(too_long),
     }
+}
+
+/// A lease as it is granted.
+///
+/// # Errors
+/// One outside [`LEASE_MS`].
+pub fn check_lease(lease_ms: u16) -> Result<Duration, NetError> {
+    if LEASE_MS.contains(&lease_ms) {
+        return Ok(Duration::from_millis(lease_ms.into()));
+    }
+    Err(NetError::Lease(lease_ms))
 }
 
 /// Now, ns since the Unix epoch.

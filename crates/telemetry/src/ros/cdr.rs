@@ -13,7 +13,7 @@
 
 use super::definition::Definitions;
 
-/// What all payloads of ours begin with: little-endian, no options.
+/// Header of all our payloads: little-endian, no options.
 const LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
 /// Bytes that a transport may append to fill a word.
 const PADDING_MAX: usize = 3;
@@ -27,34 +27,34 @@ pub enum CdrError {
     /// The message ends within a field.
     #[error("{wanted} bytes wanted at byte {at}, and the message ends before")]
     Truncated {
-        /// Where, counted from the first field.
+        /// Place, counted from the first field.
         at: usize,
-        /// How many bytes were wanted.
+        /// Number of bytes needed.
         wanted: usize,
     },
     /// The message is longer than its type.
     #[error("{bytes} bytes are left over: another type")]
     LeftOver {
-        /// How many.
+        /// Number of bytes.
         bytes: usize,
     },
     /// A text is not UTF-8 with a zero behind it.
     #[error("text at byte {at} is not UTF-8 that ends with 0")]
     Text {
-        /// Where, counted from the first field.
+        /// Place, counted from the first field.
         at: usize,
     },
     /// A flag is neither 0 nor 1.
     #[error("flag at byte {at} is {value}; allowed: 0 or 1")]
     Flag {
-        /// Where, counted from the first field.
+        /// Place, counted from the first field.
         at: usize,
-        /// What it is.
+        /// Invalid value.
         value: u8,
     },
 }
 
-/// What a field of a message can be.
+/// Type of a message's field.
 pub trait Field {
     /// Its type in a definition.
     fn ros_type() -> String;
@@ -77,7 +77,7 @@ pub trait Decode: Field + Sized {
     /// Takes the next value.
     ///
     /// # Errors
-    /// Bytes that are none.
+    /// The bytes do not encode this type.
     fn read(from: &mut Reader<'_>) -> Result<Self, CdrError>;
 }
 
@@ -103,7 +103,7 @@ pub fn decode<T: Decode>(payload: &[u8]) -> Result<T, CdrError> {
 #[derive(Clone, Debug, Default)]
 pub struct Writer {
     bytes: Vec<u8>,
-    /// Whether numbers keep only the precision of an `f32`: the rest is noise that no compressor can take out.
+    /// True if numbers keep only the precision of an `f32`: the rest is noise that no compressor can take out.
     rounded: bool,
 }
 

@@ -1,4 +1,4 @@
-//! What a message is called, and the text that says how to read it.
+//! Name of a message, and the text that describes its layout.
 
 use std::fmt::Write;
 
@@ -25,7 +25,7 @@ impl TypeName {
 pub struct Definitions(Vec<(TypeName, String)>);
 
 impl Definitions {
-    /// Where the fields of a message go; `None` if they are there.
+    /// Returns the place for the fields of a message; `None` if they are there already.
     pub(crate) fn begin(&mut self, name: TypeName) -> Option<usize> {
         if self.0.iter().any(|(known, _)| *known == name) {
             return None;

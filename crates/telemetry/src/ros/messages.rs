@@ -116,7 +116,7 @@ message! { "geometry_msgs/msg/TransformStamped" =
         header: Header,
         /// The frame's name.
         child_frame_id: String,
-        /// Where it is.
+        /// Pose of the child frame.
         transform: Transform,
     }
 }
@@ -130,7 +130,7 @@ message! { "diagnostic_msgs/msg/KeyValue" =
     }
 }
 message! { "diagnostic_msgs/msg/DiagnosticStatus" =
-    /// How a part is.
+    /// Status of a part.
     pub struct DiagnosticStatus {
         /// 0 fine, 1 warning, 2 error, 3 stale.
         level: u8,
@@ -147,9 +147,9 @@ message! { "diagnostic_msgs/msg/DiagnosticStatus" =
 message! { "std_msgs/msg/MultiArrayDimension" =
     /// One dimension of a list.
     pub struct MultiArrayDimension {
-        /// What it counts.
+        /// Name of the dimension.
         label: String,
-        /// How many.
+        /// Size of it.
         size: u32,
         /// Elements from one to the next, times `size`.
         stride: u32,
@@ -202,7 +202,7 @@ message! { "geometry_msgs/msg/WrenchStamped" =
     }
 }
 message! { "nav_msgs/msg/Odometry" =
-    /// Where a base is, in `header.frame_id`, and how it moves, in `child_frame_id`.
+    /// Pose of a base in `header.frame_id`, and its velocity in `child_frame_id`.
     pub struct Odometry {
         /// When, and the frame of the pose.
         header: Header,
@@ -237,7 +237,7 @@ message! { "tf2_msgs/msg/TFMessage" =
     }
 }
 message! { "diagnostic_msgs/msg/DiagnosticArray" =
-    /// How the parts of a robot are.
+    /// Status of the parts of a robot.
     pub struct DiagnosticArray {
         /// When.
         header: Header,
@@ -248,7 +248,7 @@ message! { "diagnostic_msgs/msg/DiagnosticArray" =
 message! { "std_msgs/msg/Float64MultiArray" =
     /// Numbers in rows.
     pub struct Float64MultiArray {
-        /// How the numbers are laid out.
+        /// Layout of the numbers.
         layout: MultiArrayLayout,
         /// The numbers.
         data: Vec<f64>,
@@ -271,21 +271,21 @@ message! { "std_msgs/msg/String" =
 message! { "std_msgs/msg/Empty" =
     /// A sign of life: nothing, which IDL gives one byte.
     pub struct Empty {
-        /// Of no meaning.
+        /// Field without a meaning.
         structure_needs_at_least_one_member: u8,
     }
 }
 message! { "std_srvs/srv/Trigger_Request" =
     /// The question of a trigger: nothing, which IDL gives one byte.
     pub struct TriggerRequest {
-        /// Of no meaning.
+        /// Field without a meaning.
         structure_needs_at_least_one_member: u8,
     }
 }
 message! { "std_srvs/srv/Trigger_Response" =
     /// The answer of a trigger.
     pub struct TriggerResponse {
-        /// Whether it was carried out.
+        /// True if it was carried out.
         success: bool,
         /// Why not, or what was done.
         message: String,
@@ -335,7 +335,7 @@ impl Time {
 }
 
 impl Header {
-    /// Of `frame_id` at `stamp`.
+    /// Builds the header of `frame_id` at `stamp`.
     pub fn new(stamp: &Time, frame_id: &str) -> Self {
         Self { stamp: stamp.clone(), frame_id: frame_id.into() }
     }

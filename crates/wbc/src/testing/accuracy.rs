@@ -72,9 +72,9 @@ pub struct Step {
 /// Errors of one configuration, max|a − ref| / max(max|ref|, 1).
 #[derive(Clone, Copy, Debug)]
 pub struct Accuracy {
-    /// Of the torques.
+    /// Error of the torques.
     pub force: f64,
-    /// Of the damping matrix; 0 where it has no reference.
+    /// Error of the damping matrix; 0 where it has no reference.
     pub damping: f64,
     /// Largest joint torque, N·m.
     pub largest_nm: f64,

@@ -1,4 +1,4 @@
-//! What a step needs of a processor, whatever the machine: instructions, and the bytes of code and data it touches.
+//! Cost of a step on any machine: instructions, and the bytes of code and data it touches.
 //!
 //! Nothing is timed. `valgrind --tool=lackey` writes down every access of a program that calls [`marked`]; what lies
 //! between the marks is counted. A step of which a cold cache has to fetch every byte pays for the bytes, a hot one for the
@@ -19,16 +19,16 @@ use std::string::{String, ToString as _};
 /// Bytes of a line of the caches.
 const LINE: u64 = 64;
 
-/// Of one step.
+/// Footprint of one step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Footprint {
     /// Mean over the robots.
     pub instructions: u64,
-    /// Of the instructions that any of the robots' steps ran.
+    /// Bytes of the instructions that any of the robots' steps ran.
     pub code_bytes: u64,
     /// In lines of 64 bytes, each counted whole.
     pub code_lines_bytes: u64,
-    /// The same of what a step reads or writes, stack included: the most of any robot.
+    /// Bytes that a step reads or writes, stack included: the most of any robot.
     pub data_lines_bytes: u64,
 }
 

@@ -17,7 +17,7 @@ use std::{format, vec, vec::Vec};
 /// Largest error that passes.
 pub const TOLERANCE: f64 = 1e-11;
 
-/// Whether an error is small enough; NaN is not.
+/// Returns true if an error is small enough; NaN is not.
 ///
 /// ```
 /// use moca_wbc::testing::reference_file::{TOLERANCE, passes};
@@ -346,7 +346,7 @@ pub fn explicit_euler(velocity: f64, force: f64, mass: f64, damping: f64, dt_s: 
     velocity + dt_s / mass * (force - damping * velocity)
 }
 
-/// The same with the damping taken at the step's end.
+/// Takes a step with the damping at the step's end.
 pub fn implicit_euler(velocity: f64, force: f64, mass: f64, damping: f64, dt_s: f64) -> f64 {
     (velocity + dt_s / mass * force) / (1.0 + dt_s * damping / mass)
 }

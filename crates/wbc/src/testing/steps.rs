@@ -68,7 +68,7 @@ impl Case {
         }
     }
 
-    /// What each taxel feels under a barrier, N.
+    /// Returns each taxel's force under a barrier, N.
     fn felt_n(self) -> Option<[f64; 11]> {
         let pressed: &[usize] = match self {
             Self::BarrierNobody => &[],
@@ -102,7 +102,7 @@ struct Robot {
     felt: Option<Felt>,
 }
 
-/// What a cover feels, with a barrier that takes it in.
+/// Readings of a cover with a barrier.
 #[derive(Clone, Debug)]
 struct Felt {
     barrier: ContactBarrier<11>,

@@ -54,11 +54,11 @@ pub struct Loop {
     pub time_s: f64,
     pub dt_s: f64,
     pub guard: BaseGuard<11>,
-    /// Whether the robot estimates the wrench at its flange by itself.
+    /// True if the robot estimates the wrench at its flange by itself.
     pub estimates: bool,
-    /// Whether a command acts one step after the measurement that it answers.
+    /// True if a command acts one step after the measurement that it answers.
     pub late: bool,
-    /// Where all limits are kept together, what that took in the last step.
+    /// Use of the programme in the last step, where all limits are kept together.
     pub by_qp: Option<QpUse>,
     last: Option<ControlOutput<7>>,
     model: ArmModel<7, f64>,

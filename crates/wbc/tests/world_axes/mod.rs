@@ -1,5 +1,5 @@
-//! The same model a second time, as in the books and in no hurry: every link as its table has it, every recursion with
-//! spatial vectors about the arm base in world axes (Featherstone 2008). It shares rotations with the crate, nothing else.
+//! A second implementation of the model, as in the books: every link as its table has it, every recursion with spatial
+//! vectors about the arm base in world axes (Featherstone 2008). It shares only rotations with the crate.
 #![allow(clippy::needless_range_loop, unreachable_pub, reason = "tests")]
 
 use core::ops::{Add, AddAssign};

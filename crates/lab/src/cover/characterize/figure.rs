@@ -1,21 +1,23 @@
 //! Figure 4.
 
 use super::trials::{Recording, Sample};
-use crate::picture::Picture as _;
-use anyhow::Context;
-use moca_figures::{Drawing, Panel, Series};
+use moca_figures::{Drawing, Panel, Series, Width};
 use moca_sim::foam::Foam;
 use moca_sim::sensor::IDLE_COUNTS;
-use std::path::Path;
 
 /// Force bins of the mean lines.
 const BINS: usize = 50;
-/// Of one panel, px.
-const SIZE: [f64; 2] = [680.0, 420.0];
+/// Width of one panel on a screen, px.
+const SCREEN: f64 = 680.0;
+/// Height of the axes, as a share of a panel's width.
+const AXES: f64 = 0.53;
+/// Room above the panels and between those that stand over each other, px.
+const BETWEEN: f64 = 4.0;
 
 /// Force over deformation and force over counts: means of all presses of all trials, bands of one standard
 /// deviation along x; loading and unloading apart.
-pub(super) fn figure_4(recordings: &[Vec<Recording>]) -> Drawing {
+/// The panels stand beside each other, in one column over each other.
+pub(super) fn figure_4(recordings: &[Vec<Recording>], width: Width) -> Drawing {
     let x_labels = ["deformation [mm]", "counts below rest"];
     let titles = [
         "force over deformation: loading strong, unloading pale",
@@ -23,7 +25,7 @@ pub(super) fn figure_4(recordings: &[Vec<Recording>]) -> Drawing {
     ];
     let values: [fn(&Sample) -> f64; 2] =
         [|sample| 1e3 * sample.deformation_m, |sample| IDLE_COUNTS - f64::from(sample.fdat)];
-    let mut drawing = Drawing::new(2.0 * SIZE[0], SIZE[1] + 8.0);
+    let mut panels = Vec::new();
     for (i, ((title, x_label), value)) in titles.into_iter().zip(x_labels).zip(values).enumerate() {
         let mut panel = Panel::new(title, x_label, "force [N]");
         for (colour, (foam, recordings)) in Foam::PAPER.into_iter().zip(recordings).enumerate() {
@@ -38,8 +40,21 @@ pub(super) fn figure_4(recordings: &[Vec<Recording>]) -> Drawing {
                 panel.series.push(if rising { series } else { series.pale() });
             }
         }
-        let left = if i == 0 { 0.0 } else { SIZE[0] };
-        panel.draw(&mut drawing, [left, 4.0], SIZE);
+        panels.push(panel.lettered(i));
+    }
+    let (panel_width, over) = match width {
+        Width::Screen => (SCREEN, false),
+        Width::Single => (width.px(), true),
+        Width::Double => (0.5 * width.px(), false),
+    };
+    let heights = panels.iter().map(|panel| panel.height(panel_width, AXES * panel_width));
+    let height = heights.fold(0.0, f64::max) + BETWEEN;
+    let size = if over { [panel_width, 2.0 * height] } else { [2.0 * panel_width, height] };
+    let mut drawing = Drawing::new(size[0], size[1] + BETWEEN);
+    for (panel, i) in panels.iter().zip(0u32..) {
+        let place = f64::from(i);
+        let origin = if over { [0.0, place * height + BETWEEN] } else { [place * panel_width, BETWEEN] };
+        panel.draw(&mut drawing, origin, [panel_width, height - BETWEEN]);
     }
     drawing
 }
@@ -69,13 +84,4 @@ fn mean_curve(recordings: &[Recording], rising: bool, value: fn(&Sample) -> f64)
             (force / count, mean, (squares / count - mean * mean).max(0.0).sqrt())
         })
         .collect()
-}
-
-/// Writes `path`.svg and `path`.png.
-pub(crate) fn write(drawing: &Drawing, path: &Path) -> anyhow::Result<()> {
-    for (ending, bytes) in [("svg", drawing.svg().into_bytes()), ("png", drawing.png()?)] {
-        let path = path.with_extension(ending);
-        std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
-    }
-    Ok(())
 }

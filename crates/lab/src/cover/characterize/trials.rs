@@ -11,7 +11,7 @@ pub(super) const STEPS: u32 = 4;
 /// Spread of a ramp's duration over trials, relative. ASSUMED: a bench set by hand.
 const DURATION_SPREAD: f64 = 0.03;
 
-/// How the taxel is pressed.
+/// Way of pressing the taxel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Protocol {
     /// Three ramps 0 → 100 → 0 N, 10 s each way: the one that the foams' constants were fitted with.
@@ -79,7 +79,7 @@ pub(super) fn record(foam: &Foam, protocol: Protocol, count: usize, seed: u64) -
     record_in_steps(foam, protocol, count, seed, STEPS)
 }
 
-/// The same with so many steps of the foam per sample.
+/// Records a trial with a number of foam steps per sample.
 pub(super) fn record_in_steps(
     foam: &Foam,
     protocol: Protocol,

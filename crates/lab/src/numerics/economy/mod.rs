@@ -6,6 +6,7 @@ use crate::paper::collision;
 use crate::rig::JOINTS;
 use crate::rig::cpu_time;
 use crate::rig::free_scene;
+use crate::rig::parallel::Count;
 use crate::rig::settings::Settings;
 use anyhow::Result;
 use moca_daemon::runtime::lockstep::LockStep;
@@ -33,7 +34,7 @@ pub(crate) struct Arguments {
 struct Row {
     scene: &'static str,
     left_out: &'static str,
-    /// What integrates, and why.
+    /// Engine that integrates, and the reason for it.
     engine: &'static str,
     #[serde(flatten)]
     size: Size,
@@ -43,7 +44,7 @@ struct Row {
     of_geoms: f64,
     /// Largest difference from its reference over the run: base m and rad, arm rad.
     difference: f64,
-    /// What that difference may be, and why.
+    /// Largest allowed difference, and the reason for it.
     tolerance: f64,
     because: &'static str,
     agrees: bool,
@@ -86,7 +87,7 @@ struct TickCost {
     bare_step_us: f64,
     whole_tick_us: f64,
     on_top_us: f64,
-    /// Of the whole tick.
+    /// Share of the whole tick.
     on_top_share: f64,
 }
 
@@ -185,7 +186,7 @@ struct Case<'a> {
 }
 
 const SAME: (f64, &str) = (0.0, "nothing numerical differs");
-/// What rounding leaves of a run's length.
+/// Difference that rounding leaves over a run.
 const ROUNDED: (f64, &str) = (1e-9, "rounding: the same step by another model");
 
 fn measure() -> Result<Report> {
@@ -240,14 +241,23 @@ fn scenes(timed: bool) -> Result<(Vec<Row>, Vec<TickCost>)> {
             (1e-2, "the base's give is missing"),
         ),
     ];
-    let mut scenes = cases.iter().map(compare).collect::<Result<Vec<_>>>()?;
+    let whole = |case: &&Case<'_>| timed && case.scene.robot == Robot::MobileManipulator;
+    let mut count = Count::new("economy", cases.len() + cases.iter().filter(whole).count());
+    let mut scenes = Vec::new();
+    for case in &cases {
+        scenes.push(compare(case)?);
+        count.one_more();
+    }
     let most = scenes[0].step_us;
     for row in &mut scenes {
         row.of_geoms = row.step_us / most;
     }
     // a base or an arm alone has another loop: their law's cost stands beside
-    let whole = cases.iter().filter(|case| timed && case.scene.robot == Robot::MobileManipulator);
-    let ticks = whole.map(|case| TickCost::of(case.name, case.scene)).collect::<Result<_>>()?;
+    let mut ticks = Vec::new();
+    for case in cases.iter().filter(whole) {
+        ticks.push(TickCost::of(case.name, case.scene)?);
+        count.one_more();
+    }
     Ok((scenes, ticks))
 }
 
@@ -391,7 +401,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_scene_without_geoms_goes_the_same_way_to_the_bit_until_somebody_is_touched() {
+    fn scene_without_geoms_is_bit_equal_until_contact() {
         let geoms = with_geoms().unwrap();
         let size = SimPlant::new(&geoms).unwrap().model_size();
         assert_eq!((size.geoms, size.sensors), (10, 33));

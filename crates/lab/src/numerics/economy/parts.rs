@@ -1,8 +1,8 @@
-//! What a control step costs of the whole robot, of a base without an arm and of an arm without a base.
+//! Cost of a control step: whole robot, base without an arm, arm without a base.
 
 use crate::rig::cpu_time;
 use anyhow::{Context, Result};
-use moca_daemon::config::Config;
+use moca_control::config::Config;
 use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_wbc::{
     ArmController, ArmInput, BaseController, BaseGuard, BaseInput, ControlInput, ControlLaw, Payload,

@@ -13,7 +13,7 @@ use std::time::Instant;
 /// Steps per timed pass, and passes of which the fastest counts.
 const STEPS: u32 = 200;
 const PASSES: u32 = 20;
-/// How far rounding may be amplified by the condition number.
+/// Largest factor, over the condition number, by which rounding may be amplified.
 const AMPLIFICATION: f64 = 16.0;
 
 /// Accuracy and time at the ends of the controllers' range.

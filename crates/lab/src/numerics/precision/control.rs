@@ -20,7 +20,7 @@ const RATES_HZ: [u32; 6] = [100, 200, 500, 1000, 2000, 4000];
 const PHYSICS_STEP_MS: f64 = 0.25;
 /// Equal runs: they differ in nothing but the time they take.
 const RUNS: usize = 3;
-/// What is asked of the control rate: base within this of the finest one's, mm.
+/// Required accuracy of the control rate: base within this of the finest rate's, mm.
 const RATE_WANTED_MM: f64 = 0.1;
 
 #[derive(Clone, Debug, Serialize)]
@@ -86,7 +86,7 @@ pub(crate) fn rate_recommendation(points: &[RatePoint]) -> String {
     )
 }
 
-/// What a controller has of eq. (2) at a tick: its velocity, the force as sampled now and a tick ago, mass, damping, period.
+/// Inputs of eq. (2) at a tick: velocity, force sampled now and a tick ago, mass, damping, period.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Tick {
     velocity: f64,
@@ -172,8 +172,8 @@ pub(crate) struct AdmittancePoint {
     /// CPU time of one axis for a second of simulation, s: of the three the quickest and the slowest.
     pub cpu_s_per_s: f64,
     pub cpu_most_s_per_s: f64,
-    /// Of a base that follows each velocity as it is ordered, against the exact one: under a smooth force, and under a
-    /// reading that is held for 120 ms.
+    /// Error of a base that follows each ordered velocity, against the exact one: under a smooth force, and under a reading
+    /// that is held for 120 ms.
     pub smooth: Off,
     pub held: Off,
     pub failed: bool,
@@ -193,8 +193,8 @@ pub(crate) fn admittance() -> Vec<AdmittancePoint> {
     .collect()
 }
 
-/// Of the discretisations that fail at no step, the one whose flange goes least astray at the product's period, the worse
-/// of both forces counted.
+/// Names the best discretisation that fails at no step: the smallest flange error at the product's period, for the worse
+/// of both forces.
 pub(crate) fn admittance_recommendation(points: &[AdmittancePoint]) -> String {
     let sound =
         DISCRETISATIONS.iter().filter(|(name, _)| points.iter().all(|p| p.method != *name || !p.failed));
@@ -399,8 +399,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn with_what_a_controller_has_the_exact_hold_goes_least_astray_and_explicit_euler_fails_where_theory_says()
-     {
+    fn exact_hold_has_least_error_and_euler_fails_as_predicted() {
         let points = admittance();
         let at = |method: &str, step_ms: f64| {
             let wanted = |p: &&AdmittancePoint| p.method == method && (p.step_ms - step_ms).abs() < 1e-9;

@@ -2,19 +2,20 @@
 
 use super::{Report, control, plant};
 use crate::rig::count;
-use moca_figures::{BLACK, Drawing, Panel, Scale, Series};
+use moca_figures::{BLACK, Drawing, Panel, Scale, Series, Width, wrapped};
 
-const WIDTH: f64 = 900.0;
-const HEIGHT: f64 = 270.0;
+/// Height of a diagram's axes, px.
+const AXES: f64 = 212.0;
+const LINE: f64 = 16.0;
 const CPU: &str = "CPU time [s per simulated second]";
-/// What stands below all of them.
+/// Notes below all diagrams.
 const NOTES: [&str; 2] = [
     "Each dot is a step length or a rate, the longest or slowest on the left. Pale bands: least and most CPU time of equal runs.",
     "A red cross is a run that failed, at the time it took until then; it has no error and stands at the top.",
 ];
 
 /// All diagrams under each other.
-pub(crate) fn draw(report: &Report) -> Drawing {
+pub(crate) fn draw(report: &Report, width: Width) -> Drawing {
     let mut panels = Vec::new();
     for scene in &report.scenes {
         panels.extend(plant_panels(scene));
@@ -37,13 +38,19 @@ pub(crate) fn draw(report: &Report) -> Drawing {
             "RMSE [N]",
         )
     });
-    let height = HEIGHT * count(panels.len()) + 10.0;
-    let mut drawing = Drawing::new(WIDTH, height + 16.0 * count(NOTES.len()));
-    for (i, panel) in panels.iter().enumerate() {
-        panel.draw(&mut drawing, [0.0, HEIGHT * count(i) + 6.0], [WIDTH, HEIGHT]);
+    let width = width.px();
+    let panels: Vec<Panel> = panels.into_iter().enumerate().map(|(i, panel)| panel.lettered(i)).collect();
+    let notes: Vec<String> = NOTES.iter().flat_map(|note| wrapped(note, width - LINE)).collect();
+    let height = panels.iter().map(|panel| panel.height(width, AXES)).sum::<f64>() + 10.0;
+    let mut drawing = Drawing::new(width, height + LINE * count(notes.len()));
+    let mut y = 6.0;
+    for panel in &panels {
+        let panel_height = panel.height(width, AXES);
+        panel.draw(&mut drawing, [0.0, y], [width, panel_height]);
+        y += panel_height;
     }
-    for (i, note) in NOTES.iter().enumerate() {
-        drawing.text([8.0, height + 6.0 + 16.0 * count(i)], moca_figures::Anchor::Start, note, BLACK);
+    for (i, note) in notes.iter().enumerate() {
+        drawing.text([8.0, height + 6.0 + LINE * count(i)], moca_figures::Anchor::Start, note, BLACK);
     }
     drawing
 }
@@ -82,8 +89,19 @@ fn plant_panels(scene: &plant::SceneReport) -> Vec<Panel> {
     let steps = || scene.points.iter().map(|p| p.step_ms);
     let (shortest, longest) = (steps().fold(f64::INFINITY, f64::min), steps().fold(0.0, f64::max));
     let name = format!("{} scene, steps of {longest} to {shortest} ms", scene.scene);
-    let title = format!("{name}: error in state after 1 s");
-    let mut panels = vec![panel(title, "largest [m, rad]", scene.self_consistency, &|p| Some(p.state_error))];
+    let place = panel(
+        format!("{name}: error of the base's place after 1 s"),
+        "largest [m]",
+        scene.self_consistency_m,
+        &|p| Some(p.place_error_m),
+    );
+    let angles = panel(
+        format!("{name}: error of the angles of base and arm after 1 s"),
+        "largest [rad]",
+        scene.self_consistency_rad,
+        &|p| Some(p.angle_error_rad),
+    );
+    let mut panels = vec![place, angles];
     if let Some(own) = scene.peak_self_consistency {
         let title = format!("{name}: error in peak force");
         panels.push(panel(title, "share of the force", own, &|p| p.peak_error));
@@ -121,5 +139,27 @@ fn admittance_panel(
             CPU,
             "largest error [m]",
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_angles_and_forces_have_diagrams_of_their_own() {
+        let scene = plant::SceneReport {
+            scene: "contact",
+            reference: String::new(),
+            self_consistency: 1e-6,
+            self_consistency_m: 1e-7,
+            self_consistency_rad: 1e-6,
+            peak_self_consistency: Some(1e-6),
+            points: Vec::new(),
+            recommendation: String::new(),
+            is_default: true,
+        };
+        let labels: Vec<String> = plant_panels(&scene).into_iter().map(|panel| panel.y_label).collect();
+        assert_eq!(labels, ["largest [m]", "largest [rad]", "share of the force"]);
     }
 }

@@ -6,7 +6,7 @@ mod diagrams;
 mod plant;
 
 use crate::cover::characterize;
-use crate::picture::Picture as _;
+use crate::picture::{Column, Picture as _};
 use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result};
 use moca_msgs::Parameters;
@@ -22,9 +22,12 @@ pub(crate) struct Arguments {
     /// Prints one JSON object.
     #[arg(long)]
     json: bool,
-    /// Writes the diagrams (SVG, PNG) and the table (JSON) into this folder.
+    /// Writes the diagrams (SVG, PDF, PNG) and the table (JSON) into this folder.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Width of the diagrams.
+    #[arg(long, value_enum, default_value_t)]
+    width: Column,
     /// Only steps above 0.1 ms against a reference of 0.02 ms: seconds instead of a minute.
     #[arg(long)]
     quick: bool,
@@ -52,9 +55,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let json = serde_json::to_string_pretty(&report)?;
     if let Some(folder) = &arguments.out {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-        let drawing = diagrams::draw(&report);
-        std::fs::write(folder.join("precision.svg"), drawing.svg())?;
-        std::fs::write(folder.join("precision.png"), drawing.png()?)?;
+        diagrams::draw(&report, arguments.width.into()).write(&folder.join("precision"))?;
         std::fs::write(folder.join("precision.json"), &json)?;
     }
     println!("{}", if arguments.json { json } else { text(&report) });

@@ -50,6 +50,10 @@ pub(crate) struct Point {
     pub cpu_most_s_per_s: f64,
     /// Largest difference at the end: base m and rad, arm rad.
     pub state_error: f64,
+    /// Largest difference of the base's place at the end, m.
+    pub place_error_m: f64,
+    /// Largest difference of the angles of base and arm at the end, rad.
+    pub angle_error_rad: f64,
     /// Relative error of the peak force; null without contact.
     pub peak_error: Option<f64>,
     /// Why it counts as failed.
@@ -62,14 +66,16 @@ pub(crate) struct SceneReport {
     pub reference: String,
     /// Difference of the reference from the coarser one: errors below it mean nothing.
     pub self_consistency: f64,
+    pub self_consistency_m: f64,
+    pub self_consistency_rad: f64,
     pub peak_self_consistency: Option<f64>,
     pub points: Vec<Point>,
     pub recommendation: String,
-    /// Whether the recommended setting is the one that scenes get by default.
+    /// True if the recommended setting is the default of scenes.
     pub is_default: bool,
 }
 
-/// How one run ended.
+/// End of one run.
 struct End {
     state: [f64; 10],
     peak_n: f64,
@@ -120,8 +126,19 @@ fn steps(integrator: Integrator, step_ms: f64) -> f64 {
     if integrator == Integrator::RungeKutta4 { 4.0 / step_ms } else { 1.0 / step_ms }
 }
 
+/// Elements of the state that are lengths, m; the others are angles, rad.
+const LENGTHS: usize = 2;
+
 fn distance(a: &End, b: &End) -> f64 {
-    a.state.iter().zip(b.state).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    let [place_m, angle_rad] = distances(a, b);
+    place_m.max(angle_rad)
+}
+
+/// Largest difference of the lengths, m, and of the angles, rad.
+fn distances(a: &End, b: &End) -> [f64; 2] {
+    let all: Vec<f64> = a.state.iter().zip(b.state).map(|(a, b)| (a - b).abs()).collect();
+    let (lengths, angles) = all.split_at(LENGTHS);
+    [lengths, angles].map(|part| part.iter().copied().fold(0.0, f64::max))
 }
 
 fn work_precision(
@@ -156,6 +173,8 @@ fn work_precision(
                 cpu_s_per_s: f64::INFINITY,
                 cpu_most_s_per_s: 0.0,
                 state_error: f64::NAN,
+                place_error_m: f64::NAN,
+                angle_error_rad: f64::NAN,
                 peak_error: None,
                 failed: None,
             };
@@ -172,6 +191,7 @@ fn work_precision(
             match ends.pop().context("no run")? {
                 Ok(end) => {
                     point.state_error = distance(&end, &reference);
+                    [point.place_error_m, point.angle_error_rad] = distances(&end, &reference);
                     point.peak_error = peak_off(&end);
                     let far = point.state_error.is_nan() || point.state_error > FAILED_FROM;
                     point.failed = far.then(|| "far from the reference".to_owned());
@@ -182,10 +202,13 @@ fn work_precision(
         }
     }
     let best = recommended(&points, |point| point.cpu_s_per_s);
+    let [self_consistency_m, self_consistency_rad] = distances(&check, &reference);
     Ok(SceneReport {
         scene: name,
         reference: format!("RK4 at {fine} ms"),
         self_consistency: distance(&check, &reference),
+        self_consistency_m,
+        self_consistency_rad,
         peak_self_consistency: peak_off(&check),
         recommendation: recommendation(best),
         is_default: best.is_some_and(is_default),

@@ -16,7 +16,7 @@ const FOAMS: [f64; 3] = [0.5, 1.0, 2.0];
 /// The ideal sensor and the physics, for every rate alike.
 const UNCONFOUNDED: [&str; 5] =
     ["sensor.samples=steps", "sensor.period_ms=10", "engine=analytic", "integrator=leapfrog", "step_ms=0.5"];
-/// What ships on a calibrated cover with our firmware, led at 0.1 m/s into the leg before T6.
+/// Shipped settings on a calibrated cover with our firmware, led at 0.1 m/s into the leg before T6.
 const SHIPPED: &[&str] = &[
     "sensor.firmware=moca",
     "law=barrier",
@@ -31,7 +31,7 @@ struct Row {
     name: &'static str,
     set: &'static [&'static str],
     special: Special,
-    /// What the cover reads over what it should.
+    /// Ratio of the cover's reading to the true force.
     reading: f64,
 }
 
@@ -151,7 +151,7 @@ pub(crate) fn few() -> Result<Vec<Case>> {
     Ok(parallel::run("contact", &trials, |(name, trial)| trial.run(name), |_| ()))
 }
 
-/// What a case did, in a few words.
+/// Returns a case's result in a few words.
 pub(crate) fn verdict(case: &Case) -> String {
     match &case.stopped {
         Some(why) => format!("{:.0} N, stops: {}", case.peak_n, why.split(':').next().unwrap_or(why)),
@@ -167,7 +167,7 @@ fn either_scalar(foam: f64) -> Result<Settings> {
     Ok(of_map(1000, 0.0, foam)?.1.settings)
 }
 
-/// What single precision does on one foam: both peaks and the differences along the way; what both cost.
+/// Compares single precision on one foam: both peaks, the differences along the way, and the cost of both.
 pub(crate) fn single_line(foam: f64) -> Result<(String, String)> {
     let settings = either_scalar(foam)?;
     let [(double, double_s), (single, single_s)] = single_precision::both(&settings)?;

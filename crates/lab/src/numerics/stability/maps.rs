@@ -85,7 +85,7 @@ struct Cell {
     bounded: bool,
     /// The robot stopped by itself in one of them.
     stopped: bool,
-    /// What the contact stability law says.
+    /// Verdict of the contact stability law.
     theory_stable: bool,
 }
 
@@ -122,7 +122,7 @@ fn cell(x: &Axis, y: &Axis, u: f64, v: f64) -> Result<Cell> {
     })
 }
 
-/// Where simulation and law are at odds, map by map.
+/// Lists the cells in which simulation and law disagree, map by map.
 pub(crate) fn markdown() -> Result<String> {
     let mut out = String::from(
         "| map | cells with a touch | bounded, the law says no | not bounded, the law says yes | these are |\n|---|---|---|---|---|\n",
@@ -155,7 +155,7 @@ impl Cell {
 pub(crate) fn stable_in_theory(settings: &Settings) -> Result<bool> {
     let gains = &settings.config.control.gains;
     let taxel = &settings.config.robot.cover.placements()[settings.person.taxel];
-    let foam = settings.foam.foam();
+    let foam = settings.true_foam();
     let foam_n_m = foam.stiffness_n_per_m(foam.deformation_m(LINEARISED_AT_N));
     let stiffness = 1.0 / (1.0 / foam_n_m + 1.0 / settings.person.tissue_stiffness());
     // The foam's damper acts for the share of the deformation that is the foam's.
@@ -246,7 +246,7 @@ mod tests {
 /// All of them take a minute: the cells at odds with the law are run again.
 #[cfg(test)]
 #[test]
-fn where_the_contact_law_is_not_on_the_safe_side_is_where_the_document_says() {
+fn unsafe_cells_of_contact_law_match_table() {
     let Some(shown) = crate::docs::shown("stability-maps") else { return };
     let mut named = 0;
     for (name, x, y) in &MAPS {

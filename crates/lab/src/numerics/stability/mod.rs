@@ -44,7 +44,7 @@ pub(crate) struct Arguments {
     sensor: String,
 }
 
-/// What happened in one case.
+/// Result of one case.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Case {
     pub name: String,
@@ -79,7 +79,7 @@ struct Report {
     maps: Vec<maps::Map>,
 }
 
-/// What may come out beside the reference's work: rounding, sampling and the foam's own memory, J.
+/// Energy allowed on top of the reference's work: rounding, sampling and the foam's own memory, J.
 const BUDGET_J: f64 = 1.0;
 const BUDGET: &str = "at no time may the cover have given people more energy than they gave it, plus the work of the \
                       flange's moving reference (K_d e . v_d) up to then, plus 1 J";
@@ -99,8 +99,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
         for map in &maps {
             let (drawing, name) = (maps::draw(std::slice::from_ref(map)), format!("stability-{}", map.name));
-            std::fs::write(folder.join(format!("{name}.svg")), drawing.svg())?;
-            std::fs::write(folder.join(format!("{name}.png")), drawing.png()?)?;
+            drawing.write(&folder.join(name))?;
         }
     }
     let report = Report { budget: BUDGET, cases, maps };
@@ -123,7 +122,7 @@ pub(crate) fn one_in(step: usize) -> Result<Vec<Case>> {
 }
 
 impl Case {
-    /// Whether it shows anything.
+    /// Returns true if the case shows a contact.
     pub(crate) const fn touched(&self) -> bool {
         self.contact || !self.finite
     }
@@ -336,7 +335,7 @@ fn reference_w(pair: &[Row], settings: &Settings, dt_s: f64) -> f64 {
         .sum()
 }
 
-/// Whether the force still swings between nothing and itself in the last second of the first contact's time.
+/// Returns true if the force still swings down to zero in the last second of the first contact's time.
 fn swings_on(rows: &[Row], dt_s: f64) -> bool {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "rows of one second")]
     let second = (1.0 / dt_s) as usize;
@@ -434,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn energy_stays_within_its_budget_where_the_contact_is_stable_and_not_where_it_is_not() {
+    fn energy_stays_in_budget_only_in_stable_contact() {
         for name in
             ["sensor period ms = 5", "base blocked by a wall on its other side", "people on both sides"]
         {
@@ -449,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn nan_in_the_plant_stops_the_robot_and_so_does_an_arm_that_folds_out_too_fast() {
+    fn nan_or_fast_joint_stops_the_robot() {
         let broken = case("NaN in the plant");
         assert!(!broken.finite && broken.stopped.is_some(), "{broken:?}");
         // Joint 4 passes what a Panda's own controller allows.

@@ -5,19 +5,19 @@ use crate::rig::cpu_time;
 use crate::rig::settings::Settings;
 use crate::rig::{JOINTS, TAXELS, count, state_in};
 use anyhow::{Context, Result};
-use moca_daemon::control::cover::CoverSource;
+use moca_control::cover::CoverSource;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, Payload};
 use moca_msgs::{Actuation, RobotCommand, RobotState};
 use moca_sim::SimPlant;
 use moca_wbc::{ControlInput, ControlLaw, Scalar, WholeBodyController};
 
-/// What a run shows.
+/// Result of a run.
 pub(super) struct Run {
     /// Pose of the base at each tick: m, m, rad; and the largest force on one body over it, N.
     poses: Vec<[f64; 3]>,
     forces_n: Vec<f64>,
-    /// Where the flange is at each tick, axes of W, m.
+    /// Flange position at each tick, axes of W, m.
     flange_m: Vec<[f64; 3]>,
     pub peak_n: f64,
 }

@@ -35,7 +35,7 @@ const PASSES: usize = 400;
 /// Written between two cold steps: more than a core's own caches hold.
 pub(crate) const REPLACED_BYTES: usize = 8 << 20;
 
-/// What `.ci/size` holds a step to, as a table for the documents.
+/// Writes the limits of `.ci/size` as a table for the documents.
 pub(crate) fn markdown() -> anyhow::Result<String> {
     let mut table =
         String::from("\n| step | instructions | code, bytes | data, bytes |\n|---|---|---|---|\n");
@@ -48,7 +48,7 @@ pub(crate) fn markdown() -> anyhow::Result<String> {
     Ok(table)
 }
 
-/// What a control step costs: hot, cold and live; with `--anchor` on the data of an independent implementation.
+/// Prints the cost of a control step: hot, cold and live; with `--anchor` on the data of an independent implementation.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// Folder with model.csv, params.csv, inputs.csv and ref.csv.
@@ -84,7 +84,7 @@ struct Variant {
     max_rel_error: f64,
 }
 
-/// What somebody else's tick took, as its command says.
+/// Times of another implementation's tick, as its command prints them.
 #[derive(Serialize, Deserialize)]
 struct Peer {
     name: String,

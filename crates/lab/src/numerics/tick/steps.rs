@@ -1,9 +1,11 @@
 //! Whole steps of the controllers: hot, cold, live, and what they need of any machine.
 
 use super::{PASSES, REPLACED_BYTES};
+use crate::rig::parallel::Count;
 use anyhow::{Result, anyhow, ensure};
-use moca_daemon::config::Config;
-use moca_daemon::control::stage::Stage;
+use moca_control::config::Config;
+use moca_control::stage::Stage;
+use moca_daemon::cli::progress;
 use moca_daemon::runtime::live::Shared;
 use moca_daemon::runtime::notice::Silent;
 use moca_daemon::runtime::options::Options;
@@ -26,7 +28,7 @@ pub(super) struct Row {
     hot_ns_least: f64,
     hot_ns_median: f64,
     cold_ns_median: f64,
-    /// Where valgrind is installed.
+    /// Instructions of a step, if valgrind is installed.
     instructions: Option<u64>,
     code_bytes: Option<u64>,
     code_lines_bytes: Option<u64>,
@@ -48,7 +50,13 @@ pub(super) fn marked(case: &str) -> Result<()> {
 }
 
 pub(super) fn measured() -> Result<Vec<Row>> {
-    Case::ALL.into_iter().map(row).collect()
+    let mut count = Count::new("tick", Case::ALL.len());
+    let one = |case| {
+        let row = row(case);
+        count.one_more();
+        row
+    };
+    Case::ALL.into_iter().map(one).collect()
 }
 
 fn row(case: Case) -> Result<Row> {
@@ -93,7 +101,9 @@ pub(super) fn live(seconds: f64) -> Result<Live> {
     let mut config = Config::default();
     config.telemetry.listen = String::new();
     let options = Options { config, duration: Some(Duration::from_secs_f64(seconds)), ..Options::default() };
+    let bar = progress::during("live", Duration::from_secs_f64(seconds));
     let run = live_simulated(&options, &Arc::new(Shared::default()), &mut Silent)?;
+    drop(bar);
     let control = &run.timing.stages[Stage::Control as usize];
     Ok(Live {
         control_us_p50: control.quantile_us(0.5),

@@ -1,4 +1,4 @@
-//! What the paper says and what an independent simulation gave, beside what comes out here.
+//! Claims of the paper and of an independent simulation, next to our results.
 
 use super::{collision_under_barrier, collision_with, with};
 use crate::paper::collision;

@@ -6,6 +6,7 @@ mod sweeps;
 
 use crate::cover::characterize;
 use crate::numerics::stability;
+use crate::paper::figure::Layout;
 use crate::paper::{collision, pushes};
 use crate::rig::free_scene;
 use crate::rig::parallel;
@@ -24,7 +25,7 @@ pub(crate) struct Arguments {
     out: PathBuf,
 }
 
-/// What the paper does not print and was chosen so that its text is reproduced.
+/// Values that the paper does not print, chosen so that its text is reproduced.
 const TUNED: &str = "The paper gives no gains. Virtual mass (4, 4, 2), virtual damping (80, 80, 60), flange stiffness 800 N/m \
     and 40 N·m/rad, damping ratio 0.9, η_B/η_A = 3 and the posture gains were tuned in simulation until the text was \
     reproduced, and the collision sits on the stability boundary: other taxels give larger forces with the same gains. \
@@ -64,16 +65,16 @@ fn page() -> Result<String> {
             "Figure 5: expanded impedance (ideal sensor drawn, stock board beside it as text)",
             Law::Impedance,
             &b1,
-            pushes::figure_5 as fn(&Settings, &pushes::Run) -> Result<Drawing>,
+            pushes::figure_5 as fn(&Settings, &pushes::Run, &Layout) -> Result<Drawing>,
         ),
         (
             "Figure 6: expanded follow-me (ideal sensor drawn, stock board beside it as text)",
             Law::FollowMe,
             &b2,
-            pushes::figure_6 as fn(&Settings, &pushes::Run) -> Result<Drawing>,
+            pushes::figure_6 as fn(&Settings, &pushes::Run, &Layout) -> Result<Drawing>,
         ),
     ] {
-        let drawing = draw(&with(law, Sensor::Ideal), &runs[0])?;
+        let drawing = draw(&with(law, Sensor::Ideal), &runs[0], &Layout::default())?;
         section(&mut body, title, &texts(runs), &drawing.svg());
     }
     for (title, run) in [
@@ -82,7 +83,7 @@ fn page() -> Result<String> {
         ("The same collision without a cover", &c[2]),
         ("The same collision with the contact barrier and its speed limit, ideal sensor", &under_barrier),
     ] {
-        let drawing = run.figure(&free_scene()).draw()?;
+        let drawing = run.figure(&free_scene()).draw(&Layout::default())?;
         let title = format!("{title}: {}", run.report.verdict);
         section(&mut body, &title, &run.report.text(), &drawing.svg());
     }

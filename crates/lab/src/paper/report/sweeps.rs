@@ -113,7 +113,7 @@ pub(super) fn draw() -> Result<Drawing> {
     Ok(drawing)
 }
 
-/// Where the contact stability law changes its verdict along an axis.
+/// Returns the places along an axis where the contact stability law changes its verdict.
 fn theory_boundaries(axis: &Axis) -> Result<Vec<f64>> {
     const STEPS: u32 = 20;
     if axis.key == "person.taxel" {
@@ -145,7 +145,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_axis_names_keys_and_values_that_exist_and_theory_has_its_boundary() {
+    fn sweep_axes_name_existing_keys_and_boundary() {
         for axis in &AXES {
             for value in axis.values {
                 settings(Sensor::Ideal, axis, *value).unwrap();

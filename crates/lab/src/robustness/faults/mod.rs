@@ -1,4 +1,4 @@
-//! `moca-lab faults`: every fault that can be injected, and what the robot does about it.
+//! `moca-lab faults`: every fault that can be injected, and what the robot does about it with a stock board.
 #![expect(clippy::print_stdout, reason = "this is what the command is for")]
 
 #[cfg(test)]
@@ -8,6 +8,7 @@ use crate::rig::parallel;
 use crate::robustness::trial;
 use anyhow::Result;
 use moca_daemon::inject::FAULTS;
+use moca_tactile::Firmware;
 use serde::Serialize;
 
 /// Every fault that can be injected, the mode it ends in and how many ticks the reaction takes.
@@ -36,7 +37,8 @@ struct Row {
 }
 
 fn rows(seed: u64) -> Result<Vec<Row>> {
-    let trials = parallel::run("faults", FAULTS, |fault| trial::run(*fault, seed, 10_000), |_| {});
+    let stock = Firmware::Stock2018;
+    let trials = parallel::run("faults", FAULTS, |fault| trial::run(*fault, stock, seed, 10_000), |_| {});
     trials
         .into_iter()
         .map(|trial| {

@@ -5,7 +5,7 @@ use crate::rig::bound;
 use crate::rig::closed_loop::{Loads, Row};
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
-use moca_daemon::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
+use moca_control::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
 use moca_msgs::Law as Mode;
 use moca_sim::foam::Foam;
 use moca_sim::sensor::Noise;
@@ -55,7 +55,7 @@ const PERSONS: [(&str, f64, bool); 6] = [
 ];
 const FOAMS: [f64; 3] = [0.5, 1.0, 2.0];
 const SHARES: [f64; 3] = [0.6, 0.8, 0.95];
-/// What is leant with at each of them, N.
+/// Forces of the leans at each of them, N.
 const LEANS_N: [f64; 3] = [10.0, 20.0, 40.0];
 const MEETINGS: [Meeting; 4] = [Meeting::Led, Meeting::Walks, Meeting::Leans, Meeting::ByHand];
 /// Name; what the base brakes with, how late its servo is and what the cover reads, over what is believed of it.
@@ -68,7 +68,7 @@ const TRUTHS: [(&str, [f64; 3]); 5] = [
 ];
 const SEEDS: [u64; 3] = [1, 2, 3];
 
-/// Where somebody is met.
+/// Place of a meeting.
 #[derive(Clone, Copy, Debug)]
 struct Place {
     name: &'static str,
@@ -77,7 +77,7 @@ struct Place {
     offset_m: f64,
     /// Another one at the same time.
     also: Option<usize>,
-    /// How many taxels feel equal parts of a body there.
+    /// Number of taxels that read equal parts of a body there.
     sharing: f64,
 }
 
@@ -91,7 +91,7 @@ impl Place {
     }
 }
 
-/// Who comes to whom.
+/// Kind of meeting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Meeting {
     /// The flange is led, and the base goes into the person.
@@ -115,7 +115,7 @@ impl Meeting {
     }
 }
 
-/// What protects the person.
+/// Protection of the person.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Law {
     /// As shipped for a cover that has not been calibrated: the base is slow.
@@ -218,7 +218,7 @@ impl Cell {
         (0..count).map(cell).collect()
     }
 
-    /// So many cells of the grid, or all there are, in a random order: more are the same ones and others.
+    /// Returns a number of cells of the grid, or all, in a random order: a larger number adds cells to a smaller one.
     pub(super) fn sample(count: usize, seed: u64) -> Vec<Self> {
         let mut cells = Self::grid();
         let mut draw = Noise::new(seed);
@@ -231,7 +231,7 @@ impl Cell {
         cells
     }
 
-    /// Where, who comes, felt by which board, who is met, on which foam, how fast.
+    /// Describes place, mover, board, body, foam and speed.
     pub(super) fn words(&self) -> String {
         let Self { place, meeting, board, person, foam, share, .. } = self;
         let (place, meeting, board, person) = (place.name, meeting.name(), board.name(), person.0);
@@ -285,9 +285,13 @@ impl Cell {
         let speed_m_s = self.share * self.bound_m_s()?;
         settings.sensor = Sensor::Stock;
         settings.firmware = self.board;
-        settings.foam.scale = self.foam;
+        settings.config.simulation.truth.foam.scale = self.foam;
         settings.shift_phase(f64::from(phase) / f64::from(PHASES));
-        [settings.true_braking, settings.true_servo, settings.true_reading] = self.truth.1;
+        let [braking, servo, reading] = self.truth.1;
+        let (base, believed) = (&mut settings.config.simulation.truth.base, &settings.config.robot.base);
+        base.acceleration_m_s2 = braking * believed.acceleration_max_m_s2;
+        base.servo_ms = 1e3 * (servo * believed.servo_time_constant_s);
+        settings.true_reading = reading;
         settings.config.simulation.seed = self.seed;
         let (_, stiffness, held) = self.person;
         settings.person.taxel = self.place.taxel;
@@ -311,8 +315,8 @@ impl Cell {
         Ok(settings)
     }
 
-    /// What a hand does from `row` on that leads the robot: takes hold, pushes as hard as eq. (2) needs for the cell's speed, and
-    /// turns the flange so that the base does not turn.
+    /// Returns the force of a hand that leads the robot from `row` on: it takes hold, pushes as hard as eq. (2) needs for the cell's
+    /// speed, and turns the flange so that the base does not turn.
     pub(super) fn hand(&self, settings: &Settings, row: &Row) -> impl Fn(f64) -> Loads + use<> {
         let held_s = row.t_s;
         let pushed =

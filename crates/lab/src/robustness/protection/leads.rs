@@ -1,4 +1,4 @@
-//! Who is driven into at speeds that somebody asks for, whatever physics allows: the robot as it ships, with the contact
+//! People whom the robot drives into at requested speeds, whatever physics allows: the robot as it ships, with the contact
 //! barrier and, where the cover has no calibration, without.
 
 use super::cell::{AROUND, Cell, Law, Meeting, PHASES};
@@ -10,7 +10,7 @@ use moca_tactile::Firmware;
 const LAWS: [(Law, &str); 2] = [(Law::Barrier, "on"), (Law::Shipped, "off")];
 const BOARDS: [Firmware; 2] = [Firmware::Stock2018, Firmware::Moca];
 const LEADS_M_S: [f64; 4] = [0.04, 0.1, 0.15, 0.25];
-/// How far from the person the base begins, m: however slow its limit makes it, it gets there.
+/// Distance of the base from the person at the start, m: it arrives however slow its limit makes it.
 const GAP_M: f64 = 0.2;
 
 /// A row of the table: a lead, all round the cover.

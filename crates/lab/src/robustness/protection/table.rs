@@ -1,7 +1,7 @@
-//! What a file of the scan says: shares above the limit, and why.
+//! Summary of a scan's file: shares above the limit, and the reasons.
 
 use anyhow::{Context, Result, ensure};
-use moca_daemon::config::ProtectionConfig;
+use moca_control::config::ProtectionConfig;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -77,7 +77,7 @@ impl Entry<'_> {
     }
 }
 
-/// Of a robot that is as it is believed to be.
+/// Name of a robot that is as it is believed to be.
 const DESCRIBED: &str = "as described";
 
 pub(super) fn limit_n() -> f64 {
@@ -108,7 +108,7 @@ pub(super) fn of_file(path: &Path) -> Result<String> {
     entries(&read(path)?, as_table)
 }
 
-/// What failed, by its reason: how often, and the worst.
+/// Lists the failures by reason: count and worst.
 pub(super) fn failures(path: &Path) -> Result<String> {
     entries(&read(path)?, failures_of)
 }
@@ -118,7 +118,7 @@ pub(super) fn missed(path: &Path) -> Result<String> {
     entries(&read(path)?, missed_of)
 }
 
-/// Whether later taps grow, by how stiff the foam is over what it was calibrated as: of whoever is driven into.
+/// Lists growing taps by the foam's stiffness over its calibration: of people whom the robot drives into.
 pub(super) fn growth(path: &Path) -> Result<String> {
     entries(&read(path)?, growth_of)
 }
@@ -236,7 +236,7 @@ fn line(group: &[&Entry<'_>]) -> String {
 
 #[cfg(test)]
 #[test]
-fn a_table_counts_what_is_above_the_limit_and_failures_have_a_reason() {
+fn table_counts_excess_and_names_reasons() {
     let text = format!(
         "{}\n\
          0,T5,led,moca,held rigid,1,0.6,as described,1,0.08,shipped,0.08,9,30,31,0.3,0.02,9,9,true,true,20,31,1,\n\

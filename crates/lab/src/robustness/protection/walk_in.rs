@@ -1,5 +1,5 @@
-//! Who walks into the front of the standing robot and walks on: the base can only give way backwards, where no taxel
-//! feels anybody.
+//! People who walk into the front of the standing robot and walk on. The base can only give way backwards, where it has no
+//! taxel.
 
 use super::Outcome;
 use super::cell::{Cell, Law, Meeting};

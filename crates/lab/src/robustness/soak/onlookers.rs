@@ -1,4 +1,4 @@
-//! Who watches a soak badly: clients that read, die, or never read, and a terminal that stalled at its first line.
+//! Bad observers of a soak: clients that read, die, or never read, and a terminal that stalled at its first line.
 
 use anyhow::Result;
 use moca_daemon::cli::report::Level;
@@ -9,12 +9,14 @@ use moca_msgs::Sample;
 use moca_telemetry::RobotDescription;
 use moca_telemetry::net::{Address, Connection, Ports, RequestReceiver, Server, request_channel, serve};
 use std::io::{self, Write};
-use std::net::{SocketAddr, TcpStream};
+use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
 /// Samples on their way to the clients: four seconds at 1 kHz.
 const RING: usize = 4096;
+/// Ticks between two reads of the client that reads.
+const READ_EVERY: u64 = 20;
 /// Clients that never read, at most.
 const DEAF_MAX: usize = 8;
 
@@ -39,7 +41,7 @@ pub(super) struct Onlookers {
     _requests: RequestReceiver,
     server: Server,
     reads: Option<Connection>,
-    deaf: Vec<TcpStream>,
+    deaf: Vec<UnixStream>,
     terminal: Terminal,
     /// Clients that were cut off.
     pub(super) killed: u64,
@@ -59,8 +61,8 @@ impl Onlookers {
             calibration: None,
             judge: None,
         };
-        let any = Address::from(SocketAddr::from(([127, 0, 0, 1], 0)));
-        let server = serve(&any, 0o600, RobotDescription::paper("soak", true), ports)?;
+        let socket = std::env::temp_dir().join(format!("moca-soak-{}.sock", std::process::id()));
+        let server = serve(&Address::Unix(socket), 0o600, RobotDescription::paper("soak", true), ports)?;
         let terminal = Terminal::onto(Stalled, Level::Info, false)?;
         let (deaf, reads) = (Vec::new(), None);
         Ok(Self { samples, _requests: requests, server, reads, deaf, terminal, killed: 0, dropped: 0 })
@@ -69,6 +71,12 @@ impl Onlookers {
     /// One tick, for everybody.
     pub(super) fn see(&mut self, sample: &Sample) {
         self.dropped += u64::from(self.samples.push(sample.clone()).is_err());
+        // A client that reads takes what has come: unread samples would wait for it, up to ten seconds of them.
+        if sample.tick.is_multiple_of(READ_EVERY)
+            && let Some(reads) = &self.reads
+        {
+            reads.poll();
+        }
         self.terminal.report(Notice::Sample(sample));
     }
 
@@ -80,8 +88,8 @@ impl Onlookers {
                 self.reads = Some(Connection::spawn(self.server.address().clone(), || {})?);
             }
             1 if self.deaf.len() < DEAF_MAX => {
-                if let Address::Tcp(address) = self.server.address() {
-                    self.deaf.push(TcpStream::connect(address)?);
+                if let Address::Unix(path) = self.server.address() {
+                    self.deaf.push(UnixStream::connect(path)?);
                 }
             }
             _ => {

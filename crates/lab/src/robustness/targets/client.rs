@@ -2,8 +2,8 @@
 
 use super::Outcome;
 use crate::rig::JOINTS;
-use moca_daemon::config::Config;
-use moca_daemon::control::targets::Targets;
+use moca_control::config::Config;
+use moca_control::targets::Targets;
 use moca_daemon::inject::Random;
 use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S, TargetPhase};
 use moca_msgs::{
@@ -19,9 +19,9 @@ const RENEWED_EVERY: u64 = 50;
 /// Poses of one trajectory at most.
 const POSES_MAX: usize = 6;
 
-/// What it is about.
+/// Subject of a program's requests.
 enum Whim {
-    /// The same target over and over.
+    /// A target that is repeated.
     Steady(Target),
     /// One of two, in turn, each so many ticks.
     Jump([Target; 2], u64),
@@ -29,7 +29,7 @@ enum Whim {
     Flood,
     /// Poses that are sent, one a tick; then it waits.
     Trajectory(Vec<Waypoint>),
-    /// What nobody could follow.
+    /// A target that no robot could follow.
     Nonsense(TimedTarget),
     /// Nothing: what it led to grows old.
     Silence,
@@ -56,7 +56,7 @@ impl Client {
         Self { random, law, arm, workspace, whim: Whim::Silence, tick: 0, until: 100, reached: false }
     }
 
-    /// What it asks in this tick.
+    /// Returns the request of this tick.
     pub(super) fn ask(&mut self, sample: &Sample) -> Option<Request> {
         if self.tick >= self.until {
             (self.tick, self.reached) = (0, false);
@@ -88,7 +88,7 @@ impl Client {
         }
     }
 
-    /// What it was answered, and what became of it.
+    /// Takes the answer, and the progress of its target.
     pub(super) fn hear(
         &mut self,
         request: Option<Request>,
@@ -124,7 +124,7 @@ impl Client {
         }
     }
 
-    /// What was drawn without looking: a pose inside the base, a way that its time is too short for, a base that is held.
+    /// Returns true for targets drawn blindly that may be refused: a pose inside the base, too little time, a held base.
     fn may_be_refused(&self, request: &Request, refusal: TargetRefusal) -> bool {
         match request {
             Request::Target(TimedTarget { target: Target::BaseVelocity { .. }, .. }) => {

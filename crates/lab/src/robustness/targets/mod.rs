@@ -7,7 +7,7 @@ mod client;
 use crate::rig::{JOINTS, parallel};
 use anyhow::{Context, Result, ensure};
 use client::Client;
-use moca_daemon::config::{Config, HandConfig};
+use moca_control::config::{Config, HandConfig};
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
@@ -29,7 +29,7 @@ pub(crate) struct Arguments {
     /// Programs of each arm and law.
     #[arg(long, default_value_t = PROGRAMS)]
     programs: u64,
-    /// How long each of them asks, s.
+    /// Duration of each program, s.
     #[arg(long, default_value_t = SECONDS)]
     seconds: f64,
     /// One JSON object a program instead of a table.
@@ -81,9 +81,9 @@ struct Outcome {
     /// Targets that were taken, by kind, and that were refused.
     taken: BTreeMap<&'static str, u64>,
     refused: u64,
-    /// How many of the poses, postures and trajectories that were taken ended where they led.
+    /// Number of accepted poses, postures and trajectories that ended where they led.
     reached: u64,
-    /// What a program was answered that it should not have been.
+    /// Wrong answers to a program.
     wrong: Vec<String>,
     /// Why the robot stopped, if it did, and when, s.
     stopped: Option<(Fault, f64)>,
@@ -214,7 +214,7 @@ fn led(cell: &Cell) -> Result<Outcome> {
     Ok(watch.worst)
 }
 
-/// What is measured tick by tick.
+/// Measures taken tick by tick.
 struct Watch {
     arm: &'static ArmTable<JOINTS>,
     limits: Limits<JOINTS>,
@@ -267,7 +267,7 @@ mod tests {
 
     /// The beginning of what the table of the document sums up: no worse, and as it says no stop and no limit passed.
     #[test]
-    fn whatever_a_program_asks_no_limit_is_passed_and_the_robot_goes_on() {
+    fn random_targets_pass_no_limit_and_cause_no_stop() {
         let rows = outcomes(cells(2, 20.0)).unwrap();
         for (cell, outcome) in &rows {
             assert!(outcome.passed(), "{cell:?}: {outcome:?}");

@@ -1,5 +1,6 @@
 //! The axis of time that every plot shares: rolling or held, and how much of it is shown.
 
+use crate::logic::limited::Limited;
 use std::ops::Range;
 
 /// Shortest and longest stretch that can be shown, s.
@@ -35,7 +36,7 @@ impl TimeAxis {
         self.end_s(newest_s) - self.span_s..self.end_s(newest_s)
     }
 
-    /// Whether it stands still.
+    /// Returns true if it stands still.
     pub fn held(&self) -> bool {
         self.held_at_s.is_some()
     }
@@ -43,7 +44,7 @@ impl TimeAxis {
     /// Shows the last `span_s`, or as much before the held end.
     pub fn show(&mut self, span_s: f64) {
         if span_s.is_finite() {
-            self.span_s = span_s.clamp(SPAN_S.start, SPAN_S.end);
+            self.span_s = span_s.limited(SPAN_S.start, SPAN_S.end);
         }
     }
 
@@ -69,7 +70,7 @@ impl TimeAxis {
     /// Moves by `by_s` and stands still there, inside what is kept (`kept_s`).
     pub fn pan(&mut self, by_s: f64, kept_s: Range<f64>) {
         let end_s = self.end_s(kept_s.end) + by_s;
-        self.held_at_s = Some(end_s.clamp(kept_s.start.min(kept_s.end), kept_s.end));
+        self.held_at_s = Some(end_s.limited(kept_s.start.min(kept_s.end), kept_s.end));
     }
 }
 

@@ -1,4 +1,4 @@
-//! How often a value was how large: bins of equal ratio, so that one late tick in a million still has its own.
+//! Frequencies of values: bins of equal ratio, so that one late tick in a million still has its own.
 
 /// Bins for each factor of ten.
 const PER_DECADE: f64 = 10.0;

@@ -9,7 +9,7 @@ use std::{collections::VecDeque, ops::Range};
 
 /// A longer time without a sample of a loop is a gap, s. A slot that the loop missed is none: nothing happened in it.
 const GAP_S: f64 = 0.02;
-/// The same in a log, which shows a sample each 20 ms.
+/// Gap of a log, which shows a sample each 20 ms.
 const LOG_GAP_S: f64 = 0.05;
 
 /// Signals over time.
@@ -19,11 +19,11 @@ pub struct History {
     columns: Vec<Pyramid>,
     /// Time of each sample, s of loop time, never falling.
     times_s: VecDeque<f64>,
-    /// What is a gap, s.
+    /// Shortest interval that is a gap, s.
     gap_s: f64,
 }
 
-/// What to draw of one signal.
+/// Curve of one signal.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
     /// Unbroken pieces of (time s, value); a gap lies between two pieces.
@@ -73,12 +73,12 @@ impl History {
         self.times_s.len()
     }
 
-    /// Whether nothing is kept.
+    /// Returns true if nothing is kept.
     pub fn is_empty(&self) -> bool {
         self.times_s.is_empty()
     }
 
-    /// What to draw of `signal` in `window_s` on `pixels` columns; times are relative to the window's end.
+    /// Returns the curve of `signal` in `window_s` on `pixels` columns; times are relative to the window's end.
     pub fn curve(&self, signal: Signal, window_s: Range<f64>, pixels: usize) -> Curve {
         let mut curve = Curve::default();
         let Some(column) = self.column(signal) else {
@@ -225,7 +225,7 @@ mod tests {
     const FORCE: Signal = Signal::CoverWrench(0);
 
     #[test]
-    fn lost_samples_are_a_gap_and_not_a_straight_line_but_a_missed_slot_is_none() {
+    fn lost_samples_leave_gap_missed_slots_do_not() {
         let mut history = History::new(vec![FORCE]);
         for tick in (0..50).chain(52..100).chain(200..300) {
             history.push(&sample(tick, 1.0));
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_has_every_sample_of_the_window_and_leaves_out_what_is_missing() {
+    fn exported_window_has_all_samples_without_missing() {
         let mut history = History::new(vec![FORCE, Signal::FrameAgeMs]);
         for tick in 0..100 {
             history.push(&Sample { frame_age_s: if tick == 51 { -1.0 } else { 0.025 }, ..sample(tick, 1.5) });

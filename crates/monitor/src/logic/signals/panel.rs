@@ -21,9 +21,9 @@ pub enum Signal {
     FlangeDesired(usize),
     /// External wrench on the robot about the flange, world axes: N, N·m.
     FlangeWrench(usize),
-    /// How far the flange is from its desired position, mm.
+    /// Distance of the flange from its desired position, mm.
     FlangeErrorMm,
-    /// How late the loop woke, µs.
+    /// Lateness of the loop's wake-up, µs.
     LatenessUs,
     /// Age of the cover's data, ms; missing before the first good frame.
     FrameAgeMs,
@@ -57,7 +57,7 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 impl Signal {
-    /// Whether it is drawn dashed: what should be, beside what is.
+    /// Returns true if it is drawn dashed: a desired value next to the measured one.
     pub fn is_desired(self) -> bool {
         matches!(self, Self::FlangeDesired(_))
     }

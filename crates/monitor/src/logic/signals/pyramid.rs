@@ -13,9 +13,9 @@ const LEVELS: u32 = 5;
 struct Block {
     min: f32,
     max: f32,
-    /// Whether the least value came before the greatest.
+    /// True if the least value came before the greatest.
     falls_first: bool,
-    /// Whether a value was missing (NaN): a gap is drawn as a gap.
+    /// True if a value was missing (NaN): a gap is drawn as a gap.
     gap: bool,
 }
 

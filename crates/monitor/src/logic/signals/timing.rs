@@ -1,12 +1,12 @@
-//! How well loop and board keep time.
+//! Timing of loop and board.
 
 use super::{histogram::Histogram, panel::Signal};
 use moca_msgs::{STAGES, Sample, seconds};
 
-/// How well loop and board keep time, since the connection was made.
+/// Timing of loop and board, since the connection was made.
 #[derive(Clone, Debug)]
 pub struct Timing {
-    /// How late the loop woke, µs.
+    /// Lateness of the loop's wake-up, µs.
     pub lateness_us: Histogram,
     /// From one tick to the next, µs.
     pub period_us: Histogram,
@@ -55,7 +55,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stages_are_counted_each_for_itself_and_a_tick_that_nobody_timed_is_none() {
+    fn stages_are_counted_separately_without_untimed() {
         let mut timing = Timing::default();
         for stages_ns in [[0; 5], [900, 5_000, 20_000, 300_000, 0], [900, 5_000, 20_000, 900_000, 700]] {
             timing.add(&Sample { stages_ns, ..Sample::default() });

@@ -14,24 +14,24 @@ use std::{
 /// A stretch of loop time, ns.
 pub(super) type Stretch = RangeInclusive<u64>;
 
-/// What the thread has to say.
+/// Message of the thread.
 pub(super) enum Told {
     /// Which part of the file has been looked through, 0 to 1: one that was not finished has no overview.
     Progress(f64),
     /// The log is open.
     Opened(Box<Opened>),
-    /// What a viewer shows of a stretch that was asked for.
+    /// Samples for a viewer of a requested stretch.
     Samples(Stretch, Vec<Sample>),
     /// It cannot be read (on).
     Failed(String),
 }
 
-/// What is known of a log before any of it is shown.
+/// Facts about a log before any of it is shown.
 pub(super) struct Opened {
     pub(super) robot: RobotDescription,
     pub(super) range_ns: (u64, u64),
     pub(super) overview: Overview,
-    /// What is missing of it.
+    /// Missing part of it.
     pub(super) note: String,
 }
 
@@ -64,7 +64,7 @@ impl LogThread {
         let _ = self.asked.send(stretch);
     }
 
-    /// What is new.
+    /// Returns the next message.
     pub(super) fn next(&self) -> Option<Told> {
         self.told.try_recv().ok()
     }
@@ -96,4 +96,20 @@ fn serve(path: &Path, stretches: &Receiver<Stretch>, tell: &dyn Fn(Told) -> bool
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As `mocad log`, `mocad replay` and Python say it.
+    #[test]
+    fn log_that_ends_within_its_header_is_refused_as_such() {
+        let path = std::env::temp_dir().join(format!("moca-monitor-{}.mcap", std::process::id()));
+        std::fs::write(&path, [0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n']).unwrap();
+        let (_asked, stretches) = channel();
+        let said = serve(&path, &stretches, &|_| true).unwrap_err();
+        std::fs::remove_file(&path).unwrap();
+        assert_eq!(said, format!("{} ends within its header: nothing in it can be read", path.display()));
+    }
 }

@@ -1,4 +1,4 @@
-//! Where samples come from: a robot that runs ([`live`]) or a log ([`playback`]); [`recording`] writes a log.
+//! Sources of samples: a running robot ([`live`]) or a log ([`playback`]); [`recording`] writes a log.
 
 pub mod live;
 mod log_thread;
@@ -9,7 +9,7 @@ use live::Live;
 use moca_telemetry::net::Update;
 use playback::Playback;
 
-/// Where samples come from.
+/// Source of samples.
 pub enum Source {
     /// A robot that runs: it takes requests.
     Live(Box<dyn Live>),

@@ -1,6 +1,7 @@
 //! A log, played at the speed at which it was recorded. Only what is shown of it is in memory.
 
 use super::log_thread::{LogThread, Opened, Stretch, Told};
+use crate::logic::limited::Limited;
 use moca_msgs::{Sample, nanoseconds, seconds};
 use moca_telemetry::{
     RobotDescription,
@@ -13,10 +14,12 @@ use moca_telemetry::{
 };
 use std::{path::PathBuf, sync::Arc, time::Instant};
 
-/// What is shown before the chosen instant, ns.
+/// Length of the past before the chosen instant that is shown, ns.
 const SHOWN_NS: u64 = 60_000_000_000;
-/// What is read ahead of it, ns; half of it is left when the next stretch is asked for.
+/// Length that is read ahead of it, ns; half of it is left when the next stretch is requested.
 const AHEAD_NS: u64 = 10_000_000_000;
+/// Speeds at which a log can run, slowest first; 1 is as fast as it happened.
+pub const SPEEDS: [f64; 6] = [0.1, 0.5, 1.0, 2.0, 5.0, 10.0];
 
 /// A log and the instant of it that is shown.
 pub struct Playback {
@@ -36,18 +39,18 @@ struct Reading {
     began: Instant,
     /// Which part has been looked through, until the log is open.
     opening: Option<f64>,
-    /// Whether a stretch is on its way.
+    /// True while a stretch is on its way.
     asked: bool,
 }
 
-/// What is in memory.
+/// Samples in memory.
 #[derive(Default)]
 struct Held {
     stretch: Option<Stretch>,
     samples: Vec<Sample>,
 }
 
-/// What a log can be searched for.
+/// Landmark that a log can be searched for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Landmark {
     /// A change of mode or fault, or a contact that crossed a limit.
@@ -66,6 +69,8 @@ struct State {
     failure: Option<String>,
     session: u64,
     at_s: f64,
+    /// Robot time for each time of the wall.
+    speed: f64,
     playing: bool,
     last_poll_s: Option<f64>,
     /// Until when samples have been given out in this session, ns.
@@ -94,8 +99,15 @@ impl Playback {
     }
 
     fn new(path: PathBuf, reading: Option<Reading>) -> Self {
-        let state =
-            State { failure: None, session: 1, at_s: 0.0, playing: true, last_poll_s: None, given_ns: None };
+        let state = State {
+            failure: None,
+            session: 1,
+            at_s: 0.0,
+            speed: 1.0,
+            playing: true,
+            last_poll_s: None,
+            given_ns: None,
+        };
         Self {
             path,
             robot: Arc::default(),
@@ -126,12 +138,22 @@ impl Playback {
     /// Shows another instant.
     pub fn seek(&mut self, at_s: f64) {
         let (first, last) = self.range_s();
-        self.state.at_s = at_s.clamp(first, last);
+        self.state.at_s = at_s.limited(first, last);
         // Going back needs a new history; going on a little does not.
         self.state.given_ns = None;
     }
 
-    /// Whether it runs.
+    /// Robot time for each time of the wall.
+    pub fn speed(&self) -> f64 {
+        self.state.speed
+    }
+
+    /// Lets it run at another of [`SPEEDS`].
+    pub fn set_speed(&mut self, speed: f64) {
+        self.state.speed = speed.limited(SPEEDS[0], SPEEDS[SPEEDS.len() - 1]);
+    }
+
+    /// Returns true if it runs.
     pub fn playing(&self) -> bool {
         self.state.playing
     }
@@ -196,7 +218,7 @@ impl Playback {
         let wanted = match &self.held.stretch {
             Some(held) if held.contains(&at_ns) => {
                 let near = *held.end() < at_ns.saturating_add(AHEAD_NS / 2).min(last_ns);
-                near.then(|| held.end() + 1..=until_ns)
+                near.then(|| held.end().saturating_add(1)..=until_ns)
             }
             _ => Some(at_ns.saturating_sub(SHOWN_NS)..=until_ns),
         };
@@ -206,7 +228,7 @@ impl Playback {
         }
     }
 
-    /// What happened since the last call, at the speed at which it happened; `now_s` never runs backwards, s.
+    /// Returns the news since the last call, at the speed at which they happened; `now_s` never runs backwards, s.
     pub fn poll(&mut self, now_s: f64) -> Update {
         self.hear();
         let elapsed_s = self.state.last_poll_s.map_or(0.0, |last| now_s - last);
@@ -215,7 +237,8 @@ impl Playback {
         if let (true, Some(held_to_ns)) = (self.state.playing, held_to_ns) {
             let end_s = self.range_s().1;
             // What is not read yet is waited for.
-            self.state.at_s = (self.state.at_s + elapsed_s).min(end_s).min(seconds(held_to_ns));
+            self.state.at_s =
+                (self.state.at_s + self.state.speed * elapsed_s).min(end_s).min(seconds(held_to_ns));
             self.state.playing = self.state.at_s < end_s;
         }
         self.ask();
@@ -238,9 +261,10 @@ impl Playback {
             self.state.session += 1;
         }
         let given = self.state.given_ns.replace(at_ns);
-        let from_ns = given.or_else(|| at_ns.checked_sub(SHOWN_NS)).map_or(0, |before_ns| before_ns + 1);
+        let from_ns =
+            given.or_else(|| at_ns.checked_sub(SHOWN_NS)).map_or(0, |before_ns| before_ns.saturating_add(1));
         let place = |time_ns: u64| self.held.samples.partition_point(|sample| sample.time_ns < time_ns);
-        self.held.samples.get(place(from_ns)..place(at_ns + 1)).unwrap_or_default().to_vec()
+        self.held.samples.get(place(from_ns)..place(at_ns.saturating_add(1))).unwrap_or_default().to_vec()
     }
 
     fn link(&self) -> Link {
@@ -261,7 +285,7 @@ impl Held {
     /// Takes a stretch that was read; what lies more than a minute before it is forgotten.
     fn take(&mut self, stretch: Stretch, samples: Vec<Sample>) {
         match &self.stretch {
-            Some(held) if *stretch.start() == held.end() + 1 => {
+            Some(held) if *stretch.start() == held.end().saturating_add(1) => {
                 let from_ns = stretch.start().saturating_sub(SHOWN_NS + AHEAD_NS).max(*held.start());
                 self.stretch = Some(from_ns..=*stretch.end());
                 self.samples.retain(|sample| sample.time_ns >= from_ns);
@@ -277,7 +301,7 @@ impl Held {
     }
 }
 
-/// How far something has come that takes more than a moment, and how long it will yet take.
+/// Describes progress and remaining time of a longer task.
 fn how_far(part: f64, elapsed_s: f64) -> String {
     if part <= 0.0 || elapsed_s < 1.0 {
         return String::new();
@@ -315,6 +339,17 @@ mod tests {
             ticks.extend(playback.poll(now_s).samples.iter().map(|s| s.tick));
         }
         assert!(ticks.into_iter().eq(0..=200));
+    }
+
+    #[test]
+    fn speed_of_two_shows_twice_as_much_of_the_log() {
+        let mut playback = log(200);
+        playback.set_speed(2.0);
+        playback.poll(5.0);
+        playback.poll(6.0);
+        assert!((playback.at_s() - 2.0).abs() < 1e-9);
+        playback.set_speed(f64::NAN);
+        assert!((playback.speed() - 0.1).abs() < 1e-9, "what is no number is the slowest");
     }
 
     #[test]

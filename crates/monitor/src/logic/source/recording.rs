@@ -49,12 +49,12 @@ impl Recording {
         self.dropped += u64::from(self.samples.push(sample.clone()).is_err());
     }
 
-    /// Whether it still writes; `false` after an error of the disk, which [`Self::finish`] returns.
+    /// Returns true while it writes; `false` after an error of the disk, which [`Self::finish`] returns.
     pub fn is_writing(&self) -> bool {
         self.recorder.is_recording()
     }
 
-    /// How it goes, in words.
+    /// Describes its progress.
     pub fn progress(&self) -> String {
         let lost = if self.dropped > 0 { format!(", {} lost", self.dropped) } else { String::new() };
         format!("recording {}: {:.0} s{lost}", self.path.display(), self.last_s - self.first_s)

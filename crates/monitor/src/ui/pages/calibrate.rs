@@ -14,8 +14,8 @@ use crate::ui::{
     view::{CalibrationChoice, View},
 };
 use egui::{
-    Align, Button, Checkbox, ComboBox, DragValue, Grid, Id, Label, Layout, ProgressBar, RichText, ScrollArea,
-    Ui, vec2,
+    Align, Button, Checkbox, ComboBox, DragValue, Grid, Id, Label, Layout, ProgressBar, Rect, RichText,
+    ScrollArea, Ui, UiBuilder, vec2,
 };
 use egui_plot::{AxisHints, HLine, Plot, PlotPoints, Points};
 use moca_msgs::Mode;
@@ -27,6 +27,9 @@ const COLUMN: f32 = 86.0;
 const BETWEEN_S: f64 = 3.0;
 /// Lowest plot of residuals, points.
 const PLOT_HEIGHT: f32 = 160.0;
+/// Width from which on the residuals stand beside the steps, and the width of these, points.
+const WIDE: f32 = 1000.0;
+const STEPS: f32 = 640.0;
 
 /// Draws the page and notes what was pressed.
 pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, pressed: &mut PageRequests) {
@@ -41,6 +44,39 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, pres
         return;
     }
     follow(choice, model, now_s, pressed);
+    let room = ui.available_rect_before_wrap();
+    if room.width() < WIDE {
+        steps(ui, model, choice, now_s, false, pressed);
+        return;
+    }
+    let (left, right) = room.split_left_right_at_x(room.left() + STEPS);
+    let builder = |place: Rect| UiBuilder::new().max_rect(place).layout(Layout::top_down(Align::Min));
+    steps(&mut ui.new_child(builder(left)), model, choice, now_s, true, pressed);
+    let ui = &mut ui.new_child(builder(right.shrink2(vec2(12.0, 0.0))));
+    match &progress {
+        CalibrationProgress::Fitted(fit) => {
+            if let Some(model) = fit.models.get(choice.model) {
+                residuals(ui, model);
+            }
+        }
+        _ => {
+            ui.centered_and_justified(|ui| {
+                ui.weak("The residuals appear here once a taxel has been pressed.")
+            });
+        }
+    }
+}
+
+/// Draws the four steps; `beside` of them the residuals have a place of their own.
+fn steps(
+    ui: &mut Ui,
+    model: &Model,
+    choice: &mut CalibrationChoice,
+    now_s: f64,
+    beside: bool,
+    pressed: &mut PageRequests,
+) {
+    let progress = &model.calibration;
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
         step(ui, 1, "Choose a taxel, or all", !busy(progress));
         overview(ui, model, choice);
@@ -53,7 +89,12 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, pres
         press(ui, model, choice, now_s, pressed);
         step(ui, 4, "Look at the residuals and save", matches!(progress, CalibrationProgress::Fitted(_)));
         match progress {
-            CalibrationProgress::Fitted(fit) => fitted(ui, fit, choice, model.may_command(), pressed),
+            CalibrationProgress::Fitted(fit) => {
+                fitted(ui, fit, choice, model.may_command(), pressed);
+                if let Some(model) = fit.models.get(choice.model).filter(|_| !beside) {
+                    residuals(ui, model);
+                }
+            }
             CalibrationProgress::Saved { path, taxels } => {
                 saved(ui, path, taxels, model.robot.taxels.len());
             }
@@ -279,7 +320,6 @@ fn fitted(
         choice.model_chosen_for = None;
         pressed.calibrate = u8::try_from(choice.model).ok().map(|model| CalibrationRequest::Save { model });
     }
-    residuals(ui, model);
 }
 
 /// Place of the model that a cover can use with the least error.

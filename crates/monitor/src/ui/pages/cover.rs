@@ -38,7 +38,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, pressed: &mut PageReq
     });
 }
 
-/// What the contact barrier asks of touched taxels, and what the base does about it.
+/// Shows the bounds of the contact barrier on touched taxels, and the base's motion.
 fn contacts(ui: &mut Ui, sample: &Sample) {
     if sample.contact_rows.is_empty() {
         return;

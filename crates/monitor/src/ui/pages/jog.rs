@@ -5,14 +5,14 @@ use crate::logic::{
     parts::has_arm,
     requests::fits,
 };
-use crate::ui::{requests::PageRequests, view::View};
-use egui::{Button, Sense, Slider, Ui};
+use crate::ui::{requests::PageRequests, row, view::View};
+use egui::{Button, RichText, Sense, Slider, Ui};
 use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S};
 use moca_msgs::{Request, Target, TimedTarget, TwistAxes};
 
 /// Turning speed for each m/s of the slider, rad/m.
 const TURN_RAD_M: f64 = SPEED_MAX_RAD_S / SPEED_MAX_M_S;
-/// What is written on the buttons, and which element of the twist they are.
+/// Labels of the buttons, and their elements of the twist.
 const BUTTONS: [(&str, usize, f64); 12] = [
     ("−x", 0, -1.0),
     ("+x", 0, 1.0),
@@ -65,7 +65,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, pres
             }
         }
         if let Some(target) = model.latest.as_ref().and_then(|sample| sample.target) {
-            ui.weak(format!("{}: {}", target.kind.name(), target.phase.name()));
+            row::rest(ui, RichText::new(format!("{}: {}", target.kind.name(), target.phase.name())).weak());
         }
     });
 }

@@ -1,6 +1,7 @@
 //! Loop and board: histograms of how late they were and of each stage of a tick, and the same over time.
 
 use super::plots;
+use crate::logic::limited::Limited;
 use crate::logic::{format::number, model::Model, signals::histogram::Histogram};
 use crate::ui::{gauges, requests::PageRequests, theme, view::View};
 use egui::{Align, Color32, Grid, Id, Label, Layout, RichText, Role, ScrollArea, Ui, WidgetInfo, vec2};
@@ -176,7 +177,7 @@ fn quantiles(ui: &mut Ui, title: &str, rows: &[(&str, &str, &Histogram)]) {
     let named = rows.iter().any(|(name, ..)| !name.is_empty());
     // Beside four quantiles stand unit and name.
     let beside = if named { 110.0 } else { 34.0 };
-    let width = ((ui.available_width() - beside) / 4.0 - 4.0).clamp(CELL.0, CELL.1);
+    let width = ((ui.available_width() - beside) / 4.0 - 4.0).limited(CELL.0, CELL.1);
     let cell = |ui: &mut Ui, text: RichText| {
         ui.allocate_ui_with_layout(vec2(width, 18.0), Layout::right_to_left(Align::Center), |ui| {
             ui.set_min_width(width);

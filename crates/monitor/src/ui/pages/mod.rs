@@ -8,9 +8,12 @@ mod parameters;
 mod plots;
 mod robot_3d;
 
-use super::{requests::PageRequests, theme, view::View};
+use super::{requests::PageRequests, row, theme, view::View};
 use crate::logic::{model::Model, source::recording::Recording};
-use egui::{RichText, Ui};
+use egui::{RichText, Ui, Vec2};
+
+/// Size of the button whose text changes, points.
+const RECORD: Vec2 = Vec2::new(118.0, 0.0);
 
 /// A page.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -20,7 +23,7 @@ pub enum Page {
     Plots,
     /// The robot in three dimensions.
     Robot3d,
-    /// How well loop and board keep time.
+    /// Timing of loop and board.
     Loop,
     /// Parameters of the daemon.
     Parameters,
@@ -35,7 +38,7 @@ impl Page {
     pub const ALL: [Self; 6] =
         [Self::Plots, Self::Robot3d, Self::Loop, Self::Parameters, Self::Cover, Self::Calibrate];
 
-    /// What is written on its tab.
+    /// Returns the label of its tab.
     pub fn name(self) -> &'static str {
         match self {
             Self::Plots => "Plots",
@@ -72,14 +75,15 @@ impl Page {
                 let hint = "Write every sample this window receives to an MCAP file. \
                             `mocad --record` also keeps the board's bytes.";
                 let possible = recording.is_some() || model.latest.is_some();
-                let button = ui.add_enabled(possible, egui::Button::new(label)).on_hover_text(hint);
+                let button =
+                    ui.add_enabled(possible, egui::Button::new(label).min_size(RECORD)).on_hover_text(hint);
                 pressed.record = button.clicked();
             }
             if ui.button("Open log").on_hover_text("Show a recorded run beside the robots").clicked() {
                 pressed.choose_log = true;
             }
             if let Some(recording) = recording {
-                ui.colored_label(theme::BAD, recording.progress());
+                row::rest(ui, RichText::new(recording.progress()).color(theme::BAD));
             }
         });
     }
@@ -100,7 +104,7 @@ impl Page {
             }
             Self::Robot3d => {
                 jog::show(ui, model, view, now_s, pressed);
-                robot_3d::show(ui, model, view, now_s);
+                robot_3d::show(ui, model, view, now_s, pressed);
             }
             Self::Loop => loop_timing::show(ui, model, view, pressed),
             Self::Parameters => parameters::show(ui, model, view, pressed),

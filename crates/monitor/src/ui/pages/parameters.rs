@@ -52,7 +52,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, pressed: &mut Pa
     });
 }
 
-/// What is done with all of them.
+/// Shows the actions on all of them.
 fn toolbar(ui: &mut Ui, model: &Model, view: &mut View, pressed: &mut PageRequests) {
     let parameters = &model.robot.parameters;
     ui.horizontal_wrapped(|ui| {
@@ -60,7 +60,8 @@ fn toolbar(ui: &mut Ui, model: &Model, view: &mut View, pressed: &mut PageReques
         pressed.save_parameters |= ui.button("Save as TOML").on_hover_text(save).clicked();
         let reset: Vec<_> = parameters.iter().enumerate().filter(|(_, p)| p.live && is_changed(p)).collect();
         let label = format!("Defaults for all ({})", reset.len());
-        let button = ui.add_enabled(model.may_command() && !reset.is_empty(), Button::new(label));
+        let button = Button::new(label).min_size(vec2(150.0, 0.0));
+        let button = ui.add_enabled(model.may_command() && !reset.is_empty(), button);
         if button.on_hover_text("Puts the defaults into the fields; apply them to use them").clicked() {
             for (number, parameter) in reset {
                 if let ParameterValue::Numbers(default) = &parameter.default {
@@ -69,7 +70,8 @@ fn toolbar(ui: &mut Ui, model: &Model, view: &mut View, pressed: &mut PageReques
             }
         }
         let label = format!("Apply all ({})", view.drafts.len());
-        if ui.add_enabled(model.may_command() && !view.drafts.is_empty(), Button::new(label)).clicked() {
+        let button = Button::new(label).min_size(vec2(110.0, 0.0));
+        if ui.add_enabled(model.may_command() && !view.drafts.is_empty(), button).clicked() {
             for (number, draft) in std::mem::take(&mut view.drafts) {
                 let Some(parameter) = parameters.get(number) else { continue };
                 match parameter.checked(&draft) {

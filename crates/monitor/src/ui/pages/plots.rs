@@ -10,7 +10,7 @@ use crate::logic::{
         panel::{Panel, Signal, round_marks, vertical_range},
     },
 };
-use crate::ui::{requests::PageRequests, theme, view::View};
+use crate::ui::{requests::PageRequests, row, theme, view::View};
 use egui::{
     Align, Color32, Id, Layout, PointerButton, Rangef, Rect, RichText, Role, ScrollArea, Ui, UiBuilder, Vec2,
     WidgetInfo, containers::scroll_area::ScrollSource, vec2,
@@ -76,13 +76,13 @@ pub(super) fn show(ui: &mut Ui, model: &Model, panels: &[Panel], columns: usize,
     view.keep_while_paused(model);
 }
 
-/// Where plots stand on their page.
+/// Places of the plots on their page.
 struct Cells<'a> {
     panels: &'a [Panel],
     columns: usize,
-    /// Of a plot with its heading.
+    /// Size of a plot with its heading.
     size: Vec2,
-    /// What is kept, s of loop time.
+    /// Range that is kept, s of loop time.
     range_s: Range<f64>,
 }
 
@@ -143,12 +143,12 @@ pub(super) fn toolbar(ui: &mut Ui, model: &Model, view: &mut View, pressed: &mut
         pressed.export |= ui.button("Export CSV").on_hover_text(hint).clicked();
         if view.axis.held() {
             let behind_s = (newest_s - view.axis.end_s(newest_s)).max(0.0);
-            ui.colored_label(theme::WARNING, format!("paused, {behind_s:.0} s behind"));
+            row::rest(ui, RichText::new(format!("paused, {behind_s:.0} s behind")).color(theme::WARNING));
         }
     });
 }
 
-/// What the mouse did on a plot.
+/// Gesture of the mouse on a plot.
 #[derive(Default)]
 struct Gesture {
     pointed_at_s: Option<f64>,
@@ -177,7 +177,7 @@ struct Plotted<'a> {
     end_s: f64,
     view: &'a View,
     model: &'a Model,
-    /// Whether the axis of time is written under it.
+    /// True if the axis of time is written under it.
     lowest: bool,
     /// Width of plot and heading, points.
     width: f32,
@@ -270,7 +270,7 @@ impl Plotted<'_> {
             ])
     }
 
-    /// What is and what should be have one colour.
+    /// Returns the colour of a curve: measured and desired values have the same one.
     fn colour(&self, index: usize) -> Color32 {
         let desired_before = self.panel.traces.iter().take(index + 1).filter(|(_, s)| s.is_desired()).count();
         theme::curve(index - desired_before)

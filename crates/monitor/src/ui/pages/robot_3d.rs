@@ -1,16 +1,22 @@
-//! The robot in three dimensions: drag turns it, the wheel zooms.
+//! The robot in three dimensions: drag turns it, the wheel zooms, a plate of a simulated robot can be pressed.
 
-use crate::logic::{camera::OrbitCamera, model::Freshness, model::Model};
-use crate::ui::{robot, view::View};
-use egui::{Sense, Ui, vec2};
+use crate::logic::{
+    camera::OrbitCamera,
+    format::{number, taxel_name},
+    model::{Freshness, Model},
+};
+use crate::ui::{requests::PageRequests, robot, view::View};
+use egui::{CursorIcon, Painter, Pos2, Response, Sense, Ui, vec2};
 
 /// Turn of the camera for each point of dragging, rad.
 const TURN: f64 = 0.008;
 /// Zoom of the mouse wheel for each point of scrolling.
 const WHEEL: f64 = 0.003;
+/// Strength of the veil over what is old.
+const VEIL: f32 = 0.6;
 
 /// Draws the page.
-pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64) {
+pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, pressed: &mut PageRequests) {
     ui.horizontal_wrapped(|ui| {
         ui.label("From");
         let places =
@@ -21,12 +27,13 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64) {
             }
         }
         ui.separator();
-        robot::legend(ui, model);
+        robot::legend(ui, model, true);
     });
     let (response, painter) =
         ui.allocate_painter(ui.available_size().max(vec2(100.0, 100.0)), Sense::click_and_drag());
     response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Figure, true, "The robot in 3-D"));
-    if response.dragged() {
+    press(ui, &response, &painter, model, view, pressed);
+    if response.dragged() && view.held_plate.is_none() {
         let drag = response.drag_delta();
         view.camera.orbit(-f64::from(drag.x) * TURN, f64::from(drag.y) * TURN);
     }
@@ -39,9 +46,40 @@ pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64) {
     }
     // No background of its own: filling it costs a software rasteriser more than the robot does.
     let Some(sample) = &model.latest else { return };
-    let mut painter = painter;
-    if model.freshness(now_s) != Freshness::Live {
-        painter.set_opacity(0.4);
-    }
     robot::view_3d(&painter, ui.visuals(), model, sample, view.camera);
+    if model.freshness(now_s) != Freshness::Live {
+        // A veil over the whole: bodies that let light through would show their hidden edges.
+        painter.rect_filled(painter.clip_rect(), 0.0, ui.visuals().panel_fill.gamma_multiply(VEIL));
+    }
+}
+
+/// Notes which plate the mouse holds pressed, if this robot can be pressed.
+fn press(
+    ui: &Ui,
+    response: &Response,
+    painter: &Painter,
+    model: &Model,
+    view: &mut View,
+    pressed: &mut PageRequests,
+) {
+    let Some(sample) = model.latest.as_ref().filter(|_| model.can_push()) else {
+        view.held_plate = None;
+        return;
+    };
+    let under = |place: Pos2| {
+        let taxel = robot::plate_at(painter, ui.visuals(), model, sample, view.camera, place)?;
+        u8::try_from(taxel).ok()
+    };
+    let pointed = response.hover_pos().and_then(under);
+    if !response.is_pointer_button_down_on() {
+        view.held_plate = None;
+        if let Some(taxel) = pointed {
+            let text =
+                format!("Press and hold to push {} with {} N", taxel_name(taxel), number(view.push_n, 0));
+            response.clone().on_hover_text_at_pointer(text).on_hover_cursor(CursorIcon::PointingHand);
+        }
+    } else if ui.input(|i| i.pointer.primary_pressed()) {
+        view.held_plate = response.interact_pointer_pos().and_then(under);
+    }
+    pressed.push = view.held_plate.map(|taxel| (taxel, view.push_n)).or(pressed.push);
 }

@@ -7,4 +7,4 @@ mod view_3d;
 
 pub(super) use legend::legend;
 pub(super) use top_view::{height, show};
-pub(super) use view_3d::view_3d;
+pub(super) use view_3d::{plate_at, view_3d};

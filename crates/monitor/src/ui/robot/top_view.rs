@@ -6,6 +6,7 @@ use super::scale::{ARC_MAX_RAD, ARC_RAD_PER_NM, ARROW_M_PER_N, ARROW_MAX_M, FLAN
 use crate::logic::{
     format::{number, taxel_name},
     kinematics,
+    limited::Limited,
     model::{Freshness, Model},
     parts::{has_arm, has_robot},
 };
@@ -25,7 +26,7 @@ const SMALL_M: f64 = 0.075;
 const CROWDED: f64 = 120.0;
 /// Room for a taxel's number and force beside the base, points.
 const LABEL: f32 = 84.0;
-/// The same above it, points.
+/// Room above it, points.
 const LABEL_ABOVE: f32 = 56.0;
 /// Half of a taxel's length along the cover, m.
 const TAXEL_HALF_M: f64 = 0.09;
@@ -36,7 +37,7 @@ const BAR_M_PER_N: f64 = 0.0025;
 /// Radius of the arc of the base's moment, m.
 const ARC_RADIUS_M: f64 = 0.17;
 
-/// Where things of the world and of the base are on the screen.
+/// Mapping of the world and of the base to the screen.
 struct Camera {
     centre: Pos2,
     points_per_m: f64,
@@ -118,7 +119,7 @@ pub(in crate::ui) fn show(
         }
         age(&painter, rect, sample, model, ui.visuals());
     });
-    ui.horizontal_wrapped(|ui| legend(ui, model));
+    ui.horizontal_wrapped(|ui| legend(ui, model, false));
     if model.feels_pushes() && !model.recorded {
         ui.horizontal(|ui| {
             let label = ui.label("Press and hold a taxel to push with");
@@ -133,7 +134,7 @@ pub(in crate::ui) fn show(
 
 /// Height of the picture where `height` points are left for it.
 pub(in crate::ui) fn height(height: f32) -> f32 {
-    height.clamp(HEIGHT.0, HEIGHT.1)
+    height.limited(HEIGHT.0, HEIGHT.1)
 }
 
 /// As large as the base with the numbers beside it fits, however it is turned.
@@ -231,7 +232,7 @@ impl Taxel<'_> {
         let colour = theme::share(part);
         let ([x, y], angle) = (self.description.position_base_m, self.description.inward_angle_base_rad);
         let (sin, cos) = angle.sin_cos();
-        let half = TAXEL_HALF_M * part.clamp(0.0, 1.0);
+        let half = TAXEL_HALF_M * part.limited(0.0, 1.0);
         let out = TAXEL_THICK_M + 0.014;
         let end = |along: f64| self.camera.base([x - out * cos - along * sin, y - out * sin + along * cos]);
         painter.line_segment([end(-half), end(half)], Stroke::new(2.5, colour));
@@ -249,7 +250,7 @@ impl Taxel<'_> {
             .to_vec()
     }
 
-    /// Where the mouse takes hold of it.
+    /// Returns the area in which the mouse takes hold of it.
     fn rect(&self) -> Rect {
         Rect::from_points(&self.block(-2.0 * TAXEL_THICK_M, TAXEL_THICK_M))
     }
@@ -271,7 +272,7 @@ impl Taxel<'_> {
         }
         // Who is touched is read from afar.
         #[expect(clippy::cast_possible_truncation, reason = "a size on the screen")]
-        let small = (self.camera.points_per_m * SMALL_M).clamp(10.0, 13.0) as f32;
+        let small = (self.camera.points_per_m * SMALL_M).limited(10.0, 13.0) as f32;
         let font = FontId::proportional(if touched { 18.0 } else { small });
         if outward.x.abs() > outward.y.abs() {
             let (align, text) = if outward.x > 0.0 {
@@ -292,7 +293,11 @@ impl Taxel<'_> {
             if small_picture && touched {
                 at += outward * (small + 2.0);
             }
-            let crowded = small_picture && !touched && value.ends_with(" N");
+            // So would words of health that are longer than the taxel; its colour and its hint tell them too.
+            let width = || painter.layout_no_wrap(value.to_owned(), font.clone(), colour).size().x;
+            let wide =
+                !value.ends_with(" N") && f64::from(width()) > 2.0 * TAXEL_HALF_M * self.camera.points_per_m;
+            let crowded = !touched && (small_picture || wide);
             let line = if crowded { 0.0 } else { line };
             if !crowded {
                 painter.text(at, align, value, font.clone(), colour);
@@ -341,7 +346,7 @@ fn flange_force(painter: &Painter, camera: &Camera, sample: &Sample) {
     }
 }
 
-/// How old the cover's data is.
+/// Shows the age of the cover's data.
 fn age(painter: &Painter, rect: Rect, sample: &Sample, model: &Model, visuals: &egui::Visuals) {
     let deadline_s = model.robot.frame_deadline_s;
     let (text, colour) = match sample.frame_age_s {
@@ -364,7 +369,7 @@ fn wrench(painter: &Painter, camera: &Camera, [fx, fy, mz]: [f64; 3]) {
         let length = (force * ARROW_M_PER_N).min(ARROW_MAX_M) / force;
         painter.arrow(camera.centre, camera.direction([fx * length, fy * length]), stroke);
     }
-    let angle = (mz * ARC_RAD_PER_NM).clamp(-ARC_MAX_RAD, ARC_MAX_RAD);
+    let angle = (mz * ARC_RAD_PER_NM).limited(-ARC_MAX_RAD, ARC_MAX_RAD);
     if angle.abs() > 0.03 {
         let at = |part: f64| {
             let (sin, cos) = (angle * part).sin_cos();
@@ -372,13 +377,13 @@ fn wrench(painter: &Painter, camera: &Camera, [fx, fy, mz]: [f64; 3]) {
         };
         let points: Vec<Pos2> = (0..=32).map(|i| at(f64::from(i) / 32.0)).collect();
         let (last, tip) = (at(0.97), at(1.0));
-        painter.add(Shape::line(points, stroke));
+        painter.add(Shape::line(points, Stroke::new(4.0, theme::MOMENT)));
         let along = (tip - last).normalized();
         let across = vec2(-along.y, along.x);
         let head = [tip + along * 11.0, tip + across * 8.0, tip - across * 8.0];
         painter.add(Shape::convex_polygon(
             head.map(|p| pos2(p.x, p.y)).to_vec(),
-            theme::WRENCH,
+            theme::MOMENT,
             Stroke::NONE,
         ));
     }

@@ -1,11 +1,14 @@
 //! The robot in three dimensions: floor, base with its plates, arm, flange and where it should be, trail, forces. Back to
 //! front: nothing but convex bodies, so no depth buffer is needed.
 
-use super::scale::{ARC_MAX_RAD, ARC_RAD_PER_NM, ARROW_M_PER_N, ARROW_MAX_M, FLANGE_M_PER_N, FULL_COLOUR_N};
+use super::scale::{
+    ARC_MAX_RAD, ARC_RAD_PER_NM, ARROW_M_PER_N, ARROW_MAX_M, FLANGE_M_PER_N, FLANGE_M_PER_NM, FULL_COLOUR_N,
+};
 use crate::logic::{
     camera::{OrbitCamera, Projection},
     format::{number, taxel_name},
     kinematics::{axes, in_world, points_base_m},
+    limited::Limited,
     model::Model,
     parts::{has_arm, has_robot},
     signals::panel::Signal,
@@ -15,7 +18,7 @@ use egui::{Color32, FontId, Mesh, Painter, Pos2, Rect, Shape, Stroke, Visuals, p
 use moca_msgs::TaxelPlacement;
 use moca_msgs::{Sample, TaxelStatus};
 
-/// What the camera looks at, in B, m.
+/// Point that the camera looks at, in B, m.
 const TARGET_M: [f64; 3] = [0.12, 0.0, 0.5];
 /// Distance of the floor's lines and how far they reach, m.
 const GRID_M: f64 = 0.5;
@@ -28,7 +31,7 @@ const PLATE_Z: (f64, f64) = (0.25, 0.8);
 const LINK_M: f64 = 0.055;
 /// Length of the axes of flange and desired flange, m.
 const AXIS_M: f64 = 0.12;
-/// How long the trail of the flange is, s, and its points.
+/// Duration of the flange's trail, s, and its number of points.
 const TRAIL_S: f64 = 10.0;
 const TRAIL_POINTS: u64 = 160;
 /// Radius of the arc of the base's moment, m.
@@ -44,9 +47,7 @@ pub(in crate::ui) fn view_3d(
     sample: &Sample,
     camera: OrbitCamera,
 ) {
-    let base_world = sample.base_pose_world.map(|v| if v.is_finite() { v } else { 0.0 });
-    let view = camera.looking_at(in_world(base_world, TARGET_M));
-    let picture = Picture { painter, rect: painter.clip_rect(), view, visuals, base_world };
+    let picture = Picture::new(painter, visuals, sample, camera);
     picture.floor();
     let plates = || model.robot.taxels.iter().enumerate();
     let front = |taxel: &TaxelPlacement| picture.shows_front(taxel);
@@ -78,8 +79,27 @@ struct Picture<'a> {
     base_world: [f64; 3],
 }
 
-impl Picture<'_> {
-    /// Where a point of the world is on the screen, and how many points a metre is long there.
+impl<'a> Picture<'a> {
+    fn new(painter: &'a Painter, visuals: &'a Visuals, sample: &Sample, camera: OrbitCamera) -> Self {
+        let base_world = sample.base_pose_world.map(|v| if v.is_finite() { v } else { 0.0 });
+        let view = camera.looking_at(in_world(base_world, TARGET_M));
+        Self { painter, rect: painter.clip_rect(), view, visuals, base_world }
+    }
+
+    /// Corners of the side of a plate that a hand touches, one after the other, in the world.
+    fn outer_side(&self, taxel: &TaxelPlacement, model: &Model) -> [[f64; 3]; 4] {
+        let ([x, y], (sin, cos)) = (taxel.position_base_m, taxel.inward_angle_base_rad.sin_cos());
+        let height = model.robot.base_size_m[2];
+        let corner = |along: f64, z: f64| {
+            let out = PLATE_THICK_M;
+            self.in_world([x - out * cos - along * sin, y - out * sin + along * cos, z * height])
+        };
+        let (low, high) = PLATE_Z;
+        [(-PLATE_HALF_M, low), (PLATE_HALF_M, low), (PLATE_HALF_M, high), (-PLATE_HALF_M, high)]
+            .map(|(along, z)| corner(along, z))
+    }
+
+    /// Returns the place of a point of the world on the screen, and the length of a metre there, points.
     #[expect(clippy::cast_possible_truncation, reason = "screen coordinates")]
     fn at(&self, point: [f64; 3]) -> Option<(Pos2, f32)> {
         let half = f64::from(self.rect.height().min(self.rect.width())) / 2.0;
@@ -133,7 +153,7 @@ impl Picture<'_> {
         }
     }
 
-    /// Whether the outer side of a plate faces the camera.
+    /// Returns true if the outer side of a plate faces the camera.
     fn shows_front(&self, taxel: &TaxelPlacement) -> bool {
         let [x, y] = taxel.position_base_m;
         let (sin, cos) = (taxel.inward_angle_base_rad + self.base_world[2]).sin_cos();
@@ -275,17 +295,20 @@ impl Picture<'_> {
         }
         if let Some(flange) = points.last() {
             self.axes(*flange, sample.flange_quaternion_world, 3.0, 1.0);
-            let [fx, fy, fz, ..] = sample.flange_wrench_world;
-            let force_n = fx.hypot(fy).hypot(fz);
-            if force_n > 1.0 {
-                let length = (force_n * FLANGE_M_PER_N).min(ARROW_MAX_M) / force_n;
-                let to = [flange[0] + fx * length, flange[1] + fy * length, flange[2] + fz * length];
+            let [fx, fy, fz, mx, my, mz] = sample.flange_wrench_world;
+            if let Some(to) = tip(*flange, [fx, fy, fz], 1.0, FLANGE_M_PER_N) {
                 self.arrow(*flange, to, theme::FLANGE_WRENCH);
+            }
+            if let Some(to) = tip(*flange, [mx, my, mz], 0.3, FLANGE_M_PER_NM) {
+                // Two heads tell a moment from a force.
+                let neck = std::array::from_fn(|i| flange[i] + 0.75 * (to[i] - flange[i]));
+                self.arrow(*flange, to, theme::FLANGE_MOMENT);
+                self.arrow(*flange, neck, theme::FLANGE_MOMENT);
             }
         }
     }
 
-    /// Where the flange should be: its axes, pale, in a ring.
+    /// Draws the desired flange: its axes, pale, in a ring.
     fn desired(&self, sample: &Sample) {
         let at = sample.flange_desired_position_world;
         if self.axes(at, sample.flange_desired_quaternion_world, 5.0, 0.45)
@@ -333,15 +356,15 @@ impl Picture<'_> {
             let to = self.in_world([fx * length, fy * length, z]);
             self.arrow(self.in_world([0.0, 0.0, z]), to, theme::WRENCH);
         }
-        let angle = (mz * ARC_RAD_PER_NM).clamp(-ARC_MAX_RAD, ARC_MAX_RAD);
+        let angle = (mz * ARC_RAD_PER_NM).limited(-ARC_MAX_RAD, ARC_MAX_RAD);
         if angle.abs() > 0.03 {
             let at = |part: f64| {
                 let (sin, cos) = (angle * part).sin_cos();
                 self.in_world([ARC_M * cos, ARC_M * sin, z])
             };
-            let stroke = Stroke::new(4.0, theme::WRENCH);
+            let stroke = Stroke::new(4.0, theme::MOMENT);
             (0..24).for_each(|i| self.line(at(f64::from(i) / 25.0), at(f64::from(i + 1) / 25.0), stroke));
-            self.arrow(at(0.96), at(1.0), theme::WRENCH);
+            self.arrow(at(0.96), at(1.0), theme::MOMENT);
         }
     }
 
@@ -358,10 +381,39 @@ impl Picture<'_> {
     }
 }
 
-/// Where a text that would be at `wanted` has room inside `picture`: below or above those that are there already.
+/// Tip of the arrow of a force or moment that is longer than `least`, drawn from `tail`.
+fn tip(tail: [f64; 3], vector: [f64; 3], least: f64, m_per_unit: f64) -> Option<[f64; 3]> {
+    let [x, y, z] = vector;
+    let size = x.hypot(y).hypot(z);
+    let scale = (size * m_per_unit).min(ARROW_MAX_M) / size;
+    (size > least && scale.is_finite()).then(|| std::array::from_fn(|i| tail[i] + scale * vector[i]))
+}
+
+/// The plate whose outer side is seen at a place of a picture, 0 is T1.
+pub(in crate::ui) fn plate_at(
+    painter: &Painter,
+    visuals: &Visuals,
+    model: &Model,
+    sample: &Sample,
+    camera: OrbitCamera,
+    place: Pos2,
+) -> Option<usize> {
+    let picture = Picture::new(painter, visuals, sample, camera);
+    let plates = model.robot.taxels.iter().enumerate().filter(|(_, taxel)| picture.shows_front(taxel));
+    let hit = |(_, taxel): &(usize, &TaxelPlacement)| {
+        let corners = picture.outer_side(taxel, model).map(|corner| Some(picture.at(corner)?.0));
+        let [Some(a), Some(b), Some(c), Some(d)] = corners else { return false };
+        let side = |from: Pos2, to: Pos2| (to - from).rot90().dot(place - from);
+        let sides = [side(a, b), side(b, c), side(c, d), side(d, a)];
+        sides.iter().all(|side| *side >= 0.0) || sides.iter().all(|side| *side <= 0.0)
+    };
+    plates.filter(hit).map(|(index, _)| index).next()
+}
+
+/// Returns a free place for a text inside `picture`, near `wanted`: below or above the texts that are there already.
 fn free(wanted: Rect, picture: Rect, taken: &[Rect]) -> Rect {
     let most = (picture.max - wanted.size()).max(picture.min);
-    let inside = Rect::from_min_size(wanted.min.clamp(picture.min, most), wanted.size());
+    let inside = Rect::from_min_size(wanted.min.min(most).max(picture.min), wanted.size());
     let moved = |down: bool| {
         let mut place = inside;
         while let Some(other) = taken.iter().find(|other| other.intersects(place)) {

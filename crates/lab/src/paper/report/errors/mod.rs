@@ -1,7 +1,7 @@
-//! What the step of the physics, the sensor's phase and the noise do to the figures that are printed.
+//! Errors of the printed figures: step of the physics, phase of the sensor, noise.
 //!
-//! The same closed loop is run at the printed step, at half of it, and by the leapfrog at a quarter and an eighth of a
-//! millisecond, which is the limit to its last step's change.
+//! Each closed loop is run at the printed step, at half of it, and by the leapfrog at a quarter and an eighth of a
+//! millisecond. The last of these is the limit, up to its last step's change.
 
 mod scenes;
 
@@ -30,7 +30,7 @@ enum Step {
     Limit,
 }
 
-/// How a run differs from the one that is printed.
+/// Difference of a run from the printed one.
 #[derive(Clone, Copy, Debug)]
 struct Variation {
     /// Index of the phase.
@@ -44,9 +44,9 @@ struct Variation {
 struct Scene {
     /// Phases of the sensor that it is run in; none, if no sensor has any.
     phases: usize,
-    /// Whether what is printed is the phase of the largest first figure; else it is the first phase.
+    /// True if the printed phase is the one with the largest first figure; else it is the first phase.
     worst: bool,
-    /// Whether anything in it is random.
+    /// True if anything in it is random.
     seeds: bool,
     run: Box<dyn Fn(Variation) -> Result<Vec<Figure>> + Send + Sync>,
 }

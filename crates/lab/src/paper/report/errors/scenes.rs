@@ -24,7 +24,7 @@ fn figure(item: &str, what: &'static str, digits: usize, value: f64) -> Figure {
     Figure { item: item.to_owned(), what, digits, value }
 }
 
-/// What makes the scenes of a group.
+/// Function that makes the scenes of a group.
 pub(super) type Scenes = fn() -> Result<Vec<Scene>>;
 
 /// All that is printed, in the order of the documents.
@@ -139,7 +139,7 @@ fn collision_figures(item: &str, settings: &Settings) -> Result<Vec<Figure>> {
     ])
 }
 
-/// What a sensor makes of a force is a figure where it is not the true one.
+/// Adds the measured force as a figure if the sensor does not read the true one.
 fn outcome_figures(outcome: &Outcome, settings: &Settings) -> Vec<Figure> {
     let [x, y, yaw] = outcome.base_displacement;
     let [fx, fy, fz] = outcome.flange_displacement;

@@ -1,0 +1,320 @@
+//! The contact barrier in the loop: from the cover's readings and their age to what the base may still do.
+
+use crate::config::{BarrierReadings, Config};
+use crate::cover::CoverState;
+use crate::robot::{CoverTable, FoamKind, JOINTS, TAXELS};
+use moca_msgs::protection::MAX_CONTACT_ROWS;
+use moca_msgs::robot::resized;
+use moca_msgs::{ContactRow, ParameterError, RobotState, TaxelStatus};
+use moca_tactile::model::{FoamMemory, TaxelModel};
+use moca_wbc::contact_barrier::{
+    BarrierInput, BarrierSettings, BarrierState, CURVE_POINTS, ContactBarrier, ContactLimits, FoamCurve,
+    TaxelSample,
+};
+use moca_wbc::reach::ArmReach;
+use moca_wbc::{ArmModel, ControlError, FlangePose};
+use serde::{Deserialize, Serialize};
+
+/// The barrier with what a tick tells it piece by piece.
+#[derive(Clone, Debug)]
+pub struct Barrier {
+    contacts: ContactBarrier<TAXELS>,
+    samples: [Option<TaxelSample>; TAXELS],
+    light: [bool; TAXELS],
+    /// Deceleration of the base's servo, m/s², m/s², rad/s².
+    deceleration: [f64; 3],
+    /// Flange from the base in the last tick, axes of B, m.
+    flange_body_m: Option<[f64; 2]>,
+    rows: heapless::Vec<ContactRow, MAX_CONTACT_ROWS>,
+}
+
+/// Memory of a [`Barrier`] between ticks.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct BarrierMemory {
+    contacts: BarrierState<TAXELS>,
+    flange_body_m: Option<[f64; 2]>,
+    rows: heapless::Vec<ContactRow, MAX_CONTACT_ROWS>,
+}
+
+impl Barrier {
+    /// As configured; `None` where there is none.
+    ///
+    /// # Errors
+    /// A foam, a force limit or a taxel's place out of range.
+    pub fn new<const N: usize>(
+        config: &Config,
+        arm: Option<&ArmModel<N, f64>>,
+    ) -> Result<Option<Self>, ParameterError> {
+        let Some(mut settings) = settings(config)? else { return Ok(None) };
+        let base = &config.robot.base;
+        settings.reach = arm.zip(config.arm().table::<N>()).map(|(model, table)| {
+            let posture_rad = resized(&config.parameters().gains.posture_rad);
+            ArmReach::new(&table, model, &posture_rad, settings.retreat_m_s)
+        });
+        Ok(Some(Self {
+            contacts: ContactBarrier::new(&config.robot.cover.placements(), &settings)?,
+            samples: [None; TAXELS],
+            light: [false; TAXELS],
+            deceleration: [
+                base.acceleration_max_m_s2,
+                base.acceleration_max_m_s2,
+                base.yaw_acceleration_max_rad_s2,
+            ],
+            flange_body_m: None,
+            rows: heapless::Vec::new(),
+        }))
+    }
+
+    /// Returns its memory.
+    pub fn state(&self) -> BarrierMemory {
+        BarrierMemory {
+            contacts: self.contacts.state().clone(),
+            flange_body_m: self.flange_body_m,
+            rows: self.rows.clone(),
+        }
+    }
+
+    /// Goes on from where `state` was taken.
+    pub fn restore(&mut self, state: &BarrierMemory) {
+        self.contacts.restore(&state.contacts);
+        self.flange_body_m = state.flange_body_m;
+        self.rows.clone_from(&state.rows);
+    }
+
+    /// Takes in what the cover says in the tick at `now_ns`.
+    pub fn take_cover(&mut self, now_ns: u64, cover: &CoverState) {
+        self.light = cover.early.light;
+        let age_s = cover.reading.age_s(now_ns);
+        for (sample, taxel) in self.samples.iter_mut().zip(&cover.reading.taxels) {
+            let valid = taxel.status == TaxelStatus::Ok;
+            *sample = age_s.filter(|_| valid).map(|age_s| TaxelSample { force_n: taxel.force_n, age_s });
+        }
+    }
+
+    /// Computes the bounds of the contacts for this tick; the base brakes within `limit` (m/s², m/s², rad/s²) and its own
+    /// ability. `holds_place`: the flange stays where it is in the world.
+    ///
+    /// # Errors
+    /// A number that is not finite.
+    pub fn update(
+        &mut self,
+        robot: &RobotState<JOINTS>,
+        limit: [f64; 3],
+        holds_place: bool,
+        dt_s: f64,
+    ) -> Result<ContactLimits<TAXELS>, ControlError> {
+        let [vx, vy, yaw] = robot.base_velocity_world;
+        let [vx, vy] = to_base([vx, vy], robot);
+        let deceleration = std::array::from_fn(|i| limit[i].min(self.deceleration[i]));
+        let mut input = BarrierInput::new(self.samples, [vx, vy, yaw], deceleration, dt_s);
+        input.light = self.light;
+        input.tool_base_m = self.flange_body_m.filter(|_| holds_place);
+        let limits = self.contacts.update(&input)?;
+        self.rows.clear();
+        let bounded = (0_u8..).zip(limits.outward_m_s).filter(|(_, allowed_m_s)| allowed_m_s.is_finite());
+        for (taxel, allowed_m_s) in bounded.take(MAX_CONTACT_ROWS) {
+            let i = usize::from(taxel);
+            // as many as there is room for
+            let _ = self.rows.push(ContactRow {
+                taxel,
+                depth_m: limits.depth_m[i],
+                person_m_s: limits.person_m_s[i],
+                allowed_m_s,
+                outward_m_s: self.contacts.outline().outward(i, &input.velocity_body),
+                excess_m_s: 0.0,
+            });
+        }
+        Ok(limits)
+    }
+
+    /// Takes the order to the base, axes of B: m/s, m/s, rad/s. One that is not finite is never carried out.
+    pub fn ordered(&mut self, velocity_body: &[f64; 3]) {
+        if self.contacts.ordered(velocity_body).is_err() {
+            self.contacts.forget_orders();
+        }
+        for row in &mut self.rows {
+            let outward_m_s = self.contacts.outline().outward(usize::from(row.taxel), velocity_body);
+            row.excess_m_s = (outward_m_s - row.allowed_m_s).max(0.0);
+        }
+    }
+
+    /// The base is told to stand: nothing that was ordered before counts.
+    pub fn leave(&mut self) {
+        self.contacts.forget_orders();
+    }
+
+    /// Returns the rows of the last tick, taxel by taxel.
+    pub fn rows(&self) -> &heapless::Vec<ContactRow, MAX_CONTACT_ROWS> {
+        &self.rows
+    }
+
+    /// Stores the flange's pose of this tick.
+    pub fn remember(&mut self, flange: &FlangePose, robot: &RobotState<JOINTS>) {
+        let [x, y, _] = flange.position_world;
+        let [base_x, base_y, _] = robot.base_pose_world;
+        self.flange_body_m = Some(to_base([x - base_x, y - base_y], robot));
+    }
+}
+
+fn to_base([x, y]: [f64; 2], robot: &RobotState<JOINTS>) -> [f64; 2] {
+    let (sin, cos) = robot.base_pose_world[2].sin_cos();
+    [cos * x + sin * y, cos * y - sin * x]
+}
+
+/// From axes of B to those of W.
+pub(super) fn to_world([x, y]: [f64; 2], robot: &RobotState<JOINTS>) -> [f64; 2] {
+    let (sin, cos) = robot.base_pose_world[2].sin_cos();
+    [cos * x - sin * y, cos * y + sin * x]
+}
+
+/// Readings of a PU LD30 that is not calibrated: how close the plates are when [`TaxelModel::PU_LD30`] says a force. What the
+/// foam remembers is in that model, and not in the plates' distance, so no law of the foam leads back from one to the other.
+fn read_as_pu_ld30() -> FoamCurve {
+    let memory = &mut FoamMemory::default();
+    let depth_m = READ_AT.map(|counts| {
+        let nearer = counts / (IDLE_COUNTS - counts) / SENSITIVITY;
+        GAP_M * nearer / (1.0 + nearer)
+    });
+    FoamCurve::Points {
+        depth_m,
+        force_n: READ_AT.map(|counts| TaxelModel::PU_LD30.force_n(memory, counts, 0.0)),
+    }
+}
+
+/// Error of the slope of the depth as read for a foam that is twice as stiff as believed, at the least depth that counts.
+const SLOPE_ERROR_MAX: f64 = 0.9;
+/// Counts at which it is looked up: where readings matter closer together than the model's knots, between which the plates' distance
+/// bends.
+const READ_AT: [f64; CURVE_POINTS] = [2.0, 4.0, 6.0, 8.0, 12.0, 17.0, 29.0, 45.0, 68.0, 85.0];
+/// Counts of an untouched taxel, its plates' distance, m, and what is not fringe and wire of its capacitance: the paper's
+/// Table I, with which [`TaxelModel::PU_LD30`] was fitted.
+const IDLE_COUNTS: f64 = 720.0;
+pub(crate) const GAP_M: f64 = 0.015;
+pub(crate) const SENSITIVITY: f64 = 0.041_71;
+
+/// Readings of a cover that is calibrated, by loading and unloading pooled: those of PU LD30 are like its own. Where hysteresis is
+/// compensated for it is taken for up to a third deeper than it is, and by a straight line for a seventh less.
+fn read_as(cover: &CoverTable) -> FoamCurve {
+    if cover.foam == FoamKind::PuLd30 { read_as_pu_ld30() } else { pressed(cover) }
+}
+
+/// Returns the curve of a foam that is pressed for some seconds.
+pub const fn pressed(cover: &CoverTable) -> FoamCurve {
+    match cover.foam {
+        FoamKind::PuLd30 => power(0.0114, 1.586),
+        FoamKind::Cc => power(0.0114, 0.774),
+        FoamKind::Pe5 => power(0.0030, 1.0),
+        FoamKind::Pe3 => power(0.0029, 1.0),
+        FoamKind::Hyperbolic => hyperbolic(cover),
+    }
+}
+
+/// Returns the curve of a foam in an impact, before it relaxes: less compression.
+pub const fn struck(cover: &CoverTable) -> FoamCurve {
+    match cover.foam {
+        FoamKind::PuLd30 => power(0.010_309, 1.586),
+        FoamKind::Cc => power(0.007_131, 0.774),
+        FoamKind::Pe5 => power(0.002_600, 1.0),
+        FoamKind::Pe3 => power(0.002_518, 1.0),
+        FoamKind::Hyperbolic => hyperbolic(cover),
+    }
+}
+
+const fn power(depth_at_100n_m: f64, exponent: f64) -> FoamCurve {
+    FoamCurve::Power { depth_at_100n_m, exponent }
+}
+
+const fn hyperbolic(cover: &CoverTable) -> FoamCurve {
+    FoamCurve::Hyperbolic { stiffness_n_m: cover.foam_stiffness_n_m, thickness_m: cover.foam_thickness_m }
+}
+
+/// Returns the curve that forces are read by, and the foam's curve in an impact; `None` without a barrier.
+pub fn curves(config: &Config) -> Option<(FoamCurve, FoamCurve)> {
+    let cover = &config.robot.cover;
+    let calibrated = !config.board.calibration.is_empty();
+    let reading = match config.protection.contact_barrier {
+        BarrierReadings::Auto => calibrated.then(|| read_as(cover))?,
+        BarrierReadings::Off => return None,
+        BarrierReadings::Foam => pressed(cover),
+        BarrierReadings::PuLd30 => read_as_pu_ld30(),
+    };
+    Some((reading, struck(cover)))
+}
+
+fn settings(config: &Config) -> Result<Option<BarrierSettings>, ParameterError> {
+    let servo_s = config.robot.base.servo_time_constant_s;
+    let protection = &config.protection;
+    let Some((reading, foam)) = curves(config) else { return Ok(None) };
+    let limit_n = protection.force_limit_n / protection.foam_credible;
+    let settings = BarrierSettings::new(reading, foam, limit_n, servo_s)?.with_late_orders(
+        1e-3 * protection.order_delay_ms,
+        1e-3 * protection.order_delay_error_ms,
+        (protection.foam_credible - 1.0).min(SLOPE_ERROR_MAX),
+    )?;
+    let (hidden_n, shared_plates) = (protection.threshold_force_n, protection.plates > 1);
+    Ok(Some(BarrierSettings { hidden_n, shared_plates, ..settings }))
+}
+
+/// Forces of pushes so slow that the foam follows, at the depth where the base stops pressing and `noise_m` before the
+/// one from which on it makes room, N. `None` without a barrier.
+///
+/// # Errors
+/// As for [`Barrier::new`].
+pub fn slow_pushes_n(config: &Config, noise_m: f64) -> Result<Option<[f64; 2]>, ParameterError> {
+    let slow = pressed(&config.robot.cover);
+    Ok(settings(config)?
+        .map(|settings| [settings.stop_m, settings.yield_m - noise_m].map(|depth_m| slow.force_n(depth_m))))
+}
+
+/// Way that the foam alone yields between what the cover hides and the force limit, m: what a base under a barrier has
+/// to stop in before a body whose force `sharing` taxels feel equal parts of, so that each one's threshold hides it. `None`
+/// without a barrier.
+pub fn travel_m(config: &Config, sharing: u8) -> Option<f64> {
+    let p = &config.protection;
+    let (reading, foam) = curves(config)?;
+    let hidden_n = f64::from(sharing) * foam.force_n(reading.depth_m(p.threshold_force_n));
+    Some((foam.depth_m(p.force_limit_n) - foam.depth_m(hidden_n)).max(0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn barrier_default_is_on_for_calibrated_cover() {
+        let barrier = |calibration: &str, readings: Option<&str>| {
+            let mut config = Config::default();
+            config.board.calibration = calibration.into();
+            if let Some(readings) = readings {
+                config.set("protection.contact_barrier", &readings.into()).unwrap();
+            }
+            let barrier = Barrier::new::<7>(&config, None).unwrap();
+            assert_eq!(
+                barrier.is_some(),
+                travel_m(&config, 2).is_some(),
+                "and the speed limit that goes with it"
+            );
+            barrier.is_some()
+        };
+        assert!(barrier("cover.toml", None) && !barrier("", None));
+        assert!(!barrier("cover.toml", Some("off")));
+        for readings in ["foam", "pu-ld30"] {
+            assert!(barrier("", Some(readings)), "{readings}");
+        }
+    }
+
+    #[test]
+    fn two_thresholds_hide_a_body_on_a_seam() {
+        let mut config = Config::default();
+        config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
+        let (reading, foam) = curves(&config).unwrap();
+        let one_n = foam.force_n(reading.depth_m(config.protection.threshold_force_n));
+        for sharing in [1, 2] {
+            let hidden_n = foam.force_n(foam.depth_m(25.0) - travel_m(&config, sharing).unwrap());
+            assert!((hidden_n - f64::from(sharing) * one_n).abs() < 1e-9, "{hidden_n} N");
+        }
+        config.protection.force_limit_n = 1.5 * one_n;
+        assert!(travel_m(&config, 1).unwrap() > 0.0);
+        assert_eq!(travel_m(&config, 2), Some(0.0), "nothing is left: the base stands");
+    }
+}

@@ -1,0 +1,112 @@
+//! Source of the cover's forces for the loop.
+
+use crate::robot::TAXELS;
+use crate::supervisor::Zero;
+use moca_msgs::board::Diagnosis;
+use moca_msgs::{CoverReading, Fault, Outcome, Refusal, TaxelReading, TaxelStatus};
+use moca_tactile::Cover;
+use moca_tactile::cover::EarlyContact;
+
+/// The cover as the loop sees it at one tick.
+#[derive(Clone, Copy, Debug)]
+pub struct CoverState {
+    /// Every taxel with its health, and the age of the data.
+    pub reading: CoverReading<TAXELS>,
+    /// Forces for the controller, N, or the first taxel (0 is T1) that has none.
+    pub forces: Result<[f64; TAXELS], (usize, TaxelStatus)>,
+    /// Unconfirmed contact: it may slow or stop the base, and nothing else.
+    pub early: EarlyContact<TAXELS>,
+    /// Present fault of the cover, apart from a missing zero.
+    pub fault: Option<Fault>,
+    /// The board that it is of, 0 is the first; `None` if it is of none.
+    pub fault_board: Option<u8>,
+    /// State of the zero.
+    pub zero: Zero,
+    /// Largest standard deviation of a taxel in the zero in force, counts; 0 without one, and of a cover without counts.
+    pub deviation_counts: f64,
+    /// Last raw FDAT counts, T1 first.
+    pub counts: [u16; TAXELS],
+    /// State of a board, from its port and bytes: the first board's that does not send frames.
+    pub board: Diagnosis,
+    /// Good frames so far, of all boards.
+    pub frames_good: u64,
+    /// Rejected frames so far, of all boards.
+    pub frames_bad: u64,
+    /// Measured frame rate of the slowest board, Hz; 0 before it is known.
+    pub rate_hz: f64,
+    /// Events that the cover has taken from its sources since the start.
+    pub events: u64,
+}
+
+impl CoverState {
+    /// Reading of a robot without a cover: no force, no zero, no fault.
+    pub const NONE: Self = Self {
+        reading: CoverReading {
+            taxels: [TaxelReading { force_n: 0.0, status: TaxelStatus::Ok }; TAXELS],
+            sampled_at_ns: None,
+        },
+        forces: Ok([0.0; TAXELS]),
+        early: EarlyContact { touched: [false; TAXELS], light: [false; TAXELS], sampled_at_ns: None },
+        fault: None,
+        fault_board: None,
+        zero: Zero::Valid,
+        deviation_counts: 0.0,
+        counts: [0; TAXELS],
+        board: Diagnosis::NoBoard,
+        frames_good: 0,
+        frames_bad: 0,
+        rate_hz: 0.0,
+        events: 0,
+    };
+}
+
+/// A source of cover readings: a board's bytes, or the simulator's true forces; `None` is a robot without a cover.
+pub trait CoverSource {
+    /// Takes in what has arrived until `now_ns` and says what the cover feels.
+    fn read(&mut self, now_ns: u64) -> CoverState;
+
+    /// Starts measuring the zero.
+    fn start_tare(&mut self, now_ns: u64);
+
+    /// Takes a taxel (0 is T1) out of use, or back into it.
+    ///
+    /// # Errors
+    /// [`Refusal::OutOfRange`] where there is no such taxel, or no masks.
+    fn mask(&mut self, _taxel: usize, _masked: bool) -> Outcome {
+        Err(Refusal::OutOfRange)
+    }
+
+    /// Returns its memory for a log; `None` where no log can restore it.
+    fn state(&self) -> Option<Cover<TAXELS>> {
+        None
+    }
+
+    /// Goes on from where `state` was taken.
+    fn restore(&mut self, _state: &Option<Cover<TAXELS>>) {}
+}
+
+impl<S: CoverSource> CoverSource for Option<S> {
+    fn read(&mut self, now_ns: u64) -> CoverState {
+        self.as_mut().map_or(CoverState::NONE, |cover| cover.read(now_ns))
+    }
+
+    fn start_tare(&mut self, now_ns: u64) {
+        if let Some(cover) = self {
+            cover.start_tare(now_ns);
+        }
+    }
+
+    fn mask(&mut self, taxel: usize, masked: bool) -> Outcome {
+        self.as_mut().map_or(Err(Refusal::OutOfRange), |cover| cover.mask(taxel, masked))
+    }
+
+    fn state(&self) -> Option<Cover<TAXELS>> {
+        self.as_ref().and_then(S::state)
+    }
+
+    fn restore(&mut self, state: &Option<Cover<TAXELS>>) {
+        if let Some(cover) = self {
+            cover.restore(state);
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! Memory of the loop between ticks that is not in the configuration: plain data that can be copied. A replay that begins in
+//! the middle of a run begins with it.
+
+use crate::barrier::BarrierMemory;
+use crate::foam_recovery::FoamRecovery;
+use crate::protection::ProtectionState;
+use crate::recentre::RecentreState;
+use crate::robot::{JOINTS, TAXELS};
+use crate::state_check::StateCheck;
+use crate::supervisor::Supervisor;
+use crate::targets::TargetsState;
+use crate::uncovered::UncoveredState;
+use moca_msgs::{Fault, Parameters};
+use moca_tactile::Cover;
+use moca_wbc::{ArmState, BaseState, ControllerState};
+use serde::{Deserialize, Serialize};
+
+/// Everything. It lives on the stack or in a ring: taking one allocates nothing.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct LoopState {
+    /// The last measured state.
+    pub state_check: StateCheck,
+    /// The mode and what led to it.
+    pub supervisor: Supervisor,
+    /// A real arm is on its own controller.
+    pub arm_released: bool,
+    /// Why the robot stands, and the board whose fault that is.
+    pub blamed: (Option<Fault>, Option<u8>),
+    /// The law, its live parameters and what protects people.
+    pub motion: MotionState,
+    /// The cover behind a board, with its zero; `None` where there is none.
+    pub cover: Option<Cover<TAXELS>>,
+}
+
+/// Memory of the controller and of the protection.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct MotionState {
+    pub(super) controller: JointsState,
+    /// As the run has changed them; the period is the configuration's.
+    #[serde(with = "by_number")]
+    pub(super) parameters: Parameters<JOINTS>,
+    pub(super) protection: ProtectionState,
+    pub(super) barrier: Option<BarrierMemory>,
+    pub(super) uncovered: Option<UncoveredState>,
+    pub(super) targets: TargetsState,
+    pub(super) recentre: RecentreState,
+    pub(super) recovery: Option<FoamRecovery>,
+}
+
+/// Memory of the law for an arm of a number of joints.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(super) enum JointsState {
+    Six(LawState<6>),
+    Seven(LawState<7>),
+}
+
+/// Memory of the law for the parts that the robot has.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[expect(clippy::large_enum_variant, reason = "there is one in a loop, and the loop does not allocate")]
+pub(super) enum LawState<const N: usize> {
+    Whole(Option<ControllerState<N>>),
+    Base(BaseState),
+    Arm(Option<ArmState<N>>),
+}
+
+/// The state is that of a robot with other parts, joints or parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OtherRobot;
+
+impl std::fmt::Display for OtherRobot {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("the state of the loop is that of a robot with other parts, joints or parameters")
+    }
+}
+
+impl std::error::Error for OtherRobot {}
+
+/// Parameters as a list, in the order of their numbers.
+mod by_number {
+    use crate::robot::JOINTS;
+    use moca_msgs::params::CONTROLLER;
+    use moca_msgs::{ParameterValues, Parameters};
+    use serde::de::{Deserialize, Deserializer, Error};
+    use serde::ser::Serializer;
+
+    pub(super) fn serialize<S: Serializer>(
+        parameters: &Parameters<JOINTS>,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq((0..CONTROLLER.len()).map(|number| parameters.get(number).unwrap_or_default()))
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Parameters<JOINTS>, D::Error> {
+        let mut parameters = Parameters::PAPER.resized();
+        for (number, values) in Vec::<ParameterValues>::deserialize(deserializer)?.iter().enumerate() {
+            parameters.set(number, values).map_err(|_| D::Error::custom(format!("parameter {number}")))?;
+        }
+        Ok(parameters)
+    }
+}

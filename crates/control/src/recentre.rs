@@ -1,0 +1,218 @@
+//! Motion of the base that nobody causes: the posture stiffness of the impedance law brings the base back under the arm. Pure.
+//!
+//! With `control.recentre = "on-request"` that stiffness only resists. The base goes no faster than a hand's wrench alone moves
+//! it, v = reactivity·f/D_v along each axis of B, and never the other way. Without a hand it comes to rest, and stays until
+//! somebody presses Recentre: then it drives back at [`RECENTRE_M_S`] until it rests or is touched. A target from another
+//! program leads the base like before: its commander is responsible. With `"always"` the law is as published.
+
+use crate::config::{Config, RecentrePolicy};
+use crate::cover::CoverState;
+use crate::robot::{JOINTS, TAXELS};
+use crate::supervisor::Touch;
+use moca_msgs::{Outcome, Parameters, PostureOffset, Refusal, RobotState};
+use moca_wbc::nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector2, Vector3};
+use moca_wbc::{BaseGuard, ControlOutput, rotation};
+use serde::{Deserialize, Serialize};
+
+/// Speed of the cover's fastest point on the way back, m/s.
+pub const RECENTRE_M_S: f64 = 0.03;
+/// Wrench at the flange that counts as a hand, N and N·m: above what the observer's estimate is off.
+const HAND_N: f64 = 5.0;
+const HAND_NM: f64 = 2.0;
+/// Time constant with which a base without a hand comes to rest, s.
+const STOP_S: f64 = 0.1;
+/// Slower than this the base is told to stand, m/s and rad/s.
+const STANDS: f64 = 1e-3;
+/// A base that the law moves no faster than [`STANDS`] for so long has arrived, s.
+const ARRIVED_S: f64 = 1.0;
+/// No bound: no base is as fast, m/s and rad/s.
+const FREE: f64 = 1e3;
+
+/// Pose of the tool on the base with the arm in its posture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PosturePlace {
+    /// Position, axes of B, m.
+    pub position_base: Vector3<f64>,
+    /// Axes of the tool, axes of B.
+    pub rotation_base: Matrix3<f64>,
+}
+
+/// Decides whether the base may move without a hand.
+#[derive(Clone, Debug)]
+pub struct Recentre {
+    policy: RecentrePolicy,
+    place: Option<PosturePlace>,
+    touched: bool,
+    offset: Option<PostureOffset>,
+    state: RecentreState,
+}
+
+/// Memory from tick to tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RecentreState {
+    /// Least and largest velocity of the base without a request, axes of B.
+    bounds_body: [[f64; 3]; 2],
+    /// Wrenches of hands on the cover and at the flange, about the origin of B, axes of B: N, N, N·m.
+    hands_base: [[f64; 3]; 2],
+    /// True while a hand holds the flange.
+    flange_held: bool,
+    /// True while the base drives back on request.
+    recentring: bool,
+    /// Time for which it has stood meanwhile, s.
+    stood_s: f64,
+}
+
+impl Recentre {
+    /// As configured; `place` is `None` for a robot that lacks base, arm or cover.
+    pub fn new(config: &Config, place: Option<PosturePlace>) -> Self {
+        let policy = config.control.recentre;
+        Self { policy, place, touched: false, offset: None, state: RecentreState::default() }
+    }
+
+    /// Memory from tick to tick.
+    pub const fn state(&self) -> RecentreState {
+        self.state
+    }
+
+    /// Continues from `state`.
+    pub const fn restore(&mut self, state: &RecentreState) {
+        self.state = *state;
+    }
+
+    /// Takes the tool's place for another posture.
+    pub const fn set_place(&mut self, place: Option<PosturePlace>) {
+        self.place = place;
+    }
+
+    /// Displacement of the base from where the posture wants it; `None` before the impedance law has run.
+    pub const fn offset(&self) -> Option<PostureOffset> {
+        self.offset
+    }
+
+    /// Forgets the request and the motion, because the law has ended.
+    pub fn leave(&mut self) {
+        (self.state, self.offset) = (RecentreState::default(), None);
+    }
+
+    /// Starts the way back.
+    ///
+    /// # Errors
+    /// [`Refusal::Touched`] while a taxel feels a touch, [`Refusal::NoRobot`] where no arm stands on a base.
+    pub fn request(&mut self, touch: Option<Touch>) -> Outcome {
+        if self.place.is_none() {
+            return Err(Refusal::NoRobot);
+        }
+        if let Some(Touch { taxel, force_n }) = touch {
+            return Err(Refusal::Touched { taxel, force_n });
+        }
+        (self.state.recentring, self.state.stood_s) = (true, 0.0);
+        Ok(())
+    }
+
+    /// Ends the way back: the base rests.
+    pub const fn end(&mut self) {
+        self.state.recentring = false;
+    }
+
+    /// Takes in whether the cover feels anybody, however lightly.
+    pub fn feel(&mut self, cover: &CoverState) {
+        let early = &cover.early;
+        self.touched = early.touched.iter().chain(&early.light).any(|touched| *touched)
+            || cover.forces.as_ref().is_ok_and(|forces_n| forces_n.iter().any(|force_n| *force_n > 0.0));
+    }
+
+    /// Bounds the base's motion in a tick of the impedance law; `led` while a target leads it.
+    pub fn bound(
+        &mut self,
+        guard: &mut BaseGuard<TAXELS>,
+        parameters: &Parameters<JOINTS>,
+        led: bool,
+        dt_s: f64,
+    ) {
+        let state = &mut self.state;
+        if self.touched || state.flange_held || led {
+            state.recentring = false;
+        }
+        if state.recentring {
+            guard.speed_m_s = Some(guard.speed_m_s.map_or(RECENTRE_M_S, |most| most.min(RECENTRE_M_S)));
+        }
+        if self.policy == RecentrePolicy::Always || self.place.is_none() || led || state.recentring {
+            return;
+        }
+        let gains = &parameters.gains;
+        let left = (1.0 - dt_s / STOP_S).max(0.0);
+        let [mut least, mut most] = state.bounds_body;
+        for i in 0..3 {
+            let per_n = gains.reactivity / gains.virtual_damping[i].max(f64::MIN_POSITIVE);
+            // Each hand alone or both: what the flange seems to feel, a load or a friction perhaps, never holds the base
+            // against somebody who presses its cover.
+            let [cover, flange] = state.hands_base.map(|wrench| per_n * wrench[i]);
+            let shrunk = |bound: f64| if bound.abs() < STANDS { 0.0 } else { bound * left };
+            least[i] = shrunk(least[i]).min(cover).min(flange).min(cover + flange).clamp(-FREE, 0.0);
+            most[i] = shrunk(most[i]).max(cover).max(flange).max(cover + flange).clamp(0.0, FREE);
+        }
+        state.bounds_body = [least, most];
+        // room for a detected person is not the law's motion
+        guard.room_body = guard.room_body.or(guard.bounds_body).or(Some([[-FREE; 3], [FREE; 3]]));
+        let [other_least, other_most] = guard.bounds_body.unwrap_or([[-FREE; 3], [FREE; 3]]);
+        guard.bounds_body = Some([
+            std::array::from_fn(|i| least[i].max(other_least[i])),
+            std::array::from_fn(|i| most[i].min(other_most[i])),
+        ]);
+    }
+
+    /// True if the base stands because nobody moves it: the guard then holds it against the posture's stiffness alone.
+    pub fn stands(&self) -> bool {
+        self.policy == RecentrePolicy::OnRequest
+            && !self.state.recentring
+            && self.state.bounds_body == RecentreState::default().bounds_body
+    }
+
+    /// Takes in what the impedance law made of the tick.
+    pub fn remember(&mut self, robot: &RobotState<JOINTS>, output: &ControlOutput<JOINTS>, dt_s: f64) {
+        let [x, y, yaw] = robot.base_pose_world;
+        let (sin, cos) = yaw.sin_cos();
+        let flange = output.flange.position_world;
+        let [fx, fy, fz, mx, my, mz] = output.flange_wrench_world;
+        let held =
+            (fx * fx + fy * fy + fz * fz).sqrt() > HAND_N || (mx * mx + my * my + mz * mz).sqrt() > HAND_NM;
+        let hand = if held {
+            let moment = mz + (flange[0] - x) * fy - (flange[1] - y) * fx;
+            [cos * fx + sin * fy, cos * fy - sin * fx, moment]
+        } else {
+            [0.0; 3]
+        };
+        let state = &mut self.state;
+        state.flange_held = held;
+        state.hands_base = [output.cover_wrench_base, hand];
+        let velocity = output.command.base_velocity_body;
+        if state.recentring {
+            let stood = velocity.iter().all(|v| v.abs() < STANDS);
+            state.stood_s = if stood { state.stood_s + dt_s } else { 0.0 };
+            state.recentring = state.stood_s < ARRIVED_S;
+        }
+        // from the present motion on it comes to rest
+        state.bounds_body[0] = std::array::from_fn(|i| state.bounds_body[0][i].min(velocity[i]).min(0.0));
+        state.bounds_body[1] = std::array::from_fn(|i| state.bounds_body[1][i].max(velocity[i]).max(0.0));
+        self.offset = self.place.map(|place| offset(&place, robot, output, state.recentring));
+    }
+}
+
+/// Displacement of the base that would bring the tool to its place in the posture.
+fn offset(
+    place: &PosturePlace,
+    robot: &RobotState<JOINTS>,
+    output: &ControlOutput<JOINTS>,
+    recentring: bool,
+) -> PostureOffset {
+    let [x, y, yaw] = robot.base_pose_world;
+    let about_z = |angle: f64| rotation::from_rpy([0.0, 0.0, angle]);
+    let [qx, qy, qz, qw] = output.flange.quaternion_world;
+    let tool = UnitQuaternion::from_quaternion(Quaternion::new(qw, qx, qy, qz)).to_rotation_matrix();
+    let turned = about_z(-yaw) * tool * place.rotation_base.transpose();
+    let angle_rad = (turned[(1, 0)] - turned[(0, 1)]).atan2(turned[(0, 0)] + turned[(1, 1)]);
+    let wanted = about_z(yaw + angle_rad) * place.position_base;
+    let [tool_x, tool_y, _] = output.flange.position_world;
+    let distance_m = Vector2::new(tool_x - wanted.x - x, tool_y - wanted.y - y).norm();
+    PostureOffset { distance_m, angle_rad, recentring }
+}

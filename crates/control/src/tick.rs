@@ -1,0 +1,479 @@
+//! The loop: one tick of the robot, from state and bytes to a command.
+
+use crate::cover::{CoverSource, CoverState};
+use crate::law::{self, Motion, QpTally};
+use crate::loop_state::{LoopState, OtherRobot};
+use crate::plant::{Plant, SourceAge};
+use crate::robot::JOINTS;
+use crate::stage::{Stage, StageTimer};
+use crate::state_check::{Checked, StateCheck};
+use crate::supervisor::{Facts, Supervisor, Touch};
+use crate::tick_input::{Slot, TickInput};
+use heapless::Vec;
+use moca_msgs::{
+    Actuation, ArmLink, Fault, Link, Mode, Outcome, Refusal, Request, RobotCommand, RobotState, Sample,
+};
+use moca_wbc::{ControlError, ControlOutput, FlangePose};
+
+/// The parts of a running robot, and nothing that knows how the tick is timed or who watches.
+pub struct ControlLoop<P, S> {
+    /// The robot.
+    pub plant: P,
+    /// Its cover.
+    pub cover: S,
+    state_check: StateCheck,
+    supervisor: Supervisor,
+    motion: Motion,
+    period_s: f64,
+    /// A real arm is on its own controller; torque control begins with [`Mode::Ready`].
+    arm_released: bool,
+    /// Why the robot stands, and the board whose fault that is.
+    blamed: (Option<Fault>, Option<u8>),
+    ticked: Ticked,
+}
+
+/// Results of one tick.
+#[derive(Clone, Debug, Default)]
+pub struct Ticked {
+    /// Sample for the clients.
+    pub sample: Sample,
+    /// Input of the tick for a replay, with the answer to the request.
+    pub input: TickInput,
+}
+
+impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
+    /// A loop that has not ticked yet.
+    pub fn new(plant: P, cover: S, supervisor: Supervisor, motion: Motion, period_s: f64) -> Self {
+        let (state_check, ticked) = (StateCheck::default(), Ticked::default());
+        let (arm_released, blamed) = (motion.is_of_a_real_robot(), (None, None));
+        Self { plant, cover, state_check, supervisor, motion, period_s, arm_released, blamed, ticked }
+    }
+
+    /// One tick: read, decide, command, write; `timer` hears of each stage's end. What it leaves behind stays where it is:
+    /// it is large.
+    pub fn tick(&mut self, slot: &Slot, request: Option<Request>, timer: &mut impl StageTimer) -> &Ticked {
+        let measured = self.measured();
+        let (age, link) = (self.plant.age(), self.plant.link());
+        let (deadlines, elapsed_s) = (self.motion.deadlines(), self.elapsed_s(slot));
+        let robot = match &measured {
+            Ok(state) => self.state_check.check(state, age, deadlines, elapsed_s),
+            Err(fault) => Checked::none(*fault),
+        };
+        timer.end(Stage::Read);
+
+        let cover = self.cover.read(slot.now_ns);
+        timer.end(Stage::Cover);
+
+        let (outcome, mode) = self.decide(slot, &robot, &cover, request);
+        let output = self.command(slot, &robot, &cover, mode);
+        let actuation = self.actuation(&robot, output.as_ref());
+        timer.end(Stage::Control);
+
+        let refused = self.plant.write(&actuation, slot.ticks).err();
+        if let Some(fault) = refused {
+            self.supervisor.stop_for(fault);
+        }
+        timer.end(Stage::Write);
+
+        self.blame(&cover);
+        self.show(slot, (robot.state.as_ref(), age, link), &cover, &actuation, output.as_ref());
+        self.ticked.input = TickInput {
+            slot: *slot,
+            state: measured,
+            age,
+            link,
+            request,
+            outcome,
+            refused,
+            cover_events: cover.events,
+        };
+        &self.ticked
+    }
+
+    /// Returns the results of the last tick.
+    pub const fn ticked(&self) -> &Ticked {
+        &self.ticked
+    }
+
+    /// Returns a copy of the loop's memory between this tick and the next, without allocating.
+    pub fn state(&self) -> LoopState {
+        let Self { plant: _, cover, state_check, supervisor, motion, arm_released, blamed, .. } = self;
+        let (state_check, supervisor, blamed) = (*state_check, *supervisor, *blamed);
+        let (arm_released, motion, cover) = (*arm_released, motion.state(), cover.state());
+        LoopState { state_check, supervisor, arm_released, blamed, motion, cover }
+    }
+
+    /// Goes on from where `state` was taken.
+    ///
+    /// # Errors
+    /// It is of another robot than the configuration's.
+    pub fn restore(&mut self, state: &LoopState) -> Result<(), OtherRobot> {
+        self.motion.restore(&state.motion)?;
+        (self.state_check, self.supervisor, self.blamed) =
+            (state.state_check, state.supervisor, state.blamed);
+        self.arm_released = state.arm_released;
+        self.cover.restore(&state.cover);
+        Ok(())
+    }
+
+    /// See [`Motion::set_target_twist`].
+    ///
+    /// # Errors
+    /// A value that is not finite.
+    pub fn set_target_twist(&mut self, twist: [f64; 6]) -> Result<(), ControlError> {
+        self.motion.set_target_twist(twist)
+    }
+
+    /// See [`Motion::keep_limits_by_qp`].
+    #[cfg(feature = "qp")]
+    pub fn keep_limits_by_qp(&mut self) {
+        self.motion.keep_limits_by_qp();
+    }
+
+    /// See [`Motion::by_qp`].
+    pub const fn by_qp(&self) -> Option<QpTally> {
+        self.motion.by_qp()
+    }
+
+    /// The last order of a run: nobody commands the robot from here on.
+    pub fn brake(&mut self) {
+        // Whether it still listens or not, there is nothing left to do about it.
+        let _ = self.plant.write(&Actuation::Brake, 1);
+    }
+
+    /// The bits of a measurement beyond single precision are noise that would fill a log. They are dropped before anything
+    /// is computed from them, so that a replay does not miss them.
+    fn measured(&mut self) -> Result<RobotState<JOINTS>, Fault> {
+        if self.plant.is_exact() {
+            return self.plant.read();
+        }
+        self.plant.read().map(|state| state.in_single_precision())
+    }
+
+    fn elapsed_s(&self, slot: &Slot) -> f64 {
+        #[expect(clippy::cast_precision_loss, reason = "a count of missed slots")]
+        let ticks = slot.ticks as f64;
+        self.period_s * ticks
+    }
+
+    /// Remembers whose fault a stop is for as long as it lasts: the board may be well again by then.
+    fn blame(&mut self, cover: &CoverState) {
+        let cause = self.supervisor.cause();
+        if cause != self.blamed.0 {
+            self.blamed = (cause, cover.fault_board.filter(|_| cause.is_some() && cause == cover.fault));
+        }
+    }
+
+    /// The answer to `request`, and the mode.
+    fn decide(
+        &mut self,
+        slot: &Slot,
+        robot: &Checked,
+        cover: &CoverState,
+        request: Option<Request>,
+    ) -> (Option<Outcome>, Mode) {
+        let taxels = ..self.motion.taxels();
+        let facts = Facts {
+            cover_seen: cover.frames_good > 0 || !self.motion.parts().has_cover(),
+            cover_fault: cover.fault,
+            zero: cover.zero,
+            plant_fault: robot.fault,
+            far_joint: robot.state.as_ref().and_then(|state| self.motion.far_joint(state)),
+            touch: cover.forces.as_ref().ok().and_then(|forces_n| Touch::strongest(&forces_n[taxels])),
+        };
+        let decision = self.supervisor.step(&facts, request);
+        if decision.start_tare {
+            self.cover.start_tare(slot.now_ns);
+        }
+        let outcome = decision
+            .carry_out
+            .map(|request| self.carry_out(request, slot.now_ns, decision.mode, robot, facts.touch))
+            .or(decision.outcome);
+        (outcome, decision.mode)
+    }
+
+    /// Carries out a permitted request in the part of the robot that it concerns.
+    fn carry_out(
+        &mut self,
+        request: Request,
+        now_ns: u64,
+        mode: Mode,
+        robot: &Checked,
+        touch: Option<Touch>,
+    ) -> Outcome {
+        match request {
+            Request::Target(_) | Request::Waypoint { .. } | Request::EndTarget => match &robot.state {
+                Some(robot) => self.motion.take_target(now_ns, &request, mode, robot, touch),
+                None => Err(Refusal::Mode(mode)),
+            },
+            Request::PressTaxel { taxel, force_n } => {
+                let world = self.plant.simulated().ok_or(Refusal::NotSimulated)?;
+                world.press(usize::from(taxel), force_n)
+            }
+            Request::Resume => self.plant.recover(),
+            Request::Recentre => self.motion.recentre(touch),
+            Request::MaskTaxel { taxel, masked } => self.cover.mask(usize::from(taxel), masked),
+            Request::SetParameter { parameter, values } => {
+                self.motion.set_parameter(usize::from(parameter), &values)
+            }
+            _ => Err(Refusal::Mode(self.supervisor.mode())),
+        }
+    }
+
+    /// The law's output in `mode`; none is the brake.
+    fn command(
+        &mut self,
+        slot: &Slot,
+        robot: &Checked,
+        cover: &CoverState,
+        mode: Mode,
+    ) -> Option<ControlOutput<JOINTS>> {
+        self.motion.protect(slot.now_ns, cover, mode);
+        self.release_arm(robot, mode);
+        let (Some(robot), false) = (&robot.state, mode == Mode::Fault) else {
+            // Whatever runs next starts from where the robot then is.
+            self.motion.leave();
+            return None;
+        };
+        let dt_s = self.elapsed_s(slot);
+        let output = self.motion.command(slot.now_ns, mode, robot, &cover.forces, dt_s);
+        let stop = match &output {
+            Ok(output) => {
+                self.motion.remember(mode, robot, output, dt_s);
+                law::fault_of(output)
+            }
+            Err(fault) => Some(*fault),
+        };
+        if let Some(fault) = stop {
+            self.supervisor.stop_for(fault);
+        }
+        output.ok()
+    }
+
+    /// Leaves a real arm to its own controller in this tick if needed: until the robot is ready for the first time, and after a stop
+    /// in which it could not be driven, until somebody resumes. Nothing else gives it torques again.
+    fn release_arm(&mut self, robot: &Checked, mode: Mode) {
+        let released = match mode {
+            Mode::Ready | Mode::Impedance | Mode::FollowMe => false,
+            Mode::Starting | Mode::Fault => true,
+            Mode::Taring | Mode::ProtectiveStop => self.arm_released || robot.state.is_none(),
+        };
+        self.arm_released = released && self.motion.is_of_a_real_robot();
+        if self.arm_released {
+            self.motion.leave();
+        }
+    }
+
+    /// The order to each part. A base whose state is old stands, whatever the arm does.
+    fn actuation(&self, robot: &Checked, output: Option<&ControlOutput<JOINTS>>) -> Actuation<JOINTS> {
+        match law::actuation(output) {
+            Actuation::Drive(_) if self.arm_released => Actuation::Brake,
+            Actuation::Drive(command) if robot.fault.is_some() => {
+                Actuation::Drive(RobotCommand { base_velocity_body: [0.0; 3], ..command })
+            }
+            actuation => actuation,
+        }
+    }
+
+    /// Writes every field of the sample; put together elsewhere it would be copied.
+    fn show(
+        &mut self,
+        slot: &Slot,
+        (robot, age, link): (Option<&RobotState<JOINTS>>, SourceAge, Option<ArmLink>),
+        cover: &CoverState,
+        actuation: &Actuation<JOINTS>,
+        output: Option<&ControlOutput<JOINTS>>,
+    ) {
+        let Self { supervisor, motion, blamed, ticked: Ticked { sample, .. }, .. } = self;
+        sample.tick = slot.tick;
+        sample.time_ns = slot.now_ns;
+        sample.lateness_s = slot.lateness_s;
+        sample.overruns = slot.overruns;
+        sample.stages_ns = slot.stages_ns;
+        sample.mode = supervisor.mode();
+        sample.law = Some(supervisor.law());
+        (sample.fault, sample.fault_board) = *blamed;
+        sample.target = motion.target();
+        sample.posture = motion.posture_offset();
+        sample.link = link.map(|arm| Link { arm_age_s: age.arm_s, base_age_s: age.base_s, arm });
+
+        let (taxels, joints) = (..motion.taxels(), ..motion.joints());
+        fill(&mut sample.taxels, &cover.reading.taxels[taxels]);
+        fill(&mut sample.counts, &cover.counts[taxels]);
+        sample.frame_age_s = cover.reading.age_s(slot.now_ns).unwrap_or(-1.0);
+        sample.frame_rate_hz = cover.rate_hz;
+        (sample.frames_good, sample.frames_bad) = (cover.frames_good, cover.frames_bad);
+        sample.board = cover.board;
+
+        let protected = motion.protected();
+        sample.speed_limit = protected.speed_limit;
+        sample.contact_reaction = protected.reaction;
+        fill(&mut sample.contact_events, &protected.events);
+        fill(&mut sample.contact_rows, motion.contact_rows());
+
+        sample.base_pose_world = robot.map_or([0.0; 3], |robot| robot.base_pose_world);
+        sample.base_velocity_world = robot.map_or([0.0; 3], |robot| robot.base_velocity_world);
+        sample.cover_speed_m_s = robot.map_or(0.0, |robot| motion.cover_speed_m_s(robot));
+        sample.uncovered_way_m = robot.map_or(0.0, |_| motion.uncovered_way_m());
+        fill(&mut sample.q_rad, robot.map_or(&[], |robot| &robot.q_rad[joints]));
+        fill(&mut sample.dq_rad_s, robot.map_or(&[], |robot| &robot.dq_rad_s[joints]));
+
+        let command = match actuation {
+            Actuation::Drive(command) => Some(command),
+            Actuation::Brake => None,
+        };
+        sample.base_velocity_command_body = command.map_or([0.0; 3], |command| command.base_velocity_body);
+        fill(&mut sample.arm_torque_nm, command.map_or(&[], |command| &command.arm_torque_nm[joints]));
+        sample.cover_wrench_base = output.map_or([0.0; 3], |output| output.cover_wrench_base);
+
+        let arm = output.filter(|_| motion.parts().has_arm());
+        let pose = |pose: Option<&FlangePose>| {
+            pose.map_or(([0.0; 3], [0.0; 4]), |pose| (pose.position_world, pose.quaternion_world))
+        };
+        sample.flange_wrench_world = arm.map_or([0.0; 6], |output| output.flange_wrench_world);
+        (sample.flange_position_world, sample.flange_quaternion_world) =
+            pose(arm.map(|output| &output.flange));
+        (sample.flange_desired_position_world, sample.flange_desired_quaternion_world) =
+            pose(arm.map(|output| &output.flange_desired));
+    }
+}
+
+fn fill<T: Clone, const N: usize>(list: &mut Vec<T, N>, values: &[T]) {
+    list.clear();
+    // The capacities of a sample exceed this robot's numbers of joints and taxels.
+    let _ = list.extend_from_slice(&values[..values.len().min(N)]);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::assemble::{motion, supervisor};
+    use crate::config::Config;
+    use crate::plant::SourceAge;
+    use crate::stage::Untimed;
+    use crate::supervisor::Zero;
+    use moca_msgs::TaxelStatus;
+
+    /// Stands still; remembers the last order and refuses it if told to.
+    struct Standing {
+        brakes: bool,
+        refuses: bool,
+        lost: bool,
+    }
+
+    impl Plant for Standing {
+        fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
+            if self.lost {
+                return Err(Fault::PlantLost);
+            }
+            Ok(RobotState::at_rest(Config::default().control.gains.posture_rad))
+        }
+
+        fn age(&self) -> SourceAge {
+            SourceAge::default()
+        }
+
+        fn write(&mut self, actuation: &Actuation<JOINTS>, _ticks: u64) -> Result<(), Fault> {
+            self.brakes = matches!(actuation, Actuation::Brake);
+            if self.refuses { Err(Fault::ControlRefused) } else { Ok(()) }
+        }
+    }
+
+    struct Scripted(CoverState);
+
+    impl CoverSource for Scripted {
+        fn read(&mut self, _now_ns: u64) -> CoverState {
+            self.0
+        }
+
+        fn start_tare(&mut self, _now_ns: u64) {
+            self.0.zero = Zero::Taring;
+        }
+    }
+
+    fn armed() -> ControlLoop<Standing, Scripted> {
+        let config = Config::default();
+        let cover = Scripted(CoverState { frames_good: 1, zero: Zero::Invalid, ..CoverState::NONE });
+        let plant = Standing { brakes: false, refuses: false, lost: false };
+        let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
+        step(&mut control, 0);
+        control.cover.0.zero = Zero::Valid;
+        assert_eq!(step(&mut control, 1).mode, Mode::Impedance);
+        control
+    }
+
+    fn step(control: &mut ControlLoop<Standing, Scripted>, tick: u64) -> Sample {
+        let slot = Slot { tick, now_ns: tick * 1_000_000, ticks: 1, ..Slot::default() };
+        control.tick(&slot, None, &mut Untimed).sample.clone()
+    }
+
+    #[test]
+    fn what_the_controller_refuses_stops_the_robot_in_the_same_tick() {
+        let mut control = armed();
+        assert!(!control.plant.brakes);
+        control.cover.0.forces = Err((3, TaxelStatus::Saturated));
+        let sample = step(&mut control, 2);
+        assert!(control.plant.brakes);
+        let fault = Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Saturated };
+        assert_eq!((sample.mode, sample.fault), (Mode::ProtectiveStop, Some(fault)));
+    }
+
+    /// With a barrier the person who presses a taxel that fails is given room before the robot stands; the plant of this
+    /// test never moves, so that only the time ends it.
+    #[test]
+    fn a_stop_for_a_touched_taxel_makes_room_first() {
+        let mut config = Config::default();
+        config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
+        let cover = Scripted(CoverState { frames_good: 1, zero: Zero::Invalid, ..CoverState::NONE });
+        let plant = Standing { brakes: false, refuses: false, lost: false };
+        let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
+        step(&mut control, 0);
+        control.cover.0.zero = Zero::Valid;
+        let feel = |control: &mut ControlLoop<Standing, Scripted>, tick: u64, force_n: f64| {
+            control.cover.0.reading.sampled_at_ns = Some(tick * 1_000_000);
+            control.cover.0.reading.taxels[5].force_n = force_n;
+            step(control, tick)
+        };
+        for tick in 1..100 {
+            assert_eq!(feel(&mut control, tick, if tick < 50 { 0.0 } else { 10.0 }).mode, Mode::Impedance);
+        }
+        let status = TaxelStatus::Saturated;
+        let fault = Fault::TaxelInvalid { taxel: 5, status };
+        control.cover.0.reading.taxels[5].status = status;
+        control.cover.0.forces = Err((5, status));
+        control.cover.0.fault = Some(fault);
+        let backwards: std::vec::Vec<f64> = (100..2100)
+            .map(|tick| {
+                let sample = feel(&mut control, tick, 0.0);
+                assert_eq!((sample.mode, sample.fault), (Mode::ProtectiveStop, Some(fault)));
+                sample.base_velocity_command_body[0]
+            })
+            .collect();
+        assert!(backwards[200] < -0.2 && backwards.iter().all(|v| *v <= 0.0 && *v >= -0.3 - 1e-9));
+        assert!(backwards[1000..].iter().all(|v| v.abs() < 1e-12), "and stands");
+    }
+
+    #[test]
+    fn nothing_of_the_last_tick_is_left_in_a_sample() {
+        let (mut used, mut fresh) = (armed(), armed());
+        for control in [&mut used, &mut fresh] {
+            control.plant.lost = true;
+            control.cover.0 = CoverState { fault: Some(Fault::BoardSilent), ..CoverState::NONE };
+        }
+        fresh.ticked = Ticked::default();
+        let sample = step(&mut used, 2);
+        assert_eq!(sample, step(&mut fresh, 2));
+        assert!(sample.q_rad.is_empty() && sample.arm_torque_nm.is_empty(), "none is not zero");
+    }
+
+    #[test]
+    fn what_the_plant_refuses_is_in_the_sample_of_that_tick() {
+        let mut control = armed();
+        control.plant.refuses = true;
+        let sample = step(&mut control, 2);
+        assert_eq!(sample.fault, Some(Fault::ControlRefused));
+        assert!(!sample.mode.moves());
+        step(&mut control, 3);
+        assert!(control.plant.brakes);
+    }
+}

@@ -1,0 +1,113 @@
+//! Truths about a simulated robot that its controller does not know. What a controller believes stays in [`crate::robot`]: a
+//! value here changes the plant alone.
+
+use crate::robot::BaseTable;
+use crate::table::{Field, ParameterSpec};
+
+crate::parameter_table! {
+    /// Delays and errors of a simulated base.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct TrueBase in "simulation.true.base" {
+        /// Delay of an order on its way to the servo.
+        order_delay_ms: f64 = 0.0 => [.range(0.0, 1000.0).units(&["ms"]).lab("true.base.order_delay_ms")];
+        /// Largest deviation from that delay, drawn for each order; orders arrive in sequence, and none before it is sent.
+        order_jitter_ms: f64 = 0.0 => [.range(0.0, 1000.0).units(&["ms"]).lab("true.base.order_jitter_ms")];
+        /// Time between two orders on that way; 0 sends one in every control period.
+        order_period_ms: f64 = 0.0 => [.range(0.0, 1000.0).units(&["ms"]).lab("true.base.order_period_ms")];
+        /// Time constant of the servo; 0 is that of robot.base.
+        servo_ms: f64 = 0.0 => [.range(0.0, 1e4).units(&["ms"]).lab("true.base.servo_ms")];
+        /// Acceleration along each axis; 0 is that of robot.base, and the yaw acceleration keeps its ratio to it.
+        acceleration_m_s2: f64 = 0.0 => [.range(0.0, 1e4).units(&["m/s²"]).lab("true.base.acceleration")];
+        /// Deceleration along each axis; 0 is the true acceleration, and yaw keeps its ratio to it.
+        deceleration_m_s2: f64 = 0.0 => [.range(0.0, 1e4).units(&["m/s²"]).lab("true.base.deceleration")];
+        /// Distance that odometry reports over the true one.
+        odometry_scale: f64 = 1.0 => [.range(0.5, 2.0).lab("true.base.odometry_scale")];
+        /// Age of odometry when it arrives, of which its stamp says nothing.
+        odometry_delay_ms: f64 = 0.0 => [.range(0.0, 1000.0).units(&["ms"]).lab("true.base.odometry_delay_ms")];
+        /// Standard deviation of a reported velocity, along each axis; of yaw the same number of rad/s.
+        odometry_noise_m_s: f64 = 0.0 => [.range(0.0, 1.0).units(&["m/s"]).lab("true.base.odometry_noise")];
+        /// Rate of odometry; 0 reports in every control period.
+        odometry_rate_hz: f64 = 0.0 => [.range(0.0, 1e4).units(&["Hz"]).lab("true.base.odometry_rate_hz")];
+    }
+}
+
+crate::parameter_table! {
+    /// Errors of a simulated foam.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct TrueFoam in "simulation.true.foam" {
+        /// Stiffness over that of its kind: age and cold raise it.
+        scale: f64 = 1.0 => [.range(1e-3, 1e5).lab("true.foam.scale")];
+    }
+}
+
+/// Everything that a simulated robot hides from its controller: `[simulation.true]`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Truth {
+    /// `[simulation.true.base]`
+    pub base: TrueBase,
+    /// `[simulation.true.foam]`
+    pub foam: TrueFoam,
+}
+
+impl Truth {
+    /// Hands every field with its row to `visit`.
+    pub fn each(&mut self, visit: &mut dyn FnMut(&'static ParameterSpec, &mut dyn Field)) {
+        self.base.each(visit);
+        self.foam.each(visit);
+    }
+}
+
+impl TrueBase {
+    /// A base as described, which obeys and reports at once.
+    pub const AS_DESCRIBED: Self = Self {
+        order_delay_ms: 0.0,
+        order_jitter_ms: 0.0,
+        order_period_ms: 0.0,
+        servo_ms: 0.0,
+        acceleration_m_s2: 0.0,
+        deceleration_m_s2: 0.0,
+        odometry_scale: 1.0,
+        odometry_delay_ms: 0.0,
+        odometry_noise_m_s: 0.0,
+        odometry_rate_hz: 0.0,
+    };
+
+    /// Returns the base as it is, where `described` is what its controller believes.
+    #[must_use]
+    pub fn applied(&self, described: &BaseTable) -> BaseTable {
+        let mut base = *described;
+        if self.servo_ms > 0.0 {
+            base.servo_time_constant_s = 1e-3 * self.servo_ms;
+        }
+        if self.acceleration_m_s2 > 0.0 {
+            base.yaw_acceleration_max_rad_s2 *= self.acceleration_m_s2 / base.acceleration_max_m_s2;
+            base.acceleration_max_m_s2 = self.acceleration_m_s2;
+        }
+        base
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::SUMMIT_XL;
+
+    #[test]
+    fn base_as_described_is_default_and_changes_nothing() {
+        assert_eq!(TrueBase::default(), TrueBase::AS_DESCRIBED);
+        assert_eq!(TrueBase::AS_DESCRIBED.applied(&SUMMIT_XL), SUMMIT_XL);
+    }
+
+    #[test]
+    fn true_acceleration_keeps_ratio_of_yaw() {
+        let truth = TrueBase { servo_ms: 50.0, acceleration_m_s2: 1.5, ..TrueBase::AS_DESCRIBED };
+        let base = truth.applied(&SUMMIT_XL);
+        let expected = BaseTable {
+            servo_time_constant_s: 0.05,
+            acceleration_max_m_s2: 1.5,
+            yaw_acceleration_max_rad_s2: 0.5 * SUMMIT_XL.yaw_acceleration_max_rad_s2,
+            ..SUMMIT_XL
+        };
+        assert_eq!(base, expected);
+    }
+}

@@ -1,0 +1,460 @@
+//! An arm: Cartesian impedance of its tool on the base it stands on.
+
+use super::arm_state::ArmState;
+use super::joint_pace::{JointLimits, LED_SHARE, braking_torque};
+use super::law::ControlLaw;
+use super::tick::{ArmTick, Tracking, seen_from_base, tool_pose};
+use super::{CARRY_FADE_S, FlangePose, LONGEST_STEP_S, check};
+use crate::error::{ControlError, finite};
+use crate::gains::ArmGains;
+use crate::impedance;
+use crate::joint_stiffness;
+use crate::limits::{Exceeded, FlangeLimits, JointRepulsion, JointSpeeds, LimitsHit, TorqueLimits};
+use crate::model::{ArmModel, Dynamics};
+use crate::momentum_observer::MomentumObserver;
+use crate::opspace::ArmDynamics;
+use crate::reference::{Reference, approach_posture};
+use crate::scalar::{Scalar, of};
+use crate::state_check::{check_robot, check_step, check_wrench};
+use moca_msgs::{ArmTable, Mount, ParameterError, Parameters, Payload, RobotState};
+
+/// Share of its largest speed at which a joint of an arm that nobody leads ends the law near a singularity, share of the largest
+/// pose error that does, and the mobility ([`ArmDynamics::mobility_left`]) below which they count: stopping from there no joint
+/// passes half of its speed. Up to that mobility, a joint that swings through a straight elbow doubles its speed within 15 ms.
+const STRETCHED_SHARE: f64 = 0.1;
+const STRETCHED_ERROR: f64 = 0.5;
+const STRETCHED_MOBILITY: f64 = 0.03;
+
+/// Cartesian impedance of an arm of `N` joints, eqs. (10), (11), (15), (16): the tool keeps its place on the base,
+/// standing or moving, and gives way to a hand as a spring.
+///
+/// ```
+/// use moca_wbc::robot::{MOCA_MOUNT, UR10E};
+/// use moca_wbc::{ArmController, ArmInput, LimitsHit, Parameters, Payload, RobotState};
+///
+/// let parameters = Parameters::for_arm(&UR10E);
+/// let controller: ArmController<6> = ArmController::new(&UR10E, &MOCA_MOUNT, &Payload::NONE, &parameters)?;
+/// let robot = RobotState::at_rest(UR10E.home_rad);
+/// let mut state = controller.enter(&robot)?;
+/// let output = controller.step(&mut state, &ArmInput { robot, flange_wrench_world: None, dt_s: 1e-3 })?;
+/// assert_eq!(output.limits, LimitsHit::NONE);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Copy, Debug)]
+pub struct ArmController<const N: usize, T = f64> {
+    model: ArmModel<N, T>,
+    pub(super) gains: ArmGains<N, T>,
+    posture_rad: [f64; N],
+    pub(super) limits: TorqueLimits<N, T>,
+    joint_speeds: JointSpeeds<N, T>,
+    flange_limits: FlangeLimits<T>,
+    repulsion: JointRepulsion<N, T>,
+    /// Joint stiffness with which a posture is held where inertia and period allow it, N·m/rad.
+    hold_stiffness: [T; N],
+    period_s: T,
+}
+
+/// One step's measurements of an arm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmInput<const N: usize, T = f64> {
+    /// State of the arm and of the base it stands on.
+    pub robot: RobotState<N, T>,
+    /// As in [`super::ControlInput`].
+    pub flange_wrench_world: Option<[T; 6]>,
+    /// Time since the last step, s, > 0.
+    pub dt_s: T,
+}
+
+/// One step's result.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmOutput<const N: usize, T = f64> {
+    /// Joint torques including gravity compensation, N·m, inside every limit.
+    pub torque_nm: [T; N],
+    /// Share of gravity in them, N·m.
+    pub gravity_nm: [T; N],
+    /// External wrench: on the robot about the flange origin, world axes \[N; N·m\].
+    pub flange_wrench_world: [T; 6],
+    /// Pose of the controlled frame E (flange, or tool if one is set).
+    pub flange: FlangePose<T>,
+    /// Desired pose of it.
+    pub flange_desired: FlangePose<T>,
+    /// Limits that were met.
+    pub limits: LimitsHit,
+    /// A motion that the law must not go on with; the posture is held in this step, and should be from now on.
+    pub exceeded: Option<Exceeded>,
+}
+
+impl<const N: usize, T: Scalar> ArmController<N, T> {
+    /// Builds the controller. Of the parameters only the arm's are used: impedance, posture, torque limits.
+    ///
+    /// # Errors
+    /// The first number of the tables or of the parameters that is not finite or out of range.
+    pub fn new(
+        arm: &ArmTable<N>,
+        mount: &Mount,
+        payload: &Payload,
+        parameters: &Parameters<N>,
+    ) -> Result<Self, ParameterError> {
+        check(parameters)?;
+        Ok(Self {
+            model: ArmModel::new(arm, mount, payload)?,
+            gains: ArmGains::from(&parameters.gains),
+            posture_rad: parameters.gains.posture_rad,
+            limits: TorqueLimits::from(&parameters.limits),
+            joint_speeds: JointSpeeds::new(arm),
+            flange_limits: FlangeLimits::from(&parameters.limits),
+            repulsion: JointRepulsion::new(arm),
+            hold_stiffness: arm.torque_max_nm.map(|most| of(2.0 * most)),
+            period_s: of(parameters.limits.period_s),
+        })
+    }
+
+    /// Returns the controller with other parameters for the same state. Gains reach the law through a first-order filter, the
+    /// posture at its own speed; limits hold from the next step on.
+    ///
+    /// # Errors
+    /// The first parameter out of range.
+    pub fn with_parameters(&self, parameters: &Parameters<N>) -> Result<Self, ParameterError> {
+        check(parameters)?;
+        Ok(Self {
+            gains: ArmGains::from(&parameters.gains),
+            posture_rad: parameters.gains.posture_rad,
+            limits: TorqueLimits::from(&parameters.limits),
+            flange_limits: FlangeLimits::from(&parameters.limits),
+            period_s: of(parameters.limits.period_s),
+            ..*self
+        })
+    }
+
+    /// The arm's model.
+    pub fn model(&self) -> &ArmModel<N, T> {
+        &self.model
+    }
+
+    /// State for an arm that stands still: the target is where it is, the last torque is C q̇ + g.
+    ///
+    /// # Errors
+    /// A value of `robot` that is not finite.
+    pub fn enter(&self, robot: &RobotState<N, T>) -> Result<ArmState<N, T>, ControlError> {
+        self.entered(ControlLaw::FollowMe, robot)
+    }
+
+    /// One step: the tool keeps its place on the base.
+    ///
+    /// # Errors
+    /// An input or a result that is not finite, a step that is not positive. `state` is then as it was.
+    pub fn step(
+        &self,
+        state: &mut ArmState<N, T>,
+        input: &ArmInput<N, T>,
+    ) -> Result<ArmOutput<N, T>, ControlError> {
+        self.run(ControlLaw::FollowMe, state, input)
+    }
+
+    /// One step in which the joints hold the posture that they had when it was first asked for.
+    ///
+    /// # Errors
+    /// As for [`Self::step`].
+    pub fn hold(
+        &self,
+        state: &mut ArmState<N, T>,
+        input: &ArmInput<N, T>,
+    ) -> Result<ArmOutput<N, T>, ControlError> {
+        self.run(ControlLaw::Hold, state, input)
+    }
+
+    fn run(
+        &self,
+        law: ControlLaw,
+        state: &mut ArmState<N, T>,
+        input: &ArmInput<N, T>,
+    ) -> Result<ArmOutput<N, T>, ControlError> {
+        check_step(input.dt_s)?;
+        check_robot(&input.robot)?;
+        check_wrench("flange_wrench_world", input.flange_wrench_world.as_ref())?;
+        let before = *state;
+        let next = &mut *state;
+        let mut hit = LimitsHit::default();
+        let output = self.at(&input.robot, input.dt_s, |tick| {
+            next.enter_law(law, tick);
+            next.gains.approach(&self.gains, tick.dt_s);
+            let measured = input.flange_wrench_world;
+            let arm = tick.task(law);
+            let arm = arm.as_ref().map(Result::as_ref).transpose().map_err(|error| *error)?;
+            let flange_wrench_world = tick.flange_wrench(next, measured, arm)?;
+            let (wanted, tracking) = match arm {
+                None => (self.holding(tick, next), None),
+                Some(arm) => {
+                    let (torque, tracking) = self.on_the_base(tick, next, arm, &mut hit)?;
+                    (torque, Some(tracking))
+                }
+            };
+            let torque_nm = self.limited(tick, arm, next, &wanted, &[T::zero(); N], &mut hit)?;
+            Ok(ArmOutput {
+                torque_nm,
+                gravity_nm: tick.dynamics.gravity(),
+                flange_wrench_world,
+                flange: (&tick.flange).into(),
+                flange_desired: (&tick.desired(next)).into(),
+                limits: hit,
+                exceeded: self.exceeded(tick, tracking.as_ref(), next.is_led()),
+            })
+        });
+        match &output {
+            Ok(ArmOutput { exceeded: None, .. }) => output,
+            Ok(ArmOutput { exceeded, .. }) => {
+                *state = before;
+                let held = self.run(ControlLaw::Hold, state, input)?;
+                Ok(ArmOutput { exceeded: *exceeded, ..held })
+            }
+            Err(_) => {
+                *state = before;
+                output
+            }
+        }
+    }
+
+    /// `law` with what is computed once a step and read by every law.
+    #[inline]
+    pub(super) fn at<R>(
+        &self,
+        robot: &RobotState<N, T>,
+        dt_s: T,
+        law: impl FnOnce(&ArmTick<'_, N, T>) -> R,
+    ) -> R {
+        let mut dynamics = Dynamics::unset();
+        self.model.dynamics_at(robot.base_pose_world[2], &robot.q_rad, &robot.dq_rad_s, &mut dynamics);
+        law(&ArmTick {
+            robot,
+            dt_s: dt_s.min(of(LONGEST_STEP_S)),
+            model: &self.model,
+            kinematics: &dynamics.kinematics,
+            dynamics: &dynamics,
+            flange: tool_pose(&dynamics.kinematics, robot),
+        })
+    }
+
+    pub(super) fn entered(
+        &self,
+        law: ControlLaw,
+        robot: &RobotState<N, T>,
+    ) -> Result<ArmState<N, T>, ControlError> {
+        check_robot(robot)?;
+        self.at(robot, of(LONGEST_STEP_S), |tick| {
+            let mut state = ArmState {
+                law,
+                reference: Reference::hold(tick.flange),
+                posture_rad: robot.q_rad,
+                gains: self.gains,
+                torque_nm: tick.dynamics.bias,
+                carried_nm: [T::zero(); N],
+                entering: true,
+                held_back: None,
+                observer: MomentumObserver::new(),
+                lead: None,
+            };
+            state.retarget(tick);
+            finite("entry torque", &state.torque_nm)?;
+            Ok(state)
+        })
+    }
+
+    /// Joint torques that hold the posture, N·m, as stiff as the torque limits ask for and [`joint_stiffness`] allows.
+    pub(super) fn holding(&self, tick: &ArmTick<'_, N, T>, state: &ArmState<N, T>) -> [T; N] {
+        let mass = &tick.dynamics.mass;
+        let most = joint_stiffness::largest(mass, self.period_s);
+        let stiffness = core::array::from_fn(|i| self.hold_stiffness[i].min(most[i]));
+        let damping = core::array::from_fn(|i| joint_stiffness::damping(stiffness[i], mass[(i, i)]));
+        let posture = impedance::posture_torque(
+            &stiffness,
+            &damping,
+            &state.posture_rad,
+            &tick.robot.q_rad,
+            &tick.robot.dq_rad_s,
+        );
+        core::array::from_fn(|i| posture[i] + tick.dynamics.bias[i])
+    }
+
+    /// Moves reference and posture on by one step.
+    #[inline]
+    pub(super) fn advance(
+        &self,
+        tick: &ArmTick<'_, N, T>,
+        arm: &ArmDynamics<'_, N, T>,
+        state: &mut ArmState<N, T>,
+    ) -> Result<(), ControlError> {
+        if state.is_led() {
+            state.advance_lead(&self.model, tick, arm, self.joint_limits())?;
+            if !state.leads_posture() {
+                approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
+            }
+            self.keep_posture_near(tick, state);
+            return Ok(());
+        }
+        let actual = match state.law {
+            ControlLaw::FollowMe => seen_from_base(&tick.flange, tick.kinematics, tick.robot),
+            ControlLaw::Hold | ControlLaw::Impedance => tick.flange,
+        };
+        state.reference.advance(&actual, state.held_back.as_ref(), tick.dt_s);
+        approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
+        Ok(())
+    }
+
+    pub(super) const fn joint_limits(&self) -> JointLimits<'_, N, T> {
+        JointLimits { speeds: &self.joint_speeds, repulsion: &self.repulsion }
+    }
+
+    /// Keeps the posture so near that the null space goes there no faster than joints are led: at K_0·e/D_0.
+    fn keep_posture_near(&self, tick: &ArmTick<'_, N, T>, state: &mut ArmState<N, T>) {
+        let gains = &state.gains;
+        for i in 0..N {
+            let q = tick.robot.q_rad[i];
+            let error = state.posture_rad[i] - q;
+            let fastest = of::<T>(LED_SHARE) * self.joint_speeds.largest(i, q, error);
+            let (stiffness, damping) = (gains.posture_stiffness[i], gains.posture_damping[i]);
+            if stiffness * error.abs() > damping * fastest {
+                state.posture_rad[i] = q + (damping * fastest / stiffness).copysign(error);
+            }
+        }
+    }
+
+    /// Joint torques that keep the tool on the base, N·m, and what they were computed from. eqs. (15), (16)
+    #[inline]
+    pub(super) fn on_the_base(
+        &self,
+        tick: &ArmTick<'_, N, T>,
+        state: &mut ArmState<N, T>,
+        arm: &ArmDynamics<'_, N, T>,
+        hit: &mut LimitsHit,
+    ) -> Result<([T; N], Tracking<T>), ControlError> {
+        self.advance(tick, arm, state)?;
+        let (wrench, tracking) = tick.task_wrench(state, &[T::zero(); 6], arm.inverse_task_inertia(), hit)?;
+        let torque = arm.torque(&wrench, &tick.posture_torque(state))?;
+        Ok((core::array::from_fn(|i| torque[i] + tick.dynamics.bias[i]), tracking))
+    }
+
+    /// Why a law must not go on; one that tracks no pose may.
+    pub(super) fn exceeded(
+        &self,
+        tick: &ArmTick<'_, N, T>,
+        tracking: Option<&Tracking<T>>,
+        is_led: bool,
+    ) -> Option<Exceeded> {
+        let Tracking { error, arm_twist } = tracking?;
+        let robot = tick.robot;
+        if let Some(joint) = self.joint_speeds.exceeded(&robot.q_rad, &robot.dq_rad_s) {
+            return Some(Exceeded::JointSpeed(joint));
+        }
+        let (joint, share) = self.joint_speeds.fastest(&robot.q_rad, &robot.dq_rad_s);
+        if (share > of(STRETCHED_SHARE) || self.flange_limits.share(error) > of(STRETCHED_ERROR))
+            && !is_led
+            && ArmDynamics::new(tick.dynamics).is_ok_and(|arm| arm.mobility_left() < of(STRETCHED_MOBILITY))
+        {
+            return Some(Exceeded::Stretched(joint));
+        }
+        let base = tick.kinematics.twist_from_base(&robot.base_velocity_world);
+        let [vx, vy, vz] = core::array::from_fn(|i| base[i] + arm_twist[i]);
+        let speed_m_s = (vx * vx + vy * vy + vz * vz).sqrt();
+        self.flange_limits.exceeded(speed_m_s, error)
+    }
+
+    /// `wanted` inside every limit of the arm, and the state that goes with it. `coupling` of it only carries the arm along
+    /// with its base. `None` for `arm` is a law without a task, under which nothing leads.
+    #[inline]
+    pub(super) fn limited(
+        &self,
+        tick: &ArmTick<'_, N, T>,
+        arm: Option<&ArmDynamics<'_, N, T>>,
+        state: &mut ArmState<N, T>,
+        wanted: &[T; N],
+        coupling: &[T; N],
+        hit: &mut LimitsHit,
+    ) -> Result<[T; N], ControlError> {
+        let (robot, mass) = (tick.robot, &tick.dynamics.mass);
+        let repulsion = self.repulsion.torque(&robot.q_rad, &robot.dq_rad_s, mass, self.period_s);
+        hit.joint_range = repulsion.iter().any(|torque| *torque != T::zero());
+        if state.entering {
+            state.entering = false;
+            state.carried_nm = core::array::from_fn(|i| state.torque_nm[i] - wanted[i] - repulsion[i]);
+        }
+        let total = core::array::from_fn(|i| wanted[i] + state.carried_nm[i] + repulsion[i]);
+        let mut torque = self.limits.limited(&total, &state.torque_nm, tick.dt_s, hit);
+        if let (true, Some(arm)) = (state.is_led(), arm) {
+            // What brakes answers what this step can give, not what the law would have: torques change only so fast.
+            let moving = core::array::from_fn(|i| torque[i] - coupling[i]);
+            let braking = braking_torque(tick, arm, self.joint_limits(), &moving);
+            let braked = core::array::from_fn(|i| torque[i] + braking[i]);
+            torque = self.limits.limited(&braked, &state.torque_nm, tick.dt_s, hit);
+        }
+        state.send(torque, tick.dt_s)
+    }
+
+    /// `total`, which keeps the limits of torque and its rate but for rounding, and the state that goes with it.
+    pub(super) fn sent(
+        &self,
+        total: &[T; N],
+        state: &mut ArmState<N, T>,
+        dt_s: T,
+    ) -> Result<[T; N], ControlError> {
+        let torque = self.limits.limited(total, &state.torque_nm, dt_s, &mut LimitsHit::default());
+        state.send(torque, dt_s)
+    }
+}
+
+impl<const N: usize, T: Scalar> ArmState<N, T> {
+    /// Remembers a torque that keeps its limits as the last one, and lets what was carried over fade.
+    #[inline]
+    fn send(&mut self, torque_nm: [T; N], dt_s: T) -> Result<[T; N], ControlError> {
+        self.torque_nm = torque_nm;
+        let fade = (-dt_s / of(CARRY_FADE_S)).exp();
+        self.carried_nm = self.carried_nm.map(|carried| carried * fade);
+        finite("torque command", &self.torque_nm)?;
+        Ok(self.torque_nm)
+    }
+
+    /// Wants the controlled frame at `position` m with axes `quaternion` (x, y, z, w), in B. The reference travels there
+    /// at [`crate::reference::REFERENCE_SPEED_M_S`] and [`crate::reference::REFERENCE_SPEED_RAD_S`].
+    ///
+    /// # Errors
+    /// A value that is not finite, or a quaternion that is not of length 1.
+    pub fn set_target_pose(&mut self, position: [T; 3], quaternion: [T; 4]) -> Result<(), ControlError> {
+        self.lead = None;
+        self.reference.set_pose(position, quaternion)
+    }
+
+    /// Moves the target with `twist` \[m/s; rad/s\], axes of B, until told otherwise; it waits while the controlled
+    /// frame is [`crate::reference::ERROR_SATURATION_M`] behind. A faster twist than the reference's speeds is slowed
+    /// to them.
+    ///
+    /// # Errors
+    /// A value that is not finite.
+    pub fn set_target_twist(&mut self, twist: [T; 6]) -> Result<(), ControlError> {
+        self.lead = None;
+        self.reference.set_twist(twist)
+    }
+
+    /// Estimated external joint torques of the momentum observer, N·m, on the robot.
+    pub fn external_torque_nm(&self) -> &[T; N] {
+        self.observer.external_torque()
+    }
+
+    /// Starts `law` from the measured state if it is another one than before.
+    pub(super) fn enter_law(&mut self, law: ControlLaw, tick: &ArmTick<'_, N, T>) {
+        if self.law != law {
+            self.law = law;
+            self.entering = true;
+            self.held_back = None;
+            self.retarget(tick);
+        }
+    }
+
+    /// Makes the measured state the target.
+    fn retarget(&mut self, tick: &ArmTick<'_, N, T>) {
+        self.lead = None;
+        self.posture_rad = tick.robot.q_rad;
+        self.reference = Reference::hold(match self.law {
+            ControlLaw::FollowMe => seen_from_base(&tick.flange, tick.kinematics, tick.robot),
+            ControlLaw::Hold | ControlLaw::Impedance => tick.flange,
+        });
+    }
+}

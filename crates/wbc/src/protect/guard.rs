@@ -1,0 +1,504 @@
+//! Protection of the people around the base: a speed limit for every point of the cover, and touched taxels that must not move
+//! outward. Pure; a convex set of velocities that always contains rest.
+//!
+//! ```
+//! use moca_wbc::guard::{BaseGuard, CoverOutline};
+//! use moca_wbc::robot::PAPER_COVER;
+//!
+//! let outline: CoverOutline<11, f64> = CoverOutline::new(&PAPER_COVER)?;
+//! let mut guard = BaseGuard::NONE;
+//! guard.blocked[5] = true; // a hand on T6: not forward
+//! let [x, y, _] = outline.guarded(&guard, &[0.2, 0.1, 0.0]);
+//! assert!(x.abs() < 1e-12 && (y - 0.1).abs() < 1e-12, "sideways it may");
+//! # Ok::<(), moca_wbc::ParameterError>(())
+//! ```
+
+use crate::cover_map::CoverMap;
+use crate::error::{ControlError, finite};
+use crate::scalar::{Scalar, of};
+use moca_msgs::{ParameterError, TaxelPlacement};
+use moca_qp::{Metric, Row, WorkingSet};
+
+/// Fastest motion outward that still counts as none, m/s and rad/s: rounding, not creep.
+pub const STANDSTILL: f64 = 1e-9;
+
+/// Weights of "nearest": x, y, yaw (m²), and the slack that all taxels share.
+const NEARNESS: [f64; 4] = [1.0, 1.0, 0.5, 1e4];
+/// Bounds of the axes, and as many touched taxels as are looked at; and as few as it nearly always is.
+const MOST_ROWS: usize = 3 + 32;
+const FEW_ROWS: usize = 3 + 3;
+
+/// Bounds on the base in addition to its [`moca_msgs::Limits`]. Velocities in the axes of B.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BaseGuard<const K: usize, T = f64> {
+    /// Largest speed of any point of the cover, m/s.
+    pub speed_m_s: Option<T>,
+    /// Taxels that must not move outward: neither by translation nor by yaw.
+    pub blocked: [bool; K],
+    /// Largest speed of each taxel outward, m/s: +∞ for none, below 0 where it has to give way. As
+    /// [`crate::contact_barrier`] says it. Where the base cannot keep all of them, it exceeds the worst by the least.
+    pub outward_m_s: Option<[T; K]>,
+    /// Least and largest velocity along each axis of B, m/s, m/s, rad/s; standing still is between them. For motions
+    /// that no taxel would feel the end of.
+    pub bounds_body: Option<[[T; 3]; 2]>,
+    /// Bounds for a motion that [`Self::outward_m_s`] demands, as far as it demands it: a detected person gets room where a law on
+    /// its own would not go. `None` is no more than `bounds_body`.
+    pub room_body: Option<[[T; 3]; 2]>,
+    /// Velocity that replaces the law's: m/s, m/s, rad/s.
+    pub instead_body: Option<[T; 3]>,
+}
+
+impl<const K: usize, T: Scalar> BaseGuard<K, T> {
+    /// Everything that the limits allow.
+    pub const NONE: Self = Self {
+        speed_m_s: None,
+        blocked: [false; K],
+        outward_m_s: None,
+        bounds_body: None,
+        room_body: None,
+        instead_body: None,
+    };
+
+    /// Returns true if a velocity is within the bounds along the axes.
+    fn bounds_permit(&self, velocity: &[T; 3]) -> bool {
+        let rounding = of::<T>(STANDSTILL);
+        self.bounds_body.is_none_or(|[least, most]| {
+            (0..3).all(|i| velocity[i] >= least[i] - rounding && velocity[i] <= most[i] + rounding)
+        })
+    }
+
+    /// # Errors
+    /// A number that is not finite, of a cover of `taxels` taxels, a speed limit below 0, or bounds that forbid standing
+    /// still.
+    pub(crate) fn check(&self, taxels: usize) -> Result<(), ControlError> {
+        finite("guard.instead_body", self.instead_body.as_ref().map_or(&[], |v| &v[..]))?;
+        for (index, most) in self.outward_m_s.iter().flatten().take(taxels).enumerate() {
+            if !most.is_finite() && *most != of(f64::INFINITY) {
+                return Err(ControlError::NotFinite { what: "guard.outward_m_s", index });
+            }
+        }
+        for (what, bounds) in [("guard.bounds_body", &self.bounds_body), ("guard.room_body", &self.room_body)]
+        {
+            let Some([least, most]) = bounds else { continue };
+            for axis in 0..3 {
+                let (least, most) = (least[axis], most[axis]);
+                if !(least.is_finite() && most.is_finite()) {
+                    return finite(what, &[least, most]);
+                }
+                if least > T::zero() || most < T::zero() {
+                    return Err(ControlError::GuardBounds { axis });
+                }
+            }
+        }
+        let Some(speed) = self.speed_m_s else { return Ok(()) };
+        finite("guard.speed_m_s", &[speed])?;
+        if speed >= T::zero() {
+            Ok(())
+        } else {
+            Err(ControlError::GuardSpeed { speed_m_s: nalgebra::try_convert(speed).unwrap_or(f64::NAN) })
+        }
+    }
+}
+
+/// Geometry of the cover: what a [`BaseGuard`] is measured against.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoverOutline<const K: usize, T> {
+    /// Corner of the rectangle round all taxels, x and y, m.
+    corner: [T; 2],
+    map: CoverMap<K, T>,
+    /// Metric of the nearest velocity.
+    metric: Metric<4, T>,
+}
+
+impl<const K: usize, T: Scalar> CoverOutline<K, T> {
+    /// The cover of 0 to `K` taxels, T1 first.
+    ///
+    /// # Errors
+    /// As for [`CoverMap::new`].
+    pub fn new(taxels: &[TaxelPlacement]) -> Result<Self, ParameterError> {
+        let most = |axis: usize| taxels.iter().fold(0.0_f64, |m, t| m.max(t.position_base_m[axis].abs()));
+        let metric = Metric::diagonal(&NEARNESS.map(of)).map_err(|_| ParameterError {
+            name: "weights of the nearest motion",
+            value: f64::NAN,
+            unit: "",
+            min: 0.0,
+            max: f64::INFINITY,
+        })?;
+        Ok(Self { map: CoverMap::new(taxels)?, corner: [of(most(0)), of(most(1))], metric })
+    }
+
+    /// Returns the map from taxel forces to the wrench on the base.
+    pub const fn map(&self) -> &CoverMap<K, T> {
+        &self.map
+    }
+
+    /// Speed of the fastest point of the cover at a base velocity \[m/s, m/s, rad/s\], m/s: always a corner.
+    pub fn fastest(&self, [vx, vy, yaw]: &[T; 3]) -> T {
+        let [x, y] = self.corner;
+        let [x, y] = [vx.abs() + yaw.abs() * y, vy.abs() + yaw.abs() * x];
+        (x * x + y * y).sqrt()
+    }
+
+    /// Speed of a taxel (0 is T1) outward, m/s; negative where it moves away from whoever touches it.
+    pub fn outward(&self, taxel: usize, [vx, vy, yaw]: &[T; 3]) -> T {
+        self.map
+            .columns()
+            .get(taxel)
+            .map_or(T::zero(), |[x, y, lever]| -(*x * *vx + *y * *vy + *lever * *yaw))
+    }
+
+    /// Deceleration of a taxel outward, m/s², with all axes of the base at their own.
+    pub(crate) fn deceleration(&self, taxel: usize, of_axes: &[T; 3]) -> T {
+        self.map.columns().get(taxel).map_or(T::zero(), |inward| {
+            let [x, y, lever] = [0, 1, 2].map(|j| inward[j].abs() * of_axes[j]);
+            x + y + lever
+        })
+    }
+
+    /// Returns true if no taxel moves outward faster than `most`, m/s.
+    pub(crate) fn keeps(&self, most: &[T; K], velocity: &[T; 3]) -> bool {
+        most.iter().take(self.map.taxels()).enumerate().all(|(i, most)| self.outward(i, velocity) <= *most)
+    }
+
+    /// The velocity nearest to `wanted` between `low` and `high` at which no taxel goes outward faster than `most`, or,
+    /// where there is none, at which the worst does by the least.
+    pub(crate) fn nearest(&self, most: &[T; K], wanted: &[T; 3], low: &[T; 3], high: &[T; 3]) -> [T; 3] {
+        let rows = || self.map.columns().iter().zip(most).filter(|(_, most)| most.is_finite());
+        if rows().count() + 3 <= FEW_ROWS {
+            self.solved::<FEW_ROWS>(rows(), wanted, low, high)
+        } else {
+            self.solved::<MOST_ROWS>(rows(), wanted, low, high)
+        }
+    }
+
+    fn solved<'a, const R: usize>(
+        &self,
+        taxels: impl Iterator<Item = (&'a [T; 3], &'a T)>,
+        wanted: &[T; 3],
+        low: &[T; 3],
+        high: &[T; 3],
+    ) -> [T; 3] {
+        let mut rows = [Row::bound(0, low[0], high[0]); R];
+        let mut count = 3;
+        for j in 1..3 {
+            rows[j] = Row::bound(j, low[j], high[j]);
+        }
+        for ([x, y, lever], most) in taxels {
+            let Some(row) = rows.get_mut(count) else { break };
+            *row = Row::at_least([*x, *y, *lever, T::zero()], -*most).softened(3);
+            count += 1;
+        }
+        let [x, y, yaw] = *wanted;
+        let rows = rows.get(..count).unwrap_or(&rows);
+        let solution = self.metric.nearest(&[x, y, yaw, T::zero()], rows, &WorkingSet::EMPTY);
+        // soft rows between bounds always have a nearest point; should rounding ever hide it, the base brakes
+        let [x, y, yaw, _] = solution.map_or([T::zero(); 4], |solution| solution.x);
+        let inside = |v: T, j: usize| v.clamp(low[j], high[j]);
+        [inside(x, 0), inside(y, 1), inside(yaw, 2)]
+    }
+
+    /// Translation at `speed` away from all of `touched` together; none where they leave no way out.
+    pub fn away_from(&self, touched: &[bool; K], speed: T) -> [T; 3] {
+        let (mut x, mut y) = (T::zero(), T::zero());
+        for (inward, _) in self.map.columns().iter().zip(touched).filter(|(_, touched)| **touched) {
+            x += inward[0];
+            y += inward[1];
+        }
+        let length = (x * x + y * y).sqrt();
+        if length < of(1e-6) {
+            return [T::zero(); 3];
+        }
+        [x / length * speed, y / length * speed, T::zero()]
+    }
+
+    /// Returns true if `guard` permits the velocity.
+    pub fn permits(&self, guard: &BaseGuard<K, T>, velocity: &[T; 3]) -> bool {
+        let [vx, vy, yaw] = *velocity;
+        let least = -of::<T>(STANDSTILL);
+        let rounding = T::one() + of::<T>(4.0) * T::default_epsilon();
+        guard.speed_m_s.is_none_or(|most| self.fastest(velocity) <= most * rounding)
+            && guard.bounds_permit(velocity)
+            && self.blocked(guard).all(|[x, y, lever]| *x * vx + *y * vy >= least && *lever * yaw >= least)
+    }
+
+    /// The nearest translation, and the yaw rate or none, that `guard` permits; slowed down as one motion.
+    pub fn guarded(&self, guard: &BaseGuard<K, T>, wanted: &[T; 3]) -> [T; 3] {
+        let [vx, vy, yaw] = guard.instead_body.unwrap_or(*wanted);
+        // the lever of a taxel in the middle of its side is rounding, and has a sign
+        let least = -of::<T>(STANDSTILL);
+        let turns_out = self.blocked(guard).any(|[_, _, lever]| *lever * yaw < least);
+        let [vx, vy] = self.nearest_translation(guard, [vx, vy]);
+        let free = [vx, vy, if turns_out { T::zero() } else { yaw }];
+        let velocity = self.bounded(guard, free);
+        match guard.speed_m_s {
+            Some(most) => scaled_to(velocity, self.fastest(&velocity), most),
+            None => velocity,
+        }
+    }
+
+    /// `velocity`, which moves no blocked taxel outward, within the bounds along the axes; its translation ends where the
+    /// one is at odds with the other.
+    fn bounded(&self, guard: &BaseGuard<K, T>, velocity: [T; 3]) -> [T; 3] {
+        let Some([least, most]) = &guard.bounds_body else { return velocity };
+        let [x, y, yaw] = core::array::from_fn(|i| velocity[i].clamp(least[i], most[i]));
+        let slack = -of::<T>(STANDSTILL);
+        if self.blocked(guard).all(|[ux, uy, _]| *ux * x + *uy * y >= slack) {
+            [x, y, yaw]
+        } else {
+            [T::zero(), T::zero(), yaw]
+        }
+    }
+
+    /// The translation nearest to `wanted` that moves no blocked taxel outward. The permitted ones are a cone, so it is
+    /// `wanted` itself, or on one of the cone's two edges, or standing still.
+    fn nearest_translation(&self, guard: &BaseGuard<K, T>, wanted: [T; 2]) -> [T; 2] {
+        let inward_speed = |[x, y]: [T; 2], [ux, uy, _]: &[T; 3]| *ux * x + *uy * y;
+        let least = -of::<T>(STANDSTILL);
+        let permitted = |v: [T; 2]| self.blocked(guard).all(|u| inward_speed(v, u) >= least);
+        if permitted(wanted) {
+            return wanted;
+        }
+        let mut nearest = [T::zero(); 2];
+        let mut most = T::zero();
+        for u in self.blocked(guard) {
+            let outward = inward_speed(wanted, u);
+            let along = [wanted[0] - outward * u[0], wanted[1] - outward * u[1]];
+            let squared = along[0] * along[0] + along[1] * along[1];
+            if squared > most && permitted(along) {
+                (nearest, most) = (along, squared);
+            }
+        }
+        nearest
+    }
+
+    fn blocked<'a>(&'a self, guard: &'a BaseGuard<K, T>) -> impl Iterator<Item = &'a [T; 3]> {
+        self.map
+            .columns()
+            .iter()
+            .zip(&guard.blocked)
+            .filter(|(_, blocked)| **blocked)
+            .map(|(inward, _)| inward)
+    }
+}
+
+fn scaled_to<T: Scalar>(velocity: [T; 3], speed: T, most: T) -> [T; 3] {
+    if speed <= most { velocity } else { velocity.map(|v| v * (most / speed)) }
+}
+
+#[cfg(test)]
+#[expect(clippy::float_cmp, reason = "what is not touched keeps its bits")]
+mod tests {
+    use super::*;
+    use moca_msgs::robot::PAPER_COVER;
+
+    fn outline() -> CoverOutline<11, f64> {
+        CoverOutline::new(&PAPER_COVER).unwrap()
+    }
+
+    fn blocking(taxels: &[usize]) -> BaseGuard<11> {
+        BaseGuard { blocked: core::array::from_fn(|i| taxels.contains(&i)), ..BaseGuard::NONE }
+    }
+
+    /// T1 of a cover that has no other: on the rounded corner, forward and left; inward is backwards and to the right.
+    const CORNER: TaxelPlacement =
+        TaxelPlacement { position_base_m: [0.4, 0.3], inward_angle_base_rad: -0.75 * core::f64::consts::PI };
+
+    fn on_a_corner() -> CoverOutline<11, f64> {
+        CoverOutline::new(&[CORNER]).unwrap()
+    }
+
+    const MOTIONS: [[f64; 3]; 5] =
+        [[0.3, -0.2, 0.0], [0.3, -0.2, 0.5], [-0.1, 0.4, 0.7], [-0.2, -0.1, -0.6], [0.0, 0.1, -0.2]];
+
+    fn velocity_of([x, y]: [f64; 2], [vx, vy, yaw]: [f64; 3]) -> [f64; 2] {
+        [vx - yaw * y, vy + yaw * x]
+    }
+
+    #[test]
+    fn fastest_point_is_a_corner() {
+        for motion in MOTIONS {
+            let speeds = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]].map(|[side, end]| {
+                let [x, y] = velocity_of([0.489 * side, 0.388 * end], motion);
+                x.hypot(y)
+            });
+            let fastest = speeds.into_iter().fold(0.0, f64::max);
+            assert!((outline().fastest(&motion) - fastest).abs() < 1e-12, "{motion:?}");
+        }
+    }
+
+    #[test]
+    fn outward_speed_and_braking_use_the_taxel_place() {
+        for placements in [&PAPER_COVER[..], &[CORNER]] {
+            let outline: CoverOutline<11, f64> = CoverOutline::new(placements).unwrap();
+            for (taxel, placement) in placements.iter().enumerate() {
+                let outward_of = |motion: [f64; 3]| {
+                    let [x, y] = velocity_of(placement.position_base_m, motion);
+                    let (sin, cos) = placement.inward_angle_base_rad.sin_cos();
+                    -(x * cos + y * sin)
+                };
+                for motion in MOTIONS {
+                    let outward = outline.outward(taxel, &motion);
+                    assert!((outward - outward_of(motion)).abs() < 1e-12, "T{} in {motion:?}", taxel + 1);
+                }
+                let axes = [2.0, 3.0, 5.0];
+                let most = (0..8_u32)
+                    .map(|signs| [0, 1, 2].map(|j| if signs >> j & 1 == 0 { axes[j] } else { -axes[j] }))
+                    .fold(0.0_f64, |most, change| most.max(outward_of(change)));
+                let deceleration = outline.deceleration(taxel, &axes);
+                assert!((deceleration - most).abs() < 1e-12, "T{}: {deceleration}", taxel + 1);
+            }
+        }
+    }
+
+    #[test]
+    fn outward_speed_row_is_exact_and_skips_bare_places() {
+        let outline = on_a_corner();
+        let motion = [0.3, -0.2, 0.5];
+        let outward = outline.outward(0, &motion);
+        let most = |of_taxel: f64| core::array::from_fn(|i| if i == 0 { of_taxel } else { -1.0 });
+        assert!(outline.keeps(&most(outward), &motion) && outline.keeps(&most(f64::INFINITY), &motion));
+        assert!(!outline.keeps(&most(outward - 1e-9), &motion));
+        assert!(!outline.keeps(&most(-0.1), &[0.0; 3]), "it has to give way");
+    }
+
+    /// T6 is in front; T2 and T3 are on the left, as far behind the middle as before it.
+    #[test]
+    fn nearest_motion_keeps_rows_and_gives_way() {
+        let nearest = |most: &[(usize, f64)], wanted: [f64; 3]| {
+            let mut outward_m_s = [f64::INFINITY; 11];
+            most.iter().for_each(|(taxel, speed)| outward_m_s[*taxel] = *speed);
+            outline().nearest(&outward_m_s, &wanted, &[-1.0; 3], &[1.0; 3])
+        };
+        // a soft bound gives by a ten-thousandth of what it takes away
+        let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4);
+        for (most, wanted, expected) in [
+            (&[][..], [0.3, 0.2, 0.4], [0.3, 0.2, 0.4]),
+            (&[(5, 0.1)], [0.3, 0.2, 0.4], [0.1, 0.2, 0.4]),
+            (&[(5, 0.1), (1, 0.05), (2, 0.05)], [0.3, 0.2, 0.0], [0.1, 0.05, 0.0]),
+            (&[(5, -0.1)], [0.0, 0.2, 0.0], [-0.1, 0.2, 0.0]),
+            // more than nearly always are limited, and only the last of them acts
+            (&[(1, 0.9), (2, 0.9), (3, 0.9), (5, 0.1)], [0.3, 0.2, 0.0], [0.1, 0.2, 0.0]),
+        ] {
+            let kept = nearest(most, wanted);
+            assert!(near(kept, expected), "{most:?}: {kept:?}");
+        }
+    }
+
+    #[test]
+    fn the_fastest_point_of_a_turning_base_is_a_corner() {
+        let corner = 0.489_f64.hypot(0.388);
+        assert!((outline().fastest(&[0.0, 0.0, -1.0]) - corner).abs() < 1e-12);
+        assert!((outline().fastest(&[0.3, -0.4, 0.0]) - 0.5).abs() < 1e-12);
+        assert!((outline().fastest(&[0.1, 0.0, 1.0]) - (0.1 + 0.388_f64).hypot(0.489)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_speed_limit_slows_a_motion_down_as_one() {
+        let guard = BaseGuard { speed_m_s: Some(0.05), ..BaseGuard::NONE };
+        let slowed = outline().guarded(&guard, &[0.3, -0.1, 0.4]);
+        assert!((outline().fastest(&slowed) - 0.05).abs() < 1e-12);
+        assert!(
+            (slowed[1] / slowed[0] + 1.0 / 3.0).abs() < 1e-12
+                && (slowed[2] / slowed[0] - 4.0 / 3.0).abs() < 1e-12
+        );
+    }
+
+    /// T6 is in front (inward is −x), T3 on the left and forward of the middle (inward is −y).
+    #[test]
+    fn a_blocked_taxel_stops_its_own_direction_only() {
+        let outline = outline();
+        let [vx, vy, yaw] = outline.guarded(&blocking(&[5]), &[0.2, 0.1, 0.3]);
+        assert!(vx.abs() < 1e-12 && (vy - 0.1).abs() < 1e-12 && (yaw - 0.3).abs() < 1e-12);
+        assert_eq!(outline.guarded(&blocking(&[5]), &[-0.2, 0.1, 0.0]), [-0.2, 0.1, 0.0]);
+        // to the left is into the hand at T3, and so is turning left
+        let [vx, vy, yaw] = outline.guarded(&blocking(&[2]), &[0.2, 0.1, 0.3]);
+        assert!((vx - 0.2).abs() < 1e-12 && vy.abs() < 1e-12 && yaw == 0.0);
+        let [.., yaw] = outline.guarded(&blocking(&[2]), &[0.0, 0.0, -0.3]);
+        assert_eq!(yaw, -0.3);
+        // in the middle of the front a turn goes past the hand, either way
+        assert_eq!(outline.guarded(&blocking(&[5]), &[0.0, 0.0, -0.3]), [0.0, 0.0, -0.3]);
+        // forward is into the hand; to the right, however slowly, is not
+        let [vx, vy, _] = outline.guarded(&blocking(&[5]), &[0.2, -0.1, 0.0]);
+        assert!(vx.abs() < 1e-12 && (vy + 0.1).abs() < 1e-12, "{vx} {vy}");
+    }
+
+    #[test]
+    fn rest_and_exact_limit_are_permitted() {
+        let outline = outline();
+        let hands: [usize; 11] = core::array::from_fn(|i| i);
+        for zero in [0.0, -0.0] {
+            assert!(outline.permits(&blocking(&hands), &[zero; 3]));
+        }
+        let limited = BaseGuard { speed_m_s: Some(0.05), ..BaseGuard::NONE };
+        assert!(outline.permits(&limited, &[0.05, 0.0, 0.0]));
+        assert!(!outline.permits(&limited, &[0.05 + 1e-9, 0.0, 0.0]));
+        // forward and to the left only
+        let ahead = BaseGuard { bounds_body: Some([[0.0; 3], [0.2; 3]]), ..BaseGuard::NONE };
+        assert!(ahead.check(11).is_ok() && outline.permits(&ahead, &[0.2, 0.0, 0.2]));
+        assert!(!outline.permits(&ahead, &[0.2, 0.0, 0.2 + 1e-8]));
+        let behind = BaseGuard { bounds_body: Some([[-0.2; 3], [0.0; 3]]), ..BaseGuard::NONE };
+        assert!(behind.check(11).is_ok() && outline.permits(&behind, &[-0.2, 0.0, -0.2]));
+    }
+
+    /// A hand on the corner allows to the right as much as forward; a bound takes some of the way to the right.
+    #[test]
+    fn a_translation_ends_where_a_bound_would_turn_it_into_the_hand() {
+        let outline = on_a_corner();
+        let kept = |least: [f64; 3], most: [f64; 3], wanted: [f64; 3]| {
+            outline.guarded(&BaseGuard { bounds_body: Some([least, most]), ..blocking(&[0]) }, &wanted)
+        };
+        assert_eq!(kept([-9.0, -0.1, -9.0], [9.0; 3], [0.2, -0.3, 0.0]), [0.0; 3]);
+        assert_eq!(kept([-9.0; 3], [0.1, 9.0, 9.0], [0.2, -0.3, 0.0]), [0.1, -0.3, 0.0]);
+    }
+
+    #[test]
+    fn hands_on_both_sides_leave_the_way_between_them() {
+        let [vx, vy, _] = outline().guarded(&blocking(&[1, 8]), &[0.1, 0.2, 0.0]);
+        assert!((vx - 0.1).abs() < 1e-12 && vy.abs() < 1e-12);
+        let still = outline().guarded(&blocking(&[1, 8, 5]), &[0.1, 0.2, 0.0]);
+        assert!(still.iter().all(|v| v.abs() < 1e-9), "{still:?}");
+    }
+
+    #[test]
+    fn the_way_out_is_away_from_all_of_them() {
+        let touched = |taxels: &[usize]| blocking(taxels).blocked;
+        let [vx, vy, yaw] = outline().away_from(&touched(&[2, 5]), 0.05);
+        assert!((vx + vy + 0.05 * 2.0_f64.sqrt()).abs() < 1e-12 && (vx - vy).abs() < 1e-12 && yaw == 0.0);
+        assert_eq!(outline().away_from(&touched(&[1, 8]), 0.05), [0.0; 3], "between two hands there is none");
+        assert_eq!(outline().away_from(&[false; 11], 0.05), [0.0; 3]);
+    }
+
+    #[test]
+    fn what_is_bounded_along_an_axis_goes_on_along_the_others() {
+        let outline = outline();
+        let bounded = |blocked: &[usize], wanted: [f64; 3]| {
+            let bounds_body = Some([[-0.02, -9.0, -9.0], [9.0; 3]]);
+            let guard = BaseGuard { bounds_body, ..blocking(blocked) };
+            assert!(guard.check(11).is_ok());
+            let kept = outline.guarded(&guard, &wanted);
+            assert!(outline.permits(&guard, &kept), "{kept:?}");
+            assert_eq!(outline.permits(&guard, &wanted), kept == wanted, "{wanted:?}");
+            kept
+        };
+        assert_eq!(bounded(&[], [-0.1, 0.2, 0.3]), [-0.02, 0.2, 0.3]);
+        assert_eq!(bounded(&[], [0.1, 0.2, 0.3]), [0.1, 0.2, 0.3]);
+        // a hand at T3 as well: neither backwards nor to the left
+        assert_eq!(bounded(&[2], [-0.1, 0.2, -0.3]), [-0.02, 0.0, -0.3]);
+        for bounds in [[[0.1; 3], [0.2; 3]], [[-0.2; 3], [-0.1; 3]], [[f64::NAN; 3], [0.1; 3]]] {
+            assert!(BaseGuard { bounds_body: Some(bounds), ..BaseGuard::<11>::NONE }.check(11).is_err());
+        }
+    }
+
+    #[test]
+    fn numbers_that_are_none_are_refused() {
+        for bad in [f64::NAN, f64::INFINITY, -1.0] {
+            assert!(BaseGuard { speed_m_s: Some(bad), ..BaseGuard::<11>::NONE }.check(11).is_err());
+        }
+        let guard = BaseGuard { instead_body: Some([0.0, f64::NAN, 0.0]), ..BaseGuard::<11>::NONE };
+        assert!(guard.check(11).is_err());
+        assert!(BaseGuard::<11>::NONE.check(11).is_ok());
+        let outward = |most| BaseGuard { outward_m_s: Some([0.1, most]), ..BaseGuard::<2>::NONE }.check(2);
+        assert!(outward(f64::INFINITY).is_ok() && outward(-0.3).is_ok());
+        assert!(outward(f64::NAN).is_err() && outward(f64::NEG_INFINITY).is_err());
+    }
+}

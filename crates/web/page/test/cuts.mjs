@@ -1,0 +1,113 @@
+// The link is cut while somebody holds the robot: how long until it stops? Packets are dropped by routes between two network
+// namespaces; without the right to make them those rows are left out, and say so.
+import { execFileSync } from "node:child_process";
+import { Browser, Robot, check, finish, now, quantiles, sleep } from "./robot.mjs";
+
+const N = Number(process.env.N ?? 5);
+const LIMIT_MS = 600;
+const [ROBOT, TABLET] = [`mr${process.pid}`, `mt${process.pid}`];
+const ip = (...words) => execFileSync("ip", words, { stdio: ["ignore", "pipe", "pipe"] });
+const inRobot = ["ip", "netns", "exec", ROBOT];
+const inTablet = ["ip", "netns", "exec", TABLET];
+const wanted = process.argv[2]?.split(",");
+
+function namespaces() {
+  try {
+    for (const name of [ROBOT, TABLET]) ip("netns", "add", name);
+    ip("link", "add", "robot", "netns", ROBOT, "type", "veth", "peer", "name", "tablet", "netns", TABLET);
+    ip("-n", ROBOT, "addr", "add", "192.0.2.1/24", "dev", "robot");
+    ip("-n", TABLET, "addr", "add", "192.0.2.2/24", "dev", "tablet");
+    for (const [name, link] of [[ROBOT, "robot"], [TABLET, "tablet"], [ROBOT, "lo"], [TABLET, "lo"]]) ip("-n", name, "link", "set", link, "up");
+    return true;
+  } catch (error) {
+    console.log(`no network namespaces here: ${error.message.split("\n")[0]}`);
+    return false;
+  }
+}
+const block = (namespace, address) => ip("-n", namespace, "route", "add", "blackhole", `${address}/32`);
+const unblock = (namespace, address) => ip("-n", namespace, "route", "del", "blackhole", `${address}/32`);
+
+/** Each cuts the link and returns how to mend it; `cut` is called at once before. */
+const local = {
+  "browser SIGSTOP": async ({ browser, cut }) => { cut(); browser.signal("SIGSTOP"); return () => browser.signal("SIGCONT"); },
+  "browser killed": async ({ browser, cut }) => { cut(); browser.signal("SIGKILL"); return "new browser"; },
+  "page hangs": async ({ browser, cut }) => {
+    cut();
+    browser.page.evaluate(() => { const end = Date.now() + 2500; while (Date.now() < end); }).catch(() => {});
+    return () => sleep(2600);
+  },
+  "tab hidden": async ({ browser, cut }) => {
+    const other = await browser.context.newPage();
+    cut();
+    await other.bringToFront();
+    return async () => { await other.close(); await browser.page.bringToFront(); };
+  },
+  "gateway killed": async ({ robot, cut }) => {
+    cut();
+    robot.gateway.kill("SIGKILL");
+    return async () => { await sleep(300); await robot.serve(); await sleep(1500); };
+  },
+  "gateway SIGSTOP": async ({ robot, cut }) => {
+    cut();
+    robot.gateway.kill("SIGSTOP");
+    return async () => { robot.gateway.kill("SIGCONT"); await sleep(1000); };
+  },
+};
+const radio = {
+  "packets dropped both ways": async ({ cut }) => {
+    cut();
+    block(ROBOT, "192.0.2.2"); block(TABLET, "192.0.2.1");
+    return () => { unblock(ROBOT, "192.0.2.2"); unblock(TABLET, "192.0.2.1"); };
+  },
+  "tablet to robot dropped": async ({ cut }) => { cut(); block(TABLET, "192.0.2.1"); return () => unblock(TABLET, "192.0.2.1"); },
+  "robot to tablet dropped": async ({ cut }) => { cut(); block(ROBOT, "192.0.2.2"); return () => unblock(ROBOT, "192.0.2.2"); },
+  "interface down": async ({ cut }) => {
+    cut();
+    ip("-n", TABLET, "link", "set", "tablet", "down");
+    return () => ip("-n", TABLET, "link", "set", "tablet", "up");
+  },
+};
+
+async function campaign(ways, place, within) {
+  let robot = null, browser = null;
+  const open = async () => {
+    browser = await Browser.start(robot, { within });
+    await browser.pair("operator", `Cut ${now().toFixed(0)}`);
+  };
+  for (const [name, way] of Object.entries(ways).filter(([name]) => !wanted || wanted.includes(name))) {
+    robot ??= await Robot.start(place);
+    const times = [];
+    const causes = new Set();
+    for (let i = 0; i < N; i++) {
+      if (!browser) await open();
+      await browser.run();
+      let begun = 0;
+      const mend = await way({ robot, browser, cut: () => (begun = now()) });
+      const line = await robot.mode("protective stop", begun, 8000).catch(() => null);
+      times.push(line ? line.unix_ms - begun : Infinity);
+      causes.add(line?.outcome ?? "none");
+      if (mend === "new browser") { await browser.end(); browser = null; continue; }
+      await mend();
+      await sleep(300);
+      // Signs of life that were held back meanwhile have come by now: none of them revives the robot.
+      check(robot.present() !== "impedance", `${name}: ${robot.present()} after the link is back`);
+      await browser.page.mouse.up().catch(() => {});
+      await browser.drawn();
+    }
+    const { n, p50, max } = quantiles(times);
+    check(max <= LIMIT_MS, `${name.padEnd(26)} | ${n} | ${p50.toFixed(0)} | ${max.toFixed(0)} | ${[...causes].join("; ")}`);
+  }
+  await browser?.end();
+  robot?.end();
+}
+
+console.log("cut | n | ms until the stop: p50 | max | cause");
+await campaign(local, {}, []);
+if (namespaces()) {
+  try {
+    await campaign(radio, { host: "192.0.2.1", listen: "192.0.2.1", within: inRobot }, inTablet);
+  } finally {
+    for (const name of [ROBOT, TABLET]) ip("netns", "del", name);
+  }
+}
+finish();

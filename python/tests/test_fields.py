@@ -1,0 +1,20 @@
+"""The stub lists the fields of a state that the table of a sample gives. MOCA_BLESS=1 writes it again."""
+
+import os
+import pathlib
+
+from moca import _moca
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+
+
+def test_stub_has_fields_of_sample_table():
+    lines = [f"    {name}: {'float' if single else 'NDArray[np.float64]'}\n" for name, single in _moca.State.fields()]
+    stub = ROOT / "python" / "moca" / "__init__.pyi"
+    text = stub.read_text()
+    before, _, rest = text.partition("class State:\n")
+    after = rest[rest.index("    @property") :]
+    wanted = f"{before}class State:\n{''.join(lines)}{after}"
+    if os.environ.get("MOCA_BLESS"):
+        stub.write_text(wanted)
+    assert text == wanted, "MOCA_BLESS=1 python -m pytest python/tests/test_fields.py"
