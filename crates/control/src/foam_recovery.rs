@@ -3,7 +3,7 @@
 //! A foam that was pressed for long stays compressed for seconds after the hand has gone. Its taxel then reads an eighth
 //! of the force that has left, and would go on moving the base. Of each taxel the law therefore remembers what may be left:
 //!
-//! ṁ = (ρ·f − m)/T,   T = [`FILLS_S`] where m rises, [`EMPTIES_S`] where it falls,
+//! ṁ = (ρ·f − m)/T,   T = 2 s where m rises, 30 s where it falls, ρ = 0.2,
 //!
 //! and gives way to f from 2·m on, to nothing below m, and to 2·(f − m) in between, which is continuous. A hand that holds is far
 //! above: f is 1/ρ times m. A hand that comes within seconds of another one's lean moves the base later, at m. Only the law

@@ -70,28 +70,6 @@ pub struct Motion {
     protected: Protected,
     real: bool,
     deadlines: SourceAge,
-    /// Work of the programme that keeps all limits together, if it runs.
-    by_qp: Option<QpTally>,
-}
-
-/// Work of [`Motion::keep_limits_by_qp`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct QpTally {
-    /// Steps with a quadratic programme.
-    pub steps: u64,
-    /// Most rows that one step took up or dropped.
-    pub most_iterations: usize,
-    /// Steps that fell back on keeping the limits one after the other.
-    pub fell_back: u64,
-}
-
-#[cfg(feature = "qp")]
-impl QpTally {
-    fn count(&mut self, used: &moca_wbc::QpUse) {
-        self.steps += u64::from(used.programmes > 0);
-        self.most_iterations = self.most_iterations.max(used.iterations);
-        self.fell_back += u64::from(used.fell_back);
-    }
 }
 
 impl Motion {
@@ -132,20 +110,7 @@ impl Motion {
             protected,
             real,
             deadlines,
-            by_qp: None,
         })
-    }
-
-    /// Lets a whole robot keep all its limits together ([`WholeBodyController::step_by_qp`]) from the next step on. For
-    /// experiments: no configuration asks for it, and no replay knows of it.
-    #[cfg(feature = "qp")]
-    pub fn keep_limits_by_qp(&mut self) {
-        self.by_qp = Some(QpTally::default());
-    }
-
-    /// Returns that work; `None` where the limits are kept one after the other.
-    pub const fn by_qp(&self) -> Option<QpTally> {
-        self.by_qp
     }
 
     /// Returns true for a real robot, whose arm holds itself on its own controller while it gets no torques.
@@ -421,8 +386,7 @@ impl Motion {
             taxel_force_n = &felt_n;
         }
         let input = LawInput { law, taxel_force_n, guard, dt_s };
-        let by_qp = self.by_qp.as_mut();
-        either!(&mut self.controller, controller => controller.step(robot, &input, by_qp))
+        either!(&mut self.controller, controller => controller.step(robot, &input))
     }
 
     /// Takes in what came of [`Motion::command`].
@@ -604,7 +568,6 @@ impl<const N: usize> Controller<N> {
         &mut self,
         robot: &RobotState<JOINTS>,
         input: &LawInput<'_>,
-        by_qp: Option<&mut QpTally>,
     ) -> Result<ControlOutput<JOINTS>, Fault> {
         let &LawInput { law, taxel_force_n, guard, dt_s } = input;
         match self {
@@ -617,17 +580,7 @@ impl<const N: usize> Controller<N> {
                     dt_s,
                 };
                 let state = entered(state, || controller.enter(law, &input.robot))?;
-                let output = match by_qp {
-                    #[cfg(feature = "qp")]
-                    Some(tally) => {
-                        let mut used = moca_wbc::QpUse::default();
-                        let output = controller.step_by_qp(law, state, &input, &mut used);
-                        tally.count(&used);
-                        output
-                    }
-                    _ => controller.step(law, state, &input),
-                };
-                match &output {
+                match &controller.step(law, state, &input) {
                     Ok(output) => Ok(ControlOutput {
                         command: output.command.resized(),
                         cover_wrench_base: output.cover_wrench_base,

@@ -1,7 +1,7 @@
 //! The loop: one tick of the robot, from state and bytes to a command.
 
 use crate::cover::{CoverSource, CoverState};
-use crate::law::{self, Motion, QpTally};
+use crate::law::{self, Motion};
 use crate::loop_state::{LoopState, OtherRobot};
 use crate::plant::{Plant, SourceAge};
 use crate::robot::JOINTS;
@@ -122,17 +122,6 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// A value that is not finite.
     pub fn set_target_twist(&mut self, twist: [f64; 6]) -> Result<(), ControlError> {
         self.motion.set_target_twist(twist)
-    }
-
-    /// See [`Motion::keep_limits_by_qp`].
-    #[cfg(feature = "qp")]
-    pub fn keep_limits_by_qp(&mut self) {
-        self.motion.keep_limits_by_qp();
-    }
-
-    /// See [`Motion::by_qp`].
-    pub const fn by_qp(&self) -> Option<QpTally> {
-        self.motion.by_qp()
     }
 
     /// The last order of a run: nobody commands the robot from here on.

@@ -161,7 +161,7 @@ struct Readme;
 
 pub use controller::{
     ArmController, ArmInput, ArmOutput, ArmState, BaseController, BaseInput, BaseOutput, BaseState,
-    ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose, QpUse, Target, WholeBodyController,
+    ControlInput, ControlLaw, ControlOutput, ControllerState, FlangePose, Target, WholeBodyController,
 };
 pub use cover_map::cover_wrench;
 pub use error::ControlError;

@@ -335,17 +335,6 @@ impl<const N: usize, T: Scalar> BlockWeighted<'_, N, T> {
         core::array::from_fn(|i| null_arm[i] + self.weight.arm * arm[i])
     }
 
-    /// x of which ‖x‖² is νᵀ(A_B + ρ A_A)⁻¹ν for an acceleration ν of the tool.
-    pub(crate) fn whitened(&self, acceleration: &[T; 6]) -> [T; 6] {
-        let (lower, inverse) = (self.factor.solve_lower(acceleration), self.factor.inverse_diagonal());
-        core::array::from_fn(|i| lower[i] * inverse[i].sqrt())
-    }
-
-    /// W of eq. (6) as it weighs accelerations of the base (its diagonal), and its share of M_A⁻¹ for torques of the arm.
-    pub(crate) fn metric(&self) -> ([T; 3], T) {
-        (self.task.virtual_mass.map(|mass| mass / self.weight.base), T::one() / self.weight.arm)
-    }
-
     /// S = M_v − J_Bᵀ(A_B + ρ A_A)⁻¹J_B, symmetric: S·M_v⁻¹·f is what the null space leaves of a force f on the base.
     pub fn free_base_mass(&self) -> SMatrix<T, 3, 3> {
         let inverse = self.factor.inverse_diagonal();

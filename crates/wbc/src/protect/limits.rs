@@ -109,13 +109,6 @@ impl<const N: usize, T: Scalar> TorqueLimits<N, T> {
     fn change(&self, dt_s: T) -> T {
         self.torque_rate * dt_s.min(self.period_s)
     }
-
-    /// Least and largest torque of joint `i` that [`Self::limited`] lets pass in one step from `last`.
-    pub(crate) fn reachable(&self, i: usize, last: T, dt_s: T) -> [T; 2] {
-        let (most, change) = (self.torque[i], self.change(dt_s));
-        let last = last.clamp(-most, most);
-        [(-most).max(last - change), most.min(last + change)]
-    }
 }
 
 /// Limits of the base and of what its cover is believed, in the scalar of the computation, units as in [`Limits`].

@@ -13,7 +13,7 @@ use moca_wbc::linalg::{Cholesky, times, transpose_times};
 use moca_wbc::model::ArmModel;
 use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
 use moca_wbc::{BaseGuard, ControlInput, ControlLaw, ControlOutput, ControllerState, WholeBodyController};
-use moca_wbc::{Parameters, Payload, QpUse, RobotState};
+use moca_wbc::{Parameters, Payload, RobotState};
 
 pub const DT_S: f64 = 1e-3;
 const SENSOR_PERIOD_S: f64 = 0.01;
@@ -58,8 +58,6 @@ pub struct Loop {
     pub estimates: bool,
     /// True if a command acts one step after the measurement that it answers.
     pub late: bool,
-    /// Use of the programme in the last step, where all limits are kept together.
-    pub by_qp: Option<QpUse>,
     last: Option<ControlOutput<7>>,
     model: ArmModel<7, f64>,
     held: [f64; 11],
@@ -79,7 +77,6 @@ impl Loop {
             guard: BaseGuard::NONE,
             estimates: true,
             late: false,
-            by_qp: None,
             last: None,
             state: controller.enter(law, &robot).unwrap(),
             controller,
@@ -108,11 +105,7 @@ impl Loop {
             ..self.robot
         };
         let input = ControlInput { guard: self.guard, ..ControlInput::new(robot, self.held, self.dt_s) };
-        let output = match &mut self.by_qp {
-            None => self.controller.step(self.law, &mut self.state, &input),
-            Some(used) => self.controller.step_by_qp(self.law, &mut self.state, &input, used),
-        }
-        .unwrap();
+        let output = self.controller.step(self.law, &mut self.state, &input).unwrap();
         if output.exceeded.is_some() {
             self.law = ControlLaw::Hold;
         }

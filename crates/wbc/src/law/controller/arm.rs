@@ -388,17 +388,6 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         }
         state.send(torque, tick.dt_s)
     }
-
-    /// `total`, which keeps the limits of torque and its rate but for rounding, and the state that goes with it.
-    pub(super) fn sent(
-        &self,
-        total: &[T; N],
-        state: &mut ArmState<N, T>,
-        dt_s: T,
-    ) -> Result<[T; N], ControlError> {
-        let torque = self.limits.limited(total, &state.torque_nm, dt_s, &mut LimitsHit::default());
-        state.send(torque, dt_s)
-    }
 }
 
 impl<const N: usize, T: Scalar> ArmState<N, T> {

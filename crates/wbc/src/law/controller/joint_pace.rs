@@ -32,7 +32,6 @@ use crate::limits::{JointRepulsion, JointSpeeds};
 use crate::linalg::Cholesky;
 use crate::opspace::ArmDynamics;
 use crate::scalar::{Scalar, of};
-use moca_msgs::RobotState;
 
 /// Share of their largest speeds at which joints are led.
 pub(super) const LED_SHARE: f64 = 0.3;
@@ -96,24 +95,6 @@ pub(super) fn braking_torque<const N: usize, T: Scalar>(
         }
     }
     braking
-}
-
-/// Least and largest acceleration of joint `i` that keep it to what it is held to, rad/s²: the demand of the barrier above in
-/// both directions, and from beyond its end a joint comes back.
-pub(super) fn acceleration_bounds<const N: usize, T: Scalar>(
-    robot: &RobotState<N, T>,
-    JointLimits { speeds, repulsion }: JointLimits<'_, N, T>,
-    i: usize,
-) -> [T; 2] {
-    let (kappa, dq) = (of::<T>(APPROACH_PER_S), robot.dq_rad_s[i]);
-    let q = robot.q_rad[i] + dq / kappa;
-    let most = |direction: T| {
-        let way = repulsion.way(i, q, direction) - of(STANDS_BEFORE_RAD);
-        let held = (of::<T>(HELD_SHARE) * speeds.largest(i, q, direction)).min(of::<T>(WAY_PER_S) * way);
-        kappa * (held - dq * direction)
-    };
-    let highest = most(T::one());
-    [(-most(-T::one())).min(highest), highest]
 }
 
 /// The joint rates that the law gives an arm whose tool it moves: q̇ = M⁻¹Jᵀ(J·M⁻¹Jᵀ)⁻¹·ν, on a standing base.

@@ -31,7 +31,6 @@ mod lead;
 mod led;
 mod tick;
 mod whole_body;
-mod whole_body_qp;
 
 pub use arm::{ArmController, ArmInput, ArmOutput};
 pub use arm_state::ArmState;
@@ -39,7 +38,6 @@ pub use base::{BaseController, BaseInput, BaseOutput, BaseState};
 pub use law::ControlLaw;
 pub use lead::Target;
 pub use whole_body::{ControlInput, ControlOutput, ControllerState, WholeBodyController};
-pub use whole_body_qp::QpUse;
 
 use crate::reference::Pose;
 use crate::rotation;

@@ -3,7 +3,7 @@
 use super::arm::ArmController;
 use super::arm_state::ArmState;
 use super::base::{BaseController, BaseState};
-use super::followed::followed;
+use super::followed::Follower;
 use super::law::ControlLaw;
 use super::lead::Target;
 use super::tick::{ArmTick, Tracking};
@@ -111,7 +111,7 @@ pub struct WholeBodyController<const N: usize, const K: usize, T = f64> {
 }
 
 /// Outputs of a law before any limit.
-pub(super) struct Wanted<const N: usize, T> {
+struct Wanted<const N: usize, T> {
     pub(super) torque: [T; N],
     /// World axes.
     pub(super) base_velocity: [T; 3],
@@ -123,7 +123,7 @@ pub(super) struct Wanted<const N: usize, T> {
 }
 
 /// One step's quantities of base and arm.
-pub(super) struct Step<'a, const N: usize, T> {
+struct Step<'a, const N: usize, T> {
     pub(super) tick: &'a ArmTick<'a, N, T>,
     cover_world: [T; 3],
     flange_wrench: [T; 6],
@@ -206,26 +206,6 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         state: &mut ControllerState<N, T>,
         input: &ControlInput<N, K, T>,
     ) -> Result<ControlOutput<N, T>, ControlError> {
-        self.stepped(law, state, input, |step, arm, next, wanted, hit| {
-            self.limited(step, arm, next, &input.guard, wanted, hit)
-        })
-    }
-
-    /// One control step; `within` makes what the law wants a command inside every limit.
-    #[inline]
-    pub(super) fn stepped(
-        &self,
-        law: ControlLaw,
-        state: &mut ControllerState<N, T>,
-        input: &ControlInput<N, K, T>,
-        within: impl FnOnce(
-            &Step<'_, N, T>,
-            Option<&ArmDynamics<'_, N, T>>,
-            &mut ControllerState<N, T>,
-            &Wanted<N, T>,
-            &mut LimitsHit,
-        ) -> Result<RobotCommand<N, T>, ControlError>,
-    ) -> Result<ControlOutput<N, T>, ControlError> {
         check_step(input.dt_s)?;
         check_robot(&input.robot)?;
         self.base.check_cover(&input.taxel_force_n, &input.guard)?;
@@ -257,7 +237,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
                 Some(arm) if law == ControlLaw::Impedance => self.impedance(&step, arm, next, &mut hit)?,
                 Some(arm) => self.follow_me(&step, arm, next, &mut hit)?,
             };
-            let command = within(&step, arm, next, &wanted, &mut hit)?;
+            let command = self.limited(&step, arm, next, &input.guard, &wanted, &mut hit)?;
             Ok(ControlOutput {
                 command,
                 cover_wrench_base,
@@ -366,34 +346,25 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         Ok(Wanted { torque, base_velocity, counted_on: None, tracking: Some(tracking) })
     }
 
-    /// Part of the base velocity `wanted_world` that the arm can follow, axes of B, where the tool is to stand in the world;
-    /// `None` for all of it.
+    /// Bound of the base by what the arm can follow, where the tool is to stand in the world; `None` where it is free.
     #[inline]
-    pub(super) fn followed(
-        &self,
-        step: &Step<'_, N, T>,
-        arm: Option<&ArmDynamics<'_, N, T>>,
-        state: &ControllerState<N, T>,
-        wanted_world: &[T; 3],
-        hit: &mut LimitsHit,
-    ) -> Result<Option<[T; 3]>, ControlError> {
-        let tick = step.tick;
+    fn follower<'a>(
+        &'a self,
+        step: &'a Step<'a, N, T>,
+        arm: Option<&'a ArmDynamics<'a, N, T>>,
+        state: &'a ControllerState<N, T>,
+    ) -> Option<Follower<'a, N, T>> {
         // The law as published knows no such bound: experiments with it stay equal to the bit. A tool that is led goes along with
         // the base: where it leads, a base that stands back would stretch the arm.
         let corrected = self.corrections.null_space_damping || self.corrections.base_coupling;
         let stands = corrected && !state.arm.is_led() && state.law() == ControlLaw::Impedance;
-        let Some(arm) = arm.filter(|_| stands) else { return Ok(None) };
-        let joints = (self.arm.joint_limits(), &state.arm.posture_rad);
-        let followed = followed(tick, arm, joints, (wanted_world, &step.base_velocity))?;
-        if followed.is_some() {
-            (hit.guard, hit.arm_reach) = (true, true);
-        }
-        Ok(followed.map(|velocity| tick.kinematics.heading.to_base(velocity)))
+        let arm = arm.filter(|_| stands)?;
+        Some(Follower::new(step.tick, arm, self.arm.joint_limits(), &state.arm.posture_rad))
     }
 
     /// The command inside every limit, and the state that goes with it.
     #[inline]
-    pub(super) fn limited(
+    fn limited(
         &self,
         step: &Step<'_, N, T>,
         arm: Option<&ArmDynamics<'_, N, T>>,
@@ -413,13 +384,21 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         };
         let wanted_body = heading.to_base(wanted.base_velocity);
         let before_body = &state.base.velocity_body;
-        let followed_body =
-            self.followed(step, arm, state, &wanted.base_velocity, hit)?.unwrap_or(wanted_body);
+        let follower = self.follower(step, arm, state);
+        let followed = |velocity_world: &[T; 3], hit: &mut LimitsHit| -> Result<_, ControlError> {
+            let Some(follower) = &follower else { return Ok(None) };
+            let followed = follower.followed(velocity_world, &step.base_velocity)?;
+            if followed.is_some() {
+                (hit.guard, hit.arm_reach) = (true, true);
+            }
+            Ok(followed.map(|velocity| heading.to_base(velocity)))
+        };
+        let followed_body = followed(&wanted.base_velocity, hit)?.unwrap_or(wanted_body);
         let mut base_velocity_body = self.base.limited(guard, &followed_body, before_body, tick.dt_s, hit);
         if base_velocity_body != followed_body {
             // a guard may leave a turn alone whose translation would have spared the arm
             let left_world = heading.to_world(base_velocity_body);
-            if let Some(shorter) = self.followed(step, arm, state, &left_world, hit)? {
+            if let Some(shorter) = followed(&left_world, hit)? {
                 base_velocity_body = self.base.limited(guard, &shorter, before_body, tick.dt_s, hit);
             }
         }
@@ -451,7 +430,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
 impl<const N: usize, T: Scalar> ControllerState<N, T> {
     /// Remembers where a guard refused the base its way.
     #[inline]
-    pub(super) fn hold_back(
+    fn hold_back(
         &mut self,
         step: &Step<'_, N, T>,
         wanted: &Wanted<N, T>,
