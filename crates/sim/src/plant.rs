@@ -330,6 +330,19 @@ impl SimPlant {
         (self.mechanics.mass_matrix(), side)
     }
 
+    /// Momentum of base and arm along x and y of W, and about the vertical through the base's origin, as of the start of the last
+    /// physics step: kg·m/s, kg·m/s, kg·m²/s. Zero without a base.
+    pub fn momentum_world(&mut self) -> [f64; 3] {
+        let Some(base) = self.base_dof else { return [0.0; 3] };
+        let rates = self.mechanics.rates().to_vec();
+        let robot = self.arm_dof.map_or(base + 3, |arm| arm + self.scene.arm.joints);
+        let (matrix, side) = self.full_mass_matrix();
+        std::array::from_fn(|i| {
+            let row = &matrix[(base + i) * side..][..robot];
+            row.iter().zip(&rates).map(|(m, rate)| m * rate).sum()
+        })
+    }
+
     /// Coriolis, centrifugal and gravity terms, same order.
     pub fn bias(&self) -> &[f64] {
         self.mechanics.bias()

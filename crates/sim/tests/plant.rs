@@ -177,6 +177,31 @@ fn a_scene_with_a_bad_number_names_it() {
     assert_eq!(error.to_string(), "scene: taxel.distance_outward = -0.489 m is outside 0.03 to 15 m");
 }
 
+/// Nothing but its servo pushes the base: it gives way by the change of the robot's momentum over the servo's damping.
+#[test]
+fn base_gives_way_to_momentum_of_its_arm() {
+    let mut plant = SimPlant::new(&paper_scene()).unwrap();
+    let (mut before, mut largest) = (plant.momentum_world(), [0.0_f64; 3]);
+    assert!(before == STILL, "nothing moves: {before:?}");
+    for tick in 0..300 {
+        let mut arm_torque_nm = hold(&plant);
+        arm_torque_nm[0] += 30.0 * (f64::from(tick) * 0.05).sin();
+        arm_torque_nm[1] += 30.0 * (f64::from(tick) * 0.05).cos();
+        let command = RobotCommand { base_velocity_body: STILL, arm_torque_nm, arm_gravity_nm: [0.0; 7] };
+        plant.apply(&Actuation::Drive(command)).unwrap();
+        plant.step().unwrap();
+        let (now, velocity) = (plant.momentum_world(), plant.state().base_velocity_world);
+        for i in 0..3 {
+            let given = (before[i] - now[i]) / 1e-3 / moca_sim::SERVO_DAMPING[i];
+            largest[i] = largest[i].max(given.abs());
+            let off = (velocity[i] - given).abs();
+            assert!(tick < 10 || off < 0.05 * largest[i], "axis {i}, tick {tick}: {velocity:?}, {given}");
+        }
+        before = now;
+    }
+    assert!(largest.iter().all(|given| *given > 1e-4), "the arm was swung: {largest:?}");
+}
+
 #[test]
 fn flange_wrench_is_reported_only_with_sensor() {
     let mut plant = SimPlant::new(&Scene { flange_sensor: true, ..paper_scene() }).unwrap();

@@ -1,6 +1,6 @@
 //! Invariants that every tick must keep, whatever somebody does to the robot.
 
-use super::cover_speed::CoverSpeed;
+use super::cover_speed::{CoverSpeed, Pushes};
 use crate::rig::JOINTS;
 use anyhow::{Context, Result};
 use moca_control::config::Config;
@@ -19,6 +19,8 @@ pub(super) const STOP_TICKS: u64 = 50;
 /// The base rests so long after the last touch or target at the latest, ticks, at no more than this speed, m/s.
 const REST_TICKS: u64 = 2000;
 const REST_M_S: f64 = 0.005;
+/// Share of the limit by which the robot's own inertia is found too small: its mass matrix is a physics step old.
+pub(super) const INERTIA_ROUNDED: f64 = 1e-4;
 /// A reading of less is no touch any more, N.
 const TOUCH_N: f64 = 0.1;
 
@@ -107,11 +109,17 @@ impl Watch {
         self.cover_speed.begin_again();
     }
 
-    /// Looks at one tick in which `request` was made and somebody `touches`: with `force_n`, T1 first.
-    pub(super) fn look(&mut self, sample: &Sample, request: Option<Request>, touches: bool, force_n: &[f64]) {
+    /// Looks at one tick in which `request` was made and somebody `touches`, and at all `pushes` of the period after it.
+    pub(super) fn look(
+        &mut self,
+        sample: &Sample,
+        request: Option<Request>,
+        touches: bool,
+        pushes: &Pushes<'_>,
+    ) {
         *self.findings.ticks_in_mode.entry(sample.mode.name()).or_default() += 1;
         let mut wrong = self.limits(sample);
-        wrong.extend(self.cover(sample, force_n));
+        wrong.extend(self.cover(sample, pushes));
         wrong.extend(self.changes(sample));
         wrong.extend(self.stop(sample, request));
         self.rest(sample, touches);
@@ -150,15 +158,14 @@ impl Watch {
     }
 
     /// Measured and commanded speed of the cover against the speed limit.
-    fn cover(&mut self, sample: &Sample, force_n: &[f64]) -> Vec<String> {
+    fn cover(&mut self, sample: &Sample, pushes: &Pushes<'_>) -> Vec<String> {
         let limit_m_s = sample.speed_limit.m_s;
         if !sample.mode.moves() || limit_m_s <= 0.0 {
             self.cover_speed.begin_again();
             return Vec::new();
         }
         let found = &mut self.findings;
-        let turning_nm = sample.arm_torque_nm.first().copied().unwrap_or(0.0);
-        let allowed = self.cover_speed.allowed_m_s(limit_m_s, force_n, turning_nm);
+        let allowed = self.cover_speed.allowed_m_s(limit_m_s, pushes);
         let commanded = self.cover_speed.commanded(&sample.base_velocity_command_body);
         let of_limit = sample.cover_speed_m_s / limit_m_s;
         found.largest_cover_speed_of_limit = found.largest_cover_speed_of_limit.max(of_limit);
@@ -167,7 +174,7 @@ impl Watch {
         found.largest_cover_command_used = found.largest_cover_command_used.max(commanded);
         let beyond = |share: f64| share.is_nan() || share > 1.0 + 1e-9;
         let mut wrong = Vec::new();
-        wrong.extend(beyond(used).then(|| format!("cover at {used:.4} of what its limit allows")));
+        wrong.extend(beyond(used - INERTIA_ROUNDED).then(|| format!("cover at {used:.4} of what its limit allows")));
         wrong.extend(beyond(commanded).then(|| format!("cover commanded to {commanded:.4} of its limit")));
         wrong
     }

@@ -189,6 +189,7 @@ fn table(rows: &[Row], found: &[Findings]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robustness::watch::INERTIA_ROUNDED;
 
     /// Short version of the campaign: a minute of robot time in all.
     #[test]
@@ -205,7 +206,7 @@ mod tests {
             assert!(found.violations.is_empty(), "{}: {:#?}", row.name(), found.violations);
             assert!(found.restless.is_empty(), "{}: {:#?}", row.name(), found.restless);
             // By the definition of the limit, and next to the limit itself.
-            assert!(found.largest_cover_speed_used < 1.0 + 1e-9, "{}: {found:?}", row.name());
+            assert!(found.largest_cover_speed_used < 1.0 + INERTIA_ROUNDED, "{}: {found:?}", row.name());
             assert!(found.largest_cover_speed_of_limit < 1.1, "{}: {found:?}", row.name());
             assert!(found.stops_asked > 0 && found.slowest_stop_ticks <= 1, "{}: {found:?}", row.name());
             let moved = found.largest_base_speed_m_s > 0.01;
@@ -225,7 +226,7 @@ mod tests {
         let mut largest: f64 = 0.0;
         for (row, found) in rows.iter().zip(outcomes(&rows).unwrap()) {
             assert!(found.violations.is_empty(), "{}: {:#?}", row.name(), found.violations);
-            assert!(found.largest_cover_speed_used < 1.0 + 1e-9, "{}: {found:?}", row.name());
+            assert!(found.largest_cover_speed_used < 1.0 + INERTIA_ROUNDED, "{}: {found:?}", row.name());
             assert!(found.largest_cover_command_used < 1.0 + 1e-9, "{}: {found:?}", row.name());
             largest = largest.max(found.largest_cover_command_used);
         }

@@ -1,6 +1,7 @@
 //! Attacks on a robot in lock-step.
 
 use super::{Kind, Row};
+use crate::robustness::cover_speed::{Inertia, Pushes};
 use crate::robustness::hands::{Hands, press};
 use crate::robustness::watch::{Findings, STOP_TICKS, Watch};
 use anyhow::Result;
@@ -11,8 +12,9 @@ use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_msgs::{Law, Mode, Request};
 use moca_sim::VirtualBoardConfig;
 
-/// Ticks of a second.
+/// Ticks of a second, and the length of one.
 const SECOND: u64 = 1000;
+const PERIOD_S: f64 = 1e-3;
 /// Power-up, tare and arming take less.
 const START_TICKS: u64 = 6 * SECOND;
 /// Ticks in which a lean reaches its force.
@@ -27,6 +29,7 @@ const CALM_EVERY: u64 = 120 * SECOND;
 struct World {
     world: LockStep<ByteCover, MemoryBoards>,
     watch: Watch,
+    inertia: Inertia,
     hands: Hands,
     law: Law,
     tick: u64,
@@ -44,7 +47,14 @@ impl World {
             VirtualBoardConfig { seed: row.seed, firmware: row.firmware, ..VirtualBoardConfig::default() };
         let world = LockStep::with_board(&config, &free_scene(&config), board, None)?.untimed();
         let hands = Hands::new(row.seed).with_programs(&config);
-        Ok(Self { world, watch: Watch::new(&config)?, hands, law: row.law, tick: 0 })
+        Ok(Self {
+            world,
+            watch: Watch::new(&config)?,
+            inertia: Inertia::default(),
+            hands,
+            law: row.law,
+            tick: 0,
+        })
     }
 
     /// One tick with this request and, without it, whatever the hands ask.
@@ -53,7 +63,10 @@ impl World {
         let request = request.or_else(by_hand);
         let (sample, _) = self.world.step(request);
         let touches = leaned || !self.hands.touches_nothing();
-        self.watch.look(&sample, request, touches, self.world.control.plant.world.taxel_force_mean_n());
+        let plant = &mut self.world.control.plant.world;
+        let inertia_world = self.inertia.after(plant, PERIOD_S);
+        let pushes = Pushes { taxel_force_n: plant.taxel_force_mean_n(), inertia_world };
+        self.watch.look(&sample, request, touches, &pushes);
         self.tick += 1;
     }
 

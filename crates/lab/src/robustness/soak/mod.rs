@@ -3,6 +3,7 @@
 
 mod onlookers;
 
+use crate::robustness::cover_speed::{Inertia, Pushes};
 use crate::robustness::hands::{BLOW_TICKS, BURST, Deeds, FORCES_N, Hands};
 use crate::robustness::watch::{Findings, Watch};
 use anyhow::{Context, Result, ensure};
@@ -99,6 +100,7 @@ fn soak(ticks: u64, segment_ticks: u64, seed: u64) -> Result<Report> {
     let started = Instant::now();
     let mut progress = Progress::new("soak");
     let mut watch = Watch::new(&config)?;
+    let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
     for (segment, begin) in (0..ticks).step_by(usize::try_from(segment_ticks)?).enumerate() {
         // Every firmware in its turn, each robot from its power-up.
         let firmware = Firmware::ALL[segment % Firmware::ALL.len()];
@@ -107,14 +109,17 @@ fn soak(ticks: u64, segment_ticks: u64, seed: u64) -> Result<Report> {
         let mut log = Some(LoggedMinute::start(seed, begin)?);
         hands.begin_again();
         watch.begin_again();
+        let mut inertia = Inertia::default();
         let length = segment_ticks.min(ticks - begin);
         for tick in 0..length {
             let request = hands.act(tick, &mut world, watch.last.as_ref());
             let (sample, outcome) = world.step(request);
             report.requests += u64::from(request.is_some());
             report.requests_refused += u64::from(matches!(outcome, Some(Err(_))));
-            let force_n = world.control.plant.world.taxel_force_mean_n();
-            watch.look(&sample, request, !hands.touches_nothing(), force_n);
+            let plant = &mut world.control.plant.world;
+            let inertia_world = inertia.after(plant, period_s);
+            let pushes = Pushes { taxel_force_n: plant.taxel_force_mean_n(), inertia_world };
+            watch.look(&sample, request, !hands.touches_nothing(), &pushes);
             onlookers.see(&sample);
             if std::mem::take(&mut hands.onlookers_change) {
                 onlookers.change(&mut hands.random)?;

@@ -1,7 +1,7 @@
 //! An arm: Cartesian impedance of its tool on the base it stands on.
 
 use super::arm_state::ArmState;
-use super::joint_pace::{JointLimits, LED_SHARE, braking_torque};
+use super::joint_pace::{HELD_SHARE, JointLimits, LED_SHARE, braking_torque};
 use super::law::ControlLaw;
 use super::tick::{ArmTick, Tracking, seen_from_base, tool_pose};
 use super::{CARRY_FADE_S, FlangePose, LONGEST_STEP_S, check};
@@ -18,9 +18,10 @@ use crate::scalar::{Scalar, of};
 use crate::state_check::{check_robot, check_step, check_wrench};
 use moca_msgs::{ArmTable, Mount, ParameterError, Parameters, Payload, RobotState};
 
-/// Share of its largest speed at which a joint of an arm that nobody leads ends the law near a singularity, share of the largest
+/// Share of its largest speed at which a joint of an arm whose tool stands ends the law near a singularity, share of the largest
 /// pose error that does, and the mobility ([`ArmDynamics::mobility_left`]) below which they count: stopping from there no joint
 /// passes half of its speed. Up to that mobility, a joint that swings through a straight elbow doubles its speed within 15 ms.
+/// Of an arm on its way to a target only a speed counts, the one to which it is held ([`HELD_SHARE`]).
 const STRETCHED_SHARE: f64 = 0.1;
 const STRETCHED_ERROR: f64 = 0.5;
 const STRETCHED_MOBILITY: f64 = 0.03;
@@ -197,7 +198,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
                 flange: (&tick.flange).into(),
                 flange_desired: (&tick.desired(next)).into(),
                 limits: hit,
-                exceeded: self.exceeded(tick, tracking.as_ref(), next.is_led()),
+                exceeded: self.exceeded(tick, tracking.as_ref(), next.has_reached()),
             })
         });
         match &output {
@@ -283,7 +284,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         arm: &ArmDynamics<'_, N, T>,
         state: &mut ArmState<N, T>,
     ) -> Result<(), ControlError> {
-        if state.is_led() {
+        if state.has_lead() {
             state.advance_lead(&self.model, tick, arm, self.joint_limits())?;
             if !state.leads_posture() {
                 approach_posture(&mut state.posture_rad, &self.posture_rad, tick.dt_s);
@@ -338,7 +339,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         &self,
         tick: &ArmTick<'_, N, T>,
         tracking: Option<&Tracking<T>>,
-        is_led: bool,
+        arrived: bool,
     ) -> Option<Exceeded> {
         let Tracking { error, arm_twist } = tracking?;
         let robot = tick.robot;
@@ -346,8 +347,9 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             return Some(Exceeded::JointSpeed(joint));
         }
         let (joint, share) = self.joint_speeds.fastest(&robot.q_rad, &robot.dq_rad_s);
-        if (share > of(STRETCHED_SHARE) || self.flange_limits.share(error) > of(STRETCHED_ERROR))
-            && !is_led
+        let fast = share > of(if arrived { STRETCHED_SHARE } else { HELD_SHARE });
+        let far = arrived && self.flange_limits.share(error) > of(STRETCHED_ERROR);
+        if (fast || far)
             && ArmDynamics::new(tick.dynamics).is_ok_and(|arm| arm.mobility_left() < of(STRETCHED_MOBILITY))
         {
             return Some(Exceeded::Stretched(joint));
@@ -379,7 +381,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         }
         let total = core::array::from_fn(|i| wanted[i] + state.carried_nm[i] + repulsion[i]);
         let mut torque = self.limits.limited(&total, &state.torque_nm, tick.dt_s, hit);
-        if let (true, Some(arm)) = (state.is_led(), arm) {
+        if let (true, Some(arm)) = (state.has_lead(), arm) {
             // What brakes answers what this step can give, not what the law would have: torques change only so fast.
             let moving = core::array::from_fn(|i| torque[i] - coupling[i]);
             let braking = braking_torque(tick, arm, self.joint_limits(), &moving);

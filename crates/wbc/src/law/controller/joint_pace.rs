@@ -40,7 +40,7 @@ pub(super) const WAITING_SHARE: f64 = 2.0 * LED_SHARE;
 /// Smallest share of a speed at the end of a range.
 const LEAST_ROOM: f64 = 1e-3;
 /// Share of their largest speeds that the joints of a led arm are held to, whatever moves them.
-const HELD_SHARE: f64 = 0.8;
+pub(super) const HELD_SHARE: f64 = 0.8;
 /// κ: what is left of that may be used up so fast, 1/s.
 const APPROACH_PER_S: f64 = 50.0;
 /// α: a joint may use up its way to the end of its range so fast, 1/s.

@@ -59,6 +59,16 @@ pub(super) enum Way<const N: usize, T> {
     },
 }
 
+impl<const N: usize, T: Scalar> Way<N, T> {
+    /// Returns true if the reference on this way stands.
+    pub(super) fn rests(&self) -> bool {
+        match self {
+            Self::Tool { generator, .. } => generator.rests(),
+            Self::Posture { axes, .. } => axes.iter().all(Axis::rests),
+        }
+    }
+}
+
 /// A goal in W, except a twist: in its own axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(

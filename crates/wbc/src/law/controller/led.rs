@@ -84,9 +84,15 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
         }
     }
 
-    /// Returns true if the reference is led.
-    pub(super) fn is_led(&self) -> bool {
+    /// Returns true if something leads or has led the reference under this law.
+    pub(super) const fn has_lead(&self) -> bool {
         self.lead.is_some()
+    }
+
+    /// Returns true if the reference is led and moves. One that rests, at its target or short of it, stands like one that
+    /// nobody has ever led.
+    pub(super) fn is_led(&self) -> bool {
+        self.lead.as_ref().is_some_and(|lead| !lead.way.rests())
     }
 
     /// Moves reference and posture on by one step where something leads them; to rest while joints are too fast.

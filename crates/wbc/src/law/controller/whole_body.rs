@@ -245,7 +245,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
                 flange: (&tick.flange).into(),
                 flange_desired: (&tick.desired(&next.arm)).into(),
                 limits: hit,
-                exceeded: self.arm.exceeded(tick, wanted.tracking.as_ref(), next.arm.is_led()),
+                exceeded: self.arm.exceeded(tick, wanted.tracking.as_ref(), next.arm.has_reached()),
             })
         });
         match &output {
