@@ -5,9 +5,11 @@ mod common;
 
 use common::{DT_S, Loop, Push};
 use moca_wbc::limits::JointSpeeds;
+use moca_wbc::reference_generator::ReferenceBounds;
 use moca_wbc::robot::PANDA;
 use moca_wbc::{
     BaseGuard, ControlLaw, ControlOutput, Corrections, Exceeded, ImpedanceGains, Parameters, RobotState,
+    Target, TwistAxes,
 };
 
 /// A posture whose elbow is straight: shoulder, elbow and wrist on one line.
@@ -57,11 +59,28 @@ fn lean(
     force_n: f64,
     seconds: f64,
 ) -> (Used, [f64; 3]) {
+    lean_after(false, law, posture_rad, taxel, force_n, seconds)
+}
+
+/// [`lean`] on a robot whose tool was led and has come to rest, if `led_before`.
+fn lean_after(
+    led_before: bool,
+    law: ControlLaw,
+    posture_rad: [f64; 7],
+    taxel: usize,
+    force_n: f64,
+    seconds: f64,
+) -> (Used, [f64; 3]) {
     let corrections = Corrections { null_space_damping: true, base_coupling: true, ..Corrections::LITERAL };
     let gains = ImpedanceGains { posture_rad, ..ImpedanceGains::PAPER };
     let parameters = Parameters { gains, corrections, ..Parameters::PAPER };
     let robot = RobotState { flange_wrench_world: Some([0.0; 6]), ..RobotState::at_rest(posture_rad) };
     let mut plant = Loop::starting(law, &parameters, robot, DT_S);
+    if led_before {
+        let still = Target::Twist { axes: TwistAxes::World, twist: [0.0; 6] };
+        plant.state.lead(&still, &robot, &ReferenceBounds::DEFAULT, None).unwrap();
+        plant.state.lead(&Target::Hold, &robot, &ReferenceBounds::DEFAULT, None).unwrap();
+    }
     plant.guard = BaseGuard { speed_m_s: Some(0.083), ..BaseGuard::NONE };
     let push = Push::taxels(&[taxel], force_n);
     let mut used = Used::default();
@@ -85,6 +104,20 @@ fn long_lean_at_home_ends_before_any_limit() {
         assert_eq!(used.exceeded, None, "T{taxel}, {force_n} N: {used:?}");
         assert!(used.most() < 0.95, "T{taxel}, {force_n} N: {used:?}, base at {base:?}");
         assert!(base[0].hypot(base[1]) > 0.2, "T{taxel}, {force_n} N: the base gives way, {base:?}");
+    }
+}
+
+/// A tool that rests at the end of a lead stands like one that nobody has ever led.
+#[test]
+fn lean_after_a_lead_ends_before_any_limit() {
+    for (taxel, force_n, stops) in
+        [(1, 100.0, false), (3, 40.0, false), (5, 100.0, false), (4, 100.0, true), (11, 150.0, true)]
+    {
+        let (used, base) = lean_after(true, ControlLaw::Impedance, PANDA.home_rad, taxel, force_n, 62.0);
+        assert!(used.most() < 0.95, "T{taxel}: {used:?}, {base:?}");
+        let stretched = matches!(used.exceeded, Some(Exceeded::Stretched(_))) && used.joint_speed < 0.5;
+        assert!(used.exceeded.is_none() || (stops && stretched), "T{taxel}: {used:?}");
+        assert!(base[0].hypot(base[1]) > 0.2, "T{taxel}: the base gives way, {base:?}");
     }
 }
 

@@ -174,7 +174,9 @@ impl Watch {
         found.largest_cover_command_used = found.largest_cover_command_used.max(commanded);
         let beyond = |share: f64| share.is_nan() || share > 1.0 + 1e-9;
         let mut wrong = Vec::new();
-        wrong.extend(beyond(used - INERTIA_ROUNDED).then(|| format!("cover at {used:.4} of what its limit allows")));
+        wrong.extend(
+            beyond(used - INERTIA_ROUNDED).then(|| format!("cover at {used:.4} of what its limit allows")),
+        );
         wrong.extend(beyond(commanded).then(|| format!("cover commanded to {commanded:.4} of its limit")));
         wrong
     }

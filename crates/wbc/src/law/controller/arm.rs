@@ -198,7 +198,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
                 flange: (&tick.flange).into(),
                 flange_desired: (&tick.desired(next)).into(),
                 limits: hit,
-                exceeded: self.exceeded(tick, tracking.as_ref(), next.has_reached()),
+                exceeded: self.exceeded(tick, tracking.as_ref(), !next.has_lead()),
             })
         });
         match &output {

@@ -237,6 +237,9 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
                 Some(arm) if law == ControlLaw::Impedance => self.impedance(&step, arm, next, &mut hit)?,
                 Some(arm) => self.follow_me(&step, arm, next, &mut hit)?,
             };
+            // Only the impedance law bounds its base by what the arm can follow.
+            let arrived =
+                if law == ControlLaw::Impedance { next.arm.has_reached() } else { !next.arm.has_lead() };
             let command = self.limited(&step, arm, next, &input.guard, &wanted, &mut hit)?;
             Ok(ControlOutput {
                 command,
@@ -245,7 +248,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
                 flange: (&tick.flange).into(),
                 flange_desired: (&tick.desired(&next.arm)).into(),
                 limits: hit,
-                exceeded: self.arm.exceeded(tick, wanted.tracking.as_ref(), next.arm.has_reached()),
+                exceeded: self.arm.exceeded(tick, wanted.tracking.as_ref(), arrived),
             })
         });
         match &output {
