@@ -50,99 +50,72 @@ const FAR_RAD: f64 = 0.35;
 /// Lever of a turn beside a translation, m.
 const LEVER_M: f64 = 0.7;
 
-/// The arm in one step, as a bound of the base's velocity.
-pub(super) struct Follower<'a, const N: usize, T> {
-    tick: &'a ArmTick<'a, N, T>,
-    arm: &'a ArmDynamics<'a, N, T>,
-    limits: JointLimits<'a, N, T>,
-    posture_rad: &'a [T; N],
-    /// μ.
-    mobility: T,
-    /// Every joint is slow and has way left, and the arm bends: no bound is near.
-    free: bool,
-}
-
-impl<'a, const N: usize, T: Scalar> Follower<'a, N, T> {
-    #[inline]
-    pub(super) fn new(
-        tick: &'a ArmTick<'a, N, T>,
-        arm: &'a ArmDynamics<'a, N, T>,
-        limits: JointLimits<'a, N, T>,
-        posture_rad: &'a [T; N],
-    ) -> Self {
-        let mut follower =
-            Self { tick, arm, limits, posture_rad, mobility: arm.mobility_left(), free: false };
-        let robot = tick.robot;
-        let far = |i: usize| follower.way(i, T::one()).min(follower.way(i, -T::one())) > of(FAR_RAD);
-        follower.free = follower.bends()
-            && (0..N).all(far)
-            && limits.speeds.share(&robot.q_rad, &robot.dq_rad_s) < of(SLOW_SHARE);
-        follower
-    }
-
-    fn bends(&self) -> bool {
-        self.mobility > of(STRETCHES)
-    }
-
-    /// c_i in the given direction, rad.
-    fn way(&self, i: usize, direction: T) -> T {
-        let (q, repulsion) = (self.tick.robot.q_rad[i], self.limits.repulsion);
-        let off = of::<T>(FURTHEST_RAD) - (q - self.posture_rad[i]) * direction;
+/// Returns the part of the base velocity `wanted` (world x, y, yaw) that the arm can follow after `before`; `None` for all of it.
+///
+/// # Errors
+/// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
+#[inline]
+pub(super) fn followed<const N: usize, T: Scalar>(
+    tick: &ArmTick<'_, N, T>,
+    arm: &ArmDynamics<'_, N, T>,
+    (limits, posture_rad): (JointLimits<'_, N, T>, &[T; N]),
+    (wanted, before): (&[T; 3], &[T; 3]),
+) -> Result<Option<[T; 3]>, ControlError> {
+    let JointLimits { speeds, repulsion } = limits;
+    let robot = tick.robot;
+    let way = |i: usize, direction: T| {
+        let q = robot.q_rad[i];
+        let off = of::<T>(FURTHEST_RAD) - (q - posture_rad[i]) * direction;
         let both = repulsion.way(i, q, direction) + repulsion.way(i, q, -direction);
         off.min(repulsion.way(i, q, direction) - both * of(0.5 * STANDS_BEFORE))
+    };
+    let far = |i: usize| way(i, T::one()).min(way(i, -T::one())) > of(FAR_RAD);
+    let mobility = arm.mobility_left();
+    let bends = mobility > of(STRETCHES);
+    if bends && (0..N).all(far) && speeds.share(&robot.q_rad, &robot.dq_rad_s) < of(SLOW_SHARE) {
+        return Ok(None);
     }
+    let product = |[ax, ay, a]: &[T; 3], [bx, by, b]: &[T; 3]| {
+        *ax * *bx + *ay * *by + of::<T>(LEVER_M * LEVER_M) * *a * *b
+    };
+    let speed = product(wanted, wanted).sqrt();
+    if speed <= T::default_epsilon() {
+        return Ok(None);
+    }
+    let rates = arm
+        .response(&arm.bearable_task_inertia()?.solve(&tick.kinematics.twist_from_base(wanted)))
+        .map(|rate| -rate);
+    let following = (mobility / of(STRETCHES)).max(of(STRETCHED_SHARE)).min(of::<T>(FOLLOWING_SHARE));
+    let mut share = (0..N).fold(of::<T>(f64::INFINITY), |share, i| {
+        let (q, direction) = (robot.q_rad[i], rates[i].signum());
+        let most = (following * speeds.largest(i, q, direction))
+            .min(of::<T>(WAY_PER_S) * way(i, direction))
+            .max(T::zero());
+        share.min(most / rates[i].abs().max(T::default_epsilon()))
+    });
+    if !bends {
+        share = share.min(stretching(tick, &rates, mobility)?);
+    }
+    if share >= T::one() {
+        return Ok(None);
+    }
+    let (allowed, last) = (share * speed, (product(wanted, before) / speed).max(T::zero()));
+    let smooth = last + (allowed - last) * (tick.dt_s / of(SMOOTH_S)).min(T::one());
+    let kept = (smooth / speed).min(T::one());
+    Ok(Some(wanted.map(|v| v * kept)))
+}
 
-    /// Returns the part of the base velocity `wanted` (world x, y, yaw) that the arm can follow after `before`; `None` for all
-    /// of it.
-    ///
-    /// # Errors
-    /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
-    pub(super) fn followed(&self, wanted: &[T; 3], before: &[T; 3]) -> Result<Option<[T; 3]>, ControlError> {
-        if self.free {
-            return Ok(None);
-        }
-        let product = |[ax, ay, a]: &[T; 3], [bx, by, b]: &[T; 3]| {
-            *ax * *bx + *ay * *by + of::<T>(LEVER_M * LEVER_M) * *a * *b
-        };
-        let speed = product(wanted, wanted).sqrt();
-        if speed <= T::default_epsilon() {
-            return Ok(None);
-        }
-        let tick = self.tick;
-        let rates = self
-            .arm
-            .response(&self.arm.bearable_task_inertia()?.solve(&tick.kinematics.twist_from_base(wanted)))
-            .map(|rate| -rate);
-        let following =
-            (self.mobility / of(STRETCHES)).max(of(STRETCHED_SHARE)).min(of::<T>(FOLLOWING_SHARE));
-        let mut share = (0..N).fold(of::<T>(f64::INFINITY), |share, i| {
-            let (q, direction) = (tick.robot.q_rad[i], rates[i].signum());
-            let most = (following * self.limits.speeds.largest(i, q, direction))
-                .min(of::<T>(WAY_PER_S) * self.way(i, direction))
-                .max(T::zero());
-            share.min(most / rates[i].abs().max(T::default_epsilon()))
-        });
-        if !self.bends() {
-            share = share.min(self.stretching(&rates)?);
-        }
-        if share >= T::one() {
-            return Ok(None);
-        }
-        let (allowed, last) = (share * speed, (product(wanted, before) / speed).max(T::zero()));
-        let smooth = last + (allowed - last) * (tick.dt_s / of(SMOOTH_S)).min(T::one());
-        let kept = (smooth / speed).min(T::one());
-        Ok(Some(wanted.map(|v| v * kept)))
-    }
-
-    /// Largest share of the joint rates `rates` rad/s that the arm may go at before it is stretched.
-    fn stretching(&self, rates: &[T; N]) -> Result<T, ControlError> {
-        let fastest = rates.iter().fold(T::default_epsilon(), |most, rate| most.max(rate.abs()));
-        let ahead_s = of::<T>(AHEAD_RAD) / fastest;
-        let robot = self.tick.robot;
-        let ahead_rad = core::array::from_fn(|i| robot.q_rad[i] + rates[i] * ahead_s);
-        let ahead = self.tick.model.dynamics(robot.base_pose_world[2], &ahead_rad, &[T::zero(); N]);
-        let lost_per_s = (self.mobility - ArmDynamics::new(&ahead)?.mobility_left()) / ahead_s;
-        let way = (self.mobility - of(STRETCHED)).max(T::zero());
-        Ok(if lost_per_s > T::zero() { of::<T>(WAY_PER_S) * way / lost_per_s } else { of(f64::INFINITY) })
-    }
+/// Largest share of the joint rates `rates` rad/s that the arm may go at before it is stretched, of which `mobility` is left.
+fn stretching<const N: usize, T: Scalar>(
+    tick: &ArmTick<'_, N, T>,
+    rates: &[T; N],
+    mobility: T,
+) -> Result<T, ControlError> {
+    let fastest = rates.iter().fold(T::default_epsilon(), |most, rate| most.max(rate.abs()));
+    let ahead_s = of::<T>(AHEAD_RAD) / fastest;
+    let ahead_rad = core::array::from_fn(|i| tick.robot.q_rad[i] + rates[i] * ahead_s);
+    let ahead = tick.model.dynamics(tick.robot.base_pose_world[2], &ahead_rad, &[T::zero(); N]);
+    let lost_per_s = (mobility - ArmDynamics::new(&ahead)?.mobility_left()) / ahead_s;
+    let way = (mobility - of(STRETCHED)).max(T::zero());
+    Ok(if lost_per_s > T::zero() { of::<T>(WAY_PER_S) * way / lost_per_s } else { of(f64::INFINITY) })
 }

@@ -3,7 +3,7 @@
 use super::arm::ArmController;
 use super::arm_state::ArmState;
 use super::base::{BaseController, BaseState};
-use super::followed::Follower;
+use super::followed::followed;
 use super::law::ControlLaw;
 use super::lead::Target;
 use super::tick::{ArmTick, Tracking};
@@ -112,23 +112,23 @@ pub struct WholeBodyController<const N: usize, const K: usize, T = f64> {
 
 /// Outputs of a law before any limit.
 struct Wanted<const N: usize, T> {
-    pub(super) torque: [T; N],
+    torque: [T; N],
     /// World axes.
-    pub(super) base_velocity: [T; 3],
+    base_velocity: [T; 3],
     /// Acceleration of the base that the arm's torque counts on per change of its velocity in this step, 1/s, world
     /// axes; `None` where it counts on none.
-    pub(super) counted_on: Option<[T; 3]>,
+    counted_on: Option<[T; 3]>,
     /// `None` where no pose is tracked.
     tracking: Option<Tracking<T>>,
 }
 
 /// One step's quantities of base and arm.
 struct Step<'a, const N: usize, T> {
-    pub(super) tick: &'a ArmTick<'a, N, T>,
+    tick: &'a ArmTick<'a, N, T>,
     cover_world: [T; 3],
     flange_wrench: [T; 6],
     /// v_d of eq. (2), world axes.
-    pub(super) base_velocity: [T; 3],
+    base_velocity: [T; 3],
 }
 
 impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
@@ -349,20 +349,29 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         Ok(Wanted { torque, base_velocity, counted_on: None, tracking: Some(tracking) })
     }
 
-    /// Bound of the base by what the arm can follow, where the tool is to stand in the world; `None` where it is free.
+    /// Part of the base velocity `wanted_world` that the arm can follow, axes of B, where the tool is to stand in the world;
+    /// `None` for all of it.
     #[inline]
-    fn follower<'a>(
-        &'a self,
-        step: &'a Step<'a, N, T>,
-        arm: Option<&'a ArmDynamics<'a, N, T>>,
-        state: &'a ControllerState<N, T>,
-    ) -> Option<Follower<'a, N, T>> {
+    fn followed(
+        &self,
+        step: &Step<'_, N, T>,
+        arm: Option<&ArmDynamics<'_, N, T>>,
+        state: &ControllerState<N, T>,
+        wanted_world: &[T; 3],
+        hit: &mut LimitsHit,
+    ) -> Result<Option<[T; 3]>, ControlError> {
+        let tick = step.tick;
         // The law as published knows no such bound: experiments with it stay equal to the bit. A tool that is led goes along with
         // the base: where it leads, a base that stands back would stretch the arm.
         let corrected = self.corrections.null_space_damping || self.corrections.base_coupling;
         let stands = corrected && !state.arm.is_led() && state.law() == ControlLaw::Impedance;
-        let arm = arm.filter(|_| stands)?;
-        Some(Follower::new(step.tick, arm, self.arm.joint_limits(), &state.arm.posture_rad))
+        let Some(arm) = arm.filter(|_| stands) else { return Ok(None) };
+        let joints = (self.arm.joint_limits(), &state.arm.posture_rad);
+        let followed = followed(tick, arm, joints, (wanted_world, &step.base_velocity))?;
+        if followed.is_some() {
+            (hit.guard, hit.arm_reach) = (true, true);
+        }
+        Ok(followed.map(|velocity| tick.kinematics.heading.to_base(velocity)))
     }
 
     /// The command inside every limit, and the state that goes with it.
@@ -387,21 +396,13 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         };
         let wanted_body = heading.to_base(wanted.base_velocity);
         let before_body = &state.base.velocity_body;
-        let follower = self.follower(step, arm, state);
-        let followed = |velocity_world: &[T; 3], hit: &mut LimitsHit| -> Result<_, ControlError> {
-            let Some(follower) = &follower else { return Ok(None) };
-            let followed = follower.followed(velocity_world, &step.base_velocity)?;
-            if followed.is_some() {
-                (hit.guard, hit.arm_reach) = (true, true);
-            }
-            Ok(followed.map(|velocity| heading.to_base(velocity)))
-        };
-        let followed_body = followed(&wanted.base_velocity, hit)?.unwrap_or(wanted_body);
+        let followed_body =
+            self.followed(step, arm, state, &wanted.base_velocity, hit)?.unwrap_or(wanted_body);
         let mut base_velocity_body = self.base.limited(guard, &followed_body, before_body, tick.dt_s, hit);
         if base_velocity_body != followed_body {
             // a guard may leave a turn alone whose translation would have spared the arm
             let left_world = heading.to_world(base_velocity_body);
-            if let Some(shorter) = followed(&left_world, hit)? {
+            if let Some(shorter) = self.followed(step, arm, state, &left_world, hit)? {
                 base_velocity_body = self.base.limited(guard, &shorter, before_body, tick.dt_s, hit);
             }
         }
