@@ -2,19 +2,27 @@
 //!
 //! A delay cannot be told from a slow servo by what odometry shows of it, and a slow order never reaches the limit of the
 //! deceleration. So the distance itself is measured, from the place that odometry reported when the order began to fall to the
-//! place of rest. Odometry that is late makes the distance longer, which is the safe side.
+//! place of rest. Odometry that is late makes the distance longer, which is the safe side. A base that does not go as it is told,
+//! because it is braked or one of its signs is wrong, stops in no distance at all: its speed before the stops is looked at too.
 
 use crate::config::Config;
+use anyhow::{Result, ensure};
 
 /// Speeds of the ladder, m/s.
 pub const LADDER_M_S: [f64; 6] = [0.01, 0.02, 0.03, 0.05, 0.08, 0.12];
 /// Stops at each of them.
 pub const STOPS_EACH: usize = 8;
+#[expect(clippy::cast_precision_loss, reason = "a small count")]
+const COUNT: f64 = STOPS_EACH as f64;
 /// One-sided tolerance factor of [`STOPS_EACH`] normal values: 95 % of all stops, with a confidence of 95 %.
 const TOLERANCE: f64 = 3.19;
 /// Time of even driving before a stop, and time after which a base is at rest, s.
 const DRIVES_S: f64 = 0.8;
 const RESTS_S: f64 = 1.2;
+/// End of the even driving in which the base's speed is measured, s, and the share of its order that it may have, mean of a speed's
+/// stops: odometry may be scaled, and noisy.
+const LOOKED_AT_S: f64 = 0.3;
+const OBEYED: std::ops::RangeInclusive<f64> = 0.5..=1.5;
 
 /// Stopping distance from one speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,10 +51,13 @@ pub struct Ladder {
     /// Stops so far, and the distance of each, m.
     stops: [[f64; STOPS_EACH]; LADDER_M_S.len()],
     done: usize,
-    /// Time since this stop's start, s; the order, m/s; the place at which it began to fall, m.
+    /// Time since this stop's start, s; the order, m/s; the place at which the look at the speed and the fall began, m.
     since_s: f64,
     order_m_s: f64,
+    looked_m: Option<f64>,
     began_m: Option<f64>,
+    /// Sum of the speeds of the present rung, m/s.
+    speeds_m_s: f64,
 }
 
 impl Ladder {
@@ -59,19 +70,28 @@ impl Ladder {
             done: 0,
             since_s: 0.0,
             order_m_s: 0.0,
+            looked_m: None,
             began_m: None,
+            speeds_m_s: 0.0,
         }
     }
 
     /// Returns the order of this tick, m/s, for a base that odometry reports at `place_m`; `None` once the ladder has ended.
-    pub fn tick(&mut self, place_m: f64) -> Option<f64> {
+    ///
+    /// # Errors
+    /// A base that has not gone as it was told.
+    pub fn tick(&mut self, place_m: f64) -> Result<Option<f64>> {
         let (rung, stop) = (self.done / STOPS_EACH, self.done % STOPS_EACH);
-        let speed_m_s = *LADDER_M_S.get(rung)?;
+        let Some(&speed_m_s) = LADDER_M_S.get(rung) else { return Ok(None) };
         let forward = if stop.is_multiple_of(2) { 1.0 } else { -1.0 };
         self.since_s += self.tick_s;
         let wanted_m_s = if self.since_s <= DRIVES_S { forward * speed_m_s } else { 0.0 };
+        if self.since_s > DRIVES_S - LOOKED_AT_S {
+            self.looked_m.get_or_insert(place_m);
+        }
         if self.since_s > DRIVES_S && self.began_m.is_none() {
             self.began_m = Some(place_m);
+            self.speeds_m_s += forward * (place_m - self.looked_m.unwrap_or(place_m)) / LOOKED_AT_S;
         }
         let most_m_s = self.acceleration_m_s2 * self.tick_s;
         self.order_m_s += (wanted_m_s - self.order_m_s).clamp(-most_m_s, most_m_s);
@@ -79,9 +99,12 @@ impl Ladder {
             && let Some(began_m) = self.began_m.take()
         {
             self.stops[rung][stop] = forward * (place_m - began_m);
-            (self.done, self.since_s) = (self.done + 1, 0.0);
+            (self.done, self.since_s, self.looked_m) = (self.done + 1, 0.0, None);
+            if self.done.is_multiple_of(STOPS_EACH) {
+                obeyed(speed_m_s, std::mem::take(&mut self.speeds_m_s) / COUNT)?;
+            }
         }
-        Some(self.order_m_s)
+        Ok(Some(self.order_m_s))
     }
 
     /// Share of the stops that are complete.
@@ -94,13 +117,23 @@ impl Ladder {
     pub fn stops(&self) -> impl Iterator<Item = Stop> {
         let complete = self.done / STOPS_EACH;
         LADDER_M_S.into_iter().zip(&self.stops).take(complete).map(|(speed_m_s, distances)| {
-            #[expect(clippy::cast_precision_loss, reason = "a small count")]
-            let count = STOPS_EACH as f64;
-            let mean_m = distances.iter().sum::<f64>() / count;
+            let mean_m = distances.iter().sum::<f64>() / COUNT;
             let squares: f64 = distances.iter().map(|distance| (distance - mean_m).powi(2)).sum();
-            Stop { speed_m_s, mean_m, deviation_m: (squares / (count - 1.0)).sqrt() }
+            Stop { speed_m_s, mean_m, deviation_m: (squares / (COUNT - 1.0)).sqrt() }
         })
     }
+}
+
+/// A base that was told to go at `ordered_m_s` went at `driven_m_s`, by its odometry.
+fn obeyed(ordered_m_s: f64, driven_m_s: f64) -> Result<()> {
+    ensure!(
+        OBEYED.contains(&(driven_m_s / ordered_m_s)),
+        "told to go at {ordered_m_s} m/s the base goes at {driven_m_s:.4} m/s by its odometry; allowed: {} to {} of what it is told. \
+         Is it braked or on the charger? Do its orders and its odometry point the same way?",
+        OBEYED.start(),
+        OBEYED.end()
+    );
+    Ok(())
 }
 
 /// Lets `config` believe what was measured; `measured` says when and of what. The law's delay is the part of the distance that grows
@@ -141,7 +174,7 @@ mod tests {
         let (mut place_m, mut speed_m_s) = (0.0, 0.0);
         loop {
             shown.push_back(place_m);
-            let Some(order_m_s) = ladder.tick(shown.pop_front().unwrap()) else {
+            let Some(order_m_s) = ladder.tick(shown.pop_front().unwrap()).unwrap() else {
                 return ladder.stops().collect();
             };
             orders.push_back(order_m_s);
@@ -170,10 +203,31 @@ mod tests {
     }
 
     #[test]
+    fn base_that_does_not_go_as_told_has_no_stopping_distance() {
+        for (share, passes) in
+            [(1.0, true), (0.6, true), (1.4, true), (0.4, false), (1.6, false), (0.0, false), (-1.0, false)]
+        {
+            let (mut ladder, mut place_m) = (Ladder::new(3.0, TICK_S), 0.0);
+            let result = loop {
+                match ladder.tick(place_m) {
+                    Ok(Some(order_m_s)) => place_m += TICK_S * share * order_m_s,
+                    Ok(None) => break Ok(()),
+                    Err(error) => break Err(error),
+                }
+            };
+            assert_eq!(result.is_ok(), passes, "{share}: {result:?}");
+            if let Err(error) = result {
+                assert!(error.to_string().contains("told to go at 0.01 m/s"), "{error}");
+                assert!((ladder.share() - 1.0 / 6.0).abs() < 1e-12, "after the slowest speed");
+            }
+        }
+    }
+
+    #[test]
     fn ladder_stays_within_a_few_centimetres() {
         let mut ladder = Ladder::new(3.0, TICK_S);
         let (mut place_m, mut least_m, mut most_m) = (0.0_f64, 0.0_f64, 0.0_f64);
-        while let Some(order_m_s) = ladder.tick(place_m) {
+        while let Some(order_m_s) = ladder.tick(place_m).unwrap() {
             place_m += TICK_S * order_m_s;
             (least_m, most_m) = (least_m.min(place_m), most_m.max(place_m));
         }

@@ -68,8 +68,8 @@ pub fn foam(config: &Config) -> Foam {
 /// Drives the base of `scene` alone, with nobody near, through the ladder of [`Ladder`].
 ///
 /// # Errors
-/// A scene that cannot be built.
-pub fn stops(config: &Config, scene: &Scene) -> Result<Vec<Stop>, SimError> {
+/// A scene that cannot be built, and a base that does not go as it is told.
+pub fn stops(config: &Config, scene: &Scene) -> anyhow::Result<Vec<Stop>> {
     let alone = Scene {
         robot: Robot::BaseOnly,
         people: Vec::new(),
@@ -79,7 +79,7 @@ pub fn stops(config: &Config, scene: &Scene) -> Result<Vec<Stop>, SimError> {
     };
     let mut base = SimPlant::new(&alone)?;
     let mut ladder = Ladder::new(config.limits.base_acceleration[0], alone.control_period_s);
-    while let Some(forward_m_s) = ladder.tick(base.state().base_pose_world[0]) {
+    while let Some(forward_m_s) = ladder.tick(base.state().base_pose_world[0])? {
         base.apply(&Actuation::Drive(RobotCommand::<JOINTS> {
             base_velocity_body: [forward_m_s, 0.0, 0.0],
             arm_torque_nm: [0.0; JOINTS],

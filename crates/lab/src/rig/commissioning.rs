@@ -9,7 +9,7 @@ use moca_sim::Scene;
 /// Lets `config` believe what the ladder measures of the base of `scene`.
 ///
 /// # Errors
-/// A scene that cannot be built.
+/// A scene that cannot be built, and a base that does not go as it is told.
 pub(crate) fn commission(config: &mut Config, scene: &Scene) -> Result<()> {
     let stops = simulated_robot::stops(config, scene)?;
     stopping::believe(config, &stops, format!("simulated, {} speeds", stops.len()));
