@@ -275,6 +275,14 @@ mod tests {
         assert!(shown.lines().any(|line| line == row.trim_end()), "`moca-lab docs --only long-lean`: {row}");
     }
 
+    /// All of them are hours of a robot: one lean of five minutes is run.
+    #[test]
+    fn attack_matches_its_row() {
+        let Some(shown) = shown("attack") else { return };
+        let row = attack::row_named("lean T3 40 N, impedance, moca").unwrap();
+        assert!(shown.lines().any(|line| line == row.trim_end()), "`moca-lab docs --only attack`: {row}");
+    }
+
     #[test]
     fn what_each_board_allows_is_what_latency_prints() {
         is_what_is_printed("boards");

@@ -162,28 +162,41 @@ fn table(rows: &[Row], found: &[Findings]) -> String {
         .to_owned();
     let mut said = String::new();
     for (row, found) in rows.iter().zip(found) {
-        let stops = found.stops.iter().map(|(code, count)| format!("{count} {code}")).collect::<Vec<_>>();
-        let stops = if stops.is_empty() { "–".into() } else { stops.join(", ") };
-        text += &format!(
-            "| {} | {:.0} | {stops} | {} of {} asked | {:.3} | {:.3} | {:.3} | {:.3} | {:.3} | {:.2} | {:.4} | {} |\n",
-            row.name(),
-            row.seconds,
-            found.slowest_stop_ticks,
-            found.stops_asked,
-            found.largest_joint_speed_used,
-            found.largest_torque_used,
-            found.largest_cover_command_used,
-            found.largest_cover_speed_of_limit,
-            found.largest_cover_speed_used,
-            found.largest_base_energy_j,
-            found.restless_m_s,
-            found.violation_count
-        );
+        text += &shown(row, found);
         for violation in found.violations.iter().chain(&found.restless) {
             said += &format!("\n- {}: {violation}", row.name());
         }
     }
     text + &said + if said.is_empty() { "" } else { "\n" }
+}
+
+/// The row of this name, found anew.
+#[cfg(test)]
+pub(crate) fn row_named(name: &str) -> Result<String> {
+    let rows = rows(1, None);
+    let row = rows.iter().find(|row| row.name() == name).expect("an attack of that name");
+    Ok(shown(row, &row.run()?))
+}
+
+/// One row of the table.
+fn shown(row: &Row, found: &Findings) -> String {
+    let stops = found.stops.iter().map(|(code, count)| format!("{count} {code}")).collect::<Vec<_>>();
+    let stops = if stops.is_empty() { "–".into() } else { stops.join(", ") };
+    format!(
+        "| {} | {:.0} | {stops} | {} of {} asked | {:.3} | {:.3} | {:.3} | {:.3} | {:.3} | {:.2} | {:.4} | {} |\n",
+        row.name(),
+        row.seconds,
+        found.slowest_stop_ticks,
+        found.stops_asked,
+        found.largest_joint_speed_used,
+        found.largest_torque_used,
+        found.largest_cover_command_used,
+        found.largest_cover_speed_of_limit,
+        found.largest_cover_speed_used,
+        found.largest_base_energy_j,
+        found.restless_m_s,
+        found.violation_count
+    )
 }
 
 #[cfg(test)]
