@@ -7,8 +7,8 @@ use moca_monitor::{logic::source::live::Live, ui::App};
 use moca_msgs::{Mode, Request, Sample, TaxelReading, TaxelStatus, board::Diagnosis};
 use moca_telemetry::{
     RobotDescription,
-    calibration::{CalibrationProgress, CalibrationRequest},
-    net::{Link, Status, Update},
+    calibration::CalibrationRequest,
+    net::{Link, Update},
 };
 use std::sync::Arc;
 
@@ -28,15 +28,7 @@ impl Live for Feed {
     fn poll(&mut self) -> Update {
         let samples = (self.tick..self.tick + BATCH).map(sample).collect();
         self.tick += BATCH;
-        Update {
-            link: Link::Up { session: 1, description: Arc::clone(&self.robot) },
-            status: Status::default(),
-            samples,
-            replies: Vec::new(),
-            calibration: CalibrationProgress::Idle,
-            notices: Vec::new(),
-            unread_dropped: 0,
-        }
+        Update::new(Link::Up { session: 1, description: Arc::clone(&self.robot) }, samples)
     }
 
     fn alive(&mut self) {}

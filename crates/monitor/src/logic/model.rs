@@ -273,25 +273,13 @@ mod tests {
         Link::Up { session, description: Arc::new(RobotDescription::paper("test", true)) }
     }
 
-    fn update(link: Link, samples: Vec<Sample>) -> Update {
-        Update {
-            link,
-            status: Status::default(),
-            samples,
-            replies: Vec::new(),
-            calibration: CalibrationProgress::Idle,
-            notices: Vec::new(),
-            unread_dropped: 0,
-        }
-    }
-
     fn sample(tick: u64, mode: Mode) -> Sample {
         Sample { tick, time_ns: tick * 1_000_000, mode, ..Sample::default() }
     }
 
     fn ready() -> Model {
         let mut model = Model::default();
-        model.take(update(up(1), vec![sample(0, Mode::Ready), sample(1, Mode::Ready)]), 10.0);
+        model.take(Update::new(up(1), vec![sample(0, Mode::Ready), sample(1, Mode::Ready)]), 10.0);
         model
     }
 
@@ -301,7 +289,7 @@ mod tests {
         assert_eq!((model.freshness(10.1), model.mode(10.1)), (Freshness::Live, Some(Mode::Ready)));
         assert_eq!((model.freshness(10.6), model.mode(10.6)), (Freshness::Silent, None));
         assert!(!model.allows(Request::Arm, 10.6) && model.allows(Request::Stop, 10.6));
-        model.take(update(Link::Down { reason: "gone".into() }, vec![]), 10.7);
+        model.take(Update::new(Link::Down { reason: "gone".into() }, vec![]), 10.7);
         assert_eq!(model.freshness(10.7), Freshness::Down("gone".into()));
         assert!(model.latest.is_some(), "the last picture stays");
     }
@@ -310,7 +298,7 @@ mod tests {
     fn a_restarted_daemon_starts_a_new_history() {
         let mut model = ready();
         assert_eq!(model.history.len(), 2);
-        model.take(update(up(2), vec![sample(0, Mode::Starting)]), 11.0);
+        model.take(Update::new(up(2), vec![sample(0, Mode::Starting)]), 11.0);
         assert_eq!((model.history.len(), model.events.len()), (1, 1));
         assert_eq!(model.mode(11.0), Some(Mode::Starting));
     }
@@ -319,7 +307,7 @@ mod tests {
     fn each_change_of_mode_is_one_event() {
         let mut model = ready();
         let modes = [Mode::Impedance, Mode::Impedance, Mode::ProtectiveStop, Mode::ProtectiveStop];
-        model.take(update(up(1), (2..).zip(modes).map(|(t, m)| sample(t, m)).collect()), 10.2);
+        model.take(Update::new(up(1), (2..).zip(modes).map(|(t, m)| sample(t, m)).collect()), 10.2);
         let seen: Vec<_> = model.events.iter().map(|e| (e.time_s, e.mode)).collect();
         assert_eq!(seen, [(0.0, Mode::Ready), (0.002, Mode::Impedance), (0.004, Mode::ProtectiveStop)]);
     }
@@ -354,8 +342,10 @@ mod tests {
     #[test]
     fn a_refusal_says_why_and_a_law_counts_once_it_is_accepted() {
         let mut model = ready();
-        let reply =
-            |request, outcome| Update { replies: vec![Reply { request, outcome }], ..update(up(1), vec![]) };
+        let reply = |request, outcome| Update {
+            replies: vec![Reply { request, outcome }],
+            ..Update::new(up(1), vec![])
+        };
         let select = Request::SelectLaw(Law::FollowMe);
         model.take(reply(select, Err(Refusal::NotCommander)), 10.1);
         assert_eq!(model.law, Law::Impedance);

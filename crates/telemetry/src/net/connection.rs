@@ -88,6 +88,21 @@ pub struct Update {
     pub unread_dropped: u64,
 }
 
+impl Update {
+    /// `samples` over this link, and no other news.
+    pub fn new(link: Link, samples: Vec<Sample>) -> Self {
+        Self {
+            link,
+            status: Status::default(),
+            samples,
+            replies: Vec::new(),
+            calibration: CalibrationProgress::Idle,
+            notices: Vec::new(),
+            unread_dropped: 0,
+        }
+    }
+}
+
 /// A connection that comes back by itself. Dropping it closes it.
 pub struct Connection {
     shared: Arc<Mutex<Shared>>,

@@ -5,12 +5,11 @@ use crate::logic::limited::Limited;
 use moca_msgs::{Sample, nanoseconds, seconds};
 use moca_telemetry::{
     RobotDescription,
-    calibration::CalibrationProgress,
     log::{
         Overview,
         overview::{Happening, Mark, OverviewBuilder},
     },
-    net::{Link, Status, Update},
+    net::{Link, Update},
 };
 use std::{path::PathBuf, sync::Arc, time::Instant};
 
@@ -243,15 +242,7 @@ impl Playback {
         }
         self.ask();
         let samples = if held_to_ns.is_some() { self.give() } else { Vec::new() };
-        Update {
-            link: self.link(),
-            status: Status::default(),
-            samples,
-            replies: Vec::new(),
-            calibration: CalibrationProgress::Idle,
-            notices: Vec::new(),
-            unread_dropped: 0,
-        }
+        Update::new(self.link(), samples)
     }
 
     /// The samples up to the shown instant that have not been given out: after a jump, those of the minute before it.
