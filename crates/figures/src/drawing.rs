@@ -25,31 +25,6 @@ pub const PALETTE: [Colour; 7] = [
 /// Size of all text, px.
 pub(crate) const FONT_PX: f64 = 11.0;
 
-/// Pixels of one millimetre on paper: 96 px are one inch, so that text is 8.25 pt high.
-const PX_PER_MM: f64 = 96.0 / 25.4;
-
-/// Width of a figure.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Width {
-    /// A screen: 900 px.
-    Screen,
-    /// One column of a journal: 88 mm.
-    Single,
-    /// Both columns of a journal: 180 mm.
-    Double,
-}
-
-impl Width {
-    /// Returns the width in px.
-    pub fn px(self) -> f64 {
-        match self {
-            Self::Screen => 900.0,
-            Self::Single => 88.0 * PX_PER_MM,
-            Self::Double => 180.0 * PX_PER_MM,
-        }
-    }
-}
-
 /// Splits a text into lines that are at most `width` wide, px; a longer word stays whole.
 pub fn wrapped(text: &str, width: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
@@ -263,9 +238,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn widths_are_those_of_journal_columns() {
-        let mm = [Width::Single, Width::Double].map(|width| width.px() / PX_PER_MM);
-        assert!((mm[0] - 88.0).abs() < 1e-9 && (mm[1] - 180.0).abs() < 1e-9, "{mm:?}");
+    fn text_is_split_between_words_alone() {
         assert_eq!(wrapped("force of the hand", 60.0), ["force of", "the hand"]);
         assert_eq!(wrapped("  unbreakable ", 10.0), ["unbreakable"]);
     }

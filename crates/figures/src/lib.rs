@@ -24,7 +24,7 @@ mod map;
 mod panel;
 
 pub use axis::{Scale, number};
-pub use drawing::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED, Width, text_px, wrapped};
+pub use drawing::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED, text_px, wrapped};
 pub use map::Map;
 pub use panel::{Panel, Series};
 

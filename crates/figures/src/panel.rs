@@ -397,7 +397,7 @@ mod tests {
             names.iter().enumerate().map(|(i, name)| Series::line(i, *name, vec![[0.0, 0.0], [10.0, 1.0]]));
         let title = "displacement from the start, world axes: actual and desired";
         let panel = Panel { series: series.collect(), ..Panel::new(title, "t [s]", "m") }.lettered(1);
-        let width = crate::Width::Single.px();
+        let width = 88.0 * 96.0 / 25.4;
         let height = panel.height(width, 100.0);
         // Two lines of title, two of legend.
         assert!((height - (TOP + 3.0 * LINE + 100.0 + BOTTOM)).abs() < 1e-9, "{height}");

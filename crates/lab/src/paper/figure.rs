@@ -1,11 +1,11 @@
 //! Figures 5 to 7: the trace of a run in panels, the moments marked, pictures of the robot at each.
 
 use super::robot_picture::{Moment, Pictures};
-use crate::picture::{Column, Picture as _};
+use crate::picture::{Picture as _, Width};
 use crate::rig::closed_loop::Row;
 use crate::rig::{JOINTS, TAXELS, count};
 use anyhow::{Context, Result, ensure};
-use moca_figures::{Anchor, BLACK, Drawing, GREY, Panel, Series, Width, text_px, wrapped};
+use moca_figures::{Anchor, BLACK, Drawing, GREY, Panel, Series, text_px, wrapped};
 use moca_sim::Scene;
 use std::fmt::Write as _;
 use std::ops::Range;
@@ -32,7 +32,7 @@ pub(crate) struct Trace<'a> {
 pub(crate) struct Layout {
     /// Width of the figure.
     #[arg(long, value_enum, default_value_t)]
-    pub width: Column,
+    pub width: Width,
     /// Panels to draw, by their letters in the whole figure, e.g. a,d,f.
     #[arg(long, value_name = "LETTERS", value_delimiter = ',')]
     pub panels: Vec<char>,
@@ -73,9 +73,8 @@ impl Figure<'_> {
     pub(crate) fn draw(self, layout: &Layout) -> Result<Drawing> {
         let Self { scene, trace: Trace { rows, others }, moments, panels, another, stopped } = self;
         let panels = layout.chosen(panels)?;
-        let width = Width::from(layout.width);
-        let columns = if width == Width::Double && panels.len() > 1 { 2 } else { 1 };
-        let width = width.px();
+        let columns = if layout.width == Width::Double && panels.len() > 1 { 2 } else { 1 };
+        let width = layout.width.px();
         let column = width / count(columns);
         let end_s = rows.last().map(|row| row.t_s);
         let letter = |(i, panel): (usize, Panel)| {

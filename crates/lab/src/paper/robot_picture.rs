@@ -396,9 +396,8 @@ mod tests {
     use super::*;
     use crate::paper::figure::{self, Figure, Layout, Trace};
     use crate::paper::tests::row;
-    use crate::picture::{Column, Picture as _};
+    use crate::picture::{Picture as _, Width};
     use crate::rig::free_scene;
-    use moca_figures::Width;
 
     fn moments(names: [&str; 4]) -> Vec<Moment> {
         names.iter().zip([0, 10, 20, 49]).map(|(name, row)| Moment { name: (*name).into(), row }).collect()
@@ -411,8 +410,7 @@ mod tests {
                 (0u32..50).map(|i| row(f64::from(i), [0.03 * f64::from(i), -0.02, 0.02], force_n)).collect();
             let moments = moments(["the arm leads", "contact", "largest force", "the base resumes"]);
             let scene = free_scene();
-            for column in [Column::Screen, Column::Single, Column::Double] {
-                let width = Width::from(column);
+            for width in [Width::Screen, Width::Single, Width::Double] {
                 let trace = Trace { rows: &rows, others: std::slice::from_ref(&rows) };
                 let figure = Figure {
                     scene: &scene,
@@ -422,7 +420,7 @@ mod tests {
                     another: "phase of the board and another seed of its noise",
                     stopped: Some("joint-speed: too fast"),
                 };
-                let layout = Layout { width: column, ..Layout::default() };
+                let layout = Layout { width, ..Layout::default() };
                 let drawing = figure.draw(&layout).unwrap();
                 assert_eq!(drawing.texts_outside().unwrap(), Vec::<String>::new(), "{width:?}");
                 assert!((drawing.size()[0] - width.px()).abs() < 1e-9);

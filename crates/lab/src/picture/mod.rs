@@ -5,7 +5,7 @@ mod pdf;
 
 use anyhow::Context as _;
 use font::{FONT, PictureError, refused};
-use moca_figures::{Drawing, Width};
+use moca_figures::Drawing;
 use resvg::{tiny_skia, usvg};
 use skrifa::{FontRef, MetadataProvider};
 use std::path::Path;
@@ -13,9 +13,12 @@ use std::path::Path;
 /// Pixels of the PNG for each of the drawing.
 const SCALE: f32 = 2.0;
 
-/// Width of a figure, on the command line.
-#[derive(Clone, Copy, Debug, Default, clap::ValueEnum)]
-pub(crate) enum Column {
+/// Pixels of one millimetre on paper: 96 px are one inch, so that text is 8.25 pt high.
+const PX_PER_MM: f64 = 96.0 / 25.4;
+
+/// Width of a figure.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Width {
     /// 900 px.
     #[default]
     Screen,
@@ -25,12 +28,13 @@ pub(crate) enum Column {
     Double,
 }
 
-impl From<Column> for Width {
-    fn from(column: Column) -> Self {
-        match column {
-            Column::Screen => Self::Screen,
-            Column::Single => Self::Single,
-            Column::Double => Self::Double,
+impl Width {
+    /// Returns the width in px.
+    pub(crate) fn px(self) -> f64 {
+        match self {
+            Self::Screen => 900.0,
+            Self::Single => 88.0 * PX_PER_MM,
+            Self::Double => 180.0 * PX_PER_MM,
         }
     }
 }
@@ -235,6 +239,12 @@ mod tests {
             from = end;
         }
         found
+    }
+
+    #[test]
+    fn widths_are_those_of_journal_columns() {
+        let mm = [Width::Single, Width::Double].map(|width| width.px() / PX_PER_MM);
+        assert!((mm[0] - 88.0).abs() < 1e-9 && (mm[1] - 180.0).abs() < 1e-9, "{mm:?}");
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! Figure 4.
 
 use super::trials::{Recording, Sample};
-use moca_figures::{Drawing, Panel, Series, Width};
+use crate::picture::Width;
+use moca_figures::{Drawing, Panel, Series};
 use moca_sim::foam::Foam;
 use moca_sim::sensor::IDLE_COUNTS;
 

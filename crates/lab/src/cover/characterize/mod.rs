@@ -5,10 +5,9 @@ mod figure;
 mod tables;
 mod trials;
 
-use crate::picture::{Column, Picture as _};
+use crate::picture::{Picture as _, Width};
 use crate::rig::parallel::Count;
 use anyhow::{Context, ensure};
-use moca_figures::Width;
 use moca_sim::foam::Foam;
 use moca_tactile::calibration::quality::{evaluation_cost_ns, quality};
 use moca_tactile::calibration::{ModelKind, Trial, TrialSample, fit, residuals};
@@ -31,7 +30,7 @@ pub(crate) struct Arguments {
     out: PathBuf,
     /// Width of Figure 4.
     #[arg(long, value_enum, default_value_t)]
-    width: Column,
+    width: Width,
     /// Prints one JSON object instead of tables.
     #[arg(long)]
     json: bool,
@@ -84,7 +83,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let (recordings, materials) = simulate(arguments.trials, arguments.seed)?;
     std::fs::create_dir_all(&arguments.out)
         .with_context(|| format!("cannot create {}", arguments.out.display()))?;
-    figure::figure_4(&recordings, arguments.width.into()).write(&arguments.out.join("figure4"))?;
+    figure::figure_4(&recordings, arguments.width).write(&arguments.out.join("figure4"))?;
     residual_plots(&recordings[0], &arguments.out)?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&materials)?);

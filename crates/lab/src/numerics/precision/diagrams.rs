@@ -1,8 +1,9 @@
 //! The work–precision diagrams.
 
 use super::{Report, control, plant};
+use crate::picture::Width;
 use crate::rig::count;
-use moca_figures::{BLACK, Drawing, Panel, Scale, Series, Width, wrapped};
+use moca_figures::{BLACK, Drawing, Panel, Scale, Series, wrapped};
 
 /// Height of a diagram's axes, px.
 const AXES: f64 = 212.0;

@@ -6,7 +6,7 @@ mod diagrams;
 mod plant;
 
 use crate::cover::characterize;
-use crate::picture::{Column, Picture as _};
+use crate::picture::{Picture as _, Width};
 use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result};
 use moca_msgs::Parameters;
@@ -27,7 +27,7 @@ pub(crate) struct Arguments {
     out: Option<PathBuf>,
     /// Width of the diagrams.
     #[arg(long, value_enum, default_value_t)]
-    width: Column,
+    width: Width,
     /// Only steps above 0.1 ms against a reference of 0.02 ms: seconds instead of a minute.
     #[arg(long)]
     quick: bool,
@@ -55,7 +55,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let json = serde_json::to_string_pretty(&report)?;
     if let Some(folder) = &arguments.out {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-        diagrams::draw(&report, arguments.width.into()).write(&folder.join("precision"))?;
+        diagrams::draw(&report, arguments.width).write(&folder.join("precision"))?;
         std::fs::write(folder.join("precision.json"), &json)?;
     }
     println!("{}", if arguments.json { json } else { text(&report) });
