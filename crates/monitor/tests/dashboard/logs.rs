@@ -3,26 +3,31 @@
 use crate::bench::{Bench, sample};
 use egui_kittest::{Harness, kittest::Queryable};
 use moca_monitor::{logic::source::playback::Playback, ui::App};
-use moca_msgs::Mode;
+use moca_msgs::{Mode, Sample};
 use moca_telemetry::{
     RobotDescription,
     log::{LogWriter, Meta},
 };
 use std::collections::BTreeMap;
 
-#[test]
-fn a_recorded_run_can_be_held_scrubbed_and_never_commanded() {
-    let samples =
-        (0..30_000).map(|tick| sample(tick, if tick < 20_000 { Mode::Ready } else { Mode::Impedance }, None));
-    let log = Playback::of(RobotDescription::paper("logged robot", true), samples.collect());
+/// A window of this size on a log of these samples.
+fn replayed(samples: Vec<Sample>, size: [f32; 2]) -> Harness<'static, App> {
+    let log = Playback::of(RobotDescription::paper("logged robot", true), samples);
     let app = App::new(&egui::Context::default(), log, String::new(), None);
-    let mut harness = Harness::builder().with_size([1280.0, 800.0]).build_ui_state(
+    Harness::builder().with_size(size).build_ui_state(
         |ui, app: &mut App| {
             app.update(&ui.ctx().clone());
             app.show(ui);
         },
         app,
-    );
+    )
+}
+
+#[test]
+fn a_recorded_run_can_be_held_scrubbed_and_never_commanded() {
+    let samples =
+        (0..30_000).map(|tick| sample(tick, if tick < 20_000 { Mode::Ready } else { Mode::Impedance }, None));
+    let mut harness = replayed(samples.collect(), [1280.0, 800.0]);
     harness.run_steps(3);
     assert!(harness.query_by_label_contains("A recorded run of logged robot").is_some());
     harness.get_by_label("Next event").click();
@@ -122,15 +127,7 @@ fn any_log_under_the_mouse_leaves_the_window_alive() {
             sample.taxels[5].force_n = if tick == 3 { 1e300 } else { 0.0 };
             sample
         });
-        let log = Playback::of(RobotDescription::paper("logged robot", true), samples.collect());
-        let app = App::new(&egui::Context::default(), log, String::new(), None);
-        let mut harness = Harness::builder().with_size([1160.0, 640.0]).build_ui_state(
-            |ui, app: &mut App| {
-                app.update(&ui.ctx().clone());
-                app.show(ui);
-            },
-            app,
-        );
+        let mut harness = replayed(samples.collect(), [1160.0, 640.0]);
         harness.run_steps(2);
         let strip = harness.get_by_label("Time of the log").rect();
         for part in [0.0, 0.6] {
@@ -214,15 +211,7 @@ fn logs_are_found_in_folders_and_the_last_ones_are_remembered() {
 #[test]
 fn the_strip_under_a_log_goes_where_it_is_clicked() {
     let samples = (0..20_000).map(|tick| sample(tick, Mode::Ready, None)).collect();
-    let log = Playback::of(RobotDescription::paper("logged robot", true), samples);
-    let app = App::new(&egui::Context::default(), log, String::new(), None);
-    let mut harness = Harness::builder().with_size([1160.0, 640.0]).build_ui_state(
-        |ui, app: &mut App| {
-            app.update(&ui.ctx().clone());
-            app.show(ui);
-        },
-        app,
-    );
+    let mut harness = replayed(samples, [1160.0, 640.0]);
     harness.run_steps(3);
     harness.get_by_label("Pause").click();
     harness.run_steps(2);
