@@ -140,7 +140,7 @@ fn real_stops(_: &Config) -> Result<Vec<Stop>> {
     )
 }
 
-/// Who else is on the topics is looked up once a second.
+/// Time after which the publishers of the topics are known: they are looked up once a second.
 #[cfg(feature = "ros2")]
 const LOOKED_UP: std::time::Duration = std::time::Duration::from_secs(2);
 /// Nodes find each other in this time, and the last order is on its way after this one.
