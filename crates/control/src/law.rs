@@ -357,11 +357,7 @@ impl Motion {
             guard.bounds_body = uncovered.bounds_body(deceleration);
             guard.room_body = uncovered.room_body(deceleration);
         }
-        if law == ControlLaw::Impedance {
-            self.recentre.bound(guard, &self.parameters, self.targets.leads(), dt_s);
-        } else {
-            self.recentre.leave();
-        }
+        self.recentre.bound(guard, &self.parameters, (law, self.targets.leads()), dt_s);
         let contacts;
         if let Some(barrier) = &mut self.barrier {
             contacts = barrier
@@ -397,12 +393,13 @@ impl Motion {
         output: &ControlOutput<JOINTS>,
         dt_s: f64,
     ) {
-        let impedance = law_of(mode) == ControlLaw::Impedance && output.exceeded.is_none();
-        if impedance {
-            self.recentre.remember(robot, output, dt_s);
+        let law = law_of(mode);
+        let moves = law != ControlLaw::Hold && output.exceeded.is_none();
+        if moves {
+            self.recentre.remember(law, robot, output, dt_s);
         }
         if let Some(uncovered) = &mut self.uncovered {
-            uncovered.remember(output.limits.guard && !(impedance && self.recentre.stands()));
+            uncovered.remember(output.limits.guard && !(moves && self.recentre.stands()));
         }
         if let Some(barrier) = &mut self.barrier {
             barrier.remember(&output.flange, robot);
@@ -638,7 +635,7 @@ impl<const N: usize> Controller<N> {
 }
 
 /// Output for the parts that a robot lacks.
-const WITHOUT_PARTS: ControlOutput<JOINTS> = {
+pub(super) const WITHOUT_PARTS: ControlOutput<JOINTS> = {
     const NOWHERE: FlangePose =
         FlangePose { position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] };
     ControlOutput {

@@ -1,9 +1,12 @@
-//! Motion of the base that nobody causes: the posture stiffness of the impedance law brings the base back under the arm. Pure.
+//! Motion of the base that nobody causes: the posture stiffness of the impedance law brings the base back under the arm, and in
+//! follow-me the base follows what the observer's estimate of the flange wrench is off. Pure.
 //!
 //! With `control.recentre = "on-request"` that stiffness only resists. The base goes no faster than a hand's wrench alone moves
 //! it, v = reactivity·f/D_v along each axis of B, and never the other way. Without a hand it comes to rest, and stays until
 //! somebody presses Recentre: then it drives back at [`RECENTRE_M_S`] until it rests or is touched. A target from another
-//! program leads the base like before: its commander is responsible. With `"always"` the law is as published.
+//! program leads the base like before: its commander is responsible. In follow-me v counts of the flange's wrench only what is
+//! above [`HAND_N`] and [`HAND_NM`]: the nearer the arm is to a singular posture, the more force the estimate makes of a small
+//! torque. With `"always"` both laws are as published.
 
 use crate::config::{Config, RecentrePolicy};
 use crate::cover::CoverState;
@@ -11,7 +14,7 @@ use crate::robot::{JOINTS, TAXELS};
 use crate::supervisor::Touch;
 use moca_msgs::{Outcome, Parameters, PostureOffset, Refusal, RobotState};
 use moca_wbc::nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector2, Vector3};
-use moca_wbc::{BaseGuard, ControlOutput, rotation};
+use moca_wbc::{BaseGuard, ControlLaw, ControlOutput, rotation};
 use serde::{Deserialize, Serialize};
 
 /// Speed of the cover's fastest point on the way back, m/s.
@@ -121,22 +124,26 @@ impl Recentre {
             || cover.forces.as_ref().is_ok_and(|forces_n| forces_n.iter().any(|force_n| *force_n > 0.0));
     }
 
-    /// Bounds the base's motion in a tick of the impedance law; `led` while a target leads it.
+    /// Bounds the base's motion in a tick of `law`; `led` while a target leads it.
     pub fn bound(
         &mut self,
         guard: &mut BaseGuard<TAXELS>,
         parameters: &Parameters<JOINTS>,
-        led: bool,
+        (law, led): (ControlLaw, bool),
         dt_s: f64,
     ) {
+        if law == ControlLaw::Hold {
+            return self.leave();
+        }
         let state = &mut self.state;
-        if self.touched || state.flange_held || led {
+        if self.touched || state.flange_held || led || law == ControlLaw::FollowMe {
             state.recentring = false;
         }
         if state.recentring {
             guard.speed_m_s = Some(guard.speed_m_s.map_or(RECENTRE_M_S, |most| most.min(RECENTRE_M_S)));
         }
-        if self.policy == RecentrePolicy::Always || self.place.is_none() || led || state.recentring {
+        let without_posture = law == ControlLaw::Impedance && self.place.is_none();
+        if self.policy == RecentrePolicy::Always || without_posture || led || state.recentring {
             return;
         }
         let gains = &parameters.gains;
@@ -168,20 +175,29 @@ impl Recentre {
             && self.state.bounds_body == RecentreState::default().bounds_body
     }
 
-    /// Takes in what the impedance law made of the tick.
-    pub fn remember(&mut self, robot: &RobotState<JOINTS>, output: &ControlOutput<JOINTS>, dt_s: f64) {
+    /// Takes in what `law` made of the tick.
+    pub fn remember(
+        &mut self,
+        law: ControlLaw,
+        robot: &RobotState<JOINTS>,
+        output: &ControlOutput<JOINTS>,
+        dt_s: f64,
+    ) {
         let [x, y, yaw] = robot.base_pose_world;
         let (sin, cos) = yaw.sin_cos();
         let flange = output.flange.position_world;
         let [fx, fy, fz, mx, my, mz] = output.flange_wrench_world;
-        let held =
-            (fx * fx + fy * fy + fz * fz).sqrt() > HAND_N || (mx * mx + my * my + mz * mz).sqrt() > HAND_NM;
-        let hand = if held {
-            let moment = mz + (flange[0] - x) * fy - (flange[1] - y) * fx;
-            [cos * fx + sin * fy, cos * fy - sin * fx, moment]
-        } else {
-            [0.0; 3]
+        let (force_n, moment_nm) =
+            ((fx * fx + fy * fy + fz * fz).sqrt(), (mx * mx + my * my + mz * mz).sqrt());
+        let of_threshold = (force_n / HAND_N).max(moment_nm / HAND_NM);
+        let held = of_threshold > 1.0;
+        let counts = match law {
+            _ if !held => 0.0,
+            ControlLaw::FollowMe => 1.0 - 1.0 / of_threshold,
+            ControlLaw::Hold | ControlLaw::Impedance => 1.0,
         };
+        let moment = mz + (flange[0] - x) * fy - (flange[1] - y) * fx;
+        let hand = [cos * fx + sin * fy, cos * fy - sin * fx, moment].map(|part| counts * part);
         let state = &mut self.state;
         state.flange_held = held;
         state.hands_base = [output.cover_wrench_base, hand];
@@ -194,7 +210,8 @@ impl Recentre {
         // from the present motion on it comes to rest
         state.bounds_body[0] = std::array::from_fn(|i| state.bounds_body[0][i].min(velocity[i]).min(0.0));
         state.bounds_body[1] = std::array::from_fn(|i| state.bounds_body[1][i].max(velocity[i]).max(0.0));
-        self.offset = self.place.map(|place| offset(&place, robot, output, state.recentring));
+        let posture = self.place.filter(|_| law == ControlLaw::Impedance);
+        self.offset = posture.map(|place| offset(&place, robot, output, state.recentring));
     }
 }
 
@@ -215,4 +232,57 @@ fn offset(
     let [tool_x, tool_y, _] = output.flange.position_world;
     let distance_m = Vector2::new(tool_x - wanted.x - x, tool_y - wanted.y - y).norm();
     PostureOffset { distance_m, angle_rad, recentring }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::law::WITHOUT_PARTS;
+
+    const DT_S: f64 = 1e-3;
+
+    /// Bounds of a base that stands in `law` under `flange_wrench_world`, with the default gains.
+    fn bounds(
+        policy: RecentrePolicy,
+        law: ControlLaw,
+        flange_wrench_world: [f64; 6],
+    ) -> Option<[[f64; 3]; 2]> {
+        let mut config = Config::default();
+        config.control.recentre = policy;
+        let place = PosturePlace { position_base: Vector3::zeros(), rotation_base: Matrix3::identity() };
+        let mut recentre = Recentre::new(&config, Some(place));
+        let output = ControlOutput { flange_wrench_world, ..WITHOUT_PARTS };
+        recentre.remember(law, &RobotState::at_rest([0.0; JOINTS]), &output, DT_S);
+        let mut guard = BaseGuard::NONE;
+        recentre.bound(&mut guard, &config.parameters(), (law, false), DT_S);
+        guard.bounds_body
+    }
+
+    #[test]
+    fn base_follows_no_error_of_the_estimate() {
+        let stands = Some([[0.0; 3]; 2]);
+        for law in [ControlLaw::FollowMe, ControlLaw::Impedance] {
+            assert_eq!(bounds(RecentrePolicy::OnRequest, law, [4.0, 0.0, 0.0, 0.0, 0.0, 1.9]), stands);
+            assert_eq!(bounds(RecentrePolicy::Always, law, [4.0, 0.0, 0.0, 0.0, 0.0, 1.9]), None);
+        }
+    }
+
+    #[test]
+    fn follow_me_counts_what_is_above_the_threshold() {
+        let most = |wrench| bounds(RecentrePolicy::OnRequest, ControlLaw::FollowMe, wrench).unwrap();
+        let [[_, least_y, _], [most_x, ..]] = most([15.0, -20.0, 0.0, 0.0, 0.0, 0.0]);
+        // 25 N, of which 20 count: 12 N forwards and 16 N to the right, at 80 N·s/m
+        assert!((most_x - 12.0 / 80.0).abs() < 1e-12 && (least_y + 16.0 / 80.0).abs() < 1e-12);
+        // a moment alone is a hand as well: 4 N·m, of which 2 count, at 60 N·m·s/rad
+        let [_, [.., most_yaw]] = most([0.0, 0.0, 0.0, 0.0, 0.0, 4.0]);
+        assert!((most_yaw - 2.0 / 60.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn impedance_counts_the_whole_hand() {
+        let [_, [most_x, ..]] =
+            bounds(RecentrePolicy::OnRequest, ControlLaw::Impedance, [15.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+                .unwrap();
+        assert!((most_x - 15.0 / 80.0).abs() < 1e-12);
+    }
 }

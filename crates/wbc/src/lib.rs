@@ -35,6 +35,19 @@
 //! | (15) | the arm's own task torques | [`opspace::ArmDynamics::torque`] |
 //! | (16) | task wrench relative to the base | [`impedance::wrench`] |
 //!
+//! # Misprints of the paper
+//! | eq. | this crate computes | because |
+//! |---|---|---|
+//! | (3) | M q̈ + bias = τ + τ_ext: the second "=" is a "+" | both columns must have ten rows |
+//! | (6) | "ΛW" is Λ_W | W weighs torques, Λ is of the task |
+//! | (7) | Λ_W = (J M⁻¹ W⁻¹ M⁻¹ Jᵀ)⁻¹ | the print inverts J, which is not square, and a pseudo-inverse misses J̄ᵀτ = F |
+//! | (9) | H = blkdiag(η_B I_3, η_A I_7) | the print's lower right block has not the size of the arm |
+//! | (10) | pose error [p_d − p; R log(RᵀR_d)], world axes | a pose is not a vector |
+//! | (11) | the wrench of (4) is turned to world axes first | the base's coordinates are of the world |
+//! | (12) | the flange's wrench about the arm base: m_z + p_x f_y − p_y f_x | about the flange the base turns wrongly |
+//! | (13) | Ψ selects f_x, f_y and m_z: its last row is [0 0 0 0 0 1] | so says the text |
+//! | (14) | the moment's row is [−r_y r_x]·R_BA, 1 | moment is r × f |
+//!
 //! # What the literal law leaves out
 //! Each of [`moca_msgs::Corrections`] is off by default in the paper's experiments. Largest flange error in 3 s pushes
 //! of 20 N at T1 and at T6 (closed loop of `tests/closed_loop.rs`): literal 4.7 and 10.4 mm; `null_space_damping` 1.1

@@ -133,8 +133,8 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
         state.observer.update(&(momentum, drift), &gravity, &robot.torque_measured_nm, self.dt_s);
         let torque = state.observer.external_torque();
         let about_tool = match arm {
-            Some(arm) => arm.wrench(torque)?,
-            None => ArmDynamics::new(self.dynamics)?.wrench(torque)?,
+            Some(arm) => arm.felt_wrench(torque)?,
+            None => ArmDynamics::new(self.dynamics)?.felt_wrench(torque)?,
         };
         Ok(follow_me::moved(&about_tool, &(kinematics.tool_position - kinematics.flange_position)))
     }
