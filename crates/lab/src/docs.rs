@@ -9,10 +9,13 @@ use crate::cover::{detection, latency, other_senses};
 use crate::numerics::{barrier, peers, stability, tick};
 use crate::paper::report::{claims, errors};
 use crate::paper::{kept_pushes, opposite_hands};
-use crate::rig::c_library;
+use crate::rig::{c_library, count};
 use crate::robustness::{attack, faults, lean, long_lean, protection, targets};
 use anyhow::{Context, Result, bail, ensure};
+use moca_daemon::cli::progress;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Writes the tables of figures into the documents.
 #[derive(clap::Args)]
@@ -71,8 +74,27 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let chosen = |table: &&Table| arguments.only.as_deref().is_none_or(|only| only == table.name);
     let names = || TABLES.iter().map(|table| table.name).collect::<Vec<_>>().join(", ");
     ensure!(TABLES.iter().any(|table| chosen(&table)), "--only: not one of {}", names());
-    for table in TABLES.iter().filter(chosen) {
-        let path = arguments.repository.join(table.file);
+    let tables: Vec<&Table> = TABLES.iter().filter(chosen).collect();
+    let (done, all) = (Arc::new(AtomicUsize::new(0)), count(tables.len()));
+    let seen = Arc::clone(&done);
+    // One bar for the whole run: those of the tables are within it.
+    let bar = progress::following("docs", move || count(seen.load(Ordering::Relaxed)) / all);
+    let mut written = Vec::new();
+    let result = write_tables(&tables, &arguments.repository, |line| {
+        done.fetch_add(1, Ordering::Relaxed);
+        written.push(line);
+    });
+    drop(bar);
+    for line in written {
+        println!("{line}");
+    }
+    result
+}
+
+/// Computes tables and puts each in its place; `done` gets a line about each.
+fn write_tables(tables: &[&Table], repository: &Path, mut done: impl FnMut(String)) -> Result<()> {
+    for table in tables {
+        let path = repository.join(table.file);
         let fresh = (table.make)()?;
         let written = if data::is_data(table.file) {
             data::encode(&title(table.name), &fresh)?
@@ -82,7 +104,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             format!("{before}{}\n{fresh}{after}", head(table.name))
         };
         std::fs::write(&path, written).with_context(|| format!("cannot write {}", path.display()))?;
-        println!("{}: table {}", path.display(), table.name);
+        done(format!("{}: table {}", path.display(), table.name));
     }
     Ok(())
 }
@@ -152,6 +174,21 @@ mod tests {
         assert!(split(text, "ma").is_err());
         let fresh = "<!-- moca-lab docs map --> <!-- end of map -->";
         assert_eq!(split(fresh, "map").unwrap().2, "<!-- end of map -->");
+    }
+
+    #[test]
+    fn progress_of_a_run_counts_every_table_once() {
+        let folder = std::env::temp_dir().join(format!("moca-docs-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let place = |name: &str| format!("<!-- moca-lab docs {name} --> <!-- end of {name} -->\n");
+        std::fs::write(folder.join("page.md"), place("one") + &place("two")).unwrap();
+        let table = |name| Table { name, file: "page.md", make: || Ok("| 1 |\n".into()) };
+        let (tables, mut lines) = ([table("one"), table("two")], Vec::new());
+        write_tables(&tables.each_ref(), &folder, |line| lines.push(line)).unwrap();
+        assert!(lines[0].ends_with("table one") && lines[1].ends_with("table two"), "{lines:?}");
+        assert_eq!(lines.len(), 2);
+        let page = std::fs::read_to_string(folder.join("page.md")).unwrap();
+        assert_eq!(page.matches("| 1 |").count(), 2);
     }
 
     fn is_what_is_printed(name: &str) {

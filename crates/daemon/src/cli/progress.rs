@@ -97,19 +97,26 @@ fn due(elapsed: Duration, since_shown: Option<Duration>) -> bool {
 
 /// Shows for `length` how much of it is over, from a thread of its own, until what it gives is dropped.
 pub fn during(what: impl Into<String>, length: Duration) -> During {
+    let began = Instant::now();
+    following(what, move || began.elapsed().as_secs_f64() / length.as_secs_f64().max(1e-3))
+}
+
+/// Shows the `part` that is done, 0 to 1, from a thread of its own, until what it gives is dropped. For a task whose
+/// steps take long: the bar is there before the first of them is done.
+pub fn following(what: impl Into<String>, part: impl Fn() -> f64 + Send + 'static) -> During {
     let mut progress = Progress::new(what);
     let (end, ended) = sync_channel::<()>(0);
     let thread = progress.visible.then(|| {
         std::thread::spawn(move || {
             while ended.recv_timeout(BAR_EVERY) == Err(RecvTimeoutError::Timeout) {
-                progress.at(progress.began.elapsed().as_secs_f64() / length.as_secs_f64().max(1e-3));
+                progress.at(part());
             }
         })
     });
     During { end: Some(end), thread }
 }
 
-/// A bar that moves by the clock.
+/// A bar of a thread of its own.
 #[derive(Debug)]
 pub struct During {
     end: Option<SyncSender<()>>,

@@ -1,6 +1,7 @@
 //! `moca-lab latency`: from touch to force, stage by stage, for each firmware of the board; how old a reading gets, how
 //! fast the base may go with it, and whether such a cover is stable in contact with this controller.
 
+use crate::picture::Width;
 use crate::rig::TAXELS;
 use crate::rig::parallel::Count;
 use anyhow::Context as _;
@@ -52,6 +53,9 @@ pub(crate) struct Arguments {
     /// Instead: speeds by physics, by the law and as simulated, as a table and as FOLDER/safe-speed.svg.
     #[arg(long, value_name = "FOLDER")]
     map: Option<PathBuf>,
+    /// Width of the figure of `--map`.
+    #[arg(long, value_enum, default_value_t)]
+    width: Width,
     /// Firmware image that `firmware-sim` runs.
     #[arg(long, default_value = "firmware/moca_touch/moca_touch.hex")]
     hex: PathBuf,
@@ -137,7 +141,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     let (forces_n, base) = (&config.protection.assessed_forces_n, &config.robot.base);
     if let Some(folder) = &arguments.map {
-        return super::map::run(forces_n, folder);
+        return super::map::run(forces_n, folder, arguments.width);
     }
     let firmware = match &arguments.avr {
         Some(program) => simulated_firmware(program, &arguments.hex)?,

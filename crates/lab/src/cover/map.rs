@@ -2,7 +2,7 @@
 //! What was computed stands in a file there and is not computed again.
 
 use crate::paper::collision;
-use crate::picture::Picture as _;
+use crate::picture::{Picture as _, Width};
 use crate::rig::bound::{Meeting, TO_THE_SEAM_M};
 use crate::rig::campaign::Campaign;
 use crate::rig::settings::{Sensor, Settings};
@@ -60,7 +60,7 @@ impl Speeds {
 
 /// Computes the map, prints it as a table and writes it as a figure.
 #[expect(clippy::print_stdout, reason = "the command's output")]
-pub(super) fn run(forces_n: &[f64], folder: &Path) -> Result<()> {
+pub(super) fn run(forces_n: &[f64], folder: &Path, width: Width) -> Result<()> {
     let cells = cells(forces_n);
     std::fs::create_dir_all(folder).with_context(|| format!("cannot use {}", folder.display()))?;
     let out = folder.join("safe-speed.csv");
@@ -70,7 +70,7 @@ pub(super) fn run(forces_n: &[f64], folder: &Path) -> Result<()> {
     let speeds = read(&out, &cells)?;
     let text = table(&cells, &speeds);
     print!("{text}");
-    figure(&cells, &speeds, forces_n).write(&folder.join("safe-speed"))
+    figure(&cells, &speeds, forces_n, width).write(&folder.join("safe-speed"))
 }
 
 /// Every board, limit, body, foam and deceleration.
@@ -229,14 +229,14 @@ fn table(cells: &[Cell], speeds: &[Speeds]) -> String {
 }
 
 /// One map a board: forces across; body, foam and deceleration down; the law's speed, green where the simulation bears it.
-fn figure(cells: &[Cell], speeds: &[Speeds], forces_n: &[f64]) -> Drawing {
+fn figure(cells: &[Cell], speeds: &[Speeds], forces_n: &[f64], width: Width) -> Drawing {
     const KEPT: Colour = [196, 230, 196];
     const BEYOND: Colour = [240, 190, 185];
     const CELL: [f64; 2] = [136.0, 22.0];
     let rows = PERSONS.len() * FOAMS.len() * DECELERATIONS.len();
     #[expect(clippy::cast_precision_loss, reason = "a few cells")]
     let of = |count: usize| count as f64;
-    let height = CELL[1] * of(rows) + 90.0;
+    let fit_px = (width != Width::Screen).then(|| width.px() - 12.0);
     let mut maps = Vec::new();
     for (row, board) in BOARDS.into_iter().enumerate() {
         let start = row * rows * forces_n.len();
@@ -273,10 +273,13 @@ fn figure(cells: &[Cell], speeds: &[Speeds], forces_n: &[f64]) -> Drawing {
                 (KEPT, "kept in the simulation (≥: faster not tried)"),
                 (BEYOND, "× beyond the limit in the simulation"),
             ],
+            fit_px,
         });
     }
-    let width = maps.iter().map(|map| map.width(CELL[0])).fold(0.0, f64::max);
-    let mut drawing = Drawing::new(width + 20.0, height * of(BOARDS.len()));
+    let whole = maps.iter().map(|map| map.width(CELL[0])).fold(0.0, f64::max);
+    let whole = if width == Width::Screen { whole + 20.0 } else { width.px() };
+    let height = maps.iter().map(|map| map.height(CELL)).fold(0.0, f64::max) + 14.0;
+    let mut drawing = Drawing::new(whole, height * of(BOARDS.len()));
     for (row, map) in maps.iter().enumerate() {
         map.draw(&mut drawing, [6.0, height * of(row) + 4.0], CELL);
     }
@@ -297,8 +300,11 @@ mod tests {
         for (cell, speeds) in cells.iter().zip(&shown) {
             assert!(speeds.keeps(), "{}", cell.name());
         }
-        let drawing = figure(&cells, &shown, &Config::default().protection.assessed_forces_n);
-        assert_eq!(drawing.texts_outside().unwrap(), Vec::<String>::new());
+        for width in [Width::Screen, Width::Single, Width::Double] {
+            let drawing = figure(&cells, &shown, &Config::default().protection.assessed_forces_n, width);
+            assert_eq!(drawing.texts_outside().unwrap(), Vec::<String>::new(), "{width:?}");
+            assert!(width == Width::Screen || (drawing.size()[0] - width.px()).abs() < 1e-9);
+        }
         let one = cells.iter().position(|cell| cell.name() == "moca,25,leg of 50 N/mm,1,3").unwrap();
         let (fresh, shown) = (cells[one].speeds().unwrap(), &shown[one]);
         let halving = SEARCHED * fresh.bound / f64::from(1 << HALVINGS);

@@ -1,6 +1,8 @@
 //! `moca-lab stream`: what the reader makes of a recorded byte stream.
 
+use crate::rig::count;
 use anyhow::{Context, ensure};
+use moca_daemon::cli::progress::Progress;
 use moca_msgs::{Fault, nanoseconds, seconds};
 use moca_tactile::Firmware;
 use moca_tactile::board::{BoardMonitor, Diagnosis, MAX_ELECTRODES, STALL_GAP_NS, SampledFrame};
@@ -66,7 +68,9 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Some(path) => Some(read_times(path, bytes.len())?),
         None => None,
     };
-    let report = analyse(&bytes, reads.as_deref());
+    let mut progress = Progress::new("stream");
+    let report = analyse(&bytes, reads.as_deref(), |part| progress.at(part));
+    progress.end();
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
     } else {
@@ -110,20 +114,40 @@ fn read_times(path: &Path, stream_bytes: usize) -> anyhow::Result<Vec<Read>> {
     Ok(reads)
 }
 
-fn analyse(bytes: &[u8], reads: Option<&[Read]>) -> Report {
+/// Bytes after which a stream without times tells how far it is.
+const STRETCH: usize = 1 << 16;
+
+/// Reads a stream; `told` hears which part is done, 0 to 1.
+fn analyse(bytes: &[u8], reads: Option<&[Read]>, mut told: impl FnMut(f64)) -> Report {
     let mut analysis = Analysis::new(reads.is_some());
+    let mut rest = bytes;
+    let mut left = |rest: &[u8]| told(1.0 - count(rest.len()) / count(bytes.len().max(1)));
     match reads {
         Some(reads) => {
-            let mut rest = bytes;
             for read in reads {
                 let (chunk, after) = rest.split_at(read.bytes);
                 analysis.chunk(chunk, read.arrival_ns);
                 rest = after;
+                left(rest);
             }
         }
-        None => analysis.chunk(bytes, 0),
+        None => {
+            while !rest.is_empty() {
+                let end = line_end(rest, STRETCH);
+                let (chunk, after) = rest.split_at(end);
+                analysis.chunk(chunk, 0);
+                rest = after;
+                left(rest);
+            }
+        }
     }
     analysis.finish()
+}
+
+/// Length of the stretch that ends with the first line's end at or after `at`, or with the stream.
+fn line_end(bytes: &[u8], at: usize) -> usize {
+    let after = bytes.iter().skip(at).position(|&b| b == b'\n');
+    after.map_or(bytes.len(), |more| at + more + 1)
 }
 
 /// A board monitor fed line by line, so that every fault is seen at the frame that shows it.
@@ -322,7 +346,7 @@ mod tests {
         let bytes = std::fs::read(folder.join(format!("{name}.txt"))).unwrap();
         let times = folder.join(format!("{name}.times"));
         let reads = timed.then(|| read_times(&times, bytes.len()).unwrap());
-        analyse(&bytes, reads.as_deref())
+        analyse(&bytes, reads.as_deref(), |_| ())
     }
 
     fn kinds(report: &Report) -> Vec<&str> {
@@ -353,6 +377,18 @@ mod tests {
     }
 
     #[test]
+    fn progress_rises_to_one_and_does_not_change_the_report() {
+        let once = report("datastream-2020-i2c-lost", false);
+        let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/recordings");
+        let bytes = std::fs::read(folder.join("datastream-2020.txt")).unwrap().repeat(20);
+        let mut parts = Vec::new();
+        let report = analyse(&bytes, None, |part| parts.push(part));
+        assert!(report.frames_good > once.frames_good);
+        assert!(parts.len() > 2 && parts.is_sorted(), "{parts:?}");
+        assert!((parts[parts.len() - 1] - 1.0).abs() < 1e-12, "{parts:?}");
+    }
+
+    #[test]
     fn rate_age_and_sketch_of_the_stock_board() {
         let report = report("datastream-2020", true);
         assert!((report.rate_hz.unwrap() - 40.5).abs() < 0.5, "{report:?}");
@@ -366,11 +402,11 @@ mod tests {
 
     #[test]
     fn a_factory_board_and_noise_are_named() {
-        let factory = analyse(b"pin 3 was just touched\r\npin 3 was just released\r\n", None);
+        let factory = analyse(b"pin 3 was just touched\r\npin 3 was just released\r\n", None, |_| ());
         assert_eq!(kinds(&factory), ["wrong_sketch"]);
-        assert_eq!(kinds(&analyse(b"\x00\xff\x80hello\n", None)), ["no_frames"]);
-        assert_eq!(kinds(&analyse(b"", None)), ["silent"]);
-        assert_eq!(kinds(&analyse(&[b'7'; 100_000], None)), ["no_frames"]);
+        assert_eq!(kinds(&analyse(b"\x00\xff\x80hello\n", None, |_| ())), ["no_frames"]);
+        assert_eq!(kinds(&analyse(b"", None, |_| ())), ["silent"]);
+        assert_eq!(kinds(&analyse(&[b'7'; 100_000], None, |_| ())), ["no_frames"]);
     }
 
     /// 4 s of a virtual board, read each millisecond; `fault` strikes after 2 s.
@@ -397,17 +433,17 @@ mod tests {
         use Firmware::{PiCap, Stock2015, Stock2018};
         for (sketch, rate_hz, columns) in [(Stock2015, 67.5, 13), (Stock2018, 40.5, 13), (PiCap, 67.5, 12)] {
             let (bytes, reads) = record(sketch, None);
-            let report = analyse(&bytes, Some(&reads));
+            let report = analyse(&bytes, Some(&reads), |_| ());
             assert!((report.rate_hz.unwrap() / rate_hz - 1.0).abs() < 0.02, "{report:?}");
             assert_eq!((report.sketch, report.columns), (Some(sketch.name()), Some(columns)));
             assert!(report.faults.is_empty() && report.frames_bad == 0, "{report:?}");
-            let untimed = analyse(&bytes, None);
+            let untimed = analyse(&bytes, None, |_| ());
             assert_eq!(untimed.frames_good, report.frames_good);
 
             let (bytes, reads) = record(sketch, Some(BoardFault::ChipReset));
-            assert!(kinds(&analyse(&bytes, Some(&reads))).contains(&"all_zero"));
+            assert!(kinds(&analyse(&bytes, Some(&reads), |_| ())).contains(&"all_zero"));
             let (bytes, reads) = record(sketch, Some(BoardFault::I2cLost));
-            let report = analyse(&bytes, Some(&reads));
+            let report = analyse(&bytes, Some(&reads), |_| ());
             assert!(kinds(&report).contains(&"frozen"), "{report:?}");
             assert_eq!(
                 kinds(&report).contains(&"thresholds"),

@@ -209,6 +209,7 @@ mod tests {
             cells: vec![([200; 3], "24.9".to_owned()); 4],
             sides: vec![true, false, true, false],
             legend: vec![([200; 3], "all the same")],
+            fit_px: None,
         };
         map.draw(&mut drawing, [0.0, 210.0], [60.0, 30.0]);
         assert_eq!(drawing.texts_outside(), Ok(Vec::new()));

@@ -4,6 +4,7 @@ use crate::bench::{Bench, parameter, sample};
 use egui::{Rect, Role, Vec2};
 use egui_kittest::kittest::{NodeT, Queryable};
 use moca_msgs::{Fault, Mode, TaxelStatus};
+use moca_telemetry::calibration::{CalibrationFit, CalibrationProgress, FittedModel};
 use moca_telemetry::{ParameterForm, net::Commander};
 
 /// A usual small window, halves of two usual screens, and a usual one.
@@ -238,4 +239,54 @@ fn everything_larger_still_fits_into_the_window() {
         bench.frames(Mode::Impedance, None);
         assert!((ctx.zoom_factor() - zoom).abs() < 1e-6, "{wanted}");
     }
+}
+
+/// Texts of which the window shows a part only.
+fn clipped(bench: &Bench) -> Vec<String> {
+    let shapes = bench.harness.output().shapes.iter();
+    let cut = shapes.filter_map(|clipped| match &clipped.shape {
+        egui::Shape::Text(text) => {
+            let rect = text.visual_bounding_rect();
+            let seen = clipped.clip_rect.expand(1.0).contains_rect(rect) || !rect.is_positive();
+            (!seen).then(|| format!("{:?} {rect:?} in {:?}", text.galley.text(), clipped.clip_rect))
+        }
+        _ => None,
+    });
+    cut.collect()
+}
+
+#[test]
+fn calibrate_page_uses_the_room_of_a_large_window() {
+    let size = Vec2::new(1920.0, 1080.0);
+    let mut bench = Bench::new();
+    bench.harness.set_size(size);
+    bench.frames(Mode::Ready, None);
+    bench.click("Calibrate");
+    let model = |name: &str| FittedModel {
+        name: name.into(),
+        usable: true,
+        rmse_n: 1.23,
+        worst_n: 4.0,
+        force_max_n: 80.0,
+        residuals: vec![[10.0, 0.5], [70.0, -1.0]],
+        ..FittedModel::default()
+    };
+    let models = ["line-with-intercept", "line-through-zero", "monotone", "compensated"].map(model).to_vec();
+    bench.daemon.borrow_mut().calibration =
+        CalibrationProgress::Fitted(CalibrationFit { taxel: 0, rest_counts: 719.6, models });
+    bench.frames(Mode::Ready, None);
+    bench.frames(Mode::Ready, None);
+    assert_eq!(outside(&bench, size), Vec::<String>::new());
+    assert_eq!(clipped(&bench), Vec::<String>::new());
+    // The steps have 640 points, the residuals stand next to them and fill the rest down to the window's end.
+    let first = bench.harness.get_by_label_contains("Choose a taxel, or all").rect();
+    let all = texts(&bench);
+    let place = |text: &str| all.iter().find(|(shown, _)| shown == text).unwrap().1;
+    let (force, residual) = (place("reference force N"), place("model − reference N"));
+    let steps_end = first.left() + 640.0;
+    assert!((steps_end..steps_end + 40.0).contains(&residual.left()), "{residual:?} after {steps_end}");
+    let middle = 0.5 * (steps_end + size.x);
+    assert!((force.center().x - middle).abs() < 60.0, "{force:?} under the middle {middle}");
+    assert!(force.bottom() > size.y - 60.0, "{force:?}");
+    assert!(place("RMSE N").right() < steps_end && place("valid to N").right() < steps_end);
 }

@@ -245,6 +245,38 @@ fn robot_view_in_3d_turns_with_mouse() {
     assert_ne!(above, before);
 }
 
+/// Regression test: the other views were dimmed over old data, the one in 3-D looked alive.
+#[test]
+fn veil_over_old_data_covers_the_view_in_3d() {
+    let mut bench = Bench::in_mode(Mode::Impedance);
+    bench.click("3-D");
+    // Filled rectangles that let light through and cover the whole view, and are drawn after every body of it.
+    let veils = |bench: &Bench| {
+        let view = bench.harness.get_by_label("The robot in 3-D").rect();
+        let shapes = &bench.harness.output().shapes;
+        let body = |shape: &egui::Shape| match shape {
+            egui::Shape::Mesh(mesh) => mesh.vertices.iter().any(|vertex| view.contains(vertex.pos)),
+            _ => false,
+        };
+        let last = shapes.iter().rposition(|clipped| body(&clipped.shape)).unwrap();
+        let veil = |clipped: &&egui::epaint::ClippedShape| match &clipped.shape {
+            egui::Shape::Rect(rect) => {
+                rect.rect.expand(1.0).contains_rect(view)
+                    && clipped.clip_rect.expand(1.0).contains_rect(view)
+                    && (100..255).contains(&rect.fill.a())
+            }
+            _ => false,
+        };
+        shapes[last..].iter().filter(veil).count()
+    };
+    assert_eq!(veils(&bench), 0, "fresh data");
+    bench.harness.run_steps(4);
+    assert!(bench.shows("what is shown is old"));
+    assert_eq!(veils(&bench), 1, "old data");
+    bench.frames(Mode::Impedance, None);
+    assert_eq!(veils(&bench), 0, "it goes on");
+}
+
 #[test]
 fn ages_of_arm_and_base_stand_next_to_deadlines() {
     let mut bench = Bench::new();

@@ -1,6 +1,7 @@
 //! Maps of peak force and swing over two parameters, with the contact stability law drawn over them.
 
 use super::{Trial, trial};
+use crate::picture::Width;
 use crate::rig::count;
 use crate::rig::parallel;
 use crate::rig::settings::Settings;
@@ -13,6 +14,9 @@ use std::fmt::Write as _;
 /// Force at which foam and tissue are linearised, N.
 const LINEARISED_AT_N: f64 = 20.0;
 const CELL: [f64; 2] = [86.0, 40.0];
+/// Width on a screen, and room to either side on paper, px.
+const SCREEN: f64 = 760.0;
+const MARGIN: f64 = 4.0;
 /// Phases of the sensor, as shares of its period.
 const PHASES: [f64; 3] = [0.0, 1.0 / 3.0, 2.0 / 3.0];
 
@@ -176,12 +180,15 @@ pub(crate) fn stable_in_theory(settings: &Settings) -> Result<bool> {
 }
 
 /// The maps under each other.
-pub(crate) fn draw(maps: &[Map]) -> Drawing {
-    let maps: Vec<moca_figures::Map> = maps.iter().map(shown).collect();
-    let height = maps.first().map_or(0.0, |map| map.height(CELL[1])) + 20.0;
-    let mut drawing = Drawing::new(760.0, height * count(maps.len()));
+pub(crate) fn draw(maps: &[Map], width: Width) -> Drawing {
+    let fit_px = (width != Width::Screen).then(|| width.px() - 2.0 * MARGIN);
+    let maps: Vec<moca_figures::Map> = maps.iter().map(|map| shown(map, fit_px)).collect();
+    let height = maps.iter().map(|map| map.height(CELL)).fold(0.0, f64::max) + 20.0;
+    let whole = if width == Width::Screen { SCREEN } else { width.px() };
+    let mut drawing = Drawing::new(whole, height * count(maps.len()));
+    let left = if width == Width::Screen { 14.0 } else { MARGIN };
     for (i, map) in maps.iter().enumerate() {
-        map.draw(&mut drawing, [14.0, 10.0 + height * count(i)], CELL);
+        map.draw(&mut drawing, [left, 10.0 + height * count(i)], CELL);
     }
     drawing
 }
@@ -191,7 +198,7 @@ const HARD: Colour = [245, 225, 170];
 const UNBOUNDED: Colour = [235, 165, 155];
 const UNTOUCHED: Colour = [228, 228, 228];
 
-fn shown(map: &Map) -> moca_figures::Map {
+fn shown(map: &Map, fit_px: Option<f64>) -> moca_figures::Map {
     let cells = map.cells.iter().map(|cell| {
         let [least, most] = cell.peak_n.map(|n| format!("{n:.0}"));
         let force = if least == most { most } else { format!("{least}–{most}") };
@@ -213,6 +220,7 @@ fn shown(map: &Map) -> moca_figures::Map {
             (UNBOUNDED, "above 150 N, swings on or stops"),
             (UNTOUCHED, "no touch"),
         ],
+        fit_px,
     }
 }
 
@@ -230,6 +238,30 @@ const fn colour(cell: &Cell) -> Colour {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::picture::Picture as _;
+
+    #[test]
+    fn maps_keep_every_width_with_texts_inside() {
+        for (name, x, y) in &MAPS {
+            let cell = |x, y, i: usize| Cell {
+                x,
+                y,
+                peak_n: [[8.0, 8.0], [116.0, 1234.0]][i % 2],
+                bounded: i.is_multiple_of(2),
+                stopped: i.is_multiple_of(3),
+                theory_stable: i.is_multiple_of(2),
+            };
+            let places = y.values.iter().flat_map(|v| x.values.iter().map(|u| (*u, *v))).enumerate();
+            let cells = places.map(|(i, (u, v))| cell(u, v, i)).collect();
+            let map = Map { name, x: x.label, y: y.label, x_values: x.values, y_values: y.values, cells };
+            for width in [Width::Screen, Width::Single, Width::Double] {
+                let drawing = draw(std::slice::from_ref(&map), width);
+                assert_eq!(drawing.texts_outside().unwrap(), Vec::<String>::new(), "{name}, {width:?}");
+                let wanted = if width == Width::Screen { SCREEN } else { width.px() };
+                assert!((drawing.size()[0] - wanted).abs() < 1e-9, "{name}, {width:?}");
+            }
+        }
+    }
 
     #[test]
     fn theory_and_simulation_agree_on_either_side_of_the_boundary() {

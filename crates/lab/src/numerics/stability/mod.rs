@@ -5,7 +5,7 @@ pub(crate) mod maps;
 mod single_precision;
 
 use crate::paper::collision;
-use crate::picture::Picture as _;
+use crate::picture::{Picture as _, Width};
 use crate::rig::closed_loop::{Loads, Rig, Row};
 use crate::rig::cpu_time;
 use crate::rig::measure;
@@ -36,6 +36,9 @@ pub(crate) struct Arguments {
     /// Writes the maps (SVG, PNG) and the table (JSON) into this folder.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Width of the maps.
+    #[arg(long, value_enum, default_value_t)]
+    width: Width,
     /// Only the tables of the loop in contact: its rate, the age of what it feels, faults, what is not as described, cost.
     #[arg(long)]
     contact: bool,
@@ -98,7 +101,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     if let Some(folder) = &arguments.out {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
         for map in &maps {
-            let (drawing, name) = (maps::draw(std::slice::from_ref(map)), format!("stability-{}", map.name));
+            let drawing = maps::draw(std::slice::from_ref(map), arguments.width);
+            let name = format!("stability-{}", map.name);
             drawing.write(&folder.join(name))?;
         }
     }

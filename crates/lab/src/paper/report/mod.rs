@@ -8,6 +8,7 @@ use crate::cover::characterize;
 use crate::numerics::stability;
 use crate::paper::figure::Layout;
 use crate::paper::{collision, pushes};
+use crate::picture::Width;
 use crate::rig::free_scene;
 use crate::rig::parallel;
 use crate::rig::settings::{Sensor, Settings};
@@ -100,7 +101,7 @@ fn page() -> Result<String> {
         &mut body,
         "Stability: simulation and theory",
         "Each cell is a collision with a person who stays. The line is the boundary of the same law.",
-        &stability::maps::draw(&stability::maps::all()?).svg(),
+        &stability::maps::draw(&stability::maps::all()?, Width::Screen).svg(),
     );
     let mut head = String::new();
     claims::table(&mut head, &claims::all(&b1[0], &b2[0], &c)?);
