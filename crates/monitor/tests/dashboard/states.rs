@@ -245,7 +245,7 @@ fn robot_view_in_3d_turns_with_mouse() {
     assert_ne!(above, before);
 }
 
-/// Regression test: the other views were dimmed over old data, the one in 3-D looked alive.
+/// The view in 3-D looks as old as its data, like every other view.
 #[test]
 fn veil_over_old_data_covers_the_view_in_3d() {
     let mut bench = Bench::in_mode(Mode::Impedance);
