@@ -204,7 +204,7 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
         let share = of::<T>(DULLED) * (T::one() - left / of(FEELS_FROM));
         let mut light = self.inverse_task_inertia;
         for i in 0..6 {
-            light[(i, i)] = light[(i, i)] * (T::one() + share);
+            light[(i, i)] *= T::one() + share;
         }
         Cholesky::new_shifted(&light).ok_or(SINGULAR)
     }
