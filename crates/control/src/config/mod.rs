@@ -83,7 +83,8 @@ parameter_table! {
     /// `[control]`
     #[derive(Clone, Debug, PartialEq)]
     pub struct ControlConfig in "control" {
-        /// When the base goes back under the arm after the impedance law was pushed: "on-request" or, as published, "always".
+        /// When the base goes back under the arm after the impedance law was pushed, and follows a wrench at the flange of less than
+        /// 5 N and 2 N·m: "on-request" or, as published, "always".
         recentre: RecentrePolicy = RecentrePolicy::OnRequest => [.lab("recentre")];
     }
     besides {
