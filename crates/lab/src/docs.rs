@@ -388,7 +388,7 @@ mod tests {
             "long-lean",
             &[
                 ("more than 93.7 % of a limit", "near an end | impedance | 66 |"),
-                ("at most 39.3 % of a joint's speed", "stretched | follow-me | 66 |"),
+                ("at most 47.3 % of a joint's speed", "stretched | follow-me | 66 |"),
                 ("at most 22.4 %", "home | impedance | 66 |"),
                 ("within 0.3 s and", "home | impedance | 66 |"),
             ],
