@@ -5,7 +5,7 @@
 //! it, v = reactivity·f/D_v along each axis of B, and never the other way. Without a hand it comes to rest, and stays until
 //! somebody presses Recentre: then it drives back at [`RECENTRE_M_S`] until it rests or is touched. A target from another
 //! program leads the base like before: its commander is responsible. In follow-me v counts of the flange's wrench only what is
-//! above [`HAND_N`] and [`HAND_NM`]: the nearer the arm is to a singular posture, the more force the estimate makes of a small
+//! above 5 N and 2 N·m: the nearer the arm is to a singular posture, the more force the estimate makes of a small
 //! torque. With `"always"` both laws are as published.
 
 use crate::config::{Config, RecentrePolicy};

@@ -165,7 +165,7 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
 
     /// [`ArmDynamics::wrench`] of joint torques that are only estimated. An arm that is nearly singular feels a force along the
     /// axis that cannot move through a lever of millimetres: an error of 0.1 N·m looks like a push of 20 N. Below a mobility of
-    /// [`FEELS_FROM`] that axis counts for less, in the singular posture not at all, and every other one as before.
+    /// 0.04 that axis counts for less, in the singular posture not at all, and every other one as before.
     ///
     /// ```
     /// use moca_wbc::opspace::ArmDynamics;
