@@ -163,7 +163,8 @@ impl Connection {
         Update {
             link: s.link.clone(),
             status: s.status,
-            samples: s.samples.drain(..).collect(),
+            // The storage goes along: what once held a long wait is freed with this update.
+            samples: std::mem::take(&mut s.samples).into(),
             replies: std::mem::take(&mut s.replies),
             calibration: s.calibration.clone(),
             notices: std::mem::take(&mut s.notices),

@@ -11,12 +11,14 @@ use moca_telemetry::net::{Address, Connection, Ports, RequestReceiver, Server, r
 use std::io::{self, Write};
 use std::os::unix::net::UnixStream;
 use std::sync::Arc;
-use std::sync::atomic::AtomicU64;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
 
 /// Samples on their way to the clients: four seconds at 1 kHz.
 const RING: usize = 4096;
-/// Ticks between two reads of the client that reads.
-const READ_EVERY: u64 = 20;
+/// Pause between two reads of the client that reads.
+const READ_EVERY: Duration = Duration::from_millis(5);
 /// Clients that never read, at most.
 const DEAF_MAX: usize = 8;
 
@@ -35,12 +37,41 @@ impl Write for Stalled {
     }
 }
 
+/// A client that reads, in a thread of its own as a window does: samples do not wait while the robot's thread is busy.
+struct Reader {
+    dies: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Reader {
+    fn spawn(address: Address) -> Result<Self> {
+        let connection = Connection::spawn(address, || {})?;
+        let dies = Arc::new(AtomicBool::new(false));
+        let told = Arc::clone(&dies);
+        let thread = std::thread::spawn(move || {
+            while !told.load(Ordering::Relaxed) {
+                connection.poll();
+                std::thread::sleep(READ_EVERY);
+            }
+        });
+        Ok(Self { dies, thread: Some(thread) })
+    }
+}
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        self.dies.store(true, Ordering::Relaxed);
+        // A panic of the reader has been printed; the soak goes on without it.
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
 /// All of them, and what they cost.
 pub(super) struct Onlookers {
     samples: rtrb::Producer<Sample>,
     _requests: RequestReceiver,
     server: Server,
-    reads: Option<Connection>,
+    reads: Option<Reader>,
     deaf: Vec<UnixStream>,
     terminal: Terminal,
     /// Clients that were cut off.
@@ -71,12 +102,6 @@ impl Onlookers {
     /// One tick, for everybody.
     pub(super) fn see(&mut self, sample: &Sample) {
         self.dropped += u64::from(self.samples.push(sample.clone()).is_err());
-        // A client that reads takes what has come: unread samples would wait for it, up to ten seconds of them.
-        if sample.tick.is_multiple_of(READ_EVERY)
-            && let Some(reads) = &self.reads
-        {
-            reads.poll();
-        }
         self.terminal.report(Notice::Sample(sample));
     }
 
@@ -85,7 +110,7 @@ impl Onlookers {
         match random.below(3) {
             0 => {
                 self.killed += u64::from(self.reads.take().is_some());
-                self.reads = Some(Connection::spawn(self.server.address().clone(), || {})?);
+                self.reads = Some(Reader::spawn(self.server.address().clone())?);
             }
             1 if self.deaf.len() < DEAF_MAX => {
                 if let Address::Unix(path) = self.server.address() {
