@@ -12,6 +12,7 @@ use crate::recentre::{PosturePlace, Recentre};
 use crate::robot::{JOINTS, Parts, PlantKind, TAXELS};
 use crate::supervisor::Touch;
 use crate::targets::{Order, Targets, arm_target};
+use crate::uncalibrated::PushCap;
 use crate::uncovered::Uncovered;
 use moca_msgs::request::ARMING_POSTURE_RAD;
 use moca_msgs::robot::resized;
@@ -59,6 +60,8 @@ pub struct Motion {
     parameters: Parameters<JOINTS>,
     protection: Protection,
     barrier: Option<Barrier>,
+    /// Cap of the push where the cover is not calibrated.
+    push_cap: Option<PushCap>,
     /// Guard of the base's sides without a taxel.
     uncovered: Option<Uncovered>,
     targets: Targets,
@@ -68,6 +71,8 @@ pub struct Motion {
     parts: Parts,
     /// Protection of the present tick.
     protected: Protected,
+    /// A target moves with a twist.
+    twisted: bool,
     real: bool,
     deadlines: SourceAge,
 }
@@ -86,6 +91,7 @@ impl Motion {
             _ => return Err(other_joints(joints)),
         };
         let barrier = either!(&controller, controller => controller.barrier(config))?;
+        let push_cap = PushCap::new(config)?;
         let uncovered = parts.has_cover().then(|| Uncovered::new(config));
         let protected = Protected::default();
         let targets = Targets::new(config);
@@ -102,12 +108,14 @@ impl Motion {
             parameters,
             protection,
             barrier,
+            push_cap,
             uncovered,
             targets,
             recentre,
             recovery,
             parts,
             protected,
+            twisted: false,
             real,
             deadlines,
         })
@@ -163,6 +171,9 @@ impl Motion {
                 *blocked |= light;
             }
         }
+        if let Some(cap) = &mut self.push_cap {
+            cap.feel(cover);
+        }
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.feel(cover);
         }
@@ -211,6 +222,7 @@ impl Motion {
             parameters: self.parameters,
             protection: self.protection.state().clone(),
             barrier: self.barrier.as_ref().map(Barrier::state),
+            push_cap: self.push_cap.as_ref().map(PushCap::state),
             uncovered: self.uncovered.as_ref().map(Uncovered::state),
             targets: self.targets.state().clone(),
             recentre: self.recentre.state(),
@@ -239,6 +251,11 @@ impl Motion {
             (None, None) => {}
             _ => return Err(OtherRobot),
         }
+        match (&mut self.push_cap, &state.push_cap) {
+            (Some(cap), Some(state)) => cap.restore(state),
+            (None, None) => {}
+            _ => return Err(OtherRobot),
+        }
         match (&mut self.uncovered, &state.uncovered) {
             (Some(uncovered), Some(state)) => uncovered.restore(state),
             (None, None) => {}
@@ -252,6 +269,7 @@ impl Motion {
 
     /// Forgets targets and controller state: the next command is entered anew from the measured state.
     pub fn leave(&mut self) {
+        self.twisted = false;
         self.targets.enter(ControlLaw::Hold);
         self.recentre.leave();
         if let Some(barrier) = &mut self.barrier {
@@ -266,7 +284,9 @@ impl Motion {
     /// # Errors
     /// A value that is not finite.
     pub fn set_target_twist(&mut self, twist: [f64; 6]) -> Result<(), ControlError> {
-        either!(&mut self.controller, controller => controller.set_target_twist(twist))
+        either!(&mut self.controller, controller => controller.set_target_twist(twist))?;
+        self.twisted = twist.iter().any(|value| *value != 0.0);
+        Ok(())
     }
 
     /// Answers a request for a target, or for its end, in `mode`.
@@ -375,6 +395,10 @@ impl Motion {
             if law != ControlLaw::Hold || contacts.backs_off {
                 guard.outward_m_s = Some(contacts.outward_m_s);
             }
+        }
+        if let Some(cap) = &mut self.push_cap {
+            let led = self.targets.leads() || self.twisted;
+            cap.advance(robot, deceleration, led, dt_s, &mut guard.blocked);
         }
         let felt_n;
         if let Some(recovery) = &mut self.recovery {

@@ -22,4 +22,5 @@ pub mod supervisor;
 pub mod targets;
 pub mod tick;
 pub mod tick_input;
+pub mod uncalibrated;
 pub mod uncovered;

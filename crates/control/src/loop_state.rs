@@ -9,6 +9,7 @@ use crate::robot::{JOINTS, TAXELS};
 use crate::state_check::StateCheck;
 use crate::supervisor::Supervisor;
 use crate::targets::TargetsState;
+use crate::uncalibrated::PushCapState;
 use crate::uncovered::UncoveredState;
 use moca_msgs::{Fault, Parameters};
 use moca_tactile::Cover;
@@ -41,6 +42,7 @@ pub struct MotionState {
     pub(super) parameters: Parameters<JOINTS>,
     pub(super) protection: ProtectionState,
     pub(super) barrier: Option<BarrierMemory>,
+    pub(super) push_cap: Option<PushCapState>,
     pub(super) uncovered: Option<UncoveredState>,
     pub(super) targets: TargetsState,
     pub(super) recentre: RecentreState,
