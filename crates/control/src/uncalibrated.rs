@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn touched_taxel_comes_back_to_where_the_base_stood_and_is_free_later() {
+    fn touched_taxel_comes_back_to_its_place_and_is_free_later() {
         let mut cap = cap();
         cap.feel(&touched(FRONT));
         assert_eq!(

@@ -6,6 +6,7 @@ pub(crate) mod figure;
 #[cfg(test)]
 mod golden;
 pub(crate) mod kept_pushes;
+pub(crate) mod late_bases;
 pub(crate) mod opposite_hands;
 pub(crate) mod push;
 pub(crate) mod pushes;

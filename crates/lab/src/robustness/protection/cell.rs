@@ -118,8 +118,10 @@ impl Meeting {
 /// Protection of the person.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Law {
-    /// As shipped for a cover that has not been calibrated: the base is slow.
-    Shipped,
+    /// The speed limit alone: the base is slow.
+    SpeedLimit,
+    /// As shipped for a cover that has not been calibrated: the speed limit, and a cap on the push.
+    Uncalibrated,
     /// The contact barrier with the speed limit that goes with it.
     Barrier,
     /// The contact barrier alone: the speed is the cell's.
@@ -127,11 +129,13 @@ pub(super) enum Law {
 }
 
 impl Law {
-    pub(super) const ALL: [Self; 3] = [Self::Shipped, Self::Barrier, Self::BarrierAlone];
+    /// Those of a campaign.
+    pub(super) const ALL: [Self; 3] = [Self::SpeedLimit, Self::Barrier, Self::BarrierAlone];
 
     pub(super) const fn name(self) -> &'static str {
         match self {
-            Self::Shipped => "shipped",
+            Self::SpeedLimit => "speed-limit",
+            Self::Uncalibrated => "uncalibrated",
             Self::Barrier => "barrier",
             Self::BarrierAlone => "barrier-alone",
         }
@@ -277,9 +281,13 @@ impl Cell {
         if law != Law::BarrierAlone {
             settings.config.protection = ProtectionConfig::default();
         }
-        if law != Law::Shipped {
+        settings.config.protection.contact_barrier = match law {
+            Law::SpeedLimit => BarrierReadings::Off,
+            Law::Uncalibrated => BarrierReadings::Auto,
+            Law::Barrier | Law::BarrierAlone => BarrierReadings::PuLd30,
+        };
+        if matches!(law, Law::Barrier | Law::BarrierAlone) {
             // on by default where the cover is calibrated, which says how stiff its foam is
-            settings.config.protection.contact_barrier = BarrierReadings::PuLd30;
             settings.config.robot.cover.foam_stiffness_n_m *= self.foam;
         }
         let speed_m_s = self.share * self.bound_m_s()?;

@@ -7,7 +7,7 @@ use crate::rig::parallel;
 use anyhow::Result;
 use moca_tactile::Firmware;
 
-const LAWS: [(Law, &str); 2] = [(Law::Barrier, "on"), (Law::Shipped, "off")];
+const LAWS: [(Law, &str); 2] = [(Law::Barrier, "on"), (Law::Uncalibrated, "off")];
 const BOARDS: [Firmware; 2] = [Firmware::Stock2018, Firmware::Moca];
 const LEADS_M_S: [f64; 4] = [0.04, 0.1, 0.15, 0.25];
 /// Distance of the base from the person at the start, m: it arrives however slow its limit makes it.

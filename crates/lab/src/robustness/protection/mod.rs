@@ -97,7 +97,7 @@ pub(crate) fn campaign_markdown() -> Result<String> {
 /// Phases that the short table looks at.
 const SHORT_PHASES: u32 = 2;
 
-/// The short table: a cell a line, under both laws that ship.
+/// The short table: a cell a line, under the speed limit alone and with the barrier.
 pub(crate) fn markdown() -> Result<String> {
     let lines = parallel::run("protection", &Cell::short(), short_line, |_| ());
     let mut out = String::from(
@@ -111,15 +111,15 @@ pub(crate) fn markdown() -> Result<String> {
 }
 
 fn short_line(cell: &Cell) -> Result<String> {
-    let shipped = Outcome::of(cell, Law::Shipped, SHORT_PHASES)?;
+    let limited = Outcome::of(cell, Law::SpeedLimit, SHORT_PHASES)?;
     let kept = Outcome::of(cell, Law::Barrier, SHORT_PHASES)?;
     let stopped = |outcome: &Outcome| if outcome.stopped.is_empty() { "" } else { ", stop" };
     let row = format!("0,{},{},{}", cell.columns()?, Law::Barrier.name(), kept.columns());
     Ok(format!(
         "| {} | {:.0} N{} | {:.1} N{} | {:.1} N | {} | {:.1} mm | {} |\n",
         cell.columns()?.replace(',', " | "),
-        shipped.peak_n,
-        stopped(&shipped),
+        limited.peak_n,
+        stopped(&limited),
         kept.peak_n,
         stopped(&kept),
         kept.least_n,
@@ -151,7 +151,7 @@ impl Printed {
 
 /// Every ninth cell of the short table, as its test runs them.
 pub(crate) fn of_the_short_table(barrier: bool) -> Result<Vec<Printed>> {
-    let law = if barrier { Law::Barrier } else { Law::Shipped };
+    let law = if barrier { Law::Barrier } else { Law::SpeedLimit };
     Cell::short().into_iter().step_by(9).map(|cell| Printed::of(cell, law, SHORT_PHASES)).collect()
 }
 

@@ -39,7 +39,7 @@ impl Entry<'_> {
             return "two walk in from both sides: there is no way out";
         }
         let within = self.number("impact_n") <= limit_n();
-        if self.text("law") == "shipped" {
+        if self.text("law") == "speed-limit" {
             return if within {
                 "the admittance alone rings or goes on pushing after the impact"
             } else if self.number("peak_after_s") > 0.1 {
@@ -128,7 +128,7 @@ fn growth_of(entries: &[Entry<'_>]) -> String {
         "| law | foam over calibration | cells | grows | let go between | later harder than any first by at most |\n\
          |---|---|---|---|---|---|\n",
     );
-    for law in ["shipped", "barrier", "barrier-alone"] {
+    for law in ["speed-limit", "barrier", "barrier-alone"] {
         for foam in ["0.5", "1", "2"] {
             let driven = |entry: &&Entry<'_>| ["led", "by hand"].contains(&entry.text("meeting"));
             let of = |entry: &&Entry<'_>| entry.text("law") == law && entry.text("foam") == foam;
@@ -201,7 +201,7 @@ fn as_table(entries: &[Entry<'_>]) -> String {
             let _ = writeln!(out, "| {law} | {truth} | {meeting} | {share} | {}", line(&group));
         }
     };
-    for law in ["shipped", "barrier", "barrier-alone"] {
+    for law in ["speed-limit", "barrier", "barrier-alone"] {
         for meeting in ["led", "by hand", "walks", "leans"] {
             for share in ["0.6", "0.8", "0.95"] {
                 row(law, Some(DESCRIBED), meeting, Some(share));
@@ -239,7 +239,7 @@ fn line(group: &[&Entry<'_>]) -> String {
 fn table_counts_excess_and_names_reasons() {
     let text = format!(
         "{}\n\
-         0,T5,led,moca,held rigid,1,0.6,as described,1,0.08,shipped,0.08,9,30,31,0.3,0.02,9,9,true,true,20,31,1,\n\
+         0,T5,led,moca,held rigid,1,0.6,as described,1,0.08,speed-limit,0.08,9,30,31,0.3,0.02,9,9,true,true,20,31,1,\n\
          1,T5,led,moca,held rigid,1,0.6,as described,1,0.08,barrier,0.08,9,9,9,0.1,0.02,9,1,false,false,9,0,1,\n\
          2,T5,led,moca,held rigid,1,0.6,as described,1,0.08,barrier-alone,0.08,9,9,27,2.5,0.02,9,3,true,false,27,27.5,1,taxel-invalid\n\
          3,T5,walks,moca,held rigid,1,0.6,as described,1,0.08,barrier,0.08,9,28,28,0.1,0.09,26,1,false,false,9,0,1,\n\
@@ -258,14 +258,16 @@ fn table_counts_excess_and_names_reasons() {
         "{table}"
     );
     let growth = entries(&text, growth_of).unwrap();
-    for row in
-        ["shipped | × 1 | 1 | 1 | 1 | 11.0 N", "barrier | × 1 | 1 | 0 | 0 | 0.0 N", "alone | × 2 | 0 | 0 | 0"]
-    {
+    for row in [
+        "speed-limit | × 1 | 1 | 1 | 1 | 11.0 N",
+        "barrier | × 1 | 1 | 0 | 0 | 0.0 N",
+        "alone | × 2 | 0 | 0 | 0",
+    ] {
         assert!(growth.contains(row), "{growth}");
     }
     assert!(growth.contains("| barrier-alone | × 1 | 1 | 1 | 0 | 0.5 N |"), "{growth}");
     let failures = entries(&text, failures_of).unwrap();
-    assert!(failures.contains("| shipped | the admittance alone: no row stops it"), "{failures}");
+    assert!(failures.contains("| speed-limit | the admittance alone: no row stops it"), "{failures}");
     assert!(
         failures.contains("| barrier-alone | a later contact is harder than the first | 1 |"),
         "{failures}"

@@ -9,7 +9,7 @@ use moca_tactile::Firmware;
 use std::fmt::Write as _;
 
 const BOARDS: [Firmware; 2] = [Firmware::Stock2018, Firmware::Moca];
-const LAWS: [(Law, &str); 2] = [(Law::Barrier, "on"), (Law::Shipped, "off")];
+const LAWS: [(Law, &str); 2] = [(Law::Barrier, "on"), (Law::SpeedLimit, "off")];
 /// T5 to T7.
 const FRONT: [usize; 3] = [4, 5, 6];
 /// Phases of the sensor that are looked at.
