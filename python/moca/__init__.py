@@ -147,6 +147,9 @@ class _Commanded:
     def trajectory(self, times: Any, positions: Any, quaternions: Any, *, touch: str = "wins") -> Any:
         """Leads the flange along poses in W: (n,) s, (n, 3) m, (n, 4)."""
         columns = [np.reshape(times, (-1, 1)), np.reshape(positions, (-1, 3)), np.reshape(quaternions, (-1, 4))]
+        if len({len(column) for column in columns}) > 1:
+            counts = ", ".join(f"{len(column)} {name}" for column, name in zip(columns, ("times", "positions", "quaternions")))
+            raise ValueError(f"{counts}: a trajectory needs as many of each")
         return self._result(self._inner.trajectory(_numbers(np.hstack(columns)), touch))
 
     def press(self, taxel: int, force: float) -> Any:

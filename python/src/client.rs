@@ -151,9 +151,6 @@ impl Client {
 
     fn trajectory(&self, py: Python<'_>, rows: Vec<f64>, touch: &str) -> PyResult<()> {
         let (waypoints, touch) = (waypoints(&rows)?, policy(touch)?);
-        if waypoints.is_empty() {
-            return Err(PyValueError::new_err("a trajectory without poses"));
-        }
         self.connection()?.trajectory(touch, waypoints);
         let Reply { request, outcome } = self.answer(py, |request| matches!(request, Request::Waypoint { .. }))?;
         answered(request, outcome)

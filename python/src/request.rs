@@ -4,7 +4,9 @@ use crate::Refused;
 use moca_msgs::{
     Law, Outcome, ParameterValues, Request, Target, TimedTarget, TouchPolicy, TwistAxes, Waypoint,
 };
+use moca_msgs::params::MAX_ELEMENTS;
 use moca_msgs::request::PRESS_FORCE_MAX_N;
+use moca_msgs::target::MAX_WAYPOINTS;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -60,15 +62,15 @@ pub(crate) fn target(
     };
     let target = match kind {
         "pose" => {
-            let [x, y, z, qx, qy, qz, qw] = exactly(values)?;
+            let [x, y, z, qx, qy, qz, qw] = exactly(values, "a position in m and a quaternion x, y, z, w")?;
             Target::Pose { position_world: [x, y, z], quaternion_world: [qx, qy, qz, qw] }
         }
-        "twist world" | "twist base" | "twist flange" => Target::Twist { axes, twist: exactly(values)? },
+        "twist world" | "twist base" | "twist flange" => Target::Twist { axes, twist: exactly(values, "a twist in m/s and rad/s")? },
         "posture" => {
             let q_rad = ParameterValues::new(values);
-            Target::Posture(q_rad.ok_or_else(|| PyValueError::new_err(format!("{} joint angles, more than any arm has", values.len())))?)
+            Target::Posture(q_rad.ok_or_else(|| counted(values.len(), "joint angles in rad", MAX_ELEMENTS))?)
         }
-        "base" => Target::BaseVelocity { velocity_body: exactly(values)? },
+        "base" => Target::BaseVelocity { velocity_body: exactly(values, "a velocity in m/s, m/s, rad/s")? },
         _ => return Err(PyValueError::new_err(format!("no target is called {kind:?}; allowed: {TARGETS}"))),
     };
     let touch = policy(touch)?;
@@ -83,18 +85,29 @@ pub(crate) fn policy(touch: &str) -> PyResult<TouchPolicy> {
     }
 }
 
-/// Rows of time, position, quaternion.
+/// Rows of time, position, quaternion: as many as a trajectory may have.
 pub(crate) fn waypoints(rows: &[f64]) -> PyResult<Vec<Waypoint>> {
+    let count = rows.len().div_ceil(8);
+    if count == 0 || count > MAX_WAYPOINTS {
+        return Err(counted(count, "poses of a trajectory", MAX_WAYPOINTS));
+    }
     rows.chunks(8)
         .map(|row| {
-            let [time_s, x, y, z, qx, qy, qz, qw] = exactly(row)?;
+            let [time_s, x, y, z, qx, qy, qz, qw] =
+                exactly(row, "a time in s, a position in m and a quaternion x, y, z, w")?;
             Ok(Waypoint { time_s, position_world: [x, y, z], quaternion_world: [qx, qy, qz, qw] })
         })
         .collect()
 }
 
-pub(crate) fn exactly<const N: usize>(values: &[f64]) -> PyResult<[f64; N]> {
-    values.try_into().map_err(|_| PyValueError::new_err(format!("{} numbers, {N} are needed", values.len())))
+/// Refuses a number of things, from 1 to `most`.
+pub(crate) fn counted(count: usize, what: &str, most: usize) -> PyErr {
+    PyValueError::new_err(format!("{count} {what}: allowed: 1 to {most}"))
+}
+
+fn exactly<const N: usize>(values: &[f64], what: &str) -> PyResult<[f64; N]> {
+    let wrong = |_| PyValueError::new_err(format!("{} numbers for {what}: {N} are needed", values.len()));
+    values.try_into().map_err(wrong)
 }
 
 pub(crate) fn answered(request: Request, outcome: Outcome) -> PyResult<()> {

@@ -1,12 +1,13 @@
 //! A simulated robot in lock-step: bytes, law and plant as in `mocad --as-fast-as-possible`.
 
-use crate::request::{answered, plain, policy, press, target, waypoints};
+use crate::request::{answered, counted, plain, policy, press, target, waypoints};
 use crate::state::State;
 use moca_control::config::Config;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::assemble::board_config;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards, NoCover};
+use moca_msgs::target::MAX_WAYPOINTS;
 use moca_msgs::{Outcome, Refusal, Request, Sample};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -90,13 +91,13 @@ impl Simulation {
 
     fn trajectory(&mut self, rows: Vec<f64>, touch: &str) -> PyResult<State> {
         let (waypoints, touch) = (waypoints(&rows)?, policy(touch)?);
-        let count =
-            u8::try_from(waypoints.len()).map_err(|error| PyValueError::new_err(error.to_string()))?;
+        let few = || counted(waypoints.len(), "poses of a trajectory", MAX_WAYPOINTS);
+        let count = u8::try_from(waypoints.len()).map_err(|_| few())?;
         let mut last = None;
-        for (index, waypoint) in (0..count).zip(waypoints) {
-            last = Some(self.ask(Request::Waypoint { index, count, waypoint, touch })?);
+        for (index, waypoint) in (0..count).zip(&waypoints) {
+            last = Some(self.ask(Request::Waypoint { index, count, waypoint: *waypoint, touch })?);
         }
-        last.ok_or_else(|| PyValueError::new_err("a trajectory without poses"))
+        last.ok_or_else(few)
     }
 
     fn press(&mut self, taxel: u8, force_n: f64) -> PyResult<State> {

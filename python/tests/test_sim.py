@@ -60,7 +60,7 @@ def test_a_refusal_says_why_with_value_and_range():
         sim.target_pose([np.nan, 0, 0], [0, 0, 0, 1])
     with pytest.raises(moca.Refused, match="choose follow-me"):
         sim.target_base([0.1, 0, 0])
-    with pytest.raises(ValueError, match="numbers, 6 are needed"):
+    with pytest.raises(ValueError, match="1 numbers for a twist in m/s and rad/s: 6 are needed"):
         sim.target_twist([0.1])
     with pytest.raises(ValueError):
         moca.Sim("no.such.key = 1\n")
@@ -104,6 +104,10 @@ def test_the_environment_of_the_examples_steps():
         (lambda sim: sim.select_law("fast"), "allowed: 'impedance', 'follow-me'"),
         (lambda sim: sim.target_twist([0.0] * 6, axes="tool"), "allowed: 'world', 'base', 'flange'"),
         (lambda sim: sim.target_twist([0.0] * 6, touch="ignore"), 'allowed: "wins", "pass-through"'),
+        (lambda sim: sim.target_posture([0.0] * 99), "99 joint angles in rad: allowed: 1 to"),
+        (lambda sim: sim.trajectory([], [], []), "0 poses of a trajectory: allowed: 1 to 32"),
+        (lambda sim: sim.trajectory(range(33), [[0.0] * 3] * 33, [[0.0] * 4] * 33), "33 poses of a trajectory: allowed: 1 to 32"),
+        (lambda sim: sim.trajectory([1.0], [[0.0] * 3] * 2, [[0.0] * 4]), "1 times, 2 positions, 1 quaternions: a trajectory needs"),
     ],
 )
 def test_a_wrong_value_is_named_with_what_is_allowed(call, said):
