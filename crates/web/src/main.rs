@@ -39,7 +39,7 @@ struct Arguments {
 enum Command {
     /// Prints a code that pairs one device within two minutes.
     Pair {
-        /// Rights of the device.
+        /// Rights of the device: viewer, operator or maintainer.
         role: Role,
     },
     /// Lists the paired devices.
