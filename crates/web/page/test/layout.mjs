@@ -3,8 +3,7 @@
 import { Browser, Robot, SIZES, check, finish, sleep } from "./robot.mjs";
 
 const folder = process.argv[2];
-const PICTURES = { "tablet light cover": "tablet-running", "phone light cover": "phone", "laptop dark cover": "laptop-dark",
-  "tablet light robot": "tablet-3d", "phone dark logs": "phone-logs", "laptop light maintain": "laptop-maintain",
+const PICTURES = { "tablet light cover": "tablet-running", "laptop dark cover": "laptop-dark", "laptop light maintain": "laptop-maintain",
   "tablet dark robots": "tablet-robots" };
 const robot = await Robot.start({ lease_ms: 1000 }); // nothing here depends on it;
 
