@@ -56,6 +56,7 @@ const READ_ELSEWHERE: &[(&str, &str)] = &[
     ("telemetry.mode", "control/src/config/mod.rs"),
     ("telemetry.watch", "control/src/config/mod.rs"),
     ("telemetry.token", "control/src/config/mod.rs"),
+    ("telemetry.tls", "daemon/src/runtime/clients.rs"),
     ("flight_recorder.folder", "daemon/src/record/flight_recorder.rs"),
     ("protection.assessed_forces_n", "lab/src/cover/latency.rs"),
     ("protection.stopping_measured", "control/src/protection.rs"),

@@ -29,6 +29,7 @@ pub fn features() -> Vec<&'static str> {
         ("fci", cfg!(feature = "fci")),
         ("ros2", cfg!(feature = "ros2")),
         ("ros2-zenoh", cfg!(feature = "ros2-zenoh")),
+        ("tls", cfg!(feature = "tls")),
     ];
     all.into_iter().filter_map(|(name, there)| there.then_some(name)).collect()
 }

@@ -47,6 +47,9 @@ enum Command {
     /// List parameters, change them in a running daemon, or print their schema.
     #[command(subcommand)]
     Params(moca_daemon::cli::params::Command),
+    /// Give programs of other machines certificates, list them, take them back (`telemetry.tls`).
+    #[cfg(feature = "tls")]
+    Access(moca_daemon::cli::access::Arguments),
     /// Print the default configuration with every field documented.
     DefaultConfig,
     #[command(flatten)]
@@ -124,6 +127,10 @@ fn main() -> ExitCode {
         Some(Command::Log(arguments)) => moca_daemon::cli::log::run(&arguments).map(|text| print(&text)),
         Some(Command::Logs(arguments)) => moca_daemon::cli::log::list(&arguments).map(|text| print(&text)),
         Some(Command::Params(command)) => moca_daemon::cli::params::run(&command),
+        #[cfg(feature = "tls")]
+        Some(Command::Access(arguments)) => {
+            moca_daemon::cli::access::run(&arguments).map(|text| print(&text))
+        }
         Some(Command::DefaultConfig) => {
             print(moca_daemon::config::DEFAULT_TOML);
             Ok(())

@@ -17,8 +17,8 @@ use std::{path::PathBuf, time::Duration};
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {
-    /// Address of a daemon, HOST:PORT or unix:PATH; may be given more than once. Use an SSH tunnel for another machine. Without it
-    /// the last ones, or else this machine's: the service's socket, or 127.0.0.1:7611.
+    /// Address of a daemon: unix:PATH, HOST:PORT on this machine, or tls://HOST:PORT with a certificate; may be given more than once.
+    /// Without it the last ones, or else this machine's: the service's socket, or 127.0.0.1:7611.
     #[arg(long, value_name = "ADDRESS")]
     address: Vec<Address>,
     /// Show a recorded run instead: an MCAP file of `mocad run --record`. May be given more than once.

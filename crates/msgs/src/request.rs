@@ -293,7 +293,9 @@ impl fmt::Display for Refusal {
             Self::Stopped => "a stop came before its turn",
             Self::NotCommander => "another client has the command: close it, or let it give the command back",
             Self::NoAnswer => "the daemon does not answer",
-            Self::ReadOnly => "this connection may only read and stop: command over the operators' socket",
+            Self::ReadOnly => {
+                "this connection may not do this: use the operators' socket, or a certificate of a higher role"
+            }
         };
         f.write_str(text)
     }

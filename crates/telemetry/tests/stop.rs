@@ -57,7 +57,7 @@ impl Robot {
             if port { "127.0.0.1:0".parse().unwrap() } else { Address::Unix(folder.join("telemetry.sock")) };
         let token = Some(Token::read_or_create(&folder.join("token")).unwrap());
         let watch = Some(folder.join("watch.sock"));
-        let serving = Serving { mode: 0o600, token, watch, self_armed: false };
+        let serving = Serving { mode: 0o600, token, watch, ..Serving::default() };
         let server = serve(&address, serving, RobotDescription::paper("test", true), ports).unwrap();
         let (heard, ended) = (Arc::<Mutex<Vec<Request>>>::default(), Arc::new(AtomicBool::new(false)));
         let (hears, ends) = (Arc::clone(&heard), Arc::clone(&ended));

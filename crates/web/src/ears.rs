@@ -1,18 +1,17 @@
 //! Messages of a page, judged: signs of life dated by this gateway's clock, presses, requests and stops.
 
 use crate::{
-    access::{
-        Role,
-        devices::Device,
-        role::{CALIBRATE, least_role},
-    },
+    access::{Role, devices::Device},
     gateway::Gateway,
     holder::{Duty, Holder, PageId},
     picture::Extras,
     rate::{Bucket, Rate},
 };
 use moca_msgs::{Law, Request};
-use moca_telemetry::calibration::CalibrationRequest;
+use moca_telemetry::{
+    calibration::CalibrationRequest,
+    net::access::{CALIBRATE, least_role},
+};
 use serde::Deserialize;
 use serde_json::json;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

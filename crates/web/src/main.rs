@@ -39,7 +39,7 @@ struct Arguments {
 enum Command {
     /// Prints a code that pairs one device within two minutes.
     Pair {
-        /// Rights of the device.
+        /// Rights of the device: viewer, operator or maintainer.
         role: Role,
     },
     /// Lists the paired devices.
@@ -88,8 +88,11 @@ fn main() -> anyhow::Result<()> {
         Some(Command::Pair { role }) => {
             let code = Store::open(&state)?.new_code(role)?;
             let (left, right) = code.split_at(code.len() / 2);
-            println!("{left}-{right}");
-            println!("Type it on the device within {CODE_LIFE_S} s; it makes one device a {}.", role.name());
+            // At once: a reader of the first line alone closes the pipe.
+            println!(
+                "{left}-{right}\nType it on the device within {CODE_LIFE_S} s; its role is {}.",
+                role.name()
+            );
             Ok(())
         }
         Some(Command::Devices) => {

@@ -1,7 +1,7 @@
 //! Every path of the server.
 
 use crate::{
-    access::{Role, devices::DEVICE_LIFE_S, role::LOGS},
+    access::{Role, devices::DEVICE_LIFE_S},
     assets::ASSETS,
     gateway::{COOKIE, Gateway},
     guard::{Peer, guard},
@@ -15,7 +15,7 @@ use axum::{
     response::{IntoResponse, Response},
     routing::{get, post},
 };
-use moca_telemetry::ParameterValue;
+use moca_telemetry::{ParameterValue, net::access::LOGS};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::{sync::Arc, time::Duration};

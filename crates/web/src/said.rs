@@ -1,8 +1,11 @@
 //! The part of a robot's state that changes seldom, as text for a page.
 
-use crate::{access::role::CALIBRATE, ears::Page, holder::Holder};
+use crate::{ears::Page, holder::Holder};
 use moca_msgs::Mode;
-use moca_telemetry::{calibration::CalibrationProgress, net::Commander};
+use moca_telemetry::{
+    calibration::CalibrationProgress,
+    net::{Commander, access::CALIBRATE},
+};
 use serde_json::{Value, json};
 use tokio::sync::watch;
 

@@ -398,7 +398,7 @@ fn telemetry(settings: &TelemetryConfig, report: Report<'_>) {
     }
     let watch = &settings.watch;
     let known = watch.is_empty() || watch == AUTO_LISTEN;
-    if !known && !watch.parse().is_ok_and(|address: Address| address.tcp().is_none()) {
+    if !known && !watch.parse().is_ok_and(|address| matches!(address, Address::Unix(_))) {
         let allowed = "\"auto\", unix:/ABSOLUTE/PATH, or \"\" for none";
         report("telemetry.watch", format!("telemetry.watch = {watch:?}; allowed: {allowed}"));
     }
@@ -412,6 +412,11 @@ fn telemetry(settings: &TelemetryConfig, report: Report<'_>) {
     if token != AUTO_LISTEN && !token.starts_with('/') {
         let allowed = "\"auto\" or the absolute path of a file of mode 0600";
         report("telemetry.token", format!("telemetry.token = {token:?}; allowed: {allowed}"));
+    }
+    let tls = &settings.tls;
+    if !tls.is_empty() && tls.parse::<std::net::SocketAddr>().is_err() {
+        let allowed = "an address and a port such as 0.0.0.0:7612, or \"\" for none";
+        report("telemetry.tls", format!("telemetry.tls = {tls:?}; allowed: {allowed}"));
     }
 }
 

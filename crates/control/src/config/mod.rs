@@ -284,6 +284,8 @@ parameter_table! {
         watch: String = AUTO_LISTEN.into();
         /// File with the secret that admits to a port.
         token: String = AUTO_LISTEN.into();
+        /// Address and port for programs of other machines, over TLS with certificates of `mocad access`; empty for none.
+        tls: String = String::new();
     }
 }
 
@@ -516,7 +518,7 @@ impl Config {
             (AUTO_LISTEN, _) => None,
             (watch, _) => match watch.parse().ok()? {
                 Address::Unix(path) => Some(path),
-                Address::Tcp(_) => None,
+                Address::Tcp(_) | Address::Tls { .. } => None,
             },
         }
     }

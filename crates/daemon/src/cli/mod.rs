@@ -1,5 +1,7 @@
 //! Commands on a terminal besides the loop, and the report of a run.
 
+#[cfg(feature = "tls")]
+pub mod access;
 mod board_report;
 pub mod calibrate;
 pub mod doctor;

@@ -17,7 +17,7 @@ pub(crate) const LOOK_EVERY: Duration = Duration::from_millis(5);
 /// Which daemon.
 #[derive(Args)]
 pub(crate) struct DaemonArguments {
-    /// Address of the daemon's telemetry: unix:PATH, or HOST:PORT.
+    /// Address of the daemon's telemetry: unix:PATH, HOST:PORT on this machine, or tls://HOST:PORT.
     #[arg(long, value_name = "ADDRESS", default_value_t = Address::of_this_machine())]
     pub(crate) address: Address,
 }

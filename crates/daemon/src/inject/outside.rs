@@ -173,6 +173,7 @@ fn connect(address: &Address) -> io::Result<Box<dyn Socket>> {
             socket.set_read_timeout(Some(LOOK_EVERY))?;
             Box::new(socket)
         }
+        Address::Tls { .. } => return Err(io::ErrorKind::Unsupported.into()),
     };
     let hello = encode_from_client(&FromClient::Hello { role: Role::Observer, proof: None });
     socket.write_all(&hello.map_err(io::Error::other)?)?;

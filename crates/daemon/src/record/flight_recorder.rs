@@ -224,6 +224,11 @@ pub(crate) fn auto_folder() -> PathBuf {
         .unwrap_or_else(|| std::env::temp_dir().join("mocad-state"))
 }
 
+/// Folder of the certificates of programs on other machines.
+pub(crate) fn access_folder() -> PathBuf {
+    auto_folder().join("access")
+}
+
 fn write_log(
     path: &Path,
     meta: &Meta,

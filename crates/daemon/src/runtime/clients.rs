@@ -4,7 +4,7 @@ use crate::config::live::changed;
 use crate::config::stability::Stability;
 use crate::config::{AUTO_FOLDER, Config};
 use crate::inject::{self, Disk, OutsideFault, Strike};
-use crate::record::flight_recorder::FlightRecorder;
+use crate::record::flight_recorder::{FlightRecorder, access_folder};
 use crate::record::recording::{Recording, parameter_change};
 use crate::record::tick_log::TickLogReader;
 use crate::robot::PlantKind;
@@ -19,7 +19,8 @@ use moca_msgs::{Refusal, Sample};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::create_file;
 use moca_telemetry::net::{
-    self, Address, CalibrationPort, Judge, Ports, ProposedChange, RequestSender, Server, Serving, Token,
+    self, Address, CalibrationPort, Judge, Ports, ProposedChange, RequestSender, Server, Serving, TlsPort,
+    Token,
 };
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -92,6 +93,9 @@ pub(crate) fn serve(
         format!("telemetry.listen = \"{address}\" (if another mocad runs, choose another address, port 0 for any, or \"\")")
     })?;
     reporter.report(Notice::Telemetry(server.address()));
+    if let Some(address) = server.tls_address() {
+        reporter.report(Notice::Telemetry(address));
+    }
     Ok(server)
 }
 
@@ -102,14 +106,27 @@ fn serving(config: &Config, address: &Address) -> Result<Serving> {
             let path = config.token_path().context("telemetry.token: no home folder; name a file")?;
             Some(Token::read_or_create(&path).context("telemetry.token")?)
         }
-        Address::Unix(_) => None,
+        Address::Unix(_) | Address::Tls { .. } => None,
     };
     Ok(Serving {
         mode: config.telemetry.socket_mode().unwrap_or_default(),
         token,
         watch: config.watch_socket(),
+        tls: tls_port(config)?,
         self_armed: config.startup.arm && config.plant.kind == PlantKind::Simulated,
     })
+}
+
+/// Returns the port for programs of other machines; its certificates are made if there are none.
+fn tls_port(config: &Config) -> Result<Option<TlsPort>> {
+    if config.telemetry.tls.is_empty() {
+        return Ok(None);
+    }
+    let listen = config.telemetry.tls.parse().context("telemetry.tls")?;
+    let folder = access_folder();
+    #[cfg(feature = "tls")]
+    moca_telemetry::net::tls::Access::open(&folder).context("telemetry.tls")?;
+    Ok(Some(TlsPort { listen, folder }))
 }
 
 fn description(config: &Config) -> RobotDescription {

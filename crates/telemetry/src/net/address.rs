@@ -9,7 +9,7 @@
 //! # Ok::<(), moca_telemetry::net::address::AddressError>(())
 //! ```
 
-use super::{NetError, Token, wire::Role};
+use super::{NetError, Token, token::named_path, wire::Role};
 use std::{
     env, fmt,
     fs::DirBuilder,
@@ -33,6 +33,10 @@ pub const SOCKET_NAME: &str = "telemetry.sock";
 pub const WATCH_SOCKET_NAME: &str = "watch.sock";
 /// Before the path of a Unix socket.
 const UNIX: &str = "unix:";
+/// Before the host of a daemon over TLS.
+const TLS: &str = "tls://";
+/// Environment variable with the path of a client's certificate file.
+pub const ACCESS_VARIABLE: &str = "MOCA_ACCESS_FILE";
 /// Kernel's send buffer for one client, bytes: how far a client that stops reading falls behind before it is noticed.
 const SEND_BUFFER: u32 = 128 * 1024;
 /// Kernel's receive buffer for one client, bytes: with its default, megabytes of requests would grow old.
@@ -42,13 +46,20 @@ const BACKLOG: u32 = 1024;
 /// Period and number of a client's attempts at a socket whose queue is full.
 const QUEUE_FULL: (Duration, u32) = (Duration::from_millis(1), 500);
 
-/// Address of a daemon: `127.0.0.1:7611` or `unix:/run/mocad/telemetry.sock`.
+/// Address of a daemon: `127.0.0.1:7611`, `unix:/run/mocad/telemetry.sock` or `tls://robot:7612`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Address {
     /// A port, reachable by every user of the machine.
     Tcp(SocketAddr),
     /// A socket file, reachable by who may write to it.
     Unix(PathBuf),
+    /// A port of another machine, over TLS.
+    Tls {
+        /// Name or address of the machine.
+        host: String,
+        /// Port.
+        port: u16,
+    },
 }
 
 impl Address {
@@ -76,16 +87,16 @@ impl Address {
     /// The socket file that only shows, beside the one of operators; a port has none.
     pub fn watch_socket(&self) -> Option<PathBuf> {
         match self {
-            Self::Tcp(_) => None,
+            Self::Tcp(_) | Self::Tls { .. } => None,
             Self::Unix(path) => Some(path.with_file_name(WATCH_SOCKET_NAME)),
         }
     }
 
-    /// The port, if it is one.
+    /// The port, if it is one of this machine.
     pub const fn tcp(&self) -> Option<SocketAddr> {
         match self {
             Self::Tcp(address) => Some(*address),
-            Self::Unix(_) => None,
+            Self::Unix(_) | Self::Tls { .. } => None,
         }
     }
 
@@ -94,6 +105,7 @@ impl Address {
         match self {
             Self::Tcp(address) => address.ip().is_loopback(),
             Self::Unix(_) => true,
+            Self::Tls { .. } => false,
         }
     }
 }
@@ -109,6 +121,7 @@ impl fmt::Display for Address {
         match self {
             Self::Tcp(address) => address.fmt(f),
             Self::Unix(path) => write!(f, "{UNIX}{}", path.display()),
+            Self::Tls { host, port } => write!(f, "{TLS}{host}:{port}"),
         }
     }
 }
@@ -120,7 +133,7 @@ pub struct Endpoint {
     pub address: Address,
     /// Role that the client asks for.
     pub role: Role,
-    /// The file with the token, if the daemon asks for one.
+    /// The file with the token, if the daemon asks for one; over TLS that with the certificate.
     pub token: Option<PathBuf>,
 }
 
@@ -132,10 +145,14 @@ impl Endpoint {
     }
 }
 
-/// For an operator, with the token of [`Token::default_path`].
+/// For an operator, with the token of [`Token::default_path`], or over TLS with the certificate of this user for that host.
 impl From<Address> for Endpoint {
     fn from(address: Address) -> Self {
-        Self { address, role: Role::Operator, token: Token::default_path() }
+        let token = match &address {
+            Address::Tls { host, .. } => access_file(host),
+            Address::Tcp(_) | Address::Unix(_) => Token::default_path(),
+        };
+        Self { address, role: Role::Operator, token }
     }
 }
 
@@ -149,6 +166,12 @@ impl From<SocketAddr> for Endpoint {
     fn from(address: SocketAddr) -> Self {
         Address::Tcp(address).into()
     }
+}
+
+/// Returns the file with this user's certificate for a robot: `$MOCA_ACCESS_FILE`, or `mocad/access/HOST.pem` in
+/// `$XDG_CONFIG_HOME` (`~/.config`).
+pub fn access_file(host: &str) -> Option<PathBuf> {
+    named_path(ACCESS_VARIABLE, &format!("access/{host}.pem"))
 }
 
 /// `$XDG_RUNTIME_DIR/mocad`, `/run/user/UID/mocad` where that variable is missing, or `mocad-UID` in the folder of
@@ -181,7 +204,9 @@ fn prepare_user_folder(folder: &Path) -> io::Result<()> {
 
 /// A text that is no [`Address`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is no address; allowed: HOST:PORT such as 127.0.0.1:7611, or unix:/ABSOLUTE/PATH")]
+#[error(
+    "{0:?} is no address; allowed: HOST:PORT such as 127.0.0.1:7611, unix:/ABSOLUTE/PATH, or tls://HOST:PORT"
+)]
 pub struct AddressError(String);
 
 impl FromStr for Address {
@@ -189,6 +214,13 @@ impl FromStr for Address {
 
     fn from_str(text: &str) -> Result<Self, AddressError> {
         let wrong = || AddressError(text.into());
+        if let Some(rest) = text.strip_prefix(TLS) {
+            let (host, port) = rest.rsplit_once(':').ok_or_else(wrong)?;
+            let named =
+                host.starts_with('[') || host.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c));
+            let port = port.parse().ok().filter(|_| named && !host.is_empty()).ok_or_else(wrong)?;
+            return Ok(Self::Tls { host: host.into(), port });
+        }
         match text.strip_prefix(UNIX) {
             Some(path) if path.starts_with('/') && !path.ends_with('/') => Ok(Self::Unix(path.into())),
             Some(_) => Err(wrong()),
@@ -202,10 +234,17 @@ pub(super) type Reader = Box<dyn AsyncRead + Send + Unpin>;
 /// Writing half of a connection.
 pub(super) type Writer = Box<dyn AsyncWrite + Send + Unpin>;
 
-/// Connects to a daemon.
-pub(super) async fn connect(address: &Address) -> io::Result<(Reader, Writer)> {
+/// Connects to a daemon, over TLS with the certificate in `file`.
+pub(super) async fn connect(address: &Address, file: Option<&Path>) -> io::Result<(Reader, Writer)> {
     match address {
         Address::Tcp(address) => tcp_halves(TcpStream::connect(address).await?),
+        #[cfg(feature = "tls")]
+        Address::Tls { host, port } => super::tls::connect(host, *port, file).await,
+        #[cfg(not(feature = "tls"))]
+        Address::Tls { .. } => {
+            let _ = file;
+            Err(io::Error::other(NetError::NoTls))
+        }
         Address::Unix(path) => {
             let mut tries = 1..QUEUE_FULL.1;
             loop {
@@ -236,6 +275,16 @@ fn unix_halves(stream: UnixStream) -> (Reader, Writer) {
 pub(super) enum Listener {
     Tcp(TcpListener),
     Unix(UnixListener, PathBuf),
+    #[cfg(feature = "tls")]
+    Tls(TcpListener),
+}
+
+/// A connection that has just been accepted.
+pub(super) enum Arrived {
+    Halves(Reader, Writer),
+    /// It has to prove who it is first.
+    #[cfg(feature = "tls")]
+    Tls(TcpStream),
 }
 
 impl Listener {
@@ -244,8 +293,15 @@ impl Listener {
         let bound = match address {
             Address::Tcp(address) => bind_tcp(*address).map(Self::Tcp),
             Address::Unix(path) => bind_unix(path, mode).map(|listener| Self::Unix(listener, path.clone())),
+            Address::Tls { .. } => Err(io::Error::other("a server listens on an address of its own machine")),
         };
         bound.map_err(|cause| NetError::Bind { address: address.clone(), cause })
+    }
+
+    /// Binds a port for TLS. Needs a runtime's context.
+    #[cfg(feature = "tls")]
+    pub(super) fn bind_tls(address: SocketAddr) -> Result<Self, NetError> {
+        bind_tcp(address).map(Self::Tls).map_err(|cause| NetError::Bind { address: address.into(), cause })
     }
 
     /// Returns its address, with the port that the system chose.
@@ -253,14 +309,24 @@ impl Listener {
         match self {
             Self::Tcp(listener) => listener.local_addr().map(Address::Tcp),
             Self::Unix(_, path) => Ok(Address::Unix(path.clone())),
+            #[cfg(feature = "tls")]
+            Self::Tls(listener) => {
+                let address = listener.local_addr()?;
+                let host =
+                    if address.is_ipv6() { format!("[{}]", address.ip()) } else { address.ip().to_string() };
+                Ok(Address::Tls { host, port: address.port() })
+            }
         }
     }
 
-    pub(super) async fn accept(&self) -> io::Result<(Reader, Writer)> {
-        match self {
-            Self::Tcp(listener) => tcp_halves(listener.accept().await?.0),
-            Self::Unix(listener, _) => Ok(unix_halves(listener.accept().await?.0)),
-        }
+    pub(super) async fn accept(&self) -> io::Result<Arrived> {
+        let (reader, writer) = match self {
+            Self::Tcp(listener) => tcp_halves(listener.accept().await?.0)?,
+            Self::Unix(listener, _) => unix_halves(listener.accept().await?.0),
+            #[cfg(feature = "tls")]
+            Self::Tls(listener) => return Ok(Arrived::Tls(listener.accept().await?.0)),
+        };
+        Ok(Arrived::Halves(reader, writer))
     }
 }
 
@@ -320,10 +386,26 @@ mod tests {
 
     #[test]
     fn addresses_are_read_as_they_are_shown() {
-        for text in ["127.0.0.1:7611", "[::1]:0", "unix:/run/mocad/telemetry.sock"] {
+        for text in [
+            "127.0.0.1:7611",
+            "[::1]:0",
+            "unix:/run/mocad/telemetry.sock",
+            "tls://robot-2.local:7612",
+            "tls://[::1]:1",
+        ] {
             assert_eq!(text.parse::<Address>().unwrap().to_string(), text);
         }
-        for wrong in ["", "unix:", "unix:relative.sock", "unix:/run/", "localhost", "127.0.0.1"] {
+        for wrong in [
+            "",
+            "unix:",
+            "unix:relative.sock",
+            "unix:/run/",
+            "localhost",
+            "127.0.0.1",
+            "tls://robot",
+            "tls://:1",
+            "tls://a/b:1",
+        ] {
             assert!(wrong.parse::<Address>().unwrap_err().to_string().contains("allowed"), "{wrong}");
         }
     }

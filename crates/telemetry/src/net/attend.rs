@@ -2,11 +2,12 @@
 
 use super::{
     NetError,
+    access::{self, Role, least_role},
     address::{Reader, Writer},
     command::ClientId,
     hub::{Client, Hub},
     queue::Outgoing,
-    wire::{self, FromClient, FromServer, Role},
+    wire::{self, FromClient, FromServer},
 };
 use moca_msgs::{Refusal, Request};
 use std::{
@@ -23,13 +24,20 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// Frames of one client that are read before the others have their turn: a flood of one delays nobody's stop.
 const FRAMES_PER_TURN: u32 = 16;
 
-/// One client from welcome to goodbye.
-pub(super) async fn attend(id: ClientId, role: Role, reader: Reader, writer: Writer, hub: Rc<Hub>) {
+/// One client from welcome to goodbye, or until its rights are `over`.
+pub(super) async fn attend(
+    id: ClientId,
+    role: Role,
+    (reader, writer): (Reader, Writer),
+    over: impl Future<Output = ()>,
+    hub: Rc<Hub>,
+) {
     let client = hub.admit(id, role);
     tokio::select! {
         _ = read_requests(reader, &client, &hub) => {}
         _ = write_queue(writer, &client, &hub.welcome) => {}
         () = leave_commanders_place(&client, &hub) => {}
+        () = over => {}
     }
     hub.lose(id);
 }
@@ -78,10 +86,13 @@ async fn read_requests(mut reader: Reader, client: &Client, hub: &Hub) -> Result
 fn hear(message: FromClient, client: &Client, hub: &Hub) -> Result<(), NetError> {
     let now = Instant::now();
     hub.desk.borrow_mut().hear(client.id, now);
-    let reads = client.role == Role::Observer;
+    let may = |least: Option<Role>| least.is_some_and(|least| client.role >= least);
     match message {
         FromClient::Request { id, request: Request::Stop } => hub.stop(client.id, id),
-        FromClient::Request { id, .. } | FromClient::Trajectory { id, .. } if reads => {
+        FromClient::Request { id, request } if !may(least_role(&request)) => {
+            hub.reply(client.id, id, Err(Refusal::ReadOnly));
+        }
+        FromClient::Trajectory { id, .. } if !may(Some(access::TRAJECTORY)) => {
             hub.reply(client.id, id, Err(Refusal::ReadOnly));
         }
         FromClient::Request { id, request } => {
@@ -98,7 +109,7 @@ fn hear(message: FromClient, client: &Client, hub: &Hub) -> Result<(), NetError>
             }
             hub.asked.notify_one();
         }
-        FromClient::Calibrate(request) if !reads => hub.calibrate(client.id, request),
+        FromClient::Calibrate(request) if may(Some(access::CALIBRATE)) => hub.calibrate(client.id, request),
         FromClient::Release => hub.desk.borrow_mut().release(client.id),
         FromClient::Lease(lease_ms) => {
             hub.desk.borrow_mut().set_lease(client.id, wire::check_lease(lease_ms)?);
@@ -130,5 +141,10 @@ async fn write_queue(mut writer: Writer, client: &Client, welcome: &[u8]) -> Res
 }
 
 pub(super) async fn write(writer: &mut Writer, frame: &[u8]) -> Result<(), NetError> {
-    Ok(timeout(PATIENCE, writer.write_all(frame)).await.map_err(|_| NetError::Closed)??)
+    let written = async {
+        writer.write_all(frame).await?;
+        // TLS keeps what the kernel has no room for.
+        writer.flush().await
+    };
+    Ok(timeout(PATIENCE, written).await.map_err(|_| NetError::Closed)??)
 }

@@ -55,7 +55,7 @@ impl Client {
     /// No daemon, another version, or the daemon's reason not to serve this client.
     pub async fn connect(endpoint: impl Into<Endpoint>) -> Result<Self, NetError> {
         let Endpoint { address, role, token } = endpoint.into();
-        let (incoming, stream) = address::connect(&address).await?;
+        let (incoming, stream) = address::connect(&address, token.as_deref()).await?;
         let mut incoming = Incoming { stream: incoming, payload: Vec::new() };
         let mut outgoing = Outgoing { stream };
         let Challenge { nonce, token_needed } = incoming.greeting().await?;
@@ -106,7 +106,8 @@ pub fn stop_blocking(address: &Address) -> Result<Outcome, NetError> {
 }
 
 async fn stop_once(address: &Address) -> Result<Outcome, NetError> {
-    let (stream, outgoing) = address::connect(address).await?;
+    let file = Endpoint::from(address).token;
+    let (stream, outgoing) = address::connect(address, file.as_deref()).await?;
     let (mut incoming, mut outgoing) =
         (Incoming { stream, payload: Vec::new() }, Outgoing { stream: outgoing });
     // Before anything is read: a daemon that is slow to greet still hears it.
@@ -172,6 +173,8 @@ impl Outgoing {
     }
 
     async fn send(&mut self, message: FromClient) -> Result<(), NetError> {
-        Ok(self.stream.write_all(&wire::encode_from_client(&message)?).await?)
+        self.stream.write_all(&wire::encode_from_client(&message)?).await?;
+        // TLS keeps what the kernel has no room for.
+        Ok(self.stream.flush().await?)
     }
 }

@@ -3,12 +3,15 @@
 //! No number of connections keeps a stop out. Everything here is bounded, and a newcomer pushes out the connection that has
 //! stood here longest, so the bytes of the last one to come are read at once.
 
+#[cfg(feature = "tls")]
+use super::tls::{Gate, Proof};
 use super::{
-    NetError, Token,
-    address::{Listener, Reader, Writer},
+    NetError, Token, access,
+    address::{Arrived, Listener, Reader, Writer},
     attend::{MAX_CLIENTS, attend, write},
     command::ClientId,
     hub::{Client, Hub, Visitors},
+    server::TlsPort,
     wire::{self, Challenge, FromClient, FromServer, HELLO_TIMEOUT, MAX_FIRST_FRAME, Role},
 };
 use moca_msgs::Request;
@@ -27,6 +30,9 @@ const MIN_VISITORS: usize = 64;
 const SPARE_DESCRIPTORS: usize = 256;
 /// Connections that are taken before the others have their turn; below [`MIN_VISITORS`], so that each is read at least once.
 const ACCEPTS_PER_TURN: u32 = 32;
+/// Most connections over TLS that are not served yet.
+#[cfg(feature = "tls")]
+const HANDSHAKES_MAX: usize = 64;
 /// Pause when the process is out of descriptors and nobody here can be pushed out.
 const OUT_OF_DESCRIPTORS: Duration = Duration::from_millis(1);
 
@@ -36,7 +42,10 @@ pub(super) struct Entrance {
     /// Asked of those that want to be served.
     pub(super) token: Option<Token>,
     /// The most that a connection may become here.
-    pub(super) role: Role,
+    pub(super) most: access::Role,
+    /// Certificates, where clients have to show theirs.
+    #[cfg(feature = "tls")]
+    pub(super) gate: Option<Gate>,
     /// Random; the challenge of a connection is a keyed hash of its number.
     pub(super) seed: Token,
 }
@@ -88,9 +97,12 @@ pub(super) async fn accept(entrance: Entrance, hub: Rc<Hub>) {
     let (entrance, mut turn) = (Rc::new(entrance), 0);
     loop {
         match entrance.listener.accept().await {
-            Ok(halves) => {
-                let visitor = Client::new(hub.visitors.next_id(), Role::Observer);
-                let stays = receive(Rc::clone(&visitor), halves, Rc::clone(&entrance), Rc::clone(&hub));
+            // Nobody of another machine crowds out those of this one.
+            #[cfg(feature = "tls")]
+            Ok(Arrived::Tls(_)) if Rc::strong_count(&entrance) > HANDSHAKES_MAX => {}
+            Ok(arrived) => {
+                let visitor = Client::new(hub.visitors.next_id(), access::Role::Viewer);
+                let stays = receive(Rc::clone(&visitor), arrived, Rc::clone(&entrance), Rc::clone(&hub));
                 hub.visitors.enter(visitor, tokio::task::spawn_local(stays).abort_handle());
             }
             // Out of descriptors: a later one may succeed once somebody has gone.
@@ -106,16 +118,39 @@ pub(super) async fn accept(entrance: Entrance, hub: Rc<Hub>) {
 }
 
 /// One connection from its first byte on.
-async fn receive(
-    visitor: Rc<Client>,
-    (mut reader, mut writer): (Reader, Writer),
-    entrance: Rc<Entrance>,
-    hub: Rc<Hub>,
-) {
-    let said = timeout(HELLO_TIMEOUT, greet(&visitor, &mut reader, &mut writer, &entrance, &hub)).await;
+async fn receive(visitor: Rc<Client>, arrived: Arrived, entrance: Rc<Entrance>, hub: Rc<Hub>) {
+    let greeted = timeout(HELLO_TIMEOUT, async {
+        let (mut reader, mut writer, proof) = entrance.let_in(arrived).await?;
+        let role = greet(&visitor, &mut reader, &mut writer, proof.as_ref(), &entrance, &hub).await?;
+        Ok::<_, NetError>((role, reader, writer, proof))
+    });
+    let greeted = greeted.await;
+    // Those that wait are counted by who holds it.
+    drop(entrance);
     hub.visitors.leave(visitor.id);
-    if let Ok(Ok(role)) = said {
-        attend(visitor.id, role, reader, writer, hub).await;
+    if let Ok(Ok((role, reader, writer, proof))) = greeted {
+        let over = async {
+            match &proof {
+                None => std::future::pending().await,
+                Some(proof) => proof.is_over().await,
+            }
+        };
+        attend(visitor.id, role, (reader, writer), over, hub).await;
+    }
+}
+
+/// Without TLS nobody shows a certificate.
+#[cfg(not(feature = "tls"))]
+enum Proof {}
+
+#[cfg(not(feature = "tls"))]
+impl Proof {
+    const fn role(&self) -> Option<access::Role> {
+        match *self {}
+    }
+
+    async fn is_over(&self) {
+        match *self {}
     }
 }
 
@@ -125,17 +160,25 @@ async fn greet(
     visitor: &Client,
     reader: &mut Reader,
     writer: &mut Writer,
+    shown: Option<&Proof>,
     entrance: &Entrance,
     hub: &Hub,
-) -> Result<Role, NetError> {
+) -> Result<access::Role, NetError> {
     let mut number = [0; 32];
     number[..8].copy_from_slice(&visitor.id.to_le_bytes());
     let nonce = entrance.seed.proof(&number);
     let challenge = Challenge { nonce, token_needed: entrance.token.is_some() };
     write(writer, &wire::greeting(&challenge)?).await?;
+    let most = shown.map_or(Some(entrance.most), Proof::role);
+    if most.is_none() {
+        let reason =
+            "this certificate is not on the robot's list: have a new one made (mocad access new)".to_owned();
+        write(writer, &wire::encode(&FromServer::Goodbye(reason))?).await?;
+    }
     let (mut payload, mut refused) = (Vec::new(), false);
     loop {
         wire::read_frame(reader, &mut payload, MAX_FIRST_FRAME).await?;
+        let Some(most) = most else { continue };
         match wire::decode_from_client(&payload)? {
             FromClient::Request { id, request: Request::Stop } => {
                 hub.stop(visitor.id, id);
@@ -149,7 +192,7 @@ async fn greet(
             }
             FromClient::Hello { role, proof } if !refused => {
                 let served = hub.clients.borrow().len();
-                match entrance.judge(role, proof.as_ref(), &nonce, served) {
+                match entrance.judge(role, most, proof.as_ref(), &nonce, served) {
                     Ok(role) => return Ok(role),
                     Err(reason) => {
                         refused = true;
@@ -164,14 +207,52 @@ async fn greet(
 }
 
 impl Entrance {
-    /// Returns the role of a client that asks for `role`, while `served` others are served.
+    pub(super) const fn new(listener: Listener, most: access::Role, seed: Token) -> Self {
+        Self {
+            listener,
+            token: None,
+            most,
+            #[cfg(feature = "tls")]
+            gate: None,
+            seed,
+        }
+    }
+
+    /// Listens for programs of other machines. Needs a runtime's context.
+    #[cfg(feature = "tls")]
+    pub(super) fn over_tls(port: &TlsPort, seed: Token) -> Result<Self, NetError> {
+        let gate = Some(Gate::open(&port.folder)?);
+        // What a certificate may, the list says.
+        Ok(Self { gate, ..Self::new(Listener::bind_tls(port.listen)?, access::Role::Viewer, seed) })
+    }
+
+    #[cfg(not(feature = "tls"))]
+    pub(super) fn over_tls(_: &TlsPort, _: Token) -> Result<Self, NetError> {
+        Err(NetError::NoTls)
+    }
+
+    /// A connection's halves, and the certificate that it showed.
+    async fn let_in(&self, arrived: Arrived) -> Result<(Reader, Writer, Option<Proof>), NetError> {
+        match arrived {
+            Arrived::Halves(reader, writer) => Ok((reader, writer, None)),
+            #[cfg(feature = "tls")]
+            Arrived::Tls(stream) => {
+                let gate = self.gate.as_ref().ok_or(NetError::Closed)?;
+                let (reader, writer, proof) = gate.let_in(stream).await?;
+                Ok((reader, writer, Some(proof)))
+            }
+        }
+    }
+
+    /// Returns the rights of a client that asks for `role` and may have `most`, while `served` others are served.
     fn judge(
         &self,
         role: Role,
+        most: access::Role,
         proof: Option<&[u8; 32]>,
         nonce: &[u8; 32],
         served: usize,
-    ) -> Result<Role, String> {
+    ) -> Result<access::Role, String> {
         if let Some(token) = &self.token
             && !proof.is_some_and(|proof| token.admits(nonce, proof))
         {
@@ -179,9 +260,9 @@ impl Entrance {
                 "wrong token: this port needs the token file of the daemon's owner (telemetry.token)".into(),
             );
         }
-        let role = if self.role == Role::Observer { Role::Observer } else { role };
+        let role = if role == Role::Observer { access::Role::Viewer } else { most };
         // The last place is for whoever wants to command.
-        let places = MAX_CLIENTS + usize::from(role == Role::Operator);
+        let places = MAX_CLIENTS + usize::from(role > access::Role::Viewer);
         if served >= places {
             return Err(format!(
                 "all {MAX_CLIENTS} places and the one for a commander are taken: close a client that only watches"

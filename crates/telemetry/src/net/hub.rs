@@ -1,9 +1,10 @@
 //! State that every task of the telemetry thread shares: the clients and their messages.
 
 use super::{
+    access::Role,
     command::{ClientId, Desk},
     queue::{EncodedBatch, Queue},
-    wire::{self, Batch, FromServer, Role, unix_now_ns},
+    wire::{self, Batch, FromServer, unix_now_ns},
 };
 use crate::calibration::{CalibrationProgress, CalibrationRequest};
 use moca_msgs::{Outcome, ParameterValues, Request, Sample};

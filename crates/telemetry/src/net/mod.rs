@@ -1,15 +1,16 @@
 //! Samples out, requests in, over a Unix socket or loopback TCP.
 //!
-//! Layers: [`wire`] (messages and frames) · [`address`] (where) · [`token`] (the secret of a TCP port) · `queue` (what waits
-//! for one client) · `command` (who may command) · [`requests`] (the way to the loop) · `door` (connections that are not
-//! served yet) · `attend` (served ones) · `hub` (what they share) · [`server`] (the daemon's side) · [`client`] (one
-//! connection) · [`connection`] (a thread that keeps one alive; what a dashboard wants).
+//! Layers: [`wire`] (messages and frames) · [`access`] (who may ask what) · [`address`] (where) · [`token`] (the secret of a TCP
+//! port) · `tls` (certificates) · `queue` (what waits for one client) · `command` (who may command) · [`requests`] (the way to the
+//! loop) · `door` (connections that are not served yet) · `attend` (served ones) · `hub` (what they share) · [`server`] (the
+//! daemon's side) · [`client`] (one connection) · [`connection`] (a thread that keeps one alive; what a dashboard wants).
 //!
 //! Reading is separate from commanding. A Unix socket admits those who may write to its file; a second one shows the robot to
 //! everybody and takes no request but a stop. A TCP port on loopback, which every user of the machine reaches, admits those
-//! who know a token. A stop needs neither: it is taken from any connection. Another machine comes in through an SSH
-//! tunnel (`ssh -L /tmp/robot.sock:/run/mocad/telemetry.sock robot`).
+//! who know a token. A stop needs neither: it is taken from any connection. Another machine comes in by mutual TLS (`tls`), where a
+//! certificate has a [role](access), or through an SSH tunnel (`ssh -L /tmp/robot.sock:/run/mocad/telemetry.sock robot`).
 
+pub mod access;
 pub mod address;
 mod attend;
 pub mod client;
@@ -24,6 +25,8 @@ pub mod requests;
 pub mod server;
 #[cfg(feature = "testing")]
 pub mod testing;
+#[cfg(feature = "tls")]
+pub mod tls;
 pub mod token;
 pub mod wire;
 
@@ -32,7 +35,7 @@ pub use client::Client;
 pub use command::{Judge, ProposedChange};
 pub use connection::{Connection, Link, Reply, Update};
 pub use requests::{RequestReceiver, RequestSender, request_channel};
-pub use server::{CalibrationPort, Ports, Server, Serving, serve};
+pub use server::{CalibrationPort, Ports, Server, Serving, TlsPort, serve};
 pub use token::Token;
 pub use wire::{Commander, Role, SCHEMA_VERSION, Status};
 
@@ -42,7 +45,9 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum NetError {
     /// The transport is not encrypted.
-    #[error("telemetry address {0} is not loopback: bind 127.0.0.1 and reach it through an SSH tunnel")]
+    #[error(
+        "telemetry address {0} is not loopback: listen there with telemetry.tls, or bind 127.0.0.1 and use an SSH tunnel"
+    )]
     NotLoopback(Address),
     /// A port without a token would admit every user of the machine.
     #[error("telemetry address {0} needs a token: name a token file, or listen on a Unix socket")]
@@ -55,6 +60,17 @@ pub enum NetError {
         /// Reason of the refusal.
         why: String,
     },
+    /// Certificates, keys or the list of those who may come in cannot be used.
+    #[error("{path}: {why}", path = path.display())]
+    Access {
+        /// The file or folder.
+        path: PathBuf,
+        /// Reason.
+        why: String,
+    },
+    /// This program was built without TLS.
+    #[error("this program was built without feature tls")]
+    NoTls,
     /// The socket could not be bound.
     #[error("cannot listen on {address}: {cause}")]
     Bind {

@@ -32,14 +32,14 @@
 //! ```
 
 use super::{
-    Address, NetError,
+    Address, NetError, access,
     address::Listener,
     command::{Desk, Judge},
     door::{Entrance, accept},
     hub::{Counters, Hub},
     requests::RequestSender,
     token::Token,
-    wire::{self, FromServer, Role},
+    wire::{self, FromServer},
 };
 use crate::{
     RobotDescription,
@@ -48,6 +48,7 @@ use crate::{
 use moca_msgs::Sample;
 use rtrb::{Consumer, Producer};
 use std::{
+    net::SocketAddr,
     path::PathBuf,
     rc::Rc,
     sync::{
@@ -99,6 +100,7 @@ pub struct CalibrationPort {
 /// A running server. Dropping it stops it, after the last samples have gone to the recorder.
 pub struct Server {
     address: Address,
+    tls: Option<Address>,
     stop: Arc<AtomicBool>,
     counters: Arc<Counters>,
     notices: Sender<String>,
@@ -114,9 +116,20 @@ pub struct Serving {
     pub token: Option<Token>,
     /// A second socket file, for everybody: it shows the robot and takes no request but a stop.
     pub watch: Option<PathBuf>,
+    /// A port for programs of other machines, over TLS.
+    pub tls: Option<TlsPort>,
     /// True if the robot arms itself (`startup.arm`): then it may move with nobody in command until an operator
     /// intervenes.
     pub self_armed: bool,
+}
+
+/// A port for programs of other machines, over TLS (feature `tls`).
+#[derive(Clone, Debug)]
+pub struct TlsPort {
+    /// Address on which it listens.
+    pub listen: SocketAddr,
+    /// The robot's folder of certificates (`access`).
+    pub folder: PathBuf,
 }
 
 impl Serving {
@@ -162,14 +175,14 @@ pub fn serve(
     description: RobotDescription,
     ports: Ports,
 ) -> Result<Server, NetError> {
-    let Serving { mode, token, watch, self_armed } = serving.into();
+    let Serving { mode, token, watch, tls, self_armed } = serving.into();
     if !address.is_local() {
         return Err(NetError::NotLoopback(address.clone()));
     }
     // A Unix socket has its file mode instead.
     let token = match address {
         Address::Tcp(_) => Some(token.ok_or_else(|| NetError::NoToken(address.clone()))?),
-        Address::Unix(_) => None,
+        Address::Unix(_) | Address::Tls { .. } => None,
     };
     let welcome = wire::encode(&FromServer::Welcome(Box::new(description.clone())))?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -177,14 +190,20 @@ pub fn serve(
         let _context = runtime.enter();
         let listener = Listener::bind(address, mode)?;
         let seed = Token::random()?;
-        let mut entrances = vec![Entrance { listener, token, role: Role::Operator, seed: seed.clone() }];
+        let mut entrances = vec![Entrance::new(listener, access::Role::Maintainer, seed.clone())];
+        entrances[0].token = token;
         if let Some(watch) = watch {
             let listener = Listener::bind(&Address::Unix(watch), WATCH_MODE)?;
-            entrances.push(Entrance { listener, token: None, role: Role::Observer, seed });
+            entrances.push(Entrance::new(listener, access::Role::Viewer, seed.clone()));
+        }
+        if let Some(port) = tls {
+            entrances.push(Entrance::over_tls(&port, seed)?);
         }
         entrances
     };
     let address = entrances[0].listener.address()?;
+    let tls = entrances.last().map(|last| last.listener.address()).transpose()?;
+    let tls = tls.filter(|last| matches!(last, Address::Tls { .. }));
     let (notices, from_daemon) = channel();
     let stop = Arc::new(AtomicBool::new(false));
     let counters = Arc::new(Counters::default());
@@ -208,13 +227,18 @@ pub fn serve(
             pump.run(&hub, &thread_stop).await;
         });
     });
-    Ok(Server { address, stop, counters, notices, thread: Some(thread.map_err(NetError::Thread)?) })
+    Ok(Server { address, tls, stop, counters, notices, thread: Some(thread.map_err(NetError::Thread)?) })
 }
 
 impl Server {
     /// The address it listens on.
     pub const fn address(&self) -> &Address {
         &self.address
+    }
+
+    /// The address on which it listens for programs of other machines.
+    pub const fn tls_address(&self) -> Option<&Address> {
+        self.tls.as_ref()
     }
 
     /// Returns the sender of notices to every client that are no fault of the robot.

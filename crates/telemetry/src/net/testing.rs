@@ -162,7 +162,7 @@ async fn watch(address: Address) {
 
 async fn stay_half_open(address: Address) {
     loop {
-        match address::connect(&address).await {
+        match address::connect(&address, None).await {
             Ok((mut reader, mut writer)) => {
                 // Closed or not, it reads until the end and comes again.
                 let _ = writer.write_all(&[0, 0, 0, 40]).await;

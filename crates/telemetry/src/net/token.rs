@@ -97,11 +97,7 @@ impl Token {
     /// Returns the default place of a user's token: `$MOCA_TOKEN_FILE`, or `mocad/token` in `$XDG_CONFIG_HOME`
     /// (`~/.config`).
     pub fn default_path() -> Option<PathBuf> {
-        let folder = |variable| env::var_os(variable).map(PathBuf::from).filter(|path| path.is_absolute());
-        folder(TOKEN_VARIABLE).or_else(|| {
-            let config = folder("XDG_CONFIG_HOME").or_else(|| Some(folder("HOME")?.join(".config")));
-            Some(config?.join("mocad/token"))
-        })
+        named_path(TOKEN_VARIABLE, "token")
     }
 
     /// The answer to a connection's challenge.
@@ -113,6 +109,15 @@ impl Token {
     pub fn admits(&self, nonce: &[u8; 32], proof: &[u8; 32]) -> bool {
         blake3::keyed_hash(&self.0, nonce) == blake3::Hash::from_bytes(*proof)
     }
+}
+
+/// Returns the file that a variable names, or `mocad/FILE` in `$XDG_CONFIG_HOME` (`~/.config`).
+pub(super) fn named_path(variable: &str, file: &str) -> Option<PathBuf> {
+    let folder = |variable| env::var_os(variable).map(PathBuf::from).filter(|path| path.is_absolute());
+    folder(variable).or_else(|| {
+        let config = folder("XDG_CONFIG_HOME").or_else(|| Some(folder("HOME")?.join(".config")));
+        Some(config?.join("mocad").join(file))
+    })
 }
 
 /// Random bytes from the operating system.

@@ -93,7 +93,8 @@ async function others(): Promise<void> {
     mode.textContent = other.mode ?? "away";
     mode.className = `chip ${other.away || other.fault ? "stopped" : other.mode === "impedance" || other.mode === "follow-me" ? "moves" : "rests"}`;
     if (!other.away) cover.textContent = `${other.force_n.toFixed(1)} N, ${other.taxels_ok} of ${other.taxels} taxels`;
-    more.textContent = other.away ?? other.fault ?? "";
+    const age = other.cover_age_s < 0 ? "no cover data yet" : `cover data ${(other.cover_age_s * 1e3).toFixed(0)} ms old`;
+    more.textContent = other.away ?? (other.fault ? `${other.fault} ${age}` : age);
     item.append(name, mode, cover, more);
     return item;
   }));
@@ -175,11 +176,11 @@ function draw(now: number): void {
   $("lost").hidden = !old || now - (link?.arrived ?? now) < 2 * STALE_MS || !$("pair").hidden;
   watchStop(now, picture);
   if (!link || !picture || old) {
+    if (shown >= 0 && picture) show({ ...picture, live: false });
     put($("age"), "no link");
     $("age").className = "chip stopped";
-    if (shown >= 0 && picture) cover.draw({ ...picture, live: false });
     shown = -1;
-    if (link?.press) end();
+    // A press stays: a short stall is no release, and after a long one the gateway has stopped the robot.
     return;
   }
   if (picture.number !== shown) {

@@ -3,8 +3,8 @@
 import { Browser, Robot, SIZES, check, finish, sleep } from "./robot.mjs";
 
 const folder = process.argv[2];
-const PICTURES = { "tablet light cover": "tablet-running", "phone light cover": "phone", "laptop dark cover": "laptop-dark",
-  "tablet light robot": "tablet-3d", "phone dark logs": "phone-logs", "laptop light maintain": "laptop-maintain" };
+const PICTURES = { "tablet light cover": "tablet-running", "laptop dark cover": "laptop-dark", "laptop light maintain": "laptop-maintain",
+  "tablet dark robots": "tablet-robots" };
 const robot = await Robot.start({ lease_ms: 1000 }); // nothing here depends on it;
 
 /** Measured in the page. */
@@ -45,12 +45,18 @@ function measure() {
     const { x, y, width, height } = element.getBoundingClientRect();
     return { element, name: element.id || element.textContent.trim().slice(0, 20), x, y, width, height };
   });
+  // Of a list that scrolls, what is beyond its edge cannot be touched.
+  for (const t of targets) {
+    const list = t.element.closest("section")?.getBoundingClientRect();
+    if (list) [t.from, t.to] = [Math.max(t.y, list.top), Math.min(t.y + t.height, list.bottom)];
+    else [t.from, t.to] = [t.y, t.y + t.height];
+  }
   const seen = targets.filter(t => t.element.contains(document.elementFromPoint(t.x + t.width / 2, t.y + t.height / 2)));
   const small = targets.filter(t => t.width < 48 || t.height < 48).map(t => `${t.name} ${t.width.toFixed(0)}x${t.height.toFixed(0)}`);
   const near = [];
   for (const [i, a] of seen.entries()) for (const b of seen.slice(i + 1)) {
     const gap = Math.max(Math.max(a.x, b.x) - Math.min(a.x + a.width, b.x + b.width),
-      Math.max(a.y, b.y) - Math.min(a.y + a.height, b.y + b.height));
+      Math.max(a.from, b.from) - Math.min(a.to, b.to));
     if (gap < 7.5) near.push(`${a.name} and ${b.name}: ${gap.toFixed(1)}`);
   }
   const stop = document.getElementById("stop").getBoundingClientRect();
@@ -72,7 +78,7 @@ for (const size of Object.keys(SIZES)) for (const dark of [false, true]) {
   const cell = await browser.centre("#ring g:nth-of-type(6)");
   await browser.page.evaluate(() => window.moca.ask({ "press-taxel": { taxel: 5, force_n: 12 } }));
   await sleep(900);
-  for (const page of ["cover", "plot", "robot", "logs", "maintain"]) {
+  for (const page of ["cover", "plot", "robot", "logs", "maintain", "robots"]) {
     await browser.page.evaluate(to => document.querySelector(`[data-to=${to}]`).click(), page);
     await sleep(page === "robot" ? 2500 : 700);
     const seen = await browser.page.evaluate(measure);

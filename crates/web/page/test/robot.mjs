@@ -2,6 +2,7 @@
 // the first one is frozen or gone.
 import { spawn, execFileSync } from "node:child_process";
 import fs from "node:fs";
+import net from "node:net";
 import os from "node:os";
 import path from "node:path";
 import { chromium } from "playwright-core";
@@ -10,7 +11,7 @@ const { MOCAD, MOCA_WEB } = process.env;
 export const SIZES = { phone: [390, 844], tablet: [1180, 820], laptop: [1280, 800] };
 export const sleep = ms => new Promise(resolve => setTimeout(resolve, ms));
 export const now = () => performance.timeOrigin + performance.now();
-const FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+export const FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
   "--disable-component-update", "--disable-sync", "--enable-unsafe-swiftshader"];
 
 /** Waits until `found` returns something; a test that would hang ends. */
@@ -28,12 +29,19 @@ export function quantiles(values) {
   return { n: sorted.length, p50: at(0.5), p90: at(0.9), max: sorted.at(-1) ?? NaN };
 }
 
+/** Seconds of processor time so far. */
+export function processor(pid) {
+  const fields = fs.readFileSync(`/proc/${pid}/stat`, "utf8").split(") ")[1].split(" ");
+  return (Number(fields[11]) + Number(fields[12])) / 100;
+}
+export const memory_mb = pid => Number(fs.readFileSync(`/proc/${pid}/status`, "utf8").match(/VmRSS:\s+(\d+)/)[1]) / 1024;
+
 /** Nothing that a campaign started outlives it, however it ends. */
 const endings = new Set();
 process.on("exit", () => { for (const end of endings) end(); });
 
 export class Robot {
-  static async start({ host = "localhost", listen = "127.0.0.1", within = [], port = 20000 + (process.pid % 20000), lease_ms = 400 } = {}) {
+  static async start({ host = "localhost", listen = "127.0.0.1", within = [], port = 20000 + (process.pid % 20000), lease_ms = 400, list = null } = {}) {
     const robot = new Robot();
     Object.assign(robot, { host, listen, within, port, lease_ms, folder: fs.mkdtempSync(path.join(os.tmpdir(), "moca-page-")) });
     const file = name => path.join(robot.folder, name);
@@ -45,6 +53,9 @@ export class Robot {
     };
     endings.add(robot.kill);
     robot.address = `unix:${file("telemetry.sock")}`;
+    list ??= [{ name: "moca-lab-2", address: robot.address }, { name: "moca-lab-3", address: `unix:${file("away.sock")}` }];
+    fs.writeFileSync(file("robots.toml"), list.map(({ name, address }) =>
+      `[[robot]]\nname = "${name}"\naddress = "${address}"\npage = "https://${name}:7643/"\n`).join("\n"));
     fs.writeFileSync(file("mocad.toml"), `[robot]\nname = "moca-lab-2"\n[telemetry]\nlisten = "${robot.address}"\n[startup]\narm = false\n`
       + `[simulation.hand]\ntaxels = []\n`);
     robot.daemon = spawn(MOCAD, ["--config", file("mocad.toml")], { stdio: "ignore", cwd: robot.folder });
@@ -57,8 +68,8 @@ export class Robot {
   spawn(state, within, port, listen) {
     const log = fs.openSync(path.join(this.folder, `${state}.log`), "a");
     const command = [...within, MOCA_WEB, "--state", path.join(this.folder, state), "--address", this.address, "--listen",
-      `${listen}:${port}`, "--logs", path.join(this.folder, "logs"), "--name", this.host, "--name", listen,
-      "--lease-ms", String(this.lease_ms)];
+      `${listen}:${port}`, "--logs", path.join(this.folder, "logs"), "--robots", path.join(this.folder, "robots.toml"), "--name", this.host,
+      "--name", listen, "--lease-ms", String(this.lease_ms)];
     return spawn(command[0], command.slice(1), { stdio: ["ignore", log, log] });
   }
 
@@ -95,6 +106,24 @@ export class Robot {
     this.kill();
     endings.delete(this.kill);
   }
+}
+
+/** A radio: holds bytes back, in order; `due` says when those that come at a time are passed on, to the robot or from it. */
+export function radio(robot, due) {
+  const server = net.createServer(client => {
+    const gateway = net.connect(robot.port, robot.listen);
+    for (const [from, to] of [[client, gateway], [gateway, client]]) {
+      const queue = [];
+      from.on("data", data => queue.push({ data, due: Math.max(due(now(), to === gateway), queue.at(-1)?.due ?? 0) }));
+      const timer = setInterval(() => { while (queue.length && queue[0].due <= now()) to.write(queue.shift().data); }, 1);
+      for (const socket of [from, to]) socket.on("error", () => {}).on("close", () => { clearInterval(timer); to.destroy(); });
+    }
+  });
+  return new Promise(resolve => server.listen(0, "127.0.0.1", () => resolve({
+    // The gateway knows its own port only: the browser is told that this one is it.
+    flags: [`--host-resolver-rules=MAP ${robot.host}:${robot.port} 127.0.0.1:${server.address().port}`],
+    close: () => server.close(),
+  })));
 }
 
 export class Browser {

@@ -1,5 +1,5 @@
 // Fingers: each way to end a press, and STOP from every page.
-import { Browser, Robot, check, finish, now, sleep } from "./robot.mjs";
+import { Browser, Robot, check, finish, now, sleep, until } from "./robot.mjs";
 
 const robot = await Robot.start({ lease_ms: 1000 }); // nothing here depends on it;
 const browser = await Browser.start(robot);
@@ -41,8 +41,10 @@ for (const [name, [mode, end]] of Object.entries(ways)) {
 }
 // A finger that stays on the button over a stop and a resume arms nothing.
 await finger();
+const escaped = now();
 await browser.page.keyboard.press("Escape");
-await robot.mode("protective stop");
+await robot.mode("protective stop", escaped);
+await browser.page.waitForFunction(() => !document.getElementById("resume").disabled);
 const resumed = now();
 await browser.page.evaluate(() => document.getElementById("resume").click());
 await robot.mode("ready", resumed);
@@ -57,6 +59,18 @@ for (const page of ["plot", "logs"]) {
   await browser.page.touchscreen.tap(x, y);
   check(await robot.mode("protective stop", begun, 3000).catch(() => null), `STOP on page ${page}`);
 }
+// State that is old is shown as old.
+const shown = () => browser.page.evaluate(() => ({ stale: document.body.classList.contains("stale"),
+  numbers: [...document.querySelectorAll("#ring .force, #ring .most, #values dd")].map(e => e.textContent).filter(text => /\d/.test(text)) }));
+await browser.page.evaluate(() => document.querySelector("[data-to=cover]").click());
+await browser.drawn();
+check((await shown()).numbers.length > 6, "numbers are shown while they are live");
+robot.gateway.kill("SIGSTOP");
+await sleep(500);
+const old = await shown();
+check(old.stale && !old.numbers.length, `0.5 s without a picture: ${old.stale ? "greyed" : "shown as live"}, ${old.numbers.length} numbers`);
+robot.gateway.kill("SIGCONT");
+await until("live again", async () => !(await shown()).stale);
 await browser.end();
 robot.end();
 finish();

@@ -1,11 +1,10 @@
-//! Devices that may come in, and what they may ask.
+//! Devices that may come in. What each may ask says the table of [`moca_telemetry::net::access`], the daemon's own.
 //!
-//! Layers: [`role`] (the one table of requests and roles) · `secret` (random numbers and hashes) · [`devices`] (paired
-//! devices and one-time codes) · `authority` (the robot's own certificate authority).
+//! Layers: `secret` (random numbers and hashes) · [`devices`] (paired devices and one-time codes) · `authority` (the robot's own
+//! certificate authority).
 
 pub(crate) mod authority;
 pub mod devices;
-pub mod role;
 mod secret;
 
-pub use role::Role;
+pub use moca_telemetry::net::access::Role;

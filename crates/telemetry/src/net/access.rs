@@ -1,17 +1,19 @@
-//! Roles, and the table of what each may ask.
+//! Roles, and the table of what each may ask: the same over sockets, TLS and the page of moca-web.
 //!
 //! ```
 //! use moca_msgs::Request;
-//! use moca_web::access::role::{Role, least_role};
+//! use moca_telemetry::net::access::{Role, least_role};
 //! assert_eq!(least_role(&Request::Stop), Some(Role::Viewer), "anybody may stop");
 //! assert!(least_role(&Request::Arm) > Some(Role::Viewer));
+//! assert_eq!("operator".parse(), Ok(Role::Operator));
 //! ```
 
 use moca_msgs::Request;
 use serde::{Deserialize, Serialize};
+use std::str::FromStr;
 
-/// Rights of a device; each role may also do what the roles before it may.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
+/// Rights of a person, device or program; each role may also do what the roles before it may.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
     /// Watches and stops.
@@ -36,6 +38,19 @@ impl Role {
     }
 }
 
+/// A text that is no [`Role`].
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is no role; allowed: viewer, operator, maintainer")]
+pub struct RoleError(String);
+
+impl FromStr for Role {
+    type Err = RoleError;
+
+    fn from_str(text: &str) -> Result<Self, RoleError> {
+        Self::ALL.into_iter().find(|role| role.name() == text).ok_or_else(|| RoleError(text.into()))
+    }
+}
+
 /// Least role that may ask this; `None` for what no client may ask.
 pub const fn least_role(request: &Request) -> Option<Role> {
     match request {
@@ -55,6 +70,8 @@ pub const fn least_role(request: &Request) -> Option<Role> {
     }
 }
 
+/// Least role that may lead the flange along poses.
+pub const TRAJECTORY: Role = Role::Operator;
 /// Least role that may calibrate.
 pub const CALIBRATE: Role = Role::Maintainer;
 /// Least role that may list and download logs.
