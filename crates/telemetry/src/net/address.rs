@@ -9,7 +9,12 @@
 //! # Ok::<(), moca_telemetry::net::address::AddressError>(())
 //! ```
 
-use super::{NetError, Token, token::named_path, wire::Role};
+use super::{
+    NetError, Token,
+    halves::{Reader, Writer},
+    token::named_path,
+    wire::Role,
+};
 use std::{
     env, fmt,
     fs::DirBuilder,
@@ -20,10 +25,7 @@ use std::{
     str::FromStr,
     time::Duration,
 };
-use tokio::{
-    io::{AsyncRead, AsyncWrite},
-    net::{TcpListener, TcpSocket, TcpStream, UnixListener, UnixSocket, UnixStream},
-};
+use tokio::net::{TcpListener, TcpSocket, TcpStream, UnixListener, UnixSocket, UnixStream};
 
 /// Folder of the packaged service's sockets.
 const SERVICE_FOLDER: &str = "/run/mocad";
@@ -228,11 +230,6 @@ impl FromStr for Address {
         }
     }
 }
-
-/// Reading half of a connection.
-pub(super) type Reader = Box<dyn AsyncRead + Send + Unpin>;
-/// Writing half of a connection.
-pub(super) type Writer = Box<dyn AsyncWrite + Send + Unpin>;
 
 /// Connects to a daemon, over TLS with the certificate in `file`.
 pub(super) async fn connect(address: &Address, file: Option<&Path>) -> io::Result<(Reader, Writer)> {

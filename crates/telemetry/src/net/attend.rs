@@ -3,8 +3,8 @@
 use super::{
     NetError,
     access::{self, Role, least_role},
-    address::{Reader, Writer},
     command::ClientId,
+    halves::{Reader, Writer},
     hub::{Client, Hub},
     queue::Outgoing,
     wire::{self, FromClient, FromServer},

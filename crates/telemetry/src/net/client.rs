@@ -13,8 +13,8 @@
 //! ```
 
 use super::{
-    Address, Endpoint, NetError, Token,
-    address::{self, Reader, Writer},
+    Address, Endpoint, NetError, Token, address,
+    halves::{Reader, Writer},
     wire::{self, Challenge, FromClient, FromServer},
 };
 use crate::{RobotDescription, calibration::CalibrationRequest};

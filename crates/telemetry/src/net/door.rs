@@ -7,16 +7,18 @@
 use super::tls::{Gate, Proof};
 use super::{
     NetError, Token, access,
-    address::{Arrived, Listener, Reader, Writer},
+    address::{Arrived, Listener},
     attend::{MAX_CLIENTS, attend, write},
     command::ClientId,
+    halves::{Reader, Writer},
     hub::{Client, Hub, Visitors},
-    server::TlsPort,
     wire::{self, Challenge, FromClient, FromServer, HELLO_TIMEOUT, MAX_FIRST_FRAME, Role},
 };
 use moca_msgs::Request;
 use std::{
     cell::{Cell, RefCell},
+    net::SocketAddr,
+    path::PathBuf,
     rc::Rc,
     time::Duration,
 };
@@ -48,6 +50,15 @@ pub(super) struct Entrance {
     pub(super) gate: Option<Gate>,
     /// Random; the challenge of a connection is a keyed hash of its number.
     pub(super) seed: Token,
+}
+
+/// A port for programs of other machines, over TLS (feature `tls`).
+#[derive(Clone, Debug)]
+pub struct TlsPort {
+    /// Address on which it listens.
+    pub listen: SocketAddr,
+    /// The robot's folder of certificates (`access`).
+    pub folder: PathBuf,
 }
 
 /// Returns the number of visitors that the process's limit of descriptors leaves room for.

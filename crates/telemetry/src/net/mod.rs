@@ -19,6 +19,7 @@ pub mod connection;
 mod door;
 #[cfg(feature = "fleet")]
 pub mod fleet;
+mod halves;
 mod hub;
 mod queue;
 pub mod requests;
@@ -34,8 +35,9 @@ pub use address::{Address, Endpoint};
 pub use client::Client;
 pub use command::{Judge, ProposedChange};
 pub use connection::{Connection, Link, Reply, Update};
+pub use door::TlsPort;
 pub use requests::{RequestReceiver, RequestSender, request_channel};
-pub use server::{CalibrationPort, Ports, Server, Serving, TlsPort, serve};
+pub use server::{CalibrationPort, Ports, Server, Serving, serve};
 pub use token::Token;
 pub use wire::{Commander, Role, SCHEMA_VERSION, Status};
 

@@ -35,7 +35,7 @@ use super::{
     Address, NetError, access,
     address::Listener,
     command::{Desk, Judge},
-    door::{Entrance, accept},
+    door::{Entrance, TlsPort, accept},
     hub::{Counters, Hub},
     requests::RequestSender,
     token::Token,
@@ -48,7 +48,6 @@ use crate::{
 use moca_msgs::Sample;
 use rtrb::{Consumer, Producer};
 use std::{
-    net::SocketAddr,
     path::PathBuf,
     rc::Rc,
     sync::{
@@ -121,15 +120,6 @@ pub struct Serving {
     /// True if the robot arms itself (`startup.arm`): then it may move with nobody in command until an operator
     /// intervenes.
     pub self_armed: bool,
-}
-
-/// A port for programs of other machines, over TLS (feature `tls`).
-#[derive(Clone, Debug)]
-pub struct TlsPort {
-    /// Address on which it listens.
-    pub listen: SocketAddr,
-    /// The robot's folder of certificates (`access`).
-    pub folder: PathBuf,
 }
 
 impl Serving {

@@ -21,7 +21,7 @@
 use super::{
     NetError,
     access::Role,
-    address::{Reader, Writer},
+    halves::{Reader, Writer},
 };
 use serde::{Deserialize, Serialize};
 use std::{
