@@ -7,8 +7,12 @@ use std::path::PathBuf;
 use std::process::{Command, Output};
 
 fn mocad(name: &str, plant: &str, arguments: &[&str]) -> Output {
+    configured(name, &format!("[telemetry]\nlisten = \"\"\n[plant]\n{plant}\n"), arguments)
+}
+
+fn configured(name: &str, text: &str, arguments: &[&str]) -> Output {
     let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("arm-alone-{name}.toml"));
-    std::fs::write(&path, format!("[plant]\n{plant}\n[telemetry]\nlisten = \"\"\n")).unwrap();
+    std::fs::write(&path, text).unwrap();
     let mut mocad = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"));
     mocad.args(["--duration", "1", "--config"]).arg(path).args(arguments).run().unwrap()
 }
@@ -20,6 +24,20 @@ fn an_arm_runs_live_and_nothing_is_said_of_a_board() {
     assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
     assert!(text.contains("on a stand, no cover") && text.contains("impedance"), "{text}");
     assert!(!text.contains("board"), "{text}");
+}
+
+#[cfg(not(feature = "tls"))]
+#[test]
+fn access_of_other_machines_is_refused_without_its_feature() {
+    let text = "[plant]\nparts = \"arm\"\n[telemetry]\nlisten = \"\"\ntls = \"127.0.0.1:0\"\n";
+    for arguments in [["--check"].as_slice(), &[]] {
+        let output = configured("access", text, arguments);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success(), "{arguments:?} passes");
+        for word in ["telemetry.tls", "feature `tls`", "cargo build"] {
+            assert!(said.contains(word), "{arguments:?}: {word:?} is not in {said}");
+        }
+    }
 }
 
 #[cfg(not(feature = "board"))]

@@ -104,7 +104,7 @@ impl Barrier {
         dt_s: f64,
     ) -> Result<ContactLimits<TAXELS>, ControlError> {
         let [vx, vy, yaw] = robot.base_velocity_world;
-        let [vx, vy] = to_base([vx, vy], robot);
+        let [vx, vy] = to_body([vx, vy], robot);
         let deceleration = std::array::from_fn(|i| limit[i].min(self.deceleration[i]));
         let mut input = BarrierInput::new(self.samples, [vx, vy, yaw], deceleration, dt_s);
         input.light = self.light;
@@ -152,11 +152,12 @@ impl Barrier {
     pub fn remember(&mut self, flange: &FlangePose, robot: &RobotState<JOINTS>) {
         let [x, y, _] = flange.position_world;
         let [base_x, base_y, _] = robot.base_pose_world;
-        self.flange_body_m = Some(to_base([x - base_x, y - base_y], robot));
+        self.flange_body_m = Some(to_body([x - base_x, y - base_y], robot));
     }
 }
 
-fn to_base([x, y]: [f64; 2], robot: &RobotState<JOINTS>) -> [f64; 2] {
+/// From axes of W to those of B.
+pub(super) fn to_body([x, y]: [f64; 2], robot: &RobotState<JOINTS>) -> [f64; 2] {
     let (sin, cos) = robot.base_pose_world[2].sin_cos();
     [cos * x + sin * y, cos * y - sin * x]
 }

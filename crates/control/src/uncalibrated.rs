@@ -12,6 +12,7 @@ use crate::config::{BarrierReadings, Config};
 use crate::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::{ParameterError, RobotState, TaxelPlacement, TaxelStatus};
+use moca_wbc::contact_barrier::{BODY_M, RECOVERS_S, SAME_SIDE, SLOWEST_M_S};
 use moca_wbc::guard::CoverOutline;
 use serde::{Deserialize, Serialize};
 
@@ -19,15 +20,6 @@ use serde::{Deserialize, Serialize};
 const CREDIBLE: f64 = 2.0;
 /// Rounding of a way, m.
 const ROUNDING_M: f64 = 1e-6;
-/// Time for which nobody has to be felt before a taxel is free again, s: the foam recovers, and a light touch is told from none later.
-const RELEASED_S: f64 = 2.0;
-/// Taxels of two sides that are no further apart may feel one body, m.
-const BODY_M: f64 = 0.3;
-/// Cosine of the angle between two taxels of one side of the cover: at least this.
-const SAME_SIDE: f64 = 0.7;
-/// A base that goes outward no faster than this stands, m/s.
-const STANDS_M_S: f64 = 0.005;
-
 /// Way of each touched taxel outward, and which of them have gone far enough.
 #[derive(Clone, Debug)]
 pub struct PushCap {
@@ -64,7 +56,7 @@ struct Held {
 }
 
 impl PushCap {
-    /// As configured; `None` with the contact barrier on or explicitly off, and where the speed limit is overridden.
+    /// As configured; `None` with the contact barrier on or explicitly off.
     ///
     /// # Errors
     /// A taxel's place out of range.
@@ -72,7 +64,7 @@ impl PushCap {
         let (base, protection) = (&config.robot.base, &config.protection);
         let uncalibrated =
             protection.contact_barrier == BarrierReadings::Auto && barrier::curves(config).is_none();
-        if !uncalibrated || protection.override_speed_limit_m_s > 0.0 || !config.plant.parts.has_cover() {
+        if !uncalibrated || !config.plant.parts.has_cover() {
             return Ok(None);
         }
         let foam = barrier::struck(&config.robot.cover);
@@ -122,9 +114,9 @@ impl PushCap {
             *way_body = [0.0; 3];
             return;
         }
-        let [vx, vy, yaw] = robot.base_velocity_world;
-        let (sin, cos) = robot.base_pose_world[2].sin_cos();
-        let velocity_body = [cos * vx + sin * vy, cos * vy - sin * vx, yaw];
+        let [vx_world, vy_world, yaw] = robot.base_velocity_world;
+        let [vx_body, vy_body] = barrier::to_body([vx_world, vy_world], robot);
+        let velocity_body = [vx_body, vy_body, yaw];
         for (way, speed) in way_body.iter_mut().zip(velocity_body) {
             *way += speed * dt_s;
         }
@@ -138,7 +130,7 @@ impl PushCap {
                 let start = Held { far_m: way_m + self.travel_m, stood: false, free_s: 0.0 };
                 let held = held.get_or_insert(start);
                 held.free_s = 0.0;
-                if !held.stood && speed_m_s <= STANDS_M_S {
+                if !held.stood && speed_m_s <= SLOWEST_M_S {
                     (held.stood, held.far_m) = (true, held.far_m.min(way_m));
                 }
             }
@@ -147,7 +139,7 @@ impl PushCap {
             let stopping_m = going_m_s * self.servo_s + going_m_s * going_m_s / (2.0 * brakes_m_s2);
             blocked[taxel] |= now.far_m - way_m <= stopping_m + ROUNDING_M;
             now.free_s += dt_s;
-            if now.free_s > RELEASED_S {
+            if now.free_s > RECOVERS_S {
                 *held = None;
             }
         }
@@ -219,7 +211,10 @@ mod tests {
         assert!(!there(|config| config.board.calibration = "cover.toml".into()), "the barrier is on");
         assert!(!there(|config| config.protection.contact_barrier = BarrierReadings::PuLd30));
         assert!(!there(|config| config.protection.contact_barrier = BarrierReadings::Off));
-        assert!(!there(|config| config.protection.override_speed_limit_m_s = 0.1));
+        assert!(
+            there(|config| config.protection.override_speed_limit_m_s = 0.1),
+            "another limit is no other cover"
+        );
     }
 
     /// The way is the one in which a foam twice as stiff as the configured one takes up the force limit.

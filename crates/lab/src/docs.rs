@@ -409,6 +409,11 @@ mod tests {
             ],
         ),
         (
+            "docs/safety.md",
+            "protection-leads",
+            &[("feels at most 22.6 N", "stock-2018 | off | by hand | 0.25 |")],
+        ),
+        (
             "docs/results.md",
             "protection-leads",
             &[("meets somebody: 21.2 N at most", "stock-2018 | on | led | 0.25 |")],

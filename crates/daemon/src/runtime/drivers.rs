@@ -38,12 +38,18 @@ pub(crate) fn driven(config: &Config) -> Result<Driven> {
     })
 }
 
-/// Checks that this build has the drivers of a configuration.
+/// Checks that this build has the drivers and the access of a configuration.
 ///
 /// # Errors
-/// A driver that it lacks, with the features to build it with.
+/// What it lacks, with the features to build it with.
 pub fn check_build(config: &Config) -> Result<()> {
-    let port = &config.board.port;
+    let (port, tls) = (&config.board.port, &config.telemetry.tls);
+    if !tls.is_empty() && !cfg!(feature = "tls") {
+        bail!(
+            "telemetry.tls = \"{tls}\" needs a build with the feature `tls` (cargo build --release --features tls); with \"\" \
+             programs of other machines have no access"
+        );
+    }
     if config.plant.parts.has_cover() && !port.are_simulated() && !cfg!(feature = "board") {
         bail!(
             "board.port = \"{port}\" needs a build with the feature `board` (cargo build --release --features board); an arm \

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, ensure};
 use moca_control::config::{
-    AssumedModel, Config, HandConfig, OVERRIDE_MAX_M_S, ProtectionConfig, RecentrePolicy,
+    AssumedModel, BarrierReadings, Config, HandConfig, OVERRIDE_MAX_M_S, ProtectionConfig, RecentrePolicy,
 };
 use moca_daemon::devices::simulated_robot;
 use moca_daemon::runtime::lockstep::TrueForces;
@@ -159,12 +159,14 @@ pub(crate) struct Settings {
     pub belief_measured: bool,
 }
 
-/// The paper's robot has no speed limit but its own, and goes wherever it is pushed; limits this high change no bit.
+/// The paper's robot has no speed limit but its own, pushes as hard as its law does, and goes wherever it is pushed; limits
+/// this high change no bit.
 pub(crate) fn unprotected() -> ProtectionConfig {
     ProtectionConfig {
         override_speed_limit_m_s: OVERRIDE_MAX_M_S,
         override_statement: "the paper's experiments, simulated, as published".into(),
         uncovered_m: 100.0,
+        contact_barrier: BarrierReadings::Off,
         ..ProtectionConfig::default()
     }
 }

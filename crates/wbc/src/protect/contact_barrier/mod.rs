@@ -41,7 +41,8 @@ mod orders;
 mod track;
 
 use orders::Orders;
-use track::{Felt, Odometry, SLOWEST_M_S, Track};
+use track::{Felt, Odometry, Track};
+pub use track::{RECOVERS_S, SLOWEST_M_S};
 
 /// Share of the force limit up to which the base itself may press.
 pub const STOP_SHARE: f64 = 0.3165;
@@ -51,11 +52,11 @@ const YIELD_SHARE: f64 = 0.8;
 /// Shortest time in which an error of the depth is taken back, s.
 const RESPONSE_S: f64 = 0.08;
 /// Taxels that are no further apart may feel one body, m: half a trunk;
-const BODY_M: f64 = 0.3;
+pub const BODY_M: f64 = 0.3;
 /// and so may neighbours of a coarser cover, whose taxels have their nearest one at most this much closer.
 const UNEVEN: f64 = 1.2;
 /// Cosine of the angle between two taxels of one side of the cover: at least this.
-const SAME_SIDE: f64 = 0.7;
+pub const SAME_SIDE: f64 = 0.7;
 /// Way that a touched taxel goes back once its readings cannot be believed any more, m,
 pub const BLIND_RETREAT_M: f64 = 0.03;
 /// and when it stops trying, s after the last of them: something is behind it.

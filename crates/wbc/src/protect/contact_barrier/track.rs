@@ -7,18 +7,18 @@ use crate::scalar::{Scalar, of};
 const KEPT: usize = 128;
 /// Readings further apart than this say nothing of a speed, s.
 const APART_S: f64 = 0.2;
-/// After a release the foam is still recovering, and a light touch is told from none later, s. So long the base goes no
-/// further than where it stood,
-const RECOVERS_S: f64 = 2.0;
-/// and then no further than where it pressed who touched until it has stood there for so long, s: what a threshold hides
+/// Time after a release in which the foam is still recovering, and a light touch is told from none later, s. So long the base
+/// goes no further than where it stood.
+pub const RECOVERS_S: f64 = 2.0;
+/// Then it goes no further than where it pressed who touched until it has stood there for so long, s: what a threshold hides
 /// of a touch that is come upon, some of so many frames show of one that rests;
 const LOOKS_S: f64 = 0.5;
 /// it stands there from so little before it on, m.
 const THERE_M: f64 = 0.2e-3;
-/// For as long again it goes on at this share of the speed at which it met somebody,
+/// For as long again it goes on at this share of the speed at which it met somebody, but no slower than [`SLOWEST_M_S`].
 const AGAIN: f64 = 0.5;
-/// but no slower than this, m/s; nor does a base that is slower meet anybody: he comes.
-pub(super) const SLOWEST_M_S: f64 = 0.005;
+/// Speed below which a base stands, m/s: it meets nobody, who touches it has come.
+pub const SLOWEST_M_S: f64 = 0.005;
 /// As far below 0 as noise takes the estimate of a speed, m/s: cut at 0, its mean would lie above it.
 const NOISE_M_S: f64 = 0.05;
 
