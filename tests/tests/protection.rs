@@ -9,14 +9,17 @@
 use moca_control::config::stability::Stability;
 use moca_control::config::{BarrierReadings, Config, HandConfig, RecentrePolicy};
 use moca_control::protection::speed_for_delay_m_s;
-use moca_daemon::devices::simulated_robot::free_scene;
+use moca_control::stopping;
+use moca_daemon::devices::simulated_robot::{self, free_scene};
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::robot::{PANDA, PAPER_COVER};
-use moca_msgs::{ContactEvent, ContactReaction, Law, ParameterValues, Request, Sample, SpeedLimitReason};
+use moca_msgs::{
+    ContactEvent, ContactReaction, Fault, Law, ParameterValues, Request, Sample, SpeedLimitReason,
+};
 use moca_sim::foam::Foam;
 use moca_sim::{BodyPart, Mobility, Person, Scene, VirtualBoardConfig};
 use moca_tactile::Firmware;
@@ -130,6 +133,46 @@ fn impact_is_below_25_n_at_speed_limit_only() {
         assert!(limited.approach_m_s > 0.035, "the base was at its limit");
         assert!(limited.impact_n < 25.0, "{} N", limited.impact_n);
         assert!(paper.impact_n > 25.0, "{} N: the limit is not needed", paper.impact_n);
+    }
+}
+
+/// A base of which the stopping distance was measured 20 ms late is 120 ms late in operation. An operator
+/// stops it at half of the limit: it is slower afterwards. A hand in front of it at the limit: the robot stops.
+#[test]
+fn base_that_became_later_is_found_at_its_next_stop() {
+    let mut measured = config();
+    measured.protection.contact_barrier = BarrierReadings::PuLd30;
+    measured.simulation.truth.base.order_delay_ms = 20.0;
+    let stops = simulated_robot::stops(&measured, &free_scene(&measured)).unwrap();
+    stopping::believe(&mut measured, &stops, "a test".into());
+    let moca = VirtualBoardConfig { firmware: Firmware::Moca, ..VirtualBoardConfig::default() };
+    for (late_ms, share, fault) in
+        [(20.0, 1.0, None), (120.0, 0.5, Some(Fault::OperatorStop)), (120.0, 1.0, Some(Fault::BaseLate))]
+    {
+        let mut config = measured.clone();
+        config.simulation.truth.base.order_delay_ms = late_ms;
+        let mut world = armed(&config, &free_scene(&config), moca);
+        let before = run(&mut world, 100).pop().unwrap().speed_limit;
+        assert_eq!(before.reason, SpeedLimitReason::BoardRate);
+        world.control.set_target_twist([share * before.m_s, 0.0, 0.0, 0.0, 0.0, 0.0]).unwrap();
+        let driven = run(&mut world, 3000).pop().unwrap();
+        assert!(driven.cover_speed_m_s > 0.8 * share * before.m_s, "{} m/s", driven.cover_speed_m_s);
+        if fault == Some(Fault::OperatorStop) {
+            world.step(Some(Request::Stop));
+        } else {
+            press(&mut world, FRONT, 5.0);
+        }
+        let met = run(&mut world, 1000);
+        let (after, stopped) = (met.last().unwrap().speed_limit, met.last().unwrap().fault);
+        println!("{late_ms} ms late, {share} of the limit: {:.4} m/s, then {:.4} m/s", before.m_s, after.m_s);
+        assert_eq!(stopped, fault);
+        if late_ms > 100.0 {
+            assert_eq!(after.reason, SpeedLimitReason::BaseLate);
+            assert!(after.m_s < 0.8 * before.m_s, "{} m/s", after.m_s);
+        } else {
+            // who is felt may be on one plate alone
+            assert!(after.reason == before.reason && after.m_s >= before.m_s, "{after:?}");
+        }
     }
 }
 

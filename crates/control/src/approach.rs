@@ -1,7 +1,8 @@
 //! The largest speed at which the base may meet somebody: it stops before the cover is deeper than the force limit allows, the
 //! depth at which the cover detects a touch and the measured stopping distance counted in. `docs/math.md` has the proof.
 //!
-//! v is the largest with h(v) + v (age + tick) + S⁺(v) ≤ d(F/(s n)), and not above the fastest stop that was measured.
+//! v is the largest with h(v) + v (age + tick) + S⁺(v) + r ≤ d(F/(s n)), and not above the fastest stop that was measured. r is what
+//! the watch on the base does not see ([`RESERVE_M`]).
 
 use crate::barrier::{GAP_M, SENSITIVITY};
 use crate::config::Config;
@@ -51,6 +52,9 @@ pub const STOPS: usize = 16;
 /// Base that is assumed where nothing was measured: delay and time constant, s, deceleration, m/s².
 pub const WORST_CREDIBLE: Stopping = Stopping::Assumed { delay_s: 0.1, servo_s: 0.1, deceleration_m_s2: 1.0 };
 
+/// Way of a stop beyond the measured one that the watch on the base ([`crate::base_watch`]) does not see, m.
+pub const RESERVE_M: f64 = 1e-3;
+
 /// Upper bound of the distance in which a base stops from the moment of the order, S⁺(v).
 #[derive(Clone, Debug, PartialEq)]
 pub enum Stopping {
@@ -87,7 +91,7 @@ impl Stopping {
             servo_s: base.servo_time_constant_s,
             deceleration_m_s2: base.acceleration_max_m_s2,
         };
-        (p.order_delay_ms > 0.0 || p.foam_credible > 1.0 || p.plates > 1).then_some(assumed)
+        (p.order_delay_ms > 0.0 || p.foam_scale() > 1.0 || p.plates > 1).then_some(assumed)
     }
 
     /// Returns the distance from a speed, m; infinite above the fastest stop that was measured.
@@ -133,6 +137,8 @@ pub struct Approach {
     plates: usize,
     /// Depth of a plate of this cover over one of the table at the same counts.
     scale: f64,
+    /// Lateness of the base beyond its stopping distance, s.
+    late_s: f64,
 }
 
 /// Steps of the bisection: 0.1 mm/s of 3 m/s.
@@ -148,10 +154,16 @@ impl Approach {
         Some(Self {
             stopping: Stopping::of(config)?,
             foam,
-            limit_n: p.force_limit_n / p.foam_credible,
+            limit_n: p.force_limit_n / p.foam_scale(),
             plates: usize::from(p.plates),
             scale: plate_scale(&config.robot.cover),
+            late_s: 0.0,
         })
+    }
+
+    /// Takes in how much later the base is than its stopping distance says, s.
+    pub const fn set_late(&mut self, late_s: f64) {
+        self.late_s = late_s;
     }
 
     /// Largest speed, m/s, for a body on a seam, which two plates share, or in the middle of one.
@@ -173,7 +185,7 @@ impl Approach {
         } else {
             self.scale * hidden_m(self.plates, advance_m / self.scale, frames.deviation_counts)
         };
-        hidden_m + speed_m_s * frames.age_s + self.stopping.distance_m(speed_m_s)
+        hidden_m + speed_m_s * (frames.age_s + self.late_s) + self.stopping.distance_m(speed_m_s) + RESERVE_M
     }
 
     /// Depth of a body of which two plates feel half of the force each, m. Of its advance a plate shows the part that the end of its
@@ -275,10 +287,13 @@ mod tests {
             (STOCK, 100.0, 1.0, 1, 0.0222),
             (STOCK, 50.0, 1.5, 1, 0.0201),
         ] {
-            let approach = with(|config| {
+            let mut approach = with(|config| {
                 let p = &mut config.protection;
                 (p.order_delay_ms, p.foam_credible, p.plates) = (order_delay_ms, foam, plates);
             });
+            let allowed_m = approach.foam.depth_m(25.0 / foam / f64::from(plates));
+            // the independent one has no reserve
+            approach.limit_n = f64::from(plates) * approach.foam.force_n(allowed_m + RESERVE_M);
             let speed_m_s = approach.speed_m_s(&frames, true);
             println!(
                 "{order_delay_ms} ms, foam x {foam}, {plates} plates: {speed_m_s:.4}, independent {expected} m/s"
@@ -287,8 +302,24 @@ mod tests {
             let near = speed_m_s <= 1.01 * expected && speed_m_s > 0.86 * expected;
             assert!(near, "{speed_m_s} of {expected} m/s");
             let sum_m = approach.depth_m(speed_m_s, &frames, true);
-            let allowed_m = approach.foam.depth_m(25.0 / foam / f64::from(plates));
+            let allowed_m = allowed_m + RESERVE_M;
             assert!(sum_m <= allowed_m && sum_m > 0.98 * allowed_m, "{sum_m} of {allowed_m} m");
+        }
+    }
+
+    /// With the reserve, by the same simulation.
+    #[test]
+    fn reserve_and_lateness_lower_the_speed_limit() {
+        for (frames, expected) in [(MOCA, 0.0465), (STOCK, 0.0228)] {
+            let mut approach = with(|_| ());
+            let speed_m_s = approach.speed_m_s(&frames, true);
+            assert!(
+                speed_m_s <= 1.01 * expected && speed_m_s > 0.86 * expected,
+                "{speed_m_s} of {expected} m/s"
+            );
+            approach.set_late(0.05);
+            let later = with(|config| config.protection.order_delay_ms = 100.0);
+            assert_eq!(approach.speed_m_s(&frames, true), later.speed_m_s(&frames, true));
         }
     }
 

@@ -246,11 +246,11 @@ fn settings(config: &Config) -> Result<Option<BarrierSettings>, ParameterError> 
     let servo_s = config.robot.base.servo_time_constant_s;
     let protection = &config.protection;
     let Some((reading, foam)) = curves(config) else { return Ok(None) };
-    let limit_n = protection.force_limit_n / protection.foam_credible;
+    let limit_n = protection.force_limit_n / protection.foam_scale();
     let settings = BarrierSettings::new(reading, foam, limit_n, servo_s)?.with_late_orders(
         1e-3 * protection.order_delay_ms,
         1e-3 * protection.order_delay_error_ms,
-        (protection.foam_credible - 1.0).min(SLOPE_ERROR_MAX),
+        (protection.foam_scale() - 1.0).min(SLOPE_ERROR_MAX),
     )?;
     let (hidden_n, shared_plates) = (protection.threshold_force_n, protection.plates > 1);
     Ok(Some(BarrierSettings { hidden_n, shared_plates, ..settings }))

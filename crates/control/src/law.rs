@@ -1,6 +1,7 @@
 //! From mode and forces to a command: which law runs in which mode.
 
 use crate::barrier::{Barrier, to_world};
+use crate::base_watch::BaseWatch;
 use crate::config::live::changed;
 use crate::config::{Config, RecentrePolicy};
 use crate::cover::CoverState;
@@ -62,6 +63,8 @@ pub struct Motion {
     barrier: Option<Barrier>,
     /// Cap of the push where the cover is not calibrated.
     push_cap: Option<PushCap>,
+    /// Watch on the base, where its stopping distance is believed.
+    base_watch: Option<BaseWatch>,
     /// Guard of the base's sides without a taxel.
     uncovered: Option<Uncovered>,
     targets: Targets,
@@ -92,6 +95,7 @@ impl Motion {
         };
         let barrier = either!(&controller, controller => controller.barrier(config))?;
         let push_cap = PushCap::new(config)?;
+        let base_watch = BaseWatch::new(config);
         let uncovered = parts.has_cover().then(|| Uncovered::new(config));
         let protected = Protected::default();
         let targets = Targets::new(config);
@@ -109,6 +113,7 @@ impl Motion {
             protection,
             barrier,
             push_cap,
+            base_watch,
             uncovered,
             targets,
             recentre,
@@ -161,6 +166,7 @@ impl Motion {
     pub fn protect(&mut self, now_ns: u64, cover: &CoverState, mode: Mode) {
         if self.parts.has_cover() {
             let limits = &self.parameters.limits;
+            self.protection.set_late(self.base_watch.as_ref().map_or(0.0, BaseWatch::late_s));
             self.protection.update(now_ns, cover, limits, mode.moves(), &mut self.protected);
         }
         if let Some(barrier) = &mut self.barrier {
@@ -223,6 +229,7 @@ impl Motion {
             protection: self.protection.state().clone(),
             barrier: self.barrier.as_ref().map(Barrier::state),
             push_cap: self.push_cap.as_ref().map(PushCap::state),
+            base_watch: self.base_watch.as_ref().map(BaseWatch::state),
             uncovered: self.uncovered.as_ref().map(Uncovered::state),
             targets: self.targets.state().clone(),
             recentre: self.recentre.state(),
@@ -253,6 +260,11 @@ impl Motion {
         }
         match (&mut self.push_cap, &state.push_cap) {
             (Some(cap), Some(state)) => cap.restore(state),
+            (None, None) => {}
+            _ => return Err(OtherRobot),
+        }
+        match (&mut self.base_watch, &state.base_watch) {
+            (Some(watch), Some(state)) => watch.restore(state),
             (None, None) => {}
             _ => return Err(OtherRobot),
         }
@@ -409,6 +421,15 @@ impl Motion {
         either!(&mut self.controller, controller => controller.step(robot, &input))
     }
 
+    /// Compares the way of the base, measured `dt_s` after the last one, with its orders.
+    ///
+    /// # Errors
+    /// [`Fault::BaseLate`].
+    pub fn watch_base(&mut self, robot: &RobotState<JOINTS>, dt_s: f64) -> Result<(), Fault> {
+        let limit_m_s = self.protected.speed_limit.m_s;
+        self.base_watch.as_mut().map_or(Ok(()), |watch| watch.travelled(robot, limit_m_s, dt_s))
+    }
+
     /// Takes in what came of [`Motion::command`].
     pub fn remember(
         &mut self,
@@ -424,6 +445,9 @@ impl Motion {
         }
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.remember(output.limits.guard && !(moves && self.recentre.stands()));
+        }
+        if let Some(watch) = &mut self.base_watch {
+            watch.ordered(&output.command.base_velocity_body);
         }
         if let Some(barrier) = &mut self.barrier {
             barrier.remember(&output.flange, robot);

@@ -2,6 +2,7 @@
 //! the middle of a run begins with it.
 
 use crate::barrier::BarrierMemory;
+use crate::base_watch::BaseWatchState;
 use crate::foam_recovery::FoamRecovery;
 use crate::protection::ProtectionState;
 use crate::recentre::RecentreState;
@@ -43,6 +44,7 @@ pub struct MotionState {
     pub(super) protection: ProtectionState,
     pub(super) barrier: Option<BarrierMemory>,
     pub(super) push_cap: Option<PushCapState>,
+    pub(super) base_watch: Option<BaseWatchState>,
     pub(super) uncovered: Option<UncoveredState>,
     pub(super) targets: TargetsState,
     pub(super) recentre: RecentreState,

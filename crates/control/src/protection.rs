@@ -71,7 +71,8 @@ pub struct Protection {
     /// middle of a taxel and on a seam.
     approach: Option<Approach>,
     answer: Option<(Frames, [f64; 2])>,
-    /// Deceleration of the base's servo, m/s².
+    /// Time constant of the base's servo, s, and its deceleration, m/s².
+    servo_s: f64,
     base_acceleration_m_s2: f64,
     tick_s: f64,
     outline: CoverOutline<TAXELS, f64>,
@@ -109,6 +110,7 @@ impl Protection {
                 .map(<[f64; 2]>::from),
             approach: Approach::of(config),
             answer: None,
+            servo_s: config.robot.base.servo_time_constant_s,
             base_acceleration_m_s2: config.robot.base.acceleration_max_m_s2,
             tick_s: 1.0 / f64::from(config.control_loop.rate_hz.max(1)),
             outline,
@@ -157,6 +159,19 @@ impl Protection {
         match self.state.tracker.crossed().filter(|_| moving) {
             Some(crossed) => self.react(&crossed, dt_s, protected),
             None => self.state.retreated_m = 0.0,
+        }
+    }
+
+    /// Takes in how much later the base is than its stopping distance says, s.
+    pub fn set_late(&mut self, late_s: f64) {
+        let servo_s = self.servo_s + late_s;
+        #[expect(clippy::float_cmp, reason = "the same number again changes nothing")]
+        if self.contact.servo_s != servo_s {
+            self.contact.servo_s = servo_s;
+            self.answer = None;
+            if let Some(approach) = &mut self.approach {
+                approach.set_late(late_s);
+            }
         }
     }
 
@@ -222,7 +237,9 @@ impl Protection {
         if age_s > explained_s + self.tick_s {
             SpeedLimit { m_s: m_s.min(configured_m_s), reason: SpeedLimitReason::Stale }
         } else if m_s < configured_m_s {
-            SpeedLimit { m_s, reason: SpeedLimitReason::BoardRate }
+            let is_late = self.contact.servo_s > self.servo_s;
+            let reason = if is_late { SpeedLimitReason::BaseLate } else { SpeedLimitReason::BoardRate };
+            SpeedLimit { m_s, reason }
         } else {
             SpeedLimit { m_s: configured_m_s, reason: SpeedLimitReason::Configured }
         }

@@ -228,8 +228,9 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         let output = self.motion.command(slot.now_ns, mode, robot, &cover.forces, dt_s);
         let stop = match &output {
             Ok(output) => {
+                let late = self.motion.watch_base(robot, dt_s).err();
                 self.motion.remember(mode, robot, output, dt_s);
-                law::fault_of(output)
+                law::fault_of(output).or(late)
             }
             Err(fault) => Some(*fault),
         };

@@ -130,6 +130,7 @@ fn fault_chapter_is_what_the_program_says() {
         ArmUserStopped,
         ArmRefused,
         BaseStale,
+        BaseLate,
         StateInvalid,
         PlantLost,
         ControlRefused,

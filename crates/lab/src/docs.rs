@@ -348,9 +348,9 @@ mod tests {
             "README.md",
             "late-bases",
             &[
-                ("| 5.2 N with the contact barrier | 61.4 N", "PU LD30 | 0 |"),
-                ("| 7.0 N with the contact barrier | 162.7 N", "PU LD30 | 50 |"),
-                ("meets the leg at 0.018 m/s", "PU LD30 | 50 |"),
+                ("| 3.8 N with the contact barrier | 61.4 N", "PU LD30 | 0 |"),
+                ("| 4.5 N with the contact barrier | 162.7 N", "PU LD30 | 50 |"),
+                ("meets the leg at 0.012 m/s", "PU LD30 | 50 |"),
             ],
         ),
         ("docs/results.md", "late-bases", &[("ends at 61.4 N", "PU LD30 | 0 |")]),

@@ -151,6 +151,8 @@ pub enum Fault {
         /// 0 is the first joint.
         joint: u8,
     },
+    /// The base needed a longer way to stop than its speed limit allows for.
+    BaseLate,
 }
 
 /// Action required before a stop can be resumed, in addition to removing its cause.
@@ -166,7 +168,7 @@ pub enum Clearing {
 
 impl Fault {
     /// Every code.
-    pub const CODES: [&'static str; 25] = [
+    pub const CODES: [&'static str; 26] = [
         "operator-stop",
         "board-silent",
         "board-lost",
@@ -192,6 +194,7 @@ impl Fault {
         "arm-reflex",
         "arm-user-stopped",
         "arm-refused",
+        "base-late",
     ];
 
     /// Stable code for logs and scripts.
@@ -223,6 +226,7 @@ impl Fault {
             Self::ArmReflex => "arm-reflex",
             Self::ArmUserStopped => "arm-user-stopped",
             Self::ArmRefused => "arm-refused",
+            Self::BaseLate => "base-late",
         }
     }
 
@@ -263,6 +267,7 @@ impl Fault {
             Self::ArmReflex => "The arm stopped by its own reflex.",
             Self::ArmUserStopped => "The arm's user stop is pressed.",
             Self::ArmRefused => "The arm answers, but it does not let itself be controlled.",
+            Self::BaseLate => "The base stopped later than its measured stopping distance says.",
         }
     }
 
@@ -291,7 +296,8 @@ impl Fault {
             | Self::JointSpeed { .. }
             | Self::FlangeSpeed
             | Self::PoseError
-            | Self::ArmStretched { .. } => Clearing::Resume,
+            | Self::ArmStretched { .. }
+            | Self::BaseLate => Clearing::Resume,
             Self::BoardLost
             | Self::BoardFrozen
             | Self::BoardReset
@@ -335,6 +341,9 @@ impl Fault {
             Self::ArmReflex => "Free anyone caught. Press Resume once to recover the arm, again to continue.",
             Self::ArmUserStopped => "Release the user stop when it is safe; then resume.",
             Self::ArmRefused => "Unlock the brakes and activate FCI in Desk, read the log; then resume.",
+            Self::BaseLate => {
+                "It is slower until its stopping distance is measured again (`mocad doctor --base --write`); resume when it is safe."
+            }
             Self::OperatorLost => "Connect a panel; resume when it is safe.",
             Self::BoardSilent => "Check cable and power; when frames come again: resume.",
             Self::BoardSlow => {
@@ -414,6 +423,7 @@ mod tests {
             Fault::JointSpeed { joint: 2 },
             Fault::FlangeSpeed,
             Fault::PoseError,
+            Fault::BaseLate,
         ];
         let pressed = Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Saturated };
         assert!(pressed.to_string().starts_with("T4 is at its end. Free anyone who presses there."));

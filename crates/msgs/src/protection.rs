@@ -41,6 +41,8 @@ pub enum SpeedLimitReason {
     Overridden,
     /// A contact crossed a limit of the user's and the reaction is to slow down.
     Contact,
+    /// The base stops later than its measured stopping distance says.
+    BaseLate,
 }
 
 impl SpeedLimitReason {
@@ -52,6 +54,7 @@ impl SpeedLimitReason {
             Self::Stale => "stale data",
             Self::Overridden => "overridden",
             Self::Contact => "contact",
+            Self::BaseLate => "late base",
         }
     }
 }

@@ -106,6 +106,7 @@ const fn reason_number(reason: SpeedLimitReason) -> u8 {
         SpeedLimitReason::Stale => 2,
         SpeedLimitReason::Overridden => 3,
         SpeedLimitReason::Contact => 4,
+        SpeedLimitReason::BaseLate => 5,
     }
 }
 
@@ -157,6 +158,7 @@ mod tests {
             SpeedLimitReason::Stale,
             SpeedLimitReason::Overridden,
             SpeedLimitReason::Contact,
+            SpeedLimitReason::BaseLate,
         ];
         let list = |name: &str, words: &[&str]| {
             let words: Vec<String> = words.iter().map(|word| format!("\"{word}\"")).collect();
@@ -171,7 +173,7 @@ mod tests {
         }
         assert_eq!(modes.map(mode_number), [0, 1, 2, 3, 4, 5, 6]);
         assert_eq!(statuses.map(status_number), [0, 1, 2, 3, 4, 5, 6, 7, 8]);
-        assert_eq!(reasons.map(reason_number), [0, 1, 2, 3, 4]);
+        assert_eq!(reasons.map(reason_number), [0, 1, 2, 3, 4, 5]);
     }
 
     #[test]

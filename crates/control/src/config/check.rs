@@ -309,6 +309,15 @@ fn protection(settings: &ProtectionConfig, report: Report<'_>) {
             ),
         );
     }
+    if settings.foam_credible > 0.0 && settings.foam_credible < 1.0 {
+        report(
+            "protection.foam_credible",
+            format!(
+                "protection.foam_credible = {}; allowed: 0 (by the calibration's date), or 1 to 4: a foam becomes no softer",
+                settings.foam_credible
+            ),
+        );
+    }
     let (speeds, distances) = (&settings.stopping_speed_m_s, &settings.stopping_distance_m);
     if speeds.len() != distances.len() || speeds.len() > STOPS {
         report(

@@ -243,8 +243,8 @@ parameter_table! {
         stopping_distance_m: Vec<f64> = Vec::new() => [.range(1e-5, 3.0).units(&["m"])];
         /// Date and number of the stops behind it; logged.
         stopping_measured: String = String::new();
-        /// Stiffness of the foam that is credible, over the calibrated one.
-        foam_credible: f64 = 1.0 => [.range(1.0, 4.0)];
+        /// Stiffness of the foam that is credible, over the calibrated one; 0 is 1 for a calibration of the last year, else 1.5.
+        foam_credible: f64 = 0.0 => [.range(0.0, 4.0)];
         /// Plates that one body may press at once, each by all of its depth.
         plates: u8 = 1 => [.range(1.0, 3.0)];
         /// Another speed limit, whatever the board's rate; 0 is no override.
@@ -344,6 +344,13 @@ impl HandConfig {
     /// No scripted hand.
     pub fn none() -> Self {
         Self { taxels: Vec::new(), ..Self::default() }
+    }
+}
+
+impl ProtectionConfig {
+    /// Stiffness of the foam that is credible, over the calibrated one; a foam of which nothing is stated is as calibrated.
+    pub fn foam_scale(&self) -> f64 {
+        if self.foam_credible > 0.0 { self.foam_credible } else { 1.0 }
     }
 }
 

@@ -39,7 +39,12 @@ impl Settings {
             "" => PathBuf::from("calibration.toml"),
             path => PathBuf::from(path),
         };
-        let store = Store { path, board: config.board.name.clone(), material: "not stated".into() };
+        let store = Store {
+            path,
+            board: config.board.name.clone(),
+            material: "not stated".into(),
+            temperature_c: None,
+        };
         Self { store, wiring: wiring.to_vec() }
     }
 }
@@ -216,7 +221,7 @@ mod tests {
 
     fn work(name: &str) -> Work {
         let path = std::env::temp_dir().join(format!("moca-{name}-{}.toml", std::process::id()));
-        let store = Store { path, board: "left".into(), material: "PU LD30".into() };
+        let store = Store { path, board: "left".into(), material: "PU LD30".into(), temperature_c: None };
         let wiring = moca_tactile::CoverConfig::<11>::default().wiring.to_vec();
         let reference = Reference::Simulated(Box::new(|_| Some(0.0)));
         Work { settings: Settings { store, wiring }, engine: Engine::default(), taxel: 0, reference }

@@ -3,7 +3,7 @@
 use crate::calibration::engine::{Fitted, usable};
 use anyhow::{Context, Result, ensure};
 use moca_tactile::calibration::file::TaxelEntry;
-use moca_tactile::calibration::{CalibrationFile, ModelKind};
+use moca_tactile::calibration::{CalibrationFile, ModelKind, residuals};
 use std::path::PathBuf;
 use std::time::SystemTime;
 
@@ -16,7 +16,12 @@ pub struct Store {
     pub board: String,
     /// Foam under the plates, where the file is new.
     pub material: String,
+    /// Temperature of this day, °C, where it is known.
+    pub temperature_c: Option<f64>,
 }
+
+/// Ratio of the reference to the calibrated force, over a whole press, for which a foam is as calibrated.
+pub const AS_CALIBRATED: std::ops::RangeInclusive<f64> = 0.9..=1.1;
 
 impl Store {
     /// Writes the model of this kind and returns the taxels that the file holds now, 1 is T1.
@@ -24,7 +29,7 @@ impl Store {
     /// # Errors
     /// A model that no cover can use, a file of another board or sketch, the disk.
     pub fn save(&self, fitted: &Fitted, kind: ModelKind) -> Result<Vec<u8>> {
-        let Self { path, board, material } = self;
+        let Self { path, board, material, temperature_c } = self;
         ensure!(usable(kind), "a line with an intercept reads its intercept when untouched");
         let fit = fitted.models.iter().find(|fit| fit.kind == kind).context("there is no such model")?;
         let mut file = if path.exists() {
@@ -32,9 +37,8 @@ impl Store {
         } else {
             CalibrationFile::new(board, fitted.sketch, "", material)
         };
-        ensure!(file.board == *board, "{} is of board {:?}, not {board:?}", path.display(), file.board);
-        ensure!(file.sketch == fitted.sketch.name(), "{} is of sketch {}", path.display(), file.sketch);
-        file.date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string()[..10].to_owned();
+        self.fits(&file, fitted)?;
+        (file.date, file.temperature_c) = (today(), *temperature_c);
         let number = fitted.measured.target.number;
         file.taxel.retain(|entry| entry.number != number);
         file.taxel.push(TaxelEntry::new(number, fitted.measured.rest_counts, &fit.model, &fit.quality));
@@ -42,4 +46,50 @@ impl Store {
         file.write(path)?;
         Ok(file.taxel.iter().filter_map(|entry| u8::try_from(entry.number).ok()).collect())
     }
+
+    /// Compares the file's model of a taxel with the presses that were just measured, and renews the file's date if the foam is as
+    /// calibrated. Returns the ratio of the reference to the calibrated force.
+    ///
+    /// # Errors
+    /// A foam that is not as calibrated, a file of another board or sketch or without this taxel, the disk.
+    pub fn check(&self, fitted: &Fitted) -> Result<f64> {
+        let mut file = CalibrationFile::read(&self.path)?;
+        self.fits(&file, fitted)?;
+        let number = fitted.measured.target.number;
+        let entry = file.taxel.iter().find(|entry| entry.number == number);
+        let model =
+            entry.with_context(|| format!("{} has no taxel T{number}", self.path.display()))?.model()?;
+        let ratio = stiffness_ratio(&residuals(&model, std::slice::from_ref(&fitted.measured.trial)));
+        ensure!(
+            AS_CALIBRATED.contains(&ratio),
+            "the foam of T{number} is {ratio:.2} times as stiff as calibrated; allowed: {} to {}; calibrate the cover again, or state it \
+             in protection.foam_credible",
+            AS_CALIBRATED.start(),
+            AS_CALIBRATED.end()
+        );
+        (file.date, file.temperature_c) = (today(), self.temperature_c);
+        file.write(&self.path)?;
+        Ok(ratio)
+    }
+
+    fn fits(&self, file: &CalibrationFile, fitted: &Fitted) -> Result<()> {
+        let (path, board) = (self.path.display(), &self.board);
+        ensure!(file.board == *board, "{path} is of board {:?}, not {board:?}", file.board);
+        ensure!(file.sketch == fitted.sketch.name(), "{path} is of sketch {}", file.sketch);
+        Ok(())
+    }
+}
+
+/// Factor of the modelled forces that comes closest to the reference, from pairs of the reference and the model's error, N.
+fn stiffness_ratio(residuals_n: &[(f64, f64)]) -> f64 {
+    let read = residuals_n.iter().map(|(force_n, error_n)| (force_n, force_n + error_n));
+    let (product, square) = read.fold((0.0, 0.0), |(product, square), (force_n, read_n)| {
+        (product + force_n * read_n, square + read_n * read_n)
+    });
+    product / square
+}
+
+/// Today's date, YYYY-MM-DD.
+fn today() -> String {
+    humantime::format_rfc3339_seconds(SystemTime::now()).to_string()[..10].to_owned()
 }

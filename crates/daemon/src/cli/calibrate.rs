@@ -63,7 +63,14 @@ pub struct Arguments {
     /// Foam under the plates.
     #[arg(long, default_value = "PU LD30")]
     material: String,
-    /// Calibration file to write.
+    /// Compares the calibration file with the presses of these taxels, and renews its date if the foam is as calibrated; one taxel
+    /// is enough, and takes a minute.
+    #[arg(long, conflicts_with_all = ["model", "material", "residuals"])]
+    check: bool,
+    /// Temperature of the foam, °C; stored with the date.
+    #[arg(long, value_name = "CELSIUS", allow_negative_numbers = true, value_parser = celsius)]
+    temperature: Option<f64>,
+    /// Calibration file to write, or to check.
     #[arg(long, default_value = "calibration.toml")]
     out: PathBuf,
     /// Folder for a residual plot of each taxel and model (SVG).
@@ -105,6 +112,14 @@ fn target(text: &str) -> Result<Target, String> {
     }
 }
 
+/// Reads a temperature at which people and robots work.
+fn celsius(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(celsius) if (-20.0..=60.0).contains(&celsius) => Ok(celsius),
+        _ => Err(format!("{text:?} °C; allowed: -20 to 60")),
+    }
+}
+
 /// Calibrates every taxel, prints the table of every model, stores the chosen one.
 pub fn run(arguments: &Arguments) -> Result<()> {
     ensure!(arguments.presses >= 1, "--presses must be at least 1, got {}", arguments.presses);
@@ -112,7 +127,20 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         path: arguments.out.clone(),
         board: arguments.board.clone(),
         material: arguments.material.clone(),
+        temperature_c: arguments.temperature,
     };
+    if arguments.check {
+        let mut accept = |fitted: &Fitted| {
+            let ratio = store.check(fitted)?;
+            let number = fitted.measured.target.number;
+            println!(
+                "T{number}: {ratio:.2} times the calibrated force; {} has today's date",
+                store.path.display()
+            );
+            Ok(())
+        };
+        return measure(arguments, &mut accept);
+    }
     println!(
         "{:<6}{:<21}{:>8}{:>9}{:>11}{:>8}{:>13}{:>10}",
         "taxel", "model", "RMSE N", "loading", "unloading", "worst", "valid to", "cost ns"
@@ -123,12 +151,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         println!("T{} is in {}", fitted.measured.target.number, store.path.display());
         Ok(())
     };
+    measure(arguments, &mut accept)
+}
+
+/// Measures taxel after taxel, from files or live.
+fn measure(arguments: &Arguments, accept: &mut dyn FnMut(&Fitted) -> Result<()>) -> Result<()> {
     match (&arguments.stream, &arguments.times, &arguments.force) {
         (Some(stream), Some(times), Some(force)) => {
             let recording = Recording::read(stream, times, force)?;
-            recorded(&recording, arguments, &mut accept)
+            recorded(&recording, arguments, accept)
         }
-        _ => live(arguments, &mut accept),
+        _ => live(arguments, accept),
     }
 }
 
@@ -328,6 +361,8 @@ fn bar(share: f64) -> String {
 mod tests {
     use super::*;
     use moca_tactile::calibration::CalibrationFile;
+    #[cfg(feature = "sim")]
+    use moca_tactile::calibration::file::StoredModel;
 
     #[test]
     fn targets_are_checked() {
@@ -404,6 +439,25 @@ mod tests {
         file.apply("left", &mut moca_tactile::CoverConfig::<1>::default()).unwrap();
         assert!(file.taxel[0].rmse_n < 4.0 && file.taxel[0].force_max_n > 99.0, "{:?}", file.taxel);
         assert_eq!(std::fs::read_dir(folder.join("plots")).unwrap().count(), 4);
+
+        // The same presses a year later, and with a foam that has become 1.3 times as stiff.
+        let (calibration, out) = (folder.join("out.toml"), path("out.toml"));
+        let check = |file: &CalibrationFile| {
+            file.write(&calibration).unwrap();
+            let line = [&line[..11], &["--check", "--temperature", "-3", "--out", &out]].concat();
+            run(&<Command as clap::Parser>::try_parse_from(line).unwrap().arguments)
+        };
+        let old = CalibrationFile { date: "2020-01-01".into(), ..file };
+        check(&old).unwrap();
+        let renewed = CalibrationFile::read(&calibration).unwrap();
+        assert!(renewed.date > old.date && renewed.temperature_c == Some(-3.0), "{renewed:?}");
+        assert_eq!(renewed.taxel, old.taxel);
+        let mut softer = old;
+        let StoredModel::Compensated { knots, .. } = &mut softer.taxel[0].model else { panic!() };
+        knots.iter_mut().for_each(|knot| knot[1] /= 1.3);
+        let error = check(&softer).unwrap_err().to_string();
+        assert!(error.contains("T1 is 1.3") && error.contains("allowed: 0.9 to 1.1"), "{error}");
+        assert_eq!(CalibrationFile::read(&calibration).unwrap(), softer, "a refused check changes nothing");
         std::fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -7,7 +7,7 @@ use crate::robot::{Parts, PlantKind};
 use crate::runtime::notice::{Notice, Summary};
 use moca_msgs::board::Diagnosis;
 use moca_msgs::protection::{ContactKind, ContactPhase};
-use moca_msgs::{ContactEvent, Fault, Law, Mode, Sample, SpeedLimit, seconds};
+use moca_msgs::{ContactEvent, Fault, Law, Mode, Sample, SpeedLimit, SpeedLimitReason, seconds};
 use std::fmt;
 
 /// Importance of a line.
@@ -58,6 +58,8 @@ pub struct Report {
     /// The robot ends stops for a busy PC by itself, and has ended so many.
     recovers: bool,
     recovered: u64,
+    /// The base was found later than measured.
+    late: bool,
     next_status_s: f64,
     time_s: f64,
 }
@@ -89,6 +91,16 @@ impl Report {
             let text =
                 format!("[{}] mode: {}{}{whose}{more}", at(time_s), sample.mode.name(), why(sample.fault));
             lines.push(Line { level, text });
+        }
+        let late = sample.speed_limit.reason == SpeedLimitReason::BaseLate;
+        if late && !std::mem::replace(&mut self.late, late) {
+            let text = format!(
+                "[{}] the base stops later than was measured: no faster than {:.3} m/s from now on; measure it again: `mocad doctor \
+                 --base --write`",
+                at(time_s),
+                sample.speed_limit.m_s
+            );
+            lines.push(Line { level: Level::Warning, text });
         }
         // A port takes a moment to open and a board to speak: only a state that lasts is worth a line.
         let well = matches!(sample.board, Diagnosis::Frames | Diagnosis::NoBoard);

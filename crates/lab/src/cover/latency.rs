@@ -50,7 +50,7 @@ pub(crate) struct Arguments {
     /// without it, what it measured last is shown.
     #[arg(long)]
     avr: Option<PathBuf>,
-    /// Instead: speeds by physics, by the law and as simulated, as a table and as FOLDER/safe-speed.svg.
+    /// Instead: speeds by physics, by the law and as simulated, as FOLDER/data/safe-speed.csv and as FOLDER/safe-speed-BOARD.svg.
     #[arg(long, value_name = "FOLDER")]
     map: Option<PathBuf>,
     /// Width of the figure of `--map`.

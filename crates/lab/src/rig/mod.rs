@@ -14,7 +14,7 @@ pub(crate) const TAXELS: usize = PAPER_COVER.len();
 pub(crate) mod bound;
 pub(crate) mod campaign;
 pub(crate) mod closed_loop;
-mod commissioning;
+pub(crate) mod commissioning;
 pub(crate) mod cpu_time;
 pub(crate) mod keys;
 pub(crate) mod measure;

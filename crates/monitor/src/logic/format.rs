@@ -38,6 +38,7 @@ pub fn speed_limit(reason: SpeedLimitReason) -> &'static str {
         SpeedLimitReason::Stale => "the board's rate is unknown or its data is old",
         SpeedLimitReason::Overridden => "the configuration overrides what the board allows",
         SpeedLimitReason::Contact => "a contact crossed a limit",
+        SpeedLimitReason::BaseLate => "the base stops later than was measured",
     }
 }
 

@@ -29,8 +29,11 @@ pub struct CalibrationFile {
     pub board: String,
     /// Firmware of the board: `moca`, `stock-2018`, `stock-2015` or `pi-cap`.
     pub sketch: String,
-    /// Day of the calibration, YYYY-MM-DD.
+    /// Day of the calibration, or of the last check against a force gauge, YYYY-MM-DD.
     pub date: String,
+    /// Temperature on that day, °C, where it is known: a cold foam is stiffer.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub temperature_c: Option<f64>,
     /// Foam under the plates.
     pub material: String,
     /// One entry a taxel.
@@ -262,6 +265,7 @@ impl CalibrationFile {
             board: board.to_string(),
             sketch: sketch.name().to_string(),
             date: date.to_string(),
+            temperature_c: None,
             material: material.to_string(),
             taxel: Vec::new(),
         }

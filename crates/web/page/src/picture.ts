@@ -1,7 +1,7 @@
 // One picture of the robot, as crates/web/src/picture.rs writes it.
 export const MODES = ["starting", "taring", "ready", "impedance", "follow-me", "protective stop", "fault"];
 export const STATUSES = ["ok", "not tared", "stale", "at its end", "stuck", "dead", "noisy", "drifted", "masked"];
-export const REASONS = ["configured", "board rate", "stale data", "overridden", "contact"];
+export const REASONS = ["configured", "board rate", "stale data", "overridden", "contact", "late base"];
 const VERSION = 1;
 
 export interface Picture {
