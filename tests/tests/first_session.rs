@@ -21,6 +21,7 @@ fn session() -> Vec<Vec<String>> {
     let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("../README.md");
     let readme = std::fs::read_to_string(readme).unwrap();
     let (_, session) = readme.split_once("A first session").unwrap();
+    assert!(session.split_once("```sh").unwrap().0.contains("cargo run --release -- --no-hand"), "how it is started");
     let (block, _) = session.split_once("```sh\n").unwrap().1.split_once("```").unwrap();
     let words = |line: &str| -> Vec<String> {
         line.split('#').next().unwrap().split_whitespace().skip(1).map(str::to_owned).collect()
@@ -33,7 +34,7 @@ fn first_session_of_the_readme_works_as_typed() {
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("first-session");
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir_all(&folder).unwrap();
-    let _daemon = mocad(&[], &folder).stdout(Stdio::null()).start().unwrap();
+    let _daemon = mocad(&["--no-hand"], &folder).stdout(Stdio::null()).start().unwrap();
     let until = Instant::now() + HANGS_AFTER;
     // The law's name stands in another line from the start; the mode is impedance only after the tare.
     let moves = |output: std::process::Output| {

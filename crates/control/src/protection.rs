@@ -367,8 +367,8 @@ fn stopping_said(config: &Config) -> String {
     "; stopping distance as configured".into()
 }
 
-/// Speed limit for a board with this firmware by its timing, m/s.
-fn nominal_speed_m_s(config: &Config, firmware: Firmware) -> f64 {
+/// Speed limit of the cover's fastest point, while nobody is felt, for a board with this firmware by its timing, m/s.
+pub fn nominal_speed_m_s(config: &Config, firmware: Firmware) -> f64 {
     let tick_s = 1.0 / f64::from(config.control_loop.rate_hz.max(1));
     if let Some(approach) = Approach::of(config) {
         let period_ns = firmware.frame_period_ns();

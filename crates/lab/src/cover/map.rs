@@ -9,7 +9,7 @@ use crate::rig::commissioning::commission;
 use crate::rig::settings::{Sensor, Settings};
 use anyhow::{Context, Result, bail, ensure};
 use moca_control::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
-use moca_control::protection::speed_for_delay_m_s;
+use moca_control::protection::{nominal_speed_m_s, speed_for_delay_m_s};
 use moca_figures::{Colour, Drawing, Map};
 use moca_msgs::Law;
 use moca_msgs::seconds;
@@ -130,8 +130,7 @@ impl Cell {
         let mut settings = self.settings(0.0, 0, PHASES)?;
         let scene = settings.free_scene();
         commission(&mut settings.config, &scene)?;
-        let delay_s = seconds(self.meeting.board.worst_hold_ns()) - 1e-3;
-        let law = speed_for_delay_m_s(&settings.config, self.meeting.limit_n, delay_s).min(FASTEST_M_S);
+        let law = nominal_speed_m_s(&settings.config, self.meeting.board).min(FASTEST_M_S);
         let (measured, or_more) = self.measured_m_s(&settings.config.protection, law)?;
         Ok(Speeds { bound: self.meeting.bound_m_s()?, law, measured, or_more })
     }
@@ -271,7 +270,7 @@ fn table(cells: &[Cell], speeds: &[Speeds]) -> String {
 /// Names and drawings: a map for each board, and in one column of a journal for each body too. The base's delay runs across; body,
 /// foam and deceleration run down; a cell has the law's speed for the least force, green where the simulation bears it.
 fn figures(cells: &[Cell], speeds: &[Speeds], forces_n: &[f64], width: Width) -> Vec<(String, Drawing)> {
-    const CELL: [f64; 2] = [120.0, 22.0];
+    const CELL: [f64; 2] = [150.0, 22.0];
     let force_n = forces_n.iter().copied().fold(f64::INFINITY, f64::min);
     let mut figures = Vec::new();
     for board in BOARDS {
