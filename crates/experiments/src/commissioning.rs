@@ -19,7 +19,7 @@ pub(crate) fn commission(config: &mut Config, scene: &Scene) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rig::settings::Settings;
+    use crate::settings::Settings;
     use moca_msgs::Law;
 
     fn believed(assignments: &[&str]) -> Config {

@@ -13,7 +13,7 @@ const STRETCH: usize = 64;
 
 /// A file of rows that follow from their numbers alone: the rows of any number of shards, joined in order, are those of
 /// one machine.
-pub(crate) struct Campaign<'a> {
+pub struct Campaign<'a> {
     /// Rows that are already in it are kept and not computed again.
     pub out: &'a Path,
     /// As [`shard`] reads it.
@@ -25,7 +25,7 @@ pub(crate) struct Campaign<'a> {
 }
 
 /// Cost of a campaign.
-pub(crate) struct Ran {
+pub struct Ran {
     out: String,
     now: usize,
     before: usize,
@@ -34,7 +34,8 @@ pub(crate) struct Ran {
 }
 
 impl Ran {
-    pub(crate) fn per_cpu_s(&self) -> f64 {
+    /// Rows per second of CPU time.
+    pub fn per_cpu_s(&self) -> f64 {
         count(self.now) / self.cpu_s.max(1e-9)
     }
 }
@@ -56,7 +57,7 @@ impl fmt::Display for Ran {
 
 impl Campaign<'_> {
     /// Computes what is missing of this shard; `row` gives a whole line for its number.
-    pub(crate) fn run(&self, row: impl Fn(usize) -> Result<String> + Sync) -> Result<Ran> {
+    pub fn run(&self, row: impl Fn(usize) -> Result<String> + Sync) -> Result<Ran> {
         let (part, parts) = self.shard;
         let range = self.rows * (part - 1) / parts..self.rows * part / parts;
         let header = (part == 1).then_some(self.header);
@@ -89,7 +90,7 @@ impl Campaign<'_> {
 }
 
 /// `I/N` as the I-th of N parts.
-pub(crate) fn shard(text: &str) -> Result<(usize, usize), String> {
+pub fn shard(text: &str) -> Result<(usize, usize), String> {
     let parse = |part: &str| part.trim().parse::<usize>().ok();
     match text.split_once('/').map(|(i, n)| (parse(i), parse(n))) {
         Some((Some(i), Some(n))) if (1..=n).contains(&i) => Ok((i, n)),
@@ -97,8 +98,11 @@ pub(crate) fn shard(text: &str) -> Result<(usize, usize), String> {
     }
 }
 
-/// The file ready for the next row, and how many rows of this shard it holds already. A torn last line is cut off.
-fn open(path: &Path, header: Option<&str>, range: &std::ops::Range<usize>) -> Result<(File, usize)> {
+/// Returns the file, ready for the next row, and the number of rows of this shard that it holds. A torn last line is cut off.
+///
+/// # Errors
+/// A file that cannot be written, or that holds another header or other rows than those of `range` from its start.
+pub fn open(path: &Path, header: Option<&str>, range: &std::ops::Range<usize>) -> Result<(File, usize)> {
     let context = || format!("cannot use {}", path.display());
     let text = match std::fs::read_to_string(path) {
         Ok(text) => text,
