@@ -4,8 +4,8 @@ use super::{count, cpu_time, parallel};
 use anyhow::{Context, Result, bail, ensure};
 use std::fmt;
 use std::fs::{File, OpenOptions};
-use std::io::Write as _;
-use std::path::Path;
+use std::io::{BufRead as _, BufReader, BufWriter, Write as _};
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Rows handed out between two writes to the file.
@@ -137,8 +137,96 @@ pub fn open(path: &Path, header: Option<&str>, range: &std::ops::Range<usize>) -
     Ok((file, done))
 }
 
+/// Joins the files of all shards, given in any order, into `out`, which appears only when it is whole.
+///
+/// # Errors
+/// A file that cannot be read, another header, a run that is missing or there twice: the message names run and file.
+pub fn merge(parts: &[PathBuf], out: &Path, header: &str, rows: usize) -> Result<()> {
+    let mut shards = Vec::new();
+    for part in parts {
+        let file = File::open(part).with_context(|| format!("cannot read {}", part.display()))?;
+        let mut lines = BufReader::new(file).lines().peekable();
+        if let Some(first) = lines.next_if(|line| line.as_ref().is_ok_and(|line| line.starts_with("run,"))) {
+            ensure!(first? == header, "{} belongs to another sweep: its header differs", part.display());
+        }
+        let first = lines.peek().and_then(|line| line.as_ref().ok()).and_then(|line| number(line));
+        shards.push((first, part, lines));
+    }
+    shards.sort_by_key(|(first, ..)| *first);
+    let fresh = out.with_extension("joining");
+    let context = || format!("cannot write {}", fresh.display());
+    let mut file = BufWriter::new(File::create(&fresh).with_context(context)?);
+    writeln!(file, "{header}").with_context(context)?;
+    let mut next = 0;
+    for (_, part, lines) in shards {
+        for line in lines {
+            let line = line.with_context(|| format!("cannot read {}", part.display()))?;
+            match number(&line) {
+                Some(run) if run == next => next += 1,
+                Some(run) if run < next => bail!("{}: run {run} is there twice", part.display()),
+                Some(run) => bail!("runs {next} to {} are missing before {}", run - 1, part.display()),
+                None => bail!("{}: no run in the line after run {}", part.display(), next.saturating_sub(1)),
+            }
+            ensure!(
+                line.matches(',').count() >= header.matches(',').count(),
+                "{}: the line of run {} is torn: run its shard again",
+                part.display(),
+                next - 1
+            );
+            writeln!(file, "{line}").with_context(context)?;
+        }
+    }
+    ensure!(next == rows, "runs {next} to {} are missing: run their shards again", rows.saturating_sub(1));
+    file.into_inner().map_err(std::io::IntoInnerError::into_error).with_context(context)?;
+    std::fs::rename(&fresh, out).with_context(|| format!("cannot write {}", out.display()))
+}
+
+/// Number of the run whose row begins with `line`.
+fn number(line: &str) -> Option<usize> {
+    line.split(',').next()?.parse().ok()
+}
+
 #[cfg(test)]
-#[test]
-fn a_shard_is_one_of_those_there_are() {
-    assert!(shard("0/3").is_err() && shard("4/3").is_err() && shard("2/3") == Ok((2, 3)));
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shard_is_one_of_those_there_are() {
+        assert!(shard("0/3").is_err() && shard("4/3").is_err() && shard("2/3") == Ok((2, 3)));
+    }
+
+    fn merged(parts: &[&str], rows: usize) -> Result<String> {
+        let folder = std::env::temp_dir().join(format!("moca-merge-{:?}", std::thread::current().id()));
+        std::fs::create_dir_all(&folder)?;
+        let mut paths = Vec::new();
+        for (i, part) in parts.iter().enumerate() {
+            paths.push(folder.join(format!("{i}.csv")));
+            std::fs::write(&paths[i], part)?;
+        }
+        let out = folder.join("out.csv");
+        let joined = merge(&paths, &out, "run,a", rows).and_then(|()| Ok(std::fs::read_to_string(&out)?));
+        std::fs::remove_dir_all(&folder)?;
+        joined
+    }
+
+    #[test]
+    fn merge_joins_shards_in_any_order() {
+        let whole = "run,a\n0,x\n1,x\n2,x\n";
+        assert_eq!(merged(&["2,x\n", "run,a\n0,x\n", "1,x\n"], 3).unwrap(), whole);
+        assert_eq!(merged(&[whole, ""], 3).unwrap(), whole);
+    }
+
+    #[test]
+    fn merge_names_the_run_that_is_missing_or_double() {
+        for (parts, part) in [
+            (["run,a\n0,x\n", "2,x\n"], "runs 1 to 1 are missing before"),
+            (["run,a\n0,x\n", "1,x\n"], "runs 2 to 2 are missing: run"),
+            (["run,a\n0,x\n1,x\n", "1,x\n2,x\n"], "run 1 is there twice"),
+            (["run,b\n0,x\n", "1,x\n2,x\n"], "header differs"),
+            (["run,a\n0,x\n1,x\n", "2\n"], "run 2 is torn"),
+        ] {
+            let error = format!("{:#}", merged(&parts, 3).unwrap_err());
+            assert!(error.contains(part), "{parts:?}: {error}");
+        }
+    }
 }

@@ -4,7 +4,7 @@
 //! rows of any number of shards, joined in order, are those of one machine. No row holds a time, so no row depends on
 //! the machine either.
 
-use crate::numerics::economy;
+use crate::numerics::{economy, slurm};
 use anyhow::{Context, Result};
 use moca_experiments::campaign::{self, Campaign};
 use moca_experiments::sweep::Sweep;
@@ -25,6 +25,12 @@ pub(crate) struct Arguments {
     /// Part of the runs, e.g. 2/8 for the second of eight; joined in order the parts are the whole.
     #[arg(long, value_name = "I/N", value_parser = campaign::shard, default_value = "1/1")]
     shard: (usize, usize),
+    /// Submits the runs to Slurm as an array of N tasks, and a task that joins their files into the CSV file.
+    #[arg(long, value_name = "N", conflicts_with = "shard", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    slurm: Option<u32>,
+    /// Joins files of all shards, in any order, into the CSV file; refuses a run that is missing or there twice.
+    #[arg(long, value_name = "CSV", num_args = 1.., conflicts_with_all = ["shard", "slurm"])]
+    merge: Vec<PathBuf>,
 }
 
 /// Runs what is missing of this shard.
@@ -34,6 +40,17 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         .with_context(|| format!("cannot read {}", arguments.file.display()))?;
     let sweep =
         Sweep::parse(&text, arguments.accuracy).with_context(|| format!("{}", arguments.file.display()))?;
+    if !arguments.merge.is_empty() {
+        return campaign::merge(&arguments.merge, &arguments.out, &sweep.header(), sweep.runs());
+    }
+    if let Some(tasks) = arguments.slurm {
+        let (array, join) = slurm::submit(&arguments.file, &arguments.out, arguments.accuracy, tasks)?;
+        println!(
+            "{}: array {array} of {tasks} tasks, then {join} joins them: squeue",
+            arguments.out.display()
+        );
+        return Ok(());
+    }
     let campaign =
         Campaign { out: &arguments.out, shard: arguments.shard, rows: sweep.runs(), header: &sweep.header() };
     let ran = campaign.run(|id| sweep.row(id))?;
@@ -70,7 +87,8 @@ mod tests {
         let file = folder.join("plan.toml");
         std::fs::write(&file, PLAN).unwrap();
         let out = folder.join(name);
-        run(&Arguments { file, out: out.clone(), accuracy: None, shard }).unwrap();
+        run(&Arguments { file, out: out.clone(), accuracy: None, shard, slurm: None, merge: Vec::new() })
+            .unwrap();
         std::fs::read_to_string(out).unwrap()
     }
 
