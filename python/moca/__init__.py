@@ -15,6 +15,8 @@ from typing import Any, Iterator, Sequence
 
 import numpy as np
 
+from moca._export import export
+from moca._export import table as _table
 from moca._moca import Batch as _Batch
 from moca._moca import Client as _Client
 from moca._moca import Disconnected, Refused
@@ -36,6 +38,7 @@ __all__ = [
     "Sweep",
     "connect",
     "experiment",
+    "export",
     "read",
     "stop",
 ]
@@ -346,7 +349,8 @@ class Log:
     """What a log shows of a run, 50 rows a second and one for whatever happened: `log["q_rad"]` is an (n, 7) array."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self._inner = _Log(os.fspath(path))
+        self._path = os.fspath(path)
+        self._inner = _Log(self._path)
         self._columns: dict[str, np.ndarray] = {}
 
     @property
@@ -375,6 +379,10 @@ class Log:
         if field not in self._columns:
             self._columns[field] = self._read(field)
         return self._columns[field]
+
+    def to_arrow(self) -> Any:
+        """The log as a `pyarrow.Table` with robot, run (the file's name without its ending) and Unix time."""
+        return _table(self, os.path.splitext(os.path.basename(self._path))[0])
 
     def _read(self, field: str) -> np.ndarray:
         if field == "mode":

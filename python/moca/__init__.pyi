@@ -4,6 +4,7 @@ from typing import Any, Iterator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from moca._export import export as export
 from moca._sweep import Sweep as Sweep
 from moca._sweep import experiment as experiment
 
@@ -19,6 +20,7 @@ __all__ = [
     "Sweep",
     "connect",
     "experiment",
+    "export",
     "read",
     "stop",
 ]
@@ -173,6 +175,7 @@ class Log:
     @property
     def start_unix_ns(self) -> int: ...
     def keys(self) -> list[str]: ...
+    def to_arrow(self) -> Any: ...
     def __len__(self) -> int: ...
     def __getitem__(self, field: str) -> NDArray[Any]: ...
 
