@@ -15,14 +15,33 @@ from typing import Any, Iterator, Sequence
 
 import numpy as np
 
+from moca._export import export
+from moca._export import table as _table
+from moca._moca import Batch as _Batch
 from moca._moca import Client as _Client
 from moca._moca import Disconnected, Refused
 from moca._moca import Log as _Log
 from moca._moca import Simulation as _Simulation
 from moca._moca import State as _State
 from moca._moca import stop as _stop
+from moca._sweep import Sweep, experiment
 
-__all__ = ["Disconnected", "Log", "Refused", "Robot", "Sim", "State", "connect", "read", "stop"]
+__all__ = [
+    "Disconnected",
+    "Log",
+    "Refused",
+    "Robot",
+    "Sim",
+    "SimBatch",
+    "State",
+    "States",
+    "Sweep",
+    "connect",
+    "experiment",
+    "export",
+    "read",
+    "stop",
+]
 
 AGE_LIMIT_S = 0.2
 
@@ -33,6 +52,12 @@ def _array(data: bytes) -> np.ndarray:
 
 def _numbers(values: Any) -> list[float]:
     return np.asarray(values, dtype=np.float64).ravel().tolist()
+
+
+def _file_or_text(config: str | os.PathLike[str] | None) -> tuple[str | None, str | None]:
+    """Splits what a user calls a configuration: a path, or a text of TOML."""
+    text = config if isinstance(config, str) and ("\n" in config or "=" in config) else None
+    return None if config is None or text is not None else os.fspath(config), text
 
 
 class State:
@@ -229,9 +254,7 @@ class Sim(_Commanded):
     """
 
     def __init__(self, config: str | os.PathLike[str] | None = None, *, seed: int | None = None) -> None:
-        text = config if isinstance(config, str) and ("\n" in config or "=" in config) else None
-        path = None if config is None or text is not None else os.fspath(config)
-        self._inner = _Simulation(path, text, seed)
+        self._inner = _Simulation(*_file_or_text(config), seed)
 
     @property
     def period(self) -> float:
@@ -249,11 +272,85 @@ class Sim(_Commanded):
         return State(result)
 
 
+class States:
+    """Newest states of the robots of a batch, under the names of `State`: each array has a row for each robot.
+
+    The arrays are read-only and share the memory of the batch: the next step overwrites them. Copy what has to last.
+    NaN is what is not known.
+    """
+
+    def __init__(self, batch: _Batch) -> None:
+        self._batch = batch
+        for name, shared in batch.fields():
+            setattr(self, name, np.asarray(shared))
+
+    @property
+    def mode(self) -> list[str | None]:
+        """Mode of each robot."""
+        return self._batch.modes()
+
+    @property
+    def fault(self) -> list[str | None]:
+        """Why each robot is stopped, if it is."""
+        return self._batch.faults()
+
+    @property
+    def refused(self) -> list[str | None]:
+        """Why each robot refused the press or target of the last step, if it did."""
+        return self._batch.refusals()
+
+
+class SimBatch:
+    """Simulated robots that step together on `threads` threads, each bit for bit a `Sim` with the same seed.
+
+    `config` is as for `Sim`; its robots have to arm themselves. `target` is the kind of target that `step` takes:
+    "base", "pose", "posture", "twist world", "twist base" or "twist flange". Without `threads` it takes every core.
+    """
+
+    def __init__(
+        self,
+        config: str | os.PathLike[str] | None = None,
+        robots: int = 1,
+        threads: int | None = None,
+        *,
+        target: str = "base",
+    ) -> None:
+        self._inner = _Batch(*_file_or_text(config), robots, threads, target)
+        self._robots = robots
+        self._targets = np.asarray(self._inner.targets)
+        self._presses = np.asarray(self._inner.presses)
+        self.states = States(self._inner)
+
+    def __len__(self) -> int:
+        return self._robots
+
+    def reset(self, seeds: Any, *, where: Any = None) -> States:
+        """Makes new robots with these seeds, where `where` is true, and steps each until its law is in control."""
+        wanted = np.ones(len(self), bool) if where is None else np.asarray(where, bool)
+        self._inner.reset([int(seed) if new else None for seed, new in zip(seeds, wanted, strict=True)])
+        return self.states
+
+    def step(self, targets: Any = None, ticks: int = 1, presses: Any = None) -> States:
+        """Steps every robot so many ticks; a press takes the first one, a target the next.
+
+        `targets` has a row for each robot, in the units of `Sim`'s target of that kind; a row of NaN asks for nothing.
+        `presses` has rows of taxel (1 is T1, 0 for none) and force, N. A robot that refuses steps on without the
+        request: `refused` of the states says why, and nothing is raised.
+        """
+        if targets is not None:
+            self._targets[:] = targets
+        if presses is not None:
+            self._presses[:] = presses
+        self._inner.step(ticks, targets is not None, presses is not None)
+        return self.states
+
+
 class Log:
     """What a log shows of a run, 50 rows a second and one for whatever happened: `log["q_rad"]` is an (n, 7) array."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self._inner = _Log(os.fspath(path))
+        self._path = os.fspath(path)
+        self._inner = _Log(self._path)
         self._columns: dict[str, np.ndarray] = {}
 
     @property
@@ -282,6 +379,10 @@ class Log:
         if field not in self._columns:
             self._columns[field] = self._read(field)
         return self._columns[field]
+
+    def to_arrow(self) -> Any:
+        """The log as a `pyarrow.Table` with robot, run (the file's name without its ending) and Unix time."""
+        return _table(self, os.path.splitext(os.path.basename(self._path))[0])
 
     def _read(self, field: str) -> np.ndarray:
         if field == "mode":

@@ -4,7 +4,26 @@ from typing import Any, Iterator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Disconnected", "Log", "Refused", "Robot", "Sim", "State", "connect", "read"]
+from moca._export import export as export
+from moca._sweep import Sweep as Sweep
+from moca._sweep import experiment as experiment
+
+__all__ = [
+    "Disconnected",
+    "Log",
+    "Refused",
+    "Robot",
+    "Sim",
+    "SimBatch",
+    "State",
+    "States",
+    "Sweep",
+    "connect",
+    "experiment",
+    "export",
+    "read",
+    "stop",
+]
 
 class Refused(RuntimeError): ...
 class Disconnected(ConnectionError): ...
@@ -104,6 +123,49 @@ class Sim:
     ) -> State: ...
     def press(self, taxel: int, force: float) -> State: ...
 
+class States:
+    time_s: NDArray[np.float64]
+    speed_limit_m_s: NDArray[np.float64]
+    target_progress: NDArray[np.float64]
+    taxel_force_n: NDArray[np.float64]
+    base_pose_world: NDArray[np.float64]
+    base_velocity_world: NDArray[np.float64]
+    cover_speed_m_s: NDArray[np.float64]
+    uncovered_way_m: NDArray[np.float64]
+    q_rad: NDArray[np.float64]
+    dq_rad_s: NDArray[np.float64]
+    flange_position_world: NDArray[np.float64]
+    flange_quaternion_world: NDArray[np.float64]
+    flange_desired_position_world: NDArray[np.float64]
+    flange_desired_quaternion_world: NDArray[np.float64]
+    flange_wrench_world: NDArray[np.float64]
+    base_velocity_command_body: NDArray[np.float64]
+    arm_torque_nm: NDArray[np.float64]
+    cover_wrench_base: NDArray[np.float64]
+    frame_age_s: NDArray[np.float64]
+    frame_rate_hz: NDArray[np.float64]
+    lateness_s: NDArray[np.float64]
+    @property
+    def mode(self) -> list[str | None]: ...
+    @property
+    def fault(self) -> list[str | None]: ...
+    @property
+    def refused(self) -> list[str | None]: ...
+
+class SimBatch:
+    states: States
+    def __init__(
+        self,
+        config: str | os.PathLike[str] | None = None,
+        robots: int = 1,
+        threads: int | None = None,
+        *,
+        target: str = "base",
+    ) -> None: ...
+    def __len__(self) -> int: ...
+    def reset(self, seeds: ArrayLike, *, where: ArrayLike | None = None) -> States: ...
+    def step(self, targets: ArrayLike | None = None, ticks: int = 1, presses: ArrayLike | None = None) -> States: ...
+
 class Log:
     def __init__(self, path: str | os.PathLike[str]) -> None: ...
     @property
@@ -113,6 +175,7 @@ class Log:
     @property
     def start_unix_ns(self) -> int: ...
     def keys(self) -> list[str]: ...
+    def to_arrow(self) -> Any: ...
     def __len__(self) -> int: ...
     def __getitem__(self, field: str) -> NDArray[Any]: ...
 

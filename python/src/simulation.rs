@@ -2,29 +2,22 @@
 
 use crate::request::{answered, counted, plain, policy, press, target, waypoints};
 use crate::state::State;
-use moca_control::config::Config;
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::devices::touch_board::ByteCover;
-use moca_daemon::runtime::assemble::board_config;
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards, NoCover};
+use crate::world::{World, configuration};
 use moca_msgs::target::MAX_WAYPOINTS;
-use moca_msgs::{Outcome, Refusal, Request, Sample};
+use moca_msgs::{Refusal, Request};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
 
 /// Ticks between two looks for Ctrl-C.
 const SIGNALS_EVERY: u64 = 1000;
 
-enum World {
-    Covered(LockStep<ByteCover, MemoryBoards>),
-    Bare(LockStep<Option<ByteCover>, NoCover>),
-}
-
-/// Not to be handed from thread to thread: the physics is one thread's.
-#[pyclass(unsendable, module = "moca._moca")]
+/// A robot; other Python threads run while it steps.
+#[pyclass(module = "moca._moca")]
 pub struct Simulation {
-    world: World,
+    // Python asks for a type that threads may share. Only `&mut self` reaches the robot, so no lock is ever taken.
+    world: Mutex<World>,
     period_s: f64,
     /// Number of taxels.
     taxels: usize,
@@ -35,32 +28,14 @@ impl Simulation {
     #[new]
     #[pyo3(signature = (path=None, toml=None, seed=None))]
     fn new(path: Option<PathBuf>, toml: Option<&str>, seed: Option<u64>) -> PyResult<Self> {
-        let wrong = |error: String| PyValueError::new_err(error);
-        let mut config = match (path, toml) {
-            (None, None) => Config::default(),
-            (Some(path), None) => {
-                // A missing file is Python's own exception.
-                std::fs::metadata(&path).map_err(|error| {
-                    std::io::Error::new(error.kind(), format!("{}: {error}", path.display()))
-                })?;
-                Config::load(&path).map_err(|error| wrong(format!("{}:\n{error}", path.display())))?
-            }
-            (None, Some(text)) => Config::parse(text).map_err(|error| wrong(error.to_string()))?,
-            (Some(_), Some(_)) => return Err(wrong("a file or a text, not both".into())),
-        };
+        let mut config = configuration(path.as_deref(), toml)?;
         if let Some(seed) = seed {
             config.simulation.seed = seed;
         }
         let taxels = config.robot.cover.count();
-        let scene = free_scene(&config);
-        let world = if config.plant.parts.has_cover() {
-            LockStep::with_board(&config, &scene, board_config(&config), None)
-                .map(|w| World::Covered(w.untimed()))
-        } else {
-            LockStep::without_cover(&config, &scene).map(|w| World::Bare(w.untimed()))
-        };
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
-        Ok(Self { world: world.map_err(|error| wrong(format!("{error:#}")))?, period_s, taxels })
+        let world = World::new(&config).map_err(PyValueError::new_err)?;
+        Ok(Self { world: Mutex::new(world), period_s, taxels })
     }
 
     #[getter]
@@ -70,14 +45,25 @@ impl Simulation {
 
     /// Steps a number of ticks and returns the last one's state.
     fn step(&mut self, py: Python<'_>, ticks: u64) -> PyResult<State> {
-        let mut last = None;
-        for done in 0..ticks {
-            if done % SIGNALS_EVERY == 0 {
-                py.check_signals()?;
-            }
-            last = Some(self.tick(None).0);
+        if ticks == 0 {
+            return Err(PyValueError::new_err("ticks = 0: allowed: 1 or more"));
         }
-        last.map(State).ok_or_else(|| PyValueError::new_err("ticks = 0: allowed: 1 or more"))
+        let mut left = ticks - 1;
+        let world = self.world();
+        loop {
+            py.check_signals()?;
+            let now = left.min(SIGNALS_EVERY);
+            left -= now;
+            let last = py.detach(|| {
+                for _ in 0..now {
+                    world.tick(None);
+                }
+                (left == 0).then(|| world.tick(None).sample.clone())
+            });
+            if let Some(sample) = last {
+                return Ok(State(sample));
+            }
+        }
     }
 
     fn request(&mut self, name: &str) -> PyResult<State> {
@@ -106,17 +92,14 @@ impl Simulation {
 }
 
 impl Simulation {
-    fn tick(&mut self, request: Option<Request>) -> (Sample, Option<Outcome>) {
-        match &mut self.world {
-            World::Covered(world) => world.step(request),
-            World::Bare(world) => world.step(request),
-        }
+    fn world(&mut self) -> &mut World {
+        self.world.get_mut().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// A request takes a tick.
     fn ask(&mut self, request: Request) -> PyResult<State> {
-        let (sample, outcome) = self.tick(Some(request));
-        answered(request, outcome.unwrap_or(Err(Refusal::NoAnswer)))?;
-        Ok(State(sample))
+        let ticked = self.world().tick(Some(request));
+        answered(request, ticked.input.outcome.unwrap_or(Err(Refusal::NoAnswer)))?;
+        Ok(State(ticked.sample.clone()))
     }
 }

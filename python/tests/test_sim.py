@@ -86,15 +86,6 @@ def test_a_long_step_is_interrupted():
     assert sim.step(1).mode == "impedance"
 
 
-def test_the_environment_of_the_examples_steps():
-    gym = pytest.importorskip("gymnasium")
-    from gymnasium.utils.env_checker import check_env
-
-    import lean_env
-
-    check_env(lean_env.LeanEnv(), skip_render_check=True)
-
-
 @pytest.mark.parametrize(
     ("call", "said"),
     [

@@ -54,9 +54,15 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
     ),
     ("moca-viewer", &["moca-manual", "moca-telemetry"], &["nalgebra", "mujoco-rs", "serialport", "egui"]),
     (
+        "moca-experiments",
+        &["moca-control", "moca-daemon", "moca-msgs", "moca-sim", "moca-tactile", "moca-wbc"],
+        &["egui", "resvg", "skrifa", "pdf-writer", "clap-markdown", "moca-monitor", "moca-lab"],
+    ),
+    (
         "moca-lab",
         &[
             "moca-control",
+            "moca-experiments",
             "moca-figures",
             "moca-manual",
             "moca-msgs",

@@ -21,7 +21,10 @@ fn session() -> Vec<Vec<String>> {
     let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("../README.md");
     let readme = std::fs::read_to_string(readme).unwrap();
     let (_, session) = readme.split_once("A first session").unwrap();
-    assert!(session.split_once("```sh").unwrap().0.contains("cargo run --release -- --no-hand"), "how it is started");
+    assert!(
+        session.split_once("```sh").unwrap().0.contains("cargo run --release -- --no-hand"),
+        "how it is started"
+    );
     let (block, _) = session.split_once("```sh\n").unwrap().1.split_once("```").unwrap();
     let words = |line: &str| -> Vec<String> {
         line.split('#').next().unwrap().split_whitespace().skip(1).map(str::to_owned).collect()

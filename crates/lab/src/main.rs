@@ -7,7 +7,6 @@ mod export;
 mod numerics;
 mod paper;
 mod picture;
-mod rig;
 mod robustness;
 
 use clap::{Parser, Subcommand};

@@ -2,10 +2,10 @@
 //! fast the base may go with it, and whether such a cover is stable in contact with this controller.
 
 use crate::picture::Width;
-use crate::rig::TAXELS;
-use crate::rig::parallel::Count;
 use anyhow::Context as _;
 use moca_control::config::Config;
+use moca_experiments::TAXELS;
+use moca_experiments::parallel::Count;
 use moca_msgs::ImpedanceGains;
 use moca_msgs::robot::{BaseTable, PAPER_COVER};
 use moca_sim::board::{VirtualBoard, VirtualBoardConfig};

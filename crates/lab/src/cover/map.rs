@@ -1,15 +1,15 @@
 //! `moca-lab latency --map FOLDER`: how fast the base may meet a body, by physics, by the law, and in the simulation.
 //! What was computed stands in a file there and is not computed again.
 
-use crate::paper::collision;
 use crate::picture::{Picture as _, Width};
-use crate::rig::bound::{Meeting, TO_THE_SEAM_M};
-use crate::rig::campaign::Campaign;
-use crate::rig::commissioning::commission;
-use crate::rig::settings::{Sensor, Settings};
 use anyhow::{Context, Result, bail, ensure};
 use moca_control::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
 use moca_control::protection::{nominal_speed_m_s, speed_for_delay_m_s};
+use moca_experiments::bound::{Meeting, TO_THE_SEAM_M};
+use moca_experiments::campaign::Campaign;
+use moca_experiments::collision;
+use moca_experiments::commissioning::commission;
+use moca_experiments::settings::{Sensor, Settings};
 use moca_figures::{Colour, Drawing, Map};
 use moca_msgs::Law;
 use moca_msgs::seconds;

@@ -1,8 +1,8 @@
 //! `moca-lab stream`: what the reader makes of a recorded byte stream.
 
-use crate::rig::count;
 use anyhow::{Context, ensure};
 use moca_daemon::cli::progress::Progress;
+use moca_experiments::count;
 use moca_msgs::{Fault, nanoseconds, seconds};
 use moca_tactile::Firmware;
 use moca_tactile::board::{BoardMonitor, Diagnosis, MAX_ELECTRODES, STALL_GAP_NS, SampledFrame};
@@ -338,7 +338,7 @@ fn as_text(report: &Report) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rig::TAXELS;
+    use moca_experiments::TAXELS;
     use moca_sim::board::{BoardFault, VirtualBoard, VirtualBoardConfig};
 
     fn report(name: &str, timed: bool) -> Report {

@@ -2,12 +2,12 @@
 //! it is felt, and how little an untouched robot creeps under the sensor's noise.
 #![expect(clippy::print_stdout, reason = "a command prints its result")]
 
-use crate::rig::parallel;
 use anyhow::{Context, Result, ensure};
 use moca_control::config::{Config, HandConfig};
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
+use moca_experiments::parallel;
 use moca_msgs::{Mode, Request, Sample};
 use moca_sim::VirtualBoardConfig;
 

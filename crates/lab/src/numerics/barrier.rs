@@ -1,10 +1,10 @@
 //! Benefit of the contact barrier: the sweeps of `scenes/barrier-*.toml` as the table of docs/math.md.
 
-use super::sweep::Plan;
-use crate::paper::collision;
-use crate::rig::parallel;
-use crate::rig::settings::Settings;
 use anyhow::{Context, Result};
+use moca_experiments::collision;
+use moca_experiments::parallel;
+use moca_experiments::settings::Settings;
+use moca_experiments::sweep::Sweep;
 use std::fmt::Write as _;
 
 /// A row of the table: the sensor and the person, and the runs that stand for them.
@@ -59,8 +59,8 @@ pub(crate) fn before(taxel: &str, barrier: bool) -> Result<Vec<(String, Vec<Sett
 fn plan(chosen: impl Fn(usize, bool, &str) -> bool) -> Result<Vec<Planned>> {
     let mut todo = Vec::new();
     for (row, (_, plan, stiffness)) in ROWS.into_iter().enumerate() {
-        let plan: Plan = toml::from_str(plan)?;
-        let columns = plan.columns();
+        let plan = Sweep::parse(plan, None)?;
+        let columns = plan.varied();
         for values in (0..plan.runs()).map(|id| plan.values(id)) {
             let value = |key: &str| {
                 let place = columns.iter().position(|column| column == key);
@@ -69,7 +69,7 @@ fn plan(chosen: impl Fn(usize, bool, &str) -> bool) -> Result<Vec<Planned>> {
             let on = value("barrier")? != "off";
             let met = format!("{}, {} ms", value("person.taxel")?, value("sensor.phase_ms")?);
             if value("person.stiffness")? == stiffness && chosen(row, on, &met) {
-                todo.push(Planned { cell: (row, on), met, settings: plan.settings(&columns, &values)? });
+                todo.push(Planned { cell: (row, on), met, settings: plan.settings(&values)? });
             }
         }
     }

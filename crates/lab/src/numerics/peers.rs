@@ -3,11 +3,12 @@
 //! Results of the others are in `tests/fixtures/peers`, written by `tests/peers/run`. One is discrete like ours and
 //! compared at the same step. The other is continuous and compared with our limit of small steps.
 
-use crate::paper::{collision, push, push::Push};
-use crate::rig::closed_loop::{Rig, Row};
-use crate::rig::parallel;
-use crate::rig::settings::Settings;
+use crate::paper::{push, push::Push};
 use anyhow::{Context, Result, bail, ensure};
+use moca_experiments::closed_loop::{Rig, Row};
+use moca_experiments::collision;
+use moca_experiments::parallel;
+use moca_experiments::settings::Settings;
 use moca_msgs::Law;
 use std::fmt::Write as _;
 
@@ -86,7 +87,7 @@ impl Trace {
         };
         Ok(Self {
             peak_n: rig.rows.iter().map(force_n).fold(0.0, f64::max),
-            flange_rms_mm: 1e3 * push::rms(rig.rows.iter().map(Row::flange_error_m)),
+            flange_rms_mm: 1e3 * moca_experiments::measure::rms(rig.rows.iter().map(Row::flange_error_m)),
             rows: rig.rows.iter().step_by(EVERY).map(row).collect(),
         })
     }

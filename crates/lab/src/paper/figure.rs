@@ -2,9 +2,9 @@
 
 use super::robot_picture::{Moment, Pictures};
 use crate::picture::{Picture as _, Width};
-use crate::rig::closed_loop::Row;
-use crate::rig::{JOINTS, TAXELS, count};
 use anyhow::{Context, Result, ensure};
+use moca_experiments::closed_loop::Row;
+use moca_experiments::{JOINTS, TAXELS, count};
 use moca_figures::{Anchor, BLACK, Drawing, GREY, Panel, Series, text_px, wrapped};
 use moca_sim::Scene;
 use std::fmt::Write as _;

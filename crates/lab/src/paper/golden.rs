@@ -4,10 +4,11 @@
 //! did to the robot.
 
 use super::push;
-use super::{collision, pushes};
-use crate::rig::c_library;
-use crate::rig::closed_loop::{Rig, Row};
-use crate::rig::settings::Settings;
+use super::pushes;
+use moca_experiments::c_library;
+use moca_experiments::closed_loop::{Rig, Row};
+use moca_experiments::collision;
+use moca_experiments::settings::Settings;
 use moca_msgs::Law;
 use std::fmt::Write as _;
 use std::path::PathBuf;

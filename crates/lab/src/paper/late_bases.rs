@@ -1,11 +1,11 @@
 //! `moca-lab docs --only late-bases`: the paper's collision on two foams, with bases whose orders are late.
 
-use super::collision;
 use super::report::collision_with;
-use crate::rig::parallel;
-use crate::rig::settings::{Sensor, Settings};
 use anyhow::{Result, ensure};
 use moca_control::robot::FoamKind;
+use moca_experiments::collision;
+use moca_experiments::parallel;
+use moca_experiments::settings::{Sensor, Settings};
 use moca_sim::foam::Foam;
 use moca_tactile::Firmware;
 use std::fmt::Write as _;

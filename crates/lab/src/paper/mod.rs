@@ -1,7 +1,7 @@
 //! `moca-lab experiment`: the paper's experiments on the daemon's own loop, in lock-step: deterministic and faster than
 //! real time.
 
-pub(crate) mod collision;
+mod collision_figure;
 pub(crate) mod figure;
 #[cfg(test)]
 mod golden;
@@ -16,9 +16,10 @@ mod robot_picture;
 mod tests;
 
 use self::figure::{Figure, Layout, Trace};
-use crate::rig::settings::{self, Settings};
-use crate::rig::{closed_loop, keys, measure};
 use anyhow::{Result, ensure};
+use moca_experiments::run_info::{self, RunInfo};
+use moca_experiments::settings::{self, Settings};
+use moca_experiments::{closed_loop, collision, keys, measure};
 use moca_msgs::Law;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -86,77 +87,6 @@ impl Common {
     }
 }
 
-/// Information that every experiment prints about its run.
-#[derive(Clone, Debug, Serialize)]
-pub(crate) struct RunInfo {
-    experiment: &'static str,
-    sensor: &'static str,
-    foam: &'static str,
-    /// Source of the wrench at the flange.
-    flange: &'static str,
-    /// Engine that integrated the scene, and the reason for it.
-    engine: &'static str,
-    /// Steps taken for the requested `accuracy`, of the reported phase; null for steps of one length.
-    steps: Option<Steps>,
-    /// Frames of the stock board, Hz; null without one.
-    frame_rate_hz: Option<f64>,
-    /// Why the robot stopped; null if it did not.
-    stopped: Option<String>,
-    /// Simulated time, starting included, s.
-    sim_s: f64,
-    /// Wall-clock time, s: of a collision the five phases together.
-    wall_s: f64,
-}
-
-/// Cost of the chosen physics steps.
-#[derive(Clone, Debug, Serialize)]
-struct Steps {
-    accuracy: f64,
-    /// Steps a tick, those of the estimates included, and those whose result was kept.
-    per_tick: f64,
-    kept_per_tick: f64,
-    /// Ticks in which the most steps that are tried were not enough.
-    ticks_missed: u64,
-}
-
-impl Steps {
-    fn of(settings: &Settings, rig: &closed_loop::Rig) -> Option<Self> {
-        let spent = rig.steps_spent()?;
-        #[expect(clippy::cast_precision_loss, reason = "counts of one run")]
-        let per_tick = |steps: u64| steps as f64 / spent.periods.max(1) as f64;
-        Some(Self {
-            accuracy: settings.config.simulation.accuracy,
-            per_tick: per_tick(spent.steps),
-            kept_per_tick: per_tick(spent.kept),
-            ticks_missed: spent.missed,
-        })
-    }
-
-    fn text(&self) -> String {
-        format!(
-            "\n  accuracy {:.0e}: {:.2} physics steps a tick, {:.2} of them kept, {} ticks not within it",
-            self.accuracy, self.per_tick, self.kept_per_tick, self.ticks_missed
-        )
-    }
-}
-
-impl RunInfo {
-    fn new(experiment: &'static str, settings: &Settings, rig: &closed_loop::Rig, started: Instant) -> Self {
-        Self {
-            experiment,
-            sensor: settings.sensor.name(),
-            foam: settings.foam.material.name,
-            flange: if settings.flange_observed { "observed" } else { "true" },
-            engine: settings.engine.reason(),
-            steps: Steps::of(settings, rig),
-            frame_rate_hz: (settings.sensor == settings::Sensor::Stock).then_some(rig.frame_rate_hz),
-            stopped: rig.stopped.clone(),
-            sim_s: rig.sim_s,
-            wall_s: started.elapsed().as_secs_f64(),
-        }
-    }
-}
-
 #[derive(Debug, Serialize)]
 struct PushReport {
     #[serde(flatten)]
@@ -211,7 +141,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             };
             let beside = collision::run(&Settings { sensor, ..settings.clone() })?.report;
             let report = Beside { own: &run.report, beside: &beside };
-            let draw = || run.figure(&settings.free_scene()).draw(&common.layout);
+            let draw = || {
+                let (moments, scene) = (collision_figure::moments(&run.rows), settings.free_scene());
+                collision_figure::figure(&run, &moments, &scene).draw(&common.layout)
+            };
             let text = || format!("{}\nbeside it {}", run.report.text(), beside.text());
             finish(common, "collision", &report, &run.rows, draw, text)
         }
@@ -273,21 +206,11 @@ fn print(json: bool, report: &impl Serialize, text: impl Fn() -> String) -> Resu
 }
 
 fn push_text(report: &PushReport) -> String {
-    let head = head(&report.info);
+    let head = report.info.head();
     match &report.outcome {
         Some(outcome) => format!("{head}\n{}", outcome_text(outcome)),
         None => head,
     }
-}
-
-fn head(info: &RunInfo) -> String {
-    let rate = info.frame_rate_hz.map_or(String::new(), |rate| format!(" at {rate:.1} frames/s"));
-    let stopped = info.stopped.as_ref().map_or(String::new(), |why| format!("\n  STOPPED: {why}"));
-    let steps = info.steps.as_ref().map_or(String::new(), Steps::text);
-    format!(
-        "{}: sensor {}{rate}, wrench at the flange {}, foam {}, {:.1} s simulated in {:.2} s\n  on {}{steps}{stopped}",
-        info.experiment, info.sensor, info.flange, info.foam, info.sim_s, info.wall_s, info.engine
-    )
 }
 
 fn outcome_text(outcome: &push::Outcome) -> String {
@@ -299,8 +222,8 @@ fn outcome_text(outcome: &push::Outcome) -> String {
         outcome.flange_max_mm,
         outcome.flange_rms_mm,
         "",
-        wrench_text(&outcome.wrench_true),
-        wrench_text(&outcome.wrench_sensed),
+        run_info::wrench_text(&outcome.wrench_true),
+        run_info::wrench_text(&outcome.wrench_sensed),
         force_text(&outcome.flange_true_n),
         force_text(&outcome.flange_felt_n),
     )
@@ -308,8 +231,4 @@ fn outcome_text(outcome: &push::Outcome) -> String {
 
 fn force_text([x, y, z]: &[f64; 3]) -> String {
     format!("({x:.2}, {y:.2}, {z:.2}) N")
-}
-
-fn wrench_text([fx, fy, mz]: &[f64; 3]) -> String {
-    format!("({fx:8.3} N, {fy:8.3} N, {mz:8.3} N·m)")
 }

@@ -2,10 +2,10 @@
 
 use super::push::{self, Outcome};
 use super::pushes;
-use crate::rig::closed_loop::Rig;
-use crate::rig::parallel;
-use crate::rig::settings::Settings;
 use anyhow::{Context, Result};
+use moca_experiments::closed_loop::Rig;
+use moca_experiments::parallel;
+use moca_experiments::settings::Settings;
 use moca_msgs::Law;
 use std::fmt::Write as _;
 

@@ -1,10 +1,11 @@
 //! Scripted pushes, one or several in a row, and what is measured of each.
 
-use crate::rig::TAXELS;
-use crate::rig::closed_loop::{Loads, Rig, Row};
-use crate::rig::parallel::Count;
-use crate::rig::settings::Settings;
 use anyhow::Result;
+use moca_experiments::TAXELS;
+use moca_experiments::closed_loop::{Loads, Rig, Row};
+use moca_experiments::measure::{difference, rms};
+use moca_experiments::parallel::Count;
+use moca_experiments::settings::Settings;
 use serde::Serialize;
 
 /// One push: what is pressed and how hard at the plateau. The force at the flange is given in the axes that B has when
@@ -128,17 +129,6 @@ fn measure(push: &Push, rows: &[Row], first: usize, last: usize, settings: &Sett
 
 const fn force(&[x, y, z, ..]: &[f64; 6]) -> [f64; 3] {
     [x, y, z]
-}
-
-/// Componentwise a − b.
-pub(crate) fn difference(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|i| a[i] - b[i])
-}
-
-/// Root of the mean square; 0 of nothing.
-pub(crate) fn rms(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), v| (sum + v * v, count + 1.0));
-    if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }
 }
 
 fn mean(values: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {

@@ -1,14 +1,15 @@
 //! Experiments B1 and B2: the paper's pushes, in one continuous run each.
 
 use super::figure::{self, Figure, Layout, Trace};
+use super::outcome_text;
 use super::push::{self, Outcome, Push};
 use super::robot_picture::Moment;
-use super::{RunInfo, head, outcome_text};
-use crate::rig::closed_loop::{Rig, Row};
-use crate::rig::measure::Measures;
-use crate::rig::parallel;
-use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
+use moca_experiments::closed_loop::{Rig, Row};
+use moca_experiments::measure::Measures;
+use moca_experiments::parallel;
+use moca_experiments::run_info::RunInfo;
+use moca_experiments::settings::{Sensor, Settings};
 use moca_figures::{Drawing, Panel};
 use serde::Serialize;
 use std::time::Instant;
@@ -33,7 +34,7 @@ pub(crate) struct Report {
 
 impl Report {
     pub(crate) fn text(&self) -> String {
-        let mut lines = vec![head(&self.info)];
+        let mut lines = vec![self.info.head()];
         lines.extend(self.pushes.iter().map(outcome_text));
         let m = &self.measures;
         lines.push(format!(

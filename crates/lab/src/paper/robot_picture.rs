@@ -1,8 +1,8 @@
 //! The robot at moments of a run: base, arm, people and forces from above, and the arm on its base from the right.
 
-use crate::rig::closed_loop::Row;
-use crate::rig::{JOINTS, count};
 use anyhow::{Context, Result};
+use moca_experiments::closed_loop::Row;
+use moca_experiments::{JOINTS, count};
 use moca_figures::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED, text_px};
 use moca_sim::{Scene, Shape};
 use moca_wbc::ArmModel;
@@ -397,7 +397,7 @@ mod tests {
     use crate::paper::figure::{self, Figure, Layout, Trace};
     use crate::paper::tests::row;
     use crate::picture::{Picture as _, Width};
-    use crate::rig::free_scene;
+    use moca_experiments::free_scene;
 
     fn moments(names: [&str; 4]) -> Vec<Moment> {
         names.iter().zip([0, 10, 20, 49]).map(|(name, row)| Moment { name: (*name).into(), row }).collect()
@@ -451,8 +451,8 @@ mod tests {
 
     #[test]
     fn the_arm_ends_where_the_sample_has_the_flange() {
-        let settings = crate::rig::settings::Settings::paper(moca_msgs::Law::Impedance);
-        let mut rig = crate::rig::closed_loop::Rig::start(&settings, &settings.free_scene()).unwrap();
+        let settings = moca_experiments::settings::Settings::paper(moca_msgs::Law::Impedance);
+        let mut rig = moca_experiments::closed_loop::Rig::start(&settings, &settings.free_scene()).unwrap();
         crate::paper::push::run(&mut rig, &settings, &[crate::paper::push::single(&[0], 20.0)]).unwrap();
         let (scene, moments) = (settings.free_scene(), moments(["a", "b", "c", "d"]));
         let pictures = Pictures::new(&scene, &rig.rows, &moments, 900.0).unwrap();

@@ -1,10 +1,11 @@
 //! Requirements on the experiments, each with its bound.
 
 use super::push::{self, Outcome, Push};
-use super::{collision, pushes};
-use crate::rig::TAXELS;
-use crate::rig::closed_loop::{Rig, Row};
-use crate::rig::settings::Settings;
+use super::pushes;
+use moca_experiments::TAXELS;
+use moca_experiments::closed_loop::{Rig, Row};
+use moca_experiments::collision;
+use moca_experiments::settings::Settings;
 use moca_msgs::Law;
 
 fn settings(assignments: &[&str]) -> Settings {

@@ -5,9 +5,9 @@
 //! - A limit that falls is followed with the base's deceleration and its servo's lag.
 //! - What pushes the base moves it against its servo, by the force over the servo's damping: hands, and the robot's own inertia.
 
-use crate::rig::TAXELS;
 use anyhow::Result;
 use moca_control::config::Config;
+use moca_experiments::TAXELS;
 use moca_sim::{SERVO_DAMPING, SimPlant};
 use moca_wbc::guard::CoverOutline;
 

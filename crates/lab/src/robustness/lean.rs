@@ -7,13 +7,13 @@
 //! pushes a simulated base against its velocity servo at 2 mm/s, arm and all; that way is the person's and has a column
 //! of its own.
 
-use crate::rig::parallel;
-use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result, ensure};
 use moca_control::config::{Config, HandConfig};
 use moca_control::plant::Simulated;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
+use moca_experiments::parallel;
+use moca_experiments::{JOINTS, TAXELS};
 use moca_msgs::{Fault, Law, Limits, Mode, Sample};
 use moca_sim::VirtualBoardConfig;
 use moca_wbc::guard::STANDSTILL;

@@ -1,13 +1,13 @@
 //! `moca-lab long-lean`: somebody leans on one taxel for minutes and lets go, with the daemon's default protection and a
 //! board's bytes. No limit of the robot may be used up, and the robot must not stop by itself.
 
-use crate::rig::parallel;
-use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result, ensure};
 use moca_control::config::{Config, HandConfig};
 use moca_control::plant::Simulated;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
+use moca_experiments::parallel;
+use moca_experiments::{JOINTS, TAXELS};
 use moca_msgs::{ArmTable, Fault, Law, Limits, Mode, Sample};
 use moca_sim::{Engine, VirtualBoardConfig};
 use moca_wbc::limits::JointSpeeds;

@@ -190,8 +190,8 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
 
 mod tests {
     use super::*;
-    use crate::rig::parallel;
     use moca_control::recentre::RECENTRE_M_S;
+    use moca_experiments::parallel;
 
     #[test]
     fn base_without_a_hand_rests_in_2_s_and_0_15_m_and_stays() {

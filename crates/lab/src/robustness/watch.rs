@@ -1,10 +1,10 @@
 //! Invariants that every tick must keep, whatever somebody does to the robot.
 
 use super::cover_speed::{CoverSpeed, Pushes};
-use crate::rig::JOINTS;
 use anyhow::{Context, Result};
 use moca_control::config::Config;
 use moca_control::supervisor::EDGES;
+use moca_experiments::JOINTS;
 use moca_msgs::robot::resized;
 use moca_msgs::target::TargetPhase;
 use moca_msgs::{Mode, Request, Sample};

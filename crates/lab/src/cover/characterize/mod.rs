@@ -6,8 +6,8 @@ mod tables;
 mod trials;
 
 use crate::picture::{Picture as _, Width};
-use crate::rig::parallel::Count;
 use anyhow::{Context, ensure};
+use moca_experiments::parallel::Count;
 use moca_sim::foam::Foam;
 use moca_tactile::calibration::quality::{evaluation_cost_ns, quality};
 use moca_tactile::calibration::{ModelKind, Trial, TrialSample, fit, residuals};

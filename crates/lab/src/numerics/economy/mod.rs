@@ -2,14 +2,14 @@
 
 mod parts;
 
-use crate::paper::collision;
-use crate::rig::JOINTS;
-use crate::rig::cpu_time;
-use crate::rig::free_scene;
-use crate::rig::parallel::Count;
-use crate::rig::settings::Settings;
 use anyhow::Result;
 use moca_daemon::runtime::lockstep::LockStep;
+use moca_experiments::JOINTS;
+use moca_experiments::collision;
+use moca_experiments::cpu_time;
+use moca_experiments::free_scene;
+use moca_experiments::parallel::Count;
+use moca_experiments::settings::Settings;
 use moca_msgs::robot::PANDA;
 use moca_msgs::{Actuation, Law, RobotCommand};
 use moca_sim::{Engine, ModelSize, Robot, Scene, SimPlant};

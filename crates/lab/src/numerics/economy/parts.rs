@@ -1,8 +1,8 @@
 //! Cost of a control step: whole robot, base without an arm, arm without a base.
 
-use crate::rig::cpu_time;
 use anyhow::{Context, Result};
 use moca_control::config::Config;
+use moca_experiments::cpu_time;
 use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_wbc::{
     ArmController, ArmInput, BaseController, BaseGuard, BaseInput, ControlInput, ControlLaw, Payload,

@@ -1,7 +1,7 @@
 //! `moca-lab extremes`: the ends of the controllers' range, one row each: condition, error in both precisions, time,
 //! verdict.
 
-use crate::rig::{JOINTS, TAXELS};
+use moca_experiments::{JOINTS, TAXELS};
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_msgs::{Limits, Parameters, Payload, RobotState};
 use moca_wbc::testing::accuracy::{Case, Reference, Step, accuracy, admitted};

@@ -2,11 +2,11 @@
 
 use super::controller;
 use crate::paper::push;
-use crate::rig::closed_loop::Rig;
-use crate::rig::cpu_time;
-use crate::rig::settings::Settings;
-use crate::rig::{JOINTS, TAXELS, free_scene, state_in};
 use anyhow::Result;
+use moca_experiments::closed_loop::Rig;
+use moca_experiments::cpu_time;
+use moca_experiments::settings::Settings;
+use moca_experiments::{JOINTS, TAXELS, free_scene, state_in};
 use moca_msgs::{Actuation, Law, RobotState};
 use moca_sim::SimPlant;
 use moca_wbc::rotation::Heading;

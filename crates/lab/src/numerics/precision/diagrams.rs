@@ -2,7 +2,7 @@
 
 use super::{Report, control, plant};
 use crate::picture::Width;
-use crate::rig::count;
+use moca_experiments::count;
 use moca_figures::{BLACK, Drawing, Panel, Scale, Series, wrapped};
 
 /// Height of a diagram's axes, px.

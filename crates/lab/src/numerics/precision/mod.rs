@@ -7,8 +7,8 @@ mod plant;
 
 use crate::cover::characterize;
 use crate::picture::{Picture as _, Width};
-use crate::rig::{JOINTS, TAXELS};
 use anyhow::{Context, Result};
+use moca_experiments::{JOINTS, TAXELS};
 use moca_msgs::Parameters;
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, Payload};
 use moca_wbc::WholeBodyController;

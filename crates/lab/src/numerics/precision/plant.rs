@@ -4,12 +4,12 @@
 //! nothing but integrator and step.
 
 use super::controller;
-use crate::rig::TAXELS;
-use crate::rig::count;
-use crate::rig::cpu_time;
-use crate::rig::free_scene;
 use anyhow::{Context, Result};
 use moca_daemon::cli::progress::Progress;
+use moca_experiments::TAXELS;
+use moca_experiments::count;
+use moca_experiments::cpu_time;
+use moca_experiments::free_scene;
 use moca_msgs::Actuation;
 use moca_sim::foam::Foam;
 use moca_sim::{Integrator, Person, Scene, SimPlant};

@@ -5,9 +5,9 @@
 //! 10 ms, shown after an age that is set: neither changes with the rate of the loop.
 
 use super::{BOUNDED_N, Case, Special, Trial, single_precision, trial};
-use crate::rig::parallel;
-use crate::rig::settings::Settings;
 use anyhow::Result;
+use moca_experiments::parallel;
+use moca_experiments::settings::Settings;
 use std::fmt::Write as _;
 
 const RATES_HZ: [u32; 5] = [100, 200, 500, 1000, 2000];

@@ -2,10 +2,10 @@
 
 use super::{Trial, trial};
 use crate::picture::Width;
-use crate::rig::count;
-use crate::rig::parallel;
-use crate::rig::settings::Settings;
 use anyhow::Result;
+use moca_experiments::count;
+use moca_experiments::parallel;
+use moca_experiments::settings::Settings;
 use moca_figures::{Colour, Drawing, number};
 use moca_wbc::contact_stability as theory;
 use serde::Serialize;

@@ -1,7 +1,7 @@
 //! The anchor's CSV files.
 
-use crate::rig::JOINTS;
 use anyhow::{Context as _, bail};
+use moca_experiments::JOINTS;
 use moca_msgs::robot::LinkInertial;
 use moca_msgs::{ArmTable, Mount, Payload};
 use nalgebra::{Matrix3, Vector3};

@@ -14,9 +14,9 @@
 mod data;
 mod steps;
 
-use crate::rig::{JOINTS, count};
 use anyhow::Context as _;
 use data::{Anchor, Input};
+use moca_experiments::{JOINTS, count};
 use moca_wbc::ControlError;
 use moca_wbc::linalg::times;
 use moca_wbc::model::ArmModel;

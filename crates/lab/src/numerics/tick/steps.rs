@@ -1,7 +1,6 @@
 //! Whole steps of the controllers: hot, cold, live, and what they need of any machine.
 
 use super::{PASSES, REPLACED_BYTES};
-use crate::rig::parallel::Count;
 use anyhow::{Result, anyhow, ensure};
 use moca_control::config::Config;
 use moca_control::stage::Stage;
@@ -10,6 +9,7 @@ use moca_daemon::runtime::live::Shared;
 use moca_daemon::runtime::notice::Silent;
 use moca_daemon::runtime::options::Options;
 use moca_daemon::runtime::run::live_simulated;
+use moca_experiments::parallel::Count;
 use moca_wbc::testing::footprint::{self, Footprint};
 use moca_wbc::testing::steps::{Case, Steps};
 use serde::Serialize;

@@ -1,13 +1,13 @@
 //! Claims of the paper and of an independent simulation, next to our results.
 
 use super::{collision_under_barrier, collision_with, with};
-use crate::paper::collision;
 use crate::paper::push::{self, Outcome, Push};
 use crate::paper::pushes;
-use crate::rig::closed_loop::Rig;
-use crate::rig::parallel;
-use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
+use moca_experiments::closed_loop::Rig;
+use moca_experiments::collision;
+use moca_experiments::parallel;
+use moca_experiments::settings::{Sensor, Settings};
 use moca_msgs::Law;
 use std::fmt::Write as _;
 

@@ -7,12 +7,13 @@ mod sweeps;
 use crate::cover::characterize;
 use crate::numerics::stability;
 use crate::paper::figure::Layout;
-use crate::paper::{collision, pushes};
+use crate::paper::{collision_figure, pushes};
 use crate::picture::Width;
-use crate::rig::free_scene;
-use crate::rig::parallel;
-use crate::rig::settings::{Sensor, Settings};
 use anyhow::{Context, Result};
+use moca_experiments::collision;
+use moca_experiments::free_scene;
+use moca_experiments::parallel;
+use moca_experiments::settings::{Sensor, Settings};
 use moca_figures::Drawing;
 use moca_msgs::Law;
 use std::fmt::Write as _;
@@ -84,7 +85,8 @@ fn page() -> Result<String> {
         ("The same collision without a cover", &c[2]),
         ("The same collision with the contact barrier and its speed limit, ideal sensor", &under_barrier),
     ] {
-        let drawing = run.figure(&free_scene()).draw(&Layout::default())?;
+        let (moments, scene) = (collision_figure::moments(&run.rows), free_scene());
+        let drawing = collision_figure::figure(run, &moments, &scene).draw(&Layout::default())?;
         let title = format!("{title}: {}", run.report.verdict);
         section(&mut body, &title, &run.report.text(), &drawing.svg());
     }

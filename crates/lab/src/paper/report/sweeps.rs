@@ -2,10 +2,10 @@
 
 use super::collision_with;
 use crate::numerics::stability::maps::stable_in_theory;
-use crate::paper::collision;
-use crate::rig::parallel;
-use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
+use moca_experiments::collision;
+use moca_experiments::parallel;
+use moca_experiments::settings::{Sensor, Settings};
 use moca_figures::{Drawing, Panel, Scale, Series};
 
 /// Largest force that the paper calls safe, N.

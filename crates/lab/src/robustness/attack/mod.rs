@@ -5,9 +5,9 @@
 mod network;
 mod world;
 
-use crate::rig::parallel;
 use crate::robustness::watch::Findings;
 use anyhow::{Result, ensure};
+use moca_experiments::parallel;
 use moca_msgs::Law;
 use moca_tactile::Firmware;
 use network::Crowd;

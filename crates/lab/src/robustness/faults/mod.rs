@@ -4,10 +4,10 @@
 #[cfg(test)]
 mod tests;
 
-use crate::rig::parallel;
 use crate::robustness::trial;
 use anyhow::Result;
 use moca_daemon::inject::FAULTS;
+use moca_experiments::parallel;
 use moca_tactile::Firmware;
 use serde::Serialize;
 

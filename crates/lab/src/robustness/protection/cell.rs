@@ -1,11 +1,11 @@
 //! One cell of the scan: who is met where, felt by which board, at which share of what physics allows.
 
-use crate::paper::collision;
-use crate::rig::bound;
-use crate::rig::closed_loop::{Loads, Row};
-use crate::rig::settings::{Sensor, Settings};
 use anyhow::Result;
 use moca_control::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
+use moca_experiments::bound;
+use moca_experiments::closed_loop::{Loads, Row};
+use moca_experiments::collision;
+use moca_experiments::settings::{Sensor, Settings};
 use moca_msgs::Law as Mode;
 use moca_sim::foam::Foam;
 use moca_sim::sensor::Noise;

@@ -3,8 +3,8 @@
 
 use super::cell::{AROUND, Cell, Law, Meeting, PHASES};
 use super::{Outcome, table};
-use crate::rig::parallel;
 use anyhow::Result;
+use moca_experiments::parallel;
 use moca_tactile::Firmware;
 
 const LAWS: [(Law, &str); 2] = [(Law::Barrier, "on"), (Law::Uncalibrated, "off")];

@@ -6,17 +6,17 @@ mod leads;
 mod table;
 mod walk_in;
 
-use crate::paper::collision::{self, approach_m_s};
-use crate::rig::TAXELS;
-use crate::rig::campaign::{self, Campaign};
-use crate::rig::closed_loop::{Loads, Rig, Row};
-use crate::rig::measure::{Measures, peak_force_n};
-use crate::rig::parallel;
-use crate::rig::settings::Settings;
 use anyhow::Result;
 use cell::{COLUMNS, Cell, Law, Meeting, PHASES};
 pub(crate) use leads::markdown as leads_markdown;
 use moca_control::config::ProtectionConfig;
+use moca_experiments::TAXELS;
+use moca_experiments::campaign::{self, Campaign};
+use moca_experiments::closed_loop::{Loads, Rig, Row};
+use moca_experiments::collision::{self, approach_m_s};
+use moca_experiments::measure::{Measures, peak_force_n};
+use moca_experiments::parallel;
+use moca_experiments::settings::Settings;
 use moca_wbc::contact_barrier::STOP_SHARE;
 use std::path::{Path, PathBuf};
 

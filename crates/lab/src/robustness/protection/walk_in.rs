@@ -3,8 +3,8 @@
 
 use super::Outcome;
 use super::cell::{Cell, Law, Meeting};
-use crate::rig::parallel;
 use anyhow::Result;
+use moca_experiments::parallel;
 use moca_tactile::Firmware;
 use std::fmt::Write as _;
 

@@ -1,10 +1,10 @@
 //! A program that asks for whatever comes to its mind.
 
 use super::Outcome;
-use crate::rig::JOINTS;
 use moca_control::config::Config;
 use moca_control::targets::Targets;
 use moca_daemon::inject::Random;
+use moca_experiments::JOINTS;
 use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S, TargetPhase};
 use moca_msgs::{
     ArmTable, Law, Outcome as Answer, ParameterValues, Refusal, Request, Sample, Target, TargetRefusal,

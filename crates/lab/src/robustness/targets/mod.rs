@@ -4,13 +4,13 @@
 
 mod client;
 
-use crate::rig::{JOINTS, parallel};
 use anyhow::{Context, Result, ensure};
 use client::Client;
 use moca_control::config::{Config, HandConfig};
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
+use moca_experiments::{JOINTS, parallel};
 use moca_msgs::robot::{FR3, PANDA};
 use moca_msgs::{ArmTable, Fault, Law, Limits, Mode, Sample};
 use moca_wbc::limits::JointSpeeds;

@@ -5,8 +5,8 @@
 
 mod scenes;
 
-use crate::rig::parallel;
 use anyhow::{Context, Result, ensure};
+use moca_experiments::parallel;
 use std::fmt::Write as _;
 
 /// Seeds after the printed one.

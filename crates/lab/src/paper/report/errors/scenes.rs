@@ -3,14 +3,14 @@
 use super::{Figure, Scene, Step, Variation};
 use crate::cover::{characterize, map};
 use crate::numerics::{barrier, stability};
-use crate::paper::collision;
 use crate::paper::push::{self, Outcome, Push};
 use crate::paper::report::{collision_under_barrier, collision_with, with};
 use crate::paper::{kept_pushes, opposite_hands, pushes};
-use crate::rig::closed_loop::Rig;
-use crate::rig::settings::{Sensor, Settings};
 use crate::robustness::protection;
 use anyhow::Result;
+use moca_experiments::closed_loop::Rig;
+use moca_experiments::collision;
+use moca_experiments::settings::{Sensor, Settings};
 use moca_msgs::Law;
 
 /// Trials of Table I.

@@ -1,8 +1,8 @@
 //! Everything an experiment can be told with `--set key=value`: the rows of the daemon's configuration, by their dotted
 //! names or the laboratory's short ones, and one table of what only an experiment has.
 
-use crate::rig::TAXELS;
-use crate::rig::settings::{self, Sensor, Settings};
+use crate::TAXELS;
+use crate::settings::{self, Sensor, Settings};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use moca_control::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
 use moca_daemon::runtime::lockstep::TrueForces;
@@ -17,7 +17,7 @@ impl Settings {
     ///
     /// # Errors
     /// As for [`Settings::set`].
-    pub(crate) fn set_all<A: AsRef<str>>(&mut self, assignments: impl IntoIterator<Item = A>) -> Result<()> {
+    pub fn set_all<A: AsRef<str>>(&mut self, assignments: impl IntoIterator<Item = A>) -> Result<()> {
         assignments.into_iter().try_for_each(|assignment| self.set(assignment.as_ref()))
     }
 
@@ -25,7 +25,7 @@ impl Settings {
     ///
     /// # Errors
     /// An unknown key (the message lists all), or a value that does not fit.
-    pub(crate) fn set(&mut self, assignment: &str) -> Result<()> {
+    pub fn set(&mut self, assignment: &str) -> Result<()> {
         let (name, value) = assignment
             .split_once('=')
             .with_context(|| format!("--set {assignment}: expected key=value, e.g. --set sensor=ideal"))?;
@@ -393,7 +393,7 @@ fn key_list() -> String {
 }
 
 /// `T6` or `6` as an index from 0.
-pub(crate) fn taxel(text: &str) -> Result<usize> {
+pub fn taxel(text: &str) -> Result<usize> {
     let number: usize = text
         .trim_start_matches(['T', 't'])
         .parse()
@@ -447,7 +447,7 @@ fn word<T: Copy>(text: &str, allowed: &[(&str, T)]) -> Result<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rig::free_scene;
+    use crate::free_scene;
     use moca_msgs::Law;
     use moca_msgs::robot::{AnyArm, FR3, SUMMIT_XL};
     use moca_sim::Scene;

@@ -1,7 +1,7 @@
 //! The robot of an experiment: the daemon's own loop in lock-step, loads from a script, one row a tick.
 
-use crate::rig::settings::{Sensor, Settings};
-use crate::rig::{JOINTS, TAXELS, commissioning};
+use crate::settings::{Sensor, Settings};
+use crate::{JOINTS, TAXELS, commissioning};
 use anyhow::{Result, bail, ensure};
 use moca_control::plant::Simulated;
 use moca_daemon::devices::ideal_cover::IdealCover;
@@ -18,7 +18,7 @@ const START_WITHIN_S: f64 = 30.0;
 
 /// Loads on the robot at one instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Loads {
+pub struct Loads {
     /// Scripted hands on the cover, N, T1 first.
     pub taxel_n: [f64; TAXELS],
     /// Wrench at the flange, world axes [N; N·m].
@@ -27,7 +27,7 @@ pub(crate) struct Loads {
 
 impl Loads {
     /// Returns the loads, `factor` times as strong.
-    pub(crate) fn scaled(&self, factor: f64) -> Self {
+    pub fn scaled(&self, factor: f64) -> Self {
         Self {
             taxel_n: self.taxel_n.map(|f| f * factor),
             flange_world: self.flange_world.map(|f| f * factor),
@@ -37,32 +37,46 @@ impl Loads {
 
 /// One tick of an experiment.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Row {
+pub struct Row {
+    /// Time since the robot was armed, s.
     pub t_s: f64,
+    /// Pose of the base in W: m, m, rad.
     pub base_pose_world: [f64; 3],
+    /// Velocity of the base in W: m/s, m/s, rad/s.
     pub base_velocity_world: [f64; 3],
+    /// Commanded velocity of the base, axes of B: m/s, m/s, rad/s.
     pub base_command_body: [f64; 3],
+    /// Joint angles, rad.
     pub q_rad: [f64; JOINTS],
+    /// Position of the flange in W, m.
     pub flange_world: [f64; 3],
+    /// Orientation of the flange in W, quaternion x, y, z, w.
     pub flange_quaternion: [f64; 4],
+    /// Desired position of the flange in W, m.
     pub flange_desired_world: [f64; 3],
     /// Wrench on the robot about the flange origin: true, and as the controller believes.
     pub flange_wrench_world: [f64; 6],
+    /// Wrench about the flange origin as the controller believes it, world axes \[N; N·m\].
     pub flange_wrench_felt_world: [f64; 6],
     /// Wrench of the cover on the robot, axes and origin of B: true, and as the controller believes.
     pub wrench_true: [f64; 3],
+    /// Wrench of the cover as the controller believes it, axes and origin of B: N, N, N·m.
     pub wrench_sensed: [f64; 3],
+    /// True force on each taxel, N, T1 first.
     pub force_true: [f64; TAXELS],
+    /// Force that each taxel reads, N, T1 first; NaN where the reading is not healthy.
     pub force_sensed: [f64; TAXELS],
     /// Sum of the true forces on everybody, felt by a taxel or not, and the one on the body pressed hardest, N.
     pub total_force_n: f64,
+    /// True force on the body that is pressed hardest, N.
     pub largest_force_n: f64,
+    /// Position of the person in W, m; `None` without one.
     pub person_world: Option<[f64; 2]>,
 }
 
 impl Row {
     /// Distance of the flange from where it is wanted, m.
-    pub(crate) fn flange_error_m(&self) -> f64 {
+    pub fn flange_error_m(&self) -> f64 {
         let [x, y, z] = std::array::from_fn(|i| self.flange_world[i] - self.flange_desired_world[i]);
         (x * x + y * y + z * z).sqrt()
     }
@@ -74,7 +88,7 @@ enum SensorModel {
 }
 
 /// A robot that is armed and standing still, and what has happened to it since.
-pub(crate) struct Rig {
+pub struct Rig {
     cover: SensorModel,
     period_s: f64,
     /// Loads of the last tick.
@@ -94,7 +108,7 @@ impl Rig {
     ///
     /// # Errors
     /// A setting outside its range, or a robot that is not ready within 30 s.
-    pub(crate) fn start(settings: &Settings, scene: &Scene) -> Result<Self> {
+    pub fn start(settings: &Settings, scene: &Scene) -> Result<Self> {
         settings.check()?;
         let mut config = settings.config.clone();
         if settings.belief_measured {
@@ -143,7 +157,7 @@ impl Rig {
 
     /// Runs on for `duration_s` under `loads`, a function of the time since the last row before, s. Ends early if the
     /// robot stops.
-    pub(crate) fn run_for(&mut self, duration_s: f64, loads: impl Fn(f64) -> Loads) -> Result<()> {
+    pub fn run_for(&mut self, duration_s: f64, loads: impl Fn(f64) -> Loads) -> Result<()> {
         let ticks = whole(duration_s / self.period_s);
         self.rows.reserve(usize::try_from(ticks)?);
         for tick in 0..ticks {
@@ -158,7 +172,7 @@ impl Rig {
     }
 
     /// Moves the flange's target with this velocity, m/s, world axes, from now on.
-    pub(crate) fn move_target(&mut self, velocity_world: [f64; 3]) -> Result<()> {
+    pub fn move_target(&mut self, velocity_world: [f64; 3]) -> Result<()> {
         let [x, y, z] = velocity_world;
         let twist = [x, y, z, 0.0, 0.0, 0.0];
         match &mut self.cover {
@@ -169,7 +183,7 @@ impl Rig {
     }
 
     /// Lets a fault strike at the loop's time that it names.
-    pub(crate) fn inject(&mut self, injection: &Injection) {
+    pub fn inject(&mut self, injection: &Injection) {
         match &mut self.cover {
             SensorModel::Board(lock_step) => lock_step.inject(injection, 1),
             SensorModel::True(lock_step) => lock_step.inject(injection, 1),
@@ -177,7 +191,7 @@ impl Rig {
     }
 
     /// Makes the plant's state not a number, as a bug in it would.
-    pub(crate) fn break_state(&mut self) {
+    pub fn break_state(&mut self) {
         let state = self.robot().world.state();
         let mut base = state.base_pose_world;
         base[0] = f64::NAN;
@@ -185,7 +199,7 @@ impl Rig {
     }
 
     /// Returns the cost of the physics steps that `accuracy` asked for; `None` for steps of one length.
-    pub(crate) fn steps_spent(&self) -> Option<StepsSpent> {
+    pub fn steps_spent(&self) -> Option<StepsSpent> {
         match &self.cover {
             SensorModel::Board(lock_step) => lock_step.control.plant.world.steps_spent(),
             SensorModel::True(lock_step) => lock_step.control.plant.world.steps_spent(),

@@ -1,5 +1,5 @@
-//! The rig of every experiment: settings with their keys, the closed loop under test, what is measured of it, and how
-//! many cores it may take.
+//! The rig of every experiment, without pictures: settings with their keys, the closed loop under test, what is measured
+//! of it, and how many cores it may take; on it the collision and its sweep, which `moca-lab` and the Python package share.
 
 use moca_control::config::Config;
 use moca_daemon::devices::simulated_robot;
@@ -8,26 +8,30 @@ use moca_msgs::robot::{PANDA, PAPER_COVER};
 use moca_sim::Scene;
 
 /// Joints and taxels of the paper's robot, which the experiments are about.
-pub(crate) const JOINTS: usize = PANDA.joints();
-pub(crate) const TAXELS: usize = PAPER_COVER.len();
+pub const JOINTS: usize = PANDA.joints();
+/// Taxels of the paper's cover.
+pub const TAXELS: usize = PAPER_COVER.len();
 
-pub(crate) mod bound;
-pub(crate) mod campaign;
-pub(crate) mod closed_loop;
-pub(crate) mod commissioning;
-pub(crate) mod cpu_time;
-pub(crate) mod keys;
-pub(crate) mod measure;
-pub(crate) mod parallel;
-pub(crate) mod settings;
+pub mod bound;
+pub mod campaign;
+pub mod closed_loop;
+pub mod collision;
+pub mod commissioning;
+pub mod cpu_time;
+pub mod keys;
+pub mod measure;
+pub mod parallel;
+pub mod run_info;
+pub mod settings;
+pub mod sweep;
 
 /// The free robot that the daemon simulates by default.
-pub(crate) fn free_scene() -> Scene {
+pub fn free_scene() -> Scene {
     simulated_robot::free_scene(&Config::default())
 }
 
 /// Converts the state to another scalar.
-pub(crate) fn state_in<T>(robot: &RobotState<JOINTS>, of: fn(f64) -> T) -> RobotState<JOINTS, T> {
+pub fn state_in<T>(robot: &RobotState<JOINTS>, of: fn(f64) -> T) -> RobotState<JOINTS, T> {
     RobotState {
         base_pose_world: robot.base_pose_world.map(of),
         base_velocity_world: robot.base_velocity_world.map(of),
@@ -39,12 +43,12 @@ pub(crate) fn state_in<T>(robot: &RobotState<JOINTS>, of: fn(f64) -> T) -> Robot
 }
 
 /// A number of things, to reckon with.
-pub(crate) fn count(n: usize) -> f64 {
+pub fn count(n: usize) -> f64 {
     u32::try_from(n).map_or(f64::INFINITY, f64::from)
 }
 
 /// Bits of functions that differ between C libraries: where these differ, bits of a simulation do too.
-pub(crate) fn c_library() -> u64 {
+pub fn c_library() -> u64 {
     let mut hash: u64 = 0xcbf2_9ce4_8422_2325;
     for i in 1..4000 {
         let x = f64::from(i) * 1.37e-3;

@@ -1,33 +1,31 @@
 //! Experiment C: the flange is led sideways, the base follows, and a person stands in its way.
 
-use super::figure::{self, Figure, Trace};
-use super::robot_picture::Moment;
-use super::{RunInfo, head, wrench_text};
-use crate::rig::closed_loop::{Loads, Rig, Row};
-use crate::rig::measure::{Measures, peak_force_n};
-use crate::rig::parallel;
-use crate::rig::settings::{Sensor, Settings};
+use crate::closed_loop::{Loads, Rig, Row};
+use crate::measure::{Measures, peak_force_n};
+use crate::parallel;
+use crate::run_info::{RunInfo, wrench_text};
+use crate::settings::{Sensor, Settings};
 use anyhow::Result;
 use moca_control::robot::FoamKind;
-use moca_sim::Scene;
 use moca_sim::foam::Foam;
 use serde::Serialize;
 use std::time::Instant;
 
 /// Sensor phases over which the worst is reported, as shares of the sensor's period.
-pub(crate) const PHASES: [f64; 5] = [0.0, 0.2, 0.4, 0.6, 0.8];
+pub const PHASES: [f64; 5] = [0.0, 0.2, 0.4, 0.6, 0.8];
 
 /// Changes the common settings to those of the collision scene.
-pub(crate) fn defaults(settings: &mut Settings) {
+pub fn defaults(settings: &mut Settings) {
     settings.foam.material = Foam::COLLISION_ASSUMED;
     settings.config.robot.cover.foam = FoamKind::Hyperbolic; // with the same numbers
 }
 
 /// Result of the collision in the worst phase of the sensor.
 #[derive(Debug, Serialize)]
-pub(crate) struct Report {
+pub struct Report {
     #[serde(flatten)]
     info: RunInfo,
+    /// Measures of the worst phase.
     #[serde(flatten)]
     pub measures: Measures,
     /// Speed of the touched part of the cover towards the person just before contact, m/s.
@@ -45,7 +43,7 @@ pub(crate) struct Report {
 
 impl Report {
     /// Why the robot stopped, if it did.
-    pub(crate) fn stopped(&self) -> Option<&str> {
+    pub fn stopped(&self) -> Option<&str> {
         self.info.stopped.as_deref()
     }
 
@@ -59,7 +57,8 @@ impl Report {
         }
     }
 
-    pub(crate) fn text(&self) -> String {
+    /// Returns the report as the command prints it.
+    pub fn text(&self) -> String {
         let list = |values: &[f64]| values.iter().map(|v| format!("{v:.1}")).collect::<Vec<_>>().join(" / ");
         let m = &self.measures;
         let [x, y, yaw] = m.base_displacement;
@@ -73,7 +72,7 @@ impl Report {
              peak by sensor phase {} N\n  flange off by {:.2} mm RMS, {:.2} mm at most; base moved ({x:+.3} m, {y:+.3} m, \
              {yaw:+.3} rad); yaw in contact {:+.1}°\n  wrench in contact {} true, {} sensed\n  \
              arm {:.3} m ahead of the base after 0.5 s{resumes}",
-            head(&self.info),
+            self.info.head(),
             m.peak_force_n,
             self.verdict,
             m.first_touch_n,
@@ -96,16 +95,17 @@ impl Report {
 }
 
 /// A report with the trace of its worst phase.
-pub(crate) struct Run {
+pub struct Run {
+    /// Report of the worst phase.
     pub report: Report,
+    /// Rows of the worst phase, one for each tick.
     pub rows: Vec<Row>,
     /// Rows of the other phases.
     pub others: Vec<Vec<Row>>,
-    pub moments: Vec<Moment>,
 }
 
 /// One collision for each phase of the sensor; the worst is reported.
-pub(crate) fn run(settings: &Settings) -> Result<Run> {
+pub fn run(settings: &Settings) -> Result<Run> {
     let started = Instant::now();
     let phases: &[f64] = if settings.sensor == Sensor::Off { &PHASES[..1] } else { &PHASES };
     let of_phase = |phase: &f64| {
@@ -126,11 +126,11 @@ pub(crate) fn run(settings: &Settings) -> Result<Run> {
     let info = RunInfo::new("collision", settings, &rig, started);
     let report = measure(info, settings, &rig.rows, peaks);
     let others = rigs.into_iter().map(|rig| rig.rows).collect();
-    Ok(Run { report, moments: moments(&rig.rows), rows: rig.rows, others })
+    Ok(Run { report, rows: rig.rows, others })
 }
 
 /// One collision at the sensor's phase of the settings, measured.
-pub(crate) fn single(settings: &Settings) -> Result<Report> {
+pub fn single(settings: &Settings) -> Result<Report> {
     let started = Instant::now();
     let rig = once(settings)?;
     let peak_n = peak_force_n(&rig.rows);
@@ -138,7 +138,7 @@ pub(crate) fn single(settings: &Settings) -> Result<Report> {
 }
 
 /// One collision.
-pub(crate) fn once(settings: &Settings) -> Result<Rig> {
+pub fn once(settings: &Settings) -> Result<Rig> {
     let mut rig = Rig::start(settings, &settings.collision_scene()?)?;
     rig.move_target(towards_person(settings))?;
     rig.run_for(settings.duration_s, |_| Loads::default())?;
@@ -146,46 +146,11 @@ pub(crate) fn once(settings: &Settings) -> Result<Rig> {
 }
 
 /// Velocity of the flange's target against the taxel before which the person stands, world axes, m/s.
-pub(crate) fn towards_person(settings: &Settings) -> [f64; 3] {
+pub fn towards_person(settings: &Settings) -> [f64; 3] {
     let (sin, cos) =
         settings.config.robot.cover.placements()[settings.person.taxel].inward_angle_base_rad.sin_cos();
     // a panel along an axis is met straight on, without what π leaves to rounding
     [cos, sin, 0.0].map(|inward| if inward.abs() < 1e-12 { 0.0 } else { -inward * settings.speed_m_s })
-}
-
-/// The arm leads; first contact; the first peak; the base has resumed.
-fn moments(rows: &[Row]) -> Vec<Moment> {
-    let last = rows.len().saturating_sub(1);
-    let touching = |row: &Row| row.total_force_n > 0.0;
-    let contact = rows.iter().position(touching).unwrap_or(last);
-    let end = rows.iter().rposition(touching).unwrap_or(last);
-    let peak = (contact..=end.min(last))
-        .max_by(|&a, &b| rows[a].total_force_n.total_cmp(&rows[b].total_force_n))
-        .unwrap_or(last);
-    [
-        ("arm leads", last.min(500)),
-        ("contact", contact),
-        ("largest force", peak),
-        ("base resumes", last.min(end + 1000)),
-    ]
-    .map(|(name, row)| Moment { name: name.to_owned(), row })
-    .to_vec()
-}
-
-impl Run {
-    /// Fig. 7.
-    pub(crate) fn figure<'a>(&'a self, scene: &'a Scene) -> Figure<'a> {
-        let trace = Trace { rows: &self.rows, others: &self.others };
-        let (moments, panels) = (&self.moments[..], figure::panels(figure::lead(trace), trace));
-        Figure {
-            scene,
-            trace,
-            moments,
-            panels,
-            another: "phase of the sensor",
-            stopped: self.report.stopped(),
-        }
-    }
 }
 
 fn measure(info: RunInfo, settings: &Settings, rows: &[Row], peak_by_phase_n: Vec<f64>) -> Report {
@@ -237,7 +202,7 @@ fn a_run_that_stopped_or_touched_nobody_is_not_below_25_n() {
 }
 
 /// Speed of the taxel's centre along its outward normal, less the person's own walk, m/s.
-pub(crate) fn approach_m_s(row: &Row, settings: &Settings) -> f64 {
+pub fn approach_m_s(row: &Row, settings: &Settings) -> f64 {
     let placement = settings.config.robot.cover.placements()[settings.person.taxel];
     let [vx, vy, yaw_rate] = row.base_velocity_world;
     let (sin, cos) = row.base_pose_world[2].sin_cos();

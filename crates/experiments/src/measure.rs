@@ -1,8 +1,7 @@
 //! Measures of a trace that every experiment reports.
 
-use crate::paper::push::{difference, rms};
-use crate::rig::TAXELS;
-use crate::rig::closed_loop::Row;
+use crate::TAXELS;
+use crate::closed_loop::Row;
 use serde::Serialize;
 
 /// Windows after the first contact, s.
@@ -13,7 +12,7 @@ const PEAK_MIN_N: f64 = 2.0;
 
 /// Measures of a whole trace.
 #[derive(Clone, Debug, Serialize)]
-pub(crate) struct Measures {
+pub struct Measures {
     /// Largest true force on any one body, N; on a seam two taxels share it.
     pub peak_force_n: f64,
     /// Largest force within the first 0.1 s of contact, which no law can prevent, N.
@@ -32,6 +31,7 @@ pub(crate) struct Measures {
     pub contact_time_s: f64,
     /// Distance of the flange from its target: root mean square and largest, mm.
     pub flange_rms_mm: f64,
+    /// Largest distance of the flange from its target, mm.
     pub flange_max_mm: f64,
     /// Pose of the base at the end less that at the start, world axes: m, m, rad.
     pub base_displacement: [f64; 3],
@@ -39,11 +39,13 @@ pub(crate) struct Measures {
     pub yaw_in_contact_deg: f64,
     /// Wrench of the cover on the base, mean while in contact, axes of B about its origin: N, N, N·m.
     pub wrench_true: [f64; 3],
+    /// As `wrench_true`, as the controller believes it.
     pub wrench_sensed: [f64; 3],
 }
 
 impl Measures {
-    pub(crate) fn of(rows: &[Row], period_s: f64) -> Self {
+    /// Measures rows that are `period_s` apart, s.
+    pub fn of(rows: &[Row], period_s: f64) -> Self {
         let touching: Vec<&Row> = rows.iter().filter(|row| row.total_force_n > 0.0).collect();
         let (first, last) = (touching.first(), touching.last());
         let errors_m: Vec<f64> = rows.iter().map(Row::flange_error_m).collect();
@@ -78,7 +80,7 @@ impl Measures {
 }
 
 /// Largest force on any one body, N.
-pub(crate) fn peak_force_n(rows: &[Row]) -> f64 {
+pub fn peak_force_n(rows: &[Row]) -> f64 {
     rows.iter().map(|row| row.largest_force_n).fold(0.0, f64::max)
 }
 
@@ -131,4 +133,15 @@ fn to_f64(count: usize) -> f64 {
     #[expect(clippy::cast_precision_loss, reason = "rows of one run")]
     let count = count as f64;
     count
+}
+
+/// Componentwise a − b.
+pub fn difference(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|i| a[i] - b[i])
+}
+
+/// Root of the mean square; 0 of nothing.
+pub fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), v| (sum + v * v, count + 1.0));
+    if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }
 }

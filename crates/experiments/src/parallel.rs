@@ -5,7 +5,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Number of inputs that are done.
-pub(crate) struct Count {
+pub struct Count {
     progress: Progress,
     ready: usize,
     all: usize,
@@ -13,12 +13,12 @@ pub(crate) struct Count {
 
 impl Count {
     /// Starts a count of `all` inputs with none done.
-    pub(crate) fn new(what: &str, all: usize) -> Self {
+    pub fn new(what: &str, all: usize) -> Self {
         Self { progress: Progress::new(what), ready: 0, all }
     }
 
     /// One more is done.
-    pub(crate) fn one_more(&mut self) {
+    pub fn one_more(&mut self) {
         self.ready += 1;
         self.progress.count(self.ready, self.all);
     }
@@ -26,7 +26,7 @@ impl Count {
 
 /// `work` on every input, results in the order of the inputs and the same for any number of cores. `done` is called,
 /// on one thread at a time, with each finished stretch from the first input on.
-pub(crate) fn run<I: Sync, O: Send>(
+pub fn run<I: Sync, O: Send>(
     what: &str,
     inputs: &[I],
     work: impl Fn(&I) -> O + Sync,
@@ -36,7 +36,7 @@ pub(crate) fn run<I: Sync, O: Send>(
 }
 
 /// Runs on a part of the inputs that `count` counts.
-pub(crate) fn run_part<I: Sync, O: Send>(
+pub fn run_part<I: Sync, O: Send>(
     count: &mut Count,
     inputs: &[I],
     work: impl Fn(&I) -> O + Sync,

@@ -10,7 +10,7 @@ use moca_sim::Scene;
 ///
 /// # Errors
 /// A scene that cannot be built, and a base that does not go as it is told.
-pub(crate) fn commission(config: &mut Config, scene: &Scene) -> Result<()> {
+pub fn commission(config: &mut Config, scene: &Scene) -> Result<()> {
     let stops = simulated_robot::stops(config, scene)?;
     stopping::believe(config, &stops, format!("simulated, {} speeds", stops.len()));
     Ok(())
@@ -19,7 +19,7 @@ pub(crate) fn commission(config: &mut Config, scene: &Scene) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rig::settings::Settings;
+    use crate::settings::Settings;
     use moca_msgs::Law;
 
     fn believed(assignments: &[&str]) -> Config {

@@ -9,11 +9,12 @@ use moca_wbc::contact_stability::{Contact, speed_for_stopping};
 const THRESHOLD_N: f64 = 5.2;
 
 /// From the middle of T6 to its seam with T5, m: half the distance of two taxels in front.
-pub(crate) const TO_THE_SEAM_M: f64 = 0.776 / 6.0;
+pub const TO_THE_SEAM_M: f64 = 0.776 / 6.0;
 
 /// A meeting of cover and body.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Meeting {
+pub struct Meeting {
+    /// Foam of the cover.
     pub foam: Foam,
     /// Stiffness of the body, N/m.
     pub tissue_n_m: f64,
@@ -23,6 +24,7 @@ pub(crate) struct Meeting {
     pub deceleration_m_s2: f64,
     /// Time constant of the base's servo, s.
     pub servo_s: f64,
+    /// Firmware of the board, which says how old a reading may be.
     pub board: Firmware,
     /// Number of taxels that read equal parts of the force: two on a seam.
     pub sharing: f64,
@@ -31,7 +33,7 @@ pub(crate) struct Meeting {
 impl Meeting {
     /// Largest speed at which the force stays under the limit, m/s: what the threshold hides, then the board's worst delay
     /// and the servo's lag at full speed, then braking, within what foam and body yield.
-    pub(crate) fn bound_m_s(&self) -> Result<f64> {
+    pub fn bound_m_s(&self) -> Result<f64> {
         let hidden_n = self.hidden_n();
         let travel_m = self.together_m(self.limit_n) - self.together_m(hidden_n);
         let contact = Contact {
@@ -54,7 +56,7 @@ impl Meeting {
     }
 
     /// Force on a body that is met at `speed_m_s` and felt `felt_after_s` later by a base that then does all it can, N.
-    pub(crate) fn least_n(&self, speed_m_s: f64, felt_after_s: f64) -> f64 {
+    pub fn least_n(&self, speed_m_s: f64, felt_after_s: f64) -> f64 {
         let way_m = speed_m_s * (felt_after_s + self.servo_s)
             + speed_m_s * speed_m_s / (2.0 * self.deceleration_m_s2);
         let (mut low, mut high) = (0.0, 1e4);

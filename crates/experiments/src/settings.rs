@@ -17,7 +17,7 @@ const IDEAL_PERIOD_MS: f64 = 10.0;
 
 /// Sensor of the cover.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Sensor {
+pub enum Sensor {
     /// A stock Touch Board: bytes, age, noise, threshold.
     Stock,
     /// The true force, averaged and held over a period.
@@ -27,7 +27,8 @@ pub(crate) enum Sensor {
 }
 
 impl Sensor {
-    pub(crate) const fn name(self) -> &'static str {
+    /// Name of the sensor, as `--set sensor=` takes it.
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Stock => "stock",
             Self::Ideal => "ideal",
@@ -38,22 +39,32 @@ impl Sensor {
 
 /// Person next to the robot. `None` takes the value of the body part.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct PersonSettings {
+pub struct PersonSettings {
+    /// Part of the body that is met.
     pub part: BodyPart,
     /// 0 is T1.
     pub taxel: usize,
+    /// Gap to the cover at the start, m.
     pub gap_m: f64,
     /// Along the panel from the taxel's centre, m.
     pub offset_m: f64,
     /// Another one like this stands before the middle of this taxel.
     pub also: Option<usize>,
+    /// Mass, kg.
     pub mass_kg: Option<f64>,
+    /// Stiffness of the tissue, N/m.
     pub stiffness: Option<f64>,
+    /// Damping of the tissue, N·s/m.
     pub damping: f64,
+    /// Coulomb coefficient along the cover.
     pub friction: Option<f64>,
+    /// Stiffness with which the person keeps the posture, N/m.
     pub posture_stiffness: Option<f64>,
+    /// Damping of the posture, N·s/m.
     pub posture_damping: Option<f64>,
+    /// Radius of leg, thigh or hand, m.
     pub radius_m: Option<f64>,
+    /// Time from first contact to the step away, s.
     pub steps_away_s: f64,
     /// When walking and leaning begin, s after the run's start.
     pub at_s: f64,
@@ -61,12 +72,13 @@ pub(crate) struct PersonSettings {
     pub walk_m_s: f64,
     /// Weight leant on the cover, N.
     pub lean_n: f64,
+    /// True for a person who cannot move.
     pub fixed: bool,
 }
 
 impl PersonSettings {
     /// Stiffness of the tissue, N/m.
-    pub(crate) fn tissue_stiffness(&self) -> f64 {
+    pub fn tissue_stiffness(&self) -> f64 {
         self.stiffness.unwrap_or(self.part.data().1.stiffness_n_per_m)
     }
 
@@ -100,11 +112,14 @@ impl PersonSettings {
 
 /// Foam of the cover. What is `None` is as the material has it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct FoamSettings {
+pub struct FoamSettings {
+    /// Law of the foam with its numbers.
     pub material: Foam,
+    /// Plate gap at rest, m.
     pub thickness_m: Option<f64>,
     /// Initial stiffness of the hyperbolic law, N/m.
     pub stiffness: Option<f64>,
+    /// Damping over stiffness, ms.
     pub damping_ms: Option<f64>,
 }
 
@@ -124,20 +139,28 @@ impl FoamSettings {
 
 /// One run, completely described.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Settings {
+pub struct Settings {
+    /// Configuration of the robot.
     pub config: Config,
+    /// Source of the readings.
     pub sensor: Sensor,
     /// `None` is 10 ms for the ideal sensor and what the firmware takes for the virtual board.
     pub sensor_period_ms: Option<f64>,
     /// Source of the ideal sensor's mean.
     pub sensor_samples: TrueForces,
+    /// Delay of every reading, ms.
     pub sensor_delay_ms: f64,
+    /// Phase of the sensor against the motion, ms.
     pub sensor_phase_ms: f64,
+    /// Standard deviation of one FDAT value, counts; `None` is that of the virtual board.
     pub noise_counts: Option<f64>,
+    /// Firmware of the virtual board.
     pub firmware: Firmware,
     /// The wrench at the flange is what the momentum observer makes of it; else the true one.
     pub flange_observed: bool,
+    /// Foam of the cover.
     pub foam: FoamSettings,
+    /// Person next to the robot.
     pub person: PersonSettings,
     /// Reading of the cover, relative to the true force.
     pub true_reading: f64,
@@ -145,15 +168,21 @@ pub(crate) struct Settings {
     pub base_inertia: Option<f64>,
     /// Speed of the flange's target, m/s.
     pub speed_m_s: f64,
+    /// Length of the run, s.
     pub duration_s: f64,
+    /// Length of a scripted push, ramps included, s.
     pub push_s: f64,
+    /// Length of each ramp of a push, s.
     pub ramp_s: f64,
     /// Forces of the scripted pushes over the paper's.
     pub push_scale: f64,
+    /// Rest after a push, s.
     pub rest_s: f64,
+    /// Physics step, ms.
     pub step_ms: f64,
     /// `None` is what the scene takes: the default, or under `accuracy` the leapfrog.
     pub integrator: Option<Integrator>,
+    /// Engine of the scene.
     pub engine: Engine,
     /// The controller believes what commissioning of this robot measures; else what its configuration says.
     pub belief_measured: bool,
@@ -161,7 +190,7 @@ pub(crate) struct Settings {
 
 /// The paper's robot has no speed limit but its own, pushes as hard as its law does, and goes wherever it is pushed; limits
 /// this high change no bit.
-pub(crate) fn unprotected() -> ProtectionConfig {
+pub fn unprotected() -> ProtectionConfig {
     ProtectionConfig {
         override_speed_limit_m_s: OVERRIDE_MAX_M_S,
         override_statement: "the paper's experiments, simulated, as published".into(),
@@ -173,7 +202,7 @@ pub(crate) fn unprotected() -> ProtectionConfig {
 
 impl Settings {
     /// The paper's law and gains, stock board, no scripted hand.
-    pub(crate) fn paper(law: Law) -> Self {
+    pub fn paper(law: Law) -> Self {
         let mut config = Config::default();
         config.startup.law = law;
         config.simulation.hand = HandConfig::none();
@@ -217,7 +246,7 @@ impl Settings {
 
     /// Gives the base the inertia of a box of its mass and size, or the one that is set. It never tilts: only the
     /// vertical axis acts, and the other two keep the box's proportions.
-    pub(crate) fn box_inertia(&mut self) {
+    pub fn box_inertia(&mut self) {
         let squares = |[x, y, z]: [f64; 3]| [y * y + z * z, x * x + z * z, x * x + y * y];
         let (standard, base) = (BaseTable::default(), &mut self.config.robot.base);
         let (ours, its) = (squares(base.size_m), squares(standard.size_m));
@@ -233,7 +262,7 @@ impl Settings {
     ///
     /// # Errors
     /// Every number that the daemon's configuration refuses, and numbers that do not go together.
-    pub(crate) fn check(&self) -> Result<()> {
+    pub fn check(&self) -> Result<()> {
         let mut mistakes = Vec::new();
         self.config.check(|_, message| mistakes.push(message));
         if let (Some(stiffness), ElasticLaw::Power { .. }) = (self.foam.stiffness, self.foam.material.elastic)
@@ -255,12 +284,12 @@ impl Settings {
     }
 
     /// The foam that force and plate gap are computed with.
-    pub(crate) fn true_foam(&self) -> Foam {
+    pub fn true_foam(&self) -> Foam {
         self.foam.foam().stiffened(self.config.simulation.truth.foam.scale)
     }
 
     /// The scene without anybody in it.
-    pub(crate) fn free_scene(&self) -> Scene {
+    pub fn free_scene(&self) -> Scene {
         let scene = simulated_robot::free_scene(&self.config);
         Scene {
             flange_sensor: !self.flange_observed,
@@ -273,7 +302,7 @@ impl Settings {
     }
 
     /// Returns the scene with the person next to the cover.
-    pub(crate) fn collision_scene(&self) -> Result<Scene> {
+    pub fn collision_scene(&self) -> Result<Scene> {
         let cover = self.config.robot.cover.placements();
         let mut people = vec![self.person.person(&cover)?];
         if let Some(taxel) = self.person.also {
@@ -283,7 +312,7 @@ impl Settings {
     }
 
     /// Period of the sensor, ms.
-    pub(crate) fn period_ms(&self) -> f64 {
+    pub fn period_ms(&self) -> f64 {
         #[expect(clippy::cast_precision_loss, reason = "some milliseconds")]
         let of_firmware_ms = 1e-6 * self.firmware.frame_period_ns() as f64;
         let usual_ms = if self.sensor == Sensor::Stock { of_firmware_ms } else { IDEAL_PERIOD_MS };
@@ -291,12 +320,12 @@ impl Settings {
     }
 
     /// Shows what the sensor feels by a share of its period later.
-    pub(crate) fn shift_phase(&mut self, share: f64) {
+    pub fn shift_phase(&mut self, share: f64) {
         self.sensor_phase_ms += share * self.period_ms();
     }
 
     /// The virtual board of this run.
-    pub(crate) fn board(&self) -> VirtualBoardConfig {
+    pub fn board(&self) -> VirtualBoardConfig {
         VirtualBoardConfig {
             firmware: self.firmware,
             foam: self.true_foam().stiffened(1.0 / self.true_reading),

@@ -1,0 +1,232 @@
+//! Rows of a CSV file, each computed once: resumable, and in shards.
+
+use super::{count, cpu_time, parallel};
+use anyhow::{Context, Result, bail, ensure};
+use std::fmt;
+use std::fs::{File, OpenOptions};
+use std::io::{BufRead as _, BufReader, BufWriter, Write as _};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Rows handed out between two writes to the file.
+const STRETCH: usize = 64;
+
+/// A file of rows that follow from their numbers alone: the rows of any number of shards, joined in order, are those of
+/// one machine.
+pub struct Campaign<'a> {
+    /// Rows that are already in it are kept and not computed again.
+    pub out: &'a Path,
+    /// As [`shard`] reads it.
+    pub shard: (usize, usize),
+    /// Number of rows in all.
+    pub rows: usize,
+    /// Names of the columns, the row's number first; only the first shard has it.
+    pub header: &'a str,
+}
+
+/// Cost of a campaign.
+pub struct Ran {
+    out: String,
+    now: usize,
+    before: usize,
+    wall_s: f64,
+    cpu_s: f64,
+}
+
+impl Ran {
+    /// Rows per second of CPU time.
+    pub fn per_cpu_s(&self) -> f64 {
+        count(self.now) / self.cpu_s.max(1e-9)
+    }
+}
+
+impl fmt::Display for Ran {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{}: {} runs now, {} before, in {:.1} s on {} cores: {:.1} runs/s",
+            self.out,
+            self.now,
+            self.before,
+            self.wall_s,
+            std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
+            count(self.now) / self.wall_s.max(1e-9),
+        )
+    }
+}
+
+impl Campaign<'_> {
+    /// Computes what is missing of this shard; `row` gives a whole line for its number.
+    pub fn run(&self, row: impl Fn(usize) -> Result<String> + Sync) -> Result<Ran> {
+        let (part, parts) = self.shard;
+        let range = self.rows * (part - 1) / parts..self.rows * part / parts;
+        let header = (part == 1).then_some(self.header);
+        let (mut file, before) = open(self.out, header, &range)?;
+        let (started, cpu_before_s) = (Instant::now(), cpu_time::of_process_s());
+        let todo: Vec<usize> = range.skip(before).collect();
+        let work = |id: &usize| row(*id);
+        let mut count = parallel::Count::new(&self.out.display().to_string(), todo.len());
+        for stretch in todo.chunks(STRETCH.max(todo.len().div_ceil(200))) {
+            let mut failed = None;
+            parallel::run_part(&mut count, stretch, work, |line: &Result<String>| match line {
+                Ok(line) if failed.is_none() => {
+                    failed = writeln!(file, "{line}").err().map(anyhow::Error::from)
+                }
+                Ok(_) => {}
+                Err(error) => failed = failed.take().or_else(|| Some(anyhow::anyhow!("{error:#}"))),
+            });
+            if let Some(error) = failed {
+                return Err(error.context(format!("cannot go on with {}", self.out.display())));
+            }
+        }
+        Ok(Ran {
+            out: self.out.display().to_string(),
+            now: todo.len(),
+            before,
+            wall_s: started.elapsed().as_secs_f64(),
+            cpu_s: cpu_time::of_process_s() - cpu_before_s,
+        })
+    }
+}
+
+/// `I/N` as the I-th of N parts.
+pub fn shard(text: &str) -> Result<(usize, usize), String> {
+    let parse = |part: &str| part.trim().parse::<usize>().ok();
+    match text.split_once('/').map(|(i, n)| (parse(i), parse(n))) {
+        Some((Some(i), Some(n))) if (1..=n).contains(&i) => Ok((i, n)),
+        _ => Err(format!("'{text}' is not I/N with 1 <= I <= N")),
+    }
+}
+
+/// Returns the file, ready for the next row, and the number of rows of this shard that it holds. A torn last line is cut off.
+///
+/// # Errors
+/// A file that cannot be written, or that holds another header or other rows than those of `range` from its start.
+pub fn open(path: &Path, header: Option<&str>, range: &std::ops::Range<usize>) -> Result<(File, usize)> {
+    let context = || format!("cannot use {}", path.display());
+    let text = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
+        Err(error) => return Err(error).with_context(context),
+    };
+    let whole = text.rfind('\n').map_or("", |end| &text[..=end]);
+    let mut lines = whole.lines();
+    if let (Some(header), false) = (header, whole.is_empty()) {
+        ensure!(
+            lines.next() == Some(header),
+            "{} belongs to another sweep: its header differs",
+            path.display()
+        );
+    }
+    let mut done = 0;
+    for line in lines {
+        let id = line.split(',').next().unwrap_or_default();
+        if id.parse().ok() != Some(range.start + done) {
+            bail!("{}: row '{id}' where run {} is expected", path.display(), range.start + done);
+        }
+        done += 1;
+    }
+    ensure!(done <= range.len(), "{} holds more rows than this shard has runs", path.display());
+    let mut file =
+        OpenOptions::new().create(true).truncate(false).write(true).open(path).with_context(context)?;
+    file.set_len(whole.len() as u64).with_context(context)?;
+    std::io::Seek::seek(&mut file, std::io::SeekFrom::End(0)).with_context(context)?;
+    if let (Some(header), true) = (header, whole.is_empty()) {
+        writeln!(file, "{header}").with_context(context)?;
+    }
+    Ok((file, done))
+}
+
+/// Joins the files of all shards, given in any order, into `out`, which appears only when it is whole.
+///
+/// # Errors
+/// A file that cannot be read, another header, a run that is missing or there twice: the message names run and file.
+pub fn merge(parts: &[PathBuf], out: &Path, header: &str, rows: usize) -> Result<()> {
+    let mut shards = Vec::new();
+    for part in parts {
+        let file = File::open(part).with_context(|| format!("cannot read {}", part.display()))?;
+        let mut lines = BufReader::new(file).lines().peekable();
+        if let Some(first) = lines.next_if(|line| line.as_ref().is_ok_and(|line| line.starts_with("run,"))) {
+            ensure!(first? == header, "{} belongs to another sweep: its header differs", part.display());
+        }
+        let first = lines.peek().and_then(|line| line.as_ref().ok()).and_then(|line| number(line));
+        shards.push((first, part, lines));
+    }
+    shards.sort_by_key(|(first, ..)| *first);
+    let fresh = out.with_extension("joining");
+    let context = || format!("cannot write {}", fresh.display());
+    let mut file = BufWriter::new(File::create(&fresh).with_context(context)?);
+    writeln!(file, "{header}").with_context(context)?;
+    let mut next = 0;
+    for (_, part, lines) in shards {
+        for line in lines {
+            let line = line.with_context(|| format!("cannot read {}", part.display()))?;
+            match number(&line) {
+                Some(run) if run == next => next += 1,
+                Some(run) if run < next => bail!("{}: run {run} is there twice", part.display()),
+                Some(run) => bail!("runs {next} to {} are missing before {}", run - 1, part.display()),
+                None => bail!("{}: no run in the line after run {}", part.display(), next.saturating_sub(1)),
+            }
+            ensure!(
+                line.matches(',').count() >= header.matches(',').count(),
+                "{}: the line of run {} is torn: run its shard again",
+                part.display(),
+                next - 1
+            );
+            writeln!(file, "{line}").with_context(context)?;
+        }
+    }
+    ensure!(next == rows, "runs {next} to {} are missing: run their shards again", rows.saturating_sub(1));
+    file.into_inner().map_err(std::io::IntoInnerError::into_error).with_context(context)?;
+    std::fs::rename(&fresh, out).with_context(|| format!("cannot write {}", out.display()))
+}
+
+/// Number of the run whose row begins with `line`.
+fn number(line: &str) -> Option<usize> {
+    line.split(',').next()?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shard_is_one_of_those_there_are() {
+        assert!(shard("0/3").is_err() && shard("4/3").is_err() && shard("2/3") == Ok((2, 3)));
+    }
+
+    fn merged(parts: &[&str], rows: usize) -> Result<String> {
+        let folder = std::env::temp_dir().join(format!("moca-merge-{:?}", std::thread::current().id()));
+        std::fs::create_dir_all(&folder)?;
+        let mut paths = Vec::new();
+        for (i, part) in parts.iter().enumerate() {
+            paths.push(folder.join(format!("{i}.csv")));
+            std::fs::write(&paths[i], part)?;
+        }
+        let out = folder.join("out.csv");
+        let joined = merge(&paths, &out, "run,a", rows).and_then(|()| Ok(std::fs::read_to_string(&out)?));
+        std::fs::remove_dir_all(&folder)?;
+        joined
+    }
+
+    #[test]
+    fn merge_joins_shards_in_any_order() {
+        let whole = "run,a\n0,x\n1,x\n2,x\n";
+        assert_eq!(merged(&["2,x\n", "run,a\n0,x\n", "1,x\n"], 3).unwrap(), whole);
+        assert_eq!(merged(&[whole, ""], 3).unwrap(), whole);
+    }
+
+    #[test]
+    fn merge_names_the_run_that_is_missing_or_double() {
+        for (parts, part) in [
+            (["run,a\n0,x\n", "2,x\n"], "runs 1 to 1 are missing before"),
+            (["run,a\n0,x\n", "1,x\n"], "runs 2 to 2 are missing: run"),
+            (["run,a\n0,x\n1,x\n", "1,x\n2,x\n"], "run 1 is there twice"),
+            (["run,b\n0,x\n", "1,x\n2,x\n"], "header differs"),
+            (["run,a\n0,x\n1,x\n", "2\n"], "run 2 is torn"),
+        ] {
+            let error = format!("{:#}", merged(&parts, 3).unwrap_err());
+            assert!(error.contains(part), "{parts:?}: {error}");
+        }
+    }
+}

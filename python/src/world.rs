@@ -1,0 +1,59 @@
+//! The simulated robot behind `Simulation` and `Batch`: the loop in lock-step, with or without a cover.
+
+use moca_control::config::Config;
+use moca_daemon::control::tick::Ticked;
+use moca_daemon::devices::simulated_robot::free_scene;
+use moca_daemon::devices::touch_board::ByteCover;
+use moca_daemon::runtime::assemble::board_config;
+use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards, NoCover};
+use moca_msgs::Request;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use std::path::Path;
+
+/// A robot, its cover and its law. Any thread may step it; the bits do not depend on the thread.
+pub(crate) enum World {
+    Covered(Box<LockStep<ByteCover, MemoryBoards>>),
+    Bare(Box<LockStep<Option<ByteCover>, NoCover>>),
+}
+
+impl World {
+    /// # Errors
+    /// A scene, board or parameter outside its range.
+    pub(crate) fn new(config: &Config) -> Result<Self, String> {
+        let scene = free_scene(config);
+        let world = if config.plant.parts.has_cover() {
+            LockStep::with_board(config, &scene, board_config(config), None)
+                .map(|world| Self::Covered(Box::new(world.untimed())))
+        } else {
+            LockStep::without_cover(config, &scene).map(|world| Self::Bare(Box::new(world.untimed())))
+        };
+        world.map_err(|error| format!("{error:#}"))
+    }
+
+    /// Steps one tick.
+    pub(crate) fn tick(&mut self, request: Option<Request>) -> &Ticked {
+        match self {
+            Self::Covered(world) => world.tick(request),
+            Self::Bare(world) => world.tick(request),
+        }
+    }
+}
+
+/// The configuration in a file or in a text, or the built-in one.
+///
+/// # Errors
+/// A missing file is Python's own exception, a mistake in it a `ValueError`.
+pub(crate) fn configuration(path: Option<&Path>, toml: Option<&str>) -> PyResult<Config> {
+    let wrong = |error: String| PyValueError::new_err(error);
+    match (path, toml) {
+        (None, None) => Ok(Config::default()),
+        (Some(path), None) => {
+            std::fs::metadata(path)
+                .map_err(|error| std::io::Error::new(error.kind(), format!("{}: {error}", path.display())))?;
+            Config::load(path).map_err(|error| wrong(format!("{}:\n{error}", path.display())))
+        }
+        (None, Some(text)) => Config::parse(text).map_err(|error| wrong(error.to_string())),
+        (Some(_), Some(_)) => Err(wrong("a file or a text, not both".into())),
+    }
+}
