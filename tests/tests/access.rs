@@ -217,7 +217,7 @@ fn audit(log: &Path) -> Vec<Asked> {
         .collect()
 }
 
-/// How often somebody was answered so.
+/// Number of requests that were answered so.
 fn times(audit: &[Asked], who: &str, what: &str, accepted: bool) -> u64 {
     let same = |line: &&Asked| line.who == who && line.what == what && line.accepted == accepted;
     audit.iter().filter(same).map(|line| line.times).sum()

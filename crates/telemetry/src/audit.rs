@@ -11,9 +11,10 @@ pub const LEAVE: &str = "leave";
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "log", derive(schemars::JsonSchema))]
 pub struct Asked {
-    /// Who: `certificate NAME`, `user NUMBER` of the robot's computer, `port` or `machine ADDRESS`, and for whom if it says so.
+    /// Client: `certificate NAME`, `user NUMBER` of the robot's computer, `port` or `machine ADDRESS`; after it the one for whom it
+    /// says that it speaks.
     pub who: String,
-    /// What, with taxel, parameter or law.
+    /// Request, with taxel, parameter or law.
     pub what: String,
     /// True if it was carried out.
     pub accepted: bool,

@@ -68,7 +68,7 @@ struct Kept {
     ticks: VecDeque<Arc<TickRecord>>,
     /// Memories of the loop: the ticks continue from the oldest.
     states: VecDeque<Arc<StateRecord>>,
-    /// What clients asked, and when, ns of loop time.
+    /// Requests of clients, and when, ns of loop time.
     asked: VecDeque<(u64, Arc<Asked>)>,
 }
 

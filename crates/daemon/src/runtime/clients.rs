@@ -225,7 +225,7 @@ pub(crate) struct Clients {
     drivers: (DriverWords, SaidByDrivers),
     /// Sender of notices about the disk to dashboards.
     pub(crate) notices: Option<Sender<String>>,
-    /// What clients of telemetry asked and were answered.
+    /// Requests of telemetry's clients and their answers.
     asked: (SyncSender<Asked>, Receiver<Asked>),
     /// Loop time of the last sample, ns.
     now_ns: u64,

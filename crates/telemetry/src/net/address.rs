@@ -278,7 +278,7 @@ pub(super) enum Listener {
 
 /// A connection that has just been accepted.
 pub(super) enum Arrived {
-    /// Its halves, and who it is as far as the system knows.
+    /// Its halves, and its identity as far as the system knows it.
     Halves(Reader, Writer, String),
     /// It has to prove who it is first.
     #[cfg(feature = "tls")]
@@ -286,7 +286,7 @@ pub(super) enum Arrived {
 }
 
 impl Arrived {
-    /// Who it is as far as the system knows.
+    /// Returns its identity as far as the system knows it.
     pub(super) fn who(&self) -> String {
         match self {
             Self::Halves(_, _, who) => who.clone(),

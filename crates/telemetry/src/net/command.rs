@@ -27,7 +27,7 @@ pub(super) type ClientId = u64;
 pub(super) struct Answer {
     pub(super) client: ClientId,
     pub(super) id: u64,
-    /// What it answers; of a trajectory its last pose.
+    /// Request that it answers; of a trajectory its last pose.
     pub(super) request: Request,
     pub(super) outcome: Outcome,
 }

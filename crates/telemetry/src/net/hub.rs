@@ -27,7 +27,7 @@ use tokio::{sync::Notify, task::AbortHandle};
 const MAX_NOTICES: usize = 16;
 /// Between a client and whom it speaks for.
 const FOR: &str = ", for ";
-/// What a client does that calibrates, for the log.
+/// Word for a calibration in the log.
 pub(super) const CALIBRATE: &str = "calibrate";
 
 /// The connections that are not served yet, oldest first.
@@ -51,7 +51,7 @@ pub(super) struct Hub {
     pub(super) clients: RefCell<BTreeMap<ClientId, Rc<Client>>>,
     pub(super) visitors: Visitors,
     pub(super) desk: RefCell<Desk>,
-    /// What clients asked and were answered, for the log.
+    /// Requests and answers for the log.
     pub(super) ledger: RefCell<Ledger>,
     /// Wakes the pump when a request has gone to the loop.
     pub(super) asked: Notify,
@@ -81,7 +81,7 @@ struct Calibration {
 pub(super) struct Client {
     pub(super) id: ClientId,
     pub(super) role: Role,
-    /// Who it is, for the log.
+    /// Identity for the log.
     pub(super) who: RefCell<String>,
     pub(super) queue: RefCell<Queue>,
     /// Wakes the task that writes.

@@ -14,7 +14,7 @@ use std::{
 const SAY_EVERY: Duration = Duration::from_secs(1);
 /// Most kinds that are told apart at a time; all beyond them are one.
 const KINDS_MAX: usize = 256;
-/// Of them those of connections that are not let in: a crowd hides nobody who is.
+/// Most kinds of connections that are not let in: a crowd hides nobody who is.
 const STRANGERS_MAX: usize = 64;
 
 /// Lines of one second.
