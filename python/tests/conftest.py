@@ -1,5 +1,6 @@
 import os
 import subprocess
+import threading
 import time
 from pathlib import Path
 
@@ -40,3 +41,29 @@ def wait_for(robot, mode):
     while (state := robot.state).mode != mode:
         assert time.monotonic() < until, f"never {mode}: {state}"
     return state
+
+
+@pytest.fixture
+def distant(mocad, tmp_path, monkeypatch):
+    """A robot as another machine reaches it, and a function that gives this program a certificate of a role."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    config = tmp_path / "mocad.toml"
+    config.write_text(
+        f'[telemetry]\nlisten = "unix:{tmp_path}/mocad.sock"\ntls = "127.0.0.1:0"\n[startup]\narm = false\n'
+        '[simulation.hand]\ntaxels = []\n[plant]\nparts = "arm"\n'
+    )
+    process = subprocess.Popen([mocad, "--config", config], stdout=subprocess.PIPE, text=True)
+    address = next(word for line in process.stdout for word in line.split() if word.startswith("tls://"))
+    # A pipe that nobody reads would end the daemon.
+    threading.Thread(target=process.stdout.read, daemon=True).start()
+
+    def with_certificate(name, role):
+        subprocess.run([mocad, "access", "new", name, "--role", role], cwd=tmp_path, check=True)
+        monkeypatch.setenv("MOCA_ACCESS_FILE", str(tmp_path / f"{name}.pem"))
+        return address
+
+    try:
+        yield with_certificate
+    finally:
+        process.kill()
+        process.wait(60)

@@ -180,3 +180,29 @@ def test_a_taxel_that_there_is_none_of_is_named(daemon):
 def test_without_a_daemon_it_says_so():
     with pytest.raises(moca.Disconnected, match="no/such/socket"):
         moca.connect("unix:/no/such/socket")
+
+
+def test_certificate_of_an_operator_commands_over_tls(distant):
+    with moca.connect(distant("lab-pc", "operator")) as robot:
+        wait_for(robot, "ready")
+        robot.arm()
+        wait_for(robot, "impedance")
+        robot.stop()
+        wait_for(robot, "protective stop")
+
+
+def test_certificate_of_a_viewer_watches_and_stops_only(distant):
+    address = distant("screen", "viewer")
+    robot = moca.connect(address)
+    wait_for(robot, "ready")
+    with pytest.raises(moca.Refused, match="a certificate of a higher role"):
+        robot.arm()
+    moca.stop(address)
+    wait_for(robot, "protective stop")
+
+
+def test_without_a_certificate_it_says_which_file_is_missing(distant, monkeypatch):
+    address = distant("lab-pc", "operator")
+    monkeypatch.setenv("MOCA_ACCESS_FILE", "/no/such/certificate.pem")
+    with pytest.raises(moca.Disconnected, match="/no/such/certificate.pem"):
+        moca.connect(address)

@@ -5,13 +5,20 @@ use clap::{Parser, ValueEnum};
 use eframe::egui;
 use moca_monitor::{
     logic::{
+        fleet::Row,
         signals::axis::SPAN_S,
         source::{Source, playback::Playback},
     },
-    ui::{App, Page, Screenshot},
+    ui::{App, FleetWindow, Page, Screenshot},
 };
-use moca_telemetry::net::{Address, Connection};
-use std::{path::PathBuf, time::Duration};
+use moca_telemetry::net::{
+    Address, Connection,
+    fleet::{Entry, Fleet, parse},
+};
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 /// Shows a MOCA-S robot: its cover, its motion, its health; and passes on what you ask.
 #[derive(Parser)]
@@ -21,6 +28,9 @@ struct Arguments {
     /// Without it the last ones, or else this machine's: the service's socket, or 127.0.0.1:7611.
     #[arg(long, value_name = "ADDRESS")]
     address: Vec<Address>,
+    /// Show a list of robots, and open any: a file robots.toml with name and address of each.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["address", "log", "page", "last"])]
+    fleet: Option<PathBuf>,
     /// Show a recorded run instead: an MCAP file of `mocad run --record`. May be given more than once.
     #[arg(long, value_name = "FILE", conflicts_with = "address")]
     log: Vec<PathBuf>,
@@ -102,6 +112,13 @@ fn main() -> anyhow::Result<()> {
         }
         None => None,
     };
+    let list = match &arguments.fleet {
+        Some(path) => {
+            let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+            Some(parse(&text).with_context(|| path.display().to_string())?)
+        }
+        None => None,
+    };
     let failure = screenshot.as_ref().map(Screenshot::failure);
     let size = arguments.size.unwrap_or(egui::vec2(1280.0, 800.0));
     let viewport = egui::ViewportBuilder::default()
@@ -127,6 +144,10 @@ fn main() -> anyhow::Result<()> {
             if !persist_window {
                 // eframe has given it the size of the last window.
                 cc.egui_ctx.send_viewport_cmd(egui::ViewportCommand::InnerSize(size));
+            }
+            if let Some(list) = list {
+                cc.egui_ctx.set_zoom_factor(arguments.zoom.unwrap_or(1.0));
+                return Ok(Box::new(fleet(list, &arguments.folder, screenshot)?));
             }
             let addresses = match (arguments.address, storage) {
                 (given, _) if !given.is_empty() => given,
@@ -160,29 +181,46 @@ fn main() -> anyhow::Result<()> {
     }
 }
 
+/// A window for the robots of a list.
+fn fleet(list: Vec<Entry>, folder: &Path, screenshot: Option<Screenshot>) -> anyhow::Result<FleetWindow> {
+    let mut fleet = Fleet::watch(list.clone())?;
+    let folder = folder.to_owned();
+    let open = move |ctx: &egui::Context, place: usize| {
+        let Some(Entry { address, .. }) = list.get(place) else { return Err("no such robot".into()) };
+        let connection = Connection::spawn(address.clone(), wake(ctx)).map_err(|error| error.to_string())?;
+        let mut app = App::new(ctx, connection, address.to_string(), None);
+        app.set_folder(folder.clone());
+        Ok(app)
+    };
+    let look = move || fleet.poll().iter().map(Row::from).collect();
+    Ok(FleetWindow::new(Box::new(look), Box::new(open), screenshot))
+}
+
+/// A call that has a picture drawn soon.
+fn wake(ctx: &egui::Context) -> impl Fn() + Send + 'static {
+    let ctx = ctx.clone();
+    move || ctx.request_repaint_after(App::FRAME)
+}
+
 /// Logs, or else daemons, each with what it is called before it says its name.
 fn sources(
     mut addresses: Vec<Address>,
     logs: Vec<PathBuf>,
     ctx: &egui::Context,
 ) -> anyhow::Result<Vec<(Source, String)>> {
-    let wake = || {
-        let ctx = ctx.clone();
-        move || ctx.request_repaint_after(App::FRAME)
-    };
     if logs.is_empty() {
         if addresses.is_empty() {
             addresses.push(Address::of_this_machine());
         }
         let connect = |address: Address| -> anyhow::Result<(Source, String)> {
             let name = address.to_string();
-            Ok((Connection::spawn(address, wake())?.into(), name))
+            Ok((Connection::spawn(address, wake(ctx))?.into(), name))
         };
         return addresses.into_iter().map(connect).collect();
     }
     let open = |path: PathBuf| -> anyhow::Result<(Source, String)> {
         let name = path.display().to_string();
-        Ok((Playback::open(path, wake())?.into(), name))
+        Ok((Playback::open(path, wake(ctx))?.into(), name))
     };
     logs.into_iter().map(open).collect()
 }

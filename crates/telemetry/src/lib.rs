@@ -1,5 +1,6 @@
 //! The only place that knows a transport or a log format.
 //!
+//! - [`audit`]: who asked the robot for what.
 //! - [`description`]: what a client must know once to draw the robot and read its samples.
 //! - `ros` (feature `ros`): messages of ROS 2 as bytes, both ways, and their definitions.
 //! - [`parameter`]: the schema of parameters with present values.
@@ -12,6 +13,7 @@
 //!
 //! This crate refuses to know: control laws, the Touch Board's format, and who draws.
 
+pub mod audit;
 pub mod calibration;
 pub mod description;
 #[cfg(feature = "log")]

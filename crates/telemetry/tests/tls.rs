@@ -21,10 +21,23 @@ use std::{
     path::{Path, PathBuf},
     sync::{
         Arc, Mutex,
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicBool, AtomicUsize, Ordering},
     },
     thread::JoinHandle,
     time::{Duration, Instant},
+};
+use tokio::{
+    io::{AsyncReadExt, AsyncWriteExt},
+    net::TcpSocket,
+};
+use tokio_rustls::{
+    TlsConnector,
+    rustls::{
+        ClientConfig, RootCertStore,
+        crypto::ring,
+        pki_types::{CertificateDer, PrivateKeyDer, pem::PemObject},
+        version::TLS13,
+    },
 };
 
 /// Only to end a test that would hang: nothing is asserted about times.
@@ -271,6 +284,133 @@ fn crowd_that_never_shakes_hands_keeps_nobody_from_stopping() {
     // Their second is over, and a certificate opens again.
     let client = connect(robot.endpoint(&robot.certificate("late", Role::Operator)));
     assert_eq!(outcome(&client, Request::Stop), Ok(()));
+}
+
+/// Handshakes of one machine, again and again as fast as they are ended, until this is dropped.
+struct Flood {
+    ended: Arc<AtomicBool>,
+    tried: Arc<AtomicUsize>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// Handshakes of a flood at a time.
+const AT_A_TIME: usize = 200;
+
+impl Flood {
+    /// Without a certificate each connection announces a handshake and sends no more of it.
+    fn from(machine: [u8; 4], port: u16, certificate: Option<&ClientConfig>) -> Self {
+        let (ended, tried) = (Arc::<AtomicBool>::default(), Arc::<AtomicUsize>::default());
+        let (ends, tries) = (Arc::clone(&ended), Arc::clone(&tried));
+        let connector = certificate.map(|config| TlsConnector::from(Arc::new(config.clone())));
+        let thread = std::thread::spawn(move || {
+            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+            runtime.block_on(async {
+                let mut tasks = tokio::task::JoinSet::new();
+                for _ in 0..AT_A_TIME {
+                    let (tries, connector) = (Arc::clone(&tries), connector.clone());
+                    tasks.spawn(async move {
+                        loop {
+                            let _ = stranger(machine, port, connector.as_ref()).await;
+                            tries.fetch_add(1, Ordering::Relaxed);
+                        }
+                    });
+                }
+                while !ends.load(Ordering::Relaxed) {
+                    tokio::time::sleep(Duration::from_millis(5)).await;
+                }
+            });
+        });
+        let flood = Self { ended, tried, thread: Some(thread) };
+        flood.goes_on();
+        flood
+    }
+
+    /// Waits until as many more have been ended as there are at a time.
+    fn goes_on(&self) {
+        let before = self.tried.load(Ordering::Relaxed);
+        wait_for(|| self.tried.load(Ordering::Relaxed) >= before + AT_A_TIME);
+    }
+}
+
+impl Drop for Flood {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::Relaxed);
+        let _ = self.thread.take().unwrap().join();
+    }
+}
+
+/// One connection, until the robot ends it.
+async fn stranger(machine: [u8; 4], port: u16, connector: Option<&TlsConnector>) -> std::io::Result<()> {
+    let socket = TcpSocket::new_v4()?;
+    socket.bind((machine, 0).into())?;
+    let mut stream = socket.connect(([127, 0, 0, 1], port).into()).await?;
+    let mut ignored = [0; 256];
+    match connector {
+        // The first bytes of a ClientHello of 512.
+        None => {
+            stream.write_all(&[0x16, 3, 1, 2, 0, 1]).await?;
+            while stream.read(&mut ignored).await? > 0 {}
+        }
+        Some(connector) => {
+            let mut stream = connector.connect("mocad".try_into().unwrap(), stream).await?;
+            while stream.read(&mut ignored).await? > 0 {}
+        }
+    }
+    Ok(())
+}
+
+/// A client that trusts the robot and shows a certificate that the robot's authority has not made.
+fn unknown_certificate(robot: &Robot) -> ClientConfig {
+    let key = rcgen::KeyPair::generate().unwrap();
+    let certificate = rcgen::CertificateParams::default().self_signed(&key).unwrap();
+    let mut roots = RootCertStore::empty();
+    roots.add(CertificateDer::from_pem_file(robot.folder.join("access/authority.pem")).unwrap()).unwrap();
+    let key = PrivateKeyDer::from_pem_slice(key.serialize_pem().as_bytes()).unwrap();
+    ClientConfig::builder_with_provider(Arc::new(ring::default_provider()))
+        .with_protocol_versions(&[&TLS13])
+        .unwrap()
+        .with_root_certificates(roots)
+        .with_client_auth_cert(vec![certificate.der().clone()], key)
+        .unwrap()
+}
+
+/// A client of another machine comes in and commands, it stops the robot, and so does anybody on the robot's own computer.
+fn is_served_under(robot: &Robot, floods: &[Flood]) {
+    for round in 0..5 {
+        let client =
+            connect(robot.endpoint(&robot.certificate(&format!("legitimate-{round}"), Role::Operator)));
+        assert_eq!(outcome(&client, Request::Arm), Ok(()));
+        assert_eq!(outcome(&client, Request::Stop), Ok(()));
+        assert_eq!(stop_blocking(robot.server.address()).unwrap(), Ok(()));
+        floods.iter().for_each(Flood::goes_on);
+        assert_eq!(outcome(&client, Request::Arm), Ok(()), "it is still served");
+    }
+}
+
+#[test]
+fn flood_of_half_open_handshakes_locks_nobody_out() {
+    let robot = Robot::new("half-open");
+    let flood = |machine| Flood::from([127, 0, 0, machine], robot.port(), None);
+    is_served_under(&robot, &[flood(2), flood(3)]);
+}
+
+#[test]
+fn flood_of_unknown_certificates_locks_nobody_out() {
+    let robot = Robot::new("unknown");
+    let config = unknown_certificate(&robot);
+    let flood = |machine| Flood::from([127, 0, 0, machine], robot.port(), Some(&config));
+    is_served_under(&robot, &[flood(2), flood(3)]);
+    wait_for(|| robot.server.stats().clients == 0);
+}
+
+#[test]
+fn handshake_that_does_not_end_is_closed() {
+    let robot = Robot::new("slow");
+    let mut silent = TcpStream::connect(("127.0.0.1", robot.port())).unwrap();
+    silent.set_read_timeout(Some(HANG)).unwrap();
+    silent.write_all(&[0x16, 3, 1, 2, 0, 1]).unwrap();
+    // Without a limit this read would time out, which is an error.
+    assert_eq!(silent.read(&mut [0; 16]).unwrap(), 0);
 }
 
 #[test]

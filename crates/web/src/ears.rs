@@ -268,7 +268,7 @@ fn ask(what: What, named: Option<Sent>, page: &Page<'_>, now: Instant) -> Heard 
         (Order::Calibrate(request), Some(drawn)) => {
             page.gateway.commander.take(holder(page), Duty::Calibrate(request), drawn.at, answer);
         }
-        (Order::Ask(request), _) => page.gateway.commander.ask(page.id, request, answer),
+        (Order::Ask(request), _) => page.gateway.commander.ask(holder(page), request, answer),
         (Order::Calibrate(_), None) => {}
     }
     answer_later(name, answered, page);

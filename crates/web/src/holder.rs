@@ -147,23 +147,23 @@ impl Commander {
     }
 
     /// Asks the loop for a page, over its own connection if it holds, else over one that is closed again.
-    pub(crate) fn ask(self: &Arc<Self>, page: PageId, request: Request, answer: Answer) {
+    pub(crate) fn ask(self: &Arc<Self>, asks: Holder, request: Request, answer: Answer) {
         match &*self.place() {
-            Some(place) if place.holder.page == page => send(place, Order::Ask(request, answer)),
+            Some(place) if place.holder.page == asks.page => send(place, Order::Ask(request, answer)),
             Some(place) => {
                 let _ = answer.send(Err(format!("{} holds the command", place.holder.who)));
             }
             None => {
                 let commander = Arc::clone(self);
                 tokio::spawn(async move {
-                    let _ = answer.send(commander.ask_once(request).await);
+                    let _ = answer.send(commander.ask_once(&asks.who, request).await);
                 });
             }
         }
     }
 
-    async fn ask_once(&self, request: Request) -> Result<(), String> {
-        let mut link = Link::open(&self.daemon, self.lease).await?;
+    async fn ask_once(&self, who: &str, request: Request) -> Result<(), String> {
+        let mut link = Link::open(&self.daemon, self.lease, who).await?;
         let outcome = link.ask(request).await;
         link.release().await;
         outcome
@@ -184,7 +184,7 @@ impl Commander {
             age = lease_ends(drawn.clone(), self.lease) => {
                 format!("newest picture {} ms old: the robot stops", age.as_millis())
             }
-            end = self.serve(duty, drawn, orders, answer) => end,
+            end = self.serve(&holder.who, duty, drawn, orders, answer) => end,
         };
         let mut place = self.place();
         if place.take_if(|place| place.number == number).is_some() {
@@ -197,12 +197,13 @@ impl Commander {
     /// Works until the page lets go, the robot stops by itself or the daemon is gone; says which.
     async fn serve(
         &self,
+        who: &str,
         duty: Duty,
         mut drawn: watch::Receiver<Instant>,
         mut orders: mpsc::Receiver<Order>,
         answer: Answer,
     ) -> String {
-        let mut link = match Link::open(&self.daemon, self.lease).await {
+        let mut link = match Link::open(&self.daemon, self.lease, who).await {
             Ok(link) => link,
             Err(error) => {
                 let _ = answer.send(Err(error.clone()));

@@ -31,12 +31,15 @@ impl Drop for Link {
 
 impl Link {
     /// Connects; the daemon takes the command away after `lease` without a sign of life.
-    pub(crate) async fn open(daemon: &Address, lease: Duration) -> Result<Self, String> {
+    ///
+    /// The robot's log names `who` as the one that it speaks for.
+    pub(crate) async fn open(daemon: &Address, lease: Duration, who: &str) -> Result<Self, String> {
         let connected = timeout(CONNECT, Client::connect(daemon)).await;
         let Client { mut incoming, mut outgoing, .. } =
             connected.map_err(|_| format!("{daemon} does not answer"))?.map_err(text)?;
         let lease_ms = u16::try_from(lease.as_millis()).unwrap_or(u16::MAX);
         outgoing.lease(lease_ms).await.map_err(text)?;
+        outgoing.speak_for(who).await.map_err(text)?;
         let (to, answers) = mpsc::channel(ANSWERS);
         // Reading is not cancel-safe, so it has a task of its own.
         let reader = tokio::spawn(async move {

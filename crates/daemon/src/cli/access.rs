@@ -3,12 +3,16 @@
 use crate::record::flight_recorder::access_folder;
 use anyhow::{Context, Result, ensure};
 use clap::{Args, Subcommand};
-use moca_telemetry::net::{access::Role, tls::Access};
+use moca_telemetry::net::{
+    access::Role,
+    tls::{Access, Person},
+};
 use std::fmt::Write as _;
 use std::fs::OpenOptions;
 use std::io::Write as _;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::PathBuf;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Certificates for programs of other machines.
 #[derive(Args)]
@@ -31,7 +35,7 @@ enum Command {
         #[arg(long)]
         role: Role,
     },
-    /// List names and roles.
+    /// List names, roles and the days on which certificates end.
     List,
     /// Take the rights of a name away: its connections end at once.
     Revoke {
@@ -61,7 +65,7 @@ pub fn run(arguments: &Arguments) -> Result<String> {
         Command::List => {
             let mut text = String::new();
             for person in access.people()?.values() {
-                writeln!(text, "{:12}{}", person.role.name(), person.name)?;
+                writeln!(text, "{:12}{:41}{}", person.role.name(), person.name, ends(person))?;
             }
             Ok(text)
         }
@@ -69,5 +73,29 @@ pub fn run(arguments: &Arguments) -> Result<String> {
             ensure!(access.revoke(name)? > 0, "nobody is called {name:?}: see mocad access list");
             Ok(format!("{name} is no longer let in\n"))
         }
+    }
+}
+
+/// End of a person's certificate in words.
+fn ends(person: &Person) -> String {
+    let end = UNIX_EPOCH + Duration::from_secs(person.ends_unix_s);
+    let day = humantime::format_rfc3339_seconds(end).to_string();
+    match day.split_once('T') {
+        Some((day, _)) if end > SystemTime::now() => format!("until {day}"),
+        Some((day, _)) if person.ends_unix_s > 0 => format!("ended {day}: revoke it, then make a new one"),
+        _ => "end not noted".into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ended_certificate_is_listed_with_the_remedy() {
+        let person = |ends_unix_s| Person { name: "lab-pc".into(), role: Role::Viewer, ends_unix_s };
+        assert_eq!(ends(&person(4_102_444_800)), "until 2100-01-01");
+        assert_eq!(ends(&person(1_764_072_184)), "ended 2025-11-25: revoke it, then make a new one");
+        assert_eq!(ends(&person(0)), "end not noted");
     }
 }

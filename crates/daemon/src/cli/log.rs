@@ -9,7 +9,7 @@ use moca_telemetry::log::{LogFile, LogReader, LogSizes, Overview, Record, overvi
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Say what happened in logs: date and length, stops with cause and remedy, touches, gaps, and bytes for each hour.
+/// Say what happened in logs: date and length, stops with cause and remedy, touches, gaps, who asked for what, and bytes for each hour.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// MCAP files of `mocad --record`, of the flight recorder or of the dashboard.
@@ -56,9 +56,13 @@ fn about(path: &Path) -> Result<String> {
     let mut story = Story::new(start_unix_ns);
     let mut reader = LogReader::open(path)?;
     while let Some(record) = reader.next() {
-        if let Record::Sample(sample) = record {
-            story.add(&sample);
-            progress.at(0.5 + 0.5 * reader.part_read());
+        match record {
+            Record::Sample(sample) => {
+                story.add(&sample);
+                progress.at(0.5 + 0.5 * reader.part_read());
+            }
+            Record::Asked(_, asked) => story.asked(&asked),
+            _ => {}
         }
     }
     progress.end();

@@ -2,6 +2,8 @@
 
 use moca_msgs::protection::ContactPhase;
 use moca_msgs::{Mode, Sample, TaxelStatus, seconds};
+use moca_telemetry::audit::Asked;
+use std::collections::BTreeMap;
 use std::fmt;
 use std::time::{Duration, UNIX_EPOCH};
 
@@ -48,6 +50,8 @@ pub(super) struct Story {
     limits: u64,
     gaps: Vec<(u64, u64)>,
     overruns: Option<(u64, u64)>,
+    /// Requests of each client: carried out, refused.
+    asked: BTreeMap<String, (u64, u64)>,
 }
 
 impl Story {
@@ -76,6 +80,15 @@ impl Story {
             sample.contact_events.iter().filter(|event| crossed(event.phase)).map(|_| 1).sum::<u64>();
         let first = self.overruns.map_or(sample.overruns, |(first, _)| first);
         self.overruns = Some((first, sample.overruns));
+    }
+
+    /// Adds requests of a client.
+    pub(super) fn asked(&mut self, asked: &Asked) {
+        if !asked.is_request() {
+            return;
+        }
+        let (accepted, refused) = self.asked.entry(asked.who.clone()).or_default();
+        *if asked.accepted { accepted } else { refused } += asked.times;
     }
 
     fn stop(&mut self, before: Option<Mode>, sample: &Sample) {
@@ -144,7 +157,15 @@ impl fmt::Display for Story {
             }
         }
         let missed = self.overruns.map_or(0, |(first, last)| last.saturating_sub(first));
-        writeln!(f, "; {missed} ticks of the loop were missed")
+        writeln!(f, "; {missed} ticks of the loop were missed")?;
+        for (number, (who, (accepted, refused))) in self.asked.iter().take(LISTED).enumerate() {
+            let title = if number == 0 { "asked by" } else { "" };
+            writeln!(f, "  {title:12} {who}: {accepted} carried out, {refused} refused")?;
+        }
+        match self.asked.len().saturating_sub(LISTED) {
+            0 => Ok(()),
+            more => writeln!(f, "    and {more} more"),
+        }
     }
 }
 
@@ -189,6 +210,20 @@ mod tests {
         }));
         let expected = "touches      3, the largest 34.2 N on T2 at 4.00 s; began on T1 1, T2 2\n";
         assert!(told.contains(expected), "{told}");
+    }
+
+    #[test]
+    fn requests_are_counted_for_each_client() {
+        let mut story = Story::default();
+        for (who, accepted, times) in
+            [("user 1000", true, 2), ("user 1000", false, 3), ("machine 10.0.0.7", false, 1)]
+        {
+            let (what, answer) = ("arm".into(), String::new());
+            story.asked(&Asked { who: who.into(), what, accepted, answer, times });
+        }
+        let told = story.to_string();
+        assert!(told.contains("user 1000: 2 carried out, 3 refused"), "{told}");
+        assert!(told.contains("asked by     machine 10.0.0.7: 0 carried out, 1 refused"), "{told}");
     }
 
     #[test]

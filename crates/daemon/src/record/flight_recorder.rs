@@ -8,6 +8,7 @@ use crate::record::tick_log::{PortEvent, StateRecord, TickRecord};
 use anyhow::{Context, Result};
 use moca_msgs::{Fault, Mode, Sample};
 use moca_telemetry::RobotDescription;
+use moca_telemetry::audit::Asked;
 use moca_telemetry::log::records::Configuration;
 use moca_telemetry::log::{LogError, LogWriter, Meta, SerialBytes, create_file};
 use moca_telemetry::net::wire::unix_now_ns;
@@ -67,6 +68,8 @@ struct Kept {
     ticks: VecDeque<Arc<TickRecord>>,
     /// Memories of the loop: the ticks continue from the oldest.
     states: VecDeque<Arc<StateRecord>>,
+    /// Requests of clients, and when, ns of loop time.
+    asked: VecDeque<(u64, Arc<Asked>)>,
 }
 
 impl Kept {
@@ -75,6 +78,9 @@ impl Kept {
         let old = |time_ns: u64| now_ns.saturating_sub(time_ns) > KEPT_NS;
         while self.states.get(1).is_some_and(|next| old(next.time_ns)) {
             self.states.pop_front();
+        }
+        while self.asked.front().is_some_and(|(time_ns, _)| old(*time_ns)) {
+            self.asked.pop_front();
         }
         let begin = self.states.front().map_or(u64::MAX, |state| state.tick);
         while self
@@ -141,6 +147,11 @@ impl FlightRecorder {
     /// Keeps what the loop remembered.
     pub fn add_state(&mut self, state: StateRecord) {
         self.kept.states.push_back(Arc::new(state));
+    }
+
+    /// Keeps what clients asked and were answered.
+    pub fn add_asked(&mut self, time_ns: u64, asked: Asked) {
+        self.kept.asked.push_back((time_ns, Arc::new(asked)));
     }
 
     /// Keeps one sample; at the edge into a stop by a fault, lets a thread write what is kept and returns the file.
@@ -247,8 +258,12 @@ fn write_log(
     }
     let first = begin.map_or(0, |state| state.number + 1);
     let mut ticks = kept.ticks.iter().skip_while(|record| record.number < first).peekable();
+    let mut asked = kept.asked.iter().peekable();
     for sample in &kept.samples {
         log.sample(sample)?;
+        while let Some((time_ns, asked)) = asked.next_if(|(time_ns, _)| *time_ns <= sample.time_ns) {
+            log.asked(*time_ns, asked)?;
+        }
         while let Some(record) = ticks.next_if(|record| record.input.slot.tick <= sample.tick) {
             tick(&mut log, record)?;
             write_block(&mut log, blocks.tick(TickRecord::clone(record)))?;
@@ -377,6 +392,30 @@ mod tests {
     }
 
     #[test]
+    fn requests_of_last_ten_seconds_are_in_the_file() {
+        let mut recorder = recorder("asked");
+        for tick in 0..=20_000 {
+            if tick % 5000 == 0 {
+                let (who, what) = (format!("certificate {tick}"), "tare".into());
+                let asked = Asked { who, what, accepted: true, answer: String::new(), times: 1 };
+                recorder.add_asked(tick * 1_000_000, asked);
+            }
+            tell(&mut recorder, tick, tick, None);
+        }
+        let path = tell(&mut recorder, 20_001, 20_001, Some(Fault::BoardLost)).unwrap();
+        let folder = recorder.folder.clone();
+        drop(recorder);
+        let records = LogReader::open(&path).unwrap();
+        let asked = records.filter_map(|record| match record {
+            Record::Asked(time_ns, asked) => Some((time_ns / 1_000_000, asked.who)),
+            _ => None,
+        });
+        let expected = [15_000, 20_000].map(|tick| (tick, format!("certificate {tick}")));
+        assert_eq!(asked.collect::<Vec<_>>(), expected);
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
     fn memory_is_bounded_and_shared_with_the_file_writer() {
         let mut recorder = recorder("memory");
         let (jobs, disk) = sync_channel(JOBS_MAX);
@@ -386,7 +425,7 @@ mod tests {
         for tick in 0..60_000 {
             let fault = (tick % 20_000 == 19_999).then_some(Fault::BoardSilent);
             tell(&mut recorder, tick, tick, fault);
-            let Kept { samples, ticks, states } = &recorder.kept;
+            let Kept { samples, ticks, states, asked: _ } = &recorder.kept;
             assert!(samples.len() <= 11_001 && ticks.len() <= 11_001 && states.len() <= 12);
             if tick % 20_000 == 19_999 {
                 rooms.push((samples.capacity(), ticks.capacity(), states.capacity()));

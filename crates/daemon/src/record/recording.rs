@@ -8,6 +8,7 @@ use anyhow::Result;
 use moca_msgs::{Request, Sample, params::CONTROLLER};
 use moca_tactile::calibration::read_text;
 use moca_telemetry::RobotDescription;
+use moca_telemetry::audit::Asked;
 use moca_telemetry::log::records::{Configuration, ParameterChange};
 use moca_telemetry::log::{LogError, LogSummary, Meta, Recorder, RecorderOptions, SerialBytes};
 use moca_telemetry::net::wire::unix_now_ns;
@@ -126,6 +127,11 @@ impl Recording {
     /// Adds what a driver of the robot said.
     pub fn add_words(&self, time_ns: u64, words: &str) {
         self.recorder.driver(time_ns, words);
+    }
+
+    /// Adds what clients asked and were answered.
+    pub fn add_asked(&self, time_ns: u64, asked: Asked) {
+        self.recorder.asked(time_ns, asked);
     }
 
     /// Why nothing is recorded any more: once, as soon as that is so.

@@ -17,6 +17,7 @@ use anyhow::{Context, Result, anyhow};
 use moca_msgs::robot::AnyArm;
 use moca_msgs::{Refusal, Sample};
 use moca_telemetry::RobotDescription;
+use moca_telemetry::audit::Asked;
 use moca_telemetry::log::create_file;
 use moca_telemetry::net::{
     self, Address, CalibrationPort, Judge, Ports, ProposedChange, RequestSender, Server, Serving, TlsPort,
@@ -24,11 +25,14 @@ use moca_telemetry::net::{
 };
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::Sender;
+use std::sync::mpsc::{Receiver, Sender, SyncSender, sync_channel};
 use std::time::Duration;
 
 /// Samples a ring to clients holds: four seconds at 1 kHz.
 pub(crate) const RING_SAMPLES: usize = 4096;
+
+/// Lines of the audit that wait to be recorded; those beyond them are counted and come later.
+const ASKED_MAX: usize = 256;
 
 /// Period at which the terminal looks into its ring.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
@@ -38,12 +42,13 @@ pub struct RequestPorts {
     requests: RequestSender,
     samples_dropped: Arc<AtomicU64>,
     pub(crate) calibration: Option<CalibrationPort>,
+    pub(crate) audit: Option<SyncSender<Asked>>,
 }
 
 impl RequestPorts {
     /// All that telemetry serves.
     pub fn with(self, samples: rtrb::Consumer<Sample>, recorder: Option<rtrb::Producer<Sample>>) -> Ports {
-        let Self { requests, samples_dropped, calibration } = self;
+        let Self { requests, samples_dropped, calibration, audit: _ } = self;
         let ring_dropped = samples_dropped;
         Ports { samples, requests, ring_dropped, recorder, calibration, judge: None }
     }
@@ -74,7 +79,7 @@ pub fn rings(shared: &Shared) -> (Rings, rtrb::Consumer<Sample>, RequestPorts) {
     let (samples, from_loop) = rtrb::RingBuffer::new(RING_SAMPLES);
     let (sender, requests) = net::request_channel();
     let samples_dropped = Arc::clone(&shared.samples_dropped);
-    let ports = RequestPorts { requests: sender, samples_dropped, calibration: None };
+    let ports = RequestPorts { requests: sender, samples_dropped, calibration: None, audit: None };
     (Rings { samples, requests, tick_log: None, recovery: Recovery::default() }, from_loop, ports)
 }
 
@@ -83,10 +88,10 @@ pub(crate) fn serve(
     address: &Address,
     samples: rtrb::Consumer<Sample>,
     recorder: Option<rtrb::Producer<Sample>>,
-    ports: RequestPorts,
+    mut ports: RequestPorts,
     reporter: &mut dyn Reporter,
 ) -> Result<Server> {
-    let serving = serving(config, address)?;
+    let serving = Serving { audit: ports.audit.take(), ..serving(config, address)? };
     let ports = Ports { judge: Some(judge(config)), ..ports.with(samples, recorder) };
     let served = net::serve(address, serving, description(config), ports);
     let server = served.with_context(|| {
@@ -114,6 +119,7 @@ fn serving(config: &Config, address: &Address) -> Result<Serving> {
         watch: config.watch_socket(),
         tls: tls_port(config)?,
         self_armed: config.startup.arm && config.plant.kind == PlantKind::Simulated,
+        audit: None,
     })
 }
 
@@ -219,6 +225,10 @@ pub(crate) struct Clients {
     drivers: (DriverWords, SaidByDrivers),
     /// Sender of notices about the disk to dashboards.
     pub(crate) notices: Option<Sender<String>>,
+    /// Requests of telemetry's clients and their answers.
+    asked: (SyncSender<Asked>, Receiver<Asked>),
+    /// Loop time of the last sample, ns.
+    now_ns: u64,
 }
 
 impl Clients {
@@ -229,7 +239,26 @@ impl Clients {
         let recording = recording(options, strike.as_ref(), reporter)?;
         let flight = if options.lock_step { None } else { flight_recorder(&options.config, reporter)? };
         let panics = options.outside_fault() == Some(OutsideFault::Panic);
-        Ok(Self { strike, recording, panics, flight, ticks, drivers: DriverWords::channel(), notices: None })
+        let (drivers, asked) = (DriverWords::channel(), sync_channel(ASKED_MAX));
+        let notices = None;
+        Ok(Self { strike, recording, panics, flight, ticks, drivers, notices, asked, now_ns: 0 })
+    }
+
+    /// Returns the place for what clients of telemetry ask.
+    pub(crate) fn audit(&self) -> SyncSender<Asked> {
+        self.asked.0.clone()
+    }
+
+    /// Records what clients have asked since the last call, with the time of the last sample.
+    pub(crate) fn take_asked(&mut self) {
+        for asked in self.asked.1.try_iter() {
+            if let Some(flight) = &mut self.flight {
+                flight.add_asked(self.now_ns, asked.clone());
+            }
+            if let Some(recording) = &self.recording {
+                recording.add_asked(self.now_ns, asked);
+            }
+        }
     }
 
     pub(crate) fn see(&mut self, sample: &Sample, reporter: &mut dyn Reporter) {
@@ -241,6 +270,8 @@ impl Clients {
             }
         }
         self.take_ticks(reporter);
+        self.now_ns = sample.time_ns;
+        self.take_asked();
         if let Some(recording) = &mut self.recording {
             recording.add(sample);
         }

@@ -391,7 +391,7 @@ fn live<P: Plant + Send, S: CoverSource + Send, T: TickSource<P>>(
 ) -> Result<LiveRun> {
     let config = &options.config;
     let (mut rings, from_loop, mut request_ports) = rings(shared);
-    request_ports.calibration = calibration;
+    (request_ports.calibration, request_ports.audit) = (calibration, Some(clients.audit()));
     rings.tick_log = Some(log);
     rings.recovery = Recovery::of(config);
     let mut timing = Timing::new()?;
@@ -442,6 +442,9 @@ fn live<P: Plant + Send, S: CoverSource + Send, T: TickSource<P>>(
         }
         Ok((report, last))
     });
+    // Its last lines belong into the log.
+    drop(server);
+    clients.take_asked();
     let closed = finish(clients.recording, options, reporter);
     let (report, last) = ended?;
     closed?;
@@ -514,7 +517,8 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         command_csv::write_header(&mut writer)?;
         log = Some(writer);
     }
-    let (mut rings, from_loop, request_ports) = rings(shared);
+    let (mut rings, from_loop, mut request_ports) = rings(shared);
+    request_ports.audit = Some(clients.audit());
     rings.tick_log = Some(tick_log);
     let server = match config.telemetry_address() {
         Some(address) => Some(serve(config, &address, from_loop, None, request_ports, reporter)?),
@@ -562,6 +566,8 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         wall: started.elapsed(),
     };
     let ended = end(&summary, reporter);
+    drop(server);
+    clients.take_asked();
     finish(clients.recording, options, reporter)?;
     ended
 }

@@ -4,6 +4,7 @@
 mod bench;
 mod calibration;
 mod commanding;
+mod fleet;
 mod layout;
 mod logs;
 mod parameters;

@@ -9,7 +9,7 @@ use super::{
     },
     writer::{FORM, FORMS, LIBRARY},
 };
-use crate::RobotDescription;
+use crate::{RobotDescription, audit::Asked};
 use moca_msgs::{Fault, Mode, Sample, board::Diagnosis};
 use serde::de::DeserializeOwned;
 use std::{
@@ -32,6 +32,8 @@ pub enum Record {
     LoopState(Vec<u8>),
     /// Configuration of the run.
     Configuration(Box<Configuration>),
+    /// Requests of clients and their answer, and when, ns of loop time.
+    Asked(u64, Box<Asked>),
 }
 
 /// Contents of a whole log for a viewer, in memory: about 75 KB for each second of it.
@@ -69,7 +71,7 @@ pub fn read_log(path: &Path) -> Result<Log, LogError> {
         match record {
             Record::Sample(sample) => log.samples.push(*sample),
             Record::Serial(serial) => log.serial.push(serial),
-            Record::Replay(_) | Record::LoopState(_) | Record::Configuration(_) => {}
+            Record::Replay(_) | Record::LoopState(_) | Record::Configuration(_) | Record::Asked(..) => {}
         }
     }
     log.start_unix_ns = reader.decoder.start_unix_ns;
@@ -331,6 +333,10 @@ impl Decoder {
             LOOP_STATE_TOPIC => return Ok(Some(Record::LoopState(message.data.to_vec()))),
             REPLAY_TOPIC => return Ok(Some(Record::Replay(message.data.to_vec()))),
             Configuration::TOPIC => return Ok(Some(Record::Configuration(Box::new(parse(message)?)))),
+            Asked::TOPIC => {
+                let time_ns = message.time_ns.saturating_sub(self.start_unix_ns);
+                return Ok(Some(Record::Asked(time_ns, Box::new(parse(message)?))));
+            }
             _ => {
                 let board = (0u8..).zip(SERIAL_TOPICS).find_map(|(board, of)| (of == topic).then_some(board));
                 let arrival_ns = message.time_ns.saturating_sub(self.start_unix_ns);

@@ -6,6 +6,7 @@ use super::{
     records::{Configuration, DriverWords, ParameterChange},
     writer::{LogSummary, LogWriter, Meta},
 };
+use crate::audit::Asked;
 use moca_msgs::Sample;
 use rtrb::Consumer;
 use std::{
@@ -26,6 +27,7 @@ enum Entry {
     Replay { time_ns: u64, block: Vec<u8> },
     Parameter { time_ns: u64, change: ParameterChange },
     Driver { time_ns: u64, words: DriverWords },
+    Asked { time_ns: u64, asked: Asked },
     Configuration(Box<Configuration>),
 }
 
@@ -170,6 +172,11 @@ impl Recorder {
         self.put(Entry::Driver { time_ns, words: DriverWords { text: text.into() } });
     }
 
+    /// Records what clients asked and were answered.
+    pub fn asked(&self, time_ns: u64, asked: Asked) {
+        self.put(Entry::Asked { time_ns, asked });
+    }
+
     fn put(&self, entry: Entry) {
         // After an error of the disk nobody takes entries any more; `failure` tells it.
         let sent =
@@ -258,6 +265,7 @@ impl PartWriter {
             Entry::Replay { time_ns, block } => self.log.replay(time_ns, &block),
             Entry::Parameter { time_ns, change } => self.log.parameter(time_ns, &change),
             Entry::Driver { time_ns, words } => self.log.driver(time_ns, &words),
+            Entry::Asked { time_ns, asked } => self.log.asked(time_ns, &asked),
             Entry::Configuration(configuration) => {
                 let written = self.log.configuration(&configuration);
                 self.configuration = Some(configuration);

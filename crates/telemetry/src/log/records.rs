@@ -10,7 +10,7 @@
 //! # Ok::<(), serde_json::Error>(())
 //! ```
 
-use crate::ros::message;
+use crate::{audit::Asked, ros::message};
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
     ArmLink, ArmMode, ContactEvent, ContactReaction, Fault, Law, Mode, STAGES, Sample, SpeedLimit,
@@ -622,6 +622,7 @@ channels! {
     BoardChange => "/board",
     ParameterChange => "/parameter",
     DriverWords => "/driver",
+    Asked => "/audit",
     Configuration => "/configuration",
 }
 

@@ -10,6 +10,7 @@ use super::{
 };
 use crate::{
     RobotDescription,
+    audit::Asked,
     display::{Display, Periods, Sink},
     ros::{self, Message, cdr},
 };
@@ -184,10 +185,19 @@ impl<W: Write> LogWriter<W> {
 
     /// Writes what a driver of the robot said; a log of a robot without drivers has no such channel.
     pub fn driver(&mut self, time_ns: u64, words: &DriverWords) -> Result<(), LogError> {
-        if !self.channels.by_topic.contains_key(DriverWords::TOPIC) {
-            self.channels.add_record::<DriverWords>()?;
+        self.write_rarely(time_ns, words)
+    }
+
+    /// Writes what clients asked and were answered; a log of a robot without clients has no such channel.
+    pub fn asked(&mut self, time_ns: u64, asked: &Asked) -> Result<(), LogError> {
+        self.write_rarely(time_ns, asked)
+    }
+
+    fn write_rarely<C: Channel>(&mut self, time_ns: u64, record: &C) -> Result<(), LogError> {
+        if !self.channels.by_topic.contains_key(C::TOPIC) {
+            self.channels.add_record::<C>()?;
         }
-        self.channels.write(time_ns, words)
+        self.channels.write(time_ns, record)
     }
 
     /// Writes one read of a Touch Board's port; a board beyond the last channel has none.

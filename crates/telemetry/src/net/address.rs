@@ -278,10 +278,22 @@ pub(super) enum Listener {
 
 /// A connection that has just been accepted.
 pub(super) enum Arrived {
-    Halves(Reader, Writer),
+    /// Its halves, and its identity as far as the system knows it.
+    Halves(Reader, Writer, String),
     /// It has to prove who it is first.
     #[cfg(feature = "tls")]
-    Tls(TcpStream),
+    Tls(TcpStream, std::net::IpAddr),
+}
+
+impl Arrived {
+    /// Returns its identity as far as the system knows it.
+    pub(super) fn who(&self) -> String {
+        match self {
+            Self::Halves(_, _, who) => who.clone(),
+            #[cfg(feature = "tls")]
+            Self::Tls(_, address) => format!("machine {address}"),
+        }
+    }
 }
 
 impl Listener {
@@ -317,13 +329,20 @@ impl Listener {
     }
 
     pub(super) async fn accept(&self) -> io::Result<Arrived> {
-        let (reader, writer) = match self {
-            Self::Tcp(listener) => tcp_halves(listener.accept().await?.0)?,
-            Self::Unix(listener, _) => unix_halves(listener.accept().await?.0),
+        let ((reader, writer), who) = match self {
+            Self::Tcp(listener) => (tcp_halves(listener.accept().await?.0)?, "port".to_owned()),
+            Self::Unix(listener, _) => {
+                let stream = listener.accept().await?.0;
+                let who = stream.peer_cred().map_or("a user".to_owned(), |who| format!("user {}", who.uid()));
+                (unix_halves(stream), who)
+            }
             #[cfg(feature = "tls")]
-            Self::Tls(listener) => return Ok(Arrived::Tls(listener.accept().await?.0)),
+            Self::Tls(listener) => {
+                let (stream, from) = listener.accept().await?;
+                return Ok(Arrived::Tls(stream, from.ip()));
+            }
         };
-        Ok(Arrived::Halves(reader, writer))
+        Ok(Arrived::Halves(reader, writer, who))
     }
 }
 

@@ -3,9 +3,9 @@
 use super::{
     NetError,
     access::{self, Role, least_role},
-    command::ClientId,
+    command::{Answer, ClientId, trajectory},
     halves::{Reader, Writer},
-    hub::{Client, Hub},
+    hub::{CALIBRATE, Client, Hub},
     queue::Outgoing,
     wire::{self, FromClient, FromServer},
 };
@@ -27,12 +27,12 @@ const FRAMES_PER_TURN: u32 = 16;
 /// One client from welcome to goodbye, or until its rights are `over`.
 pub(super) async fn attend(
     id: ClientId,
-    role: Role,
+    (role, who): (Role, String),
     (reader, writer): (Reader, Writer),
     over: impl Future<Output = ()>,
     hub: Rc<Hub>,
 ) {
-    let client = hub.admit(id, role);
+    let client = hub.admit(id, role, who);
     tokio::select! {
         _ = read_requests(reader, &client, &hub) => {}
         _ = write_queue(writer, &client, &hub.welcome) => {}
@@ -90,32 +90,44 @@ fn hear(message: FromClient, client: &Client, hub: &Hub) -> Result<(), NetError>
     match message {
         FromClient::Request { id, request: Request::Stop } => hub.stop(client.id, id),
         FromClient::Request { id, request } if !may(least_role(&request)) => {
-            hub.reply(client.id, id, Err(Refusal::ReadOnly));
+            hub.reply(&Answer { client: client.id, id, request, outcome: Err(Refusal::ReadOnly) });
         }
-        FromClient::Trajectory { id, .. } if !may(Some(access::TRAJECTORY)) => {
-            hub.reply(client.id, id, Err(Refusal::ReadOnly));
+        FromClient::Trajectory { id, touch, waypoints } if !may(Some(access::TRAJECTORY)) => {
+            let request = trajectory(touch, &waypoints);
+            hub.reply(&Answer { client: client.id, id, request, outcome: Err(Refusal::ReadOnly) });
         }
         FromClient::Request { id, request } => {
             let refused = hub.desk.borrow_mut().ask(client.id, id, request, now);
             if let Some(answer) = refused {
-                hub.reply(answer.client, answer.id, answer.outcome);
+                hub.reply(&answer);
             }
             hub.asked.notify_one();
         }
         FromClient::Trajectory { id, touch, waypoints } => {
             let refused = hub.desk.borrow_mut().ask_trajectory(client.id, id, touch, &waypoints, now);
             if let Some(answer) = refused {
-                hub.reply(answer.client, answer.id, answer.outcome);
+                hub.reply(&answer);
             }
             hub.asked.notify_one();
         }
-        FromClient::Calibrate(request) if may(Some(access::CALIBRATE)) => hub.calibrate(client.id, request),
-        FromClient::Release => hub.desk.borrow_mut().release(client.id),
+        FromClient::Calibrate(request) if may(Some(access::CALIBRATE)) => hub.calibrate(client, request),
+        FromClient::Calibrate(_) => {
+            let refused = Err(Refusal::ReadOnly.to_string());
+            hub.ledger.borrow_mut().note(&client.who.borrow(), CALIBRATE, refused, now);
+        }
+        FromClient::Release => {
+            if hub.desk.borrow().is_commander(client.id) {
+                let answer = Ok(String::new());
+                hub.ledger.borrow_mut().note(&client.who.borrow(), "release the command", answer, now);
+            }
+            hub.desk.borrow_mut().release(client.id);
+        }
+        FromClient::SpeakFor(name) => client.speak_for(&wire::check_name(name)?),
         FromClient::Lease(lease_ms) => {
             hub.desk.borrow_mut().set_lease(client.id, wire::check_lease(lease_ms)?);
         }
         // A second Hello changes nothing.
-        FromClient::Calibrate(_) | FromClient::Alive | FromClient::Hello { .. } => {}
+        FromClient::Alive | FromClient::Hello { .. } => {}
     }
     Ok(())
 }

@@ -172,6 +172,12 @@ impl Outgoing {
         self.send(FromClient::Lease(lease_ms)).await
     }
 
+    /// Says for which person or device this client speaks from now on; the robot's log names it.
+    pub async fn speak_for(&mut self, name: &str) -> Result<(), NetError> {
+        let name = wire::check_name(name.into())?;
+        self.send(FromClient::SpeakFor(name)).await
+    }
+
     async fn send(&mut self, message: FromClient) -> Result<(), NetError> {
         self.stream.write_all(&wire::encode_from_client(&message)?).await?;
         // TLS keeps what the kernel has no room for.

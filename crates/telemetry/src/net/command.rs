@@ -27,7 +27,17 @@ pub(super) type ClientId = u64;
 pub(super) struct Answer {
     pub(super) client: ClientId,
     pub(super) id: u64,
+    /// Request that it answers; of a trajectory its last pose.
+    pub(super) request: Request,
     pub(super) outcome: Outcome,
+}
+
+/// The request that stands for a whole trajectory: its last pose, or none.
+pub(super) fn trajectory(touch: TouchPolicy, waypoints: &[Waypoint]) -> Request {
+    let count = u8::try_from(waypoints.len()).unwrap_or(u8::MAX);
+    let nowhere = Waypoint { time_s: 0.0, position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] };
+    let waypoint = waypoints.last().copied().unwrap_or(nowhere);
+    Request::Waypoint { index: count.saturating_sub(1), count, waypoint, touch }
 }
 
 /// The client that holds the command or has asked for it.
@@ -158,7 +168,8 @@ impl Desk {
         mut request: Request,
         now: Instant,
     ) -> Option<Answer> {
-        let refuse = |refusal| Some(Answer { client, id, outcome: Err(refusal) });
+        let asked = request;
+        let refuse = |refusal| Some(Answer { client, id, request: asked, outcome: Err(refusal) });
         if request != Request::Stop && !self.is_free_for(client) {
             return refuse(Refusal::NotCommander);
         }
@@ -215,7 +226,8 @@ impl Desk {
         waypoints: &[Waypoint],
         now: Instant,
     ) -> Option<Answer> {
-        let refuse = |refusal| Some(Answer { client, id, outcome: Err(refusal) });
+        let request = trajectory(touch, waypoints);
+        let refuse = |refusal| Some(Answer { client, id, request, outcome: Err(refusal) });
         if !self.is_free_for(client) {
             return refuse(Refusal::NotCommander);
         }
@@ -358,7 +370,12 @@ impl Desk {
                     // Those that it overtook wanted the same.
                     let overtaken =
                         self.pending.extract_if(..ticket, |_, pending| pending.request == Request::Stop);
-                    answers.extend(overtaken.map(|(_, p)| Answer { client: p.client, id: p.id, outcome }));
+                    answers.extend(overtaken.map(|(_, p)| Answer {
+                        client: p.client,
+                        id: p.id,
+                        request: p.request,
+                        outcome,
+                    }));
                 }
                 self.close(answered, outcome, outcome.is_ok(), &mut answers);
             }
@@ -384,7 +401,7 @@ impl Desk {
         answers: &mut Vec<Answer>,
     ) {
         let Pending { client, id, request, .. } = pending;
-        answers.push(Answer { client, id, outcome });
+        answers.push(Answer { client, id, request, outcome });
         let intervenes = matches!(
             request,
             Request::Stop | Request::Tare | Request::Resume | Request::Arm | Request::Disarm
@@ -518,7 +535,7 @@ mod tests {
             (desk.commander_seen_by(1), desk.commander_seen_by(2)),
             (Commander::You, Commander::Another)
         );
-        let refused = Answer { client: 2, id: 5, outcome: Err(Refusal::NotCommander) };
+        let refused = Answer { client: 2, id: 5, request: Request::Arm, outcome: Err(Refusal::NotCommander) };
         assert_eq!(desk.ask(2, 5, Request::Arm, now), Some(refused));
         // an onlooker's going is no loss
         desk.release(2);
@@ -587,10 +604,16 @@ mod tests {
         let (ticket, _) = robot.take().unwrap();
         robot.answer(ticket, Err(Refusal::NoRobot));
         let almost = start + ANSWER_TIMEOUT - Duration::from_millis(1);
-        assert_eq!(desk.answers(almost), [Answer { client: 1, id: 7, outcome: Err(Refusal::NoRobot) }]);
+        assert_eq!(
+            desk.answers(almost),
+            [Answer { client: 1, id: 7, request: Request::Disarm, outcome: Err(Refusal::NoRobot) }]
+        );
         assert!(desk.waits());
         let late = desk.answers(start + ANSWER_TIMEOUT);
-        assert_eq!(late, [Answer { client: 1, id: 8, outcome: Err(Refusal::NoAnswer) }]);
+        assert_eq!(
+            late,
+            [Answer { client: 1, id: 8, request: Request::Disarm, outcome: Err(Refusal::NoAnswer) }]
+        );
         assert!(!desk.waits());
     }
 
@@ -919,8 +942,10 @@ mod tests {
         let end = later + ANSWER_TIMEOUT;
         desk.hear(1, end);
         assert_eq!(desk.answers(end - Duration::from_millis(1)), []);
-        let late = Answer { client: 1, id: 9, outcome: Err(Refusal::NoAnswer) };
-        assert_eq!(desk.answers(end), [late]);
+        let late = desk.answers(end);
+        assert_eq!(late.len(), 1);
+        assert_eq!((late[0].client, late[0].id, late[0].outcome), (1, 9, Err(Refusal::NoAnswer)));
+        assert!(matches!(late[0].request, Request::Waypoint { .. }));
         // its two poses are still on their way, with what follows one more than leaves room for the longest trajectory
         let longest = u8::try_from(MAX_WAYPOINTS).unwrap();
         for _ in 0..ROOM - MAX_WAYPOINTS - 1 {

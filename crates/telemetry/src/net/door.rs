@@ -3,8 +3,6 @@
 //! No number of connections keeps a stop out. Everything here is bounded, and a newcomer pushes out the connection that has
 //! stood here longest, so the bytes of the last one to come are read at once.
 
-#[cfg(feature = "tls")]
-use super::tls::{Gate, Proof};
 use super::{
     NetError, Token, access,
     address::{Arrived, Listener},
@@ -13,6 +11,11 @@ use super::{
     halves::{Reader, Writer},
     hub::{Client, Hub, Visitors},
     wire::{self, Challenge, FromClient, FromServer, HELLO_TIMEOUT, MAX_FIRST_FRAME, Role},
+};
+#[cfg(feature = "tls")]
+use super::{
+    strangers::{Place, Strangers},
+    tls::{Gate, Proof},
 };
 use moca_msgs::Request;
 use std::{
@@ -32,9 +35,6 @@ const MIN_VISITORS: usize = 64;
 const SPARE_DESCRIPTORS: usize = 256;
 /// Connections that are taken before the others have their turn; below [`MIN_VISITORS`], so that each is read at least once.
 const ACCEPTS_PER_TURN: u32 = 32;
-/// Most connections over TLS that are not served yet.
-#[cfg(feature = "tls")]
-const HANDSHAKES_MAX: usize = 64;
 /// Pause when the process is out of descriptors and nobody here can be pushed out.
 const OUT_OF_DESCRIPTORS: Duration = Duration::from_millis(1);
 
@@ -91,6 +91,14 @@ impl Visitors {
         oldest.map(|(_, (_, task))| task.abort()).is_some()
     }
 
+    /// Pushes out one of them.
+    #[cfg(feature = "tls")]
+    fn push_out(&self, id: ClientId) {
+        if let Some((_, task)) = self.present.borrow_mut().remove(&id) {
+            task.abort();
+        }
+    }
+
     fn enter(&self, client: Rc<Client>, task: AbortHandle) {
         if self.present.borrow().len() >= self.most {
             self.push_out_oldest();
@@ -105,15 +113,14 @@ impl Visitors {
 
 /// Takes connections as long as the server runs.
 pub(super) async fn accept(entrance: Entrance, hub: Rc<Hub>) {
-    let (entrance, mut turn) = (Rc::new(entrance), 0);
+    let (entrance, strangers, mut turn) = (Rc::new(entrance), Rc::default(), 0);
     loop {
         match entrance.listener.accept().await {
-            // Nobody of another machine crowds out those of this one.
-            #[cfg(feature = "tls")]
-            Ok(Arrived::Tls(_)) if Rc::strong_count(&entrance) > HANDSHAKES_MAX => {}
             Ok(arrived) => {
-                let visitor = Client::new(hub.visitors.next_id(), access::Role::Viewer);
-                let stays = receive(Rc::clone(&visitor), arrived, Rc::clone(&entrance), Rc::clone(&hub));
+                let visitor = Client::new(hub.visitors.next_id(), access::Role::Viewer, arrived.who());
+                let place = place(&strangers, &arrived, visitor.id, &hub.visitors);
+                let stays =
+                    receive(Rc::clone(&visitor), arrived, place, Rc::clone(&entrance), Rc::clone(&hub));
                 hub.visitors.enter(visitor, tokio::task::spawn_local(stays).abort_handle());
             }
             // Out of descriptors: a later one may succeed once somebody has gone.
@@ -128,17 +135,44 @@ pub(super) async fn accept(entrance: Entrance, hub: Rc<Hub>) {
     }
 }
 
+/// The place of a connection of another machine: nobody of another machine crowds out those of this one.
+#[cfg(feature = "tls")]
+fn place(strangers: &Rc<Strangers>, arrived: &Arrived, id: ClientId, visitors: &Visitors) -> Option<Place> {
+    let Arrived::Tls(_, address) = arrived else { return None };
+    let (place, displaced) = strangers.enter(*address, id);
+    if let Some(displaced) = displaced {
+        visitors.push_out(displaced);
+    }
+    Some(place)
+}
+
+#[cfg(not(feature = "tls"))]
+const fn place(_: &Rc<()>, _: &Arrived, _: ClientId, _: &Visitors) -> Option<Place> {
+    None
+}
+
 /// One connection from its first byte on.
-async fn receive(visitor: Rc<Client>, arrived: Arrived, entrance: Rc<Entrance>, hub: Rc<Hub>) {
+async fn receive(
+    visitor: Rc<Client>,
+    arrived: Arrived,
+    place: Option<Place>,
+    entrance: Rc<Entrance>,
+    hub: Rc<Hub>,
+) {
     let greeted = timeout(HELLO_TIMEOUT, async {
-        let (mut reader, mut writer, proof) = entrance.let_in(arrived).await?;
+        let let_in = entrance.let_in(arrived).await;
+        let turned_away = |error: &NetError| visitor.turned_away(&hub, error.to_string());
+        let (mut reader, mut writer, proof) = let_in.inspect_err(turned_away)?;
+        if let Some(name) = proof.as_ref().and_then(Proof::name) {
+            *visitor.who.borrow_mut() = format!("certificate {name}");
+        }
         let role = greet(&visitor, &mut reader, &mut writer, proof.as_ref(), &entrance, &hub).await?;
         Ok::<_, NetError>((role, reader, writer, proof))
     });
     let greeted = greeted.await;
-    // Those that wait are counted by who holds it.
-    drop(entrance);
+    drop(place);
     hub.visitors.leave(visitor.id);
+    let who = visitor.who.take();
     if let Ok(Ok((role, reader, writer, proof))) = greeted {
         let over = async {
             match &proof {
@@ -146,9 +180,13 @@ async fn receive(visitor: Rc<Client>, arrived: Arrived, entrance: Rc<Entrance>, 
                 Some(proof) => proof.is_over().await,
             }
         };
-        attend(visitor.id, role, (reader, writer), over, hub).await;
+        attend(visitor.id, (role, who), (reader, writer), over, hub).await;
     }
 }
+
+/// Without TLS nobody waits to show a certificate.
+#[cfg(not(feature = "tls"))]
+enum Place {}
 
 /// Without TLS nobody shows a certificate.
 #[cfg(not(feature = "tls"))]
@@ -157,6 +195,10 @@ enum Proof {}
 #[cfg(not(feature = "tls"))]
 impl Proof {
     const fn role(&self) -> Option<access::Role> {
+        match *self {}
+    }
+
+    const fn name(&self) -> Option<&str> {
         match *self {}
     }
 
@@ -184,6 +226,7 @@ async fn greet(
     if most.is_none() {
         let reason =
             "this certificate is not on the robot's list: have a new one made (mocad access new)".to_owned();
+        visitor.turned_away(hub, reason.clone());
         write(writer, &wire::encode(&FromServer::Goodbye(reason))?).await?;
     }
     let (mut payload, mut refused) = (Vec::new(), false);
@@ -207,6 +250,7 @@ async fn greet(
                     Ok(role) => return Ok(role),
                     Err(reason) => {
                         refused = true;
+                        visitor.turned_away(hub, reason.clone());
                         write(writer, &wire::encode(&FromServer::Goodbye(reason))?).await?;
                     }
                 }
@@ -245,9 +289,9 @@ impl Entrance {
     /// A connection's halves, and the certificate that it showed.
     async fn let_in(&self, arrived: Arrived) -> Result<(Reader, Writer, Option<Proof>), NetError> {
         match arrived {
-            Arrived::Halves(reader, writer) => Ok((reader, writer, None)),
+            Arrived::Halves(reader, writer, _) => Ok((reader, writer, None)),
             #[cfg(feature = "tls")]
-            Arrived::Tls(stream) => {
+            Arrived::Tls(stream, _) => {
                 let gate = self.gate.as_ref().ok_or(NetError::Closed)?;
                 let (reader, writer, proof) = gate.let_in(stream).await?;
                 Ok((reader, writer, Some(proof)))

@@ -2,12 +2,14 @@
 
 use super::{
     access::Role,
-    command::{ClientId, Desk},
+    command::{Answer, ClientId, Desk},
+    ledger::Ledger,
     queue::{EncodedBatch, Queue},
     wire::{self, Batch, FromServer, unix_now_ns},
 };
+use crate::audit::{CONNECT, LEAVE};
 use crate::calibration::{CalibrationProgress, CalibrationRequest};
-use moca_msgs::{Outcome, ParameterValues, Request, Sample};
+use moca_msgs::{ParameterValues, Refusal, Request, Sample};
 use std::{
     cell::{Cell, RefCell},
     collections::BTreeMap,
@@ -23,6 +25,10 @@ use tokio::{sync::Notify, task::AbortHandle};
 
 /// Notices that a new client is told.
 const MAX_NOTICES: usize = 16;
+/// Between a client and whom it speaks for.
+const FOR: &str = ", for ";
+/// Word for a calibration in the log.
+pub(super) const CALIBRATE: &str = "calibrate";
 
 /// The connections that are not served yet, oldest first.
 pub(super) struct Visitors {
@@ -45,6 +51,8 @@ pub(super) struct Hub {
     pub(super) clients: RefCell<BTreeMap<ClientId, Rc<Client>>>,
     pub(super) visitors: Visitors,
     pub(super) desk: RefCell<Desk>,
+    /// Requests and answers for the log.
+    pub(super) ledger: RefCell<Ledger>,
     /// Wakes the pump when a request has gone to the loop.
     pub(super) asked: Notify,
     pub(super) counters: Arc<Counters>,
@@ -73,6 +81,8 @@ struct Calibration {
 pub(super) struct Client {
     pub(super) id: ClientId,
     pub(super) role: Role,
+    /// Identity for the log.
+    pub(super) who: RefCell<String>,
     pub(super) queue: RefCell<Queue>,
     /// Wakes the task that writes.
     pub(super) filled: Notify,
@@ -81,15 +91,30 @@ pub(super) struct Client {
 }
 
 impl Client {
-    pub(super) fn new(id: ClientId, role: Role) -> Rc<Self> {
+    pub(super) fn new(id: ClientId, role: Role, who: String) -> Rc<Self> {
         let (filled, emptied) = (Notify::new(), Notify::new());
-        Rc::new(Self { id, role, queue: RefCell::default(), filled, emptied })
+        Rc::new(Self { id, role, who: RefCell::new(who), queue: RefCell::default(), filled, emptied })
+    }
+}
+
+impl Client {
+    /// Notes that it is not served.
+    pub(super) fn turned_away(&self, hub: &Hub, reason: String) {
+        hub.ledger.borrow_mut().turned_away(&self.who.borrow(), reason, Instant::now());
+    }
+
+    /// Notes the person or device that this client says it speaks for.
+    pub(super) fn speak_for(&self, name: &str) {
+        let mut who = self.who.borrow_mut();
+        let itself = who.split(FOR).next().unwrap_or_default();
+        *who = format!("{itself}{FOR}{name}");
     }
 }
 
 impl Hub {
     pub(super) fn new(
         desk: Desk,
+        ledger: Ledger,
         counters: Arc<Counters>,
         welcome: Vec<u8>,
         calibrator: Option<Sender<CalibrationRequest>>,
@@ -98,6 +123,7 @@ impl Hub {
             clients: RefCell::default(),
             visitors: Visitors::new(),
             desk: RefCell::new(desk),
+            ledger: RefCell::new(ledger),
             asked: Notify::new(),
             counters,
             welcome,
@@ -108,8 +134,9 @@ impl Hub {
     }
 
     /// A client that is served from now on, with what it has to be told first.
-    pub(super) fn admit(&self, id: ClientId, role: Role) -> Rc<Client> {
-        let client = Client::new(id, role);
+    pub(super) fn admit(&self, id: ClientId, role: Role, who: String) -> Rc<Client> {
+        self.ledger.borrow_mut().note(&who, CONNECT, Ok(role.name().into()), Instant::now());
+        let client = Client::new(id, role, who);
         let mut queue = client.queue.borrow_mut();
         if let Some(frame) = &self.parameters.borrow().frame {
             queue.set_parameters(Rc::clone(frame));
@@ -128,7 +155,12 @@ impl Hub {
 
     /// Ends a client.
     pub(super) fn lose(&self, id: ClientId) {
-        self.clients.borrow_mut().remove(&id);
+        let commands = self.desk.borrow().is_commander(id);
+        if let Some(client) = self.clients.borrow_mut().remove(&id) {
+            let answer = if commands { "it had the command" } else { "" };
+            let mut ledger = self.ledger.borrow_mut();
+            ledger.note(&client.who.borrow(), LEAVE, Ok(answer.into()), Instant::now());
+        }
         self.desk.borrow_mut().forget(id);
         self.counters.clients.fetch_sub(1, Ordering::Relaxed);
     }
@@ -157,14 +189,20 @@ impl Hub {
 
     /// Passes a stop on to the loop: taken from anybody.
     pub(super) fn stop(&self, client: ClientId, id: u64) {
-        if let Some(refused) = self.desk.borrow_mut().ask(client, id, Request::Stop, Instant::now()) {
-            self.reply(refused.client, refused.id, refused.outcome);
+        let refused = self.desk.borrow_mut().ask(client, id, Request::Stop, Instant::now());
+        if let Some(refused) = refused {
+            self.reply(&refused);
         }
         self.asked.notify_one();
     }
 
-    pub(super) fn reply(&self, client: ClientId, id: u64, outcome: Outcome) {
-        let client = self.clients.borrow().get(&client).cloned().or_else(|| self.visitors.client(client));
+    pub(super) fn reply(&self, answer: &Answer) {
+        let Answer { id, outcome, .. } = *answer;
+        let client = self.clients.borrow().get(&answer.client).cloned();
+        let client = client.or_else(|| self.visitors.client(answer.client));
+        let gone = "one that has left".to_owned();
+        let who = client.as_ref().map_or(gone, |client| client.who.borrow().clone());
+        self.ledger.borrow_mut().answered(&who, &answer.request, outcome, Instant::now());
         let (Some(client), Ok(frame)) = (client, wire::encode(&FromServer::Reply { id, outcome })) else {
             return; // It left before the answer came.
         };
@@ -216,20 +254,24 @@ impl Hub {
         }
     }
 
-    pub(super) fn calibrate(&self, client: ClientId, request: CalibrationRequest) {
-        if let Some(requests) = &self.calibration.borrow().requests
-            && self.desk.borrow_mut().claim(client, Instant::now())
-        {
-            // A calibrator that has ended says nothing any more either.
-            let _ = requests.send(request);
-        }
+    pub(super) fn calibrate(&self, client: &Client, request: CalibrationRequest) {
+        let answer = match &self.calibration.borrow().requests {
+            None => Err("this robot has no calibrator".to_owned()),
+            Some(_) if !self.desk.borrow_mut().claim(client.id, Instant::now()) => {
+                Err(Refusal::NotCommander.to_string())
+            }
+            Some(requests) => {
+                // A calibrator that has ended says nothing any more either.
+                let _ = requests.send(request);
+                Ok(String::new())
+            }
+        };
+        self.ledger.borrow_mut().note(&client.who.borrow(), CALIBRATE, answer, Instant::now());
     }
 
     pub(super) fn deliver_answers(&self) {
         let answers = self.desk.borrow_mut().answers(Instant::now());
         self.tell_parameters();
-        for answer in answers {
-            self.reply(answer.client, answer.id, answer.outcome);
-        }
+        answers.iter().for_each(|answer| self.reply(answer));
     }
 }

@@ -2,8 +2,9 @@
 //!
 //! Layers: [`wire`] (messages and frames) · [`access`] (who may ask what) · [`address`] (where) · [`token`] (the secret of a TCP
 //! port) · `tls` (certificates) · `queue` (what waits for one client) · `command` (who may command) · [`requests`] (the way to the
-//! loop) · `door` (connections that are not served yet) · `attend` (served ones) · `hub` (what they share) · [`server`] (the
-//! daemon's side) · [`client`] (one connection) · [`connection`] (a thread that keeps one alive; what a dashboard wants).
+//! loop) · `strangers` (a bound for other machines) · `door` (connections that are not served yet) · `attend` (served ones) · `hub`
+//! (what they share) · [`server`] (the daemon's side) · [`client`] (one connection) · [`connection`] (a thread that keeps one alive;
+//! what a dashboard wants).
 //!
 //! Reading is separate from commanding. A Unix socket admits those who may write to its file; a second one shows the robot to
 //! everybody and takes no request but a stop. A TCP port on loopback, which every user of the machine reaches, admits those
@@ -21,9 +22,12 @@ mod door;
 pub mod fleet;
 mod halves;
 mod hub;
+mod ledger;
 mod queue;
 pub mod requests;
 pub mod server;
+#[cfg(feature = "tls")]
+mod strangers;
 #[cfg(feature = "testing")]
 pub mod testing;
 #[cfg(feature = "tls")]
@@ -115,6 +119,9 @@ pub enum NetError {
     /// A connection asks for a lease that is not allowed.
     #[error("a lease of {} ms is outside {} to {} ms", .0, wire::LEASE_MS.start(), wire::LEASE_MS.end())]
     Lease(u16),
+    /// A connection speaks for somebody whose name is not allowed.
+    #[error("{} letters are no name; allowed: 1 to {} without control characters", .0, wire::NAME_MAX)]
+    Name(usize),
     /// A frame could not be decoded.
     #[error("malformed frame: {0}")]
     Malformed(postcard::Error),

@@ -37,12 +37,14 @@ use super::{
     command::{Desk, Judge},
     door::{Entrance, TlsPort, accept},
     hub::{Counters, Hub},
+    ledger::Ledger,
     requests::RequestSender,
     token::Token,
     wire::{self, FromServer},
 };
 use crate::{
     RobotDescription,
+    audit::Asked,
     calibration::{CalibrationProgress, CalibrationRequest},
 };
 use moca_msgs::Sample;
@@ -53,7 +55,7 @@ use std::{
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicU64, Ordering},
-        mpsc::{Receiver, Sender, channel},
+        mpsc::{Receiver, Sender, SyncSender, channel},
     },
     thread::JoinHandle,
     time::{Duration, Instant},
@@ -120,6 +122,8 @@ pub struct Serving {
     /// True if the robot arms itself (`startup.arm`): then it may move with nobody in command until an operator
     /// intervenes.
     pub self_armed: bool,
+    /// Receiver of what clients ask and are answered. A full one is not waited for: its lines are counted and come later.
+    pub audit: Option<SyncSender<Asked>>,
 }
 
 impl Serving {
@@ -165,7 +169,7 @@ pub fn serve(
     description: RobotDescription,
     ports: Ports,
 ) -> Result<Server, NetError> {
-    let Serving { mode, token, watch, tls, self_armed } = serving.into();
+    let Serving { mode, token, watch, tls, self_armed, audit } = serving.into();
     if !address.is_local() {
         return Err(NetError::NotLoopback(address.clone()));
     }
@@ -202,7 +206,8 @@ pub fn serve(
         let (to_calibrator, from_calibrator) =
             ports.calibration.map(|port| (port.requests, port.progress)).unzip();
         let desk = Desk::new(ports.requests, &description, ports.judge, self_armed);
-        let hub = Hub::new(desk, thread_counters, welcome, to_calibrator);
+        let parameters = description.parameters.iter().map(|parameter| parameter.name.clone()).collect();
+        let hub = Hub::new(desk, Ledger::new(audit, parameters), thread_counters, welcome, to_calibrator);
         let pump = Pump {
             samples: ports.samples,
             recorder: ports.recorder,
@@ -287,9 +292,11 @@ impl Pump {
                 while self.pass_on(hub) >= BATCH_MAX {
                     tokio::task::yield_now().await;
                 }
+                hub.ledger.borrow_mut().say_due(now);
                 next_batch = next_deadline(next_batch, now);
             }
         }
+        hub.ledger.borrow_mut().say_all(Instant::now());
         let deadline = Instant::now() + SHUTDOWN_WAIT;
         while !self.samples.is_empty() && Instant::now() < deadline {
             if self.pass_on(hub) == 0 {

@@ -68,6 +68,9 @@ pub struct Person {
     pub name: String,
     /// Its rights.
     pub role: Role,
+    /// End of its certificate, s since the Unix epoch; 0 in a list of an earlier version, which has none.
+    #[serde(default)]
+    pub ends_unix_s: u64,
 }
 
 /// People by the hash of their certificate.
@@ -112,29 +115,34 @@ fn fingerprint(certificate: &CertificateDer<'_>) -> String {
 pub(super) struct Proof {
     fingerprint: String,
     folder: PathBuf,
-    role: Option<Role>,
+    person: Option<Person>,
 }
 
 impl Proof {
     fn new(certificate: &CertificateDer<'_>, folder: &Path) -> Self {
-        let mut proof = Self { fingerprint: fingerprint(certificate), folder: folder.into(), role: None };
-        proof.role = proof.listed();
+        let mut proof = Self { fingerprint: fingerprint(certificate), folder: folder.into(), person: None };
+        proof.person = proof.listed();
         proof
     }
 
-    /// The role that the list gives it now; none for one that is not on it, or without a list.
-    fn listed(&self) -> Option<Role> {
-        people(&self.folder).ok()?.get(&self.fingerprint).map(|person| person.role)
+    /// The person that the list gives it to now; none for one that is not on it, or without a list.
+    fn listed(&self) -> Option<Person> {
+        people(&self.folder).ok()?.remove(&self.fingerprint)
     }
 
     /// The role that the list gave it when it came in.
-    pub(super) const fn role(&self) -> Option<Role> {
-        self.role
+    pub(super) fn role(&self) -> Option<Role> {
+        self.person.as_ref().map(|person| person.role)
+    }
+
+    /// The name that the list gave it when it came in.
+    pub(super) fn name(&self) -> Option<&str> {
+        self.person.as_ref().map(|person| person.name.as_str())
     }
 
     /// Ends once the list gives it another role, or none.
     pub(super) async fn is_over(&self) {
-        while self.listed() == self.role {
+        while self.listed() == self.person {
             tokio::time::sleep(LIST_EVERY).await;
         }
     }

@@ -27,7 +27,7 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncReadExt};
 
 /// Version of everything below, [`Sample`] included. Raised with every change.
-pub const SCHEMA_VERSION: u32 = 15;
+pub const SCHEMA_VERSION: u32 = 16;
 /// Longest frame a server sends, bytes.
 pub const MAX_SERVER_FRAME: usize = 1 << 20;
 /// Longest frame a client sends, bytes.
@@ -42,6 +42,9 @@ pub const COMMAND_LEASE: Duration = Duration::from_secs(3);
 
 /// Leases that a connection may ask for, ms.
 pub const LEASE_MS: std::ops::RangeInclusive<u16> = 200..=3000;
+
+/// Longest name of somebody that a connection speaks for, letters.
+pub const NAME_MAX: usize = 64;
 
 const MAGIC: [u8; 4] = *b"MOCA";
 
@@ -159,6 +162,8 @@ pub enum FromClient {
         /// The answer to the challenge, where a token is needed.
         proof: Option<[u8; 32]>,
     },
+    /// Person or device that this connection speaks for, [`NAME_MAX`] letters at most: a gateway's word, for the log alone.
+    SpeakFor(String),
 }
 
 /// A message as a whole frame, length included.
@@ -254,6 +259,18 @@ pub fn check_lease(lease_ms: u16) -> Result<Duration, NetError> {
         return Ok(Duration::from_millis(lease_ms.into()));
     }
     Err(NetError::Lease(lease_ms))
+}
+
+/// Returns the name of somebody that a connection speaks for.
+///
+/// # Errors
+/// One that is empty, longer than [`NAME_MAX`] or holds control characters.
+pub(crate) fn check_name(name: String) -> Result<String, NetError> {
+    let letters = name.chars().count();
+    if (1..=NAME_MAX).contains(&letters) && !name.contains(char::is_control) {
+        return Ok(name);
+    }
+    Err(NetError::Name(letters))
 }
 
 /// Now, ns since the Unix epoch.

@@ -15,12 +15,12 @@ export const FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-
   "--disable-component-update", "--disable-sync", "--enable-unsafe-swiftshader"];
 
 /** Waits until `found` returns something; a test that would hang ends. */
-export async function until(what, found, patience = 20000) {
+export async function until(what, found, patience = 20000, story = async () => "") {
   for (const end = now() + patience; now() < end; await sleep(5)) {
     const value = await found();
     if (value) return value;
   }
-  throw new Error(`never: ${what}`);
+  throw new Error(`never: ${what}\n${await story()}`);
 }
 
 export function quantiles(values) {
@@ -126,7 +126,13 @@ export function radio(robot, due) {
   })));
 }
 
+/** Shortest time between two runs. The observer's audit has two lines a second for the robot, and a run changes its mode three times:
+ *  what comes faster is counted there and not dated. */
+const PACE_MS = 2000;
+
 export class Browser {
+  ran = -Infinity;
+
   static async start(robot, { size = "tablet", dark = false, within = [], flags = [] } = {}) {
     const browser = new Browser();
     browser.profile = fs.mkdtempSync(path.join(os.tmpdir(), "moca-chromium-"));
@@ -198,6 +204,8 @@ export class Browser {
   /** Brings the robot to ready, presses, and waits until it has run for a while. */
   async run() {
     for (let attempt = 0; attempt < 10; attempt++) {
+      await sleep(Math.max(0, this.ran + PACE_MS - now()));
+      this.ran = now();
       await this.ready();
       const pressed = await this.press();
       const armed = await this.robot.mode("impedance", pressed, 3000).catch(() => null);
@@ -218,7 +226,16 @@ export class Browser {
       const free = await this.page.evaluate(() => !document.getElementById("run").disabled);
       if (mode !== "ready" || !free) await sleep(200);
       return mode === "ready" && free;
-    });
+    }, 20000, () => this.story());
+  }
+
+  /** What the robot and the page say, for a failure. */
+  async story() {
+    const said = id => this.page.evaluate(id => document.getElementById(id)?.textContent, id);
+    const page = await Promise.all(["mode", "fault", "runtext", "who", "toast", "age"].map(async id => `${id}: ${await said(id)}`));
+    const audit = ["observer", "gateway"].flatMap(name => this.robot.audit(name).slice(-8).map(line =>
+      `${name} ${line.unix_ms}: ${line.who}: ${line.what}: ${JSON.stringify(line.outcome)}`));
+    return [...page, ...audit].join("\n");
   }
 
   async end() {

@@ -84,7 +84,8 @@ impl Access {
         let key = KeyPair::generate().map_err(bad)?;
         let params = leaf(name, CLIENT_DAYS, ExtendedKeyUsagePurpose::ClientAuth);
         let certificate = params.signed_by(&key, &Issuer::new(authority(), issuer)).map_err(bad)?;
-        people.insert(fingerprint(certificate.der()), Person { name: name.into(), role });
+        let ends_unix_s = u64::try_from(params.not_after.unix_timestamp()).unwrap_or_default();
+        people.insert(fingerprint(certificate.der()), Person { name: name.into(), role, ends_unix_s });
         self.write_people(&people)?;
         Ok(certificate.pem() + &key.serialize_pem() + &super::read(&self.folder.join(AUTHORITY))?)
     }
