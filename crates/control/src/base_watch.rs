@@ -374,7 +374,7 @@ mod tests {
         assert!(BaseWatch::new(&Config::default()).is_none());
         let mut real = Config::default();
         real.plant.kind = crate::robot::PlantKind::Robot;
-        assert_eq!(BaseWatch::new(&real).unwrap().delay_s, 0.1, "the worst credible base");
+        assert!((BaseWatch::new(&real).unwrap().delay_s - 0.1).abs() < 1e-12, "the worst credible base");
     }
 
     #[test]
@@ -385,7 +385,7 @@ mod tests {
             let most_m = drive.watch.state.ways.iter().fold(0.0, |most: f64, way| most.max(way.beyond_m));
             println!("axis {axis}: {falls} falls, {most_m}");
             assert!(falls > 300, "{falls} falls");
-            assert_eq!(drive.watch.late_s(), 0.0, "axis {axis}");
+            assert!(drive.watch.late_s() < 1e-12, "axis {axis}");
         }
     }
 
@@ -439,6 +439,6 @@ mod tests {
         assert!(drive.watch.late_s() >= late_s, "never lower by itself");
         let mut other = BaseWatch::new(&measured()).unwrap();
         other.restore(&state);
-        assert_eq!(other.late_s(), late_s);
+        assert!((other.late_s() - late_s).abs() < 1e-12);
     }
 }
