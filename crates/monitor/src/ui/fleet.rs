@@ -3,7 +3,8 @@
 use super::{app::App, screenshot::Screenshot, theme, top};
 use crate::logic::fleet::Row;
 use egui::{
-    Button, CentralPanel, Context, Frame, Grid, Label, Panel, RichText, ScrollArea, Sense, Ui, Visuals, vec2,
+    Button, CentralPanel, Context, Direction, Frame, Grid, Label, Layout, Panel, RichText, ScrollArea, Sense,
+    Ui, UiBuilder, Visuals, vec2,
 };
 use moca_msgs::Mode;
 use std::time::Duration;
@@ -115,7 +116,10 @@ fn robot(ui: &mut Ui, row: &Row) -> bool {
     let (place, _) = ui.allocate_exact_size(MODE, Sense::hover());
     ui.painter().rect_filled(place, 4.0, theme::mode(row.seen.as_ref().ok().map(|glance| glance.mode)));
     let text = RichText::new(row.mode()).size(TEXT).strong().color(egui::Color32::WHITE);
-    ui.put(place, Label::new(text).selectable(false));
+    // Not `put`, which would take a cell of the grid too.
+    let layout = Layout::centered_and_justified(Direction::TopDown);
+    let mut inside = ui.new_child(UiBuilder::new().max_rect(place).layout(layout));
+    inside.add(Label::new(text).selectable(false));
     let [force, taxels, age] = row.contact();
     ui.label(RichText::new(force).size(TEXT));
     health(ui, row.health());

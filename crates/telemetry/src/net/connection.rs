@@ -123,6 +123,8 @@ struct Shared {
     session: u64,
     status: Status,
     samples: VecDeque<Sample>,
+    /// Most of them; the oldest are dropped.
+    most: usize,
     unread_dropped: u64,
     replies: Vec<Reply>,
     calibration: CalibrationProgress,
@@ -134,6 +136,15 @@ struct Shared {
 impl Connection {
     /// Starts to connect to `endpoint`; `wake` is called from the connection's thread whenever there is news.
     pub fn spawn(endpoint: impl Into<Endpoint>, wake: impl Fn() + Send + 'static) -> Result<Self, NetError> {
+        Self::keeping(MAX_SAMPLES, endpoint, wake)
+    }
+
+    /// As [`Self::spawn`], with at most so many samples kept for a reader that does not poll.
+    pub(super) fn keeping(
+        most: usize,
+        endpoint: impl Into<Endpoint>,
+        wake: impl Fn() + Send + 'static,
+    ) -> Result<Self, NetError> {
         let endpoint = endpoint.into();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (commands, from_user) = mpsc::channel(MAX_REQUESTS);
@@ -142,6 +153,7 @@ impl Connection {
             session: 0,
             status: Status::default(),
             samples: VecDeque::new(),
+            most,
             unread_dropped: 0,
             replies: Vec::new(),
             calibration: CalibrationProgress::default(),
@@ -295,7 +307,7 @@ async fn listen(incoming: &mut Incoming, shared: &Mutex<Shared>, wake: &impl Fn(
         match message {
             FromServer::Batch(batch) => {
                 s.samples.extend(batch.samples);
-                let excess = s.samples.len().saturating_sub(MAX_SAMPLES);
+                let excess = s.samples.len().saturating_sub(s.most);
                 s.samples.drain(..excess);
                 s.unread_dropped += excess as u64;
             }

@@ -16,6 +16,8 @@ use std::time::{Duration, Instant};
 
 /// Most robots of one list: each has a connection and a thread.
 pub const ROBOTS_MAX: usize = 64;
+/// Samples kept of a robot that nobody looks at: a little more than the second between two looks, 3 MB.
+const SAMPLES_KEPT: usize = 1200;
 /// State older than this is not shown as live.
 pub const FRESH: Duration = Duration::from_secs(1);
 
@@ -123,7 +125,7 @@ impl Fleet {
     /// A thread that cannot be started.
     pub fn watch(robots: Vec<Entry>) -> Result<Self, NetError> {
         let watch = |entry: Entry| {
-            let connection = Connection::spawn(entry.address.clone(), || {})?;
+            let connection = Connection::keeping(SAMPLES_KEPT, entry.address.clone(), || {})?;
             Ok(Watched { entry, glance: None, why: "not connected yet".into(), at: None, connection })
         };
         Ok(Self { robots: robots.into_iter().map(watch).collect::<Result<_, NetError>>()? })

@@ -24,7 +24,8 @@ class Listed {
   command(word) { return new Promise(resolve => spawn(MOCAD, [word, "--address", this.address], { stdio: "ignore" }).on("exit", resolve)); }
 }
 
-console.log("robots | gateway % of a core | MB | stop seen, ms: p50, max | gone seen, ms | started to seen, ms: max | load");
+console.log("robots | gateway % of a core | MB | a robot % of a core | MB | stop seen, ms: p50, max | gone seen, ms | started to seen, ms: max "
+  + "| load");
 for (const count of (process.argv[2] ?? "1,3").split(",").map(Number)) {
   const folder = fs.mkdtempSync(path.join(os.tmpdir(), "moca-fleet-"));
   const robots = Array.from({ length: count }, (_, i) => new Listed(folder, `robot-${i + 1}`));
@@ -34,9 +35,11 @@ for (const count of (process.argv[2] ?? "1,3").split(",").map(Number)) {
   const look = () => browser.page.evaluate(() => fetch("/robots").then(answer => answer.json()));
   const seen = async (name, wanted) => (await look()).find(robot => robot.name === name && wanted(robot));
   for (const { name } of robots) await until(`${name} ready`, () => seen(name, robot => robot.mode === "ready"), 60000);
-  const [before, at] = [processor(own.gateway.pid), now()];
+  const spent = () => [processor(own.gateway.pid), robots.reduce((sum, { daemon }) => sum + processor(daemon.pid), 0)];
+  const [before, at] = [spent(), now()];
   for (const end = now() + 5000; now() < end; await sleep(1000)) await look();
-  const share = (processor(own.gateway.pid) - before) / ((now() - at) / 1000) * 100;
+  const [share, all] = spent().map((after, i) => (after - before[i]) / ((now() - at) / 1000) * 100);
+  const robot_mb = robots.reduce((sum, { daemon }) => sum + memory_mb(daemon.pid), 0) / count;
   const [stops, gone, back] = [[], [], []];
   for (let i = 0; i < N; i++) {
     const robot = robots[i % count];
@@ -58,7 +61,8 @@ for (const count of (process.argv[2] ?? "1,3").split(",").map(Number)) {
     await until("ready", () => seen(robot.name, ({ mode }) => mode === "ready"), 60000);
   }
   const [stop, away, again] = [stops, gone, back].map(quantiles);
-  check(again.max <= BACK_MS, `${count} | ${share.toFixed(1)} | ${memory_mb(own.gateway.pid).toFixed(1)} | ${stop.p50.toFixed(0)}, `
+  check(again.max <= BACK_MS, `${count} | ${share.toFixed(1)} | ${memory_mb(own.gateway.pid).toFixed(1)} | `
+    + `${(all / count).toFixed(1)} | ${robot_mb.toFixed(1)} | ${stop.p50.toFixed(0)}, `
     + `${stop.max.toFixed(0)} | ${away.max.toFixed(0)} | ${again.max.toFixed(0)} | ${os.loadavg()[0].toFixed(1)}`);
   await browser.end();
   own.end();
