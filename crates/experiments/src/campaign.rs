@@ -142,6 +142,18 @@ pub fn open(path: &Path, header: Option<&str>, range: &std::ops::Range<usize>) -
 /// # Errors
 /// A file that cannot be read, another header, a run that is missing or there twice: the message names run and file.
 pub fn merge(parts: &[PathBuf], out: &Path, header: &str, rows: usize) -> Result<()> {
+    let fresh = out.with_extension("joining");
+    let joined = join(parts, &fresh, header, rows).and_then(|()| {
+        std::fs::rename(&fresh, out).with_context(|| format!("cannot write {}", out.display()))
+    });
+    if joined.is_err() {
+        // The first error is the one to tell; a file that was never made is not there to remove.
+        let _ = std::fs::remove_file(&fresh);
+    }
+    joined
+}
+
+fn join(parts: &[PathBuf], out: &Path, header: &str, rows: usize) -> Result<()> {
     let mut shards = Vec::new();
     for part in parts {
         let file = File::open(part).with_context(|| format!("cannot read {}", part.display()))?;
@@ -153,9 +165,8 @@ pub fn merge(parts: &[PathBuf], out: &Path, header: &str, rows: usize) -> Result
         shards.push((first, part, lines));
     }
     shards.sort_by_key(|(first, ..)| *first);
-    let fresh = out.with_extension("joining");
-    let context = || format!("cannot write {}", fresh.display());
-    let mut file = BufWriter::new(File::create(&fresh).with_context(context)?);
+    let context = || format!("cannot write {}", out.display());
+    let mut file = BufWriter::new(File::create(out).with_context(context)?);
     writeln!(file, "{header}").with_context(context)?;
     let mut next = 0;
     for (_, part, lines) in shards {
@@ -178,7 +189,7 @@ pub fn merge(parts: &[PathBuf], out: &Path, header: &str, rows: usize) -> Result
     }
     ensure!(next == rows, "runs {next} to {} are missing: run their shards again", rows.saturating_sub(1));
     file.into_inner().map_err(std::io::IntoInnerError::into_error).with_context(context)?;
-    std::fs::rename(&fresh, out).with_context(|| format!("cannot write {}", out.display()))
+    Ok(())
 }
 
 /// Number of the run whose row begins with `line`.
@@ -205,6 +216,7 @@ mod tests {
         }
         let out = folder.join("out.csv");
         let joined = merge(&paths, &out, "run,a", rows).and_then(|()| Ok(std::fs::read_to_string(&out)?));
+        assert_eq!(std::fs::read_dir(&folder)?.count(), parts.len() + usize::from(joined.is_ok()));
         std::fs::remove_dir_all(&folder)?;
         joined
     }
