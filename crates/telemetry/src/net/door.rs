@@ -169,8 +169,10 @@ async fn receive(
         let role = greet(&visitor, &mut reader, &mut writer, proof.as_ref(), &entrance, &hub).await?;
         Ok::<_, NetError>((role, reader, writer, proof))
     });
-    let greeted = greeted.await;
-    drop(place);
+    let greeted = {
+        let _until_served = place;
+        greeted.await
+    };
     hub.visitors.leave(visitor.id);
     let who = visitor.who.take();
     if let Ok(Ok((role, reader, writer, proof))) = greeted {
