@@ -1,11 +1,30 @@
 //! The doors: tokens, origins, hosts, codes, roles.
 
-use super::robot::Robot;
-use moca_web::access::{
-    Role,
-    devices::{Store, WRONG_CODES_MAX},
+use super::{browser::Browser, robot::Robot};
+use moca_web::{
+    SiteCertificate,
+    access::{
+        Role,
+        devices::{Store, WRONG_CODES_MAX},
+    },
 };
 use serde_json::json;
+
+/// The authority of one robot stands for that of a site.
+#[tokio::test]
+async fn site_with_its_own_certificate_needs_no_authority_of_the_robot() {
+    let site = Robot::start("site").state();
+    let own = SiteCertificate { chain: site.join("server.pem"), key: site.join("server-key.pem") };
+    let robot = Robot::start_with("own-certificate", Some(own));
+    assert!(!robot.state().join("authority.pem").exists());
+    let mut browser = Browser::new(robot.gateway, &site);
+    let code = Store::open(&robot.state()).unwrap().new_code(Role::Viewer).unwrap();
+    assert_eq!(browser.pair(&code, "tablet").await.status, 200);
+    browser.token.clear();
+    let answer = browser.get("/authority.crt").await;
+    assert_eq!(answer.status, 404);
+    assert!(answer.text.contains("a certificate of its own"), "{}", answer.text);
+}
 
 #[tokio::test]
 async fn request_without_a_token_or_with_a_wrong_one_gets_401() {

@@ -3,7 +3,7 @@
 use super::browser::Browser;
 use moca_telemetry::net::Address;
 use moca_tests::{Limited, Program};
-use moca_web::{Options, access::Role, serve};
+use moca_web::{Options, SiteCertificate, access::Role, serve};
 use std::{
     net::SocketAddr,
     path::{Path, PathBuf},
@@ -21,6 +21,11 @@ pub(crate) struct Robot {
 
 impl Robot {
     pub(crate) fn start(name: &str) -> Self {
+        Self::start_with(name, None)
+    }
+
+    /// A gateway with a certificate of the site's own, or one by the robot's authority.
+    pub(crate) fn start_with(name: &str, site: Option<SiteCertificate>) -> Self {
         let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("web-{name}"));
         let _ = std::fs::remove_dir_all(&folder);
         std::fs::create_dir_all(folder.join("logs")).unwrap();
@@ -39,7 +44,7 @@ impl Robot {
             state: folder.join("state"),
             logs: folder.join("logs"),
             robots: Vec::new(),
-            site: None,
+            site,
             // A busy machine is no lost link.
             lease: Duration::from_millis(1000),
         };

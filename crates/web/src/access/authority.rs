@@ -200,6 +200,18 @@ mod tests {
     }
 
     #[test]
+    fn key_of_another_certificate_is_refused_by_both_names() {
+        let (one, other, own) = (folder("one"), folder("other"), names(&["robot.local"]));
+        load(&one, &own, None).unwrap();
+        load(&other, &own, None).unwrap();
+        let site = SiteCertificate { chain: one.join("server.pem"), key: other.join("server-key.pem") };
+        let error = format!("{:#}", load(&one, &own, Some(&site)).err().unwrap());
+        assert!(error.contains("one/server.pem") && error.contains("other/server-key.pem"), "{error}");
+        let site = SiteCertificate { key: one.join("server-key.pem"), ..site };
+        assert!(load(&one, &own, Some(&site)).unwrap().authority_pem.is_none());
+    }
+
+    #[test]
     fn authority_vouches_for_the_names_of_its_robot_only() {
         let (folder, own) = (folder("names"), names(&["robot.local", "192.0.2.1"]));
         let pem = load(&folder, &own, None).unwrap().authority_pem.unwrap();
