@@ -129,7 +129,7 @@ impl Client {
 
     /// The newest state; those before it are skipped.
     fn latest(&self, py: Python<'_>) -> PyResult<State> {
-        let newest = self.poll()?.samples.drain(..).last();
+        let newest = self.poll()?.samples.drain(..).next_back();
         newest.map_or_else(|| self.next(py), |sample| Ok(State(sample)))
     }
 
