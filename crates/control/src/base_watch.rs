@@ -311,23 +311,34 @@ mod tests {
         plant: Plant,
         order_m_s: f64,
         axis: usize,
+        /// Yaw of the base, and whether it drives backward.
+        yaw_rad: f64,
+        forward: f64,
     }
 
     impl Drive {
         fn new(axis: usize, seed: u64) -> Self {
+            #[expect(clippy::cast_precision_loss, reason = "a small number")]
+            let yaw_rad = 0.7 * seed as f64;
             Self {
                 watch: BaseWatch::new(&measured()).unwrap(),
                 robot: RobotState::at_rest([0.0; JOINTS]),
                 plant: Plant::new(seed),
                 order_m_s: 0.0,
                 axis,
+                yaw_rad,
+                forward: if seed.is_multiple_of(2) { 1.0 } else { -1.0 },
             }
         }
 
         /// The next millisecond towards `wanted_m_s`.
         fn step(&mut self, base: &Base, wanted_m_s: f64, limit_m_s: f64) -> Result<(), Fault> {
-            let scale = if self.axis == 2 { 1.0 / self.watch.rim_m } else { 1.0 };
-            self.robot.base_pose_world[self.axis] = scale * self.plant.shown_m;
+            let scale = self.forward / if self.axis == 2 { self.watch.rim_m } else { 1.0 };
+            let mut way_body = [0.0; 3];
+            way_body[self.axis] = scale * self.plant.shown_m;
+            let (sin, cos) = self.yaw_rad.sin_cos();
+            let [x, y, turned_rad] = way_body;
+            self.robot.base_pose_world = [cos * x - sin * y, sin * x + cos * y, self.yaw_rad + turned_rad];
             self.watch.travelled(&self.robot, limit_m_s, TICK_S)?;
             self.order_m_s += (wanted_m_s - self.order_m_s).clamp(-3.0 * TICK_S, 3.0 * TICK_S);
             let mut order = [0.0; 3];
@@ -426,6 +437,76 @@ mod tests {
             }
             assert!(drive.watch.late_s() > 0.02, "{}", drive.watch.late_s());
             assert_eq!(stopped == Err(Fault::BaseLate), stops, "{speed_m_s} m/s");
+        }
+    }
+
+    /// Goes `towards` speeds for times, m/s and ms.
+    fn through(drive: &mut Drive, base: &Base, limit_m_s: f64, speeds: &[(f64, u32)]) -> Result<(), Fault> {
+        for &(speed_m_s, ms) in speeds {
+            for _ in 0..ms {
+                drive.step(base, speed_m_s, limit_m_s)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The lateness that is known already lengthens what the limit allows for, and what the base is measured by.
+    #[test]
+    fn base_below_the_limit_may_be_as_much_later_as_its_limit_leaves() {
+        for (delay_s, stops) in [(0.28, false), (0.45, true)] {
+            let late = Base { delay_s: 0.18, jitter_s: 0.0, ..AS_MEASURED };
+            let mut drive = Drive::new(1, 6);
+            through(&mut drive, &late, UNLIMITED_M_S, &[(0.05, 1000), (0.0, 1500)]).unwrap();
+            let known_s = drive.watch.late_s();
+            assert!((0.08..0.12).contains(&known_s), "{known_s}");
+            let later = Base { delay_s, ..late };
+            let stopped = through(&mut drive, &later, 0.05, &[(0.03, 2000), (0.0, 1500)]);
+            assert!(drive.watch.late_s() > known_s + 0.03, "{}", drive.watch.late_s());
+            assert_eq!(stopped == Err(Fault::BaseLate), stops, "{delay_s} s");
+        }
+    }
+
+    /// An order that rises a little while the base comes down does not make it later than it is.
+    #[test]
+    fn base_that_comes_down_is_measured_by_the_speed_it_fell_from() {
+        let late = Base { delay_s: 0.25, jitter_s: 0.0, ..AS_MEASURED };
+        let mut drive = Drive::new(0, 3);
+        through(&mut drive, &late, UNLIMITED_M_S, &[(0.08, 1000), (0.0, 150), (0.015, 600), (0.0, 1000)])
+            .unwrap();
+        let late_s = drive.watch.late_s();
+        assert!((0.02..0.2).contains(&late_s), "{late_s}");
+    }
+
+    #[test]
+    fn envelope_waits_for_the_delay_and_falls_no_faster_than_the_base() {
+        for (axis, deceleration_m_s2) in [(0, 2.0), (2, 1.5)] {
+            let mut config = measured();
+            let mut watch = BaseWatch::new(&config).unwrap();
+            config.robot.base.yaw_acceleration_max_rad_s2 = 1.5 / watch.rim_m;
+            watch = BaseWatch::new(&config).unwrap();
+            let scale = if axis == 2 { 1.0 / watch.rim_m } else { 1.0 };
+            let robot = RobotState::at_rest([0.0; JOINTS]);
+            let mut step = |order_m_s: f64| {
+                watch.travelled(&robot, UNLIMITED_M_S, TICK_S).unwrap();
+                let mut order = [0.0; 3];
+                order[axis] = scale * order_m_s;
+                watch.ordered(&order);
+                watch.state.ways[2 * axis].envelope_m_s
+            };
+            (0..400).for_each(|_| _ = step(0.12));
+            let mut last_m_s = step(0.0);
+            let (mut waited, mut fastest_m_s) = (0, 0.0_f64);
+            for _ in 0..600 {
+                let envelope_m_s = step(0.0);
+                waited += u32::from(envelope_m_s > 0.12 - 1e-12);
+                fastest_m_s = fastest_m_s.max(last_m_s - envelope_m_s);
+                last_m_s = envelope_m_s;
+            }
+            let delay_ms = 1e3 * watch.delay_from_s(0.12);
+            let most_ms = delay_ms + 1e3 * watch.delay_s / PARTS_F + 2.0;
+            assert!((delay_ms - 1.0..most_ms).contains(&f64::from(waited)), "{waited} of {delay_ms} ms");
+            assert!((fastest_m_s - deceleration_m_s2 * TICK_S).abs() < 1e-9, "{fastest_m_s}");
+            assert!(last_m_s < 1e-6, "it ends at the order: {last_m_s}");
         }
     }
 
