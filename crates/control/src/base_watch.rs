@@ -454,7 +454,7 @@ mod tests {
 
     /// The lateness that is known already lengthens what the limit allows for, and what the base is measured by.
     #[test]
-    fn base_below_the_limit_may_be_as_much_later_as_its_limit_leaves() {
+    fn base_below_the_limit_may_be_later_by_what_the_limit_leaves() {
         for (delay_s, stops) in [(0.31, false), (0.45, true)] {
             let late = Base { delay_s: 0.18, jitter_s: 0.0, ..AS_MEASURED };
             let mut drive = Drive::new(1, 6);
@@ -480,7 +480,7 @@ mod tests {
     }
 
     #[test]
-    fn envelope_waits_for_the_delay_and_falls_no_faster_than_the_base() {
+    fn envelope_waits_for_the_delay_and_brakes_like_the_base() {
         for (axis, deceleration_m_s2) in [(0, 2.0), (2, 1.5)] {
             let mut config = measured();
             let mut watch = BaseWatch::new(&config).unwrap();

@@ -12,7 +12,7 @@ use serde_json::json;
 
 /// The authority of one robot stands for that of a site.
 #[tokio::test]
-async fn site_with_its_own_certificate_needs_no_authority_of_the_robot() {
+async fn site_with_its_own_certificate_needs_no_authority() {
     let site = Robot::start("site").state();
     let own = SiteCertificate { chain: site.join("server.pem"), key: site.join("server-key.pem") };
     let robot = Robot::start_with("own-certificate", Some(own));
