@@ -170,7 +170,7 @@ fn base_that_became_later_is_found_at_its_next_stop() {
             assert_eq!(after.reason, SpeedLimitReason::BaseLate);
             assert!(after.m_s < 0.8 * before.m_s, "{} m/s", after.m_s);
         } else {
-            // who is felt may be on one plate alone
+            // a person in contact may press one plate only
             assert!(after.reason == before.reason && after.m_s >= before.m_s, "{after:?}");
         }
     }

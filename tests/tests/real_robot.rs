@@ -4,7 +4,7 @@
 #![allow(clippy::float_cmp, reason = "what does not move stays equal to the bit")]
 
 use moca_control::assemble::{motion, supervisor};
-use moca_control::config::Config;
+use moca_control::config::{BarrierReadings, Config};
 use moca_control::cover::{CoverSource, CoverState};
 use moca_control::plant::{Plant, SourceAge};
 use moca_control::robot::{JOINTS, Parts, PlantKind, TAXELS};
@@ -393,6 +393,40 @@ fn a_robot_of_ones_own_has_telemetry_and_a_flight_recorder() {
     assert!(modes.contains(&(Mode::Ready, None)), "what was before");
     assert_eq!(modes.last(), Some(&(Mode::ProtectiveStop, Some(Fault::ArmReflex))));
     std::fs::remove_dir_all(&folder).unwrap();
+}
+
+/// A program with a driver of its own gets the foam that its calibration's age leaves, and is told.
+#[test]
+fn own_robot_without_a_calibration_has_an_old_foam() {
+    struct Troubles(Vec<String>);
+    impl Reporter for Troubles {
+        fn report(&mut self, notice: Notice<'_>) {
+            if let Notice::Trouble(words) = notice {
+                self.0.push(words.into());
+            }
+        }
+    }
+    for (stated, told) in [(0.0, true), (1.2, false)] {
+        let mut config = Config::default();
+        config.plant.kind = PlantKind::Robot;
+        config.protection.contact_barrier = BarrierReadings::PuLd30;
+        config.protection.foam_credible = stated;
+        config.telemetry.listen = String::new();
+        config.flight_recorder.folder = String::new();
+        (config.realtime.priority, config.realtime.lock_memory, config.realtime.dma_latency) =
+            (0, false, false);
+        let options = Options { config, ..Options::default() };
+        let connect = |_: &DriverWords| Err::<Scripted, _>(anyhow::anyhow!("nobody is there"));
+        let mut troubles = Troubles(Vec::new());
+        let why = with_plant(&options, connect, Timer::new, &Arc::default(), &mut troubles).unwrap_err();
+        assert!(why.to_string().contains("nobody is there"), "{why}");
+        assert_eq!(
+            troubles.0.iter().any(|words| words.contains("1.5 times as stiff")),
+            told,
+            "{:?}",
+            troubles.0
+        );
+    }
 }
 
 #[test]

@@ -120,7 +120,7 @@ impl Stopping {
 pub struct Frames {
     /// Longest time between two samples, s.
     pub period_s: f64,
-    /// Age of a frame when it arrives, and what the loop adds, s.
+    /// Age of a frame when it arrives, and what the loop and a base later than measured add, s.
     pub age_s: f64,
     /// Standard deviation of a taxel at the tare, counts.
     pub deviation_counts: f64,
@@ -137,8 +137,6 @@ pub struct Approach {
     plates: usize,
     /// Depth of a plate of this cover over one of the table at the same counts.
     scale: f64,
-    /// Lateness of the base beyond its stopping distance, s.
-    late_s: f64,
 }
 
 /// Steps of the bisection: 0.1 mm/s of 3 m/s.
@@ -157,13 +155,7 @@ impl Approach {
             limit_n: p.force_limit_n / p.foam_scale(),
             plates: usize::from(p.plates),
             scale: plate_scale(&config.robot.cover),
-            late_s: 0.0,
         })
-    }
-
-    /// Takes in how much later the base is than its stopping distance says, s.
-    pub const fn set_late(&mut self, late_s: f64) {
-        self.late_s = late_s;
     }
 
     /// Largest speed, m/s, for a body on a seam, which two plates share, or in the middle of one.
@@ -185,7 +177,7 @@ impl Approach {
         } else {
             self.scale * hidden_m(self.plates, advance_m / self.scale, frames.deviation_counts)
         };
-        hidden_m + speed_m_s * (frames.age_s + self.late_s) + self.stopping.distance_m(speed_m_s) + RESERVE_M
+        hidden_m + speed_m_s * frames.age_s + self.stopping.distance_m(speed_m_s) + RESERVE_M
     }
 
     /// Depth of a body of which two plates feel half of the force each, m. Of its advance a plate shows the part that the end of its
@@ -311,15 +303,15 @@ mod tests {
     #[test]
     fn reserve_and_lateness_lower_the_speed_limit() {
         for (frames, expected) in [(MOCA, 0.0465), (STOCK, 0.0228)] {
-            let mut approach = with(|_| ());
+            let approach = with(|_| ());
             let speed_m_s = approach.speed_m_s(&frames, true);
             assert!(
                 speed_m_s <= 1.01 * expected && speed_m_s > 0.86 * expected,
                 "{speed_m_s} of {expected} m/s"
             );
-            approach.set_late(0.05);
+            let later_frames = Frames { age_s: frames.age_s + 0.05, ..frames };
             let later = with(|config| config.protection.order_delay_ms = 100.0);
-            let difference_m_s = approach.speed_m_s(&frames, true) - later.speed_m_s(&frames, true);
+            let difference_m_s = approach.speed_m_s(&later_frames, true) - later.speed_m_s(&frames, true);
             assert!(difference_m_s.abs() < 1e-12, "{difference_m_s}");
         }
     }

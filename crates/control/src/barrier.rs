@@ -103,10 +103,8 @@ impl Barrier {
         holds_place: bool,
         dt_s: f64,
     ) -> Result<ContactLimits<TAXELS>, ControlError> {
-        let [vx, vy, yaw] = robot.base_velocity_world;
-        let [vx, vy] = to_body([vx, vy], robot);
         let deceleration = std::array::from_fn(|i| limit[i].min(self.deceleration[i]));
-        let mut input = BarrierInput::new(self.samples, [vx, vy, yaw], deceleration, dt_s);
+        let mut input = BarrierInput::new(self.samples, velocity_body(robot), deceleration, dt_s);
         input.light = self.light;
         input.tool_base_m = self.flange_body_m.filter(|_| holds_place);
         let limits = self.contacts.update(&input)?;
@@ -160,6 +158,13 @@ impl Barrier {
 pub(super) fn to_body([x, y]: [f64; 2], robot: &RobotState<JOINTS>) -> [f64; 2] {
     let (sin, cos) = robot.base_pose_world[2].sin_cos();
     [cos * x + sin * y, cos * y - sin * x]
+}
+
+/// Measured velocity of the base in axes of B, m/s, m/s, rad/s.
+pub(super) fn velocity_body(robot: &RobotState<JOINTS>) -> [f64; 3] {
+    let [vx_world, vy_world, yaw] = robot.base_velocity_world;
+    let [vx_body, vy_body] = to_body([vx_world, vy_world], robot);
+    [vx_body, vy_body, yaw]
 }
 
 /// From axes of B to those of W.

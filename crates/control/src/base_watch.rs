@@ -10,6 +10,7 @@
 //! The watch does not see a way below the alarm. [`RESERVE_M`] stands in the speed limit for it.
 
 use crate::approach::{RESERVE_M, Stopping, WORST_CREDIBLE};
+use crate::barrier;
 use crate::config::Config;
 use crate::robot::JOINTS;
 use moca_msgs::{Fault, RobotState};
@@ -140,8 +141,7 @@ impl BaseWatch {
             return Ok(());
         }
         let turned_rad = turned_rad.sin().atan2(turned_rad.cos());
-        let (sin, cos) = pose[2].sin_cos();
-        let (dx_body, dy_body) = (cos * dx_world + sin * dy_world, cos * dy_world - sin * dx_world);
+        let [dx_body, dy_body] = barrier::to_body([dx_world, dy_world], robot);
         let gone_m = self.ways_of([dx_body, dy_body, turned_rad]);
         let mut too_far = Ok(());
         for (i, gone_m) in gone_m.into_iter().enumerate() {

@@ -253,26 +253,10 @@ impl Motion {
         }
         self.take_parameters(&parameters);
         self.protection.restore(&state.protection);
-        match (&mut self.barrier, &state.barrier) {
-            (Some(barrier), Some(state)) => barrier.restore(state),
-            (None, None) => {}
-            _ => return Err(OtherRobot),
-        }
-        match (&mut self.push_cap, &state.push_cap) {
-            (Some(cap), Some(state)) => cap.restore(state),
-            (None, None) => {}
-            _ => return Err(OtherRobot),
-        }
-        match (&mut self.base_watch, &state.base_watch) {
-            (Some(watch), Some(state)) => watch.restore(state),
-            (None, None) => {}
-            _ => return Err(OtherRobot),
-        }
-        match (&mut self.uncovered, &state.uncovered) {
-            (Some(uncovered), Some(state)) => uncovered.restore(state),
-            (None, None) => {}
-            _ => return Err(OtherRobot),
-        }
+        restored(self.barrier.as_mut(), state.barrier.as_ref(), Barrier::restore)?;
+        restored(self.push_cap.as_mut(), state.push_cap.as_ref(), PushCap::restore)?;
+        restored(self.base_watch.as_mut(), state.base_watch.as_ref(), BaseWatch::restore)?;
+        restored(self.uncovered.as_mut(), state.uncovered.as_ref(), Uncovered::restore)?;
         self.targets.restore(&state.targets);
         self.recentre.restore(&state.recentre);
         self.recovery = state.recovery;
@@ -454,6 +438,23 @@ impl Motion {
             barrier.ordered(&output.command.base_velocity_body);
         }
     }
+}
+
+/// Lets a part that a robot need not have go on from its state.
+///
+/// # Errors
+/// One of them is missing: the state is of another robot.
+fn restored<T, S>(
+    part: Option<&mut T>,
+    state: Option<&S>,
+    restore: impl FnOnce(&mut T, &S),
+) -> Result<(), OtherRobot> {
+    match (part, state) {
+        (Some(part), Some(state)) => restore(part, state),
+        (None, None) => {}
+        _ => return Err(OtherRobot),
+    }
+    Ok(())
 }
 
 /// Why the robot must stop that gave out `output`, if it must.

@@ -71,9 +71,10 @@ pub struct Protection {
     /// middle of a taxel and on a seam.
     approach: Option<Approach>,
     answer: Option<(Frames, [f64; 2])>,
-    /// Time constant of the base's servo, s, and its deceleration, m/s².
-    servo_s: f64,
+    /// Deceleration of the base's servo, m/s².
     base_acceleration_m_s2: f64,
+    /// Lateness of the base beyond its stopping distance, s.
+    late_s: f64,
     tick_s: f64,
     outline: CoverOutline<TAXELS, f64>,
     state: ProtectionState,
@@ -110,8 +111,8 @@ impl Protection {
                 .map(<[f64; 2]>::from),
             approach: Approach::of(config),
             answer: None,
-            servo_s: config.robot.base.servo_time_constant_s,
             base_acceleration_m_s2: config.robot.base.acceleration_max_m_s2,
+            late_s: 0.0,
             tick_s: 1.0 / f64::from(config.control_loop.rate_hz.max(1)),
             outline,
             state: ProtectionState {
@@ -162,17 +163,9 @@ impl Protection {
         }
     }
 
-    /// Takes in how much later the base is than its stopping distance says, s.
-    pub fn set_late(&mut self, late_s: f64) {
-        let servo_s = self.servo_s + late_s;
-        #[expect(clippy::float_cmp, reason = "the same number again changes nothing")]
-        if self.contact.servo_s != servo_s {
-            self.contact.servo_s = servo_s;
-            self.answer = None;
-            if let Some(approach) = &mut self.approach {
-                approach.set_late(late_s);
-            }
-        }
+    /// Takes in how much later the base is than its stopping distance says, s: as if each reading were so much older.
+    pub const fn set_late(&mut self, late_s: f64) {
+        self.late_s = late_s;
     }
 
     /// Hears what the contact barrier could not keep at `now_ns`.
@@ -182,9 +175,7 @@ impl Protection {
 
     /// Speed of the fastest point of the cover at the base's measured velocity, m/s.
     pub fn cover_speed_m_s(&self, robot: &RobotState<JOINTS>) -> f64 {
-        let [vx, vy, yaw] = robot.base_velocity_world;
-        let (sin, cos) = robot.base_pose_world[2].sin_cos();
-        self.outline.fastest(&[cos * vx + sin * vy, cos * vy - sin * vx, yaw])
+        self.outline.fastest(&barrier::velocity_body(robot))
     }
 
     /// Speed limit for a reading that is `delay_s` late, m/s: F/(k(T + τ)) for the part F of the force limit that the
@@ -225,20 +216,21 @@ impl Protection {
         let Some(explained_s) = self.state.delay.worst_s(self.tick_s) else { return SpeedLimit::default() };
         let age_s = sampled_at_ns.map_or(f64::INFINITY, |t| seconds(now_ns.saturating_sub(t)));
         let felt = self.state.tracker.is_touched();
+        let longer_s = (age_s - explained_s - self.tick_s).max(0.0) + self.late_s;
         let frames = Frames {
             period_s: self.state.delay.period_s(),
-            age_s: self.state.delay.arrival_s() + self.tick_s + (age_s - explained_s - self.tick_s).max(0.0),
+            age_s: self.state.delay.arrival_s() + self.tick_s + longer_s,
             deviation_counts: cover.deviation_counts,
         };
         let m_s = self
             .approach_m_s(frames, felt)
-            .unwrap_or_else(|| self.speed_m_s(explained_s.max(age_s), felt, limits));
+            .unwrap_or_else(|| self.speed_m_s(explained_s.max(age_s) + self.late_s, felt, limits));
         let configured_m_s = self.outline.fastest(&limits.base_velocity);
         if age_s > explained_s + self.tick_s {
             SpeedLimit { m_s: m_s.min(configured_m_s), reason: SpeedLimitReason::Stale }
         } else if m_s < configured_m_s {
-            let is_late = self.contact.servo_s > self.servo_s;
-            let reason = if is_late { SpeedLimitReason::BaseLate } else { SpeedLimitReason::BoardRate };
+            let reason =
+                if self.late_s > 0.0 { SpeedLimitReason::BaseLate } else { SpeedLimitReason::BoardRate };
             SpeedLimit { m_s, reason }
         } else {
             SpeedLimit { m_s: configured_m_s, reason: SpeedLimitReason::Configured }

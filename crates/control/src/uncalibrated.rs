@@ -114,9 +114,7 @@ impl PushCap {
             *way_body = [0.0; 3];
             return;
         }
-        let [vx_world, vy_world, yaw] = robot.base_velocity_world;
-        let [vx_body, vy_body] = barrier::to_body([vx_world, vy_world], robot);
-        let velocity_body = [vx_body, vy_body, yaw];
+        let velocity_body = barrier::velocity_body(robot);
         for (way, speed) in way_body.iter_mut().zip(velocity_body) {
             *way += speed * dt_s;
         }

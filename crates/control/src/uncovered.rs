@@ -8,6 +8,7 @@
 //! way: the one who is hurt for certain before the one who may stand there. Both ways are the same count, so that room
 //! that was made is used up for the law.
 
+use crate::barrier;
 use crate::config::Config;
 use crate::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
@@ -117,9 +118,7 @@ impl Uncovered {
 
     /// Moves on by `dt_s` with the measured motion of the base.
     pub fn advance(&mut self, robot: &RobotState<JOINTS>, dt_s: f64) {
-        let [vx, vy, yaw] = robot.base_velocity_world;
-        let (sin, cos) = robot.base_pose_world[2].sin_cos();
-        let [forward, left] = [cos * vx + sin * vy, cos * vy - sin * vx];
+        let [forward, left, yaw] = barrier::velocity_body(robot);
         let (sides, state) = (self.sides(), &mut self.state);
         let speed_m_s = (forward * forward + left * left).sqrt();
         let rests = !state.held && !self.touched && speed_m_s < STANDS && yaw.abs() < STANDS;

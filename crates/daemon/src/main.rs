@@ -4,7 +4,6 @@ use clap::{Args, Parser, Subcommand};
 use moca_daemon::cli::terminal::Terminal;
 use moca_daemon::config::Config;
 use moca_daemon::runtime::allocations::CountingAllocator;
-use moca_daemon::runtime::notice::{Notice, Reporter as _};
 use moca_telemetry::log::LogError;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -253,17 +252,12 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
         print(&format!("{whose}: no mistakes, and this build can run it\n"));
         return Ok(());
     }
-    let aged = moca_daemon::calibration::age::settle(&mut config, std::time::SystemTime::now())
-        .map_err(|error| WrongConfiguration(format!("{error:#}")))?;
     let duration = arguments.duration.map(std::time::Duration::try_from_secs_f64);
     let duration = duration.transpose();
     let duration = duration.map_err(|error| anyhow::anyhow!("--duration: {error}; allowed: 0 s or more"))?;
     let mut terminal = Terminal::stdout(arguments.log_level, arguments.as_fast_as_possible)?;
     if let Some(duration) = duration.filter(|_| arguments.as_fast_as_possible) {
         terminal.show_progress(duration);
-    }
-    if let Some(aged) = aged {
-        terminal.report(Notice::Trouble(&aged));
     }
     let options = moca_daemon::runtime::options::Options {
         config,

@@ -1,6 +1,7 @@
 //! `mocad run`: puts the parts together, starts the loop, reports what runs.
 
 #[cfg(feature = "sim")]
+use crate::calibration::age;
 use crate::config::Config;
 use crate::control::cover::CoverSource;
 use crate::control::plant::{NoRobot, Plant};
@@ -29,7 +30,7 @@ use moca_telemetry::net::{CalibrationPort, Server};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 /// `--require-realtime` was given and the operating system refused this many settings.
 #[derive(Debug)]
@@ -80,6 +81,7 @@ pub fn run(options: &Options, reporter: &mut dyn Reporter) -> Result<()> {
         on_signal.stop.store(true, Ordering::Relaxed);
     })
     .context("Ctrl-C handler")?;
+    let options = &with_foam_of_its_age(options, reporter)?;
     reporter.report(Notice::Begins { config: &options.config, lock_step: options.lock_step });
     let panics = PanicWatch::start(&shared);
     let result = catch_unwind(AssertUnwindSafe(|| run_plant(options, &shared, reporter)));
@@ -202,7 +204,7 @@ pub fn with_plant<P: Plant + Send, T: TickSource<P>>(
     shared: &Arc<Shared>,
     reporter: &mut dyn Reporter,
 ) -> Result<LiveRun> {
-    let options = with_locked_memory(options, reporter)?;
+    let options = with_locked_memory(&with_foam_of_its_age(options, reporter)?, reporter)?;
     let config = &options.config;
     let clock = Clock::start()?;
     let (log, copies, log_reader) = tick_log();
@@ -227,6 +229,15 @@ pub fn with_plant<P: Plant + Send, T: TickSource<P>>(
     let run = live(&options, control, (clock, log), ticks, (clients, calibration), shared, reporter);
     drop(held);
     run
+}
+
+/// Takes the foam's credible stiffness from the age of its calibration, where the options leave it open, and says so.
+fn with_foam_of_its_age(options: &Options, reporter: &mut dyn Reporter) -> Result<Options> {
+    let mut options = options.clone();
+    if let Some(aged) = age::settle(&mut options.config, SystemTime::now())? {
+        reporter.report(Notice::Trouble(&aged));
+    }
+    Ok(options)
 }
 
 /// Locks the process's memory, if that is wished for and not done; the options say so no more.

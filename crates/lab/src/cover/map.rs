@@ -144,7 +144,7 @@ impl Cell {
                     let mut settings = self.settings(speed_m_s, seed, SEEDS)?;
                     settings.config.simulation.seed = u64::from(seed);
                     settings.person.offset_m = side * TO_THE_SEAM_M;
-                    believe_stops(&mut settings.config.protection, measured);
+                    settings.config.protection.clone_from(measured);
                     if collision::single(&settings)?.measures.peak_force_n > self.meeting.limit_n {
                         return Ok(false);
                     }
@@ -196,15 +196,6 @@ impl Cell {
         settings.check()?;
         Ok(settings)
     }
-}
-
-/// Lets `into` believe the stops that are measured in `measured`.
-fn believe_stops(into: &mut ProtectionConfig, measured: &ProtectionConfig) {
-    into.order_delay_ms = measured.order_delay_ms;
-    into.order_delay_error_ms = measured.order_delay_error_ms;
-    into.stopping_speed_m_s.clone_from(&measured.stopping_speed_m_s);
-    into.stopping_distance_m.clone_from(&measured.stopping_distance_m);
-    into.stopping_measured.clone_from(&measured.stopping_measured);
 }
 
 /// One cell in `step` at the law's speed: name, and one run a phase.
@@ -268,7 +259,7 @@ fn table(cells: &[Cell], speeds: &[Speeds]) -> String {
 }
 
 /// Names and drawings: a map for each board, and in one column of a journal for each body too. The base's delay runs across; body,
-/// foam and deceleration run down; a cell has the law's speed for the least force, green where the simulation bears it.
+/// foam and deceleration run down; a cell has the law's speed for the least force, green where the simulation withstands it.
 fn figures(cells: &[Cell], speeds: &[Speeds], forces_n: &[f64], width: Width) -> Vec<(String, Drawing)> {
     const CELL: [f64; 2] = [150.0, 22.0];
     let force_n = forces_n.iter().copied().fold(f64::INFINITY, f64::min);
@@ -312,7 +303,7 @@ fn map(part: &[(&Cell, &Speeds)], first: &Cell, force_n: f64, width: Width) -> M
     let board = first.meeting.board.name();
     Map {
         title: format!(
-            "{board}, {force_n:.0} N: speed that the law allows, of what the simulation bears [m/s]"
+            "{board}, {force_n:.0} N: speed that the law allows, of what the simulation withstands [m/s]"
         ),
         x_label: "delay of the base's orders [ms]".into(),
         y_label: "body, foam, deceleration".into(),
