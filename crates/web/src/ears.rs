@@ -213,7 +213,7 @@ pub(crate) fn hear(text: &str, page: &Page<'_>) -> Heard {
 
 /// From every role, never too late and never too often: one on its way stands for all.
 fn hear_stop(stop: u32, page: &Page<'_>) {
-    let number = page.gateway.stop();
+    let number = page.gateway.stop(&page.device.name);
     page.ears().stop = Some((stop, number));
     page.gateway.audit.note(&page.device.name, "stop", "passed on");
 }

@@ -22,11 +22,20 @@ const SILENCE: Duration = Duration::from_millis(500);
 /// Pause after a stop before the next one is passed on, which then stands for all that came meanwhile.
 const STOPS_APART: Duration = Duration::from_millis(5);
 
-/// Follows the daemon for ever. `stops` holds the number of the newest stop that anybody asked for.
+/// Newest stop that anybody asked for.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct NewestStop {
+    /// Number of stops so far.
+    pub(crate) number: u64,
+    /// Device that asked for it.
+    pub(crate) who: String,
+}
+
+/// Follows the daemon for ever, and passes the newest of the `stops` on.
 pub(crate) async fn follow(
     daemon: Address,
     look: watch::Sender<Look>,
-    mut stops: watch::Receiver<u64>,
+    mut stops: watch::Receiver<NewestStop>,
     audit: Arc<Audit>,
 ) {
     let mut said = String::new();
@@ -48,7 +57,7 @@ pub(crate) async fn follow(
 async fn session(
     daemon: &Address,
     look: &watch::Sender<Look>,
-    stops: &mut watch::Receiver<u64>,
+    stops: &mut watch::Receiver<NewestStop>,
     audit: &Audit,
 ) -> anyhow::Result<Infallible> {
     let connected = timeout(CONNECT, Client::connect(Endpoint::from(daemon).to_watch())).await;
@@ -68,14 +77,19 @@ async fn session(
 /// Passes on every stop after number `sent`: one that has been answered is not asked for again by a new connection.
 async fn pass_stops(
     outgoing: &mut Outgoing,
-    stops: &mut watch::Receiver<u64>,
+    stops: &mut watch::Receiver<NewestStop>,
     mut sent: u64,
 ) -> Result<Infallible, NetError> {
     loop {
-        let newest = *stops.borrow_and_update();
-        if newest > sent {
-            sent = newest;
-            outgoing.request(newest, Request::Stop).await?;
+        let NewestStop { number, who } = stops.borrow_and_update().clone();
+        if number > sent {
+            sent = number;
+            match outgoing.speak_for(&who).await {
+                // A name that the robot's log does not take keeps no stop back.
+                Ok(()) | Err(NetError::Name(_)) => {}
+                Err(error) => return Err(error),
+            }
+            outgoing.request(number, Request::Stop).await?;
             tokio::time::sleep(STOPS_APART).await;
         }
         if stops.changed().await.is_err() {

@@ -6,6 +6,7 @@ use crate::{
         devices::{Device, Devices, Store, device_of, now_unix_s},
     },
     audit::Audit,
+    feed::NewestStop,
     holder::{Commander, PageId},
     look::Look,
     rate::{Rate, Rates},
@@ -42,7 +43,7 @@ pub(crate) struct Gateway {
     pub(crate) devices: watch::Sender<Devices>,
     pub(crate) audit: Arc<Audit>,
     pub(crate) look: watch::Receiver<Look>,
-    pub(crate) stops: watch::Sender<u64>,
+    pub(crate) stops: watch::Sender<NewestStop>,
     pub(crate) commander: Arc<Commander>,
     pub(crate) identity: Identity,
     pub(crate) logs: PathBuf,
@@ -58,7 +59,7 @@ pub(crate) struct Parts {
     pub(crate) store: Store,
     pub(crate) audit: Arc<Audit>,
     pub(crate) look: watch::Receiver<Look>,
-    pub(crate) stops: watch::Sender<u64>,
+    pub(crate) stops: watch::Sender<NewestStop>,
     pub(crate) commander: Arc<Commander>,
     pub(crate) identity: Identity,
     pub(crate) logs: PathBuf,
@@ -118,14 +119,14 @@ impl Gateway {
     }
 
     /// Stops the robot; the number of this stop.
-    pub(crate) fn stop(&self) -> u64 {
-        self.stops.send_modify(|stops| *stops += 1);
-        *self.stops.borrow()
+    pub(crate) fn stop(&self, who: &str) -> u64 {
+        self.stops.send_modify(|newest| *newest = NewestStop { number: newest.number + 1, who: who.into() });
+        self.stops.borrow().number
     }
 
     /// Stops asked for and seen so far: what began before the newest one moves nothing.
     pub(crate) fn stop_count(&self) -> u64 {
-        *self.stops.borrow() + self.look.borrow().stops
+        self.stops.borrow().number + self.look.borrow().stops
     }
 
     /// Number of a new page.

@@ -102,7 +102,7 @@ pub async fn serve(options: Options, listening: impl FnOnce(Listening)) -> anyho
     let listener = acceptor::bind(options.listen)?;
     let address = listener.local_addr()?;
     let (look_to, look) = watch::channel(Look::default());
-    let (stops, newest_stop) = watch::channel(0);
+    let (stops, newest_stop) = watch::channel(feed::NewestStop::default());
     tokio::spawn(feed::follow(options.daemon.clone(), look_to, newest_stop, Arc::clone(&audit)));
     let commander = Commander::new(options.daemon, options.lease, look.clone(), Arc::clone(&audit));
     let (config_to, config) = watch::channel(Arc::clone(&identity.config));

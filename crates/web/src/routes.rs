@@ -104,7 +104,7 @@ async fn me(State(gateway): State<Arc<Gateway>>, headers: HeaderMap) -> Result<J
 /// STOP without a socket: while that comes back, and from a page that is being closed.
 async fn stop(State(gateway): State<Arc<Gateway>>, headers: HeaderMap) -> Result<StatusCode, Refused> {
     let who = admitted(&gateway, &headers, Role::Viewer)?;
-    gateway.stop();
+    gateway.stop(&who);
     gateway.audit.note(&who, "stop", "passed on");
     Ok(StatusCode::ACCEPTED)
 }

@@ -15,7 +15,7 @@ use serde_json::json;
 async fn site_with_its_own_certificate_needs_no_authority() {
     let site = Robot::start("site").state();
     let own = SiteCertificate { chain: site.join("server.pem"), key: site.join("server-key.pem") };
-    let robot = Robot::start_with("own-certificate", Some(own));
+    let robot = Robot::start_with("own-certificate", Some(own), false);
     assert!(!robot.state().join("authority.pem").exists());
     let mut browser = Browser::new(robot.gateway, &site);
     let code = Store::open(&robot.state()).unwrap().new_code(Role::Viewer).unwrap();

@@ -22,7 +22,7 @@ async fn press_runs_the_robot_and_letting_go_disarms_it() {
 
 #[tokio::test]
 async fn viewer_stops_the_robot_and_a_later_picture_confirms_it() {
-    let robot = Robot::start("stop");
+    let robot = Robot::start_recorded("stop");
     let mut holder = robot.paired(Role::Operator, "Op").await.page().await.unwrap();
     let viewer = robot.paired(Role::Viewer, "Viewer").await;
     let mut page = viewer.page().await.unwrap();
@@ -41,6 +41,10 @@ async fn viewer_stops_the_robot_and_a_later_picture_confirms_it() {
     holder.until(|page| page.mode() == "ready").await.unwrap();
     assert_eq!(viewer.send("POST", "/stop", "").await.status, 202);
     holder.until(|page| page.mode() == "protective stop").await.unwrap();
+    let asked = robot.asked();
+    let stops = asked.iter().filter(|line| line.what == "stop" && line.accepted);
+    let of_viewer = stops.filter(|line| line.who.ends_with(", for Viewer")).map(|line| line.times);
+    assert_eq!(of_viewer.sum::<u64>(), 2, "the robot's log names the device: {asked:#?}");
 }
 
 /// Regression test: a new connection to the daemon once asked for every earlier stop again.

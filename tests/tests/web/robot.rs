@@ -1,9 +1,12 @@
 //! The daemon's program and a gateway for it.
 
 use super::browser::Browser;
+use moca_telemetry::audit::Asked;
+use moca_telemetry::log::{LogReader, Record};
 use moca_telemetry::net::Address;
 use moca_tests::{Limited, Program};
 use moca_web::{Options, SiteCertificate, access::Role, serve};
+use nix::sys::signal::Signal;
 use std::{
     net::SocketAddr,
     path::{Path, PathBuf},
@@ -21,11 +24,16 @@ pub(crate) struct Robot {
 
 impl Robot {
     pub(crate) fn start(name: &str) -> Self {
-        Self::start_with(name, None)
+        Self::start_with(name, None, false)
+    }
+
+    /// One that records its log.
+    pub(crate) fn start_recorded(name: &str) -> Self {
+        Self::start_with(name, None, true)
     }
 
     /// A gateway with a certificate of the site's own, or one by the robot's authority.
-    pub(crate) fn start_with(name: &str, site: Option<SiteCertificate>) -> Self {
+    pub(crate) fn start_with(name: &str, site: Option<SiteCertificate>, recorded: bool) -> Self {
         let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("web-{name}"));
         let _ = std::fs::remove_dir_all(&folder);
         std::fs::create_dir_all(folder.join("logs")).unwrap();
@@ -36,7 +44,7 @@ impl Robot {
             socket.display()
         );
         std::fs::write(&config, text).unwrap();
-        let daemon = spawn(&folder);
+        let daemon = spawn(&folder, recorded);
         let options = Options {
             daemon: Address::Unix(socket),
             listen: ([127, 0, 0, 1], 0).into(),
@@ -61,7 +69,17 @@ impl Robot {
     pub(crate) fn restart(&mut self) {
         let _ = self.daemon.kill();
         let _ = self.daemon.wait();
-        self.daemon = spawn(&self.folder);
+        self.daemon = spawn(&self.folder, false);
+    }
+
+    /// Ends a daemon that records, and returns what its log has of requests.
+    pub(crate) fn asked(self) -> Vec<Asked> {
+        let Self { daemon, folder, .. } = self;
+        daemon.signal(Signal::SIGINT).unwrap();
+        daemon.end().unwrap();
+        let records = LogReader::open(&folder.join("run.mcap")).unwrap();
+        let asked = |record| if let Record::Asked(_, asked) = record { Some(*asked) } else { None };
+        records.filter_map(asked).collect()
     }
 
     pub(crate) fn state(&self) -> PathBuf {
@@ -90,8 +108,11 @@ fn audit(state: &Path) -> String {
     std::fs::read_to_string(state.join("audit.jsonl")).unwrap_or_default()
 }
 
-fn spawn(folder: &Path) -> Program {
+fn spawn(folder: &Path, recorded: bool) -> Program {
     let mut command = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"));
     command.arg("--config").arg(folder.join("mocad.toml"));
+    if recorded {
+        command.arg("--record").arg(folder.join("run.mcap"));
+    }
     command.stdout(Stdio::null()).stderr(Stdio::null()).start().unwrap()
 }
