@@ -1,7 +1,7 @@
 //! `mocad run`: puts the parts together, starts the loop, reports what runs.
 
-#[cfg(feature = "sim")]
 use crate::calibration::age;
+#[cfg(feature = "sim")]
 use crate::config::Config;
 use crate::control::cover::CoverSource;
 use crate::control::plant::{NoRobot, Plant};
