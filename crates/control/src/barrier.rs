@@ -9,7 +9,7 @@ use moca_msgs::{ContactRow, ParameterError, RobotState, TaxelStatus};
 use moca_tactile::model::{FoamMemory, TaxelModel};
 use moca_wbc::contact_barrier::{
     BarrierInput, BarrierSettings, BarrierState, CURVE_POINTS, ContactBarrier, ContactLimits, FoamCurve,
-    TaxelSample,
+    TOUCH_N, TaxelSample,
 };
 use moca_wbc::reach::ArmReach;
 use moca_wbc::{ArmModel, ControlError, FlangePose};
@@ -21,6 +21,9 @@ pub struct Barrier {
     contacts: ContactBarrier<TAXELS>,
     samples: [Option<TaxelSample>; TAXELS],
     light: [bool; TAXELS],
+    /// Readings count from the first alarm on, also below the counts at which a contact begins: a late base has no time to wait for
+    /// them.
+    counts_light: bool,
     /// Deceleration of the base's servo, m/s², m/s², rad/s².
     deceleration: [f64; 3],
     /// Flange from the base in the last tick, axes of B, m.
@@ -55,6 +58,7 @@ impl Barrier {
             contacts: ContactBarrier::new(&config.robot.cover.placements(), &settings)?,
             samples: [None; TAXELS],
             light: [false; TAXELS],
+            counts_light: settings.order_delay_s > 0.0,
             deceleration: [
                 base.acceleration_max_m_s2,
                 base.acceleration_max_m_s2,
@@ -85,9 +89,11 @@ impl Barrier {
     pub fn take_cover(&mut self, now_ns: u64, cover: &CoverState) {
         self.light = cover.early.light;
         let age_s = cover.reading.age_s(now_ns);
-        for (sample, taxel) in self.samples.iter_mut().zip(&cover.reading.taxels) {
+        for (i, (sample, taxel)) in self.samples.iter_mut().zip(&cover.reading.taxels).enumerate() {
             let valid = taxel.status == TaxelStatus::Ok;
-            *sample = age_s.filter(|_| valid).map(|age_s| TaxelSample { force_n: taxel.force_n, age_s });
+            let counts = self.counts_light && self.light[i];
+            let force_n = if counts { cover.early.light_n[i].max(TOUCH_N) } else { taxel.force_n };
+            *sample = age_s.filter(|_| valid).map(|age_s| TaxelSample { force_n, age_s });
         }
     }
 
@@ -307,6 +313,42 @@ mod tests {
         for readings in ["foam", "pu-ld30"] {
             assert!(barrier("", Some(readings)), "{readings}");
         }
+    }
+
+    fn standing() -> RobotState<JOINTS> {
+        RobotState {
+            base_pose_world: [0.0; 3],
+            base_velocity_world: [0.0; 3],
+            q_rad: [0.0; JOINTS],
+            dq_rad_s: [0.0; JOINTS],
+            ..RobotState::AT_REST
+        }
+    }
+
+    #[test]
+    fn late_base_makes_room_from_the_first_alarm_on() {
+        const FRONT: usize = 5;
+        // of a taxel in front that is touched lightly: the speed outward that it is left
+        let left_m_s = |order_delay_ms: f64, light_n: f64, is_light: bool| {
+            let mut config = Config::default();
+            config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
+            config.protection.order_delay_ms = order_delay_ms;
+            let mut barrier = Barrier::new::<7>(&config, None).unwrap().unwrap();
+            let mut cover = CoverState::NONE;
+            (cover.early.light[FRONT], cover.early.light_n[FRONT]) = (is_light, light_n);
+            let mut left = 0.0;
+            for ms in 1..=30_u64 {
+                cover.reading.sampled_at_ns = Some((ms - 1) / 10 * 10_000_000);
+                barrier.take_cover(1_000_000 * ms, &cover);
+                let limits = barrier.update(&standing(), [3.0; 3], false, 1e-3).unwrap();
+                left = limits.outward_m_s[FRONT];
+            }
+            left
+        };
+        assert!(left_m_s(0.0, 3.0, true) >= 0.0, "a base that obeys at once waits for a reading");
+        assert!(left_m_s(100.0, 3.0, true) < -0.05, "{}", left_m_s(100.0, 3.0, true));
+        assert!(left_m_s(100.0, 0.0, true) < 0.0, "a frame below zero does not end the alarm");
+        assert!(left_m_s(100.0, 3.0, false) > 1.0, "without an alarm a light force is none");
     }
 
     #[test]

@@ -46,7 +46,12 @@ impl CoverState {
             sampled_at_ns: None,
         },
         forces: Ok([0.0; TAXELS]),
-        early: EarlyContact { touched: [false; TAXELS], light: [false; TAXELS], sampled_at_ns: None },
+        early: EarlyContact {
+            touched: [false; TAXELS],
+            light: [false; TAXELS],
+            light_n: [0.0; TAXELS],
+            sampled_at_ns: None,
+        },
         fault: None,
         fault_board: None,
         zero: Zero::Valid,

@@ -1,6 +1,7 @@
 //! The robot at hand: its arm, base, cover, tool and load as data. Built-in tables are the defaults; a configuration
 //! file, or a URDF for the arm, says what is different.
 
+pub use moca_msgs::robot::FoamKind;
 use moca_msgs::robot::{
     AnyArm, BaseTable, FR3, LinkInertial, Mount, PANDA, PAPER_COVER, Payload, TaxelPlacement, UR10E,
 };
@@ -92,23 +93,6 @@ parameter_table! {
         inertia_com: [f64; 6] = [0.0; 6] => [.range(-100.0, 100.0).units(&["kg·m²"])];
     }
 }
-
-/// Foam under the plates.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FoamKind {
-    /// PU LD30, 15 mm.
-    PuLd30,
-    /// CC foam.
-    Cc,
-    /// PE LD45, 5 mm.
-    Pe5,
-    /// PE LD45, 3 mm.
-    Pe3,
-    /// F = k_0 d/(1 - d/h).
-    Hyperbolic,
-}
-
-choice!(FoamKind { PuLd30: "pu-ld30", Cc: "cc", Pe5: "pe5", Pe3: "pe3", Hyperbolic: "hyperbolic" });
 
 impl CoverTable {
     /// Returns the number of taxels.

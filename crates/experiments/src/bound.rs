@@ -1,7 +1,9 @@
 //! Fastest speed at which physics lets a base meet a body, whatever its law.
 
 use anyhow::Result;
+use moca_sim::contact::{ContactState, Pressing};
 use moca_sim::foam::Foam;
+use moca_sim::{Mobility, Tissue};
 use moca_tactile::Firmware;
 use moca_wbc::contact_stability::{Contact, speed_for_stopping};
 
@@ -24,6 +26,8 @@ pub struct Meeting {
     pub deceleration_m_s2: f64,
     /// Time constant of the base's servo, s.
     pub servo_s: f64,
+    /// Delay of an order on its way to that servo, s.
+    pub order_delay_s: f64,
     /// Firmware of the board, which says how old a reading may be.
     pub board: Firmware,
     /// Number of taxels that read equal parts of the force: two on a seam.
@@ -40,7 +44,7 @@ impl Meeting {
             stiffness_n_m: 1.0, // not asked for
             damping_n_s_m: 0.0,
             delay_s: moca_msgs::seconds(self.board.worst_hold_ns()),
-            servo_s: self.servo_s,
+            servo_s: self.order_delay_s + self.servo_s,
         };
         Ok(speed_for_stopping(travel_m.max(0.0), self.deceleration_m_s2, &contact)?)
     }
@@ -57,7 +61,7 @@ impl Meeting {
 
     /// Force on a body that is met at `speed_m_s` and felt `felt_after_s` later by a base that then does all it can, N.
     pub fn least_n(&self, speed_m_s: f64, felt_after_s: f64) -> f64 {
-        let way_m = speed_m_s * (felt_after_s + self.servo_s)
+        let way_m = speed_m_s * (felt_after_s + self.order_delay_s + self.servo_s)
             + speed_m_s * speed_m_s / (2.0 * self.deceleration_m_s2);
         let (mut low, mut high) = (0.0, 1e4);
         for _ in 0..60 {
@@ -66,6 +70,103 @@ impl Meeting {
         }
         low
     }
+}
+
+/// Way in which a body and the base come together.
+#[derive(Clone, Copy, Debug)]
+pub struct Closing {
+    /// Speed of the base towards the body, m/s.
+    pub base_m_s: f64,
+    /// Speed of the body towards the base, m/s.
+    pub walk_m_s: f64,
+    /// Motion of the body when it is pushed.
+    pub mobility: Mobility,
+    /// Time from the first touch to the first alarm, s.
+    pub felt_after_s: f64,
+    /// Fastest order that the base may be given, m/s.
+    pub flees_m_s: f64,
+    /// Largest change of an order, m/s².
+    pub order_m_s2: f64,
+}
+
+/// Step of the integration, s, and its length.
+const STEP_S: f64 = 1e-4;
+const STEPS: u32 = 30_000;
+
+impl Meeting {
+    /// Largest force on the body when the base does its utmost from the first alarm on, N: no law does better. Cover, body and base are
+    /// integrated along one line, the base within the limits of its
+    /// servo and of its orders.
+    pub fn least_of_any_law_n(&self, closing: &Closing) -> f64 {
+        let Closing { base_m_s, walk_m_s, mobility, felt_after_s, flees_m_s, order_m_s2 } = *closing;
+        let tissue = Tissue { stiffness_n_per_m: self.tissue_n_m, damping_n_s_per_m: 0.0 };
+        let (mut contact, mut most_n) = (ContactState::default(), 0.0_f64);
+        let (mut base, mut body) = ([0.0, base_m_s], [0.0, walk_m_s]);
+        let obeys_s = felt_after_s + self.order_delay_s;
+        let gain = -(-STEP_S / self.servo_s).exp_m1();
+        let most_m_s = self.deceleration_m_s2 * STEP_S;
+        for step in 0..STEPS {
+            let t_s = f64::from(step) * STEP_S;
+            let order_m_s = (base_m_s - order_m_s2 * (t_s - obeys_s).max(0.0)).max(-flees_m_s);
+            base[1] += (gain * (order_m_s - base[1])).clamp(-most_m_s, most_m_s);
+            let normal_n = contact
+                .step(&Pressing {
+                    foam: &self.foam,
+                    tissue,
+                    friction: 0.0,
+                    overlap_m: base[0] + body[0],
+                    sliding_m_s: 0.0,
+                    dt_s: STEP_S,
+                    yield_m_per_n: mobility.yield_m_per_n(STEP_S),
+                })
+                .normal_n;
+            most_n = most_n.max(normal_n);
+            if let Mobility::Standing { mass_kg, stiffness_n_per_m, damping_n_s_per_m } = mobility {
+                let held_n = stiffness_n_per_m * (walk_m_s * t_s - body[0]);
+                let damped_n = damping_n_s_per_m * (walk_m_s - body[1]);
+                body[1] += STEP_S / mass_kg * (held_n + damped_n - normal_n);
+            }
+            (base[0], body[0]) = (base[0] + STEP_S * base[1], body[0] + STEP_S * body[1]);
+        }
+        most_n
+    }
+}
+
+#[cfg(test)]
+#[test]
+fn no_law_beats_bound_of_any_law() {
+    let meeting = Meeting {
+        foam: Foam::COLLISION_ASSUMED,
+        tissue_n_m: 50e3,
+        limit_n: 25.0,
+        deceleration_m_s2: 3.0,
+        servo_s: 0.015,
+        order_delay_s: 0.02,
+        board: Firmware::Moca,
+        sharing: 1.0,
+    };
+    let closing = |walk_m_s, base_m_s, felt_after_s| Closing {
+        base_m_s,
+        walk_m_s,
+        mobility: Mobility::Fixed,
+        felt_after_s,
+        flees_m_s: 1.0,
+        order_m_s2: 3.0,
+    };
+    let held = |walk_m_s, base_m_s, felt_after_s| {
+        meeting.least_of_any_law_n(&closing(walk_m_s, base_m_s, felt_after_s))
+    };
+    // before the base obeys, the depth is that of a straight approach, and braking adds the way of its servo
+    let (speed_m_s, felt_s) = (0.1, 0.03);
+    let by_hand_n = meeting.least_n(speed_m_s, felt_s);
+    let least_n = held(0.0, speed_m_s, felt_s);
+    assert!(least_n < by_hand_n && least_n > 0.8 * by_hand_n, "{least_n} N of {by_hand_n} N");
+    // whoever comes is met as hard as whoever is driven into, but for where the servo starts
+    assert!((held(speed_m_s, 0.0, felt_s) / least_n - 1.0).abs() < 0.05);
+    assert!(held(0.05, 0.0, felt_s) < held(0.05, 0.0, felt_s + 0.02));
+    let loose = Mobility::Standing { mass_kg: 3.0, stiffness_n_per_m: 800.0, damping_n_s_per_m: 300.0 };
+    let free_n = meeting.least_of_any_law_n(&Closing { mobility: loose, ..closing(0.2, 0.0, felt_s) });
+    assert!(free_n < held(0.2, 0.0, felt_s), "a light body yields");
 }
 
 #[cfg(test)]
@@ -77,6 +178,7 @@ fn at_the_bound_the_least_force_is_the_limit() {
         limit_n: 25.0,
         deceleration_m_s2: 3.0,
         servo_s: 0.015,
+        order_delay_s: 0.0,
         board: Firmware::Moca,
         sharing: 1.0,
     };

@@ -5,7 +5,7 @@ use crate::{JOINTS, TAXELS, commissioning};
 use anyhow::{Result, bail, ensure};
 use moca_control::plant::Simulated;
 use moca_daemon::devices::ideal_cover::IdealCover;
-use moca_daemon::devices::simulated_robot::SimulatedRobot;
+use moca_daemon::devices::simulated_robot::{self, SimulatedRobot};
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::inject::Injection;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards, TrueForces};
@@ -72,6 +72,8 @@ pub struct Row {
     pub largest_force_n: f64,
     /// Position of the person in W, m; `None` without one.
     pub person_world: Option<[f64; 2]>,
+    /// The contact barrier bounds the base for somebody who touches, however lightly.
+    pub is_bounded: bool,
 }
 
 impl Row {
@@ -117,17 +119,15 @@ impl Rig {
         let period_s = scene.control_period_s;
         let ticks = |ms: f64| whole(ms * 1e-3 / period_s);
         let cover = match settings.sensor {
-            Sensor::Stock => {
-                let mut lock_step = LockStep::with_board(&config, scene, settings.board(), None)?.untimed();
-                lock_step.feed.set_delay(usize::try_from(ticks(settings.sensor_delay_ms))?);
-                SensorModel::Board(Box::new(lock_step))
-            }
+            Sensor::Stock => SensorModel::Board(Box::new(
+                LockStep::with_board(&config, scene, settings.board(), None)?.untimed(),
+            )),
             Sensor::Ideal | Sensor::Off => {
                 if settings.sensor == Sensor::Off {
                     config.control.gains.reactivity = 0.0;
                 }
-                let delay = usize::try_from(ticks(settings.sensor_delay_ms))?;
-                let ideal = IdealCover::new(ticks(settings.period_ms()), delay);
+                let ideal =
+                    IdealCover::new(ticks(settings.period_ms()), simulated_robot::extra_age_ticks(&config));
                 let mut lock_step = LockStep::with_true_forces(&config, scene, ideal)?.untimed();
                 lock_step.feed = settings.sensor_samples;
                 SensorModel::True(Box::new(lock_step))
@@ -269,6 +269,7 @@ impl Rig {
             total_force_n,
             largest_force_n,
             person_world,
+            is_bounded: !sample.contact_rows.is_empty(),
         });
         Ok(sample.mode)
     }

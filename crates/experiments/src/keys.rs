@@ -115,9 +115,6 @@ const KEYS: &[Key] = &[
             Ok(())
         },
     ),
-    key("sensor.delay_ms", "ms", "further delay, either sensor", |s, v| {
-        store(&mut s.sensor_delay_ms, v, 0.0, 1000.0)
-    }),
     key("sensor.phase_ms", "ms", "how much later the motion starts against the sensor's clock", |s, v| {
         store(&mut s.sensor_phase_ms, v, 0.0, 1000.0)
     }),
@@ -231,6 +228,15 @@ const KEYS: &[Key] = &[
     key("person.offset", "m", "how far along the panel from the taxel's centre", |s, v| {
         store(&mut s.person.offset_m, v, -1.0, 1.0)
     }),
+    key(
+        "person.plates",
+        "1|2|3",
+        "rigid plates that the body presses at once, each by all of its depth",
+        |s, v| {
+            s.person.plates = word(v, &[("1", 1), ("2", 2), ("3", 3)])?;
+            Ok(())
+        },
+    ),
     key("person.mass", "kg", "mass", |s, v| some(&mut s.person.mass_kg, v, 0.1, 1e4)),
     key("person.stiffness", "N/m", "stiffness of the tissue", |s, v| {
         some(&mut s.person.stiffness, v, 1.0, 1e9)

@@ -48,6 +48,8 @@ pub struct PersonSettings {
     pub gap_m: f64,
     /// Along the panel from the taxel's centre, m.
     pub offset_m: f64,
+    /// Plates that the body presses at once, each by all of its depth, 1 to 3.
+    pub plates: u8,
     /// Another one like this stands before the middle of this taxel.
     pub also: Option<usize>,
     /// Mass, kg.
@@ -104,6 +106,7 @@ impl PersonSettings {
             starts_after_s: self.at_s,
             walk_m_s: self.walk_m_s,
             lean_n: self.lean_n,
+            plates: self.plates.max(1),
             steps_away_after_s: (self.part != BodyPart::Wall).then_some(self.steps_away_s),
             ..person
         })
@@ -148,8 +151,6 @@ pub struct Settings {
     pub sensor_period_ms: Option<f64>,
     /// Source of the ideal sensor's mean.
     pub sensor_samples: TrueForces,
-    /// Delay of every reading, ms.
-    pub sensor_delay_ms: f64,
     /// Phase of the sensor against the motion, ms.
     pub sensor_phase_ms: f64,
     /// Standard deviation of one FDAT value, counts; `None` is that of the virtual board.
@@ -217,7 +218,6 @@ impl Settings {
             sensor: Sensor::Stock,
             sensor_period_ms: None,
             sensor_samples: TrueForces::AtTicks,
-            sensor_delay_ms: 0.0,
             sensor_phase_ms: 0.0,
             noise_counts: None,
             firmware: Firmware::Stock2018,
@@ -285,7 +285,11 @@ impl Settings {
 
     /// The foam that force and plate gap are computed with.
     pub fn true_foam(&self) -> Foam {
-        self.foam.foam().stiffened(self.config.simulation.truth.foam.scale)
+        let truth = &self.config.simulation.truth.foam;
+        match truth.kind.0 {
+            Some(_) => simulated_robot::true_foam(&self.config),
+            None => self.foam.foam().as_is(truth),
+        }
     }
 
     /// The scene without anybody in it.

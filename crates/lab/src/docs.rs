@@ -61,6 +61,11 @@ const TABLES: &[Table] = &[
         file: "docs/data/protection-campaign.csv",
         make: protection::campaign_markdown,
     },
+    Table {
+        name: "protection-random",
+        file: "docs/data/protection-random.csv",
+        make: protection::random_markdown,
+    },
     Table { name: "step-size", file: "docs/results.md", make: tick::markdown },
     Table { name: "errors", file: "docs/data/errors.csv", make: errors::markdown },
     Table { name: "contact", file: "docs/data/contact.csv", make: stability::contact::markdown },
@@ -226,6 +231,11 @@ mod tests {
     #[test]
     fn table_protection_campaign_matches_its_file() {
         is_what_is_printed("protection-campaign");
+    }
+
+    #[test]
+    fn table_of_drawn_meetings_matches_their_file() {
+        is_what_is_printed("protection-random");
     }
 
     #[test]

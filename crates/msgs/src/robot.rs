@@ -250,6 +250,23 @@ pub enum Drive {
 
 crate::choice!(Drive { Holonomic: "holonomic", Differential: "differential" });
 
+/// Foam under the plates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FoamKind {
+    /// PU LD30, 15 mm.
+    PuLd30,
+    /// CC foam.
+    Cc,
+    /// PE LD45, 5 mm.
+    Pe5,
+    /// PE LD45, 3 mm.
+    Pe3,
+    /// F = k_0 d/(1 - d/h).
+    Hyperbolic,
+}
+
+crate::choice!(FoamKind { PuLd30: "pu-ld30", Cc: "cc", Pe5: "pe5", Pe3: "pe3", Hyperbolic: "hyperbolic" });
+
 /// Place of one taxel on the cover, and direction of a press on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]

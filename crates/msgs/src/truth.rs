@@ -1,8 +1,8 @@
 //! Truths about a simulated robot that its controller does not know. What a controller believes stays in [`crate::robot`]: a
 //! value here changes the plant alone.
 
-use crate::robot::BaseTable;
-use crate::table::{Field, ParameterSpec};
+use crate::robot::{BaseTable, FoamKind};
+use crate::table::{Field, FieldValue, ParameterKind, ParameterSpec, Size, Typed};
 
 crate::parameter_table! {
     /// Delays and errors of a simulated base.
@@ -37,6 +37,54 @@ crate::parameter_table! {
     pub struct TrueFoam in "simulation.true.foam" {
         /// Stiffness over that of its kind: age and cold raise it.
         scale: f64 = 1.0 => [.range(1e-3, 1e5).lab("true.foam.scale")];
+        /// Kind; "as-described" is that of robot.cover, and "hyperbolic" has its numbers.
+        kind: TrueFoamKind = TrueFoamKind(None) => [.lab("true.foam.kind")];
+        /// Share of its force that a held foam loses in addition to that of its kind: creep.
+        creep: f64 = 0.0 => [.range(0.0, 0.9).lab("true.foam.creep")];
+    }
+}
+
+crate::parameter_table! {
+    /// Errors of a simulated sensor of the cover.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct TrueSensor in "simulation.true.sensor" {
+        /// Age of every reading beyond what its board takes, of which the controller is not told.
+        extra_age_ms: f64 = 0.0 => [.range(0.0, 1000.0).units(&["ms"]).lab("sensor.delay_ms")];
+    }
+}
+
+/// Kind of a foam that may be another than the one described.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TrueFoamKind(pub Option<FoamKind>);
+
+/// Word for the foam that is described.
+const AS_DESCRIBED: &str = "as-described";
+
+impl Typed for TrueFoamKind {
+    const KIND: ParameterKind =
+        ParameterKind::Choice(&[AS_DESCRIBED, "pu-ld30", "cc", "pe5", "pe3", "hyperbolic"]);
+    const SIZE: Size = Size::One;
+}
+
+impl Field for TrueFoamKind {
+    fn see(&self, see: &mut dyn FnMut(FieldValue<'_>)) {
+        match &self.0 {
+            Some(kind) => kind.see(see),
+            None => see(FieldValue::Text(AS_DESCRIBED)),
+        }
+    }
+
+    fn take(&mut self, value: FieldValue<'_>) -> bool {
+        if value == FieldValue::Text(AS_DESCRIBED) {
+            self.0 = None;
+            return true;
+        }
+        let mut kind = FoamKind::PuLd30;
+        let taken = kind.take(value);
+        if taken {
+            self.0 = Some(kind);
+        }
+        taken
     }
 }
 
@@ -47,6 +95,8 @@ pub struct Truth {
     pub base: TrueBase,
     /// `[simulation.true.foam]`
     pub foam: TrueFoam,
+    /// `[simulation.true.sensor]`
+    pub sensor: TrueSensor,
 }
 
 impl Truth {
@@ -54,6 +104,7 @@ impl Truth {
     pub fn each(&mut self, visit: &mut dyn FnMut(&'static ParameterSpec, &mut dyn Field)) {
         self.base.each(visit);
         self.foam.each(visit);
+        self.sensor.each(visit);
     }
 }
 
@@ -96,6 +147,27 @@ mod tests {
     fn base_as_described_is_default_and_changes_nothing() {
         assert_eq!(TrueBase::default(), TrueBase::AS_DESCRIBED);
         assert_eq!(TrueBase::AS_DESCRIBED.applied(&SUMMIT_XL), SUMMIT_XL);
+    }
+
+    #[test]
+    fn foam_is_as_described_or_of_a_kind() {
+        let said = |kind: TrueFoamKind| {
+            let mut said = heapless::String::<16>::new();
+            kind.see(&mut |value| {
+                if let FieldValue::Text(word) = value {
+                    said.push_str(word).unwrap();
+                }
+            });
+            said
+        };
+        let mut kind = TrueFoamKind::default();
+        assert_eq!(said(kind), AS_DESCRIBED);
+        assert!(kind.take(FieldValue::Text("pe5")));
+        assert_eq!((kind.0, said(kind).as_str()), (Some(FoamKind::Pe5), "pe5"));
+        assert!(!kind.take(FieldValue::Text("rubber")) && kind.0 == Some(FoamKind::Pe5));
+        assert!(kind.take(FieldValue::Text(AS_DESCRIBED)) && kind.0.is_none());
+        let ParameterKind::Choice(words) = TrueFoamKind::KIND else { panic!("a choice") };
+        assert!(words.iter().all(|word| kind.take(FieldValue::Text(word)) && said(kind) == *word));
     }
 
     #[test]

@@ -5,8 +5,8 @@ use crate::sensor::Noise;
 use moca_msgs::TrueBase;
 use std::collections::VecDeque;
 
-/// Seed of jitter and odometry noise.
-const SEED: u64 = 0x6c61_7465;
+/// Stream of jitter and odometry noise: apart from that of a board with the same seed.
+const STREAM: u64 = 0x6c61_7465;
 
 /// An order on its way.
 #[derive(Clone, Copy, Debug)]
@@ -38,12 +38,12 @@ pub(crate) struct BaseLink {
 }
 
 impl BaseLink {
-    pub(crate) fn new(truth: &TrueBase, period_s: f64) -> Self {
+    pub(crate) fn new(truth: &TrueBase, period_s: f64, seed: u64) -> Self {
         let longest_ms = truth.order_delay_ms + truth.order_jitter_ms;
         Self {
             truth: *truth,
             period_s,
-            noise: Noise::new(SEED),
+            noise: Noise::new(STREAM.wrapping_add(seed)),
             now: 0,
             orders: VecDeque::with_capacity(ticks(longest_ms, period_s) + 2),
             next_order_at: 0,
@@ -177,7 +177,7 @@ mod tests {
     fn link(change: impl Fn(&mut TrueBase)) -> BaseLink {
         let mut truth = TrueBase::AS_DESCRIBED;
         change(&mut truth);
-        BaseLink::new(&truth, PERIOD_S)
+        BaseLink::new(&truth, PERIOD_S, 1)
     }
 
     /// Orders in force when a step is sent in tick 100, tick by tick.

@@ -5,6 +5,7 @@
 //! the CC and PE rows are phenomenological. Compression is positive and a foam never pulls.
 
 use crate::error::{SimError, within};
+use moca_msgs::TrueFoam;
 
 /// Shares of the relaxing part that decay with [`BRANCH_TIME_S`]; they sum to 1. ASSUMED.
 pub const BRANCH_SHARE: [f64; 3] = [0.40, 0.35, 0.25];
@@ -57,6 +58,9 @@ impl Default for Foam {
         Self::PU_LD30
     }
 }
+
+/// Largest share of its force that a held foam may lose.
+const RELAXATION_MAX: f64 = 0.99;
 
 /// Fraction of the gap beyond which plate and foam are treated as one solid: keeps every law finite.
 const SOLID_FRACTION: f64 = 0.999;
@@ -128,7 +132,7 @@ impl Foam {
                 within("foam.stiffness", "N/m", &[stiffness_n_per_m], 1.0, 1e9)?;
             }
         }
-        within("foam.relaxation", "", &[self.relaxation], 0.0, 0.99)?;
+        within("foam.relaxation", "", &[self.relaxation], 0.0, RELAXATION_MAX)?;
         within("foam.sensitivity", "", &[self.sensitivity], 0.0, 1e3)
     }
 
@@ -140,6 +144,13 @@ impl Foam {
             | ElasticLaw::Hyperbolic { stiffness_n_per_m: k } => *k *= factor,
         }
         self
+    }
+
+    /// Returns the foam as `truth` has it: otherwise stiff, and with more creep.
+    #[must_use]
+    pub fn as_is(self, truth: &TrueFoam) -> Self {
+        let relaxation = (self.relaxation + truth.creep).min(RELAXATION_MAX).max(self.relaxation);
+        Self { relaxation, ..self.stiffened(truth.scale) }
     }
 
     /// Deformation at which the foam is taken as solid, m.

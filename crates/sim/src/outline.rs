@@ -223,6 +223,33 @@ impl Outline {
         Shares(pressed)
     }
 
+    /// Shares of the `count` plates of one side that are nearest to a place, each pressed alike, and how many there are: no more
+    /// than the side has, and one where it has none.
+    pub(crate) fn plates(&self, nearest: &Nearest, count: u8) -> (Shares, f64) {
+        let mut shares = Shares([0.0; K]);
+        let edge = self.edges.iter().rfind(|edge| edge.strip <= nearest.strip);
+        let Some(edge) = edge else { return (shares, 1.0) };
+        let at_m = dot(edge.along, difference(nearest.point_base, edge.start_base));
+        let mut start_m = 0.0;
+        let (mut plates, mut found) = ([(f64::INFINITY, 0); K], 0);
+        for strip in self.strips[edge.strip..].iter().take_while(|s| s.curvature_per_m <= 0.0) {
+            let away_m = (start_m - at_m).max(at_m - start_m - strip.length_m).max(0.0);
+            start_m += strip.length_m;
+            if let (Some(taxel), Some(plate)) = (strip.taxel, plates.get_mut(found)) {
+                (*plate, found) = ((away_m, taxel), found + 1);
+            }
+        }
+        let plates = &mut plates[..found];
+        plates.sort_unstable_by(|(a, _), (b, _)| a.total_cmp(b));
+        let plates = &plates[..found.min(usize::from(count))];
+        #[expect(clippy::cast_precision_loss, reason = "three at most")]
+        let pressed = plates.len().max(1) as f64;
+        for (_, taxel) in plates {
+            shares.0[*taxel] = 1.0 / pressed;
+        }
+        (shares, pressed)
+    }
+
     /// Ends of what `taxel` answers for on its side, in B, m: where a plane meets it first.
     pub(crate) fn ends(&self, taxel: usize) -> Option<[[f64; 2]; 2]> {
         self.edges.iter().find_map(|edge| {

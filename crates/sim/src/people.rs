@@ -184,6 +184,8 @@ struct Meeting {
     outward_base: [f64; 2],
     /// Velocity of the body in W, m/s.
     velocity_world: [f64; 2],
+    /// Plates that are pressed at once, each by all of the depth.
+    plates: f64,
 }
 
 impl Meeting {
@@ -320,17 +322,23 @@ impl Body {
             }
             Shape::Cylinder { radius_m } => {
                 let nearest = cover.outline.nearest(place_base);
+                let rigid =
+                    (self.person.plates > 1).then(|| cover.outline.plates(&nearest, self.person.plates));
                 let meeting = Meeting {
                     contact: 0,
                     overlap_m: radius_m - nearest.distance_m,
                     point_base: nearest.point_base,
                     outward_base: nearest.outward,
                     velocity_world,
+                    plates: rigid.as_ref().map_or(1.0, |(_, plates)| *plates),
                 };
                 let force_n = self.meet(cover, &meeting, time_s, felt);
                 let overlap_m = meeting.overlap_at_end_m(cover);
                 if force_n > 0.0 && overlap_m > 0.0 {
-                    let shares = cover.outline.shares(&nearest, overlap_m, radius_m);
+                    let shares = match rigid {
+                        Some((shares, _)) => shares,
+                        None => cover.outline.shares(&nearest, overlap_m, radius_m),
+                    };
                     let taxels_n = felt.taxel_force_n[..cover.taxels.len()].iter_mut();
                     for (taxel_n, share) in taxels_n.zip(&shares.0) {
                         *taxel_n += share * force_n;
@@ -375,6 +383,7 @@ impl Body {
             point_base,
             outward_base,
             velocity_world,
+            plates: 1.0,
         })
     }
 
@@ -384,17 +393,15 @@ impl Body {
         let [vx, vy] = cover.to_base(meeting.velocity_world);
         let [cover_vx, cover_vy] = cover.velocity_base(meeting.point_base);
         let Step { dt_s, from_the_middle } = cover.step;
+        let side_by_side = (meeting.plates > 1.0).then(|| cover.foam.stiffened(meeting.plates));
         let pressing = Pressing {
-            foam: cover.foam,
+            foam: side_by_side.as_ref().unwrap_or(cover.foam),
             tissue: self.person.tissue,
             friction: self.person.friction,
             overlap_m,
             sliding_m_s: (vy - cover_vy) * nx - (vx - cover_vx) * ny,
             dt_s,
-            yield_m_per_n: match (self.dof, self.person.mobility) {
-                (Some(_), Mobility::Standing { mass_kg, .. }) => dt_s * dt_s / mass_kg,
-                _ => 0.0,
-            },
+            yield_m_per_n: self.person.mobility.yield_m_per_n(dt_s),
         };
         let closing_m_s = meeting.closing_m_s(cover);
         let (mean, end) = if from_the_middle {

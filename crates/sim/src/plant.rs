@@ -107,7 +107,7 @@ impl SimPlant {
             } else {
                 1.0
             },
-            link: BaseLink::new(&scene.base_link, scene.control_period_s),
+            link: BaseLink::new(&scene.base_link, scene.control_period_s, scene.base_seed),
             pressed_n: [0.0; K],
             felt: Felt::NOTHING,
             taxel_force_mean_n: [0.0; K],

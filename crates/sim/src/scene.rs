@@ -120,6 +120,16 @@ impl BodyPart {
     }
 }
 
+impl Mobility {
+    /// Way in which a body's own reaction to a force moves it within a step of `dt_s`, m/N; 0 for one that cannot move.
+    pub fn yield_m_per_n(self, dt_s: f64) -> f64 {
+        match self {
+            Self::Standing { mass_kg, .. } => dt_s * dt_s / mass_kg,
+            Self::Fixed => 0.0,
+        }
+    }
+}
+
 /// Somebody, or a wall, that can touch the cover.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Person {
@@ -139,6 +149,9 @@ pub struct Person {
     pub starts_after_s: f64,
     /// Speed of the posture's anchor towards the robot, m/s: 0 stands, more walks.
     pub walk_m_s: f64,
+    /// Plates that a cylinder presses at once, each by all of its depth: a flat body on rigid plates side by side. One is a body
+    /// that the plates share, 1 to 3.
+    pub plates: u8,
     /// Weight leant towards the robot until the step away, N; nothing for a fixed body.
     pub lean_n: f64,
     /// Time after first contact at which the person steps away from the robot, s; `None` never.
@@ -197,6 +210,7 @@ impl Person {
             mobility,
             starts_after_s: 0.0,
             walk_m_s: 0.0,
+            plates: 1,
             lean_n: 0.0,
             steps_away_after_s: None,
         })
@@ -214,6 +228,7 @@ impl Person {
         within("person.starts_after", "s", &[self.starts_after_s], 0.0, 1e6)?;
         within("person.walk", "m/s", &[self.walk_m_s], -5.0, 5.0)?;
         within("person.lean", "N", &[self.lean_n], 0.0, 1e3)?;
+        within("person.plates", "", &[f64::from(self.plates)], 1.0, 3.0)?;
         if let Mobility::Standing { mass_kg, stiffness_n_per_m, damping_n_s_per_m } = self.mobility {
             within("person.mass", "kg", &[mass_kg], 0.1, 1e4)?;
             within("person.posture_stiffness", "N/m", &[stiffness_n_per_m], 0.0, 1e7)?;
@@ -252,6 +267,8 @@ pub struct Scene {
     pub base: BaseTable,
     /// The way from a command to that servo, its deceleration, and odometry.
     pub base_link: TrueBase,
+    /// Seed of the jitter and noise on that way.
+    pub base_seed: u64,
     /// Place of the arm on it.
     pub mount: Mount,
     /// Places of the taxels on it, up to [`MAX_TAXELS`].
@@ -290,6 +307,7 @@ impl Scene {
             geoms: false,
             base: *base,
             base_link: TrueBase::AS_DESCRIBED,
+            base_seed: 1,
             mount: *mount,
             cover: cover.to_vec(),
             people: Vec::new(),

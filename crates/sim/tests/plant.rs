@@ -5,7 +5,7 @@
 use moca_msgs::robot::{AnyArm, FR3, MOCA_MOUNT, Mount, PANDA, PAPER_COVER, SUMMIT_XL};
 use moca_msgs::{Actuation, RobotCommand};
 use moca_sim::foam::Foam;
-use moca_sim::{BodyPart, Integrator, Person, Robot, Scene, SimError, SimPlant};
+use moca_sim::{BodyPart, Integrator, Mobility, Person, Robot, Scene, Shape, SimError, SimPlant, Tissue};
 
 /// The free robot of the paper.
 fn paper_scene() -> Scene {
@@ -475,4 +475,34 @@ fn an_fr3_in_the_scene_agrees_with_pinocchio() {
         compared += 1;
     }
     assert!(compared >= 1, "no case without a payload");
+}
+
+/// Force on a rigid body that is held 3 mm deep before T6, and what T5, T6 and T7 feel of it, N.
+fn pressed_by(plates: u8, offset_m: f64) -> (f64, [f64; 3]) {
+    let hard = Tissue { stiffness_n_per_m: 1e9, damping_n_s_per_m: 0.0 };
+    let shape = Shape::Cylinder { radius_m: 0.05 };
+    let person = Person::before(&PAPER_COVER, 5, -0.003, offset_m, shape, hard, Mobility::Fixed).unwrap();
+    let people = vec![Person { plates, friction: 0.0, ..person }];
+    let mut plant = SimPlant::new(&Scene { people, foam: Foam::COLLISION_ASSUMED, ..paper_scene() }).unwrap();
+    plant.step().unwrap();
+    let felt = plant.taxel_force_true_n();
+    (plant.contact_largest_true_n(), [felt[4], felt[5], felt[6]])
+}
+
+#[test]
+fn flat_body_presses_each_plate_by_all_of_its_depth() {
+    let (one_n, _) = pressed_by(1, 0.0);
+    for (plates, offset_m, pressed) in [
+        (1, 0.0, [0.0, 1.0, 0.0]),
+        (2, 0.01, [1.0, 1.0, 0.0]),
+        (2, -0.01, [0.0, 1.0, 1.0]),
+        (3, 0.0, [1.0; 3]),
+    ] {
+        let (all_n, felt_n) = pressed_by(plates, offset_m);
+        let expected_n = one_n * f64::from(plates);
+        assert!((all_n / expected_n - 1.0).abs() < 1e-3, "{plates} plates: {all_n} N, not {expected_n} N");
+        for (felt_n, pressed) in felt_n.iter().zip(pressed) {
+            assert!((felt_n - pressed * one_n).abs() < 1e-3 * one_n, "{plates} at {offset_m} m: {felt_n} N");
+        }
+    }
 }

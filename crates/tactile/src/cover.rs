@@ -61,6 +61,8 @@ pub struct EarlyContact<const K: usize> {
     pub touched: [bool; K],
     /// Taxels that the reading does not feel, and the last frames together do: see [`crate::cusum`].
     pub light: [bool; K],
+    /// Force on each of these by its last frame, N; 0 elsewhere.
+    pub light_n: [f64; K],
     /// As [`CoverReading::sampled_at_ns`], with these data counted.
     pub sampled_at_ns: Option<u64>,
 }
@@ -388,6 +390,9 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
     fn early(&self) -> EarlyContact<K> {
         let mut touched = [false; K];
         let light = core::array::from_fn(|i| !self.config.masked[i] && self.taxels[i].touched_lightly());
+        let light_n = core::array::from_fn(|i| {
+            if light[i] { self.taxels[i].light_force_n(&self.config.models[i]) } else { 0.0 }
+        });
         let mut times: heapless::Vec<Option<u64>, { MAX_BOARDS * BANKS }> = heapless::Vec::new();
         for (number, board) in self.boards.iter().enumerate() {
             let early = board.source.early();
@@ -403,7 +408,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
                 }
             }
         }
-        EarlyContact { touched, light, sampled_at_ns: oldest(times.into_iter()) }
+        EarlyContact { touched, light, light_n, sampled_at_ns: oldest(times.into_iter()) }
     }
 
     /// Returns true during a touch and shortly after it, while a foam may still recover: drift is not followed then.
@@ -502,6 +507,12 @@ impl Taxel {
     /// Returns true if the last frames together show a touch that gives no force.
     const fn touched_lightly(&self) -> bool {
         self.light.touched() && !self.in_contact
+    }
+
+    /// Force of the last frame, N, though it is below the counts at which a contact begins.
+    fn light_force_n(&self, model: &TaxelModel) -> f64 {
+        let drop = self.zero.as_ref().map_or(0.0, |zero| zero.gain * zero.drop(self.fdat));
+        model.force_n(&mut self.memory.clone(), drop.max(0.0), 0.0)
     }
 
     /// Takes the present counts, `dt_s` after the last ones, into the test of the last frames. A contact ends `off` counts below

@@ -5,13 +5,14 @@ use crate::control::plant::{Plant, Simulated, SourceAge};
 use crate::control::stopping::{Ladder, Stop};
 use crate::devices::scripted_press::scripted_press;
 use crate::inject::{FaultSite, Injection, PlantSpoiler};
-use crate::robot::{FoamKind, JOINTS, Parts, TAXELS};
+use crate::robot::{CoverTable, FoamKind, JOINTS, Parts, TAXELS};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotCommand, RobotState};
 use moca_sim::foam::{ElasticLaw, Foam};
 use moca_sim::scene::Robot;
 use moca_sim::{Engine, Integrator, Scene, SharedForces, SimError, SimPlant};
 use moca_tactile::cover::Electrode;
+use std::collections::VecDeque;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
@@ -39,29 +40,42 @@ pub fn free_scene(config: &Config) -> Scene {
         integrator: if accuracy.is_some() { Integrator::Leapfrog } else { Integrator::default() },
         arm_posture_rad: config.control.gains.posture_rad,
         payload: config.robot.payload(),
-        foam: foam(config).stiffened(truth.foam.scale),
+        foam: true_foam(config),
         control_period_s,
         physics_step_s: control_period_s / substeps,
         base_link: truth.base,
+        base_seed: config.simulation.seed,
         ..Scene::new(config.arm(), &base, &config.robot.mount, &config.robot.cover.placements())
     }
 }
 
-/// The foam under the cover as believed.
-pub fn foam(config: &Config) -> Foam {
-    match config.robot.cover.foam {
+/// The foam that is really under the cover.
+pub fn true_foam(config: &Config) -> Foam {
+    let truth = &config.simulation.truth.foam;
+    let cover = &config.robot.cover;
+    foam(truth.kind.0.unwrap_or(cover.foam), cover).as_is(truth)
+}
+
+/// Control periods by which readings are older than the controller is told.
+pub fn extra_age_ticks(config: &Config) -> usize {
+    let ticks = 1e-3 * config.simulation.truth.sensor.extra_age_ms * f64::from(config.control_loop.rate_hz);
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a second at most")]
+    let ticks = ticks.round() as usize;
+    ticks
+}
+
+/// Foam of a kind, hyperbolic with the numbers of `cover`.
+fn foam(kind: FoamKind, cover: &CoverTable) -> Foam {
+    match kind {
         FoamKind::PuLd30 => Foam::PU_LD30,
         FoamKind::Cc => Foam::CC,
         FoamKind::Pe5 => Foam::PE5,
         FoamKind::Pe3 => Foam::PE3,
-        FoamKind::Hyperbolic => {
-            let cover = &config.robot.cover;
-            Foam {
-                gap_m: cover.foam_thickness_m,
-                elastic: ElasticLaw::Hyperbolic { stiffness_n_per_m: cover.foam_stiffness_n_m },
-                ..Foam::COLLISION_ASSUMED
-            }
-        }
+        FoamKind::Hyperbolic => Foam {
+            gap_m: cover.foam_thickness_m,
+            elastic: ElasticLaw::Hyperbolic { stiffness_n_per_m: cover.foam_stiffness_n_m },
+            ..Foam::COLLISION_ASSUMED
+        },
     }
 }
 
@@ -105,6 +119,9 @@ pub struct SimulatedRobot {
     spoiler: Option<PlantSpoiler>,
     stall: Option<(u64, u64)>,
     shared: Vec<SharedForces>,
+    /// Forces on their way to the boards, as many as readings are ticks too old.
+    late: VecDeque<[f64; TAXELS]>,
+    late_ticks: usize,
     period_s: f64,
     ticks: u64,
     measured: bool,
@@ -132,6 +149,8 @@ impl SimulatedRobot {
             spoiler: None,
             stall: None,
             shared,
+            late: VecDeque::with_capacity(extra_age_ticks(config) + 1),
+            late_ticks: extra_age_ticks(config),
             period_s,
             ticks: 0,
             measured: false,
@@ -157,8 +176,18 @@ impl SimulatedRobot {
         }
     }
 
-    fn tell_boards(&self) {
-        for (wire, force_n) in self.wiring.iter().zip(self.world.taxel_force_true_n()) {
+    fn tell_boards(&mut self) {
+        if self.shared.is_empty() {
+            return;
+        }
+        let mut now_n = [0.0; TAXELS];
+        for (now_n, force_n) in now_n.iter_mut().zip(self.world.taxel_force_true_n()) {
+            *now_n = *force_n;
+        }
+        self.late.push_back(now_n);
+        let due = self.late.len() > self.late_ticks;
+        let felt_n = if due { self.late.pop_front() } else { None }.unwrap_or([0.0; TAXELS]);
+        for (wire, force_n) in self.wiring.iter().zip(&felt_n) {
             let board = self.shared.get(usize::from(wire.board));
             if let Some(cell) = board.and_then(|forces| forces.get(usize::from(wire.electrode))) {
                 cell.store(force_n.to_bits(), Ordering::Relaxed);
@@ -315,11 +344,44 @@ mod tests {
     }
 
     #[test]
+    fn true_foam_is_another_than_the_one_believed() {
+        let mut config = Config::default();
+        for (key, value) in [("kind", toml::Value::from("pe5")), ("scale", 1.5.into()), ("creep", 0.2.into())]
+        {
+            config.set(&format!("simulation.true.foam.{key}"), &value).unwrap();
+        }
+        let (foam, believed) = (free_scene(&config).foam, Foam::PE5);
+        let ratio = foam.elastic_force_n(1e-3) / believed.elastic_force_n(1e-3);
+        assert!((ratio - 1.5).abs() < 1e-12 && (foam.relaxation - believed.relaxation - 0.2).abs() < 1e-12);
+        assert_eq!(crate::runtime::assemble::board_config(&config).foam, foam, "the board reads that foam");
+        config.set("simulation.true.foam.creep", &0.9.into()).unwrap();
+        assert!(free_scene(&config).foam.relaxation < 1.0, "a foam keeps some of its force");
+    }
+
+    #[test]
+    fn boards_feel_a_force_as_much_later_as_it_is_too_old() {
+        for late_ticks in [0, 7] {
+            let mut config = Config::default();
+            config.simulation.hand = HandConfig::none();
+            config.set("simulation.true.sensor.extra_age_ms", &f64::from(late_ticks).into()).unwrap();
+            let shared: SharedForces = Default::default();
+            let mut robot = SimulatedRobot::new(&config, &free_scene(&config), vec![shared.clone()]).unwrap();
+            robot.press(5, 20.0).unwrap();
+            let felt = |robot: &mut SimulatedRobot| {
+                robot.write(&Actuation::Brake, 1).unwrap();
+                f64::from_bits(shared[5].load(Ordering::Relaxed))
+            };
+            let ticks = (0..50).take_while(|_| felt(&mut robot) <= 0.0).count();
+            assert_eq!(ticks, usize::try_from(late_ticks).unwrap());
+        }
+    }
+
+    #[test]
     fn every_foam_yields_as_the_simulated_one() {
         for name in ["pu-ld30", "cc", "pe5", "pe3", "hyperbolic"] {
             let mut config = Config::default();
             config.set("robot.cover.foam", &name.into()).unwrap();
-            let (cover, simulated) = (&config.robot.cover, foam(&config));
+            let (cover, simulated) = (&config.robot.cover, true_foam(&config));
             for force_n in [2.0, 25.0, 130.0] {
                 let off_m = struck(cover).depth_m(force_n) - simulated.deformation_m(force_n);
                 assert!(off_m.abs() < 1e-6, "{name}, {force_n} N: {off_m} m");

@@ -65,7 +65,7 @@ pub fn board_config(config: &Config) -> moca_sim::VirtualBoardConfig {
     moca_sim::VirtualBoardConfig {
         firmware: config.board.firmware,
         seed: config.simulation.seed,
-        foam: crate::devices::simulated_robot::foam(config),
+        foam: crate::devices::simulated_robot::true_foam(config),
         ..Default::default()
     }
 }
@@ -85,7 +85,7 @@ pub(crate) fn assemble(
     injection: Option<&Injection>,
     mut subscribers: Subscribers,
 ) -> Result<Assembled> {
-    use crate::devices::simulated_robot::{SimulatedRobot, foam, free_scene};
+    use crate::devices::simulated_robot::{SimulatedRobot, free_scene, true_foam};
     use moca_sim::PtyBoard;
 
     let (mut forces, mut virtual_boards, mut firmware) = (Vec::new(), Vec::new(), None);
@@ -98,7 +98,8 @@ pub(crate) fn assemble(
             let path = PtyBoard::default_path(number);
             *port = path.display().to_string();
             if let Some(program) = config.board.port.firmware_program() {
-                let board = LiveFirmware::start(&program, foam(config), Arc::clone(&true_forces), &path)?;
+                let board =
+                    LiveFirmware::start(&program, true_foam(config), Arc::clone(&true_forces), &path)?;
                 subscribers.board_pulses.push(board.pulse());
                 firmware = Some(board);
             } else {

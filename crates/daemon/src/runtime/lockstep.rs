@@ -7,7 +7,7 @@ use crate::control::tick_input::Slot;
 use crate::devices::board_events::{BoardEvents, NumberedEvent};
 use crate::devices::firmware_board::LockStepFirmware;
 use crate::devices::ideal_cover::IdealCover;
-use crate::devices::simulated_robot::{SimulatedRobot, foam};
+use crate::devices::simulated_robot::{SimulatedRobot, extra_age_ticks, true_foam};
 use crate::devices::touch_board::ByteCover;
 use crate::inject::{Cable, FaultSite, Injection};
 use crate::runtime::assemble::{cover_config, fit_virtual_boards, motion, nth_board, supervisor};
@@ -57,16 +57,6 @@ pub struct MemoryBoard {
 
 /// The boards under a cover, the first one first.
 pub struct MemoryBoards(Vec<MemoryBoard>);
-
-impl MemoryBoards {
-    /// Makes the boards feel everything this much later.
-    pub fn set_delay(&mut self, ticks: usize) {
-        for board in &mut self.0 {
-            board.late = VecDeque::with_capacity(ticks + 1);
-            board.delay_ticks = ticks;
-        }
-    }
-}
 
 impl Index<usize> for MemoryBoards {
     type Output = MemoryBoard;
@@ -260,6 +250,7 @@ impl LockStep<ByteCover, MemoryBoards> {
     ) -> Result<Self> {
         fit_virtual_boards(config)?;
         let (mut boards, mut ports) = (Vec::new(), Vec::new());
+        let delay_ticks = extra_age_ticks(config);
         for number in 0..config.board.port.len() {
             let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
             ports.push(events);
@@ -269,10 +260,10 @@ impl LockStep<ByteCover, MemoryBoards> {
                 plugged: true,
                 spoiled: None,
                 now_ns: 0,
-                late: VecDeque::with_capacity(1),
+                late: VecDeque::with_capacity(delay_ticks + 1),
                 wiring: config.robot.cover.wiring(),
                 number,
-                delay_ticks: 0,
+                delay_ticks,
             });
         }
         let events = BoardEvents::new(ports).with_recorder(copies);
@@ -296,7 +287,7 @@ impl LockStep<ByteCover, PipedFirmware> {
         let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
         let events = BoardEvents::new([events]).with_recorder(copies);
         let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events);
-        let firmware = Some(LockStepFirmware::start(program, foam(config))?);
+        let firmware = Some(LockStepFirmware::start(program, true_foam(config))?);
         let wiring = config.robot.cover.wiring();
         Self::new(config, scene, cover, PipedFirmware { firmware, cable, spoiled: None, wiring })
     }

@@ -100,7 +100,8 @@ fn cells(forces_n: &[f64], delays_ms: &[f64]) -> Vec<Cell> {
                                 tissue_n_m,
                                 limit_n,
                                 deceleration_m_s2,
-                                servo_s: servo_s + 1e-3 * delay_ms,
+                                servo_s,
+                                order_delay_s: 1e-3 * delay_ms,
                                 board,
                                 sharing: 2.0,
                             };

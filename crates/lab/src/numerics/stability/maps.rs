@@ -168,7 +168,7 @@ pub(crate) fn stable_in_theory(settings: &Settings) -> Result<bool> {
         stiffness_n_m: stiffness,
         damping_n_s_m: damping,
         delay_s: theory::reading_delay_s(
-            1e-3 * settings.sensor_delay_ms,
+            1e-3 * settings.config.simulation.truth.sensor.extra_age_ms,
             1e-3 * settings.period_ms(),
             1.0 / f64::from(settings.config.control_loop.rate_hz),
         ),

@@ -265,6 +265,7 @@ impl Cell {
             limit_n: ProtectionConfig::default().force_limit_n,
             deceleration_m_s2: braking * base.acceleration_max_m_s2,
             servo_s: servo * base.servo_time_constant_s,
+            order_delay_s: 0.0,
             board: self.board,
             sharing: self.place.sharing,
         }
@@ -322,21 +323,22 @@ impl Cell {
         settings.check()?;
         Ok(settings)
     }
+}
 
-    /// Returns the force of a hand that leads the robot from `row` on: it takes hold, pushes as hard as eq. (2) needs for the cell's
-    /// speed, and turns the flange so that the base does not turn.
-    pub(super) fn hand(&self, settings: &Settings, row: &Row) -> impl Fn(f64) -> Loads + use<> {
+impl Meeting {
+    /// Returns the force of a hand that leads the robot from `row` on: it takes hold, pushes as hard as eq. (2) needs for the speed
+    /// of the settings, and turns the flange so that the base does not turn.
+    pub(super) fn hand(self, settings: &Settings, row: &Row) -> impl Fn(f64) -> Loads + use<> {
         let held_s = row.t_s;
-        let pushed =
-            if self.meeting == Meeting::ByHand { Self::push(settings, row) } else { Loads::default() };
+        let pushed = if self == Self::ByHand { push(settings, row) } else { Loads::default() };
         move |t_s| pushed.scaled(((held_s + t_s) / TAKES_HOLD_S).min(1.0))
     }
+}
 
-    fn push(settings: &Settings, row: &Row) -> Loads {
-        let towards = collision::towards_person(settings);
-        let damping = settings.config.control.gains.virtual_damping;
-        let [x_n, y_n] = [0, 1].map(|axis| damping[axis] * towards[axis]);
-        let [x_m, y_m] = [0, 1].map(|axis| row.flange_world[axis] - row.base_pose_world[axis]);
-        Loads { flange_world: [x_n, y_n, 0.0, 0.0, 0.0, y_m * x_n - x_m * y_n], ..Loads::default() }
-    }
+fn push(settings: &Settings, row: &Row) -> Loads {
+    let towards = collision::towards_person(settings);
+    let damping = settings.config.control.gains.virtual_damping;
+    let [x_n, y_n] = [0, 1].map(|axis| damping[axis] * towards[axis]);
+    let [x_m, y_m] = [0, 1].map(|axis| row.flange_world[axis] - row.base_pose_world[axis]);
+    Loads { flange_world: [x_n, y_n, 0.0, 0.0, 0.0, y_m * x_n - x_m * y_n], ..Loads::default() }
 }

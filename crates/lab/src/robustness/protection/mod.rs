@@ -3,14 +3,16 @@
 
 mod cell;
 mod leads;
+mod random;
 mod table;
 mod walk_in;
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use cell::{COLUMNS, Cell, Law, Meeting, PHASES};
 pub(crate) use leads::markdown as leads_markdown;
 use moca_control::config::ProtectionConfig;
 use moca_experiments::TAXELS;
+use moca_experiments::bound;
 use moca_experiments::campaign::{self, Campaign};
 use moca_experiments::closed_loop::{Loads, Rig, Row};
 use moca_experiments::collision::{self, approach_m_s};
@@ -35,12 +37,18 @@ const RESULTS: &str = "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// CSV file; rows that are already in it are kept and not run again.
-    #[arg(long, value_name = "CSV", required_unless_present_any = ["table", "short", "walk_in", "leads"])]
+    #[arg(long, value_name = "CSV", required_unless_present_any = ["table", "short", "walk_in", "leads", "drawn"])]
     out: Option<PathBuf>,
     /// Number of cells of the grid, in an order that its seed shuffles: a larger number continues a smaller one.
     #[arg(long, default_value_t = 86_184)]
     cells: usize,
-    /// Seed of that order.
+    /// Instead: this many meetings drawn at random, robot, base, foam, person, board, lead and walk.
+    #[arg(long, value_name = "N", requires = "out")]
+    random: Option<usize>,
+    /// Instead: what was drawn for the run with this number, as `moca-lab experiment --set` takes it.
+    #[arg(long, value_name = "RUN")]
+    drawn: Option<usize>,
+    /// Seed of that order, or of what is drawn.
     #[arg(long, default_value_t = SEED)]
     seed: u64,
     /// Part of the rows, as in `sweep`.
@@ -64,8 +72,15 @@ pub(crate) struct Arguments {
 #[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     if let Some(path) = &arguments.table {
+        if let Some(summary) = table::of_random(path)? {
+            print!("{summary}");
+            return Ok(());
+        }
         print!("{}\n{}\n{}", table::of_file(path)?, table::failures(path)?, table::missed(path)?);
         return Ok(());
+    }
+    if let Some(run) = arguments.drawn {
+        print!("{}", random::drawn(arguments.seed, run));
     }
     if arguments.short {
         print!("{}", markdown()?);
@@ -77,6 +92,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         print!("{}", leads::markdown()?);
     }
     let Some(out) = &arguments.out else { return Ok(()) };
+    if let Some(runs) = arguments.random {
+        println!("{}", random::run(out, arguments.shard, runs, arguments.seed)?);
+        return Ok(());
+    }
     let cells = Cell::sample(arguments.cells, arguments.seed);
     let header = header();
     let rows = cells.len() * Law::ALL.len();
@@ -92,6 +111,11 @@ const CAMPAIGN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/data/pro
 pub(crate) fn campaign_markdown() -> Result<String> {
     let path = Path::new(CAMPAIGN);
     Ok([table::of_file(path)?, table::growth(path)?, table::failures(path)?].join("\n"))
+}
+
+/// Summary of the campaign of meetings drawn at random.
+pub(crate) fn random_markdown() -> Result<String> {
+    table::of_random(Path::new(random::CAMPAIGN))?.context("the file is of another campaign")
 }
 
 /// Phases that the short table looks at.
@@ -193,6 +217,8 @@ struct Outcome {
     peak_after_s: f64,
     /// From the first touch until the cover feels anything, s.
     felt_after_s: f64,
+    /// From the first touch until the law bounds the base for it, s; NaN if it never does.
+    noticed_after_s: f64,
     /// Force that remains when the base does its utmost from that reading on, N.
     least_n: f64,
     taps: usize,
@@ -235,14 +261,19 @@ impl Outcome {
     }
 
     fn of_run(cell: &Cell, settings: &Settings) -> Result<Self> {
+        Self::of_meeting(cell.meeting, &cell.meeting_there(), settings)
+    }
+
+    /// Lets somebody meet the robot as `meeting` says, `there` being cover, body and base as they are.
+    fn of_meeting(meeting: Meeting, there: &bound::Meeting, settings: &Settings) -> Result<Self> {
         let mut rig = Rig::start(settings, &settings.collision_scene()?)?;
-        if cell.meeting != Meeting::ByHand {
+        if meeting != Meeting::ByHand {
             rig.move_target(collision::towards_person(settings))?;
         }
         let touching = |row: &Row| row.total_force_n > 0.0;
         let mut first = None;
         loop {
-            match rig.rows.last().map(|row| cell.hand(settings, row)) {
+            match rig.rows.last().map(|row| meeting.hand(settings, row)) {
                 Some(hand) => rig.run_for(LOOK_S, hand)?,
                 None => rig.run_for(LOOK_S, |_| Loads::default())?,
             }
@@ -262,6 +293,9 @@ impl Outcome {
         let contact = &rows[first..];
         let most = contact.iter().max_by(|a, b| a.largest_force_n.total_cmp(&b.largest_force_n));
         let felt = contact.iter().find(|row| (0..TAXELS).any(|i| row.force_sensed[i] > 0.0));
+        // a false alarm before the touch is none of it
+        let alarmed = first == 0 || rows[first - 1].is_bounded;
+        let noticed = contact.iter().find(|row| !alarmed && row.is_bounded).or(felt);
         let closing_m_s = approach_m_s(&rows[first.saturating_sub(1)], settings);
         let felt_after_s = felt.map_or(f64::NAN, since);
         let [first_peak_n, later_n] = first_and_later(&measures.peaks_n);
@@ -273,7 +307,8 @@ impl Outcome {
             peak_n: peak_force_n(rows),
             peak_after_s: most.map_or(0.0, since),
             felt_after_s,
-            least_n: cell.meeting_there().least_n(closing_m_s, felt_after_s),
+            noticed_after_s: noticed.map_or(f64::NAN, since),
+            least_n: there.least_n(closing_m_s, felt_after_s),
             taps: measures.peaks_n.len(),
             grows: grows(first_peak_n, later_n),
             again: grows(first_contact_n, again_n),

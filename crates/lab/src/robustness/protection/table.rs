@@ -7,26 +7,26 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 /// A line of the file by the names of its columns.
-struct Entry<'a> {
+pub(super) struct Entry<'a> {
     header: &'a [&'a str],
     values: Vec<&'a str>,
 }
 
 impl Entry<'_> {
-    fn text(&self, name: &str) -> &str {
+    pub(super) fn text(&self, name: &str) -> &str {
         let column = self.header.iter().position(|column| *column == name);
         column.and_then(|column| self.values.get(column)).copied().unwrap_or("")
     }
 
-    fn number(&self, name: &str) -> f64 {
+    pub(super) fn number(&self, name: &str) -> f64 {
         self.text(name).parse().unwrap_or(f64::NAN)
     }
 
-    fn met(&self) -> bool {
+    pub(super) fn met(&self) -> bool {
         self.number("peak_n") > 0.0
     }
 
-    fn above(&self) -> bool {
+    pub(super) fn above(&self) -> bool {
         self.number("peak_n") > limit_n()
     }
 
@@ -84,7 +84,7 @@ pub(super) fn limit_n() -> f64 {
     ProtectionConfig::default().force_limit_n
 }
 
-fn entries<R>(text: &str, use_them: impl FnOnce(&[Entry<'_>]) -> R) -> Result<R> {
+pub(super) fn entries<R>(text: &str, use_them: impl FnOnce(&[Entry<'_>]) -> R) -> Result<R> {
     let mut lines = text.lines();
     let header: Vec<&str> = lines.next().context("the file is empty")?.split(',').collect();
     let entries: Vec<Entry<'_>> =
@@ -101,6 +101,13 @@ fn read(path: &Path) -> Result<String> {
 pub(super) fn why(row: &str) -> Result<&'static str> {
     let text = format!("{}\n{row}\n", super::header());
     entries(&text, |entries| entries.first().filter(|entry| entry.above()).map_or("", Entry::reason))
+}
+
+/// The summary of a file of meetings that were drawn at random; `None` of another campaign.
+pub(super) fn of_random(path: &Path) -> Result<Option<String>> {
+    let text = read(path)?;
+    let drawn = text.lines().next().is_some_and(|header| header.contains(",limit_m_s,"));
+    if drawn { entries(&text, super::random::markdown).map(Some) } else { Ok(None) }
 }
 
 /// The table of a file.

@@ -49,6 +49,8 @@ pub const STOP_SHARE: f64 = 0.3165;
 /// Share of the depth at the force limit from which on it makes room at the person's speed: what is left to the limit is for a
 /// cover that reads a fifth too little, and for errors of the person's estimated speed over one age.
 const YIELD_SHARE: f64 = 0.8;
+/// Force of a reading from which on somebody touches, N.
+pub const TOUCH_N: f64 = 1.0;
 /// Shortest time in which an error of the depth is taken back, s.
 const RESPONSE_S: f64 = 0.08;
 /// Taxels that are no further apart may feel one body, m: half a trunk;
@@ -261,7 +263,7 @@ impl BarrierSettings {
         Ok(Self {
             reading,
             foam,
-            touch_n: 1.0,
+            touch_n: TOUCH_N,
             hidden_n: 1.0,
             stop_m: foam.depth_m(STOP_SHARE * force_limit_n),
             yield_m: YIELD_SHARE * foam.depth_m(force_limit_n),
