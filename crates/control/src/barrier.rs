@@ -315,16 +315,6 @@ mod tests {
         }
     }
 
-    fn standing() -> RobotState<JOINTS> {
-        RobotState {
-            base_pose_world: [0.0; 3],
-            base_velocity_world: [0.0; 3],
-            q_rad: [0.0; JOINTS],
-            dq_rad_s: [0.0; JOINTS],
-            ..RobotState::AT_REST
-        }
-    }
-
     #[test]
     fn late_base_makes_room_from_the_first_alarm_on() {
         const FRONT: usize = 5;
@@ -340,7 +330,7 @@ mod tests {
             for ms in 1..=30_u64 {
                 cover.reading.sampled_at_ns = Some((ms - 1) / 10 * 10_000_000);
                 barrier.take_cover(1_000_000 * ms, &cover);
-                let limits = barrier.update(&standing(), [3.0; 3], false, 1e-3).unwrap();
+                let limits = barrier.update(&RobotState::at_rest([0.0; JOINTS]), [3.0; 3], false, 1e-3).unwrap();
                 left = limits.outward_m_s[FRONT];
             }
             left

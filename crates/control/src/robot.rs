@@ -180,7 +180,7 @@ impl Robot {
 }
 
 /// Two bodies as one, by the parallel-axis theorem; a body without mass adds nothing.
-pub(crate) fn together(a: &LinkInertial, b: &LinkInertial) -> LinkInertial {
+pub fn together(a: &LinkInertial, b: &LinkInertial) -> LinkInertial {
     if b.mass_kg <= 0.0 {
         return *a;
     }

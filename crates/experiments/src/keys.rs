@@ -639,6 +639,11 @@ mod tests {
             ("base.odometry_delay_ms", "base.odometry_delay_ms", "30"),
             ("base.odometry_noise", "base.odometry_noise_m_s", "0.003"),
             ("base.odometry_rate_hz", "base.odometry_rate_hz", "50"),
+            ("arm.mass_scale", "arm.mass_scale", "1.1"),
+            ("arm.joint_friction", "arm.joint_friction_nm", "1"),
+            ("arm.torque_noise", "arm.torque_noise_nm", "0.3"),
+            ("arm.tool_mass", "arm.tool_mass_kg", "1"),
+            ("arm.tool_com", "arm.tool_com_m", "0,0,0.05"),
             ("foam.scale", "foam.scale", "1.5"),
         ];
         let mut rows = 0;

@@ -52,7 +52,7 @@ pub use sample::{MAX_JOINTS, MAX_TAXELS, STAGES, Sample};
 pub use state::{Actuation, RobotCommand, RobotState};
 pub use target::{Target, TargetRefusal, TargetState, TimedTarget, TouchPolicy, TwistAxes, Waypoint};
 pub use taxel::{CoverReading, TaxelReading, TaxelStatus};
-pub use truth::{TrueBase, TrueFoam, TrueFoamKind, TrueSensor, Truth};
+pub use truth::{TrueArm, TrueBase, TrueFoam, TrueFoamKind, TrueSensor, Truth};
 
 /// A time of the loop, ns, as seconds.
 ///

@@ -1,7 +1,7 @@
 //! Truths about a simulated robot that its controller does not know. What a controller believes stays in [`crate::robot`]: a
 //! value here changes the plant alone.
 
-use crate::robot::{BaseTable, FoamKind};
+use crate::robot::{AnyArm, BaseTable, FoamKind, LinkInertial};
 use crate::table::{Field, FieldValue, ParameterKind, ParameterSpec, Size, Typed};
 
 crate::parameter_table! {
@@ -28,6 +28,23 @@ crate::parameter_table! {
         odometry_noise_m_s: f64 = 0.0 => [.range(0.0, 1.0).units(&["m/s"]).lab("true.base.odometry_noise")];
         /// Rate of odometry; 0 reports in every control period.
         odometry_rate_hz: f64 = 0.0 => [.range(0.0, 1e4).units(&["Hz"]).lab("true.base.odometry_rate_hz")];
+    }
+}
+
+crate::parameter_table! {
+    /// Errors of a simulated arm: its masses, its joints, and a tool that nobody told the controller about.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct TrueArm in "simulation.true.arm" {
+        /// Mass and inertia of every link over those of its table.
+        mass_scale: f64 = 1.0 => [.range(0.5, 2.0).lab("true.arm.mass_scale")];
+        /// Coulomb friction of every joint; below 0.01 rad/s it falls with the joint's speed, to 0 at rest.
+        joint_friction_nm: f64 = 0.0 => [.range(0.0, 20.0).units(&["N·m"]).lab("true.arm.joint_friction")];
+        /// Standard deviation of the torque that acts on a joint from the one that it reports, drawn for every control period.
+        torque_noise_nm: f64 = 0.0 => [.range(0.0, 10.0).units(&["N·m"]).lab("true.arm.torque_noise")];
+        /// Mass of a tool on the flange, beside what the configuration says; 0 is no tool.
+        tool_mass_kg: f64 = 0.0 => [.range(0.0, 20.0).units(&["kg"]).lab("true.arm.tool_mass")];
+        /// Its centre of mass in the flange's axes; it is a point mass.
+        tool_com_m: [f64; 3] = [0.0, 0.0, 0.0] => [.range(-1.0, 1.0).units(&["m"]).lab("true.arm.tool_com")];
     }
 }
 
@@ -93,6 +110,8 @@ impl Field for TrueFoamKind {
 pub struct Truth {
     /// `[simulation.true.base]`
     pub base: TrueBase,
+    /// `[simulation.true.arm]`
+    pub arm: TrueArm,
     /// `[simulation.true.foam]`
     pub foam: TrueFoam,
     /// `[simulation.true.sensor]`
@@ -103,6 +122,7 @@ impl Truth {
     /// Hands every field with its row to `visit`.
     pub fn each(&mut self, visit: &mut dyn FnMut(&'static ParameterSpec, &mut dyn Field)) {
         self.base.each(visit);
+        self.arm.each(visit);
         self.foam.each(visit);
         self.sensor.each(visit);
     }
@@ -138,10 +158,61 @@ impl TrueBase {
     }
 }
 
+impl TrueArm {
+    /// An arm as described: no friction, no noise, no tool.
+    pub const AS_DESCRIBED: Self = Self {
+        mass_scale: 1.0,
+        joint_friction_nm: 0.0,
+        torque_noise_nm: 0.0,
+        tool_mass_kg: 0.0,
+        tool_com_m: [0.0; 3],
+    };
+
+    /// Returns the arm as it is, where `described` is what its controller believes.
+    #[must_use]
+    pub fn applied(&self, described: &AnyArm) -> AnyArm {
+        let mut arm = *described;
+        let scale = |link: &mut LinkInertial| {
+            link.mass_kg *= self.mass_scale;
+            link.inertia_com = link.inertia_com.map(|inertia| self.mass_scale * inertia);
+        };
+        scale(&mut arm.table.link0);
+        arm.table.links.iter_mut().for_each(scale);
+        arm
+    }
+
+    /// Inertia of the tool that the controller does not know, in the flange's axes.
+    pub const fn tool(&self) -> LinkInertial {
+        LinkInertial { mass_kg: self.tool_mass_kg, com_m: self.tool_com_m, inertia_com: [0.0; 6] }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::robot::SUMMIT_XL;
+    use crate::robot::{PANDA, SUMMIT_XL};
+
+    #[test]
+    fn arm_as_described_is_default_and_changes_nothing() {
+        assert_eq!(TrueArm::default(), TrueArm::AS_DESCRIBED);
+        let panda = AnyArm::of(&PANDA);
+        assert_eq!(TrueArm::AS_DESCRIBED.applied(&panda), panda);
+    }
+
+    #[test]
+    fn heavier_arm_scales_every_link_and_moves_no_centre() {
+        let panda = AnyArm::of(&PANDA);
+        let heavy = TrueArm { mass_scale: 1.25, ..TrueArm::AS_DESCRIBED }.applied(&panda).table;
+        assert_eq!(heavy.link0.mass_kg.to_bits(), (1.25 * panda.table.link0.mass_kg).to_bits());
+        for (heavy, described) in heavy.links.iter().zip(panda.table.links) {
+            let expected = LinkInertial {
+                mass_kg: 1.25 * described.mass_kg,
+                com_m: described.com_m,
+                inertia_com: described.inertia_com.map(|inertia| 1.25 * inertia),
+            };
+            assert_eq!(*heavy, expected);
+        }
+    }
 
     #[test]
     fn base_as_described_is_default_and_changes_nothing() {

@@ -15,6 +15,7 @@ pub mod board;
 pub mod contact;
 mod error;
 pub mod foam;
+mod joint_friction;
 mod mechanics;
 mod mjcf;
 mod outline;

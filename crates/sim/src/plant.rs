@@ -2,6 +2,7 @@
 
 use crate::SimError;
 use crate::base_link::{BaseLink, Motion};
+use crate::joint_friction::JointFriction;
 use crate::mechanics::{self, Mechanics};
 use crate::mjcf::SERVO_DAMPING;
 use crate::outline::Outline;
@@ -68,6 +69,8 @@ pub struct SimPlant {
     /// Deceleration of the servo over its acceleration.
     braking: f64,
     link: BaseLink,
+    /// Friction and noise of the joints, if there are any.
+    friction: Option<JointFriction>,
     pressed_n: [f64; K],
     /// In the last step.
     felt: Felt,
@@ -107,7 +110,8 @@ impl SimPlant {
             } else {
                 1.0
             },
-            link: BaseLink::new(&scene.base_link, scene.control_period_s, scene.base_seed),
+            link: BaseLink::new(&scene.base_link, scene.control_period_s, scene.seed),
+            friction: JointFriction::new(&scene.arm_joints, scene.seed),
             pressed_n: [0.0; K],
             felt: Felt::NOTHING,
             taxel_force_mean_n: [0.0; K],
@@ -119,7 +123,7 @@ impl SimPlant {
         Ok(plant)
     }
 
-    /// Measured state; entries beyond the arm's last joint are zero, [`RobotState::resized`] cuts them. The flange wrench
+    /// Measured state; the joint torque is the commanded one, whatever friction and noise make of it. Entries beyond the arm's last joint are zero, [`RobotState::resized`] cuts them. The flange wrench
     /// is the true one if the scene has a sensor for it, else `None`.
     pub fn state(&self) -> RobotState<MAX_JOINTS> {
         let (qpos, qvel) = (self.mechanics.positions(), self.mechanics.rates());
@@ -170,6 +174,9 @@ impl SimPlant {
     /// Any warning of the engine (NaN, divergence, full buffers); the state is then no longer to be trusted.
     pub fn step(&mut self) -> Result<(), SimError> {
         self.advance_base_servo();
+        if let Some(friction) = &mut self.friction {
+            friction.next_period(self.scene.arm.joints);
+        }
         match self.stepping.take() {
             Some(mut stepping) => {
                 let result = stepping.period(self, self.scene.control_period_s);
@@ -408,6 +415,14 @@ impl SimPlant {
             };
             let joints = self.scene.arm.joints;
             self.mechanics.forces_mut()[dof..dof + joints].copy_from_slice(&self.torque_nm[..joints]);
+            if let Some(friction) = &self.friction {
+                let damping = friction.damping(&self.mechanics.rates()[dof..dof + joints]);
+                self.mechanics.set_damping(dof, &damping[..joints]);
+                let torque = &mut self.mechanics.forces_mut()[dof..dof + joints];
+                for (torque, unreported) in torque.iter_mut().zip(friction.unreported_nm) {
+                    *torque += unreported;
+                }
+            }
             self.mechanics.set_flange_wrench_world(&self.flange_wrench_world);
         }
     }

@@ -4,8 +4,9 @@ use crate::base_link::BaseLink;
 use crate::contact::Tissue;
 use crate::error::{SimError, within};
 use crate::foam::Foam;
+use crate::joint_friction;
 use moca_msgs::robot::{AnyArm, BaseTable, Mount, Payload, TaxelPlacement};
-use moca_msgs::{MAX_JOINTS, MAX_TAXELS, TrueBase};
+use moca_msgs::{MAX_JOINTS, MAX_TAXELS, TrueArm, TrueBase};
 
 /// Which parts of the robot exist.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -252,6 +253,8 @@ pub struct Scene {
     pub arm_posture_rad: [f64; MAX_JOINTS],
     /// Payload fixed to the flange.
     pub payload: Payload,
+    /// Friction and torque noise of its joints; its masses are already those of `arm` and `payload`.
+    pub arm_joints: TrueArm,
     /// The arm's mechanical joint limits.
     pub joint_limits: bool,
     /// A sensor that reports the true wrench at the flange as the robot's own estimate.
@@ -267,8 +270,8 @@ pub struct Scene {
     pub base: BaseTable,
     /// The way from a command to that servo, its deceleration, and odometry.
     pub base_link: TrueBase,
-    /// Seed of the jitter and noise on that way.
-    pub base_seed: u64,
+    /// Seed of the jitter and noise on that way, and of the torque noise of the arm.
+    pub seed: u64,
     /// Place of the arm on it.
     pub mount: Mount,
     /// Places of the taxels on it, up to [`MAX_TAXELS`].
@@ -301,13 +304,14 @@ impl Scene {
             arm: *arm,
             arm_posture_rad: arm.table.home_rad,
             payload: Payload::NONE,
+            arm_joints: TrueArm::AS_DESCRIBED,
             joint_limits: true,
             flange_sensor: false,
             foam: Foam::default(),
             geoms: false,
             base: *base,
             base_link: TrueBase::AS_DESCRIBED,
-            base_seed: 1,
+            seed: 1,
             mount: *mount,
             cover: cover.to_vec(),
             people: Vec::new(),
@@ -378,6 +382,7 @@ impl Scene {
                 why: "only leapfrog is of second order in contact, and its halved step estimates the error",
             });
         }
+        joint_friction::check(self)?;
         within("base.servo_time_constant", "s", &[self.base.servo_time_constant_s], 1e-4, 10.0)?;
         let (linear, yaw) = (self.base.acceleration_max_m_s2, self.base.yaw_acceleration_max_rad_s2);
         within("base.acceleration", "m/s², rad/s²", &[linear, yaw], 1e-3, 1e4)?;

@@ -5,9 +5,9 @@ use crate::control::plant::{Plant, Simulated, SourceAge};
 use crate::control::stopping::{Ladder, Stop};
 use crate::devices::scripted_press::scripted_press;
 use crate::inject::{FaultSite, Injection, PlantSpoiler};
-use crate::robot::{CoverTable, FoamKind, JOINTS, Parts, TAXELS};
+use crate::robot::{CoverTable, FoamKind, JOINTS, Parts, TAXELS, together};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
-use moca_msgs::{Actuation, Fault, Outcome, Refusal, RobotCommand, RobotState};
+use moca_msgs::{Actuation, Fault, Outcome, Payload, Refusal, RobotCommand, RobotState, TrueArm};
 use moca_sim::foam::{ElasticLaw, Foam};
 use moca_sim::scene::Robot;
 use moca_sim::{Engine, Integrator, Scene, SharedForces, SimError, SimPlant};
@@ -33,19 +33,26 @@ pub fn free_scene(config: &Config) -> Scene {
     };
     let truth = &config.simulation.truth;
     let base = truth.base.applied(&config.robot.base);
+    let payload = config.robot.payload();
     let accuracy = Some(config.simulation.accuracy).filter(|accuracy| *accuracy > 0.0);
     Scene {
         robot,
         accuracy,
         integrator: if accuracy.is_some() { Integrator::Leapfrog } else { Integrator::default() },
         arm_posture_rad: config.control.gains.posture_rad,
-        payload: config.robot.payload(),
+        payload: Payload { inertial: together(&payload.inertial, &truth.arm.tool()), ..payload },
+        arm_joints: truth.arm,
         foam: true_foam(config),
         control_period_s,
         physics_step_s: control_period_s / substeps,
         base_link: truth.base,
-        base_seed: config.simulation.seed,
-        ..Scene::new(config.arm(), &base, &config.robot.mount, &config.robot.cover.placements())
+        seed: config.simulation.seed,
+        ..Scene::new(
+            &truth.arm.applied(config.arm()),
+            &base,
+            &config.robot.mount,
+            &config.robot.cover.placements(),
+        )
     }
 }
 
@@ -86,9 +93,11 @@ fn foam(kind: FoamKind, cover: &CoverTable) -> Foam {
 pub fn stops(config: &Config, scene: &Scene) -> anyhow::Result<Vec<Stop>> {
     let alone = Scene {
         robot: Robot::BaseOnly,
+        arm_joints: TrueArm::AS_DESCRIBED,
         people: Vec::new(),
         engine: Engine::MuJoCo,
         accuracy: None,
+        arm_joints: TrueArm::AS_DESCRIBED,
         ..scene.clone()
     };
     let mut base = SimPlant::new(&alone)?;

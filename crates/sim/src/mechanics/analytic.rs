@@ -37,6 +37,8 @@ struct Analytic<const N: usize> {
     people_kg: Vec<f64>,
     /// Damping of the wheels at the end of a step, N·s/m, N·s/m, N·m·s/rad.
     damping: [f64; BASE],
+    /// Damping of the joints at the end of a step, N·m·s/rad.
+    joint_damping: [f64; N],
     step_s: f64,
     time_s: f64,
     positions: Vec<f64>,
@@ -72,6 +74,7 @@ impl<const N: usize> Analytic<N> {
             limits: limits.transpose()?,
             people_kg,
             damping: implicit_damping(scene),
+            joint_damping: [0.0; N],
             step_s: scene.physics_step_s,
             time_s: 0.0,
             positions: vec![0.0; coordinates],
@@ -90,7 +93,7 @@ impl<const N: usize> Analytic<N> {
         let (base, arm) = self.forces[..BASE + N].split_at(BASE);
         let mut force = WholeBodyForce {
             base: std::array::from_fn(|i| base[i] - self.damping[i] * self.rates[i]),
-            arm: std::array::from_fn(|i| arm[i]),
+            arm: std::array::from_fn(|i| arm[i] - self.joint_damping[i] * self.rates[BASE + i]),
         };
         let [fx, fy, fz, mx, my, mz] = self.flange_wrench_world;
         if self.flange_wrench_world.iter().any(|w| w.abs() > 0.0) {
@@ -181,6 +184,16 @@ impl<const N: usize> Mechanics for Analytic<N> {
         &mut self.forces
     }
 
+    fn set_damping(&mut self, first: usize, damping: &[f64]) {
+        for (i, damping) in damping.iter().enumerate() {
+            if let Some(joint) =
+                (first + i).checked_sub(BASE).and_then(|joint| self.joint_damping.get_mut(joint))
+            {
+                *joint = *damping;
+            }
+        }
+    }
+
     fn set_flange_wrench_world(&mut self, wrench: &[f64; 6]) {
         self.flange_wrench_world = *wrench;
     }
@@ -204,7 +217,10 @@ impl<const N: usize> Mechanics for Analytic<N> {
         let h = self.step_s;
         let (base, arm) = self
             .dynamics
-            .acceleration(&force, (&self.damping.map(|damping| h * damping), &[0.0; N]))
+            .acceleration(
+                &force,
+                (&self.damping.map(|damping| h * damping), &self.joint_damping.map(|damping| h * damping)),
+            )
             .ok_or_else(|| self.unstable(SINGULAR))?;
         if !(usable(&base) && usable(&arm)) {
             return Err(self.unstable(BAD_ACCELERATION));

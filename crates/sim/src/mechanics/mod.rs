@@ -43,6 +43,9 @@ pub(crate) trait Mechanics: std::fmt::Debug + Send {
     /// Forces from outside on each coordinate, N, N·m.
     fn forces_mut(&mut self) -> &mut [f64];
 
+    /// Damping of the arm's joints from coordinate `first` on, N·m·s/rad; it acts on the rates at the end of the step.
+    fn set_damping(&mut self, first: usize, damping: &[f64]);
+
     /// Wrench on the flange about its origin, world axes \[N; N·m\].
     fn set_flange_wrench_world(&mut self, wrench: &[f64; 6]);
 

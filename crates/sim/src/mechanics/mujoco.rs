@@ -87,6 +87,13 @@ impl Mechanics for MuJoCo {
         self.data.qfrc_applied_mut()
     }
 
+    fn set_damping(&mut self, first: usize, damping: &[f64]) {
+        #[expect(unsafe_code, reason = "mujoco-rs lets nothing but the options change safely")]
+        // SAFETY: numbers change, and the model stays the same one with the same sizes.
+        let model = unsafe { self.data.model_mut() };
+        model.dof_damping_mut()[first..first + damping.len()].copy_from_slice(damping);
+    }
+
     fn set_flange_wrench_world(&mut self, wrench: &[f64; 6]) {
         if let Some(body) = self.flange_body {
             self.data.xfrc_applied_mut()[body] = *wrench;
