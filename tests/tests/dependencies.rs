@@ -19,7 +19,7 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
         &["moca-msgs", "moca-qp"],
         &["serde", "log", "tracing", "tokio", "serialport", "mujoco-rs", "egui"],
     ),
-    ("moca-ros2", &["moca-msgs", "moca-telemetry"], &["rustdds", "tokio", "nalgebra", "egui"]),
+    ("moca-ros2", &["moca-manual", "moca-msgs", "moca-telemetry"], &["rustdds", "tokio", "nalgebra", "egui"]),
     ("moca-sim", &["moca-msgs", "moca-tactile", "moca-wbc"], &["egui", "tokio"]),
     (
         "moca-control",

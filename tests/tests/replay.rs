@@ -218,11 +218,11 @@ fn one_bit_is_found_and_a_loss_is_not_taken_for_a_difference() {
 
     // Of another program a difference is said to be perhaps the program's; a loss is not.
     let told = |records: &[TickRecord]| {
-        let path = write_as("0.0.9+fma", "other_program.mcap", &config(), records, &tampered);
+        let path = write_as("0.0.9+x86-64-v3", "other_program.mcap", &config(), records, &tampered);
         format!("{:#}", replay::run(&[path]).unwrap_err())
     };
     let differs = told(&records);
-    assert!(differs.contains("of mocad 0.0.9+fma") && differs.contains("arm_torque_nm"), "{differs}");
+    assert!(differs.contains("of mocad 0.0.9+x86-64-v3") && differs.contains("arm_torque_nm"), "{differs}");
     let incomplete = told(&[&records[..AT - 1], &records[AT..]].concat());
     assert!(incomplete.contains("incomplete") && !incomplete.contains("0.0.9"), "{incomplete}");
 

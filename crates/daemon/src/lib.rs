@@ -13,12 +13,13 @@
 //!
 //! The loop refuses to know who watches it: samples leave through a bounded ring, requests arrive through another.
 
-/// Version of this program. A build with fused multiply-add says `+fma`: it rounds a sum with a product once instead of twice,
-/// and its last bits differ from those of other builds.
-pub const VERSION: &str = if cfg!(target_feature = "fma") {
-    concat!(env!("CARGO_PKG_VERSION"), "+fma")
+/// Version of this program and the processors that its loop is compiled for: logs carry both.
+pub const VERSION: &str = if cfg!(target_feature = "avx512f") {
+    concat!(env!("CARGO_PKG_VERSION"), "+x86-64-v4")
+} else if cfg!(all(target_feature = "avx2", target_feature = "fma")) {
+    concat!(env!("CARGO_PKG_VERSION"), "+x86-64-v3")
 } else {
-    env!("CARGO_PKG_VERSION")
+    concat!(env!("CARGO_PKG_VERSION"), "+x86-64")
 };
 
 /// Features that this program was built with.

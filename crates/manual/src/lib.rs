@@ -2,6 +2,9 @@
 //! line. Packages ask the program with `--manual FORMAT`, and tests hold the docs to it, so that neither can say what the program
 //! does not do.
 
+#[cfg(target_arch = "x86_64")]
+mod processor;
+
 #[cfg(feature = "chapter")]
 use clap::CommandFactory;
 use clap::{Command, Parser};

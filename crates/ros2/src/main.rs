@@ -32,7 +32,7 @@ struct Arguments {
 }
 
 fn main() -> anyhow::Result<()> {
-    let arguments = Arguments::parse();
+    let arguments: Arguments = moca_manual::parse("moca-ros2", &[]);
     let address = arguments.address.unwrap_or_else(Address::of_this_machine);
     let daemon = Connection::spawn(address.clone(), || {})?;
     let settings = BridgeSettings { prefix: arguments.prefix, tf: !arguments.no_tf };

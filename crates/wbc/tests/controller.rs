@@ -105,14 +105,8 @@ fn base_alone_moves_as_base_of_led_robot() {
             ControlLaw::Hold => base.hold(&mut alone, &base_input).unwrap(),
             _ => base.step(&mut alone, &base_input).unwrap(),
         };
-        // the same sums, of which a compiler that may round once where two roundings are written chooses others in each
-        let allowed = if cfg!(target_feature = "fma") { 1e-15 } else { 0.0 };
-        let same = |ours: [f64; 3], theirs: [f64; 3], allowed: f64| {
-            ours.iter().zip(theirs).all(|(a, b)| (a - b).abs() <= allowed)
-        };
-        let velocity = expected.command.base_velocity_body;
-        assert!(same(output.velocity_body, velocity, allowed), "step {step}: {output:?} {velocity:?}");
-        assert!(same(output.cover_wrench_base, expected.cover_wrench_base, 100.0 * allowed), "step {step}");
+        assert_eq!(output.velocity_body, expected.command.base_velocity_body, "step {step}");
+        assert_eq!(output.cover_wrench_base, expected.cover_wrench_base, "step {step}");
         let of_the_base = LimitsHit { joint_range: false, ..expected.limits };
         assert_eq!(output.limits, LimitsHit { torque_rate: false, ..of_the_base });
     }
