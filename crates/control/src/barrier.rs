@@ -330,7 +330,8 @@ mod tests {
             for ms in 1..=30_u64 {
                 cover.reading.sampled_at_ns = Some((ms - 1) / 10 * 10_000_000);
                 barrier.take_cover(1_000_000 * ms, &cover);
-                let limits = barrier.update(&RobotState::at_rest([0.0; JOINTS]), [3.0; 3], false, 1e-3).unwrap();
+                let limits =
+                    barrier.update(&RobotState::at_rest([0.0; JOINTS]), [3.0; 3], false, 1e-3).unwrap();
                 left = limits.outward_m_s[FRONT];
             }
             left

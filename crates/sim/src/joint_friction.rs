@@ -154,7 +154,7 @@ mod tests {
     #[test]
     fn torque_noise_has_its_deviation_and_is_not_reported() {
         let truth = TrueArm { torque_noise_nm: 0.3, ..TrueArm::AS_DESCRIBED };
-        let mut friction = JointFriction::new(&truth).unwrap();
+        let mut friction = JointFriction::new(&truth, 1).unwrap();
         let (mut sum, mut squares, periods) = (0.0, 0.0, 5000);
         for _ in 0..periods {
             friction.next_period(7);
@@ -173,7 +173,7 @@ mod tests {
         quiet.step().unwrap();
         assert_eq!(reported, quiet.state().torque_measured_nm);
         assert_ne!(plant.state().dq_rad_s, quiet.state().dq_rad_s);
-        assert!(JointFriction::new(&TrueArm::AS_DESCRIBED).is_none());
+        assert!(JointFriction::new(&TrueArm::AS_DESCRIBED, 1).is_none());
     }
 
     #[test]

@@ -93,7 +93,6 @@ fn foam(kind: FoamKind, cover: &CoverTable) -> Foam {
 pub fn stops(config: &Config, scene: &Scene) -> anyhow::Result<Vec<Stop>> {
     let alone = Scene {
         robot: Robot::BaseOnly,
-        arm_joints: TrueArm::AS_DESCRIBED,
         people: Vec::new(),
         engine: Engine::MuJoCo,
         accuracy: None,
