@@ -10,8 +10,13 @@ use crate::solution::{Active, QpError, Side, Solution, WorkingSet};
 const ITERATIONS: usize = 4;
 /// Rows of the first blocks, which are kept.
 const IN_BLOCKS: usize = MARKS as usize;
-/// Rows after those whose weights are kept: what fills no block. Those of further rows are computed each time.
-const WEIGHTED: usize = LANES;
+/// Rows after those whose weights are kept together.
+const TOGETHER: usize = 16;
+/// Rows after those whose weights are kept. Those of further rows are computed each time.
+const WEIGHTED: usize = 192;
+
+/// Weights of rows in no block. `None` is quickly written, zeros would not be.
+type Weights<T> = [Option<[T; TOGETHER]>; WEIGHTED / TOGETHER];
 
 /// A quadratic cost ½(x − target)ᵀH(x − target), factored once: H is the metric in which a solution is nearest.
 ///
@@ -40,7 +45,7 @@ struct Search<'a, const N: usize, T> {
     /// Borrowed, because they would be copied when the rest is put in its place.
     blocks: &'a mut [Option<Block<N, T>>; IN_BLOCKS / LANES],
     /// By which the violations of the rows after those are multiplied: 0 for active ones, else about 1/‖normal‖.
-    weights: &'a mut [T; WEIGHTED],
+    weights: &'a mut Weights<T>,
     active: [(usize, Side); N],
     /// Zero where nothing is active.
     multipliers: [T; N],
@@ -151,7 +156,7 @@ impl<const N: usize, T: Scalar> Metric<N, T> {
             factor: Factor::new(&self.inverse_factor),
             x: *target,
             blocks: &mut [None; IN_BLOCKS / LANES],
-            weights: &mut [T::NOTHING; WEIGHTED],
+            weights: &mut [None; WEIGHTED / TOGETHER],
             active: [(0, Side::Lower); N],
             multipliers: [T::NOTHING; N],
             iterations: 0,
@@ -206,8 +211,8 @@ impl<'a, const N: usize, T: Scalar> Search<'a, N, T> {
         for (i, row) in others.iter().enumerate() {
             let squared = dot(&row.normal, &row.normal);
             fine &= row.bounds_make_sense() & (squared < T::UNBOUNDED) & (squared > T::NOTHING);
-            if let Some(weight) = self.weights.get_mut(i) {
-                *weight = T::about_inverse_root(squared);
+            if let Some(weights) = self.weights.get_mut(i / TOGETHER) {
+                weights.get_or_insert([T::NOTHING; TOGETHER])[i % TOGETHER] = T::about_inverse_root(squared);
             }
         }
         if fine { Ok(()) } else { self.line_up_carefully() }
@@ -266,7 +271,8 @@ impl<'a, const N: usize, T: Scalar> Search<'a, N, T> {
             at = if outside > worst { in_blocks.len() + i } else { at };
             worst = larger(outside, worst);
         };
-        for (i, (row, weight)) in others.iter().zip(self.weights.iter()).enumerate() {
+        let weights = self.weights.iter().map_while(Option::as_ref).flatten();
+        for (i, (row, weight)) in others.iter().zip(weights).enumerate() {
             compare(i, row, *weight);
         }
         for (i, row) in others.iter().enumerate().skip(WEIGHTED) {
@@ -408,8 +414,8 @@ impl<'a, const N: usize, T: Scalar> Search<'a, N, T> {
     #[inline]
     fn set(&mut self, row: usize, lower: T, upper: T, weight: T) {
         let other = row.wrapping_sub(self.split().0.len());
-        if let Some(kept) = self.weights.get_mut(other) {
-            *kept = weight;
+        if let Some(Some(weights)) = self.weights.get_mut(other / TOGETHER) {
+            weights[other % TOGETHER] = weight;
         } else if let Some(Some(block)) = self.blocks.get_mut(row / LANES) {
             block.set_bounds(row % LANES, lower, upper);
         }

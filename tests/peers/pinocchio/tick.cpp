@@ -1,4 +1,5 @@
-// Ticks of others on the data of generate.py: Pinocchio with Eigen, and C that CasADi generated (generate_tick.py).
+// Ticks of others on the data of generate.py: Pinocchio with Eigen, and C that CasADi (generate_tick.py) and CppADCodeGen
+// (generate_tick.cpp) generated.
 //
 // usage: tick DIR [PASSES]; prints a JSON object a line: name, ns_min and ns_median of a pass over all inputs, per tick.
 // Exits non-zero if a tick is further than 1e-9 from ref.csv, over the largest torque of its row.
@@ -18,6 +19,12 @@
 #include <string>
 #include <vector>
 
+// What the generated C declares of atomic functions, of which this tick has none.
+struct LangCAtomicFun {
+  void *library;
+  void *forward, *reverse;
+};
+extern "C" void cppad_tick(const double *const *in, double *const *out, LangCAtomicFun atomic);
 extern "C" int casadi_tick(const double **arg, double **res, long long *iw, double *w, int mem);
 extern "C" int casadi_tick_work(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w);
 
@@ -241,6 +248,13 @@ int main(int argc, char **argv) {
     arg[0] = numbers[i].data();
     res[0] = torque.data();
     casadi_tick(arg.data(), res.data(), iw.data(), w.data(), 0);
+    return torque;
+  });
+  right &= timed("C from Pinocchio and CppADCodeGen, block-h", reference, passes, [&](size_t i) {
+    Torque torque;
+    const double *in[] = {numbers[i].data()};
+    double *out[] = {torque.data()};
+    cppad_tick(in, out, {});
     return torque;
   });
   return right ? 0 : 1;
