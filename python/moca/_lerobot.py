@@ -214,7 +214,8 @@ def _describe(out: Path, about: dict[str, Any], episodes: list[dict[str, Any]], 
     # The words of each task, which pandas takes as the table's index.
     kinds = (("task_index", "int64", "int64"), ("task", "unicode", "object"))
     described = [{"name": name, "field_name": name, "pandas_type": kind, "numpy_type": own, "metadata": None} for name, kind, own in kinds]
-    pandas = {"index_columns": ["task"], "column_indexes": [], "columns": described, "creator": {"library": "moca", "version": "0"}, "pandas_version": "2.0.0"}
+    pandas: dict[str, Any] = {"index_columns": ["task"], "column_indexes": [], "columns": described}
+    pandas |= {"creator": {"library": "moca", "version": "0"}, "pandas_version": "2.0.0"}
     tasks = arrow.table({"task_index": arrow.array([0], arrow.int64()), "task": [task]})
     parquet.write_table(tasks.replace_schema_metadata({"pandas": json.dumps(pandas)}), out / "meta" / "tasks.parquet")
 

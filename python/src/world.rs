@@ -71,7 +71,10 @@ pub(crate) fn varied(config: &Config, assignments: &[String]) -> Result<Config> 
     for assignment in assignments {
         settings.set(assignment)?;
         rest.config = settings.config.clone();
-        ensure!(settings == rest, "{assignment}: only an experiment has this; allowed: rows of the configuration");
+        ensure!(
+            settings == rest,
+            "{assignment}: only an experiment has this; allowed: rows of the configuration"
+        );
     }
     settings.check()?;
     Ok(settings.config)
