@@ -18,7 +18,11 @@ root = pathlib.Path(sys.argv[1])
 info = json.loads((root / "meta/info.json").read_text())
 stats = json.loads((root / "meta/stats.json").read_text())
 assert info["codebase_version"] == "v3.0" and info["total_tasks"] == 1
-data = pq.read_table(root / info["data_path"].format(chunk_index=0, file_index=0))
+episodes = pq.read_table(root / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+places = dict.fromkeys((episode["data/chunk_index"], episode["data/file_index"]) for episode in episodes)
+files = [root / info["data_path"].format(chunk_index=chunk, file_index=file) for chunk, file in places]
+assert sorted(root.glob("data/*/*")) == files, "files that no episode names, or out of order"
+data = pa.concat_tables(pq.read_table(file) for file in files)
 assert data.num_rows == info["total_frames"], (data.num_rows, info["total_frames"])
 assert set(data.column_names) == set(info["features"])
 
@@ -45,7 +49,6 @@ assert data["index"].to_pylist() == list(range(data.num_rows))
 for frame, time in zip(data["frame_index"].to_pylist(), data["timestamp"].to_pylist()):
     assert abs(time - frame / info["fps"]) < 1e-4, (frame, time)
 
-episodes = pq.read_table(root / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
 assert len(episodes) == info["total_episodes"]
 tasks = pq.read_table(root / "meta/tasks.parquet")
 assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
@@ -55,4 +58,6 @@ for number, episode in enumerate(episodes):
     assert set(rows["episode_index"].to_pylist()) == {number}
     assert rows["frame_index"].to_pylist() == list(range(rows.num_rows))
     assert episode["tasks"] == tasks["task"].to_pylist()
+    file = pq.read_table(files[list(places).index((episode["data/chunk_index"], episode["data/file_index"]))])
+    assert number in file["episode_index"].to_pylist(), f"episode {number} is not in its file"
 print(f"{len(episodes)} episodes, {data.num_rows} frames, {len(info['features'])} features")

@@ -1,5 +1,7 @@
 """How many steps of 20 ticks a CPU second makes, by the ways to have many robots: python batch.py [SECONDS]
 
+    python batch.py --threads [SECONDS]     two threads against one, taken in turn, on a machine that is idle otherwise
+
 Each line is also given as a ratio. CPU is that of this process and its children, so the numbers bear a busy machine; a
 second thread shows in the time of the wall, and only where a second core is idle. `BATCH_ALONE`, the path of
 `target/release/examples/batch_alone`, adds the same robots in Rust alone.
@@ -18,7 +20,10 @@ import moca
 import moca.gym
 
 ROBOTS = 8
-SECONDS = float(sys.argv[1]) if len(sys.argv) > 1 else 4.0
+THREADS = sys.argv[1:2] == ["--threads"]
+SECONDS = float(sys.argv[1 + THREADS]) if len(sys.argv) > 1 + THREADS else 4.0
+# Turns of one thread and of two.
+TURNS = 5
 
 
 def cpu():
@@ -62,8 +67,22 @@ def vector(env):
     return env.step
 
 
+def compare_threads():
+    """Ratio of two threads to one, the median of some turns: what else runs then slows both."""
+    robots = {threads: batch(threads) for threads in (1, 2)}
+    ratios = []
+    for turn in range(TURNS):
+        one, two = (measure(f"turn {turn + 1}, {threads} thread{'s'[: threads - 1]}", robots[threads])[0] for threads in (1, 2))
+        ratios.append(two / one)
+    print(f"two threads: {np.median(ratios):.2f} of one, {min(ratios):.2f} to {max(ratios):.2f}")
+
+
 if __name__ == "__main__":
     print("load average", *os.getloadavg())
+    if THREADS:
+        compare_threads()
+        print("load average", *os.getloadavg())
+        sys.exit()
     _, alone = measure("SimBatch, 1 thread", batch(1))
     if program := os.environ.get("BATCH_ALONE"):
         steps = str(int(SECONDS / alone / ROBOTS))

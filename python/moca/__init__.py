@@ -25,6 +25,7 @@ from moca._moca import Simulation as _Simulation
 from moca._moca import State as _State
 from moca._moca import stop as _stop
 from moca._sweep import Sweep, experiment
+from moca._sweep import assignments as _assignments
 
 __all__ = [
     "Disconnected",
@@ -108,6 +109,7 @@ class State:
 
 _FIELDS = dict(_State.fields())
 _SCALARS = {name for name, single in _FIELDS.items() if single}
+_WORDS = _Log.word_fields()
 
 
 class _Commanded:
@@ -324,10 +326,15 @@ class SimBatch:
     def __len__(self) -> int:
         return self._robots
 
-    def reset(self, seeds: Any, *, where: Any = None) -> States:
-        """Makes new robots with these seeds, where `where` is true, and steps each until its law is in control."""
+    def reset(self, seeds: Any, *, where: Any = None, settings: Any = None) -> States:
+        """Makes new robots with these seeds, where `where` is true, and steps each until its law is in control.
+
+        `settings` has for each robot a dict of keys of a sweep that are in the configuration, such as `m_v`,
+        `true.foam.scale` or `simulation.hand.force_n`; what it leaves out is as in `config`.
+        """
         wanted = np.ones(len(self), bool) if where is None else np.asarray(where, bool)
-        self._inner.reset([int(seed) if new else None for seed, new in zip(seeds, wanted, strict=True)])
+        own = [_assignments(one) for one in settings or ()]
+        self._inner.reset([int(seed) if new else None for seed, new in zip(seeds, wanted, strict=True)], own)
         return self.states
 
     def step(self, targets: Any = None, ticks: int = 1, presses: Any = None) -> States:
@@ -370,7 +377,7 @@ class Log:
 
     def keys(self) -> list[str]:
         """The names of the columns."""
-        return [*_FIELDS, "mode"]
+        return [*_FIELDS, *_WORDS]
 
     def __len__(self) -> int:
         return len(self._inner)
@@ -385,8 +392,8 @@ class Log:
         return _table(self, os.path.splitext(os.path.basename(self._path))[0])
 
     def _read(self, field: str) -> np.ndarray:
-        if field == "mode":
-            return np.asarray(self._inner.modes())
+        if field in _WORDS:
+            return np.asarray(self._inner.words(field))
         data, width = self._inner.column(field)
         column = _array(data)
         return column if field in _SCALARS else column.reshape(-1, width) if width else column.reshape(len(self), 0)

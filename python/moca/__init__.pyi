@@ -1,5 +1,5 @@
 import os
-from typing import Any, Iterator
+from typing import Any, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -163,7 +163,9 @@ class SimBatch:
         target: str = "base",
     ) -> None: ...
     def __len__(self) -> int: ...
-    def reset(self, seeds: ArrayLike, *, where: ArrayLike | None = None) -> States: ...
+    def reset(
+        self, seeds: ArrayLike, *, where: ArrayLike | None = None, settings: Sequence[Mapping[str, Any]] | None = None
+    ) -> States: ...
     def step(self, targets: ArrayLike | None = None, ticks: int = 1, presses: ArrayLike | None = None) -> States: ...
 
 class Log:

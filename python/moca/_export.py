@@ -1,4 +1,4 @@
-"""Logs as tables: Arrow in memory, Parquet files for many logs."""
+"""Logs as tables: Arrow in memory, files for many logs."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Iterable
 
 import numpy as np
+
+from moca import _lerobot
 
 if TYPE_CHECKING:
     from moca import Log
@@ -26,8 +28,8 @@ def table(log: Log, run: str) -> Any:
     }
     for name in log.keys():
         values = log[name]
-        if name == "mode":
-            columns[name] = arrow.array(values.tolist(), arrow.string()).dictionary_encode()
+        if values.dtype.kind == "U":
+            columns[name] = arrow.array([word or None for word in values.tolist()], arrow.string()).dictionary_encode()
         elif values.ndim == 1:
             columns[name] = arrow.array(values)
         elif values.shape[1]:
@@ -36,31 +38,68 @@ def table(log: Log, run: str) -> Any:
     return arrow.table(columns)
 
 
+def _flat(rows: Any) -> Any:
+    """The table with a column for each element of a list: `q_rad` becomes `q_rad_1` and so on."""
+    arrow: Any = importlib.import_module("pyarrow")
+    columns: dict[str, Any] = {}
+    for name in rows.column_names:
+        column = rows[name].combine_chunks()
+        if arrow.types.is_fixed_size_list(column.type):
+            values = column.flatten().to_numpy().reshape(len(column), -1)
+            columns |= {f"{name}_{i + 1}": arrow.array(values[:, i], from_pandas=True) for i in range(values.shape[1])}
+        elif arrow.types.is_floating(column.type):
+            columns[name] = arrow.array(column.to_numpy(), from_pandas=True)
+        else:
+            columns[name] = column
+    return arrow.table(columns)
+
+
 def _file(log: str, out: str) -> None:
     """What a worker does: the file appears only when it is whole, so it may be made twice."""
     moca: Any = importlib.import_module("moca")
-    parquet: Any = importlib.import_module("pyarrow.parquet")
     fresh = f"{out}.{os.getpid()}.part"
-    parquet.write_table(table(moca.read(log), Path(log).stem), fresh)
+    rows = table(moca.read(log), Path(log).stem)
+    if out.endswith(".csv"):
+        csv: Any = importlib.import_module("pyarrow.csv")
+        csv.write_csv(_flat(rows), fresh)
+    else:
+        parquet: Any = importlib.import_module("pyarrow.parquet")
+        parquet.write_table(rows, fresh)
     os.replace(fresh, out)
 
 
 def export(
-    logs: Iterable[str | os.PathLike[str]], out: str | os.PathLike[str], *, pool: Executor | None = None
+    logs: Iterable[str | os.PathLike[str]],
+    out: str | os.PathLike[str],
+    *,
+    format: str = "parquet",
+    pool: Executor | None = None,
+    fps: int = 50,
+    task: str = "give way to touch",
 ) -> list[str]:
-    """Writes a Parquet file for each log into the folder `out`, on the workers of `pool`, and returns their paths.
+    """Writes logs in a form that other programs read, on the workers of `pool`. Needs `pyarrow`.
 
-    Each row has the robot's name, the run, which is the log's name without its ending, and Unix time. A file that is
-    there is kept, so a call that was interrupted is repeated. Needs `pyarrow`.
+    "parquet" and "csv" make a file for each log in the folder `out`, and the paths are returned. Each row has the
+    robot's name, the run, which is the log's name without its ending, and Unix time. What is not known is NaN in
+    Parquet and an empty field in CSV.
+
+    "lerobot" makes the folder `out` a LeRobot data set, version 3.0, with `fps` frames a second and the words of `task`.
+
+    What is there is kept and appears only when it is whole, so a call that was interrupted is repeated.
     """
+    if format not in ("parquet", "csv", "lerobot"):
+        raise ValueError(f"format = {format!r}: allowed: 'parquet', 'csv', 'lerobot'")
     folder = Path(out)
     places: dict[str, str] = {}
     for given in logs:
         log = os.fspath(given)
-        place = str(folder / f"{Path(log).stem}.parquet")
+        place = str(folder / f"{Path(log).stem}.{format}")
         if place in places:
             raise ValueError(f"{places[place]} and {log} have the same name, which names the run: rename one")
         places[place] = log
+    if format == "lerobot":
+        _lerobot.export(list(places.values()), folder, pool, fps, task)
+        return [str(folder)]
     folder.mkdir(parents=True, exist_ok=True)
     todo = [(log, place) for place, log in places.items() if not os.path.exists(place)]
     if pool is None:

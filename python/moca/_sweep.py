@@ -141,16 +141,21 @@ class Sweep:
         os.replace(fresh, path)
 
 
-def experiment(name: str, settings: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Runs "collision" with keys of `moca-lab experiment --set` and returns its report, the worst of five sensor phases.
-
-    A wrong key, value or range raises `ValueError`.
-    """
+def assignments(settings: Mapping[str, Any]) -> list[str]:
+    """Settings as `moca-lab experiment --set` takes them."""
 
     def text(value: Any) -> str:
         if isinstance(value, bool):
             return str(value).lower()
         return ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
 
-    report: dict[str, Any] = json.loads(_experiment(name, [f"{key}={text(v)}" for key, v in (settings or {}).items()]))
+    return [f"{key}={text(value)}" for key, value in settings.items()]
+
+
+def experiment(name: str, settings: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Runs "collision" with keys of `moca-lab experiment --set` and returns its report, the worst of five sensor phases.
+
+    A wrong key, value or range raises `ValueError`.
+    """
+    report: dict[str, Any] = json.loads(_experiment(name, assignments(settings or {})))
     return report

@@ -2,11 +2,14 @@
 
 A vector environment is one `moca.SimBatch`: threads instead of processes, no pickling. Robot i of a vector environment
 that was reset with a seed is bit for bit the environment of one robot that was reset with seed + i.
+
+`random` varies the robots: each episode draws its own from ranges as under `[random]` in a sweep's plan, such as
+`{"uniform": {"true.foam.scale": [0.7, 1.3]}, "log": {"m_v": [2, 8]}}`.
 """
 
 from __future__ import annotations
 
-from typing import Any, Callable, NamedTuple
+from typing import Any, Callable, Mapping, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -17,10 +20,12 @@ import moca
 __all__ = ["LeanEnv", "LeanVectorEnv", "PushEnv", "PushVectorEnv"]
 
 Array = NDArray[np.float64]
+# Distribution ("uniform" or "log") → key of the configuration → its range.
+Ranges = Mapping[str, Mapping[str, tuple[float, float]]]
 
 TICKS = 20
-EPISODE_S = 30.0
-PRESS_CHANCE = 0.05
+# Chances in each step that a hand begins to press a taxel, and that the one that presses lets go.
+PRESS_CHANCE, RELEASE_CHANCE = 0.01, 0.02
 
 
 class _Task(NamedTuple):
@@ -29,10 +34,17 @@ class _Task(NamedTuple):
     # What an action of 1 commands, and components that the action does not reach.
     scale: Array
     zeros: int
-    # Largest force of a press, N.
+    # Force of a press, N.
     force: float
+    # Length of an episode, s.
+    episode_s: float
     observation: Callable[[Any], Array]
     reward: Callable[[Any], Array]
+
+    def command(self, actions: Any) -> Array:
+        """Targets of some actions, a row for each robot."""
+        scaled: Array = np.clip(np.atleast_2d(actions), -1, 1) * self.scale
+        return np.hstack([scaled, np.zeros((len(scaled), self.zeros))])
 
 
 def _forces(states: Any) -> Array:
@@ -57,6 +69,7 @@ _LEAN = _Task(
     scale=np.array([0.2, 0.2, 0.5]),
     zeros=0,
     force=10.0,
+    episode_s=30.0,
     observation=lambda s: np.hstack([s.base_pose_world, s.base_velocity_world, _forces(s)]),
     reward=lambda s: 1.0 - np.linalg.norm(s.base_pose_world[:, :2], axis=1) - 0.05 * _forces(s).sum(axis=1),
 )
@@ -67,36 +80,63 @@ _PUSH = _Task(
     scale=np.array([0.1, 0.1, 0.1]),
     zeros=3,
     force=15.0,
+    episode_s=10.0,
     observation=lambda s: np.hstack([_flange_error(s), s.base_pose_world, s.base_velocity_world, _forces(s)]),
     reward=lambda s: -np.linalg.norm(_flange_error(s), axis=1),
 )
 
 
-class _Robots:
-    """Robots of a task; each draws its presses from a generator of its own."""
+def _drawn(random: Ranges, rng: np.random.Generator) -> dict[str, float]:
+    """Settings of one robot."""
+    drawn = {key: rng.uniform(*ends) for key, ends in random.get("uniform", {}).items()}
+    return drawn | {key: float(np.exp(rng.uniform(*np.log(ends)))) for key, ends in random.get("log", {}).items()}
 
-    def __init__(self, task: _Task, robots: int, threads: int | None) -> None:
-        self.task = task
+
+class _Lone:
+    """A state of one robot, its fields as those of a batch of one."""
+
+    def __init__(self, state: Any) -> None:
+        self._state = state
+
+    def __getattr__(self, field: str) -> Any:
+        return np.asarray(getattr(self._state, field))[np.newaxis]
+
+
+class _Robots:
+    """Robots of a task; each draws its settings and its hand's presses from a generator of its own."""
+
+    def __init__(self, task: _Task, robots: int, threads: int | None, random: Ranges | None) -> None:
+        if unknown := set(random or {}) - {"uniform", "log"}:
+            raise ValueError(f"random: {sorted(unknown)}: allowed: uniform, log")
+        self.task, self._random = task, random
         self.batch = moca.SimBatch(task.config, robots, threads, target=task.target)
         self._targets = np.zeros((robots, len(task.scale) + task.zeros))
         self._presses = np.zeros((robots, 2))
+        # Taxel that is pressed, 1 is T1; 0 for none.
+        self._pressed = np.zeros(robots, int)
         self._taxels = self.batch.states.taxel_force_n.shape[1]
 
     def reset(self, rngs: list[np.random.Generator], where: NDArray[np.bool_] | None = None) -> Array:
-        seeds = [
-            int(rng.integers(2**31)) if where is None or where[i] else 0 for i, rng in enumerate(rngs)
-        ]
-        return self.task.observation(self.batch.reset(seeds, where=where))
+        new = [where is None or bool(where[i]) for i in range(len(rngs))]
+        self._pressed[new] = 0
+        seeds = [int(rng.integers(2**31)) if now else 0 for rng, now in zip(rngs, new)]
+        random = self._random
+        settings = [_drawn(random, rng) if now else {} for rng, now in zip(rngs, new)] if random else None
+        return self.task.observation(self.batch.reset(seeds, where=new, settings=settings))
 
     def step(self, actions: Any, rngs: list[np.random.Generator]) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        self._targets[:, : len(self.task.scale)] = np.clip(actions, -1, 1) * self.task.scale
+        self._targets[:] = self.task.command(actions)
         self._presses[:] = 0
-        for press, rng in zip(self._presses, rngs):
-            if rng.random() < PRESS_CHANCE:
-                press[:] = rng.integers(1, self._taxels + 1), rng.choice([0.0, self.task.force])
+        for i, rng in enumerate(rngs):
+            if self._pressed[i] and rng.random() < RELEASE_CHANCE:
+                self._presses[i] = self._pressed[i], 0.0
+                self._pressed[i] = 0
+            elif not self._pressed[i] and rng.random() < PRESS_CHANCE:
+                self._pressed[i] = rng.integers(1, self._taxels + 1)
+                self._presses[i] = self._pressed[i], self.task.force
         states = self.batch.step(self._targets, TICKS, self._presses)
         terminated = np.array([fault is not None for fault in states.fault])
-        return self.task.observation(states), self.task.reward(states), terminated, states.time_s > EPISODE_S
+        return self.task.observation(states), self.task.reward(states), terminated, states.time_s > self.task.episode_s
 
 
 def _spaces(task: _Task, robots: _Robots) -> tuple[Any, Any]:
@@ -106,12 +146,12 @@ def _spaces(task: _Task, robots: _Robots) -> tuple[Any, Any]:
 
 
 class _OneRobot(gymnasium.Env[Array, Array]):
-    """A robot, 20 ticks a step; episodes end with a stop and after 30 s."""
+    """A robot, 20 ticks a step; episodes end with a stop, and after a time of the task."""
 
     _task: _Task
 
-    def __init__(self) -> None:
-        self._robots = _Robots(self._task, 1, 1)
+    def __init__(self, random: Ranges | None = None) -> None:
+        self._robots = _Robots(self._task, 1, 1, random)
         self.observation_space, self.action_space = _spaces(self._task, self._robots)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
@@ -122,6 +162,18 @@ class _OneRobot(gymnasium.Env[Array, Array]):
         observation, reward, terminated, truncated = self._robots.step([action], [self.np_random])
         return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), {}
 
+    @classmethod
+    def observe(cls, state: moca.State) -> Array:
+        """Observation of a running robot, for a policy that was trained here."""
+        observation: Array = cls._task.observation(_Lone(state))[0]
+        return observation
+
+    @classmethod
+    def command(cls, action: Any) -> Array:
+        """Target that an action stands for, as `Robot` takes it."""
+        target: Array = cls._task.command(action)[0]
+        return target
+
 
 class _ManyRobots(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
     """Robots that step together. One whose episode ends starts again in the same step; `final_obs` has its last state."""
@@ -129,9 +181,9 @@ class _ManyRobots(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
     _task: _Task
     metadata = {"autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP}
 
-    def __init__(self, num_envs: int = 1, threads: int | None = None) -> None:
+    def __init__(self, num_envs: int = 1, threads: int | None = None, random: Ranges | None = None) -> None:
         self.num_envs = num_envs
-        self._robots = _Robots(self._task, num_envs, threads)
+        self._robots = _Robots(self._task, num_envs, threads, random)
         self.single_observation_space, self.single_action_space = _spaces(self._task, self._robots)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)

@@ -2,7 +2,7 @@
 
 use crate::request::{press, target};
 use crate::state::{NumberField, fields};
-use crate::world::{World, configuration};
+use crate::world::{World, configuration, varied};
 use moca_control::config::Config;
 use moca_msgs::{Mode, Request, Sample};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -84,8 +84,8 @@ struct Robot {
 /// Work for all robots; each thread takes the next robot until there is none left.
 #[derive(Clone)]
 enum Job {
-    /// New robots with these seeds, stepped until a law is in control.
-    Reset(Arc<[Option<u64>]>),
+    /// New robots with these seeds and configurations, stepped until a law is in control.
+    Reset(Arc<[Option<(u64, Arc<Config>)>]>),
     /// A number of ticks, the first of which take the requests of each robot.
     Step { ticks: u64, requests: Arc<[[Option<Request>; 2]]> },
 }
@@ -94,7 +94,7 @@ enum Job {
 type Failure = (usize, PyErr);
 
 struct Fleet {
-    config: Config,
+    config: Arc<Config>,
     robots: Vec<Mutex<Option<Robot>>>,
     fields: Vec<(NumberField, Shared)>,
     next: AtomicUsize,
@@ -114,8 +114,9 @@ impl Fleet {
                 return first;
             }
             match job {
-                Job::Reset(seeds) => {
-                    let done = seeds[index].map_or(Ok(()), |seed| self.reset(index, seed));
+                Job::Reset(starts) => {
+                    let start = starts[index].as_ref();
+                    let done = start.map_or(Ok(()), |(seed, config)| self.reset(index, *seed, config));
                     first = first.or(done.err().map(|error| (index, error)));
                 }
                 Job::Step { ticks, requests } => self.step(index, *ticks, requests.get(index)),
@@ -123,8 +124,8 @@ impl Fleet {
         }
     }
 
-    fn reset(&self, index: usize, seed: u64) -> PyResult<()> {
-        let (robot, sample) = started(&self.config, seed)?;
+    fn reset(&self, index: usize, seed: u64, config: &Config) -> PyResult<()> {
+        let (robot, sample) = started(config, seed)?;
         self.show(index, &sample);
         *self.robot(index) = Some(robot);
         Ok(())
@@ -257,7 +258,7 @@ impl Batch {
         target(&kind, &vec![0.0; width], 0, AGE_LIMIT_S, touch(&kind))?;
         let taxels = config.robot.cover.count();
         let fleet = Arc::new(Fleet {
-            config,
+            config: Arc::new(config),
             robots: (0..robots).map(|_| Mutex::new(None)).collect(),
             fields: fields().into_iter().map(shared).collect(),
             next: AtomicUsize::new(0),
@@ -300,13 +301,28 @@ impl Batch {
         self.each(|robot| robot.refused.clone()).into_iter().map(Option::flatten).collect()
     }
 
-    /// Puts new robots in the places that have a seed.
-    fn reset(&mut self, py: Python<'_>, seeds: Vec<Option<u64>>) -> PyResult<()> {
+    /// Puts new robots in the places that have a seed. `settings` has assignments for each robot, or is empty.
+    fn reset(&mut self, py: Python<'_>, seeds: Vec<Option<u64>>, settings: Vec<Vec<String>>) -> PyResult<()> {
         let robots = self.fleet.robots.len();
-        if seeds.len() != robots {
-            return Err(PyValueError::new_err(format!("{} seeds for {robots} robots", seeds.len())));
+        if seeds.len() != robots || !(settings.is_empty() || settings.len() == robots) {
+            return Err(PyValueError::new_err(format!(
+                "{} seeds and {} settings for {robots} robots",
+                seeds.len(),
+                settings.len()
+            )));
         }
-        self.run(py, &Job::Reset(seeds.into()))
+        let start = |(index, seed): (usize, Option<u64>)| {
+            let Some(seed) = seed else { return Ok(None) };
+            let config = match settings.get(index) {
+                Some(own) if !own.is_empty() => varied(&self.fleet.config, own)
+                    .map_err(|error| PyValueError::new_err(format!("robot {index}: {error:#}")))?
+                    .into(),
+                _ => Arc::clone(&self.fleet.config),
+            };
+            Ok(Some((seed, config)))
+        };
+        let starts = seeds.into_iter().enumerate().map(start).collect::<PyResult<_>>()?;
+        self.run(py, &Job::Reset(starts))
     }
 
     /// Steps every robot, with the targets and presses that the arrays hold.

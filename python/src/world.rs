@@ -1,12 +1,14 @@
 //! The simulated robot behind `Simulation` and `Batch`: the loop in lock-step, with or without a cover.
 
+use anyhow::{Result, ensure};
 use moca_control::config::Config;
 use moca_daemon::control::tick::Ticked;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::assemble::board_config;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards, NoCover};
-use moca_msgs::Request;
+use moca_experiments::settings::Settings;
+use moca_msgs::{Law, Request};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::path::Path;
@@ -56,4 +58,24 @@ pub(crate) fn configuration(path: Option<&Path>, toml: Option<&str>) -> PyResult
         (None, Some(text)) => Config::parse(text).map_err(|error| wrong(error.to_string())),
         (Some(_), Some(_)) => Err(wrong("a file or a text, not both".into())),
     }
+}
+
+/// The configuration with assignments as of `moca-lab experiment --set`.
+///
+/// # Errors
+/// An unknown key, a value outside its range, or a key of what only an experiment has, such as a person.
+pub(crate) fn varied(config: &Config, assignments: &[String]) -> Result<Config> {
+    let mut settings = Settings::paper(Law::Impedance);
+    settings.config = config.clone();
+    let mut rest = settings.clone();
+    for assignment in assignments {
+        settings.set(assignment)?;
+        rest.config = settings.config.clone();
+        ensure!(
+            settings == rest,
+            "{assignment}: only an experiment has this; allowed: rows of the configuration"
+        );
+    }
+    settings.check()?;
+    Ok(settings.config)
 }

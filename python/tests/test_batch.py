@@ -1,4 +1,5 @@
 import threading
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -64,6 +65,28 @@ def test_batch_equals_sim_bit_for_bit_with_resets(threads):
                 assert same(states, i, alone[i][1])
 
 
+def driven(text):
+    sim = moca.Sim(text, seed=1)
+    while sim.step(1).mode != "follow-me":
+        pass
+    sim.target_base([0.2, 0, 0])
+    return sim.step(199)
+
+
+def test_robot_has_settings_of_its_own():
+    batch = moca.SimBatch(FOLLOW, 3, 2)
+    late = {"true.base.servo_ms": 200.0, "m_v": 6}
+    batch.reset([1, 1, 1], settings=[{}, late, late])
+    states = batch.step([[0.2, 0, 0]] * 3, 200)
+    config = FOLLOW + "simulation.true.base.servo_ms = 200.0\ncontrol.gains.virtual_mass = [6.0, 6.0, 2.0]\n"
+    for i, text in enumerate([FOLLOW, config, config]):
+        assert same(states, i, driven(text)), i
+    assert states.base_pose_world[0, 0] > states.base_pose_world[1, 0] + 0.001
+    # What a reset leaves out is as the configuration has it.
+    states = batch.reset([1, 1, 1], where=[False, True, False])
+    assert same(batch.step([[0.2, 0, 0]] * 3, 200), 1, driven(FOLLOW))
+
+
 def test_states_share_memory_and_are_read_only():
     batch = moca.SimBatch(FOLLOW, 2, 1)
     assert np.isnan(batch.states.base_pose_world).all() and batch.states.mode == [None, None]
@@ -121,6 +144,11 @@ def test_robot_that_refuses_steps_on_and_says_why():
         (lambda: ready().step([[0, 0, 0]], 1, [[1, 5]]), "ticks = 1: allowed: 2 or more, one for each request"),
         (lambda: ready().step(ticks=1, presses=[[12, 5]]), r"robot 0, taxel 12: allowed: 1 \(T1\) to 11 \(T11\), 0 for none"),
         (lambda: ready().step(ticks=1, presses=[[1, 999]]), "force 999 N: allowed"),
+        (lambda: ready().reset([1], settings=[{"m_v": -1}]), "robot 0: --set m_v=-1.*outside 0.01 to 1000"),
+        (lambda: ready().reset([1], settings=[{"mass": 1}]), "robot 0: --set: unknown key mass"),
+        (lambda: ready().reset([1], settings=[{"person.mass": 9}]), "person.mass=9: only an experiment has this"),
+        (lambda: ready().reset([1], settings=[{}, {}]), "1 seeds and 2 settings for 1 robots"),
+        (lambda: moca.gym.PushVectorEnv(random={"normal": {}}), r"random: \['normal'\]: allowed: uniform, log"),
     ],
 )
 def test_wrong_value_is_named_with_its_range(call, said):
@@ -139,10 +167,13 @@ def test_robot_that_does_not_arm_is_refused():
         moca.SimBatch("startup.arm = false\n" + CALM)
 
 
-@pytest.mark.parametrize("name", ["Lean", "Push"])
-def test_vector_environment_equals_lone_ones(name):
-    many = gymnasium.make_vec(f"moca/{name}-v0", num_envs=3)
-    alone = [gymnasium.make(f"moca/{name}-v0", disable_env_checker=True) for _ in range(3)]
+RANDOM = {"uniform": {"true.foam.scale": (0.7, 1.3)}, "log": {"m_v": (2, 8)}}
+
+
+@pytest.mark.parametrize(("name", "random"), [("Lean", None), ("Push", None), ("Push", RANDOM)])
+def test_vector_environment_equals_lone_ones(name, random):
+    many = gymnasium.make_vec(f"moca/{name}-v0", num_envs=3, random=random)
+    alone = [gymnasium.make(f"moca/{name}-v0", disable_env_checker=True, random=random) for _ in range(3)]
     seen, _ = many.reset(seed=7)
     for i, env in enumerate(alone):
         assert np.array_equal(seen[i], env.reset(seed=7 + i)[0])
@@ -156,7 +187,8 @@ def test_vector_environment_equals_lone_ones(name):
 
 
 def test_ended_episode_starts_again_in_the_same_step(monkeypatch):
-    monkeypatch.setattr(moca.gym, "EPISODE_S", 2.0)
+    task = moca.gym.LeanVectorEnv._task
+    monkeypatch.setattr(moca.gym.LeanVectorEnv, "_task", task._replace(episode_s=2.0))
     env = gymnasium.make_vec("moca/Lean-v0", num_envs=2)
     env.reset(seed=1)
     for _ in range(200):
@@ -166,6 +198,15 @@ def test_ended_episode_starts_again_in_the_same_step(monkeypatch):
     assert truncated.all() and infos["_final_obs"].all()
     assert not np.array_equal(infos["final_obs"][0], seen[0])
     assert (env.unwrapped._robots.batch.states.time_s < 2.0).all()
+
+
+def test_observation_and_command_are_those_of_a_running_robot():
+    env = moca.gym.PushEnv()
+    seen, _ = env.reset(seed=3)
+    lone = env._robots.batch.states
+    state = SimpleNamespace(**{name: getattr(lone, name)[0] for name in vars(lone) if not name.startswith("_")})
+    assert np.array_equal(env.observe(state), seen)
+    assert env.command([0.5, 2.0, -3.0]).tolist() == [0.05, 0.1, -0.1, 0, 0, 0]
 
 
 @pytest.mark.parametrize("env", [moca.gym.LeanEnv, moca.gym.PushEnv])

@@ -65,6 +65,15 @@ def test_killed_driver_goes_on_where_its_file_ends(lab, tmp_path, rows):
     assert out.read_bytes() == lab
 
 
+def test_driver_keeps_no_rows():
+    def peak_mb(samples):
+        command = [sys.executable, ROOT / "python" / "examples" / "engines.py", "--memory", str(samples), "0.01"]
+        return float(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+    # Rows are made up, by a function that claims 10 ms for each: 10 000 runs and 100 000.
+    assert 0.9 < peak_mb(5000) / peak_mb(500) < 1.1
+
+
 def test_rows_are_those_of_the_file_and_plans_travel(lab):
     sweep = pickle.loads(pickle.dumps(moca.Sweep(PLAN)))
     lines = lab.decode().splitlines()

@@ -2,8 +2,6 @@
 
 mod cover;
 mod docs;
-#[cfg(feature = "export")]
-mod export;
 mod numerics;
 mod paper;
 mod picture;
@@ -35,8 +33,6 @@ enum Command {
     /// The paper's experiments, deterministic and faster than real time.
     Experiment(paper::Arguments),
     Docs(docs::Arguments),
-    #[cfg(feature = "export")]
-    Export(export::Arguments),
     Extremes(extremes::Arguments),
     Faults(faults::Arguments),
     Lean(lean::Arguments),
@@ -91,8 +87,6 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Characterize(arguments) => characterize::run(&arguments),
         Command::Experiment(arguments) => paper::run(&arguments),
         Command::Docs(arguments) => docs::run(&arguments),
-        #[cfg(feature = "export")]
-        Command::Export(arguments) => export::run(&arguments),
         Command::Extremes(arguments) => extremes::run(&arguments),
         Command::Faults(arguments) => faults::run(&arguments),
         Command::Lean(arguments) => lean::run(&arguments),
