@@ -154,10 +154,14 @@ def wall(runs):
 
 
 def project(run_s, engine, start_s, task_s):
-    """Wall time of 10 000 collisions, s: start, then whatever takes longest, the workers or the driver."""
+    """Prints the wall time of 10 000 collisions: start, then whatever takes longest, the workers or the driver.
+
+    The start is that of two workers: that of thousands depends on their cluster.
+    """
     runs = len(moca.Sweep(PLAN))
     line = []
-    for cores in (1, 2, 100, 10_000):
+    # Processes are of one machine.
+    for cores in (1, 2) if engine == "processes" else (1, 2, 100, 10_000):
         chunk = max(1, min(round(1.0 / run_s), runs // cores))
         chunks = runs / chunk
         work_s, driver_s = runs * run_s / cores, chunks * task_s
