@@ -2,6 +2,7 @@
 
 use crate::barrier::{Barrier, to_world};
 use crate::base_watch::BaseWatch;
+use crate::compensation::Compensation;
 use crate::config::live::changed;
 use crate::config::{Config, RecentrePolicy};
 use crate::cover::CoverState;
@@ -71,6 +72,8 @@ pub struct Motion {
     recentre: Recentre,
     /// Remains of past forces in the foam; `None` for the laws as published.
     recovery: Option<FoamRecovery>,
+    /// Compensation of loads that the arm's model does not know, if it is on.
+    compensation: Option<Compensation>,
     parts: Parts,
     /// Protection of the present tick.
     protected: Protected,
@@ -102,6 +105,7 @@ impl Motion {
         let place = either!(&controller, controller => controller.posture_place(&parameters));
         let recentre = Recentre::new(config, place);
         let recovery = (config.control.recentre == RecentrePolicy::OnRequest).then(FoamRecovery::default);
+        let compensation = Compensation::new(config, &parameters);
         let real = config.plant.kind == PlantKind::Robot;
         let deadlines =
             SourceAge { arm_s: config.plant.arm.deadline_s, base_s: config.plant.base.deadline_s };
@@ -118,6 +122,7 @@ impl Motion {
             targets,
             recentre,
             recovery,
+            compensation,
             parts,
             protected,
             twisted: false,
@@ -234,6 +239,7 @@ impl Motion {
             targets: self.targets.state().clone(),
             recentre: self.recentre.state(),
             recovery: self.recovery,
+            compensation: self.compensation.as_ref().map(Compensation::state),
         }
     }
 
@@ -260,6 +266,7 @@ impl Motion {
         self.targets.restore(&state.targets);
         self.recentre.restore(&state.recentre);
         self.recovery = state.recovery;
+        restored(self.compensation.as_mut(), state.compensation.as_ref(), Compensation::restore)?;
         Ok(())
     }
 
@@ -402,7 +409,15 @@ impl Motion {
             taxel_force_n = &felt_n;
         }
         let input = LawInput { law, taxel_force_n, guard, dt_s };
-        either!(&mut self.controller, controller => controller.step(robot, &input))
+        let mut output = either!(&mut self.controller, controller => controller.step(robot, &input))?;
+        if let Some(compensation) = &mut self.compensation {
+            // a robot that says what pushes its flange lets the observer rest
+            let observed = robot.flange_wrench_world.is_none();
+            let external_nm = either!(&self.controller, controller => controller.external_torque_nm());
+            let external_nm = external_nm.as_ref().filter(|_| observed);
+            compensation.apply(law, external_nm, dt_s, &mut output.command.arm_torque_nm);
+        }
+        Ok(output)
     }
 
     /// Compares the way of the base, measured `dt_s` after the last one, with its orders.
@@ -535,6 +550,15 @@ impl<const N: usize> Controller<N> {
         let kinematics = whole.model().kinematics(0.0, &parameters.resized::<N>().gains.posture_rad);
         let (position_base, rotation_base) = (kinematics.tool_from_base(), kinematics.tool_rotation);
         Some(PosturePlace { position_base, rotation_base })
+    }
+
+    /// Joint torques beside the model's, as the momentum observer estimates them, N·m; `None` without an arm.
+    fn external_torque_nm(&self) -> Option<[f64; JOINTS]> {
+        match self {
+            Self::Whole(_, Some(state)) => Some(resized(state.external_torque_nm())),
+            Self::Arm(_, Some(state)) => Some(resized(state.external_torque_nm())),
+            Self::Whole(_, None) | Self::Arm(_, None) | Self::Base(..) => None,
+        }
     }
 
     const fn state(&self) -> LawState<N> {

@@ -6,6 +6,7 @@ pub mod approach;
 pub mod assemble;
 pub mod barrier;
 pub mod base_watch;
+pub mod compensation;
 pub mod config;
 pub mod contacts;
 pub mod cover;

@@ -3,6 +3,7 @@
 
 use crate::barrier::BarrierMemory;
 use crate::base_watch::BaseWatchState;
+use crate::compensation::CompensationState;
 use crate::foam_recovery::FoamRecovery;
 use crate::protection::ProtectionState;
 use crate::recentre::RecentreState;
@@ -49,6 +50,7 @@ pub struct MotionState {
     pub(super) targets: TargetsState,
     pub(super) recentre: RecentreState,
     pub(super) recovery: Option<FoamRecovery>,
+    pub(super) compensation: Option<CompensationState>,
 }
 
 /// Memory of the law for an arm of a number of joints.

@@ -273,6 +273,12 @@ impl Settings {
                 self.foam.material.name
             ));
         }
+        if self.config.control.compensation.time_s > 0.0 && !self.flange_observed {
+            mistakes.push(
+                "compensation.time: it follows the momentum observer, which runs with flange=observed only"
+                    .to_owned(),
+            );
+        }
         if self.push_s < 2.0 * self.ramp_s {
             mistakes.push(format!(
                 "push_s = {} s is shorter than its two ramps of ramp_s = {} s",

@@ -7,7 +7,8 @@ use super::{
     AUTO_LISTEN, AUTO_PORT, AssumedModel, BarrierReadings, Config, Ports, ProtectionConfig, TelemetryConfig,
 };
 use crate::approach::STOPS;
-use crate::robot::{BaseDriver, Parts, PlantKind};
+use crate::compensation::SHORTEST_S;
+use crate::robot::{BaseDriver, Believed, Parts, PlantKind};
 use moca_msgs::ParameterValues;
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::robot::Drive;
@@ -41,6 +42,24 @@ pub(super) fn check(config: &Config, report: Report<'_>) {
     plant(config, report);
     timeout(config, report);
     carried(config, report);
+    compensation(config, report);
+}
+
+/// Compensation of loads: slower than the observer that it follows, and with an observer.
+fn compensation(config: &Config, report: Report<'_>) {
+    let (name, time_s) = ("control.compensation.time_s", config.control.compensation.time_s);
+    if time_s > 0.0 && time_s < SHORTEST_S {
+        report(name, format!("{name} = {time_s} s is outside {SHORTEST_S} to 10 s; 0 s compensates nothing"));
+    }
+    if time_s > 0.0 && config.plant.arm.external_wrench == Believed::Arm {
+        report(
+            name,
+            format!(
+                "{name} = {time_s} s follows the momentum observer, which does not run with plant.arm.external_wrench = \"arm\"; \
+                 set that to \"ours\", or {name} to 0"
+            ),
+        );
+    }
 }
 
 /// Gains that are each in range and together make the robot's loop unstable. Only files are checked for this, and after
@@ -62,6 +81,16 @@ pub(super) fn stability(config: &Config, report: Report<'_>) {
         return;
     }
     if stability.is_stable(&parameters, &parameters.gains.posture_rad) {
+        if !stability.is_compensation_stable(&parameters, &parameters.gains.posture_rad) {
+            let (name, time_s) = ("control.compensation.time_s", config.control.compensation.time_s);
+            report(
+                name,
+                format!(
+                    "{name} = {time_s} s is not stable with these gains on an arm a quarter heavier or lighter than its table; \
+                     give a longer time, or 0 s for no compensation"
+                ),
+            );
+        }
         return;
     }
     let defaults = defaults(config);

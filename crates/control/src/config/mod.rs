@@ -92,6 +92,22 @@ parameter_table! {
         gains: ImpedanceGains<JOINTS> = ImpedanceGains::for_arm(&Arm::default().table.table);
         /// `[control.corrections]`: on where a user is better served; the paper's experiments switch them off.
         corrections: Corrections = Corrections::default();
+        /// `[control.compensation]`
+        compensation: CompensationConfig = CompensationConfig::default();
+    }
+}
+
+parameter_table! {
+    /// `[control.compensation]`: loads that the arm's model does not know. Off by default: while a load is being learnt the
+    /// flange is not passive.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct CompensationConfig in "control.compensation" {
+        /// Time constant with which a load is learnt while the arm moves, at least 0.1; 0 compensates nothing.
+        time_s: f64 = 0.0 => [.range(0.0, 10.0).units(&["s"]).lab("compensation.time")];
+        /// Deviation of a joint's torque from its load that counts as a person's push.
+        push_nm: f64 = 2.5 => [.range(0.5, 50.0).units(&["N·m"]).lab("compensation.push")];
+        /// Largest change of a joint's load since the arm was held: what a steady push can wind up.
+        bound_nm: f64 = 4.0 => [.range(0.0, 20.0).units(&["N·m"]).lab("compensation.bound")];
     }
 }
 
@@ -452,6 +468,7 @@ impl Config {
         self.control.corrections.each(visit);
         self.limits.each(visit);
         self.control.each(visit);
+        self.control.compensation.each(visit);
         self.robot.each_part(visit);
         self.own_arm.each(visit);
         self.control_loop.each(visit);

@@ -6,7 +6,7 @@ use super::live::changed;
 use crate::robot::{JOINTS, Parts};
 use moca_msgs::params::{CONTROLLER, Size};
 use moca_msgs::robot::AnyArm;
-use moca_msgs::{Corrections, Mount, ParameterValues, Parameters, Payload};
+use moca_msgs::{Corrections, Mount, ParameterValues, Parameters, Payload, TrueArm};
 pub use moca_wbc::joint_stiffness::SPARE;
 use moca_wbc::loop_stability::{ClosedLoop, Command, NO_GROWTH_PER_S};
 use moca_wbc::opspace::ArmDynamics;
@@ -14,6 +14,8 @@ use moca_wbc::{ArmModel, ControlLaw};
 
 /// Longest period that a controller counts, s.
 const PERIOD_MAX_S: f64 = 0.01;
+/// Error of the arm's masses that a compensation of unknown loads has to tolerate.
+const UNKNOWN_SHARE: f64 = 0.25;
 /// Halvings of the way to what is asked: to a 16000th of it.
 const HALVINGS: u32 = 14;
 
@@ -25,6 +27,8 @@ pub struct Stability {
     payload: Payload,
     servo_s: f64,
     parts: Parts,
+    /// Time constant of the compensation of unknown loads, s; 0 for none.
+    compensation_s: f64,
 }
 
 impl Stability {
@@ -36,7 +40,41 @@ impl Stability {
             payload: config.robot.payload(),
             servo_s: config.robot.base.servo_time_constant_s,
             parts: config.plant.parts,
+            compensation_s: config.control.compensation.time_s,
         }
+    }
+
+    /// Returns true if every law stays stable at rest at `q_rad` with the compensation of unknown loads, on an arm whose masses are
+    /// [`UNKNOWN_SHARE`] more or less than believed, or where there is no compensation.
+    pub fn is_compensation_stable(&self, parameters: &Parameters<JOINTS>, q_rad: &[f64; JOINTS]) -> bool {
+        match self.arm.joints {
+            _ if !self.parts.has_arm() || self.compensation_s <= 0.0 => true,
+            6 => self.is_compensation_stable_with::<6>(parameters, q_rad),
+            7 => self.is_compensation_stable_with::<7>(parameters, q_rad),
+            _ => false,
+        }
+    }
+
+    fn is_compensation_stable_with<const N: usize>(
+        &self,
+        parameters: &Parameters<JOINTS>,
+        q_rad: &[f64; JOINTS],
+    ) -> bool {
+        let Some(arm) = self.arm.table::<N>() else { return false };
+        let q_rad = core::array::from_fn(|i| q_rad[i]);
+        let parameters = parameters.resized::<N>();
+        let closed = ClosedLoop::<N>::new(&arm, &self.mount, &self.payload, self.servo_s, &parameters);
+        // numbers that make no model are refused as such, elsewhere
+        let Ok(closed) = closed else { return true };
+        [1.0 - UNKNOWN_SHARE, 1.0 + UNKNOWN_SHARE].into_iter().all(|mass_scale| {
+            let truth = TrueArm { mass_scale, ..TrueArm::AS_DESCRIBED }.applied(&self.arm);
+            let plant = truth.table::<N>().map(|arm| ArmModel::new(&arm, &self.mount, &self.payload));
+            let Some(Ok(plant)) = plant else { return false };
+            [ControlLaw::Impedance, ControlLaw::FollowMe, ControlLaw::Hold].into_iter().all(|law| {
+                let growth = closed.compensated_growth_per_s(law, &plant, self.compensation_s, &q_rad);
+                growth.is_ok_and(|growth_per_s| growth_per_s < NO_GROWTH_PER_S)
+            })
+        })
     }
 
     /// Returns true if every law, hold included, is stable at rest at `q_rad` with a period [`SPARE`] times as long. A base without

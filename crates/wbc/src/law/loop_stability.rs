@@ -9,6 +9,9 @@
 //!
 //! Hold is one of the laws: an arm stops and tares in it.
 //!
+//! [`ClosedLoop::compensated_growth_per_s`] asks the same of an arm that is not the one believed, on a base that stands, while
+//! the slow part of the momentum observer's estimate is commanded against.
+//!
 //! Not in it: limits (they act on large motions), the wrench that a robot estimates at its flange, whoever touches the
 //! cover ([`crate::contact_stability`]). Analysis, not control: f64 only, and every loop takes a fixed number of steps.
 //!
@@ -32,6 +35,8 @@
 use crate::controller::{ControlInput, ControlLaw, ControllerState, WholeBodyController};
 use crate::error::ControlError;
 use crate::linalg::{Cholesky, times};
+use crate::model::ArmModel;
+use crate::momentum_observer::OBSERVER_LAG_S;
 use moca_msgs::robot::PAPER_COVER;
 use moca_msgs::{ArmTable, MAX_JOINTS, Mount, ParameterError, Parameters, Payload, RobotState};
 #[allow(unused_imports, reason = "where std is linked, f64 has these methods by itself")]
@@ -80,6 +85,29 @@ struct Instant<const N: usize> {
     torque_nm: [f64; N],
 }
 
+/// One instant of an arm whose unknown load is compensated.
+#[derive(Clone, Copy)]
+struct Compensated<const N: usize> {
+    robot: RobotState<N>,
+    /// Integral of the momentum observer, N·m·s.
+    observed: [f64; N],
+    /// Load that is commanded against, N·m.
+    load_nm: [f64; N],
+}
+
+impl<const N: usize> Compensated<N> {
+    /// One of the 4N numbers of the state.
+    fn element(&mut self, number: usize) -> &mut f64 {
+        let joint = number % N;
+        match number / N {
+            0 => &mut self.robot.q_rad[joint],
+            1 => &mut self.robot.dq_rad_s[joint],
+            2 => &mut self.observed[joint],
+            _ => &mut self.load_nm[joint],
+        }
+    }
+}
+
 impl<const N: usize> ClosedLoop<N> {
     /// An arm on a base with a velocity servo of time constant `servo_s`, under the gains, corrections and period of
     /// `parameters`.
@@ -125,6 +153,81 @@ impl<const N: usize> ClosedLoop<N> {
             worst = worst.max(log_spectral_radius(period) / self.period_s);
         }
         Ok(worst)
+    }
+
+    /// Returns the growth rate of the fastest growing small motion of `plant` about rest at `q_rad` under `law`, on a standing base,
+    /// 1/s. The law believes in the arm of this loop. A first-order filter with time constant `time_s`, s, of the momentum
+    /// observer's estimate is taken from its torques.
+    ///
+    /// # Errors
+    /// A posture that is not finite.
+    pub fn compensated_growth_per_s(
+        &self,
+        law: impl Into<ControlLaw>,
+        plant: &ArmModel<N, f64>,
+        time_s: f64,
+        q_rad: &[f64; N],
+    ) -> Result<f64, ControlError> {
+        let law = law.into();
+        let robot = RobotState { flange_wrench_world: Some([0.0; 6]), ..RobotState::at_rest(*q_rad) };
+        let mut entered = self.controller.enter(law, &robot)?;
+        self.controller.step(law, &mut entered, &ControlInput::new(robot, [0.0], self.period_s))?;
+        let believed = self.controller.model().dynamics(0.0, q_rad, &[0.0; N]).bias;
+        let gravity = plant.dynamics(0.0, q_rad, &[0.0; N]).bias;
+        let load_nm = core::array::from_fn(|i| believed[i] - gravity[i]);
+        let observed = load_nm.map(|load| -OBSERVER_LAG_S * load);
+        let rest = Compensated { robot, observed, load_nm };
+        let mut period = SMatrix::<f64, STATES, STATES>::zeros();
+        for column in 0..4 * N {
+            let moved = |by: f64| {
+                let mut instant = rest;
+                *instant.element(column) += by;
+                self.compensated(law, &entered, plant, time_s, &instant)
+            };
+            let (mut up, mut down) = (moved(DIFFERENCE)?, moved(-DIFFERENCE)?);
+            for row in 0..4 * N {
+                period[(row, column)] = (*up.element(row) - *down.element(row)) / (2.0 * DIFFERENCE);
+            }
+        }
+        Ok(log_spectral_radius(period) / self.period_s)
+    }
+
+    /// The compensated arm a period later, stepped as a simulation is.
+    fn compensated(
+        &self,
+        law: ControlLaw,
+        entered: &ControllerState<N>,
+        plant: &ArmModel<N, f64>,
+        time_s: f64,
+        before: &Compensated<N>,
+    ) -> Result<Compensated<N>, ControlError> {
+        let (mut state, dt_s) = (*entered, self.period_s);
+        let input = ControlInput::new(before.robot, [0.0], dt_s);
+        let wanted = self.controller.step(law, &mut state, &input)?.command.arm_torque_nm;
+        let torque: [f64; N] = core::array::from_fn(|i| wanted[i] - before.load_nm[i]);
+        let mut next = *before;
+        let (q, dq) = (&mut next.robot.q_rad, &mut next.robot.dq_rad_s);
+        let dynamics = plant.dynamics(0.0, q, dq);
+        let free = core::array::from_fn(|i| torque[i] - dynamics.bias[i]);
+        let mass = Cholesky::new(&dynamics.mass).ok_or(ControlError::NotPositiveDefinite { what: "M_A" })?;
+        for (i, acceleration) in mass.solve(&free).into_iter().enumerate() {
+            dq[i] += dt_s * acceleration;
+            q[i] += dt_s * dq[i];
+        }
+        // the observer's own step, with the model that the law believes in
+        let model = self.controller.model();
+        let believed = model.dynamics(0.0, q, dq);
+        let momentum = believed.momentum(&[0.0; 3], dq);
+        let drift = model.momentum_drift(&believed.kinematics, &[0.0; 3], dq);
+        let gravity = believed.gravity();
+        let share = -(-dt_s / time_s).exp_m1();
+        for i in 0..N {
+            let predicted = before.observed[i] + dt_s * (torque[i] + drift[i] - gravity[i]);
+            let residual = (momentum[i] - predicted) / (OBSERVER_LAG_S + dt_s);
+            next.observed[i] = predicted + dt_s * residual;
+            next.load_nm[i] += share * (residual - next.load_nm[i]);
+        }
+        Ok(next)
     }
 
     fn linearised(
@@ -253,7 +356,8 @@ fn log_spectral_radius(mut power: SMatrix<f64, STATES, STATES>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moca_msgs::robot::{MOCA_MOUNT, PANDA, SUMMIT_XL, UR10E};
+    use moca_msgs::TrueArm;
+    use moca_msgs::robot::{AnyArm, MOCA_MOUNT, PANDA, SUMMIT_XL, UR10E};
 
     /// Growth under hold of a small motion, 1/s: the worse of a command at once and one that is a period late.
     fn held<const N: usize>(arm: &ArmTable<N>, rate_hz: f64, q_rad: &[f64; N]) -> f64 {
@@ -289,6 +393,39 @@ mod tests {
         let mass = model.dynamics(0.0, &PANDA.home_rad, &[0.0; 7]).mass;
         let most = crate::joint_stiffness::largest(&mass, 1e-3);
         assert!((0..7).all(|i| most[i] > 2.0 * PANDA.torque_max_nm[i]), "{most:?} N·m/rad");
+    }
+
+    /// Growth of an arm whose links are `scale` times as heavy as believed and which carries a tool, the worst law's, 1/s.
+    fn compensated(scale: f64, tool_kg: f64, time_s: f64, q_rad: &[f64; 7]) -> f64 {
+        let truth = TrueArm { mass_scale: scale, tool_mass_kg: tool_kg, ..TrueArm::AS_DESCRIBED };
+        let heavy = truth.applied(&AnyArm::of(&PANDA)).table::<7>().unwrap();
+        let payload = Payload { inertial: truth.tool(), ..Payload::NONE };
+        let plant = ArmModel::new(&heavy, &MOCA_MOUNT, &payload).unwrap();
+        let parameters = Parameters::for_arm(&PANDA);
+        let servo_s = SUMMIT_XL.servo_time_constant_s;
+        let closed = ClosedLoop::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, servo_s, &parameters).unwrap();
+        [ControlLaw::Impedance, ControlLaw::FollowMe, ControlLaw::Hold]
+            .map(|law| closed.compensated_growth_per_s(law, &plant, time_s, q_rad).unwrap())
+            .into_iter()
+            .fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    #[test]
+    fn compensated_arm_settles_a_quarter_off_with_3_kg() {
+        let postures = [PANDA.home_rad, [0.5, -0.2, 0.3, -1.8, 0.4, 1.2, 0.0]];
+        for q_rad in postures {
+            for (scale, tool_kg) in [(0.75, 0.0), (1.0, 0.0), (1.25, 3.0)] {
+                for time_s in [0.1, 0.5, 2.0] {
+                    let growth = compensated(scale, tool_kg, time_s, &q_rad);
+                    assert!(
+                        growth < NO_GROWTH_PER_S,
+                        "{scale} {tool_kg} kg {time_s} s {q_rad:?}: {growth} /s"
+                    );
+                }
+            }
+        }
+        let fast = compensated(4.0, 20.0, 1e-3, &PANDA.home_rad);
+        assert!(fast > 1.0, "a load that is learnt too fast shakes a much heavier arm: {fast} /s");
     }
 
     #[test]

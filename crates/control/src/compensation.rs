@@ -1,0 +1,213 @@
+//! Compensation of loads that the arm's model does not know: heavier links, a tool, friction of the joints. Pure.
+//!
+//! The momentum observer ([`moca_wbc::momentum_observer`]) estimates the joint torque beside the model's, r. Its slow part is taken
+//! for a load b and commanded against. While the arm is held, b follows r: that is its zero, and nobody may push the flange then.
+//! While a law moves the arm, b follows with `time_s` and stays within `bound_nm` of that zero. Where r is off b by more than
+//! `push_nm` in any joint, somebody pushes: b then follows [`PUSHED_SHARE`] as fast. So a quick push meets the spring of the
+//! impedance law, and a steady one takes at most `bound_nm` from each joint, whatever its force and length. docs/math.md has the proof.
+//!
+//! Without it nothing is computed, and no bit of a command changes.
+
+use crate::config::Config;
+use crate::robot::JOINTS;
+use moca_msgs::Parameters;
+use moca_wbc::ControlLaw;
+use serde::{Deserialize, Serialize};
+
+/// Shortest time constant: five times the lag of the observer, s.
+pub const SHORTEST_S: f64 = 0.1;
+/// Time constant with which a load is taken in while the arm is held, s.
+const HELD_S: f64 = 0.3;
+/// Largest load of a joint that is believed while the arm is held, N·m.
+const LARGEST_NM: f64 = 20.0;
+/// Share of its speed with which a load is followed while somebody pushes.
+const PUSHED_SHARE: f64 = 0.05;
+
+/// Loads of one arm.
+#[derive(Clone, Copy, Debug)]
+pub struct Compensation {
+    joints: usize,
+    time_s: f64,
+    push_nm: f64,
+    bound_nm: f64,
+    torque_max_nm: [f64; JOINTS],
+    torque_rate_nm_s: f64,
+    period_s: f64,
+    state: CompensationState,
+}
+
+/// Memory of a [`Compensation`] between ticks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CompensationState {
+    /// Torque that the load puts on each joint, N·m.
+    load_nm: [f64; JOINTS],
+    /// The same when a law began to move the arm.
+    zero_nm: [f64; JOINTS],
+    /// Torque that was commanded last, N·m; `None` before the first.
+    sent_nm: Option<[f64; JOINTS]>,
+}
+
+impl Compensation {
+    /// Compensation as configured; `None` where it is off or there is no arm.
+    pub fn new(config: &Config, parameters: &Parameters<JOINTS>) -> Option<Self> {
+        let of = &config.control.compensation;
+        (of.time_s > 0.0 && config.plant.parts.has_arm()).then(|| Self {
+            joints: config.arm().joints,
+            time_s: of.time_s,
+            push_nm: of.push_nm,
+            bound_nm: of.bound_nm,
+            torque_max_nm: parameters.limits.torque_nm,
+            torque_rate_nm_s: parameters.limits.torque_rate_nm_s,
+            period_s: parameters.limits.period_s,
+            state: CompensationState::default(),
+        })
+    }
+
+    /// Returns its memory.
+    pub const fn state(&self) -> CompensationState {
+        self.state
+    }
+
+    /// Goes on from where `state` was taken.
+    pub const fn restore(&mut self, state: &CompensationState) {
+        self.state = *state;
+    }
+
+    /// Torque that the load puts on each joint, N·m.
+    pub const fn load_nm(&self) -> &[f64; JOINTS] {
+        &self.state.load_nm
+    }
+
+    /// Takes in the observer's estimate `external_nm` of the last tick, `None` where it does not run, and puts the torque against
+    /// the load into a command.
+    pub fn apply(
+        &mut self,
+        law: ControlLaw,
+        external_nm: Option<&[f64; JOINTS]>,
+        dt_s: f64,
+        torque_nm: &mut [f64; JOINTS],
+    ) {
+        if let Some(external_nm) = external_nm {
+            self.follow(law, external_nm, dt_s);
+        }
+        let step_nm = self.torque_rate_nm_s * dt_s.min(self.period_s);
+        let last_nm = self.state.sent_nm;
+        for (i, torque) in torque_nm[..self.joints].iter_mut().enumerate() {
+            let most = self.torque_max_nm[i];
+            *torque = (*torque - self.state.load_nm[i]).clamp(-most, most);
+            if let Some(last) = last_nm {
+                *torque = torque.clamp(last[i] - step_nm, last[i] + step_nm);
+            }
+        }
+        self.state.sent_nm = Some(*torque_nm);
+    }
+
+    /// One step of the loads towards `external_nm`.
+    fn follow(&mut self, law: ControlLaw, external_nm: &[f64; JOINTS], dt_s: f64) {
+        let state = &mut self.state;
+        let is_held = law == ControlLaw::Hold;
+        let is_pushed = (0..self.joints).any(|i| (external_nm[i] - state.load_nm[i]).abs() > self.push_nm);
+        let per_s = match (is_held, is_pushed) {
+            (true, _) => 1.0 / HELD_S,
+            (false, true) => PUSHED_SHARE / self.time_s,
+            (false, false) => 1.0 / self.time_s,
+        };
+        let share = -(-dt_s * per_s).exp_m1();
+        for i in 0..self.joints {
+            let (middle, most) = if is_held { (0.0, LARGEST_NM) } else { (state.zero_nm[i], self.bound_nm) };
+            let next = state.load_nm[i] + share * (external_nm[i] - state.load_nm[i]);
+            state.load_nm[i] = next.clamp(middle - most, middle + most);
+        }
+        if is_held {
+            state.zero_nm = state.load_nm;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TICK_S: f64 = 1e-3;
+
+    fn compensation() -> Compensation {
+        let mut config = Config::default();
+        config.control.compensation.time_s = 0.5;
+        Compensation::new(&config, &config.parameters()).unwrap()
+    }
+
+    fn run(
+        compensation: &mut Compensation,
+        law: ControlLaw,
+        external_nm: f64,
+        seconds: f64,
+    ) -> [f64; JOINTS] {
+        let mut torque_nm = [0.0; JOINTS];
+        let mut t_s = 0.0;
+        while t_s < seconds {
+            torque_nm = [0.0; JOINTS];
+            compensation.apply(law, Some(&[external_nm; JOINTS]), TICK_S, &mut torque_nm);
+            t_s += TICK_S;
+        }
+        torque_nm
+    }
+
+    #[test]
+    fn nothing_is_compensated_by_default_or_without_an_arm() {
+        let mut config = Config::default();
+        assert!(Compensation::new(&config, &config.parameters()).is_none());
+        config.control.compensation.time_s = 0.5;
+        assert!(Compensation::new(&config, &config.parameters()).is_some());
+        config.plant.parts = crate::robot::Parts::Base;
+        assert!(Compensation::new(&config, &config.parameters()).is_none());
+    }
+
+    #[test]
+    fn held_arm_takes_any_load_in_up_to_20_nm() {
+        let mut load = compensation();
+        let torque_nm = run(&mut load, ControlLaw::Hold, 8.0, 3.0);
+        assert!((torque_nm[0] + 8.0).abs() < 0.01 && torque_nm[7].abs() < 1e-12, "{torque_nm:?}");
+        run(&mut load, ControlLaw::Hold, 100.0, 10.0);
+        assert!((load.load_nm()[0] - 20.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn steady_push_winds_up_to_its_bound_and_unwinds() {
+        let mut load = compensation();
+        run(&mut load, ControlLaw::Hold, 5.0, 3.0);
+        let zero = load.load_nm()[0];
+        run(&mut load, ControlLaw::Impedance, zero + 7.5, 1.0);
+        let one_second = load.load_nm()[0] - zero;
+        assert!((0.5..0.8).contains(&one_second), "{one_second} N·m after a second of pushing");
+        for push_nm in [7.5, 40.0, 1000.0] {
+            run(&mut load, ControlLaw::Impedance, zero + push_nm, 120.0);
+            let wound = load.load_nm()[0] - zero;
+            assert!((wound - 4.0).abs() < 1e-9, "{wound} N·m of {push_nm} N·m");
+        }
+        run(&mut load, ControlLaw::Impedance, zero, 60.0);
+        assert!((load.load_nm()[0] - zero).abs() < 1e-3, "nothing is left of it");
+    }
+
+    #[test]
+    fn load_below_a_push_is_followed_with_its_time_constant() {
+        let mut load = compensation();
+        run(&mut load, ControlLaw::Hold, 0.0, 0.1);
+        run(&mut load, ControlLaw::Impedance, 2.0, 0.5);
+        let share = load.load_nm()[0] / 2.0;
+        assert!((share - (1.0 - (-1.0_f64).exp())).abs() < 0.01, "{share}");
+    }
+
+    #[test]
+    fn command_stays_within_torque_limits_and_their_rate() {
+        let mut load = compensation();
+        run(&mut load, ControlLaw::Hold, 15.0, 3.0);
+        let mut torque_nm = [-86.0; JOINTS];
+        load.apply(ControlLaw::Impedance, None, TICK_S, &mut torque_nm);
+        assert!((torque_nm[0] + 16.0).abs() < 0.01, "one step of 1000 N·m/s from -15: {torque_nm:?}");
+        for _ in 0..100 {
+            torque_nm = [-86.0; JOINTS];
+            load.apply(ControlLaw::Impedance, None, TICK_S, &mut torque_nm);
+        }
+        assert!((torque_nm[0] + 87.0).abs() < 1e-9, "{torque_nm:?}");
+    }
+}
