@@ -60,7 +60,10 @@ const READ_ELSEWHERE: &[(&str, &str)] = &[
     ("flight_recorder.folder", "daemon/src/record/flight_recorder.rs"),
     ("protection.assessed_forces_n", "lab/src/cover/latency.rs"),
     ("protection.stopping_measured", "control/src/protection.rs"),
-    ("simulation.true.foam.scale", "daemon/src/devices/simulated_robot.rs"),
+    ("simulation.true.foam.scale", "sim/src/foam.rs"),
+    ("simulation.true.foam.creep", "sim/src/foam.rs"),
+    ("simulation.true.foam.kind", "daemon/src/devices/simulated_robot.rs"),
+    ("simulation.true.sensor.extra_age_ms", "daemon/src/devices/simulated_robot.rs"),
 ];
 
 /// A robot, and the loads it is looked at under.

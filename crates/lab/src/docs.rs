@@ -358,8 +358,8 @@ mod tests {
             "README.md",
             "late-bases",
             &[
-                ("| 3.8 N with the contact barrier | 61.4 N", "PU LD30 | 0 |"),
-                ("| 4.5 N with the contact barrier | 162.7 N", "PU LD30 | 50 |"),
+                ("| 3.5 N with the contact barrier | 61.4 N", "PU LD30 | 0 |"),
+                ("| 4.4 N with the contact barrier | 162.7 N", "PU LD30 | 50 |"),
                 ("meets the leg at 0.012 m/s", "PU LD30 | 50 |"),
             ],
         ),
