@@ -168,7 +168,7 @@ pub enum Clearing {
 
 impl Fault {
     /// Every code.
-    pub const CODES: [&'static str; 26] = [
+    pub const CODES: [&'static str; 27] = [
         "operator-stop",
         "board-silent",
         "board-lost",
@@ -191,6 +191,7 @@ impl Fault {
         "joint-speed",
         "flange-speed",
         "pose-error",
+        "arm-stretched",
         "arm-reflex",
         "arm-user-stopped",
         "arm-refused",
@@ -423,6 +424,7 @@ mod tests {
             Fault::JointSpeed { joint: 2 },
             Fault::FlangeSpeed,
             Fault::PoseError,
+            Fault::ArmStretched { joint: 3 },
             Fault::BaseLate,
         ];
         let pressed = Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Saturated };
