@@ -24,6 +24,8 @@ pub struct Barrier {
     /// Readings count from the first alarm on, also below the counts at which a contact begins: a late base has no time to wait for
     /// them.
     counts_light: bool,
+    /// Fastest that the base makes room for a light touch, m/s: it may be a false alarm, and somebody may stand on the other side.
+    light_m_s: f64,
     /// Deceleration of the base's servo, m/s², m/s², rad/s².
     deceleration: [f64; 3],
     /// Flange from the base in the last tick, axes of B, m.
@@ -59,6 +61,7 @@ impl Barrier {
             samples: [None; TAXELS],
             light: [false; TAXELS],
             counts_light: settings.order_delay_s > 0.0,
+            light_m_s: 0.0,
             deceleration: [
                 base.acceleration_max_m_s2,
                 base.acceleration_max_m_s2,
@@ -85,8 +88,9 @@ impl Barrier {
         self.rows.clone_from(&state.rows);
     }
 
-    /// Takes in what the cover says in the tick at `now_ns`.
-    pub fn take_cover(&mut self, now_ns: u64, cover: &CoverState) {
+    /// Takes in what the cover says in the tick at `now_ns`, in which the speed limit is `limit_m_s`.
+    pub fn take_cover(&mut self, now_ns: u64, cover: &CoverState, limit_m_s: f64) {
+        self.light_m_s = limit_m_s;
         self.light = cover.early.light;
         let age_s = cover.reading.age_s(now_ns);
         for (i, (sample, taxel)) in self.samples.iter_mut().zip(&cover.reading.taxels).enumerate() {
@@ -113,7 +117,10 @@ impl Barrier {
         let mut input = BarrierInput::new(self.samples, velocity_body(robot), deceleration, dt_s);
         input.light = self.light;
         input.tool_base_m = self.flange_body_m.filter(|_| holds_place);
-        let limits = self.contacts.update(&input)?;
+        let mut limits = self.contacts.update(&input)?;
+        let light =
+            limits.outward_m_s.iter_mut().zip(self.light).filter(|(_, light)| self.counts_light && *light);
+        light.for_each(|(most, _)| *most = most.max(-self.light_m_s));
         self.rows.clear();
         let bounded = (0_u8..).zip(limits.outward_m_s).filter(|(_, allowed_m_s)| allowed_m_s.is_finite());
         for (taxel, allowed_m_s) in bounded.take(MAX_CONTACT_ROWS) {
@@ -318,6 +325,7 @@ mod tests {
     #[test]
     fn late_base_makes_room_from_the_first_alarm_on() {
         const FRONT: usize = 5;
+        const LIMIT_M_S: f64 = 0.02;
         // of a taxel in front that is touched lightly: the speed outward that it is left
         let left_m_s = |order_delay_ms: f64, light_n: f64, is_light: bool| {
             let mut config = Config::default();
@@ -329,7 +337,7 @@ mod tests {
             let mut left = 0.0;
             for ms in 1..=30_u64 {
                 cover.reading.sampled_at_ns = Some((ms - 1) / 10 * 10_000_000);
-                barrier.take_cover(1_000_000 * ms, &cover);
+                barrier.take_cover(1_000_000 * ms, &cover, LIMIT_M_S);
                 let limits =
                     barrier.update(&RobotState::at_rest([0.0; JOINTS]), [3.0; 3], false, 1e-3).unwrap();
                 left = limits.outward_m_s[FRONT];
@@ -337,7 +345,8 @@ mod tests {
             left
         };
         assert!(left_m_s(0.0, 3.0, true) >= 0.0, "a base that obeys at once waits for a reading");
-        assert!(left_m_s(100.0, 3.0, true) < -0.05, "{}", left_m_s(100.0, 3.0, true));
+        let room_m_s = left_m_s(100.0, 3.0, true);
+        assert!((room_m_s + LIMIT_M_S).abs() < 1e-12, "no faster than it may drive: {room_m_s}");
         assert!(left_m_s(100.0, 0.0, true) < 0.0, "a frame below zero does not end the alarm");
         assert!(left_m_s(100.0, 3.0, false) > 1.0, "without an alarm a light force is none");
     }

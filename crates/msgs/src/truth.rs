@@ -66,7 +66,7 @@ crate::parameter_table! {
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct TrueSensor in "simulation.true.sensor" {
         /// Age of every reading beyond what its board takes, of which the controller is not told.
-        extra_age_ms: f64 = 0.0 => [.range(0.0, 1000.0).units(&["ms"]).lab("sensor.delay_ms")];
+        extra_age_ms: f64 = 0.0 => [.range(0.0, 1000.0).units(&["ms"]).lab("true.sensor.extra_age_ms")];
     }
 }
 

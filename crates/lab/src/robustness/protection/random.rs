@@ -55,7 +55,7 @@ const RANGES: &[(&str, Draw)] = &[
     ("sensor.firmware", Draw::Of(&["moca", "stock-2018", "stock-2015"])),
     ("seed", Draw::Uniform(1.0, 1e9)),
     ("sensor.phase_ms", Draw::Uniform(0.0, 60.0)),
-    ("sensor.delay_ms", Draw::Uniform(0.0, 5.0)),
+    ("true.sensor.extra_age_ms", Draw::Uniform(0.0, 5.0)),
     ("true.base.order_delay_ms", Draw::Uniform(0.0, 100.0)),
     ("true.base.order_jitter_ms", Draw::Uniform(0.0, 10.0)),
     ("true.base.order_period_ms", Draw::Of(&["0", "10", "20"])),
