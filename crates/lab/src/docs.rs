@@ -444,6 +444,21 @@ mod tests {
             ],
         ),
         ("CHANGELOG.md", "boards", &[("247 refreshes a second", "moca firmware, as read")]),
+        (
+            "docs/results.md",
+            "protection-random",
+            &[
+                ("(918 met, 10.1 N at most)", "led | stands | 1 |"),
+                ("on two (9.4 N)", "led | stands | 2 |"),
+                ("on three (9.2 N)", "led | stands | 3 |"),
+                ("it is 12.6 N at most", "by hand | stands | 1 |"),
+                ("38 of 295", "walks | walks, within the bound of any law | 1 |"),
+                ("77.4 N at most. Most", "walks | walks, within the bound of any law | 1 |"),
+                ("(133 of 500 on one plate)", "by hand | stands | 1 |"),
+                ("robot is within 18.3 mm", "led | stands | 1 |"),
+                ("by hand within 26.5 mm", "by hand | stands | 1 |"),
+            ],
+        ),
     ];
 
     #[test]
