@@ -8,7 +8,7 @@ mod data;
 use crate::cover::{detection, latency, other_senses};
 use crate::numerics::{barrier, peers, stability, tick};
 use crate::paper::report::{claims, errors};
-use crate::paper::{kept_pushes, late_bases, opposite_hands};
+use crate::paper::{kept_pushes, late_bases, opposite_hands, real_arm};
 use crate::robustness::{attack, faults, lean, long_lean, protection, targets};
 use anyhow::{Context, Result, bail, ensure};
 use moca_daemon::cli::progress;
@@ -47,6 +47,8 @@ const TABLES: &[Table] = &[
     Table { name: "boards", file: "docs/boards.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
     Table { name: "late-bases", file: "docs/results.md", make: late_bases::markdown },
+    Table { name: "real-arm", file: "docs/data/real-arm.csv", make: real_arm::markdown },
+    Table { name: "real-arm-short", file: "docs/results.md", make: real_arm::short_markdown },
     Table { name: "pushes", file: "docs/data/pushes.csv", make: kept_pushes::markdown },
     Table { name: "opposite-hands", file: "docs/data/opposite-hands.csv", make: opposite_hands::markdown },
     Table { name: "barrier", file: "docs/math.md", make: barrier::markdown },
@@ -216,6 +218,11 @@ mod tests {
     #[test]
     fn table_of_late_bases_matches_the_collisions() {
         is_what_is_printed("late-bases");
+    }
+
+    #[test]
+    fn short_table_of_real_arms_matches_the_experiments() {
+        is_what_is_printed("real-arm-short");
     }
 
     #[test]

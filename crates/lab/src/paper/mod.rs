@@ -10,6 +10,7 @@ pub(crate) mod late_bases;
 pub(crate) mod opposite_hands;
 pub(crate) mod push;
 pub(crate) mod pushes;
+pub(crate) mod real_arm;
 pub(crate) mod report;
 mod robot_picture;
 #[cfg(test)]
