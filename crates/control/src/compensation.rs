@@ -44,7 +44,7 @@ pub struct Compensation {
 pub struct CompensationState {
     /// Torque that the load puts on each joint, N·m.
     load_nm: [f64; JOINTS],
-    /// The same when a law began to move the arm.
+    /// Torque of the load when a law began to move the arm, N·m.
     zero_nm: [f64; JOINTS],
     /// Torque that was commanded last, N·m; `None` before the first.
     sent_nm: Option<[f64; JOINTS]>,

@@ -6,7 +6,6 @@
 
 use crate::SimError;
 use crate::error::within;
-use crate::scene::{Integrator, Robot, Scene};
 use crate::sensor::Noise;
 use moca_msgs::{MAX_JOINTS, TrueArm};
 
@@ -15,22 +14,21 @@ const SMOOTHING_RAD_S: f64 = 1e-3;
 /// Stream of the torque noise: apart from the others of the same seed.
 const STREAM: u64 = 0x746f_7271;
 
-/// Checks the numbers, and that the integrator can carry friction.
-pub(crate) fn check(scene: &Scene) -> Result<(), SimError> {
-    let TrueArm { mass_scale, joint_friction_nm, torque_noise_nm, tool_mass_kg, tool_com_m } =
-        scene.arm_joints;
+/// Checks the numbers, and that the integrator, explicit or not, can carry friction.
+pub(crate) fn check(truth: &TrueArm, is_explicit: bool, has_arm: bool) -> Result<(), SimError> {
+    let TrueArm { mass_scale, joint_friction_nm, torque_noise_nm, tool_mass_kg, tool_com_m } = *truth;
     within("true.arm.mass_scale", "", &[mass_scale], 0.5, 2.0)?;
     within("true.arm.joint_friction", "N·m", &[joint_friction_nm], 0.0, 20.0)?;
     within("true.arm.torque_noise", "N·m", &[torque_noise_nm], 0.0, 10.0)?;
     within("true.arm.tool_mass", "kg", &[tool_mass_kg], 0.0, 20.0)?;
     within("true.arm.tool_com", "m", &tool_com_m, -1.0, 1.0)?;
-    if joint_friction_nm > 0.0 && scene.integrator == Integrator::RungeKutta4 {
+    if joint_friction_nm > 0.0 && is_explicit {
         return Err(SimError::Unsupported {
             what: "joint friction with rk4",
             why: "it is explicit, and friction near rest needs an implicit step: take implicitfast or leapfrog",
         });
     }
-    if scene.robot == Robot::BaseOnly && scene.arm_joints != TrueArm::AS_DESCRIBED {
+    if !has_arm && *truth != TrueArm::AS_DESCRIBED {
         return Err(SimError::Unsupported {
             what: "true.arm on a base without its arm",
             why: "there is nothing that it could change",
@@ -82,7 +80,7 @@ impl JointFriction {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Engine, SimPlant};
+    use crate::{Engine, Integrator, Robot, Scene, SimPlant};
     use moca_msgs::robot::{AnyArm, MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};
     use moca_msgs::{Actuation, RobotCommand};
 

@@ -382,7 +382,8 @@ impl Scene {
                 why: "only leapfrog is of second order in contact, and its halved step estimates the error",
             });
         }
-        joint_friction::check(self)?;
+        let is_explicit = self.integrator == Integrator::RungeKutta4;
+        joint_friction::check(&self.arm_joints, is_explicit, self.robot != Robot::BaseOnly)?;
         within("base.servo_time_constant", "s", &[self.base.servo_time_constant_s], 1e-4, 10.0)?;
         let (linear, yaw) = (self.base.acceleration_max_m_s2, self.base.yaw_acceleration_max_rad_s2);
         within("base.acceleration", "m/s², rad/s²", &[linear, yaw], 1e-3, 1e4)?;

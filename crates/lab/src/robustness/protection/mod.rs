@@ -72,7 +72,7 @@ pub(crate) struct Arguments {
 #[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     if let Some(path) = &arguments.table {
-        if let Some(summary) = table::of_random(path)? {
+        if let Some(summary) = of_random(path)? {
             print!("{summary}");
             return Ok(());
         }
@@ -113,9 +113,16 @@ pub(crate) fn campaign_markdown() -> Result<String> {
     Ok([table::of_file(path)?, table::growth(path)?, table::failures(path)?].join("\n"))
 }
 
+/// Summary of a file of meetings drawn at random; `None` for the file of another campaign.
+fn of_random(path: &Path) -> Result<Option<String>> {
+    let text = table::read(path)?;
+    let drawn = text.lines().next().is_some_and(|header| header.contains(",limit_m_s,"));
+    if drawn { table::entries(&text, random::markdown).map(Some) } else { Ok(None) }
+}
+
 /// Summary of the campaign of meetings drawn at random.
 pub(crate) fn random_markdown() -> Result<String> {
-    table::of_random(Path::new(random::CAMPAIGN))?.context("the file is of another campaign")
+    of_random(Path::new(random::CAMPAIGN))?.context("the file is of another campaign")
 }
 
 /// Phases that the short table looks at.

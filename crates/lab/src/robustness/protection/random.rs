@@ -33,7 +33,7 @@ const RESULTS: &str = "gap_m,limit_m_s,approach_m_s,impact_n,peak_n,peak_after_s
 enum Draw {
     /// From the first to the second alike.
     Uniform(f64, f64),
-    /// The same in the logarithm.
+    /// From the first to the second, alike in the logarithm.
     Log(f64, f64),
     /// One of these alike.
     Of(&'static [&'static str]),
@@ -161,7 +161,7 @@ impl Drawn {
         self.set("protection.plates", plates);
     }
 
-    /// Of half the covers the calibration is of this year: within 5 %. The others may have become half as stiff again.
+    /// Draws the calibration: half of them are of this year, within 5 %; the other foams may have become half as stiff again.
     fn age(&mut self, noise: &mut Noise) {
         let (is_old, share) = (noise.uniform() < 0.5, noise.uniform());
         let (scale, credible) = if is_old { (0.9 + 0.6 * share, "1.5") } else { (0.95 + 0.1 * share, "1") };
@@ -393,7 +393,7 @@ fn line(group: &[&Entry<'_>]) -> String {
 /// Ends of the bands of walking speeds, m/s.
 const WALKS_M_S: [f64; 4] = [0.0, 0.03, 0.06, 0.1];
 
-/// What is over the best of all laws, by board and walking speed.
+/// Force over the best of all laws, by board and walking speed.
 fn cells(entries: &[Entry<'_>]) -> String {
     let mut out = String::from(
         "| board | walks, m/s | runs | within the bound of any law | over it by, in half the runs | in nine of ten | at most |\n\

@@ -93,7 +93,7 @@ pub(super) fn entries<R>(text: &str, use_them: impl FnOnce(&[Entry<'_>]) -> R) -
     Ok(use_them(&entries))
 }
 
-fn read(path: &Path) -> Result<String> {
+pub(super) fn read(path: &Path) -> Result<String> {
     std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
 }
 
@@ -101,13 +101,6 @@ fn read(path: &Path) -> Result<String> {
 pub(super) fn why(row: &str) -> Result<&'static str> {
     let text = format!("{}\n{row}\n", super::header());
     entries(&text, |entries| entries.first().filter(|entry| entry.above()).map_or("", Entry::reason))
-}
-
-/// The summary of a file of meetings that were drawn at random; `None` of another campaign.
-pub(super) fn of_random(path: &Path) -> Result<Option<String>> {
-    let text = read(path)?;
-    let drawn = text.lines().next().is_some_and(|header| header.contains(",limit_m_s,"));
-    if drawn { entries(&text, super::random::markdown).map(Some) } else { Ok(None) }
 }
 
 /// The table of a file.
