@@ -119,9 +119,9 @@ impl Compensation {
             (false, false) => 1.0 / self.time_s,
         };
         let share = -(-dt_s * per_s).exp_m1();
-        for i in 0..self.joints {
+        for (i, external_nm) in external_nm[..self.joints].iter().enumerate() {
             let (middle, most) = if is_held { (0.0, LARGEST_NM) } else { (state.zero_nm[i], self.bound_nm) };
-            let next = state.load_nm[i] + share * (external_nm[i] - state.load_nm[i]);
+            let next = state.load_nm[i] + share * (external_nm - state.load_nm[i]);
             state.load_nm[i] = next.clamp(middle - most, middle + most);
         }
         if is_held {

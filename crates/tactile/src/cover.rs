@@ -512,7 +512,8 @@ impl Taxel {
     /// Force of the last frame, N, though it is below the counts at which a contact begins.
     fn light_force_n(&self, model: &TaxelModel) -> f64 {
         let drop = self.zero.as_ref().map_or(0.0, |zero| zero.gain * zero.drop(self.fdat));
-        model.force_n(&mut self.memory.clone(), drop.max(0.0), 0.0)
+        let mut memory = self.memory;
+        model.force_n(&mut memory, drop.max(0.0), 0.0)
     }
 
     /// Takes the present counts, `dt_s` after the last ones, into the test of the last frames. A contact ends `off` counts below

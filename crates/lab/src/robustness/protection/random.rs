@@ -471,8 +471,8 @@ mod tests {
         let text = format!("{}\n{}\n", header(), rows.join("\n"));
         table::entries(&text, |entries| {
             let mut within = [0, 0];
-            for entry in entries {
-                let name = format!("run {}: {}", entry.text("run"), rows[entry.number("run") as usize]);
+            for (entry, row) in entries.iter().zip(&rows) {
+                let name = format!("run {}: {row}", entry.text("run"));
                 assert!(entry.number("flange_mm") <= FLANGE_MAX_MM, "{name}");
                 match Class::of(entry) {
                     Class::Driven => assert!(!entry.above() && !grows(entry), "{name}"),
