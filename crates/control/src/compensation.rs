@@ -78,6 +78,11 @@ impl Compensation {
         self.state = *state;
     }
 
+    /// The arm is no longer commanded: the next torque follows from none before it. The loads stay.
+    pub const fn leave(&mut self) {
+        self.state.sent_nm = None;
+    }
+
     /// Torque that the load puts on each joint, N·m.
     pub const fn load_nm(&self) -> &[f64; JOINTS] {
         &self.state.load_nm
@@ -222,5 +227,15 @@ mod tests {
             load.apply(ControlLaw::Impedance, None, TICK_S, &mut torque_nm);
         }
         assert!((torque_nm[0] + 87.0).abs() < 1e-9, "{torque_nm:?}");
+    }
+
+    #[test]
+    fn arm_that_was_left_starts_from_no_torque_before() {
+        let mut load = compensation();
+        run(&mut load, ControlLaw::Hold, 15.0, 3.0);
+        load.leave();
+        let mut torque_nm = [40.0; JOINTS];
+        load.apply(ControlLaw::Hold, None, TICK_S, &mut torque_nm);
+        assert!((torque_nm[0] - 25.0).abs() < 0.01, "the load stays, the rate does not count: {torque_nm:?}");
     }
 }

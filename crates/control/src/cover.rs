@@ -14,7 +14,7 @@ pub struct CoverState {
     pub reading: CoverReading<TAXELS>,
     /// Forces for the controller, N, or the first taxel (0 is T1) that has none.
     pub forces: Result<[f64; TAXELS], (usize, TaxelStatus)>,
-    /// Unconfirmed contact: it may slow or stop the base, and nothing else.
+    /// Unconfirmed or light contact: it may slow or stop the base, or let a late one make room, and nothing else.
     pub early: EarlyContact<TAXELS>,
     /// Present fault of the cover, apart from a missing zero.
     pub fault: Option<Fault>,

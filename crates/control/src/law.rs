@@ -278,6 +278,9 @@ impl Motion {
         if let Some(barrier) = &mut self.barrier {
             barrier.leave();
         }
+        if let Some(compensation) = &mut self.compensation {
+            compensation.leave();
+        }
         either!(&mut self.controller, controller => controller.leave());
     }
 

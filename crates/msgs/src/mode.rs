@@ -166,71 +166,54 @@ pub enum Clearing {
     Restart,
 }
 
-impl Fault {
-    /// Every code.
-    pub const CODES: [&'static str; 27] = [
-        "operator-stop",
-        "board-silent",
-        "board-lost",
-        "board-frozen",
-        "board-reset",
-        "board-thresholds",
-        "board-chip",
-        "board-common-mode",
-        "calibration-mismatch",
-        "taxel-invalid",
-        "zero-invalid",
-        "state-invalid",
-        "plant-lost",
-        "arm-stale",
-        "base-stale",
-        "operator-lost",
-        "control-refused",
-        "host-starved",
-        "board-slow",
-        "joint-speed",
-        "flange-speed",
-        "pose-error",
-        "arm-stretched",
-        "arm-reflex",
-        "arm-user-stopped",
-        "arm-refused",
-        "base-late",
-    ];
+/// Declares the code of every fault once: a fault without one does not compile.
+macro_rules! codes {
+    ($($fault:ident: $code:literal),* $(,)?) => {
+        impl Fault {
+            /// Every code.
+            pub const CODES: &'static [&'static str] = &[$($code),*];
 
-    /// Stable code for logs and scripts.
-    pub const fn code(self) -> &'static str {
-        match self {
-            Self::OperatorStop => "operator-stop",
-            Self::BoardSilent => "board-silent",
-            Self::BoardLost => "board-lost",
-            Self::BoardFrozen => "board-frozen",
-            Self::BoardReset => "board-reset",
-            Self::BoardThresholds => "board-thresholds",
-            Self::BoardChip => "board-chip",
-            Self::BoardCommonMode => "board-common-mode",
-            Self::CalibrationMismatch => "calibration-mismatch",
-            Self::TaxelInvalid { .. } => "taxel-invalid",
-            Self::ZeroInvalid => "zero-invalid",
-            Self::StateInvalid => "state-invalid",
-            Self::PlantLost => "plant-lost",
-            Self::ArmStale => "arm-stale",
-            Self::BaseStale => "base-stale",
-            Self::OperatorLost => "operator-lost",
-            Self::ControlRefused => "control-refused",
-            Self::HostStarved => "host-starved",
-            Self::BoardSlow => "board-slow",
-            Self::JointSpeed { .. } => "joint-speed",
-            Self::FlangeSpeed => "flange-speed",
-            Self::PoseError => "pose-error",
-            Self::ArmStretched { .. } => "arm-stretched",
-            Self::ArmReflex => "arm-reflex",
-            Self::ArmUserStopped => "arm-user-stopped",
-            Self::ArmRefused => "arm-refused",
-            Self::BaseLate => "base-late",
+            /// Stable code for logs and scripts.
+            pub const fn code(self) -> &'static str {
+                match self {
+                    $(Self::$fault { .. } => $code),*
+                }
+            }
         }
-    }
+    };
+}
 
+codes! {
+    OperatorStop: "operator-stop",
+    BoardSilent: "board-silent",
+    BoardLost: "board-lost",
+    BoardFrozen: "board-frozen",
+    BoardReset: "board-reset",
+    BoardThresholds: "board-thresholds",
+    BoardChip: "board-chip",
+    BoardCommonMode: "board-common-mode",
+    CalibrationMismatch: "calibration-mismatch",
+    TaxelInvalid: "taxel-invalid",
+    ZeroInvalid: "zero-invalid",
+    StateInvalid: "state-invalid",
+    PlantLost: "plant-lost",
+    ArmStale: "arm-stale",
+    BaseStale: "base-stale",
+    OperatorLost: "operator-lost",
+    ControlRefused: "control-refused",
+    HostStarved: "host-starved",
+    BoardSlow: "board-slow",
+    JointSpeed: "joint-speed",
+    FlangeSpeed: "flange-speed",
+    PoseError: "pose-error",
+    ArmStretched: "arm-stretched",
+    ArmReflex: "arm-reflex",
+    ArmUserStopped: "arm-user-stopped",
+    ArmRefused: "arm-refused",
+    BaseLate: "base-late",
+}
+
+impl Fault {
     /// One sentence for the person in front of the robot.
     pub const fn text(self) -> &'static str {
         match self {

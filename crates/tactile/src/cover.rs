@@ -53,8 +53,8 @@ pub struct Poll<const K: usize> {
     pub early: EarlyContact<K>,
 }
 
-/// Contact by data that nothing has confirmed yet, or too light for a force: it may slow a robot down or stop it, and
-/// nothing else.
+/// Contact by data that nothing has confirmed yet, or too light for a force: it may slow a robot down or stop it. A light one may
+/// also let a late robot make room, no faster than it may drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EarlyContact<const K: usize> {
     /// Taxels that the reading does not feel, and these data do.

@@ -71,6 +71,26 @@ pub fn extra_age_ticks(config: &Config) -> usize {
     ticks
 }
 
+/// True forces on their way to a board, N: as many as readings are ticks too old.
+pub(crate) struct LateForces<const N: usize> {
+    on_their_way: VecDeque<[f64; N]>,
+    ticks: usize,
+}
+
+impl<const N: usize> LateForces<N> {
+    pub(crate) fn new(config: &Config) -> Self {
+        let ticks = extra_age_ticks(config);
+        Self { on_their_way: VecDeque::with_capacity(ticks + 1), ticks }
+    }
+
+    /// Sends the forces of this tick off, and returns those that arrive in it: none before the first do.
+    pub(crate) fn pass(&mut self, now_n: [f64; N]) -> [f64; N] {
+        self.on_their_way.push_back(now_n);
+        let arrives = self.on_their_way.len() > self.ticks;
+        if arrives { self.on_their_way.pop_front() } else { None }.unwrap_or([0.0; N])
+    }
+}
+
 /// Foam of a kind, hyperbolic with the numbers of `cover`.
 fn foam(kind: FoamKind, cover: &CoverTable) -> Foam {
     match kind {
@@ -127,9 +147,7 @@ pub struct SimulatedRobot {
     spoiler: Option<PlantSpoiler>,
     stall: Option<(u64, u64)>,
     shared: Vec<SharedForces>,
-    /// Forces on their way to the boards, as many as readings are ticks too old.
-    late: VecDeque<[f64; TAXELS]>,
-    late_ticks: usize,
+    late: LateForces<TAXELS>,
     period_s: f64,
     ticks: u64,
     measured: bool,
@@ -157,8 +175,7 @@ impl SimulatedRobot {
             spoiler: None,
             stall: None,
             shared,
-            late: VecDeque::with_capacity(extra_age_ticks(config) + 1),
-            late_ticks: extra_age_ticks(config),
+            late: LateForces::new(config),
             period_s,
             ticks: 0,
             measured: false,
@@ -192,10 +209,7 @@ impl SimulatedRobot {
         for (now_n, force_n) in now_n.iter_mut().zip(self.world.taxel_force_true_n()) {
             *now_n = *force_n;
         }
-        self.late.push_back(now_n);
-        let due = self.late.len() > self.late_ticks;
-        let felt_n = if due { self.late.pop_front() } else { None }.unwrap_or([0.0; TAXELS]);
-        for (wire, force_n) in self.wiring.iter().zip(&felt_n) {
+        for (wire, force_n) in self.wiring.iter().zip(self.late.pass(now_n)) {
             let board = self.shared.get(usize::from(wire.board));
             if let Some(cell) = board.and_then(|forces| forces.get(usize::from(wire.electrode))) {
                 cell.store(force_n.to_bits(), Ordering::Relaxed);

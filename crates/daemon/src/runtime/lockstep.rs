@@ -7,7 +7,7 @@ use crate::control::tick_input::Slot;
 use crate::devices::board_events::{BoardEvents, NumberedEvent};
 use crate::devices::firmware_board::LockStepFirmware;
 use crate::devices::ideal_cover::IdealCover;
-use crate::devices::simulated_robot::{SimulatedRobot, extra_age_ticks, true_foam};
+use crate::devices::simulated_robot::{LateForces, SimulatedRobot, true_foam};
 use crate::devices::touch_board::ByteCover;
 use crate::inject::{Cable, FaultSite, Injection};
 use crate::runtime::assemble::{cover_config, fit_virtual_boards, motion, nth_board, supervisor};
@@ -19,7 +19,6 @@ use moca_tactile::board::Chunk;
 use moca_tactile::cover::Electrode;
 use moca_tactile::datastream::ELECTRODES;
 use moca_tactile::{BoardEvent, CloseReason, Cover};
-use std::collections::VecDeque;
 use std::ops::{Index, IndexMut};
 use std::path::Path;
 
@@ -47,12 +46,10 @@ pub struct MemoryBoard {
     plugged: bool,
     spoiled: Option<Cable>,
     now_ns: u64,
-    /// Forces on their way to the board, and how many ticks they take.
-    late: VecDeque<[f64; ELECTRODES]>,
+    late: LateForces<ELECTRODES>,
     /// Board and electrode of each taxel, T1 first.
     wiring: Vec<Electrode>,
     number: usize,
-    delay_ticks: usize,
 }
 
 /// The boards under a cover, the first one first.
@@ -121,9 +118,7 @@ impl Feed<ByteCover> for MemoryBoards {
 impl MemoryBoard {
     fn feed(&mut self, now_ns: u64, true_force_n: &[f64]) {
         self.now_ns = now_ns;
-        self.late.push_back(by_electrode(&self.wiring, self.number, true_force_n));
-        let ripe = self.late.len() > self.delay_ticks;
-        let felt_n = if ripe { self.late.pop_front().unwrap_or_default() } else { [0.0; ELECTRODES] };
+        let felt_n = self.late.pass(by_electrode(&self.wiring, self.number, true_force_n));
         let Self { board, cable, plugged, spoiled, .. } = self;
         let mut arrive = |event| {
             let _ = cable.push(event);
@@ -250,7 +245,6 @@ impl LockStep<ByteCover, MemoryBoards> {
     ) -> Result<Self> {
         fit_virtual_boards(config)?;
         let (mut boards, mut ports) = (Vec::new(), Vec::new());
-        let delay_ticks = extra_age_ticks(config);
         for number in 0..config.board.port.len() {
             let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
             ports.push(events);
@@ -260,10 +254,9 @@ impl LockStep<ByteCover, MemoryBoards> {
                 plugged: true,
                 spoiled: None,
                 now_ns: 0,
-                late: VecDeque::with_capacity(delay_ticks + 1),
+                late: LateForces::new(config),
                 wiring: config.robot.cover.wiring(),
                 number,
-                delay_ticks,
             });
         }
         let events = BoardEvents::new(ports).with_recorder(copies);

@@ -33,6 +33,8 @@ const RESULTS: &str = "gap_m,limit_m_s,approach_m_s,impact_n,peak_n,peak_after_s
 enum Draw {
     /// From the first to the second alike.
     Uniform(f64, f64),
+    /// Whole numbers, likewise.
+    Whole(f64, f64),
     /// From the first to the second, alike in the logarithm.
     Log(f64, f64),
     /// One of these alike.
@@ -42,8 +44,10 @@ enum Draw {
 impl Draw {
     fn value(self, noise: &mut Noise) -> String {
         let share = noise.uniform();
+        let between = |from: f64, to: f64| from + share * (to - from);
         match self {
-            Self::Uniform(from, to) => format!("{:.4}", from + share * (to - from)),
+            Self::Uniform(from, to) => format!("{:.4}", between(from, to)),
+            Self::Whole(from, to) => format!("{}", between(from, to).floor()),
             Self::Log(from, to) => format!("{:.4e}", from * (to / from).powf(share)),
             Self::Of(words) => words[pick(share, words.len())].into(),
         }
@@ -53,7 +57,7 @@ impl Draw {
 /// Key of `moca-lab experiment --set` with its distribution.
 const RANGES: &[(&str, Draw)] = &[
     ("sensor.firmware", Draw::Of(&["moca", "stock-2018", "stock-2015"])),
-    ("seed", Draw::Uniform(1.0, 1e9)),
+    ("seed", Draw::Whole(1.0, 1e9)),
     ("sensor.phase_ms", Draw::Uniform(0.0, 60.0)),
     ("true.sensor.extra_age_ms", Draw::Uniform(0.0, 5.0)),
     ("true.base.order_delay_ms", Draw::Uniform(0.0, 100.0)),
@@ -113,10 +117,7 @@ impl Drawn {
         let comes_s = COMES_S[0] + noise.uniform() * (COMES_S[1] - COMES_S[0]);
         let mut drawn = Self { meeting, comes_s, assignments: Vec::new() };
         for (key, range) in RANGES {
-            let value = range.value(&mut noise);
-            let value =
-                if *key == "seed" { value.split('.').next().unwrap_or("1").to_owned() } else { value };
-            drawn.set(key, value);
+            drawn.set(key, range.value(&mut noise));
         }
         drawn.place(&mut noise);
         drawn.age(&mut noise);
@@ -147,13 +148,8 @@ impl Drawn {
         };
         let offset_m = match kind {
             k if k < 0.5 => 0.6 * to_seam_m * (2.0 * share - 1.0),
-            k if k < 0.8 => {
-                if share < 0.5 {
-                    to_seam_m
-                } else {
-                    -to_seam_m
-                }
-            }
+            k if k < 0.8 && share < 0.5 => to_seam_m,
+            k if k < 0.8 => -to_seam_m,
             _ => 0.0,
         };
         self.set("person.offset", format!("{offset_m:.4}"));
@@ -179,8 +175,9 @@ impl Drawn {
         }
     }
 
-    /// Sets the robot up and commissions it; the person stands so far away that the two meet after [`COMES_S`].
-    fn settings(&self) -> Result<Settings> {
+    /// Sets the robot up and commissions it, and returns its speed limit besides, m/s; the person stands so far away that the two meet
+    /// after [`COMES_S`].
+    fn settings(&self) -> Result<(Settings, f64)> {
         let follows = self.meeting == Meeting::ByHand;
         let mut settings = Settings::paper(if follows { Law::FollowMe } else { Law::Impedance });
         settings.set_all(["law=barrier", "engine=analytic", "person.steps_away_s=1000"])?;
@@ -189,10 +186,11 @@ impl Drawn {
         settings.check()?;
         let scene = settings.collision_scene()?;
         commissioning::commission(&mut settings.config, &scene)?;
-        let led_m_s = nominal_speed_m_s(&settings.config, settings.firmware).min(settings.speed_m_s);
+        let limit_m_s = nominal_speed_m_s(&settings.config, settings.firmware);
+        let led_m_s = limit_m_s.min(settings.speed_m_s);
         settings.person.gap_m = GAP_MIN_M.max((led_m_s + settings.person.walk_m_s) * self.comes_s);
         settings.check()?;
-        Ok(settings)
+        Ok((settings, limit_m_s))
     }
 
     fn walks(&self) -> bool {
@@ -215,7 +213,7 @@ impl Drawn {
     }
 
     fn run(&self, id: usize) -> Result<Met> {
-        let settings = self.settings().map_err(|error| anyhow!("run {id}: {error:#}"))?;
+        let (settings, limit_m_s) = self.settings().map_err(|error| anyhow!("run {id}: {error:#}"))?;
         let there = self.meeting_there(&settings);
         let one = Outcome::of_meeting(self.meeting, &there, &settings)?;
         let walk_m_s = settings.person.walk_m_s;
@@ -230,7 +228,6 @@ impl Drawn {
             flees_m_s: limits.base_velocity[0],
             order_m_s2: limits.base_acceleration[0],
         });
-        let limit_m_s = nominal_speed_m_s(&settings.config, settings.firmware);
         Ok(Met { limit_m_s, gap_m: settings.person.gap_m, least_n, one })
     }
 
