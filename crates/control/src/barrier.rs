@@ -21,10 +21,12 @@ pub struct Barrier {
     contacts: ContactBarrier<TAXELS>,
     samples: [Option<TaxelSample>; TAXELS],
     light: [bool; TAXELS],
+    /// Those of them that may be a false alarm.
+    doubtful: [bool; TAXELS],
     /// Readings count from the first alarm on, also below the counts at which a contact begins: a late base has no time to wait for
     /// them.
     counts_light: bool,
-    /// Fastest that the base makes room for a light touch, m/s: it may be a false alarm, and somebody may stand on the other side.
+    /// Fastest that the base makes room for a doubtful touch, m/s: somebody may stand on the other side.
     light_m_s: f64,
     /// Deceleration of the base's servo, m/s², m/s², rad/s².
     deceleration: [f64; 3],
@@ -60,6 +62,7 @@ impl Barrier {
             contacts: ContactBarrier::new(&config.robot.cover.placements(), &settings)?,
             samples: [None; TAXELS],
             light: [false; TAXELS],
+            doubtful: [false; TAXELS],
             counts_light: settings.order_delay_s > 0.0,
             light_m_s: 0.0,
             deceleration: [
@@ -91,12 +94,14 @@ impl Barrier {
     /// Takes in what the cover says in the tick at `now_ns`, in which the speed limit is `limit_m_s`.
     pub fn take_cover(&mut self, now_ns: u64, cover: &CoverState, limit_m_s: f64) {
         self.light_m_s = limit_m_s;
-        self.light = cover.early.light;
+        let early = &cover.early;
+        self.light = early.light;
+        self.doubtful = std::array::from_fn(|i| self.counts_light && early.light[i] && !early.light_alarm[i]);
         let age_s = cover.reading.age_s(now_ns);
         for (i, (sample, taxel)) in self.samples.iter_mut().zip(&cover.reading.taxels).enumerate() {
             let valid = taxel.status == TaxelStatus::Ok;
             let counts = self.counts_light && self.light[i];
-            let force_n = if counts { cover.early.light_n[i].max(TOUCH_N) } else { taxel.force_n };
+            let force_n = if counts { early.light_n[i].max(TOUCH_N) } else { taxel.force_n };
             *sample = age_s.filter(|_| valid).map(|age_s| TaxelSample { force_n, age_s });
         }
     }
@@ -118,9 +123,8 @@ impl Barrier {
         input.light = self.light;
         input.tool_base_m = self.flange_body_m.filter(|_| holds_place);
         let mut limits = self.contacts.update(&input)?;
-        let light =
-            limits.outward_m_s.iter_mut().zip(self.light).filter(|(_, light)| self.counts_light && *light);
-        light.for_each(|(most, _)| *most = most.max(-self.light_m_s));
+        let doubtful = limits.outward_m_s.iter_mut().zip(self.doubtful).filter(|(_, doubtful)| *doubtful);
+        doubtful.for_each(|(most, _)| *most = most.max(-self.light_m_s));
         self.rows.clear();
         let bounded = (0_u8..).zip(limits.outward_m_s).filter(|(_, allowed_m_s)| allowed_m_s.is_finite());
         for (taxel, allowed_m_s) in bounded.take(MAX_CONTACT_ROWS) {
@@ -327,13 +331,14 @@ mod tests {
         const FRONT: usize = 5;
         const LIMIT_M_S: f64 = 0.02;
         // of a taxel in front that is touched lightly: the speed outward that it is left
-        let left_m_s = |order_delay_ms: f64, light_n: f64, is_light: bool| {
+        let left_m_s = |order_delay_ms: f64, light_n: f64, is_light: bool, alarms: bool| {
             let mut config = Config::default();
             config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
             config.protection.order_delay_ms = order_delay_ms;
             let mut barrier = Barrier::new::<7>(&config, None).unwrap().unwrap();
             let mut cover = CoverState::NONE;
             (cover.early.light[FRONT], cover.early.light_n[FRONT]) = (is_light, light_n);
+            cover.early.light_alarm[FRONT] = alarms;
             let mut left = 0.0;
             for ms in 1..=30_u64 {
                 cover.reading.sampled_at_ns = Some((ms - 1) / 10 * 10_000_000);
@@ -344,11 +349,18 @@ mod tests {
             }
             left
         };
-        assert!(left_m_s(0.0, 3.0, true) >= 0.0, "a base that obeys at once waits for a reading");
-        let room_m_s = left_m_s(100.0, 3.0, true);
-        assert!((room_m_s + LIMIT_M_S).abs() < 1e-12, "no faster than it may drive: {room_m_s}");
-        assert!(left_m_s(100.0, 0.0, true) < 0.0, "a frame below zero does not end the alarm");
-        assert!(left_m_s(100.0, 3.0, false) > 1.0, "without an alarm a light force is none");
+        assert!(left_m_s(0.0, 3.0, true, true) >= 0.0, "a base that obeys at once waits for a reading");
+        let room_m_s = left_m_s(100.0, 3.0, true, false);
+        assert!(
+            (room_m_s + LIMIT_M_S).abs() < 1e-12,
+            "a doubtful one, no faster than it may drive: {room_m_s}"
+        );
+        assert!(
+            left_m_s(100.0, 3.0, true, true) < -2.0 * LIMIT_M_S,
+            "as much as it needs while the alarm stands"
+        );
+        assert!(left_m_s(100.0, 0.0, true, false) < 0.0, "a frame below zero does not end the alarm");
+        assert!(left_m_s(100.0, 3.0, false, false) > 1.0, "without an alarm a light force is none");
     }
 
     #[test]

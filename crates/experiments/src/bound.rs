@@ -87,18 +87,30 @@ pub struct Closing {
     pub flees_m_s: f64,
     /// Largest change of an order, m/s².
     pub order_m_s2: f64,
+    /// Time between two orders that the base takes, s; 0: it takes each.
+    pub order_period_s: f64,
 }
 
 /// Step of the integration, s, and its length.
 const STEP_S: f64 = 1e-4;
 const STEPS: u32 = 30_000;
+/// Phases of the orders against the alarm, of which the best counts.
+const PHASES: u32 = 8;
 
 impl Meeting {
-    /// Largest force on the body when the base does its utmost from the first alarm on, N: no law does better. Cover, body and base are
-    /// integrated along one line, the base within the limits of its
-    /// servo and of its orders.
+    /// Largest force on the body when the base does its utmost from the first alarm on, N: no law does better along that line. Cover,
+    /// body and base are integrated, the base within the limits of its servo and of its orders. When it takes an order after the alarm
+    /// is as it suits the law best.
     pub fn least_of_any_law_n(&self, closing: &Closing) -> f64 {
-        let Closing { base_m_s, walk_m_s, mobility, felt_after_s, flees_m_s, order_m_s2 } = *closing;
+        let shares = if closing.order_period_s > 0.0 { PHASES } else { 1 };
+        let phase_s = |phase| closing.order_period_s * f64::from(phase) / f64::from(shares);
+        (0..shares).map(|phase| self.least_at_phase_n(closing, phase_s(phase))).fold(f64::INFINITY, f64::min)
+    }
+
+    /// That force where the base takes its first order `phase_s` after the alarm.
+    fn least_at_phase_n(&self, closing: &Closing, phase_s: f64) -> f64 {
+        let Closing { base_m_s, walk_m_s, mobility, felt_after_s, flees_m_s, order_m_s2, order_period_s } =
+            *closing;
         let tissue = Tissue { stiffness_n_per_m: self.tissue_n_m, damping_n_s_per_m: 0.0 };
         let (mut contact, mut most_n) = (ContactState::default(), 0.0_f64);
         let (mut base, mut body) = ([0.0, base_m_s], [0.0, walk_m_s]);
@@ -107,7 +119,12 @@ impl Meeting {
         let most_m_s = self.deceleration_m_s2 * STEP_S;
         for step in 0..STEPS {
             let t_s = f64::from(step) * STEP_S;
-            let order_m_s = (base_m_s - order_m_s2 * (t_s - obeys_s).max(0.0)).max(-flees_m_s);
+            let mut ordered_s = (t_s - obeys_s).max(0.0);
+            if order_period_s > 0.0 {
+                let taken = ((ordered_s - phase_s) / order_period_s).floor();
+                ordered_s = (phase_s + taken * order_period_s).max(0.0);
+            }
+            let order_m_s = (base_m_s - order_m_s2 * ordered_s).max(-flees_m_s);
             base[1] += (gain * (order_m_s - base[1])).clamp(-most_m_s, most_m_s);
             let normal_n = contact
                 .step(&Pressing {
@@ -152,6 +169,7 @@ fn no_law_beats_bound_of_any_law() {
         felt_after_s,
         flees_m_s: 1.0,
         order_m_s2: 3.0,
+        order_period_s: 0.0,
     };
     let held = |walk_m_s, base_m_s, felt_after_s| {
         meeting.least_of_any_law_n(&closing(walk_m_s, base_m_s, felt_after_s))
@@ -164,6 +182,12 @@ fn no_law_beats_bound_of_any_law() {
     // whoever comes is met as hard as whoever is driven into, but for where the servo starts
     assert!((held(speed_m_s, 0.0, felt_s) / least_n - 1.0).abs() < 0.05);
     assert!(held(0.05, 0.0, felt_s) < held(0.05, 0.0, felt_s + 0.02));
+    // a base that takes orders now and then does worse than one that takes each, and no worse than one that takes each so much later
+    let seldom = |order_period_s| {
+        meeting.least_of_any_law_n(&Closing { order_period_s, ..closing(0.05, 0.0, felt_s) })
+    };
+    let [each_n, seldom_n, late_n] = [seldom(0.0), seldom(0.02), held(0.05, 0.0, felt_s + 0.02)];
+    assert!(each_n < seldom_n && seldom_n < late_n, "{each_n} {seldom_n} {late_n} N");
     let loose = Mobility::Standing { mass_kg: 3.0, stiffness_n_per_m: 800.0, damping_n_s_per_m: 300.0 };
     let free_n = meeting.least_of_any_law_n(&Closing { mobility: loose, ..closing(0.2, 0.0, felt_s) });
     assert!(free_n < held(0.2, 0.0, felt_s), "a light body yields");

@@ -44,6 +44,8 @@ pub struct Row {
     pub base_pose_world: [f64; 3],
     /// Velocity of the base in W: m/s, m/s, rad/s.
     pub base_velocity_world: [f64; 3],
+    /// True velocity of the base in W, whatever odometry reports: m/s, m/s, rad/s.
+    pub base_velocity_true_world: [f64; 3],
     /// Commanded velocity of the base, axes of B: m/s, m/s, rad/s.
     pub base_command_body: [f64; 3],
     /// Joint angles, rad.
@@ -236,6 +238,7 @@ impl Rig {
         let total_force_n = robot.world.contact_total_true_n();
         let largest_force_n = robot.world.contact_largest_true_n();
         let person_world = robot.world.person_position_world(0);
+        let base_velocity_true_world = robot.world.true_base_velocity_world();
         let ticked = match &mut self.cover {
             SensorModel::Board(lock_step) => lock_step.tick(None),
             SensorModel::True(lock_step) => lock_step.tick(None),
@@ -255,6 +258,7 @@ impl Rig {
             t_s,
             base_pose_world: sample.base_pose_world,
             base_velocity_world: sample.base_velocity_world,
+            base_velocity_true_world,
             base_command_body: sample.base_velocity_command_body,
             q_rad: fixed(&sample.q_rad),
             flange_world: sample.flange_position_world,

@@ -204,7 +204,7 @@ fn a_run_that_stopped_or_touched_nobody_is_not_below_25_n() {
 /// Speed of the taxel's centre along its outward normal, less the person's own walk, m/s.
 pub fn approach_m_s(row: &Row, settings: &Settings) -> f64 {
     let placement = settings.config.robot.cover.placements()[settings.person.taxel];
-    let [vx, vy, yaw_rate] = row.base_velocity_world;
+    let [vx, vy, yaw_rate] = row.base_velocity_true_world;
     let (sin, cos) = row.base_pose_world[2].sin_cos();
     let (body_x, body_y) = (cos * vx + sin * vy, -sin * vx + cos * vy);
     let [x, y] = placement.position_base_m;

@@ -309,6 +309,11 @@ impl SimPlant {
         self.base_motion().map_or(self.scene.base_pose_world, |motion| motion.pose)
     }
 
+    /// True velocity of the base, whatever odometry reports: m/s, m/s, rad/s.
+    pub fn true_base_velocity_world(&self) -> [f64; 3] {
+        self.base_motion().map_or([0.0; 3], |motion| motion.velocity)
+    }
+
     /// Simulation time, s.
     pub fn time_s(&self) -> f64 {
         self.mechanics.time_s()

@@ -76,6 +76,11 @@ impl Cusum {
         self.touched
     }
 
+    /// Returns true if the sum stands at its alarm: noise leaves it with the next frame as a rule, and a touch stays.
+    pub const fn alarms(&self) -> bool {
+        self.sum >= ALARM
+    }
+
     /// Returns true if the last frame showed a touch.
     pub const fn touched(&self) -> bool {
         self.touched
@@ -97,6 +102,10 @@ mod tests {
         assert!(test.update(6.4, 0.7) && test.touched(), "one frame of more than nine deviations");
         let held = (1..100).find(|_| !test.update(0.0, 0.7));
         assert_eq!((held, test), (Some(8), Cusum::default()), "held until the sum is gone");
+        test.update(6.4, 0.7);
+        assert!(test.alarms(), "stands at the alarm");
+        assert!(test.update(0.69, 0.7) && !test.alarms(), "a frame above the reference leaves it");
+        assert!(test.update(3.0, 0.7) && test.alarms(), "a touch brings it back");
     }
 
     #[test]

@@ -64,6 +64,8 @@ struct Scene {
     order_s: f64,
     believed_order_s: f64,
     order_error_s: f64,
+    /// The law remembers how fast somebody came.
+    remembers: bool,
     /// Taxels that feel the person, and how much of the force each.
     felt_by: &'static [(usize, f64)],
     /// Force that the sensor does not show, N.
@@ -88,6 +90,7 @@ const SCENE: Scene = Scene {
     order_s: 0.0,
     believed_order_s: 0.0,
     order_error_s: 0.0,
+    remembers: true,
     felt_by: &[(FRONT, 1.0)],
     hidden_n: 0.0,
     shared_plates: false,
@@ -134,6 +137,8 @@ fn run(scene: &Scene) -> Outcome {
     let shared_plates = scene.shared_plates;
     let settings = BarrierSettings { softest_n_m: scene.softest_n_m, hidden_n, shared_plates, ..settings };
     let settings = settings.with_late_orders(scene.believed_order_s, scene.order_error_s, 0.0).unwrap();
+    let forget_s = if scene.remembers { settings.forget_s } else { 1e-9 };
+    let settings = BarrierSettings { forget_s, ..settings };
     let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
     let (mut x, mut u, mut commanded) = (0.0, scene.wanted_m_s, [scene.wanted_m_s, 0.0, 0.0]);
     let mut outcome = Outcome { last_force_n: [f64::INFINITY, 0.0], ..Outcome::default() };
@@ -356,6 +361,32 @@ fn walker_into_late_base_is_given_room_in_time() {
     assert!(unknowing.peak_n > 25.0, "{:?} N", unknowing.peaks_n);
 }
 
+/// A late base remembers how fast somebody came, goes ahead of who walks on, and is met again no harder.
+#[test]
+fn late_base_remembers_how_fast_a_walker_came() {
+    for (believed_s, error_s) in [(0.02, 0.02), (0.05, 0.035), (0.1, 0.1)] {
+        for true_s in [believed_s - error_s, believed_s, believed_s + error_s] {
+            for (sensor, person_n_m) in [(OWN_FIRMWARE, 1e7), (STOCK, 1e7), (OWN_FIRMWARE, 12e3)] {
+                let late =
+                    Scene { order_s: true_s, believed_order_s: believed_s, order_error_s: error_s, ..SCENE };
+                let peaks_n = run(&Scene {
+                    sensor,
+                    person_n_m,
+                    person_m_s: 0.02,
+                    gap_m: 0.01,
+                    duration_s: 12.0,
+                    ..late
+                })
+                .peaks_n;
+                println!("{true_s:.3} s for {believed_s} ± {error_s} s: {peaks_n:.1?} N");
+                let name = format!("{true_s} s for {believed_s} ± {error_s} s: {peaks_n:.1?} N");
+                assert!(peaks_n.iter().all(|peak_n| *peak_n < 22.0), "{name}");
+                assert!(peaks_n.len() <= 5, "goes ahead: {name}");
+            }
+        }
+    }
+}
+
 /// A flat body on three plates, each as deep as the body: as stiff as three. Every plate reads a third of its force.
 #[test]
 fn force_limit_is_shared_among_plates_of_one_body() {
@@ -378,11 +409,17 @@ fn force_limit_is_shared_among_plates_of_one_body() {
 }
 
 /// The condition of `docs/math.md` on what is believed of the delay: within it every deviation dies out while the base goes
-/// along with a walker, whatever the body and the sensor.
+/// along with a walker, whatever the body and the sensor. With its memory it would go ahead of him, and nothing touch.
 #[test]
 fn delay_error_within_its_condition_lets_deviations_die_out() {
     let swings_n = |believed_s: f64, error_s: f64, true_s: f64, sensor: Sensor, person_n_m: f64| {
-        let late = Scene { order_s: true_s, believed_order_s: believed_s, order_error_s: error_s, ..SCENE };
+        let late = Scene {
+            order_s: true_s,
+            believed_order_s: believed_s,
+            order_error_s: error_s,
+            remembers: false,
+            ..SCENE
+        };
         let outcome =
             run(&Scene { sensor, person_n_m, person_m_s: 0.02, gap_m: 0.01, duration_s: 6.0, ..late });
         outcome.last_force_n[1] - outcome.last_force_n[0]

@@ -227,6 +227,7 @@ impl Drawn {
             felt_after_s: one.noticed_after_s,
             flees_m_s: limits.base_velocity[0],
             order_m_s2: limits.base_acceleration[0],
+            order_period_s: 1e-3 * settings.config.simulation.truth.base.order_period_ms,
         });
         Ok(Met { limit_m_s, gap_m: settings.person.gap_m, least_n, one })
     }

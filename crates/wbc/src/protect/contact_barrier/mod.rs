@@ -51,6 +51,8 @@ pub const STOP_SHARE: f64 = 0.3165;
 const YIELD_SHARE: f64 = 0.8;
 /// Force of a reading from which on somebody touches, N.
 pub const TOUCH_N: f64 = 1.0;
+/// Time constant in which a late base forgets how fast somebody came, s: who walks on comes again before it has made room twice.
+const LATE_FORGET_S: f64 = 3.0;
 /// Shortest time in which an error of the depth is taken back, s.
 const RESPONSE_S: f64 = 0.08;
 /// Taxels that are no further apart may feel one body, m: half a trunk;
@@ -225,7 +227,7 @@ pub struct BarrierSettings {
     /// Error of such an estimate, m/s: the noise of a taxel over [`Self::speed_s`]. No smaller speed counts as leaving the
     /// person, or noise alone would take from every force that the law feels.
     pub speed_noise_m_s: f64,
-    /// Time constant in which it is forgotten after a release, s.
+    /// Time constant in which it is forgotten, s: after a release, and of a late base the fastest one during a touch too.
     pub forget_s: f64,
     /// Speed that a person is believed to have at the first reading, m/s: one reading cannot tell.
     pub first_speed_m_s: f64,
@@ -304,7 +306,8 @@ impl BarrierSettings {
         within("error of the base's delay", error_s, "s", 0.0, 1.0)?;
         within("error of the slope of the depth", slope_error, "", 0.0, 0.9)?;
         let response_s = RESPONSE_S.max(2.0 * error_s / (1.0 - slope_error));
-        Ok(Self { order_delay_s, response_s, ..self })
+        let forget_s = if order_delay_s > 0.0 { LATE_FORGET_S } else { self.forget_s };
+        Ok(Self { order_delay_s, response_s, forget_s, ..self })
     }
 
     /// Returns the force, N, that compresses the foam as deep as a reading says.

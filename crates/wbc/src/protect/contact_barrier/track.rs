@@ -19,6 +19,8 @@ const THERE_M: f64 = 0.2e-3;
 const AGAIN: f64 = 0.5;
 /// Speed below which a base stands, m/s: it meets nobody, who touches it has come.
 pub const SLOWEST_M_S: f64 = 0.005;
+/// Readings of which an estimate of a speed rests on what was assumed.
+const ASSUMED: u8 = 2;
 /// As far below 0 as noise takes the estimate of a speed, m/s: cut at 0, its mean would lie above it.
 const NOISE_M_S: f64 = 0.05;
 
@@ -88,6 +90,8 @@ pub(super) struct Track<T> {
     plates: T,
     /// Estimate of the person's speed, m/s; after a release what is still remembered of it.
     person: T,
+    /// Fastest that the person came to a late base, m/s, as it is remembered.
+    fastest: T,
     /// Rate of the compression, m/s, and yield rate of the softest body that is assumed, m/s.
     rate: T,
     yields: T,
@@ -121,6 +125,7 @@ impl<T: Scalar> Track<T> {
             way: zero,
             plates: T::one(),
             person: zero,
+            fastest: zero,
             rate: zero,
             yields: zero,
             since: long_ago,
@@ -156,7 +161,7 @@ impl<T: Scalar> Track<T> {
     }
 
     pub(super) fn person_m_s(&self) -> T {
-        (self.person + self.yields).max(T::zero())
+        (self.person + self.yields).max(self.fastest)
     }
 
     /// Returns true if the following step takes `sample` in as a reading of its own.
@@ -176,6 +181,7 @@ impl<T: Scalar> Track<T> {
         if self.near > of(RECOVERS_S) && !looks {
             (self.far, self.here) = (None, false);
         }
+        self.fastest -= self.fastest * forgotten;
         if !self.touched() {
             self.person -= self.person * forgotten;
         }
@@ -244,9 +250,10 @@ impl<T: Scalar> Track<T> {
         if sample.force_n < of(settings.touch_n) {
             // one reading's speed was assumed and not seen
             let person = if self.readings > 1 { self.person_m_s() } else { T::zero() };
-            let Self { since, met, far, near, here, looked, .. } = *self;
+            let Self { fastest, since, met, far, near, here, looked, .. } = *self;
             let released = T::zero();
-            *self = Self { way, since, released, met, person, far, near, here, looked, ..Self::none() };
+            *self =
+                Self { way, since, released, met, person, fastest, far, near, here, looked, ..Self::none() };
             return;
         }
         let depth = settings.foam.depth_m(body_n);
@@ -261,6 +268,10 @@ impl<T: Scalar> Track<T> {
             self.meet(((way - self.way) / interval).max(self.approach));
         }
         self.readings = self.readings.saturating_add(1);
+        // what a late base does shows in its readings after so long that a person who slows down and one whom it leaves look alike
+        if settings.order_delay_s > 0.0 && self.readings > ASSUMED {
+            self.fastest = self.fastest.max(self.person + self.yields);
+        }
         (self.depth, self.force, self.body_n, self.way) = (depth, sample.force_n, body_n, way);
         self.plates = plates;
     }
