@@ -4,6 +4,7 @@
 //! rows of any number of shards, joined in order, are those of one machine. No row holds a time, so no row depends on
 //! the machine either.
 
+use crate::campaign::Table;
 use crate::collision::{self, Report};
 use crate::settings::{Sensor, Settings};
 use anyhow::{Result, ensure};
@@ -85,11 +86,6 @@ impl Sweep {
         &self.columns
     }
 
-    /// Number of runs.
-    pub fn runs(&self) -> usize {
-        self.plan.runs()
-    }
-
     /// Values of run `id`, one for each varied key.
     pub fn values(&self, id: usize) -> Vec<String> {
         self.plan.values(id)
@@ -102,9 +98,14 @@ impl Sweep {
     pub fn settings(&self, values: &[String]) -> Result<Settings> {
         self.plan.settings(&self.columns, values)
     }
+}
 
-    /// First line of the CSV file: the run's number, the varied keys, the results.
-    pub fn header(&self) -> String {
+impl Table for Sweep {
+    fn rows(&self) -> usize {
+        self.plan.runs()
+    }
+
+    fn header(&self) -> String {
         std::iter::once("run")
             .chain(self.columns.iter().map(String::as_str))
             .chain([RESULTS])
@@ -112,18 +113,13 @@ impl Sweep {
             .join(",")
     }
 
-    /// Names of the columns that hold words: keys with a value that is no number, and the reason of a stop.
-    pub fn words(&self) -> Vec<&str> {
+    fn words(&self) -> Vec<&str> {
         let word = |values: &[toml::Value]| values.iter().any(|value| plain(value).parse::<f64>().is_err());
         let keys = self.plan.grid.iter().filter(|(_, values)| word(values)).map(|(key, _)| key.as_str());
         keys.chain(["stopped"]).collect()
     }
 
-    /// Makes run `id` and returns its CSV row.
-    ///
-    /// # Errors
-    /// A value outside its range, or a robot that is never armed.
-    pub fn row(&self, id: usize) -> Result<String> {
+    fn row(&self, id: usize) -> Result<String> {
         let values = self.values(id);
         let report = collision::single(&self.settings(&values)?)?;
         let mut line = id.to_string();
