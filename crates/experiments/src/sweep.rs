@@ -91,7 +91,21 @@ impl Sweep {
         self.plan.values(id)
     }
 
-    /// Settings of a run with these values of the varied keys.
+    /// Engine of a run with these values of the varied keys, and the reason for it.
+    ///
+    /// # Errors
+    /// As for [`Sweep::settings`].
+    pub fn engine(&self, values: &[String]) -> Result<String> {
+        let settings = self.settings(values)?;
+        let scene = settings.collision_scene()?;
+        Ok(match scene.needs_mujoco() {
+            _ if self.plan.names_engine() => format!("{}; the plan names it", settings.engine.reason()),
+            Some(what) => format!("MuJoCo: the scene has {what}"),
+            None => settings.engine.reason().to_owned(),
+        })
+    }
+
+    /// Settings of a run with these values of the varied keys. The scene decides the engine unless the plan names one.
     ///
     /// # Errors
     /// A value outside its range.
@@ -182,8 +196,15 @@ impl Plan {
         for (key, value) in columns.iter().zip(values) {
             settings.set(&format!("{key}={value}"))?;
         }
+        if !self.names_engine() {
+            settings.engine = settings.collision_scene()?.needed_engine();
+        }
         settings.check()?;
         Ok(settings)
+    }
+
+    fn names_engine(&self) -> bool {
+        self.set.contains_key("engine") || self.grid.contains_key("engine")
     }
 
     fn check(&self) -> Result<()> {
@@ -238,6 +259,7 @@ fn results(report: &Report) -> String {
 #[cfg(test)]
 mod tests {
     use super::Sweep;
+    use moca_sim::Engine;
 
     #[test]
     fn wrong_plan_is_refused_before_anything_runs() {
@@ -250,6 +272,22 @@ mod tests {
         ] {
             let error = format!("{:#}", Sweep::parse(text, None).unwrap_err());
             assert!(error.contains(part), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn scene_decides_the_engine_unless_the_plan_names_one() {
+        for (text, engine, why) in [
+            ("", Engine::Analytic, "analytic: base, arm and people move"),
+            ("[set]\nintegrator = \"rk4\"\n", Engine::MuJoCo, "MuJoCo: the scene has an integrator other"),
+            ("[set]\nengine = \"mujoco\"\n", Engine::MuJoCo, "whatever a scene holds; the plan names it"),
+            ("[grid]\nengine = [\"analytic\"]\n", Engine::Analytic, "rigid bodies meet; the plan names it"),
+        ] {
+            let sweep = Sweep::parse(text, None).unwrap();
+            let values = sweep.values(0);
+            assert_eq!(sweep.settings(&values).unwrap().engine, engine, "{text}");
+            let said = sweep.engine(&values).unwrap();
+            assert!(said.contains(why), "{text}: {said}");
         }
     }
 }

@@ -7,6 +7,7 @@
 use crate::campaign::Shards;
 use crate::numerics::economy;
 use anyhow::{Context, Result};
+use moca_experiments::campaign::Table as _;
 use moca_experiments::sweep::Sweep;
 use moca_sim::{Engine, Scene};
 use std::path::PathBuf;
@@ -42,7 +43,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         ran.per_cpu_s(),
         bare_runs_per_cpu_s(&sweep, Some(Engine::MuJoCo))?,
         bare_runs_per_cpu_s(&sweep, None)?,
-        sweep.settings(&sweep.values(0))?.engine.reason(),
+        engines(&sweep)?,
     );
     Ok(())
 }
@@ -57,6 +58,13 @@ impl Arguments {
         }
         Ok(words)
     }
+}
+
+/// Engines of the first and of the last run, with the reason for each.
+fn engines(sweep: &Sweep) -> Result<String> {
+    let [first, last] = [0, sweep.rows() - 1].map(|id| sweep.engine(&sweep.values(id)));
+    let (first, last) = (first?, last?);
+    Ok(if first == last { first } else { format!("first run: {first}\nlast run: {last}") })
 }
 
 /// Runs per second of CPU time if a run were nothing but steps of this engine, or of the plan's.
