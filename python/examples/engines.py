@@ -115,7 +115,7 @@ def first_rows_s(pool):
 def memory(samples, run_s):
     """Peak memory of a process that drives a campaign whose rows are made up, MB."""
 
-    def claimed(_text, _json, begin, end):
+    def claimed(_spec, begin, end):
         return [str(run) + ROW[4:] for run in range(begin, end)], run_s * (end - begin)
 
     _sweep._chunk = claimed

@@ -24,12 +24,13 @@ from moca._moca import Log as _Log
 from moca._moca import Simulation as _Simulation
 from moca._moca import State as _State
 from moca._moca import stop as _stop
-from moca._sweep import Sweep, experiment
+from moca._sweep import Protection, Sweep, experiment
 from moca._sweep import assignments as _assignments
 
 __all__ = [
     "Disconnected",
     "Log",
+    "Protection",
     "Refused",
     "Robot",
     "Sim",

@@ -5,12 +5,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moca._export import export as export
+from moca._sweep import Protection as Protection
 from moca._sweep import Sweep as Sweep
 from moca._sweep import experiment as experiment
 
 __all__ = [
     "Disconnected",
     "Log",
+    "Protection",
     "Refused",
     "Robot",
     "Sim",

@@ -1,4 +1,4 @@
-"""Many collisions over any `concurrent.futures` executor; each row follows from the plan and its number alone."""
+"""Campaigns of collisions over any `concurrent.futures` executor; each row follows from its campaign and its number alone."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ FIRST_RUNS = 5
 
 
 @functools.lru_cache(maxsize=4)
-def _plan(text: str, is_json: bool) -> Plan:
-    return Plan(text, is_json)
+def _plan(kind: str, *arguments: Any) -> Plan:
+    plan: Plan = getattr(Plan, kind)(*arguments)
+    return plan
 
 
-def _chunk(text: str, is_json: bool, begin: int, end: int) -> tuple[list[str], float]:
+def _chunk(spec: tuple[Any, ...], begin: int, end: int) -> tuple[list[str], float]:
     """What a worker does: rows and the time they took, s. It writes nothing, so it may run twice."""
     begun = time.perf_counter()
-    rows = _plan(text, is_json).rows(begin, end)
+    rows = _plan(*spec).rows(begin, end)
     return rows, time.perf_counter() - begun
 
 
@@ -48,18 +49,21 @@ class Sweep:
     """
 
     def __init__(self, spec: str | os.PathLike[str] | Mapping[str, Any]) -> None:
-        self._json = isinstance(spec, Mapping)
         if isinstance(spec, Mapping):
-            self._text = json.dumps(spec)
+            self.__setstate__(("json", json.dumps(spec)))
         elif isinstance(spec, str) and ("\n" in spec or "=" in spec):
-            self._text = spec
+            self.__setstate__(("toml", spec))
         else:
             with open(spec, encoding="utf-8") as file:
-                self._text = file.read()
-        self._plan = Plan(self._text, self._json)
+                self.__setstate__(("toml", file.read()))
 
-    def __reduce__(self) -> Any:
-        return Sweep, (json.loads(self._text) if self._json else self._text + "\n",)
+    def __getstate__(self) -> tuple[Any, ...]:
+        return self._spec
+
+    def __setstate__(self, spec: tuple[Any, ...]) -> None:
+        # A constructor of `Plan` with its arguments: all that a worker needs.
+        self._spec = spec
+        self._plan = _plan(*spec)
 
     def __len__(self) -> int:
         return len(self._plan)
@@ -108,7 +112,7 @@ class Sweep:
                 # Until the first chunk is timed, every worker has a small one.
                 while todo < len(self) and len(under_way) < (most if timed else most // 2):
                     end = min(todo + size, len(self))
-                    under_way.append(pool.submit(_chunk, self._text, self._json, todo, end))
+                    under_way.append(pool.submit(_chunk, self._spec, todo, end))
                     todo = end
                 rows, seconds = under_way.popleft().result()
                 file.write("".join(row + "\n" for row in rows))
@@ -139,6 +143,16 @@ class Sweep:
                 for batch in batches:
                     writer.write_batch(batch)
         os.replace(fresh, path)
+
+
+class Protection(Sweep):
+    """Meetings of a robot and a person, drawn at random: the rows of `moca-lab protection --random RUNS --seed SEED`.
+
+    A file of fewer runs with the same seed is continued.
+    """
+
+    def __init__(self, runs: int, seed: int = 1) -> None:
+        self.__setstate__(("drawn", runs, seed))
 
 
 def assignments(settings: Mapping[str, Any]) -> list[str]:

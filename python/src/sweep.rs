@@ -1,10 +1,12 @@
-//! The collision and its sweep, by the code of `moca-lab`.
+//! The collision and campaigns, by the code of `moca-lab`.
 
 use anyhow::{Error, Result};
 use moca_daemon::cli::progress;
+use moca_experiments::campaign::{Campaign, Table};
+use moca_experiments::collision;
+use moca_experiments::drawn::Meetings;
 use moca_experiments::settings::Settings;
 use moca_experiments::sweep::Sweep;
-use moca_experiments::{campaign, collision};
 use moca_msgs::Law;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -14,20 +16,38 @@ fn wrong(error: &Error) -> PyErr {
     PyValueError::new_err(format!("{error:#}"))
 }
 
-/// A checked plan of runs. Each row follows from the plan and the run's number alone.
+/// A checked table of runs. Each row follows from the table and the run's number alone.
 #[pyclass(frozen, module = "moca._moca")]
-pub struct Plan(Sweep);
+pub struct Plan(Box<dyn Table>);
+
+impl Plan {
+    fn of(sweep: Result<Sweep>) -> PyResult<Self> {
+        sweep.map(|sweep| Self(Box::new(sweep))).map_err(|error| wrong(&error))
+    }
+}
 
 #[pymethods]
 impl Plan {
-    #[new]
-    fn new(text: &str, json: bool) -> PyResult<Self> {
-        let sweep = if json { Sweep::parse_json(text) } else { Sweep::parse(text, None) };
-        sweep.map(Self).map_err(|error| wrong(&error))
+    /// A sweep, written as TOML.
+    #[staticmethod]
+    fn toml(text: &str) -> PyResult<Self> {
+        Self::of(Sweep::parse(text, None))
+    }
+
+    /// A sweep, written as JSON.
+    #[staticmethod]
+    fn json(text: &str) -> PyResult<Self> {
+        Self::of(Sweep::parse_json(text))
+    }
+
+    /// Meetings drawn at random.
+    #[staticmethod]
+    fn drawn(runs: usize, seed: u64) -> Self {
+        Self(Box::new(Meetings { runs, seed }))
     }
 
     fn __len__(&self) -> usize {
-        self.0.runs()
+        self.0.rows()
     }
 
     /// First line of the file.
@@ -42,8 +62,8 @@ impl Plan {
 
     /// Makes some runs and returns their lines.
     fn rows(&self, py: Python<'_>, begin: usize, end: usize) -> PyResult<Vec<String>> {
-        if begin > end || end > self.0.runs() {
-            return Err(PyValueError::new_err(format!("rows {begin} to {end}: allowed: 0 to {}", self.0.runs())));
+        if begin > end || end > self.0.rows() {
+            return Err(PyValueError::new_err(format!("rows {begin} to {end}: allowed: 0 to {}", self.0.rows())));
         }
         let rows = py.detach(|| (begin..end).map(|id| self.0.row(id)).collect::<Result<Vec<_>>>());
         rows.map_err(|error| wrong(&error))
@@ -51,8 +71,8 @@ impl Plan {
 
     /// Prepares a file for the next row and returns the number of rows that it holds.
     fn open(&self, out: PathBuf) -> PyResult<usize> {
-        let opened = campaign::open(&out, Some(&self.0.header()), &(0..self.0.runs()));
-        opened.map(|(_, rows)| rows).map_err(|error| wrong(&error))
+        let opened = Campaign { table: &*self.0, out: &out, shard: (1, 1) }.open();
+        opened.map(|(_, rows, _)| rows).map_err(|error| wrong(&error))
     }
 }
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
@@ -24,15 +25,30 @@ random = { samples = 10, seed = 5, uniform = { speed = [0.05, 0.25] }, log = { m
 RUN = "import moca, sys; moca.Sweep(sys.argv[1]).run(sys.argv[2])"
 
 
+# Drawn meetings are ten times as long as a collision of the plan.
+MEETINGS = 8
+
+
+def written(out, *words):
+    """Bytes of the file that a command of `moca-lab` writes."""
+    program = os.environ.get("MOCA_LAB", ROOT / "target/debug/moca-lab")
+    subprocess.run([program, "--quiet", *words, "--out", out], check=True, stdout=subprocess.DEVNULL)
+    return out.read_bytes()
+
+
 @pytest.fixture(scope="session")
 def lab(tmp_path_factory):
     """Rows of `moca-lab sweep`."""
     folder = tmp_path_factory.mktemp("lab")
     (folder / "plan.toml").write_text(TEXT)
-    program = os.environ.get("MOCA_LAB", ROOT / "target/debug/moca-lab")
-    command = [program, "--quiet", "sweep", folder / "plan.toml", "--out", folder / "out.csv"]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    return (folder / "out.csv").read_bytes()
+    return written(folder / "out.csv", "sweep", folder / "plan.toml")
+
+
+@pytest.fixture(scope="session")
+def drawn(tmp_path_factory):
+    """Rows of `moca-lab protection`."""
+    out = tmp_path_factory.mktemp("drawn") / "out.csv"
+    return written(out, "protection", "--random", str(MEETINGS), "--seed", "3")
 
 
 @pytest.mark.parametrize("threads", [1, 2, 7])
@@ -46,6 +62,25 @@ def test_processes_give_the_bytes_of_the_command(lab, tmp_path):
     with ProcessPoolExecutor(2) as pool:
         moca.Sweep(TEXT).run(tmp_path / "out.csv", pool=pool)
     assert (tmp_path / "out.csv").read_bytes() == lab
+
+
+@pytest.mark.parametrize("executor", [ThreadPoolExecutor, ProcessPoolExecutor])
+def test_drawn_meetings_give_the_bytes_of_the_command(drawn, tmp_path, executor):
+    out = tmp_path / "out.csv"
+    # A file of fewer runs is continued, its torn row made again.
+    out.write_bytes(drawn[: drawn.rindex(b"\n2,") + 20])
+    with executor(2) as pool:
+        moca.Protection(MEETINGS, seed=3).run(out, pool)
+    assert out.read_bytes() == drawn
+
+
+def test_drawn_meetings_travel_and_say_their_columns(drawn):
+    meetings = pickle.loads(pickle.dumps(moca.Protection(MEETINGS, seed=3)))
+    lines = drawn.decode().splitlines()
+    assert len(meetings) == MEETINGS and meetings.columns == lines[0].split(",")
+    assert meetings.rows(5, 6) == lines[6:7]
+    with pytest.raises(ValueError, match="belongs to another campaign"):
+        meetings.run(Path(__file__))
 
 
 @pytest.mark.parametrize("rows", [1, 15, 33])
@@ -104,7 +139,7 @@ def test_progress_says_how_long_it_takes(tmp_path, capsys):
 
 def test_file_of_another_sweep_is_not_touched(tmp_path):
     (tmp_path / "out.csv").write_text("run,d_v\n0,1\n")
-    with pytest.raises(ValueError, match="belongs to another sweep"):
+    with pytest.raises(ValueError, match="belongs to another campaign"):
         moca.Sweep(PLAN).run(tmp_path / "out.csv")
     assert (tmp_path / "out.csv").read_text() == "run,d_v\n0,1\n"
 

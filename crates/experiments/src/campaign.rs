@@ -4,24 +4,42 @@ use super::{count, cpu_time, parallel};
 use anyhow::{Context, Result, bail, ensure};
 use std::fmt;
 use std::fs::{File, OpenOptions};
-use std::io::{BufRead as _, BufReader, BufWriter, Write as _};
+use std::io::{BufRead as _, BufReader, BufWriter, Seek as _, SeekFrom, Write as _};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Rows handed out between two writes to the file.
 const STRETCH: usize = 64;
 
-/// A file of rows that follow from their numbers alone: the rows of any number of shards, joined in order, are those of
+/// Table whose rows each follow from their number alone: the rows of any number of shards, joined in order, are those of
 /// one machine.
+pub trait Table: Send + Sync {
+    /// Number of rows.
+    fn rows(&self) -> usize;
+
+    /// First line of the file: names of the columns, `run` first.
+    fn header(&self) -> String;
+
+    /// Names of the columns that hold words; the others hold numbers.
+    fn words(&self) -> Vec<&str>;
+
+    /// Computes row `id` and returns its line, which begins with `id`.
+    ///
+    /// # Errors
+    /// Settings that cannot be run, or a robot that is never armed.
+    fn row(&self, id: usize) -> Result<String>;
+}
+
+/// File of the rows of a table, or of one shard of them.
+#[derive(Clone, Copy)]
 pub struct Campaign<'a> {
+    /// Table of all shards.
+    pub table: &'a dyn Table,
     /// Rows that are already in it are kept and not computed again.
     pub out: &'a Path,
-    /// As [`shard`] reads it.
+    /// As [`shard`] reads it; only the first shard has the header.
     pub shard: (usize, usize),
-    /// Number of rows in all.
-    pub rows: usize,
-    /// Names of the columns, the row's number first; only the first shard has it.
-    pub header: &'a str,
 }
 
 /// Cost of a campaign.
@@ -56,15 +74,15 @@ impl fmt::Display for Ran {
 }
 
 impl Campaign<'_> {
-    /// Computes what is missing of this shard; `row` gives a whole line for its number.
-    pub fn run(&self, row: impl Fn(usize) -> Result<String> + Sync) -> Result<Ran> {
-        let (part, parts) = self.shard;
-        let range = self.rows * (part - 1) / parts..self.rows * part / parts;
-        let header = (part == 1).then_some(self.header);
-        let (mut file, before) = open(self.out, header, &range)?;
+    /// Computes what is missing of this shard.
+    ///
+    /// # Errors
+    /// As for [`Campaign::open`] and [`Table::row`]; the rows before the error are in the file.
+    pub fn run(&self) -> Result<Ran> {
+        let (mut file, before, range) = self.open()?;
         let (started, cpu_before_s) = (Instant::now(), cpu_time::of_process_s());
         let todo: Vec<usize> = range.skip(before).collect();
-        let work = |id: &usize| row(*id);
+        let work = |id: &usize| self.table.row(*id);
         let mut count = parallel::Count::new(&self.out.display().to_string(), todo.len());
         for stretch in todo.chunks(STRETCH.max(todo.len().div_ceil(200))) {
             let mut failed = None;
@@ -87,6 +105,56 @@ impl Campaign<'_> {
             cpu_s: cpu_time::of_process_s() - cpu_before_s,
         })
     }
+
+    /// Returns the file, ready for the next row, the number of rows that it holds, and the rows of this shard. A torn last
+    /// line is cut off.
+    ///
+    /// # Errors
+    /// A file that cannot be written, or that holds another header or other rows than this shard's from its start.
+    pub fn open(&self) -> Result<(File, usize, Range<usize>)> {
+        let (path, rows, (part, parts)) = (self.out, self.table.rows(), self.shard);
+        let range = rows * (part - 1) / parts..rows * part / parts;
+        let header = (part == 1).then(|| self.table.header());
+        let context = || format!("cannot use {}", path.display());
+        let text = match std::fs::read_to_string(path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
+            Err(error) => return Err(error).with_context(context),
+        };
+        let whole = text.rfind('\n').map_or("", |end| &text[..=end]);
+        let done = held(path, whole, header.as_deref(), &range)?;
+        let mut file =
+            OpenOptions::new().create(true).truncate(false).write(true).open(path).with_context(context)?;
+        file.set_len(whole.len() as u64).with_context(context)?;
+        file.seek(SeekFrom::End(0)).with_context(context)?;
+        if let (Some(header), true) = (header, whole.is_empty()) {
+            writeln!(file, "{header}").with_context(context)?;
+        }
+        Ok((file, done, range))
+    }
+}
+
+/// Number of rows in the text of a shard's file.
+fn held(path: &Path, text: &str, header: Option<&str>, range: &Range<usize>) -> Result<usize> {
+    let mut lines = text.lines();
+    if let (Some(header), false) = (header, text.is_empty()) {
+        ensure!(
+            lines.next() == Some(header),
+            "{} belongs to another campaign: its header differs",
+            path.display()
+        );
+    }
+    let mut done = 0;
+    for line in lines {
+        let expected = range.start + done;
+        if number(line) != Some(expected) {
+            let id = line.split(',').next().unwrap_or_default();
+            bail!("{}: row '{id}' where run {expected} is expected", path.display());
+        }
+        done += 1;
+    }
+    ensure!(done <= range.len(), "{} holds more rows than this shard has runs", path.display());
+    Ok(done)
 }
 
 /// `I/N` as the I-th of N parts.
@@ -98,52 +166,13 @@ pub fn shard(text: &str) -> Result<(usize, usize), String> {
     }
 }
 
-/// Returns the file, ready for the next row, and the number of rows of this shard that it holds. A torn last line is cut off.
-///
-/// # Errors
-/// A file that cannot be written, or that holds another header or other rows than those of `range` from its start.
-pub fn open(path: &Path, header: Option<&str>, range: &std::ops::Range<usize>) -> Result<(File, usize)> {
-    let context = || format!("cannot use {}", path.display());
-    let text = match std::fs::read_to_string(path) {
-        Ok(text) => text,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
-        Err(error) => return Err(error).with_context(context),
-    };
-    let whole = text.rfind('\n').map_or("", |end| &text[..=end]);
-    let mut lines = whole.lines();
-    if let (Some(header), false) = (header, whole.is_empty()) {
-        ensure!(
-            lines.next() == Some(header),
-            "{} belongs to another sweep: its header differs",
-            path.display()
-        );
-    }
-    let mut done = 0;
-    for line in lines {
-        let id = line.split(',').next().unwrap_or_default();
-        if id.parse().ok() != Some(range.start + done) {
-            bail!("{}: row '{id}' where run {} is expected", path.display(), range.start + done);
-        }
-        done += 1;
-    }
-    ensure!(done <= range.len(), "{} holds more rows than this shard has runs", path.display());
-    let mut file =
-        OpenOptions::new().create(true).truncate(false).write(true).open(path).with_context(context)?;
-    file.set_len(whole.len() as u64).with_context(context)?;
-    std::io::Seek::seek(&mut file, std::io::SeekFrom::End(0)).with_context(context)?;
-    if let (Some(header), true) = (header, whole.is_empty()) {
-        writeln!(file, "{header}").with_context(context)?;
-    }
-    Ok((file, done))
-}
-
 /// Joins the files of all shards, given in any order, into `out`, which appears only when it is whole.
 ///
 /// # Errors
 /// A file that cannot be read, another header, a run that is missing or there twice: the message names run and file.
-pub fn merge(parts: &[PathBuf], out: &Path, header: &str, rows: usize) -> Result<()> {
+pub fn merge(parts: &[PathBuf], out: &Path, table: &dyn Table) -> Result<()> {
     let fresh = out.with_extension("joining");
-    let joined = join(parts, &fresh, header, rows).and_then(|()| {
+    let joined = join(parts, &fresh, &table.header(), table.rows()).and_then(|()| {
         std::fs::rename(&fresh, out).with_context(|| format!("cannot write {}", out.display()))
     });
     if joined.is_err() {
@@ -159,7 +188,7 @@ fn join(parts: &[PathBuf], out: &Path, header: &str, rows: usize) -> Result<()> 
         let file = File::open(part).with_context(|| format!("cannot read {}", part.display()))?;
         let mut lines = BufReader::new(file).lines().peekable();
         if let Some(first) = lines.next_if(|line| line.as_ref().is_ok_and(|line| line.starts_with("run,"))) {
-            ensure!(first? == header, "{} belongs to another sweep: its header differs", part.display());
+            ensure!(first? == header, "{} belongs to another campaign: its header differs", part.display());
         }
         let first = lines.peek().and_then(|line| line.as_ref().ok()).and_then(|line| number(line));
         shards.push((first, part, lines));
@@ -201,6 +230,27 @@ fn number(line: &str) -> Option<usize> {
 mod tests {
     use super::*;
 
+    /// Table with a letter in each row.
+    struct Letters(usize);
+
+    impl Table for Letters {
+        fn rows(&self) -> usize {
+            self.0
+        }
+
+        fn header(&self) -> String {
+            "run,a".into()
+        }
+
+        fn words(&self) -> Vec<&str> {
+            vec!["a"]
+        }
+
+        fn row(&self, id: usize) -> Result<String> {
+            Ok(format!("{id},x"))
+        }
+    }
+
     #[test]
     fn shard_is_one_of_those_there_are() {
         assert!(shard("0/3").is_err() && shard("4/3").is_err() && shard("2/3") == Ok((2, 3)));
@@ -215,7 +265,7 @@ mod tests {
             std::fs::write(&paths[i], part)?;
         }
         let out = folder.join("out.csv");
-        let joined = merge(&paths, &out, "run,a", rows).and_then(|()| Ok(std::fs::read_to_string(&out)?));
+        let joined = merge(&paths, &out, &Letters(rows)).and_then(|()| Ok(std::fs::read_to_string(&out)?));
         assert_eq!(std::fs::read_dir(&folder)?.count(), parts.len() + usize::from(joined.is_ok()));
         std::fs::remove_dir_all(&folder)?;
         joined

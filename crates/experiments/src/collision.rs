@@ -47,6 +47,11 @@ impl Report {
         self.info.stopped.as_deref()
     }
 
+    /// Simulated time, starting included, s.
+    pub const fn sim_s(&self) -> f64 {
+        self.info.sim_s
+    }
+
     /// Returns for a stock board the command that gives the README's lower figure.
     fn other_cover(&self) -> &'static str {
         if self.info.sensor == Sensor::Stock.name() {

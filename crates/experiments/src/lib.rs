@@ -1,5 +1,5 @@
 //! The rig of every experiment, without pictures: settings with their keys, the closed loop under test, what is measured
-//! of it, and how many cores it may take; on it the collision and its sweep, which `moca-lab` and the Python package share.
+//! of it, and how many cores it may take; on it the collision, its sweep and the drawn meetings, which `moca-lab` and the Python package share.
 
 use moca_control::config::Config;
 use moca_daemon::devices::simulated_robot;
@@ -18,8 +18,10 @@ pub mod closed_loop;
 pub mod collision;
 pub mod commissioning;
 pub mod cpu_time;
+pub mod drawn;
 pub mod keys;
 pub mod measure;
+pub mod meeting;
 pub mod parallel;
 pub mod run_info;
 pub mod settings;

@@ -4,6 +4,7 @@
 //! rows of any number of shards, joined in order, are those of one machine. No row holds a time, so no row depends on
 //! the machine either.
 
+use crate::campaign::Table;
 use crate::collision::{self, Report};
 use crate::settings::{Sensor, Settings};
 use anyhow::{Result, ensure};
@@ -85,26 +86,40 @@ impl Sweep {
         &self.columns
     }
 
-    /// Number of runs.
-    pub fn runs(&self) -> usize {
-        self.plan.runs()
-    }
-
     /// Values of run `id`, one for each varied key.
     pub fn values(&self, id: usize) -> Vec<String> {
         self.plan.values(id)
     }
 
-    /// Settings of a run with these values of the varied keys.
+    /// Engine of a run with these values of the varied keys, and the reason for it.
+    ///
+    /// # Errors
+    /// As for [`Sweep::settings`].
+    pub fn engine(&self, values: &[String]) -> Result<String> {
+        let settings = self.settings(values)?;
+        let scene = settings.collision_scene()?;
+        Ok(match scene.needs_mujoco() {
+            _ if self.plan.names_engine() => format!("{}; the plan names it", settings.engine.reason()),
+            Some(what) => format!("MuJoCo: the scene has {what}"),
+            None => settings.engine.reason().to_owned(),
+        })
+    }
+
+    /// Settings of a run with these values of the varied keys. The scene decides the engine unless the plan names one.
     ///
     /// # Errors
     /// A value outside its range.
     pub fn settings(&self, values: &[String]) -> Result<Settings> {
         self.plan.settings(&self.columns, values)
     }
+}
 
-    /// First line of the CSV file: the run's number, the varied keys, the results.
-    pub fn header(&self) -> String {
+impl Table for Sweep {
+    fn rows(&self) -> usize {
+        self.plan.runs()
+    }
+
+    fn header(&self) -> String {
         std::iter::once("run")
             .chain(self.columns.iter().map(String::as_str))
             .chain([RESULTS])
@@ -112,18 +127,13 @@ impl Sweep {
             .join(",")
     }
 
-    /// Names of the columns that hold words: keys with a value that is no number, and the reason of a stop.
-    pub fn words(&self) -> Vec<&str> {
+    fn words(&self) -> Vec<&str> {
         let word = |values: &[toml::Value]| values.iter().any(|value| plain(value).parse::<f64>().is_err());
         let keys = self.plan.grid.iter().filter(|(_, values)| word(values)).map(|(key, _)| key.as_str());
         keys.chain(["stopped"]).collect()
     }
 
-    /// Makes run `id` and returns its CSV row.
-    ///
-    /// # Errors
-    /// A value outside its range, or a robot that is never armed.
-    pub fn row(&self, id: usize) -> Result<String> {
+    fn row(&self, id: usize) -> Result<String> {
         let values = self.values(id);
         let report = collision::single(&self.settings(&values)?)?;
         let mut line = id.to_string();
@@ -186,8 +196,15 @@ impl Plan {
         for (key, value) in columns.iter().zip(values) {
             settings.set(&format!("{key}={value}"))?;
         }
+        if !self.names_engine() {
+            settings.engine = settings.collision_scene()?.needed_engine();
+        }
         settings.check()?;
         Ok(settings)
+    }
+
+    fn names_engine(&self) -> bool {
+        self.set.contains_key("engine") || self.grid.contains_key("engine")
     }
 
     fn check(&self) -> Result<()> {
@@ -242,6 +259,7 @@ fn results(report: &Report) -> String {
 #[cfg(test)]
 mod tests {
     use super::Sweep;
+    use moca_sim::Engine;
 
     #[test]
     fn wrong_plan_is_refused_before_anything_runs() {
@@ -254,6 +272,22 @@ mod tests {
         ] {
             let error = format!("{:#}", Sweep::parse(text, None).unwrap_err());
             assert!(error.contains(part), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn scene_decides_the_engine_unless_the_plan_names_one() {
+        for (text, engine, why) in [
+            ("", Engine::Analytic, "analytic: base, arm and people move"),
+            ("[set]\nintegrator = \"rk4\"\n", Engine::MuJoCo, "MuJoCo: the scene has an integrator other"),
+            ("[set]\nengine = \"mujoco\"\n", Engine::MuJoCo, "whatever a scene holds; the plan names it"),
+            ("[grid]\nengine = [\"analytic\"]\n", Engine::Analytic, "rigid bodies meet; the plan names it"),
+        ] {
+            let sweep = Sweep::parse(text, None).unwrap();
+            let values = sweep.values(0);
+            assert_eq!(sweep.settings(&values).unwrap().engine, engine, "{text}");
+            let said = sweep.engine(&values).unwrap();
+            assert!(said.contains(why), "{text}: {said}");
         }
     }
 }

@@ -1,5 +1,6 @@
 //! `moca-lab`: experiments and checks on the command line.
 
+mod campaign;
 mod cover;
 mod docs;
 mod numerics;

@@ -1,4 +1,4 @@
-//! `moca-lab sweep --slurm` with an `sbatch` that runs its tasks here and now.
+//! Campaigns of `moca-lab` with `--slurm` and an `sbatch` that runs its tasks here and now.
 #![allow(clippy::unwrap_used, reason = "a test that cannot read its input has to stop")]
 
 use std::os::unix::fs::PermissionsExt as _;
@@ -20,27 +20,46 @@ done
 echo "42;here"
 "#;
 
-fn lab(folder: &Path, arguments: &[&str]) -> bool {
+fn lab(folder: &Path, words: &[&[&str]]) -> bool {
     let path = format!("{}:{}", folder.display(), std::env::var("PATH").unwrap());
     let mut command = Command::new(env!("CARGO_BIN_EXE_moca-lab"));
-    command.current_dir(folder).env("PATH", path).args(["--quiet", "sweep", "plan.toml"]).args(arguments);
+    command.current_dir(folder).env("PATH", path).arg("--quiet").args(words.concat());
     command.status().unwrap().success()
 }
 
-#[test]
-fn array_and_join_give_the_bytes_of_one_machine() {
-    let folder = std::env::temp_dir().join(format!("moca slurm {}", std::process::id()));
+/// Runs a campaign at once, as an array of four tasks, and resumed; then joins it with a part missing and one there twice.
+fn array_and_join_give_the_bytes_of_one_machine(name: &str, campaign: &[&str]) {
+    let folder = std::env::temp_dir().join(format!("moca slurm {name} {}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     std::fs::write(folder.join("plan.toml"), PLAN).unwrap();
     std::fs::write(folder.join("sbatch"), SBATCH).unwrap();
     std::fs::set_permissions(folder.join("sbatch"), std::fs::Permissions::from_mode(0o755)).unwrap();
-    assert!(lab(&folder, &["--out", "alone.csv"]));
-    assert!(lab(&folder, &["--out", "joined.csv", "--slurm", "4"]));
+    assert!(lab(&folder, &[campaign, &["--out", "alone.csv"]]));
+    assert!(lab(&folder, &[campaign, &["--out", "joined.csv", "--slurm", "4"]]));
     let read = |name: &str| std::fs::read_to_string(folder.join(name)).unwrap();
-    assert_eq!(read("joined.csv"), read("alone.csv"));
-    std::fs::remove_file(folder.join("joined.csv.parts/3.csv")).unwrap();
-    let left = ["1", "2", "4"].map(|part| format!("joined.csv.parts/{part}.csv"));
-    let [a, b, c] = left.each_ref().map(String::as_str);
-    assert!(!lab(&folder, &["--out", "gap.csv", "--merge", a, b, c]) && !folder.join("gap.csv").exists());
+    let whole = read("alone.csv");
+    assert_eq!(read("joined.csv"), whole);
+    // Cut within the third row, as a killed process leaves it.
+    let cut = whole.match_indices('\n').nth(2).unwrap().0 + 12;
+    std::fs::write(folder.join("cut.csv"), &whole[..cut]).unwrap();
+    assert!(lab(&folder, &[campaign, &["--out", "cut.csv"]]));
+    assert_eq!(read("cut.csv"), whole);
+    let [a, b, c, d] = ["1", "2", "3", "4"].map(|part| format!("joined.csv.parts/{part}.csv"));
+    for parts in [&[&*a, &b, &d][..], &[&*a, &b, &c, &b, &d]] {
+        assert!(!lab(&folder, &[campaign, &["--out", "wrong.csv", "--merge"], parts]));
+        assert!(!folder.join("wrong.csv").exists());
+    }
+    assert!(lab(&folder, &[campaign, &["--out", "right.csv", "--merge"], &[&*d, &b, &c, &a]]));
+    assert_eq!(read("right.csv"), whole);
     std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn sweep_as_an_array_gives_the_bytes_of_one_machine() {
+    array_and_join_give_the_bytes_of_one_machine("sweep", &["sweep", "plan.toml"]);
+}
+
+#[test]
+fn drawn_meetings_as_an_array_give_the_bytes_of_one_machine() {
+    array_and_join_give_the_bytes_of_one_machine("drawn", &["protection", "--random", "6", "--seed", "5"]);
 }

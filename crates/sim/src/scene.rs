@@ -337,6 +337,11 @@ impl Scene {
         }
     }
 
+    /// Returns the cheapest engine that can run this scene, whatever engine it names.
+    pub const fn needed_engine(&self) -> Engine {
+        if self.needs_mujoco().is_some() { Engine::MuJoCo } else { Engine::Analytic }
+    }
+
     /// Checks every number; NaN and infinity are outside every range.
     ///
     /// # Errors

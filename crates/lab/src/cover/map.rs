@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail, ensure};
 use moca_control::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
 use moca_control::protection::{nominal_speed_m_s, speed_for_delay_m_s};
 use moca_experiments::bound::{Meeting, TO_THE_SEAM_M};
-use moca_experiments::campaign::Campaign;
+use moca_experiments::campaign::{Campaign, Table};
 use moca_experiments::collision;
 use moca_experiments::commissioning::commission;
 use moca_experiments::settings::{Sensor, Settings};
@@ -67,6 +67,28 @@ impl Speeds {
     }
 }
 
+/// Table of the map: a row for each cell.
+struct SafeSpeeds<'a>(&'a [Cell]);
+
+impl Table for SafeSpeeds<'_> {
+    fn rows(&self) -> usize {
+        self.0.len()
+    }
+
+    fn header(&self) -> String {
+        HEADER.into()
+    }
+
+    fn words(&self) -> Vec<&str> {
+        vec!["board", "body", "or_more"]
+    }
+
+    fn row(&self, id: usize) -> Result<String> {
+        let cell = &self.0[id];
+        Ok(format!("{id},{},{}", cell.name(), cell.speeds()?.columns()))
+    }
+}
+
 /// Computes the map, prints it as a table and writes it as a figure.
 #[expect(clippy::print_stdout, reason = "the command's output")]
 pub(super) fn run(forces_n: &[f64], folder: &Path, width: Width) -> Result<()> {
@@ -74,9 +96,7 @@ pub(super) fn run(forces_n: &[f64], folder: &Path, width: Width) -> Result<()> {
     let data = folder.join("data");
     std::fs::create_dir_all(&data).with_context(|| format!("cannot use {}", data.display()))?;
     let out = data.join("safe-speed.csv");
-    let row = |id: usize| Ok(format!("{id},{},{}", cells[id].name(), cells[id].speeds()?.columns()));
-    let campaign = Campaign { out: &out, shard: (1, 1), rows: cells.len(), header: HEADER };
-    println!("{}", campaign.run(row)?);
+    println!("{}", Campaign { table: &SafeSpeeds(&cells), out: &out, shard: (1, 1) }.run()?);
     let speeds = read(&out, &cells)?;
     let text = table(&cells, &speeds);
     print!("{text}");

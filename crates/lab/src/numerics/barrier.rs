@@ -1,6 +1,7 @@
 //! Benefit of the contact barrier: the sweeps of `scenes/barrier-*.toml` as the table of docs/math.md.
 
 use anyhow::{Context, Result};
+use moca_experiments::campaign::Table as _;
 use moca_experiments::collision;
 use moca_experiments::parallel;
 use moca_experiments::settings::Settings;
@@ -61,7 +62,7 @@ fn plan(chosen: impl Fn(usize, bool, &str) -> bool) -> Result<Vec<Planned>> {
     for (row, (_, plan, stiffness)) in ROWS.into_iter().enumerate() {
         let plan = Sweep::parse(plan, None)?;
         let columns = plan.varied();
-        for values in (0..plan.runs()).map(|id| plan.values(id)) {
+        for values in (0..plan.rows()).map(|id| plan.values(id)) {
             let value = |key: &str| {
                 let place = columns.iter().position(|column| column == key);
                 place.and_then(|place| values.get(place)).context("a plan without this key")

@@ -5,7 +5,6 @@ pub(crate) mod economy;
 pub(crate) mod extremes;
 pub(crate) mod peers;
 pub(crate) mod precision;
-mod slurm;
 pub(crate) mod stability;
 pub(crate) mod sweep;
 pub(crate) mod tick;

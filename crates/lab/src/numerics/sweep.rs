@@ -4,9 +4,10 @@
 //! rows of any number of shards, joined in order, are those of one machine. No row holds a time, so no row depends on
 //! the machine either.
 
-use crate::numerics::{economy, slurm};
+use crate::campaign::Shards;
+use crate::numerics::economy;
 use anyhow::{Context, Result};
-use moca_experiments::campaign::{self, Campaign};
+use moca_experiments::campaign::Table as _;
 use moca_experiments::sweep::Sweep;
 use moca_sim::{Engine, Scene};
 use std::path::PathBuf;
@@ -22,15 +23,8 @@ pub(crate) struct Arguments {
     /// Error of a tick, over 25 N and 15 mm, for which physics steps are chosen in every run, e.g. 1e-3.
     #[arg(long)]
     accuracy: Option<f64>,
-    /// Part of the runs, e.g. 2/8 for the second of eight; joined in order the parts are the whole.
-    #[arg(long, value_name = "I/N", value_parser = campaign::shard, default_value = "1/1")]
-    shard: (usize, usize),
-    /// Submits the runs to Slurm as an array of N tasks, and a task that joins their files into the CSV file.
-    #[arg(long, value_name = "N", conflicts_with = "shard", value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    slurm: Option<u32>,
-    /// Joins files of all shards, in any order, into the CSV file; refuses a run that is missing or there twice.
-    #[arg(long, value_name = "CSV", num_args = 1.., conflicts_with_all = ["shard", "slurm"])]
-    merge: Vec<PathBuf>,
+    #[command(flatten)]
+    shards: Shards,
 }
 
 /// Runs what is missing of this shard.
@@ -40,30 +34,37 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         .with_context(|| format!("cannot read {}", arguments.file.display()))?;
     let sweep =
         Sweep::parse(&text, arguments.accuracy).with_context(|| format!("{}", arguments.file.display()))?;
-    if !arguments.merge.is_empty() {
-        return campaign::merge(&arguments.merge, &arguments.out, &sweep.header(), sweep.runs());
-    }
-    if let Some(tasks) = arguments.slurm {
-        let (array, join) = slurm::submit(&arguments.file, &arguments.out, arguments.accuracy, tasks)?;
-        println!(
-            "{}: array {array} of {tasks} tasks, then {join} joins them: squeue",
-            arguments.out.display()
-        );
+    let Some(ran) = arguments.shards.run(&sweep, &arguments.out, &arguments.command()?)? else {
         return Ok(());
-    }
-    let campaign =
-        Campaign { out: &arguments.out, shard: arguments.shard, rows: sweep.runs(), header: &sweep.header() };
-    let ran = campaign.run(|id| sweep.row(id))?;
-    println!("{ran}");
+    };
     println!(
         "{:.1} runs per second of CPU; for the same simulated time bare mj_step of the same scene would allow {:.1}, the \
          bare step of its engine {:.1}\n{}",
         ran.per_cpu_s(),
         bare_runs_per_cpu_s(&sweep, Some(Engine::MuJoCo))?,
         bare_runs_per_cpu_s(&sweep, None)?,
-        sweep.settings(&sweep.values(0))?.engine.reason(),
+        engines(&sweep)?,
     );
     Ok(())
+}
+
+impl Arguments {
+    /// Words of this command that give the same rows in any folder.
+    fn command(&self) -> Result<Vec<String>> {
+        let file = std::path::absolute(&self.file)?;
+        let mut words = vec!["sweep".to_owned(), file.to_str().context("a path is not UTF-8")?.to_owned()];
+        if let Some(accuracy) = self.accuracy {
+            words.extend(["--accuracy".to_owned(), accuracy.to_string()]);
+        }
+        Ok(words)
+    }
+}
+
+/// Engines of the first and of the last run, with the reason for each.
+fn engines(sweep: &Sweep) -> Result<String> {
+    let [first, last] = [0, sweep.rows() - 1].map(|id| sweep.engine(&sweep.values(id)));
+    let (first, last) = (first?, last?);
+    Ok(if first == last { first } else { format!("first run: {first}\nlast run: {last}") })
 }
 
 /// Runs per second of CPU time if a run were nothing but steps of this engine, or of the plan's.
@@ -87,8 +88,7 @@ mod tests {
         let file = folder.join("plan.toml");
         std::fs::write(&file, PLAN).unwrap();
         let out = folder.join(name);
-        run(&Arguments { file, out: out.clone(), accuracy: None, shard, slurm: None, merge: Vec::new() })
-            .unwrap();
+        run(&Arguments { file, out: out.clone(), accuracy: None, shards: Shards::part(shard) }).unwrap();
         std::fs::read_to_string(out).unwrap()
     }
 

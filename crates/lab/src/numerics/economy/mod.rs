@@ -1,5 +1,6 @@
 //! `moca-lab economy`: what a scene costs when it holds everything, and when it holds only what it needs.
 
+mod engines;
 mod parts;
 
 use anyhow::Result;
@@ -27,6 +28,9 @@ pub(crate) struct Arguments {
     /// Prints one JSON object.
     #[arg(long)]
     json: bool,
+    /// Instead: this many collisions of scenes/sweep.toml on either engine, and as many bare steps of MuJoCo, in turn.
+    #[arg(long, value_name = "RUNS", value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    engines: Option<u32>,
 }
 
 /// One scene beside the one that a user of MuJoCo would write.
@@ -104,6 +108,10 @@ impl TickCost {
 /// Builds, runs, compares and times every scene.
 #[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
+    if let Some(runs) = arguments.engines {
+        print!("{}", engines::markdown(usize::try_from(runs)?)?);
+        return Ok(());
+    }
     let report = measure()?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
@@ -357,20 +365,42 @@ fn gravity(scene: &Scene) -> Result<[f64; JOINTS]> {
     Ok(torque)
 }
 
-/// CPU time of one `mj_step` of the robot as it stands and holds itself, µs: the least over stretches of 50.
-pub(crate) fn bare_step_us(scene: &Scene) -> Result<f64> {
+/// Robot that stands and holds itself, whose engine alone is stepped.
+struct Standing {
+    plant: SimPlant,
+    scene: Scene,
+    hold: RobotCommand<JOINTS>,
+}
+
+impl Standing {
+    /// Bare steps of a stretch: in many more of them it would begin to fall.
     const STRETCH: u32 = 50;
-    let mut plant = SimPlant::new(scene)?;
-    let arm_gravity_nm = gravity(scene)?;
-    let hold = RobotCommand { base_velocity_body: [0.0; 3], arm_torque_nm: arm_gravity_nm, arm_gravity_nm };
+
+    fn new(scene: &Scene) -> Result<Self> {
+        let arm_gravity_nm = gravity(scene)?;
+        let hold =
+            RobotCommand { base_velocity_body: [0.0; 3], arm_torque_nm: arm_gravity_nm, arm_gravity_nm };
+        Ok(Self { plant: SimPlant::new(scene)?, scene: scene.clone(), hold })
+    }
+
+    /// CPU time of a step in a stretch, s.
+    fn step_s(&mut self) -> Result<f64> {
+        let (plant, scene) = (&mut self.plant, &self.scene);
+        plant.set_state(&scene.base_pose_world, &[0.0; 3], &scene.arm_posture_rad, &[0.0; JOINTS]);
+        plant.apply(&Actuation::Drive(self.hold))?;
+        plant.step()?;
+        let (stepped, cpu_s) = cpu_time::timed(|| (0..Self::STRETCH).try_for_each(|_| plant.bare_step()));
+        stepped?;
+        Ok(cpu_s / f64::from(Self::STRETCH))
+    }
+}
+
+/// CPU time of one bare step of the robot as it stands and holds itself, µs: the least over 100 stretches.
+pub(crate) fn bare_step_us(scene: &Scene) -> Result<f64> {
+    let mut standing = Standing::new(scene)?;
     let mut best = f64::INFINITY;
     for _ in 0..100 {
-        plant.set_state(&scene.base_pose_world, &[0.0; 3], &scene.arm_posture_rad, &[0.0; JOINTS]);
-        plant.apply(&Actuation::Drive(hold))?;
-        plant.step()?;
-        let (stepped, cpu_s) = cpu_time::timed(|| (0..STRETCH).try_for_each(|_| plant.bare_step()));
-        stepped?;
-        best = best.min(cpu_s / f64::from(STRETCH));
+        best = best.min(standing.step_s()?);
     }
     Ok(1e6 * best)
 }

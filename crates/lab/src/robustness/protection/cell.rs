@@ -3,8 +3,8 @@
 use anyhow::Result;
 use moca_control::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
 use moca_experiments::bound;
-use moca_experiments::closed_loop::{Loads, Row};
 use moca_experiments::collision;
+use moca_experiments::meeting::Meeting;
 use moca_experiments::settings::{Sensor, Settings};
 use moca_msgs::Law as Mode;
 use moca_sim::foam::Foam;
@@ -15,9 +15,6 @@ use moca_tactile::Firmware;
 pub(super) const PHASES: u32 = 16;
 /// Time for which the base is led before the touch: as long as it needs to run evenly, s.
 const LEAD_S: f64 = 2.0;
-
-/// Time that a hand takes to push with all its force: at once, its moment would throw the wrist, s.
-const TAKES_HOLD_S: f64 = 0.5;
 
 /// Centres of the taxels, the front corners, off the middle, a seam, and two at once.
 const PLACES: [Place; 19] = [
@@ -88,30 +85,6 @@ impl Place {
 
     const fn two(name: &'static str, taxel: usize, also: usize) -> Self {
         Self { name, taxel, offset_m: 0.0, also: Some(also), sharing: 1.0 }
-    }
-}
-
-/// Kind of meeting.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Meeting {
-    /// The flange is led, and the base goes into the person.
-    Led,
-    /// The person walks into the standing base.
-    Walks,
-    /// The person stands before it and leans on it, on purpose.
-    Leans,
-    /// A hand at the flange leads the robot in follow-me, and the base goes into the person.
-    ByHand,
-}
-
-impl Meeting {
-    pub(super) const fn name(self) -> &'static str {
-        match self {
-            Self::Led => "led",
-            Self::Walks => "walks",
-            Self::Leans => "leans",
-            Self::ByHand => "by hand",
-        }
     }
 }
 
@@ -323,22 +296,4 @@ impl Cell {
         settings.check()?;
         Ok(settings)
     }
-}
-
-impl Meeting {
-    /// Returns the force of a hand that leads the robot from `row` on: it takes hold, pushes as hard as eq. (2) needs for the speed
-    /// of the settings, and turns the flange so that the base does not turn.
-    pub(super) fn hand(self, settings: &Settings, row: &Row) -> impl Fn(f64) -> Loads + use<> {
-        let held_s = row.t_s;
-        let pushed = if self == Self::ByHand { push(settings, row) } else { Loads::default() };
-        move |t_s| pushed.scaled(((held_s + t_s) / TAKES_HOLD_S).min(1.0))
-    }
-}
-
-fn push(settings: &Settings, row: &Row) -> Loads {
-    let towards = collision::towards_person(settings);
-    let damping = settings.config.control.gains.virtual_damping;
-    let [x_n, y_n] = [0, 1].map(|axis| damping[axis] * towards[axis]);
-    let [x_m, y_m] = [0, 1].map(|axis| row.flange_world[axis] - row.base_pose_world[axis]);
-    Loads { flange_world: [x_n, y_n, 0.0, 0.0, 0.0, y_m * x_n - x_m * y_n], ..Loads::default() }
 }

@@ -1,9 +1,10 @@
 //! People whom the robot drives into at requested speeds, whatever physics allows: the robot as it ships, with the contact
 //! barrier and, where the cover has no calibration, without.
 
-use super::cell::{AROUND, Cell, Law, Meeting, PHASES};
-use super::{Outcome, table};
+use super::cell::{AROUND, Cell, Law, PHASES};
+use super::table;
 use anyhow::Result;
+use moca_experiments::meeting::{Meeting, Outcome};
 use moca_experiments::parallel;
 use moca_tactile::Firmware;
 
@@ -46,7 +47,7 @@ impl Lead {
         let cell = Cell::at_speed(place, self.meeting, self.board, self.lead_m_s)?;
         let mut settings = cell.settings(self.law.0, phase)?;
         settings.person.gap_m = GAP_M;
-        Ok(Run { place, phase, outcome: Outcome::of_run(&cell, &settings)? })
+        Ok(Run { place, phase, outcome: cell.outcome(&settings)? })
     }
 
     fn line(&self) -> Result<String> {

@@ -7,27 +7,17 @@ mod random;
 mod table;
 mod walk_in;
 
+use crate::campaign::Shards;
 use anyhow::{Context as _, Result};
-use cell::{COLUMNS, Cell, Law, Meeting, PHASES};
+use cell::{COLUMNS, Cell, Law, PHASES};
 pub(crate) use leads::markdown as leads_markdown;
-use moca_control::config::ProtectionConfig;
-use moca_experiments::TAXELS;
-use moca_experiments::bound;
-use moca_experiments::campaign::{self, Campaign};
-use moca_experiments::closed_loop::{Loads, Rig, Row};
-use moca_experiments::collision::{self, approach_m_s};
-use moca_experiments::measure::{Measures, peak_force_n};
+use moca_experiments::campaign::Table;
+use moca_experiments::drawn::Meetings;
+use moca_experiments::meeting::Outcome;
 use moca_experiments::parallel;
 use moca_experiments::settings::Settings;
-use moca_wbc::contact_barrier::STOP_SHARE;
 use std::path::{Path, PathBuf};
 
-/// A contact is watched for so long, s.
-const WATCHED_S: f64 = 3.0;
-/// A run that has met nobody by then never will, s.
-const LONGEST_S: f64 = 12.0;
-/// Period at which a run checks if it has seen enough, s.
-const LOOK_S: f64 = 0.25;
 /// Seed of the order of cells.
 const SEED: u64 = 1;
 /// Columns after the cell's own.
@@ -51,9 +41,8 @@ pub(crate) struct Arguments {
     /// Seed of that order, or of what is drawn.
     #[arg(long, default_value_t = SEED)]
     seed: u64,
-    /// Part of the rows, as in `sweep`.
-    #[arg(long, value_name = "I/N", value_parser = campaign::shard, default_value = "1/1")]
-    shard: (usize, usize),
+    #[command(flatten)]
+    shards: Shards,
     /// Prints the table of a file instead, and what failed in it.
     #[arg(long, value_name = "CSV")]
     table: Option<PathBuf>,
@@ -80,7 +69,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         return Ok(());
     }
     if let Some(run) = arguments.drawn {
-        print!("{}", random::drawn(arguments.seed, run));
+        print!("{}", Meetings { runs: 1 + run, seed: arguments.seed }.keys(run));
     }
     if arguments.short {
         print!("{}", markdown()?);
@@ -92,15 +81,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         print!("{}", leads::markdown()?);
     }
     let Some(out) = &arguments.out else { return Ok(()) };
-    if let Some(runs) = arguments.random {
-        println!("{}", random::run(out, arguments.shard, runs, arguments.seed)?);
-        return Ok(());
-    }
-    let cells = Cell::sample(arguments.cells, arguments.seed);
-    let header = header();
-    let rows = cells.len() * Law::ALL.len();
-    let campaign = Campaign { out, shard: arguments.shard, rows, header: &header };
-    println!("{}", campaign.run(|id| row(&cells, id))?);
+    let seed = arguments.seed;
+    let (table, option, count): (Box<dyn Table>, _, _) = match arguments.random {
+        Some(runs) => (Box::new(Meetings { runs, seed }), "--random", runs),
+        None => (Box::new(Grid::new(arguments.cells, seed)), "--cells", arguments.cells),
+    };
+    let command = ["protection", option, &count.to_string(), "--seed", &seed.to_string()].map(str::to_owned);
+    arguments.shards.run(&*table, out, &command)?;
     Ok(())
 }
 
@@ -142,10 +129,10 @@ pub(crate) fn markdown() -> Result<String> {
 }
 
 fn short_line(cell: &Cell) -> Result<String> {
-    let limited = Outcome::of(cell, Law::SpeedLimit, SHORT_PHASES)?;
-    let kept = Outcome::of(cell, Law::Barrier, SHORT_PHASES)?;
+    let limited = cell.worst(Law::SpeedLimit, SHORT_PHASES)?;
+    let kept = cell.worst(Law::Barrier, SHORT_PHASES)?;
     let stopped = |outcome: &Outcome| if outcome.stopped.is_empty() { "" } else { ", stop" };
-    let row = format!("0,{},{},{}", cell.columns()?, Law::Barrier.name(), kept.columns());
+    let row = format!("0,{},{},{}", cell.columns()?, Law::Barrier.name(), columns(&kept));
     Ok(format!(
         "| {} | {:.0} N{} | {:.1} N{} | {:.1} N | {} | {:.1} mm | {} |\n",
         cell.columns()?.replace(',', " | "),
@@ -175,7 +162,7 @@ impl Printed {
 
     /// Largest force, N, and distance of the flange, mm.
     pub(crate) fn figures(&self, settings: &Settings) -> Result<[f64; 2]> {
-        let outcome = Outcome::of_run(&self.cell, settings)?;
+        let outcome = self.cell.outcome(settings)?;
         Ok([outcome.peak_n, outcome.flange_mm])
     }
 }
@@ -191,61 +178,48 @@ pub(crate) fn of_the_campaign(cells: usize) -> Result<Vec<Printed>> {
     Cell::sample(cells, SEED).into_iter().map(|cell| Printed::of(cell, Law::Barrier, PHASES)).collect()
 }
 
+/// Table of the grid: a row for each cell and law.
+struct Grid {
+    cells: Vec<Cell>,
+}
+
+impl Grid {
+    fn new(cells: usize, seed: u64) -> Self {
+        Self { cells: Cell::sample(cells, seed) }
+    }
+}
+
 fn header() -> String {
     format!("run,{COLUMNS},{RESULTS}")
 }
 
-/// A cell under one of the laws.
-fn row(cells: &[Cell], id: usize) -> Result<String> {
-    let (cell, law) = (&cells[id / Law::ALL.len()], Law::ALL[id % Law::ALL.len()]);
-    let outcome = Outcome::of(cell, law, PHASES)?;
-    Ok(format!("{id},{},{},{}", cell.columns()?, law.name(), outcome.columns()))
+impl Table for Grid {
+    fn rows(&self) -> usize {
+        self.cells.len() * Law::ALL.len()
+    }
+
+    fn header(&self) -> String {
+        header()
+    }
+
+    fn words(&self) -> Vec<&str> {
+        vec!["place", "meeting", "board", "person", "truth", "law", "grows", "again", "stopped"]
+    }
+
+    fn row(&self, id: usize) -> Result<String> {
+        let (cell, law) = (&self.cells[id / Law::ALL.len()], Law::ALL[id % Law::ALL.len()]);
+        let outcome = cell.worst(law, PHASES)?;
+        Ok(format!("{id},{},{},{}", cell.columns()?, law.name(), columns(&outcome)))
+    }
 }
 
-/// Returns true if a later tap is harder than a first one, by more than 2 %, and than the base itself may press.
-fn grows(first_peak_n: f64, later_n: f64) -> bool {
-    later_n > 1.02 * first_peak_n.max(STOP_SHARE * ProtectionConfig::default().force_limit_n)
-}
-
-/// The first of some forces, and the largest of the others, N.
-fn first_and_later(forces_n: &[f64]) -> [f64; 2] {
-    let [first, later @ ..] = forces_n else { return [0.0; 2] };
-    [*first, later.iter().copied().fold(0.0, f64::max)]
-}
-
-/// Result of a cell's worst phase; flange, taps and stops of any phase.
-#[derive(Clone, Debug, Default)]
-struct Outcome {
-    approach_m_s: f64,
-    first_touch_n: f64,
-    impact_n: f64,
-    peak_n: f64,
-    /// From the first touch, s.
-    peak_after_s: f64,
-    /// From the first touch until the cover feels anything, s.
-    felt_after_s: f64,
-    /// From the first touch until the law bounds the base for it, s; NaN if it never does.
-    noticed_after_s: f64,
-    /// Force that remains when the base does its utmost from that reading on, N.
-    least_n: f64,
-    taps: usize,
-    /// A later peak is higher than the first of the same phase, and than the base itself may press.
-    grows: bool,
-    /// A later contact is harder than the first of the same phase: somebody was let go of in between.
-    again: bool,
-    /// Highest first peak, and highest later one, N.
-    first_peak_n: f64,
-    later_n: f64,
-    flange_mm: f64,
-    stopped: String,
-}
-
-impl Outcome {
+/// Outcomes of cells.
+impl Cell {
     /// The worst of some of the phases, evenly apart.
-    fn of(cell: &Cell, law: Law, phases: u32) -> Result<Self> {
-        let mut worst = Self::default();
+    fn worst(&self, law: Law, phases: u32) -> Result<Outcome> {
+        let mut worst = Outcome::default();
         for phase in (0..PHASES).step_by((PHASES / phases.clamp(1, PHASES)) as usize) {
-            let one = Self::of_phase(cell, law, phase)?;
+            let one = self.outcome(&self.settings(law, phase)?)?;
             let (taps, grows) = (worst.taps.max(one.taps), worst.grows | one.grows);
             let again = worst.again | one.again;
             let flange_mm = worst.flange_mm.max(one.flange_mm);
@@ -257,94 +231,36 @@ impl Outcome {
             if phase == 0 || one.peak_n > worst.peak_n {
                 worst = one;
             }
-            let peaks = Self { first_touch_n, impact_n, first_peak_n, later_n, ..worst };
-            worst = Self { taps, grows, again, flange_mm, stopped, ..peaks };
+            let peaks = Outcome { first_touch_n, impact_n, first_peak_n, later_n, ..worst };
+            worst = Outcome { taps, grows, again, flange_mm, stopped, ..peaks };
         }
         Ok(worst)
     }
 
-    fn of_phase(cell: &Cell, law: Law, phase: u32) -> Result<Self> {
-        Self::of_run(cell, &cell.settings(law, phase)?)
+    fn outcome(&self, settings: &Settings) -> Result<Outcome> {
+        Outcome::of(self.meeting, &self.meeting_there(), settings)
     }
+}
 
-    fn of_run(cell: &Cell, settings: &Settings) -> Result<Self> {
-        Self::of_meeting(cell.meeting, &cell.meeting_there(), settings)
-    }
-
-    /// Lets somebody meet the robot as `meeting` says, `there` being cover, body and base as they are.
-    fn of_meeting(meeting: Meeting, there: &bound::Meeting, settings: &Settings) -> Result<Self> {
-        let mut rig = Rig::start(settings, &settings.collision_scene()?)?;
-        if meeting != Meeting::ByHand {
-            rig.move_target(collision::towards_person(settings))?;
-        }
-        let touching = |row: &Row| row.total_force_n > 0.0;
-        let mut first = None;
-        loop {
-            match rig.rows.last().map(|row| meeting.hand(settings, row)) {
-                Some(hand) => rig.run_for(LOOK_S, hand)?,
-                None => rig.run_for(LOOK_S, |_| Loads::default())?,
-            }
-            first = first.or_else(|| rig.rows.iter().position(touching));
-            let seen_s =
-                first.map_or(0.0, |first| rig.rows.last().map_or(0.0, |row| row.t_s) - rig.rows[first].t_s);
-            if rig.stopped.is_some() || rig.sim_s > LONGEST_S || seen_s > WATCHED_S {
-                break;
-            }
-        }
-        let stopped = rig.stopped.as_deref().map_or("", |why| why.split(':').next().unwrap_or("stopped"));
-        let stopped = stopped.to_owned();
-        let Some(first) = first else { return Ok(Self { stopped, ..Self::default() }) };
-        let rows = &rig.rows;
-        let measures = Measures::of(rows, 1e-3);
-        let since = |row: &Row| row.t_s - rows[first].t_s;
-        let contact = &rows[first..];
-        let most = contact.iter().max_by(|a, b| a.largest_force_n.total_cmp(&b.largest_force_n));
-        let felt = contact.iter().find(|row| (0..TAXELS).any(|i| row.force_sensed[i] > 0.0));
-        // a false alarm before the touch is none of it
-        let alarmed = first == 0 || rows[first - 1].is_bounded;
-        let noticed = contact.iter().find(|row| !alarmed && row.is_bounded).or(felt);
-        let closing_m_s = approach_m_s(&rows[first.saturating_sub(1)], settings);
-        let felt_after_s = felt.map_or(f64::NAN, since);
-        let [first_peak_n, later_n] = first_and_later(&measures.peaks_n);
-        let [first_contact_n, again_n] = first_and_later(&measures.contacts_n);
-        Ok(Self {
-            approach_m_s: closing_m_s,
-            first_touch_n: measures.first_touch_n,
-            impact_n: measures.impact_n,
-            peak_n: peak_force_n(rows),
-            peak_after_s: most.map_or(0.0, since),
-            felt_after_s,
-            noticed_after_s: noticed.map_or(f64::NAN, since),
-            least_n: there.least_n(closing_m_s, felt_after_s),
-            taps: measures.peaks_n.len(),
-            grows: grows(first_peak_n, later_n),
-            again: grows(first_contact_n, again_n),
-            first_peak_n,
-            later_n,
-            flange_mm: measures.flange_max_mm,
-            stopped,
-        })
-    }
-
-    fn columns(&self) -> String {
-        format!(
-            "{:.4},{:.2},{:.2},{:.2},{:.3},{:.3},{:.2},{},{},{},{:.2},{:.2},{:.2},{}",
-            self.approach_m_s,
-            self.first_touch_n,
-            self.impact_n,
-            self.peak_n,
-            self.peak_after_s,
-            self.felt_after_s,
-            self.least_n,
-            self.taps,
-            self.grows,
-            self.again,
-            self.first_peak_n,
-            self.later_n,
-            self.flange_mm,
-            self.stopped
-        )
-    }
+/// As [`RESULTS`] after the law.
+fn columns(outcome: &Outcome) -> String {
+    format!(
+        "{:.4},{:.2},{:.2},{:.2},{:.3},{:.3},{:.2},{},{},{},{:.2},{:.2},{:.2},{}",
+        outcome.approach_m_s,
+        outcome.first_touch_n,
+        outcome.impact_n,
+        outcome.peak_n,
+        outcome.peak_after_s,
+        outcome.felt_after_s,
+        outcome.least_n,
+        outcome.taps,
+        outcome.grows,
+        outcome.again,
+        outcome.first_peak_n,
+        outcome.later_n,
+        outcome.flange_mm,
+        outcome.stopped
+    )
 }
 
 #[cfg(test)]
@@ -393,10 +309,10 @@ mod tests {
             return; // where sines are rounded in another way, last digits are others
         }
         let text = std::fs::read_to_string(CAMPAIGN).unwrap();
-        let cells = Cell::sample(2, 1);
+        let grid = Grid::new(2, 1);
         // under the barrier
         for id in [1, 4] {
-            let fresh = row(&cells, id).unwrap();
+            let fresh = grid.row(id).unwrap();
             assert!(text.lines().any(|line| line == fresh), "{fresh}");
         }
     }

@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Result, ensure};
 use moca_control::config::ProtectionConfig;
+use moca_experiments::meeting;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -216,7 +217,7 @@ fn line(group: &[&Entry<'_>]) -> String {
     let most = |name: &str| group.iter().map(|entry| entry.number(name)).fold(0.0, f64::max);
     let above = group.iter().filter(|entry| entry.above()).count();
     let count = |name: &str| group.iter().filter(|entry| entry.text(name) == "true").count();
-    let beyond = |entry: &&&Entry<'_>| super::grows(entry.number("first_peak_n"), entry.number("later_n"));
+    let beyond = |entry: &&&Entry<'_>| meeting::grows(entry.number("first_peak_n"), entry.number("later_n"));
     let beyond = group.iter().filter(beyond).count();
     let stopped = group.iter().filter(|entry| !entry.text("stopped").is_empty()).count();
     #[expect(clippy::cast_precision_loss, reason = "cells of one scan")]

@@ -1,9 +1,9 @@
 //! People who walk into the front of the standing robot and walk on. The base can only give way backwards, where it has no
 //! taxel.
 
-use super::Outcome;
-use super::cell::{Cell, Law, Meeting};
+use super::cell::{Cell, Law};
 use anyhow::Result;
+use moca_experiments::meeting::Meeting;
 use moca_experiments::parallel;
 use moca_tactile::Firmware;
 use std::fmt::Write as _;
@@ -42,7 +42,7 @@ impl Walk {
         for taxel in FRONT {
             let cell = Cell::at_speed(taxel, Meeting::Walks, board, walk_m_s)?;
             bound_m_s = cell.bound_m_s()?;
-            let outcome = Outcome::of(&cell, law, PHASES)?;
+            let outcome = cell.worst(law, PHASES)?;
             // Writing to a string cannot fail.
             let _ = write!(peaks, " {:.0} N |", outcome.peak_n);
         }

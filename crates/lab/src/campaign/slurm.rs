@@ -1,34 +1,34 @@
-//! A sweep as an array of Slurm tasks and a task that joins their files.
+//! A campaign as an array of Slurm tasks and a task that joins their files.
 
 use anyhow::{Context, Result, ensure};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// Submits both and returns their numbers.
+/// Submits both and returns their numbers. `words` after `moca-lab` name the campaign, paths in them absolute.
 ///
 /// A task that is started again after its node was lost writes a file of its own: the old one may live on behind a cut
 /// cable. Its last name says that it is whole.
 ///
 /// # Errors
 /// A path that is no text, a folder that cannot be made, `sbatch` that is not there or refuses.
-pub(crate) fn submit(plan: &Path, out: &Path, accuracy: Option<f64>, tasks: u32) -> Result<(String, String)> {
+pub(super) fn submit(words: &[String], out: &Path, tasks: u32) -> Result<(String, String)> {
     let parts = PathBuf::from(format!("{}.parts", out.display()));
     std::fs::create_dir_all(&parts).with_context(|| format!("cannot make {}", parts.display()))?;
     let absolute = |path: &Path| -> Result<String> {
         Ok(quoted(std::path::absolute(path)?.to_str().context("a path is not UTF-8")?))
     };
-    let accuracy = accuracy.map_or(String::new(), |accuracy| format!(" --accuracy {accuracy}"));
     let lab = absolute(&std::env::current_exe()?)?;
-    let sweep = format!("{lab} --quiet sweep {}{accuracy} --out", absolute(plan)?);
+    let words: Vec<String> = words.iter().map(|word| quoted(word)).collect();
+    let campaign = format!("{lab} --quiet {} --out", words.join(" "));
     let (folder, whole) = (absolute(&parts)?, absolute(out)?);
     let shard = format!(
         "set -eu; part={folder}/$SLURM_ARRAY_TASK_ID; own=$part.${{SLURM_RESTART_COUNT:-0}}.tmp; \
-         {sweep} \"$own\" --shard $SLURM_ARRAY_TASK_ID/{tasks}; mv \"$own\" \"$part.csv\""
+         {campaign} \"$own\" --shard $SLURM_ARRAY_TASK_ID/{tasks}; mv \"$own\" \"$part.csv\""
     );
     let array = format!("--array=1-{tasks}");
     let log = parts.join("%a.log");
     let array = sbatch(&[&array, "--requeue", "--cpus-per-task=1"], &log, &shard)?;
-    let join = format!("{sweep} {whole} --merge {folder}/*.csv");
+    let join = format!("{campaign} {whole} --merge {folder}/*.csv");
     let dependency = format!("--dependency=afterok:{array}");
     let join = sbatch(&[&dependency, "--kill-on-invalid-dep=yes"], &parts.join("join.log"), &join)?;
     Ok((array, join))
