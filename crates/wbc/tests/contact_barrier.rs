@@ -137,8 +137,8 @@ fn run(scene: &Scene) -> Outcome {
     let shared_plates = scene.shared_plates;
     let settings = BarrierSettings { softest_n_m: scene.softest_n_m, hidden_n, shared_plates, ..settings };
     let settings = settings.with_late_orders(scene.believed_order_s, scene.order_error_s, 0.0).unwrap();
-    let forget_s = if scene.remembers { settings.forget_s } else { 1e-9 };
-    let settings = BarrierSettings { forget_s, ..settings };
+    let remember_s = if scene.remembers { settings.remember_s } else { 0.0 };
+    let settings = BarrierSettings { remember_s, ..settings };
     let mut barrier = ContactBarrier::<11>::new(&PAPER_COVER, &settings).unwrap();
     let (mut x, mut u, mut commanded) = (0.0, scene.wanted_m_s, [scene.wanted_m_s, 0.0, 0.0]);
     let mut outcome = Outcome { last_force_n: [f64::INFINITY, 0.0], ..Outcome::default() };

@@ -52,7 +52,7 @@ const YIELD_SHARE: f64 = 0.8;
 /// Force of a reading from which on somebody touches, N.
 pub const TOUCH_N: f64 = 1.0;
 /// Time constant in which a late base forgets how fast somebody came, s: who walks on comes again before it has made room twice.
-const LATE_FORGET_S: f64 = 3.0;
+const REMEMBER_S: f64 = 3.0;
 /// Shortest time in which an error of the depth is taken back, s.
 const RESPONSE_S: f64 = 0.08;
 /// Taxels that are no further apart may feel one body, m: half a trunk;
@@ -227,8 +227,10 @@ pub struct BarrierSettings {
     /// Error of such an estimate, m/s: the noise of a taxel over [`Self::speed_s`]. No smaller speed counts as leaving the
     /// person, or noise alone would take from every force that the law feels.
     pub speed_noise_m_s: f64,
-    /// Time constant in which it is forgotten, s: after a release, and of a late base the fastest one during a touch too.
+    /// Time constant in which it is forgotten after a release, s.
     pub forget_s: f64,
+    /// Time constant in which the fastest one is forgotten, s, which is believed meanwhile; 0: at once.
+    pub remember_s: f64,
     /// Speed that a person is believed to have at the first reading, m/s: one reading cannot tell.
     pub first_speed_m_s: f64,
     /// Fastest that a person is believed to come, m/s.
@@ -280,6 +282,7 @@ impl BarrierSettings {
             softest_n_m: 5e3,
             speed_noise_m_s: 0.01,
             forget_s: 1.0,
+            remember_s: 0.0,
             first_speed_m_s: 0.1,
             fastest_person_m_s: 0.6,
             retreat_m_s: 0.3,
@@ -306,8 +309,8 @@ impl BarrierSettings {
         within("error of the base's delay", error_s, "s", 0.0, 1.0)?;
         within("error of the slope of the depth", slope_error, "", 0.0, 0.9)?;
         let response_s = RESPONSE_S.max(2.0 * error_s / (1.0 - slope_error));
-        let forget_s = if order_delay_s > 0.0 { LATE_FORGET_S } else { self.forget_s };
-        Ok(Self { order_delay_s, response_s, forget_s, ..self })
+        let remember_s = if order_delay_s > 0.0 { REMEMBER_S } else { 0.0 };
+        Ok(Self { order_delay_s, response_s, remember_s, ..self })
     }
 
     /// Returns the force, N, that compresses the foam as deep as a reading says.
@@ -490,7 +493,8 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
             carried_body_m_s: [T::zero(); 2],
         };
         let mut gives_way = false;
-        let forgotten = (input.dt_s / of(self.settings.forget_s)).min(T::one());
+        let share = |time_s: f64| (input.dt_s / of(time_s)).min(T::one());
+        let forgotten = [share(self.settings.forget_s), share(self.settings.remember_s)];
         for i in 0..taxels {
             let is_new = self.state.tracks[i].is_new(input.samples[i], input.dt_s);
             let [body_n, plates] = if is_new { self.body_n(i, input) } else { [T::zero(); 2] };

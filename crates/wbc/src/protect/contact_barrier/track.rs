@@ -169,8 +169,8 @@ impl<T: Scalar> Track<T> {
         sample.is_some_and(|sample| sample.age_s - of::<T>(0.5) * dt_s < self.since)
     }
 
-    /// Time passes, and the base is `way` outward: of a speed that is remembered the share `forgotten` is.
-    pub(super) fn wait(&mut self, dt_s: T, forgotten: T, way: T) {
+    /// Time passes, and the base is `way` outward. Of the speed at a release, and of the fastest, these shares are forgotten.
+    pub(super) fn wait(&mut self, dt_s: T, [forgotten, of_fastest]: [T; 2], way: T) {
         self.since += dt_s;
         self.released += dt_s;
         self.near += dt_s;
@@ -181,7 +181,7 @@ impl<T: Scalar> Track<T> {
         if self.near > of(RECOVERS_S) && !looks {
             (self.far, self.here) = (None, false);
         }
-        self.fastest -= self.fastest * forgotten;
+        self.fastest -= self.fastest * of_fastest;
         if !self.touched() {
             self.person -= self.person * forgotten;
         }
@@ -269,7 +269,7 @@ impl<T: Scalar> Track<T> {
         }
         self.readings = self.readings.saturating_add(1);
         // what a late base does shows in its readings after so long that a person who slows down and one whom it leaves look alike
-        if settings.order_delay_s > 0.0 && self.readings > ASSUMED {
+        if settings.remember_s > 0.0 && self.readings > ASSUMED {
             self.fastest = self.fastest.max(self.person + self.yields);
         }
         (self.depth, self.force, self.body_n, self.way) = (depth, sample.force_n, body_n, way);
