@@ -63,263 +63,133 @@ const fn key(
     Key { name, unit, about, set }
 }
 
+/// Key of a number: name, unit, sentence, range, field, and what follows from it.
+macro_rules! number {
+    ($name:literal, $unit:literal, $about:literal, $min:literal to $max:literal, $($place:ident).+ $(, then $after:ident)?) => {
+        key($name, $unit, $about, |s, v| {
+            s.$($place).+ = number(v, $min, $max)?.into();
+            $(s.$after();)?
+            Ok(())
+        })
+    };
+}
+
+/// Key of a choice: name, sentence, field, and its words with what each stands for.
+macro_rules! words {
+    ($name:literal, $about:literal, $($place:ident).+, $word:literal = $value:expr $(, $words:literal = $values:expr)+) => {
+        key($name, concat!($word $(, "|", $words)+), $about, |s, v| {
+            s.$($place).+ = word(v, &[($word, $value) $(, ($words, $values))+])?.into();
+            Ok(())
+        })
+    };
+}
+
+// A key stays on one row where it fits.
+#[rustfmt::skip]
 const KEYS: &[Key] = &[
-    key(
-        "protection",
-        "off|default|FILE",
-        "[protection] as published (off), as shipped (default), or of a configuration file",
-        |s, v| {
-            s.config.protection = match v {
-                "off" => settings::unprotected(),
-                "default" => ProtectionConfig::default(),
-                path => Config::load(Path::new(path))?.protection,
-            };
-            Ok(())
-        },
-    ),
-    key("sensor", "stock|ideal|off", "what the controller feels the cover with", |s, v| {
-        s.sensor = word(v, &[("stock", Sensor::Stock), ("ideal", Sensor::Ideal), ("off", Sensor::Off)])?;
-        Ok(())
-    }),
-    key(
-        "law",
-        "paper|barrier",
-        "the law as published, or as a calibrated cover has it: the contact barrier with its speed limit and both \
-         corrections (after sensor)",
-        |s, v| {
-            let barrier = word(v, &[("paper", false), ("barrier", true)])?;
-            let corrections = &mut s.config.control.corrections;
-            (corrections.null_space_damping, corrections.base_coupling) = (barrier, barrier);
-            s.config.protection = if barrier { ProtectionConfig::default() } else { settings::unprotected() };
-            if barrier && s.sensor == Sensor::Stock {
-                s.config.board.model = AssumedModel::PuLd30;
-                s.config.protection.contact_barrier = BarrierReadings::PuLd30;
-            } else if barrier {
-                s.config.protection.contact_barrier = BarrierReadings::Foam;
-            }
-            Ok(())
-        },
-    ),
-    key(
-        "sensor.period_ms",
-        "ms",
-        "ideal sensor: averaging and holding period; stock board: period of a frame",
-        |s, v| some(&mut s.sensor_period_ms, v, 1.0, 1000.0),
-    ),
-    key(
-        "sensor.samples",
-        "ticks|steps",
-        "ideal sensor: the mean of the forces at the control's ticks, or of the physics steps whatever the control's rate",
-        |s, v| {
-            s.sensor_samples = word(v, &[("ticks", TrueForces::AtTicks), ("steps", TrueForces::OfSteps)])?;
-            Ok(())
-        },
-    ),
-    key("sensor.delay_ms", "ms", "true.sensor.extra_age_ms by its old name", |s, v| {
-        s.set(&format!("true.sensor.extra_age_ms={v}"))
-    }),
-    key("sensor.phase_ms", "ms", "how much later the motion starts against the sensor's clock", |s, v| {
-        store(&mut s.sensor_phase_ms, v, 0.0, 1000.0)
-    }),
-    key("sensor.noise", "counts", "stock board: standard deviation of one FDAT value", |s, v| {
-        s.noise_counts = Some(number(v, 0.0, 100.0)?);
-        Ok(())
-    }),
-    key("sensor.firmware", "moca|stock-2018|stock-2015", "virtual board: what runs on it", |s, v| {
-        s.firmware = word(
-            v,
-            &[
-                ("moca", Firmware::Moca),
-                ("stock-2018", Firmware::Stock2018),
-                ("stock-2015", Firmware::Stock2015),
-            ],
-        )?;
-        Ok(())
-    }),
-    key(
-        "flange",
-        "true|observed",
-        "wrench at the flange: the true one, or the momentum observer's",
-        |s, v| {
-            s.flange_observed = word(v, &[("true", false), ("observed", true)])?;
-            Ok(())
-        },
-    ),
-    key(
-        "belief",
-        "default|measured",
-        "what the controller believes of its base: the configuration's, or the stopping distance that commissioning of this robot \
-         measures",
-        |s, v| {
-            s.belief_measured = word(v, &[("default", false), ("measured", true)])?;
-            Ok(())
-        },
-    ),
-    key("step_ms", "ms", "physics step", |s, v| store(&mut s.step_ms, v, 1e-3, 100.0)),
-    key(
-        "integrator",
-        "euler|rk4|implicit|implicitfast|leapfrog",
-        "integrator; the analytic engine has Euler and implicitfast, which are one there, and leapfrog, of second order",
-        |s, v| {
-            s.integrator = Some(word(
-                v,
-                &[
-                    ("euler", Integrator::Euler),
-                    ("rk4", Integrator::RungeKutta4),
-                    ("implicit", Integrator::Implicit),
-                    ("implicitfast", Integrator::ImplicitFast),
-                    ("leapfrog", Integrator::Leapfrog),
-                ],
-            )?);
-            Ok(())
-        },
-    ),
-    key(
-        "engine",
-        "mujoco|analytic",
-        "what integrates: MuJoCo, or the model of base and arm with people as masses, in less time",
-        |s, v| {
-            s.engine = word(v, &[("mujoco", Engine::MuJoCo), ("analytic", Engine::Analytic)])?;
-            Ok(())
-        },
-    ),
-    key("foam", "pu|cc|pe5|pe3|collision-assumed", "foam of the cover", |s, v| {
-        s.foam.material = word(
-            v,
-            &[
-                ("pu", Foam::PU_LD30),
-                ("cc", Foam::CC),
-                ("pe5", Foam::PE5),
-                ("pe3", Foam::PE3),
-                ("collision-assumed", Foam::COLLISION_ASSUMED),
-            ],
-        )?;
-        Ok(())
-    }),
+    key("protection", "off|default|FILE", "[protection] as published (off), as shipped (default), or of a configuration file", protection),
+    words!("sensor", "what the controller feels the cover with", sensor,
+        "stock" = Sensor::Stock, "ideal" = Sensor::Ideal, "off" = Sensor::Off),
+    key("law", "paper|barrier", "the law as published, or as a calibrated cover has it: the contact barrier with its speed limit and both \
+        corrections (after sensor)", law),
+    number!("sensor.period_ms", "ms", "ideal sensor: averaging and holding period; stock board: period of a frame",
+        1.0 to 1000.0, sensor_period_ms),
+    words!("sensor.samples", "ideal sensor: the mean of the forces at the control's ticks, or of the physics steps whatever the control's \
+        rate", sensor_samples, "ticks" = TrueForces::AtTicks, "steps" = TrueForces::OfSteps),
+    key("sensor.delay_ms", "ms", "true.sensor.extra_age_ms by its old name", |s, v| s.set(&format!("true.sensor.extra_age_ms={v}"))),
+    number!("sensor.phase_ms", "ms", "how much later the motion starts against the sensor's clock", 0.0 to 1000.0, sensor_phase_ms),
+    number!("sensor.noise", "counts", "stock board: standard deviation of one FDAT value", 0.0 to 100.0, noise_counts),
+    words!("sensor.firmware", "virtual board: what runs on it", firmware,
+        "moca" = Firmware::Moca, "stock-2018" = Firmware::Stock2018, "stock-2015" = Firmware::Stock2015),
+    words!("flange", "wrench at the flange: the true one, or the momentum observer's", flange_observed, "true" = false, "observed" = true),
+    words!("belief", "what the controller believes of its base: the configuration's, or the stopping distance that commissioning of this \
+        robot measures", belief_measured, "default" = false, "measured" = true),
+    number!("step_ms", "ms", "physics step", 1e-3 to 100.0, step_ms),
+    words!("integrator", "integrator; the analytic engine has Euler and implicitfast, which are one there, and leapfrog, of second order",
+        integrator, "euler" = Integrator::Euler, "rk4" = Integrator::RungeKutta4, "implicit" = Integrator::Implicit,
+        "implicitfast" = Integrator::ImplicitFast, "leapfrog" = Integrator::Leapfrog),
+    words!("engine", "what integrates: MuJoCo, or the model of base and arm with people as masses, in less time", engine,
+        "mujoco" = Engine::MuJoCo, "analytic" = Engine::Analytic),
+    words!("foam", "foam of the cover", foam.material, "pu" = Foam::PU_LD30, "cc" = Foam::CC, "pe5" = Foam::PE5, "pe3" = Foam::PE3,
+        "collision-assumed" = Foam::COLLISION_ASSUMED),
     key("foam.scale", "", "true.foam.scale by its old name", |s, v| s.set(&format!("true.foam.scale={v}"))),
-    key("foam.thickness", "m", "plate gap at rest; the hyperbolic law's h", |s, v| {
-        some(&mut s.foam.thickness_m, v, 1e-3, 0.1)
-    }),
-    key("foam.stiffness", "N/m", "initial stiffness k_0 of collision-assumed, before foam.scale", |s, v| {
-        some(&mut s.foam.stiffness, v, 10.0, 1e6)
-    }),
-    key("foam.damping_ms", "ms", "damping of the foam over its stiffness", |s, v| {
-        some(&mut s.foam.damping_ms, v, 0.0, 1000.0)
-    }),
-    key(
-        "person.kind",
-        "leg|thigh|hand|wall",
-        "who stands there; the keys below change single properties",
-        |s, v| {
-            s.person.part = word(
-                v,
-                &[
-                    ("leg", BodyPart::Leg),
-                    ("thigh", BodyPart::Thigh),
-                    ("hand", BodyPart::Hand),
-                    ("wall", BodyPart::Wall),
-                ],
-            )?;
-            Ok(())
-        },
-    ),
-    key("person.taxel", "T1…T11", "taxel the person stands before", |s, v| {
-        s.person.taxel = taxel(v)?;
-        Ok(())
-    }),
-    key("person.gap", "m", "gap to the cover at the start", |s, v| store(&mut s.person.gap_m, v, 0.0, 5.0)),
-    key("person.offset", "m", "how far along the panel from the taxel's centre", |s, v| {
-        store(&mut s.person.offset_m, v, -1.0, 1.0)
-    }),
-    key(
-        "person.plates",
-        "1|2|3",
-        "rigid plates that the body presses at once, each by all of its depth",
-        |s, v| {
-            s.person.plates = word(v, &[("1", 1), ("2", 2), ("3", 3)])?;
-            Ok(())
-        },
-    ),
-    key("person.mass", "kg", "mass", |s, v| some(&mut s.person.mass_kg, v, 0.1, 1e4)),
-    key("person.stiffness", "N/m", "stiffness of the tissue", |s, v| {
-        some(&mut s.person.stiffness, v, 1.0, 1e9)
-    }),
-    key("person.damping", "N·s/m", "damping of the tissue", |s, v| {
-        store(&mut s.person.damping, v, 0.0, 1e5)
-    }),
-    key("person.friction", "", "Coulomb coefficient along the cover", |s, v| {
-        some(&mut s.person.friction, v, 0.0, 2.0)
-    }),
-    key("person.posture_stiffness", "N/m", "stiffness of the posture", |s, v| {
-        some(&mut s.person.posture_stiffness, v, 0.0, 1e7)
-    }),
-    key("person.posture_damping", "N·s/m", "damping of the posture", |s, v| {
-        some(&mut s.person.posture_damping, v, 0.0, 1e5)
-    }),
-    key("person.radius", "m", "radius of leg, thigh or hand", |s, v| {
-        some(&mut s.person.radius_m, v, 0.005, 100.0)
-    }),
-    key("person.at_s", "s", "when walking and leaning begin", |s, v| {
-        store(&mut s.person.at_s, v, 0.0, 3600.0)
-    }),
-    key("person.walk", "m/s", "walking speed towards the cover", |s, v| {
-        store(&mut s.person.walk_m_s, v, 0.0, 5.0)
-    }),
-    key("person.lean", "N", "weight leant on the cover until the step away", |s, v| {
-        store(&mut s.person.lean_n, v, 0.0, 1000.0)
-    }),
-    key("person.steps_away_s", "s", "time from first contact to the step away", |s, v| {
-        store(&mut s.person.steps_away_s, v, 0.0, 1000.0)
-    }),
-    key("person.fixed", "true|false", "cannot move: held against a wall", |s, v| {
-        flag(&mut s.person.fixed, v)
-    }),
-    key("base.size", "m,m,m", "length, width, height: its inertia is the box's; the cover stays", |s, v| {
-        list(&mut s.config.robot.base.size_m, v, 0.1, 10.0)?;
-        s.box_inertia();
-        Ok(())
-    }),
-    key("base.mass", "kg", "mass of the base; its inertia grows with it", |s, v| {
-        store(&mut s.config.robot.base.mass_kg, v, 1.0, 1e5)?;
-        s.box_inertia();
-        Ok(())
-    }),
-    key("base.inertia", "kg·m²", "about the vertical, instead of the box's", |s, v| {
-        some(&mut s.base_inertia, v, 0.01, 1e6)?;
-        s.box_inertia();
-        Ok(())
-    }),
+    number!("foam.thickness", "m", "plate gap at rest; the hyperbolic law's h", 1e-3 to 0.1, foam.thickness_m),
+    number!("foam.stiffness", "N/m", "initial stiffness k_0 of collision-assumed, before foam.scale", 10.0 to 1e6, foam.stiffness),
+    number!("foam.damping_ms", "ms", "damping of the foam over its stiffness", 0.0 to 1000.0, foam.damping_ms),
+    words!("person.kind", "who stands there; the keys below change single properties", person.part,
+        "leg" = BodyPart::Leg, "thigh" = BodyPart::Thigh, "hand" = BodyPart::Hand, "wall" = BodyPart::Wall),
+    key("person.taxel", "T1…T11", "taxel the person stands before", |s, v| { s.person.taxel = taxel(v)?; Ok(()) }),
+    number!("person.gap", "m", "gap to the cover at the start", 0.0 to 5.0, person.gap_m),
+    number!("person.offset", "m", "how far along the panel from the taxel's centre", -1.0 to 1.0, person.offset_m),
+    words!("person.plates", "rigid plates that the body presses at once, each by all of its depth", person.plates,
+        "1" = 1_u8, "2" = 2_u8, "3" = 3_u8),
+    number!("person.mass", "kg", "mass", 0.1 to 1e4, person.mass_kg),
+    number!("person.stiffness", "N/m", "stiffness of the tissue", 1.0 to 1e9, person.stiffness),
+    number!("person.damping", "N·s/m", "damping of the tissue", 0.0 to 1e5, person.damping),
+    number!("person.friction", "", "Coulomb coefficient along the cover", 0.0 to 2.0, person.friction),
+    number!("person.posture_stiffness", "N/m", "stiffness of the posture", 0.0 to 1e7, person.posture_stiffness),
+    number!("person.posture_damping", "N·s/m", "damping of the posture", 0.0 to 1e5, person.posture_damping),
+    number!("person.radius", "m", "radius of leg, thigh or hand", 0.005 to 100.0, person.radius_m),
+    number!("person.at_s", "s", "when walking and leaning begin", 0.0 to 3600.0, person.at_s),
+    number!("person.walk", "m/s", "walking speed towards the cover", 0.0 to 5.0, person.walk_m_s),
+    number!("person.lean", "N", "weight leant on the cover until the step away", 0.0 to 1000.0, person.lean_n),
+    number!("person.steps_away_s", "s", "time from first contact to the step away", 0.0 to 1000.0, person.steps_away_s),
+    key("person.fixed", "true|false", "cannot move: held against a wall", |s, v| { s.person.fixed = flag(v)?; Ok(()) }),
+    key("base.size", "m,m,m", "length, width, height: its inertia is the box's; the cover stays", base_size),
+    number!("base.mass", "kg", "mass of the base; its inertia grows with it", 1.0 to 1e5, config.robot.base.mass_kg, then box_inertia),
+    number!("base.inertia", "kg·m²", "about the vertical, instead of the box's", 0.01 to 1e6, base_inertia, then box_inertia),
     key("base.servo_ms", "ms", "time constant of the base's velocity servo", |s, v| {
         s.config.robot.base.servo_time_constant_s = 1e-3 * number(v, 0.1, 1e4)?;
         Ok(())
     }),
-    key(
-        "base.acceleration",
-        "m/s²[,rad/s²]",
-        "what the base's servo can do: along x and y, yaw",
-        |s, v| {
-            let values = numbers(v, 2, 1e-3, 1e4)?;
-            let base = &mut s.config.robot.base;
-            base.acceleration_max_m_s2 = values[0];
-            if let Some(yaw) = values.get(1) {
-                base.yaw_acceleration_max_rad_s2 = *yaw;
-            }
-            Ok(())
-        },
-    ),
-    key("speed", "m/s", "speed of the flange's target in y (collision)", |s, v| {
-        store(&mut s.speed_m_s, v, 0.0, 0.25)
-    }),
-    key("duration", "s", "length of the collision run", |s, v| store(&mut s.duration_s, v, 0.1, 3600.0)),
-    key("push_s", "s", "length of a push, its two ramps included", |s, v| {
-        store(&mut s.push_s, v, 0.01, 3600.0)
-    }),
-    key("push.scale", "", "forces of the scripted pushes over the paper's", |s, v| {
-        store(&mut s.push_scale, v, 0.0, 10.0)
-    }),
-    key("ramp_s", "s", "each of the two ramps of a push", |s, v| store(&mut s.ramp_s, v, 1e-3, 1000.0)),
-    key("rest_s", "s", "pause between pushes", |s, v| store(&mut s.rest_s, v, 0.0, 3600.0)),
+    key("base.acceleration", "m/s²[,rad/s²]", "what the base's servo can do: along x and y, yaw", base_acceleration),
+    number!("speed", "m/s", "speed of the flange's target in y (collision)", 0.0 to 0.25, speed_m_s),
+    number!("duration", "s", "length of the collision run", 0.1 to 3600.0, duration_s),
+    number!("push_s", "s", "length of a push, its two ramps included", 0.01 to 3600.0, push_s),
+    number!("push.scale", "", "forces of the scripted pushes over the paper's", 0.0 to 10.0, push_scale),
+    number!("ramp_s", "s", "each of the two ramps of a push", 1e-3 to 1000.0, ramp_s),
+    number!("rest_s", "s", "pause between pushes", 0.0 to 3600.0, rest_s),
 ];
+
+fn protection(s: &mut Settings, text: &str) -> Result<()> {
+    s.config.protection = match text {
+        "off" => settings::unprotected(),
+        "default" => ProtectionConfig::default(),
+        path => Config::load(Path::new(path))?.protection,
+    };
+    Ok(())
+}
+
+fn law(s: &mut Settings, text: &str) -> Result<()> {
+    let barrier = word(text, &[("paper", false), ("barrier", true)])?;
+    let corrections = &mut s.config.control.corrections;
+    (corrections.null_space_damping, corrections.base_coupling) = (barrier, barrier);
+    s.config.protection = if barrier { ProtectionConfig::default() } else { settings::unprotected() };
+    if barrier && s.sensor == Sensor::Stock {
+        s.config.board.model = AssumedModel::PuLd30;
+        s.config.protection.contact_barrier = BarrierReadings::PuLd30;
+    } else if barrier {
+        s.config.protection.contact_barrier = BarrierReadings::Foam;
+    }
+    Ok(())
+}
+
+fn base_size(s: &mut Settings, text: &str) -> Result<()> {
+    let values = numbers(text, 3, 0.1, 10.0)?;
+    s.config.robot.base.size_m = values.try_into().ok().context("expected 3 numbers")?;
+    s.box_inertia();
+    Ok(())
+}
+
+fn base_acceleration(s: &mut Settings, text: &str) -> Result<()> {
+    let values = numbers(text, 2, 1e-3, 1e4)?;
+    let base = &mut s.config.robot.base;
+    base.acceleration_max_m_s2 = values[0];
+    if let Some(yaw) = values.get(1) {
+        base.yaw_acceleration_max_rad_s2 = *yaw;
+    }
+    Ok(())
+}
 
 /// The row of the configuration with this dotted or short name.
 fn row(name: &str) -> Option<&'static ParameterSpec> {
@@ -348,7 +218,7 @@ fn written(config: &mut Config, row: &ParameterSpec, text: &str) -> Result<toml:
     match row.kind {
         ParameterKind::Text | ParameterKind::Choice(_) => return Ok(text.into()),
         ParameterKind::Flag => {
-            return Ok(word(text, &[("true", true), ("false", false), ("on", true), ("off", false)])?.into());
+            return Ok(flag(text)?.into());
         }
         ParameterKind::Number | ParameterKind::Integer => {}
     }
@@ -417,31 +287,14 @@ fn number(text: &str, min: f64, max: f64) -> Result<f64> {
     Ok(value)
 }
 
-fn store(place: &mut f64, text: &str, min: f64, max: f64) -> Result<()> {
-    *place = number(text, min, max)?;
-    Ok(())
-}
-
-fn some(place: &mut Option<f64>, text: &str, min: f64, max: f64) -> Result<()> {
-    *place = Some(number(text, min, max)?);
-    Ok(())
-}
-
 fn numbers(text: &str, most: usize, min: f64, max: f64) -> Result<Vec<f64>> {
     let values = text.split(',').map(|part| number(part.trim(), min, max)).collect::<Result<Vec<_>>>()?;
     ensure!(values.len() <= most, "{} numbers where at most {most} are expected", values.len());
     Ok(values)
 }
 
-fn list<const N: usize>(place: &mut [f64; N], text: &str, min: f64, max: f64) -> Result<()> {
-    let values = numbers(text, N, min, max)?;
-    *place = values.try_into().ok().with_context(|| format!("expected {N} numbers"))?;
-    Ok(())
-}
-
-fn flag(place: &mut bool, text: &str) -> Result<()> {
-    *place = word(text, &[("true", true), ("false", false), ("on", true), ("off", false)])?;
-    Ok(())
+fn flag(text: &str) -> Result<bool> {
+    word(text, &[("true", true), ("false", false), ("on", true), ("off", false)])
 }
 
 fn word<T: Copy>(text: &str, allowed: &[(&str, T)]) -> Result<T> {
