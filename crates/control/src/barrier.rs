@@ -96,7 +96,7 @@ impl Barrier {
         self.light_m_s = limit_m_s;
         let early = &cover.early;
         self.light = early.light;
-        self.doubtful = std::array::from_fn(|i| self.counts_light && early.light[i] && !early.light_alarm[i]);
+        self.doubtful = std::array::from_fn(|i| self.counts_light && early.light[i] && !early.certain[i]);
         let age_s = cover.reading.age_s(now_ns);
         for (i, (sample, taxel)) in self.samples.iter_mut().zip(&cover.reading.taxels).enumerate() {
             let valid = taxel.status == TaxelStatus::Ok;
@@ -331,14 +331,14 @@ mod tests {
         const FRONT: usize = 5;
         const LIMIT_M_S: f64 = 0.02;
         // of a taxel in front that is touched lightly: the speed outward that it is left
-        let left_m_s = |order_delay_ms: f64, light_n: f64, is_light: bool, alarms: bool| {
+        let left_m_s = |order_delay_ms: f64, light_n: f64, is_light: bool, certain: bool| {
             let mut config = Config::default();
             config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
             config.protection.order_delay_ms = order_delay_ms;
             let mut barrier = Barrier::new::<7>(&config, None).unwrap().unwrap();
             let mut cover = CoverState::NONE;
             (cover.early.light[FRONT], cover.early.light_n[FRONT]) = (is_light, light_n);
-            cover.early.light_alarm[FRONT] = alarms;
+            cover.early.certain[FRONT] = certain;
             let mut left = 0.0;
             for ms in 1..=30_u64 {
                 cover.reading.sampled_at_ns = Some((ms - 1) / 10 * 10_000_000);
@@ -357,7 +357,7 @@ mod tests {
         );
         assert!(
             left_m_s(100.0, 3.0, true, true) < -2.0 * LIMIT_M_S,
-            "as much as it needs while the alarm stands"
+            "as much as it needs, once it is certain"
         );
         assert!(left_m_s(100.0, 0.0, true, false) < 0.0, "a frame below zero does not end the alarm");
         assert!(left_m_s(100.0, 3.0, false, false) > 1.0, "without an alarm a light force is none");

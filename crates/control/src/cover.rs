@@ -50,7 +50,7 @@ impl CoverState {
             touched: [false; TAXELS],
             light: [false; TAXELS],
             light_n: [0.0; TAXELS],
-            light_alarm: [false; TAXELS],
+            certain: [false; TAXELS],
             sampled_at_ns: None,
         },
         fault: None,

@@ -54,7 +54,7 @@ pub struct Poll<const K: usize> {
 }
 
 /// Contact by data that nothing has confirmed yet, or too light for a force: it may slow a robot down or stop it. A light one may
-/// also let a late robot make room, no faster than it may drive once its sum has left the alarm.
+/// also let a late robot make room, no faster than it may drive until it is certain.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EarlyContact<const K: usize> {
     /// Taxels that the reading does not feel, and these data do.
@@ -63,8 +63,8 @@ pub struct EarlyContact<const K: usize> {
     pub light: [bool; K],
     /// Force on each of these by its last frame, N; 0 elsewhere.
     pub light_n: [f64; K],
-    /// Those of them whose sum stands at its alarm: of a false one it has left it by the next frame ([`Cusum::alarms`]).
-    pub light_alarm: [bool; K],
+    /// Those of them that are no false alarm: see [`Cusum::is_certain`].
+    pub certain: [bool; K],
     /// As [`CoverReading::sampled_at_ns`], with these data counted.
     pub sampled_at_ns: Option<u64>,
 }
@@ -410,8 +410,8 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
                 }
             }
         }
-        let light_alarm = core::array::from_fn(|i| light[i] && self.taxels[i].light.alarms());
-        EarlyContact { touched, light, light_n, light_alarm, sampled_at_ns: oldest(times.into_iter()) }
+        let certain = core::array::from_fn(|i| light[i] && self.taxels[i].light.is_certain());
+        EarlyContact { touched, light, light_n, certain, sampled_at_ns: oldest(times.into_iter()) }
     }
 
     /// Returns true during a touch and shortly after it, while a foam may still recover: drift is not followed then.

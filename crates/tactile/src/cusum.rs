@@ -19,6 +19,8 @@
 pub const REFERENCE: f64 = 1.0;
 /// Height of the alarm over the deviation at the tare.
 pub const ALARM: f64 = 8.0;
+/// Height from which on an alarm is certain, over the deviation: e^(2·4) times as rare as an alarm where nothing touches.
+pub const CERTAIN: f64 = 12.0;
 /// Time in which the rest of a recovering foam follows counts that fall, as they do, and
 const FALLS_S: f64 = 0.15;
 /// that rise, as they do under the next touch, s.
@@ -38,6 +40,9 @@ pub struct Cusum {
     /// Over the deviation.
     sum: f64,
     touched: bool,
+    /// The same sum, up to [`CERTAIN`], over the deviation.
+    high: f64,
+    certain: bool,
     /// Rest of the foam, counts below zero, while it is not zero.
     rest: Option<f64>,
 }
@@ -45,7 +50,7 @@ pub struct Cusum {
 impl Cusum {
     /// Starts from a foam that recovers from a touch, which ended `below` counts below zero.
     pub const fn recovering_from(below: f64) -> Self {
-        Self { sum: 0.0, touched: false, rest: Some(below) }
+        Self { sum: 0.0, touched: false, high: 0.0, certain: false, rest: Some(below) }
     }
 
     /// Returns true if the foam has recovered, as far as a taxel can tell whose noise had this `deviation` at the tare.
@@ -73,12 +78,14 @@ impl Cusum {
     fn add(&mut self, deviations: f64) -> bool {
         self.sum = (self.sum + deviations - REFERENCE).clamp(0.0, ALARM);
         self.touched = self.sum >= ALARM || (self.touched && self.sum > 0.0);
+        self.high = (self.high + deviations - REFERENCE).clamp(0.0, CERTAIN);
+        self.certain = self.touched && (self.certain || self.high >= CERTAIN);
         self.touched
     }
 
-    /// Returns true if the sum stands at its alarm: noise leaves it with the next frame as a rule, and a touch stays.
-    pub const fn alarms(&self) -> bool {
-        self.sum >= ALARM
+    /// Returns true if the touch is certain: its sum has risen to [`CERTAIN`].
+    pub const fn is_certain(&self) -> bool {
+        self.certain
     }
 
     /// Returns true if the last frame showed a touch.
@@ -102,10 +109,10 @@ mod tests {
         assert!(test.update(6.4, 0.7) && test.touched(), "one frame of more than nine deviations");
         let held = (1..100).find(|_| !test.update(0.0, 0.7));
         assert_eq!((held, test), (Some(8), Cusum::default()), "held until the sum is gone");
-        test.update(6.4, 0.7);
-        assert!(test.alarms(), "stands at the alarm");
-        assert!(test.update(0.69, 0.7) && !test.alarms(), "a frame above the reference leaves it");
-        assert!(test.update(3.0, 0.7) && test.alarms(), "a touch brings it back");
+        assert!(test.update(6.4, 0.7) && !test.is_certain(), "an alarm may be a false one");
+        assert!(test.update(4.2, 0.7) && test.is_certain(), "five deviations more are none");
+        assert!((0..7).all(|_| test.update(0.0, 0.7) && test.is_certain()), "until the touch is over");
+        assert!(!test.update(0.0, 0.7) && !test.is_certain());
     }
 
     #[test]

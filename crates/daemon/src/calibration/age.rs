@@ -45,8 +45,8 @@ pub fn settle(config: &mut Config, now: SystemTime) -> Result<Option<String>> {
         (None, _) => "calibration has no date".into(),
     };
     Ok(Some(format!(
-        "the foam's {age}: it may be {AGED} times as stiff, and the base is slower for it; `mocad calibrate --check` with a force gauge \
-         renews the date, protection.foam_credible states another factor"
+        "the foam's {age}: it may be {AGED} times as stiff, and the base is slower for it; `mocad calibrate --check` with a force gauge or a \
+         known mass renews the date, protection.foam_credible states another factor"
     )))
 }
 

@@ -16,6 +16,8 @@ const BOARD_SILENT_S: u64 = 10;
 /// A reference that says nothing for this long is given up, s: between two readings the force is interpolated, and a
 /// press in a long gap would be none.
 const REFERENCE_SILENT_S: u64 = 1;
+/// Counts below rest from which on a known weight lies on the taxel.
+const LIES_COUNTS: f64 = 3.0;
 /// Residuals of a fit that are shown: as many as a screen can.
 const RESIDUALS_SHOWN: usize = 300;
 
@@ -124,6 +126,13 @@ impl Engine {
         if let Some(session) = &mut self.session {
             session.reference(force_n, at_ns);
         }
+    }
+
+    /// A known weight, N, is the reference at `at_ns`: it lies on the taxel whenever that is pressed.
+    pub fn weight(&mut self, weight_n: f64, at_ns: u64) {
+        let step = self.session.as_ref().map(Session::step);
+        let lies = matches!(step, Some(Step::Press { counts, .. }) if counts >= LIES_COUNTS);
+        self.reference(if lies { weight_n } else { 0.0 }, at_ns);
     }
 
     /// A law moves the robot: a taxel is calibrated at rest.
@@ -253,16 +262,35 @@ pub(super) mod tests {
     use moca_tactile::datastream::{Frame, emit};
 
     const TARGET: Target = Target { number: 3, electrode: 2 };
+    /// Of 5 kg.
+    const WEIGHT_N: f64 = 49.03;
 
     /// Presses `target` three times to 100 N at 0.84 counts/N, until it is fitted or has failed.
     pub(in crate::calibration) fn press(engine: &mut Engine, target: Target) {
-        engine.start(target, 3, 0);
+        let gauge = |engine: &mut Engine, force_n, sampled_ns| engine.reference(force_n, sampled_ns);
+        run(engine, target, 3, |phase| 50.0 * (1.0 - (f64::from(phase) * 0.02).cos()), gauge);
+    }
+
+    /// Lays a mass of 5 kg on `target` for five seconds, whose foam is `stiffer` than 0.84 counts/N.
+    pub(in crate::calibration) fn lay(engine: &mut Engine, target: Target, stiffer: f64) {
+        let lies = |phase: u32| if (40..240).contains(&phase) { WEIGHT_N / stiffer } else { 0.0 };
+        run(engine, target, 1, lies, |engine, _, sampled_ns| engine.weight(WEIGHT_N, sampled_ns));
+    }
+
+    fn run(
+        engine: &mut Engine,
+        target: Target,
+        presses: u32,
+        pressed_n: impl Fn(u32) -> f64,
+        reference: impl Fn(&mut Engine, f64, u64),
+    ) {
+        engine.start(target, presses, 0);
         let mut phase = 0_u32;
         for i in 1..4000_u64 {
             let force_n = match engine.progress() {
                 CalibrationProgress::Press { .. } => {
                     phase += 1;
-                    50.0 * (1.0 - (f64::from(phase) * 0.02).cos())
+                    pressed_n(phase)
                 }
                 CalibrationProgress::Rest { .. } => 0.0,
                 _ => return,
@@ -276,7 +304,7 @@ pub(super) mod tests {
             let now_ns = i * 24_700_000;
             engine.bytes(&bytes, now_ns);
             // The frame's data was sampled 12 ms before its first line came.
-            engine.reference(force_n, now_ns - 12_000_000);
+            reference(engine, force_n, now_ns - 12_000_000);
             engine.look(now_ns);
         }
     }

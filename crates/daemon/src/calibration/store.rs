@@ -93,3 +93,36 @@ fn stiffness_ratio(residuals_n: &[(f64, f64)]) -> f64 {
 fn today() -> String {
     humantime::format_rfc3339_seconds(SystemTime::now()).to_string()[..10].to_owned()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::engine::{Engine, tests::*};
+    use moca_tactile::calibration::session::Target;
+
+    #[test]
+    fn known_mass_renews_calibration_of_the_same_foam_alone() {
+        let target = Target { number: 1, electrode: 0 };
+        let path = std::env::temp_dir().join(format!("mocad-mass-{}.toml", std::process::id()));
+        let store =
+            Store { path: path.clone(), board: "left".into(), material: String::new(), temperature_c: None };
+        let mut engine = Engine::default();
+        press(&mut engine, target);
+        store.save(engine.fitted().unwrap(), ModelKind::Monotone).unwrap();
+        let calibrated = CalibrationFile::read(&path).unwrap();
+        CalibrationFile { date: "2020-01-01".into(), ..calibrated }.write(&path).unwrap();
+        let mut check = |stiffer: f64| {
+            lay(&mut engine, target, stiffer);
+            store.check(engine.fitted().unwrap_or_else(|| panic!("{:?}", engine.progress())))
+        };
+        let error = check(1.3).unwrap_err().to_string();
+        assert!(error.contains("T1 is 1.3") && error.contains("0.9 to 1.1"), "{error}");
+        assert_eq!(CalibrationFile::read(&path).unwrap().date, "2020-01-01", "a refused check changes nothing");
+        for stiffer in [0.95, 1.05] {
+            let ratio = check(stiffer).unwrap();
+            assert!((ratio - stiffer).abs() < 0.03, "{ratio} of {stiffer}");
+        }
+        assert_eq!(CalibrationFile::read(&path).unwrap().date, today());
+        std::fs::remove_file(path).unwrap();
+    }
+}

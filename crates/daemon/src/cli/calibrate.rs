@@ -21,6 +21,8 @@ use std::time::{Duration, Instant};
 
 /// Longest wait for the first reading of a force gauge.
 const GAUGE_STARTS_WITHIN: Duration = Duration::from_secs(10);
+/// Standard gravity.
+const GRAVITY_M_S2: f64 = 9.806_65;
 /// Period at which the ports are read.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
@@ -34,8 +36,11 @@ pub struct Arguments {
     #[arg(long, conflicts_with = "stream")]
     port: Option<String>,
     /// Port of a force gauge that prints newtons, one number a line.
-    #[arg(long, required_unless_present = "stream")]
+    #[arg(long, required_unless_present_any = ["stream", "mass"])]
     gauge: Option<String>,
+    /// A known mass instead of a gauge, kg: laid on the taxel, which faces up, or pulling at it over a pulley.
+    #[arg(long, value_name = "KG", requires = "check", conflicts_with_all = ["gauge", "stream"], value_parser = mass)]
+    mass: Option<f64>,
     /// Speed of the gauge's port, baud.
     #[arg(long, default_value_t = 115_200)]
     gauge_baud: u32,
@@ -109,6 +114,14 @@ fn target(text: &str) -> Result<Target, String> {
     match parsed {
         Some(target) if target.number >= 1 && target.electrode < 12 => Ok(target),
         _ => Err(format!("{text:?} is not `number:electrode` with a number from 1 and an electrode 0 to 11")),
+    }
+}
+
+/// Reads a mass that presses a taxel well above its threshold and within its range.
+fn mass(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(mass_kg) if (1.0..=10.0).contains(&mass_kg) => Ok(mass_kg),
+        _ => Err(format!("{text:?} kg; allowed: 1 to 10")),
     }
 }
 
@@ -226,7 +239,7 @@ fn recorded(
         engine.start(target, arguments.presses, start_ns);
         while engine.fitted().is_none() {
             let Some(&(time_s, count)) = times.next() else {
-                bail!("the recording ended early: {}", prompt(engine.progress()));
+                bail!("the recording ended early: {}", prompt(engine.progress(), "press"));
             };
             while let Some(&(at_s, force_n)) = force.next_if(|(at_s, _)| *at_s <= time_s) {
                 engine.reference(force_n, nanoseconds(at_s));
@@ -271,14 +284,48 @@ fn nanoseconds(seconds: f64) -> u64 {
     nanoseconds
 }
 
-/// Board and gauge on their ports, a person at the cover.
+/// The force that a person presses with.
+enum Reference {
+    Gauge(Gauge),
+    Weight(f64),
+}
+
+impl Reference {
+    fn of(arguments: &Arguments, start: Instant) -> Result<Self> {
+        if let Some(mass_kg) = arguments.mass {
+            return Ok(Self::Weight(mass_kg * GRAVITY_M_S2));
+        }
+        let gauge_port = arguments.gauge.as_deref().context("--gauge is missing")?;
+        let mut gauge = Gauge::open(gauge_port, arguments.gauge_baud, start)?;
+        first_reading(&mut gauge, start)?;
+        Ok(Self::Gauge(gauge))
+    }
+
+    fn tell(&mut self, engine: &mut Engine, now_ns: u64) -> Result<()> {
+        match self {
+            Self::Weight(weight_n) => engine.weight(*weight_n, now_ns),
+            Self::Gauge(gauge) => {
+                let read = gauge.read(|force_n, at_ns| engine.reference(force_n, at_ns));
+                read.map_err(|why| anyhow!("force gauge: {why}"))?;
+            }
+        }
+        Ok(())
+    }
+
+    const fn prompt(&self) -> &'static str {
+        match self {
+            Self::Gauge(_) => "press slowly and release",
+            Self::Weight(_) => "put the mass on, take it off after five seconds",
+        }
+    }
+}
+
+/// Board and gauge on their ports, or a known mass at hand, and a person at the cover.
 fn live(arguments: &Arguments, accept: &mut dyn FnMut(&Fitted) -> Result<()>) -> Result<()> {
     let start = Instant::now();
     let now_ns = || u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
     let (_board, mut board) = ports::open(arguments.port.as_deref().unwrap_or(AUTO_PORT), start)?;
-    let gauge_port = arguments.gauge.as_deref().context("--gauge is missing")?;
-    let mut gauge = Gauge::open(gauge_port, arguments.gauge_baud, start)?;
-    first_reading(&mut gauge, start)?;
+    let mut reference = Reference::of(arguments, start)?;
     let mut shown = String::new();
     for &target in &arguments.taxels {
         let mut engine = Engine::default();
@@ -287,14 +334,13 @@ fn live(arguments: &Arguments, accept: &mut dyn FnMut(&Fitted) -> Result<()>) ->
             while let Ok(event) = board.pop() {
                 engine.event(&event);
             }
-            let read = gauge.read(|force_n, at_ns| engine.reference(force_n, at_ns));
-            read.map_err(|why| anyhow!("force gauge: {why}"))?;
+            reference.tell(&mut engine, now_ns())?;
             engine.look(now_ns());
             if let CalibrationProgress::Failed(why) = engine.progress() {
                 println!();
                 bail!("{why}");
             }
-            show(&mut shown, &prompt(engine.progress()))?;
+            show(&mut shown, &prompt(engine.progress(), reference.prompt()))?;
             std::thread::sleep(LOOK_EVERY);
         }
         println!();
@@ -330,7 +376,7 @@ fn show(shown: &mut String, text: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn prompt(progress: &CalibrationProgress) -> String {
+fn prompt(progress: &CalibrationProgress, press: &str) -> String {
     match progress {
         CalibrationProgress::Rest { taxel, frames, frames_wanted } => format!(
             "T{}: step away from the cover, measuring rest {}",
@@ -338,7 +384,7 @@ fn prompt(progress: &CalibrationProgress) -> String {
             bar(f64::from(*frames) / f64::from(*frames_wanted))
         ),
         CalibrationProgress::Press { taxel, presses, presses_wanted, counts, force_n } => format!(
-            "T{}: press slowly and release, {presses} of {presses_wanted} {} {counts:4.0} counts {}",
+            "T{}: {press}, {presses} of {presses_wanted} {} {counts:4.0} counts {}",
             taxel + 1,
             bar(f64::from(*presses) / f64::from(*presses_wanted)),
             force_n.map_or("no reading of the gauge yet".to_owned(), |force_n| format!("{force_n:6.1} N"))

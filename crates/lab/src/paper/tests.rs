@@ -358,6 +358,7 @@ pub(super) fn row(t_s: f64, base_pose_world: [f64; 3], force_n: f64) -> Row {
         t_s,
         base_pose_world,
         base_velocity_world: [0.0; 3],
+        base_velocity_true_world: [0.0; 3],
         base_command_body: [0.0; 3],
         q_rad: moca_msgs::robot::PANDA.home_rad,
         flange_world: [base_pose_world[0] + 0.75, base_pose_world[1], 0.9],

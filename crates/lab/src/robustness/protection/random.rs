@@ -202,7 +202,7 @@ mod tests {
                 }
             }
             // those whom a law could protect and this one does not: the documents list them
-            assert!(within[0] >= 20 && within[1] * 5 <= within[0], "{within:?}");
+            assert!(within[0] >= 20 && within[1] * 20 <= within[0], "{within:?}");
             println!("{}", markdown(entries));
         })
         .unwrap();

@@ -80,6 +80,8 @@ pub(super) struct Felt<T> {
 pub(super) struct Track<T> {
     /// Readings since the touch began; 0: nothing touches.
     readings: u8,
+    /// One of them was no light touch.
+    firm: bool,
     /// Compression at the last reading, m, the reading itself and the force on all of the body, N, and the way outward
     /// that the base had gone then, m.
     depth: T,
@@ -119,6 +121,7 @@ impl<T: Scalar> Track<T> {
         let (zero, long_ago) = (T::zero(), of(1e6));
         Self {
             readings: 0,
+            firm: false,
             depth: zero,
             force: zero,
             body_n: zero,
@@ -248,8 +251,9 @@ impl<T: Scalar> Track<T> {
             return;
         }
         if sample.force_n < of(settings.touch_n) {
-            // one reading's speed was assumed and not seen
-            let person = if self.readings > 1 { self.person_m_s() } else { T::zero() };
+            // one reading's speed was assumed and not seen, and light ones may have been a false alarm
+            let seen = self.readings > 1 && self.firm;
+            let person = if seen { self.person_m_s() } else { T::zero() };
             let Self { fastest, since, met, far, near, here, looked, .. } = *self;
             let released = T::zero();
             *self =
@@ -268,8 +272,9 @@ impl<T: Scalar> Track<T> {
             self.meet(((way - self.way) / interval).max(self.approach));
         }
         self.readings = self.readings.saturating_add(1);
+        self.firm |= !light;
         // what a late base does shows in its readings after so long that a person who slows down and one whom it leaves look alike
-        if settings.remember_s > 0.0 && self.readings > ASSUMED {
+        if settings.remember_s > 0.0 && self.readings > ASSUMED && self.firm {
             self.fastest = self.fastest.max(self.person + self.yields);
         }
         (self.depth, self.force, self.body_n, self.way) = (depth, sample.force_n, body_n, way);
