@@ -19,7 +19,8 @@
 pub const REFERENCE: f64 = 1.0;
 /// Height of the alarm over the deviation at the tare.
 pub const ALARM: f64 = 8.0;
-/// Height from which on an alarm is certain, over the deviation: e^(2·4) times as rare as an alarm where nothing touches.
+/// Height from which on an alarm is certain, over the deviation. Noise takes the sum there 39 times less often than to an alarm on a
+/// stock board, and 270 times on one with our firmware.
 pub const CERTAIN: f64 = 12.0;
 /// Time in which the rest of a recovering foam follows counts that fall, as they do, and
 const FALLS_S: f64 = 0.15;

@@ -119,8 +119,9 @@ fn at_rest(noise_counts: f64, rest: f64) -> Vec<(f64, f64)> {
         .collect()
 }
 
-/// Mean of frames until an untouched taxel alarms, of a tare that was `off` counts too high and found `deviation`.
-fn frames_to_alarm(test: Test, noise_counts: f64, rest: f64, off: f64, deviation: f64) -> f64 {
+/// Mean of frames until the test of an untouched taxel is as high as `height`, of a tare that was `off` counts too high and found
+/// `deviation`.
+fn frames_to_alarm(test: Test, height: f64, noise_counts: f64, rest: f64, off: f64, deviation: f64) -> f64 {
     let drops = at_rest(noise_counts, rest);
     if test == Test::Threshold {
         // the tail in closed form: the table of counts has too few digits there
@@ -128,23 +129,25 @@ fn frames_to_alarm(test: Test, noise_counts: f64, rest: f64, off: f64, deviation
         return 1.0 / below((most - rest) / noise_counts);
     }
     let per_cell = as_f64(STATES) / ALARM;
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "some cells")]
+    let states = (height * per_cell).round() as usize;
     let deviation = deviation.max(LEAST_DEVIATION);
-    let mut rows = vec![vec![0.0; STATES + 2]; STATES + 1];
+    let mut rows = vec![vec![0.0; states + 2]; states + 1];
     for (state, row) in rows.iter_mut().enumerate() {
         // a cell's middle: sums of whole counts over a whole deviation are then what they are, at the alarm too
         let sum = as_f64(state) / per_cell;
         row[state] += 1.0;
-        row[STATES + 1] = 1.0;
+        row[states + 1] = 1.0;
         for (drop, share) in &drops {
             let next = sum + (drop + off) / deviation - REFERENCE;
-            if next < ALARM {
+            if next < height {
                 #[expect(
                     clippy::cast_possible_truncation,
                     clippy::cast_sign_loss,
                     reason = "within the range"
                 )]
                 let next = (next.max(0.0) * per_cell).round() as usize;
-                row[next.min(STATES)] -= share;
+                row[next.min(states)] -= share;
             }
         }
     }
@@ -175,6 +178,11 @@ fn as_f64(count: usize) -> f64 {
 
 /// False alarms of one taxel in an hour, over tares and places between two counts.
 fn alarms_per_hour(test: Test, noise_counts: f64, rate_hz: f64) -> f64 {
+    reaches_per_hour(test, ALARM, noise_counts, rate_hz)
+}
+
+/// Times in an hour at which one untouched taxel's test is as high as `height`.
+fn reaches_per_hour(test: Test, height: f64, noise_counts: f64, rate_hz: f64) -> f64 {
     let spread = noise_counts.mul_add(noise_counts, 1.0 / 12.0).sqrt();
     let frames = tare_frames(rate_hz);
     // Gauss and Hermite's three points
@@ -185,8 +193,8 @@ fn alarms_per_hour(test: Test, noise_counts: f64, rate_hz: f64) -> f64 {
             for (scale, of_deviation) in nodes {
                 let deviation = spread * (1.0 + scale / (2.0 * frames).sqrt());
                 let off = off * spread / frames.sqrt();
-                per_frame +=
-                    0.2 * of_mean * of_deviation / frames_to_alarm(test, noise_counts, rest, off, deviation);
+                per_frame += 0.2 * of_mean * of_deviation
+                    / frames_to_alarm(test, height, noise_counts, rest, off, deviation);
             }
         }
     }
@@ -356,12 +364,16 @@ fn after(time_ms: Option<f64>) -> String {
 mod tests {
     use super::*;
     use moca_control::approach::{ADVANCE_RATIO, DEPTH_MM, FIRST_ADVANCE_M, NOISE_COUNTS};
+    use moca_tactile::cusum::CERTAIN;
 
     #[test]
     fn cusum_false_alarms_stay_below_one_an_hour() {
-        for (_, noise_counts, rate_hz) in BOARDS {
+        for ((_, noise_counts, rate_hz), rarer) in BOARDS.into_iter().zip([39.0, 270.0]) {
             let alarms = alarms_per_hour(Test::Cusum, noise_counts, rate_hz);
             assert!(alarms < 1.0, "{alarms} an hour");
+            let certain = reaches_per_hour(Test::Cusum, CERTAIN, noise_counts, rate_hz);
+            println!("{alarms:.3} an hour, {certain:.2e} of them certain");
+            assert!(rarer * certain < alarms, "{certain} of {alarms} an hour");
             assert!(felt_after_ms(Test::Cusum, noise_counts, rate_hz, 1.5).is_some());
             assert!(felt_after_ms(Test::Threshold, noise_counts, rate_hz, 1.5).is_none());
         }
@@ -409,7 +421,7 @@ mod tests {
             }
         }
         let counted = f64::from(frames) / alarms;
-        let chain = frames_to_alarm(Test::Cusum, noise_counts, 0.0, 0.0, deviation);
+        let chain = frames_to_alarm(Test::Cusum, ALARM, noise_counts, 0.0, 0.0, deviation);
         assert!((chain / counted - 1.0).abs() < 0.15, "{chain} {counted}, {alarms} alarms");
     }
 
