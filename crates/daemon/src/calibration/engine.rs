@@ -262,7 +262,7 @@ pub(super) mod tests {
     use moca_tactile::datastream::{Frame, emit};
 
     const TARGET: Target = Target { number: 3, electrode: 2 };
-    /// Of 5 kg.
+    /// Weight of 5 kg.
     const WEIGHT_N: f64 = 49.03;
 
     /// Presses `target` three times to 100 N at 0.84 counts/N, until it is fitted or has failed.

@@ -272,7 +272,8 @@ impl<T: Scalar> Track<T> {
             self.meet(((way - self.way) / interval).max(self.approach));
         }
         self.readings = self.readings.saturating_add(1);
-        self.firm |= !light;
+        // a base that obeys at once takes no light touch for a reading
+        self.firm |= !light || settings.remember_s <= 0.0;
         // what a late base does shows in its readings after so long that a person who slows down and one whom it leaves look alike
         if settings.remember_s > 0.0 && self.readings > ASSUMED && self.firm {
             self.fastest = self.fastest.max(self.person + self.yields);
