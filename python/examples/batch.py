@@ -1,16 +1,18 @@
 """How many steps of 20 ticks a CPU second makes, by the ways to have many robots: python batch.py [SECONDS]
 
-    python batch.py --threads [SECONDS]     two threads against one, taken in turn, on a machine that is idle otherwise
+    python batch.py --threads               two threads against one, taken in turn, on a machine that is idle otherwise
 
 Each line is also given as a ratio. CPU is that of this process and its children, so the numbers bear a busy machine; a
 second thread shows in the time of the wall, and only where a second core is idle. `BATCH_ALONE`, the path of
-`target/release/examples/batch_alone`, adds the same robots in Rust alone.
+`target/release/examples/batch_alone`, adds the same robots in Rust alone. `--threads` also runs two batches that share
+nothing, each with half of the robots: more than they no sharing can reach on that machine.
 """
 
 import os
 import resource
 import subprocess
 import sys
+import threading
 import time
 
 import gymnasium
@@ -21,9 +23,9 @@ import moca.gym
 
 ROBOTS = 8
 THREADS = sys.argv[1:2] == ["--threads"]
-SECONDS = float(sys.argv[1 + THREADS]) if len(sys.argv) > 1 + THREADS else 4.0
-# Turns of one thread and of two.
-TURNS = 5
+SECONDS = float(sys.argv[1]) if len(sys.argv) > 1 and not THREADS else 4.0
+# Turns of one thread and of two. They are short and many: a virtual machine's cores change their speed from second to second.
+TURNS, TURN_S = 60, 0.2
 
 
 def cpu():
@@ -56,10 +58,10 @@ def measure(name, step):
     return steps / wall, used / steps
 
 
-def batch(threads):
-    robots = moca.SimBatch(moca.gym.LEAN, ROBOTS, threads)
-    robots.reset(range(ROBOTS))
-    return lambda actions: robots.step(actions * [0.2, 0.2, 0.0], 20)
+def batch(threads, robots=ROBOTS):
+    made = moca.SimBatch(moca.gym.LEAN, robots, threads)
+    made.reset(range(robots))
+    return lambda actions: made.step(actions * [0.2, 0.2, 0.0], 20)
 
 
 def vector(env):
@@ -67,20 +69,47 @@ def vector(env):
     return env.step
 
 
-def compare_threads():
-    """Ratio of two threads to one, the median of some turns: what else runs then slows both."""
-    robots = {threads: batch(threads) for threads in (1, 2)}
-    ratios = []
-    for turn in range(TURNS):
-        one, two = (measure(f"turn {turn + 1}, {threads} thread{'s'[: threads - 1]}", robots[threads])[0] for threads in (1, 2))
-        ratios.append(two / one)
-    print(f"two threads: {np.median(ratios):.2f} of one, {min(ratios):.2f} to {max(ratios):.2f}")
+def rate(step, robots):
+    """Steps of all robots in a second of a turn."""
+    rng, steps, begun = np.random.default_rng(0), 0, time.perf_counter()
+    while time.perf_counter() - begun < TURN_S:
+        step(rng.uniform(-1, 1, (robots, 3)))
+        steps += robots
+    return steps / (time.perf_counter() - begun)
+
+
+def together(halves, robots):
+    """Steps of both halves of the robots in a second, each half on a thread of its own."""
+    rates = [0.0, 0.0]
+
+    def run(half):
+        rates[half] = rate(halves[half], robots // 2)
+
+    threads = [threading.Thread(target=run, args=(half,)) for half in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return sum(rates)
+
+
+def compare_threads(robots):
+    """Prints the ratios of two threads, and of two batches, to one thread: median and quartiles of all turns."""
+    one, two, halves = batch(1, robots), batch(2, robots), [batch(1, robots // 2) for _ in range(2)]
+    turns = []
+    for _ in range(TURNS):
+        alone = rate(one, robots)
+        turns.append((rate(two, robots) / alone, together(halves, robots) / alone))
+    for name, ratios in zip(("two threads", "two batches"), np.transpose(turns), strict=True):
+        low, median, high = np.quantile(ratios, (0.25, 0.5, 0.75))
+        print(f"{robots:2d} robots, {name}: {median:.2f} of one thread, half of the turns {low:.2f} to {high:.2f}")
 
 
 if __name__ == "__main__":
     print("load average", *os.getloadavg())
     if THREADS:
-        compare_threads()
+        for number in (ROBOTS, 64):
+            compare_threads(number)
         print("load average", *os.getloadavg())
         sys.exit()
     _, alone = measure("SimBatch, 1 thread", batch(1))

@@ -152,6 +152,9 @@ class Protection(Sweep):
     """
 
     def __init__(self, runs: int, seed: int = 1) -> None:
+        for name, value, least in ("runs", runs, 1), ("seed", seed, 0):
+            if not least <= value < 2**63:
+                raise ValueError(f"{name} {value}: allowed: {least} to {2**63 - 1}")
         self.__setstate__(("drawn", runs, seed))
 
 

@@ -81,6 +81,17 @@ def test_drawn_meetings_travel_and_say_their_columns(drawn):
     assert meetings.rows(5, 6) == lines[6:7]
     with pytest.raises(ValueError, match="belongs to another campaign"):
         meetings.run(Path(__file__))
+    for wrong, message in ((0, 3), "runs 0: allowed: 1 to"), ((1, -1), "seed -1: allowed: 0 to"):
+        with pytest.raises(ValueError, match=message):
+            moca.Protection(*wrong)
+
+
+def test_file_of_another_seed_is_refused_and_kept(drawn, tmp_path):
+    out = tmp_path / "out.csv"
+    out.write_bytes(drawn)
+    with pytest.raises(ValueError, match=f"row {MEETINGS - 1} is of another seed, plan or version"):
+        moca.Protection(MEETINGS + 1, seed=4).run(out)
+    assert out.read_bytes() == drawn
 
 
 @pytest.mark.parametrize("rows", [1, 15, 33])

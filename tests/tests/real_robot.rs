@@ -219,8 +219,8 @@ fn a_stale_base_stands_while_the_arm_is_held() {
     let mut world = World::armed();
     let mut forces = [0.0; TAXELS];
     forces[5] = 20.0;
-    world.control.cover.0.reading.taxels[5].force_n = 20.0;
-    world.control.cover.0.forces = Ok(forces);
+    world.control.cover.0.poll.reading.taxels[5].force_n = 20.0;
+    world.control.cover.0.poll.forces = Ok(forces);
     world.run(200);
     let moving = world.driven().unwrap();
     assert!(moving.base_velocity_body[0].abs() > 1e-3, "{:?}", moving.base_velocity_body);

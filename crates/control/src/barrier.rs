@@ -94,11 +94,11 @@ impl Barrier {
     /// Takes in what the cover says in the tick at `now_ns`, in which the speed limit is `limit_m_s`.
     pub fn take_cover(&mut self, now_ns: u64, cover: &CoverState, limit_m_s: f64) {
         self.light_m_s = limit_m_s;
-        let early = &cover.early;
+        let early = &cover.poll.early;
         self.light = early.light;
         self.doubtful = std::array::from_fn(|i| self.counts_light && early.light[i] && !early.certain[i]);
-        let age_s = cover.reading.age_s(now_ns);
-        for (i, (sample, taxel)) in self.samples.iter_mut().zip(&cover.reading.taxels).enumerate() {
+        let age_s = cover.poll.reading.age_s(now_ns);
+        for (i, (sample, taxel)) in self.samples.iter_mut().zip(&cover.poll.reading.taxels).enumerate() {
             let valid = taxel.status == TaxelStatus::Ok;
             let counts = self.counts_light && self.light[i];
             let force_n = if counts { early.light_n[i].max(TOUCH_N) } else { taxel.force_n };
@@ -337,11 +337,11 @@ mod tests {
             config.protection.order_delay_ms = order_delay_ms;
             let mut barrier = Barrier::new::<7>(&config, None).unwrap().unwrap();
             let mut cover = CoverState::NONE;
-            (cover.early.light[FRONT], cover.early.light_n[FRONT]) = (is_light, light_n);
-            cover.early.certain[FRONT] = certain;
+            (cover.poll.early.light[FRONT], cover.poll.early.light_n[FRONT]) = (is_light, light_n);
+            cover.poll.early.certain[FRONT] = certain;
             let mut left = 0.0;
             for ms in 1..=30_u64 {
-                cover.reading.sampled_at_ns = Some((ms - 1) / 10 * 10_000_000);
+                cover.poll.reading.sampled_at_ns = Some((ms - 1) / 10 * 10_000_000);
                 barrier.take_cover(1_000_000 * ms, &cover, LIMIT_M_S);
                 let limits =
                     barrier.update(&RobotState::at_rest([0.0; JOINTS]), [3.0; 3], false, 1e-3).unwrap();

@@ -4,7 +4,7 @@
 //! for a load b and commanded against. While the arm is held, and in the first second, b follows r: that is its zero, and nobody may
 //! push the flange then.
 //! While a law moves the arm, b follows with `time_s` and stays within `bound_nm` of that zero. Where r is off b by more than
-//! `push_nm` in any joint, somebody pushes: b then follows [`PUSHED_SHARE`] as fast. So a quick push meets the spring of the
+//! `push_nm` in any joint, somebody pushes: b then follows `PUSHED_SHARE` as fast. So a quick push meets the spring of the
 //! impedance law, and a steady one takes at most `bound_nm` from each joint, whatever its force and length. docs/math.md has the proof.
 //!
 //! Without it nothing is computed, and no bit of a command changes.

@@ -3,23 +3,15 @@
 use crate::robot::TAXELS;
 use crate::supervisor::Zero;
 use moca_msgs::board::Diagnosis;
-use moca_msgs::{CoverReading, Fault, Outcome, Refusal, TaxelReading, TaxelStatus};
-use moca_tactile::Cover;
+use moca_msgs::{CoverReading, Outcome, Refusal, TaxelReading, TaxelStatus};
 use moca_tactile::cover::EarlyContact;
+use moca_tactile::{Cover, Poll};
 
 /// The cover as the loop sees it at one tick.
 #[derive(Clone, Copy, Debug)]
 pub struct CoverState {
-    /// Every taxel with its health, and the age of the data.
-    pub reading: CoverReading<TAXELS>,
-    /// Forces for the controller, N, or the first taxel (0 is T1) that has none.
-    pub forces: Result<[f64; TAXELS], (usize, TaxelStatus)>,
-    /// Unconfirmed or light contact: it may slow or stop the base, or let a late one make room, and nothing else.
-    pub early: EarlyContact<TAXELS>,
-    /// Present fault of the cover, apart from a missing zero.
-    pub fault: Option<Fault>,
-    /// The board that it is of, 0 is the first; `None` if it is of none.
-    pub fault_board: Option<u8>,
+    /// Readings, forces and the present fault. A missing zero is no fault here: `zero` has it.
+    pub poll: Poll<TAXELS>,
     /// State of the zero.
     pub zero: Zero,
     /// Largest standard deviation of a taxel in the zero in force, counts; 0 without one, and of a cover without counts.
@@ -41,20 +33,22 @@ pub struct CoverState {
 impl CoverState {
     /// Reading of a robot without a cover: no force, no zero, no fault.
     pub const NONE: Self = Self {
-        reading: CoverReading {
-            taxels: [TaxelReading { force_n: 0.0, status: TaxelStatus::Ok }; TAXELS],
-            sampled_at_ns: None,
+        poll: Poll {
+            reading: CoverReading {
+                taxels: [TaxelReading { force_n: 0.0, status: TaxelStatus::Ok }; TAXELS],
+                sampled_at_ns: None,
+            },
+            forces: Ok([0.0; TAXELS]),
+            fault: None,
+            fault_board: None,
+            early: EarlyContact {
+                touched: [false; TAXELS],
+                light: [false; TAXELS],
+                light_n: [0.0; TAXELS],
+                certain: [false; TAXELS],
+                sampled_at_ns: None,
+            },
         },
-        forces: Ok([0.0; TAXELS]),
-        early: EarlyContact {
-            touched: [false; TAXELS],
-            light: [false; TAXELS],
-            light_n: [0.0; TAXELS],
-            certain: [false; TAXELS],
-            sampled_at_ns: None,
-        },
-        fault: None,
-        fault_board: None,
         zero: Zero::Valid,
         deviation_counts: 0.0,
         counts: [0; TAXELS],

@@ -178,7 +178,7 @@ impl Motion {
             self.protection.squeezed(now_ns, barrier.rows());
             barrier.take_cover(now_ns, cover, self.protected.speed_limit.m_s);
             // a touch too light for a force is not driven into either
-            for (blocked, light) in self.protected.guard.blocked.iter_mut().zip(cover.early.light) {
+            for (blocked, light) in self.protected.guard.blocked.iter_mut().zip(cover.poll.early.light) {
                 *blocked |= light;
             }
         }

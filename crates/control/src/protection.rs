@@ -147,14 +147,14 @@ impl Protection {
     ) {
         let dt_s = seconds(now_ns.saturating_sub(self.state.last_ns)).min(10.0 * self.tick_s);
         self.state.last_ns = now_ns;
-        self.state.tracker.update(now_ns, &cover.reading.taxels);
+        self.state.tracker.update(now_ns, &cover.poll.reading.taxels);
         let limit = self.speed_limit(now_ns, cover, limits);
         let Protected { guard, speed_limit, reaction, events } = &mut *protected;
         (*speed_limit, *reaction) = (limit, None);
         let BaseGuard { speed_m_s, blocked, outward_m_s, bounds_body, room_body, instead_body } = guard;
         *speed_m_s = Some(limit.m_s);
         // Data that is not confirmed yet only keeps the base from driving into whoever it feels; no law uses it.
-        *blocked = cover.early.touched;
+        *blocked = cover.poll.early.touched;
         (*outward_m_s, *bounds_body, *room_body, *instead_body) = (None, None, None, None);
         self.state.tracker.take(events);
         match self.state.tracker.crossed().filter(|_| moving) {
@@ -207,7 +207,7 @@ impl Protection {
     }
 
     fn speed_limit(&mut self, now_ns: u64, cover: &CoverState, limits: &Limits<JOINTS>) -> SpeedLimit {
-        let sampled_at_ns = cover.early.sampled_at_ns;
+        let sampled_at_ns = cover.poll.early.sampled_at_ns;
         self.state.delay.update(now_ns, sampled_at_ns);
         let own_m_s = self.settings.override_speed_limit_m_s;
         if own_m_s > 0.0 {
@@ -424,7 +424,7 @@ mod tests {
 
         fn tick(&mut self, moving: bool) -> Protected {
             self.ms += 1;
-            self.cover.early.sampled_at_ns = self.ms.checked_sub(10).map(|seen| seen / 25 * 25 * MS);
+            self.cover.poll.early.sampled_at_ns = self.ms.checked_sub(10).map(|seen| seen / 25 * 25 * MS);
             self.silent_tick(moving)
         }
 
@@ -436,7 +436,7 @@ mod tests {
         }
 
         fn press(&mut self, taxel: usize, force_n: f64) {
-            self.cover.reading.taxels[taxel].force_n = force_n;
+            self.cover.poll.reading.taxels[taxel].force_n = force_n;
         }
     }
 
@@ -560,7 +560,7 @@ mod tests {
     #[test]
     fn crossed_limit_stops_directions_of_all_contacts() {
         let mut run = reacting(ContactReaction::StopDirection, |_| {});
-        run.cover.early.touched[FRONT] = true;
+        run.cover.poll.early.touched[FRONT] = true;
         run.press(LEFT, 10.0);
         let below = run.tick(true);
         assert_eq!((below.reaction, below.guard.blocked), (None, taxels(&[FRONT])));

@@ -119,9 +119,9 @@ impl Recentre {
 
     /// Takes in whether the cover feels anybody, however lightly.
     pub fn feel(&mut self, cover: &CoverState) {
-        let early = &cover.early;
+        let early = &cover.poll.early;
         self.touched = early.touched.iter().chain(&early.light).any(|touched| *touched)
-            || cover.forces.as_ref().is_ok_and(|forces_n| forces_n.iter().any(|force_n| *force_n > 0.0));
+            || cover.poll.forces.as_ref().is_ok_and(|forces_n| forces_n.iter().any(|force_n| *force_n > 0.0));
     }
 
     /// Bounds the base's motion in a tick of `law`; `led` while a target leads it.

@@ -149,7 +149,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     fn blame(&mut self, cover: &CoverState) {
         let cause = self.supervisor.cause();
         if cause != self.blamed.0 {
-            self.blamed = (cause, cover.fault_board.filter(|_| cause.is_some() && cause == cover.fault));
+            self.blamed =
+                (cause, cover.poll.fault_board.filter(|_| cause.is_some() && cause == cover.poll.fault));
         }
     }
 
@@ -164,11 +165,11 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         let taxels = ..self.motion.taxels();
         let facts = Facts {
             cover_seen: cover.frames_good > 0 || !self.motion.parts().has_cover(),
-            cover_fault: cover.fault,
+            cover_fault: cover.poll.fault,
             zero: cover.zero,
             plant_fault: robot.fault,
             far_joint: robot.state.as_ref().and_then(|state| self.motion.far_joint(state)),
-            touch: cover.forces.as_ref().ok().and_then(|forces_n| Touch::strongest(&forces_n[taxels])),
+            touch: cover.poll.forces.as_ref().ok().and_then(|forces_n| Touch::strongest(&forces_n[taxels])),
         };
         let decision = self.supervisor.step(&facts, request);
         if decision.start_tare {
@@ -225,7 +226,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             return None;
         };
         let dt_s = self.elapsed_s(slot);
-        let output = self.motion.command(slot.now_ns, mode, robot, &cover.forces, dt_s);
+        let output = self.motion.command(slot.now_ns, mode, robot, &cover.poll.forces, dt_s);
         let stop = match &output {
             Ok(output) => {
                 let late = self.motion.watch_base(robot, dt_s).err();
@@ -288,9 +289,9 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         sample.link = link.map(|arm| Link { arm_age_s: age.arm_s, base_age_s: age.base_s, arm });
 
         let (taxels, joints) = (..motion.taxels(), ..motion.joints());
-        fill(&mut sample.taxels, &cover.reading.taxels[taxels]);
+        fill(&mut sample.taxels, &cover.poll.reading.taxels[taxels]);
         fill(&mut sample.counts, &cover.counts[taxels]);
-        sample.frame_age_s = cover.reading.age_s(slot.now_ns).unwrap_or(-1.0);
+        sample.frame_age_s = cover.poll.reading.age_s(slot.now_ns).unwrap_or(-1.0);
         sample.frame_rate_hz = cover.rate_hz;
         (sample.frames_good, sample.frames_bad) = (cover.frames_good, cover.frames_bad);
         sample.board = cover.board;
@@ -401,7 +402,7 @@ mod tests {
     fn what_the_controller_refuses_stops_the_robot_in_the_same_tick() {
         let mut control = armed();
         assert!(!control.plant.brakes);
-        control.cover.0.forces = Err((3, TaxelStatus::Saturated));
+        control.cover.0.poll.forces = Err((3, TaxelStatus::Saturated));
         let sample = step(&mut control, 2);
         assert!(control.plant.brakes);
         let fault = Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Saturated };
@@ -420,8 +421,8 @@ mod tests {
         step(&mut control, 0);
         control.cover.0.zero = Zero::Valid;
         let feel = |control: &mut ControlLoop<Standing, Scripted>, tick: u64, force_n: f64| {
-            control.cover.0.reading.sampled_at_ns = Some(tick * 1_000_000);
-            control.cover.0.reading.taxels[5].force_n = force_n;
+            control.cover.0.poll.reading.sampled_at_ns = Some(tick * 1_000_000);
+            control.cover.0.poll.reading.taxels[5].force_n = force_n;
             step(control, tick)
         };
         for tick in 1..100 {
@@ -429,9 +430,9 @@ mod tests {
         }
         let status = TaxelStatus::Saturated;
         let fault = Fault::TaxelInvalid { taxel: 5, status };
-        control.cover.0.reading.taxels[5].status = status;
-        control.cover.0.forces = Err((5, status));
-        control.cover.0.fault = Some(fault);
+        control.cover.0.poll.reading.taxels[5].status = status;
+        control.cover.0.poll.forces = Err((5, status));
+        control.cover.0.poll.fault = Some(fault);
         let backwards: std::vec::Vec<f64> = (100..2100)
             .map(|tick| {
                 let sample = feel(&mut control, tick, 0.0);
@@ -448,7 +449,8 @@ mod tests {
         let (mut used, mut fresh) = (armed(), armed());
         for control in [&mut used, &mut fresh] {
             control.plant.lost = true;
-            control.cover.0 = CoverState { fault: Some(Fault::BoardSilent), ..CoverState::NONE };
+            control.cover.0 = CoverState::NONE;
+            control.cover.0.poll.fault = Some(Fault::BoardSilent);
         }
         fresh.ticked = Ticked::default();
         let sample = step(&mut used, 2);

@@ -92,7 +92,8 @@ impl PushCap {
 
     /// Takes in which taxels are touched, confirmed or not.
     pub fn feel(&mut self, cover: &CoverState) {
-        let taxels = cover.reading.taxels.iter().zip(cover.early.touched).zip(cover.early.light);
+        let taxels =
+            cover.poll.reading.taxels.iter().zip(cover.poll.early.touched).zip(cover.poll.early.light);
         for (touched, ((taxel, early), light)) in self.touched.iter_mut().zip(taxels) {
             *touched = early || light || (taxel.status == TaxelStatus::Ok && taxel.force_n > 0.0);
         }
@@ -169,7 +170,7 @@ mod tests {
 
     fn touched(taxel: usize) -> CoverState {
         let mut cover = CoverState::NONE;
-        cover.reading.taxels[taxel].force_n = 10.0;
+        cover.poll.reading.taxels[taxel].force_n = 10.0;
         cover
     }
 
@@ -285,7 +286,7 @@ mod tests {
         for light in [false, true] {
             let mut cap = cap();
             let mut cover = CoverState::NONE;
-            *(if light { &mut cover.early.light } else { &mut cover.early.touched }) = FRONT_ALONE;
+            *(if light { &mut cover.poll.early.light } else { &mut cover.poll.early.touched }) = FRONT_ALONE;
             cap.feel(&cover);
             assert_eq!(steps(&mut cap, &forward(0.0, 0.0), 1), FRONT_ALONE);
         }

@@ -95,7 +95,7 @@ impl Uncovered {
 
     /// Takes in which taxels are in use and whether anybody touches them.
     pub fn feel(&mut self, cover: &CoverState) {
-        let taxels = &cover.reading.taxels[..self.covers.len()];
+        let taxels = &cover.poll.reading.taxels[..self.covers.len()];
         self.touched = taxels.iter().any(|taxel| taxel.status == TaxelStatus::Ok && taxel.force_n > 0.0);
         let is_usable = |taxel: &TaxelReading| taxel.status != TaxelStatus::Masked;
         if taxels.iter().zip(&self.usable).any(|(taxel, usable)| is_usable(taxel) != *usable) {
@@ -246,7 +246,7 @@ mod tests {
         assert_eq!(of(&[(0.5, 0.4, -130.0_f64.to_radians())]).sides(), [true, false, true, true]);
         let mut masked = Uncovered::new(&Config::default());
         let mut cover = CoverState::NONE;
-        for taxel in &mut cover.reading.taxels[4..7] {
+        for taxel in &mut cover.poll.reading.taxels[4..7] {
             taxel.status = TaxelStatus::Masked;
         }
         masked.feel(&cover);
@@ -289,14 +289,8 @@ mod tests {
 
     #[test]
     fn bare_side_displacement_restarts_after_untouched_rest() {
-        let touched = CoverState {
-            reading: {
-                let mut reading = CoverState::NONE.reading;
-                (reading.taxels[5].status, reading.taxels[5].force_n) = (TaxelStatus::Ok, 9.0);
-                reading
-            },
-            ..CoverState::NONE
-        };
+        let mut touched = CoverState::NONE;
+        touched.poll.reading.taxels[5] = TaxelReading { force_n: 9.0, status: TaxelStatus::Ok };
         let after = |feel: &CoverState, held: bool, velocity: [f64; 3], seconds: f64| {
             let mut uncovered = Uncovered::new(&Config::default());
             go(&mut uncovered, [-0.05, 0.0, 0.0], 5.0);

@@ -107,10 +107,11 @@ impl Campaign<'_> {
     }
 
     /// Returns the file, ready for the next row, the number of rows that it holds, and the rows of this shard. A torn last
-    /// line is cut off.
+    /// line is cut off. The last row that it holds is computed anew and compared: a header says nothing of a seed.
     ///
     /// # Errors
-    /// A file that cannot be written, or that holds another header or other rows than this shard's from its start.
+    /// A file that cannot be written, that holds another header or other rows than this shard's from its start, or whose
+    /// last row another campaign or another version made.
     pub fn open(&self) -> Result<(File, usize, Range<usize>)> {
         let (path, rows, (part, parts)) = (self.out, self.table.rows(), self.shard);
         let range = rows * (part - 1) / parts..rows * part / parts;
@@ -123,6 +124,13 @@ impl Campaign<'_> {
         };
         let whole = text.rfind('\n').map_or("", |end| &text[..=end]);
         let done = held(path, whole, header.as_deref(), &range)?;
+        if let Some(last) = done.checked_sub(1).map(|row| range.start + row) {
+            ensure!(
+                whole.lines().last() == Some(&self.table.row(last)?),
+                "{}: row {last} is of another seed, plan or version: choose another file",
+                path.display()
+            );
+        }
         let mut file =
             OpenOptions::new().create(true).truncate(false).write(true).open(path).with_context(context)?;
         file.set_len(whole.len() as u64).with_context(context)?;
@@ -254,6 +262,38 @@ mod tests {
     #[test]
     fn shard_is_one_of_those_there_are() {
         assert!(shard("0/3").is_err() && shard("4/3").is_err() && shard("2/3") == Ok((2, 3)));
+    }
+
+    #[test]
+    fn file_goes_on_after_rows_of_its_own_campaign_alone() {
+        let path = std::env::temp_dir().join(format!("moca-campaign-{:?}.csv", std::thread::current().id()));
+        let opened = |held: &str, shard| {
+            std::fs::write(&path, held)?;
+            let (_, done, range) = Campaign { table: &Letters(4), out: &path, shard }.open()?;
+            Ok::<_, anyhow::Error>((done, range, std::fs::read_to_string(&path)?))
+        };
+        let rows = "run,a\n0,x\n1,x\n".to_string();
+        assert_eq!(opened("", (1, 1)).unwrap(), (0, 0..4, "run,a\n".into()));
+        assert_eq!(
+            opened(&format!("{rows}2,"), (1, 1)).unwrap(),
+            (2, 0..4, rows.clone()),
+            "a torn line is cut off"
+        );
+        assert_eq!(
+            opened("2,x\n", (2, 2)).unwrap(),
+            (1, 2..4, "2,x\n".into()),
+            "the second shard has no header"
+        );
+        for (held, part) in [
+            ("run,a\n0,x\n1,y\n", "row 1 is of another seed, plan or version"),
+            ("run,b\n0,x\n", "its header differs"),
+            ("run,a\n1,x\n", "row '1' where run 0 is expected"),
+        ] {
+            let error = format!("{:#}", opened(held, (1, 1)).unwrap_err());
+            assert!(error.contains(part), "{error}");
+            assert_eq!(std::fs::read_to_string(&path).unwrap(), held, "nothing is lost");
+        }
+        std::fs::remove_file(&path).unwrap();
     }
 
     fn merged(parts: &[&str], rows: usize) -> Result<String> {

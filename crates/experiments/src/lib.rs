@@ -1,5 +1,6 @@
 //! The rig of every experiment, without pictures: settings with their keys, the closed loop under test, what is measured
-//! of it, and how many cores it may take; on it the collision, its sweep and the drawn meetings, which `moca-lab` and the Python package share.
+//! of it, and how many cores it may take; on it the collision, its sweep and the drawn meetings, which `moca-lab` and the
+//! Python package share.
 
 use moca_control::config::Config;
 use moca_daemon::devices::simulated_robot;

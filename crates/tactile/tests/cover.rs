@@ -174,6 +174,26 @@ fn a_light_touch_is_found_beside_a_firm_one() {
     assert!(!early.certain[5], "that alarm may be a false one");
 }
 
+#[test]
+fn light_touch_becomes_certain_after_its_alarm_until_it_ends() {
+    let mut bench = Bench::tared();
+    let mut felt = |drop| {
+        bench.drop[5] = drop;
+        bench.frame();
+        let early = bench.cover.poll(bench.now_ns).early;
+        (early.light[5], early.certain[5])
+    };
+    let touched: Vec<_> = (0..40).map(|_| felt(1.7)).collect();
+    let count = |state| touched.iter().filter(|felt| **felt == state).count();
+    assert!(count((true, false)) > 0 && count((true, true)) > 20 && count((false, true)) == 0, "{touched:?}");
+    assert!(
+        touched.is_sorted_by_key(|(light, certain)| u8::from(*light) + u8::from(*certain)),
+        "{touched:?}"
+    );
+    let left: Vec<_> = (0..40).map(|_| felt(0.0)).collect();
+    assert_eq!((left[0], left[39]), ((true, true), (false, false)), "{left:?}");
+}
+
 /// After a touch the foam comes back by an exponential: that is not felt, and who comes again meanwhile is.
 #[test]
 fn light_touch_is_found_on_recovering_foam() {

@@ -361,7 +361,7 @@ fn walker_into_late_base_is_given_room_in_time() {
     assert!(unknowing.peak_n > 25.0, "{:?} N", unknowing.peaks_n);
 }
 
-/// A late base remembers how fast somebody came, goes ahead of who walks on, and is met again no harder.
+/// A late base remembers how fast somebody came and goes ahead of who walks on: few touches, each below the limit.
 #[test]
 fn late_base_remembers_how_fast_a_walker_came() {
     for (believed_s, error_s) in [(0.02, 0.02), (0.05, 0.035), (0.1, 0.1)] {

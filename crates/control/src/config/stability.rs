@@ -45,7 +45,7 @@ impl Stability {
     }
 
     /// Returns true if every law stays stable at rest at `q_rad` with the compensation of unknown loads, on an arm whose masses are
-    /// [`UNKNOWN_SHARE`] more or less than believed, or where there is no compensation.
+    /// `UNKNOWN_SHARE` more or less than believed, or where there is no compensation.
     pub fn is_compensation_stable(&self, parameters: &Parameters<JOINTS>, q_rad: &[f64; JOINTS]) -> bool {
         match self.arm.joints {
             _ if !self.parts.has_arm() || self.compensation_s <= 0.0 => true,

@@ -3,7 +3,7 @@
 
 use anyhow::{Context, Result, anyhow};
 use moca_tactile::Firmware;
-use moca_tactile::calibration::session::{Measured, Session, Step, Target};
+use moca_tactile::calibration::session::{Measured, PRESS_COUNTS, Session, Step, Target};
 use moca_tactile::calibration::{ModelKind, Quality, fit, residuals};
 use moca_tactile::zero::TARE_FRAMES;
 use moca_tactile::{BoardEvent, TaxelModel};
@@ -16,8 +16,6 @@ const BOARD_SILENT_S: u64 = 10;
 /// A reference that says nothing for this long is given up, s: between two readings the force is interpolated, and a
 /// press in a long gap would be none.
 const REFERENCE_SILENT_S: u64 = 1;
-/// Counts below rest from which on a known weight lies on the taxel.
-const LIES_COUNTS: f64 = 3.0;
 /// Residuals of a fit that are shown: as many as a screen can.
 const RESIDUALS_SHOWN: usize = 300;
 
@@ -131,7 +129,7 @@ impl Engine {
     /// A known weight, N, is the reference at `at_ns`: it lies on the taxel whenever that is pressed.
     pub fn weight(&mut self, weight_n: f64, at_ns: u64) {
         let step = self.session.as_ref().map(Session::step);
-        let lies = matches!(step, Some(Step::Press { counts, .. }) if counts >= LIES_COUNTS);
+        let lies = matches!(step, Some(Step::Press { counts, .. }) if counts >= PRESS_COUNTS);
         self.reference(if lies { weight_n } else { 0.0 }, at_ns);
     }
 

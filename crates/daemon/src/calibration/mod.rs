@@ -6,5 +6,6 @@
 
 pub mod age;
 pub mod engine;
+pub mod reference;
 pub mod service;
 pub mod store;

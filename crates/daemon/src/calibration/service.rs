@@ -1,9 +1,9 @@
 //! A calibration for whoever watches over telemetry: the engine on a thread of its own beside the running loop.
 
 use crate::calibration::engine::Engine;
+use crate::calibration::reference::Reference;
 use crate::calibration::store::Store;
 use crate::config::Config;
-use crate::devices::force_gauge::Gauge;
 use anyhow::{Context, Result};
 use moca_tactile::BoardEvent;
 use moca_tactile::calibration::ModelKind;
@@ -47,14 +47,6 @@ impl Settings {
         };
         Self { store, wiring: wiring.to_vec() }
     }
-}
-
-/// The force that counts are compared with.
-pub enum Reference {
-    /// Force with which the simulation presses a taxel (0 is T1), N.
-    Simulated(Box<dyn Fn(usize) -> Option<f64> + Send>),
-    /// Gauge with which a person presses.
-    Gauge(Gauge),
 }
 
 /// The calibrator's thread. Dropping it ends it.
@@ -182,23 +174,8 @@ impl Work {
     }
 
     fn look(&mut self, now_ns: u64) {
-        let engine = &mut self.engine;
-        match &mut self.reference {
-            Reference::Simulated(force_n) => {
-                if let Some(force_n) = force_n(usize::from(self.taxel)) {
-                    engine.reference(force_n, now_ns);
-                }
-            }
-            Reference::Gauge(gauge) => {
-                let read = gauge.read(|force_n, at_ns| engine.reference(force_n, at_ns));
-                if let (Err(why), CalibrationProgress::Rest { .. } | CalibrationProgress::Press { .. }) =
-                    (read, engine.progress())
-                {
-                    engine.fail(&format!("force gauge: {why}"));
-                }
-            }
-        }
-        engine.look(now_ns);
+        self.reference.tell(&mut self.engine, usize::from(self.taxel), now_ns);
+        self.engine.look(now_ns);
     }
 
     fn save(&mut self, model: usize) -> Result<()> {

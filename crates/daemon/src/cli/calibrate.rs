@@ -5,11 +5,12 @@
 #![expect(clippy::print_stdout, reason = "a terminal front end")]
 
 use crate::calibration::engine::{Engine, Fitted};
+use crate::calibration::reference::Reference;
 use crate::calibration::store::Store;
 use crate::config::AUTO_PORT;
 use crate::devices::force_gauge::Gauge;
 use crate::devices::ports;
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use moca_tactile::TaxelModel;
 use moca_tactile::calibration::quality::evaluation_cost_ns;
 use moca_tactile::calibration::session::Target;
@@ -284,40 +285,16 @@ fn nanoseconds(seconds: f64) -> u64 {
     nanoseconds
 }
 
-/// The force that a person presses with.
-enum Reference {
-    Gauge(Gauge),
-    Weight(f64),
-}
-
-impl Reference {
-    fn of(arguments: &Arguments, start: Instant) -> Result<Self> {
-        if let Some(mass_kg) = arguments.mass {
-            return Ok(Self::Weight(mass_kg * GRAVITY_M_S2));
-        }
-        let gauge_port = arguments.gauge.as_deref().context("--gauge is missing")?;
-        let mut gauge = Gauge::open(gauge_port, arguments.gauge_baud, start)?;
-        first_reading(&mut gauge, start)?;
-        Ok(Self::Gauge(gauge))
+/// Returns the force that a person presses with, and what to do for it.
+fn reference(arguments: &Arguments, start: Instant) -> Result<(Reference, &'static str)> {
+    if let Some(mass_kg) = arguments.mass {
+        let weight = Reference::Weight(mass_kg * GRAVITY_M_S2);
+        return Ok((weight, "put the mass on, take it off after five seconds"));
     }
-
-    fn tell(&mut self, engine: &mut Engine, now_ns: u64) -> Result<()> {
-        match self {
-            Self::Weight(weight_n) => engine.weight(*weight_n, now_ns),
-            Self::Gauge(gauge) => {
-                let read = gauge.read(|force_n, at_ns| engine.reference(force_n, at_ns));
-                read.map_err(|why| anyhow!("force gauge: {why}"))?;
-            }
-        }
-        Ok(())
-    }
-
-    const fn prompt(&self) -> &'static str {
-        match self {
-            Self::Gauge(_) => "press slowly and release",
-            Self::Weight(_) => "put the mass on, take it off after five seconds",
-        }
-    }
+    let gauge_port = arguments.gauge.as_deref().context("--gauge is missing")?;
+    let mut gauge = Gauge::open(gauge_port, arguments.gauge_baud, start)?;
+    first_reading(&mut gauge, start)?;
+    Ok((Reference::Gauge(gauge), "press slowly and release"))
 }
 
 /// Board and gauge on their ports, or a known mass at hand, and a person at the cover.
@@ -325,7 +302,7 @@ fn live(arguments: &Arguments, accept: &mut dyn FnMut(&Fitted) -> Result<()>) ->
     let start = Instant::now();
     let now_ns = || u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
     let (_board, mut board) = ports::open(arguments.port.as_deref().unwrap_or(AUTO_PORT), start)?;
-    let mut reference = Reference::of(arguments, start)?;
+    let (mut reference, press) = reference(arguments, start)?;
     let mut shown = String::new();
     for &target in &arguments.taxels {
         let mut engine = Engine::default();
@@ -334,13 +311,13 @@ fn live(arguments: &Arguments, accept: &mut dyn FnMut(&Fitted) -> Result<()>) ->
             while let Ok(event) = board.pop() {
                 engine.event(&event);
             }
-            reference.tell(&mut engine, now_ns())?;
+            reference.tell(&mut engine, target.number - 1, now_ns());
             engine.look(now_ns());
             if let CalibrationProgress::Failed(why) = engine.progress() {
                 println!();
                 bail!("{why}");
             }
-            show(&mut shown, &prompt(engine.progress(), reference.prompt()))?;
+            show(&mut shown, &prompt(engine.progress(), press))?;
             std::thread::sleep(LOOK_EVERY);
         }
         println!();

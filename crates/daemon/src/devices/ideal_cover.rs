@@ -70,17 +70,17 @@ impl IdealCover {
     }
 
     fn show(&mut self, mean: &Mean) {
-        for (taxel, &force_n) in self.shown.reading.taxels.iter_mut().zip(&mean.force_n) {
+        for (taxel, &force_n) in self.shown.poll.reading.taxels.iter_mut().zip(&mean.force_n) {
             taxel.force_n = force_n;
         }
-        self.shown.forces = Ok(mean.force_n);
+        self.shown.poll.forces = Ok(mean.force_n);
         self.sampled_at(mean.at_ns);
         self.has_felt = true;
     }
 
     fn sampled_at(&mut self, at_ns: u64) {
-        self.shown.reading.sampled_at_ns = Some(at_ns);
-        self.shown.early.sampled_at_ns = Some(at_ns);
+        self.shown.poll.reading.sampled_at_ns = Some(at_ns);
+        self.shown.poll.early.sampled_at_ns = Some(at_ns);
     }
 }
 
@@ -105,7 +105,7 @@ mod tests {
         let mut shown = Vec::new();
         for force_n in [2.0, 4.0, 6.0, 8.0, 0.0] {
             cover.take_forces(0, &[force_n; TAXELS]);
-            shown.push(cover.read(0).reading.taxels[3].force_n);
+            shown.push(cover.read(0).poll.reading.taxels[3].force_n);
         }
         assert_eq!(shown, [0.0, 3.0, 3.0, 7.0, 7.0]);
     }
@@ -116,7 +116,7 @@ mod tests {
         let mut ages_ns = Vec::new();
         for now_ns in (0..10).map(|tick| 1_000 * tick) {
             cover.take_forces(now_ns, &[1.0; TAXELS]);
-            ages_ns.push(now_ns - cover.read(now_ns).reading.sampled_at_ns.unwrap());
+            ages_ns.push(now_ns - cover.read(now_ns).poll.reading.sampled_at_ns.unwrap());
         }
         // Complete one tick after its middle and shown two ticks later; nothing has been felt before.
         assert_eq!(ages_ns, [0, 0, 0, 0, 3_000, 4_000, 5_000, 3_000, 4_000, 5_000]);
@@ -130,8 +130,8 @@ mod tests {
             let force_n = [f64::from(i); TAXELS];
             now.take_forces(u64::from(i), &force_n);
             late.take_forces(u64::from(i), &force_n);
-            shown.0.push(now.read(0).reading.taxels[0].force_n);
-            shown.1.push(late.read(0).reading.taxels[0].force_n);
+            shown.0.push(now.read(0).poll.reading.taxels[0].force_n);
+            shown.1.push(late.read(0).poll.reading.taxels[0].force_n);
         }
         assert_eq!(shown.0[..17], shown.1[3..]);
     }

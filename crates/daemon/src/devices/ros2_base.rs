@@ -259,7 +259,7 @@ mod tests {
             zero: Zero::Invalid,
             ..none
         });
-        cover.0.reading.taxels.fill(TaxelReading { force_n: 0.0, status: TaxelStatus::Ok });
+        cover.0.poll.reading.taxels.fill(TaxelReading { force_n: 0.0, status: TaxelStatus::Ok });
         let (supervisor, motion) = (
             crate::runtime::assemble::supervisor(&config),
             crate::runtime::assemble::motion(&config).unwrap(),
@@ -269,8 +269,9 @@ mod tests {
         for tick in 0..3000_u64 {
             let pushes = tick >= 1000;
             let force_n = if pushes { 20.0 } else { 0.0 };
-            control.cover.0.reading.taxels[1].force_n = force_n;
-            control.cover.0.forces = Ok(std::array::from_fn(|taxel| if taxel == 1 { force_n } else { 0.0 }));
+            control.cover.0.poll.reading.taxels[1].force_n = force_n;
+            control.cover.0.poll.forces =
+                Ok(std::array::from_fn(|taxel| if taxel == 1 { force_n } else { 0.0 }));
             let slot = Slot { tick, now_ns: tick * 1_000_000, ticks: 1, ..Slot::default() };
             let sample = &control.tick(&slot, None, &mut Untimed).sample;
             let torque_nm = sample.arm_torque_nm.clone();

@@ -46,17 +46,14 @@ impl CoverSource for ByteCover {
                 self.cover.event(board, &event);
             }
         }
-        let poll = self.cover.poll(now_ns);
+        let mut poll = self.cover.poll(now_ns);
+        poll.fault = poll.fault.filter(|fault| *fault != Fault::ZeroInvalid);
         let diagnoses = || self.cover.boards().map(BoardMonitor::diagnosis);
         let ill = diagnoses().find(|diagnosis| *diagnosis != Diagnosis::Frames);
         let frames = |of: fn(&BoardStats) -> u64| self.cover.boards().map(|board| of(board.stats())).sum();
         let slowest_hz = self.cover.boards().map(BoardMonitor::rate_hz).reduce(f64::min);
         CoverState {
-            reading: poll.reading,
-            forces: poll.forces,
-            early: poll.early,
-            fault: poll.fault.filter(|fault| *fault != Fault::ZeroInvalid),
-            fault_board: poll.fault_board,
+            poll,
             zero: self.zero(),
             deviation_counts: self
                 .cover

@@ -1,6 +1,7 @@
 //! Puts the parts of a robot together as the configuration asks for them.
 
-use crate::calibration::service::{self, Reference};
+use crate::calibration::reference::Reference;
+use crate::calibration::service;
 use crate::config::Config;
 pub use crate::control::assemble::{motion, supervisor};
 #[cfg(feature = "sim")]

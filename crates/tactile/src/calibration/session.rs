@@ -9,7 +9,7 @@ use moca_msgs::seconds;
 use std::vec::Vec;
 
 /// Counts below rest at which a press begins.
-const PRESS_COUNTS: f64 = 3.0;
+pub const PRESS_COUNTS: f64 = 3.0;
 /// Counts below rest under which it ends.
 const RELEASE_COUNTS: f64 = 1.5;
 /// Share of the deepest press so far above which the next one begins, and under which it ends: a foam that has just

@@ -63,7 +63,7 @@ pub(super) fn run<T: Scalar>(settings: &Settings, narrow: fn(f64) -> T, widen: f
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "some seconds")]
         let now_ns = (1e9 * count(usize::try_from(tick)?) / rate_hz) as u64;
         cover.take_forces(now_ns, plant.taxel_force_mean_n());
-        let felt_n = cover.read(now_ns).forces.ok().context("a cover that always feels")?;
+        let felt_n = cover.read(now_ns).poll.forces.ok().context("a cover that always feels")?;
         let input = ControlInput::new(state(&plant), taxels(&felt_n, narrow), narrow(1.0 / rate_hz));
         let output = law.step(ControlLaw::Impedance, &mut memory, &input)?;
         plant.apply(&Actuation::Drive(RobotCommand {

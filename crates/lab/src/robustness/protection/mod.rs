@@ -16,6 +16,7 @@ use moca_experiments::drawn::Meetings;
 use moca_experiments::meeting::Outcome;
 use moca_experiments::parallel;
 use moca_experiments::settings::Settings;
+use std::num::NonZero;
 use std::path::{Path, PathBuf};
 
 /// Seed of the order of cells.
@@ -34,7 +35,7 @@ pub(crate) struct Arguments {
     cells: usize,
     /// Instead: this many meetings drawn at random, robot, base, foam, person, board, lead and walk.
     #[arg(long, value_name = "N", requires = "out")]
-    random: Option<usize>,
+    random: Option<NonZero<usize>>,
     /// Instead: what was drawn for the run with this number, as `moca-lab experiment --set` takes it.
     #[arg(long, value_name = "RUN")]
     drawn: Option<usize>,
@@ -83,7 +84,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let Some(out) = &arguments.out else { return Ok(()) };
     let seed = arguments.seed;
     let (table, option, count): (Box<dyn Table>, _, _) = match arguments.random {
-        Some(runs) => (Box::new(Meetings { runs, seed }), "--random", runs),
+        Some(runs) => (Box::new(Meetings { runs: runs.get(), seed }), "--random", runs.get()),
         None => (Box::new(Grid::new(arguments.cells, seed)), "--cells", arguments.cells),
     };
     let command = ["protection", option, &count.to_string(), "--seed", &seed.to_string()].map(str::to_owned);
