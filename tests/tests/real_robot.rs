@@ -68,7 +68,7 @@ struct Quiet(CoverState);
 
 impl CoverSource for Quiet {
     fn read(&mut self, now_ns: u64) -> CoverState {
-        self.0.reading.sampled_at_ns = Some(now_ns);
+        self.0.poll.reading.sampled_at_ns = Some(now_ns);
         CoverState { rate_hz: 250.0, ..self.0 }
     }
 
