@@ -7,11 +7,14 @@
 //! `push_nm` in any joint, somebody pushes: b then follows `PUSHED_SHARE` as fast. So a quick push meets the spring of the
 //! impedance law, and a steady one takes at most `bound_nm` from each joint, whatever its force and length. docs/math.md has the proof.
 //!
+//! Friction turns round with the speed of a joint, faster than b follows. What is known of it is commanded against at once, and taken
+//! out of the measured torque: law and observer then see an arm with the rest of its friction.
+//!
 //! Without it nothing is computed, and no bit of a command changes.
 
 use crate::config::Config;
 use crate::robot::JOINTS;
-use moca_msgs::Parameters;
+use moca_msgs::{Parameters, RobotState};
 use moca_wbc::ControlLaw;
 use serde::{Deserialize, Serialize};
 
@@ -26,11 +29,18 @@ const LARGEST_NM: f64 = 20.0;
 /// Share of its speed with which a load is followed while somebody pushes.
 const PUSHED_SHARE: f64 = 0.01;
 
+/// Speed of a joint at which 0.7 of its friction is compensated, rad/s. A larger one leaves more of the friction; a smaller one
+/// turns noise of the speed into torque.
+const SMOOTHING_RAD_S: f64 = 0.01;
+
 /// Loads of one arm.
 #[derive(Clone, Copy, Debug)]
 pub struct Compensation {
     joints: usize,
+    /// Time constant of the loads, s; 0: none is learnt.
     time_s: f64,
+    /// Known friction of each joint, N·m.
+    friction_nm: [f64; JOINTS],
     push_nm: f64,
     bound_nm: f64,
     torque_max_nm: [f64; JOINTS],
@@ -56,9 +66,11 @@ impl Compensation {
     /// Compensation as configured; `None` where it is off or there is no arm.
     pub fn new(config: &Config, parameters: &Parameters<JOINTS>) -> Option<Self> {
         let of = &config.control.compensation;
-        (of.time_s > 0.0 && config.plant.parts.has_arm()).then(|| Self {
+        let is_on = of.time_s > 0.0 || of.friction_nm.iter().any(|friction_nm| *friction_nm > 0.0);
+        (is_on && config.plant.parts.has_arm()).then(|| Self {
             joints: config.arm().joints,
             time_s: of.time_s,
+            friction_nm: std::array::from_fn(|i| of.friction_nm.get(i).copied().unwrap_or(0.0)),
             push_nm: of.push_nm,
             bound_nm: of.bound_nm,
             torque_max_nm: parameters.limits.torque_nm,
@@ -88,23 +100,38 @@ impl Compensation {
         &self.state.load_nm
     }
 
+    /// Torque against the known friction at the speeds of the joints, N·m: f q̇/√(q̇² + v²).
+    fn against_friction_nm(&self, dq_rad_s: &[f64; JOINTS]) -> [f64; JOINTS] {
+        std::array::from_fn(|i| self.friction_nm[i] * dq_rad_s[i] / dq_rad_s[i].hypot(SMOOTHING_RAD_S))
+    }
+
+    /// Returns the state of an arm without the known friction: what is commanded against it is taken out of the measured torque.
+    pub fn without_friction(&self, robot: &RobotState<JOINTS>) -> RobotState<JOINTS> {
+        let mut robot = *robot;
+        let against_nm = self.against_friction_nm(&robot.dq_rad_s);
+        robot.torque_measured_nm.iter_mut().zip(against_nm).for_each(|(torque, against)| *torque -= against);
+        robot
+    }
+
     /// Takes in the observer's estimate `external_nm` of the last tick, `None` where it does not run, and puts the torque against
-    /// the load into a command.
+    /// the load, and against the known friction at the speeds `dq_rad_s`, into a command.
     pub fn apply(
         &mut self,
         law: ControlLaw,
         external_nm: Option<&[f64; JOINTS]>,
+        dq_rad_s: &[f64; JOINTS],
         dt_s: f64,
         torque_nm: &mut [f64; JOINTS],
     ) {
-        if let Some(external_nm) = external_nm {
+        if let Some(external_nm) = external_nm.filter(|_| self.time_s > 0.0) {
             self.follow(law, external_nm, dt_s);
         }
+        let against_nm = self.against_friction_nm(dq_rad_s);
         let step_nm = self.torque_rate_nm_s * dt_s.min(self.period_s);
         let last_nm = self.state.sent_nm;
         for (i, torque) in torque_nm[..self.joints].iter_mut().enumerate() {
             let most = self.torque_max_nm[i];
-            *torque = (*torque - self.state.load_nm[i]).clamp(-most, most);
+            *torque = (*torque - self.state.load_nm[i] + against_nm[i]).clamp(-most, most);
             if let Some(last) = last_nm {
                 *torque = torque.clamp(last[i] - step_nm, last[i] + step_nm);
             }
@@ -157,7 +184,7 @@ mod tests {
         let mut t_s = 0.0;
         while t_s < seconds {
             torque_nm = [0.0; JOINTS];
-            compensation.apply(law, Some(&[external_nm; JOINTS]), TICK_S, &mut torque_nm);
+            compensation.apply(law, Some(&[external_nm; JOINTS]), &[0.0; JOINTS], TICK_S, &mut torque_nm);
             t_s += TICK_S;
         }
         torque_nm
@@ -220,11 +247,11 @@ mod tests {
         let mut load = compensation();
         run(&mut load, ControlLaw::Hold, 15.0, 3.0);
         let mut torque_nm = [-86.0; JOINTS];
-        load.apply(ControlLaw::Impedance, None, TICK_S, &mut torque_nm);
+        load.apply(ControlLaw::Impedance, None, &[0.0; JOINTS], TICK_S, &mut torque_nm);
         assert!((torque_nm[0] + 16.0).abs() < 0.01, "one step of 1000 N·m/s from -15: {torque_nm:?}");
         for _ in 0..100 {
             torque_nm = [-86.0; JOINTS];
-            load.apply(ControlLaw::Impedance, None, TICK_S, &mut torque_nm);
+            load.apply(ControlLaw::Impedance, None, &[0.0; JOINTS], TICK_S, &mut torque_nm);
         }
         assert!((torque_nm[0] + 87.0).abs() < 1e-9, "{torque_nm:?}");
     }
@@ -235,7 +262,50 @@ mod tests {
         run(&mut load, ControlLaw::Hold, 15.0, 3.0);
         load.leave();
         let mut torque_nm = [40.0; JOINTS];
-        load.apply(ControlLaw::Hold, None, TICK_S, &mut torque_nm);
+        load.apply(ControlLaw::Hold, None, &[0.0; JOINTS], TICK_S, &mut torque_nm);
         assert!((torque_nm[0] - 25.0).abs() < 0.01, "the load stays, the rate does not count: {torque_nm:?}");
+    }
+
+    fn with_friction() -> Compensation {
+        let mut config = Config::default();
+        config.control.compensation.friction_nm = vec![0.8, 0.0, 0.8, 0.8, 0.8, 0.8, 0.4];
+        Compensation::new(&config, &config.parameters()).unwrap()
+    }
+
+    #[test]
+    fn known_friction_is_commanded_against_along_the_speed() {
+        let mut friction = with_friction();
+        let dq_rad_s = [0.5, 0.5, -0.5, 0.01, 0.0, 0.0, -0.5, 0.0];
+        let mut torque_nm = [1.0; JOINTS];
+        friction.apply(ControlLaw::Impedance, Some(&[9.0; JOINTS]), &dq_rad_s, TICK_S, &mut torque_nm);
+        let added_nm = torque_nm.map(|torque_nm| torque_nm - 1.0);
+        for (added_nm, wanted_nm) in
+            added_nm.iter().zip([0.8, 0.0, -0.8, 0.8 / 2.0_f64.sqrt(), 0.0, 0.0, -0.4, 0.0])
+        {
+            assert!((added_nm - wanted_nm).abs() < 1e-3, "{added_nm} instead of {wanted_nm} N·m");
+        }
+        assert!(friction.load_nm().iter().all(|load_nm| load_nm.abs() < 1e-12), "no load is learnt");
+        let robot =
+            RobotState { dq_rad_s, torque_measured_nm: torque_nm, ..RobotState::at_rest([0.0; JOINTS]) };
+        let robot = friction.without_friction(&robot);
+        assert!(
+            robot.torque_measured_nm.iter().all(|torque_nm| (torque_nm - 1.0).abs() < 1e-12),
+            "{robot:?}"
+        );
+    }
+
+    /// The friction of the simulated arm, and of any arm whose friction rises faster with the speed, takes out more than is put in.
+    #[test]
+    fn known_friction_feeds_no_energy_into_an_arm_that_has_it() {
+        let friction = with_friction();
+        for exponent in -60..20 {
+            let dq_rad_s = 10.0_f64.powf(0.1 * f64::from(exponent));
+            let against_nm = friction.against_friction_nm(&[dq_rad_s; JOINTS])[0];
+            let true_nm = 0.8 * dq_rad_s / dq_rad_s.hypot(1e-3);
+            assert!(
+                against_nm > 0.0 && against_nm <= true_nm,
+                "{against_nm} of {true_nm} N·m at {dq_rad_s} rad/s"
+            );
+        }
     }
 }

@@ -411,6 +411,8 @@ impl Motion {
             felt_n = recovery.felt(taxel_force_n, dt_s);
             taxel_force_n = &felt_n;
         }
+        let without_friction = self.compensation.map(|compensation| compensation.without_friction(robot));
+        let robot = without_friction.as_ref().unwrap_or(robot);
         let input = LawInput { law, taxel_force_n, guard, dt_s };
         let mut output = either!(&mut self.controller, controller => controller.step(robot, &input))?;
         if let Some(compensation) = &mut self.compensation {
@@ -418,7 +420,7 @@ impl Motion {
             let observed = robot.flange_wrench_world.is_none();
             let external_nm = either!(&self.controller, controller => controller.external_torque_nm());
             let external_nm = external_nm.as_ref().filter(|_| observed);
-            compensation.apply(law, external_nm, dt_s, &mut output.command.arm_torque_nm);
+            compensation.apply(law, external_nm, &robot.dq_rad_s, dt_s, &mut output.command.arm_torque_nm);
         }
         Ok(output)
     }

@@ -51,6 +51,18 @@ fn compensation(config: &Config, report: Report<'_>) {
     if time_s > 0.0 && time_s < SHORTEST_S {
         report(name, format!("{name} = {time_s} s is outside {SHORTEST_S} to 10 s; 0 s compensates nothing"));
     }
+    let (name, friction_nm) = ("control.compensation.friction_nm", &config.control.compensation.friction_nm);
+    let joints = config.arm().joints;
+    if ![0, joints].contains(&friction_nm.len()) {
+        report(
+            name,
+            format!(
+                "{name} has {} values; allowed: none, or one for each of {joints} joints",
+                friction_nm.len()
+            ),
+        );
+    }
+    let (name, time_s) = ("control.compensation.time_s", config.control.compensation.time_s);
     if time_s > 0.0 && config.plant.arm.external_wrench == Believed::Arm {
         report(
             name,

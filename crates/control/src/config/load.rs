@@ -689,6 +689,24 @@ mod tests {
     }
 
     #[test]
+    fn known_friction_has_one_value_for_each_joint_or_none() {
+        let friction = |values: &str| format!("[control.compensation]\nfriction_nm = [{values}]\n");
+        for allowed in ["", "0.8, 0.8, 0.8, 0.8, 0.5, 0.5, 0.5"] {
+            assert!(Config::parse(&friction(allowed)).is_ok(), "{allowed}");
+        }
+        for (values, part) in [
+            ("0.8, 0.8", "friction_nm has 2 values; allowed: none, or one for each of 7 joints"),
+            ("0.8, 0.8, 0.8, -0.8, 0.5, 0.5, 0.5", "0 to 20 N·m"),
+        ] {
+            let found = mistakes(&friction(values));
+            assert!(
+                found.len() == 1 && found[0].starts_with("line 2: ") && found[0].contains(part),
+                "{found:?}"
+            );
+        }
+    }
+
+    #[test]
     fn geometry_without_sense_is_refused() {
         let cover = |key: &str, taxel: usize, value: f64| {
             let mut config = Config::default();

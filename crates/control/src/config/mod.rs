@@ -108,6 +108,9 @@ parameter_table! {
         push_nm: f64 = 2.5 => [.range(0.5, 50.0).units(&["N·m"]).lab("compensation.push")];
         /// Largest change of a joint's load since the arm was held: what a steady push can wind up.
         bound_nm: f64 = 4.0 => [.range(0.0, 20.0).units(&["N·m"]).lab("compensation.bound")];
+        /// Friction of each joint that is compensated at once, joint 1 first: at most what has been measured, or the arm hunts
+        /// about its rest. Empty: none.
+        friction_nm: Vec<f64> = Vec::new() => [.range(0.0, 20.0).units(&["N·m"]).lab("compensation.friction")];
     }
 }
 
