@@ -274,12 +274,17 @@ impl Taxel<'_> {
         #[expect(clippy::cast_possible_truncation, reason = "a size on the screen")]
         let small = (self.camera.points_per_m * SMALL_M).limited(10.0, 13.0) as f32;
         let font = FontId::proportional(if touched { 18.0 } else { small });
+        let width = |text: &str| painter.layout_no_wrap(text.to_owned(), font.clone(), colour).size().x;
+        let picture = painter.clip_rect();
         if outward.x.abs() > outward.y.abs() {
             let (align, text) = if outward.x > 0.0 {
                 (Align2::LEFT_CENTER, format!("{name}  {value}"))
             } else {
                 (Align2::RIGHT_CENTER, format!("{value}  {name}"))
             };
+            // Whatever pushes a number outward, the picture still shows it whole.
+            let (left, right) = if outward.x > 0.0 { (0.0, width(&text)) } else { (width(&text), 0.0) };
+            at.x = at.x.limited(picture.left() + left, picture.right() - right);
             painter.text(at, align, text, font, colour);
         } else {
             // Two texts, because the lines of one would not be centred on each other.
@@ -292,13 +297,18 @@ impl Taxel<'_> {
             let small_picture = self.camera.points_per_m < CROWDED;
             if small_picture && touched {
                 at += outward * (small + 2.0);
+                let high = 1.4 * font.size;
+                at.y = at.y.limited(picture.top() + high, picture.bottom() - high);
+                painter.text(at, align, format!("{name}  {value}"), font, colour);
+                return;
             }
             // So would words of health that are longer than the taxel; its colour and its hint tell them too.
-            let width = || painter.layout_no_wrap(value.to_owned(), font.clone(), colour).size().x;
-            let wide =
-                !value.ends_with(" N") && f64::from(width()) > 2.0 * TAXEL_HALF_M * self.camera.points_per_m;
+            let wide = !value.ends_with(" N")
+                && f64::from(width(value)) > 2.0 * TAXEL_HALF_M * self.camera.points_per_m;
             let crowded = !touched && (small_picture || wide);
             let line = if crowded { 0.0 } else { line };
+            let high = line.abs() + 1.4 * font.size;
+            at.y = at.y.limited(picture.top() + high, picture.bottom() - high);
             if !crowded {
                 painter.text(at, align, value, font.clone(), colour);
             }
