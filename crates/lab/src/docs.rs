@@ -5,7 +5,7 @@
 
 mod data;
 
-use crate::cover::{detection, latency, other_senses};
+use crate::cover::{detection, latency};
 use crate::numerics::{barrier, peers, stability, tick};
 use crate::paper::report::{claims, errors};
 use crate::paper::{kept_pushes, late_bases, opposite_hands, real_arm};
@@ -43,7 +43,6 @@ const TABLES: &[Table] = &[
     Table { name: "long-lean", file: "docs/data/long-lean.csv", make: long_lean::markdown },
     Table { name: "targets", file: "docs/command-line.md", make: targets::markdown },
     Table { name: "detection", file: "docs/data/detection.csv", make: detection::markdown },
-    Table { name: "other-senses", file: "docs/data/other-senses.csv", make: other_senses::markdown },
     Table { name: "boards", file: "docs/boards.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
     Table { name: "late-bases", file: "docs/results.md", make: late_bases::markdown },
@@ -248,11 +247,6 @@ mod tests {
     #[test]
     fn what_a_step_needs_is_what_it_is_held_to() {
         is_what_is_printed("step-size");
-    }
-
-    #[test]
-    fn what_other_senses_say_of_a_touch_is_what_is_printed() {
-        is_what_is_printed("other-senses");
     }
 
     #[test]

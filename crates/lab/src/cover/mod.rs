@@ -4,6 +4,7 @@ pub(crate) mod characterize;
 pub(crate) mod detection;
 pub(crate) mod latency;
 pub(crate) mod map;
-pub(crate) mod other_senses;
+#[cfg(test)]
+mod other_senses;
 pub(crate) mod stream;
 pub(crate) mod threshold;
