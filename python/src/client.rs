@@ -104,8 +104,7 @@ impl Client {
     fn set_parameter(&self, py: Python<'_>, name: &str, values: Vec<f64>) -> PyResult<()> {
         let description = Arc::clone(&self.heard().description);
         let found = description.parameters.iter().position(|parameter| parameter.name == name);
-        let number =
-            found.ok_or_else(|| PyValueError::new_err(no_parameter(&description, name)))?;
+        let number = found.ok_or_else(|| PyValueError::new_err(no_parameter(&description, name)))?;
         let values = description.parameters[number].checked(&values).map_err(PyValueError::new_err)?;
         let parameter = u8::try_from(number).map_err(|error| PyValueError::new_err(error.to_string()))?;
         let outcome = self.ask(py, Request::SetParameter { parameter, values })?;
@@ -152,7 +151,8 @@ impl Client {
     fn trajectory(&self, py: Python<'_>, rows: Vec<f64>, touch: &str) -> PyResult<()> {
         let (waypoints, touch) = (waypoints(&rows)?, policy(touch)?);
         self.connection()?.trajectory(touch, waypoints);
-        let Reply { request, outcome } = self.answer(py, |request| matches!(request, Request::Waypoint { .. }))?;
+        let Reply { request, outcome } =
+            self.answer(py, |request| matches!(request, Request::Waypoint { .. }))?;
         answered(request, outcome)
     }
 

@@ -1,12 +1,12 @@
 //! Requests by name.
 
 use crate::Refused;
-use moca_msgs::{
-    Law, Outcome, ParameterValues, Request, Target, TimedTarget, TouchPolicy, TwistAxes, Waypoint,
-};
 use moca_msgs::params::MAX_ELEMENTS;
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::target::MAX_WAYPOINTS;
+use moca_msgs::{
+    Law, Outcome, ParameterValues, Request, Target, TimedTarget, TouchPolicy, TwistAxes, Waypoint,
+};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -39,7 +39,9 @@ pub(crate) fn press(taxel: u8, force_n: f64, count: usize) -> PyResult<Request> 
         return Err(PyValueError::new_err(format!("taxel {number}: allowed: 1 (T1) to {count} (T{count})")));
     }
     if !(0.0..=PRESS_FORCE_MAX_N).contains(&force_n) {
-        return Err(PyValueError::new_err(format!("force {force_n} N: allowed: 0 (let go) to {PRESS_FORCE_MAX_N} N")));
+        return Err(PyValueError::new_err(format!(
+            "force {force_n} N: allowed: 0 (let go) to {PRESS_FORCE_MAX_N} N"
+        )));
     }
     Ok(Request::PressTaxel { taxel, force_n })
 }
@@ -65,7 +67,9 @@ pub(crate) fn target(
             let [x, y, z, qx, qy, qz, qw] = exactly(values, "a position in m and a quaternion x, y, z, w")?;
             Target::Pose { position_world: [x, y, z], quaternion_world: [qx, qy, qz, qw] }
         }
-        "twist world" | "twist base" | "twist flange" => Target::Twist { axes, twist: exactly(values, "a twist in m/s and rad/s")? },
+        "twist world" | "twist base" | "twist flange" => {
+            Target::Twist { axes, twist: exactly(values, "a twist in m/s and rad/s")? }
+        }
         "posture" => {
             let q_rad = ParameterValues::new(values);
             Target::Posture(q_rad.ok_or_else(|| counted(values.len(), "joint angles in rad", MAX_ELEMENTS))?)

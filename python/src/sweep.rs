@@ -63,7 +63,10 @@ impl Plan {
     /// Makes some runs and returns their lines.
     fn rows(&self, py: Python<'_>, begin: usize, end: usize) -> PyResult<Vec<String>> {
         if begin > end || end > self.0.rows() {
-            return Err(PyValueError::new_err(format!("rows {begin} to {end}: allowed: 0 to {}", self.0.rows())));
+            return Err(PyValueError::new_err(format!(
+                "rows {begin} to {end}: allowed: 0 to {}",
+                self.0.rows()
+            )));
         }
         let rows = py.detach(|| (begin..end).map(|id| self.0.row(id)).collect::<Result<Vec<_>>>());
         rows.map_err(|error| wrong(&error))
