@@ -1,8 +1,8 @@
 //! The board on a desk: processor, chips, cable, and what can be done to them.
 
+use crate::identity::Identity;
 use crate::mcu::{CYCLES_PER_US, Hex, Mcu};
 use crate::mpr121::{Chips, Mpr121, Signal};
-use crate::identity::Identity;
 use anyhow::Result;
 
 /// Settings of a simulated board.

@@ -88,7 +88,10 @@ impl Watch {
 
     /// Time from the fault until `fault` was first reported, us.
     fn found_after(&self, fault: Fault) -> Option<u64> {
-        self.changes.iter().find(|(us, f)| *us >= FAULT_AT_US && *f == Some(fault)).map(|(us, _)| us - FAULT_AT_US)
+        self.changes
+            .iter()
+            .find(|(us, f)| *us >= FAULT_AT_US && *f == Some(fault))
+            .map(|(us, _)| us - FAULT_AT_US)
     }
 
     fn healthy_after(&self, us: u64) -> Option<u64> {
@@ -280,7 +283,8 @@ fn oscillator(hex: &Hex) -> Result<Outcome> {
             "x {chip_clock}: {:.0} refreshes/s, held to {:.1} ms, read as {:.1} ms, {} lost",
             measured.exact.rate_hz, measured.exact.hold_worst_ms, measured.read.hold_worst_ms, measured.lost
         ));
-        if measured.lost > 0 || measured.bad > 0 || measured.read.hold_worst_ms < measured.exact.hold_worst_ms {
+        if measured.lost > 0 || measured.bad > 0 || measured.read.hold_worst_ms < measured.exact.hold_worst_ms
+        {
             failure = Some(format!("clock x {chip_clock}: {measured:?}"));
         }
     }
@@ -288,14 +292,12 @@ fn oscillator(hex: &Hex) -> Result<Outcome> {
 }
 
 fn long_wires(hex: &Hex) -> Result<Outcome> {
-    let settings = Settings {
-        capacitance_pf: 65.0,
-        signal: Signal::Counts { noise: 0.7 },
-        ..Settings::default()
-    };
+    let settings =
+        Settings { capacitance_pf: 65.0, signal: Signal::Counts { noise: 0.7 }, ..Settings::default() };
     let mut watch = Watch::new(hex, &settings)?;
     watch.run_until(FAULT_AT_US + 500_000)?;
-    let (first, second, scan_us) = watch.board.chips().at(0x5C).map(|chip| chip.filters()).unwrap_or_default();
+    let (first, second, scan_us) =
+        watch.board.chips().at(0x5C).map(|chip| chip.filters()).unwrap_or_default();
     let checks = [("last frame", Some((FAULT_AT_US + 500_000).saturating_sub(watch.last_frame_us)), 12_000)];
     let extra = (scan_us > 1000.0 || first == 34).then(|| format!("FFI {first}, scan {scan_us} us of 1000"));
     let mut outcome = verdict("60 pF of wire", &watch, &checks, extra);
@@ -308,7 +310,11 @@ fn soak(hex: &Hex, seconds: f64) -> Result<Outcome> {
     let measured = crate::measure::measure(hex, "", &settings, b"", seconds)?;
     let seen = format!(
         "{seconds} s: {} frames, {} lost, {} bad, held to {:.2} ms, read as {:.2} ms",
-        measured.frames, measured.lost, measured.bad, measured.exact.hold_worst_ms, measured.read.hold_worst_ms
+        measured.frames,
+        measured.lost,
+        measured.bad,
+        measured.exact.hold_worst_ms,
+        measured.read.hold_worst_ms
     );
     let well = measured.lost == 0
         && measured.bad == 0

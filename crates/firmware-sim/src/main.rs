@@ -147,7 +147,9 @@ fn latency(hex: &Hex, settings: &Settings, json: bool, seconds: f64) -> Result<(
             report.board, report.rate_hz, report.age_mean_ms, report.age_worst_ms, report.hold_worst_ms
         );
     }
-    println!("frames {frames}, lost {lost}, bad {bad}; least time from stamp to arrival {least_transport_us} us");
+    println!(
+        "frames {frames}, lost {lost}, bad {bad}; least time from stamp to arrival {least_transport_us} us"
+    );
     println!("reader's sample time minus the chip's, at most {too_young_ms:.3} ms");
     println!("first filter {}, second filter {}, scan {:.0} us", filters.0, filters.1, filters.2);
     Ok(())

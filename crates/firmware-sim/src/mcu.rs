@@ -46,7 +46,8 @@ impl Hex {
     fn parse(text: &str) -> Result<Self> {
         let mut records = Vec::new();
         for (number, line) in text.lines().enumerate() {
-            let digits = line.trim().strip_prefix(':').with_context(|| format!("line {}: no ':'", number + 1))?;
+            let digits =
+                line.trim().strip_prefix(':').with_context(|| format!("line {}: no ':'", number + 1))?;
             ensure!(digits.is_ascii() && digits.len() % 2 == 0, "line {}: odd digits", number + 1);
             let bytes = (0..digits.len() / 2)
                 .map(|i| u8::from_str_radix(&digits[2 * i..2 * i + 2], 16))

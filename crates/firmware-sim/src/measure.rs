@@ -147,9 +147,8 @@ pub fn measure(hex: &Hex, name: &str, settings: &Settings, command: &[u8], secon
             for line in came.iter().filter(|line| line.usable && arrival_us >= start_us) {
                 let now_us = arrival_us as f64;
                 let Some(chip) = board.chips().at(BANK_ADDRESSES[line.bank]) else { continue };
-                let sampled: Vec<f64> = (0..ELECTRODES)
-                    .filter_map(|e| chip.sampled_at_us(e, line.values[e], now_us))
-                    .collect();
+                let sampled: Vec<f64> =
+                    (0..ELECTRODES).filter_map(|e| chip.sampled_at_us(e, line.values[e], now_us)).collect();
                 ensure!(sampled.len() == ELECTRODES, "a value that the chip never had at {now_us} us");
                 let oldest_us = sampled.iter().copied().fold(f64::INFINITY, f64::min);
                 let newest = sampled.iter().copied().fold(f64::NEG_INFINITY, f64::max);

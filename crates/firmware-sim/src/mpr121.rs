@@ -237,7 +237,8 @@ impl Mpr121 {
     fn counts(&mut self, electrode: usize, picofarad: f64, noise: f64) -> u16 {
         let charge = self.charge_current_ua(electrode) * self.charge_time_us(electrode);
         let samples = f64::from(self.first_filter() * self.second_filter());
-        let counts = charge * 1024.0 / (SUPPLY_V * picofarad) + noise * (100.0 / samples).sqrt() * self.normal();
+        let counts =
+            charge * 1024.0 / (SUPPLY_V * picofarad) + noise * (100.0 / samples).sqrt() * self.normal();
         counts.round().clamp(0.0, 1023.0) as u16
     }
 

@@ -72,8 +72,7 @@ impl Board {
 
     fn setup(&mut self, request: &Request) -> Result<()> {
         let (value, length) = (request.value.to_le_bytes(), request.length.to_le_bytes());
-        let mut packet =
-            [request.kind, request.request, value[0], value[1], 0, 0, length[0], length[1]];
+        let mut packet = [request.kind, request.request, value[0], value[1], 0, 0, length[0], length[1]];
         self.mcu.usb(UsbCall::Setup, 0, &mut packet).ok().context("USB setup packet refused")?;
         Ok(())
     }

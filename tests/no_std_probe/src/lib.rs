@@ -10,9 +10,14 @@ fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
 }
 
 fn first_torque<T: Scalar>(state: RobotState<7, T>, force_n: [T; 11], dt_s: T) -> Option<T> {
-    let controller =
-        WholeBodyController::<7, 11, T>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER)
-            .ok()?;
+    let controller = WholeBodyController::<7, 11, T>::new(
+        &PANDA,
+        &MOCA_MOUNT,
+        &Payload::NONE,
+        &PAPER_COVER,
+        &Parameters::PAPER,
+    )
+    .ok()?;
     let mut memory = controller.enter(ControlLaw::Impedance, &state).ok()?;
     let input = ControlInput::new(state, force_n, dt_s);
     let output = controller.step(ControlLaw::FollowMe, &mut memory, &input).ok()?;
