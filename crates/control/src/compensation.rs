@@ -106,11 +106,15 @@ impl Compensation {
     }
 
     /// Returns the state of an arm without the known friction: what is commanded against it is taken out of the measured torque.
-    pub fn without_friction(&self, robot: &RobotState<JOINTS>) -> RobotState<JOINTS> {
+    /// `None` where none is known.
+    pub fn without_friction(&self, robot: &RobotState<JOINTS>) -> Option<RobotState<JOINTS>> {
+        if self.friction_nm.iter().all(|friction_nm| *friction_nm <= 0.0) {
+            return None;
+        }
         let mut robot = *robot;
         let against_nm = self.against_friction_nm(&robot.dq_rad_s);
         robot.torque_measured_nm.iter_mut().zip(against_nm).for_each(|(torque, against)| *torque -= against);
-        robot
+        Some(robot)
     }
 
     /// Takes in the observer's estimate `external_nm` of the last tick, `None` where it does not run, and puts the torque against
@@ -287,7 +291,8 @@ mod tests {
         assert!(friction.load_nm().iter().all(|load_nm| load_nm.abs() < 1e-12), "no load is learnt");
         let robot =
             RobotState { dq_rad_s, torque_measured_nm: torque_nm, ..RobotState::at_rest([0.0; JOINTS]) };
-        let robot = friction.without_friction(&robot);
+        let robot = friction.without_friction(&robot).unwrap();
+        assert!(compensation().without_friction(&robot).is_none(), "none is known");
         assert!(
             robot.torque_measured_nm.iter().all(|torque_nm| (torque_nm - 1.0).abs() < 1e-12),
             "{robot:?}"

@@ -411,7 +411,8 @@ impl Motion {
             felt_n = recovery.felt(taxel_force_n, dt_s);
             taxel_force_n = &felt_n;
         }
-        let without_friction = self.compensation.map(|compensation| compensation.without_friction(robot));
+        let without_friction =
+            self.compensation.as_ref().and_then(|compensation| compensation.without_friction(robot));
         let robot = without_friction.as_ref().unwrap_or(robot);
         let input = LawInput { law, taxel_force_n, guard, dt_s };
         let mut output = either!(&mut self.controller, controller => controller.step(robot, &input))?;
