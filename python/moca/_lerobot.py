@@ -71,6 +71,7 @@ def _frames(log: Any, fps: int) -> tuple[dict[str, tuple[list[str], Array]], lis
     An episode is a stretch without a gap in which a law is in control and the state is known. A robot that waits or brakes
     does not do the task.
     """
+    log._inner.load()
     features, times_s = _features(log), log["time_s"]
     known = [np.isfinite(numbers).all(axis=1) for _, numbers in features.values()]
     learned = np.asarray(log._inner.moves()) & np.all(known, axis=0)

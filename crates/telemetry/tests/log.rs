@@ -18,6 +18,7 @@ use moca_telemetry::{
     log::{
         LogError, LogFile, LogReader, LogSummary, LogWriter, Meta, Overview, Record, Recorder,
         RecorderOptions, SerialBytes, overview::Happening, part_path, read_log, records, shown,
+        story::Story,
     },
 };
 use std::{
@@ -239,6 +240,83 @@ fn blocks_of_ticks_come_back_byte_by_byte_in_their_place() {
         _ => None,
     });
     assert!(blocks.eq((0..40).map(block)));
+}
+
+/// A log of version 0.1.0, which has no story and holds everything in the same chunks.
+#[test]
+fn log_of_an_earlier_version_is_read_and_told() {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/log/short");
+    let read = read_log(&path).unwrap();
+    assert_eq!(read.cut, None);
+    let mut log = LogFile::open(&path).unwrap();
+    let (from_ns, to_ns) = log.range_ns();
+    assert_eq!(log.samples(from_ns, to_ns).unwrap(), read.samples);
+    let account = log.account(&mut |_| {}).unwrap();
+    let mut story = Story::default();
+    read.samples.iter().for_each(|sample| story.add(sample));
+    assert_eq!(account.story, story);
+    assert!(!story.is_empty() && account.sizes.display > 0 && account.sizes.file > account.sizes.display);
+}
+
+#[test]
+fn purposes_have_chunks_of_their_own_and_index_lists_them() {
+    let mut bytes = Vec::new();
+    let mut writer = LogWriter::new(&mut bytes, &meta()).unwrap();
+    for tick in 0..3000 {
+        writer.sample(&sample(tick)).unwrap();
+        if tick % 25 == 0 {
+            writer.serial(&serial(tick)).unwrap();
+            writer.replay(sample(tick).time_ns, &[7; 90]).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let mut messages = 0;
+    let mut kinds = [0; 3];
+    for chunk in &summary.chunk_indexes {
+        let topics: std::collections::BTreeSet<String> = summary
+            .stream_chunk(&bytes, chunk)
+            .unwrap()
+            .map(|message| {
+                messages += 1;
+                let message = message.unwrap();
+                assert!((chunk.message_start_time..=chunk.message_end_time).contains(&message.log_time));
+                message.channel.topic.clone()
+            })
+            .collect();
+        assert_eq!(chunk.message_index_offsets.len(), topics.len());
+        let indexed = summary.read_message_indexes(&bytes, chunk).unwrap();
+        assert!(indexed.keys().all(|channel| topics.contains(&channel.topic)));
+        let of = |topic: &str| usize::from(topic == "/replay") * 2 + usize::from(topic.starts_with("/serial"));
+        let kind = topics.iter().map(|topic| of(topic)).collect::<std::collections::BTreeSet<_>>();
+        assert_eq!(kind.len(), 1, "{topics:?}");
+        kinds[*kind.first().unwrap()] += 1;
+    }
+    assert!(kinds.iter().all(|count| *count >= 5), "{kinds:?}");
+    let statistics = summary.stats.as_ref().unwrap();
+    assert_eq!(statistics.message_count, messages);
+    assert_eq!(usize::try_from(statistics.chunk_count).unwrap(), summary.chunk_indexes.len());
+    let [story, ..] = &summary.metadata_indexes[..] else { panic!("no story") };
+    assert_eq!(story.name, "story");
+}
+
+/// Fields of records that are not asked for keep their default; rows and everything else stay.
+#[test]
+fn rows_have_the_fields_that_are_asked_for() {
+    let bytes = log(1000);
+    let mut file = LogFile::over(std::io::Cursor::new(bytes), "rows".as_ref()).unwrap();
+    let mut rows = Vec::new();
+    assert_eq!(file.rows(&["/cover"], &mut |row| rows.push(row.clone())), None);
+    let expected = displayed(0..1000);
+    assert_eq!(rows.len(), expected.len());
+    for (row, expected) in rows.iter().zip(&expected) {
+        assert_eq!((row.time_ns, row.mode, row.fault), (expected.time_ns, expected.mode, expected.fault));
+        assert_eq!((&row.taxels, &row.counts), (&expected.taxels, &expected.counts));
+        assert_eq!((row.target, &row.contact_events), (expected.target, &expected.contact_events));
+        assert!(row.q_rad.is_empty() && row.overruns == 0 && row.speed_limit.m_s == 0.0, "{row:?}");
+    }
+    // And a log that is asked again for everything has it.
+    assert_eq!(file.samples(0, u64::MAX).unwrap(), expected);
 }
 
 #[test]
