@@ -12,7 +12,9 @@ use clap::{Parser, Subcommand};
 use cover::{characterize, latency, stream, threshold};
 use numerics::{economy, extremes, precision, stability, sweep, tick, vectors};
 use paper::report;
-use robustness::{attack, clients, faults, lean, long_lean, lost_packets, protection, recording, soak, targets};
+use robustness::{
+    attack, clients, faults, lean, long_lean, lost_packets, protection, recording, soak, targets,
+};
 use std::process::ExitCode;
 
 /// Experiments and checks of MOCA-S.

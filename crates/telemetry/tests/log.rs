@@ -17,8 +17,7 @@ use moca_telemetry::{
     RobotDescription,
     log::{
         LogError, LogFile, LogReader, LogSummary, LogWriter, Meta, Overview, Record, Recorder,
-        RecorderOptions, SerialBytes, overview::Happening, part_path, read_log, records, shown,
-        story::Story,
+        RecorderOptions, SerialBytes, overview::Happening, part_path, read_log, records, shown, story::Story,
     },
 };
 use std::{
@@ -242,20 +241,45 @@ fn blocks_of_ticks_come_back_byte_by_byte_in_their_place() {
     assert!(blocks.eq((0..40).map(block)));
 }
 
-/// A log of version 0.1.0, which has no story and holds everything in the same chunks.
+/// Returns a log as earlier versions wrote it: no story, and everything of half a second in one chunk.
+fn as_before(log: &[u8]) -> Vec<u8> {
+    let mut before = std::io::Cursor::new(Vec::new());
+    let options = mcap::WriteOptions::new().profile("moca-s/4").library("moca-telemetry 0.2.0");
+    let mut writer = options.chunk_size(None).create(&mut before).unwrap();
+    let summary = mcap::Summary::read(log).unwrap().unwrap();
+    for chunk in &summary.chunk_indexes {
+        let messages = summary.stream_chunk(log, chunk).unwrap().map(Result::unwrap);
+        for (number, message) in messages.enumerate() {
+            let topic = message.channel.topic.as_str();
+            if number == 0 && topic != "/replay" && !topic.starts_with("/serial") {
+                writer.flush().unwrap();
+            }
+            writer.write(&message).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    drop(writer);
+    before.into_inner()
+}
+
 #[test]
 fn log_of_an_earlier_version_is_read_and_told() {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/log/short");
-    let read = read_log(&path).unwrap();
-    assert_eq!(read.cut, None);
-    let mut log = LogFile::open(&path).unwrap();
-    let (from_ns, to_ns) = log.range_ns();
-    assert_eq!(log.samples(from_ns, to_ns).unwrap(), read.samples);
-    let account = log.account(&mut |_| {}).unwrap();
-    let mut story = Story::default();
-    read.samples.iter().for_each(|sample| story.add(sample));
-    assert_eq!(account.story, story);
-    assert!(!story.is_empty() && account.sizes.display > 0 && account.sizes.file > account.sizes.display);
+    let now = log(3000);
+    let open = |bytes: &[u8]| LogFile::over(std::io::Cursor::new(bytes.to_vec()), "log".as_ref()).unwrap();
+    let told = open(&now).account(&mut |_| {}).unwrap();
+    let before = as_before(&now);
+    let mut file = open(&before);
+    assert_eq!(file.samples(0, u64::MAX).unwrap(), displayed(0..3000));
+    let account = file.account(&mut |_| {}).unwrap();
+    assert_eq!(account.story, told.story);
+    assert_eq!(account.sizes.file, before.len() as u64);
+    // Each part counts as if it had been compressed alone: nearly as many bytes as it has alone.
+    for (before, now) in
+        [(account.sizes.display, told.sizes.display), (account.sizes.board, told.sizes.board)]
+    {
+        assert!(before > now / 2 && before < now * 2, "{account:?} {told:?}");
+    }
+    assert!(told.story.stop_count == 6 && told.story.touches > 0, "{told:?}");
 }
 
 #[test]
@@ -287,7 +311,8 @@ fn purposes_have_chunks_of_their_own_and_index_lists_them() {
         assert_eq!(chunk.message_index_offsets.len(), topics.len());
         let indexed = summary.read_message_indexes(&bytes, chunk).unwrap();
         assert!(indexed.keys().all(|channel| topics.contains(&channel.topic)));
-        let of = |topic: &str| usize::from(topic == "/replay") * 2 + usize::from(topic.starts_with("/serial"));
+        let of =
+            |topic: &str| usize::from(topic == "/replay") * 2 + usize::from(topic.starts_with("/serial"));
         let kind = topics.iter().map(|topic| of(topic)).collect::<std::collections::BTreeSet<_>>();
         assert_eq!(kind.len(), 1, "{topics:?}");
         kinds[*kind.first().unwrap()] += 1;

@@ -154,13 +154,15 @@ mod tests {
                 _ => (Mode::Impedance, None),
             };
             let time_ns = tick * 1_000_000;
-            let mut sample = Sample { tick, time_ns, mode, fault, overruns: tick / 9_000, ..Sample::default() };
+            let mut sample =
+                Sample { tick, time_ns, mode, fault, overruns: tick / 9_000, ..Sample::default() };
             let force_n = if tick % 7_000 < 300 { 1.0 / 3.0 + f64::from(tick as u32) * 1e-3 } else { 0.0 };
             let untouched = TaxelReading { force_n: 0.0, status: TaxelStatus::Ok };
             sample.taxels.extend([TaxelReading { force_n, ..untouched }, untouched]);
             log.sample(&sample).unwrap();
             if tick % 100 == 0 {
-                log.serial(&SerialBytes { board: 0, arrival_ns: time_ns, bytes: b"TOUCH: 0\r\n".to_vec() }).unwrap();
+                log.serial(&SerialBytes { board: 0, arrival_ns: time_ns, bytes: b"TOUCH: 0\r\n".to_vec() })
+                    .unwrap();
                 log.replay(time_ns, &tick.to_le_bytes().repeat(9)).unwrap();
             }
             if tick % 50_000 == 7 {
@@ -182,7 +184,11 @@ mod tests {
             assert_eq!(told, about(&path, LogFile::account_of_chunks).unwrap(), "{part} % of the log");
             assert_eq!(told.contains("not whole"), part < 100, "{told}");
             if part == 100 {
-                for said in ["stops        3\n", "touches      22, the largest 147.3 N on T1", "gaps         1, 0.90 s"] {
+                for said in [
+                    "stops        3\n",
+                    "touches      22, the largest 147.3 N on T1",
+                    "gaps         1, 0.90 s",
+                ] {
                     assert!(told.contains(said), "{told}");
                 }
                 assert!(told.contains("user 1000: 2 carried out, 4 refused"), "{told}");

@@ -1,8 +1,8 @@
 //! `moca-lab recording`: what a log costs, next to the robot whose log it is.
 #![expect(clippy::print_stdout, reason = "a command prints its result")]
 
-use anyhow::{Context, Result, ensure};
 use super::soak::in_use_kib;
+use anyhow::{Context, Result, ensure};
 use moca_control::config::Config;
 use moca_control::tick::Ticked;
 use moca_daemon::cli::progress::Progress;
@@ -67,7 +67,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     println!("{robot_s:.0} s of robot time, CPU time");
     println!("robot        {robot_ms:6.2} ms a second");
     println!("recording    {recording_ms:6.2} ms a second: {:.2} of the robot's", recording_ms / robot_ms);
-    println!("mocad log    {indexed_ms:6.2} ms, from all chunks {scanned_s:.2} s an hour: {:.0} times", scanned_ms / indexed_ms);
+    println!(
+        "mocad log    {indexed_ms:6.2} ms, from all chunks {scanned_s:.2} s an hour: {:.0} times",
+        scanned_ms / indexed_ms
+    );
     println!("columns      {record_s:6.2} s an hour for one record, {columns_s:.2} s for all");
     println!("memory       {:6} KiB, and {:.0} bytes a second", costs.memory_kib, costs.growth_bytes_s);
     println!("size         {:6.3} GB an hour", costs.gigabytes_hour);

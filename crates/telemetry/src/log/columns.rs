@@ -65,7 +65,9 @@ impl Guess {
             Self::Line => line(last(before)),
             Self::Parabola => parabola(last(before)),
             // Until there are as many before, as there are.
-            Self::Cubic | Self::Quartic | Self::Quintic if before.len() < self.needs() => parabola(last(before)),
+            Self::Cubic | Self::Quartic | Self::Quintic if before.len() < self.needs() => {
+                parabola(last(before))
+            }
             Self::Cubic => cubic(last(before)),
             Self::Quartic => quartic(last(before)),
             Self::Quintic => quintic(last(before)),
@@ -253,7 +255,8 @@ impl Cheapest {
 
     /// Tries a prediction from the `N` values before each.
     fn offer_guess<const N: usize>(&mut self, values: &[f64], guess: Guess, of: impl Fn([f64; N]) -> f64) {
-        let head = values.iter().take(N).enumerate().map(|(row, value)| (value, guess.of(&values[..row], None)));
+        let head =
+            values.iter().take(N).enumerate().map(|(row, value)| (value, guess.of(&values[..row], None)));
         let rest = values.iter().skip(N).zip(values.windows(N));
         let rest = rest.map(|(value, before)| (value, of(last(before))));
         self.offer([guess as u8, 0], head.chain(rest).map(|(value, guessed)| distance(*value, guessed)));

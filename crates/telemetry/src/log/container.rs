@@ -132,10 +132,14 @@ impl OpenChunk {
             blob(body, &self.packed);
         });
         let mut counts = Vec::new();
-        for (channel, messages) in (1_u16..).zip(&mut self.messages).filter(|(_, messages)| !messages.is_empty()) {
+        for (channel, messages) in
+            (1_u16..).zip(&mut self.messages).filter(|(_, messages)| !messages.is_empty())
+        {
             record(to, op::MESSAGE_INDEX, |body| {
                 number(body, channel.to_le_bytes());
-                list(body, |body| messages.iter().flatten().for_each(|value| number(body, value.to_le_bytes())));
+                list(body, |body| {
+                    messages.iter().flatten().for_each(|value| number(body, value.to_le_bytes()))
+                });
             });
             counts.push((channel, messages.len() as u64));
             messages.clear();
@@ -261,7 +265,13 @@ impl<W: Write> Container<W> {
     }
 
     /// Writes an attachment between chunks; call it after [`Self::flush`]. The time is ns since the Unix epoch.
-    pub(super) fn attach(&mut self, time_ns: u64, name: &str, media_type: &str, data: &[u8]) -> io::Result<()> {
+    pub(super) fn attach(
+        &mut self,
+        time_ns: u64,
+        name: &str,
+        media_type: &str,
+        data: &[u8],
+    ) -> io::Result<()> {
         record(&mut self.records, op::ATTACHMENT, |body| {
             let start = body.len();
             number(body, time_ns.to_le_bytes());
@@ -323,7 +333,9 @@ impl<W: Write> Container<W> {
         self.output.write(&offsets)?;
         // The checksum of the summary includes the footer up to itself.
         self.records.push(op::FOOTER);
-        [20, summary_at, offsets_at].iter().for_each(|value: &u64| number(&mut self.records, value.to_le_bytes()));
+        [20, summary_at, offsets_at]
+            .iter()
+            .for_each(|value: &u64| number(&mut self.records, value.to_le_bytes()));
         self.pass_on()?;
         let crc = self.output.crc.clone().finalize();
         number(&mut self.records, crc.to_le_bytes());

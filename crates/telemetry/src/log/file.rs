@@ -104,11 +104,8 @@ impl LogFile {
             }
         };
         // others may have left out what an overview or a story that they copied still counts
-        let Contents { chunks, overview, chapter_at } = if by_us {
-            contents
-        } else {
-            Contents { chunks: contents.chunks, ..Contents::default() }
-        };
+        let Contents { chunks, overview, chapter_at } =
+            if by_us { contents } else { Contents { chunks: contents.chunks, ..Contents::default() } };
         let mut log = Self { records, decoder: Decoder::default(), chunks, overview, chapter: None, cut };
         log.chapter = chapter_at.and_then(|at| Some((at, log.chapter(at)?)));
         if by_us {
@@ -366,7 +363,10 @@ fn first_channels(records: &mut Records<Input>) -> Channels {
     let first = records.next(|kind| kind == op::CHUNK).and_then(|record| framing::chunk(record.body));
     let first = first.unwrap_or_default();
     let named = framing::records_in(&first).filter(|record| record.op == op::CHANNEL);
-    named.filter_map(|record| framing::channel(record.body)).map(|(n, topic)| (n, Purpose::of(topic))).collect()
+    named
+        .filter_map(|record| framing::channel(record.body))
+        .map(|(n, topic)| (n, Purpose::of(topic)))
+        .collect()
 }
 
 /// Contents that lie in the file before its damage, and true if there is none.

@@ -65,7 +65,8 @@ fn short(value: f64) -> Option<f64> {
     let scaled = size * tens;
     let whole = scaled.round();
     // The product is off by less than a millionth.
-    let certain = ((scaled - scaled.trunc()) - 0.5).abs() > 1e-6 && (1_000_001.0..9_999_999.0).contains(&scaled);
+    let certain =
+        ((scaled - scaled.trunc()) - 0.5).abs() > 1e-6 && (1_000_001.0..9_999_999.0).contains(&scaled);
     certain.then(|| (whole / tens).copysign(value))
 }
 
