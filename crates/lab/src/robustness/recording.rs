@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 /// Ticks of a second of robot time.
 const SECOND: u64 = 1000;
 
-/// What a log costs the PC, next to the robot whose log it is: writing it, `mocad log`, columns, memory.
+/// Prints the cost of a log to the PC, next to the robot whose log it is: writing it, `mocad log`, columns, memory.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// Robot time, s, 10 to 86400.

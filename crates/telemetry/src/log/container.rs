@@ -435,7 +435,7 @@ struct Index {
     sizes: [u64; CHUNKS],
 }
 
-/// What the next entry is told from.
+/// Entries from which the next one is told.
 #[derive(Default)]
 struct Last {
     /// End of the last chunk and its indexes.

@@ -5,11 +5,11 @@ use super::records::{LOOP_STATE_TOPIC, REPLAY_TOPIC, SERIAL_TOPICS};
 /// Purpose of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Purpose {
-    /// What viewers show.
+    /// Contents for viewers.
     Display = 0,
     /// Bytes of the Touch Boards.
     Board = 1,
-    /// What a replay needs.
+    /// Inputs of a replay.
     Replay = 2,
 }
 

@@ -35,7 +35,7 @@ enum Entry {
 const MAX_ENTRIES: usize = 4096;
 /// Period at which the rings are read: they hold four seconds, and each wake-up costs.
 const POLL: Duration = Duration::from_millis(50);
-/// The same of a run that has no clock, which would wait for the recorder.
+/// Period of a run that has no clock, which would wait for the recorder.
 const POLL_WITHOUT_CLOCK: Duration = Duration::from_millis(5);
 /// After how long a chunk is ended that a loop which stands still leaves unfinished. A loop that runs ends each after half a
 /// second of its own time: to end one between would cost a log its repeated first records.

@@ -1,4 +1,4 @@
-//! What a log tells of its run, and its size on a disk by purpose.
+//! Account of a log: its run, and its size on a disk by purpose.
 
 use super::{
     LogError, LogFile,
@@ -36,7 +36,7 @@ impl LogSizes {
     }
 }
 
-/// What a log tells of its run and of itself.
+/// Account of a log: its run, and its size.
 ///
 /// ```
 /// use moca_msgs::Sample;
@@ -56,7 +56,7 @@ impl LogSizes {
 /// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Account {
-    /// What happened.
+    /// Events of the run.
     pub story: Story,
     /// Size of the file and its parts.
     pub sizes: LogSizes,
@@ -75,7 +75,7 @@ impl LogFile {
         }
     }
 
-    /// Tells the same from all chunks.
+    /// Tells what happened, and how large the log is, from all chunks.
     ///
     /// # Errors
     /// As for [`Self::account`].

@@ -1,4 +1,4 @@
-//! What happened in a run: stops, touches, gaps, requests. A log holds its story so far once a minute and at its end, so that
+//! Story of a run: stops, touches, gaps, requests. A log holds its story so far once a minute and at its end, so that
 //! nobody reads a day to hear of it.
 //!
 //! ```
@@ -56,7 +56,7 @@ pub struct Requests {
     pub refused: u64,
 }
 
-/// What happened in a run, from the samples that its log shows. Its size is bounded but for the names of clients.
+/// Events of a run, from the samples that its log shows. Its size is bounded but for the names of clients.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Story {
     /// The first [`LISTED`] stops.
