@@ -186,8 +186,8 @@ mod tests {
             if part == 100 {
                 for said in [
                     "stops        3\n",
-                    "touches      22, the largest 147.3 N on T1",
-                    "gaps         1, 0.90 s",
+                    "touches      21, the largest 147.6 N on T1",
+                    "gaps         1, 0.92 s in all: 69.98 to 70.90 s",
                 ] {
                     assert!(told.contains(said), "{told}");
                 }

@@ -11,7 +11,7 @@
 //! A chunk is at most half a second of a run and is written in one piece: a file that ends anywhere, or is damaged
 //! anywhere, gives back every whole chunk before. No length in a file is believed before it is checked.
 //!
-//! What viewers show, the boards' bytes and what a replay needs have chunks of their own. Once a minute, and at its end, a
+//! Contents for viewers, the boards' bytes and what a replay needs have chunks of their own. Once a minute, and at its end, a
 //! log holds its [`story`] so far as a metadata record.
 
 pub mod columns;
