@@ -120,13 +120,11 @@ impl Columns {
 }
 
 impl Log {
-    /// Columns with those of these topics.
+    /// Columns with those of these topics. They are read while other Python threads run.
     fn with(&self, py: Python<'_>, topics: &[&'static str]) -> MutexGuard<'_, Columns> {
-        py.detach(|| {
-            let mut columns = self.columns.lock().unwrap_or_else(PoisonError::into_inner);
-            columns.load(topics);
-            columns
-        })
+        let columns = || self.columns.lock().unwrap_or_else(PoisonError::into_inner);
+        py.detach(|| columns().load(topics));
+        columns()
     }
 }
 

@@ -156,7 +156,7 @@ mod tests {
             let time_ns = tick * 1_000_000;
             let mut sample =
                 Sample { tick, time_ns, mode, fault, overruns: tick / 9_000, ..Sample::default() };
-            let force_n = if tick % 7_000 < 300 { 1.0 / 3.0 + f64::from(tick as u32) * 1e-3 } else { 0.0 };
+            let force_n = if tick % 7_000 < 300 { 1.0 / 3.0 + moca_msgs::seconds(time_ns) } else { 0.0 };
             let untouched = TaxelReading { force_n: 0.0, status: TaxelStatus::Ok };
             sample.taxels.extend([TaxelReading { force_n, ..untouched }, untouched]);
             log.sample(&sample).unwrap();

@@ -97,7 +97,7 @@ impl LogFile {
                 records.seek(start).map_err(damaged)?;
                 let channels = first_channels(&mut records);
                 records.seek(start).map_err(damaged)?;
-                let (contents, whole) = scan(&mut records, &channels);
+                let (contents, whole) = scan(&mut records, &channels, by_us);
                 // a file need not have an index
                 let why = indexed.err().filter(|_| !(whole && ended_well));
                 (contents, why)
@@ -108,6 +108,9 @@ impl LogFile {
             if by_us { contents } else { Contents { chunks: contents.chunks, ..Contents::default() } };
         let mut log = Self { records, decoder: Decoder::default(), chunks, overview, chapter: None, cut };
         log.chapter = chapter_at.and_then(|at| Some((at, log.chapter(at)?)));
+        if let Some((_, chapter)) = &log.chapter {
+            log.decoder.name(&chapter.topics);
+        }
         if by_us {
             // The robot and the channels are in the first chunk.
             if let Some(first) = log.chunks.first().cloned()
@@ -369,9 +372,11 @@ fn first_channels(records: &mut Records<Input>) -> Channels {
         .collect()
 }
 
-/// Contents that lie in the file before its damage, and true if there is none.
-fn scan(records: &mut Records<Input>, channels: &Channels) -> (Contents, bool) {
+/// Contents that lie in the file before its damage, and true if there is none. Channels that this library names in the middle of
+/// a log are for viewers.
+fn scan(records: &mut Records<Input>, channels: &Channels, by_us: bool) -> (Contents, bool) {
     let mut contents = Contents::default();
+    let of = |channel| channels.get(&channel).or_else(|| by_us.then_some(&Purpose::Display));
     let whole = loop {
         match records.next_part() {
             Ok(Some(Part::Chunk { at, times: [start_ns, end_ns], length })) => {
@@ -380,15 +385,16 @@ fn scan(records: &mut Records<Input>, channels: &Channels) -> (Contents, bool) {
             }
             Ok(Some(Part::MessagesOf(channel))) => {
                 if let Some(chunk) = contents.chunks.last_mut() {
-                    chunk.purposes = chunk.purposes.and_of(channels.get(&channel));
+                    chunk.purposes = chunk.purposes.and_of(of(channel));
                 }
             }
             Ok(Some(Part::Metadata { at })) => contents.chapter_at = Some(at),
             ended => break ended.is_ok(),
         }
     };
-    if let Some(last) = contents.chunks.last_mut().filter(|_| !whole) {
-        // Its own index may be cut.
+    let mixed = contents.chapter_at.is_none();
+    if let Some(last) = contents.chunks.last_mut().filter(|_| !whole && mixed) {
+        // A part of its own index may be cut.
         last.purposes = Purposes::UNKNOWN;
     }
     contents.chunks.iter_mut().for_each(|chunk| chunk.purposes = chunk.purposes.or_unknown());

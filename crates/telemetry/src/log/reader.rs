@@ -13,6 +13,7 @@ use crate::{RobotDescription, audit::Asked};
 use moca_msgs::{Fault, Mode, Sample, board::Diagnosis};
 use serde::{Deserialize, de::DeserializeOwned};
 use std::{
+    borrow::Cow,
     collections::{BTreeMap, VecDeque},
     fs::File,
     io::{BufReader, Read, Seek, SeekFrom},
@@ -290,6 +291,11 @@ struct Partial {
 type Held<C> = Option<(u64, Option<C>)>;
 
 impl Decoder {
+    /// Learns the topics of channels.
+    pub(super) fn name(&mut self, topics: &BTreeMap<u16, Cow<'_, str>>) {
+        self.topics.extend(topics.iter().map(|(channel, topic)| (*channel, topic.as_ref().into())));
+    }
+
     /// Hands over every entry of a chunk, up to the first foreign message.
     pub(super) fn decode(&mut self, chunk: &[u8], entry: &mut dyn FnMut(Record)) -> Result<(), String> {
         for record in framing::records_in(chunk) {

@@ -158,6 +158,8 @@ pub(super) struct Chapter<'a> {
     pub(super) story: Cow<'a, Story>,
     /// Bytes of the chunks up to there, by their purpose.
     pub(super) bytes: [u64; 3],
+    /// Topic of each channel: some are named in the middle of a log.
+    pub(super) topics: BTreeMap<u16, Cow<'a, str>>,
 }
 
 /// Lists one more, if there is room.

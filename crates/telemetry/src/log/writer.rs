@@ -165,7 +165,10 @@ impl<W: Write> LogWriter<W> {
     }
 
     fn tell(&mut self) -> Result<(), LogError> {
-        let chapter = Chapter { story: Cow::Borrowed(&self.story), bytes: self.channels.file.sizes() };
+        let named =
+            self.channels.by_topic.iter().map(|(topic, (channel, _))| (*channel, Cow::Borrowed(*topic)));
+        let (story, bytes) = (Cow::Borrowed(&self.story), self.channels.file.sizes());
+        let chapter = Chapter { story, bytes, topics: named.collect() };
         let json = serde_json::to_string(&chapter)?;
         let crc = crc32fast::hash(json.as_bytes()).to_string();
         Ok(self.channels.file.metadata(STORY, &[("crc32", &crc), ("json", &json)])?)
