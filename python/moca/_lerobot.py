@@ -71,7 +71,6 @@ def _frames(log: Any, fps: int) -> tuple[dict[str, tuple[list[str], Array]], lis
     An episode is a stretch without a gap in which a law is in control and the state is known. A robot that waits or brakes
     does not do the task.
     """
-    log._inner.load()
     features, times_s = _features(log), log["time_s"]
     known = [np.isfinite(numbers).all(axis=1) for _, numbers in features.values()]
     learned = np.asarray(log._inner.moves()) & np.all(known, axis=0)
@@ -129,6 +128,7 @@ def part(log: str, out: str, fps: int) -> None:
     arrow, parquet = _arrow()
     moca: Any = importlib.import_module("moca")
     read = moca.read(log)
+    read._inner.load()
     features, lengths = _frames(read, fps)
     about = {"robot": read._inner.arm, "lengths": lengths, "names": {name: names for name, (names, _) in features.items()}}
     table = arrow.table({name: _column(values) for name, (_, values) in features.items()})

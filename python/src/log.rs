@@ -169,7 +169,7 @@ impl Log {
     /// Reads all columns at once: for who wants most of them, this is faster than one after the other.
     fn load(&self, py: Python<'_>) {
         let topics: Vec<&'static str> = fields().into_iter().map(|field| field.topic).collect();
-        self.with(py, &unique(topics));
+        drop(self.with(py, &unique(topics)));
     }
 
     /// A column row by row, and how many numbers a row has. A sample without them has no number in their place.
