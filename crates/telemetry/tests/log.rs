@@ -17,7 +17,7 @@ use moca_telemetry::{
     RobotDescription,
     log::{
         LogError, LogFile, LogReader, LogSummary, LogWriter, Meta, Overview, Record, Recorder,
-        RecorderOptions, SerialBytes, overview::Happening, part_path, read_log, records, shown, story::Story,
+        RecorderOptions, SerialBytes, overview::Happening, part_path, read_log, records, shown,
     },
 };
 use std::{
