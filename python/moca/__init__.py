@@ -411,5 +411,5 @@ def stop(address: str | None = None) -> None:
 
 
 def read(path: str | os.PathLike[str]) -> Log:
-    """Reads a log."""
+    """Opens a log; a column is read when it is asked for, together with those of its record."""
     return Log(path)

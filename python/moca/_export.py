@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 def table(log: Log, run: str) -> Any:
     """A row for each instant of the log, its fields under the names of `State`: numbers, or lists of one length."""
     arrow: Any = importlib.import_module("pyarrow")
+    log._inner.load()
     rows = len(log)
     since_start_ns = np.round(log["time_s"] * 1e9).astype(np.int64)
     columns: dict[str, Any] = {

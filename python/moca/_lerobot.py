@@ -128,6 +128,7 @@ def part(log: str, out: str, fps: int) -> None:
     arrow, parquet = _arrow()
     moca: Any = importlib.import_module("moca")
     read = moca.read(log)
+    read._inner.load()
     features, lengths = _frames(read, fps)
     about = {"robot": read._inner.arm, "lengths": lengths, "names": {name: names for name, (names, _) in features.items()}}
     table = arrow.table({name: _column(values) for name, (_, values) in features.items()})

@@ -3,6 +3,7 @@
 use moca_msgs::{
     ContactReaction, Law, STAGES, Sample, SpeedLimit, TaxelReading, TaxelStatus, sample_table, seconds,
 };
+use moca_telemetry::log::records::{Channel, Command, Cover};
 use pyo3::exceptions::PyAttributeError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -22,21 +23,30 @@ pub(crate) struct NumberField {
     pub(crate) name: &'static str,
     /// True for one number, false for a list of them.
     pub(crate) single: bool,
+    /// Topic of its record in a log; empty where every row has it.
+    pub(crate) topic: &'static str,
     pub(crate) of: fn(&Sample) -> Vec<f64>,
 }
 
 /// Numbers that no field of a sample has as they are. Stale or dead is not zero: what is not known is no number.
 const MADE: [NumberField; 4] = [
-    NumberField { name: "time_s", single: true, of: |sample| vec![seconds(sample.time_ns)] },
-    NumberField { name: "speed_limit_m_s", single: true, of: |sample| vec![sample.speed_limit.m_s] },
+    NumberField { name: "time_s", single: true, topic: "", of: |sample| vec![seconds(sample.time_ns)] },
+    NumberField {
+        name: "speed_limit_m_s",
+        single: true,
+        topic: Command::TOPIC,
+        of: |sample| vec![sample.speed_limit.m_s],
+    },
     NumberField {
         name: "target_progress",
         single: true,
+        topic: "",
         of: |sample| vec![sample.target.map_or(f64::NAN, |target| target.progress)],
     },
     NumberField {
         name: "taxel_force_n",
         single: false,
+        topic: Cover::TOPIC,
         of: |sample| {
             let force = |taxel: &TaxelReading| match taxel.status {
                 TaxelStatus::Ok => taxel.force_n,
@@ -122,7 +132,7 @@ macro_rules! fields {
                         }
                         numbers
                     };
-                    fields.push(NumberField { name: stringify!($field), single, of });
+                    fields.push(NumberField { name: stringify!($field), single, topic: $topic, of });
                 }
             )*)*
             fields

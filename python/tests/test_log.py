@@ -26,6 +26,22 @@ def test_a_log_is_read_as_columns(log_file):
     assert np.nanmax(columns["taxel_force_n"]) > 5
 
 
+def test_columns_do_not_depend_on_the_order_in_which_they_are_asked_for(log_file):
+    one_by_one, at_once = moca.read(log_file), moca.read(log_file)
+    at_once._inner.load()
+    for name in reversed(one_by_one.keys()):
+        np.testing.assert_array_equal(one_by_one[name], at_once[name])
+    assert len(one_by_one) == len(at_once["time_s"])
+
+
+def test_a_cut_log_gives_every_whole_chunk(log_file, tmp_path):
+    whole = moca.read(log_file)
+    (tmp_path / "cut.mcap").write_bytes(log_file.read_bytes()[: log_file.stat().st_size // 2])
+    cut = moca.read(tmp_path / "cut.mcap")
+    assert cut.cut and 1_000 < len(cut) < len(whole)
+    np.testing.assert_array_equal(cut["q_rad"], whole["q_rad"][: len(cut)])
+
+
 def test_a_column_that_is_none_and_a_file_that_is_no_log(log_file, tmp_path):
     with pytest.raises(KeyError):
         moca.read(log_file)["no_such_column"]

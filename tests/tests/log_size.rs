@@ -44,7 +44,7 @@ fn record(name: &str, duration_s: &str, options: &[&str]) -> PathBuf {
 #[test]
 fn a_log_costs_no_more_than_it_may() {
     let path = record("log-size.mcap", "60", &["--as-fast-as-possible"]);
-    let sizes = LogFile::open(&path).unwrap().sizes(&mut |_| {}).unwrap();
+    let sizes = LogFile::open(&path).unwrap().account(&mut |_| {}).unwrap().sizes;
     let display = sizes.gigabytes_per_hour(sizes.display);
     let all = sizes.gigabytes_per_hour(sizes.file);
     assert!(sizes.span_ns > 59_900_000_000, "{sizes:?}");
@@ -105,7 +105,7 @@ fn a_log_of_a_robot_with_noise_costs_no_more_than_it_may() {
         }
     }
     log.finish().unwrap();
-    let sizes = LogFile::open(&noisy).unwrap().sizes(&mut |_| {}).unwrap();
+    let sizes = LogFile::open(&noisy).unwrap().account(&mut |_| {}).unwrap().sizes;
     let all = sizes.gigabytes_per_hour(sizes.file);
     assert!(all < ALL_GB_H, "{all} GB an hour in all, allowed are {ALL_GB_H}: {sizes:?}");
     std::fs::remove_file(clean).unwrap();

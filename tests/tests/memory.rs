@@ -11,6 +11,7 @@ use moca_daemon::runtime::lockstep::LockStep;
 use moca_msgs::{Mode, Request, Sample};
 use moca_sim::{Engine, VirtualBoardConfig};
 use moca_telemetry::RobotDescription;
+use moca_telemetry::log::{LogWriter, Meta, SerialBytes};
 use moca_telemetry::net::{Address, Connection, serve};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::os::unix::net::UnixStream;
@@ -163,4 +164,27 @@ fn memory_of_unread_samples_is_bounded() {
     assert!(held > 5_000, "{held} samples came");
     let growth = in_use.iter().skip(2).map(|bytes| bytes - in_use[1]).max().unwrap();
     assert!(growth < GROWTH_MAX, "bytes in use: {in_use:?}");
+}
+
+/// A log of two hours: nothing of a chunk is kept once it is written but its place.
+#[test]
+fn memory_of_log_writer_grows_by_less_than_100_bytes_a_second() {
+    const SECONDS: u64 = 7200;
+    let _alone = ALONE.lock().unwrap();
+    let meta = Meta { description: RobotDescription::paper("memory", true), start_unix_ns: 1 };
+    let mut log = LogWriter::new(std::io::sink(), &meta).unwrap();
+    let mut after_ten_minutes = 0;
+    for second in 0..SECONDS {
+        let time_ns = second * 1_000_000_000;
+        log.sample(&Sample { tick: 1000 * second, time_ns, ..Sample::default() }).unwrap();
+        log.serial(&SerialBytes { board: 0, arrival_ns: time_ns, bytes: vec![7; 100] }).unwrap();
+        log.replay(time_ns, &second.to_le_bytes().repeat(100)).unwrap();
+        if second == 600 {
+            after_ten_minutes = IN_USE.load(Ordering::Relaxed);
+        }
+    }
+    let growth = IN_USE.load(Ordering::Relaxed) - after_ten_minutes;
+    println!("{growth} bytes more after two hours than after ten minutes");
+    assert!(growth < 100 * i64::try_from(SECONDS).unwrap(), "{growth} bytes");
+    log.finish().unwrap();
 }

@@ -12,7 +12,9 @@ use clap::{Parser, Subcommand};
 use cover::{characterize, latency, stream, threshold};
 use numerics::{economy, extremes, precision, stability, sweep, tick, vectors};
 use paper::report;
-use robustness::{attack, clients, faults, lean, long_lean, lost_packets, protection, soak, targets};
+use robustness::{
+    attack, clients, faults, lean, long_lean, lost_packets, protection, recording, soak, targets,
+};
 use std::process::ExitCode;
 
 /// Experiments and checks of MOCA-S.
@@ -46,6 +48,7 @@ enum Command {
     /// Error against run time: integrators and steps, control rate, single precision.
     Precision(precision::Arguments),
     Protection(protection::Arguments),
+    Recording(recording::Arguments),
     /// One self-contained HTML page: tables, figures, what matches the paper and what does not.
     Report(report::Arguments),
     /// The whole system at the stiff and extreme ends of its parameters.
@@ -97,6 +100,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Clients(arguments) => clients::run(&arguments),
         Command::Precision(arguments) => precision::run(&arguments),
         Command::Protection(arguments) => protection::run(&arguments),
+        Command::Recording(arguments) => recording::run(&arguments),
         Command::Report(arguments) => report::run(&arguments),
         Command::Stability(arguments) => stability::run(&arguments),
         Command::Sweep(arguments) => sweep::run(&arguments),

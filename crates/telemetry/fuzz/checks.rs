@@ -34,6 +34,8 @@ pub(crate) fn log(data: &[u8]) {
     // Damage is an error here, and the overview is built up to it.
     let _ = file.samples(from_ns, to_ns.min(from_ns.saturating_add(2_000_000_000)));
     file.build_overview(&mut |_| {});
+    let _ = file.account(&mut |_| {});
+    let _ = file.rows(&["/state"], &mut |_| {});
 }
 
 /// Ticks of the samples that can be read, and why there are no more.

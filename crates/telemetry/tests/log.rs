@@ -241,6 +241,109 @@ fn blocks_of_ticks_come_back_byte_by_byte_in_their_place() {
     assert!(blocks.eq((0..40).map(block)));
 }
 
+/// Returns a log as earlier versions wrote it: no story, and everything of half a second in one chunk.
+fn as_before(log: &[u8]) -> Vec<u8> {
+    let mut before = std::io::Cursor::new(Vec::new());
+    let options = mcap::WriteOptions::new().profile("moca-s/4").library("moca-telemetry 0.2.0");
+    let mut writer = options.chunk_size(None).create(&mut before).unwrap();
+    let summary = mcap::Summary::read(log).unwrap().unwrap();
+    for chunk in &summary.chunk_indexes {
+        let messages = summary.stream_chunk(log, chunk).unwrap().map(Result::unwrap);
+        for (number, message) in messages.enumerate() {
+            let topic = message.channel.topic.as_str();
+            if number == 0 && topic != "/replay" && !topic.starts_with("/serial") {
+                writer.flush().unwrap();
+            }
+            writer.write(&message).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    drop(writer);
+    before.into_inner()
+}
+
+#[test]
+fn log_of_an_earlier_version_is_read_and_told() {
+    let now = log(3000);
+    let open = |bytes: &[u8]| LogFile::over(std::io::Cursor::new(bytes.to_vec()), "log".as_ref()).unwrap();
+    let told = open(&now).account(&mut |_| {}).unwrap();
+    let before = as_before(&now);
+    let mut file = open(&before);
+    assert_eq!(file.samples(0, u64::MAX).unwrap(), displayed(0..3000));
+    let account = file.account(&mut |_| {}).unwrap();
+    assert_eq!(account.story, told.story);
+    assert_eq!(account.sizes.file, before.len() as u64);
+    // Each part counts as if it had been compressed alone: nearly as many bytes as it has alone.
+    for (before, now) in
+        [(account.sizes.display, told.sizes.display), (account.sizes.board, told.sizes.board)]
+    {
+        assert!(before > now / 2 && before < now * 2, "{account:?} {told:?}");
+    }
+    assert!(told.story.stop_count == 6 && told.story.touches > 0, "{told:?}");
+}
+
+#[test]
+fn purposes_have_chunks_of_their_own_and_index_lists_them() {
+    let mut bytes = Vec::new();
+    let mut writer = LogWriter::new(&mut bytes, &meta()).unwrap();
+    for tick in 0..3000 {
+        writer.sample(&sample(tick)).unwrap();
+        if tick % 25 == 0 {
+            writer.serial(&serial(tick)).unwrap();
+            writer.replay(sample(tick).time_ns, &[7; 90]).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let mut messages = 0;
+    let mut kinds = [0; 3];
+    for chunk in &summary.chunk_indexes {
+        let topics: std::collections::BTreeSet<String> = summary
+            .stream_chunk(&bytes, chunk)
+            .unwrap()
+            .map(|message| {
+                messages += 1;
+                let message = message.unwrap();
+                assert!((chunk.message_start_time..=chunk.message_end_time).contains(&message.log_time));
+                message.channel.topic.clone()
+            })
+            .collect();
+        assert_eq!(chunk.message_index_offsets.len(), topics.len());
+        let indexed = summary.read_message_indexes(&bytes, chunk).unwrap();
+        assert!(indexed.keys().all(|channel| topics.contains(&channel.topic)));
+        let of =
+            |topic: &str| usize::from(topic == "/replay") * 2 + usize::from(topic.starts_with("/serial"));
+        let kind = topics.iter().map(|topic| of(topic)).collect::<std::collections::BTreeSet<_>>();
+        assert_eq!(kind.len(), 1, "{topics:?}");
+        kinds[*kind.first().unwrap()] += 1;
+    }
+    assert!(kinds.iter().all(|count| *count >= 5), "{kinds:?}");
+    let statistics = summary.stats.as_ref().unwrap();
+    assert_eq!(statistics.message_count, messages);
+    assert_eq!(usize::try_from(statistics.chunk_count).unwrap(), summary.chunk_indexes.len());
+    let [story, ..] = &summary.metadata_indexes[..] else { panic!("no story") };
+    assert_eq!(story.name, "story");
+}
+
+/// Fields of records that are not asked for keep their default; rows and everything else stay.
+#[test]
+fn rows_have_the_fields_that_are_asked_for() {
+    let bytes = log(1000);
+    let mut file = LogFile::over(std::io::Cursor::new(bytes), "rows".as_ref()).unwrap();
+    let mut rows = Vec::new();
+    assert_eq!(file.rows(&["/cover"], &mut |row| rows.push(row.clone())), None);
+    let expected = displayed(0..1000);
+    assert_eq!(rows.len(), expected.len());
+    for (row, expected) in rows.iter().zip(&expected) {
+        assert_eq!((row.time_ns, row.mode, row.fault), (expected.time_ns, expected.mode, expected.fault));
+        assert_eq!((&row.taxels, &row.counts), (&expected.taxels, &expected.counts));
+        assert_eq!((row.target, &row.contact_events), (expected.target, &expected.contact_events));
+        assert!(row.q_rad.is_empty() && row.overruns == 0 && row.speed_limit.m_s == 0.0, "{row:?}");
+    }
+    // And a log that is asked again for everything has it.
+    assert_eq!(file.samples(0, u64::MAX).unwrap(), expected);
+}
+
 #[test]
 fn an_old_log_is_refused_by_the_name_of_its_form() {
     let file = TempFile::new("old");

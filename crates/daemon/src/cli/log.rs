@@ -1,11 +1,11 @@
 //! `mocad log` and `mocad logs`: what happened in a run, and which runs there are.
 
-use crate::cli::log_story::{Story, clock};
+use crate::cli::log_story::{Told, clock};
 use crate::cli::progress::Progress;
 use crate::record::flight_recorder::auto_folder;
 use anyhow::{Context, Result, bail};
 use moca_msgs::Mode;
-use moca_telemetry::log::{LogFile, LogReader, LogSizes, Overview, Record, overview::Happening};
+use moca_telemetry::log::{Account, LogError, LogFile, LogSizes, Overview, overview::Happening};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -31,16 +31,19 @@ pub struct ListArguments {
 pub fn run(arguments: &Arguments) -> Result<String> {
     let mut text = String::new();
     for path in &arguments.files {
-        text += &about(path)?;
+        text += &about(path, LogFile::account)?;
     }
     Ok(text)
 }
 
-fn about(path: &Path) -> Result<String> {
+/// Finds out what a log tells; the callback hears which part is done.
+type Ask = fn(&mut LogFile, &mut dyn FnMut(f64)) -> Result<Account, LogError>;
+
+/// Returns the paragraph of a file.
+fn about(path: &Path, ask: Ask) -> Result<String> {
     let mut progress = Progress::new(path.display().to_string());
     let mut log = LogFile::open(path)?;
     let (start_unix_ns, (first_ns, last_ns)) = (log.start_unix_ns(), log.range_ns());
-    let sizes = log.sizes(&mut |part| progress.at(0.5 * part))?;
     let name = log.description().name.clone();
     let mut text = format!(
         "{}: robot {name:?}, {} to {}, {:.1} s\n",
@@ -53,24 +56,14 @@ fn about(path: &Path) -> Result<String> {
         // Writing into a String cannot fail.
         let _ = writeln!(text, "  not whole    {cut}");
     }
-    let mut story = Story::new(start_unix_ns);
-    let mut reader = LogReader::open(path)?;
-    while let Some(record) = reader.next() {
-        match record {
-            Record::Sample(sample) => {
-                story.add(&sample);
-                progress.at(0.5 + 0.5 * reader.part_read());
-            }
-            Record::Asked(_, asked) => story.asked(&asked),
-            _ => {}
-        }
-    }
+    let Account { story, sizes } = ask(&mut log, &mut |part| progress.at(part))?;
     progress.end();
     if story.is_empty() {
         let why = log.cut().map_or_else(String::new, |cut| format!(": {cut}"));
         bail!("{} holds no whole sample{why}", path.display());
     }
-    let _ = write!(text, "{story}{}", size(&sizes));
+    let told = Told { story: &story, start_unix_ns };
+    let _ = write!(text, "{told}{}", size(&sizes));
     Ok(text)
 }
 
@@ -139,4 +132,68 @@ fn row(path: &Path) -> (u64, String) {
 
 fn count(overview: &Overview, wanted: impl Fn(Happening) -> bool) -> usize {
     overview.marks.iter().filter(|mark| wanted(mark.what)).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use moca_msgs::{Fault, Sample, TaxelReading, TaxelStatus};
+    use moca_telemetry::RobotDescription;
+    use moca_telemetry::audit::Asked;
+    use moca_telemetry::log::{LogWriter, Meta, SerialBytes};
+
+    /// Two and a half minutes with touches, stops, a gap, requests, the boards' bytes and blocks.
+    fn log() -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let description = RobotDescription::paper("told", true);
+        let meta = Meta { description, start_unix_ns: 1_790_000_000_000_000_000 };
+        let mut log = LogWriter::new(&mut bytes, &meta).unwrap();
+        for tick in (0..150_000_u64).filter(|tick| !(70_000..70_900).contains(tick)) {
+            let (mode, fault) = match tick % 40_000 {
+                30_000..33_000 => (Mode::ProtectiveStop, Some(Fault::BoardLost)),
+                _ => (Mode::Impedance, None),
+            };
+            let time_ns = tick * 1_000_000;
+            let mut sample =
+                Sample { tick, time_ns, mode, fault, overruns: tick / 9_000, ..Sample::default() };
+            let force_n = if tick % 7_000 < 300 { 1.0 / 3.0 + moca_msgs::seconds(time_ns) } else { 0.0 };
+            let untouched = TaxelReading { force_n: 0.0, status: TaxelStatus::Ok };
+            sample.taxels.extend([TaxelReading { force_n, ..untouched }, untouched]);
+            log.sample(&sample).unwrap();
+            if tick % 100 == 0 {
+                log.serial(&SerialBytes { board: 0, arrival_ns: time_ns, bytes: b"TOUCH: 0\r\n".to_vec() })
+                    .unwrap();
+                log.replay(time_ns, &tick.to_le_bytes().repeat(9)).unwrap();
+            }
+            if tick % 50_000 == 7 {
+                let (who, what, answer) = ("user 1000".into(), "arm".into(), String::new());
+                log.asked(time_ns, &Asked { who, what, accepted: tick > 60_000, answer, times: 2 }).unwrap();
+            }
+        }
+        log.finish().unwrap();
+        bytes
+    }
+
+    #[test]
+    fn stored_story_is_that_of_all_chunks_even_when_cut() {
+        let bytes = log();
+        let path = std::env::temp_dir().join(format!("mocad-told-{}.mcap", std::process::id()));
+        for part in [100, 99, 70, 45, 20, 5] {
+            std::fs::write(&path, &bytes[..bytes.len() * part / 100]).unwrap();
+            let told = about(&path, LogFile::account).unwrap();
+            assert_eq!(told, about(&path, LogFile::account_of_chunks).unwrap(), "{part} % of the log");
+            assert_eq!(told.contains("not whole"), part < 100, "{told}");
+            if part == 100 {
+                for said in [
+                    "stops        3\n",
+                    "touches      21, the largest 147.6 N on T1",
+                    "gaps         1, 0.92 s in all: 69.98 to 70.90 s",
+                ] {
+                    assert!(told.contains(said), "{told}");
+                }
+                assert!(told.contains("user 1000: 2 carried out, 4 refused"), "{told}");
+            }
+        }
+        std::fs::remove_file(path).unwrap();
+    }
 }

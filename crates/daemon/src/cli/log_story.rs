@@ -1,16 +1,9 @@
-//! Story of a run, told from its samples: stops, touches, limits, gaps.
+//! Story of a run in words.
 
-use moca_msgs::protection::ContactPhase;
-use moca_msgs::{Mode, Sample, TaxelStatus, seconds};
-use moca_telemetry::audit::Asked;
-use std::collections::BTreeMap;
+use moca_msgs::seconds;
+use moca_telemetry::log::story::{LISTED, Requests, Stop, Story, Touch};
 use std::fmt;
 use std::time::{Duration, UNIX_EPOCH};
-
-/// A longer time without a sample is a gap, ns: a log shows a sample each 20 ms.
-const GAP_NS: u64 = 100_000_000;
-/// Stops, and gaps, that are listed; the others are counted.
-const LISTED: usize = 20;
 
 /// `2026-11-25 12:03:04 UTC`: an instant of loop time, of a run whose time 0 is given.
 pub(super) fn clock(start_unix_ns: u64, time_ns: u64) -> String {
@@ -19,150 +12,56 @@ pub(super) fn clock(start_unix_ns: u64, time_ns: u64) -> String {
     format!("{} UTC", stamp.trim_end_matches('Z').replace('T', " "))
 }
 
-/// A stop: when it began, for how long as far as is known, and why.
-#[derive(Debug)]
-struct Stop {
-    begin_ns: u64,
-    end_ns: Option<u64>,
-    mode: Mode,
-    why: String,
+/// A story in words.
+pub(super) struct Told<'a> {
+    /// The story.
+    pub(super) story: &'a Story,
+    /// Unix time of loop time 0, ns.
+    pub(super) start_unix_ns: u64,
 }
 
-/// A touch of one taxel at one instant.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Touch {
-    taxel: usize,
-    force_n: f64,
-    time_ns: u64,
-}
-
-/// A run as it is told.
-#[derive(Debug, Default)]
-pub(super) struct Story {
-    start_unix_ns: u64,
-    stops: Vec<Stop>,
-    last: Option<(u64, Mode)>,
-    touched: bool,
-    touches: u64,
-    largest: Option<Touch>,
-    /// Touches that began at each taxel.
-    of_taxel: Vec<u64>,
-    limits: u64,
-    gaps: Vec<(u64, u64)>,
-    overruns: Option<(u64, u64)>,
-    /// Requests of each client: carried out, refused.
-    asked: BTreeMap<String, (u64, u64)>,
-}
-
-impl Story {
-    /// A run whose loop time 0 is this Unix time, ns.
-    pub(super) fn new(start_unix_ns: u64) -> Self {
-        Self { start_unix_ns, ..Self::default() }
-    }
-
-    /// No sample has been added.
-    pub(super) const fn is_empty(&self) -> bool {
-        self.last.is_none()
-    }
-
-    /// Adds the next sample.
-    pub(super) fn add(&mut self, sample: &Sample) {
-        let before = self.last.replace((sample.time_ns, sample.mode));
-        if let Some((last_ns, _)) = before
-            && sample.time_ns.saturating_sub(last_ns) > GAP_NS
-        {
-            self.gaps.push((last_ns, sample.time_ns));
-        }
-        self.stop(before.map(|(_, mode)| mode), sample);
-        self.touch(sample);
-        let crossed = |phase| phase == ContactPhase::LimitCrossed;
-        self.limits +=
-            sample.contact_events.iter().filter(|event| crossed(event.phase)).map(|_| 1).sum::<u64>();
-        let first = self.overruns.map_or(sample.overruns, |(first, _)| first);
-        self.overruns = Some((first, sample.overruns));
-    }
-
-    /// Adds requests of a client.
-    pub(super) fn asked(&mut self, asked: &Asked) {
-        if !asked.is_request() {
-            return;
-        }
-        let (accepted, refused) = self.asked.entry(asked.who.clone()).or_default();
-        *if asked.accepted { accepted } else { refused } += asked.times;
-    }
-
-    fn stop(&mut self, before: Option<Mode>, sample: &Sample) {
-        let stopped = |mode: Mode| matches!(mode, Mode::ProtectiveStop | Mode::Fault);
-        if before == Some(sample.mode) {
-            return;
-        }
-        if let Some(open) = self.stops.last_mut().filter(|stop| stop.end_ns.is_none()) {
-            open.end_ns = Some(sample.time_ns);
-        }
-        if stopped(sample.mode) {
-            let why = sample.fault.map_or_else(String::new, |fault| format!("{}: {fault}", fault.code()));
-            let (begin_ns, mode) = (sample.time_ns, sample.mode);
-            self.stops.push(Stop { begin_ns, end_ns: None, mode, why });
-        }
-    }
-
-    fn touch(&mut self, sample: &Sample) {
-        let healthy = sample.taxels.iter().enumerate().filter(|(_, taxel)| taxel.status == TaxelStatus::Ok);
-        let strongest = healthy
-            .filter(|(_, taxel)| taxel.force_n > 0.0)
-            .max_by(|a, b| a.1.force_n.total_cmp(&b.1.force_n))
-            .map(|(taxel, reading)| Touch { taxel, force_n: reading.force_n, time_ns: sample.time_ns });
-        let begins = strongest.filter(|_| !self.touched);
-        self.touched = strongest.is_some();
-        if let Some(Touch { taxel, .. }) = begins {
-            self.touches += 1;
-            self.of_taxel.resize(self.of_taxel.len().max(taxel + 1), 0);
-            self.of_taxel[taxel] += 1;
-        }
-        let largest_n = self.largest.map_or(0.0, |largest| largest.force_n);
-        self.largest = strongest.filter(|touch| touch.force_n > largest_n).or(self.largest);
-    }
-}
-
-impl fmt::Display for Story {
+impl fmt::Display for Told<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "  stops        {}", self.stops.len())?;
-        for stop in self.stops.iter().take(LISTED) {
-            let lasted = stop.end_ns.map_or_else(
+        let Self { story, start_unix_ns } = *self;
+        writeln!(f, "  stops        {}", story.stop_count)?;
+        for Stop { begin_ns, end_ns, mode, fault } in &story.stops {
+            let lasted = end_ns.map_or_else(
                 || "until the end".to_owned(),
-                |end_ns| format!("for {:.1} s", seconds(end_ns.saturating_sub(stop.begin_ns))),
+                |end_ns| format!("for {:.1} s", seconds(end_ns.saturating_sub(*begin_ns))),
             );
-            let (at_s, at) = (seconds(stop.begin_ns), clock(self.start_unix_ns, stop.begin_ns));
-            writeln!(f, "    {at_s:9.2} s  {at}  {} {lasted}  {}", stop.mode.name(), stop.why)?;
+            let why = fault.map_or_else(String::new, |fault| format!("{}: {fault}", fault.code()));
+            let (at_s, at) = (seconds(*begin_ns), clock(start_unix_ns, *begin_ns));
+            writeln!(f, "    {at_s:9.2} s  {at}  {} {lasted}  {why}", mode.name())?;
         }
-        if self.stops.len() > LISTED {
-            writeln!(f, "    and {} more", self.stops.len() - LISTED)?;
+        match story.stop_count.saturating_sub(story.stops.len() as u64) {
+            0 => {}
+            more => writeln!(f, "    and {more} more")?,
         }
-        write!(f, "  touches      {}", self.touches)?;
-        if let Some(Touch { taxel, force_n, time_ns }) = self.largest {
+        write!(f, "  touches      {}", story.touches)?;
+        if let Some(Touch { taxel, force_n, time_ns }) = story.largest {
             write!(f, ", the largest {force_n:.1} N on T{} at {:.2} s", taxel + 1, seconds(time_ns))?;
-            let began = self.of_taxel.iter().enumerate().filter(|(_, count)| **count > 0);
+            let began = story.of_taxel.iter().enumerate().filter(|(_, count)| **count > 0);
             let where_: Vec<String> = began.map(|(taxel, count)| format!("T{} {count}", taxel + 1)).collect();
             write!(f, "; began on {}", where_.join(", "))?;
         }
-        writeln!(f, "\n  limits       {} contacts crossed one", self.limits)?;
-        let lost_ns: u64 = self.gaps.iter().map(|(from, to)| to - from).sum();
-        match self.gaps.as_slice() {
-            [] => write!(f, "  gaps         none")?,
-            gaps => {
-                write!(f, "  gaps         {}, {:.2} s in all:", gaps.len(), seconds(lost_ns))?;
-                for (from_ns, to_ns) in gaps.iter().take(LISTED) {
+        writeln!(f, "\n  limits       {} contacts crossed one", story.limits)?;
+        match story.gap_count {
+            (0, _) => write!(f, "  gaps         none")?,
+            (count, lost_ns) => {
+                write!(f, "  gaps         {count}, {:.2} s in all:", seconds(lost_ns))?;
+                for (from_ns, to_ns) in &story.gaps {
                     write!(f, " {:.2} to {:.2} s;", seconds(*from_ns), seconds(*to_ns))?;
                 }
             }
         }
-        let missed = self.overruns.map_or(0, |(first, last)| last.saturating_sub(first));
+        let missed = story.overruns.map_or(0, |(first, last)| last.saturating_sub(first));
         writeln!(f, "; {missed} ticks of the loop were missed")?;
-        for (number, (who, (accepted, refused))) in self.asked.iter().take(LISTED).enumerate() {
+        for (number, (who, requests)) in story.asked.iter().take(LISTED).enumerate() {
             let title = if number == 0 { "asked by" } else { "" };
+            let Requests { accepted, refused } = requests;
             writeln!(f, "  {title:12} {who}: {accepted} carried out, {refused} refused")?;
         }
-        match self.asked.len().saturating_sub(LISTED) {
+        match story.asked.len().saturating_sub(LISTED) {
             0 => Ok(()),
             more => writeln!(f, "    and {more} more"),
         }
@@ -172,18 +71,19 @@ impl fmt::Display for Story {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moca_msgs::{Fault, TaxelReading};
+    use moca_msgs::{Fault, Mode, Sample, TaxelReading, TaxelStatus};
+    use moca_telemetry::audit::Asked;
 
     /// A sample each 20 ms with these forces.
     fn told(each: impl Iterator<Item = (u64, Mode, Option<Fault>, [f64; 2])>) -> String {
-        let mut story = Story::new(1_764_072_184_000_000_000);
+        let mut story = Story::default();
         for (shown, mode, fault, forces_n) in each {
             let mut sample = Sample { time_ns: shown * 20_000_000, mode, fault, ..Sample::default() };
             let taxels = forces_n.map(|force_n| TaxelReading { force_n, status: TaxelStatus::Ok });
             sample.taxels.extend(taxels);
             story.add(&sample);
         }
-        story.to_string()
+        Told { story: &story, start_unix_ns: 1_764_072_184_000_000_000 }.to_string()
     }
 
     #[test]
@@ -221,7 +121,7 @@ mod tests {
             let (what, answer) = ("arm".into(), String::new());
             story.asked(&Asked { who: who.into(), what, accepted, answer, times });
         }
-        let told = story.to_string();
+        let told = Told { story: &story, start_unix_ns: 0 }.to_string();
         assert!(told.contains("user 1000: 2 carried out, 3 refused"), "{told}");
         assert!(told.contains("asked by     machine 10.0.0.7: 0 carried out, 1 refused"), "{told}");
     }

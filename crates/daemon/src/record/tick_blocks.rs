@@ -16,6 +16,8 @@ use std::collections::VecDeque;
 pub const BLOCK_TICKS: usize = 250;
 /// Ticks that wait for their samples at most; later ones go without.
 const WAITING_MAX: usize = 8192;
+/// Room for an encoded sample, bytes; a longer one takes more.
+const SAMPLE_BYTES: usize = 2048;
 /// Flags of a tick.
 const STATE_KNOWN: u64 = 1;
 const WRENCH_KNOWN: u64 = 2;
@@ -34,7 +36,7 @@ pub struct ComparedTick {
 pub fn fingerprint(sample: &Sample) -> u32 {
     let timeless = Sample { stages_ns: Default::default(), ..sample.clone() };
     // A sample always encodes.
-    crc32fast::hash(&postcard::to_stdvec(&timeless).unwrap_or_default())
+    crc32fast::hash(&postcard::to_extend(&timeless, Vec::with_capacity(SAMPLE_BYTES)).unwrap_or_default())
 }
 
 /// Joins ticks and samples, which come through different rings, into blocks.

@@ -96,6 +96,8 @@ pub struct Display {
     touched: bool,
     /// Largest lateness, s, and stages, ns, since they were last shown.
     worst: (f64, [u32; STAGES.len()]),
+    /// The last sample whose numbers were shown, as they were.
+    shown: Sample,
 }
 
 impl Display {
@@ -113,6 +115,7 @@ impl Display {
             next_repeat_ns: 0,
             touched: false,
             worst: Default::default(),
+            shown: Sample::default(),
         }
     }
 
@@ -162,9 +165,14 @@ impl Display {
         to.message(URDF, 0, &Text { data: self.robot.urdf.clone() })
     }
 
-    /// Takes one sample; whether its numbers were due, or shown because something happened. What changed or happened is said
-    /// with its tick, and what is `again` to be said even if it did not change.
-    pub fn sample(&mut self, sample: &Sample, again: bool, to: &mut impl Sink) -> Result<bool, LogError> {
+    /// Takes one sample; returns it as it is shown if its numbers were due, or shown because something happened. What changed
+    /// or happened is said with its tick, and what is `again` to be said even if it did not change.
+    pub fn sample(
+        &mut self,
+        sample: &Sample,
+        again: bool,
+        to: &mut impl Sink,
+    ) -> Result<Option<&Sample>, LogError> {
         let time_ns = sample.time_ns;
         let (lateness_s, stages_ns) = &mut self.worst;
         *lateness_s = worse(*lateness_s, sample.lateness_s);
@@ -181,7 +189,7 @@ impl Display {
         if due {
             self.numbers(sample, to)?;
         }
-        Ok(due)
+        Ok(due.then_some(&self.shown))
     }
 
     fn stamp(&self, time_ns: u64) -> Time {
@@ -243,18 +251,19 @@ impl Display {
 
     fn numbers(&mut self, sample: &Sample, to: &mut impl Sink) -> Result<(), LogError> {
         let (lateness_s, stages_ns) = std::mem::take(&mut self.worst);
-        let shown = shown(&Sample { lateness_s, stages_ns, ..sample.clone() });
+        self.shown = shown(&Sample { lateness_s, stages_ns, ..sample.clone() });
+        let shown = &self.shown;
         let time_ns = shown.time_ns;
-        to.record(time_ns, &State::from(&shown))?;
-        to.record(time_ns, &Command::from(&shown))?;
-        to.record(time_ns, &Cover::from(&shown))?;
+        to.record(time_ns, &State::from(shown))?;
+        to.record(time_ns, &Command::from(shown))?;
+        to.record(time_ns, &Cover::from(shown))?;
         if let Some(link) = &shown.link {
             to.record(time_ns, &Link::new(shown.tick, link))?;
         }
         if let Some(target) = &shown.target {
             to.record(time_ns, &Target::new(shown.tick, target))?;
         }
-        to.record(time_ns, &Timing::from(&shown))
+        to.record(time_ns, &Timing::from(shown))
     }
 }
 

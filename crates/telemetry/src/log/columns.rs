@@ -59,24 +59,59 @@ impl Guess {
     ];
 
     fn of(self, before: &[f64], rate: Option<&Rate<'_>>) -> f64 {
-        let at = |back: usize| before.len().checked_sub(back).map_or(0.0, |i| before[i]);
-        let moved = || rate.map_or(0.0, |rate| rate.foretell(at(1), before.len()));
+        let moved = || rate.map_or(0.0, |rate| rate.foretell(last::<1>(before)[0], before.len()));
         match self {
-            Self::Same => at(1),
-            Self::Line => 2.0 * at(1) - at(2),
-            Self::Parabola => 3.0 * (at(1) - at(2)) + at(3),
+            Self::Same => same(last(before)),
+            Self::Line => line(last(before)),
+            Self::Parabola => parabola(last(before)),
             // Until there are as many before, as there are.
             Self::Cubic | Self::Quartic | Self::Quintic if before.len() < self.needs() => {
-                Self::Parabola.of(before, rate)
+                parabola(last(before))
             }
-            Self::Cubic => 4.0 * (at(1) + at(3)) - 6.0 * at(2) - at(4),
-            Self::Quartic => 5.0 * (at(1) - at(4)) - 10.0 * (at(2) - at(3)) + at(5),
-            Self::Quintic => 6.0 * (at(1) + at(5)) - 15.0 * (at(2) + at(4)) + 20.0 * at(3) - at(6),
+            Self::Cubic => cubic(last(before)),
+            Self::Quartic => quartic(last(before)),
+            Self::Quintic => quintic(last(before)),
             Self::Rate => moved(),
-            #[expect(clippy::cast_possible_truncation, reason = "to the nearest single")]
-            Self::RateSingle => f64::from(moved() as f32),
+            Self::RateSingle => single(moved()),
         }
     }
+}
+
+/// The last values, the latest at the end; 0 where there are none.
+fn last<const N: usize>(values: &[f64]) -> [f64; N] {
+    let mut found = [0.0; N];
+    let some = values.len().min(N);
+    found[N - some..].copy_from_slice(&values[values.len() - some..]);
+    found
+}
+
+const fn same([a]: [f64; 1]) -> f64 {
+    a
+}
+
+const fn line([b, a]: [f64; 2]) -> f64 {
+    2.0 * a - b
+}
+
+const fn parabola([c, b, a]: [f64; 3]) -> f64 {
+    3.0 * (a - b) + c
+}
+
+const fn cubic([d, c, b, a]: [f64; 4]) -> f64 {
+    4.0 * (a + c) - 6.0 * b - d
+}
+
+const fn quartic([e, d, c, b, a]: [f64; 5]) -> f64 {
+    5.0 * (a - d) - 10.0 * (b - c) + e
+}
+
+const fn quintic([f, e, d, c, b, a]: [f64; 6]) -> f64 {
+    6.0 * (a + e) - 15.0 * (b + d) + 20.0 * c - f
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "to the nearest single")]
+const fn single(value: f64) -> f64 {
+    (value as f32) as f64
 }
 
 impl Guess {
@@ -140,8 +175,8 @@ impl Grid {
     }
 
     fn counted_in(halvings: u8, values: &[f64]) -> Option<Self> {
-        let counts = values.iter().map(|value| count_of(*value, halvings)).collect();
-        values.iter().all(|value| on_grid(*value, halvings)).then_some(Self { halvings, counts })
+        let counts = || values.iter().map(|value| count_of(*value, halvings)).collect();
+        values.iter().all(|value| on_grid(*value, halvings)).then(|| Self { halvings, counts: counts() })
     }
 }
 
@@ -166,12 +201,6 @@ fn on_grid(value: f64, halvings: u8) -> bool {
     value_of(count, halvings).to_bits() == value.to_bits() && value_of(count, 0).abs() < COUNT_MAX
 }
 
-fn distances_of_counts(counts: &[i64], guess: Guess) -> Vec<u64> {
-    let guessed = (0..counts.len()).map(|row| guess.of_counts(&counts[..row]));
-    let pairs = counts.iter().zip(guessed);
-    pairs.map(|(count, guessed)| zigzag(count.wrapping_sub(guessed).cast_unsigned())).collect()
-}
-
 /// Rate of a column per second, and the time since the row before, s.
 #[derive(Clone, Copy, Debug)]
 pub struct Rate<'a> {
@@ -189,46 +218,122 @@ impl Rate<'_> {
     }
 }
 
+/// Form of a column whose distances have the fewest bits.
+#[derive(Clone, Debug, Default)]
+struct Cheapest {
+    form: [u8; 2],
+    /// Bits of its distances; `u64::MAX` before the first form.
+    bits: u64,
+    distances: Vec<u64>,
+    /// Distances of the form that is tried.
+    tried: Vec<u64>,
+}
+
+impl Cheapest {
+    /// Begins a column.
+    fn begin(&mut self) {
+        self.bits = u64::MAX;
+        self.distances.clear();
+    }
+
+    /// Tries a form, up to where it has as many bits as the cheapest.
+    fn offer(&mut self, form: [u8; 2], distances: impl Iterator<Item = u64>) {
+        let mut bits = 0;
+        self.tried.clear();
+        for distance in distances {
+            bits += u64::from(u64::BITS - distance.leading_zeros());
+            self.tried.push(distance);
+            if bits >= self.bits {
+                return;
+            }
+        }
+        if bits < self.bits {
+            (self.form, self.bits) = (form, bits);
+            std::mem::swap(&mut self.distances, &mut self.tried);
+        }
+    }
+
+    /// Tries a prediction from the `N` values before each.
+    fn offer_guess<const N: usize>(&mut self, values: &[f64], guess: Guess, of: impl Fn([f64; N]) -> f64) {
+        let head =
+            values.iter().take(N).enumerate().map(|(row, value)| (value, guess.of(&values[..row], None)));
+        let rest = values.iter().skip(N).zip(values.windows(N));
+        let rest = rest.map(|(value, before)| (value, of(last(before))));
+        self.offer([guess as u8, 0], head.chain(rest).map(|(value, guessed)| distance(*value, guessed)));
+    }
+
+    fn offer_numbers(&mut self, values: &[f64], guess: Guess, rate: Option<&Rate<'_>>) {
+        let rated = |rounded: fn(f64) -> f64| {
+            let before = [0.0].iter().chain(values);
+            values.iter().zip(before).enumerate().map(move |(row, (value, before))| {
+                let guessed = rate.map_or(0.0, |rate| rate.foretell(*before, row));
+                distance(*value, rounded(guessed))
+            })
+        };
+        match guess {
+            Guess::Same => self.offer_guess(values, guess, same),
+            Guess::Line => self.offer_guess(values, guess, line),
+            Guess::Parabola => self.offer_guess(values, guess, parabola),
+            Guess::Cubic => self.offer_guess(values, guess, cubic),
+            Guess::Quartic => self.offer_guess(values, guess, quartic),
+            Guess::Quintic => self.offer_guess(values, guess, quintic),
+            Guess::Rate => self.offer([guess as u8, 0], rated(|value| value)),
+            Guess::RateSingle => self.offer([guess as u8, 0], rated(single)),
+        }
+    }
+
+    /// Tries predictions of counts, each from one more count before than the last.
+    fn offer_counts(&mut self, mut counts: Vec<i64>, forms: impl Iterator<Item = [u8; 2]>) {
+        for (order, form) in (1..).zip(forms) {
+            // Rows that have fewer before them are foretold from those.
+            for row in (order..counts.len()).rev() {
+                counts[row] = counts[row].wrapping_sub(counts[row - 1]);
+            }
+            self.offer(form, counts.iter().map(|count| zigzag(count.cast_unsigned())));
+        }
+    }
+}
+
+/// Representable numbers between a value and its prediction.
+const fn distance(value: f64, guessed: f64) -> u64 {
+    zigzag(value.to_bits().wrapping_sub(guessed.to_bits()))
+}
+
 /// Writes columns one after the other.
 #[derive(Clone, Debug, Default)]
 pub struct ColumnWriter {
     bytes: Vec<u8>,
+    cheapest: Cheapest,
 }
 
 impl ColumnWriter {
     /// A column of counts or times: those that stay or go on in equal steps cost nothing.
     pub fn integers(&mut self, values: &[u64]) {
-        let counts: Vec<i64> = values.iter().map(|value| value.cast_signed()).collect();
-        let forms = Guess::OF_INTEGERS.map(|guess| (vec![guess as u8], distances_of_counts(&counts, guess)));
-        self.cheapest(values.len(), forms.into_iter());
+        let counts = values.iter().map(|value| value.cast_signed()).collect();
+        self.cheapest.begin();
+        self.cheapest.offer_counts(counts, Guess::OF_INTEGERS.iter().map(|guess| [*guess as u8, 0]));
+        self.put(values.len(), 1);
     }
 
     /// A column of numbers, NaN and infinity included; `rate` may help to predict it.
     pub fn numbers(&mut self, values: &[f64], rate: Option<Rate<'_>>) {
-        let distances = |guess: Guess| -> Vec<u64> {
-            let guessed = (0..values.len()).map(|row| guess.of(&values[..row], rate.as_ref()));
-            let pairs = values.iter().zip(guessed);
-            pairs.map(|(value, guessed)| zigzag(value.to_bits().wrapping_sub(guessed.to_bits()))).collect()
-        };
         let usable = if rate.is_some() { &Guess::ALL[..] } else { &Guess::PLAIN[..] };
-        let doubles = usable.iter().map(|guess| (vec![*guess as u8], distances(*guess)));
-        let grid = Grid::of(values);
-        let on_grid = grid.iter().flat_map(|grid| {
-            let form = |guess: Guess| vec![GRID | guess as u8, grid.halvings];
-            Guess::PLAIN.map(|guess| (form(guess), distances_of_counts(&grid.counts, guess)))
-        });
-        self.cheapest(values.len(), doubles.chain(on_grid));
+        self.cheapest.begin();
+        for guess in usable {
+            self.cheapest.offer_numbers(values, *guess, rate.as_ref());
+        }
+        if let Some(Grid { halvings, counts }) = Grid::of(values) {
+            let form = |guess: &Guess| [GRID | *guess as u8, halvings];
+            self.cheapest.offer_counts(counts, Guess::PLAIN.iter().map(form));
+        }
+        self.put(values.len(), if self.cheapest.form[0] & GRID == 0 { 1 } else { 2 });
     }
 
-    /// A column in that of its forms whose distances have the fewest bits: form, number of planes, then those planes.
-    fn cheapest(&mut self, rows: usize, forms: impl Iterator<Item = (Vec<u8>, Vec<u64>)>) {
-        let bits = |distances: &Vec<u64>| -> u64 {
-            distances.iter().map(|distance| u64::from(u64::BITS - distance.leading_zeros())).sum()
-        };
-        let best = forms.min_by_key(|(_, distances)| bits(distances));
-        let (form, distances) = best.unwrap_or((vec![Guess::Same as u8], Vec::new()));
+    /// Writes the cheapest form: as many bytes of its name, number of planes, then those planes.
+    fn put(&mut self, rows: usize, name: usize) {
         self.count(rows as u64);
-        self.bytes.extend(form);
+        let Cheapest { form, distances, .. } = &self.cheapest;
+        self.bytes.extend_from_slice(&form[..name]);
         let widest = distances.iter().fold(0, |all, distance| all | distance);
         let unused = widest.leading_zeros() as usize / 8;
         self.bytes.push((8 - unused).to_le_bytes()[0]);
@@ -248,14 +353,18 @@ impl ColumnWriter {
         self.bytes
     }
 
-    /// Seven bits a byte, lowest first.
-    fn count(&mut self, mut value: u64) {
-        while value >= 0x80 {
-            self.bytes.push(value.to_le_bytes()[0] | 0x80);
-            value >>= 7;
-        }
-        self.bytes.push(value.to_le_bytes()[0]);
+    fn count(&mut self, value: u64) {
+        varint(&mut self.bytes, value);
     }
+}
+
+/// Appends a number with seven bits a byte, lowest first.
+pub(super) fn varint(to: &mut Vec<u8>, mut value: u64) {
+    while value >= 0x80 {
+        to.push(value.to_le_bytes()[0] | 0x80);
+        value >>= 7;
+    }
+    to.push(value.to_le_bytes()[0]);
 }
 
 /// Truncated or corrupt column data, or data of another writer.
@@ -343,7 +452,8 @@ impl<'a> ColumnReader<'a> {
         if rows > MAX_ROWS { Err(DamagedColumns) } else { Ok(rows) }
     }
 
-    fn count(&mut self) -> Result<u64, DamagedColumns> {
+    /// The next number of [`varint`].
+    pub(super) fn count(&mut self) -> Result<u64, DamagedColumns> {
         let mut value = 0;
         for shift in (0..u64::BITS).step_by(7) {
             let byte = *self.take(1)?.first().ok_or(DamagedColumns)?;
@@ -363,11 +473,11 @@ impl<'a> ColumnReader<'a> {
 }
 
 /// Small distances of either sign to small numbers.
-const fn zigzag(distance: u64) -> u64 {
+pub(super) const fn zigzag(distance: u64) -> u64 {
     (distance << 1) ^ (distance >> 63).wrapping_neg()
 }
 
-const fn unzigzag(number: u64) -> u64 {
+pub(super) const fn unzigzag(number: u64) -> u64 {
     (number >> 1) ^ (number & 1).wrapping_neg()
 }
 

@@ -9,20 +9,40 @@ const MAX_RECORD: u64 = 16 << 20;
 /// Largest chunk after decompression, bytes.
 const MAX_CHUNK: u64 = 16 << 20;
 
+/// First and last bytes of an MCAP file.
+pub(super) const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
+
 /// Kinds of records.
 pub(super) mod op {
     pub(in crate::log) const HEADER: u8 = 0x01;
     pub(in crate::log) const FOOTER: u8 = 0x02;
+    pub(in crate::log) const SCHEMA: u8 = 0x03;
     pub(in crate::log) const CHANNEL: u8 = 0x04;
     pub(in crate::log) const MESSAGE: u8 = 0x05;
     pub(in crate::log) const CHUNK: u8 = 0x06;
+    pub(in crate::log) const MESSAGE_INDEX: u8 = 0x07;
     pub(in crate::log) const CHUNK_INDEX: u8 = 0x08;
+    pub(in crate::log) const ATTACHMENT: u8 = 0x09;
     pub(in crate::log) const ATTACHMENT_INDEX: u8 = 0x0a;
+    pub(in crate::log) const STATISTICS: u8 = 0x0b;
+    pub(in crate::log) const METADATA: u8 = 0x0c;
+    pub(in crate::log) const METADATA_INDEX: u8 = 0x0d;
+    pub(in crate::log) const SUMMARY_OFFSET: u8 = 0x0e;
     pub(in crate::log) const DATA_END: u8 = 0x0f;
 }
 
 /// Kind and length before each record.
 const PREFIX: u64 = 9;
+
+/// Part of a file between its header and its end.
+pub(super) enum Part {
+    /// A chunk: its place, its first and last time, and its length in the file, bytes.
+    Chunk { at: u64, times: [u64; 2], length: u64 },
+    /// An index of the messages that the chunk before has of this channel.
+    MessagesOf(u16),
+    /// Metadata at this place.
+    Metadata { at: u64 },
+}
 
 /// A file of records.
 pub(super) struct Records<R> {
@@ -89,32 +109,41 @@ impl<R: Read + Seek> Records<R> {
         }
     }
 
-    /// Returns the place of the next chunk and its first and last time, its body left unread; `None` behind the last one.
-    pub(super) fn next_chunk(&mut self) -> Result<Option<(u64, [u64; 2])>, String> {
+    /// The next chunk, index of a chunk's messages or metadata, its body left unread; `None` behind the last one.
+    pub(super) fn next_part(&mut self) -> Result<Option<Part>, String> {
         loop {
             let at = self.at;
             let (op, length) = self.prefix()?;
             if matches!(op, op::DATA_END | op::FOOTER) {
                 return Ok(None);
             }
-            let mut skip = length;
-            let mut times = [[0; 8]; 2];
             if length > self.end - self.at {
                 return Err("a record is cut".into());
             }
-            if op == op::CHUNK && length >= 16 {
-                for time in &mut times {
-                    self.input.read_exact(time).map_err(|error| error.to_string())?;
+            let (part, read) = match op {
+                op::CHUNK if length >= 16 => {
+                    let times = [self.number()?, self.number()?].map(u64::from_le_bytes);
+                    (Some(Part::Chunk { at, times, length: PREFIX + length }), 16)
                 }
-                skip -= 16;
-            }
-            let step = i64::try_from(skip).map_err(|_| "a length is absurd".to_owned())?;
+                op::MESSAGE_INDEX if length >= 2 => {
+                    (Some(Part::MessagesOf(u16::from_le_bytes(self.number()?))), 2)
+                }
+                op::METADATA => (Some(Part::Metadata { at }), 0),
+                _ => (None, 0),
+            };
+            let step = i64::try_from(length - read).map_err(|_| "a length is absurd".to_owned())?;
             self.input.seek_relative(step).map_err(|error| error.to_string())?;
             self.at += length;
-            if op == op::CHUNK {
-                return Ok(Some((at, times.map(u64::from_le_bytes))));
+            if part.is_some() {
+                return Ok(part);
             }
         }
+    }
+
+    fn number<const N: usize>(&mut self) -> Result<[u8; N], String> {
+        let mut bytes = [0; N];
+        self.input.read_exact(&mut bytes).map_err(|error| error.to_string())?;
+        Ok(bytes)
     }
 
     /// Kind and length of the next record.

@@ -10,17 +10,23 @@
 //!
 //! A chunk is at most half a second of a run and is written in one piece: a file that ends anywhere, or is damaged
 //! anywhere, gives back every whole chunk before. No length in a file is believed before it is checked.
+//!
+//! Contents for viewers, the boards' bytes and what a replay needs have chunks of their own. Once a minute, and at its end, a
+//! log holds its [`story`] so far as a metadata record.
 
 pub mod columns;
+mod container;
 mod file;
 mod framing;
 pub mod overview;
 mod own_file;
+mod purpose;
 mod reader;
 mod recorder;
 pub mod records;
 pub(crate) mod shown;
 mod sizes;
+pub mod story;
 mod writer;
 
 pub use file::LogFile;
@@ -28,7 +34,7 @@ pub use overview::Overview;
 pub use reader::{Log, LogReader, Record, read_log};
 pub use recorder::{Recorder, RecorderOptions, part_path};
 pub use shown::shown;
-pub use sizes::LogSizes;
+pub use sizes::{Account, LogSizes};
 pub use writer::{LogSummary, LogWriter, Meta};
 
 use std::fs::{File, OpenOptions};
@@ -127,7 +133,7 @@ pub enum LogError {
     Damaged(String),
     /// Writing failed: disk full, medium gone.
     #[error("cannot write the log: {}", with_causes(.0))]
-    Mcap(mcap::McapError),
+    Write(io::Error),
     /// A message could not be put into JSON.
     #[error("cannot encode a log message: {0}")]
     Encode(serde_json::Error),
@@ -163,9 +169,9 @@ fn with_profile(profile: &str) -> String {
     format!("an MCAP file of another program, with the profile {profile:?}")
 }
 
-impl From<mcap::McapError> for LogError {
-    fn from(error: mcap::McapError) -> Self {
-        Self::Mcap(error)
+impl From<io::Error> for LogError {
+    fn from(error: io::Error) -> Self {
+        Self::Write(error)
     }
 }
 
@@ -194,7 +200,7 @@ mod tests {
         let errors = [
             LogError::Create { path: "run.mcap".into(), cause: full() },
             LogError::Open { path: "run.mcap".into(), cause: full() },
-            LogError::Mcap(full().into()),
+            LogError::Write(full()),
             LogError::Encode(serde_json::Error::io(full())),
             LogError::Thread(full()),
         ];

@@ -2,7 +2,7 @@
 
 use super::{
     LogError, SerialBytes,
-    framing::{self, Fields, Message, Records, op},
+    framing::{self, Fields, MAGIC, Message, Records, op},
     records::{
         BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC, Link,
         ModeChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Target, Timing, bounded,
@@ -11,12 +11,14 @@ use super::{
 };
 use crate::{RobotDescription, audit::Asked};
 use moca_msgs::{Fault, Mode, Sample, board::Diagnosis};
-use serde::de::DeserializeOwned;
+use serde::{Deserialize, de::DeserializeOwned};
 use std::{
+    borrow::Cow,
     collections::{BTreeMap, VecDeque},
     fs::File,
     io::{BufReader, Read, Seek, SeekFrom},
     path::Path,
+    sync::Arc,
 };
 
 /// One entry of a log.
@@ -205,15 +207,15 @@ pub(super) struct Begun {
 pub(super) fn begin(input: impl Read + Seek + Send + 'static, path: &Path) -> Result<Begun, LogError> {
     let open = |cause| LogError::Open { path: path.into(), cause };
     let mut input: Input = BufReader::new(Box::new(input));
-    let mut magic = [0; mcap::MAGIC.len()];
-    if input.read_exact(&mut magic).is_err() || magic != mcap::MAGIC {
+    let mut magic = [0; MAGIC.len()];
+    if input.read_exact(&mut magic).is_err() || magic != MAGIC {
         return Err(LogError::NotMcap(path.into()));
     }
     let start = magic.len() as u64;
     let length = input.seek(SeekFrom::End(0)).map_err(open)?;
     input.seek(SeekFrom::Start(length - start)).map_err(open)?;
     input.read_exact(&mut magic).map_err(open)?;
-    let ended_well = length > start && magic == mcap::MAGIC;
+    let ended_well = length > start && magic == MAGIC;
     let mut records = Records::new(input, start).map_err(open)?;
     let by_us = header(&mut records, path)?;
     first_chunk(&mut records, path)?;
@@ -256,7 +258,9 @@ fn first_chunk(records: &mut Records<Input>, path: &Path) -> Result<(), LogError
 /// Turns messages into entries; remembers what later messages leave unsaid.
 #[derive(Clone, Default)]
 pub(super) struct Decoder {
-    topics: BTreeMap<u16, String>,
+    topics: BTreeMap<u16, Arc<str>>,
+    /// Topics of the records whose fields are wanted; `None`: all.
+    pub(super) wanted: Option<Vec<&'static str>>,
     pub(super) description: RobotDescription,
     pub(super) start_unix_ns: u64,
     pub(super) carried: Carried,
@@ -275,22 +279,30 @@ pub(super) struct Carried {
 /// The messages of one tick as they come in.
 #[derive(Clone, Default)]
 struct Partial {
-    state: Option<State>,
-    command: Option<Command>,
-    cover: Option<Cover>,
+    state: Held<State>,
+    command: Held<Command>,
+    cover: Held<Cover>,
     contacts: Vec<Contact>,
     link: Option<Link>,
     target: Option<Target>,
 }
 
+/// A record of a sample and its tick; only its tick, if its fields are not wanted.
+type Held<C> = Option<(u64, Option<C>)>;
+
 impl Decoder {
+    /// Learns the topics of channels.
+    pub(super) fn name(&mut self, topics: &BTreeMap<u16, Cow<'_, str>>) {
+        self.topics.extend(topics.iter().map(|(channel, topic)| (*channel, topic.as_ref().into())));
+    }
+
     /// Hands over every entry of a chunk, up to the first foreign message.
     pub(super) fn decode(&mut self, chunk: &[u8], entry: &mut dyn FnMut(Record)) -> Result<(), String> {
         for record in framing::records_in(chunk) {
             match record.op {
                 op::CHANNEL => {
                     let (number, topic) = framing::channel(record.body).ok_or("a channel is damaged")?;
-                    self.topics.insert(number, topic.to_owned());
+                    self.topics.insert(number, topic.into());
                 }
                 op::MESSAGE => {
                     let message = Message::parse(record.body).ok_or("a message is damaged")?;
@@ -323,13 +335,16 @@ impl Decoder {
                     (change.fault()?, change.board.checked_sub(1));
             }
             BoardChange::TOPIC => self.carried.board = parse::<BoardChange>(message)?.board()?,
-            State::TOPIC => self.carried.partial.state = Some(parse(message)?),
-            Command::TOPIC => self.carried.partial.command = Some(parse(message)?),
+            State::TOPIC => self.carried.partial.state = self.held::<State>(message)?,
+            Command::TOPIC => self.carried.partial.command = self.held::<Command>(message)?,
             Link::TOPIC => self.carried.partial.link = Some(parse(message)?),
             Target::TOPIC => self.carried.partial.target = Some(parse(message)?),
-            Cover::TOPIC => self.carried.partial.cover = Some(parse(message)?),
+            Cover::TOPIC => self.carried.partial.cover = self.held::<Cover>(message)?,
             Contact::TOPIC => self.carried.partial.contacts.push(parse(message)?),
-            Timing::TOPIC => return Ok(self.complete(message.time_ns, parse(message)?)),
+            Timing::TOPIC => {
+                let timing = self.held::<Timing>(message)?;
+                return Ok(self.complete(message.time_ns, timing));
+            }
             LOOP_STATE_TOPIC => return Ok(Some(Record::LoopState(message.data.to_vec()))),
             REPLAY_TOPIC => return Ok(Some(Record::Replay(message.data.to_vec()))),
             Configuration::TOPIC => return Ok(Some(Record::Configuration(Box::new(parse(message)?)))),
@@ -349,33 +364,60 @@ impl Decoder {
         Ok(None)
     }
 
+    /// Reads a record of a sample, or only its tick.
+    fn held<C: Channel + DeserializeOwned>(
+        &self,
+        message: &Message<'_>,
+    ) -> Result<Held<C>, serde_json::Error> {
+        let tick = match tick_of(message.data) {
+            Some(tick) => tick,
+            None => parse::<Ticked>(message)?.tick,
+        };
+        let is_wanted = self.wanted.as_ref().is_none_or(|wanted| wanted.contains(&C::TOPIC));
+        Ok(Some((tick, if is_wanted { Some(parse(message)?) } else { None })))
+    }
+
     /// The sample, if all messages of its tick are there; `Timing` is the last one written.
-    fn complete(&mut self, log_time: u64, timing: Timing) -> Option<Record> {
+    fn complete(&mut self, log_time: u64, timing: Held<Timing>) -> Option<Record> {
         let Partial { state, command, cover, contacts, link, target } =
             std::mem::take(&mut self.carried.partial);
-        let (state, command, cover) = (state?, command?, cover?);
-        if [state.tick, command.tick, cover.tick] != [timing.tick; 3] {
+        let ((tick, timing), (of_state, state)) = (timing?, state?);
+        let ((of_command, command), (of_cover, cover)) = (command?, cover?);
+        if [of_state, of_command, of_cover] != [tick; 3] {
             return None;
         }
-        let events = contacts.iter().filter(|contact| contact.tick == timing.tick).map(Contact::event);
+        let events = contacts.iter().filter(|contact| contact.tick == tick).map(Contact::event);
         let mut sample = Sample {
-            tick: timing.tick,
+            tick,
             time_ns: log_time.saturating_sub(self.start_unix_ns),
             mode: self.carried.mode,
             fault: self.carried.fault,
             fault_board: self.carried.fault_board,
             board: self.carried.board,
             contact_events: bounded(events),
-            target: target.filter(|target| target.tick == timing.tick).map(|target| target.state()),
-            link: link.filter(|link| link.tick == timing.tick).map(|link| link.link()),
+            target: target.filter(|target| target.tick == tick).map(|target| target.state()),
+            link: link.filter(|link| link.tick == tick).map(|link| link.link()),
             ..Sample::default()
         };
-        state.give(&mut sample);
-        command.give(&mut sample);
-        cover.give(&mut sample);
-        timing.give(&mut sample);
+        state.into_iter().for_each(|state| state.give(&mut sample));
+        command.into_iter().for_each(|command| command.give(&mut sample));
+        cover.into_iter().for_each(|cover| cover.give(&mut sample));
+        timing.into_iter().for_each(|timing| timing.give(&mut sample));
         Some(Record::Sample(Box::new(sample)))
     }
+}
+
+/// A record of which only the tick is read.
+#[derive(Deserialize)]
+struct Ticked {
+    tick: u64,
+}
+
+/// The tick of a record as this library writes it: its first field.
+fn tick_of(json: &[u8]) -> Option<u64> {
+    let digits = json.strip_prefix(b"{\"tick\":")?;
+    let end = digits.iter().position(|byte| !byte.is_ascii_digit())?;
+    std::str::from_utf8(&digits[..end]).ok()?.parse().ok()
 }
 
 fn parse<C: DeserializeOwned>(message: &Message<'_>) -> Result<C, serde_json::Error> {

@@ -33,8 +33,10 @@ enum Entry {
 
 /// Most entries that wait for the recorder: over 10 s of a Touch Board.
 const MAX_ENTRIES: usize = 4096;
-/// Period at which the rings are read.
-const POLL: Duration = Duration::from_millis(5);
+/// Period at which the rings are read: they hold four seconds, and each wake-up costs.
+const POLL: Duration = Duration::from_millis(50);
+/// Period of a run that has no clock, which would wait for the recorder.
+const POLL_WITHOUT_CLOCK: Duration = Duration::from_millis(5);
 /// After how long a chunk is ended that a loop which stands still leaves unfinished. A loop that runs ends each after half a
 /// second of its own time: to end one between would cost a log its repeated first records.
 const FLUSH_AFTER: Duration = Duration::from_secs(1);
@@ -251,7 +253,7 @@ impl PartWriter {
                 self.log.flush()?;
                 since = Instant::now();
             }
-            std::thread::sleep(POLL);
+            std::thread::sleep(if self.waits { POLL_WITHOUT_CLOCK } else { POLL });
         }
     }
 

@@ -47,8 +47,27 @@ pub fn seven_digits(value: f64) -> f64 {
     if value.abs() < 1e-9 {
         return 0.0;
     }
-    // The text with so many digits is the shortest that reads back to the rounded number.
-    format!("{value:.6e}").parse().unwrap_or(value)
+    short(value).unwrap_or_else(|| {
+        // The text with so many digits is the shortest that reads back to the rounded number.
+        format!("{value:.6e}").parse().unwrap_or(value)
+    })
+}
+
+/// Powers of ten that a double holds exactly, up to what 1e-9 needs.
+const TENS: [f64; 17] =
+    [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16];
+
+/// Seven digits without a text: a whole number below 10^7 over a power of ten is the double that its text reads back to. `None`
+/// where the seventh digit is not certain, or the number is a million or more.
+fn short(value: f64) -> Option<f64> {
+    let size = value.abs();
+    let tens = TENS.iter().find(|tens| size * **tens >= 1e6)?;
+    let scaled = size * tens;
+    let whole = scaled.round();
+    // The product is off by less than a millionth.
+    let certain =
+        ((scaled - scaled.trunc()) - 0.5).abs() > 1e-6 && (1_000_001.0..9_999_999.0).contains(&scaled);
+    certain.then(|| (whole / tens).copysign(value))
 }
 
 /// A field of a sample as one column of a record, or two.
@@ -646,4 +665,31 @@ fn list<'de, D: Deserializer<'de>>(d: D) -> Result<Vec<f64>, D::Error> {
 
 fn array<'de, D: Deserializer<'de>, const N: usize>(d: D) -> Result<[f64; N], D::Error> {
     list(d)?.try_into().map_err(|v: Vec<f64>| Error::invalid_length(v.len(), &"an array of fixed length"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seven_digits_are_those_of_the_text() {
+        let text = |value: f64| -> f64 { format!("{value:.6e}").parse().unwrap() };
+        let mut state = 1_u64;
+        for exponent in -9..13 {
+            for number in 0..20_000 {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                let share = f64::from(u32::try_from(state >> 32).unwrap()) / f64::from(u32::MAX);
+                // Every tenth lies half way between two numbers of seven digits, or next to it.
+                let half = f64::from(1_000_000 + number * 449) + 0.5 + (share - 0.5) * 1e-9;
+                let digits = if number % 10 == 0 { half * 1e-6 } else { 1.0 + 9.0 * share };
+                let value = digits * 10_f64.powi(exponent) * if number % 2 == 0 { 1.0 } else { -1.0 };
+                assert_eq!(seven_digits(value).to_bits(), text(value).to_bits(), "{value:e}");
+            }
+        }
+        for value in [1.0, 0.5, 1e-9, 9.999_999_4, 9.999_999_5, 9_999_999.4, 1e6, 1e7, f64::MAX] {
+            assert_eq!(seven_digits(value).to_bits(), text(value).to_bits(), "{value:e}");
+        }
+        assert_eq!(seven_digits(-9e-10).to_bits(), 0.0_f64.to_bits());
+        assert!(seven_digits(f64::NAN).is_nan() && seven_digits(f64::INFINITY).is_infinite());
+    }
 }

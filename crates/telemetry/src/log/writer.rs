@@ -2,11 +2,14 @@
 
 use super::{
     LogError, SerialBytes,
+    container::Container,
     overview::OverviewBuilder,
+    purpose::Purpose,
     records::{
         Channel, Configuration, DriverWords, LOOP_STATE_TOPIC, ParameterChange, REPLAY_TOPIC, Robot,
         SERIAL_TOPICS,
     },
+    story::{Chapter, Story},
 };
 use crate::{
     RobotDescription,
@@ -14,13 +17,8 @@ use crate::{
     display::{Display, Periods, Sink},
     ros::{self, Message, cdr},
 };
-use mcap::{
-    Attachment, Compression, WriteOptions,
-    records::MessageHeader,
-    write::{NoSeek, Writer},
-};
 use moca_msgs::Sample;
-use std::{collections::BTreeMap, io::Write};
+use std::{borrow::Cow, collections::BTreeMap, io::Write};
 
 /// Number that a channel of bytes has where others have their schema's.
 const NO_SCHEMA: u16 = 0;
@@ -30,19 +28,18 @@ pub(super) const FORM: &str = "moca-s/4";
 pub(super) const FORMS: &str = "moca-s/";
 /// Beginning of the library's name in a log's header.
 pub(super) const LIBRARY: &str = "moca-telemetry ";
-/// Compression level of chunks. A log of a minute is 4 % smaller than at the library's own level, for 8 ms more of the recorder's
-/// thread a second of the run; higher levels gain nothing.
-pub(super) const ZSTD_LEVEL: u32 = 9;
 /// Largest loss by a cut, ns of loop time.
 const CHUNK_NS: u64 = 500_000_000;
-/// Bytes after which a chunk ends all the same.
-const CHUNK_BYTES: u64 = 4 << 20;
+/// Time between two states of the story in a log, ns of loop time.
+const CHAPTER_NS: u64 = 60_000_000_000;
 /// Periods of samples for viewers: numbers at 50 Hz, everything else at 10 Hz. At 50 Hz transforms and joints would be as large as all
 /// numbers together. A seeking reader finds the last of each message before that time.
 const PERIODS: Periods = Periods { numbers_ns: 20_000_000, poses_ns: 100_000_000, fixed_ns: 600_000_000_000 };
 /// Name of the overview among a log's attachments.
 pub(super) const OVERVIEW: &str = "overview.json";
-/// Name of the robot's URDF among them.
+/// Name of the metadata that hold the story so far.
+pub(super) const STORY: &str = "story";
+/// Name of the robot's URDF among the attachments.
 const ROBOT: &str = "robot.urdf";
 
 /// Description of a log in itself.
@@ -85,13 +82,16 @@ pub struct LogWriter<W: Write> {
     /// Loop time at which the present chunk began; `None` before its first sample.
     chunk_ns: Option<u64>,
     overview: OverviewBuilder,
+    story: Story,
+    /// Loop time from which the story so far is due again, ns.
+    next_chapter_ns: u64,
     summary: LogSummary,
 }
 
 /// The file, and where in it each kind of message goes.
 struct Channels<W: Write> {
-    mcap: Writer<NoSeek<W>>,
-    by_topic: BTreeMap<&'static str, u16>,
+    file: Container<W>,
+    by_topic: BTreeMap<&'static str, (u16, Purpose)>,
     start_unix_ns: u64,
     json: Vec<u8>,
     cdr: cdr::Writer,
@@ -100,16 +100,8 @@ struct Channels<W: Write> {
 impl<W: Write> LogWriter<W> {
     /// Starts a log: header, schemas and the robot's description go out at once.
     pub fn new(output: W, meta: &Meta) -> Result<Self, LogError> {
-        // A writer that may not seek keeps a chunk in memory until it is whole.
-        let options = WriteOptions::new()
-            .profile(FORM)
-            .library(concat!("moca-telemetry ", env!("CARGO_PKG_VERSION")))
-            .compression(Some(Compression::Zstd))
-            .compression_level(ZSTD_LEVEL)
-            .chunk_size(Some(CHUNK_BYTES))
-            .disable_seeking(true);
         let channels = Channels {
-            mcap: options.create(NoSeek::new(output))?,
+            file: Container::new(output, FORM, concat!("moca-telemetry ", env!("CARGO_PKG_VERSION")))?,
             by_topic: BTreeMap::new(),
             start_unix_ns: meta.start_unix_ns,
             json: Vec::new(),
@@ -120,6 +112,8 @@ impl<W: Write> LogWriter<W> {
             display: Display::new(&meta.description, meta.start_unix_ns, PERIODS),
             chunk_ns: None,
             overview: OverviewBuilder::default(),
+            story: Story::default(),
+            next_chapter_ns: CHAPTER_NS,
             summary: LogSummary::default(),
         };
         let to = &mut log.channels;
@@ -127,13 +121,14 @@ impl<W: Write> LogWriter<W> {
         to.add_record::<ParameterChange>()?;
         to.add_record::<Configuration>()?;
         for topic in SERIAL_TOPICS.into_iter().chain([LOOP_STATE_TOPIC, REPLAY_TOPIC]) {
-            to.add(NO_SCHEMA, topic, "application/octet-stream")?;
+            to.add(NO_SCHEMA, topic, "application/octet-stream");
         }
         let json = serde_json::to_string(&meta.description)?;
         let name = meta.description.name.clone();
         to.write(0, &Robot { start_unix_ns: meta.start_unix_ns, name, json })?;
         log.display.begin(to)?;
         log.flush()?;
+        log.tell()?;
         if !meta.description.urdf.is_empty() {
             log.attach(ROBOT, "application/xml", meta.description.urdf.as_bytes())?;
         }
@@ -146,15 +141,37 @@ impl<W: Write> LogWriter<W> {
         let time_ns = sample.time_ns;
         if self.chunk_ns.is_some_and(|began| time_ns.saturating_sub(began) >= CHUNK_NS) {
             self.flush()?;
+            self.chapter(time_ns)?;
         }
         // A chunk can be read alone.
         let again = self.chunk_ns.is_none();
-        let displayed = self.display.sample(sample, again, &mut self.channels)?;
+        if let Some(shown) = self.display.sample(sample, again, &mut self.channels)? {
+            self.story.add(shown);
+            self.summary.displayed += 1;
+        }
         self.chunk_ns.get_or_insert(time_ns);
         self.overview.add(sample);
         self.summary.samples += 1;
-        self.summary.displayed += u64::from(displayed);
         Ok(())
+    }
+
+    /// Writes the story so far, once in [`CHAPTER_NS`]; the chunks before it hold all of it.
+    fn chapter(&mut self, now_ns: u64) -> Result<(), LogError> {
+        if now_ns < self.next_chapter_ns {
+            return Ok(());
+        }
+        self.next_chapter_ns = now_ns - now_ns % CHAPTER_NS + CHAPTER_NS;
+        self.tell()
+    }
+
+    fn tell(&mut self) -> Result<(), LogError> {
+        let named =
+            self.channels.by_topic.iter().map(|(topic, (channel, _))| (*channel, Cow::Borrowed(*topic)));
+        let (story, bytes) = (Cow::Borrowed(&self.story), self.channels.file.sizes());
+        let chapter = Chapter { story, bytes, topics: named.collect() };
+        let json = serde_json::to_string(&chapter)?;
+        let crc = crc32fast::hash(json.as_bytes()).to_string();
+        Ok(self.channels.file.metadata(STORY, &[("crc32", &crc), ("json", &json)])?)
     }
 
     /// Loop time at which the present chunk began, ns; `None` before its first sample.
@@ -190,6 +207,7 @@ impl<W: Write> LogWriter<W> {
 
     /// Writes what clients asked and were answered; a log of a robot without clients has no such channel.
     pub fn asked(&mut self, time_ns: u64, asked: &Asked) -> Result<(), LogError> {
+        self.story.asked(asked);
         self.write_rarely(time_ns, asked)
     }
 
@@ -212,45 +230,35 @@ impl<W: Write> LogWriter<W> {
     /// Ends the present chunk and hands it to the operating system.
     pub fn flush(&mut self) -> Result<(), LogError> {
         self.chunk_ns = None;
-        Ok(self.channels.mcap.flush()?)
+        Ok(self.channels.file.flush()?)
     }
 
-    /// Writes overview, index and end mark. A log that is dropped instead has its index too, but no overview, and nobody
-    /// hears of it if that fails.
+    /// Writes story, overview, index and end mark. A log that is dropped instead ends as if it had been cut there.
     pub fn finish(mut self) -> Result<LogSummary, LogError> {
         self.flush()?;
+        self.tell()?;
         let data = serde_json::to_vec(self.overview.overview())?;
         self.attach(OVERVIEW, "application/json", &data)?;
-        let mut mcap = self.channels.mcap;
-        mcap.finish()?;
-        mcap.into_inner().into_inner().flush().map_err(mcap::McapError::from)?;
+        self.channels.file.finish()?;
         Ok(self.summary)
     }
 
     fn attach(&mut self, name: &str, media_type: &str, data: &[u8]) -> Result<(), LogError> {
-        let time = self.channels.start_unix_ns;
-        let attachment = Attachment {
-            log_time: time,
-            create_time: time,
-            name: name.into(),
-            media_type: media_type.into(),
-            data: data.into(),
-        };
-        Ok(self.channels.mcap.attach(&attachment)?)
+        Ok(self.channels.file.attach(self.channels.start_unix_ns, name, media_type, data)?)
     }
 }
 
 impl<W: Write> Channels<W> {
-    fn add(&mut self, schema: u16, topic: &'static str, encoding: &str) -> Result<(), LogError> {
-        let channel = self.mcap.add_channel(schema, topic, encoding, &BTreeMap::new())?;
-        self.by_topic.insert(topic, channel);
-        Ok(())
+    fn add(&mut self, schema: u16, topic: &'static str, encoding: &str) {
+        let channel = self.file.add_channel(schema, topic, encoding);
+        self.by_topic.insert(topic, (channel, Purpose::of(topic)));
     }
 
     fn add_record<C: Channel>(&mut self) -> Result<(), LogError> {
         let name = format!("moca{}", C::TOPIC.replace('/', "."));
-        let schema = self.mcap.add_schema(&name, "jsonschema", &C::schema()?)?;
-        self.add(schema, C::TOPIC, "json")
+        let schema = self.file.add_schema(&name, "jsonschema", &C::schema()?);
+        self.add(schema, C::TOPIC, "json");
+        Ok(())
     }
 
     fn write<C: Channel>(&mut self, time_ns: u64, record: &C) -> Result<(), LogError> {
@@ -263,12 +271,10 @@ impl<W: Write> Channels<W> {
     }
 
     fn write_bytes(&mut self, topic: &str, time_ns: u64, bytes: &[u8]) -> Result<(), LogError> {
-        let Some(&channel_id) = self.by_topic.get(topic) else {
+        let Some((channel, purpose)) = self.by_topic.get(topic) else {
             return Ok(()); // Every channel is added before it is written.
         };
-        let time = self.start_unix_ns.saturating_add(time_ns);
-        let header = MessageHeader { channel_id, sequence: 0, log_time: time, publish_time: time };
-        Ok(self.mcap.write_to_known_channel(&header, bytes)?)
+        Ok(self.file.message(*purpose, *channel, self.start_unix_ns.saturating_add(time_ns), bytes)?)
     }
 }
 
@@ -279,8 +285,9 @@ impl<W: Write> Sink for Channels<W> {
     }
 
     fn offer<M: Message>(&mut self, topic: &'static str) -> Result<(), LogError> {
-        let schema = self.mcap.add_schema(M::TYPE.0, "ros2msg", ros::definition::<M>().as_bytes())?;
-        self.add(schema, topic, "cdr")
+        let schema = self.file.add_schema(M::TYPE.0, "ros2msg", ros::definition::<M>().as_bytes());
+        self.add(schema, topic, "cdr");
+        Ok(())
     }
 
     fn record<C: Channel + Message>(&mut self, time_ns: u64, record: &C) -> Result<(), LogError> {
