@@ -11,6 +11,7 @@ pub(crate) mod lost_packets;
 pub(crate) mod protection;
 #[cfg(test)]
 mod recentre;
+pub(crate) mod self_collision;
 pub(crate) mod soak;
 pub(crate) mod targets;
 mod trial;
