@@ -95,12 +95,13 @@ impl OwnArm {
         let mut mistakes = whole.check_ranges();
         let table = whole.table(&links, &mut mistakes);
         let Some(table) = table.filter(|_| mistakes.is_empty()) else { return Err(mistakes) };
+        let capsules = whole.capsules();
         let name = if whole.name.is_empty() { "own arm".into() } else { whole.name };
         if name.len() > NAME_MAX {
             let message = format!("arm.name has {} bytes; at most {NAME_MAX} are allowed", name.len());
             return Err(vec![("arm.name", message)]);
         }
-        Ok(Arm { source: OWN_ARM.into(), name, table, capsules: whole.capsules() })
+        Ok(Arm { source: OWN_ARM.into(), name, table, capsules })
     }
 
     /// The section that gives `arm` back; empty for one that is built in.

@@ -85,3 +85,48 @@ fn posture<const N: usize>(config: &Config) -> Option<String> {
         )
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told(toml: &str) -> Option<String> {
+        Config::parse(toml).err().map(|error| error.to_string())
+    }
+
+    #[test]
+    fn one_key_turns_the_guard_on() {
+        let off = Config::default();
+        assert!(off.self_collision::<7>().unwrap().is_none());
+        let on = Config::parse("control.self_collision.distance_m = 0.02\n").unwrap();
+        let guard = on.self_collision::<7>().unwrap().unwrap();
+        assert!(guard.compares(0, 7) && !guard.compares(6, 7) && guard.pairs() > 40);
+        assert!(on.self_collision::<6>().unwrap().is_none(), "the arm has seven joints");
+        let base = Config::parse("plant.parts = \"base\"\ncontrol.self_collision.distance_m = 0.02\n").unwrap();
+        assert!(base.self_collision::<7>().unwrap().is_none(), "no arm");
+        let stand = Config::parse("plant.parts = \"arm\"\ncontrol.self_collision.distance_m = 0.02\n").unwrap();
+        let alone = stand.self_collision::<7>().unwrap().unwrap();
+        assert!(alone.pairs() < guard.pairs(), "no base");
+    }
+
+    #[test]
+    fn box_of_the_base_reaches_out_to_the_taxels() {
+        let mut config = Config::default();
+        config.robot.cover.x_m[0] = -0.6;
+        let [length, width, height] = config.solids().base_size_m.unwrap();
+        let [_, own_width, own_height] = config.robot.base.size_m;
+        assert!((length - 1.2).abs() < 1e-12 && width >= own_width && (height - own_height).abs() < 1e-12);
+    }
+
+    #[test]
+    fn distance_or_posture_that_no_guard_allows_is_refused() {
+        let why = told("control.self_collision.distance_m = 0.001\n").unwrap();
+        assert!(why.contains("control.self_collision.distance_m = 0.001 m is outside 0.005 to 0.1 m; 0 m is off"), "{why}");
+        let why = told("robot.arm = \"ur10e\"\ncontrol.self_collision.distance_m = 0.02\n").unwrap();
+        assert!(why.contains("needs capsules, and robot.arm = \"ur10e\" has none"), "{why}");
+        let tool = "[robot.tool]\ncapsule_ends_m = [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]\ncapsule_radius_m = 0.05\n";
+        let why = told(&format!("control.self_collision.distance_m = 0.02\n{tool}")).unwrap();
+        assert!(why.contains("in control.gains.posture_rad the tool and the base are -"), "{why}");
+        assert_eq!(told(tool), None, "off, nobody asks");
+    }
+}

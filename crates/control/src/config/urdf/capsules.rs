@@ -224,3 +224,178 @@ fn corners_in_text(bytes: &[u8], word: &str) -> Option<Vec<Vector3<f64>>> {
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use std::fmt::Write as _;
+
+    const MAKERS_UR10E: &str = include_str!("../../../../../examples/robots/ur10e.urdf");
+
+    /// A folder of its own, gone at the end.
+    struct Folder(PathBuf);
+
+    impl Folder {
+        fn new(name: &str) -> Self {
+            let folder = std::env::temp_dir().join(format!("moca-capsules-{name}-{}", std::process::id()));
+            std::fs::create_dir_all(&folder).unwrap();
+            Self(folder)
+        }
+
+        fn write(&self, file: &str, bytes: &[u8]) {
+            std::fs::write(self.0.join(file), bytes).unwrap();
+        }
+    }
+
+    impl Drop for Folder {
+        fn drop(&mut self) {
+            std::fs::remove_dir_all(&self.0).unwrap();
+        }
+    }
+
+    /// The capsules of a link with these shapes.
+    fn of(folder: &Folder, collisions: &str) -> Result<Vec<LinkCapsule>, String> {
+        let text = format!("<robot name=\"r\"><link name=\"a\">{collisions}</link></robot>");
+        let part = Part { link: "a".into(), body: 3, at: [0.0, 0.0, 1.0, 0.0, 0.0, 0.0] };
+        capsules(&text, &[part], &folder.0)
+    }
+
+    fn shape(origin: &str, geometry: &str) -> String {
+        format!("<collision><origin xyz=\"{origin}\"/><geometry>{geometry}</geometry></collision>")
+    }
+
+    /// Both ends and the radius, the lower end first.
+    fn one(found: &Result<Vec<LinkCapsule>, String>) -> ([[f64; 3]; 2], f64) {
+        let [capsule] = found.as_deref().unwrap() else { panic!("{found:?}") };
+        assert_eq!(capsule.link, 3);
+        let [a, b] = capsule.ends_m;
+        let turned = (b[2], b[0]) < (a[2], a[0]);
+        (if turned { [b, a] } else { [a, b] }, capsule.radius_m)
+    }
+
+    fn near(a: [[f64; 3]; 2], b: [[f64; 3]; 2]) -> bool {
+        a.as_flattened().iter().zip(b.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-9)
+    }
+
+    #[test]
+    fn every_shape_lies_in_its_capsule() {
+        let folder = Folder::new("shapes");
+        let sphere = one(&of(&folder, &shape("0.1 0 0", "<sphere radius=\"0.05\"/>")));
+        assert!(near(sphere.0, [[0.1, 0.0, 1.0]; 2]) && sphere.1.to_bits() == 0.05_f64.to_bits(), "{sphere:?}");
+        let cylinder = one(&of(&folder, &shape("0 0 0.2", "<cylinder radius=\"0.06\" length=\"0.4\"/>")));
+        assert!((0.06..0.0603).contains(&cylinder.1), "{cylinder:?}");
+        assert!((cylinder.0[0][2] - 1.0).abs() < 0.004 && (cylinder.0[1][2] - 1.4).abs() < 0.004, "{cylinder:?}");
+        let long = one(&of(&folder, &shape("0 0 0", "<box size=\"0.6 0.06 0.08\"/>")));
+        assert!((long.1 - 0.05).abs() < 1e-9, "half of the diagonal across: {long:?}");
+        assert!(near(long.0, [[-0.3, 0.0, 1.0], [0.3, 0.0, 1.0]]), "{long:?}");
+    }
+
+    #[test]
+    fn capped_cylinder_is_one_capsule() {
+        let folder = Folder::new("capped");
+        let ball = |z: &str| shape(&format!("0 0 {z}"), "<sphere radius=\"0.06\"/>");
+        let shapes = format!("{}{}{}", ball("-0.1"), shape("0 0 0", "<cylinder radius=\"0.06\" length=\"0.2\"/>"), ball("0.1"));
+        let found = of(&folder, &shapes).unwrap();
+        assert!(found.len() <= 3 && !found.is_empty(), "{found:?}");
+        let twice = format!("{0}{0}", ball("0"));
+        assert_eq!(of(&folder, &twice).unwrap().len(), 1, "one of two that are the same");
+    }
+
+    #[test]
+    fn mesh_lies_in_its_capsule_however_it_is_written() {
+        let folder = Folder::new("mesh");
+        // a slanted bar
+        let corners: Vec<[f32; 3]> =
+            (0..40).map(|i| [0.01 * i as f32, 0.01 * i as f32 + 0.02 * (i % 2) as f32, 0.02 * (i % 3) as f32]).collect();
+        let triangles = || corners.windows(3);
+        let mut binary = vec![0_u8; 80];
+        binary.extend(u32::try_from(triangles().count()).unwrap().to_le_bytes());
+        let (mut text, mut obj) = ("solid bar\n".to_owned(), String::new());
+        for triangle in triangles() {
+            binary.extend([0_u8; 12]);
+            text += "facet normal 0 0 1\nouter loop\n";
+            for [x, y, z] in triangle {
+                [x, y, z].into_iter().for_each(|v| binary.extend(v.to_le_bytes()));
+                writeln!(text, "vertex {x} {y} {z}").unwrap();
+                writeln!(obj, "v {x} {y} {z}").unwrap();
+            }
+            binary.extend([0_u8; 2]);
+            text += "endloop\nendfacet\n";
+        }
+        folder.write("binary.stl", &binary);
+        folder.write("text.STL", text.as_bytes());
+        folder.write("bar.obj", obj.as_bytes());
+        let mut all = Vec::new();
+        for file in ["binary.stl", "package://maker/text.STL", "bar.obj"] {
+            let found = of(&folder, &shape("0 0 0", &format!("<mesh filename=\"{file}\" scale=\"1 1 2\"/>"))).unwrap();
+            let capsule = found[0];
+            for [x, y, z] in &corners {
+                let point = [f64::from(*x), f64::from(*y), 1.0 + 2.0 * f64::from(*z)];
+                assert!(beyond(&point, &capsule) <= capsule.radius_m + 1e-6, "{file}: {point:?} {capsule:?}");
+            }
+            assert!(capsule.radius_m < 0.06, "along the bar: {capsule:?}");
+            all.push(capsule);
+        }
+        assert!(all.iter().all(|other| near(other.ends_m, all[0].ends_m)), "{all:?}");
+    }
+
+    #[test]
+    fn shape_that_cannot_be_read_is_named_with_what_to_do() {
+        let folder = Folder::new("wrong");
+        folder.write("empty.stl", b"solid\n");
+        folder.write("nan.obj", b"v 0 0 0\nv nan 0 0\nv 0 1 0\n");
+        for (collision, said) in [
+            (shape("0 0 0", "<mesh filename=\"none.stl\"/>"), "no file "),
+            (shape("0 0 0", "<mesh filename=\"empty.stl\"/>"), "is no mesh of finite corners"),
+            (shape("0 0 0", "<mesh filename=\"nan.obj\"/>"), "is no mesh of finite corners"),
+            (shape("0 0 0", "<cylinder radius=\"0\" length=\"1\"/>"), "<cylinder radius>: 0 m is outside 0 to 10 m; correct it"),
+            (shape("0 0 0", "<sphere/>"), "<collision> without radius; add it"),
+            (shape("0 0 0", "<cone/>"), "<cone> is no shape that is read; write a cylinder, sphere, box or mesh"),
+            ("<collision/>".into(), "<collision> without a <geometry>; add it"),
+        ] {
+            let why = of(&folder, &collision).unwrap_err();
+            assert!(why.contains(said) && why.contains("link \"a\""), "{why}");
+        }
+    }
+
+    /// The UR10e's file with shapes: they are read where a distance is asked for, and given back as lists.
+    #[test]
+    fn arm_from_a_urdf_keeps_the_distance_of_its_shapes() {
+        let folder = Folder::new("arm");
+        let upper = "<collision><origin xyz=\"-0.3 0 0.17\" rpy=\"0 1.5707963 0\"/><geometry><cylinder radius=\"0.07\" \
+                     length=\"0.7\"/></geometry></collision>";
+        let fore = "<collision><geometry><mesh filename=\"none.stl\"/></geometry></collision>";
+        let with = |link: &str, shape: &str, text: &str| {
+            let from = format!("<link name=\"{link}\">");
+            assert!(text.contains(&from), "{link}");
+            text.replace(&from, &format!("{from}{shape}"))
+        };
+        let text = with("upper_arm_link", upper, MAKERS_UR10E);
+        folder.write("arm.urdf", text.as_bytes());
+        let config = |distance: &str| {
+            let file = format!(
+                "[robot]\narm = \"own\"\n[arm]\nurdf = \"arm.urdf\"\nbase_link = \"base_link\"\ntip_link = \"tool0\"\nhome_rad = \
+                 [0.0, -2.0, 2.0, -1.5707963267948966, -1.5707963267948966, 0.0]\n[control.self_collision]\ndistance_m = {distance}\n"
+            );
+            folder.write("mocad.toml", file.as_bytes());
+            Config::load(&folder.0.join("mocad.toml"))
+        };
+        let on = config("0.02").unwrap();
+        assert_eq!(on.robot.arm.capsules.len(), 1);
+        assert_eq!(on.robot.arm.capsules[0].link, 2);
+        assert!(on.self_collision::<6>().unwrap().is_some_and(|guard| guard.pairs() == 2), "base and floor");
+        let again = Config::parse(&toml::to_string(&on.to_toml()).unwrap()).unwrap();
+        assert_eq!(again.robot.arm.capsules, on.robot.arm.capsules);
+        let off = config("0.0").unwrap();
+        assert!(off.robot.arm.capsules.is_empty() && off.self_collision::<6>().unwrap().is_none());
+        folder.write("arm.urdf", with("forearm_link", fore, &text).as_bytes());
+        assert!(config("0.0").is_ok(), "shapes are not judged where nothing is done with them");
+        let why = config("0.02").unwrap_err().to_string();
+        assert!(why.contains("link \"forearm_link\": <mesh filename=\"none.stl\">: no file"), "{why}");
+        assert!(why.contains("or set arm.capsule_link"), "{why}");
+        folder.write("arm.urdf", MAKERS_UR10E.as_bytes());
+        let why = config("0.02").unwrap_err().to_string();
+        assert!(why.contains("needs capsules, and robot.arm = \"own\" has none; give arm.urdf with <collision> shapes"), "{why}");
+    }
+}
