@@ -3,6 +3,7 @@
 
 use anyhow::{Context, Result, ensure};
 use moca_control::config::{Config, HandConfig};
+use moca_control::plant::Simulated;
 use moca_control::targets::Targets;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
@@ -11,7 +12,7 @@ use moca_daemon::runtime::lockstep::{LockStep, TrueForces};
 use moca_experiments::{JOINTS, parallel};
 use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S, TargetPhase};
 use moca_msgs::{
-    ArmTable, Fault, Law, Mode, ParameterValues, Refusal, Request, Sample, Target, TargetRefusal,
+    ArmTable, Law, Mode, ParameterValues, Refusal, Request, Sample, Target, TargetRefusal,
     TimedTarget, TwistAxes,
 };
 use moca_wbc::limits::REPULSION_BAND_RAD;
