@@ -516,8 +516,8 @@ impl<const N: usize, T: Scalar> Near<N, T> {
     /// Joint torques to add to `torque` (N·m, without what carries the arm), so that no distance is used up faster than
     /// [`APPROACH_PER_S`] allows. They brake what approaches, and only that.
     ///
-    /// With d̈ = ∇d·M⁻¹τ, of each pair d̈ ≥ −κ(ḋ + γ·h) − γ·ḋ is demanded, h = d − least, not below 0; of one that still moves apart
-    /// no more than that it comes back no faster. A force along ∇d of each pair meets it, found for all pairs together in a fixed number
+    /// With d̈ = ∇d·M⁻¹τ, of each pair d̈ ≥ −κ(ḋ + γ·h) − γ·ḋ is demanded, h = d − least, not below 0. One that still moves
+    /// apart may come back as fast. A force along ∇d of each pair meets it, found for all pairs together in a fixed number
     /// of rounds.
     pub fn braking(&self, dq: &[T; N], torque: &[T; N], dt_s: T) -> [T; N] {
         let kappa = of::<T>(BRAKE_PER_S).min(of::<T>(BRAKE_SHARE) / dt_s);
