@@ -102,9 +102,11 @@ mod tests {
         let guard = on.self_collision::<7>().unwrap().unwrap();
         assert!(guard.compares(0, 7) && !guard.compares(6, 7) && guard.pairs() > 40);
         assert!(on.self_collision::<6>().unwrap().is_none(), "the arm has seven joints");
-        let base = Config::parse("plant.parts = \"base\"\ncontrol.self_collision.distance_m = 0.02\n").unwrap();
+        let base =
+            Config::parse("plant.parts = \"base\"\ncontrol.self_collision.distance_m = 0.02\n").unwrap();
         assert!(base.self_collision::<7>().unwrap().is_none(), "no arm");
-        let stand = Config::parse("plant.parts = \"arm\"\ncontrol.self_collision.distance_m = 0.02\n").unwrap();
+        let stand =
+            Config::parse("plant.parts = \"arm\"\ncontrol.self_collision.distance_m = 0.02\n").unwrap();
         let alone = stand.self_collision::<7>().unwrap().unwrap();
         assert!(alone.pairs() < guard.pairs(), "no base");
     }
@@ -121,7 +123,10 @@ mod tests {
     #[test]
     fn distance_or_posture_that_no_guard_allows_is_refused() {
         let why = told("control.self_collision.distance_m = 0.001\n").unwrap();
-        assert!(why.contains("control.self_collision.distance_m = 0.001 m is outside 0.005 to 0.1 m; 0 m is off"), "{why}");
+        assert!(
+            why.contains("control.self_collision.distance_m = 0.001 m is outside 0.005 to 0.1 m; 0 m is off"),
+            "{why}"
+        );
         let why = told("robot.arm = \"ur10e\"\ncontrol.self_collision.distance_m = 0.02\n").unwrap();
         assert!(why.contains("needs capsules, and robot.arm = \"ur10e\" has none"), "{why}");
         let tool = "[robot.tool]\ncapsule_ends_m = [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]\ncapsule_radius_m = 0.05\n";

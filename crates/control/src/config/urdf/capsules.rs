@@ -282,10 +282,16 @@ mod tests {
     fn every_shape_lies_in_its_capsule() {
         let folder = Folder::new("shapes");
         let sphere = one(&of(&folder, &shape("0.1 0 0", "<sphere radius=\"0.05\"/>")));
-        assert!(near(sphere.0, [[0.1, 0.0, 1.0]; 2]) && sphere.1.to_bits() == 0.05_f64.to_bits(), "{sphere:?}");
+        assert!(
+            near(sphere.0, [[0.1, 0.0, 1.0]; 2]) && sphere.1.to_bits() == 0.05_f64.to_bits(),
+            "{sphere:?}"
+        );
         let cylinder = one(&of(&folder, &shape("0 0 0.2", "<cylinder radius=\"0.06\" length=\"0.4\"/>")));
         assert!((0.06..0.0603).contains(&cylinder.1), "{cylinder:?}");
-        assert!((cylinder.0[0][2] - 1.0).abs() < 0.004 && (cylinder.0[1][2] - 1.4).abs() < 0.004, "{cylinder:?}");
+        assert!(
+            (cylinder.0[0][2] - 1.0).abs() < 0.004 && (cylinder.0[1][2] - 1.4).abs() < 0.004,
+            "{cylinder:?}"
+        );
         let long = one(&of(&folder, &shape("0 0 0", "<box size=\"0.6 0.06 0.08\"/>")));
         assert!((long.1 - 0.05).abs() < 1e-9, "half of the diagonal across: {long:?}");
         assert!(near(long.0, [[-0.3, 0.0, 1.0], [0.3, 0.0, 1.0]]), "{long:?}");
@@ -295,7 +301,12 @@ mod tests {
     fn capped_cylinder_is_one_capsule() {
         let folder = Folder::new("capped");
         let ball = |z: &str| shape(&format!("0 0 {z}"), "<sphere radius=\"0.06\"/>");
-        let shapes = format!("{}{}{}", ball("-0.1"), shape("0 0 0", "<cylinder radius=\"0.06\" length=\"0.2\"/>"), ball("0.1"));
+        let shapes = format!(
+            "{}{}{}",
+            ball("-0.1"),
+            shape("0 0 0", "<cylinder radius=\"0.06\" length=\"0.2\"/>"),
+            ball("0.1")
+        );
         let found = of(&folder, &shapes).unwrap();
         assert!(found.len() <= 3 && !found.is_empty(), "{found:?}");
         let twice = format!("{0}{0}", ball("0"));
@@ -306,8 +317,9 @@ mod tests {
     fn mesh_lies_in_its_capsule_however_it_is_written() {
         let folder = Folder::new("mesh");
         // a slanted bar
-        let corners: Vec<[f32; 3]> =
-            (0..40).map(|i| [0.01 * i as f32, 0.01 * i as f32 + 0.02 * (i % 2) as f32, 0.02 * (i % 3) as f32]).collect();
+        let corners: Vec<[f32; 3]> = (0..40)
+            .map(|i| [0.01 * i as f32, 0.01 * i as f32 + 0.02 * (i % 2) as f32, 0.02 * (i % 3) as f32])
+            .collect();
         let triangles = || corners.windows(3);
         let mut binary = vec![0_u8; 80];
         binary.extend(u32::try_from(triangles().count()).unwrap().to_le_bytes());
@@ -328,7 +340,8 @@ mod tests {
         folder.write("bar.obj", obj.as_bytes());
         let mut all = Vec::new();
         for file in ["binary.stl", "package://maker/text.STL", "bar.obj"] {
-            let found = of(&folder, &shape("0 0 0", &format!("<mesh filename=\"{file}\" scale=\"1 1 2\"/>"))).unwrap();
+            let found = of(&folder, &shape("0 0 0", &format!("<mesh filename=\"{file}\" scale=\"1 1 2\"/>")))
+                .unwrap();
             let capsule = found[0];
             for [x, y, z] in &corners {
                 let point = [f64::from(*x), f64::from(*y), 1.0 + 2.0 * f64::from(*z)];
@@ -349,9 +362,15 @@ mod tests {
             (shape("0 0 0", "<mesh filename=\"none.stl\"/>"), "no file "),
             (shape("0 0 0", "<mesh filename=\"empty.stl\"/>"), "is no mesh of finite corners"),
             (shape("0 0 0", "<mesh filename=\"nan.obj\"/>"), "is no mesh of finite corners"),
-            (shape("0 0 0", "<cylinder radius=\"0\" length=\"1\"/>"), "<cylinder radius>: 0 m is outside 0 to 10 m; correct it"),
+            (
+                shape("0 0 0", "<cylinder radius=\"0\" length=\"1\"/>"),
+                "<cylinder radius>: 0 m is outside 0 to 10 m; correct it",
+            ),
             (shape("0 0 0", "<sphere/>"), "<collision> without radius; add it"),
-            (shape("0 0 0", "<cone/>"), "<cone> is no shape that is read; write a cylinder, sphere, box or mesh"),
+            (
+                shape("0 0 0", "<cone/>"),
+                "<cone> is no shape that is read; write a cylinder, sphere, box or mesh",
+            ),
             ("<collision/>".into(), "<collision> without a <geometry>; add it"),
         ] {
             let why = of(&folder, &collision).unwrap_err();
@@ -396,6 +415,11 @@ mod tests {
         assert!(why.contains("or set arm.capsule_link"), "{why}");
         folder.write("arm.urdf", MAKERS_UR10E.as_bytes());
         let why = config("0.02").unwrap_err().to_string();
-        assert!(why.contains("needs capsules, and robot.arm = \"own\" has none; give arm.urdf with <collision> shapes"), "{why}");
+        assert!(
+            why.contains(
+                "needs capsules, and robot.arm = \"own\" has none; give arm.urdf with <collision> shapes"
+            ),
+            "{why}"
+        );
     }
 }
