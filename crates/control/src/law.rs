@@ -20,7 +20,7 @@ use moca_msgs::request::ARMING_POSTURE_RAD;
 use moca_msgs::robot::resized;
 use moca_msgs::{
     Actuation, ContactRow, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, PostureOffset,
-    Refusal, Request, RobotCommand, RobotState, Target, TargetState, TaxelStatus,
+    Refusal, Request, RobotCommand, RobotState, Target, TargetRefusal, TargetState, TaxelStatus,
 };
 use moca_wbc::reference_generator::{ReferenceBounds, Workspace};
 use moca_wbc::{
@@ -312,6 +312,7 @@ impl Motion {
         if *request == Request::EndTarget {
             self.recentre.end();
         }
+        either!(&self.controller, controller => controller.keeps_apart(request, robot, &self.targets))?;
         self.targets.take(now_ns, request, law, &self.parameters.limits.base_velocity, robot, touch)
     }
 
@@ -519,17 +520,21 @@ impl<const N: usize> Controller<N> {
     fn new(config: &Config, parameters: &Parameters<JOINTS>) -> Result<Self, ParameterError> {
         let arm = &config.arm().table::<N>().ok_or(other_joints(config.arm().joints))?;
         let (parameters, taxels) = (parameters.resized::<N>(), config.robot.cover.placements());
-        let (mount, payload) = (config.robot.mount, config.robot.payload());
+        let (mount, payload, guard) = (config.robot.mount, config.robot.payload(), config.self_collision()?);
         Ok(match config.plant.parts {
             Parts::Whole => {
-                Self::Whole(WholeBodyController::new(arm, &mount, &payload, &taxels, &parameters)?, None)
+                let whole = WholeBodyController::new(arm, &mount, &payload, &taxels, &parameters)?;
+                Self::Whole(guard.map_or(whole, |guard| whole.with_self_collision(guard)), None)
             }
             Parts::Base => {
                 let base = BaseController::new(&taxels, &parameters)?;
                 let state = base.enter();
                 Self::Base(base, state)
             }
-            Parts::Arm => Self::Arm(ArmController::new(arm, &mount, &payload, &parameters)?, None),
+            Parts::Arm => {
+                let alone = ArmController::new(arm, &mount, &payload, &parameters)?;
+                Self::Arm(guard.map_or(alone, |guard| alone.with_self_collision(guard)), None)
+            }
         })
     }
 
@@ -631,6 +636,33 @@ impl<const N: usize> Controller<N> {
             Self::Base(_, state) => state.lead(velocity_body),
             Self::Whole(_, None) | Self::Arm(_, None) => Ok(()),
         }
+    }
+
+    /// Refuses a target that leads two parts of the robot too near to each other; without a guard it takes each.
+    fn keeps_apart(
+        &self,
+        request: &Request,
+        robot: &RobotState<JOINTS>,
+        targets: &Targets,
+    ) -> Result<(), TargetRefusal> {
+        let least_m = match self {
+            Self::Whole(controller, _) => controller.smallest_distance(),
+            Self::Arm(controller, _) => controller.smallest_distance(),
+            Self::Base(..) => None,
+        };
+        let Some(least_m) = least_m else { return Ok(()) };
+        let robot = robot.resized();
+        let keeps = |order: Order| {
+            let nearest = arm_target(&order).and_then(|target| match self {
+                Self::Whole(controller, _) => controller.too_near_at(&target, &robot),
+                Self::Arm(controller, _) => controller.too_near_at(&target, &robot),
+                Self::Base(..) => None,
+            });
+            nearest.map_or(Ok(()), |nearest| {
+                Err(TargetRefusal::TooNear { parts: nearest.parts, distance_m: nearest.distance, least_m })
+            })
+        };
+        targets.led_through(request).into_iter().flatten().try_for_each(|target| keeps(Order::To(target)))
     }
 
     fn carry_target(&mut self, velocity_world_m_s: [f64; 2], dt_s: f64) -> Result<(), ControlError> {

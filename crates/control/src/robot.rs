@@ -3,7 +3,8 @@
 
 pub use moca_msgs::robot::FoamKind;
 use moca_msgs::robot::{
-    AnyArm, BaseTable, FR3, LinkInertial, Mount, PANDA, PAPER_COVER, Payload, TaxelPlacement, UR10E,
+    AnyArm, BaseTable, FR3, LinkCapsule, LinkInertial, Mount, PANDA, PANDA_CAPSULES, PAPER_COVER, Payload,
+    TaxelPlacement, UR10E,
 };
 use moca_msgs::table::{Field, FieldValue, ParameterKind, Size, Typed};
 use moca_msgs::{MAX_JOINTS, MAX_TAXELS, choice, parameter_table};
@@ -78,6 +79,10 @@ parameter_table! {
         inertia_com: [f64; 6] = [0.0; 6] => [.range(-100.0, 100.0).units(&["kg·m²"])];
         /// Tool frame in the flange's: x, y, z; roll, pitch, yaw.
         origin: [f64; 6] = [0.0; 6] => [.range(-7.0, 7.0).units(&["m", "m", "m", "rad", "rad", "rad"])];
+        /// Capsule around the tool in the flange's axes: x, y, z of both ends.
+        capsule_ends_m: [f64; 6] = [0.0; 6] => [.range(-2.0, 2.0).units(&["m"])];
+        /// Radius of that capsule; 0 is none.
+        capsule_radius_m: f64 = 0.0 => [.range(0.0, 1.0).units(&["m"])];
     }
 }
 
@@ -209,23 +214,31 @@ pub struct Arm {
     pub name: String,
     /// Kinematics, inertias, ranges, speeds, torques.
     pub table: AnyArm,
+    /// Capsules around its links; empty where nobody gave any.
+    pub capsules: Vec<LinkCapsule>,
 }
 
 /// `robot.arm` of an arm that `[arm]` describes.
 pub const OWN_ARM: &str = "own";
 
-/// The built-in arms: name in a configuration file, name shown to users, table.
-const BUILT_IN: [(&str, &str, AnyArm); 3] = [
-    ("panda", "Franka Emika Panda", AnyArm::of(&PANDA)),
-    ("fr3", "Franka Research 3", AnyArm::of(&FR3)),
-    ("ur10e", "Universal Robots UR10e", AnyArm::of(&UR10E)),
+/// A built-in arm: name in a configuration file, name shown to users, table, capsules.
+type BuiltIn = (&'static str, &'static str, AnyArm, &'static [LinkCapsule]);
+
+/// The built-in arms.
+const BUILT_IN: [BuiltIn; 3] = [
+    ("panda", "Franka Emika Panda", AnyArm::of(&PANDA), &PANDA_CAPSULES),
+    ("fr3", "Franka Research 3", AnyArm::of(&FR3), &PANDA_CAPSULES),
+    ("ur10e", "Universal Robots UR10e", AnyArm::of(&UR10E), &[]),
 ];
 
 impl Arm {
     /// A built-in arm.
     pub fn built_in(name: &str) -> Option<Self> {
-        let &(source, shown, table) = BUILT_IN.iter().find(|(known, ..)| *known == name)?;
-        Some(Self { source: source.into(), name: shown.into(), table })
+        BUILT_IN.iter().find(|(known, ..)| *known == name).map(Self::of)
+    }
+
+    fn of(&(source, shown, table, capsules): &BuiltIn) -> Self {
+        Self { source: source.into(), name: shown.into(), table, capsules: capsules.into() }
     }
 
     /// The names of the built-in arms.
@@ -236,8 +249,7 @@ impl Arm {
 
 impl Default for Arm {
     fn default() -> Self {
-        let (source, shown, table) = BUILT_IN[0];
-        Self { source: source.into(), name: shown.into(), table }
+        Self::of(&BUILT_IN[0])
     }
 }
 

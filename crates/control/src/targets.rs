@@ -164,6 +164,22 @@ impl Targets {
         Ok(())
     }
 
+    /// Targets that a request leads to, as far as its numbers are those of a target: of a trajectory's pose the middle of the way
+    /// from the one before it, and the pose.
+    pub fn led_through(&self, request: &Request) -> [Option<Target>; 2] {
+        match request {
+            Request::Target(target) if target.check().is_ok() => [None, Some(target.target)],
+            Request::Waypoint { waypoint, .. } if check_trajectory(&[*waypoint]).is_ok() => {
+                let pose = |waypoints: &[Waypoint], time_s| pose_at(waypoints, time_s);
+                let before = self.state.waypoints.last().filter(|before| before.time_s < waypoint.time_s);
+                let middle = before
+                    .and_then(|before| pose(&[*before, *waypoint], 0.5 * (before.time_s + waypoint.time_s)));
+                [middle, pose(&[*waypoint], waypoint.time_s)]
+            }
+            _ => [None, None],
+        }
+    }
+
     fn untouched(&self, policy: TouchPolicy, touch: Option<Touch>) -> Outcome {
         match touch {
             Some(Touch { taxel, force_n }) if policy == TouchPolicy::TouchWins => {

@@ -13,7 +13,8 @@ use cover::{characterize, latency, stream, threshold};
 use numerics::{economy, extremes, precision, stability, sweep, tick, vectors};
 use paper::report;
 use robustness::{
-    attack, clients, faults, lean, long_lean, lost_packets, protection, recording, soak, targets,
+    attack, clients, faults, lean, long_lean, lost_packets, protection, recording, self_collision, soak,
+    targets,
 };
 use std::process::ExitCode;
 
@@ -57,6 +58,7 @@ enum Command {
     Sweep(sweep::Arguments),
     /// Prints the cost of a scene with everything in it and with only what it needs.
     Economy(economy::Arguments),
+    SelfCollision(self_collision::Arguments),
     Soak(soak::Arguments),
     /// Reads a recorded Touch Board stream: frames, rate, faults.
     Stream(stream::Arguments),
@@ -105,6 +107,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Stability(arguments) => stability::run(&arguments),
         Command::Sweep(arguments) => sweep::run(&arguments),
         Command::Economy(arguments) => economy::run(&arguments),
+        Command::SelfCollision(arguments) => self_collision::run(&arguments),
         Command::Soak(arguments) => soak::run(&arguments),
         Command::Stream(arguments) => stream::run(&arguments),
         Command::Threshold(arguments) => threshold::run(&arguments),

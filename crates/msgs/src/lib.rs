@@ -50,7 +50,9 @@ pub use request::{Outcome, Refusal, Request};
 pub use robot::{ArmTable, BaseTable, Mount, Payload, TaxelPlacement};
 pub use sample::{MAX_JOINTS, MAX_TAXELS, STAGES, Sample};
 pub use state::{Actuation, RobotCommand, RobotState};
-pub use target::{Target, TargetRefusal, TargetState, TimedTarget, TouchPolicy, TwistAxes, Waypoint};
+pub use target::{
+    RobotPart, Target, TargetRefusal, TargetState, TimedTarget, TouchPolicy, TwistAxes, Waypoint,
+};
 pub use taxel::{CoverReading, TaxelReading, TaxelStatus};
 pub use truth::{TrueArm, TrueBase, TrueFoam, TrueFoamKind, TrueSensor, Truth};
 

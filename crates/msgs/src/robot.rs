@@ -28,6 +28,17 @@ pub struct LinkInertial {
     pub inertia_com: [f64; 6],
 }
 
+/// A capsule around a part of a link: every point within a radius of a segment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LinkCapsule {
+    /// Link that carries it; 0 is the one that stands on the base.
+    pub link: usize,
+    /// Both ends of the segment in the link's frame, m; equal for a sphere.
+    pub ends_m: [[f64; 3]; 2],
+    /// Radius, m.
+    pub radius_m: f64,
+}
+
 /// A serial arm of `N` revolute joints, each turning about the z axis of its own link frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -342,6 +353,25 @@ pub const PANDA: ArmTable<7> = ArmTable {
     posture_damping_nm_s_rad: [10.0, 10.0, 10.0, 10.0, 5.0, 3.5, 1.7],
 };
 
+/// Capsules of the Panda and of the Franka Research 3, which its maker compares (`franka_description`, `franka_arm.xacro`).
+pub const PANDA_CAPSULES: [LinkCapsule; 10] = {
+    // x and y of the flange's connector in the axes of link 7, which its maker's capsules are turned in by 45°
+    const NEAR: f64 = 0.055 * core::f64::consts::FRAC_1_SQRT_2;
+    const FAR: f64 = 0.065 * core::f64::consts::FRAC_1_SQRT_2;
+    [
+        capsule(0, [-0.09, 0.0, 0.06], [-0.06, 0.0, 0.06], 0.06),
+        capsule(1, [0.0, 0.0, -0.333], [0.0, 0.0, -0.05], 0.06),
+        capsule(2, [0.0, 0.0, -0.06], [0.0, 0.0, 0.06], 0.06),
+        capsule(3, [0.0, 0.0, -0.22], [0.0, 0.0, -0.07], 0.06),
+        capsule(4, [0.0, 0.0, -0.06], [0.0, 0.0, 0.06], 0.06),
+        capsule(5, [0.0, 0.0, -0.31], [0.0, 0.0, -0.21], 0.06),
+        capsule(5, [0.0, 0.08, -0.2], [0.0, 0.08, -0.06], 0.025),
+        capsule(6, [0.0, 0.0, -0.07], [0.0, 0.0, 0.01], 0.05),
+        capsule(7, [0.0, 0.0, -0.06], [0.0, 0.0, 0.08], 0.04),
+        capsule(7, [NEAR, NEAR, 0.082], [FAR, FAR, 0.082], 0.03),
+    ]
+};
+
 /// Franka Research 3: the Panda's kinematics with its own inertials and limits (`franka_description`, `robots/fr3`:
 /// `inertials.yaml`, `joint_limits.yaml`).
 pub const FR3: ArmTable<7> = ArmTable {
@@ -509,6 +539,10 @@ pub const PAPER_COVER: [TaxelPlacement; 11] = [
 
 const fn link(mass_kg: f64, com_m: [f64; 3], inertia_com: [f64; 6]) -> LinkInertial {
     LinkInertial { mass_kg, com_m, inertia_com }
+}
+
+const fn capsule(link: usize, from_m: [f64; 3], to_m: [f64; 3], radius_m: f64) -> LinkCapsule {
+    LinkCapsule { link, ends_m: [from_m, to_m], radius_m }
 }
 
 const fn taxel(x: f64, y: f64, inward_angle_base_rad: f64) -> TaxelPlacement {

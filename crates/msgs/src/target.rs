@@ -293,6 +293,31 @@ impl Quantity {
     }
 }
 
+/// Part of a robot that another one may come too near to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum RobotPart {
+    /// Floor under the base.
+    Floor,
+    /// Base with its cover.
+    Base,
+    /// Link of the arm; 0 is the one that stands on the base.
+    Link(u8),
+    /// Tool at the flange.
+    Tool,
+}
+
+impl fmt::Display for RobotPart {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Floor => f.write_str("the floor"),
+            Self::Base => f.write_str("the base"),
+            Self::Link(link) => write!(f, "link {link}"),
+            Self::Tool => f.write_str("the tool"),
+        }
+    }
+}
+
 /// Why a target is not taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -330,6 +355,15 @@ pub enum TargetRefusal {
     },
     /// A pose of a trajectory came out of its turn.
     OutOfTurn,
+    /// Two parts of the robot would be too near to each other where the target leads.
+    TooNear {
+        /// The two parts.
+        parts: [RobotPart; 2],
+        /// Distance between them, m; less than 0 where they would overlap.
+        distance_m: f64,
+        /// Smallest allowed distance, m.
+        least_m: f64,
+    },
 }
 
 impl fmt::Display for TargetRefusal {
@@ -352,6 +386,11 @@ impl fmt::Display for TargetRefusal {
             Self::Overtaken => f.write_str("a newer target came before its turn"),
             Self::TooMany { most } => write!(f, "too many at once: {most} may be on their way to the loop"),
             Self::OutOfTurn => f.write_str("a pose of a trajectory came out of its turn"),
+            Self::TooNear { parts: [one, other], distance_m, least_m } => write!(
+                f,
+                "{one} and {other} would be {distance_m:.3} m apart, at least {least_m:.3} m are allowed: choose a target further \
+                 away from {other}"
+            ),
         }
     }
 }

@@ -52,7 +52,13 @@ pub(crate) fn mjcf(scene: &Scene) -> Result<String, fmt::Error> {
     if scene.geoms {
         xml.push_str("<geom type=\"plane\" size=\"20 20 1\" pos=\"0 0 -0.01\"/>\n");
     }
+    if !scene.capsules.is_empty() {
+        xml.push_str("<geom type=\"plane\" size=\"20 20 1\" contype=\"0\" conaffinity=\"1\"/>\n");
+    }
     xml.push_str("</worldbody>\n");
+    if !scene.apart.is_empty() {
+        apart(&mut xml, scene)?;
+    }
     if scene.geoms {
         sensors(&mut xml, scene)?;
     }
@@ -67,8 +73,9 @@ fn options(xml: &mut String, scene: &Scene) -> fmt::Result {
         Integrator::Implicit => "implicit",
         Integrator::ImplicitFast | Integrator::Leapfrog => "implicitfast",
     };
-    let contact = if scene.geoms { "enable" } else { "disable" };
-    let constraint = if scene.joint_limits { "enable" } else { "disable" };
+    let meets = scene.geoms || !scene.capsules.is_empty();
+    let contact = if meets { "enable" } else { "disable" };
+    let constraint = if scene.joint_limits || meets { "enable" } else { "disable" };
     writeln!(xml, "<mujoco model=\"moca\">")?;
     // Upper-case axes are fixed axes: R = Rz·Ry·Rx, as in the tables.
     writeln!(xml, "<compiler angle=\"radian\" autolimits=\"true\" eulerseq=\"XYZ\"/>")?;
@@ -82,7 +89,7 @@ fn options(xml: &mut String, scene: &Scene) -> fmt::Result {
         xml,
         "<flag autoreset=\"disable\" contact=\"{contact}\" constraint=\"{constraint}\"/></option>"
     )?;
-    if !scene.geoms {
+    if !meets {
         // What MuJoCo sets aside for contacts has no use where there are none; `tests/plant.rs` says what a step takes.
         writeln!(xml, "<size memory=\"256K\"/>")?;
     }
@@ -103,6 +110,12 @@ fn base(xml: &mut String, scene: &Scene) -> fmt::Result {
     }
     if scene.geoms {
         hull(xml, scene)?;
+    } else if !scene.capsules.is_empty() {
+        let [x, y, z] = half_hull(scene);
+        writeln!(
+            xml,
+            "<geom type=\"box\" size=\"{x} {y} {z}\" pos=\"0 0 {z}\" contype=\"0\" conaffinity=\"1\"/>"
+        )?;
     }
     let mass = scene.base.mass_kg;
     writeln!(xml, "<inertial pos=\"{cx} {cy} {cz}\" mass=\"{mass}\" diaginertia=\"{ix} {iy} {iz}\"/>")
@@ -117,6 +130,7 @@ fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
     open_body(xml, "link0", &origin)?;
     let (table, joints) = (&scene.arm.table, scene.arm.joints);
     inertial(xml, &table.link0)?;
+    capsules(xml, scene, 0)?;
     for i in 0..joints {
         open_body(xml, &format!("link{}", i + 1), &table.joint_origin[i])?;
         write!(xml, "<joint name=\"q{}\" type=\"hinge\" axis=\"0 0 1\"", i + 1)?;
@@ -125,6 +139,7 @@ fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
         }
         xml.push_str("/>\n");
         inertial(xml, &table.links[i])?;
+        capsules(xml, scene, i + 1)?;
         if scene.geoms {
             let [x, y, z] = table.links[i].com_m;
             writeln!(xml, "<geom type=\"sphere\" size=\"0.02\" pos=\"{x} {y} {z}\"/>")?;
@@ -133,6 +148,7 @@ fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
     open_body(xml, FLANGE, &table.flange_origin)?;
     // Applied forces act at a body's centre of mass. A body without inertial gets its own offset in the parent for it.
     xml.push_str("<inertial pos=\"0 0 0\" mass=\"0\" diaginertia=\"0 0 0\"/>\n");
+    capsules(xml, scene, joints + 1)?;
     if scene.payload.inertial.mass_kg > 0.0 {
         open_body(xml, "payload", &[0.0; 6])?;
         inertial(xml, &scene.payload.inertial)?;
@@ -146,6 +162,34 @@ fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
     }
     xml.push('\n');
     Ok(())
+}
+
+/// The capsules of a link.
+fn capsules(xml: &mut String, scene: &Scene, link: usize) -> fmt::Result {
+    for capsule in scene.capsules.iter().filter(|capsule| capsule.link == link) {
+        let ([[x0, y0, z0], [x1, y1, z1]], radius) = (capsule.ends_m, capsule.radius_m);
+        // MuJoCo takes no capsule without a length
+        let is_point = [x1 - x0, y1 - y0, z1 - z0].iter().all(|length_m| length_m.abs() < 1e-9);
+        // a bit each for the arm and for what it meets: the base never meets the floor
+        let shape = if is_point {
+            format!("type=\"sphere\" size=\"{radius}\" pos=\"{x0} {y0} {z0}\"")
+        } else {
+            format!("type=\"capsule\" size=\"{radius}\" fromto=\"{x0} {y0} {z0} {x1} {y1} {z1}\"")
+        };
+        writeln!(xml, "<geom {shape} contype=\"1\" conaffinity=\"1\"/>")?;
+    }
+    Ok(())
+}
+
+/// Pairs of links that pass through each other.
+fn apart(xml: &mut String, scene: &Scene) -> fmt::Result {
+    let joints = scene.arm.joints;
+    let body = |link: usize| if link > joints { FLANGE.to_owned() } else { format!("link{link}") };
+    xml.push_str("<contact>\n");
+    for [one, other] in scene.apart.iter().filter(|[one, other]| one.max(other) <= &(joints + 1)) {
+        writeln!(xml, "<exclude body1=\"{}\" body2=\"{}\"/>", body(*one), body(*other))?;
+    }
+    writeln!(xml, "</contact>")
 }
 
 fn open_body(xml: &mut String, name: &str, [x, y, z, roll, pitch, yaw]: &[f64; 6]) -> fmt::Result {
@@ -167,13 +211,19 @@ fn inertial(xml: &mut String, link: &LinkInertial) -> fmt::Result {
     )
 }
 
-/// The base as a box out to its taxels, a touch pad at each.
-fn hull(xml: &mut String, scene: &Scene) -> fmt::Result {
+/// Half lengths of the box out to the taxels.
+fn half_hull(scene: &Scene) -> [f64; 3] {
     let [x, y, z] = scene.base.size_m.map(|length| 0.5 * length);
     let furthest = |half: f64, axis: usize| {
         scene.cover.iter().map(|taxel| taxel.position_base_m[axis].abs()).fold(half, f64::max)
     };
-    writeln!(xml, "<geom type=\"box\" size=\"{} {} {z}\" pos=\"0 0 {z}\"/>", furthest(x, 0), furthest(y, 1))?;
+    [furthest(x, 0), furthest(y, 1), z]
+}
+
+/// The base as a box out to its taxels, a touch pad at each.
+fn hull(xml: &mut String, scene: &Scene) -> fmt::Result {
+    let [x, y, z] = half_hull(scene);
+    writeln!(xml, "<geom type=\"box\" size=\"{x} {y} {z}\" pos=\"0 0 {z}\"/>")?;
     for (i, taxel) in scene.cover.iter().enumerate() {
         let [x, y] = taxel.position_base_m;
         let yaw = taxel.inward_angle_base_rad;

@@ -283,6 +283,11 @@ impl SimPlant {
         self.contact_peak_n
     }
 
+    /// Number of contacts between geoms of the scene in the last physics step.
+    pub fn contacts(&self) -> usize {
+        self.mechanics.contacts()
+    }
+
     /// True wrench of everything that touches the cover on the base over the last physics step, where it acts and with
     /// its friction, axes and origin of B: N, N, N·m. (Eq. (4) places every force at its taxel's centre.)
     pub fn cover_wrench_true_base(&self) -> [f64; 3] {

@@ -5,7 +5,7 @@ use crate::contact::Tissue;
 use crate::error::{SimError, within};
 use crate::foam::Foam;
 use crate::joint_friction;
-use moca_msgs::robot::{AnyArm, BaseTable, Mount, Payload, TaxelPlacement};
+use moca_msgs::robot::{AnyArm, BaseTable, LinkCapsule, Mount, Payload, TaxelPlacement};
 use moca_msgs::{MAX_JOINTS, MAX_TAXELS, TrueArm, TrueBase};
 
 /// Which parts of the robot exist.
@@ -266,6 +266,11 @@ pub struct Scene {
     /// MuJoCo's contacts and not on the foam; until somebody touches it the trajectory is the same. It is what scene
     /// economy is measured against.
     pub geoms: bool,
+    /// Capsules of the arm's links, which meet each other, the base out to its taxels and the floor as MuJoCo's geoms; a link beyond
+    /// the last joint's is the flange. Empty for an arm without a shape.
+    pub capsules: Vec<LinkCapsule>,
+    /// Pairs of links whose capsules pass through each other; links that a joint connects do anyway. 0 stands on the base.
+    pub apart: Vec<[usize; 2]>,
     /// The base: its body and its velocity servo, first order and limited in acceleration in the axes of B.
     pub base: BaseTable,
     /// The way from a command to that servo, its deceleration, and odometry.
@@ -309,6 +314,8 @@ impl Scene {
             flange_sensor: false,
             foam: Foam::default(),
             geoms: false,
+            capsules: Vec::new(),
+            apart: Vec::new(),
             base: *base,
             base_link: TrueBase::AS_DESCRIBED,
             seed: 1,
@@ -324,9 +331,10 @@ impl Scene {
     }
 
     /// Returns the feature of this scene that needs MuJoCo; `None` if [`Engine::Analytic`] can run it.
-    pub const fn needs_mujoco(&self) -> Option<&'static str> {
+    pub fn needs_mujoco(&self) -> Option<&'static str> {
         match (self.robot, self.integrator, self.arm.joints) {
             _ if self.geoms => Some("geoms and sensors"),
+            _ if !self.capsules.is_empty() => Some("an arm with a shape"),
             (Robot::BaseOnly, ..) => Some("a base without its arm"),
             (Robot::ArmOnly, ..) => Some("an arm without its base"),
             (_, Integrator::RungeKutta4 | Integrator::Implicit, _) => {
@@ -338,7 +346,7 @@ impl Scene {
     }
 
     /// Returns the cheapest engine that can run this scene, whatever engine it names.
-    pub const fn needed_engine(&self) -> Engine {
+    pub fn needed_engine(&self) -> Engine {
         if self.needs_mujoco().is_some() { Engine::MuJoCo } else { Engine::Analytic }
     }
 
@@ -360,6 +368,10 @@ impl Scene {
         #[expect(clippy::cast_precision_loss, reason = "small counts")]
         within("cover", "taxels", &[self.cover.len() as f64], 0.0, MAX_TAXELS as f64)?;
         within("payload.mass", "kg", &[self.payload.inertial.mass_kg], 0.0, 1e3)?;
+        for capsule in &self.capsules {
+            within("capsule.ends", "m", capsule.ends_m.as_flattened(), -10.0, 10.0)?;
+            within("capsule.radius", "m", &[capsule.radius_m], 1e-3, 1.0)?;
+        }
         for taxel in &self.cover {
             within("taxel.position", "m", &taxel.position_base_m, -10.0, 10.0)?;
             within("taxel.inward", "rad", &[taxel.inward_angle_base_rad], -7.0, 7.0)?;

@@ -6,7 +6,8 @@ use moca_wbc::contact_barrier::{BarrierInput, BarrierSettings, ContactBarrier, F
 use moca_wbc::limits::TorqueLimits;
 use moca_wbc::nalgebra::convert;
 use moca_wbc::opspace::{ArmDynamics, AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
-use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, UR10E};
+use moca_wbc::robot::{LinkCapsule, MOCA_MOUNT, PANDA, PANDA_CAPSULES, PAPER_COVER, SUMMIT_XL, UR10E};
+use moca_wbc::self_collision::{SelfCollision, Solids};
 use moca_wbc::{
     ArmModel, ArmTable, ControlInput, ControlLaw, Corrections, ImpedanceGains, Limits, LimitsHit, Parameters,
     Payload, RobotState, Scalar, WholeBodyController, impedance,
@@ -156,8 +157,46 @@ fn barrier(c: &mut Criterion) {
     group.finish();
 }
 
+/// The guard against self-collision: its distances alone, ten pairs and all of them, and in a step of a robot at home and folded.
+fn self_collision(c: &mut Criterion) {
+    let mut group = c.benchmark_group("self-collision");
+    let guard = |capsules: &[LinkCapsule]| {
+        let solids = Solids { capsules, tool: None, base_size_m: Some(SUMMIT_XL.size_m) };
+        SelfCollision::<7, f64>::new(&PANDA, &MOCA_MOUNT, &solids, 0.02).unwrap()
+    };
+    // the hand and the forearm before the base, the column and the floor: ten pairs
+    let ten: Vec<LinkCapsule> = [0, 5, 7, 8].map(|i| PANDA_CAPSULES[i]).into();
+    let model = ArmModel::<7, f64>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE).unwrap();
+    let folded = [0.0, -1.2, 0.0, -2.9, 0.0, 1.0, 0.0];
+    for (posture, q) in [("home", PANDA.home_rad), ("folded", folded)] {
+        let kinematics = model.kinematics(0.4, &q);
+        for guard in [guard(&ten), guard(&PANDA_CAPSULES)] {
+            let name = format!("{} pairs", guard.pairs());
+            group.bench_function(BenchmarkId::new(name, posture), |b| {
+                b.iter(|| guard.nearest(black_box(&kinematics)));
+            });
+        }
+        let parameters = Parameters::for_arm(&PANDA);
+        let controller =
+            WholeBodyController::<7, 11>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &parameters)
+                .unwrap();
+        for (name, controller) in
+            [("step without", controller), ("step", controller.with_self_collision(guard(&PANDA_CAPSULES)))]
+        {
+            let mut input = input::<7, f64>(&PANDA);
+            input.robot.q_rad = q;
+            let mut state = controller.enter(ControlLaw::Impedance, &input.robot).unwrap();
+            group.bench_function(BenchmarkId::new(name, posture), |b| {
+                b.iter(|| controller.step(ControlLaw::Impedance, &mut state, black_box(&input)).unwrap());
+            });
+        }
+    }
+    group.finish();
+}
+
 fn benches(c: &mut Criterion) {
     barrier(c);
+    self_collision(c);
     steps::<7, f64>(c, &PANDA, "panda-f64");
     steps::<7, f32>(c, &PANDA, "panda-f32");
     steps::<6, f64>(c, &UR10E, "ur10e-f64");

@@ -8,7 +8,8 @@
 //!    remembers; it is yours) and [`WholeBodyController::step`] (measurements in, command inside every limit out). A base
 //!    without an arm is a [`BaseController`], an arm without a cover an [`ArmController`]; the whole is made of these two.
 //! 2. **The laws** alone, to build another controller: [`opspace`], [`impedance`], [`follow_me`], [`admittance`],
-//!    [`cover_map`], [`limits`], [`guard`], [`contact_barrier`], [`reach`], [`momentum_observer`].
+//!    [`cover_map`], [`limits`], [`guard`], [`contact_barrier`], [`self_collision`], [`reach`],
+//!    [`momentum_observer`].
 //! 3. **The model** alone: [`ArmModel`] from a table of [`robot`]; [`ArmModel::kinematics`] gives poses and Jacobians in
 //!    world axes, [`ArmModel::dynamics`] mass matrix and bias as well; [`coupled`] adds the physical base.
 //! 4. **References from outside**: [`online_trajectory`] and [`reference_generator`] make of targets, however they come,
@@ -140,6 +141,8 @@ pub mod joint_stiffness;
 pub mod limits;
 #[path = "protect/reach.rs"]
 pub mod reach;
+#[path = "protect/self_collision/mod.rs"]
+pub mod self_collision;
 #[path = "protect/state_check.rs"]
 mod state_check;
 
@@ -183,7 +186,7 @@ pub use guard::BaseGuard;
 pub use limits::{Exceeded, LimitsHit};
 pub use moca_msgs::{
     ArmTable, BaseTable, Corrections, ImpedanceGains, Law, Limits, Mount, ParameterError, Parameters,
-    Payload, RobotCommand, RobotState, TaxelPlacement, TwistAxes, robot,
+    Payload, RobotCommand, RobotPart, RobotState, TaxelPlacement, TwistAxes, robot,
 };
 pub use model::ArmModel;
 pub use nalgebra;

@@ -43,6 +43,7 @@ pub(super) fn check(config: &Config, report: Report<'_>) {
     timeout(config, report);
     carried(config, report);
     compensation(config, report);
+    super::self_collision::check(config, report);
 }
 
 /// Compensation of loads: slower than the observer that it follows, and with an observer.

@@ -21,6 +21,8 @@ const RENAMED: &[(&str, &str)] = &[
     ("protection.unfelt_force_n", "protection.threshold_force_n"),
 ];
 
+/// Distance for which an arm's shapes are needed.
+const SELF_COLLISION: &str = "control.self_collision.distance_m";
 /// Names the arm.
 const ARM: &str = "robot.arm";
 /// Which taxels the scripted hand presses.
@@ -139,7 +141,10 @@ fn arm(values: &toml::Table, folder: &Path, mistakes: &mut Mistakes<'_>) -> Opti
         }
     });
     if named == Some(OWN_ARM) && fine {
-        let arm = own.arm(folder);
+        // shapes are read, and judged, where something is done with them
+        let distance = find(values, SELF_COLLISION);
+        let shaped = distance.is_some_and(|v| v.as_float().is_some_and(|v| v > 0.0));
+        let arm = own.arm(folder, shaped);
         return arm.map_err(|found| found.iter().for_each(|(row, message)| mistakes.add(row, message))).ok();
     }
     if named != Some(OWN_ARM) && own != OwnArm::default() {

@@ -11,6 +11,7 @@ mod own_arm;
 mod ports;
 mod ros2;
 pub mod schema;
+mod self_collision;
 pub mod stability;
 pub mod urdf;
 
@@ -33,6 +34,7 @@ use moca_tactile::cover::MaskPolicy;
 use moca_tactile::model::ASSUMED_ERROR_FROM_N;
 use moca_tactile::{CoverConfig, Firmware, TaxelModel};
 use moca_telemetry::net::{Address, Token, address::SOCKET_NAME};
+use moca_wbc::self_collision::DISTANCES_M;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -94,6 +96,17 @@ parameter_table! {
         corrections: Corrections = Corrections::default();
         /// `[control.compensation]`
         compensation: CompensationConfig = CompensationConfig::default();
+        /// `[control.self_collision]`
+        self_collision: SelfCollisionConfig = SelfCollisionConfig::default();
+    }
+}
+
+parameter_table! {
+    /// `[control.self_collision]`: the arm keeps away from itself, the base and the floor. Off by default.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct SelfCollisionConfig in "control.self_collision" {
+        /// Smallest distance between two parts of the robot, at least 0.005; 0 is off. An arm of your own needs capsules.
+        distance_m: f64 = 0.0 => [.range(0.0, DISTANCES_M[1]).units(&["m"]).lab("self_collision.distance")];
     }
 }
 
@@ -472,6 +485,7 @@ impl Config {
         self.limits.each(visit);
         self.control.each(visit);
         self.control.compensation.each(visit);
+        self.control.self_collision.each(visit);
         self.robot.each_part(visit);
         self.own_arm.each(visit);
         self.control_loop.each(visit);

@@ -2,9 +2,9 @@
 
 use super::bodies::no_body;
 use super::load::{NAME_MAX, read_text};
-use super::urdf::{Given, Limit, UrdfArm, UrdfJoint, read};
+use super::urdf::{Given, Limit, UrdfArm, UrdfJoint, capsules, read};
 use crate::robot::{Arm, OWN_ARM};
-use moca_msgs::robot::{AnyArm, ArmTable, LinkInertial, SpeedEnvelope};
+use moca_msgs::robot::{AnyArm, ArmTable, LinkCapsule, LinkInertial, SpeedEnvelope};
 use moca_msgs::table::FieldValue;
 use moca_msgs::{MAX_JOINTS, parameter_table};
 use std::path::Path;
@@ -17,6 +17,8 @@ const POSTURE_DAMPING_S: f64 = 1.0 / 9.0;
 const LENGTH_LEAST_M: f64 = 0.1;
 /// The numbers of joints that there are controllers for.
 const JOINTS: std::ops::RangeInclusive<usize> = 6..=7;
+/// Most capsules of an arm: three numbers for each have to fit into a list.
+const CAPSULES_MAX: usize = 16;
 
 parameter_table! {
     /// `[arm]`: lists go joint by joint from the base, or link by link. What is given beside a URDF replaces what it says.
@@ -55,6 +57,14 @@ parameter_table! {
         speed_offset_rad_s: Vec<f64> = Vec::new() => [.range(0.0, 100.0).units(&["rad/s"])];
         /// The deceleration in it.
         speed_deceleration_rad_s2: Vec<f64> = Vec::new() => [.range(0.01, 1000.0).units(&["rad/s²"])];
+        /// Link of each capsule, 0 is the one that stands on the base; empty is what the URDF's <collision> shapes give.
+        capsule_link: Vec<usize> = Vec::new() => [.range(0.0, 7.0)];
+        /// One end of each capsule in its link's frame: x, y, z.
+        capsule_start_m: Vec<f64> = Vec::new() => [.range(-10.0, 10.0).units(&["m"])];
+        /// The other end of each capsule.
+        capsule_end_m: Vec<f64> = Vec::new() => [.range(-10.0, 10.0).units(&["m"])];
+        /// Radius of each capsule.
+        capsule_radius_m: Vec<f64> = Vec::new() => [.range(0.001, 1.0).units(&["m"])];
     }
 }
 
@@ -62,14 +72,21 @@ parameter_table! {
 type Mistake = (&'static str, String);
 
 impl OwnArm {
-    /// The arm that the lists and the URDF describe together; `folder` is where the file with this section is.
+    /// The arm that the lists and the URDF describe together; `folder` is where the file with this section is. Shapes of the URDF
+    /// are read where `shaped`.
     ///
     /// # Errors
     /// Every mistake.
-    pub(super) fn arm(&self, folder: &Path) -> Result<Arm, Vec<Mistake>> {
+    pub(super) fn arm(&self, folder: &Path, shaped: bool) -> Result<Arm, Vec<Mistake>> {
         let (mut whole, mut links) = (self.clone(), Vec::new());
         if !self.urdf.is_empty() {
-            let urdf = self.file(folder).map_err(|mistake| vec![mistake])?;
+            let (text, urdf) = self.file(folder).map_err(|mistake| vec![mistake])?;
+            if shaped && self.capsule_link.is_empty() {
+                let capsules =
+                    capsules(&text, &urdf.parts, folder.join(&self.urdf).parent().unwrap_or(folder));
+                let mistake = |why| vec![("arm.urdf", format!("arm.urdf = \"{}\": {why}", self.urdf))];
+                whole.take_capsules(&capsules.map_err(mistake)?);
+            }
             links = urdf.joints.iter().map(|joint| joint.moves.clone()).collect();
             whole.fill(urdf).map_err(|why| {
                 vec![("arm.urdf", format!("arm.urdf = \"{}\": {why}", folder.join(&self.urdf).display()))]
@@ -78,12 +95,13 @@ impl OwnArm {
         let mut mistakes = whole.check_ranges();
         let table = whole.table(&links, &mut mistakes);
         let Some(table) = table.filter(|_| mistakes.is_empty()) else { return Err(mistakes) };
+        let capsules = whole.capsules();
         let name = if whole.name.is_empty() { "own arm".into() } else { whole.name };
         if name.len() > NAME_MAX {
             let message = format!("arm.name has {} bytes; at most {NAME_MAX} are allowed", name.len());
             return Err(vec![("arm.name", message)]);
         }
-        Ok(Arm { source: OWN_ARM.into(), name, table })
+        Ok(Arm { source: OWN_ARM.into(), name, table, capsules })
     }
 
     /// The section that gives `arm` back; empty for one that is built in.
@@ -96,7 +114,7 @@ impl OwnArm {
         let envelope = |of: fn(&SpeedEnvelope<MAX_JOINTS>) -> &[f64; MAX_JOINTS]| {
             table.speed_envelope.as_ref().map_or(Vec::new(), |envelope| of(envelope)[..joints].to_vec())
         };
-        Self {
+        let mut own = Self {
             name: arm.name.clone(),
             urdf: String::new(),
             base_link: String::new(),
@@ -113,10 +131,55 @@ impl OwnArm {
             home_rad: table.home_rad[..joints].to_vec(),
             speed_offset_rad_s: envelope(|envelope| &envelope.offset_rad_s),
             speed_deceleration_rad_s2: envelope(|envelope| &envelope.deceleration_rad_s2),
-        }
+            ..Self::default()
+        };
+        own.take_capsules(&arm.capsules);
+        own
     }
 
-    fn file(&self, folder: &Path) -> Result<UrdfArm, Mistake> {
+    fn take_capsules(&mut self, capsules: &[LinkCapsule]) {
+        self.capsule_link = capsules.iter().map(|capsule| capsule.link).collect();
+        self.capsule_start_m = capsules.iter().flat_map(|capsule| capsule.ends_m[0]).collect();
+        self.capsule_end_m = capsules.iter().flat_map(|capsule| capsule.ends_m[1]).collect();
+        self.capsule_radius_m = capsules.iter().map(|capsule| capsule.radius_m).collect();
+    }
+
+    /// Capsules of the lists, as many as every list has.
+    fn capsules(&self) -> Vec<LinkCapsule> {
+        let ends = self.capsule_start_m.as_chunks().0.iter().zip(self.capsule_end_m.as_chunks().0);
+        let lists = self.capsule_link.iter().zip(ends).zip(&self.capsule_radius_m);
+        lists
+            .map(|((link, (start, end)), radius_m)| LinkCapsule {
+                link: *link,
+                ends_m: [*start, *end],
+                radius_m: *radius_m,
+            })
+            .collect()
+    }
+
+    /// Finds lists of other lengths than that of the capsules' links, and links that are not there.
+    fn check_capsules(&self, joints: usize, mistakes: &mut Vec<Mistake>) {
+        let count = self.capsule_link.len();
+        if let Some(link) = self.capsule_link.iter().find(|link| **link > joints) {
+            let message =
+                format!("arm.capsule_link = {link} is outside 0 to {joints}, the links of this arm");
+            mistakes.push(("arm.capsule_link", message));
+        }
+        if count > CAPSULES_MAX {
+            let message = format!(
+                "arm.capsule_link has {count} capsules; at most {CAPSULES_MAX} are allowed: write fewer <collision> shapes, or set \
+                 arm.capsule_link and what goes with it"
+            );
+            mistakes.push(("arm.capsule_link", message));
+            return;
+        }
+        counted("arm.capsule_start_m", &self.capsule_start_m, 3 * count, "three for each capsule", mistakes);
+        counted("arm.capsule_end_m", &self.capsule_end_m, 3 * count, "three for each capsule", mistakes);
+        counted("arm.capsule_radius_m", &self.capsule_radius_m, count, "one for each capsule", mistakes);
+    }
+
+    /// Text of the URDF, and the arm in it.
+    fn file(&self, folder: &Path) -> Result<(String, UrdfArm), Mistake> {
         let path = folder.join(&self.urdf);
         let wrong = |message: String| ("arm.urdf", format!("arm.urdf = \"{}\": {message}", path.display()));
         let text = read_text(&path).map_err(|error| ("arm.urdf", format!("arm.urdf: {error}")))?;
@@ -128,7 +191,8 @@ impl OwnArm {
             speed: !self.dq_max_rad_s.is_empty(),
             torque: !self.torque_max_nm.is_empty(),
         };
-        read(&text, &self.base_link, &self.tip_link, &given).map_err(wrong)
+        let arm = read(&text, &self.base_link, &self.tip_link, &given).map_err(wrong)?;
+        Ok((text, arm))
     }
 
     /// Takes from `urdf` what the file with this section does not say.
@@ -231,6 +295,7 @@ impl OwnArm {
             }
         }
         self.check_joints(joints, mistakes);
+        self.check_capsules(joints, mistakes);
         for i in 0..joints {
             let stiffness = POSTURE.0 * (table.torque_max_nm[i] / POSTURE.1).min(1.0);
             table.posture_stiffness_nm_rad[i] = stiffness;

@@ -12,6 +12,7 @@ pub(crate) mod protection;
 #[cfg(test)]
 mod recentre;
 pub(crate) mod recording;
+pub(crate) mod self_collision;
 pub(crate) mod soak;
 pub(crate) mod targets;
 mod trial;

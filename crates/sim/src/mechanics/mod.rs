@@ -69,6 +69,11 @@ pub(crate) trait Mechanics: std::fmt::Debug + Send {
         &[]
     }
 
+    /// Number of contacts between geoms in the last step.
+    fn contacts(&self) -> usize {
+        0
+    }
+
     /// Returns the size of its model.
     fn size(&self) -> ModelSize;
 }

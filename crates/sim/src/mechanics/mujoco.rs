@@ -124,6 +124,10 @@ impl Mechanics for MuJoCo {
         &self.data.sensordata()[..self.touch_sensors]
     }
 
+    fn contacts(&self) -> usize {
+        usize::try_from(self.data.ncon()).unwrap_or(0)
+    }
+
     fn size(&self) -> ModelSize {
         let count = |n: i64| usize::try_from(n).unwrap_or(0);
         let model = self.data.model().ffi();

@@ -157,6 +157,11 @@ impl Placement<f64> {
     }
 }
 
+/// Turn about z that a link's axes take over from a joint at `origin` on it: from the normal form's axes to the table's.
+pub(crate) fn turn_before(origin: &[f64; 6]) -> Matrix3<f64> {
+    about_z(parted(&Placement::of(origin).rotation).0)
+}
+
 /// R = Rz(before)·Rx(twist)·Rz(after), |before| ≤ π/2.
 fn parted(r: &Matrix3<f64>) -> (f64, Turn<f64>, f64) {
     let (x, y) = (r[(0, 2)], -r[(1, 2)]);

@@ -399,6 +399,21 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
         }
     }
 
+    /// Axes and origin (relative to A, m) of a link of the normal form, in world axes; of link 0 those of B, at A.
+    #[inline]
+    pub(crate) fn link(&self, link: usize) -> (&Matrix3<T>, Vector3<T>) {
+        match link.checked_sub(1) {
+            Some(joint) => (&self.link_axes[joint], self.joint_position[joint]),
+            None => (&self.base_rotation, Vector3::zeros()),
+        }
+    }
+
+    /// Axis and origin of a joint, world axes, relative to A, m.
+    #[inline]
+    pub(crate) fn joint(&self, joint: usize) -> (Vector3<T>, &Vector3<T>) {
+        (self.link_axes[joint].column(2).into_owned(), &self.joint_position[joint])
+    }
+
     /// Origin of each joint relative to A's, world axes, m.
     pub fn joint_positions(&self) -> &[Vector3<T>; N] {
         &self.joint_position

@@ -50,6 +50,13 @@ pub fn largest<const N: usize, T: Scalar>(mass: &SMatrix<T, N, N>, period_s: T) 
     })
 }
 
+/// Largest stable stiffness of a single mass, kg or kg·m², N/m or N·m/rad, with the damper of [`damping`].
+#[inline]
+pub(crate) fn largest_alone<T: Scalar>(inertia: T, period_s: T) -> T {
+    let root = of::<T>(REACH / SPARE) / period_s;
+    root * root * inertia
+}
+
 /// Largest stable damping α·w_i/T of each joint, for a spring of at most (1 − α)/T times as much, N·m·s/rad; 0 for an inertia that
 /// is not positive definite.
 pub fn largest_damping<const N: usize, T: Scalar>(mass: &SMatrix<T, N, N>, period_s: T) -> [T; N] {

@@ -19,6 +19,19 @@ pub struct UrdfArm {
     pub joints: Vec<UrdfJoint>,
     /// The tip's frame in the last link.
     pub flange_origin: [f64; 6],
+    /// Links of the file that it is made of.
+    pub parts: Vec<Part>,
+}
+
+/// A link of the file, and where it is in the arm.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Part {
+    /// Its name.
+    pub link: String,
+    /// Link of the arm that it belongs to; 0 is the one that stands on the base.
+    pub body: usize,
+    /// Its frame in that link: x, y, z m; roll, pitch, yaw rad.
+    pub at: [f64; 6],
 }
 
 /// One joint, and the link that it moves.
@@ -56,11 +69,13 @@ pub fn read(text: &str, base: &str, tip: &str, given: &Given) -> Result<UrdfArm,
         link0: Payload::NONE.inertial,
         joints: Vec::new(),
         flange_origin: HERE,
+        parts: Vec::new(),
     };
     // where the link is in the frame of the body that it is part of
     let mut at = HERE;
     let all = Weighed { model: &model, chain: &chain, given };
     all.weigh(base, &at, &mut arm.link0)?;
+    all.place(base, &at, 0, &mut arm.parts)?;
     for joint in &chain {
         at = then(&at, &joint.origin()?);
         match joint.kind()? {
@@ -84,6 +99,7 @@ pub fn read(text: &str, base: &str, tip: &str, given: &Given) -> Result<UrdfArm,
         }
         let body = arm.joints.last_mut().map_or(&mut arm.link0, |joint| &mut joint.link);
         all.weigh(joint.child, &at, body)?;
+        all.place(joint.child, &at, arm.joints.len(), &mut arm.parts)?;
     }
     arm.flange_origin = at;
     Ok(arm)
@@ -173,10 +189,24 @@ impl Weighed<'_> {
         if let Some(node) = self.model.links.get(link) {
             *body = together(body, &placed(&inertial(*node, link, self.given)?, at));
         }
-        let in_chain = |joint: &Joint<'_>| self.chain.iter().any(|one| one.name == joint.name);
-        for joint in self.model.joints.iter().filter(|joint| joint.parent == link && !in_chain(joint)) {
+        for joint in self.beside(link) {
             self.weigh(joint.child, &then(at, &joint.held(self.model)?), body)?;
         }
         Ok(())
+    }
+
+    /// Notes where the link at `at` and everything that hangs on it beside the chain is, in the link `body` of the arm.
+    fn place(&self, link: &str, at: &Origin, body: usize, parts: &mut Vec<Part>) -> Result<(), String> {
+        parts.push(Part { link: link.into(), body, at: *at });
+        for joint in self.beside(link) {
+            self.place(joint.child, &then(at, &joint.held(self.model)?), body, parts)?;
+        }
+        Ok(())
+    }
+
+    /// Joints that hang on a link beside the chain.
+    fn beside(&self, link: &str) -> impl Iterator<Item = &Joint<'_>> {
+        let in_chain = |joint: &Joint<'_>| self.chain.iter().any(|one| one.name == joint.name);
+        self.model.joints.iter().filter(move |joint| joint.parent == link && !in_chain(joint))
     }
 }

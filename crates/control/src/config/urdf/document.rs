@@ -345,6 +345,68 @@ pub(super) fn inertial(link: Node<'_, '_>, name: &str, given: &Given) -> Result<
     Ok(LinkInertial { com_m: [x, y, z], ..placed(&body, &turn) })
 }
 
+/// Shape of a `<collision>`, m.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Shape {
+    /// Along z, its middle at the origin.
+    Cylinder {
+        radius_m: f64,
+        length_m: f64,
+    },
+    Sphere {
+        radius_m: f64,
+    },
+    Box {
+        size_m: [f64; 3],
+    },
+    Mesh {
+        file: String,
+        scale: [f64; 3],
+    },
+}
+
+/// Every `<collision>` shape of a link, with its frame in the link's.
+///
+/// # Errors
+/// The first shape that is missing or has no size, with its line and what to do.
+pub(super) fn shapes(link: Node<'_, '_>, name: &str) -> Result<Vec<(Origin, Shape)>, String> {
+    let of = format!("link \"{name}\"");
+    let collisions = link.children().filter(|node| node.has_tag_name("collision"));
+    collisions.map(|node| Ok((origin(node, &of)?, shape(node, &of)?))).collect()
+}
+
+fn shape(collision: Node<'_, '_>, of: &str) -> Result<Shape, String> {
+    let given = child(collision, "geometry").and_then(|node| node.children().find(Node::is_element));
+    let missing = |node, what: &str| at(node, format!("{of}: <collision> without {what}; add it"));
+    let node = given.ok_or_else(|| missing(collision, "a <geometry>"))?;
+    let length = |attribute: &str| {
+        let length_m = number(node, of, attribute)?.ok_or_else(|| missing(node, attribute))?;
+        if length_m > 0.0 && length_m <= 10.0 {
+            return Ok(length_m);
+        }
+        let field = format!("{of}: <{} {attribute}>", node.tag_name().name());
+        Err(at(node, format!("{field}: {length_m} m is outside 0 to 10 m; correct it")))
+    };
+    match node.tag_name().name() {
+        "cylinder" => Ok(Shape::Cylinder { radius_m: length("radius")?, length_m: length("length")? }),
+        "sphere" => Ok(Shape::Sphere { radius_m: length("radius")? }),
+        "box" => {
+            if node.attribute("size").is_none() {
+                return Err(missing(node, "size"));
+            }
+            Ok(Shape::Box { size_m: within::<3>(node, of, ("size", "m", 10.0))?.map(f64::abs) })
+        }
+        "mesh" => {
+            let file = node.attribute("filename").ok_or_else(|| missing(node, "filename"))?.to_owned();
+            Ok(Shape::Mesh { file, scale: numbers(node, of, "scale")?.unwrap_or([1.0; 3]) })
+        }
+        other => Err(at(
+            node,
+            format!("{of}: <{other}> is no shape that is read; write a cylinder, sphere, box or mesh"),
+        )),
+    }
+}
+
 fn mass(inertial: Node<'_, '_>, of: &str) -> Result<f64, String> {
     let remedy = "or set arm.mass_kg";
     let missing = || at(inertial, format!("{of}: <inertial> without <mass value>; add it, {remedy}"));

@@ -33,7 +33,7 @@ fn arm(urdf: &str, given: impl Fn(&mut OwnArm)) -> Result<Arm, String> {
     };
     given(&mut section);
     section
-        .arm(&folder.0)
+        .arm(&folder.0, false)
         .map_err(|mistakes| mistakes.into_iter().map(|(_, message)| message).collect::<Vec<_>>().join("\n"))
 }
 

@@ -67,6 +67,11 @@ pub(super) fn turned_about(axis: &[f64; 3], angle_rad: f64) -> Origin {
     then(&then(&to_axis, &[0.0, 0.0, 0.0, 0.0, 0.0, angle_rad]), &inverse(&to_axis))
 }
 
+/// A point, given in the frame `at`, in the frame that `at` is given in, m.
+pub(super) fn moved(point: &[f64; 3], at: &Origin) -> [f64; 3] {
+    (position(at) + rotation(at) * Vector3::from(*point)).into()
+}
+
 /// `body`, given in the frame `at`, in the frame that `at` is given in.
 pub(super) fn placed(body: &LinkInertial, at: &Origin) -> LinkInertial {
     if *at == HERE {

@@ -2,13 +2,15 @@
 //! axis, since the frame of a link is ours to choose; fixed joints vanish into their neighbours, and what hangs on the
 //! chain is weighed with the link that carries it, joints of it held at 0 or at the end of their range nearest to that.
 
+mod capsules;
 mod chain;
 mod document;
 mod frames;
 mod text;
 mod write;
 
-pub use chain::{Given, Limit, UrdfArm, UrdfJoint, read};
+pub use capsules::capsules;
+pub use chain::{Given, Limit, Part, UrdfArm, UrdfJoint, read};
 pub use write::urdf;
 
 #[cfg(test)]

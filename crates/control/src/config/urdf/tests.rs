@@ -279,7 +279,7 @@ fn a_section_gives_its_arm_and_an_arm_its_section() {
         torque_max_nm: vec![40.0; 6],
         ..OwnArm::default()
     };
-    let arm = section.arm(folder).unwrap();
+    let arm = section.arm(folder, false).unwrap();
     assert_eq!((arm.name.as_str(), arm.table.joints), ("ur10e", 6));
     assert_eq!(
         arm.table.table.torque_max_nm[..6],
@@ -287,12 +287,12 @@ fn a_section_gives_its_arm_and_an_arm_its_section() {
         "what the section says replaces what the file does"
     );
     let again = OwnArm::of(&arm);
-    assert!(again.urdf.is_empty() && again.arm(Path::new("/nowhere")).unwrap() == arm);
+    assert!(again.urdf.is_empty() && again.arm(Path::new("/nowhere"), false).unwrap() == arm);
 
     let wrong = |change: &dyn Fn(&mut OwnArm)| {
         let mut section = section.clone();
         change(&mut section);
-        section.arm(folder).unwrap_err().remove(0).1
+        section.arm(folder, false).unwrap_err().remove(0).1
     };
     assert!(wrong(&|arm| arm.urdf = "none.urdf".into()).contains("No such file"));
     assert_eq!(
@@ -332,7 +332,7 @@ fn a_section_gives_its_arm_and_an_arm_its_section() {
     let mut section = section;
     (section.mass_kg, section.home_rad) = (vec![0.0; 7], vec![6.9; 6]);
     section.dq_max_rad_s = vec![1.0; 3];
-    let all: Vec<_> = section.arm(folder).unwrap_err().into_iter().map(|(row, _)| row).collect();
+    let all: Vec<_> = section.arm(folder, false).unwrap_err().into_iter().map(|(row, _)| row).collect();
     let of = |row: &str| all.iter().filter(|other| **other == row).count();
     assert_eq!((of("arm.mass_kg"), of("arm.home_rad"), of("arm.dq_max_rad_s"), all.len()), (6, 6, 1, 13));
 }
@@ -349,7 +349,7 @@ fn arm_with_all_origins_at_zero_is_refused() {
             flange_origin: vec![0.0, 0.0, length_m, 0.0, 0.0, 0.0],
             ..OwnArm::default()
         };
-        section.arm(folder)
+        section.arm(folder, false)
     };
     let mistakes = of_length(0.0).unwrap_err();
     let said = &mistakes[0].1;

@@ -3,6 +3,7 @@
 use super::arm_state::ArmState;
 use super::joint_pace::{HELD_SHARE, JointLimits, LED_SHARE, braking_torque};
 use super::law::ControlLaw;
+use super::lead::Target;
 use super::tick::{ArmTick, Tracking, seen_from_base, tool_pose};
 use super::{CARRY_FADE_S, FlangePose, LONGEST_STEP_S, check};
 use crate::error::{ControlError, finite};
@@ -14,9 +15,12 @@ use crate::model::{ArmModel, Dynamics};
 use crate::momentum_observer::MomentumObserver;
 use crate::opspace::ArmDynamics;
 use crate::reference::{Reference, approach_posture};
+use crate::rotation;
 use crate::scalar::{Scalar, of};
+use crate::self_collision::{SelfCollision, Separation};
 use crate::state_check::{check_robot, check_step, check_wrench};
 use moca_msgs::{ArmTable, Mount, ParameterError, Parameters, Payload, RobotState};
+use nalgebra::Vector3;
 
 /// Share of its largest speed at which a joint of an arm whose tool stands ends the law near a singularity, share of the largest
 /// pose error that does, and the mobility ([`ArmDynamics::mobility_left`]) below which they count: stopping from there no joint
@@ -53,6 +57,8 @@ pub struct ArmController<const N: usize, T = f64> {
     /// Joint stiffness with which a posture is held where inertia and period allow it, N·m/rad.
     hold_stiffness: [T; N],
     period_s: T,
+    /// Guard against self-collision; without one no bit of a command changes.
+    self_collision: Option<SelfCollision<N, T>>,
 }
 
 /// One step's measurements of an arm.
@@ -107,7 +113,40 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             repulsion: JointRepulsion::new(arm),
             hold_stiffness: arm.torque_max_nm.map(|most| of(2.0 * most)),
             period_s: of(parameters.limits.period_s),
+            self_collision: None,
         })
+    }
+
+    /// Returns the controller with a guard that keeps the arm from itself, from the base and from the floor.
+    #[must_use]
+    pub fn with_self_collision(self, guard: SelfCollision<N, T>) -> Self {
+        Self { self_collision: Some(guard), ..self }
+    }
+
+    /// Returns the two parts that come too near to each other where `target` leads an arm from where it is; `None` if it leads
+    /// nowhere near, if the target is a twist, or without a guard. Of a pose the posture is predicted, and `None` is the answer too if
+    /// no posture was found.
+    pub fn too_near_at(&self, target: &Target<N, T>, robot: &RobotState<N, T>) -> Option<Separation<N, T>> {
+        let guard = self.self_collision.as_ref()?;
+        let [x, y, yaw] = robot.base_pose_world;
+        let q_rad = match target {
+            Target::Hold | Target::Twist { .. } => return None,
+            Target::Posture(q_rad) => *q_rad,
+            Target::Pose(FlangePose { position_world, quaternion_world }) => {
+                let from_base = Vector3::from(*position_world) - Vector3::new(x, y, T::zero());
+                let at = self.model.kinematics(yaw, &robot.q_rad).arm_from_base;
+                let rotation = rotation::from_unit_quaternion(*quaternion_world).ok()?;
+                let posture = self.posture_rad.map(of);
+                guard.predicted(&self.model, yaw, (&robot.q_rad, &posture), (&(from_base - at), &rotation))?
+            }
+        };
+        let nearest = guard.nearest(&self.model.kinematics(yaw, &q_rad))?;
+        (nearest.distance < guard.least()).then_some(nearest)
+    }
+
+    /// Returns the smallest distance that the guard against self-collision allows, m; `None` without one.
+    pub fn smallest_distance(&self) -> Option<T> {
+        self.self_collision.as_ref().map(SelfCollision::least)
     }
 
     /// Returns the controller with other parameters for the same state. Gains reach the law through a first-order filter, the
@@ -232,6 +271,11 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             kinematics: &dynamics.kinematics,
             dynamics: &dynamics,
             flange: tool_pose(&dynamics.kinematics, robot),
+            near: match &self.self_collision {
+                None => None,
+                Some(guard) => guard.near(&dynamics.kinematics, &dynamics.mass),
+            },
+            period_s: self.period_s,
         })
     }
 
@@ -373,8 +417,12 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         hit: &mut LimitsHit,
     ) -> Result<[T; N], ControlError> {
         let (robot, mass) = (tick.robot, &tick.dynamics.mass);
-        let repulsion = self.repulsion.torque(&robot.q_rad, &robot.dq_rad_s, mass, self.period_s);
+        let mut repulsion = self.repulsion.torque(&robot.q_rad, &robot.dq_rad_s, mass, self.period_s);
         hit.joint_range = repulsion.iter().any(|torque| *torque != T::zero());
+        if let Some(near) = &tick.near {
+            let apart = near.repulsion(&robot.dq_rad_s, self.period_s);
+            repulsion = core::array::from_fn(|i| repulsion[i] + apart[i]);
+        }
         if state.entering {
             state.entering = false;
             state.carried_nm = core::array::from_fn(|i| state.torque_nm[i] - wanted[i] - repulsion[i]);
@@ -385,6 +433,13 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             // What brakes answers what this step can give, not what the law would have: torques change only so fast.
             let moving = core::array::from_fn(|i| torque[i] - coupling[i]);
             let braking = braking_torque(tick, arm, self.joint_limits(), &moving);
+            let braked = core::array::from_fn(|i| torque[i] + braking[i]);
+            torque = self.limits.limited(&braked, &state.torque_nm, tick.dt_s, hit);
+        }
+        if let Some(near) = &tick.near {
+            let bias = &tick.dynamics.bias;
+            let moving = core::array::from_fn(|i| torque[i] - coupling[i] - bias[i]);
+            let braking = near.braking(&robot.dq_rad_s, &moving, tick.dt_s);
             let braked = core::array::from_fn(|i| torque[i] + braking[i]);
             torque = self.limits.limited(&braked, &state.torque_nm, tick.dt_s, hit);
         }

@@ -135,13 +135,18 @@ impl<'a, const N: usize, T: Scalar> JointPace<'a, N, T> {
     /// Returns the largest share of its speed limit that a joint has when the tool has this twist, world axes: 1 is all of it. Towards
     /// the end of a range less and less is allowed: where the arm is pushed back it is not led on.
     pub(super) fn share(&self, twist_world: &[T; 6]) -> T {
-        let dq_rad_s = self.arm.response(&self.task_inertia.solve(twist_world));
+        let dq_rad_s = self.rates(twist_world);
         let JointLimits { speeds, repulsion } = self.limits;
         (0..N).fold(T::zero(), |most, i| {
             let (q, dq) = (self.q_rad[i], dq_rad_s[i]);
             let room = repulsion.room(i, q, dq).max(of(LEAST_ROOM));
             most.max(dq.abs() / (room * speeds.largest(i, q, dq)))
         })
+    }
+
+    /// Returns the joint rates that the law gives a tool with this twist, rad/s.
+    pub(super) fn rates(&self, twist_world: &[T; 6]) -> [T; N] {
+        self.arm.response(&self.task_inertia.solve(twist_world))
     }
 
     /// Returns that share where the law makes up for this error \[m; rad\], world axes, from rest.

@@ -18,6 +18,9 @@ use crate::scalar::{Scalar, of};
 use moca_msgs::RobotState;
 use nalgebra::{Matrix3, Vector3};
 
+/// Speed of a joint that counts as none, rad/s: a bound of 0 would leave nothing to reach.
+const STANDSTILL_RAD_S: f64 = 1e-9;
+
 impl<const N: usize, T: Scalar> ArmState<N, T> {
     /// Leads the law's reference to `target` within `bounds`, and stops it before it leaves `workspace`. It starts from
     /// where the reference is and how fast; a change of law ends it.
@@ -133,15 +136,29 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
                     && rotation::error(&actual.rotation, &self.reference.now.rotation).norm()
                         < bounds.leash_rad
                     && (0..N).all(|i| (axes[i].position - tick.robot.q_rad[i]).abs() < bounds.leash_rad);
-                for (i, axis) in axes.iter_mut().enumerate() {
-                    match target.filter(|_| near && !waits) {
-                        Some(target) => {
-                            let ahead = target[i] - axis.position;
-                            let fastest = of::<T>(LED_SHARE) * speeds.largest(i, tick.robot.q_rad[i], ahead);
-                            let velocity = bounds.joint.velocity.min(fastest);
-                            axis.step_to_position(ahead, &AxisBounds { velocity, ..bounds.joint }, tick.dt_s);
+                let step = |axes: &mut [Axis<T>; N], most: &[T; N]| {
+                    for (i, axis) in axes.iter_mut().enumerate() {
+                        match target.filter(|_| near && !waits) {
+                            Some(target) => {
+                                let ahead = target[i] - axis.position;
+                                let fastest =
+                                    of::<T>(LED_SHARE) * speeds.largest(i, tick.robot.q_rad[i], ahead);
+                                let velocity = most[i].min(fastest);
+                                let bounds = AxisBounds { velocity, ..bounds.joint };
+                                axis.step_to_position(ahead, &bounds, tick.dt_s);
+                            }
+                            None => axis.step_to_velocity(T::zero(), &bounds.joint, tick.dt_s),
                         }
-                        None => axis.step_to_velocity(T::zero(), &bounds.joint, tick.dt_s),
+                    }
+                };
+                let before = *axes;
+                step(axes, &[bounds.joint.velocity; N]);
+                if let Some(near) = &tick.near {
+                    let rates = axes.map(|axis| axis.velocity);
+                    let times = near.too_fast(&rates);
+                    if times > T::one() {
+                        *axes = before;
+                        step(axes, &rates.map(|rate| (rate.abs() / times).max(of(STANDSTILL_RAD_S))));
                     }
                 }
                 let q_rad = axes.map(|axis| axis.position);
@@ -212,7 +229,12 @@ impl<const N: usize, T: Scalar> Leash<T> for ToolLeash<'_, N, T> {
     }
 
     fn joints_too_fast(&self, twist: &[T; 6]) -> T {
-        self.pace.share(&self.world(twist)) / of(LED_SHARE)
+        let twist = self.world(twist);
+        let share = self.pace.share(&twist) / of(LED_SHARE);
+        match &self.frame.tick.near {
+            None => share,
+            Some(near) => share.max(near.too_fast(&self.pace.rates(&twist))),
+        }
     }
 
     fn joints_beyond(&self, error: &[T; 6]) -> T {

@@ -12,6 +12,7 @@ use crate::momentum_observer::MomentumObserver;
 use crate::opspace::ArmDynamics;
 use crate::reference::{Pose, saturated};
 use crate::scalar::Scalar;
+use crate::self_collision::Near;
 use moca_msgs::RobotState;
 use nalgebra::{SMatrix, Vector3};
 
@@ -23,6 +24,10 @@ pub(super) struct ArmTick<'a, const N: usize, T> {
     pub kinematics: &'a Kinematics<N, T>,
     pub dynamics: &'a Dynamics<N, T>,
     pub flange: Pose<T>,
+    /// Parts of the arm that are near to others; `None` for none, or without a guard.
+    pub near: Option<Near<N, T>>,
+    /// Nominal control period, s.
+    pub period_s: T,
 }
 
 /// State of the tool, as a law computes it.
@@ -70,15 +75,24 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
         Ok((wrench, Tracking { error, arm_twist }))
     }
 
+    /// Torques of the null space, N·m: to the posture, and away from what is near.
     #[inline]
     pub(super) fn posture_torque(&self, state: &ArmState<N, T>) -> [T; N] {
-        impedance::posture_torque(
+        let dq = &self.robot.dq_rad_s;
+        let posture = impedance::posture_torque(
             &state.gains.posture_stiffness,
             &state.gains.posture_damping,
             &state.posture_rad,
             &self.robot.q_rad,
-            &self.robot.dq_rad_s,
-        )
+            dq,
+        );
+        match &self.near {
+            None => posture,
+            Some(near) => {
+                let apart = near.avoidance(dq, self.period_s);
+                core::array::from_fn(|i| posture[i] + apart[i])
+            }
+        }
     }
 
     /// The reference in W.

@@ -20,6 +20,7 @@ use crate::opspace::{ArmDynamics, BlockWeight, TaskDynamics, WholeBodyForce};
 use crate::reference::HeldBack;
 use crate::reference_generator::{ReferenceBounds, Workspace};
 use crate::scalar::{Scalar, of};
+use crate::self_collision::{SelfCollision, Separation};
 use crate::state_check::{check_robot, check_step, check_wrench};
 use moca_msgs::{
     ArmTable, Corrections, Mount, ParameterError, Parameters, Payload, RobotCommand, RobotState,
@@ -149,6 +150,22 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             eta: eta(parameters),
             corrections: parameters.corrections,
         })
+    }
+
+    /// As [`ArmController::with_self_collision`].
+    #[must_use]
+    pub fn with_self_collision(self, guard: SelfCollision<N, T>) -> Self {
+        Self { arm: self.arm.with_self_collision(guard), ..self }
+    }
+
+    /// As [`ArmController::too_near_at`].
+    pub fn too_near_at(&self, target: &Target<N, T>, robot: &RobotState<N, T>) -> Option<Separation<N, T>> {
+        self.arm.too_near_at(target, robot)
+    }
+
+    /// As [`ArmController::smallest_distance`].
+    pub fn smallest_distance(&self) -> Option<T> {
+        self.arm.smallest_distance()
     }
 
     /// Returns the controller with other parameters for the same state. Gains reach the law through a first-order filter, the

@@ -1,0 +1,457 @@
+//! `moca-lab self-collision`: random targets, twists and pushes, and whether the arm ever meets itself, the base or the floor.
+#![expect(clippy::print_stdout, reason = "this is what the command is for")]
+
+use anyhow::{Context, Result, ensure};
+use moca_control::config::{Config, HandConfig};
+use moca_control::plant::Simulated;
+use moca_control::targets::Targets;
+use moca_daemon::devices::ideal_cover::IdealCover;
+use moca_daemon::devices::simulated_robot::free_scene;
+use moca_daemon::inject::Random;
+use moca_daemon::runtime::lockstep::{LockStep, TrueForces};
+use moca_experiments::{JOINTS, parallel};
+use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S, TargetPhase};
+use moca_msgs::{
+    ArmTable, Law, Mode, ParameterValues, Refusal, Request, Sample, Target, TargetRefusal, TimedTarget,
+    TwistAxes,
+};
+use moca_wbc::limits::REPULSION_BAND_RAD;
+use moca_wbc::reference_generator::Workspace;
+use moca_wbc::self_collision::SelfCollision;
+use moca_wbc::{ArmModel, rotation};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Draws of the campaign, and as many times fewer without the guard.
+const DRAWS: u64 = 100_000;
+const WITHOUT_GUARD: u64 = 50;
+/// Draws of one run, and the length of each, s.
+const RUN_DRAWS: u64 = 100;
+const DRAW_S: f64 = 1.5;
+/// Smallest distance that is allowed, m.
+const LEAST_M: f64 = 0.02;
+/// Largest push at the flange, N, its largest moment, N·m, and the largest on a taxel, N.
+const PUSH_N: f64 = 30.0;
+const PUSH_NM: f64 = 1.0;
+const PRESS_N: f64 = 30.0;
+/// Ticks from power-up to a moving law at the latest.
+const START_TICKS: u32 = 5000;
+
+/// Random targets, twists and pushes on an arm that keeps its distance: contacts in MuJoCo, nearest distance, cost in reach.
+#[derive(clap::Args)]
+pub(crate) struct Arguments {
+    /// Targets, twists and pushes of both laws together; a fiftieth of them once more without the guard.
+    #[arg(long, default_value_t = DRAWS)]
+    draws: u64,
+    /// One JSON object a run instead of a table.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Cell {
+    law: Law,
+    guarded: bool,
+    seed: u64,
+}
+
+#[derive(Clone, Debug, Default, Serialize)]
+struct Outcome {
+    draws: u64,
+    taken: u64,
+    /// Targets that would have led two parts too near to each other.
+    refused_near: u64,
+    refused: u64,
+    reached: u64,
+    /// Physics steps in which MuJoCo saw a contact.
+    contacts: u64,
+    /// Smallest distance of two parts, m.
+    nearest_m: f64,
+    stops: BTreeMap<String, u64>,
+}
+
+fn cells(draws: u64) -> Vec<Cell> {
+    let mut cells = Vec::new();
+    for guarded in [true, false] {
+        let runs = (draws / 2 / if guarded { 1 } else { WITHOUT_GUARD }).div_ceil(RUN_DRAWS).max(1);
+        for law in [Law::Impedance, Law::FollowMe] {
+            cells.extend((1..=runs).map(|seed| Cell { law, guarded, seed }));
+        }
+    }
+    cells
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<()> {
+    ensure!(
+        (1..=10_000_000).contains(&arguments.draws),
+        "--draws {}: allowed: 1 to 10000000",
+        arguments.draws
+    );
+    let rows = outcomes(cells(arguments.draws))?;
+    if arguments.json {
+        for (cell, outcome) in &rows {
+            println!("{}", serde_json::json!({ "cell": cell, "outcome": outcome }));
+        }
+    } else {
+        print!("{}\n{}", table(&rows), reach()?);
+    }
+    let touched = rows.iter().find(|(cell, outcome)| cell.guarded && outcome.contacts > 0);
+    ensure!(touched.is_none(), "a guarded arm touched the robot: {touched:?}");
+    Ok(())
+}
+
+fn outcomes(cells: Vec<Cell>) -> Result<Vec<(Cell, Outcome)>> {
+    let outcomes = parallel::run("self-collision", &cells, led, |_| {});
+    let outcomes = outcomes.into_iter().collect::<Result<Vec<_>>>()?;
+    Ok(cells.into_iter().zip(outcomes).collect())
+}
+
+/// The runs of each law, with and without the guard.
+fn table(rows: &[(Cell, Outcome)]) -> String {
+    let mut groups: BTreeMap<(bool, &str), Vec<&Outcome>> = BTreeMap::new();
+    for (cell, outcome) in rows {
+        groups.entry((!cell.guarded, Mode::from(cell.law).name())).or_default().push(outcome);
+    }
+    let mut table = "| law | guard | draws | targets taken | refused: too near | refused: other | reached | stops | steps with a \
+                     contact | nearest, mm | nearest of the middle run, mm |\n"
+        .to_owned();
+    table += &format!("{}|\n", "|---".repeat(11));
+    for ((unguarded, law), runs) in groups {
+        let sum = |of: fn(&Outcome) -> u64| runs.iter().map(|run| of(run)).sum::<u64>();
+        let mut nearest: Vec<f64> = runs.iter().map(|run| 1e3 * run.nearest_m).collect();
+        nearest.sort_by(f64::total_cmp);
+        let (least, middle) = (nearest.first(), nearest.get(nearest.len() / 2));
+        table += &format!(
+            "| {law} | {} | {} | {} | {} | {} | {} | {} | {} | {:.1} | {:.1} |\n",
+            if unguarded { "off" } else { "on" },
+            sum(|run| run.draws),
+            sum(|run| run.taken),
+            sum(|run| run.refused_near),
+            sum(|run| run.refused),
+            sum(|run| run.reached),
+            sum(|run| run.stops.values().sum()),
+            sum(|run| run.contacts),
+            least.copied().unwrap_or(f64::NAN),
+            middle.copied().unwrap_or(f64::NAN),
+        );
+    }
+    table
+}
+
+/// Postures between the ends of the joints' ranges that the guard takes away.
+fn reach() -> Result<String> {
+    const POSTURES: u32 = 100_000;
+    let config = config(Law::Impedance, true)?;
+    let (guard, model, arm) = (guard(&config)?, model(&config)?, arm(&config)?);
+    let mut random = Random::new(7);
+    let (mut near, mut meet) = (0_u32, 0_u32);
+    for _ in 0..POSTURES {
+        let q = std::array::from_fn(|i| {
+            let share = 0.5 * (1.0 + share(&mut random));
+            arm.q_min_rad[i] + share * (arm.q_max_rad[i] - arm.q_min_rad[i])
+        });
+        let distance_m =
+            guard.nearest(&model.kinematics(0.0, &q)).map_or(f64::INFINITY, |nearest| nearest.distance);
+        near += u32::from(distance_m < LEAST_M);
+        meet += u32::from(distance_m < 0.0);
+    }
+    let percent = |count: u32| 100.0 * f64::from(count) / f64::from(POSTURES);
+    Ok(format!(
+        "\n| postures within the joints' ranges | % |\n|---|---|\n| parts meet | {:.1} |\n| parts nearer than {:.0} mm that do not meet: \
+         the cost of the guard | {:.1} |\n",
+        percent(meet),
+        1e3 * LEAST_M,
+        percent(near - meet)
+    ))
+}
+
+fn config(law: Law, guarded: bool) -> Result<Config> {
+    let mut config = Config::default();
+    config.simulation.hand = HandConfig::none();
+    config.startup.law = law;
+    config.control.self_collision.distance_m = if guarded { LEAST_M } else { 0.0 };
+    Ok(config)
+}
+
+fn arm(config: &Config) -> Result<ArmTable<JOINTS>> {
+    config.arm().table().context("an arm of another number of joints")
+}
+
+fn model(config: &Config) -> Result<ArmModel<JOINTS, f64>> {
+    Ok(ArmModel::new(&arm(config)?, &config.robot.mount, &config.robot.payload())?)
+}
+
+fn guard(config: &Config) -> Result<SelfCollision<JOINTS, f64>> {
+    let solids = config.solids();
+    Ok(SelfCollision::new(&arm(config)?, &config.robot.mount, &solids, LEAST_M)?)
+}
+
+/// One robot under its draws; after a stop another one goes on.
+fn led(cell: &Cell) -> Result<Outcome> {
+    let config = config(cell.law, cell.guarded)?;
+    let mut random = Random::new(cell.seed);
+    let watch = Watch { guard: guard(&config)?, model: model(&config)? };
+    let arm = arm(&config)?;
+    let workspace = *Targets::new(&config).workspace();
+    let draw = |random: &mut Random, sample: &Sample| Draw::new(random, sample, &arm, &workspace);
+    let mut outcome = Outcome { nearest_m: f64::INFINITY, ..Outcome::default() };
+    while outcome.draws < RUN_DRAWS {
+        one_robot(&config, &watch, &mut random, draw, &mut outcome).with_context(|| format!("{cell:?}"))?;
+    }
+    Ok(outcome)
+}
+
+/// Parts of an arm and where they are.
+struct Watch {
+    guard: SelfCollision<JOINTS, f64>,
+    model: ArmModel<JOINTS, f64>,
+}
+
+impl Watch {
+    /// Distance of the two nearest parts, m, as far as anything is near.
+    fn distance_m(&self, sample: &Sample) -> f64 {
+        let q: [f64; JOINTS] = std::array::from_fn(|i| sample.q_rad.get(i).copied().unwrap_or(f64::NAN));
+        self.guard.nearest(&self.model.kinematics(0.0, &q)).map_or(f64::INFINITY, |nearest| nearest.distance)
+    }
+
+    /// Scene in which MuJoCo compares what the guard compares.
+    fn scene(&self, config: &Config) -> moca_sim::Scene {
+        let links = 0..=config.arm().joints + 1;
+        let apart = links.clone().flat_map(|a| (0..a).map(move |b| [b, a]));
+        let apart = apart.filter(|[a, b]| !self.guard.compares(*a, *b)).collect();
+        moca_sim::Scene { capsules: config.robot.arm.capsules.clone(), apart, ..free_scene(config) }
+    }
+}
+
+fn one_robot(
+    config: &Config,
+    watch: &Watch,
+    random: &mut Random,
+    draw: impl Fn(&mut Random, &Sample) -> Draw,
+    outcome: &mut Outcome,
+) -> Result<()> {
+    let mut world =
+        LockStep::with_true_forces(config, &watch.scene(config), IdealCover::new(1, 0))?.untimed();
+    let mut sample = started(&mut world)?;
+    let ticks = (DRAW_S * f64::from(config.control_loop.rate_hz)).round();
+    while outcome.draws < RUN_DRAWS {
+        outcome.draws += 1;
+        let drawn = draw(random, &sample);
+        let plant = &mut world.control.plant;
+        plant.world.set_flange_wrench_world(drawn.push_world)?;
+        for taxel in 0..config.robot.cover.count() {
+            let force_n = if drawn.pressed == Some(taxel) { PRESS_N } else { 0.0 };
+            ensure!(plant.press(taxel, force_n).is_ok(), "no taxel T{}", taxel + 1);
+        }
+        let mut request = drawn
+            .target
+            .map(|target| Request::Target(TimedTarget { age_limit_s: 2.0, ..TimedTarget::new(target) }));
+        let mut tick = 0.0;
+        while tick < ticks {
+            let (next, answer) = world.step(request.take());
+            match answer {
+                Some(Ok(())) => outcome.taken += 1,
+                Some(Err(Refusal::Target(TargetRefusal::TooNear { .. }))) => outcome.refused_near += 1,
+                Some(Err(_)) => outcome.refused += 1,
+                None => {}
+            }
+            sample = next;
+            outcome.contacts += u64::from(world.control.plant.world.contacts() > 0);
+            outcome.nearest_m = outcome.nearest_m.min(watch.distance_m(&sample));
+            if let Some(fault) = sample.fault {
+                *outcome.stops.entry(fault.code().to_string()).or_default() += 1;
+                return Ok(());
+            }
+            tick += 1.0;
+        }
+        outcome.reached +=
+            u64::from(sample.target.is_some_and(|target| target.phase == TargetPhase::Reached));
+    }
+    Ok(())
+}
+
+fn started(world: &mut LockStep<IdealCover, TrueForces>) -> Result<Sample> {
+    for _ in 0..START_TICKS {
+        let (sample, _) = world.step(None);
+        if sample.mode.moves() {
+            return Ok(sample);
+        }
+    }
+    anyhow::bail!("the robot was not armed within {START_TICKS} ticks")
+}
+
+/// One draw: a target, a push at the flange, a press on the cover.
+struct Draw {
+    target: Option<Target>,
+    push_world: [f64; 6],
+    pressed: Option<usize>,
+}
+
+impl Draw {
+    fn new(random: &mut Random, sample: &Sample, arm: &ArmTable<JOINTS>, workspace: &Workspace) -> Self {
+        let target = match random.below(8) {
+            0..=2 => Some(pose(random, sample, workspace)),
+            3 | 4 => Some(twist(random)),
+            5 => Some(posture(random, arm)),
+            _ => None,
+        };
+        let push_world = if target.is_none() || random.one_in(3) { push(random) } else { [0.0; 6] };
+        let pressed = (target.is_none() && random.one_in(3)).then(|| random.below(sample.taxels.len()));
+        Self { target, push_world, pressed }
+    }
+}
+
+/// From -1 to 1.
+#[expect(clippy::cast_precision_loss, reason = "a random number")]
+fn share(random: &mut Random) -> f64 {
+    (random.bits() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+}
+
+/// Uniform in the unit ball.
+fn in_ball<const N: usize>(random: &mut Random) -> [f64; N] {
+    loop {
+        let v: [f64; N] = std::array::from_fn(|_| share(random));
+        let squared: f64 = v.iter().map(|x| x * x).sum();
+        if (1e-4..=1.0).contains(&squared) {
+            return v;
+        }
+    }
+}
+
+/// Anywhere within reach, turned anyhow; half of them near the base.
+fn pose(random: &mut Random, sample: &Sample, workspace: &Workspace) -> Target {
+    let reach_m = workspace.reach_m * if random.one_in(2) { 0.5 } else { 1.0 };
+    let ball: [f64; 3] = in_ball(random);
+    let [fx, fy, fz]: [f64; 3] = std::array::from_fn(|i| workspace.shoulder_base_m[i] + reach_m * ball[i]);
+    let [x, y, yaw] = sample.base_pose_world;
+    let [fx, fy, fz] = rotation::Heading::at(yaw).to_world([fx, fy, fz]);
+    let turn: [f64; 4] = in_ball(random);
+    let length = turn.iter().map(|v| v * v).sum::<f64>().sqrt();
+    Target::Pose { position_world: [x + fx, y + fy, fz], quaternion_world: turn.map(|v| v / length) }
+}
+
+/// As fast as is allowed along and about every axis, or anything below.
+fn twist(random: &mut Random) -> Target {
+    let axes = [TwistAxes::World, TwistAxes::Base, TwistAxes::Flange][random.below(3)];
+    let corner = random.one_in(2);
+    let twist = std::array::from_fn(|i| {
+        let most = if i < 3 { SPEED_MAX_M_S } else { SPEED_MAX_RAD_S };
+        let share = share(random);
+        most * if corner { share.signum() } else { share }
+    });
+    Target::Twist { axes, twist }
+}
+
+fn posture(random: &mut Random, arm: &ArmTable<JOINTS>) -> Target {
+    let (low, high) = (arm.q_min_rad, arm.q_max_rad);
+    let q: [f64; JOINTS] = std::array::from_fn(|i| {
+        // Nearer to its end the range pushes back.
+        0.5 * (low[i] + high[i] + share(random) * (high[i] - low[i] - 2.001 * REPULSION_BAND_RAD))
+    });
+    Target::Posture(ParameterValues::new(&q).unwrap_or_default())
+}
+
+/// A push at the flange, N and N·m.
+fn push(random: &mut Random) -> [f64; 6] {
+    let ([fx, fy, fz], [mx, my, mz]): ([f64; 3], [f64; 3]) = (in_ball(random), in_ball(random));
+    [PUSH_N * fx, PUSH_N * fy, PUSH_N * fz, PUSH_NM * mx, PUSH_NM * my, PUSH_NM * mz]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use moca_msgs::{TouchPolicy, Waypoint};
+
+    /// The beginning of the campaign.
+    #[test]
+    fn guarded_arm_meets_nothing_and_unguarded_arm_does() {
+        let rows = outcomes(cells(400)).unwrap();
+        let sum = |guarded: bool, of: fn(&Outcome) -> u64| {
+            rows.iter()
+                .filter(|(cell, _)| cell.guarded == guarded)
+                .map(|(_, outcome)| of(outcome))
+                .sum::<u64>()
+        };
+        println!("{}{}", table(&rows), reach().unwrap());
+        assert_eq!(sum(true, |outcome| outcome.contacts), 0, "{rows:?}");
+        assert!(sum(false, |outcome| outcome.contacts) > 0, "MuJoCo sees contacts where there is no guard");
+        assert!(
+            sum(true, |outcome| outcome.refused_near) > 0 && sum(true, |outcome| outcome.taken) > 100,
+            "{rows:?}"
+        );
+        assert!(
+            rows.iter().filter(|(cell, _)| cell.guarded).all(|(_, outcome)| outcome.nearest_m > 0.0),
+            "{rows:?}"
+        );
+    }
+
+    fn guarded(law: Law) -> (LockStep<IdealCover, TrueForces>, Sample) {
+        let config = config(law, true).unwrap();
+        let cover = IdealCover::new(1, 0);
+        let mut world = LockStep::with_true_forces(&config, &free_scene(&config), cover).unwrap().untimed();
+        let sample = started(&mut world).unwrap();
+        (world, sample)
+    }
+
+    #[test]
+    fn target_that_leads_too_near_is_refused_with_both_parts() {
+        for law in [Law::Impedance, Law::FollowMe] {
+            let (mut world, sample) = guarded(law);
+            let mut ask = |target| {
+                let (sample, answer) = world.step(Some(Request::Target(TimedTarget::new(target))));
+                (answer.unwrap().map_err(|refusal| refusal.to_string()), sample.target.is_some())
+            };
+            let folded =
+                Target::Posture(ParameterValues::new(&[0.0, -1.2, 0.0, -2.9, 0.0, 0.2, 0.0]).unwrap());
+            let said = "link 7 and link 2 would be 0.010 m apart, at least 0.020 m are allowed: choose a target further away from link 2";
+            assert_eq!(ask(folded), (Err(said.into()), false), "and nothing begins");
+            // the hand lies on the base
+            let position_world = [0.45, 0.0, 0.56];
+            let quaternion_world =
+                [0.0, std::f64::consts::FRAC_1_SQRT_2, 0.0, std::f64::consts::FRAC_1_SQRT_2];
+            let (answer, began) = ask(Target::Pose { position_world, quaternion_world });
+            let why = answer.unwrap_err();
+            assert!(why.contains("and the base would be") && !began, "{why}");
+            let waypoint = Waypoint { time_s: 5.0, position_world, quaternion_world };
+            let request = Request::Waypoint { index: 0, count: 1, waypoint, touch: TouchPolicy::TouchWins };
+            let (sample_after, answer) = world.step(Some(request));
+            assert!(
+                matches!(answer, Some(Err(Refusal::Target(TargetRefusal::TooNear { .. })))),
+                "{answer:?}"
+            );
+            assert_eq!(sample_after.target, None);
+            let mut ask = |target| world.step(Some(Request::Target(TimedTarget::new(target)))).1.unwrap();
+            let home = Target::Posture(
+                ParameterValues::new(&arm(&config(law, true).unwrap()).unwrap().home_rad).unwrap(),
+            );
+            assert_eq!(ask(home), Ok(()));
+            let [x, y, z] = sample.flange_position_world;
+            let quaternion_world = sample.flange_quaternion_world;
+            assert_eq!(ask(Target::Pose { position_world: [x, y, z - 0.1], quaternion_world }), Ok(()));
+        }
+    }
+
+    /// A twist that leads the hand down onto the base: it slows down and stands before it.
+    #[test]
+    fn twist_towards_the_base_ends_at_the_smallest_distance() {
+        let config = config(Law::FollowMe, true).unwrap();
+        let watch = Watch { guard: guard(&config).unwrap(), model: model(&config).unwrap() };
+        let (mut world, mut sample) = guarded(Law::FollowMe);
+        let down = Target::Twist { axes: TwistAxes::Base, twist: [-0.05, 0.0, -0.2, 0.0, 0.0, 0.0] };
+        let (mut nearest_m, mut fastest_m_s) = (f64::INFINITY, 0.0_f64);
+        for tick in 0..8000 {
+            let request =
+                (tick % 1000 == 0).then(|| TimedTarget { age_limit_s: 2.0, ..TimedTarget::new(down) });
+            let before_m = watch.distance_m(&sample);
+            sample = world.step(request.map(Request::Target)).0;
+            let distance_m = watch.distance_m(&sample);
+            nearest_m = nearest_m.min(distance_m);
+            if distance_m < LEAST_M + 0.03 {
+                fastest_m_s = fastest_m_s.max((before_m - distance_m) / 1e-3);
+            }
+        }
+        assert_eq!(sample.fault, None);
+        assert!((LEAST_M - 0.004..LEAST_M + 0.01).contains(&nearest_m), "{nearest_m}");
+        assert!(fastest_m_s < 0.16, "γ·0.03 m, and no more: {fastest_m_s} m/s");
+    }
+}
