@@ -26,7 +26,7 @@ use std::collections::BTreeMap;
 const DRAWS: u64 = 100_000;
 const WITHOUT_GUARD: u64 = 50;
 /// Draws of one run, and the length of each, s.
-const RUN_DRAWS: u64 = 100;
+const RUN_DRAWS: u64 = 40;
 const DRAW_S: f64 = 1.5;
 /// Smallest distance that is allowed, m.
 const LEAST_M: f64 = 0.02;
@@ -364,25 +364,35 @@ mod tests {
 
     /// The beginning of the campaign.
     #[test]
-    fn guarded_arm_meets_nothing_and_unguarded_arm_does() {
-        let rows = outcomes(cells(400)).unwrap();
-        let sum = |guarded: bool, of: fn(&Outcome) -> u64| {
-            rows.iter()
-                .filter(|(cell, _)| cell.guarded == guarded)
-                .map(|(_, outcome)| of(outcome))
-                .sum::<u64>()
+    fn guarded_arm_meets_nothing_in_mujoco() {
+        let cells: Vec<_> = cells(1).into_iter().filter(|cell| cell.guarded).collect();
+        for (cell, outcome) in outcomes(cells).unwrap() {
+            assert_eq!(outcome.contacts, 0, "{cell:?} {outcome:?}");
+            assert!((0.015..0.1).contains(&outcome.nearest_m) && outcome.taken > 20, "{cell:?} {outcome:?}");
+        }
+    }
+
+    #[test]
+    fn mujoco_sees_what_the_guard_would_have_kept_apart() {
+        let config = config(Law::Impedance, true).unwrap();
+        let watch = Watch { guard: guard(&config).unwrap(), model: model(&config).unwrap() };
+        let contacts = |q: [f64; JOINTS]| {
+            let mut scene = watch.scene(&config);
+            scene.arm_posture_rad[..JOINTS].copy_from_slice(&q);
+            moca_sim::SimPlant::new(&scene).unwrap().contacts()
         };
-        println!("{}{}", table(&rows), reach().unwrap());
-        assert_eq!(sum(true, |outcome| outcome.contacts), 0, "{rows:?}");
-        assert!(sum(false, |outcome| outcome.contacts) > 0, "MuJoCo sees contacts where there is no guard");
-        assert!(
-            sum(true, |outcome| outcome.refused_near) > 0 && sum(true, |outcome| outcome.taken) > 100,
-            "{rows:?}"
-        );
-        assert!(
-            rows.iter().filter(|(cell, _)| cell.guarded).all(|(_, outcome)| outcome.nearest_m > 0.0),
-            "{rows:?}"
-        );
+        // the hand in the shoulder, below the top of the base, and in the floor
+        let postures = [
+            [0.0, -1.7, 0.0, -3.0, 0.0, 0.1, 0.0],
+            [0.0, 1.7, 0.0, -1.2, 0.0, 1.9, 0.0],
+            [0.0, 1.7, 0.0, -0.5, 0.0, 0.6, 0.0],
+        ];
+        for q in postures {
+            let nearest = watch.guard.nearest(&watch.model.kinematics(0.0, &q)).unwrap();
+            assert_eq!(contacts(q) > 0, nearest.distance < 0.0, "{q:?}: {nearest:?}");
+        }
+        assert!(contacts(postures[0]) > 0);
+        assert_eq!(contacts(arm(&config).unwrap().home_rad), 0);
     }
 
     fn guarded(law: Law) -> (LockStep<IdealCover, TrueForces>, Sample) {

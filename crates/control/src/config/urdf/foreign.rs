@@ -281,6 +281,7 @@ fn default_posture_gains_are_stable_for_a_light_arm() {
     let mut config = Config::default();
     config.robot.arm.table = moca_msgs::robot::AnyArm::of(&light);
     config.robot.arm.source = crate::robot::OWN_ARM.into();
+    config.robot.arm.capsules.clear();
     config.own_arm = OwnArm::of(&config.robot.arm);
     let text = toml::to_string(&config.to_toml()).unwrap();
     let mut table: toml::Table = text.parse().unwrap();
