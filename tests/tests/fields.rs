@@ -60,6 +60,8 @@ const READ_ELSEWHERE: &[(&str, &str)] = &[
     ("flight_recorder.folder", "daemon/src/record/flight_recorder.rs"),
     ("protection.assessed_forces_n", "lab/src/cover/latency.rs"),
     ("protection.stopping_measured", "control/src/protection.rs"),
+    ("robot.tool.capsule_ends_m", "control/src/config/self_collision.rs"),
+    ("robot.tool.capsule_radius_m", "control/src/config/self_collision.rs"),
     ("control.compensation.push_nm", "control/src/compensation.rs"),
     ("control.compensation.bound_nm", "control/src/compensation.rs"),
     ("simulation.true.arm.tool_com_m", "msgs/src/truth.rs"),
