@@ -278,7 +278,7 @@ mod tests {
         a.as_flattened().iter().zip(b.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-9)
     }
 
-    /// The same but for the digits that a binary mesh has not.
+    /// Equality but for the digits that a binary mesh has not.
     fn same_f32(a: &LinkCapsule, b: &LinkCapsule) -> bool {
         let ends = a.ends_m.as_flattened().iter().zip(b.ends_m.as_flattened());
         ends.chain([(&a.radius_m, &b.radius_m)]).all(|(a, b)| (a - b).abs() < f64::from(f32::EPSILON))

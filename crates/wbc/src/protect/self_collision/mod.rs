@@ -13,7 +13,7 @@
 //! let guard = SelfCollision::<7, f64>::new(&PANDA, &MOCA_MOUNT, &solids, 0.02)?;
 //! let model: ArmModel<7, f64> = ArmModel::new(&PANDA, &MOCA_MOUNT, &Payload::NONE)?;
 //! let distance = |q: &[f64; 7]| guard.nearest(&model.kinematics(0.0, q)).map(|nearest| nearest.distance);
-//! assert!(distance(&PANDA.home_rad).is_none(), "at home nothing is near");
+//! assert!(distance(&PANDA.home_rad).is_none_or(|m| m > 0.05), "at home there is room");
 //! let folded = [0.0, -1.7, 0.0, -3.0, 0.0, 0.1, 0.0];
 //! assert!(distance(&folded) < Some(0.02), "here the hand meets the arm");
 //! # Ok::<(), moca_wbc::ParameterError>(())
