@@ -5,58 +5,28 @@ use crate::base_watch::BaseWatch;
 use crate::compensation::Compensation;
 use crate::config::live::changed;
 use crate::config::{Config, RecentrePolicy};
+use crate::controller::{self, Controller, LawInput};
 use crate::cover::CoverState;
 use crate::foam_recovery::FoamRecovery;
-use crate::loop_state::{JointsState, LawState, MotionState, OtherRobot};
+use crate::loop_state::{MotionState, OtherRobot};
 use crate::plant::SourceAge;
 use crate::protection::{Protected, Protection};
-use crate::recentre::{PosturePlace, Recentre};
+use crate::recentre::Recentre;
 use crate::robot::{JOINTS, Parts, PlantKind, TAXELS};
 use crate::supervisor::Touch;
-use crate::targets::{Order, Targets, arm_target};
+use crate::targets::Targets;
 use crate::uncalibrated::PushCap;
 use crate::uncovered::Uncovered;
 use moca_msgs::request::ARMING_POSTURE_RAD;
-use moca_msgs::robot::resized;
 use moca_msgs::{
     Actuation, ContactRow, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, PostureOffset,
-    Refusal, Request, RobotCommand, RobotState, Target, TargetRefusal, TargetState, TaxelStatus,
+    Request, RobotState, TargetState, TaxelStatus,
 };
-use moca_wbc::reference_generator::{ReferenceBounds, Workspace};
-use moca_wbc::{
-    ArmController, ArmInput, ArmState, BaseController, BaseGuard, BaseInput, BaseState, ControlError,
-    ControlInput, ControlLaw, ControlOutput, ControllerState, Exceeded, FlangePose, LimitsHit,
-    WholeBodyController,
-};
-
-/// The controller of the parts that the robot has, with what it remembers from tick to tick, for an arm of `N` joints.
-#[expect(clippy::large_enum_variant, reason = "there is one, and it lives as long as the loop")]
-enum Controller<const N: usize> {
-    Whole(WholeBodyController<N, TAXELS>, Option<ControllerState<N>>),
-    Base(BaseController<TAXELS>, BaseState),
-    Arm(ArmController<N>, Option<ArmState<N>>),
-}
-
-/// The numbers of joints that there are controllers for.
-#[expect(clippy::large_enum_variant, reason = "there is one, and it lives as long as the loop")]
-enum Joints {
-    Six(Controller<6>),
-    Seven(Controller<7>),
-}
-
-/// Calls the controller of either number of joints.
-macro_rules! either {
-    ($joints:expr, $controller:ident => $use:expr) => {
-        match $joints {
-            Joints::Six($controller) => $use,
-            Joints::Seven($controller) => $use,
-        }
-    };
-}
+use moca_wbc::{ControlError, ControlLaw, ControlOutput, Exceeded};
 
 /// The controller with its parameters and what protects people from it.
 pub struct Motion {
-    controller: Joints,
+    controller: Box<dyn Controller>,
     joints: usize,
     taxels: usize,
     parameters: Parameters<JOINTS>,
@@ -91,18 +61,14 @@ impl Motion {
     pub fn new(config: &Config, protection: Protection) -> Result<Self, ParameterError> {
         let (parameters, parts) = (config.parameters(), config.plant.parts);
         let (joints, taxels) = (config.arm().joints, config.robot.cover.count());
-        let controller = match joints {
-            6 => Joints::Six(Controller::new(config, &parameters)?),
-            7 => Joints::Seven(Controller::new(config, &parameters)?),
-            _ => return Err(other_joints(joints)),
-        };
-        let barrier = either!(&controller, controller => controller.barrier(config))?;
+        let controller = controller::of(config, &parameters)?;
+        let barrier = controller.barrier(config)?;
         let push_cap = PushCap::new(config)?;
         let base_watch = BaseWatch::new(config);
         let uncovered = parts.has_cover().then(|| Uncovered::new(config));
         let protected = Protected::default();
         let targets = Targets::new(config);
-        let place = either!(&controller, controller => controller.posture_place(&parameters));
+        let place = controller.posture_place(&parameters);
         let recentre = Recentre::new(config, place);
         let recovery = (config.control.recentre == RecentrePolicy::OnRequest).then(FoamRecovery::default);
         let compensation = Compensation::new(config, &parameters);
@@ -218,7 +184,7 @@ impl Motion {
     /// No such parameter, not live, out of range, or at odds with another one; nothing is changed.
     pub fn set_parameter(&mut self, number: usize, values: &ParameterValues) -> Outcome {
         let wanted = changed(&self.parameters, self.joints, number, values)?;
-        either!(&mut self.controller, controller => controller.set_parameters(&wanted))?;
+        self.controller.set_parameters(&wanted)?;
         self.take_parameters(&wanted);
         Ok(())
     }
@@ -226,10 +192,7 @@ impl Motion {
     /// Returns its memory.
     pub fn state(&self) -> MotionState {
         MotionState {
-            controller: match &self.controller {
-                Joints::Six(controller) => JointsState::Six(controller.state()),
-                Joints::Seven(controller) => JointsState::Seven(controller.state()),
-            },
+            controller: self.controller.memory(),
             parameters: self.parameters,
             protection: self.protection.state().clone(),
             barrier: self.barrier.as_ref().map(Barrier::state),
@@ -250,13 +213,8 @@ impl Motion {
     pub fn restore(&mut self, state: &MotionState) -> Result<(), OtherRobot> {
         let mut parameters = state.parameters;
         parameters.limits.period_s = self.parameters.limits.period_s;
-        either!(&mut self.controller, controller => controller.set_parameters(&parameters))
-            .map_err(|_| OtherRobot)?;
-        match (&mut self.controller, &state.controller) {
-            (Joints::Six(controller), JointsState::Six(state)) => controller.restore(state)?,
-            (Joints::Seven(controller), JointsState::Seven(state)) => controller.restore(state)?,
-            _ => return Err(OtherRobot),
-        }
+        self.controller.set_parameters(&parameters).map_err(|_| OtherRobot)?;
+        self.controller.restore(&state.controller)?;
         self.take_parameters(&parameters);
         self.protection.restore(&state.protection);
         restored(self.barrier.as_mut(), state.barrier.as_ref(), Barrier::restore)?;
@@ -281,7 +239,7 @@ impl Motion {
         if let Some(compensation) = &mut self.compensation {
             compensation.leave();
         }
-        either!(&mut self.controller, controller => controller.leave());
+        self.controller.leave();
     }
 
     /// Moves the target of the running law with `twist` \[m/s; rad/s\], axes of the law's reference, until told
@@ -290,7 +248,7 @@ impl Motion {
     /// # Errors
     /// A value that is not finite.
     pub fn set_target_twist(&mut self, twist: [f64; 6]) -> Result<(), ControlError> {
-        either!(&mut self.controller, controller => controller.set_target_twist(twist))?;
+        self.controller.set_target_twist(twist)?;
         self.twisted = twist.iter().any(|value| *value != 0.0);
         Ok(())
     }
@@ -312,13 +270,13 @@ impl Motion {
         if *request == Request::EndTarget {
             self.recentre.end();
         }
-        either!(&self.controller, controller => controller.keeps_apart(request, robot, &self.targets))?;
+        self.controller.keeps_apart(request, robot, &self.targets)?;
         self.targets.take(now_ns, request, law, &self.parameters.limits.base_velocity, robot, touch)
     }
 
     fn take_parameters(&mut self, wanted: &Parameters<JOINTS>) {
         self.parameters = *wanted;
-        self.recentre.set_place(either!(&self.controller, controller => controller.posture_place(wanted)));
+        self.recentre.set_place(self.controller.posture_place(wanted));
     }
 
     /// Answers a request to drive the base back under the arm.
@@ -348,10 +306,9 @@ impl Motion {
         touched: bool,
     ) -> Result<(), ControlError> {
         self.targets.enter(law);
-        let reached = either!(&self.controller, controller => controller.has_reached());
+        let reached = self.controller.has_reached();
         let Some(order) = self.targets.advance(now_ns, touched, reached) else { return Ok(()) };
-        let workspace = self.targets.workspace();
-        either!(&mut self.controller, controller => controller.lead(&order, robot, workspace))
+        self.controller.lead(&order, robot, self.targets.workspace())
     }
 
     /// One tick's command in `mode` at `now_ns`, `dt_s` after the last one; it holds in an output with a [`fault_of`].
@@ -395,8 +352,7 @@ impl Motion {
             }
             if law == ControlLaw::Impedance {
                 let velocity_m_s = to_world(contacts.carried_body_m_s, robot);
-                either!(&mut self.controller, controller => controller.carry_target(velocity_m_s, dt_s))
-                    .map_err(|_| Fault::ControlRefused)?;
+                self.controller.carry_target(velocity_m_s, dt_s).map_err(|_| Fault::ControlRefused)?;
             }
             // who is pressed when a taxel fails is given room even in a stop
             if law != ControlLaw::Hold || contacts.backs_off {
@@ -416,11 +372,11 @@ impl Motion {
             self.compensation.as_ref().and_then(|compensation| compensation.without_friction(robot));
         let robot = without_friction.as_ref().unwrap_or(robot);
         let input = LawInput { law, taxel_force_n, guard, dt_s };
-        let mut output = either!(&mut self.controller, controller => controller.step(robot, &input))?;
+        let mut output = self.controller.step(robot, &input)?;
         if let Some(compensation) = &mut self.compensation {
             // a robot that says what pushes its flange lets the observer rest
             let observed = robot.flange_wrench_world.is_none();
-            let external_nm = either!(&self.controller, controller => controller.external_torque_nm());
+            let external_nm = self.controller.external_torque_nm();
             let external_nm = external_nm.as_ref().filter(|_| observed);
             compensation.apply(law, external_nm, &robot.dq_rad_s, dt_s, &mut output.command.arm_torque_nm);
         }
@@ -500,285 +456,6 @@ const fn law_of(mode: Mode) -> ControlLaw {
 
 /// Nobody is felt, N.
 const NO_FORCE: [f64; TAXELS] = [0.0; TAXELS];
-
-/// Inputs of a controller in addition to the robot's state.
-struct LawInput<'a> {
-    law: ControlLaw,
-    taxel_force_n: &'a [f64; TAXELS],
-    guard: &'a BaseGuard<TAXELS>,
-    dt_s: f64,
-}
-
-/// No controller for so many joints, as an error.
-fn other_joints(joints: usize) -> ParameterError {
-    #[expect(clippy::cast_precision_loss, reason = "a small count")]
-    let value = joints as f64;
-    ParameterError { name: "robot.arm", value, unit: "joints", min: 6.0, max: 7.0 }
-}
-
-impl<const N: usize> Controller<N> {
-    fn new(config: &Config, parameters: &Parameters<JOINTS>) -> Result<Self, ParameterError> {
-        let arm = &config.arm().table::<N>().ok_or(other_joints(config.arm().joints))?;
-        let (parameters, taxels) = (parameters.resized::<N>(), config.robot.cover.placements());
-        let (mount, payload, guard) = (config.robot.mount, config.robot.payload(), config.self_collision()?);
-        Ok(match config.plant.parts {
-            Parts::Whole => {
-                let whole = WholeBodyController::new(arm, &mount, &payload, &taxels, &parameters)?;
-                Self::Whole(guard.map_or(whole, |guard| whole.with_self_collision(guard)), None)
-            }
-            Parts::Base => {
-                let base = BaseController::new(&taxels, &parameters)?;
-                let state = base.enter();
-                Self::Base(base, state)
-            }
-            Parts::Arm => {
-                let alone = ArmController::new(arm, &mount, &payload, &parameters)?;
-                Self::Arm(guard.map_or(alone, |guard| alone.with_self_collision(guard)), None)
-            }
-        })
-    }
-
-    fn barrier(&self, config: &Config) -> Result<Option<Barrier>, ParameterError> {
-        match self {
-            Self::Whole(whole, _) => Barrier::new(config, Some(whole.model())),
-            Self::Base(..) => Barrier::new::<N>(config, None),
-            Self::Arm(..) => Ok(None),
-        }
-    }
-
-    fn set_parameters(&mut self, wanted: &Parameters<JOINTS>) -> Outcome {
-        let wanted = wanted.resized::<N>();
-        match self {
-            Self::Whole(controller, _) => replace(controller, controller.with_parameters(&wanted)),
-            Self::Base(controller, _) => replace(controller, controller.with_parameters(&wanted)),
-            Self::Arm(controller, _) => replace(controller, controller.with_parameters(&wanted)),
-        }
-    }
-
-    /// Pose of the tool on the base with the arm in its posture; `None` unless an arm stands on a base.
-    fn posture_place(&self, parameters: &Parameters<JOINTS>) -> Option<PosturePlace> {
-        let Self::Whole(whole, _) = self else { return None };
-        let kinematics = whole.model().kinematics(0.0, &parameters.resized::<N>().gains.posture_rad);
-        let (position_base, rotation_base) = (kinematics.tool_from_base(), kinematics.tool_rotation);
-        Some(PosturePlace { position_base, rotation_base })
-    }
-
-    /// Joint torques beside the model's, as the momentum observer estimates them, N·m; `None` without an arm.
-    fn external_torque_nm(&self) -> Option<[f64; JOINTS]> {
-        match self {
-            Self::Whole(_, Some(state)) => Some(resized(state.external_torque_nm())),
-            Self::Arm(_, Some(state)) => Some(resized(state.external_torque_nm())),
-            Self::Whole(_, None) | Self::Arm(_, None) | Self::Base(..) => None,
-        }
-    }
-
-    const fn state(&self) -> LawState<N> {
-        match self {
-            Self::Whole(_, state) => LawState::Whole(*state),
-            Self::Base(_, state) => LawState::Base(*state),
-            Self::Arm(_, state) => LawState::Arm(*state),
-        }
-    }
-
-    fn restore(&mut self, state: &LawState<N>) -> Result<(), OtherRobot> {
-        match (self, state) {
-            (Self::Whole(_, to), LawState::Whole(from)) => *to = *from,
-            (Self::Base(_, to), LawState::Base(from)) => *to = *from,
-            (Self::Arm(_, to), LawState::Arm(from)) => *to = *from,
-            _ => return Err(OtherRobot),
-        }
-        Ok(())
-    }
-
-    fn leave(&mut self) {
-        match self {
-            Self::Whole(_, state) => *state = None,
-            Self::Base(controller, state) => *state = controller.enter(),
-            Self::Arm(_, state) => *state = None,
-        }
-    }
-
-    fn set_target_twist(&mut self, twist: [f64; 6]) -> Result<(), ControlError> {
-        match self {
-            Self::Whole(_, Some(state)) => state.set_target_twist(twist),
-            Self::Arm(_, Some(state)) => state.set_target_twist(twist),
-            Self::Whole(_, None) | Self::Arm(_, None) | Self::Base(..) => Ok(()),
-        }
-    }
-
-    fn has_reached(&self) -> bool {
-        match self {
-            Self::Whole(_, Some(state)) => state.has_reached(),
-            Self::Arm(_, Some(state)) => state.has_reached(),
-            Self::Whole(_, None) | Self::Arm(_, None) | Self::Base(..) => true,
-        }
-    }
-
-    /// A law that has not been entered yet cannot be led.
-    fn lead(
-        &mut self,
-        order: &Order,
-        robot: &RobotState<JOINTS>,
-        workspace: &Workspace,
-    ) -> Result<(), ControlError> {
-        let (robot, bounds) = (robot.resized(), &ReferenceBounds::DEFAULT);
-        let velocity_body = match order {
-            Order::To(Target::BaseVelocity { velocity_body }) => *velocity_body,
-            _ => [0.0; 3],
-        };
-        let target = arm_target(order).unwrap_or(moca_wbc::Target::Hold);
-        match self {
-            Self::Whole(_, Some(state)) => {
-                state.lead(&target, &robot, bounds, Some(workspace))?;
-                state.lead_base(velocity_body)
-            }
-            Self::Arm(_, Some(state)) => state.lead(&target, &robot, bounds, Some(workspace)),
-            Self::Base(_, state) => state.lead(velocity_body),
-            Self::Whole(_, None) | Self::Arm(_, None) => Ok(()),
-        }
-    }
-
-    /// Refuses a target that leads two parts of the robot too near to each other; without a guard it takes each.
-    fn keeps_apart(
-        &self,
-        request: &Request,
-        robot: &RobotState<JOINTS>,
-        targets: &Targets,
-    ) -> Result<(), TargetRefusal> {
-        let least_m = match self {
-            Self::Whole(controller, _) => controller.smallest_distance(),
-            Self::Arm(controller, _) => controller.smallest_distance(),
-            Self::Base(..) => None,
-        };
-        let Some(least_m) = least_m else { return Ok(()) };
-        let robot = robot.resized();
-        let keeps = |order: Order| {
-            let nearest = arm_target(&order).and_then(|target| match self {
-                Self::Whole(controller, _) => controller.too_near_at(&target, &robot),
-                Self::Arm(controller, _) => controller.too_near_at(&target, &robot),
-                Self::Base(..) => None,
-            });
-            nearest.map_or(Ok(()), |nearest| {
-                Err(TargetRefusal::TooNear { parts: nearest.parts, distance_m: nearest.distance, least_m })
-            })
-        };
-        targets.led_through(request).into_iter().flatten().try_for_each(|target| keeps(Order::To(target)))
-    }
-
-    fn carry_target(&mut self, velocity_world_m_s: [f64; 2], dt_s: f64) -> Result<(), ControlError> {
-        match self {
-            Self::Whole(_, Some(state)) => state.carry_target(velocity_world_m_s, dt_s),
-            Self::Whole(_, None) | Self::Arm(..) | Self::Base(..) => Ok(()),
-        }
-    }
-
-    fn step(
-        &mut self,
-        robot: &RobotState<JOINTS>,
-        input: &LawInput<'_>,
-    ) -> Result<ControlOutput<JOINTS>, Fault> {
-        let &LawInput { law, taxel_force_n, guard, dt_s } = input;
-        match self {
-            Self::Whole(controller, state) => {
-                let input = ControlInput {
-                    robot: robot.resized(),
-                    taxel_force_n: *taxel_force_n,
-                    flange_wrench_world: None,
-                    guard: *guard,
-                    dt_s,
-                };
-                let state = entered(state, || controller.enter(law, &input.robot))?;
-                match &controller.step(law, state, &input) {
-                    Ok(output) => Ok(ControlOutput {
-                        command: output.command.resized(),
-                        cover_wrench_base: output.cover_wrench_base,
-                        flange_wrench_world: output.flange_wrench_world,
-                        flange: output.flange,
-                        flange_desired: output.flange_desired,
-                        limits: output.limits,
-                        exceeded: output.exceeded,
-                    }),
-                    Err(_) => Err(Fault::ControlRefused),
-                }
-            }
-            Self::Base(controller, state) => {
-                let yaw_world_rad = robot.base_pose_world[2];
-                let input = BaseInput { yaw_world_rad, taxel_force_n: *taxel_force_n, guard: *guard, dt_s };
-                match law {
-                    ControlLaw::Hold => controller.hold(state, &input),
-                    ControlLaw::Impedance | ControlLaw::FollowMe => controller.step(state, &input),
-                }
-                .map_err(|_| Fault::ControlRefused)
-                .map(|output| ControlOutput {
-                    command: RobotCommand {
-                        base_velocity_body: output.velocity_body,
-                        ..WITHOUT_PARTS.command
-                    },
-                    cover_wrench_base: output.cover_wrench_base,
-                    limits: output.limits,
-                    ..WITHOUT_PARTS
-                })
-            }
-            Self::Arm(controller, state) => {
-                let input = ArmInput { robot: robot.resized(), flange_wrench_world: None, dt_s };
-                let state = entered(state, || controller.enter(&input.robot))?;
-                match law {
-                    ControlLaw::Hold => controller.hold(state, &input),
-                    ControlLaw::Impedance | ControlLaw::FollowMe => controller.step(state, &input),
-                }
-                .map_err(|_| Fault::ControlRefused)
-                .map(|output| ControlOutput {
-                    command: RobotCommand {
-                        base_velocity_body: [0.0; 3],
-                        arm_torque_nm: resized(&output.torque_nm),
-                        arm_gravity_nm: resized(&output.gravity_nm),
-                    },
-                    flange_wrench_world: output.flange_wrench_world,
-                    flange: output.flange,
-                    flange_desired: output.flange_desired,
-                    limits: output.limits,
-                    exceeded: output.exceeded,
-                    ..WITHOUT_PARTS
-                })
-            }
-        }
-    }
-}
-
-/// Output for the parts that a robot lacks.
-pub(super) const WITHOUT_PARTS: ControlOutput<JOINTS> = {
-    const NOWHERE: FlangePose =
-        FlangePose { position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] };
-    ControlOutput {
-        command: RobotCommand {
-            base_velocity_body: [0.0; 3],
-            arm_torque_nm: [0.0; JOINTS],
-            arm_gravity_nm: [0.0; JOINTS],
-        },
-        cover_wrench_base: [0.0; 3],
-        flange_wrench_world: [0.0; 6],
-        flange: NOWHERE,
-        flange_desired: NOWHERE,
-        limits: LimitsHit::NONE,
-        exceeded: None,
-    }
-};
-
-/// The state, entered if it is not there yet.
-fn entered<S>(
-    state: &mut Option<S>,
-    enter: impl FnOnce() -> Result<S, ControlError>,
-) -> Result<&mut S, Fault> {
-    match state {
-        Some(state) => Ok(state),
-        None => Ok(state.insert(enter().map_err(|_| Fault::StateInvalid)?)),
-    }
-}
-
-fn replace<C>(controller: &mut C, next: Result<C, ParameterError>) -> Outcome {
-    *controller = next.map_err(|_| Refusal::Conflict)?;
-    Ok(())
-}
 
 /// The order that carries a controller's output, or the brake when there is none.
 pub fn actuation(output: Option<&ControlOutput<JOINTS>>) -> Actuation<JOINTS> {

@@ -9,6 +9,7 @@ pub mod base_watch;
 pub mod compensation;
 pub mod config;
 pub mod contacts;
+mod controller;
 pub mod cover;
 pub mod foam_recovery;
 pub mod law;

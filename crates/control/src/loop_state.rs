@@ -38,7 +38,7 @@ pub struct LoopState {
 /// Memory of the controller and of the protection.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct MotionState {
-    pub(super) controller: JointsState,
+    pub(super) controller: ControllerMemory,
     /// As the run has changed them; the period is the configuration's.
     #[serde(with = "by_number")]
     pub(super) parameters: Parameters<JOINTS>,
@@ -53,20 +53,48 @@ pub struct MotionState {
     pub(super) compensation: Option<CompensationState>,
 }
 
-/// Memory of the law for an arm of a number of joints.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-pub(super) enum JointsState {
-    Six(LawState<6>),
-    Seven(LawState<7>),
+/// Memory of the controller of a robot's parts: one variant each, with its conversions to and from a controller's own state.
+macro_rules! memories {
+    ($($name:ident($state:ty),)*) => {
+        /// Memory of the controller of a robot's parts, for arms of each number of joints.
+        #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+        #[expect(clippy::large_enum_variant, reason = "there is one in a loop, and the loop does not allocate")]
+        pub(super) enum ControllerMemory {
+            $($name($state),)*
+        }
+
+        $(
+            impl From<$state> for ControllerMemory {
+                fn from(state: $state) -> Self {
+                    Self::$name(state)
+                }
+            }
+
+            impl TryFrom<&ControllerMemory> for $state {
+                type Error = OtherRobot;
+
+                fn try_from(memory: &ControllerMemory) -> Result<Self, OtherRobot> {
+                    if let ControllerMemory::$name(state) = memory { Ok(*state) } else { Err(OtherRobot) }
+                }
+            }
+
+            impl Memory for $state {}
+        )*
+    };
 }
 
-/// Memory of the law for the parts that the robot has.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-#[expect(clippy::large_enum_variant, reason = "there is one in a loop, and the loop does not allocate")]
-pub(super) enum LawState<const N: usize> {
-    Whole(Option<ControllerState<N>>),
+memories! {
+    Whole6(Option<ControllerState<6>>),
+    Whole7(Option<ControllerState<7>>),
     Base(BaseState),
-    Arm(Option<ArmState<N>>),
+    Arm6(Option<ArmState<6>>),
+    Arm7(Option<ArmState<7>>),
+}
+
+/// State of a controller that a [`ControllerMemory`] can hold.
+pub(super) trait Memory:
+    Copy + Into<ControllerMemory> + for<'a> TryFrom<&'a ControllerMemory, Error = OtherRobot>
+{
 }
 
 /// The state is that of a robot with other parts, joints or parameters.

@@ -237,7 +237,7 @@ fn offset(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::law::WITHOUT_PARTS;
+    use crate::controller::WITHOUT_PARTS;
 
     const DT_S: f64 = 1e-3;
 

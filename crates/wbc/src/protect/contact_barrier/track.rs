@@ -74,115 +74,178 @@ pub(super) struct Felt<T> {
     pub(super) way: T,
 }
 
-/// State of one taxel's contact.
+/// Memory of one taxel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub(super) struct Track<T> {
-    /// Readings since the touch began; 0: nothing touches.
-    readings: u8,
-    /// One of them was no light touch.
-    firm: bool,
-    /// Compression at the last reading, m, the reading itself and the force on all of the body, N, and the way outward
-    /// that the base had gone then, m.
-    depth: T,
-    force: T,
-    body_n: T,
-    way: T,
-    /// Plates like this one that the body presses.
-    plates: T,
+    contact: Contact<T>,
+    /// The last reading; `None` before the first.
+    last: Option<Reading<T>>,
     /// Estimate of the person's speed, m/s; after a release what is still remembered of it.
     person: T,
     /// Fastest that the person came to a late base, m/s, as it is remembered.
     fastest: T,
+    /// Speed outward before the last reading without even a light touch, m/s.
+    approach: T,
+    /// Speed at which the base met who touches, or did until a moment ago, m/s: 0 if it stood. `None` before the first touch.
+    met: Option<T>,
+    /// Way outward where the readings ended that could be believed, m.
+    blind_from: Option<T>,
+    /// Search for who touched here or beside it; `None` before the first touch.
+    search: Option<Search<T>>,
+}
+
+/// Contact of one taxel with a person.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+enum Contact<T> {
+    /// Nobody has touched yet.
+    Untouched,
+    /// Somebody touches.
+    Touched(Touch<T>),
+    /// Nobody is felt any more since so long, s.
+    Released(T),
+}
+
+/// A touch, as its readings show it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+struct Touch<T> {
+    /// Readings since the touch began.
+    readings: u8,
+    /// One of them was no light touch.
+    firm: bool,
+    /// Compression at the last reading, m, the reading itself and the force on all of the body, N.
+    depth: T,
+    force: T,
+    body_n: T,
+    /// Plates like this one that the body presses.
+    plates: T,
     /// Rate of the compression, m/s, and yield rate of the softest body that is assumed, m/s.
     rate: T,
     yields: T,
-    /// Time since the last reading was taken, s.
-    since: T,
-    /// Time since the release, s.
-    released: T,
-    /// Speed outward before the last reading without even a light touch, m/s.
-    approach: T,
-    /// Speed at which the base met who touches, or did until a moment ago, m/s: 0 if it stood.
-    met: T,
-    /// Way outward where the readings ended that could be believed, m.
-    blind_from: Option<T>,
-    /// Way outward beyond which the base does not go for who touches here or beside it, m, and time since somebody did, s.
-    far: Option<T>,
-    near: T,
-    /// True if the base was here, and the time for which it has stood here since, s.
-    here: bool,
-    looked: T,
 }
 
-impl<T: Scalar> Track<T> {
-    /// Nothing touches, and nothing has for long.
-    pub(super) fn none() -> Self {
-        let (zero, long_ago) = (T::zero(), of(1e6));
+impl<T: Scalar> Touch<T> {
+    /// Begins before its first reading.
+    fn begin() -> Self {
+        let zero = T::zero();
         Self {
             readings: 0,
             firm: false,
             depth: zero,
             force: zero,
             body_n: zero,
-            way: zero,
             plates: T::one(),
-            person: zero,
-            fastest: zero,
             rate: zero,
             yields: zero,
-            since: long_ago,
-            released: long_ago,
+        }
+    }
+}
+
+/// Place and time of a reading.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+struct Reading<T> {
+    /// Way outward that the base had gone then, m.
+    way: T,
+    /// Time since it was taken, s.
+    since: T,
+}
+
+/// Search for a person who may still touch although nothing is felt: the base goes no further than where it met her, and looks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+struct Search<T> {
+    /// Way outward beyond which the base does not go, m; `None` where it goes on.
+    far: Option<T>,
+    /// Time since somebody touched here or beside it, s.
+    near: T,
+    /// True if the touch was here.
+    here: bool,
+    /// Time for which the base has stood there since, s.
+    looked: T,
+}
+
+impl<T: Scalar> Search<T> {
+    fn is_there(&self, way: T) -> bool {
+        self.far.is_some_and(|far| way > far - of(THERE_M))
+    }
+}
+
+impl<T: Scalar> Track<T> {
+    /// Nobody has touched yet.
+    pub(super) fn none() -> Self {
+        let zero = T::zero();
+        Self {
+            contact: Contact::Untouched,
+            last: None,
+            person: zero,
+            fastest: zero,
             approach: zero,
-            met: of(f64::INFINITY),
+            met: None,
             blind_from: None,
-            far: None,
-            near: long_ago,
-            here: false,
-            looked: zero,
+            search: None,
         }
     }
 
-    pub(super) fn touched(&self) -> bool {
-        self.readings > 0
+    const fn touch(&self) -> Option<&Touch<T>> {
+        if let Contact::Touched(touch) = &self.contact { Some(touch) } else { None }
+    }
+
+    pub(super) const fn touched(&self) -> bool {
+        self.touch().is_some()
+    }
+
+    /// Returns true if the touch here ended less than so long ago, s.
+    fn released_within(&self, time_s: f64) -> bool {
+        matches!(self.contact, Contact::Released(since) if since < of(time_s))
     }
 
     /// Returns true if a touch ended so recently that it may go on undetected, or if the base has not looked yet.
     pub(super) fn was_touched(&self) -> bool {
-        let looks = self.here && self.far.is_some();
-        self.released < of(if looks { 2.0 * RECOVERS_S } else { RECOVERS_S })
+        let looks = self.search.is_some_and(|search| search.here && search.far.is_some());
+        self.released_within(if looks { 2.0 * RECOVERS_S } else { RECOVERS_S })
     }
 
     /// Returns true if the person came to a base that stood.
     fn came(&self) -> bool {
-        self.met < of(SLOWEST_M_S)
+        self.met.is_some_and(|met| met < of(SLOWEST_M_S))
     }
 
     /// Plates like this one that the body presses, ≥ 1.
-    pub(super) const fn plates(&self) -> T {
-        self.plates
+    pub(super) fn plates(&self) -> T {
+        self.touch().map_or(T::one(), |touch| touch.plates)
     }
 
     pub(super) fn person_m_s(&self) -> T {
-        (self.person + self.yields).max(self.fastest)
+        let yields = self.touch().map_or(T::zero(), |touch| touch.yields);
+        (self.person + yields).max(self.fastest)
     }
 
     /// Returns true if the following step takes `sample` in as a reading of its own.
     pub(super) fn is_new(&self, sample: Option<TaxelSample<T>>, dt_s: T) -> bool {
-        sample.is_some_and(|sample| sample.age_s - of::<T>(0.5) * dt_s < self.since)
+        let is_later = |last: Reading<T>, age_s| age_s - of::<T>(0.5) * dt_s < last.since;
+        sample.is_some_and(|sample| self.last.is_none_or(|last| is_later(last, sample.age_s)))
     }
 
     /// Time passes, and the base is `way` outward. Of the speed at a release, and of the fastest, these shares are forgotten.
     pub(super) fn wait(&mut self, dt_s: T, [forgotten, of_fastest]: [T; 2], way: T) {
-        self.since += dt_s;
-        self.released += dt_s;
-        self.near += dt_s;
-        if self.is_there(way) {
-            self.looked += dt_s;
+        if let Some(last) = &mut self.last {
+            last.since += dt_s;
         }
-        let looks = self.here && self.looked < of(LOOKS_S) && self.near < of(2.0 * RECOVERS_S);
-        if self.near > of(RECOVERS_S) && !looks {
-            (self.far, self.here) = (None, false);
+        if let Contact::Released(since) = &mut self.contact {
+            *since += dt_s;
+        }
+        if let Some(search) = &mut self.search {
+            search.near += dt_s;
+            if search.is_there(way) {
+                search.looked += dt_s;
+            }
+            let looks = search.here && search.looked < of(LOOKS_S) && search.near < of(2.0 * RECOVERS_S);
+            if search.near > of(RECOVERS_S) && !looks {
+                (search.far, search.here) = (None, false);
+            }
         }
         self.fastest -= self.fastest * of_fastest;
         if !self.touched() {
@@ -199,34 +262,40 @@ impl<T: Scalar> Track<T> {
 
     /// Somebody touches `here` or beside it; the base is `way` outward where it goes no further from now on.
     pub(super) fn hold(&mut self, way: Option<T>, here: bool) {
-        (self.near, self.looked) = (T::zero(), T::zero());
-        self.here |= here;
-        self.far = self.far.or(way);
+        let (far, was_here) = self.search.map_or((None, false), |search| (search.far, search.here));
+        let (near, looked) = (T::zero(), T::zero());
+        self.search = Some(Search { far: far.or(way), near, here: was_here || here, looked });
     }
 
     /// The base stands `way` outward to look whether somebody still touches beside it: held over the next step.
     pub(super) fn stay(&mut self, way: T, dt_s: T) {
-        self.near = self.near.min(of::<T>(RECOVERS_S) - (dt_s + dt_s));
-        self.far = self.far.or(Some(way));
+        let held = of::<T>(RECOVERS_S) - (dt_s + dt_s);
+        let fresh = Search { far: None, near: held, here: false, looked: T::zero() };
+        let search = self.search.get_or_insert(fresh);
+        search.near = search.near.min(held);
+        search.far = search.far.or(Some(way));
     }
 
     /// Returns true if the base looks, `way` outward, for a person here who has not been detected for long.
     pub(super) fn looks(&self, way: T) -> bool {
-        self.here && self.near > of(RECOVERS_S) && self.is_there(way)
-    }
-
-    fn is_there(&self, way: T) -> bool {
-        self.far.is_some_and(|far| way > far - of(THERE_M))
+        let looks = |s: Search<T>| s.here && s.near > of(RECOVERS_S) && s.is_there(way);
+        self.search.is_some_and(looks)
     }
 
     /// The base met who touches at this speed outward, m/s: the least of them, if it was here a moment ago.
     fn meet(&mut self, speed: T) {
-        self.met = if self.here { self.met.min(speed.max(of(SLOWEST_M_S))) } else { speed.max(T::zero()) };
+        let was_here = self.search.is_some_and(|search| search.here);
+        self.met = Some(if was_here {
+            let again = speed.max(of(SLOWEST_M_S));
+            self.met.map_or(again, |met| met.min(again))
+        } else {
+            speed.max(T::zero())
+        });
     }
 
     /// Way outward beyond which the base does not go, m.
-    pub(super) const fn far(&self) -> Option<T> {
-        self.far
+    pub(super) fn far(&self) -> Option<T> {
+        self.search.and_then(|search| search.far)
     }
 
     /// The reading can be believed.
@@ -238,54 +307,60 @@ impl<T: Scalar> Track<T> {
     pub(super) fn take(&mut self, settings: &BarrierSettings, felt: &Felt<T>) {
         let Felt { sample, light, body_n, plates, way } = *felt;
         self.find();
-        let interval = self.since - sample.age_s;
-        self.since = sample.age_s;
-        if sample.force_n < of(settings.touch_n) && !self.touched() {
-            // what a first reading is measured against
-            if light {
-                self.meet(self.approach);
-            } else {
-                self.approach = (way - self.way) / interval;
-            }
-            self.way = way;
-            return;
-        }
+        let before = self.last.replace(Reading { way, since: sample.age_s });
+        // the time since the reading before, s, and the way outward since then, m
+        let gone = before.map(|before| (before.since - sample.age_s, way - before.way));
         if sample.force_n < of(settings.touch_n) {
-            // one reading's speed was assumed and not seen, and light ones may have been a false alarm
-            let seen = self.readings > 1 && self.firm;
-            let person = if seen { self.person_m_s() } else { T::zero() };
-            let Self { fastest, since, met, far, near, here, looked, .. } = *self;
-            let released = T::zero();
-            *self =
-                Self { way, since, released, met, person, fastest, far, near, here, looked, ..Self::none() };
+            match self.contact {
+                Contact::Touched(touch) => self.release(&touch),
+                // what a first reading is measured against
+                Contact::Untouched | Contact::Released(_) if light => self.meet(self.approach),
+                Contact::Untouched | Contact::Released(_) => self.approach = speed_of(gone),
+            }
             return;
         }
+        let mut touch = self.touch().copied().unwrap_or(Touch::begin());
         let depth = settings.foam.depth_m(body_n);
-        let known = self.released < of(settings.forget_s);
-        let assumed = if known { self.person } else { of(settings.first_speed_m_s) };
-        if interval < of(APART_S) {
-            self.estimate(settings, depth, way, interval);
+        let is_known = self.released_within(settings.forget_s);
+        let assumed = if is_known { self.person } else { of(settings.first_speed_m_s) };
+        if let Some(gone) = gone.filter(|(interval, _)| *interval < of(APART_S)) {
+            self.estimate(settings, &mut touch, depth, gone);
         }
         if !self.touched() {
             self.person = self.person.max(assumed);
             // a light touch may have stopped the base before there was a reading
-            self.meet(((way - self.way) / interval).max(self.approach));
+            self.meet(speed_of(gone).max(self.approach));
         }
-        self.readings = self.readings.saturating_add(1);
+        touch.readings = touch.readings.saturating_add(1);
         // a base that obeys at once takes no light touch for a reading
-        self.firm |= !light || settings.remember_s <= 0.0;
+        touch.firm |= !light || settings.remember_s <= 0.0;
         // what a late base does shows in its readings after so long that a person who slows down and one whom it leaves look alike
-        if settings.remember_s > 0.0 && self.readings > ASSUMED && self.firm {
-            self.fastest = self.fastest.max(self.person + self.yields);
+        if settings.remember_s > 0.0 && touch.readings > ASSUMED && touch.firm {
+            self.fastest = self.fastest.max(self.person + touch.yields);
         }
-        (self.depth, self.force, self.body_n, self.way) = (depth, sample.force_n, body_n, way);
-        self.plates = plates;
+        (touch.depth, touch.force, touch.body_n, touch.plates) = (depth, sample.force_n, body_n, plates);
+        self.contact = Contact::Touched(touch);
     }
 
-    /// The person's speed: what the compression has gained that the base has not gone.
-    fn estimate(&mut self, settings: &BarrierSettings, depth: T, way: T, interval: T) {
+    /// Nobody is felt any more.
+    fn release(&mut self, touch: &Touch<T>) {
+        // one reading's speed was assumed and not seen, and light ones may have been a false alarm
+        let seen = touch.readings > 1 && touch.firm;
+        self.person = if seen { self.person_m_s() } else { T::zero() };
+        self.approach = T::zero();
+        self.contact = Contact::Released(T::zero());
+    }
+
+    /// The person's speed: what the compression has gained that the base has not gone in an interval, s, and a way, m.
+    fn estimate(
+        &mut self,
+        settings: &BarrierSettings,
+        touch: &mut Touch<T>,
+        depth: T,
+        (interval, gone): (T, T),
+    ) {
         let before = if self.touched() {
-            self.depth
+            touch.depth
         } else if self.was_touched() {
             // who was touched a moment ago may still be, by what the threshold hides
             depth.min(settings.reading.depth_m(of(settings.hidden_n)))
@@ -293,43 +368,50 @@ impl<T: Scalar> Track<T> {
             T::zero()
         };
         let rate = (depth - before) / interval;
-        let raw = rate - (way - self.way) / interval;
+        let raw = rate - gone / interval;
         // Readings are averaged. What the first one had to assume is replaced by the second where the base itself moved, and
         // counts like any other where it stood: who touches it then has come.
         let recent = interval / interval.max(of(settings.speed_s));
-        let seen = self.readings.saturating_add(u8::from(self.came())).max(1);
+        let seen = touch.readings.saturating_add(u8::from(self.came())).max(1);
         let weight = recent.max(T::one() / of(f64::from(seen)));
         let person = self.person + weight * (raw - self.person);
         self.person = person.clamp(of(-NOISE_M_S), of(settings.fastest_person_m_s));
-        self.rate += weight * (rate - self.rate);
+        touch.rate += weight * (rate - touch.rate);
         // of a soft body the foam shows only a part of how it comes; what the base itself closes says nothing of it, and
         // noise alone, of which only what lies above 0 counts, shows nearly half its own size
         let noise = of::<T>(0.5 * settings.speed_noise_m_s);
-        let seen = (self.rate.min(self.person) - noise).max(T::zero());
+        let seen = (touch.rate.min(self.person) - noise).max(T::zero());
         let yields = seen * settings.foam.slope_n_m(depth) / of(settings.softest_n_m);
-        self.yields = yields.min(of::<T>(settings.fastest_person_m_s) - self.person);
+        touch.yields = yields.min(of::<T>(settings.fastest_person_m_s) - self.person);
     }
 
-    /// Compression now, m, the base being `way` outward.
+    /// Compression now, m, the base being `way` outward; 0 where nothing touches.
     pub(super) fn depth_now(&self, way: T) -> T {
-        self.depth + way - self.way + self.person_m_s() * self.since
+        let Some((touch, last)) = self.touch().zip(self.last) else { return T::zero() };
+        touch.depth + way - last.way + self.person_m_s() * last.since
     }
 
     /// Force that a law may count on at this compression, N: a reading shrinks as the foam's force does, and was never more.
     pub(super) fn believed_n(&self, foam: &FoamCurve, depth: T) -> T {
-        self.force * (foam.force_n(depth) / self.body_n).min(T::one())
+        let believed = |touch: &Touch<T>| touch.force * (foam.force_n(depth) / touch.body_n).min(T::one());
+        self.touch().map_or(T::zero(), believed)
     }
 
     /// Speed outward after a release, m/s: who walked into the base, and got more room than was needed, may still be
     /// walking.
     pub(super) fn released_limit(&self, s: &BarrierSettings) -> T {
-        let rising = (self.released - of(s.creep_s)).max(T::zero());
-        let creeping = of::<T>(s.creep_m_s) + of::<T>(s.recovery_m_s2) * rising;
-        // the base goes on to whom it met when it is no longer held
-        let slow_s = if self.came() { RECOVERS_S } else { 2.0 * RECOVERS_S };
-        let again = (self.met * of(AGAIN)).max(of(SLOWEST_M_S));
-        let later = (self.near - of(slow_s)).max(T::zero());
-        let closing = creeping.min(again + of::<T>(s.recovery_m_s2) * later);
+        let mut closing = of(f64::INFINITY);
+        if let Contact::Released(since) = self.contact {
+            let rising = (since - of(s.creep_s)).max(T::zero());
+            closing = of::<T>(s.creep_m_s) + of::<T>(s.recovery_m_s2) * rising;
+        }
+        if let Some((met, search)) = self.met.zip(self.search) {
+            // the base goes on to whom it met when it is no longer held
+            let slow_s = if self.came() { RECOVERS_S } else { 2.0 * RECOVERS_S };
+            let again = (met * of(AGAIN)).max(of(SLOWEST_M_S));
+            let later = (search.near - of(slow_s)).max(T::zero());
+            closing = closing.min(again + of::<T>(s.recovery_m_s2) * later);
+        }
         if closing < T::one() {
             (closing - self.person_m_s()).max(of(-s.retreat_m_s))
         } else {
@@ -340,7 +422,13 @@ impl<T: Scalar> Track<T> {
     /// Speed outward of a touched taxel without readings, m/s: back for a while, then no further out.
     pub(super) fn blind_limit(&self, s: &BarrierSettings, way: T) -> T {
         let gone = self.blind_from.map_or(T::zero(), |from| from - way);
-        let goes_on = gone < of(BLIND_RETREAT_M) && self.since < of(BLIND_RETREAT_S);
+        let is_recent = self.last.is_some_and(|last| last.since < of(BLIND_RETREAT_S));
+        let goes_on = gone < of(BLIND_RETREAT_M) && is_recent;
         if goes_on { of(-s.retreat_m_s) } else { T::zero() }
     }
+}
+
+/// Speed outward of the base, m/s, that has gone so far, m, in so long, s; 0 before the first reading.
+fn speed_of<T: Scalar>(gone: Option<(T, T)>) -> T {
+    gone.map_or(T::zero(), |(interval, way)| way / interval)
 }
