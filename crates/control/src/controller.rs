@@ -428,7 +428,7 @@ fn far_enough<const N: usize>(
     least_m: Option<f64>,
     request: &Request,
     targets: &Targets,
-    too_near_at: impl Fn(&moca_wbc::Target<N>) -> Option<Separation<N>>,
+    too_near_at: impl Fn(&moca_wbc::Target<N>) -> Option<Separation<N, f64>>,
 ) -> Result<(), TargetRefusal> {
     let Some(least_m) = least_m else { return Ok(()) };
     targets.led_through(request).into_iter().flatten().try_for_each(|target| {
@@ -480,4 +480,29 @@ fn entered<S>(
 fn replace<C>(controller: &mut C, next: impl FnOnce(&C) -> Result<C, ParameterError>) -> Outcome {
     *controller = next(controller).map_err(|_| Refusal::Conflict)?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn controller(arm: &str, parts: &str) -> Box<dyn Controller> {
+        let config = Config::parse(&format!("robot.arm = \"{arm}\"\nplant.parts = \"{parts}\"\n")).unwrap();
+        of(&config, &config.parameters()).unwrap()
+    }
+
+    #[test]
+    fn a_memory_fits_the_same_parts_and_joints_alone() {
+        let all =
+            [("panda", "whole"), ("ur10e", "whole"), ("panda", "arm"), ("ur10e", "arm"), ("panda", "base")];
+        for one in all {
+            for other in all {
+                let memory = controller(other.0, other.1).memory();
+                let fits = controller(one.0, one.1).restore(&memory).is_ok();
+                assert_eq!(fits, one == other, "{one:?} {other:?}");
+            }
+        }
+        let base = controller("ur10e", "base").memory();
+        assert!(controller("panda", "base").restore(&base).is_ok(), "a base alone has no arm");
+    }
 }

@@ -264,6 +264,15 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
     ) -> R {
         let mut dynamics = Dynamics::unset();
         self.model.dynamics_at(robot.base_pose_world[2], &robot.q_rad, &robot.dq_rad_s, &mut dynamics);
+        // 2 kB that are neither written nor copied without a guard
+        let guarded;
+        let near = match &self.self_collision {
+            None => None,
+            Some(guard) => {
+                guarded = guard.near(&dynamics.kinematics, &dynamics.mass);
+                guarded.as_ref()
+            }
+        };
         law(&ArmTick {
             robot,
             dt_s: dt_s.min(of(LONGEST_STEP_S)),
@@ -271,10 +280,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             kinematics: &dynamics.kinematics,
             dynamics: &dynamics,
             flange: tool_pose(&dynamics.kinematics, robot),
-            near: match &self.self_collision {
-                None => None,
-                Some(guard) => guard.near(&dynamics.kinematics, &dynamics.mass),
-            },
+            near,
             period_s: self.period_s,
         })
     }
@@ -419,7 +425,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         let (robot, mass) = (tick.robot, &tick.dynamics.mass);
         let mut repulsion = self.repulsion.torque(&robot.q_rad, &robot.dq_rad_s, mass, self.period_s);
         hit.joint_range = repulsion.iter().any(|torque| *torque != T::zero());
-        if let Some(near) = &tick.near {
+        if let Some(near) = tick.near {
             let apart = near.repulsion(&robot.dq_rad_s, self.period_s);
             repulsion = core::array::from_fn(|i| repulsion[i] + apart[i]);
         }
@@ -436,7 +442,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             let braked = core::array::from_fn(|i| torque[i] + braking[i]);
             torque = self.limits.limited(&braked, &state.torque_nm, tick.dt_s, hit);
         }
-        if let Some(near) = &tick.near {
+        if let Some(near) = tick.near {
             let bias = &tick.dynamics.bias;
             let moving = core::array::from_fn(|i| torque[i] - coupling[i] - bias[i]);
             let braking = near.braking(&robot.dq_rad_s, &moving, tick.dt_s);

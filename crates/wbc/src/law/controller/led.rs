@@ -153,7 +153,7 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
                 };
                 let before = *axes;
                 step(axes, &[bounds.joint.velocity; N]);
-                if let Some(near) = &tick.near {
+                if let Some(near) = tick.near {
                     let rates = axes.map(|axis| axis.velocity);
                     let times = near.too_fast(&rates);
                     if times > T::one() {
@@ -231,7 +231,7 @@ impl<const N: usize, T: Scalar> Leash<T> for ToolLeash<'_, N, T> {
     fn joints_too_fast(&self, twist: &[T; 6]) -> T {
         let twist = self.world(twist);
         let share = self.pace.share(&twist) / of(LED_SHARE);
-        match &self.frame.tick.near {
+        match self.frame.tick.near {
             None => share,
             Some(near) => share.max(near.too_fast(&self.pace.rates(&twist))),
         }

@@ -25,7 +25,7 @@ pub(super) struct ArmTick<'a, const N: usize, T> {
     pub dynamics: &'a Dynamics<N, T>,
     pub flange: Pose<T>,
     /// Parts of the arm that are near to others; `None` for none, or without a guard.
-    pub near: Option<Near<N, T>>,
+    pub near: Option<&'a Near<N, T>>,
     /// Nominal control period, s.
     pub period_s: T,
 }
@@ -86,7 +86,7 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
             &self.robot.q_rad,
             dq,
         );
-        match &self.near {
+        match self.near {
             None => posture,
             Some(near) => {
                 let apart = near.avoidance(dq, self.period_s);
