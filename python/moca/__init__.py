@@ -390,6 +390,7 @@ class Log:
 
     def to_arrow(self) -> Any:
         """The log as a `pyarrow.Table` with robot, run (the file's name without its ending) and Unix time."""
+        self._inner.load()
         return _table(self, os.path.splitext(os.path.basename(self._path))[0])
 
     def _read(self, field: str) -> np.ndarray:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 def table(log: Log, run: str) -> Any:
     """A row for each instant of the log, its fields under the names of `State`: numbers, or lists of one length."""
     arrow: Any = importlib.import_module("pyarrow")
-    log._inner.load()
     rows = len(log)
     since_start_ns = np.round(log["time_s"] * 1e9).astype(np.int64)
     columns: dict[str, Any] = {
@@ -59,7 +58,7 @@ def _file(log: str, out: str) -> None:
     """What a worker does: the file appears only when it is whole, so it may be made twice."""
     moca: Any = importlib.import_module("moca")
     fresh = f"{out}.{os.getpid()}.part"
-    rows = table(moca.read(log), Path(log).stem)
+    rows = moca.read(log).to_arrow()
     if out.endswith(".csv"):
         csv: Any = importlib.import_module("pyarrow.csv")
         csv.write_csv(_flat(rows), fresh)
