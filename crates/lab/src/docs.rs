@@ -5,11 +5,11 @@
 
 mod data;
 
-use crate::cover::{detection, latency};
+use crate::cover::latency;
 use crate::numerics::{barrier, peers, stability, tick};
 use crate::paper::report::{claims, errors};
-use crate::paper::{kept_pushes, late_bases, opposite_hands, real_arm};
-use crate::robustness::{attack, faults, lean, long_lean, protection, targets};
+use crate::paper::{late_bases, real_arm};
+use crate::robustness::{attack, faults, lean, long_lean, protection};
 use anyhow::{Context, Result, bail, ensure};
 use moca_daemon::cli::progress;
 use moca_experiments::{c_library, count};
@@ -41,15 +41,11 @@ const TABLES: &[Table] = &[
     Table { name: "attack", file: "docs/safety.md", make: attack::markdown },
     Table { name: "lean", file: "docs/safety.md", make: lean::markdown },
     Table { name: "long-lean", file: "docs/data/long-lean.csv", make: long_lean::markdown },
-    Table { name: "targets", file: "docs/command-line.md", make: targets::markdown },
-    Table { name: "detection", file: "docs/data/detection.csv", make: detection::markdown },
     Table { name: "boards", file: "docs/boards.md", make: latency::markdown },
     Table { name: "paper", file: "docs/results.md", make: claims::markdown },
     Table { name: "late-bases", file: "docs/results.md", make: late_bases::markdown },
     Table { name: "real-arm", file: "docs/data/real-arm.csv", make: real_arm::markdown },
     Table { name: "real-arm-short", file: "docs/results.md", make: real_arm::short_markdown },
-    Table { name: "pushes", file: "docs/data/pushes.csv", make: kept_pushes::markdown },
-    Table { name: "opposite-hands", file: "docs/data/opposite-hands.csv", make: opposite_hands::markdown },
     Table { name: "barrier", file: "docs/math.md", make: barrier::markdown },
     Table { name: "protection-short", file: "docs/data/protection-short.csv", make: protection::markdown },
     Table {
@@ -222,16 +218,6 @@ mod tests {
     #[test]
     fn short_table_of_real_arms_matches_the_experiments() {
         is_what_is_printed("real-arm-short");
-    }
-
-    #[test]
-    fn the_paper_s_pushes_under_the_barrier_are_what_is_printed() {
-        is_what_is_printed("pushes");
-    }
-
-    #[test]
-    fn hands_that_cancel_move_the_base_as_the_document_says() {
-        is_what_is_printed("opposite-hands");
     }
 
     #[test]

@@ -12,10 +12,7 @@ use clap::{Parser, Subcommand};
 use cover::{characterize, latency, stream, threshold};
 use numerics::{economy, extremes, precision, stability, sweep, tick, vectors};
 use paper::report;
-use robustness::{
-    attack, clients, faults, lean, long_lean, lost_packets, protection, recording, self_collision, soak,
-    targets,
-};
+use robustness::{attack, clients, faults, lean, long_lean, protection, recording, self_collision, soak};
 use std::process::ExitCode;
 
 /// Experiments and checks of MOCA-S.
@@ -41,7 +38,6 @@ enum Command {
     Faults(faults::Arguments),
     Lean(lean::Arguments),
     LongLean(long_lean::Arguments),
-    LostPackets(lost_packets::Arguments),
     /// From touch to force, stage by stage; whether the contact is stable and how fast the base may go.
     Latency(latency::Arguments),
     /// Prints the cost of observers to the live loop: overruns and publish stage with and without clients.
@@ -64,7 +60,6 @@ enum Command {
     Stream(stream::Arguments),
     /// The smallest force that is felt and its delay; how little an untouched robot creeps.
     Threshold(threshold::Arguments),
-    Targets(targets::Arguments),
     Tick(tick::Arguments),
     Vectors(vectors::Arguments),
 }
@@ -97,7 +92,6 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Faults(arguments) => faults::run(&arguments),
         Command::Lean(arguments) => lean::run(&arguments),
         Command::LongLean(arguments) => long_lean::run(&arguments),
-        Command::LostPackets(arguments) => lost_packets::run(&arguments),
         Command::Latency(arguments) => latency::run(&arguments),
         Command::Clients(arguments) => clients::run(&arguments),
         Command::Precision(arguments) => precision::run(&arguments),
@@ -111,7 +105,6 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Soak(arguments) => soak::run(&arguments),
         Command::Stream(arguments) => stream::run(&arguments),
         Command::Threshold(arguments) => threshold::run(&arguments),
-        Command::Targets(arguments) => targets::run(&arguments),
         Command::Tick(arguments) => tick::run(&arguments),
         Command::Vectors(arguments) => vectors::run(&arguments),
     }

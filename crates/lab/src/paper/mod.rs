@@ -5,9 +5,10 @@ mod collision_figure;
 pub(crate) mod figure;
 #[cfg(test)]
 mod golden;
-pub(crate) mod kept_pushes;
+#[cfg(test)]
+mod kept_pushes;
 pub(crate) mod late_bases;
-pub(crate) mod opposite_hands;
+mod opposite_hands;
 pub(crate) mod push;
 pub(crate) mod pushes;
 pub(crate) mod real_arm;

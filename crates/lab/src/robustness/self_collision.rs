@@ -270,7 +270,7 @@ fn one_robot(
     Ok(())
 }
 
-fn started(world: &mut LockStep<IdealCover, TrueForces>) -> Result<Sample> {
+pub(super) fn started(world: &mut LockStep<IdealCover, TrueForces>) -> Result<Sample> {
     for _ in 0..START_TICKS {
         let (sample, _) = world.step(None);
         if sample.mode.moves() {
@@ -303,12 +303,12 @@ impl Draw {
 
 /// From -1 to 1.
 #[expect(clippy::cast_precision_loss, reason = "a random number")]
-fn share(random: &mut Random) -> f64 {
+pub(super) fn share(random: &mut Random) -> f64 {
     (random.bits() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
 }
 
 /// Uniform in the unit ball.
-fn in_ball<const N: usize>(random: &mut Random) -> [f64; N] {
+pub(super) fn in_ball<const N: usize>(random: &mut Random) -> [f64; N] {
     loop {
         let v: [f64; N] = std::array::from_fn(|_| share(random));
         let squared: f64 = v.iter().map(|x| x * x).sum();
@@ -331,7 +331,7 @@ fn pose(random: &mut Random, sample: &Sample, workspace: &Workspace) -> Target {
 }
 
 /// As fast as is allowed along and about every axis, or anything below.
-fn twist(random: &mut Random) -> Target {
+pub(super) fn twist(random: &mut Random) -> Target {
     let axes = [TwistAxes::World, TwistAxes::Base, TwistAxes::Flange][random.below(3)];
     let corner = random.one_in(2);
     let twist = std::array::from_fn(|i| {
