@@ -2,6 +2,7 @@
 
 use super::push::{self, Push};
 use super::pushes;
+use anyhow::Result;
 use moca_control::barrier;
 use moca_experiments::closed_loop::Rig;
 use moca_experiments::parallel;
@@ -21,12 +22,12 @@ const BODY_M: f64 = 0.3;
 
 /// Base displacements of each push from home: one after the other they would begin where the one before has left the robot, with the
 /// barrier elsewhere than without it.
-fn displacements((settings, pushes): &(Settings, [Push; 5])) -> [[f64; 3]; 5] {
-    pushes.each_ref().map(|push| {
+fn displacements((settings, pushes): &(Settings, [Push; 5])) -> Result<[[f64; 3]; 5]> {
+    Ok(pushes.each_ref().map(|push| {
         let mut rig = Rig::start(settings, &settings.free_scene()).unwrap();
         let outcome = push::run(&mut rig, settings, std::slice::from_ref(push)).unwrap().pop();
         outcome.unwrap_or_else(|| panic!("{}: {:?}", push.name, rig.stopped)).base_displacement
-    })
+    }))
 }
 
 /// Result of a push without the barrier and with it.
@@ -77,7 +78,7 @@ fn pressed_back(push: &Push, cover: &[TaxelPlacement], moved: [f64; 3]) -> bool 
 
 fn pairs() -> Vec<Pair> {
     let runs = pushes::under_barrier().unwrap();
-    let moved = parallel::run("pushes", &runs, displacements, |_| ());
+    let moved = parallel::run("pushes", &runs, displacements).unwrap();
     let pair_of = |(settings, pushes): &(Settings, [Push; 5]), moved: &[[[f64; 3]; 5]]| {
         let cover = settings.config.robot.cover.placements();
         let pair = |(i, push): (usize, &Push)| Pair {

@@ -45,10 +45,9 @@ pub(super) fn felt(settings: &Settings) -> Result<Felt> {
 fn opposite_hands_cancel_only_with_the_true_force() {
     let cases: Vec<_> =
         COVERS.iter().flat_map(|cover| ["true", "observed"].map(|flange| (*cover, flange))).collect();
-    let run = |((_, cover), flange): &((_, &[&str]), &str)| {
-        felt(&settings(cover, &format!("flange={flange}")).unwrap()).unwrap()
-    };
-    let runs = moca_experiments::parallel::run("hands", &cases, run, |_| ());
+    let run =
+        |((_, cover), flange): &((_, &[&str]), &str)| felt(&settings(cover, &format!("flange={flange}"))?);
+    let runs = moca_experiments::parallel::run("hands", &cases, run).unwrap();
     for (((cover, _), flange), Felt { outcome, uncancelled_n }) in cases.iter().zip(runs) {
         let [x, y, _] = outcome.base_displacement;
         let (drift_m, hand_n) = (x.hypot(y), -outcome.wrench_sensed[0]);

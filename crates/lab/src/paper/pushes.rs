@@ -91,20 +91,14 @@ pub(crate) fn b2(settings: &Settings) -> Result<Run> {
 
 /// Runs the pushes in the other phases of the sensor, and with other seeds of a board's noise.
 fn others(settings: &Settings, pushes: &[Push]) -> Result<Vec<Vec<Row>>> {
-    let runs = parallel::run(
-        "bands",
-        &PHASES[1..],
-        |(seed, phase)| {
-            let mut other = settings.clone();
-            other.shift_phase(*phase);
-            other.config.simulation.seed = other.config.simulation.seed.wrapping_add(*seed);
-            let mut rig = Rig::start(&other, &other.free_scene())?;
-            push::run(&mut rig, &other, pushes)?;
-            Ok(rig.rows)
-        },
-        |_| (),
-    );
-    runs.into_iter().collect()
+    parallel::run("bands", &PHASES[1..], |(seed, phase)| {
+        let mut other = settings.clone();
+        other.shift_phase(*phase);
+        other.config.simulation.seed = other.config.simulation.seed.wrapping_add(*seed);
+        let mut rig = Rig::start(&other, &other.free_scene())?;
+        push::run(&mut rig, &other, pushes)?;
+        Ok(rig.rows)
+    })
 }
 
 /// Fig. 5 of one run.

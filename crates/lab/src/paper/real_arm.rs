@@ -221,7 +221,7 @@ fn table(shown: impl Fn(&str) -> bool) -> Result<String> {
     let all = Experiment::all()?.into_iter().filter(|one| shown(&one.name));
     let cases: Vec<(Experiment, Compensation)> =
         all.flat_map(|one| COMPENSATIONS.map(|compensation| (one.clone(), compensation))).collect();
-    let rows = parallel::run("arms", &cases, |(one, compensation)| one.row(compensation), |_| ());
+    let rows = parallel::run("arms", &cases, |(one, compensation)| one.row(compensation))?;
     let mut out = String::from("| experiment | compensation |");
     for (arm, _) in ARMS {
         let _ = write!(out, " {arm}: RMS, mm | largest, mm |");
@@ -230,7 +230,7 @@ fn table(shown: impl Fn(&str) -> bool) -> Result<String> {
     out += &"---|---|".repeat(ARMS.len());
     out.push('\n');
     for row in rows {
-        out += &row?;
+        out += &row;
         out.push('\n');
     }
     Ok(out)

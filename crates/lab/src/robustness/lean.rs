@@ -12,6 +12,7 @@ use moca_control::config::{Config, HandConfig};
 use moca_control::plant::Simulated;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
+use moca_experiments::closed_loop::armed;
 use moca_experiments::parallel;
 use moca_experiments::{JOINTS, TAXELS};
 use moca_msgs::{Fault, Law, Limits, Mode, Sample};
@@ -22,8 +23,6 @@ use serde::Serialize;
 
 /// Furthest that a lean may move the flange from its place, m.
 const FLANGE_M: f64 = 0.010;
-/// Ticks from power-up to a moving law at the latest.
-const START_TICKS: u32 = 5000;
 /// Time from a stop to the end of braking, s: 50 mm/s at 3 m/s² and five time constants of the base's servo.
 const BRAKED_S: f64 = 0.1;
 
@@ -174,8 +173,7 @@ pub(crate) fn markdown() -> Result<String> {
 }
 
 fn outcomes(cells: Vec<Cell>) -> Result<Vec<(Cell, Outcome)>> {
-    let outcomes = parallel::run("lean", &cells, lean, |_| {});
-    let outcomes = outcomes.into_iter().collect::<Result<Vec<_>>>()?;
+    let outcomes = parallel::run("lean", &cells, lean)?;
     Ok(cells.into_iter().zip(outcomes).collect())
 }
 
@@ -244,15 +242,7 @@ fn lean(cell: &Cell) -> Result<Outcome> {
     config.control.corrections.flange_wrench_feedforward = cell.flange_wrench_feedforward;
     let scene = free_scene(&config);
     let mut world = LockStep::with_board(&config, &scene, VirtualBoardConfig::default(), None)?.untimed();
-    let mut tick = 0;
-    let first = loop {
-        let (sample, _) = world.step(None);
-        if sample.mode.moves() {
-            break sample;
-        }
-        tick += 1;
-        ensure!(tick < START_TICKS, "{cell:?}: the robot was not armed: {:?}", sample.fault);
-    };
+    let first = armed(&mut world)?;
     let mut watch = Watch::new(cell.law, &config, &first)?;
     let ticks = (cell.hand.duration_s() / watch.dt_s).round();
     let mut t_s = 0.0;

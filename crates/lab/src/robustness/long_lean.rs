@@ -6,6 +6,7 @@ use moca_control::config::{Config, HandConfig};
 use moca_control::plant::Simulated;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
+use moca_experiments::closed_loop::armed;
 use moca_experiments::parallel;
 use moca_experiments::{JOINTS, TAXELS};
 use moca_msgs::{ArmTable, Fault, Law, Limits, Mode, Sample};
@@ -40,8 +41,6 @@ const STOPPING_S: f64 = 1.0;
 /// A base that somebody lets go of rests within this time, s, and displacement, m.
 const REST_S: f64 = 2.0;
 const REST_M: f64 = 0.15;
-/// Ticks from power-up to a moving law at the latest.
-const START_TICKS: u32 = 5000;
 
 /// Use of each limit in minutes of leaning on the cover: every taxel, law and starting posture.
 #[derive(clap::Args)]
@@ -171,8 +170,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 
 /// Leans of `cells`, each with its outcome.
 pub(super) fn outcomes(cells: Vec<Cell>) -> Result<Vec<(Cell, Outcome)>> {
-    let outcomes = parallel::run("long leans", &cells, lean, |_| {});
-    let outcomes = outcomes.into_iter().collect::<Result<Vec<_>>>()?;
+    let outcomes = parallel::run("long leans", &cells, lean)?;
     Ok(cells.into_iter().zip(outcomes).collect())
 }
 
@@ -261,11 +259,7 @@ fn lean(cell: &Cell) -> Result<Outcome> {
     }
     let scene = moca_sim::Scene { engine: Engine::Analytic, ..free_scene(&config) };
     let mut world = LockStep::with_board(&config, &scene, VirtualBoardConfig::default(), None)?.untimed();
-    let mut tick = 0;
-    while !world.tick(None).sample.mode.moves() {
-        tick += 1;
-        ensure!(tick < START_TICKS, "{cell:?}: the robot was not armed");
-    }
+    armed(&mut world)?;
     let mut watch = Watch::new(&config)?;
     let hand_s = cell.lean_s + 2.0 * RAMP_S;
     let mut t_s = 0.0;

@@ -8,7 +8,8 @@ use moca_control::targets::Targets;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::inject::Random;
-use moca_daemon::runtime::lockstep::{LockStep, TrueForces};
+use moca_daemon::runtime::lockstep::LockStep;
+use moca_experiments::closed_loop::armed;
 use moca_experiments::{JOINTS, parallel};
 use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S, TargetPhase};
 use moca_msgs::{
@@ -34,8 +35,6 @@ const LEAST_M: f64 = 0.02;
 const PUSH_N: f64 = 30.0;
 const PUSH_NM: f64 = 1.0;
 const PRESS_N: f64 = 30.0;
-/// Ticks from power-up to a moving law at the latest.
-const START_TICKS: u32 = 5000;
 
 /// Random targets, twists and pushes on an arm that keeps its distance: contacts in MuJoCo, nearest distance, cost in reach.
 #[derive(clap::Args)]
@@ -101,8 +100,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 }
 
 fn outcomes(cells: Vec<Cell>) -> Result<Vec<(Cell, Outcome)>> {
-    let outcomes = parallel::run("self-collision", &cells, led, |_| {});
-    let outcomes = outcomes.into_iter().collect::<Result<Vec<_>>>()?;
+    let outcomes = parallel::run("self-collision", &cells, led)?;
     Ok(cells.into_iter().zip(outcomes).collect())
 }
 
@@ -232,7 +230,7 @@ fn one_robot(
 ) -> Result<()> {
     let mut world =
         LockStep::with_true_forces(config, &watch.scene(config), IdealCover::new(1, 0))?.untimed();
-    let mut sample = started(&mut world)?;
+    let mut sample = armed(&mut world)?;
     let ticks = (DRAW_S * f64::from(config.control_loop.rate_hz)).round();
     while outcome.draws < RUN_DRAWS {
         outcome.draws += 1;
@@ -268,16 +266,6 @@ fn one_robot(
             u64::from(sample.target.is_some_and(|target| target.phase == TargetPhase::Reached));
     }
     Ok(())
-}
-
-pub(super) fn started(world: &mut LockStep<IdealCover, TrueForces>) -> Result<Sample> {
-    for _ in 0..START_TICKS {
-        let (sample, _) = world.step(None);
-        if sample.mode.moves() {
-            return Ok(sample);
-        }
-    }
-    anyhow::bail!("the robot was not armed within {START_TICKS} ticks")
 }
 
 /// One draw: a target, a push at the flange, a press on the cover.
@@ -360,6 +348,7 @@ fn push(random: &mut Random) -> [f64; 6] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use moca_daemon::runtime::lockstep::TrueForces;
     use moca_msgs::{TouchPolicy, Waypoint};
 
     /// The beginning of the campaign.
@@ -399,7 +388,7 @@ mod tests {
         let config = config(law, true).unwrap();
         let cover = IdealCover::new(1, 0);
         let mut world = LockStep::with_true_forces(&config, &free_scene(&config), cover).unwrap().untimed();
-        let sample = started(&mut world).unwrap();
+        let sample = armed(&mut world).unwrap();
         (world, sample)
     }
 

@@ -6,6 +6,7 @@ mod parts;
 use anyhow::Result;
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_experiments::JOINTS;
+use moca_experiments::closed_loop::armed;
 use moca_experiments::collision;
 use moca_experiments::cpu_time;
 use moca_experiments::free_scene;
@@ -409,11 +410,7 @@ pub(crate) fn bare_step_us(scene: &Scene) -> Result<f64> {
 fn whole_tick_us(scene: &Scene) -> Result<f64> {
     let settings = Settings::paper(Law::Impedance);
     let mut lock_step = LockStep::with_board(&settings.config, scene, settings.board(), None)?.untimed();
-    let mut ticks = 0;
-    while !lock_step.step(None).0.mode.moves() {
-        ticks += 1;
-        anyhow::ensure!(ticks < 30_000, "the robot was not armed within 30 s");
-    }
+    armed(&mut lock_step)?;
     let mut best = f64::INFINITY;
     for _ in 0..100 {
         let ((), cpu_s) = cpu_time::timed(|| {

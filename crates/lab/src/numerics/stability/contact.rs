@@ -132,7 +132,7 @@ pub(crate) fn trials() -> Result<Vec<(String, Trial)>> {
 /// All of them, run.
 pub(crate) fn cases() -> Result<Vec<Case>> {
     let trials = trials()?;
-    Ok(parallel::run("contact", &trials, |(name, trial)| trial.run(name), |_| ()))
+    parallel::run("contact", &trials, |(name, trial)| Ok(trial.run(name)))
 }
 
 /// A few of them, run: the slowest and the usual rate, a fault, two minutes.
@@ -148,7 +148,7 @@ pub(crate) fn few() -> Result<Vec<Case>> {
         few.contains(&name)
     };
     let trials: Vec<_> = trials()?.into_iter().filter(|(name, _)| named(name)).collect();
-    Ok(parallel::run("contact", &trials, |(name, trial)| trial.run(name), |_| ()))
+    parallel::run("contact", &trials, |(name, trial)| Ok(trial.run(name)))
 }
 
 /// Returns a case's result in a few words.

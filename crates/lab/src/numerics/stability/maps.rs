@@ -100,8 +100,7 @@ pub(crate) fn all() -> Result<Vec<Map>> {
 
 fn map(name: &'static str, x: &'static Axis, y: &'static Axis) -> Result<Map> {
     let places: Vec<[f64; 2]> = y.values.iter().flat_map(|v| x.values.iter().map(|u| [*u, *v])).collect();
-    let cells = parallel::run(&format!("map {name}"), &places, |[u, v]| cell(x, y, *u, *v), |_| ());
-    let cells = cells.into_iter().collect::<Result<_>>()?;
+    let cells = parallel::run(&format!("map {name}"), &places, |[u, v]| cell(x, y, *u, *v))?;
     Ok(Map { name, x: x.label, y: y.label, x_values: x.values, y_values: y.values, cells })
 }
 

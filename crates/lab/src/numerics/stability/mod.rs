@@ -95,8 +95,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         println!("{}", if arguments.json { serde_json::to_string_pretty(&cases)? } else { table(&cases) });
         return if arguments.json { Ok(()) } else { contact::print_single_precision() };
     }
-    let cases = cases(&arguments.sensor)?;
-    let cases = parallel::run("cases", &cases, |(name, trial)| trial.run(name), |_| ());
+    let cases = all_run(&cases(&arguments.sensor)?)?;
     let maps = maps::all()?;
     if let Some(folder) = &arguments.out {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
@@ -121,8 +120,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 
 /// One in `step` cases of the table, run.
 pub(crate) fn one_in(step: usize) -> Result<Vec<Case>> {
-    let cases: Vec<_> = cases("ideal")?.into_iter().step_by(step).collect();
-    Ok(parallel::run("cases", &cases, |(name, trial)| trial.run(name), |_| ()))
+    all_run(&cases("ideal")?.into_iter().step_by(step).collect::<Vec<_>>())
+}
+
+fn all_run(cases: &[(String, Trial)]) -> Result<Vec<Case>> {
+    parallel::run("cases", cases, |(name, trial)| Ok(trial.run(name)))
 }
 
 impl Case {

@@ -138,8 +138,7 @@ fn outcomes(rows: &[Row]) -> Result<Vec<Findings>> {
     // The network's rows need the processor for themselves.
     let (crowds, worlds): (Vec<Row>, Vec<Row>) =
         rows.iter().copied().partition(|row| matches!(row.kind, Kind::Network(_)));
-    let found: Result<Vec<_>> = parallel::run("attack", &worlds, Row::run, |_| {}).into_iter().collect();
-    let mut found = found?;
+    let mut found = parallel::run("attack", &worlds, Row::run)?;
     for crowd in &crowds {
         found.push(crowd.run()?);
     }

@@ -38,25 +38,21 @@ struct Row {
 
 fn rows(seed: u64) -> Result<Vec<Row>> {
     let stock = Firmware::Stock2018;
-    let trials = parallel::run("faults", FAULTS, |fault| trial::run(*fault, stock, seed, 10_000), |_| {});
-    trials
-        .into_iter()
-        .map(|trial| {
-            let trial = trial?;
-            Ok(Row {
-                fault: trial.fault.name,
-                what: trial.fault.text,
-                mode: trial.mode.name(),
-                cause: trial.cause.map(|cause| cause.code()),
-                reaction_ticks: trial.reaction_ticks,
-                speed_after_m_s: trial.speed_after_m_s,
-                way_mm: trial.way_m * 1e3,
-                frames_bad: trial.frames_bad,
-                overruns: trial.overruns,
-                reported: trial.reported,
-            })
+    parallel::run("faults", FAULTS, |fault| {
+        let trial = trial::run(*fault, stock, seed, 10_000)?;
+        Ok(Row {
+            fault: trial.fault.name,
+            what: trial.fault.text,
+            mode: trial.mode.name(),
+            cause: trial.cause.map(|cause| cause.code()),
+            reaction_ticks: trial.reaction_ticks,
+            speed_after_m_s: trial.speed_after_m_s,
+            way_mm: trial.way_m * 1e3,
+            frames_bad: trial.frames_bad,
+            overruns: trial.overruns,
+            reported: trial.reported,
         })
-        .collect()
+    })
 }
 
 /// The table for the documents.

@@ -2,13 +2,13 @@
 
 mod client;
 
-use super::self_collision::started;
 use anyhow::{Context, Result, ensure};
 use client::Client;
 use moca_control::config::{Config, HandConfig};
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
+use moca_experiments::closed_loop::armed;
 use moca_experiments::{JOINTS, parallel};
 use moca_msgs::{ArmTable, Fault, Law, Limits, Sample};
 use moca_wbc::limits::JointSpeeds;
@@ -62,7 +62,7 @@ fn led(cell: &Cell) -> Result<Outcome> {
     let scene = free_scene(&config);
     let cover = IdealCover::new(1, 0);
     let mut world = LockStep::with_true_forces(&config, &scene, cover)?.untimed();
-    let mut sample = started(&mut world).with_context(|| format!("{cell:?}"))?;
+    let mut sample = armed(&mut world).with_context(|| format!("{cell:?}"))?;
     let arm = config.arm().table().context("an arm of another number of joints")?;
     let mut client = Client::new(&config, cell.law, arm, cell.seed);
     let mut watch = Watch::new(&config, arm, &sample);
@@ -134,8 +134,7 @@ fn random_targets_pass_no_limit_and_cause_no_stop() {
             cells.extend([1, 2].map(|seed| Cell { arm, law, seed }));
         }
     }
-    let outcomes: Result<Vec<_>> = parallel::run("targets", &cells, led, |_| {}).into_iter().collect();
-    let outcomes = outcomes.unwrap();
+    let outcomes = parallel::run("targets", &cells, led).unwrap();
     for (cell, outcome) in cells.iter().zip(&outcomes) {
         assert!(outcome.passed(), "{cell:?}: {outcome:?}");
     }
