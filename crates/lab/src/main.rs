@@ -7,6 +7,7 @@ mod numerics;
 mod paper;
 mod picture;
 mod robustness;
+mod study;
 
 use clap::{Parser, Subcommand};
 use cover::{characterize, latency, stream, threshold};

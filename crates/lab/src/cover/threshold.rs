@@ -1,7 +1,7 @@
 //! `moca-lab threshold`: what the contact threshold costs and what it buys: the smallest force that is felt, how late
 //! it is felt, and how little an untouched robot creeps under the sensor's noise.
-#![expect(clippy::print_stdout, reason = "a command prints its result")]
 
+use crate::study::{self, Column};
 use anyhow::{Context, Result, ensure};
 use moca_control::config::{Config, HandConfig};
 use moca_daemon::devices::simulated_robot::free_scene;
@@ -38,24 +38,25 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         "--seconds {} s is outside 1 to 3600 s",
         arguments.seconds
     );
-    println!(
-        "{:>5} {:>22} {:>20} {:>22} {:>20}",
-        "seed", "untouched base moved", "smallest felt", "felt after (smallest)", "felt after (20 N)"
-    );
-    // A bar and a line of the table do not mix on one screen: all lines follow the bar.
-    let row = |&seed: &u64| -> Result<_> {
-        let soon_ms = felt_after(seed, 20.0)?.context("20 N were not felt")?;
-        Ok((seed, untouched(seed, arguments.seconds)?, smallest_felt(seed)?, soon_ms))
+    let row = |&seed: &u64| -> Result<Row> {
+        let [late, soon] =
+            [smallest_felt(seed)?, (20.0, felt_after(seed, 20.0)?.context("20 N were not felt")?)];
+        Ok((seed, untouched(seed, arguments.seconds)?, [late, soon]))
     };
-    for (seed, moved_m, (smallest_n, late_ms), soon_ms) in parallel::run("threshold", &arguments.seeds, row)?
-    {
-        println!(
-            "{seed:>5} {:>19.6} mm {smallest_n:>18.2} N {late_ms:>19} ms {soon_ms:>17} ms",
-            1e3 * moved_m
-        );
-    }
+    study::print(&study::table(COLUMNS, &parallel::run("threshold", &arguments.seeds, row)?));
     Ok(())
 }
+
+/// Seed, distance that the untouched base moved, m; the smallest force that is felt and 20 N, N, each with its delay, ms.
+type Row = (u64, f64, [(f64, u64); 2]);
+
+const COLUMNS: &[Column<Row>] = &[
+    ("seed", |(seed, ..)| seed.to_string()),
+    ("untouched base moved, mm", |(_, moved_m, _)| format!("{:.6}", 1e3 * moved_m)),
+    ("smallest felt, N", |(.., [(force_n, _), _])| format!("{force_n:.2}")),
+    ("felt after (smallest), ms", |(.., [(_, late_ms), _])| late_ms.to_string()),
+    ("felt after (20 N), ms", |(.., [_, (_, soon_ms)])| soon_ms.to_string()),
+];
 
 fn started(seed: u64) -> Result<World> {
     let mut config = Config::default();

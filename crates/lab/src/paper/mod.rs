@@ -18,6 +18,7 @@ mod robot_picture;
 mod tests;
 
 use self::figure::{Figure, Layout, Trace};
+use crate::study::Answer;
 use anyhow::{Result, ensure};
 use moca_experiments::run_info::{self, RunInfo};
 use moca_experiments::settings::{self, Settings};
@@ -64,9 +65,8 @@ pub(crate) struct Common {
     /// Error of a tick, over 25 N and 15 mm, for which physics steps are chosen, e.g. 1e-3: the same as --set accuracy=…
     #[arg(long)]
     accuracy: Option<f64>,
-    /// Prints one JSON object.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
     /// Writes figure (SVG, PDF, PNG), trace (CSV) and report (JSON) into this folder.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -194,17 +194,7 @@ fn finish(
         ensure!(!rows.is_empty(), "nothing was recorded");
         figure::write(folder, name, &draw()?, rows, report)?;
     }
-    print(common.json, report, text)
-}
-
-#[expect(clippy::print_stdout, reason = "the command's output")]
-fn print(json: bool, report: &impl Serialize, text: impl Fn() -> String) -> Result<()> {
-    if json {
-        println!("{}", serde_json::to_string_pretty(report)?);
-    } else {
-        println!("{}", text());
-    }
-    Ok(())
+    common.answer.print(report, || Ok(text()))
 }
 
 fn push_text(report: &PushReport) -> String {

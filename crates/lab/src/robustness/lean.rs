@@ -7,13 +7,13 @@
 //! pushes a simulated base against its velocity servo at 2 mm/s, arm and all; that way is the person's and has a column
 //! of its own.
 
+use crate::study::{self, Answer, Column, outcomes};
 use anyhow::{Context, Result, ensure};
 use moca_control::config::{Config, HandConfig};
 use moca_control::plant::Simulated;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_experiments::closed_loop::armed;
-use moca_experiments::parallel;
 use moca_experiments::{JOINTS, TAXELS};
 use moca_msgs::{Fault, Law, Limits, Mode, Sample};
 use moca_sim::VirtualBoardConfig;
@@ -32,9 +32,8 @@ pub(crate) struct Arguments {
     /// The hardest cells only: seconds instead of minutes.
     #[arg(long)]
     short: bool,
-    /// One JSON object a cell instead of a table.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// Course of the hand's force.
@@ -152,16 +151,9 @@ fn cells(short: bool) -> Vec<Cell> {
 }
 
 /// Leans, and prints how far the worst of them went.
-#[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
-    let rows = outcomes(cells(arguments.short))?;
-    if arguments.json {
-        for (cell, outcome) in &rows {
-            println!("{}", serde_json::json!({ "cell": cell, "outcome": outcome }));
-        }
-    } else {
-        print!("{}", table(&rows));
-    }
+    let rows = outcomes("lean", cells(arguments.short), lean)?;
+    arguments.answer.print_cases(&rows, || Ok(table(&rows)))?;
     let failed: Vec<&(Cell, Outcome)> = rows.iter().filter(|(_, outcome)| !outcome.passed()).collect();
     ensure!(failed.is_empty(), "{} of {} leans went beyond a limit: {failed:?}", failed.len(), rows.len());
     Ok(())
@@ -169,20 +161,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 
 /// The table of all cells for the documents.
 pub(crate) fn markdown() -> Result<String> {
-    Ok(table(&outcomes(cells(false))?))
-}
-
-fn outcomes(cells: Vec<Cell>) -> Result<Vec<(Cell, Outcome)>> {
-    let outcomes = parallel::run("lean", &cells, lean)?;
-    Ok(cells.into_iter().zip(outcomes).collect())
+    Ok(table(&outcomes("lean", cells(false), lean)?))
 }
 
 impl Cell {
-    /// Returns the row of the table that holds it.
-    fn group(&self) -> (Law, Hand, f64) {
-        (self.law, self.hand, self.force_n)
-    }
-
     /// Which one of its group it is.
     fn name(&self) -> String {
         let Self { taxel, reactivity, .. } = self;
@@ -197,39 +179,32 @@ impl Cell {
     }
 }
 
-/// The worst of each law, hand and force, whatever the taxel, the reactivity and the corrections.
+/// The leans of one law, hand and force, whatever the taxel, the reactivity and the corrections.
+type Group = Vec<(Cell, Outcome)>;
+
+const COLUMNS: &[Column<Group>] = &[
+    ("law", |group| Mode::from(group[0].0.law).name().into()),
+    ("hand", |group| format!("{:?}", group[0].0.hand).to_lowercase()),
+    ("N", |group| format!("{:.0}", group[0].0.force_n)),
+    ("leans", |group| group.len().to_string()),
+    ("flange, mm", |group| format!("{:.2}", 1e3 * most(group, |o| o.flange_m))),
+    ("at", |group| {
+        let furthest = group.iter().max_by(|a, b| a.1.flange_m.total_cmp(&b.1.flange_m));
+        furthest.map_or_else(String::new, |(cell, _)| cell.name())
+    }),
+    ("flange, m/s", |group| format!("{:.3}", most(group, |o| o.flange_m_s))),
+    ("joint speed, %", |group| format!("{:.1}", 100.0 * most(group, |o| o.joint_speed_share))),
+    ("torque step, %", |group| format!("{:.1}", 100.0 * most(group, |o| o.torque_step_share))),
+    ("stopped", |group| group.iter().filter(|(_, outcome)| outcome.stopped.is_some()).count().to_string()),
+    ("pushed on, mm", |group| format!("{:.1}", 1e3 * most(group, |o| o.pushed_m))),
+];
+
+fn most(group: &Group, of: fn(&Outcome) -> f64) -> f64 {
+    group.iter().map(|(_, outcome)| of(outcome)).fold(0.0, f64::max)
+}
+
 fn table(rows: &[(Cell, Outcome)]) -> String {
-    let mut groups: Vec<(Law, Hand, f64)> = Vec::new();
-    for (cell, _) in rows {
-        if !groups.contains(&cell.group()) {
-            groups.push(cell.group());
-        }
-    }
-    let mut table = "| law | hand | N | leans | flange, mm | at | flange, m/s | joint speed, % | torque step, % | stopped | pushed on, mm |\n\
-                     |---|---|---|---|---|---|---|---|---|---|---|\n"
-        .to_owned();
-    for (law, hand, force_n) in groups {
-        let of: Vec<_> = rows.iter().filter(|(cell, _)| cell.group() == (law, hand, force_n)).collect();
-        let most =
-            |pick: fn(&Outcome) -> f64| of.iter().map(|(_, outcome)| pick(outcome)).fold(0.0, f64::max);
-        let Some((at, worst)) = of.iter().max_by(|a, b| a.1.flange_m.total_cmp(&b.1.flange_m)) else {
-            continue;
-        };
-        table += &format!(
-            "| {} | {} | {force_n:.0} | {} | {:.2} | {} | {:.3} | {:.1} | {:.1} | {} | {:.1} |\n",
-            Mode::from(law).name(),
-            format!("{hand:?}").to_lowercase(),
-            of.len(),
-            1e3 * worst.flange_m,
-            at.name(),
-            most(|o| o.flange_m_s),
-            100.0 * most(|o| o.joint_speed_share),
-            100.0 * most(|o| o.torque_step_share),
-            of.iter().filter(|(_, outcome)| outcome.stopped.is_some()).count(),
-            1e3 * most(|o| o.pushed_m),
-        );
-    }
-    table
+    study::table(COLUMNS, &study::groups(rows, |(cell, _)| (cell.law, cell.hand, cell.force_n)))
 }
 
 fn lean(cell: &Cell) -> Result<Outcome> {
@@ -347,7 +322,7 @@ mod tests {
 
     #[test]
     fn nobody_who_leans_on_the_cover_throws_the_arm() {
-        let rows = outcomes(cells(true)).unwrap();
+        let rows = outcomes("lean", cells(true), lean).unwrap();
         for (cell, outcome) in &rows {
             assert!(outcome.passed(), "{cell:?}: {outcome:?}");
         }

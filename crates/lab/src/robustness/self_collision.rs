@@ -1,6 +1,6 @@
 //! `moca-lab self-collision`: random targets, twists and pushes, and whether the arm ever meets itself, the base or the floor.
-#![expect(clippy::print_stdout, reason = "this is what the command is for")]
 
+use crate::study::{self, Answer, Column, outcomes};
 use anyhow::{Context, Result, ensure};
 use moca_control::config::{Config, HandConfig};
 use moca_control::plant::Simulated;
@@ -9,8 +9,8 @@ use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::inject::Random;
 use moca_daemon::runtime::lockstep::LockStep;
+use moca_experiments::JOINTS;
 use moca_experiments::closed_loop::armed;
-use moca_experiments::{JOINTS, parallel};
 use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S, TargetPhase};
 use moca_msgs::{
     ArmTable, Law, Mode, ParameterValues, Refusal, Request, Sample, Target, TargetRefusal, TimedTarget,
@@ -42,9 +42,8 @@ pub(crate) struct Arguments {
     /// Targets, twists and pushes of both laws together; a fiftieth of them once more without the guard.
     #[arg(long, default_value_t = DRAWS)]
     draws: u64,
-    /// One JSON object a run instead of a table.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -86,54 +85,42 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         "--draws {}: allowed: 1 to 10000000",
         arguments.draws
     );
-    let rows = outcomes(cells(arguments.draws))?;
-    if arguments.json {
-        for (cell, outcome) in &rows {
-            println!("{}", serde_json::json!({ "cell": cell, "outcome": outcome }));
-        }
-    } else {
-        print!("{}\n{}", table(&rows), reach()?);
-    }
+    let rows = outcomes("self-collision", cells(arguments.draws), led)?;
+    let groups = study::groups(&rows, |(cell, _)| (cell.guarded, cell.law));
+    arguments
+        .answer
+        .print_cases(&rows, || Ok(format!("{}\n{}", study::table(COLUMNS, &groups), reach()?)))?;
     let touched = rows.iter().find(|(cell, outcome)| cell.guarded && outcome.contacts > 0);
     ensure!(touched.is_none(), "a guarded arm touched the robot: {touched:?}");
     Ok(())
 }
 
-fn outcomes(cells: Vec<Cell>) -> Result<Vec<(Cell, Outcome)>> {
-    let outcomes = parallel::run("self-collision", &cells, led)?;
-    Ok(cells.into_iter().zip(outcomes).collect())
+/// The runs of a law, with or without the guard.
+type Group = Vec<(Cell, Outcome)>;
+
+const COLUMNS: &[Column<Group>] = &[
+    ("law", |group| Mode::from(group[0].0.law).name().into()),
+    ("guard", |group| if group[0].0.guarded { "on".into() } else { "off".into() }),
+    ("draws", |group| sum(group, |run| run.draws)),
+    ("targets taken", |group| sum(group, |run| run.taken)),
+    ("refused: too near", |group| sum(group, |run| run.refused_near)),
+    ("refused: other", |group| sum(group, |run| run.refused)),
+    ("reached", |group| sum(group, |run| run.reached)),
+    ("stops", |group| sum(group, |run| run.stops.values().sum())),
+    ("steps with a contact", |group| sum(group, |run| run.contacts)),
+    ("nearest, mm", |group| format!("{:.1}", nearest_mm(group)[0])),
+    ("nearest of the middle run, mm", |group| format!("{:.1}", nearest_mm(group)[group.len() / 2])),
+];
+
+fn sum(group: &Group, of: fn(&Outcome) -> u64) -> String {
+    group.iter().map(|(_, run)| of(run)).sum::<u64>().to_string()
 }
 
-/// The runs of each law, with and without the guard.
-fn table(rows: &[(Cell, Outcome)]) -> String {
-    let mut groups: BTreeMap<(bool, &str), Vec<&Outcome>> = BTreeMap::new();
-    for (cell, outcome) in rows {
-        groups.entry((!cell.guarded, Mode::from(cell.law).name())).or_default().push(outcome);
-    }
-    let mut table = "| law | guard | draws | targets taken | refused: too near | refused: other | reached | stops | steps with a \
-                     contact | nearest, mm | nearest of the middle run, mm |\n"
-        .to_owned();
-    table += &format!("{}|\n", "|---".repeat(11));
-    for ((unguarded, law), runs) in groups {
-        let sum = |of: fn(&Outcome) -> u64| runs.iter().map(|run| of(run)).sum::<u64>();
-        let mut nearest: Vec<f64> = runs.iter().map(|run| 1e3 * run.nearest_m).collect();
-        nearest.sort_by(f64::total_cmp);
-        let (least, middle) = (nearest.first(), nearest.get(nearest.len() / 2));
-        table += &format!(
-            "| {law} | {} | {} | {} | {} | {} | {} | {} | {} | {:.1} | {:.1} |\n",
-            if unguarded { "off" } else { "on" },
-            sum(|run| run.draws),
-            sum(|run| run.taken),
-            sum(|run| run.refused_near),
-            sum(|run| run.refused),
-            sum(|run| run.reached),
-            sum(|run| run.stops.values().sum()),
-            sum(|run| run.contacts),
-            least.copied().unwrap_or(f64::NAN),
-            middle.copied().unwrap_or(f64::NAN),
-        );
-    }
-    table
+/// Smallest distance in each run, mm, the smallest of all first.
+fn nearest_mm(group: &Group) -> Vec<f64> {
+    let mut nearest: Vec<f64> = group.iter().map(|(_, run)| 1e3 * run.nearest_m).collect();
+    nearest.sort_by(f64::total_cmp);
+    nearest
 }
 
 /// Postures between the ends of the joints' ranges that the guard takes away.
@@ -355,7 +342,7 @@ mod tests {
     #[test]
     fn guarded_arm_meets_nothing_in_mujoco() {
         let cells: Vec<_> = cells(1).into_iter().filter(|cell| cell.guarded).collect();
-        for (cell, outcome) in outcomes(cells).unwrap() {
+        for (cell, outcome) in outcomes("self-collision", cells, led).unwrap() {
             assert_eq!(outcome.contacts, 0, "{cell:?} {outcome:?}");
             assert!((0.015..0.1).contains(&outcome.nearest_m) && outcome.taken > 10, "{cell:?} {outcome:?}");
         }

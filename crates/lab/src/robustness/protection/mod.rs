@@ -8,6 +8,7 @@ mod table;
 mod walk_in;
 
 use crate::campaign::Shards;
+use crate::study;
 use anyhow::{Context as _, Result};
 use cell::{COLUMNS, Cell, Law, PHASES};
 pub(crate) use leads::markdown as leads_markdown;
@@ -59,27 +60,26 @@ pub(crate) struct Arguments {
 }
 
 /// Runs what is missing, or prints what is there.
-#[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     if let Some(path) = &arguments.table {
         if let Some(summary) = of_random(path)? {
-            print!("{summary}");
+            study::print(&summary);
             return Ok(());
         }
-        print!("{}\n{}\n{}", table::of_file(path)?, table::failures(path)?, table::missed(path)?);
+        study::print(&[table::of_file(path)?, table::failures(path)?, table::missed(path)?].join("\n"));
         return Ok(());
     }
     if let Some(run) = arguments.drawn {
-        print!("{}", Meetings { runs: 1 + run, seed: arguments.seed }.keys(run));
+        study::print(&Meetings { runs: 1 + run, seed: arguments.seed }.keys(run));
     }
     if arguments.short {
-        print!("{}", markdown()?);
+        study::print(&markdown()?);
     }
     if arguments.walk_in {
-        print!("{}", walk_in::markdown()?);
+        study::print(&walk_in::markdown()?);
     }
     if arguments.leads {
-        print!("{}", leads::markdown()?);
+        study::print(&leads::markdown()?);
     }
     let Some(out) = &arguments.out else { return Ok(()) };
     let seed = arguments.seed;
