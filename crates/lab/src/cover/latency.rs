@@ -37,7 +37,7 @@ const UNFELT_N: f64 = 5.2;
 /// A still cover is watched for so long.
 const HOLD_TICKS: u64 = 60_000;
 
-/// Arguments of `moca-lab latency`.
+/// From touch to force, stage by stage; whether the contact is stable and how fast the base may go.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     #[command(flatten)]

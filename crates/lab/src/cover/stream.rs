@@ -12,7 +12,7 @@ use moca_tactile::touchline::Flags;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Arguments of `moca-lab stream`.
+/// Reads a recorded Touch Board stream: frames, rate, faults.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// The bytes a board sent.

@@ -3,16 +3,16 @@
 
 use crate::study::{self, Column};
 use anyhow::{Context, Result, ensure};
-use moca_control::config::{Config, HandConfig};
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_experiments::closed_loop::armed;
 use moca_experiments::parallel;
-use moca_msgs::{Request, Sample};
+use moca_experiments::unattended;
+use moca_msgs::{Law, Request, Sample};
 use moca_sim::VirtualBoardConfig;
 
-/// Arguments of `moca-lab threshold`.
+/// The smallest force that is felt and its delay; how little an untouched robot creeps.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// Time untouched for each seed, s, 1 to 3600.
@@ -59,8 +59,7 @@ const COLUMNS: &[Column<Row>] = &[
 ];
 
 fn started(seed: u64) -> Result<World> {
-    let mut config = Config::default();
-    config.simulation.hand = HandConfig::none();
+    let config = unattended(Law::Impedance);
     let board = VirtualBoardConfig { seed, ..VirtualBoardConfig::default() };
     let mut world = LockStep::with_board(&config, &free_scene(&config), board, None)?;
     armed(&mut world)?;

@@ -28,7 +28,7 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Arguments of `moca-lab experiment`.
+/// The paper's experiments, deterministic and faster than real time.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     #[command(subcommand)]

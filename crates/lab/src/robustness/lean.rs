@@ -9,12 +9,12 @@
 
 use crate::study::{self, Answer, Column, outcomes};
 use anyhow::{Context, Result, ensure};
-use moca_control::config::{Config, HandConfig};
+use moca_control::config::Config;
 use moca_control::plant::Simulated;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_experiments::closed_loop::armed;
-use moca_experiments::{JOINTS, TAXELS};
+use moca_experiments::{JOINTS, TAXELS, unattended};
 use moca_msgs::{Fault, Law, Limits, Mode, Sample};
 use moca_sim::VirtualBoardConfig;
 use moca_wbc::guard::STANDSTILL;
@@ -208,9 +208,7 @@ fn table(rows: &[(Cell, Outcome)]) -> String {
 }
 
 fn lean(cell: &Cell) -> Result<Outcome> {
-    let mut config = Config::default();
-    config.simulation.hand = HandConfig::none();
-    config.startup.law = cell.law;
+    let mut config = unattended(cell.law);
     config.control.gains.reactivity = cell.reactivity;
     config.control.corrections.null_space_damping = cell.null_space_damping;
     config.control.corrections.base_coupling = cell.base_coupling;

@@ -3,12 +3,12 @@
 
 use crate::study::{self, Answer, Column};
 use anyhow::{Context, Result, ensure};
-use moca_control::config::{Config, HandConfig};
+use moca_control::config::Config;
 use moca_control::plant::Simulated;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_experiments::closed_loop::armed;
-use moca_experiments::{JOINTS, TAXELS};
+use moca_experiments::{JOINTS, TAXELS, unattended};
 use moca_msgs::{ArmTable, Fault, Law, Limits, Mode, Sample};
 use moca_sim::{Engine, VirtualBoardConfig};
 use moca_wbc::limits::JointSpeeds;
@@ -231,9 +231,7 @@ fn table(rows: &[(Cell, Outcome)]) -> String {
 
 /// One lean from power-up to some seconds after the hand has gone.
 fn lean(cell: &Cell) -> Result<Outcome> {
-    let mut config = Config::default();
-    config.simulation.hand = HandConfig::none();
-    config.startup.law = cell.law;
+    let mut config = unattended(cell.law);
     if let (_, Some(posture_rad)) = POSTURES[cell.posture] {
         config.control.gains.posture_rad[..JOINTS].copy_from_slice(&posture_rad);
     }

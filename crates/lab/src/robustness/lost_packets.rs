@@ -4,7 +4,6 @@
 
 use anyhow::{Result, ensure};
 use moca_control::assemble::{motion, supervisor};
-use moca_control::config::{Config, HandConfig};
 use moca_control::plant::Plant;
 use moca_control::robot::{JOINTS, PlantKind, TAXELS};
 use moca_control::stage::Untimed;
@@ -13,6 +12,7 @@ use moca_control::tick_input::Slot;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::inject::Random;
+use moca_experiments::unattended;
 use moca_franka::limiter::{ARM_CHANGE_NM, TorqueLimiter};
 use moca_msgs::{Actuation, Fault, Law, Mode, Request, RobotCommand, RobotState};
 use moca_sim::SimPlant;
@@ -139,8 +139,7 @@ impl Hand {
 
 /// Runs one robot for `ticks` milliseconds of the arm.
 fn campaign(ticks: u64, seed: u64) -> Result<Report> {
-    let mut config = Config::default();
-    config.simulation.hand = HandConfig::none();
+    let mut config = unattended(Law::Impedance);
     config.plant.kind = PlantKind::Robot;
     config.protection.override_speed_limit_m_s = 0.3;
     config.protection.override_statement = "an ideal cover has no rate".into();

@@ -1,12 +1,13 @@
 //! Motion of the base after the hand has left, with either `control.recentre`, and the way back on request.
 
 use anyhow::{Context, Result, ensure};
-use moca_control::config::{Config, HandConfig, RecentrePolicy};
+use moca_control::config::RecentrePolicy;
 use moca_control::plant::Simulated;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_experiments::closed_loop::armed;
+use moca_experiments::unattended;
 use moca_msgs::{Law, Request, Sample};
 use moca_sim::{Engine, VirtualBoardConfig};
 
@@ -69,9 +70,7 @@ struct World {
 
 impl World {
     fn armed(law: Law, policy: RecentrePolicy) -> Result<Self> {
-        let mut config = Config::default();
-        config.simulation.hand = HandConfig::none();
-        config.startup.law = law;
+        let mut config = unattended(law);
         config.control.recentre = policy;
         let scene = moca_sim::Scene { engine: Engine::Analytic, ..free_scene(&config) };
         let mut world = LockStep::with_board(&config, &scene, VirtualBoardConfig::default(), None)?.untimed();

@@ -2,15 +2,15 @@
 
 use crate::study::{self, Answer, Column, outcomes};
 use anyhow::{Context, Result, ensure};
-use moca_control::config::{Config, HandConfig};
+use moca_control::config::Config;
 use moca_control::plant::Simulated;
 use moca_control::targets::Targets;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::inject::Random;
 use moca_daemon::runtime::lockstep::LockStep;
-use moca_experiments::JOINTS;
 use moca_experiments::closed_loop::armed;
+use moca_experiments::{JOINTS, unattended};
 use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S, TargetPhase};
 use moca_msgs::{
     ArmTable, Law, Mode, ParameterValues, Refusal, Request, Sample, Target, TargetRefusal, TimedTarget,
@@ -151,9 +151,7 @@ fn reach() -> Result<String> {
 }
 
 fn config(law: Law, guarded: bool) -> Result<Config> {
-    let mut config = Config::default();
-    config.simulation.hand = HandConfig::none();
-    config.startup.law = law;
+    let mut config = unattended(law);
     config.control.self_collision.distance_m = if guarded { LEAST_M } else { 0.0 };
     Ok(config)
 }

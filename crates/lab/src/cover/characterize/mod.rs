@@ -17,7 +17,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trials::{Protocol, Recording};
 
-/// Arguments of `moca-lab characterize`.
+/// Ten trials of four foams: Tables I and II, Figure 4, what better calibrations gain.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// Trials of each material; the first half is fitted, the rest held out.

@@ -24,7 +24,7 @@ const TICKS: usize = 1500;
 /// Passes of which the fastest counts.
 const PASSES: usize = 5;
 
-/// Arguments of `moca-lab economy`.
+/// Prints the cost of a scene with everything in it and with only what it needs.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     #[command(flatten)]

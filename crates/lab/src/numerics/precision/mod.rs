@@ -16,7 +16,7 @@ use moca_wbc::WholeBodyController;
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Arguments of `moca-lab precision`.
+/// Error against run time: integrators and steps, control rate, single precision.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     #[command(flatten)]

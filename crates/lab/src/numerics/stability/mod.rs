@@ -28,7 +28,7 @@ const BOUNDED_N: f64 = 150.0;
 /// Drift is what the base does from here on, s, in runs that are at least so long, s.
 const SETTLED_S: f64 = 20.0;
 const DRIFT_SEEN_S: f64 = 60.0;
-/// Arguments of `moca-lab stability`.
+/// The whole system at the stiff and extreme ends of its parameters.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     #[command(flatten)]

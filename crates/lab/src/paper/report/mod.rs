@@ -19,7 +19,7 @@ use moca_msgs::Law;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Arguments of `moca-lab report`.
+/// One self-contained HTML page: tables, figures, what matches the paper and what does not.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// Folder for report.html.

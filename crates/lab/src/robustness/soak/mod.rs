@@ -7,10 +7,11 @@ use crate::robustness::hands::{BLOW_TICKS, BURST, Deeds, FORCES_N, Hands};
 use crate::robustness::watch::{Findings, Watch};
 use crate::study::Answer;
 use anyhow::{Context, Result, ensure};
-use moca_control::config::{Config, HandConfig};
 use moca_daemon::cli::progress::Progress;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
+use moca_experiments::unattended;
+use moca_msgs::Law;
 use moca_sim::VirtualBoardConfig;
 use moca_tactile::Firmware;
 use moca_telemetry::RobotDescription;
@@ -84,8 +85,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 
 #[expect(clippy::cast_precision_loss, reason = "a share")]
 fn soak(ticks: u64, segment_ticks: u64, seed: u64) -> Result<Report> {
-    let mut config = Config::default();
-    config.simulation.hand = HandConfig::none();
+    let mut config = unattended(Law::Impedance);
     config.simulation.seed = seed;
     // The operator arms: every change of mode is then one row of the table and one sample.
     config.startup.arm = false;
