@@ -1,12 +1,10 @@
 //! Parts that studies share: cases with their outcomes, columns of a table, and the form of a command's answer.
 
 use anyhow::Result;
+pub(crate) use moca_experiments::campaign::Column;
 use moca_experiments::parallel;
 use serde::Serialize;
 use std::fmt::Write as _;
-
-/// Column of a table: its heading, and the text of a row's cell.
-pub(crate) type Column<R> = (&'static str, fn(&R) -> String);
 
 /// Runs every case on all cores and returns each with its outcome.
 pub(crate) fn outcomes<C: Sync, O: Send>(

@@ -12,7 +12,7 @@ use crate::study;
 use anyhow::{Context as _, Result};
 use cell::{COLUMNS, Cell, Law, PHASES};
 pub(crate) use leads::markdown as leads_markdown;
-use moca_experiments::campaign::Table;
+use moca_experiments::campaign::{Column, Table, cells, names};
 use moca_experiments::drawn::Meetings;
 use moca_experiments::meeting::Outcome;
 use moca_experiments::parallel;
@@ -22,8 +22,23 @@ use std::path::{Path, PathBuf};
 
 /// Seed of the order of cells.
 const SEED: u64 = 1;
-/// Columns after the cell's own.
-const RESULTS: &str = "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after_s,felt_after_s,least_n,taps,grows,again,first_peak_n,later_n,flange_mm,stopped";
+/// Columns after the cell's own and the law.
+const RESULTS: &[Column<Outcome>] = &[
+    ("approach_m_s", |outcome| format!("{:.4}", outcome.approach_m_s)),
+    ("first_touch_n", |outcome| format!("{:.2}", outcome.first_touch_n)),
+    ("impact_n", |outcome| format!("{:.2}", outcome.impact_n)),
+    ("peak_n", |outcome| format!("{:.2}", outcome.peak_n)),
+    ("peak_after_s", |outcome| format!("{:.3}", outcome.peak_after_s)),
+    ("felt_after_s", |outcome| format!("{:.3}", outcome.felt_after_s)),
+    ("least_n", |outcome| format!("{:.2}", outcome.least_n)),
+    ("taps", |outcome| outcome.taps.to_string()),
+    ("grows", |outcome| outcome.grows.to_string()),
+    ("again", |outcome| outcome.again.to_string()),
+    ("first_peak_n", |outcome| format!("{:.2}", outcome.first_peak_n)),
+    ("later_n", |outcome| format!("{:.2}", outcome.later_n)),
+    ("flange_mm", |outcome| format!("{:.2}", outcome.flange_mm)),
+    ("stopped", |outcome| outcome.stopped.clone()),
+];
 
 /// Collisions all round the cover, with what ships and with the contact barrier.
 #[derive(clap::Args)]
@@ -131,7 +146,7 @@ fn short_line(cell: &Cell) -> Result<String> {
     let limited = cell.worst(Law::SpeedLimit, SHORT_PHASES)?;
     let kept = cell.worst(Law::Barrier, SHORT_PHASES)?;
     let stopped = |outcome: &Outcome| if outcome.stopped.is_empty() { "" } else { ", stop" };
-    let row = format!("0,{},{},{}", cell.columns()?, Law::Barrier.name(), columns(&kept));
+    let row = format!("0,{},{},{}", cell.columns()?, Law::Barrier.name(), cells(RESULTS, &kept));
     Ok(format!(
         "| {} | {:.0} N{} | {:.1} N{} | {:.1} N | {} | {:.1} mm | {} |\n",
         cell.columns()?.replace(',', " | "),
@@ -189,7 +204,7 @@ impl Grid {
 }
 
 fn header() -> String {
-    format!("run,{COLUMNS},{RESULTS}")
+    format!("run,{COLUMNS},law,{}", names(RESULTS))
 }
 
 impl Table for Grid {
@@ -208,7 +223,7 @@ impl Table for Grid {
     fn row(&self, id: usize) -> Result<String> {
         let (cell, law) = (&self.cells[id / Law::ALL.len()], Law::ALL[id % Law::ALL.len()]);
         let outcome = cell.worst(law, PHASES)?;
-        Ok(format!("{id},{},{},{}", cell.columns()?, law.name(), columns(&outcome)))
+        Ok(format!("{id},{},{},{}", cell.columns()?, law.name(), cells(RESULTS, &outcome)))
     }
 }
 
@@ -239,27 +254,6 @@ impl Cell {
     fn outcome(&self, settings: &Settings) -> Result<Outcome> {
         Outcome::of(self.meeting, &self.meeting_there(), settings)
     }
-}
-
-/// As [`RESULTS`] after the law.
-fn columns(outcome: &Outcome) -> String {
-    format!(
-        "{:.4},{:.2},{:.2},{:.2},{:.3},{:.3},{:.2},{},{},{},{:.2},{:.2},{:.2},{}",
-        outcome.approach_m_s,
-        outcome.first_touch_n,
-        outcome.impact_n,
-        outcome.peak_n,
-        outcome.peak_after_s,
-        outcome.felt_after_s,
-        outcome.least_n,
-        outcome.taps,
-        outcome.grows,
-        outcome.again,
-        outcome.first_peak_n,
-        outcome.later_n,
-        outcome.flange_mm,
-        outcome.stopped
-    )
 }
 
 #[cfg(test)]
