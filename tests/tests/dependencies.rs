@@ -70,7 +70,6 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
             "moca-tactile",
             "moca-wbc",
             "moca-sim",
-            "moca-franka",
             "moca-daemon",
         ],
         &["egui", "eframe", "moca-monitor"],

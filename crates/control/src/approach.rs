@@ -23,8 +23,8 @@ pub const PLATES: usize = 3;
 const ROUNDING: f64 = 1.0 / 12.0;
 
 /// Depth of a plate at the frame that first alarms, mm, but for one touch in a thousand: by plates pressed at once, noise and
-/// advance, for the plates of PU LD30. By Monte-Carlo with the shipped test, whole counts and a tare of 40 frames: `moca-lab docs --only detection` has the
-/// program, and its test recomputes the table.
+/// advance, for the plates of PU LD30. By Monte-Carlo with the shipped test, whole counts and a tare of 40 frames: a test in
+/// `crates/lab/src/cover/detection.rs` recomputes the table.
 #[rustfmt::skip]
 pub const DEPTH_MM: [[[f64; ADVANCES]; NOISE_COUNTS.len()]; PLATES] = [
     [

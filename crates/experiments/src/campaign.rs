@@ -31,6 +31,19 @@ pub trait Table: Send + Sync {
     fn row(&self, id: usize) -> Result<String>;
 }
 
+/// Column of a table: its name, and the text of a row's cell.
+pub type Column<R> = (&'static str, fn(&R) -> String);
+
+/// Names of columns, separated by commas.
+pub fn names<R>(columns: &[Column<R>]) -> String {
+    columns.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(",")
+}
+
+/// Cells of a row, separated by commas.
+pub fn cells<R>(columns: &[Column<R>], row: &R) -> String {
+    columns.iter().map(|(_, cell)| cell(row)).collect::<Vec<_>>().join(",")
+}
+
 /// File of the rows of a table, or of one shard of them.
 #[derive(Clone, Copy)]
 pub struct Campaign<'a> {

@@ -3,13 +3,14 @@
 use crate::settings::{Sensor, Settings};
 use crate::{JOINTS, TAXELS, commissioning};
 use anyhow::{Result, bail, ensure};
+use moca_control::cover::CoverSource;
 use moca_control::plant::Simulated;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::{self, SimulatedRobot};
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::inject::Injection;
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards, TrueForces};
-use moca_msgs::{Mode, Sample, TaxelStatus};
+use moca_daemon::runtime::lockstep::{Feed, LockStep, MemoryBoards, TrueForces};
+use moca_msgs::{Mode, Sample, TaxelStatus, seconds};
 use moca_sim::Scene;
 use moca_sim::StepsSpent;
 
@@ -105,6 +106,21 @@ pub struct Rig {
     pub frame_rate_hz: f64,
     /// Simulated time, starting included, s.
     pub sim_s: f64,
+}
+
+/// Steps until a law moves the robot, and returns the sample that says so.
+///
+/// # Errors
+/// A robot that is not armed within 30 s.
+pub fn armed<S: CoverSource, F: Feed<S>>(world: &mut LockStep<S, F>) -> Result<Sample> {
+    loop {
+        let (sample, _) = world.step(None);
+        if sample.mode.moves() {
+            return Ok(sample);
+        }
+        let in_time = seconds(sample.time_ns) < START_WITHIN_S;
+        ensure!(in_time, "the robot was not armed within {START_WITHIN_S} s: {:?}", sample.fault);
+    }
 }
 
 impl Rig {

@@ -118,8 +118,7 @@ pub fn run(settings: &Settings) -> Result<Run> {
         shifted.shift_phase(*phase);
         once(&shifted)
     };
-    let rigs = parallel::run("collision", phases, of_phase, |_| ());
-    let mut rigs = rigs.into_iter().collect::<Result<Vec<_>>>()?;
+    let mut rigs = parallel::run("collision", phases, of_phase)?;
     let peaks: Vec<f64> = rigs.iter().map(|rig| peak_force_n(&rig.rows)).collect();
     let (mut worst, mut most_n) = (0, f64::NEG_INFINITY);
     for (i, peak_n) in peaks.iter().enumerate() {

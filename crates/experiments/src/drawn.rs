@@ -2,7 +2,7 @@
 //! commissioning of that robot measures.
 
 use crate::bound::{self, Closing};
-use crate::campaign::Table;
+use crate::campaign::{Column, Table, cells, names};
 use crate::commissioning;
 use crate::meeting::{Meeting, Outcome};
 use crate::settings::Settings;
@@ -22,7 +22,20 @@ const TO_THE_SEAM_M: [f64; 2] = [bound::TO_THE_SEAM_M, 0.122_25];
 /// Keys that a row shows; the others follow from seed and number.
 const SHOWN: [&str; 3] = ["sensor.firmware", "person.plates", "person.walk"];
 /// Columns after these.
-const RESULTS: &str = "gap_m,limit_m_s,approach_m_s,impact_n,peak_n,peak_after_s,noticed_after_s,least_n,first_peak_n,later_n,flange_mm,stopped";
+const RESULTS: &[Column<Met>] = &[
+    ("gap_m", |met| format!("{:.4}", met.gap_m)),
+    ("limit_m_s", |met| format!("{:.4}", met.limit_m_s)),
+    ("approach_m_s", |met| format!("{:.4}", met.one.approach_m_s)),
+    ("impact_n", |met| format!("{:.2}", met.one.impact_n)),
+    ("peak_n", |met| format!("{:.2}", met.one.peak_n)),
+    ("peak_after_s", |met| format!("{:.3}", met.one.peak_after_s)),
+    ("noticed_after_s", |met| format!("{:.3}", met.one.noticed_after_s)),
+    ("least_n", |met| format!("{:.2}", met.least_n)),
+    ("first_peak_n", |met| format!("{:.2}", met.one.first_peak_n)),
+    ("later_n", |met| format!("{:.2}", met.one.later_n)),
+    ("flange_mm", |met| format!("{:.2}", met.one.flange_mm)),
+    ("stopped", |met| met.one.stopped.clone()),
+];
 
 /// Distribution of a key's value.
 #[derive(Clone, Copy, Debug)]
@@ -230,7 +243,11 @@ impl Drawn {
 
     fn row(&self, id: usize) -> Result<String> {
         let [board, plates, walk_m_s] = SHOWN.map(|key| self.get(key));
-        Ok(format!("{id},{},{board},{plates},{walk_m_s},{}", self.meeting.name(), self.run(id)?.columns()))
+        Ok(format!(
+            "{id},{},{board},{plates},{walk_m_s},{}",
+            self.meeting.name(),
+            cells(RESULTS, &self.run(id)?)
+        ))
     }
 }
 
@@ -243,25 +260,6 @@ struct Met {
     /// Force that no law can avoid, N.
     least_n: f64,
     one: Outcome,
-}
-
-impl Met {
-    /// As [`RESULTS`].
-    fn columns(&self) -> String {
-        let Self { limit_m_s, gap_m, least_n, one } = self;
-        format!(
-            "{gap_m:.4},{limit_m_s:.4},{:.4},{:.2},{:.2},{:.3},{:.3},{least_n:.2},{:.2},{:.2},{:.2},{}",
-            one.approach_m_s,
-            one.impact_n,
-            one.peak_n,
-            one.peak_after_s,
-            one.noticed_after_s,
-            one.first_peak_n,
-            one.later_n,
-            one.flange_mm,
-            one.stopped
-        )
-    }
 }
 
 /// Table of drawn meetings. One of more runs continues one of fewer with the same seed.
@@ -293,7 +291,7 @@ impl Table for Meetings {
     }
 
     fn header(&self) -> String {
-        format!("run,meeting,{},{RESULTS}", SHOWN.join(","))
+        format!("run,meeting,{},{}", SHOWN.join(","), names(RESULTS))
     }
 
     fn words(&self) -> Vec<&str> {

@@ -359,9 +359,7 @@ mod tests {
 
     fn with(assignments: &[&str]) -> Settings {
         let mut settings = Settings::paper(Law::Impedance);
-        for assignment in assignments {
-            settings.set(assignment).unwrap();
-        }
+        settings.set_all(assignments).unwrap();
         settings.check().unwrap();
         settings
     }

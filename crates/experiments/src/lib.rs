@@ -2,10 +2,10 @@
 //! of it, and how many cores it may take; on it the collision, its sweep and the drawn meetings, which `moca-lab` and the
 //! Python package share.
 
-use moca_control::config::Config;
+use moca_control::config::{Config, HandConfig};
 use moca_daemon::devices::simulated_robot;
-use moca_msgs::RobotState;
 use moca_msgs::robot::{PANDA, PAPER_COVER};
+use moca_msgs::{Law, RobotState};
 use moca_sim::Scene;
 
 /// Joints and taxels of the paper's robot, which the experiments are about.
@@ -31,6 +31,14 @@ pub mod sweep;
 /// The free robot that the daemon simulates by default.
 pub fn free_scene() -> Scene {
     simulated_robot::free_scene(&Config::default())
+}
+
+/// The default configuration with a law to start in, and nobody who presses the cover.
+pub fn unattended(law: Law) -> Config {
+    let mut config = Config::default();
+    config.simulation.hand = HandConfig::none();
+    config.startup.law = law;
+    config
 }
 
 /// Converts the state to another scalar.

@@ -1,5 +1,6 @@
 //! Parallel work on many inputs, on all cores, with its progress.
 
+use anyhow::Result;
 use moca_daemon::cli::progress::Progress;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -24,18 +25,20 @@ impl Count {
     }
 }
 
-/// `work` on every input, results in the order of the inputs and the same for any number of cores. `done` is called,
-/// on one thread at a time, with each finished stretch from the first input on.
+/// `work` on every input, results in the order of the inputs and the same for any number of cores.
+///
+/// # Errors
+/// That of the first input whose work failed, once all are done.
 pub fn run<I: Sync, O: Send>(
     what: &str,
     inputs: &[I],
-    work: impl Fn(&I) -> O + Sync,
-    done: impl FnMut(&O) + Send,
-) -> Vec<O> {
-    run_part(&mut Count::new(what, inputs.len()), inputs, work, done)
+    work: impl Fn(&I) -> Result<O> + Sync,
+) -> Result<Vec<O>> {
+    run_part(&mut Count::new(what, inputs.len()), inputs, work, |_| ()).into_iter().collect()
 }
 
-/// Runs on a part of the inputs that `count` counts.
+/// Runs on a part of the inputs that `count` counts. `done` is called, on one thread at a time, with each finished stretch
+/// from the first input on.
 pub fn run_part<I: Sync, O: Send>(
     count: &mut Count,
     inputs: &[I],
@@ -83,8 +86,12 @@ mod tests {
     fn results_and_calls_keep_the_order_of_the_inputs() {
         let inputs: Vec<u64> = (0..200).collect();
         let mut called = Vec::new();
-        let results = super::run("", &inputs, |i| i * i, |square| called.push(*square));
+        let mut count = super::Count::new("", inputs.len());
+        let results = super::run_part(&mut count, &inputs, |i| i * i, |square| called.push(*square));
         assert_eq!(results, inputs.iter().map(|i| i * i).collect::<Vec<_>>());
         assert_eq!(results, called);
+        let small = |i: &u64| if *i < 100 { Ok(*i) } else { Err(anyhow::anyhow!("{i} is too large")) };
+        assert_eq!(super::run("", &inputs[..100], small).unwrap(), inputs[..100]);
+        assert_eq!(super::run("", &inputs, small).unwrap_err().to_string(), "100 is too large");
     }
 }

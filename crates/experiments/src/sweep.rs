@@ -4,7 +4,7 @@
 //! rows of any number of shards, joined in order, are those of one machine. No row holds a time, so no row depends on
 //! the machine either.
 
-use crate::campaign::Table;
+use crate::campaign::{Column, Table, cells, names};
 use crate::collision::{self, Report};
 use crate::settings::{Sensor, Settings};
 use anyhow::{Result, ensure};
@@ -16,8 +16,24 @@ use std::fmt::Write as _;
 /// Most runs of one file.
 const RUNS_MAX: usize = 10_000_000;
 /// Columns after the run's number and its settings.
-const RESULTS: &str = "peak_force_n,first_touch_n,impact_n,first_peak_n,contact_s,contact_time_s,approach_m_s,flange_rms_mm,flange_max_mm,\
-                       base_x_m,base_y_m,base_yaw_rad,yaw_in_contact_deg,stopped";
+const RESULTS: &[Column<Report>] = &[
+    ("peak_force_n", |report| format!("{:.6}", report.measures.peak_force_n)),
+    ("first_touch_n", |report| format!("{:.6}", report.measures.first_touch_n)),
+    ("impact_n", |report| format!("{:.6}", report.measures.impact_n)),
+    ("first_peak_n", |report| format!("{:.6}", report.measures.peaks_n.first().copied().unwrap_or(0.0))),
+    ("contact_s", |report| report.measures.contact_s.map_or(String::new(), |t| format!("{t:.3}"))),
+    ("contact_time_s", |report| format!("{:.3}", report.measures.contact_time_s)),
+    ("approach_m_s", |report| format!("{:.6}", report.approach_m_s)),
+    ("flange_rms_mm", |report| format!("{:.6}", report.measures.flange_rms_mm)),
+    ("flange_max_mm", |report| format!("{:.6}", report.measures.flange_max_mm)),
+    ("base_x_m", |report| format!("{:.6}", report.measures.base_displacement[0])),
+    ("base_y_m", |report| format!("{:.6}", report.measures.base_displacement[1])),
+    ("base_yaw_rad", |report| format!("{:.6}", report.measures.base_displacement[2])),
+    ("yaw_in_contact_deg", |report| format!("{:.4}", report.measures.yaw_in_contact_deg)),
+    ("stopped", |report| {
+        report.stopped().map_or("", |why| why.split(':').next().unwrap_or("stopped")).into()
+    }),
+];
 
 /// A sweep file.
 #[derive(Debug, Deserialize)]
@@ -120,11 +136,8 @@ impl Table for Sweep {
     }
 
     fn header(&self) -> String {
-        std::iter::once("run")
-            .chain(self.columns.iter().map(String::as_str))
-            .chain([RESULTS])
-            .collect::<Vec<_>>()
-            .join(",")
+        let varied: String = self.columns.iter().map(|key| format!("{key},")).collect();
+        format!("run,{varied}{}", names(RESULTS))
     }
 
     fn words(&self) -> Vec<&str> {
@@ -137,7 +150,7 @@ impl Table for Sweep {
         let values = self.values(id);
         let report = collision::single(&self.settings(&values)?)?;
         let mut line = id.to_string();
-        for value in values.iter().map(|value| quoted(value)).chain([results(&report)]) {
+        for value in values.iter().map(|value| quoted(value)).chain([cells(RESULTS, &report)]) {
             // Writing to a string cannot fail.
             let _ = write!(line, ",{value}");
         }
@@ -236,24 +249,6 @@ fn plain(value: &toml::Value) -> String {
         toml::Value::Array(list) => list.iter().map(plain).collect::<Vec<_>>().join(","),
         other => other.to_string(),
     }
-}
-
-fn results(report: &Report) -> String {
-    let [x, y, yaw] = report.measures.base_displacement;
-    format!(
-        "{:.6},{:.6},{:.6},{:.6},{},{:.3},{:.6},{:.6},{:.6},{x:.6},{y:.6},{yaw:.6},{:.4},{}",
-        report.measures.peak_force_n,
-        report.measures.first_touch_n,
-        report.measures.impact_n,
-        report.measures.peaks_n.first().copied().unwrap_or(0.0),
-        report.measures.contact_s.map_or(String::new(), |t| format!("{t:.3}")),
-        report.measures.contact_time_s,
-        report.approach_m_s,
-        report.measures.flange_rms_mm,
-        report.measures.flange_max_mm,
-        report.measures.yaw_in_contact_deg,
-        report.stopped().map_or("", |why| why.split(':').next().unwrap_or("stopped")),
-    )
 }
 
 #[cfg(test)]

@@ -5,11 +5,11 @@
 
 mod data;
 
-use crate::cover::{detection, latency};
+use crate::cover::latency;
 use crate::numerics::{barrier, peers, stability, tick};
 use crate::paper::report::{claims, errors};
-use crate::paper::{kept_pushes, late_bases, opposite_hands, real_arm};
-use crate::robustness::{attack, faults, lean, long_lean, protection, targets};
+use crate::paper::{late_bases, real_arm};
+use crate::robustness::{attack, faults, lean, long_lean, protection};
 use anyhow::{Context, Result, bail, ensure};
 use moca_daemon::cli::progress;
 use moca_experiments::{c_library, count};
@@ -36,43 +36,30 @@ struct Table {
     make: fn() -> Result<String>,
 }
 
+const fn table(name: &'static str, file: &'static str, make: fn() -> Result<String>) -> Table {
+    Table { name, file, make }
+}
+
 const TABLES: &[Table] = &[
-    Table { name: "faults", file: "docs/safety.md", make: faults::markdown },
-    Table { name: "attack", file: "docs/safety.md", make: attack::markdown },
-    Table { name: "lean", file: "docs/safety.md", make: lean::markdown },
-    Table { name: "long-lean", file: "docs/data/long-lean.csv", make: long_lean::markdown },
-    Table { name: "targets", file: "docs/command-line.md", make: targets::markdown },
-    Table { name: "detection", file: "docs/data/detection.csv", make: detection::markdown },
-    Table { name: "boards", file: "docs/boards.md", make: latency::markdown },
-    Table { name: "paper", file: "docs/results.md", make: claims::markdown },
-    Table { name: "late-bases", file: "docs/results.md", make: late_bases::markdown },
-    Table { name: "real-arm", file: "docs/data/real-arm.csv", make: real_arm::markdown },
-    Table { name: "real-arm-short", file: "docs/results.md", make: real_arm::short_markdown },
-    Table { name: "pushes", file: "docs/data/pushes.csv", make: kept_pushes::markdown },
-    Table { name: "opposite-hands", file: "docs/data/opposite-hands.csv", make: opposite_hands::markdown },
-    Table { name: "barrier", file: "docs/math.md", make: barrier::markdown },
-    Table { name: "protection-short", file: "docs/data/protection-short.csv", make: protection::markdown },
-    Table {
-        name: "protection-leads",
-        file: "docs/data/protection-leads.csv",
-        make: protection::leads_markdown,
-    },
-    Table {
-        name: "protection-campaign",
-        file: "docs/data/protection-campaign.csv",
-        make: protection::campaign_markdown,
-    },
-    Table {
-        name: "protection-random",
-        file: "docs/data/protection-random.csv",
-        make: protection::random_markdown,
-    },
-    Table { name: "step-size", file: "docs/results.md", make: tick::markdown },
-    Table { name: "errors", file: "docs/data/errors.csv", make: errors::markdown },
-    Table { name: "contact", file: "docs/data/contact.csv", make: stability::contact::markdown },
-    Table { name: "peers", file: "docs/simulation.md", make: peers::markdown },
-    Table { name: "stability", file: "docs/data/stability.csv", make: stability::markdown },
-    Table { name: "stability-maps", file: "docs/data/stability-maps.csv", make: stability::maps::markdown },
+    table("faults", "docs/safety.md", faults::markdown),
+    table("attack", "docs/safety.md", attack::markdown),
+    table("lean", "docs/safety.md", lean::markdown),
+    table("long-lean", "docs/data/long-lean.csv", long_lean::markdown),
+    table("boards", "docs/boards.md", latency::markdown),
+    table("paper", "docs/results.md", claims::markdown),
+    table("late-bases", "docs/results.md", late_bases::markdown),
+    table("real-arm", "docs/data/real-arm.csv", real_arm::markdown),
+    table("barrier", "docs/math.md", barrier::markdown),
+    table("protection-short", "docs/data/protection-short.csv", protection::markdown),
+    table("protection-leads", "docs/data/protection-leads.csv", protection::leads_markdown),
+    table("protection-campaign", "docs/data/protection-campaign.csv", protection::campaign_markdown),
+    table("protection-random", "docs/data/protection-random.csv", protection::random_markdown),
+    table("step-size", "docs/results.md", tick::markdown),
+    table("errors", "docs/data/errors.csv", errors::markdown),
+    table("contact", "docs/data/contact.csv", stability::contact::markdown),
+    table("peers", "docs/simulation.md", peers::markdown),
+    table("stability", "docs/data/stability.csv", stability::markdown),
+    table("stability-maps", "docs/data/stability-maps.csv", stability::maps::markdown),
 ];
 
 /// Computes the tables and puts each in its place.
@@ -189,7 +176,7 @@ mod tests {
         std::fs::create_dir_all(&folder).unwrap();
         let place = |name: &str| format!("<!-- moca-lab docs {name} --> <!-- end of {name} -->\n");
         std::fs::write(folder.join("page.md"), place("one") + &place("two")).unwrap();
-        let table = |name| Table { name, file: "page.md", make: || Ok("| 1 |\n".into()) };
+        let table = |name| table(name, "page.md", || Ok("| 1 |\n".into()));
         let (tables, mut lines) = ([table("one"), table("two")], Vec::new());
         write_tables(&tables.each_ref(), &folder, |line| lines.push(line)).unwrap();
         assert!(lines[0].ends_with("table one") && lines[1].ends_with("table two"), "{lines:?}");
@@ -209,49 +196,24 @@ mod tests {
         }
     }
 
-    #[test]
-    fn table_paper_matches_the_experiments() {
-        is_what_is_printed("paper");
+    /// A test that computes a whole table and compares it with its document.
+    macro_rules! printed {
+        ($($test:ident: $table:literal),+ $(,)?) => {
+            $(#[test]
+            fn $test() {
+                is_what_is_printed($table);
+            })+
+        };
     }
 
-    #[test]
-    fn table_of_late_bases_matches_the_collisions() {
-        is_what_is_printed("late-bases");
-    }
-
-    #[test]
-    fn short_table_of_real_arms_matches_the_experiments() {
-        is_what_is_printed("real-arm-short");
-    }
-
-    #[test]
-    fn the_paper_s_pushes_under_the_barrier_are_what_is_printed() {
-        is_what_is_printed("pushes");
-    }
-
-    #[test]
-    fn hands_that_cancel_move_the_base_as_the_document_says() {
-        is_what_is_printed("opposite-hands");
-    }
-
-    #[test]
-    fn table_protection_campaign_matches_its_file() {
-        is_what_is_printed("protection-campaign");
-    }
-
-    #[test]
-    fn table_of_drawn_meetings_matches_their_file() {
-        is_what_is_printed("protection-random");
-    }
-
-    #[test]
-    fn what_a_step_needs_is_what_it_is_held_to() {
-        is_what_is_printed("step-size");
-    }
-
-    #[test]
-    fn table_faults_matches_the_trials() {
-        is_what_is_printed("faults");
+    printed! {
+        table_paper_matches_the_experiments: "paper",
+        table_of_late_bases_matches_the_collisions: "late-bases",
+        table_protection_campaign_matches_its_file: "protection-campaign",
+        table_of_drawn_meetings_matches_their_file: "protection-random",
+        what_a_step_needs_is_what_it_is_held_to: "step-size",
+        table_faults_matches_the_trials: "faults",
+        what_each_board_allows_is_what_latency_prints: "boards",
     }
 
     /// All of them take minutes: one in ten is run, and has to stand where the table has it.
@@ -337,11 +299,6 @@ mod tests {
         assert!(shown.lines().any(|line| line == row.trim_end()), "`moca-lab docs --only attack`: {row}");
     }
 
-    #[test]
-    fn what_each_board_allows_is_what_latency_prints() {
-        is_what_is_printed("boards");
-    }
-
     /// Words of a document, and how the row begins that has their figures.
     type Quote = (&'static str, &'static str);
 
@@ -365,6 +322,15 @@ mod tests {
             ],
         ),
         ("docs/results.md", "late-bases", &[("ends at 61.4 N", "PU LD30 | 0 |")]),
+        (
+            "docs/results.md",
+            "real-arm",
+            &[
+                ("| off | 0.13 | 6.03 | 12.30 | 4.14 | 17.29 |", "push T1 20 N | off"),
+                ("| on | 0.13 | 0.16 | 0.19 | 2.33 | 2.34 |", "push T1 20 N | on |"),
+                ("| 0.13 | 0.16 | 0.19 | 0.90 | 1.00 |", "push T1 20 N | on, 80 %"),
+            ],
+        ),
         (
             "README.md",
             "barrier",

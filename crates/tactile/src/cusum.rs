@@ -2,7 +2,7 @@
 //!
 //! A threshold on one frame hides what stays below it however long. The sum of what each frame lies below zero, less a
 //! reference, drifts down while nothing touches and up under a touch; it alarms at a height that noise of the deviation
-//! measured at the tare reaches less than once an hour (`moca-lab docs --only detection`). What it finds is that somebody is
+//! measured at the tare reaches less than once an hour (tests of `crates/lab/src/cover/detection.rs`). What it finds is that somebody is
 //! there, not how hard: it may hold a base back and gives no force. Of a foam that recovers from a touch zero is not known, nor of
 //! any while drift is not followed: what it rests at is followed then, quickly down and slowly up.
 //!

@@ -1,16 +1,15 @@
-//! `moca-lab docs --only detection`: how light a touch each test of the counts feels, how late, how often it is wrong, and
-//! how fast the base may therefore go.
+//! Lightest touch that each test of the counts feels, its delay, its false alarms, and the speed that it therefore allows.
 
 use anyhow::Result;
+use moca_control::approach::{ADVANCE_RATIO, DEPTH_MM, FIRST_ADVANCE_M, NOISE_COUNTS};
 use moca_control::config::{Config, ProtectionConfig};
 use moca_msgs::seconds;
 use moca_sim::foam::Foam;
 use moca_sim::sensor::{IDLE_COUNTS, Noise, quantise};
 use moca_tactile::cover::{CONTACT_OFF_COUNTS, CONTACT_ON_COUNTS};
-use moca_tactile::cusum::{ALARM, Cusum, LEAST_DEVIATION, REFERENCE};
+use moca_tactile::cusum::{ALARM, CERTAIN, Cusum, LEAST_DEVIATION, REFERENCE};
 use moca_tactile::{Firmware, zero};
 use moca_wbc::contact_stability::{Contact, speed_for_stopping};
-use std::fmt::Write as _;
 
 /// Noise of a frame, counts, and how often one comes, Hz.
 const BOARDS: [(Firmware, f64, f64); 2] = [(Firmware::Stock2018, 0.70, 40.5), (Firmware::Moca, 0.62, 235.0)];
@@ -26,10 +25,8 @@ const RECOVERS_S: f64 = 0.4;
 /// When after a release somebody comes again, s.
 const AGAIN_S: f64 = 0.5;
 /// Frames of noise before a touch.
-#[cfg(test)]
 const WARMED_FRAMES: u32 = 25;
 /// Depth at which a touch is no longer waited for, m.
-#[cfg(test)]
 const DEEPEST_M: f64 = 0.014;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -269,7 +266,6 @@ fn hidden_m(test: Test, noise_counts: f64, rate_hz: f64, speed_m_s: f64) -> f64 
     (depths[depths.len() * 99 / 100] - step_m).max(0.0)
 }
 
-#[cfg(test)]
 /// Depth of `plates` that are pressed at once, at the frame that first alarms, but for one touch in a thousand, m; each frame finds
 /// them `advance_m` deeper. The tare has as few frames as it may.
 fn alarm_depth_m(plates: u64, noise_counts: f64, advance_m: f64, trials: u64) -> f64 {
@@ -323,120 +319,89 @@ fn safe_speed(test: Test, firmware: Firmware, noise_counts: f64, rate_hz: f64) -
     Ok((low, hidden_m(test, noise_counts, rate_hz, low)))
 }
 
-/// The table.
-pub(crate) fn markdown() -> Result<String> {
-    let mut out = String::from("| board | test | false alarms of a taxel in an hour |");
-    for force_n in FORCES_N {
-        // Writing to a string cannot fail.
-        let _ = write!(out, " {force_n} N felt after |");
-    }
-    out.push_str(
-        " hides at that speed | largest safe speed | false alarms in 100 releases | 3 N felt after, half a second after a release |\n\
-         |---|---|---|---|---|---|---|---|---|---|---|\n",
-    );
-    for (firmware, noise_counts, rate_hz) in BOARDS {
-        for (test, name) in [(Test::Threshold, "4 counts in a frame"), (Test::Cusum, "or the sum of frames")]
-        {
-            let alarms = alarms_per_hour(test, noise_counts, rate_hz);
-            let _ = write!(out, "| {} | {name} | {alarms:.1e} |", firmware.name());
-            for force_n in FORCES_N {
-                let _ = write!(out, " {} |", after(felt_after_ms(test, noise_counts, rate_hz, force_n)));
+#[test]
+fn cusum_feels_lighter_touches_sooner_and_allows_no_less_speed() {
+    // ms in which nine of ten feel each of [`FORCES_N`], mm that stay hidden, and m/s that this allows
+    let never = f64::INFINITY;
+    let bounds = [
+        (
+            Test::Threshold,
+            [[never, never, 124.0, 25.0], [never, 1240.0, 22.0, 5.0]],
+            [2.13, 2.16],
+            [0.055, 0.105],
+        ),
+        (Test::Cusum, [[273.0, 124.0, 75.0, 25.0], [35.0, 18.0, 13.0, 5.0]], [2.13, 1.82], [0.055, 0.110]),
+    ];
+    for (test, within_ms, hides_mm, allows_m_s) in bounds {
+        for (board, (firmware, noise_counts, rate_hz)) in BOARDS.into_iter().enumerate() {
+            let felt_ms = FORCES_N.map(|force_n| felt_after_ms(test, noise_counts, rate_hz, force_n));
+            for (felt_ms, within_ms) in felt_ms.into_iter().zip(within_ms[board]) {
+                assert_eq!(felt_ms.is_some(), within_ms.is_finite(), "{test:?}, {firmware:?}: {felt_ms:?}");
+                assert!(felt_ms.is_none_or(|ms| ms < within_ms), "{test:?}, {firmware:?}: {felt_ms:?}");
             }
-            let (speed_m_s, hidden_m) = safe_speed(test, firmware, noise_counts, rate_hz)?;
-            let _ = write!(out, " {:.2} mm | {speed_m_s:.3} m/s |", 1e3 * hidden_m);
-            let released = (test == Test::Cusum).then(|| Released::of(noise_counts, rate_hz));
-            let _ = match released {
-                Some(Released { wrong, again_ms }) => {
-                    writeln!(out, " {:.2} | {} |", 100.0 * wrong, after(again_ms))
-                }
-                None => writeln!(out, " | |"),
-            };
+            let (speed_m_s, hidden_m) = safe_speed(test, firmware, noise_counts, rate_hz).unwrap();
+            assert!(speed_m_s > allows_m_s[board], "{test:?}, {firmware:?}: {speed_m_s} m/s");
+            assert!(1e3 * hidden_m < hides_mm[board], "{test:?}, {firmware:?}: {hidden_m} m");
         }
     }
-    Ok(out)
 }
 
-fn after(time_ms: Option<f64>) -> String {
-    time_ms.map_or("not".into(), |ms| format!("{ms:.0} ms"))
+#[test]
+fn cusum_false_alarms_stay_below_one_an_hour() {
+    for ((_, noise_counts, rate_hz), rarer) in BOARDS.into_iter().zip([39.0, 270.0]) {
+        let alarms = alarms_per_hour(Test::Cusum, noise_counts, rate_hz);
+        assert!(alarms < 1.0, "{alarms} an hour");
+        assert!(alarms_per_hour(Test::Threshold, noise_counts, rate_hz) < 0.02);
+        let certain = reaches_per_hour(Test::Cusum, CERTAIN, noise_counts, rate_hz);
+        assert!(rarer * certain < alarms, "{certain} of {alarms} an hour");
+    }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use moca_control::approach::{ADVANCE_RATIO, DEPTH_MM, FIRST_ADVANCE_M, NOISE_COUNTS};
-    use moca_tactile::cusum::CERTAIN;
-
-    #[test]
-    fn cusum_false_alarms_stay_below_one_an_hour() {
-        for ((_, noise_counts, rate_hz), rarer) in BOARDS.into_iter().zip([39.0, 270.0]) {
-            let alarms = alarms_per_hour(Test::Cusum, noise_counts, rate_hz);
-            assert!(alarms < 1.0, "{alarms} an hour");
-            let certain = reaches_per_hour(Test::Cusum, CERTAIN, noise_counts, rate_hz);
-            println!("{alarms:.3} an hour, {certain:.2e} of them certain");
-            assert!(rarer * certain < alarms, "{certain} of {alarms} an hour");
-            assert!(felt_after_ms(Test::Cusum, noise_counts, rate_hz, 1.5).is_some());
-            assert!(felt_after_ms(Test::Threshold, noise_counts, rate_hz, 1.5).is_none());
-        }
-    }
-
-    /// Every fourth advance of each row of the table.
-    #[test]
-    fn depths_of_speed_limit_are_what_the_test_detects() {
-        for (plates, rows) in (1..).zip(DEPTH_MM) {
-            for (noise_counts, row) in NOISE_COUNTS.into_iter().zip(rows) {
-                for (i, depth_mm) in (0..).zip(row).skip(3).step_by(4) {
-                    let advance_m = FIRST_ADVANCE_M * ADVANCE_RATIO.powi(i);
-                    let found_mm = 1e3 * alarm_depth_m(plates, noise_counts, advance_m, 20_000);
-                    assert!(
-                        (found_mm - depth_mm).abs() < 2e-3,
-                        "{plates}, {noise_counts}, {i}: {found_mm} {depth_mm}"
-                    );
-                }
+/// Every fourth advance of each row of the table.
+#[test]
+fn depths_of_speed_limit_are_what_the_test_detects() {
+    for (plates, rows) in (1..).zip(DEPTH_MM) {
+        for (noise_counts, row) in NOISE_COUNTS.into_iter().zip(rows) {
+            for (i, depth_mm) in (0..).zip(row).skip(3).step_by(4) {
+                let advance_m = FIRST_ADVANCE_M * ADVANCE_RATIO.powi(i);
+                let found_mm = 1e3 * alarm_depth_m(plates, noise_counts, advance_m, 20_000);
+                assert!(
+                    (found_mm - depth_mm).abs() < 2e-3,
+                    "{plates}, {noise_counts}, {i}: {found_mm} {depth_mm}"
+                );
             }
         }
     }
+}
 
-    #[test]
-    fn recovering_foam_rarely_raises_false_alarm() {
-        let [stock, moca] = BOARDS.map(|(_, noise_counts, rate_hz)| Released::of(noise_counts, rate_hz));
-        assert!(
-            stock.wrong < 0.002 && moca.wrong < 0.002,
-            "{} and {} of the releases",
-            stock.wrong,
-            moca.wrong
-        );
-        assert!(moca.again_ms.is_some_and(|ms| ms < 50.0), "{:?} ms", moca.again_ms);
-    }
+#[test]
+fn recovering_foam_rarely_raises_false_alarm() {
+    let [stock, moca] = BOARDS.map(|(_, noise_counts, rate_hz)| Released::of(noise_counts, rate_hz));
+    assert!(stock.wrong < 0.002 && moca.wrong < 0.002, "{} and {} of the releases", stock.wrong, moca.wrong);
+    let [stock_ms, moca_ms] = [stock.again_ms, moca.again_ms];
+    assert!(stock_ms.is_none() && moca_ms.is_some_and(|ms| ms < 25.0), "{stock_ms:?} and {moca_ms:?}");
+}
 
-    /// The chain against what it stands for: noise so large that it alarms often.
-    #[test]
-    fn the_chain_counts_the_alarms_that_there_are() {
-        let (noise_counts, deviation) = (0.7, 0.5);
-        let mut noise = Noise::new(5);
-        let (mut cusum, mut alarms, frames) = (Cusum::default(), 0.0, 400_000);
-        for _ in 0..frames {
-            let fdat = quantise(IDLE_COUNTS + noise_counts * noise.standard_normal());
-            if cusum.update(IDLE_COUNTS - f64::from(fdat), deviation) {
-                (cusum, alarms) = (Cusum::default(), alarms + 1.0);
-            }
-        }
-        let counted = f64::from(frames) / alarms;
-        let chain = frames_to_alarm(Test::Cusum, ALARM, noise_counts, 0.0, 0.0, deviation);
-        assert!((chain / counted - 1.0).abs() < 0.15, "{chain} {counted}, {alarms} alarms");
-    }
-
-    #[test]
-    fn the_normal_distribution_is_one() {
-        for (x, share) in [(0.0, 0.5), (1.0, 0.841_344_7), (-2.0, 0.022_750_1), (-5.0, 2.866_516e-7)] {
-            assert!((below(x) / share - 1.0).abs() < 1e-3, "{x}: {}", below(x));
+/// The chain against what it stands for: noise so large that it alarms often.
+#[test]
+fn the_chain_counts_the_alarms_that_there_are() {
+    let (noise_counts, deviation) = (0.7, 0.5);
+    let mut noise = Noise::new(5);
+    let (mut cusum, mut alarms, frames) = (Cusum::default(), 0.0, 400_000);
+    for _ in 0..frames {
+        let fdat = quantise(IDLE_COUNTS + noise_counts * noise.standard_normal());
+        if cusum.update(IDLE_COUNTS - f64::from(fdat), deviation) {
+            (cusum, alarms) = (Cusum::default(), alarms + 1.0);
         }
     }
+    let counted = f64::from(frames) / alarms;
+    let chain = frames_to_alarm(Test::Cusum, ALARM, noise_counts, 0.0, 0.0, deviation);
+    assert!((chain / counted - 1.0).abs() < 0.15, "{chain} {counted}, {alarms} alarms");
+}
 
-    #[test]
-    fn the_documents_have_what_the_command_prints() {
-        let Some(shown) = crate::docs::shown("detection") else { return };
-        for line in crate::docs::as_shown("detection", &markdown().unwrap()).lines() {
-            assert!(shown.contains(line), "{line}");
-        }
+#[test]
+fn the_normal_distribution_is_one() {
+    for (x, share) in [(0.0, 0.5), (1.0, 0.841_344_7), (-2.0, 0.022_750_1), (-5.0, 2.866_516e-7)] {
+        assert!((below(x) / share - 1.0).abs() < 1e-3, "{x}: {}", below(x));
     }
 }

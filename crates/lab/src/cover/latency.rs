@@ -2,6 +2,7 @@
 //! fast the base may go with it, and whether such a cover is stable in contact with this controller.
 
 use crate::picture::Width;
+use crate::study::{self, Answer, Column};
 use anyhow::Context as _;
 use moca_control::config::Config;
 use moca_experiments::TAXELS;
@@ -15,7 +16,6 @@ use moca_tactile::board::STOCK_CHIP_AGE_MEAN_NS;
 use moca_tactile::{Cover, CoverConfig, TareStatus};
 use moca_wbc::contact_stability::{Contact, at_taxel, largest_speed, least_damping, margin, reading_delay_s};
 use serde::{Deserialize, Serialize};
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
@@ -37,12 +37,11 @@ const UNFELT_N: f64 = 5.2;
 /// A still cover is watched for so long.
 const HOLD_TICKS: u64 = 60_000;
 
-/// Arguments of `moca-lab latency`.
+/// From touch to force, stage by stage; whether the contact is stable and how fast the base may go.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
-    /// Prints one JSON object instead of tables.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
     /// Configuration whose protection.assessed_forces_n are printed; without it mocad's defaults.
     #[arg(long)]
     config: Option<PathBuf>,
@@ -133,7 +132,6 @@ struct ContactReport {
 }
 
 /// Measures, computes, prints.
-#[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let config = match &arguments.config {
         Some(path) => Config::load(path)?,
@@ -148,12 +146,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => measured_before()?,
     };
     let report = report(all_boards(firmware, forces_n, base)?, base)?;
-    if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
-    } else {
-        print!("{}", as_text(&report, base));
-    }
-    Ok(())
+    arguments.answer.print(&report, || Ok(as_text(&report, forces_n, base)))
 }
 
 /// Boards that can be bought or flashed.
@@ -198,31 +191,24 @@ fn measured_before() -> anyhow::Result<Vec<Board>> {
 pub(crate) fn markdown() -> anyhow::Result<String> {
     let config = Config::default();
     let (forces_n, base) = (&config.protection.assessed_forces_n, &config.robot.base);
-    let mut out = String::from("| board | rate Hz | age on arrival, mean / worst ms | oldest ms | T ms |");
-    for force_n in forces_n {
-        let _ = write!(out, " at {force_n} N |");
-    }
-    let _ = write!(out, "\n|---|---|---|---|---|{}\n", "---|".repeat(forces_n.len()));
+    let mut boards = all_boards(measured_before()?, forces_n, base)?;
     // What the chip's own times say is for the firmware's page; a loop knows only what it reads.
-    for board in
-        all_boards(measured_before()?, forces_n, base)?.iter().filter(|board| !board.board.ends_with("exact"))
-    {
-        let _ = write!(
-            out,
-            "| {} | {:.1} | {:.1} / {:.1} | {:.1} | {:.1} |",
-            board.board,
-            board.rate_hz,
-            board.age_mean_ms,
-            board.age_worst_ms,
-            board.hold_worst_ms,
-            board.delay_ms
+    boards.retain(|board| !board.board.ends_with("exact"));
+    Ok(table(&boards, forces_n))
+}
+
+fn table(boards: &[Board], forces_n: &[f64]) -> String {
+    let forces: String = forces_n.iter().map(|force_n| format!(" at {force_n} N |")).collect();
+    let mut out =
+        format!("| board | rate Hz | age on arrival, mean / worst ms | oldest ms | T ms |{forces}\n");
+    out += &format!("|---|---|---|---|---|{}\n", "---|".repeat(forces_n.len()));
+    for Board { board, rate_hz, age_mean_ms, age_worst_ms, hold_worst_ms, delay_ms, speeds } in boards {
+        let speeds: String = speeds.iter().map(|speed| format!(" {:.3} m/s |", speed.m_s)).collect();
+        out += &format!(
+            "| {board} | {rate_hz:.1} | {age_mean_ms:.1} / {age_worst_ms:.1} | {hold_worst_ms:.1} | {delay_ms:.1} |{speeds}\n"
         );
-        for speed in &board.speeds {
-            let _ = write!(out, " {:.3} m/s |", speed.m_s);
-        }
-        out.push('\n');
     }
-    Ok(out)
+    out
 }
 
 /// Ages of a still cover's readings on the virtual board.
@@ -452,116 +438,61 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / count
 }
 
-fn as_text(report: &Report, base: &BaseTable) -> String {
-    let mut out = String::new();
-    // writing to a String cannot fail
-    boards_as_text(report, base, &mut out);
-    let _ = writeln!(
-        out,
-        "\nFROM TOUCH TO FORCE: mean delay of each stage [ms]\n\n{:<12}{:>12}{:>10}{:>14}{:>6}{:>12}{:>7}{:>8}   \
-         measured to half / worst / first felt",
-        "firmware", "chip filter", "wait", "I2C + print", "USB", "parse [us]", "loop", "sum"
-    );
-    for l in &report.firmwares {
-        let _ = writeln!(
-            out,
-            "{:<12}{:>12.1}{:>10.2}{:>14.1}{:>6.1}{:>12.1}{:>7.1}{:>8.1}   {:.1} / {:.1} / {:.1}",
-            l.firmware,
-            l.chip_filter_ms,
-            l.wait_for_read_ms,
-            l.read_and_print_ms,
-            l.usb_ms,
-            l.parse_us,
-            l.loop_ms,
-            l.sum_ms,
-            l.measured_half_ms,
-            l.measured_half_worst_ms,
-            l.measured_first_ms,
-        );
-    }
+const FIRMWARES: &[Column<Latency>] = &[
+    ("firmware", |l| l.firmware.into()),
+    ("chip filter", |l| format!("{:.1}", l.chip_filter_ms)),
+    ("wait", |l| format!("{:.2}", l.wait_for_read_ms)),
+    ("I2C + print", |l| format!("{:.1}", l.read_and_print_ms)),
+    ("USB", |l| format!("{:.1}", l.usb_ms)),
+    ("parse, µs", |l| format!("{:.1}", l.parse_us)),
+    ("loop", |l| format!("{:.1}", l.loop_ms)),
+    ("sum", |l| format!("{:.1}", l.sum_ms)),
+    ("measured to half", |l| format!("{:.1}", l.measured_half_ms)),
+    ("worst", |l| format!("{:.1}", l.measured_half_worst_ms)),
+    ("first felt", |l| format!("{:.1}", l.measured_first_ms)),
+];
+
+const CONTACTS: &[Column<ContactReport>] = &[
+    ("reading", |c| c.reading.clone()),
+    ("foam", |c| c.foam.into()),
+    ("k, N/m", |c| format!("{:.0}", c.stiffness_n_m)),
+    ("T, ms", |c| format!("{:.1}", 1e3 * c.delay_s)),
+    ("D needed, T6", |c| format!("{:.0}", c.damping_needed)),
+    ("D there is", |c| format!("{:.0}", c.damping)),
+    ("largest speed, m/s", |c| format!("{:.3}", c.largest_speed_m_s)),
+    ("stable taxels", |c| match c.stable_taxels.as_slice() {
+        [] => "none: NOT SAFE with these gains".into(),
+        taxels => taxels.iter().map(|t| format!("T{t}")).collect::<Vec<_>>().join(" "),
+    }),
+];
+
+fn as_text(report: &Report, forces_n: &[f64], base: &BaseTable) -> String {
     let share = report.firmwares.first().map_or(0.0, |l| 100.0 * l.foam_share_after_100_ms);
-    let _ = writeln!(
-        out,
-        "\nFoam: no delay of its own, it creeps: after 0.1 s a held 50 N reads {share:.0} % of what it reads after \
+    let [boards, firmwares, contacts] = [
+        table(&report.boards, forces_n),
+        study::table(FIRMWARES, &report.firmwares),
+        study::table(CONTACTS, &report.contacts),
+    ];
+    let (servo_ms, braking_m_s2) = (1e3 * base.servo_time_constant_s, base.acceleration_max_m_s2);
+    format!(
+        "HOW OLD A READING GETS, AND HOW FAST THE BASE MAY GO WITH IT\n\n{boards}\n\
+         Age: from the earliest time at which the chip can have sampled it. Oldest: the age that a reading reaches \
+         before the next one\n(of a stock board its FDAT line, which may slow the base down before DIFF confirms it). \
+         T: one tick less. Speed: smaller of\n(F - {UNFELT_N} N)/(k (T + servo)) and of stopping at {braking_m_s2} m/s2 within the \
+         way that PU LD30 and {TISSUE_N_M} N/m of tissue yield up to F.\nThe forces are protection.assessed_forces_n: \
+         yours, not a limit of this program.\n\n\
+         FROM TOUCH TO FORCE: mean delay of each stage, ms\n\n{firmwares}\n\
+         Foam: no delay of its own, it creeps: after 0.1 s a held 50 N reads {share:.0} % of what it reads after \
          10 s.\nChip, stock: 10 ms mean of 1 ms samples, refreshed every 10 ms (5 to 15 ms old when read); moca: 4 ms. \
          Wait: half a frame.\nTiming of stock-2018 is traced from the firmware, of stock-2015 inferred from its print \
          speed, of moca simulated. \
          Measured: {PUSH_N} N steps on the virtual\nboard at {PHASES} phases, bytes to 1 kHz loop; parse includes the \
-         board's own emission.\n\nIN CONTACT with {} N/m of tissue at {FORCE_LIMIT_N} N, gains of the paper's text, \
-         servo {:.0} ms, braking {} m/s2\n\n{:<32}{:<22}{:>10}{:>9}{:>14}{:>12}{:>14}  stable taxels",
-        TISSUE_N_M,
-        1e3 * base.servo_time_constant_s,
-        base.acceleration_max_m_s2,
-        "reading",
-        "foam",
-        "k [N/m]",
-        "T [ms]",
-        "D needed, T6",
-        "D there is",
-        "largest speed"
-    );
-    for c in &report.contacts {
-        let stable = match c.stable_taxels.as_slice() {
-            [] => "none: NOT SAFE with these gains".to_owned(),
-            taxels => taxels.iter().map(|t| format!("T{t}")).collect::<Vec<_>>().join(" "),
-        };
-        let _ = writeln!(
-            out,
-            "{:<32}{:<22}{:>10.0}{:>9.1}{:>14.0}{:>12.0}{:>10.3} m/s  {stable}",
-            c.reading,
-            c.foam,
-            c.stiffness_n_m,
-            1e3 * c.delay_s,
-            c.damping_needed,
-            c.damping,
-            c.largest_speed_m_s
-        );
-    }
-    let _ = writeln!(
-        out,
-        "\nOne-dimensional and up to 16 % on the safe side of simulation; the paper's gains sit on its boundary. A \
+         board's own emission.\n\nIN CONTACT with {TISSUE_N_M} N/m of tissue at {FORCE_LIMIT_N} N, gains of the paper's text, \
+         servo {servo_ms:.0} ms, braking {braking_m_s2} m/s2\n\n{contacts}\n\
+         One-dimensional and up to 16 % on the safe side of simulation; the paper's gains sit on its boundary. A \
          speed is the\nsmaller of the small-signal bound F/(k(T + servo)) and of stopping within the way that foam \
-         and tissue yield."
-    );
-    out
-}
-
-fn boards_as_text(report: &Report, base: &BaseTable, out: &mut String) {
-    // writing to a String cannot fail
-    let _ = write!(
-        out,
-        "HOW OLD A READING GETS, AND HOW FAST THE BASE MAY GO WITH IT\n\n{:<32}{:>9}{:>14}{:>8}{:>13}{:>9}",
-        "board", "rate [Hz]", "age mean [ms]", "worst", "oldest [ms]", "T [ms]"
-    );
-    for speed in report.boards.iter().take(1).flat_map(|board| &board.speeds) {
-        let _ = write!(out, "{:>13}", format!("at {} N", speed.force_n));
-    }
-    out.push('\n');
-    for board in &report.boards {
-        let _ = write!(
-            out,
-            "{:<32}{:>9.1}{:>14.1}{:>8.1}{:>13.1}{:>9.1}",
-            board.board,
-            board.rate_hz,
-            board.age_mean_ms,
-            board.age_worst_ms,
-            board.hold_worst_ms,
-            board.delay_ms
-        );
-        for speed in &board.speeds {
-            let _ = write!(out, "{:>9.3} m/s", speed.m_s);
-        }
-        out.push('\n');
-    }
-    let _ = writeln!(
-        out,
-        "\nAge: from the earliest time at which the chip can have sampled it. Held to: the age that a reading reaches \
-         before the next one\n(of a stock board its FDAT line, which may slow the base down before DIFF confirms it). \
-         T: one tick less. Speed: smaller of\n(F - {UNFELT_N} N)/(k (T + servo)) and of stopping at {} m/s2 within the \
-         way that PU LD30 and {TISSUE_N_M} N/m of tissue yield up to F.\nThe forces are protection.assessed_forces_n: \
-         yours, not a limit of this program.",
-        base.acceleration_max_m_s2
-    );
+         and tissue yield.\n"
+    )
 }
 
 #[cfg(test)]

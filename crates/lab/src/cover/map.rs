@@ -2,6 +2,7 @@
 //! What was computed stands in a file there and is not computed again.
 
 use crate::picture::{Picture as _, Width};
+use crate::study::{self, Column};
 use anyhow::{Context, Result, bail, ensure};
 use moca_control::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
 use moca_control::protection::{nominal_speed_m_s, speed_for_delay_m_s};
@@ -15,7 +16,6 @@ use moca_msgs::Law;
 use moca_msgs::seconds;
 use moca_sim::foam::Foam;
 use moca_tactile::Firmware;
-use std::fmt::Write as _;
 use std::path::Path;
 
 const BOARDS: [Firmware; 3] = [Firmware::Stock2018, Firmware::Stock2015, Firmware::Moca];
@@ -98,8 +98,7 @@ pub(super) fn run(forces_n: &[f64], folder: &Path, width: Width) -> Result<()> {
     let out = data.join("safe-speed.csv");
     println!("{}", Campaign { table: &SafeSpeeds(&cells), out: &out, shard: (1, 1) }.run()?);
     let speeds = read(&out, &cells)?;
-    let text = table(&cells, &speeds);
-    print!("{text}");
+    study::print(&table(&cells, &speeds));
     figures(&cells, &speeds, forces_n, width)
         .into_iter()
         .try_for_each(|(name, drawing)| drawing.write(&folder.join(name)))
@@ -256,27 +255,21 @@ fn read(path: &Path, cells: &[Cell]) -> Result<Vec<Speeds>> {
 
 /// Bound, law and measured, and whether the law stays below what was measured.
 fn table(cells: &[Cell], speeds: &[Speeds]) -> String {
-    let mut out = String::from(
-        "| board | limit | body | foam | deceleration | late by | bound | law | measured |\n|---|---|---|---|---|---|---|---|---|\n",
-    );
-    for (cell, speed) in cells.iter().zip(speeds) {
-        let Meeting { board, limit_n, deceleration_m_s2, .. } = cell.meeting;
-        let least = if speed.or_more { "≥ " } else { "" };
-        let beyond = if speed.keeps() { "" } else { " **law is faster**" };
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            out,
-            "| {} | {limit_n:.0} N | {} | × {} | {deceleration_m_s2:.0} m/s² | {:.0} ms | {:.3} | {:.3} | {least}{:.3} m/s{beyond} |",
-            board.name(),
-            cell.person,
-            cell.scale,
-            cell.delay_ms,
-            speed.bound,
-            speed.law,
-            speed.measured,
-        );
-    }
-    out
+    let columns: [Column<(&Cell, &Speeds)>; 9] = [
+        ("board", |(cell, _)| cell.meeting.board.name().into()),
+        ("limit", |(cell, _)| format!("{:.0} N", cell.meeting.limit_n)),
+        ("body", |(cell, _)| cell.person.into()),
+        ("foam", |(cell, _)| format!("× {}", cell.scale)),
+        ("deceleration", |(cell, _)| format!("{:.0} m/s²", cell.meeting.deceleration_m_s2)),
+        ("late by", |(cell, _)| format!("{:.0} ms", cell.delay_ms)),
+        ("bound", |(_, speeds)| format!("{:.3}", speeds.bound)),
+        ("law", |(_, speeds)| format!("{:.3}", speeds.law)),
+        ("measured", |(_, speeds)| {
+            let (least, measured) = (if speeds.or_more { "≥ " } else { "" }, speeds.measured);
+            format!("{least}{measured:.3} m/s{}", if speeds.keeps() { "" } else { " **law is faster**" })
+        }),
+    ];
+    study::table(&columns, &cells.iter().zip(speeds).collect::<Vec<_>>())
 }
 
 /// Names and drawings: a map for each board, and in one column of a journal for each body too. The base's delay runs across; body,

@@ -1,7 +1,8 @@
 //! The cover: foams and calibrations, from touch to force, thresholds, recorded streams.
 
 pub(crate) mod characterize;
-pub(crate) mod detection;
+#[cfg(test)]
+mod detection;
 pub(crate) mod latency;
 pub(crate) mod map;
 #[cfg(test)]

@@ -1,11 +1,11 @@
 //! Servo error of the base and external wrench of the arm in a touch on the cover, until the cover feels it.
 
 use anyhow::{Result, ensure};
-use moca_control::config::{Config, HandConfig};
 use moca_control::plant::Simulated;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
-use moca_msgs::{Sample, seconds};
+use moca_experiments::unattended;
+use moca_msgs::{Law, Sample, seconds};
 use moca_sim::VirtualBoardConfig;
 use moca_tactile::Firmware;
 
@@ -27,8 +27,7 @@ struct Shown {
 }
 
 fn pressed(firmware: Firmware, force_n: f64) -> Result<Shown> {
-    let mut config = Config::default();
-    config.simulation.hand = HandConfig::none();
+    let config = unattended(Law::Impedance);
     let board = VirtualBoardConfig { firmware, ..VirtualBoardConfig::default() };
     let mut world = LockStep::with_board(&config, &free_scene(&config), board, None)?.untimed();
     let mut before = Sample::default();

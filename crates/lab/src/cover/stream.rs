@@ -1,5 +1,6 @@
 //! `moca-lab stream`: what the reader makes of a recorded byte stream.
 
+use crate::study::Answer;
 use anyhow::{Context, ensure};
 use moca_daemon::cli::progress::Progress;
 use moca_experiments::count;
@@ -11,7 +12,7 @@ use moca_tactile::touchline::Flags;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Arguments of `moca-lab stream`.
+/// Reads a recorded Touch Board stream: frames, rate, faults.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// The bytes a board sent.
@@ -19,9 +20,8 @@ pub(crate) struct Arguments {
     /// One line for each read: seconds, bytes read. Without it there is no rate, age or stall.
     #[arg(long)]
     times: Option<PathBuf>,
-    /// Prints one JSON object.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// Contents of a recording.
@@ -60,7 +60,6 @@ struct StreamFault {
 }
 
 /// Reads, reports, prints.
-#[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let bytes = std::fs::read(&arguments.file)
         .with_context(|| format!("cannot read stream {}", arguments.file.display()))?;
@@ -71,12 +70,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut progress = Progress::new("stream");
     let report = analyse(&bytes, reads.as_deref(), |part| progress.at(part));
     progress.end();
-    if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
-    } else {
-        print!("{}", as_text(&report));
-    }
-    Ok(())
+    arguments.answer.print(&report, || Ok(as_text(&report)))
 }
 
 /// One read of the recording host.

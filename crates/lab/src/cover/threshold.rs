@@ -1,17 +1,18 @@
 //! `moca-lab threshold`: what the contact threshold costs and what it buys: the smallest force that is felt, how late
 //! it is felt, and how little an untouched robot creeps under the sensor's noise.
-#![expect(clippy::print_stdout, reason = "a command prints its result")]
 
+use crate::study::{self, Column};
 use anyhow::{Context, Result, ensure};
-use moca_control::config::{Config, HandConfig};
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
+use moca_experiments::closed_loop::armed;
 use moca_experiments::parallel;
-use moca_msgs::{Mode, Request, Sample};
+use moca_experiments::unattended;
+use moca_msgs::{Law, Request, Sample};
 use moca_sim::VirtualBoardConfig;
 
-/// Arguments of `moca-lab threshold`.
+/// The smallest force that is felt and its delay; how little an untouched robot creeps.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// Time untouched for each seed, s, 1 to 3600.
@@ -37,41 +38,37 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         "--seconds {} s is outside 1 to 3600 s",
         arguments.seconds
     );
-    println!(
-        "{:>5} {:>22} {:>20} {:>22} {:>20}",
-        "seed", "untouched base moved", "smallest felt", "felt after (smallest)", "felt after (20 N)"
-    );
-    // A bar and a line of the table do not mix on one screen: all lines follow the bar.
-    let row = |&seed: &u64| -> Result<_> {
-        let soon_ms = felt_after(seed, 20.0)?.context("20 N were not felt")?;
-        Ok((seed, untouched(seed, arguments.seconds)?, smallest_felt(seed)?, soon_ms))
+    let row = |&seed: &u64| -> Result<Row> {
+        let [late, soon] =
+            [smallest_felt(seed)?, (20.0, felt_after(seed, 20.0)?.context("20 N were not felt")?)];
+        Ok((seed, untouched(seed, arguments.seconds)?, [late, soon]))
     };
-    for row in parallel::run("threshold", &arguments.seeds, row, |_| ()) {
-        let (seed, moved_m, (smallest_n, late_ms), soon_ms) = row?;
-        println!(
-            "{seed:>5} {:>19.6} mm {smallest_n:>18.2} N {late_ms:>19} ms {soon_ms:>17} ms",
-            1e3 * moved_m
-        );
-    }
+    study::print(&study::table(COLUMNS, &parallel::run("threshold", &arguments.seeds, row)?));
     Ok(())
 }
 
-fn armed(seed: u64) -> Result<World> {
-    let mut config = Config::default();
-    config.simulation.hand = HandConfig::none();
+/// Seed, distance that the untouched base moved, m; the smallest force that is felt and 20 N, N, each with its delay, ms.
+type Row = (u64, f64, [(f64, u64); 2]);
+
+const COLUMNS: &[Column<Row>] = &[
+    ("seed", |(seed, ..)| seed.to_string()),
+    ("untouched base moved, mm", |(_, moved_m, _)| format!("{:.6}", 1e3 * moved_m)),
+    ("smallest felt, N", |(.., [(force_n, _), _])| format!("{force_n:.2}")),
+    ("felt after (smallest), ms", |(.., [(_, late_ms), _])| late_ms.to_string()),
+    ("felt after (20 N), ms", |(.., [_, (_, soon_ms)])| soon_ms.to_string()),
+];
+
+fn started(seed: u64) -> Result<World> {
+    let config = unattended(Law::Impedance);
     let board = VirtualBoardConfig { seed, ..VirtualBoardConfig::default() };
     let mut world = LockStep::with_board(&config, &free_scene(&config), board, None)?;
-    for _ in 0..5000 {
-        if world.step(None).0.mode == Mode::Impedance {
-            return Ok(world);
-        }
-    }
-    anyhow::bail!("the robot did not arm within 5 s")
+    armed(&mut world)?;
+    Ok(world)
 }
 
 /// Largest distance of the base from where it started, m.
 fn untouched(seed: u64, seconds: f64) -> Result<f64> {
-    let mut world = armed(seed)?;
+    let mut world = started(seed)?;
     let place = |sample: &Sample| [sample.base_pose_world[0], sample.base_pose_world[1]];
     let [x0, y0] = place(&world.step(None).0);
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked to be 1 to 3600 s")]
@@ -86,7 +83,7 @@ fn untouched(seed: u64, seconds: f64) -> Result<f64> {
 
 /// Time from the start of a steady press to the first force the controller sees, ms; `None` if it never does.
 fn felt_after(seed: u64, force_n: f64) -> Result<Option<u64>> {
-    let mut world = armed(seed)?;
+    let mut world = started(seed)?;
     let (_, outcome) = world.step(Some(Request::PressTaxel { taxel: TAXEL, force_n }));
     ensure!(outcome == Some(Ok(())), "the simulated press was refused: {outcome:?}");
     Ok((1..PATIENCE_TICKS).find(|_| world.step(None).0.taxels[usize::from(TAXEL)].force_n > 0.0))

@@ -2,6 +2,7 @@
 //!
 //! A line that begins with `#` is text, an empty line separates tables.
 
+use crate::study::cells;
 #[cfg(test)]
 use anyhow::Context;
 use anyhow::{Result, ensure};
@@ -69,12 +70,6 @@ pub(super) fn decode(csv: &str) -> Result<(&str, String)> {
 
 fn is_rule(line: &str) -> bool {
     line.starts_with("|-") && line.chars().all(|c| "|-".contains(c))
-}
-
-/// Cells of a Markdown row; `None` for other lines.
-fn cells(line: &str) -> Option<Vec<String>> {
-    let row = line.strip_prefix('|')?.trim_end().strip_suffix('|')?;
-    Some(row.split('|').map(|cell| cell.trim().to_owned()).collect())
 }
 
 fn field(cell: &str) -> String {

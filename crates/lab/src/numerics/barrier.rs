@@ -90,7 +90,7 @@ fn runs(chosen: impl Fn(usize, bool, &str) -> bool) -> Result<Vec<Run>> {
             stopped: report.stopped().is_some(),
         })
     };
-    parallel::run("collisions", &plan(chosen)?, run, |_| ()).into_iter().collect()
+    parallel::run("collisions", &plan(chosen)?, run)
 }
 
 /// Force of the hardest run as the table has it.

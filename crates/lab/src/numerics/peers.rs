@@ -100,7 +100,7 @@ impl Trace {
                 &["engine=analytic".into(), WITHOUT_FRICTION.into(), format!("step_ms={step_ms}")],
             )
         };
-        let runs = parallel::run("limit", &steps_ms, at, |_| ()).into_iter().collect::<Result<Vec<_>>>()?;
+        let runs = parallel::run("limit", &steps_ms, at)?;
         let [coarse, fine] = &runs[..] else { bail!("two steps") };
         let towards = |coarse: f64, fine: f64| 2.0 * fine - coarse;
         let row = |(a, b): (&[f64; 8], &[f64; 8])| std::array::from_fn(|i| towards(a[i], b[i]));

@@ -12,7 +12,7 @@ use moca_experiments::sweep::Sweep;
 use moca_sim::{Engine, Scene};
 use std::path::PathBuf;
 
-/// Arguments of `moca-lab sweep`.
+/// Many collisions over a grid or a random sample of settings, resumable and in shards.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// Plan of the sweep: see scenes/sweep.toml.

@@ -85,9 +85,7 @@ fn compare(name: &str, rows: &[Row], every: usize) {
 
 fn with(law: Law, assignments: &[&str]) -> Settings {
     let mut settings = Settings::paper(law);
-    for assignment in assignments {
-        settings.set(assignment).unwrap();
-    }
+    settings.set_all(assignments).unwrap();
     settings
 }
 

@@ -65,7 +65,7 @@ impl Case {
 /// The table.
 pub(crate) fn markdown() -> Result<String> {
     let cases = Case::all();
-    let mut figures = parallel::run("late bases", &cases, Case::figures, |_| ()).into_iter();
+    let mut figures = parallel::run("late bases", &cases, Case::figures)?.into_iter();
     let mut out = String::from(
         "| foam | base late by, ms | paper's law meets at, m/s | in 0.1 s, N | largest, N | barrier meets at, m/s | in 0.1 s, N | largest, N |\n\
          |---|---|---|---|---|---|---|---|\n",
@@ -73,7 +73,7 @@ pub(crate) fn markdown() -> Result<String> {
     for case in cases.iter().step_by(2) {
         // Writing to a string cannot fail.
         let _ = write!(out, "| {} | {} |", case.foam.0, case.delay_ms);
-        for [met_m_s, touch_n, peak_n] in figures.by_ref().take(2).collect::<Result<Vec<_>>>()? {
+        for [met_m_s, touch_n, peak_n] in figures.by_ref().take(2) {
             let _ = write!(out, " {met_m_s:.3} | {touch_n:.1} | {peak_n:.1} |");
         }
         out.push('\n');

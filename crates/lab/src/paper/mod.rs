@@ -5,9 +5,10 @@ mod collision_figure;
 pub(crate) mod figure;
 #[cfg(test)]
 mod golden;
-pub(crate) mod kept_pushes;
+#[cfg(test)]
+mod kept_pushes;
 pub(crate) mod late_bases;
-pub(crate) mod opposite_hands;
+mod opposite_hands;
 pub(crate) mod push;
 pub(crate) mod pushes;
 pub(crate) mod real_arm;
@@ -17,6 +18,7 @@ mod robot_picture;
 mod tests;
 
 use self::figure::{Figure, Layout, Trace};
+use crate::study::Answer;
 use anyhow::{Result, ensure};
 use moca_experiments::run_info::{self, RunInfo};
 use moca_experiments::settings::{self, Settings};
@@ -26,7 +28,7 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Arguments of `moca-lab experiment`.
+/// The paper's experiments, deterministic and faster than real time.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     #[command(subcommand)]
@@ -63,9 +65,8 @@ pub(crate) struct Common {
     /// Error of a tick, over 25 N and 15 mm, for which physics steps are chosen, e.g. 1e-3: the same as --set accuracy=…
     #[arg(long)]
     accuracy: Option<f64>,
-    /// Prints one JSON object.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
     /// Writes figure (SVG, PDF, PNG), trace (CSV) and report (JSON) into this folder.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -193,17 +194,7 @@ fn finish(
         ensure!(!rows.is_empty(), "nothing was recorded");
         figure::write(folder, name, &draw()?, rows, report)?;
     }
-    print(common.json, report, text)
-}
-
-#[expect(clippy::print_stdout, reason = "the command's output")]
-fn print(json: bool, report: &impl Serialize, text: impl Fn() -> String) -> Result<()> {
-    if json {
-        println!("{}", serde_json::to_string_pretty(report)?);
-    } else {
-        println!("{}", text());
-    }
-    Ok(())
+    common.answer.print(report, || Ok(text()))
 }
 
 fn push_text(report: &PushReport) -> String {

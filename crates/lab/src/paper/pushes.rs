@@ -11,6 +11,7 @@ use moca_experiments::parallel;
 use moca_experiments::run_info::RunInfo;
 use moca_experiments::settings::{Sensor, Settings};
 use moca_figures::{Drawing, Panel};
+use moca_msgs::Law;
 use serde::Serialize;
 use std::time::Instant;
 
@@ -90,20 +91,14 @@ pub(crate) fn b2(settings: &Settings) -> Result<Run> {
 
 /// Runs the pushes in the other phases of the sensor, and with other seeds of a board's noise.
 fn others(settings: &Settings, pushes: &[Push]) -> Result<Vec<Vec<Row>>> {
-    let runs = parallel::run(
-        "bands",
-        &PHASES[1..],
-        |(seed, phase)| {
-            let mut other = settings.clone();
-            other.shift_phase(*phase);
-            other.config.simulation.seed = other.config.simulation.seed.wrapping_add(*seed);
-            let mut rig = Rig::start(&other, &other.free_scene())?;
-            push::run(&mut rig, &other, pushes)?;
-            Ok(rig.rows)
-        },
-        |_| (),
-    );
-    runs.into_iter().collect()
+    parallel::run("bands", &PHASES[1..], |(seed, phase)| {
+        let mut other = settings.clone();
+        other.shift_phase(*phase);
+        other.config.simulation.seed = other.config.simulation.seed.wrapping_add(*seed);
+        let mut rig = Rig::start(&other, &other.free_scene())?;
+        push::run(&mut rig, &other, pushes)?;
+        Ok(rig.rows)
+    })
 }
 
 /// Fig. 5 of one run.
@@ -139,6 +134,19 @@ impl Run {
 /// B2-iv: hands on cover and flange against each other, on one line.
 pub(super) fn opposite_hands() -> Push {
     Push::taxels("B2-iv T6 15 N, flange +x 15 N", &[(5, 15.0)]).and_flange([15.0, 0.0, 0.0])
+}
+
+/// Pushes of either law, each with the contact barrier off and on, felt by a board with our firmware.
+pub(super) fn under_barrier() -> Result<Vec<(Settings, [Push; 5])>> {
+    let mut runs = Vec::new();
+    for (law, pushes) in [(Law::Impedance, pushes_b1()), (Law::FollowMe, pushes_b2())] {
+        for barrier in ["barrier=off", "barrier=pu-ld30"] {
+            let mut settings = Settings::paper(law);
+            settings.set_all(["board.model=pu-ld30", "sensor.firmware=moca", barrier])?;
+            runs.push((settings, pushes.clone()));
+        }
+    }
+    Ok(runs)
 }
 
 /// B2-iii from the home posture: each hand alone, then both; both act along x = 0.12 m and the flange's line.

@@ -10,9 +10,7 @@ use moca_msgs::Law;
 
 fn settings(assignments: &[&str]) -> Settings {
     let mut settings = Settings::paper(Law::Impedance);
-    for assignment in assignments {
-        settings.set(assignment).unwrap();
-    }
+    settings.set_all(assignments).unwrap();
     settings
 }
 
@@ -62,9 +60,7 @@ fn the_closed_loop_goes_the_same_way_on_either_engine() {
         let [one, other] = ENGINES.map(|engine| {
             let mut settings = Settings::paper(Law::Impedance);
             collision::defaults(&mut settings);
-            for assignment in ["sensor=ideal", "duration=5", taxel, engine] {
-                settings.set(assignment).unwrap();
-            }
+            settings.set_all(["sensor=ideal", "duration=5", taxel, engine]).unwrap();
             collision::once(&settings).unwrap()
         });
         let (place, force_n) = apart(&one, &other);
@@ -202,9 +198,7 @@ fn b2_the_base_follows_hands_on_cover_and_flange() {
 fn b2_base_follows_observed_flange_wrench() {
     let follow = |assignments: &[&str]| {
         let mut settings = Settings::paper(Law::FollowMe);
-        for assignment in LITERAL.iter().chain(assignments) {
-            settings.set(assignment).unwrap();
-        }
+        settings.set_all(LITERAL.iter().chain(assignments)).unwrap();
         pushes::b2(&settings).unwrap().report
     };
     let (truly, observed) = (follow(&[]), follow(&["flange=observed"]));
@@ -228,9 +222,7 @@ fn collision_is_below_25_n_only_with_100_hz_sensor() {
     collision::defaults(&mut base);
     let with = |assignments: &[&str]| {
         let mut settings = base.clone();
-        for assignment in assignments {
-            settings.set(assignment).unwrap();
-        }
+        settings.set_all(assignments).unwrap();
         collision::run(&settings).unwrap().report
     };
     let on = with(LITERAL);
@@ -255,9 +247,7 @@ fn barrier_softens_collisions_of_the_law_alone() {
         collision::defaults(&mut settings);
         let scene =
             ["base_coupling=true", "person.taxel=T6", "person.gap=0.1", "duration=5", "board.model=pu-ld30"];
-        for assignment in NULL_SPACE.iter().chain(&scene).chain(assignments) {
-            settings.set(assignment).unwrap();
-        }
+        settings.set_all(NULL_SPACE.iter().chain(&scene).chain(assignments)).unwrap();
         collision::single(&settings).unwrap()
     };
     let stock = ["sensor=stock", "speed=0.065", "barrier=pu-ld30"];
@@ -298,9 +288,7 @@ fn late_base_that_is_known_stays_below_25_n() {
         let scene =
             ["sensor=stock", "sensor.firmware=moca", "law=barrier", "person.taxel=T6", "person.fixed=true"];
         let lead = ["person.gap=0.1", "person.steps_away_s=1000", "speed=0.15", "duration=5"];
-        for assignment in scene.iter().chain(&lead).chain([&belief]) {
-            settings.set(assignment).unwrap();
-        }
+        settings.set_all(scene.iter().chain(&lead).chain([&belief])).unwrap();
         settings.set(&format!("true.base.order_delay_ms={late_ms}")).unwrap();
         let run = collision::run(&settings).unwrap();
         assert!(
@@ -336,9 +324,7 @@ fn rate_and_age_of_a_stock_board_can_be_set_and_matter() {
     let peak = |assignments: &[&str]| {
         let mut settings = settings(&["duration=4"]);
         collision::defaults(&mut settings);
-        for assignment in assignments {
-            settings.set(assignment).unwrap();
-        }
+        settings.set_all(assignments).unwrap();
         let rig = Rig::start(&settings, &settings.collision_scene().unwrap()).unwrap();
         let rate_hz = rig.frame_rate_hz;
         (collision::single(&settings).unwrap().measures.peak_force_n, rate_hz)

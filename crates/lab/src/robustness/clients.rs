@@ -14,7 +14,7 @@ use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Arguments of `moca-lab clients`.
+/// Prints the cost of observers to the live loop: overruns and publish stage with and without clients.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// Length of each of the two runs, s, 2 to 3600.

@@ -7,13 +7,14 @@
 //! pushes a simulated base against its velocity servo at 2 mm/s, arm and all; that way is the person's and has a column
 //! of its own.
 
+use crate::study::{self, Answer, Column, outcomes};
 use anyhow::{Context, Result, ensure};
-use moca_control::config::{Config, HandConfig};
+use moca_control::config::Config;
 use moca_control::plant::Simulated;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
-use moca_experiments::parallel;
-use moca_experiments::{JOINTS, TAXELS};
+use moca_experiments::closed_loop::armed;
+use moca_experiments::{JOINTS, TAXELS, unattended};
 use moca_msgs::{Fault, Law, Limits, Mode, Sample};
 use moca_sim::VirtualBoardConfig;
 use moca_wbc::guard::STANDSTILL;
@@ -22,8 +23,6 @@ use serde::Serialize;
 
 /// Furthest that a lean may move the flange from its place, m.
 const FLANGE_M: f64 = 0.010;
-/// Ticks from power-up to a moving law at the latest.
-const START_TICKS: u32 = 5000;
 /// Time from a stop to the end of braking, s: 50 mm/s at 3 m/s² and five time constants of the base's servo.
 const BRAKED_S: f64 = 0.1;
 
@@ -33,9 +32,8 @@ pub(crate) struct Arguments {
     /// The hardest cells only: seconds instead of minutes.
     #[arg(long)]
     short: bool,
-    /// One JSON object a cell instead of a table.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// Course of the hand's force.
@@ -153,16 +151,9 @@ fn cells(short: bool) -> Vec<Cell> {
 }
 
 /// Leans, and prints how far the worst of them went.
-#[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
-    let rows = outcomes(cells(arguments.short))?;
-    if arguments.json {
-        for (cell, outcome) in &rows {
-            println!("{}", serde_json::json!({ "cell": cell, "outcome": outcome }));
-        }
-    } else {
-        print!("{}", table(&rows));
-    }
+    let rows = outcomes("lean", cells(arguments.short), lean)?;
+    arguments.answer.print_cases(&rows, || Ok(table(&rows)))?;
     let failed: Vec<&(Cell, Outcome)> = rows.iter().filter(|(_, outcome)| !outcome.passed()).collect();
     ensure!(failed.is_empty(), "{} of {} leans went beyond a limit: {failed:?}", failed.len(), rows.len());
     Ok(())
@@ -170,21 +161,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 
 /// The table of all cells for the documents.
 pub(crate) fn markdown() -> Result<String> {
-    Ok(table(&outcomes(cells(false))?))
-}
-
-fn outcomes(cells: Vec<Cell>) -> Result<Vec<(Cell, Outcome)>> {
-    let outcomes = parallel::run("lean", &cells, lean, |_| {});
-    let outcomes = outcomes.into_iter().collect::<Result<Vec<_>>>()?;
-    Ok(cells.into_iter().zip(outcomes).collect())
+    Ok(table(&outcomes("lean", cells(false), lean)?))
 }
 
 impl Cell {
-    /// Returns the row of the table that holds it.
-    fn group(&self) -> (Law, Hand, f64) {
-        (self.law, self.hand, self.force_n)
-    }
-
     /// Which one of its group it is.
     fn name(&self) -> String {
         let Self { taxel, reactivity, .. } = self;
@@ -199,60 +179,43 @@ impl Cell {
     }
 }
 
-/// The worst of each law, hand and force, whatever the taxel, the reactivity and the corrections.
+/// The leans of one law, hand and force, whatever the taxel, the reactivity and the corrections.
+type Group = Vec<(Cell, Outcome)>;
+
+const COLUMNS: &[Column<Group>] = &[
+    ("law", |group| Mode::from(group[0].0.law).name().into()),
+    ("hand", |group| format!("{:?}", group[0].0.hand).to_lowercase()),
+    ("N", |group| format!("{:.0}", group[0].0.force_n)),
+    ("leans", |group| group.len().to_string()),
+    ("flange, mm", |group| format!("{:.2}", 1e3 * most(group, |o| o.flange_m))),
+    ("at", |group| {
+        let furthest = group.iter().max_by(|a, b| a.1.flange_m.total_cmp(&b.1.flange_m));
+        furthest.map_or_else(String::new, |(cell, _)| cell.name())
+    }),
+    ("flange, m/s", |group| format!("{:.3}", most(group, |o| o.flange_m_s))),
+    ("joint speed, %", |group| format!("{:.1}", 100.0 * most(group, |o| o.joint_speed_share))),
+    ("torque step, %", |group| format!("{:.1}", 100.0 * most(group, |o| o.torque_step_share))),
+    ("stopped", |group| group.iter().filter(|(_, outcome)| outcome.stopped.is_some()).count().to_string()),
+    ("pushed on, mm", |group| format!("{:.1}", 1e3 * most(group, |o| o.pushed_m))),
+];
+
+fn most(group: &Group, of: fn(&Outcome) -> f64) -> f64 {
+    group.iter().map(|(_, outcome)| of(outcome)).fold(0.0, f64::max)
+}
+
 fn table(rows: &[(Cell, Outcome)]) -> String {
-    let mut groups: Vec<(Law, Hand, f64)> = Vec::new();
-    for (cell, _) in rows {
-        if !groups.contains(&cell.group()) {
-            groups.push(cell.group());
-        }
-    }
-    let mut table = "| law | hand | N | leans | flange, mm | at | flange, m/s | joint speed, % | torque step, % | stopped | pushed on, mm |\n\
-                     |---|---|---|---|---|---|---|---|---|---|---|\n"
-        .to_owned();
-    for (law, hand, force_n) in groups {
-        let of: Vec<_> = rows.iter().filter(|(cell, _)| cell.group() == (law, hand, force_n)).collect();
-        let most =
-            |pick: fn(&Outcome) -> f64| of.iter().map(|(_, outcome)| pick(outcome)).fold(0.0, f64::max);
-        let Some((at, worst)) = of.iter().max_by(|a, b| a.1.flange_m.total_cmp(&b.1.flange_m)) else {
-            continue;
-        };
-        table += &format!(
-            "| {} | {} | {force_n:.0} | {} | {:.2} | {} | {:.3} | {:.1} | {:.1} | {} | {:.1} |\n",
-            Mode::from(law).name(),
-            format!("{hand:?}").to_lowercase(),
-            of.len(),
-            1e3 * worst.flange_m,
-            at.name(),
-            most(|o| o.flange_m_s),
-            100.0 * most(|o| o.joint_speed_share),
-            100.0 * most(|o| o.torque_step_share),
-            of.iter().filter(|(_, outcome)| outcome.stopped.is_some()).count(),
-            1e3 * most(|o| o.pushed_m),
-        );
-    }
-    table
+    study::table(COLUMNS, &study::groups(rows, |(cell, _)| (cell.law, cell.hand, cell.force_n)))
 }
 
 fn lean(cell: &Cell) -> Result<Outcome> {
-    let mut config = Config::default();
-    config.simulation.hand = HandConfig::none();
-    config.startup.law = cell.law;
+    let mut config = unattended(cell.law);
     config.control.gains.reactivity = cell.reactivity;
     config.control.corrections.null_space_damping = cell.null_space_damping;
     config.control.corrections.base_coupling = cell.base_coupling;
     config.control.corrections.flange_wrench_feedforward = cell.flange_wrench_feedforward;
     let scene = free_scene(&config);
     let mut world = LockStep::with_board(&config, &scene, VirtualBoardConfig::default(), None)?.untimed();
-    let mut tick = 0;
-    let first = loop {
-        let (sample, _) = world.step(None);
-        if sample.mode.moves() {
-            break sample;
-        }
-        tick += 1;
-        ensure!(tick < START_TICKS, "{cell:?}: the robot was not armed: {:?}", sample.fault);
-    };
+    let first = armed(&mut world)?;
     let mut watch = Watch::new(cell.law, &config, &first)?;
     let ticks = (cell.hand.duration_s() / watch.dt_s).round();
     let mut t_s = 0.0;
@@ -357,7 +320,7 @@ mod tests {
 
     #[test]
     fn nobody_who_leans_on_the_cover_throws_the_arm() {
-        let rows = outcomes(cells(true)).unwrap();
+        let rows = outcomes("lean", cells(true), lean).unwrap();
         for (cell, outcome) in &rows {
             assert!(outcome.passed(), "{cell:?}: {outcome:?}");
         }

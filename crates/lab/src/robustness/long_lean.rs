@@ -1,18 +1,18 @@
 //! `moca-lab long-lean`: somebody leans on one taxel for minutes and lets go, with the daemon's default protection and a
 //! board's bytes. No limit of the robot may be used up, and the robot must not stop by itself.
 
+use crate::study::{self, Answer, Column};
 use anyhow::{Context, Result, ensure};
-use moca_control::config::{Config, HandConfig};
+use moca_control::config::Config;
 use moca_control::plant::Simulated;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
-use moca_experiments::parallel;
-use moca_experiments::{JOINTS, TAXELS};
+use moca_experiments::closed_loop::armed;
+use moca_experiments::{JOINTS, TAXELS, unattended};
 use moca_msgs::{ArmTable, Fault, Law, Limits, Mode, Sample};
 use moca_sim::{Engine, VirtualBoardConfig};
 use moca_wbc::limits::JointSpeeds;
 use serde::Serialize;
-use std::fmt::Write as _;
 
 /// Postures in which the arm begins, and to which its null space pulls it, rad: 0.12 rad before joint 4's end, and with the elbow
 /// so far open that the tool is 2 cm short of its farthest place.
@@ -40,8 +40,6 @@ const STOPPING_S: f64 = 1.0;
 /// A base that somebody lets go of rests within this time, s, and displacement, m.
 const REST_S: f64 = 2.0;
 const REST_M: f64 = 0.15;
-/// Ticks from power-up to a moving law at the latest.
-const START_TICKS: u32 = 5000;
 
 /// Use of each limit in minutes of leaning on the cover: every taxel, law and starting posture.
 #[derive(clap::Args)]
@@ -52,9 +50,8 @@ pub(crate) struct Arguments {
     /// Only the leans whose name contains this.
     #[arg(long, default_value = "")]
     only: String,
-    /// One JSON object a lean instead of a table.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// One lean.
@@ -144,21 +141,14 @@ pub(super) fn cells(short: bool) -> Vec<Cell> {
 }
 
 /// Leans, and prints what the worst of each group uses of the limits.
-#[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let mut cells = cells(arguments.short);
     cells.retain(|cell| cell.name().contains(&arguments.only));
     ensure!(!cells.is_empty(), "--only {:?}: no lean has that in its name", arguments.only);
     let rows = outcomes(cells)?;
-    if arguments.json {
-        for (cell, outcome) in &rows {
-            println!("{}", serde_json::json!({ "cell": cell, "outcome": outcome }));
-        }
-    } else {
-        print!("{}", table(&rows)?);
-    }
+    arguments.answer.print_cases(&rows, || Ok(table(&rows)))?;
     let failed: Vec<String> =
-        rows.iter().filter(|(_, o)| !o.passed()).map(|(cell, o)| row(cell, o)).collect();
+        rows.iter().filter(|(_, o)| !o.passed()).map(|lean| study::line(LEANS, lean)).collect();
     ensure!(
         failed.is_empty(),
         "{} of {} leans went beyond a limit:\n{}",
@@ -171,20 +161,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 
 /// Leans of `cells`, each with its outcome.
 pub(super) fn outcomes(cells: Vec<Cell>) -> Result<Vec<(Cell, Outcome)>> {
-    let outcomes = parallel::run("long leans", &cells, lean, |_| {});
-    let outcomes = outcomes.into_iter().collect::<Result<Vec<_>>>()?;
-    Ok(cells.into_iter().zip(outcomes).collect())
+    study::outcomes("long leans", cells, lean)
 }
 
 /// The table of every lean, after one of each posture and law.
 pub(crate) fn markdown() -> Result<String> {
     let rows = outcomes(cells(false))?;
-    let mut leans = String::from(
-        "\n| lean | range, % | joint speed, % | torque, % | pose error, % | base speed, % | flange, mm | base, m \
-         | turned, ° | stopped | after it, m | rests after, s |\n|---|---|---|---|---|---|---|---|---|---|---|---|\n",
-    );
-    rows.iter().for_each(|(cell, outcome)| leans += &row(cell, outcome));
-    Ok(table(&rows)? + &leans)
+    Ok(format!("{}\n{}", table(&rows), study::table(LEANS, &rows)))
 }
 
 /// The row of the lean of this name.
@@ -192,80 +175,69 @@ pub(crate) fn markdown() -> Result<String> {
 pub(crate) fn row_named(name: &str) -> Result<String> {
     let found = cells(false).into_iter().filter(|cell| cell.name() == name).collect();
     let rows = outcomes(found)?;
-    let (cell, outcome) = rows.first().context("no lean of that name")?;
-    Ok(row(cell, outcome))
+    Ok(study::line(LEANS, rows.first().context("no lean of that name")?))
 }
 
-/// One lean as a row of the table.
-fn row(cell: &Cell, outcome: &Outcome) -> String {
-    format!(
-        "| {} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {:.2} | {:.0} | {} | {:.3} | {:.1} |\n",
-        cell.name(),
-        100.0 * outcome.range,
-        100.0 * outcome.joint_speed,
-        100.0 * outcome.torque,
-        100.0 * outcome.pose_error,
-        100.0 * outcome.base_speed,
-        1e3 * outcome.flange_m,
-        outcome.base_m,
-        outcome.turn_rad.to_degrees(),
-        outcome.stopped.map_or("–", |fault| fault.code()),
-        outcome.after_m,
-        outcome.rests_after_s,
-    )
+const LEANS: &[Column<(Cell, Outcome)>] = &[
+    ("lean", |(cell, _)| cell.name()),
+    ("range, %", |(_, o)| format!("{:.1}", 100.0 * o.range)),
+    ("joint speed, %", |(_, o)| format!("{:.1}", 100.0 * o.joint_speed)),
+    ("torque, %", |(_, o)| format!("{:.1}", 100.0 * o.torque)),
+    ("pose error, %", |(_, o)| format!("{:.1}", 100.0 * o.pose_error)),
+    ("base speed, %", |(_, o)| format!("{:.1}", 100.0 * o.base_speed)),
+    ("flange, mm", |(_, o)| format!("{:.1}", 1e3 * o.flange_m)),
+    ("base, m", |(_, o)| format!("{:.2}", o.base_m)),
+    ("turned, °", |(_, o)| format!("{:.0}", o.turn_rad.to_degrees())),
+    ("stopped", |(_, o)| o.stopped.map_or("–", |fault| fault.code()).into()),
+    ("after it, m", |(_, o)| format!("{:.3}", o.after_m)),
+    ("rests after, s", |(_, o)| format!("{:.1}", o.rests_after_s)),
+];
+
+/// The leans of one posture and law; of a lean that ends in a stop only what it takes for that.
+type Group = Vec<(Cell, Outcome)>;
+
+const GROUPS: &[Column<Group>] = &[
+    ("posture", |group| POSTURES[group[0].0.posture].0.into()),
+    ("law", |group| Mode::from(group[0].0.law).name().into()),
+    ("leans", |group| group.len().to_string()),
+    ("range, %", |group| format!("{:.1}", 100.0 * most(group, |o| o.range))),
+    ("joint speed, %", |group| format!("{:.1}", 100.0 * most(group, |o| o.joint_speed))),
+    ("torque, %", |group| format!("{:.1}", 100.0 * most(group, |o| o.torque))),
+    ("pose error, %", |group| format!("{:.1}", 100.0 * most(group, |o| o.pose_error))),
+    ("base speed, %", |group| format!("{:.1}", 100.0 * most(group, |o| o.base_speed))),
+    ("flange, mm", |group| format!("{:.1}", 1e3 * most(group, |o| o.flange_m))),
+    ("base, m", |group| format!("{:.2}", most(group, |o| o.base_m))),
+    ("turned, °", |group| format!("{:.0}", most(group, |o| o.turn_rad).to_degrees())),
+    ("after it, m", |group| format!("{:.3}", most(group, |o| o.after_m))),
+    ("rests after, s", |group| format!("{:.1}", most(group, |o| o.rests_after_s))),
+    ("stopped", |group| stopped(group, true).count().to_string()),
+    ("joint speed there, %", |group| {
+        format!("{:.1}", 100.0 * stopped(group, true).map(|o| o.joint_speed).fold(0.0, f64::max))
+    }),
+];
+
+fn stopped(group: &Group, stopped: bool) -> impl Iterator<Item = &Outcome> {
+    group.iter().map(|(_, outcome)| outcome).filter(move |outcome| outcome.stopped.is_some() == stopped)
 }
 
-/// The largest of each posture and law; of a lean that ends in a stop only what it takes for that.
-fn table(rows: &[(Cell, Outcome)]) -> Result<String> {
-    let mut table = String::from(
-        "| posture | law | leans | range, % | joint speed, % | torque, % | pose error, % | base speed, % \
-         | flange, mm | base, m | turned, ° | after it, m | rests after, s | stopped | joint speed there, % |\n\
-         |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
-    );
-    for group in rows.chunk_by(|a, b| (a.0.posture, a.0.law) == (b.0.posture, b.0.law)) {
-        let Some((cell, _)) = group.first() else { continue };
-        let most = |pick: fn(&Outcome) -> f64, stopped: bool| {
-            let some = group.iter().filter(|(_, outcome)| outcome.stopped.is_some() == stopped);
-            some.map(|(_, outcome)| pick(outcome)).fold(0.0, f64::max)
-        };
-        let stops = group.iter().filter(|(_, outcome)| outcome.stopped.is_some()).count();
-        writeln!(
-            table,
-            "| {} | {} | {} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {:.2} | {:.0} | {:.3} | {:.1} | {stops} | {:.1} |",
-            POSTURES[cell.posture].0,
-            Mode::from(cell.law).name(),
-            group.len(),
-            100.0 * most(|o| o.range, false),
-            100.0 * most(|o| o.joint_speed, false),
-            100.0 * most(|o| o.torque, false),
-            100.0 * most(|o| o.pose_error, false),
-            100.0 * most(|o| o.base_speed, false),
-            1e3 * most(|o| o.flange_m, false),
-            most(|o| o.base_m, false),
-            most(|o| o.turn_rad, false).to_degrees(),
-            most(|o| o.after_m, false),
-            most(|o| o.rests_after_s, false),
-            100.0 * most(|o| o.joint_speed, true),
-        )?;
-    }
-    Ok(table)
+/// The most of the leans that go on.
+fn most(group: &Group, of: fn(&Outcome) -> f64) -> f64 {
+    stopped(group, false).map(of).fold(0.0, f64::max)
+}
+
+fn table(rows: &[(Cell, Outcome)]) -> String {
+    study::table(GROUPS, &study::groups(rows, |(cell, _)| (cell.posture, cell.law)))
 }
 
 /// One lean from power-up to some seconds after the hand has gone.
 fn lean(cell: &Cell) -> Result<Outcome> {
-    let mut config = Config::default();
-    config.simulation.hand = HandConfig::none();
-    config.startup.law = cell.law;
+    let mut config = unattended(cell.law);
     if let (_, Some(posture_rad)) = POSTURES[cell.posture] {
         config.control.gains.posture_rad[..JOINTS].copy_from_slice(&posture_rad);
     }
     let scene = moca_sim::Scene { engine: Engine::Analytic, ..free_scene(&config) };
     let mut world = LockStep::with_board(&config, &scene, VirtualBoardConfig::default(), None)?.untimed();
-    let mut tick = 0;
-    while !world.tick(None).sample.mode.moves() {
-        tick += 1;
-        ensure!(tick < START_TICKS, "{cell:?}: the robot was not armed");
-    }
+    armed(&mut world)?;
     let mut watch = Watch::new(&config)?;
     let hand_s = cell.lean_s + 2.0 * RAMP_S;
     let mut t_s = 0.0;

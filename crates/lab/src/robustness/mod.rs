@@ -7,13 +7,15 @@ pub(crate) mod faults;
 mod hands;
 pub(crate) mod lean;
 pub(crate) mod long_lean;
-pub(crate) mod lost_packets;
+#[cfg(test)]
+mod lost_packets;
 pub(crate) mod protection;
 #[cfg(test)]
 mod recentre;
 pub(crate) mod recording;
 pub(crate) mod self_collision;
 pub(crate) mod soak;
-pub(crate) mod targets;
+#[cfg(test)]
+mod targets;
 mod trial;
 mod watch;

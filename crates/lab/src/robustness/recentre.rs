@@ -1,11 +1,13 @@
 //! Motion of the base after the hand has left, with either `control.recentre`, and the way back on request.
 
 use anyhow::{Context, Result, ensure};
-use moca_control::config::{Config, HandConfig, RecentrePolicy};
+use moca_control::config::RecentrePolicy;
 use moca_control::plant::Simulated;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
+use moca_experiments::closed_loop::armed;
+use moca_experiments::unattended;
 use moca_msgs::{Law, Request, Sample};
 use moca_sim::{Engine, VirtualBoardConfig};
 
@@ -37,8 +39,6 @@ const BACK_S: f64 = 120.0;
 const TOUCH_AFTER_S: f64 = 5.0;
 /// Slower than this the base rests, m/s and rad/s, as in the campaign of attacks.
 const RESTS: f64 = 5e-3;
-/// Ticks from power-up to a moving law at the latest.
-const START_TICKS: u32 = 5000;
 
 /// Motion of the base after a lean.
 #[derive(Clone, Copy, Debug)]
@@ -70,20 +70,12 @@ struct World {
 
 impl World {
     fn armed(law: Law, policy: RecentrePolicy) -> Result<Self> {
-        let mut config = Config::default();
-        config.simulation.hand = HandConfig::none();
-        config.startup.law = law;
+        let mut config = unattended(law);
         config.control.recentre = policy;
         let scene = moca_sim::Scene { engine: Engine::Analytic, ..free_scene(&config) };
-        let world = LockStep::with_board(&config, &scene, VirtualBoardConfig::default(), None)?.untimed();
-        let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
-        let mut armed = Self { world, period_s, last: Sample::default() };
-        for _ in 0..START_TICKS {
-            if armed.step(None).mode.moves() {
-                return Ok(armed);
-            }
-        }
-        anyhow::bail!("the robot was not armed: {:?}", armed.last.mode)
+        let mut world = LockStep::with_board(&config, &scene, VirtualBoardConfig::default(), None)?.untimed();
+        let last = armed(&mut world)?;
+        Ok(Self { world, period_s: 1.0 / f64::from(config.control_loop.rate_hz), last })
     }
 
     fn step(&mut self, request: Option<Request>) -> &Sample {
@@ -196,9 +188,8 @@ mod tests {
     #[test]
     fn base_without_a_hand_rests_in_2_s_and_0_15_m_and_stays() {
         let leans: Vec<_> = LEANS.into_iter().filter(|lean| lean.1 == RecentrePolicy::OnRequest).collect();
-        let lefts = parallel::run("after a lean", &leans, left, |_| {});
+        let lefts = parallel::run("after a lean", &leans, left).unwrap();
         for (lean, left) in leans.iter().zip(lefts) {
-            let left = left.unwrap();
             assert!(left.pushed_m > 0.1, "{lean:?}: {left:?}");
             assert!(left.rests_after_s < REST_S && left.after_m < 0.15, "{lean:?}: {left:?}");
             assert!(left.later_m < 0.005, "{lean:?}: {left:?}");
@@ -213,8 +204,7 @@ mod tests {
 
     #[test]
     fn way_back_keeps_its_speed_and_ends_at_a_touch() {
-        for (way, back) in WAYS_BACK.iter().zip(parallel::run("ways back", &WAYS_BACK, back, |_| {})) {
-            let back = back.unwrap();
+        for (way, back) in WAYS_BACK.iter().zip(parallel::run("ways back", &WAYS_BACK, back).unwrap()) {
             // The arm moves its base against the servo, by less than a micrometre a second here.
             assert!(back.fastest_m_s <= RECENTRE_M_S + 1e-5, "{way:?}: {back:?}");
             assert!(back.fastest_m_s > 0.5 * RECENTRE_M_S, "{way:?}: it never moved: {back:?}");

@@ -1,7 +1,7 @@
 //! `moca-lab recording`: what a log costs, next to the robot whose log it is.
-#![expect(clippy::print_stdout, reason = "a command prints its result")]
 
 use super::soak::in_use_kib;
+use crate::study::Answer;
 use anyhow::{Context, Result, ensure};
 use moca_control::config::Config;
 use moca_control::tick::Ticked;
@@ -27,9 +27,8 @@ pub(crate) struct Arguments {
     /// Robot time, s, 10 to 86400.
     #[arg(long, default_value_t = 120)]
     seconds: u64,
-    /// Prints one JSON object.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// Costs of a log, CPU time by this program's own account.
@@ -58,23 +57,22 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let seconds = arguments.seconds;
     ensure!((10..=86_400).contains(&seconds), "--seconds {seconds} s is outside 10 to 86400 s");
     let (costs, _) = measure(seconds)?;
-    if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&costs)?);
-        return Ok(());
-    }
+    arguments.answer.print(&costs, || Ok(text(&costs)))
+}
+
+fn text(costs: &Costs) -> String {
     let Costs { robot_s, robot_ms, recording_ms, indexed_ms, scanned_s, record_s, columns_s, .. } = costs;
-    let scanned_ms = scanned_s * 1e3 * robot_s / 3600.0;
-    println!("{robot_s:.0} s of robot time, CPU time");
-    println!("robot        {robot_ms:6.2} ms a second");
-    println!("recording    {recording_ms:6.2} ms a second: {:.2} of the robot's", recording_ms / robot_ms);
-    println!(
-        "mocad log    {indexed_ms:6.2} ms, from all chunks {scanned_s:.2} s an hour: {:.0} times",
-        scanned_ms / indexed_ms
-    );
-    println!("columns      {record_s:6.2} s an hour for one record, {columns_s:.2} s for all");
-    println!("memory       {:6} KiB, and {:.0} bytes a second", costs.memory_kib, costs.growth_bytes_s);
-    println!("size         {:6.3} GB an hour", costs.gigabytes_hour);
-    Ok(())
+    let (of_robot, slower) = (recording_ms / robot_ms, scanned_s * 1e3 * robot_s / 3600.0 / indexed_ms);
+    let Costs { memory_kib, growth_bytes_s, gigabytes_hour, .. } = costs;
+    format!(
+        "{robot_s:.0} s of robot time, CPU time\n\
+         robot        {robot_ms:6.2} ms a second\n\
+         recording    {recording_ms:6.2} ms a second: {of_robot:.2} of the robot's\n\
+         mocad log    {indexed_ms:6.2} ms, from all chunks {scanned_s:.2} s an hour: {slower:.0} times\n\
+         columns      {record_s:6.2} s an hour for one record, {columns_s:.2} s for all\n\
+         memory       {memory_kib:6} KiB, and {growth_bytes_s:.0} bytes a second\n\
+         size         {gigabytes_hour:6.3} GB an hour\n"
+    )
 }
 
 /// A log that is removed at the end.

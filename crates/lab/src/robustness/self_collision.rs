@@ -1,15 +1,16 @@
 //! `moca-lab self-collision`: random targets, twists and pushes, and whether the arm ever meets itself, the base or the floor.
-#![expect(clippy::print_stdout, reason = "this is what the command is for")]
 
+use crate::study::{self, Answer, Column, outcomes};
 use anyhow::{Context, Result, ensure};
-use moca_control::config::{Config, HandConfig};
+use moca_control::config::Config;
 use moca_control::plant::Simulated;
 use moca_control::targets::Targets;
 use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::inject::Random;
-use moca_daemon::runtime::lockstep::{LockStep, TrueForces};
-use moca_experiments::{JOINTS, parallel};
+use moca_daemon::runtime::lockstep::LockStep;
+use moca_experiments::closed_loop::armed;
+use moca_experiments::{JOINTS, unattended};
 use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S, TargetPhase};
 use moca_msgs::{
     ArmTable, Law, Mode, ParameterValues, Refusal, Request, Sample, Target, TargetRefusal, TimedTarget,
@@ -34,8 +35,6 @@ const LEAST_M: f64 = 0.02;
 const PUSH_N: f64 = 30.0;
 const PUSH_NM: f64 = 1.0;
 const PRESS_N: f64 = 30.0;
-/// Ticks from power-up to a moving law at the latest.
-const START_TICKS: u32 = 5000;
 
 /// Random targets, twists and pushes on an arm that keeps its distance: contacts in MuJoCo, nearest distance, cost in reach.
 #[derive(clap::Args)]
@@ -43,9 +42,8 @@ pub(crate) struct Arguments {
     /// Targets, twists and pushes of both laws together; a fiftieth of them once more without the guard.
     #[arg(long, default_value_t = DRAWS)]
     draws: u64,
-    /// One JSON object a run instead of a table.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -87,55 +85,42 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         "--draws {}: allowed: 1 to 10000000",
         arguments.draws
     );
-    let rows = outcomes(cells(arguments.draws))?;
-    if arguments.json {
-        for (cell, outcome) in &rows {
-            println!("{}", serde_json::json!({ "cell": cell, "outcome": outcome }));
-        }
-    } else {
-        print!("{}\n{}", table(&rows), reach()?);
-    }
+    let rows = outcomes("self-collision", cells(arguments.draws), led)?;
+    let groups = study::groups(&rows, |(cell, _)| (cell.guarded, cell.law));
+    arguments
+        .answer
+        .print_cases(&rows, || Ok(format!("{}\n{}", study::table(COLUMNS, &groups), reach()?)))?;
     let touched = rows.iter().find(|(cell, outcome)| cell.guarded && outcome.contacts > 0);
     ensure!(touched.is_none(), "a guarded arm touched the robot: {touched:?}");
     Ok(())
 }
 
-fn outcomes(cells: Vec<Cell>) -> Result<Vec<(Cell, Outcome)>> {
-    let outcomes = parallel::run("self-collision", &cells, led, |_| {});
-    let outcomes = outcomes.into_iter().collect::<Result<Vec<_>>>()?;
-    Ok(cells.into_iter().zip(outcomes).collect())
+/// The runs of a law, with or without the guard.
+type Group = Vec<(Cell, Outcome)>;
+
+const COLUMNS: &[Column<Group>] = &[
+    ("law", |group| Mode::from(group[0].0.law).name().into()),
+    ("guard", |group| if group[0].0.guarded { "on".into() } else { "off".into() }),
+    ("draws", |group| sum(group, |run| run.draws)),
+    ("targets taken", |group| sum(group, |run| run.taken)),
+    ("refused: too near", |group| sum(group, |run| run.refused_near)),
+    ("refused: other", |group| sum(group, |run| run.refused)),
+    ("reached", |group| sum(group, |run| run.reached)),
+    ("stops", |group| sum(group, |run| run.stops.values().sum())),
+    ("steps with a contact", |group| sum(group, |run| run.contacts)),
+    ("nearest, mm", |group| format!("{:.1}", nearest_mm(group)[0])),
+    ("nearest of the middle run, mm", |group| format!("{:.1}", nearest_mm(group)[group.len() / 2])),
+];
+
+fn sum(group: &Group, of: fn(&Outcome) -> u64) -> String {
+    group.iter().map(|(_, run)| of(run)).sum::<u64>().to_string()
 }
 
-/// The runs of each law, with and without the guard.
-fn table(rows: &[(Cell, Outcome)]) -> String {
-    let mut groups: BTreeMap<(bool, &str), Vec<&Outcome>> = BTreeMap::new();
-    for (cell, outcome) in rows {
-        groups.entry((!cell.guarded, Mode::from(cell.law).name())).or_default().push(outcome);
-    }
-    let mut table = "| law | guard | draws | targets taken | refused: too near | refused: other | reached | stops | steps with a \
-                     contact | nearest, mm | nearest of the middle run, mm |\n"
-        .to_owned();
-    table += &format!("{}|\n", "|---".repeat(11));
-    for ((unguarded, law), runs) in groups {
-        let sum = |of: fn(&Outcome) -> u64| runs.iter().map(|run| of(run)).sum::<u64>();
-        let mut nearest: Vec<f64> = runs.iter().map(|run| 1e3 * run.nearest_m).collect();
-        nearest.sort_by(f64::total_cmp);
-        let (least, middle) = (nearest.first(), nearest.get(nearest.len() / 2));
-        table += &format!(
-            "| {law} | {} | {} | {} | {} | {} | {} | {} | {} | {:.1} | {:.1} |\n",
-            if unguarded { "off" } else { "on" },
-            sum(|run| run.draws),
-            sum(|run| run.taken),
-            sum(|run| run.refused_near),
-            sum(|run| run.refused),
-            sum(|run| run.reached),
-            sum(|run| run.stops.values().sum()),
-            sum(|run| run.contacts),
-            least.copied().unwrap_or(f64::NAN),
-            middle.copied().unwrap_or(f64::NAN),
-        );
-    }
-    table
+/// Smallest distance in each run, mm, the smallest of all first.
+fn nearest_mm(group: &Group) -> Vec<f64> {
+    let mut nearest: Vec<f64> = group.iter().map(|(_, run)| 1e3 * run.nearest_m).collect();
+    nearest.sort_by(f64::total_cmp);
+    nearest
 }
 
 /// Postures between the ends of the joints' ranges that the guard takes away.
@@ -166,9 +151,7 @@ fn reach() -> Result<String> {
 }
 
 fn config(law: Law, guarded: bool) -> Result<Config> {
-    let mut config = Config::default();
-    config.simulation.hand = HandConfig::none();
-    config.startup.law = law;
+    let mut config = unattended(law);
     config.control.self_collision.distance_m = if guarded { LEAST_M } else { 0.0 };
     Ok(config)
 }
@@ -232,7 +215,7 @@ fn one_robot(
 ) -> Result<()> {
     let mut world =
         LockStep::with_true_forces(config, &watch.scene(config), IdealCover::new(1, 0))?.untimed();
-    let mut sample = started(&mut world)?;
+    let mut sample = armed(&mut world)?;
     let ticks = (DRAW_S * f64::from(config.control_loop.rate_hz)).round();
     while outcome.draws < RUN_DRAWS {
         outcome.draws += 1;
@@ -270,16 +253,6 @@ fn one_robot(
     Ok(())
 }
 
-fn started(world: &mut LockStep<IdealCover, TrueForces>) -> Result<Sample> {
-    for _ in 0..START_TICKS {
-        let (sample, _) = world.step(None);
-        if sample.mode.moves() {
-            return Ok(sample);
-        }
-    }
-    anyhow::bail!("the robot was not armed within {START_TICKS} ticks")
-}
-
 /// One draw: a target, a push at the flange, a press on the cover.
 struct Draw {
     target: Option<Target>,
@@ -303,12 +276,12 @@ impl Draw {
 
 /// From -1 to 1.
 #[expect(clippy::cast_precision_loss, reason = "a random number")]
-fn share(random: &mut Random) -> f64 {
+pub(super) fn share(random: &mut Random) -> f64 {
     (random.bits() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
 }
 
 /// Uniform in the unit ball.
-fn in_ball<const N: usize>(random: &mut Random) -> [f64; N] {
+pub(super) fn in_ball<const N: usize>(random: &mut Random) -> [f64; N] {
     loop {
         let v: [f64; N] = std::array::from_fn(|_| share(random));
         let squared: f64 = v.iter().map(|x| x * x).sum();
@@ -331,7 +304,7 @@ fn pose(random: &mut Random, sample: &Sample, workspace: &Workspace) -> Target {
 }
 
 /// As fast as is allowed along and about every axis, or anything below.
-fn twist(random: &mut Random) -> Target {
+pub(super) fn twist(random: &mut Random) -> Target {
     let axes = [TwistAxes::World, TwistAxes::Base, TwistAxes::Flange][random.below(3)];
     let corner = random.one_in(2);
     let twist = std::array::from_fn(|i| {
@@ -360,13 +333,14 @@ fn push(random: &mut Random) -> [f64; 6] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use moca_daemon::runtime::lockstep::TrueForces;
     use moca_msgs::{TouchPolicy, Waypoint};
 
     /// The beginning of the campaign.
     #[test]
     fn guarded_arm_meets_nothing_in_mujoco() {
         let cells: Vec<_> = cells(1).into_iter().filter(|cell| cell.guarded).collect();
-        for (cell, outcome) in outcomes(cells).unwrap() {
+        for (cell, outcome) in outcomes("self-collision", cells, led).unwrap() {
             assert_eq!(outcome.contacts, 0, "{cell:?} {outcome:?}");
             assert!((0.015..0.1).contains(&outcome.nearest_m) && outcome.taken > 10, "{cell:?} {outcome:?}");
         }
@@ -399,7 +373,7 @@ mod tests {
         let config = config(law, true).unwrap();
         let cover = IdealCover::new(1, 0);
         let mut world = LockStep::with_true_forces(&config, &free_scene(&config), cover).unwrap().untimed();
-        let sample = started(&mut world).unwrap();
+        let sample = armed(&mut world).unwrap();
         (world, sample)
     }
 

@@ -1,7 +1,7 @@
 //! One injected fault against the whole chain in lock-step: what the robot does about it, and how soon.
 
 use anyhow::{Result, ensure};
-use moca_control::config::{Config, HandConfig};
+use moca_control::config::Config;
 use moca_control::tick::Ticked;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::inject::{Disk, FaultSite, Injection, Named, Strike, client};
@@ -11,7 +11,8 @@ use moca_daemon::runtime::allocations;
 use moca_daemon::runtime::clients::rings;
 use moca_daemon::runtime::live::{Rings, Shared};
 use moca_daemon::runtime::lockstep::LockStep;
-use moca_msgs::{Fault, Mode, Outcome, Request, Sample};
+use moca_experiments::unattended;
+use moca_msgs::{Fault, Law, Mode, Outcome, Request, Sample};
 use moca_sim::VirtualBoardConfig;
 use moca_tactile::Firmware;
 use moca_telemetry::RobotDescription;
@@ -123,8 +124,7 @@ impl Watcher {
 /// nothing.
 pub(crate) fn run(fault: Named, firmware: Firmware, seed: u64, ticks: u64) -> Result<Trial> {
     let end_tick = STRIKE_TICK + ticks;
-    let mut config = Config::default();
-    config.simulation.hand = HandConfig::none();
+    let mut config = unattended(Law::Impedance);
     config.simulation.seed = seed;
     config.board.firmware = firmware;
     let board = VirtualBoardConfig { seed, firmware, ..VirtualBoardConfig::default() };

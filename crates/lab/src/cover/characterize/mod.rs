@@ -6,6 +6,7 @@ mod tables;
 mod trials;
 
 use crate::picture::{Picture as _, Width};
+use crate::study::Answer;
 use anyhow::{Context, ensure};
 use moca_experiments::parallel::Count;
 use moca_sim::foam::Foam;
@@ -16,7 +17,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trials::{Protocol, Recording};
 
-/// Arguments of `moca-lab characterize`.
+/// Ten trials of four foams: Tables I and II, Figure 4, what better calibrations gain.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// Trials of each material; the first half is fitted, the rest held out.
@@ -31,9 +32,8 @@ pub(crate) struct Arguments {
     /// Width of Figure 4.
     #[arg(long, value_enum, default_value_t)]
     width: Width,
-    /// Prints one JSON object instead of tables.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// One material's results.
@@ -61,7 +61,7 @@ struct TableRow {
 }
 
 /// A model fitted to the first half of the trials, judged on what it has not seen.
-#[derive(Debug, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 pub(crate) struct HeldOut {
     pub model: &'static str,
     /// The other half of the trials, N.
@@ -77,7 +77,6 @@ pub(crate) struct HeldOut {
 }
 
 /// Simulates, fits, prints, draws.
-#[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     ensure!((2..=100).contains(&arguments.trials), "--trials must be 2 to 100, got {}", arguments.trials);
     let (recordings, materials) = simulate(arguments.trials, arguments.seed)?;
@@ -85,19 +84,17 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         .with_context(|| format!("cannot create {}", arguments.out.display()))?;
     figure::figure_4(&recordings, arguments.width).write(&arguments.out.join("figure4"))?;
     residual_plots(&recordings[0], &arguments.out)?;
-    if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&materials)?);
-    } else {
-        print!("{}", tables::report(&materials, arguments.trials, &arguments.out));
+    arguments.answer.print(&materials, || {
+        let mut text = tables::report(&materials, arguments.trials, &arguments.out);
         for (name, model) in [("PU LD30", TaxelModel::PU_LD30), ("paper", TaxelModel::PAPER)] {
-            println!(
+            text += &format!(
                 "Assumed and not calibrated, model {name}: a press of {ASSUMED_ERROR_FROM_N} N or more reads up to {:.0} % off on \
-                 PU LD30 of nominal stiffness +- 10 %.",
+                 PU LD30 of nominal stiffness +- 10 %.\n",
                 100.0 * assumed_error(&model)
             );
         }
-    }
-    Ok(())
+        Ok(text)
+    })
 }
 
 /// Tables I and II as text and Figure 4 as SVG, for a report that holds them.

@@ -2,15 +2,14 @@
 //! meanwhile slows them all.
 
 use super::Standing;
+use crate::study::{self, Column};
 use anyhow::{Context, Result};
 use moca_experiments::campaign::Table as _;
 use moca_experiments::collision;
-use moca_experiments::count;
 use moca_experiments::cpu_time;
 use moca_experiments::parallel::Count;
 use moca_experiments::sweep::Sweep;
 use moca_sim::Engine;
-use std::fmt::Write as _;
 
 const PLAN: &str = include_str!("../../../../../scenes/sweep.toml");
 const ENGINES: [(Engine, &str); 2] = [(Engine::Analytic, "analytic"), (Engine::MuJoCo, "MuJoCo")];
@@ -47,6 +46,14 @@ impl Turn {
     }
 }
 
+/// An engine's name, and the ratios of its runs from the least to the most.
+const COLUMNS: &[Column<(&str, Vec<f64>)>] = &[
+    ("engine", |(name, _)| (*name).into()),
+    ("runs per CPU time over those of bare `mj_step`, median", |(_, of)| format!("{:.2}", of[of.len() / 2])),
+    ("least", |(_, of)| format!("{:.2}", of[0])),
+    ("most", |(_, of)| format!("{:.2}", of[of.len() - 1])),
+];
+
 /// A row for each engine, from so many collisions of the plan.
 pub(super) fn markdown(runs: usize) -> Result<String> {
     let sweep = Sweep::parse(PLAN, None)?;
@@ -57,23 +64,16 @@ pub(super) fn markdown(runs: usize) -> Result<String> {
         progress.one_more();
     }
     let apart_n = turns.iter().map(|turn| (turn.peak_n[0] - turn.peak_n[1]).abs()).fold(0.0, f64::max);
-    let mut out = String::from(
-        "| engine | runs per CPU time over those of bare `mj_step`, median | least | most |\n|---|---|---|---|\n",
-    );
-    for (i, (_, name)) in ENGINES.into_iter().enumerate() {
+    let ratios = |(i, (_, name)): (usize, (Engine, &'static str))| {
         let mut ratios: Vec<f64> = turns.iter().map(|turn| turn.of_bare[i]).collect();
         ratios.sort_unstable_by(f64::total_cmp);
-        let [least, .., most] = ratios[..] else { anyhow::bail!("two runs at least") };
-        // Writing to a string cannot fail.
-        let _ = writeln!(out, "| {name} | {:.2} | {least:.2} | {most:.2} |", ratios[ratios.len() / 2]);
-    }
+        (name, ratios)
+    };
+    let table = study::table(COLUMNS, &ENGINES.into_iter().enumerate().map(ratios).collect::<Vec<_>>());
     let most_n = turns.iter().map(|turn| turn.peak_n[0]).reduce(f64::max).context("no run")?;
-    let _ = writeln!(
-        out,
-        "\n{:.0} collisions. Their peak forces, {most_n:.1} N at most, differ by {apart_n:.1e} N at most.",
-        count(runs)
-    );
-    Ok(out)
+    Ok(format!(
+        "{table}\n{runs} collisions. Their peak forces, {most_n:.1} N at most, differ by {apart_n:.1e} N at most.\n"
+    ))
 }
 
 #[cfg(test)]

@@ -3,9 +3,11 @@
 mod engines;
 mod parts;
 
+use crate::study::{self, Answer, Column};
 use anyhow::Result;
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_experiments::JOINTS;
+use moca_experiments::closed_loop::armed;
 use moca_experiments::collision;
 use moca_experiments::cpu_time;
 use moca_experiments::free_scene;
@@ -22,12 +24,11 @@ const TICKS: usize = 1500;
 /// Passes of which the fastest counts.
 const PASSES: usize = 5;
 
-/// Arguments of `moca-lab economy`.
+/// Prints the cost of a scene with everything in it and with only what it needs.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
-    /// Prints one JSON object.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
     /// Instead: this many collisions of scenes/sweep.toml on either engine, and as many bare steps of MuJoCo, in turn.
     #[arg(long, value_name = "RUNS", value_parser = clap::value_parser!(u32).range(2..=10_000))]
     engines: Option<u32>,
@@ -106,67 +107,48 @@ impl TickCost {
 }
 
 /// Builds, runs, compares and times every scene.
-#[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     if let Some(runs) = arguments.engines {
-        print!("{}", engines::markdown(usize::try_from(runs)?)?);
+        study::print(&engines::markdown(usize::try_from(runs)?)?);
         return Ok(());
     }
     let report = measure()?;
-    if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
-        return Ok(());
-    }
-    println!(
-        "{:18} {:>5} {:>6} {:>6} {:>8} {:>9} {:>9} {:>9} {:>9} {:>7}  differs by (allowed; why)",
-        "scene",
-        "dofs",
-        "geoms",
-        "sensor",
-        "model kB",
-        "data kB",
-        "start ms",
-        "step us",
-        "of geoms",
-        "agrees"
-    );
-    for row in &report.scenes {
-        println!(
-            "{:18} {:>5} {:>6} {:>6} {:>8} {:>9} {:>9.2} {:>9.2} {:>9.2} {:>7}  {:.1e} ({:.0e}; {})\n{:18} left out: {}; {}",
-            row.scene,
-            row.size.dofs,
-            row.size.geoms,
-            row.size.sensors,
-            row.size.model_bytes / 1024,
-            row.size.data_bytes / 1024,
-            row.start_up_ms,
-            row.step_us,
-            row.of_geoms,
-            if row.agrees { "yes" } else { "NO" },
-            row.difference,
-            row.tolerance,
-            row.because,
-            "",
-            row.left_out,
-            row.engine,
-        );
-    }
-    println!(
-        "whole simulated tick (plant, bytes, reader, control), and what of it is not the bare step of the same model:"
-    );
-    for tick in &report.ticks {
-        println!(
-            "{:18} {:>6.2} us, {:>5.2} us the bare step: {:.2} us on top, {:.0} %",
-            tick.scene,
-            tick.whole_tick_us,
-            tick.bare_step_us,
-            tick.on_top_us,
-            100.0 * tick.on_top_share,
-        );
-    }
-    println!("{}", report.control);
-    Ok(())
+    arguments.answer.print(&report, || {
+        let Report { scenes, ticks, control } = &report;
+        let [scenes, parts] = [COSTS, PARTS].map(|columns| study::table(columns, scenes));
+        let ticks = study::table(TICK_COSTS, ticks);
+        Ok(format!("{scenes}\n{parts}\n{ticks}a tick: plant, bytes, reader, control\n\n{control}"))
+    })
 }
+
+const COSTS: &[Column<Row>] = &[
+    ("scene", |row| row.scene.into()),
+    ("dofs", |row| row.size.dofs.to_string()),
+    ("geoms", |row| row.size.geoms.to_string()),
+    ("sensors", |row| row.size.sensors.to_string()),
+    ("model, kB", |row| (row.size.model_bytes / 1024).to_string()),
+    ("data, kB", |row| (row.size.data_bytes / 1024).to_string()),
+    ("start, ms", |row| format!("{:.2}", row.start_up_ms)),
+    ("step, µs", |row| format!("{:.2}", row.step_us)),
+    ("of geoms", |row| format!("{:.2}", row.of_geoms)),
+];
+
+const PARTS: &[Column<Row>] = &[
+    ("scene", |row| row.scene.into()),
+    ("agrees", |row| if row.agrees { "yes".into() } else { "NO".into() }),
+    ("differs by", |row| format!("{:.1e}", row.difference)),
+    ("allowed", |row| format!("{:.0e}: {}", row.tolerance, row.because)),
+    ("left out", |row| row.left_out.into()),
+    ("engine", |row| row.engine.into()),
+];
+
+const TICK_COSTS: &[Column<TickCost>] = &[
+    ("scene", |tick| tick.scene.into()),
+    ("whole simulated tick, µs", |tick| format!("{:.2}", tick.whole_tick_us)),
+    ("bare step, µs", |tick| format!("{:.2}", tick.bare_step_us)),
+    ("on top, µs", |tick| format!("{:.2}", tick.on_top_us)),
+    ("on top, %", |tick| format!("{:.0}", 100.0 * tick.on_top_share)),
+];
 
 /// The collision as a user of MuJoCo would write it: see scenes/geoms.toml.
 fn with_geoms() -> Result<Scene> {
@@ -409,11 +391,7 @@ pub(crate) fn bare_step_us(scene: &Scene) -> Result<f64> {
 fn whole_tick_us(scene: &Scene) -> Result<f64> {
     let settings = Settings::paper(Law::Impedance);
     let mut lock_step = LockStep::with_board(&settings.config, scene, settings.board(), None)?.untimed();
-    let mut ticks = 0;
-    while !lock_step.step(None).0.mode.moves() {
-        ticks += 1;
-        anyhow::ensure!(ticks < 30_000, "the robot was not armed within 30 s");
-    }
+    armed(&mut lock_step)?;
     let mut best = f64::INFINITY;
     for _ in 0..100 {
         let ((), cpu_s) = cpu_time::timed(|| {

@@ -1,6 +1,7 @@
 //! `moca-lab extremes`: the ends of the controllers' range, one row each: condition, error in both precisions, time,
 //! verdict.
 
+use crate::study::{self, Answer, Column};
 use moca_experiments::{JOINTS, TAXELS};
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_msgs::{Limits, Parameters, Payload, RobotState};
@@ -19,9 +20,8 @@ const AMPLIFICATION: f64 = 16.0;
 /// Accuracy and time at the ends of the controllers' range.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
-    /// One JSON object instead of a table.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 #[derive(Serialize)]
@@ -41,8 +41,20 @@ struct Row {
     passed: bool,
 }
 
+const COLUMNS: &[Column<Row>] = &[
+    ("end", |row| row.name.clone()),
+    ("condition", |row| shown(row.condition)),
+    ("error f64", |row| shown(row.error_f64)),
+    ("error f32", |row| shown(row.error_f32)),
+    ("ns/tick", |row| format!("{:.0}", row.ns_per_tick)),
+    ("verdict", |row| format!("{}{}", if row.passed { "" } else { "FAILED: " }, row.verdict)),
+];
+
+fn shown(value: Option<f64>) -> String {
+    value.map_or("-".into(), |value| format!("{value:.1e}"))
+}
+
 /// Errs if an end behaves otherwise than it should.
-#[expect(clippy::print_stdout, reason = "the answer of a command")]
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let reference: Reference =
         serde_json::from_str(include_str!("../../../../../tests/fixtures/extremes.json"))?;
@@ -58,24 +70,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     rows.push(sign_flip()?);
     rows.push(half_turn()?);
     let report = Report { rows };
-    if arguments.json {
-        println!("{}", serde_json::to_string(&report)?);
-    } else {
-        println!(
-            "{:30} {:>9} {:>9} {:>9} {:>8}  verdict",
-            "end", "condition", "error f64", "error f32", "ns/tick"
-        );
-        for row in &report.rows {
-            let shown = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.1e}"));
-            let (f64, f32) = (shown(row.error_f64), shown(row.error_f32));
-            let failed = if row.passed { "" } else { "FAILED: " };
-            let condition = shown(row.condition);
-            println!(
-                "{:30} {condition:>9} {f64:>9} {f32:>9} {:8.0}  {failed}{}",
-                row.name, row.ns_per_tick, row.verdict
-            );
-        }
-    }
+    arguments.answer.print(&report, || Ok(study::table(COLUMNS, &report.rows)))?;
     let failed: Vec<&str> =
         report.rows.iter().filter(|row| !row.passed).map(|row| row.name.as_str()).collect();
     anyhow::ensure!(failed.is_empty(), "not as expected: {}", failed.join(", "));

@@ -13,6 +13,7 @@ use moca_wbc::rotation::Heading;
 use moca_wbc::testing::reference_file::{explicit_euler, implicit_euler};
 use moca_wbc::{ControlInput, ControlLaw};
 use serde::Serialize;
+use std::fmt;
 use std::hint::black_box;
 
 const RATES_HZ: [u32; 6] = [100, 200, 500, 1000, 2000, 4000];
@@ -142,6 +143,12 @@ pub(crate) struct Off {
     pub base_m: f64,
     pub yaw_rad: f64,
     pub flange_m: f64,
+}
+
+impl fmt::Display for Off {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.1e} m, {:.1e} rad, {:.1e} m", self.base_m, self.yaw_rad, self.flange_m)
+    }
 }
 
 impl Off {

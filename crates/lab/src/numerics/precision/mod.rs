@@ -7,21 +7,20 @@ mod plant;
 
 use crate::cover::characterize;
 use crate::picture::{Picture as _, Width};
+use crate::study::{Answer, Column, table};
 use anyhow::{Context, Result};
 use moca_experiments::{JOINTS, TAXELS};
 use moca_msgs::Parameters;
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, Payload};
 use moca_wbc::WholeBodyController;
 use serde::Serialize;
-use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Arguments of `moca-lab precision`.
+/// Error against run time: integrators and steps, control rate, single precision.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
-    /// Prints one JSON object.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
     /// Writes the diagrams (SVG, PDF, PNG) and the table (JSON) into this folder.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -49,17 +48,14 @@ struct Report {
 }
 
 /// Everything, printed and drawn.
-#[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let report = measure(arguments.quick)?;
-    let json = serde_json::to_string_pretty(&report)?;
     if let Some(folder) = &arguments.out {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
         diagrams::draw(&report, arguments.width).write(&folder.join("precision"))?;
-        std::fs::write(folder.join("precision.json"), &json)?;
+        std::fs::write(folder.join("precision.json"), serde_json::to_string_pretty(&report)?)?;
     }
-    println!("{}", if arguments.json { json } else { text(&report) });
-    Ok(())
+    arguments.answer.print(&report, || Ok(text(&report)))
 }
 
 fn measure(quick: bool) -> Result<Report> {
@@ -84,74 +80,60 @@ fn controller<T: moca_wbc::Scalar>() -> Result<WholeBodyController<JOINTS, TAXEL
     Ok(WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER)?)
 }
 
-fn text(report: &Report) -> String {
-    let mut out = String::new();
-    // Writing to a string cannot fail.
-    let _ = write_text(&mut out, report);
-    out
-}
+const POINTS: &[Column<plant::Point>] = &[
+    ("integrator", |p| p.integrator.into()),
+    ("step, ms", |p| p.step_ms.to_string()),
+    ("CPU, s/s", |p| format!("{:.4}", p.cpu_s_per_s)),
+    ("state", |p| p.failed.as_ref().map_or(format!("{:.1e}", p.state_error), |why| format!("FAILED: {why}"))),
+    ("peak", |p| p.peak_error.map_or("-".into(), |e| format!("{e:.1e}"))),
+];
 
-fn write_text(out: &mut String, report: &Report) -> std::fmt::Result {
-    for scene in &report.scenes {
+const RATES: &[Column<control::RatePoint>] = &[
+    ("rate, Hz", |p| p.rate_hz.to_string()),
+    ("flange, mm", |p| format!("{:.2}", p.flange_max_mm)),
+    ("base against 4 kHz, mm", |p| format!("{:.3}", p.base_error_mm)),
+    ("CPU, s/s", |p| format!("{:.4}", p.cpu_s_per_s)),
+];
+
+const ADMITTANCE: &[Column<control::AdmittancePoint>] = &[
+    ("discretisation", |p| p.method.into()),
+    ("step, ms", |p| p.step_ms.to_string()),
+    ("smooth force: base, yaw, flange", |p| p.smooth.to_string()),
+    ("held reading: base, yaw, flange", |p| p.held.to_string()),
+    ("CPU, s/s", |p| format!("{:.1e}", p.cpu_s_per_s)),
+    ("", |p| if p.failed { "FAILED".into() } else { String::new() }),
+];
+
+const MODELS: &[Column<characterize::HeldOut>] = &[
+    ("model of PU LD30, trials not seen", |model| model.model.into()),
+    ("error, N", |model| format!("{:.2}", model.rmse_n)),
+    ("one evaluation, ns", |model| format!("{:.1}", model.cost_ns)),
+];
+
+fn text(report: &Report) -> String {
+    let scene = |scene: &plant::SceneReport| {
         let own =
             scene.peak_self_consistency.map_or(String::new(), |p| format!(", of the peak force {p:.1e}"));
-        let (name, reference) = (scene.scene, &scene.reference);
-        writeln!(out, "{name} against {reference}: self-consistency {:.1e}{own}", scene.self_consistency)?;
-        for p in &scene.points {
-            write!(out, "  {:13} {:5} ms  ", p.integrator, p.step_ms)?;
-            match &p.failed {
-                Some(why) => writeln!(out, "FAILED: {why}")?,
-                None => writeln!(
-                    out,
-                    "{:9.4} s/s  state {:.1e}  peak {}",
-                    p.cpu_s_per_s,
-                    p.state_error,
-                    p.peak_error.map_or("-".into(), |e| format!("{e:.1e}"))
-                )?,
-            }
-        }
-        writeln!(out, "  {}", scene.recommendation)?;
-    }
-    writeln!(
-        out,
-        "control rate, T6 20 N, ideal sensor, physics at 0.25 ms: flange, base against 4 kHz, CPU"
-    )?;
-    for p in &report.control_rate {
-        writeln!(
-            out,
-            "  {:5} Hz  {:6.2} mm  {:7.3} mm  {:.4} s/s",
-            p.rate_hz, p.flange_max_mm, p.base_error_mm, p.cpu_s_per_s
-        )?;
-    }
-    writeln!(out, "  {}", report.control_rate_recommendation)?;
-    writeln!(
-        out,
-        "admittance, M/D = 10 ms, from samples up to the present: largest error along the way of base, yaw, flange under a smooth force | a held reading, CPU"
-    )?;
-    for p in &report.admittance {
-        let failed = if p.failed { "  FAILED" } else { "" };
-        writeln!(
-            out,
-            "  {:32} {:5} ms  {:.1e} m {:.1e} rad {:.1e} m | {:.1e} m {:.1e} rad {:.1e} m  {:.1e} s/s{failed}",
-            p.method,
-            p.step_ms,
-            p.smooth.base_m,
-            p.smooth.yaw_rad,
-            p.smooth.flange_m,
-            p.held.base_m,
-            p.held.yaw_rad,
-            p.held.flange_m,
-            p.cpu_s_per_s
-        )?;
-    }
-    writeln!(out, "  {}", report.admittance_recommendation)?;
-    writeln!(out, "calibration models on PU LD30, trials not seen: error, one evaluation")?;
-    for model in &report.calibration {
-        writeln!(out, "  {:22} {:6.2} N  {:6.1} ns", model.model, model.rmse_n, model.cost_ns)?;
-    }
-    write!(
-        out,
-        "f32 control: torque off by {:.1e} N.m at most; a tick takes {:.0} ns in f64, {:.0} ns in f32",
-        report.f32_torque_error_nm, report.f64_tick_ns, report.f32_tick_ns
+        let plant::SceneReport { scene, reference, self_consistency, points, recommendation, .. } = scene;
+        let points = table(POINTS, points);
+        format!(
+            "{scene} against {reference}: self-consistency {self_consistency:.1e}{own}\n\n{points}{recommendation}\n\n"
+        )
+    };
+    let [rates, admittance, models] = [
+        table(RATES, &report.control_rate),
+        table(ADMITTANCE, &report.admittance),
+        table(MODELS, &report.calibration),
+    ];
+    format!(
+        "{}control rate, T6 20 N, ideal sensor, physics at 0.25 ms\n\n{rates}{}\n\n\
+         admittance, M/D = 10 ms, from samples up to the present: largest error along the way\n\n{admittance}{}\n\n{models}\n\
+         f32 control: torque off by {:.1e} N.m at most; a tick takes {:.0} ns in f64, {:.0} ns in f32\n",
+        report.scenes.iter().map(scene).collect::<String>(),
+        report.control_rate_recommendation,
+        report.admittance_recommendation,
+        report.f32_torque_error_nm,
+        report.f64_tick_ns,
+        report.f32_tick_ns
     )
 }

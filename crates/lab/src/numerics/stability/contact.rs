@@ -5,6 +5,7 @@
 //! 10 ms, shown after an age that is set: neither changes with the rate of the loop.
 
 use super::{BOUNDED_N, Case, Special, Trial, single_precision, trial};
+use crate::study::{self, Column};
 use anyhow::Result;
 use moca_experiments::parallel;
 use moca_experiments::settings::Settings;
@@ -132,7 +133,7 @@ pub(crate) fn trials() -> Result<Vec<(String, Trial)>> {
 /// All of them, run.
 pub(crate) fn cases() -> Result<Vec<Case>> {
     let trials = trials()?;
-    Ok(parallel::run("contact", &trials, |(name, trial)| trial.run(name), |_| ()))
+    parallel::run("contact", &trials, |(name, trial)| Ok(trial.run(name)))
 }
 
 /// A few of them, run: the slowest and the usual rate, a fault, two minutes.
@@ -148,7 +149,7 @@ pub(crate) fn few() -> Result<Vec<Case>> {
         few.contains(&name)
     };
     let trials: Vec<_> = trials()?.into_iter().filter(|(name, _)| named(name)).collect();
-    Ok(parallel::run("contact", &trials, |(name, trial)| trial.run(name), |_| ()))
+    parallel::run("contact", &trials, |(name, trial)| Ok(trial.run(name)))
 }
 
 /// Returns a case's result in a few words.
@@ -183,7 +184,7 @@ pub(crate) fn single_line(foam: f64) -> Result<(String, String)> {
 const SINGLE_HEAD: &str = "| the law in f64 and in f32, foam | peak, f64 | f32 | base apart | yaw | flange | force | CPU, ms a simulated second, f64 | f32 |\n|---|---|---|---|---|---|---|---|---|";
 
 /// The law in either scalar, a line for each foam.
-fn single_table() -> Result<String> {
+pub(super) fn single_table() -> Result<String> {
     let mut out = format!("{SINGLE_HEAD}\n");
     for foam in FOAMS {
         let (figures, times) = single_line(foam)?;
@@ -193,17 +194,18 @@ fn single_table() -> Result<String> {
     Ok(out)
 }
 
-/// Prints it.
-#[expect(clippy::print_stdout, reason = "the command's output")]
-pub(super) fn print_single_precision() -> Result<()> {
-    println!("{}", single_table()?);
-    Ok(())
-}
+const COLUMNS: &[Column<Case>] = &[
+    ("in contact", |case| case.name.clone()),
+    ("peak", verdict),
+    ("energy given out", |case| format!("{:.2} J", case.energy_out_j)),
+    ("base drifts", |case| case.drift_mm.map_or("–".into(), |mm| format!("{mm:.2} mm"))),
+    ("CPU, ms a simulated second", |case| format!("{:.0}", cost_ms(case))),
+];
 
 /// A line of the second table without what it cost.
+#[cfg(test)]
 pub(crate) fn row(case: &Case) -> String {
-    let drift = case.drift_mm.map_or("–".into(), |mm| format!("{mm:.2} mm"));
-    format!("| {} | {} | {:.2} J | {drift} |", case.name, verdict(case), case.energy_out_j)
+    study::line(&COLUMNS[..COLUMNS.len() - 1], case).trim_end().into()
 }
 
 /// CPU time of a simulated second, ms.
@@ -233,12 +235,6 @@ pub(crate) fn markdown() -> Result<String> {
         format!(" {:.0} |", of_rate.map(cost_ms).fold(0.0, f64::max))
     });
     let _ = writeln!(out, "| CPU, ms a simulated second, at most | |{}", dearest.collect::<String>());
-    out.push_str(
-        "\n| in contact | peak | energy given out | base drifts | CPU, ms a simulated second |\n|---|---|---|---|---|\n",
-    );
-    for case in rows {
-        let _ = writeln!(out, "{} {:.0} |", row(case), cost_ms(case));
-    }
-    let _ = write!(out, "\n{}", single_table()?);
+    let _ = write!(out, "\n{}\n{}", study::table(COLUMNS, rows), single_table()?);
     Ok(out)
 }

@@ -2,6 +2,7 @@
 
 use super::{Trial, trial};
 use crate::picture::Width;
+use crate::study::{self, Column};
 use anyhow::Result;
 use moca_experiments::count;
 use moca_experiments::parallel;
@@ -9,7 +10,6 @@ use moca_experiments::settings::Settings;
 use moca_figures::{Colour, Drawing, number};
 use moca_wbc::contact_stability as theory;
 use serde::Serialize;
-use std::fmt::Write as _;
 
 /// Force at which foam and tissue are linearised, N.
 const LINEARISED_AT_N: f64 = 20.0;
@@ -100,8 +100,7 @@ pub(crate) fn all() -> Result<Vec<Map>> {
 
 fn map(name: &'static str, x: &'static Axis, y: &'static Axis) -> Result<Map> {
     let places: Vec<[f64; 2]> = y.values.iter().flat_map(|v| x.values.iter().map(|u| [*u, *v])).collect();
-    let cells = parallel::run(&format!("map {name}"), &places, |[u, v]| cell(x, y, *u, *v), |_| ());
-    let cells = cells.into_iter().collect::<Result<_>>()?;
+    let cells = parallel::run(&format!("map {name}"), &places, |[u, v]| cell(x, y, *u, *v))?;
     Ok(Map { name, x: x.label, y: y.label, x_values: x.values, y_values: y.values, cells })
 }
 
@@ -126,21 +125,29 @@ fn cell(x: &Axis, y: &Axis, u: f64, v: f64) -> Result<Cell> {
     })
 }
 
+const COLUMNS: &[Column<Map>] = &[
+    ("map", |map| map.name.into()),
+    ("cells with a touch", |map| map.touched().count().to_string()),
+    ("bounded, the law says no", |map| {
+        map.touched().filter(|cell| cell.bounded && !cell.theory_stable).count().to_string()
+    }),
+    ("not bounded, the law says yes", |map| map.touched().filter(|cell| cell.at_odds()).count().to_string()),
+    ("these are", |map| {
+        let named: Vec<String> =
+            map.touched().filter(|cell| cell.at_odds()).map(|cell| cell.words(map)).collect();
+        named.join("; ")
+    }),
+];
+
 /// Lists the cells in which simulation and law disagree, map by map.
 pub(crate) fn markdown() -> Result<String> {
-    let mut out = String::from(
-        "| map | cells with a touch | bounded, the law says no | not bounded, the law says yes | these are |\n|---|---|---|---|---|\n",
-    );
-    for map in all()? {
-        let touched = || map.cells.iter().filter(|cell| cell.peak_n[1] > 0.0);
-        let cautious = touched().filter(|cell| cell.bounded && !cell.theory_stable).count();
-        let wrong: Vec<&Cell> = touched().filter(|cell| cell.at_odds()).collect();
-        let named: Vec<String> = wrong.iter().map(|cell| cell.words(&map)).collect();
-        let (most, wrong) = (touched().count(), wrong.len());
-        // Writing to a string cannot fail.
-        let _ = writeln!(out, "| {} | {most} | {cautious} | {wrong} | {} |", map.name, named.join("; "));
+    Ok(study::table(COLUMNS, &all()?))
+}
+
+impl Map {
+    fn touched(&self) -> impl Iterator<Item = &Cell> {
+        self.cells.iter().filter(|cell| cell.peak_n[1] > 0.0)
     }
-    Ok(out)
 }
 
 impl Cell {

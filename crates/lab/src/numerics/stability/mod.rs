@@ -5,6 +5,7 @@ pub(crate) mod maps;
 mod single_precision;
 
 use crate::picture::{Picture as _, Width};
+use crate::study::{self, Answer, Column};
 use anyhow::{Context, Result, ensure};
 use moca_experiments::closed_loop::{Loads, Rig, Row};
 use moca_experiments::collision;
@@ -27,12 +28,11 @@ const BOUNDED_N: f64 = 150.0;
 /// Drift is what the base does from here on, s, in runs that are at least so long, s.
 const SETTLED_S: f64 = 20.0;
 const DRIFT_SEEN_S: f64 = 60.0;
-/// Arguments of `moca-lab stability`.
+/// The whole system at the stiff and extreme ends of its parameters.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
-    /// Prints one JSON object.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
     /// Writes the maps (SVG, PNG) and the table (JSON) into this folder.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -88,15 +88,14 @@ const BUDGET: &str = "at no time may the cover have given people more energy tha
                       flange's moving reference (K_d e . v_d) up to then, plus 1 J";
 
 /// Runs every case and the maps.
-#[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     if arguments.contact {
         let cases = contact::cases()?;
-        println!("{}", if arguments.json { serde_json::to_string_pretty(&cases)? } else { table(&cases) });
-        return if arguments.json { Ok(()) } else { contact::print_single_precision() };
+        return arguments
+            .answer
+            .print(&cases, || Ok(format!("{}\n{}", table(&cases), contact::single_table()?)));
     }
-    let cases = cases(&arguments.sensor)?;
-    let cases = parallel::run("cases", &cases, |(name, trial)| trial.run(name), |_| ());
+    let cases = all_run(&cases(&arguments.sensor)?)?;
     let maps = maps::all()?;
     if let Some(folder) = &arguments.out {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
@@ -107,22 +106,19 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         }
     }
     let report = Report { budget: BUDGET, cases, maps };
-    let json = serde_json::to_string_pretty(&report)?;
     if let Some(folder) = &arguments.out {
-        std::fs::write(folder.join("stability.json"), &json)?;
+        std::fs::write(folder.join("stability.json"), serde_json::to_string_pretty(&report)?)?;
     }
-    if arguments.json {
-        println!("{json}");
-    } else {
-        println!("{}", text(&report));
-    }
-    Ok(())
+    arguments.answer.print(&report, || Ok(format!("{}\nbudget: {BUDGET}", table(&report.cases))))
 }
 
 /// One in `step` cases of the table, run.
 pub(crate) fn one_in(step: usize) -> Result<Vec<Case>> {
-    let cases: Vec<_> = cases("ideal")?.into_iter().step_by(step).collect();
-    Ok(parallel::run("cases", &cases, |(name, trial)| trial.run(name), |_| ()))
+    all_run(&cases("ideal")?.into_iter().step_by(step).collect::<Vec<_>>())
+}
+
+fn all_run(cases: &[(String, Trial)]) -> Result<Vec<Case>> {
+    parallel::run("cases", cases, |(name, trial)| Ok(trial.run(name)))
 }
 
 impl Case {
@@ -159,34 +155,24 @@ pub(crate) fn markdown() -> Result<String> {
     ))
 }
 
-fn text(report: &Report) -> String {
-    format!("{}\nbudget: {}", table(&report.cases), report.budget)
-}
+const COLUMNS: &[Column<Case>] = &[
+    ("case", |case| case.name.clone()),
+    ("finite", |case| word(case.finite).into()),
+    ("bounded", |case| if case.touched() { word(case.bounded).into() } else { "no touch".into() }),
+    ("peak, N", |case| format!("{:.1}", case.peak_n)),
+    ("out, J", |case| format!("{:.2}", case.energy_out_j)),
+    ("reference, J", |case| format!("{:.2}", case.reference_j)),
+    ("excess, J", |case| format!("{:.3}", case.excess_j)),
+    ("budget", |case| if case.within_budget { "within".into() } else { "OVER".into() }),
+    ("CPU, s", |case| format!("{:.2}", case.cpu_s)),
+    ("stopped", |case| case.stopped.clone().unwrap_or_default()),
+];
 
 fn table(cases: &[Case]) -> String {
-    let mut lines = vec![format!(
-        "{:44} {:>7} {:>8} {:>9} {:>9} {:>12} {:>9} {:>7} {:>7}",
-        "case", "finite", "bounded", "peak N", "out J", "reference J", "excess J", "budget", "CPU s"
-    )];
-    for case in cases {
-        lines.push(format!(
-            "{:44} {:>7} {:>8} {:>9.1} {:>9.2} {:>12.2} {:>9.3} {:>7} {:>7.2} {}",
-            case.name,
-            word(case.finite),
-            if case.touched() { word(case.bounded) } else { "no touch" },
-            case.peak_n,
-            case.energy_out_j,
-            case.reference_j,
-            case.excess_j,
-            if case.within_budget { "within" } else { "OVER" },
-            case.cpu_s,
-            case.stopped.as_deref().unwrap_or("")
-        ));
-    }
-    lines.push(format!(
-        "bounded: below {BOUNDED_N} N and not swinging on; CPU s: of the whole run, {RUN_S} s unless named"
-    ));
-    lines.join("\n")
+    let table = study::table(COLUMNS, cases);
+    format!(
+        "{table}bounded: below {BOUNDED_N} N and not swinging on; CPU: of the whole run, {RUN_S} s unless named\n"
+    )
 }
 
 const fn word(yes: bool) -> &'static str {

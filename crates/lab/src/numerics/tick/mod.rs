@@ -14,6 +14,7 @@
 mod data;
 mod steps;
 
+use crate::study::{self, Answer, Column};
 use anyhow::Context as _;
 use data::{Anchor, Input};
 use moca_experiments::{JOINTS, count};
@@ -60,9 +61,8 @@ pub(crate) struct Arguments {
     /// Runs the live loop for so many seconds, 2 to 600.
     #[arg(long, value_name = "SECONDS")]
     live: Option<f64>,
-    /// One JSON object instead of tables.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
     /// Only runs the steps of one case, for a program that watches.
     #[arg(long, hide = true)]
     marked: Option<String>,
@@ -92,8 +92,25 @@ struct Peer {
     ns_median: f64,
 }
 
+/// Name of a tick, its least and median time, ns, and its largest relative error if it was checked.
+type Tick = (String, f64, f64, Option<f64>);
+
+const TICKS: &[Column<Tick>] = &[
+    ("tick", |(name, ..)| name.clone()),
+    ("ns least", |(_, least, ..)| format!("{least:.0}")),
+    ("ns median", |(_, _, median, _)| format!("{median:.0}")),
+    ("max rel. error", |(.., error)| error.map_or_else(String::new, |error| format!("{error:.1e}"))),
+];
+
+impl Report {
+    fn ticks(&self) -> Vec<Tick> {
+        let ours = |v: &Variant| (v.name.to_owned(), v.ns_least, v.ns_median, Some(v.max_rel_error));
+        let theirs = |peer: &Peer| (peer.name.clone(), peer.ns_min, peer.ns_median, None);
+        self.variants.iter().map(ours).chain(self.peers.iter().map(theirs)).collect()
+    }
+}
+
 /// Errs if a tick is off by more than [`TOLERANCE`].
-#[expect(clippy::print_stdout, reason = "the answer of a command")]
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(case) = &arguments.marked {
         return steps::marked(case);
@@ -115,20 +132,13 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(seconds) = arguments.live {
         report.live = Some(steps::live(seconds)?);
     }
-    if arguments.json {
-        println!("{}", serde_json::to_string(&report)?);
-    } else {
-        print!("{}", steps::table(&report.steps, report.live.as_ref()));
-        if !report.variants.is_empty() {
-            println!("\n{:40} {:>10} {:>10} {:>14}", "tick", "ns least", "ns median", "max rel. error");
+    arguments.answer.print(&report, || {
+        let mut text = steps::table(&report.steps, report.live.as_ref());
+        if arguments.anchor.is_some() {
+            text += &format!("\n{}", study::table(TICKS, &report.ticks()));
         }
-        for Variant { name, ns_least, ns_median, max_rel_error } in &report.variants {
-            println!("{name:40} {ns_least:10.0} {ns_median:10.0} {max_rel_error:14.1e}");
-        }
-        for Peer { name, ns_min, ns_median } in &report.peers {
-            println!("{name:40} {ns_min:10.0} {ns_median:10.0}");
-        }
-    }
+        Ok(text)
+    })?;
     for Variant { name, max_rel_error, .. } in &report.variants {
         let passes = *max_rel_error <= TOLERANCE;
         anyhow::ensure!(passes, "{name} is off by {max_rel_error:.1e}, more than {TOLERANCE:.0e}");

@@ -1,6 +1,7 @@
 //! Whole steps of the controllers: hot, cold, live, and what they need of any machine.
 
 use super::{PASSES, REPLACED_BYTES};
+use crate::study::{self, Column};
 use anyhow::{Result, anyhow, ensure};
 use moca_control::config::Config;
 use moca_control::stage::Stage;
@@ -13,7 +14,6 @@ use moca_experiments::parallel::Count;
 use moca_wbc::testing::footprint::{self, Footprint};
 use moca_wbc::testing::steps::{Case, Steps};
 use serde::Serialize;
-use std::fmt::Write as _;
 use std::hint::black_box;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -112,33 +112,25 @@ pub(super) fn live(seconds: f64) -> Result<Live> {
     })
 }
 
+const COLUMNS: &[Column<Row>] = &[
+    ("step", |row| row.name.into()),
+    ("ns least", |row| format!("{:.0}", row.hot_ns_least)),
+    ("ns median", |row| format!("{:.0}", row.hot_ns_median)),
+    ("ns cold", |row| format!("{:.0}", row.cold_ns_median)),
+    ("instructions", |row| counted(row.instructions)),
+    ("code bytes", |row| counted(row.code_bytes)),
+    ("code lines", |row| counted(row.code_lines_bytes)),
+    ("data lines", |row| counted(row.data_lines_bytes)),
+];
+
+fn counted(count: Option<u64>) -> String {
+    count.map_or("-".into(), |count| count.to_string())
+}
+
 pub(super) fn table(rows: &[Row], live: Option<&Live>) -> String {
-    let mut table = format!(
-        "{:12} {:>10} {:>10} {:>10} {:>13} {:>11} {:>11} {:>11}\n",
-        "step", "ns least", "ns median", "ns cold", "instructions", "code bytes", "code lines", "data lines"
-    );
-    let number = |count: Option<u64>| count.map_or("-".to_owned(), |count| count.to_string());
-    for row in rows {
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            table,
-            "{:12} {:10.0} {:10.0} {:10.0} {:>13} {:>11} {:>11} {:>11}",
-            row.name,
-            row.hot_ns_least,
-            row.hot_ns_median,
-            row.cold_ns_median,
-            number(row.instructions),
-            number(row.code_bytes),
-            number(row.code_lines_bytes),
-            number(row.data_lines_bytes),
-        );
-    }
-    let _ = writeln!(table, "lines: bytes of the cache lines of 64 bytes that a step touches");
-    if let Some(Live { control_us_p50, control_us_p99, ticks }) = live {
-        let _ = writeln!(
-            table,
-            "live, {ticks} ticks: control stage p50 {control_us_p50:.1} µs, p99 {control_us_p99:.1} µs"
-        );
-    }
-    table
+    let live = live.map_or_else(String::new, |Live { control_us_p50, control_us_p99, ticks }| {
+        format!("live, {ticks} ticks: control stage p50 {control_us_p50:.1} µs, p99 {control_us_p99:.1} µs\n")
+    });
+    let table = study::table(COLUMNS, rows);
+    format!("{table}lines: bytes of the cache lines of 64 bytes that a step touches\n{live}")
 }

@@ -28,8 +28,7 @@ pub(crate) fn markdown() -> Result<String> {
     let b1 = pushes::b1(&with(Law::Impedance, Sensor::Ideal))?;
     let b2 = pushes::b2(&with(Law::FollowMe, Sensor::Ideal))?;
     let sensors = [Sensor::Ideal, Sensor::Stock, Sensor::Off];
-    let c = parallel::run("collision", &sensors, |s| collision::run(&collision_with(*s)), |_| ());
-    let c = c.into_iter().collect::<Result<Vec<_>>>()?;
+    let c = parallel::run("collision", &sensors, |s| collision::run(&collision_with(*s)))?;
     let mut out = String::from("| claim | bound | here | |\n|---|---|---|---|\n");
     for Claim { what, bound, ours, holds } in all(&b1, &b2, &c)? {
         let verdict = if holds { "holds" } else { "**does not hold**" };

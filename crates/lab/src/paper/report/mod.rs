@@ -19,7 +19,7 @@ use moca_msgs::Law;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Arguments of `moca-lab report`.
+/// One self-contained HTML page: tables, figures, what matches the paper and what does not.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// Folder for report.html.
@@ -52,14 +52,11 @@ fn page() -> Result<String> {
     section(&mut body, "Tables I and II, Figure 4: the taxel", &tables, &figure_4);
 
     let sensors = [Sensor::Ideal, Sensor::Stock];
-    let b1 = parallel::run("report, Figure 5", &sensors, |s| pushes::b1(&with(Law::Impedance, *s)), |_| ());
-    let b2 = parallel::run("report, Figure 6", &sensors, |s| pushes::b2(&with(Law::FollowMe, *s)), |_| ());
+    let b1 = parallel::run("report, Figure 5", &sensors, |s| pushes::b1(&with(Law::Impedance, *s)))?;
+    let b2 = parallel::run("report, Figure 6", &sensors, |s| pushes::b2(&with(Law::FollowMe, *s)))?;
     let sensors = [Sensor::Ideal, Sensor::Stock, Sensor::Off];
-    let c = parallel::run("report, Figure 7", &sensors, |s| collision::run(&collision_with(*s)), |_| ());
+    let c = parallel::run("report, Figure 7", &sensors, |s| collision::run(&collision_with(*s)))?;
     let under_barrier = collision::run(&collision_under_barrier()?)?;
-    let b1 = b1.into_iter().collect::<Result<Vec<_>>>()?;
-    let b2 = b2.into_iter().collect::<Result<Vec<_>>>()?;
-    let c = c.into_iter().collect::<Result<Vec<_>>>()?;
     let texts =
         |runs: &[pushes::Run]| runs.iter().map(|run| run.report.text()).collect::<Vec<_>>().join("\n");
     for (title, law, runs, draw) in [

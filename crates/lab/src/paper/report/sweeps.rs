@@ -56,16 +56,12 @@ pub(super) fn draw() -> Result<Drawing> {
             }
         }
     }
-    let peaks = parallel::run(
-        "collisions",
-        &inputs,
-        |(.., settings)| collision::run(settings).map(|run| run.report),
-        |_| (),
-    );
+    let report = |(.., settings): &(usize, Sensor, f64, Settings)| Ok(collision::run(settings)?.report);
+    let reports = parallel::run("collisions", &inputs, report)?;
     let mut points = vec![[Vec::new(), Vec::new()]; AXES.len()];
     let mut stops = vec![[Vec::new(), Vec::new()]; AXES.len()];
-    for ((panel, sensor, value, _), report) in inputs.iter().zip(peaks) {
-        let (report, board) = (report?, usize::from(*sensor == Sensor::Stock));
+    for ((panel, sensor, value, _), report) in inputs.iter().zip(reports) {
+        let board = usize::from(*sensor == Sensor::Stock);
         let peaks = || report.peak_by_phase_n.iter().copied();
         let [least, most] = [peaks().fold(f64::INFINITY, f64::min), peaks().fold(0.0, f64::max)];
         if most > 0.0 {

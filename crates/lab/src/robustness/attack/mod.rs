@@ -1,13 +1,12 @@
 //! `moca-lab attack`: what people, programs and clients can do to the robot for minutes, and what must hold meanwhile and
 //! after. Each row states its seed and repeats by itself.
-#![expect(clippy::print_stdout, reason = "this is what the command is for")]
 
 mod network;
 mod world;
 
 use crate::robustness::watch::Findings;
+use crate::study::{self, Answer, Column};
 use anyhow::{Result, ensure};
-use moca_experiments::parallel;
 use moca_msgs::Law;
 use moca_tactile::Firmware;
 use network::Crowd;
@@ -31,9 +30,8 @@ pub(crate) struct Arguments {
     /// Robot time of each row, s; without it a lean lasts 300 s and a program 1800 s.
     #[arg(long)]
     seconds: Option<f64>,
-    /// One JSON object a row instead of a table.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// Attack on the robot.
@@ -120,28 +118,21 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let mut rows = rows(arguments.seed, arguments.seconds);
     rows.retain(|row| row.name().contains(&arguments.only));
     ensure!(!rows.is_empty(), "--only {:?}: no row has that in its name", arguments.only);
-    let found = outcomes(&rows)?;
-    if arguments.json {
-        for (row, found) in rows.iter().zip(&found) {
-            println!("{}", serde_json::json!({ "row": row, "found": found }));
-        }
-    } else {
-        print!("{}", table(&rows, &found));
-    }
-    let count: u64 = found.iter().map(|found| found.violation_count).sum();
-    let restless = found.iter().filter(|found| !found.restless.is_empty()).count();
+    let found = outcomes(rows)?;
+    arguments.answer.print_cases(&found, || Ok(table(&found)))?;
+    let count: u64 = found.iter().map(|(_, found)| found.violation_count).sum();
+    let restless = found.iter().filter(|(_, found)| !found.restless.is_empty()).count();
     ensure!(count == 0 && restless == 0, "{count} violations, no rest after a touch in {restless} rows");
     Ok(())
 }
 
-fn outcomes(rows: &[Row]) -> Result<Vec<Findings>> {
+fn outcomes(rows: Vec<Row>) -> Result<Vec<(Row, Findings)>> {
     // The network's rows need the processor for themselves.
     let (crowds, worlds): (Vec<Row>, Vec<Row>) =
-        rows.iter().copied().partition(|row| matches!(row.kind, Kind::Network(_)));
-    let found: Result<Vec<_>> = parallel::run("attack", &worlds, Row::run, |_| {}).into_iter().collect();
-    let mut found = found?;
-    for crowd in &crowds {
-        found.push(crowd.run()?);
+        rows.into_iter().partition(|row| matches!(row.kind, Kind::Network(_)));
+    let mut found = study::outcomes("attack", worlds, Row::run)?;
+    for crowd in crowds {
+        found.push((crowd, crowd.run()?));
     }
     Ok(found)
 }
@@ -151,23 +142,41 @@ pub(crate) fn markdown() -> Result<String> {
     let mut rows = rows(1, None);
     // Of these only the wall clock would be shown.
     rows.retain(|row| !matches!(row.kind, Kind::Network(_)));
-    let found = outcomes(&rows)?;
-    Ok(table(&rows, &found))
+    Ok(table(&outcomes(rows)?))
 }
 
-fn table(rows: &[Row], found: &[Findings]) -> String {
-    let mut text = "| attack | robot time, s | stops | slowest stop, ticks | joint speed | torque | cover commanded \
-                    | cover measured | cover with pushes | base energy, J | 2 s after a touch, m/s | violations |\n\
-                    |---|---|---|---|---|---|---|---|---|---|---|---|\n"
-        .to_owned();
+const COLUMNS: &[Column<(Row, Findings)>] = &[
+    ("attack", |(row, _)| row.name()),
+    ("robot time, s", |(row, _)| format!("{:.0}", row.seconds)),
+    ("stops", |(_, found)| {
+        let stops: Vec<String> = found.stops.iter().map(|(code, count)| format!("{count} {code}")).collect();
+        if stops.is_empty() { "–".into() } else { stops.join(", ") }
+    }),
+    ("slowest stop, ticks", |(_, found)| {
+        format!("{} of {} asked", found.slowest_stop_ticks, found.stops_asked)
+    }),
+    ("joint speed", |(_, found)| format!("{:.3}", found.largest_joint_speed_used)),
+    ("torque", |(_, found)| format!("{:.3}", found.largest_torque_used)),
+    ("cover commanded", |(_, found)| format!("{:.3}", found.largest_cover_command_used)),
+    ("cover measured", |(_, found)| format!("{:.3}", found.largest_cover_speed_of_limit)),
+    ("cover with pushes", |(_, found)| format!("{:.3}", found.largest_cover_speed_used)),
+    ("base energy, J", |(_, found)| format!("{:.2}", found.largest_base_energy_j)),
+    ("2 s after a touch, m/s", |(_, found)| format!("{:.4}", found.restless_m_s)),
+    ("violations", |(_, found)| found.violation_count.to_string()),
+];
+
+fn table(found: &[(Row, Findings)]) -> String {
+    let mut text = study::table(COLUMNS, found);
     let mut said = String::new();
-    for (row, found) in rows.iter().zip(found) {
-        text += &shown(row, found);
+    for (row, found) in found {
         for violation in found.violations.iter().chain(&found.restless) {
-            said += &format!("\n- {}: {violation}", row.name());
+            said += &format!("- {}: {violation}\n", row.name());
         }
     }
-    text + &said + if said.is_empty() { "" } else { "\n" }
+    if !said.is_empty() {
+        text += &format!("\n{said}");
+    }
+    text
 }
 
 /// The row of this name, found anew.
@@ -175,28 +184,7 @@ fn table(rows: &[Row], found: &[Findings]) -> String {
 pub(crate) fn row_named(name: &str) -> Result<String> {
     let rows = rows(1, None);
     let row = rows.iter().find(|row| row.name() == name).expect("an attack of that name");
-    Ok(shown(row, &row.run()?))
-}
-
-/// One row of the table.
-fn shown(row: &Row, found: &Findings) -> String {
-    let stops = found.stops.iter().map(|(code, count)| format!("{count} {code}")).collect::<Vec<_>>();
-    let stops = if stops.is_empty() { "–".into() } else { stops.join(", ") };
-    format!(
-        "| {} | {:.0} | {stops} | {} of {} asked | {:.3} | {:.3} | {:.3} | {:.3} | {:.3} | {:.2} | {:.4} | {} |\n",
-        row.name(),
-        row.seconds,
-        found.slowest_stop_ticks,
-        found.stops_asked,
-        found.largest_joint_speed_used,
-        found.largest_torque_used,
-        found.largest_cover_command_used,
-        found.largest_cover_speed_of_limit,
-        found.largest_cover_speed_used,
-        found.largest_base_energy_j,
-        found.restless_m_s,
-        found.violation_count
-    )
+    Ok(study::line(COLUMNS, &(*row, row.run()?)))
 }
 
 #[cfg(test)]
@@ -209,13 +197,13 @@ mod tests {
     fn minute_of_every_attack_passes_no_limit() {
         let row = |kind, law, firmware, seconds| Row { kind, law, firmware, seed: 3, seconds };
         let lean = Kind::Lean { taxel: 6, force_n: 60.0 };
-        let rows = [
+        let rows = vec![
             row(Kind::Program, Law::Impedance, Firmware::Moca, 20.0),
             row(Kind::Program, Law::FollowMe, Firmware::Stock2018, 20.0),
             row(Kind::Storm, Law::FollowMe, Firmware::Moca, 10.0),
             row(lean, Law::FollowMe, Firmware::Moca, 10.0),
         ];
-        for (row, found) in rows.iter().zip(outcomes(&rows).unwrap()) {
+        for (row, found) in outcomes(rows).unwrap() {
             assert!(found.violations.is_empty(), "{}: {:#?}", row.name(), found.violations);
             assert!(found.restless.is_empty(), "{}: {:#?}", row.name(), found.restless);
             // By the definition of the limit, and next to the limit itself.
@@ -237,7 +225,7 @@ mod tests {
             }
         }
         let mut largest: f64 = 0.0;
-        for (row, found) in rows.iter().zip(outcomes(&rows).unwrap()) {
+        for (row, found) in outcomes(rows).unwrap() {
             assert!(found.violations.is_empty(), "{}: {:#?}", row.name(), found.violations);
             assert!(found.largest_cover_speed_used < 1.0 + INERTIA_ROUNDED, "{}: {found:?}", row.name());
             assert!(found.largest_cover_command_used < 1.0 + 1e-9, "{}: {found:?}", row.name());

@@ -5,10 +5,10 @@ use crate::robustness::cover_speed::{Inertia, Pushes};
 use crate::robustness::hands::{Hands, press};
 use crate::robustness::watch::{Findings, STOP_TICKS, Watch};
 use anyhow::Result;
-use moca_control::config::{Config, HandConfig};
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
+use moca_experiments::unattended;
 use moca_msgs::{Law, Mode, Request};
 use moca_sim::VirtualBoardConfig;
 
@@ -37,10 +37,8 @@ struct World {
 
 impl World {
     fn new(row: &Row) -> Result<Self> {
-        let mut config = Config::default();
-        config.simulation.hand = HandConfig::none();
+        let mut config = unattended(row.law);
         config.simulation.seed = row.seed;
-        config.startup.law = row.law;
         config.startup.arm = false;
         config.board.firmware = row.firmware;
         let board =

@@ -1,10 +1,10 @@
 //! `moca-lab faults`: every fault that can be injected, and what the robot does about it with a stock board.
-#![expect(clippy::print_stdout, reason = "this is what the command is for")]
 
 #[cfg(test)]
 mod tests;
 
 use crate::robustness::trial;
+use crate::study::{self, Answer, Column};
 use anyhow::Result;
 use moca_daemon::inject::FAULTS;
 use moca_experiments::parallel;
@@ -17,9 +17,8 @@ pub(crate) struct Arguments {
     /// Seed of the spoiled bytes and of the board's noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Print JSON.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 #[derive(Serialize)]
@@ -38,70 +37,48 @@ struct Row {
 
 fn rows(seed: u64) -> Result<Vec<Row>> {
     let stock = Firmware::Stock2018;
-    let trials = parallel::run("faults", FAULTS, |fault| trial::run(*fault, stock, seed, 10_000), |_| {});
-    trials
-        .into_iter()
-        .map(|trial| {
-            let trial = trial?;
-            Ok(Row {
-                fault: trial.fault.name,
-                what: trial.fault.text,
-                mode: trial.mode.name(),
-                cause: trial.cause.map(|cause| cause.code()),
-                reaction_ticks: trial.reaction_ticks,
-                speed_after_m_s: trial.speed_after_m_s,
-                way_mm: trial.way_m * 1e3,
-                frames_bad: trial.frames_bad,
-                overruns: trial.overruns,
-                reported: trial.reported,
-            })
+    parallel::run("faults", FAULTS, |fault| {
+        let trial = trial::run(*fault, stock, seed, 10_000)?;
+        Ok(Row {
+            fault: trial.fault.name,
+            what: trial.fault.text,
+            mode: trial.mode.name(),
+            cause: trial.cause.map(|cause| cause.code()),
+            reaction_ticks: trial.reaction_ticks,
+            speed_after_m_s: trial.speed_after_m_s,
+            way_mm: trial.way_m * 1e3,
+            frames_bad: trial.frames_bad,
+            overruns: trial.overruns,
+            reported: trial.reported,
         })
-        .collect()
+    })
 }
+
+const COLUMNS: [Column<Row>; 6] = [
+    ("fault", |row| format!("`{}`", row.fault)),
+    ("what happens", |row| row.what.into()),
+    ("mode at the end", |row| row.mode.into()),
+    ("cause", |row| row.cause.unwrap_or("–").into()),
+    ("reaction, ticks", |row| row.reaction_ticks.map_or("–".into(), |ticks| ticks.to_string())),
+    ("way, mm", |row| format!("{:.1}", row.way_mm)),
+];
+
+/// Columns that only the command prints.
+const MORE: [Column<Row>; 4] = [
+    ("speed after, m/s", |row| format!("{:.4}", row.speed_after_m_s)),
+    ("bad frames", |row| row.frames_bad.to_string()),
+    ("missed slots", |row| row.overruns.to_string()),
+    ("reported", |row| row.reported.clone().unwrap_or_default()),
+];
 
 /// The table for the documents.
 pub(crate) fn markdown() -> Result<String> {
-    let mut table = "| fault | what happens | mode at the end | cause | reaction, ticks | way, mm |\n|---|---|---|---|---|---|\n".to_owned();
-    for row in rows(1)? {
-        let ticks = row.reaction_ticks.map_or("–".into(), |ticks| ticks.to_string());
-        let Row { fault, what, mode, way_mm, .. } = row;
-        let cause = row.cause.unwrap_or("–");
-        table += &format!("| `{fault}` | {what} | {mode} | {cause} | {ticks} | {way_mm:.1} |\n");
-    }
-    Ok(table)
+    Ok(study::table(&COLUMNS, &rows(1)?))
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
-    let rows = rows(arguments.seed)?;
-    if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&rows)?);
-        return Ok(());
-    }
-    println!(
-        "Each fault strikes a moving robot (T6 pressed with 20 N) 3 s into a run of 13 s; a tick is 1 ms.\n"
-    );
-    println!(
-        "{:<20} {:<16} {:<18} {:>9} {:>12} {:>8} {:>7} {:>7}  what happens",
-        "fault", "mode at the end", "cause", "reaction", "speed after", "way", "bad", "missed"
-    );
-    println!(
-        "{:<20} {:<16} {:<18} {:>9} {:>12} {:>8} {:>7} {:>7}",
-        "", "", "", "ticks", "m/s", "mm", "frames", "slots"
-    );
-    for row in &rows {
-        let ticks = row.reaction_ticks.map_or("-".into(), |ticks| ticks.to_string());
-        println!(
-            "{:<20} {:<16} {:<18} {:>9} {:>12.4} {:>8.1} {:>7} {:>7}  {}",
-            row.fault,
-            row.mode,
-            row.cause.unwrap_or("-"),
-            ticks,
-            row.speed_after_m_s,
-            row.way_mm,
-            row.frames_bad,
-            row.overruns,
-            row.reported.as_ref().map_or(row.what.into(), |reported| format!("{} ({reported})", row.what)),
-        );
-    }
-    Ok(())
+    let (rows, columns) = (rows(arguments.seed)?, [&COLUMNS[..], &MORE].concat());
+    let head =
+        "Each fault strikes a moving robot (T6 pressed with 20 N) 3 s into a run of 13 s; a tick is 1 ms.";
+    arguments.answer.print(&rows, || Ok(format!("{head}\n\n{}", study::table(&columns, &rows))))
 }

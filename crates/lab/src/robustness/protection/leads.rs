@@ -106,14 +106,14 @@ impl Run {
 
 /// The table.
 pub(crate) fn markdown() -> Result<String> {
-    let lines = parallel::run("leads", &Lead::all(), Lead::line, |_| ());
+    let lines = parallel::run("leads", &Lead::all(), Lead::line)?;
     let mut out = format!(
         "| board | barrier | who leads | leads at, m/s | met at, m/s | worst in 0.1 s | in 0.5 s | in 3 s | places above {:.0} N | stopped at |\n\
          |---|---|---|---|---|---|---|---|---|---|\n",
         table::limit_n()
     );
     for line in lines {
-        out.push_str(&line?);
+        out.push_str(&line);
         out.push('\n');
     }
     Ok(out)

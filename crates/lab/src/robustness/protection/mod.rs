@@ -8,10 +8,11 @@ mod table;
 mod walk_in;
 
 use crate::campaign::Shards;
+use crate::study;
 use anyhow::{Context as _, Result};
 use cell::{COLUMNS, Cell, Law, PHASES};
 pub(crate) use leads::markdown as leads_markdown;
-use moca_experiments::campaign::Table;
+use moca_experiments::campaign::{Column, Table, cells, names};
 use moca_experiments::drawn::Meetings;
 use moca_experiments::meeting::Outcome;
 use moca_experiments::parallel;
@@ -21,8 +22,23 @@ use std::path::{Path, PathBuf};
 
 /// Seed of the order of cells.
 const SEED: u64 = 1;
-/// Columns after the cell's own.
-const RESULTS: &str = "law,approach_m_s,first_touch_n,impact_n,peak_n,peak_after_s,felt_after_s,least_n,taps,grows,again,first_peak_n,later_n,flange_mm,stopped";
+/// Columns after the cell's own and the law.
+const RESULTS: &[Column<Outcome>] = &[
+    ("approach_m_s", |outcome| format!("{:.4}", outcome.approach_m_s)),
+    ("first_touch_n", |outcome| format!("{:.2}", outcome.first_touch_n)),
+    ("impact_n", |outcome| format!("{:.2}", outcome.impact_n)),
+    ("peak_n", |outcome| format!("{:.2}", outcome.peak_n)),
+    ("peak_after_s", |outcome| format!("{:.3}", outcome.peak_after_s)),
+    ("felt_after_s", |outcome| format!("{:.3}", outcome.felt_after_s)),
+    ("least_n", |outcome| format!("{:.2}", outcome.least_n)),
+    ("taps", |outcome| outcome.taps.to_string()),
+    ("grows", |outcome| outcome.grows.to_string()),
+    ("again", |outcome| outcome.again.to_string()),
+    ("first_peak_n", |outcome| format!("{:.2}", outcome.first_peak_n)),
+    ("later_n", |outcome| format!("{:.2}", outcome.later_n)),
+    ("flange_mm", |outcome| format!("{:.2}", outcome.flange_mm)),
+    ("stopped", |outcome| outcome.stopped.clone()),
+];
 
 /// Collisions all round the cover, with what ships and with the contact barrier.
 #[derive(clap::Args)]
@@ -59,27 +75,26 @@ pub(crate) struct Arguments {
 }
 
 /// Runs what is missing, or prints what is there.
-#[expect(clippy::print_stdout, reason = "the command's output")]
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     if let Some(path) = &arguments.table {
         if let Some(summary) = of_random(path)? {
-            print!("{summary}");
+            study::print(&summary);
             return Ok(());
         }
-        print!("{}\n{}\n{}", table::of_file(path)?, table::failures(path)?, table::missed(path)?);
+        study::print(&[table::of_file(path)?, table::failures(path)?, table::missed(path)?].join("\n"));
         return Ok(());
     }
     if let Some(run) = arguments.drawn {
-        print!("{}", Meetings { runs: 1 + run, seed: arguments.seed }.keys(run));
+        study::print(&Meetings { runs: 1 + run, seed: arguments.seed }.keys(run));
     }
     if arguments.short {
-        print!("{}", markdown()?);
+        study::print(&markdown()?);
     }
     if arguments.walk_in {
-        print!("{}", walk_in::markdown()?);
+        study::print(&walk_in::markdown()?);
     }
     if arguments.leads {
-        print!("{}", leads::markdown()?);
+        study::print(&leads::markdown()?);
     }
     let Some(out) = &arguments.out else { return Ok(()) };
     let seed = arguments.seed;
@@ -118,14 +133,12 @@ const SHORT_PHASES: u32 = 2;
 
 /// The short table: a cell a line, under the speed limit alone and with the barrier.
 pub(crate) fn markdown() -> Result<String> {
-    let lines = parallel::run("protection", &Cell::short(), short_line, |_| ());
+    let lines = parallel::run("protection", &Cell::short(), short_line)?;
     let mut out = String::from(
         "| place | who moves | board | body | foam | share | robot | seed | m/s | barrier off | barrier on | least | taps | flange | why |\n\
          |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
     );
-    for line in lines {
-        out.push_str(&line?);
-    }
+    out.push_str(&lines.concat());
     Ok(out)
 }
 
@@ -133,7 +146,7 @@ fn short_line(cell: &Cell) -> Result<String> {
     let limited = cell.worst(Law::SpeedLimit, SHORT_PHASES)?;
     let kept = cell.worst(Law::Barrier, SHORT_PHASES)?;
     let stopped = |outcome: &Outcome| if outcome.stopped.is_empty() { "" } else { ", stop" };
-    let row = format!("0,{},{},{}", cell.columns()?, Law::Barrier.name(), columns(&kept));
+    let row = format!("0,{},{},{}", cell.columns()?, Law::Barrier.name(), cells(RESULTS, &kept));
     Ok(format!(
         "| {} | {:.0} N{} | {:.1} N{} | {:.1} N | {} | {:.1} mm | {} |\n",
         cell.columns()?.replace(',', " | "),
@@ -191,7 +204,7 @@ impl Grid {
 }
 
 fn header() -> String {
-    format!("run,{COLUMNS},{RESULTS}")
+    format!("run,{COLUMNS},law,{}", names(RESULTS))
 }
 
 impl Table for Grid {
@@ -210,7 +223,7 @@ impl Table for Grid {
     fn row(&self, id: usize) -> Result<String> {
         let (cell, law) = (&self.cells[id / Law::ALL.len()], Law::ALL[id % Law::ALL.len()]);
         let outcome = cell.worst(law, PHASES)?;
-        Ok(format!("{id},{},{},{}", cell.columns()?, law.name(), columns(&outcome)))
+        Ok(format!("{id},{},{},{}", cell.columns()?, law.name(), cells(RESULTS, &outcome)))
     }
 }
 
@@ -241,27 +254,6 @@ impl Cell {
     fn outcome(&self, settings: &Settings) -> Result<Outcome> {
         Outcome::of(self.meeting, &self.meeting_there(), settings)
     }
-}
-
-/// As [`RESULTS`] after the law.
-fn columns(outcome: &Outcome) -> String {
-    format!(
-        "{:.4},{:.2},{:.2},{:.2},{:.3},{:.3},{:.2},{},{},{},{:.2},{:.2},{:.2},{}",
-        outcome.approach_m_s,
-        outcome.first_touch_n,
-        outcome.impact_n,
-        outcome.peak_n,
-        outcome.peak_after_s,
-        outcome.felt_after_s,
-        outcome.least_n,
-        outcome.taps,
-        outcome.grows,
-        outcome.again,
-        outcome.first_peak_n,
-        outcome.later_n,
-        outcome.flange_mm,
-        outcome.stopped
-    )
 }
 
 #[cfg(test)]
@@ -297,9 +289,9 @@ mod tests {
         let Some(shown) = crate::docs::shown("protection-short") else { return };
         assert_eq!(shown.lines().filter(|line| line.starts_with("| ")).count(), 1 + Cell::short().len());
         let cells: Vec<Cell> = Cell::short().into_iter().step_by(9).collect();
-        for line in parallel::run("protection", &cells, short_line, |_| ()) {
+        for line in parallel::run("protection", &cells, short_line).unwrap() {
             // An empty cell has one space in a table that was a CSV file.
-            let line = line.unwrap().replace("|  |", "| |");
+            let line = line.replace("|  |", "| |");
             assert!(shown.contains(&line), "`moca-lab docs --only protection-short` writes it anew: {line}");
         }
     }

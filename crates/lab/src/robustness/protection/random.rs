@@ -173,7 +173,6 @@ fn why(entry: &Entry<'_>) -> &'static str {
 mod tests {
     use super::*;
     use crate::robustness::protection::table;
-    use anyhow::Result;
     use moca_experiments::campaign::Table as _;
     use moca_experiments::drawn::Meetings;
     use moca_experiments::parallel;
@@ -187,8 +186,7 @@ mod tests {
     #[test]
     fn drawn_meetings_keep_people_below_the_limit() {
         let ids: Vec<usize> = (0..200).collect();
-        let rows = parallel::run("random", &ids, |id| MEETINGS.row(*id), |_| ());
-        let rows: Vec<String> = rows.into_iter().collect::<Result<_>>().unwrap();
+        let rows = parallel::run("random", &ids, |id| MEETINGS.row(*id)).unwrap();
         let text = format!("{}\n{}\n", MEETINGS.header(), rows.join("\n"));
         table::entries(&text, |entries| {
             let mut within = [0, 0];

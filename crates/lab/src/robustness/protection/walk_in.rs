@@ -52,12 +52,12 @@ impl Walk {
 
 /// The table.
 pub(super) fn markdown() -> Result<String> {
-    let lines = parallel::run("walk-in", &Walk::all(), Walk::line, |_| ());
+    let lines = parallel::run("walk-in", &Walk::all(), Walk::line)?;
     let mut out = String::from(
         "| board | barrier | walks, m/s | bound, m/s | T5 | T6 | T7 |\n|---|---|---|---|---|---|---|\n",
     );
     for line in lines {
-        let _ = writeln!(out, "{}", line?);
+        let _ = writeln!(out, "{line}");
     }
     Ok(out)
 }

@@ -1,16 +1,17 @@
 //! `moca-lab soak`: hours of robot time in lock-step under random hands, requests, board faults and bad clients.
-#![expect(clippy::print_stdout, reason = "this is what the command is for")]
 
 mod onlookers;
 
 use crate::robustness::cover_speed::{Inertia, Pushes};
 use crate::robustness::hands::{BLOW_TICKS, BURST, Deeds, FORCES_N, Hands};
 use crate::robustness::watch::{Findings, Watch};
+use crate::study::Answer;
 use anyhow::{Context, Result, ensure};
-use moca_control::config::{Config, HandConfig};
 use moca_daemon::cli::progress::Progress;
 use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::runtime::lockstep::LockStep;
+use moca_experiments::unattended;
+use moca_msgs::Law;
 use moca_sim::VirtualBoardConfig;
 use moca_tactile::Firmware;
 use moca_telemetry::RobotDescription;
@@ -39,9 +40,8 @@ pub(crate) struct Arguments {
     /// Seed of everything random.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Print JSON.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// Findings of a soak.
@@ -72,11 +72,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked above")]
     let ticks = (arguments.hours * 3.6e6) as u64;
     let report = soak(ticks, SEGMENT_TICKS, arguments.seed)?;
-    if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
-    } else {
-        print(&report);
-    }
+    arguments.answer.print(&report, || Ok(text(&report)))?;
     let (first_kib, last_kib) = (report.in_use_first_kib, report.in_use_last_kib);
     ensure!(
         last_kib.saturating_sub(first_kib) <= GROWTH_MAX_KIB,
@@ -89,8 +85,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 
 #[expect(clippy::cast_precision_loss, reason = "a share")]
 fn soak(ticks: u64, segment_ticks: u64, seed: u64) -> Result<Report> {
-    let mut config = Config::default();
-    config.simulation.hand = HandConfig::none();
+    let mut config = unattended(Law::Impedance);
     config.simulation.seed = seed;
     // The operator arms: every change of mode is then one row of the table and one sample.
     config.startup.arm = false;
@@ -184,47 +179,36 @@ pub(super) fn in_use_kib() -> u64 {
     (memory.uordblks + memory.hblkhd) as u64 / 1024
 }
 
-fn print(report: &Report) {
-    let (seconds, deeds, found) = (report.ticks / 1000, &report.deeds, &report.findings);
-    println!(
-        "{:.2} h of robot time in {:.0} s; {} presses, {} requests ({} refused), {} board faults",
-        f64::from(u32::try_from(seconds).unwrap_or(u32::MAX)) / 3600.0,
-        report.wall_s,
-        deeds.presses,
-        report.requests,
-        report.requests_refused,
-        deeds.board_faults
-    );
-    println!(
-        "{} heavy presses, {} blows of {BLOW_TICKS} ms (up to {} N), {} bursts of {BURST} requests, {} clients killed, {} samples \
-         not sent, {} lines that a stalled terminal did not take",
-        deeds.heavy_presses,
-        deeds.blows,
+fn text(report: &Report) -> String {
+    let Report { requests, requests_refused, clients_killed, samples_dropped, lines_lost, .. } = report;
+    let Report { wall_s, in_use_first_kib, in_use_last_kib, samples_read_back, .. } = report;
+    let Deeds { presses, board_faults, heavy_presses, blows, bursts, .. } = &report.deeds;
+    let found = &report.findings;
+    let hours = f64::from(u32::try_from(report.ticks / 1000).unwrap_or(u32::MAX)) / 3600.0;
+    let violations: String = found.violations.iter().map(|violation| format!("  {violation}\n")).collect();
+    format!(
+        "{hours:.2} h of robot time in {wall_s:.0} s; {presses} presses, {requests} requests ({requests_refused} refused), \
+         {board_faults} board faults\n\
+         {heavy_presses} heavy presses, {blows} blows of {BLOW_TICKS} ms (up to {} N), {bursts} bursts of {BURST} requests, \
+         {clients_killed} clients killed, {samples_dropped} samples not sent, {lines_lost} lines that a stalled terminal did not \
+         take\n\
+         stops             {:?}\n\
+         ticks in mode     {:?}\n\
+         largest base speed {:.3} m/s\n\
+         largest share of a limit: torque {:.3}, torque rate {:.3}, base acceleration {:.3}, joint speed {:.3}\n\
+         memory in use     {in_use_first_kib} KiB after the first minute, {in_use_last_kib} KiB at the end\n\
+         log               {samples_read_back} samples written and read back\n\
+         violations        {}\n{violations}",
         FORCES_N[2],
-        deeds.bursts,
-        report.clients_killed,
-        report.samples_dropped,
-        report.lines_lost
-    );
-    println!("stops             {:?}", found.stops);
-    println!("ticks in mode     {:?}", found.ticks_in_mode);
-    println!("largest base speed {:.3} m/s", found.largest_base_speed_m_s);
-    println!(
-        "largest share of a limit: torque {:.3}, torque rate {:.3}, base acceleration {:.3}, joint speed {:.3}",
+        found.stops,
+        found.ticks_in_mode,
+        found.largest_base_speed_m_s,
         found.largest_torque_used,
         found.largest_torque_rate_used,
         found.largest_base_acceleration_used,
-        found.largest_joint_speed_used
-    );
-    println!(
-        "memory in use     {} KiB after the first minute, {} KiB at the end",
-        report.in_use_first_kib, report.in_use_last_kib
-    );
-    println!("log               {} samples written and read back", report.samples_read_back);
-    println!("violations        {}", found.violation_count);
-    for violation in &found.violations {
-        println!("  {violation}");
-    }
+        found.largest_joint_speed_used,
+        found.violation_count
+    )
 }
 
 #[cfg(test)]

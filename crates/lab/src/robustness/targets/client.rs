@@ -1,11 +1,12 @@
 //! A program that asks for whatever comes to its mind.
 
 use super::Outcome;
+use crate::robustness::self_collision::{in_ball, share, twist};
 use moca_control::config::Config;
 use moca_control::targets::Targets;
 use moca_daemon::inject::Random;
 use moca_experiments::JOINTS;
-use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S, TargetPhase};
+use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S};
 use moca_msgs::{
     ArmTable, Law, Outcome as Answer, ParameterValues, Refusal, Request, Sample, Target, TargetRefusal,
     TimedTarget, TouchPolicy, TwistAxes, Waypoint,
@@ -40,26 +41,25 @@ enum Whim {
 pub(super) struct Client {
     random: Random,
     law: Law,
-    arm: &'static ArmTable<JOINTS>,
+    arm: ArmTable<JOINTS>,
     workspace: Workspace,
     whim: Whim,
     /// Ticks since it began, and at which it ends.
     tick: u64,
     until: u64,
-    reached: bool,
 }
 
 impl Client {
-    pub(super) fn new(config: &Config, law: Law, arm: &'static ArmTable<JOINTS>, seed: u64) -> Self {
+    pub(super) fn new(config: &Config, law: Law, arm: ArmTable<JOINTS>, seed: u64) -> Self {
         let workspace = *Targets::new(config).workspace();
         let random = Random::new(seed);
-        Self { random, law, arm, workspace, whim: Whim::Silence, tick: 0, until: 100, reached: false }
+        Self { random, law, arm, workspace, whim: Whim::Silence, tick: 0, until: 100 }
     }
 
     /// Returns the request of this tick.
     pub(super) fn ask(&mut self, sample: &Sample) -> Option<Request> {
         if self.tick >= self.until {
-            (self.tick, self.reached) = (0, false);
+            self.tick = 0;
             self.until = 200 + self.random.bits() % 5000;
             self.whim = self.another(sample);
         }
@@ -88,20 +88,8 @@ impl Client {
         }
     }
 
-    /// Takes the answer, and the progress of its target.
-    pub(super) fn hear(
-        &mut self,
-        request: Option<Request>,
-        answer: Option<Answer>,
-        sample: &Sample,
-        outcome: &mut Outcome,
-    ) {
-        let leads = matches!(self.whim, Whim::Steady(_) | Whim::Trajectory(_));
-        let reached = sample.target.is_some_and(|target| target.phase == TargetPhase::Reached);
-        if leads && reached && !self.reached && self.tick > RENEWED_EVERY {
-            self.reached = true;
-            outcome.reached += 1;
-        }
+    /// Takes the answer.
+    pub(super) fn hear(&self, request: Option<Request>, answer: Option<Answer>, outcome: &mut Outcome) {
         let (Some(request), Some(answer)) = (request, answer) else { return };
         let nonsense = matches!(self.whim, Whim::Nonsense(_));
         match answer {
@@ -111,7 +99,8 @@ impl Client {
                     Request::Waypoint { .. } => "trajectory",
                     _ => "end",
                 };
-                *outcome.taken.entry(kind).or_default() += 1;
+                outcome.taken += 1;
+                outcome.kinds.insert(kind);
                 if nonsense {
                     outcome.wrong.push(format!("taken: {request:?}"));
                 }
@@ -152,7 +141,7 @@ impl Client {
                 self.until = self.until.min(1000);
                 Whim::Flood
             }
-            6 | 7 => Whim::Steady(self.twist()),
+            6 | 7 => Whim::Steady(twist(&mut self.random)),
             8 | 9 => Whim::Steady(self.posture()),
             10 => Whim::Trajectory(self.trajectory(sample)),
             11 => Whim::Steady(self.base()),
@@ -167,25 +156,8 @@ impl Client {
         }
     }
 
-    /// From -1 to 1.
-    #[expect(clippy::cast_precision_loss, reason = "a random number")]
-    fn share(&mut self) -> f64 {
-        (self.random.bits() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    }
-
-    /// Uniform in the unit ball.
-    fn in_ball<const N: usize>(&mut self) -> [f64; N] {
-        loop {
-            let v: [f64; N] = std::array::from_fn(|_| self.share());
-            let squared: f64 = v.iter().map(|x| x * x).sum();
-            if (1e-4..=1.0).contains(&squared) {
-                return v;
-            }
-        }
-    }
-
     fn quaternion(&mut self) -> [f64; 4] {
-        let v: [f64; 4] = self.in_ball();
+        let v: [f64; 4] = in_ball(&mut self.random);
         let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
         v.map(|x| x / length)
     }
@@ -193,30 +165,18 @@ impl Client {
     /// Anywhere within reach, or a little beyond it, turned anyhow.
     fn pose(&mut self, sample: &Sample) -> Target {
         let Workspace { shoulder_base_m, reach_m, .. } = self.workspace;
-        let ball: [f64; 3] = self.in_ball();
+        let ball: [f64; 3] = in_ball(&mut self.random);
         let from_base: [f64; 3] = std::array::from_fn(|i| shoulder_base_m[i] + 1.02 * reach_m * ball[i]);
         let [x, y, yaw] = sample.base_pose_world;
         let [fx, fy, fz] = rotation::Heading::at(yaw).to_world(from_base);
         Target::Pose { position_world: [x + fx, y + fy, fz], quaternion_world: self.quaternion() }
     }
 
-    fn twist(&mut self) -> Target {
-        let axes = [TwistAxes::World, TwistAxes::Base, TwistAxes::Flange][self.random.below(3)];
-        // As fast as is allowed along and about every axis, or anything below.
-        let corner = self.random.one_in(2);
-        let twist = std::array::from_fn(|i| {
-            let most = if i < 3 { SPEED_MAX_M_S } else { SPEED_MAX_RAD_S };
-            let share = self.share();
-            most * if corner { share.signum() } else { share }
-        });
-        Target::Twist { axes, twist }
-    }
-
     fn posture(&mut self) -> Target {
         let (low, high) = (self.arm.q_min_rad, self.arm.q_max_rad);
         let corner = self.random.one_in(4);
         let q: [f64; JOINTS] = std::array::from_fn(|i| {
-            let share = self.share();
+            let share = share(&mut self.random);
             let share = if corner { share.signum() } else { share };
             // Nearer to its end the range pushes back.
             0.5 * (low[i] + high[i] + share * (high[i] - low[i] - 2.001 * REPULSION_BAND_RAD))
@@ -226,7 +186,7 @@ impl Client {
 
     fn base(&mut self) -> Target {
         let most = [0.5, 0.5, 0.8];
-        Target::BaseVelocity { velocity_body: most.map(|most| most * self.share()) }
+        Target::BaseVelocity { velocity_body: most.map(|most| most * share(&mut self.random)) }
     }
 
     fn trajectory(&mut self, sample: &Sample) -> Vec<Waypoint> {
@@ -241,7 +201,7 @@ impl Client {
                 time_s += way_s.max(turn_rad / (0.8 * SPEED_MAX_RAD_S));
                 before = Some(quaternion_world);
                 let waypoint = Waypoint { time_s, position_world: [x, y, z], quaternion_world };
-                let way: [f64; 3] = self.in_ball().map(|v: f64| 0.4 * v);
+                let way: [f64; 3] = in_ball(&mut self.random).map(|v: f64| 0.4 * v);
                 way_s = way.iter().fold(0.05, |most, v| v.abs().max(most)) / (0.8 * SPEED_MAX_M_S);
                 [x, y, z] = [x + way[0], y + way[1], z + way[2]];
                 waypoint
@@ -252,7 +212,7 @@ impl Client {
     /// Each of them is refused.
     fn nonsense(&mut self, sample: &Sample) -> TimedTarget {
         let Target::Pose { position_world, quaternion_world } = self.pose(sample) else {
-            return TimedTarget { age_s: 9.0, ..TimedTarget::new(self.twist()) };
+            return TimedTarget { age_s: 9.0, ..TimedTarget::new(twist(&mut self.random)) };
         };
         let [x, y, _] = sample.base_pose_world;
         let at = |position_world| Target::Pose { position_world, quaternion_world };

@@ -160,8 +160,7 @@ pub(crate) fn rows(chosen: impl Fn(&str) -> bool) -> Result<Vec<String>> {
         scenes.extend(make()?.into_iter().map(|scene| (*name, scene)));
     }
     let of = |(name, scene): &(&str, Scene)| scene.bars().with_context(|| (*name).to_owned());
-    let bars = parallel::run("error bars", &scenes, of, |_| ());
-    let bars = bars.into_iter().collect::<Result<Vec<_>>>()?;
+    let bars = parallel::run("error bars", &scenes, of)?;
     let mut rows = Vec::new();
     for (name, _) in scenes::GROUPS.iter().filter(|(name, _)| chosen(name)) {
         let own = scenes.iter().zip(&bars).filter(|((group, _), _)| group == name);

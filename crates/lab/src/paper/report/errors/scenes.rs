@@ -5,7 +5,7 @@ use crate::cover::{characterize, map};
 use crate::numerics::{barrier, stability};
 use crate::paper::push::{self, Outcome, Push};
 use crate::paper::report::{collision_under_barrier, collision_with, with};
-use crate::paper::{kept_pushes, opposite_hands, pushes};
+use crate::paper::{opposite_hands, pushes};
 use crate::robustness::protection;
 use anyhow::Result;
 use moca_experiments::closed_loop::Rig;
@@ -48,7 +48,10 @@ pub(super) const GROUPS: &[(&str, Scenes)] = &[
     ("B2-iii, hands that add up", sums),
     ("Table I", table_1),
     ("pushes, barrier off and on", || {
-        kept_pushes::Run::ALL.iter().map(|run| Ok(in_a_row(&run.settings()?, run.pushes()))).collect()
+        Ok(pushes::under_barrier()?
+            .into_iter()
+            .map(|(settings, pushes)| in_a_row(&settings, pushes))
+            .collect())
     }),
     ("hands that cancel", opposite),
     ("the loop in contact", contact),
