@@ -3,13 +3,14 @@
 
 use crate::cli::operator::{Arguments, Operator, Stopped, interrupted};
 use crate::cli::remote::{LOOK_EVERY, news, settled};
-use crate::cli::report::{Level, Report};
+use crate::cli::report::Report;
 use crate::cli::status::Status;
 use crate::cli::target::{self, TargetArguments};
 use anyhow::{Result, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use moca_msgs::{Law, Mode, Request, Sample, TaxelStatus};
 use moca_telemetry::net::{Commander, Link, Update};
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -206,7 +207,7 @@ struct Lines<'a> {
 
 impl<'a> Lines<'a> {
     fn new(operator: &'a Operator) -> Self {
-        Self { operator, report: Report::new(Level::Info) }
+        Self { operator, report: Report::of(Arc::clone(operator.robot())) }
     }
 
     fn print(&mut self, update: &Update) {
