@@ -15,3 +15,19 @@ pub mod report;
 mod status;
 pub mod target;
 pub mod terminal;
+
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use moca_msgs::table::{Field, FieldValue, ParameterKind, Typed};
+
+/// Parser of an argument that is one word of a choice, as in a configuration.
+fn word<T: Field + Typed + Default + Clone + Send + Sync + 'static>() -> impl TypedValueParser<Value = T> {
+    let words = match T::KIND {
+        ParameterKind::Choice(words) => words,
+        _ => &[],
+    };
+    PossibleValuesParser::new(words).map(|word| {
+        let mut value = T::default();
+        value.take(FieldValue::Text(&word));
+        value
+    })
+}
