@@ -205,7 +205,9 @@ fn a_missing_port_is_named_with_what_to_check_and_nothing_moves() {
         "it waits for the board until its time is over: {}",
         text(&output.stderr)
     );
-    assert!(shown.contains("No Touch Board found: check cable, power switch and port path."), "{shown}");
+    let advice =
+        "The board's port /dev/moca-no-such-board does not exist: check cable, power switch and board.port";
+    assert!(shown.contains(advice), "{shown}");
     assert!(shown.contains("  mode         starting"), "{shown}");
     assert!(shown.contains("  base         x +0.000 m, y +0.000 m, yaw +0.0°"), "{shown}");
 }

@@ -135,13 +135,6 @@ impl CoverTable {
         ))
     }
 
-    /// Taxels of a board (0 is the first), as people name them.
-    pub fn taxels_of(&self, board: u8) -> String {
-        let wiring = self.wiring().into_iter().zip(1..);
-        let names = wiring.filter(|(wire, _)| wire.board == board).map(|(_, number)| format!("T{number}"));
-        names.collect::<Vec<_>>().join(" ")
-    }
-
     /// Returns the places of the taxels, T1 first; as many as every list has.
     pub fn placements(&self) -> Vec<TaxelPlacement> {
         let places = self.x_m.iter().zip(&self.y_m).zip(&self.inward_rad);

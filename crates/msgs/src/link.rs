@@ -6,9 +6,13 @@
 //! let arm = ArmLink { mode: ArmMode::Torque, success_rate: 0.98, ..ArmLink::default() };
 //! assert!(arm.mode.follows() && arm.errors == 0);
 //! assert_eq!(ArmMode::Reflex.hindrance(), Some(moca_msgs::Fault::ArmReflex));
+//! assert_eq!(arm.to_string(), "torque control, success rate 0.98, 0 lost, 0 orders repeated");
+//! let stopped = ArmLink { mode: ArmMode::Reflex, errors: 0b1100_0000, ..arm };
+//! assert!(stopped.to_string().starts_with("reflex (joint_reflex, cartesian_reflex), success rate"));
 //! ```
 
-use crate::Fault;
+use crate::{Fault, arm_errors};
+use core::fmt;
 
 /// Mode of an arm with a controller of its own.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -95,6 +99,20 @@ pub struct ArmLink {
     pub repeated: u64,
     /// Its error flags, bit 0 is the first of its list.
     pub errors: u64,
+}
+
+/// `reflex (joint_reflex), success rate 0.98, 3 lost, 4 orders repeated`.
+impl fmt::Display for ArmLink {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { mode, success_rate, lost, repeated, errors } = *self;
+        f.write_str(mode.name())?;
+        let mut end = "";
+        for error in arm_errors::set_in(errors) {
+            write!(f, "{}{}", if end.is_empty() { " (" } else { ", " }, error.name)?;
+            end = ")";
+        }
+        write!(f, "{end}, success rate {success_rate:.2}, {lost} lost, {repeated} orders repeated")
+    }
 }
 
 /// The way to a real robot at one tick.

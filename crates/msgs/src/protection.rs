@@ -5,7 +5,10 @@
 //!
 //! let unknown = SpeedLimit::default();
 //! assert_eq!((unknown.m_s, unknown.reason), (0.0, SpeedLimitReason::Stale), "what is not known does not move");
+//! assert_eq!(unknown.to_string(), "0.000 m/s (stale data)");
 //! ```
+
+use core::fmt;
 
 /// Contacts up to this long are transient, longer ones quasi-static, s (ISO/TS 15066, 5.5.4).
 pub const TRANSIENT_S: f64 = 0.5;
@@ -15,6 +18,10 @@ pub const MAX_CONTACT_EVENTS: usize = 4;
 pub const MAX_CONTACT_ROWS: usize = 4;
 /// Smallest excess over a row of the contact barrier that is an event, m/s.
 pub const NO_ROOM_M_S: f64 = 0.02;
+
+/// Displacement of the base from which on recentring is worth it, m and rad.
+const OFFSET_M: f64 = 0.02;
+const OFFSET_RAD: f64 = 0.05;
 
 /// Largest speed of any point of the cover, and why.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -59,6 +66,13 @@ impl SpeedLimitReason {
     }
 }
 
+/// `0.047 m/s (board rate)`.
+impl fmt::Display for SpeedLimit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.3} m/s ({})", self.m_s, self.reason.name())
+    }
+}
+
 /// Reaction of the robot to a contact that crosses a limit, until that contact ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "kebab-case"))]
@@ -85,6 +99,21 @@ pub struct PostureOffset {
     pub angle_rad: f64,
     /// True while the base drives back on request.
     pub recentring: bool,
+}
+
+impl PostureOffset {
+    /// Returns true if the base is so far off that recentring is worth it.
+    pub const fn is_large(&self) -> bool {
+        self.distance_m > OFFSET_M || self.angle_rad.abs() > OFFSET_RAD
+    }
+}
+
+/// `off by 0.031 m and 2.4°, going back`.
+impl fmt::Display for PostureOffset {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "off by {:.3} m and {:.1}°", self.distance_m, self.angle_rad.to_degrees())?;
+        f.write_str(if self.recentring { ", going back" } else { "" })
+    }
 }
 
 impl ContactReaction {
@@ -119,6 +148,11 @@ pub enum ContactPhase {
 }
 
 impl ContactPhase {
+    /// Returns true if somebody should look after the contact.
+    pub const fn is_warning(self) -> bool {
+        matches!(self, Self::LimitCrossed | Self::Lost | Self::NoRoom)
+    }
+
     /// Name as shown to users.
     pub const fn name(self) -> &'static str {
         match self {
@@ -183,6 +217,35 @@ pub struct ContactEvent {
     pub excess_m_s: f64,
 }
 
+/// The taxel and what happened, with the contact's forces and the robot's reaction.
+impl fmt::Display for ContactEvent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "T{} ", u16::from(self.taxel) + 1)?;
+        f.write_str(match self.phase {
+            ContactPhase::Started => return f.write_str("is touched"),
+            ContactPhase::NoRoom => {
+                let m_s = self.excess_m_s;
+                return write!(
+                    f,
+                    "has no room: ordered {m_s:.3} m/s faster outward than the contact barrier allows"
+                );
+            }
+            ContactPhase::LimitCrossed => "crossed a limit",
+            ContactPhase::Finished => "was released",
+            ContactPhase::Lost => "became unusable while it was touched",
+        })?;
+        write!(f, ": {} {:.2} s, peak {:.1} N", self.kind.name(), self.duration_s, self.peak_n)?;
+        if self.kind == ContactKind::QuasiStatic {
+            write!(f, ", clamp {:.1} N mean, {:.1} N at most", self.clamp_mean_n, self.clamp_max_n)?;
+        }
+        write!(f, ", impulse {:.2} N·s", self.impulse_n_s)?;
+        match (self.crossed_n, self.reaction) {
+            (Some(limit_n), Some(reaction)) => write!(f, " | above {limit_n} N: {}", reaction.name()),
+            _ => Ok(()),
+        }
+    }
+}
+
 /// Bound of the contact barrier on a touched or lately released taxel, and its motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -199,4 +262,70 @@ pub struct ContactRow {
     pub outward_m_s: f64,
     /// Excess of the ordered speed over the bound, m/s.
     pub excess_m_s: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::*;
+    use std::string::ToString;
+
+    #[test]
+    fn contact_is_told_with_its_forces_and_reaction() {
+        let transient = ContactEvent {
+            taxel: 2,
+            duration_s: 0.31,
+            peak_n: 12.04,
+            impulse_n_s: 3.2,
+            ..ContactEvent::default()
+        };
+        let clamp = ContactEvent {
+            kind: ContactKind::QuasiStatic,
+            clamp_mean_n: 50.0,
+            clamp_max_n: 60.0,
+            crossed_n: Some(65.0),
+            reaction: Some(ContactReaction::Slow),
+            excess_m_s: 0.025,
+            ..transient
+        };
+        for (event, phase, words) in [
+            (transient, ContactPhase::Started, "T3 is touched"),
+            (
+                transient,
+                ContactPhase::Finished,
+                "T3 was released: transient 0.31 s, peak 12.0 N, impulse 3.20 N·s",
+            ),
+            (
+                clamp,
+                ContactPhase::LimitCrossed,
+                "T3 crossed a limit: quasi-static 0.31 s, peak 12.0 N, clamp 50.0 N mean, 60.0 N at most, impulse 3.20 N·s | above 65 \
+                 N: slow",
+            ),
+            (
+                clamp,
+                ContactPhase::NoRoom,
+                "T3 has no room: ordered 0.025 m/s faster outward than the contact barrier allows",
+            ),
+        ] {
+            assert_eq!(ContactEvent { phase, ..event }.to_string(), words);
+            assert_eq!(
+                phase.is_warning(),
+                matches!(phase, ContactPhase::LimitCrossed | ContactPhase::NoRoom)
+            );
+        }
+        assert!(ContactPhase::Lost.is_warning());
+    }
+
+    #[test]
+    fn posture_far_off_is_worth_recentring() {
+        let offset = |distance_m, angle_rad| PostureOffset { distance_m, angle_rad, recentring: false };
+        for (offset, is_large) in
+            [(offset(0.02, 0.05), false), (offset(0.021, 0.0), true), (offset(0.0, -0.051), true)]
+        {
+            assert_eq!(offset.is_large(), is_large, "{offset}");
+        }
+        let back = PostureOffset { recentring: true, ..offset(0.031, -0.1) };
+        assert_eq!(back.to_string(), "off by 0.031 m and -5.7°, going back");
+    }
 }

@@ -16,7 +16,7 @@
 //! assert_eq!(refused.to_string(), "not possible in mode impedance: it is armed already");
 //! ```
 
-use crate::params::ParameterValues;
+use crate::params::{CONTROLLER, ParameterValues};
 use crate::{Law, Mode, TargetRefusal, TimedTarget, TouchPolicy, Waypoint};
 use core::fmt;
 
@@ -165,6 +165,33 @@ impl Request {
     /// Returns in words why it was refused, with its values and what to do.
     pub const fn refused(self, refusal: Refusal) -> Refused {
         Refused { request: self, refusal }
+    }
+}
+
+/// A few words, as in a log of requests: without the numbers of the moment.
+impl fmt::Display for Request {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let number = |taxel: u8| u16::from(taxel) + 1;
+        match *self {
+            Self::Tare => f.write_str("tare"),
+            Self::Arm => f.write_str("arm"),
+            Self::Disarm => f.write_str("disarm"),
+            Self::SelectLaw(law) => write!(f, "law {}", Mode::from(law).name()),
+            Self::Stop => f.write_str("stop"),
+            Self::OperatorLost => f.write_str("operator lost"),
+            Self::Resume => f.write_str("resume"),
+            Self::PressTaxel { taxel, .. } => write!(f, "press T{}", number(taxel)),
+            Self::MaskTaxel { taxel, masked: true } => write!(f, "mask T{}", number(taxel)),
+            Self::MaskTaxel { taxel, masked: false } => write!(f, "use T{}", number(taxel)),
+            Self::SetParameter { parameter, .. } => match CONTROLLER.get(usize::from(parameter)) {
+                Some(spec) => write!(f, "set {}", spec.name),
+                None => write!(f, "set parameter {parameter}"),
+            },
+            Self::Target(timed) => write!(f, "lead {}", timed.target.kind().name()),
+            Self::Waypoint { count, .. } => write!(f, "lead along {count} poses"),
+            Self::EndTarget => f.write_str("end target"),
+            Self::Recentre => f.write_str("recentre"),
+        }
     }
 }
 

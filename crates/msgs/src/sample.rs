@@ -168,3 +168,16 @@ macro_rules! sample {
 }
 
 sample_table!(sample);
+
+impl Sample {
+    /// Distance of the flange from where it is wanted, m.
+    ///
+    /// ```
+    /// let flange_position_world = [0.3, 0.0, 0.4];
+    /// assert_eq!(moca_msgs::Sample { flange_position_world, ..Default::default() }.flange_error_m(), 0.5);
+    /// ```
+    pub fn flange_error_m(&self) -> f64 {
+        let axes = self.flange_position_world.iter().zip(self.flange_desired_position_world);
+        libm::sqrt(axes.map(|(at, wanted)| (at - wanted) * (at - wanted)).sum())
+    }
+}

@@ -44,6 +44,8 @@ pub enum TwistAxes {
     Flange,
 }
 
+crate::choice!(TwistAxes { World: "world", Base: "base", Flange: "flange" });
+
 /// Target of another program.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -93,6 +95,8 @@ pub enum TouchPolicy {
     /// It passes through while nobody touches: a touch sets it aside, and what comes after it counts again.
     PassThrough,
 }
+
+crate::choice!(TouchPolicy { TouchWins: "wins", PassThrough: "pass-through" });
 
 /// A target with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -7,9 +7,10 @@
 //! assert_eq!(robot.taxels[5].position_base_m, [0.489, 0.0]); // T6, the middle of the front
 //! ```
 
-use crate::ParameterDescription;
+use crate::{ParameterDescription, ParameterValue};
+use moca_msgs::board::{Diagnosis, OpenFailure};
 use moca_msgs::robot::{AnyArm, PANDA, PAPER_COVER};
-use moca_msgs::{BaseTable, Limits, Mount, ParameterValues, TaxelPlacement};
+use moca_msgs::{BaseTable, Fault, Limits, Mount, ParameterValues, TaxelPlacement};
 use serde::{Deserialize, Serialize};
 
 /// A robot as a client needs it: enough to draw base, arm and cover from a [`moca_msgs::Sample`].
@@ -60,8 +61,74 @@ impl RobotDescription {
     /// Notes the present value of the parameter with this number; one that does not exist is left out.
     pub fn note_parameter(&mut self, number: usize, values: &ParameterValues) {
         if let Some(parameter) = self.parameters.get_mut(number) {
-            parameter.value = crate::ParameterValue::Numbers(values.as_slice().to_vec());
+            parameter.value = ParameterValue::Numbers(values.as_slice().to_vec());
         }
+    }
+
+    fn value(&self, parameter: &str) -> Option<&ParameterValue> {
+        self.parameters.iter().find(|described| described.name == parameter).map(|described| &described.value)
+    }
+
+    /// Value of a parameter that is text, such as `board.port`.
+    pub fn text(&self, parameter: &str) -> Option<&str> {
+        match self.value(parameter)? {
+            ParameterValue::Text(text) => Some(text),
+            ParameterValue::Numbers(_) => None,
+        }
+    }
+
+    /// Value of a parameter that is one number.
+    pub fn number(&self, parameter: &str) -> Option<f64> {
+        match self.value(parameter)? {
+            ParameterValue::Numbers(numbers) => numbers.first().copied(),
+            ParameterValue::Text(_) => None,
+        }
+    }
+
+    /// Returns true if there is a base or an arm: a daemon may read a cover alone.
+    pub fn has_robot(&self) -> bool {
+        self.text("plant.kind") != Some("none")
+    }
+
+    /// Returns true if there is an arm.
+    pub fn has_arm(&self) -> bool {
+        self.has_robot() && self.text("plant.parts") != Some("base") && self.arm.joints > 0
+    }
+
+    /// Returns true if there is a base that moves.
+    pub fn has_base(&self) -> bool {
+        self.has_robot() && self.has_cover()
+    }
+
+    /// Returns true if there is a cover.
+    pub const fn has_cover(&self) -> bool {
+        !self.taxels.is_empty()
+    }
+
+    /// A fault with its remedy and, where there are several, its board (0 is the first) with port and taxels.
+    pub fn fault_text(&self, fault: Fault, board: Option<u8>) -> String {
+        let board = board.and_then(|board| self.board_name(board));
+        board.map_or_else(|| fault.to_string(), |board| format!("{fault} {board}."))
+    }
+
+    /// State of the board and its remedy, with the port where that does not exist.
+    pub fn board_text(&self, board: Diagnosis) -> String {
+        match (board, self.text("board.port")) {
+            (Diagnosis::NotOpen(OpenFailure::NotFound), Some(path)) if path.starts_with('/') => format!(
+                "The board's port {path} does not exist: check cable, power switch and board.port in the configuration."
+            ),
+            _ => board.text().to_owned(),
+        }
+    }
+
+    fn board_name(&self, board: u8) -> Option<String> {
+        let port = self.text("board.port")?.split(", ").nth(usize::from(board))?;
+        let ParameterValue::Numbers(of_taxel) = self.value("robot.cover.board")? else { return None };
+        let number = u16::from(board) + 1;
+        let own = of_taxel.iter().zip(1..).filter(|(of, _)| (**of - f64::from(number)).abs() < 0.5);
+        let taxels: Vec<String> = own.map(|(_, taxel)| format!("T{taxel}")).collect();
+        // Without a list there is one board, and nothing to tell it from.
+        (!taxels.is_empty()).then(|| format!("Board {number} ({port}) with {}", taxels.join(" ")))
     }
 
     /// MOCA-S as in the paper, at 1 kHz: a Panda on a SUMMIT-XL with 11 taxels.
@@ -81,5 +148,26 @@ impl RobotDescription {
             base_velocity_max: limits.base_velocity,
             ..Self::default()
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fault_names_its_board_where_there_are_two() {
+        let mut robot = RobotDescription::paper("test", true);
+        let parameter =
+            |name: &str, value| ParameterDescription { name: name.into(), value, ..Default::default() };
+        let port = |text: &str| parameter("board.port", ParameterValue::Text(text.into()));
+        let of_taxel =
+            |numbers: &[f64]| parameter("robot.cover.board", ParameterValue::Numbers(numbers.into()));
+        let told = |robot: &RobotDescription, board| robot.fault_text(Fault::BoardLost, board);
+        robot.parameters = vec![port("name:left, name:right"), of_taxel(&[1.0, 2.0, 2.0])];
+        assert_eq!(told(&robot, Some(1)), format!("{} Board 2 (name:right) with T2 T3.", Fault::BoardLost));
+        assert_eq!(told(&robot, None), Fault::BoardLost.to_string());
+        robot.parameters = vec![port("auto"), of_taxel(&[])];
+        assert_eq!(told(&robot, Some(0)), Fault::BoardLost.to_string());
     }
 }

@@ -2,7 +2,10 @@
 
 use crate::calibration::engine::Engine;
 use crate::devices::force_gauge::Gauge;
+use moca_msgs::nanoseconds;
 use moca_telemetry::calibration::CalibrationProgress;
+use std::iter::Peekable;
+use std::vec::IntoIter;
 
 /// Source of the force on the taxel under way.
 pub enum Reference {
@@ -12,6 +15,8 @@ pub enum Reference {
     Gauge(Gauge),
     /// Weight of a known mass, N, that a person lays on the taxel.
     Weight(f64),
+    /// Readings of a file: s, N.
+    Recorded(Peekable<IntoIter<(f64, f64)>>),
 }
 
 impl Reference {
@@ -32,6 +37,11 @@ impl Reference {
                 }
             }
             Self::Weight(weight_n) => engine.weight(*weight_n, now_ns),
+            Self::Recorded(readings) => {
+                while let Some((at_s, force_n)) = readings.next_if(|(at_s, _)| nanoseconds(*at_s) <= now_ns) {
+                    engine.reference(force_n, nanoseconds(at_s));
+                }
+            }
         }
     }
 }

@@ -1,6 +1,6 @@
-//! A calibration for whoever watches over telemetry: the engine on a thread of its own beside the running loop.
+//! The calibration service: one state machine for the clients of a daemon, on a thread beside the loop, and for `mocad calibrate`.
 
-use crate::calibration::engine::Engine;
+use crate::calibration::engine::{Engine, Fitted};
 use crate::calibration::reference::Reference;
 use crate::calibration::store::Store;
 use crate::config::Config;
@@ -87,28 +87,26 @@ pub fn spawn(
                 "it has no reference force: set board.gauge to the port of a force gauge and start it again";
             return unavailable(why, &requests, &progress, &stopped, &mut events);
         };
-        let mut work = Work { settings, engine: Engine::default(), taxel: 0, reference };
+        let mut service = Service::new(settings, reference);
         let mut reported = CalibrationProgress::Idle;
         let mut looks = 0;
         while !stopped.load(Ordering::Acquire) {
             let asked = requests.try_iter().last();
             if let Some(request) = asked {
-                work.ask(request, now_ns());
+                service.ask(request, now_ns());
             }
             if moving.load(Ordering::Relaxed) {
-                work.engine.robot_moves();
+                service.engine.robot_moves();
             }
             while let Ok((board, event)) = events.pop() {
-                if board == work.board() {
-                    work.engine.event(&event);
-                }
+                service.event(board, &event);
             }
-            work.look(now_ns());
+            service.look(now_ns());
             looks += 1;
             if asked.is_some() || looks >= LOOKS_PER_REPORT {
                 looks = 0;
-                if *work.engine.progress() != reported {
-                    reported = work.engine.progress().clone();
+                if *service.progress() != reported {
+                    reported = service.progress().clone();
                     // Nobody listens any more only when the daemon ends.
                     let _ = progress.send(reported.clone());
                 }
@@ -135,8 +133,9 @@ fn unavailable(
     }
 }
 
-/// The engine with its reference and its file.
-struct Work {
+/// The engine with its reference and its file: requests, bytes and times in, progress out. The thread of [`spawn`] runs one for the
+/// clients of a daemon, `mocad calibrate` one of its own.
+pub struct Service {
     settings: Settings,
     engine: Engine,
     /// The one under way, 0 is T1.
@@ -144,8 +143,24 @@ struct Work {
     reference: Reference,
 }
 
-impl Work {
-    fn ask(&mut self, request: CalibrationRequest, now_ns: u64) {
+impl Service {
+    /// Nothing is under way.
+    pub fn new(settings: Settings, reference: Reference) -> Self {
+        Self { settings, engine: Engine::default(), taxel: 0, reference }
+    }
+
+    /// Returns the progress.
+    pub const fn progress(&self) -> &CalibrationProgress {
+        self.engine.progress()
+    }
+
+    /// Returns the fit that waits to be saved.
+    pub const fn fitted(&self) -> Option<&Fitted> {
+        self.engine.fitted()
+    }
+
+    /// Carries out a request; a refusal is the progress then.
+    pub fn ask(&mut self, request: CalibrationRequest, now_ns: u64) {
         let answered = match request {
             CalibrationRequest::Start { taxel, presses } => self.start(taxel, presses, now_ns),
             CalibrationRequest::Cancel => {
@@ -159,9 +174,24 @@ impl Work {
         }
     }
 
-    /// The board of the taxel under way.
-    fn board(&self) -> u8 {
-        self.settings.wiring.get(usize::from(self.taxel)).map_or(0, |wire| wire.board)
+    /// Takes an event of a board's port; those of other boards than the taxel's are left out.
+    pub fn event(&mut self, board: u8, event: &BoardEvent) {
+        let wire = self.settings.wiring.get(usize::from(self.taxel));
+        if board == wire.map_or(0, |wire| wire.board) {
+            self.engine.event(event);
+        }
+    }
+
+    /// Takes recorded bytes of the taxel's board, after the reference's readings until then.
+    pub fn bytes(&mut self, bytes: &[u8], arrival_ns: u64) {
+        self.reference.tell(&mut self.engine, usize::from(self.taxel), arrival_ns);
+        self.engine.bytes(bytes, arrival_ns);
+    }
+
+    /// Takes the reference's readings and brings the progress up to `now_ns`.
+    pub fn look(&mut self, now_ns: u64) {
+        self.reference.tell(&mut self.engine, usize::from(self.taxel), now_ns);
+        self.engine.look(now_ns);
     }
 
     fn start(&mut self, taxel: u8, presses: u8, now_ns: u64) -> Result<()> {
@@ -171,11 +201,6 @@ impl Work {
         self.taxel = taxel;
         self.engine.start(Target { number, electrode: wire.electrode }, u32::from(presses), now_ns);
         Ok(())
-    }
-
-    fn look(&mut self, now_ns: u64) {
-        self.reference.tell(&mut self.engine, usize::from(self.taxel), now_ns);
-        self.engine.look(now_ns);
     }
 
     fn save(&mut self, model: usize) -> Result<()> {
@@ -196,45 +221,43 @@ mod tests {
     use crate::calibration::engine::tests::press;
     use moca_tactile::calibration::CalibrationFile;
 
-    fn work(name: &str) -> Work {
+    fn service(name: &str) -> Service {
         let path = std::env::temp_dir().join(format!("moca-{name}-{}.toml", std::process::id()));
         let store = Store { path, board: "left".into(), material: "PU LD30".into(), temperature_c: None };
         let wiring = moca_tactile::CoverConfig::<11>::default().wiring.to_vec();
         let reference = Reference::Simulated(Box::new(|_| Some(0.0)));
-        Work { settings: Settings { store, wiring }, engine: Engine::default(), taxel: 0, reference }
+        Service::new(Settings { store, wiring }, reference)
     }
 
     #[test]
     fn a_taxel_is_saved_beside_those_that_were_there() {
-        let mut work = work("calibrator");
+        let mut service = service("calibrator");
         for taxel in [5_u8, 2] {
-            press(&mut work.engine, Target { number: usize::from(taxel) + 1, electrode: taxel });
-            work.ask(CalibrationRequest::Save { model: 0 }, 0);
+            press(&mut service.engine, Target { number: usize::from(taxel) + 1, electrode: taxel });
+            service.ask(CalibrationRequest::Save { model: 0 }, 0);
             assert!(
-                matches!(work.engine.progress(), CalibrationProgress::Failed(why) if why.contains("intercept"))
+                matches!(service.progress(), CalibrationProgress::Failed(why) if why.contains("intercept"))
             );
-            work.ask(CalibrationRequest::Save { model: 2 }, 0);
+            service.ask(CalibrationRequest::Save { model: 2 }, 0);
         }
-        assert!(
-            matches!(work.engine.progress(), CalibrationProgress::Saved { taxels, .. } if *taxels == [3, 6])
-        );
-        let file = CalibrationFile::read(&work.settings.store.path).unwrap();
+        assert!(matches!(service.progress(), CalibrationProgress::Saved { taxels, .. } if *taxels == [3, 6]));
+        let file = CalibrationFile::read(&service.settings.store.path).unwrap();
         assert_eq!((file.board.as_str(), file.taxel.len()), ("left", 2));
-        std::fs::remove_file(&work.settings.store.path).unwrap();
+        std::fs::remove_file(&service.settings.store.path).unwrap();
     }
 
     #[test]
     fn what_makes_no_sense_is_refused_in_words() {
-        let mut work = work("refused");
+        let mut service = service("refused");
         for (request, word) in [
             (CalibrationRequest::Save { model: 1 }, "nothing is fitted"),
             (CalibrationRequest::Start { taxel: 11, presses: 3 }, "T12"),
         ] {
-            work.ask(request, 0);
-            assert!(matches!(work.engine.progress(), CalibrationProgress::Failed(why) if why.contains(word)));
+            service.ask(request, 0);
+            assert!(matches!(service.progress(), CalibrationProgress::Failed(why) if why.contains(word)));
         }
-        work.ask(CalibrationRequest::Start { taxel: 0, presses: 3 }, 0);
-        work.ask(CalibrationRequest::Cancel, 0);
-        assert_eq!(*work.engine.progress(), CalibrationProgress::Idle);
+        service.ask(CalibrationRequest::Start { taxel: 0, presses: 3 }, 0);
+        service.ask(CalibrationRequest::Cancel, 0);
+        assert_eq!(*service.progress(), CalibrationProgress::Idle);
     }
 }

@@ -1,24 +1,30 @@
 //! `mocad calibrate`: presses every taxel beside a reference force and writes a calibration file.
 //!
 //! Live: a board's port and a force gauge that prints one number a line. From files: a recorded stream with its
-//! times, and a table of times and forces. Both drive the same engine ([`crate::calibration::engine`]).
+//! times, and a table of times and forces. Both send the requests of the dashboard to a [`Service`] of their own.
 #![expect(clippy::print_stdout, reason = "a terminal front end")]
 
-use crate::calibration::engine::{Engine, Fitted};
+use crate::calibration::engine::Fitted;
 use crate::calibration::reference::Reference;
+use crate::calibration::service::{Service, Settings};
 use crate::calibration::store::Store;
+use crate::cli::progress::cells;
 use crate::config::AUTO_PORT;
 use crate::devices::force_gauge::Gauge;
 use crate::devices::ports;
-use anyhow::{Context, Result, bail, ensure};
-use moca_tactile::TaxelModel;
+use anyhow::{Context, Result, bail};
+use moca_msgs::{MAX_TAXELS, nanoseconds};
 use moca_tactile::calibration::quality::evaluation_cost_ns;
 use moca_tactile::calibration::session::Target;
 use moca_tactile::calibration::{ModelKind, Quality, read_bytes};
-use moca_telemetry::calibration::CalibrationProgress;
+use moca_tactile::cover::Electrode;
+use moca_tactile::{BoardEvent, TaxelModel};
+use moca_telemetry::calibration::{CalibrationProgress, CalibrationRequest};
 use std::io::Write;
+use std::iter::Peekable;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+use std::vec::IntoIter;
 
 /// Longest wait for the first reading of a force gauge.
 const GAUGE_STARTS_WITHIN: Duration = Duration::from_secs(10);
@@ -58,8 +64,8 @@ pub struct Arguments {
     #[arg(long, value_delimiter = ',', required = true, value_parser = target)]
     taxels: Vec<Target>,
     /// Presses of each taxel.
-    #[arg(long, default_value_t = 3)]
-    presses: u32,
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..))]
+    presses: u8,
     /// Model to store.
     #[arg(long, value_enum, default_value_t = Model::Monotone)]
     model: Model,
@@ -113,8 +119,10 @@ fn target(text: &str) -> Result<Target, String> {
         })
     });
     match parsed {
-        Some(target) if target.number >= 1 && target.electrode < 12 => Ok(target),
-        _ => Err(format!("{text:?} is not `number:electrode` with a number from 1 and an electrode 0 to 11")),
+        Some(target) if (1..=MAX_TAXELS).contains(&target.number) && target.electrode < 12 => Ok(target),
+        _ => Err(format!(
+            "{text:?} is not `number:electrode`; allowed: a number from 1 to {MAX_TAXELS}, an electrode from 0 to 11"
+        )),
     }
 }
 
@@ -136,47 +144,49 @@ fn celsius(text: &str) -> Result<f64, String> {
 
 /// Calibrates every taxel, prints the table of every model, stores the chosen one.
 pub fn run(arguments: &Arguments) -> Result<()> {
-    ensure!(arguments.presses >= 1, "--presses must be at least 1, got {}", arguments.presses);
     let store = Store {
         path: arguments.out.clone(),
         board: arguments.board.clone(),
         material: arguments.material.clone(),
         temperature_c: arguments.temperature,
     };
-    if arguments.check {
-        let mut accept = |fitted: &Fitted| {
+    let mut wiring = vec![Electrode { board: 0, electrode: 0 }; MAX_TAXELS];
+    for Target { number, electrode } in &arguments.taxels {
+        wiring[number - 1].electrode = *electrode;
+    }
+    let (mut board, reference) = Board::open(arguments)?;
+    let mut service = Service::new(Settings { store: store.clone(), wiring }, reference);
+    let model = ModelKind::ALL.iter().zip(0..).find(|(kind, _)| **kind == arguments.model.into());
+    let save = CalibrationRequest::Save { model: model.map_or(u8::MAX, |(_, place)| place) };
+    if !arguments.check {
+        println!(
+            "{:<6}{:<21}{:>8}{:>9}{:>11}{:>8}{:>13}{:>10}",
+            "taxel", "model", "RMSE N", "loading", "unloading", "worst", "valid to", "cost ns"
+        );
+    }
+    for &Target { number, .. } in &arguments.taxels {
+        let pressed = board.press(&mut service, u8::try_from(number - 1)?, arguments.presses);
+        if arguments.stream.is_none() {
+            println!();
+        }
+        pressed?;
+        let fitted = service.fitted().context("nothing is fitted")?;
+        if arguments.check {
             let ratio = store.check(fitted)?;
-            let number = fitted.measured.target.number;
             println!(
                 "T{number}: {ratio:.2} times the calibrated force; {} has today's date",
                 store.path.display()
             );
-            Ok(())
-        };
-        return measure(arguments, &mut accept);
-    }
-    println!(
-        "{:<6}{:<21}{:>8}{:>9}{:>11}{:>8}{:>13}{:>10}",
-        "taxel", "model", "RMSE N", "loading", "unloading", "worst", "valid to", "cost ns"
-    );
-    let mut accept = |fitted: &Fitted| {
-        print_models(fitted, arguments.residuals.as_deref())?;
-        store.save(fitted, arguments.model.into())?;
-        println!("T{} is in {}", fitted.measured.target.number, store.path.display());
-        Ok(())
-    };
-    measure(arguments, &mut accept)
-}
-
-/// Measures taxel after taxel, from files or live.
-fn measure(arguments: &Arguments, accept: &mut dyn FnMut(&Fitted) -> Result<()>) -> Result<()> {
-    match (&arguments.stream, &arguments.times, &arguments.force) {
-        (Some(stream), Some(times), Some(force)) => {
-            let recording = Recording::read(stream, times, force)?;
-            recorded(&recording, arguments, accept)
+            continue;
         }
-        _ => live(arguments, accept),
+        print_models(fitted, arguments.residuals.as_deref())?;
+        service.ask(save, board.now_ns());
+        if let CalibrationProgress::Failed(why) = service.progress() {
+            bail!("{why}");
+        }
+        println!("T{number} is in {}", store.path.display());
     }
+    Ok(())
 }
 
 fn print_models(fitted: &Fitted, residuals: Option<&Path>) -> Result<()> {
@@ -208,60 +218,88 @@ fn print_row(taxel: usize, model: &TaxelModel, quality: &Quality, cost_ns: f64) 
     );
 }
 
-/// A recorded stream with its forces.
-struct Recording {
-    bytes: Vec<u8>,
-    /// s, bytes.
-    times: Vec<(f64, f64)>,
-    /// s, N.
-    force: Vec<(f64, f64)>,
+/// Source of the board's bytes.
+enum Board {
+    Live {
+        start: Instant,
+        events: rtrb::Consumer<BoardEvent>,
+        _reader: ports::Reader,
+        /// Prompt for a press.
+        press: &'static str,
+        shown: String,
+    },
+    Recorded {
+        bytes: Vec<u8>,
+        at: usize,
+        /// s, bytes.
+        times: Peekable<IntoIter<(f64, f64)>>,
+    },
 }
 
-impl Recording {
-    fn read(stream: &Path, times: &Path, force: &Path) -> Result<Self> {
-        let bytes = read_bytes(stream, STREAM_BYTES_MAX)
-            .with_context(|| format!("cannot read {}", stream.display()))?;
-        Ok(Self { bytes, times: pairs(times)?, force: pairs(force)? })
-    }
-}
-
-/// Bytes and forces in the order of their times, taxel after taxel.
-fn recorded(
-    recording: &Recording,
-    arguments: &Arguments,
-    accept: &mut dyn FnMut(&Fitted) -> Result<()>,
-) -> Result<()> {
-    let mut force = recording.force.iter().peekable();
-    let mut times = recording.times.iter().peekable();
-    let mut rest = recording.bytes.as_slice();
-    for &target in &arguments.taxels {
-        let mut engine = Engine::default();
-        let start_ns = times.peek().map_or(0, |(time_s, _)| nanoseconds(*time_s));
-        engine.start(target, arguments.presses, start_ns);
-        while engine.fitted().is_none() {
-            let Some(&(time_s, count)) = times.next() else {
-                bail!("the recording ended early: {}", prompt(engine.progress(), "press"));
-            };
-            while let Some(&(at_s, force_n)) = force.next_if(|(at_s, _)| *at_s <= time_s) {
-                engine.reference(force_n, nanoseconds(at_s));
+impl Board {
+    /// Opens the files or ports of board and reference.
+    fn open(arguments: &Arguments) -> Result<(Self, Reference)> {
+        if let (Some(stream), Some(times), Some(force)) =
+            (&arguments.stream, &arguments.times, &arguments.force)
+        {
+            let bytes = read_bytes(stream, STREAM_BYTES_MAX)
+                .with_context(|| format!("cannot read {}", stream.display()))?;
+            let [times, force] = [pairs(times)?, pairs(force)?].map(|pairs| pairs.into_iter().peekable());
+            return Ok((Self::Recorded { bytes, at: 0, times }, Reference::Recorded(force)));
+        }
+        let start = Instant::now();
+        let (_reader, events) = ports::open(arguments.port.as_deref().unwrap_or(AUTO_PORT), start)?;
+        let (reference, press) = match arguments.mass {
+            Some(mass_kg) => {
+                (Reference::Weight(mass_kg * GRAVITY_M_S2), "put the mass on, take it off after five seconds")
             }
-            #[expect(
-                clippy::cast_possible_truncation,
-                clippy::cast_sign_loss,
-                reason = "clamped to the stream"
-            )]
-            let count = count.clamp(0.0, 1e9) as usize;
-            let (chunk, after) = rest.split_at(count.min(rest.len()));
-            rest = after;
-            engine.bytes(chunk, nanoseconds(time_s));
-            engine.look(nanoseconds(time_s));
-            if let CalibrationProgress::Failed(why) = engine.progress() {
+            None => (Reference::Gauge(gauge(arguments, start)?), "press slowly and release"),
+        };
+        Ok((Self::Live { start, events, _reader, press, shown: String::new() }, reference))
+    }
+
+    /// Returns the present, or the time of what was recorded next, ns.
+    fn now_ns(&mut self) -> u64 {
+        match self {
+            Self::Live { start, .. } => u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX),
+            Self::Recorded { times, .. } => times.peek().map_or(0, |(time_s, _)| nanoseconds(*time_s)),
+        }
+    }
+
+    /// Follows the presses of a taxel (0 is T1) until they are fitted.
+    fn press(&mut self, service: &mut Service, taxel: u8, presses: u8) -> Result<()> {
+        service.ask(CalibrationRequest::Start { taxel, presses }, self.now_ns());
+        while service.fitted().is_none() {
+            let now_ns = self.now_ns();
+            match self {
+                Self::Live { events, press, shown, .. } => {
+                    while let Ok(event) = events.pop() {
+                        service.event(0, &event);
+                    }
+                    show(shown, &prompt(service.progress(), press))?;
+                    std::thread::sleep(LOOK_EVERY);
+                }
+                Self::Recorded { bytes, at, times } => {
+                    let Some((_, count)) = times.next() else {
+                        bail!("the recording ended early: {}", prompt(service.progress(), "press"));
+                    };
+                    #[expect(
+                        clippy::cast_possible_truncation,
+                        clippy::cast_sign_loss,
+                        reason = "clamped to the stream"
+                    )]
+                    let end = at.saturating_add(count.clamp(0.0, 1e9) as usize).min(bytes.len());
+                    service.bytes(&bytes[*at..end], now_ns);
+                    *at = end;
+                }
+            }
+            service.look(now_ns);
+            if let CalibrationProgress::Failed(why) = service.progress() {
                 bail!("{why}");
             }
         }
-        engine.fitted().map_or(Ok(()), &mut *accept)?;
+        Ok(())
     }
-    Ok(())
 }
 
 /// Lines of two numbers.
@@ -279,60 +317,15 @@ fn pairs(path: &Path) -> anyhow::Result<Vec<(f64, f64)>> {
     text.lines().enumerate().map(pair).collect()
 }
 
-fn nanoseconds(seconds: f64) -> u64 {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to 0..1e18")]
-    let nanoseconds = (seconds * 1e9).clamp(0.0, 1e18) as u64;
-    nanoseconds
-}
-
-/// Returns the force that a person presses with, and what to do for it.
-fn reference(arguments: &Arguments, start: Instant) -> Result<(Reference, &'static str)> {
-    if let Some(mass_kg) = arguments.mass {
-        let weight = Reference::Weight(mass_kg * GRAVITY_M_S2);
-        return Ok((weight, "put the mass on, take it off after five seconds"));
-    }
-    let gauge_port = arguments.gauge.as_deref().context("--gauge is missing")?;
-    let mut gauge = Gauge::open(gauge_port, arguments.gauge_baud, start)?;
-    first_reading(&mut gauge, start)?;
-    Ok((Reference::Gauge(gauge), "press slowly and release"))
-}
-
-/// Board and gauge on their ports, or a known mass at hand, and a person at the cover.
-fn live(arguments: &Arguments, accept: &mut dyn FnMut(&Fitted) -> Result<()>) -> Result<()> {
-    let start = Instant::now();
-    let now_ns = || u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
-    let (_board, mut board) = ports::open(arguments.port.as_deref().unwrap_or(AUTO_PORT), start)?;
-    let (mut reference, press) = reference(arguments, start)?;
-    let mut shown = String::new();
-    for &target in &arguments.taxels {
-        let mut engine = Engine::default();
-        engine.start(target, arguments.presses, now_ns());
-        while engine.fitted().is_none() {
-            while let Ok(event) = board.pop() {
-                engine.event(&event);
-            }
-            reference.tell(&mut engine, target.number - 1, now_ns());
-            engine.look(now_ns());
-            if let CalibrationProgress::Failed(why) = engine.progress() {
-                println!();
-                bail!("{why}");
-            }
-            show(&mut shown, &prompt(engine.progress(), press))?;
-            std::thread::sleep(LOOK_EVERY);
-        }
-        println!();
-        engine.fitted().map_or(Ok(()), &mut *accept)?;
-    }
-    Ok(())
-}
-
-/// Waits until the gauge speaks: from then on its silence ends the session.
-fn first_reading(gauge: &mut Gauge, start: Instant) -> Result<()> {
+/// Opens the gauge and waits until it speaks: from then on its silence ends the session.
+fn gauge(arguments: &Arguments, start: Instant) -> Result<Gauge> {
+    let port = arguments.gauge.as_deref().context("--gauge is missing")?;
+    let mut gauge = Gauge::open(port, arguments.gauge_baud, start)?;
     loop {
         let mut spoke = false;
         let read = gauge.read(|_, _| spoke = true);
         if spoke {
-            return Ok(());
+            return Ok(gauge);
         }
         if start.elapsed() > GAUGE_STARTS_WITHIN {
             bail!("force gauge: {}", read.err().unwrap_or("it prints nothing that is a number, a line each"));
@@ -358,12 +351,12 @@ fn prompt(progress: &CalibrationProgress, press: &str) -> String {
         CalibrationProgress::Rest { taxel, frames, frames_wanted } => format!(
             "T{}: step away from the cover, measuring rest {}",
             taxel + 1,
-            bar(f64::from(*frames) / f64::from(*frames_wanted))
+            cells(f64::from(*frames) / f64::from(*frames_wanted))
         ),
         CalibrationProgress::Press { taxel, presses, presses_wanted, counts, force_n } => format!(
             "T{}: {press}, {presses} of {presses_wanted} {} {counts:4.0} counts {}",
             taxel + 1,
-            bar(f64::from(*presses) / f64::from(*presses_wanted)),
+            cells(f64::from(*presses) / f64::from(*presses_wanted)),
             force_n.map_or("no reading of the gauge yet".to_owned(), |force_n| format!("{force_n:6.1} N"))
         ),
         CalibrationProgress::Failed(why) | CalibrationProgress::Unavailable(why) => why.clone(),
@@ -371,13 +364,6 @@ fn prompt(progress: &CalibrationProgress, press: &str) -> String {
         CalibrationProgress::Fitted(_) => "measured".to_owned(),
         CalibrationProgress::Saved { path, .. } => format!("saved in {path}"),
     }
-}
-
-fn bar(share: f64) -> String {
-    const WIDTH: usize = 20;
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to 0..20")]
-    let full = (share.clamp(0.0, 1.0) * 20.0) as usize;
-    format!("[{}{}]", "#".repeat(full), ".".repeat(WIDTH - full))
 }
 
 #[cfg(test)]
@@ -390,7 +376,7 @@ mod tests {
     #[test]
     fn targets_are_checked() {
         assert_eq!(target("T3:2"), Ok(Target { number: 3, electrode: 2 }));
-        for bad in ["3", "0:1", "1:12", "a:b", "1:0:2"] {
+        for bad in ["3", "0:1", "49:1", "1:12", "a:b", "1:0:2"] {
             assert!(target(bad).is_err(), "{bad}");
         }
     }

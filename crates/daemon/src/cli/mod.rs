@@ -2,18 +2,10 @@
 
 #[cfg(feature = "tls")]
 pub mod access;
-mod board_report;
 pub mod calibrate;
 pub mod doctor;
-#[cfg(feature = "fci")]
-mod doctor_arm;
-#[cfg(feature = "ros2")]
-mod doctor_base;
-mod doctor_stops;
-mod finding;
 pub mod log;
 mod log_story;
-mod network;
 pub mod operate;
 pub mod operator;
 pub mod params;
@@ -23,3 +15,19 @@ pub mod report;
 mod status;
 pub mod target;
 pub mod terminal;
+
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use moca_msgs::table::{Field, FieldValue, ParameterKind, Typed};
+
+/// Parser of an argument that is one word of a choice, as in a configuration.
+fn word<T: Field + Typed + Default + Clone + Send + Sync + 'static>() -> impl TypedValueParser<Value = T> {
+    let words = match T::KIND {
+        ParameterKind::Choice(words) => words,
+        _ => &[],
+    };
+    PossibleValuesParser::new(words).map(|word| {
+        let mut value = T::default();
+        value.take(FieldValue::Text(&word));
+        value
+    })
+}

@@ -3,13 +3,15 @@
 
 use crate::cli::operator::{Arguments, Operator, Stopped, interrupted};
 use crate::cli::remote::{LOOK_EVERY, news, settled};
-use crate::cli::report::{Level, Report};
+use crate::cli::report::Report;
 use crate::cli::status::Status;
 use crate::cli::target::{self, TargetArguments};
+use crate::cli::word;
 use anyhow::{Result, bail};
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, Subcommand};
 use moca_msgs::{Law, Mode, Request, Sample, TaxelStatus};
 use moca_telemetry::net::{Commander, Link, Update};
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -42,8 +44,8 @@ pub enum Command {
 #[derive(Args)]
 pub struct ArmArguments {
     /// Choose this law first.
-    #[arg(long)]
-    law: Option<LawName>,
+    #[arg(long, value_parser = word::<Law>())]
+    law: Option<Law>,
     /// Disarm by itself after so many seconds.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     duration: Option<Duration>,
@@ -54,27 +56,11 @@ pub struct ArmArguments {
 /// Which law.
 #[derive(Args)]
 pub struct LawArguments {
-    /// The law.
-    law: LawName,
+    /// The flange keeps its place while the base gives way (impedance), or base and arm follow the hand (follow-me).
+    #[arg(value_parser = word::<Law>())]
+    law: Law,
     #[command(flatten)]
     common: Arguments,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum LawName {
-    /// The flange keeps its place while the base gives way.
-    Impedance,
-    /// Base and arm follow the hand.
-    FollowMe,
-}
-
-impl From<LawName> for Law {
-    fn from(name: LawName) -> Self {
-        match name {
-            LawName::Impedance => Self::Impedance,
-            LawName::FollowMe => Self::FollowMe,
-        }
-    }
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {
@@ -96,7 +82,7 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Resume(arguments) => Operator::connect(arguments)?.once(Request::Resume),
         Command::Recentre(arguments) => recentre(arguments),
         Command::Law(LawArguments { law, common }) => {
-            Operator::connect(common)?.once(Request::SelectLaw((*law).into()))
+            Operator::connect(common)?.once(Request::SelectLaw(*law))
         }
         Command::Status(arguments) => {
             let operator = Operator::look_on(arguments)?;
@@ -163,7 +149,7 @@ fn arm(arguments: &ArmArguments) -> Result<()> {
     let ended = interrupted()?;
     let operator = Operator::connect(&arguments.common)?;
     if let Some(law) = arguments.law {
-        operator.ask(Request::SelectLaw(law.into()))?;
+        operator.ask(Request::SelectLaw(law))?;
     }
     // A law may have been chosen, and who has commanded and is gone would stop a robot that moves already.
     operator.ask(Request::Arm).inspect_err(|_| operator.connection().release())?;
@@ -206,7 +192,7 @@ struct Lines<'a> {
 
 impl<'a> Lines<'a> {
     fn new(operator: &'a Operator) -> Self {
-        Self { operator, report: Report::new(Level::Info) }
+        Self { operator, report: Report::of(Arc::clone(operator.robot())) }
     }
 
     fn print(&mut self, update: &Update) {

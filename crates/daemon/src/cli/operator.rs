@@ -2,10 +2,11 @@
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
 use crate::cli::remote::{DaemonArguments, Refused, ask, connect, news};
-use crate::cli::status::{Robot, Status};
+use crate::cli::status::Status;
 use anyhow::{Context, Result};
 use clap::Args;
 use moca_msgs::{Mode, Request, Sample};
+use moca_telemetry::RobotDescription;
 use moca_telemetry::net::client::stop_blocking;
 use moca_telemetry::net::{Connection, Endpoint, Link, NetError, Update};
 use std::fmt;
@@ -61,12 +62,12 @@ pub(super) fn interrupted() -> Result<Arc<AtomicBool>> {
 /// A connection, and how what comes over it is written.
 pub(super) struct Operator {
     connection: Connection,
-    robot: Robot,
+    robot: Arc<RobotDescription>,
     json: bool,
 }
 
 impl Operator {
-    pub(super) const fn robot(&self) -> &Robot {
+    pub(super) const fn robot(&self) -> &Arc<RobotDescription> {
         &self.robot
     }
 
@@ -89,8 +90,8 @@ impl Operator {
     }
 
     fn reach(endpoint: Endpoint, arguments: &Arguments) -> Result<Self> {
-        let (connection, description) = connect(endpoint).context(IS_ONE_RUNNING)?;
-        Ok(Self { connection, robot: Robot::new(&description), json: arguments.json })
+        let (connection, robot) = connect(endpoint).context(IS_ONE_RUNNING)?;
+        Ok(Self { connection, robot, json: arguments.json })
     }
 
     /// Stops the robot, then says what it does. Needs no place among the daemon's clients, no token, and

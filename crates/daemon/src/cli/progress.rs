@@ -136,15 +136,19 @@ impl Drop for During {
 fn line(what: &str, part: f64, elapsed: Duration) -> String {
     let part = if part.is_finite() { part.clamp(0.0, 1.0) } else { 0.0 };
     let left = if part > 0.0 { time_left(elapsed.as_secs_f64() * (1.0 / part - 1.0)) } else { String::new() };
-    let percent = 100.0 * part;
+    format!("{what} {} {:.0} %{left}", cells(part), 100.0 * part)
+}
+
+/// `[####....]` with a share of it filled, 0 to 1.
+pub(super) fn cells(part: f64) -> String {
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
         clippy::cast_precision_loss,
         reason = "between 0 and 30"
     )]
-    let filled = (part * CELLS as f64) as usize;
-    format!("{what} [{}{}] {percent:.0} %{left}", "#".repeat(filled), ".".repeat(CELLS - filled))
+    let filled = (part.clamp(0.0, 1.0) * CELLS as f64) as usize;
+    format!("[{}{}]", "#".repeat(filled), ".".repeat(CELLS - filled))
 }
 
 /// `, 3 min left`: no more digits than a guess has.

@@ -4,11 +4,14 @@ use crate::config::{AUTO_PORT, Config};
 use crate::control::protection;
 use crate::control::stage::Stage;
 use crate::robot::{Parts, PlantKind};
+use crate::runtime::clients::description;
 use crate::runtime::notice::{Notice, Summary};
 use moca_msgs::board::Diagnosis;
-use moca_msgs::protection::{ContactKind, ContactPhase};
-use moca_msgs::{ContactEvent, Fault, Law, Mode, Sample, SpeedLimit, SpeedLimitReason, seconds};
+use moca_msgs::protection::ContactPhase;
+use moca_msgs::{Fault, Law, Mode, Sample, SpeedLimitReason, seconds};
+use moca_telemetry::RobotDescription;
 use std::fmt;
+use std::sync::Arc;
 
 /// Importance of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
@@ -51,8 +54,7 @@ pub struct Report {
     mode: Option<Mode>,
     fault: Option<Fault>,
     board: Option<Diagnosis>,
-    /// Name of each board, where there are several.
-    boards: Vec<String>,
+    robot: Arc<RobotDescription>,
     /// The operating system refused the loop its priority.
     rights_missing: bool,
     /// The robot ends stops for a busy PC by itself, and has ended so many.
@@ -73,6 +75,11 @@ impl Report {
         Self { level, ..Self::default() }
     }
 
+    /// Shows everything about this robot.
+    pub(super) fn of(robot: Arc<RobotDescription>) -> Self {
+        Self { robot, ..Self::default() }
+    }
+
     /// Lines to print for this sample; usually none.
     pub fn lines(&mut self, sample: &Sample) -> Vec<Line> {
         let time_s = seconds(sample.time_ns);
@@ -85,17 +92,15 @@ impl Report {
                 (_, Some(_)) => Level::Warning,
                 (_, None) => Level::Info,
             };
-            let whose = sample.fault_board.and_then(|board| self.boards.get(usize::from(board)));
-            let whose = whose.map_or_else(String::new, |board| format!(" {board}."));
+            let why = why(sample.fault, |fault| self.robot.fault_text(fault, sample.fault_board));
             let more = self.about_starving(before, sample);
-            let text =
-                format!("[{}] mode: {}{}{whose}{more}", at(time_s), sample.mode.name(), why(sample.fault));
+            let text = format!("{} mode: {}{why}{more}", at(time_s), sample.mode.name());
             lines.push(Line { level, text });
         }
         let late = sample.speed_limit.reason == SpeedLimitReason::BaseLate;
         if late && !std::mem::replace(&mut self.late, late) {
             let text = format!(
-                "[{}] the base stops later than was measured: no faster than {:.3} m/s from now on; measure it again: `mocad doctor \
+                "{} the base stops later than was measured: no faster than {:.3} m/s from now on; measure it again: `mocad doctor \
                  --base --write`",
                 at(time_s),
                 sample.speed_limit.m_s
@@ -106,13 +111,17 @@ impl Report {
         let well = matches!(sample.board, Diagnosis::Frames | Diagnosis::NoBoard);
         let settled = time_s >= BOARD_SETTLED_S && !well;
         if settled && self.board.replace(sample.board) != Some(sample.board) {
-            let text = format!("[{time_s:7.2} s] board: {}", sample.board.text());
+            let text = format!("{} board: {}", at(time_s), self.robot.board_text(sample.board));
             lines.push(Line { level: Level::Warning, text });
         }
         if well {
             self.board = None;
         }
-        lines.extend(sample.contact_events.iter().filter_map(|event| contact(time_s, event)));
+        let events = sample.contact_events.iter().filter(|event| event.phase != ContactPhase::Started);
+        lines.extend(events.map(|event| {
+            let level = if event.phase.is_warning() { Level::Warning } else { Level::Info };
+            Line { level, text: format!("{} contact {event}", at(time_s)) }
+        }));
         if time_s >= self.next_status_s {
             self.next_status_s = (time_s / STATUS_EVERY_S).floor() * STATUS_EVERY_S + STATUS_EVERY_S;
             lines.push(Line { level: Level::Info, text: status(sample) });
@@ -146,7 +155,7 @@ fn times(count: u64) -> String {
 
 /// Loop time as every line begins with it.
 fn at(time_s: f64) -> String {
-    format!("{time_s:7.2} s")
+    format!("[{time_s:7.2} s]")
 }
 
 /// Returns the lines of one notice for a terminal; usually none.
@@ -154,7 +163,7 @@ pub fn lines_of(report: &mut Report, notice: Notice<'_>) -> Vec<String> {
     let under = |title: &str, text: String| vec![format!("  {title:<11} {text}")];
     match notice {
         Notice::Begins { config, lock_step } => {
-            report.boards = boards(config);
+            report.robot = Arc::new(description(config));
             report.recovers = config.plant.kind == PlantKind::Simulated && config.board.port.are_simulated();
             introduction(config, lock_step)
         }
@@ -184,7 +193,7 @@ pub fn lines_of(report: &mut Report, notice: Notice<'_>) -> Vec<String> {
         Notice::FaultLog(path) => vec![format!("  the seconds before it: {}", path.display())],
         Notice::Trouble(words) => vec![Line { level: Level::Warning, text: words.into() }.to_string()],
         Notice::Driver(words) => {
-            let text = format!("[{}] {words}", at(report.time_s));
+            let text = format!("{} {words}", at(report.time_s));
             vec![Line { level: Level::Warning, text }.to_string()]
         }
         Notice::Recorded(summary) => {
@@ -247,61 +256,9 @@ fn simulated(config: &Config, mujoco: &str) -> Vec<String> {
     lines
 }
 
-/// Returns the name of each board, where there are several.
-fn boards(config: &Config) -> Vec<String> {
-    let ports = &config.board.port;
-    let name = |(board, port): (u8, &String)| {
-        let taxels = config.robot.cover.taxels_of(board);
-        format!("Board {} ({port}) with {taxels}", board + 1)
-    };
-    if ports.len() > 1 { (0..).zip(ports.iter()).map(name).collect() } else { Vec::new() }
-}
-
-fn why(fault: Option<Fault>) -> String {
-    fault.map_or_else(String::new, |fault| format!(" ({}) {fault}", fault.code()))
-}
-
-/// A contact worth a line: one that crossed a limit, or is over.
-fn contact(time_s: f64, event: &ContactEvent) -> Option<Line> {
-    let (level, end) = match event.phase {
-        ContactPhase::Started => return None,
-        ContactPhase::LimitCrossed => (Level::Warning, "crossed a limit"),
-        ContactPhase::Finished => (Level::Info, "over"),
-        ContactPhase::Lost => (Level::Warning, "taxel lost in contact"),
-        ContactPhase::NoRoom => {
-            let (taxel, excess_m_s) = (event.taxel + 1, event.excess_m_s);
-            let text = format!(
-                "[{time_s:7.2} s] contact T{taxel} has no room: ordered {excess_m_s:.3} m/s faster outward than the contact \
-                 barrier allows"
-            );
-            return Some(Line { level: Level::Warning, text });
-        }
-    };
-    let clamp = match event.kind {
-        ContactKind::Transient => String::new(),
-        ContactKind::QuasiStatic => {
-            format!(", clamp {:.1} N mean, {:.1} N at most", event.clamp_mean_n, event.clamp_max_n)
-        }
-    };
-    let crossed = match (event.crossed_n, event.reaction) {
-        (Some(limit_n), Some(reaction)) => format!(" | above {limit_n} N: {}", reaction.name()),
-        _ => String::new(),
-    };
-    let text = format!(
-        "[{time_s:7.2} s] contact T{} {end}: {} {:.2} s, peak {:.1} N{clamp}, impulse {:.2} N·s{crossed}",
-        event.taxel + 1,
-        event.kind.name(),
-        event.duration_s,
-        event.peak_n,
-        event.impulse_n_s,
-    );
-    Some(Line { level, text })
-}
-
-/// `0.047 m/s (board rate)`
-fn limit(sample: &Sample) -> String {
-    let SpeedLimit { m_s, reason } = sample.speed_limit;
-    format!("{m_s:.3} m/s ({})", reason.name())
+/// The cause of a stop, with its code.
+fn why(fault: Option<Fault>, text: impl Fn(Fault) -> String) -> String {
+    fault.map_or_else(String::new, |fault| format!(" ({}) {}", fault.code(), text(fault)))
 }
 
 /// `impedance`, `protective stop (host-starved)`
@@ -315,11 +272,10 @@ fn status(sample: &Sample) -> String {
     let mut parts = vec![mode(sample)];
     if sample.board != Diagnosis::NoBoard {
         parts.push(format!("base {}", pose(&sample.base_pose_world)));
-        parts.push(format!("limit {}", limit(sample)));
+        parts.push(format!("limit {}", sample.speed_limit));
     }
     if !sample.q_rad.is_empty() {
-        let off_m = distance(&sample.flange_position_world, &sample.flange_desired_position_world);
-        parts.push(format!("flange off by {:.1} mm", 1e3 * off_m));
+        parts.push(format!("flange off by {:.1} mm", 1e3 * sample.flange_error_m()));
     }
     if sample.board != Diagnosis::NoBoard {
         parts.push(format!("cover: {}", pressed(sample)));
@@ -329,7 +285,7 @@ fn status(sample: &Sample) -> String {
         });
     }
     parts.push(format!("late {:.2} ms", 1e3 * sample.lateness_s));
-    format!("[{:7.2} s] {}", seconds(sample.time_ns), parts.join(" | "))
+    format!("{} {}", at(seconds(sample.time_ns)), parts.join(" | "))
 }
 
 fn pressed(sample: &Sample) -> String {
@@ -343,12 +299,8 @@ fn pressed(sample: &Sample) -> String {
     if pressed.is_empty() { "untouched".to_owned() } else { pressed.join(", ") }
 }
 
-fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
-}
-
 /// `x …, y …, yaw …` of a base pose, without a minus sign before zero.
-fn pose(base_pose_world: &[f64; 3]) -> String {
+pub(super) fn pose(base_pose_world: &[f64; 3]) -> String {
     let rounded = |value: f64, digits: f64| (value * digits).round() / digits + 0.0;
     let [x, y, yaw] = base_pose_world;
     let (x, y, yaw) = (rounded(*x, 1e3), rounded(*y, 1e3), rounded(yaw.to_degrees(), 1e1));
@@ -359,7 +311,7 @@ impl fmt::Display for Summary<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let last = self.last;
         writeln!(f, "summary")?;
-        writeln!(f, "  mode         {}{}", last.mode.name(), why(last.fault))?;
+        writeln!(f, "  mode         {}{}", last.mode.name(), why(last.fault, |fault| fault.to_string()))?;
         writeln!(
             f,
             "  ticks        {} in {:.2} s of robot time, {:.2} times real time",
@@ -369,7 +321,7 @@ impl fmt::Display for Summary<'_> {
         )?;
         if last.board != Diagnosis::NoBoard {
             writeln!(f, "  base         {}", pose(&last.base_pose_world))?;
-            writeln!(f, "  speed limit  {}", limit(last))?;
+            writeln!(f, "  speed limit  {}", last.speed_limit)?;
             writeln!(
                 f,
                 "  board        {} good frames, {} bad, {:.1} Hz; age p50 {:.1} ms, p99 {:.1} ms",

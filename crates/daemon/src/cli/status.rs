@@ -1,29 +1,12 @@
 //! The robot's status for people and programs. What is not known is null, never zero.
 
-use moca_msgs::{ArmMode, Fault, Law, Link, Mode, PostureOffset, Sample, TaxelStatus, seconds};
+use crate::cli::report;
+use moca_msgs::{ArmMode, Fault, Law, Link, Mode, PostureOffset, Sample, TargetState, TaxelStatus, seconds};
+use moca_telemetry::RobotDescription;
 use moca_telemetry::net::Commander;
-use moca_telemetry::{ParameterValue, RobotDescription};
-use serde::Serialize;
+use serde::{Serialize, Serializer};
+use serde_json::json;
 use std::fmt;
-
-/// Displacement from which on recentring is worth it, m and rad.
-const SHOWN_M: f64 = 0.02;
-const SHOWN_RAD: f64 = 0.05;
-
-/// Description of a robot that is needed to read its samples.
-pub(crate) struct Robot {
-    base: bool,
-    arm: bool,
-}
-
-impl Robot {
-    pub(crate) fn new(description: &RobotDescription) -> Self {
-        let none = ParameterValue::Text("none".into());
-        let driven = !description.parameters.iter().any(|p| p.name == "plant.kind" && p.value == none);
-        let (covered, jointed) = (!description.taxels.is_empty(), description.arm.joints > 0);
-        Self { base: driven && covered, arm: driven && jointed }
-    }
-}
 
 /// One sample as `mocad status --json` writes it.
 #[derive(Debug, Serialize)]
@@ -44,7 +27,8 @@ pub(crate) struct Status {
     /// Displacement of the base from where the arm's posture wants it; null unless the impedance law runs.
     posture: Option<PostureOffset>,
     /// The last target from another program; null where the law has had none.
-    target: Option<TargetStatus>,
+    #[serde(serialize_with = "target")]
+    target: Option<TargetState>,
     /// Null of a simulated robot.
     link: Option<Link>,
     taxels: Vec<TaxelForce>,
@@ -56,12 +40,10 @@ struct FaultStatus {
     text: String,
 }
 
-#[derive(Debug, Serialize)]
-struct TargetStatus {
-    kind: &'static str,
-    phase: &'static str,
-    /// 0 to 1.
-    progress: f64,
+/// Kind and phase of a target by their names.
+fn target<S: Serializer>(target: &Option<TargetState>, to: S) -> Result<S::Ok, S::Error> {
+    let named = |TargetState { kind, phase, progress }| json!({ "kind": kind.name(), "phase": phase.name(), "progress": progress });
+    target.map(named).serialize(to)
 }
 
 #[derive(Debug, Serialize)]
@@ -80,17 +62,16 @@ struct TaxelForce {
 }
 
 impl Status {
-    pub(crate) fn new(robot: &Robot, sample: &Sample, commander: Commander) -> Self {
+    pub(crate) fn new(robot: &RobotDescription, sample: &Sample, commander: Commander) -> Self {
         let unknown = matches!(
             sample.fault,
             Some(Fault::StateInvalid | Fault::PlantLost | Fault::ArmStale | Fault::BaseStale)
         );
-        let known = !unknown && sample.mode != Mode::Fault && (!robot.arm || !sample.q_rad.is_empty());
+        let (base, arm) = (robot.has_base(), robot.has_arm());
+        let known = !unknown && sample.mode != Mode::Fault && (!arm || !sample.q_rad.is_empty());
         let [x_m, y_m, yaw_rad] = sample.base_pose_world;
         // In a brake no flange is computed: its orientation is then all zeros.
         let placed = sample.flange_quaternion_world.iter().any(|part| *part != 0.0);
-        let (at, wanted) = (sample.flange_position_world, sample.flange_desired_position_world);
-        let error_m = at.iter().zip(wanted).map(|(at, wanted)| (at - wanted).powi(2)).sum::<f64>().sqrt();
         let force = |(i, taxel): (usize, &moca_msgs::TaxelReading)| TaxelForce {
             name: format!("T{}", i + 1),
             force_n: (taxel.status == TaxelStatus::Ok).then_some(taxel.force_n),
@@ -109,14 +90,10 @@ impl Status {
                 Commander::You => "this client",
                 Commander::Another => "another client",
             },
-            base_pose_world: (robot.base && known).then_some(BasePose { x_m, y_m, yaw_rad }),
-            flange_error_m: (robot.arm && known && placed).then_some(error_m),
+            base_pose_world: (base && known).then_some(BasePose { x_m, y_m, yaw_rad }),
+            flange_error_m: (arm && known && placed).then(|| sample.flange_error_m()),
             posture: sample.posture.filter(|_| known),
-            target: sample.target.map(|target| TargetStatus {
-                kind: target.kind.name(),
-                phase: target.phase.name(),
-                progress: target.progress,
-            }),
+            target: sample.target,
             link: sample.link,
             taxels: sample.taxels.iter().enumerate().map(force).collect(),
         }
@@ -143,34 +120,24 @@ impl fmt::Display for Status {
         )?;
         writeln!(f, "commander    {}", self.commander)?;
         let pose = self.base_pose_world.as_ref();
-        let pose =
-            pose.map(|p| format!("x {:.3} m, y {:.3} m, yaw {:.1}°", p.x_m, p.y_m, p.yaw_rad.to_degrees()));
+        let pose = pose.map(|p| report::pose(&[p.x_m, p.y_m, p.yaw_rad]));
         writeln!(f, "base         {}", known(pose))?;
         let off = self.flange_error_m.map(|error_m| format!("off by {:.1} mm", 1e3 * error_m));
         writeln!(f, "flange       {}", known(off))?;
-        if let Some(PostureOffset { distance_m, angle_rad, recentring }) = self.posture {
-            let off = format!("base off by {distance_m:.3} m and {:.1}°", angle_rad.to_degrees());
-            let advice = if recentring {
-                ", going back"
-            } else if distance_m > SHOWN_M || angle_rad.abs() > SHOWN_RAD {
-                ": `mocad recentre` brings it back"
-            } else {
-                ""
-            };
-            writeln!(f, "posture      {off}{advice}")?;
+        if let Some(posture) = self.posture {
+            let advised = posture.is_large() && !posture.recentring;
+            let advice = if advised { ": `mocad recentre` brings it back" } else { "" };
+            writeln!(f, "posture      base {posture}{advice}")?;
         }
-        if let Some(TargetStatus { kind, phase, progress }) = &self.target {
-            writeln!(f, "target       {kind}: {phase}, {:.0} %", 100.0 * progress)?;
+        if let Some(TargetState { kind, phase, progress }) = self.target {
+            writeln!(f, "target       {}: {}, {:.0} %", kind.name(), phase.name(), 100.0 * progress)?;
         }
         if let Some(Link { arm_age_s, base_age_s, arm }) = self.link {
-            let (mode, success) = (arm.mode.name(), arm.success_rate);
-            let counts = format!("{} lost, {} orders repeated", arm.lost, arm.repeated);
             let base_ms = 1e3 * base_age_s;
             if arm.mode == ArmMode::NotThere {
                 writeln!(f, "link         base's state {base_ms:.0} ms old")?;
             } else {
-                let ages = format!("states {:.0} and {base_ms:.0} ms old", 1e3 * arm_age_s);
-                writeln!(f, "link         arm {mode}, success rate {success:.2}, {counts}, {ages}")?;
+                writeln!(f, "link         arm {arm}, states {:.0} and {base_ms:.0} ms old", 1e3 * arm_age_s)?;
             }
         }
         let forces = self.taxels.iter().map(|taxel| match taxel.force_n {
@@ -187,7 +154,7 @@ mod tests {
     use moca_msgs::{ArmLink, TaxelReading};
 
     fn status(sample: &Sample) -> Status {
-        Status::new(&Robot::new(&RobotDescription::paper("test", true)), sample, Commander::Nobody)
+        Status::new(&RobotDescription::paper("test", true), sample, Commander::Nobody)
     }
 
     #[test]

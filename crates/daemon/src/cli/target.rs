@@ -2,8 +2,9 @@
 
 use crate::cli::operator::{Arguments, Operator, Stopped, interrupted};
 use crate::cli::remote::{LOOK_EVERY, Refused, news};
+use crate::cli::word;
 use anyhow::{Context, Result, bail, ensure};
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, Subcommand};
 use moca_msgs::target::TargetPhase;
 use moca_msgs::{
     ParameterValues, Request, Sample, Target, TargetState, TimedTarget, TouchPolicy, TwistAxes, Waypoint,
@@ -46,8 +47,8 @@ enum TargetCommand {
               allow_negative_numbers = true)]
         twist: Vec<f64>,
         /// In whose axes.
-        #[arg(long, value_enum, default_value_t = Axes::World)]
-        axes: Axes,
+        #[arg(long, value_parser = word::<TwistAxes>(), default_value = "world")]
+        axes: TwistAxes,
         /// For so long, s.
         #[arg(long, default_value_t = 1.0)]
         duration: f64,
@@ -84,9 +85,9 @@ enum TargetCommand {
 
 #[derive(Args)]
 struct How {
-    /// Effect of a touch on the target.
-    #[arg(long, value_enum, default_value_t = Touch::Wins)]
-    touch: Touch,
+    /// Effect of a touch on the target: it ends (wins), or is set aside until nobody touches (pass-through).
+    #[arg(long, value_parser = word::<TouchPolicy>(), default_value = "wins")]
+    touch: TouchPolicy,
     /// Arm first, and disarm in the end.
     #[arg(long)]
     arm: bool,
@@ -95,21 +96,6 @@ struct How {
     timeout: f64,
     #[command(flatten)]
     common: Arguments,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Touch {
-    /// It ends.
-    Wins,
-    /// It is set aside until nobody touches.
-    PassThrough,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Axes {
-    World,
-    Base,
-    Flange,
 }
 
 /// Request to the loop.
@@ -152,12 +138,8 @@ pub fn run(arguments: &TargetArguments) -> Result<()> {
         operator.ask(Request::Arm)?;
         news(operator.connection(), |sample| sample.mode.moves())?;
     }
-    let touch = match how.touch {
-        Touch::Wins => TouchPolicy::TouchWins,
-        Touch::PassThrough => TouchPolicy::PassThrough,
-    };
     let timeout = seconds("--timeout", how.timeout)?;
-    let led = lead(&operator, &wanted, touch, timeout, &ended);
+    let led = lead(&operator, &wanted, how.touch, timeout, &ended);
     let last = if how.arm { Request::Disarm } else { Request::EndTarget };
     let ended = match led {
         // Whoever is gone, or stopped, has ended it already.
@@ -191,17 +173,10 @@ impl TargetCommand {
                 };
                 Wanted::Target(Target::Pose { position_world: exactly(position)?, quaternion_world }, None)
             }
-            Self::Twist { twist, axes, duration, .. } => {
-                let axes = match axes {
-                    Axes::World => TwistAxes::World,
-                    Axes::Base => TwistAxes::Base,
-                    Axes::Flange => TwistAxes::Flange,
-                };
-                Wanted::Target(
-                    Target::Twist { axes, twist: exactly(twist)? },
-                    Some(seconds("--duration", *duration)?),
-                )
-            }
+            Self::Twist { twist, axes, duration, .. } => Wanted::Target(
+                Target::Twist { axes: *axes, twist: exactly(twist)? },
+                Some(seconds("--duration", *duration)?),
+            ),
             Self::Posture { q, .. } => {
                 let q = ParameterValues::new(q).context("more joints than any arm has")?;
                 Wanted::Target(Target::Posture(q), None)

@@ -135,7 +135,8 @@ fn tls_port(config: &Config) -> Result<Option<TlsPort>> {
     Ok(Some(TlsPort { listen, folder }))
 }
 
-fn description(config: &Config) -> RobotDescription {
+/// Describes the robot of a configuration to clients.
+pub(crate) fn description(config: &Config) -> RobotDescription {
     let limits = &config.parameters().limits;
     let mut robot = RobotDescription {
         name: config.robot.name.clone(),

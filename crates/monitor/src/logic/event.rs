@@ -1,6 +1,5 @@
 //! Changes worth a mark on the axis of time.
 
-use super::format::contact_text;
 use moca_msgs::{Fault, Mode, protection::ContactEvent};
 
 /// A change of mode or fault, or a contact that crossed a limit.
@@ -20,7 +19,7 @@ impl Event {
     /// One line for the user.
     pub fn text(&self) -> String {
         match (self.contact, self.fault) {
-            (Some(contact), _) => contact_text(&contact),
+            (Some(contact), _) => contact.to_string(),
             (None, Some(fault)) => format!("{}: {fault}", self.mode.name()),
             (None, None) => self.mode.name().to_owned(),
         }

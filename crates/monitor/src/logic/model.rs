@@ -3,7 +3,6 @@
 use super::{
     answers::Answer,
     event::Event,
-    parts::text_parameter,
     requests::{self, request_text},
     signals::{
         history::History,
@@ -171,7 +170,7 @@ impl Model {
     /// Returns true if a cover reads pushes on the simulated robot: a real board beside it does not.
     pub fn feels_pushes(&self) -> bool {
         let simulated = |port: &str| port.starts_with("virtual") || port == "avr" || port.starts_with("avr:");
-        let real = text_parameter(&self.robot, "board.port").is_some_and(|port| !simulated(port));
+        let real = self.robot.text("board.port").is_some_and(|port| !simulated(port));
         self.robot.simulated && !self.robot.taxels.is_empty() && !real
     }
 
@@ -351,9 +350,9 @@ mod tests {
         assert_eq!(model.law, Law::Impedance);
         let answers = model.take_answers();
         let [Answer { text, good: false }] = answers.as_slice() else { panic!("{answers:?}") };
-        assert!(text.starts_with("Select follow-me: refused, another client"), "{text}");
+        assert!(text.starts_with("Law follow-me: refused, another client"), "{text}");
         model.take(reply(select, Ok(())), 10.2);
         assert_eq!(model.law, Law::FollowMe);
-        assert_eq!(model.take_answers(), [Answer::good("Select follow-me: done")]);
+        assert_eq!(model.take_answers(), [Answer::good("Law follow-me: done")]);
     }
 }

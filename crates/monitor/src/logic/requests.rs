@@ -1,6 +1,5 @@
 //! Requests of an operator: when they make sense, and their labels. The daemon decides; this only greys out buttons.
 
-use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Law, Mode, Request};
 
 /// Returns the label of a request's button, also its accessible label; empty for requests without one.
@@ -38,30 +37,9 @@ pub fn fits(request: Request, mode: Option<Mode>) -> bool {
     request == Request::Stop || mode.is_some_and(|mode| request.taken_in().contains(&mode))
 }
 
-/// A request as text.
+/// A request as a sentence about it begins.
 pub fn request_text(request: Request) -> String {
-    match request {
-        Request::Tare => "Tare".into(),
-        Request::Arm => "Arm".into(),
-        Request::Disarm => "Disarm".into(),
-        Request::SelectLaw(law) => format!("Select {}", Mode::from(law).name()),
-        Request::Stop => "Stop".into(),
-        Request::OperatorLost => "Stop, operator lost".into(),
-        Request::Resume => "Resume".into(),
-        Request::PressTaxel { taxel, force_n } if force_n > 0.0 => {
-            format!("Push T{} with {force_n:.0} N", u16::from(taxel) + 1)
-        }
-        Request::PressTaxel { taxel, .. } => format!("Let go of T{}", u16::from(taxel) + 1),
-        Request::MaskTaxel { taxel, masked } => {
-            format!("{} T{}", if masked { "Mask" } else { "Use" }, u16::from(taxel) + 1)
-        }
-        Request::Target(target) => format!("Lead: {}", target.target.kind().name()),
-        Request::Waypoint { count, .. } => format!("Lead along {count} poses"),
-        Request::EndTarget => "End the target".into(),
-        Request::Recentre => "Recentre".into(),
-        Request::SetParameter { parameter, .. } => match CONTROLLER.get(usize::from(parameter)) {
-            Some(spec) => format!("Set {}", spec.name),
-            None => format!("Set parameter {parameter}"),
-        },
-    }
+    let mut text = request.to_string();
+    text[..1].make_ascii_uppercase();
+    text
 }

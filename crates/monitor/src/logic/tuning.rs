@@ -1,5 +1,6 @@
 //! Parameters as a user tunes them: names of elements, differences from the defaults, and these as a configuration file.
 
+use super::format::taxel_name;
 use moca_telemetry::{ParameterDescription, ParameterForm, ParameterValue, RobotDescription};
 use std::fmt::Write as _;
 
@@ -12,7 +13,7 @@ pub fn element_name(parameter: &ParameterDescription, element: usize) -> String 
         3 if one_unit => &["x", "y", "z"],
         3 => &["x", "y", "yaw"],
         6 if !one_unit => &["x", "y", "z", "roll", "pitch", "yaw"],
-        _ if parameter.name.contains("taxel") => return format!("T{}", element + 1),
+        _ if parameter.name.contains("taxel") => return taxel_name(element),
         _ => return format!("joint {}", element + 1),
     };
     axes.get(element).map_or_else(String::new, |axis| (*axis).to_owned())

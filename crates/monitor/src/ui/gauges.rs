@@ -3,21 +3,16 @@
 use super::requests::PageRequests;
 use super::theme;
 use crate::logic::{
-    format::{arm_link, number, speed_limit},
+    format::{number, speed_limit},
     limited::Limited,
     model::{Freshness, Model, SILENCE_S},
-    parts::{has_arm, has_base, has_cover, has_robot, number_parameter},
     requests::{explanation, label},
 };
 use egui::{Align, Button, Grid, Label, Layout, RichText, Role, Sense, Ui, WidgetInfo, pos2, vec2};
-use moca_msgs::{ArmMode, PostureOffset, Request, Sample, SpeedLimit, seconds};
+use moca_msgs::{ArmMode, Request, Sample, SpeedLimit, seconds};
 
 /// Share of commands that reach an arm in time below which its reflex is near.
 const SUCCESS_RATE_LOW: f64 = 0.95;
-
-/// Displacement of the base from which on recentring is offered, m and rad.
-const OFFSET_M: f64 = 0.02;
-const OFFSET_RAD: f64 = 0.05;
 
 /// Width from which on two counters stand beside each other, points.
 const TWO_COUNTERS: f32 = 378.0;
@@ -28,7 +23,7 @@ pub(super) fn show(ui: &mut Ui, model: &Model, now_s: f64, little_room: bool, pr
     let Some(sample) = &model.latest else { return };
     let live = model.freshness(now_s) == Freshness::Live;
     ui.add_enabled_ui(live, |ui| {
-        if has_robot(&model.robot) {
+        if model.robot.has_robot() {
             ui.separator();
             wrenches(ui, model, sample);
         }
@@ -46,7 +41,7 @@ fn wrenches(ui: &mut Ui, model: &Model, sample: &Sample) {
     let [fx, fy, mz] = sample.cover_wrench_base;
     let [x, y, yaw] = sample.base_pose_world;
     let [ex, ey, ez, mx, my, flange_mz] = sample.flange_wrench_world;
-    let (base, arm) = (has_base(&model.robot), has_arm(&model.robot));
+    let (base, arm) = (model.robot.has_base(), model.robot.has_arm());
     let rows = [
         (base, "Base wrench", [("fx", fx, 1, "N"), ("fy", fy, 1, "N"), ("mz", mz, 1, "N·m")]),
         (base, "Base pose", [("x", x, 3, "m"), ("y", y, 3, "m"), ("yaw", yaw, 3, "rad")]),
@@ -75,32 +70,32 @@ fn gauges(ui: &mut Ui, model: &Model, sample: &Sample, now_s: f64) {
         let (value, limit) = (sample.lateness_s * 1e6, robot.period_s * 1e6);
         Gauge { name: "Loop lateness", value, limit, unit: "µs", decimals: 0, hint: hints::LATENESS }
             .show(ui);
-        if has_cover(robot) {
+        if robot.has_cover() {
             let age_ms = if sample.frame_age_s < 0.0 { f64::NAN } else { sample.frame_age_s * 1e3 };
             ms("Frame age", age_ms, deadline_ms, hints::FRAME_AGE).show(ui);
         }
         if let Some(link) = &sample.link {
-            let of = |name: &str| number_parameter(robot, name).unwrap_or(f64::NAN);
+            let of = |name: &str| robot.number(name).unwrap_or(f64::NAN);
             if link.arm.mode != ArmMode::NotThere {
                 let deadline_ms = of("plant.arm.deadline_s") * 1e3;
                 ms("Arm state age", link.arm_age_s * 1e3, deadline_ms, hints::STATE_AGE).show(ui);
             }
-            if has_base(robot) {
+            if robot.has_base() {
                 let deadline_ms = of("plant.base.deadline_s") * 1e3;
                 ms("Base state age", link.base_age_s * 1e3, deadline_ms, hints::STATE_AGE).show(ui);
             }
         }
-        if has_base(robot) {
+        if robot.has_base() {
             speeds(ui, model, sample);
         }
     });
-    if has_base(robot) {
+    if robot.has_base() {
         let SpeedLimit { m_s, reason } = sample.speed_limit;
         let text = format!("Speed limit {} m/s: {}", number(m_s, 2), speed_limit(reason));
         ui.add(Label::new(text).truncate());
     }
     if let Some(link) = sample.link.filter(|link| link.arm.mode != ArmMode::NotThere) {
-        let text = RichText::new(arm_link(&link.arm));
+        let text = RichText::new(format!("Arm {}", link.arm));
         let odd = !link.arm.mode.follows() || link.arm.success_rate < SUCCESS_RATE_LOW;
         ui.add(Label::new(if odd { text.color(theme::WARNING) } else { text }).truncate());
     }
@@ -108,15 +103,13 @@ fn gauges(ui: &mut Ui, model: &Model, sample: &Sample, now_s: f64) {
 
 /// Displacement of the base from where the arm's posture wants it, and the button that brings it back.
 fn posture(ui: &mut Ui, model: &Model, sample: &Sample, now_s: f64, pressed: &mut PageRequests) {
-    let Some(PostureOffset { distance_m, angle_rad, recentring }) = sample.posture else { return };
-    if !recentring && distance_m < OFFSET_M && angle_rad.abs() < OFFSET_RAD {
+    let Some(posture) = sample.posture.filter(|posture| posture.recentring || posture.is_large()) else {
         return;
-    }
+    };
     ui.horizontal(|ui| {
-        let off = format!("Base off by {} m, {}°", number(distance_m, 2), number(angle_rad.to_degrees(), 0));
-        ui.label(if recentring { off + ": going back" } else { off });
+        ui.label(format!("Base {posture}"));
         let button = Button::new(label(Request::Recentre));
-        let response = ui.add_enabled(!recentring && model.allows(Request::Recentre, now_s), button);
+        let response = ui.add_enabled(!posture.recentring && model.allows(Request::Recentre, now_s), button);
         let hint = explanation(Request::Recentre);
         if response.on_hover_text(hint).on_disabled_hover_text(hint).clicked() {
             pressed.requests.push(Request::Recentre);
@@ -131,7 +124,7 @@ fn speeds(ui: &mut Ui, model: &Model, sample: &Sample) {
     let [x_max, y_max, yaw_max] = robot.base_velocity_max;
     let gauge = |name, value, limit, unit, hint| Gauge { name, value, limit, unit, decimals: 2, hint };
     gauge("Cover speed", sample.cover_speed_m_s, sample.speed_limit.m_s, "m/s", hints::COVER_SPEED).show(ui);
-    if let Some(most_m) = number_parameter(robot, "protection.uncovered_m") {
+    if let Some(most_m) = robot.number("protection.uncovered_m") {
         gauge("Uncovered way", sample.uncovered_way_m, most_m, "m", hints::UNCOVERED).show(ui);
     }
     gauge("Base speed", x.hypot(y), x_max.min(y_max), "m/s", hints::BASE_SPEED).show(ui);

@@ -2,10 +2,9 @@
 
 use super::{requests::PageRequests, theme};
 use crate::logic::{
-    format::{board_text, taxel_name},
+    format::taxel_name,
     limited::Limited,
     model::{Freshness, Model},
-    parts::{board_name, has_arm, has_robot, text_parameter},
     requests::{explanation, label},
 };
 use egui::{
@@ -153,7 +152,7 @@ fn buttons(ui: &mut Ui, model: &Model, now_s: f64, pressed: &mut PageRequests) {
         }
     };
     button(ui, Request::Tare, false);
-    if !has_robot(&model.robot) {
+    if !model.robot.has_robot() {
         return;
     }
     for request in [Request::Arm, Request::Disarm, Request::Resume] {
@@ -221,17 +220,16 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
     };
     if model.recorded {
         let name = &model.robot.name;
-        let fault = sample.fault.map_or_else(String::new, |fault| format!(": {fault}"));
+        let fault = sample.fault.map(|fault| model.robot.fault_text(fault, sample.fault_board));
+        let fault = fault.map_or_else(String::new, |fault| format!(": {fault}"));
         let text = format!("A recorded run of {name}, then in mode {}{fault}", sample.mode.name());
         return (Some(theme::WARNING), text);
     }
     if let Some(fault) = sample.fault {
-        let board = sample.fault_board.and_then(|board| board_name(&model.robot, board));
-        let board = board.map_or_else(String::new, |board| format!(" {board}."));
-        return (Some(theme::BAD), format!("{fault}{board}"));
+        return (Some(theme::BAD), model.robot.fault_text(fault, sample.fault_board));
     }
     if !matches!(sample.board, Diagnosis::Frames | Diagnosis::NoBoard) {
-        return (Some(theme::WARNING), board_text(sample.board, text_parameter(&model.robot, "board.port")));
+        return (Some(theme::WARNING), model.robot.board_text(sample.board));
     }
     let kind = if model.robot.simulated { ", simulated" } else { "" };
     let command = match model.status.commander {
@@ -240,7 +238,7 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
         Commander::Another => " · another dashboard has the command",
     };
     let arm = model.robot.arm_name.as_str();
-    let what = match (has_robot(&model.robot), has_arm(&model.robot)) {
+    let what = match (model.robot.has_robot(), model.robot.has_arm()) {
         (false, _) => "cover alone",
         (true, false) => "base alone",
         (true, true) => arm,

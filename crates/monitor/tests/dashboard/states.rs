@@ -294,7 +294,7 @@ fn ages_of_arm_and_base_stand_next_to_deadlines() {
         bench.harness.step();
         assert!(bench.shows("Base state age 34 ms of 100"), "{mode:?}");
         assert_eq!(bench.shows("Arm state age 2 ms of 10"), has_arm);
-        assert_eq!(bench.shows("Arm torque control: success rate"), has_arm);
+        assert_eq!(bench.shows("Arm torque control, success rate"), has_arm);
         assert_eq!(bench.shows("success rate"), has_arm);
     }
 }

@@ -214,7 +214,7 @@ impl Display {
             to.record(time_ns, &FaultChange::new(tick, sample.fault, sample.fault_board)?)?;
         }
         if new_fault {
-            to.message(LOG, time_ns, &sentences::fault(&at, sample.fault, sample.fault_board))?;
+            to.message(LOG, time_ns, &sentences::fault(&at, &self.robot, sample.fault, sample.fault_board))?;
         }
         if again || last.is_none_or(|(.., board)| board != sample.board) {
             to.record(time_ns, &BoardChange::new(tick, sample.board)?)?;

@@ -124,9 +124,7 @@ impl Overview {
 impl Span {
     fn of(sample: &Sample, start_ns: u64) -> Self {
         let healthy = sample.taxels.iter().filter(|taxel| taxel.status == TaxelStatus::Ok);
-        let (at, wanted) = (sample.flange_position_world, sample.flange_desired_position_world);
-        let squares: f64 = at.iter().zip(wanted).map(|(at, wanted)| (at - wanted).powi(2)).sum();
-        let error_m = if sample.q_rad.is_empty() { 0.0 } else { squares.sqrt() };
+        let error_m = if sample.q_rad.is_empty() { 0.0 } else { sample.flange_error_m() };
         Self {
             start_ns,
             force_n: single(healthy.map(|taxel| taxel.force_n).fold(0.0, f64::max)),

@@ -99,28 +99,11 @@ impl Ledger {
 
     /// Words for a request.
     fn words(&self, request: &Request) -> String {
-        let taxel = |taxel: u8| u16::from(taxel) + 1;
-        match *request {
-            Request::Tare => "tare".into(),
-            Request::Arm => "arm".into(),
-            Request::Disarm => "disarm".into(),
-            Request::SelectLaw(law) => format!("law {}", moca_msgs::Mode::from(law).name()),
-            Request::Stop => "stop".into(),
-            Request::OperatorLost => "operator lost".into(),
-            Request::Resume => "resume".into(),
-            Request::PressTaxel { taxel: number, .. } => format!("press T{}", taxel(number)),
-            Request::MaskTaxel { taxel: number, masked } => {
-                format!("{} T{}", if masked { "mask" } else { "use" }, taxel(number))
-            }
-            Request::SetParameter { parameter, .. } => match self.parameters.get(usize::from(parameter)) {
-                Some(name) => format!("set {name}"),
-                None => format!("set parameter {parameter}"),
-            },
-            Request::Target(target) => format!("lead {}", target.target.kind().name()),
-            Request::Waypoint { count, .. } => format!("lead along {count} poses"),
-            Request::EndTarget => "end target".into(),
-            Request::Recentre => "recentre".into(),
-        }
+        let name = match request {
+            Request::SetParameter { parameter, .. } => self.parameters.get(usize::from(*parameter)),
+            _ => None,
+        };
+        name.map_or_else(|| request.to_string(), |name| format!("set {name}"))
     }
 }
 
@@ -221,7 +204,7 @@ mod tests {
         for (request, words) in [
             (Request::MaskTaxel { taxel: 2, masked: true }, "mask T3"),
             (Request::SetParameter { parameter: 0, values }, "set control.law"),
-            (Request::SetParameter { parameter: 9, values }, "set parameter 9"),
+            (Request::SetParameter { parameter: u8::MAX, values }, "set parameter 255"),
             (Request::SelectLaw(moca_msgs::Law::FollowMe), "law follow-me"),
         ] {
             assert_eq!(ledger.words(&request), words);

@@ -1,6 +1,6 @@
 //! Which signals are plotted together, with their names and units.
 
-use crate::logic::parts::{has_arm, has_base, has_cover};
+use crate::logic::format::taxel_name;
 use moca_msgs::{Sample, TaxelStatus};
 use moca_telemetry::RobotDescription;
 
@@ -44,16 +44,12 @@ impl Signal {
             Self::FlangeWrench(i) => known(s.flange_wrench_world.get(i)),
             Self::Flange(i) => known(s.flange_position_world.get(i)),
             Self::FlangeDesired(i) => known(s.flange_desired_position_world.get(i)),
-            Self::FlangeErrorMm => 1e3 * distance(s.flange_position_world, s.flange_desired_position_world),
+            Self::FlangeErrorMm => 1e3 * s.flange_error_m(),
             Self::LatenessUs => s.lateness_s * 1e6,
             Self::FrameAgeMs if s.frame_age_s < 0.0 => f64::NAN,
             Self::FrameAgeMs => s.frame_age_s * 1e3,
         }
     }
-}
-
-fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
 impl Signal {
@@ -80,7 +76,7 @@ pub struct Panel {
 
 /// The paper's plots for the parts that a robot has, in order of reading.
 pub fn panels(description: &RobotDescription) -> Vec<Panel> {
-    let taxels = (0..description.taxels.len()).map(|i| (format!("T{}", i + 1), Signal::Taxel(i)));
+    let taxels = (0..description.taxels.len()).map(|i| (taxel_name(i), Signal::Taxel(i)));
     let panel = |title, unit, decimals, least_span, traces: &[(&str, Signal)]| Panel {
         title,
         unit,
@@ -98,7 +94,7 @@ pub fn panels(description: &RobotDescription) -> Vec<Panel> {
         ("z desired", FlangeDesired(2)),
     ];
     let force = [("fx", FlangeWrench(0)), ("fy", FlangeWrench(1)), ("fz", FlangeWrench(2))];
-    let (cover, arm, base) = (has_cover(description), has_arm(description), has_base(description));
+    let (cover, arm, base) = (description.has_cover(), description.has_arm(), description.has_base());
     let wrench = [("fx", CoverWrench(0)), ("fy", CoverWrench(1))];
     let plots = [
         (cover, Panel { traces: taxels.collect(), ..panel("Taxel forces", "N", 1, 10.0, &[]) }),

@@ -2,7 +2,6 @@
 
 use crate::logic::{
     model::{Freshness, Model},
-    parts::has_arm,
     requests::fits,
 };
 use crate::ui::{requests::PageRequests, row, view::View};
@@ -30,7 +29,7 @@ const BUTTONS: [(&str, usize, f64); 12] = [
 
 /// Draws the pad where there is a flange that could be led, and asks for what is held.
 pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, pressed: &mut PageRequests) {
-    if model.recorded || !has_arm(&model.robot) {
+    if model.recorded || !model.robot.has_arm() {
         return;
     }
     let (speed, axes) = &mut view.jog;

@@ -1,9 +1,6 @@
 //! Legend of the arrows and marks in the robot's pictures.
 
-use crate::logic::{
-    model::Model,
-    parts::{has_arm, has_robot},
-};
+use crate::logic::model::Model;
 use crate::ui::theme;
 use egui::{Align, Color32, Layout, RichText, Sense, Shape, Stroke, Ui, vec2};
 
@@ -23,7 +20,7 @@ enum Mark {
 
 /// Draws each mark with its name; the moment on the flange is a mark of the picture `in_3d` only.
 pub(in crate::ui) fn legend(ui: &mut Ui, model: &Model, in_3d: bool) {
-    if !has_robot(&model.robot) {
+    if !model.robot.has_robot() {
         return;
     }
     let of_cover = "as the cover feels it";
@@ -35,7 +32,7 @@ pub(in crate::ui) fn legend(ui: &mut Ui, model: &Model, in_3d: bool) {
         "base moment",
         &format!("Moment on the base about z, N·m, {of_cover}"),
     );
-    if has_arm(&model.robot) {
+    if model.robot.has_arm() {
         entry(ui, Mark::Arrow, theme::FLANGE_WRENCH, "flange force", "Force on the flange, N");
         if in_3d {
             let hint =

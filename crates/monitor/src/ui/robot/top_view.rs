@@ -8,7 +8,6 @@ use crate::logic::{
     kinematics,
     limited::Limited,
     model::{Freshness, Model},
-    parts::{has_arm, has_robot},
 };
 use crate::ui::{theme, view::View};
 use egui::{
@@ -110,11 +109,11 @@ pub(in crate::ui) fn show(
                 pushed = u8::try_from(index).ok().map(|i| (i, view.push_n));
             }
         }
-        if has_arm(&model.robot) {
+        if model.robot.has_arm() {
             arm_and_flange(&painter, &camera, model, sample, ui.visuals());
             flange_force(&painter, &camera, sample);
         }
-        if has_robot(&model.robot) {
+        if model.robot.has_robot() {
             wrench(&painter, &camera, sample.cover_wrench_base);
         }
         age(&painter, rect, sample, model, ui.visuals());

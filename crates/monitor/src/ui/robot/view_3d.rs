@@ -10,7 +10,6 @@ use crate::logic::{
     kinematics::{axes, in_world, points_base_m},
     limited::Limited,
     model::Model,
-    parts::{has_arm, has_robot},
     signals::panel::Signal,
 };
 use crate::ui::theme;
@@ -57,12 +56,12 @@ pub(in crate::ui) fn view_3d(
     }
     picture.base(model);
     plates().filter(|(_, taxel)| front(taxel)).for_each(|(i, taxel)| picture.plate(i, taxel, model, sample));
-    if has_arm(&model.robot) {
+    if model.robot.has_arm() {
         picture.trail(model);
         picture.desired(sample);
         picture.arm(model, sample);
     }
-    if has_robot(&model.robot) {
+    if model.robot.has_robot() {
         picture.wrench(model, sample);
     }
     for (i, taxel) in plates().filter(|(_, taxel)| front(taxel)) {

@@ -22,7 +22,7 @@ const SETTLE: Duration = Duration::from_millis(1500);
 ///
 /// # Errors
 /// A port cannot be opened, or is lost.
-pub(crate) fn run(config: &Config, length: Duration) -> Result<()> {
+pub(super) fn run(config: &Config, length: Duration) -> Result<()> {
     let looked_for = [AUTO_PORT.to_owned()];
     let ports = if config.board.port.are_virtual() { &looked_for[..] } else { &config.board.port };
     ports.iter().try_for_each(|port| listen(port, length))

@@ -1,19 +1,14 @@
 //! The network card behind which a part of the robot is, and which cores its interrupts take.
 
-use crate::cli::finding::Finding;
+use super::finding::Finding;
 use std::fs;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 
 /// Finds out if interrupts of the card to `host` stay away from the loop's core.
-pub(crate) fn card_of(host: &str, loop_cpu: Option<usize>) -> Finding {
-    let what = "network card";
+pub(super) fn card_of(host: &str, loop_cpu: Option<usize>) -> Finding {
     let Some(card) = address_towards(host).and_then(card_with) else {
-        return Finding::new(
-            what,
-            false,
-            format!("none leads to {host}"),
-            "an address on the arm's network for this PC",
-        );
+        return Finding::new(WHAT, false, format!("none leads to {host}"))
+            .or("an address on the arm's network for this PC");
     };
     let interrupts = fs::read_to_string("/proc/interrupts").unwrap_or_default();
     let cores: Vec<String> = interrupts_of(&interrupts, &card)
@@ -23,15 +18,16 @@ pub(crate) fn card_of(host: &str, loop_cpu: Option<usize>) -> Finding {
     judged(&card, &cores, loop_cpu)
 }
 
+const WHAT: &str = "network card";
+
 fn judged(card: &str, cores: &[String], loop_cpu: Option<usize>) -> Finding {
-    let what = "network card";
     if cores.is_empty() {
-        return Finding::new(what, true, format!("{card}, without interrupts of its own"), "");
+        return Finding::new(WHAT, true, format!("{card}, without interrupts of its own"));
     }
-    let found = format!("{card}, interrupts on cores {}", cores.join("; "));
     let meets = loop_cpu.is_some_and(|cpu| cores.iter().any(|list| holds(list, cpu)));
-    let remedy = "keep them off the loop's core (realtime.cpu): echo CORE > /proc/irq/N/smp_affinity_list, and stop irqbalance";
-    Finding::new(what, !meets, found, remedy)
+    Finding::new(WHAT, !meets, format!("{card}, interrupts on cores {}", cores.join("; "))).or(
+        "keep them off the loop's core (realtime.cpu): echo CORE > /proc/irq/N/smp_affinity_list, and stop irqbalance",
+    )
 }
 
 /// Numbers of the interrupts whose name has `card` in it.

@@ -1,6 +1,6 @@
 //! `mocad doctor --robot`, the arm: whether it can be driven, and what is wrong if not.
 
-use crate::cli::finding::Finding;
+use super::finding::Finding;
 use crate::config::Config;
 use crate::devices::franka_arm::settings;
 use crate::runtime::realtime;
@@ -47,7 +47,7 @@ struct Facts {
 ///
 /// # Errors
 /// A configuration that FCI cannot serve, or no thread.
-pub(crate) fn look(config: &Config, length: Duration, hold: bool) -> Result<Vec<Finding>> {
+pub(super) fn look(config: &Config, length: Duration, hold: bool) -> Result<Vec<Finding>> {
     // As the loop would hear it; threads of other parts must not inherit that.
     let on_its_own = || {
         let (_steps, _held) = realtime::apply(&config.realtime);
@@ -120,63 +120,54 @@ fn findings(facts: &Facts) -> Vec<Finding> {
         let model = Model::of_version(version).map_or("an arm", Model::name);
         format!(": {model}, FCI {version}")
     });
-    let mut findings = vec![Finding::new("arm", true, format!("answers at {}{version}", facts.host), "")];
-    findings.push(mode(state, facts.link));
-    for error in arm_errors::set_in(facts.link.errors) {
-        findings.push(Finding::new(
-            "arm's error",
-            false,
-            format!("{}: {}", error.name, error.text),
-            error.remedy,
-        ));
-    }
-    let lost = facts.link.lost;
+    let ArmLink { lost, repeated, errors, .. } = facts.link;
+    let errors = arm_errors::set_in(errors).map(|error| {
+        Finding::new("arm's error", false, format!("{}: {}", error.name, error.text)).or(error.remedy)
+    });
+    let all = facts.states + lost;
     #[expect(clippy::cast_precision_loss, reason = "counts of a few seconds")]
-    let share = lost as f64 / (facts.states + lost).max(1) as f64;
-    findings.push(Finding::new(
-        "states lost",
-        share <= LOST_SHARE,
-        format!("{lost} of {}", facts.states + lost),
-        "a network card of its own for the arm, its own cable, no switch; not a USB adapter",
-    ));
-    let [p50, p99] = facts.period_ms;
-    findings.push(Finding::new(
-        "period of the states",
-        p99 <= PERIOD_P99_MS,
-        format!("p50 {p50:.2} ms, p99 {p99:.2} ms of {} states", facts.states),
-        "this PC wakes late: a real-time kernel, the card's interrupts away from the loop's core, nothing else at work",
-    ));
-    let apart_kg = (state.carries_kg - facts.carries_kg).abs();
-    findings.push(Finding::new(
-        "load",
-        apart_kg <= CARRIES_APART_KG,
-        format!("{:.2} kg in Desk, {:.2} kg in the configuration", state.carries_kg, facts.carries_kg),
-        "write robot.tool and robot.load as in Desk, or plant.arm.payload = \"arm\"; the laws take the difference for a push",
-    ));
-    findings.extend(facts.held.map(|success| {
-        Finding::new(
-            "orders that arrive",
-            success.is_some_and(|rate| rate >= SUCCESS_RATE),
-            success.map_or("it did not let itself be driven".into(), |rate| {
-                format!("success rate {rate:.3} at the least, {} of ours repeated", facts.link.repeated)
-            }),
-            "above 0.95 it holds; below, look at what is said of states and of this PC",
-        )
-    }));
-    findings
+    let lost_share = lost as f64 / all.max(1) as f64;
+    let ([p50, p99], ours_kg, desk_kg) = (facts.period_ms, facts.carries_kg, state.carries_kg);
+    let period = format!(
+        "p50 {p50:.2} ms, p99 {p99:.2} ms of {} states; allowed: p99 {PERIOD_P99_MS} ms",
+        facts.states
+    );
+    let states = format!("{lost} of {all}; allowed: {} %", 100.0 * LOST_SHARE);
+    let load = format!("{desk_kg:.2} kg in Desk, {ours_kg:.2} kg in the configuration");
+    let held = facts.held.map(|success| {
+        let found = success.map_or("it did not let itself be driven".into(), |rate| {
+            format!(
+                "success rate {rate:.3} at the least; allowed: {SUCCESS_RATE} or more; {repeated} of ours repeated"
+            )
+        });
+        Finding::new("orders that arrive", success.is_some_and(|rate| rate >= SUCCESS_RATE), found)
+            .or("look at what is said of states and of this PC")
+    });
+    let first =
+        [Finding::new("arm", true, format!("answers at {}{version}", facts.host)), mode(state, facts.link)];
+    let then = [
+        Finding::new("states lost", lost_share <= LOST_SHARE, states)
+            .or("a network card of its own for the arm, its own cable, no switch; not a USB adapter"),
+        Finding::new("period of the states", p99 <= PERIOD_P99_MS, period).or(
+            "this PC wakes late: a real-time kernel, the card's interrupts away from the loop's core, nothing else at work",
+        ),
+        Finding::new("load", (desk_kg - ours_kg).abs() <= CARRIES_APART_KG, load).or(
+            "write robot.tool and robot.load as in Desk, or plant.arm.payload = \"arm\"; the laws take the difference for a push",
+        ),
+    ];
+    first.into_iter().chain(errors).chain(then).chain(held).collect()
 }
 
 fn unreached(facts: &Facts) -> Finding {
     let said = facts.said.last().cloned().unwrap_or_else(|| format!("nothing answers at {}", facts.host));
-    let remedy = match facts.link.mode {
+    Finding::new("arm", false, said).or(match facts.link.mode {
         ArmMode::Refused => {
             "arm, robot.arm and the arm's system (Desk, Settings, System) have to fit this program"
         }
         _ => {
             "the arm's power and cable, plant.arm.host, this PC's address on the same network; FCI activated in Desk"
         }
-    };
-    Finding::new("arm", false, said, remedy)
+    })
 }
 
 fn mode(state: &ArmState, link: ArmLink) -> Finding {
@@ -194,7 +185,7 @@ fn mode(state: &ArmState, link: ArmLink) -> Finding {
         }
         Said::UserStopped => ("its user stop is pressed", "release it; the lights turn from yellow to blue"),
     };
-    Finding::new("arm's mode", remedy.is_empty(), found, remedy)
+    Finding::new("arm's mode", remedy.is_empty(), found).or(remedy)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! `mocad doctor --robot`, the base: whether it is heard, obeys and stops by itself, and what is wrong if not.
 
-use crate::cli::finding::Finding;
+use super::finding::Finding;
 use crate::config::Config;
 use crate::devices::ros2_base::{connect, settings, transport};
 use anyhow::Result;
@@ -37,7 +37,7 @@ struct Facts {
 ///
 /// # Errors
 /// No network, or a topic whose name is none.
-pub(crate) fn look(config: &Config, length: Duration, drive: bool) -> Result<Vec<Finding>> {
+pub(super) fn look(config: &Config, length: Duration, drive: bool) -> Result<Vec<Finding>> {
     let length = length.max(DISCOVERY);
     let mut base = connect(config, |_| {})?;
     let (begin, mut oldest_s, mut problems) = (Instant::now(), f64::INFINITY, Vec::new());
@@ -77,38 +77,32 @@ pub(crate) fn look(config: &Config, length: Duration, drive: bool) -> Result<Vec
 }
 
 fn findings(facts: &Facts) -> Vec<Finding> {
-    let mut findings: Vec<Finding> = facts
-        .problems
-        .iter()
-        .map(|problem| Finding::new("base's network", false, problem, NETWORK))
-        .collect();
+    let of_network = |good, found: &str| Finding::new("base's network", good, found).or(NETWORK);
+    let mut findings: Vec<Finding> =
+        facts.problems.iter().map(|problem| of_network(false, problem)).collect();
     if findings.is_empty() {
-        findings.push(Finding::new("base's network", true, "one base, no other writer, types as ours", ""));
+        findings.push(of_network(true, "one base, no other writer, types as ours"));
     }
     #[expect(clippy::cast_precision_loss, reason = "counts of a few seconds")]
     let rate_hz = facts.odometry as f64 / facts.seconds;
     let heard = facts.odometry > 0;
-    findings.push(Finding::new(
-        "odometry",
-        heard && facts.oldest_s <= facts.deadline_s,
-        match heard {
-            true => format!("{rate_hz:.1} Hz, {:.0} ms old at the most", 1e3 * facts.oldest_s),
-            false => "none that can be used".into(),
-        },
-        "plant.base.deadline_s is what the loop bears; a wired network, or a base that speaks more often",
-    ));
-    findings.push(Finding::new(
-        "odometry refused",
-        facts.refused + facts.garbled == 0,
-        format!("{} refused, {} invalid", facts.refused, facts.garbled),
-        "odometry that jumps, has no stamp or is old when it comes; the reason stands above",
-    ));
+    let [oldest_ms, allowed_ms] = [facts.oldest_s, facts.deadline_s].map(|age_s| 1e3 * age_s);
+    let odometry = match heard {
+        true => format!("{rate_hz:.1} Hz, {oldest_ms:.0} ms old at the most; allowed: {allowed_ms:.0} ms"),
+        false => "none that can be used".into(),
+    };
+    let refused = format!("{} refused, {} invalid", facts.refused, facts.garbled);
+    findings.extend([
+        Finding::new("odometry", heard && oldest_ms <= allowed_ms, odometry).or(
+            "plant.base.deadline_s is what the loop bears; a wired network, or a base that speaks more often",
+        ),
+        Finding::new("odometry refused", facts.refused + facts.garbled == 0, refused)
+            .or("odometry that jumps, has no stamp or is old when it comes; the reason stands above"),
+    ]);
     if heard {
         let apart = facts.offset_s.abs() > CLOCKS_APART_S;
-        findings.push(Finding::new(
-            "clocks",
-            !(apart && facts.stamped),
-            format!("the base's stamps are {:+.3} s behind this PC's clock", facts.offset_s),
+        let found = format!("the base's stamps are {:+.3} s behind this PC's clock", facts.offset_s);
+        findings.push(Finding::new("clocks", !(apart && facts.stamped), found).or(
             "a base that is sent stamped orders may refuse old ones: chrony on both, the base's PC as server",
         ));
     }
@@ -129,10 +123,7 @@ fn timeout(after: AfterSilence, expected_s: f64) -> Finding {
         AfterSilence::DroveOn(s) => (false, format!("it still drives {s:.1} s after the last order")),
         AfterSilence::NeverDrove => (false, "it does not drive when it is ordered to".into()),
     };
-    Finding::new(
-        "base's own time-out",
-        good,
-        found,
+    Finding::new("base's own time-out", good, found).or(
         "a PC that dies leaves it driving for so long: set its controller's time-out (cmd_vel_timeout, reference_timeout)",
     )
 }

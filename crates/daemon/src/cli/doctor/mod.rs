@@ -2,8 +2,6 @@
 //! about it.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
-use crate::cli::finding::{self, Finding};
-use crate::cli::network;
 use crate::cli::progress;
 use crate::config::Config;
 use crate::robot::{ArmDriver, BaseDriver, PlantKind};
@@ -16,6 +14,17 @@ use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+
+#[cfg(feature = "fci")]
+mod arm;
+#[cfg(feature = "ros2")]
+mod base;
+mod board;
+mod finding;
+mod network;
+mod stops;
+
+use finding::{Finding, print};
 
 /// Without --seconds.
 const LOOP_S: f64 = 5.0;
@@ -81,13 +90,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
     if arguments.base {
         let file = arguments.config.as_deref().filter(|_| arguments.write);
-        return crate::cli::doctor_stops::run(&config, file);
+        return stops::run(&config, file);
     }
     if arguments.board {
-        return crate::cli::board_report::run(&config, length);
+        return board::run(&config, length);
     }
-    println!("What this PC offers");
-    finding::print(&findings());
+    print("What this PC offers", &machine());
     if arguments.robot {
         return look_at_robot(&config, length, arguments);
     }
@@ -123,21 +131,20 @@ fn look_at_robot(config: &Config, length: Duration, arguments: &Arguments) -> Re
         "doctor --robot looks at a real robot: a configuration (--config) with plant.kind = \"robot\""
     );
     if plant.parts.has_arm() && plant.arm.driver == ArmDriver::Fci {
-        println!("\nThe arm");
-        finding::print(&look_at_arm(config, length, arguments.hold)?);
-        finding::print(&[network::card_of(&plant.arm.host, usize::try_from(config.realtime.cpu).ok())]);
+        let mut findings = look_at_arm(config, length, arguments.hold)?;
+        findings.push(network::card_of(&plant.arm.host, usize::try_from(config.realtime.cpu).ok()));
+        print("\nThe arm", &findings);
     }
     if plant.parts.has_cover() && plant.base.driver == BaseDriver::Ros2 {
-        println!("\nThe base");
-        finding::print(&look_at_base(config, length, arguments.drive)?);
+        print("\nThe base", &look_at_base(config, length, arguments.drive)?);
     }
     Ok(())
 }
 
 #[cfg(feature = "fci")]
-use super::doctor_arm::look as look_at_arm;
+use arm::look as look_at_arm;
 #[cfg(feature = "ros2")]
-use super::doctor_base::look as look_at_base;
+use base::look as look_at_base;
 
 #[cfg(not(feature = "fci"))]
 fn look_at_arm(_: &Config, _: Duration, _: bool) -> Result<Vec<Finding>> {
@@ -235,50 +242,31 @@ fn print_row(name: &str, measured: &Lateness) {
     println!("  {name:<15} {p50:>9.0} {p99:>9.0} {p999:>9.0} {max:>9.0} {:>14}", measured.overruns);
 }
 
-fn findings() -> Vec<Finding> {
+/// Returns the findings about this PC.
+fn machine() -> Vec<Finding> {
     let read = |path: &str| fs::read_to_string(path).map(|text| text.trim().to_owned()).ok();
     let preempt = read("/sys/kernel/realtime").as_deref() == Some("1");
     let throttle = read("/proc/sys/kernel/sched_rt_runtime_us");
     let governor = read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor");
+    let performs = governor.as_deref().is_none_or(|governor| governor == "performance");
     let isolated = read("/sys/devices/system/cpu/isolated").filter(|cores| !cores.is_empty());
-    let virtual_machine = read("/proc/cpuinfo").is_some_and(|text| text.contains("hypervisor"));
+    let bare = !read("/proc/cpuinfo").is_some_and(|text| text.contains("hypervisor"));
+    let throttled = throttle.as_deref() != Some("-1");
+    let throttle = throttle.map_or("unknown".into(), |us| format!("sched_rt_runtime_us = {us}"));
     let board = crate::devices::ports::look();
     vec![
-        Finding::new(
-            "kernel",
-            preempt,
-            if preempt { "PREEMPT_RT" } else { "no PREEMPT_RT" },
-            "install your distribution's real-time kernel; a stock one is late by milliseconds under load",
-        ),
-        Finding::new(
-            "hardware",
-            !virtual_machine,
-            if virtual_machine { "a virtual machine" } else { "no hypervisor" },
-            "run the robot on bare metal: a halted virtual processor wakes late, whatever the guest does",
-        ),
-        Finding::new(
-            "real-time throttling",
-            throttle.as_deref() == Some("-1"),
-            throttle.map_or("unknown".into(), |us| format!("sched_rt_runtime_us = {us}")),
+        Finding::new("kernel", preempt, if preempt { "PREEMPT_RT" } else { "no PREEMPT_RT" })
+            .or("install your distribution's real-time kernel; a stock one is late by milliseconds under load"),
+        Finding::new("hardware", bare, if bare { "no hypervisor" } else { "a virtual machine" })
+            .or("run the robot on bare metal: a halted virtual processor wakes late, whatever the guest does"),
+        Finding::new("real-time throttling", !throttled, throttle).or(
             "harmless while a tick takes far less than its period; sysctl kernel.sched_rt_runtime_us=-1 lifts it",
         ),
-        Finding::new(
-            "frequency governor",
-            governor.as_deref().is_none_or(|governor| governor == "performance"),
-            governor.unwrap_or_else(|| "none (fixed frequency)".into()),
-            "cpupower frequency-set -g performance",
-        ),
-        Finding::new(
-            "isolated cores",
-            isolated.is_some(),
-            isolated.unwrap_or_else(|| "none".into()),
-            "optional: boot with isolcpus=N nohz_full=N and set realtime.cpu = N",
-        ),
-        Finding::new(
-            "Touch Board",
-            board.is_ok(),
-            board.unwrap_or_else(Into::into),
-            "the simulation has a virtual one",
-        ),
+        Finding::new("frequency governor", performs, governor.unwrap_or("none (fixed frequency)".into()))
+            .or("cpupower frequency-set -g performance"),
+        Finding::new("isolated cores", isolated.is_some(), isolated.unwrap_or("none".into()))
+            .or("optional: boot with isolcpus=N nohz_full=N and set realtime.cpu = N"),
+        Finding::new("Touch Board", board.is_ok(), board.unwrap_or_else(Into::into))
+            .or("the simulation has a virtual one"),
     ]
 }
