@@ -58,7 +58,6 @@ macro_rules! memories {
     ($($name:ident($state:ty),)*) => {
         /// Memory of the controller of a robot's parts, for arms of each number of joints.
         #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-        #[expect(clippy::large_enum_variant, reason = "there is one in a loop, and the loop does not allocate")]
         pub(super) enum ControllerMemory {
             $($name($state),)*
         }
