@@ -216,16 +216,16 @@ fn a_circle_is_found_and_a_tree_of_imports_flattened() {
 
 /// Numbers that are not counts of joints or taxels: tables state those.
 const NO_ROBOT: &[(&str, &str)] = &[
-    ("control/src/law.rs", "<7>"),                   // which controllers there are
-    ("control/src/loop_state.rs", "<7>"),            // the same
+    ("control/src/controller.rs", "<7>"), // which controllers there are
+    ("control/src/loop_state.rs", "<7>"), // the same
     ("control/src/config/self_collision.rs", "<7>"), // the same
-    ("control/src/config/stability.rs", "<7>"),      // the same
-    ("control/src/config/default_gains.rs", "<7>"),  // the same
-    ("sim/src/mechanics/analytic.rs", "<7>"),        // which arms it is built for
-    ("monitor/src/ui/theme.rs", "; 11]"),            // colours
-    ("figures/src/drawing.rs", "; 7]"),              // colours
-    ("control/src/config/mod.rs", "; 7]"),           // thresholds of an arm that speaks FCI
-    ("franka/src/mode.rs", "; 7]"),                  // what such an arm can say that it does
+    ("control/src/config/stability.rs", "<7>"), // the same
+    ("control/src/config/default_gains.rs", "<7>"), // the same
+    ("sim/src/mechanics/analytic.rs", "<7>"), // which arms it is built for
+    ("monitor/src/ui/theme.rs", "; 11]"), // colours
+    ("figures/src/drawing.rs", "; 7]"),   // colours
+    ("control/src/config/mod.rs", "; 7]"), // thresholds of an arm that speaks FCI
+    ("franka/src/mode.rs", "; 7]"),       // what such an arm can say that it does
 ];
 /// File of the built-in tables.
 const TABLES: &str = "msgs/src/robot.rs";

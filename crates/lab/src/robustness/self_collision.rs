@@ -11,7 +11,7 @@ use moca_daemon::inject::Random;
 use moca_daemon::runtime::lockstep::LockStep;
 use moca_experiments::closed_loop::armed;
 use moca_experiments::{JOINTS, unattended};
-use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S, TargetPhase};
+use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S};
 use moca_msgs::{
     ArmTable, Law, Mode, ParameterValues, Refusal, Request, Sample, Target, TargetRefusal, TimedTarget,
     TwistAxes,
@@ -60,7 +60,6 @@ struct Outcome {
     /// Targets that would have led two parts too near to each other.
     refused_near: u64,
     refused: u64,
-    reached: u64,
     /// Physics steps in which MuJoCo saw a contact.
     contacts: u64,
     /// Smallest distance of two parts, m.
@@ -105,7 +104,6 @@ const COLUMNS: &[Column<Group>] = &[
     ("targets taken", |group| sum(group, |run| run.taken)),
     ("refused: too near", |group| sum(group, |run| run.refused_near)),
     ("refused: other", |group| sum(group, |run| run.refused)),
-    ("reached", |group| sum(group, |run| run.reached)),
     ("stops", |group| sum(group, |run| run.stops.values().sum())),
     ("steps with a contact", |group| sum(group, |run| run.contacts)),
     ("nearest, mm", |group| format!("{:.1}", nearest_mm(group)[0])),
@@ -247,8 +245,6 @@ fn one_robot(
             }
             tick += 1.0;
         }
-        outcome.reached +=
-            u64::from(sample.target.is_some_and(|target| target.phase == TargetPhase::Reached));
     }
     Ok(())
 }
