@@ -50,7 +50,7 @@ pub(super) trait Controller: Send {
     /// It is of a robot with other parts or joints.
     fn restore(&mut self, memory: &ControllerMemory) -> Result<(), OtherRobot>;
 
-    /// Forgets what it remembers: the next step enters the law anew.
+    /// Forgets what it remembers: the next step enters the law from the measured state.
     fn leave(&mut self);
 
     /// Leads the running law. One that has not been entered yet cannot be led.
