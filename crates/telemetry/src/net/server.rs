@@ -182,13 +182,14 @@ pub fn serve(
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let entrances = {
         let _context = runtime.enter();
+        // The main one last: a program that finds it finds the other too.
+        let watch = watch.map(|path| Listener::bind(&Address::Unix(path), WATCH_MODE)).transpose()?;
         let listener = Listener::bind(address, mode)?;
         let seed = Token::random()?;
         let mut entrances = vec![Entrance::new(listener, access::Role::Maintainer, seed.clone())];
         entrances[0].token = token;
         if let Some(watch) = watch {
-            let listener = Listener::bind(&Address::Unix(watch), WATCH_MODE)?;
-            entrances.push(Entrance::new(listener, access::Role::Viewer, seed.clone()));
+            entrances.push(Entrance::new(watch, access::Role::Viewer, seed.clone()));
         }
         if let Some(port) = tls {
             entrances.push(Entrance::over_tls(&port, seed)?);
