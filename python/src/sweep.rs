@@ -1,7 +1,7 @@
 //! The collision and campaigns, by the code of `moca-lab`.
 
 use anyhow::{Error, Result};
-use moca_daemon::cli::progress;
+use moca_figures::progress;
 use moca_experiments::campaign::{Campaign, Table};
 use moca_experiments::collision;
 use moca_experiments::drawn::Meetings;

@@ -2,11 +2,11 @@
 
 use anyhow::{Result, ensure};
 use moca_control::config::Config;
-use moca_daemon::control::tick::Ticked;
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::devices::touch_board::ByteCover;
-use moca_daemon::runtime::assemble::board_config;
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards, NoCover};
+use moca_control::tick::Ticked;
+use moca_lockstep::simulated_robot::free_scene;
+use moca_lockstep::touch_board::ByteCover;
+use moca_lockstep::virtual_boards::board_config;
+use moca_lockstep::{LockStep, MemoryBoards, NoCover};
 use moca_experiments::settings::Settings;
 use moca_msgs::{Law, Request};
 use pyo3::exceptions::PyValueError;
@@ -26,9 +26,9 @@ impl World {
         let scene = free_scene(config);
         let world = if config.plant.parts.has_cover() {
             LockStep::with_board(config, &scene, board_config(config), None)
-                .map(|world| Self::Covered(Box::new(world.untimed())))
+                .map(|world| Self::Covered(Box::new(world)))
         } else {
-            LockStep::without_cover(config, &scene).map(|world| Self::Bare(Box::new(world.untimed())))
+            LockStep::without_cover(config, &scene).map(|world| Self::Bare(Box::new(world)))
         };
         world.map_err(|error| format!("{error:#}"))
     }

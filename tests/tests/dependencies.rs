@@ -27,10 +27,16 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
         &["egui", "moca-sim", "mujoco-rs", "serialport"],
     ),
     (
+        "moca-lockstep",
+        &["moca-control", "moca-msgs", "moca-tactile"],
+        &["egui", "moca-daemon", "clap", "serialport", "mujoco-rs"],
+    ),
+    (
         "moca-daemon",
         &[
             "moca-control",
             "moca-figures",
+            "moca-lockstep",
             "moca-manual",
             "moca-msgs",
             "moca-telemetry",
@@ -55,8 +61,16 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
     ("moca-viewer", &["moca-manual", "moca-telemetry"], &["nalgebra", "mujoco-rs", "serialport", "egui"]),
     (
         "moca-experiments",
-        &["moca-control", "moca-daemon", "moca-msgs", "moca-sim", "moca-tactile", "moca-wbc"],
-        &["egui", "resvg", "skrifa", "pdf-writer", "clap-markdown", "moca-monitor", "moca-lab"],
+        &[
+            "moca-control",
+            "moca-figures",
+            "moca-lockstep",
+            "moca-msgs",
+            "moca-sim",
+            "moca-tactile",
+            "moca-wbc",
+        ],
+        &["egui", "resvg", "skrifa", "pdf-writer", "clap", "moca-daemon", "moca-monitor", "moca-lab"],
     ),
     (
         "moca-lab",
@@ -64,6 +78,7 @@ const TABLE: &[(&str, &[&str], &[&str])] = &[
             "moca-control",
             "moca-experiments",
             "moca-figures",
+            "moca-lockstep",
             "moca-manual",
             "moca-msgs",
             "moca-telemetry",

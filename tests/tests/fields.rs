@@ -8,10 +8,10 @@
 )]
 
 use moca_control::config::Config;
-use moca_daemon::devices::ideal_cover::IdealCover;
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::runtime::assemble::board_config;
-use moca_daemon::runtime::lockstep::LockStep;
+use moca_lockstep::LockStep;
+use moca_lockstep::ideal_cover::IdealCover;
+use moca_lockstep::simulated_robot::free_scene;
+use moca_lockstep::virtual_boards::board_config;
 use moca_msgs::Sample;
 use moca_msgs::table::{ParameterKind, ParameterSpec};
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -67,8 +67,8 @@ const READ_ELSEWHERE: &[(&str, &str)] = &[
     ("simulation.true.arm.tool_com_m", "msgs/src/truth.rs"),
     ("simulation.true.foam.scale", "sim/src/foam.rs"),
     ("simulation.true.foam.creep", "sim/src/foam.rs"),
-    ("simulation.true.foam.kind", "daemon/src/devices/simulated_robot.rs"),
-    ("simulation.true.sensor.extra_age_ms", "daemon/src/devices/simulated_robot.rs"),
+    ("simulation.true.foam.kind", "lockstep/src/simulated_robot.rs"),
+    ("simulation.true.sensor.extra_age_ms", "lockstep/src/simulated_robot.rs"),
 ];
 
 /// A robot, and the loads it is looked at under.

@@ -6,10 +6,10 @@
     reason = "a test that cannot go on has to stop"
 )]
 
-use moca_daemon::config::{Config, HandConfig};
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::runtime::assemble::board_config;
-use moca_daemon::runtime::lockstep::LockStep;
+use moca_control::config::{Config, HandConfig};
+use moca_lockstep::LockStep;
+use moca_lockstep::simulated_robot::free_scene;
+use moca_lockstep::virtual_boards::board_config;
 use moca_msgs::{Mode, Request, Sample};
 use std::path::PathBuf;
 use std::process::{Command, Output};
@@ -27,7 +27,7 @@ fn file(name: &str, contents: &[u8]) -> PathBuf {
 /// Tared and armed within 1.5 s; then two seconds in its law, a protective stop and a second in it. Nothing moves by itself.
 fn runs_and_stops(name: &str, config: Config) {
     let config = Config {
-        simulation: moca_daemon::config::SimulationConfig { hand: HandConfig::none(), ..config.simulation },
+        simulation: moca_control::config::SimulationConfig { hand: HandConfig::none(), ..config.simulation },
         ..config
     };
     let scene = free_scene(&config);

@@ -2,11 +2,11 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 
 use moca_control::config::{AssumedModel, Config, HandConfig};
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::command_csv;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
+use moca_lockstep::simulated_robot::free_scene;
+use moca_lockstep::touch_board::ByteCover;
+use moca_lockstep::{LockStep, MemoryBoards};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Fault, Law, Mode, ParameterValues, Refusal, Request, Sample, TaxelStatus};
 use moca_sim::VirtualBoardConfig;

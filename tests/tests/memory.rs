@@ -2,12 +2,12 @@
 #![expect(unsafe_code, reason = "an allocator that knows how much is in use")]
 
 use moca_control::config::{Config, HandConfig};
-use moca_daemon::devices::simulated_robot::free_scene;
 use moca_daemon::record::flight_recorder::FlightRecorder;
 use moca_daemon::record::tick_log::tick_log;
 use moca_daemon::runtime::clients::rings;
 use moca_daemon::runtime::live::Shared;
-use moca_daemon::runtime::lockstep::LockStep;
+use moca_lockstep::LockStep;
+use moca_lockstep::simulated_robot::free_scene;
 use moca_msgs::{Mode, Request, Sample};
 use moca_sim::{Engine, VirtualBoardConfig};
 use moca_telemetry::RobotDescription;

@@ -3,8 +3,8 @@
 
 use moca_control::config::{Config, HandConfig};
 use moca_control::robot::{Arm, Parts};
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::runtime::lockstep::LockStep;
+use moca_lockstep::LockStep;
+use moca_lockstep::simulated_robot::free_scene;
 use moca_msgs::{Fault, Mode, Refusal, Request, Sample};
 use moca_sim::{Scene, VirtualBoardConfig};
 use moca_tests::Limited;

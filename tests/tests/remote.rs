@@ -7,8 +7,8 @@
 )]
 
 use moca_control::config::{Config, HandConfig};
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::runtime::lockstep::LockStep;
+use moca_lockstep::LockStep;
+use moca_lockstep::simulated_robot::free_scene;
 use moca_msgs::robot::PANDA;
 use moca_msgs::{Fault, Mode, Refusal, Request, Sample, TaxelStatus};
 use moca_sim::{PtyBoard, SharedForces, VirtualBoardConfig};

@@ -7,14 +7,14 @@
 )]
 
 use moca_control::config::{BarrierReadings, Config, HandConfig};
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::devices::touch_board::ByteCover;
 use moca_daemon::record::flight_recorder::FlightRecorder;
 use moca_daemon::record::recording::{configuration, parameter_change};
 use moca_daemon::record::tick_blocks::BlockBuilder;
 use moca_daemon::record::tick_log::{PortEvent, TickLog, TickLogReader, TickRecord, tick_log};
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_daemon::runtime::replay::{self, Failure};
+use moca_lockstep::simulated_robot::free_scene;
+use moca_lockstep::touch_board::ByteCover;
+use moca_lockstep::{LockStep, MemoryBoards};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Law, Mode, ParameterValues, Request, Sample, Target, TimedTarget, TouchPolicy, Waypoint};
 use moca_sim::VirtualBoardConfig;

@@ -10,10 +10,10 @@
 use moca_control::config::{Config, HandConfig};
 use moca_control::cover::CoverSource;
 use moca_control::robot::{Arm, BaseDriver, PlantKind};
-use moca_daemon::devices::ideal_cover::IdealCover;
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::runtime::assemble::board_config;
-use moca_daemon::runtime::lockstep::{Feed, LockStep};
+use moca_lockstep::ideal_cover::IdealCover;
+use moca_lockstep::simulated_robot::free_scene;
+use moca_lockstep::virtual_boards::board_config;
+use moca_lockstep::{Feed, LockStep};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::{Mode, Outcome, ParameterValues, Refusal, Request, Sample};
 use std::f64::consts::TAU;
@@ -64,7 +64,7 @@ fn every_taxel_pushes_its_way<S: CoverSource, F: Feed<S>>(config: &Config, mut w
     }
 }
 
-fn ideal(config: &Config) -> LockStep<IdealCover, moca_daemon::runtime::lockstep::TrueForces> {
+fn ideal(config: &Config) -> LockStep<IdealCover, moca_lockstep::TrueForces> {
     LockStep::with_true_forces(config, &free_scene(config), IdealCover::new(25, 0)).unwrap()
 }
 

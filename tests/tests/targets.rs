@@ -3,9 +3,9 @@
 #![allow(clippy::float_cmp, reason = "what does not move stays equal to the bit")]
 
 use moca_control::config::{Config, HandConfig};
-use moca_daemon::devices::ideal_cover::IdealCover;
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::runtime::lockstep::{LockStep, TrueForces};
+use moca_lockstep::ideal_cover::IdealCover;
+use moca_lockstep::simulated_robot::free_scene;
+use moca_lockstep::{LockStep, TrueForces};
 use moca_msgs::robot::PANDA;
 use moca_msgs::target::{TargetKind, TargetPhase};
 use moca_msgs::{
@@ -20,7 +20,7 @@ fn armed(law: Law) -> World {
     config.simulation.hand = HandConfig::none();
     config.startup.law = law;
     let cover = IdealCover::new(1, 0);
-    let mut world = LockStep::with_true_forces(&config, &free_scene(&config), cover).unwrap().untimed();
+    let mut world = LockStep::with_true_forces(&config, &free_scene(&config), cover).unwrap();
     let mode = run(&mut world, 200).mode;
     assert_eq!(mode, law.into());
     world

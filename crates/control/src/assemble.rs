@@ -5,7 +5,8 @@ use crate::law::Motion;
 use crate::protection::Protection;
 use crate::robot::{PlantKind, TAXELS};
 use crate::supervisor::{Automatic, Supervisor};
-use anyhow::Result;
+use anyhow::{Context, Result};
+use moca_tactile::CoverConfig;
 
 /// The supervisor that the configuration asks for.
 pub fn supervisor(config: &Config) -> Supervisor {
@@ -13,6 +14,14 @@ pub fn supervisor(config: &Config) -> Supervisor {
     let automatic = Automatic { tare: config.startup.tare, arm: config.startup.arm && simulated };
     let supervisor = Supervisor::new(config.startup.law, automatic);
     if config.plant.kind == PlantKind::None { supervisor.without_robot() } else { supervisor }
+}
+
+/// The cover that the configuration asks for.
+///
+/// # Errors
+/// The calibration file cannot be used.
+pub fn cover_config(config: &Config) -> Result<CoverConfig<TAXELS>> {
+    config.cover().with_context(|| format!("board.calibration = {:?}", config.board.calibration))
 }
 
 /// The controller and the protection that the configuration asks for.

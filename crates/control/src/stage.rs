@@ -27,8 +27,11 @@ impl Stage {
     }
 }
 
-/// Is told when a stage of the running tick ends.
+/// Is told when a tick begins, and when a stage of it ends.
 pub trait StageTimer {
+    /// A tick begins; its first stage starts here.
+    fn begin(&mut self);
+
     /// `stage` is over; the next one starts here.
     fn end(&mut self, stage: Stage);
 }
@@ -38,5 +41,7 @@ pub trait StageTimer {
 pub struct Untimed;
 
 impl StageTimer for Untimed {
+    fn begin(&mut self) {}
+
     fn end(&mut self, _stage: Stage) {}
 }

@@ -52,6 +52,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// One tick: read, decide, command, write; `timer` hears of each stage's end. What it leaves behind stays where it is:
     /// it is large.
     pub fn tick(&mut self, slot: &Slot, request: Option<Request>, timer: &mut impl StageTimer) -> &Ticked {
+        timer.begin();
         let measured = self.measured();
         let (age, link) = (self.plant.age(), self.plant.link());
         let (deadlines, elapsed_s) = (self.motion.deadlines(), self.elapsed_s(slot));

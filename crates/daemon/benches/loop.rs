@@ -5,17 +5,17 @@
 #![allow(clippy::unwrap_used, missing_docs, reason = "a benchmark stops at the first surprise")]
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use moca_daemon::config::{Config, HandConfig};
-use moca_daemon::control::plant::Plant;
-use moca_daemon::control::stage::Untimed;
-use moca_daemon::control::tick::ControlLoop;
-use moca_daemon::control::tick_input::Slot;
-use moca_daemon::devices::board_events::BoardEvents;
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::devices::touch_board::ByteCover;
-use moca_daemon::robot::JOINTS;
-use moca_daemon::runtime::assemble::{cover_config, motion, supervisor};
-use moca_daemon::runtime::lockstep::LockStep;
+use moca_control::assemble::{cover_config, motion, supervisor};
+use moca_control::config::{Config, HandConfig};
+use moca_control::plant::Plant;
+use moca_control::robot::JOINTS;
+use moca_control::stage::Untimed;
+use moca_control::tick::ControlLoop;
+use moca_control::tick_input::Slot;
+use moca_lockstep::LockStep;
+use moca_lockstep::board_events::BoardEvents;
+use moca_lockstep::simulated_robot::free_scene;
+use moca_lockstep::touch_board::ByteCover;
 use moca_msgs::{Actuation, Fault, Mode, Request, RobotState};
 use moca_sim::VirtualBoardConfig;
 use moca_tactile::{BoardEvent, Cover};

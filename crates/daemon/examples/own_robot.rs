@@ -3,9 +3,9 @@
 //!
 //! `cargo run --example own_robot`
 
-use moca_daemon::config::Config;
-use moca_daemon::control::plant::{Plant, SourceAge};
-use moca_daemon::robot::{JOINTS, Parts, PlantKind};
+use moca_control::config::Config;
+use moca_control::plant::{Plant, SourceAge};
+use moca_control::robot::{JOINTS, Parts, PlantKind};
 use moca_daemon::runtime::live::Shared;
 use moca_daemon::runtime::notice::Silent;
 use moca_daemon::runtime::options::Options;

@@ -6,14 +6,14 @@
 #![expect(clippy::print_stdout, reason = "this is what the program is for")]
 #![allow(clippy::expect_used, reason = "a check that cannot go on has to stop")]
 
-use moca_daemon::config::{Config, HandConfig};
-use moca_daemon::control::tick::Ticked;
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::devices::touch_board::ByteCover;
+use moca_control::config::{Config, HandConfig};
+use moca_control::tick::Ticked;
 use moca_daemon::record::tick_log::tick_log;
 use moca_daemon::runtime::live::{Rings, Shared};
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_daemon::runtime::recovery::Recovery;
+use moca_lockstep::simulated_robot::free_scene;
+use moca_lockstep::touch_board::ByteCover;
+use moca_lockstep::{LockStep, MemoryBoards};
 use moca_msgs::{Law, Mode, Request};
 use moca_sim::VirtualBoardConfig;
 use moca_sim::board::BoardFault;

@@ -4,9 +4,9 @@
 //! 1. [`control`]: one tick: read the plant, read the cover, decide the mode, command, write ([`control::tick`]); which
 //!    mode and why ([`control::supervisor`]), which law ([`control::law`]), how fast the base may go
 //!    ([`control::protection`]). No thread, clock or file.
-//! 2. [`runtime`]: who calls the tick: the wall clock ([`runtime::live`]) or a caller that wants every tick now
-//!    ([`runtime::lockstep`]); and what runs beside it.
-//! 3. [`devices`]: the robots, covers and ports there are. [`inject`]: faults on purpose.
+//! 2. [`runtime`]: callers of the tick: the wall clock ([`runtime::live`]), or a run that wants every tick now
+//!    ([`moca_lockstep`]); and what runs beside it.
+//! 3. [`devices`]: the real robots and ports there are. [`inject`]: faults on purpose that need a thread or a socket.
 //! 4. [`record`]: what is kept of a run; [`runtime::replay`] runs it again.
 //! 5. [`robot`]: arm, base, cover, tool and load as data. [`config`]: from a file to checked settings. [`calibration`]: counts to newtons, taxel by taxel.
 //! 6. [`cli`]: what a user sees of it on a terminal.

@@ -1,8 +1,8 @@
 //! `mocad`: the daemon of MOCA-S.
 
 use clap::{Args, Parser, Subcommand};
+use moca_control::config::Config;
 use moca_daemon::cli::terminal::Terminal;
-use moca_daemon::config::Config;
 use moca_daemon::runtime::allocations::CountingAllocator;
 use moca_telemetry::log::LogError;
 use std::path::{Path, PathBuf};
@@ -99,7 +99,7 @@ struct RunArguments {
     record_split: Option<std::time::Duration>,
     /// Let a fault strike a simulated robot; a wrong NAME lists all there are.
     #[arg(long, value_name = "NAME@SECONDS")]
-    inject: Option<moca_daemon::inject::Injection>,
+    inject: Option<moca_lockstep::inject::Injection>,
     /// Importance of the lines that the terminal or the journal shows.
     #[arg(long, value_enum, default_value_t)]
     log_level: moca_daemon::cli::report::Level,
@@ -112,7 +112,7 @@ fn main() -> ExitCode {
     survive_large_files();
     let arguments: Arguments = moca_manual::parse("mocad", &moca_daemon::features());
     if arguments.quiet {
-        moca_daemon::cli::progress::be_quiet();
+        moca_figures::progress::be_quiet();
     }
     if !matches!(arguments.command, None | Some(Command::Run(_))) {
         moca_daemon::cli::terminal::end_with_the_reader();
@@ -132,7 +132,7 @@ fn main() -> ExitCode {
             moca_daemon::cli::access::run(&arguments).map(|text| print(&text))
         }
         Some(Command::DefaultConfig) => {
-            print(moca_daemon::config::DEFAULT_TOML);
+            print(moca_control::config::DEFAULT_TOML);
             Ok(())
         }
         Some(Command::Describe(DescribeArguments { config, .. })) => describe(config.as_deref()),
@@ -200,7 +200,7 @@ fn time(text: &str) -> Result<std::time::Duration, String> {
 }
 
 fn replay(log: &[PathBuf]) -> anyhow::Result<()> {
-    let mut progress = moca_daemon::cli::progress::Progress::new("replay");
+    let mut progress = moca_figures::progress::Progress::new("replay");
     let report = moca_daemon::runtime::replay::run_watched(log, &mut |part| progress.at(part));
     progress.end();
     print(&report?.to_string());
@@ -209,7 +209,7 @@ fn replay(log: &[PathBuf]) -> anyhow::Result<()> {
 
 fn describe(config: Option<&Path>) -> anyhow::Result<()> {
     let config = configuration(config)?;
-    print(&moca_daemon::config::urdf::urdf(&config.robot, config.plant.parts));
+    print(&moca_control::config::urdf::urdf(&config.robot, config.plant.parts));
     Ok(())
 }
 
@@ -228,7 +228,7 @@ fn configuration(path: Option<&Path>) -> anyhow::Result<Config> {
 fn run(arguments: RunArguments) -> anyhow::Result<()> {
     let mut config = configuration(arguments.config.as_deref())?;
     if arguments.no_hand {
-        config.simulation.hand = moca_daemon::config::HandConfig::none();
+        config.simulation.hand = moca_control::config::HandConfig::none();
     }
     if let Some(port) = &arguments.board {
         config.board.port = port.as_str().into();
@@ -238,10 +238,9 @@ fn run(arguments: RunArguments) -> anyhow::Result<()> {
             return Err(WrongConfiguration(mistakes.join("\n")).into());
         }
     }
-    moca_daemon::runtime::assemble::cover_config(&config)
+    moca_control::assemble::cover_config(&config)
         .map_err(|error| WrongConfiguration(format!("{error:#}")))?;
-    moca_daemon::runtime::assemble::motion(&config)
-        .map_err(|error| WrongConfiguration(format!("{error:#}")))?;
+    moca_control::assemble::motion(&config).map_err(|error| WrongConfiguration(format!("{error:#}")))?;
     moca_daemon::runtime::drivers::check_build(&config)
         .map_err(|error| WrongConfiguration(format!("{error:#}")))?;
     if arguments.check {

@@ -5,11 +5,11 @@ use crate::{JOINTS, TAXELS, commissioning};
 use anyhow::{Result, bail, ensure};
 use moca_control::cover::CoverSource;
 use moca_control::plant::Simulated;
-use moca_daemon::devices::ideal_cover::IdealCover;
-use moca_daemon::devices::simulated_robot::{self, SimulatedRobot};
-use moca_daemon::devices::touch_board::ByteCover;
-use moca_daemon::inject::Injection;
-use moca_daemon::runtime::lockstep::{Feed, LockStep, MemoryBoards, TrueForces};
+use moca_lockstep::ideal_cover::IdealCover;
+use moca_lockstep::inject::Injection;
+use moca_lockstep::simulated_robot::{self, SimulatedRobot};
+use moca_lockstep::touch_board::ByteCover;
+use moca_lockstep::{Feed, LockStep, MemoryBoards, TrueForces};
 use moca_msgs::{Mode, Sample, TaxelStatus, seconds};
 use moca_sim::Scene;
 use moca_sim::StepsSpent;
@@ -137,16 +137,16 @@ impl Rig {
         let period_s = scene.control_period_s;
         let ticks = |ms: f64| whole(ms * 1e-3 / period_s);
         let cover = match settings.sensor {
-            Sensor::Stock => SensorModel::Board(Box::new(
-                LockStep::with_board(&config, scene, settings.board(), None)?.untimed(),
-            )),
+            Sensor::Stock => {
+                SensorModel::Board(Box::new(LockStep::with_board(&config, scene, settings.board(), None)?))
+            }
             Sensor::Ideal | Sensor::Off => {
                 if settings.sensor == Sensor::Off {
                     config.control.gains.reactivity = 0.0;
                 }
                 let ideal =
                     IdealCover::new(ticks(settings.period_ms()), simulated_robot::extra_age_ticks(&config));
-                let mut lock_step = LockStep::with_true_forces(&config, scene, ideal)?.untimed();
+                let mut lock_step = LockStep::with_true_forces(&config, scene, ideal)?;
                 lock_step.feed = settings.sensor_samples;
                 SensorModel::True(Box::new(lock_step))
             }

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use moca_control::config::Config;
 use moca_control::stopping;
-use moca_daemon::devices::simulated_robot;
+use moca_lockstep::simulated_robot;
 use moca_sim::Scene;
 
 /// Lets `config` believe what the ladder measures of the base of `scene`.

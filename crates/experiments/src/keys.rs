@@ -5,7 +5,7 @@ use crate::TAXELS;
 use crate::settings::{self, Sensor, Settings};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use moca_control::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
-use moca_daemon::runtime::lockstep::TrueForces;
+use moca_lockstep::TrueForces;
 use moca_msgs::table::{FieldValue, ParameterKind, ParameterSpec, Size};
 use moca_sim::foam::Foam;
 use moca_sim::{BodyPart, Engine, Integrator};

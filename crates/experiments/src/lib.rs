@@ -3,7 +3,7 @@
 //! Python package share.
 
 use moca_control::config::{Config, HandConfig};
-use moca_daemon::devices::simulated_robot;
+use moca_lockstep::simulated_robot;
 use moca_msgs::robot::{PANDA, PAPER_COVER};
 use moca_msgs::{Law, RobotState};
 use moca_sim::Scene;

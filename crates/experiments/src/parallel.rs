@@ -1,7 +1,7 @@
 //! Parallel work on many inputs, on all cores, with its progress.
 
 use anyhow::Result;
-use moca_daemon::cli::progress::Progress;
+use moca_figures::progress::Progress;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 

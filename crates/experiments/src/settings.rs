@@ -4,8 +4,8 @@ use anyhow::{Context, Result, ensure};
 use moca_control::config::{
     AssumedModel, BarrierReadings, Config, HandConfig, OVERRIDE_MAX_M_S, ProtectionConfig, RecentrePolicy,
 };
-use moca_daemon::devices::simulated_robot;
-use moca_daemon::runtime::lockstep::TrueForces;
+use moca_lockstep::TrueForces;
+use moca_lockstep::simulated_robot;
 use moca_msgs::Law;
 use moca_msgs::robot::{BaseTable, TaxelPlacement};
 use moca_sim::foam::{ElasticLaw, Foam};

@@ -1,7 +1,7 @@
 //! Figures: panels with axes, maps of coloured cells and free drawings, as SVG.
 //!
 //! One engine for the documents, the lab's `--out` folders, its report and the calibration's residuals. It needs no other
-//! crate: the lab renders the SVG as PNG and PDF.
+//! crate: the lab renders the SVG as PNG and PDF. [`progress`] is a bar on a terminal.
 //!
 //! ```
 //! use moca_figures::{Drawing, Panel, Scale, Series};
@@ -22,6 +22,7 @@ mod axis;
 mod drawing;
 mod map;
 mod panel;
+pub mod progress;
 
 pub use axis::{Scale, number};
 pub use drawing::{Anchor, BLACK, Colour, Drawing, GREY, PALETTE, RED, text_px, wrapped};

@@ -69,7 +69,7 @@ fn main() -> ExitCode {
     moca_daemon::cli::terminal::end_with_the_reader();
     let arguments: Arguments = moca_manual::parse("moca-lab", &[]);
     if arguments.quiet {
-        moca_daemon::cli::progress::be_quiet();
+        moca_figures::progress::be_quiet();
     }
     match run(&arguments.command) {
         Ok(()) => ExitCode::SUCCESS,

@@ -1,9 +1,9 @@
 //! `mocad log` and `mocad logs`: what happened in a run, and which runs there are.
 
 use crate::cli::log_story::{Told, clock};
-use crate::cli::progress::Progress;
 use crate::record::flight_recorder::auto_folder;
 use anyhow::{Context, Result, bail};
+use moca_figures::progress::Progress;
 use moca_msgs::Mode;
 use moca_telemetry::log::{Account, LogError, LogFile, LogSizes, Overview, overview::Happening};
 use std::fmt::Write as _;

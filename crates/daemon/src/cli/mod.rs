@@ -9,7 +9,6 @@ mod log_story;
 pub mod operate;
 pub mod operator;
 pub mod params;
-pub mod progress;
 pub mod remote;
 pub mod report;
 mod status;

@@ -1,9 +1,9 @@
 //! The terminal as one more client: its own thread writes, so that a terminal that stops reading or goes away costs
 //! lines and nothing else.
 
-use crate::cli::progress::Progress;
 use crate::cli::report::{Level, Report, lines_of};
 use crate::runtime::notice::{Notice, Reporter};
+use moca_figures::progress::Progress;
 use std::io::{self, IsTerminal, Write};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::time::{Duration, Instant};

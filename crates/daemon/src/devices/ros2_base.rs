@@ -190,7 +190,7 @@ mod tests {
     /// A simulated robot whose base is heard of at 50 Hz only, carried on for `most_ns` at the most.
     #[cfg(feature = "sim")]
     struct Heard {
-        robot: crate::devices::simulated_robot::SimulatedRobot,
+        robot: moca_lockstep::simulated_robot::SimulatedRobot,
         last: moca_ros2::base::odometry::BaseReading,
         most_ns: u64,
         now_ns: u64,
@@ -245,7 +245,7 @@ mod tests {
         use crate::control::supervisor::Zero;
         use crate::control::tick::ControlLoop;
         use crate::control::tick_input::Slot;
-        use crate::devices::simulated_robot::{SimulatedRobot, free_scene};
+        use moca_lockstep::simulated_robot::{SimulatedRobot, free_scene};
         use moca_msgs::{Mode, TaxelReading, TaxelStatus};
         let mut config = Config::default();
         config.protection.override_speed_limit_m_s = 0.5;

@@ -4,7 +4,7 @@
 
 use crate::control::loop_state::LoopState;
 use crate::control::tick_input::TickInput;
-use crate::devices::board_events::NumberedEvent;
+use moca_lockstep::board_events::NumberedEvent;
 use moca_msgs::board::OpenFailure;
 use moca_tactile::board::Chunk;
 use moca_tactile::{BoardEvent, CloseReason};
@@ -171,10 +171,10 @@ impl From<&PortEvent> for BoardEvent {
 pub(super) mod tests {
     use super::*;
     use crate::config::Config;
+    use crate::control::assemble::{motion, supervisor};
     use crate::control::plant::SourceAge;
     use crate::control::state_check::StateCheck;
     use crate::control::tick_input::Slot;
-    use crate::runtime::assemble::{motion, supervisor};
     use moca_msgs::Fault;
 
     /// Returns the input of the tick at a number of milliseconds.

@@ -3,22 +3,22 @@
 use crate::calibration::reference::Reference;
 use crate::calibration::service;
 use crate::config::Config;
-pub use crate::control::assemble::{motion, supervisor};
+use crate::control::assemble::cover_config;
+#[cfg(feature = "sim")]
+use crate::control::assemble::{motion, supervisor};
 #[cfg(feature = "sim")]
 use crate::control::tick::ControlLoop;
-use crate::devices::board_events::{BoardEvents, NumberedEvent};
-#[cfg(feature = "sim")]
-use crate::devices::firmware_board::LiveFirmware;
 use crate::devices::force_gauge::Gauge;
+#[cfg(feature = "sim")]
+use crate::devices::live_firmware::LiveFirmware;
 use crate::devices::ports;
-use crate::devices::touch_board::ByteCover;
-use crate::inject::{self, Cable, FaultSite, Injection, Named};
-use crate::robot::TAXELS;
+use crate::inject;
 use crate::runtime::clock::Clock;
 use crate::runtime::realtime::{self, Raised};
-#[cfg(feature = "sim")]
-use anyhow::anyhow;
 use anyhow::{Context, Result};
+use moca_lockstep::board_events::{BoardEvents, NumberedEvent};
+use moca_lockstep::inject::{Cable, FaultSite, Injection, Named};
+use moca_lockstep::touch_board::ByteCover;
 use moca_tactile::Cover;
 use moca_telemetry::net::CalibrationPort;
 use std::sync::Arc;
@@ -27,54 +27,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 /// Events on their way to the calibrator: over ten seconds of a Touch Board.
 const RING_EVENTS: usize = 4096;
 
-/// The cover that the configuration asks for.
-///
-/// # Errors
-/// The calibration file cannot be used.
-pub fn cover_config(config: &Config) -> Result<moca_tactile::CoverConfig<TAXELS>> {
-    config.cover().with_context(|| format!("board.calibration = {:?}", config.board.calibration))
-}
-
-/// Checks that virtual Touch Boards, which have no further chips, can read the whole cover.
-///
-/// # Errors
-/// A taxel on an electrode that they do not have.
-#[cfg(feature = "sim")]
-pub(crate) fn fit_virtual_boards(config: &Config) -> Result<()> {
-    config.robot.cover.beyond_one_chip().map_or(Ok(()), |message| Err(anyhow!(message)))
-}
-
-/// The virtual board with this number (0 is the first): each has noise, a phase and a clock of its own.
-#[cfg(feature = "sim")]
-pub(crate) fn nth_board(first: moca_sim::VirtualBoardConfig, number: usize) -> moca_sim::VirtualBoardConfig {
-    /// Two boards are not switched on in the same moment.
-    const PHASE_NS: u64 = 1_700_000;
-    /// The second board's clock wraps after five seconds.
-    const CLOCK_US: u32 = u32::MAX - 5_000_000;
-    let (n, count) = (u64::try_from(number).unwrap_or(0), u32::try_from(number).unwrap_or(0));
-    moca_sim::VirtualBoardConfig {
-        seed: first.seed.wrapping_add(n),
-        first_read_ns: first.first_read_ns + n * PHASE_NS,
-        clock_start_us: first.clock_start_us.wrapping_add(count.wrapping_mul(CLOCK_US)),
-        ..first
-    }
-}
-
-/// The virtual Touch Board under the cover that the configuration asks for.
-#[cfg(feature = "sim")]
-pub fn board_config(config: &Config) -> moca_sim::VirtualBoardConfig {
-    moca_sim::VirtualBoardConfig {
-        firmware: config.board.firmware,
-        seed: config.simulation.seed,
-        foam: crate::devices::simulated_robot::true_foam(config),
-        ..Default::default()
-    }
-}
-
 /// A simulated robot with everything that a live loop needs; the boards and their readers end with it.
 #[cfg(feature = "sim")]
 pub(crate) struct Assembled {
-    pub(crate) control: ControlLoop<crate::devices::simulated_robot::SimulatedRobot, Option<ByteCover>>,
+    pub(crate) control: ControlLoop<moca_lockstep::simulated_robot::SimulatedRobot, Option<ByteCover>>,
     _virtual_boards: (Vec<moca_sim::PtyBoard>, Option<LiveFirmware>),
     pub(crate) board: Option<HeldBoard>,
 }
@@ -86,13 +42,14 @@ pub(crate) fn assemble(
     injection: Option<&Injection>,
     mut subscribers: Subscribers,
 ) -> Result<Assembled> {
-    use crate::devices::simulated_robot::{SimulatedRobot, free_scene, true_foam};
+    use moca_lockstep::simulated_robot::{SimulatedRobot, free_scene, true_foam};
+    use moca_lockstep::virtual_boards;
     use moca_sim::PtyBoard;
 
     let (mut forces, mut virtual_boards, mut firmware) = (Vec::new(), Vec::new(), None);
     let mut ports = config.board.port.to_vec();
     if config.plant.parts.has_cover() && config.board.port.are_simulated() {
-        fit_virtual_boards(config)?;
+        virtual_boards::fit(config)?;
         for (number, port) in ports.iter_mut().enumerate() {
             let true_forces = moca_sim::SharedForces::default();
             let (_raised, _) = Raised::below(config.realtime.priority);
@@ -104,7 +61,7 @@ pub(crate) fn assemble(
                 subscribers.board_pulses.push(board.pulse());
                 firmware = Some(board);
             } else {
-                let board = nth_board(board_config(config), number);
+                let board = virtual_boards::nth_board(virtual_boards::board_config(config), number);
                 let board = PtyBoard::spawn(board, Arc::clone(&true_forces), &path)?;
                 subscribers.board_pulses.push(board.pulse());
                 virtual_boards.push(board);

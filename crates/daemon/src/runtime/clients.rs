@@ -3,7 +3,7 @@
 use crate::config::live::changed;
 use crate::config::stability::Stability;
 use crate::config::{AUTO_FOLDER, Config};
-use crate::inject::{self, Disk, OutsideFault, Strike};
+use crate::inject::{self, Disk, Strike};
 use crate::record::flight_recorder::{FlightRecorder, access_folder};
 use crate::record::recording::{Recording, parameter_change};
 use crate::record::tick_log::TickLogReader;
@@ -14,6 +14,7 @@ use crate::runtime::options::Options;
 use crate::runtime::recovery::Recovery;
 use crate::runtime::watchdog::Heartbeat;
 use anyhow::{Context, Result, anyhow};
+use moca_lockstep::inject::OutsideFault;
 use moca_msgs::robot::AnyArm;
 use moca_msgs::{Refusal, Sample};
 use moca_telemetry::RobotDescription;

@@ -128,7 +128,6 @@ pub fn run<P: Plant, S: CoverSource>(
             overruns: report.overruns,
             stages_ns: timing.last_stages_ns(),
         };
-        timing.start();
         control.tick(&slot, request, timing);
         let Ticked { sample, input } = control.ticked();
         timing.count_frame_age(sample.frame_age_s);

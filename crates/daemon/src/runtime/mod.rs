@@ -7,8 +7,6 @@ pub mod clients;
 pub mod clock;
 pub mod drivers;
 pub mod live;
-#[cfg(feature = "sim")]
-pub mod lockstep;
 pub mod notice;
 pub mod options;
 pub(crate) mod panics;

@@ -1,7 +1,8 @@
 //! Options of a run on the command line.
 
 use crate::config::Config;
-use crate::inject::{FaultSite, Injection, OutsideFault, Strike};
+use crate::inject::Strike;
+use moca_lockstep::inject::{FaultSite, Injection, OutsideFault};
 use std::path::PathBuf;
 use std::time::Duration;
 

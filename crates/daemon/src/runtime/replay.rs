@@ -2,16 +2,16 @@
 
 use crate::VERSION;
 use crate::config::Config;
+use crate::control::assemble::{cover_config, motion, supervisor};
 use crate::control::plant::{Plant, Simulated, SourceAge};
 use crate::control::stage::Untimed;
 use crate::control::tick::ControlLoop;
-use crate::devices::board_events::BoardEvents;
-use crate::devices::touch_board::ByteCover;
 use crate::record::tick_blocks::{self, ComparedTick, fingerprint};
 use crate::record::tick_log::{StateRecord, TickRecord};
 use crate::robot::JOINTS;
-use crate::runtime::assemble::{cover_config, motion, supervisor};
 use anyhow::{Context, Result, anyhow, bail};
+use moca_lockstep::board_events::BoardEvents;
+use moca_lockstep::touch_board::ByteCover;
 use moca_msgs::{Actuation, ArmLink, Fault, Outcome, Refusal, RobotState, Sample};
 use moca_tactile::{BoardEvent, Cover};
 use moca_telemetry::log::records::Configuration;

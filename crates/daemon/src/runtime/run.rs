@@ -3,6 +3,7 @@
 use crate::calibration::age;
 #[cfg(feature = "sim")]
 use crate::config::Config;
+use crate::control::assemble::{motion, supervisor};
 use crate::control::cover::CoverSource;
 use crate::control::plant::{NoRobot, Plant};
 use crate::control::tick::ControlLoop;
@@ -10,7 +11,7 @@ use crate::control::tick::ControlLoop;
 use crate::record::tick_log::TickLogReader;
 use crate::record::tick_log::{TickLog, tick_log};
 use crate::robot::PlantKind;
-use crate::runtime::assemble::{HeldBoard, OpenBoard, Subscribers, motion, open_boards, supervisor};
+use crate::runtime::assemble::{HeldBoard, OpenBoard, Subscribers, open_boards};
 use crate::runtime::clients::{Clients, RING_SAMPLES, finish, rings, serve, spoil_telemetry, watch};
 use crate::runtime::clock::Clock;
 #[cfg(not(all(feature = "sim", feature = "fci", feature = "ros2")))]
@@ -310,7 +311,7 @@ fn live_simulated_arm(
 ) -> Result<LiveRun> {
     use crate::config::{HandConfig, SimulationConfig};
     use crate::devices::ros2_base::{OnRos2Base, connect};
-    use crate::devices::simulated_robot::{SimulatedRobot, free_scene};
+    use moca_lockstep::simulated_robot::{SimulatedRobot, free_scene};
     // Whoever presses does so on the real cover.
     let config = Config {
         simulation: SimulationConfig { hand: HandConfig::none(), ..options.config.simulation.clone() },
@@ -477,11 +478,11 @@ fn report_realtime(steps: &[realtime::Step], reporter: &mut dyn Reporter) -> usi
 
 #[cfg(feature = "sim")]
 fn lock_step(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<()> {
-    use crate::runtime::lockstep::LockStep;
+    use moca_lockstep::LockStep;
 
     let config = &options.config;
     introduce_simulation(config, reporter);
-    let scene = crate::devices::simulated_robot::free_scene(config);
+    let scene = moca_lockstep::simulated_robot::free_scene(config);
     let (log, copies, log_reader) = tick_log();
     if let Some(program) = config.board.port.firmware_program() {
         let world = LockStep::with_firmware(config, &scene, &program, Some(copies))?;
@@ -492,7 +493,7 @@ fn lock_step(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
         let world = LockStep::with_board(
             config,
             &scene,
-            crate::runtime::assemble::board_config(config),
+            moca_lockstep::virtual_boards::board_config(config),
             Some(copies),
         )?;
         run_lock_step(options, world, (log, log_reader), shared, reporter)
@@ -503,9 +504,9 @@ fn lock_step(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
 }
 
 #[cfg(feature = "sim")]
-fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
+fn run_lock_step<S: CoverSource, F: moca_lockstep::Feed<S>>(
     options: &Options,
-    mut world: crate::runtime::lockstep::LockStep<S, F>,
+    mut world: moca_lockstep::LockStep<S, F>,
     (tick_log, log_reader): (TickLog, TickLogReader),
     shared: &Arc<Shared>,
     reporter: &mut dyn Reporter,
@@ -538,15 +539,16 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
     clients.notices = server.as_ref().map(Server::notices);
     spoil_telemetry(options, server.as_ref(), clients.strike.as_ref())?;
     let (mut last, mut ticks) = (Sample::default(), 0);
-    let (mut allocated, mut warm) = (0, false);
+    let (mut timing, mut allocated, mut warm) = (Timing::new()?, 0, false);
     let end_ns = options.duration.map_or(u64::MAX, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX));
     let started = Instant::now();
     let run = || -> Result<()> {
         while ticks * config.period_ns() < end_ns && !shared.stop.load(Ordering::Relaxed) {
             let before = allocations::on_this_thread();
             let (id, request) = rings.next_request();
-            world.tick(request);
+            world.tick_timed(request, &mut timing);
             let Ticked { sample, input } = world.control.ticked();
+            timing.count_frame_age(sample.frame_age_s);
             rings.note(input, || world.control.state());
             last.clone_from(sample);
             rings.publish(&last, id, input.outcome, shared);
@@ -567,7 +569,7 @@ fn run_lock_step<S: CoverSource, F: crate::runtime::lockstep::Feed<S>>(
         return ended.and(closed);
     }
     let summary = Summary {
-        timing: &world.timing,
+        timing: &timing,
         last: &last,
         ticks,
         overruns_by_stage: None,

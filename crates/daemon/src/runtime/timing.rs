@@ -71,8 +71,6 @@ pub struct Timing {
     pub frame_age: Distribution,
     /// Each stage, in the order of [`Stage::ALL`].
     pub stages: [Distribution; 5],
-    /// Reads no clock.
-    off: bool,
     last_start: Option<Instant>,
     mark: Instant,
     slowest: (Stage, Duration),
@@ -91,7 +89,6 @@ impl Timing {
             lateness: empty.clone(),
             frame_age: empty.clone(),
             stages: [empty.clone(), empty.clone(), empty.clone(), empty.clone(), empty],
-            off: false,
             last_start: None,
             mark: Instant::now(),
             slowest: (Stage::Read, Duration::ZERO),
@@ -99,29 +96,9 @@ impl Timing {
         })
     }
 
-    /// Stops measuring: for runs that nobody asks how long their ticks took.
-    pub const fn switch_off(&mut self) {
-        self.off = true;
-    }
-
-    /// Marks the start of a tick.
-    pub fn start(&mut self) {
-        if self.off {
-            return;
-        }
-        let now = Instant::now();
-        if let Some(last) = self.last_start.replace(now) {
-            self.period.record(now - last);
-        }
-        self.mark = now;
-        self.slowest = (Stage::Read, Duration::ZERO);
-    }
-
     /// Counts the age of the cover's data that a tick used, s; a negative one is none.
     pub fn count_frame_age(&mut self, age_s: f64) {
-        if !self.off
-            && let Ok(age) = Duration::try_from_secs_f64(age_s)
-        {
+        if let Ok(age) = Duration::try_from_secs_f64(age_s) {
             self.frame_age.record(age);
         }
     }
@@ -138,10 +115,16 @@ impl Timing {
 }
 
 impl StageTimer for Timing {
-    fn end(&mut self, stage: Stage) {
-        if self.off {
-            return;
+    fn begin(&mut self) {
+        let now = Instant::now();
+        if let Some(last) = self.last_start.replace(now) {
+            self.period.record(now - last);
         }
+        self.mark = now;
+        self.slowest = (Stage::Read, Duration::ZERO);
+    }
+
+    fn end(&mut self, stage: Stage) {
         let now = Instant::now();
         let took = now - self.mark;
         self.mark = now;

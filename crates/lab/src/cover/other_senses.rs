@@ -2,9 +2,9 @@
 
 use anyhow::{Result, ensure};
 use moca_control::plant::Simulated;
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::runtime::lockstep::LockStep;
 use moca_experiments::unattended;
+use moca_lockstep::LockStep;
+use moca_lockstep::simulated_robot::free_scene;
 use moca_msgs::{Law, Sample, seconds};
 use moca_sim::VirtualBoardConfig;
 use moca_tactile::Firmware;
@@ -29,7 +29,7 @@ struct Shown {
 fn pressed(firmware: Firmware, force_n: f64) -> Result<Shown> {
     let config = unattended(Law::Impedance);
     let board = VirtualBoardConfig { firmware, ..VirtualBoardConfig::default() };
-    let mut world = LockStep::with_board(&config, &free_scene(&config), board, None)?.untimed();
+    let mut world = LockStep::with_board(&config, &free_scene(&config), board, None)?;
     let mut before = Sample::default();
     let mut rested = 0;
     while rested < REST {

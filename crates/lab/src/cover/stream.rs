@@ -2,8 +2,8 @@
 
 use crate::study::Answer;
 use anyhow::{Context, ensure};
-use moca_daemon::cli::progress::Progress;
 use moca_experiments::count;
+use moca_figures::progress::Progress;
 use moca_msgs::{Fault, nanoseconds, seconds};
 use moca_tactile::Firmware;
 use moca_tactile::board::{BoardMonitor, Diagnosis, MAX_ELECTRODES, STALL_GAP_NS, SampledFrame};

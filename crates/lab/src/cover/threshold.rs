@@ -3,12 +3,12 @@
 
 use crate::study::{self, Column};
 use anyhow::{Context, Result, ensure};
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::devices::touch_board::ByteCover;
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_experiments::closed_loop::armed;
 use moca_experiments::parallel;
 use moca_experiments::unattended;
+use moca_lockstep::simulated_robot::free_scene;
+use moca_lockstep::touch_board::ByteCover;
+use moca_lockstep::{LockStep, MemoryBoards};
 use moca_msgs::{Law, Request, Sample};
 use moca_sim::VirtualBoardConfig;
 

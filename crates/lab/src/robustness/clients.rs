@@ -4,11 +4,11 @@
 use anyhow::{Context, Result};
 use moca_control::config::Config;
 use moca_control::stage::Stage;
-use moca_daemon::cli::progress;
 use moca_daemon::runtime::live::Shared;
 use moca_daemon::runtime::notice::Silent;
 use moca_daemon::runtime::options::Options;
 use moca_daemon::runtime::run::{LiveRun, live_simulated};
+use moca_figures::progress;
 use moca_telemetry::net::{Address, Connection};
 use std::os::unix::net::UnixStream;
 use std::sync::Arc;

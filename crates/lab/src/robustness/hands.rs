@@ -1,10 +1,10 @@
 //! Random hands, requests and board faults, and an operator who brings a stopped robot back.
 
 use moca_control::config::Config;
-use moca_daemon::devices::touch_board::ByteCover;
-use moca_daemon::inject::Random;
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_experiments::TAXELS;
+use moca_lockstep::inject::Random;
+use moca_lockstep::touch_board::ByteCover;
+use moca_lockstep::{LockStep, MemoryBoards};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::target::{Target, TimedTarget, TwistAxes};
 use moca_msgs::{Law, Mode, ParameterValues, Request, Sample};

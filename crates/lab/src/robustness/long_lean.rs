@@ -5,10 +5,10 @@ use crate::study::{self, Answer, Column};
 use anyhow::{Context, Result, ensure};
 use moca_control::config::Config;
 use moca_control::plant::Simulated;
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::runtime::lockstep::LockStep;
 use moca_experiments::closed_loop::armed;
 use moca_experiments::{JOINTS, TAXELS, unattended};
+use moca_lockstep::LockStep;
+use moca_lockstep::simulated_robot::free_scene;
 use moca_msgs::{ArmTable, Fault, Law, Limits, Mode, Sample};
 use moca_sim::{Engine, VirtualBoardConfig};
 use moca_wbc::limits::JointSpeeds;
@@ -236,7 +236,7 @@ fn lean(cell: &Cell) -> Result<Outcome> {
         config.control.gains.posture_rad[..JOINTS].copy_from_slice(&posture_rad);
     }
     let scene = moca_sim::Scene { engine: Engine::Analytic, ..free_scene(&config) };
-    let mut world = LockStep::with_board(&config, &scene, VirtualBoardConfig::default(), None)?.untimed();
+    let mut world = LockStep::with_board(&config, &scene, VirtualBoardConfig::default(), None)?;
     armed(&mut world)?;
     let mut watch = Watch::new(&config)?;
     let hand_s = cell.lean_s + 2.0 * RAMP_S;

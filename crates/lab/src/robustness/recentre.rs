@@ -3,11 +3,11 @@
 use anyhow::{Context, Result, ensure};
 use moca_control::config::RecentrePolicy;
 use moca_control::plant::Simulated;
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::devices::touch_board::ByteCover;
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_experiments::closed_loop::armed;
 use moca_experiments::unattended;
+use moca_lockstep::simulated_robot::free_scene;
+use moca_lockstep::touch_board::ByteCover;
+use moca_lockstep::{LockStep, MemoryBoards};
 use moca_msgs::{Law, Request, Sample};
 use moca_sim::{Engine, VirtualBoardConfig};
 
@@ -73,7 +73,7 @@ impl World {
         let mut config = unattended(law);
         config.control.recentre = policy;
         let scene = moca_sim::Scene { engine: Engine::Analytic, ..free_scene(&config) };
-        let mut world = LockStep::with_board(&config, &scene, VirtualBoardConfig::default(), None)?.untimed();
+        let mut world = LockStep::with_board(&config, &scene, VirtualBoardConfig::default(), None)?;
         let last = armed(&mut world)?;
         Ok(Self { world, period_s: 1.0 / f64::from(config.control_loop.rate_hz), last })
     }

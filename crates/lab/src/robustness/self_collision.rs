@@ -5,12 +5,12 @@ use anyhow::{Context, Result, ensure};
 use moca_control::config::Config;
 use moca_control::plant::Simulated;
 use moca_control::targets::Targets;
-use moca_daemon::devices::ideal_cover::IdealCover;
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::inject::Random;
-use moca_daemon::runtime::lockstep::LockStep;
 use moca_experiments::closed_loop::armed;
 use moca_experiments::{JOINTS, unattended};
+use moca_lockstep::LockStep;
+use moca_lockstep::ideal_cover::IdealCover;
+use moca_lockstep::inject::Random;
+use moca_lockstep::simulated_robot::free_scene;
 use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S};
 use moca_msgs::{
     ArmTable, Law, Mode, ParameterValues, Refusal, Request, Sample, Target, TargetRefusal, TimedTarget,
@@ -211,8 +211,7 @@ fn one_robot(
     draw: impl Fn(&mut Random, &Sample) -> Draw,
     outcome: &mut Outcome,
 ) -> Result<()> {
-    let mut world =
-        LockStep::with_true_forces(config, &watch.scene(config), IdealCover::new(1, 0))?.untimed();
+    let mut world = LockStep::with_true_forces(config, &watch.scene(config), IdealCover::new(1, 0))?;
     let mut sample = armed(&mut world)?;
     let ticks = (DRAW_S * f64::from(config.control_loop.rate_hz)).round();
     while outcome.draws < RUN_DRAWS {
@@ -329,7 +328,7 @@ fn push(random: &mut Random) -> [f64; 6] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moca_daemon::runtime::lockstep::TrueForces;
+    use moca_lockstep::TrueForces;
     use moca_msgs::{TouchPolicy, Waypoint};
 
     /// The beginning of the campaign.
@@ -368,7 +367,7 @@ mod tests {
     fn guarded(law: Law) -> (LockStep<IdealCover, TrueForces>, Sample) {
         let config = config(law, true).unwrap();
         let cover = IdealCover::new(1, 0);
-        let mut world = LockStep::with_true_forces(&config, &free_scene(&config), cover).unwrap().untimed();
+        let mut world = LockStep::with_true_forces(&config, &free_scene(&config), cover).unwrap();
         let sample = armed(&mut world).unwrap();
         (world, sample)
     }

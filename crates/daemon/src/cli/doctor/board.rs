@@ -2,10 +2,10 @@
 //! back. See docs/what-no-hardware-has-confirmed.md.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
-use crate::cli::progress;
 use crate::config::{AUTO_PORT, Config};
 use crate::devices::ports;
 use anyhow::{Context, Result, bail};
+use moca_figures::progress;
 use moca_tactile::Firmware;
 use moca_tactile::board::{BoardMonitor, MAX_ELECTRODES};
 use moca_tactile::datastream::ELECTRODES;

@@ -2,7 +2,6 @@
 //! about it.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
-use crate::cli::progress;
 use crate::config::Config;
 use crate::robot::{ArmDriver, BaseDriver, PlantKind};
 use crate::runtime::clock::Clock;
@@ -10,6 +9,7 @@ use crate::runtime::realtime::{self, Step};
 use crate::runtime::schedule::Schedule;
 use crate::runtime::timing::Distribution;
 use anyhow::{Context, Result, anyhow, ensure};
+use moca_figures::progress;
 use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -90,7 +90,7 @@ fn replace(path: &Path, text: &str) -> Result<()> {
 
 #[cfg(feature = "sim")]
 fn simulated_stops(config: &Config) -> Result<Vec<Stop>> {
-    use crate::devices::simulated_robot::{free_scene, stops};
+    use moca_lockstep::simulated_robot::{free_scene, stops};
     stops(config, &free_scene(config))
 }
 
@@ -101,8 +101,8 @@ fn simulated_stops(_: &Config) -> Result<Vec<Stop>> {
 
 #[cfg(feature = "ros2")]
 fn real_stops(config: &Config) -> Result<Vec<Stop>> {
-    use crate::cli::progress::Progress;
     use crate::devices::ros2_base::connect;
+    use moca_figures::progress::Progress;
     use std::time::{Duration, Instant};
     let mut base = connect(config, |said| println!("  {said}"))?;
     let period = Duration::from_secs_f64(1.0 / f64::from(config.control_loop.rate_hz));

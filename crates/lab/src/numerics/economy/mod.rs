@@ -5,7 +5,6 @@ mod parts;
 
 use crate::study::{self, Answer, Column};
 use anyhow::Result;
-use moca_daemon::runtime::lockstep::LockStep;
 use moca_experiments::JOINTS;
 use moca_experiments::closed_loop::armed;
 use moca_experiments::collision;
@@ -13,6 +12,7 @@ use moca_experiments::cpu_time;
 use moca_experiments::free_scene;
 use moca_experiments::parallel::Count;
 use moca_experiments::settings::Settings;
+use moca_lockstep::LockStep;
 use moca_msgs::robot::PANDA;
 use moca_msgs::{Actuation, Law, RobotCommand};
 use moca_sim::{Engine, ModelSize, Robot, Scene, SimPlant};
@@ -390,7 +390,7 @@ pub(crate) fn bare_step_us(scene: &Scene) -> Result<f64> {
 /// One tick of the daemon's loop on a stock board in memory, armed and moving.
 fn whole_tick_us(scene: &Scene) -> Result<f64> {
     let settings = Settings::paper(Law::Impedance);
-    let mut lock_step = LockStep::with_board(&settings.config, scene, settings.board(), None)?.untimed();
+    let mut lock_step = LockStep::with_board(&settings.config, scene, settings.board(), None)?;
     armed(&mut lock_step)?;
     let mut best = f64::INFINITY;
     for _ in 0..100 {

@@ -5,11 +5,11 @@
 
 use super::controller;
 use anyhow::{Context, Result};
-use moca_daemon::cli::progress::Progress;
 use moca_experiments::TAXELS;
 use moca_experiments::count;
 use moca_experiments::cpu_time;
 use moca_experiments::free_scene;
+use moca_figures::progress::Progress;
 use moca_msgs::Actuation;
 use moca_sim::foam::Foam;
 use moca_sim::{Integrator, Person, Scene, SimPlant};

@@ -2,11 +2,11 @@
 
 use anyhow::{Context, Result};
 use moca_control::cover::CoverSource;
-use moca_daemon::devices::ideal_cover::IdealCover;
 use moca_experiments::collision;
 use moca_experiments::cpu_time;
 use moca_experiments::settings::Settings;
 use moca_experiments::{JOINTS, TAXELS, count, state_in};
+use moca_lockstep::ideal_cover::IdealCover;
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, Payload};
 use moca_msgs::{Actuation, RobotCommand, RobotState};
 use moca_sim::SimPlant;

@@ -5,10 +5,10 @@ use crate::robustness::cover_speed::{Inertia, Pushes};
 use crate::robustness::hands::{Hands, press};
 use crate::robustness::watch::{Findings, STOP_TICKS, Watch};
 use anyhow::Result;
-use moca_daemon::devices::simulated_robot::free_scene;
-use moca_daemon::devices::touch_board::ByteCover;
-use moca_daemon::runtime::lockstep::{LockStep, MemoryBoards};
 use moca_experiments::unattended;
+use moca_lockstep::simulated_robot::free_scene;
+use moca_lockstep::touch_board::ByteCover;
+use moca_lockstep::{LockStep, MemoryBoards};
 use moca_msgs::{Law, Mode, Request};
 use moca_sim::VirtualBoardConfig;
 
@@ -43,7 +43,7 @@ impl World {
         config.board.firmware = row.firmware;
         let board =
             VirtualBoardConfig { seed: row.seed, firmware: row.firmware, ..VirtualBoardConfig::default() };
-        let world = LockStep::with_board(&config, &free_scene(&config), board, None)?.untimed();
+        let world = LockStep::with_board(&config, &free_scene(&config), board, None)?;
         let hands = Hands::new(row.seed).with_programs(&config);
         Ok(Self {
             world,

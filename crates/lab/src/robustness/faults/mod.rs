@@ -6,8 +6,8 @@ mod tests;
 use crate::robustness::trial;
 use crate::study::{self, Answer, Column};
 use anyhow::Result;
-use moca_daemon::inject::FAULTS;
 use moca_experiments::parallel;
+use moca_lockstep::inject::FAULTS;
 use moca_tactile::Firmware;
 use serde::Serialize;
 

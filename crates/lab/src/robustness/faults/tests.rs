@@ -1,8 +1,8 @@
 //! Every fault that can be injected, against the whole chain in lock-step: none lost, none hung, none goes on moving.
 
 use crate::robustness::trial::{self, Trial};
-use moca_daemon::inject::{CableFault, FAULTS, FaultSite, Injection, Named};
 use moca_daemon::runtime::allocations::CountingAllocator;
+use moca_lockstep::inject::{CableFault, FAULTS, FaultSite, Injection, Named};
 use moca_msgs::{Fault, Mode};
 use moca_tactile::Firmware;
 use std::collections::BTreeSet;

@@ -3,8 +3,8 @@
 use anyhow::Result;
 use moca_daemon::cli::report::Level;
 use moca_daemon::cli::terminal::Terminal;
-use moca_daemon::inject::Random;
 use moca_daemon::runtime::notice::{Notice, Reporter};
+use moca_lockstep::inject::Random;
 use moca_msgs::Sample;
 use moca_telemetry::RobotDescription;
 use moca_telemetry::net::{Address, Connection, Ports, RequestReceiver, Server, request_channel, serve};

@@ -4,8 +4,8 @@ use super::Outcome;
 use crate::robustness::self_collision::{in_ball, share, twist};
 use moca_control::config::Config;
 use moca_control::targets::Targets;
-use moca_daemon::inject::Random;
 use moca_experiments::JOINTS;
+use moca_lockstep::inject::Random;
 use moca_msgs::target::{SPEED_MAX_M_S, SPEED_MAX_RAD_S};
 use moca_msgs::{
     ArmTable, Law, Outcome as Answer, ParameterValues, Refusal, Request, Sample, Target, TargetRefusal,

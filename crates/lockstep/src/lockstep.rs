@@ -1,18 +1,19 @@
 //! The loop without a clock: every tick now, the board's bytes in memory; the same seed gives the same bits.
 
-use crate::config::Config;
-use crate::control::cover::CoverSource;
-use crate::control::tick::{ControlLoop, Ticked};
-use crate::control::tick_input::Slot;
-use crate::devices::board_events::{BoardEvents, NumberedEvent};
-use crate::devices::firmware_board::LockStepFirmware;
-use crate::devices::ideal_cover::IdealCover;
-use crate::devices::simulated_robot::{LateForces, SimulatedRobot, true_foam};
-use crate::devices::touch_board::ByteCover;
+use crate::board_events::{BoardEvents, NumberedEvent};
+use crate::firmware_board::LockStepFirmware;
+use crate::ideal_cover::IdealCover;
 use crate::inject::{Cable, FaultSite, Injection};
-use crate::runtime::assemble::{cover_config, fit_virtual_boards, motion, nth_board, supervisor};
-use crate::runtime::timing::Timing;
+use crate::simulated_robot::{LateForces, SimulatedRobot, true_foam};
+use crate::touch_board::ByteCover;
+use crate::virtual_boards::{fit, nth_board};
 use anyhow::Result;
+use moca_control::assemble::{cover_config, motion, supervisor};
+use moca_control::config::Config;
+use moca_control::cover::CoverSource;
+use moca_control::stage::{StageTimer, Untimed};
+use moca_control::tick::{ControlLoop, Ticked};
+use moca_control::tick_input::Slot;
 use moca_msgs::{Outcome, Request, Sample};
 use moca_sim::{Scene, SimPlant, VirtualBoard, VirtualBoardConfig};
 use moca_tactile::board::Chunk;
@@ -223,8 +224,6 @@ pub struct LockStep<S, F> {
     pub control: ControlLoop<SimulatedRobot, S>,
     /// Source of the cover's data.
     pub feed: F,
-    /// Durations of its stages.
-    pub timing: Timing,
     period_ns: u64,
     next_tick: u64,
     overruns: u64,
@@ -243,7 +242,7 @@ impl LockStep<ByteCover, MemoryBoards> {
         board: VirtualBoardConfig,
         copies: Option<rtrb::Producer<NumberedEvent>>,
     ) -> Result<Self> {
-        fit_virtual_boards(config)?;
+        fit(config)?;
         let (mut boards, mut ports) = (Vec::new(), Vec::new());
         for number in 0..config.board.port.len() {
             let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
@@ -276,7 +275,7 @@ impl LockStep<ByteCover, PipedFirmware> {
         program: &Path,
         copies: Option<rtrb::Producer<NumberedEvent>>,
     ) -> Result<Self> {
-        fit_virtual_boards(config)?;
+        fit(config)?;
         let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
         let events = BoardEvents::new([events]).with_recorder(copies);
         let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events);
@@ -307,13 +306,6 @@ impl LockStep<Option<ByteCover>, NoCover> {
 }
 
 impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
-    /// Without clocks and histograms, for callers who do not need to know how long ticks take.
-    #[must_use]
-    pub fn untimed(mut self) -> Self {
-        self.timing.switch_off();
-        self
-    }
-
     fn new(config: &Config, scene: &Scene, cover: S, feed: F) -> Result<Self> {
         let plant = SimulatedRobot::new(config, scene, Vec::new())?;
         let period_s = 1.0 / f64::from(config.control_loop.rate_hz);
@@ -321,7 +313,6 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
         Ok(Self {
             control,
             feed,
-            timing: Timing::new()?,
             period_ns: config.period_ns(),
             next_tick: 0,
             overruns: 0,
@@ -349,6 +340,11 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
 
     /// One tick with what a replay needs of it.
     pub fn tick(&mut self, request: Option<Request>) -> &Ticked {
+        self.tick_timed(request, &mut Untimed)
+    }
+
+    /// The same, and `timer` hears of each stage's end.
+    pub fn tick_timed(&mut self, request: Option<Request>, timer: &mut impl StageTimer) -> &Ticked {
         let request = request.or_else(|| Some(self.asked.take_if(|(at, _)| self.next_tick >= *at)?.1));
         let missed = self.skip.take_if(|(at, _)| self.next_tick >= *at).map_or(0, |(_, slots)| slots);
         self.next_tick += missed;
@@ -364,9 +360,6 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
             ..Slot::default()
         };
         self.next_tick += 1;
-        self.timing.start();
-        let ticked = self.control.tick(&slot, request, &mut self.timing);
-        self.timing.count_frame_age(ticked.sample.frame_age_s);
-        ticked
+        self.control.tick(&slot, request, timer)
     }
 }

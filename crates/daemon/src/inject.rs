@@ -1,7 +1,9 @@
-//! Faults outside the loop: the disk, a subscriber, a panel, a setting.
+//! Faults on purpose that need a thread, a disk or a socket; their names, and all others, are those of [`moca_lockstep::inject`].
 
-use super::Random;
-use moca_msgs::{ParameterValues, Request};
+use crate::runtime::clock::Clock;
+use moca_lockstep::inject::{Cable, OutsideFault, Random};
+use moca_msgs::Request;
+use moca_tactile::BoardEvent;
 use moca_telemetry::net::wire::{FromClient, Role, encode_from_client};
 use moca_telemetry::net::{Address, Connection, Link, Update};
 use std::io::{self, ErrorKind, Read, Write};
@@ -11,47 +13,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+/// Period at which a live spoiled cable looks for bytes.
+const CABLE_EVERY: Duration = Duration::from_millis(1);
+/// Events on a live spoiled cable: as many as behind a port.
+const RING_EVENTS: usize = 1024;
 /// Duration of a write to a slow disk.
 const SLOW: Duration = Duration::from_millis(10);
 /// Period at which a client looks for news and for the strike.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 const GARBAGE_BYTES: usize = 1 << 16;
-
-/// Fault outside the loop.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(missing_docs, reason = "each is described once, in the table of inject/mod.rs")]
-pub enum OutsideFault {
-    DiskFull,
-    DiskSlow,
-    SubscriberStalled,
-    SubscriberGone,
-    SocketGarbage,
-    PanelGone,
-    ParameterNan,
-    ParameterAbsurd,
-    Panic,
-}
-
-impl OutsideFault {
-    /// Returns true if it strikes the disk that a log is written to.
-    pub const fn is_of_disk(self) -> bool {
-        matches!(self, Self::DiskFull | Self::DiskSlow)
-    }
-
-    /// The request by which it reaches the loop, if it does.
-    pub fn request(self) -> Option<Request> {
-        let set = |value: f64| Request::SetParameter {
-            parameter: 0,
-            values: ParameterValues::new(&[value; 3]).unwrap_or_default(),
-        };
-        match self {
-            Self::PanelGone => Some(Request::OperatorLost),
-            Self::ParameterNan => Some(set(f64::NAN)),
-            Self::ParameterAbsurd => Some(set(1e12)),
-            _ => None,
-        }
-    }
-}
 
 /// The moment of a strike, told to threads that do not see the loop's time.
 #[derive(Clone, Debug)]
@@ -242,4 +212,30 @@ fn misuse(fault: OutsideFault, panel: Connection, strike: &Strike) {
             std::thread::sleep(LOOK_EVERY);
         }
     }
+}
+
+/// Lets a thread of its own pass everything from `events` through `cable`, as a spoiled cable would in real time.
+///
+/// # Errors
+/// The thread could not be started.
+pub fn relay(
+    mut cable: Cable,
+    mut events: rtrb::Consumer<BoardEvent>,
+    clock: Clock,
+) -> std::io::Result<rtrb::Consumer<BoardEvent>> {
+    let (mut out, relayed) = rtrb::RingBuffer::new(RING_EVENTS);
+    std::thread::Builder::new().name("spoiled-cable".into()).spawn(move || {
+        while !out.is_abandoned() {
+            // A full ring loses what follows, as a port does that nobody reads.
+            let mut arrive = |event| {
+                let _ = out.push(event);
+            };
+            while let Ok(event) = events.pop() {
+                cable.pass(event, &mut arrive);
+            }
+            cable.wait(clock.now_ns(), &mut arrive);
+            std::thread::sleep(CABLE_EVERY);
+        }
+    })?;
+    Ok(relayed)
 }

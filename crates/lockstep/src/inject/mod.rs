@@ -8,21 +8,14 @@ mod values;
 
 pub use cable::Cable;
 pub use cable_fault::CableFault;
-pub use outside::{Disk, OutsideFault, Strike, client};
+pub use outside::OutsideFault;
 pub use plant::{PlantFault, PlantSpoiler};
 pub use values::STRUCK_TAXEL;
 
-use crate::config::Config;
-use crate::robot::PlantKind;
-use crate::runtime::clock::Clock;
-use moca_tactile::{BoardEvent, Firmware};
+use moca_control::config::Config;
+use moca_control::robot::PlantKind;
+use moca_tactile::Firmware;
 use std::str::FromStr;
-use std::time::Duration;
-
-/// Period at which a live spoiled cable looks for bytes.
-const LOOK_EVERY: Duration = Duration::from_millis(1);
-/// Events on a live spoiled cable: as many as behind a port.
-const RING_EVENTS: usize = 1024;
 
 /// A fault by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -224,30 +217,4 @@ impl Random {
     pub fn one_in(&mut self, n: usize) -> bool {
         self.below(n) == 0
     }
-}
-
-/// Lets a thread of its own pass everything from `events` through `cable`, as a spoiled cable would in real time.
-///
-/// # Errors
-/// The thread could not be started.
-pub fn relay(
-    mut cable: Cable,
-    mut events: rtrb::Consumer<BoardEvent>,
-    clock: Clock,
-) -> std::io::Result<rtrb::Consumer<BoardEvent>> {
-    let (mut out, relayed) = rtrb::RingBuffer::new(RING_EVENTS);
-    std::thread::Builder::new().name("spoiled-cable".into()).spawn(move || {
-        while !out.is_abandoned() {
-            // A full ring loses what follows, as a port does that nobody reads.
-            let mut arrive = |event| {
-                let _ = out.push(event);
-            };
-            while let Ok(event) = events.pop() {
-                cable.pass(event, &mut arrive);
-            }
-            cable.wait(clock.now_ns(), &mut arrive);
-            std::thread::sleep(LOOK_EVERY);
-        }
-    })?;
-    Ok(relayed)
 }

@@ -1,19 +1,19 @@
 //! The scripted hand of the simulated robot: presses taxels in turn, as a function of time alone.
 
-use crate::config::HandConfig;
+use moca_control::config::HandConfig;
 
 /// Ramps at both ends of a press, s, as in the paper's experiments.
-pub const RAMP_S: f64 = 0.3;
+const RAMP_S: f64 = 0.3;
 
 /// Force of one press, N, `t_s` after its start: ramp, hold, ramp.
-pub fn press_profile(t_s: f64, hold_s: f64, force_n: f64) -> f64 {
+fn press_profile(t_s: f64, hold_s: f64, force_n: f64) -> f64 {
     let rise = t_s / RAMP_S;
     let fall = (RAMP_S + hold_s + RAMP_S - t_s) / RAMP_S;
     force_n * rise.min(fall).clamp(0.0, 1.0)
 }
 
 /// Which taxel (0 is T1) the scripted hand presses at `t_s`, and how hard, N.
-pub fn scripted_press(hand: &HandConfig, t_s: f64) -> Option<(usize, f64)> {
+pub(crate) fn scripted_press(hand: &HandConfig, t_s: f64) -> Option<(usize, f64)> {
     // The first press comes after half an interval: time to tare and to be seen standing still.
     let since_first_s = t_s - 0.5 * hand.every_s;
     if hand.taxels.is_empty() || since_first_s < 0.0 {

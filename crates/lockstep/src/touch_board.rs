@@ -1,10 +1,10 @@
 //! The cover behind its Touch Boards: events from their byte sources in, a reading out. Serial ports, boards in memory
 //! and a replay all fill the same rings.
 
-use crate::control::cover::{CoverSource, CoverState};
-use crate::control::supervisor::Zero;
-use crate::devices::board_events::BoardEvents;
-use crate::robot::TAXELS;
+use crate::board_events::BoardEvents;
+use moca_control::cover::{CoverSource, CoverState};
+use moca_control::robot::TAXELS;
+use moca_control::supervisor::Zero;
 use moca_msgs::board::Diagnosis;
 use moca_msgs::{Fault, Outcome, Refusal};
 use moca_tactile::board::{BoardMonitor, BoardStats};

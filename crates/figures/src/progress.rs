@@ -2,7 +2,7 @@
 //! terminal and `--quiet` was not given.
 //!
 //! ```
-//! use moca_daemon::cli::progress::Progress;
+//! use moca_figures::progress::Progress;
 //! let mut progress = Progress::new("reading");
 //! for part in 0..100 {
 //!     progress.at(f64::from(part) / 100.0);
@@ -140,7 +140,7 @@ fn line(what: &str, part: f64, elapsed: Duration) -> String {
 }
 
 /// `[####....]` with a share of it filled, 0 to 1.
-pub(super) fn cells(part: f64) -> String {
+pub fn cells(part: f64) -> String {
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,

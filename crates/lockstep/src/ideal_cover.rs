@@ -1,7 +1,7 @@
 //! An ideal cover for experiments: the true force, averaged over a period and held; no bytes, noise, threshold or zero.
 
-use crate::control::cover::{CoverSource, CoverState};
-use crate::robot::TAXELS;
+use moca_control::cover::{CoverSource, CoverState};
+use moca_control::robot::TAXELS;
 use moca_msgs::board::Diagnosis;
 use std::collections::VecDeque;
 

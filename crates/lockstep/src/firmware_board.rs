@@ -2,40 +2,35 @@
 //! (`crates/firmware-sim`), because its processor's simulator is under another licence; this side has the cover's foam.
 
 use anyhow::{Context, Result};
-use moca_sim::SharedForces;
 use moca_sim::foam::{Foam, FoamState};
 use moca_sim::sensor::IDLE_COUNTS;
 use moca_tactile::datastream::ELECTRODES;
 use std::io::{self, Read, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
 
 /// An electrode nobody touches: 5 pF of plate and 12 pF of wire.
 const REST_PF: f64 = 17.0;
 /// Step of the foam, ns: the chip samples an electrode as often.
-const STEP_NS: u64 = 1_000_000;
+pub const STEP_NS: u64 = 1_000_000;
 const STEP_S: f64 = 1e-3;
-const STEP: Duration = Duration::from_nanos(STEP_NS);
 /// Largest packet of the board's USB.
 const PACKET: usize = 64;
 
 /// The cover between forces and electrodes.
-struct Plates {
+pub struct Plates {
     foam: Foam,
     states: [FoamState; ELECTRODES],
 }
 
 impl Plates {
-    fn new(foam: Foam) -> Self {
+    /// Plates over `foam` that nobody has touched yet.
+    pub fn new(foam: Foam) -> Self {
         Self { foam, states: [FoamState::default(); ELECTRODES] }
     }
 
     /// Returns the capacitances after one more [`STEP_NS`] of these forces, N; pF as the program reads it.
-    fn step(&mut self, force_n: &[f64; ELECTRODES]) -> [u8; 4 * ELECTRODES] {
+    pub fn step(&mut self, force_n: &[f64; ELECTRODES]) -> [u8; 4 * ELECTRODES] {
         let mut record = [0; 4 * ELECTRODES];
         let (places, _) = record.as_chunks_mut::<4>();
         for ((place, state), force_n) in places.iter_mut().zip(&mut self.states).zip(force_n) {
@@ -51,14 +46,19 @@ impl Plates {
     }
 }
 
-/// Ends the program when it is dropped.
-struct Program {
+/// The running program; it ends when this is dropped.
+pub struct Program {
     child: Child,
-    input: ChildStdin,
+    /// What the program reads.
+    pub input: ChildStdin,
 }
 
 impl Program {
-    fn start(program: &Path, arguments: &[&str], output: Stdio) -> Result<Self> {
+    /// Starts `program` with `arguments`.
+    ///
+    /// # Errors
+    /// It cannot be started.
+    pub fn start(program: &Path, arguments: &[&str], output: Stdio) -> Result<Self> {
         let mut child =
             Command::new(program).args(arguments).stdin(Stdio::piped()).stdout(output).spawn().with_context(
                 || {
@@ -140,59 +140,6 @@ impl LockStepFirmware {
             self.output.read_exact(bytes)?;
             sink(u64::from_le_bytes(arrival_us) * 1000, bytes);
         }
-    }
-}
-
-/// The firmware on a pseudo-terminal, in real time as far as this PC can: it needs most of a core.
-pub struct LiveFirmware {
-    path: PathBuf,
-    pulse: Arc<AtomicU64>,
-    stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
-}
-
-impl LiveFirmware {
-    /// Starts `program terminal PATH`, and a thread that tells it what the electrodes see.
-    ///
-    /// # Errors
-    /// The program or the thread cannot be started.
-    pub fn start(program: &Path, foam: Foam, forces: SharedForces, path: &Path) -> Result<Self> {
-        let link = path.display().to_string();
-        let mut program = Program::start(program, &["terminal", "--stdin", &link], Stdio::null())?;
-        let (stop, pulse) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
-        let (stopped, beats) = (Arc::clone(&stop), Arc::clone(&pulse));
-        let mut plates = Plates::new(foam);
-        let feed = move || {
-            let mut due = Instant::now();
-            while !stopped.load(Ordering::Relaxed) {
-                beats.fetch_add(1, Ordering::Relaxed);
-                let force_n = forces.each_ref().map(|cell| f64::from_bits(cell.load(Ordering::Relaxed)));
-                if program.input.write_all(&plates.step(&force_n)).is_err() {
-                    return; // The program has ended: its port is gone, and the reader says so.
-                }
-                due += STEP;
-                std::thread::sleep(due.saturating_duration_since(Instant::now()));
-            }
-        };
-        let thread = std::thread::Builder::new().name("cover-plates".into()).spawn(feed)?;
-        Ok(Self { path: path.to_owned(), pulse, stop, thread: Some(thread) })
-    }
-
-    /// A count that the thread raises whenever it runs, every millisecond.
-    pub fn pulse(&self) -> Arc<AtomicU64> {
-        Arc::clone(&self.pulse)
-    }
-}
-
-impl Drop for LiveFirmware {
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            // The thread does not panic; if it did, there is nobody left to tell.
-            let _ = thread.join();
-        }
-        // The program was ended before it could remove its link.
-        let _ = std::fs::remove_file(&self.path);
     }
 }
 

@@ -1,11 +1,11 @@
 //! The simulated robot as a plant, and the shared forces its virtual board reads.
 
-use crate::config::{Config, HandConfig};
-use crate::control::plant::{Plant, Simulated, SourceAge};
-use crate::control::stopping::{Ladder, Stop};
-use crate::devices::scripted_press::scripted_press;
 use crate::inject::{FaultSite, Injection, PlantSpoiler};
-use crate::robot::{CoverTable, FoamKind, JOINTS, Parts, TAXELS, together};
+use crate::scripted_press::scripted_press;
+use moca_control::config::{Config, HandConfig};
+use moca_control::plant::{Plant, Simulated, SourceAge};
+use moca_control::robot::{CoverTable, FoamKind, JOINTS, Parts, TAXELS, together};
+use moca_control::stopping::{Ladder, Stop};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::{Actuation, Fault, Outcome, Payload, Refusal, RobotCommand, RobotState, TrueArm};
 use moca_sim::foam::{ElasticLaw, Foam};
@@ -285,7 +285,7 @@ impl Simulated for SimulatedRobot {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::barrier::{curves, pressed, struck};
+    use moca_control::barrier::{curves, pressed, struck};
     use moca_msgs::RobotCommand;
     use moca_tactile::TaxelModel;
     use moca_tactile::model::FoamMemory;
@@ -375,7 +375,7 @@ mod tests {
         let (foam, believed) = (free_scene(&config).foam, Foam::PE5);
         let ratio = foam.elastic_force_n(1e-3) / believed.elastic_force_n(1e-3);
         assert!((ratio - 1.5).abs() < 1e-12 && (foam.relaxation - believed.relaxation - 0.2).abs() < 1e-12);
-        assert_eq!(crate::runtime::assemble::board_config(&config).foam, foam, "the board reads that foam");
+        assert_eq!(crate::virtual_boards::board_config(&config).foam, foam, "the board reads that foam");
         config.set("simulation.true.foam.creep", &0.9.into()).unwrap();
         assert!(free_scene(&config).foam.relaxation < 1.0, "a foam keeps some of its force");
     }

@@ -1,7 +1,7 @@
 //! A robot whose answers are spoiled.
 
-use crate::control::plant::SourceAge;
-use crate::robot::JOINTS;
+use moca_control::plant::SourceAge;
+use moca_control::robot::JOINTS;
 use moca_msgs::{Fault, RobotState};
 
 const JUMP_RAD: f64 = 0.5;
