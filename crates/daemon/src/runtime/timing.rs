@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 /// A distribution of durations, ns.
 #[derive(Clone, Debug)]
-pub struct Distribution(Histogram<u64>);
+pub struct Distribution(Option<Histogram<u64>>);
 
 impl Distribution {
     const LONGEST_NS: u64 = 60_000_000_000;
@@ -18,39 +18,48 @@ impl Distribution {
     /// # Errors
     /// Never for these constant bounds; the histogram library checks them at run time.
     pub fn new() -> Result<Self, hdrhistogram::CreationError> {
-        Histogram::new_with_bounds(1, Self::LONGEST_NS, 2).map(Self)
+        Histogram::new_with_bounds(1, Self::LONGEST_NS, 2).map(Some).map(Self)
+    }
+
+    /// Stays empty and holds no memory.
+    const OFF: Self = Self(None);
+
+    /// Recorded durations, if there are any.
+    fn recorded(&self) -> Option<&Histogram<u64>> {
+        self.0.as_ref().filter(|durations| !durations.is_empty())
     }
 
     /// Adds one duration.
     pub fn record(&mut self, duration: Duration) {
         let ns = u64::try_from(duration.as_nanos()).unwrap_or(Self::LONGEST_NS);
-        self.0.saturating_record(ns.max(1));
+        if let Some(durations) = &mut self.0 {
+            durations.saturating_record(ns.max(1));
+        }
     }
 
     /// Value at a quantile (0 to 1), µs; 0 when empty.
     pub fn quantile_us(&self, quantile: f64) -> f64 {
-        if self.0.is_empty() { 0.0 } else { micros(self.0.value_at_quantile(quantile)) }
+        self.recorded().map_or(0.0, |durations| micros(durations.value_at_quantile(quantile)))
     }
 
     /// Number of durations recorded.
     pub fn len(&self) -> u64 {
-        self.0.len()
+        self.recorded().map_or(0, Histogram::len)
     }
 
     /// Returns true if nothing was recorded.
     pub fn is_empty(&self) -> bool {
-        self.0.is_empty()
+        self.recorded().is_none()
     }
 }
 
 impl fmt::Display for Distribution {
     /// `min / p50 / p99 / max`, µs.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.0.is_empty() {
+        let Some(ns) = self.recorded() else {
             return write!(f, "{:>9} {:>9} {:>9} {:>9}", "-", "-", "-", "-");
-        }
-        let [min, p50, p99, max] =
-            [self.0.min(), self.0.value_at_quantile(0.5), self.0.value_at_quantile(0.99), self.0.max()];
+        };
+        let [min, p50, p99, max] = [ns.min(), ns.value_at_quantile(0.5), ns.value_at_quantile(0.99), ns.max()];
         write!(f, "{:>9.1} {:>9.1} {:>9.1} {:>9.1}", micros(min), micros(p50), micros(p99), micros(max))
     }
 }
@@ -99,9 +108,19 @@ impl Timing {
         })
     }
 
-    /// Stops measuring: for runs that nobody asks how long their ticks took.
-    pub const fn switch_off(&mut self) {
-        self.off = true;
+    /// Without measurements and their memory: for runs that nobody asks how long their ticks took.
+    pub fn off() -> Self {
+        Self {
+            period: Distribution::OFF,
+            lateness: Distribution::OFF,
+            frame_age: Distribution::OFF,
+            stages: [const { Distribution::OFF }; 5],
+            off: true,
+            last_start: None,
+            mark: Instant::now(),
+            slowest: (Stage::Read, Duration::ZERO),
+            last_stages_ns: [0; STAGES.len()],
+        }
     }
 
     /// Marks the start of a tick.
