@@ -59,7 +59,8 @@ impl fmt::Display for Distribution {
         let Some(ns) = self.recorded() else {
             return write!(f, "{:>9} {:>9} {:>9} {:>9}", "-", "-", "-", "-");
         };
-        let [min, p50, p99, max] = [ns.min(), ns.value_at_quantile(0.5), ns.value_at_quantile(0.99), ns.max()];
+        let [min, p50, p99, max] =
+            [ns.min(), ns.value_at_quantile(0.5), ns.value_at_quantile(0.99), ns.max()];
         write!(f, "{:>9.1} {:>9.1} {:>9.1} {:>9.1}", micros(min), micros(p50), micros(p99), micros(max))
     }
 }
