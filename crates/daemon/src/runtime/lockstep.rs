@@ -405,3 +405,26 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
         ticked
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn line_keeps_order_and_loses_only_what_a_cable_cannot_hold() {
+        let (mut line, mut events) = Line::new();
+        let event = |at_ns| BoardEvent::Opened { at_ns };
+        (0..300).for_each(|at_ns| line.push(event(at_ns)));
+        let mut taken = Vec::new();
+        for tick in 1..=20 {
+            line.advance();
+            while let Ok(event) = events.pop() {
+                taken.push(event);
+            }
+            assert_eq!(taken.len(), (tick * EVENTS_PER_TICK).min(CABLE_EVENTS));
+        }
+        assert!((0..).zip(&taken).all(|(at_ns, taken)| *taken == event(at_ns)));
+        line.push(event(300));
+        assert_eq!(events.pop(), Ok(event(300)), "an empty line gives an event at once");
+    }
+}
