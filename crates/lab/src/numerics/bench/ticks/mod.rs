@@ -26,7 +26,7 @@ const TOLERANCE: f64 = 1e-9;
 /// Passes over all inputs in a turn.
 const PASSES: usize = 20;
 /// Peers of this part and the command that installs and builds them.
-const MISSING: &str =
+pub(super) const MISSING: &str =
     "Pinocchio, CasADi and CppADCodeGen: `tests/peers/pinocchio/time target/anchor` installs and builds them";
 
 /// Time of another implementation's tick, as its program prints it.
