@@ -13,7 +13,8 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::path::Path;
 
-/// A robot, its cover and its law. Any thread may step it; the bits do not depend on the thread.
+/// A robot, its cover and its law, on the cheapest engine that can run it. Any thread may step it; the bits do not depend on the
+/// thread.
 pub(crate) enum World {
     Covered(Box<LockStep<ByteCover, MemoryBoards>>),
     Bare(Box<LockStep<Option<ByteCover>, NoCover>>),
@@ -23,7 +24,8 @@ impl World {
     /// # Errors
     /// A scene, board or parameter outside its range.
     pub(crate) fn new(config: &Config) -> Result<Self, String> {
-        let scene = free_scene(config);
+        let mut scene = free_scene(config);
+        scene.engine = scene.needed_engine();
         let world = if config.plant.parts.has_cover() {
             LockStep::with_board(config, &scene, board_config(config), None)
                 .map(|world| Self::Covered(Box::new(world)))

@@ -31,7 +31,8 @@ pub struct Motion {
     taxels: usize,
     parameters: Parameters<JOINTS>,
     protection: Protection,
-    barrier: Option<Barrier>,
+    /// Apart, because it is large and off by default.
+    barrier: Option<Box<Barrier>>,
     /// Cap of the push where the cover is not calibrated.
     push_cap: Option<PushCap>,
     /// Watch on the base, where its stopping distance is believed.
@@ -62,7 +63,7 @@ impl Motion {
         let (parameters, parts) = (config.parameters(), config.plant.parts);
         let (joints, taxels) = (config.arm().joints, config.robot.cover.count());
         let controller = controller::of(config, &parameters)?;
-        let barrier = controller.barrier(config)?;
+        let barrier = controller.barrier(config)?.map(Box::new);
         let push_cap = PushCap::new(config)?;
         let base_watch = BaseWatch::new(config);
         let uncovered = parts.has_cover().then(|| Uncovered::new(config));
@@ -195,7 +196,7 @@ impl Motion {
             controller: self.controller.memory(),
             parameters: self.parameters,
             protection: self.protection.state().clone(),
-            barrier: self.barrier.as_ref().map(Barrier::state),
+            barrier: self.barrier.as_deref().map(Barrier::state),
             push_cap: self.push_cap.as_ref().map(PushCap::state),
             base_watch: self.base_watch.as_ref().map(BaseWatch::state),
             uncovered: self.uncovered.as_ref().map(Uncovered::state),
@@ -217,7 +218,7 @@ impl Motion {
         self.controller.restore(&state.controller)?;
         self.take_parameters(&parameters);
         self.protection.restore(&state.protection);
-        restored(self.barrier.as_mut(), state.barrier.as_ref(), Barrier::restore)?;
+        restored(self.barrier.as_deref_mut(), state.barrier.as_ref(), Barrier::restore)?;
         restored(self.push_cap.as_mut(), state.push_cap.as_ref(), PushCap::restore)?;
         restored(self.base_watch.as_mut(), state.base_watch.as_ref(), BaseWatch::restore)?;
         restored(self.uncovered.as_mut(), state.uncovered.as_ref(), Uncovered::restore)?;

@@ -6,7 +6,7 @@
 mod data;
 
 use crate::cover::latency;
-use crate::numerics::{barrier, peers, stability, tick};
+use crate::numerics::{barrier, bench, peers, stability, tick};
 use crate::paper::report::{claims, errors};
 use crate::paper::{late_bases, real_arm};
 use crate::robustness::{attack, faults, lean, long_lean, protection};
@@ -54,6 +54,7 @@ const TABLES: &[Table] = &[
     table("protection-leads", "docs/data/protection-leads.csv", protection::leads_markdown),
     table("protection-campaign", "docs/data/protection-campaign.csv", protection::campaign_markdown),
     table("protection-random", "docs/data/protection-random.csv", protection::random_markdown),
+    table("bench", "docs/results.md", bench::markdown),
     table("step-size", "docs/results.md", tick::markdown),
     table("errors", "docs/data/errors.csv", errors::markdown),
     table("contact", "docs/data/contact.csv", stability::contact::markdown),

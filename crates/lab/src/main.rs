@@ -41,6 +41,7 @@ macro_rules! commands {
 
 commands! {
     Attack: robustness::attack,
+    Bench: numerics::bench,
     Characterize: cover::characterize,
     Experiment: paper,
     Docs: docs,

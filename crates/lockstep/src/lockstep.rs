@@ -5,7 +5,7 @@ use crate::firmware_board::LockStepFirmware;
 use crate::ideal_cover::IdealCover;
 use crate::inject::{Cable, FaultSite, Injection};
 use crate::simulated_robot::{LateForces, SimulatedRobot, true_foam};
-use crate::touch_board::ByteCover;
+use crate::touch_board::{ByteCover, EVENTS_PER_TICK};
 use crate::virtual_boards::{fit, nth_board};
 use anyhow::Result;
 use moca_control::assemble::{cover_config, motion, supervisor};
@@ -20,11 +20,48 @@ use moca_tactile::board::Chunk;
 use moca_tactile::cover::Electrode;
 use moca_tactile::datastream::ELECTRODES;
 use moca_tactile::{BoardEvent, CloseReason, Cover};
+use std::collections::VecDeque;
 use std::ops::{Index, IndexMut};
 use std::path::Path;
 
-/// Events the ring to the loop holds; a tick sees a handful.
-const RING_EVENTS: usize = 256;
+/// Events that a cable holds; a tick sees a handful.
+const CABLE_EVENTS: usize = 256;
+/// Those of them in the ring to the loop: as many as one tick takes.
+const RING_EVENTS: usize = EVENTS_PER_TICK;
+
+/// Way of a board's events to the loop. What the loop cannot take in one tick waits outside the ring, which is small for that: a
+/// batch has a thousand of them.
+struct Line {
+    ring: rtrb::Producer<BoardEvent>,
+    waiting: VecDeque<BoardEvent>,
+}
+
+impl Line {
+    /// Returns the line and the loop's end of it.
+    fn new() -> (Self, rtrb::Consumer<BoardEvent>) {
+        let (ring, events) = rtrb::RingBuffer::new(RING_EVENTS);
+        (Self { ring, waiting: VecDeque::new() }, events)
+    }
+
+    /// Adds an event. What a full line cannot hold is lost, as in a port.
+    fn push(&mut self, event: BoardEvent) {
+        self.advance();
+        let taken = RING_EVENTS - self.ring.slots();
+        if self.waiting.len() + taken < CABLE_EVENTS {
+            self.waiting.push_back(event);
+            self.advance();
+        }
+    }
+
+    /// Moves waiting events into the ring as far as it has room; before each tick.
+    fn advance(&mut self) {
+        while !self.ring.is_full()
+            && let Some(event) = self.waiting.pop_front()
+        {
+            let _ = self.ring.push(event);
+        }
+    }
+}
 
 /// Source of a lock-step cover's data at each tick.
 pub trait Feed<S> {
@@ -43,9 +80,10 @@ pub trait Feed<S> {
 /// A virtual Touch Board on a cable of memory.
 pub struct MemoryBoard {
     board: VirtualBoard,
-    cable: rtrb::Producer<BoardEvent>,
+    line: Line,
     plugged: bool,
-    spoiled: Option<Cable>,
+    /// Apart, because it is large and rare.
+    spoiled: Option<Box<Cable>>,
     now_ns: u64,
     late: LateForces<ELECTRODES>,
     /// Board and electrode of each taxel, T1 first.
@@ -96,8 +134,7 @@ impl MemoryBoard {
     }
 
     fn push(&mut self, event: BoardEvent) {
-        // The loop drains the ring at every tick; a test that injects more than it holds loses the rest, as a port does.
-        let _ = self.cable.push(event);
+        self.line.push(event);
     }
 }
 
@@ -105,7 +142,7 @@ impl Feed<ByteCover> for MemoryBoards {
     /// The first board's cable.
     fn spoil(&mut self, cable: Cable) {
         if let Some(first) = self.0.first_mut() {
-            first.spoiled = Some(cable);
+            first.spoiled = Some(Box::new(cable));
         }
     }
 
@@ -120,10 +157,9 @@ impl MemoryBoard {
     fn feed(&mut self, now_ns: u64, true_force_n: &[f64]) {
         self.now_ns = now_ns;
         let felt_n = self.late.pass(by_electrode(&self.wiring, self.number, true_force_n));
-        let Self { board, cable, plugged, spoiled, .. } = self;
-        let mut arrive = |event| {
-            let _ = cable.push(event);
-        };
+        let Self { board, line, plugged, spoiled, .. } = self;
+        line.advance();
+        let mut arrive = |event| line.push(event);
         board.advance(now_ns, &felt_n, &mut |bytes: &[u8]| {
             for part in bytes.chunks(Chunk::CAPACITY).filter(|_| *plugged) {
                 let event = BoardEvent::Bytes(Chunk::new(now_ns, part));
@@ -142,7 +178,7 @@ impl MemoryBoard {
 /// The firmware itself behind a pipe. A program that ends is a board that was unplugged.
 pub struct PipedFirmware {
     firmware: Option<LockStepFirmware>,
-    cable: rtrb::Producer<BoardEvent>,
+    line: Line,
     spoiled: Option<Cable>,
     wiring: Vec<Electrode>,
 }
@@ -154,10 +190,9 @@ impl Feed<ByteCover> for PipedFirmware {
 
     fn feed(&mut self, _cover: &mut ByteCover, now_ns: u64, true_force_n: &[f64]) {
         let felt_n = by_electrode(&self.wiring, 0, true_force_n);
-        let Self { firmware, cable, spoiled, .. } = self;
-        let mut arrive = |event| {
-            let _ = cable.push(event);
-        };
+        let Self { firmware, line, spoiled, .. } = self;
+        line.advance();
+        let mut arrive = |event| line.push(event);
         let Some(board) = firmware else { return };
         let advanced = board.advance(now_ns, &felt_n, &mut |arrival_ns, bytes| {
             let event = BoardEvent::Bytes(Chunk::new(arrival_ns, bytes));
@@ -245,11 +280,11 @@ impl LockStep<ByteCover, MemoryBoards> {
         fit(config)?;
         let (mut boards, mut ports) = (Vec::new(), Vec::new());
         for number in 0..config.board.port.len() {
-            let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
+            let (line, events) = Line::new();
             ports.push(events);
             boards.push(MemoryBoard {
                 board: VirtualBoard::new(nth_board(board, number))?,
-                cable,
+                line,
                 plugged: true,
                 spoiled: None,
                 now_ns: 0,
@@ -276,12 +311,12 @@ impl LockStep<ByteCover, PipedFirmware> {
         copies: Option<rtrb::Producer<NumberedEvent>>,
     ) -> Result<Self> {
         fit(config)?;
-        let (cable, events) = rtrb::RingBuffer::new(RING_EVENTS);
+        let (line, events) = Line::new();
         let events = BoardEvents::new([events]).with_recorder(copies);
         let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events);
         let firmware = Some(LockStepFirmware::start(program, true_foam(config))?);
         let wiring = config.robot.cover.wiring();
-        Self::new(config, scene, cover, PipedFirmware { firmware, cable, spoiled: None, wiring })
+        Self::new(config, scene, cover, PipedFirmware { firmware, line, spoiled: None, wiring })
     }
 }
 
@@ -361,5 +396,28 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
         };
         self.next_tick += 1;
         self.control.tick(&slot, request, timer)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn line_keeps_order_and_loses_only_what_a_cable_cannot_hold() {
+        let (mut line, mut events) = Line::new();
+        let event = |at_ns| BoardEvent::Opened { at_ns };
+        (0..300).for_each(|at_ns| line.push(event(at_ns)));
+        let mut taken = Vec::new();
+        for tick in 1..=20 {
+            line.advance();
+            while let Ok(event) = events.pop() {
+                taken.push(event);
+            }
+            assert_eq!(taken.len(), (tick * EVENTS_PER_TICK).min(CABLE_EVENTS));
+        }
+        assert!((0..).zip(&taken).all(|(at_ns, taken)| *taken == event(at_ns)));
+        line.push(event(300));
+        assert_eq!(events.pop(), Ok(event(300)), "an empty line gives an event at once");
     }
 }

@@ -11,7 +11,7 @@ use moca_tactile::board::{BoardMonitor, BoardStats};
 use moca_tactile::{Cover, TareStatus};
 
 /// Most events of one board taken in one tick: a source that babbles cannot hold the loop up. At 1 kHz this is 4 MB/s.
-const EVENTS_PER_TICK: usize = 16;
+pub(crate) const EVENTS_PER_TICK: usize = 16;
 
 /// The boards under the cover.
 pub struct ByteCover {

@@ -90,7 +90,7 @@
 //!
 //! # Cost
 //! `cargo bench -p moca-wbc` times steps and parts; `moca-lab tick` times them hot, cold and live, counts instructions and
-//! bytes, and with `--anchor DIR` puts the tick beside Pinocchio's. `.ci/size` holds instructions and bytes to a file.
+//! bytes. `moca-lab bench` puts the tick next to Pinocchio's. `.ci/size` holds instructions and bytes to a file.
 #![no_std]
 #![forbid(unsafe_code)]
 #![expect(clippy::needless_range_loop, reason = "matrix algorithms read as in the books: by index")]

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Data for `moca-lab tick --anchor DIR`: the whole-body tick of a Panda on a planar base by Pinocchio and numpy.
+"""Data for `moca-lab bench --anchor DIR`: the whole-body tick of a Panda on a planar base by Pinocchio and numpy.
 
     python3 -m venv venv && venv/bin/pip install pin==4.1.0 example-robot-data==6.0.0 numpy
     venv/bin/python generate.py DIR

@@ -1,6 +1,7 @@
 //! Error against run time, stiff and extreme cases, and what a scene does not need.
 
 pub(crate) mod barrier;
+pub(crate) mod bench;
 pub(crate) mod economy;
 pub(crate) mod extremes;
 pub(crate) mod peers;

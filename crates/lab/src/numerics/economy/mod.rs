@@ -1,6 +1,5 @@
 //! `moca-lab economy`: what a scene costs when it holds everything, and when it holds only what it needs.
 
-mod engines;
 mod parts;
 
 use crate::study::{self, Answer, Column};
@@ -29,9 +28,6 @@ const PASSES: usize = 5;
 pub(crate) struct Arguments {
     #[command(flatten)]
     answer: Answer,
-    /// Instead: this many collisions of scenes/sweep.toml on either engine, and as many bare steps of MuJoCo, in turn.
-    #[arg(long, value_name = "RUNS", value_parser = clap::value_parser!(u32).range(2..=10_000))]
-    engines: Option<u32>,
 }
 
 /// One scene beside the one that a user of MuJoCo would write.
@@ -108,10 +104,6 @@ impl TickCost {
 
 /// Builds, runs, compares and times every scene.
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
-    if let Some(runs) = arguments.engines {
-        study::print(&engines::markdown(usize::try_from(runs)?)?);
-        return Ok(());
-    }
     let report = measure()?;
     arguments.answer.print(&report, || {
         let Report { scenes, ticks, control } = &report;
@@ -177,7 +169,7 @@ struct Case<'a> {
 
 const SAME: (f64, &str) = (0.0, "nothing numerical differs");
 /// Difference that rounding leaves over a run.
-const ROUNDED: (f64, &str) = (1e-9, "rounding: the same step by another model");
+pub(crate) const ROUNDED: (f64, &str) = (1e-9, "rounding: the same step by another model");
 
 fn measure() -> Result<Report> {
     let (scenes, ticks) = scenes(true)?;
@@ -297,6 +289,20 @@ fn difference(own: &[Place], other: &[Place], robot: Robot, until_touch: bool) -
         .fold(0.0, f64::max)
 }
 
+/// Scenes of the collision from the one with geoms to the leanest, and the largest difference of each to the one before, m, rad:
+/// the first pair until somebody is touched.
+pub(crate) fn leaner() -> Result<([Scene; 3], [f64; 2])> {
+    let geoms = with_geoms()?;
+    let contact = Scene { geoms: false, flange_sensor: false, ..geoms.clone() };
+    let analytic = Scene { engine: Engine::Analytic, ..contact.clone() };
+    let scenes = [geoms, contact, analytic];
+    let [geoms, contact, analytic] = [0, 1, 2].map(|i| trajectory(&scenes[i], true));
+    let (contact, whole) = (contact?.0, Robot::MobileManipulator);
+    let apart =
+        [difference(&contact, &geoms?.0, whole, true), difference(&analytic?.0, &contact, whole, false)];
+    Ok((scenes, apart))
+}
+
 /// The trajectory, and the mean over its ticks of the least time of that tick in [`PASSES`] passes, µs: what others do
 /// on this machine hits no tick in every pass.
 fn fastest(scene: &Scene, drives: bool) -> Result<(Vec<Place>, f64)> {
@@ -348,7 +354,7 @@ fn gravity(scene: &Scene) -> Result<[f64; JOINTS]> {
 }
 
 /// Robot that stands and holds itself, whose engine alone is stepped.
-struct Standing {
+pub(crate) struct Standing {
     plant: SimPlant,
     scene: Scene,
     hold: RobotCommand<JOINTS>,
@@ -356,9 +362,10 @@ struct Standing {
 
 impl Standing {
     /// Bare steps of a stretch: in many more of them it would begin to fall.
-    const STRETCH: u32 = 50;
+    pub(crate) const STRETCH: u32 = 50;
 
-    fn new(scene: &Scene) -> Result<Self> {
+    /// Builds the robot of `scene`.
+    pub(crate) fn new(scene: &Scene) -> Result<Self> {
         let arm_gravity_nm = gravity(scene)?;
         let hold =
             RobotCommand { base_velocity_body: [0.0; 3], arm_torque_nm: arm_gravity_nm, arm_gravity_nm };
@@ -366,7 +373,7 @@ impl Standing {
     }
 
     /// CPU time of a step in a stretch, s.
-    fn step_s(&mut self) -> Result<f64> {
+    pub(crate) fn step_s(&mut self) -> Result<f64> {
         let (plant, scene) = (&mut self.plant, &self.scene);
         plant.set_state(&scene.base_pose_world, &[0.0; 3], &scene.arm_posture_rad, &[0.0; JOINTS]);
         plant.apply(&Actuation::Drive(self.hold))?;

@@ -172,7 +172,7 @@ impl LoggedMinute {
 
 /// Memory that this process has allocated and not freed, KiB. Resident memory says less: an allocator keeps up to 28 MB of each
 /// thread that has compressed a log, and where it falls is chance.
-pub(super) fn in_use_kib() -> u64 {
+pub(crate) fn in_use_kib() -> u64 {
     #[expect(unsafe_code, reason = "no safe crate has it")]
     // SAFETY: mallinfo2 has no precondition and may be called from any thread.
     let memory = unsafe { nix::libc::mallinfo2() };

@@ -237,7 +237,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
                 flange: (&tick.flange).into(),
                 flange_desired: (&tick.desired(next)).into(),
                 limits: hit,
-                exceeded: self.exceeded(tick, tracking.as_ref(), !next.has_lead()),
+                exceeded: self.exceeded(tick, arm.zip(tracking.as_ref()), !next.has_lead()),
             })
         });
         match &output {
@@ -388,10 +388,10 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
     pub(super) fn exceeded(
         &self,
         tick: &ArmTick<'_, N, T>,
-        tracking: Option<&Tracking<T>>,
+        tracked: Option<(&ArmDynamics<'_, N, T>, &Tracking<T>)>,
         arrived: bool,
     ) -> Option<Exceeded> {
-        let Tracking { error, arm_twist } = tracking?;
+        let (arm, Tracking { error, arm_twist }) = tracked?;
         let robot = tick.robot;
         if let Some(joint) = self.joint_speeds.exceeded(&robot.q_rad, &robot.dq_rad_s) {
             return Some(Exceeded::JointSpeed(joint));
@@ -399,9 +399,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         let (joint, share) = self.joint_speeds.fastest(&robot.q_rad, &robot.dq_rad_s);
         let fast = share > of(if arrived { STRETCHED_SHARE } else { HELD_SHARE });
         let far = arrived && self.flange_limits.share(error) > of(STRETCHED_ERROR);
-        if (fast || far)
-            && ArmDynamics::new(tick.dynamics).is_ok_and(|arm| arm.mobility_left() < of(STRETCHED_MOBILITY))
-        {
+        if (fast || far) && arm.mobility_left() < of(STRETCHED_MOBILITY) {
             return Some(Exceeded::Stretched(joint));
         }
         let base = tick.kinematics.twist_from_base(&robot.base_velocity_world);

@@ -265,7 +265,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
                 flange: (&tick.flange).into(),
                 flange_desired: (&tick.desired(&next.arm)).into(),
                 limits: hit,
-                exceeded: self.arm.exceeded(tick, wanted.tracking.as_ref(), arrived),
+                exceeded: self.arm.exceeded(tick, arm.zip(wanted.tracking.as_ref()), arrived),
             })
         });
         match &output {

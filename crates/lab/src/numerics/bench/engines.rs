@@ -1,17 +1,18 @@
 //! Collisions of `scenes/sweep.toml` on either engine beside as many bare steps of MuJoCo, in turn: what slows the machine down
 //! meanwhile slows them all.
 
-use super::Standing;
-use crate::study::{self, Column};
-use anyhow::{Context, Result};
+use super::Row;
+use crate::numerics::economy::Standing;
+use anyhow::Result;
 use moca_experiments::campaign::Table as _;
 use moca_experiments::collision;
 use moca_experiments::cpu_time;
-use moca_experiments::parallel::Count;
 use moca_experiments::sweep::Sweep;
 use moca_sim::Engine;
 
 const PLAN: &str = include_str!("../../../../../scenes/sweep.toml");
+/// Largest difference of the two engines' peak forces, N.
+const PEAK_APART_N: f64 = 1e-9;
 const ENGINES: [(Engine, &str); 2] = [(Engine::Analytic, "analytic"), (Engine::MuJoCo, "MuJoCo")];
 
 /// One collision on each of [`ENGINES`].
@@ -46,34 +47,25 @@ impl Turn {
     }
 }
 
-/// An engine's name, and the ratios of its runs from the least to the most.
-const COLUMNS: &[Column<(&str, Vec<f64>)>] = &[
-    ("engine", |(name, _)| (*name).into()),
-    ("runs per CPU time over those of bare `mj_step`, median", |(_, of)| format!("{:.2}", of[of.len() / 2])),
-    ("least", |(_, of)| format!("{:.2}", of[0])),
-    ("most", |(_, of)| format!("{:.2}", of[of.len() - 1])),
-];
-
-/// A row for each engine, from so many collisions of the plan.
-pub(super) fn markdown(runs: usize) -> Result<String> {
+/// Rows of both engines from so many collisions of the plan.
+pub(super) fn rows(runs: usize) -> Result<Vec<Row>> {
     let sweep = Sweep::parse(PLAN, None)?;
-    let mut progress = Count::new("engines", runs);
-    let mut turns = Vec::new();
+    let mut rows = ENGINES.map(|(_, name)| {
+        Row::new(
+            format!("collision of a sweep, {name}"),
+            "as many bare `mj_step`".into(),
+            "N of peak force",
+            PEAK_APART_N,
+        )
+    });
     for turn in 0..runs {
-        turns.push(Turn::of(&sweep, turn * (sweep.rows() / runs).max(1) % sweep.rows())?);
-        progress.one_more();
+        let turn = Turn::of(&sweep, turn * (sweep.rows() / runs).max(1) % sweep.rows())?;
+        for (row, ratio) in rows.iter_mut().zip(turn.of_bare) {
+            row.ratios.push(ratio);
+            row.raise_error((turn.peak_n[0] - turn.peak_n[1]).abs());
+        }
     }
-    let apart_n = turns.iter().map(|turn| (turn.peak_n[0] - turn.peak_n[1]).abs()).fold(0.0, f64::max);
-    let ratios = |(i, (_, name)): (usize, (Engine, &'static str))| {
-        let mut ratios: Vec<f64> = turns.iter().map(|turn| turn.of_bare[i]).collect();
-        ratios.sort_unstable_by(f64::total_cmp);
-        (name, ratios)
-    };
-    let table = study::table(COLUMNS, &ENGINES.into_iter().enumerate().map(ratios).collect::<Vec<_>>());
-    let most_n = turns.iter().map(|turn| turn.peak_n[0]).reduce(f64::max).context("no run")?;
-    Ok(format!(
-        "{table}\n{runs} collisions. Their peak forces, {most_n:.1} N at most, differ by {apart_n:.1e} N at most.\n"
-    ))
+    Ok(rows.into())
 }
 
 #[cfg(test)]
@@ -83,7 +75,11 @@ fn collisions_of_the_plan_peak_alike_on_both_engines() {
     for id in [0, sweep.rows() - 1] {
         let turn = Turn::of(&sweep, id).unwrap();
         let [analytic_n, mujoco_n] = turn.peak_n;
-        assert!(mujoco_n > 1.0 && (analytic_n - mujoco_n).abs() < 1e-9, "run {id}: {:?}", turn.peak_n);
+        assert!(
+            mujoco_n > 1.0 && (analytic_n - mujoco_n).abs() < PEAK_APART_N,
+            "run {id}: {:?}",
+            turn.peak_n
+        );
         assert!(turn.of_bare.iter().all(|ratio| ratio.is_finite() && *ratio > 0.0), "{:?}", turn.of_bare);
     }
 }
