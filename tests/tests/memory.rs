@@ -136,30 +136,28 @@ fn memory_of_loop_and_flight_recorder_is_bounded() {
     std::fs::remove_dir_all(folder).unwrap();
 }
 
-/// Bytes that a robot of a batch holds on the heap, by the engine of its scene. MuJoCo's own memory is in C, and not counted.
-fn bytes_of_robot(engine: Engine) -> i64 {
-    const ROBOTS: i64 = 16;
-    let config = Config::default();
-    let scene = moca_sim::Scene { engine, ..free_scene(&config) };
-    let robot = |seed| {
-        let board = VirtualBoardConfig { seed, ..VirtualBoardConfig::default() };
-        let mut world = Box::new(LockStep::with_board(&config, &scene, board, None).unwrap());
-        while !world.tick(None).sample.mode.moves() {}
-        world
-    };
-    // what the first one of a program builds for all is not one robot's
-    drop(robot(0));
-    let before = IN_USE.load(Ordering::Relaxed);
-    let robots: Vec<_> = (0..ROBOTS.unsigned_abs()).map(robot).collect();
-    let held = IN_USE.load(Ordering::Relaxed) - before;
-    drop(robots);
-    held / ROBOTS
-}
-
+/// MuJoCo's own memory is in C, and not counted.
 #[test]
 fn robot_of_a_batch_holds_at_most_100_kilobytes() {
+    const ROBOTS: i64 = 16;
     let _alone = ALONE.lock().unwrap();
-    let [analytic, mujoco] = [Engine::Analytic, Engine::MuJoCo].map(bytes_of_robot);
+    let config = Config::default();
+    let [analytic, mujoco] = [Engine::Analytic, Engine::MuJoCo].map(|engine| {
+        let scene = moca_sim::Scene { engine, ..free_scene(&config) };
+        let robot = |seed| {
+            let board = VirtualBoardConfig { seed, ..VirtualBoardConfig::default() };
+            let mut world = Box::new(LockStep::with_board(&config, &scene, board, None).unwrap());
+            while !world.tick(None).sample.mode.moves() {}
+            world
+        };
+        // what the first one of a program builds for all is not one robot's
+        drop(robot(0));
+        let before = IN_USE.load(Ordering::Relaxed);
+        let robots: Vec<_> = (0..ROBOTS.unsigned_abs()).map(robot).collect();
+        let held = IN_USE.load(Ordering::Relaxed) - before;
+        drop(robots);
+        held / ROBOTS
+    });
     println!("bytes of a robot: analytic {analytic}, MuJoCo {mujoco} and what it holds in C");
     assert!((1_000..=100_000).contains(&analytic), "{analytic} bytes");
 }
