@@ -12,9 +12,11 @@ use moca_tactile::calibration::CalibrationFile;
 use moca_telemetry::calibration::{CalibrationProgress, CalibrationRequest};
 use moca_telemetry::net::{Address, Connection};
 use moca_tests::{Limited, Program};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 /// Ends a test that would hang; no test passes or fails by how long something took before this.
@@ -170,4 +172,77 @@ fn a_robot_that_moves_is_not_calibrated() {
     until(&connection, "begun", |progress, _| matches!(progress, CalibrationProgress::Rest { .. }));
     connection.request(Request::Arm);
     until(&connection, "given up when armed", refused);
+}
+
+/// Runs `mocad calibrate`; `press` gets the time since the terminal asked for a press, s, `None` before. Returns what it said on the
+/// terminal, and whether it succeeded.
+fn calibrate(arguments: &[&str], mut press: impl FnMut(Option<f64>)) -> (String, bool) {
+    let mut process = Command::new(env!("CARGO_BIN_EXE_mocad-under-test"))
+        .arg("calibrate")
+        .args(arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .start()
+        .unwrap();
+    let (mut stdout, mut stderr) = (process.stdout.take().unwrap(), process.stderr.take().unwrap());
+    let (told, heard) = mpsc::channel();
+    let reader = std::thread::spawn(move || {
+        let mut bytes = [0; 256];
+        while let Ok(count @ 1..) = stdout.read(&mut bytes) {
+            let _ = told.send(bytes[..count].to_vec());
+        }
+    });
+    let (mut said, mut asked) = (Vec::new(), None);
+    let status = loop {
+        said.extend(heard.try_iter().flatten());
+        if asked.is_none() && String::from_utf8_lossy(&said).contains("0 of 2") {
+            asked = Some(Instant::now());
+        }
+        press(asked.map(|since| since.elapsed().as_secs_f64()));
+        if let Some(status) = process.try_wait().unwrap() {
+            break status;
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    };
+    reader.join().unwrap();
+    said.extend(heard.try_iter().flatten());
+    stderr.read_to_end(&mut said).unwrap();
+    (String::from_utf8_lossy(&said).into_owned(), status.success())
+}
+
+#[test]
+fn known_weight_renews_date_of_foam_that_is_as_calibrated() {
+    let forces = SharedForces::default();
+    let board = virtual_board("weighed-board", &forces);
+    let gauge = virtual_board("weighed-gauge", &SharedForces::default());
+    gauge.set_fault(Some(BoardFault::Silent));
+    let file = temporary("weighed.toml");
+    let _ = std::fs::remove_file(&file);
+    let [port, gauge_port, out] = [board.path(), gauge.path(), &file].map(|path| path.display().to_string());
+    let press = |force_n: f64| forces[4].store(force_n.to_bits(), Ordering::Relaxed);
+    let taxel = ["--port", &port, "--taxels", "5:4", "--presses", "2", "--board", "left", "--out", &out];
+    let (said, done) = calibrate(&[&taxel[..], &["--gauge", &gauge_port]].concat(), |t_s| {
+        let force_n = 30.0 * (1.0 - (std::f64::consts::TAU * t_s.unwrap_or(0.0) / 3.0).cos());
+        press(force_n);
+        gauge.inject(format!("{force_n:.2} N\r\n").as_bytes());
+    });
+    assert!(done, "{said}");
+    press(0.0);
+    let mut calibrated = CalibrationFile::read(&file).unwrap();
+    calibrated.date = "2020-02-29".into();
+    calibrated.write(&file).unwrap();
+    // 4 kg, on for five seconds and off for three
+    let weigh = |weight_n: f64| {
+        calibrate(&[&taxel[..], &["--check", "--mass", "4"]].concat(), |t_s| {
+            press(if t_s.is_some_and(|t_s| t_s % 8.0 < 5.0) { weight_n } else { 0.0 });
+        })
+    };
+    let (said, done) = weigh(1.3 * 39.2);
+    assert!(!done && said.contains("times as stiff as calibrated; allowed: 0.9 to 1.1"), "{said}");
+    assert_eq!(CalibrationFile::read(&file).unwrap().date, "2020-02-29", "a refused check changes nothing");
+    press(0.0);
+    let (said, done) = weigh(39.2);
+    assert!(done && said.contains("times the calibrated force"), "{said}");
+    assert_ne!(CalibrationFile::read(&file).unwrap().date, "2020-02-29", "{said}");
+    std::fs::remove_file(&file).unwrap();
 }

@@ -22,6 +22,8 @@ pub struct Store {
 
 /// Ratio of the reference to the calibrated force, over a whole press, for which a foam is as calibrated.
 pub const AS_CALIBRATED: std::ops::RangeInclusive<f64> = 0.9..=1.1;
+/// Ratio of the reference to the calibrated force of a loading foam that is believed.
+const LOADING: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 
 impl Store {
     /// Writes the model of this kind and returns the taxels that the file holds now, 1 is T1.
@@ -41,25 +43,40 @@ impl Store {
         (file.date, file.temperature_c) = (today(), *temperature_c);
         let number = fitted.measured.target.number;
         file.taxel.retain(|entry| entry.number != number);
-        file.taxel.push(TaxelEntry::new(number, fitted.measured.rest_counts, &fit.model, &fit.quality));
+        let mut entry = TaxelEntry::new(number, fitted.measured.rest_counts, &fit.model, &fit.quality);
+        let loading_n = rising(residuals(&fit.model, std::slice::from_ref(&fitted.measured.trial)));
+        entry.loading_ratio = Some(stiffness_ratio(&loading_n));
+        file.taxel.push(entry);
         file.taxel.sort_by_key(|entry| entry.number);
         file.write(path)?;
         Ok(file.taxel.iter().filter_map(|entry| u8::try_from(entry.number).ok()).collect())
     }
 
     /// Compares the file's model of a taxel with the presses that were just measured, and renews the file's date if the foam is as
-    /// calibrated. Returns the ratio of the reference to the calibrated force.
+    /// calibrated. `by_weight` says that the reference was a known mass, which only loads: it is compared with how the foam loaded when
+    /// it was calibrated. Returns the ratio of the reference to the calibrated force.
     ///
     /// # Errors
-    /// A foam that is not as calibrated, a file of another board or sketch or without this taxel, the disk.
-    pub fn check(&self, fitted: &Fitted) -> Result<f64> {
+    /// A foam that is not as calibrated, a file of another board or sketch or without this taxel, the disk; a known mass and a file that
+    /// does not say how the foam loads.
+    pub fn check(&self, fitted: &Fitted, by_weight: bool) -> Result<f64> {
         let mut file = CalibrationFile::read(&self.path)?;
         self.fits(&file, fitted)?;
         let number = fitted.measured.target.number;
         let entry = file.taxel.iter().find(|entry| entry.number == number);
-        let model =
-            entry.with_context(|| format!("{} has no taxel T{number}", self.path.display()))?.model()?;
-        let ratio = stiffness_ratio(&residuals(&model, std::slice::from_ref(&fitted.measured.trial)));
+        let entry = entry.with_context(|| format!("{} has no taxel T{number}", self.path.display()))?;
+        let measured_n = residuals(&entry.model()?, std::slice::from_ref(&fitted.measured.trial));
+        let expected = if by_weight { entry.loading_ratio } else { Some(1.0) };
+        let expected = expected.filter(|ratio| LOADING.contains(ratio)).with_context(|| {
+            format!(
+                "{}: loading_ratio of T{number} must be {} to {}, got {}: calibrate the taxel again, or check it with a force gauge",
+                self.path.display(),
+                LOADING.start(),
+                LOADING.end(),
+                entry.loading_ratio.map_or("none".into(), |ratio| ratio.to_string())
+            )
+        })?;
+        let ratio = stiffness_ratio(&measured_n) / expected;
         ensure!(
             AS_CALIBRATED.contains(&ratio),
             "the foam of T{number} is {ratio:.2} times as stiff as calibrated; allowed: {} to {}; calibrate the cover again, or state it \
@@ -78,6 +95,13 @@ impl Store {
         ensure!(file.sketch == fitted.sketch.name(), "{path} is of sketch {}", file.sketch);
         Ok(())
     }
+}
+
+/// Residuals of the samples in which the reference does not fall.
+fn rising(residuals_n: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
+    let mut last_n = 0.0;
+    let rises = |(force_n, _): &(f64, f64)| std::mem::replace(&mut last_n, *force_n) <= *force_n;
+    residuals_n.into_iter().filter(rises).collect()
 }
 
 /// Factor of the modelled forces that comes closest to the reference, from pairs of the reference and the model's error, N.
@@ -101,6 +125,13 @@ mod tests {
     use moca_tactile::calibration::session::Target;
 
     #[test]
+    fn only_samples_that_do_not_fall_are_of_loading() {
+        let pairs = [(0.0, 0.1), (2.0, 0.2), (2.0, 0.3), (1.0, 0.4), (1.5, 0.5)];
+        let errors: Vec<f64> = rising(pairs.to_vec()).into_iter().map(|(_, error_n)| error_n).collect();
+        assert_eq!(errors, [0.1, 0.2, 0.3, 0.5]);
+    }
+
+    #[test]
     fn known_mass_renews_calibration_of_the_same_foam_alone() {
         let target = Target { number: 1, electrode: 0 };
         let path = std::env::temp_dir().join(format!("mocad-mass-{}.toml", std::process::id()));
@@ -110,10 +141,12 @@ mod tests {
         press(&mut engine, target);
         store.save(engine.fitted().unwrap(), ModelKind::Monotone).unwrap();
         let calibrated = CalibrationFile::read(&path).unwrap();
+        let loading = calibrated.taxel[0].loading_ratio.unwrap();
+        assert!((loading - 1.0).abs() < 0.01, "a foam without hysteresis: {loading}");
         CalibrationFile { date: "2020-01-01".into(), ..calibrated }.write(&path).unwrap();
         let mut check = |stiffer: f64| {
             lay(&mut engine, target, stiffer);
-            store.check(engine.fitted().unwrap_or_else(|| panic!("{:?}", engine.progress())))
+            store.check(engine.fitted().unwrap_or_else(|| panic!("{:?}", engine.progress())), true)
         };
         // 31.7 counts are read as 32
         let error = check(1.3).unwrap_err().to_string();
@@ -128,6 +161,27 @@ mod tests {
             assert!((ratio - stiffer).abs() < 0.03, "{ratio} of {stiffer}");
         }
         assert_eq!(CalibrationFile::read(&path).unwrap().date, today());
+
+        // A foam that took a quarter more force in than the mean of both ways; a gauge sees both.
+        lay(&mut engine, target, 1.2);
+        let loads = |loading_ratio| {
+            let mut file = CalibrationFile::read(&path).unwrap();
+            file.taxel[0].loading_ratio = loading_ratio;
+            file.write(&path).unwrap();
+        };
+        loads(Some(1.25));
+        let fitted = engine.fitted().unwrap();
+        let (by_weight, by_gauge) = (store.check(fitted, true).unwrap(), store.check(fitted, false));
+        assert!((by_weight - 0.96).abs() < 0.03, "{by_weight}");
+        assert!(by_gauge.unwrap_err().to_string().contains("T1 is 1.2"));
+        for (unknown, named) in [(None, "got none"), (Some(2.1), "got 2.1"), (Some(f64::NAN), "got NaN")] {
+            loads(unknown);
+            let error = store.check(fitted, true).unwrap_err().to_string();
+            assert!(
+                error.contains("loading_ratio of T1 must be 0.5 to 2") && error.contains(named),
+                "{error}"
+            );
+        }
         std::fs::remove_file(path).unwrap();
     }
 }

@@ -172,7 +172,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         pressed?;
         let fitted = service.fitted().context("nothing is fitted")?;
         if arguments.check {
-            let ratio = store.check(fitted)?;
+            let ratio = store.check(fitted, arguments.mass.is_some())?;
             println!(
                 "T{number}: {ratio:.2} times the calibrated force; {} has today's date",
                 store.path.display()

@@ -59,6 +59,10 @@ pub struct TaxelEntry {
     pub rmse_loading_n: f64,
     /// RMSE while it fell, N.
     pub rmse_unloading_n: f64,
+    /// Reference over modelled force while the force rose: a foam takes more force in than it gives back. A known weight only loads,
+    /// and is compared with it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub loading_ratio: Option<f64>,
     /// Valid up to these counts below rest.
     pub counts_max: f64,
     /// Valid up to this force, N.
@@ -199,6 +203,7 @@ impl TaxelEntry {
             rmse_n: quality.rmse_n,
             rmse_loading_n: quality.rmse_loading_n,
             rmse_unloading_n: quality.rmse_unloading_n,
+            loading_ratio: None,
             counts_max: quality.counts_max,
             force_max_n: quality.force_max_n,
             model: model.into(),
