@@ -49,7 +49,7 @@ impl Plates {
 /// The running program; it ends when this is dropped.
 pub struct Program {
     child: Child,
-    /// What the program reads.
+    /// Standard input of the program.
     pub input: ChildStdin,
 }
 

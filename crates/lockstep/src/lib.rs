@@ -15,8 +15,8 @@
 //!
 //! let config = Config::default();
 //! let mut world = LockStep::with_board(&config, &free_scene(&config), board_config(&config), None)?;
-//! let second = world.tick(None).sample.time_s;
-//! assert!(world.tick(None).sample.time_s > second);
+//! let first_ns = world.tick(None).sample.time_ns;
+//! assert_eq!(world.tick(None).sample.time_ns, first_ns + config.period_ns());
 //! # Ok(())
 //! # }
 //! # #[cfg(not(feature = "sim"))]

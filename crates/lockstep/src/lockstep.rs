@@ -43,6 +43,11 @@ impl Line {
         (Self { ring, waiting: VecDeque::new() }, events)
     }
 
+    /// Makes room for all that the line can hold.
+    fn reserve(&mut self) {
+        self.waiting.reserve(CABLE_EVENTS);
+    }
+
     /// Adds an event. What a full line cannot hold is lost, as in a port.
     fn push(&mut self, event: BoardEvent) {
         self.advance();
@@ -67,6 +72,9 @@ impl Line {
 pub trait Feed<S> {
     /// Lets everything pass through a spoiled cable, where there is one.
     fn spoil(&mut self, _cable: Cable) {}
+
+    /// Makes room for the bytes of a long pause, so that none of its ticks allocates.
+    fn reserve(&mut self) {}
 
     /// Returns the forces of the last control period, N, T1 first.
     fn felt<'a>(&self, world: &'a SimPlant) -> &'a [f64] {
@@ -139,6 +147,10 @@ impl MemoryBoard {
 }
 
 impl Feed<ByteCover> for MemoryBoards {
+    fn reserve(&mut self) {
+        self.0.iter_mut().for_each(|board| board.line.reserve());
+    }
+
     /// The first board's cable.
     fn spoil(&mut self, cable: Cable) {
         if let Some(first) = self.0.first_mut() {
@@ -184,6 +196,10 @@ pub struct PipedFirmware {
 }
 
 impl Feed<ByteCover> for PipedFirmware {
+    fn reserve(&mut self) {
+        self.line.reserve();
+    }
+
     fn spoil(&mut self, cable: Cable) {
         self.spoiled = Some(cable);
     }
@@ -359,6 +375,7 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
     /// Lets `injection` strike; the same seed spoils the same bytes. Disk and sockets are the caller's.
     pub fn inject(&mut self, injection: &Injection, seed: u64) {
         let at_tick = injection.at_ns / self.period_ns;
+        self.feed.reserve();
         match injection.fault.site {
             FaultSite::Cable(fault) => self.feed.spoil(Cable::new(fault, injection.at_ns, seed)),
             FaultSite::Plant(_) => self.control.plant.inject(injection),
@@ -378,7 +395,7 @@ impl<S: CoverSource, F: Feed<S>> LockStep<S, F> {
         self.tick_timed(request, &mut Untimed)
     }
 
-    /// The same, and `timer` hears of each stage's end.
+    /// One tick as [`Self::tick`]; `timer` hears when it begins and when each stage ends.
     pub fn tick_timed(&mut self, request: Option<Request>, timer: &mut impl StageTimer) -> &Ticked {
         let request = request.or_else(|| Some(self.asked.take_if(|(at, _)| self.next_tick >= *at)?.1));
         let missed = self.skip.take_if(|(at, _)| self.next_tick >= *at).map_or(0, |(_, slots)| slots);
