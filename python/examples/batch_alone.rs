@@ -2,9 +2,9 @@
 //! `cargo run --release --manifest-path python/Cargo.toml --example batch_alone -- ROBOTS STEPS`.
 
 use moca_control::config::Config;
+use moca_lockstep::LockStep;
 use moca_lockstep::simulated_robot::free_scene;
 use moca_lockstep::virtual_boards::board_config;
-use moca_lockstep::LockStep;
 use moca_msgs::{Request, Target, TimedTarget, TouchPolicy};
 
 fn cpu_s() -> f64 {
@@ -20,8 +20,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for seed in 0..robots {
         let mut config = Config::parse("startup.law = \"follow-me\"\nsimulation.hand.taxels = []\n")?;
         config.simulation.seed = seed;
-        let mut world =
-            LockStep::with_board(&config, &free_scene(&config), board_config(&config), None)?;
+        let mut world = LockStep::with_board(&config, &free_scene(&config), board_config(&config), None)?;
         while !world.tick(None).sample.mode.moves() {}
         worlds.push(world);
     }

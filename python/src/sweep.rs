@@ -1,12 +1,12 @@
 //! The collision and campaigns, by the code of `moca-lab`.
 
 use anyhow::{Error, Result};
-use moca_figures::progress;
 use moca_experiments::campaign::{Campaign, Table};
 use moca_experiments::collision;
 use moca_experiments::drawn::Meetings;
 use moca_experiments::settings::Settings;
 use moca_experiments::sweep::Sweep;
+use moca_figures::progress;
 use moca_msgs::Law;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;

@@ -3,11 +3,11 @@
 use anyhow::{Result, ensure};
 use moca_control::config::Config;
 use moca_control::tick::Ticked;
+use moca_experiments::settings::Settings;
 use moca_lockstep::simulated_robot::free_scene;
 use moca_lockstep::touch_board::ByteCover;
 use moca_lockstep::virtual_boards::board_config;
 use moca_lockstep::{LockStep, MemoryBoards, NoCover};
-use moca_experiments::settings::Settings;
 use moca_msgs::{Law, Request};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;

@@ -1,4 +1,4 @@
-//! Callers of the tick, and the threads beside it: the wall clock ([`live`]) or a caller that wants every tick now ([`lockstep`]);
+//! Callers of the tick, and the threads beside it: the wall clock ([`live`]), or a run that wants every tick now ([`run`]);
 //! real time, telemetry, recording and the watchdog.
 
 pub mod allocations;
