@@ -4,10 +4,12 @@
 
 Each line is also given as a ratio. CPU is that of this process and its children, so the numbers bear a busy machine; a
 second thread shows in the time of the wall, and only where a second core is idle. `BATCH_ALONE`, the path of
-`target/release/examples/batch_alone`, adds the same robots in Rust alone. `--threads` also runs two batches that share
-nothing, each with half of the robots: more than they no sharing can reach on that machine.
+`python/target/release/examples/batch_alone`, adds the instructions of a step next to those of the same robots in Rust alone;
+valgrind counts them. `--threads` also runs two batches that share nothing, each with half of the robots: more than they no
+sharing can reach on that machine.
 """
 
+import math
 import os
 import resource
 import subprocess
@@ -23,7 +25,7 @@ import moca.gym
 
 ROBOTS = 8
 THREADS = sys.argv[1:2] == ["--threads"]
-SECONDS = float(sys.argv[1]) if len(sys.argv) > 1 and not THREADS else 4.0
+SECONDS = float(sys.argv[1]) if len(sys.argv) == 2 and not THREADS else 4.0
 # Turns of one thread and of two. They are short and many: a virtual machine's cores change their speed from second to second.
 TURNS, TURN_S = 60, 0.2
 
@@ -105,18 +107,43 @@ def compare_threads(robots):
         print(f"{robots:2d} robots, {name}: {median:.2f} of one thread, half of the turns {low:.2f} to {high:.2f}")
 
 
+def smooth(steps):
+    """Steps of a batch with the targets that `batch_alone` has, in an array made once."""
+    made, actions = moca.SimBatch(moca.gym.LEAN, ROBOTS, 1), np.zeros((ROBOTS, 3))
+    made.reset(range(ROBOTS))
+    for number in range(steps):
+        actions[:, 0], actions[:, 1] = 0.2 * math.sin(number), 0.2 * math.cos(number)
+        made.step(actions, 20)
+
+
+def instructions(command):
+    """Instructions of a step of one robot: those of 60 steps less those of 20, so that no start is in them."""
+    counts = []
+    for steps in (20, 60):
+        counter = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", *command, str(steps)]
+        said = subprocess.run(counter, check=True, capture_output=True, text=True).stderr
+        counts.append(int(said.split("Collected :")[1].split()[0]))
+    return (counts[1] - counts[0]) / (40 * ROBOTS)
+
+
+def compare_alone(program):
+    ours, alone = instructions([sys.executable, __file__, "--smooth"]), instructions([program, str(ROBOTS)])
+    print(f"SimBatch: {ours:.0f} instructions a step, {ours / alone:.3f} of Rust alone")
+
+
 if __name__ == "__main__":
+    if sys.argv[1:2] == ["--smooth"]:
+        smooth(int(sys.argv[2]))
+        sys.exit()
     print("load average", *os.getloadavg())
     if THREADS:
         for number in (ROBOTS, 64):
             compare_threads(number)
         print("load average", *os.getloadavg())
         sys.exit()
-    _, alone = measure("SimBatch, 1 thread", batch(1))
+    measure("SimBatch, 1 thread", batch(1))
     if program := os.environ.get("BATCH_ALONE"):
-        steps = str(int(SECONDS / alone / ROBOTS))
-        said = subprocess.run([program, str(ROBOTS), steps], check=True, capture_output=True, text=True).stdout
-        print(f"{'Rust alone':24s} {said.strip()}; SimBatch takes {1e6 * alone / float(said.split()[0]):.2f} of it")
+        compare_alone(program)
     one, _ = measure("LeanVectorEnv, 1 thread", vector(moca.gym.LeanVectorEnv(ROBOTS, 1)))
     two, cost = measure("LeanVectorEnv, 2 threads", vector(moca.gym.LeanVectorEnv(ROBOTS, 2)))
     print(f"two threads: {two / one:.2f} of one")

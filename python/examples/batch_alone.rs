@@ -20,7 +20,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for seed in 0..robots {
         let mut config = Config::parse("startup.law = \"follow-me\"\nsimulation.hand.taxels = []\n")?;
         config.simulation.seed = seed;
-        let mut world = LockStep::with_board(&config, &free_scene(&config), board_config(&config), None)?;
+        let mut scene = free_scene(&config);
+        scene.engine = scene.needed_engine();
+        let mut world = LockStep::with_board(&config, &scene, board_config(&config), None)?;
         while !world.tick(None).sample.mode.moves() {}
         worlds.push(world);
     }
