@@ -90,13 +90,18 @@ fn virtual_board(name: &str, forces: &SharedForces) -> PtyBoard {
     PtyBoard::spawn(VirtualBoardConfig::default(), forces, &temporary(name)).unwrap()
 }
 
+/// A board under these forces, and a silent port that says what a test lets a gauge say.
+fn board_and_gauge(name: &str) -> (SharedForces, PtyBoard, PtyBoard) {
+    let forces = SharedForces::default();
+    let board = virtual_board(&format!("{name}-board"), &forces);
+    let gauge = virtual_board(&format!("{name}-gauge"), &SharedForces::default());
+    gauge.set_fault(Some(BoardFault::Silent));
+    (forces, board, gauge)
+}
+
 #[test]
 fn taxel_without_robot_is_calibrated_with_gauge() {
-    let forces = SharedForces::default();
-    let board = virtual_board("calibrated-board", &forces);
-    // A silent port that says what the gauge says.
-    let gauge = virtual_board("gauge", &SharedForces::default());
-    gauge.set_fault(Some(BoardFault::Silent));
+    let (forces, board, gauge) = board_and_gauge("calibrated");
     // A configuration that names no calibration gets its file in the daemon's folder.
     let _ = std::fs::remove_file(Path::new(env!("CARGO_TARGET_TMPDIR")).join("calibration.toml"));
     let [port, gauge_port] = [&board, &gauge].map(|device| device.path().display().to_string());
@@ -212,10 +217,7 @@ fn calibrate(arguments: &[&str], mut press: impl FnMut(Option<f64>)) -> (String,
 
 #[test]
 fn known_weight_renews_date_of_foam_that_is_as_calibrated() {
-    let forces = SharedForces::default();
-    let board = virtual_board("weighed-board", &forces);
-    let gauge = virtual_board("weighed-gauge", &SharedForces::default());
-    gauge.set_fault(Some(BoardFault::Silent));
+    let (forces, board, gauge) = board_and_gauge("weighed");
     let file = temporary("weighed.toml");
     let _ = std::fs::remove_file(&file);
     let [port, gauge_port, out] = [board.path(), gauge.path(), &file].map(|path| path.display().to_string());

@@ -272,6 +272,7 @@ fn calibration_contact_limits_and_geometry_are_in_the_log() {
         rmse_n: 2.0,
         rmse_loading_n: 2.0,
         rmse_unloading_n: 2.0,
+        loading_ratio: 1.0,
         worst_n: 9.0,
         counts_max: 84.0,
         force_max_n: 100.0,

@@ -199,6 +199,22 @@ fn what_a_tick_decides_knows_no_thread_clock_or_file() {
 }
 
 #[test]
+fn robot_without_a_clock_knows_no_clock_thread_or_socket() {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../crates/lockstep/src");
+    let files = sources(&source);
+    assert!(files.len() > 10, "the crate has moved");
+    for file in &files {
+        let code = code(file);
+        for impure in ["spawn", "thread::Builder", "std::fs", "std::net", "Instant", "SystemTime", "println!"]
+        {
+            // The firmware's simulator is a program of its own, behind a pipe.
+            let pipe = impure == "spawn" && file.ends_with("firmware_board.rs");
+            assert!(pipe || !code.contains(impure), "{}: {impure}", file.display());
+        }
+    }
+}
+
+#[test]
 fn a_circle_is_found_and_a_tree_of_imports_flattened() {
     let imports: Imports = [("a", vec!["b"]), ("b", vec!["c"]), ("c", vec!["a"]), ("d", vec!["a"])]
         .map(|(from, to)| (from.to_owned(), to.into_iter().map(str::to_owned).collect()))

@@ -42,5 +42,5 @@ pub mod inject;
 pub mod record;
 pub mod runtime;
 
-pub use moca_control as control;
-pub use moca_control::{config, robot};
+use moca_control as control;
+use moca_control::{config, robot};

@@ -34,18 +34,34 @@ const RING_EVENTS: usize = EVENTS_PER_TICK;
 struct Line {
     ring: rtrb::Producer<BoardEvent>,
     waiting: VecDeque<BoardEvent>,
+    /// Fault on purpose on the way. Apart, because it is large and rare.
+    cable: Option<Box<Cable>>,
 }
 
 impl Line {
     /// Returns the line and the loop's end of it.
     fn new() -> (Self, rtrb::Consumer<BoardEvent>) {
         let (ring, events) = rtrb::RingBuffer::new(RING_EVENTS);
-        (Self { ring, waiting: VecDeque::new() }, events)
+        (Self { ring, waiting: VecDeque::new(), cable: None }, events)
     }
 
     /// Makes room for all that the line can hold.
     fn reserve(&mut self) {
         self.waiting.reserve(CABLE_EVENTS);
+    }
+
+    /// Sends an event through the cable, which may spoil it.
+    fn send(&mut self, event: BoardEvent) {
+        let Some(mut cable) = self.cable.take() else { return self.push(event) };
+        cable.pass(event, &mut |event| self.push(event));
+        self.cable = Some(cable);
+    }
+
+    /// Lets the cable do what it does without bytes until `now_ns`.
+    fn wait(&mut self, now_ns: u64) {
+        let Some(mut cable) = self.cable.take() else { return };
+        cable.wait(now_ns, &mut |event| self.push(event));
+        self.cable = Some(cable);
     }
 
     /// Adds an event. What a full line cannot hold is lost, as in a port.
@@ -90,8 +106,6 @@ pub struct MemoryBoard {
     board: VirtualBoard,
     line: Line,
     plugged: bool,
-    /// Apart, because it is large and rare.
-    spoiled: Option<Box<Cable>>,
     now_ns: u64,
     late: LateForces<ELECTRODES>,
     /// Board and electrode of each taxel, T1 first.
@@ -125,24 +139,20 @@ impl MemoryBoard {
     /// Pulls the cable.
     pub fn unplug(&mut self) {
         self.plugged = false;
-        self.push(BoardEvent::Closed { at_ns: self.now_ns, why: CloseReason::Disconnected });
+        self.line.push(BoardEvent::Closed { at_ns: self.now_ns, why: CloseReason::Disconnected });
     }
 
     /// Puts it back: the board boots anew.
     pub fn replug(&mut self) {
         self.plugged = true;
-        self.push(BoardEvent::Opened { at_ns: self.now_ns });
+        self.line.push(BoardEvent::Opened { at_ns: self.now_ns });
     }
 
     /// Puts bytes on the cable as they are.
     pub fn inject(&mut self, bytes: &[u8]) {
         for part in bytes.chunks(Chunk::CAPACITY) {
-            self.push(BoardEvent::Bytes(Chunk::new(self.now_ns, part)));
+            self.line.push(BoardEvent::Bytes(Chunk::new(self.now_ns, part)));
         }
-    }
-
-    fn push(&mut self, event: BoardEvent) {
-        self.line.push(event);
     }
 }
 
@@ -154,7 +164,7 @@ impl Feed<ByteCover> for MemoryBoards {
     /// The first board's cable.
     fn spoil(&mut self, cable: Cable) {
         if let Some(first) = self.0.first_mut() {
-            first.spoiled = Some(Box::new(cable));
+            first.line.cable = Some(Box::new(cable));
         }
     }
 
@@ -169,21 +179,14 @@ impl MemoryBoard {
     fn feed(&mut self, now_ns: u64, true_force_n: &[f64]) {
         self.now_ns = now_ns;
         let felt_n = self.late.pass(by_electrode(&self.wiring, self.number, true_force_n));
-        let Self { board, line, plugged, spoiled, .. } = self;
+        let Self { board, line, plugged, .. } = self;
         line.advance();
-        let mut arrive = |event| line.push(event);
         board.advance(now_ns, &felt_n, &mut |bytes: &[u8]| {
             for part in bytes.chunks(Chunk::CAPACITY).filter(|_| *plugged) {
-                let event = BoardEvent::Bytes(Chunk::new(now_ns, part));
-                match spoiled {
-                    Some(spoiled) => spoiled.pass(event, &mut arrive),
-                    None => arrive(event),
-                }
+                line.send(BoardEvent::Bytes(Chunk::new(now_ns, part)));
             }
         });
-        if let Some(spoiled) = spoiled {
-            spoiled.wait(now_ns, &mut arrive);
-        }
+        line.wait(now_ns);
     }
 }
 
@@ -191,7 +194,6 @@ impl MemoryBoard {
 pub struct PipedFirmware {
     firmware: Option<LockStepFirmware>,
     line: Line,
-    spoiled: Option<Cable>,
     wiring: Vec<Electrode>,
 }
 
@@ -201,27 +203,20 @@ impl Feed<ByteCover> for PipedFirmware {
     }
 
     fn spoil(&mut self, cable: Cable) {
-        self.spoiled = Some(cable);
+        self.line.cable = Some(Box::new(cable));
     }
 
     fn feed(&mut self, _cover: &mut ByteCover, now_ns: u64, true_force_n: &[f64]) {
         let felt_n = by_electrode(&self.wiring, 0, true_force_n);
-        let Self { firmware, line, spoiled, .. } = self;
+        let Self { firmware, line, .. } = self;
         line.advance();
-        let mut arrive = |event| line.push(event);
         let Some(board) = firmware else { return };
         let advanced = board.advance(now_ns, &felt_n, &mut |arrival_ns, bytes| {
-            let event = BoardEvent::Bytes(Chunk::new(arrival_ns, bytes));
-            match spoiled {
-                Some(spoiled) => spoiled.pass(event, &mut arrive),
-                None => arrive(event),
-            }
+            line.send(BoardEvent::Bytes(Chunk::new(arrival_ns, bytes)));
         });
-        if let Some(spoiled) = spoiled {
-            spoiled.wait(now_ns, &mut arrive);
-        }
+        line.wait(now_ns);
         if advanced.is_err() {
-            arrive(BoardEvent::Closed { at_ns: now_ns, why: CloseReason::Disconnected });
+            line.push(BoardEvent::Closed { at_ns: now_ns, why: CloseReason::Disconnected });
             *firmware = None;
         }
     }
@@ -302,7 +297,6 @@ impl LockStep<ByteCover, MemoryBoards> {
                 board: VirtualBoard::new(nth_board(board, number))?,
                 line,
                 plugged: true,
-                spoiled: None,
                 now_ns: 0,
                 late: LateForces::new(config),
                 wiring: config.robot.cover.wiring(),
@@ -332,7 +326,7 @@ impl LockStep<ByteCover, PipedFirmware> {
         let cover = ByteCover::new(Cover::new(cover_config(config)?)?, events);
         let firmware = Some(LockStepFirmware::start(program, true_foam(config))?);
         let wiring = config.robot.cover.wiring();
-        Self::new(config, scene, cover, PipedFirmware { firmware, line, spoiled: None, wiring })
+        Self::new(config, scene, cover, PipedFirmware { firmware, line, wiring })
     }
 }
 

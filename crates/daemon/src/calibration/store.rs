@@ -3,7 +3,7 @@
 use crate::calibration::engine::{Fitted, usable};
 use anyhow::{Context, Result, ensure};
 use moca_tactile::calibration::file::TaxelEntry;
-use moca_tactile::calibration::{CalibrationFile, ModelKind, residuals};
+use moca_tactile::calibration::{CalibrationFile, ModelKind, reference_ratio, residuals};
 use std::path::PathBuf;
 use std::time::SystemTime;
 
@@ -43,10 +43,7 @@ impl Store {
         (file.date, file.temperature_c) = (today(), *temperature_c);
         let number = fitted.measured.target.number;
         file.taxel.retain(|entry| entry.number != number);
-        let mut entry = TaxelEntry::new(number, fitted.measured.rest_counts, &fit.model, &fit.quality);
-        let loading_n = rising(residuals(&fit.model, std::slice::from_ref(&fitted.measured.trial)));
-        entry.loading_ratio = Some(stiffness_ratio(&loading_n));
-        file.taxel.push(entry);
+        file.taxel.push(TaxelEntry::new(number, fitted.measured.rest_counts, &fit.model, &fit.quality));
         file.taxel.sort_by_key(|entry| entry.number);
         file.write(path)?;
         Ok(file.taxel.iter().filter_map(|entry| u8::try_from(entry.number).ok()).collect())
@@ -76,7 +73,7 @@ impl Store {
                 entry.loading_ratio.map_or("none".into(), |ratio| ratio.to_string())
             )
         })?;
-        let ratio = stiffness_ratio(&measured_n) / expected;
+        let ratio = reference_ratio(&measured_n) / expected;
         ensure!(
             AS_CALIBRATED.contains(&ratio),
             "the foam of T{number} is {ratio:.2} times as stiff as calibrated; allowed: {} to {}; calibrate the cover again, or state it \
@@ -97,22 +94,6 @@ impl Store {
     }
 }
 
-/// Residuals of the samples in which the reference does not fall.
-fn rising(residuals_n: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
-    let mut last_n = 0.0;
-    let rises = |(force_n, _): &(f64, f64)| std::mem::replace(&mut last_n, *force_n) <= *force_n;
-    residuals_n.into_iter().filter(rises).collect()
-}
-
-/// Factor of the modelled forces that comes closest to the reference, from pairs of the reference and the model's error, N.
-fn stiffness_ratio(residuals_n: &[(f64, f64)]) -> f64 {
-    let read = residuals_n.iter().map(|(force_n, error_n)| (force_n, force_n + error_n));
-    let (product, square) = read.fold((0.0, 0.0), |(product, square), (force_n, read_n)| {
-        (product + force_n * read_n, square + read_n * read_n)
-    });
-    product / square
-}
-
 /// Today's date, YYYY-MM-DD.
 fn today() -> String {
     humantime::format_rfc3339_seconds(SystemTime::now()).to_string()[..10].to_owned()
@@ -123,13 +104,6 @@ mod tests {
     use super::*;
     use crate::calibration::engine::{Engine, tests::*};
     use moca_tactile::calibration::session::Target;
-
-    #[test]
-    fn only_samples_that_do_not_fall_are_of_loading() {
-        let pairs = [(0.0, 0.1), (2.0, 0.2), (2.0, 0.3), (1.0, 0.4), (1.5, 0.5)];
-        let errors: Vec<f64> = rising(pairs.to_vec()).into_iter().map(|(_, error_n)| error_n).collect();
-        assert_eq!(errors, [0.1, 0.2, 0.3, 0.5]);
-    }
 
     #[test]
     fn known_mass_renews_calibration_of_the_same_foam_alone() {

@@ -27,7 +27,7 @@ pub mod text_file;
 
 pub use file::CalibrationFile;
 pub use fit::{FitError, ModelKind, fit};
-pub use quality::{Quality, residuals};
+pub use quality::{Quality, reference_ratio, residuals};
 pub use text_file::{read_bytes, read_text};
 
 use std::vec::Vec;

@@ -16,6 +16,8 @@ pub struct Quality {
     pub rmse_loading_n: f64,
     /// Root mean square error while it falls, N.
     pub rmse_unloading_n: f64,
+    /// Reference over modelled force while the force rises: a foam takes more force in than it gives back.
+    pub loading_ratio: f64,
     /// Largest error, N.
     pub worst_n: f64,
     /// The model holds up to these counts below rest.
@@ -39,18 +41,32 @@ pub fn residuals(model: &TaxelModel, trials: &[Trial]) -> Vec<(f64, f64)> {
     out
 }
 
+/// Factor of the modelled forces that comes closest to the reference, from pairs of the reference and the model's error, N; NaN where
+/// the model gives no force.
+pub fn reference_ratio(residuals_n: &[(f64, f64)]) -> f64 {
+    let read = residuals_n.iter().map(|(force_n, error_n)| (force_n, force_n + error_n));
+    let (product, square) = read.fold((0.0, 0.0), |(product, square), (force_n, read_n)| {
+        (product + force_n * read_n, square + read_n * read_n)
+    });
+    product / square
+}
+
 /// Runs `model` over `trials`.
 pub fn quality(model: &TaxelModel, trials: &[Trial]) -> Quality {
     let residuals = residuals(model, trials);
     let (mut rising, mut falling) = (Mean::default(), Mean::default());
-    let mut worst_n: f64 = 0.0;
+    let (mut worst_n, mut loading_n) = (0.0_f64, Vec::new());
     let mut index = 0;
     for trial in trials {
         let mut last_n = 0.0;
         for _ in &trial.samples {
             let (force_n, error_n) = residuals[index];
-            let branch = if force_n >= last_n { &mut rising } else { &mut falling };
-            branch.add(error_n * error_n);
+            if force_n >= last_n {
+                rising.add(error_n * error_n);
+                loading_n.push((force_n, error_n));
+            } else {
+                falling.add(error_n * error_n);
+            }
             worst_n = worst_n.max(error_n.abs());
             last_n = force_n;
             index += 1;
@@ -64,6 +80,7 @@ pub fn quality(model: &TaxelModel, trials: &[Trial]) -> Quality {
         rmse_n: rising.and(&falling).value().sqrt(),
         rmse_loading_n: rising.value().sqrt(),
         rmse_unloading_n: falling.value().sqrt(),
+        loading_ratio: reference_ratio(&loading_n),
         worst_n,
         counts_max: largest(|sample| sample.drop),
         force_max_n: largest(|sample| sample.force_n),
@@ -106,5 +123,30 @@ impl Mean {
 
     fn value(&self) -> f64 {
         if self.count > 0.0 { self.sum / self.count } else { 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::TrialSample;
+
+    #[test]
+    fn loading_ratio_is_of_samples_in_which_force_does_not_fall() {
+        let model = TaxelModel::LineThroughZero { newton_per_count: 2.0 };
+        // Reference over what the model reads: 1.2 while it rises or stays, 0.8 while it falls.
+        let press = |shares: &[(f64, f64)]| Trial {
+            samples: shares
+                .iter()
+                .map(|&(drop, share)| TrialSample { time_s: drop, drop, force_n: 2.0 * share * drop })
+                .collect(),
+        };
+        let presses = [
+            press(&[(1.0, 1.2), (10.0, 1.2), (10.0, 1.2), (9.0, 0.8), (5.0, 0.8)]),
+            press(&[(3.0, 1.2), (2.0, 0.8)]),
+        ];
+        let ratio = quality(&model, &presses).loading_ratio;
+        assert!((ratio - 1.2).abs() < 1e-12, "{ratio}");
+        assert!(quality(&model, &[press(&[(0.0, 1.0)])]).loading_ratio.is_nan(), "no force, no ratio");
     }
 }

@@ -52,7 +52,7 @@ impl Row {
 
     /// Takes an error in; NaN stays.
     fn raise_error(&mut self, error: f64) {
-        self.error = if error <= self.error { self.error } else { error };
+        self.error = larger(self.error, error);
     }
 
     fn quantile(&self, share: f64) -> f64 {
@@ -66,6 +66,11 @@ impl Row {
         let place = (moca_experiments::count(sorted.len().saturating_sub(1)) * share).round() as usize;
         sorted.get(place).copied().unwrap_or(f64::NAN)
     }
+}
+
+/// Larger error of two; NaN stays, which `f64::max` would drop.
+fn larger(largest: f64, error: f64) -> f64 {
+    if error <= largest { largest } else { error }
 }
 
 /// Rows of a part, and the peers that are missing for others.

@@ -6,7 +6,7 @@
 
 mod data;
 
-use super::{Found, Row};
+use super::{Found, Row, larger};
 use anyhow::{Context as _, Result, ensure};
 use data::{Anchor, Input};
 use moca_experiments::{JOINTS, count};
@@ -87,9 +87,7 @@ fn passes(
 ) -> Result<Own> {
     let mut rel_error = 0.0_f64;
     for (input, reference) in anchor.inputs.iter().zip(&anchor.references) {
-        let error = relative_error(&tick(ticker, input)?, reference);
-        // f64::max would drop a NaN
-        rel_error = if error <= rel_error { rel_error } else { error };
+        rel_error = larger(rel_error, relative_error(&tick(ticker, input)?, reference));
     }
     let mut ns = Vec::with_capacity(PASSES);
     for _ in 0..PASSES {
@@ -106,12 +104,8 @@ fn passes(
 /// max|τ − ref| / max|ref| of one row.
 fn relative_error(force: &WholeBodyForce<JOINTS, f64>, reference: &[f64; 10]) -> f64 {
     let scale = reference.iter().fold(0.0_f64, |most, r| most.max(r.abs()));
-    let mut worst = 0.0;
-    for (value, reference) in force.base.iter().chain(&force.arm).zip(reference) {
-        let error = (value - reference).abs() / scale;
-        worst = if error <= worst { worst } else { error };
-    }
-    worst
+    let values = force.base.iter().chain(&force.arm).zip(reference);
+    values.fold(0.0, |worst, (value, reference)| larger(worst, (value - reference).abs() / scale))
 }
 
 /// The anchor's model and parameters.
